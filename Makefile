@@ -1,0 +1,48 @@
+# Two targets for a user: `make demo` and `make test`. Both build the environment `.venv` themselves.
+PYTHON ?= python3
+BIN := .venv/bin
+export OPENBLAS_NUM_THREADS := 1
+export OMP_NUM_THREADS := 1
+export JAX_PLATFORMS ?= cpu
+
+.PHONY: env demo test format lint types tests gallery bench lock clean
+
+env: .venv/ready
+
+.venv/ready: pyproject.toml constraints.txt
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "covariant needs Python 3.11 or newer: make PYTHON=python3.12 $(MAKECMDGOALS)"; exit 1; }
+	$(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
+	@touch $@
+
+demo: env
+	$(BIN)/python gallery/demo.py --out demo
+
+test: format lint types tests gallery
+
+format: env
+	$(BIN)/ruff format --check .
+
+lint: env
+	$(BIN)/ruff check .
+
+types: env
+	$(BIN)/basedpyright
+
+tests: env
+	$(BIN)/pytest -n 2
+
+gallery: env
+	$(BIN)/python gallery/run_all.py
+
+bench: env
+	$(BIN)/pytest benchmarks --benchmark-only -o addopts=
+
+# Pins for every dependency, without the hosts they come from.
+lock:
+	$(PYTHON) -m venv .venv-lock && .venv-lock/bin/python -m pip install --quiet uv
+	.venv-lock/bin/uv pip compile --quiet --extra dev --extra docs --python-version 3.11 --no-header --no-annotate --no-emit-index-url --no-emit-find-links pyproject.toml -o constraints.txt
+	rm -rf .venv-lock
+
+clean:
+	rm -rf .venv demo build dist

@@ -1,0 +1,93 @@
+"""Two integrators: a fixed-step one that can be exported, and `solve`, the only place that knows diffrax."""
+
+from collections.abc import Callable
+from typing import Any
+
+import diffrax
+import jax
+import jax.flatten_util
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+
+Flow = Callable[[Array, Any], Any]
+"""A vector field `(t, x) -> dx/dt` over any pytree."""
+
+
+def rk4_step(flow: Flow, t, x, dt):
+    """One classical Runge–Kutta step of fourth order."""
+
+    def at(slope, fraction):
+        return jax.tree.map(lambda a, b: a + fraction * dt * b, x, slope)
+
+    k1 = flow(t, x)
+    k2 = flow(t + dt / 2, at(k1, 0.5))
+    k3 = flow(t + dt / 2, at(k2, 0.5))
+    k4 = flow(t + dt, at(k3, 1.0))
+    return jax.tree.map(lambda a, p, q, r, s: a + dt / 6 * (p + 2 * q + 2 * r + s), x, k1, k2, k3, k4)
+
+
+def rk4(flow: Flow, t, x, dt, steps):
+    """Advance `x` by `dt` in `steps` equal Runge–Kutta steps; `steps` may be a Python int (static) or a traced count."""
+    h = dt / steps
+    return jax.lax.fori_loop(0, steps, lambda i, y: rk4_step(flow, t + i * h, y, h), x)
+
+
+def rk8(flow: Flow, t, x, dt, steps: int):
+    """Advance `x` by `dt` in `steps` equal steps of Dormand and Prince's eighth-order method.
+
+    The stages run in a loop, so the vector field is compiled once: cheap to build, for work offline.
+    """
+    flat, unravel = jax.flatten_util.ravel_pytree(x)
+    a, b, c = (jnp.asarray(part, flat.dtype) for part in _DOPRI8)
+    h = dt / steps
+
+    def slope(s, y):
+        return jax.flatten_util.ravel_pytree(flow(s, unravel(y)))[0]
+
+    def step(i, y):
+        def stage(j, k):
+            return k.at[j].set(slope(t + (i + c[j]) * h, y + h * (a[j] @ k)))
+
+        k = jax.lax.fori_loop(0, len(b), stage, jnp.zeros((len(b), y.shape[0]), y.dtype))
+        return y + h * (b @ k)
+
+    return unravel(jax.lax.fori_loop(0, steps, step, flat))
+
+
+def _tableau(solver) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Butcher coefficients (A, b, c) of an explicit diffrax solver as dense arrays."""
+    tableau = solver.tableau
+    stages = len(tableau.b_sol)
+    a = np.zeros((stages, stages))
+    for i, row in enumerate(tableau.a_lower, start=1):
+        a[i, : len(row)] = row
+    return a, np.asarray(tableau.b_sol), np.concatenate([[0.0], tableau.c])
+
+
+def solve(
+    flow: Flow, x0, ts: Float[Array, "T"], *, rtol: float = 1e-10, atol: float = 1e-12, max_steps: int = 1_000_000
+):
+    """Integrate adaptively (Dormand–Prince 8) and return `x` at every stamp of `ts`, time first.
+
+    Raises `RuntimeError` (from diffrax) when `max_steps` is spent or the solution is not finite.
+    """
+    solution = diffrax.diffeqsolve(
+        diffrax.ODETerm(lambda t, x, _: flow(t, x)),
+        diffrax.Dopri8(),
+        t0=ts[0],
+        t1=ts[-1],
+        dt0=None,
+        y0=x0,
+        saveat=diffrax.SaveAt(ts=ts),
+        stepsize_controller=diffrax.PIDController(rtol=rtol, atol=atol),
+        max_steps=max_steps,
+        adjoint=diffrax.ForwardMode(),
+    )
+    return solution.ys
+
+
+
+
+_DOPRI8 = _tableau(diffrax.Dopri8())

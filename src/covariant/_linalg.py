@@ -1,0 +1,51 @@
+"""Dense linear algebra for small symmetric matrices, written out.
+
+LAPACK calls are slow under `vmap` on a CPU and cannot be exported, so the few factorisations a mechanical system of a
+dozen joints needs are unrolled here over array slices: static shapes, no pivoting, no branching.
+"""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from covariant._typing import Matrix, Vector
+
+
+def ldl(a: Matrix) -> tuple[list[Array], Vector]:
+    """Factor `a = L diag(d) Lᵀ`; column k of the unit lower triangular L is returned from its diagonal down."""
+    columns, pivots, rest = [], [], a
+    for _ in range(a.shape[0]):
+        column = rest[:, 0] / rest[0, 0]
+        columns.append(column)
+        pivots.append(rest[0, 0])
+        rest = rest[1:, 1:] - jnp.outer(column[1:], rest[0, 1:])
+    return columns, jnp.stack(pivots)
+
+
+def pivots(a: Matrix) -> Vector:
+    """Pivots of `ldl`; by Sylvester's law as many are negative as `a` has negative eigenvalues."""
+    return ldl(a)[1]
+
+
+@jax.custom_jvp
+def solve(a: Matrix, b: Float[Array, "n *k"]) -> Float[Array, "n *k"]:
+    """Solve `a x = b` for symmetric positive definite `a`; columns of a matrix `b` are solved together."""
+    columns, d = ldl(a)
+    width = (1,) * (b.ndim - 1)
+    forward = []
+    for column in columns:
+        forward.append(b[0])
+        b = b[1:] - column[1:].reshape(-1, *width) * b[0]
+    x = jnp.zeros_like(b)  # b is empty by now
+    for column, entry, pivot in zip(columns[::-1], forward[::-1], d[::-1], strict=True):
+        below = jnp.sum(column[1:].reshape(-1, *width) * x, axis=0)
+        x = jnp.concatenate([(entry / pivot - below)[None], x])
+    return x
+
+
+@solve.defjvp
+def _(primals, tangents):
+    # The derivative of the solution is another solve with the same factor, which the compiler shares.
+    (a, b), (da, db) = primals, tangents
+    x = solve(a, b)
+    return x, solve(a, db - da @ x)

@@ -1,0 +1,218 @@
+"""Geometry of any metric from its matrix alone: automatic derivatives, Runge–Kutta geodesics, Newton shooting.
+
+Source: Aghannan & Rouchon 2003, section II; Milnor, Morse Theory, section 15 (index theorem) for conjugate points.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import jvp
+from jaxtyping import Array
+
+from covariant._integrate import rk4, rk8
+from covariant._linalg import pivots, solve
+from covariant._typing import Code, Matrix, MatrixField, Scalar, Vector, Vectors
+from covariant.geometry._metric import AbstractMetric, Budget, Shot, Transported, christoffel, norm
+from covariant.signals import Result
+
+NEWTON_LIMIT = 60
+"""Damped Newton iterations after which an unbounded search is reported as not converged."""
+
+
+class Metric(AbstractMetric):
+    """A metric known only by its matrix `q (n,) -> (n, n)`; every operation is derived from it."""
+
+    matrix: MatrixField
+
+    def __call__(self, q: Vector) -> Matrix:
+        return self.matrix(q)
+
+    def christoffel(self, q: Vector, x: Vector, y: Vector) -> Vector:
+        """`Γ(x, y) = g⁻¹ ½[(∂_x g) y + (∂_y g) x − ∇_q <x, y>]`."""
+        _, x_part = jvp(lambda p: self.matrix(p) @ y, (q,), (x,))
+        _, y_part = jvp(lambda p: self.matrix(p) @ x, (q,), (y,))
+        gradient = jax.grad(lambda p: x @ self.matrix(p) @ y)(q)
+        return solve(self.matrix(q), (x_part + y_part - gradient) / 2)
+
+    def curvature(self, q: Vector, x: Vector, y: Vector, z: Vector) -> Vector:
+        """`R(x, y)z = (∂_xΓ)(y, z) − (∂_yΓ)(x, z) + Γ(x, Γ(y, z)) − Γ(y, Γ(x, z))`."""
+        g_yz, dx = jvp(lambda p: self.christoffel(p, y, z), (q,), (x,))
+        g_xz, dy = jvp(lambda p: self.christoffel(p, x, z), (q,), (y,))
+        return dx - dy + self.christoffel(q, x, g_yz) - self.christoffel(q, y, g_xz)
+
+    def transport_along(self, p: Vector, velocity: Vector, w: Vectors, budget: Budget) -> Transported:
+        return transport_along(self, p, velocity, w, budget)
+
+    def shoot(self, p: Vector, q: Vector, guess: Vector | None, budget: Budget) -> Shot:
+        return shoot(self, p, q, guess, budget)
+
+
+def geodesic_flow(metric: AbstractMetric):
+    """The geodesic equation `∇_q̇ q̇ = 0` with vectors in parallel, as a flow on (q, velocity, w)."""
+
+    def flow(_, state: Transported) -> Transported:
+        q, velocity, w = state
+        carried = jax.vmap(lambda a: christoffel(metric, q, velocity, a))(w)
+        return Transported(velocity, -christoffel(metric, q, velocity, velocity), -carried)
+
+    return flow
+
+
+def transport_along(metric: AbstractMetric, p: Vector, velocity: Vector, w: Vectors, budget: Budget) -> Transported:
+    """Numerical `transport_along` for any metric."""
+
+    def flow(_, x: Transported) -> Transported:
+        carried = jax.vmap(lambda a: christoffel(metric, x.q, x.velocity, a))(x.w)
+        return Transported(x.velocity, -christoffel(metric, x.q, x.velocity, x.velocity), -carried)
+
+    start = Transported(p, velocity, w.reshape(-1, p.shape[0]))
+    end = follow(budget, flow, start, 1.0, budget.steps)
+    return end._replace(w=end.w.reshape(w.shape))
+
+
+def follow(budget: Budget, flow, x, duration, steps: int):
+    """Integrate by the rule the budget stands for."""
+    rule = rk8 if budget.newton is None else rk4
+    return rule(flow, 0.0, x, duration, steps)
+
+
+def spray(metric: AbstractMetric, budget: Budget, p: Vector, velocity: Vector, fraction: float = 1.0, steps=None):
+    """Point and velocity of the geodesic from p after a fraction of unit time."""
+
+    def flow(_, x):
+        return x[1], -christoffel(metric, x[0], x[1], x[1])
+
+    return follow(budget, flow, (p, velocity), fraction, steps or budget.steps)
+
+
+def shoot(metric: AbstractMetric, p: Vector, q: Vector, guess: Vector | None, budget: Budget) -> Shot:
+    """Newton shooting for the geodesic from p to q.
+
+    The first guess is the better of `d + ½Γ(p)(d, d)`, d = q − p, and the caller's. A fixed budget runs undamped and
+    is exported as it stands; an open one is damped, checked for conjugate points, and differentiated implicitly.
+    """
+    start = first_guess(metric, p, q, guess, budget)
+    if budget.newton is None:
+        velocity = implicit_newton(metric, p, q, start, budget)
+    else:
+        velocity = start
+        for _ in range(budget.newton):
+            velocity = velocity + newton_step(metric, p, q, velocity, budget)[0]
+    end, arrival = spray(metric, budget, p, velocity)
+    residual = norm(metric, q, q - end)
+    scale = 1e-2 if budget.newton is not None else 64 * epsilon(q)
+    found = residual <= scale * norm(metric, p, velocity) + 64 * epsilon(q)
+    result = jnp.where(found, Result.OK, Result.NOT_CONVERGED)
+    if budget.newton is None:
+        passed = conjugate_points(metric, p, jax.lax.stop_gradient(velocity), budget) > 0
+        result = jnp.where(found & passed, Result.CONJUGATE_POINT, result)
+    return Shot(velocity, arrival, residual, result)
+
+
+def first_guess(metric: AbstractMetric, p: Vector, q: Vector, guess: Vector | None, budget: Budget) -> Vector:
+    d = q - p
+    second_order = d + christoffel(metric, p, d, d) / 2
+    if guess is None:
+        return second_order
+
+    def miss(velocity):
+        return norm(metric, q, q - spray(metric, budget, p, velocity)[0])
+
+    return jnp.where(miss(guess) < miss(second_order), guess, second_order)
+
+
+def newton_step(metric: AbstractMetric, p: Vector, q: Vector, velocity: Vector, budget: Budget):
+    """Correction of the initial velocity, and the squared miss (metric at q) it is meant to remove.
+
+    The normal equations in the metric keep the matrix symmetric positive definite, so no pivoting is needed.
+    """
+
+    def end(v):
+        return spray(metric, budget, p, v)[0]
+
+    miss = q - end(velocity)
+    jacobian = jax.jacfwd(end)(velocity)
+    weighted = jacobian.T @ metric(q)
+    return solve(weighted @ jacobian, weighted @ miss), miss @ metric(q) @ miss
+
+
+def epsilon(q: Vector) -> float:
+    return float(jnp.finfo(q.dtype).eps)
+
+
+class _Search(NamedTuple):
+    velocity: Vector
+    correction: Vector
+    miss: Scalar
+    damping: Scalar
+    count: Code
+
+
+def damped_newton(metric: AbstractMetric, p: Vector, q: Vector, start: Vector, budget: Budget) -> Vector:
+    """Newton's method, each step shortened until the miss shrinks."""
+
+    def unfinished(s: _Search):
+        size = norm(metric, p, s.correction)
+        long = size > 16 * epsilon(q) * norm(metric, p, s.velocity)
+        return long & (s.count < NEWTON_LIMIT) & (s.damping > 1e-6) & (s.miss > 0)
+
+    def improve(s: _Search):
+        candidate = s.velocity + s.damping * s.correction
+        correction, miss = newton_step(metric, p, q, candidate, budget)
+        better = (miss < s.miss) & jnp.all(jnp.isfinite(correction))
+        damping = jnp.where(better, jnp.minimum(1.0, 4 * s.damping), s.damping / 4)
+        new = _Search(candidate, correction, miss, damping, s.count + 1)
+        old = s._replace(damping=damping, count=s.count + 1)
+        return jax.tree.map(lambda a, b: jnp.where(better, a, b), new, old)
+
+    correction, miss = newton_step(metric, p, q, start, budget)
+    first = _Search(start, correction, miss, jnp.ones_like(miss), jnp.zeros((), jnp.int32))
+    return jax.lax.while_loop(unfinished, improve, first).velocity
+
+
+def implicit_newton(metric: AbstractMetric, p: Vector, q: Vector, start: Vector, budget: Budget) -> Vector:
+    """`damped_newton`, differentiable by the implicit function theorem in p, q and the metric's own parameters."""
+
+    def miss(velocity):
+        return q - spray(metric, budget, p, velocity)[0]
+
+    def search(_, first):
+        return damped_newton(metric, p, q, first, budget)
+
+    def solve_linear(linear, y):
+        return least_squares(jax.jacfwd(linear)(jnp.zeros_like(y)), y)
+
+    return jax.lax.custom_root(miss, jax.lax.stop_gradient(start), search, solve_linear)
+
+
+def least_squares(a: Matrix, b: Array) -> Array:
+    """Solve the square system `a x = b` through its normal equations."""
+    return solve(a.T @ a, a.T @ b)
+
+
+def conjugate_points(metric: AbstractMetric, p: Vector, velocity: Vector, budget: Budget) -> Code:
+    """Number of points conjugate to p strictly inside the geodesic, with multiplicity.
+
+    By the index theorem this is the index of the second variation of the energy, which over fields that are Jacobi on
+    each of the budget's steps is block tridiagonal. With A, B the derivatives of a step's end point by its start point
+    and velocity, and J the Jacobi fields that vanish at p, its pivots are `g B⁻¹ J_next J⁻¹`.
+    """
+    n = p.shape[0]
+
+    def step(flat):
+        return jnp.concatenate(spray(metric, budget, flat[:n], flat[n:], 1 / budget.steps, 1))
+
+    def advance(carry, _):
+        x, fields, index = carry
+        derivative = jax.jacfwd(step)(x)
+        following = derivative @ fields
+        # Congruence by J keeps the signature of a pivot and spares its inverse.
+        pivot = fields[:n].T @ metric(x[:n]) @ least_squares(derivative[:n, n:], following[:n])
+        negative = jnp.sum(pivots((pivot + pivot.T) / 2) < 0)
+        return (step(x), following, index + negative.astype(index.dtype)), None
+
+    x = jnp.concatenate([p, velocity])
+    first = (step(x), jax.jacfwd(step)(x)[:, n:], jnp.zeros((), jnp.int32))
+    (_, _, index), _ = jax.lax.scan(advance, first, length=budget.steps - 1)
+    return index

@@ -1,0 +1,219 @@
+"""Yardstick spaces whose exponential, logarithm and transport are known in closed form.
+
+Constant curvature K of either sign is one space: the stereographic chart with the metric `4 / (1 + K|q|²)² I`, in which
+geodesics are Möbius translations (Ungar 2008, Analytic Hyperbolic Geometry, chapters 3 and 6, with c = −K).
+"""
+
+from collections.abc import Callable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from covariant._typing import Matrix, Scalar, Vector, Vectors
+from covariant.geometry._metric import AbstractMetric, Budget, Shot, Transported
+from covariant.signals import Result
+
+
+def _found(velocity: Vector, arrival: Vector) -> Shot:
+    return Shot(velocity, arrival, jnp.zeros_like(velocity[0]), jnp.asarray(Result.OK))
+
+
+class Euclidean(AbstractMetric):
+    """Flat space in Cartesian coordinates."""
+
+    def __call__(self, q: Vector) -> Matrix:
+        return jnp.eye(q.shape[0], dtype=q.dtype)
+
+    def christoffel(self, q: Vector, x: Vector, y: Vector) -> Vector:
+        return jnp.zeros_like(q)
+
+    def curvature(self, q: Vector, x: Vector, y: Vector, z: Vector) -> Vector:
+        return jnp.zeros_like(q)
+
+    def transport_along(self, p: Vector, velocity: Vector, w: Vectors, budget: Budget) -> Transported:
+        return Transported(p + velocity, velocity, w)
+
+    def shoot(self, p: Vector, q: Vector, guess: Vector | None, budget: Budget) -> Shot:
+        return _found(q - p, q - p)
+
+
+class FlatTorus(AbstractMetric):
+    """Flat space whose coordinates repeat with the given periods (n,); `log` goes the short way round."""
+
+    periods: Vector
+
+    def __call__(self, q: Vector) -> Matrix:
+        return jnp.eye(q.shape[0], dtype=q.dtype)
+
+    def christoffel(self, q: Vector, x: Vector, y: Vector) -> Vector:
+        return jnp.zeros_like(q)
+
+    def curvature(self, q: Vector, x: Vector, y: Vector, z: Vector) -> Vector:
+        return jnp.zeros_like(q)
+
+    def transport_along(self, p: Vector, velocity: Vector, w: Vectors, budget: Budget) -> Transported:
+        return Transported(p + velocity, velocity, w)
+
+    def shoot(self, p: Vector, q: Vector, guess: Vector | None, budget: Budget) -> Shot:
+        periods = self.periods.astype(q.dtype)
+        short = q - p - periods * jnp.round((q - p) / periods)
+        return _found(short, short)
+
+
+class ConstantCurvature(AbstractMetric):
+    """Space of constant curvature K ≠ 0 in the stereographic chart; `sphere` and `hyperbolic` make it."""
+
+    k: float = eqx.field(static=True)
+
+    def __call__(self, q: Vector) -> Matrix:
+        return self._scale(q) ** 2 * jnp.eye(q.shape[0], dtype=q.dtype)
+
+    def christoffel(self, q: Vector, x: Vector, y: Vector) -> Vector:
+        return -self.k * self._scale(q) * ((q @ x) * y + (q @ y) * x - (x @ y) * q)
+
+    def curvature(self, q: Vector, x: Vector, y: Vector, z: Vector) -> Vector:
+        return self.k * self._scale(q) ** 2 * ((y @ z) * x - (x @ z) * y)
+
+    def transport_along(self, p: Vector, velocity: Vector, w: Vectors, budget: Budget) -> Transported:
+        half = self._scale(p) * velocity / 2
+        end = self._add(p, half * self._tan_ratio(half @ half))
+        carry = jax.vmap(lambda a: self._carry(p, a, end))
+        return Transported(end, self._carry(p, velocity, end), carry(w.reshape(-1, p.shape[0])).reshape(w.shape))
+
+    def shoot(self, p: Vector, q: Vector, guess: Vector | None, budget: Budget) -> Shot:
+        away = self._add(-p, q)
+        velocity = 2 / self._scale(p) * away * self._arctan_ratio(away @ away)
+        return _found(velocity, self._carry(p, velocity, q))
+
+    def _scale(self, q: Vector) -> Scalar:
+        return 2 / (1 + self.k * (q @ q))
+
+    def _add(self, x: Vector, y: Vector) -> Vector:
+        """Möbius addition: the isometry that takes 0 to x, applied to y."""
+        k, xy, xx, yy = self.k, x @ y, x @ x, y @ y
+        return ((1 - 2 * k * xy - k * yy) * x + (1 + k * xx) * y) / (1 - 2 * k * xy + k**2 * xx * yy)
+
+    def _carry(self, p: Vector, w: Vector, q: Vector) -> Vector:
+        """Parallel transport from p to q: the gyration of (q, −p), scaled to keep the length."""
+        c, u, v = -self.k, q, -p
+        uv, uu, vv, uw, vw = u @ v, u @ u, v @ v, u @ w, v @ w
+        a = -(c**2) * uw * vv + c * vw + 2 * c**2 * uv * vw
+        b = -(c**2) * vw * uu - c * uw
+        turned = w + 2 * (a * u + b * v) / (1 + 2 * c * uv + c**2 * uu * vv)
+        return turned * self._scale(p) / self._scale(q)
+
+    def _tan_ratio(self, square: Scalar) -> Scalar:
+        """`tan(√K s) / (√K s)` as a function of s², smooth at zero for either sign of K."""
+        x = self.k * square
+        root = jnp.sqrt(jnp.where(jnp.abs(x) > _SMALL, jnp.abs(x), 1.0))
+        far = jnp.tan(root) / root if self.k > 0 else jnp.tanh(root) / root
+        return jnp.where(jnp.abs(x) > _SMALL, far, 1 + x / 3 + 2 * x**2 / 15)
+
+    def _arctan_ratio(self, square: Scalar) -> Scalar:
+        """`arctan(√K s) / (√K s)` as a function of s²."""
+        x = self.k * square
+        root = jnp.sqrt(jnp.where(jnp.abs(x) > _SMALL, jnp.abs(x), 0.25))
+        far = jnp.arctan(root) / root if self.k > 0 else jnp.arctanh(root) / root
+        return jnp.where(jnp.abs(x) > _SMALL, far, 1 - x / 3 + x**2 / 5)
+
+
+_SMALL = 1e-5
+"""Below this the three-term series in s² is exact to 1e-15."""
+
+
+def sphere(radius: float = 1.0) -> ConstantCurvature:
+    """Sphere of the given radius; the chart leaves out one point, opposite the origin."""
+    return ConstantCurvature(1.0 / radius**2)
+
+
+def hyperbolic(radius: float = 1.0) -> ConstantCurvature:
+    """Hyperbolic plane (or space) of curvature −1/radius², in the Poincaré ball |q| < radius."""
+    return ConstantCurvature(-1.0 / radius**2)
+
+
+class Pullback(AbstractMetric):
+    """The same space in another chart: `forward` takes the new coordinates to the old, `inverse` back.
+
+    Both are plain functions (n,) -> (n,); derivatives are taken automatically.
+    """
+
+    space: AbstractMetric
+    forward: Callable[[Array], Array]
+    inverse: Callable[[Array], Array]
+
+    def __call__(self, q: Vector) -> Matrix:
+        jacobian = jax.jacfwd(self.forward)(q)
+        return jacobian.T @ self.space(self.forward(q)) @ jacobian
+
+    def christoffel(self, q: Vector, x: Vector, y: Vector) -> Vector:
+        """`Γ̄(x, y) = Dφ⁻¹ [Γ(Dφ x, Dφ y) + D²φ(x, y)]`."""
+        old, along_x, along_y = self.forward(q), self._push(q, x), self._push(q, y)
+        second = jax.jvp(lambda p: self._push(p, y), (q,), (x,))[1]
+        return self._pull(old, self.space.christoffel(old, along_x, along_y) + second)
+
+    def curvature(self, q: Vector, x: Vector, y: Vector, z: Vector) -> Vector:
+        old = self.forward(q)
+        turned = self.space.curvature(old, self._push(q, x), self._push(q, y), self._push(q, z))
+        return self._pull(old, turned)
+
+    def transport_along(self, p: Vector, velocity: Vector, w: Vectors, budget: Budget) -> Transported:
+        pushed = jax.vmap(lambda a: self._push(p, a))(w.reshape(-1, p.shape[0]))
+        end = self.space.transport_along(self.forward(p), self._push(p, velocity), pushed, budget)
+        pulled = jax.vmap(lambda a: self._pull(end.q, a))(end.w)
+        return Transported(self.inverse(end.q), self._pull(end.q, end.velocity), pulled.reshape(w.shape))
+
+    def shoot(self, p: Vector, q: Vector, guess: Vector | None, budget: Budget) -> Shot:
+        old_p, old_q = self.forward(p), self.forward(q)
+        shot = self.space.shoot(old_p, old_q, None if guess is None else self._push(p, guess), budget)
+        return shot._replace(velocity=self._pull(old_p, shot.velocity), arrival=self._pull(old_q, shot.arrival))
+
+    def _push(self, q: Vector, x: Vector) -> Vector:
+        return jax.jvp(self.forward, (q,), (x,))[1]
+
+    def _pull(self, old: Vector, x: Vector) -> Vector:
+        return jax.jvp(self.inverse, (old,), (x,))[1]
+
+
+class Product(AbstractMetric):
+    """Product of spaces: coordinates side by side, `sizes` of them each."""
+
+    spaces: tuple[AbstractMetric, ...]
+    sizes: tuple[int, ...] = eqx.field(static=True)
+
+    def __check_init__(self):
+        if len(self.spaces) != len(self.sizes):
+            raise ValueError(f"Product: {len(self.spaces)} spaces but {len(self.sizes)} sizes; give one size a space.")
+
+    def __call__(self, q: Vector) -> Matrix:
+        return jax.scipy.linalg.block_diag(*(space(part) for space, part in self._each(q)))
+
+    def christoffel(self, q: Vector, x: Vector, y: Vector) -> Vector:
+        return jnp.concatenate([space.christoffel(*parts) for space, *parts in self._each(q, x, y)])
+
+    def curvature(self, q: Vector, x: Vector, y: Vector, z: Vector) -> Vector:
+        return jnp.concatenate([space.curvature(*parts) for space, *parts in self._each(q, x, y, z)])
+
+    def transport_along(self, p: Vector, velocity: Vector, w: Vectors, budget: Budget) -> Transported:
+        ends = [space.transport_along(*parts, budget) for space, *parts in self._each(p, velocity, w)]
+        return Transported(*(jnp.concatenate(field, axis=-1) for field in zip(*ends, strict=True)))
+
+    def shoot(self, p: Vector, q: Vector, guess: Vector | None, budget: Budget) -> Shot:
+        guesses = [None] * len(self.sizes) if guess is None else self._split(guess)
+        shots = [
+            space.shoot(*parts, first, budget)
+            for (space, *parts), first in zip(self._each(p, q), guesses, strict=True)
+        ]
+        velocity, arrival = (jnp.concatenate([s[i] for s in shots]) for i in (0, 1))
+        residual = jnp.sqrt(sum(s.residual**2 for s in shots))
+        return Shot(velocity, arrival, residual, jnp.max(jnp.stack([s.result for s in shots])))
+
+    def _split(self, x: Array) -> list[Array]:
+        edges = [sum(self.sizes[:i]) for i in range(1, len(self.sizes))]
+        return jnp.split(x, edges, axis=-1)
+
+    def _each(self, *arrays: Array):
+        return zip(self.spaces, *(self._split(a) for a in arrays), strict=True)
+
+

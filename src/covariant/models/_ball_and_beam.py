@@ -1,0 +1,38 @@
+"""Ball and beam of Aghannan & Rouchon 2003, appendix I: a machine whose curvature is always negative."""
+
+import jax.numpy as jnp
+
+from covariant.models._lagrangian import Lagrangian, Parameter
+
+_SOURCE = "Aghannan & Rouchon 2003, appendix I (normalised)"
+
+
+def ball_and_beam(gravity: float = 1.0, mass: float = 1.0, inertia: float = 1.0) -> Lagrangian:
+    """Ball at r [m] on a beam at angle θ [rad] from the horizontal, driven by a torque u [N m] on the beam.
+
+    `mass` [kg] of the ball (rolling inertia included), `inertia` [kg m²] of the beam, `gravity` [m/s²]; all 1 in the
+    paper's normalised form (13). Gaussian curvature of the metric is `−inertia/(inertia + mass r²)²`.
+    """
+
+    def metric(q):
+        return jnp.diag(jnp.stack([jnp.full_like(q[0], mass), inertia + mass * q[0] ** 2]))
+
+    def potential(q):
+        return mass * gravity * q[0] * jnp.sin(q[1])
+
+    def force(t, q, u):
+        return jnp.stack([jnp.zeros_like(u[0]), u[0]])
+
+    return Lagrangian(
+        metric,
+        potential,
+        force,
+        coordinates=("r", "theta"),
+        units=("m", "rad"),
+        inputs=1,
+        parameters={
+            "gravity": Parameter(gravity, "m/s^2", _SOURCE),
+            "mass": Parameter(mass, "kg", _SOURCE),
+            "inertia": Parameter(inertia, "kg m^2", _SOURCE),
+        },
+    )

@@ -1,0 +1,146 @@
+"""A mechanical system `∇_q̇ q̇ = −grad U + g⁻¹(force + dissipation)`, written once as JAX functions.
+
+Source: Aghannan & Rouchon 2003, section II; dissipation is an addition every machine needs.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from covariant._typing import MatrixField, Scalar, Vector
+from covariant.geometry import AbstractMetric, as_metric, christoffel, gradient
+
+
+class Parameter(NamedTuple):
+    """A number of a model with its unit and where it comes from."""
+
+    value: float | tuple[float, ...]
+    unit: str
+    source: str
+
+
+class Lagrangian(eqx.Module):
+    """A Lagrangian system with measured positions.
+
+    - `metric`: inertia matrix `q (n,) -> (n, n)`, or an `AbstractMetric`.
+    - `potential`: potential energy `q -> ()` [J].
+    - `force`: generalised force (covector) `(t, q, u) -> (n,)` of the input u (m,); by default u itself.
+    - `dissipation`: generalised friction force `(q, v) -> (n,)`, evaluated at the estimate by observers. It opposes the
+      motion: viscous friction b is `lambda q, v: -b * v`.
+    - `circles`: indices of coordinates that are angles on a full circle [rad]; errors in them are wrapped to ±π.
+    - `coordinates`, `units`: names and units of the coordinates; when given, all functions are checked at once.
+    - `inputs`: number of inputs m where it is not n.
+    - `parameters`: `Parameter` by name, for people.
+
+    Raises `ValueError` when a function has the wrong shape.
+    """
+
+    metric: AbstractMetric
+    potential: Callable[[Array], Array]
+    force: Callable[[Array, Array, Array], Array]
+    dissipation: Callable[[Array, Array], Array]
+    circles: tuple[int, ...] = eqx.field(static=True)
+    coordinates: tuple[str, ...] = eqx.field(static=True)
+    units: tuple[str, ...] = eqx.field(static=True)
+    inputs: int | None = eqx.field(static=True)
+    parameters: dict[str, Parameter] = eqx.field(static=True)
+
+    def __init__(
+        self,
+        metric: AbstractMetric | MatrixField,
+        potential: Callable[[Array], Array],
+        force: Callable[[Array, Array, Array], Array] | None = None,
+        dissipation: Callable[[Array, Array], Array] | None = None,
+        circles: tuple[int, ...] = (),
+        *,
+        coordinates: tuple[str, ...] = (),
+        units: tuple[str, ...] = (),
+        inputs: int | None = None,
+        parameters: dict[str, Parameter] | None = None,
+    ):
+        self.metric = as_metric(metric)
+        self.potential = potential
+        self.force = _input_itself if force is None else force
+        self.dissipation = _no_dissipation if dissipation is None else dissipation
+        self.circles = tuple(circles)
+        self.coordinates = tuple(coordinates)
+        self.units = tuple(units)
+        self.inputs = inputs
+        self.parameters = _Frozen(parameters or {})
+        if self.coordinates:
+            check_model(self, len(self.coordinates))
+
+
+class _Frozen(dict):
+    """A dictionary that may sit in a static field: hashed by its content, never changed."""
+
+    def __hash__(self):  # pyright: ignore[reportIncompatibleVariableOverride]
+        return hash(tuple(self.items()))
+
+
+def _input_itself(t, q, u):
+    return u
+
+
+def _no_dissipation(q, v):
+    return jnp.zeros_like(v)
+
+
+def check_model(model: Lagrangian, n: int) -> None:
+    """Raise `ValueError` unless every function of the model has the shape that n coordinates need."""
+    if any(not 0 <= i < n for i in model.circles):
+        raise ValueError(f"circles {model.circles} must be indices of the {n} coordinates, 0 to {n - 1}")
+    q = jax.ShapeDtypeStruct((n,), jnp.float64)
+    u = jax.ShapeDtypeStruct((n if model.inputs is None else model.inputs,), jnp.float64)
+    t = jax.ShapeDtypeStruct((), jnp.float64)
+    for name, function, arguments, wanted in (
+        ("metric", model.metric, (q,), (n, n)),
+        ("potential", model.potential, (q,), ()),
+        ("force", model.force, (t, q, u), (n,)),
+        ("dissipation", model.dissipation, (q, q), (n,)),
+    ):
+        try:
+            shape = jax.eval_shape(function, *arguments).shape
+        except (TypeError, ValueError, IndexError, AttributeError) as error:
+            reason = str(error).splitlines()[0]
+            raise ValueError(f"{name} cannot be evaluated with {n} coordinates and {u.shape[0]} inputs: {reason}") from error
+        if shape != wanted:
+            raise ValueError(f"{name} must return shape {wanted} for {n} coordinates; it returned {shape}")
+
+
+def source(model: Lagrangian, t: Scalar, q: Vector, u: Float[Array, "m"]) -> Vector:
+    """`S(q, t) = g⁻¹(−∇U + force)`, the acceleration of the system at rest without friction."""
+    return gradient(model.metric, q, model.force(t, q, u) - jax.grad(model.potential)(q))
+
+
+def friction(model: Lagrangian, q: Vector, v: Vector) -> Vector:
+    """`g⁻¹ dissipation`, as an acceleration."""
+    return gradient(model.metric, q, model.dissipation(q, v))
+
+
+def acceleration(model: Lagrangian, t: Scalar, q: Vector, v: Vector, u: Float[Array, "m"]) -> Vector:
+    """Forward dynamics `q̈ = −Γ(v, v) + g⁻¹(−∇U + force + dissipation)`."""
+    covector = model.force(t, q, u) - jax.grad(model.potential)(q) + model.dissipation(q, v)
+    return gradient(model.metric, q, covector) - christoffel(model.metric, q, v, v)
+
+
+def energy(model: Lagrangian, q: Vector, v: Vector) -> Scalar:
+    """Kinetic plus potential energy [J]."""
+    return v @ model.metric(q) @ v / 2 + model.potential(q)
+
+
+def position_error(model: Lagrangian, q: Vector, y: Vector) -> Vector:
+    """`q − y` in coordinates, wrapped to ±π on circle joints; zero where the measurement is missing (NaN)."""
+    return wrap(model.circles, jnp.where(jnp.isnan(y), 0.0, q - y))
+
+
+def wrap(circles: tuple[int, ...], e: Vector) -> Vector:
+    """Bring the entries of e (n,) that are angles on a circle to ±π."""
+    whole = np.zeros(e.shape[0])
+    whole[list(circles)] = 2 * np.pi
+    return e - jnp.asarray(whole, e.dtype) * jnp.round(e / (2 * np.pi))

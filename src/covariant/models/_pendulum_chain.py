@@ -1,0 +1,137 @@
+"""Planar chains of pendulums: any number of links, absolute or relative angles, geared rotors, joint friction.
+
+The inertia is that of the double pendulum of Wiebe et al. (double_pendulum, DFKI RIC), extended to n links: link i
+rotates at the absolute rate ω_i, the rotor of joint i sits on link i−1 and turns at ω_{i−1} − gear_i q̇_i.
+"""
+
+from collections.abc import Sequence
+
+import jax.numpy as jnp
+import numpy as np
+
+from covariant.models._lagrangian import Lagrangian, Parameter
+
+COULOMB_STEEPNESS = 100.0
+"""Slope at rest of the smoothed Coulomb friction `coulomb * atan(100 v)` [s/rad]."""
+
+_UNITS = {
+    "mass": "kg",
+    "length": "m",
+    "com": "m",
+    "inertia": "kg m^2",
+    "rotor_inertia": "kg m^2",
+    "gear": "1",
+    "viscous": "N m s/rad",
+    "coulomb": "N m",
+    "offset": "N m",
+}
+
+
+def pendulum_chain(
+    mass: Sequence[float] = (1.0, 1.0),
+    length: Sequence[float] = (1.0, 1.0),
+    com: Sequence[float] | None = None,
+    inertia: Sequence[float] | None = None,
+    *,
+    angles: str = "relative",
+    zero: str = "hanging",
+    inertia_about: str = "com",
+    rotor_inertia: Sequence[float] | None = None,
+    gear: Sequence[float] | None = None,
+    viscous: Sequence[float] | None = None,
+    coulomb: Sequence[float] | None = None,
+    offset: Sequence[float] | None = None,
+    actuated: Sequence[int] | None = None,
+    gravity: float = 9.81,
+    source: str = "chosen",
+) -> Lagrangian:
+    """A chain of n links swinging in a vertical plane; sequences have one entry a link.
+
+    - `mass` [kg], `length` joint to joint [m], `com` joint to centre of mass [m] (default: at the end, a point mass),
+      `inertia` [kg m²] about the centre of mass, or about the joint with `inertia_about="joint"`.
+    - `angles`: "relative" (joint angles) or "absolute" (each link from the vertical); `zero`: "hanging" or "upright".
+    - `rotor_inertia` [kg m²] before the gear ratio `gear`; friction torque `viscous q̇ + coulomb atan(100 q̇)` and a
+      constant `offset` torque [N m] in each joint. `actuated`: joints that have an input torque, in order (default all).
+
+    Coordinates are full circles. Raises `ValueError` on wrong lengths, names, or negative masses.
+    """
+    n = len(mass)
+    given = {
+        "mass": mass,
+        "length": length,
+        "com": length if com is None else com,
+        "inertia": inertia,
+        "rotor_inertia": rotor_inertia,
+        "gear": np.ones(n) if gear is None else gear,
+        "viscous": viscous,
+        "coulomb": coulomb,
+        "offset": offset,
+    }
+    p = {name: _per_link(name, value, n) for name, value in given.items()}
+    _one_of("angles", angles, ("relative", "absolute"))
+    _one_of("zero", zero, ("hanging", "upright"))
+    _one_of("inertia_about", inertia_about, ("com", "joint"))
+    for name in ("mass", "inertia", "rotor_inertia", "viscous", "coulomb"):
+        if (p[name] < 0).any():
+            raise ValueError(f"pendulum_chain: {name} must not be negative; got {tuple(p[name])}")
+
+    about_com = p["inertia"] - (p["mass"] * p["com"] ** 2 if inertia_about == "joint" else 0.0)
+    arms = np.tril(np.tile(p["length"], (n, 1)), -1) + np.diag(p["com"])  # arms[k, i]: reach of link i towards mass k
+    coupling = (arms.T * p["mass"]) @ arms
+    moment = p["mass"] @ arms
+    relative = np.eye(n) - np.eye(n, k=-1)  # joint rates from absolute rates
+    absolute = np.linalg.inv(relative)
+    rotor_rates = np.eye(n, k=-1) - p["gear"][:, None] * relative  # rotor rates from absolute rates
+    rotors = (rotor_rates.T * p["rotor_inertia"]) @ rotor_rates
+    to_absolute, to_joints = (absolute, np.eye(n)) if angles == "relative" else (np.eye(n), relative)
+    up = 1.0 if zero == "upright" else -1.0
+    driven = list(range(n)) if actuated is None else list(actuated)
+    if any(not 0 <= i < n for i in driven):
+        raise ValueError(f"pendulum_chain: actuated {tuple(driven)} must be joints 0 to {n - 1}")
+
+    def metric(q):
+        theta = to_absolute.astype(q.dtype) @ q
+        links = coupling.astype(q.dtype) * jnp.cos(theta[:, None] - theta[None, :])
+        constant = (np.diag(about_com) + rotors).astype(q.dtype)
+        return to_absolute.T.astype(q.dtype) @ (links + constant) @ to_absolute.astype(q.dtype)
+
+    def potential(q):
+        return up * gravity * jnp.sum(moment.astype(q.dtype) * jnp.cos(to_absolute.astype(q.dtype) @ q))
+
+    def force(t, q, u):
+        torque = jnp.asarray(p["offset"], q.dtype)
+        if driven:
+            torque = torque.at[jnp.array(driven)].add(u)
+        return to_joints.T.astype(q.dtype) @ torque
+
+    def dissipation(q, v):
+        rate = to_joints.astype(q.dtype) @ v
+        coulomb_torque = p["coulomb"].astype(q.dtype) * jnp.arctan(COULOMB_STEEPNESS * rate)
+        return -to_joints.T.astype(q.dtype) @ (p["viscous"].astype(q.dtype) * rate + coulomb_torque)
+
+    return Lagrangian(
+        metric,
+        potential,
+        force,
+        dissipation,
+        circles=tuple(range(n)),
+        coordinates=tuple(f"q{i + 1}" for i in range(n)),
+        units=("rad",) * n,
+        inputs=len(driven),
+        parameters={name: Parameter(tuple(map(float, p[name])), unit, source) for name, unit in _UNITS.items()}
+        | {"gravity": Parameter(gravity, "m/s^2", source)},
+    )
+
+
+def _per_link(name: str, value: Sequence[float] | np.ndarray | None, n: int) -> np.ndarray:
+    array = np.zeros(n) if value is None else np.asarray(value, dtype=float)
+    if array.shape != (n,):
+        raise ValueError(f"pendulum_chain: {name} needs one number a link, {n} as in mass; got {np.size(array)}")
+    if not np.isfinite(array).all():
+        raise ValueError(f"pendulum_chain: {name} must be finite; got {tuple(array)}")
+    return array
+
+
+def _one_of(name: str, value: str, choices: tuple[str, ...]) -> None:
+    if value not in choices:
+        raise ValueError(f"pendulum_chain: {name} must be one of {', '.join(choices)}; got {value!r}")

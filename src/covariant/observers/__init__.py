@@ -1,0 +1,30 @@
+"""Observers: one file each, baselines in the same form."""
+
+from covariant.observers._copy import Copy
+from covariant.observers._ekf import EKF, EKFInfo, EKFState
+from covariant.observers._filtered_derivative import FilteredDerivative, FilteredState, FilterInfo
+from covariant.observers._geodesic import Geodesic, GeodesicInfo, GeodesicState
+from covariant.observers._intrinsic import Intrinsic
+from covariant.observers._protocol import AbstractFlowObserver, AbstractObserver, Info, MechanicalState, run
+from covariant.observers._savitzky_golay import SavitzkyGolay, WindowState
+
+__all__ = [
+    "EKF",
+    "AbstractFlowObserver",
+    "AbstractObserver",
+    "Copy",
+    "EKFInfo",
+    "EKFState",
+    "FilterInfo",
+    "FilteredDerivative",
+    "FilteredState",
+    "Geodesic",
+    "GeodesicInfo",
+    "GeodesicState",
+    "Info",
+    "Intrinsic",
+    "MechanicalState",
+    "SavitzkyGolay",
+    "WindowState",
+    "run",
+]

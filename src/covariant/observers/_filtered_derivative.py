@@ -1,0 +1,50 @@
+"""Backward difference through a first-order low-pass filter: what most drives do today. Knows no model."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from covariant._typing import Code, Scalar, Vector
+from covariant.models import wrap
+from covariant.observers._protocol import AbstractObserver, outcome
+
+
+class FilteredState(NamedTuple):
+    """Last measured position, filtered velocity, and the age [s] of that measurement, per coordinate."""
+
+    q: Vector
+    v: Vector
+    age: Vector
+
+
+class FilterInfo(NamedTuple):
+    """`innovation`: measured minus extrapolated position, 0 where missing; `result` a `Result`."""
+
+    innovation: Vector
+    result: Code
+
+
+class FilteredDerivative(AbstractObserver):
+    """`v' = ω (Δy/Δt − v)`, exact for irregular stamps; `bandwidth` ω [rad/s], `circles` as in `Lagrangian`."""
+
+    bandwidth: Scalar | float
+    circles: tuple[int, ...] = eqx.field(default=(), static=True)
+
+    def init(self, y: Vector, t: Scalar | float = 0.0) -> FilteredState:
+        return FilteredState(y, jnp.zeros_like(y), jnp.zeros_like(y))
+
+    def estimate(self, state: FilteredState) -> Float[Array, "two_n"]:
+        return jnp.concatenate([state.q + state.age * state.v, state.v])
+
+    def step(self, state: FilteredState, u: Float[Array, "m"], y: Vector, dt: Scalar) -> tuple[FilteredState, FilterInfo]:
+        age = state.age + dt
+        present = ~jnp.isnan(y) & (age > 0)
+        moved = wrap(self.circles, jnp.where(present, y - state.q, 0.0))
+        slope = moved / jnp.where(age > 0, age, 1.0)
+        v = state.v + jnp.where(present, -jnp.expm1(-self.bandwidth * age) * (slope - state.v), 0.0)
+        q = state.q + moved
+        innovation = jnp.where(present, moved - age * state.v, 0.0)
+        new = FilteredState(q, v, jnp.where(present, 0.0, age))
+        return new, FilterInfo(innovation, outcome(q, v, y))

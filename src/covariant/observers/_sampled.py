@@ -1,0 +1,59 @@
+"""A continuous mechanical observer between samples: predict with the model, correct with matched gains.
+
+The error law ξ' = ζ − αξ, ζ' = −βξ is a double integrator with two poles. Over a step dt the model is integrated alone
+(which leaves the double integrator), then the measured error is fed back with the two gains that give the sampled loop
+the poles exp(λ dt) of the continuous one. For dt → 0 the gains are α dt and β dt; for any dt the loop is stable.
+"""
+
+import jax
+import jax.numpy as jnp
+
+from covariant._integrate import rk4
+from covariant._typing import Scalar, Vector
+from covariant.models import Lagrangian, acceleration, friction
+
+LONGEST_STEP = 0.01
+"""Longest Runge–Kutta step [s] of a prediction whose number of substeps is left open."""
+MOST_SUBSTEPS = 10_000
+
+
+def predict(model: Lagrangian, t: Scalar, q: Vector, v: Vector, u, dt: Scalar, substeps: int | None):
+    """Integrate the model over dt [s] with u held; `substeps=None` uses as many steps as friction and dt ask for."""
+
+    def flow(s, x):
+        return x[1], acceleration(model, s, x[0], x[1], u)
+
+    count = needed_substeps(model, q, v, dt) if substeps is None else substeps
+    return rk4(flow, t, (q, v), dt, count)
+
+
+def needed_substeps(model: Lagrangian, q: Vector, v: Vector, dt: Scalar) -> Scalar:
+    """Steps that keep h·rate ≤ 1, the rate being a bound on that of the friction at rest and at v [1/s].
+
+    Friction is steepest at rest where it is Coulomb's and at speed where it is drag. The trace bounds the fastest rate,
+    since monotone friction has a Jacobian similar to a symmetric negative one.
+    """
+    n = q.shape[0]
+
+    def rate(at):
+        jacobian = jax.jacfwd(lambda w: friction(model, q, w))(at)
+        return -sum(jacobian[i, i] for i in range(n))
+
+    fastest = jnp.maximum(jnp.maximum(rate(jnp.zeros_like(v)), rate(v)), 1 / LONGEST_STEP)
+    count = jnp.ceil(jnp.nan_to_num(dt * fastest, nan=1.0))
+    return jnp.clip(count, 1, MOST_SUBSTEPS).astype(jnp.int32)
+
+
+def sampled_gains(alpha: Scalar, beta: Scalar, dt: Scalar) -> tuple[Scalar, Scalar]:
+    """Position and velocity gains of one sample: `k1 = 1 − p`, `k2 = (1 − √p)²/dt + 2√p (1 − C)/dt`.
+
+    p = exp(−α dt) is the product of the sampled poles and 2√p C their sum, C = cos or cosh of `√|β − α²/4| dt`.
+    """
+    safe = jnp.where(dt > 0, dt, 1.0)
+    root = jnp.exp(-alpha * safe / 2)
+    square = beta - alpha**2 / 4
+    size = jnp.abs(square)
+    half = jnp.sqrt(jnp.where(size > 0, size, 1.0)) * safe / 2
+    gap = 2 * jnp.where(square > 0, jnp.sin(half) ** 2, jnp.where(size > 0, -jnp.sinh(half) ** 2, 0.0))
+    k2 = (jnp.expm1(-alpha * safe / 2) ** 2 + 2 * root * gap) / safe
+    return jnp.where(dt > 0, -jnp.expm1(-alpha * safe), 0.0), jnp.where(dt > 0, k2, 0.0)

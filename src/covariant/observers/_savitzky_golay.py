@@ -1,0 +1,72 @@
+"""Causal Savitzky–Golay: slope at the last sample of a polynomial through the latest ones. Knows no model.
+
+Source: Savitzky & Golay 1964, Analytical Chemistry 36(8), one-sided; solved afresh each step for irregular stamps.
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from covariant._linalg import solve
+from covariant._typing import Scalar, Vector
+from covariant.models import wrap
+from covariant.observers._filtered_derivative import FilterInfo
+from covariant.observers._protocol import AbstractObserver, outcome
+
+
+class WindowState(NamedTuple):
+    """Ages [s] (k,) and positions (k, n) of the latest samples, newest last; NaN where there is none."""
+
+    age: Float[Array, "k"]
+    y: Float[Array, "k n"]
+    q: Vector
+    v: Vector
+
+
+class SavitzkyGolay(AbstractObserver):
+    """Least-squares polynomial over the last `window` samples; `order` its degree, `circles` as in `Lagrangian`.
+
+    Raises `ValueError` when the window is not longer than the order.
+    """
+
+    window: int = eqx.field(static=True)
+    order: int = eqx.field(default=2, static=True)
+    circles: tuple[int, ...] = eqx.field(default=(), static=True)
+
+    def __check_init__(self):
+        if not self.window > self.order >= 1:
+            raise ValueError(f"SavitzkyGolay: window {self.window} must exceed order {self.order}, and order be 1 or more")
+
+    def init(self, y: Vector, t: Scalar | float = 0.0) -> WindowState:
+        past = jnp.full((self.window - 1, y.shape[0]), jnp.nan, y.dtype)
+        age = jnp.zeros(self.window, y.dtype)
+        return WindowState(age, jnp.concatenate([past, y[None]]), y, jnp.zeros_like(y))
+
+    def estimate(self, state: WindowState) -> Float[Array, "two_n"]:
+        return jnp.concatenate([state.q, state.v])
+
+    def step(self, state: WindowState, u: Float[Array, "m"], y: Vector, dt: Scalar) -> tuple[WindowState, FilterInfo]:
+        expected = state.q + dt * state.v
+        innovation = wrap(self.circles, y - expected)
+        advanced = dt > 0
+        age = jnp.where(advanced, jnp.append(state.age[1:] + dt, 0.0), state.age)
+        samples = jnp.where(advanced, jnp.concatenate([state.y[1:], (expected + innovation)[None]]), state.y)
+        q, v = self._fit(age, samples, expected, state.v)
+        info = FilterInfo(jnp.where(jnp.isnan(y), 0.0, innovation), outcome(q, v, y))
+        return WindowState(age, samples, q, v), info
+
+    def _fit(self, age, samples, expected: Vector, v: Vector) -> tuple[Vector, Vector]:
+        """Value and slope at age zero; the polynomial is pulled to (expected, v) only where samples are too few."""
+        span = jnp.where(age[0] > 0, age[0], 1.0)
+        powers = (-age[:, None] / span) ** jnp.arange(self.order + 1)
+        present = ~jnp.isnan(samples)
+        residual = jnp.where(present, samples - expected - jnp.outer(-age, v), 0.0)
+        faint = 1e-9 * jnp.eye(self.order + 1, dtype=samples.dtype)
+        fits = []
+        for i in range(samples.shape[1]):
+            weighted = powers * present[:, i : i + 1]
+            fits.append(solve(weighted.T @ powers + faint, weighted.T @ residual[:, i]))
+        fit = jnp.stack(fits, axis=1)
+        return expected + fit[0], v + fit[1] / span

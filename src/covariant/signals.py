@@ -1,0 +1,72 @@
+"""What travels between rooms: a `Record` goes into an observer, a `Run` comes out."""
+
+import enum
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Array, Float
+
+
+class Result(enum.IntEnum):
+    """Outcome of a numerical step, as found in `info.result`; zero is good, the rest says what happened."""
+
+    OK = 0
+    COASTED = 1
+    NOT_CONVERGED = 2
+    CONJUGATE_POINT = 3
+    NOT_FINITE = 4
+
+    @property
+    def message(self) -> str:
+        return _MESSAGES[self]
+
+
+_MESSAGES = {
+    Result.OK: "ok",
+    Result.COASTED: "no measurement: the model ran on alone",
+    Result.NOT_CONVERGED: "the geodesic to the measurement was not found: allow more Newton iterations or steps",
+    Result.CONJUGATE_POINT: "the geodesic found passes a conjugate point and is not the shortest one",
+    Result.NOT_FINITE: "the state is not finite: lower the gains or the step",
+}
+
+
+class Record(NamedTuple):
+    """A log, time first: stamps t (T,) [s], inputs u (T, m), measured positions y (T, n), and the true state
+    x (T, 2n) where it is known. NaN in y marks a missing measurement. `check` says what a record must satisfy."""
+
+    t: Float[Array, "T"]
+    u: Float[Array, "T m"]
+    y: Float[Array, "T n"]
+    x: Float[Array, "T two_n"] | None = None
+
+    def check(self) -> "Record":
+        """Return the record, or raise `ValueError` naming the first thing wrong with it."""
+        t, u, y = (np.asarray(a) for a in (self.t, self.u, self.y))
+        if t.ndim != 1 or u.ndim != 2 or y.ndim != 2 or not len(t) == len(u) == len(y):
+            raise ValueError(f"a record needs t (T,), u (T, m), y (T, n); got {t.shape}, {u.shape}, {y.shape}")
+        if len(t) < 2:
+            raise ValueError(f"a record needs at least two rows; this one has {len(t)}")
+        for name, array in (("t", t), ("u", u)):
+            bad = ~np.isfinite(array.reshape(len(t), -1)).all(1)
+            if bad.any():
+                raise ValueError(f"row {bad.argmax() + 1}: {name} is not a finite number; only measurements may be missing")
+        if np.isinf(y).any():
+            raise ValueError(f"row {np.isinf(y).any(1).argmax() + 1}: a measurement is infinite; mark a missing one by NaN")
+        step = np.diff(t)
+        if (step < 0).any():
+            k = int((step < 0).argmax())
+            raise ValueError(f"row {k + 2}: time goes back from {t[k]:g} s to {t[k + 1]:g} s; sort or split the log")
+        if (step == 0).any():
+            k = int((step == 0).argmax())
+            raise ValueError(f"rows {k + 1} and {k + 2} have the same stamp {t[k]:g} s; keep one of them")
+        if np.isnan(y[0]).any():
+            raise ValueError("row 1 lacks a measurement, so no estimate can start there; cut the log to begin later")
+        return self
+
+
+class Run(NamedTuple):
+    """What an observer made of a record: stamps t (T,), estimate x (T, 2n) = (q, v), and the observer's info, stacked."""
+
+    t: Float[Array, "T"]
+    estimate: Float[Array, "T two_n"]
+    info: Any
