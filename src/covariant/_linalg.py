@@ -35,7 +35,7 @@ def solve(a: Matrix, b: Float[Array, "n *k"]) -> Float[Array, "n *k"]:
     forward = []
     for column in columns:
         forward.append(b[0])
-        b = b[1:] - column[1:].reshape(-1, *width) * b[0]
+        b = b[1:] - column[1:].reshape(-1, *width) * b[:1]
     x = jnp.zeros_like(b)  # b is empty by now
     for column, entry, pivot in zip(columns[::-1], forward[::-1], d[::-1], strict=True):
         below = jnp.sum(column[1:].reshape(-1, *width) * x, axis=0)

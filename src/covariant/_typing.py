@@ -9,6 +9,7 @@ Vector = Float[Array, "n"]
 Vectors = Float[Array, "*k n"]
 Matrix = Float[Array, "n n"]
 State = Float[Array, "two_n"]
+Number = Scalar | float
 Flag = Bool[Array, ""]
 Code = Int[Array, ""]
 

@@ -30,14 +30,17 @@ _MESSAGES = {
 }
 
 
+AnyArray = Array | np.ndarray
+
+
 class Record(NamedTuple):
     """A log, time first: stamps t (T,) [s], inputs u (T, m), measured positions y (T, n), and the true state
     x (T, 2n) where it is known. NaN in y marks a missing measurement. `check` says what a record must satisfy."""
 
-    t: Float[Array, "T"]
-    u: Float[Array, "T m"]
-    y: Float[Array, "T n"]
-    x: Float[Array, "T two_n"] | None = None
+    t: Float[AnyArray, "T"]
+    u: Float[AnyArray, "T m"]
+    y: Float[AnyArray, "T n"]
+    x: Float[AnyArray, "T two_n"] | None = None
 
     def check(self) -> "Record":
         """Return the record, or raise `ValueError` naming the first thing wrong with it."""
@@ -49,9 +52,13 @@ class Record(NamedTuple):
         for name, array in (("t", t), ("u", u)):
             bad = ~np.isfinite(array.reshape(len(t), -1)).all(1)
             if bad.any():
-                raise ValueError(f"row {bad.argmax() + 1}: {name} is not a finite number; only measurements may be missing")
+                raise ValueError(
+                    f"row {bad.argmax() + 1}: {name} is not a finite number; only measurements may be missing"
+                )
         if np.isinf(y).any():
-            raise ValueError(f"row {np.isinf(y).any(1).argmax() + 1}: a measurement is infinite; mark a missing one by NaN")
+            raise ValueError(
+                f"row {np.isinf(y).any(1).argmax() + 1}: a measurement is infinite; mark a missing one by NaN"
+            )
         step = np.diff(t)
         if (step < 0).any():
             k = int((step < 0).argmax())
@@ -65,8 +72,22 @@ class Record(NamedTuple):
 
 
 class Run(NamedTuple):
-    """What an observer made of a record: stamps t (T,), estimate x (T, 2n) = (q, v), and the observer's info, stacked."""
+    """What an observer made of a record: stamps t (T,), estimates x (T, 2n) = (q, v), and its info, stacked."""
 
     t: Float[Array, "T"]
     estimate: Float[Array, "T two_n"]
     info: Any
+
+
+def lag_inputs(record: Record, time_constant: float) -> Record:
+    """The record with its inputs passed through a causal first-order lag [s]; 0 leaves it as it is.
+
+    Motors follow their logged torque with a delay; a lag identified with the model's other parameters stands for it.
+    """
+    if time_constant == 0:
+        return record
+    t, u = np.asarray(record.t), np.array(record.u)
+    keep = np.exp(-np.diff(t) / time_constant)
+    for k in range(1, len(t)):
+        u[k] = keep[k - 1] * u[k - 1] + (1 - keep[k - 1]) * u[k]
+    return record._replace(u=u)

@@ -97,8 +97,8 @@ def inner(metric: AbstractMetric | MatrixField, q: Vector, x: Vector, y: Vector)
 def norm(metric: AbstractMetric | MatrixField, q: Vector, x: Vector) -> Scalar:
     """`|x|` at q, with a zero (not undefined) derivative at x = 0."""
     square = inner(metric, q, x, x)
-    positive = square > 0
-    return jnp.where(positive, jnp.sqrt(jnp.where(positive, square, 1.0)), 0.0)
+    none = square <= 0
+    return jnp.where(none, 0.0, jnp.sqrt(jnp.where(none, 1.0, square)))
 
 
 def gradient(metric: AbstractMetric | MatrixField, q: Vector, covector: Vector) -> Vector:

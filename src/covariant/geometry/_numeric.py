@@ -16,8 +16,10 @@ from covariant._typing import Code, Matrix, MatrixField, Scalar, Vector, Vectors
 from covariant.geometry._metric import AbstractMetric, Budget, Shot, Transported, christoffel, norm
 from covariant.signals import Result
 
-NEWTON_LIMIT = 60
-"""Damped Newton iterations after which an unbounded search is reported as not converged."""
+NEWTON_LIMIT = 40
+"""Damped Newton iterations after which a search is given up."""
+CONTINUATION_STAGES = 12
+"""Intermediate targets of a search that failed directly."""
 
 
 class Metric(AbstractMetric):
@@ -89,8 +91,8 @@ def spray(metric: AbstractMetric, budget: Budget, p: Vector, velocity: Vector, f
 def shoot(metric: AbstractMetric, p: Vector, q: Vector, guess: Vector | None, budget: Budget) -> Shot:
     """Newton shooting for the geodesic from p to q.
 
-    The first guess is the better of `d + ½Γ(p)(d, d)`, d = q − p, and the caller's. A fixed budget runs undamped and
-    is exported as it stands; an open one is damped, checked for conjugate points, and differentiated implicitly.
+    It starts from the best of `d + ½Γ(p)(d, d)`, d = q − p, and the caller's guess. A fixed budget runs undamped and is
+    exported as it stands; an open one is damped, checked for conjugate points, and differentiated implicitly.
     """
     start = first_guess(metric, p, q, guess, budget)
     if budget.newton is None:
@@ -101,7 +103,7 @@ def shoot(metric: AbstractMetric, p: Vector, q: Vector, guess: Vector | None, bu
             velocity = velocity + newton_step(metric, p, q, velocity, budget)[0]
     end, arrival = spray(metric, budget, p, velocity)
     residual = norm(metric, q, q - end)
-    scale = 1e-2 if budget.newton is not None else 64 * epsilon(q)
+    scale = 1e-2 if budget.newton is not None else 1e4 * epsilon(q)
     found = residual <= scale * norm(metric, p, velocity) + 64 * epsilon(q)
     result = jnp.where(found, Result.OK, Result.NOT_CONVERGED)
     if budget.newton is None:
@@ -111,15 +113,17 @@ def shoot(metric: AbstractMetric, p: Vector, q: Vector, guess: Vector | None, bu
 
 
 def first_guess(metric: AbstractMetric, p: Vector, q: Vector, guess: Vector | None, budget: Budget) -> Vector:
+    """The candidate whose geodesic passes closest to q; the second-order one is best near, but overshoots far away."""
     d = q - p
-    second_order = d + christoffel(metric, p, d, d) / 2
-    if guess is None:
-        return second_order
-
-    def miss(velocity):
-        return norm(metric, q, q - spray(metric, budget, p, velocity)[0])
-
-    return jnp.where(miss(guess) < miss(second_order), guess, second_order)
+    candidates = [d + christoffel(metric, p, d, d) / 2]
+    candidates += [] if guess is None else [guess]
+    candidates += [d] if budget.newton is None else []
+    best = candidates[0]
+    if len(candidates) > 1:
+        tried = jnp.stack(candidates)
+        miss = jax.vmap(lambda v: norm(metric, q, q - spray(metric, budget, p, v)[0]))(tried)
+        best = tried[jnp.argmin(jnp.where(jnp.isfinite(miss), miss, jnp.inf))]
+    return best
 
 
 def newton_step(metric: AbstractMetric, p: Vector, q: Vector, velocity: Vector, budget: Budget):
@@ -146,7 +150,7 @@ class _Search(NamedTuple):
     correction: Vector
     miss: Scalar
     damping: Scalar
-    count: Code
+    tries: Code
 
 
 def damped_newton(metric: AbstractMetric, p: Vector, q: Vector, start: Vector, budget: Budget) -> Vector:
@@ -155,20 +159,30 @@ def damped_newton(metric: AbstractMetric, p: Vector, q: Vector, start: Vector, b
     def unfinished(s: _Search):
         size = norm(metric, p, s.correction)
         long = size > 16 * epsilon(q) * norm(metric, p, s.velocity)
-        return long & (s.count < NEWTON_LIMIT) & (s.damping > 1e-6) & (s.miss > 0)
+        return long & (s.tries < NEWTON_LIMIT) & (s.damping > 1e-6) & (s.miss > 0)
 
     def improve(s: _Search):
         candidate = s.velocity + s.damping * s.correction
         correction, miss = newton_step(metric, p, q, candidate, budget)
         better = (miss < s.miss) & jnp.all(jnp.isfinite(correction))
         damping = jnp.where(better, jnp.minimum(1.0, 4 * s.damping), s.damping / 4)
-        new = _Search(candidate, correction, miss, damping, s.count + 1)
-        old = s._replace(damping=damping, count=s.count + 1)
+        new = _Search(candidate, correction, miss, damping, s.tries + 1)
+        old = s._replace(damping=damping, tries=s.tries + 1)
         return jax.tree.map(lambda a, b: jnp.where(better, a, b), new, old)
 
     correction, miss = newton_step(metric, p, q, start, budget)
     first = _Search(start, correction, miss, jnp.ones_like(miss), jnp.zeros((), jnp.int32))
     return jax.lax.while_loop(unfinished, improve, first).velocity
+
+
+def continued_newton(metric: AbstractMetric, p: Vector, q: Vector, budget: Budget) -> Vector:
+    """Newton's method on targets that move from p to q: slower, for targets too far for a direct search."""
+
+    def stage(k, velocity):
+        target = p + (k + 1) / CONTINUATION_STAGES * (q - p)
+        return damped_newton(metric, p, target, velocity * (k + 1) / jnp.maximum(k, 1), budget)
+
+    return jax.lax.fori_loop(0, CONTINUATION_STAGES, stage, (q - p) / CONTINUATION_STAGES)
 
 
 def implicit_newton(metric: AbstractMetric, p: Vector, q: Vector, start: Vector, budget: Budget) -> Vector:
@@ -178,7 +192,9 @@ def implicit_newton(metric: AbstractMetric, p: Vector, q: Vector, start: Vector,
         return q - spray(metric, budget, p, velocity)[0]
 
     def search(_, first):
-        return damped_newton(metric, p, q, first, budget)
+        direct = damped_newton(metric, p, q, first, budget)
+        missed = norm(metric, q, miss(direct)) > 1e-6 * norm(metric, p, direct)
+        return jax.lax.cond(missed, lambda: continued_newton(metric, p, q, budget), lambda: direct)
 
     def solve_linear(linear, y):
         return least_squares(jax.jacfwd(linear)(jnp.zeros_like(y)), y)

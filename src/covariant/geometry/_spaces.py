@@ -202,8 +202,7 @@ class Product(AbstractMetric):
     def shoot(self, p: Vector, q: Vector, guess: Vector | None, budget: Budget) -> Shot:
         guesses = [None] * len(self.sizes) if guess is None else self._split(guess)
         shots = [
-            space.shoot(*parts, first, budget)
-            for (space, *parts), first in zip(self._each(p, q), guesses, strict=True)
+            space.shoot(*parts, first, budget) for (space, *parts), first in zip(self._each(p, q), guesses, strict=True)
         ]
         velocity, arrival = (jnp.concatenate([s[i] for s in shots]) for i in (0, 1))
         residual = jnp.sqrt(sum(s.residual**2 for s in shots))
@@ -215,5 +214,3 @@ class Product(AbstractMetric):
 
     def _each(self, *arrays: Array):
         return zip(self.spaces, *(self._split(a) for a in arrays), strict=True)
-
-

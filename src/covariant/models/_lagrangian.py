@@ -108,7 +108,9 @@ def check_model(model: Lagrangian, n: int) -> None:
             shape = jax.eval_shape(function, *arguments).shape
         except (TypeError, ValueError, IndexError, AttributeError) as error:
             reason = str(error).splitlines()[0]
-            raise ValueError(f"{name} cannot be evaluated with {n} coordinates and {u.shape[0]} inputs: {reason}") from error
+            raise ValueError(
+                f"{name} cannot be evaluated with {n} coordinates and {u.shape[0]} inputs: {reason}"
+            ) from error
         if shape != wanted:
             raise ValueError(f"{name} must return shape {wanted} for {n} coordinates; it returned {shape}")
 

@@ -1,4 +1,4 @@
-"""The harmonic oscillator of Aghannan & Rouchon 2003, section III-B, in two charts: the same system, seen differently."""
+"""The harmonic oscillator of Aghannan & Rouchon 2003, section III-B, in two charts: one system."""
 
 import jax.numpy as jnp
 

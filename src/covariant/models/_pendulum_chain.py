@@ -51,7 +51,7 @@ def pendulum_chain(
       `inertia` [kg m²] about the centre of mass, or about the joint with `inertia_about="joint"`.
     - `angles`: "relative" (joint angles) or "absolute" (each link from the vertical); `zero`: "hanging" or "upright".
     - `rotor_inertia` [kg m²] before the gear ratio `gear`; friction torque `viscous q̇ + coulomb atan(100 q̇)` and a
-      constant `offset` torque [N m] in each joint. `actuated`: joints that have an input torque, in order (default all).
+      constant `offset` torque [N m] in each joint. `actuated`: joints with an input torque, in order (default all).
 
     Coordinates are full circles. Raises `ValueError` on wrong lengths, names, or negative masses.
     """
@@ -80,34 +80,34 @@ def pendulum_chain(
     coupling = (arms.T * p["mass"]) @ arms
     moment = p["mass"] @ arms
     relative = np.eye(n) - np.eye(n, k=-1)  # joint rates from absolute rates
-    absolute = np.linalg.inv(relative)
     rotor_rates = np.eye(n, k=-1) - p["gear"][:, None] * relative  # rotor rates from absolute rates
-    rotors = (rotor_rates.T * p["rotor_inertia"]) @ rotor_rates
-    to_absolute, to_joints = (absolute, np.eye(n)) if angles == "relative" else (np.eye(n), relative)
+    constant = np.diag(about_com) + (rotor_rates.T * p["rotor_inertia"]) @ rotor_rates
+    absolute = np.linalg.inv(relative) if angles == "relative" else np.eye(n)  # absolute rates from the chart's
+    joints = np.eye(n) if angles == "relative" else relative  # joint rates from the chart's
     up = 1.0 if zero == "upright" else -1.0
     driven = list(range(n)) if actuated is None else list(actuated)
     if any(not 0 <= i < n for i in driven):
         raise ValueError(f"pendulum_chain: actuated {tuple(driven)} must be joints 0 to {n - 1}")
 
+    def like(q, array):
+        return jnp.asarray(array, q.dtype)
+
     def metric(q):
-        theta = to_absolute.astype(q.dtype) @ q
-        links = coupling.astype(q.dtype) * jnp.cos(theta[:, None] - theta[None, :])
-        constant = (np.diag(about_com) + rotors).astype(q.dtype)
-        return to_absolute.T.astype(q.dtype) @ (links + constant) @ to_absolute.astype(q.dtype)
+        theta = like(q, absolute) @ q
+        links = like(q, coupling) * jnp.cos(theta[:, None] - theta[None, :])
+        return like(q, absolute.T) @ (links + like(q, constant)) @ like(q, absolute)
 
     def potential(q):
-        return up * gravity * jnp.sum(moment.astype(q.dtype) * jnp.cos(to_absolute.astype(q.dtype) @ q))
+        return up * gravity * (like(q, moment) @ jnp.cos(like(q, absolute) @ q))
 
     def force(t, q, u):
-        torque = jnp.asarray(p["offset"], q.dtype)
-        if driven:
-            torque = torque.at[jnp.array(driven)].add(u)
-        return to_joints.T.astype(q.dtype) @ torque
+        torque = like(q, p["offset"]) + like(q, np.eye(n)[:, driven]) @ u
+        return like(q, joints.T) @ torque
 
     def dissipation(q, v):
-        rate = to_joints.astype(q.dtype) @ v
-        coulomb_torque = p["coulomb"].astype(q.dtype) * jnp.arctan(COULOMB_STEEPNESS * rate)
-        return -to_joints.T.astype(q.dtype) @ (p["viscous"].astype(q.dtype) * rate + coulomb_torque)
+        rate = like(q, joints) @ v
+        torque = like(q, p["viscous"]) * rate + like(q, p["coulomb"]) * jnp.arctan(COULOMB_STEEPNESS * rate)
+        return -like(q, joints.T) @ torque
 
     return Lagrangian(
         metric,

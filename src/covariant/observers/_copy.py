@@ -7,7 +7,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from covariant._typing import Scalar, Vector
+from covariant._typing import Number, Scalar, Vector
 from covariant.geometry import christoffel, norm
 from covariant.models import Lagrangian, friction, position_error, source
 from covariant.observers._protocol import AbstractFlowObserver, Info, MechanicalState, outcome
@@ -22,11 +22,11 @@ class Copy(AbstractFlowObserver):
     """
 
     model: Lagrangian
-    alpha: Scalar | float
-    beta: Scalar | float
+    alpha: Number
+    beta: Number
     substeps: int | None = eqx.field(default=None, static=True)
 
-    def init(self, y: Vector, t: Scalar | float = 0.0) -> MechanicalState:
+    def init(self, y: Vector, t: Number = 0.0) -> MechanicalState:
         return MechanicalState(y, jnp.zeros_like(y), jnp.asarray(t, y.dtype))
 
     def estimate(self, state: MechanicalState) -> Float[Array, "two_n"]:
@@ -39,9 +39,7 @@ class Copy(AbstractFlowObserver):
         v_dot = drive - self.beta * e - christoffel(self.model.metric, q, v, v)
         return MechanicalState(v - self.alpha * e, v_dot, jnp.ones_like(state.t))
 
-    def step(
-        self, state: MechanicalState, u: Float[Array, "m"], y: Vector, dt: Scalar
-    ) -> tuple[MechanicalState, Info]:
+    def step(self, state: MechanicalState, u: Float[Array, "m"], y: Vector, dt: Scalar) -> tuple[MechanicalState, Info]:
         q, v = predict(self.model, state.t, state.q, state.v, u, dt, self.substeps)
         t = state.t + dt
         k1, k2 = sampled_gains(self.alpha, self.beta, dt)

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from covariant._linalg import solve
-from covariant._typing import Code, Matrix, Scalar, Vector
+from covariant._typing import Code, Matrix, Number, Scalar, Vector
 from covariant.geometry import norm
 from covariant.models import Lagrangian, position_error
 from covariant.observers._protocol import AbstractObserver, outcome
@@ -48,10 +48,10 @@ class EKF(AbstractObserver):
     model: Lagrangian
     process_cov: Matrix
     measurement_cov: Matrix
-    initial_velocity_std: Scalar | float = 1.0
+    initial_velocity_std: Number = 1.0
     substeps: int | None = eqx.field(default=None, static=True)
 
-    def init(self, y: Vector, t: Scalar | float = 0.0) -> EKFState:
+    def init(self, y: Vector, t: Number = 0.0) -> EKFState:
         velocity_cov = jnp.eye(y.shape[0], dtype=y.dtype) * self.initial_velocity_std**2
         zero = jnp.zeros_like(velocity_cov)
         cov = jnp.block([[self.measurement_cov, zero], [zero, velocity_cov]])

@@ -6,7 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from covariant._typing import Code, Scalar, Vector
+from covariant._typing import Code, Number, Scalar, Vector
 from covariant.models import wrap
 from covariant.observers._protocol import AbstractObserver, outcome
 
@@ -29,16 +29,18 @@ class FilterInfo(NamedTuple):
 class FilteredDerivative(AbstractObserver):
     """`v' = ω (Δy/Δt − v)`, exact for irregular stamps; `bandwidth` ω [rad/s], `circles` as in `Lagrangian`."""
 
-    bandwidth: Scalar | float
+    bandwidth: Number
     circles: tuple[int, ...] = eqx.field(default=(), static=True)
 
-    def init(self, y: Vector, t: Scalar | float = 0.0) -> FilteredState:
+    def init(self, y: Vector, t: Number = 0.0) -> FilteredState:
         return FilteredState(y, jnp.zeros_like(y), jnp.zeros_like(y))
 
     def estimate(self, state: FilteredState) -> Float[Array, "two_n"]:
         return jnp.concatenate([state.q + state.age * state.v, state.v])
 
-    def step(self, state: FilteredState, u: Float[Array, "m"], y: Vector, dt: Scalar) -> tuple[FilteredState, FilterInfo]:
+    def step(
+        self, state: FilteredState, u: Float[Array, "m"], y: Vector, dt: Scalar
+    ) -> tuple[FilteredState, FilterInfo]:
         age = state.age + dt
         present = ~jnp.isnan(y) & (age > 0)
         moved = wrap(self.circles, jnp.where(present, y - state.q, 0.0))

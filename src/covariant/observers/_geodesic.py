@@ -9,7 +9,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from covariant._typing import Code, Scalar, Vector
+from covariant._typing import Code, Number, Scalar, Vector
 from covariant.geometry import Budget, Shot, christoffel, curvature, norm, shoot, transport_along
 from covariant.models import Lagrangian, friction, position_error, source
 from covariant.observers._protocol import AbstractFlowObserver, outcome
@@ -17,7 +17,7 @@ from covariant.observers._sampled import predict, sampled_gains
 
 
 class GeodesicState(NamedTuple):
-    """Estimated configuration and velocity at time t [s], and `log` = log_q̂(q) as last found, to start the next search."""
+    """Estimate (q, v) at time t [s], and `log` = log_q̂(q) as last found, to start the next search."""
 
     q: Vector
     v: Vector
@@ -48,25 +48,27 @@ class Geodesic(AbstractFlowObserver):
     """
 
     model: Lagrangian
-    alpha: Scalar | float
-    beta: Scalar | float
+    alpha: Number
+    beta: Number
     budget: Budget = eqx.field(default=Budget(newton=1, steps=4), static=True)
     curvature: bool = eqx.field(default=True, static=True)
     substeps: int | None = eqx.field(default=None, static=True)
 
-    def init(self, y: Vector, t: Scalar | float = 0.0) -> GeodesicState:
+    def init(self, y: Vector, t: Number = 0.0) -> GeodesicState:
         return GeodesicState(y, jnp.zeros_like(y), jnp.asarray(t, y.dtype), jnp.zeros_like(y))
 
     def estimate(self, state: GeodesicState) -> Float[Array, "two_n"]:
         return jnp.concatenate([state.q, state.v])
 
     def flow(self, t: Scalar, state: GeodesicState, u: Float[Array, "m"], y: Vector) -> GeodesicState:
-        q, v, _, _ = state
+        q, v, *_ = state
         shot, drive = self._correction(t, state, u, y)
         q_dot = v + self.alpha * shot.velocity
         v_dot = drive + self.beta * shot.velocity + friction(self.model, q, v)
         v_dot = v_dot - christoffel(self.model.metric, q, v, q_dot)
-        return GeodesicState(q_dot, v_dot, jnp.ones_like(state.t), jnp.zeros_like(q))
+        # Only a warm start: it follows the geodesic found, and no estimate depends on how closely.
+        log_dot = 10 * self.alpha * (shot.velocity - state.log)
+        return GeodesicState(q_dot, v_dot, jnp.ones_like(state.t), log_dot)
 
     def step(
         self, state: GeodesicState, u: Float[Array, "m"], y: Vector, dt: Scalar

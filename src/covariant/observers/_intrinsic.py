@@ -9,7 +9,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from covariant._typing import Scalar, Vector
+from covariant._typing import Number, Scalar, Vector
 from covariant.geometry import christoffel, curvature, norm
 from covariant.models import Lagrangian, friction, position_error, source
 from covariant.observers._protocol import AbstractFlowObserver, Info, MechanicalState, outcome
@@ -31,8 +31,8 @@ class Intrinsic(AbstractFlowObserver):
     """
 
     model: Lagrangian
-    alpha: Scalar | float
-    beta: Scalar | float
+    alpha: Number
+    beta: Number
     order: Literal[1, 2] = eqx.field(default=1, static=True)
     coefficients: Literal["measured", "estimated"] = eqx.field(default="measured", static=True)
     curvature: bool = eqx.field(default=True, static=True)
@@ -44,7 +44,7 @@ class Intrinsic(AbstractFlowObserver):
         if self.coefficients not in ("measured", "estimated"):
             raise ValueError(f"Intrinsic: coefficients must be 'measured' or 'estimated'; got {self.coefficients!r}")
 
-    def init(self, y: Vector, t: Scalar | float = 0.0) -> MechanicalState:
+    def init(self, y: Vector, t: Number = 0.0) -> MechanicalState:
         return MechanicalState(y, jnp.zeros_like(y), jnp.asarray(t, y.dtype))
 
     def estimate(self, state: MechanicalState) -> Float[Array, "two_n"]:
@@ -57,9 +57,7 @@ class Intrinsic(AbstractFlowObserver):
         v_dot = drive - self.beta * xi + friction(self.model, q, v) - christoffel(self.model.metric, q, v, q_dot)
         return MechanicalState(q_dot, v_dot, jnp.ones_like(state.t))
 
-    def step(
-        self, state: MechanicalState, u: Float[Array, "m"], y: Vector, dt: Scalar
-    ) -> tuple[MechanicalState, Info]:
+    def step(self, state: MechanicalState, u: Float[Array, "m"], y: Vector, dt: Scalar) -> tuple[MechanicalState, Info]:
         q, v = predict(self.model, state.t, state.q, state.v, u, dt, self.substeps)
         t = state.t + dt
         k1, k2 = sampled_gains(self.alpha, self.beta, dt)

@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from covariant._typing import Code, Scalar, Vector
+from covariant._typing import Code, Number, Scalar, Vector
 from covariant.signals import Record, Result, Run
 
 
@@ -30,7 +30,11 @@ class MechanicalState(NamedTuple):
 
 
 class Info(NamedTuple):
-    """`innovation` y − q̂ before correction, wrapped, 0 where missing; `distance` its length in the metric; `result` a `Result`."""
+    """What a step saw.
+
+    `innovation`: y − q̂ before the correction, wrapped, 0 where missing; `distance`: its length in the metric;
+    `result`: a `covariant.signals.Result` code.
+    """
 
     innovation: Vector
     distance: Scalar
@@ -41,7 +45,7 @@ class AbstractObserver(eqx.Module):
     """From positions to state. Sampled: `step` brings the state to the stamp of y and then takes y in."""
 
     @abc.abstractmethod
-    def init(self, y: Vector, t: Scalar | float = 0.0) -> Any:
+    def init(self, y: Vector, t: Number = 0.0) -> Any:
         """State at rest at the measured position y (n,), at time t [s]."""
 
     @abc.abstractmethod
@@ -69,8 +73,7 @@ def outcome(q: Vector, v: Vector, y: Vector, result: Code | int = Result.OK) -> 
 
 
 @eqx.filter_jit
-def _scan(observer: AbstractObserver, record: Record):
-    t, u, y = record.t, record.u, record.y
+def _scan(observer: AbstractObserver, t: Array, u: Array, y: Array):
     before = jnp.concatenate([u[:1], u[:-1]])  # the input that acted since the previous stamp
     dt = jnp.diff(t, prepend=t[:1])
 
@@ -86,7 +89,6 @@ def run(observer: AbstractObserver, record: Record) -> Run:
 
     Raises `ValueError` from `Record.check`.
     """
-    record = record.check()
-    arrays = Record(*(jnp.asarray(a) for a in record[:3]))
-    estimate, info = _scan(observer, arrays)
-    return Run(arrays.t, estimate, info)
+    t, u, y, _ = record.check()
+    estimate, info = _scan(observer, jnp.asarray(t), jnp.asarray(u), jnp.asarray(y))
+    return Run(jnp.asarray(t), estimate, info)

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from covariant._integrate import rk4
-from covariant._typing import Scalar, Vector
+from covariant._typing import Number, Scalar, Vector
 from covariant.models import Lagrangian, acceleration, friction
 
 LONGEST_STEP = 0.01
@@ -17,7 +17,7 @@ LONGEST_STEP = 0.01
 MOST_SUBSTEPS = 10_000
 
 
-def predict(model: Lagrangian, t: Scalar, q: Vector, v: Vector, u, dt: Scalar, substeps: int | None):
+def predict(model: Lagrangian, t: Number, q: Vector, v: Vector, u, dt: Number, substeps: int | None):
     """Integrate the model over dt [s] with u held; `substeps=None` uses as many steps as friction and dt ask for."""
 
     def flow(s, x):
@@ -27,7 +27,7 @@ def predict(model: Lagrangian, t: Scalar, q: Vector, v: Vector, u, dt: Scalar, s
     return rk4(flow, t, (q, v), dt, count)
 
 
-def needed_substeps(model: Lagrangian, q: Vector, v: Vector, dt: Scalar) -> Scalar:
+def needed_substeps(model: Lagrangian, q: Vector, v: Vector, dt: Number) -> Scalar:
     """Steps that keep h·rate ≤ 1, the rate being a bound on that of the friction at rest and at v [1/s].
 
     Friction is steepest at rest where it is Coulomb's and at speed where it is drag. The trace bounds the fastest rate,
@@ -44,7 +44,7 @@ def needed_substeps(model: Lagrangian, q: Vector, v: Vector, dt: Scalar) -> Scal
     return jnp.clip(count, 1, MOST_SUBSTEPS).astype(jnp.int32)
 
 
-def sampled_gains(alpha: Scalar, beta: Scalar, dt: Scalar) -> tuple[Scalar, Scalar]:
+def sampled_gains(alpha: Number, beta: Number, dt: Number) -> tuple[Scalar, Scalar]:
     """Position and velocity gains of one sample: `k1 = 1 − p`, `k2 = (1 − √p)²/dt + 2√p (1 − C)/dt`.
 
     p = exp(−α dt) is the product of the sampled poles and 2√p C their sum, C = cos or cosh of `√|β − α²/4| dt`.
@@ -54,6 +54,6 @@ def sampled_gains(alpha: Scalar, beta: Scalar, dt: Scalar) -> tuple[Scalar, Scal
     square = beta - alpha**2 / 4
     size = jnp.abs(square)
     half = jnp.sqrt(jnp.where(size > 0, size, 1.0)) * safe / 2
-    gap = 2 * jnp.where(square > 0, jnp.sin(half) ** 2, jnp.where(size > 0, -jnp.sinh(half) ** 2, 0.0))
+    gap = 2 * jnp.where(square > 0, jnp.sin(half) ** 2, jnp.where(size > 0, -(jnp.sinh(half) ** 2), 0.0))
     k2 = (jnp.expm1(-alpha * safe / 2) ** 2 + 2 * root * gap) / safe
     return jnp.where(dt > 0, -jnp.expm1(-alpha * safe), 0.0), jnp.where(dt > 0, k2, 0.0)

@@ -6,11 +6,12 @@ Source: Savitzky & Golay 1964, Analytical Chemistry 36(8), one-sided; solved afr
 from typing import NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from covariant._linalg import solve
-from covariant._typing import Scalar, Vector
+from covariant._typing import Number, Scalar, Vector
 from covariant.models import wrap
 from covariant.observers._filtered_derivative import FilterInfo
 from covariant.observers._protocol import AbstractObserver, outcome
@@ -37,9 +38,11 @@ class SavitzkyGolay(AbstractObserver):
 
     def __check_init__(self):
         if not self.window > self.order >= 1:
-            raise ValueError(f"SavitzkyGolay: window {self.window} must exceed order {self.order}, and order be 1 or more")
+            raise ValueError(
+                f"SavitzkyGolay: window {self.window} must exceed order {self.order}, and order be 1 or more"
+            )
 
-    def init(self, y: Vector, t: Scalar | float = 0.0) -> WindowState:
+    def init(self, y: Vector, t: Number = 0.0) -> WindowState:
         past = jnp.full((self.window - 1, y.shape[0]), jnp.nan, y.dtype)
         age = jnp.zeros(self.window, y.dtype)
         return WindowState(age, jnp.concatenate([past, y[None]]), y, jnp.zeros_like(y))
@@ -59,14 +62,16 @@ class SavitzkyGolay(AbstractObserver):
 
     def _fit(self, age, samples, expected: Vector, v: Vector) -> tuple[Vector, Vector]:
         """Value and slope at age zero; the polynomial is pulled to (expected, v) only where samples are too few."""
-        span = jnp.where(age[0] > 0, age[0], 1.0)
+        span = jnp.maximum(age[0], jnp.finfo(age.dtype).tiny)
         powers = (-age[:, None] / span) ** jnp.arange(self.order + 1)
-        present = ~jnp.isnan(samples)
-        residual = jnp.where(present, samples - expected - jnp.outer(-age, v), 0.0)
         faint = 1e-9 * jnp.eye(self.order + 1, dtype=samples.dtype)
-        fits = []
-        for i in range(samples.shape[1]):
-            weighted = powers * present[:, i : i + 1]
-            fits.append(solve(weighted.T @ powers + faint, weighted.T @ residual[:, i]))
-        fit = jnp.stack(fits, axis=1)
-        return expected + fit[0], v + fit[1] / span
+
+        def fit(column, start, slope):
+            present = ~jnp.isnan(column)
+            residual = jnp.where(present, column - start + age * slope, 0.0)
+            weighted = powers * present[:, None]
+            return solve(weighted.T @ powers + faint, weighted.T @ residual)
+
+        found = jax.vmap(fit)(samples.T, expected, v)
+        value, slope = found[:, 0], found[:, 1]
+        return expected + value, v + slope / span

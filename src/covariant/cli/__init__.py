@@ -1,0 +1,20 @@
+"""The command line: `covariant estimate | compare | simulate | reproduce`. No mathematics here."""
+
+import os
+import sys
+
+# Before numpy is loaded: threaded BLAS slows the tiny matrices of a compiled step down by orders of magnitude.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+
+def main() -> None:
+    """Entry point; bad input gives one line on standard error and exit code 2."""
+    from covariant.cli._app import app
+
+    try:
+        app()  # leaves by SystemExit, with code 2 when the options are wrong
+    except (ValueError, OSError, ImportError) as error:
+        if os.environ.get("COVARIANT_DEBUG"):
+            raise
+        print(f"covariant: {' '.join(str(error).split())}", file=sys.stderr)
+        sys.exit(2)

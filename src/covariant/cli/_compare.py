@@ -1,0 +1,88 @@
+"""`covariant compare`: every estimator on the same log, tuned from the same data sheet, ranked."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from covariant import logs
+from covariant.cli._console import stages
+from covariant.cli._job import Job, Loaded, coordinates, data_sheet, load
+from covariant.cli._pages import write_report
+from covariant.cli._results import Outcome, drive, report_arrays, summary
+from covariant.design import line_up, observer_gains
+
+
+def compare(job: Job, out: Path | None, report: Path | None, as_json: bool) -> None:
+    """Run the whole line-up and write, print and draw the ranking."""
+    if out is not None and out.suffix not in (".csv", ".parquet"):
+        raise ValueError(f"{out}: write a .csv or a .parquet file")
+    if report is not None and report.suffix != ".html":
+        raise ValueError(f"{report}: a report is an .html file")
+    loaded = load(job)
+    sheet = data_sheet(loaded.file)
+    observers = line_up(loaded.file.model, len(loaded.file.columns.q), sheet, loaded.rate)
+    outcomes: dict[str, Outcome] = {}
+    with stages("comparing", len(observers), quiet=as_json) as begin:
+        for name, observer in observers.items():
+            begin(name)
+            outcomes[name] = drive(observer, loaded, timed=True)
+    ranked = rank(outcomes, loaded)
+    rows = tuple(_row(name, outcomes[name], loaded) for name in ranked)
+    note = f"All tuned from one data sheet; the observers have {observer_gains(sheet, loaded.rate).summary}."
+    result: dict[str, Any] = {
+        "model": job.model,
+        "log": str(job.log),
+        "scored_against": loaded.reference_label,
+        "design": note,
+        "ranking": [{"estimator": name, **summary(outcomes[name])} for name in ranked],
+    }
+    if out is not None:
+        logs.write(out, _numbers(ranked, outcomes))
+        result["out"] = str(out)
+    if report is not None:
+        curves = report_arrays({name: outcomes[name] for name in ranked})
+        title = f"Estimators compared: {Path(job.model).stem}, {job.log.name}"
+        result["report"] = [str(p) for p in write_report(report, title, loaded, curves, (note,), rows)]
+    print(json.dumps(result) if as_json else _text(result, rows))
+
+
+def rank(outcomes: dict[str, Outcome], loaded: Loaded) -> list[str]:
+    """Names by velocity error, each coordinate weighed by the size of its velocities; escaped ones last."""
+    scale = np.sqrt(np.mean(loaded.reference[loaded.scored] ** 2, axis=0))
+
+    def badness(name: str) -> float:
+        relative = outcomes[name].velocity_rmse / np.where(scale > 0, scale, 1.0)
+        total = float(np.sqrt(np.mean(relative**2)))
+        return total if np.isfinite(total) else float("inf")
+
+    return sorted(outcomes, key=badness)
+
+
+def _row(name: str, outcome: Outcome, loaded: Loaded) -> dict[str, str | float]:
+    names, units = coordinates(loaded.file)
+    errors = {
+        f"RMSE d{label}/dt [{unit}/s]": float(value)
+        for label, unit, value in zip(names, units, outcome.velocity_rmse, strict=True)
+    }
+    return {"estimator": name, **errors, "µs a sample": outcome.microseconds}
+
+
+def _numbers(ranked: list[str], outcomes: dict[str, Outcome]) -> dict[str, np.ndarray]:
+    errors = np.stack([outcomes[name].velocity_rmse for name in ranked])
+    table = {"rank": np.arange(1, len(ranked) + 1)}
+    table |= {f"v{i + 1}_rmse": column for i, column in enumerate(errors.T)}
+    return table | {"microseconds": np.array([outcomes[name].microseconds for name in ranked])}
+
+
+def _text(result: dict[str, Any], rows: tuple[dict[str, str | float], ...]) -> str:
+    from covariant.report import table
+
+    lines = [
+        f"{result['log']}, velocity errors against the {result['scored_against']}",
+        result["design"],
+        "",
+        table(rows),
+    ]
+    return "\n".join([*lines, *(f"wrote {path}" for path in [result.get("out"), *result.get("report", [])] if path)])

@@ -1,0 +1,84 @@
+"""What `estimate` and `compare` have in common: a model file, a log, and the window they are scored in."""
+
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from covariant import logs, models, scoring
+from covariant.design import DataSheet
+from covariant.signals import Record, lag_inputs
+
+
+class Job(NamedTuple):
+    """The arguments a user gave; `columns` maps t, q, u, v, truth to names separated by commas, or None."""
+
+    model: str
+    log: Path
+    overrides: tuple[str, ...]
+    every: int
+    until: float | None
+    columns: dict[str, str | None]
+
+
+class Loaded(NamedTuple):
+    """A job's model, its log as used, and what its velocities are scored against: a reference (T, n) and its name."""
+
+    file: models.ModelFile
+    log: logs.Log
+    record: Record
+    rate: float
+    reference: np.ndarray
+    reference_label: str
+    scored: np.ndarray
+
+
+def load(job: Job) -> Loaded:
+    """Read model and log; raises `ValueError` or `OSError` with one line for the user."""
+    file = models.load(job.model, job.overrides)
+    given = {key: names.strip() for key, names in job.columns.items() if names is not None}
+    columns = file.columns._replace(
+        **{key: names if key == "t" else tuple(n.strip() for n in names.split(",")) for key, names in given.items()}
+    )
+    if len(columns.q) != len(file.columns.q) or len(columns.u) != len(file.columns.u):
+        raise ValueError(
+            f"{job.model} has {len(file.columns.q)} positions and {len(file.columns.u)} inputs; "
+            f"the options name {len(columns.q)} and {len(columns.u)}"
+        )
+    log = logs.read(job.log, columns, job.every, job.until)
+    record = lag_inputs(log.record, file.input_lag)
+    t = np.asarray(record.t)
+    if log.truth is not None:
+        reference, label = log.truth, "true velocity"
+    else:
+        full = logs.read(job.log, columns._replace(u=(), v=())) if job.every > 1 or job.until else log
+        half, order = file.reference_half, int(file.reference_order)
+        reference = scoring.zero_phase_velocity(np.asarray(full.record.t), np.asarray(full.record.y), t, half, order)
+        label = "zero-phase reference"
+    rate = 1 / float(np.median(np.diff(t)))
+    return Loaded(file, log, record, rate, reference, label, scoring.scored_window(t))
+
+
+def data_sheet(file: models.ModelFile) -> DataSheet:
+    """The numbers a design needs; raises `ValueError` naming the one that is missing."""
+    for value, key in ((file.measurement_std, "measurement.std"), (file.acceleration_std, "uncertainty.acceleration")):
+        if value is None:
+            raise ValueError(
+                f"{file.name}: gains need {key}; put it in the model file, or give --set {key}=NUMBER"
+                " (or, for estimate, --alpha and --beta)"
+            )
+    known = {
+        "measurement_std": file.measurement_std,
+        "acceleration_std": file.acceleration_std,
+        "correlation_time": file.correlation_time,
+        "motion_std": file.motion_std,
+        "motion_time": file.motion_time,
+        "damping": file.damping,
+    }
+    return DataSheet(**{name: value for name, value in known.items() if value is not None})
+
+
+def coordinates(file: models.ModelFile) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Names and units of the coordinates, for a person."""
+    names = file.model.coordinates or tuple(f"q{i + 1}" for i in range(len(file.columns.q)))
+    return names, file.model.units or ("",) * len(names)

@@ -1,0 +1,36 @@
+"""From a job's outcomes to the report room."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from covariant.cli._job import Loaded, coordinates
+
+
+def write_report(
+    path: Path, title: str, loaded: Loaded, curves: dict[str, Any], notes: tuple[str, ...], rows: tuple = ()
+) -> list[Path]:
+    """Write the interactive page and PNG figures beside it; returns all paths."""
+    from covariant.report import EstimateReport, write_html, write_png
+
+    names, units = coordinates(loaded.file)
+    y = np.asarray(loaded.record.y)
+    missing = int(np.isnan(y).any(1).sum())
+    notes = (
+        *notes,
+        f"{len(y)} samples at about {loaded.rate:.0f} Hz, {missing} of them coasted without a measurement.",
+    )
+    report = EstimateReport(
+        title=title,
+        coordinates=names,
+        units=units,
+        t=np.asarray(loaded.record.t),
+        q_measured=y,
+        v_reference=loaded.reference,
+        v_reference_label=loaded.reference_label,
+        rows=rows,
+        notes=notes,
+        **curves,
+    )
+    return [write_html(report, path), *write_png(report, path.with_suffix(""))]

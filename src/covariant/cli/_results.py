@@ -1,0 +1,68 @@
+"""Running one observer and saying what came of it."""
+
+import time
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from covariant import scoring
+from covariant.cli._job import Loaded
+from covariant.observers import AbstractObserver, run
+from covariant.signals import Result, Run
+
+
+class Outcome(NamedTuple):
+    """A run, its velocity error a coordinate (n,) where it is scored, and the time a sample took once compiled [µs]."""
+
+    run: Run
+    velocity_rmse: np.ndarray
+    microseconds: float
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """How many samples had each result, by its name."""
+        codes = np.bincount(np.asarray(self.run.info.result), minlength=len(Result))
+        return {Result(i).name.lower(): int(count) for i, count in enumerate(codes) if count}
+
+    @property
+    def failed(self) -> bool:
+        return "not_finite" in self.counts
+
+
+def drive(observer: AbstractObserver, loaded: Loaded, timed: bool = False) -> Outcome:
+    """Run an observer on the loaded record; `timed` runs it a second time to leave compilation out."""
+    done = jax.block_until_ready(run(observer, loaded.record))
+    began = time.perf_counter()
+    if timed:
+        jax.block_until_ready(run(observer, loaded.record))
+    spent = time.perf_counter() - began
+    v = np.split(np.asarray(done.estimate), 2, axis=1)[1]
+    error = scoring.rmse(v[loaded.scored], loaded.reference[loaded.scored])
+    return Outcome(done, error, 1e6 * spent / len(done.t) if timed else float("nan"))
+
+
+def summary(outcome: Outcome) -> dict[str, Any]:
+    """Numbers of an outcome for JSON."""
+    innovation = np.asarray(outcome.run.info.innovation)
+    return {
+        "velocity_rmse": rounded(outcome.velocity_rmse),
+        "innovation_rms": rounded(np.sqrt(np.mean(innovation**2, axis=0))),
+        "results": outcome.counts,
+    }
+
+
+def rounded(values: np.ndarray) -> list[float | None]:
+    return [float(f"{v:.6g}") if np.isfinite(v) else None for v in np.asarray(values)]
+
+
+def report_arrays(outcomes: dict[str, Outcome]) -> dict[str, Any]:
+    """The curves of several outcomes, as `report.EstimateReport` wants them."""
+    infos = {name: outcome.run.info for name, outcome in outcomes.items()}
+    return {
+        "estimates": {name: np.asarray(outcome.run.estimate) for name, outcome in outcomes.items()},
+        "innovation": {name: np.asarray(info.innovation) for name, info in infos.items()},
+        "distance": {
+            name: np.asarray(info.distance) for name, info in infos.items() if "distance" in type(info)._fields
+        },
+    }

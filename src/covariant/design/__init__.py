@@ -1,0 +1,16 @@
+"""From data-sheet numbers to gains."""
+
+from covariant.design._gains import Gains, bias, gains, predict_errors
+from covariant.design._line_up import DataSheet, filter_bandwidth, line_up, observer_gains, window_length
+
+__all__ = [
+    "DataSheet",
+    "Gains",
+    "bias",
+    "filter_bandwidth",
+    "gains",
+    "line_up",
+    "observer_gains",
+    "predict_errors",
+    "window_length",
+]

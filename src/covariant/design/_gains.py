@@ -1,0 +1,71 @@
+"""Gains of a mechanical observer from data-sheet numbers.
+
+In the parallel frame the error law is a double integrator driven by white measurement noise of density S_m and
+unmodelled acceleration of density S_a, so the best isotropic gains are those of its stationary Kalman filter.
+"""
+
+import math
+from typing import NamedTuple
+
+
+class Gains(NamedTuple):
+    """`alpha` [1/s], `beta` [1/s²], and the standard deviations of the errors they should leave, in metric units."""
+
+    alpha: float
+    beta: float
+    position_std: float
+    velocity_std: float
+
+    @property
+    def summary(self) -> str:
+        return (
+            f"alpha = {self.alpha:.4g} 1/s, beta = {self.beta:.4g} 1/s²; predicted standard deviation of the position "
+            f"{self.position_std:.2g} and of the velocity {self.velocity_std:.2g}"
+        )
+
+
+def gains(
+    measurement_std: float,
+    rate: float,
+    acceleration_std: float,
+    correlation_time: float | None = None,
+    damping: float = math.sqrt(0.5),
+) -> Gains:
+    """Gains α = 2ζω, β = ω² with ω = (S_a/S_m)^¼.
+
+    - `measurement_std`: standard deviation of one position sample [rad or m]; an encoder step over √12.
+    - `rate`: samples a second [Hz].
+    - `acceleration_std`: standard deviation of the acceleration the model does not know [rad/s² or m/s²], and
+      `correlation_time` [s] over which it persists, S_a = 2 std² time; by default it is new at each sample.
+    - `damping` ζ: √½ is optimal for white disturbances; more helps when they are faster than the observer.
+
+    Raises `ValueError` for numbers that are not positive.
+    """
+    time = 1 / (2 * rate) if correlation_time is None else correlation_time
+    given = {
+        "measurement_std": measurement_std,
+        "rate": rate,
+        "acceleration_std": acceleration_std,
+        "correlation_time": time,
+        "damping": damping,
+    }
+    for name, value in given.items():
+        if not (math.isfinite(value) and value > 0):
+            raise ValueError(f"gains: {name} must be a positive number; got {value}")
+    measurement_density = measurement_std**2 / rate
+    acceleration_density = 2 * acceleration_std**2 * time
+    omega = (acceleration_density / measurement_density) ** 0.25
+    return predict_errors(2 * damping * omega, omega**2, measurement_density, acceleration_density)
+
+
+def predict_errors(alpha: float, beta: float, measurement_density: float, acceleration_density: float) -> Gains:
+    """Stationary errors of given gains: `Var q̃ = (α²+β) S_m/2α + S_a/2αβ`, `Var ṽ = β² S_m/2α + (α²+β) S_a/2αβ`."""
+    both = alpha**2 + beta
+    position = both * measurement_density / (2 * alpha) + acceleration_density / (2 * alpha * beta)
+    velocity = beta**2 * measurement_density / (2 * alpha) + both * acceleration_density / (2 * alpha * beta)
+    return Gains(alpha, beta, math.sqrt(position), math.sqrt(velocity))
+
+
+def bias(alpha: float, beta: float, acceleration: float) -> tuple[float, float]:
+    """Position and velocity error that a constant unmodelled acceleration leaves: `a/β` and `αa/β`."""
+    return acceleration / beta, alpha * acceleration / beta

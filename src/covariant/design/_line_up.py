@@ -1,0 +1,107 @@
+"""Every estimator for the same job, tuned from the same data sheet: by the least velocity error each should leave."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from covariant.design._gains import Gains, gains
+from covariant.models import Lagrangian
+from covariant.observers import (
+    EKF,
+    AbstractObserver,
+    Copy,
+    FilteredDerivative,
+    Geodesic,
+    Intrinsic,
+    SavitzkyGolay,
+)
+
+LONGEST_WINDOW = 120
+"""Samples; a filter without a model that would want more is limited to this many."""
+
+
+class DataSheet(NamedTuple):
+    """What is known of sensor, model and motion before any log is seen; units of the coordinates and seconds.
+
+    `measurement_std` of one sample; `acceleration_std` of what the model leaves out, over `correlation_time` (None: new
+    at each sample); `motion_std` of the accelerations of the motion itself and `motion_time` over which they change,
+    for filters that know no model; `damping` ζ of the observers.
+    """
+
+    measurement_std: float
+    acceleration_std: float
+    correlation_time: float | None = None
+    motion_std: float = 10.0
+    motion_time: float = 0.1
+    damping: float = 0.5**0.5
+
+
+def observer_gains(sheet: DataSheet, rate: float) -> Gains:
+    """`gains` for a data sheet at a sampling rate [Hz]."""
+    return gains(sheet.measurement_std, rate, sheet.acceleration_std, sheet.correlation_time, sheet.damping)
+
+
+def line_up(model: Lagrangian, n: int, sheet: DataSheet, rate: float) -> dict[str, AbstractObserver]:
+    """The estimators by name, for a model of n coordinates sampled at `rate` [Hz]."""
+    chosen = observer_gains(sheet, rate)
+    alpha, beta = chosen.alpha, chosen.beta
+    time = 1 / (2 * rate) if sheet.correlation_time is None else sheet.correlation_time
+    identity = jnp.eye(n)
+    return {
+        "intrinsic": Intrinsic(model, alpha, beta),
+        "intrinsic2": Intrinsic(model, alpha, beta, order=2),
+        "geodesic": Geodesic(model, alpha, beta),
+        "copy": Copy(model, alpha, beta),
+        "ekf": EKF(
+            model,
+            2 * sheet.acceleration_std**2 * time * identity,
+            sheet.measurement_std**2 * identity,
+            sheet.motion_std * sheet.motion_time,
+        ),
+        "filtered-derivative": FilteredDerivative(filter_bandwidth(sheet, rate), model.circles),
+        "savitzky-golay": SavitzkyGolay(window_length(sheet, rate), 2, model.circles),
+    }
+
+
+def filter_bandwidth(sheet: DataSheet, rate: float) -> float:
+    """Bandwidth [rad/s] of the filtered derivative with the least predicted velocity error."""
+    candidates = np.geomspace(0.005, 3.0, 80) * rate
+    return float(min(candidates, key=lambda w: linear_filter_error(derivative_weights(w, rate), sheet, rate)))
+
+
+def window_length(sheet: DataSheet, rate: float, order: int = 2) -> int:
+    """Window [samples] of the causal Savitzky–Golay filter with the least predicted velocity error."""
+    candidates = range(order + 1, LONGEST_WINDOW + 1)
+    return min(candidates, key=lambda k: linear_filter_error(polynomial_weights(k, order, rate), sheet, rate))
+
+
+def derivative_weights(bandwidth: float, rate: float) -> np.ndarray:
+    """Weights (k,), newest first, by which the filtered derivative forms a velocity from positions."""
+    decay = np.exp(-bandwidth / rate)
+    difference = (1 - decay) * decay ** np.arange(min(2000, int(12 * rate / bandwidth) + 2)) * rate
+    return np.append(difference, 0.0) - np.append(0.0, difference)
+
+
+def polynomial_weights(window: int, order: int, rate: float) -> np.ndarray:
+    """Weights (window,), newest first, of the slope at the newest sample of a fitted polynomial."""
+    ages = -np.arange(window) / rate
+    return np.linalg.pinv(np.vander(ages, order + 1, increasing=True))[1]
+
+
+def linear_filter_error(weights: np.ndarray, sheet: DataSheet, rate: float) -> float:
+    """Predicted standard deviation of the velocity `Σ w_i y(t − i/rate)`: sensor noise plus lag.
+
+    The weights annihilate constants and return slopes, so what remains of a motion is its acceleration a(t − r),
+    weighted by `h(r) = Σ_{s_i > r} w_i (s_i − r)`; a has exponential correlation.
+    """
+    ages = np.arange(len(weights)) / rate
+    tail = np.cumsum(weights[::-1])[::-1]
+    moment = np.cumsum((weights * ages)[::-1])[::-1]
+    lag = (moment - tail * ages) / rate
+    decay = np.exp(-1 / (rate * sheet.motion_time))
+    carried, lagged = 0.0, 0.0
+    for value in lag:  # Σ_ij lag_i lag_j decay^|i−j| in one pass
+        lagged += value * (value + 2 * decay * carried)
+        carried = value + decay * carried
+    return float(np.sqrt(sheet.measurement_std**2 * weights @ weights + sheet.motion_std**2 * max(lagged, 0.0)))

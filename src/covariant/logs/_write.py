@@ -1,0 +1,67 @@
+"""Writing columns of numbers: into a file beside the target first, so that the target is whole or untouched."""
+
+import csv
+import io
+import os
+from collections.abc import Mapping
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from covariant.logs._columns import LogError, kind, pyarrow
+
+
+def write(path: str | PathLike[str], columns: Mapping[str, np.ndarray]) -> None:
+    """Write columns (T,) by name to a `.csv` or `.parquet` file; floats are read back bit for bit, NaN included.
+
+    The file appears at once and complete, replacing one of the same name; after a failure the old one is still there.
+    Raises `LogError` when the columns are not 1-D numbers of one length or the file cannot be written; `ImportError`
+    without pyarrow.
+    """
+    path = Path(path)
+    save = {".csv": _write_csv, ".parquet": _write_parquet}[kind(path)]
+    if not path.parent.is_dir():
+        raise LogError(f"{path}: there is no folder {path.parent}; make it first")
+    pa = pyarrow()
+    table = pa.table(_checked(path, columns))
+    partial = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        save(pa, table, partial)
+        os.replace(partial, path)
+    except OSError as error:
+        raise LogError(f"{path}: cannot be written: {error.strerror or error}") from error
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def _checked(path: Path, columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    arrays = {name: np.asarray(column) for name, column in columns.items()}
+    if not arrays:
+        raise LogError(f"{path}: there are no columns to write")
+    for name, array in arrays.items():
+        if array.ndim != 1 or array.dtype.kind not in "fiu":
+            raise LogError(
+                f"{path}: column {name!r} must be one row of numbers (T,); got {array.dtype} of shape {array.shape}"
+            )
+    first = next(iter(arrays))
+    for name, array in arrays.items():
+        if len(array) != len(arrays[first]):
+            raise LogError(
+                f"{path}: column {name!r} has {len(array)} rows where {first!r} has {len(arrays[first])}; cut or pad it"
+            )
+    return arrays
+
+
+def _write_parquet(pa: Any, table: Any, path: Path) -> None:
+    pa.parquet.write_table(table, path)
+
+
+def _write_csv(pa: Any, table: Any, path: Path) -> None:
+    """Arrow writes the shortest digits that read back the same; the header is ours, as Arrow's has needless quotes."""
+    header = io.StringIO()
+    csv.writer(header, lineterminator="\n").writerow(table.column_names)
+    with path.open("wb") as file:
+        file.write(header.getvalue().encode())
+        pa.csv.write_csv(table, file, pa.csv.WriteOptions(include_header=False))

@@ -1,0 +1,38 @@
+"""A check by numbers that the types and shapes of a model cannot make."""
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from covariant.models._lagrangian import Lagrangian
+
+
+def check_metric(model: Lagrangian, points: Float[np.ndarray, "k n"]) -> None:
+    """Raise `ValueError` unless the metric is symmetric and, where the chart holds, positive definite.
+
+    A chart may end at some of the points, as polar coordinates do at r = 0: where the metric is singular or not finite
+    it is passed over, unless it is so at all of them.
+    """
+    usable = [_is_usable(np.asarray(model.metric(jnp.asarray(q))), q) for q in points]
+    if not any(usable):
+        raise ValueError(
+            f"metric is singular or not finite at all {len(points)} points tried, such as q = {_text(points[0])}"
+        )
+
+
+def _is_usable(g: np.ndarray, q: np.ndarray) -> bool:
+    """Whether g (n, n) is positive definite at q (n,), with some digits to spare."""
+    if not np.isfinite(g).all():
+        return False
+    roundoff = len(g) * np.finfo(np.result_type(g, np.float32)).eps * np.abs(g).max()
+    asymmetry, smallest = np.abs(g - g.T).max(), np.linalg.eigvalsh((g + g.T) / 2)[0]
+    if asymmetry > 100 * roundoff or smallest < -roundoff:
+        raise ValueError(
+            f"metric is not symmetric positive definite at q = {_text(q)}: smallest eigenvalue {smallest:.3g}, "
+            f"largest asymmetry {asymmetry:.3g}; look at the signs and units of its parameters"
+        )
+    return bool(smallest > roundoff)
+
+
+def _text(q: np.ndarray) -> str:
+    return f"({', '.join(f'{x:.3g}' for x in q)})"

@@ -1,0 +1,138 @@
+"""A model with all that is known around it: the columns of its logs, its sensors, and what the model does not know."""
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from covariant.logs import Columns
+from covariant.models import _source, _toml
+from covariant.models._check import check_metric
+from covariant.models._lagrangian import Lagrangian, check_model
+
+
+class ModelError(ValueError):
+    """A model that cannot be loaded. One line: which file or module, what is wrong there, and what to do."""
+
+
+class ModelFile(NamedTuple):
+    """A model and the numbers a design starts from; None where nobody said.
+
+    - `columns`: columns of a log; empty `q` and `u` stand for the model's coordinates and for u1, u2, ….
+    - `measurement_std`: standard deviation of a measured position [its unit].
+    - `acceleration_std`, `correlation_time`: the acceleration that the model does not know [unit/s²], and for how
+      long it stays alike [s].
+    - `motion_std`, `motion_time`: the same for the acceleration of the motion itself, for filters that know no model.
+    - `damping`: damping ratio of the error.
+    - `input_lag`: first-order lag between logged input and force [s].
+    - `reference_half` [s], `reference_order`: local polynomial that velocities are scored against.
+    """
+
+    name: str
+    model: Lagrangian
+    columns: Columns = Columns()
+    measurement_std: float | None = None
+    acceleration_std: float | None = None
+    correlation_time: float | None = None
+    motion_std: float | None = None
+    motion_time: float | None = None
+    damping: float = math.sqrt(0.5)
+    input_lag: float = 0.0
+    reference_half: float = 0.03
+    reference_order: float = 3
+
+
+def load(spec: str, overrides: Sequence[str] = ()) -> ModelFile:
+    """Load a model: a `.toml` file, `module:attribute` (a `Lagrangian`, a `ModelFile`, or a function that makes one;
+    the module is also looked for in the current folder), or the name of a system with its default parameters.
+
+    `overrides` are applied last: `table.key=value` with the tables of the file and values as in TOML, such as
+    `parameters.mass=[1.0, 2.0]`. Raises `ModelError`, one line, naming the spec and the first thing wrong.
+    """
+    try:
+        document = _toml.override(_document(spec), overrides)
+        _toml.check_layout(document)
+        what = document.get("system", spec.rpartition(":")[2])
+        loaded = _make(what, _find(spec, document), document.get("parameters", {}))
+        columns = _columns(loaded, _toml.columns(document))
+        check_metric(loaded.model, _points(len(columns.q)))
+        name = Path(spec).stem if _is_file(spec) else loaded.name
+        return loaded._replace(name=name, columns=columns, **_toml.numbers(document))
+    except ValueError as error:
+        raise ModelError(f"{spec}: {_source.first_line(error)}") from error
+
+
+def _is_file(spec: str) -> bool:
+    return spec.endswith(".toml")
+
+
+def _document(spec: str) -> dict[str, Any]:
+    """The document a spec stands for, before it is overridden."""
+    if _is_file(spec):
+        return _toml.parse(_text(Path(spec)))
+    if ":" in spec:
+        return {}
+    if spec not in _source.SYSTEMS:
+        raise ValueError(f"{_toml.unknown('model', spec, _source.SYSTEMS)}, a .toml file, or module:attribute")
+    return {"system": spec}
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise ValueError(f"{error.strerror or error}; give the path of a model file") from error
+
+
+def _find(spec: str, document: dict[str, Any]) -> Any:
+    """A model, or the factory of one."""
+    if _is_file(spec) or ":" not in spec:
+        return _source.system(document.get("system"))
+    if "system" in document:
+        raise ValueError(f"system = {document['system']!r} contradicts module:attribute; drop one of them")
+    return _source.attribute(spec)
+
+
+def _make(name: str, found: Any, parameters: dict[str, Any]) -> ModelFile:
+    """The model itself, or what the factory makes of the parameters."""
+    finished = isinstance(found, Lagrangian | ModelFile)
+    if finished and parameters:
+        raise ValueError(f"{name} is a finished model; only a function that makes one takes parameters")
+    made = found if finished or not callable(found) else _source.call(name, found, parameters)
+    if isinstance(made, Lagrangian):
+        return ModelFile(name, made)
+    if isinstance(made, ModelFile):
+        return made
+    how = f"it {'is' if made is found else 'returned'} a {type(made).__name__}"
+    raise ValueError(f"{name} must be a Lagrangian, a ModelFile, or a function returning one; {how}")
+
+
+def _columns(loaded: ModelFile, given: dict[str, Any]) -> Columns:
+    """The columns of the log: given, else named after the model; as many as it has coordinates and inputs."""
+    model = loaded.model
+    given = {key: value for key, value in loaded.columns._asdict().items() if value} | given
+    n = len(model.coordinates) or len(given.get("q", ()))
+    if not n:
+        raise ValueError("the model names no coordinates; give it some, or columns.q")
+    check_model(model, n)
+    m = n if model.inputs is None else model.inputs
+    defaults = Columns(q=model.coordinates, u=tuple(f"u{i + 1}" for i in range(m)))
+    columns = defaults._replace(**given)
+    _check_count("q", columns.q, n, "coordinates")
+    _check_count("u", columns.u, m, "inputs")
+    _check_count("v", columns.v or columns.q, n, "coordinates")
+    _check_count("truth", columns.truth or columns.q, n, "coordinates")
+    return columns
+
+
+def _check_count(key: str, names: tuple[str, ...], needed: int, what: str) -> None:
+    if len(names) != needed:
+        named = f" ({', '.join(names)})" if names else ""
+        raise ValueError(f"columns.{key} names {len(names)} columns{named}; the model has {needed} {what}")
+
+
+def _points(n: int) -> np.ndarray:
+    """Where the metric is looked at: 0, 1, and a few points between 0 and 2 that are always the same."""
+    return np.concatenate([np.zeros((1, n)), np.ones((1, n)), np.random.default_rng(0).uniform(0, 2, (4, n))])

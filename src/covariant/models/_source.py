@@ -1,0 +1,65 @@
+"""Where a model comes from: a system known by name, or an attribute of somebody's module."""
+
+import importlib
+import inspect
+import os
+import sys
+from collections.abc import Callable
+from inspect import Parameter as Argument
+from typing import Any
+
+from covariant.models._ball_and_beam import ball_and_beam
+from covariant.models._lagrangian import Lagrangian
+from covariant.models._oscillator import oscillator
+from covariant.models._pendulum_chain import pendulum_chain
+from covariant.models._toml import refuse_unknown
+
+SYSTEMS: dict[str, Callable[..., Lagrangian]] = {
+    "ball_and_beam": ball_and_beam,
+    "oscillator": oscillator,
+    "pendulum_chain": pendulum_chain,
+}
+"""The systems a model file may name."""
+
+
+def system(name: Any) -> Callable[..., Lagrangian]:
+    """The factory of a known system; raises `ValueError` with the nearest one."""
+    if not isinstance(name, str):
+        raise ValueError(f'system must be a name, as in system = "oscillator"; got {name!r}')
+    refuse_unknown("system", name, SYSTEMS)
+    return SYSTEMS[name]
+
+
+def attribute(spec: str) -> Any:
+    """What `module:attribute` names; the current folder is searched too. Raises `ValueError` saying what is missing."""
+    where, _, name = spec.partition(":")
+    if "" not in sys.path and os.getcwd() not in sys.path:
+        sys.path.insert(0, os.getcwd())  # as `python -m` does, and to stay: the module may import others later
+    try:
+        module = importlib.import_module(where)
+    except Exception as error:  # a module may fail in any way while it is imported
+        reason = f"{type(error).__name__}: {first_line(error)}"
+        raise ValueError(f"module {where!r} cannot be imported: {reason}") from error
+    if name not in vars(module):
+        refuse_unknown(f"attribute of module {where!r}", name, [key for key in vars(module) if key[0] != "_"])
+    return vars(module)[name]
+
+
+def call(name: str, factory: Callable[..., Any], parameters: dict[str, Any]) -> Any:
+    """What a factory makes of its parameters; raises `ValueError` naming one it does not take, misses or refuses."""
+    accepted = inspect.signature(factory).parameters
+    for given in parameters:
+        refuse_unknown(f"parameter of {name}", given, accepted)
+    for key, argument in accepted.items():
+        optional = argument.kind in (Argument.VAR_POSITIONAL, Argument.VAR_KEYWORD)
+        if key not in parameters and argument.default is argument.empty and not optional:
+            raise ValueError(f"{name} needs the parameter {key!r}; add it to [parameters]")
+    try:
+        return factory(**parameters)
+    except TypeError as error:
+        raise ValueError(f"a parameter of {name} is of the wrong kind: {first_line(error)}") from error
+
+
+def first_line(error: BaseException) -> str:
+    """What an error says, in one line."""
+    return next(iter(str(error).strip().splitlines()), type(error).__name__)

@@ -1,0 +1,111 @@
+"""The layout of a model file: which tables and keys there are, and what each of them may hold."""
+
+import difflib
+import math
+import tomllib
+from collections.abc import Collection, Sequence
+from typing import Any
+
+COLUMNS = ("t", "q", "u", "v", "truth")
+
+NUMBERS = {
+    ("inputs", "lag"): ("input_lag", 1.0),
+    ("measurement", "std"): ("measurement_std", 1.0),
+    ("measurement", "quantum"): ("measurement_std", 1 / math.sqrt(12)),  # an error uniform over one step
+    ("uncertainty", "acceleration"): ("acceleration_std", 1.0),
+    ("uncertainty", "correlation_time"): ("correlation_time", 1.0),
+    ("uncertainty", "motion_acceleration"): ("motion_std", 1.0),
+    ("uncertainty", "motion_time"): ("motion_time", 1.0),
+    ("design", "damping"): ("damping", 1.0),
+    ("reference", "half"): ("reference_half", 1.0),
+    ("reference", "order"): ("reference_order", 1),
+}
+"""Table and key of each number: the field it fills, and the factor on the way."""
+
+_KEYS = {"columns": COLUMNS} | {
+    table: tuple(key for other, key in NUMBERS if other == table) for table in dict.fromkeys(t for t, _ in NUMBERS)
+}
+_MAY_BE_ZERO = {("inputs", "lag")}
+_RIVALS = {"measurement.std": "quantum", "measurement.quantum": "std"}
+
+
+def parse(text: str) -> dict[str, Any]:
+    """A TOML document; raises `ValueError` with the line of the first mistake."""
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ValueError(f"not a TOML document: {error}") from error
+
+
+def override(document: dict[str, Any], overrides: Sequence[str]) -> dict[str, Any]:
+    """The document with every `table.key=value` set, values written as in TOML; raises `ValueError`."""
+    for text in overrides:
+        key, equals, value = (part.strip() for part in text.partition("="))
+        *tables, last = key.split(".")
+        if not equals or not last or not all(tables):
+            raise ValueError(f"override {text!r} must be written table.key=value, as in design.damping=0.5")
+        table = document
+        for name in tables:
+            table = table.setdefault(name, {})
+            if not isinstance(table, dict):
+                raise ValueError(f"override {text!r}: {name!r} is not a table")
+        table.pop(_RIVALS.get(key, last), None)  # the new one of two ways to say the same replaces the old
+        table[last] = _value(text, value)
+    return document
+
+
+def _value(text: str, value: str) -> Any:
+    try:
+        return tomllib.loads(f"value = {value}")["value"]
+    except tomllib.TOMLDecodeError as error:
+        reason = str(error).split(" (at ")[0]
+        raise ValueError(f"override {text!r}: the value is not TOML ({reason}); text needs quotes") from error
+
+
+def check_layout(document: dict[str, Any]) -> None:
+    """Raise `ValueError` for the first table or key that no model file has."""
+    for table, content in document.items():
+        refuse_unknown("table or key", table, ("system", "parameters", *_KEYS))
+        if table != "system" and not isinstance(content, dict):
+            raise ValueError(f"{table} must be a table, [{table}]; got {content!r}")
+        if table in _KEYS:
+            for key in content:
+                refuse_unknown(f"key of [{table}]", key, _KEYS[table])
+
+
+def refuse_unknown(what: str, name: str, known: Collection[str]) -> None:
+    """Raise `ValueError` unless the name is a known one."""
+    if name not in known:
+        raise ValueError(unknown(what, name, known))
+
+
+def unknown(what: str, name: str, known: Collection[str]) -> str:
+    """The words for a name that is not known: the nearest known one, and all of them."""
+    near = difflib.get_close_matches(name, known, 1)
+    meant = f" Did you mean {near[0]!r}?" if near else ""
+    return f"unknown {what} {name!r}.{meant} Known: {', '.join(known) or 'none'}"
+
+
+def columns(document: dict[str, Any]) -> dict[str, Any]:
+    """The fields of `Columns` that the document gives; raises `ValueError` when they are not names."""
+    given = document.get("columns", {})
+    for key, value in given.items():
+        names = [value] if key == "t" else value
+        if not isinstance(names, list) or not all(isinstance(name, str) and name for name in names):
+            wanted = "the name of a column" if key == "t" else 'a list of column names, as in ["q1", "q2"]'
+            raise ValueError(f"columns.{key} must be {wanted}; got {value!r}")
+        if len(set(names)) < len(names):
+            raise ValueError(f"columns.{key} names a column twice: {', '.join(names)}")
+    return {key: value if key == "t" else tuple(value) for key, value in given.items()}
+
+
+def numbers(document: dict[str, Any]) -> dict[str, float]:
+    """The numbers that the document gives, by field of `ModelFile`; raises `ValueError` when one makes no sense."""
+    if {"std", "quantum"} <= document.get("measurement", {}).keys():
+        raise ValueError("[measurement] has both std and quantum; keep one (std = quantum / sqrt(12))")
+    given = {(table, key): document[table][key] for table, key in NUMBERS if key in document.get(table, {})}
+    for (table, key), value in given.items():
+        least = 0.0 if (table, key) in _MAY_BE_ZERO else math.ulp(0.0)
+        if isinstance(value, bool) or not isinstance(value, int | float) or not least <= value < math.inf:
+            raise ValueError(f"{table}.{key} must be a {'positive number' if least else 'number ≥ 0'}; got {value!r}")
+    return {NUMBERS[where][0]: value * NUMBERS[where][1] for where, value in given.items()}

@@ -1,0 +1,1 @@
+"""The papers' own examples, reproduced with the library's observers, and the errata that matter."""

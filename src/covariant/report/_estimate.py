@@ -1,0 +1,75 @@
+"""What a report is made of: the arrays of several observers on one log."""
+
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Array, Float
+
+MEASURED = "measured"
+"""Legend entry of the measured positions."""
+
+Samples = Float[np.ndarray | Array, "T n"]
+
+
+class EstimateReport(NamedTuple):
+    """Estimates of one log, time first; NaN marks what is missing and is drawn as a gap. `check` says what must hold.
+
+    - `title`: headline, plain text.
+    - `coordinates`, `units`: name and unit of each of the n coordinates, say "θ" and "rad"; velocities are per second.
+    - `t` (T,): stamps [s]. `q_measured` (T, n): measured positions [units].
+    - `estimates`: label -> (T, 2n), position [units] then velocity [units/s]. The first is the observer reported on.
+    - `innovation`: label -> (T, n), measurement minus estimate before correction [units].
+    - `distance`: label -> (T,), its length in the metric, for those observers that know one.
+    - `v_reference` (T, n) [units/s]: what velocities are compared with, or None; `v_reference_label` says what it is.
+    - `rows`: lines of a comparison, best first; columns are the keys. May be empty.
+    - `notes`: plain sentences under the title: gains, predicted error, samples coasted.
+    """
+
+    title: str
+    coordinates: tuple[str, ...]
+    units: tuple[str, ...]
+    t: Float[np.ndarray | Array, "T"]
+    q_measured: Samples
+    estimates: Mapping[str, Float[np.ndarray | Array, "T two_n"]]
+    innovation: Mapping[str, Samples] = MappingProxyType({})
+    distance: Mapping[str, Float[np.ndarray | Array, "T"]] = MappingProxyType({})
+    v_reference: Samples | None = None
+    v_reference_label: str = "reference"
+    rows: Sequence[Mapping[str, str | float]] = ()
+    notes: tuple[str, ...] = ()
+
+    def check(self) -> "EstimateReport":
+        """Return the report, or raise `ValueError` naming the first thing wrong with it."""
+        samples, n = len(self.t), len(self.coordinates)
+        if not samples or not n or not self.estimates:
+            raise ValueError("a report needs at least one sample, one coordinate and one estimate")
+        if len(self.units) != n:
+            raise ValueError(f"a report needs one unit a coordinate; got {n} coordinates and {len(self.units)} units")
+        for name, array, shape in self._shapes(samples, n):
+            if np.shape(array) != shape:
+                raise ValueError(f"{name} must have the shape {shape}; got {np.shape(array)}")
+        for name, entries in (("innovation", self.innovation), ("distance", self.distance)):
+            unknown = set(entries) - set(self.estimates)
+            if unknown:
+                raise ValueError(
+                    f"{name} has {sorted(unknown)}, but there are estimates only of {list(self.estimates)}"
+                )
+        backdrops = {MEASURED} if self.v_reference is None else {MEASURED, self.v_reference_label}
+        taken = set(self.estimates) & backdrops
+        if taken:
+            raise ValueError(f"an estimate cannot be called {taken.pop()!r}: that names the curve it is compared with")
+        return self
+
+    def _shapes(self, samples: int, n: int):
+        yield "t", self.t, (samples,)
+        yield "q_measured", self.q_measured, (samples, n)
+        if self.v_reference is not None:
+            yield "v_reference", self.v_reference, (samples, n)
+        for label, x in self.estimates.items():
+            yield f"estimates[{label!r}]", x, (samples, 2 * n)
+        for label, e in self.innovation.items():
+            yield f"innovation[{label!r}]", e, (samples, n)
+        for label, d in self.distance.items():
+            yield f"distance[{label!r}]", d, (samples,)

@@ -1,0 +1,116 @@
+"""A report as one interactive page that needs nothing but a browser."""
+
+import importlib.resources
+import os
+from html import escape
+from pathlib import Path
+
+from covariant.report._atomic import write_atomically
+from covariant.report._estimate import EstimateReport
+from covariant.report._guests import guest
+from covariant.report._panels import quantities
+from covariant.report._plotly import stack
+from covariant.report._strokes import LIMIT
+from covariant.report._style import Style, styles
+from covariant.report._table import cells
+
+_HINT = """<p class="hint">Drag along the time axis to zoom: all figures follow. Double-click to go back, and again to \
+see what is off scale. A label hides its curve everywhere; double-click it to see that curve alone.</p>
+"""
+
+
+def write_html(report: EstimateReport, path: str | os.PathLike[str]) -> Path:
+    """Write the report as one page that holds its data and its plotting code, whole or not at all; returns the path.
+
+    Raises `ValueError` from `EstimateReport.check`, `ImportError` without plotly.
+    """
+    page = _page(report.check())
+    return write_atomically(path, lambda file: file.write(page.encode()))
+
+
+def _page(report: EstimateReport) -> str:
+    script = guest("plotly.offline").get_plotlyjs()
+    found, styled = quantities(report), styles(report)
+    stacked = [quantity for quantity in found.values() if quantity.name != "distance"]
+    figures = [stack(stacked, i, styled) for i in range(len(report.coordinates))]
+    sections = [_section(name) for name in report.coordinates]
+    if "distance" in found:
+        figures.append(stack([found["distance"]], 0, styled))
+        sections.append(_section(found["distance"].title, "wide"))
+    data = ",".join(str(figure.to_json()) for figure in figures)  # plotly escapes what could end the script element
+    return f"""<!DOCTYPE html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<meta http-equiv="Content-Security-Policy" content="default-src 'none'; style-src 'unsafe-inline'; \
+script-src 'unsafe-inline'; img-src data: blob:">
+<link rel="icon" href="data:,">
+<title>{escape(report.title)}</title>
+<style>
+{_asset("page.css")}</style>
+</head>
+<body>
+<header>
+<h1>{escape(report.title)}</h1>
+{_notes(report)}{_table(report)}{_HINT}</header>
+<nav aria-label="Curves shown">{_legend(styled)}</nav>
+<main style="--columns: {len(report.coordinates)}">
+{chr(10).join(sections)}
+</main>
+<noscript>The figures need JavaScript.</noscript>
+<script type="application/json" id="figures">[{data}]</script>
+<script>{script}</script>
+<script>
+{_asset("page.js")}</script>
+</body>
+</html>
+"""
+
+
+def _asset(name: str) -> str:
+    return (importlib.resources.files("covariant.report") / name).read_text(encoding="utf-8")
+
+
+def _section(heading: str, kind: str = "") -> str:
+    return f'<section class="{kind}"><h2>{escape(heading)}</h2><div class="figure"></div></section>'
+
+
+def _notes(report: EstimateReport) -> str:
+    samples = len(report.t)
+    notes = list(report.notes)
+    if samples > LIMIT:
+        notes.append(
+            f"The log has {samples} samples; each curve is drawn with at most {LIMIT} of them, "
+            "which keep the smallest and the largest of every interval."
+        )
+    return "<ul>" + "".join(f"<li>{escape(note)}</li>" for note in notes) + "</ul>\n" if notes else ""
+
+
+def _table(report: EstimateReport) -> str:
+    if not report.rows:
+        return ""
+    header, body, numeric = cells(report.rows)
+    side = [' class="number"' if right else "" for right in numeric]
+
+    def line(tag: str, texts: list[str]) -> str:
+        return "".join(f"<{tag}{at}>{escape(text)}</{tag}>" for text, at in zip(texts, side, strict=True))
+
+    best, *others = (line("td", texts) for texts in body)
+    lines = [f'<tr class="best">{best}</tr>', *(f"<tr>{other}</tr>" for other in others)]
+    head, rest = f"<thead><tr>{line('th', header)}</tr></thead>", f"<tbody>{''.join(lines)}</tbody>"
+    return f'<div class="table"><table>{head}{rest}</table></div>\n'
+
+
+def _legend(styled: dict[str, Style]) -> str:
+    """Buttons that switch a label in all panels at once."""
+    return "".join(
+        f'<button type="button" aria-pressed="true" data-label="{name}">{_swatch(style)}{name}</button>'
+        for name, style in ((escape(label), style) for label, style in styled.items())
+    )
+
+
+def _swatch(style: Style) -> str:
+    dash = " ".join(map(str, style.dash))
+    line = f'<line x1="1" x2="25" y1="5" y2="5" stroke="{style.color}" stroke-width="3" stroke-dasharray="{dash}"/>'
+    return f'<svg width="26" height="10" aria-hidden="true">{line}</svg>'

@@ -1,0 +1,106 @@
+"""From a report to its panels, once for every medium: which curves, under which labels, in front of what."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from covariant.report._estimate import MEASURED, EstimateReport
+
+
+class Curve(NamedTuple):
+    """Samples of one quantity: t (T,) [s], values (T, c), one column a panel; `backdrop` is drawn behind, and whole."""
+
+    t: Float[np.ndarray, "T"]
+    values: Float[np.ndarray, "T c"]
+    label: str
+    backdrop: bool = False
+
+
+class Quantity(NamedTuple):
+    """One kind of panel over its c columns (the coordinates, or one).
+
+    - `name`: for file names; `title`: for people; `labels` (c): what stands at the y axes, with units.
+    - `curves`: backdrops first, then the estimates in their order.
+    - `deviation`: tells how far off the estimates are, so zero is a mark and the smallest curve lies in front.
+    - `scale` (c): size of the motion itself. An error many times as large says only that the estimate is lost.
+    """
+
+    name: str
+    title: str
+    labels: tuple[str, ...]
+    curves: tuple[Curve, ...]
+    scale: Float[np.ndarray, "c"]
+    deviation: bool = False
+    log: bool = False
+
+
+def quantities(report: EstimateReport) -> dict[str, Quantity]:
+    """The panels of a report by name: position, velocity, error, innovation, distance; only those that have curves."""
+    n = len(report.coordinates)
+    t = np.asarray(report.t, float)
+    states = {label: np.asarray(x, float) for label, x in report.estimates.items()}
+    measured = np.asarray(report.q_measured, float)
+    travel = span(measured)
+
+    def estimated(arrays) -> tuple[Curve, ...]:
+        return tuple(Curve(t, np.asarray(values, float).reshape(len(t), -1), label) for label, values in arrays.items())
+
+    velocities = {label: x[:, n:] for label, x in states.items()}
+    reference, errors, speed = (), (), np.zeros(n)
+    if report.v_reference is not None:
+        v = np.asarray(report.v_reference, float)
+        reference = (Curve(t, v, report.v_reference_label, backdrop=True),)
+        errors = estimated({label: found - v for label, found in velocities.items()})
+        speed = span(v)
+    positions = (Curve(t, measured, MEASURED, backdrop=True), *estimated({k: x[:, :n] for k, x in states.items()}))
+    found = (
+        Quantity("position", "Position", _labels(report, "{}"), positions, travel),
+        Quantity("velocity", "Velocity", _labels(report, "d{}/dt", "/s"), reference + estimated(velocities), speed),
+        Quantity("error", "Velocity error", _labels(report, "error of d{}/dt", "/s"), errors, speed, deviation=True),
+        Quantity(
+            "innovation", "Innovation", _labels(report, "y − {}"), estimated(report.innovation), travel, deviation=True
+        ),
+        Quantity(
+            "distance",
+            "Distance to the measurement",
+            ("metric distance",),
+            estimated(report.distance),
+            np.zeros(1),
+            deviation=True,
+            log=True,
+        ),
+    )
+    return {quantity.name: quantity for quantity in found if quantity.curves}
+
+
+def span(values: Float[np.ndarray, "T c"]) -> Float[np.ndarray, "c"]:
+    """Largest minus smallest finite sample of each column, 0 where there is none."""
+    seen = np.isfinite(values)
+    high = np.where(seen, values, -np.inf).max(axis=0)
+    low = np.where(seen, values, np.inf).min(axis=0)
+    return np.where(seen.any(axis=0), high, 0.0) - np.where(seen.any(axis=0), low, 0.0)
+
+
+def depths(quantity: Quantity, column: int) -> list[int]:
+    """Drawing order of the curves, 0 rearmost: backdrops, then estimates with the first, or the smallest, in front."""
+    far = [_size(c.values[:, column]) if quantity.deviation else rank for rank, c in enumerate(quantity.curves)]
+    order = sorted(range(len(far)), key=lambda i: (not quantity.curves[i].backdrop, -far[i], -i))
+    return [order.index(i) for i in range(len(far))]
+
+
+def shorten(text: str, most: int) -> str:
+    """Text of at most so many characters, the cut shown."""
+    return text if len(text) <= most else text[: most - 1] + "…"
+
+
+def _size(values: Float[np.ndarray, "T"]) -> float:
+    seen = np.abs(values[np.isfinite(values)])
+    return float(np.median(seen)) if seen.size else 0.0
+
+
+def _labels(report: EstimateReport, form: str, per: str = "") -> tuple[str, ...]:
+    """Axis labels such as "dθ/dt [rad/s]"; the name of a joint stands for itself, over its unit."""
+    names = [form.format(name) + " " if len(name) <= 4 else shorten(name, 24) + "\n" for name in report.coordinates]
+    units = [f"[{unit or '1'}{per}]" if unit or per else "" for unit in report.units]
+    return tuple((name + unit).strip() for name, unit in zip(names, units, strict=True))

@@ -1,0 +1,108 @@
+"""Panels stacked over one time axis, for the browser."""
+
+import math
+from html import escape
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from covariant.report._guests import guest
+from covariant.report._panels import Curve, Quantity, depths
+from covariant.report._strokes import strokes
+from covariant.report._style import GRID, INK, MUTED, Style
+from covariant.report._view import View, view
+
+if TYPE_CHECKING:
+    import plotly.graph_objects
+
+_ROW, _GAP, _TOP, _BOTTOM = 170, 40, 52, 44
+"""Heights of a panel, of the space between two, and of the margins [px]."""
+
+
+def stack(shown: list[Quantity], column: int, styled: dict[str, Style]) -> "plotly.graph_objects.Figure":
+    """One figure: the panels of one column of each quantity, top to bottom, zooming together in time."""
+    inner = len(shown) * (_ROW + _GAP) - _GAP
+    layout: dict[str, Any] = {
+        "template": "none",
+        "height": inner + _TOP + _BOTTOM,
+        "margin": {"l": 70, "r": 12, "t": _TOP, "b": _BOTTOM},
+        "font": {"family": "system-ui, sans-serif", "size": 12, "color": INK},
+        "showlegend": False,  # the page has one legend for all figures
+        "hovermode": "x unified",
+        "annotations": [],
+        "xaxis": {"title": {"text": "t [s]"}, "anchor": _axis("y", len(shown)), **_FRAME, **_SPIKE},
+    }
+    first, last = shown[0].curves[0].t[[0, -1]]
+    if last > first:
+        layout["xaxis"]["range"] = [first, last]
+    traces = []
+    for k, quantity in enumerate(shown, start=1):
+        top = 1 - (k - 1) * (_ROW + _GAP) / inner
+        seen = view(quantity, column)
+        layout[f"yaxis{k}"] = _y_axis(quantity, column, seen) | {"domain": [max(0.0, top - _ROW / inner), top]}
+        layout["annotations"] += _captions(quantity.title if len(shown) > 1 else "", top, seen)
+        for curve, depth in zip(quantity.curves, depths(quantity, column), strict=True):
+            traces += _traces(curve, column, quantity.log, styled[curve.label], _axis("y", k), depth)
+    return guest("plotly.graph_objects").Figure(data=traces, layout=layout)
+
+
+_FRAME = {"gridcolor": GRID, "linecolor": MUTED, "showline": True, "zeroline": False, "ticks": "outside", "ticklen": 4}
+_SPIKE = {
+    "hoverformat": ".4~f",
+    "showspikes": True,
+    "spikemode": "across",
+    "spikethickness": 1,
+    "spikedash": "solid",
+    "spikecolor": MUTED,
+}
+
+
+def _axis(letter: str, k: int) -> str:
+    return letter if k == 1 else f"{letter}{k}"
+
+
+def _y_axis(quantity: Quantity, column: int, seen: View | None) -> dict[str, Any]:
+    label = escape(quantity.labels[column], quote=False).replace("\n", "<br>")
+    axis = {"title": {"text": label, "standoff": 8}, "nticks": 6, "automargin": True, **_FRAME}
+    if quantity.deviation and not quantity.log:
+        axis |= {"zeroline": True, "zerolinecolor": MUTED, "zerolinewidth": 1}
+    if quantity.log:
+        axis |= {"type": "log", "exponentformat": "power"}
+    if seen is not None:
+        axis["range"] = [math.log10(y) if quantity.log else y for y in (seen.low, seen.high)]
+    return axis
+
+
+def _captions(heading: str, top: float, seen: View | None) -> list[dict[str, Any]]:
+    """Above the panel: its title, and what it does not show."""
+    place = {"xref": "paper", "yref": "paper", "y": top, "yanchor": "bottom", "showarrow": False}
+    title = {**place, "x": 0, "xanchor": "left", "text": f"<b>{heading}</b>"}
+    said = "nothing to draw" if seen is None else seen.outside
+    if not said:
+        return [title]
+    note = {"x": 1, "xanchor": "right", "text": escape(said, quote=False), "font": {"size": 10.5}, "opacity": 0.75}
+    return [title, place | note]
+
+
+def _traces(curve: Curve, column: int, log: bool, style: Style, axis: str, depth: int) -> list[dict[str, Any]]:
+    """The line of a curve and its lone samples; `legendgroup` is what the page's legend switches.
+
+    Single precision is finer than any screen and makes the page a quarter smaller.
+    """
+    line, dots = strokes(curve.t, curve.values[:, column], log)
+    shared = {
+        "type": "scatter",
+        "xaxis": "x",
+        "yaxis": axis,
+        "zorder": depth,
+        "name": escape(curve.label, quote=False),
+        "legendgroup": curve.label,
+        "hovertemplate": "%{y:.4~g}",
+    }
+    dash = ",".join(f"{length}px" for length in style.dash) or "solid"
+    stroke = {"color": style.color, "width": style.width, "dash": dash}
+    drawn = [
+        (line, {"mode": "lines", "line": stroke}),
+        (dots, {"mode": "markers", "marker": {"color": style.color, "size": 2 + style.width}}),
+    ]
+    return [{**shared, **look, "x": t, "y": y.astype(np.float32)} for (t, y), look in drawn if len(t)]

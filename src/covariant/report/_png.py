@@ -1,0 +1,99 @@
+"""A report as still figures."""
+
+import os
+import textwrap
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from covariant.report._estimate import EstimateReport
+from covariant.report._guests import guest
+from covariant.report._panels import Quantity, depths, quantities, shorten
+from covariant.report._strokes import strokes
+from covariant.report._style import INK, MUTED, Style, new_figure, save_figure, styles
+from covariant.report._view import view
+
+if TYPE_CHECKING:
+    import matplotlib.axes
+    import matplotlib.figure
+
+_FIGURES = {"velocity": ("velocity", "error"), "position": ("position", "innovation"), "distance": ("distance",)}
+
+
+def write_png(report: EstimateReport, path: str | os.PathLike[str]) -> list[Path]:
+    """Write `<path>_velocity.png`, `<path>_position.png`, `<path>_distance.png`, those that have curves; return them.
+
+    A row is a coordinate, a column a quantity. A suffix .png of the path is dropped first.
+    Raises `ValueError` from `EstimateReport.check`, `ImportError` without matplotlib.
+    """
+    found, styled = quantities(report.check()), styles(report)
+    path = Path(path)
+    stem = path.with_suffix("") if path.suffix.lower() == ".png" else path
+    written = []
+    for name, members in _FIGURES.items():
+        shown = [found[member] for member in members if member in found]
+        if shown:
+            figure = _figure(report.title, shown, styled)
+            written.append(save_figure(figure, stem.with_name(f"{stem.name}_{name}.png")))
+    return written
+
+
+def _figure(title: str, shown: list[Quantity], styled: dict[str, Style]) -> "matplotlib.figure.Figure":
+    rows = len(shown[0].labels)
+    panel = (4.8, 2.3) if len(shown) > 1 else (7.2, 3.0 if rows == 1 else 2.3)
+    figure, axes = new_figure(rows, len(shown), panel=panel, titles=[quantity.title for quantity in shown])
+    for j, quantity in enumerate(shown):
+        for i in range(rows):
+            _draw(axes[i, j], quantity, i, styled)
+        axes[-1, j].set_xlabel("t [s]")
+    used = {curve.label for quantity in shown for curve in quantity.curves}
+    legend_lines = _legend(figure, {label: style for label, style in styled.items() if label in used})
+    lines = textwrap.wrap(title, int(10 * figure.get_figwidth()))
+    figure.suptitle(_plain("\n".join(lines)), x=0.012, ha="left", fontsize=11, fontweight="bold", color=INK)
+    # What stands around the panels is paid for by the figure, not by the panels.
+    figure.set_figheight(figure.get_figheight() + 0.19 * (len(lines) + legend_lines))
+    return figure
+
+
+def _draw(ax: "matplotlib.axes.Axes", quantity: Quantity, column: int, styled: dict[str, Style]) -> None:
+    seen = view(quantity, column)
+    ax.set_ylabel(_plain(quantity.labels[column]))
+    if quantity.deviation and not quantity.log:
+        ax.axhline(0.0, color=MUTED, linewidth=0.7)
+    if quantity.log:
+        ax.set_yscale("log")
+    first, last = quantity.curves[0].t[[0, -1]]
+    if last > first:
+        ax.set_xlim(first - 0.01 * (last - first), last + 0.01 * (last - first))
+    if seen is None:
+        ax.tick_params(axis="y", which="both", left=False, labelleft=False)
+        ax.text(0.5, 0.5, "nothing to draw", transform=ax.transAxes, ha="center", va="center", color=MUTED, fontsize=9)
+        return
+    for curve, depth in zip(quantity.curves, depths(quantity, column), strict=True):
+        color, width, dash = styled[curve.label]
+        line, dots = strokes(curve.t, curve.values[:, column], quantity.log)
+        order = 2 + depth / 100  # between grid and text
+        ax.plot(*line, color=color, linewidth=width, linestyle=(0, dash) if dash else "-", zorder=order)
+        ax.plot(*dots, ".", color=color, markersize=1.5 + width, zorder=order)
+    ax.set_ylim(seen.low, seen.high)
+    ax.set_title(_plain(seen.outside), loc="right", fontsize=7, color=MUTED)
+
+
+def _legend(figure: "matplotlib.figure.Figure", styled: dict[str, Style]) -> int:
+    """One legend below all panels, in as many columns as its labels allow; returns its number of lines."""
+    line = guest("matplotlib.lines").Line2D
+    handles = [
+        line([], [], color=color, linewidth=max(width, 1.5), linestyle=(0, dash) if dash else "-")
+        for color, width, dash in styled.values()
+    ]
+    labels = [_plain(shorten(label, 60)) for label in styled]
+    fitting = max(1, int(11.5 * figure.get_figwidth() / (max(map(len, labels)) + 7)))
+    lines = -(-len(labels) // fitting)
+    cols = -(-len(labels) // lines)
+    look = {"frameon": False, "fontsize": 8.5, "handlelength": 2.8, "labelcolor": INK}
+    figure.legend(handles, labels, loc="outside lower center", ncols=cols, **look)
+    return lines
+
+
+def _plain(text: str) -> str:
+    """Text in which a dollar is a dollar and no formula begins."""
+    return text.replace("$", r"\$")

@@ -1,0 +1,88 @@
+"""One look for all figures: colours, panels, files."""
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from covariant.report._atomic import write_atomically
+from covariant.report._estimate import MEASURED, EstimateReport
+from covariant.report._guests import guest
+
+if TYPE_CHECKING:
+    import matplotlib.figure
+
+PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+"""Colours told apart by every kind of colour vision (Okabe & Ito 2008), without their black and yellow."""
+
+BACKDROP = "#A8AEB5"
+"""Grey of what estimates are compared with."""
+
+INK, MUTED, GRID = "#24292F", "#6B737C", "#E4E7EA"
+
+DPI = 150
+
+_DASHES = ((), (7, 3), (2, 2), (7, 2, 2, 2))
+
+
+class Style(NamedTuple):
+    """How a label is drawn everywhere: colour, width [points], lengths of dashes and gaps [points], none if solid."""
+
+    color: str
+    width: float
+    dash: tuple[int, ...] = ()
+
+
+def styles(report: EstimateReport) -> dict[str, Style]:
+    """Style of every label, in the order of the legend: backdrops broad and grey, the first estimate strong."""
+    backdrops = [MEASURED] if report.v_reference is None else [MEASURED, report.v_reference_label]
+    found = {label: Style(BACKDROP, 3.2) for label in backdrops}
+    for i, label in enumerate(report.estimates):
+        dash = _DASHES[i // len(PALETTE) % len(_DASHES)]
+        found[label] = Style(PALETTE[i % len(PALETTE)], 1.0 if i else 1.5, dash)
+    return found
+
+
+def new_figure(
+    rows: int = 1,
+    cols: int = 1,
+    *,
+    panel: tuple[float, float] = (4.8, 2.3),
+    titles: Sequence[str] = (),
+    sharex: bool | str = "col",
+) -> "tuple[matplotlib.figure.Figure, np.ndarray]":
+    """A figure in the house style and its axes (rows, cols); `panel` is the size of one [inch], `titles` go row by row.
+
+    Lines take the colours of `PALETTE`. The figure belongs to no window and no global state; `save_figure` writes it.
+    """
+    width, height = panel[0] * cols, panel[1] * rows + 0.5
+    figure = guest("matplotlib.figure").Figure(
+        figsize=(width, height), dpi=DPI, layout="constrained", facecolor="white"
+    )
+    axes = figure.subplots(rows, cols, sharex=sharex, squeeze=False)
+    for ax in axes.flat:
+        ax.set_prop_cycle(color=PALETTE)
+        ax.spines[["top", "right"]].set_visible(False)
+        ax.spines[["bottom", "left"]].set_color(MUTED)
+        ax.tick_params(which="both", labelsize=8, color=MUTED, labelcolor=INK)
+        ax.tick_params(which="minor", length=1.5)
+        ax.grid(color=GRID, linewidth=0.7)
+        ax.set_axisbelow(True)
+        ax.xaxis.label.set(fontsize=9, color=INK)
+        ax.yaxis.label.set(fontsize=9, color=INK)
+    for ax, title in zip(axes.flat, titles, strict=False):
+        ax.set_title(title, loc="left", fontsize=10, color=INK)
+    return figure, axes
+
+
+def save_figure(figure: "matplotlib.figure.Figure", path: str | os.PathLike[str]) -> Path:
+    """Write a figure in the format its suffix names (png, pdf, svg), whole or not at all; returns the path.
+
+    Raises `ValueError` where there is no suffix or matplotlib does not know it.
+    """
+    suffix = Path(path).suffix.removeprefix(".")
+    if not suffix:
+        raise ValueError(f"{path}: name the format by a suffix, such as .png, .pdf or .svg")
+    return write_atomically(path, lambda file: figure.savefig(file, format=suffix, dpi=DPI))

@@ -1,0 +1,75 @@
+"""Tables of a comparison: one dictionary a row, columns in the order they first appear."""
+
+import math
+import numbers
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple, TypeGuard
+
+import numpy as np
+
+MISSING = "—"
+
+
+class Cells(NamedTuple):
+    """A table as text: header (c), body of rows (c), and which columns (c) hold numbers and go to the right."""
+
+    header: list[str]
+    body: list[list[str]]
+    numeric: list[bool]
+
+
+def cells(rows: Sequence[Mapping[str, object]]) -> Cells:
+    """Rows as text, numbers to four digits; a key a row lacks, None and NaN are a dash."""
+    header = list(dict.fromkeys(key for row in rows for key in row))
+    columns = [[row.get(key) for row in rows] for key in header]
+    numeric = [any(map(_is_number, column)) and all(v is None or _is_number(v) for v in column) for column in columns]
+    return Cells(header, [list(line) for line in zip(*map(_column, columns), strict=True)], numeric)
+
+
+def table(rows: Sequence[Mapping[str, object]]) -> str:
+    """A GitHub-markdown table, numbers to the right, ending in a newline; "" where there are no rows."""
+    if not rows:
+        return ""
+    header, body, numeric = cells(rows)
+    lines = [[_markdown(text) for text in line] for line in (header, *body)]
+    width = [max(3, *map(len, column)) for column in zip(*lines, strict=True)]
+    rule = ["-" * (w - 1) + ":" if right else "-" * w for w, right in zip(width, numeric, strict=True)]
+    padded = [
+        [text.rjust(w) if right else text.ljust(w) for text, w, right in zip(line, width, numeric, strict=True)]
+        for line in lines
+    ]
+    return "".join(f"| {' | '.join(line)} |\n" for line in (padded[0], rule, *padded[1:]))
+
+
+def _is_number(value: object) -> TypeGuard[float]:
+    return isinstance(value, numbers.Real) and not isinstance(value, bool)
+
+
+def _column(values: list[object]) -> list[str]:
+    """A column as text; numbers of like size share their decimals, so that they compare at a glance."""
+    sizes = [abs(float(v)) for v in values if _is_number(v) and math.isfinite(v) and v]
+    alike = bool(sizes) and min(sizes) >= 1e-4 and max(sizes) < min(1e7, 1e4 * min(sizes))
+    return [_text(value, _decimals(sizes) if alike else None) for value in values]
+
+
+def _decimals(sizes: list[float]) -> int:
+    """As many as any number has at four digits, but no more than give the smallest its four."""
+    shown = (np.format_float_positional(x, precision=4, fractional=False, trim="-") for x in sizes)
+    most = max(len(text.partition(".")[2]) for text in shown)
+    return min(most, max(0, 3 - math.floor(math.log10(min(sizes)))))
+
+
+def _text(value: object, decimals: int | None) -> str:
+    if value is None:
+        return MISSING
+    if not _is_number(value):
+        return {True: "yes", False: "no"}[value] if isinstance(value, bool) else str(value)
+    if decimals is None and isinstance(value, numbers.Integral):
+        return str(value)
+    text = format(float(value), ".4g" if decimals is None else f".{decimals}f")
+    return MISSING if text == "nan" else text.replace("inf", "∞")
+
+
+def _markdown(text: str) -> str:
+    """Text that cannot end a cell or open an HTML tag; emphasis and links are left to the writer."""
+    return " ".join(text.split()).replace("|", r"\|").replace("<", "&lt;")

@@ -1,0 +1,115 @@
+"""Which part of the y axis a panel opens with: the steady part of the estimates, not the tip of an overshoot."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from covariant.report._panels import Quantity, shorten
+from covariant.report._strokes import drawable
+
+_TRANSIENT = 0.25
+"""Share of the record in which an estimate may still be arriving; it does not set the axis."""
+
+_LOST = 10.0
+"""An estimate that wanders this many times farther than the motion and the first estimate does not set the axis."""
+
+_GAIN = (1.6, 1e4)
+"""Something is left out where the rest becomes between these many times as tall: less is not worth it, and more is an
+exact simulation, whose transient is all there is to see."""
+
+_FEW = 20
+"""Fewer samples than this after the transient do not speak for a record."""
+
+Samples = Float[np.ndarray, "T"]
+
+
+class View(NamedTuple):
+    """Limits of the y axis in the units of the data, and a sentence on what lies outside, or ""."""
+
+    low: float
+    high: float
+    outside: str
+
+
+class _Range(NamedTuple):
+    """Along the axis (logarithms, if it has them): ends of all samples of a curve, and of those that must be seen."""
+
+    label: str
+    backdrop: bool
+    low: float
+    high: float
+    wanted_low: float
+    wanted_high: float
+
+
+def view(quantity: Quantity, column: int) -> View | None:
+    """Limits of one panel, or None where there is nothing to draw.
+
+    Backdrops are seen whole. An estimate is seen from the end of its transient on (on a log axis, from the start), save
+    single spikes more than one width of its central 99.5 % away from it, and unless it is lost altogether.
+    """
+    ranges = _ranges(quantity, column)
+    if not ranges:
+        return None
+    kept = ranges if quantity.log else _not_lost(ranges, quantity.scale[column])
+    low, high = _padded(min(r.wanted_low for r in kept), max(r.wanted_high for r in kept), quantity.log)
+    lowest, highest = _padded(min(r.low for r in kept), max(r.high for r in kept), quantity.log)
+    if not _GAIN[0] < (highest - lowest) / (high - low) < _GAIN[1]:
+        low, high = lowest, highest
+    outside = _outside(ranges, low, high, quantity.log)
+    return View(10**low, 10**high, outside) if quantity.log else View(low, high, outside)
+
+
+def _ranges(quantity: Quantity, column: int) -> list[_Range]:
+    ranges = []
+    for t, values, label, backdrop in quantity.curves:
+        seen = drawable(values[:, column], quantity.log)
+        if seen.any():
+            y = values[seen, column]
+            y = np.log10(y) if quantity.log else y
+            ends = float(y.min()), float(y.max())
+            late = y if quantity.log else y[_late(t)[seen]]
+            wanted = ends if backdrop else _core(late if len(late) >= _FEW else y)
+            ranges.append(_Range(label, backdrop, *ends, *wanted))
+    return ranges
+
+
+def _late(t: Samples) -> Bool[np.ndarray, "T"]:
+    return t >= t[0] + _TRANSIENT * (t[-1] - t[0])
+
+
+def _core(y: Samples) -> tuple[float, float]:
+    """Ends of the samples, without spikes farther off than the width of the central 99.5 %."""
+    low, high = np.quantile(y, [0.0025, 0.9975])
+    return float(max(y.min(), 2 * low - high)), float(min(y.max(), 2 * high - low))
+
+
+def _not_lost(ranges: list[_Range], scale: float) -> list[_Range]:
+    """The backdrops, the first estimate, and those not wildly wider than it and the motion."""
+    first = next((r for r in ranges if not r.backdrop), ranges[0])
+    most = _LOST * max(first.wanted_high - first.wanted_low, scale)
+    return [r for r in ranges if r.backdrop or r is first or r.wanted_high - r.wanted_low <= most]
+
+
+def _padded(low: float, high: float, log: bool) -> tuple[float, float]:
+    """Ends with some air; equal ends, or ends that differ by rounding, with enough to read a level."""
+    size = max(abs(low), abs(high))
+    level = 0.5 if log else 0.1 * size or 1.0
+    air = 0.06 * (high - low) if high - low > 1e-9 * size else level
+    return low - air, high + air
+
+
+def _outside(ranges: list[_Range], low: float, high: float, log: bool) -> str:
+    """How far the worst of the curves that leave the panel goes, and how many more do."""
+    far = [r for r in ranges if r.low < low or r.high > high]
+    if not far:
+        return ""
+    worst = max(far, key=lambda r: max(low - r.low, r.high - high))
+    end = worst.low if low - worst.low > worst.high - high else worst.high
+    more = f", {len(far) - 1} more" if len(far) > 1 else ""
+    return f"off scale: {shorten(worst.label, 20)} {_number(10**end if log else end)}{more}"
+
+
+def _number(value: float) -> str:
+    return format(value, ".0f" if 1e3 <= abs(value) < 1e6 else ".3g").replace("-", "−")

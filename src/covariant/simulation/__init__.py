@@ -1,0 +1,6 @@
+"""Simulated truth and simulated sensors."""
+
+from covariant.simulation._sensors import Sensor, sense, stamps
+from covariant.simulation._simulate import hold, no_input, observe, simulate
+
+__all__ = ["Sensor", "hold", "no_input", "observe", "sense", "simulate", "stamps"]

@@ -1,0 +1,56 @@
+"""What an encoder makes of a position: sampling, jitter, noise, quantisation, dropouts. Seeded, so repeatable."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+NumpyArray = np.ndarray
+
+
+class Sensor(NamedTuple):
+    """A position sensor.
+
+    `rate` [Hz]; `jitter` standard deviation of a sampling instant [s], limited so that stamps keep their order;
+    `noise_std` and `quantum` in units of the position; `dropout` probability that a sample is missing (NaN).
+    """
+
+    rate: float
+    noise_std: float = 0.0
+    quantum: float = 0.0
+    jitter: float = 0.0
+    dropout: float = 0.0
+
+    def check(self) -> "Sensor":
+        """Return the sensor, or raise `ValueError` naming the first field that makes no sense."""
+        if not self.rate > 0:
+            raise ValueError(f"sensor: rate must be positive [Hz]; got {self.rate}")
+        for name in ("noise_std", "quantum", "jitter"):
+            if not getattr(self, name) >= 0:
+                raise ValueError(f"sensor: {name} must not be negative; got {getattr(self, name)}")
+        if not 0 <= self.dropout < 1:
+            raise ValueError(f"sensor: dropout is a probability below 1; got {self.dropout}")
+        return self
+
+
+def stamps(sensor: Sensor, duration: float, seed: int = 0) -> Float[NumpyArray, "T"]:
+    """Sampling instants from 0 to `duration` [s], strictly increasing, the first at 0."""
+    sensor.check()
+    count = int(np.floor(duration * sensor.rate)) + 1
+    if count < 2:
+        raise ValueError(f"sensor: {duration} s at {sensor.rate} Hz holds fewer than two samples")
+    late = np.random.default_rng([seed, 0]).normal(0, sensor.jitter, count) if sensor.jitter else np.zeros(count)
+    late[0] = 0.0
+    return np.arange(count) / sensor.rate + np.clip(late, -0.45 / sensor.rate, 0.45 / sensor.rate)
+
+
+def sense(sensor: Sensor, q: Float[NumpyArray, "T n"], seed: int = 0) -> Float[NumpyArray, "T n"]:
+    """Measurements of the positions q; the first row is never dropped, since an observer starts from it."""
+    sensor.check()
+    random = np.random.default_rng([seed, 1])
+    y = np.asarray(q) + (random.normal(0, sensor.noise_std, np.shape(q)) if sensor.noise_std else 0.0)
+    if sensor.quantum:
+        y = np.round(y / sensor.quantum) * sensor.quantum
+    lost = random.random(len(y)) < sensor.dropout
+    lost[0] = False
+    return np.where(lost[:, None], np.nan, y)

@@ -1,0 +1,86 @@
+"""Trajectories of a model, alone or with an observer attached in continuous time."""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from covariant._integrate import solve
+from covariant.models import Lagrangian, acceleration
+from covariant.observers import AbstractFlowObserver
+from covariant.signals import Record
+
+Input = Callable[[Array, Array], Array]
+"""Input `(t, x) -> u (m,)`; it may feed the true state x = (q, v) back."""
+Measurement = Callable[[Array, Array], Array]
+"""Continuous measurement `(t, q) -> y`; by default q itself."""
+
+
+def simulate(
+    model: Lagrangian,
+    x0: Float[Array, "two_n"],
+    t: Float[Array, "T"],
+    u: Input | None = None,
+    *,
+    rtol: float = 1e-10,
+    atol: float = 1e-12,
+) -> Record:
+    """Integrate the model from x0 = (q, v) and record its noise-free state and inputs at the stamps t [s].
+
+    Stamps that the motion does not reach, because it escapes before, are infinite.
+    """
+    push = u or no_input(model, x0.shape[0] // 2)
+    x = solve(_plant(model, push), x0, t, rtol=rtol, atol=atol)
+    return Record(t, jax.vmap(push)(t, x), x[:, : x.shape[1] // 2], x)
+
+
+def observe(
+    model: Lagrangian,
+    observer: AbstractFlowObserver,
+    x0: Float[Array, "two_n"],
+    state0: Any,
+    t: Float[Array, "T"],
+    u: Input | None = None,
+    measure: Measurement = lambda t, q: q,
+    *,
+    rtol: float = 1e-10,
+    atol: float = 1e-12,
+) -> tuple[Float[Array, "T two_n"], Any]:
+    """Integrate plant and observer as one system; returns the true states and the observer's, time first.
+
+    Stamps after a breakdown, such as an observer escaping in finite time, are infinite in both.
+    """
+    n = x0.shape[0] // 2
+    push = u or no_input(model, n)
+    plant = _plant(model, push)
+
+    def flow(s, joint):
+        x, state = joint
+        return plant(s, x), observer.flow(s, state, push(s, x), measure(s, x[:n]))
+
+    return solve(flow, (x0, state0), t, rtol=rtol, atol=atol)
+
+
+def no_input(model: Lagrangian, n: int) -> Input:
+    """Zero input of the size the model takes."""
+    zero = jnp.zeros(n if model.inputs is None else model.inputs)
+    return lambda t, x: zero
+
+
+def hold(t: Float[Array, "T"], u: Float[Array, "T m"]) -> Input:
+    """Recorded inputs, each held from its stamp to the next."""
+
+    def held(s, x):
+        return u[jnp.clip(jnp.searchsorted(t, s, side="right") - 1, 0, t.shape[0] - 1)]
+
+    return held
+
+
+def _plant(model: Lagrangian, push: Input):
+    def flow(s, x):
+        q, v = jnp.split(x, 2)
+        return jnp.concatenate([v, acceleration(model, s, q, v, push(s, x))])
+
+    return flow

@@ -1,0 +1,153 @@
+"""Strict numerics for every test, the recorded logs, and the spaces over which the laws of geometry are checked."""
+
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+os.environ.setdefault("JAX_PLATFORMS", "cpu")
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import hypothesis
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from covariant import geometry, models
+from covariant.geometry import Budget, Metric
+
+jax.config.update("jax_numpy_rank_promotion", "raise")
+jax.config.update("jax_numpy_dtype_promotion", "strict")
+
+hypothesis.settings.register_profile("laws", derandomize=True, deadline=None, database=None, max_examples=60)
+hypothesis.settings.load_profile("laws")
+
+REPOSITORY = Path(__file__).parents[1]
+
+
+@pytest.fixture(scope="session")
+def data_folder() -> Path:
+    """The folder of recorded logs; a test without it is skipped, except in CI where it must be there."""
+    folder = Path(os.environ.get("COVARIANT_DATA", REPOSITORY / "../shared/data"))
+    if not folder.is_dir():
+        word = f"recorded logs not found in {folder}; set COVARIANT_DATA to their folder"
+        if os.environ.get("CI"):
+            pytest.fail(word)
+        pytest.skip(word)
+    return folder
+
+
+def shears(q):
+    """A cubic diffeomorphism of the plane, and below its exact inverse."""
+    a = q[0] + 0.1 * q[1] ** 3
+    return jnp.stack([a, q[1] - 0.2 * a**3])
+
+
+def unshears(q):
+    b = q[1] + 0.2 * q[0] ** 3
+    return jnp.stack([q[0] - 0.1 * b**3, b])
+
+
+def closed_forms() -> dict:
+    """Spaces with closed forms: (metric, centre of the box that points are drawn from, its half width)."""
+    mixed = geometry.Product((geometry.sphere(), geometry.hyperbolic()), (2, 2))
+    return {
+        "euclidean": (geometry.Euclidean(), np.zeros(3), 3.0),
+        "plane, curved chart": (geometry.Pullback(geometry.Euclidean(), shears, unshears), np.zeros(2), 0.8),
+        "sphere": (geometry.sphere(), np.zeros(2), 0.9),
+        "sphere, curved chart": (geometry.Pullback(geometry.sphere(), shears, unshears), np.zeros(2), 0.6),
+        "small 3-sphere": (geometry.sphere(0.5), np.zeros(3), 0.3),
+        "hyperbolic": (geometry.hyperbolic(), np.zeros(2), 0.6),
+        "torus": (geometry.FlatTorus(jnp.array([2 * np.pi, 1.0])), np.zeros(2), 4.0),
+        "sphere x hyperbolic": (mixed, np.zeros(4), 0.6),
+    }
+
+
+def numerical_spaces() -> dict:
+    """Spaces known by their matrix alone."""
+    rotors = {"rotor_inertia": (0.02, 0.01), "gear": (3.0, 5.0)}
+    triple = models.pendulum_chain((1.0, 0.5, 0.7), (1.0, 0.8, 0.6), com=(0.5, 0.4, 0.6), inertia=(0.1, 0.05, 0.0))
+    return {
+        "numeric sphere": (Metric(geometry.sphere()), np.zeros(2), 0.6),
+        "numeric hyperbolic": (Metric(geometry.hyperbolic()), np.zeros(2), 0.5),
+        "ball and beam": (models.ball_and_beam().metric, np.array([0.3, 0.0]), 0.8),
+        "oscillator in r": (models.oscillator("r").metric, np.ones(1), 0.5),
+        "double pendulum": (models.pendulum_chain(**rotors).metric, np.array([0.2, 0.9]), 0.4),
+        "double pendulum, absolute": (models.pendulum_chain(angles="absolute").metric, np.array([0.2, 0.9]), 0.4),
+        "triple pendulum": (triple.metric, np.array([0.2, 0.9, -0.5]), 0.3),
+    }
+
+
+SAMPLES = 12
+
+BUDGET = Budget(steps=24)
+"""Enough eighth-order steps for the numerical geodesics of the samples to be exact to 1e-12."""
+
+
+class Space(NamedTuple):
+    """A metric, points and vectors (SAMPLES, n) to try it on, and its operations, batched and compiled once."""
+
+    metric: geometry.AbstractMetric
+    p: np.ndarray
+    q: np.ndarray
+    velocity: np.ndarray
+    x: np.ndarray
+    y: np.ndarray
+    z: np.ndarray
+    w: np.ndarray
+    matrix: Callable
+    christoffel: Callable
+    curvature: Callable
+    fly: Callable[..., geometry.Transported]
+    shoot: Callable[..., geometry.Shot]
+
+    def inner(self, p, x, y):
+        return np.einsum("ki,kij,kj->k", x, self.matrix(p), y)
+
+    def norm(self, p, x):
+        return np.sqrt(self.inner(p, x, x))
+
+
+def make_space(metric, centre, width) -> Space:
+    """Points in the box, with the seams in front: equal points, points a hair apart, and the middle of the chart.
+
+    Velocities stay below half a period of the torus.
+    """
+    n = len(centre)
+    rng = np.random.default_rng(n)
+    p, q = centre + width * rng.uniform(-1, 1, (2, SAMPLES, n))
+    q[0] = p[0]
+    q[1] = p[1] + 1e-9 * rng.normal(size=n)
+    p[2] = centre
+    velocity = min(width, 0.45) * rng.uniform(-1, 1, (SAMPLES, n))
+    velocity[0] = 0.0
+    velocity[1] *= 1e-9
+    operations = (
+        metric.__call__,
+        metric.christoffel,
+        metric.curvature,
+        lambda p, v, w: geometry.transport_along(metric, p, v, w, BUDGET),
+        lambda p, q: geometry.shoot(metric, p, q, None, BUDGET),
+    )
+    compiled = (jax.jit(jax.vmap(operation)) for operation in operations)
+    return Space(metric, p, q, velocity, *rng.normal(size=(4, SAMPLES, n)), *compiled)
+
+
+@pytest.fixture(scope="session")
+def spaces() -> dict[str, Space]:
+    """Every space by name; what one test compiles the next one uses."""
+    return {name: make_space(*entry) for name, entry in (closed_forms() | numerical_spaces()).items()}
+
+
+@pytest.fixture(scope="session", params=[*closed_forms(), *numerical_spaces()])
+def space(request, spaces) -> Space:
+    """Each space in turn."""
+    return spaces[request.param]
+
+
+@pytest.fixture(scope="session", params=closed_forms())
+def closed(request, spaces) -> Space:
+    """Each space with closed forms in turn."""
+    return spaces[request.param]

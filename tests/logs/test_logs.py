@@ -1,0 +1,222 @@
+"""Reading and writing logs: what is written is read back, and everything wrong is named in one line."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from covariant import logs
+from covariant.logs import Columns, LogError
+
+ONE = Columns(q=("q",))
+FULL = Columns("t", ("q1", "q2"), ("tau",), ("w1", "w2"), ("v1", "v2"))
+
+
+def csv(folder: Path, text: str) -> Path:
+    path = folder / "log.csv"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def fault(path: Path, columns: Columns = ONE, **options) -> str:
+    """The message of the one error that reading raises: one line that begins with the file."""
+    with pytest.raises(LogError) as caught:
+        logs.read(path, columns, **options)
+    message = str(caught.value)
+    assert message.startswith(str(path))
+    assert "\n" not in message
+    return message.removeprefix(str(path))
+
+
+def test_reads_what_the_columns_name(tmp_path):
+    header = "note,q2,q1,t,tau,w1,w2,v1,v2\n"
+    log = logs.read(csv(tmp_path, header + "a,2,1,0,3,4,5,6,7\nb,nan,,0.5,-3,,5,6,7\n"), FULL)
+    np.testing.assert_array_equal(log.record.t, [0, 0.5])
+    np.testing.assert_array_equal(log.record.y, [[1, 2], [np.nan, np.nan]])
+    np.testing.assert_array_equal(log.record.u, [[3], [-3]])
+    np.testing.assert_array_equal(log.v, [[4, 5], [np.nan, 5]])
+    np.testing.assert_array_equal(log.truth, [[6, 7], [6, 7]])
+    assert log.record.x is None
+
+
+def test_a_log_may_lack_inputs_and_velocities(tmp_path):
+    log = logs.read(csv(tmp_path, "t,q\n0,1\n1,2\n"), ONE)
+    assert log.record.u.shape == (2, 0)
+    assert log.v is None
+    assert log.truth is None
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "\ufefft,q\n0,1\n1,2\n",
+        "t,q\r\n0,1\r\n1,2\r\n",
+        " t , q \n 0 , 1 \n 1 , +2.0e0 \n",
+        't,q\n0,"1"\n\n1,2\n\n',
+        "t,q,x,x\n0,1,,\n1,2,,\n",
+    ],
+    ids=["byte order mark", "carriage returns", "spaces", "quotes and blank lines", "unused columns of one name"],
+)
+def test_reads_csv_as_others_write_it(tmp_path, text):
+    log = logs.read(csv(tmp_path, text), ONE)
+    np.testing.assert_array_equal(log.record.t, [0, 1])
+    np.testing.assert_array_equal(log.record.y, [[1], [2]])
+
+
+def test_reads_integers_text_and_nulls_from_parquet(tmp_path):
+    path = tmp_path / "log.parquet"
+    pq.write_table(pa.table({"t": [0, 1, 2], "q": [1.5, None, 2.5], "u.1": ["1", " 2", "3e0"]}), path)
+    log = logs.read(path, Columns(q=("q",), u=("u.1",)))
+    np.testing.assert_array_equal(log.record.t, [0, 1, 2])
+    np.testing.assert_array_equal(log.record.y[:, 0], [1.5, np.nan, 2.5])
+    np.testing.assert_array_equal(log.record.u[:, 0], [1, 2, 3])
+
+
+def test_every_and_until_keep_some_rows(tmp_path):
+    rows = "".join(f"{k / 8},{k},{-k}\n" for k in range(9))
+    log = logs.read(csv(tmp_path, "t,q,v\n" + rows), Columns(q=("q",), v=("v",)), every=3, until=0.75)
+    np.testing.assert_array_equal(log.record.y[:, 0], [0, 3, 6])
+    np.testing.assert_array_equal(log.v, [[0], [-3], [-6]])
+    assert "every=1 and until=0.1 keep 1 of 9 rows" in fault(tmp_path / "log.csv", until=0.1)
+    assert "every must be 1 or more rows; got 0" in fault(tmp_path / "log.csv", every=0)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "the file is empty"),
+        ("t,q\n", "a header and no rows"),
+        ("t,q", "a header and no rows"),
+        ("t,q\n0,1\n", "needs at least two rows; this one has 1"),
+        ("t,angle\n0,1\n", "no column 'q'. There are: t, angle"),
+        ("t,q_\n0,1\n", "no column 'q'. Did you mean 'q_'? There are: t, q_"),
+        ("t,q,q\n0,1,1\n", "2 columns are named 'q'; rename all but one"),
+        ("t,q\n0,1\n1,fast\n", "column 'q', row 2: found 'fast', needs a finite number; leave it empty"),
+        ("t,q\n0,1\nnoon,1\n", "column 't', row 2: found 'noon', needs a finite number; only positions may be missing"),
+        ("t,q\n0,1\n1,2\n,3\n", "column 't', row 3: found an empty cell"),
+        ("t,q\n0,1\n , 3\n", "column 't', row 2: found an empty cell"),
+        ("t,q\n0,1\nnan,3\n", "column 't', row 2: found 'nan'"),
+        ("t,q\n0,1\n1,inf\n", "column 'q', row 2: found 'inf', needs a finite number"),
+        ("t,q\n0,1\n1,2\n2\n", "row 3 has 1 cells where the header has 2: '2'"),
+        ("t,q\n0,1\n1,2,3\n", "row 2 has 3 cells where the header has 2: '1,2,3'"),
+        ("t,q\n0,1\n2,1\n1,1\n", "row 3: time goes back from 2 s to 1 s"),
+        ("t,q\n0,1\n1,1\n1,1\n", "rows 2 and 3 have the same stamp 1 s"),
+        ("t,q\n0,\n1,1\n", "row 1 lacks a measurement"),
+    ],
+)
+def test_names_what_is_wrong(tmp_path, text, words):
+    assert words in fault(csv(tmp_path, text))
+
+
+def test_an_input_may_not_be_missing(tmp_path):
+    path = csv(tmp_path, "t,q,tau\n0,1,1\n1,1,\n")
+    assert "column 'tau', row 2: found an empty cell" in fault(path, Columns(q=("q",), u=("tau",)))
+
+
+def test_rows_are_counted_as_in_the_file_whatever_is_kept(tmp_path):
+    rows = "".join(f"{k},0\n" for k in (0, 1, 2, 3, 4, 5, 5))
+    assert "rows 6 and 7 have the same stamp" in fault(csv(tmp_path, "t,q\n" + rows), every=5)
+
+
+def test_names_what_is_wrong_in_parquet(tmp_path):
+    path = tmp_path / "log.parquet"
+    stamps = pa.array([0, 1], pa.timestamp("ms"))
+    pq.write_table(pa.table({"t": [0.0, 1.0], "q": ["1", "x"], "when": stamps, "u": [0.0, None]}), path)
+    assert "column 'q', row 2: found 'x'" in fault(path)
+    assert "no column 'p'. There are: t, q, when, u" in fault(path, Columns(q=("p",)))
+    assert "column 'when' holds timestamp[ms]; convert it" in fault(path, Columns(t="when", q=("t",)))
+    assert "column 'u', row 2: found an empty cell" in fault(path, Columns(q=("t",), u=("u",)))
+    path.write_text("t,q\n0,1\n")
+    assert "cannot be read as .parquet" in fault(path)
+
+
+def test_refuses_what_is_not_a_log(tmp_path):
+    assert "must be a .csv or .parquet file; this one ends in .mat" in fault(tmp_path / "log.mat")
+    assert "this one ends in nothing" in fault(tmp_path / "log")
+    assert "no position column was named" in fault(tmp_path / "log.csv", Columns())
+    with pytest.raises(FileNotFoundError, match=r"log\.csv: no such file"):
+        logs.read(tmp_path / "log.csv", ONE)
+    (tmp_path / "folder.csv").mkdir()
+    assert "cannot be read as .csv" in fault(tmp_path / "folder.csv")
+    path = tmp_path / "latin.csv"
+    path.write_bytes("t,q,größe\n0,1,2\n".encode("latin-1"))
+    assert "cannot be read as .csv" in fault(path)
+
+
+def test_says_how_to_install_pyarrow(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    with pytest.raises(ImportError, match=r"pip install 'covariant\[logs\]'"):
+        logs.read(csv(tmp_path, "t,q\n0,1\n1,2\n"), ONE)
+    with pytest.raises(ImportError, match=r"pip install 'covariant\[logs\]'"):
+        logs.write(tmp_path / "out.csv", {"t": np.zeros(2)})
+
+
+MEASURED = st.floats(allow_nan=True, allow_infinity=False)
+
+
+@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@pytest.mark.parametrize("ending", ["csv", "parquet", "CSV"])
+@given(sampled=st.data())
+def test_what_is_written_is_read_back(tmp_path, ending, sampled):
+    rows = sampled.draw(st.integers(2, 20))
+    y = sampled.draw(hnp.arrays(float, (rows, 2), elements=MEASURED))
+    y[0] = np.nan_to_num(y[0])
+    u = sampled.draw(hnp.arrays(float, rows, elements=st.floats(allow_nan=False, allow_infinity=False)))
+    stamps = st.lists(st.floats(-1e9, 1e9), min_size=rows, max_size=rows, unique=True)
+    t = np.sort(np.array(sampled.draw(stamps)))
+    path = tmp_path / f"log.{ending}"
+    logs.write(path, {"t": t, "q, first": y[:, 0], "q2": y[:, 1], "u": u})
+    record = logs.read(path, Columns("t", ("q, first", "q2"), ("u",))).record
+    np.testing.assert_array_equal(record.t, t)
+    np.testing.assert_array_equal(record.y, y)
+    np.testing.assert_array_equal(record.u[:, 0], u)
+
+
+def test_writes_plain_csv(tmp_path):
+    logs.write(
+        tmp_path / "out.csv", {"t": np.array([0.0, 0.1]), "code": np.array([0, 3]), "v": np.array([np.nan, 1 / 3])}
+    )
+    assert (tmp_path / "out.csv").read_text() == "t,code,v\n0,0,nan\n0.1,3,0.3333333333333333\n"
+
+
+@pytest.mark.parametrize(
+    ("name", "columns", "words"),
+    [
+        ("out.txt", {"t": np.zeros(2)}, "must be a .csv or .parquet file; this one ends in .txt"),
+        ("nowhere/out.csv", {"t": np.zeros(2)}, "nowhere; make it first"),
+        ("out.csv", {}, "there are no columns to write"),
+        ("out.csv", {"q": np.zeros((2, 1))}, "column 'q' must be one row of numbers (T,); got float64 of shape (2, 1)"),
+        ("out.csv", {"q": np.array(["a"])}, "column 'q' must be one row of numbers"),
+        ("out.csv", {"t": np.zeros(2), "q": np.zeros(3)}, "column 'q' has 3 rows where 't' has 2"),
+        ("folder.csv", {"t": np.zeros(2)}, "cannot be written"),
+    ],
+)
+def test_writes_nothing_that_cannot_be_read(tmp_path, name, columns, words):
+    (tmp_path / "folder.csv").mkdir()
+    with pytest.raises(LogError) as caught:
+        logs.write(tmp_path / name, columns)
+    assert words in str(caught.value)
+    assert str(caught.value).startswith(str(tmp_path / name))
+    assert [path.name for path in tmp_path.iterdir()] == ["folder.csv"]
+
+
+@pytest.mark.parametrize("ending", ["csv", "parquet"])
+def test_a_failed_write_leaves_the_old_file(tmp_path, monkeypatch, ending):
+    path = tmp_path / f"out.{ending}"
+    logs.write(path, {"t": np.arange(3)})
+    before = path.read_bytes()
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("os.replace", full)
+    with pytest.raises(LogError, match=rf"out\.{ending}: cannot be written: No space left on device"):
+        logs.write(path, {"t": np.arange(5)})
+    assert path.read_bytes() == before
+    assert [each.name for each in tmp_path.iterdir()] == [path.name]

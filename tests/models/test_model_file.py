@@ -1,0 +1,289 @@
+"""Model files: what they give, how they are overridden, and the one line that everything wrong is named in."""
+
+import math
+import sys
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from covariant.logs import Columns
+from covariant.models import Lagrangian
+from covariant.models._check import check_metric
+from covariant.models._file import ModelError, ModelFile, load
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+
+WHOLE = """
+system = "pendulum_chain"
+[parameters]
+mass = [1.0, 2.0]
+length = [0.5, 0.5]
+[columns]
+t = "time"
+q = ["a", "b"]
+u = ["ta", "tb"]
+v = ["wa", "wb"]
+truth = ["va", "vb"]
+[inputs]
+lag = 0.01
+[measurement]
+quantum = 0.12
+[uncertainty]
+acceleration = 3
+correlation_time = 0.002
+motion_acceleration = 50.0
+motion_time = 0.1
+[design]
+damping = 0.5
+"""
+
+MODULE = """
+from covariant.models import Lagrangian, oscillator, pendulum_chain
+from covariant.models._file import ModelFile
+from covariant.logs import Columns
+import jax.numpy as jnp
+
+spring = oscillator()
+nameless = Lagrangian(lambda q: jnp.eye(2), lambda q: q @ q)
+prepared = ModelFile("stand", oscillator(), Columns(t="stamp", q=("x",)), measurement_std=0.5)
+constant = 3.0
+
+def chain(links=3): return pendulum_chain([1.0] * links, [1.0] * links)
+def needy(links, *rest, **more): return chain(links)
+def lost(): return "a string"
+def bad(): raise ValueError("no such luck\\nsecond line")
+def stand(): return prepared
+"""
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """A current folder with a module in it, importable only because it is current."""
+    (tmp_path / "my_models.py").write_text(MODULE)
+    (tmp_path / "broken.py").write_text("1 / 0\n")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [entry for entry in sys.path if entry])
+    yield tmp_path
+    for name in ("my_models", "broken"):
+        sys.modules.pop(name, None)
+
+
+def written(folder: Path, text: str) -> str:
+    (folder / "m.toml").write_text(text)
+    return str(folder / "m.toml")
+
+
+def fault(spec: str, *overrides: str) -> str:
+    """The message of the one error that loading raises: one line that begins with the spec."""
+    with pytest.raises(ModelError) as caught:
+        load(spec, overrides)
+    message = str(caught.value)
+    assert message.startswith(f"{spec}: ")
+    assert "\n" not in message
+    return message.removeprefix(f"{spec}: ")
+
+
+def test_a_file_gives_everything(tmp_path):
+    file = load(written(tmp_path, WHOLE))
+    assert file.name == "m"
+    assert file.model.parameters["mass"].value == (1.0, 2.0)
+    assert file.columns == Columns("time", ("a", "b"), ("ta", "tb"), ("wa", "wb"), ("va", "vb"))
+    assert file.measurement_std == pytest.approx(0.12 / math.sqrt(12))
+    assert file[4:] == (3.0, 0.002, 50.0, 0.1, 0.5, 0.01)
+
+
+def test_what_a_file_leaves_out_has_a_default(tmp_path):
+    file = load(written(tmp_path, 'system = "ball_and_beam"'))
+    assert file.columns == Columns("t", ("r", "theta"), ("u1",))
+    assert file[3:] == (None,) * 5 + (math.sqrt(0.5), 0.0)
+    assert load("ball_and_beam")._replace(name="m", model=file.model) == file
+
+
+@pytest.mark.parametrize(("system", "n"), [("ball_and_beam", 2), ("oscillator", 1), ("pendulum_chain", 2)])
+def test_known_systems_load_by_name(system, n):
+    file = load(system)
+    assert (file.name, len(file.columns.q)) == (system, n)
+
+
+@pytest.mark.parametrize(
+    ("name", "columns"),
+    [
+        ("dfki_double_pendulum", Columns("t", ("q1", "q2"), ("tau1", "tau2"), ("v1_log", "v2_log"))),
+        ("dfki_simple_pendulum", Columns("t", ("q",), ("tau",), ("v_log",))),
+        ("multiarm_double", Columns("t", ("th1", "th2"), (), ("w1_denoised", "w2_denoised"))),
+    ],
+)
+def test_examples_load(name, columns):
+    file = load(str(EXAMPLES / f"{name}.toml"))
+    assert file.name == name
+    assert file.columns == columns
+    assert None not in file
+    assert file.damping == pytest.approx(math.sqrt(0.5), abs=1e-4)
+
+
+def test_geared_rotors_of_the_double_pendulum_count_as_its_authors_count_them():
+    """M11 = I1 + I2 + m2 l1² + 2c cos q2 + gr² Ir + Ir, M12 = I2 + c cos q2 − gr Ir, M22 = I2 + gr² Ir; c = m2 l1 r2"""
+    i1, i2, rotor, gear = 0.053470810264216295, 0.02392374528789766, 7.659297952841183e-05, 6.0
+    m2, l1, r2 = 0.6043459469186889, 0.3, 0.18377686083653508
+    bend = m2 * l1 * r2 * math.cos(0.7)
+    cross = i2 + bend - gear * rotor
+    first = i1 + i2 + m2 * l1**2 + 2 * bend + gear**2 * rotor + rotor
+    model = load(str(EXAMPLES / "dfki_double_pendulum.toml")).model
+    expected = [[first, cross], [cross, i2 + gear**2 * rotor]]
+    np.testing.assert_allclose(model.metric(jnp.array([0.3, 0.7])), expected, rtol=1e-12)
+
+
+def test_the_simple_pendulum_has_the_identified_inertia_and_gravity_torque():
+    model = load(str(EXAMPLES / "dfki_simple_pendulum.toml")).model
+    np.testing.assert_allclose(model.metric(jnp.zeros(1)), [[0.2034]], rtol=1e-12)
+    lift = model.potential(jnp.array([np.pi])) - model.potential(jnp.zeros(1))
+    np.testing.assert_allclose(lift, 2 * 3.798, rtol=1e-12)
+    np.testing.assert_allclose(model.force(jnp.zeros(()), jnp.zeros(1), jnp.ones(1)), [1 - 0.028], rtol=1e-12)
+
+
+def test_overrides_come_last(tmp_path):
+    spec = written(tmp_path, WHOLE)
+    changes = ("parameters.mass=[3.0, 4.0]", " columns.t = 't' ", "measurement.std=0.5", "design.damping=1")
+    file = load(spec, changes)
+    assert file.model.parameters["mass"].value == (3.0, 4.0)
+    assert file.columns == Columns("t", ("a", "b"), ("ta", "tb"), ("wa", "wb"), ("va", "vb"))
+    assert (file.measurement_std, file.damping, file.input_lag) == (0.5, 1.0, 0.01)
+    assert load(spec, ["measurement.quantum=12.0"]).measurement_std == pytest.approx(math.sqrt(12))
+    assert load("oscillator", ['parameters.chart="r"', "inputs.lag=0.0"]).columns.q == ("r",)
+    assert load("oscillator", ['system="ball_and_beam"']).columns.q == ("r", "theta")
+
+
+def test_a_module_gives_a_model(folder):
+    assert load("my_models:spring").columns == Columns("t", ("q",), ("u1",))
+    assert load("my_models:chain").columns.q == ("q1", "q2", "q3")
+    assert load("my_models:chain", ["parameters.links=2"]).columns.u == ("u1", "u2")
+    assert load("my_models:needy", ["parameters.links=1"]).name == "needy"
+    assert load("my_models:nameless", ['columns.q=["x", "y"]']).columns == Columns("t", ("x", "y"), ("u1", "u2"))
+
+
+@pytest.mark.parametrize("attribute", ["prepared", "stand"])
+def test_a_module_gives_a_model_file(folder, attribute):
+    file = load(f"my_models:{attribute}", ["inputs.lag=0.25"])
+    assert isinstance(file, ModelFile)
+    assert (file.name, file.measurement_std, file.input_lag) == ("stand", 0.5, 0.25)
+    assert file.columns == Columns("stamp", ("x",), ("u1",))
+
+
+@pytest.mark.parametrize(
+    ("spec", "words"),
+    [
+        ("nowhere.toml", "No such file or directory; give the path of a model file"),
+        ("pendulum_chian", "unknown model 'pendulum_chian'. Did you mean 'pendulum_chain'? Known: ball_and_beam, "),
+        ("no_module:spring", "module 'no_module' cannot be imported: ModuleNotFoundError: No module named 'no_module'"),
+        ("broken:spring", "module 'broken' cannot be imported: ZeroDivisionError: division by zero"),
+        (":spring", "module '' cannot be imported"),
+        ("my_models:sprnig", "unknown attribute of module 'my_models' 'sprnig'. Did you mean 'spring'?"),
+        ("my_models:", "unknown attribute of module 'my_models' ''."),
+        (
+            "my_models:constant",
+            "constant must be a Lagrangian, a ModelFile, or a function returning one; it is a float",
+        ),
+        ("my_models:lost", "lost must be a Lagrangian, a ModelFile, or a function returning one; it returned a str"),
+        ("my_models:bad", "no such luck"),
+        ("my_models:needy", "needy needs the parameter 'links'; add it to [parameters]"),
+        ("my_models:nameless", "the model names no coordinates; give it some, or columns.q"),
+    ],
+)
+def test_names_what_is_wrong_with_a_spec(folder, spec, words):
+    assert words in fault(spec)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (
+            "system = 3 4",
+            "not a TOML document: Expected newline or end of document after a statement (at line 1, column 12)",
+        ),
+        ('system = "oscillator"\n[design]\ndamping 3', "not a TOML document: Expected '='"),
+        ("", 'system must be a name, as in system = "oscillator"; got None'),
+        ("system = 3", 'system must be a name, as in system = "oscillator"; got 3'),
+        ('system = "pendulum"', "unknown system 'pendulum'. Did you mean 'pendulum_chain'? Known: ball_and_beam, osc"),
+        ("sistem = 3", "unknown table or key 'sistem'. Did you mean 'system'? Known: system, parameters, columns"),
+        ("columns = 3", "columns must be a table, [columns]; got 3"),
+        ("[measurement]\nquantun = 1", "unknown key of [measurement] 'quantun'. Did you mean 'quantum'?"),
+        ("[design]\ngain = 1", "unknown key of [design] 'gain'. Known: damping"),
+    ],
+)
+def test_names_what_is_wrong_with_the_layout(tmp_path, text, words):
+    assert words in fault(written(tmp_path, text))
+
+
+def test_names_the_line_of_a_mistake(tmp_path):
+    assert "(at line 3, column 9)" in fault(written(tmp_path, 'system = "oscillator"\n[design]\ndamping 3'))
+
+
+def test_refuses_text_that_is_not_utf8(tmp_path):
+    (tmp_path / "m.toml").write_bytes(b"# \xff\n")
+    assert "'utf-8' codec can't decode byte" in fault(str(tmp_path / "m.toml"))
+
+
+@pytest.mark.parametrize(
+    ("override", "words"),
+    [
+        ("parameters.masses=[1.0]", "unknown parameter of pendulum_chain 'masses'. Did you mean 'mass'? Known: mass, "),
+        ("parameters.mass=[1.0]", "pendulum_chain: length needs one number a link, 1 as in mass; got 2"),
+        ("parameters.mass=3.0", "a parameter of pendulum_chain is of the wrong kind: "),
+        ("parameters.angles='left'", "pendulum_chain: angles must be one of relative, absolute; got 'left'"),
+        ("parameters.mass=[0.0, 0.0]", "metric is singular or not finite at all 6 points tried, such as q = (0, 0)"),
+        (
+            "parameters={mass=[1.0], length=[1.0], com=[1.0], gear=[0.0], rotor_inertia=[1.0], actuated=[]}",
+            "columns.q names 2 columns (a, b); the model has 1 coordinates",
+        ),
+        ('columns.q=["a"]', "columns.q names 1 columns (a); the model has 2 coordinates"),
+        ("columns.u=[]", "columns.u names 0 columns; the model has 2 inputs"),
+        ('columns.v=["a"]', "columns.v names 1 columns (a); the model has 2 coordinates"),
+        ('columns.truth=["a"]', "columns.truth names 1 columns (a); the model has 2 coordinates"),
+        ('columns.q="a"', 'columns.q must be a list of column names, as in ["q1", "q2"]; got \'a\''),
+        ("columns.q=['a', 3]", "columns.q must be a list of column names"),
+        ("columns.q=['a', 'a']", "columns.q names a column twice: a, a"),
+        ("columns.t=['t']", "columns.t must be the name of a column; got ['t']"),
+        ("inputs.lag=-1.0", "inputs.lag must be a number ≥ 0; got -1.0"),
+        ("measurement.std=0.0", "measurement.std must be a positive number; got 0.0"),
+        ("design.damping=inf", "design.damping must be a positive number; got inf"),
+        ("design.damping=true", "design.damping must be a positive number; got True"),
+        ("design.damping='high'", "design.damping must be a positive number; got 'high'"),
+        ("measurement={std=1.0, quantum=1.0}", "[measurement] has both std and quantum; keep one"),
+        ("design.damping", "override 'design.damping' must be written table.key=value"),
+        ("design..damping=1", "override 'design..damping=1' must be written table.key=value"),
+        ("=1", "override '=1' must be written table.key=value"),
+        ("system.kind=1", "override 'system.kind=1': 'system' is not a table"),
+        ("columns.t=stamp", "override 'columns.t=stamp': the value is not TOML (Invalid value); text needs quotes"),
+    ],
+)
+def test_names_what_is_wrong_with_a_value(tmp_path, override, words):
+    assert words in fault(written(tmp_path, WHOLE), override)
+
+
+def test_only_a_factory_takes_parameters(folder):
+    assert "spring is a finished model" in fault("my_models:spring", "parameters.mass=[1.0]")
+    assert "contradicts module:attribute; drop one" in fault("my_models:spring", 'system="oscillator"')
+
+
+def diagonal(*entries):
+    """A model whose metric is diagonal, each entry a function of q."""
+    return Lagrangian(lambda q: jnp.diag(jnp.stack([entry(q) for entry in entries])), lambda q: q @ q)
+
+
+def test_a_metric_may_end_where_its_chart_does():
+    check_metric(diagonal(lambda q: 1 / q[0] ** 2), np.array([[0.0], [1.0]]))
+    polar = diagonal(lambda q: jnp.ones_like(q[0]), lambda q: q[0] ** 2)
+    check_metric(polar, np.array([[0.0, 0.0], [1.0, 0.0]]))
+    with pytest.raises(ValueError, match=r"singular or not finite at all 1 points tried, such as q = \(0, 3\)"):
+        check_metric(polar, np.array([[0.0, 3.0]]))
+
+
+def test_a_metric_is_symmetric_and_positive():
+    negative = diagonal(lambda q: jnp.ones_like(q[0]), lambda q: q[0] - 0.5)
+    with pytest.raises(ValueError, match=r"not symmetric positive definite at q = \(0, 1\): smallest eigenvalue -0.5"):
+        check_metric(negative, np.array([[1.0, 1.0], [0.0, 1.0]]))
+    skew = Lagrangian(lambda q: jnp.array([[1.0, 0.5], [0.0, 1.0]]), lambda q: q @ q)
+    with pytest.raises(ValueError, match=r"not symmetric .* largest asymmetry 0.5; look at"):
+        check_metric(skew, np.zeros((1, 2)))

@@ -1,0 +1,147 @@
+"""The page: one file, no network, no markup from labels, all panels of one time axis and one legend."""
+
+import base64
+import json
+import re
+import sys
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+from covariant.report import write_html
+
+MEGABYTE = 2**20
+
+
+class Page(HTMLParser):
+    """What a browser would find: elements with their attributes, and the text outside scripts and styles."""
+
+    def __init__(self, text: str):
+        super().__init__()
+        self.elements, self.text, self.scripts, self._inside = [], "", [], ""
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        self.elements.append((tag, dict(attrs)))
+        self._inside = tag
+        if tag == "script":
+            self.scripts.append("")
+
+    def handle_endtag(self, tag):
+        self._inside = ""
+
+    def handle_data(self, data):
+        if self._inside == "script":
+            self.scripts[-1] += data
+        elif self._inside != "style":
+            self.text += data
+
+    def figures(self):
+        return json.loads(self.scripts[0])
+
+    def all(self, tag):
+        return [attrs for name, attrs in self.elements if name == tag]
+
+
+def values(array) -> np.ndarray:
+    """An array as plotly writes it."""
+    return np.frombuffer(base64.b64decode(array["bdata"]), array["dtype"])
+
+
+@pytest.fixture
+def page(report, tmp_path) -> Page:
+    return Page(write_html(report, tmp_path / "report.html").read_text(encoding="utf-8"))
+
+
+def test_page_loads_nothing(page):
+    for _, attrs in page.elements:
+        for name in ("src", "href", "action", "data"):
+            assert not re.match(r"\s*(https?:)?//", attrs.get(name) or ""), attrs
+    assert not page.all("link")[0]["href"].removeprefix("data:,")
+    assert "default-src 'none'" in page.all("meta")[2]["content"]
+
+
+def test_labels_are_text(page, report):
+    assert not page.all("b")
+    assert not page.all("i")
+    assert len(page.scripts) == 3
+    buttons = [attrs["data-label"] for attrs in page.all("button")]
+    assert buttons == ["measured", report.v_reference_label, *report.estimates]
+    for text in (report.title, *report.notes, *report.estimates, *report.coordinates, "0.0123"):
+        assert text in page.text
+
+
+def test_one_figure_a_coordinate_and_one_for_the_distance(page, report):
+    figures = page.figures()
+    assert len(figures) == len(page.all("section")) == len(report.coordinates) + 1
+    for figure in figures:
+        assert {trace["xaxis"] for trace in figure["data"]} == {"x"}  # panels of a figure share one time axis
+        assert {trace["legendgroup"] for trace in figure["data"]} <= {a["data-label"] for a in page.all("button")}
+        assert figure["layout"]["hovermode"] == "x unified"
+    assert len([key for key in figures[0]["layout"] if key.startswith("yaxis")]) == 4
+    assert figures[-1]["layout"]["yaxis"]["type"] == "log"
+    assert page.all("tr")[1] == {"class": "best"}
+
+
+def test_missing_samples_are_gaps(page, report):
+    measured = page.figures()[0]["data"][0]
+    np.testing.assert_array_equal(np.isnan(values(measured["y"])), np.isnan(report.q_measured[:, 0]))
+    distance = values(page.figures()[-1]["data"][0]["y"])
+    zero = next(iter(report.distance.values())) == 0
+    np.testing.assert_array_equal(np.isnan(distance), zero)
+
+
+def test_size(make, tmp_path):
+    small = write_html(make(1, 200), tmp_path / "small.html").stat().st_size
+    large = write_html(make(1, 200_000), tmp_path / "large.html").stat().st_size
+    assert small < 6 * MEGABYTE
+    assert large < small + 3 * MEGABYTE
+
+
+def test_thinning_is_said(make, tmp_path):
+    text = write_html(make(1, 20_000), tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "The log has 20000 samples" in Page(text).text
+
+
+def test_degenerate(degenerate, tmp_path):
+    assert Page(write_html(degenerate, tmp_path / "report.html").read_text(encoding="utf-8")).figures()
+
+
+def test_failure_leaves_the_old_page(make, tmp_path, monkeypatch):
+    path = tmp_path / "report.html"
+    path.write_text("old")
+    with pytest.raises(ValueError, match="q_measured"):
+        write_html(make()._replace(q_measured=np.zeros(3)), path)
+
+    def full_disk(_):
+        raise OSError("no space left on device")
+
+    monkeypatch.setattr("os.fsync", full_disk)
+    with pytest.raises(OSError, match="no space"):
+        write_html(make(), path)
+    assert path.read_text() == "old"
+    assert [p.name for p in tmp_path.iterdir()] == ["report.html"]
+
+
+def test_without_plotly(make, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "plotly.offline", None)
+    with pytest.raises(ImportError, match=r"pip install 'covariant\[report\]'"):
+        write_html(make(), tmp_path / "report.html")
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"estimates": {}}, "one estimate"),
+        ({"units": ("rad",)}, "unit"),
+        ({"estimates": {"EKF": np.zeros((400, 3))}}, "EKF"),
+        ({"v_reference": np.zeros((400, 2))}, "v_reference"),
+        ({"innovation": {"other": np.zeros((400, 3))}}, "other"),
+        ({"distance": {"other": np.zeros(400)}}, "other"),
+        ({"v_reference_label": "EKF $x"}, "EKF"),
+    ],
+)
+def test_check(make, change, message):
+    with pytest.raises(ValueError, match=message):
+        make()._replace(**change).check()
