@@ -82,7 +82,7 @@ def numerical_spaces() -> dict:
 
 SAMPLES = 12
 
-BUDGET = Budget(steps=24)
+BUDGET = Budget(steps=12)
 """Enough eighth-order steps for the numerical geodesics of the samples to be exact to 1e-12."""
 
 
@@ -116,7 +116,7 @@ def make_space(metric, centre, width) -> Space:
     Velocities stay below half a period of the torus.
     """
     n = len(centre)
-    rng = np.random.default_rng(n)
+    rng = np.random.default_rng(100 + n)
     p, q = centre + width * rng.uniform(-1, 1, (2, SAMPLES, n))
     q[0] = p[0]
     q[1] = p[1] + 1e-9 * rng.normal(size=n)

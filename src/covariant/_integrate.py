@@ -10,6 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from covariant._typing import Number
+
 Flow = Callable[[Array, Any], Any]
 """A vector field `(t, x) -> dx/dt` over any pytree."""
 
@@ -65,7 +67,9 @@ def _tableau(solver) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return a, np.asarray(tableau.b_sol), np.concatenate([[0.0], tableau.c])
 
 
-def solve(flow: Flow, x0, ts: Float[Array, "T"], *, rtol: float = 1e-10, atol: float = 1e-12, max_steps: int = 200_000):
+def solve(
+    flow: Flow, x0, ts: Float[Array, "T"], *, rtol: Number = 1e-10, atol: Number = 1e-12, max_steps: int = 200_000
+):
     """Integrate adaptively (Dormand–Prince 8) and return `x` at every stamp of `ts`, time first.
 
     Where `max_steps` are spent, as when a solution escapes in finite time, the stamps not reached are infinite.

@@ -133,10 +133,11 @@ def newton_step(metric: AbstractMetric, p: Vector, q: Vector, velocity: Vector, 
     """
 
     def end(v):
-        return spray(metric, budget, p, v)[0]
+        point = spray(metric, budget, p, v)[0]
+        return point, point
 
-    miss = q - end(velocity)
-    jacobian = jax.jacfwd(end)(velocity)
+    jacobian, reached = jax.jacfwd(end, has_aux=True)(velocity)
+    miss = q - reached
     weighted = jacobian.T @ metric(q)
     return solve(weighted @ jacobian, weighted @ miss), miss @ metric(q) @ miss
 
@@ -157,9 +158,9 @@ def damped_newton(metric: AbstractMetric, p: Vector, q: Vector, start: Vector, b
     """Newton's method, each step shortened until the miss shrinks."""
 
     def unfinished(s: _Search):
-        size = norm(metric, p, s.correction)
-        long = size > 16 * epsilon(q) * norm(metric, p, s.velocity)
-        return long & (s.tries < NEWTON_LIMIT) & (s.damping > 1e-6) & (s.miss > 0)
+        # Convergence is quadratic: below this the last correction leaves only rounding errors.
+        long = norm(metric, p, s.correction) > epsilon(q) ** 0.5 * norm(metric, p, s.velocity)
+        return long & (s.tries < NEWTON_LIMIT) & (s.damping > 1e-6)
 
     def improve(s: _Search):
         candidate = s.velocity + s.damping * s.correction
@@ -172,7 +173,8 @@ def damped_newton(metric: AbstractMetric, p: Vector, q: Vector, start: Vector, b
 
     correction, miss = newton_step(metric, p, q, start, budget)
     first = _Search(start, correction, miss, jnp.ones_like(miss), jnp.zeros((), jnp.int32))
-    return jax.lax.while_loop(unfinished, improve, first).velocity
+    last = jax.lax.while_loop(unfinished, improve, first)
+    return last.velocity + jnp.where(unfinished(last), 0.0, 1.0) * last.correction
 
 
 def continued_newton(metric: AbstractMetric, p: Vector, q: Vector, budget: Budget) -> Vector:

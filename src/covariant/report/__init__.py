@@ -3,10 +3,20 @@
 matplotlib and plotly are guests: the functions that draw load them, and `pip install 'covariant[report]'` brings them.
 """
 
+from covariant.report._article import write_article
 from covariant.report._estimate import EstimateReport
 from covariant.report._html import write_html
 from covariant.report._png import write_png
 from covariant.report._style import PALETTE, new_figure, save_figure
 from covariant.report._table import table
 
-__all__ = ["PALETTE", "EstimateReport", "new_figure", "save_figure", "table", "write_html", "write_png"]
+__all__ = [
+    "PALETTE",
+    "EstimateReport",
+    "new_figure",
+    "save_figure",
+    "table",
+    "write_article",
+    "write_html",
+    "write_png",
+]

@@ -2,6 +2,7 @@
 
 import importlib.resources
 import os
+from collections.abc import Mapping, Sequence
 from html import escape
 from pathlib import Path
 
@@ -48,12 +49,12 @@ script-src 'unsafe-inline'; img-src data: blob:">
 <link rel="icon" href="data:,">
 <title>{escape(report.title)}</title>
 <style>
-{_asset("page.css")}</style>
+{asset("page.css")}</style>
 </head>
 <body>
 <header>
 <h1>{escape(report.title)}</h1>
-{_notes(report)}{_table(report)}{_HINT}</header>
+{_notes(report)}{table_html(report.rows)}{_HINT}</header>
 <nav aria-label="Curves shown">{_legend(styled)}</nav>
 <main style="--columns: {len(report.coordinates)}">
 {chr(10).join(sections)}
@@ -62,13 +63,13 @@ script-src 'unsafe-inline'; img-src data: blob:">
 <script type="application/json" id="figures">[{data}]</script>
 <script>{script}</script>
 <script>
-{_asset("page.js")}</script>
+{asset("page.js")}</script>
 </body>
 </html>
 """
 
 
-def _asset(name: str) -> str:
+def asset(name: str) -> str:
     return (importlib.resources.files("covariant.report") / name).read_text(encoding="utf-8")
 
 
@@ -87,17 +88,19 @@ def _notes(report: EstimateReport) -> str:
     return "<ul>" + "".join(f"<li>{escape(note)}</li>" for note in notes) + "</ul>\n" if notes else ""
 
 
-def _table(report: EstimateReport) -> str:
-    if not report.rows:
+def table_html(rows: Sequence[Mapping[str, object]], mark_best: bool = True) -> str:
+    """A table; `mark_best` sets its first row off."""
+    if not rows:
         return ""
-    header, body, numeric = cells(report.rows)
+    header, body, numeric = cells(rows)
     side = [' class="number"' if right else "" for right in numeric]
 
     def line(tag: str, texts: list[str]) -> str:
         return "".join(f"<{tag}{at}>{escape(text)}</{tag}>" for text, at in zip(texts, side, strict=True))
 
-    best, *others = (line("td", texts) for texts in body)
-    lines = [f'<tr class="best">{best}</tr>', *(f"<tr>{other}</tr>" for other in others)]
+    first, *others = (line("td", texts) for texts in body)
+    mark = ' class="best"' if mark_best else ""
+    lines = [f"<tr{mark}>{first}</tr>", *(f"<tr>{other}</tr>" for other in others)]
     head, rest = f"<thead><tr>{line('th', header)}</tr></thead>", f"<tbody>{''.join(lines)}</tbody>"
     return f'<div class="table"><table>{head}{rest}</table></div>\n'
 

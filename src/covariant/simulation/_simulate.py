@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from covariant._integrate import solve
+from covariant._typing import Number
 from covariant.models import Lagrangian, acceleration
 from covariant.observers import AbstractFlowObserver
 from covariant.signals import Record
@@ -45,8 +46,8 @@ def observe(
     u: Input | None = None,
     measure: Measurement = lambda t, q: q,
     *,
-    rtol: float = 1e-10,
-    atol: float = 1e-12,
+    rtol: Number = 1e-10,
+    atol: Number = 1e-12,
 ) -> tuple[Float[Array, "T two_n"], Any]:
     """Integrate plant and observer as one system; returns the true states and the observer's, time first.
 

@@ -1,0 +1,100 @@
+"""The functions every user calls: what they accept, the shapes and types they keep, norms at zero."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from covariant import geometry
+from covariant.geometry import Budget
+
+
+def stretched(q):
+    return jnp.diag(jnp.stack([jnp.ones_like(q[0]), 1 + q[0] ** 2]))
+
+
+P, V, W = jnp.array([[0.3, 0.1], [0.2, -0.4], [0.5, 0.6]])
+
+
+def test_plain_callable_is_a_metric():
+    assert isinstance(geometry.as_metric(stretched), geometry.Metric)
+    for operation, arguments in (
+        (geometry.christoffel, (V, W)),
+        (geometry.curvature, (V, W, V)),
+        (geometry.exp, (V,)),
+        (geometry.norm, (V,)),
+    ):
+        by_callable = operation(stretched, P, *arguments)
+        np.testing.assert_array_equal(by_callable, operation(geometry.Metric(stretched), P, *arguments))
+
+
+def test_metric_is_left_as_it_is():
+    sphere = geometry.sphere()
+    assert geometry.as_metric(sphere) is sphere
+
+
+def test_inner_and_norm_are_those_of_the_matrix():
+    assert geometry.inner(stretched, P, V, W) == pytest.approx(0.2 * 0.5 - 0.4 * 0.6 * 1.09, rel=1e-15)
+    assert geometry.norm(stretched, P, V) ** 2 == pytest.approx(0.2**2 + 0.4**2 * 1.09, rel=1e-15)
+
+
+def test_norm_of_zero_has_zero_derivative():
+    np.testing.assert_array_equal(jax.grad(lambda x: geometry.norm(stretched, P, x))(jnp.zeros(2)), jnp.zeros(2))
+
+
+@pytest.mark.parametrize("shape", [(), (1,), (3,), (2, 3), (0,)])
+def test_carried_vectors_keep_their_shape(space, shape):
+    n = space.p.shape[1]
+    p, w = jax.ShapeDtypeStruct((n,), jnp.float64), jax.ShapeDtypeStruct((*shape, n), jnp.float64)
+    end = jax.eval_shape(lambda p, v, w: geometry.transport_along(space.metric, p, v, w), p, p, w)
+    assert (end.q.shape, end.velocity.shape, end.w.shape) == ((n,), (n,), (*shape, n))
+
+
+@pytest.mark.parametrize("budget", [Budget(), Budget(newton=1, steps=4)], ids=["open", "fixed"])
+def test_single_precision_stays_single(space, budget):
+    metric, n = space.metric, space.p.shape[1]
+    x = jax.ShapeDtypeStruct((n,), jnp.float32)
+    results = jax.eval_shape(
+        lambda q, x, y, z: (
+            metric(q),
+            geometry.christoffel(metric, q, x, y),
+            geometry.curvature(metric, q, x, y, z),
+            geometry.inner(metric, q, x, y),
+            geometry.norm(metric, q, x),
+            geometry.gradient(metric, q, x),
+            geometry.exp(metric, q, x, budget),
+            geometry.log(metric, q, y, budget),
+            geometry.distance(metric, q, y, budget),
+            geometry.transport(metric, q, x, y, budget),
+            geometry.transport_along(metric, q, x, y, budget),
+            geometry.shoot(metric, q, y, x, budget)._replace(result=jnp.zeros((), jnp.float32)),
+        ),
+        *(x, x, x, x),
+    )
+    assert {leaf.dtype for leaf in jax.tree.leaves(results)} == {jnp.dtype(jnp.float32)}
+
+
+@pytest.mark.parametrize(
+    "metric",
+    [geometry.sphere(), geometry.hyperbolic(), geometry.Metric(geometry.sphere()), geometry.Metric(stretched)],
+    ids=["sphere", "hyperbolic", "numeric sphere", "stretched"],
+)
+def test_single_precision_agrees_with_double(metric):
+    """To 1e-5, a hundred roundings of single precision; the search for a geodesic converges in either."""
+
+    @jax.jit
+    def all_of_them(p, q, v, w):
+        shot = geometry.shoot(metric, p, q)
+        end = geometry.transport_along(metric, p, v, w)
+        return shot.velocity, shot.arrival, shot.result, *end, geometry.curvature(metric, p, v, w, q)
+
+    arguments = P, P + V, V, W
+    double = all_of_them(*arguments)
+    single = all_of_them(*(jnp.asarray(a, jnp.float32) for a in arguments))
+    for a, b in zip(single, double, strict=True):
+        np.testing.assert_allclose(a, b, atol=1e-5)
+
+
+def test_unknown_radius_type_keeps_single_precision():
+    q = jax.ShapeDtypeStruct((2,), jnp.float32)
+    assert jax.eval_shape(geometry.sphere(np.float64(2.0)).__call__, q).dtype == jnp.float32
