@@ -82,7 +82,8 @@ def solve(
         dt0=None,
         y0=x0,
         saveat=diffrax.SaveAt(ts=ts),
-        stepsize_controller=diffrax.PIDController(rtol=rtol, atol=atol),
+        # Steps end at the stamps: interpolating between steps would cost a digit or two.
+        stepsize_controller=diffrax.ClipStepSizeController(diffrax.PIDController(rtol=rtol, atol=atol), step_ts=ts),
         max_steps=max_steps,
         adjoint=diffrax.ForwardMode(),
         throw=False,

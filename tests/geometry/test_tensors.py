@@ -32,7 +32,7 @@ def christoffel_symbols(g):
 
 
 def riemann_tensor(g):
-    """`R^i_jkl = ∂_k Γ^i_lj − ∂_l Γ^i_kj + Γ^i_km Γ^m_lj − Γ^i_lm Γ^m_kj`, so that `(R(x, y)z)^i = R^i_jkl z^j x^k y^l`."""
+    """`R^i_jkl = ∂_k Γ^i_lj − ∂_l Γ^i_kj + Γ^i_km Γ^m_lj − Γ^i_lm Γ^m_kj`; `R(x, y)z` is `R^i_jkl z^j x^k y^l`."""
     symbols = christoffel_symbols(g)
 
     def tensor(q):

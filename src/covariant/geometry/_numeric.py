@@ -160,7 +160,7 @@ def damped_newton(metric: AbstractMetric, p: Vector, q: Vector, start: Vector, b
     def unfinished(s: _Search):
         # Convergence is quadratic: below this the last correction leaves only rounding errors.
         long = norm(metric, p, s.correction) > epsilon(q) ** 0.5 * norm(metric, p, s.velocity)
-        return long & (s.tries < NEWTON_LIMIT) & (s.damping > 1e-6)
+        return (s.tries == 0) | (long & (s.tries < NEWTON_LIMIT) & (s.damping > 1e-6))
 
     def improve(s: _Search):
         candidate = s.velocity + s.damping * s.correction
@@ -171,32 +171,40 @@ def damped_newton(metric: AbstractMetric, p: Vector, q: Vector, start: Vector, b
         old = s._replace(damping=damping, tries=s.tries + 1)
         return jax.tree.map(lambda a, b: jnp.where(better, a, b), new, old)
 
-    correction, miss = newton_step(metric, p, q, start, budget)
-    first = _Search(start, correction, miss, jnp.ones_like(miss), jnp.zeros((), jnp.int32))
+    one = jnp.ones((), q.dtype)
+    first = _Search(start, jnp.zeros_like(start), one * jnp.inf, one, jnp.zeros((), jnp.int32))
     last = jax.lax.while_loop(unfinished, improve, first)
     return last.velocity + jnp.where(unfinished(last), 0.0, 1.0) * last.correction
 
 
-def continued_newton(metric: AbstractMetric, p: Vector, q: Vector, budget: Budget) -> Vector:
-    """Newton's method on targets that move from p to q: slower, for targets too far for a direct search."""
+def find_geodesic(metric: AbstractMetric, p: Vector, q: Vector, start: Vector, budget: Budget) -> Vector:
+    """A direct search, and where that fails one on targets that move from p to q in small steps."""
 
-    def stage(k, velocity):
-        target = p + (k + 1) / CONTINUATION_STAGES * (q - p)
-        return damped_newton(metric, p, target, velocity * (k + 1) / jnp.maximum(k, 1), budget)
+    def stage(carry):
+        k, velocity, _ = carry
+        direct, moved = k == 0, k / CONTINUATION_STAGES
+        target = jnp.where(direct, q, p + moved * (q - p))
+        extrapolated = velocity * k / jnp.maximum(k - 1, 1)
+        begin = jnp.where(direct, start, jnp.where(k == 1, moved * (q - p), extrapolated))
+        velocity = damped_newton(metric, p, target, begin, budget)
+        miss = norm(metric, q, q - spray(metric, budget, p, velocity)[0])
+        return k + 1, velocity, miss <= epsilon(q) ** 0.5 * norm(metric, p, velocity)
 
-    return jax.lax.fori_loop(0, CONTINUATION_STAGES, stage, (q - p) / CONTINUATION_STAGES)
+    def unfinished(carry):
+        k, _, found = carry
+        return ~found & (k <= CONTINUATION_STAGES)
+
+    return jax.lax.while_loop(unfinished, stage, (jnp.zeros((), jnp.int32), start, jnp.zeros((), bool)))[1]
 
 
 def implicit_newton(metric: AbstractMetric, p: Vector, q: Vector, start: Vector, budget: Budget) -> Vector:
-    """`damped_newton`, differentiable by the implicit function theorem in p, q and the metric's own parameters."""
+    """`find_geodesic`, differentiable by the implicit function theorem in p, q and the metric's own parameters."""
 
     def miss(velocity):
         return q - spray(metric, budget, p, velocity)[0]
 
     def search(_, first):
-        direct = damped_newton(metric, p, q, first, budget)
-        missed = norm(metric, q, miss(direct)) > 1e-6 * norm(metric, p, direct)
-        return jax.lax.cond(missed, lambda: continued_newton(metric, p, q, budget), lambda: direct)
+        return find_geodesic(metric, p, q, first, budget)
 
     def solve_linear(linear, y):
         return least_squares(jax.jacfwd(linear)(jnp.zeros_like(y)), y)

@@ -65,7 +65,7 @@ class FlatTorus(AbstractMetric):
 class ConstantCurvature(AbstractMetric):
     """Space of constant curvature K ≠ 0 in the stereographic chart; `sphere` and `hyperbolic` make it."""
 
-    k: float = eqx.field(static=True)
+    k: float = eqx.field(static=True, converter=float)
 
     def __call__(self, q: Vector) -> Matrix:
         return self._scale(q) ** 2 * jnp.eye(q.shape[0], dtype=q.dtype)

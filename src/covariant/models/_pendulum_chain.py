@@ -73,7 +73,7 @@ def pendulum_chain(
     _one_of("inertia_about", inertia_about, ("com", "joint"))
     for name in ("mass", "inertia", "rotor_inertia", "viscous", "coulomb"):
         if (p[name] < 0).any():
-            raise ValueError(f"pendulum_chain: {name} must not be negative; got {tuple(p[name])}")
+            raise ValueError(f"pendulum_chain: {name} must not be negative; got {tuple(p[name].tolist())}")
 
     about_com = p["inertia"] - (p["mass"] * p["com"] ** 2 if inertia_about == "joint" else 0.0)
     arms = np.tril(np.tile(p["length"], (n, 1)), -1) + np.diag(p["com"])  # arms[k, i]: reach of link i towards mass k
@@ -128,7 +128,7 @@ def _per_link(name: str, value: Sequence[float] | np.ndarray | None, n: int) -> 
     if array.shape != (n,):
         raise ValueError(f"pendulum_chain: {name} needs one number a link, {n} as in mass; got {np.size(array)}")
     if not np.isfinite(array).all():
-        raise ValueError(f"pendulum_chain: {name} must be finite; got {tuple(array)}")
+        raise ValueError(f"pendulum_chain: {name} must be finite; got {tuple(array.tolist())}")
     return array
 
 

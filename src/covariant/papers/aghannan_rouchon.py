@@ -22,6 +22,8 @@ TRUTH = (0.02, 0.0, 0.05, 0.0)
 ESTIMATE = (0.021, 0.2, 0.525, 2.0)
 """Initial (r, θ, v_r, v_θ) of plant and observers in figure 4."""
 STAMPS = (0.0, 5.0, 10.0, 20.0, 40.0)
+MOST_STEPS = 20_000
+"""Integration steps after which an observer counts as escaped."""
 SCALES = (0.05, 0.5, 1.0, 1.5, 1.75, 2.0, 4.0, 8.0)
 
 
@@ -36,14 +38,15 @@ class Trajectory(NamedTuple):
     @property
     def error(self) -> np.ndarray:
         """Euclidean norm (T,) of (q̂ − q, v̂ − v); not finite once the observer has escaped."""
-        return np.linalg.norm(self.estimate - self.x, axis=1)
+        with np.errstate(invalid="ignore"):  # infinite once the observer has escaped
+            return np.linalg.norm(self.estimate - self.x, axis=1)
 
 
 def figure4_observers() -> dict[str, AbstractFlowObserver]:
     """The observers compared on figure 4, by their key in the results."""
     plant = models.ball_and_beam()
     return {
-        "exact": Geodesic(plant, ALPHA, BETA, Budget()),
+        "exact": Geodesic(plant, ALPHA, BETA, Budget(steps=4)),
         "approximate": Intrinsic(plant, ALPHA, BETA),
         "corrected14": Intrinsic(plant, ALPHA, BETA, coefficients="estimated"),
         "printed14": PrintedBallAndBeam(ALPHA, BETA),
@@ -63,7 +66,7 @@ def noise(t):
 
 
 def figure4(
-    observer: AbstractFlowObserver, t, noisy: bool = False, scale: float = 1.0, rtol: float = 1e-11
+    observer: AbstractFlowObserver, t, noisy: bool = False, scale: float = 1.0, rtol: float = 1e-10
 ) -> Trajectory:
     """Run one observer on the scenario of figure 4, its initial error multiplied by `scale`."""
     # Everything that varies is an array, so that an observer is compiled once for all of its runs.
@@ -82,7 +85,9 @@ def _figure4(observer, t, amplitude, scale, rtol):
     def measure(s, q):
         return q + amplitude * noise(s)
 
-    x, state = observe(plant, observer, x0, state0, t, feedback, measure, rtol=rtol, atol=rtol / 100)
+    x, state = observe(
+        plant, observer, x0, state0, t, feedback, measure, rtol=rtol, atol=rtol / 100, max_steps=MOST_STEPS
+    )
     return x, jnp.concatenate([state.q, state.v], axis=1), jax.vmap(measure)(t, x[:, :2])
 
 
@@ -140,7 +145,7 @@ def reproduce(progress: Callable[[str], None] = lambda stage: None) -> dict[str,
     for key, noisy in (("fig4", False), ("fig4_noise", True)):
         for name, observer in figure4_observers().items():
             progress(f"figure 4{' with noise' if noisy else ''}: {name}")
-            run = figure4(observer, STAMPS, noisy, rtol=1e-9 if noisy else 1e-11)
+            run = figure4(observer, STAMPS, noisy, rtol=1e-7 if noisy else 1e-10)
             results[key][name] = {"t": list(STAMPS), "error": _finite(run.error)}
     for name in ("exact", "approximate"):
         progress(f"basin of attraction: {name}")
@@ -173,7 +178,7 @@ def figure4_runs(duration: float = 20.0) -> dict[str, Trajectory]:
     """The noisy runs that figure 4 shows, finely sampled, by key."""
     t = np.linspace(0.0, duration, int(100 * duration) + 1)
     observers = figure4_observers()
-    return {name: figure4(observers[name], t, True, rtol=1e-8) for name in ("approximate", "copy", "printed14")}
+    return {name: figure4(observers[name], t, True, rtol=1e-7) for name in ("approximate", "copy", "printed14")}
 
 
 def draw_figure4(runs: dict[str, Trajectory], path: Path) -> Path:
@@ -206,7 +211,7 @@ def draw_errors(path: Path, duration: float = 40.0) -> Path:
     figure, axes = new_figure(panel=(8.0, 4.2))
     ax = axes[0, 0]
     for name, observer in figure4_observers().items():
-        error = figure4(observer, t, rtol=1e-9).error
+        error = figure4(observer, t, rtol=1e-8).error
         ax.semilogy(t, np.where(np.isfinite(error), error, np.nan), label=LABELS[name])
     omega = BETA**0.5
     ax.semilogy(t, 2 * (1 + omega * t) * np.exp(-omega * t), "k:", label="theory: double pole at −ω0")
@@ -226,8 +231,8 @@ def write_page(results: dict[str, Any], figures: tuple[Path, Path], path: Path) 
         [
             "# Figure 4: ball and beam",
             "Gains α = √2, β = ½ are low on purpose: measurement noise passes little, but the negative curvature of "
-            "the ball and beam must be compensated. The exact and the approximate intrinsic observer converge at the rate "
-            "of the theory. The copy observer does not, nor does the observer without its curvature term.",
+            "the ball and beam must be compensated. The exact and the approximate intrinsic observer converge at the "
+            "rate of the theory. The copy observer does not, nor does the observer without its curvature term.",
             "Equation (14) is printed with all four curvature terms of the wrong sign: it diverges, here as in any "
             "implementation that follows the print. With the signs of equation (5) it converges.",
             error_rows(results["fig4"]),

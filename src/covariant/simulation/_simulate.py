@@ -48,6 +48,7 @@ def observe(
     *,
     rtol: Number = 1e-10,
     atol: Number = 1e-12,
+    max_steps: int = 200_000,
 ) -> tuple[Float[Array, "T two_n"], Any]:
     """Integrate plant and observer as one system; returns the true states and the observer's, time first.
 
@@ -61,7 +62,7 @@ def observe(
         x, state = joint
         return plant(s, x), observer.flow(s, state, push(s, x), measure(s, x[:n]))
 
-    return solve(flow, (x0, state0), t, rtol=rtol, atol=atol)
+    return solve(flow, (x0, state0), t, rtol=rtol, atol=atol, max_steps=max_steps)
 
 
 def no_input(model: Lagrangian, n: int) -> Input:

@@ -1,0 +1,266 @@
+"""Laws of the intrinsic observers: the linear error law, invariance under coordinates, order of the approximation.
+
+Each law is tested on all observers that claim it; observers spoiled on purpose must break it.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jaxtyping import Array
+from scipy.linalg import expm
+
+from covariant import models
+from covariant.geometry import Budget, Pullback, christoffel, curvature, hyperbolic, sphere, transport_along
+from covariant.geometry import shoot as shoot_geodesic
+from covariant.models import Lagrangian, acceleration, position_error, source
+from covariant.observers import Geodesic, Intrinsic, MechanicalState
+from covariant.simulation import observe
+
+ALPHA, BETA = 1.2, 0.9
+A = np.array([[-ALPHA, 1.0], [-BETA, 0.0]])
+
+
+def on_space(space) -> Lagrangian:
+    """A system on a yardstick space, with a potential so that the source term has something to transport."""
+    return Lagrangian(space, lambda q: 0.4 * q[0] + 0.3 * q[0] * q[1] - 0.2 * q[1] ** 2)
+
+
+SYSTEMS = {
+    "sphere": (on_space(sphere()), [0.1, -0.2], [0.6, 0.8]),
+    "hyperbolic plane": (on_space(hyperbolic()), [0.05, -0.1], [0.6, 0.8]),
+    "ball and beam": (models.ball_and_beam(), [0.2, 0.3], [0.5, 0.7]),
+    "double pendulum": (models.pendulum_chain((1.0, 0.7), (0.5, 0.4)), [0.4, 0.6], [0.7, -0.6]),
+}
+SPEEDS = (0.0, 0.5, 3.0, 10.0)
+OBSERVERS = {
+    "intrinsic": lambda m: Intrinsic(m, ALPHA, BETA),
+    "intrinsic, coefficients at the estimate": lambda m: Intrinsic(m, ALPHA, BETA, coefficients="estimated"),
+    "intrinsic, second order": lambda m: Intrinsic(m, ALPHA, BETA, order=2),
+    "geodesic": lambda m: Geodesic(m, ALPHA, BETA, Budget()),
+    "geodesic, fixed budget": lambda m: Geodesic(m, ALPHA, BETA, Budget(newton=1, steps=4)),
+}
+
+
+class Spoiled(eqx.Module):
+    """Observer (5) with one mistake: what the law tests are there to catch."""
+
+    model: Lagrangian
+    mistake: str = eqx.field(static=True)
+
+    def init(self, y: Array) -> MechanicalState:
+        return MechanicalState(y, jnp.zeros_like(y), jnp.zeros((), y.dtype))
+
+    def flow(self, t, state, u, y):
+        q, v, _ = state
+        metric = self.model.metric
+        xi = position_error(self.model, q, y)
+        s = source(self.model, t, y, u)
+        sign = -1.0 if self.mistake == "curvature sign" else 1.0
+        drive = s + sign * curvature(metric, y, xi, v, v)
+        if self.mistake != "no source transport":
+            drive = drive - christoffel(metric, y, s, xi)
+        q_dot = v - ALPHA * xi
+        at = y if self.mistake == "Γ(q) for Γ(q̂)" else q
+        return MechanicalState(q_dot, drive - BETA * xi - christoffel(metric, at, v, q_dot), jnp.ones(()))
+
+
+@eqx.filter_jit
+def deviation_from_linear_law(observer, model, q0, v0, size):
+    """Largest distance, over a second, between the error in a parallel frame and `expm(At)` times its start, over |ξ0|.
+
+    The frame is carried along the truth; ξ = −log_q(q̂) up to sign, ζ is v̂ carried to q minus v.
+    """
+    n = q0.shape[0]
+    u = jnp.zeros(n if model.inputs is None else model.inputs)
+    duration = 1.0 / (1.0 + jnp.linalg.norm(v0))  # about a unit of path at any speed
+    t = jnp.linspace(0.0, 1.0, 6) * duration
+    scale = size / jnp.sqrt(jnp.array([0.8, -0.6]) @ model.metric(q0) @ jnp.array([0.8, -0.6]))
+    xi0, zeta0 = scale * jnp.array([0.8, -0.6]), scale * jnp.array([0.3, 0.5])
+    start = transport_along(model.metric, q0, xi0, v0 + zeta0)
+    state0 = observer.init(start.q)._replace(v=start.w)
+
+    # The truth carries a parallel frame: integrate the plant and the frame, the observer beside them.
+    def flow(s, joint):
+        q, v, frame, state = joint
+        carried = jax.vmap(lambda e: -christoffel(model.metric, q, v, e), in_axes=1, out_axes=1)(frame)
+        return v, acceleration(model, s, q, v, u), carried, observer.flow(s, state, u, q)
+
+    from covariant._integrate import solve
+
+    q, v, frame, state = solve(flow, (q0, v0, jnp.eye(n), state0), t, rtol=1e-11, atol=1e-15)
+
+    def error(q, v, frame, q_hat, v_hat):
+        shot = shoot_geodesic(model.metric, q, q_hat)
+        zeta = transport_along(model.metric, q_hat, -shot.arrival, v_hat).w - v
+        return jnp.linalg.solve(frame, jnp.stack([shot.velocity, zeta], axis=1)).T
+
+    return t, jax.vmap(error)(q, v, frame, state.q, state.v), jnp.stack([xi0, zeta0])
+
+
+def worst(observer, name: str, speed: float, size: float = 1e-5) -> float:
+    model, q0, direction = SYSTEMS[name]
+    direction = jnp.array(direction)
+    q0 = jnp.array(q0)
+    v0 = speed * direction / jnp.sqrt(direction @ model.metric(q0) @ direction)
+    t, found, start = deviation_from_linear_law(observer, model, q0, v0, jnp.asarray(size))
+    expected = np.stack([expm(A * s) @ np.asarray(start) for s in np.asarray(t)])
+    metric = np.asarray(model.metric(q0))
+    gap = np.asarray(found) - expected
+    return float(np.sqrt(np.einsum("tki,ij,tkj->tk", gap, metric, gap)).max() / size)
+
+
+@pytest.fixture(scope="module")
+def built():
+    return {(o, s): make(SYSTEMS[s][0]) for o, make in OBSERVERS.items() for s in SYSTEMS}
+
+
+@pytest.mark.parametrize("name", SYSTEMS)
+@pytest.mark.parametrize("observer", OBSERVERS)
+def test_error_in_a_parallel_frame_obeys_the_linear_law_at_any_speed(built, observer, name):
+    """Law (10): ξ' = ζ − αξ, ζ' = −βξ along any trajectory, to first order in the error."""
+    for speed in SPEEDS:
+        assert worst(built[observer, name], name, speed) <= 1e-4, f"at speed {speed}"
+
+
+@pytest.mark.parametrize("observer", ["intrinsic", "geodesic"])
+def test_what_the_linear_law_leaves_out_is_of_first_order_in_the_error(built, observer):
+    small, large = (worst(built[observer, "ball and beam"], "ball and beam", 3.0, size) for size in (1e-4, 1e-3))
+    assert np.log10(large / small) == pytest.approx(1.0, abs=0.1)
+
+
+@pytest.mark.parametrize("mistake", ["curvature sign", "Γ(q) for Γ(q̂)", "no source transport"])
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_each_mistake_breaks_the_linear_law(mistake, name):
+    spoiled = Spoiled(SYSTEMS[name][0], mistake)
+    assert worst(spoiled, name, 3.0) > 1e-2
+
+
+def test_the_spoiled_observer_without_a_mistake_keeps_the_law():
+    assert worst(Spoiled(SYSTEMS["ball and beam"][0], "none"), "ball and beam", 3.0) <= 1e-4
+
+
+# Invariance under coordinates.
+
+
+def shear(a, b):
+    """A random cubic diffeomorphism of the plane with an exact inverse: two shears."""
+
+    def forward(z):
+        x = jnp.stack([z[0], z[1] + a[0] * z[0] ** 2 + a[1] * z[0] ** 3])
+        return jnp.stack([x[0] + b[0] * x[1] ** 2 + b[1] * x[1] ** 3, x[1]])
+
+    def inverse(q):
+        x = jnp.stack([q[0] - b[0] * q[1] ** 2 - b[1] * q[1] ** 3, q[1]])
+        return jnp.stack([x[0], x[1] - a[0] * x[0] ** 2 - a[1] * x[0] ** 3])
+
+    return forward, inverse
+
+
+def in_another_chart(model: Lagrangian, forward) -> Lagrangian:
+    """The same machine in coordinates z, q = forward(z); its geometry found numerically from the new matrix."""
+
+    def metric(z):
+        jacobian = jax.jacfwd(forward)(z)
+        return jacobian.T @ model.metric(forward(z)) @ jacobian
+
+    return Lagrangian(metric, lambda z: model.potential(forward(z)), inputs=model.inputs)
+
+
+TOLERANCE = 1e-9
+
+
+@eqx.filter_jit
+def estimates(observer, model, x0, start, t):
+    state0 = observer.init(start[:2])._replace(v=start[2:])
+    _, state = observe(model, observer, x0, state0, t, lambda s, x: jnp.zeros(2), rtol=TOLERANCE, atol=TOLERANCE)
+    return jnp.concatenate([state.q, state.v], axis=1)
+
+
+def chart_gap(make, seed: int) -> float:
+    """Largest difference of the estimates of one double pendulum made in two charts, both mapped to q."""
+    random = np.random.default_rng(seed)
+    forward, inverse = shear(*(0.3 * random.normal(size=(2, 2))))
+    plain = Lagrangian(
+        models.pendulum_chain((1.0, 0.7), (0.5, 0.4)).metric,
+        models.pendulum_chain((1.0, 0.7), (0.5, 0.4)).potential,
+        inputs=2,
+    )
+    bent = in_another_chart(plain, forward)
+    x0, start = jnp.array([0.2, -0.3, 0.5, 0.4]), jnp.array([0.35, -0.1, 0.2, 0.1])
+
+    def there(x):
+        return jnp.concatenate(jax.jvp(inverse, (x[:2],), (x[2:],)))
+
+    def back(z):
+        return jnp.concatenate(jax.jvp(forward, (z[:2],), (z[2:],)))
+
+    t = jnp.linspace(0.0, 1.5, 7)
+    direct = estimates(make(plain), plain, x0, start, t)
+    mapped = jax.vmap(back)(estimates(make(bent), bent, there(x0), there(start), t))
+    return float(jnp.abs(mapped - direct).max())
+
+
+def test_the_exact_observer_is_the_same_in_all_coordinates():
+    assert chart_gap(lambda m: Geodesic(m, ALPHA, BETA, Budget(steps=4)), seed=3) <= 10 * TOLERANCE
+
+
+def test_the_approximate_observer_is_not():
+    assert chart_gap(lambda m: Intrinsic(m, ALPHA, BETA), seed=3) > 1e-3
+
+
+@pytest.mark.parametrize(("order", "slope"), [(1, 2.0), (2, 2.0)])
+def test_intrinsic_differs_from_geodesic_by_second_order(order, slope):
+    """The second-order error ξ leaves a second-order rest too: the transport and curvature are still of first order."""
+    model = models.pendulum_chain((1.0, 0.7), (0.5, 0.4))
+    y, v, u = jnp.array([0.4, 0.6]), jnp.array([1.0, -2.0]), jnp.array([0.3, -0.2])
+    exact, near = Geodesic(model, ALPHA, BETA, Budget()), Intrinsic(model, ALPHA, BETA, order=order)
+
+    @jax.jit
+    def gap(size):
+        q = y + size * jnp.array([0.8, -0.6])
+        one = exact.flow(jnp.zeros(()), exact.init(q)._replace(v=v), u, y)
+        two = near.flow(jnp.zeros(()), near.init(q)._replace(v=v), u, y)
+        return jnp.linalg.norm(jnp.concatenate([one.q - two.q, one.v - two.v]))
+
+    sizes = np.geomspace(1e-3, 1e-2, 5)
+    fitted = np.polyfit(np.log(sizes), np.log([float(gap(jnp.asarray(s))) for s in sizes]), 1)[0]
+    assert fitted == pytest.approx(slope, abs=0.05)
+
+
+def test_the_second_order_error_is_of_third_order():
+    """`e − ½Γ(q̂)(e, e)` approaches −log_q̂ q one order faster than e."""
+    model = models.pendulum_chain((1.0, 0.7), (0.5, 0.4))
+    y = jnp.array([0.4, 0.6])
+
+    @jax.jit
+    def rest(size):
+        q = y + size * jnp.array([0.8, -0.6])
+        e = q - y
+        exact = -shoot_geodesic(model.metric, q, y).velocity
+        second = e - christoffel(model.metric, q, e, e) / 2
+        return jnp.stack([jnp.linalg.norm(e - exact), jnp.linalg.norm(second - exact)])
+
+    sizes = np.geomspace(3e-3, 3e-2, 5)
+    found = np.array([rest(jnp.asarray(s)) for s in sizes])
+    slopes = [np.polyfit(np.log(sizes), np.log(found[:, i]), 1)[0] for i in (0, 1)]
+    assert slopes == pytest.approx([2.0, 3.0], abs=0.1)
+
+
+def test_closed_forms_and_shooting_give_the_same_observer():
+    """`Pullback` knows its space's closed forms; the numerical metric of the same matrix must agree."""
+    forward, inverse = shear(np.array([0.2, -0.1]), np.array([0.1, 0.2]))
+    closed = on_space(Pullback(sphere(), forward, inverse))
+    numeric = on_space(lambda q: closed.metric(q))
+    state = MechanicalState(jnp.array([0.3, -0.2]), jnp.array([0.7, 0.4]), jnp.zeros(()))
+    y, u = jnp.array([0.1, 0.1]), jnp.zeros(2)
+
+    @jax.jit
+    def flows():
+        made = [Geodesic(m, ALPHA, BETA, Budget()) for m in (closed, numeric)]
+        return [o.flow(jnp.zeros(()), o.init(state.q)._replace(v=state.v), u, y) for o in made]
+
+    one, two = flows()
+    assert np.allclose(one.q, two.q, atol=1e-11)
+    assert np.allclose(one.v, two.v, atol=1e-11)

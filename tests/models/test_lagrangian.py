@@ -1,0 +1,245 @@
+"""What holds for every mechanical system: power balance, checks when it is built, angles, precision."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from covariant import geometry, models
+from covariant._integrate import rk8
+from covariant.models import Lagrangian, acceleration, check_model, energy, friction, position_error, source, wrap
+
+TIME = jnp.zeros(())
+
+
+def every_model():
+    chain = {"mass": (1.0, 0.5, 0.7), "length": (1.0, 0.8, 0.6), "com": (0.5, 0.4, 0.6), "inertia": (0.1, 0.05, 0.02)}
+    chain |= {"rotor_inertia": (0.01, 0.02, 0.03), "gear": (3.0, -2.0, 5.0)}
+    rough = {"viscous": (0.1, 0.2, 0.3), "coulomb": (0.2, 0.1, 0.05), "offset": (0.3, -0.2, 0.1), "actuated": (2, 0)}
+    return {
+        "ball and beam": models.ball_and_beam(9.81, 0.5, 0.2),
+        "oscillator q": models.oscillator("q", 2.0),
+        "oscillator r": models.oscillator("r", 2.0),
+        "pendulum": models.pendulum_chain((1.0,), (0.5,)),
+        "double pendulum": models.pendulum_chain(),
+        "chain, relative": models.pendulum_chain(**chain),
+        "chain, absolute": models.pendulum_chain(**chain, angles="absolute"),
+        "rough chain, relative": models.pendulum_chain(**chain, **rough),
+        "rough chain, absolute": models.pendulum_chain(**chain, **rough, angles="absolute"),
+    }
+
+
+MODELS = every_model()
+SAMPLES = 10
+
+
+@pytest.fixture(scope="module", params=MODELS)
+def model(request):
+    return MODELS[request.param]
+
+
+@pytest.fixture(scope="module")
+def motions(model):
+    """States and inputs side by side: q > 0 for the chart r, velocities that include rest."""
+    n = len(model.coordinates)
+    rng = np.random.default_rng(n)
+    q, v = rng.uniform(0.2, 1.5, (SAMPLES, n)), rng.normal(size=(SAMPLES, n))
+    v[0] = 0.0
+    return q, v, rng.normal(size=(SAMPLES, n if model.inputs is None else model.inputs))
+
+
+def test_power_balance(model, motions):
+    """`dE/dt = v·(force + dissipation)` along every motion, so energy is conserved where neither acts."""
+
+    @jax.jit
+    @jax.vmap
+    def both(q, v, u):
+        a = acceleration(model, TIME, q, v, u)
+        _, rate = jax.jvp(lambda q, v: energy(model, q, v), (q, v), (v, a))
+        return rate, v @ (model.force(TIME, q, u) + model.dissipation(q, v))
+
+    rate, power = both(*motions)
+    np.testing.assert_allclose(rate, power, atol=1e-11 * max(1.0, np.abs(power).max()))
+
+
+def test_dissipation_never_adds_energy(model, motions):
+    q, v, _ = motions
+    assert (jax.vmap(lambda q, v: v @ model.dissipation(q, v))(q, v) <= 0).all()
+
+
+def test_acceleration_is_source_friction_and_geodesic(model, motions):
+    @jax.jit
+    @jax.vmap
+    def both(q, v, u):
+        parts = source(model, TIME, q, u) + friction(model, q, v) - geometry.christoffel(model.metric, q, v, v)
+        return acceleration(model, TIME, q, v, u), parts
+
+    whole, parts = both(*motions)
+    np.testing.assert_allclose(whole, parts, atol=1e-11 * max(1.0, np.abs(whole).max()))
+
+
+def test_energy_is_conserved_without_friction():
+    model = MODELS["chain, relative"]
+
+    @jax.jit
+    def ends(q, v):
+        def flow(t, x):
+            return x[1], acceleration(model, t, *x, jnp.zeros(3))
+
+        return energy(model, q, v), energy(model, *rk8(flow, 0.0, (q, v), 3.0, 400))
+
+    before, after = ends(jnp.array([2.0, 0.3, -0.5]), jnp.zeros(3))
+    assert float(after) == pytest.approx(float(before), abs=1e-9)
+
+
+def test_single_precision_stays_single(model):
+    n, m = len(model.coordinates), len(model.coordinates) if model.inputs is None else model.inputs
+    t, q, u = (jax.ShapeDtypeStruct(shape, jnp.float32) for shape in ((), (n,), (m,)))
+    results = jax.eval_shape(
+        lambda t, q, v, u: (
+            acceleration(model, t, q, v, u),
+            source(model, t, q, u),
+            friction(model, q, v),
+            energy(model, q, v),
+            position_error(model, q, v),
+        ),
+        *(t, q, q, u),
+    )
+    assert {leaf.dtype for leaf in results} == {jnp.dtype(jnp.float32)}
+
+
+def test_single_precision_agrees_with_double(model, motions):
+    """To 1e-4 of the largest: a thousand roundings."""
+    forward = jax.jit(jax.vmap(lambda q, v, u: acceleration(model, jnp.zeros((), q.dtype), q, v, u)))
+    double = forward(*motions)
+    single = forward(*(np.asarray(a, np.float32) for a in motions))
+    np.testing.assert_allclose(single, double, rtol=0, atol=1e-4 * max(1.0, np.abs(double).max()))
+
+
+def test_model_passes_through_jit(model, motions):
+    """As an argument: arrays are traced, the rest is compared, so a second call compiles nothing."""
+    traces = []
+
+    @eqx.filter_jit
+    def forward(model, q, v, u):
+        traces.append(None)
+        return acceleration(model, TIME, q, v, u)
+
+    q, v, u = (jnp.asarray(a[1]) for a in motions)
+    first = forward(model, q, v, u)
+    np.testing.assert_array_equal(first, forward(model, q, v, u))
+    assert len(traces) == 1
+
+
+# Checks when a model is built
+
+
+def flat(q):
+    return jnp.eye(2)
+
+
+def free(q):
+    return 0.0 * q[0]
+
+
+NAMES = {"coordinates": ("a", "b")}
+
+
+@pytest.mark.parametrize(
+    ("name", "given"),
+    [
+        ("potential", {"potential": lambda q: q}),
+        ("force", {"force": lambda t, q, u: u[:1]}),
+        ("force", {"force": lambda t, q, u: 0.0 * t}),
+        ("dissipation", {"dissipation": lambda q, v: jnp.stack([v, v])}),
+    ],
+)
+def test_wrong_shape_is_named(name, given):
+    functions = {"metric": flat, "potential": free} | given
+    with pytest.raises(ValueError, match=f"^{name} must return shape"):
+        Lagrangian(**functions, **NAMES)
+
+
+@pytest.mark.parametrize("matrix", [lambda q: jnp.eye(3), lambda q: q, lambda q: q[0]])
+def test_wrong_shape_of_the_metric_is_named(matrix):
+    with pytest.raises(ValueError, match=r"^metric "):
+        Lagrangian(matrix, free, **NAMES)
+
+
+@pytest.mark.parametrize(
+    ("name", "given"),
+    [
+        ("metric", {"metric": lambda q: jnp.eye(2) @ jnp.ones(3)}),
+        ("potential", {"potential": lambda: 0.0}),
+        ("force", {"force": lambda q, u: u}),
+        ("force", {"force": lambda t, q, u: q + jnp.ones(3)}),
+        ("dissipation", {"dissipation": lambda q, v: v.nonsense}),
+    ],
+)
+def test_function_that_cannot_be_evaluated_is_named(name, given):
+    functions = {"metric": flat, "potential": free} | given
+    with pytest.raises(ValueError, match=f"^{name} cannot be evaluated with 2 coordinates"):
+        Lagrangian(**functions, **NAMES)
+
+
+def test_input_of_the_wrong_size_is_named():
+    """Without a force of its own a model takes the input for the force, which must then have n entries."""
+    with pytest.raises(ValueError, match="force must return shape"):
+        Lagrangian(flat, free, inputs=1, **NAMES)
+
+
+@pytest.mark.parametrize("circles", [(2,), (-1,), (0, 5)])
+def test_circles_that_are_no_coordinates_are_named(circles):
+    with pytest.raises(ValueError, match=r"circles .* must be indices of the 2 coordinates"):
+        Lagrangian(flat, free, circles=circles, **NAMES)
+
+
+def test_model_without_names_is_checked_on_request():
+    model = Lagrangian(flat, lambda q: q)
+    with pytest.raises(ValueError, match=r"potential must return shape \(\) for 2 coordinates; it returned \(2,\)"):
+        check_model(model, 2)
+
+
+def test_input_is_the_force_by_default():
+    model = Lagrangian(flat, free, **NAMES)
+    q, u = jnp.array([0.1, 0.2]), jnp.array([3.0, 4.0])
+    np.testing.assert_array_equal(acceleration(model, TIME, q, 0 * q, u), u)
+
+
+# Angles
+
+EDGES = st.sampled_from([k * np.pi + s for k in range(-3, 4) for s in (-1e-12, 0.0, 1e-12)])
+ANGLES = EDGES | st.floats(-100, 100, allow_subnormal=False)
+
+
+@given(ANGLES, ANGLES)
+def test_wrapped_angle_is_short_and_the_same(angle, straight):
+    e = jnp.array([angle, straight])
+    wrapped = wrap((0,), e)
+    assert abs(wrapped[0]) <= np.pi * (1 + 1e-14)
+    assert np.sin((wrapped[0] - angle) / 2) == pytest.approx(0.0, abs=1e-13)
+    assert wrapped[1] == straight
+
+
+@given(st.floats(-np.pi * (1 - 1e-12), np.pi * (1 - 1e-12)))
+def test_short_angle_is_left_as_it_is(angle):
+    assert wrap((0,), jnp.array([angle]))[0] == angle
+
+
+def test_wrap_has_derivative_one():
+    np.testing.assert_array_equal(jax.jacfwd(lambda e: wrap((0, 1), e))(jnp.array([4.0, -9.0])), jnp.eye(2))
+
+
+def test_position_error_takes_the_short_way_and_no_way_to_a_missing_measurement():
+    model = models.pendulum_chain((1.0, 1.0, 1.0), (1.0, 1.0, 1.0))
+    q, y = jnp.array([3.0, 0.5, 1.0]), jnp.array([-3.0, jnp.nan, 0.25])
+    np.testing.assert_allclose(position_error(model, q, y), [6.0 - 2 * np.pi, 0.0, 0.75], atol=1e-15)
+
+
+def test_missing_measurement_has_a_finite_derivative():
+    model = models.ball_and_beam()
+    slope = jax.jacrev(lambda q: position_error(model, q, jnp.array([jnp.nan, 0.0])))(jnp.ones(2))
+    np.testing.assert_array_equal(slope, [[0.0, 0.0], [0.0, 1.0]])

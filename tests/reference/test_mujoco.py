@@ -1,0 +1,139 @@
+"""Pendulum chains against MuJoCo, which knows bodies and joints but no metric."""
+
+import importlib.util
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+
+from covariant import models
+
+REPOSITORY = Path(__file__).parents[2]
+STATES = 20
+
+
+def accelerations(model, q, v, u):
+    return np.asarray(jax.jit(jax.vmap(lambda *x: models.acceleration(model, jnp.zeros(()), *x)))(q, v, u))
+
+
+def states(n: int, seed: int) -> np.ndarray:
+    """Angles over more than a turn, fast velocities, torques."""
+    rng = np.random.default_rng(seed)
+    scale = np.array([4.0, 20.0, 3.0])[:, None, None]
+    return scale * rng.uniform(-1, 1, (3, STATES, n))
+
+
+def assert_same(ours, theirs):
+    size = np.linalg.norm(theirs, axis=1).max()
+    np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-10 * size)
+
+
+@pytest.mark.parametrize("damped", [False, True])
+def test_demonstration(damped, monkeypatch):
+    """The example's parameters, put into the machine of the demonstration: the same chart, inputs and accelerations."""
+    monkeypatch.chdir(REPOSITORY)
+    demo = load_demo()
+    still = ["parameters.coulomb=[0.0, 0.0]", *([] if damped else ["parameters.viscous=[0.0, 0.0]"])]
+    model = models.load(demo.MODEL, still).model
+    machine = mujoco.MjModel.from_xml_string(demo.MACHINE)
+    data = mujoco.MjData(machine)
+    overwrite(machine, data, {name: np.array(p.value) for name, p in model.parameters.items()})
+
+    q, v, u = states(2, seed=1)
+    theirs = np.empty((STATES, 2))
+    for i in range(STATES):
+        data.qpos, data.qvel, data.ctrl = q[i], v[i], u[i]
+        mujoco.mj_forward(machine, data)
+        theirs[i] = data.qacc
+    assert_same(accelerations(model, q, v, u), theirs)
+
+
+def test_demonstration_is_close_but_no_fairy_tale(monkeypatch):
+    """Data sheet and machine differ, and by no more than the example says."""
+    monkeypatch.chdir(REPOSITORY)
+    demo = load_demo()
+    parameters = models.load(demo.MODEL).model.parameters
+    machine = mujoco.MjModel.from_xml_string(demo.MACHINE)
+    found = {"mass": machine.body_mass, "com": -machine.body_ipos[:, 2], "inertia": machine.body_inertia[:, 0]}
+    for name, real in found.items():
+        ratio = real[1:] / np.array(parameters[name].value)
+        assert (ratio != 1).all(), name
+        assert (np.abs(ratio - 1) < 0.021).all(), name
+
+
+@pytest.mark.parametrize("n", [1, 2, 4])
+@pytest.mark.parametrize("angles", ["relative", "absolute"])
+@pytest.mark.parametrize("zero", ["hanging", "upright"])
+def test_geared_chain(n, angles, zero):
+    """Any chain: MuJoCo turns the rotors as bodies of their own, and its equations are projected on the gears."""
+    rng = np.random.default_rng(n)
+    names = ("mass", "length", "com", "inertia", "rotor_inertia", "viscous")
+    p = {name: rng.uniform(0.2, 1.0, n) for name in names} | {"gear": rng.uniform(-8, 8, n)}
+    given = {name: tuple(value) for name, value in p.items()}
+    model = models.pendulum_chain(**given, angles=angles, zero=zero)
+
+    q, v, u = states(n, seed=10 + n)
+    joints = np.eye(n) if angles == "relative" else np.eye(n) - np.eye(n, k=-1)  # joint angles from the chart's
+    hanging = np.zeros(n) if zero == "hanging" else np.pi * np.eye(n)[0]
+    rows = zip(q @ joints.T + hanging, v @ joints.T, u, strict=True)
+    theirs = np.stack([geared_acceleration(p, *row) for row in rows])
+    assert_same(accelerations(model, q, v, u) @ joints.T, theirs)
+
+
+def load_demo():
+    spec = importlib.util.spec_from_file_location("demo", REPOSITORY / "gallery/demo.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def overwrite(machine, data, parameters) -> None:
+    """Give the machine the parameters of a model, and no dry friction."""
+    machine.body_mass[1:] = parameters["mass"]
+    machine.body_ipos[1:, 2] = -parameters["com"]
+    machine.body_inertia[1:, :2] = parameters["inertia"][:, None]
+    machine.body_pos[2:, 2] = -parameters["length"][:-1]
+    machine.dof_damping[:] = parameters["viscous"]
+    machine.dof_frictionloss[:] = 0.0
+    mujoco.mj_setConst(machine, data)
+
+
+def chain_xml(p) -> str:
+    """Links that hang at zero, each beside the rotor of its joint on the link before; MuJoCo needs a mass for all."""
+    body = ""
+    for i in reversed(range(len(p["mass"]))):
+        at = f"0 0 {-p['length'][i - 1] if i else 0.0}"
+        m, c, inertia, rotor, damping = (p[k][i] for k in ("mass", "com", "inertia", "rotor_inertia", "viscous"))
+        body = f"""
+        <body pos="{at}">
+          <joint name="rotor{i}" axis="0 1 0"/>
+          <inertial mass="1e-14" pos="0 0 0" diaginertia="{rotor} {rotor} {rotor}"/>
+        </body>
+        <body pos="{at}">
+          <joint name="link{i}" axis="0 1 0" damping="{damping}"/>
+          <inertial mass="{m}" pos="0 0 {-c}" diaginertia="{inertia} {inertia} {inertia}"/>
+          {body}
+        </body>"""
+    flag = '<option gravity="0 0 -9.81"><flag contact="disable"/></option>'
+    return f"<mujoco>{flag}<worldbody>{body}</worldbody></mujoco>"
+
+
+def geared_acceleration(p, q, v, u) -> np.ndarray:
+    """`(GᵀMG)⁻¹ (u + Gᵀ(passive − bias))`; G takes joint rates to those of links and rotors."""
+    n = len(q)
+    machine = mujoco.MjModel.from_xml_string(chain_xml(p))
+    data = mujoco.MjData(machine)
+    rates = np.zeros((2 * n, n))
+    for i in range(n):
+        rates[machine.joint(f"link{i}").dofadr[0], i] = 1.0
+        rates[machine.joint(f"rotor{i}").dofadr[0], i] = -p["gear"][i]
+    data.qpos, data.qvel = rates @ q, rates @ v
+    mujoco.mj_forward(machine, data)
+    momenta = np.zeros((n, 2 * n))
+    for momentum, rate in zip(momenta, rates.T, strict=True):
+        mujoco.mj_mulM(machine, data, momentum, np.ascontiguousarray(rate))
+    force = u + rates.T @ (data.qfrc_passive - data.qfrc_bias)
+    return np.linalg.solve(momenta @ rates, force)

@@ -1,0 +1,94 @@
+"""Orders of the integrators by regression, and the accuracy of the adaptive one."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from covariant._integrate import rk4, rk4_step, rk8, solve
+
+START, DURATION = 0.3, 2.0
+STATE = {"position": jnp.array([1.0, 0.2]), "speed": jnp.array(0.5)}
+
+
+def flow(t, x):
+    """Nonlinear, with explicit time, over a dictionary."""
+    a, b = x["position"]
+    return {"position": jnp.stack([b * jnp.cos(t), -jnp.sin(a) * x["speed"]]), "speed": jnp.sin(3 * t) - a * x["speed"]}
+
+
+def flat(x):
+    return np.concatenate([np.asarray(x["position"]), np.asarray(x["speed"])[None]])
+
+
+@pytest.fixture(scope="module")
+def exact():
+    return flat(jax.jit(lambda x: rk8(flow, START, x, DURATION, 2000))(STATE))
+
+
+@pytest.mark.parametrize(
+    ("rule", "order", "steps"), [(rk4, 4, (16, 24, 32, 48, 64)), (rk8, 8, (6, 8, 12, 16))], ids=["rk4", "rk8"]
+)
+def test_order(exact, rule, order, steps):
+    errors = []
+    for count in steps:
+        end = jax.jit(lambda x, count=count: rule(flow, START, x, DURATION, count))(STATE)
+        errors.append(np.abs(flat(end) - exact).max())
+    assert -np.polyfit(np.log(steps), np.log(errors), 1)[0] == pytest.approx(order, abs=0.4)
+
+
+def test_step_is_fourth_order_in_polynomials_of_time():
+    """Exact for a slope that is a cubic of time."""
+    t, x, dt = (jnp.array(a) for a in (0.5, 1.0, 0.7))
+    end = rk4_step(lambda t, x: 4 * t**3, t, x, dt)
+    np.testing.assert_allclose(end, 1.0 + 1.2**4 - 0.5**4, rtol=1e-14)
+
+
+def test_number_of_steps_may_be_traced():
+    static = jax.jit(lambda x: rk4(flow, START, x, DURATION, 7))(STATE)
+    traced = jax.jit(lambda x, steps: rk4(flow, START, x, DURATION, steps))(STATE, 7)
+    np.testing.assert_allclose(flat(traced), flat(static), rtol=1e-13)
+
+
+@pytest.mark.parametrize("rule", [rk4, rk8])
+def test_back_is_the_way_there(rule):
+    @jax.jit
+    def return_trip(x):
+        return rule(flow, START + DURATION, rule(flow, START, x, DURATION, 400), -DURATION, 400)
+
+    np.testing.assert_allclose(flat(return_trip(STATE)), flat(STATE), atol=1e-9)
+
+
+@pytest.mark.parametrize("rule", [rk4, rk8])
+def test_single_precision_stays_single(rule):
+    x = jax.ShapeDtypeStruct((2,), jnp.float32)
+    assert jax.eval_shape(lambda x: rule(lambda t, x: -x, 0.0, x, 1.0, 4), x).dtype == jnp.float32
+
+
+@pytest.mark.parametrize("rule", [rk4, rk8])
+def test_integrators_are_differentiable(rule):
+    """`x(1) = exp(−k)x(0)`."""
+
+    def end(k):
+        return rule(lambda t, x: -k * x, 0.0, jnp.array(2.0), 1.0, 50)
+
+    np.testing.assert_allclose(jax.jit(jax.jacfwd(end))(jnp.array(0.7)), -2.0 * np.exp(-0.7), rtol=1e-7)
+    np.testing.assert_allclose(jax.jit(jax.jacrev(end))(jnp.array(0.7)), -2.0 * np.exp(-0.7), rtol=1e-7)
+
+
+@pytest.mark.parametrize("tolerance", [1e-6, 1e-10])
+def test_solve_reaches_its_tolerance(exact, tolerance):
+    """At uneven stamps, the first of them the start; errors may add up to a hundred times the tolerance of a step."""
+    times = START + DURATION * jnp.array([0.0, 0.1, 0.15, 0.8, 1.0])
+    run = jax.jit(lambda x: solve(flow, x, times, rtol=tolerance, atol=tolerance))(STATE)
+    assert run["position"].shape == (5, 2)
+    np.testing.assert_array_equal(run["position"][0], STATE["position"])
+    np.testing.assert_allclose(flat(jax.tree.map(lambda a: a[-1], run)), exact, rtol=0, atol=100 * tolerance)
+
+
+def test_solution_that_escapes_is_infinite():
+    """`x' = x²` from 1 reaches infinity at t = 1."""
+    times = jnp.array([0.0, 0.5, 2.0])
+    run = jax.jit(lambda x: solve(lambda t, x: x**2, x, times, max_steps=2000))(jnp.array(1.0))
+    np.testing.assert_allclose(run[:2], [1.0, 2.0], rtol=1e-9)
+    assert not np.isfinite(run[2])
