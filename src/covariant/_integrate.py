@@ -31,8 +31,9 @@ def rk4_step(flow: Flow, t, x, dt):
 
 def rk4(flow: Flow, t, x, dt, steps):
     """Advance `x` by `dt` in `steps` equal Runge–Kutta steps; a Python int is static, a traced count is not."""
-    h = dt / steps
-    return jax.lax.fori_loop(0, steps, lambda i, y: rk4_step(flow, t + i * h, y, h), x)
+    real = jax.tree.leaves(x)[0].dtype
+    h = dt / jnp.asarray(steps, real)
+    return jax.lax.fori_loop(0, steps, lambda i, y: rk4_step(flow, t + jnp.asarray(i, real) * h, y, h), x)
 
 
 def rk8(flow: Flow, t, x, dt, steps: int):

@@ -39,6 +39,15 @@ def _slopes(t, y, at, half, order):
     return slopes
 
 
+def unwrap(y: Float[NumpyArray, "T n"], circles: tuple[int, ...]) -> Float[NumpyArray, "T n"]:
+    """The positions with the jumps of 2π taken out of the columns that are angles on a circle; NaN stays."""
+    y = np.array(y, float)
+    for column in circles:
+        present = np.isfinite(y[:, column])
+        y[present, column] = np.unwrap(y[present, column])
+    return y
+
+
 def scored_window(t: Float[NumpyArray, "T"], skip: float = 1.0, tail: float = 0.2) -> np.ndarray:
     """Mask (T,) of the stamps that count: after the observer has settled and before the reference runs out.
 

@@ -8,12 +8,12 @@ from jaxtyping import Array, Float
 
 
 class Result(enum.IntEnum):
-    """Outcome of a numerical step, as found in `info.result`; zero is good, the rest says what happened."""
+    """Outcome of a numerical step, as found in `info.result`; zero is good, a larger one is worse."""
 
     OK = 0
     COASTED = 1
-    NOT_CONVERGED = 2
-    CONJUGATE_POINT = 3
+    CONJUGATE_POINT = 2
+    NOT_CONVERGED = 3
     NOT_FINITE = 4
 
     @property

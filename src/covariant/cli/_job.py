@@ -48,15 +48,22 @@ def load(job: Job) -> Loaded:
     log = logs.read(job.log, columns, job.every, job.until)
     record = lag_inputs(log.record, file.input_lag)
     t = np.asarray(record.t)
-    if log.truth is not None:
-        reference, label = log.truth, "true velocity"
-    else:
-        full = logs.read(job.log, columns._replace(u=(), v=())) if job.every > 1 or job.until else log
-        half, order = file.reference_half, int(file.reference_order)
-        reference = scoring.zero_phase_velocity(np.asarray(full.record.t), np.asarray(full.record.y), t, half, order)
-        label = "zero-phase reference"
+    full = logs.read(job.log, columns._replace(u=(), v=())) if job.every > 1 or job.until else log
+    reference, label = _reference(file, log, full)
     rate = 1 / float(np.median(np.diff(t)))
     return Loaded(file, log, record, rate, reference, label, scoring.scored_window(t))
+
+
+def _reference(file: models.ModelFile, log: logs.Log, full: logs.Log) -> tuple[np.ndarray, str]:
+    """True velocities (T, n) where the log has them, else slopes of the positions in the whole log."""
+    if log.truth is not None:
+        return log.truth, "true velocity"
+    t, y = np.asarray(full.record.t), np.asarray(full.record.y)
+    half, order = file.reference_half, int(file.reference_order)
+    if np.isfinite(y).sum(axis=0).min() < order + 3:
+        return np.full(log.record.y.shape, np.nan), "velocity, unknown in so short a log"
+    unwrapped = scoring.unwrap(y, file.model.circles)
+    return scoring.zero_phase_velocity(t, unwrapped, np.asarray(log.record.t), half, order), "zero-phase reference"
 
 
 def data_sheet(file: models.ModelFile) -> DataSheet:

@@ -194,7 +194,7 @@ def find_geodesic(metric: AbstractMetric, p: Vector, q: Vector, start: Vector, b
         k, _, found = carry
         return ~found & (k <= CONTINUATION_STAGES)
 
-    return jax.lax.while_loop(unfinished, stage, (jnp.zeros((), jnp.int32), start, jnp.zeros((), bool)))[1]
+    return jax.lax.while_loop(unfinished, stage, (jnp.zeros((), q.dtype), start, jnp.zeros((), bool)))[1]
 
 
 def implicit_newton(metric: AbstractMetric, p: Vector, q: Vector, start: Vector, budget: Budget) -> Vector:

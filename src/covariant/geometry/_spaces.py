@@ -17,7 +17,8 @@ from covariant.signals import Result
 
 
 def _found(velocity: Vector, arrival: Vector) -> Shot:
-    return Shot(velocity, arrival, jnp.zeros_like(velocity[0]), jnp.asarray(Result.OK))
+    finite = jnp.all(jnp.isfinite(velocity)) & jnp.all(jnp.isfinite(arrival))
+    return Shot(velocity, arrival, jnp.zeros_like(velocity[0]), jnp.where(finite, int(Result.OK), Result.NOT_CONVERGED))
 
 
 class Euclidean(AbstractMetric):
@@ -77,15 +78,22 @@ class ConstantCurvature(AbstractMetric):
         return self.k * self._scale(q) ** 2 * ((y @ z) * x - (x @ z) * y)
 
     def transport_along(self, p: Vector, velocity: Vector, w: Vectors, budget: Budget) -> Transported:
-        half = self._scale(p) * velocity / 2
-        end = self._add(p, half * self._tan_ratio(half @ half))
-        carry = jax.vmap(lambda a: self._carry(p, a, end))
-        return Transported(end, self._carry(p, velocity, end), carry(w.reshape(-1, p.shape[0])).reshape(w.shape))
+        middle, end = self._reach(p, velocity / 2), self._reach(p, velocity)
+
+        def carry(a):  # by halves, since the transport straight to an antipode is 0/0
+            return self._carry(middle, self._carry(p, a, middle), end)
+
+        carried = jax.vmap(carry)(w.reshape(-1, p.shape[0])).reshape(w.shape)
+        return Transported(end, carry(velocity), carried)
 
     def shoot(self, p: Vector, q: Vector, guess: Vector | None, budget: Budget) -> Shot:
         away = self._add(-p, q)
         velocity = 2 / self._scale(p) * away * self._arctan_ratio(away @ away)
         return _found(velocity, self._carry(p, velocity, q))
+
+    def _reach(self, p: Vector, velocity: Vector) -> Vector:
+        half = self._scale(p) * velocity / 2
+        return self._add(p, half * self._tan_ratio(half @ half))
 
     def _scale(self, q: Vector) -> Scalar:
         return 2 / (1 + self.k * (q @ q))

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from covariant._typing import MatrixField, Scalar, Vector
-from covariant.geometry import AbstractMetric, as_metric, christoffel, gradient
+from covariant.geometry import AbstractMetric, Metric, as_metric, christoffel, gradient
 
 
 class Parameter(NamedTuple):
@@ -98,8 +98,9 @@ def check_model(model: Lagrangian, n: int) -> None:
     q = jax.ShapeDtypeStruct((n,), jnp.float64)
     u = jax.ShapeDtypeStruct((n if model.inputs is None else model.inputs,), jnp.float64)
     t = jax.ShapeDtypeStruct((), jnp.float64)
+    metric = model.metric.matrix if isinstance(model.metric, Metric) else model.metric
     for name, function, arguments, wanted in (
-        ("metric", model.metric, (q,), (n, n)),
+        ("metric", metric, (q,), (n, n)),
         ("potential", model.potential, (q,), ()),
         ("force", model.force, (t, q, u), (n,)),
         ("dissipation", model.dissipation, (q, q), (n,)),

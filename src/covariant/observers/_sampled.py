@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from covariant._integrate import rk4
-from covariant._typing import Number, Scalar, Vector
+from covariant._typing import Code, Number, Scalar, Vector
 from covariant.models import Lagrangian, acceleration, friction
 
 LONGEST_STEP = 0.01
@@ -27,7 +27,7 @@ def predict(model: Lagrangian, t: Number, q: Vector, v: Vector, u, dt: Number, s
     return rk4(flow, t, (q, v), dt, count)
 
 
-def needed_substeps(model: Lagrangian, q: Vector, v: Vector, dt: Number) -> Scalar:
+def needed_substeps(model: Lagrangian, q: Vector, v: Vector, dt: Number) -> Code:
     """Steps that keep h·rate ≤ 1, the rate being a bound on that of the friction at rest and at v [1/s].
 
     Friction is steepest at rest where it is Coulomb's and at speed where it is drag. The trace bounds the fastest rate,
@@ -45,15 +45,16 @@ def needed_substeps(model: Lagrangian, q: Vector, v: Vector, dt: Number) -> Scal
 
 
 def sampled_gains(alpha: Number, beta: Number, dt: Number) -> tuple[Scalar, Scalar]:
-    """Position and velocity gains of one sample: `k1 = 1 − p`, `k2 = (1 − √p)²/dt + 2√p (1 − C)/dt`.
+    """Position and velocity gains of one sample: `k1 = 1 − ab`, `k2 = (1 − a)(1 − b)/dt`, sampled poles a and b.
 
-    p = exp(−α dt) is the product of the sampled poles and 2√p C their sum, C = cos or cosh of `√|β − α²/4| dt`.
+    Complex poles `√p exp(±iφ)`, p = exp(−α dt), give `k2 = (1 − √p)²/dt + 2√p (1 − cos φ)/dt`.
     """
     safe = jnp.where(dt > 0, dt, 1.0)
+    square = beta - alpha * alpha / 4
+    apart = jnp.sqrt(jnp.where(square != 0, jnp.abs(square), 1.0))  # half the distance between the poles
+    swing = jnp.where(square > 0, jnp.sin(apart * safe / 2) ** 2, 0.0)
     root = jnp.exp(-alpha * safe / 2)
-    square = beta - alpha**2 / 4
-    size = jnp.abs(square)
-    half = jnp.sqrt(jnp.where(size > 0, size, 1.0)) * safe / 2
-    gap = 2 * jnp.where(square > 0, jnp.sin(half) ** 2, jnp.where(size > 0, -(jnp.sinh(half) ** 2), 0.0))
-    k2 = (jnp.expm1(-alpha * safe / 2) ** 2 + 2 * root * gap) / safe
+    fast = alpha / 2 + apart
+    apart_on_axis = jnp.expm1(-fast * safe) * jnp.expm1(-beta / fast * safe)
+    k2 = jnp.where(square < 0, apart_on_axis, jnp.expm1(-alpha * safe / 2) ** 2 + 4 * root * swing) / safe
     return jnp.where(dt > 0, -jnp.expm1(-alpha * safe), 0.0), jnp.where(dt > 0, k2, 0.0)

@@ -1,0 +1,131 @@
+"""Bad input gives one clear line on standard error and exit code 2, and nothing is written."""
+
+import sys
+from pathlib import Path
+
+import pytest
+
+from covariant.cli import main
+
+MODEL = """
+system = "pendulum_chain"
+[parameters]
+mass = [1.0]
+length = [0.5]
+[measurement]
+quantum = 1e-3
+[uncertainty]
+acceleration = 1.0
+"""
+GOOD = "t,q1,u1\n0,0,0\n0.01,0.1,0\n0.02,0.2,0\n0.03,0.3,0\n"
+MODELS = """
+import jax.numpy as jnp
+from covariant.models import Lagrangian
+
+def wrong_shape():
+    return Lagrangian(lambda q: jnp.ones(3), lambda q: 0.0 * q[0], coordinates=("q1",))
+
+def indefinite():
+    return Lagrangian(lambda q: -jnp.eye(1), lambda q: 0.0 * q[0], coordinates=("q1",))
+
+not_a_model = 3
+"""
+LOGS = {
+    "missing column": (GOOD.replace("q1", "angle"), ["log.csv", "'q1'", "angle"]),
+    "text in a number column": (GOOD.replace("0.2,", "abc,"), ["log.csv", "'q1'", "row 3", "'abc'"]),
+    "time going backwards": (GOOD.replace("0.02", "0.005"), ["log.csv", "row 3", "back"]),
+    "duplicate stamps": (GOOD.replace("0.02", "0.01"), ["log.csv", "rows 2 and 3", "same stamp"]),
+    "empty file": ("", ["log.csv", "empty"]),
+    "header only": ("t,q1,u1\n", ["log.csv", "row"]),
+    "a row of NaN": (GOOD.replace("0.02,0.2,0", "nan,nan,nan"), ["log.csv", "'t'", "row 3"]),
+    "an input missing": (GOOD.replace("0.2,0\n", "0.2,\n"), ["log.csv", "'u1'", "row 3"]),
+    "infinite position": (GOOD.replace("0.2,", "inf,"), ["log.csv", "row 3"]),
+    "no measurement in the first row": (GOOD.replace("0,0,0\n", "0,,0\n", 1), ["log.csv", "row 1"]),
+}
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    (tmp_path / "model.toml").write_text(MODEL)
+    (tmp_path / "log.csv").write_text(GOOD)
+    (tmp_path / "my_models.py").write_text(MODELS)
+    (tmp_path / "out").mkdir()
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delitem(sys.modules, "my_models", raising=False)
+    return tmp_path
+
+
+def refused(monkeypatch, capsys, *arguments: str) -> str:
+    """Run the command; check exit code and form of the message, and return it."""
+    monkeypatch.setattr(sys, "argv", ["covariant", *arguments])
+    with pytest.raises(SystemExit) as left:
+        main()
+    out, error = capsys.readouterr()
+    assert left.value.code == 2
+    assert out == ""
+    assert error.startswith("covariant: ")
+    assert error.count("\n") == 1
+    assert list(Path("out").iterdir()) == []
+    return error
+
+
+ESTIMATE = ("estimate", "model.toml", "log.csv", "-o", "out/v.csv")
+
+
+@pytest.mark.parametrize("command", ["estimate", "compare"])
+@pytest.mark.parametrize("case", LOGS)
+def test_a_bad_log(folder, monkeypatch, capsys, command, case):
+    text, named = LOGS[case]
+    (folder / "log.csv").write_text(text)
+    message = refused(
+        monkeypatch, capsys, command, "model.toml", "log.csv", "-o", "out/v.csv", "--report", "out/r.html"
+    )
+    assert all(part in message for part in named), message
+
+
+@pytest.mark.parametrize(
+    ("spec", "named"),
+    [
+        ("my_models:wrong_shape", ["metric", "(1, 1)", "(3,)"]),
+        ("my_models:indefinite", ["positive definite", "-1"]),
+        ("my_models:not_a_model", ["not_a_model", "int"]),
+        ("my_models:absent", ["absent"]),
+        ("no_such_module:x", ["no_such_module"]),
+        ("pendulum_chian", ["pendulum_chian", "pendulum_chain"]),
+        ("absent.toml", ["absent.toml"]),
+    ],
+)
+def test_a_bad_model(folder, monkeypatch, capsys, spec, named):
+    message = refused(monkeypatch, capsys, "estimate", spec, "log.csv", "-o", "out/v.csv")
+    assert all(part in message for part in named), message
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        ((*ESTIMATE, "--observer", "magic"), ["magic", "intrinsic"]),
+        ((*ESTIMATE, "--alpha", "3"), ["--beta"]),
+        ((*ESTIMATE, "--alpha", "-3", "--beta", "1"), ["positive", "-3"]),
+        ((*ESTIMATE, "--alpha", "3", "--beta", "1", "--observer", "ekf"), ["ekf"]),
+        ((*ESTIMATE, "--report", "out/r.pdf"), ["r.pdf", ".html"]),
+        (("estimate", "model.toml", "log.csv", "-o", "out/v.xlsx"), ["v.xlsx", ".csv"]),
+        ((*ESTIMATE, "--set", "parameters.mas=[1.0]"), ["mas", "mass"]),
+        ((*ESTIMATE, "--set", "nonsense"), ["nonsense"]),
+        ((*ESTIMATE, "--q", "a,b"), ["1 positions"]),
+        (("estimate", "model.toml", "absent.csv", "-o", "out/v.csv"), ["absent.csv"]),
+        (("estimate", "pendulum_chain", "log.csv", "--u", "u1,u1", "--q", "q1,q1", "-o", "out/v.csv"), []),
+        (("simulate", "model.toml", "-o", "out/l.csv", "--q0", "1,2"), ["--q0", "1 finite"]),
+        (("simulate", "model.toml", "-o", "out/l.csv", "--v0", "fast"), ["--v0", "'fast'"]),
+        (("simulate", "model.toml", "-o", "out/l.csv", "--dropout", "1.5"), ["dropout"]),
+        (("reproduce", "nobody"), ["nobody", "aghannan-rouchon"]),
+    ],
+)
+def test_a_bad_argument(folder, monkeypatch, capsys, arguments, named):
+    message = refused(monkeypatch, capsys, *arguments)
+    assert all(part in message for part in named), message
+
+
+def test_a_model_file_without_the_numbers_of_a_design(folder, monkeypatch, capsys):
+    (folder / "model.toml").write_text(MODEL.split("[uncertainty]")[0])
+    message = refused(monkeypatch, capsys, *ESTIMATE)
+    assert "uncertainty.acceleration" in message

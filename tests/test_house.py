@@ -1,0 +1,105 @@
+"""The house rules: who may import whom, what loads with the package, and which names are public."""
+
+import ast
+import importlib
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+SOURCE = ROOT / "src" / "covariant"
+
+PLAN = "_typing signals scoring _linalg _integrate logs geometry models observers simulation design report papers cli"
+"""A room may import from itself and from any room to its left, never to its right."""
+
+OPTIONAL = ("pyarrow", "matplotlib", "plotly", "mujoco", "typer", "rich", "scipy", "sympy")
+
+PUBLIC = {
+    "design": "DataSheet Gains bias filter_bandwidth gains line_up observer_gains predict_errors window_length",
+    "geometry": "AbstractMetric Budget ConstantCurvature Euclidean FlatTorus Metric Product Pullback Shot Transported "
+    "as_metric christoffel curvature distance exp gradient hyperbolic inner log norm shoot sphere transport "
+    "transport_along",
+    "logs": "Columns Log LogError read write",
+    "models": "Lagrangian ModelError ModelFile Parameter acceleration ball_and_beam check_metric check_model energy "
+    "friction load oscillator pendulum_chain position_error source wrap",
+    "observers": "EKF AbstractFlowObserver AbstractObserver Copy EKFInfo EKFState FilterInfo FilteredDerivative "
+    "FilteredState Geodesic GeodesicInfo GeodesicState Info Intrinsic MechanicalState SavitzkyGolay WindowState run",
+    "report": "PALETTE EstimateReport new_figure save_figure table write_article write_html write_png",
+    "simulation": "Sensor hold no_input observe sense simulate stamps",
+}
+
+
+def room_of(path: Path) -> str:
+    return path.relative_to(SOURCE).parts[0].removesuffix(".py")
+
+
+def imported_rooms(path: Path) -> set[str]:
+    """Rooms that a file imports anywhere, inside functions too."""
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            names = [f"{node.module}.{alias.name}" for alias in node.names]
+        else:
+            continue
+        found |= {name.split(".")[1] for name in names if name.startswith("covariant.")}
+    return found
+
+
+@pytest.mark.parametrize("path", sorted(SOURCE.rglob("*.py")), ids=lambda p: str(p.relative_to(SOURCE)))
+def test_rooms_import_only_from_their_left(path):
+    plan, room = PLAN.split(), room_of(path)
+    if room == "__init__":
+        assert not imported_rooms(path) - set(plan)
+        return
+    assert room in plan, f"{room} is not in the import plan; give it a place"
+    wrong = {other for other in imported_rooms(path) if plan.index(other) > plan.index(room)}
+    assert not wrong, f"{path.relative_to(SOURCE)} imports {sorted(wrong)}, which the plan puts to the right of {room}"
+
+
+@pytest.mark.parametrize(
+    "module",
+    ["covariant", *(f"covariant.{room}" for room in ("geometry", "models", "observers", "simulation", "design"))],
+)
+def test_import_brings_in_no_optional_package(module):
+    script = f"import {module}, sys; print(*(m for m in {OPTIONAL} if m in sys.modules))"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == []
+
+
+@pytest.mark.parametrize("room", PUBLIC)
+def test_public_names_are_the_agreed_ones_and_documented(room):
+    module = importlib.import_module(f"covariant.{room}")
+    assert set(module.__all__) == set(PUBLIC[room].split())
+    assert module.__doc__
+    for name in module.__all__:
+        value = getattr(module, name)
+        assert not callable(value) or value.__doc__, f"covariant.{room}.{name} has no docstring"
+
+
+def tracked_texts():
+    listed = subprocess.run(["git", "ls-files"], cwd=ROOT, capture_output=True, text=True, check=False).stdout.split(
+        "\n"
+    )
+    paths = [ROOT / name for name in listed if name] or list(SOURCE.rglob("*"))
+    for path in paths:
+        if (
+            path.is_file()
+            and path.suffix in (".py", ".toml", ".md", ".txt", ".yml", ".css", ".js", "")
+            and path != Path(__file__)
+        ):
+            yield path, path.read_text(encoding="utf-8", errors="ignore")
+
+
+def test_no_file_names_a_package_host_or_a_path_of_one_machine():
+    hosts = re.compile(
+        r"pypi\.(org|python)|files\.pythonhosted|index-url|find-links[ =]|/root/|/home/\w", re.IGNORECASE
+    )
+    allowed = {"Makefile"}  # it switches such lines off
+    found = {str(p.relative_to(ROOT)): hosts.search(text) for p, text in tracked_texts() if p.name not in allowed}
+    assert not {name: hit.group() for name, hit in found.items() if hit}
+    assert "://" not in (ROOT / "constraints.txt").read_text(encoding="utf-8")
