@@ -1,10 +1,10 @@
 """Why curvature matters: the intrinsic observer next to a copy of the model, with low gains.
 
 A ball rolls on a beam that a torque tilts; positions are measured, velocities wanted. Low gains let little measurement
-noise through, but then the observer has to know how errors themselves move. The metric of the ball and beam has negative
-curvature, which drives neighbouring motions apart. The intrinsic observer compensates it: its error falls as the gains
-ask for, with the double pole −0.7071 1/s. Without its curvature term it is no better than the model with output
-injection (the copy observer), and both are lost within seconds.
+noise through, but then the observer has to know how errors themselves move. The metric of the ball and beam has
+negative curvature, which drives neighbouring motions apart. The intrinsic observer compensates it: its error falls as
+the gains ask for, with the double pole −0.7071 1/s. Without its curvature term it is no better than the model with
+output injection (the copy observer), and neither ever arrives.
 
 Scenario: Aghannan & Rouchon 2003, figure 4, without noise.
 """

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from covariant import scoring
 from covariant.cli._job import Loaded, coordinates
 
 
@@ -15,7 +16,7 @@ def write_report(
     from covariant.report import EstimateReport, write_html, write_png
 
     names, units = coordinates(loaded.file)
-    y = np.asarray(loaded.record.y)
+    y = scoring.unwrap(np.asarray(loaded.record.y), loaded.file.model.circles)
     missing = int(np.isnan(y).any(1).sum())
     notes = (
         *notes,

@@ -12,7 +12,7 @@ from jaxtyping import Array
 
 from covariant._integrate import rk4, rk8
 from covariant._linalg import pivots, solve
-from covariant._typing import Code, Matrix, MatrixField, Scalar, Vector, Vectors
+from covariant._typing import Code, Flag, Matrix, MatrixField, Scalar, Vector, Vectors
 from covariant.geometry._metric import AbstractMetric, Budget, Shot, Transported, christoffel, norm
 from covariant.signals import Result
 
@@ -180,7 +180,7 @@ def damped_newton(metric: AbstractMetric, p: Vector, q: Vector, start: Vector, b
 def find_geodesic(metric: AbstractMetric, p: Vector, q: Vector, start: Vector, budget: Budget) -> Vector:
     """A direct search, and where that fails one on targets that move from p to q in small steps."""
 
-    def stage(carry):
+    def stage(carry: tuple[Scalar, Vector, Flag]):
         k, velocity, _ = carry
         direct, moved = k == 0, k / CONTINUATION_STAGES
         target = jnp.where(direct, q, p + moved * (q - p))
