@@ -2,10 +2,10 @@
 
 One ball-and-beam bench reports position and angle q = (r, θ) as they are. On another the signals pass logarithmic
 amplifiers, z = asinh(q/c), which are fine near zero and coarse far out, and the model is written in z. An engineer
-expects the same velocities from both. The exact observer (`Geodesic`) delivers them, to the accuracy of the integration,
-since it is made of geometry alone. The explicit observer (`Intrinsic`) agrees to second order in its error, so ever
-better as it arrives. A Kalman filter takes noise and slopes as they are in its coordinates, so its estimates depend on
-them. (It starts faster than the others because its gain starts high.)
+expects the same velocities from both. The exact observer (`Geodesic`) delivers them, to the accuracy of the
+integration, since it is made of geometry alone. The explicit observer (`Intrinsic`) agrees to second order in its
+error. A Kalman filter takes noise and slopes as they are in its coordinates, so its estimates depend on them. (It
+starts faster than the others because its gain starts high.)
 """
 
 from pathlib import Path

@@ -2,9 +2,9 @@
 
 The encoder of a double pendulum is coarse, its stamps jitter, one reading in a hundred is lost, and at 2 s the cable is
 loose for 0.3 s. The observer knows a model whose masses are off by two per cent. Where a sample is missing its step
-only predicts, so the velocities carry on, drifting apart slowly as the model is not the machine; the first reading
-after the gap brings them back. Filters without a model hold or extrapolate what they saw last. Every step has a result
-code: 0 is good, 1 says that the step coasted.
+only predicts, so the velocities carry on, drifting apart slowly as the model is not the machine; the first readings
+after the gap bring them back. The filter without a model holds what it saw last, and misses a whole turn when readings
+return. Every step has a result code: 0 is good, 1 says that the step coasted.
 """
 
 from pathlib import Path
@@ -65,6 +65,6 @@ velocity.set(xlim=(1.5, 3.0), ylabel="dq₂/dt [rad/s]")
 error.set(ylabel="estimate − truth [rad/s]", ylim=(-3, 3))
 result.set(ylim=(-0.5, 1.5), yticks=(0, 1), yticklabels=("0: ok", "1: coasted"), xlabel="t [s]")
 velocity.legend(fontsize=8, loc="upper right")
-error.annotate("no readings", (2.15, 2.4), ha="center", color="0.4", fontsize=8)
+velocity.annotate("no readings", (2.15, -25), ha="center", color="0.4", fontsize=8)
 FIGURE.parent.mkdir(exist_ok=True)
 save_figure(figure, FIGURE)
