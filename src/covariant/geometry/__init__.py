@@ -1,19 +1,14 @@
 """Riemannian geometry of any metric, and spaces with closed forms. Knows no machine and no time."""
 
-from covariant.geometry._metric import (
-    AbstractMetric,
-    Budget,
-    Shot,
-    Transported,
+from covariant.geometry._abstract import AbstractMetric, Budget, Shot, Transported, inner, norm
+from covariant.geometry._functions import (
     as_metric,
     christoffel,
     curvature,
     distance,
     exp,
     gradient,
-    inner,
     log,
-    norm,
     shoot,
     transport,
     transport_along,

@@ -13,7 +13,7 @@ from jaxtyping import Array
 from covariant._integrate import rk4, rk8
 from covariant._linalg import pivots, solve
 from covariant._typing import Code, Flag, Matrix, MatrixField, Scalar, Vector, Vectors
-from covariant.geometry._metric import AbstractMetric, Budget, Shot, Transported, christoffel, norm
+from covariant.geometry._abstract import AbstractMetric, Budget, Shot, Transported, norm
 from covariant.signals import Result
 
 NEWTON_LIMIT = 40
@@ -55,8 +55,8 @@ def geodesic_flow(metric: AbstractMetric):
 
     def flow(_, state: Transported) -> Transported:
         q, velocity, w = state
-        carried = jax.vmap(lambda a: christoffel(metric, q, velocity, a))(w)
-        return Transported(velocity, -christoffel(metric, q, velocity, velocity), -carried)
+        carried = jax.vmap(lambda a: metric.christoffel(q, velocity, a))(w)
+        return Transported(velocity, -metric.christoffel(q, velocity, velocity), -carried)
 
     return flow
 
@@ -65,8 +65,8 @@ def transport_along(metric: AbstractMetric, p: Vector, velocity: Vector, w: Vect
     """Numerical `transport_along` for any metric."""
 
     def flow(_, x: Transported) -> Transported:
-        carried = jax.vmap(lambda a: christoffel(metric, x.q, x.velocity, a))(x.w)
-        return Transported(x.velocity, -christoffel(metric, x.q, x.velocity, x.velocity), -carried)
+        carried = jax.vmap(lambda a: metric.christoffel(x.q, x.velocity, a))(x.w)
+        return Transported(x.velocity, -metric.christoffel(x.q, x.velocity, x.velocity), -carried)
 
     start = Transported(p, velocity, w.reshape(-1, p.shape[0]))
     end = follow(budget, flow, start, 1.0, budget.steps)
@@ -83,7 +83,7 @@ def spray(metric: AbstractMetric, budget: Budget, p: Vector, velocity: Vector, f
     """Point and velocity of the geodesic from p after a fraction of unit time."""
 
     def flow(_, x):
-        return x[1], -christoffel(metric, x[0], x[1], x[1])
+        return x[1], -metric.christoffel(x[0], x[1], x[1])
 
     return follow(budget, flow, (p, velocity), fraction, steps or budget.steps)
 
@@ -115,7 +115,7 @@ def shoot(metric: AbstractMetric, p: Vector, q: Vector, guess: Vector | None, bu
 def first_guess(metric: AbstractMetric, p: Vector, q: Vector, guess: Vector | None, budget: Budget) -> Vector:
     """The candidate whose geodesic passes closest to q; the second-order one is best near, but overshoots far away."""
     d = q - p
-    candidates = [d + christoffel(metric, p, d, d) / 2]
+    candidates = [d + metric.christoffel(p, d, d) / 2]
     candidates += [] if guess is None else [guess]
     candidates += [d] if budget.newton is None else []
     best = candidates[0]

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from covariant._typing import Matrix, Scalar, Vector, Vectors
-from covariant.geometry._metric import AbstractMetric, Budget, Shot, Transported
+from covariant.geometry._abstract import AbstractMetric, Budget, Shot, Transported
 from covariant.signals import Result
 
 

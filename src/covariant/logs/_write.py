@@ -2,14 +2,14 @@
 
 import csv
 import io
-import os
 from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
+from covariant._files import write_atomically
 from covariant.logs._columns import LogError, kind, pyarrow
 
 
@@ -26,14 +26,10 @@ def write(path: str | PathLike[str], columns: Mapping[str, np.ndarray]) -> None:
         raise LogError(f"{path}: there is no folder {path.parent}; make it first")
     pa = pyarrow()
     table = pa.table(_checked(path, columns))
-    partial = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
-        save(pa, table, partial)
-        os.replace(partial, path)
+        write_atomically(path, lambda file: save(pa, table, file))
     except OSError as error:
         raise LogError(f"{path}: cannot be written: {error.strerror or error}") from error
-    finally:
-        partial.unlink(missing_ok=True)
 
 
 def _checked(path: Path, columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
@@ -54,14 +50,13 @@ def _checked(path: Path, columns: Mapping[str, np.ndarray]) -> dict[str, np.ndar
     return arrays
 
 
-def _write_parquet(pa: Any, table: Any, path: Path) -> None:
-    pa.parquet.write_table(table, path)
+def _write_parquet(pa: Any, table: Any, file: BinaryIO) -> None:
+    pa.parquet.write_table(table, file)
 
 
-def _write_csv(pa: Any, table: Any, path: Path) -> None:
+def _write_csv(pa: Any, table: Any, file: BinaryIO) -> None:
     """Arrow writes the shortest digits that read back the same; the header is ours, as Arrow's has needless quotes."""
     header = io.StringIO()
     csv.writer(header, lineterminator="\n").writerow(table.column_names)
-    with path.open("wb") as file:
-        file.write(header.getvalue().encode())
-        pa.csv.write_csv(table, file, pa.csv.WriteOptions(include_header=False))
+    file.write(header.getvalue().encode())
+    pa.csv.write_csv(table, file, pa.csv.WriteOptions(include_header=False))

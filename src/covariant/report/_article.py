@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from pathlib import Path
 
-from covariant.report._atomic import write_atomically
+from covariant._files import write_atomically
 from covariant.report._html import asset, table_html
 
 Block = str | Path | Sequence[Mapping[str, object]]

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from pathlib import Path
 
-from covariant.report._atomic import write_atomically
+from covariant._files import write_atomically
 from covariant.report._estimate import EstimateReport
 from covariant.report._guests import guest
 from covariant.report._panels import quantities

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from covariant.report._atomic import write_atomically
+from covariant._files import write_atomically
 from covariant.report._estimate import MEASURED, EstimateReport
 from covariant.report._guests import guest
 
