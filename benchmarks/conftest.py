@@ -18,6 +18,11 @@ OBSERVERS = ("copy", "intrinsic", "ekf")
 """`copy` is the model with output injection and no geometry: the reference the others are compared with."""
 
 
+def pytest_configure(config):
+    """Columns that fit a screen."""
+    config.option.benchmark_columns = ["min", "median", "iqr", "rounds"]
+
+
 class Moment(NamedTuple):
     """An observer with the arguments of its step: state, input, measurement, time since the last one [s]."""
 

@@ -2,10 +2,10 @@
 
 A puck glides on an air table between springs. A camera reads its position as x and y, a scanner beside the table as
 range and bearing, and the model can be written in either. An engineer expects the same velocities from both. The exact
-observer (`Geodesic`) delivers them, to the accuracy of the integration, since it is made of geometry alone. The explicit
-observer (`Intrinsic`) agrees to second order in its error, so the better the closer it is. A Kalman filter takes slopes
-and noise as they are in its coordinates, so its estimates depend on them for good. (It starts faster than the others,
-told to expect any velocity up to 1 m/s; their gains are constant.)
+observer (`Geodesic`) delivers them, to the accuracy of the integration, since it is made of geometry alone. The
+explicit observer (`Intrinsic`) agrees to second order in its error, so the better the closer it is. A Kalman filter
+takes slopes and noise as they are in its coordinates, so its estimates depend on them for good. (It starts faster than
+the others because it is told to expect velocities of 1 m/s; their gains are constant.)
 """
 
 from pathlib import Path

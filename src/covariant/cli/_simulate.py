@@ -37,7 +37,7 @@ def simulate(model: str, overrides: tuple[str, ...], out: Path, scenario: Scenar
     amplitude = _numbers("--amplitude", scenario.amplitude, m)
     sensor = simulation.Sensor(scenario.rate, scenario.noise, scenario.quantum, scenario.jitter, scenario.dropout)
     t = simulation.stamps(sensor, scenario.duration, scenario.seed)
-    pace = 2 * jnp.pi * scenario.frequency * (1 + 0.37 * jnp.arange(m))  # no two inputs in step
+    pace = 2 * jnp.pi * scenario.frequency * (1 + 0.37 * jnp.arange(m, dtype=float))  # no two inputs in step
 
     def push(s, x):
         return amplitude * jnp.sin(pace * s)

@@ -63,13 +63,13 @@ class SavitzkyGolay(AbstractObserver):
     def _fit(self, age, samples, expected: Vector, v: Vector) -> tuple[Vector, Vector]:
         """Value and slope at age zero; the polynomial is pulled to (expected, v) only where samples are too few."""
         span = jnp.maximum(age[0], jnp.finfo(age.dtype).tiny)
-        powers = (-age[:, None] / span) ** jnp.arange(self.order + 1)
+        powers = jnp.stack([(-age / span) ** k for k in range(self.order + 1)], axis=1)
         faint = 1e-9 * jnp.eye(self.order + 1, dtype=samples.dtype)
 
         def fit(column, start, slope):
             present = ~jnp.isnan(column)
             residual = jnp.where(present, column - start + age * slope, 0.0)
-            weighted = powers * present[:, None]
+            weighted = jnp.where(present[:, None], powers, 0.0)
             return solve(weighted.T @ powers + faint, weighted.T @ residual)
 
         found = jax.vmap(fit)(samples.T, expected, v)

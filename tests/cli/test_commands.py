@@ -1,0 +1,150 @@
+"""The commands on good input: what they print and write."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from covariant import logs
+from covariant.cli import main
+
+MODEL = """
+system = "pendulum_chain"
+[parameters]
+mass = [1.0]
+length = [0.5]
+viscous = [0.05]
+[columns]
+q = ["angle"]
+u = ["torque"]
+[measurement]
+quantum = 1e-3
+[uncertainty]
+acceleration = 1.0
+"""
+READ = logs.Columns(t="t", q=("q1",), u=(), truth=("v1",))
+
+
+def command(*arguments: str) -> dict:
+    """Run a command with --json and return what it prints."""
+    with pytest.MonkeyPatch.context() as patch:
+        printed = []
+        patch.setattr("builtins.print", lambda *text, **_: printed.append(text[0]))
+        patch.setattr(sys, "argv", ["covariant", *arguments, "--json"])
+        with pytest.raises(SystemExit) as left:
+            main()
+    assert left.value.code in (0, None), printed
+    return json.loads(printed[-1])
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A simulated log of a driven pendulum that swings over the top, with jitter and lost samples."""
+    folder = tmp_path_factory.mktemp("commands")
+    (folder / "model.toml").write_text(MODEL)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        simulate("log.csv")
+    return folder
+
+
+def simulate(out: str, seed: int = 1) -> dict:
+    return command(
+        *("simulate", "model.toml", "-o", out, "--duration", "4", "--rate", "200", "--quantum", "1e-3"),
+        *("--v0", "9.5", "--amplitude", "0.5", "--jitter", "2e-4", "--dropout", "0.02", "--seed", str(seed)),
+    )
+
+
+@pytest.fixture(autouse=True)
+def inside(folder, monkeypatch):
+    monkeypatch.chdir(folder)
+
+
+@pytest.fixture(scope="module")
+def estimated(folder):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        return command(
+            *("estimate", "model.toml", "log.csv", "-o", "v.csv", "--truth", "true_v1", "--report", "report.html")
+        )
+
+
+def test_simulate_writes_measurements_inputs_and_truth():
+    log = logs.read("log.csv", logs.Columns(q=("angle",), u=("torque",), truth=("true_v1",)))
+    assert len(log.record.t) == 801
+    assert np.isnan(log.record.y).any()
+    steps = log.record.y[np.isfinite(log.record.y)] / 1e-3
+    assert np.allclose(steps, np.round(steps), atol=1e-6)
+
+
+def test_simulate_repeats_by_seed():
+    for out, seed in (("again.csv", 1), ("other.csv", 2)):
+        simulate(out, seed)
+    assert Path("again.csv").read_bytes() == Path("log.csv").read_bytes()
+    assert Path("other.csv").read_bytes() != Path("log.csv").read_bytes()
+
+
+def test_estimate_prints_what_it_found(estimated):
+    assert estimated["rows"] == 801
+    assert estimated["scored_against"] == "true velocity"
+    assert estimated["results"]["coasted"] > 0
+    assert set(estimated["results"]) == {"ok", "coasted"}
+    assert estimated["velocity_rmse"][0] < 0.05
+
+
+def test_estimate_writes_stamps_positions_and_velocities(estimated):
+    assert Path(estimated["out"]).read_text().splitlines()[0] == "t,q1,v1"
+    log = logs.read("v.csv", READ)
+    assert np.isfinite(log.truth).all()
+    assert len(log.record.t) == 801
+
+
+def test_parquet_holds_the_same_numbers(estimated):
+    command("estimate", "model.toml", "log.csv", "-o", "v.parquet", "--truth", "true_v1")
+    one, two = logs.read("v.csv", READ), logs.read("v.parquet", READ)
+    assert np.array_equal(one.record.y, two.record.y)
+    assert np.array_equal(one.truth, two.truth)
+
+
+def test_the_report_is_one_page_and_figures(estimated):
+    assert [Path(p).suffix for p in estimated["report"]] == [".html", ".png", ".png", ".png"]
+    assert all(Path(p).stat().st_size > 10_000 for p in estimated["report"])
+
+
+def test_a_wrapped_log_gives_the_same_velocities():
+    log = logs.read("log.csv", logs.Columns(q=("angle",), u=("torque",)))
+    assert np.nanmax(np.abs(log.record.y)) > np.pi
+    wrapped = np.mod(log.record.y[:, 0] + np.pi, 2 * np.pi) - np.pi
+    logs.write("wrapped.csv", {"time": log.record.t, "wrapped": wrapped, "tau": log.record.u[:, 0]})
+    command("estimate", "model.toml", "wrapped.csv", "-o", "w.csv", "--t", "time", "--q", "wrapped", "--u", "tau")
+    assert np.allclose(logs.read("w.csv", READ).truth, logs.read("v.csv", READ).truth, atol=1e-9)
+
+
+def test_given_gains_replace_the_designed_ones():
+    low = command("estimate", "model.toml", "log.csv", "--alpha", "2", "--beta", "1", "--truth", "true_v1")
+    assert "alpha = 2" in low["design"]
+
+
+def test_compare_ranks_all_estimators():
+    result = command("compare", "model.toml", "log.csv", "--truth", "true_v1", "-o", "table.csv")
+    names = [row["estimator"] for row in result["ranking"]]
+    assert len(names) == len(set(names)) == 7
+    errors = [row["velocity_rmse"][0] for row in result["ranking"]]
+    assert errors == sorted(errors)
+    assert set(names[-2:]) == {"filtered-derivative", "savitzky-golay"}
+    assert Path("table.csv").read_text().startswith("rank,")
+
+
+def test_the_installed_command_runs():
+    done = subprocess.run(
+        [Path(sys.executable).with_name("covariant"), "estimate", "model.toml", "absent.csv"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1
+    assert "absent.csv" in done.stderr
