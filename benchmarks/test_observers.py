@@ -6,7 +6,7 @@ Each group holds one size and one kind of work, so that the observers stand next
 import jax
 import jax.numpy as jnp
 import pytest
-from conftest import BATCH, OBSERVERS, SIZES, Moment, moment
+from moments import BATCH, OBSERVERS, SIZES, Moment, moment
 
 
 def flow(case: Moment):

@@ -55,6 +55,6 @@ def sampled_gains(alpha: Number, beta: Number, dt: Number) -> tuple[Scalar, Scal
     swing = jnp.where(square > 0, jnp.sin(apart * safe / 2) ** 2, 0.0)
     root = jnp.exp(-alpha * safe / 2)
     fast = alpha / 2 + apart
-    apart_on_axis = jnp.expm1(-fast * safe) * jnp.expm1(-beta / fast * safe)
-    k2 = jnp.where(square < 0, apart_on_axis, jnp.expm1(-alpha * safe / 2) ** 2 + 4 * root * swing) / safe
+    real_poles = jnp.expm1(-fast * safe) * jnp.expm1(-beta / fast * safe)
+    k2 = jnp.where(square < 0, real_poles, jnp.expm1(-alpha * safe / 2) ** 2 + 4 * root * swing) / safe
     return jnp.where(dt > 0, -jnp.expm1(-alpha * safe), 0.0), jnp.where(dt > 0, k2, 0.0)

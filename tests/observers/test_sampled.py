@@ -1,0 +1,346 @@
+"""What every observer does with samples: rest on the truth, coast through gaps, converge, wrap, keep its numbers."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from covariant import geometry
+from covariant.models import Lagrangian
+from covariant.observers import EKF, Copy, Geodesic, Intrinsic, run
+from covariant.observers._sampled import predict
+from covariant.signals import Record, Result
+
+X0 = np.array([0.7, 4.0])
+
+
+def codes(info) -> np.ndarray:
+    return np.asarray(info.result)
+
+
+def test_an_observer_on_the_truth_stays_there(model_based, pendulum, irregular, follow):
+    u = np.random.default_rng(0).normal(0, 0.5, (len(irregular), 1))  # held from each row to the next
+    x = pendulum.truth(irregular, X0, u)
+    followed = follow(model_based, irregular, x[:, :1], v0=x[0, 1:], u=u)
+    np.testing.assert_allclose(followed.x, x[1:], rtol=0, atol=1e-8)
+    np.testing.assert_allclose(followed.info.innovation, 0.0, atol=1e-8)
+    assert set(codes(followed.info)) == {Result.OK}
+
+
+def test_an_observer_at_rest_finds_the_motion(observer, pendulum, irregular, follow):
+    x = pendulum.truth(irregular, X0)
+    followed = follow(observer, irregular, x[:, :1])
+    lag = {"FilteredDerivative": 0.4, "SavitzkyGolay": 0.05}.get(type(observer).__name__, 1e-3)
+    np.testing.assert_allclose(followed.x[150:, 1], x[151:, 1], rtol=0, atol=lag * np.abs(x[:, 1]).max())
+
+
+def test_coordinates_that_jump_by_a_turn_change_nothing(observer, pendulum, irregular, follow):
+    x = pendulum.truth(irregular, np.array([2.5, 14.0]))
+    turns = np.floor((x[:, :1] + np.pi) / (2 * np.pi))
+    assert turns[-1] - turns[0] >= 2
+    plain = follow(observer, irregular, x[:, :1])
+    wrapped = follow(observer, irregular, x[:, :1] - 2 * np.pi * turns)
+    np.testing.assert_allclose(wrapped.x, plain.x - [2 * np.pi * turns[0, 0], 0.0], rtol=0, atol=1e-10)
+    np.testing.assert_allclose(wrapped.info.innovation, plain.info.innovation, rtol=0, atol=1e-10)
+
+
+GAP = slice(120, 260)
+
+
+def test_a_gap_is_coasted_along_the_model(model_based, pendulum, irregular, follow):
+    x = pendulum.truth(irregular, X0)
+    y = x[:, :1].copy()
+    y[GAP] = np.nan
+    followed = follow(model_based, irregular, y)
+    last = GAP.start - 1
+    coasted = pendulum.truth(irregular[last : GAP.stop], followed.x[last - 1])
+    assert np.abs(coasted[0] - x[last]).max() > 1e-9, "it must coast from its own estimate, not from the truth"
+    np.testing.assert_allclose(followed.x[last : GAP.stop - 1], coasted[1:], rtol=0, atol=1e-8)
+    expected = np.full(len(y), int(Result.OK))
+    expected[GAP] = Result.COASTED
+    np.testing.assert_array_equal(codes(followed.info), expected[1:])
+    np.testing.assert_array_equal(followed.info.innovation[last : GAP.stop - 1], 0.0)
+    np.testing.assert_array_equal(followed.info.distance[last : GAP.stop - 1], 0.0)
+
+
+def test_a_gap_is_coasted_along_a_straight_line_without_a_model(filter_only, pendulum, irregular, follow):
+    x = pendulum.truth(irregular, X0)
+    y = x[:, :1].copy()
+    y[GAP] = np.nan
+    followed = follow(filter_only, irregular, y)
+    # The polynomial forgets its samples one by one; then it, too, runs on along its last slope.
+    first = GAP.start + 8
+    q, v = followed.x[first : GAP.stop - 1].T
+    np.testing.assert_allclose(v, v[0], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(q, q[0] + v[0] * (irregular[first + 1 : GAP.stop] - irregular[first + 1]), atol=1e-9)
+    assert set(codes(followed.info)[GAP.start - 1 : GAP.stop - 1]) == {Result.COASTED}
+    assert np.isfinite(followed.x).all()
+    np.testing.assert_array_equal(followed.info.innovation[GAP.start - 1 : GAP.stop - 1], 0.0)
+
+
+def test_every_second_measurement_is_enough(observer, pendulum, irregular, follow):
+    x = pendulum.truth(irregular, X0)
+    y = x[:, :1].copy()
+    y[1::2] = np.nan
+    followed = follow(observer, irregular, y)
+    lag = {"FilteredDerivative": 0.4, "SavitzkyGolay": 0.1}.get(type(observer).__name__, 0.01)
+    np.testing.assert_allclose(followed.x[250:, 1], x[251:, 1], rtol=0, atol=lag * np.abs(x[:, 1]).max())
+    np.testing.assert_array_equal(codes(followed.info)[::2], Result.COASTED)
+    np.testing.assert_array_equal(codes(followed.info)[1::2], Result.OK)
+
+
+PLANAR = {
+    "intrinsic": lambda model: Intrinsic(model, jnp.array(16.0), jnp.array(100.0)),
+    "copy": lambda model: Copy(model, jnp.array(16.0), jnp.array(100.0)),
+    "ekf": lambda model: EKF(model, 10.0 * jnp.eye(2), 1e-6 * jnp.eye(2)),
+}
+
+
+@pytest.fixture(params=PLANAR)
+def on_the_beam(request, beam):
+    return PLANAR[request.param](beam.model)
+
+
+@pytest.mark.parametrize("joints", ["both", "one in turn", "one every fourth"])
+def test_one_of_two_joints_may_be_missing(on_the_beam, beam, regular, follow, joints):
+    x = beam.truth(regular, np.array([0.3, 0.1, 0.2, -0.9]))
+    y = x[:, :2].copy()
+    if joints == "one in turn":
+        y[1::2, 0] = y[2::2, 1] = np.nan
+    elif joints == "one every fourth":
+        y[np.arange(len(y)) % 4 != 0, 1] = np.nan
+    followed = follow(on_the_beam, regular, y)
+    assert np.isfinite(followed.x).all()
+    assert np.abs(followed.x[0, 2:] - x[1, 2:]).max() > 0.4
+    np.testing.assert_allclose(followed.x[300:], x[301:], rtol=0, atol=0.02)
+    expected = np.where(np.isnan(y).any(1), Result.COASTED, Result.OK)
+    np.testing.assert_array_equal(codes(followed.info), expected[1:])
+    np.testing.assert_array_equal(np.asarray(followed.info.innovation)[np.isnan(y[1:])], 0.0)
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_numbers_keep_their_kind(observer, dtype):
+    cast = jax.tree.map(lambda a: a.astype(dtype) if eqx.is_inexact_array(a) else a, observer)
+    y, dt = jnp.zeros(1, dtype), jnp.asarray(0.004, dtype)
+
+    def two_steps(y, dt):
+        state, _ = cast.step(cast.init(y, dt), y, y, dt)
+        state, info = cast.step(state, y, y, dt)
+        return state, info, cast.estimate(state)
+
+    state, info, x = eqx.filter_eval_shape(two_steps, y, dt)
+    assert {leaf.dtype for leaf in jax.tree.leaves((state, info._replace(result=x), x))} == {np.dtype(dtype)}
+    assert info.result.dtype == np.int32
+
+
+def test_single_precision_finds_the_motion_too(pendulum, regular, follow):
+    x = pendulum.truth(regular, X0)
+    t = (regular - regular[0] + 3.0).astype(np.float32)
+    observer = Intrinsic(pendulum.model, jnp.array(20.0, np.float32), jnp.array(150.0, np.float32))
+    followed = follow(observer, t, x[:, :1].astype(np.float32))
+    assert followed.x.dtype == np.float32
+    np.testing.assert_allclose(followed.x[200:, 1], x[201:, 1], rtol=0, atol=0.01)
+
+
+def test_gains_that_blow_up_are_reported_and_raise_nothing(with_gains, pendulum, regular, follow):
+    x = pendulum.truth(regular, X0)
+    unstable = eqx.tree_at(lambda o: o.alpha, with_gains, jnp.array(-1e4))
+    followed = follow(unstable, regular, x[:, :1])
+    result = codes(followed.info)
+    assert result[-1] == Result.NOT_FINITE
+    lost = ~np.isfinite(followed.x).all(1)
+    np.testing.assert_array_equal(result == Result.NOT_FINITE, lost)
+
+
+@pytest.mark.parametrize(("alpha", "beta"), [(1e6, 1e12), (1e200, 1e200), (1.0, 1e300)])
+def test_gains_of_any_size_leave_a_stable_loop(with_gains, pendulum, regular, follow, alpha, beta):
+    x = pendulum.truth(regular, X0)
+    absurd = eqx.tree_at(lambda o: (o.alpha, o.beta), with_gains, (jnp.array(alpha), jnp.array(beta)))
+    followed = follow(absurd, regular, x[:, :1])
+    assert set(codes(followed.info)) == {Result.OK}
+    assert np.isfinite(followed.x).all()
+
+
+# Sampling refines the flow
+
+CURVED = Lagrangian(
+    geometry.hyperbolic(), lambda q: 0.3 * jnp.sin(q[0]) + 0.2 * q[1] ** 2, dissipation=lambda q, v: -0.4 * v
+)
+
+
+@pytest.mark.parametrize("kind", [Intrinsic, Geodesic, Copy])
+def test_fine_samples_follow_the_flow_to_first_order(kind):
+    """The error of the sampled observer against the integrated flow, both fed the same smooth measurement."""
+    observer = kind(CURVED, 3.0, 4.0, substeps=1)
+    end, u = 1.0, jnp.array([0.1, -0.2])
+
+    def measured(t):
+        return jnp.stack([0.3 * jnp.sin(2 * t), 0.2 * jnp.cos(3 * t) - 0.1])
+
+    start = observer.init(measured(0.0) + jnp.array([0.1, -0.15]))._replace(v=jnp.array([0.5, 0.4]))
+
+    @jax.jit
+    def sampled(count):
+        dt = end / count
+
+        def step(k, state):
+            return observer.step(state, u, measured((k + 1) * dt), dt)[0]
+
+        return observer.estimate(jax.lax.fori_loop(0, count, step, start))
+
+    @jax.jit
+    def flowing(count):
+        h = end / count
+
+        def step(k, state):
+            def slope(t, s):
+                return observer.flow(t, s, u, measured(t))
+
+            def ahead(fraction, k):
+                return jax.tree.map(lambda a, b: a + fraction * h * b, state, k)
+
+            a = slope(k * h, state)
+            b = slope((k + 0.5) * h, ahead(0.5, a))
+            c = slope((k + 0.5) * h, ahead(0.5, b))
+            d = slope((k + 1) * h, ahead(1.0, c))
+            return jax.tree.map(lambda x, a, b, c, d: x + h / 6 * (a + 2 * b + 2 * c + d), state, a, b, c, d)
+
+        return observer.estimate(jax.lax.fori_loop(0, count, step, start))
+
+    reference = flowing(4000)
+    assert np.abs(flowing(2000) - reference).max() < 1e-9
+    counts = np.array([100, 200, 400, 800])
+    error = [np.linalg.norm(sampled(n) - reference) for n in counts]
+    order = -np.polyfit(np.log(counts), np.log(error), 1)[0]
+    assert order == pytest.approx(1.0, abs=0.05)
+    assert error[-1] < 0.01
+
+
+# The loop
+
+PHRASES = 120
+
+
+def hand_written(observer, record):
+    """The loop of the documentation, row by row."""
+    step = eqx.filter_jit(observer.step)
+    state = observer.init(record.y[0], record.t[0])
+    x = [observer.estimate(state)]
+    for k in range(1, len(record.t)):
+        state, _ = step(state, record.u[k - 1], record.y[k], record.t[k] - record.t[k - 1])
+        x.append(observer.estimate(state))
+    return np.stack(x)
+
+
+@pytest.fixture
+def record(pendulum, irregular):
+    t = irregular[:PHRASES]
+    u = np.random.default_rng(1).normal(0, 0.5, (PHRASES, 1))
+    y = pendulum.truth(t, X0, u)[:, :1]
+    y[30:40] = np.nan
+    return Record(*map(jnp.asarray, (t, u, y)))
+
+
+LOOPS = ["copy", "filtered-derivative", "savitzky-golay", "ekf"]
+
+
+@pytest.mark.parametrize("observer", LOOPS, indirect=True)
+def test_run_is_the_loop_written_by_hand(observer, record):
+    done = run(observer, record)
+    np.testing.assert_array_equal(done.t, record.t)
+    assert done.info.result.shape == (PHRASES,)
+    np.testing.assert_allclose(done.estimate, hand_written(observer, record), rtol=0, atol=1e-10)
+
+
+@pytest.mark.parametrize("observer", LOOPS, indirect=True)
+def test_a_run_begins_at_rest_at_the_first_measurement(observer, record):
+    first = run(observer, record).estimate[0]
+    np.testing.assert_array_equal(first, [record.y[0, 0], 0.0])
+
+
+def test_a_run_refuses_a_bad_record(pendulum, record):
+    with pytest.raises(ValueError, match="rows 1 and 2 have the same stamp"):
+        run(Copy(pendulum.model, 20.0, 150.0), record._replace(t=record.t.at[1].set(record.t[0])))
+
+
+def test_a_run_is_traced_once_a_shape(pendulum, record):
+    traces = []
+
+    def potential(q):
+        traces.append(q.shape)
+        return -jnp.cos(q[0])
+
+    model = Lagrangian(geometry.Euclidean(), potential, circles=(0,))
+    observer = Copy(model, jnp.array(20.0), jnp.array(150.0))
+    run(observer, record)
+    once = len(traces)
+    assert once > 0
+    run(observer, record._replace(y=record.y + 0.1, t=record.t - 1.0))
+    run(eqx.tree_at(lambda o: o.alpha, observer, jnp.array(30.0)), record)
+    assert len(traces) == once
+    run(observer, Record(*(a[:-1] for a in record[:3])))
+    assert len(traces) > once
+
+
+def test_gains_may_be_mapped_and_compiled(pendulum, record):
+    alphas = jnp.array([10.0, 20.0, 40.0])
+
+    @jax.jit
+    @jax.vmap
+    def velocities(alpha):
+        return run(Copy(pendulum.model, alpha, alpha**2 / 2), record).estimate[:, 1]
+
+    for alpha, v in zip(alphas, velocities(alphas), strict=True):
+        alone = run(Copy(pendulum.model, alpha, alpha**2 / 2), record).estimate[:, 1]
+        np.testing.assert_allclose(v, alone, rtol=0, atol=1e-10)
+
+
+# Stiff friction
+
+COULOMB = 0.3
+SWING = np.array([1.5, 0.0])
+
+
+@pytest.fixture(scope="module")
+def rubbing():
+    """A light link with Coulomb friction as steep as a direct-drive joint's: 1500 1/s at rest."""
+    from covariant.models import pendulum_chain
+
+    return pendulum_chain((0.1,), (0.4,), com=(0.4,), inertia=(0.004,), coulomb=(COULOMB,), viscous=(0.01,))
+
+
+def test_friction_divides_the_prediction_as_finely_as_it_needs(rubbing):
+    """Against a step a hundred times finer: where one step fails by far, the chosen number of steps does not."""
+    dt = 0.004
+    angle = jnp.linspace(-1.5, 1.5, 12)[:, None]
+    rate = jnp.array([0.0, 1e-3, -0.02, 0.1, 0.5, 3.0] * 2)[:, None]
+
+    def after(substeps):
+        move = jax.vmap(lambda q, v: jnp.concatenate(predict(rubbing, 0.0, q, v, jnp.zeros(1), dt, substeps)))
+        return np.asarray(jax.jit(move)(angle, rate))
+
+    fine, chosen, single = after(400), after(None), after(1)
+    np.testing.assert_allclose(chosen, fine, rtol=0, atol=2e-3 * np.abs(fine[:, 1]).max())
+    assert not np.abs(single - fine).max() < 0.1
+
+
+def test_an_observer_of_a_machine_with_stiff_friction_is_as_good_as_its_prediction(rubbing):
+    t = 0.004 * np.arange(300)
+
+    @jax.jit
+    def true_path():
+        def step(x, s):
+            moved = jnp.concatenate(predict(rubbing, s, x[:1], x[1:], jnp.zeros(1), 0.004, 100))
+            return moved, x
+
+        return jax.lax.scan(step, jnp.asarray(SWING), jnp.asarray(t))[1]
+
+    x = np.asarray(true_path())
+    record = Record(t, np.zeros((300, 1)), x[:, :1])
+    error = {}
+    for substeps in (None, 1):
+        done = run(Copy(rubbing, 20.0, 200.0, substeps=substeps), record)
+        error[substeps] = np.abs(np.asarray(done.estimate)[50:, 1] - x[50:, 1]).max()
+    assert error[None] < 0.01 * np.abs(x[:, 1]).max()
+    assert not error[1] < 20 * error[None]
