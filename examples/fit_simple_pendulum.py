@@ -22,7 +22,7 @@ BANDWIDTH = 30.0
 COM = 0.45
 """Distance of the centre of mass [m]: only its product with the mass can be told from a log."""
 START = np.array([0.2, 3.8, 0.1, 0.0])
-"""Inertia about the joint [kg m²], gravity torque m g l [N m], Coulomb friction [N m] as cf·atan(100 v), offset [N m]."""
+"""Inertia about the joint [kg m²], gravity torque m g l [N m], Coulomb friction as cf·atan(100 v) [N m], offset."""
 
 
 def pendulum(parameters) -> models.Lagrangian:

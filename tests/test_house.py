@@ -12,7 +12,10 @@ import pytest
 ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "covariant"
 
-PLAN = "_typing _files signals scoring _linalg _integrate logs geometry models observers simulation design report papers cli"
+PLAN = (
+    "_typing _files signals scoring _linalg _integrate "
+    "logs geometry models observers simulation design report papers cli"
+)
 """A room may import from itself and from any room to its left, never to its right."""
 
 OPTIONAL = ("pyarrow", "matplotlib", "plotly", "mujoco", "typer", "rich", "scipy", "sympy")
