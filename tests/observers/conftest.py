@@ -90,7 +90,6 @@ def _with_gains(kind: Callable[..., AbstractObserver]) -> Callable[[Lagrangian],
 
 MODEL_BASED = {
     "intrinsic": _with_gains(Intrinsic),
-    "intrinsic2": _with_gains(lambda model, alpha, beta: Intrinsic(model, alpha, beta, order=2)),
     "geodesic": _with_gains(Geodesic),
     "copy": _with_gains(Copy),
     "ekf": lambda model: EKF(model, jnp.array([[4.0]]), jnp.array([[1e-6]])),

@@ -23,9 +23,8 @@ def test_ekf_is_the_textbook_filter_on_a_linear_system():
     transition = linalg.expm(np.array([[0.0, 1.0], [-stiffness, 0.0]]) * dt)
     added = process * np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
     x, cov, output = np.array([float(y[0, 0]), 0.0]), np.diag([noise, 1.0]), np.array([[1.0, 0.0]])
-    for k in range(60):
-        if k:
-            x, cov = transition @ x, transition @ cov @ transition.T + added
+    for k in range(1, 60):  # the first measurement is what the filter starts from
+        x, cov = transition @ x, transition @ cov @ transition.T + added
         gain = cov @ output.T / (output @ cov @ output.T + noise)
         x, cov = x + (gain * (float(y[k, 0]) - x[0]))[:, 0], (np.eye(2) - gain @ output) @ cov
         assert np.allclose(found[k], x, atol=1e-8)

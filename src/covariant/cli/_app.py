@@ -52,7 +52,7 @@ def estimate(
 def compare(
     model: Model,
     log: LogFile,
-    out: Annotated[Path | None, typer.Option("--out", "-o", help="Write the table here (.csv or .parquet).")] = None,
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="Write the table here (.csv).")] = None,
     override: Override = [],  # noqa: B006  typer copies it
     every: Every = 1,
     until: Until = None,

@@ -1,14 +1,16 @@
 """`covariant compare`: every estimator on the same log, tuned from the same data sheet, ranked."""
 
+import csv
+import io
 import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from covariant import logs
+from covariant._files import write_atomically
 from covariant.cli._console import stages
-from covariant.cli._job import Job, Loaded, coordinates, data_sheet, load
+from covariant.cli._job import Job, Loaded, coordinates, data_sheet, load, require_suffix
 from covariant.cli._pages import write_report
 from covariant.cli._results import Outcome, drive, report_arrays, summary
 from covariant.design import line_up, observer_gains
@@ -16,10 +18,8 @@ from covariant.design import line_up, observer_gains
 
 def compare(job: Job, out: Path | None, report: Path | None, as_json: bool) -> None:
     """Run the whole line-up and write, print and draw the ranking."""
-    if out is not None and out.suffix not in (".csv", ".parquet"):
-        raise ValueError(f"{out}: write a .csv or a .parquet file")
-    if report is not None and report.suffix != ".html":
-        raise ValueError(f"{report}: a report is an .html file")
+    require_suffix(out, ".csv")
+    require_suffix(report, ".html")
     loaded = load(job)
     sheet = data_sheet(loaded.file)
     observers = line_up(loaded.file.model, len(loaded.file.columns.q), sheet, loaded.rate)
@@ -39,7 +39,7 @@ def compare(job: Job, out: Path | None, report: Path | None, as_json: bool) -> N
         "ranking": [{"estimator": name, **summary(outcomes[name])} for name in ranked],
     }
     if out is not None:
-        logs.write(out, _numbers(ranked, outcomes))
+        write_atomically(out, lambda file: file.write(_table(ranked, outcomes)))
         result["out"] = str(out)
     if report is not None:
         curves = report_arrays({name: outcomes[name] for name in ranked})
@@ -66,14 +66,18 @@ def _row(name: str, outcome: Outcome, loaded: Loaded) -> dict[str, str | float]:
         f"RMSE d{label}/dt [{unit}/s]": float(value)
         for label, unit, value in zip(names, units, outcome.velocity_rmse, strict=True)
     }
-    return {"estimator": name, **errors, "µs a sample": outcome.microseconds}
+    return {"estimator": name, **errors, "µs a sample": round(outcome.microseconds, 1)}
 
 
-def _numbers(ranked: list[str], outcomes: dict[str, Outcome]) -> dict[str, np.ndarray]:
-    errors = np.stack([outcomes[name].velocity_rmse for name in ranked])
-    table = {"rank": np.arange(1, len(ranked) + 1)}
-    table |= {f"v{i + 1}_rmse": column for i, column in enumerate(errors.T)}
-    return table | {"microseconds": np.array([outcomes[name].microseconds for name in ranked])}
+def _table(ranked: list[str], outcomes: dict[str, Outcome]) -> bytes:
+    """The ranking as CSV."""
+    text = io.StringIO()
+    rows = csv.writer(text, lineterminator="\n")
+    joints = len(outcomes[ranked[0]].velocity_rmse)
+    rows.writerow(["rank", "estimator", *(f"v{i + 1}_rmse" for i in range(joints)), "microseconds"])
+    for place, name in enumerate(ranked, start=1):
+        rows.writerow([place, name, *outcomes[name].velocity_rmse, outcomes[name].microseconds])
+    return text.getvalue().encode()
 
 
 def _text(result: dict[str, Any], rows: tuple[dict[str, str | float], ...]) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 
 from covariant import logs
 from covariant.cli._console import note, working
-from covariant.cli._job import Job, Loaded, data_sheet, load
+from covariant.cli._job import Job, Loaded, data_sheet, load, require_suffix
 from covariant.cli._pages import write_report
 from covariant.cli._results import Outcome, drive, report_arrays, rounded, summary
 from covariant.design import line_up, observer_gains
@@ -50,7 +50,8 @@ def estimate(
         result["out"] = str(out)
     if report is not None:
         result["report"] = [
-            str(p) for p in write_report(report, _title(job), loaded, _curves(observer, outcome), notes)
+            str(p)
+            for p in write_report(report, _title(job), loaded, _curves(observer, outcome), (*notes, _error(result)))
         ]
     print(json.dumps(result) if as_json else _text(result))
 
@@ -65,10 +66,8 @@ def _check(observer: str, alpha: float | None, beta: float | None, out: Path | N
             raise ValueError(f"--alpha and --beta do not apply to {observer}")
         if not (alpha > 0 and beta > 0):
             raise ValueError(f"--alpha and --beta must be positive; got {alpha} and {beta}")
-    if out is not None and out.suffix not in (".csv", ".parquet"):
-        raise ValueError(f"{out}: write a .csv or a .parquet file")
-    if report is not None and report.suffix != ".html":
-        raise ValueError(f"{report}: a report is an .html file")
+    require_suffix(out, ".csv", ".parquet")
+    require_suffix(report, ".html")
 
 
 def _choose(
@@ -111,7 +110,7 @@ def _text(result: dict[str, Any]) -> str:
     lines = [
         f"{result['log']}: {result['rows']} rows, {result['observer']} observer",
         result["design"],
-        f"velocity RMSE against the {result['scored_against']}: {_numbers(result['velocity_rmse'])}",
+        _error(result),
     ]
     if "logged_velocity_rmse" in result:
         lines.append(f"the same for the velocity in the log: {_numbers(result['logged_velocity_rmse'])}")
@@ -120,6 +119,10 @@ def _text(result: dict[str, Any]) -> str:
             lines.append(f"{count} of {result['rows']} samples: {note(name)}")
     lines += [f"wrote {path}" for path in [result.get("out"), *result.get("report", [])] if path]
     return "\n".join(lines)
+
+
+def _error(result: dict[str, Any]) -> str:
+    return f"velocity RMSE against the {result['scored_against']}: {_numbers(result['velocity_rmse'])}"
 
 
 def _numbers(values: list[float | None]) -> str:

@@ -47,7 +47,12 @@ def load(job: Job) -> Loaded:
         )
     log = logs.read(job.log, columns, job.every, job.until)
     record = lag_inputs(log.record, file.input_lag)
-    t = np.asarray(record.t)
+    t, y = np.asarray(record.t), np.asarray(record.y)
+    measured = y[np.isfinite(y).all(axis=1)]
+    try:
+        models.check_metric(file.model, measured[:: max(1, len(measured) // 20)])
+    except ValueError as error:
+        raise ValueError(f"{job.model} on {job.log}: {error}") from error
     full = logs.read(job.log, columns._replace(u=(), v=())) if job.every > 1 or job.until else log
     reference, label = _reference(file, log, full)
     rate = 1 / float(np.median(np.diff(t)))
@@ -64,6 +69,12 @@ def _reference(file: models.ModelFile, log: logs.Log, full: logs.Log) -> tuple[n
         return np.full(log.record.y.shape, np.nan), "velocity, unknown in so short a log"
     unwrapped = scoring.unwrap(y, file.model.circles)
     return scoring.zero_phase_velocity(t, unwrapped, np.asarray(log.record.t), half, order), "zero-phase reference"
+
+
+def require_suffix(path: Path | None, *suffixes: str) -> None:
+    """Refuse an output file of another kind; None is no file and passes."""
+    if path is not None and path.suffix not in suffixes:
+        raise ValueError(f"{path}: the file to write must end in {' or '.join(suffixes)}")
 
 
 def data_sheet(file: models.ModelFile) -> DataSheet:

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from covariant.cli._console import stages
+from covariant.cli._job import require_suffix
 
 PAPERS = ("aghannan-rouchon",)
 
@@ -15,10 +16,8 @@ def reproduce(paper: str, out: Path | None, report: Path | None, as_json: bool) 
 
     if paper not in PAPERS:
         raise ValueError(f"unknown paper {paper!r}; choose one of {', '.join(PAPERS)}")
-    if report is not None and report.suffix != ".html":
-        raise ValueError(f"{report}: a report is an .html file")
-    if out is not None and out.suffix != ".png":
-        raise ValueError(f"{out}: the figure is a .png file")
+    require_suffix(report, ".html")
+    require_suffix(out, ".png")
     with stages("reproducing", paper_room.STAGES, quiet=as_json) as begin:
         results = paper_room.reproduce(begin)
         written: list[Path] = []

@@ -9,6 +9,7 @@ import numpy as np
 
 from covariant import logs, models, simulation
 from covariant.cli._console import working
+from covariant.cli._job import require_suffix
 
 
 class Scenario(NamedTuple):
@@ -29,8 +30,7 @@ class Scenario(NamedTuple):
 
 def simulate(model: str, overrides: tuple[str, ...], out: Path, scenario: Scenario, as_json: bool) -> None:
     """Simulate, measure, and write t, measured positions, inputs, and true_q…, true_v…."""
-    if out.suffix not in (".csv", ".parquet"):
-        raise ValueError(f"{out}: write a .csv or a .parquet file")
+    require_suffix(out, ".csv", ".parquet")
     file = models.load(model, overrides)
     n, m = len(file.columns.q), len(file.columns.u)
     x0 = jnp.concatenate([_numbers("--q0", scenario.q0, n), _numbers("--v0", scenario.v0, n)])

@@ -50,17 +50,6 @@ class Metric(AbstractMetric):
         return shoot(self, p, q, guess, budget)
 
 
-def geodesic_flow(metric: AbstractMetric):
-    """The geodesic equation `∇_q̇ q̇ = 0` with vectors in parallel, as a flow on (q, velocity, w)."""
-
-    def flow(_, state: Transported) -> Transported:
-        q, velocity, w = state
-        carried = jax.vmap(lambda a: metric.christoffel(q, velocity, a))(w)
-        return Transported(velocity, -metric.christoffel(q, velocity, velocity), -carried)
-
-    return flow
-
-
 def transport_along(metric: AbstractMetric, p: Vector, velocity: Vector, w: Vectors, budget: Budget) -> Transported:
     """Numerical `transport_along` for any metric."""
 

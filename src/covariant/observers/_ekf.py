@@ -66,11 +66,10 @@ class EKF(AbstractObserver):
 
         def motion(x):
             q, v = predict(self.model, state.t, x[:n], x[n:], u, dt, self.substeps)
-            return jnp.concatenate([q, v])
+            moved = jnp.concatenate([q, v])
+            return moved, moved
 
-        x = self.estimate(state)
-        transition = jax.jacfwd(motion)(x)
-        moved = motion(x)
+        transition, moved = jax.jacfwd(motion, has_aux=True)(self.estimate(state))
         q_part, cross, v_part = (self.process_cov * dt**k / c for k, c in ((3, 3), (2, 2), (1, 1)))
         noise = jnp.block([[q_part, cross], [cross, v_part]])
         return EKFState(moved[:n], moved[n:], state.t + dt, transition @ state.cov @ transition.T + noise)

@@ -78,7 +78,9 @@ def _scan(observer: AbstractObserver, t: Array, u: Array, y: Array):
     dt = jnp.diff(t, prepend=t[:1])
 
     def step(state, sample):
-        state, info = observer.step(state, *sample)
+        moved, info = observer.step(state, *sample)
+        # The first row is where the state comes from: its measurement must not count twice.
+        state = jax.tree.map(lambda new, old: jnp.where(sample[2] > 0, new, old), moved, state)
         return state, (observer.estimate(state), info)
 
     return jax.lax.scan(step, observer.init(y[0], t[0]), (before, y, dt))[1]

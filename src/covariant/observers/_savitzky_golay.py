@@ -68,8 +68,8 @@ class SavitzkyGolay(AbstractObserver):
 
         def fit(column, start, slope):
             present = ~jnp.isnan(column)
-            residual = jnp.where(present, column - start + age * slope, 0.0)
-            weighted = jnp.where(present[:, None], powers, 0.0)
+            residual = jnp.nan_to_num(column - start + age * slope)
+            weighted = powers * present[:, None].astype(powers.dtype)
             return solve(weighted.T @ powers + faint, weighted.T @ residual)
 
         found = jax.vmap(fit)(samples.T, expected, v)
