@@ -21,7 +21,7 @@ def positive(n, seed=0):
 
 
 @pytest.mark.parametrize("n", SIZES)
-@pytest.mark.parametrize("columns", [(), (1,), (3,)], ids=["vector", "one column", "three columns"])
+@pytest.mark.parametrize("columns", [(), (3,)], ids=["vector", "matrix"])
 def test_solve_is_that_of_lapack(n, columns):
     a = positive(n)
     b = np.random.default_rng(n).normal(size=(BATCH, n, *columns))
@@ -29,7 +29,7 @@ def test_solve_is_that_of_lapack(n, columns):
     np.testing.assert_allclose(jax.jit(jax.vmap(solve))(a, b), expected, rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize("n", SIZES)
+@pytest.mark.parametrize("n", [1, 2, 5])
 def test_solve_is_the_same_alone_and_side_by_side(n):
     a, b = positive(n), np.random.default_rng(n).normal(size=(BATCH, n))
     alone = jax.jit(solve)(a[3], b[3])
@@ -37,8 +37,7 @@ def test_solve_is_the_same_alone_and_side_by_side(n):
     np.testing.assert_allclose(jax.vmap(solve, (None, 0))(jnp.asarray(a[3]), b)[3], alone, rtol=1e-12)
 
 
-@pytest.mark.parametrize("columns", [(), (2,)], ids=["vector", "matrix"])
-@pytest.mark.parametrize("n", [1, 2, 3])
+@pytest.mark.parametrize(("n", "columns"), [(1, ()), (2, (2,))], ids=["number", "matrix"])
 def test_solve_has_the_derivatives_that_differences_show(n, columns):
     """First and second, forward and reverse, along symmetric changes of the matrix."""
     rng = np.random.default_rng(n)
@@ -89,7 +88,7 @@ def test_signs_of_the_pivots_are_those_of_the_eigenvalues(n, seed):
     assert np.sum(jitted_pivots(a) < 0) == np.sum(np.linalg.eigvalsh(a) < 0)
 
 
-@pytest.mark.parametrize("n", SIZES)
+@pytest.mark.parametrize("n", [1, 4])
 def test_no_lapack(n):
     """So that it can be exported, and is quick side by side."""
     a, b = jnp.eye(n), jnp.ones((n, 2))

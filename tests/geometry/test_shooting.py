@@ -39,9 +39,17 @@ def test_short_geodesic_is_ok():
     close(shot.velocity, geometry.log(SPHERE, P, Q), 1e-12)
 
 
+def test_far_target_is_found():
+    """Too far for Newton's method from the first guess: nearly a half turn, which chart lines do not resemble."""
+    p, q = jnp.array([[0.78, -0.01], [-0.97, 0.29]])
+    shot = shoot(p, q, jnp.zeros(2))
+    assert shot.result == Result.OK
+    close(shot.velocity, geometry.log(SPHERE, p, q), 1e-6)
+
+
 def test_useless_guess_does_no_harm():
     assert shoot(P, Q, jnp.array([20.0, -7.0])).result == Result.OK
-    assert shoot(P, Q, jnp.full(2, jnp.nan)).result == Result.OK
+    assert shoot(P, Q, jnp.array([jnp.nan, jnp.nan])).result == Result.OK
 
 
 def test_target_outside_the_ball_is_not_converged():
@@ -58,15 +66,8 @@ def test_log_is_nan_where_not_converged():
     assert np.isnan(geometry.log(ball_and_beam().metric, *far, budget)).all()
 
 
-def test_enough_corrections_converge():
-    near = jnp.array([-0.3, 0.0]), jnp.array([0.5, 0.4])
-    shot = jax.jit(lambda p, q: geometry.shoot(ball_and_beam().metric, p, q, None, Budget(newton=2, steps=8)))(*near)
-    assert shot.result == Result.OK
-    assert shot.residual < 1e-5
-
-
 def test_missing_measurement_is_not_converged():
-    shot = shoot(P, jnp.full(2, jnp.nan), jnp.zeros(2))
+    shot = shoot(P, jnp.array([jnp.nan, jnp.nan]), jnp.zeros(2))
     assert shot.result == Result.NOT_CONVERGED
 
 
@@ -81,74 +82,62 @@ def test_geodesic_beyond_a_conjugate_point_is_flagged():
 # Conjugate points
 
 
-def sphere_crossings(n, lengths):
-    """Conjugate points along a great circle, by length."""
-    p, direction = jnp.array([[0.3, -0.4, 0.2], [0.6, 0.8, -0.5]])[:, :n]
-    unit = direction / geometry.norm(SPHERE, p, direction)
-    count = jax.vmap(lambda s: conjugate_points(NUMERIC, p, s * unit, Budget(steps=32)))
-    return count(jnp.array(lengths)).tolist()
+def conjugates(metric, p, velocities):
+    count = jax.vmap(lambda v: conjugate_points(Metric(metric), p, v, Budget(steps=32)))
+    return jax.jit(count)(velocities).tolist()
 
 
 @pytest.mark.parametrize("n", [2, 3])
 def test_conjugate_points_are_counted_with_multiplicity(n):
     """On the n-sphere n − 1 at every half turn."""
+    p, direction = jnp.array([[0.3, -0.4, 0.2], [0.6, 0.8, -0.5]])[:, :n]
+    unit = direction / geometry.norm(SPHERE, p, direction)
     lengths = [0.0, 1.0, np.pi - 0.01, np.pi + 0.01, 2 * np.pi - 0.01, 2 * np.pi + 0.01]
-    assert sphere_crossings(n, lengths) == [0, 0, 0, n - 1, n - 1, 2 * (n - 1)]
+    counts = conjugates(SPHERE, p, jnp.stack([length * unit for length in lengths]))
+    assert counts == [0, 0, 0, n - 1, n - 1, 2 * (n - 1)]
 
 
-@pytest.mark.parametrize("metric", [geometry.hyperbolic(), ball_and_beam().metric], ids=["hyperbolic", "ball and beam"])
-def test_negative_curvature_has_no_conjugate_points(metric):
-    assert conjugate_points(Metric(metric), P, jnp.array([2.0, 1.5]), Budget(steps=32)) == 0
+def test_negative_curvature_has_no_conjugate_points():
+    velocities = jnp.array([[2.0, 1.5], [-3.0, 0.5], [0.1, -4.0], [0.0, 0.0]])
+    assert conjugates(ball_and_beam().metric, P, velocities) == [0, 0, 0, 0]
 
 
 # Derivatives
 
 
-DIRECTION = jnp.array([0.6, 0.1]), jnp.array([-0.2, 0.7])
-
-
-@pytest.fixture(scope="module")
-def derivatives():
-    """Jacobians of the log in (p, q), forward and reverse, and the derivative of the reverse one along a direction."""
-
-    def of(log):
-        @jax.jit
-        def all_of_them(p, q):
-            reverse, second = jax.jvp(jax.jacrev(log, (0, 1)), (p, q), DIRECTION)
-            return jax.jacfwd(log, (0, 1))(p, q), reverse, second
-
-        return all_of_them(P, Q)
-
-    return of(lambda p, q: geometry.log(NUMERIC, p, q, BUDGET)), of(lambda p, q: geometry.log(SPHERE, p, q))
-
-
-@pytest.mark.parametrize("kind", [0, 1, 2], ids=["forward", "reverse", "second"])
-def test_log_has_the_derivatives_of_the_closed_form(derivatives, kind):
+@pytest.mark.parametrize("mode", [jax.jacfwd, jax.jacrev], ids=["forward", "reverse"])
+def test_log_has_the_derivatives_of_the_closed_form(mode):
     """Through the implicit function theorem, exact where the search has converged."""
-    numeric, closed = derivatives
-    jax.tree.map(lambda a, b: close(a, b, 1e-9), numeric[kind], closed[kind])
+    numeric, closed = (
+        jax.jit(mode(lambda p, q, metric=metric: geometry.log(metric, p, q, BUDGET), (0, 1)))(P, Q)
+        for metric in (NUMERIC, SPHERE)
+    )
+    jax.tree.map(lambda a, b: close(a, b, 1e-9), numeric, closed)
 
 
-def test_log_has_the_derivative_that_differences_show(derivatives):
-    """Central differences of fourth order along a direction in both points, good to 1e-10 at this step."""
-    step, (dp, dq) = 1e-2, DIRECTION
+def test_log_has_the_derivative_that_differences_show():
+    """Central differences of fourth order along a direction in both points, good to 1e-7 at this step."""
+    step, (dp, dq) = 1e-2, jnp.array([[0.6, 0.1], [-0.2, 0.7]])
     ends = {k: shoot(P + k * step * dp, Q + k * step * dq, jnp.zeros(2)).velocity for k in (-2, -1, 1, 2)}
     differences = (8 * (ends[1] - ends[-1]) - (ends[2] - ends[-2])) / (12 * step)
-    in_p, in_q = derivatives[0][0]
-    close(in_p @ dp + in_q @ dq, differences, 1e-6)
+    slope = jax.jvp(lambda p, q: geometry.log(SPHERE, p, q), (P, Q), (dp, dq))[1]
+    close(differences, slope, 1e-6)
 
 
-def test_log_is_differentiable_in_the_parameters_of_the_metric():
-    """On the line with metric `exp(2kq)` the logarithm is `(exp(k(q − p)) − 1)/k`."""
-    p, q, k = jnp.array([0.3]), jnp.array([0.9]), jnp.array(0.7)
+def test_log_has_second_derivatives_also_in_the_parameters_of_the_metric():
+    """On the line with metric `exp(2kq)` the logarithm is `(exp(k(q − p)) − 1)/k`; forward over reverse."""
 
-    def numeric(k):
-        return geometry.log(lambda x: jnp.exp(2 * k * x[None]), p, q, BUDGET)
+    def numeric(pqk):
+        p, q, k = pqk
+        return geometry.log(lambda x: jnp.exp(2 * k * x[None]), p[None], q[None], BUDGET)[0]
 
-    def exact(k):
+    def exact(pqk):
+        p, q, k = pqk
         return jnp.expm1(k * (q - p)) / k
 
-    close(jax.jit(jax.jacrev(numeric))(k), jax.jacrev(exact)(k), 1e-11)
+    pqk = jnp.array([0.3, 0.9, 0.7])
+    close(jax.jit(jax.jacrev(numeric))(pqk), jax.jacrev(exact)(pqk), 1e-10)
+    close(jax.jit(jax.hessian(numeric))(pqk), jax.hessian(exact)(pqk), 1e-9)
 
 
 def test_shooting_is_the_same_under_jit_and_vmap():
@@ -185,7 +174,13 @@ def test_fixed_budget_is_static():
 
 def test_fixed_budget_reports_what_it_left():
     budget, near = Budget(newton=1, steps=4), P + 0.3 * (Q - P)
-    shot = geometry.shoot(NUMERIC, P, near, None, budget)
-    end = geometry.exp(NUMERIC, P, shot.velocity, budget)
+
+    @jax.jit
+    def there(p, q):
+        shot = geometry.shoot(NUMERIC, p, q, None, budget)
+        return shot, geometry.exp(NUMERIC, p, shot.velocity, budget)
+
+    shot, end = there(P, near)
     assert shot.result == Result.OK
-    assert shot.residual == pytest.approx(float(geometry.norm(SPHERE, near, near - end)), rel=1e-9)
+    assert 0 < shot.residual < 1e-3
+    close(shot.residual, geometry.norm(SPHERE, near, near - end), 1e-12)
