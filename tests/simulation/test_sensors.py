@@ -22,7 +22,9 @@ def test_stamps_increase_from_zero_to_the_end(rate, samples, jitter, seed):
     assert np.abs(t - np.arange(samples) / rate).max() <= 0.4500001 / rate
 
 
-@pytest.mark.parametrize(("duration", "rate"), [(0.29, 100.0), (0.57, 100.0), (1.1, 10.0), (2.3, 1000.0), (4.35, 100.0)])
+@pytest.mark.parametrize(
+    ("duration", "rate"), [(0.29, 100.0), (0.57, 100.0), (1.1, 10.0), (2.3, 1000.0), (4.35, 100.0)]
+)
 def test_the_last_stamp_is_the_end(duration, rate):
     t = stamps(Sensor(rate), duration)
     assert t[-1] == pytest.approx(duration, abs=1e-12)

@@ -43,7 +43,13 @@ def observer_gains(sheet: DataSheet, rate: float) -> Gains:
 
 
 def line_up(model: Lagrangian, n: int, sheet: DataSheet, rate: float) -> dict[str, AbstractObserver]:
-    """The estimators by name, for a model of n coordinates sampled at `rate` [Hz]."""
+    """The estimators by name, for a model of n coordinates sampled at `rate` [Hz].
+
+    Raises `ValueError` for numbers of the data sheet that are not positive.
+    """
+    for name in ("motion_std", "motion_time"):
+        if not 0 < getattr(sheet, name) < np.inf:
+            raise ValueError(f"line_up: {name} must be a positive number; got {getattr(sheet, name)}")
     chosen = observer_gains(sheet, rate)
     alpha, beta = chosen.alpha, chosen.beta
     time = 1 / (2 * rate) if sheet.correlation_time is None else sheet.correlation_time
@@ -99,6 +105,7 @@ def linear_filter_error(weights: np.ndarray, sheet: DataSheet, rate: float) -> f
     tail = np.cumsum(weights[::-1])[::-1]
     moment = np.cumsum((weights * ages)[::-1])[::-1]
     lag = (moment - tail * ages) / rate
+    lag[0] /= 2  # trapezoid rule over r; h ends at 0 on the other side
     decay = np.exp(-1 / (rate * sheet.motion_time))
     carried, lagged = 0.0, 0.0
     for value in lag:  # Σ_ij lag_i lag_j decay^|i−j| in one pass

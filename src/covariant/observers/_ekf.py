@@ -77,14 +77,18 @@ class EKF(AbstractObserver):
     def correct(self, state: EKFState, y: Vector) -> tuple[EKFState, EKFInfo]:
         """Take the measurement y (n,) in; missing entries (NaN) are left out."""
         n = state.q.shape[0]
-        present = jnp.diag(jnp.where(jnp.isnan(y), 0.0, 1.0).astype(state.q.dtype))
+        missing = jnp.isnan(y)
+        present = jnp.diag(jnp.where(missing, 0.0, 1.0).astype(state.q.dtype))
+        # The noise of a missing entry tells nothing of the others', however they are correlated.
+        apart = (missing[:, None] | missing[None, :]) & ~jnp.eye(n, dtype=bool)
+        measurement_cov = jnp.where(apart, 0.0, self.measurement_cov)
         output = jnp.concatenate([present, jnp.zeros_like(present)], axis=1)
         innovation = -position_error(self.model, state.q, y)
-        innovation_cov = output @ state.cov @ output.T + self.measurement_cov
+        innovation_cov = output @ state.cov @ output.T + measurement_cov
         gain = solve(innovation_cov, output @ state.cov).T
         x = self.estimate(state) + gain @ innovation
         left = jnp.eye(2 * n, dtype=x.dtype) - gain @ output
-        cov = left @ state.cov @ left.T + gain @ self.measurement_cov @ gain.T
+        cov = left @ state.cov @ left.T + gain @ measurement_cov @ gain.T
         new = EKFState(x[:n], x[n:], state.t, (cov + cov.T) / 2)
         distance = norm(self.model.metric, state.q, innovation)
         return new, EKFInfo(innovation, distance, innovation_cov, outcome(new.q, new.v, y))

@@ -23,11 +23,11 @@ class Sensor(NamedTuple):
 
     def check(self) -> "Sensor":
         """Return the sensor, or raise `ValueError` naming the first field that makes no sense."""
-        if not self.rate > 0:
+        if not 0 < self.rate < np.inf:
             raise ValueError(f"sensor: rate must be positive [Hz]; got {self.rate}")
         for name in ("noise_std", "quantum", "jitter"):
-            if not getattr(self, name) >= 0:
-                raise ValueError(f"sensor: {name} must not be negative; got {getattr(self, name)}")
+            if not 0 <= getattr(self, name) < np.inf:
+                raise ValueError(f"sensor: {name} must be a number ≥ 0; got {getattr(self, name)}")
         if not 0 <= self.dropout < 1:
             raise ValueError(f"sensor: dropout is a probability below 1; got {self.dropout}")
         return self
@@ -36,9 +36,10 @@ class Sensor(NamedTuple):
 def stamps(sensor: Sensor, duration: float, seed: int = 0) -> Float[NumpyArray, "T"]:
     """Sampling instants from 0 to `duration` [s], strictly increasing, the first at 0."""
     sensor.check()
-    count = int(np.floor(duration * sensor.rate)) + 1
-    if count < 2:
-        raise ValueError(f"sensor: {duration} s at {sensor.rate} Hz holds fewer than two samples")
+    steps = duration * sensor.rate + 1e-9  # 0.29 s hold 29 steps at 100 Hz, although 0.29 * 100 is a hair less
+    if not 1 <= steps < np.inf:
+        raise ValueError(f"sensor: {duration} s at {sensor.rate} Hz do not hold two samples or more")
+    count = int(steps) + 1
     late = np.random.default_rng([seed, 0]).normal(0, sensor.jitter, count) if sensor.jitter else np.zeros(count)
     late[0] = 0.0
     return np.arange(count) / sensor.rate + np.clip(late, -0.45 / sensor.rate, 0.45 / sensor.rate)

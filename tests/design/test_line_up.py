@@ -1,0 +1,168 @@
+"""The line-up of estimators: the errors that the design predicts against simulation, and the choices it makes."""
+
+import math
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import linalg
+
+from covariant import geometry
+from covariant.design import DataSheet, bias, filter_bandwidth, gains, line_up, observer_gains, window_length
+from covariant.design._line_up import LONGEST_WINDOW, derivative_weights, linear_filter_error, polynomial_weights
+from covariant.models import Lagrangian, oscillator
+from covariant.observers import EKF, Copy, FilteredDerivative, Geodesic, Intrinsic, SavitzkyGolay, run
+from covariant.signals import Record
+
+AXES = 8
+FLAT = Lagrangian(geometry.Euclidean(), lambda q: 0.0 * q[0])
+"""A free point in eight dimensions: as many double integrators, watched by one observer."""
+
+
+def watched(alpha, beta, t, y):
+    record = Record(t, np.zeros_like(y), y)
+    return np.asarray(run(Intrinsic(FLAT, jnp.array(alpha), jnp.array(beta), substeps=1), record).estimate)
+
+
+@pytest.mark.parametrize("damping", [0.4, math.sqrt(0.5), 1.5])
+def test_the_predicted_errors_are_those_of_a_simulation(damping):
+    rate, std, acceleration, time = 1000.0, 1e-3, 1.0, 0.005
+    chosen = gains(std, rate, acceleration, time, damping)
+    rng, count, dt = np.random.default_rng(5), 8000, 1 / rate
+    # White acceleration of the density that the rule assumes: velocity steps, with the position steps they bring.
+    steps = rng.multivariate_normal(
+        [0, 0],
+        2 * acceleration**2 * time * np.array([[dt, dt**2 / 2], [dt**2 / 2, dt**3 / 3]]),
+        (count, AXES),
+    )
+    v = np.cumsum(steps[..., 0], 0)
+    q = np.cumsum(steps[..., 1] + dt * np.concatenate([np.zeros((1, AXES)), v[:-1]]), 0)
+    estimate = watched(chosen.alpha, chosen.beta, dt * np.arange(count), q + rng.normal(0, std, q.shape))
+    settled = slice(count // 4, None)
+    error = np.split((estimate - np.hstack([q, v]))[settled], 2, axis=1)
+    assert chosen.alpha * dt < 0.2, "the prediction is for sampling that is fast beside the observer"
+    assert np.std(error[1]) == pytest.approx(chosen.velocity_std, rel=0.05)
+    assert np.std(error[0]) == pytest.approx(chosen.position_std, rel=0.1)
+
+
+def test_a_constant_acceleration_leaves_the_predicted_bias():
+    alpha, beta, acceleration = 8.0, 30.0, 2.0
+    t = 0.0005 * np.arange(4000)
+    q = np.tile(acceleration * t[:, None] ** 2 / 2, AXES)
+    estimate = watched(alpha, beta, t, q)[-1]
+    position, velocity = bias(alpha, beta, acceleration)
+    assert q[-1, 0] - estimate[0] == pytest.approx(position, rel=0.01)
+    assert acceleration * t[-1] - estimate[AXES] == pytest.approx(velocity, rel=0.01)
+
+
+SHEET = DataSheet(1e-3, 2.0, 0.01, motion_std=20.0, motion_time=0.05)
+RATE = 200.0
+WEIGHTS = {
+    "difference": np.array([RATE, -RATE]),
+    "filtered derivative": derivative_weights(30.0, RATE),
+    "line": polynomial_weights(9, 1, RATE),
+    "parabola": polynomial_weights(15, 2, RATE),
+}
+
+
+def test_weights_form_a_slope():
+    ages = {name: np.arange(len(w)) / RATE for name, w in WEIGHTS.items()}
+    for name, w in WEIGHTS.items():
+        assert w.sum() == pytest.approx(0, abs=1e-4 * np.abs(w).sum())
+        assert -w @ ages[name] == pytest.approx(1, abs=1e-4)
+
+
+@pytest.mark.parametrize("name", WEIGHTS)
+@pytest.mark.parametrize("motion_time", [0.02, 0.3])
+def test_the_predicted_error_of_a_filter_is_that_of_the_motion_it_assumes(name, motion_time):
+    """Accelerations of exponential correlation, weighed by the filter, on a grid much finer than the samples."""
+    sheet = SHEET._replace(motion_time=motion_time)
+    w = WEIGHTS[name]
+    fine = 20  # integration steps a sample, over h(r), the weight of the acceleration r seconds ago
+    r = np.arange((len(w) - 1) * fine + 1) / (RATE * fine)
+    h = np.maximum(np.arange(len(w))[None, :] / RATE - r[:, None], 0) @ w
+    h *= np.where((r == r[0]) | (r == r[-1]), 0.5, 1.0) / (RATE * fine)
+    # h' C h for the exponential correlation C, in two passes of a first-order filter instead of a square matrix.
+    decay, behind, total = math.exp(-1 / (RATE * fine * motion_time)), 0.0, 0.0
+    for value in h:
+        total += value * (value + 2 * decay * behind)
+        behind = value + decay * behind
+    expected = math.sqrt(sheet.measurement_std**2 * w @ w + sheet.motion_std**2 * total)
+    assert linear_filter_error(w, sheet, RATE) == pytest.approx(expected, rel=0.02)
+
+
+def test_the_recursion_is_the_quadratic_form():
+    sheet = SHEET._replace(measurement_std=0.0)
+    w = WEIGHTS["line"]
+    h = np.array([sum(w[i] * (i - j) for i in range(j, len(w))) for j in range(len(w))]) / RATE**2
+    h[0] /= 2  # trapezoid rule
+    correlation = linalg.toeplitz(np.exp(-np.arange(len(w)) / (RATE * sheet.motion_time)))
+    assert linear_filter_error(w, sheet, RATE) == pytest.approx(20.0 * math.sqrt(h @ correlation @ h), rel=1e-10)
+
+
+def test_a_difference_is_half_a_sample_late_and_a_parabola_is_not():
+    steady = SHEET._replace(measurement_std=0.0, motion_time=1e12)
+    assert linear_filter_error(WEIGHTS["difference"], steady, RATE) == pytest.approx(20.0 / (2 * RATE), rel=1e-6)
+    assert linear_filter_error(WEIGHTS["parabola"], steady, RATE) == pytest.approx(0.0, abs=1e-6)
+    late = linear_filter_error(WEIGHTS["filtered derivative"], steady, RATE)
+    assert late == pytest.approx(20.0 / (RATE * -np.expm1(-30.0 / RATE)) - 20.0 / (2 * RATE), rel=1e-3)
+
+
+@pytest.mark.parametrize("noise", [3e-4, 1e-3, 1e-2])
+def test_bandwidth_and_window_are_the_best_ones(noise):
+    sheet = SHEET._replace(measurement_std=noise)
+    chosen = filter_bandwidth(sheet, RATE)
+    least = linear_filter_error(derivative_weights(chosen, RATE), sheet, RATE)
+    for factor in (0.5, 0.8, 1.25, 2.0):
+        assert linear_filter_error(derivative_weights(chosen * factor, RATE), sheet, RATE) > least
+    window = window_length(sheet, RATE)
+    least = linear_filter_error(polynomial_weights(window, 2, RATE), sheet, RATE)
+    for other in (window - 1, window + 1, 2 * window):
+        assert other < 3 or linear_filter_error(polynomial_weights(other, 2, RATE), sheet, RATE) >= least
+    assert 3 <= window <= LONGEST_WINDOW
+
+
+def test_more_noise_wants_more_smoothing():
+    sheets = [SHEET._replace(measurement_std=s) for s in (1e-4, 1e-3, 1e-2)]
+    assert np.all(np.diff([filter_bandwidth(s, RATE) for s in sheets]) < 0)
+    assert np.all(np.diff([window_length(s, RATE) for s in sheets]) > 0)
+    assert np.all(np.diff([observer_gains(s, RATE).alpha for s in sheets]) < 0)
+
+
+def test_all_estimators_come_from_one_data_sheet():
+    model = oscillator()
+    estimators = line_up(model, 1, SHEET, RATE)
+    chosen = observer_gains(SHEET, RATE)
+    assert chosen == gains(1e-3, RATE, 2.0, 0.01, SHEET.damping)
+    for name, kind in (("intrinsic", Intrinsic), ("intrinsic2", Intrinsic), ("geodesic", Geodesic), ("copy", Copy)):
+        assert isinstance(estimators[name], kind)
+        assert (estimators[name].alpha, estimators[name].beta) == (chosen.alpha, chosen.beta)
+    assert [estimators[name].order for name in ("intrinsic", "intrinsic2")] == [1, 2]
+    ekf = estimators["ekf"]
+    assert isinstance(ekf, EKF)
+    assert float(ekf.process_cov[0, 0]) == pytest.approx(2 * 2.0**2 * 0.01)
+    assert float(ekf.measurement_cov[0, 0]) == pytest.approx(1e-6)
+    assert ekf.initial_velocity_std == pytest.approx(1.0)
+    assert estimators["filtered-derivative"] == FilteredDerivative(filter_bandwidth(SHEET, RATE))
+    assert estimators["savitzky-golay"] == SavitzkyGolay(window_length(SHEET, RATE), 2)
+    assert len(estimators) == 7
+
+
+def test_an_acceleration_new_at_each_sample_is_white_over_one():
+    fresh = SHEET._replace(correlation_time=None)
+    assert observer_gains(fresh, RATE) == observer_gains(fresh._replace(correlation_time=1 / (2 * RATE)), RATE)
+    assert float(line_up(oscillator(), 1, fresh, RATE)["ekf"].process_cov[0, 0]) == pytest.approx(2.0**2 / RATE)
+
+
+@pytest.mark.parametrize("field", ["measurement_std", "acceleration_std", "correlation_time", "damping"])
+@pytest.mark.parametrize("number", [0.0, math.nan, math.inf])
+def test_a_number_that_makes_no_sense_is_named(field, number):
+    with pytest.raises(ValueError, match=f"gains: {field} must be a positive number; got {number}"):
+        line_up(oscillator(), 1, SHEET._replace(**{field: number}), RATE)
+
+
+@pytest.mark.parametrize("field", ["motion_std", "motion_time"])
+@pytest.mark.parametrize("number", [-1.0, math.nan])
+def test_a_motion_that_makes_no_sense_is_named(field, number):
+    with pytest.raises(ValueError, match=field):
+        line_up(oscillator(), 1, SHEET._replace(**{field: number}), RATE)

@@ -1,0 +1,117 @@
+"""The reference that velocities are scored against, computed a second time in the plainest way, and its window."""
+
+import numpy as np
+import pytest
+
+from covariant.scoring import rmse, scored_window, unwrap, zero_phase_velocity
+
+
+@pytest.fixture
+def log():
+    rng = np.random.default_rng(0)
+    t = np.cumsum(rng.uniform(0.001, 0.005, 300))
+    y = np.stack([np.sin(7 * t), np.cos(3 * t) + t], axis=1) + rng.normal(0, 1e-3, (300, 2))
+    return t, y
+
+
+def plain_slope(t, y, now, half, order):
+    """Slope at `now` of the weighted least-squares polynomial over the measurements within `half` of it."""
+    near = np.abs(t - now) <= half
+    weight = np.sqrt((1 - (np.abs(t[near] - now) / half) ** 3) ** 3)
+    fit = np.polyfit((t[near] - now) / half, y[near], order, w=weight)
+    return fit[-2] / half
+
+
+@pytest.mark.parametrize(("half", "order"), [(0.03, 3), (0.05, 4), (0.04, 1)])
+def test_the_reference_is_a_local_polynomial_with_tricube_weights(log, half, order):
+    t, y = log
+    at = t[(t > t[0] + half) & (t < t[-1] - half)][::5]
+    expected = [[plain_slope(t, y[:, i], now, half, order) for i in range(2)] for now in at]
+    # 1e-6 of weight is kept at the rim, so that no fit is singular.
+    np.testing.assert_allclose(zero_phase_velocity(t, y, at, half, order), expected, rtol=0, atol=2e-4)
+
+
+@pytest.mark.parametrize("end", [0, -1])
+def test_where_measurements_are_few_the_nearest_ones_are_used(log, end):
+    """Fewer than order + 3 within `half`: order + 3 to either side, as far as there are any, over their own reach."""
+    t, y = log
+    rows = slice(0, 6) if end == 0 else slice(-6, None)
+    s = t[rows] - t[end]
+    reach = np.abs(s).max()
+    weight = (1 - (np.abs(s) / reach) ** 3) ** 1.5 + 1e-6
+    expected = [np.polyfit(s / reach, column, 2, w=weight)[1] / reach for column in y[rows].T]
+    found = zero_phase_velocity(t, y, t[[end]], half=1e-5, order=2)
+    np.testing.assert_allclose(found, [expected], rtol=1e-6)
+
+
+@pytest.mark.parametrize("order", [1, 2, 3, 4])
+def test_polynomials_are_exact_everywhere(log, order):
+    t, _ = log
+    shape = np.polynomial.Polynomial(np.random.default_rng(order).normal(size=order + 1))
+    y = np.stack([shape(t), -2 * shape(t)], axis=1)
+    at = np.concatenate([t, np.linspace(t[0], t[-1], 17)])
+    found = zero_phase_velocity(t, y, at, 0.03, order)
+    expected = shape.deriv()(at)
+    np.testing.assert_allclose(found, np.stack([expected, -2 * expected], axis=1), rtol=0, atol=1e-7)
+
+
+def test_missing_positions_are_left_out_column_by_column(log):
+    t, y = log
+    holes = y.copy()
+    holes[50:60, 0] = holes[::7, 1] = np.nan
+    found = zero_phase_velocity(t, holes, t)
+    for column, present in enumerate(np.isfinite(holes).T):
+        alone = zero_phase_velocity(t[present], y[present][:, [column]], t)
+        np.testing.assert_array_equal(found[:, [column]], alone)
+    assert np.abs(found - zero_phase_velocity(t, y, t)).max() < 0.5
+
+
+def test_it_has_no_phase():
+    """A motion run backwards has the same slopes with the other sign."""
+    t = np.linspace(-1, 1, 401)
+    y = np.sin(20 * t)[:, None]
+    forwards, backwards = zero_phase_velocity(t, y, t), zero_phase_velocity(t, y[::-1], t)
+    np.testing.assert_allclose(forwards, -backwards[::-1], rtol=0, atol=1e-9)
+
+
+def test_too_short_a_log_says_how_many_measurements_it_needs():
+    t = np.arange(5.0)
+    with pytest.raises(ValueError, match="order 3 needs 6 measurements; there are 5"):
+        zero_phase_velocity(t, np.zeros((5, 1)), t)
+    y = np.zeros((8, 1))
+    y[3:6] = np.nan
+    with pytest.raises(ValueError, match="order 3 needs 6 measurements; there are 5"):
+        zero_phase_velocity(np.arange(8.0), y, t)
+    assert zero_phase_velocity(np.arange(6.0), np.arange(6.0)[:, None], t).shape == (5, 1)
+
+
+def test_the_first_second_and_the_end_are_not_scored():
+    t = 5 + 0.01 * np.arange(301)
+    mask = scored_window(t)
+    np.testing.assert_array_equal(mask, (t > 6) & (t < 7.8))
+    np.testing.assert_array_equal(scored_window(t, skip=2.0, tail=0.0), (t > 7) & (t < 8))
+
+
+def test_of_a_short_log_the_second_half_is_scored():
+    t = 5 + 0.01 * np.arange(100)
+    np.testing.assert_array_equal(scored_window(t), t >= (t[0] + t[-1]) / 2)
+    assert scored_window(np.array([0.0, 1.0])).any()
+
+
+def test_rmse_is_taken_coordinate_by_coordinate():
+    np.testing.assert_allclose(rmse(np.array([[1.0, 2.0], [3.0, 2.0]]), np.zeros((2, 2))), [5**0.5, 2.0])
+    np.testing.assert_array_equal(np.isnan(rmse(np.array([[np.nan, 1.0]]), np.zeros((1, 2)))), [True, False])
+
+
+def test_turns_are_undone_on_circles_only_and_across_gaps():
+    t = np.linspace(0, 4, 80)
+    turning = np.stack([3 * t, 3 * t], axis=1)
+    y = (turning + np.pi) % (2 * np.pi) - np.pi
+    y[20:23, 0] = np.nan
+    before = y.copy()
+    plain = unwrap(y, (0,))
+    present = np.isfinite(y[:, 0])
+    np.testing.assert_allclose(plain[present, 0], turning[present, 0], rtol=0, atol=1e-12)
+    np.testing.assert_array_equal(plain[:, 1], y[:, 1])
+    np.testing.assert_array_equal(np.isnan(plain), np.isnan(y))
+    np.testing.assert_array_equal(y, before)

@@ -1,0 +1,92 @@
+"""Records: the one line that names what is wrong with one, and inputs passed through a lag."""
+
+import numpy as np
+import pytest
+from scipy import signal
+
+from covariant.signals import Record, Result, lag_inputs
+
+T = np.array([0.0, 0.1, 0.3, 0.4])
+GOOD = Record(T, np.zeros((4, 1)), np.arange(8.0).reshape(4, 2))
+
+
+def changed(field: str, row: int, value: float) -> Record:
+    array = np.array(getattr(GOOD, field))
+    array[row] = value
+    return GOOD._replace(**{field: array})
+
+
+def test_a_sound_record_comes_back_itself():
+    assert GOOD.check() is GOOD
+    gaps = changed("y", 2, np.nan)
+    assert gaps.check() is gaps
+    alone = GOOD._replace(u=np.empty((4, 0)))
+    assert alone.check() is alone
+
+
+@pytest.mark.parametrize(
+    ("record", "words"),
+    [
+        (GOOD._replace(t=T[:, None]), r"got \(4, 1\), \(4, 1\), \(4, 2\)"),
+        (GOOD._replace(u=np.zeros(4)), r"needs t \(T,\), u \(T, m\), y \(T, n\); got \(4,\), \(4,\), \(4, 2\)"),
+        (GOOD._replace(y=np.zeros((3, 2))), r"got \(4,\), \(4, 1\), \(3, 2\)"),
+        (Record(T[:1], np.zeros((1, 1)), np.zeros((1, 1))), "at least two rows; this one has 1"),
+        (Record(T[:0], np.zeros((0, 1)), np.zeros((0, 1))), "at least two rows; this one has 0"),
+        (changed("t", 2, np.nan), "row 3: t is not a finite number; only measurements may be missing"),
+        (changed("t", 3, np.inf), "row 4: t is not a finite number"),
+        (changed("u", 1, np.nan), "row 2: u is not a finite number"),
+        (changed("u", 1, -np.inf), "row 2: u is not a finite number"),
+        (changed("y", 1, np.inf), "row 2: a measurement is infinite; mark a missing one by NaN"),
+        (changed("t", 2, 0.05), "row 3: time goes back from 0.1 s to 0.05 s; sort or split the log"),
+        (changed("t", 2, 0.1), "rows 2 and 3 have the same stamp 0.1 s; keep one of them"),
+        (changed("y", 0, np.nan), "row 1 lacks a measurement, so no estimate can start there"),
+    ],
+)
+def test_what_is_wrong_is_named(record, words):
+    with pytest.raises(ValueError, match=words) as caught:
+        record.check()
+    assert "\n" not in str(caught.value)
+
+
+def test_one_joint_missing_in_the_first_row_is_a_missing_measurement():
+    y = np.array(GOOD.y)
+    y[0, 1] = np.nan
+    with pytest.raises(ValueError, match="row 1 lacks a measurement"):
+        GOOD._replace(y=y).check()
+
+
+def test_time_going_back_is_told_before_equal_stamps():
+    with pytest.raises(ValueError, match="row 4: time goes back"):
+        GOOD._replace(t=np.array([0.0, 0.1, 0.1, 0.05])).check()
+
+
+def test_every_result_has_its_sentence():
+    assert len({result.message for result in Result}) == len(Result)
+    assert Result.OK == 0
+
+
+def test_no_lag_is_the_record_itself():
+    assert lag_inputs(GOOD, 0.0) is GOOD
+
+
+def test_a_lag_answers_a_step_by_an_exponential_whatever_the_stamps():
+    t = np.cumsum(np.random.default_rng(0).uniform(0.001, 0.05, 60))
+    u = np.ones((60, 2)) * [1.0, -3.0]
+    u[0] = 0.0
+    lagged = lag_inputs(Record(t, u, np.zeros((60, 1))), 0.2)
+    np.testing.assert_allclose(lagged.u, (1 - np.exp(-(t - t[0]) / 0.2))[:, None] * [1.0, -3.0], rtol=0, atol=1e-12)
+    assert u[1, 0] == 1.0, "the record given must stay as it was"
+    np.testing.assert_array_equal(lagged.t, t)
+
+
+def test_a_lag_is_the_filter_of_scipy_on_regular_stamps():
+    u = np.random.default_rng(1).normal(size=80)
+    keep = np.exp(-0.01 / 0.03)
+    expected, _ = signal.lfilter([1 - keep], [1, -keep], u, zi=[keep * u[0]])
+    record = Record(0.01 * np.arange(80), u[:, None], np.zeros((80, 1)))
+    np.testing.assert_allclose(lag_inputs(record, 0.03).u[:, 0], expected, rtol=0, atol=1e-12)
+
+
+def test_a_steady_input_passes_a_lag_unchanged():
+    steady = GOOD._replace(u=np.full((4, 1), 2.5))
+    np.testing.assert_allclose(lag_inputs(steady, 0.1).u, 2.5, rtol=1e-15)
