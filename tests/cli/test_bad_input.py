@@ -107,7 +107,13 @@ def test_a_bad_model(folder, monkeypatch, capsys, spec, named):
         ((*ESTIMATE, "--alpha", "3"), ["--beta"]),
         ((*ESTIMATE, "--alpha", "-3", "--beta", "1"), ["positive", "-3"]),
         ((*ESTIMATE, "--alpha", "3", "--beta", "1", "--observer", "ekf"), ["ekf"]),
+        ((*ESTIMATE, "--alpha", "inf", "--beta", "inf"), ["positive", "inf"]),
+        ((*ESTIMATE, "--alpha", "nan", "--beta", "1"), ["positive", "nan"]),
         ((*ESTIMATE, "--report", "out/r.pdf"), ["r.pdf", ".html"]),
+        ((*ESTIMATE, "--report", "absent/r.html"), ["absent", "make it first"]),
+        (("estimate", "model.toml", "log.csv", "-o", "absent/v.csv"), ["absent", "make it first"]),
+        (("compare", "model.toml", "log.csv", "-o", "absent/v.csv"), ["absent", "make it first"]),
+        ((*ESTIMATE, "--until", "0.005"), ["log.csv", "until=0.005", "1 of 4 rows"]),
         (("estimate", "model.toml", "log.csv", "-o", "out/v.xlsx"), ["v.xlsx", ".csv"]),
         ((*ESTIMATE, "--set", "parameters.mas=[1.0]"), ["mas", "mass"]),
         ((*ESTIMATE, "--set", "nonsense"), ["nonsense"]),
@@ -117,7 +123,15 @@ def test_a_bad_model(folder, monkeypatch, capsys, spec, named):
         (("simulate", "model.toml", "-o", "out/l.csv", "--q0", "1,2"), ["--q0", "1 finite"]),
         (("simulate", "model.toml", "-o", "out/l.csv", "--v0", "fast"), ["--v0", "'fast'"]),
         (("simulate", "model.toml", "-o", "out/l.csv", "--dropout", "1.5"), ["dropout"]),
+        (("simulate", "model.toml", "-o", "out/l.csv", "--q0", "nan"), ["--q0", "'nan'"]),
+        (("simulate", "model.toml", "-o", "out/l.csv", "--amplitude", "1,2"), ["--amplitude", "1 finite"]),
+        (("simulate", "model.toml", "-o", "out/l.csv", "--rate", "inf"), ["rate", "inf"]),
+        (("simulate", "model.toml", "-o", "out/l.csv", "--rate", "-5"), ["rate", "-5"]),
+        (("simulate", "model.toml", "-o", "out/l.csv", "--duration", "inf"), ["inf s"]),
+        (("simulate", "model.toml", "-o", "out/l.csv", "--duration", "0"), ["0.0 s", "two samples"]),
+        (("simulate", "model.toml", "-o", "out/l.txt"), ["l.txt", ".csv"]),
         (("reproduce", "nobody"), ["nobody", "aghannan-rouchon"]),
+        (("reproduce", "aghannan-rouchon", "-o", "out/figure.pdf"), ["figure.pdf", ".png"]),
     ],
 )
 def test_a_bad_argument(folder, monkeypatch, capsys, arguments, named):
@@ -129,3 +143,45 @@ def test_a_model_file_without_the_numbers_of_a_design(folder, monkeypatch, capsy
     (folder / "model.toml").write_text(MODEL.split("[uncertainty]")[0])
     message = refused(monkeypatch, capsys, *ESTIMATE)
     assert "uncertainty.acceleration" in message
+
+
+@pytest.mark.parametrize("command", ["estimate", "compare"])
+def test_the_log_is_never_written_over(folder, monkeypatch, capsys, command):
+    (folder / "same.csv").symlink_to(folder / "log.csv")
+    for out in ("log.csv", "./out/../log.csv", "same.csv"):
+        assert "log itself" in refused(monkeypatch, capsys, command, "model.toml", "log.csv", "-o", out)
+    assert (folder / "log.csv").read_text() == GOOD
+
+
+def test_a_motion_that_escapes_is_not_written(folder, monkeypatch, capsys):
+    arguments = ("simulate", "model.toml", "-o", "out/l.csv", "--duration", "0.02", "--frequency", "inf")
+    assert "finite" in refused(monkeypatch, capsys, *arguments, "--amplitude", "1")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        (("estimate", "model.toml"), "log"),
+        ((*ESTIMATE, "--every", "0"), "--every"),
+        ((*ESTIMATE, "--until", "soon"), "--until"),
+        ((*ESTIMATE, "--observr", "copy"), "--observr"),
+        (("simulate", "model.toml", "-o", "out/l.csv", "--seed", "-1"), "--seed"),
+        (("estimat", "model.toml", "log.csv"), "estimat"),
+    ],
+)
+def test_options_that_cannot_be_read_are_named(folder, monkeypatch, capsys, arguments, named):
+    monkeypatch.setattr(sys, "argv", ["covariant", *arguments])
+    with pytest.raises(SystemExit) as left:
+        main()
+    out, error = capsys.readouterr()
+    assert (left.value.code, out) == (2, "")
+    assert named in error
+    assert "Traceback" not in error
+    assert list(Path("out").iterdir()) == []
+
+
+def test_developers_get_the_traceback(folder, monkeypatch):
+    monkeypatch.setenv("COVARIANT_DEBUG", "1")
+    monkeypatch.setattr(sys, "argv", ["covariant", "estimate", "model.toml", "absent.csv"])
+    with pytest.raises(FileNotFoundError, match=r"absent\.csv"):
+        main()

@@ -123,6 +123,54 @@ def test_a_wrapped_log_gives_the_same_velocities():
     assert np.allclose(logs.read("w.csv", READ).truth, logs.read("v.csv", READ).truth, atol=1e-9)
 
 
+def test_turns_in_a_log_do_not_spoil_the_score():
+    log = logs.read("log.csv", logs.Columns(q=("angle",), u=("torque",)))
+    wrapped = np.mod(log.record.y[:, 0] + np.pi, 2 * np.pi) - np.pi
+    logs.write("turns.csv", {"t": log.record.t, "angle": wrapped, "torque": log.record.u[:, 0]})
+    plain, turned = (
+        command("estimate", "model.toml", name, "--observer", "filtered-derivative")
+        for name in ("log.csv", "turns.csv")
+    )
+    assert plain["scored_against"] == "zero-phase reference"
+    assert turned["velocity_rmse"] == pytest.approx(plain["velocity_rmse"], rel=1e-4)
+
+
+def test_machines_get_the_documented_keys(estimated):
+    assert list(estimated) == [
+        *("model", "log", "observer", "rows", "scored_against", "design"),
+        *("velocity_rmse", "innovation_rms", "results", "out", "report"),
+    ]
+    missing = np.isnan(logs.read("log.csv", logs.Columns(q=("angle",))).record.y).sum()
+    assert estimated["results"] == {"ok": 801 - missing, "coasted": missing}
+
+
+def test_logged_velocities_are_compared_with_and_never_used(estimated):
+    arguments = ("estimate", "model.toml", "log.csv", "--truth", "true_v1", "-o", "with_v.csv")
+    result = command(*arguments, "--v", "true_v1")
+    assert result["logged_velocity_rmse"] == [0.0]
+    assert result["difference_to_logged_velocity"] == pytest.approx(result["velocity_rmse"], rel=1e-5)
+    assert Path("with_v.csv").read_bytes() == Path("v.csv").read_bytes()
+
+
+def test_some_rows_of_a_log():
+    log = logs.read("log.csv", logs.Columns(q=("angle",)), every=4, until=2.0).record
+    result = command("estimate", "model.toml", "log.csv", "--every", "4", "--until", "2", "-o", "some.csv")
+    np.testing.assert_array_equal(logs.read("some.csv", READ).record.t, log.t)
+    assert result["rows"] == len(log.t) == 101
+    assert result["velocity_rmse"][0] < 0.2
+
+
+def test_people_get_the_same_in_words(capsys, monkeypatch, estimated):
+    monkeypatch.setattr(sys, "argv", ["covariant", "estimate", "model.toml", "log.csv", "--truth", "true_v1"])
+    with pytest.raises(SystemExit) as left:
+        main()
+    out, error = capsys.readouterr()
+    assert (left.value.code, error) == (0, "")
+    assert estimated["design"] in out
+    assert f"{estimated['velocity_rmse'][0]:.4g}" in out
+    assert f"{estimated['results']['coasted']} of 801 samples: no measurement" in out
+
+
 def test_given_gains_replace_the_designed_ones():
     low = command("estimate", "model.toml", "log.csv", "--alpha", "2", "--beta", "1", "--truth", "true_v1")
     assert "alpha = 2" in low["design"]
@@ -135,7 +183,10 @@ def test_compare_ranks_all_estimators():
     errors = [row["velocity_rmse"][0] for row in result["ranking"]]
     assert errors == sorted(errors)
     assert set(names[-2:]) == {"filtered-derivative", "savitzky-golay"}
-    assert Path("table.csv").read_text().startswith("rank,")
+    table = [line.split(",") for line in Path("table.csv").read_text().splitlines()]
+    assert table[0] == ["rank", "estimator", "v1_rmse", "microseconds"]
+    assert [row[:2] for row in table[1:]] == [[str(k), name] for k, name in enumerate(names, start=1)]
+    assert [float(row[2]) for row in table[1:]] == pytest.approx(errors, rel=1e-5)
 
 
 def test_the_installed_command_runs():

@@ -106,6 +106,17 @@ def carried(space):
     return space.fly(space.p, space.velocity, bundle(space))
 
 
+def test_geodesic_moves_with_its_velocity(space):
+    """By central differences of the time along the geodesic, of fourth order, good to 1e-9 at this step."""
+    step = 2e-3
+
+    def at(t):
+        return np.asarray(space.fly(space.p, t * space.velocity, bundle(space)).q)
+
+    slope = (8 * (at(1 + step) - at(1 - step)) - (at(1 + 2 * step) - at(1 - 2 * step))) / (12 * step)
+    close(slope, carried(space).velocity, 1e-8)
+
+
 def test_geodesic_velocity_is_carried_along(space):
     end = carried(space)
     close(end.w[:, 0], end.velocity, GEODESIC)

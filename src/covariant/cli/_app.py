@@ -83,7 +83,7 @@ def simulate(
     quantum: Annotated[float, typer.Option(help="Encoder step.")] = 0.0,
     jitter: Annotated[float, typer.Option(help="Standard deviation of the sampling instants [s].")] = 0.0,
     dropout: Annotated[float, typer.Option(help="Probability that a sample is missing.")] = 0.0,
-    seed: Annotated[int, typer.Option(help="Seed of noise, jitter and dropouts.")] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of noise, jitter and dropouts.", min=0)] = 0,
     override: Override = [],  # noqa: B006  typer copies it
     json: Json = False,
 ) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 
 from covariant._files import write_atomically
 from covariant.cli._console import stages
-from covariant.cli._job import Job, Loaded, coordinates, data_sheet, load, require_suffix
+from covariant.cli._job import Job, Loaded, check_output, coordinates, data_sheet, load
 from covariant.cli._pages import write_report
 from covariant.cli._results import Outcome, drive, report_arrays, summary
 from covariant.design import line_up, observer_gains
@@ -18,8 +18,8 @@ from covariant.design import line_up, observer_gains
 
 def compare(job: Job, out: Path | None, report: Path | None, as_json: bool) -> None:
     """Run the whole line-up and write, print and draw the ranking."""
-    require_suffix(out, ".csv")
-    require_suffix(report, ".html")
+    check_output(out, ".csv", log=job.log)
+    check_output(report, ".html")
     loaded = load(job)
     sheet = data_sheet(loaded.file)
     observers = line_up(loaded.file.model, len(loaded.file.columns.q), sheet, loaded.rate)

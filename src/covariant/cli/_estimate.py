@@ -1,6 +1,7 @@
 """`covariant estimate`: a log in, velocities out."""
 
 import json
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -9,7 +10,7 @@ import numpy as np
 
 from covariant import logs
 from covariant.cli._console import note, working
-from covariant.cli._job import Job, Loaded, data_sheet, load, require_suffix
+from covariant.cli._job import Job, Loaded, check_output, data_sheet, load
 from covariant.cli._pages import write_report
 from covariant.cli._results import Outcome, drive, report_arrays, rounded, summary
 from covariant.design import line_up, observer_gains
@@ -36,7 +37,9 @@ def estimate(
     as_json: bool,
 ) -> None:
     """Run one observer on a log and write, print and draw what it found."""
-    _check(observer, alpha, beta, out, report)
+    _check(observer, alpha, beta)
+    check_output(out, ".csv", ".parquet", log=job.log)
+    check_output(report, ".html")
     with working("reading", quiet=as_json):
         loaded = load(job)
     chosen, notes = _choose(loaded, observer, alpha, beta)
@@ -56,7 +59,7 @@ def estimate(
     print(json.dumps(result) if as_json else _text(result))
 
 
-def _check(observer: str, alpha: float | None, beta: float | None, out: Path | None, report: Path | None) -> None:
+def _check(observer: str, alpha: float | None, beta: float | None) -> None:
     if observer not in OBSERVERS:
         raise ValueError(f"unknown observer {observer!r}; choose one of {', '.join(OBSERVERS)}")
     if (alpha is None) != (beta is None):
@@ -64,10 +67,8 @@ def _check(observer: str, alpha: float | None, beta: float | None, out: Path | N
     if alpha is not None and beta is not None:
         if observer not in BY_GAINS:
             raise ValueError(f"--alpha and --beta do not apply to {observer}")
-        if not (alpha > 0 and beta > 0):
-            raise ValueError(f"--alpha and --beta must be positive; got {alpha} and {beta}")
-    require_suffix(out, ".csv", ".parquet")
-    require_suffix(report, ".html")
+        if not (0 < alpha < math.inf and 0 < beta < math.inf):
+            raise ValueError(f"--alpha and --beta must be positive numbers; got {alpha} and {beta}")
 
 
 def _choose(

@@ -71,10 +71,16 @@ def _reference(file: models.ModelFile, log: logs.Log, full: logs.Log) -> tuple[n
     return scoring.zero_phase_velocity(t, unwrapped, np.asarray(log.record.t), half, order), "zero-phase reference"
 
 
-def require_suffix(path: Path | None, *suffixes: str) -> None:
-    """Refuse an output file of another kind; None is no file and passes."""
-    if path is not None and path.suffix not in suffixes:
+def check_output(path: Path | None, *suffixes: str, log: Path | None = None) -> None:
+    """Refuse an output file of another kind, without a folder, or in place of the log; None is no file and passes."""
+    if path is None:
+        return
+    if path.suffix not in suffixes:
         raise ValueError(f"{path}: the file to write must end in {' or '.join(suffixes)}")
+    if not path.parent.is_dir():
+        raise ValueError(f"{path}: there is no folder {path.parent}; make it first")
+    if log is not None and path.exists() and log.exists() and path.samefile(log):
+        raise ValueError(f"{path}: this is the log itself; write to another file")
 
 
 def data_sheet(file: models.ModelFile) -> DataSheet:

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from covariant.cli._console import stages
-from covariant.cli._job import require_suffix
+from covariant.cli._job import check_output
 
 PAPERS = ("aghannan-rouchon",)
 
@@ -16,8 +16,8 @@ def reproduce(paper: str, out: Path | None, report: Path | None, as_json: bool) 
 
     if paper not in PAPERS:
         raise ValueError(f"unknown paper {paper!r}; choose one of {', '.join(PAPERS)}")
-    require_suffix(report, ".html")
-    require_suffix(out, ".png")
+    check_output(report, ".html")
+    check_output(out, ".png")
     with stages("reproducing", paper_room.STAGES, quiet=as_json) as begin:
         results = paper_room.reproduce(begin)
         written: list[Path] = []

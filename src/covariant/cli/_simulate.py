@@ -9,7 +9,7 @@ import numpy as np
 
 from covariant import logs, models, simulation
 from covariant.cli._console import working
-from covariant.cli._job import require_suffix
+from covariant.cli._job import check_output
 
 
 class Scenario(NamedTuple):
@@ -30,7 +30,7 @@ class Scenario(NamedTuple):
 
 def simulate(model: str, overrides: tuple[str, ...], out: Path, scenario: Scenario, as_json: bool) -> None:
     """Simulate, measure, and write t, measured positions, inputs, and true_q…, true_v…."""
-    require_suffix(out, ".csv", ".parquet")
+    check_output(out, ".csv", ".parquet")
     file = models.load(model, overrides)
     n, m = len(file.columns.q), len(file.columns.u)
     x0 = jnp.concatenate([_numbers("--q0", scenario.q0, n), _numbers("--v0", scenario.v0, n)])
