@@ -48,10 +48,10 @@ LOGS = {
 def folder(tmp_path, monkeypatch):
     (tmp_path / "model.toml").write_text(MODEL)
     (tmp_path / "log.csv").write_text(GOOD)
-    (tmp_path / "my_models.py").write_text(MODELS)
+    (tmp_path / "refused_models.py").write_text(MODELS)
     (tmp_path / "out").mkdir()
     monkeypatch.chdir(tmp_path)
-    monkeypatch.delitem(sys.modules, "my_models", raising=False)
+    monkeypatch.delitem(sys.modules, "refused_models", raising=False)
     return tmp_path
 
 
@@ -86,10 +86,10 @@ def test_a_bad_log(folder, monkeypatch, capsys, command, case):
 @pytest.mark.parametrize(
     ("spec", "named"),
     [
-        ("my_models:wrong_shape", ["metric", "(1, 1)", "(3,)"]),
-        ("my_models:indefinite", ["positive definite", "-1"]),
-        ("my_models:not_a_model", ["not_a_model", "int"]),
-        ("my_models:absent", ["absent"]),
+        ("refused_models:wrong_shape", ["metric", "(1, 1)", "(3,)"]),
+        ("refused_models:indefinite", ["positive definite", "-1"]),
+        ("refused_models:not_a_model", ["not_a_model", "int"]),
+        ("refused_models:absent", ["absent"]),
         ("no_such_module:x", ["no_such_module"]),
         ("pendulum_chian", ["pendulum_chian", "pendulum_chain"]),
         ("absent.toml", ["absent.toml"]),

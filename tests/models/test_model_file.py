@@ -91,13 +91,13 @@ def test_a_file_gives_everything(tmp_path):
     assert file.model.parameters["mass"].value == (1.0, 2.0)
     assert file.columns == Columns("time", ("a", "b"), ("ta", "tb"), ("wa", "wb"), ("va", "vb"))
     assert file.measurement_std == pytest.approx(0.12 / math.sqrt(12))
-    assert file[4:] == (3.0, 0.002, 50.0, 0.1, 0.5, 0.01)
+    assert file[4:] == (3.0, 0.002, 50.0, 0.1, 0.5, 0.01, 0.03, 3)
 
 
 def test_what_a_file_leaves_out_has_a_default(tmp_path):
     file = load(written(tmp_path, 'system = "ball_and_beam"'))
     assert file.columns == Columns("t", ("r", "theta"), ("u1",))
-    assert file[3:] == (None,) * 5 + (math.sqrt(0.5), 0.0)
+    assert file[3:] == (None,) * 5 + (math.sqrt(0.5), 0.0, 0.03, 3)
     assert load("ball_and_beam")._replace(name="m", model=file.model) == file
 
 
@@ -120,7 +120,6 @@ def test_examples_load(name, columns):
     assert file.name == name
     assert file.columns == columns
     assert None not in file
-    assert file.damping == pytest.approx(math.sqrt(0.5), abs=1e-4)
 
 
 def test_geared_rotors_of_the_double_pendulum_count_as_its_authors_count_them():
@@ -137,10 +136,10 @@ def test_geared_rotors_of_the_double_pendulum_count_as_its_authors_count_them():
 
 def test_the_simple_pendulum_has_the_identified_inertia_and_gravity_torque():
     model = load(str(EXAMPLES / "dfki_simple_pendulum.toml")).model
-    np.testing.assert_allclose(model.metric(jnp.zeros(1)), [[0.2034]], rtol=1e-12)
+    np.testing.assert_allclose(model.metric(jnp.zeros(1)), [[0.19287]], rtol=1e-12)
     lift = model.potential(jnp.array([np.pi])) - model.potential(jnp.zeros(1))
-    np.testing.assert_allclose(lift, 2 * 3.798, rtol=1e-12)
-    np.testing.assert_allclose(model.force(jnp.zeros(()), jnp.zeros(1), jnp.ones(1)), [1 - 0.028], rtol=1e-12)
+    np.testing.assert_allclose(lift, 2 * 0.84141 * 9.81 * 0.45, rtol=1e-12)
+    np.testing.assert_allclose(model.force(jnp.zeros(()), jnp.zeros(1), jnp.ones(1)), [1 - 0.027389], rtol=1e-12)
 
 
 def test_overrides_come_last(tmp_path):

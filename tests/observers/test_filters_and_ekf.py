@@ -2,6 +2,7 @@
 
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from scipy import linalg, signal
 
 from covariant import models
@@ -54,3 +55,31 @@ def test_filters_are_exact_on_what_they_model_at_irregular_stamps():
     curve = ramp._replace(y=jnp.asarray(y**2))
     expected = [y[-1, 0] ** 2, y[-1, 1] ** 2, 4 * y[-1, 0], 2 * t[-1]]
     assert np.allclose(run(SavitzkyGolay(15, 2), curve).estimate[-1], expected, atol=1e-5)
+
+
+def test_a_filtered_derivative_finds_a_ramp_at_its_own_pace_whatever_the_stamps():
+    """From rest, the velocity after a step of the slope is (1 − exp(−ωt)) times it, at every measurement."""
+    t = np.asarray(STAMPS)
+    y = 3.0 * t[:, None] - 1
+    y[4:200:5] = np.nan
+    v = np.asarray(run(FilteredDerivative(40.0), Record(t, np.zeros((len(t), 0)), y)).estimate)[:, 1]
+    seen = np.isfinite(y[:, 0])
+    np.testing.assert_allclose(v[seen], 3.0 * -np.expm1(-40.0 * t[seen]), rtol=0, atol=1e-10)
+    assert (v[~seen] == v[np.flatnonzero(~seen) - 1]).all()
+
+
+@pytest.mark.parametrize(("window", "order"), [(4, 1), (7, 3), (25, 3)])
+def test_polynomials_of_its_order_are_exact_once_the_window_is_full(window, order):
+    t = np.asarray(STAMPS) * 10
+    shape = np.polynomial.Polynomial(np.random.default_rng(order).normal(size=order + 1))
+    x = np.asarray(run(SavitzkyGolay(window, order), Record(t, np.zeros((len(t), 0)), shape(t)[:, None])).estimate)
+    full = slice(window, None)
+    scale = np.abs(shape.deriv()(t)).max()
+    np.testing.assert_allclose(x[full, 0], shape(t)[full], rtol=0, atol=1e-6 * scale)
+    np.testing.assert_allclose(x[full, 1], shape.deriv()(t)[full], rtol=0, atol=1e-4 * scale)
+
+
+@pytest.mark.parametrize(("window", "order"), [(3, 3), (2, 2), (5, 0)])
+def test_a_window_must_be_longer_than_the_order(window, order):
+    with pytest.raises(ValueError, match=f"window {window} must exceed order {order}"):
+        SavitzkyGolay(window, order)
