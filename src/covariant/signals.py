@@ -12,9 +12,10 @@ class Result(enum.IntEnum):
 
     OK = 0
     COASTED = 1
-    CONJUGATE_POINT = 2
-    NOT_CONVERGED = 3
-    NOT_FINITE = 4
+    CUT_LOCUS = 2
+    CONJUGATE_POINT = 3
+    NOT_CONVERGED = 4
+    NOT_FINITE = 5
 
     @property
     def message(self) -> str:
@@ -24,6 +25,7 @@ class Result(enum.IntEnum):
 _MESSAGES = {
     Result.OK: "ok",
     Result.COASTED: "no measurement: the model ran on alone",
+    Result.CUT_LOCUS: "two ways to the measurement are equally short, as after half a turn: one of them was taken",
     Result.NOT_CONVERGED: "the geodesic to the measurement was not found: allow more Newton iterations or steps",
     Result.CONJUGATE_POINT: "the geodesic found passes a conjugate point and is not the shortest one",
     Result.NOT_FINITE: "the state is not finite: lower the gains or the step",

@@ -58,23 +58,21 @@ def transport_along(metric: AbstractMetric, p: Vector, velocity: Vector, w: Vect
         return Transported(x.velocity, -metric.christoffel(x.q, x.velocity, x.velocity), -carried)
 
     start = Transported(p, velocity, w.reshape(-1, p.shape[0]))
-    end = follow(budget, flow, start, 1.0, budget.steps)
+    end = follow(budget, flow, start)
     return end._replace(w=end.w.reshape(w.shape))
 
 
-def follow(budget: Budget, flow, x, duration, steps: int):
-    """Integrate by the rule the budget stands for."""
+def follow(budget: Budget, flow, x):
+    """Integrate over unit time by the rule and the steps the budget stands for."""
     rule = rk8 if budget.newton is None else rk4
-    return rule(flow, 0.0, x, duration, steps)
+    return rule(flow, 0.0, x, 1.0, budget.steps)
 
 
 def spray(metric: AbstractMetric, budget: Budget, p: Vector, velocity: Vector, fraction: float = 1.0, steps=None):
     """Point and velocity of the geodesic from p after a fraction of unit time."""
-
-    def flow(_, x):
-        return x[1], -metric.christoffel(x[0], x[1], x[1])
-
-    return follow(budget, flow, (p, velocity), fraction, steps or budget.steps)
+    none = jnp.zeros((0, *p.shape), p.dtype)
+    end = metric.transport_along(p, fraction * velocity, none, budget._replace(steps=steps or budget.steps))
+    return end.q, end.velocity / fraction
 
 
 def shoot(metric: AbstractMetric, p: Vector, q: Vector, guess: Vector | None, budget: Budget) -> Shot:

@@ -1,0 +1,269 @@
+"""Any other matrix group: SU(n), and groups a user gives by a basis of their algebra.
+
+Source: Higham 2008, Functions of Matrices, chapters 6 (square roots), 10 (exponential) and 11 (logarithm); Iserles,
+Munthe-Kaas, Nørsett & Zanna 2000, Lie-group methods, section B, for the series of the inverse Jacobian.
+"""
+
+import math
+from fractions import Fraction
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Inexact
+
+from covariant._typing import Flag, Vector
+from covariant.geometry.lie._group import AbstractGroup, Element
+
+HALVINGS = 6
+"""Square roots taken before the logarithm's series."""
+ROOT_LIMIT = 80
+"""Newton iterations after which a square root is given up: the matrix is on the cut locus to rounding."""
+SERIES = 60
+"""Terms of the Jacobians' series, of which no more are summed than rounding asks for."""
+
+
+class SU(AbstractGroup):
+    """The unitary matrices of determinant 1, SU(n); x holds the n² − 1 real coordinates of su(n).
+
+    The basis is −i/2 times the generalised Gell-Mann matrices: first the symmetric ones of all pairs j < k, then the
+    antisymmetric ones, then the diagonal ones. It makes su(2) the cross product of SO(3).
+    """
+
+    n: int = eqx.field(static=True)
+
+    def __check_init__(self):
+        if not isinstance(self.n, int) or self.n < 2:
+            raise ValueError(f"SU(n) needs an integer n of 2 or more; got {self.n!r}")
+
+    @property
+    def dimension(self) -> int:
+        return self.n**2 - 1
+
+    @property
+    def order(self) -> int:
+        return self.n
+
+    def hat(self, x: Vector) -> Element:
+        rows, columns, diagonal = _su_layout(self.n)
+        pairs = len(rows)
+        upper = jax.lax.complex(-x[pairs : 2 * pairs], -x[:pairs]) / 2
+        matrix = jnp.zeros((self.n, self.n), upper.dtype).at[rows, columns].set(upper, unique_indices=True)
+        middle = -0.5 * (jnp.asarray(diagonal, x.dtype) @ x[2 * pairs :])
+        return matrix - matrix.conj().T + jnp.diag(jax.lax.complex(jnp.zeros_like(middle), middle))
+
+    def vee(self, matrix: Element) -> Vector:
+        rows, columns, diagonal = _su_layout(self.n)
+        upper = matrix[rows, columns] - matrix[columns, rows].conj()
+        middle = -jnp.diagonal(matrix).imag @ jnp.asarray(diagonal, matrix.real.dtype)
+        return jnp.concatenate([-upper.imag, -upper.real, middle])
+
+    def lie_bracket(self, x: Vector, y: Vector) -> Vector:
+        return matrix_bracket(self, x, y)
+
+    def exp(self, x: Vector) -> Element:
+        return jax.scipy.linalg.expm(self.hat(x))
+
+    def log(self, g: Element) -> Vector:
+        return matrix_log(self, g)
+
+    def inverse(self, g: Element) -> Element:
+        return g.conj().T
+
+    def right_jacobian(self, x: Vector, y: Vector) -> Vector:
+        return matrix_right_jacobian(self, x, y)
+
+    def right_jacobian_inverse(self, x: Vector, y: Vector) -> Vector:
+        return matrix_right_jacobian_inverse(self, x, y)
+
+    def act(self, g: Element, point: Inexact[Array, "d"]) -> Inexact[Array, "d"]:
+        return g @ point
+
+    def defect(self, g: Element) -> Array:
+        unitary = jnp.max(jnp.abs(g.conj().T @ g - jnp.eye(self.n, dtype=g.dtype)))
+        return jnp.maximum(unitary, jnp.abs(jnp.linalg.det(g) - 1))
+
+    def unique_log(self, g: Element) -> Flag:
+        return matrix_unique_log(g)
+
+
+class MatrixGroup(AbstractGroup):
+    """A group of invertible matrices given by a basis (n, N, N) of its algebra, real or complex.
+
+    `structure` (n, n, n), with `[e_i, e_j] = C[i, j, k] e_k`, may be given where it is known (many zeros, exact
+    numbers); it must agree with the basis, and is otherwise not needed. Raises `ValueError` for a basis that is
+    linearly dependent or not closed under the bracket.
+    """
+
+    basis: Inexact[Array, "n N N"]
+    dual: Inexact[Array, "n N N"]
+    structure: Float[Array, "n n n"] | None
+
+    def __init__(self, basis, structure=None):
+        basis = np.asarray(basis)
+        if basis.ndim != 3 or basis.shape[1] != basis.shape[2] or not len(basis):
+            raise ValueError(f"MatrixGroup: the basis must have shape (n, N, N); got {basis.shape}")
+        flat = np.concatenate([part.reshape(len(basis), -1) for part in (np.real(basis), np.imag(basis))], axis=1)
+        if np.linalg.matrix_rank(flat) < len(basis):
+            raise ValueError(f"MatrixGroup: the {len(basis)} matrices of the basis are linearly dependent")
+        dual = np.linalg.pinv(flat).T
+        real, imaginary = np.split(dual, 2, axis=1)
+        products = np.einsum("iab,jbc->ijac", basis, basis)
+        brackets = products - products.swapaxes(0, 1)
+        pairs = (len(basis), len(basis), -1)
+        flat_brackets = np.concatenate([np.real(brackets).reshape(pairs), np.imag(brackets).reshape(pairs)], axis=2)
+        constants = flat_brackets @ dual.T
+        scale = 1e-9 * max(1.0, float(np.abs(brackets).max()))
+        if np.abs(constants @ flat - flat_brackets).max() > scale:
+            raise ValueError("MatrixGroup: the basis is not closed under the commutator, so it spans no algebra")
+        if structure is not None and (
+            np.shape(structure) != constants.shape or np.abs(structure - constants).max() > scale
+        ):
+            raise ValueError("MatrixGroup: the structure constants C[i, j, k] are not those of the basis")
+        self.basis = jnp.asarray(basis)
+        self.dual = jnp.asarray((real + 1j * imaginary if np.iscomplexobj(basis) else real).reshape(basis.shape))
+        self.structure = None if structure is None else jnp.asarray(structure, float)
+
+    @property
+    def dimension(self) -> int:
+        return self.basis.shape[0]
+
+    @property
+    def order(self) -> int:
+        return self.basis.shape[1]
+
+    def hat(self, x: Vector) -> Element:
+        return jnp.tensordot(x.astype(self.basis.dtype), self.basis, 1)
+
+    def vee(self, matrix: Element) -> Vector:
+        if not jnp.iscomplexobj(self.dual):
+            return jnp.tensordot(self.dual, matrix, 2)
+        return jnp.tensordot(self.dual.real, matrix.real, 2) + jnp.tensordot(self.dual.imag, matrix.imag, 2)
+
+    def lie_bracket(self, x: Vector, y: Vector) -> Vector:
+        if self.structure is None:
+            return matrix_bracket(self, x, y)
+        return jnp.einsum("i,j,ijk->k", x, y, self.structure)
+
+    def exp(self, x: Vector) -> Element:
+        return jax.scipy.linalg.expm(self.hat(x))
+
+    def log(self, g: Element) -> Vector:
+        return matrix_log(self, g)
+
+    def inverse(self, g: Element) -> Element:
+        return jnp.linalg.inv(g)
+
+    def right_jacobian(self, x: Vector, y: Vector) -> Vector:
+        return matrix_right_jacobian(self, x, y)
+
+    def right_jacobian_inverse(self, x: Vector, y: Vector) -> Vector:
+        return matrix_right_jacobian_inverse(self, x, y)
+
+    def act(self, g: Element, point: Inexact[Array, "d"]) -> Inexact[Array, "d"]:
+        return g @ point
+
+    def defect(self, g: Element) -> Array:
+        """How far `exp(log g)` is from g: without equations of the group this is the only test."""
+        return jnp.max(jnp.abs(self.exp(self.log(g)) - g))
+
+    def unique_log(self, g: Element) -> Flag:
+        return matrix_unique_log(g)
+
+
+def _su_layout(n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    rows, columns = np.triu_indices(n, 1)
+    diagonal = np.zeros((n, n - 1))
+    for k in range(1, n):
+        diagonal[:k, k - 1] = np.sqrt(2 / (k * (k + 1)))
+        diagonal[k, k - 1] = -k * np.sqrt(2 / (k * (k + 1)))
+    return rows, columns, diagonal
+
+
+def matrix_bracket(group: AbstractGroup, x: Vector, y: Vector) -> Vector:
+    """`[x, y]` from one matrix product, whatever the group's dimension."""
+    a, b = group.hat(x), group.hat(y)
+    return group.vee(a @ b - b @ a)
+
+
+def matrix_right_jacobian(group: AbstractGroup, x: Vector, y: Vector) -> Vector:
+    """`Σ (−1)^k/(k + 1)! ad_x^k y`."""
+    return _adjoint_series(group, _JACOBIAN, x, y)
+
+
+def matrix_right_jacobian_inverse(group: AbstractGroup, x: Vector, y: Vector) -> Vector:
+    """`Σ (−1)^k B_k/k! ad_x^k y`, which converges for eigenvalues of ad_x below 2π."""
+    return _adjoint_series(group, _BERNOULLI, x, y)
+
+
+def _adjoint_series(group: AbstractGroup, coefficients: np.ndarray, x: Vector, y: Vector) -> Vector:
+    """`Σ c_k ad_x^k y`, summed until two terms in a row are lost in rounding."""
+    known = jnp.asarray(coefficients, x.dtype)
+    accuracy = jnp.finfo(x.dtype).eps / 8
+
+    def unfinished(carry):
+        k, _, total, added, before = carry
+        return (k < SERIES) & (jnp.maximum(added, before) > accuracy * jnp.max(jnp.abs(total)))
+
+    def add(carry):
+        k, power, total, added, _ = carry
+        power = group.lie_bracket(x, power)
+        term = known[k] * power
+        return k + 1, power, total + term, jnp.max(jnp.abs(term)), added
+
+    infinite = jnp.asarray(jnp.inf, x.dtype)
+    return jax.lax.while_loop(unfinished, add, (jnp.ones((), jnp.int32), y, y, infinite, infinite))[2]
+
+
+def _bernoulli() -> np.ndarray:
+    """`(−1)^k B_k/k!`, from `x/(1 − e^{−x}) · (1 − e^{−x})/x = 1` in exact fractions."""
+    factors = [Fraction((-1) ** k, math.factorial(k + 1)) for k in range(SERIES)]
+    found: list[Fraction] = [Fraction(1)]
+    for k in range(1, SERIES):
+        found.append(-sum((found[i] * factors[k - i] for i in range(k)), Fraction(0)))
+    return np.array([float(f) for f in found])
+
+
+_JACOBIAN = np.array([(-1) ** k / math.factorial(k + 1) for k in range(SERIES)])
+_BERNOULLI = _bernoulli()
+
+
+def matrix_log(group: AbstractGroup, g: Element) -> Vector:
+    """Principal logarithm by inverse scaling and squaring, and one Newton step that leaves rounding errors only.
+
+    Where the square roots do not converge (an eigenvalue −1, to rounding) the last iterate is used.
+    """
+    root = g
+    for _ in range(HALVINGS):
+        root = _square_root(group, root)
+    one = jnp.eye(g.shape[0], dtype=g.dtype)
+    ratio = jnp.linalg.solve((root + one).T, (root - one).T).T  # (root − 1)(root + 1)⁻¹
+    square, total = ratio @ ratio, one
+    for j in range(8, 0, -1):  # artanh
+        total = one / (2 * j - 1) + square @ total if j < 8 else one / (2 * j - 1)
+    x = 2.0 ** (HALVINGS + 1) * group.vee(ratio @ total)
+    return x + group.vee(group.inverse(group.exp(x)) @ g - one)
+
+
+def matrix_unique_log(g: Element) -> Flag:
+    """False where g has the eigenvalue −1, to the square root of rounding."""
+    n = g.shape[0]
+    return jnp.abs(jnp.linalg.det(g + jnp.eye(n, dtype=g.dtype))) > 2.0 ** (n - 1) * jnp.finfo(g.dtype).eps ** 0.5
+
+
+def _square_root(group: AbstractGroup, g: Element) -> Element:
+    """Newton's iteration in the form of Denman and Beavers: X → g^½, Y → g^−½."""
+    accuracy = 4 * g.shape[0] * jnp.finfo(g.dtype).eps
+
+    def unfinished(carry):
+        k, _, _, change = carry
+        return (k < ROOT_LIMIT) & (change > accuracy)
+
+    def improve(carry):
+        k, x, y, _ = carry
+        new_x, new_y = (x + jnp.linalg.inv(y)) / 2, (y + jnp.linalg.inv(x)) / 2
+        return k + 1, new_x, new_y, jnp.max(jnp.abs(new_x - x))
+
+    start = (jnp.zeros((), jnp.int32), g, jnp.eye(g.shape[0], dtype=g.dtype), jnp.asarray(jnp.inf, g.real.dtype))
+    return jax.lax.while_loop(unfinished, improve, start)[1]

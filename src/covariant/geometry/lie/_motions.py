@@ -1,0 +1,145 @@
+"""The rigid motions of plane and space, SE(2) and SE(3). A twist is (v, ω): translation first.
+
+A twist is a dual number: with ε² = 0 the bracket of SE(3) is the cross product of `ω + εv`. Every formula of SO(3)
+that is made of cross products so gives that of SE(3) by one directional derivative, and SE(2) is SE(3) in the plane.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from covariant._typing import Flag, Vector
+from covariant.geometry.lie._group import AbstractGroup, Element
+from covariant.geometry.lie._rotations import SO2, SO3, no_half_turn, rotation_defect
+
+
+class SpecialEuclidean2(AbstractGroup):
+    """SE(2): rigid motions of the plane; x = (v₁, v₂, ω) in the body [m, m, rad]."""
+
+    @property
+    def dimension(self) -> int:
+        return 3
+
+    @property
+    def order(self) -> int:
+        return 3
+
+    def hat(self, x: Vector) -> Element:
+        return _affine(SO2.hat(x[2:]), x[:2], 0.0)
+
+    def vee(self, matrix: Element) -> Vector:
+        return jnp.concatenate([matrix[:2, 2], SO2.vee(matrix[:2, :2])])
+
+    def lie_bracket(self, x: Vector, y: Vector) -> Vector:
+        return _flatten(SE3.lie_bracket(_lift(x), _lift(y)))
+
+    def exp(self, x: Vector) -> Element:
+        return SE3.exp(_lift(x))[_PLANE]
+
+    def log(self, g: Element) -> Vector:
+        angle = SO2.log(g[:2, :2])
+        at_start = jnp.concatenate([g[:2, 2], jnp.zeros_like(angle)])
+        return jnp.concatenate([SO3.left_jacobian_inverse(_axis(angle), at_start)[:2], angle])
+
+    def inverse(self, g: Element) -> Element:
+        return _affine(g[:2, :2].T, -g[:2, :2].T @ g[:2, 2], 1.0)
+
+    def right_jacobian(self, x: Vector, y: Vector) -> Vector:
+        return _flatten(SE3.right_jacobian(_lift(x), _lift(y)))
+
+    def right_jacobian_inverse(self, x: Vector, y: Vector) -> Vector:
+        return _flatten(SE3.right_jacobian_inverse(_lift(x), _lift(y)))
+
+    def act(self, g: Element, point: Float[Array, "2"]) -> Float[Array, "2"]:
+        return g[:2, :2] @ point + g[:2, 2]
+
+    def defect(self, g: Element) -> Array:
+        return _affine_defect(g)
+
+    def unique_log(self, g: Element) -> Flag:
+        return no_half_turn(g[:-1, :-1])
+
+
+class SpecialEuclidean3(AbstractGroup):
+    """SE(3): rigid motions of space; x = (v, ω) in the body [m, rad]."""
+
+    @property
+    def dimension(self) -> int:
+        return 6
+
+    @property
+    def order(self) -> int:
+        return 4
+
+    def hat(self, x: Vector) -> Element:
+        return _affine(SO3.hat(x[3:]), x[:3], 0.0)
+
+    def vee(self, matrix: Element) -> Vector:
+        return jnp.concatenate([matrix[:3, 3], SO3.vee(matrix[:3, :3])])
+
+    def lie_bracket(self, x: Vector, y: Vector) -> Vector:
+        return _dual(SO3.lie_bracket, x, y)
+
+    def exp(self, x: Vector) -> Element:
+        return _affine(SO3.exp(x[3:]), SO3.left_jacobian(x[3:], x[:3]), 1.0)
+
+    def log(self, g: Element) -> Vector:
+        omega = SO3.log(g[:3, :3])
+        return jnp.concatenate([SO3.left_jacobian_inverse(omega, g[:3, 3]), omega])
+
+    def inverse(self, g: Element) -> Element:
+        return _affine(g[:3, :3].T, -g[:3, :3].T @ g[:3, 3], 1.0)
+
+    def right_jacobian(self, x: Vector, y: Vector) -> Vector:
+        return _dual(SO3.right_jacobian, x, y)
+
+    def right_jacobian_inverse(self, x: Vector, y: Vector) -> Vector:
+        return _dual(SO3.right_jacobian_inverse, x, y)
+
+    def act(self, g: Element, point: Float[Array, "3"]) -> Float[Array, "3"]:
+        return g[:3, :3] @ point + g[:3, 3]
+
+    def defect(self, g: Element) -> Array:
+        return _affine_defect(g)
+
+    def unique_log(self, g: Element) -> Flag:
+        return no_half_turn(g[:-1, :-1])
+
+
+SE2 = SpecialEuclidean2()
+SE3 = SpecialEuclidean3()
+
+_PLANE = np.ix_([0, 1, 3], [0, 1, 3])
+
+
+def _dual(formula, x: Vector, y: Vector) -> Vector:
+    """A formula of SO(3) in rotation vectors, evaluated on the dual numbers `ω + εv`."""
+    real, dual = jax.jvp(formula, (x[3:], y[3:]), (x[:3], y[:3]))
+    return jnp.concatenate([dual, real])
+
+
+def _affine(linear: Array, shift: Array, corner: float) -> Element:
+    upper = jnp.concatenate([linear, shift[:, None]], axis=1)
+    lower = jnp.zeros_like(upper[:1]).at[0, -1].set(corner)
+    return jnp.concatenate([upper, lower])
+
+
+def _affine_defect(g: Element) -> Array:
+    size = g.shape[0] - 1
+    last = jnp.max(jnp.abs(g[size] - jnp.eye(size + 1, dtype=g.dtype)[size]))
+    finite = jnp.where(jnp.all(jnp.isfinite(g)), last, jnp.inf)
+    return jnp.maximum(rotation_defect(g[:size, :size]), finite)
+
+
+def _axis(angle: Array) -> Array:
+    return jnp.concatenate([jnp.zeros(2, angle.dtype), angle])
+
+
+def _lift(x: Vector) -> Vector:
+    zero = jnp.zeros(3, x.dtype)
+    return jnp.concatenate([x[:2], zero, x[2:]])
+
+
+def _flatten(x: Vector) -> Vector:
+    return jnp.concatenate([x[:2], x[5:]])

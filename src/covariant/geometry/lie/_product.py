@@ -1,0 +1,85 @@
+"""Products of groups: matrices on the diagonal, vectors side by side."""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Inexact
+
+from covariant._typing import Flag, Vector
+from covariant.geometry.lie._group import AbstractGroup, Element
+
+
+class Product(AbstractGroup):
+    """Several groups as one, such as the attitude of a satellite and the angles of its wheels."""
+
+    groups: tuple[AbstractGroup, ...]
+
+    def __check_init__(self):
+        if not self.groups:
+            raise ValueError("Product: give at least one group")
+
+    @property
+    def dimension(self) -> int:
+        return sum(group.dimension for group in self.groups)
+
+    @property
+    def order(self) -> int:
+        return sum(group.order for group in self.groups)
+
+    def parts(self, x: Vector) -> list[Vector]:
+        """The vectors of the groups in a vector of their product."""
+        return _split(x, [group.dimension for group in self.groups])
+
+    def blocks(self, g: Element) -> list[Element]:
+        """The elements of the groups in an element of their product."""
+        sizes = [group.order for group in self.groups]
+        rows = _split(g, sizes)
+        return [_split(row, sizes, axis=1)[i] for i, row in enumerate(rows)]
+
+    def join(self, blocks: list[Element]) -> Element:
+        """The element of the product with these elements of the groups."""
+        return jax.scipy.linalg.block_diag(*blocks)
+
+    def hat(self, x: Vector) -> Element:
+        return self.join([group.hat(part) for group, part in zip(self.groups, self.parts(x), strict=True)])
+
+    def vee(self, matrix: Element) -> Vector:
+        return self._beside("vee", self.blocks(matrix))
+
+    def lie_bracket(self, x: Vector, y: Vector) -> Vector:
+        return self._beside("lie_bracket", self.parts(x), self.parts(y))
+
+    def exp(self, x: Vector) -> Element:
+        return self.join([group.exp(part) for group, part in zip(self.groups, self.parts(x), strict=True)])
+
+    def log(self, g: Element) -> Vector:
+        return self._beside("log", self.blocks(g))
+
+    def inverse(self, g: Element) -> Element:
+        return self.join([group.inverse(block) for group, block in zip(self.groups, self.blocks(g), strict=True)])
+
+    def right_jacobian(self, x: Vector, y: Vector) -> Vector:
+        return self._beside("right_jacobian", self.parts(x), self.parts(y))
+
+    def right_jacobian_inverse(self, x: Vector, y: Vector) -> Vector:
+        return self._beside("right_jacobian_inverse", self.parts(x), self.parts(y))
+
+    def act(self, g: Element, point: Inexact[Array, "d"]) -> Inexact[Array, "d"]:
+        raise NotImplementedError("Product: let each group act on its own points, with `blocks`")
+
+    def defect(self, g: Element) -> Array:
+        blocks = self.blocks(g)
+        each = [group.defect(block) for group, block in zip(self.groups, blocks, strict=True)]
+        return jnp.max(jnp.stack([*each, jnp.max(jnp.abs(g - self.join(blocks)))]))
+
+    def unique_log(self, g: Element) -> Flag:
+        each = zip(self.groups, self.blocks(g), strict=True)
+        return jnp.all(jnp.stack([group.unique_log(block) for group, block in each]))
+
+    def _beside(self, operation: str, *arguments: list[Array]) -> Vector:
+        each = zip(self.groups, *arguments, strict=True)
+        return jnp.concatenate([getattr(group, operation)(*parts) for group, *parts in each])
+
+
+def _split(a: Array, sizes: list[int], axis: int = 0) -> list[Array]:
+    edges = [sum(sizes[:i]) for i in range(1, len(sizes))]
+    return jnp.split(a, edges, axis=axis)
