@@ -26,12 +26,14 @@ PUBLIC = {
     "as_metric christoffel curvature distance exp gradient hyperbolic inner log norm shoot sphere transport "
     "transport_along",
     "geometry.lie": "SE2 SE3 SO2 SO3 SU AbstractGroup AbstractInertia Carried ExponentialChart Inertia LeftInvariant "
-    "MatrixGroup Product quaternion_from_rotation rotation_from_quaternion",
+    "MatrixGroup Product munthe_kaas quaternion_from_rotation rotation_from_quaternion",
     "logs": "Columns Log LogError read write",
-    "models": "Lagrangian ModelError ModelFile Parameter acceleration ball_and_beam check_metric check_model energy "
-    "friction load oscillator pendulum_chain position_error source wrap",
+    "models": "GroupSystem Lagrangian ModelError ModelFile Motion Parameter acceleration advance ball_and_beam "
+    "body_velocity check_metric check_model energy free_body friction heavy_top hovercraft load oscillator "
+    "pendulum_chain position_error satellite source spatial_momentum underwater_vehicle wrap",
     "observers": "EKF AbstractFlowObserver AbstractObserver Copy EKFInfo EKFState FilterInfo FilteredDerivative "
-    "FilteredState Geodesic GeodesicInfo GeodesicState Info Intrinsic MechanicalState SavitzkyGolay WindowState run",
+    "FilteredState Geodesic GeodesicInfo GeodesicState Group GroupInfo GroupState Info Intrinsic InvariantEKF "
+    "InvariantInfo InvariantState MechanicalState Salcudean SalcudeanState SavitzkyGolay WindowState run",
     "report": "PALETTE EstimateReport new_figure save_figure table write_article write_html write_png",
     "simulation": "Sensor hold no_input observe sense simulate stamps",
 }

@@ -36,7 +36,7 @@ def rk4(flow: Flow, t, x, dt, steps):
     return jax.lax.fori_loop(0, steps, lambda i, y: rk4_step(flow, t + jnp.asarray(i, real) * h, y, h), x)
 
 
-def rk8(flow: Flow, t, x, dt, steps: int):
+def rk8(flow: Flow, t, x, dt, steps: int = 1):
     """Advance `x` by `dt` in `steps` equal steps of Dormand and Prince's eighth-order method.
 
     The stages run in a loop, so the vector field is compiled once: cheap to build, for work offline.

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Inexact, Int
 
 Scalar = Float[Array, ""]
 Vector = Float[Array, "n"]
@@ -10,6 +10,8 @@ Vectors = Float[Array, "*k n"]
 Matrix = Float[Array, "n n"]
 State = Float[Array, "two_n"]
 Number = Scalar | float
+Element = Inexact[Array, "N N"]
+"""A group element, or a matrix of its algebra."""
 Flag = Bool[Array, ""]
 Code = Int[Array, ""]
 

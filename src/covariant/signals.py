@@ -4,7 +4,7 @@ import enum
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Inexact
 
 
 class Result(enum.IntEnum):
@@ -36,19 +36,24 @@ AnyArray = Array | np.ndarray
 
 
 class Record(NamedTuple):
-    """A log, time first: stamps t (T,) [s], inputs u (T, m), measured positions y (T, n), and the true state
-    x (T, 2n) where it is known. NaN in y marks a missing measurement. `check` says what a record must satisfy."""
+    """A log, time first: stamps t (T,) [s], inputs u (T, m), measured positions y, and the true state x where known.
+
+    Positions are coordinates (T, n), or group elements (T, N, N); the state is (T, 2n), or a `Motion` of the group.
+    NaN in y marks a missing measurement. `check` says what a record must satisfy.
+    """
 
     t: Float[AnyArray, "T"]
     u: Float[AnyArray, "T m"]
-    y: Float[AnyArray, "T n"]
-    x: Float[AnyArray, "T two_n"] | None = None
+    y: Inexact[AnyArray, "T *n"]
+    x: Any = None
 
     def check(self) -> "Record":
         """Return the record, or raise `ValueError` naming the first thing wrong with it."""
         t, u, y = (np.asarray(a) for a in (self.t, self.u, self.y))
-        if t.ndim != 1 or u.ndim != 2 or y.ndim != 2 or not len(t) == len(u) == len(y):
-            raise ValueError(f"a record needs t (T,), u (T, m), y (T, n); got {t.shape}, {u.shape}, {y.shape}")
+        if t.ndim != 1 or u.ndim != 2 or y.ndim not in (2, 3) or not len(t) == len(u) == len(y):
+            raise ValueError(
+                f"a record needs t (T,), u (T, m), y (T, n) or (T, N, N); got {t.shape}, {u.shape}, {y.shape}"
+            )
         if len(t) < 2:
             raise ValueError(f"a record needs at least two rows; this one has {len(t)}")
         for name, array in (("t", t), ("u", u)):
@@ -57,10 +62,9 @@ class Record(NamedTuple):
                 raise ValueError(
                     f"row {bad.argmax() + 1}: {name} is not a finite number; only measurements may be missing"
                 )
-        if np.isinf(y).any():
-            raise ValueError(
-                f"row {np.isinf(y).any(1).argmax() + 1}: a measurement is infinite; mark a missing one by NaN"
-            )
+        infinite = np.isinf(y.reshape(len(t), -1)).any(1)
+        if infinite.any():
+            raise ValueError(f"row {infinite.argmax() + 1}: a measurement is infinite; mark a missing one by NaN")
         step = np.diff(t)
         if (step < 0).any():
             k = int((step < 0).argmax())
@@ -74,10 +78,13 @@ class Record(NamedTuple):
 
 
 class Run(NamedTuple):
-    """What an observer made of a record: stamps t (T,), estimates x (T, 2n) = (q, v), and its info, stacked."""
+    """What an observer made of a record: stamps t (T,), its estimates and its info, stacked.
+
+    The estimates are (q, v) (T, 2n), or on a group a `Motion` of g (T, N, N) and v (T, n).
+    """
 
     t: Float[Array, "T"]
-    estimate: Float[Array, "T two_n"]
+    estimate: Any
     info: Any
 
 

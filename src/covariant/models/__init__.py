@@ -3,6 +3,9 @@
 from covariant.models._ball_and_beam import ball_and_beam
 from covariant.models._check import check_metric
 from covariant.models._file import ModelError, ModelFile, load
+from covariant.models._group_system import GroupSystem, Motion, advance, body_velocity, spatial_momentum
+from covariant.models._heavy_top import free_body, heavy_top
+from covariant.models._hovercraft import hovercraft
 from covariant.models._lagrangian import (
     Lagrangian,
     Parameter,
@@ -16,22 +19,34 @@ from covariant.models._lagrangian import (
 )
 from covariant.models._oscillator import oscillator
 from covariant.models._pendulum_chain import pendulum_chain
+from covariant.models._satellite import satellite
+from covariant.models._underwater_vehicle import underwater_vehicle
 
 __all__ = [
+    "GroupSystem",
     "Lagrangian",
     "ModelError",
     "ModelFile",
+    "Motion",
     "Parameter",
     "acceleration",
+    "advance",
     "ball_and_beam",
+    "body_velocity",
     "check_metric",
     "check_model",
     "energy",
+    "free_body",
     "friction",
+    "heavy_top",
+    "hovercraft",
     "load",
     "oscillator",
     "pendulum_chain",
     "position_error",
+    "satellite",
     "source",
+    "spatial_momentum",
+    "underwater_vehicle",
     "wrap",
 ]

@@ -3,6 +3,7 @@
 Source: Aghannan & Rouchon 2003, section II; dissipation is an addition every machine needs.
 """
 
+import functools
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -71,12 +72,12 @@ class Lagrangian(eqx.Module):
         self.coordinates = tuple(coordinates)
         self.units = tuple(units)
         self.inputs = inputs
-        self.parameters = _Frozen(parameters or {})
+        self.parameters = FrozenDict(parameters or {})
         if self.coordinates:
             check_model(self, len(self.coordinates))
 
 
-class _Frozen(dict):
+class FrozenDict(dict):
     """A dictionary that may sit in a static field: hashed by its content, never changed."""
 
     def __hash__(self):  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -116,22 +117,26 @@ def check_model(model: Lagrangian, n: int) -> None:
             raise ValueError(f"{name} must return shape {wanted} for {n} coordinates; it returned {shape}")
 
 
+@functools.singledispatch
 def source(model: Lagrangian, t: Scalar, q: Vector, u: Float[Array, "m"]) -> Vector:
     """`S(q, t) = g⁻¹(−∇U + force)`, the acceleration of the system at rest without friction."""
     return gradient(model.metric, q, model.force(t, q, u) - jax.grad(model.potential)(q))
 
 
+@functools.singledispatch
 def friction(model: Lagrangian, q: Vector, v: Vector) -> Vector:
     """`g⁻¹ dissipation`, as an acceleration."""
     return gradient(model.metric, q, model.dissipation(q, v))
 
 
+@functools.singledispatch
 def acceleration(model: Lagrangian, t: Scalar, q: Vector, v: Vector, u: Float[Array, "m"]) -> Vector:
     """Forward dynamics `q̈ = −Γ(v, v) + g⁻¹(−∇U + force + dissipation)`."""
     covector = model.force(t, q, u) - jax.grad(model.potential)(q) + model.dissipation(q, v)
     return gradient(model.metric, q, covector) - christoffel(model.metric, q, v, v)
 
 
+@functools.singledispatch
 def energy(model: Lagrangian, q: Vector, v: Vector) -> Scalar:
     """Kinetic plus potential energy [J]."""
     return v @ model.metric(q) @ v / 2 + model.potential(q)

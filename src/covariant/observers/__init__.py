@@ -4,8 +4,11 @@ from covariant.observers._copy import Copy
 from covariant.observers._ekf import EKF, EKFInfo, EKFState
 from covariant.observers._filtered_derivative import FilteredDerivative, FilteredState, FilterInfo
 from covariant.observers._geodesic import Geodesic, GeodesicInfo, GeodesicState
+from covariant.observers._group import Group, GroupInfo, GroupState
 from covariant.observers._intrinsic import Intrinsic
+from covariant.observers._invariant_ekf import InvariantEKF, InvariantInfo, InvariantState
 from covariant.observers._protocol import AbstractFlowObserver, AbstractObserver, Info, MechanicalState, run
+from covariant.observers._salcudean import Salcudean, SalcudeanState
 from covariant.observers._savitzky_golay import SavitzkyGolay, WindowState
 
 __all__ = [
@@ -21,9 +24,17 @@ __all__ = [
     "Geodesic",
     "GeodesicInfo",
     "GeodesicState",
+    "Group",
+    "GroupInfo",
+    "GroupState",
     "Info",
     "Intrinsic",
+    "InvariantEKF",
+    "InvariantInfo",
+    "InvariantState",
     "MechanicalState",
+    "Salcudean",
+    "SalcudeanState",
     "SavitzkyGolay",
     "WindowState",
     "run",

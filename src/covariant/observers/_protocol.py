@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Inexact
 
 from covariant._typing import Code, Number, Scalar, Vector
 from covariant.signals import Record, Result, Run
@@ -45,27 +45,27 @@ class AbstractObserver(eqx.Module):
     """From positions to state. Sampled: `step` brings the state to the stamp of y and then takes y in."""
 
     @abc.abstractmethod
-    def init(self, y: Vector, t: Number = 0.0) -> Any:
-        """State at rest at the measured position y (n,), at time t [s]."""
+    def init(self, y: Inexact[Array, "*n"], t: Number = 0.0) -> Any:
+        """State at rest at the measured position y, at time t [s]: (n,), or (N, N) on a group."""
 
     @abc.abstractmethod
-    def step(self, state: Any, u: Float[Array, "m"], y: Vector, dt: Scalar) -> tuple[Any, Any]:
-        """Advance by dt [s] under the input u (m,) held over the step, then correct by y (n,); NaN in y is coasted."""
+    def step(self, state: Any, u: Float[Array, "m"], y: Inexact[Array, "*n"], dt: Scalar) -> tuple[Any, Any]:
+        """Advance by dt [s] under the input u (m,) held over the step, then correct by y; NaN in y is coasted."""
 
     @abc.abstractmethod
-    def estimate(self, state: Any) -> Float[Array, "two_n"]:
-        """The estimate x = (q, v)."""
+    def estimate(self, state: Any) -> Any:
+        """The estimate x = (q, v) (2n,), or on a group a `Motion`."""
 
 
 class AbstractFlowObserver(AbstractObserver):
     """An observer that is a differential equation."""
 
     @abc.abstractmethod
-    def flow(self, t: Scalar, state: Any, u: Float[Array, "m"], y: Vector) -> Any:
+    def flow(self, t: Scalar, state: Any, u: Float[Array, "m"], y: Inexact[Array, "*n"]) -> Any:
         """Time derivative of the state, for measurements in continuous time."""
 
 
-def outcome(q: Vector, v: Vector, y: Vector, result: Code | int = Result.OK) -> Code:
+def outcome(q: Array, v: Array, y: Array, result: Code | int = Result.OK) -> Code:
     """Result code of a step: not finite beats coasted beats the step's own."""
     finite = jnp.all(jnp.isfinite(q)) & jnp.all(jnp.isfinite(v))
     measured = jnp.where(jnp.any(jnp.isnan(y)), int(Result.COASTED), result)

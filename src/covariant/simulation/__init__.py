@@ -1,5 +1,6 @@
 """Simulated truth and simulated sensors."""
 
+from covariant.simulation import _simulate_group as _simulate_group  # teaches simulate and observe groups
 from covariant.simulation._sensors import Sensor, sense, stamps
 from covariant.simulation._simulate import hold, no_input, observe, simulate
 

@@ -1,5 +1,6 @@
 """Trajectories of a model, alone or with an observer attached in continuous time."""
 
+import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -13,34 +14,37 @@ from covariant.models import Lagrangian, acceleration
 from covariant.observers import AbstractFlowObserver
 from covariant.signals import Record
 
-Input = Callable[[Array, Array], Array]
-"""Input `(t, x) -> u (m,)`; it may feed the true state x = (q, v) back."""
+Input = Callable[[Array, Any], Array]
+"""Input `(t, x) -> u (m,)`; it may feed the true state x back."""
 Measurement = Callable[[Array, Array], Array]
 """Continuous measurement `(t, q) -> y`; by default q itself."""
 
 
+@functools.singledispatch
 def simulate(
     model: Lagrangian,
-    x0: Float[Array, "two_n"],
+    x0: Any,
     t: Float[Array, "T"],
     u: Input | None = None,
     *,
     rtol: float = 1e-10,
     atol: float = 1e-12,
 ) -> Record:
-    """Integrate the model from x0 = (q, v) and record its noise-free state and inputs at the stamps t [s].
+    """Integrate the model from x0 and record its noise-free state and inputs at the stamps t [s].
 
-    Stamps that the motion does not reach, because it escapes before, are infinite.
+    x0 is (q, v) (2n,); for a `GroupSystem` it is a `Motion`, and so is the record's x, with y = g (T, N, N). Stamps
+    that the motion does not reach, because it escapes before, are not finite.
     """
     push = u or no_input(model, x0.shape[0] // 2)
     x = solve(_plant(model, push), x0, t, rtol=rtol, atol=atol)
     return Record(t, jax.vmap(push)(t, x), x[:, : x.shape[1] // 2], x)
 
 
+@functools.singledispatch
 def observe(
     model: Lagrangian,
     observer: AbstractFlowObserver,
-    x0: Float[Array, "two_n"],
+    x0: Any,
     state0: Any,
     t: Float[Array, "T"],
     u: Input | None = None,
@@ -49,10 +53,11 @@ def observe(
     rtol: Number = 1e-10,
     atol: Number = 1e-12,
     max_steps: int = 200_000,
-) -> tuple[Float[Array, "T two_n"], Any]:
+) -> tuple[Any, Any]:
     """Integrate plant and observer as one system; returns the true states and the observer's, time first.
 
-    Stamps after a breakdown, such as an observer escaping in finite time, are infinite in both.
+    Stamps after a breakdown, such as an observer escaping in finite time, are not finite in both. The true states of
+    a `GroupSystem` are a `Motion`.
     """
     n = x0.shape[0] // 2
     push = u or no_input(model, n)

@@ -4,6 +4,7 @@ from covariant.geometry.lie._group import AbstractGroup
 from covariant.geometry.lie._left_invariant import AbstractInertia, Carried, ExponentialChart, Inertia, LeftInvariant
 from covariant.geometry.lie._matrix import SU, MatrixGroup
 from covariant.geometry.lie._motions import SE2, SE3
+from covariant.geometry.lie._munthe_kaas import munthe_kaas
 from covariant.geometry.lie._product import Product
 from covariant.geometry.lie._rotations import SO2, SO3, quaternion_from_rotation, rotation_from_quaternion
 
@@ -21,6 +22,7 @@ __all__ = [
     "LeftInvariant",
     "MatrixGroup",
     "Product",
+    "munthe_kaas",
     "quaternion_from_rotation",
     "rotation_from_quaternion",
 ]

@@ -11,20 +11,22 @@ import jax.numpy as jnp
 
 from covariant._typing import Scalar
 
-TERMS = 16
-"""Terms of a series; they reach the rounding error of float64 up to the thresholds below."""
+TERMS = 20
+"""Terms of a series; they reach the rounding error of float64 up to its threshold."""
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
 def stumpff(k: int, x: Scalar) -> Scalar:
     """`c_k(x) = Σ_j (−x)^j / (2j + k)!`, x = θ² ≥ 0.
 
-    c₀ = cos θ, c₁ = sin θ / θ, c₂ = (1 − cos θ)/θ², c₃ = (θ − sin θ)/θ³, and so on. The series is exact to rounding
-    below its threshold: 1 for the first three, which have accurate closed forms, 10 > π² for the others, whose closed
-    forms cancel.
+    c₀ = cos θ, c₁ = sin θ / θ, c₂ = (1 − cos θ)/θ², c₃ = (θ − sin θ)/θ³, and so on. From c₃ on the closed forms cancel
+    below x = k(k − 1), where the terms of the series decrease.
     """
-    series = x < (1.0 if k < 3 else 10.0)
-    return jnp.where(series, _series(k, jnp.where(series, x, 0.0)), _closed(k, jnp.where(series, 16.0, x)))
+    threshold = k * (k - 1.0)
+    if k < 3:
+        return _closed(k, x)
+    small = x < threshold
+    return jnp.where(small, _series(k, jnp.where(small, x, 0.0)), _closed(k, jnp.where(small, threshold, x)))
 
 
 @stumpff.defjvp
@@ -41,19 +43,20 @@ def _series(k: int, x: Scalar) -> Scalar:
 
 
 def _closed(k: int, x: Scalar) -> Scalar:
-    theta = jnp.sqrt(x)
     if k == 0:
-        return jnp.cos(theta)
+        return jnp.cos(jnp.sqrt(x))
     if k == 1:
-        return jnp.sin(theta) / theta
+        theta = jnp.sqrt(jnp.where(x > 0, x, 1.0))
+        return jnp.where(x > 0, jnp.sin(theta) / theta, 1.0)
     if k == 2:
-        return 2 * jnp.sin(theta / 2) ** 2 / x
+        return _closed(1, x / 4) ** 2 / 2
     return (1 / math.factorial(k - 2) - _closed(k - 2, x)) / x
 
 
 def inverse_jacobian_coefficient(x: Scalar) -> Scalar:
-    """`(1 − (θ/2) cot(θ/2))/θ²`, written without cancellation as `(c₃ − 2c₄)/(2c₂)`."""
-    return (stumpff(3, x) - 2 * stumpff(4, x)) / (2 * stumpff(2, x))
+    """`(1 − (θ/2) cot(θ/2))/θ²`, as `(c₂ − c₃)/(4c₁)` of the half angle, where nothing cancels."""
+    x = x / 4
+    return (stumpff(2, x) - stumpff(3, x)) / (4 * stumpff(1, x))
 
 
 def angle_over_half_sine(squared_sine: Scalar, cosine: Scalar) -> Scalar:

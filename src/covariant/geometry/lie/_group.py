@@ -15,10 +15,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Inexact
 
-from covariant._typing import Flag, Vector
-
-Element = Inexact[Array, "N N"]
-"""A group element, or a matrix of the algebra."""
+from covariant._typing import Element, Flag, Vector
 
 
 class AbstractGroup(eqx.Module):

@@ -18,10 +18,10 @@ from jax.core import Tracer
 from jaxtyping import Array
 
 from covariant._linalg import solve
-from covariant._typing import Matrix, Scalar, Vector, Vectors
+from covariant._typing import Element, Matrix, Scalar, Vector, Vectors
 from covariant.geometry._abstract import AbstractMetric, Budget, Shot, Transported
 from covariant.geometry._numeric import follow, shoot
-from covariant.geometry.lie._group import AbstractGroup, Element
+from covariant.geometry.lie._group import AbstractGroup
 
 
 class AbstractInertia(eqx.Module):

@@ -1,11 +1,10 @@
 """Any other matrix group: SU(n), and groups a user gives by a basis of their algebra.
 
-Source: Higham 2008, Functions of Matrices, chapters 6 (square roots), 10 (exponential) and 11 (logarithm); Iserles,
-Munthe-Kaas, Nørsett & Zanna 2000, Lie-group methods, section B, for the series of the inverse Jacobian.
+Source: Higham 2008, Functions of Matrices, chapters 6 (square roots), 10 (exponential) and 11 (logarithm).
 """
 
-import math
-from fractions import Fraction
+from collections.abc import Callable
+from functools import partial
 
 import equinox as eqx
 import jax
@@ -13,15 +12,17 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Inexact
 
-from covariant._typing import Flag, Vector
-from covariant.geometry.lie._group import AbstractGroup, Element
+from covariant._typing import Element, Flag, Vector
+from covariant.geometry.lie._group import AbstractGroup
 
 HALVINGS = 6
 """Square roots taken before the logarithm's series."""
 ROOT_LIMIT = 80
 """Newton iterations after which a square root is given up: the matrix is on the cut locus to rounding."""
-SERIES = 60
-"""Terms of the Jacobians' series, of which no more are summed than rounding asks for."""
+TAYLOR = 18
+"""Degree of the exponential's series, exact to rounding for norms up to 1."""
+DOUBLINGS = 10
+"""Squarings after the exponential's series; they serve norms up to 1024, beyond which float64 overflows."""
 
 
 class SU(AbstractGroup):
@@ -63,10 +64,10 @@ class SU(AbstractGroup):
         return matrix_bracket(self, x, y)
 
     def exp(self, x: Vector) -> Element:
-        return jax.scipy.linalg.expm(self.hat(x))
+        return matrix_exp(self.hat(x))
 
     def log(self, g: Element) -> Vector:
-        return matrix_log(self, g)
+        return differentiable_log(self, unitary_log, g)
 
     def inverse(self, g: Element) -> Element:
         return g.conj().T
@@ -85,7 +86,8 @@ class SU(AbstractGroup):
         return jnp.maximum(unitary, jnp.abs(jnp.linalg.det(g) - 1))
 
     def unique_log(self, g: Element) -> Flag:
-        return matrix_unique_log(g)
+        angles = jnp.linalg.eigvalsh(1j * self.hat(self.log(g)))
+        return 2 * np.pi - (angles[-1] - angles[0]) > 4 * jnp.finfo(angles.dtype).eps ** 0.5
 
 
 class MatrixGroup(AbstractGroup):
@@ -134,7 +136,8 @@ class MatrixGroup(AbstractGroup):
         return self.basis.shape[1]
 
     def hat(self, x: Vector) -> Element:
-        return jnp.tensordot(x.astype(self.basis.dtype), self.basis, 1)
+        basis = self._typed(self.basis, x.dtype)
+        return jnp.tensordot(x.astype(basis.dtype), basis, 1)
 
     def vee(self, matrix: Element) -> Vector:
         if not jnp.iscomplexobj(self.dual):
@@ -147,10 +150,11 @@ class MatrixGroup(AbstractGroup):
         return jnp.einsum("i,j,ijk->k", x, y, self.structure)
 
     def exp(self, x: Vector) -> Element:
-        return jax.scipy.linalg.expm(self.hat(x))
+        return matrix_exp(self.hat(x))
 
     def log(self, g: Element) -> Vector:
-        return matrix_log(self, g)
+        """The principal logarithm where that lies in the algebra; elsewhere not a logarithm, which `defect` tells."""
+        return differentiable_log(self, partial(principal_log, self), g)
 
     def inverse(self, g: Element) -> Element:
         return jnp.linalg.inv(g)
@@ -187,63 +191,68 @@ def matrix_bracket(group: AbstractGroup, x: Vector, y: Vector) -> Vector:
     return group.vee(a @ b - b @ a)
 
 
+def matrix_exp(a: Element) -> Element:
+    """Scaling and squaring, of exp − 1 so that small steps from the identity lose nothing."""
+    norm = jax.lax.stop_gradient(jnp.max(jnp.sum(jnp.abs(a), axis=0)))
+    doublings = jnp.clip(jnp.ceil(jnp.log2(norm)), 0, DOUBLINGS)
+    a = a * 0.5**doublings.astype(a.dtype)
+    total = a / TAYLOR
+    for j in range(TAYLOR - 1, 0, -1):
+        total = (a + a @ total) / j
+    total = jax.lax.fori_loop(0, DOUBLINGS, lambda i, f: jnp.where(i < doublings, f @ f + 2 * f, f), total)
+    return total + jnp.eye(a.shape[0], dtype=a.dtype)
+
+
 def matrix_right_jacobian(group: AbstractGroup, x: Vector, y: Vector) -> Vector:
-    """`Σ (−1)^k/(k + 1)! ad_x^k y`."""
-    return _adjoint_series(group, _JACOBIAN, x, y)
+    """`exp(x)⁻¹ D exp(x)[y]` as it stands."""
+    g, moved = jax.jvp(group.exp, (x,), (y,))
+    return group.vee(group.inverse(g) @ moved)
 
 
 def matrix_right_jacobian_inverse(group: AbstractGroup, x: Vector, y: Vector) -> Vector:
-    """`Σ (−1)^k B_k/k! ad_x^k y`, which converges for eigenvalues of ad_x below 2π."""
-    return _adjoint_series(group, _BERNOULLI, x, y)
+    """From the matrix (n, n) of the Jacobian, whose inverse has no series that converges wherever it exists."""
+    one = jnp.eye(x.shape[0], dtype=x.dtype)
+    return jnp.linalg.solve(jax.vmap(lambda e: group.right_jacobian(x, e), out_axes=1)(one), y)
 
 
-def _adjoint_series(group: AbstractGroup, coefficients: np.ndarray, x: Vector, y: Vector) -> Vector:
-    """`Σ c_k ad_x^k y`, summed until two terms in a row are lost in rounding."""
-    known = jnp.asarray(coefficients, x.dtype)
-    accuracy = jnp.finfo(x.dtype).eps / 8
-
-    def unfinished(carry):
-        k, _, total, added, before = carry
-        return (k < SERIES) & (jnp.maximum(added, before) > accuracy * jnp.max(jnp.abs(total)))
-
-    def add(carry):
-        k, power, total, added, _ = carry
-        power = group.lie_bracket(x, power)
-        term = known[k] * power
-        return k + 1, power, total + term, jnp.max(jnp.abs(term)), added
-
-    infinite = jnp.asarray(jnp.inf, x.dtype)
-    return jax.lax.while_loop(unfinished, add, (jnp.ones((), jnp.int32), y, y, infinite, infinite))[2]
+@eqx.filter_custom_jvp
+def differentiable_log(group: AbstractGroup, algorithm: Callable[[Element], Element], g: Element) -> Vector:
+    """A logarithm by any algorithm, however it finds it."""
+    return group.vee(algorithm(g))
 
 
-def _bernoulli() -> np.ndarray:
-    """`(−1)^k B_k/k!`, from `x/(1 − e^{−x}) · (1 − e^{−x})/x = 1` in exact fractions."""
-    factors = [Fraction((-1) ** k, math.factorial(k + 1)) for k in range(SERIES)]
-    found: list[Fraction] = [Fraction(1)]
-    for k in range(1, SERIES):
-        found.append(-sum((found[i] * factors[k - i] for i in range(k)), Fraction(0)))
-    return np.array([float(f) for f in found])
+@differentiable_log.def_jvp
+def _(primals, tangents):
+    group, algorithm, g = primals
+    x = differentiable_log(group, algorithm, g)
+    return x, group.right_jacobian_inverse(x, group.vee(group.inverse(g) @ tangents[2]))
 
 
-_JACOBIAN = np.array([(-1) ** k / math.factorial(k + 1) for k in range(SERIES)])
-_BERNOULLI = _bernoulli()
+def unitary_log(g: Element) -> Element:
+    """From the Schur form, diagonal for a unitary matrix, with the smallest angles that add up to zero."""
+    form, vectors = jax.scipy.linalg.schur(g, output="complex")
+    angles = jnp.angle(jnp.diagonal(form))
+    turns = jnp.round(jnp.sum(angles) / (2 * np.pi))
+    rank = jnp.argsort(jnp.argsort(angles))
+    angles = angles - 2 * np.pi * (rank >= g.shape[0] - turns) + 2 * np.pi * (rank < -turns)
+    return (1j * angles * vectors) @ vectors.conj().T
 
 
-def matrix_log(group: AbstractGroup, g: Element) -> Vector:
-    """Principal logarithm by inverse scaling and squaring, and one Newton step that leaves rounding errors only.
+def principal_log(group: AbstractGroup, g: Element) -> Element:
+    """Inverse scaling and squaring, and one Newton step that leaves rounding errors only.
 
     Where the square roots do not converge (an eigenvalue −1, to rounding) the last iterate is used.
     """
     root = g
     for _ in range(HALVINGS):
-        root = _square_root(group, root)
+        root = _square_root(root)
     one = jnp.eye(g.shape[0], dtype=g.dtype)
     ratio = jnp.linalg.solve((root + one).T, (root - one).T).T  # (root − 1)(root + 1)⁻¹
-    square, total = ratio @ ratio, one
-    for j in range(8, 0, -1):  # artanh
-        total = one / (2 * j - 1) + square @ total if j < 8 else one / (2 * j - 1)
+    square, total = ratio @ ratio, one / 15
+    for j in range(7, 0, -1):  # artanh
+        total = one / (2 * j - 1) + square @ total
     x = 2.0 ** (HALVINGS + 1) * group.vee(ratio @ total)
-    return x + group.vee(group.inverse(group.exp(x)) @ g - one)
+    return group.hat(x) + group.inverse(group.exp(x)) @ g - one
 
 
 def matrix_unique_log(g: Element) -> Flag:
@@ -252,7 +261,7 @@ def matrix_unique_log(g: Element) -> Flag:
     return jnp.abs(jnp.linalg.det(g + jnp.eye(n, dtype=g.dtype))) > 2.0 ** (n - 1) * jnp.finfo(g.dtype).eps ** 0.5
 
 
-def _square_root(group: AbstractGroup, g: Element) -> Element:
+def _square_root(g: Element) -> Element:
     """Newton's iteration in the form of Denman and Beavers: X → g^½, Y → g^−½."""
     accuracy = 4 * g.shape[0] * jnp.finfo(g.dtype).eps
 

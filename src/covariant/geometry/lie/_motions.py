@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from covariant._typing import Flag, Vector
-from covariant.geometry.lie._group import AbstractGroup, Element
+from covariant._typing import Element, Flag, Vector
+from covariant.geometry.lie._group import AbstractGroup
 from covariant.geometry.lie._rotations import SO2, SO3, no_half_turn, rotation_defect
 
 

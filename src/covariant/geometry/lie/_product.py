@@ -4,8 +4,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Inexact
 
-from covariant._typing import Flag, Vector
-from covariant.geometry.lie._group import AbstractGroup, Element
+from covariant._typing import Element, Flag, Vector
+from covariant.geometry.lie._group import AbstractGroup
 
 
 class Product(AbstractGroup):

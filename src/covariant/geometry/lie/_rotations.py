@@ -6,9 +6,9 @@ Source: Barfoot 2017, State Estimation for Robotics, chapter 7; Shepperd 1978 fo
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from covariant._typing import Flag, Vector
+from covariant._typing import Element, Flag, Vector
 from covariant.geometry.lie._coefficients import angle_over_half_sine, inverse_jacobian_coefficient, stumpff
-from covariant.geometry.lie._group import AbstractGroup, Element
+from covariant.geometry.lie._group import AbstractGroup
 
 Quaternion = Float[Array, "4"]
 """wxyz, of unit length; q and −q are the same rotation."""

@@ -1,0 +1,51 @@
+"""A rigid body that turns about a fixed point: the heavy top, and, without gravity, the free body."""
+
+from collections.abc import Sequence
+
+import jax.numpy as jnp
+
+from covariant.geometry.lie import SO3
+from covariant.models._group_system import GroupSystem
+from covariant.models._lagrangian import Parameter
+
+_SOURCE = "chosen: the paper gives no numbers"
+
+
+def heavy_top(
+    inertia: Sequence[float] | Sequence[Sequence[float]] = (0.2, 0.2, 0.1),
+    moment: float = 1.0,
+    axis: Sequence[float] = (0.0, 0.0, 1.0),
+    viscous: float = 0.0,
+) -> GroupSystem:
+    """Top of Maithripala, Berg & Dayawansa 2004, section IV-A, equations (31)–(32), of any shape.
+
+    `inertia` [kg m²] about the fixed point: three principal ones, or a matrix (3, 3); `moment` = m g l [N m], the
+    weight times the distance of the centre of mass, which lies along `axis` in the body. Gravity points along −z in
+    space. `viscous` [N m s/rad] is friction proportional to the angular velocity. Inputs are three torques in the
+    body [N m].
+    """
+    matrix = jnp.asarray(inertia, float)
+    matrix = jnp.diag(matrix) if matrix.ndim == 1 else matrix
+    arm = moment * jnp.asarray(axis, float) / jnp.linalg.norm(jnp.asarray(axis, float))
+
+    def potential(g):
+        return g[2] @ arm.astype(g.dtype)
+
+    return GroupSystem(
+        SO3,
+        matrix,
+        potential,
+        dissipation=lambda g, v: -viscous * v,
+        velocities=("w1", "w2", "w3"),
+        units=("rad/s",) * 3,
+        parameters={
+            "inertia": Parameter(tuple(jnp.ravel(matrix).tolist()), "kg m^2", _SOURCE),
+            "moment": Parameter(moment, "N m", _SOURCE),
+            "viscous": Parameter(viscous, "N m s/rad", _SOURCE),
+        },
+    )
+
+
+def free_body(inertia: Sequence[float] | Sequence[Sequence[float]] = (1.0, 2.0, 3.5)) -> GroupSystem:
+    """A body that turns freely, with torques [N m] as inputs: `heavy_top` at its centre of mass."""
+    return heavy_top(inertia, moment=0.0)

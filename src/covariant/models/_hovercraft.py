@@ -1,0 +1,45 @@
+"""A planar hovercraft on SE(2), pushed by two fans."""
+
+from collections.abc import Sequence
+
+import jax.numpy as jnp
+
+from covariant.geometry.lie import SE2
+from covariant.models._group_system import GroupSystem
+from covariant.models._lagrangian import Parameter
+
+_SOURCE = "chosen: of the size of a laboratory model"
+
+
+def hovercraft(
+    mass: float = 5.0,
+    inertia: float = 0.05,
+    fan_offset: float = 0.12,
+    drag: Sequence[float] = (0.3, 0.5, 0.02),
+) -> GroupSystem:
+    """Hovercraft of `mass` [kg] and `inertia` [kg m²] about its centre of mass; v = (surge, sway, yaw rate).
+
+    The inputs are the thrusts [N] of two fans, right and left of the middle by `fan_offset` [m]; `drag` is
+    proportional to v [N s/m, N s/m, N m s].
+    """
+    resistance = jnp.asarray(drag, float)
+
+    def force(t, g, u):
+        return jnp.stack([u[0] + u[1], jnp.zeros_like(u[0]), fan_offset * (u[0] - u[1])])
+
+    return GroupSystem(
+        SE2,
+        jnp.diag(jnp.array([mass, mass, inertia])),
+        None,
+        force,
+        lambda g, v: -resistance.astype(v.dtype) * v,
+        velocities=("surge", "sway", "yaw_rate"),
+        units=("m/s", "m/s", "rad/s"),
+        inputs=2,
+        parameters={
+            "mass": Parameter(mass, "kg", _SOURCE),
+            "inertia": Parameter(inertia, "kg m^2", _SOURCE),
+            "fan_offset": Parameter(fan_offset, "m", _SOURCE),
+            "drag": Parameter(tuple(drag), "N s/m, N m s", _SOURCE),
+        },
+    )

@@ -1,0 +1,55 @@
+"""A satellite that turns by spinning wheels up: only torques between its parts act, so its momentum never changes."""
+
+from collections.abc import Sequence
+
+import jax.numpy as jnp
+
+from covariant.geometry.lie import SO2, SO3, Product
+from covariant.models._group_system import GroupSystem
+from covariant.models._lagrangian import Parameter
+
+_SOURCE = "chosen: of the size of a small satellite"
+
+
+def satellite(
+    inertia: Sequence[float] = (0.05, 0.06, 0.04),
+    wheel_inertia: float = 2e-4,
+    axes: Sequence[Sequence[float]] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
+    bearing: float = 0.0,
+) -> GroupSystem:
+    """Attitude and wheel angles on SO(3) × SO(2)^k; v holds the angular velocity and the rates against the body.
+
+    `inertia` [kg m²] of the satellite with its wheels locked, but for their spin; `wheel_inertia` [kg m²] of each
+    wheel about its axis, a unit vector of `axes` (k, 3); `bearing` [N m s/rad] friction of the wheels. Inputs are the
+    k motor torques [N m].
+    """
+    directions = jnp.asarray(axes, float)
+    if directions.ndim != 2 or directions.shape[1] != 3:
+        raise ValueError(f"satellite: axes must have shape (k, 3); got {directions.shape}")
+    directions = directions / jnp.linalg.norm(directions, axis=1, keepdims=True)
+    k = directions.shape[0]
+    body = jnp.diag(jnp.asarray(inertia, float)) + wheel_inertia * directions.T @ directions
+    spin = wheel_inertia * directions.T
+    matrix = jnp.block([[body, spin], [spin.T, wheel_inertia * jnp.eye(k)]])
+
+    def force(t, g, u):
+        return jnp.concatenate([jnp.zeros(3, u.dtype), u])
+
+    def dissipation(g, v):
+        return jnp.concatenate([jnp.zeros(3, v.dtype), -bearing * v[3:]])
+
+    return GroupSystem(
+        Product((SO3, *(SO2,) * k)),
+        matrix,
+        None,
+        force,
+        dissipation,
+        velocities=("w1", "w2", "w3", *(f"wheel{i + 1}" for i in range(k))),
+        units=("rad/s",) * (3 + k),
+        inputs=k,
+        parameters={
+            "inertia": Parameter(tuple(inertia), "kg m^2", _SOURCE),
+            "wheel_inertia": Parameter(wheel_inertia, "kg m^2", _SOURCE),
+            "bearing": Parameter(bearing, "N m s/rad", _SOURCE),
+        },
+    )
