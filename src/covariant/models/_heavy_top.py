@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 import jax.numpy as jnp
+import numpy as np
 
 from covariant.geometry.lie import SO3
 from covariant.models._group_system import GroupSystem
@@ -24,12 +25,12 @@ def heavy_top(
     space. `viscous` [N m s/rad] is friction proportional to the angular velocity. Inputs are three torques in the
     body [N m].
     """
-    matrix = jnp.asarray(inertia, float)
-    matrix = jnp.diag(matrix) if matrix.ndim == 1 else matrix
-    arm = moment * jnp.asarray(axis, float) / jnp.linalg.norm(jnp.asarray(axis, float))
+    matrix = np.asarray(inertia, float)
+    matrix = np.diag(matrix) if matrix.ndim == 1 else matrix
+    arm = moment * np.asarray(axis, float) / np.linalg.norm(axis)
 
     def potential(g):
-        return g[2] @ arm.astype(g.dtype)
+        return g[2] @ jnp.asarray(arm, g.dtype)
 
     return GroupSystem(
         SO3,
@@ -39,7 +40,7 @@ def heavy_top(
         velocities=("w1", "w2", "w3"),
         units=("rad/s",) * 3,
         parameters={
-            "inertia": Parameter(tuple(jnp.ravel(matrix).tolist()), "kg m^2", _SOURCE),
+            "inertia": Parameter(tuple(matrix.ravel().tolist()), "kg m^2", _SOURCE),
             "moment": Parameter(moment, "N m", _SOURCE),
             "viscous": Parameter(viscous, "N m s/rad", _SOURCE),
         },

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 import jax.numpy as jnp
+import numpy as np
 
 from covariant.geometry.lie import SE2
 from covariant.models._group_system import GroupSystem
@@ -22,17 +23,16 @@ def hovercraft(
     The inputs are the thrusts [N] of two fans, right and left of the middle by `fan_offset` [m]; `drag` is
     proportional to v [N s/m, N s/m, N m s].
     """
-    resistance = jnp.asarray(drag, float)
 
     def force(t, g, u):
         return jnp.stack([u[0] + u[1], jnp.zeros_like(u[0]), fan_offset * (u[0] - u[1])])
 
     return GroupSystem(
         SE2,
-        jnp.diag(jnp.array([mass, mass, inertia])),
+        np.diag([mass, mass, inertia]),
         None,
         force,
-        lambda g, v: -resistance.astype(v.dtype) * v,
+        lambda g, v: -jnp.asarray(drag, v.dtype) * v,
         velocities=("surge", "sway", "yaw_rate"),
         units=("m/s", "m/s", "rad/s"),
         inputs=2,

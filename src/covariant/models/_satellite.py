@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 import jax.numpy as jnp
+import numpy as np
 
 from covariant.geometry.lie import SO2, SO3, Product
 from covariant.models._group_system import GroupSystem
@@ -23,14 +24,14 @@ def satellite(
     wheel about its axis, a unit vector of `axes` (k, 3); `bearing` [N m s/rad] friction of the wheels. Inputs are the
     k motor torques [N m].
     """
-    directions = jnp.asarray(axes, float)
+    directions = np.asarray(axes, float)
     if directions.ndim != 2 or directions.shape[1] != 3:
         raise ValueError(f"satellite: axes must have shape (k, 3); got {directions.shape}")
-    directions = directions / jnp.linalg.norm(directions, axis=1, keepdims=True)
+    directions = directions / np.linalg.norm(directions, axis=1, keepdims=True)
     k = directions.shape[0]
-    body = jnp.diag(jnp.asarray(inertia, float)) + wheel_inertia * directions.T @ directions
+    body = np.diag(np.asarray(inertia, float)) + wheel_inertia * directions.T @ directions
     spin = wheel_inertia * directions.T
-    matrix = jnp.block([[body, spin], [spin.T, wheel_inertia * jnp.eye(k)]])
+    matrix = np.block([[body, spin], [spin.T, wheel_inertia * np.eye(k)]])
 
     def force(t, g, u):
         return jnp.concatenate([jnp.zeros(3, u.dtype), u])

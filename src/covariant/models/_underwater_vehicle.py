@@ -7,8 +7,9 @@ water; Fossen 2011, Handbook of Marine Craft Hydrodynamics and Motion Control, c
 from collections.abc import Sequence
 
 import jax.numpy as jnp
+import numpy as np
 
-from covariant.geometry.lie import SE3, SO3
+from covariant.geometry.lie import SE3
 from covariant.models._group_system import GroupSystem
 from covariant.models._lagrangian import Parameter
 
@@ -32,22 +33,21 @@ def underwater_vehicle(
     `buoyancy` [N], centres of mass and buoyancy [m] in the body, `drag` and `quadratic_drag` for each component of
     the twist. The input is the wrench (force, torque) at the origin, in the body [N, N m].
     """
-    centre = jnp.asarray(centre_of_mass, float)
-    lift = jnp.asarray(centre_of_buoyancy, float)
-    coupling = mass * SO3.hat(centre)
-    rigid = jnp.block([[mass * jnp.eye(3), -coupling], [coupling, jnp.diag(jnp.asarray(inertia, float))]])
-    linear, square = jnp.asarray(drag, float), jnp.asarray(quadratic_drag, float)
+    centre, lift = np.asarray(centre_of_mass, float), np.asarray(centre_of_buoyancy, float)
+    coupling = mass * np.cross(np.eye(3), centre)  # the matrix of x ↦ mass · centre × x
+    rigid = np.block([[mass * np.eye(3), coupling.T], [coupling, np.diag(np.asarray(inertia, float))]])
+    linear, square = np.asarray(drag, float), np.asarray(quadratic_drag, float)
 
     def potential(g):
-        height = SE3.act(g, centre.astype(g.dtype))[2], SE3.act(g, lift.astype(g.dtype))[2]
-        return mass * gravity * height[0] - buoyancy * height[1]
+        heights = [SE3.act(g, jnp.asarray(point, g.dtype))[2] for point in (centre, lift)]
+        return mass * gravity * heights[0] - buoyancy * heights[1]
 
     def dissipation(g, v):
-        return -(linear.astype(v.dtype) + square.astype(v.dtype) * jnp.abs(v)) * v
+        return -(jnp.asarray(linear, v.dtype) + jnp.asarray(square, v.dtype) * jnp.abs(v)) * v
 
     return GroupSystem(
         SE3,
-        rigid + jnp.diag(jnp.asarray(added_mass, float)),
+        rigid + np.diag(added_mass),
         potential,
         dissipation=dissipation,
         velocities=("surge", "sway", "heave", "roll_rate", "pitch_rate", "yaw_rate"),

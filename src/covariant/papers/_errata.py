@@ -1,14 +1,17 @@
 """Printed equations that are wrong, kept as counter-examples that visibly fail.
 
-Source: Aghannan & Rouchon 2003, equation (14): all four curvature terms have the sign opposite to their own (5).
+Sources: Aghannan & Rouchon 2003, equation (14): all four curvature terms have the sign opposite to their own (5).
+Maithripala, Berg & Dayawansa 2004, equations (8), (18), (19), (21), (44), (45) and the definition of S below (30).
 """
 
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from covariant._typing import Number, Scalar, Vector
-from covariant.observers import AbstractFlowObserver, Info, MechanicalState
+from covariant._typing import Element, Number, Scalar, Vector
+from covariant.geometry.lie import SO3
+from covariant.models import GroupSystem, Motion, friction, source
+from covariant.observers import AbstractFlowObserver, GroupState, Info, MechanicalState
 
 
 class PrintedBallAndBeam(AbstractFlowObserver):
@@ -44,3 +47,59 @@ class PrintedBallAndBeam(AbstractFlowObserver):
 
     def step(self, state: MechanicalState, u: Float[Array, "m"], y: Vector, dt: Scalar) -> tuple[MechanicalState, Info]:
         raise NotImplementedError("equation (14) as printed is a counter-example in continuous time only")
+
+
+SLIPS = {
+    "curvature sign": "(18): the curvature term has the sign of the other convention",
+    "curvature count": "(8): parts of the curvature are counted twice",
+    "transport": "(19): the connection's arguments are exchanged",
+    "alpha": "(21): the bracket lacks its factor α",
+    "logarithm": "(44), (45): not the logarithm of g⁻¹g̃",
+    "source": "below (30): S without the inverse inertia",
+}
+"""What is wrong in the print of Maithripala, Berg & Dayawansa, each with its equation."""
+
+
+class PrintedGroup(AbstractFlowObserver):
+    """Observer (20)–(21) on SO(3) or SE(3) with some of the printed slips put back; with none it is `Group` with their
+    doubled α. Do not use it."""
+
+    model: GroupSystem
+    alpha: Number
+    beta: Number
+    slips: tuple[str, ...] = eqx.field(static=True)
+
+    def init(self, y: Element, t: Number = 0.0) -> GroupState:
+        rest = jnp.zeros(self.model.group.dimension, y.dtype)
+        return GroupState(y, rest, jnp.asarray(t, y.dtype), rest)
+
+    def estimate(self, state: GroupState) -> Motion:
+        return Motion(state.g, state.v)
+
+    def flow(self, t: Scalar, state: GroupState, u: Float[Array, "m"], y: Element) -> GroupState:
+        metric, group, v = self.model.metric, self.model.group, state.v
+        error = _printed_log(y, state.g) if "logarithm" in self.slips else group.between(y, state.g)
+        s = source(self.model, t, y, u)
+        s = metric.inertia(s) if "source" in self.slips else s
+        w = v - 2 * self.alpha * error
+        moved = s - (metric.connection(s, error) if "transport" in self.slips else metric.connection(error, s))
+        turned = metric.curvature(v, error, v)
+        if "curvature count" in self.slips:
+            turned = 2 * turned - metric.connection(group.lie_bracket(v, error), v)
+        v_dot = moved + (turned if "curvature sign" in self.slips else -turned) - self.beta * error
+        v_dot = v_dot - metric.connection(w, v) + friction(self.model, state.g, v)
+        if "alpha" in self.slips:
+            v_dot = v_dot + (1 - self.alpha) * group.lie_bracket(error, v)
+        return GroupState(w, v_dot, jnp.ones_like(state.t), jnp.zeros_like(v))
+
+    def step(self, state: GroupState, u: Float[Array, "m"], y: Element, dt: Scalar):
+        raise NotImplementedError("the printed observer is a counter-example in continuous time only")
+
+
+def _printed_log(y: Element, estimate: Element) -> Vector:
+    """Equations (44) and (45) in letters: the rotation's spatial logarithm, and a difference of two frames."""
+    omega = SO3.log(estimate[:3, :3] @ y[:3, :3].T)
+    if y.shape[0] == 3:
+        return omega
+    shift = y[:3, :3].T @ estimate[:3, 3] - estimate[:3, :3].T @ y[:3, 3]
+    return jnp.concatenate([SO3.left_jacobian_inverse(omega, shift), omega])

@@ -9,6 +9,7 @@ Groups, chapter 10, for the Jacobians.
 """
 
 import abc
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -67,7 +68,7 @@ class AbstractGroup(eqx.Module):
     def right_jacobian_inverse(self, x: Vector, y: Vector) -> Vector:
         """`J_r(x)⁻¹y`: the velocity x' that makes y the body velocity of `exp(x(t))`."""
 
-    def identity(self, dtype=float) -> Element:
+    def identity(self, dtype: Any = float) -> Element:
         """The neutral element; `dtype` is the real one of the coordinates."""
         return jnp.eye(self.order, dtype=self.hat(jnp.zeros(self.dimension, dtype)).dtype)
 

@@ -103,7 +103,8 @@ class MatrixGroup(AbstractGroup):
     structure: Float[Array, "n n n"] | None
 
     def __init__(self, basis, structure=None):
-        basis = np.asarray(basis)
+        given = np.asarray(basis)
+        basis = given.astype(complex if np.iscomplexobj(given) else float)
         if basis.ndim != 3 or basis.shape[1] != basis.shape[2] or not len(basis):
             raise ValueError(f"MatrixGroup: the basis must have shape (n, N, N); got {basis.shape}")
         flat = np.concatenate([part.reshape(len(basis), -1) for part in (np.real(basis), np.imag(basis))], axis=1)
@@ -116,7 +117,8 @@ class MatrixGroup(AbstractGroup):
         pairs = (len(basis), len(basis), -1)
         flat_brackets = np.concatenate([np.real(brackets).reshape(pairs), np.imag(brackets).reshape(pairs)], axis=2)
         constants = flat_brackets @ dual.T
-        scale = 1e-9 * max(1.0, float(np.abs(brackets).max()))
+        accuracy = np.finfo(given.dtype if np.issubdtype(given.dtype, np.inexact) else float).eps ** 0.5
+        scale = accuracy * max(1.0, float(np.abs(brackets).max()))
         if np.abs(constants @ flat - flat_brackets).max() > scale:
             raise ValueError("MatrixGroup: the basis is not closed under the commutator, so it spans no algebra")
         if structure is not None and (
@@ -136,18 +138,16 @@ class MatrixGroup(AbstractGroup):
         return self.basis.shape[1]
 
     def hat(self, x: Vector) -> Element:
-        basis = self._typed(self.basis, x.dtype)
+        basis = _in_precision(self.basis, x.dtype)
         return jnp.tensordot(x.astype(basis.dtype), basis, 1)
 
     def vee(self, matrix: Element) -> Vector:
-        if not jnp.iscomplexobj(self.dual):
-            return jnp.tensordot(self.dual, matrix, 2)
-        return jnp.tensordot(self.dual.real, matrix.real, 2) + jnp.tensordot(self.dual.imag, matrix.imag, 2)
+        return jnp.tensordot(_in_precision(self.dual, matrix.dtype).conj(), matrix, 2).real
 
     def lie_bracket(self, x: Vector, y: Vector) -> Vector:
         if self.structure is None:
             return matrix_bracket(self, x, y)
-        return jnp.einsum("i,j,ijk->k", x, y, self.structure)
+        return jnp.einsum("i,j,ijk->k", x, y, self.structure.astype(x.dtype))
 
     def exp(self, x: Vector) -> Element:
         return matrix_exp(self.hat(x))
@@ -176,6 +176,12 @@ class MatrixGroup(AbstractGroup):
         return matrix_unique_log(g)
 
 
+def _in_precision(constants: Array, dtype) -> Array:
+    """The constants, real or complex as they are, in the precision of `dtype`."""
+    real = np.finfo(dtype).dtype
+    return constants.astype(np.result_type(real, np.complex64) if jnp.iscomplexobj(constants) else real)
+
+
 def _su_layout(n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     rows, columns = np.triu_indices(n, 1)
     diagonal = np.zeros((n, n - 1))
@@ -195,7 +201,7 @@ def matrix_exp(a: Element) -> Element:
     """Scaling and squaring, of exp − 1 so that small steps from the identity lose nothing."""
     norm = jax.lax.stop_gradient(jnp.max(jnp.sum(jnp.abs(a), axis=0)))
     doublings = jnp.clip(jnp.ceil(jnp.log2(norm)), 0, DOUBLINGS)
-    a = a * 0.5**doublings.astype(a.dtype)
+    a = a * 0.5 ** doublings.astype(a.dtype)
     total = a / TAYLOR
     for j in range(TAYLOR - 1, 0, -1):
         total = (a + a @ total) / j
@@ -204,9 +210,8 @@ def matrix_exp(a: Element) -> Element:
 
 
 def matrix_right_jacobian(group: AbstractGroup, x: Vector, y: Vector) -> Vector:
-    """`exp(x)⁻¹ D exp(x)[y]` as it stands."""
-    g, moved = jax.jvp(group.exp, (x,), (y,))
-    return group.vee(group.inverse(g) @ moved)
+    """`exp(−x) D exp(x)[y]`; a matrix inverse would square the condition of exp(x)."""
+    return group.vee(group.exp(-x) @ jax.jvp(group.exp, (x,), (y,))[1])
 
 
 def matrix_right_jacobian_inverse(group: AbstractGroup, x: Vector, y: Vector) -> Vector:
@@ -232,10 +237,11 @@ def unitary_log(g: Element) -> Element:
     """From the Schur form, diagonal for a unitary matrix, with the smallest angles that add up to zero."""
     form, vectors = jax.scipy.linalg.schur(g, output="complex")
     angles = jnp.angle(jnp.diagonal(form))
-    turns = jnp.round(jnp.sum(angles) / (2 * np.pi))
+    turns = jnp.round(jnp.sum(angles) / (2 * np.pi)).astype(int)
     rank = jnp.argsort(jnp.argsort(angles))
-    angles = angles - 2 * np.pi * (rank >= g.shape[0] - turns) + 2 * np.pi * (rank < -turns)
-    return (1j * angles * vectors) @ vectors.conj().T
+    excess = jnp.where(rank >= g.shape[0] - turns, 1.0, jnp.where(rank < -turns, -1.0, 0.0))
+    angles = angles - 2 * np.pi * excess.astype(angles.dtype)
+    return 1j * vectors @ jnp.diag(angles.astype(g.dtype)) @ vectors.conj().T
 
 
 def principal_log(group: AbstractGroup, g: Element) -> Element:

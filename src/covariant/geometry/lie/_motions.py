@@ -136,10 +136,10 @@ def _axis(angle: Array) -> Array:
     return jnp.concatenate([jnp.zeros(2, angle.dtype), angle])
 
 
-def _lift(x: Vector) -> Vector:
+def _lift(x: Float[Array, "3"]) -> Float[Array, "6"]:
     zero = jnp.zeros(3, x.dtype)
     return jnp.concatenate([x[:2], zero, x[2:]])
 
 
-def _flatten(x: Vector) -> Vector:
+def _flatten(x: Float[Array, "6"]) -> Float[Array, "3"]:
     return jnp.concatenate([x[:2], x[5:]])

@@ -2,7 +2,7 @@
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Inexact
+from jaxtyping import Array, Float, Inexact
 
 from covariant._typing import Element, Flag, Vector
 from covariant.geometry.lie._group import AbstractGroup
@@ -25,17 +25,17 @@ class Product(AbstractGroup):
     def order(self) -> int:
         return sum(group.order for group in self.groups)
 
-    def parts(self, x: Vector) -> list[Vector]:
+    def parts(self, x: Vector) -> list[Float[Array, "_"]]:
         """The vectors of the groups in a vector of their product."""
         return _split(x, [group.dimension for group in self.groups])
 
-    def blocks(self, g: Element) -> list[Element]:
+    def blocks(self, g: Element) -> list[Inexact[Array, "_ _"]]:
         """The elements of the groups in an element of their product."""
         sizes = [group.order for group in self.groups]
         rows = _split(g, sizes)
         return [_split(row, sizes, axis=1)[i] for i, row in enumerate(rows)]
 
-    def join(self, blocks: list[Element]) -> Element:
+    def join(self, blocks: list[Inexact[Array, "_ _"]]) -> Element:
         """The element of the product with these elements of the groups."""
         return jax.scipy.linalg.block_diag(*blocks)
 
