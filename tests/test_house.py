@@ -21,13 +21,14 @@ PLAN = (
 OPTIONAL = ("pyarrow", "matplotlib", "plotly", "mujoco", "typer", "rich", "scipy", "sympy")
 
 PUBLIC = {
-    "design": "DataSheet Gains bias filter_bandwidth gains line_up observer_gains predict_errors window_length",
+    "design": "ESTIMATORS DataSheet Gains bias estimators filter_bandwidth gains line_up observer_gains predict_errors "
+    "window_length with_gains",
     "geometry": "AbstractMetric Budget ConstantCurvature Euclidean FlatTorus Metric Product Pullback Shot Transported "
     "as_metric christoffel curvature distance exp gradient hyperbolic inner log norm shoot sphere transport "
     "transport_along",
     "geometry.lie": "SE2 SE3 SO2 SO3 SU AbstractGroup AbstractInertia Carried ExponentialChart Inertia LeftInvariant "
     "MatrixGroup Product munthe_kaas quaternion_from_rotation rotation_from_quaternion",
-    "logs": "Columns Log LogError read write",
+    "logs": "ATTITUDES Body Columns Log LogError bodies matrices read to_columns write",
     "models": "GroupSystem Lagrangian ModelError ModelFile Motion Parameter acceleration advance ball_and_beam "
     "body_velocity check_metric check_model energy free_body friction heavy_top hovercraft load oscillator "
     "pendulum_chain position_error satellite source spatial_momentum underwater_vehicle wrap",

@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
-from covariant.scoring import rmse, scored_window, unwrap, zero_phase_velocity
+from covariant.scoring import rmse, scored_window, unwrap, zero_phase_twist, zero_phase_velocity
 
 
 @pytest.fixture
@@ -115,3 +116,71 @@ def test_turns_are_undone_on_circles_only_and_across_gaps():
     np.testing.assert_array_equal(plain[:, 1], y[:, 1])
     np.testing.assert_array_equal(np.isnan(plain), np.isnan(y))
     np.testing.assert_array_equal(y, before)
+
+
+def precession(t):
+    """Attitudes `exp(a(t) x) exp(40 t n)` and their angular velocities in the body: `a' x` as seen there, plus 40 n."""
+    axis = np.array([0.0, 0.6, 0.8])
+    spin = Rotation.from_rotvec(np.outer(40 * t, axis)).as_matrix()
+    tilt = Rotation.from_rotvec(np.outer(np.sin(2 * t), [1, 0, 0])).as_matrix()
+    return tilt @ spin, np.einsum("kji,kj->ki", spin, np.outer(2 * np.cos(2 * t), [1, 0, 0])) + 40 * axis
+
+
+@pytest.fixture
+def stamps():
+    return np.cumsum(np.random.default_rng(0).uniform(0.0005, 0.0015, 1500))
+
+
+def test_the_reference_of_an_attitude_is_its_angular_velocity(stamps):
+    attitude, velocity = precession(stamps)
+    found = zero_phase_twist(stamps, attitude, stamps)
+    np.testing.assert_allclose(found[40:-40], velocity[40:-40], atol=1e-3)
+    finer = zero_phase_twist(stamps, attitude, stamps, half=0.01, order=4)
+    np.testing.assert_allclose(finer[20:-20], velocity[20:-20], atol=1e-5)
+
+
+def test_missing_attitudes_are_left_out(stamps):
+    attitude, velocity = precession(stamps)
+    attitude[700:712] = np.nan
+    attitude[300::3, 0, 0] = np.nan
+    found = zero_phase_twist(stamps, attitude, stamps[::7])
+    np.testing.assert_allclose(found[10:-10], velocity[::7][10:-10], atol=5e-3)
+
+
+def test_noise_is_smoothed_as_in_coordinates(stamps):
+    attitude, velocity = precession(stamps)
+    rng = np.random.default_rng(1)
+    noisy = attitude @ Rotation.from_rotvec(rng.normal(0, 1e-3, (len(stamps), 3))).as_matrix()
+    flat = zero_phase_velocity(stamps, rng.normal(0, 1e-3, (len(stamps), 3)), stamps)
+    error = zero_phase_twist(stamps, noisy, stamps) - velocity
+    assert np.std(error[40:-40]) == pytest.approx(np.std(flat[40:-40]), rel=0.1)
+
+
+def test_the_window_shrinks_for_a_body_that_spins_fast(stamps):
+    spinning = Rotation.from_rotvec(np.outer(150 * stamps, [0, 0.6, 0.8])).as_matrix()
+    np.testing.assert_allclose(
+        zero_phase_twist(stamps, spinning, stamps), np.tile([0, 90, 120], (1500, 1)), rtol=1e-9, atol=1e-7
+    )
+
+
+def test_the_reference_of_a_pose_is_its_twist_in_the_body(stamps):
+    attitude, velocity = precession(stamps)
+    g = np.tile(np.eye(4), (1500, 1, 1))
+    g[:, :3, :3] = attitude
+    g[:, :3, 3] = np.stack([np.sin(3 * stamps), stamps**2, 2 * stamps], axis=1)
+    speed = np.stack([3 * np.cos(3 * stamps), 2 * stamps, np.full(1500, 2.0)], axis=1)
+    found = zero_phase_twist(stamps, g, stamps)
+    np.testing.assert_allclose(found[40:-40, 3:], velocity[40:-40], atol=1e-3)
+    np.testing.assert_allclose(found[40:-40, :3], np.einsum("kji,kj->ki", attitude, speed)[40:-40], atol=1e-4)
+
+
+def test_the_reference_in_the_plane(stamps):
+    angle = 5 * np.sin(9 * stamps) + 30 * stamps
+    g = np.tile(np.eye(3), (1500, 1, 1))
+    g[:, :2, :2] = np.moveaxis(np.array(((np.cos(angle), -np.sin(angle)), (np.sin(angle), np.cos(angle)))), 2, 0)
+    g[:, 0, 2] = 4 * stamps
+    rate = 45 * np.cos(9 * stamps) + 30
+    found = zero_phase_twist(stamps, g, stamps, space=2)
+    expected = np.stack([4 * np.cos(angle), -4 * np.sin(angle), rate], axis=1)
+    np.testing.assert_allclose(found[40:-40], expected[40:-40], atol=0.01)
+    np.testing.assert_array_equal(zero_phase_twist(stamps, g[:, :2, :2], stamps, space=2), found[:, 2:])

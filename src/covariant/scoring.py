@@ -1,9 +1,18 @@
 """How good a velocity estimate is, against the truth or against a reference made from the recorded positions."""
 
+from collections.abc import Iterator
+from typing import NamedTuple
+
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 NumpyArray = np.ndarray
+
+CHUNK = 1000
+"""Windows fitted at once: enough for NumPy to be quick, and a few megabytes."""
+
+FARTHEST_TURN = 1.5
+"""A rotation vector is nearly a polynomial in time up to this angle [rad]; a fast body gets a shorter window."""
 
 
 def zero_phase_velocity(
@@ -20,8 +29,71 @@ def zero_phase_velocity(
     return np.stack([_slopes(t, column, at, half, order) for column in np.asarray(y, float).T], axis=1)
 
 
+def zero_phase_twist(
+    t: Float[NumpyArray, "T"],
+    g: Float[NumpyArray, "T N N"],
+    at: Float[NumpyArray, "K"],
+    half: float = 0.03,
+    order: int = 3,
+    space: int = 3,
+) -> Float[NumpyArray, "K n"]:
+    """Body velocities at the stamps `at` [s], the same of rotations (d, d) or poses (d + 1, d + 1), d = `space`.
+
+    Polynomials are fitted to the rotation vectors [rad] of the motion as seen from the body, and to its positions. The
+    result is the angular velocity in the body, after the linear one, in the body too, where there is a position.
+    Missing matrices (any NaN) are left out. A body must turn by less than half a turn in `order` + 3 samples.
+    """
+    present = np.isfinite(g).all(axis=(1, 2))
+    t, g = t[present], np.asarray(g, float)[present]
+    attitude, turning = _turning(t, g[:, :space, :space], at, half, order)
+    if g.shape[1] == space:
+        return turning
+    slopes = zero_phase_velocity(t, g[:, :space, space], at, half, order)
+    return np.concatenate([np.einsum("kij,ki->kj", attitude, slopes), turning], axis=1)
+
+
 def _slopes(t, y, at, half, order):
     t, y = t[np.isfinite(y)], y[np.isfinite(y)]
+    fits = [np.einsum("kw,kw->k", fit.weights[:, 1], y[fit.rows]) for fit in _fits(t, at, half, order)]
+    return np.concatenate(fits)
+
+
+def _turning(t, rotation, at, half, order):
+    """Attitudes (K, d, d) and angular velocities in the body (K, 3), or (K, 1) in the plane."""
+    if rotation.shape[1] == 2:
+        angle = np.unwrap(np.arctan2(rotation[:, 1, 0], rotation[:, 0, 0]))
+        smooth, rate = np.empty(len(at)), np.empty(len(at))
+        for fit in _fits(t, at, half, order):
+            smooth[fit.at], rate[fit.at] = np.einsum("kcw,kw->ck", fit.weights[:, :2], angle[fit.rows])
+        c, s = np.cos(smooth), np.sin(smooth)
+        return np.moveaxis(np.array(((c, -s), (s, c))), 2, 0), rate[:, None]
+    speed = np.linalg.norm(_log(_between(rotation[:-1], rotation[1:])), axis=1) / np.diff(t)
+    half = min(half, FARTHEST_TURN / max(float(np.quantile(speed, 0.95)), 1e-9))
+    attitude, turning = np.empty((len(at), 3, 3)), np.empty((len(at), 3))
+    for fit in _fits(t, at, half, order):
+        near, seen = rotation[fit.nearest], rotation[fit.rows]
+        attitude[fit.at] = near @ _exp(_polynomial(fit, near, seen)[0])
+        turning[fit.at] = _polynomial(fit, attitude[fit.at], seen)[1]  # at no offset the slope is the velocity
+    return attitude, turning
+
+
+def _polynomial(fit, base, seen):
+    """Offset and slope (2, k, 3) of the rotation vectors from the base to the rotations seen."""
+    return np.einsum("kcw,kwi->cki", fit.weights[:, :2], _log(_between(base[:, None], seen)))
+
+
+class _Fit(NamedTuple):
+    """Local polynomials at some of the stamps: `rows` (k, w) of the measurements in each window, the `nearest` (k,) of
+    them all, and the `weights` (k, order + 1, w) by which they add up to the coefficients."""
+
+    at: slice
+    rows: Int[NumpyArray, "k w"]
+    nearest: Int[NumpyArray, "k"]
+    weights: Float[NumpyArray, "k c w"]
+
+
+def _fits(t, at, half, order) -> Iterator[_Fit]:
+    order = int(order)
     if len(t) < order + 3:
         raise ValueError(f"a reference of order {order} needs {order + 3} measurements; there are {len(t)}")
     first = np.searchsorted(t, at - half)
@@ -29,14 +101,41 @@ def _slopes(t, y, at, half, order):
     few = last - first < order + 3
     first = np.where(few, np.maximum(0, first - order - 3), first)
     last = np.where(few, np.minimum(len(t), last + order + 3), last)
-    slopes = np.empty(len(at))
-    for i, (a, b, now) in enumerate(zip(first, last, at, strict=True)):
-        s = t[a:b] - now
-        reach = max(half, np.abs(s).max())
-        weight = (1 - np.minimum(np.abs(s) / reach, 1) ** 3) ** 1.5 + 1e-6
-        basis = np.vander(s / reach, order + 1, increasing=True) * weight[:, None]
-        slopes[i] = np.linalg.lstsq(basis, y[a:b] * weight, rcond=None)[0][1] / reach
-    return slopes
+    before = np.clip(np.searchsorted(t, at), 1, len(t) - 1)
+    nearest = np.where(at - t[before - 1] < t[before] - at, before - 1, before)
+    for start in range(0, len(at), CHUNK):
+        part = slice(start, start + CHUNK)
+        rows = first[part, None] + np.arange((last - first)[part].max())
+        inside = rows < last[part, None]
+        rows = np.minimum(rows, len(t) - 1)
+        s = np.where(inside, t[rows] - at[part, None], 0.0)
+        reach = np.maximum(half, np.abs(s).max(axis=1))[:, None]
+        weight = inside * ((1 - np.minimum(np.abs(s) / reach, 1) ** 3) ** 1.5 + 1e-6)
+        powers = np.arange(order + 1)
+        basis = (s / reach)[..., None] ** powers * weight[..., None]
+        solved = np.linalg.pinv(basis, rcond=max(basis.shape[1:]) * np.finfo(float).eps)
+        yield _Fit(part, rows, nearest[part], solved * weight[:, None] / reach[..., None] ** powers[:, None])
+
+
+def _between(a, b):
+    return np.einsum("...ji,...jk->...ik", a, b)
+
+
+def _log(rotation):
+    """Rotation vectors (..., 3) of rotations by less than half a turn."""
+    skew = np.stack([rotation[..., i, j] - rotation[..., j, i] for i, j in ((2, 1), (0, 2), (1, 0))], axis=-1) / 2
+    sine = np.linalg.norm(skew, axis=-1)
+    angle = np.arctan2(sine, (np.trace(rotation, axis1=-2, axis2=-1) - 1) / 2)
+    return skew * np.where(sine > 0, angle / np.where(sine > 0, sine, 1.0), 1.0)[..., None]
+
+
+def _exp(vector):
+    """Rotations (..., 3, 3) of rotation vectors, by Rodrigues' formula."""
+    angle = np.linalg.norm(vector, axis=-1)[..., None, None]
+    x, y, z = np.moveaxis(vector, -1, 0)
+    none = np.zeros_like(x)
+    hat = np.moveaxis(np.array(((none, -z, y), (z, none, -x), (-y, x, none))), (0, 1), (-2, -1))
+    return np.eye(3) + np.sinc(angle / np.pi) * hat + np.sinc(angle / (2 * np.pi)) ** 2 / 2 * hat @ hat
 
 
 def unwrap(y: Float[NumpyArray, "T n"], circles: tuple[int, ...]) -> Float[NumpyArray, "T n"]:

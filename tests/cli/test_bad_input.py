@@ -103,7 +103,9 @@ def test_a_bad_model(folder, monkeypatch, capsys, spec, named):
 @pytest.mark.parametrize(
     ("arguments", "named"),
     [
-        ((*ESTIMATE, "--observer", "magic"), ["magic", "intrinsic"]),
+        ((*ESTIMATE, "--observer", "magic"), ["magic", "intrinsic", "group"]),
+        ((*ESTIMATE, "--observer", "group"), ["group does not fit model.toml", "intrinsic", "savitzky-golay"]),
+        ((*ESTIMATE, "--set", 'columns.matrix=["a"]'), ["columns.matrix", "columns.q"]),
         ((*ESTIMATE, "--alpha", "3"), ["--beta"]),
         ((*ESTIMATE, "--alpha", "-3", "--beta", "1"), ["positive", "-3"]),
         ((*ESTIMATE, "--alpha", "3", "--beta", "1", "--observer", "ekf"), ["ekf"]),
@@ -137,6 +139,86 @@ def test_a_bad_model(folder, monkeypatch, capsys, spec, named):
 def test_a_bad_argument(folder, monkeypatch, capsys, arguments, named):
     message = refused(monkeypatch, capsys, *arguments)
     assert all(part in message for part in named), message
+
+
+TOP = """
+system = "heavy_top"
+[columns]
+quaternion_wxyz = ["qw", "qx", "qy", "qz"]
+[measurement]
+std = 1e-3
+[uncertainty]
+acceleration = 1.0
+"""
+UNIT = "t,qw,qx,qy,qz,u1,u2,u3\n0,1,0,0,0,0,0,0\n0.01,0.8,0.6,0,0,0,0,0\n0.02,1,0,0,0,0,0,0\n0.03,1,0,0,0,0,0,0\n"
+ENTRIES = [f"r{i}{j}" for i in "123" for j in "123"]
+SQUARE = "\n".join([",".join(["t", *ENTRIES, "u1,u2,u3"]), *(f"{k},1,0,0,0,1,0,0,0,1,0,0,0" for k in range(4))])
+BY_MATRIX = TOP.replace('quaternion_wxyz = ["qw", "qx", "qy", "qz"]', f"matrix = {ENTRIES}")
+GROUP_LOGS = {
+    "a long quaternion": (TOP, UNIT.replace("0.8,0.6", "0.8,0.8"), ["'qw', 'qx'", "row 2", "length 1.13", "normalise"]),
+    "a quaternion of zeros": (TOP, UNIT.replace("0.8,0.6", "0,0"), ["row 2", "length 0", "leave the row empty"]),
+    "no measurement in the first row": (TOP, UNIT.replace("0,1,0,0,0,0", "0,1,,0,0,0", 1), ["row 1 lacks", "cut"]),
+    "text in an attitude": (TOP, UNIT.replace("0.8", "abc"), ["'qw'", "row 2", "'abc'"]),
+    "no such column": (TOP, UNIT.replace("qw", "w"), ["no column 'qw'"]),
+    "a stretched matrix": (BY_MATRIX, SQUARE.replace("2,1,0", "2,1.1,0"), ["row 3", "not orthogonal", "1.1 times"]),
+    "a reflection": (BY_MATRIX, SQUARE.replace("2,1,0", "2,-1,0"), ["row 3", "reflection", "left-handed"]),
+}
+
+
+@pytest.mark.parametrize("command", ["estimate", "compare"])
+@pytest.mark.parametrize("case", GROUP_LOGS)
+def test_a_bad_log_of_attitudes(folder, monkeypatch, capsys, command, case):
+    model, text, named = GROUP_LOGS[case]
+    (folder / "top.toml").write_text(model)
+    (folder / "log.csv").write_text(text)
+    message = refused(monkeypatch, capsys, command, "top.toml", "log.csv", "-o", "out/v.csv", "--report", "out/r.html")
+    assert message.startswith("covariant: log.csv: ")
+    assert all(part in message for part in named), message
+
+
+ATTITUDE = ("estimate", "top.toml", "log.csv", "-o", "out/v.csv")
+BARE = ("log.csv", "-o", "out/v.csv")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        (("estimate", "heavy_top", *BARE), ["never guessed", "quaternion_wxyz, quaternion_xyzw, matrix", "--set"]),
+        (("estimate", "underwater_vehicle", *BARE), ["never guessed"]),
+        (("compare", "satellite", *BARE), ["never guessed"]),
+        (("estimate", "both.toml", *BARE), ["columns.quaternion_wxyz and columns.matrix both give", "keep one"]),
+        ((*ATTITUDE, "--set", 'columns.quaternion_xyzw=["a", "b", "c"]'), ["quaternion_xyzw names 3", "has 4 entries"]),
+        ((*ATTITUDE, "--set", 'columns.position=["a", "b", "c"]'), ["columns.position names 3", "has 0"]),
+        ((*ATTITUDE, "--set", 'columns.q=["qw", "qx", "qy"]'), ["columns.q", "no coordinates", "name one of"]),
+        ((*ATTITUDE, "--q", "qw,qx,qy,qz"), ["--q", "on a group", "--set"]),
+        ((*ATTITUDE, "--u", "u1"), ["3 inputs", "name 0 and 1"]),
+        (("estimate", "hovercraft", *BARE, "--set", 'columns.matrix=["a"]'), ["no attitude", "position and angle"]),
+        ((*ATTITUDE, "--observer", "intrinsic"), ["intrinsic does not fit", "group, riemannian, invariant-ekf, salcu"]),
+        ((*ATTITUDE, "--observer", "invariant-ekf", "--alpha", "3", "--beta", "1"), ["invariant-ekf", "group, riem"]),
+        ((*ATTITUDE, "--set", "measurement.std=0"), ["measurement.std", "positive"]),
+        (("simulate", "top.toml", "-o", "out/l.csv", "--quantum", "1e-3"), ["--quantum", "group", "--noise"]),
+        (("simulate", "top.toml", "-o", "out/l.csv", "--q0", "1,0,0,0"), ["--q0 needs 3 finite"]),
+        (("simulate", "underwater_vehicle", "-o", "out/l.csv", "--v0", "1"), ["--v0 needs 6 finite"]),
+    ],
+)
+def test_a_bad_argument_on_a_group(folder, monkeypatch, capsys, arguments, named):
+    (folder / "top.toml").write_text(TOP)
+    (folder / "both.toml").write_text(TOP.replace("[measurement]", f"matrix = {ENTRIES}\n[measurement]"))
+    (folder / "log.csv").write_text(UNIT)
+    message = refused(monkeypatch, capsys, *arguments)
+    assert all(part in message for part in named), message
+
+
+def test_only_what_fits_a_pose_is_offered(folder, monkeypatch, capsys):
+    (folder / "log.csv").write_text(UNIT.replace("qw,qx,qy,qz,u1,u2,u3", "px,py,angle,u1,u2,a,b"))
+    message = refused(monkeypatch, capsys, "estimate", "hovercraft", *BARE, "--observer", "salcudean")
+    assert "salcudean does not fit hovercraft; these do: group, riemannian, invariant-ekf\n" in message
+
+
+def test_a_name_that_the_estimate_needs_itself(folder, monkeypatch, capsys):
+    (folder / "top.toml").write_text(TOP.replace('"qz"', '"w1"'))
+    (folder / "log.csv").write_text(UNIT.replace("qz", "w1"))
+    assert "two columns named 'w1'; rename" in refused(monkeypatch, capsys, *ATTITUDE)
 
 
 def test_a_model_file_without_the_numbers_of_a_design(folder, monkeypatch, capsys):

@@ -1,12 +1,12 @@
 """The commands on good input: what they print and write."""
 
-import json
 import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import command
 
 from covariant import logs
 from covariant.cli import main
@@ -26,18 +26,6 @@ quantum = 1e-3
 acceleration = 1.0
 """
 READ = logs.Columns(t="t", q=("q1",), u=(), truth=("v1",))
-
-
-def command(*arguments: str) -> dict:
-    """Run a command with --json and return what it prints."""
-    with pytest.MonkeyPatch.context() as patch:
-        printed = []
-        patch.setattr("builtins.print", lambda *text, **_: printed.append(text[0]))
-        patch.setattr(sys, "argv", ["covariant", *arguments, "--json"])
-        with pytest.raises(SystemExit) as left:
-            main()
-    assert left.value.code in (0, None), printed
-    return json.loads(printed[-1])
 
 
 @pytest.fixture(scope="module")

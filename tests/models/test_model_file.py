@@ -40,7 +40,8 @@ damping = 0.5
 """
 
 MODULE = """
-from covariant.models import Lagrangian, oscillator, pendulum_chain
+from covariant.geometry.lie import SO3, Product
+from covariant.models import GroupSystem, Lagrangian, heavy_top, oscillator, pendulum_chain
 from covariant.models._file import ModelFile
 from covariant.logs import Columns
 import jax.numpy as jnp
@@ -49,6 +50,8 @@ spring = oscillator()
 nameless = Lagrangian(lambda q: jnp.eye(2), lambda q: q @ q)
 prepared = ModelFile("stand", oscillator(), Columns(t="stamp", q=("x",)), measurement_std=0.5)
 constant = 3.0
+top = ModelFile("top", heavy_top(), Columns(quaternion_wxyz=("w", "x", "y", "z")))
+spins = GroupSystem(Product((SO3, SO3)), jnp.eye(6))
 
 def chain(links=3): return pendulum_chain([1.0] * links, [1.0] * links)
 def needy(links, *rest, **more): return chain(links)
@@ -122,6 +125,43 @@ def test_examples_load(name, columns):
     assert None not in file
 
 
+@pytest.mark.parametrize(
+    ("system", "n", "columns"),
+    [
+        ("free_body", 3, Columns(u=("u1", "u2", "u3"))),
+        ("heavy_top", 3, Columns(u=("u1", "u2", "u3"))),
+        ("underwater_vehicle", 6, Columns(u=tuple(f"u{i}" for i in range(1, 7)), position=("px", "py", "pz"))),
+        ("hovercraft", 3, Columns(u=("u1", "u2"), position=("px", "py"), angle=("angle",))),
+        ("satellite", 6, Columns(u=("u1", "u2", "u3"), angle=("angle1", "angle2", "angle3"))),
+    ],
+)
+def test_systems_on_groups_name_all_but_the_attitude(system, n, columns):
+    file = load(system)
+    assert (file.dimension, file.columns, file.lacks_attitude) == (n, columns, system != "hovercraft")
+
+
+@pytest.mark.parametrize("name", ["heavy_top", "underwater_vehicle"])
+def test_examples_on_groups_load_with_the_parameters_they_show(name):
+    file, plain = load(str(EXAMPLES / f"{name}.toml")), load(name)
+    assert not file.lacks_attitude
+    assert None not in file
+    shown = {key: value for key, value in file.model.parameters.items() if key != "viscous"}
+    assert shown == {key: plain.model.parameters[key] for key in shown}
+
+
+def test_a_later_way_to_write_an_attitude_replaces_the_earlier(folder):
+    names = Columns(quaternion_wxyz=("w", "x", "y", "z"))
+    spec = written(folder, 'system = "heavy_top"\n[columns]\nquaternion_wxyz = ["w", "x", "y", "z"]')
+    assert load(spec).columns.measured == load("my_models:top").columns.measured == names.measured
+    for each in (spec, "my_models:top"):
+        changed = load(each, ['columns.quaternion_xyzw=["x", "y", "z", "w"]']).columns
+        assert changed.measured == changed.quaternion_xyzw == ("x", "y", "z", "w")
+
+
+def test_a_group_that_no_log_can_hold_is_named(folder):
+    assert "one attitude or pose, and angles after it" in fault("my_models:spins")
+
+
 def test_geared_rotors_of_the_double_pendulum_count_as_its_authors_count_them():
     """M11 = I1 + I2 + m2 l1² + 2c cos q2 + gr² Ir + Ir, M12 = I2 + c cos q2 − gr Ir, M22 = I2 + gr² Ir; c = m2 l1 r2"""
     i1, i2, rotor, gear = 0.053470810264216295, 0.02392374528789766, 7.659297952841183e-05, 6.0
@@ -182,9 +222,12 @@ def test_a_module_gives_a_model_file(folder, attribute):
         ("my_models:", "unknown attribute of module 'my_models' ''."),
         (
             "my_models:constant",
-            "constant must be a Lagrangian, a ModelFile, or a function returning one; it is a float",
+            "constant must be a Lagrangian, a GroupSystem, a ModelFile, or a function returning one; it is a float",
         ),
-        ("my_models:lost", "lost must be a Lagrangian, a ModelFile, or a function returning one; it returned a str"),
+        (
+            "my_models:lost",
+            "lost must be a Lagrangian, a GroupSystem, a ModelFile, or a function returning one; it returned a str",
+        ),
         ("my_models:bad", "no such luck"),
         ("my_models:needy", "needy needs the parameter 'links'; add it to [parameters]"),
         ("my_models:nameless", "the model names no coordinates; give it some, or columns.q"),
@@ -204,7 +247,7 @@ def test_names_what_is_wrong_with_a_spec(folder, spec, words):
         ('system = "oscillator"\n[design]\ndamping 3', "not a TOML document: Expected '='"),
         ("", 'system must be a name, as in system = "oscillator"; got None'),
         ("system = 3", 'system must be a name, as in system = "oscillator"; got 3'),
-        ('system = "pendulum"', "unknown system 'pendulum'. Did you mean 'pendulum_chain'? Known: ball_and_beam, osc"),
+        ('system = "pendulum"', "unknown system 'pendulum'. Did you mean 'pendulum_chain'? Known: ball_and_beam, free"),
         ("sistem = 3", "unknown table or key 'sistem'. Did you mean 'system'? Known: system, parameters, columns"),
         ("columns = 3", "columns must be a table, [columns]; got 3"),
         ("[measurement]\nquantun = 1", "unknown key of [measurement] 'quantun'. Did you mean 'quantum'?"),

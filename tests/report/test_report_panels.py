@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from covariant.report._panels import Curve, Quantity, depths, quantities
 from covariant.report._strokes import LIMIT, strokes, thin
+from covariant.report._style import styles
 from covariant.report._view import view
 
 T = np.linspace(0.0, 10.0, 4001)
@@ -127,3 +128,29 @@ def test_quantities(make):
     plain = quantities(report._replace(units=("", "m"), coordinates=("x", "slider position")))
     assert plain["position"].labels == ("x", "slider position\n[m]")
     assert plain["velocity"].labels == ("dx/dt [1/s]", "slider position\n[m/s]")
+
+
+def on_a_group(report, names):
+    """The same report of velocities alone, in rad/s and m/s, of a configuration that is no curve."""
+    velocities = {label: x[:, 3:] for label, x in report.estimates.items()}
+    return report._replace(
+        coordinates=names, units=("rad/s", "m/s", ""), q_measured=None, estimates=velocities, title="group"
+    )
+
+
+def test_on_a_group_velocities_stand_for_themselves_and_there_is_no_position(make):
+    report = on_a_group(make(), ("w1", "v", "x"))
+    panels = quantities(report.check())
+    assert list(panels) == ["velocity", "error", "innovation", "distance"]
+    assert panels["velocity"].labels == ("w1 [rad/s]", "v [m/s]", "x")
+    assert panels["error"].labels == ("error of w1 [rad/s]", "error of v [m/s]", "error of x")
+    assert panels["innovation"].labels == ("along w1 [rad]", "along v [m]", "along x")
+    assert list(styles(report)) == [report.v_reference_label, *report.estimates]
+    estimates, whole = panels["velocity"].curves[1:], quantities(make())["velocity"].curves[1:]
+    for found, same in zip(estimates, whole, strict=True):
+        np.testing.assert_array_equal(found.values, same.values)
+
+
+def test_names_on_a_group_are_all_written_alike(make):
+    labels = quantities(on_a_group(make(), ("roll_rate", "sway", "x")))["innovation"].labels
+    assert labels == ("roll_rate\n[rad]", "sway\n[m]", "x")

@@ -7,16 +7,19 @@ import typer
 
 from covariant.cli import _compare, _estimate, _reproduce, _simulate
 from covariant.cli._job import Job
+from covariant.design import ESTIMATORS
 
 app = typer.Typer(add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode=None)
 
 Model = Annotated[str, typer.Argument(help="Model file (.toml), module:attribute, or the name of a system.")]
-LogFile = Annotated[Path, typer.Argument(help="Log to read (.csv or .parquet): stamps, positions, inputs.")]
+LogFile = Annotated[
+    Path, typer.Argument(help="Log to read (.csv or .parquet): stamps, positions or attitudes, inputs.")
+]
 Override = Annotated[list[str], typer.Option("--set", help="Override a value of the model file, as table.key=value.")]
 Every = Annotated[int, typer.Option(help="Use each k-th row only.", min=1)]
 Until = Annotated[float | None, typer.Option(help="Use the log up to this time only [s].")]
 Time = Annotated[str | None, typer.Option("--t", help="Column of the stamps [s].")]
-Positions = Annotated[str | None, typer.Option("--q", help="Columns of the positions, separated by commas.")]
+Positions = Annotated[str | None, typer.Option("--q", help="Columns of the coordinates, separated by commas.")]
 Inputs = Annotated[str | None, typer.Option("--u", help="Columns of the inputs, separated by commas.")]
 Velocities = Annotated[str | None, typer.Option("--v", help="Columns of logged velocities, only compared with.")]
 Truth = Annotated[str | None, typer.Option("--truth", help="Columns of true velocities, to score against.")]
@@ -28,8 +31,8 @@ Report = Annotated[Path | None, typer.Option(help="Write an interactive page (.h
 def estimate(
     model: Model,
     log: LogFile,
-    out: Annotated[Path | None, typer.Option("--out", "-o", help="Write t, q1…, v1… here (.csv or .parquet).")] = None,
-    observer: Annotated[str, typer.Option(help=f"One of: {', '.join(_estimate.OBSERVERS)}.")] = "intrinsic",
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="Write the estimate here (.csv or .parquet).")] = None,
+    observer: Annotated[str | None, typer.Option(help=f"One of: {', '.join(ESTIMATORS)}; intrinsic or group.")] = None,
     alpha: Annotated[float | None, typer.Option(help="Gain α [1/s] in place of the designed one.")] = None,
     beta: Annotated[float | None, typer.Option(help="Gain β [1/s²] in place of the designed one.")] = None,
     override: Override = [],  # noqa: B006  typer copies it
@@ -43,7 +46,7 @@ def estimate(
     report: Report = None,
     json: Json = False,
 ) -> None:
-    """Estimate velocities from the positions in a log."""
+    """Estimate velocities from the positions or attitudes in a log."""
     job = Job(model, log, tuple(override), every, until, {"t": t, "q": q, "u": u, "v": v, "truth": truth})
     _estimate.estimate(job, out, observer, alpha, beta, report, json)
 
@@ -75,7 +78,9 @@ def simulate(
     out: Annotated[Path, typer.Option("--out", "-o", help="Log to write (.csv or .parquet).")],
     duration: Annotated[float, typer.Option(help="Length [s].", min=0.0)] = 10.0,
     rate: Annotated[float, typer.Option(help="Samples a second [Hz].")] = 500.0,
-    q0: Annotated[str | None, typer.Option(help="Initial positions, separated by commas; zeros by default.")] = None,
+    q0: Annotated[
+        str | None, typer.Option(help="Initial positions, by commas, or exponential coordinates of a pose; zeros.")
+    ] = None,
     v0: Annotated[str | None, typer.Option(help="Initial velocities, separated by commas; zeros by default.")] = None,
     amplitude: Annotated[str | None, typer.Option(help="Amplitudes of sinusoidal inputs, by commas.")] = None,
     frequency: Annotated[float, typer.Option(help="Frequency of the inputs [Hz].")] = 0.5,
@@ -87,7 +92,7 @@ def simulate(
     override: Override = [],  # noqa: B006  typer copies it
     json: Json = False,
 ) -> None:
-    """Simulate a model and its encoders, and write the log with the true state beside the measurements."""
+    """Simulate a model and its sensors, and write the log with the true state beside the measurements."""
     scenario = _simulate.Scenario(duration, rate, q0, v0, amplitude, frequency, noise, quantum, jitter, dropout, seed)
     _simulate.simulate(model, tuple(override), out, scenario, json)
 

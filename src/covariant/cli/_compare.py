@@ -10,10 +10,11 @@ import numpy as np
 
 from covariant._files import write_atomically
 from covariant.cli._console import stages
-from covariant.cli._job import Job, Loaded, check_output, coordinates, data_sheet, load
+from covariant.cli._job import Job, Loaded, check_output, coordinates, data_sheet, load, velocity_columns
 from covariant.cli._pages import write_report
 from covariant.cli._results import Outcome, drive, report_arrays, summary
 from covariant.design import line_up, observer_gains
+from covariant.models import GroupSystem
 
 
 def compare(job: Job, out: Path | None, report: Path | None, as_json: bool) -> None:
@@ -22,7 +23,7 @@ def compare(job: Job, out: Path | None, report: Path | None, as_json: bool) -> N
     check_output(report, ".html")
     loaded = load(job)
     sheet = data_sheet(loaded.file)
-    observers = line_up(loaded.file.model, len(loaded.file.columns.q), sheet, loaded.rate)
+    observers = line_up(loaded.file.model, loaded.file.dimension, sheet, loaded.rate)
     outcomes: dict[str, Outcome] = {}
     with stages("comparing", len(observers), quiet=as_json) as begin:
         for name, observer in observers.items():
@@ -39,7 +40,7 @@ def compare(job: Job, out: Path | None, report: Path | None, as_json: bool) -> N
         "ranking": [{"estimator": name, **summary(outcomes[name])} for name in ranked],
     }
     if out is not None:
-        write_atomically(out, lambda file: file.write(_table(ranked, outcomes)))
+        write_atomically(out, lambda file: file.write(_table(ranked, outcomes, velocity_columns(loaded.file))))
         result["out"] = str(out)
     if report is not None:
         curves = report_arrays({name: outcomes[name] for name in ranked})
@@ -61,20 +62,19 @@ def rank(outcomes: dict[str, Outcome], loaded: Loaded) -> list[str]:
 
 
 def _row(name: str, outcome: Outcome, loaded: Loaded) -> dict[str, str | float]:
-    names, units = coordinates(loaded.file)
+    form = "RMSE {} [{}]" if isinstance(loaded.file.model, GroupSystem) else "RMSE d{}/dt [{}/s]"
     errors = {
-        f"RMSE d{label}/dt [{unit}/s]": float(value)
-        for label, unit, value in zip(names, units, outcome.velocity_rmse, strict=True)
+        form.format(label, unit): float(value)
+        for label, unit, value in zip(*coordinates(loaded.file), outcome.velocity_rmse, strict=True)
     }
     return {"estimator": name, **errors, "µs a sample": round(outcome.microseconds, 1)}
 
 
-def _table(ranked: list[str], outcomes: dict[str, Outcome]) -> bytes:
+def _table(ranked: list[str], outcomes: dict[str, Outcome], velocities: tuple[str, ...]) -> bytes:
     """The ranking as CSV."""
     text = io.StringIO()
     rows = csv.writer(text, lineterminator="\n")
-    joints = len(outcomes[ranked[0]].velocity_rmse)
-    rows.writerow(["rank", "estimator", *(f"v{i + 1}_rmse" for i in range(joints)), "microseconds"])
+    rows.writerow(["rank", "estimator", *(f"{name}_rmse" for name in velocities), "microseconds"])
     for place, name in enumerate(ranked, start=1):
         rows.writerow([place, name, *outcomes[name].velocity_rmse, outcomes[name].microseconds])
     return text.getvalue().encode()

@@ -2,7 +2,6 @@
 
 import json
 import math
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -10,46 +9,39 @@ import numpy as np
 
 from covariant import logs
 from covariant.cli._console import note, working
-from covariant.cli._job import Job, Loaded, check_output, data_sheet, load
+from covariant.cli._job import Job, Loaded, check_output, data_sheet, load, numbered, velocity_columns
 from covariant.cli._pages import write_report
 from covariant.cli._results import Outcome, drive, report_arrays, rounded, summary
-from covariant.design import line_up, observer_gains
-from covariant.models import Lagrangian
-from covariant.observers import AbstractObserver, Copy, Geodesic, Intrinsic
+from covariant.design import ESTIMATORS, estimators, line_up, observer_gains, with_gains
+from covariant.models import GroupSystem
+from covariant.observers import AbstractObserver
 from covariant.scoring import rmse
-
-BY_GAINS: dict[str, Callable[..., AbstractObserver]] = {
-    "intrinsic": Intrinsic,
-    "intrinsic2": lambda model, alpha, beta: Intrinsic(model, alpha, beta, order=2),
-    "geodesic": Geodesic,
-    "copy": Copy,
-}
-OBSERVERS = (*BY_GAINS, "ekf", "filtered-derivative", "savitzky-golay")
 
 
 def estimate(
     job: Job,
     out: Path | None,
-    observer: str,
+    observer: str | None,
     alpha: float | None,
     beta: float | None,
     report: Path | None,
     as_json: bool,
 ) -> None:
-    """Run one observer on a log and write, print and draw what it found."""
+    """Run one observer on a log, by default the first that fits the model, and write, print and draw what it found."""
     _check(observer, alpha, beta)
     check_output(out, ".csv", ".parquet", log=job.log)
     check_output(report, ".html")
     with working("reading", quiet=as_json):
         loaded = load(job)
-    chosen, notes = _choose(loaded, observer, alpha, beta)
+    observer = observer or estimators(loaded.file.model)[0]
+    chosen, notes = _choose(job, loaded, observer, alpha, beta)
     with working(f"estimating with {observer}", quiet=as_json):
         outcome = drive(chosen, loaded)
     result = _result(job, loaded, observer, outcome, notes)
     if outcome.failed:
         raise ValueError(f"{job.log}: the estimate left the finite numbers; lower the gains or check model and units")
     if out is not None:
-        logs.write(out, columns(outcome))
+        logs.write(out, columns(loaded, outcome))
         result["out"] = str(out)
     if report is not None:
         result["report"] = [
@@ -59,34 +51,41 @@ def estimate(
     print(json.dumps(result) if as_json else _text(result))
 
 
-def _check(observer: str, alpha: float | None, beta: float | None) -> None:
-    if observer not in OBSERVERS:
-        raise ValueError(f"unknown observer {observer!r}; choose one of {', '.join(OBSERVERS)}")
+def _check(observer: str | None, alpha: float | None, beta: float | None) -> None:
+    if observer is not None and observer not in ESTIMATORS:
+        raise ValueError(f"unknown observer {observer!r}; choose one of {', '.join(ESTIMATORS)}")
     if (alpha is None) != (beta is None):
         raise ValueError("--alpha and --beta belong together: give both or neither")
-    if alpha is not None and beta is not None:
-        if observer not in BY_GAINS:
-            raise ValueError(f"--alpha and --beta do not apply to {observer}")
-        if not (0 < alpha < math.inf and 0 < beta < math.inf):
-            raise ValueError(f"--alpha and --beta must be positive numbers; got {alpha} and {beta}")
+    if alpha is not None and beta is not None and not (0 < alpha < math.inf and 0 < beta < math.inf):
+        raise ValueError(f"--alpha and --beta must be positive numbers; got {alpha} and {beta}")
 
 
 def _choose(
-    loaded: Loaded, observer: str, alpha: float | None, beta: float | None
+    job: Job, loaded: Loaded, observer: str, alpha: float | None, beta: float | None
 ) -> tuple[AbstractObserver, tuple[str, ...]]:
-    model: Lagrangian = loaded.file.model
-    if alpha is not None:
-        return BY_GAINS[observer](model, alpha, beta), (f"Given gains: alpha = {alpha:g} 1/s, beta = {beta:g} 1/s².",)
+    model = loaded.file.model
+    if observer not in estimators(model):
+        raise ValueError(f"--observer {observer} does not fit {job.model}; these do: {', '.join(estimators(model))}")
+    if alpha is not None and beta is not None:
+        made = with_gains(model, alpha, beta)
+        if observer not in made:
+            raise ValueError(f"--alpha and --beta do not apply to {observer}; they do to {', '.join(made)}")
+        return made[observer], (f"Given gains: alpha = {alpha:g} 1/s, beta = {beta:g} 1/s².",)
     sheet = data_sheet(loaded.file)
     designed = observer_gains(sheet, loaded.rate).summary
-    return line_up(model, len(loaded.file.columns.q), sheet, loaded.rate)[observer], (f"Designed {designed}.",)
+    return line_up(model, loaded.file.dimension, sheet, loaded.rate)[observer], (f"Designed {designed}.",)
 
 
-def columns(outcome: Outcome) -> dict[str, np.ndarray]:
-    """The columns of an output file: t, q1…, v1…."""
-    q, v = np.split(np.asarray(outcome.run.estimate), 2, axis=1)
-    named = {f"q{i + 1}": column for i, column in enumerate(q.T)}
-    return {"t": np.asarray(outcome.run.t)} | named | {f"v{i + 1}": column for i, column in enumerate(v.T)}
+def columns(loaded: Loaded, outcome: Outcome) -> dict[str, np.ndarray]:
+    """The columns of an output file: t, q1…, v1…; on a group t, the configuration as in the log, and the velocities."""
+    file, x = loaded.file, outcome.run.estimate
+    if isinstance(file.model, GroupSystem):
+        configuration = logs.to_columns(file.columns, np.asarray(x.g))
+    else:
+        q = np.split(np.asarray(x), 2, axis=1)[0]
+        configuration = dict(zip(numbered("q", file.dimension), q.T, strict=True))
+    velocities = dict(zip(velocity_columns(file), outcome.velocity.T, strict=True))
+    return {"t": np.asarray(outcome.run.t)} | configuration | velocities
 
 
 def _result(job: Job, loaded: Loaded, observer: str, outcome: Outcome, notes: tuple[str, ...]) -> dict[str, Any]:
@@ -100,9 +99,8 @@ def _result(job: Job, loaded: Loaded, observer: str, outcome: Outcome, notes: tu
         **summary(outcome),
     }
     if loaded.log.v is not None:
-        v = np.split(np.asarray(outcome.run.estimate), 2, axis=1)[1]
         both = loaded.scored & np.isfinite(loaded.log.v).all(1)
-        result["difference_to_logged_velocity"] = rounded(rmse(v[both], loaded.log.v[both]))
+        result["difference_to_logged_velocity"] = rounded(rmse(outcome.velocity[both], loaded.log.v[both]))
         result["logged_velocity_rmse"] = rounded(rmse(loaded.log.v[both], loaded.reference[both]))
     return result
 

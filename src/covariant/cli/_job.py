@@ -7,6 +7,7 @@ import numpy as np
 
 from covariant import logs, models, scoring
 from covariant.design import DataSheet
+from covariant.models import GroupSystem
 from covariant.signals import Record, lag_inputs
 
 
@@ -40,35 +41,65 @@ def load(job: Job) -> Loaded:
     columns = file.columns._replace(
         **{key: names if key == "t" else tuple(n.strip() for n in names.split(",")) for key, names in given.items()}
     )
-    if len(columns.q) != len(file.columns.q) or len(columns.u) != len(file.columns.u):
-        raise ValueError(
-            f"{job.model} has {len(file.columns.q)} positions and {len(file.columns.u)} inputs; "
-            f"the options name {len(columns.q)} and {len(columns.u)}"
-        )
+    _check_columns(job, file, columns)
+    file = file._replace(columns=columns)
     log = logs.read(job.log, columns, job.every, job.until)
     record = lag_inputs(log.record, file.input_lag)
     t, y = np.asarray(record.t), np.asarray(record.y)
-    measured = y[np.isfinite(y).all(axis=1)]
-    try:
-        models.check_metric(file.model, measured[:: max(1, len(measured) // 20)])
-    except ValueError as error:
-        raise ValueError(f"{job.model} on {job.log}: {error}") from error
+    if isinstance(file.model, models.Lagrangian):
+        measured = y[np.isfinite(y).all(axis=1)]
+        try:
+            models.check_metric(file.model, measured[:: max(1, len(measured) // 20)])
+        except ValueError as error:
+            raise ValueError(f"{job.model} on {job.log}: {error}") from error
     full = logs.read(job.log, columns._replace(u=(), v=())) if job.every > 1 or job.until else log
     reference, label = _reference(file, log, full)
     rate = 1 / float(np.median(np.diff(t)))
     return Loaded(file, log, record, rate, reference, label, scoring.scored_window(t))
 
 
+def _check_columns(job: Job, file: models.ModelFile, columns: logs.Columns) -> None:
+    """As many columns as the model file has, an attitude that says how it is written, and no name used up."""
+    if columns.q and isinstance(file.model, GroupSystem):
+        raise ValueError(
+            f"--q names coordinates, and {job.model} is on a group; name its columns in [columns] or by --set"
+        )
+    if len(columns.q) != len(file.columns.q) or len(columns.u) != len(file.columns.u):
+        raise ValueError(
+            f"{job.model} has {len(file.columns.q)} positions and {len(file.columns.u)} inputs; "
+            f"the options name {len(columns.q)} and {len(columns.u)}"
+        )
+    if not isinstance(file.model, GroupSystem):
+        return
+    if file.lacks_attitude:
+        raise ValueError(
+            f"{job.model}: no columns of the attitude are named, and their order is never guessed; give one of "
+            f"{', '.join(logs.ATTITUDES)} in [columns], or --set "
+            """'columns.quaternion_wxyz=["qw","qx","qy","qz"]'"""
+        )
+    twice = {"t", *file.model.velocities} & set(columns.measured)
+    if twice:
+        raise ValueError(
+            f"{job.model}: the estimate would have two columns named {min(twice)!r}; rename the one in the log"
+        )
+
+
 def _reference(file: models.ModelFile, log: logs.Log, full: logs.Log) -> tuple[np.ndarray, str]:
     """True velocities (T, n) where the log has them, else slopes of the positions in the whole log."""
     if log.truth is not None:
         return log.truth, "true velocity"
-    t, y = np.asarray(full.record.t), np.asarray(full.record.y)
+    t, y, at = np.asarray(full.record.t), np.asarray(full.record.y), np.asarray(log.record.t)
     half, order = file.reference_half, int(file.reference_order)
     if np.isfinite(y).sum(axis=0).min() < order + 3:
-        return np.full(log.record.y.shape, np.nan), "velocity, unknown in so short a log"
-    unwrapped = scoring.unwrap(y, file.model.circles)
-    return scoring.zero_phase_velocity(t, unwrapped, np.asarray(log.record.t), half, order), "zero-phase reference"
+        return np.full((len(at), file.dimension), np.nan), "velocity, unknown in so short a log"
+    if isinstance(file.model, models.Lagrangian):
+        unwrapped = scoring.unwrap(y, file.model.circles)
+        return scoring.zero_phase_velocity(t, unwrapped, at, half, order), "zero-phase reference"
+    twists = [
+        scoring.zero_phase_twist(t, g, at, half, order, body.space)
+        for body, g in zip(logs.bodies(file.columns), logs.matrices(file.columns, y), strict=True)
+    ]
+    return np.concatenate(twists, axis=1), "zero-phase reference"
 
 
 def check_output(path: Path | None, *suffixes: str, log: Path | None = None) -> None:
@@ -103,6 +134,17 @@ def data_sheet(file: models.ModelFile) -> DataSheet:
 
 
 def coordinates(file: models.ModelFile) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Names and units of the coordinates, for a person."""
-    names = file.model.coordinates or tuple(f"q{i + 1}" for i in range(len(file.columns.q)))
+    """Names and units of the coordinates, or on a group of the velocities, for a person."""
+    if isinstance(file.model, GroupSystem):
+        return file.model.velocities, file.model.units
+    names = file.model.coordinates or numbered("q", file.dimension)
     return names, file.model.units or ("",) * len(names)
+
+
+def velocity_columns(file: models.ModelFile) -> tuple[str, ...]:
+    """Names of the velocities in a file that is written: v1, v2, …, or those of the model."""
+    return file.model.velocities if isinstance(file.model, GroupSystem) else numbered("v", file.dimension)
+
+
+def numbered(letter: str, count: int) -> tuple[str, ...]:
+    return tuple(f"{letter}{i + 1}" for i in range(count))

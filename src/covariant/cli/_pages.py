@@ -7,6 +7,7 @@ import numpy as np
 
 from covariant import scoring
 from covariant.cli._job import Loaded, coordinates
+from covariant.models import GroupSystem
 
 
 def write_report(
@@ -16,8 +17,9 @@ def write_report(
     from covariant.report import EstimateReport, write_html, write_png
 
     names, units = coordinates(loaded.file)
-    y = scoring.unwrap(np.asarray(loaded.record.y), loaded.file.model.circles)
-    missing = int(np.isnan(y).any(1).sum())
+    y = np.asarray(loaded.record.y)
+    missing = int(np.isnan(y.reshape(len(y), -1)).any(1).sum())
+    drawn = None if isinstance(loaded.file.model, GroupSystem) else scoring.unwrap(y, loaded.file.model.circles)
     notes = (
         *notes,
         f"{len(y)} samples at about {loaded.rate:.0f} Hz, {missing} of them coasted without a measurement.",
@@ -27,7 +29,7 @@ def write_report(
         coordinates=names,
         units=units,
         t=np.asarray(loaded.record.t),
-        q_measured=y,
+        q_measured=drawn,
         v_reference=loaded.reference,
         v_reference_label=loaded.reference_label,
         rows=rows,

@@ -8,6 +8,7 @@ import numpy as np
 
 from covariant import scoring
 from covariant.cli._job import Loaded
+from covariant.models import Motion
 from covariant.observers import AbstractObserver, run
 from covariant.signals import Result, Run
 
@@ -26,6 +27,11 @@ class Outcome(NamedTuple):
         return {Result(i).name.lower(): int(count) for i, count in enumerate(codes) if count}
 
     @property
+    def velocity(self) -> np.ndarray:
+        """Estimated velocities (T, n)."""
+        return velocity_of(self.run)
+
+    @property
     def failed(self) -> bool:
         return "not_finite" in self.counts
 
@@ -38,9 +44,14 @@ def drive(observer: AbstractObserver, loaded: Loaded, timed: bool = False) -> Ou
         began = time.perf_counter()
         jax.block_until_ready(run(observer, loaded.record))
         spent = min(spent, time.perf_counter() - began)
-    v = np.split(np.asarray(done.estimate), 2, axis=1)[1]
-    error = scoring.rmse(v[loaded.scored], loaded.reference[loaded.scored])
+    error = scoring.rmse(velocity_of(done)[loaded.scored], loaded.reference[loaded.scored])
     return Outcome(done, error, 1e6 * spent / len(done.t) if timed else float("nan"))
+
+
+def velocity_of(run: Run) -> np.ndarray:
+    """Estimated velocities (T, n) of a run."""
+    x = run.estimate
+    return np.asarray(x.v) if isinstance(x, Motion) else np.split(np.asarray(x), 2, axis=1)[1]
 
 
 def summary(outcome: Outcome) -> dict[str, Any]:
@@ -61,9 +72,13 @@ def report_arrays(outcomes: dict[str, Outcome]) -> dict[str, Any]:
     """The curves of several outcomes, as `report.EstimateReport` wants them."""
     infos = {name: outcome.run.info for name, outcome in outcomes.items()}
     return {
-        "estimates": {name: np.asarray(outcome.run.estimate) for name, outcome in outcomes.items()},
+        "estimates": {name: _drawn(outcome.run.estimate) for name, outcome in outcomes.items()},
         "innovation": {name: np.asarray(info.innovation) for name, info in infos.items()},
         "distance": {
             name: np.asarray(info.distance) for name, info in infos.items() if "distance" in type(info)._fields
         },
     }
+
+
+def _drawn(estimate: Any) -> np.ndarray:
+    return np.asarray(estimate.v if isinstance(estimate, Motion) else estimate)

@@ -1,16 +1,28 @@
 """From data-sheet numbers to gains."""
 
 from covariant.design._gains import Gains, bias, gains, predict_errors
-from covariant.design._line_up import DataSheet, filter_bandwidth, line_up, observer_gains, window_length
+from covariant.design._line_up import (
+    ESTIMATORS,
+    DataSheet,
+    estimators,
+    filter_bandwidth,
+    line_up,
+    observer_gains,
+    window_length,
+    with_gains,
+)
 
 __all__ = [
+    "ESTIMATORS",
     "DataSheet",
     "Gains",
     "bias",
+    "estimators",
     "filter_bandwidth",
     "gains",
     "line_up",
     "observer_gains",
     "predict_errors",
     "window_length",
+    "with_gains",
 ]

@@ -2,27 +2,39 @@
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
 from covariant.design._gains import Gains, gains
-from covariant.models import Lagrangian
+from covariant.geometry.lie import SO3
+from covariant.models import GroupSystem, Lagrangian
 from covariant.observers import (
     EKF,
     AbstractObserver,
     Copy,
     FilteredDerivative,
     Geodesic,
+    Group,
     Intrinsic,
+    InvariantEKF,
+    Salcudean,
     SavitzkyGolay,
 )
 
 LONGEST_WINDOW = 120
 """Samples; a filter without a model that would want more is limited to this many."""
 
+IN_COORDINATES = ("intrinsic", "intrinsic2", "geodesic", "copy", "ekf", "filtered-derivative", "savitzky-golay")
+ON_GROUPS = ("group", "riemannian", "invariant-ekf", "salcudean")
+ESTIMATORS = (*IN_COORDINATES, *ON_GROUPS)
+"""All estimators by name."""
+
 
 class DataSheet(NamedTuple):
     """What is known of sensor, model and motion before any log is seen; units of the coordinates and seconds.
+
+    On a group each number stands for every component of a vector as seen from the body, in rad and, for positions, m.
 
     `measurement_std` of one sample; `acceleration_std` of what the model leaves out, over `correlation_time` (None: new
     at each sample); `motion_std` of the accelerations of the motion itself and `motion_time` over which they change,
@@ -42,8 +54,37 @@ def observer_gains(sheet: DataSheet, rate: float) -> Gains:
     return gains(sheet.measurement_std, rate, sheet.acceleration_std, sheet.correlation_time, sheet.damping)
 
 
-def line_up(model: Lagrangian, n: int, sheet: DataSheet, rate: float) -> dict[str, AbstractObserver]:
-    """The estimators by name, for a model of n coordinates sampled at `rate` [Hz].
+def estimators(model: Lagrangian | GroupSystem) -> tuple[str, ...]:
+    """Names of the estimators that fit a model, the one to begin with first."""
+    if isinstance(model, Lagrangian):
+        return IN_COORDINATES
+    return ON_GROUPS if isinstance(model.group, type(SO3)) else ON_GROUPS[:-1]
+
+
+def with_gains(model: Lagrangian | GroupSystem, alpha: float, beta: float) -> dict[str, AbstractObserver]:
+    """The observers that the gains α [1/s] and β [1/s²] make, by name.
+
+    Salcudean's has α and β exactly for an inertia the same in all directions; the mean principal one stands for it.
+    """
+    if isinstance(model, Lagrangian):
+        return {
+            "intrinsic": Intrinsic(model, alpha, beta),
+            "intrinsic2": Intrinsic(model, alpha, beta, order=2),
+            "geodesic": Geodesic(model, alpha, beta),
+            "copy": Copy(model, alpha, beta),
+        }
+    found: dict[str, AbstractObserver] = {
+        "group": Group(model, alpha, beta),
+        "riemannian": Group(model, alpha, beta, error="riemannian"),
+    }
+    if "salcudean" in estimators(model):
+        inertia = float(jnp.trace(jax.vmap(model.metric.inertia)(jnp.eye(3)))) / 3
+        found["salcudean"] = Salcudean(model, 4 * inertia**2 * beta, 2 * inertia * alpha)
+    return found
+
+
+def line_up(model: Lagrangian | GroupSystem, n: int, sheet: DataSheet, rate: float) -> dict[str, AbstractObserver]:
+    """The `estimators` by name, for a model of n velocities sampled at `rate` [Hz].
 
     Raises `ValueError` for numbers of the data sheet that are not positive.
     """
@@ -51,23 +92,20 @@ def line_up(model: Lagrangian, n: int, sheet: DataSheet, rate: float) -> dict[st
         if not 0 < getattr(sheet, name) < np.inf:
             raise ValueError(f"line_up: {name} must be a positive number; got {getattr(sheet, name)}")
     chosen = observer_gains(sheet, rate)
-    alpha, beta = chosen.alpha, chosen.beta
     time = 1 / (2 * rate) if sheet.correlation_time is None else sheet.correlation_time
-    identity = jnp.eye(n)
-    return {
-        "intrinsic": Intrinsic(model, alpha, beta),
-        "intrinsic2": Intrinsic(model, alpha, beta, order=2),
-        "geodesic": Geodesic(model, alpha, beta),
-        "copy": Copy(model, alpha, beta),
-        "ekf": EKF(
-            model,
-            2 * sheet.acceleration_std**2 * time * identity,
-            sheet.measurement_std**2 * identity,
-            sheet.motion_std * sheet.motion_time,
-        ),
-        "filtered-derivative": FilteredDerivative(filter_bandwidth(sheet, rate), model.circles),
-        "savitzky-golay": SavitzkyGolay(window_length(sheet, rate), 2, model.circles),
-    }
+    process_cov = 2 * sheet.acceleration_std**2 * time * jnp.eye(n)
+    measurement_cov = sheet.measurement_std**2 * jnp.eye(n)
+    start_std = sheet.motion_std * sheet.motion_time
+    found = with_gains(model, chosen.alpha, chosen.beta)
+    if isinstance(model, Lagrangian):
+        found |= {
+            "ekf": EKF(model, process_cov, measurement_cov, start_std),
+            "filtered-derivative": FilteredDerivative(filter_bandwidth(sheet, rate), model.circles),
+            "savitzky-golay": SavitzkyGolay(window_length(sheet, rate), 2, model.circles),
+        }
+    else:
+        found |= {"invariant-ekf": InvariantEKF(model, process_cov, measurement_cov, start_std)}
+    return {name: found[name] for name in estimators(model)}
 
 
 def filter_bandwidth(sheet: DataSheet, rate: float) -> float:

@@ -1,7 +1,8 @@
 """Logs on disk: CSV and Parquet files read into a `Record`, and columns of numbers written back, all or nothing."""
 
-from covariant.logs._columns import Columns, Log, LogError
+from covariant.logs._columns import ATTITUDES, Columns, Log, LogError
+from covariant.logs._configuration import Body, bodies, matrices, to_columns
 from covariant.logs._read import read
 from covariant.logs._write import write
 
-__all__ = ["Columns", "Log", "LogError", "read", "write"]
+__all__ = ["ATTITUDES", "Body", "Columns", "Log", "LogError", "bodies", "matrices", "read", "to_columns", "write"]

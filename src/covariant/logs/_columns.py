@@ -13,14 +13,25 @@ class LogError(ValueError):
     """A log that cannot be used. One line: which file, column and row, what was found there, and what to do."""
 
 
+ATTITUDES = {"quaternion_wxyz": 4, "quaternion_xyzw": 4, "matrix": 9}
+"""The ways to write an attitude, by their field of `Columns`, and how many columns each takes."""
+
+
 class Columns(NamedTuple):
-    """The names that the columns of a log have in its file.
+    """The names that the columns of a log have in its file; an empty cell is a missing measurement.
 
     - `t`: time stamp [s].
-    - `q`: measured positions, one name a coordinate; an empty cell is a missing measurement.
+    - `q`: measured positions, one name a coordinate.
     - `u`: inputs; none for a machine that moves on its own.
     - `v`: logged velocities, only ever compared with: an observer never sees them.
     - `truth`: true velocities, where the log comes from a simulation.
+
+    On a group the measured configuration stands in place of `q`; one empty cell makes a whole row missing:
+
+    - `position`: where the body is, in the world [m]: three names, or two in the plane.
+    - `quaternion_wxyz`, `quaternion_xyzw`: its attitude, R_world_body, as a unit quaternion, scalar first or last.
+    - `matrix`: or as the nine entries of R_world_body, row by row.
+    - `angle`: angles [rad]: the heading of a body in the plane, and of each wheel.
     """
 
     t: str = "t"
@@ -28,6 +39,16 @@ class Columns(NamedTuple):
     u: tuple[str, ...] = ()
     v: tuple[str, ...] = ()
     truth: tuple[str, ...] = ()
+    position: tuple[str, ...] = ()
+    quaternion_wxyz: tuple[str, ...] = ()
+    quaternion_xyzw: tuple[str, ...] = ()
+    matrix: tuple[str, ...] = ()
+    angle: tuple[str, ...] = ()
+
+    @property
+    def measured(self) -> tuple[str, ...]:
+        """All columns that hold the measured configuration, in the order they are written in."""
+        return self.q + self.position + self.quaternion_wxyz + self.quaternion_xyzw + self.matrix + self.angle
 
 
 class Log(NamedTuple):

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from covariant.logs._columns import Columns, Log, LogError, kind, pyarrow
+from covariant.logs._configuration import bodies, from_cells
 from covariant.signals import Record
 
 
@@ -19,24 +20,29 @@ def read(path: str | PathLike[str], columns: Columns, every: int = 1, until: flo
     """Read a `.csv` or `.parquet` log; an empty cell or `nan` is a missing measurement, and an error in t and u.
 
     `every` keeps each k-th row, `until` [s] the rows with t ≤ until; the whole log must be sound all the same.
-    Rows are counted from 1, without the header and without blank lines.
+    Rows are counted from 1, without the header and without blank lines. Attitudes become rotation matrices: a
+    quaternion or matrix that misses by less than 5 % is brought to the nearest one.
 
     Raises `LogError` naming the file, column and row of the first thing wrong; `FileNotFoundError` where there is no
     file; `ImportError` without pyarrow.
     """
     path = Path(path)
-    if not columns.q:
+    if not columns.measured:
         raise LogError(f"{path}: no position column was named; say which columns hold q")
+    try:
+        bodies(columns)
+    except LogError as error:
+        raise LogError(f"{path}: {error}") from error
     if every < 1:
         raise LogError(f"{path}: every must be 1 or more rows; got {every}")
-    table = _table(path, list(dict.fromkeys((columns.t, *columns.q, *columns.u, *columns.v, *columns.truth))))
+    table = _table(path, list(dict.fromkeys((columns.t, *columns.measured, *columns.u, *columns.v, *columns.truth))))
 
     def stack(names: Sequence[str], needed: bool = False) -> np.ndarray:
         arrays = [_numbers(f"{path}: column {name!r}", table.column(name), needed) for name in names]
         return np.column_stack(arrays) if arrays else np.empty((len(table), 0))
 
     t = stack([columns.t], needed=True)[:, 0]
-    u, y = stack(columns.u, needed=True), stack(columns.q)
+    u, y = stack(columns.u, needed=True), from_cells(path, columns, stack(columns.measured))
     v, truth = (stack(names) if names else None for names in (columns.v, columns.truth))
     _sound(path, t, u, y)
     kept = slice(0, len(t) if until is None else int(np.searchsorted(t, until, side="right")), every)

@@ -10,7 +10,9 @@ import numpy as np
 from covariant.logs import Columns
 from covariant.models import _source, _toml
 from covariant.models._check import check_metric
-from covariant.models._lagrangian import Lagrangian, check_model
+from covariant.models._columns import lacks_attitude, model_columns
+from covariant.models._group_system import GroupSystem
+from covariant.models._lagrangian import Lagrangian
 
 
 class ModelError(ValueError):
@@ -21,7 +23,8 @@ class ModelFile(NamedTuple):
     """A model and the numbers a design starts from; None where nobody said.
 
     - `columns`: columns of a log; empty `q` and `u` stand for the model's coordinates and for u1, u2, ….
-    - `measurement_std`: standard deviation of a measured position [its unit].
+    - `measurement_std`: standard deviation of a measured position [its unit]; on a group of each component of
+      `log(g⁻¹ y)`, the error as seen from the body [rad, and m where there is a position].
     - `acceleration_std`, `correlation_time`: the acceleration that the model does not know [unit/s²], and for how
       long it stays alike [s].
     - `motion_std`, `motion_time`: the same for the acceleration of the motion itself, for filters that know no model.
@@ -31,7 +34,7 @@ class ModelFile(NamedTuple):
     """
 
     name: str
-    model: Lagrangian
+    model: Lagrangian | GroupSystem
     columns: Columns = Columns()
     measurement_std: float | None = None
     acceleration_std: float | None = None
@@ -43,10 +46,21 @@ class ModelFile(NamedTuple):
     reference_half: float = 0.03
     reference_order: float = 3
 
+    @property
+    def dimension(self) -> int:
+        """Number n of velocities."""
+        return self.model.group.dimension if isinstance(self.model, GroupSystem) else len(self.columns.q)
+
+    @property
+    def lacks_attitude(self) -> bool:
+        """Whether a log of the model holds an attitude, and no columns say how it is written."""
+        return lacks_attitude(self.model, self.columns)
+
 
 def load(spec: str, overrides: Sequence[str] = ()) -> ModelFile:
-    """Load a model: a `.toml` file, `module:attribute` (a `Lagrangian`, a `ModelFile`, or a function that makes one;
-    the module is also looked for in the current folder), or the name of a system with its default parameters.
+    """Load a model: a `.toml` file, `module:attribute` (a `Lagrangian`, a `GroupSystem`, a `ModelFile`, or a function
+    that makes one; the module is also looked for in the current folder), or the name of a system with its default
+    parameters.
 
     `overrides` are applied last: `table.key=value` with the tables of the file and values as in TOML, such as
     `parameters.mass=[1.0, 2.0]`. Raises `ModelError`, one line, naming the spec and the first thing wrong.
@@ -56,8 +70,9 @@ def load(spec: str, overrides: Sequence[str] = ()) -> ModelFile:
         _toml.check_layout(document)
         what = document.get("system", spec.rpartition(":")[2])
         loaded = _make(what, _find(spec, document), document.get("parameters", {}))
-        columns = _columns(loaded, _toml.columns(document))
-        check_metric(loaded.model, _points(len(columns.q)))
+        columns = model_columns(loaded.model, loaded.columns, _toml.columns(document))
+        if isinstance(loaded.model, Lagrangian):
+            check_metric(loaded.model, _points(len(columns.q)))
         name = Path(spec).stem if _is_file(spec) else loaded.name
         return loaded._replace(name=name, columns=columns, **_toml.numbers(document))
     except ValueError as error:
@@ -97,40 +112,16 @@ def _find(spec: str, document: dict[str, Any]) -> Any:
 
 def _make(name: str, found: Any, parameters: dict[str, Any]) -> ModelFile:
     """The model itself, or what the factory makes of the parameters."""
-    finished = isinstance(found, Lagrangian | ModelFile)
+    finished = isinstance(found, Lagrangian | GroupSystem | ModelFile)
     if finished and parameters:
         raise ValueError(f"{name} is a finished model; only a function that makes one takes parameters")
     made = found if finished or not callable(found) else _source.call(name, found, parameters)
-    if isinstance(made, Lagrangian):
+    if isinstance(made, Lagrangian | GroupSystem):
         return ModelFile(name, made)
     if isinstance(made, ModelFile):
         return made
     how = f"it {'is' if made is found else 'returned'} a {type(made).__name__}"
-    raise ValueError(f"{name} must be a Lagrangian, a ModelFile, or a function returning one; {how}")
-
-
-def _columns(loaded: ModelFile, given: dict[str, Any]) -> Columns:
-    """The columns of the log: given, else named after the model; as many as it has coordinates and inputs."""
-    model = loaded.model
-    given = {key: value for key, value in loaded.columns._asdict().items() if value} | given
-    n = len(model.coordinates) or len(given.get("q", ()))
-    if not n:
-        raise ValueError("the model names no coordinates; give it some, or columns.q")
-    check_model(model, n)
-    m = n if model.inputs is None else model.inputs
-    defaults = Columns(q=model.coordinates, u=tuple(f"u{i + 1}" for i in range(m)))
-    columns = defaults._replace(**given)
-    _check_count("q", columns.q, n, "coordinates")
-    _check_count("u", columns.u, m, "inputs")
-    _check_count("v", columns.v or columns.q, n, "coordinates")
-    _check_count("truth", columns.truth or columns.q, n, "coordinates")
-    return columns
-
-
-def _check_count(key: str, names: tuple[str, ...], needed: int, what: str) -> None:
-    if len(names) != needed:
-        named = f" ({', '.join(names)})" if names else ""
-        raise ValueError(f"columns.{key} names {len(names)} columns{named}; the model has {needed} {what}")
+    raise ValueError(f"{name} must be a Lagrangian, a GroupSystem, a ModelFile, or a function returning one; {how}")
 
 
 def _points(n: int) -> np.ndarray:

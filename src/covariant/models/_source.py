@@ -9,20 +9,30 @@ from inspect import Parameter as Argument
 from typing import Any
 
 from covariant.models._ball_and_beam import ball_and_beam
+from covariant.models._group_system import GroupSystem
+from covariant.models._heavy_top import free_body, heavy_top
+from covariant.models._hovercraft import hovercraft
 from covariant.models._lagrangian import Lagrangian
 from covariant.models._oscillator import oscillator
 from covariant.models._pendulum_chain import pendulum_chain
+from covariant.models._satellite import satellite
 from covariant.models._toml import refuse_unknown
+from covariant.models._underwater_vehicle import underwater_vehicle
 
-SYSTEMS: dict[str, Callable[..., Lagrangian]] = {
+SYSTEMS: dict[str, Callable[..., Lagrangian | GroupSystem]] = {
     "ball_and_beam": ball_and_beam,
+    "free_body": free_body,
+    "heavy_top": heavy_top,
+    "hovercraft": hovercraft,
     "oscillator": oscillator,
     "pendulum_chain": pendulum_chain,
+    "satellite": satellite,
+    "underwater_vehicle": underwater_vehicle,
 }
 """The systems a model file may name."""
 
 
-def system(name: Any) -> Callable[..., Lagrangian]:
+def system(name: Any) -> Callable[..., Lagrangian | GroupSystem]:
     """The factory of a known system; raises `ValueError` with the nearest one."""
     if not isinstance(name, str):
         raise ValueError(f'system must be a name, as in system = "oscillator"; got {name!r}')

@@ -6,7 +6,7 @@ import tomllib
 from collections.abc import Collection, Sequence
 from typing import Any
 
-COLUMNS = ("t", "q", "u", "v", "truth")
+from covariant.logs import ATTITUDES, Columns
 
 NUMBERS = {
     ("inputs", "lag"): ("input_lag", 1.0),
@@ -22,11 +22,13 @@ NUMBERS = {
 }
 """Table and key of each number: the field it fills, and the factor on the way."""
 
-_KEYS = {"columns": COLUMNS} | {
+_KEYS = {"columns": Columns._fields} | {
     table: tuple(key for other, key in NUMBERS if other == table) for table in dict.fromkeys(t for t, _ in NUMBERS)
 }
 _MAY_BE_ZERO = {("inputs", "lag")}
-_RIVALS = {"measurement.std": "quantum", "measurement.quantum": "std"}
+_RIVALS = {"measurement.std": ("quantum",), "measurement.quantum": ("std",)} | {
+    f"columns.{kind}": tuple(other for other in ATTITUDES if other != kind) for kind in ATTITUDES
+}
 
 
 def parse(text: str) -> dict[str, Any]:
@@ -49,7 +51,8 @@ def override(document: dict[str, Any], overrides: Sequence[str]) -> dict[str, An
             table = table.setdefault(name, {})
             if not isinstance(table, dict):
                 raise ValueError(f"override {text!r}: {name!r} is not a table")
-        table.pop(_RIVALS.get(key, last), None)  # the new one of two ways to say the same replaces the old
+        for rival in _RIVALS.get(key, ()):  # the new one of two ways to say the same replaces the old
+            table.pop(rival, None)
         table[last] = _value(text, value)
     return document
 

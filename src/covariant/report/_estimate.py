@@ -25,14 +25,18 @@ class EstimateReport(NamedTuple):
     - `v_reference` (T, n) [units/s]: what velocities are compared with, or None; `v_reference_label` says what it is.
     - `rows`: lines of a comparison, best first; columns are the keys. May be empty.
     - `notes`: plain sentences under the title: gains, predicted error, samples coasted.
+
+    On a group a configuration is no curve: there `q_measured` is None, `coordinates` and `units` are those of the n
+    velocities, `estimates` hold the velocities alone (T, n), and the innovation is the error as seen from the body,
+    along each of them.
     """
 
     title: str
     coordinates: tuple[str, ...]
     units: tuple[str, ...]
     t: Float[np.ndarray | Array, "T"]
-    q_measured: Samples
-    estimates: Mapping[str, Float[np.ndarray | Array, "T two_n"]]
+    q_measured: Samples | None
+    estimates: Mapping[str, Float[np.ndarray | Array, "T k"]]
     innovation: Mapping[str, Samples] = MappingProxyType({})
     distance: Mapping[str, Float[np.ndarray | Array, "T"]] = MappingProxyType({})
     v_reference: Samples | None = None
@@ -56,19 +60,25 @@ class EstimateReport(NamedTuple):
                 raise ValueError(
                     f"{name} has {sorted(unknown)}, but there are estimates only of {list(self.estimates)}"
                 )
-        backdrops = {MEASURED} if self.v_reference is None else {MEASURED, self.v_reference_label}
-        taken = set(self.estimates) & backdrops
+        taken = set(self.estimates) & set(self.backdrops)
         if taken:
             raise ValueError(f"an estimate cannot be called {taken.pop()!r}: that names the curve it is compared with")
         return self
 
+    @property
+    def backdrops(self) -> list[str]:
+        """Labels of what the estimates are compared with."""
+        measured = [] if self.q_measured is None else [MEASURED]
+        return measured if self.v_reference is None else [*measured, self.v_reference_label]
+
     def _shapes(self, samples: int, n: int):
         yield "t", self.t, (samples,)
-        yield "q_measured", self.q_measured, (samples, n)
+        if self.q_measured is not None:
+            yield "q_measured", self.q_measured, (samples, n)
         if self.v_reference is not None:
             yield "v_reference", self.v_reference, (samples, n)
         for label, x in self.estimates.items():
-            yield f"estimates[{label!r}]", x, (samples, 2 * n)
+            yield f"estimates[{label!r}]", x, (samples, n if self.q_measured is None else 2 * n)
         for label, e in self.innovation.items():
             yield f"innovation[{label!r}]", e, (samples, n)
         for label, d in self.distance.items():

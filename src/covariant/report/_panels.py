@@ -40,27 +40,30 @@ def quantities(report: EstimateReport) -> dict[str, Quantity]:
     n = len(report.coordinates)
     t = np.asarray(report.t, float)
     states = {label: np.asarray(x, float) for label, x in report.estimates.items()}
-    measured = np.asarray(report.q_measured, float)
-    travel = span(measured)
+    words = _ON_A_GROUP if report.q_measured is None else _IN_COORDINATES
 
     def estimated(arrays) -> tuple[Curve, ...]:
         return tuple(Curve(t, np.asarray(values, float).reshape(len(t), -1), label) for label, values in arrays.items())
 
-    velocities = {label: x[:, n:] for label, x in states.items()}
+    positions, travel = (), np.zeros(n)
+    if report.q_measured is not None:
+        measured = np.asarray(report.q_measured, float)
+        travel = span(measured)
+        positions = (Curve(t, measured, MEASURED, backdrop=True), *estimated({k: x[:, :n] for k, x in states.items()}))
+    velocities = {label: x[:, -n:] for label, x in states.items()}
     reference, errors, speed = (), (), np.zeros(n)
     if report.v_reference is not None:
         v = np.asarray(report.v_reference, float)
         reference = (Curve(t, v, report.v_reference_label, backdrop=True),)
         errors = estimated({label: found - v for label, found in velocities.items()})
         speed = span(v)
-    positions = (Curve(t, measured, MEASURED, backdrop=True), *estimated({k: x[:, :n] for k, x in states.items()}))
+    names = {name: _labels(report, *form) for name, form in words.items()}
+    innovations = estimated(report.innovation)
     found = (
-        Quantity("position", "Position", _labels(report, "{}"), positions, travel),
-        Quantity("velocity", "Velocity", _labels(report, "d{}/dt", "/s"), reference + estimated(velocities), speed),
-        Quantity("error", "Velocity error", _labels(report, "error of d{}/dt", "/s"), errors, speed, deviation=True),
-        Quantity(
-            "innovation", "Innovation", _labels(report, "y − {}"), estimated(report.innovation), travel, deviation=True
-        ),
+        Quantity("position", "Position", names["position"], positions, travel),
+        Quantity("velocity", "Velocity", names["velocity"], reference + estimated(velocities), speed),
+        Quantity("error", "Velocity error", names["error"], errors, speed, deviation=True),
+        Quantity("innovation", "Innovation", names["innovation"], innovations, travel, deviation=True),
         Quantity(
             "distance",
             "Distance to the measurement",
@@ -72,6 +75,21 @@ def quantities(report: EstimateReport) -> dict[str, Quantity]:
         ),
     )
     return {quantity.name: quantity for quantity in found if quantity.curves}
+
+
+_IN_COORDINATES = {
+    "position": ("{}", ""),
+    "velocity": ("d{}/dt", "/s"),
+    "error": ("error of d{}/dt", "/s"),
+    "innovation": ("y − {}", ""),
+}
+_ON_A_GROUP = {
+    "position": ("{}", " s"),
+    "velocity": ("{}", ""),
+    "error": ("error of {}", ""),
+    "innovation": ("along {}", " s"),
+}
+"""Name of each kind of panel, made of that of a coordinate, or on a group of a velocity; and what follows its unit."""
 
 
 def span(values: Float[np.ndarray, "T c"]) -> Float[np.ndarray, "c"]:
@@ -99,8 +117,16 @@ def _size(values: Float[np.ndarray, "T"]) -> float:
     return float(np.median(seen)) if seen.size else 0.0
 
 
-def _labels(report: EstimateReport, form: str, per: str = "") -> tuple[str, ...]:
-    """Axis labels such as "dθ/dt [rad/s]"; the name of a joint stands for itself, over its unit."""
-    names = [form.format(name) + " " if len(name) <= 4 else shorten(name, 24) + "\n" for name in report.coordinates]
-    units = [f"[{unit or '1'}{per}]" if unit or per else "" for unit in report.units]
+def _labels(report: EstimateReport, form: str, per: str) -> tuple[str, ...]:
+    """Axis labels such as "dθ/dt [rad/s]"; the name of a joint stands for itself, over its unit.
+
+    On a group all names stand for themselves where one of them is long.
+    """
+    longest = max(map(len, report.coordinates)) if report.q_measured is None else 0
+    short = [max(len(name), longest) <= 4 for name in report.coordinates]
+    names = [
+        form.format(name) + " " if fits else shorten(name, 24) + "\n"
+        for name, fits in zip(report.coordinates, short, strict=True)
+    ]
+    units = [f"[{unit or '1'}{per}]".replace("/s s", "") if unit or per == "/s" else "" for unit in report.units]
     return tuple((name + unit).strip() for name, unit in zip(names, units, strict=True))

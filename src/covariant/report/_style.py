@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from covariant._files import write_atomically
-from covariant.report._estimate import MEASURED, EstimateReport
+from covariant.report._estimate import EstimateReport
 from covariant.report._guests import guest
 
 if TYPE_CHECKING:
@@ -37,8 +37,7 @@ class Style(NamedTuple):
 
 def styles(report: EstimateReport) -> dict[str, Style]:
     """Style of every label, in the order of the legend: backdrops broad and grey, the first estimate strong."""
-    backdrops = [MEASURED] if report.v_reference is None else [MEASURED, report.v_reference_label]
-    found = {label: Style(BACKDROP, 3.2) for label in backdrops}
+    found = {label: Style(BACKDROP, 3.2) for label in report.backdrops}
     for i, label in enumerate(report.estimates):
         dash = _DASHES[i // len(PALETTE) % len(_DASHES)]
         found[label] = Style(PALETTE[i % len(PALETTE)], 1.0 if i else 1.5, dash)

@@ -1,0 +1,117 @@
+"""The columns of a model's logs: what was given, else names after the model; as many as the model has of each."""
+
+from typing import Any, NamedTuple
+
+from covariant.geometry.lie import SE2, SE3, SO2, SO3, AbstractGroup, Product
+from covariant.logs import ATTITUDES, Columns
+from covariant.models._group_system import GroupSystem
+from covariant.models._lagrangian import Lagrangian, check_model
+
+
+class _Needs(NamedTuple):
+    """How many columns of each kind a configuration on a group takes."""
+
+    position: int
+    attitude: bool
+    angle: int
+
+    @property
+    def remedy(self) -> str:
+        keys = [key for key in ("position", "angle") if getattr(self, key)]
+        keys += [f"one of {', '.join(ATTITUDES)}"] if self.attitude else []
+        return f"name {' and '.join(keys)} instead"
+
+
+_NEEDS = {
+    type(SO3): _Needs(0, True, 0),
+    type(SE3): _Needs(3, True, 0),
+    type(SE2): _Needs(2, False, 1),
+    type(SO2): _Needs(0, False, 1),
+}
+
+
+def model_columns(model: Lagrangian | GroupSystem, loaded: Columns, given: dict[str, Any]) -> Columns:
+    """The columns that a model file gives, before those its module has (`loaded`), before names after the model.
+
+    An attitude gets no name that is not given, since nobody can tell how it is written. Raises `ValueError` naming the
+    first key with too many columns or too few.
+    """
+    if any(given.get(kind) for kind in ATTITUDES):
+        loaded = loaded._replace(**dict.fromkeys(ATTITUDES, ()))
+    given = {key: value for key, value in loaded._asdict().items() if value} | given
+    return _on_group(model, given) if isinstance(model, GroupSystem) else _in_coordinates(model, given)
+
+
+def lacks_attitude(model: Lagrangian | GroupSystem, columns: Columns) -> bool:
+    """Whether a log of the model holds an attitude and nobody said how it is written."""
+    needed = isinstance(model, GroupSystem) and _needs(model.group).attitude
+    return needed and not any(getattr(columns, kind) for kind in ATTITUDES)
+
+
+def _in_coordinates(model: Lagrangian, given: dict[str, Any]) -> Columns:
+    for key in ("position", *ATTITUDES, "angle"):
+        if given.get(key):
+            raise ValueError(
+                f"columns.{key} is for a model on a group; this one has coordinates: name them in columns.q"
+            )
+    n = len(model.coordinates) or len(given.get("q", ()))
+    if not n:
+        raise ValueError("the model names no coordinates; give it some, or columns.q")
+    check_model(model, n)
+    m = n if model.inputs is None else model.inputs
+    columns = Columns(q=model.coordinates, u=_numbered("u", m))._replace(**given)
+    _check_count("q", columns.q, n, "coordinates")
+    _check_count("u", columns.u, m, "inputs")
+    _check_count("v", columns.v or columns.q, n, "coordinates")
+    _check_count("truth", columns.truth or columns.q, n, "coordinates")
+    return columns
+
+
+def _on_group(model: GroupSystem, given: dict[str, Any]) -> Columns:
+    needs, n = _needs(model.group), model.group.dimension
+    written = [kind for kind in ATTITUDES if given.get(kind)]
+    if given.get("q"):
+        raise ValueError(f"columns.q: the model is on a group and has no coordinates; {needs.remedy}")
+    if len(written) > 1:
+        raise ValueError(f"columns.{written[0]} and columns.{written[1]} both give the attitude; keep one")
+    if written and not needs.attitude:
+        raise ValueError(f"columns.{written[0]}: the model has no attitude in space; {needs.remedy}")
+    columns = Columns(
+        u=_numbered("u", model.inputs),
+        position=("px", "py", "pz")[: needs.position],
+        angle=_numbered("angle", needs.angle) if needs.angle != 1 else ("angle",),
+    )._replace(**given)
+    for kind in written:
+        _check_count(kind, getattr(columns, kind), ATTITUDES[kind], "entries", whole="this way to write an attitude")
+    _check_count("position", columns.position, needs.position, "coordinates of a position")
+    _check_count("angle", columns.angle, needs.angle, "angles")
+    _check_count("u", columns.u, model.inputs, "inputs")
+    _check_count("v", columns.v or model.velocities, n, "velocities")
+    _check_count("truth", columns.truth or model.velocities, n, "velocities")
+    return columns
+
+
+def _needs(group: AbstractGroup) -> _Needs:
+    """Raises `ValueError` for a group whose elements no log can hold."""
+    first, *wheels = _factors(group)
+    if type(first) not in _NEEDS or any(type(wheel) is not type(SO2) for wheel in wheels):
+        raise ValueError(
+            f"logs hold one attitude or pose, and angles after it: SO3, SE3, SE2, SO2, or one of them times SO2s; the "
+            f"model is on {group}, so use it from Python"
+        )
+    needs = _NEEDS[type(first)]
+    return needs._replace(angle=needs.angle + len(wheels))
+
+
+def _factors(group: AbstractGroup) -> list[AbstractGroup]:
+    return [factor for part in group.groups for factor in _factors(part)] if isinstance(group, Product) else [group]
+
+
+def _numbered(letter: str, count: int) -> tuple[str, ...]:
+    return tuple(f"{letter}{i + 1}" for i in range(count))
+
+
+def _check_count(key: str, names: tuple[str, ...], needed: int, what: str, whole: str = "the model") -> None:
+    if len(names) != needed:
+        named = f" ({', '.join(names)})" if names else ""
+        raise ValueError(f"columns.{key} names {len(names)} columns{named}; {whole} has {needed} {what}")

@@ -1,0 +1,182 @@
+"""Systems on groups: their equations against Lagrange's in coordinates, what they conserve, the integrator's order."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from covariant import models
+from covariant._integrate import rk8
+from covariant.geometry.lie import SE2, SE3, SO3, ExponentialChart
+from covariant.models import GroupSystem, Lagrangian, Motion, acceleration, advance, energy, friction, source
+from covariant.simulation import simulate
+
+SYSTEMS = {
+    "top": models.heavy_top(),
+    "asymmetric top": models.heavy_top((1.0, 2.0, 3.5), 2.0, axis=(0.3, 0.2, 1.0), viscous=0.1),
+    "free body": models.free_body(),
+    "satellite": models.satellite(bearing=1e-5),
+    "underwater vehicle": models.underwater_vehicle(),
+    "hovercraft": models.hovercraft(),
+}
+
+
+def state_of(system, seed=1):
+    random = np.random.default_rng(seed)
+    n = system.group.dimension
+    return system.group.exp(jnp.array(0.8 * random.normal(size=n))), jnp.array(random.normal(size=n))
+
+
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_equations_of_motion_are_those_of_lagrange_in_coordinates(name):
+    """Along g = g₀ exp(q) the Euler–Lagrange equations of the energy, with the forces as one-forms."""
+    system = SYSTEMS[name]
+    (g0, _), (_, w) = state_of(system), state_of(system, 2)
+    group, zero = system.group, jnp.zeros(system.group.dimension)
+    q = 0.3 * state_of(system, 3)[1]
+    u, t = jnp.linspace(0.5, 1.0, system.inputs), jnp.zeros(())
+
+    @jax.jit
+    def both(q, w):
+        lagrangian = Lagrangian(
+            ExponentialChart(system.metric).__call__,
+            lambda p: system.potential(g0 @ group.exp(p)),
+            lambda s, p, now: pulled_back(p, system.force(s, g0 @ group.exp(p), now)),
+            lambda p, rate: pulled_back(p, system.dissipation(g0 @ group.exp(p), group.right_jacobian(p, rate))),
+        )
+        in_chart = acceleration(lagrangian, t, q, w, u)
+        # The body's acceleration is the time derivative of J_r(q)q'.
+        _, moved = jax.jvp(group.right_jacobian, (q, w), (w, in_chart))
+        return moved, acceleration(system, t, g0 @ group.exp(q), group.right_jacobian(q, w), u)
+
+    def pulled_back(p, covector):
+        return jax.linear_transpose(lambda y: group.right_jacobian(p, y), zero)(covector)[0]
+
+    chart, direct = both(q, w)
+    np.testing.assert_allclose(chart, direct, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_power_of_the_forces_is_the_change_of_the_energy(name):
+    system = SYSTEMS[name]
+    g, v = state_of(system)
+    u, t = jnp.linspace(0.5, 1.0, system.inputs), jnp.zeros(())
+    v_dot = acceleration(system, t, g, v, u)
+    _, change = jax.jvp(lambda a, b: energy(system, a, b), (g, v), (g @ system.group.hat(v), v_dot))
+    power = v @ (system.force(t, g, u) + system.dissipation(g, v))
+    assert float(change) == pytest.approx(float(power), abs=1e-9 * (1 + abs(float(power))))
+    assert float(v @ system.dissipation(g, v)) <= 0
+
+
+def test_source_and_friction_are_raised_forces():
+    system = SYSTEMS["asymmetric top"]
+    g, v = state_of(system)
+    arm = 2.0 * np.array([0.3, 0.2, 1.0]) / np.linalg.norm([0.3, 0.2, 1.0])
+    torque = np.cross(np.asarray(g)[2], arm)  # mgl RᵀP₃ × axis, equation (32)
+    inertia = np.array([1.0, 2.0, 3.5])
+    np.testing.assert_allclose(source(system, jnp.zeros(()), g, jnp.zeros(3)), torque / inertia, atol=1e-14)
+    np.testing.assert_allclose(friction(system, g, v), -0.1 * v / inertia, atol=1e-14)
+
+
+@eqx.filter_jit
+def moved(system, g, v, duration, steps, rule_of_eight=False):
+    u = jnp.linspace(0.1, 0.2, system.inputs)
+    if rule_of_eight:
+        return advance(system, jnp.zeros(()), Motion(g, v), u, duration, steps, rk8)
+    return advance(system, jnp.zeros(()), Motion(g, v), u, duration, steps)
+
+
+@pytest.mark.parametrize("name", ["top", "satellite", "hovercraft"])
+def test_munthe_kaas_is_of_fourth_order_and_stays_on_the_group(name):
+    system = SYSTEMS[name]
+    g, v = state_of(system)
+    exact = moved(system, g, v, 0.5, jnp.asarray(200), rule_of_eight=True)
+    steps = np.array([10, 20, 40])
+    ends = [moved(system, g, v, 0.5, jnp.asarray(k)) for k in steps]
+    gaps = [np.abs(end.g - exact.g).max() + np.abs(end.v - exact.v).max() for end in ends]
+    assert np.polyfit(np.log(steps), np.log(gaps), 1)[0] == pytest.approx(-4.0, abs=0.2)
+    assert max(float(system.group.defect(end.g)) for end in ends) < 1e-14
+
+
+def test_a_million_steps_leave_the_group_by_less_than_1e_12():
+    """Rᵀ R = 1 without any projection; the free body's momentum in space keeps its length too."""
+    system = models.free_body()
+    start = Motion(jnp.eye(3), jnp.array([0.4, 2.0, -0.3]))
+    end = moved_freely(system, start, jnp.asarray(1_000_000))
+    assert float(system.group.defect(end.g)) < 1e-12
+    before, after = (np.linalg.norm(system.metric.inertia(m.v)) for m in (start, end))
+    assert abs(after / before - 1) < 1e-11
+
+
+@eqx.filter_jit
+def moved_freely(system, start, steps):
+    return advance(system, jnp.zeros(()), start, jnp.zeros(3), 1e-2 * steps, steps)
+
+
+@eqx.filter_jit
+def free_motion(system, x0, t):
+    return simulate(system, x0, t).x
+
+
+def test_satellite_keeps_its_momentum_whatever_its_wheels_do():
+    system = SYSTEMS["satellite"]
+    g, v = state_of(system)
+    x = eqx.filter_jit(simulate)(system, Motion(g, v), jnp.linspace(0.0, 5.0, 26), motors).x
+    momentum = jax.vmap(lambda g, v: g[:3, :3] @ system.metric.inertia(v)[:3])(x.g, x.v)
+    np.testing.assert_allclose(momentum, np.broadcast_to(momentum[0], momentum.shape), atol=1e-12)
+    assert np.abs(np.asarray(x.v[-1] - x.v[0])).max() > 0.1
+
+
+def test_underwater_vehicle_rights_itself_and_hovers_when_neutral():
+    system = models.underwater_vehicle(buoyancy=12.0 * 9.81)
+    start = Motion(SE3.exp(jnp.array([0.0, 0.0, 0.0, 1.2, 0.4, 0.0])), jnp.zeros(6))
+    x = free_motion(system, start, jnp.linspace(0.0, 120.0, 61))
+    upright = np.asarray(x.g)[:, 2, 2]
+    assert upright[0] < 0.5
+    assert upright[-1] > 0.999
+    assert np.abs(np.asarray(x.v)[-1]).max() < 0.02
+    energies = np.asarray(jax.vmap(lambda g, v: energy(system, g, v))(x.g, x.v))
+    assert (np.diff(energies) < 1e-9).all()
+
+
+def test_hovercraft_goes_where_its_fans_push():
+    system = models.hovercraft(drag=(0.0, 0.0, 0.0))
+    x = eqx.filter_jit(simulate)(system, Motion(jnp.eye(3), jnp.zeros(3)), jnp.linspace(0.0, 2.0, 3), both_fans).x
+    np.testing.assert_allclose(x.g[-1, :2, 2], [2.0 * 1.0 / 5.0 * 2.0, 0.0], atol=1e-12)  # ½ (2 N / 5 kg) t²
+    np.testing.assert_allclose(SE2.log(x.g[-1])[2], 0.0, atol=1e-12)
+
+
+def motors(s, x):
+    return 1e-3 * jnp.stack([jnp.sin(s), jnp.cos(s), jnp.ones_like(s)])
+
+
+def both_fans(s, x):
+    return jnp.ones(2)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"inertia": np.eye(2)}, r"inertia: the group needs a matrix \(3, 3\); got \(2, 2\)"),
+        ({"inertia": np.diag([1.0, 1.0, -1.0])}, "positive definite; its least eigenvalue is -1"),
+        ({"potential": lambda g: g}, r"potential must return shape \(\) for this group; it returned \(3, 3\)"),
+        ({"force": lambda t, g, u: u[:1]}, r"force must return shape \(3,\) for this group; it returned \(1,\)"),
+        ({"dissipation": lambda g, v: g @ v[:2]}, "dissipation cannot be evaluated with elements"),
+        ({"velocities": ("a", "b")}, "the group has 3 velocities; got 2 names"),
+        ({"inputs": 2}, r"force must return shape \(3,\) for this group; it returned \(2,\)"),
+    ],
+)
+def test_what_is_wrong_with_a_system_is_named(arguments, words):
+    with pytest.raises(ValueError, match=words):
+        GroupSystem(SO3, **{"inertia": np.eye(3)} | arguments)
+
+
+def test_a_system_works_in_float32():
+    system = models.heavy_top()
+    g, v = (jnp.asarray(a, jnp.float32) for a in state_of(system))
+    light = jax.tree.map(lambda a: jnp.asarray(a, jnp.float32), system)
+    end = advance(light, jnp.zeros((), jnp.float32), Motion(g, v), jnp.zeros(3, jnp.float32), jnp.float32(0.1), 10)
+    assert end.g.dtype == end.v.dtype == jnp.float32
+    exact = moved_freely(system, Motion(*state_of(system)), jnp.asarray(10))
+    np.testing.assert_allclose(end.g, exact.g, atol=2e-6)
