@@ -59,29 +59,31 @@ class Salcudean(AbstractFlowObserver):
 
     def flow(self, t: Scalar, state: SalcudeanState, u: Float[Array, "m"], y: Float[Array, "3 3"]) -> SalcudeanState:
         """Time derivative of the state; in the place of g stands the body velocity of R̂."""
-        _, measured, injected = self._error(state, y)
-        v = body_velocity(self.model, measured, state.momentum)
-        pull = self.model.metric.inertia(source(self.model, t, measured, u) + friction(self.model, measured, v))
-        omega = measured @ v + self.kv * injected
-        rate = measured @ pull + self.kp / 2 * injected
-        return SalcudeanState(state.g.T @ omega, rate, jnp.ones_like(state.t))
+        omega, torque = self._alone(t, state, u, y)
+        e = state.g @ quaternion_from_rotation(state.g.T @ y)[1:]
+        injected = y @ self.model.metric.inertia.solve(y.T @ e)
+        turning = state.g.T @ (omega + self.kv * injected)
+        return SalcudeanState(turning, torque + self.kp / 2 * injected, jnp.ones_like(state.t))
 
     def step(
         self, state: SalcudeanState, u: Float[Array, "m"], y: Float[Array, "3 3"], dt: Scalar
     ) -> tuple[SalcudeanState, GroupInfo]:
         v = body_velocity(self.model, state.g, state.momentum)
         moved = predict(self.model, state.t, state.g, v, u, dt, self.substeps)
-        predicted = SalcudeanState(moved.g, spatial_momentum(self.model, *moved), state.t + dt)
-        between, _, injected = self._error(predicted, y)
-        turn = SO3.exp(moved.g.T @ (dt * self.kv * injected))
-        new = SalcudeanState(moved.g @ turn, predicted.momentum + dt * self.kp / 2 * injected, predicted.t)
+        now = SalcudeanState(moved.g, spatial_momentum(self.model, *moved), state.t + dt)
+        measured = jnp.where(jnp.any(jnp.isnan(y)), now.g, y)
+        # What the flow has beyond the prediction, which was made at the estimated rotation.
+        slope = self.flow(now.t, now, u, measured)
+        omega, torque = self._alone(now.t, now, u, now.g)
+        g = now.g @ SO3.exp(dt * (slope.g - now.g.T @ omega))
+        new = SalcudeanState(g, now.momentum + dt * (slope.momentum - torque), now.t)
+        between = now.g.T @ measured
         innovation = SO3.log(between)
         code = outcome(new.g, new.momentum, y, uniqueness(self.model, between))
         return new, GroupInfo(innovation, self.model.metric.norm(innovation), jnp.zeros_like(dt), code)
 
-    def _error(self, state: SalcudeanState, y: Float[Array, "3 3"]):
-        """`R̂ᵀ R`, the rotation R as measured, and `I₀⁻¹e` in space."""
-        measured = jnp.where(jnp.any(jnp.isnan(y)), state.g, y)
-        between = state.g.T @ measured
-        e = state.g @ quaternion_from_rotation(between)[1:]
-        return between, measured, measured @ self.model.metric.inertia.solve(measured.T @ e)
+    def _alone(self, t: Scalar, state: SalcudeanState, u: Float[Array, "m"], at: Float[Array, "3 3"]):
+        """Angular velocity and torque in space of a body with the estimated momentum, at the rotation `at`."""
+        v = body_velocity(self.model, at, state.momentum)
+        pull = self.model.metric.inertia(source(self.model, t, at, u) + friction(self.model, at, v))
+        return at @ v, at @ pull

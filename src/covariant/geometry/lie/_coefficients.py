@@ -11,9 +11,6 @@ import jax.numpy as jnp
 
 from covariant._typing import Scalar
 
-TERMS = 20
-"""Terms of a series; they reach the rounding error of float64 up to its threshold."""
-
 
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
 def stumpff(k: int, x: Scalar) -> Scalar:
@@ -36,10 +33,18 @@ def _(k: int, primals, tangents):
 
 
 def _series(k: int, x: Scalar) -> Scalar:
-    total = jnp.ones_like(x)
-    for j in range(TERMS, 0, -1):
-        total = 1 - x / ((2 * j + k) * (2 * j + k - 1)) * total
-    return total / math.factorial(k)
+    coefficients = [1 / math.factorial(k)]
+    while coefficients[-1] * (k * (k - 1)) ** (len(coefficients) - 1) > 1e-18 * coefficients[0]:
+        coefficients.append(1 / math.factorial(2 * len(coefficients) + k))
+    return _alternating(coefficients, x)
+
+
+def _alternating(coefficients: list[float], x: Scalar) -> Scalar:
+    """`Σ (−x)^j a_j` by Horner's rule."""
+    total = jnp.zeros_like(x)
+    for coefficient in reversed(coefficients):
+        total = coefficient - x * total
+    return total
 
 
 def _closed(k: int, x: Scalar) -> Scalar:
@@ -64,8 +69,6 @@ def angle_over_half_sine(squared_sine: Scalar, cosine: Scalar) -> Scalar:
     small = squared_sine < 0.01 * cosine**2
     safe_cosine = jnp.where(small, cosine, 1.0)
     x = jnp.where(small, squared_sine, 0.0) / safe_cosine**2
-    total = jnp.zeros_like(x)
-    for j in range(TERMS, -1, -1):  # atan(r)/r in r²
-        total = 1 / (2 * j + 1) - x * total
+    arctangent = _alternating([1 / (2 * j + 1) for j in range(9)], x)  # over its argument
     sine = jnp.sqrt(jnp.where(small, 1.0, squared_sine))
-    return jnp.where(small, 2 * total / safe_cosine, 2 * jnp.arctan2(sine, cosine) / sine)
+    return jnp.where(small, 2 * arctangent / safe_cosine, 2 * jnp.arctan2(sine, cosine) / sine)

@@ -1,8 +1,8 @@
 """What a Lie group is to this library: matrices that multiply, and an algebra of real vectors.
 
 Elements are matrices (N, N), so that `g @ h` composes them; elements of the algebra are their coordinates x (n,), real
-also for complex groups. Everything is directional: no array of n² entries is formed unless a caller asks for a column
-at a time. Batches come from `jax.vmap`.
+also for complex groups. Everything is directional, and the closed forms make no array of n² entries. Batches come from
+`jax.vmap`.
 
 Source: Maithripala, Berg & Dayawansa 2004, section II; Chirikjian 2012, Stochastic Models, Information Theory, and Lie
 Groups, chapter 10, for the Jacobians.
@@ -52,8 +52,8 @@ class AbstractGroup(eqx.Module):
     def log(self, g: Element) -> Vector:
         """The principal logarithm: the shortest x with `exp(x) = g`.
 
-        Where two are as short, as after half a turn, one of them is returned; it is never NaN for an element of the
-        group, but jumps there.
+        Where two are as short, as after half a turn, one of them is returned, but which one jumps there. Only a
+        `MatrixGroup` has elements without.
         """
 
     @abc.abstractmethod

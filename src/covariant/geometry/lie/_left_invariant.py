@@ -46,12 +46,13 @@ class Inertia(AbstractInertia):
     inverse: Matrix
 
     def __init__(self, matrix):
-        self.matrix = jnp.asarray(matrix, float) if isinstance(matrix, list | tuple | int) else jnp.asarray(matrix)
+        matrix = jnp.asarray(matrix)
+        self.matrix = matrix if jnp.issubdtype(matrix.dtype, jnp.floating) else matrix.astype(float)
         if self.matrix.ndim != 2 or self.matrix.shape[0] != self.matrix.shape[1]:
             raise ValueError(f"inertia: the matrix must have shape (n, n); got {self.matrix.shape}")
         if not isinstance(self.matrix, Tracer):
             given = np.asarray(self.matrix)
-            if not np.allclose(given, given.T, rtol=0, atol=1e-6 * np.abs(given).max()):
+            if not np.abs(given - given.T).max() <= 1e-6 * np.abs(given).max():
                 raise ValueError("inertia: the matrix is not symmetric")
             least = float(np.linalg.eigvalsh(given)[0])
             if not least > 0:

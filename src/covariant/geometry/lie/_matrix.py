@@ -29,7 +29,8 @@ class SU(AbstractGroup):
     """The unitary matrices of determinant 1, SU(n); x holds the n² − 1 real coordinates of su(n).
 
     The basis is −i/2 times the generalised Gell-Mann matrices: first the symmetric ones of all pairs j < k, then the
-    antisymmetric ones, then the diagonal ones. It makes su(2) the cross product of SO(3).
+    antisymmetric ones, then the diagonal ones. It makes su(2) the cross product of SO(3). The logarithm needs the Schur
+    form, which JAX has on CPUs only.
     """
 
     n: int = eqx.field(static=True)
@@ -153,7 +154,7 @@ class MatrixGroup(AbstractGroup):
         return matrix_exp(self.hat(x))
 
     def log(self, g: Element) -> Vector:
-        """The principal logarithm where that lies in the algebra; elsewhere not a logarithm, which `defect` tells."""
+        """The principal logarithm where that lies in the algebra; elsewhere none, and `contains` is False."""
         return differentiable_log(self, partial(principal_log, self), g)
 
     def inverse(self, g: Element) -> Element:
@@ -169,7 +170,8 @@ class MatrixGroup(AbstractGroup):
         return g @ point
 
     def defect(self, g: Element) -> Array:
-        """How far `exp(log g)` is from g: without equations of the group this is the only test."""
+        """How far `exp(log g)` is from g: without equations of the group there is no other test, and elements without
+        a principal logarithm in the algebra do not pass."""
         return jnp.max(jnp.abs(self.exp(self.log(g)) - g))
 
     def unique_log(self, g: Element) -> Flag:
@@ -202,9 +204,8 @@ def matrix_exp(a: Element) -> Element:
     norm = jax.lax.stop_gradient(jnp.max(jnp.sum(jnp.abs(a), axis=0)))
     doublings = jnp.clip(jnp.ceil(jnp.log2(norm)), 0, DOUBLINGS)
     a = a * 0.5 ** doublings.astype(a.dtype)
-    total = a / TAYLOR
-    for j in range(TAYLOR - 1, 0, -1):
-        total = (a + a @ total) / j
+    order = jnp.arange(TAYLOR - 1, 0, -1).astype(a.dtype)
+    total = jax.lax.fori_loop(0, TAYLOR - 1, lambda i, f: (a + a @ f) / order[i], a / TAYLOR)
     total = jax.lax.fori_loop(0, DOUBLINGS, lambda i, f: jnp.where(i < doublings, f @ f + 2 * f, f), total)
     return total + jnp.eye(a.shape[0], dtype=a.dtype)
 
@@ -249,9 +250,7 @@ def principal_log(group: AbstractGroup, g: Element) -> Element:
 
     Where the square roots do not converge (an eigenvalue −1, to rounding) the last iterate is used.
     """
-    root = g
-    for _ in range(HALVINGS):
-        root = _square_root(root)
+    root = jax.lax.fori_loop(0, HALVINGS, lambda _, root: _square_root(root), g)
     one = jnp.eye(g.shape[0], dtype=g.dtype)
     ratio = jnp.linalg.solve((root + one).T, (root - one).T).T  # (root − 1)(root + 1)⁻¹
     square, total = ratio @ ratio, one / 15
@@ -263,8 +262,8 @@ def principal_log(group: AbstractGroup, g: Element) -> Element:
 
 def matrix_unique_log(g: Element) -> Flag:
     """False where g has the eigenvalue −1, to the square root of rounding."""
-    n = g.shape[0]
-    return jnp.abs(jnp.linalg.det(g + jnp.eye(n, dtype=g.dtype))) > 2.0 ** (n - 1) * jnp.finfo(g.dtype).eps ** 0.5
+    shifted = g + jnp.eye(g.shape[0], dtype=g.dtype)
+    return jnp.linalg.svd(shifted, compute_uv=False)[-1] > 4 * jnp.finfo(g.dtype).eps ** 0.5
 
 
 def _square_root(g: Element) -> Element:

@@ -1,0 +1,400 @@
+"""Left-invariant metrics against definitions written out, closed forms, charts, and the isometry of SE(3) to a product.
+
+Geodesics are those of the default budget; inertias are random, of condition up to 30, but where said otherwise.
+"""
+
+from collections.abc import Callable
+from functools import cache
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from covariant import geometry
+from covariant.geometry import lie
+from covariant.signals import Result
+
+GROUPS = {
+    "SO3": lie.SO3,
+    "SE2": lie.SE2,
+    "SE3": lie.SE3,
+    "SU3": lie.SU(3),
+    "SO3 x SO2": lie.Product((lie.SO3, lie.SO2)),
+}
+SAMPLES = 12
+
+
+def close(a, b, tolerance=1e-13):
+    np.testing.assert_allclose(a, b, rtol=0, atol=tolerance * max(1.0, np.abs(b).max()))
+
+
+def inertias(rng, n):
+    turned = np.linalg.qr(rng.normal(size=(SAMPLES, n, n)))[0]
+    return np.einsum("kia,ka,kja->kij", turned, 30.0 ** rng.uniform(-0.5, 0.5, (SAMPLES, n)), turned)
+
+
+def together(group, operation):
+    """`operation(metric, ...)` for many inertias and arguments at once."""
+    return jax.jit(jax.vmap(lambda inertia, *arguments: operation(lie.LeftInvariant(group, inertia), *arguments)))
+
+
+# Connection and curvature
+
+
+class Space(NamedTuple):
+    """A group with a metric for each sample, its operations, and structure constants `[e_i, e_j] = c[i, j, k] e_k`."""
+
+    group: lie.AbstractGroup
+    inertia: np.ndarray
+    x: np.ndarray
+    y: np.ndarray
+    z: np.ndarray
+    w: np.ndarray
+    bracket: Callable
+    connection: Callable
+    curvature: Callable
+    constants: np.ndarray
+
+    def inner(self, x, y):
+        return np.einsum("ki,kij,kj->k", x, self.inertia, y)
+
+    def b(self, x, y):
+        return np.asarray(self.connection(self.inertia, x, y))
+
+    def r(self, x, y, z):
+        return np.asarray(self.curvature(self.inertia, x, y, z))
+
+
+@cache
+def make_space(name) -> Space:
+    group = GROUPS[name]
+    n, rng = group.dimension, np.random.default_rng(0)
+    bracket = jax.jit(jax.vmap(group.lie_bracket))
+    i, j = np.repeat(np.eye(n), n, 0), np.tile(np.eye(n), (n, 1))
+    constants = np.asarray(jax.vmap(group.lie_bracket)(i, j)).reshape(n, n, n)
+    operations = together(group, lie.LeftInvariant.connection), together(group, lie.LeftInvariant.curvature)
+    return Space(group, inertias(rng, n), *rng.normal(size=(4, SAMPLES, n)), bracket, *operations, constants)
+
+
+@pytest.fixture(scope="module", params=GROUPS)
+def space(request) -> Space:
+    return make_space(request.param)
+
+
+def koszul(space):
+    """`2<∇_i e_j, e_k> = <[e_i, e_j], e_k> − <[e_j, e_k], e_i> + <[e_k, e_i], e_j>` of left-invariant fields."""
+    lower = np.einsum("ijm,smk->sijk", space.constants, space.inertia)
+    lower = (lower - lower.transpose(0, 3, 1, 2) + lower.transpose(0, 2, 3, 1)) / 2
+    return np.einsum("sijm,smk->sijk", lower, np.linalg.inv(space.inertia))
+
+
+def test_connection_is_koszuls(space):
+    expected = np.einsum("sijk,si,sj->sk", koszul(space), space.x, space.y)
+    close(space.b(space.x, space.y), expected)
+
+
+def test_connection_is_metric(space):
+    x, y, z = space.x, space.y, space.z
+    mine, theirs = space.inner(space.b(x, y), z), space.inner(y, space.b(x, z))
+    size = np.linalg.norm(space.inertia, axis=(1, 2)) * (
+        np.linalg.norm(space.b(x, y), axis=1) * np.linalg.norm(z, axis=1)
+    )
+    assert (np.abs(mine + theirs) / size).max() < 1e-14
+
+
+def test_connection_has_no_torsion(space):
+    forth, back = space.b(space.x, space.y), space.b(space.y, space.x)
+    size = np.linalg.norm(forth, axis=1) + np.linalg.norm(back, axis=1)
+    assert (np.abs(forth - back - space.bracket(space.x, space.y)).max(axis=1) / size).max() < 1e-14
+
+
+def test_curvature_is_its_definition(space):
+    b, c = koszul(space), space.constants
+    r = np.einsum("sjkm,siml->sijkl", b, b)
+    r = r - r.swapaxes(1, 2) - np.einsum("ijm,smkl->sijkl", c, b)
+    close(space.r(space.x, space.y, space.z), np.einsum("sijkl,si,sj,sk->sl", r, space.x, space.y, space.z))
+
+
+def test_curvature_has_its_symmetries(space):
+    x, y, z, w = space.x, space.y, space.z, space.w
+    r = space.r(x, y, z)
+    close(space.r(y, x, z), -r, 1e-12)
+    close(space.inner(space.r(x, y, w), z), -space.inner(r, w), 1e-12)
+    close(space.inner(space.r(z, w, x), y), space.inner(r, w), 1e-12)
+    close(r + space.r(y, z, x) + space.r(z, x, y), 0 * r, 1e-12 * np.abs(r).max())
+
+
+def test_second_bianchi_identity(space):
+    """`(∇_w R)(x, y)z = B(w, R(x, y)z) − R(B(w, x), y)z − R(x, B(w, y))z − R(x, y)B(w, z)`, summed over w, x, y."""
+
+    def derivative(w, x, y, z):
+        b, r = space.b, space.r
+        return b(w, r(x, y, z)) - r(b(w, x), y, z) - r(x, b(w, y), z) - r(x, y, b(w, z))
+
+    w, x, y, z = space.w, space.x, space.y, space.z
+    terms = derivative(w, x, y, z), derivative(x, y, w, z), derivative(y, w, x, z)
+    close(sum(terms), 0 * x, 1e-12 * np.abs(terms).max())
+
+
+def test_spray_is_minus_the_connection_with_itself(space):
+    close(together(space.group, lie.LeftInvariant.spray)(space.inertia, space.x), -space.b(space.x, space.x))
+
+
+@pytest.mark.parametrize(("name", "scale"), [("SO3", 1.0), ("SO3", 2.5), ("SU3", 1.0)])
+def test_a_metric_that_is_invariant_on_both_sides(name, scale):
+    space = make_space(name)
+    space = space._replace(inertia=np.tile(scale * np.eye(space.group.dimension), (SAMPLES, 1, 1)))
+    x, y, z = space.x, space.y, space.z
+    close(space.b(x, y), space.bracket(x, y) / 2, 1e-14)
+    close(space.r(x, y, z), -space.bracket(space.bracket(x, y), z) / 4, 1e-14)
+
+
+@pytest.mark.parametrize("moments", [(1.0, 2.0, 2.5), (1.0, 1.0, 1.9), (3.0, 0.5, 0.7), (1.0, 1.0, 1.0)])
+def test_sectional_curvatures_of_a_rigid_body_are_milnors(moments):
+    """Milnor 1976, section 4: with e_i orthonormal and [e₂, e₃] = λ₁e₁, μ_i = ½Σλ − λ_i, the Ricci form is
+    2(μ₂μ₃, μ₃μ₁, μ₁μ₂), and in three dimensions K(e₁, e₂) is half of r₁ + r₂ − r₃."""
+    space = make_space("SO3")
+    space = space._replace(inertia=np.tile(np.diag(moments), (SAMPLES, 1, 1)))
+    e = np.tile(np.diag(1 / np.sqrt(moments)), (SAMPLES, 1, 1))
+    l = np.array(moments) / np.sqrt(np.prod(moments))  # noqa: E741
+    mu = l.sum() / 2 - l
+    for a, b, c in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        curvature = space.inner(space.r(e[:, a], e[:, b], e[:, b]), e[:, a])
+        close(curvature[0], mu[b] * mu[c] + mu[a] * mu[c] - mu[a] * mu[b], 1e-14)
+
+
+# Charts
+
+
+def euler_rates(q):
+    """The matrix from the rates of ZYX Euler angles (yaw, pitch, roll) to the body's angular velocity."""
+    (_, sp, sr), (_, cp, cr) = jnp.sin(q), jnp.cos(q)
+    zero, one = jnp.zeros_like(sp), jnp.ones_like(sp)
+    return jnp.stack([jnp.stack([-sp, zero, one]), jnp.stack([cp * sr, cr, zero]), jnp.stack([cp * cr, -sr, zero])])
+
+
+def test_euler_angles_have_the_same_geometry():
+    """The kinetic energy of a body, known by its matrix alone, and the group: connection and curvature in the body."""
+    rng = np.random.default_rng(2)
+    inertia, (q, x, y, z) = inertias(rng, 3), rng.normal(size=(4, SAMPLES, 3))
+    q *= 0.5
+
+    def both(inertia, q, x, y, z):
+        chart = geometry.Metric(lambda q: euler_rates(q).T @ inertia @ euler_rates(q))
+        body = lie.LeftInvariant(lie.SO3, inertia)
+        rates = euler_rates(q)
+        change = jax.jvp(lambda q: euler_rates(q) @ y, (q,), (x,))[1]
+        mine = body.connection(rates @ x, rates @ y), body.curvature(rates @ x, rates @ y, rates @ z)
+        return mine, (rates @ chart.christoffel(q, x, y) - change, rates @ chart.curvature(q, x, y, z))
+
+    for mine, theirs in zip(*jax.jit(jax.vmap(both))(inertia, q, x, y, z), strict=True):
+        close(mine, theirs, 1e-9)
+
+
+@pytest.mark.parametrize("name", ["SO3", "SE2"])
+def test_christoffel_of_exponential_coordinates_is_that_of_their_matrix(name):
+    def both(metric, q, x, y):
+        return [m.christoffel(q, x, y) for m in (metric.chart, geometry.Metric(metric.chart.__call__))]
+
+    rng = np.random.default_rng(3)
+    close(*together(GROUPS[name], both)(inertias(rng, 3), *rng.normal(size=(3, SAMPLES, 3))), 1e-9)
+
+
+def test_curvature_of_exponential_coordinates_is_that_of_their_christoffel():
+    def both(metric, q, x, y, z):
+        g = metric.chart.christoffel
+        (g_yz, dx), (g_xz, dy) = (jax.jvp(lambda q, b=b: g(q, b, z), (q,), (a,)) for a, b in ((x, y), (y, x)))
+        return metric.chart.curvature(q, x, y, z), dx - dy + g(q, x, g_yz) - g(q, y, g_xz)
+
+    rng = np.random.default_rng(3)
+    close(*together(lie.SO3, both)(inertias(rng, 3), *rng.normal(size=(4, SAMPLES, 3))), 1e-9)
+
+
+# Geodesics
+
+BATCH = 64
+TOP = np.diag([1.0, 2.0, 3.5])
+
+
+class Flights(NamedTuple):
+    """Unit-time geodesics from the identity, with their velocities and two vectors carried along."""
+
+    group: lie.AbstractGroup
+    inertia: np.ndarray
+    velocity: np.ndarray
+    w: np.ndarray
+    end: lie.Carried
+
+
+@pytest.fixture(scope="module")
+def fly():
+    return {name: together(GROUPS[name], lie.LeftInvariant.transport_along) for name in ("SO3", "SE3")}
+
+
+@pytest.fixture(scope="module")
+def shoot():
+    return together(lie.SO3, lie.LeftInvariant.shoot)
+
+
+def make_flights(fly, name):
+    group, rng = GROUPS[name], np.random.default_rng(4)
+    n = group.dimension
+    inertia = np.resize(inertias(rng, n), (BATCH, n, n))
+    velocity, *w = rng.normal(size=(3, BATCH, n))
+    velocity *= (np.linspace(0, 0.8, BATCH) / np.linalg.norm(velocity, axis=1))[:, None]
+    w = np.stack([velocity, *w], axis=1)
+    return Flights(group, inertia, velocity, w, fly[name](inertia, velocity, w))
+
+
+@pytest.fixture(scope="module", params=["SO3", "SE3"])
+def flights(request, fly) -> Flights:
+    return make_flights(fly, request.param)
+
+
+def inner(inertia, x, y):
+    return np.einsum("k...i,kij,k...j->k...", x, inertia, y)
+
+
+def test_energy_is_conserved(flights):
+    end, start = (inner(flights.inertia, v, v) for v in (flights.end.velocity, flights.velocity))
+    close(end, start, 1e-10)
+
+
+def test_momentum_in_space_is_conserved(flights):
+    body = np.einsum("kij,kj->ki", flights.inertia, flights.end.velocity)
+    space = jax.vmap(lambda g, mu: flights.group.coadjoint_action(flights.group.inverse(g), mu))(flights.end.g, body)
+    close(space, np.einsum("kij,kj->ki", flights.inertia, flights.velocity), 1e-10)
+
+
+def test_transport_is_an_isometry(flights):
+    end, start = (np.einsum("kai,kij,kbj->kab", w, flights.inertia, w) for w in (flights.end.w, flights.w))
+    close(end, start, 1e-10)
+
+
+def test_velocity_is_carried_along(flights):
+    close(flights.end.w[:, 0], flights.end.velocity, 1e-10)
+
+
+def test_shooting_undoes_exp(fly, shoot):
+    flights = make_flights(fly, "SO3")
+    shot = shoot(flights.inertia, flights.end.g)
+    assert (shot.result == Result.OK).all()
+    close(shot.velocity, flights.velocity, 1e-9)
+    close(shot.arrival, flights.end.velocity, 1e-9)
+
+
+def test_distance_is_symmetric(fly, shoot):
+    """The way back from g is a left translation of the way to g⁻¹; it starts with the arrival reversed."""
+    flights = make_flights(fly, "SO3")
+    back = shoot(flights.inertia, flights.end.g.swapaxes(1, 2))
+    close(
+        inner(flights.inertia, back.velocity, back.velocity),
+        inner(flights.inertia, flights.velocity, flights.velocity),
+        1e-9,
+    )
+    close(back.velocity, -flights.end.velocity, 1e-9)
+
+
+def test_se3_with_one_mass_is_a_product(fly, shoot):
+    """With I = diag(M, M, M, I_b) positions and attitudes go their own ways: the logarithm at the identity of (R, b) is
+    (b, that of SO(3)), and the gradient of half the squared distance, the arrival, is (Rᵀb, that of SO(3))."""
+    rng = np.random.default_rng(5)
+    body = np.resize(inertias(rng, 3), (BATCH, 3, 3))
+    inertia = np.zeros((BATCH, 6, 6))
+    inertia[:, :3, :3], inertia[:, 3:, 3:] = 2.5 * np.eye(3), body
+    omega, b = rng.normal(size=(2, BATCH, 3))
+    omega *= (np.linspace(0, 1, BATCH) / np.linalg.norm(omega, axis=1))[:, None]
+    turn = np.asarray(jax.vmap(lie.SO3.exp)(omega))
+    part = shoot(body, turn)
+    log = np.concatenate([b, part.velocity], axis=1)
+    end = fly["SE3"](inertia, log, np.stack([log] * 3, axis=1))
+    close(end.g[:, :3, :3], turn, 1e-9)
+    close(end.g[:, :3, 3], b, 1e-9)
+    close(end.velocity, np.concatenate([np.einsum("kji,kj->ki", turn, b), part.arrival], axis=1), 1e-9)
+
+
+def group_and_riemannian(shoot, axes, angle):
+    """Excess length of the group's logarithm over the Riemannian one, and their angle [deg] in the metric."""
+    x = angle * axes / np.linalg.norm(axes, axis=1)[:, None]
+    inertia = np.tile(TOP, (BATCH, 1, 1))
+    shot = shoot(inertia, jax.vmap(lie.SO3.exp)(x))
+    assert (shot.result == Result.OK).all()
+    v = np.asarray(shot.velocity)
+    long, short = (np.sqrt(inner(inertia, a, a)) for a in (x, v))
+    return long / short - 1, np.degrees(np.arccos(np.minimum(1, inner(inertia, x, v) / long / short)))
+
+
+def sphere_points(count):
+    """Points spread evenly by Fibonacci's spiral."""
+    i = np.arange(count) + 0.5
+    z, angle = 1 - 2 * i / count, i * np.pi * (1 + 5**0.5)
+    radius = np.sqrt(1 - z**2)
+    return np.stack([radius * np.cos(angle), radius * np.sin(angle), z], axis=1)
+
+
+@pytest.mark.parametrize(
+    ("angle", "longest", "widest", "middle_length", "middle_angle"),
+    [(1.0, 0.0160, 17.7, 0.0121, 15.36), (2.0, 0.0672, 36.0, 0.0479, 29.57)],
+)
+def test_the_group_logarithm_is_not_the_riemannian_one(shoot, angle, longest, widest, middle_length, middle_angle):
+    """I = diag(1, 2, 3.5): how much longer the group's logarithm is, and its angle to the other; the worst over the
+    sphere of axes, which lies between the axes of least and greatest inertia, and about (1, 1, 1)."""
+    axes = np.concatenate([np.ones((1, 3)), np.eye(3), sphere_points(15 * BATCH - 4)])
+    length, degrees = np.concatenate([group_and_riemannian(shoot, a, angle) for a in np.split(axes, 15)], axis=1)
+    assert length.min() > -1e-12
+    np.testing.assert_allclose([length.max(), degrees.max()], [longest, widest], rtol=0.02)
+    np.testing.assert_allclose([length[0], degrees[0]], [middle_length, middle_angle], rtol=0.01)
+    close(length[1:4], np.zeros(3), 1e-12)
+
+
+# Inertias
+
+
+@pytest.mark.parametrize(
+    ("inertia", "word"),
+    [
+        (np.ones(3), "shape"),
+        (np.ones((3, 2)), "shape"),
+        (np.eye(4), r"\(3, 3\)"),
+        (np.array([[1.0, 0.1, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]), "not symmetric"),
+        (np.diag([1.0, 2.0, 0.0]), "positive definite"),
+        (np.diag([1.0, 2.0, -1.0]), "positive definite"),
+        (np.full((3, 3), np.nan), "symmetric"),
+    ],
+)
+def test_an_inertia_names_what_is_wrong(inertia, word):
+    with pytest.raises(ValueError, match=word):
+        lie.LeftInvariant(lie.SO3, inertia)
+
+
+def test_an_inertia_may_be_given_in_whole_numbers():
+    for whole in ([[1, 0], [0, 2]], np.diag([1, 2]), jnp.diag(jnp.array([1, 2]))):
+        np.testing.assert_array_equal(lie.Inertia(whole).inverse, np.diag([1.0, 0.5]))
+
+
+def test_norm_has_a_derivative_at_zero():
+    metric = lie.LeftInvariant(lie.SO3, TOP)
+    np.testing.assert_array_equal(jax.grad(metric.norm)(jnp.zeros(3)), np.zeros(3))
+    close(metric.norm(jnp.array([0.0, 2.0, 0.0])), np.sqrt(8.0), 1e-15)
+
+
+def test_float32_stays_float32():
+    vector, matrix = (jax.ShapeDtypeStruct(shape, np.float32) for shape in ((3,), (3, 3)))
+
+    def everything(inertia, x):
+        metric = lie.LeftInvariant(lie.SO3, inertia)
+        chart = metric.chart
+        along = metric.transport_along(x, x[None])
+        pointwise = metric.connection(x, x), metric.spray(x), metric.curvature(x, x, x), metric.norm(x)
+        return (
+            pointwise,
+            along,
+            metric.shoot(along.g)[:3],
+            chart(x),
+            chart.christoffel(x, x, x),
+            chart.curvature(x, x, x, x),
+        )
+
+    assert {a.dtype for a in jax.tree.leaves(jax.eval_shape(everything, matrix, vector))} == {np.dtype(np.float32)}

@@ -1,0 +1,246 @@
+"""Laws of the observer on groups: the linear error law, and agreement with the observer in coordinates.
+
+Each law is tested on several groups; every slip of the printed equations, put back, must break it.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from covariant._integrate import rk8
+from covariant.geometry import Budget
+from covariant.geometry.lie import SE3, SO3, SU, Product, munthe_kaas
+from covariant.models import GroupSystem, Lagrangian, Motion, acceleration, free_body, heavy_top
+from covariant.observers import Geodesic, Group, GroupState
+from covariant.papers._errata import SLIPS, PrintedGroup
+from covariant.simulation import observe
+
+ALPHA, BETA = 1.2, 0.9
+
+
+def random_inertia(n, seed=3):
+    a = np.random.default_rng(seed).normal(size=(n, n)) / np.sqrt(n)
+    return a @ a.T + 0.5 * np.eye(n)
+
+
+def pulled(group, seed=5):
+    """A system with a random inertia, and a potential so that there is a source to carry."""
+    weight = np.random.default_rng(seed).normal(size=(group.order, group.order))
+
+    def potential(g):
+        return 0.3 * jnp.sum(jnp.asarray(weight, g.real.dtype) * g.real)
+
+    return GroupSystem(group, random_inertia(group.dimension), potential)
+
+
+SYSTEMS = {"SO(3)": pulled(SO3), "SE(3)": pulled(SE3), "SU(3)": pulled(SU(3)), "SU(5)": pulled(SU(5))}
+SPEEDS = (0.0, 0.5, 3.0)
+OBSERVERS = {
+    "group": lambda model: Group(model, ALPHA, BETA),
+    "group, doubled α": lambda model: Group(model, ALPHA / 2, BETA, doubled_alpha=True),
+    "riemannian": lambda model: Group(model, ALPHA, BETA, error="riemannian", budget=Budget()),
+    "riemannian, fixed budget": lambda model: Group(model, ALPHA, BETA, error="riemannian"),
+}
+WHERE = {"group, doubled α": ("SO(3)",), "riemannian": ("SO(3)",), "riemannian, fixed budget": ("SO(3)", "SE(3)")}
+"""The published error is tested on all groups, its relatives where they compile in seconds."""
+
+
+def directions(model, key):
+    """Unit vectors of the metric: a velocity, and an error's two parts."""
+    raw = jax.random.normal(jax.random.key(key), (3, model.group.dimension))
+    return jax.vmap(lambda x: x / model.metric.norm(x))(raw)
+
+
+@eqx.filter_jit
+def deviation_from_linear_law(observer, model, speed, size):
+    """Largest distance, over a unit of path, between the error in a parallel frame and `expm(At)` times its start.
+
+    The frame is carried along the truth. `ξ = log(g⁻¹ĝ)`, and ζ is v̂ carried back to g, to first order, minus v.
+    """
+    group, metric, n = model.group, model.metric, model.group.dimension
+    both = Product((group, group))
+    along, first, second = directions(model, 1)
+    v0, g0 = speed * along, group.exp(0.4 * directions(model, 2)[0])
+    xi0, zeta0 = size * first, size * 0.6 * second
+    u = jnp.zeros(n)
+    estimated = g0 @ group.exp(xi0)
+    state0 = observer.init(estimated)._replace(v=v0 + zeta0 - metric.connection(xi0, v0 + zeta0))
+
+    def flow(s, g, beside):
+        v, frame, state = beside
+        actual, estimate = both.blocks(g)
+        carried = jax.vmap(lambda e: -metric.connection(v, e))(frame)
+        slope = observer.flow(s, state._replace(g=estimate), u, actual)
+        rate = acceleration(model, s, actual, v, u)
+        return jnp.concatenate([v, slope.g]), (rate, carried, slope._replace(g=None))
+
+    duration = 1.0 / (1.0 + speed)
+
+    def interval(carry, k):
+        begin = k * duration / 4
+        moved = munthe_kaas(both, flow, begin, *carry, duration / 4, 8, rk8)
+        return moved, moved
+
+    start = (both.join([g0, estimated]), (v0, jnp.eye(n), state0._replace(g=None)))
+    after = jax.lax.scan(interval, start, jnp.arange(4.0))[1]
+
+    def error(g, beside):
+        v, frame, state = beside
+        actual, estimate = both.blocks(g)
+        xi = group.between(actual, estimate)
+        zeta = state.v + metric.connection(xi, state.v) - v
+        inner = jax.vmap(lambda e: jnp.stack([metric.inner(e, xi), metric.inner(e, zeta)]))(frame)
+        gram = jax.vmap(lambda e: jax.vmap(lambda f: metric.inner(e, f))(frame))(frame)
+        return jnp.linalg.solve(gram, inner).T
+
+    return jax.vmap(error)(*after), jnp.stack([xi0, zeta0]), duration * jnp.arange(1.0, 5.0) / 4
+
+
+def worst(observer, model, speed, size=1e-5, alpha=ALPHA):
+    found, start, t = deviation_from_linear_law(observer, model, jnp.asarray(speed), jnp.asarray(size))
+    expected = np.stack([expm(np.array([[-alpha, 1.0], [-BETA, 0.0]]) * s) @ np.asarray(start) for s in np.asarray(t)])
+    gap = jnp.asarray(np.asarray(found) - expected).reshape(-1, model.group.dimension)
+    return float(jnp.max(jax.vmap(model.metric.norm)(gap))) / size
+
+
+CASES = [(o, s) for o in OBSERVERS for s in WHERE.get(o, SYSTEMS)]
+
+
+@pytest.mark.parametrize(("observer", "name"), CASES)
+def test_error_in_a_parallel_frame_obeys_the_linear_law_at_any_speed(observer, name):
+    """Law (10): ξ' = ζ − αξ, ζ' = −βξ along any trajectory, to first order in the error."""
+    model = SYSTEMS[name]
+    for speed in SPEEDS:
+        assert worst(OBSERVERS[observer](model), model, speed) <= 1e-4, f"at speed {speed}"
+
+
+def test_what_the_linear_law_leaves_out_is_of_first_order_in_the_error():
+    model = SYSTEMS["SO(3)"]
+    small, large = (worst(OBSERVERS["group"](model), model, 3.0, size) for size in (1e-4, 1e-3))
+    assert np.log10(large / small) == pytest.approx(1.0, abs=0.1)
+
+
+@pytest.mark.parametrize(("slip", "name"), [*((slip, "SO(3)") for slip in SLIPS), ("logarithm", "SE(3)")])
+def test_each_slip_of_the_print_breaks_the_linear_law(slip, name):
+    model = SYSTEMS[name]
+    assert worst(PrintedGroup(model, ALPHA / 2, BETA, (slip,)), model, 3.0) > 1e-2
+
+
+@pytest.mark.parametrize("name", ["SO(3)", "SE(3)"])
+def test_the_printed_observer_without_its_slips_keeps_the_law(name):
+    model = SYSTEMS[name]
+    assert worst(PrintedGroup(model, ALPHA / 2, BETA, ()), model, 3.0) <= 1e-4
+
+
+def from_euler(q):
+    """Rotation by yaw, pitch and roll, q = (ψ, θ, φ)."""
+    axes = jnp.eye(3, dtype=q.dtype)
+    return SO3.exp(q[0] * axes[2]) @ SO3.exp(q[1] * axes[1]) @ SO3.exp(q[2] * axes[0])
+
+
+def rates_to_body(q, w):
+    """Angular velocity in the body of Euler angles that change at the rates w."""
+    return SO3.vee(from_euler(q).T @ jax.jvp(from_euler, (q,), (w,))[1])
+
+
+def in_euler_angles(model):
+    """The same body as a `Lagrangian` in yaw, pitch and roll."""
+
+    def metric(q):
+        rates = jax.vmap(lambda e: rates_to_body(q, e))(jnp.eye(3, dtype=q.dtype))
+        return rates @ model.metric.inertia.matrix @ rates.T
+
+    return Lagrangian(metric, lambda q: model.potential(from_euler(q)))
+
+
+def runge_kutta(slope, x, steps, h):
+    """Trajectory of a compiled right-hand side; a loop in Python, so that it is compiled once."""
+    path = [x]
+    for _ in range(steps):
+        k1 = slope(x)
+        k2 = slope(x + h / 2 * k1)
+        k3 = slope(x + h / 2 * k2)
+        k4 = slope(x + h * k3)
+        x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+        path.append(x)
+    return jnp.stack(path)
+
+
+def test_coordinates_and_group_are_one_observer():
+    """The exact observer in Euler angles and on SO(3), away from pitch 90°, on an asymmetric heavy top."""
+    model = heavy_top((1.0, 2.0, 3.5), 2.0)
+    chart = in_euler_angles(model)
+    exact = Geodesic(chart, 2.0, 3.0, Budget(steps=6))
+    group = Group(model, 2.0, 3.0, error="riemannian", budget=Budget(steps=6))
+    none, zero = jnp.zeros(3), jnp.zeros(())
+
+    @jax.jit
+    def in_angles(x):
+        plant, estimate = x[:6], x[6:]
+        slope = exact.flow(zero, exact.init(estimate[:3])._replace(v=estimate[3:]), none, plant[:3])
+        rate = acceleration(chart, zero, plant[:3], plant[3:], none)
+        return jnp.concatenate([plant[3:], rate, slope.q, slope.v])
+
+    @jax.jit
+    def on_group(x):
+        g, v, estimate, w = x[:9].reshape(3, 3), x[9:12], x[12:21].reshape(3, 3), x[21:]
+        slope = group.flow(zero, GroupState(estimate, w, zero, none), none, g)
+        rate = acceleration(model, zero, g, v, none)
+        moved = [(g @ SO3.hat(v)).ravel(), rate, (estimate @ SO3.hat(slope.g)).ravel(), slope.v]
+        return jnp.concatenate(moved)
+
+    start = jnp.array([0.2, 0.3, -0.1, 0.5, -0.2, 0.4, 0.4, 0.1, 0.2, 0.0, 0.1, 0.0])
+
+    @jax.jit
+    def carried_over(x):
+        parts = [(from_euler(x[i : i + 3]).ravel(), rates_to_body(x[i : i + 3], x[i + 3 : i + 6])) for i in (0, 6)]
+        return jnp.concatenate([a for part in parts for a in part])
+
+    angles = jnp.stack([carried_over(x) for x in runge_kutta(in_angles, start, 60, 0.02)])
+    elements = runge_kutta(on_group, carried_over(start), 60, 0.02)
+    assert np.abs(angles - elements).max() < 1e-7
+    assert (
+        np.abs(elements[-1, 21:] - elements[-1, 9:12]).max() < 0.5 * np.abs(elements[0, 21:] - elements[0, 9:12]).max()
+    )
+
+
+@eqx.filter_jit
+def observed(observer, model, start, state, t):
+    return observe(model, observer, start, state, t, rtol=1e-9, atol=1e-12)
+
+
+def test_a_pitch_of_90_degrees_is_no_event():
+    """The body pitches over at a constant rate, through 90°, where Euler angles have no rates."""
+    model = free_body((1.0, 2.0, 3.5))
+    t = jnp.linspace(0.0, 4.0, 81)
+    start = Motion(jnp.eye(3), jnp.array([0.0, 1.0, 0.0]))
+    for error in ("group", "riemannian"):
+        observer = Group(model, 4.0, 8.0, error=error)
+        x, state = observed(observer, model, start, observer.init(SO3.exp(jnp.array([0.1, -0.1, 0.2]))), t)
+        distance = np.linalg.norm(np.asarray(x.v - state.v), axis=1)
+        pitch = np.asarray(-jnp.arcsin(x.g[:, 2, 0]))
+        assert pitch.max() > 1.55
+        assert distance[-1] < 1e-2 * distance[0]
+        assert np.isfinite(distance).all()
+        assert np.abs(np.diff(np.log(distance))).max() < 0.5
+
+
+def test_both_errors_agree_to_first_order():
+    """The right-hand sides with the group's and with the Riemannian logarithm differ by the square of the error."""
+    model = heavy_top((1.0, 2.0, 3.5), 2.0)
+    y, v = SO3.exp(jnp.array([0.3, -0.2, 0.5])), jnp.array([0.7, -0.4, 0.9])
+    observers = [Group(model, 2.0, 3.0, error=e, budget=Budget()) for e in ("group", "riemannian")]
+
+    @jax.jit
+    def difference(size):
+        g = y @ SO3.exp(size * jnp.array([0.5, 0.6, -0.6]))
+        slopes = [o.flow(size, o.init(y)._replace(g=g, v=v), jnp.zeros(3), y) for o in observers]
+        return jnp.sqrt(jnp.sum((slopes[0].g - slopes[1].g) ** 2)), jnp.sqrt(jnp.sum((slopes[0].v - slopes[1].v) ** 2))
+
+    sizes = np.array([0.2, 0.1, 0.05, 0.025])
+    found = np.array([difference(jnp.asarray(s)) for s in sizes])
+    for column in found.T:
+        assert np.polyfit(np.log(sizes), np.log(column), 1)[0] == pytest.approx(2.0, abs=0.1)

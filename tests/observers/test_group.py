@@ -1,0 +1,205 @@
+"""Observers on groups: stated behaviour at the edges, and the Kalman filter against a textbook's."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from covariant.geometry.lie import SE3, SO3, quaternion_from_rotation, rotation_from_quaternion
+from covariant.models import Motion, free_body, heavy_top, underwater_vehicle
+from covariant.observers import Group, InvariantEKF, Salcudean, run
+from covariant.signals import Record, Result
+from covariant.simulation import simulate
+
+BODY = free_body((1.0, 2.0, 3.5))
+OBSERVERS = {
+    "group": Group(BODY, 4.0, 6.0, substeps=1),
+    "riemannian": Group(BODY, 4.0, 6.0, error="riemannian", substeps=1),
+    "invariant EKF": InvariantEKF(BODY, 1e-3 * jnp.eye(3), 1e-4 * jnp.eye(3), substeps=1),
+    "salcudean": Salcudean(BODY, 96.0, 16.0, substeps=1),
+}
+STEP = 0.02
+
+
+@pytest.fixture(scope="module")
+def log():
+    """A free tumble, 8 s at 50 Hz."""
+    t = STEP * jnp.arange(400.0)
+    return eqx.filter_jit(simulate)(BODY, Motion(jnp.eye(3), jnp.array([0.1, 1.0, 0.2])), t)
+
+
+@pytest.fixture(scope="module")
+def runs(log):
+    record = Record(log.t, log.u, log.y)
+    return {name: run(observer, record) for name, observer in OBSERVERS.items()}
+
+
+def velocity_error(result, log):
+    return np.linalg.norm(np.asarray(result.estimate.v - log.x.v), axis=1)
+
+
+@pytest.mark.parametrize("name", OBSERVERS)
+def test_velocity_is_found_from_rest(runs, log, name):
+    error = velocity_error(runs[name], log)
+    assert error[0] > 1.0
+    assert error[-1] < 1e-4
+    assert (np.asarray(runs[name].info.result) == Result.OK).all()
+    assert max(float(SO3.defect(g)) for g in runs[name].estimate.g[::50]) < 1e-13
+
+
+@pytest.mark.parametrize("name", OBSERVERS)
+def test_a_missing_frame_is_coasted_as_a_whole(log, runs, name):
+    """Even one NaN of nine: what is left of a rotation matrix is not a rotation."""
+    y = log.y.at[200:260, 1, 2].set(jnp.nan)
+    result = run(OBSERVERS[name], Record(log.t, log.u, y))
+    codes = np.asarray(result.info.result)
+    assert (codes[200:260] == Result.COASTED).all()
+    assert (np.delete(codes, np.s_[200:260]) == Result.OK).all()
+    assert (np.asarray(result.info.innovation)[200:260] == 0).all()
+    assert np.isfinite(velocity_error(result, log)).all()
+    assert velocity_error(result, log)[-1] < 1e-3
+
+
+@pytest.mark.parametrize("name", OBSERVERS)
+def test_a_start_half_a_turn_away_is_said_and_overcome(log, name):
+    """Exactly antipodal: two ways are as short, one is taken, the result says so, and the observer converges."""
+    state = OBSERVERS[name].init(log.y[0] @ SO3.exp(jnp.array([0.0, 0.0, np.pi])))
+    _, info = eqx.filter_jit(OBSERVERS[name].step)(state, jnp.zeros(3), log.y[0], jnp.zeros(()))
+    assert info.result == Result.CUT_LOCUS
+    turned = log.y.at[0].set(log.y[0] @ SO3.exp(jnp.array([0.0, 0.0, np.pi])))
+    result = run(OBSERVERS[name], Record(log.t, log.u, turned))
+    assert np.isfinite(np.asarray(result.estimate.g)).all()
+    assert velocity_error(result, log)[-1] < 0.05
+
+
+def test_where_no_geodesic_is_found_the_group_logarithm_stands_in(log):
+    """A turn by almost π with a single Newton correction is beyond what the fixed budget finds."""
+    observer = Group(free_body((0.1, 2.0, 20.0)), 2.0, 3.0, error="riemannian")
+    state = observer.init(log.y[0] @ SO3.exp(jnp.array([1.9, 1.4, 1.6])))._replace(log=jnp.array([40.0, -50.0, 60.0]))
+    new, info = eqx.filter_jit(observer.step)(state, jnp.zeros(3), log.y[0], jnp.asarray(STEP))
+    assert info.result == Result.NOT_CONVERGED
+    assert all(np.isfinite(np.asarray(part)).all() for part in new)
+
+
+@pytest.mark.parametrize("name", OBSERVERS)
+def test_the_sign_of_a_quaternion_does_not_matter(log, runs, name):
+    flips = np.where(np.random.default_rng(0).random(len(log.t)) < 0.5, -1.3, 1.0)[:, None]
+    q = jax.vmap(quaternion_from_rotation)(log.y) * flips
+    result = run(OBSERVERS[name], Record(log.t, log.u, jax.vmap(rotation_from_quaternion)(q)))
+    np.testing.assert_allclose(result.estimate.v, runs[name].estimate.v, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["group", "riemannian", "salcudean"])
+def test_a_short_step_is_the_flow(name):
+    """`step` tends to `flow` as dt does to 0, at first order in dt."""
+    observer = OBSERVERS[name]
+    y, u = SO3.exp(jnp.array([0.2, -0.1, 0.3])), jnp.array([0.3, -0.2, 0.1])
+    state = observer.init(y @ SO3.exp(jnp.array([0.02, 0.03, -0.01])))
+    state = state._replace(**{"momentum" if name == "salcudean" else "v": jnp.array([0.5, -0.4, 0.7])})
+
+    @jax.jit
+    def gap(dt):
+        new, _ = observer.step(state, u, y, dt)
+        slope = observer.flow(dt, state, u, y)
+        return jnp.concatenate([SO3.between(state.g, new.g) / dt - slope.g, (new[1] - state[1]) / dt - slope[1]])
+
+    gaps = [float(jnp.abs(gap(jnp.asarray(dt))).max()) for dt in (1e-3, 1e-4)]
+    assert gaps[1] < 1e-2
+    assert np.log10(gaps[0] / gaps[1]) == pytest.approx(1.0, abs=0.15)
+
+
+def hat(x):
+    return np.array([[0, -x[2], x[1]], [x[2], 0, -x[0]], [-x[1], x[0], 0]])
+
+
+def product(p, q):
+    return np.concatenate([[p[0] * q[0] - p[1:] @ q[1:]], p[0] * q[1:] + q[0] * p[1:] + np.cross(p[1:], q[1:])])
+
+
+def textbook_mekf(log, process, measurement, velocity_std):
+    """Multiplicative EKF on a quaternion and an angular velocity, in NumPy, with Euler's equations.
+
+    Lefferts, Markley & Shuster 1982: the error is a small rotation in the body, reset into the quaternion.
+    """
+    inertia = np.diag([1.0, 2.0, 3.5])
+    measured = np.asarray(jax.vmap(quaternion_from_rotation)(log.y))
+    q, w = measured[0], np.zeros(3)
+    cov = np.diag([measurement] * 3 + [velocity_std**2] * 3)
+    estimates = [w]
+    fine, h = 20, STEP / 20
+    for z in measured[1:]:
+        transition = np.eye(6)
+        for _ in range(fine):
+            spin = np.linalg.solve(inertia, np.cross(inertia @ w, w))
+            slope = np.linalg.solve(inertia, hat(inertia @ w) - hat(w) @ inertia)
+            step = np.eye(6) + h * np.block([[-hat(w), np.eye(3)], [np.zeros((3, 3)), slope]])
+            middle = w + h / 2 * spin
+            transition = step @ transition
+            angle = np.linalg.norm(middle) * h
+            turn = np.concatenate(
+                [[np.cos(angle / 2)], np.sin(angle / 2) * middle / max(np.linalg.norm(middle), 1e-12)]
+            )
+            q = product(q, turn)
+            w = w + h * np.linalg.solve(inertia, np.cross(inertia @ middle, middle))
+        noise = process * np.block(
+            [[np.eye(3) * STEP**3 / 3, np.eye(3) * STEP**2 / 2], [np.eye(3) * STEP**2 / 2, np.eye(3) * STEP]]
+        )
+        cov = transition @ cov @ transition.T + noise
+        error = product(q * np.array([1, -1, -1, -1]), z)
+        gain = cov[:, :3] @ np.linalg.inv(cov[:3, :3] + measurement * np.eye(3))
+        correction = gain @ (2 * np.sign(error[0]) * error[1:])
+        cov = (np.eye(6) - gain @ np.eye(3, 6)) @ cov
+        q = product(q, np.concatenate([[1.0], correction[:3] / 2]))
+        q, w = q / np.linalg.norm(q), w + correction[3:]
+        estimates.append(w)
+    return np.stack(estimates)
+
+
+def test_invariant_ekf_on_rotations_is_the_multiplicative_ekf_of_the_textbook(log, runs):
+    noise = 0.01 * jax.random.normal(jax.random.key(0), (len(log.t), 3))
+    noisy = log._replace(y=jax.vmap(lambda g, e: g @ SO3.exp(e))(log.y, noise))
+    ours = np.asarray(run(OBSERVERS["invariant EKF"], Record(noisy.t, noisy.u, noisy.y)).estimate.v)
+    textbook = textbook_mekf(noisy, 1e-3, 1e-4, 1.0)
+    error = np.linalg.norm(ours - np.asarray(log.x.v), axis=1)[100:]
+    assert np.abs(ours - textbook)[100:].max() < 0.05 * np.sqrt(np.mean(error**2))
+
+
+def test_pose_and_twist_on_se3():
+    vehicle = underwater_vehicle()
+    t = 0.05 * jnp.arange(120.0)
+    push = lambda s, x: jnp.array([20.0, 0.0, 0.0, 0.0, -1.0, 0.5])  # noqa: E731
+    log = eqx.filter_jit(simulate)(vehicle, Motion(jnp.eye(4), 0.3 * jnp.ones(6)), t, push)
+    result = run(Group(vehicle, 4.0, 8.0, substeps=1), Record(t, log.u, log.y))
+    error = velocity_error(result, log)
+    assert error[-1] < 1e-3 * error[0]
+    assert max(float(SE3.defect(g)) for g in result.estimate.g[::20]) < 1e-13
+
+
+def test_friction_of_a_top_is_taken_at_the_estimate():
+    top = heavy_top(viscous=0.05)
+    t = 0.02 * jnp.arange(300.0)
+    log = eqx.filter_jit(simulate)(top, Motion(jnp.eye(3), jnp.array([0.2, 0.1, 3.0])), t)
+    error = velocity_error(run(Group(top, 4.0, 8.0, substeps=1), Record(t, log.u, log.y)), log)
+    assert error[-1] < 1e-4 * error[0]
+
+
+@pytest.mark.parametrize("name", OBSERVERS)
+def test_a_first_measurement_that_is_no_rotation_is_refused(name):
+    for wrong in (2 * jnp.eye(3), -jnp.eye(3), jnp.full((3, 3), jnp.nan)):
+        with pytest.raises(Exception, match="not an element of the group"):
+            OBSERVERS[name].init(wrong)
+
+
+def test_salcudean_is_for_rotations_only():
+    with pytest.raises(ValueError, match=r"the observer is for SO\(3\) only"):
+        Salcudean(underwater_vehicle(), 1.0, 1.0)
+
+
+@pytest.mark.parametrize("name", OBSERVERS)
+def test_observers_work_in_float32(log, runs, name):
+    light = jax.tree.map(lambda a: jnp.asarray(a, jnp.float32) if eqx.is_array(a) else a, OBSERVERS[name])
+    record = Record(*(jnp.asarray(a[:200], jnp.float32) for a in (log.t, log.u, log.y)))
+    result = run(light, record)
+    assert result.estimate.v.dtype == jnp.float32
+    np.testing.assert_allclose(result.estimate.v, runs[name].estimate.v[:200], atol=2e-3)
