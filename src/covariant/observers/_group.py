@@ -10,7 +10,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from covariant._typing import Code, Element, Number, Scalar, Vector
+from covariant._typing import Code, Element, Flag, Number, Scalar, Vector
 from covariant.geometry import Budget
 from covariant.models import GroupSystem, Motion, friction, source
 from covariant.observers._protocol import AbstractFlowObserver, outcome
@@ -31,8 +31,8 @@ class GroupInfo(NamedTuple):
     """What a step saw.
 
     `innovation`: `log(ĝ⁻¹ y)` before the correction, in the body, 0 where missing; `distance`: its length in the metric
-    (with `error="riemannian"` the geodesic distance); `residual`: the length by which the geodesic missed; `result`: a
-    `covariant.signals.Result` code.
+    (with `error="riemannian"` the geodesic distance); `residual`: the length by which the geodesic missed, infinite
+    where none was found; `result`: a `covariant.signals.Result` code.
     """
 
     innovation: Vector
@@ -47,6 +47,7 @@ class _Correction(NamedTuple):
     drive: Vector
     residual: Scalar
     result: Code
+    exact: Flag  # along a geodesic that was found, not along the group's one-parameter curve
 
 
 class Group(AbstractFlowObserver):
@@ -106,16 +107,16 @@ class Group(AbstractFlowObserver):
         k1, k2 = sampled_gains(self._alpha, self.beta, dt)
         found = self._correction(t, GroupState(g, v, t, state.log), u, y)
         missing = found.drive - source(self.model, t, g, u)  # what the prediction, made with S(g̃), left out
-        new_v = v + k2 * found.towards + dt * missing
-        if self.error == "group":
-            new_g = g @ self.model.group.exp(k1 * found.towards)
-            new_v = new_v - self.model.metric.connection(k1 * found.towards, v)
-            left = (1 - k1) * found.towards
-        else:
+        corrected = v + k2 * found.towards + dt * missing
+        new_g = g @ self.model.group.exp(k1 * found.towards)
+        new_v = corrected - self.model.metric.connection(k1 * found.towards, v)
+        left = (1 - k1) * found.towards
+        if self.error == "riemannian":
             # Go the fraction k1 along the geodesic to the measurement; velocity and the rest of it come along.
-            carried = jnp.stack([new_v, (1 - k1) * found.towards])
-            end = self.model.metric.transport_along(k1 * found.towards, carried, self.budget)
-            new_g, (new_v, left) = g @ end.g, end.w
+            end = self.model.metric.transport_along(k1 * found.towards, jnp.stack([corrected, left]), self.budget)
+            new_g = jnp.where(found.exact, g @ end.g, new_g)
+            chosen = jnp.where(found.exact, end.w, jnp.stack([new_v, left]))
+            new_v, left = chosen[0], chosen[1]
         distance = self.model.metric.norm(found.towards)
         info = GroupInfo(found.innovation, distance, found.residual, outcome(new_g, new_v, y, found.result))
         return GroupState(new_g, new_v, t, left), info
@@ -132,19 +133,18 @@ class Group(AbstractFlowObserver):
         innovation = group.log(between)
         s = source(self.model, t, measured, u)
         result = uniqueness(self.model, between)
-        if self.error == "group":
-            towards, residual = innovation, jnp.zeros_like(state.t)
-            drive = s + metric.connection(towards, s)
-        else:
+        towards, residual, exact = innovation, jnp.zeros_like(state.t), jnp.zeros((), bool)
+        drive = s + metric.connection(towards, s)
+        if self.error == "riemannian":
             shot = metric.shoot(between, state.log, self.budget)
-            found = (shot.result != Result.NOT_CONVERGED) & jnp.all(jnp.isfinite(shot.velocity))
-            towards = jnp.where(found, shot.velocity, innovation)
-            arrival = jnp.where(found, shot.arrival, innovation)
-            residual, result = shot.residual, jnp.maximum(result, shot.result)
-            drive = metric.transport_along(-arrival, s, self.budget).w
+            exact = (shot.result != Result.NOT_CONVERGED) & jnp.all(jnp.isfinite(shot.velocity))
+            towards = jnp.where(exact, shot.velocity, innovation)
+            residual, result = jnp.where(exact, shot.residual, jnp.inf), jnp.maximum(result, shot.result)
+            transported = metric.transport_along(-jnp.where(exact, shot.arrival, 0.0), s, self.budget).w
+            drive = jnp.where(exact, transported, drive)
         if self.curvature:
             drive = drive - metric.curvature(towards, state.v, state.v)
-        return _Correction(towards, innovation, drive, residual, result)
+        return _Correction(towards, innovation, drive, residual, result, exact)
 
 
 def uniqueness(model: GroupSystem, between: Element) -> Code:

@@ -3,6 +3,7 @@
 The paper gives neither inertia nor initial state; those below are chosen. The rates of the theory depend on neither.
 """
 
+import functools
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -55,9 +56,14 @@ def follow(
     inertia: tuple[float, ...], velocity: tuple[float, ...], observer: Callable[..., AbstractFlowObserver], t
 ) -> Trajectory:
     """Run an observer, at rest and misaligned at the start, beside a top in free motion."""
-    top = models.heavy_top(inertia)
+    top = _top(inertia)
     x, v = _follow(observer(top), top, jnp.asarray(velocity), jnp.asarray(t))
     return Trajectory(np.asarray(t), np.asarray(x), np.asarray(v))
+
+
+@functools.cache  # one object, so that what is compiled for it is found again
+def _top(inertia: tuple[float, ...]) -> models.GroupSystem:
+    return models.heavy_top(inertia)
 
 
 @eqx.filter_jit
