@@ -28,7 +28,10 @@ def test_a_sound_record_comes_back_itself():
     ("record", "words"),
     [
         (GOOD._replace(t=T[:, None]), r"got \(4, 1\), \(4, 1\), \(4, 2\)"),
-        (GOOD._replace(u=np.zeros(4)), r"needs t \(T,\), u \(T, m\), y \(T, n\) or \(T, N, N\); got \(4,\), \(4,\), \(4, 2\)"),
+        (
+            GOOD._replace(u=np.zeros(4)),
+            r"needs t \(T,\), u \(T, m\), y \(T, n\) or \(T, N, N\); got \(4,\), \(4,\), \(4, 2\)",
+        ),
         (GOOD._replace(y=np.zeros((3, 2))), r"got \(4,\), \(4, 1\), \(3, 2\)"),
         (Record(T[:1], np.zeros((1, 1)), np.zeros((1, 1))), "at least two rows; this one has 1"),
         (Record(T[:0], np.zeros((0, 1)), np.zeros((0, 1))), "at least two rows; this one has 0"),
