@@ -3,8 +3,8 @@
 The vehicle carries no Doppler log; an acoustic and inertial reference gives its pose twenty times a second. The model
 knows mass, added mass, weight, buoyancy and thrust; its drag is 10 % too low. Friction is evaluated at the estimate,
 where a wrong coefficient leaves the bias αa/β, a being the acceleration it gets wrong: the Kalman filter, told to
-expect such errors, has the higher gains and the smaller bias, and more noise. Position and attitude are one element of SE(3),
-so surge and pitch rate need no frames of their own, and a loop is a motion like any other.
+expect such errors, has the higher gains and the smaller bias, and more noise. Position and attitude are one element
+of SE(3), so surge and pitch rate need no frames of their own, and a loop is a motion like any other.
 """
 
 from pathlib import Path
