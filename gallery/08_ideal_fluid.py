@@ -7,7 +7,10 @@ error follows the law s² + αs + β of a flat space, because it compensates the
 the instability of the shear flow, which makes the weather hard to foretell, works against the observer.
 """
 
+import os
 from pathlib import Path
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # at this size more threads only get in each other's way
 
 import equinox as eqx
 import jax
