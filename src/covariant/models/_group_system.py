@@ -166,15 +166,17 @@ def advance(
     h = dt / jnp.asarray(steps, motion.v.dtype)
 
     def step(i, now):
+        g0, momentum0 = now
+
         def flow(s, moved, momentum):
-            g, v = now.g @ moved, inertia.solve(group.coadjoint_action(moved, momentum))
+            g, v = g0 @ moved, inertia.solve(group.coadjoint_action(moved, momentum))
             held = u(s, Motion(g, v)) if callable(u) else u
             pull = system.force(s, g, held) + potential_force(system, g) + system.dissipation(g, v)
             return v, group.coadjoint_action(group.inverse(moved), pull)
 
         begin = t + jnp.asarray(i, h.dtype) * h
-        still = group.identity(h.dtype)
-        moved, momentum = munthe_kaas(group, flow, begin, still, inertia(now.v), h, 1, rule)
-        return Motion(now.g @ moved, inertia.solve(group.coadjoint_action(moved, momentum)))
+        moved, momentum = munthe_kaas(group, flow, begin, group.identity(h.dtype), momentum0, h, 1, rule)
+        return g0 @ moved, group.coadjoint_action(moved, momentum)
 
-    return jax.lax.fori_loop(0, steps, step, motion)
+    g, momentum = jax.lax.fori_loop(0, steps, step, (motion.g, inertia(motion.v)))
+    return Motion(g, inertia.solve(momentum))
