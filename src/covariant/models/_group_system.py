@@ -14,7 +14,17 @@ from jaxtyping import Array, Float, Inexact
 from covariant._integrate import rk4_step
 from covariant._typing import Element, Number, Scalar, Vector
 from covariant.geometry.lie import AbstractGroup, LeftInvariant, munthe_kaas
-from covariant.models._lagrangian import FrozenDict, Parameter, acceleration, energy, friction, source
+from covariant.models._lagrangian import (
+    FrozenDict,
+    Parameter,
+    acceleration,
+    check_shapes,
+    energy,
+    friction,
+    input_itself,
+    no_dissipation,
+    source,
+)
 
 
 class Motion(NamedTuple):
@@ -64,8 +74,8 @@ class GroupSystem(eqx.Module):
         n = group.dimension
         self.metric = LeftInvariant(group, inertia)
         self.potential = _no_potential if potential is None else potential
-        self.force = _input_itself if force is None else force
-        self.dissipation = _no_dissipation if dissipation is None else dissipation
+        self.force = input_itself if force is None else force
+        self.dissipation = no_dissipation if dissipation is None else dissipation
         self.velocities = tuple(velocities) or tuple(f"v{i + 1}" for i in range(n))
         self.units = tuple(units) or ("",) * n
         self.inputs = n if inputs is None else inputs
@@ -83,32 +93,16 @@ def _no_potential(g):
     return jnp.zeros((), g.real.dtype)
 
 
-def _input_itself(t, g, u):
-    return u
-
-
-def _no_dissipation(g, v):
-    return jnp.zeros_like(v)
-
-
 def _check(system: GroupSystem) -> None:
     n = system.group.dimension
     g = jax.eval_shape(lambda: system.group.identity())
     v, u, t = (jax.ShapeDtypeStruct(shape, jnp.float64) for shape in ((n,), (system.inputs,), ()))
-    for name, function, arguments, wanted in (
+    functions = (
         ("potential", system.potential, (g,), ()),
         ("force", system.force, (t, g, u), (n,)),
         ("dissipation", system.dissipation, (g, v), (n,)),
-    ):
-        try:
-            shape = jax.eval_shape(function, *arguments).shape
-        except (TypeError, ValueError, IndexError, AttributeError) as error:
-            reason = str(error).splitlines()[0]
-            raise ValueError(
-                f"{name} cannot be evaluated with elements {g.shape} and {system.inputs} inputs: {reason}"
-            ) from error
-        if shape != wanted:
-            raise ValueError(f"{name} must return shape {wanted} for this group; it returned {shape}")
+    )
+    check_shapes(functions, f"elements {g.shape} and {system.inputs} inputs", "this group")
 
 
 def potential_force(system: GroupSystem, g: Element) -> Vector:

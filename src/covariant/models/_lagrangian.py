@@ -66,8 +66,8 @@ class Lagrangian(eqx.Module):
     ):
         self.metric = as_metric(metric)
         self.potential = potential
-        self.force = _input_itself if force is None else force
-        self.dissipation = _no_dissipation if dissipation is None else dissipation
+        self.force = input_itself if force is None else force
+        self.dissipation = no_dissipation if dissipation is None else dissipation
         self.circles = tuple(circles)
         self.coordinates = tuple(coordinates)
         self.units = tuple(units)
@@ -84,11 +84,11 @@ class FrozenDict(dict):
         return hash(tuple(self.items()))
 
 
-def _input_itself(t, q, u):
+def input_itself(t, q, u):
     return u
 
 
-def _no_dissipation(q, v):
+def no_dissipation(q, v):
     return jnp.zeros_like(v)
 
 
@@ -100,21 +100,25 @@ def check_model(model: Lagrangian, n: int) -> None:
     u = jax.ShapeDtypeStruct((n if model.inputs is None else model.inputs,), jnp.float64)
     t = jax.ShapeDtypeStruct((), jnp.float64)
     metric = model.metric.matrix if isinstance(model.metric, Metric) else model.metric
-    for name, function, arguments, wanted in (
+    functions = (
         ("metric", metric, (q,), (n, n)),
         ("potential", model.potential, (q,), ()),
         ("force", model.force, (t, q, u), (n,)),
         ("dissipation", model.dissipation, (q, q), (n,)),
-    ):
+    )
+    check_shapes(functions, f"{n} coordinates and {u.shape[0]} inputs", f"{n} coordinates")
+
+
+def check_shapes(functions, given: str, whom: str) -> None:
+    """Raise `ValueError` for the first of the functions (name, function, arguments, shape) that has another shape."""
+    for name, function, arguments, wanted in functions:
         try:
             shape = jax.eval_shape(function, *arguments).shape
         except (TypeError, ValueError, IndexError, AttributeError) as error:
             reason = str(error).splitlines()[0]
-            raise ValueError(
-                f"{name} cannot be evaluated with {n} coordinates and {u.shape[0]} inputs: {reason}"
-            ) from error
+            raise ValueError(f"{name} cannot be evaluated with {given}: {reason}") from error
         if shape != wanted:
-            raise ValueError(f"{name} must return shape {wanted} for {n} coordinates; it returned {shape}")
+            raise ValueError(f"{name} must return shape {wanted} for {whom}; it returned {shape}")
 
 
 @functools.singledispatch
