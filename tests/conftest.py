@@ -1,5 +1,6 @@
 """Strict numerics for every test, the recorded logs, and the spaces over which the laws of geometry are checked."""
 
+import gc
 import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -25,6 +26,19 @@ hypothesis.settings.register_profile("laws", derandomize=True, deadline=None, da
 hypothesis.settings.load_profile("laws")
 
 REPOSITORY = Path(__file__).parents[1]
+
+
+MOST_MAPPINGS = 30_000  # Linux allows a process 65 530, and kills it in the compiler beyond
+
+
+@pytest.fixture(scope="module", autouse=True)
+def few_mappings():
+    """Every compiled program holds some six memory mappings: the programs are let go before a process runs out."""
+    yield
+    mappings = Path("/proc/self/maps")
+    if mappings.exists() and mappings.read_bytes().count(b"\n") > MOST_MAPPINGS:
+        jax.clear_caches()
+        gc.collect()
 
 
 @pytest.fixture(scope="session")
