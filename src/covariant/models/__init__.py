@@ -20,6 +20,7 @@ from covariant.models._lagrangian import (
 from covariant.models._oscillator import oscillator
 from covariant.models._pendulum_chain import pendulum_chain
 from covariant.models._satellite import satellite
+from covariant.models._state_space import StateSpace, state_space
 from covariant.models._underwater_vehicle import underwater_vehicle
 
 __all__ = [
@@ -29,6 +30,7 @@ __all__ = [
     "ModelFile",
     "Motion",
     "Parameter",
+    "StateSpace",
     "acceleration",
     "advance",
     "ball_and_beam",
@@ -47,6 +49,7 @@ __all__ = [
     "satellite",
     "source",
     "spatial_momentum",
+    "state_space",
     "underwater_vehicle",
     "wrap",
 ]

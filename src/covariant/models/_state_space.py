@@ -1,0 +1,112 @@
+"""General nonlinear systems `x' = f(t, x, u)`, `y = h(t, x, u)`, written once as JAX functions."""
+
+from collections.abc import Callable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from covariant._typing import Matrix, Scalar, Vector
+from covariant.models._lagrangian import FrozenDict, Lagrangian, Parameter, acceleration, check_shapes, wrap
+
+
+class StateSpace(eqx.Module):
+    """A nonlinear system with measured outputs; its Jacobians are automatic.
+
+    - `f`: state derivative `(t, x, u) -> (n,)` of state x (n,) and input u (m,).
+    - `h`: output `(t, x, u) -> (p,)`.
+    - `coordinates`, `units`: names and units of the state; when given, both functions are checked at once.
+    - `outputs`: names of the outputs, y1, y2, … by default where coordinates are given; `inputs`: number of inputs m.
+    - `circles`: indices of outputs that are angles on a full circle [rad]; errors in them are wrapped to ±π.
+    - `box`: lower and upper bound of each state in which the model is meant to hold, for designs that need one.
+    - `parameters`: `Parameter` by name, for people.
+
+    Raises `ValueError` when a function has the wrong shape, or the names, units or box do not fit the state.
+    """
+
+    f: Callable[[Array, Array, Array], Array]
+    h: Callable[[Array, Array, Array], Array]
+    coordinates: tuple[str, ...] = eqx.field(static=True)
+    units: tuple[str, ...] = eqx.field(static=True)
+    outputs: tuple[str, ...] = eqx.field(static=True)
+    inputs: int = eqx.field(static=True)
+    circles: tuple[int, ...] = eqx.field(static=True)
+    box: tuple[tuple[float, float], ...] = eqx.field(static=True)
+    parameters: dict[str, Parameter] = eqx.field(static=True)
+
+    def __init__(
+        self,
+        f: Callable[[Array, Array, Array], Array],
+        h: Callable[[Array, Array, Array], Array],
+        *,
+        coordinates: tuple[str, ...] = (),
+        units: tuple[str, ...] = (),
+        outputs: tuple[str, ...] = (),
+        inputs: int = 0,
+        circles: tuple[int, ...] = (),
+        box: tuple[tuple[float, float], ...] = (),
+        parameters: dict[str, Parameter] | None = None,
+    ):
+        self.f, self.h = f, h
+        self.coordinates, self.units = tuple(coordinates), tuple(units)
+        self.inputs, self.circles = inputs, tuple(circles)
+        self.box = tuple((float(low), float(high)) for low, high in box)
+        self.parameters = FrozenDict(parameters or {})
+        self.outputs = tuple(outputs)
+        if self.coordinates:
+            count = _check(self)
+            self.outputs = self.outputs or tuple(f"y{i + 1}" for i in range(count))
+
+    def jacobians(self, t: Scalar, x: Vector, u: Float[Array, "m"]) -> tuple[Matrix, Float[Array, "p n"]]:
+        """`∂f/∂x` (n, n) and `∂h/∂x` (p, n)."""
+        return jax.jacfwd(self.f, 1)(t, x, u), jax.jacfwd(self.h, 1)(t, x, u)
+
+    def output_error(self, predicted: Float[Array, "p"], y: Float[Array, "p"]) -> Float[Array, "p"]:
+        """`predicted − y`, wrapped to ±π on circle outputs; zero where the measurement is missing (NaN)."""
+        return wrap(self.circles, jnp.where(jnp.isnan(y), 0.0, predicted - y))
+
+
+def state_space(model: Lagrangian) -> StateSpace:
+    """A Lagrangian system as the first-order system of x = (q, v) with y = q."""
+    names = model.coordinates
+    rates = tuple(f"{name}_dot" for name in names)
+
+    def f(t, x, u):
+        q, v = jnp.split(x, 2)
+        return jnp.concatenate([v, acceleration(model, t, q, v, u)])
+
+    return StateSpace(
+        f,
+        lambda t, x, u: jnp.split(x, 2)[0],
+        coordinates=(*names, *rates),
+        units=(*model.units, *(f"{unit}/s" for unit in model.units)),
+        outputs=names,
+        inputs=len(names) if model.inputs is None else model.inputs,
+        circles=model.circles,
+        parameters=model.parameters,
+    )
+
+
+def _check(model: StateSpace) -> int:
+    """Raise `ValueError` for the first thing that does not fit n coordinates; returns the number of outputs."""
+    n = len(model.coordinates)
+    t, x, u = (jax.ShapeDtypeStruct(shape, jnp.float64) for shape in ((), (n,), (model.inputs,)))
+    given, whom = f"{n} states and {model.inputs} inputs", f"{n} states"
+    check_shapes((("f", model.f, (t, x, u), (n,)),), given, whom)
+    count = len(model.outputs)
+    if not count:
+        shape = getattr(jax.eval_shape(model.h, t, x, u), "shape", None)
+        if shape is None or len(shape) != 1 or not shape[0]:
+            raise ValueError(f"h must return a vector of outputs (p,), p ≥ 1; it returned {shape}")
+        count = shape[0]
+    check_shapes((("h", model.h, (t, x, u), (count,)),), given, f"{count} outputs")
+    if any(not 0 <= i < count for i in model.circles):
+        raise ValueError(f"circles {model.circles} must be indices of the {count} outputs, 0 to {count - 1}")
+    for name, entries in (("units", model.units), ("box", model.box)):
+        if entries and len(entries) != n:
+            raise ValueError(f"{name} needs one entry for each of the {n} states; it has {len(entries)}")
+    for name, (low, high) in zip(model.coordinates, model.box, strict=False):
+        if not low < high:
+            raise ValueError(f"box of {name}: the lower bound {low:g} must be below the upper one {high:g}")
+    return count
