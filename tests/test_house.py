@@ -29,10 +29,10 @@ PUBLIC = {
     "geometry.lie": "SE2 SE3 SO2 SO3 SU AbstractGroup AbstractInertia Carried ExponentialChart Inertia LeftInvariant "
     "MatrixGroup Product munthe_kaas quaternion_from_rotation rotation_from_quaternion",
     "logs": "ATTITUDES Body Columns Log LogError bodies matrices read to_columns write",
-    "models": "GroupSystem Lagrangian ModelError ModelFile Motion Parameter StateSpace acceleration advance ball_and_beam "
-    "body_velocity check_metric check_model energy free_body friction heavy_top hovercraft load oscillator "
-    "pendulum_chain position_error satellite source spatial_momentum state_space "
-    "underwater_vehicle wrap",
+    "models": "GroupSystem Lagrangian ModelError ModelFile Motion Parameter StateSpace acceleration advance "
+    "ball_and_beam bioreactor body_velocity check_metric check_model duffing energy free_body friction heavy_top "
+    "hovercraft induction_motor load lorenz oscillator pendulum_chain position_error satellite source "
+    "spatial_momentum state_space underwater_vehicle unknown_frequency van_der_pol wrap",
     "observers": "EKF AbstractFlowObserver AbstractObserver Copy EKFInfo EKFState FilterInfo FilteredDerivative "
     "FilteredState Geodesic GeodesicInfo GeodesicState Group GroupInfo GroupState Info Intrinsic InvariantEKF "
     "InvariantInfo InvariantState MechanicalState Salcudean SalcudeanState SavitzkyGolay WindowState run",

@@ -1,11 +1,14 @@
 """What moves: mechanical systems as JAX functions, and example systems, one a file."""
 
 from covariant.models._ball_and_beam import ball_and_beam
+from covariant.models._bioreactor import bioreactor
 from covariant.models._check import check_metric
+from covariant.models._duffing import duffing
 from covariant.models._file import ModelError, ModelFile, load
 from covariant.models._group_system import GroupSystem, Motion, advance, body_velocity, spatial_momentum
 from covariant.models._heavy_top import free_body, heavy_top
 from covariant.models._hovercraft import hovercraft
+from covariant.models._induction_motor import induction_motor
 from covariant.models._lagrangian import (
     Lagrangian,
     Parameter,
@@ -17,11 +20,14 @@ from covariant.models._lagrangian import (
     source,
     wrap,
 )
+from covariant.models._lorenz import lorenz
 from covariant.models._oscillator import oscillator
 from covariant.models._pendulum_chain import pendulum_chain
 from covariant.models._satellite import satellite
 from covariant.models._state_space import StateSpace, state_space
 from covariant.models._underwater_vehicle import underwater_vehicle
+from covariant.models._unknown_frequency import unknown_frequency
+from covariant.models._van_der_pol import van_der_pol
 
 __all__ = [
     "GroupSystem",
@@ -34,15 +40,19 @@ __all__ = [
     "acceleration",
     "advance",
     "ball_and_beam",
+    "bioreactor",
     "body_velocity",
     "check_metric",
     "check_model",
+    "duffing",
     "energy",
     "free_body",
     "friction",
     "heavy_top",
     "hovercraft",
+    "induction_motor",
     "load",
+    "lorenz",
     "oscillator",
     "pendulum_chain",
     "position_error",
@@ -51,5 +61,7 @@ __all__ = [
     "spatial_momentum",
     "state_space",
     "underwater_vehicle",
+    "unknown_frequency",
+    "van_der_pol",
     "wrap",
 ]

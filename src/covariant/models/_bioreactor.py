@@ -1,0 +1,56 @@
+"""A continuous stirred-tank bioreactor: microbes that feed on a substrate, which inhibits them where there is much.
+
+Source: Bastin & Dochain 1990, On-line estimation and adaptive control of bioreactors, chapter 1; numbers of Bequette
+1998, Process dynamics, module 8, which has hours in place of seconds.
+"""
+
+import jax.numpy as jnp
+
+from covariant.models._lagrangian import Parameter
+from covariant.models._parameters import check_parameters
+from covariant.models._state_space import StateSpace
+
+_SOURCE = "Bequette 1998, Process dynamics, module 8"
+
+
+def bioreactor(
+    growth: float = 0.53 / 3600,
+    saturation: float = 0.12,
+    inhibition: float = 0.4545,
+    conversion: float = 0.4,
+    feed: float = 4.0,
+) -> StateSpace:
+    """Biomass and substrate [kg/m³], with the dilution rate u [1/s] (flow over volume) as input; substrate is measured.
+
+    The growth rate is `μ(s) = growth s/(saturation + s + inhibition s²)`: Haldane's kinetics, and Monod's where
+    `inhibition` [m³/kg] is zero. `growth` [1/s], `saturation` [kg/m³], `conversion` of substrate into biomass [1], and
+    the substrate in the `feed` [kg/m³] are positive; raises `ValueError` otherwise. In hours, or any other unit of
+    time, give `growth` and u in it.
+
+    The substrate tells the biomass from the rate at which it is eaten wherever there is any, s > 0. The biomass would
+    not tell the substrate: two of them, on both sides of the fastest growth, give the same rate.
+    """
+    parameters = {
+        "growth": Parameter(growth, "1/s", _SOURCE),
+        "saturation": Parameter(saturation, "kg/m^3", _SOURCE),
+        "inhibition": Parameter(inhibition, "m^3/kg", _SOURCE),
+        "conversion": Parameter(conversion, "1", _SOURCE),
+        "feed": Parameter(feed, "kg/m^3", _SOURCE),
+    }
+    check_parameters("bioreactor", parameters, may_vanish=("inhibition",))
+
+    def f(t, x, u):
+        biomass, substrate = x
+        grown = growth * substrate / (saturation + substrate + inhibition * substrate**2) * biomass
+        return jnp.stack([grown - u[0] * biomass, u[0] * (feed - substrate) - grown / conversion])
+
+    return StateSpace(
+        f,
+        lambda t, x, u: x[1:],
+        coordinates=("biomass", "substrate"),
+        units=("kg/m^3", "kg/m^3"),
+        outputs=("substrate",),
+        inputs=1,
+        box=tuple((high / 50, high) for high in (conversion * feed, feed)),  # without food nothing is seen
+        parameters=parameters,
+    )

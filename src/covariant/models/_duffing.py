@@ -1,0 +1,37 @@
+"""The oscillator of Duffing 1918 with a cubic spring: by default a buckled beam, two wells with a hill between."""
+
+import jax.numpy as jnp
+
+from covariant.models._lagrangian import Parameter
+from covariant.models._parameters import check_parameters
+from covariant.models._state_space import StateSpace
+
+_SOURCE = "Guckenheimer & Holmes 1983, section 2.2"
+
+
+def duffing(damping: float = 0.25, stiffness: float = -1.0, cubic: float = 1.0) -> StateSpace:
+    """`q̈ + damping q̇ + stiffness q + cubic q³ = u` for a unit mass [kg], with x = (q, q̇) [m, m/s] and y = q.
+
+    `damping` [N s/m], not negative; `stiffness` [N/m] and `cubic` [N/m³] of any sign; the force u [N] is zero where
+    none is given. Raises `ValueError` for other parameters.
+    """
+    parameters = {
+        "damping": Parameter(damping, "N s/m", _SOURCE),
+        "stiffness": Parameter(stiffness, "N/m", _SOURCE),
+        "cubic": Parameter(cubic, "N/m^3", _SOURCE),
+    }
+
+    def f(t, x, u):
+        q, v = x
+        return jnp.stack([v, u[0] - damping * v - stiffness * q - cubic * q**3])
+
+    return StateSpace(
+        f,
+        lambda t, x, u: x[:1],
+        coordinates=("q", "q_dot"),
+        units=("m", "m/s"),
+        outputs=("q",),
+        inputs=1,
+        box=((-2.0, 2.0), (-2.0, 2.0)),
+        parameters=check_parameters("duffing", parameters, ("stiffness", "cubic"), ("damping",)),
+    )

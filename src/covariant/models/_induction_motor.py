@@ -1,0 +1,72 @@
+"""The induction motor in two-phase coordinates fixed to the stator, with linear magnetic circuits.
+
+Source: Marino, Peresada & Valigi 1993, Adaptive input-output linearizing control of induction motors, section II.
+"""
+
+import jax.numpy as jnp
+
+from covariant.models._lagrangian import Parameter
+from covariant.models._parameters import check_parameters
+from covariant.models._state_space import StateSpace
+
+_SOURCE = "Marino, Peresada & Valigi 1993"
+
+
+def induction_motor(
+    stator_resistance: float = 0.18,
+    rotor_resistance: float = 0.15,
+    stator_inductance: float = 0.0699,
+    rotor_inductance: float = 0.0699,
+    mutual_inductance: float = 0.068,
+    inertia: float = 0.0586,
+    pole_pairs: int = 1,
+    load: float | None = 0.0,
+) -> StateSpace:
+    """Stator currents i [A], rotor flux linkages ψ [Wb], each along α and β, and the speed ω [rad/s] of the rotor.
+
+    Resistances [Ω], inductances [H] of the two equivalent phases (`mutual_inductance²` below the product of the other
+    two), `inertia` [kg m²], and the torque of the `load` [N m] against positive speed: a known constant, or None for an
+    unknown one, which is then a sixth state. Inputs are the stator voltages [V], and the currents are measured. The
+    two phases carry the power of the three: `u·i` is the electrical one. Raises `ValueError` for parameters that are
+    not positive.
+    """
+    parameters = {
+        "stator_resistance": Parameter(stator_resistance, "ohm", _SOURCE),
+        "rotor_resistance": Parameter(rotor_resistance, "ohm", _SOURCE),
+        "stator_inductance": Parameter(stator_inductance, "H", _SOURCE),
+        "rotor_inductance": Parameter(rotor_inductance, "H", _SOURCE),
+        "mutual_inductance": Parameter(mutual_inductance, "H", _SOURCE),
+        "inertia": Parameter(inertia, "kg m^2", _SOURCE),
+        "pole_pairs": Parameter(pole_pairs, "1", _SOURCE),
+    } | ({} if load is None else {"load": Parameter(load, "N m", "chosen")})
+    check_parameters("induction_motor", parameters, signed=("load",))
+    coupling = mutual_inductance / rotor_inductance
+    leakage = stator_inductance - coupling * mutual_inductance
+    if leakage <= 0:
+        raise ValueError(
+            f"induction_motor: mutual_inductance {mutual_inductance:g} H must be below the geometric mean of the other "
+            f"two, {(stator_inductance * rotor_inductance) ** 0.5:g} H"
+        )
+
+    def f(t, x, u):
+        current, flux, speed = x[:2], x[2:4], x[4]
+        turned = jnp.stack([-flux[1], flux[0]])
+        induced = rotor_resistance / rotor_inductance * (mutual_inductance * current - flux)
+        flux_dot = induced + pole_pairs * speed * turned
+        current_dot = (u - stator_resistance * current - coupling * flux_dot) / leakage
+        torque = pole_pairs * coupling * (turned @ current)
+        resisting = x[5] if load is None else load
+        unknown = jnp.zeros_like(x[5:])
+        return jnp.concatenate([current_dot, flux_dot, ((torque - resisting) / inertia)[None], unknown])
+
+    sixth = load is None
+    return StateSpace(
+        f,
+        lambda t, x, u: x[:2],
+        coordinates=("i_alpha", "i_beta", "psi_alpha", "psi_beta", "speed") + ("load",) * sixth,
+        units=("A", "A", "Wb", "Wb", "rad/s") + ("N m",) * sixth,
+        outputs=("i_alpha", "i_beta"),
+        inputs=2,
+        box=((-100.0, 100.0),) * 2 + ((-1.5, 1.5),) * 2 + ((-250.0, 250.0),) + ((-100.0, 100.0),) * sixth,
+        parameters=parameters,
+    )

@@ -1,0 +1,36 @@
+"""The convection cell of Lorenz 1963, Deterministic nonperiodic flow: the chaotic system everybody knows."""
+
+import jax.numpy as jnp
+
+from covariant.models._lagrangian import Parameter
+from covariant.models._parameters import check_parameters
+from covariant.models._state_space import StateSpace
+
+_SOURCE = "Lorenz 1963, section 7"
+
+
+def lorenz(prandtl: float = 10.0, rayleigh: float = 28.0, geometry: float = 8 / 3) -> StateSpace:
+    """Lorenz 1963, equations (25)–(27), without dimensions: convection x, temperatures y and z; x is measured.
+
+    `prandtl` number σ, `rayleigh` number r over the critical one, and `geometry` b of the cell, all positive: raises
+    `ValueError` otherwise. The box holds the attractor of the default parameters.
+    """
+    parameters = {
+        "prandtl": Parameter(prandtl, "1", _SOURCE),
+        "rayleigh": Parameter(rayleigh, "1", _SOURCE),
+        "geometry": Parameter(geometry, "1", _SOURCE),
+    }
+
+    def f(t, state, u):
+        x, y, z = state
+        return jnp.stack([prandtl * (y - x), x * (rayleigh - z) - y, x * y - geometry * z])
+
+    return StateSpace(
+        f,
+        lambda t, state, u: state[:1],
+        coordinates=("x", "y", "z"),
+        units=("1", "1", "1"),
+        outputs=("x",),
+        box=((-20.0, 20.0), (-30.0, 30.0), (0.0, 50.0)),
+        parameters=check_parameters("lorenz", parameters),
+    )

@@ -1,0 +1,24 @@
+"""The harmonic oscillator whose frequency is unknown, of Sanfelice & Praly 2015, equation (16)."""
+
+import jax.numpy as jnp
+
+from covariant.models._state_space import StateSpace
+
+
+def unknown_frequency() -> StateSpace:
+    """A unit mass on a spring of unknown stiffness: x1 [m], its velocity x2 [m/s], and x3 = ω² [1/s²]; y = x1.
+
+    `f = (x2, −x3 x1, 0)`. The box is the grid of section III of the paper. At x1 = x2 = 0 nothing tells the frequency.
+    """
+
+    def f(t, x, u):
+        return jnp.stack([x[1], -x[2] * x[0], jnp.zeros_like(x[0])])
+
+    return StateSpace(
+        f,
+        lambda t, x, u: x[:1],
+        coordinates=("x1", "x2", "x3"),
+        units=("m", "m/s", "1/s^2"),
+        outputs=("x1",),
+        box=((0.0, 1.0), (1.0, 1.5), (0.5, 1.5)),
+    )

@@ -1,0 +1,29 @@
+"""The oscillator of van der Pol 1926, On relaxation-oscillations: a limit cycle, the same from every start but zero."""
+
+import jax.numpy as jnp
+
+from covariant.models._lagrangian import Parameter
+from covariant.models._parameters import check_parameters
+from covariant.models._state_space import StateSpace
+
+
+def van_der_pol(damping: float = 1.0) -> StateSpace:
+    """`q̈ − damping (1 − q²) q̇ + q = 0` without dimensions, with x = (q, q̇) and y = q.
+
+    Raises `ValueError` for a negative damping.
+    """
+    parameters = {"damping": Parameter(damping, "1", "van der Pol 1926")}
+
+    def f(t, x, u):
+        q, v = x
+        return jnp.stack([v, damping * (1 - q**2) * v - q])
+
+    return StateSpace(
+        f,
+        lambda t, x, u: x[:1],
+        coordinates=("q", "q_dot"),
+        units=("1", "1"),
+        outputs=("q",),
+        box=((-3.0, 3.0), (-4.0, 4.0)),
+        parameters=check_parameters("van_der_pol", parameters, may_vanish=("damping",)),
+    )
