@@ -14,11 +14,24 @@ SOURCE = ROOT / "src" / "covariant"
 
 PLAN = (
     "_typing _files signals scoring _linalg _integrate "
-    "logs geometry models observers simulation design report papers cli"
+    "logs geometry models observers simulation scale design report papers cli"
 )
 """A room may import from itself and from any room to its left, never to its right."""
 
-OPTIONAL = ("pyarrow", "matplotlib", "plotly", "mujoco", "typer", "rich", "scipy", "sympy")
+OPTIONAL = (
+    "pyarrow",
+    "matplotlib",
+    "plotly",
+    "mujoco",
+    "typer",
+    "rich",
+    "scipy",
+    "sympy",
+    "xarray",
+    "zarr",
+    "dask",
+    "distributed",
+)
 
 PUBLIC = {
     "design": "ESTIMATORS DataSheet Gains bias estimators filter_bandwidth gains line_up observer_gains predict_errors "
@@ -37,6 +50,7 @@ PUBLIC = {
     "FilteredState Geodesic GeodesicInfo GeodesicState Group GroupInfo GroupState Info Intrinsic InvariantEKF "
     "InvariantInfo InvariantState MechanicalState Salcudean SalcudeanState SavitzkyGolay WindowState run",
     "report": "PALETTE EstimateReport new_figure save_figure table write_article write_html write_png",
+    "scale": "Grid Variable map_grid open_grid",
     "simulation": "Sensor hold no_input observe sense simulate stamps",
 }
 
@@ -72,7 +86,10 @@ def test_rooms_import_only_from_their_left(path):
 
 @pytest.mark.parametrize(
     "module",
-    ["covariant", *(f"covariant.{room}" for room in ("geometry", "models", "observers", "simulation", "design"))],
+    [
+        "covariant",
+        *(f"covariant.{room}" for room in ("geometry", "models", "observers", "simulation", "scale", "design")),
+    ],
 )
 def test_import_brings_in_no_optional_package(module):
     script = f"import {module}, sys; print(*(m for m in {OPTIONAL} if m in sys.modules))"

@@ -1,0 +1,104 @@
+"""Grids, and the blocks they are computed in."""
+
+import math
+import operator
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple, SupportsFloat, SupportsIndex
+
+import numpy as np
+from jaxtyping import Float
+
+
+@dataclass(frozen=True)
+class Grid:
+    """A box of n axes with equally spaced points, both ends included.
+
+    Each axis has a name, a unit, its ends `low` < `high` [in that unit], and a count of points, two at least.
+    Raises `ValueError`, one line naming the axis, for anything else.
+    """
+
+    names: Sequence[str]
+    units: Sequence[str]
+    low: Sequence[SupportsFloat]
+    high: Sequence[SupportsFloat]
+    counts: Sequence[SupportsIndex]
+
+    def __post_init__(self):
+        if not len(self.names) == len(self.units) == len(self.low) == len(self.high) == len(self.counts) > 0:
+            raise ValueError(
+                "a grid needs a name, a unit, a low and a high end and a count for each axis; got "
+                f"{[len(part) for part in (self.names, self.units, self.low, self.high, self.counts)]} of them"
+            )
+        for name, low, high, count in zip(self.names, *self.ends, self.counts, strict=True):
+            if not name.isidentifier():
+                raise ValueError(f"axis {name!r}: use a name of letters, digits and _")
+            if list(self.names).count(name) > 1:
+                raise ValueError(f"axis {name!r}: two axes have this name")
+            if not (math.isfinite(low) and math.isfinite(high) and low < high):
+                raise ValueError(f"axis {name!r}: low must be below high, both finite; got {low} and {high}")
+            if not isinstance(count, SupportsIndex) or operator.index(count) < 2:
+                raise ValueError(f"axis {name!r}: the count must be a whole number, 2 or more; got {count}")
+
+    @property
+    def axes(self) -> tuple[Float[np.ndarray, " count"], ...]:
+        """Coordinates along each axis, (count,) each."""
+        return tuple(np.linspace(low, high, n) for low, high, n in zip(*self.ends, self.shape, strict=True))
+
+    @property
+    def ends(self) -> tuple[list[float], list[float]]:
+        """Low ends and high ends as numbers of Python."""
+        return [float(end) for end in self.low], [float(end) for end in self.high]
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Counts of points along the axes."""
+        return tuple(map(operator.index, self.counts))
+
+    @property
+    def size(self) -> int:
+        """Number of points."""
+        return math.prod(self.shape)
+
+
+class Blocks(NamedTuple):
+    """A grid cut into boxes of equal sides, which are also the chunks of the store; those at the edge may stick out."""
+
+    axes: tuple[np.ndarray, ...]
+    sides: tuple[int, ...]
+
+    @property
+    def counts(self) -> tuple[int, ...]:
+        """Numbers of blocks along the axes."""
+        return tuple(-(-len(axis) // side) for axis, side in zip(self.axes, self.sides, strict=True))
+
+    def indices(self) -> Iterator[tuple[int, ...]]:
+        """Indices of the blocks, made one by one."""
+        return np.ndindex(*self.counts)
+
+    def region(self, index: tuple[int, ...]) -> tuple[slice, ...]:
+        """Where a block lies in the grid."""
+        parts = zip(index, self.sides, self.axes, strict=True)
+        return tuple(slice(k * side, min((k + 1) * side, len(axis))) for k, side, axis in parts)
+
+    def size(self, index: tuple[int, ...]) -> int:
+        """Number of points of the grid in a block."""
+        return math.prod(part.stop - part.start for part in self.region(index))
+
+    def points(self, index: tuple[int, ...]) -> Float[np.ndarray, "points n"]:
+        """Points of a block; where it sticks out of the grid the last ones are repeated, so all blocks have as many."""
+        parts = zip(index, self.sides, self.axes, strict=True)
+        lines = [axis[np.minimum(k * side + np.arange(side), len(axis) - 1)] for k, side, axis in parts]
+        return np.stack(np.meshgrid(*lines, indexing="ij"), -1).reshape(-1, len(lines))
+
+
+def cut(grid: Grid, points: int) -> Blocks:
+    """Blocks of at most so many points, as near to a cube as the counts allow."""
+    if points < 1:
+        raise ValueError(f"a block needs at least one point; got {points}")
+    sides, left, shape = [1] * len(grid.shape), points, grid.shape
+    for k, axis in enumerate(sorted(range(len(shape)), key=shape.__getitem__)):
+        side = min(shape[axis], int(left ** (1 / (len(shape) - k)) + 1e-9))  # 4096 ** (1 / 3) is a hair below 16
+        sides[axis] = math.ceil(shape[axis] / math.ceil(shape[axis] / side))  # no thin blocks at the edge
+        left //= sides[axis]
+    return Blocks(grid.axes, tuple(sides))

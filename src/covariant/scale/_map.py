@@ -1,0 +1,172 @@
+"""The map itself: one compiled program, run over the blocks by threads or by the workers of a cluster."""
+
+import concurrent.futures
+import contextlib
+import functools
+import itertools
+import os
+import threading
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from concurrent.futures import Future
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from covariant.scale import _store
+from covariant.scale._grid import Blocks, Grid, cut
+from covariant.scale._guests import guest
+from covariant.scale._store import Variable
+
+Index = tuple[int, ...]
+Submit = Callable[[Index], Future]
+
+IN_FLIGHT = 1024
+"""Blocks a scheduler is given at a time: enough to keep a big cluster busy, few enough to cost it nothing."""
+
+
+def map_grid(
+    function: Callable[[Array], Mapping[str, Any]],
+    grid: Grid,
+    path: str | os.PathLike[str],
+    *,
+    variables: Mapping[str, Variable],
+    provenance: Mapping[str, Any],
+    block: int = 4096,
+    scheduler: str | None = None,
+    workers: int | None = None,
+    on_progress: Callable[[int, int], object] | None = None,
+) -> Path:
+    """Evaluate a function at every point of a grid, into the store at `path`; return that path.
+
+    `function` takes one point x (n,) [units of the grid] to a dict of arrays of any fixed shapes, which `variables`
+    describes, and can be traced by JAX. At most `block` points are computed at a time by each of the `workers`, threads
+    of this process (as many as processors by default), or by the workers of the Dask cluster whose `scheduler` has
+    this address, such as "tcp://10.0.0.1:8786", and which see the path. All write the same bytes on processors of
+    one kind. `provenance` says where the function comes from, in what JSON can hold, and is kept in the store.
+
+    A run that was stopped, killed or failed goes on where it was when called again; the function itself cannot be
+    compared, so change the provenance with it. `on_progress(done, total)` is called with numbers of points, first with
+    what is already there, then after every block.
+
+    Raises `ValueError`, one line, for a function that does not match `variables`, and for a path that holds anything
+    but an earlier run of the same grid, variables, provenance and block; `FileNotFoundError` where the folder of the
+    path does not exist; `ImportError` for a missing package; and what the function raises.
+    """
+    if scheduler is not None and workers is not None:
+        raise ValueError("the scheduler has its own workers; give scheduler or workers, not both")
+    if workers is not None and workers < 1:
+        raise ValueError(f"workers must be 1 or more; got {workers}")
+    path, blocks = Path(path).absolute(), cut(grid, block)
+    _store.prepare(path, _store.configuration(grid, blocks, _outputs(function, grid, variables), provenance), blocks)
+    written = _store.written(path, len(blocks.sides))
+    todo = (index for index in blocks.indices() if index not in written)
+    done = sum(map(blocks.size, written))
+    report = on_progress or (lambda done, total: None)
+    report(done, grid.size)
+    if done < grid.size:
+        work = _Work(function, str(path), blocks)
+        crew = _threads(work, workers or os.cpu_count() or 1) if scheduler is None else _cluster(work, scheduler)
+        with crew as (submit, most):
+            for index in _finished(submit, todo, most):
+                done += blocks.size(index)
+                report(done, grid.size)
+    _store.finish(path)
+    return path
+
+
+class _Work(NamedTuple):
+    """All that it takes to compute any block."""
+
+    function: Callable[[Array], Mapping[str, Any]]
+    path: str
+    blocks: Blocks
+
+    def compile(self) -> Callable[[Any], Any]:
+        """The one program of the map, for blocks of the full size."""
+        sides = self.blocks.sides
+        points = jax.ShapeDtypeStruct(self.blocks.points((0,) * len(sides)).shape, jnp.float64)
+        return jax.jit(jax.vmap(self.function)).lower(points).compile()
+
+    def compute(self, program: Callable[[Any], Any], index: Index) -> None:
+        """Evaluate a block, cut off what sticks out of the grid, and write it."""
+        region, sides = self.blocks.region(index), self.blocks.sides
+        inside = tuple(slice(part.stop - part.start) for part in region)
+        values = jax.device_get(program(self.blocks.points(index)))
+        cubes = {name: value.reshape(*sides, *value.shape[1:])[inside] for name, value in values.items()}
+        _store.write(self.path, region, cubes)
+
+
+@contextlib.contextmanager
+def _threads(work: _Work, workers: int) -> Iterator[tuple[Submit, int]]:
+    program = work.compile()
+    pool = concurrent.futures.ThreadPoolExecutor(workers)
+    try:
+        yield lambda index: pool.submit(work.compute, program, index), 2 * workers
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+@contextlib.contextmanager
+def _cluster(work: _Work, scheduler: str) -> Iterator[tuple[Submit, int]]:
+    pickled = guest("cloudpickle").dumps(work)
+    with guest("distributed").Client(scheduler, set_as_default=False) as client:
+        # A task and not a scattered value: the scheduler can make it again when the worker that holds it dies.
+        shared = client.submit(bytes, pickled)
+        pool = client.get_executor(pure=False)
+        yield lambda index: pool.submit(_compute_pickled, shared, index), IN_FLIGHT
+
+
+def _compute_pickled(pickled: bytes, index: Index) -> None:
+    with _COMPILING:
+        work, program = _compiled(pickled)
+    work.compute(program, index)
+
+
+_COMPILING = threading.Lock()
+"""Threads of one worker wait for the program instead of compiling it several times."""
+
+
+@functools.lru_cache(maxsize=4)
+def _compiled(pickled: bytes) -> tuple[_Work, Callable[[Any], Any]]:
+    work = guest("cloudpickle").loads(pickled)
+    return work, work.compile()
+
+
+def _finished(submit: Submit, todo: Iterable[Index], most: int) -> Iterator[Index]:
+    """Submit blocks, so many at a time at most, and give the index of each one that is written."""
+    pending: dict[Future, Index] = {}
+    todo = iter(todo)
+    while True:
+        pending |= {submit(index): index for index in itertools.islice(todo, most - len(pending))}
+        if not pending:
+            return
+        for future in concurrent.futures.wait(pending, return_when=concurrent.futures.FIRST_COMPLETED).done:
+            future.result()
+            yield pending.pop(future)
+
+
+def _outputs(function: Callable, grid: Grid, variables: Mapping[str, Variable]) -> dict[str, dict[str, Any]]:
+    """What is written of each variable; raises `ValueError` where the function does something else."""
+    found = jax.eval_shape(function, jax.ShapeDtypeStruct((len(grid.names),), jnp.float64))
+    if not isinstance(found, Mapping) or set(found) != set(variables):
+        made = sorted(found) if isinstance(found, Mapping) else f"a {type(found).__name__}"
+        raise ValueError(f"the function must return a dict of {sorted(variables)}, as variables says; it made {made}")
+    sizes: dict[str, int] = {}
+    for name, variable in variables.items():
+        shape = found[name].shape
+        if len(variable.dims) != len(shape) or len(set(variable.dims)) != len(shape):
+            raise ValueError(f"variable {name!r} has shape {shape}; its dims {variable.dims} must name as many axes")
+        for dim, size in zip(variable.dims, shape, strict=True):
+            if sizes.setdefault(dim, size) != size:
+                raise ValueError(f"variable {name!r}: {dim!r} has length {size}, but {sizes[dim]} in another variable")
+    names = [*grid.names, *sizes, *variables, _store.DONE]
+    for name in names:
+        if names.count(name) > 1 or not name.isidentifier():
+            raise ValueError(f"{name!r} cannot name a variable or an axis here: it is taken, or not a plain name")
+    return {
+        name: {**variable._asdict(), "shape": found[name].shape, "dtype": found[name].dtype.name}
+        for name, variable in variables.items()
+    }
