@@ -141,6 +141,26 @@ def test_a_bad_argument(folder, monkeypatch, capsys, arguments, named):
     assert all(part in message for part in named), message
 
 
+WATCHED = ("lorenz", "log.csv", "--q", "q1", "-o", "out/v.csv")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        (("estimate", *WATCHED), ["lorenz is a state-space model", "mechanical", "`covariant design metric`"]),
+        (("compare", *WATCHED), ["lorenz is a state-space model", "mechanical", "`covariant design metric`"]),
+        (("estimate", "lorenz", "absent.csv"), ["lorenz is a state-space model"]),
+        (("simulate", "lorenz", "-o", "out/l.csv", "--q0", "1"), ["--q0 needs 3 finite"]),
+        (("simulate", "lorenz", "-o", "out/l.csv", "--v0", "1,2,3"), ["--v0", "no velocities", "--q0"]),
+        (("simulate", "lorenz", "-o", "out/l.csv", "--amplitude", "1"), ["--amplitude needs 0 finite"]),
+        (("simulate", "bioreactor", "-o", "out/l.csv", "--set", 'columns.q=["a", "b"]'), ["2 columns", "1 outputs"]),
+    ],
+)
+def test_a_bad_argument_with_a_state_space_model(folder, monkeypatch, capsys, arguments, named):
+    message = refused(monkeypatch, capsys, *arguments)
+    assert all(part in message for part in named), message
+
+
 TOP = """
 system = "heavy_top"
 [columns]

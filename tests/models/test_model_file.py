@@ -41,7 +41,7 @@ damping = 0.5
 
 MODULE = """
 from covariant.geometry.lie import SO3, Product
-from covariant.models import GroupSystem, Lagrangian, heavy_top, oscillator, pendulum_chain
+from covariant.models import GroupSystem, Lagrangian, StateSpace, heavy_top, lorenz, oscillator, pendulum_chain
 from covariant.models._file import ModelFile
 from covariant.logs import Columns
 import jax.numpy as jnp
@@ -52,6 +52,9 @@ prepared = ModelFile("stand", oscillator(), Columns(t="stamp", q=("x",)), measur
 constant = 3.0
 top = ModelFile("top", heavy_top(), Columns(quaternion_wxyz=("w", "x", "y", "z")))
 spins = GroupSystem(Product((SO3, SO3)), jnp.eye(6))
+weather = lorenz()
+station = ModelFile("station", weather, Columns(t="stamp", q=("wind",)), measurement_std=0.5)
+shapeless = StateSpace(lambda t, x, u: x, lambda t, x, u: x)
 
 def chain(links=3): return pendulum_chain([1.0] * links, [1.0] * links)
 def needy(links, *rest, **more): return chain(links)
@@ -149,6 +152,52 @@ def test_examples_on_groups_load_with_the_parameters_they_show(name):
     assert shown == {key: plain.model.parameters[key] for key in shown}
 
 
+@pytest.mark.parametrize(
+    ("system", "n", "columns"),
+    [
+        ("bioreactor", 2, Columns(q=("substrate",), u=("u1",))),
+        ("duffing", 2, Columns(q=("q",), u=("u1",))),
+        ("induction_motor", 5, Columns(q=("i_alpha", "i_beta"), u=("u1", "u2"))),
+        ("lorenz", 3, Columns(q=("x",))),
+        ("unknown_frequency", 3, Columns(q=("x1",))),
+        ("van_der_pol", 2, Columns(q=("q",))),
+        ("my_models:weather", 3, Columns(q=("x",))),
+        ("my_models:station", 3, Columns(t="stamp", q=("wind",))),
+    ],
+)
+def test_state_space_models_name_their_outputs(folder, system, n, columns):
+    file = load(system)
+    assert (file.dimension, file.columns, file.lacks_attitude) == (n, columns, False)
+
+
+def test_a_file_gives_a_state_space_model(tmp_path):
+    text = 'system = "bioreactor"\n[parameters]\ninhibition = 0.0\n[columns]\nq = ["s"]\ntruth = ["b0", "s0"]\n'
+    file = load(written(tmp_path, f"{text}[measurement]\nstd = 0.1"), ["parameters.feed=5.0"])
+    assert file.columns == Columns(q=("s",), u=("u1",), truth=("b0", "s0"))
+    assert (file.measurement_std, file.model.parameters["feed"].value) == (0.1, 5.0)
+    assert file.model.parameters["inhibition"].value == 0.0
+
+
+@pytest.mark.parametrize(
+    ("override", "words"),
+    [
+        ('columns.q=["a", "b"]', "columns.q names 2 columns (a, b); the model has 1 outputs"),
+        ('columns.u=["a", "b"]', "columns.u names 2 columns (a, b); the model has 1 inputs"),
+        ('columns.truth=["a"]', "columns.truth names 1 columns (a); the model has 2 states"),
+        ('columns.v=["a"]', "columns.v: a state-space model has no velocities; name its outputs in columns.q"),
+        (
+            'columns.angle=["a"]',
+            "columns.angle is for a model on a group; this one has outputs: name them in columns.q",
+        ),
+        ("parameters.feed=-1.0", "bioreactor: feed [kg/m^3] must be positive; got -1.0"),
+        ('parameters.feed="much"', "a parameter of bioreactor is of the wrong kind: "),
+        ("parameters.fed=1.0", "unknown parameter of bioreactor 'fed'. Did you mean 'feed'? Known: growth, "),
+    ],
+)
+def test_names_what_is_wrong_with_a_state_space_model(override, words):
+    assert words in fault("bioreactor", override)
+
+
 def test_a_later_way_to_write_an_attitude_replaces_the_earlier(folder):
     names = Columns(quaternion_wxyz=("w", "x", "y", "z"))
     spec = written(folder, 'system = "heavy_top"\n[columns]\nquaternion_wxyz = ["w", "x", "y", "z"]')
@@ -222,15 +271,18 @@ def test_a_module_gives_a_model_file(folder, attribute):
         ("my_models:", "unknown attribute of module 'my_models' ''."),
         (
             "my_models:constant",
-            "constant must be a Lagrangian, a GroupSystem, a ModelFile, or a function returning one; it is a float",
+            "constant must be a Lagrangian, a GroupSystem, a StateSpace, a ModelFile, or a function returning one; "
+            "it is a float",
         ),
         (
             "my_models:lost",
-            "lost must be a Lagrangian, a GroupSystem, a ModelFile, or a function returning one; it returned a str",
+            "lost must be a Lagrangian, a GroupSystem, a StateSpace, a ModelFile, or a function returning one; "
+            "it returned a str",
         ),
         ("my_models:bad", "no such luck"),
         ("my_models:needy", "needy needs the parameter 'links'; add it to [parameters]"),
         ("my_models:nameless", "the model names no coordinates; give it some, or columns.q"),
+        ("my_models:shapeless", "the model names no coordinates; give it some: they say how many states it has"),
     ],
 )
 def test_names_what_is_wrong_with_a_spec(folder, spec, words):
@@ -247,7 +299,7 @@ def test_names_what_is_wrong_with_a_spec(folder, spec, words):
         ('system = "oscillator"\n[design]\ndamping 3', "not a TOML document: Expected '='"),
         ("", 'system must be a name, as in system = "oscillator"; got None'),
         ("system = 3", 'system must be a name, as in system = "oscillator"; got 3'),
-        ('system = "pendulum"', "unknown system 'pendulum'. Did you mean 'pendulum_chain'? Known: ball_and_beam, free"),
+        ('system = "pendulum"', "unknown system 'pendulum'. Did you mean 'pendulum_chain'? Known: ball_and_beam, bio"),
         ("sistem = 3", "unknown table or key 'sistem'. Did you mean 'system'? Known: system, parameters, columns"),
         ("columns = 3", "columns must be a table, [columns]; got 3"),
         ("[measurement]\nquantun = 1", "unknown key of [measurement] 'quantun'. Did you mean 'quantum'?"),

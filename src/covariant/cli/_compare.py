@@ -23,7 +23,7 @@ def compare(job: Job, out: Path | None, report: Path | None, as_json: bool) -> N
     check_output(report, ".html")
     loaded = load(job)
     sheet = data_sheet(loaded.file)
-    observers = line_up(loaded.file.model, loaded.file.dimension, sheet, loaded.rate)
+    observers = line_up(loaded.model, loaded.file.dimension, sheet, loaded.rate)
     outcomes: dict[str, Outcome] = {}
     with stages("comparing", len(observers), quiet=as_json) as begin:
         for name, observer in observers.items():
@@ -62,7 +62,7 @@ def rank(outcomes: dict[str, Outcome], loaded: Loaded) -> list[str]:
 
 
 def _row(name: str, outcome: Outcome, loaded: Loaded) -> dict[str, str | float]:
-    form = "RMSE {} [{}]" if isinstance(loaded.file.model, GroupSystem) else "RMSE d{}/dt [{}/s]"
+    form = "RMSE {} [{}]" if isinstance(loaded.model, GroupSystem) else "RMSE d{}/dt [{}/s]"
     errors = {
         form.format(label, unit): float(value)
         for label, unit, value in zip(*coordinates(loaded.file), outcome.velocity_rmse, strict=True)

@@ -33,7 +33,7 @@ def estimate(
     check_output(report, ".html")
     with working("reading", quiet=as_json):
         loaded = load(job)
-    observer = observer or estimators(loaded.file.model)[0]
+    observer = observer or estimators(loaded.model)[0]
     chosen, notes = _choose(job, loaded, observer, alpha, beta)
     with working(f"estimating with {observer}", quiet=as_json):
         outcome = drive(chosen, loaded)
@@ -63,7 +63,7 @@ def _check(observer: str | None, alpha: float | None, beta: float | None) -> Non
 def _choose(
     job: Job, loaded: Loaded, observer: str, alpha: float | None, beta: float | None
 ) -> tuple[AbstractObserver, tuple[str, ...]]:
-    model = loaded.file.model
+    model = loaded.model
     if observer not in estimators(model):
         raise ValueError(f"--observer {observer} does not fit {job.model}; these do: {', '.join(estimators(model))}")
     if alpha is not None and beta is not None:

@@ -7,7 +7,7 @@ import numpy as np
 
 from covariant import logs, models, scoring
 from covariant.design import DataSheet
-from covariant.models import GroupSystem
+from covariant.models import GroupSystem, Lagrangian, StateSpace
 from covariant.signals import Record, lag_inputs
 
 
@@ -26,6 +26,7 @@ class Loaded(NamedTuple):
     """A job's model, its log as used, and what its velocities are scored against: a reference (T, n) and its name."""
 
     file: models.ModelFile
+    model: Lagrangian | GroupSystem
     log: logs.Log
     record: Record
     rate: float
@@ -37,6 +38,12 @@ class Loaded(NamedTuple):
 def load(job: Job) -> Loaded:
     """Read model and log; raises `ValueError` or `OSError` with one line for the user."""
     file = models.load(job.model, job.overrides)
+    model = file.model
+    if isinstance(model, StateSpace):
+        raise ValueError(
+            f"{job.model} is a state-space model, and velocities are estimated for mechanical ones, a Lagrangian or a "
+            "GroupSystem; design an observer for its states by `covariant design metric`"
+        )
     given = {key: names.strip() for key, names in job.columns.items() if names is not None}
     columns = file.columns._replace(
         **{key: names if key == "t" else tuple(n.strip() for n in names.split(",")) for key, names in given.items()}
@@ -46,16 +53,16 @@ def load(job: Job) -> Loaded:
     log = logs.read(job.log, columns, job.every, job.until)
     record = lag_inputs(log.record, file.input_lag)
     t, y = np.asarray(record.t), np.asarray(record.y)
-    if isinstance(file.model, models.Lagrangian):
+    if isinstance(model, Lagrangian):
         measured = y[np.isfinite(y).all(axis=1)]
         try:
-            models.check_metric(file.model, measured[:: max(1, len(measured) // 20)])
+            models.check_metric(model, measured[:: max(1, len(measured) // 20)])
         except ValueError as error:
             raise ValueError(f"{job.model} on {job.log}: {error}") from error
     full = logs.read(job.log, columns._replace(u=(), v=())) if job.every > 1 or job.until else log
     reference, label = _reference(file, log, full)
     rate = 1 / float(np.median(np.diff(t)))
-    return Loaded(file, log, record, rate, reference, label, scoring.scored_window(t))
+    return Loaded(file, model, log, record, rate, reference, label, scoring.scored_window(t))
 
 
 def _check_columns(job: Job, file: models.ModelFile, columns: logs.Columns) -> None:
@@ -92,7 +99,7 @@ def _reference(file: models.ModelFile, log: logs.Log, full: logs.Log) -> tuple[n
     half, order = file.reference_half, int(file.reference_order)
     if np.isfinite(y).sum(axis=0).min() < order + 3:
         return np.full((len(at), file.dimension), np.nan), "velocity, unknown in so short a log"
-    if isinstance(file.model, models.Lagrangian):
+    if isinstance(file.model, Lagrangian):
         unwrapped = scoring.unwrap(y, file.model.circles)
         return scoring.zero_phase_velocity(t, unwrapped, at, half, order), "zero-phase reference"
     twists = [

@@ -2,7 +2,7 @@
 
 import json
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -11,7 +11,8 @@ import numpy as np
 from covariant import logs, models, simulation
 from covariant.cli._console import working
 from covariant.cli._job import check_output, velocity_columns
-from covariant.models import GroupSystem, Motion
+from covariant.models import GroupSystem, Motion, StateSpace
+from covariant.signals import Record
 
 
 class Scenario(NamedTuple):
@@ -31,11 +32,11 @@ class Scenario(NamedTuple):
 
 
 def simulate(model: str, overrides: tuple[str, ...], out: Path, scenario: Scenario, as_json: bool) -> None:
-    """Simulate, measure, and write t, the measured configuration, inputs, and both true ones as true_…."""
+    """Simulate, measure, and write t, the measured configuration or outputs, inputs, and the true state as true_…."""
     check_output(out, ".csv", ".parquet")
     file = models.load(model, overrides)
-    names, n, m = _columns(file), file.dimension, len(file.columns.u)
-    q0, v0 = _numbers("--q0", scenario.q0, n), _numbers("--v0", scenario.v0, n)
+    names, m = _columns(file), len(file.columns.u)
+    x0 = _start(file, scenario)
     amplitude = _numbers("--amplitude", scenario.amplitude, m)
     sensor = simulation.Sensor(scenario.rate, scenario.noise, scenario.quantum, scenario.jitter, scenario.dropout)
     if sensor.quantum and isinstance(file.model, GroupSystem):
@@ -47,19 +48,18 @@ def simulate(model: str, overrides: tuple[str, ...], out: Path, scenario: Scenar
         return amplitude * jnp.sin(pace * s)
 
     with working("simulating", quiet=as_json):
-        record = simulation.simulate(file.model, _start(file.model, q0, v0), jnp.asarray(t), push)
-    q, v = record.x if isinstance(record.x, Motion) else np.split(np.asarray(record.x), 2, axis=1)
-    if not (np.isfinite(q).all() and np.isfinite(v).all()):
+        record = simulation.simulate(file.model, x0, jnp.asarray(t), push)
+    if not all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(record.x)):
         raise ValueError(f"{model}: the motion leaves the finite numbers; check initial state and inputs")
-    columns = {names.t: t} | logs.to_columns(names, _sense(file.model, sensor, q, scenario.seed))
+    columns = {names.t: t} | logs.to_columns(names, _sense(file.model, sensor, np.asarray(record.y), scenario.seed))
     columns |= dict(zip(names.u, np.asarray(record.u).T, strict=True))
-    columns |= {f"true_{name}": column for name, column in logs.to_columns(names, np.asarray(q)).items()}
-    velocities = [f"true_{name}" for name in velocity_columns(file)]
-    columns |= dict(zip(velocities, np.asarray(v).T, strict=True))
+    configuration, hidden = _truth(file, names, record)
+    columns |= {f"true_{name}": column for name, column in (configuration | hidden).items()}
     logs.write(out, columns)
-    truth = ",".join(velocities)
+    truth = ",".join(f"true_{name}" for name in hidden)
     result = {"model": model, "rows": len(t), "out": str(out), "truth_columns": truth}
-    print(json.dumps(result) if as_json else f"wrote {out}: {len(t)} rows; score against --truth {truth}")
+    use = "the true state is in" if isinstance(file.model, StateSpace) else "score against --truth"
+    print(json.dumps(result) if as_json else f"wrote {out}: {len(t)} rows; {use} {truth}")
 
 
 def _columns(file: models.ModelFile) -> logs.Columns:
@@ -67,16 +67,33 @@ def _columns(file: models.ModelFile) -> logs.Columns:
     return file.columns._replace(quaternion_wxyz=("qw", "qx", "qy", "qz")) if file.lacks_attitude else file.columns
 
 
-def _start(model: models.Lagrangian | GroupSystem, q0: jax.Array, v0: jax.Array) -> jax.Array | Motion:
-    return Motion(model.group.exp(q0), v0) if isinstance(model, GroupSystem) else jnp.concatenate([q0, v0])
+def _start(file: models.ModelFile, scenario: Scenario) -> jax.Array | Motion:
+    """The initial state; --q0 is all of it where the model is a state-space one."""
+    q0 = _numbers("--q0", scenario.q0, file.dimension)
+    if isinstance(file.model, StateSpace):
+        if scenario.v0 is not None:
+            raise ValueError("--v0: a state-space model has no velocities; give all its initial state by --q0")
+        return q0
+    v0 = _numbers("--v0", scenario.v0, file.dimension)
+    return Motion(file.model.group.exp(q0), v0) if isinstance(file.model, GroupSystem) else jnp.concatenate([q0, v0])
 
 
-def _sense(model: models.Lagrangian | GroupSystem, sensor: simulation.Sensor, q, seed: int) -> np.ndarray:
-    """Measurements of the configurations q; on a group their errors are turns and shifts as seen from the body."""
+def _truth(file: models.ModelFile, names: logs.Columns, record: Record) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Columns of the true configuration and of the velocities; of a state-space model none, and of all its states."""
+    x = record.x
+    if isinstance(file.model, StateSpace):
+        return {}, dict(zip(file.model.coordinates, np.asarray(x).T, strict=True))
+    v = x.v if isinstance(x, Motion) else np.split(np.asarray(x), 2, axis=1)[1]
+    velocities = dict(zip(velocity_columns(file), np.asarray(v).T, strict=True))
+    return logs.to_columns(names, np.asarray(record.y)), velocities
+
+
+def _sense(model: Any, sensor: simulation.Sensor, y: np.ndarray, seed: int) -> np.ndarray:
+    """Measurements of outputs or configurations; on a group their errors are turns and shifts as seen from the body."""
     if not isinstance(model, GroupSystem):
-        return simulation.sense(sensor, q, seed)
-    error = simulation.sense(sensor, np.zeros((len(q), model.group.dimension)), seed)
-    seen = np.asarray(jax.vmap(lambda g, e: g @ model.group.exp(e))(q, jnp.nan_to_num(error)))
+        return simulation.sense(sensor, y, seed)
+    error = simulation.sense(sensor, np.zeros((len(y), model.group.dimension)), seed)
+    seen = np.asarray(jax.vmap(lambda g, e: g @ model.group.exp(e))(y, jnp.nan_to_num(error)))
     return np.where(np.isnan(error[:, :1, None]), np.nan, seen)
 
 

@@ -6,6 +6,8 @@ from covariant.geometry.lie import SE2, SE3, SO2, SO3, AbstractGroup, Product
 from covariant.logs import ATTITUDES, Columns
 from covariant.models._group_system import GroupSystem
 from covariant.models._lagrangian import Lagrangian, check_model
+from covariant.models._source import Model
+from covariant.models._state_space import StateSpace
 
 
 class _Needs(NamedTuple):
@@ -30,7 +32,7 @@ _NEEDS = {
 }
 
 
-def model_columns(model: Lagrangian | GroupSystem, loaded: Columns, given: dict[str, Any]) -> Columns:
+def model_columns(model: Model, loaded: Columns, given: dict[str, Any]) -> Columns:
     """The columns that a model file gives, before those its module has (`loaded`), before names after the model.
 
     An attitude gets no name that is not given, since nobody can tell how it is written. Raises `ValueError` naming the
@@ -39,21 +41,22 @@ def model_columns(model: Lagrangian | GroupSystem, loaded: Columns, given: dict[
     if any(given.get(kind) for kind in ATTITUDES):
         loaded = loaded._replace(**dict.fromkeys(ATTITUDES, ()))
     given = {key: value for key, value in loaded._asdict().items() if value} | given
-    return _on_group(model, given) if isinstance(model, GroupSystem) else _in_coordinates(model, given)
+    if isinstance(model, GroupSystem):
+        return _on_group(model, given)
+    has = "outputs" if isinstance(model, StateSpace) else "coordinates"
+    for key in ("position", *ATTITUDES, "angle"):
+        if given.get(key):
+            raise ValueError(f"columns.{key} is for a model on a group; this one has {has}: name them in columns.q")
+    return _of_outputs(model, given) if isinstance(model, StateSpace) else _in_coordinates(model, given)
 
 
-def lacks_attitude(model: Lagrangian | GroupSystem, columns: Columns) -> bool:
+def lacks_attitude(model: Model, columns: Columns) -> bool:
     """Whether a log of the model holds an attitude and nobody said how it is written."""
     needed = isinstance(model, GroupSystem) and _needs(model.group).attitude
     return needed and not any(getattr(columns, kind) for kind in ATTITUDES)
 
 
 def _in_coordinates(model: Lagrangian, given: dict[str, Any]) -> Columns:
-    for key in ("position", *ATTITUDES, "angle"):
-        if given.get(key):
-            raise ValueError(
-                f"columns.{key} is for a model on a group; this one has coordinates: name them in columns.q"
-            )
     n = len(model.coordinates) or len(given.get("q", ()))
     if not n:
         raise ValueError("the model names no coordinates; give it some, or columns.q")
@@ -64,6 +67,18 @@ def _in_coordinates(model: Lagrangian, given: dict[str, Any]) -> Columns:
     _check_count("u", columns.u, m, "inputs")
     _check_count("v", columns.v or columns.q, n, "coordinates")
     _check_count("truth", columns.truth or columns.q, n, "coordinates")
+    return columns
+
+
+def _of_outputs(model: StateSpace, given: dict[str, Any]) -> Columns:
+    if not model.coordinates:
+        raise ValueError("the model names no coordinates; give it some: they say how many states it has")
+    if given.get("v"):
+        raise ValueError("columns.v: a state-space model has no velocities; name its outputs in columns.q")
+    columns = Columns(q=model.outputs, u=_numbered("u", model.inputs))._replace(**given)
+    _check_count("q", columns.q, len(model.outputs), "outputs")
+    _check_count("u", columns.u, model.inputs, "inputs")
+    _check_count("truth", columns.truth or model.coordinates, len(model.coordinates), "states")
     return columns
 
 

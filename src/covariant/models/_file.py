@@ -13,6 +13,8 @@ from covariant.models._check import check_metric
 from covariant.models._columns import lacks_attitude, model_columns
 from covariant.models._group_system import GroupSystem
 from covariant.models._lagrangian import Lagrangian
+from covariant.models._source import Model
+from covariant.models._state_space import StateSpace
 
 
 class ModelError(ValueError):
@@ -22,7 +24,8 @@ class ModelError(ValueError):
 class ModelFile(NamedTuple):
     """A model and the numbers a design starts from; None where nobody said.
 
-    - `columns`: columns of a log; empty `q` and `u` stand for the model's coordinates and for u1, u2, ….
+    - `columns`: columns of a log; empty `q` and `u` stand for the model's coordinates and for u1, u2, …. Where the
+      model is a `StateSpace`, `q` are its outputs.
     - `measurement_std`: standard deviation of a measured position [its unit]; on a group of each component of
       `log(g⁻¹ y)`, the error as seen from the body [rad, and m where there is a position].
     - `acceleration_std`, `correlation_time`: the acceleration that the model does not know [unit/s²], and for how
@@ -34,7 +37,7 @@ class ModelFile(NamedTuple):
     """
 
     name: str
-    model: Lagrangian | GroupSystem
+    model: Model
     columns: Columns = Columns()
     measurement_std: float | None = None
     acceleration_std: float | None = None
@@ -48,7 +51,9 @@ class ModelFile(NamedTuple):
 
     @property
     def dimension(self) -> int:
-        """Number n of velocities."""
+        """Number n of velocities, or of the states of a `StateSpace`."""
+        if isinstance(self.model, StateSpace):
+            return len(self.model.coordinates)
         return self.model.group.dimension if isinstance(self.model, GroupSystem) else len(self.columns.q)
 
     @property
@@ -58,9 +63,9 @@ class ModelFile(NamedTuple):
 
 
 def load(spec: str, overrides: Sequence[str] = ()) -> ModelFile:
-    """Load a model: a `.toml` file, `module:attribute` (a `Lagrangian`, a `GroupSystem`, a `ModelFile`, or a function
-    that makes one; the module is also looked for in the current folder), or the name of a system with its default
-    parameters.
+    """Load a model: a `.toml` file, `module:attribute` (a `Lagrangian`, a `GroupSystem`, a `StateSpace`, a `ModelFile`,
+    or a function that makes one; the module is also looked for in the current folder), or the name of a system with its
+    default parameters.
 
     `overrides` are applied last: `table.key=value` with the tables of the file and values as in TOML, such as
     `parameters.mass=[1.0, 2.0]`. Raises `ModelError`, one line, naming the spec and the first thing wrong.
@@ -112,16 +117,18 @@ def _find(spec: str, document: dict[str, Any]) -> Any:
 
 def _make(name: str, found: Any, parameters: dict[str, Any]) -> ModelFile:
     """The model itself, or what the factory makes of the parameters."""
-    finished = isinstance(found, Lagrangian | GroupSystem | ModelFile)
+    finished = isinstance(found, Model | ModelFile)
     if finished and parameters:
         raise ValueError(f"{name} is a finished model; only a function that makes one takes parameters")
     made = found if finished or not callable(found) else _source.call(name, found, parameters)
-    if isinstance(made, Lagrangian | GroupSystem):
+    if isinstance(made, Model):
         return ModelFile(name, made)
     if isinstance(made, ModelFile):
         return made
     how = f"it {'is' if made is found else 'returned'} a {type(made).__name__}"
-    raise ValueError(f"{name} must be a Lagrangian, a GroupSystem, a ModelFile, or a function returning one; {how}")
+    raise ValueError(
+        f"{name} must be a Lagrangian, a GroupSystem, a StateSpace, a ModelFile, or a function returning one; {how}"
+    )
 
 
 def _points(n: int) -> np.ndarray:

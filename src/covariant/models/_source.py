@@ -9,30 +9,46 @@ from inspect import Parameter as Argument
 from typing import Any
 
 from covariant.models._ball_and_beam import ball_and_beam
+from covariant.models._bioreactor import bioreactor
+from covariant.models._duffing import duffing
 from covariant.models._group_system import GroupSystem
 from covariant.models._heavy_top import free_body, heavy_top
 from covariant.models._hovercraft import hovercraft
+from covariant.models._induction_motor import induction_motor
 from covariant.models._lagrangian import Lagrangian
+from covariant.models._lorenz import lorenz
 from covariant.models._oscillator import oscillator
 from covariant.models._pendulum_chain import pendulum_chain
 from covariant.models._satellite import satellite
+from covariant.models._state_space import StateSpace
 from covariant.models._toml import refuse_unknown
 from covariant.models._underwater_vehicle import underwater_vehicle
+from covariant.models._unknown_frequency import unknown_frequency
+from covariant.models._van_der_pol import van_der_pol
 
-SYSTEMS: dict[str, Callable[..., Lagrangian | GroupSystem]] = {
+Model = Lagrangian | GroupSystem | StateSpace
+"""The kinds of models."""
+
+SYSTEMS: dict[str, Callable[..., Model]] = {
     "ball_and_beam": ball_and_beam,
+    "bioreactor": bioreactor,
+    "duffing": duffing,
     "free_body": free_body,
     "heavy_top": heavy_top,
     "hovercraft": hovercraft,
+    "induction_motor": induction_motor,
+    "lorenz": lorenz,
     "oscillator": oscillator,
     "pendulum_chain": pendulum_chain,
     "satellite": satellite,
     "underwater_vehicle": underwater_vehicle,
+    "unknown_frequency": unknown_frequency,
+    "van_der_pol": van_der_pol,
 }
 """The systems a model file may name."""
 
 
-def system(name: Any) -> Callable[..., Lagrangian | GroupSystem]:
+def system(name: Any) -> Callable[..., Model]:
     """The factory of a known system; raises `ValueError` with the nearest one."""
     if not isinstance(name, str):
         raise ValueError(f'system must be a name, as in system = "oscillator"; got {name!r}')

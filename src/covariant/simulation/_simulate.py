@@ -17,7 +17,7 @@ from covariant.signals import Record
 Input = Callable[[Array, Any], Array]
 """Input `(t, x) -> u (m,)`; it may feed the true state x back."""
 Measurement = Callable[[Array, Array], Array]
-"""Continuous measurement `(t, q) -> y`; by default q itself."""
+"""Continuous measurement `(t, q) -> y`; by default q itself. For a `StateSpace` q is the output h."""
 
 
 @functools.singledispatch
@@ -32,8 +32,9 @@ def simulate(
 ) -> Record:
     """Integrate the model from x0 and record its noise-free state and inputs at the stamps t [s].
 
-    x0 is (q, v) (2n,); for a `GroupSystem` it is a `Motion`, and so is the record's x, with y = g (T, N, N). Stamps
-    that the motion does not reach, because it escapes before, are not finite.
+    x0 is (q, v) (2n,); for a `GroupSystem` it is a `Motion`, and so is the record's x, with y = g (T, N, N); for a
+    `StateSpace` it is the state (n,), with y = h (T, p). Stamps that the motion does not reach, because it escapes
+    before, are not finite.
     """
     push = u or no_input(model, x0.shape[0] // 2)
     x = solve(_plant(model, push), x0, t, rtol=rtol, atol=atol)
@@ -57,7 +58,7 @@ def observe(
     """Integrate plant and observer as one system; returns the true states and the observer's, time first.
 
     Stamps after a breakdown, such as an observer escaping in finite time, are not finite in both. The true states of
-    a `GroupSystem` are a `Motion`.
+    a `GroupSystem` are a `Motion`; the observer of a `StateSpace` sees `measure(t, h)`.
     """
     n = x0.shape[0] // 2
     push = u or no_input(model, n)

@@ -1,0 +1,58 @@
+"""The same for state-space models, whose output is h along the motion."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from covariant._integrate import solve
+from covariant._typing import Number, Vector
+from covariant.models import StateSpace
+from covariant.observers import AbstractFlowObserver
+from covariant.signals import Record
+from covariant.simulation._simulate import Input, Measurement, observe, simulate
+
+
+@simulate.register
+def _(
+    model: StateSpace,
+    x0: Vector,
+    t: Float[Array, "T"],
+    u: Input | None = None,
+    *,
+    rtol: Number = 1e-10,
+    atol: Number = 1e-12,
+) -> Record:
+    push = u or _no_input(model)
+    x = solve(lambda s, x: model.f(s, x, push(s, x)), x0, t, rtol=rtol, atol=atol)
+    inputs = jax.vmap(push)(t, x)
+    return Record(t, inputs, jax.vmap(model.h)(t, x, inputs), x)
+
+
+@observe.register
+def _(
+    model: StateSpace,
+    observer: AbstractFlowObserver,
+    x0: Vector,
+    state0: Any,
+    t: Float[Array, "T"],
+    u: Input | None = None,
+    measure: Measurement = lambda t, y: y,
+    *,
+    rtol: Number = 1e-10,
+    atol: Number = 1e-12,
+    max_steps: int = 200_000,
+) -> tuple[Any, Any]:
+    push = u or _no_input(model)
+
+    def flow(s, joint):
+        x, state = joint
+        now = push(s, x)
+        return model.f(s, x, now), observer.flow(s, state, now, measure(s, model.h(s, x, now)))
+
+    return solve(flow, (x0, state0), t, rtol=rtol, atol=atol, max_steps=max_steps)
+
+
+def _no_input(model: StateSpace) -> Input:
+    return lambda t, x: jnp.zeros(model.inputs, x.dtype)

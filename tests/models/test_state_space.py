@@ -1,0 +1,327 @@
+"""State-space models: what they refuse, their Jacobians, and what is known of each example system."""
+
+import re
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from covariant import models
+from covariant._integrate import rk4
+from covariant.models import Lagrangian, StateSpace, energy, pendulum_chain, state_space
+from covariant.observers import AbstractFlowObserver, MechanicalState
+from covariant.simulation import observe, simulate
+
+SYSTEMS = {
+    "unknown frequency": models.unknown_frequency(),
+    "van der Pol": models.van_der_pol(),
+    "Lorenz": models.lorenz(),
+    "Duffing": models.duffing(),
+    "bioreactor": models.bioreactor(growth=0.53),
+    "bioreactor, Monod": models.bioreactor(growth=0.53, inhibition=0.0),
+    "induction motor": models.induction_motor(),
+    "induction motor, unknown load": models.induction_motor(load=None, pole_pairs=2),
+    "a Lagrangian": state_space(models.ball_and_beam()),
+}
+TIME = jnp.zeros(())
+
+
+def inside(model, dtype=float):
+    """A state in the box, one half of the way between middle and corner, and an input."""
+    box = np.array(model.box or [(-1.0, 1.0)] * len(model.coordinates)).T
+    towards = np.linspace(0.55, 0.8, box.shape[1])
+    return jnp.asarray(box[0] + towards * (box[1] - box[0]), dtype), jnp.linspace(0.2, 0.5, model.inputs, dtype=dtype)
+
+
+each_system = pytest.mark.parametrize("name", SYSTEMS)
+
+
+@each_system
+def test_jacobians_are_those_of_finite_differences(name):
+    model = SYSTEMS[name]
+    x, u = inside(model)
+    for exact, function in zip(model.jacobians(TIME, x, u), (model.f, model.h), strict=True):
+        steps = np.diag(1e-5 * np.maximum(1.0, np.abs(x)))
+        columns = [(function(TIME, x + e, u) - function(TIME, x - e, u)) / (2 * e.sum()) for e in steps]
+        scale = float(jnp.abs(exact).max())
+        np.testing.assert_allclose(exact, np.stack(columns, axis=1), rtol=1e-6, atol=1e-8 * scale)
+
+
+@each_system
+def test_single_precision_stays_single(name):
+    model = SYSTEMS[name]
+    x, u = inside(model, jnp.float32)
+    rate, y = jax.jit(lambda x, u: (model.f(jnp.float32(0), x, u), model.h(jnp.float32(0), x, u)))(x, u)
+    assert (rate.dtype, y.dtype) == (jnp.float32, jnp.float32)
+    exact = model.f(TIME, x.astype(float), u.astype(float))
+    np.testing.assert_allclose(rate, exact, rtol=1e-4, atol=1e-4 * float(jnp.abs(exact).max()))
+    assert y.shape == (len(model.outputs),)
+
+
+@each_system
+def test_numbers_say_their_unit_and_source(name):
+    model = SYSTEMS[name]
+    assert len(model.units) == len(model.coordinates)
+    assert all(each.unit and each.source for each in model.parameters.values())
+
+
+def test_systems_are_made_inside_compiled_functions():
+    made = jax.jit(lambda x: models.lorenz(9.0).f(TIME, x, jnp.zeros(0)))(jnp.ones(3))
+    np.testing.assert_allclose(made, [0.0, 26.0, 1 - 8 / 3], rtol=1e-15)
+
+
+def two_states(f=lambda t, x, u: x, h=lambda t, x, u: x[:1], **more):
+    return StateSpace(f, h, coordinates=("a", "b"), **more)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        ({"f": lambda t, x, u: x[:1]}, "f must return shape (2,) for 2 states; it returned (1,)"),
+        ({"f": lambda t, x, u: x[:, None]}, "f must return shape (2,) for 2 states; it returned (2, 1)"),
+        ({"f": lambda t, x, u: x + u[0]}, "f cannot be evaluated with 2 states and 0 inputs: "),
+        ({"h": lambda t, x, u: x[0]}, "h must return a vector of outputs (p,), p ≥ 1; it returned ()"),
+        ({"h": lambda t, x, u: x[:0]}, "h must return a vector of outputs (p,), p ≥ 1; it returned (0,)"),
+        ({"outputs": ("y", "z")}, "h must return shape (2,) for 2 outputs; it returned (1,)"),
+        ({"circles": (1,)}, "circles (1,) must be indices of the 1 outputs, 0 to 0"),
+        ({"units": ("m",)}, "units needs one entry for each of the 2 states; it has 1"),
+        ({"box": ((0.0, 1.0),)}, "box needs one entry for each of the 2 states; it has 1"),
+        ({"box": ((0.0, 1.0), (2.0, 2.0))}, "box of b: the lower bound 2 must be below the upper one 2"),
+    ],
+)
+def test_what_does_not_fit_is_named(wrong, words):
+    with pytest.raises(ValueError, match=re.escape(words)) as caught:
+        two_states(**wrong)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: models.van_der_pol(-0.1), "van_der_pol: damping [1] must be ≥ 0; got -0.1"),
+        (lambda: models.lorenz(prandtl=0.0), "lorenz: prandtl [1] must be positive; got 0.0"),
+        (lambda: models.lorenz(rayleigh=np.inf), "lorenz: rayleigh [1] must be positive; got inf"),
+        (lambda: models.duffing(damping=-1.0), "duffing: damping [N s/m] must be ≥ 0; got -1.0"),
+        (lambda: models.duffing(stiffness=np.nan), "duffing: stiffness [N/m] must be finite; got nan"),
+        (lambda: models.bioreactor(feed=0.0), "bioreactor: feed [kg/m^3] must be positive; got 0.0"),
+        (lambda: models.bioreactor(inhibition=-1.0), "bioreactor: inhibition [m^3/kg] must be ≥ 0; got -1.0"),
+        (lambda: models.induction_motor(inertia=-1.0), "induction_motor: inertia [kg m^2] must be positive; got -1.0"),
+        (lambda: models.induction_motor(mutual_inductance=0.07), "0.07 H must be below the geometric mean of the"),
+    ],
+)
+def test_parameters_that_make_no_sense_are_named(make, words):
+    with pytest.raises(ValueError, match=re.escape(words)):
+        make()
+
+
+def test_outputs_have_names_and_angles_wrap():
+    model = two_states(h=lambda t, x, u: x, circles=(1,))
+    assert model.outputs == ("y1", "y2")
+    error = model.output_error(jnp.array([3.0, 3.0]), jnp.array([jnp.nan, -3.0]))
+    np.testing.assert_allclose(error, [0.0, 6 - 2 * np.pi], rtol=1e-14)
+
+
+def test_a_lagrangian_in_states_moves_as_it_does_itself():
+    model, t = pendulum_chain(viscous=(0.1, 0.2), actuated=(1,)), jnp.linspace(0.0, 2.0, 9)
+    twin, x0 = state_space(model), jnp.array([2.0, -1.0, 1.0, -3.0])
+    assert (twin.coordinates, twin.units) == (("q1", "q2", "q1_dot", "q2_dot"), ("rad", "rad", "rad/s", "rad/s"))
+    assert (twin.outputs, twin.inputs, twin.circles) == (("q1", "q2"), 1, (0, 1))
+    one, other = (simulate(each, x0, t, lambda s, x: jnp.sin(s)[None]) for each in (model, twin))
+    for name in ("u", "y", "x"):
+        np.testing.assert_allclose(getattr(one, name), getattr(other, name), rtol=0, atol=1e-9)
+    assert state_space(Lagrangian(model.metric, model.potential, coordinates=("a", "b"), units=("m", "m"))).inputs == 2
+
+
+def test_a_simulated_oscillator_is_the_closed_form_and_keeps_its_frequency():
+    model, t = models.unknown_frequency(), jnp.linspace(0.0, 7.0, 29)
+    record, w = simulate(model, jnp.array([0.5, 1.2, 0.81]), t), 0.9
+    np.testing.assert_allclose(record.y[:, 0], 0.5 * np.cos(w * t) + 1.2 / w * np.sin(w * t), rtol=0, atol=1e-9)
+    np.testing.assert_array_equal(record.y, record.x[:, :1])
+    np.testing.assert_array_equal(record.x[:, 2], 0.81)
+    assert record.u.shape == (29, 0)
+    assert record.check() is record
+
+
+def test_inputs_reach_the_outputs_at_their_own_time():
+    """x' = −x + u, y = x + 2u + t with u = t: x = t − 1 + exp(−t)."""
+    model = StateSpace(lambda t, x, u: u - x, lambda t, x, u: x + 2 * u + t, coordinates=("x",), inputs=1)
+    t = jnp.linspace(0.0, 3.0, 13)
+    record = simulate(model, jnp.zeros(1), t, lambda s, x: s[None])
+    np.testing.assert_allclose(record.y[:, 0], 4 * t - 1 + np.exp(-t), rtol=0, atol=1e-9)
+    np.testing.assert_allclose(record.u[:, 0], t, rtol=0, atol=0)
+
+
+def test_the_order_of_runge_and_kutta_is_seen_on_a_closed_form():
+    model, x0 = models.unknown_frequency(), jnp.array([0.5, 1.2, 0.81])
+    exact = simulate(model, x0, jnp.array([0.0, 2.0])).x[-1]
+    steps = np.array([10, 20, 40])
+    ends = [rk4(lambda s, x: model.f(s, x, jnp.zeros(0)), TIME, x0, 2.0, int(k)) for k in steps]
+    slope = np.polyfit(np.log(steps), np.log([np.abs(end - exact).max() for end in ends]), 1)[0]
+    assert -4.2 < slope < -3.8
+
+
+class Integral(AbstractFlowObserver):
+    """An observer of which everything is known: it adds measurements and inputs up."""
+
+    def init(self, y, t=0.0):
+        return MechanicalState(jnp.zeros_like(y), jnp.zeros_like(y), jnp.asarray(t, y.dtype))
+
+    def estimate(self, state):
+        return jnp.concatenate([state.q, state.v])
+
+    def step(self, state, u, y, dt):
+        raise NotImplementedError
+
+    def flow(self, t, state, u, y):
+        return MechanicalState(y, u, jnp.ones_like(t))
+
+
+def test_an_observer_sees_the_output_and_the_input_of_the_instant():
+    model, t = models.duffing(0.0, 4.0, 0.0), jnp.linspace(0.0, 4.0, 17)
+    x0, push = jnp.array([0.5, 0.0]), lambda s, x: jnp.sin(s)[None]
+    start = Integral().init(jnp.zeros(1))
+    x, state = observe(model, Integral(), x0, start, t, push)
+    np.testing.assert_allclose(x, simulate(model, x0, t, push).x, rtol=0, atol=1e-8)
+    # q'' = u − 4q gives the integral of q; that of u is known.
+    np.testing.assert_allclose(4 * state.q[:, 0], 1 - np.cos(t) - x[:, 1], rtol=0, atol=1e-8)
+    np.testing.assert_allclose(state.v[:, 0], 1 - np.cos(t), rtol=0, atol=1e-9)
+    # Alone, and with a sensor that drifts.
+    x, state = observe(model, Integral(), x0, start, t, measure=lambda s, y: y + 3.0 * s)
+    np.testing.assert_allclose(4 * (state.q[:, 0] - 1.5 * t**2), -x[:, 1], rtol=0, atol=1e-8)
+    np.testing.assert_array_equal(state.v, 0.0)
+
+
+def test_limit_cycle_of_van_der_pol():
+    """Amplitude 2.0086 and period 6.6633 for damping 1: the cycle closes, and a motion from inside ends on it."""
+    model, period = models.van_der_pol(), 6.6633
+    x = simulate(model, jnp.array([2.0086, 0.0]), period * jnp.arange(4.0)).x
+    np.testing.assert_allclose(x[1:], [[2.0086, 0.0]] * 3, rtol=0, atol=3e-4)
+    late = simulate(model, jnp.array([0.1, 0.0]), jnp.append(0.0, jnp.linspace(40.0, 40.0 + period, 400))).x[1:]
+    np.testing.assert_allclose([late[:, 0].max(), late[:, 0].min()], [2.0086, -2.0086], rtol=0, atol=3e-4)
+
+
+def test_fixed_points_and_divergence_of_lorenz():
+    prandtl, rayleigh, geometry = 10.0, 28.0, 8 / 3
+    model, none = models.lorenz(), jnp.zeros(0)
+    side = np.sqrt(geometry * (rayleigh - 1))
+    for point in ([0.0, 0.0, 0.0], [side, side, rayleigh - 1], [-side, -side, rayleigh - 1]):
+        np.testing.assert_allclose(model.f(TIME, jnp.array(point), none), 0.0, rtol=0, atol=1e-12)
+    for x in np.random.default_rng(0).uniform(-20, 20, (3, 3)):
+        divergence = jnp.trace(model.jacobians(TIME, jnp.asarray(x), none)[0])
+        np.testing.assert_allclose(divergence, -(prandtl + 1 + geometry), rtol=1e-14)
+    # Routh and Hurwitz: the two outer points lose their stability at a Rayleigh number of 24.74.
+    edge = prandtl * (prandtl + geometry + 3) / (prandtl - geometry - 1)
+    for ratio, sign in ((0.99, -1), (1.01, 1)):
+        r = ratio * edge
+        point = jnp.array([np.sqrt(geometry * (r - 1))] * 2 + [r - 1])
+        spectrum = np.linalg.eigvals(models.lorenz(rayleigh=r).jacobians(TIME, point, none)[0])
+        assert np.sign(spectrum.real.max()) == sign
+
+
+def test_energy_of_duffing_is_what_force_and_damping_leave():
+    model = models.duffing(0.25, -1.0, 1.0)
+    x, u = jnp.array([0.7, -1.1]), jnp.array([0.3])
+    power = jax.grad(lambda x: x[1] ** 2 / 2 - x[0] ** 2 / 2 + x[0] ** 4 / 4)(x) @ model.f(TIME, x, u)
+    np.testing.assert_allclose(power, u[0] * x[1] - 0.25 * x[1] ** 2, rtol=1e-13)
+    twin = Lagrangian(
+        lambda q: jnp.eye(1),
+        lambda q: 4 * q[0] ** 2 / 2 + 3 * q[0] ** 4 / 4,
+        dissipation=lambda q, v: -0.25 * v,
+        coordinates=("q",),
+    )
+    t, x0 = jnp.linspace(0.0, 5.0, 11), jnp.array([1.0, 0.5])
+    one, other = (simulate(each, x0, t) for each in (models.duffing(0.25, 4.0, 3.0), twin))
+    np.testing.assert_allclose(one.x, other.x, rtol=0, atol=1e-9)
+    assert energy(twin, x0[:1], x0[1:]) > energy(twin, other.x[-1, :1], other.x[-1, 1:])
+
+
+@pytest.mark.parametrize(("biomass", "substrate", "stable"), [(1.530163, 0.174593, True), (0.995103, 1.512243, False)])
+def test_steady_states_of_the_bioreactor(biomass, substrate, stable):
+    """Bequette 1998, module 8: at a dilution rate of 0.3/h a stable state and a saddle, besides washout."""
+    model, u = models.bioreactor(), jnp.array([0.3 / 3600])
+    x = jnp.array([biomass, substrate])
+    np.testing.assert_allclose(model.f(TIME, x, u), 0.0, rtol=0, atol=1e-6 * 0.3 / 3600 * 4.0)
+    spectrum = np.linalg.eigvals(model.jacobians(TIME, x, u)[0])
+    assert (spectrum.real.max() < 0) == stable
+    np.testing.assert_allclose(model.f(TIME, jnp.array([0.0, 4.0]), u), 0.0, rtol=0, atol=0)
+    # What was fed becomes substrate and biomass: their sum relaxes at the dilution rate, an eigenvalue of −u.
+    assert np.abs(spectrum + u[0]).min() < 1e-3 * u[0]
+
+
+def test_substrate_tells_the_biomass_and_biomass_not_the_substrate():
+    """Rank of the output and its rate, at the fastest growth; `dμ/ds = 0` where s² = saturation/inhibition."""
+    model, u = models.bioreactor(1.0), jnp.array([0.3])
+    x = jnp.array([1.0, np.sqrt(0.12 / 0.4545)])
+    rate = model.jacobians(TIME, x, u)[0]
+    assert abs(np.linalg.det(np.stack([[0.0, 1.0], rate[1]]))) > 0.1
+    assert abs(np.linalg.det(np.stack([[1.0, 0.0], rate[0]]))) < 1e-12
+
+
+MOTOR = {
+    "stator_resistance": 0.18,
+    "rotor_resistance": 0.15,
+    "stator_inductance": 0.0699,
+    "rotor_inductance": 0.072,
+    "mutual_inductance": 0.068,
+    "inertia": 0.0586,
+    "pole_pairs": 2,
+}
+"""The motor of the default parameters with two pairs of poles, and inductances that tell stator from rotor."""
+
+
+def test_the_induction_motor_is_written_as_in_the_paper():
+    """Marino, Peresada & Valigi 1993: i' = Mα/(σLs Lr) ψ − n M/(σLs Lr) ω Jψ − γi + u/(σLs), J a quarter turn."""
+    rs, rr, ls, lr, m, inertia, n = MOTOR.values()
+    model = models.induction_motor(**MOTOR, load=3.0)
+    ia, ib, fa, fb, w = x = jnp.array([12.0, -40.0, 1.1, 0.4, 180.0])
+    ua, ub = u = jnp.array([300.0, -120.0])
+    sigma = 1 - m**2 / (ls * lr)
+    gamma = (m**2 * rr + lr**2 * rs) / (sigma * ls * lr**2)
+    alpha, beta = rr / lr, m / (sigma * ls * lr)
+    expected = [
+        alpha * beta * fa + n * beta * w * fb - gamma * ia + ua / (sigma * ls),
+        alpha * beta * fb - n * beta * w * fa - gamma * ib + ub / (sigma * ls),
+        -alpha * fa - n * w * fb + alpha * m * ia,
+        -alpha * fb + n * w * fa + alpha * m * ib,
+        n * m / (inertia * lr) * (fa * ib - fb * ia) - 3.0 / inertia,
+    ]
+    np.testing.assert_allclose(model.f(TIME, x, u), expected, rtol=1e-12)
+    unknown = models.induction_motor(**MOTOR, load=None).f(TIME, jnp.append(x, 3.0), u)
+    np.testing.assert_allclose(unknown, [*expected, 0.0], rtol=1e-12)
+
+
+def test_electrical_power_becomes_heat_field_and_mechanical_power():
+    rs, rr, ls, lr, m, inertia, _ = MOTOR.values()
+    x, u = jnp.array([12.0, -40.0, 1.1, 0.4, 180.0]), jnp.array([300.0, -120.0])
+
+    def stored(x):
+        rotor = (x[2:4] - m * x[:2]) / lr
+        field = ls * x[:2] @ x[:2] / 2 + m * x[:2] @ rotor + lr * rotor @ rotor / 2
+        return field + inertia * x[4] ** 2 / 2
+
+    rotor = (x[2:4] - m * x[:2]) / lr
+    gained = jax.grad(stored)(x) @ models.induction_motor(**MOTOR, load=3.0).f(TIME, x, u)
+    heat = rs * x[:2] @ x[:2] + rr * rotor @ rotor
+    np.testing.assert_allclose(u @ x[:2], heat + gained + 3.0 * x[4], rtol=1e-12)
+
+
+@pytest.mark.parametrize("slip", [-0.04, 0.02, 0.3])
+def test_steady_torque_of_the_induction_motor_is_that_of_the_equivalent_circuit(slip):
+    """The circuit of one phase: stator impedance, then the magnetising inductance beside R_r/s and its leakage."""
+    rs, rr, ls, lr, m, _, n = MOTOR.values()
+    supply, volts = 2 * np.pi * 50, 200.0
+    rotor = rr / slip + 1j * supply * (lr - m)
+    shunt = 1j * supply * m
+    current = volts / (rs + 1j * supply * (ls - m) + shunt * rotor / (shunt + rotor))
+    rotor_current = -current * shunt / (shunt + rotor)
+    torque = n * abs(rotor_current) ** 2 * rr / slip / supply  # air-gap power over the synchronous speed
+    flux = lr * rotor_current + m * current
+    # Driven at that speed against that torque, amplitudes turn with the supply and nothing else changes.
+    model = models.induction_motor(**MOTOR, load=torque)
+    x = jnp.array([current.real, current.imag, flux.real, flux.imag, (1 - slip) * supply / n])
+    rate = np.asarray(model.f(TIME, x, jnp.array([volts, 0.0])))
+    turning = 1j * supply * np.array([current, flux])
+    np.testing.assert_allclose(rate[:4:2] + 1j * rate[1:4:2], turning, rtol=1e-10)
+    np.testing.assert_allclose(rate[4], 0.0, rtol=0, atol=1e-8)
+    assert np.sign(torque) == np.sign(slip)
