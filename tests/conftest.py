@@ -1,6 +1,7 @@
 """Strict numerics for every test, the recorded logs, and the spaces over which the laws of geometry are checked."""
 
 import gc
+import itertools
 import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -29,14 +30,15 @@ REPOSITORY = Path(__file__).parents[1]
 
 
 MOST_MAPPINGS = 30_000  # Linux allows a process 65 530, and kills it in the compiler beyond
+_tests = itertools.count(1)
 
 
-@pytest.fixture(scope="module", autouse=True)
+@pytest.fixture(autouse=True)
 def few_mappings():
     """Every compiled program holds some six memory mappings: the programs are let go before a process runs out."""
     yield
     mappings = Path("/proc/self/maps")
-    if mappings.exists() and mappings.read_bytes().count(b"\n") > MOST_MAPPINGS:
+    if next(_tests) % 20 == 0 and mappings.exists() and mappings.read_bytes().count(b"\n") > MOST_MAPPINGS:
         jax.clear_caches()
         gc.collect()
 

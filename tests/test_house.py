@@ -14,7 +14,7 @@ SOURCE = ROOT / "src" / "covariant"
 
 PLAN = (
     "_typing _files signals scoring _linalg _integrate "
-    "logs geometry models observers simulation scale design report papers cli"
+    "logs geometry models riccati observers simulation scale design report papers cli"
 )
 """A room may import from itself and from any room to its left, never to its right."""
 
@@ -46,10 +46,13 @@ PUBLIC = {
     "ball_and_beam bioreactor body_velocity check_metric check_model duffing energy free_body friction heavy_top "
     "hovercraft induction_motor load lorenz oscillator pendulum_chain position_error satellite source "
     "spatial_momentum state_space underwater_vehicle unknown_frequency van_der_pol wrap",
-    "observers": "EKF AbstractFlowObserver AbstractObserver Copy EKFInfo EKFState FilterInfo FilteredDerivative "
-    "FilteredState Geodesic GeodesicInfo GeodesicState Group GroupInfo GroupState Info Intrinsic InvariantEKF "
-    "InvariantInfo InvariantState MechanicalState Salcudean SalcudeanState SavitzkyGolay WindowState run",
+    "observers": "EKF AbstractFlowObserver AbstractObserver Copy EKFInfo EKFState Estimate FilterInfo "
+    "FilteredDerivative FilteredState Geodesic GeodesicInfo GeodesicState Group GroupInfo GroupState Info "
+    "InformationEKF InformationState Intrinsic InvariantEKF InvariantInfo InvariantState MechanicalState Riccati "
+    "Salcudean SalcudeanState SavitzkyGolay WindowState run",
     "report": "PALETTE EstimateReport new_figure save_figure table write_article write_html write_png",
+    "riccati": "Equation Metric Passage Solution Window gramian high_gain lie_derivative metric_at metric_through "
+    "reconstructibility right_side spd_distance window_at",
     "scale": "Grid Variable map_grid open_grid",
     "simulation": "Sensor hold no_input observe sense simulate stamps",
 }
@@ -88,7 +91,10 @@ def test_rooms_import_only_from_their_left(path):
     "module",
     [
         "covariant",
-        *(f"covariant.{room}" for room in ("geometry", "models", "observers", "simulation", "scale", "design")),
+        *(
+            f"covariant.{room}"
+            for room in ("geometry", "models", "riccati", "observers", "simulation", "scale", "design")
+        ),
     ],
 )
 def test_import_brings_in_no_optional_package(module):

@@ -93,4 +93,27 @@ def solve(
     return solution.ys
 
 
+def solve_until(flow: Flow, x0, stop: Callable[[Any], Array], *, rtol: Number, atol: Number, max_steps: int):
+    """Integrate adaptively (Dormand–Prince 8) from time 0 to the end of the first step where `stop(x)` holds.
+
+    Returns (t, x) there, or after `max_steps` steps where it never does.
+    """
+    solution = diffrax.diffeqsolve(
+        diffrax.ODETerm(lambda t, x, _: flow(jnp.asarray(t), x)),
+        diffrax.Dopri8(),
+        t0=0.0,
+        t1=jnp.inf,
+        dt0=None,
+        y0=x0,
+        saveat=diffrax.SaveAt(t1=True),
+        stepsize_controller=diffrax.PIDController(rtol=rtol, atol=atol),
+        event=diffrax.Event(lambda t, x, args, **_: stop(x)),
+        max_steps=max_steps,
+        adjoint=diffrax.ForwardMode(),
+        throw=False,
+    )
+    assert solution.ts is not None  # SaveAt(t1=True) always saves
+    return solution.ts[0], jax.tree.map(lambda x: x[0], solution.ys)
+
+
 _DOPRI8 = _tableau(diffrax.Dopri8())

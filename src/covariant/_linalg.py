@@ -32,15 +32,21 @@ def solve(a: Matrix, b: Float[Array, "n *k"]) -> Float[Array, "n *k"]:
     """Solve `a x = b` for symmetric positive definite `a`; columns of a matrix `b` are solved together."""
     columns, d = ldl(a)
     width = (1,) * (b.ndim - 1)
-    forward = []
-    for column in columns:
-        forward.append(b[0])
-        b = b[1:] - column[1:].reshape(-1, *width) * b[:1]
-    x = jnp.zeros_like(b)  # b is empty by now
-    for column, entry, pivot in zip(columns[::-1], forward[::-1], d[::-1], strict=True):
+    x = jnp.zeros_like(b[:0])
+    for column, entry, pivot in zip(columns[::-1], _forward(columns, b)[::-1], d[::-1], strict=True):
         below = jnp.sum(column[1:].reshape(-1, *width) * x, axis=0)
         x = jnp.concatenate([(entry / pivot - below)[None], x])
     return x
+
+
+def _forward(columns: list[Array], b: Float[Array, "n *k"]) -> list[Array]:
+    """Rows of `L⁻¹ b`, L being given by the columns of `ldl`."""
+    width = (1,) * (b.ndim - 1)
+    rows = []
+    for column in columns:
+        rows.append(b[0])
+        b = b[1:] - column[1:].reshape(-1, *width) * b[:1]
+    return rows
 
 
 @solve.defjvp
@@ -49,3 +55,22 @@ def _(primals, tangents):
     (a, b), (da, db) = primals, tangents
     x = solve(a, b)
     return x, solve(a, db - da @ x)
+
+
+def half_solve(a: Matrix, b: Float[Array, "n k"]) -> Float[Array, "n k"]:
+    """`L⁻¹ b` for symmetric positive definite `a = L Lᵀ`: b as seen where a is the identity."""
+    columns, d = ldl(a)
+    return jnp.stack(_forward(columns, b)) / jnp.sqrt(d)[:, None]
+
+
+def whiten(a: Matrix, b: Matrix) -> Matrix:
+    """`L⁻¹ b L⁻ᵀ` for symmetric b and symmetric positive definite `a = L Lᵀ`: it has the eigenvalues of `a⁻¹ b`."""
+    return half_solve(a, half_solve(a, b).T)
+
+
+def cholesky(a: Matrix) -> Matrix:
+    """Lower triangular L with `a = L Lᵀ`, for symmetric positive definite a."""
+    columns, d = ldl(a)
+    n = a.shape[0]
+    full = [jnp.concatenate([jnp.zeros(n - c.shape[0], a.dtype), c]) for c in columns]
+    return jnp.stack(full, axis=1) * jnp.sqrt(d)

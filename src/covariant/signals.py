@@ -13,9 +13,14 @@ class Result(enum.IntEnum):
     OK = 0
     COASTED = 1
     CUT_LOCUS = 2
-    CONJUGATE_POINT = 3
-    NOT_CONVERGED = 4
-    NOT_FINITE = 5
+    LEFT_DOMAIN = 3
+    ESCAPED = 4
+    CONJUGATE_POINT = 5
+    NOT_CONVERGED = 6
+    NOT_SETTLED = 7
+    NOT_RECONSTRUCTIBLE = 8
+    OUT_OF_DOMAIN = 9
+    NOT_FINITE = 10
 
     @property
     def message(self) -> str:
@@ -26,6 +31,11 @@ _MESSAGES = {
     Result.OK: "ok",
     Result.COASTED: "no measurement: the model ran on alone",
     Result.CUT_LOCUS: "two ways to the measurement are equally short, as after half a turn: one of them was taken",
+    Result.LEFT_DOMAIN: "the past of the point leaves the domain: its metric starts at the border",
+    Result.ESCAPED: "the past of the point escapes to infinity: its metric starts far away",
+    Result.NOT_SETTLED: "the metric still depends on how it was started: take a larger rate or more steps",
+    Result.NOT_RECONSTRUCTIBLE: "not reconstructible: the past output does not determine the state there",
+    Result.OUT_OF_DOMAIN: "outside the domain: there is no metric",
     Result.NOT_CONVERGED: "the geodesic to the measurement was not found: allow more Newton iterations or steps",
     Result.CONJUGATE_POINT: "the geodesic found passes a conjugate point and is not the shortest one",
     Result.NOT_FINITE: "the state is not finite: lower the gains or the step",

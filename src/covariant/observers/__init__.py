@@ -8,6 +8,7 @@ from covariant.observers._group import Group, GroupInfo, GroupState
 from covariant.observers._intrinsic import Intrinsic
 from covariant.observers._invariant_ekf import InvariantEKF, InvariantInfo, InvariantState
 from covariant.observers._protocol import AbstractFlowObserver, AbstractObserver, Info, MechanicalState, run
+from covariant.observers._riccati import Estimate, InformationEKF, InformationState, Riccati
 from covariant.observers._salcudean import Salcudean, SalcudeanState
 from covariant.observers._savitzky_golay import SavitzkyGolay, WindowState
 
@@ -18,6 +19,7 @@ __all__ = [
     "Copy",
     "EKFInfo",
     "EKFState",
+    "Estimate",
     "FilterInfo",
     "FilteredDerivative",
     "FilteredState",
@@ -28,11 +30,14 @@ __all__ = [
     "GroupInfo",
     "GroupState",
     "Info",
+    "InformationEKF",
+    "InformationState",
     "Intrinsic",
     "InvariantEKF",
     "InvariantInfo",
     "InvariantState",
     "MechanicalState",
+    "Riccati",
     "Salcudean",
     "SalcudeanState",
     "SavitzkyGolay",

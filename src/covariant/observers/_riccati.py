@@ -1,0 +1,175 @@
+"""Observers of general systems that feed the output back through a contraction metric.
+
+Source: Sanfelice & Praly 2015, equations (3), (11) and (13)–(14).
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from covariant._integrate import rk4
+from covariant._linalg import half_solve, solve
+from covariant._typing import Matrix, MatrixField, Number, Scalar, Vector
+from covariant.models import StateSpace
+from covariant.observers._protocol import AbstractFlowObserver, Info
+from covariant.riccati import Equation, Metric
+from covariant.signals import Result
+
+
+class Estimate(NamedTuple):
+    """Estimated state and the time [s] it belongs to."""
+
+    x: Vector
+    t: Scalar
+
+
+class Riccati(AbstractFlowObserver):
+    """`x̂' = f(x̂) − 2 k_E P⁻¹ h_xᵀ R⁻¹ (h(x̂) − y)`, equation (11), with P a contraction metric at x̂.
+
+    - `metric`: P, any `x (n,) -> (n, n)`: `riccati.Metric` computes it along the estimate's own characteristic, a field
+      designed on a grid looks it up, `riccati.high_gain` makes this the high-gain observer.
+    - `start` (n,): first estimate.
+    - `gain`: k_E, a number or a function of x̂. With P from an equation with rate λ, ¼ makes the distance of P decay at
+      λ/2 and less may lose that; ½ is the stationary Kalman filter.
+    - `measurement_cov`: R (p, p), that of the equation; by default the identity.
+    - `substeps`: Runge–Kutta steps of the model a sample.
+
+    Where the metric is not positive definite, as outside the grid of a field, the model runs on alone and the result
+    says `OUT_OF_DOMAIN`. Sampled, the correction is implicit: it minimises `|x − x̂|²_P + 2 k_E dt |h + h_x (x − x̂) −
+    y|²`, so no gain makes it unstable, and for dt → 0 it is the flow.
+    """
+
+    model: StateSpace
+    metric: MatrixField
+    start: Vector
+    gain: Number | Callable[[Array], Array] = 0.25
+    measurement_cov: Matrix | None = None
+    substeps: int = eqx.field(default=1, static=True)
+
+    def init(self, y: Float[Array, "p"], t: Number = 0.0) -> Estimate:
+        return Estimate(jnp.asarray(self.start, y.dtype), jnp.asarray(t, y.dtype))
+
+    def estimate(self, state: Estimate) -> Vector:
+        return state.x
+
+    def flow(self, t: Scalar, state: Estimate, u: Float[Array, "m"], y: Float[Array, "p"]) -> Estimate:
+        x = state.x
+        seen, error = _seen(self.model, self.measurement_cov, t, x, u, y)
+        correction = 2 * self._gain(x) * solve(self._metric(x, u), seen.T @ error)
+        return Estimate(self.model.f(t, x, u) - correction, jnp.ones_like(state.t))
+
+    def step(self, state: Estimate, u: Float[Array, "m"], y: Float[Array, "p"], dt: Scalar) -> tuple[Estimate, Info]:
+        x = rk4(lambda s, x: self.model.f(s, x, u), state.t, state.x, dt, self.substeps)
+        moved, info = _correct(
+            self.model, self.measurement_cov, state.t + dt, x, self._metric(x, u), 2 * self._gain(x) * dt, u, y
+        )
+        return Estimate(moved, state.t + dt), info
+
+    def _gain(self, x: Vector) -> Number:
+        return self.gain(x) if callable(self.gain) else self.gain
+
+    def _metric(self, x: Vector, u: Array) -> Matrix:
+        if isinstance(self.metric, Metric) and self.model.inputs:
+            # The past of the estimate is reckoned with the input of now.
+            return eqx.tree_at(lambda m: m.u, self.metric, u, is_leaf=lambda leaf: leaf is None)(x)
+        return self.metric(x)
+
+
+class InformationState(NamedTuple):
+    """Estimated state, its information matrix P (n, n), and the time [s] they belong to."""
+
+    x: Vector
+    information: Matrix
+    t: Scalar
+
+
+class InformationEKF(AbstractFlowObserver):
+    """The extended Kalman filter in information form, equations (13)–(14): P is integrated along the estimate itself.
+
+    - `equation`: Q and R as in the metric's equation; a rate λ makes the filter forget at that rate.
+    - `start` (n,), `information` (n, n): first estimate and the information it comes with.
+    - `substeps`: Runge–Kutta steps of the model a sample.
+
+    It knows how well it knows, which a constant field cannot; but nothing bounds its P unless the estimate stays close
+    to the state.
+    """
+
+    model: StateSpace
+    equation: Equation
+    start: Vector
+    information: Matrix
+    substeps: int = eqx.field(default=1, static=True)
+
+    def init(self, y: Float[Array, "p"], t: Number = 0.0) -> InformationState:
+        start, information = jnp.asarray(self.start, y.dtype), jnp.asarray(self.information, y.dtype)
+        return InformationState(start, information, jnp.asarray(t, y.dtype))
+
+    def estimate(self, state: InformationState) -> Vector:
+        return state.x
+
+    def flow(self, t: Scalar, state: InformationState, u: Float[Array, "m"], y: Float[Array, "p"]) -> InformationState:
+        x, p = state.x, state.information
+        seen, error = _seen(self.model, self.equation.measurement_cov, t, x, u, y)
+        silent = self._silent(t, x, p, u)
+        gathered = jnp.where(jnp.any(jnp.isnan(y)), 0.0, seen.T @ seen)
+        return InformationState(self.model.f(t, x, u) - solve(p, seen.T @ error), silent + gathered, jnp.ones_like(t))
+
+    def step(
+        self, state: InformationState, u: Float[Array, "m"], y: Float[Array, "p"], dt: Scalar
+    ) -> tuple[InformationState, Info]:
+        def flow(s, joint):
+            x, p = joint
+            return self.model.f(s, x, u), self._silent(s, x, p, u)
+
+        now = state.t + dt
+        x, p = rk4(flow, state.t, (state.x, state.information), dt, self.substeps)
+        moved, info = _correct(self.model, self.equation.measurement_cov, now, x, p, dt, u, y)
+        seen, _ = _seen(self.model, self.equation.measurement_cov, now, x, u, y)
+        return InformationState(moved, p + dt * seen.T @ seen, now), info
+
+    def _silent(self, t: Scalar, x: Vector, p: Matrix, u: Array) -> Matrix:
+        """How P changes while nothing is measured."""
+        a = jax.jacfwd(self.model.f, 1)(t, x, u)
+        q = self.equation.noise(x)
+        loss = self.equation.rate * p + (0.0 if q is None else p @ q @ p)
+        return -p @ a - a.T @ p - loss
+
+
+def _seen(model: StateSpace, measurement_cov: Matrix | None, t, x: Vector, u: Array, y: Array) -> tuple[Array, Array]:
+    """`R^{-1/2} h_x` and `R^{-1/2} (h − y)`, both without the outputs that are missing (NaN)."""
+    missing = jnp.isnan(y)
+    error = model.output_error(model.h(t, x, u), y)
+    jacobian: Array = jax.jacfwd(model.h, 1)(t, x, u)
+    seen: Array = jnp.where(missing[:, None], 0.0, jacobian)
+    if measurement_cov is None:
+        return seen, error
+    # The noise of a missing output tells nothing of the others', however they are correlated.
+    apart = (missing[:, None] | missing[None, :]) & ~jnp.eye(y.shape[0], dtype=bool)
+    cov = jnp.where(apart, 0.0, jnp.asarray(measurement_cov, x.dtype))
+    both = half_solve(cov, jnp.concatenate([seen, error[:, None]], axis=1))
+    return both[:, :-1], both[:, -1]
+
+
+def _correct(
+    model: StateSpace, measurement_cov: Matrix | None, t, x: Vector, p: Matrix, weight: Number, u: Array, y: Array
+) -> tuple[Vector, Info]:
+    """Take y in: `x − (P + w h_xᵀ R⁻¹ h_x)⁻¹ w h_xᵀ R⁻¹ (h − y)`."""
+    seen, error = _seen(model, measurement_cov, t, x, u, y)
+    correction = solve(p + weight * seen.T @ seen, weight * seen.T @ error)
+    positive = jnp.all(jnp.isfinite(correction)) & (correction @ p @ correction >= 0)
+    correction = jnp.where(positive, correction, 0.0)
+    moved = x - correction
+    result = jnp.where(
+        ~jnp.all(jnp.isfinite(moved)),
+        int(Result.NOT_FINITE),
+        jnp.where(
+            jnp.all(jnp.isnan(y)), int(Result.COASTED), jnp.where(positive, int(Result.OK), int(Result.OUT_OF_DOMAIN))
+        ),
+    )
+    square = jnp.where(positive, correction @ jnp.where(jnp.isfinite(p), p, 0.0) @ correction, 0.0)
+    distance = jnp.sqrt(jnp.maximum(square, 0.0))
+    return moved, Info(-model.output_error(model.h(t, x, u), y), distance, result.astype(jnp.int32))

@@ -1,0 +1,36 @@
+"""Contraction metrics of general systems, from a Riccati equation solved along characteristics.
+
+For `x' = f(x)`, `y = h(x)` a metric P with
+
+    L_f P = dhᵀ R⁻¹ dh − λ P − P Q P,      L_f P = Ṗ + P f_x + f_xᵀ P,
+
+makes f contract in every direction that the output does not see, so that output injection can make it contract in all.
+P(x) is what the past output tells of the state x: with λ alone the weighted Gramian of the past, with Q alone the
+information matrix of a stationary Kalman filter.
+
+Source: Sanfelice & Praly 2015, Solution of a Riccati equation for the design of an observer contracting a Riemannian
+distance.
+"""
+
+from covariant.riccati._equation import Equation, lie_derivative, right_side
+from covariant.riccati._high_gain import high_gain
+from covariant.riccati._passage import Passage, metric_through
+from covariant.riccati._solution import Metric, Solution, gramian, metric_at, reconstructibility, spd_distance
+from covariant.riccati._window import Window, window_at
+
+__all__ = [
+    "Equation",
+    "Metric",
+    "Passage",
+    "Solution",
+    "Window",
+    "gramian",
+    "high_gain",
+    "lie_derivative",
+    "metric_at",
+    "metric_through",
+    "reconstructibility",
+    "right_side",
+    "spd_distance",
+    "window_at",
+]

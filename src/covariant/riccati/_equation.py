@@ -1,0 +1,76 @@
+"""The equation a metric is to satisfy, and both of its sides."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from covariant._linalg import half_solve
+from covariant._typing import Matrix, MatrixField, Number, Vector
+from covariant.models import StateSpace
+
+
+class Equation(eqx.Module):
+    """What is asked of P: `L_f P = dhᵀ R⁻¹ dh − λ P − P Q P`, equation (8) with Q alone and (15) with λ alone.
+
+    - `rate`: λ [1/s]; the observer with gain ¼ contracts the distance of P at the rate λ/2.
+    - `process_cov`: Q, a symmetric positive matrix (n, n), or a field `x -> (n, n)`. Under a change of coordinates z(x)
+      it becomes `z_x Q z_xᵀ`. In a filter it is the density of the process noise.
+    - `measurement_cov`: R (p, p), by default the identity. In a filter it is the density of the measurement noise.
+
+    Raises `ValueError` when there is neither λ nor Q, or a negative λ.
+    """
+
+    rate: Number = 0.0
+    process_cov: Matrix | MatrixField | None = None
+    measurement_cov: Matrix | None = None
+
+    def __check_init__(self):
+        if isinstance(self.rate, float | int):
+            if not 0 <= self.rate < float("inf"):
+                raise ValueError(f"rate must be a number ≥ 0; got {self.rate}")
+            if self.rate == 0 and self.process_cov is None:
+                raise ValueError("an equation needs a rate λ > 0, a process_cov Q, or both; it has neither")
+
+    def noise(self, x: Vector) -> Matrix | None:
+        """Q at x, or None."""
+        q = self.process_cov(x) if callable(self.process_cov) else self.process_cov
+        return None if q is None else jnp.asarray(q, x.dtype)
+
+
+def lie_derivative(model: StateSpace, metric: MatrixField, x: Vector, u: Float[Array, "m"] | None = None) -> Matrix:
+    """`L_f P = Ṗ + P f_x + f_xᵀ P` at x (n,), G-8 of the paper."""
+    push, t0 = model_input(model, u, x.dtype), jnp.zeros((), x.dtype)
+    p, along = jax.jvp(metric, (x,), (model.f(t0, x, push),))
+    a = jax.jacfwd(model.f, 1)(t0, x, push)
+    return along + p @ a + a.T @ p
+
+
+def right_side(
+    model: StateSpace, equation: Equation, metric: Matrix, x: Vector, u: Float[Array, "m"] | None = None
+) -> Matrix:
+    """`dhᵀ R⁻¹ dh − λ P − P Q P` at x (n,), which `lie_derivative` equals where P solves the equation."""
+    push = model_input(model, u, x.dtype)
+    _, q, seen = coefficients(model, equation, x, push)
+    quadratic = 0.0 if q is None else metric @ q @ metric
+    return seen.T @ seen - equation.rate * metric - quadratic
+
+
+def coefficients(model: StateSpace, equation: Equation, x: Vector, u: Array):
+    """`f_x + λ/2`, Q, and `R^{-1/2} h_x` at x: with the shift by λ/2 the term −λP needs no line of its own."""
+    a, seen = model.jacobians(jnp.zeros((), x.dtype), x, u)
+    eye = jnp.eye(x.shape[0], dtype=x.dtype)
+    if equation.measurement_cov is not None:
+        seen = half_solve(jnp.asarray(equation.measurement_cov, x.dtype), seen)
+    shifted = a + jnp.asarray(equation.rate, x.dtype) / 2 * eye
+    return shifted, equation.noise(x), seen
+
+
+def model_input(model: StateSpace, u: Array | None, dtype) -> Array:
+    return jnp.zeros(model.inputs, dtype) if u is None else jnp.asarray(u, dtype)
+
+
+def check_state(model: StateSpace, x: Array) -> None:
+    n = len(model.coordinates)
+    if x.ndim != 1 or (n and x.shape[0] != n):
+        raise ValueError(f"x must be a state ({n or 'n'},); it has shape {x.shape}")

@@ -1,0 +1,42 @@
+"""The metric of the high-gain observer, which makes that observer one of the same family."""
+
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from covariant._typing import Matrix, MatrixField, Number, Vector
+from covariant.models import StateSpace
+from covariant.riccati._equation import model_input
+
+
+def high_gain(model: StateSpace, rate: Number) -> MatrixField:
+    """The metric of the high-gain observer: equation (15) solved for a chain of integrators, seen through the map
+    `x -> (h, L_f h, …, L_f^{n−1} h)` of the states to the output's derivatives.
+
+    For one output. Drive `observers.Riccati` with it and gain ½: the observer's poles are at −rate for a chain, and
+    what the model has beyond a chain is outweighed where the rate is large enough. Where the map is singular, so is the
+    metric. Source: Gauthier, Hammouri & Othman 1992, A simple observer for nonlinear systems.
+    """
+    if len(model.outputs) > 1:
+        raise ValueError(f"high_gain is for one output; the model has {len(model.outputs)}: {', '.join(model.outputs)}")
+
+    def metric(x: Vector) -> Matrix:
+        n = x.shape[0]
+        push, t0 = model_input(model, None, x.dtype), jnp.zeros((), x.dtype)
+
+        def derivatives(y):
+            functions = [lambda z: model.h(t0, z, push)[0]]
+            for _ in range(n - 1):
+                functions.append(lambda z, last=functions[-1]: jax.jvp(last, (z,), (model.f(t0, z, push),))[1])
+            return jnp.stack([function(y) for function in functions])
+
+        seen = jax.jacfwd(derivatives)(x)
+        order = np.arange(n)
+        binomial = np.array([[math.comb(i + j, j) for j in order] for i in order])
+        signed = jnp.asarray(binomial * (-1.0) ** (order[:, None] + order), x.dtype)
+        chain = signed / jnp.asarray(rate, x.dtype) ** (order[:, None] + order + 1)
+        return seen.T @ chain @ seen
+
+    return metric
