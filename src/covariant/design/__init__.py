@@ -1,4 +1,4 @@
-"""From data-sheet numbers to gains."""
+"""From data-sheet numbers to gains, and from a model to a contraction metric."""
 
 from covariant.design._gains import Gains, bias, gains, predict_errors
 from covariant.design._line_up import (
@@ -11,6 +11,7 @@ from covariant.design._line_up import (
     window_length,
     with_gains,
 )
+from covariant.design._metric import load_metric, metric
 
 __all__ = [
     "ESTIMATORS",
@@ -21,6 +22,8 @@ __all__ = [
     "filter_bandwidth",
     "gains",
     "line_up",
+    "load_metric",
+    "metric",
     "observer_gains",
     "predict_errors",
     "window_length",

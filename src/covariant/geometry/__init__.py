@@ -13,6 +13,7 @@ from covariant.geometry._functions import (
     transport,
     transport_along,
 )
+from covariant.geometry._interpolated import Interpolated
 from covariant.geometry._numeric import Metric
 from covariant.geometry._spaces import ConstantCurvature, Euclidean, FlatTorus, Product, Pullback, hyperbolic, sphere
 
@@ -22,6 +23,7 @@ __all__ = [
     "ConstantCurvature",
     "Euclidean",
     "FlatTorus",
+    "Interpolated",
     "Metric",
     "Product",
     "Pullback",

@@ -15,10 +15,11 @@ distance.
 from covariant.riccati._equation import Equation, lie_derivative, right_side
 from covariant.riccati._high_gain import high_gain
 from covariant.riccati._passage import Passage, metric_through
-from covariant.riccati._solution import Metric, Solution, gramian, metric_at, reconstructibility, spd_distance
+from covariant.riccati._solution import Box, Metric, Solution, gramian, metric_at, reconstructibility, spd_distance
 from covariant.riccati._window import Window, window_at
 
 __all__ = [
+    "Box",
     "Equation",
     "Metric",
     "Passage",

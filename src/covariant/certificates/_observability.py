@@ -1,0 +1,185 @@
+"""Does a metric make an observer converge, and from how far?
+
+Two conditions. The first, inequality (2): f contracts the metric in all directions that the output does not see. It
+gives an observer that converges from nearby. The second, G-9: the output is monotonic along geodesics, which needs
+level sets of the output that are totally geodesic. Only with it can a larger gain make the observer converge from
+farther away.
+
+Source: Sanfelice & Praly 2015, section I; Sanfelice & Praly 2012, Convergence of nonlinear observers on Rⁿ with a
+Riemannian metric (Part I), IEEE TAC 57(7).
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from covariant._linalg import half_solve, solve, whiten
+from covariant._typing import MatrixField, Scalar, Vector
+from covariant.certificates._certificate import Certificate
+from covariant.geometry import Budget, christoffel, exp
+from covariant.models import StateSpace
+from covariant.riccati import lie_derivative
+
+ROUNDING = 1e-7
+"""A bending below this share of the terms it is the difference of counts as none."""
+
+
+class Observability(NamedTuple):
+    """Both conditions, and a geodesic on which the second is seen to fail.
+
+    - `witness` (3, n): three states one after the other on a minimising geodesic; the outputs of the first and the last
+      are nearer to each other than those of the first and the middle. None where the second condition does not fail.
+    - `outputs` (3, p): their outputs.
+    """
+
+    condition_1: Certificate
+    condition_2: Certificate
+    witness: Float[np.ndarray, "3 n"] | None
+    outputs: Float[np.ndarray, "3 p"] | None
+
+    @property
+    def verdict(self) -> str:
+        """One sentence."""
+        if self.condition_1.verdict != "holds":
+            return f"no observer from this metric: {self.condition_1.statement}, margin {self.condition_1.margin:.3g}"
+        if self.condition_2.verdict == "fails":
+            at = ", ".join(f"{entry:.3g}" for entry in self.condition_2.point)
+            return f"local only: the output's level sets bend by {self.condition_2.margin:.3g} at ({at})"
+        if self.condition_2.verdict == "undecided":
+            return "at least local: the second condition was not decided"
+        return "local, and from any distance for a large enough gain"
+
+
+def contraction_rate(model: StateSpace, metric: MatrixField, x: Vector, u: Float[Array, "m"] | None = None) -> Scalar:
+    """The largest q at x (n,) with which inequality (2), `L_f P ≤ ρ dh⊗dh − q P`, holds for some ρ [1/s].
+
+    It is the least rate at which f contracts the squared length of vectors in the kernel of dh (Finsler's lemma).
+    Infinite where the output sees every direction.
+    """
+    unseen, _ = _directions(model, x, u)
+    if not unseen.shape[1]:
+        return jnp.full((), jnp.inf, x.dtype)
+    change = unseen.T @ lie_derivative(model, metric, x, u) @ unseen
+    return -jnp.linalg.eigvalsh(whiten(unseen.T @ metric(x) @ unseen, change))[-1]
+
+
+def bending(
+    model: StateSpace, metric: MatrixField, x: Vector, u: Float[Array, "m"] | None = None
+) -> tuple[Scalar, Vector]:
+    """How much the level set of the output through x (n,) bends in the metric, and the unit direction of most bending.
+
+    The largest principal curvature |II(v, v)|, the second fundamental form II being the part of `∂²h(v, v) −
+    dh Γ(v, v)` that grad h carries: 0 where the level set is totally geodesic. In units of one over the metric's
+    length. The second value is what rounding may have made of it.
+    """
+    curvature, _, direction = _bending(model, metric, x, u)
+    return curvature, direction
+
+
+def _bending(model: StateSpace, metric: MatrixField, x: Vector, u: Array | None) -> tuple[Scalar, Scalar, Vector]:
+    """Bending, the size of the terms it is the difference of, and the direction."""
+    unseen, seen = _directions(model, x, u)
+    p = metric(x)
+    unit = half_solve(unseen.T @ p @ unseen, unseen.T).T  # orthonormal in the metric
+    push, t0 = _still(model, x, u)
+
+    def second(v, w):
+        flat = jax.jvp(lambda y: jax.jvp(lambda z: model.h(t0, z, push), (y,), (v,))[1], (x,), (w,))[1]
+        bent = seen @ christoffel(metric, x, v, w)
+        return flat - bent, jnp.abs(flat) + jnp.abs(bent)
+
+    forms, sizes = jax.vmap(lambda v: jax.vmap(lambda w: second(v, w))(unit.T))(unit.T)  # (k, k, p)
+    # Lengths of normal vectors: |a dh|² = aᵀ (dh P⁻¹ dhᵀ)⁻¹ a for the normal vector with dh(normal) = a.
+    normal = half_solve(seen @ solve(p, seen.T), jnp.moveaxis(forms, -1, 0).reshape(seen.shape[0], -1))
+    normal = jnp.moveaxis(normal.reshape(seen.shape[0], *forms.shape[:2]), 0, -1)
+    scale = jnp.sqrt(jnp.trace(jnp.linalg.inv(seen @ solve(p, seen.T))))
+    # The largest |II(v, v)| over unit v, output by output: exact for one output, a lower bound for more.
+    values, vectors = jnp.linalg.eigh(jnp.moveaxis(normal + jnp.swapaxes(normal, 0, 1), -1, 0) / 2)
+    best = jnp.argmax(jnp.abs(values))
+    k = values.shape[1]
+    direction = unit @ vectors[best // k][:, best % k]
+    return jnp.abs(values).reshape(-1)[best], scale * jnp.max(sizes), direction
+
+
+def observability(
+    model: StateSpace,
+    metric: MatrixField,
+    points: Float[np.ndarray, "k n"],
+    *,
+    u: Float[Array, "m"] | None = None,
+    rate: float = 0.0,
+    budget: Budget = Budget(),
+) -> Observability:
+    """Both conditions at the given states: does the metric give an observer, and only from nearby?
+
+    The first holds where `contraction_rate` exceeds `rate` at all points; the second fails where `bending` does not
+    vanish, and a geodesic that shows it is given. With several outputs a vanishing bending decides nothing.
+
+    Raises `ValueError` where a point has no finite metric.
+    """
+    points = np.asarray(points)
+
+    @eqx.filter_jit
+    def both(x):
+        return contraction_rate(model, metric, x, u), *_bending(model, metric, x, u)
+
+    rates, bends, sizes, directions = (np.asarray(a) for a in jax.lax.map(both, jnp.asarray(points), batch_size=64))
+    for name, values in (("contraction rate", rates), ("bending", bends)):
+        if np.isnan(values).any():
+            raise ValueError(f"the {name} is not a number at {_text(points[int(np.isnan(values).argmax())])}")
+    domain = f"{len(points)} states between {_text(points.min(0))} and {_text(points.max(0))}"
+    slow = int(rates.argmin())
+    first = Certificate(
+        "f contracts the metric in the directions the output does not see, at the rate of the margin [1/s]",
+        "holds" if rates[slow] > rate else "fails",
+        float(rates[slow]),
+        domain,
+        "sampled",
+        tuple(points[slow].tolist()),
+    )
+    bent = int((bends - ROUNDING * sizes).argmax())
+    fails = bool(bends[bent] > ROUNDING * sizes[bent])
+    one = jax.eval_shape(model.h, *_arguments(model, jnp.asarray(points[0]), u)).shape == (1,)
+    second = Certificate(
+        "level sets of the output are totally geodesic; the margin is their largest principal curvature",
+        "fails" if fails else "holds" if one else "undecided",
+        float(bends[bent]),
+        domain,
+        "sampled",
+        tuple(points[bent].tolist()),
+    )
+    if not fails:
+        return Observability(first, second, None, None)
+    states = _witness(metric, jnp.asarray(points[bent]), jnp.asarray(directions[bent]), float(bends[bent]), budget)
+    outputs = jax.vmap(lambda x: model.h(*_arguments(model, x, u)))(states)
+    return Observability(first, second, np.asarray(states), np.asarray(outputs))
+
+
+def _witness(metric: MatrixField, x: Vector, direction: Vector, bend: float, budget: Budget) -> Float[Array, "3 n"]:
+    """States before, at and behind x on the geodesic that touches the level set there, a tenth of its radius away."""
+    reach = 0.1 / bend * direction
+    return jnp.stack([exp(metric, x, -reach, budget), x, exp(metric, x, 0.9 * reach, budget)])
+
+
+def _directions(model: StateSpace, x: Vector, u: Array | None) -> tuple[Float[Array, "n k"], Float[Array, "p n"]]:
+    """A basis of the kernel of dh, and dh."""
+    push, t0 = _still(model, x, u)
+    seen = jax.jacfwd(model.h, 1)(t0, x, push)
+    return jnp.linalg.qr(seen.T, mode="complete")[0][:, seen.shape[0] :], seen
+
+
+def _still(model: StateSpace, x: Vector, u: Array | None) -> tuple[Array, Scalar]:
+    return jnp.zeros(model.inputs, x.dtype) if u is None else u, jnp.zeros((), x.dtype)
+
+
+def _arguments(model: StateSpace, x: Vector, u: Array | None) -> tuple[Scalar, Vector, Array]:
+    push, t0 = _still(model, x, u)
+    return t0, x, push
+
+
+def _text(x: np.ndarray) -> str:
+    return f"({', '.join(f'{entry:.3g}' for entry in x)})"
