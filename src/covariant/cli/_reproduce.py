@@ -8,7 +8,11 @@ from typing import Any
 from covariant.cli._console import stages
 from covariant.cli._job import check_output
 
-PAPERS = {"aghannan-rouchon": "aghannan_rouchon", "maithripala": "maithripala"}
+PAPERS = {
+    "aghannan-rouchon": "aghannan_rouchon",
+    "maithripala": "maithripala",
+    "sanfelice-praly": "sanfelice_praly",
+}
 """Each paper and its module, which has `STAGES`, `reproduce`, `draw`, `summary` and `write_page`."""
 
 
