@@ -68,7 +68,7 @@ def metric_at(
     check_state(model, x)
     eps = float(jnp.finfo(x.dtype).eps)
     wanted = eps**0.5 if tolerance is None else tolerance
-    rtol = max(1e-4 * wanted, 20 * eps)
+    rtol = max(1e-3 * wanted, 20 * eps)
     low, high = _box(domain, x)
     far = FAR * (1 + jnp.abs(x))
 
