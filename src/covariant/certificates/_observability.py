@@ -154,15 +154,16 @@ def observability(
     )
     if not fails:
         return Observability(first, second, None, None)
-    states = _witness(metric, jnp.asarray(points[bent]), jnp.asarray(directions[bent]), float(bends[bent]), budget)
+    states = _witness(metric, jnp.asarray(points[bent]), jnp.asarray(0.1 / bends[bent] * directions[bent]), budget)
     outputs = jax.vmap(lambda x: model.h(*_arguments(model, x, u)))(states)
     return Observability(first, second, np.asarray(states), np.asarray(outputs))
 
 
-def _witness(metric: MatrixField, x: Vector, direction: Vector, bend: float, budget: Budget) -> Float[Array, "3 n"]:
-    """States before, at and behind x on the geodesic that touches the level set there, a tenth of its radius away."""
-    reach = 0.1 / bend * direction
-    return jnp.stack([exp(metric, x, -reach, budget), x, exp(metric, x, 0.9 * reach, budget)])
+@eqx.filter_jit
+def _witness(metric: MatrixField, x: Vector, reach: Vector, budget: Budget) -> Float[Array, "3 n"]:
+    """States before, at and behind x on the geodesic with velocity `reach`, which touches the level set there."""
+    ends = jax.vmap(lambda v: exp(metric, x, v, budget))(jnp.stack([-reach, 0.9 * reach]))
+    return jnp.stack([ends[0], x, ends[1]])
 
 
 def _directions(model: StateSpace, x: Vector, u: Array | None) -> tuple[Float[Array, "n k"], Float[Array, "p n"]]:

@@ -15,7 +15,7 @@ from covariant.riccati._equation import Equation, check_state
 from covariant.riccati._window import Window, backward, no_past, window_at
 from covariant.signals import Result
 
-MOST_STEPS = 4096
+MOST_STEPS = 1024
 """Integration steps after which a window counts as never long enough."""
 SINGULAR = 1e-9
 """Reconstructibility below which a state counts as not reconstructible, in double precision."""
