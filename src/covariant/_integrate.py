@@ -76,7 +76,7 @@ def solve(
     Where `max_steps` are spent, as when a solution escapes in finite time, the stamps not reached are infinite.
     """
     solution = diffrax.diffeqsolve(
-        diffrax.ODETerm(lambda t, x, _: flow(jnp.asarray(t), x)),
+        _term(flow),
         diffrax.Dopri8(),
         t0=ts[0],
         t1=ts[-1],
@@ -99,7 +99,7 @@ def solve_until(flow: Flow, x0, stop: Callable[[Any], Array], *, rtol: Number, a
     Returns (t, x) there, or after `max_steps` steps where it never does.
     """
     solution = diffrax.diffeqsolve(
-        diffrax.ODETerm(lambda t, x, _: flow(jnp.asarray(t), x)),
+        _term(flow),
         diffrax.Dopri8(),
         t0=0.0,
         t1=jnp.inf,
@@ -114,6 +114,12 @@ def solve_until(flow: Flow, x0, stop: Callable[[Any], Array], *, rtol: Number, a
     )
     assert solution.ts is not None  # SaveAt(t1=True) always saves
     return solution.ts[0], jax.tree.map(lambda x: x[0], solution.ys)
+
+
+def _term(flow: Flow) -> diffrax.ODETerm:
+    """The vector field for diffrax, traced once though diffrax calls it in several places."""
+    once = jax.jit(flow)
+    return diffrax.ODETerm(lambda t, x, _: once(jnp.asarray(t), x))
 
 
 _DOPRI8 = _tableau(diffrax.Dopri8())
