@@ -5,11 +5,13 @@ from typing import Annotated
 
 import typer
 
-from covariant.cli import _compare, _estimate, _reproduce, _simulate
+from covariant.cli import _compare, _design, _estimate, _reproduce, _simulate
 from covariant.cli._job import Job
 from covariant.design import ESTIMATORS
 
 app = typer.Typer(add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode=None)
+design = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="Design what an observer needs.")
+app.add_typer(design, name="design")
 
 Model = Annotated[str, typer.Argument(help="Model file (.toml), module:attribute, or the name of a system.")]
 LogFile = Annotated[
@@ -79,7 +81,11 @@ def simulate(
     duration: Annotated[float, typer.Option(help="Length [s].", min=0.0)] = 10.0,
     rate: Annotated[float, typer.Option(help="Samples a second [Hz].")] = 500.0,
     q0: Annotated[
-        str | None, typer.Option(help="Initial positions, by commas, or exponential coordinates of a pose; zeros.")
+        str | None,
+        typer.Option(
+            help="Initial positions, by commas, or exponential coordinates of a pose; the whole initial state of a "
+            "state-space model; zeros by default."
+        ),
     ] = None,
     v0: Annotated[str | None, typer.Option(help="Initial velocities, separated by commas; zeros by default.")] = None,
     amplitude: Annotated[str | None, typer.Option(help="Amplitudes of sinusoidal inputs, by commas.")] = None,
@@ -106,3 +112,37 @@ def reproduce(
 ) -> None:
     """Reproduce a paper's numbers and figures."""
     _reproduce.reproduce(paper, out, report, json)
+
+
+@design.command()
+def metric(
+    model: Model,
+    out: Annotated[Path, typer.Option("--out", "-o", help="Store to write, or to go on with (.zarr).")],
+    grid: Annotated[
+        str,
+        typer.Option(help="Points of each axis, one count or one each by commas; four at least to interpolate."),
+    ],
+    box: Annotated[
+        str | None, typer.Option(help="Ends of the axes, as x1=0:1,x2=1:1.5; those not named are the model's own.")
+    ] = None,
+    rate: Annotated[float, typer.Option(help="Rate λ of the equation [1/s].")] = 0.0,
+    process_cov: Annotated[str | None, typer.Option(help="Diagonal of Q, one number a state, by commas.")] = None,
+    measurement_cov: Annotated[
+        str | None, typer.Option(help="Diagonal of R, one number an output, by commas; ones by default.")
+    ] = None,
+    start: Annotated[float, typer.Option(help="Metric before the past, as a multiple of the identity.")] = 1.0,
+    tolerance: Annotated[float, typer.Option(help="How much the unknown past may change the metric.")] = 1e-8,
+    domain: Annotated[
+        str | None, typer.Option(help="Where the model holds, as --box; the past is followed no further.")
+    ] = None,
+    input: Annotated[str | None, typer.Option(help="Constant inputs, by commas; zeros by default.")] = None,
+    block: Annotated[int, typer.Option(help="Points that a worker computes at a time.", min=1)] = 4096,
+    workers: Annotated[int | None, typer.Option(help="Threads; as many as processors by default.", min=1)] = None,
+    scheduler: Annotated[str | None, typer.Option(help="Address of a Dask scheduler whose workers compute.")] = None,
+    override: Override = [],  # noqa: B006  typer copies it
+    json: Json = False,
+) -> None:
+    """Compute a contraction metric at every point of a grid of states; a run that was stopped goes on where it was."""
+    task = _design.Task(box, grid, rate, process_cov, measurement_cov, start, tolerance, domain, input)
+    crew = _design.Crew(block, workers, scheduler)
+    _design.metric(model, tuple(override), out, task, crew, json)

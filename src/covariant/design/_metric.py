@@ -3,10 +3,12 @@
 Source: Sanfelice & Praly 2015, section III.
 """
 
+import itertools
+import math
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -44,7 +46,7 @@ def metric(
     Raises `ValueError` where the grid has not one axis for each state.
     """
     n = len(model.coordinates)
-    if n and grid.names != model.coordinates:
+    if n and tuple(grid.names) != model.coordinates:
         raise ValueError(f"the grid has axes {', '.join(grid.names)}; the states are {', '.join(model.coordinates)}")
 
     def at(x: Array) -> dict[str, Array]:
@@ -57,7 +59,7 @@ def metric(
         "equation": _described(equation),
         "start": start,
         "tolerance": tolerance,
-        "domain": None if domain is None else [np.asarray(bound).tolist() for bound in domain],
+        "domain": None if domain is None else [_finite_or_none(bound) for bound in domain],
         "u": None if u is None else np.asarray(u).tolist(),
         "source": "Sanfelice & Praly 2015, section III",
     }
@@ -88,12 +90,77 @@ def load_metric(path: str | os.PathLike[str]) -> Interpolated:
 
     Raises `ValueError` where the store is not one of `metric`, or not finished.
     """
-    store = open_grid(path, complete=True)
-    if "metric" not in store:
-        raise ValueError(f"{path}: the store has no variable 'metric'; make one with design.metric")
+    store = _open(path)
     values = store["metric"]
     axes = tuple(np.asarray(store[axis]) for axis in values.dims[:-2])
     return Interpolated(axes, np.asarray(values))
+
+
+class Summary(NamedTuple):
+    """A finished store in a few numbers; NaN where no point has the one asked for.
+
+    - `results`: number of points of each `covariant.signals.Result`, without those that have none.
+    - `reconstructibility`: the smallest in the domain.
+    - `low`, `high`: bounds of equation (9), `low I ≤ P ≤ high I`, over the points that have a metric; they change with
+      the units of the coordinates.
+    - `doubt`: the largest that is known, over the same points.
+    """
+
+    results: dict[Result, int]
+    reconstructibility: float
+    low: float
+    high: float
+    doubt: float
+
+
+def summary(path: str | os.PathLike[str]) -> Summary:
+    """Summarise the finished store at `path`, with the memory of some of its blocks at a time.
+
+    Raises `ValueError` where the store is not one of `metric`, or not finished.
+    """
+    store = _open(path)
+    parts = [_part(store.isel(region).load()) for region in _regions(store)]
+    counts = np.sum([counts for counts, _ in parts], axis=0)
+    reconstructibility, low, high, doubt = np.array([values for _, values in parts]).T
+    return Summary(
+        {code: int(count) for code, count in zip(Result, counts, strict=True) if count},
+        float(np.fmin.reduce(reconstructibility)),
+        float(np.fmin.reduce(low)),
+        float(np.fmax.reduce(high)),
+        float(np.fmax.reduce(doubt)),
+    )
+
+
+def _open(path: str | os.PathLike[str]) -> Any:
+    store = open_grid(path, complete=True)
+    if set(store) != set(VARIABLES):
+        raise ValueError(f"{path} holds {', '.join(map(str, store))} and no metric of design.metric; give another path")
+    return store
+
+
+def _regions(store: Any) -> Iterator[dict[str, slice]]:
+    """Boxes that cover the grid, each of a size that memory holds: the chunks in which the metric is read."""
+    metric = store["metric"]
+    ends = [np.cumsum((0, *sizes)) for sizes in metric.chunks[:-2]]
+    sides = [[slice(int(a), int(b)) for a, b in itertools.pairwise(end)] for end in ends]
+    for box in itertools.product(*sides):
+        yield dict(zip(metric.dims[:-2], box, strict=True))
+
+
+def _part(store: Any) -> tuple[np.ndarray, tuple[float, ...]]:
+    """Counts of the results, then least reconstructibility, least and largest eigenvalue, and largest doubt."""
+    result, metric = store["result"].values, store["metric"].values
+    known = np.isfinite(metric).all(axis=(-2, -1))
+    values = np.linalg.eigvalsh(metric[known]) if known.any() else np.full((1, 1), np.nan)
+    inside = np.where(result != Result.OUT_OF_DOMAIN, store["reconstructibility"].values, np.nan)
+    doubt = np.where(known, store["doubt"].values, np.nan)
+    ends = (np.fmin.reduce(inside, axis=None), values.min(), values.max(), np.fmax.reduce(doubt, axis=None))
+    return np.bincount(result.ravel(), minlength=len(Result)), tuple(map(float, ends))
+
+
+def _finite_or_none(bound: Array) -> list[float | None]:
+    """A bound in what JSON can hold: None where there is none."""
+    return [value if math.isfinite(value) else None for value in np.asarray(bound).tolist()]
 
 
 def _described(equation: Equation) -> dict[str, Any]:

@@ -20,42 +20,51 @@ class Interpolated(eqx.Module):
 
     What is interpolated are the factors of `P = L D Lᵀ`, with the logarithms of D, so that every value in between is
     positive definite; entries of P would not do. Cubic, of third order in the spacing, with continuous derivatives, so
-    that Christoffel symbols and geodesics exist. Outside the grid, and beside grid points without a metric, it is NaN:
-    it never extrapolates.
+    that Christoffel symbols and geodesics exist. It never extrapolates: it is NaN outside the grid, and within two
+    spacings of a grid point without a metric.
     """
 
     low: Vector
+    high: Vector
     spacing: Vector
     factors: Float[Array, "*grid k"]
 
     def __init__(self, axes: tuple[Float[np.ndarray, "_"], ...], values: Float[np.ndarray, "..."]):
-        """From the axes (c_i,) of the grid and P at its points (c_1, …, c_n, n, n); NaN where there is none.
+        """From the axes (c_i,) of the grid and P at its points (c_1, …, c_n, n, n); not finite where there is none.
 
         Raises `ValueError` where axes and values do not fit, an axis is not uniform or has fewer than four points, or
         a value is not symmetric positive definite.
         """
         axes, values = tuple(np.asarray(axis) for axis in axes), np.asarray(values)
         n = len(axes)
-        _check(axes, values)
-        self.low = jnp.array([axis[0] for axis in axes], values.dtype)
+        _check_axes(axes, values)
+        _check_symmetry(axes, values)
+        # A value without NaN stands in where there is none, so that a failed factor means a wrong value.
+        known = _known(values)[..., None, None]
+        filled = np.where(known, values, np.eye(n, dtype=values.dtype))
+        factors = np.asarray(_to_factors(jnp.asarray(filled.reshape(-1, n, n))))
+        factors = factors.reshape(*values.shape[:n], -1)
+        _check_definite(axes, values, factors)
+        self.low, self.high = (jnp.array([axis[end] for axis in axes], values.dtype) for end in (0, -1))
         self.spacing = jnp.array([(axis[-1] - axis[0]) / (len(axis) - 1) for axis in axes], values.dtype)
-        factors = np.asarray(jax.jit(jax.vmap(_to_factors))(jnp.asarray(values.reshape(-1, n, n))))
-        self.factors = jnp.asarray(_with_border(factors.reshape(*values.shape[:n], -1), n))
+        self.factors = jnp.asarray(_with_border(np.where(known[..., 0], factors, np.nan), n))
 
     def __call__(self, x: Vector) -> Matrix:
-        n = x.shape[0]
+        n = self.low.shape[0]
+        if x.shape != (n,):
+            raise ValueError(f"the metric is a function of {n} coordinates; x has shape {x.shape}")
         place = (x - self.low.astype(x.dtype)) / self.spacing.astype(x.dtype)
-        cells = jnp.array(self.factors.shape[:n]) - 3
-        cell = jnp.clip(jnp.floor(jnp.nan_to_num(place)).astype(jnp.int32), 0, cells - 1)
-        corner = jax.lax.dynamic_slice(self.factors, (*cell, 0), (*(4,) * n, self.factors.shape[-1]))
+        last = jnp.array(self.factors.shape[:n], jnp.int32) - 4
+        cell = jnp.clip(jnp.floor(jnp.nan_to_num(place)).astype(jnp.int32), jnp.zeros_like(last), last)
+        start = (*cell, jnp.zeros((), cell.dtype))
+        corner = jax.lax.dynamic_slice(self.factors, start, (*(4,) * n, self.factors.shape[-1])).astype(x.dtype)
         for weights in _keys(place - cell.astype(x.dtype)):
-            corner = jnp.tensordot(weights, corner.astype(x.dtype), axes=1)
+            corner = jnp.sum(weights.reshape(4, *(1,) * (corner.ndim - 1)) * corner, axis=0)
         return jnp.where(self.contains(x), _from_factors(corner, n), jnp.nan)
 
     def contains(self, x: Vector) -> Flag:
         """Whether x is inside the grid."""
-        high = self.low + self.spacing * (jnp.array(self.factors.shape[: x.shape[0]]) - 3).astype(self.low.dtype)
-        return jnp.all((x >= self.low.astype(x.dtype)) & (x <= high.astype(x.dtype)))
+        return jnp.all((x >= self.low.astype(x.dtype)) & (x <= self.high.astype(x.dtype)))
 
 
 def _keys(s: Vector) -> Float[Array, "n 4"]:
@@ -75,40 +84,72 @@ def _with_border(factors: np.ndarray, n: int) -> np.ndarray:
     return factors
 
 
-def _to_factors(p: Matrix) -> Vector:
+@jax.jit
+@jax.vmap
+def _to_factors(p: Matrix) -> Float[Array, "k"]:
     """Strictly lower entries of L by columns, then log D."""
     columns, d = ldl(p)
     return jnp.concatenate([*(column[1:] for column in columns), jnp.log(d)])
 
 
-def _from_factors(factors: Vector, n: int) -> Matrix:
-    entries, d = factors[:-n], jnp.exp(factors[-n:])
+def _from_factors(factors: Float[Array, "k"], n: int) -> Matrix:
+    """`L D Lᵀ`, written out as the half with √D times itself, so that it is symmetric to the last bit."""
+    entries, root = factors[:-n], jnp.exp(factors[-n:] / 2)
     starts = itertools.accumulate(range(n - 1, 0, -1), initial=0)
     columns = [
         jnp.concatenate([jnp.zeros(k, entries.dtype), jnp.ones(1, entries.dtype), entries[start : start + n - 1 - k]])
         for k, start in enumerate(starts)
     ]
-    lower = jnp.stack(columns, axis=1)
-    return (lower * d) @ lower.T
+    half = jnp.stack(columns, axis=1) * root[None, :]
+    return jnp.sum(half[:, None, :] * half[None, :, :], axis=-1)
 
 
-def _check(axes: tuple[np.ndarray, ...], values: np.ndarray) -> None:
-    n, counts = len(axes), tuple(len(axis) for axis in axes)
+def _known(values: np.ndarray) -> np.ndarray:
+    """Where there is a metric."""
+    return np.asarray(np.isfinite(values).all(axis=(-2, -1)))
+
+
+def _check_axes(axes: tuple[np.ndarray, ...], values: np.ndarray) -> None:
+    n, counts = len(axes), tuple(axis.size for axis in axes)
     if values.shape != (*counts, n, n):
         raise ValueError(f"values must have shape {(*counts, n, n)} on this grid of {n} axes; got {values.shape}")
     for k, axis in enumerate(axes):
+        if axis.ndim != 1 or axis.size < 4:
+            raise ValueError(f"axis {k + 1} needs at least four points to interpolate between; it has {axis.size}")
         steps = np.diff(axis)
-        if len(axis) < 4 or steps.min() <= 0 or np.ptp(steps) > 1e-6 * steps.mean():
-            raise ValueError(f"axis {k + 1} must be at least four points with equal steps upward; it has {len(axis)}")
-    known = np.isfinite(values).all(axis=(-2, -1))
-    least: np.ndarray = np.linalg.eigvalsh(np.where(known[..., None, None], values, np.eye(n)))[..., 0]
-    asymmetry = np.abs(values - np.swapaxes(values, -1, -2)).max(axis=(-2, -1))
-    wrong = known & ((least <= 0) | (asymmetry > 1e-6 * np.abs(values).max(axis=(-2, -1))))
+        rounding = 4 * np.finfo(axis.dtype).eps * np.abs(axis).max()
+        if not (np.isfinite(axis).all() and steps.min() > 0 and np.ptp(steps) <= 1e-6 * steps.mean() + rounding):
+            raise ValueError(
+                f"axis {k + 1} must have equal steps upward; they are {steps.min():.6g} to {steps.max():.6g}"
+            )
+
+
+def _check_symmetry(axes: tuple[np.ndarray, ...], values: np.ndarray) -> None:
+    known = _known(values)
     if not known.any():
         raise ValueError("there is no metric at any point of the grid")
+    filled = np.where(known[..., None, None], values, 0)
+    # Against the diagonal, and so the same in all units of the coordinates.
+    size = np.sqrt(np.abs(np.diagonal(filled, axis1=-2, axis2=-1)))
+    least = size[..., :, None] * size[..., None, :]
+    wrong = np.asarray((np.abs(filled - np.swapaxes(filled, -1, -2)) > 1e-6 * least).any(axis=(-2, -1)))
     if wrong.any():
-        where = np.unravel_index(int(wrong.argmax()), counts)
-        point = ", ".join(f"{axis[i]:.4g}" for axis, i in zip(axes, where, strict=True))
-        raise ValueError(
-            f"the metric at ({point}) is not symmetric positive definite: eigenvalue {float(least[where]):.3g}"
-        )
+        where, point = _first(axes, wrong)
+        raise ValueError(f"the metric at {point} is not symmetric: {_in_one_line(values[where])}")
+
+
+def _check_definite(axes: tuple[np.ndarray, ...], values: np.ndarray, factors: np.ndarray) -> None:
+    wrong = ~np.asarray(np.isfinite(factors).all(axis=-1))
+    if wrong.any():
+        where, point = _first(axes, wrong)
+        raise ValueError(f"the metric at {point} is not positive definite: {_in_one_line(values[where])}")
+
+
+def _first(axes: tuple[np.ndarray, ...], wrong: np.ndarray) -> tuple[tuple[int, ...], str]:
+    """Index of the first point that is wrong, and its coordinates for a person."""
+    where = tuple(int(i) for i in np.unravel_index(int(wrong.argmax()), wrong.shape))
+    return where, f"({', '.join(f'{axis[i]:.4g}' for axis, i in zip(axes, where, strict=True))})"
+
+
+def _in_one_line(p: np.ndarray) -> str:
+    return "; ".join(" ".join(f"{entry:.4g}" for entry in row) for row in p)

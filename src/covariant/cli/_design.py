@@ -1,0 +1,259 @@
+"""`covariant design metric`: a contraction metric over a grid of states."""
+
+import asyncio
+import json
+import math
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from covariant import design, models
+from covariant.cli._job import check_output
+from covariant.design._metric import Summary, summary
+from covariant.models import GroupSystem, StateSpace
+from covariant.riccati import Equation
+from covariant.scale import Grid
+
+PATIENCE = 4.0
+"""Seconds after which a scheduler that does not answer counts as not there."""
+
+Ends = dict[str, tuple[float, float]]
+
+
+class Task(NamedTuple):
+    """What is to be solved, in options of the command as the user gave them."""
+
+    box: str | None
+    grid: str
+    rate: float
+    process_cov: str | None
+    measurement_cov: str | None
+    start: float
+    tolerance: float
+    domain: str | None
+    input: str | None
+
+
+class Crew(NamedTuple):
+    """Who solves it: points of a block, and threads of this process or a scheduler's workers."""
+
+    block: int
+    workers: int | None
+    scheduler: str | None
+
+
+def metric(spec: str, overrides: tuple[str, ...], out: Path, task: Task, crew: Crew, as_json: bool) -> None:
+    """Solve the equation at every point of the grid, or go on where an earlier run stopped, and sum up the store."""
+    check_output(out, ".zarr")
+    file = models.load(spec, overrides)
+    model = _model(spec, file)
+    grid, equation = _grid(spec, model, task), _equation(model, task)
+    settings: dict[str, Any] = {
+        "start": _positive("--start", task.start),
+        "tolerance": _positive("--tolerance", task.tolerance),
+        "domain": _domain(model, task.domain),
+        "u": _numbers("--input", task.input, [f"u{i + 1}" for i in range(model.inputs)]),
+        # What was set may leave no other trace in the store.
+        "name": ", ".join((file.name, *overrides)),
+        **crew._asdict(),
+    }
+    _check_crew(crew)
+    done, began = 0, time.perf_counter()
+    try:
+        with _points(f"solving {file.name}", quiet=as_json) as show:
+
+            def report(now: int, total: int) -> None:
+                nonlocal done
+                done = now
+                show(now, total)
+
+            design.metric(model, equation, grid, out, on_progress=report, **settings)
+        found = summary(out)
+    except KeyboardInterrupt:
+        print(
+            f"covariant: stopped after {done} of {grid.size} points; the same command goes on where it stopped",
+            file=sys.stderr,
+        )
+        raise SystemExit(130) from None
+    result = {"model": spec, "out": str(out), "points": grid.size, "seconds": time.perf_counter() - began}
+    result |= _in_json(found)
+    print(json.dumps(result) if as_json else _text(result, found))
+
+
+def _model(spec: str, file: models.ModelFile) -> StateSpace:
+    if isinstance(file.model, GroupSystem):
+        raise ValueError(
+            f"{spec} is on a group, and metrics are designed in coordinates; give a StateSpace or a Lagrangian, or use "
+            "the observers on groups by `covariant estimate`"
+        )
+    model = file.model if isinstance(file.model, StateSpace) else models.state_space(file.model)
+    if not model.coordinates:
+        raise ValueError(f"{spec}: the model names no coordinates; give it some: they are the axes of the grid")
+    return model
+
+
+def _grid(spec: str, model: StateSpace, task: Task) -> Grid:
+    own = dict(zip(model.coordinates, model.box, strict=False))
+    box = own | _ends("--box", task.box, model)
+    missing = [name for name in model.coordinates if name not in box]
+    if missing:
+        example = ",".join(f"{name}=LOW:HIGH" for name in model.coordinates)
+        raise ValueError(f"--box lacks {', '.join(missing)}, and {spec} has no box of its own; give --box {example}")
+    units = model.units or ("",) * len(model.coordinates)
+    low, high = zip(*(box[name] for name in model.coordinates), strict=True)
+    return Grid(model.coordinates, units, low, high, _counts(task.grid, model))
+
+
+def _counts(text: str, model: StateSpace) -> tuple[int, ...]:
+    """Points along each axis; one count stands for all of them."""
+    n = len(model.coordinates)
+    try:
+        counts = tuple(int(part) for part in text.split(","))
+    except ValueError:
+        counts = ()
+    if len(counts) not in (1, n) or min(counts) < 2:
+        raise ValueError(
+            f"--grid: {text!r} is not one count of points for all axes, or {n} by commas for "
+            f"{', '.join(model.coordinates)}, each 2 or more"
+        )
+    return counts if len(counts) == n else counts * n
+
+
+def _equation(model: StateSpace, task: Task) -> Equation:
+    if not 0 <= task.rate < math.inf:
+        raise ValueError(f"--rate must be a number ≥ 0 [1/s]; got {task.rate}")
+    if task.rate == 0 and task.process_cov is None:
+        raise ValueError("an equation needs --rate λ > 0, --process-cov Q, or both; neither was given")
+    q = _numbers("--process-cov", task.process_cov, model.coordinates, positive=True)
+    r = _numbers("--measurement-cov", task.measurement_cov, model.outputs, positive=True)
+    return Equation(task.rate, *(None if entries is None else jnp.diag(entries) for entries in (q, r)))
+
+
+def _domain(model: StateSpace, text: str | None):
+    """The box the past is followed in, without bounds for the states it does not name."""
+    if text is None:
+        return None
+    ends = _ends("--domain", text, model)
+    low, high = zip(*(ends.get(name, (-math.inf, math.inf)) for name in model.coordinates), strict=True)
+    return jnp.array(low), jnp.array(high)
+
+
+def _ends(option: str, text: str | None, model: StateSpace) -> Ends:
+    """Ends of the axes from `name=low:high`, by commas."""
+    found: Ends = {}
+    for part in text.split(",") if text is not None else ():
+        name, _, ends = (piece.strip() for piece in part.partition("="))
+        try:
+            low, high = map(float, ends.split(":"))
+        except ValueError:
+            raise ValueError(f"{option}: {part!r} does not have the form NAME=LOW:HIGH") from None
+        if name not in model.coordinates:
+            raise ValueError(f"{option}: there is no state {name!r}; the states are {', '.join(model.coordinates)}")
+        if name in found:
+            raise ValueError(f"{option}: {name} is given twice; keep one of them")
+        if not (math.isfinite(low) and math.isfinite(high) and low < high):
+            raise ValueError(f"{option}: the low end of {name} must be below the high one, both finite; got {ends}")
+        found[name] = low, high
+    return found
+
+
+def _numbers(option: str, text: str | None, names, positive: bool = False):
+    """Numbers by commas, one for each name."""
+    if text is None:
+        return None
+    kind = "positive" if positive else "finite"
+    try:
+        values = np.array([float(part) for part in text.split(",")])
+    except ValueError:
+        raise ValueError(f"{option}: {text!r} is not a list of numbers separated by commas") from None
+    if len(values) != len(names) or not np.isfinite(values).all() or (positive and values.min() <= 0):
+        whose = f", for {', '.join(names)}" if names else ""
+        raise ValueError(f"{option} needs {len(names)} {kind} numbers separated by commas{whose}; got {text!r}")
+    return jnp.asarray(values)
+
+
+def _positive(option: str, value: float) -> float:
+    if not 0 < value < math.inf:
+        raise ValueError(f"{option} must be a positive number; got {value}")
+    return value
+
+
+def _check_crew(crew: Crew) -> None:
+    """Ask for the scheduler now: a client would wait for half a minute, and leave an empty store behind."""
+    if crew.scheduler is None:
+        return
+    if crew.workers is not None:
+        raise ValueError("--workers are threads of this process, and the workers of --scheduler its own; give one")
+    try:
+        from distributed.comm.core import connect
+    except ImportError:
+        return  # what is missing, and how to install it, is said where it is used
+
+    async def greet(address: str) -> None:
+        comm = await asyncio.wait_for(connect(address, timeout=PATIENCE), PATIENCE)
+        await comm.close()
+
+    try:
+        asyncio.run(greet(crew.scheduler))
+    except (OSError, ValueError, MemoryError) as error:  # the last where something else answers
+        raise ValueError(
+            f"--scheduler: no Dask scheduler answers at {crew.scheduler!r} ({error or 'no answer'}); give an address "
+            "such as tcp://10.0.0.1:8786"
+        ) from error
+
+
+@contextmanager
+def _points(what: str, quiet: bool) -> Iterator[Callable[[int, int], None]]:
+    """A progress bar in points, with their rate and the time left; the body gets a function of points done and all."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, TextColumn, TimeRemainingColumn
+    from rich.text import Text
+
+    class Rate(ProgressColumn):
+        def render(self, task) -> Text:
+            return Text("" if task.speed is None else f"{task.speed:.0f} points/s")
+
+    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), Rate(), TimeRemainingColumn()
+    console = Console(stderr=True)
+    settings: dict[str, Any] = {"transient": True, "disable": quiet or not console.is_interactive}
+    # A block may take minutes, and a rate needs two of them.
+    with Progress(*columns, console=console, speed_estimate_period=3600.0, **settings) as progress:
+        task = None
+
+        def show(done: int, total: int) -> None:
+            nonlocal task
+            if task is None:  # here, so that points of an earlier run do not count as fast ones
+                task = progress.add_task(what, total=total, completed=done)
+            progress.update(task, completed=done)
+
+        yield show
+
+
+def _in_json(found: Summary) -> dict[str, Any]:
+    """Numbers of a summary for machines: None for what no point has, and points by the name of their result."""
+    numbers = {
+        "reconstructibility": found.reconstructibility,
+        "p_low": found.low,
+        "p_high": found.high,
+        "doubt": found.doubt,
+    }
+    results = {code.name.lower(): count for code, count in found.results.items()}
+    return {"results": results, **{k: v if math.isfinite(v) else None for k, v in numbers.items()}}
+
+
+def _text(result: dict[str, Any], found: Summary) -> str:
+    return "\n".join(
+        [
+            f"wrote {result['out']}: {result['points']} points, {result['seconds']:.1f} s",
+            *(f"  {count} {code.message}" for code, count in found.results.items()),
+            f"smallest reconstructibility {found.reconstructibility:.3g}",
+            f"bounds of the metric, equation (9): p_low = {found.low:.3g}, p_high = {found.high:.3g}",
+            f"largest doubt {found.doubt:.2g}",
+        ]
+    )

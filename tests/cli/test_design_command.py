@@ -1,0 +1,249 @@
+"""`covariant design metric`: what it prints, how it goes on, and what it refuses."""
+
+import re
+import sys
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+from commands import command
+from typer.testing import CliRunner
+
+from covariant import design, riccati, scale
+from covariant.cli import _design, main
+from covariant.cli._app import app
+from covariant.models import load, state_space
+
+SHAPE = ("--grid", "5", "--block", "64")
+"""Of nearly all runs below, so that few programs are compiled."""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("design")
+
+
+@pytest.fixture(autouse=True)
+def inside(folder, monkeypatch):
+    monkeypatch.chdir(folder)
+
+
+def said(capsys, monkeypatch, *arguments: str) -> str:
+    """What the command prints for a person."""
+    monkeypatch.setattr(sys, "argv", ["covariant", *arguments])
+    with pytest.raises(SystemExit) as left:
+        main()
+    out, error = capsys.readouterr()
+    assert (left.value.code, error) == (0, "")
+    return out
+
+
+def refused(capsys, monkeypatch, *arguments: str) -> str:
+    """The one line of a refusal, after which nothing new is there."""
+    before = sorted(Path().iterdir())
+    monkeypatch.setattr(sys, "argv", ["covariant", "design", "metric", *arguments])
+    with pytest.raises(SystemExit) as left:
+        main()
+    out, error = capsys.readouterr()
+    assert (left.value.code, out) == (2, "")
+    assert error.startswith("covariant: ")
+    assert error.count("\n") == 1
+    assert sorted(Path().iterdir()) == before
+    return error
+
+
+@pytest.fixture(scope="module")
+def made(folder):
+    """The summary of a metric over the model's own box, which is in paper.zarr."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        return command("design", "metric", "unknown_frequency", *SHAPE, "--rate", "8", "-o", "paper.zarr")
+
+
+def test_the_summary_is_that_of_the_store(made):
+    store = scale.open_grid("paper.zarr", complete=True)
+    low, high = np.quantile(np.linalg.eigvalsh(store["metric"].values), [0, 1])
+    assert {key: made[key] for key in ("model", "out", "points")} == {
+        "model": "unknown_frequency",
+        "out": "paper.zarr",
+        "points": 125,
+    }
+    assert made["results"] == {"ok": 125}
+    assert made["seconds"] > 0
+    assert made["p_low"] == pytest.approx(low, rel=1e-6)
+    assert made["p_high"] == pytest.approx(high, rel=1e-12)
+    assert made["reconstructibility"] == store["reconstructibility"].values.min()
+    assert made["doubt"] == store["doubt"].values.max() <= 1e-8
+    assert store["x2"].values.tolist() == [1.0, 1.125, 1.25, 1.375, 1.5]
+    assert store.attrs["provenance"]["equation"] == {"rate": 8.0, "process_cov": None, "measurement_cov": None}
+
+
+def test_a_finished_store_is_summed_up_again_for_a_person(made, capsys, monkeypatch):
+    text = said(capsys, monkeypatch, "design", "metric", "unknown_frequency", *SHAPE, "--rate", "8", "-o", "paper.zarr")
+    first, codes, least, bounds, doubt = text.splitlines()
+    assert re.fullmatch(r"wrote paper\.zarr: 125 points, \d+\.\d s", first)
+    assert codes == "  125 ok"
+    assert least == f"smallest reconstructibility {made['reconstructibility']:.3g}"
+    assert f"p_low = {made['p_low']:.3g}, p_high = {made['p_high']:.3g}" in bounds
+    assert doubt == f"largest doubt {made['doubt']:.2g}"
+
+
+def test_options_reach_the_equation_of_a_mechanical_model(made):
+    arguments = ("--box", "q=-1:1,q_dot=-2:2", "--grid", "4,5", "--process-cov", "1e-3,0.5", "--measurement-cov", "0.1")
+    more = ("--domain", "q_dot=-2.5:2.5", "--input", "0.3", "--start", "2", "--tolerance", "1e-6")
+    done = command("design", "metric", "oscillator", *arguments, *more, "-o", "spring.zarr")
+    store = scale.open_grid("spring.zarr", complete=True)
+    assert store["metric"].shape == (4, 5, 2, 2)
+    assert sum(done["results"].values()) == 20
+    equation = riccati.Equation(
+        process_cov=jax.numpy.diag(jax.numpy.array([1e-3, 0.5])), measurement_cov=jax.numpy.array([[0.1]])
+    )
+    model = state_space(load("oscillator").model)
+    domain = jax.numpy.array([-np.inf, -2.5]), jax.numpy.array([np.inf, 2.5])
+    x = jax.numpy.array([float(store["q"][2]), float(store["q_dot"][1])])
+    expected = riccati.metric_at(model, equation, x, start=2.0, tolerance=1e-6, domain=domain, u=jax.numpy.array([0.3]))
+    assert int(store["result"][2, 1]) == int(expected.result)
+    np.testing.assert_allclose(store["metric"].values[2, 1], expected.metric, rtol=1e-9)
+    assert store.attrs["provenance"]["domain"] == [[None, -2.5], [None, 2.5]]
+    assert store.attrs["provenance"]["u"] == [0.3]
+
+
+def test_results_without_a_metric_are_told_in_words(capsys, monkeypatch):
+    """At rest the frequency cannot be told, and a point outside the domain has no metric."""
+    box = ("--box", "x1=0:1,x2=0:1.5", "--domain", "x3=0.7:2")
+    text = said(
+        capsys, monkeypatch, "design", "metric", "unknown_frequency", *SHAPE, *box, "--rate", "8", "-o", "rest.zarr"
+    )
+    found = design._metric.summary("rest.zarr")
+    assert sum(found.results.values()) == 125
+    assert "  25 outside the domain: there is no metric\n" in text
+    assert "  4 not reconstructible: the past output does not determine the state there\n" in text
+    store = scale.open_grid("rest.zarr")
+    assert np.isnan(store["metric"].values[0, 0]).all()
+    assert found.reconstructibility < 1e-9
+    assert 0 < found.low < found.high
+
+
+def interrupted(monkeypatch, capsys, blocks: int, *arguments: str) -> str:
+    """Run the command, with Ctrl-C after so many blocks; return the line it prints."""
+    solve = design.metric
+
+    def metric(*given, on_progress, **settings):
+        calls = iter(range(blocks + 1))
+
+        def stop(done, total):
+            on_progress(done, total)
+            if next(calls) == blocks:
+                raise KeyboardInterrupt
+
+        return solve(*given, on_progress=stop, **settings)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(design, "metric", metric)
+        patch.setattr(sys, "argv", ["covariant", "design", "metric", *arguments])
+        with pytest.raises(SystemExit) as left:
+            main()
+    out, error = capsys.readouterr()
+    assert (left.value.code, out) == (130, "")
+    return error
+
+
+def test_a_stopped_run_goes_on_where_it_stopped(made, monkeypatch, capsys):
+    arguments = ("unknown_frequency", *SHAPE, "--rate", "8", "--workers", "1", "-o", "again.zarr")
+    line = interrupted(monkeypatch, capsys, 3, *arguments)
+    assert re.fullmatch(
+        r"covariant: stopped after \d+ of 125 points; the same command goes on where it stopped\n", line
+    )
+    kept = {path: path.stat().st_mtime_ns for path in Path("again.zarr/metric").rglob("*") if path.is_file()}
+    with pytest.raises(ValueError, match="not complete"):
+        design.load_metric("again.zarr")
+    done = command("design", "metric", *arguments)
+    assert {path: path.stat().st_mtime_ns for path in kept} == kept
+    assert {key: done[key] for key in ("results", "p_low", "p_high", "doubt")} == {
+        key: made[key] for key in ("results", "p_low", "p_high", "doubt")
+    }
+
+
+def test_the_progress_bar_counts_points(capsys, monkeypatch):
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.setenv("TTY_COMPATIBLE", "1")
+    monkeypatch.setenv("TTY_INTERACTIVE", "1")
+    monkeypatch.setenv("COLUMNS", "120")
+    with _design._points("solving", quiet=False) as show:
+        show(40, 125)
+        show(80, 125)
+    with _design._points("quiet", quiet=True) as show:
+        show(40, 125)
+    out, error = capsys.readouterr()
+    assert out == ""
+    assert "80/125" in error
+    assert "quiet" not in error
+
+
+PAPER = ("unknown_frequency", *SHAPE, "-o", "new.zarr")
+RATE = (*PAPER, "--rate", "8")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        (PAPER, ["--rate", "--process-cov", "neither"]),
+        ((*PAPER, "--rate", "-8"), ["--rate", "-8", "≥ 0"]),
+        ((*PAPER, "--rate", "nan"), ["--rate", "nan"]),
+        ((*PAPER, "--process-cov", "1,2"), ["--process-cov needs 3 positive", "x1, x2, x3", "'1,2'"]),
+        ((*PAPER, "--process-cov", "1,2,-3"), ["--process-cov", "positive", "'1,2,-3'"]),
+        ((*PAPER, "--process-cov", "1,2,much"), ["--process-cov", "much"]),
+        ((*RATE, "--measurement-cov", "1,1"), ["--measurement-cov needs 1 positive", "x1"]),
+        ((*RATE, "--input", "1"), ["--input needs 0 finite", "'1'"]),
+        ((*RATE, "--box", "x4=0:1"), ["--box", "'x4'", "x1, x2, x3"]),
+        ((*RATE, "--box", "x1=1:0"), ["--box", "x1", "below", "1:0"]),
+        ((*RATE, "--box", "x1=0:inf"), ["--box", "x1", "finite"]),
+        ((*RATE, "--box", "x1=0"), ["--box", "'x1=0'", "NAME=LOW:HIGH"]),
+        ((*RATE, "--box", "x1=0:1,x1=0:2"), ["--box", "x1", "twice"]),
+        ((*RATE, "--box", ""), ["--box", "NAME=LOW:HIGH"]),
+        ((*RATE, "--domain", "x3=2:1"), ["--domain", "x3", "below"]),
+        ((*RATE, "--grid", "5,5"), ["--grid", "'5,5'", "3 by commas", "x1, x2, x3"]),
+        ((*RATE, "--grid", "1"), ["--grid", "'1'", "2 or more"]),
+        ((*RATE, "--grid", "5.5"), ["--grid", "'5.5'"]),
+        ((*RATE, "--start", "0"), ["--start", "positive", "0.0"]),
+        ((*RATE, "--tolerance", "-1"), ["--tolerance", "positive", "-1"]),
+        ((*RATE, "-o", "new.csv"), ["new.csv", ".zarr"]),
+        ((*RATE, "-o", "absent/new.zarr"), ["absent", "make it first"]),
+        ((*RATE, "--scheduler", "nowhere"), ["--scheduler", "'nowhere'", "tcp://"]),
+        ((*RATE, "--scheduler", "nowhere", "--workers", "2"), ["--scheduler", "--workers", "give one"]),
+        ((*RATE, "--set", "parameters.k=1"), ["unknown_frequency"]),
+        (("oscillator", "--grid", "5", "--rate", "1", "-o", "new.zarr"), ["--box", "no box", "q=LOW:HIGH,q_dot="]),
+        (("heavy_top", "--grid", "5", "--rate", "1", "-o", "new.zarr"), ["heavy_top is on a group", "StateSpace"]),
+        (("lorentz", "--grid", "5", "--rate", "1", "-o", "new.zarr"), ["lorentz", "lorenz"]),
+    ],
+)
+def test_bad_input_gives_one_line(capsys, monkeypatch, arguments, named):
+    message = refused(capsys, monkeypatch, *arguments)
+    assert all(part in message for part in named), message
+
+
+def test_a_scheduler_that_does_not_answer_is_given_up_soon(capsys, monkeypatch):
+    monkeypatch.setattr(_design, "PATIENCE", 0.3)
+    message = refused(capsys, monkeypatch, *RATE, "--scheduler", "tcp://127.0.0.1:9")
+    assert "--scheduler: no Dask scheduler answers at 'tcp://127.0.0.1:9'" in message
+
+
+def test_the_store_of_another_equation_is_left_alone(made, capsys, monkeypatch):
+    message = refused(capsys, monkeypatch, "unknown_frequency", *SHAPE, "--rate", "9", "-o", "paper.zarr")
+    assert "paper.zarr holds another map: provenance.equation.rate is 8.0 there and 9.0 here" in message
+
+
+def test_what_is_set_is_part_of_what_a_store_is_of(capsys, monkeypatch):
+    spring = ("oscillator", "--box", "q=-1:1,q_dot=-2:2", "--grid", "4,5", "--rate", "1", "-o", "set.zarr")
+    assert "after 0 of 20 points" in interrupted(monkeypatch, capsys, 0, *spring, "--set", "parameters.stiffness=2.0")
+    message = refused(capsys, monkeypatch, *spring)
+    assert "parameters.stiffness" in message
+    assert "2.0" in message
+
+
+def test_help_names_the_command():
+    shown = CliRunner().invoke(app, ["design", "metric", "--help"])
+    assert shown.exit_code == 0
+    for option in ("--box", "--grid", "--process-cov", "--scheduler", "--json"):
+        assert option in shown.output

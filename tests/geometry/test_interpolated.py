@@ -1,0 +1,204 @@
+"""Laws of a metric interpolated between the points of a grid."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from covariant import geometry
+from covariant.geometry import Interpolated
+
+LOW, HIGH = np.array([0.0, 1.0, 0.5]), np.array([1.0, 1.5, 1.5])
+"""The grid of section III of Sanfelice & Praly 2015."""
+
+
+def oscillator_metric(x, rate=2.0):
+    """P of the oscillator of unknown frequency at x (..., 3), the closed form below (16)."""
+    x1, x2, x3 = np.moveaxis(x, -1, 0)
+    d = rate**2 + 4 * x3
+    p = np.empty((*x1.shape, 3, 3))
+    p[..., 0, 0] = (rate**2 + 2 * x3) / (rate * d)
+    p[..., 0, 1] = -1 / d
+    p[..., 1, 1] = 2 / (rate * d)
+    p[..., 0, 2] = (-(rate**3) * x1 + (rate**2 - 4 * x3) * x2) / (rate**2 * d**2)
+    p[..., 1, 2] = ((3 * rate**2 + 4 * x3) * x1 - 4 * rate * x2) / (rate**2 * d**2)
+    p[..., 2, 2] = (
+        (6 * rate**4 + 12 * rate**2 * x3 + 16 * x3**2) * x1**2 / (rate**3 * d**3)
+        - 4 * (5 * rate**2 + 4 * x3) * x1 * x2 / (rate**2 * d**3)
+        + 4 * (5 * rate**2 + 4 * x3) * x2**2 / (rate**3 * d**3)
+    )
+    for i, j in ((1, 0), (2, 0), (2, 1)):
+        p[..., i, j] = p[..., j, i]
+    return p
+
+
+def axes_of(low, high, counts):
+    return tuple(np.linspace(a, b, n) for a, b, n in zip(low, high, counts, strict=True))
+
+
+def grid_points(axes):
+    return np.stack(np.meshgrid(*axes, indexing="ij"), -1)
+
+
+def made(count) -> Interpolated:
+    axes = axes_of(LOW, HIGH, (count,) * 3)
+    return Interpolated(axes, oscillator_metric(grid_points(axes)))
+
+
+@jax.jit
+def at(field, x):
+    """The field at points (k, n)."""
+    return jax.vmap(field)(x)
+
+
+@pytest.fixture(scope="module")
+def field():
+    return made(9)
+
+
+def test_exact_at_grid_points_the_last_ones_too():
+    rng = np.random.default_rng(0)
+    for _ in range(20):  # ends whose steps do not add up to the last point exactly
+        low = rng.uniform(-1, 1, 3)
+        axes = axes_of(low, low + rng.uniform(0.1, 10, 3), (5, 4, 6))
+        points = grid_points(axes).reshape(-1, 3)
+        values = oscillator_metric(grid_points(axes_of(LOW, HIGH, (5, 4, 6))))
+        found = at(Interpolated(axes, values), points)
+        np.testing.assert_allclose(found, values.reshape(-1, 3, 3), rtol=0, atol=1e-14)
+
+
+@settings(max_examples=40)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    decades=st.lists(st.floats(-12, 12), min_size=3, max_size=3),
+    roughness=st.floats(0.1, 1.5),
+)
+def test_symmetric_positive_definite_between_any_points_in_any_units(seed, decades, roughness):
+    rng = np.random.default_rng(seed)
+    axes = axes_of(LOW, HIGH, (5, 4, 6))
+    half = np.eye(3) + roughness * rng.normal(size=(5, 4, 6, 3, 3)) / 3
+    # As positive definite as doubles can tell for sure, whatever the random numbers.
+    plain = half @ np.swapaxes(half, -1, -2) + 0.02 * np.eye(3)
+    units = 10.0 ** np.array(decades)
+    x = rng.uniform(LOW, HIGH, (200, 3))
+    p = np.asarray(at(Interpolated(axes, plain * units[:, None] * units), x))
+    np.testing.assert_array_equal(p, np.swapaxes(p, -1, -2))
+    assert np.linalg.eigvalsh(p / (units[:, None] * units)).min() > 0
+    # Other units of the coordinates give the same field.
+    same = np.asarray(at(Interpolated(axes, plain), x))
+    np.testing.assert_allclose(p / (units[:, None] * units), same, rtol=0, atol=1e-9 * np.abs(same).max())
+
+
+def test_third_order_in_the_spacing():
+    x = np.random.default_rng(2).uniform(LOW, HIGH, (3000, 3))
+    counts = np.array([9, 17, 33])
+    errors = [np.abs(np.asarray(at(made(int(n)), x)) - oscillator_metric(x)).max() for n in counts]
+    order = -np.polyfit(np.log(counts - 1), np.log(errors), 1)[0]
+    assert 2.8 < order < 4.2, errors
+    assert errors[-1] < 1e-5
+
+
+def test_gradient_is_that_of_the_values_and_continuous_across_cells(field):
+    rng = np.random.default_rng(3)
+    gradient = jax.jit(jax.vmap(jax.jacfwd(field)))
+    x, step = rng.uniform(LOW + 0.01, HIGH - 0.01, (50, 3)), 1e-6
+    differences = [(at(field, x + step * e) - at(field, x - step * e)) / (2 * step) for e in np.eye(3)]
+    np.testing.assert_allclose(gradient(x), np.stack(differences, -1), rtol=0, atol=1e-7)
+    np.testing.assert_allclose(jax.jit(jax.vmap(jax.jacrev(field)))(x), gradient(x), rtol=0, atol=1e-12)
+    for k in range(3):
+        border = x.copy()
+        border[:, k] = LOW[k] + (HIGH[k] - LOW[k]) / 8 * rng.integers(1, 8, 50)
+        hair = 1e-9 * np.eye(3)[k]
+        np.testing.assert_allclose(gradient(border - hair), gradient(border + hair), rtol=0, atol=1e-7)
+
+
+def test_nan_outside_and_near_points_without_a_metric_only():
+    axes = axes_of(LOW, HIGH, (9, 9, 9))
+    values = oscillator_metric(grid_points(axes))
+    hole = np.array([5, 1, 8])
+    values[tuple(hole)] = np.inf
+    field, spacing = Interpolated(axes, values), (HIGH - LOW) / 8
+    rng = np.random.default_rng(4)
+    x = rng.uniform(LOW - 2 * spacing, HIGH + 2 * spacing, (20_000, 3))
+    nan = np.isnan(np.asarray(at(field, x)))
+    assert (nan.all(axis=(1, 2)) == nan.any(axis=(1, 2))).all()
+    outside = ((x < LOW) | (x > HIGH)).any(axis=1)
+    near = (np.abs((x - LOW) / spacing - hole) < 2).all(axis=1)
+    np.testing.assert_array_equal(nan[:, 0, 0], outside | near)
+    assert (near & ~outside).sum() > 50
+    np.testing.assert_array_equal(jax.vmap(field.contains)(x), ~outside)
+    for strange in (np.nan, np.inf, -np.inf, 1e300):
+        assert np.isnan(field(jnp.array([strange, 1.2, 1.0]))).all()
+
+
+def test_single_precision(field):
+    axes = tuple(axis.astype(np.float32) for axis in axes_of(LOW, HIGH, (9, 9, 9)))
+    single = Interpolated(axes, oscillator_metric(grid_points(axes)).astype(np.float32))
+    assert single.factors.dtype == np.float32
+    x = np.random.default_rng(5).uniform(LOW, HIGH, (100, 3))
+    for each in (field, single):
+        found = at(each, x.astype(np.float32))
+        assert found.dtype == np.float32
+        np.testing.assert_allclose(found, oscillator_metric(x), rtol=0, atol=5e-4)
+        assert at(each, x).dtype == np.float64
+    np.testing.assert_array_equal(at(single, grid_points(axes)[-1, -1, -1:].astype(np.float32)).shape, (1, 3, 3))
+    assert np.isfinite(at(single, grid_points(axes).reshape(-1, 3))).all()
+
+
+def test_christoffel_symbols_of_a_sphere():
+    sphere, axes = geometry.sphere(), axes_of((-1, -1), (1, 1), (65, 65))
+    field = Interpolated(axes, np.asarray(jax.vmap(jax.vmap(sphere))(grid_points(axes))))
+    p, v = jnp.array([0.2, -0.3]), jnp.array([0.4, 1.0])
+    np.testing.assert_allclose(field(p), sphere(p), rtol=0, atol=1e-5)
+    found, exact = (jax.jit(lambda p, v, g=g: geometry.christoffel(g, p, v, v))(p, v) for g in (field, sphere))
+    np.testing.assert_allclose(found, exact, rtol=0, atol=5e-3)
+
+
+def test_distance_on_a_parabola():
+    """The metric 1 + x² is that of the arc length of y = x²/2."""
+    (axis,) = axes = axes_of([-1], [1], [65])
+    field = Interpolated(axes, (1 + axis**2)[:, None, None])
+    budget = geometry.Budget(steps=4, newton=2)
+    found = jax.jit(lambda p, q: geometry.distance(field, p, q, budget))(jnp.array([-0.3]), jnp.array([0.8]))
+    length = np.array([(x * np.hypot(1, x) + np.arcsinh(x)) / 2 for x in (-0.3, 0.8)])
+    assert found == pytest.approx(length[1] - length[0], rel=1e-3)
+
+
+LINE = np.linspace(0.0, 1.0, 5)
+PLAIN = np.broadcast_to(np.eye(2), (5, 5, 2, 2)).copy()
+
+
+def changed(matrix):
+    values = PLAIN.copy()
+    values[1, 2] = matrix
+    return values
+
+
+@pytest.mark.parametrize(
+    ("axes", "values", "named"),
+    [
+        ((LINE, LINE[:4]), PLAIN, r"shape \(5, 4, 2, 2\) on this grid of 2 axes; got \(5, 5, 2, 2\)"),
+        ((LINE, LINE[:3]), PLAIN[:, :3], "axis 2 needs at least four points to interpolate between; it has 3"),
+        ((LINE, LINE[:1]), PLAIN[:, :1], "axis 2 needs at least four points to interpolate between; it has 1"),
+        ((LINE**2, LINE), PLAIN, "axis 1 must have equal steps upward; they are 0.0625 to 0.4375"),
+        ((LINE, LINE[::-1]), PLAIN, "axis 2 must have equal steps upward; they are -0.25 to -0.25"),
+        ((LINE, LINE * np.nan), PLAIN, "axis 2 must have equal steps upward; they are nan to nan"),
+        ((LINE, LINE), PLAIN * np.nan, "no metric at any point"),
+        ((LINE, LINE), changed([[1, 2], [2, 1]]), r"at \(0.25, 0.5\) is not positive definite: 1 2; 2 1"),
+        ((LINE, LINE), changed([[0, 0], [0, 1]]), r"at \(0.25, 0.5\) is not positive definite: 0 0; 0 1"),
+        ((LINE, LINE), changed(np.diag([1e-9, -1e-30])), "not positive definite: 1e-09 0; 0 -1e-30"),
+        ((LINE, LINE), changed([[1, 0.1], [0, 1]]), r"at \(0.25, 0.5\) is not symmetric: 1 0.1; 0 1"),
+        ((LINE, LINE), changed([[1e-12, 2e-9], [1e-9, 1]]), "is not symmetric: 1e-12 2e-09; 1e-09 1"),
+    ],
+)
+def test_what_is_no_metric_is_refused(axes, values, named):
+    with pytest.raises(ValueError, match=named) as refusal:
+        Interpolated(axes, values)
+    assert "\n" not in str(refusal.value)
+
+
+def test_a_point_of_another_dimension_is_refused(field):
+    with pytest.raises(ValueError, match=r"a function of 3 coordinates; x has shape \(1,\)"):
+        field(jnp.ones(1))
