@@ -73,4 +73,4 @@ def cholesky(a: Matrix) -> Matrix:
     columns, d = ldl(a)
     n = a.shape[0]
     full = [jnp.concatenate([jnp.zeros(n - c.shape[0], a.dtype), c]) for c in columns]
-    return jnp.stack(full, axis=1) * jnp.sqrt(d)
+    return jnp.stack(full, axis=1) * jnp.sqrt(d)[None, :]

@@ -47,7 +47,7 @@ class Riccati(AbstractFlowObserver):
     metric: MatrixField
     start: Vector
     gain: Number | Callable[[Array], Array] = 0.25
-    measurement_cov: Matrix | None = None
+    measurement_cov: Float[Array, "p p"] | None = None
     substeps: int = eqx.field(default=1, static=True)
 
     def init(self, y: Float[Array, "p"], t: Number = 0.0) -> Estimate:
@@ -139,7 +139,9 @@ class InformationEKF(AbstractFlowObserver):
         return -p @ a - a.T @ p - loss
 
 
-def _seen(model: StateSpace, measurement_cov: Matrix | None, t, x: Vector, u: Array, y: Array) -> tuple[Array, Array]:
+def _seen(
+    model: StateSpace, measurement_cov: Float[Array, "p p"] | None, t, x: Vector, u: Array, y: Array
+) -> tuple[Array, Array]:
     """`R^{-1/2} h_x` and `R^{-1/2} (h − y)`, both without the outputs that are missing (NaN)."""
     missing = jnp.isnan(y)
     error = model.output_error(model.h(t, x, u), y)
@@ -155,7 +157,14 @@ def _seen(model: StateSpace, measurement_cov: Matrix | None, t, x: Vector, u: Ar
 
 
 def _correct(
-    model: StateSpace, measurement_cov: Matrix | None, t, x: Vector, p: Matrix, weight: Number, u: Array, y: Array
+    model: StateSpace,
+    measurement_cov: Float[Array, "p p"] | None,
+    t,
+    x: Vector,
+    p: Matrix,
+    weight: Number,
+    u: Array,
+    y: Array,
 ) -> tuple[Vector, Info]:
     """Take y in: `x − (P + w h_xᵀ R⁻¹ h_x)⁻¹ w h_xᵀ R⁻¹ (h − y)`."""
     seen, error = _seen(model, measurement_cov, t, x, u, y)

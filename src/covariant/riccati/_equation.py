@@ -23,7 +23,7 @@ class Equation(eqx.Module):
 
     rate: Number = 0.0
     process_cov: Matrix | MatrixField | None = None
-    measurement_cov: Matrix | None = None
+    measurement_cov: Float[Array, "p p"] | None = None
 
     def __check_init__(self):
         if isinstance(self.rate, float | int):

@@ -85,10 +85,11 @@ def metric_at(
     horizon, window = solve_until(flow, no_past(equation, x), stop, rtol=rtol, atol=1e-3 * rtol, max_steps=max_steps)
     metric: Array = window.metric(start)
     doubt, index = window.doubt(start), reconstructibility(window.information)
+    finite = jnp.all(jnp.isfinite(x)) & jnp.all(jnp.isfinite(metric))
     none = SINGULAR * (eps / float(jnp.finfo(jnp.float64).eps)) ** 0.5
     outcomes = (  # the first that is true holds
         (outside(x), Result.OUT_OF_DOMAIN),
-        (~jnp.all(jnp.isfinite(metric)), Result.NOT_FINITE),
+        (~finite, Result.NOT_FINITE),
         (doubt < wanted, Result.OK),
         (outside(window.x), Result.LEFT_DOMAIN),
         (gone(window.x), Result.ESCAPED),
