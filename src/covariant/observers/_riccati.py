@@ -115,7 +115,7 @@ class InformationEKF(AbstractFlowObserver):
         x, p = state.x, state.information
         seen, error = _seen(self.model, self.equation.measurement_cov, t, x, u, y)
         silent = self._silent(t, x, p, u)
-        gathered = jnp.where(jnp.any(jnp.isnan(y)), 0.0, seen.T @ seen)
+        gathered = seen.T @ seen
         return InformationState(self.model.f(t, x, u) - solve(p, seen.T @ error), silent + gathered, jnp.ones_like(t))
 
     def step(

@@ -36,7 +36,7 @@ def high_gain(model: StateSpace, rate: Number) -> MatrixField:
         order = np.arange(n)
         binomial = np.array([[math.comb(i + j, j) for j in order] for i in order])
         signed = jnp.asarray(binomial * (-1.0) ** (order[:, None] + order), x.dtype)
-        chain = signed / jnp.asarray(rate, x.dtype) ** (order[:, None] + order + 1)
+        chain = signed / jnp.asarray(rate, x.dtype) ** jnp.asarray(order[:, None] + order + 1, x.dtype)
         return seen.T @ chain @ seen
 
     return metric
