@@ -35,8 +35,8 @@ OPTIONAL = (
 
 PUBLIC = {
     "certificates": "Certificate Observability bending contraction_rate observability",
-    "design": "ESTIMATORS DataSheet Gains bias estimators filter_bandwidth gains line_up load_metric metric "
-    "observer_gains predict_errors window_length with_gains",
+    "design": "ESTIMATORS DataSheet Gains MetricSummary bias estimators filter_bandwidth gains line_up load_metric "
+    "metric metric_summary observer_gains predict_errors window_length with_gains",
     "geometry": "AbstractMetric Budget ConstantCurvature Euclidean FlatTorus Interpolated Metric Product Pullback "
     "Shot Transported as_metric christoffel curvature distance exp gradient hyperbolic inner log norm shoot sphere "
     "transport transport_along",

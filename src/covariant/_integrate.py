@@ -8,6 +8,7 @@ import jax
 import jax.flatten_util
 import jax.numpy as jnp
 import numpy as np
+import optimistix
 from jaxtyping import Array, Float
 
 from covariant._typing import Number
@@ -93,11 +94,24 @@ def solve(
     return solution.ys
 
 
-def solve_until(flow: Flow, x0, stop: Callable[[Any], Array], *, rtol: Number, atol: Number, max_steps: int):
-    """Integrate adaptively (Dormand–Prince 8) from time 0 to the end of the first step where `stop(x)` holds.
+def solve_until(
+    flow: Flow,
+    x0,
+    stop: Callable[[Any], Array],
+    border: Callable[[Any], Array] | None = None,
+    *,
+    rtol: Number,
+    atol: Number,
+    max_steps: int,
+):
+    """Integrate adaptively (Dormand–Prince 8) from time 0 to the end of the first step where `stop(x)` holds, or to
+    where `border(x)` falls to zero.
 
-    Returns (t, x) there, or after `max_steps` steps where it never does.
+    Returns (t, x) there, or after `max_steps` steps where neither happens.
     """
+    conditions = [lambda t, y, args, **_: stop(y)]
+    if border is not None:
+        conditions.append(lambda t, y, args, **_: border(y))
     solution = diffrax.diffeqsolve(
         _term(flow),
         diffrax.Dopri8(),
@@ -107,7 +121,7 @@ def solve_until(flow: Flow, x0, stop: Callable[[Any], Array], *, rtol: Number, a
         y0=x0,
         saveat=diffrax.SaveAt(t1=True),
         stepsize_controller=diffrax.PIDController(rtol=rtol, atol=atol),
-        event=diffrax.Event(lambda t, x, args, **_: stop(x)),
+        event=diffrax.Event(conditions, None if border is None else optimistix.Newton(rtol=1e-9, atol=1e-12)),
         max_steps=max_steps,
         adjoint=diffrax.ForwardMode(),
         throw=False,

@@ -115,7 +115,7 @@ def test_results_without_a_metric_are_told_in_words(capsys, monkeypatch):
     text = said(
         capsys, monkeypatch, "design", "metric", "unknown_frequency", *SHAPE, *box, "--rate", "8", "-o", "rest.zarr"
     )
-    found = design._metric.summary("rest.zarr")
+    found = design.metric_summary("rest.zarr")
     assert sum(found.results.values()) == 125
     assert "  25 outside the domain: there is no metric\n" in text
     assert "  4 not reconstructible: the past output does not determine the state there\n" in text

@@ -15,7 +15,7 @@ import numpy as np
 
 from covariant import design, models
 from covariant.cli._job import check_output
-from covariant.design._metric import Summary, summary
+from covariant.design import MetricSummary, metric_summary
 from covariant.models import GroupSystem, StateSpace
 from covariant.riccati import Equation
 from covariant.scale import Grid
@@ -74,7 +74,7 @@ def metric(spec: str, overrides: tuple[str, ...], out: Path, task: Task, crew: C
                 show(now, total)
 
             design.metric(model, equation, grid, out, on_progress=report, **settings)
-        found = summary(out)
+        found = metric_summary(out)
     except KeyboardInterrupt:
         print(
             f"covariant: stopped after {done} of {grid.size} points; the same command goes on where it stopped",
@@ -235,7 +235,7 @@ def _points(what: str, quiet: bool) -> Iterator[Callable[[int, int], None]]:
         yield show
 
 
-def _in_json(found: Summary) -> dict[str, Any]:
+def _in_json(found: MetricSummary) -> dict[str, Any]:
     """Numbers of a summary for machines: None for what no point has, and points by the name of their result."""
     numbers = {
         "reconstructibility": found.reconstructibility,
@@ -247,7 +247,7 @@ def _in_json(found: Summary) -> dict[str, Any]:
     return {"results": results, **{k: v if math.isfinite(v) else None for k, v in numbers.items()}}
 
 
-def _text(result: dict[str, Any], found: Summary) -> str:
+def _text(result: dict[str, Any], found: MetricSummary) -> str:
     return "\n".join(
         [
             f"wrote {result['out']}: {result['points']} points, {result['seconds']:.1f} s",

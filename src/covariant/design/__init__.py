@@ -11,12 +11,13 @@ from covariant.design._line_up import (
     window_length,
     with_gains,
 )
-from covariant.design._metric import load_metric, metric
+from covariant.design._metric import MetricSummary, load_metric, metric, metric_summary
 
 __all__ = [
     "ESTIMATORS",
     "DataSheet",
     "Gains",
+    "MetricSummary",
     "bias",
     "estimators",
     "filter_bandwidth",
@@ -24,6 +25,7 @@ __all__ = [
     "line_up",
     "load_metric",
     "metric",
+    "metric_summary",
     "observer_gains",
     "predict_errors",
     "window_length",

@@ -96,7 +96,7 @@ def load_metric(path: str | os.PathLike[str]) -> Interpolated:
     return Interpolated(axes, np.asarray(values))
 
 
-class Summary(NamedTuple):
+class MetricSummary(NamedTuple):
     """A finished store in a few numbers; NaN where no point has the one asked for.
 
     - `results`: number of points of each `covariant.signals.Result`, without those that have none.
@@ -113,7 +113,7 @@ class Summary(NamedTuple):
     doubt: float
 
 
-def summary(path: str | os.PathLike[str]) -> Summary:
+def metric_summary(path: str | os.PathLike[str]) -> MetricSummary:
     """Summarise the finished store at `path`, with the memory of some of its blocks at a time.
 
     Raises `ValueError` where the store is not one of `metric`, or not finished.
@@ -122,7 +122,7 @@ def summary(path: str | os.PathLike[str]) -> Summary:
     parts = [_part(store.isel(region).load()) for region in _regions(store)]
     counts = np.sum([counts for counts, _ in parts], axis=0)
     reconstructibility, low, high, doubt = np.array([values for _, values in parts]).T
-    return Summary(
+    return MetricSummary(
         {code: int(count) for code, count in zip(Result, counts, strict=True) if count},
         float(np.fmin.reduce(reconstructibility)),
         float(np.fmin.reduce(low)),

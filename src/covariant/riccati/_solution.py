@@ -19,6 +19,8 @@ MOST_STEPS = 1024
 """Integration steps after which a window counts as never long enough."""
 SINGULAR = 1e-9
 """Reconstructibility below which a state counts as not reconstructible, in double precision."""
+ON_BORDER = 1e-7
+"""Share of a domain's width within which a state is on its border."""
 FAR = 1e6
 """A past has escaped when a coordinate exceeds this many times one plus its value at the end."""
 
@@ -72,26 +74,31 @@ def metric_at(
     low, high = _box(domain, x)
     far = FAR * (1 + jnp.abs(x))
 
-    def outside(y):
-        return jnp.any((y < low) | (y > high))
+    outside = jnp.any((x < low) | (x > high))
+
+    def inside(y):
+        """Share of the domain's width that is left to its border; a start on the border counts as inside."""
+        return jnp.min(jnp.minimum(y - low, high - y) / (high - low)) + ON_BORDER
 
     def gone(y):
         return ~jnp.all(jnp.abs(y) < far)  # NaN has gone too
 
     def stop(window: Window):
-        return (window.doubt(start) < wanted) | outside(window.x) | gone(window.x)
+        return outside | (window.doubt(start) < wanted) | gone(window.x)
 
     flow = backward(model, equation, u, x.dtype)
-    horizon, window = solve_until(flow, no_past(equation, x), stop, rtol=rtol, atol=1e-3 * rtol, max_steps=max_steps)
+    begin = no_past(equation, x)
+    border = None if domain is None else lambda window: inside(window.x)
+    horizon, window = solve_until(flow, begin, stop, border, rtol=rtol, atol=1e-3 * rtol, max_steps=max_steps)
     metric: Array = window.metric(start)
     doubt, index = window.doubt(start), reconstructibility(window.information)
     finite = jnp.all(jnp.isfinite(x)) & jnp.all(jnp.isfinite(metric))
     none = SINGULAR * (eps / float(jnp.finfo(jnp.float64).eps)) ** 0.5
     outcomes = (  # the first that is true holds
-        (outside(x), Result.OUT_OF_DOMAIN),
+        (outside, Result.OUT_OF_DOMAIN),
         (~finite, Result.NOT_FINITE),
         (doubt < wanted, Result.OK),
-        (outside(window.x), Result.LEFT_DOMAIN),
+        (inside(window.x) < ON_BORDER if domain is not None else outside, Result.LEFT_DOMAIN),
         (gone(window.x), Result.ESCAPED),
         (~(index > none), Result.NOT_RECONSTRUCTIBLE),
     )
