@@ -72,13 +72,14 @@ def metric_at(
     wanted = eps**0.5 if tolerance is None else tolerance
     rtol = max(1e-3 * wanted, 20 * eps)
     low, high = _box(domain, x)
+    width = jnp.where(jnp.isfinite(high - low), high - low, 1.0)
     far = FAR * (1 + jnp.abs(x))
 
     outside = jnp.any((x < low) | (x > high))
 
     def inside(y):
         """Share of the domain's width that is left to its border; a start on the border counts as inside."""
-        return jnp.min(jnp.minimum(y - low, high - y) / (high - low)) + ON_BORDER
+        return jnp.min(jnp.minimum(y - low, high - y) / width) + ON_BORDER
 
     def gone(y):
         return ~jnp.all(jnp.abs(y) < far)  # NaN has gone too
