@@ -112,11 +112,12 @@ def solve_until(
     conditions = [lambda t, y, args, **_: stop(y)]
     if border is not None:
         conditions.append(lambda t, y, args, **_: border(y))
+    real = jax.tree.leaves(x0)[0].dtype  # of the times too, or single precision would not stay single
     solution = diffrax.diffeqsolve(
         _term(flow),
         diffrax.Dopri8(),
-        t0=0.0,
-        t1=jnp.inf,
+        t0=jnp.zeros((), real),
+        t1=jnp.full((), jnp.inf, real),
         dt0=None,
         y0=x0,
         saveat=diffrax.SaveAt(t1=True),
