@@ -52,8 +52,8 @@ PUBLIC = {
     "InformationEKF InformationState Intrinsic InvariantEKF InvariantInfo InvariantState MechanicalState Riccati "
     "Salcudean SalcudeanState SavitzkyGolay WindowState run",
     "report": "PALETTE EstimateReport new_figure save_figure table write_article write_html write_png",
-    "riccati": "Box Equation Metric Passage Solution Window gramian high_gain lie_derivative metric_at "
-    "metric_through reconstructibility right_side spd_distance window_at",
+    "riccati": "Box Equation Metric Passage Solution Window gramian gramians high_gain lie_derivative metric_at "
+    "metric_through rate_from_gramian reconstructibility right_side spd_distance window_at",
     "scale": "Grid Variable map_grid open_grid",
     "simulation": "Sensor hold no_input observe sense simulate stamps",
 }

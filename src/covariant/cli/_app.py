@@ -126,6 +126,9 @@ def metric(
         str | None, typer.Option(help="Ends of the axes, as x1=0:1,x2=1:1.5; those not named are the model's own.")
     ] = None,
     rate: Annotated[float, typer.Option(help="Rate λ of the equation [1/s].")] = 0.0,
+    window: Annotated[
+        float | None, typer.Option(help="Choose λ from the Gramians of the past, up to this long [s].")
+    ] = None,
     process_cov: Annotated[str | None, typer.Option(help="Diagonal of Q, one number a state, by commas.")] = None,
     measurement_cov: Annotated[
         str | None, typer.Option(help="Diagonal of R, one number an output, by commas; ones by default.")
@@ -143,6 +146,6 @@ def metric(
     json: Json = False,
 ) -> None:
     """Compute a contraction metric at every point of a grid of states; a run that was stopped goes on where it was."""
-    task = _design.Task(box, grid, rate, process_cov, measurement_cov, start, tolerance, domain, input)
+    task = _design.Task(box, grid, rate, window, process_cov, measurement_cov, start, tolerance, domain, input)
     crew = _design.Crew(block, workers, scheduler)
     _design.metric(model, tuple(override), out, task, crew, json)

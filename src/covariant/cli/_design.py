@@ -17,7 +17,7 @@ from covariant import design, models
 from covariant.cli._job import check_output
 from covariant.design import MetricSummary, metric_summary
 from covariant.models import GroupSystem, StateSpace
-from covariant.riccati import Equation
+from covariant.riccati import Equation, rate_from_gramian
 from covariant.scale import Grid
 
 PATIENCE = 4.0
@@ -32,6 +32,7 @@ class Task(NamedTuple):
     box: str | None
     grid: str
     rate: float
+    window: float | None
     process_cov: str | None
     measurement_cov: str | None
     start: float
@@ -53,7 +54,8 @@ def metric(spec: str, overrides: tuple[str, ...], out: Path, task: Task, crew: C
     check_output(out, ".zarr")
     file = models.load(spec, overrides)
     model = _model(spec, file)
-    grid, equation = _grid(spec, model, task), _equation(model, task)
+    grid = _grid(spec, model, task)
+    equation = _equation(model, task, grid)
     settings: dict[str, Any] = {
         "start": _positive("--start", task.start),
         "tolerance": _positive("--tolerance", task.tolerance),
@@ -82,6 +84,7 @@ def metric(spec: str, overrides: tuple[str, ...], out: Path, task: Task, crew: C
         )
         raise SystemExit(130) from None
     result = {"model": spec, "out": str(out), "points": grid.size, "seconds": time.perf_counter() - began}
+    result["rate"] = float(equation.rate)
     result |= _in_json(found)
     print(json.dumps(result) if as_json else _text(result, found))
 
@@ -125,14 +128,25 @@ def _counts(text: str, model: StateSpace) -> tuple[int, ...]:
     return counts if len(counts) == n else counts * n
 
 
-def _equation(model: StateSpace, task: Task) -> Equation:
+def _equation(model: StateSpace, task: Task, grid: Grid) -> Equation:
     if not 0 <= task.rate < math.inf:
         raise ValueError(f"--rate must be a number ≥ 0 [1/s]; got {task.rate}")
-    if task.rate == 0 and task.process_cov is None:
-        raise ValueError("an equation needs --rate λ > 0, --process-cov Q, or both; neither was given")
+    if task.rate and task.window is not None:
+        raise ValueError("--rate and --window both say what λ is; keep one of them")
+    if not task.rate and task.window is None and task.process_cov is None:
+        raise ValueError("an equation needs λ > 0 by --rate or --window, --process-cov Q, or both; neither was given")
+    rate = task.rate if task.window is None else _rate(model, task, grid, _positive("--window", task.window))
     q = _numbers("--process-cov", task.process_cov, model.coordinates, positive=True)
     r = _numbers("--measurement-cov", task.measurement_cov, model.outputs, positive=True)
-    return Equation(task.rate, *(None if entries is None else jnp.diag(entries) for entries in (q, r)))
+    return Equation(rate, *(None if entries is None else jnp.diag(entries) for entries in (q, r)))
+
+
+def _rate(model: StateSpace, task: Task, grid: Grid, longest: float) -> float:
+    """λ from the Gramians at states drawn from the box, always the same."""
+    low, high = np.asarray(grid.low, float), np.asarray(grid.high, float)
+    points = np.random.default_rng(0).uniform(low, high, (64, len(low)))
+    u = _numbers("--input", task.input, [f"u{i + 1}" for i in range(model.inputs)])
+    return rate_from_gramian(model, jnp.asarray(points), longest, u)
 
 
 def _domain(model: StateSpace, text: str | None):
@@ -250,7 +264,8 @@ def _in_json(found: MetricSummary) -> dict[str, Any]:
 def _text(result: dict[str, Any], found: MetricSummary) -> str:
     return "\n".join(
         [
-            f"wrote {result['out']}: {result['points']} points, {result['seconds']:.1f} s",
+            f"wrote {result['out']}: {result['points']} points, λ = {result['rate']:.4g} 1/s, "
+            f"{result['seconds']:.1f} s",
             *(f"  {count} {code.message}" for code, count in found.results.items()),
             f"smallest reconstructibility {found.reconstructibility:.3g}",
             f"bounds of the metric, equation (9): p_low = {found.low:.3g}, p_high = {found.high:.3g}",

@@ -15,7 +15,17 @@ distance.
 from covariant.riccati._equation import Equation, lie_derivative, right_side
 from covariant.riccati._high_gain import high_gain
 from covariant.riccati._passage import Passage, metric_through
-from covariant.riccati._solution import Box, Metric, Solution, gramian, metric_at, reconstructibility, spd_distance
+from covariant.riccati._solution import (
+    Box,
+    Metric,
+    Solution,
+    gramian,
+    gramians,
+    metric_at,
+    rate_from_gramian,
+    reconstructibility,
+    spd_distance,
+)
 from covariant.riccati._window import Window, window_at
 
 __all__ = [
@@ -26,10 +36,12 @@ __all__ = [
     "Solution",
     "Window",
     "gramian",
+    "gramians",
     "high_gain",
     "lie_derivative",
     "metric_at",
     "metric_through",
+    "rate_from_gramian",
     "reconstructibility",
     "right_side",
     "spd_distance",

@@ -5,6 +5,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from covariant._integrate import rk8, solve_until
@@ -112,9 +113,62 @@ def gramian(
     model: StateSpace, x: Vector, length: Number, u: Float[Array, "m"] | None = None, *, steps: int = 100
 ) -> Matrix:
     """Reconstructibility Gramian `∫ Φᵀ h_xᵀ h_x Φ dt` over the last `length` seconds before x, equation (6)."""
-    flow = backward(model, Equation(rate=jnp.zeros((), x.dtype)), u, x.dtype)
-    window = rk8(flow, jnp.zeros((), x.dtype), no_past(Equation(1.0), x), jnp.asarray(length, x.dtype), steps)
-    return window.information
+    return gramians(model, x, length, u, steps=1, within=steps)[-1]
+
+
+def gramians(
+    model: StateSpace,
+    x: Vector,
+    length: Number,
+    u: Float[Array, "m"] | None = None,
+    *,
+    steps: int = 64,
+    within: int = 2,
+) -> Float[Array, "steps n n"]:
+    """Gramians (6) over the last 1/steps, 2/steps, … of `length` [s] before x (n,)."""
+    check_state(model, x)
+    unweighted = Equation(rate=jnp.zeros((), x.dtype))
+    flow, zero = backward(model, unweighted, u, x.dtype), jnp.zeros((), x.dtype)
+
+    def further(window: Window, _):
+        window = rk8(flow, zero, window, jnp.asarray(length, x.dtype) / steps, within)
+        return window, window.information
+
+    return jax.lax.scan(further, no_past(unweighted, x), length=steps)[1]
+
+
+def rate_from_gramian(
+    model: StateSpace,
+    points: Float[Array, "k n"],
+    longest: float,
+    u: Float[Array, "m"] | None = None,
+    *,
+    share: float = 0.5,
+) -> float:
+    """A rate λ = 1/τ [1/s] for equation (15): the metric remembers about as long as the states take to be told.
+
+    τ is the shortest window after which the least reconstructibility of the points has reached `share` of the best that
+    windows up to `longest` [s] give. A larger λ converges faster, but the metric is worse conditioned and passes more
+    noise: (9) has the lower bound ε exp(−λτ).
+
+    For systems whose past stays bounded. Raises `ValueError` where a point is not reconstructible from any of the
+    windows, and where the shortest ones tell most: then the past grows, as that of a damped system does, and only a λ
+    above twice its rate of growth gives a metric at all.
+    """
+    told = jax.jit(jax.vmap(lambda x: jax.vmap(reconstructibility)(gramians(model, x, longest, u))))(points)
+    told = np.nan_to_num(np.asarray(told))  # (k, steps); a past that escapes tells no more
+    silent = told.max(axis=1) <= SINGULAR
+    if silent.any():
+        point = ", ".join(f"{entry:.4g}" for entry in np.asarray(points)[int(silent.argmax())])
+        raise ValueError(f"({point}) is not reconstructible from any past up to {longest:g} s, so it has no rate")
+    least = told.min(axis=0)
+    enough = int((least >= share * least.max()).argmax())
+    if not enough:
+        raise ValueError(
+            f"the first of {len(least)} windows up to {longest:g} s tells most: shorten the longest window, or, where "
+            "the past grows, take a rate above twice its rate of growth"
+        )
+    return len(least) / (longest * (enough + 1))
 
 
 def reconstructibility(gramian: Matrix) -> Scalar:
