@@ -82,11 +82,17 @@ def test_the_summary_is_that_of_the_store(made):
 def test_a_finished_store_is_summed_up_again_for_a_person(made, capsys, monkeypatch):
     text = said(capsys, monkeypatch, "design", "metric", "unknown_frequency", *SHAPE, "--rate", "8", "-o", "paper.zarr")
     first, codes, least, bounds, doubt = text.splitlines()
-    assert re.fullmatch(r"wrote paper\.zarr: 125 points, \d+\.\d s", first)
+    assert re.fullmatch(r"wrote paper\.zarr: 125 points, λ = 8 1/s, \d+\.\d s", first)
     assert codes == "  125 ok"
     assert least == f"smallest reconstructibility {made['reconstructibility']:.3g}"
     assert f"p_low = {made['p_low']:.3g}, p_high = {made['p_high']:.3g}" in bounds
     assert doubt == f"largest doubt {made['doubt']:.2g}"
+
+
+def test_the_rate_may_come_from_gramians(made):
+    done = command("design", "metric", "unknown_frequency", *SHAPE, "--window", "30", "-o", "window.zarr")
+    assert 0.1 < done["rate"] < 1
+    assert scale.open_grid("window.zarr").attrs["provenance"]["equation"]["rate"] == done["rate"]
 
 
 def test_options_reach_the_equation_of_a_mechanical_model(made):
@@ -190,6 +196,9 @@ RATE = (*PAPER, "--rate", "8")
     [
         (PAPER, ["--rate", "--process-cov", "neither"]),
         ((*PAPER, "--rate", "-8"), ["--rate", "-8", "≥ 0"]),
+        ((*PAPER, "--rate", "8", "--window", "30"), ["--rate", "--window", "keep one"]),
+        ((*PAPER, "--window", "0"), ["--window", "positive"]),
+        (("duffing", "--grid", "5", "--window", "10", "-o", "new.zarr"), ["twice its rate of growth"]),
         ((*PAPER, "--rate", "nan"), ["--rate", "nan"]),
         ((*PAPER, "--process-cov", "1,2"), ["--process-cov needs 3 positive", "x1, x2, x3", "'1,2'"]),
         ((*PAPER, "--process-cov", "1,2,-3"), ["--process-cov", "positive", "'1,2,-3'"]),
