@@ -264,6 +264,8 @@ def test_outside_a_field_the_model_runs_on_alone(field):
     x, info = one_step(Riccati(OSCILLATOR, field, start), jnp.array([0.9]))
     assert info.result == Result.OUT_OF_DOMAIN
     np.testing.assert_allclose(x, alone(OSCILLATOR, start), rtol=1e-8)
+    rate = Riccati(OSCILLATOR, field, start).flow(ZERO, Estimate(start, ZERO), NONE, jnp.array([0.9])).x
+    np.testing.assert_array_equal(rate, OSCILLATOR.f(ZERO, start, NONE))
     x, info = one_step(Riccati(OSCILLATOR, field, jnp.array([0.8, 0.3, 1.5])), jnp.array([0.9]))
     assert info.result == Result.OK
     assert x[0] > alone(OSCILLATOR, jnp.array([0.8, 0.3, 1.5]))[0]

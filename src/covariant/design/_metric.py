@@ -165,13 +165,11 @@ def _finite_or_none(bound: Array) -> list[float | None]:
 
 def _described(equation: Equation) -> dict[str, Any]:
     """An equation in what JSON can hold; a field of Q by its name."""
+
+    def written(cov: Any) -> Any:
+        if callable(cov):
+            return getattr(cov, "__qualname__", repr(cov))
+        return None if cov is None else np.asarray(cov).tolist()
+
     q, r = equation.process_cov, equation.measurement_cov
-    return {
-        "rate": float(jnp.asarray(equation.rate)),
-        "process_cov": getattr(q, "__qualname__", repr(q))
-        if callable(q)
-        else None
-        if q is None
-        else np.asarray(q).tolist(),
-        "measurement_cov": None if r is None else np.asarray(r).tolist(),
-    }
+    return {"rate": float(jnp.asarray(equation.rate)), "process_cov": written(q), "measurement_cov": written(r)}

@@ -12,8 +12,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from covariant._integrate import rk4
-from covariant._linalg import half_solve, solve
-from covariant._typing import Matrix, MatrixField, Number, Scalar, Vector
+from covariant._linalg import half_solve, pivots, solve
+from covariant._typing import Flag, Matrix, MatrixField, Number, Scalar, Vector
 from covariant.models import StateSpace
 from covariant.observers._protocol import AbstractFlowObserver, Info
 from covariant.riccati import Equation, Metric
@@ -59,7 +59,8 @@ class Riccati(AbstractFlowObserver):
     def flow(self, t: Scalar, state: Estimate, u: Float[Array, "m"], y: Float[Array, "p"]) -> Estimate:
         x = state.x
         seen, error = _seen(self.model, self.measurement_cov, t, x, u, y)
-        correction = 2 * self._gain(x) * solve(self._metric(x, u), seen.T @ error)
+        p = self._metric(x, u)
+        correction = jnp.where(_is_metric(p), 2 * self._gain(x) * solve(p, seen.T @ error), 0.0)
         return Estimate(self.model.f(t, x, u) - correction, jnp.ones_like(state.t))
 
     def step(self, state: Estimate, u: Float[Array, "m"], y: Float[Array, "p"], dt: Scalar) -> tuple[Estimate, Info]:
@@ -139,6 +140,11 @@ class InformationEKF(AbstractFlowObserver):
         return -p @ a - a.T @ p - loss
 
 
+def _is_metric(p: Matrix) -> Flag:
+    """Whether p is positive definite; where it is not, or not finite, nothing can be fed back."""
+    return jnp.all(pivots(p) > 0)
+
+
 def _seen(
     model: StateSpace, measurement_cov: Float[Array, "p p"] | None, t, x: Vector, u: Array, y: Array
 ) -> tuple[Array, Array]:
@@ -169,7 +175,7 @@ def _correct(
     """Take y in: `x − (P + w h_xᵀ R⁻¹ h_x)⁻¹ w h_xᵀ R⁻¹ (h − y)`."""
     seen, error = _seen(model, measurement_cov, t, x, u, y)
     correction = solve(p + weight * seen.T @ seen, weight * seen.T @ error)
-    positive = jnp.all(jnp.isfinite(correction)) & (correction @ p @ correction >= 0)
+    positive = _is_metric(p)
     correction = jnp.where(positive, correction, 0.0)
     moved = x - correction
     result = jnp.where(

@@ -127,7 +127,7 @@ def gramians(
 ) -> Float[Array, "steps n n"]:
     """Gramians (6) over the last 1/steps, 2/steps, … of `length` [s] before x (n,)."""
     check_state(model, x)
-    unweighted = Equation(rate=jnp.zeros((), x.dtype))
+    unweighted = Equation(rate=jnp.zeros((), x.dtype))  # as an array, which passes for a rate
     flow, zero = backward(model, unweighted, u, x.dtype), jnp.zeros((), x.dtype)
 
     def further(window: Window, _):

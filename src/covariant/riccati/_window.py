@@ -42,17 +42,20 @@ class Window(NamedTuple):
         return self.information + self._carried(start)
 
     def doubt(self, start: Number | Matrix) -> Scalar:
-        """Bound on the distance between the metrics that the unknown past allows; NaN where the window tells nothing.
+        """Bound on the distance between the metrics that the unknown past allows; NaN where the window is too short.
 
         With a positive Q it holds for every past. Without, the metric before is taken to be at most `MARGIN` times W,
         or at most `start`.
         """
+        known = jnp.all(pivots(self.information) > 0)
         if self.spread is None:
             before = MARGIN * self.transition.T @ self.information @ self.transition
             most = jnp.maximum(self._share(before), self._share(self._carried(start)))
         else:
+            # Where Q is singular, V becomes positive as the window grows, and until then bounds nothing.
+            known = known & jnp.all(pivots(self.spread) > 0)
             most = self._share(self.transition.T @ solve(self.spread, self.transition))
-        return jnp.where(jnp.all(pivots(self.information) > 0), most, jnp.nan)
+        return jnp.where(known, most, jnp.nan)
 
     def _share(self, more: Matrix) -> Scalar:
         """Bound on the distance from W to W + more: it is sqrt(Σ log²(1 + μ)) ≤ Σ μ, μ the eigenvalues of W⁻¹ more."""
