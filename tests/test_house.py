@@ -13,7 +13,7 @@ ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "covariant"
 
 PLAN = (
-    "_typing _files signals scoring _linalg _integrate "
+    "_typing _files signals scoring _linalg _integrate lowering "
     "logs geometry models riccati observers simulation scale certificates design report papers cli"
 )
 """A room may import from itself and from any room to its left, never to its right."""
@@ -42,6 +42,7 @@ PUBLIC = {
     "transport transport_along",
     "geometry.lie": "SE2 SE3 SO2 SO3 SU AbstractGroup AbstractInertia Carried ExponentialChart Inertia LeftInvariant "
     "MatrixGroup Product munthe_kaas quaternion_from_rotation rotation_from_quaternion",
+    "lowering": "FOLD NUMBERS Domain Graph Lowered LoweringError Node evaluate lower numbers",
     "logs": "ATTITUDES Body Columns Log LogError bodies matrices read to_columns write",
     "models": "GroupSystem Lagrangian ModelError ModelFile Motion Parameter StateSpace acceleration advance "
     "ball_and_beam bioreactor body_velocity check_metric check_model duffing energy free_body friction heavy_top "

@@ -1,0 +1,235 @@
+"""A graph of scalars gives what JAX gives, with first and second derivatives, or is refused: never a wrong value."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from covariant import lowering, models, riccati
+from covariant._integrate import rk4
+from covariant._linalg import solve
+from covariant.geometry import Budget, christoffel, curvature, hyperbolic, sphere
+from covariant.geometry.lie import SE3, SO3
+from covariant.lowering import LoweringError, lower, numbers
+from covariant.observers import Geodesic, Group, Intrinsic
+
+PENDULUM = models.pendulum_chain((1.0, 0.7), (0.5, 0.4), viscous=(0.1, 0.2))
+TABLE = jnp.array([0.5, -1.0, 2.0, 0.3])
+
+
+def loop(x):
+    return jax.lax.fori_loop(0, 4, lambda i, y: y * x[0] + jnp.sin(y) * i, x)
+
+
+def scanned(x):
+    def step(carry, row):
+        carry = carry * row + x[1]
+        return carry, jnp.stack([carry, row * x[2]])
+
+    return jax.lax.scan(step, x[0], TABLE, reverse=True)[1]
+
+
+def while_counted(x):
+    return jax.lax.while_loop(lambda s: s[0] < 3, lambda s: (s[0] + 1, s[1] * x[2] + s[1] ** 2), (0, x[0]))[1]
+
+
+def custom(x):
+    @jax.custom_jvp
+    def f(y):
+        return jnp.sinh(y)
+
+    f.defjvp(lambda p, t: (f(*p), jnp.cosh(p[0]) * t[0]))
+    return f(x[0] * x[1])
+
+
+FUNCTIONS = {
+    "polynomial": lambda x: x[0] ** 3 - 2 * x[1] ** 2 * x[2] + 5,
+    "division": lambda x: x[0] / (2 + x[1] ** 2) - 1 / (3 + x[2]),
+    "negative powers": lambda x: (2 + x[0] ** 2) ** -3 + x[1] ** -1,
+    "real power": lambda x: (1.5 + x[0] ** 2) ** 1.7 + (2 + x[1] ** 2) ** x[2],
+    "square root": lambda x: jnp.sqrt(1 + x @ x) + jax.lax.rsqrt(2 + x[0] ** 2),
+    "cube root": lambda x: jnp.cbrt(2 + x[0] ** 2),
+    "exponentials": lambda x: jnp.exp(x[0]) + jnp.expm1(x[1] * x[2]) + jnp.exp2(x[2]),
+    "logarithms": lambda x: jnp.log(2 + x[0] ** 2) + jnp.log1p(x[1] ** 2),
+    "trigonometry": lambda x: jnp.sin(x[0]) * jnp.cos(x[1]) + jnp.tan(x[2] / 3),
+    "inverse trigonometry": lambda x: jnp.arcsin(x[0] / 9) + jnp.arccos(x[1] / 9) + jnp.arctan(x[2]),
+    "two-argument arctangent": lambda x: jnp.arctan2(x[0], 3 + x[1] ** 2),
+    "hyperbolic functions": lambda x: jnp.sinh(x[0]) + jnp.cosh(x[1]) * jnp.tanh(x[2]),
+    "inverse hyperbolic functions": lambda x: jnp.arcsinh(x[0]) + jnp.arccosh(2 + x[1] ** 2) + jnp.arctanh(x[2] / 9),
+    "logistic": lambda x: jax.nn.sigmoid(x[0]) + jax.nn.softplus(x[1]),
+    "absolute value": lambda x: jnp.abs(x[0]) * x[1] + jnp.sign(x[2]) * x[2] ** 2,
+    "minimum and maximum": lambda x: jnp.maximum(x[0], x[1] ** 2) + jnp.minimum(x[2], 0.1) * x[0],
+    "clip": lambda x: jnp.clip(x, -0.5, 0.5) @ x,
+    "where": lambda x: jnp.where(x > 0, x**2, jnp.sin(x)).sum(),
+    "where with a guarded root": lambda x: jnp.where(x[0] > 0, jnp.sqrt(jnp.where(x[0] > 0, x[0], 1.0)), 0.0) * x[1],
+    "logic": lambda x: jnp.where((x[0] > 0) & ~(x[1] >= 0.3) | (x[2] != x[0]), x[0] * x[1], x[2] ** 2),
+    "rounding": lambda x: x[0] * jnp.floor(3 * x[1]) + jnp.ceil(x[2]) * x[1] + jnp.round(4 * x[0]) * x[2],
+    "matrix product": lambda x: jnp.outer(x, x) @ jnp.array([[1.0, 2.0, 0.0], [0.0, 1.0, 3.0], [4.0, 0.0, 1.0]]) @ x,
+    "einsum": lambda x: jnp.einsum("ij,kj,k->i", jnp.outer(x, x), jnp.outer(x, jnp.cos(x)), x),
+    "batched product": lambda x: jax.vmap(lambda a: jnp.outer(x, x) @ a)(jnp.stack([x, 2 * x])),
+    "sums and products": lambda x: jnp.prod(x) + jnp.sum(jnp.outer(x, x), axis=0) @ x + jnp.max(x) * jnp.min(x),
+    "means and norms": lambda x: jnp.mean(x) * jnp.linalg.norm(x + 2),
+    "running sums": lambda x: jnp.cumsum(x) * jnp.cumprod(x)[::-1],
+    "running extremes": lambda x: jax.lax.cummax(x) + jax.lax.cummin(x, reverse=True) * x,
+    "moving entries": lambda x: jnp.concatenate([x[::-1], jnp.roll(x, 1)]).reshape(2, 3).T @ jnp.array([1.0, 2.0]),
+    "padding": lambda x: jnp.pad(x, (1, 2), constant_values=3.0) * TABLE[0],
+    "diagonals": lambda x: jnp.diag(x) @ jnp.diag(jnp.outer(x, x)) + jnp.trace(jnp.outer(x, jnp.sin(x))),
+    "setting entries": lambda x: jnp.zeros(4).at[1].set(x[0]).at[jnp.array([1, 3])].add(x[:2] * x[2]),
+    "taking entries": lambda x: x[jnp.array([2, 0, 2, 1])] * TABLE,
+    "largest entry's place": lambda x: (x**2)[jnp.argmax(x)] + jnp.sin(x)[jnp.argmin(x)],
+    "a place of a few": lambda x: TABLE[jnp.clip(jnp.floor(2 + x[0]).astype(int), 0, 3)] * x[1],
+    "a slice somewhere": lambda x: jax.lax.dynamic_slice(x, (jnp.argmax(x),), (2,)) @ x[:2],
+    "an entry set somewhere": lambda x: x.at[jnp.argmax(x)].set(x[0] * x[1]) @ x,
+    "a choice of three": lambda x: jax.lax.select_n(jnp.argmax(x), x[0] ** 2, x[1] * x[0], jnp.sin(x[2])),
+    "loop": loop,
+    "scan": scanned,
+    "counted while": while_counted,
+    "branch known beforehand": lambda x: jax.lax.cond(True, jnp.sin, jnp.cos, x[0]) * x[1],
+    "custom derivative": custom,
+    "rematerialised": lambda x: jax.checkpoint(lambda y: jnp.sin(y) * y)(x).sum(),
+    "written-out solve": lambda x: solve(jnp.outer(x, x) + 2 * jnp.eye(3), jnp.cos(x)),
+    "integration": lambda x: rk4(lambda t, y: jnp.stack([y[1], -jnp.sin(y[0]) * x[2]]), 0.0, x[:2], 0.3, 3),
+    "cross product": lambda x: jnp.cross(x, jnp.sin(x)),
+    "sphere": lambda x: christoffel(sphere(), x[:2], x[1:], x[:2]),
+    "hyperbolic plane": lambda x: curvature(hyperbolic(), x[:2] / 4, x[1:], x[:2], x[::2]),
+    "inertia": lambda x: PENDULUM.metric(x[:2]) @ x[1:],
+    "forward dynamics": lambda x: models.acceleration(PENDULUM, jnp.zeros(()), x[:2], x[1:], jnp.array([0.1, 0.2])),
+    "rotation": lambda x: SO3.exp(x) @ x,
+    "logarithm of a rotation": lambda x: SO3.log(SO3.exp(x / 2)),
+    "pose": lambda x: SE3.exp(jnp.concatenate([x, jnp.sin(x)])),
+}
+POINTS = np.random.default_rng(0).normal(size=(5, 3)) * 0.8
+
+
+def with_derivatives(name):
+    """Value and first and second derivatives; JAX has no reverse derivative of a while loop."""
+    f, inner = FUNCTIONS[name], jax.jacfwd if name == "counted while" else jax.jacrev
+    return lambda x: (f(x), jax.jacfwd(f)(x), jax.jacfwd(inner(f))(x))
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_value_and_two_derivatives_are_those_of_jax(name):
+    function = with_derivatives(name)
+    with np.errstate(all="raise"):  # nothing is folded into an infinity unseen
+        graph = lower(function, jnp.zeros(3))
+    found = numbers(graph, POINTS)
+    expected = jax.jit(jax.vmap(function))(jnp.asarray(POINTS))
+    for order, (ours, theirs) in enumerate(zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True)):
+        scale = 1 + np.abs(theirs).max()
+        np.testing.assert_allclose(ours, theirs, rtol=1e-11, atol=1e-12 * scale, err_msg=f"derivative {order}")
+        assert ours.dtype == theirs.dtype
+
+
+def observers():
+    """Right-hand sides and steps of observers with a fixed amount of work, as functions of all their numbers."""
+    q, v, u = jnp.array([0.3, 0.5]), jnp.array([1.0, -2.0]), jnp.array([0.1, 0.2])
+    zero, dt = jnp.zeros(()), jnp.asarray(0.01)
+    intrinsic, geodesic = Intrinsic(PENDULUM, 2.0, 1.0, substeps=2), Geodesic(PENDULUM, 2.0, 1.0, Budget(1, 2))
+    top = models.heavy_top()
+    group, g = Group(top, 2.0, 1.0), top.group.exp(jnp.array([0.1, 0.2, 0.3]))
+    turned = g @ top.group.exp(jnp.array([0.1, 0.0, 0.1]))
+    unknown = models.unknown_frequency()
+    metric = riccati.Metric(unknown, riccati.Equation(1.0), 4.0, 6)
+    return {
+        "intrinsic flow": (lambda s, y: intrinsic.flow(zero, s, u, y), intrinsic.init(q)._replace(v=v), q + 0.1),
+        "intrinsic step": (lambda s, y: intrinsic.step(s, u, y, dt), intrinsic.init(q)._replace(v=v), q + 0.1),
+        "geodesic flow": (lambda s, y: geodesic.flow(zero, s, u, y), geodesic.init(q)._replace(v=v), q + 0.1),
+        "group flow": (
+            lambda s, y: group.flow(zero, s, jnp.zeros(top.inputs), y),
+            group.init(g)._replace(v=jnp.ones(3)),
+            turned,
+        ),
+        "metric from a Riccati equation": (metric, jnp.array([0.5, 1.2, 1.0])),
+    }
+
+
+@pytest.mark.parametrize("name", observers())
+def test_observers_are_lowered_whole(name):
+    function, *arguments = observers()[name]
+    found, expected = numbers(lower(function, *arguments), *arguments), jax.jit(function)(*arguments)
+    assert jax.tree.structure(found) == jax.tree.structure(expected)
+    for ours, theirs in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
+        np.testing.assert_allclose(ours, theirs, rtol=1e-10, atol=1e-12)
+        assert ours.dtype == theirs.dtype
+
+
+REFUSED = {
+    "lu": lambda x: jnp.linalg.inv(jnp.outer(x, x) + jnp.eye(3)),
+    "sort": jnp.sort,
+    "erf": jax.scipy.special.erf,
+    "while": lambda x: jax.lax.while_loop(lambda y: y[0] < 3, lambda y: y + 1, x),
+    "cond": lambda x: jax.lax.cond(x[0] > 0, jnp.sin, jnp.cos, x),
+    "div": lambda x: jnp.argmax(x) // 2,
+    "dynamic_slice": lambda x: jnp.arange(100.0)[jnp.floor(x[0]).astype(int)],
+    "type int64": lambda x: x,
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_has_no_graph_is_refused_by_name(name):
+    argument = jnp.arange(3) if name.startswith("type") else jnp.ones(3)
+    with pytest.raises(LoweringError, match=name):
+        lower(REFUSED[name], argument)
+
+
+def test_known_numbers_are_folded_zeros_pruned_and_equal_parts_shared():
+    def function(x):
+        a = jnp.sin(x[0] * x[1])
+        return a + jnp.sin(x[1] * x[0]) + 0.0 * jnp.exp(x[2]) + jnp.cos(0.0) * a + TABLE.sum()
+
+    graph = lower(function, jnp.zeros(3)).graph
+    assert sorted(node.op for node in graph.nodes) == sorted(
+        ["input", "input", "mul", "sin", "add", "add", "add", "constant"]
+    )
+
+
+def test_each_operation_has_a_number_and_folds_like_it():
+    assert set(lowering.NUMBERS) == {*lowering.FOLD, "constant"}
+    samples = {"acosh": (1.5,), "select": (True, 0.3, 0.4), "and": (True, False), "or": (True, False), "not": (True,)}
+    for op, fold in lowering.FOLD.items():
+        arguments = samples.get(op, (0.3, -0.7))
+        count = fold.__code__.co_argcount
+        with np.errstate(all="ignore"):
+            expected = lowering.NUMBERS[op](*arguments[:count])
+        np.testing.assert_array_equal(fold(*arguments[:count]), expected, err_msg=op)
+
+
+BINARY = ["add", "sub", "mul", "div", "min", "max", "pow", "atan2"]
+UNARY = ["neg", "abs", "sqrt", "exp", "log", "sin", "tanh", "floor", "sign"]
+
+
+@given(st.lists(st.tuples(st.sampled_from(BINARY + UNARY), st.integers(0, 99), st.integers(0, 99)), max_size=12))
+@settings(max_examples=200)
+def test_simplified_graphs_have_the_values_of_plain_ones(program):
+    """Random programs on numbers of all kinds: a graph with inputs agrees with one that was folded from constants."""
+    values = np.array([0.7, -1.3, 0.0, 2.0])
+
+    def build(leaf):
+        graph = lowering.Graph()
+        nodes = [leaf(graph, i) for i in range(len(values))] + [graph.constant(c) for c in (0.0, 1.0, -1.0)]
+        for op, i, j in program:
+            chosen = (nodes[i % len(nodes)], nodes[j % len(nodes)])[: 2 if op in BINARY else 1]
+            nodes.append(graph.apply(op, *chosen))
+        return lowering.Lowered(graph, ((len(values),),), tuple(nodes), (), None)
+
+    symbolic = build(lambda graph, i: graph.input(i))
+    folded = build(lambda graph, i: graph.constant(values[i]))
+    with np.errstate(all="ignore"):
+        found = np.array(lowering.evaluate(symbolic, lowering.NUMBERS, list(values)), float)
+        expected = np.array(lowering.evaluate(folded, lowering.NUMBERS, list(values)), float)
+    # Where plain arithmetic leaves the real numbers, the rules of real numbers say nothing.
+    real = np.isfinite(expected)
+    clean = np.logical_and.accumulate(real)
+    np.testing.assert_allclose(found[clean], expected[clean], rtol=1e-13)
+
+
+def test_a_batch_goes_through_at_once_and_a_wrong_number_of_inputs_does_not():
+    graph = lower(lambda x, y: {"a": x * y, "b": y.sum()}, jnp.zeros(2), jnp.zeros(2))
+    x, y = np.arange(12.0).reshape(2, 3, 2), np.ones((2, 3, 2))
+    found = numbers(graph, x, y)
+    np.testing.assert_array_equal(found["a"], x)
+    assert found["b"].shape == (2, 3)
+    with pytest.raises(ValueError, match="4 inputs; got 3"):
+        lowering.evaluate(graph, lowering.NUMBERS, [1.0, 2.0, 3.0])
