@@ -1,5 +1,7 @@
 """A graph of scalars gives what JAX gives, with first and second derivatives, or is refused: never a wrong value."""
 
+import inspect
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -190,7 +192,7 @@ def test_each_operation_has_a_number_and_folds_like_it():
     samples = {"acosh": (1.5,), "select": (True, 0.3, 0.4), "and": (True, False), "or": (True, False), "not": (True,)}
     for op, fold in lowering.FOLD.items():
         arguments = samples.get(op, (0.3, -0.7))
-        count = fold.__code__.co_argcount
+        count = len(inspect.signature(fold).parameters)
         with np.errstate(all="ignore"):
             expected = lowering.NUMBERS[op](*arguments[:count])
         np.testing.assert_array_equal(fold(*arguments[:count]), expected, err_msg=op)
