@@ -10,6 +10,7 @@ import pytest
 from covariant import models
 from covariant.observers import InformationEKF, Riccati, run
 from covariant.papers import sanfelice_praly
+from covariant.report import new_figure, save_figure
 from covariant.riccati import Equation, Metric
 from covariant.signals import Record
 
@@ -76,3 +77,29 @@ def test_the_information_filter_finds_it_too(swing):
     before = jnp.diag(1 / jnp.array([1e-3, 1.0, 30.0]) ** 2)
     found = run(InformationEKF(model, equation, swing.start, before), swing.record).estimate
     check(np.asarray(found)[swing.late, 2])
+
+
+def test_summary_and_page_say_what_was_found(tmp_path):
+    rates, few = ("1", "8"), ("1", "2")
+    results = {
+        "fig1": dict(zip(rates, (0.0906, 9.55e-4), strict=True)),
+        "fig1_distance": dict(zip(rates, (0.0902, 6.59), strict=True)),
+        "routes": {rate: {"one pass": 1e-13, "Radon": 2e-11} for rate in rates},
+        "decay": {gain: dict.fromkeys(few, 0.5) for gain in ("0.2", "0.25")},
+        "guaranteed": {"0.2": dict.fromkeys(few, -0.6), "0.25": dict.fromkeys(few, 0.5)},
+        "verdict": "local only: the output's level sets bend by 1.09 at (0.5, 1, 1.5)",
+        "origin": "not reconstructible",
+        "gap": {
+            "largest_error_after": {"riccati": 0.024, "ekf": 5.86},
+            "least_eigenvalue": {"riccati": 1.4e-3, "ekf": 2.4e-13},
+        },
+        "prior": {"riccati": 0.017, "ekf": 0.0076},
+    }
+    figure = save_figure(new_figure()[0], tmp_path / "figure.png")
+    text = sanfelice_praly.write_page(results, (figure, figure), tmp_path / "page.html").read_text(encoding="utf-8")
+    assert text.count("data:image/png") == 2
+    lines = sanfelice_praly.summary(results)
+    for number in ("0.0906", "0.000955", "6.59", "2.0e-11", "0.500 (-0.600)", "local only", "2.4e-13", "0.0076"):
+        assert number in text
+    assert any("0.0238" in str(line) or "0.024" in str(line) for line in lines)
+    assert sum(isinstance(line, list) for line in lines) == 3
