@@ -30,7 +30,7 @@ types: env
 	$(BIN)/basedpyright
 
 tests: env
-	$(BIN)/pytest -n 2
+	$(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder
 
 gallery: env
 	$(BIN)/python gallery/run_all.py
