@@ -1,7 +1,5 @@
 """A graph of scalars gives what JAX gives, with first and second derivatives, or is refused: never a wrong value."""
 
-import inspect
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -191,11 +189,12 @@ def test_each_operation_has_a_number_and_folds_like_it():
     assert set(lowering.NUMBERS) == {*lowering.FOLD, "constant"}
     samples = {"acosh": (1.5,), "select": (True, 0.3, 0.4), "and": (True, False), "or": (True, False), "not": (True,)}
     for op, fold in lowering.FOLD.items():
-        arguments = samples.get(op, (0.3, -0.7))
-        count = len(inspect.signature(fold).parameters)
+        arguments = samples.get(op, (0.3, -0.7))[: fold.nin if isinstance(fold, np.ufunc) else 3]
+        graph = lowering.Graph()
+        folded = graph.nodes[graph.apply(op, *map(graph.constant, arguments))]
+        assert folded.op == "constant"
         with np.errstate(all="ignore"):
-            expected = lowering.NUMBERS[op](*arguments[:count])
-        np.testing.assert_array_equal(fold(*arguments[:count]), expected, err_msg=op)
+            np.testing.assert_array_equal(folded.value, lowering.NUMBERS[op](*arguments), err_msg=op)
 
 
 BINARY = ["add", "sub", "mul", "div", "min", "max", "pow", "atan2"]

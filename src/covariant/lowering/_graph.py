@@ -14,51 +14,47 @@ class Node(NamedTuple):
     value: float | bool | int | None = None
 
 
-def _pow(a: float, b: float) -> float:
-    return float(np.power(np.float64(a), np.float64(b)))
-
-
 FOLD: dict[str, Callable] = {
-    "add": lambda a, b: a + b,
-    "sub": lambda a, b: a - b,
-    "mul": lambda a, b: a * b,
-    "div": lambda a, b: float(np.float64(a) / np.float64(b)),
-    "neg": lambda a: -a,
-    "abs": lambda a: abs(a),
-    "sign": lambda a: float(np.sign(a)),
-    "floor": lambda a: float(np.floor(a)),
-    "ceil": lambda a: float(np.ceil(a)),
-    "round": lambda a: float(np.round(a)),
-    "min": lambda a, b: float(np.minimum(a, b)),
-    "max": lambda a, b: float(np.maximum(a, b)),
-    "pow": _pow,
-    "sqrt": lambda a: float(np.sqrt(a)),
-    "cbrt": lambda a: float(np.cbrt(a)),
-    "exp": lambda a: float(np.exp(a)),
-    "expm1": lambda a: float(np.expm1(a)),
-    "log": lambda a: float(np.log(a)),
-    "log1p": lambda a: float(np.log1p(a)),
-    "sin": lambda a: float(np.sin(a)),
-    "cos": lambda a: float(np.cos(a)),
-    "tan": lambda a: float(np.tan(a)),
-    "asin": lambda a: float(np.arcsin(a)),
-    "acos": lambda a: float(np.arccos(a)),
-    "atan": lambda a: float(np.arctan(a)),
-    "atan2": lambda a, b: float(np.arctan2(a, b)),
-    "sinh": lambda a: float(np.sinh(a)),
-    "cosh": lambda a: float(np.cosh(a)),
-    "tanh": lambda a: float(np.tanh(a)),
-    "asinh": lambda a: float(np.arcsinh(a)),
-    "acosh": lambda a: float(np.arccosh(a)),
-    "atanh": lambda a: float(np.arctanh(a)),
-    "lt": lambda a, b: a < b,
-    "le": lambda a, b: a <= b,
-    "eq": lambda a, b: a == b,
-    "and": lambda a, b: a and b,
-    "or": lambda a, b: a or b,
-    "not": lambda a: not a,
-    "is_finite": lambda a: bool(np.isfinite(a)),
-    "select": lambda p, a, b: a if p else b,
+    "add": np.add,
+    "sub": np.subtract,
+    "mul": np.multiply,
+    "div": np.divide,
+    "neg": np.negative,
+    "abs": np.abs,
+    "sign": np.sign,
+    "floor": np.floor,
+    "ceil": np.ceil,
+    "round": np.rint,
+    "min": np.minimum,
+    "max": np.maximum,
+    "pow": np.power,
+    "sqrt": np.sqrt,
+    "cbrt": np.cbrt,
+    "exp": np.exp,
+    "expm1": np.expm1,
+    "log": np.log,
+    "log1p": np.log1p,
+    "sin": np.sin,
+    "cos": np.cos,
+    "tan": np.tan,
+    "asin": np.arcsin,
+    "acos": np.arccos,
+    "atan": np.arctan,
+    "atan2": np.arctan2,
+    "sinh": np.sinh,
+    "cosh": np.cosh,
+    "tanh": np.tanh,
+    "asinh": np.arcsinh,
+    "acosh": np.arccosh,
+    "atanh": np.arctanh,
+    "lt": np.less,
+    "le": np.less_equal,
+    "eq": np.equal,
+    "and": np.logical_and,
+    "or": np.logical_or,
+    "not": np.logical_not,
+    "is_finite": np.isfinite,
+    "select": np.where,
 }
 """Every operation of a graph, on numbers. `select(p, a, b)` is a where p holds, else b; comparisons give truths."""
 
@@ -90,7 +86,7 @@ class Graph:
         nodes = [self.nodes[a] for a in arguments]
         if all(node.op == "constant" for node in nodes):
             with np.errstate(all="ignore"):
-                return self.constant(FOLD[op](*(node.value for node in nodes)))
+                return self.constant(np.asarray(FOLD[op](*(node.value for node in nodes))).item())
         simpler = self._simplify(op, arguments, [n.value if n.op == "constant" else None for n in nodes])
         if simpler is not None:
             return simpler

@@ -6,54 +6,13 @@ from typing import Any
 import jax
 import numpy as np
 
+from covariant.lowering._graph import FOLD
 from covariant.lowering._trace import Lowered
 
 Domain = Mapping[str, Callable[..., Any]]
 """An arithmetic: what each operation of `FOLD` is in it, and `constant`, which takes a number or truth value in."""
 
-NUMBERS: Domain = {
-    "constant": lambda value: value,
-    "add": np.add,
-    "sub": np.subtract,
-    "mul": np.multiply,
-    "div": np.divide,
-    "neg": np.negative,
-    "abs": np.abs,
-    "sign": np.sign,
-    "floor": np.floor,
-    "ceil": np.ceil,
-    "round": np.round,
-    "min": np.minimum,
-    "max": np.maximum,
-    "pow": np.power,
-    "sqrt": np.sqrt,
-    "cbrt": np.cbrt,
-    "exp": np.exp,
-    "expm1": np.expm1,
-    "log": np.log,
-    "log1p": np.log1p,
-    "sin": np.sin,
-    "cos": np.cos,
-    "tan": np.tan,
-    "asin": np.arcsin,
-    "acos": np.arccos,
-    "atan": np.arctan,
-    "atan2": np.arctan2,
-    "sinh": np.sinh,
-    "cosh": np.cosh,
-    "tanh": np.tanh,
-    "asinh": np.arcsinh,
-    "acosh": np.arccosh,
-    "atanh": np.arctanh,
-    "lt": np.less,
-    "le": np.less_equal,
-    "eq": np.equal,
-    "and": np.logical_and,
-    "or": np.logical_or,
-    "not": np.logical_not,
-    "is_finite": np.isfinite,
-    "select": np.where,
-}
+NUMBERS: Domain = {"constant": lambda value: value, **FOLD}
 """Numbers, and NumPy arrays of them: a whole batch goes through the graph at once."""
 
 
