@@ -21,8 +21,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float
 
-from covariant._typing import Element, Flag, Scalar, Vector
-from covariant.geometry.lie import SU, AbstractGroup, AbstractInertia
+from covariant._typing import Element, Scalar, Vector
+from covariant.geometry.lie import SU, AbstractInertia
 from covariant.models._group_system import GroupSystem
 from covariant.models._lagrangian import Parameter
 
@@ -116,51 +116,11 @@ def casimirs(n: int, v: Vector) -> Float[Array, "k"]:
     return (2 * np.pi) ** 2 / n * jnp.sum(values[:, None] ** jnp.arange(2, n + 1, dtype=values.dtype)[None], axis=0)
 
 
-class ParticleMaps(AbstractGroup):
+class ParticleMaps(SU):
     """SU(n) in the coordinates of `lie.SU`, for large n: the logarithm's derivative takes n³ operations, not n⁶."""
-
-    n: int = eqx.field(static=True)
-
-    @property
-    def dimension(self) -> int:
-        return self.n**2 - 1
-
-    @property
-    def order(self) -> int:
-        return self.n
-
-    def hat(self, x: Vector) -> Element:
-        return SU(self.n).hat(x)
-
-    def vee(self, matrix: Element) -> Vector:
-        return SU(self.n).vee(matrix)
-
-    def lie_bracket(self, x: Vector, y: Vector) -> Vector:
-        return SU(self.n).lie_bracket(x, y)
-
-    def exp(self, x: Vector) -> Element:
-        return SU(self.n).exp(x)
-
-    def log(self, g: Element) -> Vector:
-        return SU(self.n).log(g)
-
-    def inverse(self, g: Element) -> Element:
-        return SU(self.n).inverse(g)
-
-    def right_jacobian(self, x: Vector, y: Vector) -> Vector:
-        return SU(self.n).right_jacobian(x, y)
 
     def right_jacobian_inverse(self, x: Vector, y: Vector) -> Vector:
         return _right_jacobian_inverse(SU(self.n), x, y)
-
-    def act(self, g: Element, point: Array) -> Array:
-        return SU(self.n).act(g, point)
-
-    def defect(self, g: Element) -> Array:
-        return SU(self.n).defect(g)
-
-    def unique_log(self, g: Element) -> Flag:
-        return SU(self.n).unique_log(g)
 
 
 class Laplacian(AbstractInertia):
