@@ -13,7 +13,7 @@ ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "covariant"
 
 PLAN = (
-    "_typing _files signals scoring _linalg _integrate lowering "
+    "_typing _files _guests signals scoring _linalg _integrate lowering "
     "logs geometry models riccati observers simulation scale certificates design report papers cli"
 )
 """A room may import from itself and from any room to its left, never to its right."""

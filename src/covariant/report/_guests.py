@@ -1,15 +1,7 @@
-"""The door for optional packages."""
+"""The optional packages of figures and pages."""
 
-import importlib
-from typing import Any
+import functools
 
+from covariant._guests import load_guest
 
-def guest(module: str) -> Any:
-    """Import an optional module, or raise `ImportError` with the line that installs it."""
-    try:
-        return importlib.import_module(module)
-    except ImportError as missing:
-        package = module.partition(".")[0]
-        raise ImportError(
-            f"this figure needs {package}, which is not installed: pip install 'covariant[report]'"
-        ) from missing
+guest = functools.partial(load_guest, use="this figure needs", extra="report")

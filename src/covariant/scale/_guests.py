@@ -1,15 +1,7 @@
-"""The door for optional packages."""
+"""The optional packages of grids."""
 
-import importlib
-from typing import Any
+import functools
 
+from covariant._guests import load_guest
 
-def guest(module: str) -> Any:
-    """Import an optional module, or raise `ImportError` with the line that installs it."""
-    try:
-        return importlib.import_module(module)
-    except ImportError as missing:
-        package = module.partition(".")[0]
-        raise ImportError(
-            f"big grids need {package}, which is not installed: pip install 'covariant[scale]'"
-        ) from missing
+guest = functools.partial(load_guest, use="big grids need", extra="scale")
