@@ -42,7 +42,8 @@ PUBLIC = {
     "transport transport_along",
     "geometry.lie": "SE2 SE3 SO2 SO3 SU AbstractGroup AbstractInertia Carried ExponentialChart Inertia LeftInvariant "
     "MatrixGroup Product munthe_kaas quaternion_from_rotation rotation_from_quaternion",
-    "lowering": "FOLD NUMBERS Domain Graph Lowered LoweringError Node evaluate lower numbers",
+    "lowering": "FOLD INTERVALS NUMBERS Domain Enclosure Graph Interval Lowered LoweringError Node Truth enclose "
+    "evaluate lower numbers",
     "logs": "ATTITUDES Body Columns Log LogError bodies matrices read to_columns write",
     "models": "GroupSystem Lagrangian ModelError ModelFile Motion Parameter StateSpace acceleration advance "
     "ball_and_beam bioreactor body_velocity check_metric check_model duffing energy free_body friction heavy_top "

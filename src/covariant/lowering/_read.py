@@ -19,18 +19,29 @@ NUMBERS: Domain = {"constant": lambda value: value, **FOLD}
 def evaluate(lowered: Lowered, domain: Domain, inputs: Sequence[Any]) -> list[Any]:
     """Values of the outputs for values of the inputs, all in the domain.
 
-    Raises `ValueError` for another number of inputs than the graph has.
+    A value is let go after its last use, so that large batches fit. Raises `ValueError` for another number of inputs
+    than the graph has.
     """
     if len(inputs) != lowered.inputs:
         raise ValueError(f"the graph has {lowered.inputs} inputs; got {len(inputs)}")
-    values: list[Any] = []
-    for node in lowered.graph.nodes:
+    nodes = lowered.graph.nodes
+    last = [-1] * len(nodes)
+    for i, node in enumerate(nodes):
+        for a in node.arguments:
+            last[a] = i
+    for i in lowered.outputs:
+        last[i] = len(nodes)
+    values: list[Any] = [None] * len(nodes)
+    for i, node in enumerate(nodes):
         if node.op == "input":
-            values.append(inputs[node.value])  # pyright: ignore[reportArgumentType, reportCallIssue]
+            values[i] = inputs[node.value]  # pyright: ignore[reportArgumentType, reportCallIssue]
         elif node.op == "constant":
-            values.append(domain["constant"](node.value))
+            values[i] = domain["constant"](node.value)
         else:
-            values.append(domain[node.op](*(values[a] for a in node.arguments)))
+            values[i] = domain[node.op](*[values[a] for a in node.arguments])
+            for a in node.arguments:
+                if last[a] == i:
+                    values[a] = None
     return [values[i] for i in lowered.outputs]
 
 

@@ -1,0 +1,327 @@
+"""The interval reading of a graph: bounds on its values over whole boxes, which rounding does not spoil.
+
+The bounds hold for the real-number function that the graph stands for, its constants being the doubles they are.
+Trusted is IEEE 754 alone: + - × ÷ and the square root of doubles, rounded to the nearest. Every bound is moved outward
+by at least the error of its rounding: by a part in 2⁵³ of itself and, where products may underflow, by the smallest
+double (S. M. Rump, P. Zimmermann, S. Boldo, G. Melquiond, Computing predecessor and successor in rounding to nearest,
+BIT 49, 2009).
+
+A bound that is NaN says nothing. Where a function is not defined on all of a box, as the root of a negative number,
+both bounds are NaN, and stay so through every operation; comparisons with them are undecided.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from covariant.lowering import _elementary
+from covariant.lowering._read import Domain, evaluate
+from covariant.lowering._trace import Lowered
+
+STEP = 3 * 2.0**-54
+"""A relative step outward: c ± STEP·|c|, in doubles, is a neighbour of c or beyond it.
+
+Half a unit in the last place of c is at most 2⁻⁵³|c|; the margin makes the sum round away from c. That holds for
+subnormal c too, down to those whose unit is the smallest double, where sums are exact.
+"""
+TINY = 5e-324
+"""The smallest double, more than the error of a product or quotient that underflows."""
+SMALL = 2.0**-1000
+"""Results at least as large as this have not underflowed."""
+
+
+class Interval(NamedTuple):
+    """Real numbers between two bounds, for each box: arrays of shape (B,), or scalars where all boxes share them."""
+
+    low: Any
+    high: Any
+
+
+class Truth(NamedTuple):
+    """What is known of a statement, for each box (B,): it must hold on all of it; it may hold somewhere in it."""
+
+    must: Any
+    may: Any
+
+
+class Enclosure(NamedTuple):
+    """Bounds on the values of a graph over boxes.
+
+    - `low`, `high`: bounds (B, outputs); NaN where nothing is known.
+    - `smooth`: boxes (B,) on which every choice was decided, so that the function does not jump there.
+    """
+
+    low: np.ndarray
+    high: np.ndarray
+    smooth: np.ndarray
+
+
+def constant(value: float | bool) -> Interval | Truth:
+    if isinstance(value, bool | np.bool_):
+        return Truth(np.bool_(value), np.bool_(value))
+    return Interval(np.float64(value), np.float64(value))
+
+
+# Rounding outward. The arrays that come in are new, and are changed in place.
+
+
+def _down(c: Any) -> Any:
+    step = np.abs(c)
+    step *= STEP
+    c -= step
+    return c
+
+
+def _up(c: Any) -> Any:
+    step = np.abs(c)
+    step *= STEP
+    c += step
+    return c
+
+
+def _product_step(c: Any, nonzero: Any = None) -> tuple[Any, bool]:
+    """How far a product's bound moves, and whether some product may have underflowed.
+
+    `nonzero` vanishes only where the product is exactly zero.
+    """
+    step = np.abs(c)
+    careful = not step.min() >= SMALL
+    step *= STEP
+    if careful:
+        step += TINY if nonzero is None else np.minimum(np.abs(nonzero), TINY)
+    return step, careful
+
+
+def _product(low: Any, high: Any, a: Interval, b: Interval) -> Interval:
+    """Bounds moved outward from the extreme products, or quotients, of the bounds of a and b.
+
+    Where the signs of a and b tell the sign of their product, the bounds do not go beyond it.
+    """
+    step, careful = _product_step(low)
+    low -= step
+    if careful:
+        opposite = (a.low < 0) & (b.high > 0) | (a.high > 0) & (b.low < 0)
+        low = np.where(opposite, low, np.maximum(low, 0.0))
+    step, careful = _product_step(high)
+    high += step
+    if careful:
+        alike = (a.low < 0) & (b.low < 0) | (a.high > 0) & (b.high > 0)
+        high = np.where(alike, high, np.minimum(high, 0.0))
+    return Interval(low, high)
+
+
+def _is_number(a: Interval) -> bool:
+    return np.ndim(a.low) == 0 and a.low == a.high
+
+
+# The operations.
+
+
+def neg(a: Interval) -> Interval:
+    return Interval(-a.high, -a.low)
+
+
+def add(a: Interval, b: Interval) -> Interval:
+    return Interval(_down(a.low + b.low), _up(a.high + b.high))
+
+
+def sub(a: Interval, b: Interval) -> Interval:
+    return Interval(_down(a.low - b.high), _up(a.high - b.low))
+
+
+def mul(a: Interval, b: Interval) -> Interval:
+    if a is b:
+        return square(a)
+    if _is_number(a):
+        return _scaled(b, a.low)
+    if _is_number(b):
+        return _scaled(a, b.low)
+    low, other = a.low * b.low, a.low * b.high
+    high = np.maximum(low, other)
+    low = np.minimum(low, other, out=other)
+    for end in (b.low, b.high):
+        product = a.high * end
+        low = np.minimum(low, product)
+        high = np.maximum(high, product)
+    return _product(low, high, a, b)
+
+
+def _scaled(a: Interval, k: Any) -> Interval:
+    ends = a if k >= 0 else a[::-1]
+    low, high = k * ends[0], k * ends[1]
+    low -= _product_step(low, ends[0])[0]
+    high += _product_step(high, ends[1])[0]
+    return Interval(low, high)
+
+
+def square(a: Interval) -> Interval:
+    size = absolute(a)
+    low, high = size.low * size.low, size.high * size.high
+    low -= _product_step(low)[0]
+    high += _product_step(high, size.high)[0]
+    return Interval(np.maximum(low, 0.0), high)
+
+
+def div(a: Interval, b: Interval) -> Interval:
+    defined = (b.low > 0) | (b.high < 0)
+    low, other = a.low / b.low, a.low / b.high
+    high = np.maximum(low, other)
+    low = np.minimum(low, other)
+    for end in (b.low, b.high):
+        quotient = a.high / end
+        low = np.minimum(low, quotient)
+        high = np.maximum(high, quotient)
+    return where(defined, _product(low, high, a, b))
+
+
+def where(defined: Any, a: Interval) -> Interval:
+    """The interval where the function is defined, nothing known elsewhere."""
+    if np.all(defined):
+        return a
+    return Interval(np.where(defined, a.low, np.nan), np.where(defined, a.high, np.nan))
+
+
+def absolute(a: Interval) -> Interval:
+    nearest = np.maximum(a.low, -a.high)
+    return Interval(np.maximum(nearest, 0.0), np.maximum(-a.low, a.high))
+
+
+def minimum(a: Interval, b: Interval) -> Interval:
+    return Interval(np.minimum(a.low, b.low), np.minimum(a.high, b.high))
+
+
+def maximum(a: Interval, b: Interval) -> Interval:
+    return Interval(np.maximum(a.low, b.low), np.maximum(a.high, b.high))
+
+
+def sqrt(a: Interval) -> Interval:
+    return where(a.low >= 0, Interval(_down(np.sqrt(a.low)), _up(np.sqrt(a.high))))
+
+
+def _stepwise(function: Callable) -> Callable:
+    """A function that is constant between its jumps, and does not decrease."""
+    return lambda a: Interval(function(a.low), function(a.high))
+
+
+# Statements, and choices by them.
+
+
+def _number(a: Interval | Truth) -> Interval:
+    """A truth as a number, 0 or 1."""
+    return Interval(np.float64(a.must), np.float64(a.may)) if isinstance(a, Truth) else a
+
+
+def lt(a: Interval | Truth, b: Interval | Truth) -> Truth:
+    a, b = _number(a), _number(b)
+    return Truth(a.high < b.low, ~(a.low >= b.high))
+
+
+def le(a: Interval | Truth, b: Interval | Truth) -> Truth:
+    a, b = _number(a), _number(b)
+    return Truth(a.high <= b.low, ~(a.low > b.high))
+
+
+def eq(a: Interval | Truth, b: Interval | Truth) -> Truth:
+    a, b = _number(a), _number(b)
+    return Truth((a.high <= b.low) & (b.high <= a.low), ~((a.high < b.low) | (b.high < a.low)))
+
+
+def both(a: Truth, b: Truth) -> Truth:
+    return Truth(a.must & b.must, a.may & b.may)
+
+
+def either(a: Truth, b: Truth) -> Truth:
+    return Truth(a.must | b.must, a.may | b.may)
+
+
+def opposite(a: Truth) -> Truth:
+    return Truth(~a.may, ~a.must)
+
+
+def is_finite(a: Interval) -> Truth:
+    known = np.isfinite(a.low) & np.isfinite(a.high)
+    return Truth(known, np.ones_like(known))
+
+
+def select(p: Truth, a: Any, b: Any) -> Any:
+    """Values of a where p must hold, of b where it cannot, and of both where it is undecided."""
+    if isinstance(a, Truth):
+        return either(both(a, b), either(both(p, a), both(opposite(p), b)))
+    low = np.where(p.must, a.low, np.where(p.may, np.minimum(a.low, b.low), b.low))
+    high = np.where(p.must, a.high, np.where(p.may, np.maximum(a.high, b.high), b.high))
+    return Interval(low, high)
+
+
+INTERVALS: Domain = {
+    "constant": constant,
+    "add": add,
+    "sub": sub,
+    "mul": mul,
+    "div": div,
+    "neg": neg,
+    "abs": absolute,
+    "sign": _stepwise(np.sign),
+    "floor": _stepwise(np.floor),
+    "ceil": _stepwise(np.ceil),
+    "round": _stepwise(np.rint),
+    "min": minimum,
+    "max": maximum,
+    "sqrt": sqrt,
+    "lt": lt,
+    "le": le,
+    "eq": eq,
+    "and": both,
+    "or": either,
+    "not": opposite,
+    "is_finite": is_finite,
+    "select": select,
+    **{op: lambda a, f=f: Interval(*f(a.low, a.high)) for op, f in _elementary.ELEMENTARY.items()},
+    "pow": lambda a, b: Interval(a.low * b.low * np.nan, a.low * b.low * np.nan),
+    "atan2": lambda a, b: Interval(a.low * b.low * np.nan, a.low * b.low * np.nan),
+}
+"""Intervals, whole batches of them. Predicates are `Truth`."""
+
+_JUMPS = ("sign", "floor", "ceil", "round")
+
+
+def enclose(lowered: Lowered, low: np.ndarray, high: np.ndarray) -> Enclosure:
+    """Bounds on the values of a graph over boxes with corners `low` and `high`, both (B, inputs).
+
+    Truths among the outputs are bounded as the numbers 0 and 1. Raises `ValueError` for corners of another shape, or
+    that are not numbers in order.
+    """
+    low, high = np.asarray(low, float), np.asarray(high, float)
+    if low.ndim != 2 or low.shape != high.shape or low.shape[1] != lowered.inputs:
+        raise ValueError(f"boxes of this graph have corners (B, {lowered.inputs}); got {low.shape} and {high.shape}")
+    wrong = np.argwhere(~(low <= high))
+    if wrong.size:
+        box, entry = wrong[0]
+        raise ValueError(
+            f"a box has low <= high; box {box} has low {low[box, entry]} and high {high[box, entry]} in input {entry}"
+        )
+    batch, smooth = low.shape[0], np.ones(low.shape[0], bool)
+
+    def choosing(p: Truth, a: Any, b: Any) -> Any:
+        np.logical_and(smooth, p.must | ~p.may, out=smooth)
+        return select(p, a, b)
+
+    def stepping(op: str) -> Callable:
+        def apply(a: Interval) -> Interval:
+            found = INTERVALS[op](a)
+            np.logical_and(smooth, found.low == found.high, out=smooth)
+            return found
+
+        return apply
+
+    domain = {**INTERVALS, "select": choosing, **{op: stepping(op) for op in _JUMPS}}
+    inputs = [Interval(a, b) for a, b in zip(low.T.copy(), high.T.copy(), strict=True)]
+    with np.errstate(all="ignore"):
+        values = evaluate(lowered, domain, inputs)
+    for value in values:
+        if isinstance(value, Truth):
+            np.logical_and(smooth, value.must | ~value.may, out=smooth)
+    found = np.empty((2, batch, len(values)))
+    for k, value in enumerate(map(_number, values)):
+        found[0, :, k], found[1, :, k] = value
+    return Enclosure(found[0], found[1], smooth)
