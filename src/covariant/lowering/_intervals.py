@@ -224,6 +224,8 @@ def le(a: Interval | Truth, b: Interval | Truth) -> Truth:
 
 def eq(a: Interval | Truth, b: Interval | Truth) -> Truth:
     a, b = _number(a), _number(b)
+    if a is b:  # a number is itself, however little is known of it: how a missing (NaN) measurement is asked for
+        return Truth(np.bool_(True), np.bool_(True))
     return Truth((a.high <= b.low) & (b.high <= a.low), ~((a.high < b.low) | (b.high < a.low)))
 
 
