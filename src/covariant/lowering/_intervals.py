@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from covariant.lowering import _elementary
+from covariant.lowering._elementary import ELEMENTARY, log_from_zero
 from covariant.lowering._read import Domain, evaluate
 from covariant.lowering._trace import Lowered
 
@@ -29,6 +29,8 @@ TINY = 5e-324
 """The smallest double, more than the error of a product or quotient that underflows."""
 SMALL = 2.0**-1000
 """Results at least as large as this have not underflowed."""
+MOST_PRODUCTS = 32
+"""Powers up to this are products."""
 
 
 class Interval(NamedTuple):
@@ -139,7 +141,7 @@ def mul(a: Interval, b: Interval) -> Interval:
         return _scaled(a, b.low)
     low, other = a.low * b.low, a.low * b.high
     high = np.maximum(low, other)
-    low = np.minimum(low, other, out=other)
+    low = np.minimum(low, other)
     for end in (b.low, b.high):
         product = a.high * end
         low = np.minimum(low, product)
@@ -197,6 +199,34 @@ def maximum(a: Interval, b: Interval) -> Interval:
 
 def sqrt(a: Interval) -> Interval:
     return where(a.low >= 0, Interval(_down(np.sqrt(a.low)), _up(np.sqrt(a.high))))
+
+
+def _elementary_of(bounds: Callable) -> Callable:
+    return lambda *arguments: Interval(*bounds(*(end for a in arguments for end in a)))
+
+
+_ELEMENTARY = {op: _elementary_of(bounds) for op, bounds in ELEMENTARY.items()}
+
+
+def power(a: Interval, b: Interval) -> Interval:
+    """Products and roots for whole and half exponents that are numbers, else exp(b log a), for a ≥ 0."""
+    if _is_number(b) and (2 * b.low).is_integer() and abs(b.low) <= MOST_PRODUCTS:
+        whole = b.low.is_integer()
+        found = _product_of_many(a if whole else sqrt(a), int(abs(b.low if whole else 2 * b.low)))
+        return div(Interval(np.float64(1.0), np.float64(1.0)), found) if b.low < 0 else found
+    defined = (a.low > 0) | (a.low >= 0) & (b.low > 0)
+    found = _ELEMENTARY["exp"](mul(b, Interval(*log_from_zero(*a))))
+    return where(defined, Interval(found.low, np.where(a.high == 0, 0.0, found.high)))
+
+
+def _product_of_many(a: Interval, count: int) -> Interval:
+    """aᶜᵒᵘⁿᵗ, by squaring."""
+    result = Interval(1.0 + 0.0 * a.low, 1.0 + 0.0 * a.high)
+    while count:
+        result = mul(result, a) if count % 2 else result
+        count //= 2
+        a = square(a) if count else a
+    return result
 
 
 def _stepwise(function: Callable) -> Callable:
@@ -278,13 +308,24 @@ INTERVALS: Domain = {
     "not": opposite,
     "is_finite": is_finite,
     "select": select,
-    **{op: lambda a, f=f: Interval(*f(a.low, a.high)) for op, f in _elementary.ELEMENTARY.items()},
-    "pow": lambda a, b: Interval(a.low * b.low * np.nan, a.low * b.low * np.nan),
-    "atan2": lambda a, b: Interval(a.low * b.low * np.nan, a.low * b.low * np.nan),
+    "pow": power,
+    **_ELEMENTARY,
 }
 """Intervals, whole batches of them. Predicates are `Truth`."""
 
-_JUMPS = ("sign", "floor", "ceil", "round")
+JUMPS = ("select", "sign", "floor", "ceil", "round", "atan2")
+"""Operations whose values may jump."""
+
+
+def _no_jump(op: str, arguments: tuple, found: Any) -> Any:
+    """Boxes on which such an operation does not jump."""
+    if op == "select":
+        return arguments[0].must | ~arguments[0].may
+    if op == "atan2":
+        (y_low, y_high), (x_low, x_high) = arguments
+        # Across the negative half-axis, which is itself above the jump, or at the origin.
+        return ~((y_low <= 0) & (y_high >= 0) & (x_low <= 0)) | (y_low >= 0) & (x_high < 0)
+    return found.low == found.high
 
 
 def enclose(lowered: Lowered, low: np.ndarray, high: np.ndarray) -> Enclosure:
@@ -304,19 +345,15 @@ def enclose(lowered: Lowered, low: np.ndarray, high: np.ndarray) -> Enclosure:
         )
     batch, smooth = low.shape[0], np.ones(low.shape[0], bool)
 
-    def choosing(p: Truth, a: Any, b: Any) -> Any:
-        np.logical_and(smooth, p.must | ~p.may, out=smooth)
-        return select(p, a, b)
-
-    def stepping(op: str) -> Callable:
-        def apply(a: Interval) -> Interval:
-            found = INTERVALS[op](a)
-            np.logical_and(smooth, found.low == found.high, out=smooth)
+    def watched(op: str) -> Callable:
+        def apply(*arguments: Any) -> Any:
+            found = INTERVALS[op](*arguments)
+            np.logical_and(smooth, _no_jump(op, arguments, found), out=smooth)
             return found
 
         return apply
 
-    domain = {**INTERVALS, "select": choosing, **{op: stepping(op) for op in _JUMPS}}
+    domain = {**INTERVALS, **{op: watched(op) for op in JUMPS}}
     inputs = [Interval(a, b) for a, b in zip(low.T.copy(), high.T.copy(), strict=True)]
     with np.errstate(all="ignore"):
         values = evaluate(lowered, domain, inputs)
