@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from covariant.lowering._elementary import ELEMENTARY, log_from_zero
+from covariant.lowering._elementary import ELEMENTARY, TINY, log_from_zero
 from covariant.lowering._read import Domain, evaluate
 from covariant.lowering._trace import Lowered
 
@@ -25,8 +25,6 @@ STEP = 3 * 2.0**-54
 Half a unit in the last place of c is at most 2⁻⁵³|c|; the margin makes the sum round away from c. That holds for
 subnormal c too, down to those whose unit is the smallest double, where sums are exact.
 """
-TINY = 5e-324
-"""The smallest double, more than the error of a product or quotient that underflows."""
 SMALL = 2.0**-1000
 """Results at least as large as this have not underflowed."""
 MOST_PRODUCTS = 32
@@ -82,35 +80,27 @@ def _up(c: Any) -> Any:
     return c
 
 
-def _product_step(c: Any, nonzero: Any = None) -> tuple[Any, bool]:
-    """How far a product's bound moves, and whether some product may have underflowed.
+def _product_step(c: Any, inexact: Callable[[], Any]) -> Any:
+    """How far the bound c moves, a product or a quotient.
 
-    `nonzero` vanishes only where the product is exactly zero.
+    Where some may have underflowed, `inexact` tells where c is not what it should be for that reason.
     """
     step = np.abs(c)
-    careful = not step.min() >= SMALL
+    underflows = not step.min() >= SMALL
     step *= STEP
-    if careful:
-        step += TINY if nonzero is None else np.minimum(np.abs(nonzero), TINY)
-    return step, careful
+    if underflows:
+        step += TINY * inexact()
+    return step
 
 
 def _product(low: Any, high: Any, a: Interval, b: Interval) -> Interval:
     """Bounds moved outward from the extreme products, or quotients, of the bounds of a and b.
 
-    Where the signs of a and b tell the sign of their product, the bounds do not go beyond it.
+    A zero is one that underflowed only where the signs of a and b allow what is beyond it.
     """
-    step, careful = _product_step(low)
-    low -= step
-    if careful:
-        opposite = (a.low < 0) & (b.high > 0) | (a.high > 0) & (b.low < 0)
-        low = np.where(opposite, low, np.maximum(low, 0.0))
-    step, careful = _product_step(high)
-    high += step
-    if careful:
-        alike = (a.low < 0) & (b.low < 0) | (a.high > 0) & (b.high > 0)
-        high = np.where(alike, high, np.minimum(high, 0.0))
-    return Interval(low, high)
+    below = _product_step(low, lambda: (low != 0) | (a.low < 0) & (b.high > 0) | (a.high > 0) & (b.low < 0))
+    above = _product_step(high, lambda: (high != 0) | (a.low < 0) & (b.low < 0) | (a.high > 0) & (b.high > 0))
+    return Interval(low - below, high + above)
 
 
 def _is_number(a: Interval) -> bool:
@@ -136,45 +126,49 @@ def mul(a: Interval, b: Interval) -> Interval:
     if a is b:
         return square(a)
     if _is_number(a):
-        return _scaled(b, a.low)
+        return _scaled(np.multiply, b, a.low)
     if _is_number(b):
-        return _scaled(a, b.low)
-    low, other = a.low * b.low, a.low * b.high
+        return _scaled(np.multiply, a, b.low)
+    return _extremes(np.multiply, a, b)
+
+
+def _extremes(operation: np.ufunc, a: Interval, b: Interval) -> Interval:
+    """Bounds of products or quotients: their extremes are at the ends of a and b."""
+    low, other = operation(a.low, b.low), operation(a.low, b.high)
     high = np.maximum(low, other)
     low = np.minimum(low, other)
-    for end in (b.low, b.high):
-        product = a.high * end
-        low = np.minimum(low, product)
-        high = np.maximum(high, product)
+    for end in b:
+        value = operation(a.high, end)
+        low = np.minimum(low, value)
+        high = np.maximum(high, value)
     return _product(low, high, a, b)
 
 
-def _scaled(a: Interval, k: Any) -> Interval:
-    ends = a if k >= 0 else a[::-1]
-    low, high = k * ends[0], k * ends[1]
-    low -= _product_step(low, ends[0])[0]
-    high += _product_step(high, ends[1])[0]
-    return Interval(low, high)
+def _scaled(operation: np.ufunc, a: Interval, k: Any) -> Interval:
+    """a·k or a/k for a number k."""
+    first, last = a if k >= 0 else a[::-1]
+    low, high = operation(first, k), operation(last, k)
+    below, above = _product_step(low, lambda: first != 0), _product_step(high, lambda: last != 0)
+    return Interval(low - below, high + above)
 
 
 def square(a: Interval) -> Interval:
     size = absolute(a)
     low, high = size.low * size.low, size.high * size.high
-    low -= _product_step(low)[0]
-    high += _product_step(high, size.high)[0]
-    return Interval(np.maximum(low, 0.0), high)
+    below, above = _product_step(low, lambda: size.low != 0), _product_step(high, lambda: size.high != 0)
+    low = low - below
+    return Interval(low if low.min() >= 0 else np.maximum(low, 0.0), high + above)
 
 
 def div(a: Interval, b: Interval) -> Interval:
-    defined = (b.low > 0) | (b.high < 0)
-    low, other = a.low / b.low, a.low / b.high
-    high = np.maximum(low, other)
-    low = np.minimum(low, other)
-    for end in (b.low, b.high):
-        quotient = a.high / end
-        low = np.minimum(low, quotient)
-        high = np.maximum(high, quotient)
-    return where(defined, _product(low, high, a, b))
+    if _is_number(b) and b.low != 0:
+        return _scaled(np.divide, a, b.low)
+    if _is_number(a):
+        first, last = b[::-1] if a.low >= 0 else b
+        found = _product(a.low / first, a.low / last, a, b)
+    else:
+        found = _extremes(np.divide, a, b)
+    return where((b.low > 0) | (b.high < 0), found)
 
 
 def where(defined: Any, a: Interval) -> Interval:
@@ -254,8 +248,9 @@ def le(a: Interval | Truth, b: Interval | Truth) -> Truth:
 
 def eq(a: Interval | Truth, b: Interval | Truth) -> Truth:
     a, b = _number(a), _number(b)
-    if a is b:  # a number is itself, however little is known of it: how a missing (NaN) measurement is asked for
-        return Truth(np.bool_(True), np.bool_(True))
+    if a is b:  # how a missing (NaN) measurement is asked for: a number is itself, where it is defined
+        defined = ~(np.isnan(a.low) & np.isnan(a.high))
+        return Truth(defined, np.ones_like(defined))
     return Truth((a.high <= b.low) & (b.high <= a.low), ~((a.high < b.low) | (b.high < a.low)))
 
 
@@ -280,9 +275,12 @@ def select(p: Truth, a: Any, b: Any) -> Any:
     """Values of a where p must hold, of b where it cannot, and of both where it is undecided."""
     if isinstance(a, Truth):
         return either(both(a, b), either(both(p, a), both(opposite(p), b)))
-    low = np.where(p.must, a.low, np.where(p.may, np.minimum(a.low, b.low), b.low))
-    high = np.where(p.must, a.high, np.where(p.may, np.maximum(a.high, b.high), b.high))
-    return Interval(low, high)
+    chosen = Interval(np.where(p.must, a.low, b.low), np.where(p.must, a.high, b.high))
+    undecided = p.may & ~p.must
+    if not np.any(undecided):
+        return chosen
+    low, high = np.minimum(a.low, b.low), np.maximum(a.high, b.high)
+    return Interval(np.where(undecided, low, chosen.low), np.where(undecided, high, chosen.high))
 
 
 INTERVALS: Domain = {
@@ -343,6 +341,9 @@ def enclose(lowered: Lowered, low: np.ndarray, high: np.ndarray) -> Enclosure:
         raise ValueError(
             f"a box has low <= high; box {box} has low {low[box, entry]} and high {high[box, entry]} in input {entry}"
         )
+    if not len(low):
+        nothing = np.empty((0, len(lowered.outputs)))
+        return Enclosure(nothing, nothing, np.ones(0, bool))
     batch, smooth = low.shape[0], np.ones(low.shape[0], bool)
 
     def watched(op: str) -> Callable:
