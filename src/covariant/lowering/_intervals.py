@@ -104,7 +104,7 @@ def _product(low: Any, high: Any, a: Interval, b: Interval) -> Interval:
 
 
 def _is_number(a: Interval) -> bool:
-    return np.ndim(a.low) == 0 and a.low == a.high
+    return bool(np.ndim(a.low) == 0 and a.low == a.high)
 
 
 # The operations.
