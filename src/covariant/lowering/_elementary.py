@@ -102,10 +102,10 @@ def _tan(low: Any, high: Any) -> Bounds:
     bits, sine, cosine, error, first, last, largest = _turns(low, high)
     odd = (bits & 1).astype(bool)
     value = np.where(odd, -cosine, sine) / np.where(odd, sine, cosine)
-    size, small = np.abs(value), np.minimum(np.abs(sine), np.abs(cosine))
-    # What is left of the reduction moves the quotient by up to 1/(sin cos) < 2/small.
-    step = size * _relative("tan") + (1 + size) * (4.0 * error / small) + np.minimum(size, TINY)
-    pole = _within(first, last, 1, 2) | (small < 2.0**20 * error).any(axis=0)
+    size = np.abs(value)
+    # What is left of the reduction is magnified by the derivative, 1 + tan².
+    step = size * _relative("tan") + 2.0 * error * (1.0 + size * size) + np.minimum(size, TINY)
+    pole = _within(first, last, 1, 2) | ~(size * error < 2.0**-20).all(axis=0)
     return _known((largest <= points.MOST_QUARTERS) & ~pole, (value[0] - step[0], value[1] + step[1]))
 
 

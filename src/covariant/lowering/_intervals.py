@@ -57,7 +57,7 @@ class Enclosure(NamedTuple):
     smooth: np.ndarray
 
 
-def constant(value: float | bool) -> Interval | Truth:
+def constant(value: float | bool | int) -> Interval | Truth:
     if isinstance(value, bool | np.bool_):
         return Truth(np.bool_(value), np.bool_(value))
     return Interval(np.float64(value), np.float64(value))
@@ -183,11 +183,15 @@ def absolute(a: Interval) -> Interval:
     return Interval(np.maximum(nearest, 0.0), np.maximum(-a.low, a.high))
 
 
-def minimum(a: Interval, b: Interval) -> Interval:
+def minimum(a: Any, b: Any) -> Any:
+    if isinstance(a, Truth):
+        return both(a, b)
     return Interval(np.minimum(a.low, b.low), np.minimum(a.high, b.high))
 
 
-def maximum(a: Interval, b: Interval) -> Interval:
+def maximum(a: Any, b: Any) -> Any:
+    if isinstance(a, Truth):
+        return either(a, b)
     return Interval(np.maximum(a.low, b.low), np.maximum(a.high, b.high))
 
 
