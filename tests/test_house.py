@@ -34,7 +34,11 @@ OPTIONAL = (
 )
 
 PUBLIC = {
-    "certificates": "Certificate Observability bending contraction_rate observability",
+    "certificates": "Box Certificate Decay Observability Proof StateMetric Subject bending box contraction "
+    "contraction_matrix contraction_rate decay detectability_rate error_bounds falsify force_bounds "
+    "generalised_jacobian in_coordinates in_frame log_norm lower_distance lyapunov noise_disturbance "
+    "observability optimal_lyapunov prove rate_of rates_along steady_distance subject tangent_metric "
+    "upper_distance worst",
     "design": "ESTIMATORS DataSheet Gains MetricSummary bias estimators filter_bandwidth gains line_up load_metric "
     "metric metric_summary observer_gains predict_errors window_length with_gains",
     "geometry": "AbstractMetric Budget ConstantCurvature Euclidean FlatTorus Interpolated Metric Product Pullback "
@@ -43,10 +47,10 @@ PUBLIC = {
     "geometry.lie": "SE2 SE3 SO2 SO3 SU AbstractGroup AbstractInertia Carried ExponentialChart Inertia LeftInvariant "
     "MatrixGroup Product munthe_kaas quaternion_from_rotation rotation_from_quaternion",
     "lowering": "FOLD INTERVALS NUMBERS Domain Enclosure Graph Interval Lowered LoweringError Node Truth enclose "
-    "evaluate lower numbers",
+    "evaluate expand lower numbers pairs",
     "logs": "ATTITUDES Body Columns Log LogError bodies matrices read to_columns write",
     "models": "GroupSystem Lagrangian ModelError ModelFile Motion Parameter StateSpace acceleration advance "
-    "ball_and_beam bioreactor body_velocity check_metric check_model duffing energy free_body friction heavy_top "
+    "applied_force ball_and_beam bioreactor body_velocity check_metric check_model duffing energy free_body friction heavy_top "
     "hovercraft induction_motor load lorenz oscillator pendulum_chain position_error satellite source "
     "spatial_momentum state_space underwater_vehicle unknown_frequency van_der_pol wrap",
     "observers": "EKF AbstractFlowObserver AbstractObserver Copy EKFInfo EKFState Estimate FilterInfo "

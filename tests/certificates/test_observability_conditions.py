@@ -8,14 +8,14 @@ import pytest
 
 from covariant import geometry, models
 from covariant._integrate import rk8
-from covariant.certificates import bending, contraction_rate, observability
+from covariant.certificates import bending, detectability_rate, observability
 from covariant.models import StateSpace
 from covariant.papers.sanfelice_praly import analytic_metric, grid
 from covariant.riccati import lie_derivative
 
 OSCILLATOR = models.unknown_frequency()
 GRID = grid()[::7]
-bends, contracts = eqx.filter_jit(bending), eqx.filter_jit(contraction_rate)
+bends, contracts = eqx.filter_jit(bending), eqx.filter_jit(detectability_rate)
 
 
 def eye(x):
@@ -33,7 +33,7 @@ def still(x):
 @pytest.mark.parametrize("rate", [0.5, 2.0, 8.0])
 def test_what_the_oscillators_output_does_not_see_decays_at_the_rate(rate):
     """On the kernel of dh equation (15) is L_f P = −λP."""
-    found = jax.jit(jax.vmap(lambda x: contraction_rate(OSCILLATOR, analytic_metric(rate), x)))(jnp.asarray(GRID))
+    found = jax.jit(jax.vmap(lambda x: detectability_rate(OSCILLATOR, analytic_metric(rate), x)))(jnp.asarray(GRID))
     np.testing.assert_allclose(found, rate, rtol=1e-8)
 
 
@@ -76,7 +76,7 @@ def test_a_metric_that_does_not_contract_is_a_counter_example(f, rate, where):
 
 
 def test_where_every_direction_is_seen_the_rate_is_infinite():
-    assert contraction_rate(system(still, lambda x: x), eye, jnp.zeros(2)) == jnp.inf
+    assert detectability_rate(system(still, lambda x: x), eye, jnp.zeros(2)) == jnp.inf
 
 
 def round_circle(x):

@@ -11,7 +11,7 @@ import pytest
 
 from covariant import geometry
 from covariant.geometry import Budget, Metric
-from covariant.geometry._spaces import _SMALL
+from covariant.geometry._spaces import _NEAR
 from covariant.signals import Result
 
 EXACT = 1e-10
@@ -120,7 +120,7 @@ def quadric_log(k, p, q):
     return jax.jvp(lambda point: lower(k, point), (a,), (length / sin * across,))[1]
 
 
-SEAM = 2 * np.sqrt(_SMALL)
+SEAM = 2 * np.sqrt(_NEAR)
 """Length, in radii, at which the closed forms pass from a series to the functions themselves."""
 LENGTHS = SEAM * np.array([0.5, 1 - 1e-3, 1 - 1e-9, 1 + 1e-9, 1 + 1e-3, 2.0])
 FAR = np.array([0.5, 2.0, 3.0])

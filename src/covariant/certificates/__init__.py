@@ -1,6 +1,57 @@
 """Statements about convergence, each with its domain, its margin and its evidence."""
 
 from covariant.certificates._certificate import Certificate
-from covariant.certificates._observability import Observability, bending, contraction_rate, observability
+from covariant.certificates._contraction import (
+    StateMetric,
+    contraction_matrix,
+    contraction_rate,
+    generalised_jacobian,
+    in_coordinates,
+    in_frame,
+    log_norm,
+    rates_along,
+)
+from covariant.certificates._distance import Decay, decay, lower_distance, upper_distance
+from covariant.certificates._falsify import falsify, worst
+from covariant.certificates._noise import error_bounds, noise_disturbance, steady_distance
+from covariant.certificates._observability import Observability, bending, detectability_rate, observability
+from covariant.certificates._prove import Box, Proof, box, prove
+from covariant.certificates._region import Subject, contraction, force_bounds, subject
+from covariant.certificates._tangent import lyapunov, optimal_lyapunov, rate_of, tangent_metric
 
-__all__ = ["Certificate", "Observability", "bending", "contraction_rate", "observability"]
+__all__ = [
+    "Box",
+    "Certificate",
+    "Decay",
+    "Observability",
+    "Proof",
+    "StateMetric",
+    "Subject",
+    "bending",
+    "box",
+    "contraction",
+    "contraction_matrix",
+    "contraction_rate",
+    "decay",
+    "detectability_rate",
+    "error_bounds",
+    "falsify",
+    "force_bounds",
+    "generalised_jacobian",
+    "in_coordinates",
+    "in_frame",
+    "log_norm",
+    "lower_distance",
+    "lyapunov",
+    "noise_disturbance",
+    "observability",
+    "optimal_lyapunov",
+    "prove",
+    "rate_of",
+    "rates_along",
+    "steady_distance",
+    "subject",
+    "tangent_metric",
+    "upper_distance",
+    "worst",
+]

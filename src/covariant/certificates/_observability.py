@@ -54,10 +54,10 @@ class Observability(NamedTuple):
         return "local, and from any distance for a large enough gain"
 
 
-def contraction_rate(model: StateSpace, metric: MatrixField, x: Vector, u: Float[Array, "m"] | None = None) -> Scalar:
+def detectability_rate(model: StateSpace, metric: MatrixField, x: Vector, u: Float[Array, "m"] | None = None) -> Scalar:
     """The largest q at x (n,) with which inequality (2), `L_f P ≤ ρ dh⊗dh − q P`, holds for some ρ [1/s].
 
-    It is the least rate at which f contracts the squared length of vectors in the kernel of dh (Finsler's lemma).
+    Differential detectability: the least rate at which f contracts the squared length of vectors in the kernel of dh (Finsler's lemma).
     Infinite where the output sees every direction.
     """
     unseen, _ = _directions(model, x, u)
@@ -116,7 +116,7 @@ def observability(
 ) -> Observability:
     """Both conditions at the given states: does the metric give an observer, and only from nearby?
 
-    The first holds where `contraction_rate` exceeds `rate` at all points; the second fails where `bending` does not
+    The first holds where `detectability_rate` exceeds `rate` at all points; the second fails where `bending` does not
     vanish, and a geodesic that shows it is given. With several outputs a vanishing bending decides nothing.
 
     Raises `ValueError` where a point has no finite metric.
@@ -125,7 +125,7 @@ def observability(
 
     @eqx.filter_jit
     def both(x):
-        return contraction_rate(model, metric, x, u), *_bending(model, metric, x, u)
+        return detectability_rate(model, metric, x, u), *_bending(model, metric, x, u)
 
     rates, bends, sizes, directions = (np.asarray(a) for a in jax.lax.map(both, jnp.asarray(points), batch_size=64))
     for name, values in (("contraction rate", rates), ("bending", bends)):

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from covariant._typing import Matrix, Scalar, Vector, Vectors
+from covariant._typing import Flag, Matrix, Scalar, Vector, Vectors
 from covariant.geometry._abstract import AbstractMetric, Budget, Shot, Transported
 from covariant.signals import Result
 
@@ -115,20 +115,47 @@ class ConstantCurvature(AbstractMetric):
     def _tan_ratio(self, square: Scalar) -> Scalar:
         """`tan(√K s) / (√K s)` as a function of s², smooth at zero for either sign of K."""
         x = self.k * square
-        root = jnp.sqrt(jnp.where(jnp.abs(x) > _SMALL, jnp.abs(x), 1.0))
+        near, root = _root(x)
         far = jnp.tan(root) / root if self.k > 0 else jnp.tanh(root) / root
-        return jnp.where(jnp.abs(x) > _SMALL, far, 1 + x / 3 + 2 * x**2 / 15)
+        return jnp.where(near, _polynomial(_TAN, x), far)
 
     def _arctan_ratio(self, square: Scalar) -> Scalar:
         """`arctan(√K s) / (√K s)` as a function of s²."""
         x = self.k * square
-        root = jnp.sqrt(jnp.where(jnp.abs(x) > _SMALL, jnp.abs(x), 0.25))
+        near, root = _root(x)
         far = jnp.arctan(root) / root if self.k > 0 else jnp.arctanh(root) / root
-        return jnp.where(jnp.abs(x) > _SMALL, far, 1 - x / 3 + x**2 / 5)
+        return jnp.where(near, _polynomial(_ARCTAN, x), far)
 
 
-_SMALL = 1e-5
-"""Below this the three-term series in s² is exact to 1e-15."""
+_NEAR = 0.1
+"""Below this |K s²| a series stands for the closed form. A generous bound: around s = 0 the series alone has a say."""
+_TERMS = 18
+
+
+def _root(x: Scalar) -> tuple[Flag, Scalar]:
+    """Whether the series is to be taken at x, and `√|x|`, or there the root of a harmless number."""
+    near = jnp.abs(x) < _NEAR
+    return near, jnp.sqrt(jnp.where(near, _NEAR, jnp.abs(x)))
+
+
+def _polynomial(coefficients: list[float], x: Scalar) -> Scalar:
+    near = jnp.where(jnp.abs(x) < _NEAR, x, 0.0)
+    total = jnp.zeros_like(x)
+    for coefficient in reversed(coefficients):
+        total = coefficient + near * total
+    return total
+
+
+def _tangent_series() -> list[float]:
+    """Coefficients of `tan(s)/s` in s², from `tan' = 1 + tan²`."""
+    found: list[float] = [1.0]
+    for k in range(1, _TERMS):
+        found.append(sum(found[j] * found[k - 1 - j] for j in range(k)) / (2 * k + 1))
+    return found
+
+
+_TAN = _tangent_series()
+_ARCTAN = [(-1.0) ** k / (2 * k + 1) for k in range(_TERMS)]
 
 
 def sphere(radius: float = 1.0) -> ConstantCurvature:

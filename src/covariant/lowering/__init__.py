@@ -5,6 +5,7 @@ shared. A graph is then read in any arithmetic that knows its operations: in num
 values over whole boxes. Knows only jaxprs.
 """
 
+from covariant.lowering._differentiate import expand, pairs
 from covariant.lowering._graph import FOLD, Graph, Node
 from covariant.lowering._intervals import INTERVALS, Enclosure, Interval, Truth, enclose
 from covariant.lowering._read import NUMBERS, Domain, evaluate, numbers
@@ -24,6 +25,8 @@ __all__ = [
     "Truth",
     "enclose",
     "evaluate",
+    "expand",
     "lower",
     "numbers",
+    "pairs",
 ]

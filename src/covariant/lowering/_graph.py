@@ -69,6 +69,17 @@ class Graph:
         self.nodes: list[Node] = []
         self._known: dict[tuple, int] = {}
 
+    @classmethod
+    def of(cls, nodes: Sequence[Node]) -> "Graph":
+        """A graph of these nodes, to which more can be added."""
+        graph = cls()
+        for node in nodes:
+            if node.op == "constant":
+                graph.constant(node.value)  # pyright: ignore[reportArgumentType]
+            else:
+                graph._add((node.op, *(node.arguments or (node.value,))), node)
+        return graph
+
     def constant(self, value: float | bool | int) -> int:
         """The node of a number or truth value."""
         kind = bool if isinstance(value, bool | np.bool_) else float

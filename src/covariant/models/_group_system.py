@@ -18,6 +18,7 @@ from covariant.models._lagrangian import (
     FrozenDict,
     Parameter,
     acceleration,
+    applied_force,
     check_shapes,
     energy,
     friction,
@@ -111,9 +112,14 @@ def potential_force(system: GroupSystem, g: Element) -> Vector:
     return -jax.grad(lambda y: system.potential(g + g @ system.group.hat(y)))(zero)
 
 
+@applied_force.register
+def _(model: GroupSystem, t: Scalar, q: Element, u: Float[Array, "m"]) -> Vector:
+    return model.force(t, q, u) + potential_force(model, q)
+
+
 @source.register
 def _(model: GroupSystem, t: Scalar, q: Element, u: Float[Array, "m"]) -> Vector:
-    return model.metric.inertia.solve(model.force(t, q, u) + potential_force(model, q))
+    return model.metric.inertia.solve(applied_force(model, t, q, u))
 
 
 @friction.register
@@ -165,7 +171,7 @@ def advance(
         def flow(s, moved, momentum):
             g, v = g0 @ moved, inertia.solve(group.coadjoint_action(moved, momentum))
             held = u(s, Motion(g, v)) if callable(u) else u
-            pull = system.force(s, g, held) + potential_force(system, g) + system.dissipation(g, v)
+            pull = applied_force(system, s, g, held) + system.dissipation(g, v)
             return v, group.coadjoint_action(group.inverse(moved), pull)
 
         begin = t + jnp.asarray(i, h.dtype) * h

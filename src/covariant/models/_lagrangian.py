@@ -122,9 +122,15 @@ def check_shapes(functions, given: str, whom: str) -> None:
 
 
 @functools.singledispatch
+def applied_force(model: Lagrangian, t: Scalar, q: Vector, u: Float[Array, "m"]) -> Vector:
+    """`−∇U + force`, the generalised force on the system without friction; on a group in the body."""
+    return model.force(t, q, u) - jax.grad(model.potential)(q)
+
+
+@functools.singledispatch
 def source(model: Lagrangian, t: Scalar, q: Vector, u: Float[Array, "m"]) -> Vector:
     """`S(q, t) = g⁻¹(−∇U + force)`, the acceleration of the system at rest without friction."""
-    return gradient(model.metric, q, model.force(t, q, u) - jax.grad(model.potential)(q))
+    return gradient(model.metric, q, applied_force(model, t, q, u))
 
 
 @functools.singledispatch
@@ -136,7 +142,7 @@ def friction(model: Lagrangian, q: Vector, v: Vector) -> Vector:
 @functools.singledispatch
 def acceleration(model: Lagrangian, t: Scalar, q: Vector, v: Vector, u: Float[Array, "m"]) -> Vector:
     """Forward dynamics `q̈ = −Γ(v, v) + g⁻¹(−∇U + force + dissipation)`."""
-    covector = model.force(t, q, u) - jax.grad(model.potential)(q) + model.dissipation(q, v)
+    covector = applied_force(model, t, q, u) + model.dissipation(q, v)
     return gradient(model.metric, q, covector) - christoffel(model.metric, q, v, v)
 
 

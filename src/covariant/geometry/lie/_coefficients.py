@@ -19,11 +19,9 @@ def stumpff(k: int, x: Scalar) -> Scalar:
     c₀ = cos θ, c₁ = sin θ / θ, c₂ = (1 − cos θ)/θ², c₃ = (θ − sin θ)/θ³, and so on. From c₃ on the closed forms cancel
     below x = k(k − 1), where the terms of the series decrease.
     """
-    threshold = k * (k - 1.0)
-    if k < 3:
-        return _closed(k, x)
+    threshold = max(1.0, k * (k - 1.0))  # also where the closed form would do: around 0 the series alone has a say
     small = x < threshold
-    return jnp.where(small, _series(k, jnp.where(small, x, 0.0)), _closed(k, jnp.where(small, threshold, x)))
+    return jnp.where(small, _series(k, threshold, jnp.where(small, x, 0.0)), _closed(k, jnp.where(small, threshold, x)))
 
 
 @stumpff.defjvp
@@ -32,9 +30,9 @@ def _(k: int, primals, tangents):
     return stumpff(k, x), (k * stumpff(k + 2, x) - stumpff(k + 1, x)) / 2 * dx
 
 
-def _series(k: int, x: Scalar) -> Scalar:
+def _series(k: int, threshold: float, x: Scalar) -> Scalar:
     coefficients = [1 / math.factorial(k)]
-    while coefficients[-1] * (k * (k - 1)) ** (len(coefficients) - 1) > 1e-18 * coefficients[0]:
+    while coefficients[-1] * threshold ** (len(coefficients) - 1) > 1e-18 * coefficients[0]:
         coefficients.append(1 / math.factorial(2 * len(coefficients) + k))
     return _alternating(coefficients, x)
 
@@ -51,8 +49,8 @@ def _closed(k: int, x: Scalar) -> Scalar:
     if k == 0:
         return jnp.cos(jnp.sqrt(x))
     if k == 1:
-        theta = jnp.sqrt(jnp.where(x > 0, x, 1.0))
-        return jnp.where(x > 0, jnp.sin(theta) / theta, 1.0)
+        theta = jnp.sqrt(x)
+        return jnp.sin(theta) / theta
     if k == 2:
         return _closed(1, x / 4) ** 2 / 2
     return (1 / math.factorial(k - 2) - _closed(k - 2, x)) / x

@@ -1,0 +1,122 @@
+"""Distances between states in a metric on states, from above and from below, and Theorem 2 as a measurement.
+
+From above: the length of the straight line in the chart. From below: a function whose differential is nowhere longer
+than one changes by no more than the distance; a linear function of the coordinates is taken, and the length of its
+differential is bounded over a box that no shorter curve leaves.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from covariant._integrate import solve
+from covariant._linalg import solve as solve_linear
+from covariant._typing import Scalar, Vector
+from covariant.certificates._contraction import Flow, StateMetric
+
+NODES, WEIGHTS = ((np.polynomial.legendre.leggauss(12)[0] + 1) / 2, np.polynomial.legendre.leggauss(12)[1] / 2)
+SAMPLES = 3
+"""Points a variable, over which the length of a differential is maximised."""
+MOST_SAMPLES = 729
+
+
+def upper_distance(metric: StateMetric, t: Scalar, x0: Vector, x1: Vector) -> Scalar:
+    """The length of the straight line in coordinates from x0 to x1 (n,), no less than the distance."""
+    step = x1 - x0
+
+    def speed(s):
+        at = x0 + s * step
+        components = metric.coframe(t, at) @ step
+        return jnp.sqrt(components @ metric.gram(t, at) @ components)
+
+    return jnp.asarray(WEIGHTS, x0.dtype) @ jax.vmap(speed)(jnp.asarray(NODES, x0.dtype))
+
+
+def lower_distance(metric: StateMetric, t: Scalar, x0: Vector, x1: Vector) -> Scalar:
+    """A number no more than the distance from x0 to x1 (n,), of second order in their difference below it.
+
+    The suprema over boxes are taken over their corners, faces and middles, not proved.
+    """
+    upper = upper_distance(metric, t, x0, x1)
+    middle = (x0 + x1) / 2
+
+    def dual(at, covectors):
+        """Squared lengths of covectors (k, n)."""
+        rows = covectors @ metric.frame(t, at)
+        return jnp.sum(rows * solve_linear(metric.gram(t, at), rows.T).T, axis=1)
+
+    unit = jnp.eye(x0.shape[0], dtype=x0.dtype)
+    shares = _shares(x0.shape[0])
+
+    def widest(half, covectors):
+        # No curve through x0 shorter than `upper` leaves the box around x0 of these half widths.
+        points = x0 + jnp.asarray(shares, x0.dtype) * half
+        return jnp.max(jax.vmap(lambda at: dual(at, covectors))(points), axis=0)
+
+    half = 1.5 * upper * jnp.sqrt(dual(x0, unit))
+    inside = jnp.all(upper * jnp.sqrt(widest(half, unit)) <= half)
+    theta = metric.coframe(t, middle)
+    covector = theta.T @ metric.gram(t, middle) @ theta @ (x1 - x0)
+    size = jnp.sqrt(widest(half, covector[None])[0])
+    lower = jnp.where(upper > 0, (covector @ (x1 - x0)) / jnp.where(size > 0, size, 1.0), 0.0)
+    return jnp.where(inside, jnp.maximum(lower, 0.0), 0.0)
+
+
+def _shares(n: int) -> np.ndarray:
+    """Where a box is looked at: a grid of corners, faces and middles, or where that is too much, corners drawn once."""
+    if SAMPLES**n <= MOST_SAMPLES:
+        return np.stack(np.meshgrid(*[np.linspace(-1, 1, SAMPLES)] * n, indexing="ij"), -1).reshape(-1, n)
+    return np.random.default_rng(0).integers(-1, 2, (MOST_SAMPLES, n)).astype(float)
+
+
+class Decay(NamedTuple):
+    """Theorem 2 of Aghannan & Rouchon on pairs of solutions.
+
+    - `t` (T,) [s]; `low`, `high` (k, T): distances between them, from below and from above.
+    - `bound` (k, T): `e^(−λt/2)` times the first distance, which the distance must not exceed.
+    """
+
+    t: Float[np.ndarray, "T"]
+    low: Float[np.ndarray, "k T"]
+    high: Float[np.ndarray, "k T"]
+    bound: Float[np.ndarray, "k T"]
+
+    @property
+    def holds(self) -> bool:
+        """Whether no distance is seen above its bound: `low` never exceeds it, the bound being taken from `high`."""
+        return bool((self.low <= self.bound * (1 + 1e-6)).all())
+
+    @property
+    def slowest(self) -> float:
+        """The least rate λ [1/s] that the upper distances show between the first stamp and the last."""
+        return float((2 * np.log(self.high[:, 0] / self.high[:, -1]) / (self.t[-1] - self.t[0])).min())
+
+
+def decay(
+    flow: Flow,
+    metric: StateMetric,
+    rate: float,
+    x0: Float[Array, "k n"],
+    x1: Float[Array, "k n"],
+    t: Float[Array, "T"],
+) -> Decay:
+    """Follow solutions from x0 and from x1, and measure the distance between them at the stamps t.
+
+    Source: Aghannan & Rouchon 2003, Theorem 2. Raises `ValueError` where a solution cannot be followed.
+    """
+
+    @jax.jit
+    @jax.vmap
+    def both(a, b):
+        x, y = solve(flow, a, t), solve(flow, b, t)
+        low = jax.vmap(lambda s, p, q: lower_distance(metric, s, p, q))(t, x, y)
+        return low, jax.vmap(lambda s, p, q: upper_distance(metric, s, p, q))(t, x, y)
+
+    low, high = (np.asarray(a) for a in both(x0, x1))
+    if not np.isfinite(high).all():
+        raise ValueError("a solution leaves every bound before the last stamp; there is no distance to measure")
+    shrink = np.exp(-rate / 2 * (np.asarray(t) - float(t[0])))
+    return Decay(np.asarray(t), low, high, high[:, :1] * shrink)

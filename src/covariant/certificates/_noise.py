@@ -1,0 +1,40 @@
+"""What a rate of contraction says about noise: a bound for any noise, beside the prediction for white noise.
+
+Source: Lohmiller & Slotine 1998, section 3.7 (robustness); the white-noise prediction is `design.predict_errors`.
+"""
+
+import math
+
+import numpy as np
+
+from covariant.certificates._tangent import TwoByTwo
+
+
+def steady_distance(rate: float, disturbance: float) -> float:
+    """The distance that solutions of a contracting flow and of a disturbed one keep at most: `2 D / λ`.
+
+    `rate` λ [1/s] of squared lengths; `disturbance` D: the largest length, in the metric, of what is added to x'.
+    Raises `ValueError` for a rate that is not positive.
+    """
+    if not rate > 0:
+        raise ValueError(f"a bound needs a positive rate; got {rate:g}")
+    return 2 * disturbance / rate
+
+
+def noise_disturbance(alpha: float, beta: float, q: TwoByTwo, noise: float) -> float:
+    """The length, in the metric of q, of what a measurement error of length `noise` adds to the observer.
+
+    To first order the error b adds `αb` to q̂' and `βb` to ∇v̂: a length `|b| √½(aα² + 2cαβ + bβ²)`.
+    """
+    push = np.array([alpha, beta])
+    return noise * math.sqrt(push @ q @ push / 2)
+
+
+def error_bounds(alpha: float, beta: float, q: TwoByTwo, rate: float, noise: float) -> tuple[float, float]:
+    """Bounds of the steady errors |ξ| and |ζ|, in metric units, for measurement errors no longer than `noise`.
+
+    From `steady_distance`: a state at distance d has `|ξ| ≤ d √2(Q⁻¹)₁₁` and `|ζ| ≤ d √2(Q⁻¹)₂₂`.
+    """
+    distance = steady_distance(rate, noise_disturbance(alpha, beta, q, noise))
+    inverse = np.linalg.inv(q)
+    return distance * math.sqrt(2 * inverse[0, 0]), distance * math.sqrt(2 * inverse[1, 1])

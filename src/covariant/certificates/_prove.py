@@ -1,0 +1,406 @@
+"""Is a matrix positive definite everywhere in a box? Proved by branch and bound in outward-rounded arithmetic.
+
+On each box the entries are enclosed by natural interval evaluation, by the mean-value form around the centre,
+`S(z) ∈ S(c) + S'(box) (z − c)`, and by Taylor's, `S(z) ∈ S(c) + S'(c) (z − c) + ½ S''(box) (z − c)²`, which needs boxes
+some ten times fewer a variable; the tightest bounds are taken. The enclosing interval matrix is brought near the
+identity by a congruence with floating-point factors, `I − CᵀSC = E`, and is positive definite where the spectral radius
+of |E| is below one, by Collatz & Wielandt: `|E| x < x` for some positive x, whose rounding is bounded in turn. Boxes
+for which that fails are halved across the variable that widens the enclosure most.
+
+Source: Neumaier 1990, Interval Methods for Systems of Equations, section 2.3; Rump 2010, Verification methods, Acta
+Numerica 19, section 10.8.
+"""
+
+import concurrent.futures
+import itertools
+import multiprocessing
+import time
+from collections.abc import Callable, Iterator
+from typing import Literal, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from covariant.lowering import Lowered, enclose, expand, lower, pairs
+
+SLACK = 1e-3
+"""By how much |E| x must stay below x, so that another implementation of the test agrees on every box."""
+ROUND = 1e-12
+"""A bound of the relative rounding of a sum of a few hundred terms, with room to spare."""
+TINY = 1e-290
+"""More than all underflows of such a sum together."""
+CHUNK = 2048
+"""Boxes evaluated at once: their intermediate values stay in the cache."""
+
+PROVED, OPEN = -1, -2
+
+
+class Box(NamedTuple):
+    """Bounds of named variables; one with equal bounds is held fixed.
+
+    - `names`, `units`: of the variables, for people.
+    - `low`, `high`: (d,).
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    low: Float[np.ndarray, "d"]
+    high: Float[np.ndarray, "d"]
+
+    def __str__(self) -> str:
+        parts = zip(self.names, self.units, self.low, self.high, strict=True)
+        return ", ".join(f"{low:.4g} ≤ {name} ≤ {high:.4g} {unit}".rstrip() for name, unit, low, high in parts)
+
+
+def box(**bounds: tuple[float, float] | tuple[float, float, str]) -> Box:
+    """A box from `name=(low, high)` or `name=(low, high, unit)`.
+
+    Raises `ValueError` naming a variable whose bounds are not finite numbers in order.
+    """
+    units = tuple(str(b[2]) if len(b) == 3 else "" for b in bounds.values())
+    low = np.array([float(b[0]) for b in bounds.values()])
+    high = np.array([float(b[1]) for b in bounds.values()])
+    return check_box(Box(tuple(bounds), units, low, high))
+
+
+def check_box(given: Box) -> Box:
+    """The box itself. Raises `ValueError` naming a variable whose bounds are not finite numbers in order."""
+    for name, low, high in zip(given.names, given.low, given.high, strict=True):
+        if not (np.isfinite(low) and np.isfinite(high) and low <= high):
+            raise ValueError(f"bounds of {name} must be finite, the lower one first; got {low:g} to {high:g}")
+    return given
+
+
+class Proof(NamedTuple):
+    """What branch and bound found.
+
+    - `verdict`: "holds", "fails" (then `counterexample` is a box in which the matrix is nowhere positive definite) or
+      "undecided" (then `open` are the boxes that remain).
+    - `levels`: the boxes as a binary tree, one array a level from the whole box down: the variable across whose middle
+      a box is halved, lower half first, or −1 where the matrix is proved positive definite, −2 where it is open.
+    - `boxes`: how many were evaluated, in `seconds`.
+    """
+
+    verdict: Literal["holds", "fails", "undecided"]
+    box: Box
+    levels: list[Int[np.ndarray, "k"]]
+    counterexample: Float[np.ndarray, "2 d"] | None
+    open: Float[np.ndarray, "k 2 d"]
+    boxes: int
+    seconds: float
+
+
+def prove(
+    matrix: Callable[[Array], Array],
+    domain: Box,
+    *,
+    seconds: float = 60.0,
+    processes: int = 1,
+    progress: Callable[[float, int], None] | None = None,
+) -> Proof:
+    """Is `matrix`: `z (d,) -> (n, n)`, a symmetric JAX function, positive definite for every z in the domain?
+
+    Stops after `seconds`, then "undecided". `processes` above 1 shares the boxes out (a script that asks for it needs
+    the `if __name__ == "__main__"` guard); the tree found does not depend on it. `progress` is told the share of the
+    domain that is decided and the number of boxes evaluated, now and then.
+
+    Raises `LoweringError` where the matrix has no graph of scalars, `ValueError` where it is not square.
+    """
+    start = time.monotonic()
+    check_box(domain)
+    task = _task(matrix, domain)
+    wrong = _look_around(task, domain)
+    if wrong is not None:
+        leaf = [np.array([OPEN])]
+        return Proof("fails", domain, leaf, wrong, np.zeros((0, 2, len(domain.low))), 1, time.monotonic() - start)
+    tree = _Tree(domain)
+    pool = None
+    try:
+        if processes > 1:
+            pool = concurrent.futures.ProcessPoolExecutor(
+                processes, multiprocessing.get_context("spawn"), initializer=_take, initargs=(task,)
+            )
+        wrong = _search(task, tree, pool, processes, start + seconds, progress)
+    finally:
+        if pool is not None:
+            pool.shutdown(cancel_futures=True)
+    levels, remaining = tree.levels()
+    verdict = "fails" if wrong is not None else "undecided" if len(remaining) else "holds"
+    return Proof(verdict, domain, levels, wrong, remaining, tree.evaluated, time.monotonic() - start)
+
+
+def leaves(domain: Box, levels: list[Int[np.ndarray, "k"]]) -> Iterator[tuple[Int[np.ndarray, "m"], Array, Array]]:
+    """The leaves of a tree, level by level: their codes (m,), low (m, d) and high (m, d).
+
+    Raises `ValueError` where the levels are not a tree over the domain.
+    """
+    low, high = domain.low[None], domain.high[None]
+    for codes in itertools.chain(levels, [np.zeros(0, int)]):
+        if len(codes) != len(low):
+            raise ValueError(f"a level of the tree of boxes must hold {len(low)} boxes; it holds {len(codes)}")
+        end = codes < 0
+        yield codes[end], low[end], high[end]
+        low, high = halves(low[~end], high[~end], codes[~end])
+
+
+def halves(low, high, axes) -> tuple[np.ndarray, np.ndarray]:
+    """Both halves of boxes (k, d), lower before upper: (2k, d). The middle belongs to both, so that nothing is lost."""
+    rows = np.arange(len(low))
+    middle = _middle(low[rows, axes], high[rows, axes])
+    low, high = np.repeat(low, 2, axis=0), np.repeat(high, 2, axis=0)
+    high[2 * rows, axes] = middle
+    low[2 * rows + 1, axes] = middle
+    return low, high
+
+
+def _middle(low, high):
+    return low / 2 + high / 2
+
+
+class _Task(NamedTuple):
+    """What a worker needs: the entries below the diagonal (K,), alone, with first and with second derivatives."""
+
+    value: Lowered
+    first: Lowered
+    second: Lowered
+    size: int
+    free: Int[np.ndarray, "f"]
+    width: Float[np.ndarray, "d"]
+
+
+class _Enclosed(NamedTuple):
+    """Matrices `middle ± radius` (B, n, n), and the share (B, f, n, n) of the radius that each free variable brings."""
+
+    middle: np.ndarray
+    radius: np.ndarray
+    shares: np.ndarray
+    smooth: Bool[np.ndarray, "B"]
+
+
+def _task(matrix: Callable[[Array], Array], domain: Box) -> _Task:
+    z = jnp.asarray(domain.low)
+    shape = jax.eval_shape(matrix, z).shape
+    if len(shape) != 2 or shape[0] != shape[1] or not shape[0]:
+        raise ValueError(f"the matrix must be square; it has shape {shape}")
+    rows, columns = np.tril_indices(shape[0])
+    free = np.flatnonzero(domain.high > domain.low)
+
+    def entries(z):
+        full = matrix(z)
+        return ((full + full.T) / 2)[rows, columns]
+
+    value = lower(entries, z)
+    return _Task(value, expand(value, free, 1), expand(value, free, 2), shape[0], free, domain.high - domain.low)
+
+
+def _full(entries: np.ndarray, n: int) -> np.ndarray:
+    """Symmetric matrices (..., n, n) from their entries below the diagonal (..., K)."""
+    rows, columns = np.tril_indices(n)
+    full = np.empty((*entries.shape[:-1], n, n))
+    full[..., rows, columns] = entries
+    full[..., columns, rows] = entries
+    return full
+
+
+def _enclosed(task: _Task, low: np.ndarray, high: np.ndarray) -> _Enclosed:
+    centre = _middle(low, high)
+    at = enclose(task.first, centre, centre)
+    on = enclose(task.second, low, high)
+    boxes, f, k = len(low), len(task.free), task.size * (task.size + 1) // 2
+    half = np.maximum(high - centre, centre - low)[:, task.free] * (1 + ROUND)
+    size = np.maximum(np.abs(on.low), np.abs(on.high))
+    here = np.maximum(np.abs(at.low), np.abs(at.high))[:, k:].reshape(boxes, f, k) * half[:, :, None]
+    anywhere = size[:, k : k + f * k].reshape(boxes, f, k) * half[:, :, None]
+    bend = size[:, k + f * k :].reshape(boxes, -1, k)
+    for number, (i, j) in enumerate(pairs(f)):
+        part = bend[:, number] * (half[:, i] * half[:, j] / 2)[:, None]
+        here[:, i] += part
+        if i != j:
+            here[:, j] += part
+    # A form with derivatives holds where these exist everywhere in the box. One that is not a number says nothing, and
+    # the other enclosures may still be numbers.
+    shares = np.where(on.smooth[:, None, None], np.fmin(here, anywhere), np.inf)
+    spread = [np.where(on.smooth[:, None], form.sum(axis=1) * (1 + ROUND), np.inf) for form in (here, anywhere)]
+    radius = np.fmin(*spread)
+    lower_bound = np.fmax(_outward(at.low[:, :k] - radius, -1), on.low[:, :k])
+    upper_bound = np.fmin(_outward(at.high[:, :k] + radius, 1), on.high[:, :k])
+    middle = _middle(lower_bound, upper_bound)
+    radius = np.maximum(upper_bound - middle, middle - lower_bound) * (1 + ROUND) + TINY
+    n = task.size
+    return _Enclosed(_full(middle, n), _full(radius, n), _full(shares, n), on.smooth)
+
+
+def _outward(x: np.ndarray, sign: int) -> np.ndarray:
+    return x + sign * (np.abs(x) * ROUND + TINY)
+
+
+def _factors(middle: np.ndarray) -> tuple[np.ndarray, Bool[np.ndarray, "B"]]:
+    """C (B, n, n) with `Cᵀ middle C` near the identity, and whether there is one."""
+    finite = np.isfinite(middle).all(axis=(1, 2))
+    values, vectors = np.linalg.eigh(np.where(finite[:, None, None], middle, np.eye(middle.shape[1])))
+    sizes = np.maximum(np.abs(values), np.abs(values).max(axis=1, keepdims=True) * 1e-12 + TINY)
+    return vectors / np.sqrt(sizes)[:, None, :], finite & (values[:, 0] > 0)
+
+
+def definite(middle: np.ndarray, radius: np.ndarray) -> tuple[Bool[np.ndarray, "B"], np.ndarray]:
+    """Are all symmetric matrices within `middle ± radius` (B, n, n) positive definite? Also the factors C used."""
+    c, positive = _factors(middle)
+    ct, n = np.swapaxes(c, 1, 2), middle.shape[1]
+    with np.errstate(all="ignore"):
+        error = np.abs(np.eye(n) - ct @ middle @ c)
+        size = np.abs(ct) @ (radius + ROUND * np.abs(middle)) @ np.abs(c)
+        e = (error + size) * (1 + ROUND) + ROUND
+        x = np.ones((len(e), n, 1))
+        for _ in range(4):
+            x = e @ x + 1e-6
+            x = x / x.max(axis=1, keepdims=True)
+        below = (e @ x * (1 + ROUND) + TINY <= (1 - SLACK) * x).all(axis=(1, 2))
+    return below & positive, c
+
+
+def indefinite(middle: np.ndarray, radius: np.ndarray) -> Bool[np.ndarray, "B"]:
+    """Is no symmetric matrix within `middle ± radius` (B, n, n) positive definite? Some x with xᵀSx < 0 shows it."""
+    finite = (np.isfinite(middle) & np.isfinite(radius)).all(axis=(1, 2))
+    safe = np.where(finite[:, None, None], middle, 0.0)
+    x = np.linalg.eigh(safe)[1][:, :, :1]
+    xt = np.swapaxes(x, 1, 2)
+    with np.errstate(all="ignore"):
+        most = xt @ safe @ x + np.abs(xt) @ (radius + ROUND * np.abs(safe)) @ np.abs(x) * (1 + ROUND) + TINY
+    return finite & (most[:, 0, 0] < 0)
+
+
+def _look_around(task: _Task, domain: Box, count: int = 4096) -> np.ndarray | None:
+    """A point of the domain, as a box (2, d), at which the matrix is seen not to be positive definite."""
+    rng = np.random.default_rng(0)
+    inside = rng.uniform(size=(count, len(domain.low)))
+    inside[::2] = np.round(inside[::2])  # corners, where the worst often is
+    points = np.clip(domain.low + inside * (domain.high - domain.low), domain.low, domain.high)
+    return _counterexample(task, points)
+
+
+def _counterexample(task: _Task, points: np.ndarray) -> np.ndarray | None:
+    at = enclose(task.value, points, points)
+    middle = _middle(at.low, at.high)
+    radius = np.maximum(at.high - middle, middle - at.low) * (1 + ROUND) + TINY
+    wrong = np.flatnonzero(indefinite(_full(middle, task.size), _full(radius, task.size)))
+    return np.stack([points[wrong[0]]] * 2) if len(wrong) else None
+
+
+def _judge(task: _Task, low: np.ndarray, high: np.ndarray) -> tuple[Int[np.ndarray, "B"], np.ndarray | None]:
+    """The code of each box: proved, the variable to halve, or open where it cannot be halved; a counter-example."""
+    enclosed = _enclosed(task, low, high)
+    proved, c = definite(enclosed.middle, enclosed.radius)
+    codes = np.full(len(low), PROVED)
+    rest = np.flatnonzero(~proved)
+    if not len(rest):
+        return codes, None
+    wrong = _counterexample(task, _middle(low[rest], high[rest]))
+    if wrong is not None:
+        return codes, wrong
+    size = np.abs(c[rest])[:, None]
+    with np.errstate(all="ignore"):
+        weight = (np.swapaxes(size, 2, 3) @ enclosed.shares[rest] @ size).sum(axis=(2, 3))
+    relative = ((high - low)[rest] / np.where(task.width > 0, task.width, 1.0))[:, task.free]
+    blind = ~(np.isfinite(weight).all(axis=1) & enclosed.smooth[rest])
+    weight[blind] = relative[blind]
+    # Where every variable seems harmless, or cannot be halved any more, the widest one is.
+    middle = _middle(low[rest], high[rest])[:, task.free]
+    possible = (middle > low[rest][:, task.free]) & (middle < high[rest][:, task.free])
+    weight = np.where(possible, weight + 1e-9 * relative * weight.max(axis=1, keepdims=True, initial=0.0), -1.0)
+    codes[rest] = np.where(possible.any(axis=1), task.free[weight.argmax(axis=1)] if len(task.free) else OPEN, OPEN)
+    return codes, None
+
+
+class _Tree:
+    """Boxes by number: what became of each, and its children."""
+
+    def __init__(self, domain: Box):
+        self.domain = domain
+        self.code = np.full(1, OPEN)
+        self.child = np.zeros(1, int)
+        self.count, self.evaluated, self.decided = 1, 0, 0.0
+        self.waiting = [(np.zeros(1, int), domain.low[None], domain.high[None], np.zeros(1, int))]
+
+    def next(self) -> tuple | None:
+        """Some boxes to evaluate: numbers, low, high and depths; small lots are put together."""
+        if not self.waiting:
+            return None
+        lots, count = [], 0
+        while self.waiting and count < CHUNK:
+            lots.append(self.waiting.pop())
+            count += len(lots[-1][0])
+        whole = tuple(np.concatenate(part) for part in zip(*lots, strict=True))
+        if count > CHUNK:
+            self.waiting.append(tuple(part[CHUNK:] for part in whole))
+        return tuple(part[:CHUNK] for part in whole)
+
+    def take(self, lot: tuple, codes: Int[np.ndarray, "B"]) -> None:
+        """Enter what became of a lot."""
+        numbers, low, high, depth = lot
+        self.evaluated += len(numbers)
+        self.decided += float((2.0 ** -depth[codes == PROVED]).sum())
+        split = codes >= 0
+        new = 2 * int(split.sum())
+        first = self.count
+        self.count += new
+        while self.count > len(self.code):
+            self.code = np.concatenate([self.code, np.full(len(self.code), OPEN)])
+            self.child = np.concatenate([self.child, np.zeros(len(self.child), int)])
+        self.code[numbers] = codes
+        self.child[numbers[split]] = np.arange(first, first + new, 2)
+        if new:
+            children = halves(low[split], high[split], codes[split])
+            self.waiting.append((np.arange(first, first + new), *children, np.repeat(depth[split] + 1, 2)))
+
+    def levels(self) -> tuple[list[Int[np.ndarray, "k"]], Float[np.ndarray, "k 2 d"]]:
+        """The tree, and its open boxes."""
+        found, numbers = [], np.zeros(1, int)
+        while len(numbers):
+            found.append(self.code[numbers])
+            split = numbers[self.code[numbers] >= 0]
+            numbers = (self.child[split][:, None] + np.arange(2)).ravel()
+        remaining = [np.stack([low, high], 1)[codes == OPEN] for codes, low, high in leaves(self.domain, found)]
+        return found, np.concatenate(remaining)
+
+
+_TASK: _Task | None = None
+"""The task of a worker process."""
+
+
+def _take(task: _Task) -> None:
+    global _TASK
+    _TASK = task
+
+
+def _judge_here(low: np.ndarray, high: np.ndarray) -> tuple[Int[np.ndarray, "B"], np.ndarray | None]:
+    assert _TASK is not None
+    return _judge(_TASK, low, high)
+
+
+def _search(task: _Task, tree: _Tree, pool, processes: int, until: float, progress) -> np.ndarray | None:
+    """Evaluate boxes until none is left, the time is over or a counter-example is found."""
+    if pool is None:
+        while time.monotonic() < until and (lot := tree.next()) is not None:
+            codes, wrong = _judge(task, lot[1], lot[2])
+            if wrong is not None:
+                return wrong
+            tree.take(lot, codes)
+            if progress is not None:
+                progress(tree.decided, tree.evaluated)
+        return None
+    running: dict = {}
+    while True:
+        while len(running) < 2 * processes and time.monotonic() < until and (lot := tree.next()) is not None:
+            running[pool.submit(_judge_here, lot[1], lot[2])] = lot
+        if not running:
+            return None
+        done, _ = concurrent.futures.wait(running, return_when=concurrent.futures.FIRST_COMPLETED)
+        for future in done:
+            codes, wrong = future.result()
+            if wrong is not None:
+                return wrong
+            tree.take(running.pop(future), codes)
+        if progress is not None:
+            progress(tree.decided, tree.evaluated)

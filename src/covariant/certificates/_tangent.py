@@ -1,0 +1,81 @@
+"""The metric on the tangent bundle in which an intrinsic observer contracts.
+
+A variation (δq, δv) of a state (q, v) has the components `ξ = δq` and `ζ = δv + Γ(v, δq)`, both tangent vectors at q.
+The squared length is `½(a<ξ,ξ> + 2c<ξ,ζ> + b<ζ,ζ>)` with a matrix `Q = [[a, c], [c, b]]` that the gains decide.
+
+Source: Aghannan & Rouchon 2003, section IV and equations (6), (11); their dV/dt lacks a factor ½.
+"""
+
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from covariant._typing import MatrixField
+from covariant.certificates._contraction import StateMetric
+from covariant.geometry import as_metric, christoffel
+
+TwoByTwo = Float[np.ndarray, "2 2"]
+
+
+def error_matrix(alpha: float, beta: float) -> TwoByTwo:
+    """`A = [[−α, 1], [−β, 0]]`: the law ξ' = ζ − αξ, ζ' = −βξ of a small error in a parallel frame, equation (10)."""
+    return np.array([[-alpha, 1.0], [-beta, 0.0]])
+
+
+def lyapunov(alpha: float, beta: float, rate: float = 0.0, weight: float = 1.0) -> TwoByTwo:
+    """Q (2, 2) with `AᵀQ + QA + rate Q = −diag(1, weight)`, A being `error_matrix(alpha, beta)`.
+
+    `rate` [1/s] below twice the real part of the slower pole; with 0 and weight 1 it is the metric of the paper.
+    Raises `ValueError` for gains that do not converge, or converge no faster than `e^(−rate t/2)`.
+    """
+    shifted = error_matrix(alpha, beta) + rate / 2 * np.eye(2)
+    if not (np.linalg.eigvals(shifted).real < 0).all():
+        slowest = -2 * np.linalg.eigvals(error_matrix(alpha, beta)).real.max()
+        raise ValueError(
+            f"gains alpha {alpha:g}, beta {beta:g} shrink squared lengths at {slowest:.4g} 1/s at best; "
+            f"ask for a rate below that; got {rate:g}"
+        )
+    operator = np.kron(shifted.T, np.eye(2)) + np.kron(np.eye(2), shifted.T)
+    q = np.linalg.solve(operator, -np.diag([1.0, weight]).ravel()).reshape(2, 2)
+    return (q + q.T) / 2
+
+
+def rate_of(alpha: float, beta: float, q: TwoByTwo) -> float:
+    """The rate λ [1/s] with `AᵀQ + QA ≤ −λQ`: that of squared lengths at q̂ = q."""
+    a = error_matrix(alpha, beta)
+    half = np.linalg.inv(np.linalg.cholesky(q))
+    return float(-np.linalg.eigvalsh(half @ (a.T @ q + q @ a) @ half.T)[-1])
+
+
+def conditioning(beta: float, q: TwoByTwo) -> float:
+    """The condition number of Q, velocities being measured in units of √β times positions so that it has no unit."""
+    scale = np.diag([1.0, math.sqrt(beta)])
+    return float(np.linalg.cond(scale @ q @ scale))
+
+
+def optimal_lyapunov(alpha: float, beta: float, rate: float) -> TwoByTwo:
+    """Of the matrices of `lyapunov` for a rate, the one with the least condition number."""
+    weights = beta**-1 * np.logspace(-6, 6, 241)
+    found = [lyapunov(alpha, beta, rate, weight) for weight in weights]
+    return min(found, key=lambda q: conditioning(beta, q))
+
+
+def tangent_metric(metric: MatrixField, q: TwoByTwo) -> StateMetric:
+    """The metric on states x = (q, v) (2n,) from a metric of configurations and a matrix Q, in the frame (ξ, ζ)."""
+    geometry = as_metric(metric)
+    lower = np.array([[0.0, 0.0], [1.0, 0.0]])
+
+    def connection(x):
+        at, v = jnp.split(x, 2)
+        return jax.vmap(lambda e: christoffel(geometry, at, v, e), out_axes=1)(jnp.eye(at.shape[0], dtype=x.dtype))
+
+    def coframe(t, x, sign=1.0):
+        return jnp.eye(x.shape[0], dtype=x.dtype) + sign * jnp.kron(jnp.asarray(lower, x.dtype), connection(x))
+
+    def gram(t, x):
+        return jnp.kron(jnp.asarray(q / 2, x.dtype), geometry(jnp.split(x, 2)[0]))
+
+    return StateMetric(coframe, lambda t, x: coframe(t, x, -1.0), gram)
