@@ -133,12 +133,14 @@ def _atan2(y_low: Any, y_high: Any, x_low: Any, x_high: Any) -> Bounds:
 
     Except where it jumps, across the negative half-axis: there they are ±π.
     """
-    y_low, y_high, x_low, x_high = np.broadcast_arrays(y_low, y_high, x_low, x_high)
-    y, x = np.stack([y_low, y_low, y_high, y_high]), np.stack([x_low, x_high, x_low, x_high])
-    value = points.atan2(y, x)
-    size = np.abs(value)
-    step = size * _relative("atan2") + np.minimum(size + np.abs(y), TINY)
-    lowest, highest = np.min(value - step, axis=0), np.max(value + step, axis=0)
+    x, ends = np.stack([x_low, x_high]), []
+    for y in (y_low, y_high):
+        value = points.atan2(y, x)
+        size = np.abs(value)
+        step = size * _relative("atan2") + np.minimum(size + np.abs(y), TINY)
+        ends.append((value - step, value + step))
+    lowest = np.minimum(ends[0][0], ends[1][0]).min(axis=0)
+    highest = np.maximum(ends[0][1], ends[1][1]).max(axis=0)
     across, pi = (y_low < 0) & (y_high >= 0) & (x_low < 0), 2 * HALF_PI_HIGH * (1 + 4 * U)
     return np.where(across, np.minimum(lowest, -pi), lowest), np.where(across, np.maximum(highest, pi), highest)
 

@@ -27,6 +27,8 @@ subnormal c too, down to those whose unit is the smallest double, where sums are
 """
 SMALL = 2.0**-1000
 """Results at least as large as this have not underflowed."""
+BLOCK = 4096
+"""Boxes for which an elementary function is computed at once: its working arrays then stay in the cache."""
 MOST_PRODUCTS = 32
 """Powers up to this are products."""
 
@@ -200,7 +202,17 @@ def sqrt(a: Interval) -> Interval:
 
 
 def _elementary_of(bounds: Callable) -> Callable:
-    return lambda *arguments: Interval(*bounds(*(end for a in arguments for end in a)))
+    """An operation on intervals from one on bounds, done block by block, so that what it needs stays at hand."""
+
+    def apply(*arguments: Interval) -> Interval:
+        ends = np.broadcast_arrays(*(end for a in arguments for end in a))
+        if ends[0].size <= BLOCK:
+            return Interval(*bounds(*ends))
+        parts = [bounds(*(end[k : k + BLOCK] for end in ends)) for k in range(0, ends[0].size, BLOCK)]
+        low, high = map(np.concatenate, zip(*parts, strict=True))
+        return Interval(low, high)
+
+    return apply
 
 
 _ELEMENTARY = {op: _elementary_of(bounds) for op, bounds in ELEMENTARY.items()}
