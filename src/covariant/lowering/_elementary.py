@@ -116,6 +116,21 @@ def _exp(low: Any, high: Any) -> Bounds:
     return np.maximum(np.where(value[0] > LARGEST, HUGE, value[0] - step[0]), 0.0), value[1] + step[1]
 
 
+def _power(x_low: Any, x_high: Any, y_low: Any, y_high: Any) -> Bounds:
+    """Bounds of xʸ for x ≥ 0, with y > 0 where x may be 0. It rises or falls along every side of a box."""
+    x = np.stack([x_low, x_high])
+    parts, ends = points.log_parts(np.where(x == 0, 1.0, x)), []
+    for y in (y_low,) if np.array_equal(y_low, y_high) else (y_low, y_high):
+        value, error = points.power(parts, y)
+        step = value * (error + 1.25 * U) + TINY
+        low, high = np.where(value > LARGEST, HUGE, np.maximum(value - step, 0.0)), value + step
+        ends.append((np.where(x == 0, 0.0, low), np.where(x == 0, 0.0, high), error.max(axis=0)))
+    lows, highs, errors = zip(*ends, strict=True)
+    defined = (x_low > 0) | (x_low == 0) & (y_low > 0)
+    defined &= (x_high < np.inf) & (np.max(errors, axis=0) < 1e-3)
+    return _known(defined, (np.min(lows, axis=(0, 1)), np.max(highs, axis=(0, 1))))
+
+
 def _cosh(low: Any, high: Any) -> Bounds:
     value = points.cosh(np.stack([np.maximum(np.maximum(low, -high), 0.0), np.maximum(-low, high)]))
     step = value * _relative("cosh")
@@ -163,8 +178,6 @@ def _inside(rule: Rule, defined: Callable[[Any, Any], Any]) -> Rule:
     return lambda low, high: _known(defined(low, high), rule(low, high))
 
 
-_log = _rising("log")
-
 ELEMENTARY: dict[str, Rule] = {
     "sin": _wave("sin"),
     "cos": _wave("cos"),
@@ -175,7 +188,7 @@ ELEMENTARY: dict[str, Rule] = {
     "atan2": _atan2,
     "exp": _exp,
     "expm1": _rising("expm1", floor=-1.0),
-    "log": _inside(_log, lambda low, high: low > 0),
+    "log": _inside(_rising("log"), lambda low, high: low > 0),
     "log1p": _inside(_rising("log1p"), lambda low, high: low > -1),
     "sinh": _rising("sinh"),
     "cosh": _cosh,
@@ -184,8 +197,6 @@ ELEMENTARY: dict[str, Rule] = {
     "acosh": _inside(_rising("acosh"), lambda low, high: low >= 1),
     "atanh": _inside(_rising("atanh"), lambda low, high: (low > -1) & (high < 1)),
     "cbrt": _cbrt,
+    "pow": _power,
 }
 """Bounds of each function from the bounds of its arguments: NaN where it is not defined on all of them."""
-
-log_from_zero = _inside(_log, lambda low, high: low >= 0)
-"""The logarithm, -∞ at 0."""

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from covariant.lowering._elementary import ELEMENTARY, TINY, log_from_zero
+from covariant.lowering._elementary import ELEMENTARY, TINY
 from covariant.lowering._read import Domain, evaluate
 from covariant.lowering._trace import Lowered
 
@@ -219,14 +219,12 @@ _ELEMENTARY = {op: _elementary_of(bounds) for op, bounds in ELEMENTARY.items()}
 
 
 def power(a: Interval, b: Interval) -> Interval:
-    """Products and roots for whole and half exponents that are numbers, else exp(b log a), for a ≥ 0."""
+    """Products and roots for whole and half exponents that are numbers; by the logarithm, for a ≥ 0, otherwise."""
     if _is_number(b) and (2 * b.low).is_integer() and abs(b.low) <= MOST_PRODUCTS:
         whole = b.low.is_integer()
         found = _product_of_many(a if whole else sqrt(a), int(abs(b.low if whole else 2 * b.low)))
         return div(Interval(np.float64(1.0), np.float64(1.0)), found) if b.low < 0 else found
-    defined = (a.low > 0) | (a.low >= 0) & (b.low > 0)
-    found = _ELEMENTARY["exp"](mul(b, Interval(*log_from_zero(*a))))
-    return where(defined, Interval(found.low, np.where(a.high == 0, 0.0, found.high)))
+    return _ELEMENTARY["pow"](a, b)
 
 
 def _product_of_many(a: Interval, count: int) -> Interval:
@@ -322,8 +320,8 @@ INTERVALS: Domain = {
     "not": opposite,
     "is_finite": is_finite,
     "select": select,
-    "pow": power,
     **_ELEMENTARY,
+    "pow": power,
 }
 """Intervals, whole batches of them. Predicates are `Truth`."""
 

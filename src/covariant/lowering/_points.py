@@ -22,6 +22,7 @@ MAGIC = 1.5 * 2.0**52
 
 UNITS = {
     "exp": 2.5,
+    "pow": 3.5,
     "expm1": 6.0,
     "sinh": 8.5,
     "cosh": 5.0,
@@ -111,14 +112,15 @@ def exp_reduced(r: Any) -> Any:
     return r + r * r * horner(EXP, r)
 
 
-def _exp_parts(x: Any) -> tuple[Any, Any]:
+def _exp_parts(x: Any, rest: Any = None) -> tuple[Any, Any]:
     k, _ = whole(x * (1 / math.log(2)))
-    return k, exp_reduced((x - k * LN2_HIGH) - k * LN2_LOW)
+    r = (x - k * LN2_HIGH) - k * LN2_LOW
+    return k, exp_reduced(r if rest is None else r + rest)
 
 
-def exp(x: Any, shift: float = 0.0) -> Any:
-    """exp x · 2ˢʰⁱᶠᵗ, infinite where it overflows."""
-    k, q = _exp_parts(np.minimum(np.maximum(x, -746.0), 712.0))
+def exp(x: Any, shift: float = 0.0, rest: Any = None) -> Any:
+    """exp(x + rest) · 2ˢʰⁱᶠᵗ, infinite where it overflows; the rest is below a unit in the last place of x."""
+    k, q = _exp_parts(np.minimum(np.maximum(x, -746.0), 712.0), rest)
     return _scaled(1.0 + q, k + shift)
 
 
@@ -152,14 +154,14 @@ def tanh(x: Any) -> Any:
 # Logarithms. x = 2ᵏ m with √½ ≤ m < √2, and log m = 2 artanh s for s = f/(2 + f), f = m - 1.
 
 
-def log_reduced(f: Any, rest: Any) -> Any:
-    """log(1 + f) - rest for -0.2929 ≤ f ≤ 0.4143. The remainder is below s²¹/21·1.04, below 0.01 u of the logarithm.
+def log_tail(f: Any) -> Any:
+    """f - log(1 + f) for -0.2929 ≤ f ≤ 0.4143. The remainder is below s²³/23·2.1, below 0.01 u of the logarithm.
 
-    It is f - s (f - R), since s (2 + f) = f.
+    It is s (f - R) for log(1 + f) = 2s + s R, since s (2 + f) = f.
     """
     s = f / (2.0 + f)
     z = s * s
-    return f - (s * (f - z * horner(LOG, z)) + rest)
+    return s * (f - z * horner(LOG, z))
 
 
 def _mantissa(x: Any) -> tuple[Any, Any]:
@@ -176,7 +178,7 @@ def log(x: Any, shift: float = 0.0) -> Any:
     """log x + shift·log 2: -∞ at 0, NaN below."""
     k, f = _mantissa(x)
     k += shift
-    return _at_ends(x, log_reduced(f, k * -LN2_LOW) + k * LN2_HIGH)
+    return _at_ends(x, f - (log_tail(f) - k * LN2_LOW) + k * LN2_HIGH)
 
 
 def log1p(x: Any) -> Any:
@@ -186,7 +188,7 @@ def log1p(x: Any) -> Any:
     near = (x > -0.2928) & (x < 0.4142)
     k, f = np.where(near, 0.0, k), np.where(near, x, f)
     rest = np.where(near, 0.0, _lost(1.0, x, total) / total + k * LN2_LOW)
-    return _at_ends(total, log_reduced(f, -rest) + k * LN2_HIGH)
+    return _at_ends(total, f - (log_tail(f) - rest) + k * LN2_HIGH)
 
 
 def _lost(a: Any, b: Any, total: Any) -> Any:
@@ -198,6 +200,41 @@ def _lost(a: Any, b: Any, total: Any) -> Any:
 def _at_ends(x: Any, value: Any) -> Any:
     usual = (x > 0) & (x < np.inf)
     return value if usual.all() else np.where(usual, value, np.where(x == 0, -np.inf, np.where(x > 0, x, np.nan)))
+
+
+def log_parts(x: Any) -> tuple[Any, Any, Any]:
+    """The logarithm of a positive number as the sum of two doubles, and a bound on what they lack."""
+    k, f = _mantissa(x)
+    tail = log_tail(f) - k * LN2_LOW
+    first = k * LN2_HIGH
+    head = first + f
+    rest = _lost(first, f, head) - tail
+    return head, rest, U * (6.0 * np.abs(tail) + 2.0 * np.abs(rest)) + 2.0**-83
+
+
+def power(parts: tuple[Any, Any, Any], y: Any) -> tuple[Any, Any]:
+    """xʸ from the parts of log x, and a bound on its relative error, for |y| < 2⁹⁰⁰."""
+    head, rest, error = parts
+    more = y * rest
+    product, lost = _product(y, head)
+    lost = lost + more
+    exponent = product + lost
+    value = exp(exponent, rest=(product - exponent) + lost)
+    return value, UNITS["pow"] * U + 1.01 * (np.abs(y) * error + 2.0 * U * (np.abs(more) + np.abs(lost)))
+
+
+def _product(a: Any, b: Any) -> tuple[Any, Any]:
+    """a·b rounded, and what that lost, exactly (T. J. Dekker, Numerische Mathematik 18, 1971)."""
+    product = a * b
+    (a, c), (b, d) = _halves(a), _halves(b)
+    return product, ((a * b - product) + a * d + c * b) + c * d
+
+
+def _halves(a: Any) -> tuple[Any, Any]:
+    """The sum of two numbers of 26 bits."""
+    c = (2.0**27 + 1) * a
+    high = c - (c - a)
+    return high, a - high
 
 
 def asinh(x: Any) -> Any:
