@@ -3,8 +3,8 @@
 The bounds hold for the real-number function that the graph stands for, its constants being the doubles they are.
 Trusted is IEEE 754 alone: + - × ÷ and the square root of doubles, rounded to the nearest. Every bound is moved outward
 by at least the error of its rounding: by a part in 2⁵³ of itself and, where products may underflow, by the smallest
-double (S. M. Rump, P. Zimmermann, S. Boldo, G. Melquiond, Computing predecessor and successor in rounding to nearest,
-BIT 49, 2009).
+normal double (S. M. Rump, P. Zimmermann, S. Boldo, G. Melquiond, Computing predecessor and successor in rounding to
+nearest, BIT 49, 2009).
 
 A bound that is NaN says nothing. Where a function is not defined on all of a box, as the root of a negative number,
 both bounds are NaN, and stay so through every operation; comparisons with them are undecided.
@@ -102,7 +102,9 @@ def _product(low: Any, high: Any, a: Interval, b: Interval) -> Interval:
     """
     below = _product_step(low, lambda: (low != 0) | (a.low < 0) & (b.high > 0) | (a.high > 0) & (b.low < 0))
     above = _product_step(high, lambda: (high != 0) | (a.low < 0) & (b.low < 0) | (a.high > 0) & (b.high > 0))
-    return Interval(low - below, high + above)
+    low -= below
+    high += above
+    return Interval(low, high)
 
 
 def _is_number(a: Interval) -> bool:
@@ -137,12 +139,13 @@ def mul(a: Interval, b: Interval) -> Interval:
 def _extremes(operation: np.ufunc, a: Interval, b: Interval) -> Interval:
     """Bounds of products or quotients: their extremes are at the ends of a and b."""
     low, other = operation(a.low, b.low), operation(a.low, b.high)
+    own = isinstance(low, np.ndarray)  # and may be changed in place
     high = np.maximum(low, other)
-    low = np.minimum(low, other)
+    low = np.minimum(low, other, out=low if own else None)
     for end in b:
-        value = operation(a.high, end)
-        low = np.minimum(low, value)
-        high = np.maximum(high, value)
+        value = operation(a.high, end, out=other if own else None)
+        low = np.minimum(low, value, out=low if own else None)
+        high = np.maximum(high, value, out=high if own else None)
     return _product(low, high, a, b)
 
 
