@@ -111,6 +111,10 @@ class Graph:
             self.nodes.append(node)
         return self._known[key]
 
+    def _is(self, op: str, node: int, first: int) -> bool:
+        """Whether a node is that operation on that first argument."""
+        return self.nodes[node].op == op and self.nodes[node].arguments[0] == first
+
     def _simplify(self, op: str, arguments: tuple[int, ...], values: list) -> int | None:
         """The node that an operation with some constant arguments comes down to, or None.
 
@@ -125,6 +129,17 @@ class Graph:
                 return self.apply("neg", b)
             case ("sub", (a, b), _) if a == b:
                 return self.constant(0.0)
+            case ("sub", (a, b), _) if self._is("sub", b, a):  # a − (a − b)
+                return self.nodes[b].arguments[1]
+            case ("sub", (a, b), _) if self._is("sub", a, b):  # (b − c) − b
+                return self.apply("neg", self.nodes[a].arguments[1])
+            case ("sub", (a, b), _) if self.nodes[a].op == "add" and b in self.nodes[a].arguments:
+                one, other = self.nodes[a].arguments
+                return other if one == b else one
+            case ("add", (a, b), _) if self.nodes[a].op == "sub" and self.nodes[a].arguments[1] == b:
+                return self.nodes[a].arguments[0]
+            case ("add", (a, b), _) if self.nodes[b].op == "sub" and self.nodes[b].arguments[1] == a:
+                return self.nodes[b].arguments[0]
             case ("mul", _, (_, 0.0) | (0.0, _)):
                 return self.constant(0.0)
             case ("mul", (a, _), (_, 1.0)) | ("mul", (_, a), (1.0, _)) | ("div", (a, _), (_, 1.0)):

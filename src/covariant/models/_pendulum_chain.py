@@ -83,6 +83,7 @@ def pendulum_chain(
     rotor_rates = np.eye(n, k=-1) - p["gear"][:, None] * relative  # rotor rates from absolute rates
     constant = np.diag(about_com) + (rotor_rates.T * p["rotor_inertia"]) @ rotor_rates
     absolute = np.linalg.inv(relative) if angles == "relative" else np.eye(n)  # absolute rates from the chart's
+    between = absolute[:, None, :] - absolute[None, :, :]
     joints = np.eye(n) if angles == "relative" else relative  # joint rates from the chart's
     up = 1.0 if zero == "upright" else -1.0
     driven = list(range(n)) if actuated is None else list(actuated)
@@ -93,8 +94,8 @@ def pendulum_chain(
         return jnp.asarray(array, q.dtype)
 
     def metric(q):
-        theta = like(q, absolute) @ q
-        links = like(q, coupling) * jnp.cos(theta[:, None] - theta[None, :])
+        # Angles between links, from coordinates directly: that of the first link drops out.
+        links = like(q, coupling) * jnp.cos(like(q, between) @ q)
         return like(q, absolute.T) @ (links + like(q, constant)) @ like(q, absolute)
 
     def potential(q):
