@@ -34,11 +34,11 @@ OPTIONAL = (
 )
 
 PUBLIC = {
-    "certificates": "Box Certificate Decay Observability Proof StateMetric Subject bending box contraction "
-    "contraction_matrix contraction_rate decay detectability_rate error_bounds falsify force_bounds "
-    "generalised_jacobian in_coordinates in_frame log_norm lower_distance lyapunov noise_disturbance "
-    "observability optimal_lyapunov prove rate_of rates_along steady_distance subject tangent_metric "
-    "upper_distance worst",
+    "certificates": "Box Certificate Claim ContractionCertificate Decay Observability Proof StateMetric Subject "
+    "bending box certify conditioning contraction contraction_matrix contraction_rate decay detectability_rate "
+    "error_bounds error_matrix falsify force_bounds generalised_jacobian in_coordinates in_frame "
+    "log_norm lower_distance lyapunov noise_disturbance observability optimal_lyapunov prove rate_of "
+    "rates_along steady_distance subject tangent_metric upper_distance worst",
     "design": "ESTIMATORS DataSheet Gains MetricSummary bias estimators filter_bandwidth gains line_up load_metric "
     "metric metric_summary observer_gains predict_errors window_length with_gains",
     "geometry": "AbstractMetric Budget ConstantCurvature Euclidean FlatTorus Interpolated Metric Product Pullback "
@@ -50,9 +50,10 @@ PUBLIC = {
     "evaluate expand lower numbers pairs",
     "logs": "ATTITUDES Body Columns Log LogError bodies matrices read to_columns write",
     "models": "GroupSystem Lagrangian ModelError ModelFile Motion Parameter StateSpace acceleration advance "
-    "applied_force ball_and_beam bioreactor body_velocity check_metric check_model duffing energy free_body friction heavy_top "
-    "hovercraft induction_motor load lorenz oscillator pendulum_chain position_error satellite source "
-    "spatial_momentum state_space underwater_vehicle unknown_frequency van_der_pol wrap",
+    "applied_force ball_and_beam bioreactor body_velocity check_metric check_model duffing energy "
+    "free_body friction from_recipe heavy_top hovercraft induction_motor load lorenz oscillator "
+    "pendulum_chain position_error recipe satellite source spatial_momentum state_space "
+    "underwater_vehicle unknown_frequency van_der_pol wrap",
     "observers": "EKF AbstractFlowObserver AbstractObserver Copy EKFInfo EKFState Estimate FilterInfo "
     "FilteredDerivative FilteredState Geodesic GeodesicInfo GeodesicState Group GroupInfo GroupState Info "
     "InformationEKF InformationState Intrinsic InvariantEKF InvariantInfo InvariantState MechanicalState Riccati "

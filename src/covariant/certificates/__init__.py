@@ -1,6 +1,7 @@
 """Statements about convergence, each with its domain, its margin and its evidence."""
 
 from covariant.certificates._certificate import Certificate
+from covariant.certificates._certify import Claim, ContractionCertificate, certify
 from covariant.certificates._contraction import (
     StateMetric,
     contraction_matrix,
@@ -17,11 +18,20 @@ from covariant.certificates._noise import error_bounds, noise_disturbance, stead
 from covariant.certificates._observability import Observability, bending, detectability_rate, observability
 from covariant.certificates._prove import Box, Proof, box, prove
 from covariant.certificates._region import Subject, contraction, force_bounds, subject
-from covariant.certificates._tangent import lyapunov, optimal_lyapunov, rate_of, tangent_metric
+from covariant.certificates._tangent import (
+    conditioning,
+    error_matrix,
+    lyapunov,
+    optimal_lyapunov,
+    rate_of,
+    tangent_metric,
+)
 
 __all__ = [
     "Box",
     "Certificate",
+    "Claim",
+    "ContractionCertificate",
     "Decay",
     "Observability",
     "Proof",
@@ -29,12 +39,15 @@ __all__ = [
     "Subject",
     "bending",
     "box",
+    "certify",
+    "conditioning",
     "contraction",
     "contraction_matrix",
     "contraction_rate",
     "decay",
     "detectability_rate",
     "error_bounds",
+    "error_matrix",
     "falsify",
     "force_bounds",
     "generalised_jacobian",

@@ -35,7 +35,8 @@ def worst(
         return jax.lax.map(score, points, batch_size=BATCH)
 
     def value(z):
-        return jnp.nan_to_num(score(z), nan=-jnp.inf)
+        found = score(z)
+        return jnp.where(jnp.isnan(found), -jnp.inf, found)
 
     @jax.jit
     def descend(points):

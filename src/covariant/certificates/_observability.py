@@ -57,8 +57,8 @@ class Observability(NamedTuple):
 def detectability_rate(model: StateSpace, metric: MatrixField, x: Vector, u: Float[Array, "m"] | None = None) -> Scalar:
     """The largest q at x (n,) with which inequality (2), `L_f P ≤ ρ dh⊗dh − q P`, holds for some ρ [1/s].
 
-    Differential detectability: the least rate at which f contracts the squared length of vectors in the kernel of dh (Finsler's lemma).
-    Infinite where the output sees every direction.
+    Differential detectability: it is the least rate at which f contracts the squared length of vectors in the kernel of
+    dh (Finsler's lemma). Infinite where the output sees every direction.
     """
     unseen, _ = _directions(model, x, u)
     if not unseen.shape[1]:

@@ -34,6 +34,8 @@ TINY = 1e-290
 CHUNK = 2048
 """Boxes evaluated at once: their intermediate values stay in the cache."""
 
+PATIENCE = 2.0
+"""Seconds of work alone before it is shared out over processes."""
 PROVED, OPEN = -1, -2
 
 
@@ -116,22 +118,19 @@ def prove(
         leaf = [np.array([OPEN])]
         return Proof("fails", domain, leaf, wrong, np.zeros((0, 2, len(domain.low))), 1, time.monotonic() - start)
     tree = _Tree(domain)
-    pool = None
-    try:
-        if processes > 1:
-            pool = concurrent.futures.ProcessPoolExecutor(
-                processes, multiprocessing.get_context("spawn"), initializer=_take, initargs=(task,)
-            )
-        wrong = _search(task, tree, pool, processes, start + seconds, progress)
-    finally:
-        if pool is not None:
-            pool.shutdown(cancel_futures=True)
+    until = start + seconds
+    # Most proofs are over before worker processes have started.
+    wrong = _search(task, tree, min(until, time.monotonic() + PATIENCE) if processes > 1 else until, progress)
+    if processes > 1 and wrong is None and tree.waiting and time.monotonic() < until:
+        context = multiprocessing.get_context("spawn")
+        with concurrent.futures.ProcessPoolExecutor(processes, context, initializer=_take, initargs=(task,)) as pool:
+            wrong = _share_out(pool, tree, 2 * processes, until, progress)
     levels, remaining = tree.levels()
     verdict = "fails" if wrong is not None else "undecided" if len(remaining) else "holds"
     return Proof(verdict, domain, levels, wrong, remaining, tree.evaluated, time.monotonic() - start)
 
 
-def leaves(domain: Box, levels: list[Int[np.ndarray, "k"]]) -> Iterator[tuple[Int[np.ndarray, "m"], Array, Array]]:
+def leaves(domain: Box, levels: list[Int[np.ndarray, "k"]]) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """The leaves of a tree, level by level: their codes (m,), low (m, d) and high (m, d).
 
     Raises `ValueError` where the levels are not a tree over the domain.
@@ -186,13 +185,14 @@ def _task(matrix: Callable[[Array], Array], domain: Box) -> _Task:
         raise ValueError(f"the matrix must be square; it has shape {shape}")
     rows, columns = np.tril_indices(shape[0])
     free = np.flatnonzero(domain.high > domain.low)
+    inputs = free.tolist()
 
     def entries(z):
         full = matrix(z)
         return ((full + full.T) / 2)[rows, columns]
 
     value = lower(entries, z)
-    return _Task(value, expand(value, free, 1), expand(value, free, 2), shape[0], free, domain.high - domain.low)
+    return _Task(value, expand(value, inputs, 1), expand(value, inputs, 2), shape[0], free, domain.high - domain.low)
 
 
 def _full(entries: np.ndarray, n: int) -> np.ndarray:
@@ -226,8 +226,9 @@ def _enclosed(task: _Task, low: np.ndarray, high: np.ndarray) -> _Enclosed:
     radius = np.fmin(*spread)
     lower_bound = np.fmax(_outward(at.low[:, :k] - radius, -1), on.low[:, :k])
     upper_bound = np.fmin(_outward(at.high[:, :k] + radius, 1), on.high[:, :k])
-    middle = _middle(lower_bound, upper_bound)
-    radius = np.maximum(upper_bound - middle, middle - lower_bound) * (1 + ROUND) + TINY
+    with np.errstate(invalid="ignore"):  # bounds of both signs that are infinite have no middle
+        middle = _middle(lower_bound, upper_bound)
+        radius = np.maximum(upper_bound - middle, middle - lower_bound) * (1 + ROUND) + TINY
     n = task.size
     return _Enclosed(_full(middle, n), _full(radius, n), _full(shares, n), on.smooth)
 
@@ -238,7 +239,7 @@ def _outward(x: np.ndarray, sign: int) -> np.ndarray:
 
 def _factors(middle: np.ndarray) -> tuple[np.ndarray, Bool[np.ndarray, "B"]]:
     """C (B, n, n) with `Cᵀ middle C` near the identity, and whether there is one."""
-    finite = np.isfinite(middle).all(axis=(1, 2))
+    finite = np.asarray(np.isfinite(middle).all(axis=(1, 2)))
     values, vectors = np.linalg.eigh(np.where(finite[:, None, None], middle, np.eye(middle.shape[1])))
     sizes = np.maximum(np.abs(values), np.abs(values).max(axis=1, keepdims=True) * 1e-12 + TINY)
     return vectors / np.sqrt(sizes)[:, None, :], finite & (values[:, 0] > 0)
@@ -262,7 +263,7 @@ def definite(middle: np.ndarray, radius: np.ndarray) -> tuple[Bool[np.ndarray, "
 
 def indefinite(middle: np.ndarray, radius: np.ndarray) -> Bool[np.ndarray, "B"]:
     """Is no symmetric matrix within `middle ± radius` (B, n, n) positive definite? Some x with xᵀSx < 0 shows it."""
-    finite = (np.isfinite(middle) & np.isfinite(radius)).all(axis=(1, 2))
+    finite = np.asarray((np.isfinite(middle) & np.isfinite(radius)).all(axis=(1, 2)))
     safe = np.where(finite[:, None, None], middle, 0.0)
     x = np.linalg.eigh(safe)[1][:, :, :1]
     xt = np.swapaxes(x, 1, 2)
@@ -321,7 +322,9 @@ class _Tree:
         self.code = np.full(1, OPEN)
         self.child = np.zeros(1, int)
         self.count, self.evaluated, self.decided = 1, 0, 0.0
-        self.waiting = [(np.zeros(1, int), domain.low[None], domain.high[None], np.zeros(1, int))]
+        self.waiting: list[tuple[np.ndarray, ...]] = [
+            (np.zeros(1, int), domain.low[None], domain.high[None], np.zeros(1, int))
+        ]
 
     def next(self) -> tuple | None:
         """Some boxes to evaluate: numbers, low, high and depths; small lots are put together."""
@@ -379,20 +382,23 @@ def _judge_here(low: np.ndarray, high: np.ndarray) -> tuple[Int[np.ndarray, "B"]
     return _judge(_TASK, low, high)
 
 
-def _search(task: _Task, tree: _Tree, pool, processes: int, until: float, progress) -> np.ndarray | None:
+def _search(task: _Task, tree: _Tree, until: float, progress) -> np.ndarray | None:
     """Evaluate boxes until none is left, the time is over or a counter-example is found."""
-    if pool is None:
-        while time.monotonic() < until and (lot := tree.next()) is not None:
-            codes, wrong = _judge(task, lot[1], lot[2])
-            if wrong is not None:
-                return wrong
-            tree.take(lot, codes)
-            if progress is not None:
-                progress(tree.decided, tree.evaluated)
-        return None
+    while time.monotonic() < until and (lot := tree.next()) is not None:
+        codes, wrong = _judge(task, lot[1], lot[2])
+        if wrong is not None:
+            return wrong
+        tree.take(lot, codes)
+        if progress is not None:
+            progress(tree.decided, tree.evaluated)
+    return None
+
+
+def _share_out(pool, tree: _Tree, most: int, until: float, progress) -> np.ndarray | None:
+    """The same by worker processes, with `most` lots under way."""
     running: dict = {}
     while True:
-        while len(running) < 2 * processes and time.monotonic() < until and (lot := tree.next()) is not None:
+        while len(running) < most and time.monotonic() < until and (lot := tree.next()) is not None:
             running[pool.submit(_judge_here, lot[1], lot[2])] = lot
         if not running:
             return None
@@ -400,6 +406,7 @@ def _search(task: _Task, tree: _Tree, pool, processes: int, until: float, progre
         for future in done:
             codes, wrong = future.result()
             if wrong is not None:
+                pool.shutdown(cancel_futures=True)
                 return wrong
             tree.take(running.pop(future), codes)
         if progress is not None:

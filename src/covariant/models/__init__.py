@@ -4,7 +4,7 @@ from covariant.models._ball_and_beam import ball_and_beam
 from covariant.models._bioreactor import bioreactor
 from covariant.models._check import check_metric
 from covariant.models._duffing import duffing
-from covariant.models._file import ModelError, ModelFile, load
+from covariant.models._file import ModelError, ModelFile, from_recipe, load, recipe
 from covariant.models._group_system import GroupSystem, Motion, advance, body_velocity, spatial_momentum
 from covariant.models._heavy_top import free_body, heavy_top
 from covariant.models._hovercraft import hovercraft
@@ -50,6 +50,7 @@ __all__ = [
     "energy",
     "free_body",
     "friction",
+    "from_recipe",
     "heavy_top",
     "hovercraft",
     "induction_motor",
@@ -58,6 +59,7 @@ __all__ = [
     "oscillator",
     "pendulum_chain",
     "position_error",
+    "recipe",
     "satellite",
     "source",
     "spatial_momentum",

@@ -84,6 +84,27 @@ def load(spec: str, overrides: Sequence[str] = ()) -> ModelFile:
         raise ModelError(f"{spec}: {_source.first_line(error)}") from error
 
 
+def recipe(spec: str, overrides: Sequence[str] = ()) -> dict[str, Any]:
+    """What makes the model that `load(spec, overrides)` gives, and nothing else: to be written down and used later.
+
+    A system with its parameters, or `module:attribute` with parameters. Raises `ModelError` as `load` does.
+    """
+    load(spec, overrides)
+    document = _toml.override(_document(spec), overrides)
+    kept = {"parameters": document.get("parameters", {})}
+    return {"system": document["system"], **kept} if _is_file(spec) or ":" not in spec else {"attribute": spec, **kept}
+
+
+def from_recipe(made: dict[str, Any]) -> Model:
+    """The model that a recipe makes. Raises `ModelError`, one line, naming what is wrong."""
+    try:
+        found = _source.attribute(made["attribute"]) if "attribute" in made else _source.system(made.get("system"))
+        name = str(made.get("attribute", made.get("system")))
+        return _make(name, found, made.get("parameters", {})).model
+    except ValueError as error:
+        raise ModelError(f"model: {_source.first_line(error)}") from error
+
+
 def _is_file(spec: str) -> bool:
     return spec.endswith(".toml")
 
