@@ -34,11 +34,11 @@ OPTIONAL = (
 )
 
 PUBLIC = {
-    "certificates": "Box Certificate Claim ContractionCertificate Decay Observability Proof StateMetric Subject "
-    "bending box certify conditioning contraction contraction_matrix contraction_rate decay detectability_rate "
-    "error_bounds error_matrix falsify force_bounds generalised_jacobian in_coordinates in_frame "
-    "log_norm lower_distance lyapunov noise_disturbance observability optimal_lyapunov prove rate_of "
-    "rates_along steady_distance subject tangent_metric upper_distance worst",
+    "certificates": "Audit Box Certificate Claim ContractionCertificate Decay Law Observability Proof StateMetric "
+    "Subject audit bending box certify conditioning contraction contraction_matrix contraction_rate decay "
+    "detectability_rate error_bounds error_matrix falsify force_bounds generalised_jacobian in_coordinates in_frame "
+    "log_norm lower_distance lyapunov noise_disturbance observability optimal_lyapunov prove rate_of rates_along "
+    "steady_distance subject tangent_metric upper_distance worst",
     "design": "ESTIMATORS DataSheet Gains MetricSummary bias estimators filter_bandwidth gains line_up load_metric "
     "metric metric_summary observer_gains predict_errors window_length with_gains",
     "geometry": "AbstractMetric Budget ConstantCurvature Euclidean FlatTorus Interpolated Metric Product Pullback "
@@ -58,7 +58,8 @@ PUBLIC = {
     "FilteredDerivative FilteredState Geodesic GeodesicInfo GeodesicState Group GroupInfo GroupState Info "
     "InformationEKF InformationState Intrinsic InvariantEKF InvariantInfo InvariantState MechanicalState Riccati "
     "Salcudean SalcudeanState SavitzkyGolay WindowState run",
-    "report": "PALETTE EstimateReport new_figure save_figure table write_article write_html write_png",
+    "report": "PALETTE EstimateReport draw_audit new_figure save_figure table write_article write_audit write_html "
+    "write_png",
     "riccati": "Box Equation Metric Passage Solution Window gramian gramians high_gain lie_derivative metric_at "
     "metric_through rate_from_gramian reconstructibility right_side spd_distance window_at",
     "scale": "Grid Variable map_grid open_grid",

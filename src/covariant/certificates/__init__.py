@@ -1,5 +1,6 @@
 """Statements about convergence, each with its domain, its margin and its evidence."""
 
+from covariant.certificates._audit import Audit, Law, audit
 from covariant.certificates._certificate import Certificate
 from covariant.certificates._certify import Claim, ContractionCertificate, certify
 from covariant.certificates._contraction import (
@@ -28,15 +29,18 @@ from covariant.certificates._tangent import (
 )
 
 __all__ = [
+    "Audit",
     "Box",
     "Certificate",
     "Claim",
     "ContractionCertificate",
     "Decay",
+    "Law",
     "Observability",
     "Proof",
     "StateMetric",
     "Subject",
+    "audit",
     "bending",
     "box",
     "certify",

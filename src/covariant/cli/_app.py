@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from covariant.cli import _compare, _design, _estimate, _reproduce, _simulate
+from covariant.cli import _audit, _compare, _design, _estimate, _reproduce, _simulate
 from covariant.cli._job import Job
 from covariant.design import ESTIMATORS
 
@@ -112,6 +112,29 @@ def reproduce(
 ) -> None:
     """Reproduce a paper's numbers and figures."""
     _reproduce.reproduce(paper, out, report, json)
+
+
+@app.command()
+def audit(
+    model: Model,
+    observer: Annotated[
+        str | None, typer.Option(help="intrinsic, geodesic or group; one that fits by default.")
+    ] = None,
+    alpha: Annotated[float | None, typer.Option(help="Gain α [1/s]; √2 by default.")] = None,
+    beta: Annotated[float | None, typer.Option(help="Gain β [1/s²]; 1 by default.")] = None,
+    box: Annotated[str | None, typer.Option(help="Where to draw positions from, as r=0.1:2,theta=-1:1.")] = None,
+    speed: Annotated[float, typer.Option(help="Largest velocity of each coordinate.")] = 3.0,
+    points: Annotated[int, typer.Option(help="Number of states.", min=1)] = 24,
+    seed: Annotated[int, typer.Option(help="Seed of the states.", min=0)] = 0,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", "--html", help="Write a page (.html) or its figure (.png) here.")
+    ] = None,
+    override: Override = [],  # noqa: B006  typer copies it
+    json: Json = False,
+) -> None:
+    """Measure the laws that an observer's convergence rests on; exit code 1 where one is broken."""
+    look = _audit.Look(box, speed, points, seed)
+    _audit.audit(model, tuple(override), observer, (alpha, beta), look, out, json)
 
 
 @design.command()

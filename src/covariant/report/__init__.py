@@ -4,6 +4,7 @@ matplotlib and plotly are guests: the functions that draw load them, and `pip in
 """
 
 from covariant.report._article import write_article
+from covariant.report._audit import draw_audit, write_audit
 from covariant.report._estimate import EstimateReport
 from covariant.report._html import write_html
 from covariant.report._png import write_png
@@ -13,10 +14,12 @@ from covariant.report._table import table
 __all__ = [
     "PALETTE",
     "EstimateReport",
+    "draw_audit",
     "new_figure",
     "save_figure",
     "table",
     "write_article",
+    "write_audit",
     "write_html",
     "write_png",
 ]

@@ -1,0 +1,103 @@
+"""`covariant audit`: the laws of an observer, measured."""
+
+import json
+import math
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from covariant import certificates, models
+from covariant.certificates import Audit, Box
+from covariant.cli._console import working
+from covariant.cli._job import check_output
+from covariant.design import estimators, with_gains
+from covariant.models import StateSpace
+from covariant.observers import AbstractObserver
+
+GAINS = math.sqrt(2), 1.0
+"""α [1/s] and β [1/s²] where none are given: the laws hold with any."""
+
+
+class Look(NamedTuple):
+    """Where to look, in options of the command as the user gave them."""
+
+    box: str | None
+    speed: float
+    points: int
+    seed: int
+
+
+def audit(
+    spec: str,
+    overrides: tuple[str, ...],
+    observer: str | None,
+    gains: tuple[float | None, float | None],
+    look: Look,
+    out: Path | None,
+    as_json: bool,
+) -> None:
+    """Audit an observer of a model, by default the first that fits it, and print and draw what was found."""
+    check_output(out, ".html", ".png", ".pdf", ".svg")
+    file = models.load(spec, overrides)
+    name, chosen = _observer(spec, file, observer, *gains)
+    domain = _domain(look.box)
+    with working(f"auditing {name} on {file.name}", quiet=as_json):
+        done = certificates.audit(chosen, domain=domain, speed=look.speed, points=look.points, seed=look.seed)
+    result = {"model": spec, "observer": name, "passed": done.passed, "verdict": done.verdict, "domain": done.domain}
+    result["laws"] = [_in_json(row) for row in done.rows]
+    if out is not None:
+        result["out"] = str(_draw(done, f"Audit of {file.name}", out))
+    print(json.dumps(result) if as_json else "\n".join([str(done), *([f"wrote {out}"] if out is not None else [])]))
+    if not done.passed:
+        raise SystemExit(1)
+
+
+def _observer(
+    spec: str, file: models.ModelFile, name: str | None, alpha: float | None, beta: float | None
+) -> tuple[str, AbstractObserver]:
+    if (alpha is None) != (beta is None):
+        raise ValueError("--alpha and --beta belong together: give both or neither")
+    chosen = GAINS if alpha is None or beta is None else (alpha, beta)
+    if not all(0 < gain < math.inf for gain in chosen):
+        raise ValueError(f"--alpha and --beta must be positive numbers; got {chosen[0]:g} and {chosen[1]:g}")
+    model = file.model
+    if isinstance(model, StateSpace):
+        raise ValueError(
+            f"{spec} is a state-space model, and the laws are those of observers of mechanical ones, a Lagrangian or a "
+            "GroupSystem"
+        )
+    made = with_gains(model, *chosen)
+    name = name or estimators(model)[0]
+    if name not in made:
+        raise ValueError(f"--observer {name} does not fit {spec}, or has no gains; these do: {', '.join(made)}")
+    return name, made[name]
+
+
+def _domain(text: str | None) -> Box | None:
+    """The box of `name=low:high`, by commas."""
+    if text is None:
+        return None
+    ends: dict[str, tuple[float, float]] = {}
+    for part in text.split(","):
+        name, _, bounds = (piece.strip() for piece in part.partition("="))
+        try:
+            low, high = map(float, bounds.split(":"))
+        except ValueError:
+            raise ValueError(f"--box: {part!r} does not have the form NAME=LOW:HIGH") from None
+        if name in ends:
+            raise ValueError(f"--box: {name} is given twice; keep one of them")
+        ends[name] = low, high
+    low, high = np.array(list(ends.values())).T
+    return Box(tuple(ends), ("",) * len(ends), low, high)
+
+
+def _in_json(row: certificates.Law) -> dict[str, Any]:
+    """A row for machines: None where the deviation is no number."""
+    return row._asdict() | {"deviation": row.deviation if math.isfinite(row.deviation) else None}
+
+
+def _draw(done: Audit, title: str, out: Path) -> Path:
+    from covariant.report import draw_audit, write_audit
+
+    return write_audit(done, title, out) if out.suffix == ".html" else draw_audit(done, out)

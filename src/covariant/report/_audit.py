@@ -1,0 +1,84 @@
+"""The audit of an observer, drawn for a person: every law on one page."""
+
+import math
+import os
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from covariant.certificates import Audit, Law
+from covariant.report._article import write_article
+from covariant.report._style import GRID, INK, MUTED, PALETTE, new_figure, save_figure
+
+if TYPE_CHECKING:
+    import matplotlib.axes
+
+_HOLDS, _FAILS = PALETTE[:2]
+_LOW, _LEAST, _MOST, _HIGH = 1e-19, 1e-18, 1e2, 1e3
+"""Ends of the axis, and of what is told apart: less or more, or not a number, stands at these."""
+
+_INTRODUCTION = (
+    "Every law is measured at random states, from the observer's own equations and the model's own geometry, in a way "
+    "that does not use what it checks. Deviations are relative to the terms of the law. Between the states nothing is "
+    "proved."
+)
+
+
+def draw_audit(audit: Audit, path: str | os.PathLike[str]) -> Path:
+    """Draw the deviations of an audit against their tolerances, in the format the suffix names; returns the path.
+
+    Raises `ValueError` for a suffix that names no format, `ImportError` without matplotlib.
+    """
+    figure, axes = new_figure(panel=(10.0, 0.36 * len(audit.rows) + 0.5))
+    ax = axes[0, 0]
+    ax.set_xscale("log")
+    ax.set_xlim(_LOW, _HIGH)
+    ax.set_ylim(len(audit.rows) - 0.5, -0.5)
+    for line, row in enumerate(audit.rows):
+        _draw(ax, line, row)
+    ax.set_yticks(np.arange(len(audit.rows)), [row.statement for row in audit.rows], fontsize=8.5)
+    ax.tick_params(axis="y", length=0)
+    ax.grid(axis="y", visible=False)
+    ax.set_xlabel("largest relative deviation, in the bar of what it may be")
+    color = _HOLDS if audit.passed else _FAILS
+    title = f"{audit.observer}: {audit.verdict}"
+    figure.suptitle(title, x=0.012, ha="left", fontsize=11, fontweight="bold", color=color)
+    return save_figure(figure, path)
+
+
+def _draw(ax: "matplotlib.axes.Axes", line: int, row: Law) -> None:
+    if row.verdict == "skipped":
+        ax.text(_LEAST, line, f"skipped: {row.reason}", va="center", fontsize=8, color=MUTED)
+        return
+    color = _HOLDS if row.passed else _FAILS
+    at = _MOST if math.isnan(row.deviation) else min(max(row.deviation, _LEAST), _MOST)
+    ax.barh(line, row.tolerance, left=_LOW, height=0.62, color=GRID, zorder=1)
+    ax.vlines(row.tolerance, line - 0.31, line + 0.31, color=INK, linewidth=1.2, zorder=2)
+    ax.plot(at, line, "o" if row.passed else "X", color=color, markersize=8, zorder=3)
+    beside = ax.get_yaxis_transform()  # the line, and the width of the axes
+    ax.text(1.01, line, row.detail, transform=beside, va="center", fontsize=8, color=INK if row.passed else color)
+
+
+def write_audit(audit: Audit, title: str, path: str | os.PathLike[str]) -> Path:
+    """Write an audit as one page that needs nothing but a browser, whole or not at all; returns the path.
+
+    Raises `ImportError` without matplotlib.
+    """
+    rows = [
+        {
+            "law": row.name,
+            "verdict": row.verdict,
+            "deviation": row.deviation,
+            "tolerance": row.tolerance,
+            "source": row.source,
+            "found": row.remark,
+        }
+        for row in audit.rows
+    ]
+    reasons = dict.fromkeys(f"{row.tolerance:g}: {row.reason}." for row in audit.rows if row.verdict != "skipped")
+    with tempfile.TemporaryDirectory() as folder:
+        figure = draw_audit(audit, Path(folder) / "audit.png")
+        blocks = [figure, rows, f"At {audit.domain}. {_INTRODUCTION}", "# Tolerances", *reasons]
+        return write_article(f"{title}: {'passed' if audit.passed else 'failed'}", blocks, path)
