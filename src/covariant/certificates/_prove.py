@@ -211,14 +211,9 @@ def _enclosed(task: _Task, low: np.ndarray, high: np.ndarray) -> _Enclosed:
     boxes, f, k = len(low), len(task.free), task.size * (task.size + 1) // 2
     half = np.maximum(high - centre, centre - low)[:, task.free] * (1 + ROUND)
     size = np.maximum(np.abs(on.low), np.abs(on.high))
-    here = np.maximum(np.abs(at.low), np.abs(at.high))[:, k:].reshape(boxes, f, k) * half[:, :, None]
+    slopes = np.maximum(np.abs(at.low), np.abs(at.high))[:, k:].reshape(boxes, f, k)
+    here = _shares(slopes, size[:, k + f * k :], half)
     anywhere = size[:, k : k + f * k].reshape(boxes, f, k) * half[:, :, None]
-    bend = size[:, k + f * k :].reshape(boxes, -1, k)
-    for number, (i, j) in enumerate(pairs(f)):
-        part = bend[:, number] * (half[:, i] * half[:, j] / 2)[:, None]
-        here[:, i] += part
-        if i != j:
-            here[:, j] += part
     # A form with derivatives holds where these exist everywhere in the box. One that is not a number says nothing, and
     # the other enclosures may still be numbers.
     shares = np.where(on.smooth[:, None, None], np.fmin(here, anywhere), np.inf)
@@ -231,6 +226,19 @@ def _enclosed(task: _Task, low: np.ndarray, high: np.ndarray) -> _Enclosed:
         radius = np.maximum(upper_bound - middle, middle - lower_bound) * (1 + ROUND) + TINY
     n = task.size
     return _Enclosed(_full(middle, n), _full(radius, n), _full(shares, n), on.smooth)
+
+
+def _shares(slopes: np.ndarray, bend: np.ndarray, half: np.ndarray) -> np.ndarray:
+    """What each variable adds (B, f, K) to a change over ± half (B, f), by slopes (B, f, K) and second derivatives."""
+    boxes, f, k = slopes.shape
+    found = slopes * half[:, :, None]
+    bend = bend.reshape(boxes, -1, k)
+    for number, (i, j) in enumerate(pairs(f)):
+        part = bend[:, number] * (half[:, i] * half[:, j] / 2)[:, None]
+        found[:, i] += part
+        if i != j:
+            found[:, j] += part
+    return found
 
 
 def _outward(x: np.ndarray, sign: int) -> np.ndarray:
@@ -300,18 +308,37 @@ def _judge(task: _Task, low: np.ndarray, high: np.ndarray) -> tuple[Int[np.ndarr
     wrong = _counterexample(task, _middle(low[rest], high[rest]))
     if wrong is not None:
         return codes, wrong
-    size = np.abs(c[rest])[:, None]
-    with np.errstate(all="ignore"):
-        weight = (np.swapaxes(size, 2, 3) @ enclosed.shares[rest] @ size).sum(axis=(2, 3))
+    weight = _weight(c[rest], enclosed.shares[rest])
+    blind = np.flatnonzero(~(np.isfinite(weight).all(axis=1) & enclosed.smooth[rest]))
+    if len(blind):
+        weight[blind] = _weight_at_centre(task, low[rest][blind], high[rest][blind])
     relative = ((high - low)[rest] / np.where(task.width > 0, task.width, 1.0))[:, task.free]
-    blind = ~(np.isfinite(weight).all(axis=1) & enclosed.smooth[rest])
-    weight[blind] = relative[blind]
+    lost = ~np.isfinite(weight).all(axis=1)
+    weight[lost] = relative[lost]
     # Where every variable seems harmless, or cannot be halved any more, the widest one is.
     middle = _middle(low[rest], high[rest])[:, task.free]
     possible = (middle > low[rest][:, task.free]) & (middle < high[rest][:, task.free])
     weight = np.where(possible, weight + 1e-9 * relative * weight.max(axis=1, keepdims=True, initial=0.0), -1.0)
     codes[rest] = np.where(possible.any(axis=1), task.free[weight.argmax(axis=1)] if len(task.free) else OPEN, OPEN)
     return codes, None
+
+
+def _weight(c: np.ndarray, shares: np.ndarray) -> np.ndarray:
+    """How much each variable (B, f) widens the enclosures, seen where the matrix is near the identity."""
+    size = np.abs(c)[:, None]
+    with np.errstate(all="ignore"):
+        return (np.swapaxes(size, 2, 3) @ shares @ size).sum(axis=(2, 3))
+
+
+def _weight_at_centre(task: _Task, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """The same from derivatives at the centre alone, for boxes over which nothing is bounded."""
+    centre = _middle(low, high)
+    at = enclose(task.second, centre, centre)
+    f, k = len(task.free), task.size * (task.size + 1) // 2
+    size = np.maximum(np.abs(at.low), np.abs(at.high))
+    half = (high - low)[:, task.free] / 2
+    shares = _shares(size[:, k : k + f * k].reshape(len(low), f, k), size[:, k + f * k :], half)
+    return _weight(_factors(_full(_middle(at.low, at.high)[:, :k], task.size))[0], _full(shares, task.size))
 
 
 class _Tree:
