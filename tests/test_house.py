@@ -58,8 +58,8 @@ PUBLIC = {
     "FilteredDerivative FilteredState Geodesic GeodesicInfo GeodesicState Group GroupInfo GroupState Info "
     "InformationEKF InformationState Intrinsic InvariantEKF InvariantInfo InvariantState MechanicalState Riccati "
     "Salcudean SalcudeanState SavitzkyGolay WindowState run",
-    "report": "PALETTE EstimateReport draw_audit new_figure save_figure table write_article write_audit write_html "
-    "write_png",
+    "report": "PALETTE EstimateReport draw_audit draw_certificate new_figure save_figure table write_article "
+    "write_audit write_html write_png",
     "riccati": "Box Equation Metric Passage Solution Window gramian gramians high_gain lie_derivative metric_at "
     "metric_through rate_from_gramian reconstructibility right_side spd_distance window_at",
     "scale": "Grid Variable map_grid open_grid",

@@ -1,4 +1,4 @@
-"""The command line: `covariant estimate | compare | simulate | design | reproduce`. No mathematics here."""
+"""The command line: `covariant estimate | compare | simulate | certify | design | reproduce`. No mathematics here."""
 
 import os
 import sys

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from covariant.cli import _audit, _compare, _design, _estimate, _reproduce, _simulate
+from covariant.cli import _audit, _certify, _compare, _design, _estimate, _reproduce, _simulate
 from covariant.cli._job import Job
 from covariant.design import ESTIMATORS
 
@@ -135,6 +135,42 @@ def audit(
     """Measure the laws that an observer's convergence rests on; exit code 1 where one is broken."""
     look = _audit.Look(box, speed, points, seed)
     _audit.audit(model, tuple(override), observer, (alpha, beta), look, out, json)
+
+
+@app.command()
+def certify(
+    model: Model,
+    velocity: Annotated[
+        str | None, typer.Option(help="Bound of the true velocities, one or one each by commas; required.")
+    ] = None,
+    error: Annotated[
+        str | None, typer.Option(help="How far estimated positions may be off, one bound or one each; required.")
+    ] = None,
+    box: Annotated[
+        str | None, typer.Option(help="Ends of the positions, as r=-0.3:0.3,theta=-1:1; rotations need none.")
+    ] = None,
+    observer: Annotated[str | None, typer.Option(help=f"One of: {', '.join(_certify.OBSERVERS)}.")] = None,
+    alpha: Annotated[float | None, typer.Option(help="Gain α [1/s]; designed from the data sheet by default.")] = None,
+    beta: Annotated[float | None, typer.Option(help="Gain β [1/s²].")] = None,
+    sampling: Annotated[float | None, typer.Option(help="Sampling rate that gains are designed for [Hz].")] = None,
+    input: Annotated[str | None, typer.Option(help="Bound of the inputs, one or one each; zero by default.")] = None,
+    rate: Annotated[
+        float | None, typer.Option(help="Rate λ of squared lengths to prove [1/s]; half of Q's by default.")
+    ] = None,
+    q: Annotated[str | None, typer.Option(help="Metric Q as a,c,b; the best conditioned one by default.")] = None,
+    seconds: Annotated[float, typer.Option(help="Time for the proof [s].")] = 60.0,
+    processes: Annotated[int | None, typer.Option(help="Processes; as many as processors by default.", min=1)] = None,
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="Write the certificate here (.json).")] = None,
+    figure: Annotated[Path | None, typer.Option(help="Draw region, tube, distances and gains here (.png).")] = None,
+    override: Override = [],  # noqa: B006  typer copies it
+    json: Json = False,
+) -> None:
+    """Prove that an observer converges: on which region, at which rate, from how far. Angles are in radians.
+
+    Exit code 0 proved, 1 wrong or undecided, 2 bad input.
+    """
+    asked = _certify.Asked(observer, alpha, beta, sampling, box, velocity, error, input, rate, q, seconds, processes)
+    _certify.certify_model(model, tuple(override), asked, out, figure, json)
 
 
 @design.command()

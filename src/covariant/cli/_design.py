@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from covariant import design, models
+from covariant.cli import _parse
 from covariant.cli._job import check_output
 from covariant.design import MetricSummary, metric_summary
 from covariant.models import GroupSystem, StateSpace
@@ -22,8 +23,6 @@ from covariant.scale import Grid
 
 PATIENCE = 4.0
 """Seconds after which a scheduler that does not answer counts as not there."""
-
-Ends = dict[str, tuple[float, float]]
 
 
 class Task(NamedTuple):
@@ -57,10 +56,10 @@ def metric(spec: str, overrides: tuple[str, ...], out: Path, task: Task, crew: C
     grid = _grid(spec, model, task)
     equation = _equation(model, task, grid)
     settings: dict[str, Any] = {
-        "start": _positive("--start", task.start),
-        "tolerance": _positive("--tolerance", task.tolerance),
+        "start": _parse.above_zero("--start", task.start),
+        "tolerance": _parse.above_zero("--tolerance", task.tolerance),
         "domain": _domain(model, task.domain),
-        "u": _numbers("--input", task.input, [f"u{i + 1}" for i in range(model.inputs)]),
+        "u": _array(_parse.numbers("--input", task.input, [f"u{i + 1}" for i in range(model.inputs)])),
         # What was set may leave no other trace in the store.
         "name": ", ".join((file.name, *overrides)),
         **crew._asdict(),
@@ -103,7 +102,7 @@ def _model(spec: str, file: models.ModelFile) -> StateSpace:
 
 def _grid(spec: str, model: StateSpace, task: Task) -> Grid:
     own = dict(zip(model.coordinates, model.box, strict=False))
-    box = own | _ends("--box", task.box, model)
+    box = own | _parse.ends("--box", task.box, model.coordinates)
     missing = [name for name in model.coordinates if name not in box]
     if missing:
         example = ",".join(f"{name}=LOW:HIGH" for name in model.coordinates)
@@ -135,9 +134,9 @@ def _equation(model: StateSpace, task: Task, grid: Grid) -> Equation:
         raise ValueError("--rate and --window both say what λ is; keep one of them")
     if not task.rate and task.window is None and task.process_cov is None:
         raise ValueError("an equation needs λ > 0 by --rate or --window, --process-cov Q, or both; neither was given")
-    rate = task.rate if task.window is None else _rate(model, task, grid, _positive("--window", task.window))
-    q = _numbers("--process-cov", task.process_cov, model.coordinates, positive=True)
-    r = _numbers("--measurement-cov", task.measurement_cov, model.outputs, positive=True)
+    rate = task.rate if task.window is None else _rate(model, task, grid, _parse.above_zero("--window", task.window))
+    q = _parse.numbers("--process-cov", task.process_cov, model.coordinates, positive=True)
+    r = _parse.numbers("--measurement-cov", task.measurement_cov, model.outputs, positive=True)
     return Equation(rate, *(None if entries is None else jnp.diag(entries) for entries in (q, r)))
 
 
@@ -145,7 +144,7 @@ def _rate(model: StateSpace, task: Task, grid: Grid, longest: float) -> float:
     """λ from the Gramians at states drawn from the box, always the same."""
     low, high = np.asarray(grid.low, float), np.asarray(grid.high, float)
     points = np.random.default_rng(0).uniform(low, high, (64, len(low)))
-    u = _numbers("--input", task.input, [f"u{i + 1}" for i in range(model.inputs)])
+    u = _array(_parse.numbers("--input", task.input, [f"u{i + 1}" for i in range(model.inputs)]))
     return rate_from_gramian(model, jnp.asarray(points), longest, u)
 
 
@@ -153,49 +152,13 @@ def _domain(model: StateSpace, text: str | None):
     """The box the past is followed in, without bounds for the states it does not name."""
     if text is None:
         return None
-    ends = _ends("--domain", text, model)
+    ends = _parse.ends("--domain", text, model.coordinates)
     low, high = zip(*(ends.get(name, (-math.inf, math.inf)) for name in model.coordinates), strict=True)
     return jnp.array(low), jnp.array(high)
 
 
-def _ends(option: str, text: str | None, model: StateSpace) -> Ends:
-    """Ends of the axes from `name=low:high`, by commas."""
-    found: Ends = {}
-    for part in text.split(",") if text is not None else ():
-        name, _, ends = (piece.strip() for piece in part.partition("="))
-        try:
-            low, high = map(float, ends.split(":"))
-        except ValueError:
-            raise ValueError(f"{option}: {part!r} does not have the form NAME=LOW:HIGH") from None
-        if name not in model.coordinates:
-            raise ValueError(f"{option}: there is no state {name!r}; the states are {', '.join(model.coordinates)}")
-        if name in found:
-            raise ValueError(f"{option}: {name} is given twice; keep one of them")
-        if not (math.isfinite(low) and math.isfinite(high) and low < high):
-            raise ValueError(f"{option}: the low end of {name} must be below the high one, both finite; got {ends}")
-        found[name] = low, high
-    return found
-
-
-def _numbers(option: str, text: str | None, names, positive: bool = False):
-    """Numbers by commas, one for each name."""
-    if text is None:
-        return None
-    kind = "positive" if positive else "finite"
-    try:
-        values = np.array([float(part) for part in text.split(",")])
-    except ValueError:
-        raise ValueError(f"{option}: {text!r} is not a list of numbers separated by commas") from None
-    if len(values) != len(names) or not np.isfinite(values).all() or (positive and values.min() <= 0):
-        whose = f", for {', '.join(names)}" if names else ""
-        raise ValueError(f"{option} needs {len(names)} {kind} numbers separated by commas{whose}; got {text!r}")
-    return jnp.asarray(values)
-
-
-def _positive(option: str, value: float) -> float:
-    if not 0 < value < math.inf:
-        raise ValueError(f"{option} must be a positive number; got {value}")
-    return value
+def _array(values: np.ndarray | None):
+    return None if values is None else jnp.asarray(values)
 
 
 def _check_crew(crew: Crew) -> None:

@@ -5,6 +5,7 @@ matplotlib and plotly are guests: the functions that draw load them, and `pip in
 
 from covariant.report._article import write_article
 from covariant.report._audit import draw_audit, write_audit
+from covariant.report._certificate import draw_certificate
 from covariant.report._estimate import EstimateReport
 from covariant.report._html import write_html
 from covariant.report._png import write_png
@@ -15,6 +16,7 @@ __all__ = [
     "PALETTE",
     "EstimateReport",
     "draw_audit",
+    "draw_certificate",
     "new_figure",
     "save_figure",
     "table",

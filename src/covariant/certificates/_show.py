@@ -1,0 +1,341 @@
+"""What a certificate looks like: arrays for figures and for readers, all taken from the certificate itself.
+
+Source: Aghannan & Rouchon 2003, Fig. 2 and Theorem 2.
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from covariant.certificates._certify import ContractionCertificate
+from covariant.certificates._distance import Decay, lower_distance, upper_distance
+from covariant.certificates._prove import OPEN, PROVED, Proof, leaves
+from covariant.certificates._tangent import conditioning, error_matrix, lyapunov, optimal_lyapunov, rate_of
+from covariant.models import GroupSystem, Lagrangian, Motion
+from covariant.observers import Group
+from covariant.simulation import observe, simulate
+
+INSIDE = 0.98
+"""How much of the bounds a motion that is shown may use, so that it keeps them between its stamps."""
+
+
+class Projection(NamedTuple):
+    """The boxes of one proof seen along all variables but two.
+
+    - `claim`: which statement; `kind`: of each of the two variables; `names`, `units`: as in the certificate.
+    - `proved`, `open` (k, 2, 2): different rectangles, low then high ends of both variables.
+    - `domain` (2, 2): all of it; `counterexample` (2,): where the statement was proved wrong, or None.
+    """
+
+    claim: str
+    kind: tuple[str, str]
+    names: tuple[str, str]
+    units: tuple[str, str]
+    proved: Float[np.ndarray, "k 2 2"]
+    open: Float[np.ndarray, "j 2 2"]
+    domain: Float[np.ndarray, "2 2"]
+    counterexample: Float[np.ndarray, "2"] | None
+
+
+class Trajectories(NamedTuple):
+    """A motion of the model inside the region, and estimates that begin on the border of the proved tube.
+
+    - `t` (T,) [s]; `positions`, `velocities` (T, n): the motion; positions on a group are `log(g(0)⁻¹ g)`.
+    - `estimated_positions`, `estimated_velocities` (k, T, n).
+    - `half_widths` (2n,): how far the tube reaches in each position error, then in each velocity.
+    - `shown`: the coordinate in whose plane of position and velocity the estimates begin all around the motion.
+    - `distances`: of the estimates from the motion, and the certified bound.
+    """
+
+    t: Float[np.ndarray, "T"]
+    positions: Float[np.ndarray, "T n"]
+    velocities: Float[np.ndarray, "T n"]
+    estimated_positions: Float[np.ndarray, "k T n"]
+    estimated_velocities: Float[np.ndarray, "k T n"]
+    half_widths: Float[np.ndarray, "two_n"]
+    shown: int
+    distances: Decay
+
+
+class TradeOff(NamedTuple):
+    """Rates λ [1/s] that the gains allow at q̂ = q, and how well conditioned a metric has them.
+
+    - `rate`, `condition` (k,): of the best conditioned Q for each rate.
+    - `used`, `paper`: rate and condition number of the certificate's Q, and of the one of the paper.
+    - `certified`: the rate that the certificate is about.
+    """
+
+    rate: Float[np.ndarray, "k"]
+    condition: Float[np.ndarray, "k"]
+    used: tuple[float, float]
+    paper: tuple[float, float]
+    certified: float
+
+
+def open_share(proof: Proof) -> float:
+    """The share of the domain that no box proves."""
+    return float(sum((codes == OPEN).sum() * 0.5**depth for depth, codes in enumerate(proof.levels)))
+
+
+def kinds(certificate: ContractionCertificate) -> tuple[str, ...]:
+    """What each variable of the domain is: "estimate", "velocity" (estimated), "error" or "force"."""
+    n = len(certificate.velocity)
+    words = ("estimate", "velocity", "error", "force")
+    parts = words if len(certificate.domain.low) == 4 * n else words[1:]
+    return tuple(word for word in parts for _ in range(n))
+
+
+def half_widths(certificate: ContractionCertificate) -> Float[np.ndarray, "two_n"]:
+    """How far the proved tube reaches in each position error [unit], then in each velocity error [unit/s].
+
+    Raises `ValueError` where no tube is proved.
+    """
+    if certificate.summary.verdict != "holds":
+        raise ValueError("no tube, since nothing is proved on the region")
+    reaches = [claim for claim in certificate.claims if claim.kind == "reach"]
+    return certificate.radius * np.sqrt([claim.square for claim in reaches])
+
+
+def projection(certificate: ContractionCertificate) -> Projection:
+    """Boxes of the first claim that does not hold, or of the contraction, over the two variables most often halved."""
+    undecided = [claim for claim in certificate.claims if claim.proof.verdict != "holds"]
+    claim = (undecided or certificate.claims)[0]
+    domain, proof = claim.proof.box, claim.proof
+    codes = np.concatenate(proof.levels)
+    splits = np.bincount(codes[codes >= 0], minlength=len(domain.low)) + 0.5 * (domain.high > domain.low)
+    i, j = sorted(np.argsort(-splits, kind="stable")[:2].tolist())
+    found = {PROVED: [np.zeros((0, 2, 2))], OPEN: [np.zeros((0, 2, 2))]}
+    for state, low, high in leaves(domain, proof.levels):
+        for code, kept in found.items():
+            of = state == code
+            kept.append(np.stack([low[of][:, [i, j]], high[of][:, [i, j]]], axis=1))
+    proved, remaining = (np.unique(np.concatenate(found[code]), axis=0) for code in (PROVED, OPEN))
+    wrong = certificate.counterexample
+    what = kinds(certificate)
+    return Projection(
+        claim.kind,
+        (what[i], what[j]),
+        (domain.names[i], domain.names[j]),
+        (domain.units[i], domain.units[j]),
+        proved,
+        remaining,
+        np.stack([domain.low[[i, j]], domain.high[[i, j]]]),
+        None if wrong is None else wrong.mean(axis=0)[[i, j]],
+    )
+
+
+def trade_off(certificate: ContractionCertificate, count: int = 40) -> TradeOff:
+    """What the gains of a certificate's observer allow, from slow rates to nearly the fastest."""
+    alpha, beta = _gains(certificate)
+    fastest = -2 * float(np.linalg.eigvals(error_matrix(alpha, beta)).real.max())
+    rates = fastest * np.linspace(0.02, 0.98, count)
+    matrices = [optimal_lyapunov(alpha, beta, rate) for rate in rates]
+
+    def both(q) -> tuple[float, float]:
+        return rate_of(alpha, beta, q), conditioning(beta, q)
+
+    found = np.array(sorted(both(q) for q in matrices))
+    return TradeOff(found[:, 0], found[:, 1], both(certificate.q), both(lyapunov(alpha, beta)), certificate.rate)
+
+
+def trajectories(
+    certificate: ContractionCertificate, *, count: int = 5, stamps: int = 160, seed: int = 0
+) -> Trajectories:
+    """Simulate the model inside the region of a proved certificate, and `count` estimates from the border of its tube.
+
+    Of random motions with sinusoidal inputs within their bounds, one that stays inside longest is taken, at most eight
+    time constants of the observer, and of those one that moves much. The upper distance of the estimates begins at the
+    radius.
+
+    Raises `ValueError` where nothing is proved, or where no motion stays inside for as long as two stamps.
+    """
+    reached = half_widths(certificate)
+    side: Any = (
+        _OnGroup(certificate) if isinstance(certificate.observer.model, GroupSystem) else _InCoordinates(certificate)
+    )
+    alpha, beta = _gains(certificate)
+    longest = -8 / float(np.linalg.eigvals(error_matrix(alpha, beta)).real.max())
+    first, last = certificate.given["times"]
+    longest = min(longest, last - first) if last > first else longest
+    push = _inputs(certificate, longest)
+    rng = np.random.default_rng(seed)
+    start, duration, travel = _stays_inside(certificate, side, push, first, longest, rng)
+    t = jnp.linspace(first, first + duration, stamps)
+    n = len(certificate.velocity)
+    angles = jnp.linspace(0, 2 * jnp.pi, count, endpoint=False) + 0.3
+
+    @jax.jit
+    def follow(start, shown, size):
+        def one(angle):
+            begin = _on_the_border(certificate, side, start, shown, angle, size)
+            state = side.state(begin)
+            actual, states = observe(
+                certificate.observer.model, certificate.observer, start, state, t, push, rtol=1e-9, atol=1e-11
+            )
+            estimated = side.of_state(states)
+            ends = jax.vmap(side.chart)(estimated, actual)
+            metric = side.metric
+            low = jax.vmap(lambda s, a, b: lower_distance(metric, s, a, b))(t, *ends)
+            high = jax.vmap(lambda s, a, b: upper_distance(metric, s, a, b))(t, *ends)
+            places = [jax.vmap(side.coordinates, (None, 0))(start, x) for x in (actual, estimated)]
+            return *places, low, high
+
+        # One after the other: steps are chosen for each.
+        return jax.lax.map(one, angles)
+
+    shown = int(np.argmax(travel[:n] / reached[:n] if side.flat else travel[-n:] / reached[n:]))
+    actual, estimated, low, high = (np.asarray(a) for a in follow(start, shown, certificate.radius))
+    truth = actual[0]
+    shrink = np.exp(-certificate.decay * (np.asarray(t) - first))
+    bound = np.broadcast_to(certificate.radius * shrink, high.shape)
+    return Trajectories(
+        np.asarray(t),
+        truth[:, :n],
+        truth[:, n:],
+        estimated[..., :n],
+        estimated[..., n:],
+        reached,
+        shown,
+        Decay(np.asarray(t), low, high, bound),
+    )
+
+
+class _InCoordinates:
+    """States x = (q, v) (2n,) of a `Lagrangian`."""
+
+    flat = True
+
+    def __init__(self, certificate: ContractionCertificate):
+        self.certificate, self.n = certificate, len(certificate.velocity)
+        self.metric = certificate.subject.at(jnp.zeros(4 * self.n)).metric
+
+    def draw(self, rng, count: int) -> Array:
+        low, high = (np.asarray(self.certificate.given["positions"][end]) for end in ("low", "high"))
+        share = rng.uniform(-1, 1, (count, 2, self.n)) * rng.uniform(size=(count, 1, 1))
+        q = (low + high) / 2 + share[:, 0] * (high - low) / 2
+        return jnp.asarray(np.concatenate([q, share[:, 1] * self.certificate.velocity], axis=1))
+
+    def entries(self, x: Array) -> tuple[Array, Array]:
+        return x[..., : self.n], x[..., self.n :]
+
+    def coordinates(self, start: Array, x: Array) -> Array:
+        return x
+
+    def chart(self, estimated: Array, actual: Array) -> tuple[Array, Array]:
+        return estimated, actual
+
+    def place(self, x: Array) -> Array:
+        return jnp.concatenate([x, jnp.zeros_like(x)])
+
+    def moved(self, x: Array, step: Array) -> Array:
+        return x + step
+
+    def state(self, x: Array) -> Any:
+        q, v = jnp.split(x, 2)
+        return self.certificate.observer.init(q)._replace(q=q, v=v)
+
+    def of_state(self, state: Any) -> Array:
+        return jnp.concatenate([state.q, state.v], axis=-1)
+
+
+class _OnGroup:
+    """States `Motion(g, v)` of a `GroupSystem`, compared in the chart around the estimate."""
+
+    flat = False
+
+    def __init__(self, certificate: ContractionCertificate):
+        model = certificate.observer.model
+        assert isinstance(model, GroupSystem)
+        self.certificate, self.group, self.n = certificate, model.group, model.group.dimension
+        self.metric = certificate.subject.at(jnp.zeros(3 * self.n)).metric
+
+    def draw(self, rng, count: int) -> Motion:
+        turn = rng.normal(size=(count, self.n))
+        turn *= np.pi * rng.uniform(size=(count, 1)) / np.linalg.norm(turn, axis=1, keepdims=True)
+        v = rng.uniform(-1, 1, (count, self.n)) * rng.uniform(size=(count, 1)) * self.certificate.velocity
+        return Motion(jax.vmap(self.group.exp)(jnp.asarray(turn)), jnp.asarray(v))
+
+    def entries(self, x: Motion) -> tuple[Array, Array]:
+        return x.g.reshape(*x.g.shape[:-2], -1), x.v
+
+    def coordinates(self, start: Motion, x: Motion) -> Array:
+        return jnp.concatenate([self.group.log(self.group.inverse(start.g) @ x.g), x.v])
+
+    def chart(self, estimated: Motion, actual: Motion) -> tuple[Array, Array]:
+        between = self.group.log(self.group.inverse(estimated.g) @ actual.g)
+        return jnp.concatenate([jnp.zeros_like(between), estimated.v]), jnp.concatenate([between, actual.v])
+
+    def place(self, x: Motion) -> Array:
+        return jnp.concatenate([x.v, jnp.zeros(2 * self.n)])
+
+    def moved(self, x: Motion, step: Array) -> Motion:
+        turn, v = jnp.split(step, 2)
+        return Motion(x.g @ self.group.exp(turn), x.v + v)
+
+    def state(self, x: Motion) -> Any:
+        return self.certificate.observer.init(self.group.identity(x.v.dtype))._replace(g=x.g, v=x.v)
+
+    def of_state(self, state: Any) -> Motion:
+        return Motion(state.g, state.v)
+
+
+def _gains(certificate: ContractionCertificate) -> tuple[float, float]:
+    observer = certificate.observer
+    alpha = float(observer.alpha)
+    return 2 * alpha if isinstance(observer, Group) and observer.doubled_alpha else alpha, float(observer.beta)
+
+
+def _inputs(certificate: ContractionCertificate, longest: float):
+    """Sines within the bounds of the inputs, no two in step."""
+    low, high = (jnp.asarray(certificate.given[end]) for end in ("low", "high"))
+    pace = 2 * jnp.pi / longest * (2 + 0.74 * jnp.arange(low.shape[0], dtype=float))
+    return lambda t, x: (low + high) / 2 + INSIDE * (high - low) / 2 * jnp.sin(pace * t)
+
+
+def _stays_inside(
+    certificate, side, push, first: float, longest: float, rng, count: int = 512
+) -> tuple[Any, float, np.ndarray]:
+    """The start of a motion within the bounds, for how long it is inside, and how far positions and velocities go."""
+    t = jnp.linspace(first, first + longest, 49)
+    model: Lagrangian | GroupSystem = certificate.observer.model
+    draws = side.draw(rng, count)
+
+    @jax.jit
+    @jax.vmap
+    def motions(x0):
+        x = simulate(model, x0, t, push, rtol=1e-5, atol=1e-7).x
+        return side.entries(x)
+
+    places, v = (np.asarray(a) for a in motions(draws))
+    low, high = (np.asarray(certificate.given["positions"][end]) for end in ("low", "high"))
+    middle, half = (low + high) / 2, (high - low) / 2
+    room = half * INSIDE if side.flat else half + 1e-9
+    with np.errstate(invalid="ignore"):
+        inside = (np.abs(places - middle) <= room).all(-1) & (np.abs(v) <= INSIDE * certificate.velocity).all(-1)
+    lasts = np.where(inside.all(1), len(t), inside.argmin(1))
+    best = lasts == lasts.max()
+    travel = np.where(best, np.nan_to_num(np.ptp(v / certificate.velocity, axis=1)).sum(-1), -1.0)
+    chosen = int(travel.argmax())
+    if lasts[chosen] < 2:
+        raise ValueError("no motion was found that stays inside the region; take a larger one to see its tube")
+    until = lasts[chosen]
+    gone = np.concatenate([np.ptp(a[chosen, :until], axis=0) for a in (places, v)])
+    return jax.tree.map(lambda a: a[chosen], draws), float(t[until - 1] - t[0]), gone
+
+
+def _on_the_border(certificate, side, start, shown, angle, size):
+    """The state at the distance `size` from `start`, in the plane of one position error and the change of velocity."""
+    point = certificate.subject.at(side.place(start))
+    t = jnp.zeros(())
+    rows = point.reach[jnp.array([shown, shown + side.n])]
+    widest = jnp.linalg.solve(point.metric.gram(t, point.x), rows.T)
+    along = widest / jnp.sqrt(jnp.sum(rows.T * widest, axis=0))
+    step = point.metric.frame(t, point.x) @ (along @ jnp.array([jnp.cos(angle), jnp.sin(angle)]))
+
+    def nearer(_, scale):
+        return scale * size / upper_distance(side.metric, t, *side.chart(side.moved(start, scale * step), start))
+
+    return side.moved(start, jax.lax.fori_loop(0, 20, nearer, jnp.asarray(size)) * step)

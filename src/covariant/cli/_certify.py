@@ -1,0 +1,273 @@
+"""`covariant certify`: a proof that an observer converges, with its region, its rate and its tube."""
+
+import json
+import math
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from covariant import models
+from covariant.certificates import ContractionCertificate, certify
+from covariant.certificates._show import half_widths, kinds, open_share
+from covariant.cli import _parse
+from covariant.cli._job import check_output, data_sheet, numbered
+from covariant.design import observer_gains
+from covariant.models import GroupSystem, Lagrangian
+from covariant.observers import Geodesic, Group, Intrinsic
+
+OBSERVERS = {"intrinsic": Intrinsic, "geodesic": Geodesic, "group": Group}
+_KINDS = {"estimate": "estimate of", "velocity": "estimated velocity", "error": "position error", "force": "force"}
+
+
+class Asked(NamedTuple):
+    """What is to be proved, in options of the command as the user gave them."""
+
+    observer: str | None
+    alpha: float | None
+    beta: float | None
+    sampling: float | None
+    box: str | None
+    velocity: str | None
+    error: str | None
+    input: str | None
+    rate: float | None
+    q: str | None
+    seconds: float
+    processes: int | None
+
+
+def certify_model(
+    spec: str, overrides: tuple[str, ...], asked: Asked, out: Path | None, figure: Path | None, as_json: bool
+) -> None:
+    """Prove, write and draw; leaves with exit code 1 where the statement is not proved."""
+    check_output(out, ".json")
+    check_output(figure, ".png", ".pdf", ".svg")
+    if asked.velocity is None:
+        raise ValueError(
+            "--velocity is missing: no certificate exists without a bound of the velocity, because the tube in which "
+            "estimates converge shrinks as the velocity grows; give one bound, or one for each velocity by commas"
+        )
+    if asked.error is None:
+        raise ValueError("--error is missing: give how far an estimated position may be off, one bound or one each")
+    file = models.load(spec, overrides)
+    model = _model(spec, file)
+    settings, designed = _settings(spec, file, model, asked)
+    recipe = models.recipe(spec, overrides)
+    with _proving(quiet=as_json) as tell:
+        found = certify(recipe=recipe, progress=tell, **settings)
+    result = _result(spec, found)
+    if out is not None:
+        result["out"] = str(found.save(out))
+    if figure is not None:
+        from covariant.report import draw_certificate
+
+        result["figure"] = str(draw_certificate(found, figure))
+    print(json.dumps(result) if as_json else _text(result, found, designed))
+    if found.summary.verdict != "holds":
+        raise SystemExit(1)
+
+
+def _model(spec: str, file: models.ModelFile) -> Lagrangian | GroupSystem:
+    if not isinstance(file.model, Lagrangian | GroupSystem):
+        raise ValueError(
+            f"{spec} is a state-space model, and certificates are about intrinsic observers of mechanical ones, a "
+            "Lagrangian or a GroupSystem"
+        )
+    return file.model
+
+
+def _settings(spec: str, file: models.ModelFile, model, asked: Asked) -> tuple[dict[str, Any], str]:
+    """Arguments of `certify`, and where the gains come from."""
+    n = file.dimension
+    on_group = isinstance(model, GroupSystem)
+    names = model.velocities if on_group else model.coordinates or numbered("q", n)
+    inputs = numbered("u", n if model.inputs is None else model.inputs)
+    name = asked.observer or ("group" if on_group else "intrinsic")
+    if name not in OBSERVERS:
+        raise ValueError(f"unknown observer {name!r}; choose one of {', '.join(OBSERVERS)}")
+    if on_group != (name == "group"):
+        fitting = "group" if on_group else "intrinsic, geodesic"
+        raise ValueError(f"--observer {name} does not fit {spec}; these do: {fitting}")
+    velocity = _parse.numbers("--velocity", asked.velocity, [f"d{k}/dt" for k in names], positive=True, one=True)
+    error = _parse.numbers("--error", asked.error, names, positive=True, one=True)
+    push = _parse.numbers("--input", asked.input or "0", inputs, one=True)
+    assert push is not None
+    if push.min(initial=0.0) < 0:
+        raise ValueError(f"--input: bounds must not be negative; got {asked.input!r}")
+    alpha, beta, designed = _gains(file, asked)
+    settings = {
+        "observer": OBSERVERS[name](model, alpha, beta),
+        "velocity": velocity,
+        "error": error,
+        "position": _matrix_bounds(model, asked.box) if on_group else _bounds(spec, names, asked.box),
+        "input": push,
+        "rate": None if asked.rate is None else _parse.above_zero("--rate", asked.rate),
+        "q": _matrix(asked.q),
+        "seconds": _parse.above_zero("--seconds", asked.seconds),
+        "processes": asked.processes or os.cpu_count() or 1,
+    }
+    return settings, designed
+
+
+def _gains(file: models.ModelFile, asked: Asked) -> tuple[float, float, str]:
+    if (asked.alpha is None) != (asked.beta is None):
+        raise ValueError("--alpha and --beta belong together: give both or neither")
+    if asked.alpha is not None and asked.beta is not None:
+        alpha, beta = _parse.above_zero("--alpha", asked.alpha), _parse.above_zero("--beta", asked.beta)
+        return alpha, beta, f"Given gains: alpha = {alpha:g} 1/s, beta = {beta:g} 1/s²."
+    if file.measurement_std is None or file.acceleration_std is None:
+        raise ValueError(f"{file.name} has no data sheet to design gains from; give --alpha and --beta")
+    if asked.sampling is None:
+        raise ValueError("gains are designed for a sampling rate; give --sampling HZ, or --alpha and --beta")
+    gains = observer_gains(data_sheet(file), _parse.above_zero("--sampling", asked.sampling))
+    return float(gains.alpha), float(gains.beta), f"Designed {gains.summary}."
+
+
+def _bounds(spec: str, names: tuple[str, ...], text: str | None) -> tuple[np.ndarray, np.ndarray]:
+    """Least and largest positions, every coordinate being named."""
+    box = _parse.ends("--box", text, names, "coordinate", equal=True)
+    missing = [name for name in names if name not in box]
+    if missing:
+        example = ",".join(f"{name}=LOW:HIGH" for name in names)
+        raise ValueError(f"--box lacks {', '.join(missing)}; {spec} needs --box {example}")
+    low, high = zip(*(box[name] for name in names), strict=True)
+    return np.array(low), np.array(high)
+
+
+def _matrix_bounds(model: GroupSystem, text: str | None) -> tuple[np.ndarray, np.ndarray] | None:
+    """Least and largest entries of the matrices; those of rotations need none."""
+    if text is None:
+        return None
+    order = model.group.order
+    names = [f"g{i + 1}{j + 1}" for i in range(order) for j in range(order)]
+    box = _parse.ends("--box", text, names, "matrix entry", equal=True)
+    missing = [name for name in names if name not in box]
+    if missing:
+        raise ValueError(f"--box lacks {', '.join(missing)}: on a group all entries of its matrices need bounds")
+    low, high = zip(*(box[name] for name in names), strict=True)
+    return np.reshape(low, (order, order)), np.reshape(high, (order, order))
+
+
+def _matrix(text: str | None) -> np.ndarray | None:
+    """Q from a, c, b."""
+    entries = _parse.numbers("--q", text, ("a", "c", "b"))
+    if entries is None:
+        return None
+    a, c, b = entries
+    if not (a > 0 and a * b > c * c):
+        raise ValueError(f"--q: [[a, c], [c, b]] must be positive definite, a > 0 and ab > c²; got {text!r}")
+    return np.array([[a, c], [c, b]])
+
+
+@contextmanager
+def _proving(quiet: bool) -> Iterator[Callable[[str, float, int], None]]:
+    """A progress bar of the share decided; the body gets a function of what is proved, that share, and boxes."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
+
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TaskProgressColumn(),
+        TextColumn("{task.fields[boxes]} boxes"),
+        TimeElapsedColumn(),
+    )
+    with Progress(*columns, console=Console(stderr=True, quiet=quiet), transient=True) as progress:
+        task = progress.add_task("reading the model", total=1.0, boxes=0)
+
+        def tell(what: str, share: float, boxes: int) -> None:
+            progress.update(task, description=f"proving {what}", completed=share, boxes=boxes)
+
+        yield tell
+
+
+def _result(spec: str, found: ContractionCertificate) -> dict[str, Any]:
+    """Everything that is printed, for machines."""
+    summary, domain = found.summary, found.domain
+    bounds = zip(domain.names, domain.low.tolist(), domain.high.tolist(), strict=True)
+    wrong = None
+    if found.counterexample is not None:
+        wrong = dict(zip(domain.names, found.counterexample.mean(axis=0).tolist(), strict=True))
+    return {
+        "model": spec,
+        "observer": type(found.observer).__name__,
+        "verdict": summary.verdict,
+        "evidence": summary.evidence,
+        "statement": summary.statement,
+        "alpha": float(found.observer.alpha),
+        "beta": float(found.observer.beta),
+        "q": found.q.tolist(),
+        "rate": found.rate,
+        "decay": found.decay,
+        "radius": found.radius,
+        "half_widths": half_widths(found).tolist() if summary.verdict == "holds" else None,
+        "velocity": found.velocity.tolist(),
+        "domain": {name: [low, high] for name, low, high in bounds},
+        "boxes": found.boxes,
+        "seconds": found.seconds,
+        "open": len(found.open),
+        "open_share": {claim.kind: open_share(claim.proof) for claim in _undecided(found)},
+        "counterexample": wrong,
+    }
+
+
+def _undecided(found: ContractionCertificate):
+    return [claim for claim in found.claims if claim.proof.verdict == "undecided"]
+
+
+def _text(result: dict[str, Any], found: ContractionCertificate, designed: str) -> str:
+    verdict = found.summary.verdict
+    said = {"holds": "proved", "fails": "wrong", "undecided": "not decided"}[verdict]
+    (a, c), (_, b) = found.q
+    lines = [
+        f"{said}: {found.summary.statement}",
+        designed,
+        f"rate λ = {found.rate:.4g} 1/s of squared lengths, μ = {found.decay:.4g} 1/s of lengths, in the metric "
+        f"Q = [[{a:.4g}, {c:.4g}], [{c:.4g}, {b:.4g}]]",
+    ]
+    names, units, n = found.domain.names, found.domain.units, len(found.velocity)
+    if verdict == "holds":
+        widths = half_widths(found)
+        lines.append(f"tube of the radius ε = {found.radius:.4g}: every estimate in it stays within")
+        rates = [f"{unit}/s" if unit and not unit.endswith("/s") else unit for unit in units[:n]]
+        turns = [unit.removesuffix("/s") for unit in units[:n]]
+        lines += [
+            f"  {w:.4g} {u} of {what} {name}{_degrees(w, u)}"
+            for what, numbers, unit in (("position", widths[:n], turns), ("velocity", widths[n:], rates))
+            for name, w, u in zip(names[:n], numbers, unit, strict=True)
+        ]
+    else:
+        lines.append("no tube is proved")
+    bounds = ", ".join(f"{v:.4g}" for v in found.velocity)
+    lines.append(f"for true velocities up to {bounds}, and everywhere in the domain")
+    domain = found.domain
+    for kind, name, unit, low, high in zip(kinds(found), names, units, domain.low, domain.high, strict=True):
+        lines.append(f"  {low:.4g} ≤ {_KINDS[kind]} {name} ≤ {high:.4g} {unit}".rstrip() + _degrees(high, unit, low))
+    if found.counterexample is not None:
+        lines.append("it is wrong at")
+        point = found.counterexample.mean(axis=0)
+        lines += [f"  {k} = {x:.6g} {u}".rstrip() + _degrees(x, u) for k, u, x in zip(names, units, point, strict=True)]
+    for claim in _undecided(found):
+        lines.append(
+            f"{claim.kind}: {len(claim.proof.open)} boxes remain, {open_share(claim.proof):.2%} of the domain; more "
+            "--seconds, smaller bounds or a lower --rate may decide it"
+        )
+    lines.append(f"{found.boxes} boxes, {found.seconds:.1f} s")
+    lines += [f"wrote {result[key]}" for key in ("out", "figure") if key in result]
+    return "\n".join(lines)
+
+
+def _degrees(value: float, unit: str, low: float | None = None) -> str:
+    """An angle once more, in degrees."""
+    if unit not in ("rad", "rad/s"):
+        return ""
+    per = unit.removeprefix("rad")
+    return f" ({math.degrees(value):.4g}°{per})" if low is None else f" ({_degree(low)} to {_degree(value)}°{per})"
+
+
+def _degree(value: float) -> str:
+    return f"{math.degrees(value):.4g}"

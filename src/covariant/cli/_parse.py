@@ -1,0 +1,60 @@
+"""Options that hold several numbers: lists, and ends of named variables."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+Ends = dict[str, tuple[float, float]]
+
+
+def ends(option: str, text: str | None, names: Sequence[str], what: str = "state", equal: bool = False) -> Ends:
+    """Low and high ends from `name=low:high`, by commas; `equal` allows both to be the same.
+
+    Raises `ValueError`, one line for the user, naming the option and what is wrong.
+    """
+    found: Ends = {}
+    for part in text.split(",") if text is not None else ():
+        name, _, numbers_ = (piece.strip() for piece in part.partition("="))
+        try:
+            low, high = map(float, numbers_.split(":"))
+        except ValueError:
+            raise ValueError(f"{option}: {part!r} does not have the form NAME=LOW:HIGH") from None
+        if name not in names:
+            raise ValueError(f"{option}: there is no {what} {name!r}; the {what}s are {', '.join(names)}")
+        if name in found:
+            raise ValueError(f"{option}: {name} is given twice; keep one of them")
+        if not (math.isfinite(low) and math.isfinite(high) and (low < high or (equal and low == high))):
+            raise ValueError(f"{option}: the low end of {name} must be below the high one, both finite; got {numbers_}")
+        found[name] = low, high
+    return found
+
+
+def numbers(
+    option: str, text: str | None, names: Sequence[str], positive: bool = False, one: bool = False
+) -> Float[np.ndarray, "n"] | None:
+    """Numbers by commas, one for each name, or where `one` is allowed one for all; None where nothing is given.
+
+    Raises `ValueError`, one line for the user, naming the option and what is wrong.
+    """
+    if text is None:
+        return None
+    kind = "positive" if positive else "finite"
+    try:
+        values = np.array([float(part) for part in text.split(",")])
+    except ValueError:
+        raise ValueError(f"{option}: {text!r} is not a list of numbers separated by commas") from None
+    counts = (1, len(names)) if one else (len(names),)
+    if len(values) not in counts or not np.isfinite(values).all() or (positive and values.min() <= 0):
+        whose = f", for {', '.join(names)}" if names else ""
+        needed = "one number, or " if one and len(names) > 1 else ""
+        raise ValueError(f"{option} needs {needed}{len(names)} {kind} numbers separated by commas{whose}; got {text!r}")
+    return np.full(len(names), values[0]) if len(values) < len(names) else values
+
+
+def above_zero(option: str, value: float) -> float:
+    """The value itself. Raises `ValueError` unless it is a positive number."""
+    if not 0 < value < math.inf:
+        raise ValueError(f"{option} must be a positive number; got {value}")
+    return value

@@ -1,0 +1,240 @@
+"""A certificate as a figure: where it holds, the tube it proves, how estimates converge in it, and what Q costs."""
+
+import os
+import textwrap
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from covariant.certificates import ContractionCertificate
+from covariant.certificates._show import (
+    Projection,
+    TradeOff,
+    Trajectories,
+    open_share,
+    projection,
+    trade_off,
+    trajectories,
+)
+from covariant.models import GroupSystem
+from covariant.report._guests import guest
+from covariant.report._style import BACKDROP, INK, MUTED, PALETTE, new_figure, save_figure
+
+if TYPE_CHECKING:
+    import matplotlib.axes
+
+_PROVED, _WRONG, _TUBE, _ESTIMATE, _BEST = PALETTE[0], PALETTE[1], PALETTE[5], PALETTE[2], PALETTE[3]
+_OPEN = PALETTE[4]
+_WORDS = {
+    "estimate": "estimate of {}",
+    "velocity": "estimated velocity {}",
+    "error": "position error {}",
+    "force": "force {}",
+}
+_MOST_RECTANGLES = 20_000
+
+
+def draw_certificate(certificate: ContractionCertificate, path: str | os.PathLike[str]) -> Path:
+    """Draw a certificate, in the format the suffix names; returns the path.
+
+    Four panels: the region by boxes, a motion with the proved tube and estimates that begin on its border, their
+    distances under the certified line, and the rates that the gains allow by condition number. Without a proof the
+    second and third say so. Raises `ValueError` for a suffix that names no format, `ImportError` without matplotlib.
+    """
+    titles = (
+        "Where it is proved",
+        "The tube around a simulated motion",
+        "Distance of estimates from the motion",
+        "What the gains allow",
+    )
+    figure, axes = new_figure(2, 2, panel=(5.6, 3.7), titles=titles, sharex=False)
+    _draw_region(axes[0, 0], projection(certificate), certificate)
+    try:
+        found = trajectories(certificate)
+    except ValueError as error:
+        for ax in (axes[0, 1], axes[1, 0]):
+            _say(ax, str(error))
+    else:
+        (_draw_velocity if _on_group(certificate) else _draw_tube)(axes[0, 1], found, certificate)
+        _draw_distances(axes[1, 0], found, certificate)
+    _draw_trade_off(axes[1, 1], trade_off(certificate))
+    lines = textwrap.wrap(_title(certificate), 105)
+    figure.suptitle("\n".join(lines), x=0.012, ha="left", fontsize=11, fontweight="bold", color=INK)
+    figure.set_figheight(figure.get_figheight() + 0.19 * len(lines))
+    return save_figure(figure, path)
+
+
+def _title(certificate: ContractionCertificate) -> str:
+    said = {"holds": "Proved", "fails": "Wrong", "undecided": "Not decided"}[certificate.summary.verdict]
+    statement = certificate.summary.statement
+    return f"{said}: {statement}"
+
+
+def _on_group(certificate: ContractionCertificate) -> bool:
+    return isinstance(certificate.observer.model, GroupSystem)
+
+
+def _label(kind: str, name: str, unit: str) -> str:
+    return _WORDS[kind].format(name) + (f" [{unit}]" if unit else "")
+
+
+def _names(certificate: ContractionCertificate) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Names and units of the coordinates, or on a group of the velocities."""
+    n = len(certificate.velocity)
+    return certificate.domain.names[:n], certificate.domain.units[:n]
+
+
+def _say(ax: "matplotlib.axes.Axes", text: str) -> None:
+    ax.grid(visible=False)
+    ax.set_xticks([])
+    ax.set_yticks([])
+    ax.text(0.5, 0.5, textwrap.fill(text, 50), transform=ax.transAxes, ha="center", va="center", color=MUTED)
+
+
+def _legend(ax: "matplotlib.axes.Axes", **options) -> None:
+    ax.legend(**{"fontsize": 8, "labelcolor": INK, "framealpha": 0.85, "edgecolor": "none"} | options)
+
+
+def _draw_region(ax: "matplotlib.axes.Axes", seen: Projection, certificate: ContractionCertificate) -> None:
+    collection = guest("matplotlib.collections").PolyCollection
+    for order, (boxes, colour, fill, label) in enumerate(
+        ((seen.proved, _PROVED, 0.18, "boxes proved"), (seen.open, _OPEN, 0.55, "boxes not decided")), start=1
+    ):
+        if len(boxes):
+            shown = boxes[:_MOST_RECTANGLES]
+            (left, bottom), (right, top) = shown[:, 0].T, shown[:, 1].T
+            corners = np.stack([left, bottom, right, bottom, right, top, left, top], axis=1).reshape(-1, 4, 2)
+            # Boxes lie over each other where they differ in other variables: fills first, then all edges.
+            thinned = _mixed(colour, fill)
+            ax.add_collection(collection(list(corners), facecolor=thinned, edgecolor="none", zorder=order))
+            ax.add_collection(collection(list(corners), facecolor="none", edgecolor=colour, linewidth=0.6, zorder=3))
+            ax.plot([], [], "s", color=thinned, markeredgecolor=colour, markersize=8, label=label)
+    if seen.counterexample is not None:
+        ax.plot(
+            *seen.counterexample, "X", color=_WRONG, markersize=10, zorder=4, label="counter-example", clip_on=False
+        )
+    low, high = seen.domain
+    room = 0.03 * (high - low)
+    ax.set_xlim(low[0] - room[0], high[0] + room[0])
+    ax.set_ylim(low[1] - room[1], high[1] + 5 * room[1])  # the legend stands above the region
+    ax.set_xlabel(_label(seen.kind[0], seen.names[0], seen.units[0]))
+    ax.set_ylabel(_label(seen.kind[1], seen.names[1], seen.units[1]))
+    ax.grid(visible=False)
+    claim = next((c for c in certificate.claims if c.proof.verdict != "holds"), certificate.claims[0])
+    share = open_share(claim.proof) if claim.proof.verdict == "undecided" else 0.0
+    others = len(claim.proof.box.low) - 2
+    said = f"{seen.claim}, {claim.proof.boxes} boxes, seen along {others} more variables"
+    ax.set_title(said + (f"; {share:.1%} open" if share else ""), loc="right", fontsize=7, color=MUTED)
+    if len(seen.proved) or len(seen.open):
+        _legend(ax, loc="upper right", ncols=3)
+
+
+def _mixed(colour: str, share: float) -> tuple[float, float, float]:
+    """A colour thinned with white, opaque so that boxes over each other look like one."""
+    rgb = guest("matplotlib.colors").to_rgb(colour)
+    return tuple(1 - share * (1 - part) for part in rgb)  # pyright: ignore[reportReturnType]
+
+
+def _draw_tube(ax: "matplotlib.axes.Axes", found: Trajectories, certificate: ContractionCertificate) -> None:
+    i, n = found.shown, found.positions.shape[1]
+    names, units = _names(certificate)
+    x, y = found.positions[:, i], found.velocities[:, i]
+    half = found.half_widths[[i, i + n]]
+    dense = np.linspace(0, len(x) - 1, 16 * len(x))
+    steps = np.arange(len(x))
+    middles = np.stack([np.interp(dense, steps, x), np.interp(dense, steps, y)], axis=1)
+    around = middles[:, None] + half * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    patches = guest("matplotlib.collections").PolyCollection
+    tube = _mixed(_TUBE, 0.35)
+    of = f" {units[i]}" if units[i] else ""
+    ax.add_collection(patches(list(around), facecolor=tube, edgecolor="none", zorder=1))
+    ax.plot([], [], "s", color=tube, markersize=9, label=f"proved tube, ± {half[0]:.2g}{of} and ± {half[1]:.2g}{of}/s")
+    ax.plot(x, y, color=INK, linewidth=1.6, zorder=4, label="motion of the model")
+    for k in range(len(found.estimated_positions)):
+        ax.plot(
+            found.estimated_positions[k, :, i],
+            found.estimated_velocities[k, :, i],
+            color=_ESTIMATE,
+            linewidth=0.9,
+            zorder=3,
+            label=None if k else "estimates from its border",
+        )
+        ax.plot(found.estimated_positions[k, 0, i], found.estimated_velocities[k, 0, i], ".", color=_ESTIMATE, zorder=5)
+    unit = f" [{units[i]}]" if units[i] else ""
+    ax.set_xlabel(f"{names[i]}{unit}")
+    ax.set_ylabel(f"d{names[i]}/dt" + (f" [{units[i]}/s]" if units[i] else " [1/s]"))
+    ax.autoscale_view()
+    _legend(ax, loc="best")
+
+
+def _draw_velocity(ax: "matplotlib.axes.Axes", found: Trajectories, certificate: ContractionCertificate) -> None:
+    i, n = found.shown, found.positions.shape[1]
+    names, units = _names(certificate)
+    v, half = found.velocities[:, i], found.half_widths[i + n]
+    tube = _mixed(_TUBE, 0.35)
+    ax.fill_between(
+        found.t, v - half, v + half, color=tube, linewidth=0, label=f"proved tube, ± {half:.2g} {units[i]}", zorder=1
+    )
+    ax.plot(found.t, v, color=INK, linewidth=1.6, label="motion of the model", zorder=4)
+    for k, estimated in enumerate(found.estimated_velocities[:, :, i]):
+        ax.plot(
+            found.t,
+            estimated,
+            color=_ESTIMATE,
+            linewidth=0.9,
+            zorder=3,
+            label=None if k else "estimates from its border",
+        )
+    ax.set_xlabel("t [s]")
+    ax.set_ylabel(f"{names[i]} [{units[i]}]" if units[i] else names[i])
+    _legend(ax, loc="best")
+
+
+def _draw_distances(ax: "matplotlib.axes.Axes", found: Trajectories, certificate: ContractionCertificate) -> None:
+    seen = found.distances
+    least = seen.high[:, 0].max() * 1e-4
+    for k, curves in enumerate(zip(seen.high, seen.low, strict=True)):
+        for distance, colour, dash, where in zip(
+            curves, (_ESTIMATE, INK), ("-", (0, (2, 5))), ("above", "below"), strict=True
+        ):
+            ax.plot(
+                seen.t,
+                np.where(distance > least, distance, np.nan),
+                color=colour,
+                linestyle=dash,
+                linewidth=1.3,
+                zorder=2 + (where == "below"),
+                label=None if k else f"estimates, bounded from {where}",
+            )
+    ax.plot(
+        seen.t,
+        seen.bound[0],
+        color=_WRONG,
+        linewidth=2,
+        zorder=4,
+        label=f"proved: ε exp(−{certificate.decay:.3g} t), ε = {certificate.radius:.3g}",
+    )
+    ax.set_yscale("log")
+    ax.set_ylim(least, 2 * certificate.radius)
+    ax.set_xlabel("t [s]")
+    ax.set_ylabel("distance in the metric of Q")
+    _legend(ax, loc="lower left")
+
+
+def _draw_trade_off(ax: "matplotlib.axes.Axes", found: TradeOff) -> None:
+    ax.plot(found.rate, found.condition, color=BACKDROP, linewidth=2.5, label="best Q for each rate")
+    ax.axvline(
+        found.certified, color=_WRONG, linewidth=1.5, label=f"rate of the certificate, {found.certified:.3g} 1/s"
+    )
+    same = np.allclose(found.used, found.paper)
+    if not same:
+        ax.plot(*found.paper, "D", color=_BEST, markersize=7, label=f"Q of the paper, {found.paper[0]:.3g} 1/s")
+    which = "its Q, that of the paper" if same else "its Q"
+    ax.plot(*found.used, "o", color=_PROVED, markersize=8, label=f"{which}: {found.used[0]:.3g} 1/s at no error")
+    ax.set_yscale("log")
+    ax.set_xlim(left=0)
+    ax.set_xlabel("rate λ of squared lengths [1/s]")
+    ax.set_ylabel("condition number of Q")
+    ax.yaxis.set_minor_formatter("")
+    _legend(ax, loc="best")
