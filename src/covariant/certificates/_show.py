@@ -177,7 +177,7 @@ def trajectories(
             )
             estimated = side.of_state(states)
             ends = jax.vmap(side.chart)(estimated, actual)
-            metric = side.metric
+            metric = certificate.subject.at(side.place(start)).metric
             low = jax.vmap(lambda s, a, b: lower_distance(metric, s, a, b))(t, *ends)
             high = jax.vmap(lambda s, a, b: upper_distance(metric, s, a, b))(t, *ends)
             places = [jax.vmap(side.coordinates, (None, 0))(start, x) for x in (actual, estimated)]
@@ -210,7 +210,6 @@ class _InCoordinates:
 
     def __init__(self, certificate: ContractionCertificate):
         self.certificate, self.n = certificate, len(certificate.velocity)
-        self.metric = certificate.subject.at(jnp.zeros(4 * self.n)).metric
 
     def draw(self, rng, count: int) -> Array:
         low, high = (np.asarray(self.certificate.given["positions"][end]) for end in ("low", "high"))
@@ -250,7 +249,6 @@ class _OnGroup:
         model = certificate.observer.model
         assert isinstance(model, GroupSystem)
         self.certificate, self.group, self.n = certificate, model.group, model.group.dimension
-        self.metric = certificate.subject.at(jnp.zeros(3 * self.n)).metric
 
     def draw(self, rng, count: int) -> Motion:
         turn = rng.normal(size=(count, self.n))
@@ -336,6 +334,6 @@ def _on_the_border(certificate, side, start, shown, angle, size):
     step = point.metric.frame(t, point.x) @ (along @ jnp.array([jnp.cos(angle), jnp.sin(angle)]))
 
     def nearer(_, scale):
-        return scale * size / upper_distance(side.metric, t, *side.chart(side.moved(start, scale * step), start))
+        return scale * size / upper_distance(point.metric, t, *side.chart(side.moved(start, scale * step), start))
 
     return side.moved(start, jax.lax.fori_loop(0, 20, nearer, jnp.asarray(size)) * step)
