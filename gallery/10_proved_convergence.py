@@ -12,6 +12,8 @@ worst point of the region, and a motion hardly ever stays there.
 import math
 from pathlib import Path
 
+import numpy as np
+
 from covariant import certificates, models
 from covariant.observers import Intrinsic
 from covariant.report import draw_certificate
@@ -22,7 +24,7 @@ OUT.mkdir(exist_ok=True)
 alpha, beta = math.sqrt(2), 0.5
 certificate = certificates.certify(
     Intrinsic(models.ball_and_beam(), alpha, beta),
-    position=([-0.2, -0.5], [0.2, 0.5]),  # m, rad
+    position=(np.array([-0.2, -0.5]), np.array([0.2, 0.5])),  # m, rad
     velocity=0.5,  # m/s, rad/s
     error=0.02,  # m, rad
     input=0.1,  # N m
