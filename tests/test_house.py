@@ -38,7 +38,7 @@ PUBLIC = {
     "Subject audit bending box certify conditioning contraction contraction_matrix contraction_rate decay "
     "detectability_rate error_bounds error_matrix falsify force_bounds generalised_jacobian in_coordinates in_frame "
     "log_norm lower_distance lyapunov noise_disturbance observability optimal_lyapunov prove rate_of rates_along "
-    "steady_distance subject tangent_metric upper_distance worst",
+    "steady_distance subject tangent_metric upper_distance",
     "design": "ESTIMATORS DataSheet Gains MetricSummary bias estimators filter_bandwidth gains line_up load_metric "
     "metric metric_summary observer_gains predict_errors window_length with_gains",
     "geometry": "AbstractMetric Budget ConstantCurvature Euclidean FlatTorus Interpolated Metric Product Pullback "

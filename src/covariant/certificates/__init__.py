@@ -14,7 +14,7 @@ from covariant.certificates._contraction import (
     rates_along,
 )
 from covariant.certificates._distance import Decay, decay, lower_distance, upper_distance
-from covariant.certificates._falsify import falsify, worst
+from covariant.certificates._falsify import falsify
 from covariant.certificates._noise import error_bounds, noise_disturbance, steady_distance
 from covariant.certificates._observability import Observability, bending, detectability_rate, observability
 from covariant.certificates._prove import Box, Proof, box, prove
@@ -70,5 +70,4 @@ __all__ = [
     "subject",
     "tangent_metric",
     "upper_distance",
-    "worst",
 ]

@@ -87,7 +87,7 @@ def contraction_rate(flow: Flow, metric: StateMetric | Field, t: Scalar, x: Vect
     return -jnp.linalg.eigvalsh(whiten(metric.gram(t, x), contraction_matrix(flow, metric, t, x)))[-1]
 
 
-def log_norm(matrix: Matrix, order: float = 2) -> Scalar:
+def log_norm(matrix: Matrix, order: float | int = 2) -> Scalar:
     """The logarithmic norm of a Jacobian (n, n) for the vector norm ℓ1, ℓ2 or ℓ∞ [1/s]: `|δx|' ≤ μ |δx|`.
 
     A quick check: negative everywhere on a convex set means contraction in that norm. Source: Desoer & Haneda 1972,

@@ -53,8 +53,8 @@ def lower_distance(metric: StateMetric, t: Scalar, x0: Vector, x1: Vector) -> Sc
 
     def widest(half, covectors):
         # No curve through x0 shorter than `upper` leaves the box around x0 of these half widths.
-        points = x0 + jnp.asarray(shares, x0.dtype) * half
-        return jnp.max(jax.vmap(lambda at: dual(at, covectors))(points), axis=0)
+        squares = jax.vmap(lambda share: dual(x0 + share * half, covectors))(jnp.asarray(shares, x0.dtype))
+        return jnp.max(squares, axis=0)
 
     half = 1.5 * upper * jnp.sqrt(dual(x0, unit))
     inside = jnp.all(upper * jnp.sqrt(widest(half, unit)) <= half)
