@@ -330,7 +330,7 @@ def _on_the_border(certificate, side, start, shown, angle, size):
     t = jnp.zeros(())
     rows = point.reach[jnp.array([shown, shown + side.n])]
     widest = jnp.linalg.solve(point.metric.gram(t, point.x), rows.T)
-    along = widest / jnp.sqrt(jnp.sum(rows.T * widest, axis=0))
+    along = widest / jnp.sqrt(jnp.sum(rows.T * widest, axis=0, keepdims=True))
     step = point.metric.frame(t, point.x) @ (along @ jnp.array([jnp.cos(angle), jnp.sin(angle)]))
 
     def nearer(_, scale):

@@ -1,0 +1,194 @@
+"""`covariant certify`: what it proves, prints and writes, and what it refuses."""
+
+import json
+import math
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from commands import command
+
+from covariant import certificates, models
+from covariant.cli import _certify, main
+from covariant.observers import Intrinsic
+
+PENDULUM = """
+system = "pendulum_chain"
+[parameters]
+mass = [1.0]
+length = [0.5]
+"""
+SHEET = "[measurement]\nstd = 1e-3\n[uncertainty]\nacceleration = 1.0\n"
+GAINS = ("--alpha", "10", "--beta", "50")
+REGION = ("--box", "q1=-1:1", "--velocity", "2", "--error", "0.1", "--input", "0.5")
+ONE = ("--processes", "1")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("certify")
+    (folder / "pendulum.toml").write_text(PENDULUM)
+    (folder / "sheet.toml").write_text(PENDULUM + SHEET)
+    return folder
+
+
+@pytest.fixture(autouse=True)
+def inside(folder, monkeypatch):
+    monkeypatch.chdir(folder)
+
+
+@pytest.fixture(scope="module")
+def proved(folder):
+    """What the command prints of a pendulum, whose certificate is in proved.json."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        return command("certify", "pendulum.toml", *GAINS, *REGION, *ONE, "--out", "proved.json")
+
+
+def leave(capsys, monkeypatch, *arguments: str) -> tuple[int, str, str]:
+    """Exit code, standard output and standard error of a command."""
+    monkeypatch.setattr(sys, "argv", ["covariant", "certify", *arguments])
+    with pytest.raises(SystemExit) as left:
+        main()
+    return (int(left.value.code or 0), *capsys.readouterr())
+
+
+def unproved(verdict: str):
+    """A stand-in for `certify` that says so at once, with a quarter of the domain open, and is told what was asked."""
+    asked = {}
+
+    def stand_in(observer, **settings):
+        asked.update(settings, observer=observer)
+        q = certificates.optimal_lyapunov(observer.alpha, observer.beta, 1.0)
+        about = certificates.subject(observer, q)
+        domain = certificates.Box(about.names, about.units, -np.ones(4), np.ones(4))
+        levels = [np.array([0]), np.array([1, -1]), np.array([-2, -1])]
+        wrong = np.full((2, 4), 0.5) if verdict == "fails" else None
+        proof = certificates.Proof(verdict, domain, levels, wrong, np.zeros((1, 2, 4)), 5, 0.1)
+        summary = certificates.Certificate("squared lengths shrink", verdict, 1.0, str(domain), "proved", ())
+        claims = (certificates.Claim("contraction", proof),)
+        return certificates.ContractionCertificate(
+            summary, 1.0, 0.0, observer, q, about, domain, np.ones(1), {}, claims, None
+        )
+
+    return stand_in, asked
+
+
+def test_a_proof_says_how_fast_from_how_far_and_where(proved):
+    assert (proved["verdict"], proved["evidence"], proved["observer"]) == ("holds", "proved", "Intrinsic")
+    assert (proved["alpha"], proved["beta"], proved["velocity"]) == (10.0, 50.0, [2.0])
+    assert proved["decay"] == proved["rate"] / 2 > 0
+    assert proved["radius"] > 0
+    assert proved["domain"]["q1"] == [-1.1, 1.1]
+    assert proved["domain"]["e_q1"] == [-0.1, 0.1]
+    assert 0 < proved["half_widths"][0] <= 0.1
+    assert (proved["open"], proved["open_share"], proved["counterexample"]) == (0, {}, None)
+    assert (proved["model"], proved["out"]) == ("pendulum.toml", "proved.json")
+
+
+def test_the_file_is_the_certificate(proved):
+    document = json.loads(Path("proved.json").read_text(encoding="utf-8"))
+    assert (document["verdict"], document["rate"], document["radius"]) == ("holds", proved["rate"], proved["radius"])
+    made = models.from_recipe(document["model"])
+    assert dict(made.parameters) == dict(models.load("pendulum.toml").model.parameters)
+
+
+def test_for_a_person_angles_are_in_degrees_too(proved, monkeypatch):
+    q = np.array(proved["q"])
+    observer = Intrinsic(models.load("pendulum.toml").model, 10.0, 50.0)
+    about = certificates.subject(observer, q)
+    low, high = np.array(list(proved["domain"].values())).T
+    domain = certificates.Box(about.names, about.units, low, high)
+    whole = certificates.Proof("holds", domain, [np.array([-1])], None, np.zeros((0, 2, 4)), 1, 0.1)
+    squares = (np.array(proved["half_widths"]) / proved["radius"]) ** 2
+    found = certificates.ContractionCertificate(
+        certificates.Certificate(proved["statement"], "holds", proved["rate"], "", "proved", ()),
+        proved["rate"],
+        proved["radius"],
+        observer,
+        q,
+        about,
+        domain,
+        np.array([2.0]),
+        {},
+        (
+            certificates.Claim("contraction", whole),
+            *(certificates.Claim("reach", whole, row, square, 0.1) for row, square in enumerate(squares)),
+        ),
+        None,
+    )
+    text = _certify._text(proved, found, "Given gains.")
+    assert text.startswith(f"proved: {proved['statement']}\nGiven gains.\n")
+    assert f"λ = {proved['rate']:.4g} 1/s" in text
+    assert f"ε = {proved['radius']:.4g}" in text
+    assert "-1.1 ≤ estimate of q1 ≤ 1.1 rad (-63.03 to 63.03°)" in text
+    assert f"({math.degrees(proved['half_widths'][0]):.4g}°)" in text
+    assert text.endswith("wrote proved.json")
+
+
+def test_undecided_names_what_remains_and_leaves_with_1(capsys, monkeypatch):
+    stand_in, asked = unproved("undecided")
+    monkeypatch.setattr(_certify, "certify", stand_in)
+    more = ("--q", "3,-1,2", "--rate", "0.5", "--seconds", "7", "--processes", "2")
+    code, out, _ = leave(capsys, monkeypatch, "pendulum.toml", *GAINS, *REGION, *more)
+    assert code == 1
+    assert out.startswith("not decided: squared lengths shrink\n")
+    assert "contraction: 1 boxes remain, 25.00% of the domain" in out
+    np.testing.assert_array_equal(asked["q"], [[3.0, -1.0], [-1.0, 2.0]])
+    assert (asked["rate"], asked["seconds"], asked["processes"]) == (0.5, 7.0, 2)
+    np.testing.assert_array_equal(asked["input"], [0.5])
+    assert asked["recipe"] == models.recipe("pendulum.toml")
+
+
+def test_wrong_names_the_point_and_leaves_with_1(capsys, monkeypatch):
+    monkeypatch.setattr(_certify, "certify", unproved("fails")[0])
+    code, out, _ = leave(capsys, monkeypatch, "pendulum.toml", *GAINS, *REGION)
+    assert code == 1
+    assert "it is wrong at\n  q1 = 0.5 rad (28.65°)\n  v_q1 = 0.5 rad/s (28.65°/s)\n" in out
+    code, out, _ = leave(capsys, monkeypatch, "pendulum.toml", *GAINS, *REGION, "--json")
+    assert (code, json.loads(out)["counterexample"]["v_q1"]) == (1, 0.5)
+
+
+def test_gains_are_designed_from_the_data_sheet(capsys, monkeypatch):
+    stand_in, asked = unproved("undecided")
+    monkeypatch.setattr(_certify, "certify", stand_in)
+    _, out, _ = leave(capsys, monkeypatch, "sheet.toml", *REGION, "--sampling", "500", "--observer", "geodesic")
+    assert type(asked["observer"]).__name__ == "Geodesic"
+    assert f"Designed alpha = {asked['observer'].alpha:.4g} 1/s" in out
+
+
+REFUSED = {
+    "no velocity": (("pendulum.toml", *GAINS, "--box", "q1=-1:1", "--error", "0.1"), ["--velocity", "no certificate"]),
+    "no error": (("pendulum.toml", *GAINS, "--box", "q1=-1:1", "--velocity", "2"), ["--error"]),
+    "negative error": (("pendulum.toml", *GAINS, *REGION, "--error", "-0.1"), ["--error", "positive", "-0.1"]),
+    "too many": (("pendulum.toml", *GAINS, *REGION, "--velocity", "1,2"), ["--velocity", "dq1/dt", "1,2"]),
+    "unknown coordinate": (("pendulum.toml", *GAINS, *REGION, "--box", "x=0:1"), ["--box", "'x'", "q1"]),
+    "missing box": (("pendulum.toml", *GAINS, "--velocity", "2", "--error", "1"), ["--box lacks q1", "q1=LOW:HIGH"]),
+    "box the wrong way round": (("pendulum.toml", *GAINS, *REGION, "--box", "q1=1:-1"), ["--box", "below"]),
+    "negative input": (("pendulum.toml", *GAINS, *REGION, "--input", "-1"), ["--input", "negative"]),
+    "indefinite Q": (("pendulum.toml", *GAINS, *REGION, "--q", "1,2,1"), ["--q", "positive definite"]),
+    "rate zero": (("pendulum.toml", *GAINS, *REGION, "--rate", "0"), ["--rate", "positive"]),
+    "one gain": (("pendulum.toml", "--alpha", "1", *REGION), ["--alpha and --beta"]),
+    "no data sheet": (("pendulum.toml", *REGION), ["data sheet", "--alpha and --beta"]),
+    "no sampling rate": (("sheet.toml", *REGION), ["--sampling"]),
+    "unknown observer": (("pendulum.toml", *GAINS, *REGION, "--observer", "ekf"), ["'ekf'", "geodesic"]),
+    "group on coordinates": (("pendulum.toml", *GAINS, *REGION, "--observer", "group"), ["group", "intrinsic"]),
+    "state space": (("lorenz", *GAINS, *REGION), ["lorenz", "state-space"]),
+    "out of another kind": (("pendulum.toml", *GAINS, *REGION, "--out", "proof.csv"), ["proof.csv", ".json"]),
+    "out in no folder": (("pendulum.toml", *GAINS, *REGION, "--out", "no/proof.json"), ["no/proof.json", "no folder"]),
+    "figure of no kind": (("pendulum.toml", *GAINS, *REGION, "--figure", "proof"), ["proof", ".png"]),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_bad_input_gives_one_line_and_writes_nothing(case, capsys, monkeypatch):
+    arguments, words = REFUSED[case]
+    before = sorted(Path().iterdir())
+    code, out, error = leave(capsys, monkeypatch, *arguments)
+    assert (code, out) == (2, "")
+    assert error.startswith("covariant: ")
+    assert error.count("\n") == 1
+    for word in words:
+        assert word in error
+    assert sorted(Path().iterdir()) == before

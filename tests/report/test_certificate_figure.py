@@ -1,0 +1,124 @@
+"""The figure of a certificate: a pendulum whose numbers were proved once, its boxes drawn as given."""
+
+import math
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from covariant import models
+from covariant.certificates import Box, Certificate, Claim, ContractionCertificate, Proof, optimal_lyapunov, subject
+from covariant.certificates._show import half_widths, kinds, open_share, projection, trade_off, trajectories
+from covariant.observers import Intrinsic
+from covariant.report import _certificate, draw_certificate
+
+SQUARES, RADIUS, RATE = (56.0, 2178.0), 0.01336, 3.33
+HALVED = [np.array([0]), np.array([1, -1]), np.array([-1, -2])]
+"""The angle is halved, then the velocity of the lower half, whose upper half stays open."""
+
+
+def canned(verdict: str = "holds") -> ContractionCertificate:
+    """Three boxes, one of them open unless the verdict is "holds", and a counter-example where it fails."""
+    observer = Intrinsic(models.pendulum_chain(mass=(1.0,), length=(0.5,)), 10.0, 50.0)
+    q = optimal_lyapunov(10.0, 50.0, 20 / 3)
+    about = subject(observer, q)
+    domain = Box(about.names, about.units, -np.array([3.1, 4.7, 0.1, 5.4]), np.array([3.1, 4.7, 0.1, 5.4]))
+    levels = [np.where(codes == -2, -1, codes) for codes in HALVED] if verdict == "holds" else HALVED
+    wrong = np.stack([domain.high] * 2) if verdict == "fails" else None
+    left = np.zeros((0 if verdict == "holds" else 1, 2, 4))
+    claims = [Claim("contraction", Proof(verdict, domain, levels, wrong, left, 5, 1.0))]
+    if verdict == "holds":
+        whole = Proof("holds", domain, [np.array([-1])], None, left, 1, 0.1)
+        claims += [Claim("reach", whole, row, square, 0.1) for row, square in enumerate(SQUARES)]
+    given = {"positions": {"low": [-3.0], "high": [3.0]}, "low": [-0.5], "high": [0.5], "times": [0.0, 0.0]}
+    return ContractionCertificate(
+        Certificate("squared lengths shrink at 3.33 1/s or faster on the region", verdict, RATE, "", "proved", ()),
+        RATE,
+        RADIUS if verdict == "holds" else 0.0,
+        observer,
+        q,
+        about,
+        domain,
+        np.array([4.0]),
+        given,
+        tuple(claims),
+        None,
+    )
+
+
+@pytest.fixture(scope="module")
+def followed():
+    return trajectories(canned(), count=3, stamps=60)
+
+
+def test_the_boxes_are_projected_on_the_variables_that_are_halved():
+    seen = projection(canned("undecided"))
+    assert (seen.names, seen.units, seen.kind) == (("q1", "v_q1"), ("rad", "rad/s"), ("estimate", "velocity"))
+    np.testing.assert_array_equal(seen.proved, [[[-3.1, -4.7], [0.0, 0.0]], [[0.0, -4.7], [3.1, 4.7]]])
+    np.testing.assert_array_equal(seen.open, [[[-3.1, 0.0], [0.0, 4.7]]])
+    assert seen.counterexample is None
+    np.testing.assert_array_equal(projection(canned("fails")).counterexample, [3.1, 4.7])
+    assert kinds(canned()) == ("estimate", "velocity", "error", "force")
+
+
+def test_the_share_left_open():
+    certificate = canned("undecided")
+    assert open_share(certificate.claims[0].proof) == 0.25
+    assert open_share(canned().claims[0].proof) == 0.0
+
+
+def test_the_motion_stays_in_the_region_and_estimates_in_the_tube(followed):
+    np.testing.assert_allclose(half_widths(canned()), RADIUS * np.sqrt(SQUARES))
+    assert np.abs(followed.positions).max() <= 3.0
+    assert 0.1 < np.abs(followed.velocities).max() <= 4.0
+    off = np.concatenate(
+        [followed.estimated_positions - followed.positions, followed.estimated_velocities - followed.velocities], axis=2
+    )
+    assert (np.abs(off) <= followed.half_widths).all()
+    assert np.abs(off[:, 0] / followed.half_widths).max() > 0.5  # they begin near its border
+    assert np.ptp(off[:, 0], axis=0).min() > 0
+
+
+def test_distances_begin_at_the_radius_and_stay_under_the_line(followed):
+    seen = followed.distances
+    np.testing.assert_allclose(seen.high[:, 0], RADIUS, rtol=1e-9)
+    assert seen.holds
+    assert (seen.low <= seen.high * (1 + 1e-9)).all()
+    assert (seen.high <= seen.bound * (1 + 1e-6)).all()
+    np.testing.assert_allclose(seen.bound[0, -1], RADIUS * math.exp(-RATE * followed.t[-1] / 2))
+
+
+def test_faster_rates_cost_conditioning():
+    found = trade_off(canned(), count=5)
+    assert (np.diff(found.rate) > 0).all()
+    assert (np.diff(found.condition) > 0).all()
+    assert found.certified < found.used[0] < 10.0
+    assert found.paper[1] > found.used[1]
+
+
+def test_nothing_proved_is_no_tube():
+    with pytest.raises(ValueError, match="nothing is proved"):
+        half_widths(canned("undecided"))
+    with pytest.raises(ValueError, match="nothing is proved"):
+        trajectories(canned("fails"))
+
+
+@pytest.mark.parametrize("verdict", ["holds", "undecided", "fails"])
+def test_four_panels(verdict, followed, tmp_path, monkeypatch):
+    if verdict == "holds":
+        monkeypatch.setattr(_certificate, "trajectories", lambda certificate: followed)
+    path = draw_certificate(canned(verdict), tmp_path / "proof.png")
+    with Image.open(path) as image:
+        drawn = np.asarray(image.convert("L")) < 250
+        assert image.width == round(150 * 2 * 5.6)
+    assert not np.concatenate([drawn[0], drawn[-1], drawn[:, 0], drawn[:, -1]]).any()  # no text runs out of the figure
+    for row in np.array_split(drawn, 2):
+        for panel in np.array_split(row, 2, axis=1):
+            assert panel.mean() > 0.005
+
+
+def test_a_figure_needs_a_format(tmp_path, followed, monkeypatch):
+    monkeypatch.setattr(_certificate, "trajectories", lambda certificate: followed)
+    with pytest.raises(ValueError, match="suffix"):
+        draw_certificate(canned(), tmp_path / "proof")
+    assert not list(tmp_path.iterdir())
