@@ -14,6 +14,7 @@ from covariant import models
 from covariant.certificates import ContractionCertificate, certify
 from covariant.certificates._show import half_widths, kinds, open_share
 from covariant.cli import _parse
+from covariant.cli._console import working
 from covariant.cli._job import check_output, data_sheet, numbered
 from covariant.design import observer_gains
 from covariant.models import GroupSystem, Lagrangian
@@ -65,7 +66,8 @@ def certify_model(
     if figure is not None:
         from covariant.report import draw_certificate
 
-        result["figure"] = str(draw_certificate(found, figure))
+        with working("simulating and drawing", quiet=as_json):
+            result["figure"] = str(draw_certificate(found, figure))
     print(json.dumps(result) if as_json else _text(result, found, designed))
     if found.summary.verdict != "holds":
         raise SystemExit(1)
