@@ -7,7 +7,6 @@ import math
 from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -22,7 +21,7 @@ from covariant.certificates._audit_laws import (
     of_the_geometry,
     order_of,
 )
-from covariant.certificates._audit_places import AbstractPlace, InCoordinates, OnGroup, own
+from covariant.certificates._audit_places import AbstractPlace, InCoordinates, OnGroup, compiled_quickly, own
 from covariant.certificates._prove import Box, check_box
 from covariant.certificates._tangent import lyapunov, rate_of
 from covariant.models import GroupSystem, Lagrangian
@@ -120,7 +119,7 @@ class _Statement(NamedTuple):
 _ROUNDED = 1e-9, "rounding of the terms summed, enlarged by the condition of the metric"
 _FITTED = 0.1, "what a fit leaves over errors that are small but not zero"
 _DIFFERENCES = 1e-6, f"second differences of fourth order, over times of {STEP:g}"
-_EXACT = 1e-8, "the budget of the observer's geodesics, and rounding over the error"
+_EXACT = 1e-6, "the budget of the observer's geodesics, and rounding over the error"
 _AR, _MBD = "Aghannan & Rouchon", "Maithripala, Berg & Dayawansa"
 _STATEMENTS = {
     "plant": _Statement(
@@ -303,7 +302,7 @@ def _draw(
     return States(*map(jnp.asarray, rows)), candidates[good][:points]
 
 
-@eqx.filter_jit
+@compiled_quickly
 def _look(place: AbstractPlace, coordinates: Array) -> tuple[Array, Array]:
     return jax.lax.map(lambda c: (place.usable(c), place.position(c)), coordinates)
 

@@ -9,15 +9,14 @@ factor ½.
 
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from covariant._typing import Scalar, Vector
-from covariant.certificates._audit_places import AbstractPlace, exchange, traced_once
-from covariant.models import Lagrangian, acceleration, friction, source
+from covariant.certificates._audit_places import AbstractPlace, compiled_quickly, exchange, traced_once
+from covariant.models import Lagrangian, acceleration, friction
 from covariant.observers import AbstractFlowObserver
 
 STEP = 4e-3
@@ -71,7 +70,7 @@ def change(function, *, aux: bool = False):
     return jax.jvp(function, (jnp.zeros(()),), (jnp.ones(()),), has_aux=aux)
 
 
-@eqx.filter_jit
+@compiled_quickly
 def along_the_flow(
     place: AbstractPlace,
     observer: AbstractFlowObserver,
@@ -90,7 +89,7 @@ def along_the_flow(
             return place.norm(x, a)
 
         def undamped(s):  # the dissipation at the estimate is the one addition to the law
-            near, moved = place.move(x, s * xi), v + s * delta
+            near, moved = place.nudge(x, s * xi), v + s * delta
             w, a = slope(place, observer, near, moved, u, x)
             return w, a - friction(place.model, near, moved)
 
@@ -99,7 +98,7 @@ def along_the_flow(
 
         def along(s):
             """ζ and V of the variation that the flow carries along."""
-            at, xi_now = place.move(x, s * w), xi + s * xi_rate
+            at, xi_now = place.nudge(x, s * w), xi + s * xi_rate
             zeta = delta + s * a_change + place.connection(at, xi_now, v + s * a)
             gram = place.gram(at, jnp.stack([xi_now, zeta]))
             return zeta, jnp.sum(q * gram) / 2
@@ -118,7 +117,7 @@ def along_the_flow(
         )
         damping, bent = friction(place.model, x, v), place.connection(x, v, v)
         plant = acceleration(place.model, jnp.zeros(()), x, v, u)
-        parts = norm(plant) + norm(source(place.model, jnp.zeros(()), x, u)) + norm(damping) + norm(bent)
+        parts = norm(plant) + norm(a) + norm(damping) + norm(bent)
         return FlowDeviations(
             jnp.maximum(norm(w - v) / norm(v), norm(a + damping - plant) / parts),
             jnp.max(jnp.stack([norm(first), norm(second)]) / sizes),
@@ -128,7 +127,7 @@ def along_the_flow(
     return jax.lax.map(one, states)
 
 
-@eqx.filter_jit
+@compiled_quickly
 def of_the_geometry(place: AbstractPlace, states: States) -> GeometryDeviations:
     """The connection is metric and symmetric, transport keeps lengths, geodesics part as the curvature says."""
     place = traced_once(place)
@@ -140,7 +139,7 @@ def of_the_geometry(place: AbstractPlace, states: States) -> GeometryDeviations:
             return place.norm(x, a)
 
         along_b, along_c = place.connection(x, a, b), place.connection(x, a, c)
-        changed = change(lambda s: place.inner(place.move(x, s * a), b, c))[1]
+        changed = change(lambda s: place.inner(place.nudge(x, s * a), b, c))[1]
         metric = jnp.abs(changed - place.inner(x, along_b, c) - place.inner(x, b, along_c))
         metric = metric / (jnp.abs(changed) + norm(along_b) * norm(c) + norm(b) * (norm(along_c) + norm(c)))
         swapped, bracket = place.connection(x, b, a), place.bracket(a, b)
@@ -159,7 +158,7 @@ def of_the_geometry(place: AbstractPlace, states: States) -> GeometryDeviations:
             """
 
             def neighbour(s):
-                start, velocity = place.move(x, s * b), e - s * place.connection(x, b, e)
+                start, velocity = place.nudge(x, s * b), e - s * place.connection(x, b, e)
                 return place.geodesic(start, t * velocity, frame, STEPS)
 
             (end, moved), (parted, _) = change(neighbour)
@@ -196,7 +195,7 @@ def _difference(place: AbstractPlace, gains, x, v, error, one, two) -> Scalar:
     return gap / ((alpha**2 + beta) * place.norm(x, error))
 
 
-@eqx.filter_jit
+@compiled_quickly
 def between_charts(
     place: AbstractPlace,
     observer: AbstractFlowObserver,
@@ -247,7 +246,7 @@ def between_charts(
     return _spread(one, states, errors)
 
 
-@eqx.filter_jit
+@compiled_quickly
 def between_observers(
     place: AbstractPlace,
     observer: AbstractFlowObserver,

@@ -1,12 +1,13 @@
 """Coordinates and groups seen alike, so that the laws of an observer are written once for both.
 
-A position x moves along `move(x, s a)`; tangent vectors are columns (n,), in coordinates or in the body. Source:
+A position x moves along `move(x, s a)`, and tangent vectors are columns (n,), in coordinates or in the body. Source:
 Aghannan & Rouchon 2003, section II; Maithripala, Berg & Dayawansa 2004, section II.
 """
 
 import abc
 import dataclasses
-from typing import Any
+from collections.abc import Callable
+from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
@@ -21,6 +22,15 @@ from covariant.observers import AbstractFlowObserver, AbstractObserver, Geodesic
 
 NEAR = Budget(newton=0, steps=1)
 """A geodesic to second order in the error, which is all that differences of second order need."""
+
+
+_Function = TypeVar("_Function", bound=Callable[..., Any])
+
+
+def compiled_quickly(function: _Function) -> _Function:
+    """Compile a function that runs once, with the least effort: an audit is mostly the compiler's time."""
+    options = {"xla_backend_optimization_level": 0}
+    return eqx.filter_jit(function, compiler_options=options)  # pyright: ignore[reportCallIssue]
 
 
 class AbstractPlace(eqx.Module):
@@ -54,6 +64,10 @@ class AbstractPlace(eqx.Module):
     @abc.abstractmethod
     def move(self, x: Array, a: Vector) -> Array:
         """Where the curve through x with velocity a is after unit time."""
+
+    @abc.abstractmethod
+    def nudge(self, x: Array, a: Vector) -> Array:
+        """The same to first order, for derivatives at a = 0."""
 
     @abc.abstractmethod
     def tangent(self, x: Array, change: Array) -> Vector:
@@ -135,6 +149,9 @@ class InCoordinates(AbstractPlace):
     def move(self, x: Array, a: Vector) -> Array:
         return x + a
 
+    def nudge(self, x: Array, a: Vector) -> Array:
+        return x + a
+
     def tangent(self, x: Array, change: Array) -> Vector:
         return change
 
@@ -191,6 +208,9 @@ class OnGroup(AbstractPlace):
     def move(self, x: Array, a: Vector) -> Array:
         return x @ self.model.group.exp(a)
 
+    def nudge(self, x: Array, a: Vector) -> Array:
+        return x + x @ self.model.group.hat(a)
+
     def tangent(self, x: Array, change: Array) -> Vector:
         return self.model.group.vee(self.model.group.inverse(x) @ change)
 
@@ -235,6 +255,6 @@ def exchange(part: Any, model: Lagrangian) -> Any:
 def traced_once(part: Any) -> Any:
     """The same place or observer, the matrix of a numerical metric being traced once, not once for every derivative."""
     model = own(part, "model")
-    if not (isinstance(model, Lagrangian) and isinstance(model.metric, Metric)):
+    if not isinstance(model, Lagrangian) or type(model.metric) is not Metric:  # a subclass may do better
         return part
     return exchange(part, eqx.tree_at(lambda m: m.metric, model, Metric(jax.jit(model.metric.matrix))))

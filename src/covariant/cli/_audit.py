@@ -10,9 +10,10 @@ import numpy as np
 from covariant import certificates, models
 from covariant.certificates import Audit, Box
 from covariant.cli._console import working
-from covariant.cli._job import check_output
+from covariant.cli._job import check_output, coordinates, numbered
+from covariant.cli._parse import above_zero, ends
 from covariant.design import estimators, with_gains
-from covariant.models import StateSpace
+from covariant.models import GroupSystem, StateSpace
 from covariant.observers import AbstractObserver
 
 GAINS = math.sqrt(2), 1.0
@@ -41,7 +42,8 @@ def audit(
     check_output(out, ".html", ".png", ".pdf", ".svg")
     file = models.load(spec, overrides)
     name, chosen = _observer(spec, file, observer, *gains)
-    domain = _domain(look.box)
+    domain = _domain(file, look.box)
+    above_zero("--speed", look.speed)
     with working(f"auditing {name} on {file.name}", quiet=as_json):
         done = certificates.audit(chosen, domain=domain, speed=look.speed, points=look.points, seed=look.seed)
     result = {"model": spec, "observer": name, "passed": done.passed, "verdict": done.verdict, "domain": done.domain}
@@ -74,22 +76,14 @@ def _observer(
     return name, made[name]
 
 
-def _domain(text: str | None) -> Box | None:
-    """The box of `name=low:high`, by commas."""
-    if text is None:
+def _domain(file: models.ModelFile, text: str | None) -> Box | None:
+    """The bounds given, on a group those of exponential coordinates."""
+    names = numbered("x", file.dimension) if isinstance(file.model, GroupSystem) else coordinates(file)[0]
+    found = ends("--box", text, names, "coordinate")
+    if not found:
         return None
-    ends: dict[str, tuple[float, float]] = {}
-    for part in text.split(","):
-        name, _, bounds = (piece.strip() for piece in part.partition("="))
-        try:
-            low, high = map(float, bounds.split(":"))
-        except ValueError:
-            raise ValueError(f"--box: {part!r} does not have the form NAME=LOW:HIGH") from None
-        if name in ends:
-            raise ValueError(f"--box: {name} is given twice; keep one of them")
-        ends[name] = low, high
-    low, high = np.array(list(ends.values())).T
-    return Box(tuple(ends), ("",) * len(ends), low, high)
+    low, high = np.array(list(found.values())).T
+    return Box(tuple(found), ("",) * len(found), low, high)
 
 
 def _in_json(row: certificates.Law) -> dict[str, Any]:

@@ -31,13 +31,14 @@ def draw_audit(audit: Audit, path: str | os.PathLike[str]) -> Path:
 
     Raises `ValueError` for a suffix that names no format, `ImportError` without matplotlib.
     """
-    figure, axes = new_figure(panel=(10.0, 0.36 * len(audit.rows) + 0.5))
+    figure, axes = new_figure(panel=(10.8, 0.36 * len(audit.rows) + 0.5))
     ax = axes[0, 0]
     ax.set_xscale("log")
     ax.set_xlim(_LOW, _HIGH)
     ax.set_ylim(len(audit.rows) - 0.5, -0.5)
     for line, row in enumerate(audit.rows):
         _draw(ax, line, row)
+    ax.set_xticks(10.0 ** np.arange(-16, 1, 4))
     ax.set_yticks(np.arange(len(audit.rows)), [row.statement for row in audit.rows], fontsize=8.5)
     ax.tick_params(axis="y", length=0)
     ax.grid(axis="y", visible=False)

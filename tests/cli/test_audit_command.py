@@ -1,0 +1,111 @@
+"""`covariant audit`: what it prints, draws and returns."""
+
+import json
+import sys
+
+import pytest
+
+from covariant.cli import main
+
+SPOILED = """
+from covariant.geometry import ConstantCurvature
+from covariant.models import Lagrangian
+
+class WrongSign(ConstantCurvature):
+    def curvature(self, q, x, y, z):
+        return -super().curvature(q, x, y, z)
+
+def wrong_sign():
+    return Lagrangian(WrongSign(1.0), lambda q: q[0] * q[1], coordinates=("a", "b"))
+"""
+NAMES = ["plant", "error", "lyapunov", "metric", "torsion", "transport", "curvature", "invariance", "approximation"]
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path, monkeypatch):
+    (tmp_path / "spoiled_models.py").write_text(SPOILED)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delitem(sys.modules, "spoiled_models", raising=False)
+    return tmp_path
+
+
+@pytest.fixture
+def run(monkeypatch, capsys):
+    """Run the command: exit code, standard output and standard error."""
+
+    def run(*arguments: str) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", ["covariant", "audit", *arguments])
+        with pytest.raises(SystemExit) as left:
+            main()
+        return left.value.code or 0, *capsys.readouterr()
+
+    return run
+
+
+def test_a_sound_observer_passes_and_is_drawn(run, folder):
+    code, out, _ = run(
+        "oscillator", "--alpha", "2", "--beta", "3", "--points", "8", "--box", "q=1:2", "-o", "page.html"
+    )
+    assert code == 0
+    lines = out.splitlines()
+    assert lines[0] == "Intrinsic, α = 2 1/s, β = 3 1/s²: passed: 8 laws hold, 1 skipped"
+    assert lines[1] == "8 states, 1 ≤ q ≤ 2 m, velocities to ±3 (seed 0)"
+    assert [line.split()[1] for line in lines[2:-1]] == NAMES
+    assert lines[-1] == "wrote page.html"
+    page = (folder / "page.html").read_text(encoding="utf-8")
+    assert "<title>Audit of oscillator: passed</title>" in page
+    assert page.count("data:image/png;base64,") == 1
+    assert "in one dimension nothing is curved" in page
+    assert "http" not in page.replace("http-equiv", "")
+
+
+def test_a_broken_law_is_exit_code_1(run, folder):
+    """The curvature of a model with the other sign: geodesics say so, and the observer obeys no error law."""
+    code, out, error = run("spoiled_models:wrong_sign", "--json", "--seed", "3", "-o", "figure.png")
+    found = json.loads(out)
+    assert code == 1
+    assert not error
+    assert found["passed"] is False
+    assert found["observer"] == "intrinsic"
+    verdicts = {law["name"]: law["verdict"] for law in found["laws"]}
+    assert list(verdicts) == NAMES
+    assert {name for name, verdict in verdicts.items() if verdict == "fails"} >= {"error", "lyapunov", "curvature"}
+    assert all(verdicts[name] == "holds" for name in ("plant", "metric", "torsion", "transport"))
+    worst = found["laws"][1]
+    assert worst["deviation"] > worst["tolerance"]
+    assert len(worst["point"]) == 4
+    assert found["out"] == "figure.png"
+    assert (folder / "figure.png").read_bytes()[:4] == b"\x89PNG"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("oscillator", "--observer", "ekf"), "--observer ekf does not fit oscillator"),
+        (("oscillator", "--observer", "group"), "these do: intrinsic, intrinsic2, geodesic"),
+        (("heavy_top", "--observer", "geodesic"), "--observer geodesic does not fit heavy_top"),
+        (("heavy_top", "--observer", "salcudean"), "Salcudean has no gains alpha and beta"),
+        (("oscillator", "--alpha", "2"), "--alpha and --beta belong together"),
+        (("oscillator", "--alpha", "2", "--beta", "-1"), "must be positive numbers"),
+        (("oscillator", "--box", "q=1"), "does not have the form NAME=LOW:HIGH"),
+        (("oscillator", "--box", "q=1:2,q=1:2"), "q is given twice"),
+        (("oscillator", "--box", "r=1:2"), "no coordinate 'r'; the coordinates are q"),
+        (("oscillator", "--box", "q=2:1"), "the low end of q must be below the high one"),
+        (("oscillator", "--speed", "0"), "--speed must be a positive number"),
+        (("oscillator", "-o", "page.txt"), "must end in .html"),
+        (("lorenz",), "lorenz is a state-space model"),
+        (("nothing",), "nothing"),
+    ],
+)
+def test_bad_input_is_one_line_and_exit_code_2(run, arguments, message):
+    code, out, error = run(*arguments)
+    assert code == 2
+    assert not out
+    assert error.startswith("covariant: ")
+    assert error.count("\n") == 1
+    assert message in error
+
+
+@pytest.mark.parametrize("option", ["--points", "--seed"])
+def test_counts_are_checked(run, option):
+    assert run("oscillator", option, "-1")[0] == 2
