@@ -16,8 +16,6 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike, Float
 
@@ -27,6 +25,7 @@ from covariant.certificates._certificate import Certificate
 from covariant.certificates._prove import Box, Proof, check_box, prove
 from covariant.certificates._region import Intrinsics, Subject, contraction, force_bounds, reach, squares, subject
 from covariant.certificates._tangent import TwoByTwo, error_matrix, optimal_lyapunov, rate_of
+from covariant.lowering import lower, numbers
 from covariant.models import GroupSystem, Lagrangian
 from covariant.observers import Group
 
@@ -328,5 +327,4 @@ def _seen_squares(about: Subject, domain: Box, count: int = 2000) -> Float[np.nd
     share = np.random.default_rng(0).uniform(size=(count, len(domain.low)))
     share[::2] = np.round(share[::2])
     points = domain.low + share * (domain.high - domain.low)
-    found = jax.jit(jax.vmap(lambda z: squares(about, z)))(jnp.asarray(points))
-    return np.asarray(found).max(axis=0)
+    return numbers(lower(lambda z: squares(about, z), points[0]), points).max(axis=0)

@@ -80,14 +80,14 @@ class Proof(NamedTuple):
 
     - `verdict`: "holds", "fails" (then `counterexample` is a box in which the matrix is nowhere positive definite) or
       "undecided" (then `open` are the boxes that remain).
-    - `levels`: the boxes as a binary tree, one array a level from the whole box down: the variable across whose middle
-      a box is halved, lower half first, or −1 where the matrix is proved positive definite, −2 where it is open.
+    - `levels`: the boxes as a binary tree, one array of integers a level from the whole box down: the variable across
+      whose middle a box is halved, lower half first, −1 where the matrix is proved positive definite, −2 if it is open.
     - `boxes`: how many were evaluated, in `seconds`.
     """
 
     verdict: Literal["holds", "fails", "undecided"]
     box: Box
-    levels: list[Int[np.ndarray, "k"]]
+    levels: list[np.ndarray]
     counterexample: Float[np.ndarray, "2 d"] | None
     open: Float[np.ndarray, "k 2 d"]
     boxes: int
@@ -130,7 +130,7 @@ def prove(
     return Proof(verdict, domain, levels, wrong, remaining, tree.evaluated, time.monotonic() - start)
 
 
-def leaves(domain: Box, levels: list[Int[np.ndarray, "k"]]) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+def leaves(domain: Box, levels: list[np.ndarray]) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """The leaves of a tree, level by level: their codes (m,), low (m, d) and high (m, d).
 
     Raises `ValueError` where the levels are not a tree over the domain.
@@ -246,11 +246,16 @@ def _outward(x: np.ndarray, sign: int) -> np.ndarray:
 
 
 def _factors(middle: np.ndarray) -> tuple[np.ndarray, Bool[np.ndarray, "B"]]:
-    """C (B, n, n) with `Cᵀ middle C` near the identity, and whether there is one."""
-    finite = np.asarray(np.isfinite(middle).all(axis=(1, 2)))
-    values, vectors = np.linalg.eigh(np.where(finite[:, None, None], middle, np.eye(middle.shape[1])))
+    """C (B, n, n) with `Cᵀ middle C` near the identity, and whether there is one. Units of the entries do not matter."""
+    n = middle.shape[1]
+    diagonal = np.abs(np.diagonal(middle, axis1=1, axis2=2))
+    units = 1 / np.sqrt(np.where(np.isfinite(diagonal) & (diagonal > TINY), diagonal, 1.0))
+    with np.errstate(all="ignore"):
+        scaled = middle * units[:, :, None] * units[:, None, :]
+    finite = np.asarray(np.isfinite(scaled).all(axis=(1, 2)))
+    values, vectors = np.linalg.eigh(np.where(finite[:, None, None], scaled, np.eye(n)))
     sizes = np.maximum(np.abs(values), np.abs(values).max(axis=1, keepdims=True) * 1e-12 + TINY)
-    return vectors / np.sqrt(sizes)[:, None, :], finite & (values[:, 0] > 0)
+    return units[:, :, None] * vectors / np.sqrt(sizes)[:, None, :], finite & (values[:, 0] > 0)
 
 
 def definite(middle: np.ndarray, radius: np.ndarray) -> tuple[Bool[np.ndarray, "B"], np.ndarray]:
@@ -384,7 +389,7 @@ class _Tree:
             children = halves(low[split], high[split], codes[split])
             self.waiting.append((np.arange(first, first + new), *children, np.repeat(depth[split] + 1, 2)))
 
-    def levels(self) -> tuple[list[Int[np.ndarray, "k"]], Float[np.ndarray, "k 2 d"]]:
+    def levels(self) -> tuple[list[np.ndarray], Float[np.ndarray, "k 2 d"]]:
         """The tree, and its open boxes."""
         found, numbers = [], np.zeros(1, int)
         while len(numbers):

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from covariant._linalg import solve
 from covariant._typing import Matrix, Scalar, Vector
 from covariant.certificates._contraction import StateMetric, contraction_matrix
 from covariant.certificates._prove import Box
@@ -87,7 +88,7 @@ def squares(subject: Subject, z: Vector) -> Float[Array, "two_n"]:
     """The least `square` of each row of `reach` at z."""
     point = subject.at(z)
     gram = point.metric.gram(jnp.zeros((), z.dtype), point.x)
-    return jnp.sum(point.reach * jnp.linalg.solve(gram, point.reach.T).T, axis=1)
+    return jnp.sum(point.reach * solve(gram, point.reach.T).T, axis=1)
 
 
 def _in_coordinates(observer: Intrinsic | Geodesic, q: TwoByTwo) -> Subject:

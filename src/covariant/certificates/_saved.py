@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from covariant import models
 from covariant.certificates._region import Intrinsics
@@ -55,7 +55,7 @@ def observer_from(document: dict[str, Any]) -> tuple[Intrinsics, Float[np.ndarra
         raise ValueError(f"the observer of the certificate cannot be made: {error}") from error
 
 
-def to_letters(levels: Sequence[Int[np.ndarray, "k"]]) -> list[str]:
+def to_letters(levels: Sequence[np.ndarray]) -> list[str]:
     """A tree of boxes, one string a level: the letter of the variable that is halved, '.' proved, '?' open."""
     table = np.array([ord(c) for c in LETTERS + "?."], np.uint8)  # indices −1 and −2 are the last two
     return [table[codes].tobytes().decode("ascii") for codes in levels]

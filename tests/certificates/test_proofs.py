@@ -1,0 +1,281 @@
+"""What the prover proves, what it rejects, and that it would notice if it were wrong."""
+
+import functools
+import math
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from covariant import models
+from covariant.certificates import (
+    Box,
+    Certificate,
+    ContractionCertificate,
+    box,
+    certify,
+    contraction,
+    contraction_matrix,
+    falsify,
+    in_coordinates,
+    lyapunov,
+    optimal_lyapunov,
+    prove,
+    rate_of,
+    subject,
+    tangent_metric,
+)
+from covariant.certificates import _prove as prover
+from covariant.geometry import hyperbolic
+from covariant.lowering import Enclosure
+from covariant.observers import Group, Intrinsic
+from covariant.papers._errata import PrintedBallAndBeam
+
+ALPHA, BETA = math.sqrt(2), 0.5
+PAPER = lyapunov(ALPHA, BETA)
+ZERO = jnp.zeros(())
+
+
+@functools.cache
+def hyperbolic_plane():
+    return models.Lagrangian(hyperbolic(), lambda q: jnp.zeros(()), coordinates=("x", "y"), units=("", ""))
+
+
+def test_matrices_that_are_and_are_not_definite():
+    def disc(z):
+        return jnp.array([[1.0, 0.0], [0.0, 1.0]]) * (1 - z @ z) + jnp.outer(z, z)
+
+    inside, outside = box(x=(-0.6, 0.6), y=(-0.6, 0.6)), box(x=(-0.6, 0.6), y=(-0.6, 1.2))
+    assert prove(disc, inside).verdict == "holds"
+    wrong = prove(disc, outside)
+    assert wrong.verdict == "fails"
+    assert np.linalg.eigvalsh(np.asarray(disc(jnp.asarray(wrong.counterexample[0]))))[0] < 0
+
+
+@pytest.mark.parametrize("small", [-1e-17, 0.0, -1e-300])
+def test_an_eigenvalue_that_is_not_positive_is_never_proved(small):
+    def turned(z):
+        c, s = jnp.cos(z[0]), jnp.sin(z[0])
+        r = jnp.array([[1.0, 0.0], [0.0, 1.0]]) * c + jnp.array([[0.0, -1.0], [1.0, 0.0]]) * s
+        return r @ jnp.diag(jnp.array([1.0, small])) @ r.T
+
+    for matrix in (turned, lambda z: jnp.diag(jnp.array([1.0, small]))):
+        assert prove(matrix, box(angle=(0.2, 1.0)), seconds=2.0).verdict != "holds"
+
+
+def margin_of(flow, metric, rate=0.0):
+    """`z -> −(condition) − rate M` for flows in the plane or on the line, with time the last variable."""
+
+    def matrix(z):
+        t, x = z[-1], z[:-1]
+        return -contraction_matrix(flow, metric, t, x) - rate * metric.gram(t, x)
+
+    return matrix
+
+
+def flat(t, x):
+    return jnp.eye(x.shape[0])
+
+
+@pytest.mark.parametrize(
+    ("flow", "metric", "state"),
+    [
+        (lambda t, x: -(x**3), flat, 1),
+        (lambda t, x: -jnp.abs(x) * x, flat, 1),
+        (lambda t, x: jnp.stack([-x[1], x[0]]), lambda t, x: jnp.exp(t) * jnp.eye(2), 2),
+        (lambda t, x: -x, lambda t, x: jnp.exp(3 * t) * jnp.eye(1), 1),
+    ],
+    ids=["cubic", "quadratic damping at rest", "rotation in a growing metric", "growing frame"],
+)
+def test_flows_that_do_not_contract_are_not_proved(flow, metric, state):
+    names = [*"abc"[:state], "t"]
+    domain = box(**dict.fromkeys(names[:-1], (-1.0, 1.0)), t=(0.0, 1.0))
+    assert prove(margin_of(flow, in_coordinates(metric)), domain, seconds=2.0).verdict != "holds"
+
+
+def test_the_same_flows_are_proved_where_they_do():
+    domain = box(x=(0.5, 2.0), t=(0.0, 1.0))
+    for flow, rate in ((lambda t, x: -(x**3), 1.49), (lambda t, x: -jnp.abs(x) * x, 1.99)):
+        assert prove(margin_of(flow, in_coordinates(flat), rate), domain).verdict == "holds"
+        assert prove(margin_of(flow, in_coordinates(flat), rate + 0.02), domain).verdict == "fails"
+
+
+def ball_and_beam_region(velocity, error=0.005, force=0.1):
+    high = np.array([0.3, 0.5, velocity, velocity, error, error, force, force])
+    about = subject(Intrinsic(models.ball_and_beam(), ALPHA, BETA), PAPER)
+    return about, Box(about.names, about.units, -high, high)
+
+
+def test_the_observer_of_the_paper_is_proved_and_its_spoiled_forms_are_not():
+    about, region = ball_and_beam_region(1.0)
+    found = prove(contraction(about, 0.2), region)
+    assert found.verdict == "holds"
+    assert found.seconds < 60
+    assert prove(contraction(about, 0.3853), region).verdict == "fails"
+    spoiled = subject(Intrinsic(models.ball_and_beam(), ALPHA, BETA, curvature=False), PAPER)
+    assert prove(contraction(spoiled, 0.01), region).verdict == "fails"
+
+
+@pytest.mark.parametrize(("sign", "verdict"), [(-1, "holds"), (1, "fails")])
+def test_the_printed_ball_and_beam_is_rejected_and_the_corrected_one_proved(sign, verdict):
+    metric, observer = tangent_metric(models.ball_and_beam().metric, PAPER), PrintedBallAndBeam(ALPHA, BETA, sign)
+
+    def matrix(z):
+        place, velocity, error, force = jnp.split(z, 4)
+
+        def flow(t, x):
+            state = observer.init(x[:2])._replace(q=x[:2], v=x[2:], t=t)
+            change = observer.flow(t, state, force[1:], place - error)
+            return jnp.concatenate([change.q, change.v])
+
+        x = jnp.concatenate([place, velocity])
+        return -contraction_matrix(flow, metric, ZERO, x) - 0.05 * metric.gram(ZERO, x)
+
+    _, region = ball_and_beam_region(1.0)
+    assert prove(matrix, region).verdict == verdict
+
+
+@pytest.mark.parametrize("speed", [0.5, 1.0, 2.0, 4.0, 8.0, 16.0])
+def test_the_tube_on_the_hyperbolic_plane_shrinks_with_the_speed(speed):
+    """Strict contraction ends at |ξ| |v̂| = 0.130; 0.08 is proved, and no point in the proved set breaks it."""
+    about = subject(Intrinsic(hyperbolic_plane(), ALPHA, BETA), PAPER)
+    # By symmetry the estimate sits at the origin and moves along x; lengths are twice the coordinates there.
+    proved, broken = (
+        Box(about.names, about.units, np.array([0, 0, 0, 0, -e, -e, 0, 0]), np.array([0, 0, speed / 2, 0, e, e, 0, 0]))
+        for e in (0.08 / speed / 2, 0.135 / speed / 2)
+    )
+    assert prove(contraction(about, 0.0), proved).verdict == "holds"
+    assert prove(contraction(about, 0.0), broken).verdict == "fails"
+    attempts = 1_000_000 if speed == 4.0 else 10_000
+    assert falsify(about, proved, 0.0, attempts=attempts).verdict == "holds"
+
+
+@functools.cache
+def double_pendulum_certificate(unit: float = 1.0, second: float = 1.0) -> ContractionCertificate:
+    """A double pendulum with friction, in units of mass and time that are so many of the usual ones."""
+    model = models.pendulum_chain(
+        mass=(0.6 / unit, 0.4 / unit),
+        length=(0.3, 0.2),
+        inertia=(0.05 / unit, 0.02 / unit),
+        viscous=(0.01 / unit * second, 0.01 / unit * second),
+        gravity=9.81 * second**2,
+    )
+    alpha, beta = 60.0 * second, 1800.0 * second**2
+    q = optimal_lyapunov(alpha, beta, 40.0 * second)
+    return certify(
+        Intrinsic(model, alpha, beta),
+        velocity=1.0 * second,
+        error=0.005,
+        position=(-1.0, 1.0),
+        input=0.1 / unit * second**2,
+        q=q,
+        rate=4.0 * second,
+    )
+
+
+def test_a_double_pendulum_with_friction_is_proved():
+    found = double_pendulum_certificate()
+    assert found.summary.verdict == "holds"
+    assert found.summary.evidence == "proved"
+    assert found.radius > 0
+    assert found.decay == 2.0
+
+
+def test_a_certificate_does_not_depend_on_units():
+    """Grams for kilograms and milliseconds for seconds: the same tree of boxes, and the rate in the new unit."""
+    usual, other = double_pendulum_certificate(), double_pendulum_certificate(1e-3, 1e-3)
+    assert other.summary.verdict == "holds"
+    assert other.rate == pytest.approx(usual.rate * 1e-3)
+    scale = np.repeat([1.0, 1e-3, 1.0, 1.0], 2)
+    np.testing.assert_allclose(other.domain.high[:6], (usual.domain.high * scale)[:6], rtol=1e-6)
+    for one, two in zip(usual.claims, other.claims, strict=True):
+        assert [level.tolist() for level in one.proof.levels] == [level.tolist() for level in two.proof.levels]
+        assert two.limit == pytest.approx(one.limit * (1e-3 if one.row >= 2 and one.kind == "reach" else 1.0), rel=1e-6)
+
+
+def test_a_heavy_top_is_proved_for_all_attitudes():
+    model = models.heavy_top()
+    found = certify(Group(model, 10.0, 50.0), velocity=0.5, error=0.03, input=0.1, rate=2.0)
+    assert found.summary.verdict == "holds"
+    assert found.domain.high[-3] == pytest.approx(1.1)  # moment plus torque
+
+
+def test_a_certificate_needs_its_bounds():
+    observer = Intrinsic(models.ball_and_beam(), ALPHA, BETA)
+    with pytest.raises(TypeError, match="velocity"):
+        certify(observer, error=0.01, position=(-0.1, 0.1))  # pyright: ignore[reportCallIssue]
+    for bad in (math.inf, -1.0, math.nan, 0.0):
+        with pytest.raises(ValueError, match="velocity must be a positive, finite bound"):
+            certify(observer, velocity=bad, error=0.01, position=(-0.1, 0.1))
+    with pytest.raises(ValueError, match="position needs bounds of r, theta"):
+        certify(observer, velocity=1.0, error=0.01)
+    with pytest.raises(ValueError, match="input needs one bound, or 1"):
+        certify(observer, velocity=1.0, error=0.01, position=(-0.1, 0.1), input=np.array([1.0, 2.0]))
+    with pytest.raises(ValueError, match="error needs one number, or 2"):
+        certify(observer, velocity=1.0, error=np.full(3, 0.1), position=(-0.1, 0.1))
+    with pytest.raises(ValueError, match="must be finite, the lower one first"):
+        box(x=(1.0, 0.0))
+    with pytest.raises(ValueError, match=r"1\.414 1/s at best"):
+        certify(observer, velocity=1.0, error=0.01, position=(-0.1, 0.1), q=lyapunov(ALPHA, BETA, 2.0))
+
+
+def test_worker_processes_find_the_same_tree(monkeypatch):
+    about, region = ball_and_beam_region(1.5, 0.01, 0.2)
+    alone = prove(contraction(about, 0.2), region)
+    monkeypatch.setattr(prover, "PATIENCE", 0.0)
+    shared = prove(contraction(about, 0.2), region, processes=2)
+    assert alone.verdict == shared.verdict == "holds"
+    assert [level.tolist() for level in alone.levels] == [level.tolist() for level in shared.levels]
+
+
+def hole(z):
+    """Positive but for a hole a thousandth wide, which no sample falls into."""
+    return jnp.reshape(1 - 1.001 * jnp.exp(-(((z[0] - 0.31234567) / 3e-5) ** 2)), (1, 1))
+
+
+def blind_to_width(lowered, low, high):
+    """An arithmetic whose intervals are points."""
+    found = prover_enclose(lowered, (low + high) / 2, (low + high) / 2)
+    return Enclosure(found.low, found.high, found.smooth)
+
+
+prover_enclose = prover.enclose
+
+
+def test_a_narrow_hole_is_found_and_a_prover_without_remainders_would_miss_it(monkeypatch):
+    domain = box(z=(0.0, 1.0))
+    assert prove(hole, domain).verdict != "holds"
+    monkeypatch.setattr(prover, "enclose", blind_to_width)
+    assert prove(hole, domain).verdict == "holds"
+
+
+def test_a_prover_that_forgets_how_large_a_box_is_would_be_wrong(monkeypatch):
+    domain = box(z=(0.0, 1.0))
+    monkeypatch.setattr(prover, "definite", lambda middle, radius: honest_definite(middle, 0 * radius))
+    assert prove(hole, domain).verdict == "holds"
+
+
+honest_definite = prover.definite
+
+
+def test_open_boxes_and_progress_are_told():
+    told = []
+    found = prove(
+        margin_of(lambda t, x: -(x**3), in_coordinates(flat)),
+        box(x=(-1.0, 1.0), t=(0.0, 1.0)),
+        seconds=1.0,
+        progress=lambda share, boxes: told.append((share, boxes)),
+    )
+    assert found.verdict == "undecided"
+    assert len(found.open)
+    assert told[-1][0] > 0.9
+    assert (np.abs(found.open[:, :, 0]).min(axis=1) < 1e-3).all()
+
+
+def test_the_default_metric_is_for_two_thirds_of_the_rate():
+    found = certify(
+        Intrinsic(models.ball_and_beam(), 4.0, 8.0), velocity=0.3, error=0.01, position=(-0.1, 0.1), input=0.1
+    )
+    assert isinstance(found.summary, Certificate)
+    assert found.summary.verdict == "holds"
+    assert rate_of(4.0, 8.0, found.q) == pytest.approx(2 * found.rate)
