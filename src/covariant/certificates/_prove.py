@@ -246,7 +246,7 @@ def _outward(x: np.ndarray, sign: int) -> np.ndarray:
 
 
 def _factors(middle: np.ndarray) -> tuple[np.ndarray, Bool[np.ndarray, "B"]]:
-    """C (B, n, n) with `Cᵀ middle C` near the identity, and whether there is one. Units of the entries do not matter."""
+    """C (B, n, n) with `Cᵀ middle C` near the identity, whatever the units of the entries; and whether there is one."""
     n = middle.shape[1]
     diagonal = np.abs(np.diagonal(middle, axis1=1, axis2=2))
     units = 1 / np.sqrt(np.where(np.isfinite(diagonal) & (diagonal > TINY), diagonal, 1.0))
