@@ -31,6 +31,7 @@ OPTIONAL = (
     "zarr",
     "dask",
     "distributed",
+    "flint",
 )
 
 PUBLIC = {

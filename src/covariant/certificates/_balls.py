@@ -1,0 +1,197 @@
+"""Some leaves of a saved certificate looked at once more, in balls of many digits: a third arithmetic.
+
+The matrix of the claim is that of the prover, as a graph, and so are its derivatives; the numbers are those of Arb
+(F. Johansson, Arb: efficient arbitrary-precision midpoint-radius interval arithmetic, IEEE Trans. Computers 66(8),
+2017), and the test of positive definiteness is done in them. Needs python-flint.
+"""
+
+import operator
+import time
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from covariant._guests import load_guest
+from covariant.certificates._check import leaves, read
+from covariant.certificates._region import contraction, reach, subject
+from covariant.certificates._saved import observer_from
+from covariant.certificates._taylor import halves
+from covariant.lowering import Domain, Lowered, evaluate, expand, lower, pairs
+
+BITS = 106
+"""Twice the digits of a double."""
+DEPTH = 8
+"""How often a leaf is halved: balls are wider than intervals."""
+
+
+class Sampled(NamedTuple):
+    """Leaves that were found right, of how many; how many boxes that took, and how many seconds."""
+
+    leaves: int
+    total: int
+    boxes: int
+    seconds: float
+
+
+class _UndecidedError(ArithmeticError):
+    """A branch that is not the same everywhere in a box."""
+
+
+def check_sample(path: str | Path, count: int = 20, seed: int = 0) -> Sampled:
+    """Check `count` random leaves of a saved certificate, drawn from all its claims.
+
+    Raises `ValueError` saying which box is not shown to be right, `ImportError` where python-flint is missing.
+    """
+    start = time.monotonic()
+    flint = load_guest("flint", use="checking in balls needs python-flint, imported as", extra="balls")
+    document = read(path)
+    about = subject(*observer_from(document))
+    claims = document["claims"]
+    boxes = [
+        leaves(np.array(claim["low"], float), np.array(claim["high"], float), claim["levels"], f"claim {index}")
+        for index, claim in enumerate(claims)
+    ]
+    ends = np.cumsum([len(low) for low, _ in boxes])
+    drawn = np.sort(np.random.default_rng(seed).permutation(ends[-1])[:count])
+    done = 0
+    with flint.ctx.workprec(BITS):
+        for index, claim in enumerate(claims):
+            mine = drawn[(drawn < ends[index]) & (drawn >= ends[index] - len(boxes[index][0]))]
+            if not len(mine):
+                continue
+            rate = contraction(about, document["rate"])
+            matrix = rate if claim["kind"] == "contraction" else reach(about, claim["row"], claim["square"])
+            form = _Form(flint, matrix, np.array(claim["low"], float), np.array(claim["high"], float))
+            for k in mine - (ends[index] - len(boxes[index][0])):
+                done += form.show(boxes[index][0][k], boxes[index][1][k], f"leaf {k} of claim {index}")
+    return Sampled(len(drawn), int(ends[-1]), done, time.monotonic() - start)
+
+
+class _Form:
+    """Taylor's form of a symmetric matrix (n, n), `S(c) + S'(c) δ + ½ S''(box) δ²`, in balls."""
+
+    def __init__(self, flint: Any, matrix: Any, low: np.ndarray, high: np.ndarray):
+        z = jnp.asarray(low)
+        self.n = jax.eval_shape(matrix, z).shape[0]
+        self.free = np.flatnonzero(high > low).tolist()
+        rows, columns = np.tril_indices(self.n)
+        value = lower(lambda z: ((m := matrix(z)) + m.T)[rows, columns] / 2, z)
+        self.first, self.second = expand(value, self.free, 1), expand(value, self.free, 2)
+        self.arb, self.matrix, self.domain = flint.arb, flint.arb_mat, _balls(flint.arb)
+
+    def show(self, low: np.ndarray, high: np.ndarray, what: str, depth: int = DEPTH) -> int:
+        """How many boxes it takes to show that the matrix is positive definite on one of them."""
+        try:
+            good, axis = self._definite(low, high)
+        except _UndecidedError:
+            good, axis = False, int((high - low).argmax())
+        if good:
+            return 1
+        if not depth:
+            box = ", ".join(f"{a:.6g} to {b:.6g}" for a, b in zip(low, high, strict=True))
+            raise ValueError(f"{what} is not shown in balls to be right where the variables are {box}")
+        lows, highs = halves(low[None], high[None], np.array([axis]))
+        return 1 + sum(self.show(a, b, what, depth - 1) for a, b in zip(lows, highs, strict=True))
+
+    def _definite(self, low: np.ndarray, high: np.ndarray) -> tuple[bool, int]:
+        """Whether the matrix is positive definite, by `|I − CᵀSC| x < x`, and the variable that widens it most."""
+        centre, count = low / 2 + high / 2, self.n * (self.n + 1) // 2
+        around = [self.arb(a).union(self.arb(b)) for a, b in zip(low.tolist(), high.tolist(), strict=True)]
+        away = [abs(around[i] - self.arb(float(centre[i]))).upper() for i in self.free]
+        at = self._matrices(self.first, list(map(self.arb, centre.tolist())), count)
+        bend = self._matrices(self.second, around, count)[1 + len(self.free) :]
+        middle = np.array([[float(at[0][i, j].mid()) for j in range(self.n)] for i in range(self.n)])
+        values, vectors = np.linalg.eigh(middle)
+        if not values[0] > 0:
+            return False, int((high - low).argmax())
+        c = self.matrix((vectors / np.sqrt(values)).tolist())
+        identity = self.matrix(np.eye(self.n).tolist())
+        parts: list[tuple[Any, Any, tuple[int, ...]]] = [(c.transpose() * at[0] * c - identity, self.arb(1), ())]
+        parts += [(c.transpose() * s * c, d, (k,)) for k, (s, d) in enumerate(zip(at[1:], away, strict=True))]
+        for s, (i, j) in zip(bend, pairs(len(self.free)), strict=True):
+            parts.append((c.transpose() * s * c, away[i] * away[j] / (2 if i == j else 1), (i, j)))
+        error, share = self.matrix(self.n, self.n), np.zeros(len(self.free))
+        for turned, size, variables in parts:
+            wide = self.matrix([[abs(turned[i, j]) * size for j in range(self.n)] for i in range(self.n)])
+            error += wide
+            share[list(variables)] += sum(float(entry.upper()) for entry in wide.entries())
+        rough, x = np.array([[float(error[i, j].mid()) for j in range(self.n)] for i in range(self.n)]), np.ones(self.n)
+        for _ in range(8):
+            x = rough @ x
+            x = x / x.max() + 1e-9
+        product = error * self.matrix([[v] for v in x.tolist()])
+        good = all(product[i, 0] < self.arb(float(x[i])) for i in range(self.n))
+        return good, int(self.free[share.argmax()] if len(share) else 0)
+
+    def _matrices(self, graph: Lowered, z: list, count: int) -> list:
+        """Symmetric matrices from the entries below their diagonals, one after the other."""
+        values = evaluate(graph, self.domain, z)
+        place = np.zeros((self.n, self.n), int)
+        place[np.tril_indices(self.n)] = np.arange(count)
+        place = np.maximum(place, place.T)
+        return [
+            self.matrix([[values[start + k] for k in row] for row in place.tolist()])
+            for start in range(0, len(values), count)
+        ]
+
+
+def _balls(arb: Any) -> Domain:
+    """The arithmetic of Arb. Branches that a box does not decide raise `_UndecidedError`."""
+
+    def less(a: Any, b: Any) -> bool:
+        if a < b:
+            return True
+        if a >= b:
+            return False
+        raise _UndecidedError
+
+    def at_most(a: Any, b: Any) -> bool:
+        return not less(b, a)
+
+    def equal(a: Any, b: Any) -> bool:
+        if a is b:
+            return True
+        if not a.overlaps(b):
+            return False
+        if a.is_exact() and b.is_exact():
+            return True
+        raise _UndecidedError
+
+    def floor(a: Any) -> Any:
+        found = a.floor()
+        if not found.is_exact():
+            raise _UndecidedError
+        return found
+
+    zero, one = arb(0), arb(1)
+    alone = "sqrt exp expm1 log log1p sin cos tan asin acos atan sinh cosh tanh asinh acosh atanh"
+    return {
+        "constant": lambda value: value if isinstance(value, bool) else arb(float(value)),
+        **{name: operator.methodcaller(name) for name in alone.split()},
+        "add": operator.add,
+        "sub": operator.sub,
+        "mul": operator.mul,
+        "div": operator.truediv,
+        "neg": operator.neg,
+        "abs": abs,
+        "sign": lambda a: -one if less(a, zero) else one,
+        "floor": floor,
+        "ceil": lambda a: -floor(-a),
+        "round": lambda a: floor(a + 0.5),
+        "min": lambda a, b: a if less(a, b) else b,
+        "max": lambda a, b: b if less(a, b) else a,
+        "pow": operator.pow,
+        "cbrt": lambda a: a.root(3),
+        "atan2": lambda y, x: zero.atan2(y, x),
+        "lt": less,
+        "le": at_most,
+        "eq": equal,
+        "and": operator.and_,
+        "or": operator.or_,
+        "not": operator.not_,
+        "is_finite": lambda a: a.is_finite(),
+        "select": lambda p, a, b: a if p else b,
+    }

@@ -1,0 +1,476 @@
+"""The checker refuses every certificate that is not right, encloses what it says, and would notice if it did not."""
+
+import ast
+import functools
+import hashlib
+import json
+import math
+import shutil
+import types
+from fractions import Fraction
+from pathlib import Path
+
+import jax.numpy as jnp
+import mpmath
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from covariant import models
+from covariant.certificates import _balls, _check, _taylor, certify
+from covariant.certificates._check import check
+from covariant.certificates._taylor import Enclosure, definite, show_definite
+from covariant.geometry import lie
+from covariant.observers import Group, Intrinsic
+from covariant.observers import _intrinsic as intrinsic
+
+SOURCE = Path(_taylor.__file__)
+
+
+# Enclosures hold the functions, and a source with a mistake in it is found out.
+
+SCALARS = {
+    "product": lambda z: z[0] * z[1] * z[2] + z[0] ** 3,
+    "quotient": lambda z: (z[0] + z[1]) / (3 + z[2] * z[0]),
+    "power": lambda z: (2.5 + z[1]) ** -2,
+    "sine": lambda z: jnp.sin(40 + 2 * z[0] + z[1] * z[2]),
+    "cosine": lambda z: jnp.cos(z[0] * z[1] - z[2]),
+    "root": lambda z: jnp.sqrt(2.2 + z[0] * z[1] + z[2]),
+    "exponential": lambda z: jnp.exp(z[0] - z[1] ** 2) + jnp.tanh(z[2]),
+    "logarithm": lambda z: jnp.log(3 + z[0] + z[1] * z[2]),
+    "angle": lambda z: jnp.arctan(3 * z[0]) + jnp.arctan2(z[1], 2 + z[2]),
+    "matrix": lambda z: (jnp.outer(z, z) @ jnp.eye(3) @ jnp.diag(z)).T[0].sum() + z[::-1][jnp.array([0, 2])] @ z[:2],
+    "rotation": lambda z: lie.SO3.log(lie.SO3.exp(z / 4) @ lie.SO3.exp(jnp.array([0.4, 0.5, 0.6])))[1],
+    "choice": lambda z: jnp.where(jnp.isnan(z[0]) | (z[1] > 5), z[2], z[jnp.argmax(z + jnp.array([0.0, 9.0, 0.0]))]),
+}
+WIDTHS = (0.0, 1e-9, 0.03, 0.4)
+
+
+@functools.cache
+def places():
+    """Boxes within ±1 (B, 3) of several widths, and points in each, at corners too (B, k, 3) of ±1."""
+    rng = np.random.default_rng(5)
+    half = np.repeat(np.array(WIDTHS), 12)[:, None] * rng.uniform(0.3, 1.0, (48, 3))
+    middle = rng.uniform(-0.6, 0.6, (48, 3))
+    points = rng.uniform(-1, 1, (48, 24, 3))
+    points[:, ::2] = np.sign(points[:, ::2])
+    return middle - half, middle + half, points
+
+
+@functools.cache
+def values(name):
+    """The function at these points, in doubles."""
+    low, high, points = places()
+    z = low[:, None] / 2 + high[:, None] / 2 + points * (high - low)[:, None] / 2
+    return np.asarray(jnp.vectorize(SCALARS[name], signature="(n)->()")(jnp.asarray(z)))
+
+
+def basis(m, e):
+    """What the term m of a Taylor model stands for, at e (B, k, 3)."""
+    return 2 * e[..., m[0]] ** 2 - 1 if len(m) == 2 and m[0] == m[1] else np.prod([e[..., i] for i in m], axis=0)
+
+
+def beyond(module, name):
+    """How far values are outside of what the module says about them; no more than zero if it is right."""
+    low, high, e = places()
+    whole = -np.ones(3), np.ones(3)
+    found = module.Enclosure(SCALARS[name], *whole, np.zeros(3))(low, high)[()]
+    inside = e / (1 + 2.0**-40)  # boxes are enlarged by their rounding
+    model = sum(np.reshape(t, (-1, 1)) * basis(m, inside) for part in found.terms for m, t in part.items())
+    with np.errstate(invalid="ignore"):
+        return np.abs(values(name) - model) - np.reshape(found.radius, (-1, 1)) - 2.0**-50  # doubles are off themselves
+
+
+@pytest.mark.parametrize("name", SCALARS)
+def test_taylor_models_hold_the_function_and_say_something_about_it(name):
+    assert beyond(_taylor, name).max() <= 0
+    low, high, _ = places()
+    found = Enclosure(SCALARS[name], -np.ones(3), np.ones(3), np.zeros(3))(low, high)[()]
+    radius = np.broadcast_to(found.radius, len(low))
+    thin, wide = radius[:12], radius[24:36]
+    assert thin.max() < 1e-9
+    assert wide.max() < 3e-2  # of third order in the width
+
+
+def test_remainders_are_of_third_order():
+    low, high, _ = places()
+    sizes = []
+    for share in (0.2, 0.1):
+        box = (low + high) / 2 - share * (high - low) / 2, (low + high) / 2 + share * (high - low) / 2
+        found = Enclosure(SCALARS["quotient"], -np.ones(3), np.ones(3), np.zeros(3))(*box)[()]
+        sizes.append(found.radius[36:].mean())
+    assert 6 < sizes[0] / sizes[1] < 10
+
+
+ERRORS = {"sin": 1, "log": 1, "exp": 0, "atan": 0, "sqrt": 0, "inv": 0}  # absolute or relative
+FUNCTIONS = {"sin": mpmath.sin, "log": mpmath.log, "exp": mpmath.exp, "atan": mpmath.atan, "sqrt": mpmath.sqrt}
+
+
+def worst(module, name):
+    """The largest error of a function at points, as a part of what it may be."""
+    rng = np.random.default_rng(3)
+    x = np.concatenate([rng.uniform(-1, 1, 40), rng.uniform(-999, 999, 60), 10.0 ** rng.uniform(-300, 149, 60)])
+    x = np.concatenate([x, math.pi / 2 * np.arange(-12, 13), 2.0 ** np.arange(-30, 30)])
+    x = x[abs(x) < 700] if name == "exp" else x[abs(x) < 999] if name == "sin" else x
+    x = x[x > 0] if name in ("log", "sqrt", "inv") else x
+    x = x[x != 0]
+    with mpmath.workdps(40), np.errstate(all="ignore"):
+        true = [FUNCTIONS.get(name, lambda v: 1 / v)(mpmath.mpf(v)) for v in x.tolist()]
+        found = module.points(name, x)
+        allowed = [2.0**-41 * max(abs(t), 1) if ERRORS[name] else 2.0**-41 * abs(t) for t in true]
+        return max(float(abs(f - t) / a) for f, t, a in zip(found.tolist(), true, allowed, strict=True))
+
+
+@pytest.mark.parametrize("name", ERRORS)
+def test_elementary_functions_are_as_near_as_stated(name):
+    assert worst(_taylor, name) < 1
+
+
+FLOATS = st.floats(-1e3, 1e3).filter(lambda x: x == 0 or abs(x) > 1e-200)
+
+
+@settings(max_examples=40)
+@given(st.lists(FLOATS, min_size=4, max_size=4))
+def test_thin_sums_and_products_hold_the_exact_ones(numbers):
+    assert exact_gap(_taylor, numbers) <= 0
+
+
+def exact_gap(module, numbers):
+    a, b, c, d = map(Fraction, numbers)
+    z = [module.number(np.array([x])) for x in numbers]
+    found = z[0] * z[1] + z[2] * z[3] - z[0]
+    return abs(Fraction(float(found.middle[0])) - (a * b + c * d - a)) - Fraction(float(found.radius[0]))
+
+
+INDEFINITE = {
+    "touches zero": (lambda z: jnp.diag(jnp.stack([1 - z[0], 2 + z[1]])), 1.0),
+    "singular": (lambda z: jnp.array([[1.0, 1 / 3], [1 / 3, 1 / 9]]) * (2 + z[0] * z[1]), 0.1),
+    "turned": (lambda z: jnp.array([[1.0, 1.0], [1.0, 1.0]]) * z[0] + jnp.eye(2) * (1 + z[1] / 4), 0.7),
+    "far terms": (lambda z: jnp.diag(jnp.stack([jnp.cos(1.7 * z[0]), 2 + z[1]])), 1.0),
+    "cubic": (lambda z: jnp.diag(jnp.stack([1 - 1.2 * z[0] ** 3, 2 + z[1]])), 1.0),
+    "bent": (lambda z: jnp.diag(jnp.stack([1 - 1.05 * z[0] ** 2, 1 + 0 * z[1]])), 1.0),
+}
+
+
+def proves(module, name):
+    matrix, half = INDEFINITE[name]
+    low, high = -half * np.ones((1, 2)), half * np.ones((1, 2))
+    return bool(module.definite(module.Enclosure(matrix, low[0], high[0], np.zeros(2))(low, high), high - low)[0][0])
+
+
+@pytest.mark.parametrize("name", INDEFINITE)
+def test_no_matrix_that_is_not_definite_is_shown_to_be(name):
+    assert not proves(_taylor, name)
+
+
+def test_matrices_that_are_definite_are_shown_to_be_after_halving():
+    def matrix(z):
+        return jnp.diag(jnp.stack([jnp.exp(z[0]) - 0.13, 2 + z[1]]))
+
+    low, high = np.array([[-2.0, -1.0]]), np.array([[2.0, 1.0]])
+    enclosure = Enclosure(matrix, low[0], high[0], np.zeros(2))
+    good, axis = definite(enclosure(low, high), high - low)
+    assert (good[0], axis[0]) == (False, 0)
+    show_definite(enclosure, low, high, 12, "it")
+    with pytest.raises(ValueError, match=r"it is not shown to hold where the variables are -2 to -1\.5, -1 to 1"):
+        show_definite(enclosure, low, high, 2, "it")
+
+
+MUTANTS = [
+    ("ROUND, TINY = 2.0**-40, 2.0**-990", "ROUND, TINY = 0.0, 0.0"),
+    ("cut = line * curved + bend * (slope + curved)", "cut = 0.0"),
+    ("a.radius * (two + b.radius) + one * b.radius", "0.0"),
+    ("terms[0][()] = terms[0][()] + part", "pass"),
+    ('"inv": lambda x, f: (-(f * f), f * f * f)', '"inv": lambda x, f: (-(f * f), ZERO)'),
+    (
+        '"sin": lambda x, f: (bounds("sin", x + RIGHT), -(HALF * f))',
+        '"sin": lambda x, f: (bounds("sin", x + RIGHT), f)',
+    ),
+    ("number(middle, a.away + error)", "number(middle, error)"),
+    ("abs(high - low) / 2 + error", "error"),
+    ("* (left * left)", "* (left * left) * HALF"),
+    ("0x1.0b4611a626331p-34", "0x0p+0"),
+    ("range(22, 0, -1)", "range(9, 0, -1)"),
+    ("range(45, 0, -2)", "range(9, 0, -2)"),
+    ("e = abs(turned).sum(0)", "e = abs(turned[0])"),
+    ("(radius + ROUND * abs(s).sum(0))", "(0 * radius)"),
+    ("* (1 + ROUND) < x).all((1, 2))", "< 2 * x).all((1, 2))"),
+    ("> gap.away, np.sign(gap.middle), np.nan)", "> -1, np.sign(gap.middle), np.nan)"),
+]
+
+
+def mutant(old, new):
+    text = SOURCE.read_text(encoding="utf-8")
+    assert text.count(old) == 1, f"the source no longer says {old!r} once"
+    module = types.ModuleType("mutant")
+    exec(compile(text.replace(old, new), "mutant", "exec"), module.__dict__)
+    return module
+
+
+def is_wrong(module):
+    """Whether any of the tests above would fail."""
+    if any(exact_gap(module, numbers) > 0 for numbers in ([0.1, 0.2, 0.3, 0.7], [1e3, 1 / 3, 7.1, 1e-3])):
+        return True
+    if any(worst(module, name) >= 1 for name in ERRORS) or any(proves(module, name) for name in INDEFINITE):
+        return True
+    if any(beyond(module, name).max() > 0 for name in SCALARS):
+        return True
+    try:
+        module.below(module.number(np.zeros(2), 1.0), module.number(np.ones(2) / 2))
+    except module.UndecidedError:
+        return False
+    return True
+
+
+@pytest.mark.parametrize(("old", "new"), MUTANTS, ids=range(len(MUTANTS)))
+def test_a_mistake_in_the_arithmetic_is_noticed(old, new):
+    assert is_wrong(mutant(old, new))
+
+
+def test_no_mistake_is_noticed_where_there_is_none():
+    assert not is_wrong(mutant("ROUND, TINY = 2.0**-40, 2.0**-990", "ROUND, TINY = 2.0**-40, 2.0**-980"))
+
+
+def test_what_is_not_decided_or_not_known_is_refused_by_name():
+    box = -np.ones(2), np.ones(2)
+    one = box[0][None], box[1][None]
+    with pytest.raises(_taylor.UndecidedError):
+        Enclosure(lambda z: jnp.abs(z[0]), *box, np.zeros(2))(*one)
+    with pytest.raises(ValueError, match="'sort' is not known"):
+        Enclosure(lambda z: jnp.sort(z), *box, np.zeros(2))(*one)
+    with pytest.raises(ValueError, match="'convert_element_type' is not known"):
+        Enclosure(lambda z: z[0].astype(int).astype(float) + z[1], *box, np.zeros(2))(*one)
+
+
+# Certificates.
+
+
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory):
+    """A certificate of a system of one coordinate, whose metric depends on it."""
+    recipe = {"system": "oscillator", "parameters": {"chart": "r"}}
+    observer = Intrinsic(models.from_recipe(recipe), 4.0, 8.0)
+    found = certify(observer, velocity=0.2, error=0.05, position=(0.8, 1.2), input=0.1, recipe=recipe)
+    assert found.summary.verdict == "holds"
+    return found.save(tmp_path_factory.mktemp("oscillator") / "certificate.json")
+
+
+@pytest.fixture(scope="module")
+def beam(tmp_path_factory):
+    """A certificate of the ball and beam at a speed that needs the curvature."""
+    recipe = {"system": "ball_and_beam", "parameters": {}}
+    observer = Intrinsic(models.from_recipe(recipe), math.sqrt(2), 0.5)
+    given = {"position": (-0.01, 0.01), "input": 0.01, "rate": 0.3}
+    found = certify(observer, velocity=0.9, error=0.001, **given, recipe=recipe)
+    assert found.summary.verdict == "holds"
+    return found.save(tmp_path_factory.mktemp("beam") / "certificate.json")
+
+
+def digest(document):
+    rest = {key: value for key, value in document.items() if key != "digest"}
+    text = json.dumps(rest, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
+    return hashlib.sha256(text.encode("utf-8")).hexdigest()
+
+
+def forged(path, folder, change):
+    """The certificate changed, and with the digest that goes with it."""
+    document = json.loads(path.read_text(encoding="utf-8"))
+    change(document)
+    made = folder / "forged.json"
+    made.write_text(json.dumps(document | {"digest": digest(document)}), encoding="utf-8")
+    return made
+
+
+def test_a_certificate_is_found_right_from_the_file_alone(saved, tmp_path):
+    path = shutil.copy(saved, tmp_path / "sent.json")
+    seen = []
+    found = check(path, progress=lambda done, total: seen.append((done, total)))
+    document = json.loads(saved.read_text(encoding="utf-8"))
+    assert (found.rate, found.radius) == (document["rate"], document["radius"])
+    assert found.leaves == sum(level.count(".") for claim in document["claims"] for level in claim["levels"])
+    assert found.leaves > 3
+    assert seen[-1][0] == seen[-1][1]
+
+
+def test_processes_find_the_same(saved):
+    assert check(saved, processes=2).leaves == check(saved).leaves
+
+
+def wheel():
+    """A heavy wheel: rotations of the plane."""
+    return models.GroupSystem(lie.SO2, np.eye(1), lambda g: g[0, 1])
+
+
+def test_a_group_is_checked(tmp_path):
+    recipe = {"attribute": f"{__name__}:wheel"}
+    found = certify(Group(wheel(), 10.0, 50.0), velocity=0.5, error=0.1, input=0.1, recipe=recipe)
+    path = found.save(tmp_path / "wheel.json")
+    assert check(path).radius == found.radius > 0
+    with pytest.raises(ValueError, match="the bound of the force is not shown"):
+        check(forged(path, tmp_path, put("inputs", "positions", "high", 0, 2.0)))
+
+
+def test_every_altered_character_is_refused(saved, tmp_path):
+    text = saved.read_text(encoding="utf-8")
+    whole = json.loads(text)
+    rng = np.random.default_rng(8)
+    made = tmp_path / "altered.json"
+    digits = [k for k, letter in enumerate(text) if letter.isdigit()]
+    others = [k for k, letter in enumerate(text) if letter in "abcdef.-"]
+    for k in [*rng.choice(digits, 200), *rng.choice(others, 60)]:
+        other = str((int(text[k]) + 1 + rng.integers(9)) % 10) if text[k].isdigit() else "c" if text[k] != "c" else "d"
+        altered = text[:k] + other + text[k + 1 :]
+        made.write_text(altered, encoding="utf-8")
+        try:
+            same = json.loads(altered) == whole  # a digit beyond those that a double has
+        except ValueError:
+            same = False
+        if not same:
+            with pytest.raises(ValueError, match=r"was changed|not a certificate|Expecting|delimiter|Invalid|JSON"):
+                check(made)
+
+
+def put(*path_and_value):
+    *path, last, value = path_and_value
+
+    def change(document):
+        target = document
+        for key in path:
+            target = target[key]
+        target[last] = value(target[last]) if callable(value) else value
+
+    return change
+
+
+def everywhere(side, k, value):
+    """Another bound of the box of every claim."""
+
+    def change(document):
+        for claim in document["claims"]:
+            claim[side][k] = value(claim[side][k])
+
+    return change
+
+
+def together(*changes):
+    def change(document):
+        for each in changes:
+            each(document)
+
+    return change
+
+
+def leaf_halved(document):
+    """The last leaf of the last level becomes two, of which one is missing."""
+    levels = document["claims"][0]["levels"]
+    levels[-1] = levels[-1][:-1] + "a"
+    levels.append(".")
+
+
+FORGERIES = {
+    "rate": (put("rate", 6.0), "claim 0 is not shown to hold where"),
+    "rate of nothing": (put("rate", 0.0), "must be positive"),
+    "rate that is no number": (put("rate", math.nan), "must be positive"),
+    "verdict": (put("verdict", "undecided"), "nothing is claimed to hold"),
+    "format": (put("format", "covariant certificate 2"), "format 'covariant certificate 2' is not known"),
+    "radius": (put("radius", lambda r: 1.01 * r), "which its box|may reach"),
+    "radius and limit": (
+        together(put("radius", lambda r: 3 * r), put("claims", 1, "limit", 1.0), put("claims", 2, "limit", 1.0)),
+        "outside of",
+    ),
+    "limit": (put("claims", 1, "limit", lambda w: 1.01 * w), "of room"),
+    "square": (put("claims", 1, "square", lambda s: s / 4), r"claim 1 is not shown|may reach"),
+    "box of one claim": (put("claims", 0, "high", 1, lambda v: 0.9 * v), "about the same box"),
+    "box beyond the metric": (everywhere("low", 0, lambda v: -v), "claim 0 is not shown to hold where"),
+    "box enlarged": (everywhere("high", 1, lambda v: 40 * v), "claim 0 is not shown to hold where"),
+    "box without the error": (everywhere("high", 0, lambda v: v - 0.01), "r may be .* which its box"),
+    "box in disorder": (everywhere("high", 3, lambda v: -100.0), "the lower first"),
+    "force box": (everywhere("high", 3, lambda v: 0.5 * v), "the bound of the force is not shown"),
+    "velocity": (put("velocity", 0, lambda v: v + 0.1), "v_r may be"),
+    "position": (put("inputs", "positions", "high", 0, 1.3), "r may be"),
+    "input": (put("inputs", "high", 0, 0.2), "the bound of the force is not shown to hold"),
+    "inputs in disorder": (put("inputs", "high", 0, -0.2), "finite bounds in order"),
+    "no input": (put("inputs", "high", []), "must have two bounds each"),
+    "Q": (put("q", lambda q: [[1.0, 0.0], [0.0, 1.0]]), "claim 0 is not shown to hold where"),
+    "Q not symmetric": (put("q", 0, 1, 0.0), "Q must be a symmetric matrix"),
+    "gain": (put("observer", "alpha", 0.1), "claim 0 is not shown to hold where"),
+    "observer": (put("observer", "kind", "luenberger"), "the observer must be one of"),
+    "model": (put("model", "parameters", "chart", "q"), "the variables must be"),
+    "units": (put("units", 0, "m"), "the units must be"),
+    "leaf dropped": (put("claims", 0, "levels", -1, lambda level: level[:-1]), "must have .* letters or dots"),
+    "leaf added": (put("claims", 0, "levels", -1, lambda level: level + "."), "must have .* letters or dots"),
+    "leaf halved": (leaf_halved, "must have 2 letters or dots"),
+    "level dropped": (put("claims", 0, "levels", lambda levels: levels[:-1]), "lacks the last"),
+    "tree dropped": (put("claims", 0, "levels", []), "lacks the last 1 boxes"),
+    "leaves joined": (put("claims", 0, "levels", ["."]), "claim 0 is not shown to hold where"),
+    "open leaf": (put("claims", 0, "levels", -1, lambda level: level[:-1] + "?"), "letters or dots"),
+    "variable that is not": (put("claims", 0, "levels", 0, "e"), "letters or dots"),
+    "claim dropped": (put("claims", lambda claims: claims[:-1]), "the claims must be contraction, and reach"),
+    "claim twice": (put("claims", lambda claims: [*claims[:-1], claims[1]]), "the claims must be contraction"),
+    "no claims": (put("claims", []), "is not a certificate"),
+    "key missing": (lambda document: document.pop("inputs"), "is not a certificate: KeyError"),
+}
+
+
+@pytest.mark.parametrize("name", FORGERIES)
+def test_a_forger_who_mends_the_digest_is_refused_with_the_reason(saved, tmp_path, monkeypatch, name):
+    change, reason = FORGERIES[name]
+    if name in ("leaves joined", "rate", "gain", "Q"):
+        monkeypatch.setattr(_check, "DEPTH", 2)
+    with pytest.raises(ValueError, match=reason):
+        check(forged(saved, tmp_path, change))
+
+
+def test_mending_the_digest_of_a_right_certificate_changes_nothing(saved, tmp_path):
+    check(forged(saved, tmp_path, put("statement", "what people read")))
+
+
+def test_the_curvature_is_needed(beam, tmp_path):
+    assert check(beam).leaves >= 5
+    off = forged(beam, tmp_path, put("observer", "curvature", False))
+    with pytest.raises(ValueError, match="claim 0 is not shown to hold where"):
+        check(off)
+
+
+def test_the_sign_as_printed_is_refused(beam, tmp_path, monkeypatch):
+    right = intrinsic.curvature
+    monkeypatch.setattr(intrinsic, "curvature", lambda *given: -right(*given))
+    made = forged(beam, tmp_path, put("statement", "with another digest"))
+    with pytest.raises(ValueError, match="claim 0 is not shown to hold where"):
+        check(made)
+
+
+def test_balls_find_the_same(saved, tmp_path):
+    pytest.importorskip("flint")
+    found = _balls.check_sample(saved, 12, seed=4)
+    assert found.leaves == min(12, found.total)
+    made = forged(saved, tmp_path, put("rate", 6.0))
+    with pytest.raises(ValueError, match="of claim 0 is not shown in balls"):
+        _balls.check_sample(made, found.total)
+
+
+# The checker is small, and shares nothing with the prover.
+
+
+@pytest.mark.parametrize("module", [_check, _taylor])
+def test_the_checker_shares_nothing_with_the_prover(module):
+    imported = set()
+    for node in ast.walk(ast.parse(Path(module.__file__).read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            imported |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            imported |= {f"{node.module}.{alias.name}" for alias in node.names}
+    own = {name for name in imported if name.startswith("covariant")}
+    allowed = {
+        "covariant.certificates._region.subject",
+        "covariant.certificates._saved.observer_from",
+        "covariant.models.applied_force",
+        "covariant.models.GroupSystem",
+        "covariant.models.Lagrangian",
+    }
+    assert {name for name in own if not name.startswith("covariant.certificates._taylor.")} <= allowed
+
+
+def test_the_checker_can_be_read_in_one_sitting():
+    assert len(Path(_check.__file__).read_text(encoding="utf-8").splitlines()) <= 200
