@@ -192,3 +192,24 @@ def test_bad_input_gives_one_line_and_writes_nothing(case, capsys, monkeypatch):
     for word in words:
         assert word in error
     assert sorted(Path().iterdir()) == before
+
+
+def leaves_with(monkeypatch, *arguments):
+    monkeypatch.setattr(sys, "argv", ["covariant", *arguments])
+    with pytest.raises(SystemExit) as left:
+        main()
+    return left.value.code or 0
+
+
+def test_a_saved_certificate_is_verified_and_an_altered_one_refused(folder, capsys, monkeypatch):
+    saved = folder / "checked.json"
+    command("certify", "pendulum.toml", *GAINS, *REGION, *ONE, "--out", str(saved))
+    found = command("certify", "--check", str(saved), *ONE)
+    assert found["verified"] is True
+    assert found["leaves"] > 0
+    saved.write_text(saved.read_text().replace('"radius": 0.', '"radius": 1.'))
+    assert leaves_with(monkeypatch, "certify", "--check", str(saved), *ONE) == 1
+    assert "was changed" in capsys.readouterr().out
+    assert leaves_with(monkeypatch, "certify", "--check", "nowhere.json") == 2
+    assert leaves_with(monkeypatch, "certify") == 2
+    assert "give a model to certify, or --check FILE" in capsys.readouterr().err

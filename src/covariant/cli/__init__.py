@@ -1,4 +1,4 @@
-"""The command line: `covariant estimate | compare | simulate | certify | design | reproduce`. No mathematics here."""
+"""The command line: `covariant estimate | compare | simulate | certify | audit | design | reproduce`."""
 
 import os
 import sys

@@ -139,7 +139,7 @@ def audit(
 
 @app.command()
 def certify(
-    model: Model,
+    model: Annotated[str | None, typer.Argument(help="Model file (.toml), module:attribute, or a system.")] = None,
     velocity: Annotated[
         str | None, typer.Option(help="Bound of the true velocities, one or one each by commas; required.")
     ] = None,
@@ -162,15 +162,21 @@ def certify(
     processes: Annotated[int | None, typer.Option(help="Processes; as many as processors by default.", min=1)] = None,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="Write the certificate here (.json).")] = None,
     figure: Annotated[Path | None, typer.Option(help="Draw region, tube, distances and gains here (.png).")] = None,
+    check: Annotated[Path | None, typer.Option("--check", help="Verify this saved certificate instead.")] = None,
     override: Override = [],  # noqa: B006  typer copies it
     json: Json = False,
 ) -> None:
     """Prove that an observer converges: on which region, at which rate, from how far. Angles are in radians.
 
-    Exit code 0 proved, 1 wrong or undecided, 2 bad input.
+    Exit code 0 proved or verified, 1 wrong, undecided or refused, 2 bad input.
     """
     asked = _certify.Asked(observer, alpha, beta, sampling, box, velocity, error, input, rate, q, seconds, processes)
-    _certify.certify_model(model, tuple(override), asked, out, figure, json)
+    if check is not None and model is None:
+        _certify.check_file(check, processes, json)
+    elif model is not None and check is None:
+        _certify.certify_model(model, tuple(override), asked, out, figure, json)
+    else:
+        raise ValueError("give a model to certify, or --check FILE to verify a saved certificate")
 
 
 @design.command()

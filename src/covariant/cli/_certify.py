@@ -12,6 +12,8 @@ import numpy as np
 
 from covariant import models
 from covariant.certificates import ContractionCertificate, certify
+from covariant.certificates._balls import check_sample
+from covariant.certificates._check import check
 from covariant.certificates._show import half_widths, kinds, open_share
 from covariant.cli import _parse
 from covariant.cli._console import working
@@ -71,6 +73,36 @@ def certify_model(
     print(json.dumps(result) if as_json else _text(result, found, designed))
     if found.summary.verdict != "holds":
         raise SystemExit(1)
+
+
+def check_file(path: Path, processes: int | None, as_json: bool) -> None:
+    """Verify a saved certificate, all leaves and some again in balls; leaves with exit code 1 where it is refused."""
+    try:
+        with _proving(quiet=as_json) as tell:
+            found = check(
+                path,
+                processes=processes or os.cpu_count() or 1,
+                progress=lambda done, total: tell("checking leaves", done / max(total, 1), done),
+            )
+        result = {"verified": True, **found._asdict()}
+        try:
+            balls = check_sample(path)
+            result["balls"] = balls.leaves
+            more = f"{balls.leaves} of them again in ball arithmetic"
+        except ImportError as missing:
+            result["balls"] = 0
+            more = f"none in ball arithmetic: {missing}"
+    except json.JSONDecodeError as error:
+        raise ValueError(f"{path} is not a certificate: {error}") from error
+    except ValueError as refusal:
+        print(json.dumps({"verified": False, "reason": str(refusal)}) if as_json else f"Refused: {refusal}")
+        raise SystemExit(1) from refusal
+    print(
+        json.dumps(result)
+        if as_json
+        else f"Verified: rate λ = {found.rate:.4g} 1/s, radius ε = {found.radius:.4g}; {found.leaves} leaves in "
+        f"{found.seconds:.1f} s, {more}."
+    )
 
 
 def _model(spec: str, file: models.ModelFile) -> Lagrangian | GroupSystem:
