@@ -12,7 +12,7 @@ from covariant._integrate import rk4
 from covariant._linalg import solve
 from covariant.geometry import Budget, christoffel, curvature, hyperbolic, sphere
 from covariant.geometry.lie import SE3, SO3
-from covariant.lowering import LoweringError, lower, numbers
+from covariant.lowering import LoweringError, expand, lower, numbers, pairs
 from covariant.observers import Geodesic, Group, Intrinsic
 
 PENDULUM = models.pendulum_chain((1.0, 0.7), (0.5, 0.4), viscous=(0.1, 0.2))
@@ -120,6 +120,15 @@ def test_value_and_two_derivatives_are_those_of_jax(name):
         scale = 1 + np.abs(theirs).max()
         np.testing.assert_allclose(ours, theirs, rtol=1e-11, atol=1e-12 * scale, err_msg=f"derivative {order}")
         assert ours.dtype == theirs.dtype
+    # The graph's own derivatives, a second route: (F, K) and (pairs, K) for JAX's (..., 3) and (..., 3, 3).
+    _, first, second = numbers(expand(lower(FUNCTIONS[name], jnp.zeros(3)), range(3), 2), POINTS)
+    _, slopes, bends = (np.asarray(leaf) for leaf in jax.tree.leaves(expected))
+    rows, columns = np.array(pairs(3)).T
+    count = len(POINTS)
+    slopes = np.moveaxis(slopes.reshape(count, -1, 3), 2, 1)
+    bends = np.moveaxis(bends.reshape(count, -1, 3, 3)[..., rows, columns], 2, 1)
+    for ours, theirs in ((first, slopes), (second, bends)):
+        np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-10 * (1 + np.abs(theirs).max()))
 
 
 def observers():
