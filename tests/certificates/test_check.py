@@ -42,6 +42,8 @@ SCALARS = {
     "angle": lambda z: jnp.arctan(3 * z[0]) + jnp.arctan2(z[1], 2 + z[2]),
     "matrix": lambda z: (jnp.outer(z, z) @ jnp.eye(3) @ jnp.diag(z)).T[0].sum() + z[::-1][jnp.array([0, 2])] @ z[:2],
     "rotation": lambda z: lie.SO3.log(lie.SO3.exp(z / 4) @ lie.SO3.exp(jnp.array([0.4, 0.5, 0.6])))[1],
+    "kinks": lambda z: jnp.abs(z[0] - 0.3) * jnp.sign(z[1]) + jnp.maximum(z[0], z[1]) - jnp.clip(z[2], -0.2, 0.2),
+    "branches": lambda z: jnp.where((z[0] < 0) & ~(z[1] >= z[2]) | jnp.any(z > 0.5), z[1], 0.2) + jnp.floor(z[0] + 0.4),
     "choice": lambda z: jnp.where(jnp.isnan(z[0]) | (z[1] > 5), z[2], z[jnp.argmax(z + jnp.array([0.0, 9.0, 0.0]))]),
 }
 WIDTHS = (0.0, 1e-9, 0.03, 0.4)
@@ -90,7 +92,7 @@ def test_taylor_models_hold_the_function_and_say_something_about_it(name):
     radius = np.broadcast_to(found.radius, len(low))
     thin, wide = radius[:12], radius[24:36]
     assert thin.max() < 1e-9
-    assert wide.max() < 3e-2  # of third order in the width
+    assert wide.max() < (1.5 if name in ("kinks", "branches") else 3e-2)  # of third order in the width
 
 
 def test_remainders_are_of_third_order():
@@ -196,7 +198,7 @@ MUTANTS = [
     ("e = abs(turned).sum(0)", "e = abs(turned[0])"),
     ("(radius + ROUND * abs(s).sum(0))", "(0 * radius)"),
     ("* (1 + ROUND) < x).all((1, 2))", "< 2 * x).all((1, 2))"),
-    ("> gap.away, np.sign(gap.middle), np.nan)", "> -1, np.sign(gap.middle), np.nan)"),
+    ("known = abs(gap.middle) > gap.away", "known = abs(gap.middle) > -1"),
 ]
 
 
@@ -216,11 +218,7 @@ def is_wrong(module):
         return True
     if any(beyond(module, name).max() > 0 for name in SCALARS):
         return True
-    try:
-        module.below(module.number(np.zeros(2), 1.0), module.number(np.ones(2) / 2))
-    except module.UndecidedError:
-        return False
-    return True
+    return isinstance(module.less(module.number(np.zeros(2), 1.0), module.number(np.ones(2) / 2)), bool)
 
 
 @pytest.mark.parametrize(("old", "new"), MUTANTS, ids=range(len(MUTANTS)))
@@ -236,7 +234,7 @@ def test_what_is_not_decided_or_not_known_is_refused_by_name():
     box = -np.ones(2), np.ones(2)
     one = box[0][None], box[1][None]
     with pytest.raises(_taylor.UndecidedError):
-        Enclosure(lambda z: jnp.abs(z[0]), *box, np.zeros(2))(*one)
+        Enclosure(lambda z: z[jnp.argmax(z)], *box, np.zeros(2))(*one)
     with pytest.raises(ValueError, match="'sort' is not known"):
         Enclosure(lambda z: jnp.sort(z), *box, np.zeros(2))(*one)
     with pytest.raises(ValueError, match="'convert_element_type' is not known"):

@@ -166,28 +166,64 @@ def curve(name: str, a: Taylor) -> Taylor:
     return value + CURVES[name](at, value)[0] * left + CURVES[name](around, bounds(name, around))[1] * (left * left)
 
 
-# Branches are decided on all boxes alike.
+# Branches. A truth that is the same on all boxes is a `bool`, any other a number: 1, 0, or all between where undecided.
 
 
-def _single(values: Any) -> float:
-    found = np.unique(values)
-    if len(found) > 1 or np.isnan(found[0]):
-        raise UndecidedError("a branch is not decided")
-    return float(found[0])
-
-
-def below(a: Taylor, b: Taylor) -> bool:
-    """Whether a < b. Raises `UndecidedError` where that depends on the place, or equality cannot be excluded."""
+def less(a: Taylor, b: Taylor) -> bool | Taylor:
+    """Whether a < b. A comparison with itself, by which a missing value is told, is known: a number is itself."""
+    if a is b:
+        return False
     gap = a - b
-    return a is not b and _single(np.where(abs(gap.middle) > gap.away, np.sign(gap.middle), np.nan)) < 0
+    known = abs(gap.middle) > gap.away
+    found = np.where(known, 1.0 * (gap.middle < 0), 0.5)
+    same = np.all(known) and np.all(found == np.max(found))
+    return bool(np.max(found)) if same else number(found, np.where(known, 0.0, 0.5))
+
+
+def choose(which: bool | Taylor, a: Taylor, b: Taylor) -> Taylor:
+    """a where that is true, b where it is not, and anything between them where it is undecided."""
+    if isinstance(which, bool):
+        return a if which else b
+    yes, no = which.middle - which.away > 0.5, which.middle + which.away < 0.5
+    low = np.minimum(a.middle - a.away, b.middle - b.away)
+    high = np.maximum(a.middle + a.away, b.middle + b.away)
+    keys = [s | t for s, t in zip(a.terms, b.terms, strict=True)]
+    terms = [
+        {m: np.where(yes, s.get(m, 0.0), np.where(no, t.get(m, 0.0), 0.0)) for m in all_}
+        for s, t, all_ in zip(a.terms, b.terms, keys, strict=True)
+    ]
+    terms[0][()] = np.where(yes | no, terms[0][()], low / 2 + high / 2)
+    between = (high - low) / 2 + ROUND * (abs(low) + abs(high))
+    return Taylor(terms, np.where(yes, a.radius, np.where(no, b.radius, between)))
+
+
+def decided(truth: bool | Taylor) -> bool:
+    """A truth that must be known. Raises `UndecidedError`."""
+    if isinstance(truth, Taylor):
+        raise UndecidedError("a branch is not decided")
+    return truth
 
 
 def floor(a: Taylor) -> Taylor:
-    """The whole number below, where there is but one."""
-    return exact(_single(np.floor([a.middle - a.away, a.middle + a.away])))
+    """The whole number below, or one of those. Where it is always the same it is known."""
+    low, high = np.floor(a.middle - a.away), np.floor(a.middle + a.away)
+    if np.all(low == high) and np.all(low == np.max(low)):
+        return exact(float(np.max(low)))
+    return number(low / 2 + high / 2, (high - low) / 2)
 
 
-# JAX's primitives. A comparison with itself, by which a missing value is told, is known: a number is itself.
+def unequal(a: Taylor, b: Taylor) -> bool | Taylor:
+    known = less(a, b)
+    if isinstance(known, bool):
+        return a is not b
+    return number(np.where(known.away < 0.25, 1.0, 0.5), np.where(known.away < 0.25, 0.0, 0.5))
+
+
+def opposite(truth: bool | Taylor) -> bool | Taylor:
+    return ONE - truth if isinstance(truth, Taylor) else not truth
+
+
+# JAX's primitives.
 
 ENTRIES: dict[str, Callable] = {
     **{name: functools.partial(curve, name) for name in CURVES},
@@ -209,24 +245,28 @@ ENTRIES: dict[str, Callable] = {
     "sinh": lambda a: HALF * (curve("exp", a) - curve("exp", -a)),
     "cosh": lambda a: HALF * (curve("exp", a) + curve("exp", -a)),
     "pow": lambda a, b: curve("exp", b * curve("log", a)),
-    "lt": below,
-    "gt": lambda a, b: below(b, a),
-    "le": lambda a, b: a is b or below(a, b),
-    "ge": lambda a, b: a is b or below(b, a),
-    "ne": lambda a, b: a is not b and below(a, b) is not None,
-    "eq": lambda a, b: a is b or below(a, b) is None,
-    "max": lambda a, b: b if below(a, b) else a,
-    "min": lambda a, b: a if below(a, b) else b,
-    "abs": lambda a: -a if below(a, ZERO) else a,
-    "clamp": lambda low, a, high: low if below(a, low) else high if below(high, a) else a,
-    "sign": lambda a: exact(1 - 2 * below(a, ZERO) - (a is ZERO)),
+    "lt": less,
+    "gt": lambda a, b: less(b, a),
+    "le": lambda a, b: opposite(less(b, a)),
+    "ge": lambda a, b: opposite(less(a, b)),
+    "ne": unequal,
+    "eq": lambda a, b: opposite(unequal(a, b)),
+    "and": lambda a, b: a * b,
+    "or": lambda a, b: a + b - a * b,
+    "not": opposite,
+    "select_n": lambda which, no, yes: choose(which, yes, no),
+    "max": lambda a, b: choose(less(a, b), b, a),
+    "min": lambda a, b: choose(less(a, b), a, b),
+    "clamp": lambda low, a, high: ENTRIES["min"](ENTRIES["max"](a, low), high),
+    "abs": lambda a: choose(less(a, ZERO), -a, a),
+    "sign": lambda a: a if a is ZERO else choose(less(a, ZERO), -ONE, ONE),
     "round": lambda a: floor(a + HALF),
     "floor": floor,
-    "is_finite": lambda a: below(a, number(1e300)) and below(number(-1e300), a),
+    "is_finite": lambda a: less(a * a, number(1e300)),
 }
 
 
-def each(function: Callable, *x: np.ndarray) -> np.ndarray:
+def each(function: Callable, *x: Any) -> np.ndarray:
     """A function of entries, entry by entry."""
     return np.asarray(np.frompyfunc(function, len(x), 1)(*x), object)
 
@@ -249,6 +289,18 @@ def _power(p: dict, x: np.ndarray) -> Any:
     return functools.reduce(np.multiply, [base] * abs(p["y"]), each(lambda _: ONE, x))
 
 
+def _fold(name: str) -> Callable:
+    """An operation over some axes, one entry after the other."""
+
+    def fold(p: dict, x: np.ndarray) -> Any:
+        axes = tuple(p["axes"])
+        rows = np.moveaxis(x, axes, range(len(axes)))
+        rows = rows.reshape(math.prod(rows.shape[: len(axes)]), *rows.shape[len(axes) :])
+        return functools.reduce(functools.partial(each, ENTRIES[name]), rows)
+
+    return fold
+
+
 def _broadcast(p: dict, x: np.ndarray) -> np.ndarray:
     sides = dict(zip(p["broadcast_dimensions"], x.shape, strict=True))
     return np.broadcast_to(x.reshape([sides.get(k, 1) for k in range(len(p["shape"]))]), p["shape"])
@@ -258,7 +310,8 @@ ARRAYS: dict[str, Callable] = {
     "dot_general": _dot,
     "integer_pow": _power,
     "reduce_sum": lambda p, x: _total(x, tuple(p["axes"])),
-    "argmax": lambda p, x: max(range(len(x)), key=functools.cmp_to_key(lambda i, j: 1 - 2 * below(x[i], x[j]))),
+    **{f"reduce_{name}": _fold(name) for name in ("max", "min", "and", "or")},
+    "argmax": lambda p, x: max(range(len(x)), key=functools.cmp_to_key(lambda i, j: 1 - 2 * decided(less(x[i], x[j])))),
     "broadcast_in_dim": _broadcast,
     "reshape": lambda p, x: x.reshape(p["new_sizes"]),
     "squeeze": lambda p, x: np.squeeze(x, p["dimensions"]),
@@ -270,7 +323,7 @@ ARRAYS: dict[str, Callable] = {
     ],
 }
 MOVES = {
-    *("split", "pad", "gather", "scatter", "select_n", "dynamic_slice", "dynamic_update_slice", "expand_dims"),
+    *("split", "pad", "gather", "scatter", "dynamic_slice", "dynamic_update_slice", "expand_dims"),
     *("copy", "copy_p", "convert_element_type", "stop_gradient", "reduce_precision"),
 }
 """Primitives that only move entries; they do it themselves, with the numbers of the places."""
@@ -279,6 +332,22 @@ CALLS = {"jit", "pjit", "closed_call", "custom_jvp_call", "custom_vjp_call"}
 
 def _real(atom: Any) -> bool:
     return jnp.issubdtype(atom.aval.dtype, jnp.floating)
+
+
+def _whole(atom: Any) -> bool:
+    return jnp.issubdtype(atom.aval.dtype, jnp.integer)
+
+
+def _settled(value: Any, atom: Any) -> np.ndarray:
+    """A result as an array: of numbers, or of known truths or whole numbers."""
+    value = np.asarray(value, getattr(value, "dtype", object))
+    if _real(atom) or value.dtype != object:
+        return value
+    if not any(isinstance(entry, Taylor) for entry in value.flat):
+        return value.astype(atom.aval.dtype)
+    if _whole(atom):
+        raise UndecidedError("a place is not decided")
+    return each(lambda truth: truth if isinstance(truth, Taylor) else exact(float(truth)), value)
 
 
 class Enclosure:
@@ -317,7 +386,6 @@ class Enclosure:
 
         for eqn in jaxpr.eqns:
             name, p, x = eqn.primitive.name, eqn.params, list(map(read, eqn.invars))
-            reals = any(map(_real, eqn.invars))
             if name in CALLS:
                 inner = p.get("jaxpr", p.get("call_jaxpr"))
                 out = self._run(inner.jaxpr, inner.consts, x)
@@ -326,17 +394,28 @@ class Enclosure:
                 out = self._run(inner.jaxpr, inner.consts, x[1:])
             elif name == "scan":
                 out = self._scan(p, x)
-            elif name in ARRAYS and reals:
-                out = [ARRAYS[name](p, *x)]
-            elif name in ENTRIES and reals:
-                out = [each(ENTRIES[name], *x)]
-            elif not reals or (name in MOVES and all(map(_real, eqn.outvars))):
+            elif not any(a.dtype == object for a in x):
                 out = self._move(eqn, x)
             else:
-                raise ValueError(f"the operation '{name}' is not known to the check")
-            for var, value in zip(eqn.outvars, out, strict=True):
-                known[var] = np.asarray(value, getattr(value, "dtype", object) if _real(var) else var.aval.dtype)
+                out = self._work(eqn, x)
+            known |= {v: _settled(value, v) for v, value in zip(eqn.outvars, out, strict=True)}
         return [read(atom) for atom in jaxpr.outvars]
+
+    def _work(self, eqn: Any, x: list) -> list:
+        """A primitive of numbers; `x` may have known places, and known truths, beside them."""
+        name, p, atoms = eqn.primitive.name, eqn.params, eqn.invars
+        chosen = name == "select_n" and x[0].dtype != object
+        x = [
+            a if a.dtype == object or _whole(v) or (chosen and v is atoms[0]) else each(exact, a.astype(float))
+            for a, v in zip(x, atoms, strict=True)
+        ]
+        if name in ARRAYS:
+            return [ARRAYS[name](p, *x)]
+        if chosen or (name in MOVES and _real(atoms[0]) <= _real(eqn.outvars[0])):
+            return self._move(eqn, x)
+        if name in ENTRIES:
+            return [each(ENTRIES[name], *(a if a.dtype == object else each(exact, a.astype(float)) for a in x))]
+        raise ValueError(f"the operation '{name}' is not known to the check")
 
     def _scan(self, p: dict, x: list) -> list:
         first, last = p["num_consts"], p["num_consts"] + p["num_carry"]
@@ -349,7 +428,7 @@ class Enclosure:
 
     def _move(self, eqn: Any, x: list) -> list:
         """What a primitive makes of known numbers, or where it moves entries."""
-        pairs = list(zip(x, map(_real, eqn.invars), strict=True))
+        pairs = [(a, a.dtype == object) for a in x]
         key = (id(eqn), *(a.tobytes() for a, real in pairs if not real))
         if key not in self._places:
             starts = itertools.accumulate((a.size * real for a, real in pairs), initial=0)
