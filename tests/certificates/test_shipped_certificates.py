@@ -9,14 +9,13 @@ from covariant.certificates._check import check, read
 FOLDER = Path(__file__).parents[2] / "examples/certificates"
 
 
-@pytest.mark.parametrize(("name", "rate"), [("ball_and_beam", 0.1), ("heavy_top", 2.0)])
-def test_small_ones_are_verified_whole(name, rate):
-    assert check(FOLDER / f"{name}.json").rate == rate
+def test_a_small_one_is_verified_whole():
+    assert check(FOLDER / "ball_and_beam.json").rate == 0.1
 
 
-def test_the_large_one_is_as_it_was_written():
-    """Its 58 526 leaves take minutes; here its digest, its verdict and that no leaf is open."""
-    document = read(FOLDER / "dfki_double_pendulum.json")
+@pytest.mark.parametrize("name", ["heavy_top", "dfki_double_pendulum"])
+def test_large_ones_are_as_they_were_written(name):
+    """Their leaves take minutes (`covariant certify --check`); here the digest, the verdict and that no leaf is open."""
+    document = read(FOLDER / f"{name}.json")
     assert document["verdict"] == "holds"
-    assert document["model"]["parameters"]["coulomb"] == [0.093, 0.078]
     assert not any("?" in level for claim in document["claims"] for level in claim["levels"])

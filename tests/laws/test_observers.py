@@ -154,7 +154,7 @@ def test_what_the_linear_law_leaves_out_is_of_first_order_in_the_error(built, ob
 
 
 @pytest.mark.parametrize("mistake", ["curvature sign", "Γ(q) for Γ(q̂)", "no source transport"])
-@pytest.mark.parametrize("name", SYSTEMS)
+@pytest.mark.parametrize("name", ["hyperbolic plane", "ball and beam"])
 def test_each_mistake_breaks_the_linear_law(mistake, name):
     spoiled = Spoiled(SYSTEMS[name][0], mistake)
     assert worst(spoiled, name, 3.0) > 1e-2
