@@ -15,7 +15,7 @@ def test_a_small_one_is_verified_whole():
 
 @pytest.mark.parametrize("name", ["heavy_top", "dfki_double_pendulum"])
 def test_large_ones_are_as_they_were_written(name):
-    """Their leaves take minutes (`covariant certify --check`); here the digest, the verdict and that no leaf is open."""
+    """Their leaves take longer (`covariant certify --check`); here digest and verdict, and that no leaf is open."""
     document = read(FOLDER / f"{name}.json")
     assert document["verdict"] == "holds"
     assert not any("?" in level for claim in document["claims"] for level in claim["levels"])
