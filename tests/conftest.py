@@ -6,6 +6,8 @@ import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
+# The tests compile far longer than they compute: programs are made quickly, not fast. Processes they start do the same.
+os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false")
 
 from collections.abc import Callable
 from pathlib import Path
@@ -22,6 +24,8 @@ from covariant.geometry import Budget, Metric
 
 jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_numpy_dtype_promotion", "strict")
+# Where in the source every operation of a program came from: nobody reads it, and writing it takes a while.
+jax.config.update("jax_traceback_in_locations_limit", 0)
 
 hypothesis.settings.register_profile("laws", derandomize=True, deadline=None, database=None, max_examples=60)
 hypothesis.settings.load_profile("laws")
@@ -31,6 +35,13 @@ REPOSITORY = Path(__file__).parents[1]
 
 MOST_MAPPINGS = 30_000  # Linux allows a process 65 530, and kills it in the compiler beyond
 _tests = itertools.count(1)
+
+
+def pytest_collection_finish():
+    """Tracing makes objects by the million, few of them in cycles: the collector looks at them less often."""
+    gc.collect()
+    gc.freeze()
+    gc.set_threshold(100_000, 20, 100)
 
 
 @pytest.fixture(autouse=True)

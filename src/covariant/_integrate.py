@@ -46,6 +46,7 @@ def rk8(flow: Flow, t, x, dt, steps: int = 1):
     a, b, c = (jnp.asarray(part, flat.dtype) for part in _DOPRI8)
     h = dt / steps
 
+    @jax.jit  # every transformation of the loops keeps what it made of the field, which is most of the work of building
     def slope(s, y):
         return jax.flatten_util.ravel_pytree(flow(s, unravel(y)))[0]
 
