@@ -22,13 +22,13 @@ import numpy as np
 
 from covariant.certificates._region import subject
 from covariant.certificates._saved import observer_from
-from covariant.certificates._taylor import CHUNK, ROUND, Enclosure, halves, show_definite
+from covariant.certificates._taylor import ROUND, Enclosure, halves, show_definite
 from covariant.models import GroupSystem, Lagrangian, applied_force
 
 ROOM = 2.0**-30
 """Forces may be larger than claimed by this part, so that the rounding of their bounds does not matter."""
-DEPTH, DEEPEST = 6, 200
-"""How often a leaf is halved, and how often the box of the inputs."""
+DEPTH, DEEPEST, SHARE = 6, 200, 4096
+"""How often a leaf is halved, and how often the box of the inputs; leaves given to a process at once."""
 
 
 class Checked(NamedTuple):
@@ -117,8 +117,8 @@ def _jobs(path: str, document: dict[str, Any]) -> Iterator[tuple]:
     yield path, document["digest"], None, *given[:, None]
     for index, claim in enumerate(claims):
         boxes = leaves(low, high, claim["levels"], f"claim {index}")
-        for k in range(0, len(boxes[0]), CHUNK):
-            yield path, document["digest"], index, *(side[k : k + CHUNK] for side in boxes)
+        for k in range(0, len(boxes[0]), SHARE):
+            yield path, document["digest"], index, *(side[k : k + SHARE] for side in boxes)
 
 
 def _shape(model: Lagrangian | GroupSystem, n: int) -> tuple[int, ...]:

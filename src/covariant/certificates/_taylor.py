@@ -20,7 +20,7 @@ from jax.interpreters import partial_eval
 
 ROUND, TINY = 2.0**-40, 2.0**-990
 """More than the relative rounding of a few hundred operations, and than what may underflow in them."""
-CHUNK, MOST = 512, 20_000
+CHUNK, MOST = 1024, 20_000
 """Boxes at once, and boxes that may be left over when many were halved."""
 LN2 = float.fromhex("0x1.62e42fefa38p-1"), float.fromhex("0x1.ef35793c7673p-45")
 QUARTER = float.fromhex("0x1.921fb544p+0"), float.fromhex("0x1.0b4611a626331p-34")
@@ -487,22 +487,24 @@ def halves(low: np.ndarray, high: np.ndarray, axes: np.ndarray) -> tuple[np.ndar
 
 def show_definite(matrix: Enclosure, low: np.ndarray, high: np.ndarray, depth: int, what: str) -> None:
     """Raises `ValueError` unless `matrix + matrixᵀ` is positive definite on all boxes, halved up to `depth` times."""
-    todo = [(low, high, depth)]
-    while todo:
-        low, high, depth = todo.pop()
-        if depth < 0 or len(low) + sum(len(boxes) for boxes, *_ in todo) > MOST:
-            box = ", ".join(f"{a:.6g} to {b:.6g}" for a, b in zip(low[0], high[0], strict=True))
+    left, most, size = np.full(len(low), depth), len(low) + MOST, CHUNK
+    while len(low):
+        # The last ones first, halves among them: an operation costs little more for many boxes than for one.
+        (low, a), (high, b), (left, deep) = ((x[:-size], x[-size:]) for x in (low, high, left))
+        if len(low) > most or (deep < 0).any():
+            k = deep.argmin()
+            box = ", ".join(f"{c:.6g} to {d:.6g}" for c, d in zip(a[k], b[k], strict=True))
             raise ValueError(f"{what} is not shown to hold where the variables are {box}")
         try:
-            found = matrix(low, high) if len(low) <= CHUNK else None
+            found = matrix(a, b)
+            good, axes = definite(found + found.T, b - a)
         except UndecidedError:
-            found = None
-        if found is not None:
-            good, axes = definite(found + found.T, high - low)
-        elif len(low) > 1:
-            todo += [(low[part], high[part], depth) for part in np.array_split(np.arange(len(low)), 2)]
-            continue
-        else:
-            good, axes = np.zeros(1, bool), (high - low).argmax(1)
-        if not good.all():
-            todo.append((*halves(low[~good], high[~good], axes[~good]), depth - 1))
+            good, axes = np.zeros(len(a), bool), (b - a).argmax(1)
+            if len(a) > 1:
+                size = len(a) // 2
+                low, high, left = (np.concatenate(x) for x in ((low, a), (high, b), (left, deep)))
+                continue
+        size = min(2 * size, CHUNK)
+        lower, upper = halves(a[~good], b[~good], axes[~good])
+        low, high = np.concatenate([low, lower]), np.concatenate([high, upper])
+        left = np.concatenate([left, np.repeat(deep[~good] - 1, 2)])
