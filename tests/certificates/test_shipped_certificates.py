@@ -1,9 +1,12 @@
-"""The certificates that come along still hold."""
+"""The certificates that come along still hold, and simulated estimates do as they say."""
 
+import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from covariant.certificates import ContractionCertificate
 from covariant.certificates._check import check, read
 
 FOLDER = Path(__file__).parents[2] / "examples/certificates"
@@ -19,3 +22,30 @@ def test_large_ones_are_as_they_were_written(name):
     document = read(FOLDER / f"{name}.json")
     assert document["verdict"] == "holds"
     assert not any("?" in level for claim in document["claims"] for level in claim["levels"])
+
+
+@pytest.mark.parametrize("name", ["ball_and_beam", "heavy_top", "dfki_double_pendulum"])
+def test_a_certificate_is_read_as_it_was_written(name):
+    document = json.loads((FOLDER / f"{name}.json").read_text(encoding="utf-8"))
+    assert ContractionCertificate.load(FOLDER / f"{name}.json").document() == document
+
+
+def test_a_certificate_that_was_changed_is_not_read(tmp_path):
+    text = (FOLDER / "ball_and_beam.json").read_text(encoding="utf-8")
+    (tmp_path / "changed.json").write_text(text.replace('"rate": 0.1', '"rate": 0.2'), encoding="utf-8")
+    with pytest.raises(ValueError, match="its digest does not fit"):
+        ContractionCertificate.load(tmp_path / "changed.json")
+
+
+@pytest.mark.parametrize(("name", "slowest"), [("heavy_top", 7.0), ("dfki_double_pendulum", 25.0)])
+def test_estimates_from_the_border_of_the_ball_converge_as_certified(name, slowest):
+    certificate = ContractionCertificate.load(FOLDER / f"{name}.json")
+    seen = certificate.follow(60)
+    np.testing.assert_allclose(seen.high[:, 0], certificate.radius, rtol=1e-9)
+    assert seen.holds
+    assert (seen.high <= seen.bound * (1 + 1e-6)).all()  # more than is proved, of a straight line
+    assert (seen.low > 0.9 * seen.high).all()
+    assert seen.rates.min() > slowest > certificate.rate
+    # Had the certificate promised what most estimates do, it would have been found wrong.
+    faster = certificate.radius * np.exp(-np.median(seen.rates) / 2 * seen.t)
+    assert not seen._replace(bound=faster).holds

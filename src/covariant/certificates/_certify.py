@@ -44,6 +44,31 @@ class Claim(NamedTuple):
     limit: float = 0.0
 
 
+class Followed(NamedTuple):
+    """Estimates that began on the border of the proved ball, each beside a motion of its own.
+
+    - `t` (k, T) [s]: until the motion leaves the region or the bound of the velocity, eight time constants at most.
+    - `low`, `high` (k, T): their distances from below and from above; `bound` (k, T): `ε e^(−λt/2)`.
+    - `certified` [1/s]: λ, of squared lengths.
+    """
+
+    t: Float[np.ndarray, "k T"]
+    low: Float[np.ndarray, "k T"]
+    high: Float[np.ndarray, "k T"]
+    bound: Float[np.ndarray, "k T"]
+    certified: float
+
+    @property
+    def holds(self) -> bool:
+        """Whether no distance is above its bound, beyond a millionth for the integration."""
+        return bool((self.low <= self.bound * (1 + 1e-6)).all())
+
+    @property
+    def rates(self) -> Float[np.ndarray, "k"]:
+        """The rate λ [1/s] of each, from its first stamp to its last."""
+        return 2 * np.log(self.high[:, 0] / self.high[:, -1]) / (self.t[:, -1] - self.t[:, 0])
+
+
 class ContractionCertificate(NamedTuple):
     """What was proved about an observer on a region.
 
@@ -91,6 +116,18 @@ class ContractionCertificate(NamedTuple):
         """Boxes on which the time did not suffice to decide."""
         return np.concatenate([claim.proof.open for claim in self.claims])
 
+    def follow(
+        self, count: int = 100, *, stamps: int = 25, seed: int = 0, rtol: float = 1e-10, atol: float = 1e-13
+    ) -> Followed:
+        """Simulate: `count` random motions in the region, and beside each an estimate from a random place on the border
+        of the proved ball, integrated with the tolerances given.
+
+        Raises `ValueError` where nothing is proved, or where motions leave the region too soon to say anything.
+        """
+        from covariant.certificates import _show
+
+        return _show.follow(self, count, stamps, seed, rtol, atol)
+
     def document(self) -> dict[str, Any]:
         """The certificate as it is saved. Raises `ValueError` where the model has no recipe."""
         if self.recipe is None:
@@ -131,6 +168,43 @@ class ContractionCertificate(NamedTuple):
         """Write the certificate with all its boxes (JSON). Raises `ValueError` where the model has no recipe."""
         text = json.dumps(self.document(), indent=1, ensure_ascii=False)
         return write_atomically(path, lambda file: file.write(text.encode("utf-8")))
+
+    @classmethod
+    def load(cls, path: str | Path) -> "ContractionCertificate":
+        """A saved certificate with all its boxes; how long the proofs took is not in the file (NaN).
+
+        Whether it is right is for `covariant certify --check` to say. Raises `ValueError` for a file that was changed,
+        or that proves nothing.
+        """
+        document = json.loads(Path(path).read_text(encoding="utf-8"))
+        if not (isinstance(document, dict) and document.get("digest") == _saved.digest(document)):
+            raise ValueError(f"{path} is not a certificate as it was saved: its digest does not fit")
+        if document["format"] != _saved.FORMAT or document["verdict"] != "holds":
+            raise ValueError(f"{path} proves nothing, or not in the format {_saved.FORMAT!r}")
+        observer, q = _saved.observer_from(document)
+        about = subject(observer, q)
+        velocity, claims = np.asarray(document["velocity"], float), []
+        for claim in document["claims"]:
+            domain = Box(about.names, about.units, *(np.asarray(claim[end], float) for end in ("low", "high")))
+            levels, none = _saved.from_letters(claim["levels"]), np.zeros((0, 2, len(about.names)))
+            proof = Proof("holds", domain, levels, None, none, sum(map(len, levels)), math.nan)
+            claims.append(
+                Claim(claim["kind"], proof, *(claim[key] for key in ("row", "square", "limit") if key in claim))
+            )
+        rate, radius, domain = document["rate"], document["radius"], claims[0].proof.box
+        return cls(
+            _summary(about, domain, velocity, rate, radius, claims),
+            rate,
+            radius,
+            observer,
+            q,
+            about,
+            domain,
+            velocity,
+            document["inputs"],
+            tuple(claims),
+            document["model"],
+        )
 
 
 def certify(

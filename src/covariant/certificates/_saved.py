@@ -61,6 +61,12 @@ def to_letters(levels: Sequence[np.ndarray]) -> list[str]:
     return [table[codes].tobytes().decode("ascii") for codes in levels]
 
 
+def from_letters(levels: Sequence[str]) -> list[np.ndarray]:
+    """The tree that `to_letters` wrote, as whole numbers: −1 for proved, −2 for open."""
+    codes = {letter: code for code, letter in enumerate(LETTERS)} | {".": -1, "?": -2}
+    return [np.array([codes[letter] for letter in level], int) for level in levels]
+
+
 def digest(document: dict[str, Any]) -> str:
     """SHA-256 of everything in a certificate but the digest itself, in one canonical spelling."""
     rest = {key: value for key, value in document.items() if key != "digest"}

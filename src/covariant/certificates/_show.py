@@ -1,4 +1,4 @@
-"""What a certificate looks like: arrays for figures and for readers, all taken from the certificate itself.
+"""What a certificate looks like, and what simulations say of it: arrays taken from the certificate itself.
 
 Source: Aghannan & Rouchon 2003, Fig. 2 and Theorem 2.
 """
@@ -10,7 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from covariant.certificates._certify import ContractionCertificate
+from covariant.certificates._certify import ContractionCertificate, Followed
+from covariant.certificates._contraction import StateMetric
 from covariant.certificates._distance import Decay, lower_distance, upper_distance
 from covariant.certificates._prove import OPEN, PROVED, Proof, leaves
 from covariant.certificates._tangent import conditioning, error_matrix, lyapunov, optimal_lyapunov, rate_of
@@ -20,6 +21,8 @@ from covariant.simulation import observe, simulate
 
 INSIDE = 0.98
 """How much of the bounds a motion that is shown may use, so that it keeps them between its stamps."""
+WATCHED = 97
+"""Stamps at which a motion is looked at, whether it is inside."""
 
 
 class Projection(NamedTuple):
@@ -152,15 +155,10 @@ def trajectories(
 
     Raises `ValueError` where nothing is proved, or where no motion stays inside for as long as two stamps.
     """
-    reached = half_widths(certificate)
-    side: Any = (
-        _OnGroup(certificate) if isinstance(certificate.observer.model, GroupSystem) else _InCoordinates(certificate)
-    )
-    alpha, beta = _gains(certificate)
-    longest = -8 / float(np.linalg.eigvals(error_matrix(alpha, beta)).real.max())
-    first, last = certificate.given["times"]
-    longest = min(longest, last - first) if last > first else longest
-    push = _inputs(certificate, longest)
+    reached, side = half_widths(certificate), _side(certificate)
+    first, longest, _ = _eight_time_constants(certificate)
+    m = len(certificate.given["low"])
+    push = _inputs(certificate, 2 * jnp.pi / longest * (2 + 0.74 * jnp.arange(m, dtype=float)), jnp.zeros(m))
     rng = np.random.default_rng(seed)
     start, duration, travel = _stays_inside(certificate, side, push, first, longest, rng)
     t = jnp.linspace(first, first + duration, stamps)
@@ -170,14 +168,14 @@ def trajectories(
     @jax.jit
     def follow(start, shown, size):
         def one(angle):
-            begin = _on_the_border(certificate, side, start, shown, angle, size)
+            begin = _on_the_border(certificate, side, start, _across(certificate, side, start, shown, angle), size)
             state = side.state(begin)
             actual, states = observe(
                 certificate.observer.model, certificate.observer, start, state, t, push, rtol=1e-9, atol=1e-11
             )
             estimated = side.of_state(states)
             ends = jax.vmap(side.chart)(estimated, actual)
-            metric = certificate.subject.at(side.place(start)).metric
+            metric = _metric(certificate)
             low = jax.vmap(lambda s, a, b: lower_distance(metric, s, a, b))(t, *ends)
             high = jax.vmap(lambda s, a, b: upper_distance(metric, s, a, b))(t, *ends)
             places = [jax.vmap(side.coordinates, (None, 0))(start, x) for x in (actual, estimated)]
@@ -201,6 +199,70 @@ def trajectories(
         shown,
         Decay(np.asarray(t), low, high, bound),
     )
+
+
+def follow(
+    certificate: ContractionCertificate, count: int, stamps: int, seed: int, rtol: float, atol: float
+) -> Followed:
+    """As `ContractionCertificate.follow`."""
+    half_widths(certificate)
+    side, radius = _side(certificate), certificate.radius
+    rng = np.random.default_rng(seed)
+    start, pushes, first, until = _motions(certificate, side, count, rng)
+    directions = jnp.asarray(rng.normal(size=(count, 2 * side.n)))
+
+    metric = _metric(certificate)
+
+    @jax.jit
+    @jax.vmap
+    def onwards(start, pushes, until, direction):
+        place = side.place(start)[: 2 * side.n]
+        root = jnp.linalg.cholesky(metric.gram(jnp.zeros(()), place))
+        # On a sphere of the metric all directions are alike.
+        ball = jnp.linalg.solve(root.T, direction / jnp.linalg.norm(direction))
+        begin = _on_the_border(certificate, side, start, metric.frame(jnp.zeros(()), place) @ ball, jnp.asarray(radius))
+        t = first + (until - first) * jnp.linspace(0, 1, stamps)
+        push, model, observer = _inputs(certificate, *pushes), certificate.observer.model, certificate.observer
+        actual, states = observe(model, observer, start, side.state(begin), t, push, rtol=rtol, atol=atol)
+        return t, *jax.vmap(side.chart)(side.of_state(states), actual)
+
+    @jax.jit
+    def distances(*given):
+        between = jax.vmap(lambda *x: (lower_distance(metric, *x), upper_distance(metric, *x)))
+        return jax.lax.map(lambda x: between(*x), given)  # one by one: each takes many points at every stamp
+
+    t, *ends = onwards(start, pushes, jnp.asarray(until), directions)
+    t, low, high = (np.asarray(a) for a in (t, *distances(t, *ends)))
+    return Followed(t, low, high, radius * np.exp(-certificate.decay * (t - first)), certificate.rate)
+
+
+def _motions(certificate, side, count: int, rng) -> tuple[Any, tuple[Array, Array], float, np.ndarray]:
+    """`count` starts of motions and the pace and phase (count, m) of their inputs, when they begin and end (count,).
+
+    Of random ones those that stay within the bounds for a time constant of the gains or longer.
+    """
+    first, longest, constant = _eight_time_constants(certificate)
+    t = jnp.linspace(first, first + longest, WATCHED)
+    model, m = certificate.observer.model, len(certificate.given["low"])
+
+    @jax.jit
+    @jax.vmap
+    def motions(x0, pushes):
+        return side.entries(simulate(model, x0, t, _inputs(certificate, *pushes), rtol=1e-5, atol=1e-7).x)
+
+    found, ends = [], np.zeros(0)
+    for _ in range(20):
+        pace = jnp.asarray(rng.uniform(1, 4, (2 * count, m))) * (2 * jnp.pi / longest)
+        drawn = side.draw(rng, 2 * count), (pace, jnp.asarray(rng.uniform(0, 2 * np.pi, (2 * count, m))))
+        lasts = _inside(certificate, side, *(np.asarray(a) for a in motions(*drawn)))
+        last = np.asarray(t)[np.maximum(lasts - 1, 0)]
+        good = last >= first + min(constant, longest)
+        found.append(jax.tree.map(lambda a, good=good: a[good], drawn))
+        ends = np.concatenate([ends, last[good]])
+        if len(ends) >= count:
+            start, pushes = jax.tree.map(lambda *parts: jnp.concatenate(parts)[:count], *found)
+            return start, pushes, first, ends[:count]
+    raise ValueError("too few motions stay inside the region for a time constant of the gains; take a larger region")
 
 
 class _InCoordinates:
@@ -286,11 +348,38 @@ def _gains(certificate: ContractionCertificate) -> tuple[float, float]:
     return 2 * alpha if isinstance(observer, Group) and observer.doubled_alpha else alpha, float(observer.beta)
 
 
-def _inputs(certificate: ContractionCertificate, longest: float):
-    """Sines within the bounds of the inputs, no two in step."""
+def _side(certificate: ContractionCertificate) -> Any:
+    on_group = isinstance(certificate.observer.model, GroupSystem)
+    return _OnGroup(certificate) if on_group else _InCoordinates(certificate)
+
+
+def _metric(certificate: ContractionCertificate) -> StateMetric:
+    """The metric on states, which is the same at every point."""
+    return certificate.subject.at(jnp.zeros(len(certificate.subject.names))).metric
+
+
+def _eight_time_constants(certificate: ContractionCertificate) -> tuple[float, float, float]:
+    """When motions begin, how long they are followed at most, and the time constant of the gains [s]."""
+    constant = -1 / float(np.linalg.eigvals(error_matrix(*_gains(certificate))).real.max())
+    first, last = certificate.given["times"]
+    return first, min(8 * constant, last - first) if last > first else 8 * constant, constant
+
+
+def _inputs(certificate: ContractionCertificate, pace: Array, phase: Array):
+    """Sines (m,) within the bounds of the inputs."""
     low, high = (jnp.asarray(certificate.given[end]) for end in ("low", "high"))
-    pace = 2 * jnp.pi / longest * (2 + 0.74 * jnp.arange(low.shape[0], dtype=float))
-    return lambda t, x: (low + high) / 2 + INSIDE * (high - low) / 2 * jnp.sin(pace * t)
+    return lambda t, x: (low + high) / 2 + INSIDE * (high - low) / 2 * jnp.sin(pace * t + phase)
+
+
+def _inside(certificate: ContractionCertificate, side: Any, places: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """At how many of its first stamps each motion (k, T, ...) is inside the bounds."""
+    low, high = (np.asarray(certificate.given["positions"][end]) for end in ("low", "high"))
+    middle, half = (low + high) / 2, (high - low) / 2
+    room = half * INSIDE if side.flat else half + 1e-9
+    with np.errstate(invalid="ignore"):
+        kept = (np.abs(places - middle) <= room).all(-1) & (np.abs(v) <= INSIDE * certificate.velocity).all(-1)
+    inside = np.asarray(kept)
+    return np.where(inside.all(1), inside.shape[1], inside.argmin(1))
 
 
 def _stays_inside(
@@ -308,12 +397,7 @@ def _stays_inside(
         return side.entries(x)
 
     places, v = (np.asarray(a) for a in motions(draws))
-    low, high = (np.asarray(certificate.given["positions"][end]) for end in ("low", "high"))
-    middle, half = (low + high) / 2, (high - low) / 2
-    room = half * INSIDE if side.flat else half + 1e-9
-    with np.errstate(invalid="ignore"):
-        inside = (np.abs(places - middle) <= room).all(-1) & (np.abs(v) <= INSIDE * certificate.velocity).all(-1)
-    lasts = np.where(inside.all(1), len(t), inside.argmin(1))
+    lasts = _inside(certificate, side, places, v)
     best = lasts == lasts.max()
     travel = np.where(best, np.nan_to_num(np.ptp(v / certificate.velocity, axis=1)).sum(-1), -1.0)
     chosen = int(travel.argmax())
@@ -324,16 +408,20 @@ def _stays_inside(
     return jax.tree.map(lambda a: a[chosen], draws), float(t[until - 1] - t[0]), gone
 
 
-def _on_the_border(certificate, side, start, shown, angle, size):
-    """The state at the distance `size` from `start`, in the plane of one position error and the change of velocity."""
-    point = certificate.subject.at(side.place(start))
-    t = jnp.zeros(())
+def _across(certificate, side, start, shown, angle):
+    """A change of the state `start` in the plane of one position error and the change of velocity."""
+    point, t = certificate.subject.at(side.place(start)), jnp.zeros(())
     rows = point.reach[jnp.array([shown, shown + side.n])]
     widest = jnp.linalg.solve(point.metric.gram(t, point.x), rows.T)
     along = widest / jnp.sqrt(jnp.sum(rows.T * widest, axis=0, keepdims=True))
-    step = point.metric.frame(t, point.x) @ (along @ jnp.array([jnp.cos(angle), jnp.sin(angle)]))
+    return point.metric.frame(t, point.x) @ (along @ jnp.array([jnp.cos(angle), jnp.sin(angle)]))
+
+
+def _on_the_border(certificate, side, start, step, size):
+    """The state at the distance `size` from `start`, in the direction of `step` (2n,)."""
+    metric, t = _metric(certificate), jnp.zeros(())
 
     def nearer(_, scale):
-        return scale * size / upper_distance(point.metric, t, *side.chart(side.moved(start, scale * step), start))
+        return scale * size / upper_distance(metric, t, *side.chart(side.moved(start, scale * step), start))
 
     return side.moved(start, jax.lax.fori_loop(0, 20, nearer, jnp.asarray(size)) * step)
