@@ -34,7 +34,8 @@ def rk4(flow: Flow, t, x, dt, steps):
     """Advance `x` by `dt` in `steps` equal Runge–Kutta steps; a Python int is static, a traced count is not."""
     real = jax.tree.leaves(x)[0].dtype
     h = dt / jnp.asarray(steps, real)
-    return jax.lax.fori_loop(0, steps, lambda i, y: rk4_step(flow, t + jnp.asarray(i, real) * h, y, h), x)
+    once = jax.jit(flow)  # traced once, not at each of the four slopes
+    return jax.lax.fori_loop(0, steps, lambda i, y: rk4_step(once, t + jnp.asarray(i, real) * h, y, h), x)
 
 
 def rk8(flow: Flow, t, x, dt, steps: int = 1):

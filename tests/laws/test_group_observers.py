@@ -161,6 +161,7 @@ def test_the_body_rates_of_euler_angles_are_right():
 def in_euler_angles(model):
     """The same body as a `Lagrangian` in yaw, pitch and roll."""
 
+    @jax.jit  # differentiated and batched in many places: each way once
     def metric(q):
         rates = jax.vmap(lambda e: rates_to_body(q, e))(jnp.eye(3, dtype=q.dtype))
         return rates @ model.metric.inertia.matrix @ rates.T

@@ -184,6 +184,7 @@ def shear(a, b):
 def in_another_chart(model: Lagrangian, forward) -> Lagrangian:
     """The same machine in coordinates z, q = forward(z); its geometry found numerically from the new matrix."""
 
+    @jax.jit  # differentiated and batched in many places: each way once
     def metric(z):
         jacobian = jax.jacfwd(forward)(z)
         return jacobian.T @ model.metric(forward(z)) @ jacobian
@@ -275,7 +276,7 @@ def test_closed_forms_and_shooting_give_the_same_observer():
     """`Pullback` knows its space's closed forms; the numerical metric of the same matrix must agree."""
     forward, inverse = shear(np.array([0.2, -0.1]), np.array([0.1, 0.2]))
     closed = on_space(Pullback(sphere(), forward, inverse))
-    numeric = on_space(lambda q: closed.metric(q))
+    numeric = on_space(jax.jit(lambda q: closed.metric(q)))  # differentiated in many places: each way once
     state = MechanicalState(jnp.array([0.3, -0.2]), jnp.array([0.7, 0.4]), jnp.zeros(()))
     y, u = jnp.array([0.1, 0.1]), jnp.zeros(2)
 
