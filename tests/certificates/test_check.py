@@ -18,7 +18,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from covariant import models
-from covariant.certificates import _balls, _check, _taylor, certify
+from covariant.certificates import _balls, _certify, _check, _taylor, certify
 from covariant.certificates._check import check
 from covariant.certificates._taylor import Enclosure, definite, show_definite
 from covariant.geometry import lie
@@ -446,6 +446,95 @@ def test_balls_find_the_same(saved, tmp_path):
     made = forged(saved, tmp_path, put("rate", 6.0))
     with pytest.raises(ValueError, match="of claim 0 is not shown in balls"):
         _balls.check_sample(made, found.total)
+
+
+# Regions that are not geodesically convex: the sector of a ring in polar coordinates, whose chords leave it inwards.
+
+
+def polar():
+    """A free mass of 1 kg in the plane."""
+    return models.Lagrangian(
+        lambda q: jnp.diag(jnp.stack([jnp.ones(()), q[0] ** 2])),
+        lambda q: jnp.zeros(()),
+        coordinates=("r", "angle"),
+        units=("m", "rad"),
+    )
+
+
+INNER, OUTER, WIDE, OFF = 0.9, 1.1, 0.9, 0.05
+"""The true motions of the sector [m, m, rad], and the error of a position [m, rad]."""
+
+
+def sector():
+    """A certificate on the sector."""
+    recipe = {"attribute": f"{__name__}:polar"}
+    bounds = np.array([INNER, -WIDE]), np.array([OUTER, WIDE])
+    given = {"velocity": 0.1, "error": OFF, "position": bounds, "input": 0.01}
+    return certify(Intrinsic(polar(), 4.0, 8.0), **given, recipe=recipe)
+
+
+@pytest.fixture(scope="module")
+def sectors():
+    return sector()
+
+
+def shortest_leaving(q):
+    """The least length, in the metric of states, of a geodesic of the plane that leaves the region from a true motion.
+
+    A curve of states is at least √(½(a − c²/b)) times as long as that of its positions, and may be as short.
+    """
+    rng = np.random.default_rng(2)
+    r = np.concatenate([np.full(50_000, INNER), rng.uniform(INNER, OUTER, 50_000)])
+    turned = rng.uniform(-WIDE, WIDE, 100_000)
+    far = rng.uniform(INNER - OFF, OUTER + OFF, 100_000)  # an estimate within the region
+    other = np.clip(turned + rng.uniform(-1, 1, 100_000) * rng.choice([0.05, 0.5, 2.0], 100_000), -WIDE, WIDE)
+    a, b = r * np.exp(1j * turned), far * np.exp(1j * other)
+    nearest = np.min([abs(a + s * (b - a)) for s in np.linspace(0, 1, 41)], axis=0)
+    leaves = nearest < INNER - OFF
+    assert leaves.sum() > 1000  # the region is not convex
+    return math.sqrt((q[0, 0] - q[0, 1] ** 2 / q[1, 1]) / 2) * abs(b - a)[leaves].min()
+
+
+def test_no_geodesic_as_long_as_the_radius_leaves_a_region_that_is_not_convex(sectors, tmp_path):
+    assert sectors.summary.verdict == "holds"
+    assert sectors.radius < shortest_leaving(sectors.q)
+    for claim in sectors.claims[1:]:
+        assert sectors.radius * math.sqrt(claim.square) <= claim.limit
+    assert check(sectors.save(tmp_path / "sector.json")).radius == sectors.radius
+
+
+def test_a_prover_that_forgets_the_border_would_be_seen(sectors, tmp_path, monkeypatch):
+    honest = _certify._limits
+    monkeypatch.setattr(_certify, "_limits", lambda domain, velocity: 10 * honest(domain, velocity))
+    careless = sector()
+    assert careless.radius == pytest.approx(10 * sectors.radius)
+    assert careless.radius > shortest_leaving(careless.q)
+    with pytest.raises(ValueError, match="which its box"):
+        check(careless.save(tmp_path / "careless.json"))
+
+
+def test_a_prover_that_takes_reaches_for_shorter_than_they_are_proves_nothing(monkeypatch):
+    honest = _certify._seen_squares
+    monkeypatch.setattr(_certify, "_seen_squares", lambda about, domain: honest(about, domain) / 4)
+    found = sector()
+    assert (found.summary.verdict, found.radius) == ("fails", 0.0)
+
+
+@pytest.mark.parametrize("more", [1 + 1e-6, 1.5, 100.0])
+@pytest.mark.parametrize("mended", ["nothing", "limit", "square"])
+def test_a_radius_beyond_what_is_proved_to_be_reached_is_refused(sectors, tmp_path, more, mended):
+    def longer(document):
+        document["radius"] *= more
+        for claim in document["claims"][1:]:
+            claim["limit"] *= more if mended == "limit" else 1
+            claim["square"] /= more**2 if mended == "square" else 1
+
+    made = forged(sectors.save(tmp_path / "sector.json"), tmp_path, longer)
+    if mended == "square" and more < 1.01:  # there is as much room between what is claimed of a reach and what is true
+        assert check(made).radius > sectors.radius
+        return
+    with pytest.raises(ValueError, match=r"may reach|which its box|of room|is not shown to hold"):
+        check(made)
 
 
 # The checker is small, and shares nothing with the prover.
