@@ -14,7 +14,7 @@ SOURCE = ROOT / "src" / "covariant"
 
 PLAN = (
     "_typing _files _guests signals scoring _linalg _integrate lowering "
-    "logs geometry models riccati observers simulation scale certificates design report papers cli"
+    "logs geometry models riccati observers control simulation interop scale certificates design report papers cli"
 )
 """A room may import from itself and from any room to its left, never to its right."""
 
@@ -32,21 +32,27 @@ OPTIONAL = (
     "dask",
     "distributed",
     "flint",
+    "clarabel",
+    "control",
 )
 
 PUBLIC = {
-    "certificates": "Audit Box Certificate Claim ContractionCertificate Decay Law Observability Proof StateMetric "
-    "Subject audit bending box certify conditioning contraction contraction_matrix contraction_rate decay "
-    "detectability_rate error_bounds error_matrix falsify force_bounds generalised_jacobian in_coordinates in_frame "
-    "log_norm lower_distance lyapunov noise_disturbance observability optimal_lyapunov prove rate_of rates_along "
-    "steady_distance subject tangent_metric upper_distance",
-    "design": "ESTIMATORS DataSheet Gains MetricSummary bias estimators filter_bandwidth gains line_up load_metric "
-    "metric metric_summary observer_gains predict_errors window_length with_gains",
+    "certificates": "Audit Box CascadeCertificate Certificate Claim Constants ContractionCertificate Decay Growth Law "
+    "MetricDesign Observability Proof StateMetric Subject audit bending blocks box cascade certify "
+    "common_metric conditioning contraction contraction_matrix contraction_rate crossed_metric decay "
+    "detectability_rate error_bounds error_matrix falsify feedthrough force_bounds generalised_jacobian "
+    "in_coordinates in_frame log_norm lower_distance lyapunov noise_disturbance observability "
+    "observer_gain optimal_lyapunov prove prove_at_corners rate_of rates_along steady_distance subject "
+    "tangent_metric tracking upper_distance virtual",
+    "control": "Backstepping Reference follow lissajous set_point",
+    "design": "ESTIMATORS DataSheet Gains MetricSummary bias contracting_gain estimators filter_bandwidth gains "
+    "line_up load_metric metric metric_summary observer_gains predict_errors window_length with_gains",
     "geometry": "AbstractMetric Budget ConstantCurvature Euclidean FlatTorus Interpolated Metric Product Pullback "
     "Shot Transported as_metric christoffel curvature distance exp gradient hyperbolic inner log norm shoot sphere "
     "transport transport_along",
     "geometry.lie": "SE2 SE3 SO2 SO3 SU AbstractGroup AbstractInertia Carried ExponentialChart Inertia LeftInvariant "
     "MatrixGroup Product munthe_kaas quaternion_from_rotation rotation_from_quaternion",
+    "interop": "closed_loop observer_system plant",
     "lowering": "FOLD INTERVALS NUMBERS Domain Enclosure Graph Interval Lowered LoweringError Node Truth enclose "
     "evaluate expand lower numbers pairs",
     "logs": "ATTITUDES Body Columns Log LogError bodies matrices read to_columns write",
@@ -55,10 +61,13 @@ PUBLIC = {
     "free_body friction from_recipe heavy_top hovercraft induction_motor load lorenz oscillator "
     "pendulum_chain position_error recipe satellite source spatial_momentum state_space "
     "underwater_vehicle unknown_frequency van_der_pol wrap",
-    "observers": "EKF AbstractFlowObserver AbstractObserver Copy EKFInfo EKFState Estimate FilterInfo "
-    "FilteredDerivative FilteredState Geodesic GeodesicInfo GeodesicState Group GroupInfo GroupState Info "
-    "InformationEKF InformationState Intrinsic InvariantEKF InvariantInfo InvariantState MechanicalState Riccati "
-    "Salcudean SalcudeanState SavitzkyGolay WindowState run",
+    "models.marine": "Craft Station Waves coriolis_matrix cybership euler_rates euler_rotation euler_transform "
+    "manoeuvring_ship odin odin_on_group supply_vessel surface_ship yaw_rotation",
+    "observers": "EKF AbstractFlowObserver AbstractObserver Contracting ContractingState Copy EKFInfo EKFState "
+    "Estimate FilterInfo FilteredDerivative FilteredState Geodesic GeodesicInfo GeodesicState Group "
+    "GroupInfo GroupState Info InformationEKF InformationState Intrinsic InvariantEKF InvariantInfo "
+    "InvariantState MechanicalState PassiveGains PassiveShip Riccati Salcudean SalcudeanState "
+    "SavitzkyGolay WindowState craft_observer lyapunov_gains lyapunov_rate notch_gains printed_rate run",
     "report": "PALETTE EstimateReport draw_audit draw_certificate new_figure save_figure table write_article "
     "write_audit write_html write_png",
     "riccati": "Box Equation Metric Passage Solution Window gramian gramians high_gain lie_derivative metric_at "

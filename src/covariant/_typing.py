@@ -1,8 +1,8 @@
 """Array roles, named once. Leading batch axes come from `jax.vmap`, never from the functions themselves."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
-from jaxtyping import Array, Bool, Float, Inexact, Int
+from jaxtyping import Array, ArrayLike, Bool, Float, Inexact, Int
 
 Scalar = Float[Array, ""]
 Vector = Float[Array, "n"]
@@ -17,3 +17,6 @@ Code = Int[Array, ""]
 
 MatrixField = Callable[[Array], Array]
 """A metric written in coordinates: `q (n,) -> (n, n)`, symmetric positive definite."""
+
+Numbers = ArrayLike | Sequence[float] | Sequence[Sequence[float]] | Sequence[Sequence[Sequence[float]]]
+"""What a person may write for an array of numbers; it is made one at once."""

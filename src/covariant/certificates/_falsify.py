@@ -36,11 +36,11 @@ def falsify(
     check_box(domain)
     z = jnp.asarray(domain.low)
     value = lower(lambda z: jnp.concatenate([m.ravel() for m in _matrices(subject, z)]), z)
-    slowest, point = _slowest(value, domain, attempts, starts, seed)
+    least, point = slowest(value, domain, attempts, starts, seed)
     return Certificate(
         f"squared lengths shrink at no less than {rate:.4g} 1/s; the margin is the least rate found [1/s]",
-        "holds" if slowest >= rate else "fails",
-        slowest,
+        "holds" if least >= rate else "fails",
+        least,
         str(domain),
         "sampled",
         tuple(point.tolist()),
@@ -76,9 +76,8 @@ def _two(entries: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return both[..., 0, :, :], both[..., 1, :, :]
 
 
-def _slowest(
-    value: Lowered, domain: Box, attempts: int, starts: int, seed: int
-) -> tuple[float, Float[np.ndarray, "d"]]:
+def slowest(value: Lowered, domain: Box, attempts: int, starts: int, seed: int) -> tuple[float, Float[np.ndarray, "d"]]:
+    """The least of −λmax(N⁻¹K) over a box, and where, for the entries of N and K (2 k²,) as a graph."""
     rng, d = np.random.default_rng(seed), len(domain.low)
     width = domain.high - domain.low
     least, kept = np.zeros(0), np.zeros((0, d))

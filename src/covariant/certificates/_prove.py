@@ -15,7 +15,7 @@ import concurrent.futures
 import itertools
 import multiprocessing
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Literal, NamedTuple
 
 import jax
@@ -112,13 +112,61 @@ def prove(
     """
     start = time.monotonic()
     check_box(domain)
-    task = _task(matrix, domain)
+    return _decide(_task(matrix, domain), domain, start, start + seconds, processes, progress)
+
+
+def prove_at_corners(
+    matrix: Callable[[Array], Array],
+    domain: Box,
+    affine: Sequence[str],
+    *,
+    seconds: float = 60.0,
+    progress: Callable[[float, int], None] | None = None,
+) -> list[Proof]:
+    """The same where the matrix is affine in some of the variables, taken together: one proof for each corner of them.
+
+    The smallest eigenvalue is then a concave function of those variables, least at a corner of their box; so they need
+    not be halved, and 2^k proofs over the others take the place of one over all. Stops at the first that does not hold.
+
+    Raises `ValueError` where the matrix is not affine in them, as its second derivatives show, or one is not known.
+    """
+    start = time.monotonic()
+    check_box(domain)
+    unknown = set(affine) - set(domain.names)
+    if unknown:
+        raise ValueError(f"prove_at_corners: no variable {sorted(unknown)[0]!r}; the box has {', '.join(domain.names)}")
+    z = jnp.asarray(domain.low)
+    kept = np.array([domain.names.index(name) for name in affine], int)
+    bent = expand(lower(lambda z: matrix(z).ravel(), z), kept.tolist(), 2)
+    count = jax.eval_shape(matrix, z).size
+    entries = np.array([_moves(bent.graph.nodes[i]) for i in bent.outputs]).reshape(-1, count)
+    moves = [bool(row.any()) for row in entries]
+    if any(moves[1 + len(kept) :]):
+        raise ValueError(f"prove_at_corners: the matrix is not affine in {', '.join(affine)} together")
+    ends = [(domain.low[i], domain.high[i])[: 1 + enters] for i, enters in zip(kept, moves[1:], strict=False)]
+    task, found = None, []
+    for corner in itertools.product(*ends):
+        low, high = domain.low.copy(), domain.high.copy()
+        low[kept] = high[kept] = corner
+        at = domain._replace(low=low, high=high)
+        task = _task(matrix, at) if task is None else task
+        found.append(_decide(task, at, time.monotonic(), start + seconds, 1, progress))
+        if found[-1].verdict != "holds":
+            break
+    return found
+
+
+def _moves(node) -> bool:
+    """Whether a node is anything but the constant 0."""
+    return node.op != "constant" or node.value != 0
+
+
+def _decide(task: "_Task", domain: Box, start: float, until: float, processes: int, progress) -> Proof:
     wrong = _look_around(task, domain)
     if wrong is not None:
         leaf = [np.array([OPEN])]
         return Proof("fails", domain, leaf, wrong, np.zeros((0, 2, len(domain.low))), 1, time.monotonic() - start)
     tree = _Tree(domain)
-    until = start + seconds
     # Most proofs are over before worker processes have started.
     wrong = _search(task, tree, min(until, time.monotonic() + PATIENCE) if processes > 1 else until, progress)
     if processes > 1 and wrong is None and tree.waiting and time.monotonic() < until:
@@ -128,6 +176,22 @@ def prove(
     levels, remaining = tree.levels()
     verdict = "fails" if wrong is not None else "undecided" if len(remaining) else "holds"
     return Proof(verdict, domain, levels, wrong, remaining, tree.evaluated, time.monotonic() - start)
+
+
+def blocks(matrix: Callable[[Array], Array], domain: Box) -> list[Int[np.ndarray, "k"]]:
+    """Indices of the diagonal blocks that a symmetric `z -> (n, n)` falls into, after a permutation, for every z.
+
+    It is positive definite where each of them is, and each depends on fewer variables. Entries count as zero where
+    their graph is the constant 0.
+    """
+    z = jnp.asarray(domain.low)
+    n = jax.eval_shape(matrix, z).shape[0]
+    lowered = lower(lambda z: (matrix(z) + matrix(z).T).ravel(), z)
+    nodes = [lowered.graph.nodes[i] for i in lowered.outputs]
+    reached = np.array([_moves(node) for node in nodes]).reshape(n, n) | np.eye(n, dtype=bool)
+    for _ in range(n.bit_length()):
+        reached = reached @ reached
+    return [np.flatnonzero(row) for row in np.unique(reached, axis=0)]
 
 
 def leaves(domain: Box, levels: list[np.ndarray]) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:

@@ -12,6 +12,7 @@ PAPERS = {
     "aghannan-rouchon": "aghannan_rouchon",
     "maithripala": "maithripala",
     "sanfelice-praly": "sanfelice_praly",
+    "jouffroy-fossen": "jouffroy_fossen",
 }
 """Each paper and its module, which has `STAGES`, `reproduce`, `draw`, `summary` and `write_page`."""
 

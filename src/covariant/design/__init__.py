@@ -1,5 +1,6 @@
 """From data-sheet numbers to gains, and from a model to a contraction metric."""
 
+from covariant.design._contracting import contracting_gain
 from covariant.design._gains import Gains, bias, gains, predict_errors
 from covariant.design._line_up import (
     ESTIMATORS,
@@ -19,6 +20,7 @@ __all__ = [
     "Gains",
     "MetricSummary",
     "bias",
+    "contracting_gain",
     "estimators",
     "filter_bandwidth",
     "gains",

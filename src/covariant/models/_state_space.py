@@ -1,5 +1,6 @@
 """General nonlinear systems `x' = f(t, x, u)`, `y = h(t, x, u)`, written once as JAX functions."""
 
+import functools
 from collections.abc import Callable
 
 import equinox as eqx
@@ -67,8 +68,9 @@ class StateSpace(eqx.Module):
         return wrap(self.circles, jnp.where(jnp.isnan(y), 0.0, predicted - y))
 
 
+@functools.singledispatch
 def state_space(model: Lagrangian) -> StateSpace:
-    """A Lagrangian system as the first-order system of x = (q, v) with y = q."""
+    """A mechanical system as that of x = (q, v) with y = q; a `marine.Craft` as that of x = (η, ν) with y = η."""
     names = model.coordinates
     rates = tuple(f"{name}_dot" for name in names)
 

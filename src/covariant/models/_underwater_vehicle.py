@@ -4,10 +4,11 @@ Source: Leonard 1997, Stability of a bottom-heavy underwater vehicle, for the le
 water; Fossen 2011, Handbook of Marine Craft Hydrodynamics and Motion Control, chapter 6, for the drag.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 
 from covariant.geometry.lie import SE3
 from covariant.models._group_system import GroupSystem
@@ -36,30 +37,43 @@ def underwater_vehicle(
     centre, lift = np.asarray(centre_of_mass, float), np.asarray(centre_of_buoyancy, float)
     coupling = mass * np.cross(np.eye(3), centre)  # the matrix of x ↦ mass · centre × x
     rigid = np.block([[mass * np.eye(3), coupling.T], [coupling, np.diag(np.asarray(inertia, float))]])
-    linear, square = np.asarray(drag, float), np.asarray(quadratic_drag, float)
 
     def potential(g):
         heights = [SE3.act(g, jnp.asarray(point, g.dtype))[2] for point in (centre, lift)]
         return mass * gravity * heights[0] - buoyancy * heights[1]
+
+    parameters = {
+        "mass": Parameter(mass, "kg", _SOURCE),
+        "inertia": Parameter(tuple(inertia), "kg m^2", _SOURCE),
+        "added_mass": Parameter(tuple(added_mass), "kg, kg m^2", _SOURCE),
+        "buoyancy": Parameter(buoyancy, "N", _SOURCE),
+        "centre_of_mass": Parameter(tuple(centre_of_mass), "m", _SOURCE),
+        "centre_of_buoyancy": Parameter(tuple(centre_of_buoyancy), "m", _SOURCE),
+        "drag": Parameter(tuple(drag), "N s/m, N m s", _SOURCE),
+        "quadratic_drag": Parameter(tuple(quadratic_drag), "N s^2/m^2, N m s^2", _SOURCE),
+    }
+    return submerged_body(rigid + np.diag(added_mass), potential, drag, quadratic_drag, parameters)
+
+
+def submerged_body(
+    inertia,
+    potential: Callable[[Array], Array],
+    drag: Sequence[float],
+    quadratic_drag: Sequence[float],
+    parameters: dict[str, Parameter],
+) -> GroupSystem:
+    """A body on SE(3) with inertia (6, 6), a potential of its pose, and drag against each component of its twist."""
+    linear, square = np.asarray(drag, float), np.asarray(quadratic_drag, float)
 
     def dissipation(g, v):
         return -(jnp.asarray(linear, v.dtype) + jnp.asarray(square, v.dtype) * jnp.abs(v)) * v
 
     return GroupSystem(
         SE3,
-        rigid + np.diag(added_mass),
+        inertia,
         potential,
         dissipation=dissipation,
         velocities=("surge", "sway", "heave", "roll_rate", "pitch_rate", "yaw_rate"),
         units=("m/s",) * 3 + ("rad/s",) * 3,
-        parameters={
-            "mass": Parameter(mass, "kg", _SOURCE),
-            "inertia": Parameter(tuple(inertia), "kg m^2", _SOURCE),
-            "added_mass": Parameter(tuple(added_mass), "kg, kg m^2", _SOURCE),
-            "buoyancy": Parameter(buoyancy, "N", _SOURCE),
-            "centre_of_mass": Parameter(tuple(centre_of_mass), "m", _SOURCE),
-            "centre_of_buoyancy": Parameter(tuple(centre_of_buoyancy), "m", _SOURCE),
-            "drag": Parameter(tuple(drag), "N s/m, N m s", _SOURCE),
-            "quadratic_drag": Parameter(tuple(quadratic_drag), "N s^2/m^2, N m s^2", _SOURCE),
-        },
+        parameters=parameters,
     )

@@ -1,5 +1,6 @@
 """Observers: one file each, baselines in the same form."""
 
+from covariant.observers._contracting import Contracting, ContractingState, craft_observer
 from covariant.observers._copy import Copy
 from covariant.observers._ekf import EKF, EKFInfo, EKFState
 from covariant.observers._filtered_derivative import FilteredDerivative, FilteredState, FilterInfo
@@ -7,6 +8,14 @@ from covariant.observers._geodesic import Geodesic, GeodesicInfo, GeodesicState
 from covariant.observers._group import Group, GroupInfo, GroupState
 from covariant.observers._intrinsic import Intrinsic
 from covariant.observers._invariant_ekf import InvariantEKF, InvariantInfo, InvariantState
+from covariant.observers._passive_ship import (
+    PassiveGains,
+    PassiveShip,
+    lyapunov_gains,
+    lyapunov_rate,
+    notch_gains,
+    printed_rate,
+)
 from covariant.observers._protocol import AbstractFlowObserver, AbstractObserver, Info, MechanicalState, run
 from covariant.observers._riccati import Estimate, InformationEKF, InformationState, Riccati
 from covariant.observers._salcudean import Salcudean, SalcudeanState
@@ -16,6 +25,8 @@ __all__ = [
     "EKF",
     "AbstractFlowObserver",
     "AbstractObserver",
+    "Contracting",
+    "ContractingState",
     "Copy",
     "EKFInfo",
     "EKFState",
@@ -37,10 +48,17 @@ __all__ = [
     "InvariantInfo",
     "InvariantState",
     "MechanicalState",
+    "PassiveGains",
+    "PassiveShip",
     "Riccati",
     "Salcudean",
     "SalcudeanState",
     "SavitzkyGolay",
     "WindowState",
+    "craft_observer",
+    "lyapunov_gains",
+    "lyapunov_rate",
+    "notch_gains",
+    "printed_rate",
     "run",
 ]

@@ -18,6 +18,8 @@ Input = Callable[[Array, Any], Array]
 """Input `(t, x) -> u (m,)`; it may feed the true state x back."""
 Measurement = Callable[[Array, Array], Array]
 """Continuous measurement `(t, q) -> y`; by default q itself. For a `StateSpace` q is the output h."""
+Controller = Callable[[Array, Array, Any], Array]
+"""`(t, y, estimate) -> u (m,)`: what a controller makes of the measurement and of an observer's estimate."""
 
 
 @functools.singledispatch
@@ -54,19 +56,23 @@ def observe(
     rtol: Number = 1e-10,
     atol: Number = 1e-12,
     max_steps: int = 200_000,
+    controller: Controller | None = None,
 ) -> tuple[Any, Any]:
     """Integrate plant and observer as one system; returns the true states and the observer's, time first.
 
-    Stamps after a breakdown, such as an observer escaping in finite time, are not finite in both. The true states of
-    a `GroupSystem` are a `Motion`; the observer of a `StateSpace` sees `measure(t, h)`.
+    With a `controller` the loop is closed: the input is what it makes of the measurement and the estimate, in place of
+    u. Stamps after a breakdown, such as an observer escaping in finite time, are not finite in both. The true states of
+    a `GroupSystem` are a `Motion`; the observer of a `StateSpace` sees `measure(t, h)`, and where a controller closes
+    the loop h must not depend on the input.
     """
     n = x0.shape[0] // 2
     push = u or no_input(model, n)
-    plant = _plant(model, push)
 
     def flow(s, joint):
         x, state = joint
-        return plant(s, x), observer.flow(s, state, push(s, x), measure(s, x[:n]))
+        y = measure(s, x[:n])
+        now = push(s, x) if controller is None else controller(s, y, observer.estimate(state))
+        return _plant(model, lambda *_: now)(s, x), observer.flow(s, state, now, y)
 
     return solve(flow, (x0, state0), t, rtol=rtol, atol=atol, max_steps=max_steps)
 

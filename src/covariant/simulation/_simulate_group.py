@@ -15,7 +15,7 @@ from covariant.geometry.lie import Product, munthe_kaas
 from covariant.models import GroupSystem, Motion, advance, body_velocity, friction, source, spatial_momentum
 from covariant.observers import AbstractFlowObserver
 from covariant.signals import Record
-from covariant.simulation._simulate import Input, Measurement, observe, simulate
+from covariant.simulation._simulate import Controller, Input, Measurement, observe, simulate
 
 REACH = 0.5
 """How far a motion may go, as the fastest component of v times time [rad or m], before its chart is moved along."""
@@ -57,6 +57,7 @@ def _(
     rtol: Number = 1e-10,
     atol: Number = 1e-12,
     max_steps: int = 200_000,
+    controller: Controller | None = None,
 ) -> tuple[Any, Any]:
     push = u or (lambda s, x: jnp.zeros(model.inputs, x0.v.dtype))
     both = Product((model.group, model.group))
@@ -65,10 +66,11 @@ def _(
         momentum, state = beside
         actual, estimated = both.blocks(g)
         x = Motion(actual, body_velocity(model, actual, momentum))
-        now = push(s, x)
+        y, full = measure(s, x.g), state._replace(g=estimated)
+        now = push(s, x) if controller is None else controller(s, y, observer.estimate(full))
         pull = model.metric.inertia(source(model, s, x.g, now) + friction(model, x.g, x.v))
         rate = model.group.coadjoint_action(model.group.inverse(x.g), pull)
-        slope = observer.flow(s, state._replace(g=estimated), now, measure(s, x.g))
+        slope = observer.flow(s, full, now, y)
         return jnp.concatenate([x.v, slope.g]), (rate, slope._replace(g=None))
 
     def interval(carry, bounds):

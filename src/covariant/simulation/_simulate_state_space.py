@@ -11,7 +11,7 @@ from covariant._typing import Number, Vector
 from covariant.models import StateSpace
 from covariant.observers import AbstractFlowObserver
 from covariant.signals import Record
-from covariant.simulation._simulate import Input, Measurement, observe, simulate
+from covariant.simulation._simulate import Controller, Input, Measurement, observe, simulate
 
 
 @simulate.register
@@ -43,13 +43,17 @@ def _(
     rtol: Number = 1e-10,
     atol: Number = 1e-12,
     max_steps: int = 200_000,
+    controller: Controller | None = None,
 ) -> tuple[Any, Any]:
     push = u or _no_input(model)
 
     def flow(s, joint):
         x, state = joint
         now = push(s, x)
-        return model.f(s, x, now), observer.flow(s, state, now, measure(s, model.h(s, x, now)))
+        y = measure(s, model.h(s, x, now))
+        if controller is not None:
+            now = controller(s, y, observer.estimate(state))
+        return model.f(s, x, now), observer.flow(s, state, now, y)
 
     return solve(flow, (x0, state0), t, rtol=rtol, atol=atol, max_steps=max_steps)
 

@@ -1,0 +1,315 @@
+"""Is a controller that is fed by an observer exponentially stable?
+
+The error e of the controlled plant obeys `e' = a(e, t) + b(e, x̃, t)`, where b vanishes with the observer's error x̃.
+With `c1|e|² ≤ V_con ≤ c2|e|²`, `V_con' ≤ −c3|e|²` along a, `|∂V_con/∂e| ≤ c4|e|`, `V_obs' ≤ −λ_q|x̃|²` and
+`|b| ≤ γ1|x̃| + γ2|e|`, Theorem 3 asks for γ1² < 4(c3 − c4γ2)λ_q/c4². Its function V_con + V_obs adds quantities of
+different units, so that the condition depends on them. With V_con + κV_obs and κ large enough, γ2 < c3/c4 suffices.
+
+Source: Jouffroy & Fossen 2004, Theorem 3, equations (64)–(79).
+"""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import Literal, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from covariant.certificates._contraction import contraction_matrix
+from covariant.certificates._falsify import slowest
+from covariant.certificates._prove import Box, check_box, prove
+from covariant.certificates._region import Subject
+from covariant.lowering import Lowered, lower
+
+Coupling = Callable[[Array], tuple[Array, Array]]
+"""`z -> (∂b/∂x̃ (n, k), ∂b/∂e (n, n))` over boxed variables z."""
+Evidence = Literal["sampled", "proved"]
+
+UNITS: Mapping[str, tuple[tuple[str, float], ...]] = {
+    "kg": (("g", 1e3), ("t", 1e-3), ("Mt", 1e-9)),
+    "m": (("mm", 1e3), ("km", 1e-3)),
+    "rad": (("deg", 180 / math.pi),),
+    "s": (("ms", 1e3), ("h", 1 / 3600)),
+}
+"""Other units in which the printed condition is tried, and how many of them a unit is."""
+
+
+class Constants(NamedTuple):
+    """The constants of Theorem 3 over a set; `c1`, `c2` and `c4` of V_con, `c3` and `lambda_q` decay [1/s times V]."""
+
+    c1: float
+    c2: float
+    c3: float
+    c4: float
+    lambda_q: float
+    gamma1: float
+    gamma2: float
+
+    @property
+    def bound(self) -> float:
+        """What γ1² must be below as printed, `4(c3 − c4γ2)λ_q/c4²`."""
+        return 4 * (self.c3 - self.c4 * self.gamma2) * self.lambda_q / self.c4**2
+
+    @property
+    def printed(self) -> bool:
+        """Condition (72)."""
+        return bool(self.lambda_q > 0 and self.gamma2 < self.c3 / self.c4 and self.gamma1**2 < self.bound)
+
+    @property
+    def weighted(self) -> bool:
+        """The condition that remains with `V_con + κV_obs`."""
+        return bool(self.lambda_q > 0 and self.c3 > 0 and self.gamma2 < self.c3 / self.c4)
+
+    @property
+    def kappa(self) -> float:
+        """The κ above which `V_con + κV_obs` decreases; infinite where none does."""
+        if not self.weighted:
+            return math.inf
+        return (self.c4 * self.gamma1) ** 2 / (4 * self.lambda_q * (self.c3 - self.c4 * self.gamma2))
+
+
+class Growth(NamedTuple):
+    """A solution of the observer's error system, frozen where it is worst, that does not decay.
+
+    `t` (T,) [s], `error` (T, k), `rate` of growth [1/s], and `point`, the boxed variables by name.
+    """
+
+    t: Float[np.ndarray, "T"]
+    error: Float[np.ndarray, "T k"]
+    rate: float
+    point: dict[str, float]
+
+
+class CascadeCertificate(NamedTuple):
+    """Whether the cascade is exponentially stable over a set, by either condition.
+
+    - `verdict`: "holds" where the weighted condition does, else "fails"; `printed`: that of (72).
+    - `units`: what (72) says in other units, by name; `depends_on_units` where these differ.
+    - `constants`, with their `evidence`; `kappa`: a weight that makes `V_con + κV_obs` decrease.
+    - `growth`: where the observer's error can grow, how.
+    """
+
+    verdict: Literal["holds", "fails"]
+    printed: bool
+    constants: Constants
+    units: dict[str, bool]
+    evidence: Evidence
+    growth: Growth | None
+    domain: str
+
+    @property
+    def depends_on_units(self) -> bool:
+        return len({self.printed, *self.units.values()}) > 1
+
+    @property
+    def kappa(self) -> float:
+        return self.constants.kappa
+
+    def __str__(self) -> str:
+        c = self.constants
+        lines = [
+            f"cascade: {self.verdict} ({self.evidence}), with weight κ > {c.kappa:.4g} on V_obs",
+            f"c1 = {c.c1:.5g}, c2 = {c.c2:.5g}, c3 = {c.c3:.5g}, c4 = {c.c4:.5g}, λ_q = {c.lambda_q:.5g}, "
+            f"γ1 = {c.gamma1:.5g}, γ2 = {c.gamma2:.5g}",
+            f"(72) as printed: γ1² = {c.gamma1**2:.5g} {'<' if c.printed else 'is not below'} {c.bound:.5g}",
+        ]
+        if self.depends_on_units:
+            held = ", ".join(f"{name}: {'holds' if ok else 'fails'}" for name, ok in self.units.items())
+            lines.append(f"warning: (72) as printed depends on units; {held}")
+        if self.growth is not None:
+            lines.append(f"the observer's error can grow at {self.growth.rate:.4g} 1/s")
+        return "\n".join([*lines, f"over {self.domain}"])
+
+
+def cascade(
+    controller: tuple[Subject, Box],
+    observer: tuple[Subject, Box],
+    coupling: tuple[Coupling, Box],
+    *,
+    units: tuple[Sequence[str], Sequence[str]] | None = None,
+    proved: bool = False,
+    attempts: int = 20_000,
+    starts: int = 64,
+    seconds: float = 60.0,
+    seed: int = 0,
+) -> CascadeCertificate:
+    """The constants of Theorem 3 over a set, and both verdicts.
+
+    - `controller`: `e' = a(e, t)` with the metric P of `V_con = ½eᵀPe`, and the box of its variables.
+    - `observer`: its virtual system with the metric M of `V_obs = x̃ᵀMx̃`, as `virtual` makes it, and a box.
+    - `coupling`: Jacobians of b in x̃ and in e, and a box.
+    - `units`: of the entries of e and of x̃, such as "m" or "rad/s"; with them (72) is tried in other units as well, one
+      changed at a time. V_con is taken as an energy, which has a unit of mass; V_obs as it is, without.
+    - `proved`: prove every constant instead of sampling it, giving away 2 %; one that cannot be proved within `seconds`
+      makes the verdict "fails".
+
+    All constants come from Jacobians, so they hold for finite errors within the boxes, by the mean-value theorem.
+    Sampled ones come from `attempts` random points and a descent from the `starts` worst.
+
+    Raises `ValueError` for bounds that are not in order.
+    """
+    search = _Search(attempts, starts, seed, proved, seconds)
+    forms = _forms(controller, observer, coupling)
+    ones = tuple(np.ones(size) for size in _sizes(coupling))
+    constants, worst = _constants(forms, ones, 1.0, search)
+    elsewhere = {}
+    for name, scales, mass in _scales(*units) if units is not None else ():
+        elsewhere[name] = _constants(forms, scales, mass, search._replace(proved=False))[0].printed
+    return CascadeCertificate(
+        "holds" if constants.weighted else "fails",
+        constants.printed,
+        constants,
+        elsewhere,
+        "proved" if proved else "sampled",
+        None if constants.lambda_q > 0 else _growth(*observer, worst),
+        "; ".join(str(_free(box)) for box in (controller[1], observer[1], coupling[1])),
+    )
+
+
+class _Search(NamedTuple):
+    attempts: int
+    starts: int
+    seed: int
+    proved: bool
+    seconds: float
+
+
+class _Form(NamedTuple):
+    """A symmetric matrix (n, n) of z whose smallest eigenvalue is wanted, in the units of the problem.
+
+    `matrix` takes (z, squares of the scales of e, of x̃); `into` says whose scales its vectors have. `graph` holds the
+    squares of those scales and the negative matrix, for `slowest`.
+    """
+
+    matrix: Callable[[Array, Array, Array], Array]
+    into: Literal["e", "x"]
+    graph: Lowered
+    box: Box
+
+
+def _sizes(coupling: tuple[Coupling, Box]) -> tuple[int, int]:
+    """Numbers of entries of e and of x̃."""
+    shape = jax.eval_shape(coupling[0], jnp.asarray(coupling[1].low))[0].shape
+    return shape[0], shape[1]
+
+
+def _forms(controller, observer, coupling) -> dict[str, _Form]:
+    (plant, plant_box), (error, error_box), (jacobians, coupling_box) = controller, observer, coupling
+    sizes = _sizes(coupling)
+
+    def metric(z, e, x):
+        point = plant.at(z)
+        return point.metric(jnp.zeros((), z.dtype), point.x)
+
+    def pushed(which):
+        def form(z, e, x):
+            b = jacobians(z)[which]
+            return -b.T @ (e[:, None] * b)
+
+        return form
+
+    def made(matrix, into, box) -> _Form:
+        check_box(box)
+        d = len(box.low)
+
+        def both(all_of_it):
+            z, e, x = jnp.split(all_of_it, (d, d + sizes[0]))
+            found = matrix(z, e, x)
+            return jnp.concatenate([jnp.diag(e if into == "e" else x).ravel(), -((found + found.T) / 2).ravel()])
+
+        return _Form(matrix, into, lower(both, jnp.concatenate([jnp.asarray(box.low), *map(jnp.ones, sizes)])), box)
+
+    return {
+        "small": made(metric, "e", plant_box),
+        "large": made(lambda *a: -metric(*a), "e", plant_box),
+        "fall": made(lambda z, e, x: -_change(plant, z) / 2, "e", plant_box),
+        "error": made(lambda z, e, x: -_change(error, z), "x", error_box),
+        "from_error": made(pushed(0), "x", coupling_box),
+        "from_itself": made(pushed(1), "e", coupling_box),
+    }
+
+
+def _constants(forms: dict[str, _Form], scales, mass: float, search: _Search) -> tuple[Constants, np.ndarray]:
+    """The constants where e and x̃ are multiplied by `scales` and V_con by `mass`; and where λ_q is attained."""
+    found = {name: _least(form, scales, search) for name, form in forms.items()}
+    small, large, c3, lambda_q, gamma1, gamma2 = (value for value, _ in found.values())
+    return (
+        Constants(
+            mass * small / 2,
+            -mass * large / 2,
+            mass * c3,
+            -mass * large,
+            lambda_q,
+            math.sqrt(max(-gamma1, 0.0)),
+            math.sqrt(max(-gamma2, 0.0)),
+        ),
+        found["error"][1],
+    )
+
+
+def _least(form: _Form, scales, search: _Search) -> tuple[float, np.ndarray]:
+    """The smallest eigenvalue over the box, and where; where proved, a lower bound of it."""
+    squares = [scale**2 for scale in scales]
+    fixed = np.concatenate(squares)
+    names, box = tuple(f"_{i}" for i in range(len(fixed))), form.box
+    whole = Box(
+        (*box.names, *names),
+        (*box.units, *("",) * len(fixed)),
+        np.concatenate([box.low, fixed]),
+        np.concatenate([box.high, fixed]),
+    )
+    value, where = slowest(form.graph, whole, search.attempts, search.starts, search.seed)
+    if search.proved:
+        bound = value - 0.02 * abs(value) - 1e-9
+        ours = squares[0 if form.into == "e" else 1]
+
+        def above(z):
+            found = form.matrix(z, *(jnp.asarray(square) for square in squares))
+            return found - bound * jnp.diag(jnp.asarray(ours))
+
+        value = bound if prove(above, box, seconds=search.seconds).verdict == "holds" else -math.inf
+    return value, where[: len(box.low)]
+
+
+def _change(subject: Subject, z: Array) -> Array:
+    """`FᵀM + Ṁ + MF` (n, n) in coordinates."""
+    point, t = subject.at(z), jnp.zeros((), z.dtype)
+    theta = point.metric.coframe(t, point.x)
+    return theta.T @ contraction_matrix(point.flow, point.metric, t, point.x) @ theta
+
+
+def _scales(of_e: Sequence[str], of_x: Sequence[str]):
+    """Other units, one changed at a time: their name, what e and x̃ are multiplied by, and V_con."""
+    for unit, others in UNITS.items():
+        for name, factor in others:
+            pair = tuple(np.array([_factor(u, unit, factor) for u in entries]) for entries in (of_e, of_x))
+            if unit == "kg" or any((scale != 1).any() for scale in pair):
+                yield name, pair, factor if unit == "kg" else 1.0
+
+
+def _factor(written: str, unit: str, factor: float) -> float:
+    """By how much a quantity in "a" or "a/b" grows in number where a unit becomes `factor` smaller ones."""
+    over, _, under = written.partition("/")
+    return (factor if over == unit else 1.0) / (factor if under == unit else 1.0)
+
+
+def _free(box: Box) -> Box:
+    """The variables that are not held fixed."""
+    free = np.flatnonzero(box.high > box.low)
+    return Box(tuple(box.names[i] for i in free), tuple(box.units[i] for i in free), box.low[free], box.high[free])
+
+
+def _growth(subject: Subject, domain: Box, where: np.ndarray) -> Growth | None:
+    """The fastest growing solution of the error system frozen at a point, over five of its time constants."""
+    point, t = subject.at(jnp.asarray(where)), jnp.zeros(())
+    jacobian = np.asarray(jax.jacfwd(lambda x: point.flow(t, x))(point.x))
+    values, vectors = np.linalg.eig(jacobian)
+    fastest = int(np.argmax(np.real(values)))
+    rate = float(values[fastest].real)
+    if not rate > 0:
+        return None
+    stamps = np.linspace(0.0, 5 / rate, 101)
+    error = (np.exp(values[fastest] * stamps)[:, None] * vectors[:, fastest]).real
+    return Growth(stamps, error, rate, dict(zip(domain.names, where.tolist(), strict=True)))

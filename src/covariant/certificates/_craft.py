@@ -1,0 +1,98 @@
+"""Theorem 3 for a marine craft under `control.Backstepping`, fed by `observers.craft_observer`: what `cascade` needs.
+
+Source: Jouffroy & Fossen 2004, equations (97)–(102).
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from covariant._linalg import solve
+from covariant._typing import Numbers
+from covariant.certificates._cascade import Coupling
+from covariant.certificates._contraction import in_coordinates
+from covariant.certificates._region import Point, Subject
+from covariant.certificates._virtual import OutputMetric
+from covariant.control import Backstepping
+from covariant.control._backstepping import inverse_times
+from covariant.models.marine import Craft
+
+
+def tracking(controller: Backstepping) -> Subject:
+    """The closed loop with a known state, `e = (η̃, s)`, in the metric diag(K_p, M) of V_con, (91) and (97).
+
+    The variables are the position η (n,), the wanted velocity ν_r (n,) and the error s (n,), named `eta_x`, `r_x` and
+    `s_x`.
+    """
+    craft = controller.craft
+    n = len(craft.coordinates)
+
+    def at(z):
+        eta, wanted, s = jnp.split(z, 3)
+        mass, kp, kd, lam = (
+            jnp.asarray(a, z.dtype) for a in (craft.mass, controller.kp, controller.kd, controller.lam)
+        )
+        j = craft.transform(eta)
+
+        def flow(t, e):
+            nu = wanted + e[n:]
+            pull = craft.coriolis(nu) @ e[n:] + craft.damping(nu) @ nu - craft.damping(wanted) @ wanted
+            return jnp.concatenate([j @ e[n:] - lam @ e[:n], -solve(mass, pull + kd @ e[n:] + j.T @ (kp @ e[:n]))])
+
+        zero = jnp.zeros((n, n), z.dtype)
+        metric = jnp.block([[kp, zero], [zero, mass]])
+        return Point(flow, in_coordinates(lambda t, x: metric), jnp.concatenate([jnp.zeros_like(s), s]), jnp.eye(2 * n))
+
+    rates = tuple(f"{unit}/s" for unit in craft.units)
+    return Subject(
+        (
+            *(f"eta_{name}" for name in craft.coordinates),
+            *(f"r_{name}" for name in craft.velocities),
+            *(f"s_{name}" for name in craft.velocities),
+        ),
+        (*craft.units, *rates, *rates),
+        at,
+    )
+
+
+def feedthrough(controller: Backstepping) -> Coupling:
+    """`b(x̃)` of (98) as Jacobians over the position η (n,) and the rate `η_d' − Λη̃` (n,) that is asked for.
+
+    With that rate at zero this is the paper's b, which takes J as constant; otherwise its change is included.
+    """
+    craft = controller.craft
+    n = len(craft.coordinates)
+
+    def jacobians(z: Array) -> tuple[Array, Array]:
+        eta, asked = jnp.split(z, 2)
+        mass, kp, kd, lam = (
+            jnp.asarray(a, z.dtype) for a in (craft.mass, controller.kp, controller.kd, controller.lam)
+        )
+        j = craft.transform(eta)
+        # ν_r = J⁻¹(asked), whose error enters through the velocity that η is believed to have.
+        turned = jax.jacfwd(lambda y: inverse_times(craft.transform(y), asked))(eta)
+        nu_r = inverse_times(j, asked)
+        gyric = jax.jacfwd(lambda nu: craft.coriolis(nu) @ nu_r)(jnp.zeros_like(eta))
+        through_velocity = solve(mass, kd - gyric) + inverse_times(j, lam @ j) - turned @ j
+        zero = jnp.zeros((n, n), z.dtype)
+        return (
+            jnp.block([[zero, zero], [solve(mass, j.T @ kp), through_velocity]]),
+            jnp.zeros((2 * n, 2 * n), z.dtype),
+        )
+
+    return jacobians
+
+
+def crossed_metric(craft: Craft, k2: Numbers, cross: Numbers) -> OutputMetric:
+    """The metric `[[K2, −JN], [−(JN)ᵀ, M]]` on (η, ν) with a cross term N (n, n) [kg m/s and with angles].
+
+    With N = 0 it is that of the observer's Lyapunov function, in which quadratic drag gives no rate at rest.
+    """
+
+    def metric(z: Array, x: Array) -> Array:
+        mass, k, n = (jnp.asarray(np.asarray(a), z.dtype) for a in (craft.mass, k2, cross))
+        mixed = -craft.transform(z) @ n
+        return jnp.block([[k, mixed], [mixed.T, mass]])
+
+    return metric

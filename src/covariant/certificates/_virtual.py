@@ -1,0 +1,65 @@
+"""The virtual system of a contracting observer on a region, as functions of boxed variables.
+
+Plant and observer both solve `y' = f(t, y, u(t)) + K(z − h(t, y))`, with the same u and z, whatever made them. So the
+observer converges where that system contracts at fixed u and z. The paper's Theorem 2 differentiates the input's
+dependence on the estimate as well, and is wrong both ways.
+
+Source: Jouffroy & Fossen 2004, Theorem 2, corrected.
+"""
+
+from collections.abc import Callable
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from covariant._typing import Numbers
+from covariant.certificates._contraction import StateMetric, in_coordinates
+from covariant.certificates._region import Point, Subject
+from covariant.observers import Contracting
+
+OutputMetric = Callable[[Array, Array], Array]
+"""`(z, x) -> M (n, n)`: a metric on states that may look at the measured output."""
+
+
+def virtual(observer: Contracting, metric: OutputMetric | Numbers) -> Subject:
+    """The observer on any region, in a metric M (n, n), constant or a function of measurement z and state x.
+
+    The variables are the state x (n,), the input u (m,), the measurement z (p,), and how fast it changes (p,), named
+    `x`, `u_1`, `z_x`, `zdot_x`. The result goes to `contraction`, `prove` and `falsify`.
+
+    Raises `ValueError` where the model's states have no names.
+    """
+    model = observer.model
+    if not model.coordinates:
+        raise ValueError("the model's states need names: StateSpace(..., coordinates=...)")
+    n, m, p = len(model.coordinates), model.inputs, len(model.outputs)
+    field = metric if callable(metric) else lambda z, x: jnp.asarray(np.asarray(metric), x.dtype)
+    ends = (n, n + m, n + m + p)
+
+    def at(point):
+        x, u, measured, change = jnp.split(point, ends)
+
+        def flow(t, y):
+            return observer.virtual(t, y, u, measured + t * change)
+
+        moving: StateMetric = in_coordinates(lambda t, y: field(measured + t * change, y))
+        return Point(flow, moving, x, jnp.eye(n, dtype=point.dtype))
+
+    seen = dict(zip(model.coordinates, model.units, strict=False))
+    units = [seen.get(name, "") for name in model.outputs]
+    return Subject(
+        (
+            *model.coordinates,
+            *(f"u_{i + 1}" for i in range(m)),
+            *(f"z_{name}" for name in model.outputs),
+            *(f"zdot_{name}" for name in model.outputs),
+        ),
+        (
+            *(model.units or ("",) * n),
+            *("",) * m,
+            *units,
+            *(f"{unit}/s" if unit else "" for unit in units),
+        ),
+        at,
+    )

@@ -1,0 +1,6 @@
+"""Controllers that an observer feeds, and what they are asked to follow."""
+
+from covariant.control._backstepping import Backstepping
+from covariant.control._reference import Reference, follow, lissajous, set_point
+
+__all__ = ["Backstepping", "Reference", "follow", "lissajous", "set_point"]

@@ -1,0 +1,123 @@
+"""Models, observers and closed loops as `control.NonlinearIOSystem` of the python-control package.
+
+Such a system takes and gives plain vectors, so states that are trees, as those of observers, are written out one
+component after the other.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.flatten_util
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from covariant._guests import load_guest
+from covariant.models import StateSpace
+from covariant.observers import AbstractFlowObserver
+
+Controller = Callable[[Array, Array, Any], Array]
+"""`(t, y, estimate) -> u (m,)`."""
+
+
+def plant(model: StateSpace, name: str = "plant") -> Any:
+    """The model as a `control.NonlinearIOSystem` from u to y. Raises `ImportError` without python-control."""
+    f, h = jax.jit(model.f), jax.jit(model.h)
+    return _system(
+        lambda t, x, u: f(t, x, u),
+        lambda t, x, u: h(t, x, u),
+        inputs=_inputs(model.inputs),
+        outputs=list(model.outputs),
+        states=list(model.coordinates),
+        name=name,
+    )
+
+
+def observer_system(
+    observer: AbstractFlowObserver, model: StateSpace, y0: Any, t0: float = 0.0, name: str = "observer"
+) -> Any:
+    """An observer as a `control.NonlinearIOSystem` from (u, y) to its estimate, to be interconnected with `plant`.
+
+    `model` names the signals; the attribute `initial` of the result is the state after `observer.init(y0, t0)`. Raises
+    `ImportError` without python-control.
+    """
+    start, unravel = jax.flatten_util.ravel_pytree(observer.init(jnp.asarray(y0, float), t0))
+    m = model.inputs
+
+    @jax.jit
+    def update(t, x, signals):
+        return jax.flatten_util.ravel_pytree(observer.flow(t, unravel(x), signals[:m], signals[m:]))[0]
+
+    @jax.jit
+    def output(t, x, signals):
+        return jnp.ravel(observer.estimate(unravel(x)))
+
+    system = _system(
+        update,
+        output,
+        inputs=[*_inputs(m), *model.outputs],
+        outputs=[f"{name}_{c}" for c in model.coordinates],
+        states=len(start),
+        name=name,
+    )
+    system.initial = np.asarray(start)
+    return system
+
+
+def closed_loop(
+    model: StateSpace,
+    observer: AbstractFlowObserver,
+    controller: Controller,
+    y0: Any,
+    t0: float = 0.0,
+    name: str = "loop",
+) -> Any:
+    """Plant, observer and controller as one `control.NonlinearIOSystem` without inputs; its outputs are x, x̂ and u.
+
+    The attribute `initial(x0)` of the result is the state that belongs to x0 and `observer.init(y0, t0)`. Raises
+    `ImportError` without python-control.
+    """
+    start, unravel = jax.flatten_util.ravel_pytree(observer.init(jnp.asarray(y0, float), t0))
+    n, zero = len(model.coordinates), jnp.zeros(model.inputs)
+
+    def parts(t, joint):
+        x, state = joint[:n], unravel(joint[n:])
+        y = model.h(t, x, zero)
+        estimate = observer.estimate(state)
+        return x, state, y, estimate, controller(t, y, estimate)
+
+    @jax.jit
+    def update(t, joint, _):
+        x, state, y, _, u = parts(t, joint)
+        return jnp.concatenate([model.f(t, x, u), jax.flatten_util.ravel_pytree(observer.flow(t, state, u, y))[0]])
+
+    @jax.jit
+    def output(t, joint, _):
+        x, _, _, estimate, u = parts(t, joint)
+        return jnp.concatenate([x, jnp.ravel(estimate), u])
+
+    names = model.coordinates
+    system = _system(
+        update,
+        output,
+        inputs=0,
+        outputs=[*names, *(f"{c}_hat" for c in names), *_inputs(model.inputs)],
+        states=n + len(start),
+        name=name,
+    )
+    system.initial = lambda x0: np.concatenate([np.asarray(x0, float), np.asarray(start)])
+    return system
+
+
+def _inputs(count: int) -> list[str]:
+    return [f"u{i + 1}" for i in range(count)]
+
+
+def _system(update, output, **named) -> Any:
+    package = load_guest("control", use="such a system needs python-", extra="control")
+
+    def numpy(function):
+        return lambda t, x, u, params: np.asarray(function(jnp.asarray(t, float), jnp.asarray(x), jnp.asarray(u)))
+
+    return package.NonlinearIOSystem(numpy(update), numpy(output), **named)

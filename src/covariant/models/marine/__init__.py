@@ -1,0 +1,31 @@
+"""Ships and underwater vehicles, with parameters that say where they come from."""
+
+from covariant.models.marine._craft import (
+    Craft,
+    coriolis_matrix,
+    euler_rates,
+    euler_rotation,
+    euler_transform,
+    yaw_rotation,
+)
+from covariant.models.marine._dynamic_positioning import Station, Waves
+from covariant.models.marine._manoeuvring import manoeuvring_ship
+from covariant.models.marine._odin import odin, odin_on_group
+from covariant.models.marine._ships import cybership, supply_vessel, surface_ship
+
+__all__ = [
+    "Craft",
+    "Station",
+    "Waves",
+    "coriolis_matrix",
+    "cybership",
+    "euler_rates",
+    "euler_rotation",
+    "euler_transform",
+    "manoeuvring_ship",
+    "odin",
+    "odin_on_group",
+    "supply_vessel",
+    "surface_ship",
+    "yaw_rotation",
+]

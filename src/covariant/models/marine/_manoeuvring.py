@@ -1,0 +1,172 @@
+"""A tanker that is steered by a rudder and driven by a propeller: three degrees of freedom, the MMG standard method.
+
+Source: Yasukawa & Yoshimura 2015, Introduction of MMG standard method for ship maneuvering predictions, Journal of
+Marine Science and Technology 20, with its tables for KVLCC2.
+"""
+
+import math
+from collections.abc import Mapping
+
+import jax.numpy as jnp
+
+from covariant._linalg import solve
+from covariant.models._lagrangian import Parameter
+from covariant.models._state_space import StateSpace
+from covariant.models.marine._craft import yaw_rotation
+
+_MMG = "Yasukawa & Yoshimura 2015, KVLCC2"
+
+HULL = {
+    "R0": 0.022,
+    "Xvv": -0.040,
+    "Xvr": 0.002,
+    "Xrr": 0.011,
+    "Xvvvv": 0.771,
+    "Yv": -0.315,
+    "Yr": 0.083,
+    "Yvvv": -1.607,
+    "Yvvr": 0.379,
+    "Yvrr": -0.391,
+    "Yrrr": 0.008,
+    "Nv": -0.137,
+    "Nr": -0.049,
+    "Nvvv": -0.030,
+    "Nvvr": -0.294,
+    "Nvrr": 0.055,
+    "Nrrr": -0.013,
+}
+"""Hydrodynamic derivatives of the hull, made dimensionless by ½ρLdU² and ½ρL²dU², velocities by U and U/L."""
+
+PROPELLER = {"k0": 0.2931, "k1": -0.2753, "k2": -0.1385, "deduction": 0.220, "C1": 2.0, "C2+": 1.6, "C2-": 1.1}
+"""Thrust `K_T = k0 + k1 J + k2 J²`, thrust deduction, and the wake that changes with the inflow angle."""
+
+RUDDER = {
+    "deduction": 0.387,
+    "hull": 0.312,
+    "place": -0.464,
+    "straightening+": 0.640,
+    "straightening-": 0.395,
+    "arm": -0.710,
+    "wake": 1.09,
+    "jet": 0.50,
+    "lift": 2.747,
+}
+"""Interaction t_R, a_H, x_H', γ_R, l_R', ε, κ and the slope f_α of the rudder's lift."""
+
+
+def manoeuvring_ship(
+    length: float = 7.0,
+    draught: float = 0.46,
+    displacement: float = 3.27,
+    centre: float = 0.25,
+    propeller_diameter: float = 0.216,
+    rudder_height: float = 0.345,
+    rudder_area: float = 0.0539,
+    wake: float = 0.40,
+    density: float = 1000.0,
+    hull: Mapping[str, float] | None = None,
+    propeller: Mapping[str, float] | None = None,
+    rudder: Mapping[str, float] | None = None,
+) -> StateSpace:
+    """A model of the tanker KVLCC2, 7 m long; x = (north, east, heading, surge, sway, yaw rate), y = (η).
+
+    The input is (rudder angle [rad], revolutions [1/s]); a positive angle turns the bow to starboard.
+
+    Lengths [m], `displacement` [m³], `centre` of gravity forward of midships [m], `wake` fraction at the propeller in
+    straight motion; `hull`, `propeller` and `rudder` override entries of `HULL`, `PROPELLER` and `RUDDER`. Valid ahead
+    at cruising speed: the propeller turns ahead, and surge is positive.
+
+    Raises `ValueError` naming an entry that is not known.
+    """
+    h, p, r = _merge("hull", HULL, hull), _merge("propeller", PROPELLER, propeller), _merge("rudder", RUDDER, rudder)
+    mass, scale = density * displacement, density / 2 * length * draught
+    added = {"x": 0.022 * scale * length, "y": 0.223 * scale * length, "z": 0.011 * scale * length**3}
+    turning = mass * (length / 4) ** 2 + centre**2 * mass + added["z"]
+    ratio = propeller_diameter / rudder_height
+
+    def forces(nu, delta, n):
+        """Surge and sway force and yaw moment at midships [N, N, N m]."""
+        u, v, yaw = nu
+        speed = jnp.maximum(jnp.sqrt(u**2 + v**2), 1e-9)
+        turn = yaw * length
+        x = -h["R0"] * speed**2 + h["Xvv"] * v**2 + h["Xvr"] * v * turn + h["Xrr"] * turn**2
+        x = x + h["Xvvvv"] * v**4 / speed**2
+        cubic = (v**3, v**2 * turn, v * turn**2, turn**3)
+        y, z = (
+            (h[f"{a}v"] * v + h[f"{a}r"] * turn) * speed
+            + sum(h[f"{a}{name}"] * c for name, c in zip(("vvv", "vvr", "vrr", "rrr"), cubic, strict=True)) / speed
+            for a in "YN"
+        )
+        drift = jnp.arctan2(-v, u)
+        inflow = drift + 0.5 * turn / speed  # the propeller is at half a length aft
+        swirl = jnp.where(inflow > 0, p["C2+"], p["C2-"]) - 1
+        behind = (1 - wake) * u * (1 + (1 - jnp.exp(-p["C1"] * jnp.abs(inflow))) * swirl)
+        tip = jnp.maximum(n * propeller_diameter, 1e-9)
+        advance = behind / tip
+        thrust_coefficient = p["k0"] + p["k1"] * advance + p["k2"] * advance**2
+        thrust = density * n**2 * propeller_diameter**4 * thrust_coefficient
+        aft = drift - r["arm"] * turn / speed
+        cross = speed * aft * jnp.where(aft > 0, r["straightening+"], r["straightening-"])
+        jet = jnp.sqrt(jnp.maximum(behind**2 + 8 * thrust_coefficient * tip**2 / math.pi, 0.0))
+        along = r["wake"] * jnp.sqrt(ratio * (behind + r["jet"] * (jet - behind)) ** 2 + (1 - ratio) * behind**2)
+        lift = (
+            density / 2 * rudder_area * (along**2 + cross**2) * r["lift"] * jnp.sin(delta - jnp.arctan2(cross, along))
+        )
+        side = lift * jnp.cos(delta)
+        return jnp.stack(
+            [
+                scale * x + (1 - p["deduction"]) * thrust - (1 - r["deduction"]) * lift * jnp.sin(delta),
+                scale * y - (1 + r["hull"]) * side,
+                scale * length * z - (-0.5 + r["hull"] * r["place"]) * length * side,
+            ]
+        )
+
+    def f(t, x, u):
+        nu = x[3:]
+        surge, sway, yaw = nu
+        m = jnp.array(
+            [
+                [mass + added["x"], 0.0, 0.0],
+                [0.0, mass + added["y"], mass * centre],
+                [0.0, mass * centre, turning],
+            ],
+            x.dtype,
+        )
+        turned = jnp.stack(
+            [
+                (mass + added["y"]) * sway * yaw + mass * centre * yaw**2,
+                -(mass + added["x"]) * surge * yaw,
+                -mass * centre * surge * yaw,
+            ]
+        )
+        return jnp.concatenate([yaw_rotation(x[2]) @ nu, solve(m, forces(nu, u[0], u[1]) + turned)])
+
+    return StateSpace(
+        f,
+        lambda t, x, u: x[:3],
+        coordinates=("north", "east", "heading", "surge", "sway", "yaw_rate"),
+        units=("m", "m", "rad", "m/s", "m/s", "rad/s"),
+        outputs=("north", "east", "heading"),
+        inputs=2,
+        circles=(2,),
+        parameters={
+            "length": Parameter(length, "m", _MMG),
+            "draught": Parameter(draught, "m", _MMG),
+            "displacement": Parameter(displacement, "m^3", _MMG),
+            "centre": Parameter(centre, "m", _MMG),
+            "propeller_diameter": Parameter(propeller_diameter, "m", _MMG),
+            "rudder_height": Parameter(rudder_height, "m", _MMG),
+            "rudder_area": Parameter(rudder_area, "m^2", _MMG),
+            "wake": Parameter(wake, "1", _MMG),
+            "hull": Parameter(tuple(h.values()), "1", f"{_MMG}: {', '.join(h)}"),
+            "propeller": Parameter(tuple(p.values()), "1", f"{_MMG}: {', '.join(p)}"),
+            "rudder": Parameter(tuple(r.values()), "1", f"{_MMG}: {', '.join(r)}"),
+        },
+    )
+
+
+def _merge(name: str, usual: Mapping[str, float], given: Mapping[str, float] | None) -> dict[str, float]:
+    unknown = set(given or {}) - set(usual)
+    if unknown:
+        raise ValueError(f"{name} has no entry {sorted(unknown)[0]!r}; it has {', '.join(usual)}")
+    return dict(usual) | dict(given or {})

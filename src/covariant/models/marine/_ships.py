@@ -1,0 +1,130 @@
+"""Two ships in the horizontal plane: an offshore supply vessel at low speed, and a model ship of a laboratory."""
+
+from collections.abc import Callable, Sequence
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from covariant._typing import Numbers
+from covariant.models._lagrangian import Parameter
+from covariant.models.marine._craft import Craft, coriolis_matrix, spd, yaw_rotation
+
+_SUPPLY = "Fossen, Sagatun & Sørensen 1996, Identification of dynamically positioned ships, CEP 4(3)"
+_CYBERSHIP = "Skjetne, Smogeli & Fossen 2004, Modeling, identification, and adaptive maneuvering of CyberShip II, CAMS"
+
+
+def surface_ship(
+    mass: Numbers,
+    damping: Numbers | Callable[[Array], Array],
+    mooring: Numbers | None = None,
+    coriolis: Callable[[Array], Array] | None = None,
+    parameters: dict[str, Parameter] | None = None,
+) -> Craft:
+    """A ship with η = (north, east [m], heading [rad]) and ν = (surge, sway [m/s], yaw rate [rad/s]), (38)–(39).
+
+    `mass` (3, 3) and `damping`, a matrix (3, 3) or `ν -> (3, 3)`; `mooring`: stiffness (3, 3) in north, east and
+    heading, which pulls with `R(ψ)ᵀKη` in the body. The paper prints Kη there, which is the same at ψ = 0 only.
+    """
+    held = None if mooring is None else np.asarray(mooring, float)
+    drag: Callable[[Array], Array] = damping if callable(damping) else _constant(damping)
+
+    def restoring(eta):
+        return yaw_rotation(eta[2]).T @ (jnp.asarray(held, eta.dtype) @ eta)
+
+    return Craft(
+        mass,
+        lambda eta: yaw_rotation(eta[2]),
+        drag,
+        None if held is None else restoring,
+        coriolis,
+        coordinates=("north", "east", "heading"),
+        units=("m", "m", "rad"),
+        velocities=("surge", "sway", "yaw_rate"),
+        circles=(2,),
+        parameters=parameters,
+    )
+
+
+def _constant(matrix: Numbers) -> Callable[[Array], Array]:
+    held = np.asarray(matrix, float)
+    return lambda nu: jnp.asarray(held, nu.dtype)
+
+
+def supply_vessel(
+    length: float = 76.2,
+    mass: float = 6000e3,
+    gravity: float = 9.81,
+    inertia: Sequence[Sequence[float]] = ((1.1274, 0.0, 0.0), (0.0, 1.8902, -0.0744), (0.0, -0.0744, 0.1278)),
+    damping: Sequence[Sequence[float]] = ((0.0358, 0.0, 0.0), (0.0, 0.1183, -0.0124), (0.0, -0.0041, 0.0308)),
+    mooring: Numbers | None = None,
+) -> Craft:
+    """An offshore supply vessel near rest, for dynamic positioning: linear damping, no Coriolis force.
+
+    `length` [m], `mass` [kg], `gravity` [m/s²] scale the dimensionless `inertia` and `damping` (3, 3), identified at
+    sea, in the Bis system: lengths by L, times by √(L/g), masses by m. `mooring` (3, 3) [N/m, N, N m].
+    """
+    stretch = np.diag([1.0, 1.0, length])
+    m = mass * stretch @ np.asarray(inertia, float) @ stretch
+    d = mass * np.sqrt(gravity / length) * stretch @ np.asarray(damping, float) @ stretch
+    return surface_ship(
+        spd("inertia", m, 3),
+        d,
+        mooring,
+        parameters={
+            "length": Parameter(length, "m", _SUPPLY),
+            "mass": Parameter(mass, "kg", _SUPPLY),
+            "inertia": Parameter(tuple(np.ravel(inertia).tolist()), "1", _SUPPLY),
+            "damping": Parameter(tuple(np.ravel(damping).tolist()), "1", _SUPPLY),
+        },
+    )
+
+
+def cybership(
+    mass: float = 23.8,
+    inertia: float = 1.76,
+    centre: float = 0.046,
+    added_mass: Sequence[float] = (2.0, 10.0, 0.0, 0.0, 1.0),
+    surge_drag: Sequence[float] = (0.72253, 1.32742, 5.86643),
+    sway_drag: Sequence[float] = (0.88965, 36.47287, 0.805, 7.25, 0.845, 3.45),
+    yaw_drag: Sequence[float] = (-0.0313, -3.95645, -0.13, 1.9, -0.08, 0.75),
+) -> Craft:
+    """CyberShip II, a supply ship at 1:70, 1.255 m long, with its identified nonlinear drag and Coriolis force.
+
+    The drag was fitted to towed motions; where it turns and drifts at once it does not take energy from every motion.
+
+    `mass` [kg], `inertia` about the centre of gravity's vertical [kg m²] at the origin, `centre`, that of gravity
+    forward of the origin [m], and the sizes of the hydrodynamic derivatives, all opposite in sign to the usual ones:
+    `added_mass` (X_u̇, Y_v̇, Y_ṙ, N_v̇, N_ṙ), `surge_drag` (X_u, X_|u|u, X_uuu), `sway_drag` (Y_v, Y_|v|v, Y_|r|v, Y_r,
+    Y_|v|r, Y_|r|r) and `yaw_drag` likewise.
+    """
+    x_u, y_v, y_r, n_v, n_r = added_mass
+    across = mass * centre + (y_r + n_v) / 2
+    m = np.array([[mass + x_u, 0.0, 0.0], [0.0, mass + y_v, across], [0.0, across, inertia + n_r]])
+    u1, u2, u3 = surge_drag
+    (v1, vv, rv, r1, vr, rr), (w1, ww, sw, s1, ws, ss) = sway_drag, yaw_drag
+
+    def damping(nu):
+        u, v, r = jnp.abs(nu)
+        zero = jnp.zeros_like(u)
+        rows = [
+            [u1 + u2 * u + u3 * u**2, zero, zero],
+            [zero, v1 + vv * v + rv * r, r1 + vr * v + rr * r],
+            [zero, w1 + ww * v + sw * r, s1 + ws * v + ss * r],
+        ]
+        return jnp.stack([jnp.stack(row) for row in rows])
+
+    return surface_ship(
+        m,
+        damping,
+        coriolis=coriolis_matrix(m),
+        parameters={
+            "mass": Parameter(mass, "kg", _CYBERSHIP),
+            "inertia": Parameter(inertia, "kg m^2", _CYBERSHIP),
+            "centre": Parameter(centre, "m", _CYBERSHIP),
+            "added_mass": Parameter(tuple(added_mass), "kg, kg m, kg m^2", _CYBERSHIP),
+            "surge_drag": Parameter(tuple(surge_drag), "N s/m, N s^2/m^2, N s^3/m^3", _CYBERSHIP),
+            "sway_drag": Parameter(tuple(sway_drag), "N s/m, N s^2/m^2 and with angles", _CYBERSHIP),
+            "yaw_drag": Parameter(tuple(yaw_drag), "N m s, N m s^2 and with lengths", _CYBERSHIP),
+        },
+    )

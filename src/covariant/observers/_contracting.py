@@ -1,0 +1,136 @@
+"""A copy of the plant with output injection, made contracting by its gain.
+
+Source: Jouffroy & Fossen 2004, equation (12), and in place of its Theorem 2 the virtual system
+`y' = f(t, y, u(t)) + K(z − h(t, y))`: both plant and observer are solutions of it, whatever made the input.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from covariant._integrate import rk4
+from covariant._linalg import solve
+from covariant._typing import Number, Numbers, Scalar, Vector
+from covariant.models import StateSpace, state_space
+from covariant.models.marine import Craft
+from covariant.observers._protocol import AbstractFlowObserver, Info
+from covariant.signals import Result
+
+Injected = Callable[[Array, Array, Array, Array], Array]
+"""`(t, x, u, z) -> (n,)`: the model's f with measured outputs in place of states; equal to f where z = h(x)."""
+
+
+class ContractingState(NamedTuple):
+    """Estimated state, the time [s] it belongs to, and for how long [s] each output has not been measured (p,)."""
+
+    x: Vector
+    t: Scalar
+    silent: Float[Array, "p"]
+
+
+class Contracting(AbstractFlowObserver):
+    """`x̂' = f(t, x̂, u) + K (z − h(t, x̂, u))`, equation (12).
+
+    - `gain`: K (n, p), or a function `(t, z) -> (n, p)` of time and measured outputs.
+    - `start` (n,): first estimate.
+    - `injected`: f with measured outputs in it, `(t, x, u, z)`, as where a rotation by the measured heading takes the
+      place of one by the estimated; by default f alone.
+    - `substeps`: Runge–Kutta steps of the model a sample.
+    - `memory` [s]: a sample counts for the time since the one before, but for no longer than this.
+
+    Sampled, the model runs on between samples, and the correction is implicit, `x⁺ = x̂ + WK (I + h_x WK)⁻¹ (z − h)`
+    with W the time that each output counts for: no gain makes it unstable by itself, and for dt → 0 it is the flow.
+
+    Raises `ValueError` where gain, start and model do not fit each other.
+    """
+
+    model: StateSpace
+    gain: Float[Array, "n p"] | Callable[[Array, Array], Array]
+    start: Vector
+    injected: Injected | None = None
+    substeps: int = eqx.field(default=1, static=True)
+    memory: Number = jnp.inf
+
+    def __check_init__(self):
+        n, p = self.start.shape[0], len(self.model.outputs)
+        if self.model.coordinates and n != len(self.model.coordinates):
+            raise ValueError(f"start has {n} entries; the model has {len(self.model.coordinates)} states")
+        if not callable(self.gain) and p and self.gain.shape != (n, p):
+            raise ValueError(
+                f"gain must have a row for each of {n} states, a column for each of {p} outputs; "
+                f"its shape is {self.gain.shape}"
+            )
+
+    def init(self, y: Float[Array, "p"], t: Number = 0.0) -> ContractingState:
+        return ContractingState(jnp.asarray(self.start, y.dtype), jnp.asarray(t, y.dtype), jnp.zeros_like(y))
+
+    def estimate(self, state: ContractingState) -> Vector:
+        return state.x
+
+    def virtual(self, t: Scalar, x: Vector, u: Float[Array, "m"], z: Float[Array, "p"]) -> Vector:
+        """The virtual system: x' (n,) at x under the input u and the measurement z, complete and not wrapped.
+
+        Its Jacobian in x, at fixed u and z, is what has to be contracting: the input's own dependence on an estimate
+        acts on plant and observer alike.
+        """
+        copy = self.model.f(t, x, u) if self.injected is None else self.injected(t, x, u, z)
+        return copy + self._gain(t, z) @ (z - self.model.h(t, x, u))
+
+    def flow(self, t: Scalar, state: ContractingState, u: Float[Array, "m"], y: Float[Array, "p"]) -> ContractingState:
+        expected = self.model.h(t, state.x, u)
+        seen = expected - self.model.output_error(expected, y)  # the nearest of the angles that y may mean
+        return ContractingState(self.virtual(t, state.x, u, seen), jnp.ones_like(state.t), jnp.zeros_like(state.silent))
+
+    def step(
+        self, state: ContractingState, u: Float[Array, "m"], y: Float[Array, "p"], dt: Scalar
+    ) -> tuple[ContractingState, Info]:
+        now, waited = state.t + dt, state.silent + dt
+        x = rk4(lambda s, x: self.model.f(s, x, u), state.t, state.x, dt, self.substeps)
+        expected = self.model.h(now, x, u)
+        missing = jnp.isnan(y)
+        error = self.model.output_error(expected, y)
+        weight = jnp.where(missing, 0.0, jnp.minimum(waited, self.memory))
+        push = self._gain(now, expected - error) * weight[None, :]
+        felt = jnp.eye(y.shape[0], dtype=y.dtype) + jax.jacfwd(self.model.h, 1)(now, x, u) @ push
+        # The matrix is not symmetric, and small: its normal equations are.
+        correction = push @ solve(felt.T @ felt, felt.T @ error)
+        moved = x - correction
+        result = jnp.where(jnp.all(missing), int(Result.COASTED), int(Result.OK))
+        result = jnp.where(jnp.all(jnp.isfinite(moved)), result, int(Result.NOT_FINITE)).astype(jnp.int32)
+        after = ContractingState(moved, now, jnp.where(missing, waited, 0.0))
+        return after, Info(-error, jnp.sqrt(correction @ correction), result)
+
+    def _gain(self, t: Scalar, z: Float[Array, "p"]) -> Float[Array, "n p"]:
+        return self.gain(t, z) if callable(self.gain) else jnp.asarray(self.gain, z.dtype)
+
+
+def craft_observer(craft: Craft, k1: Numbers, k2: Numbers, start: Vector | None = None) -> Contracting:
+    """Observer (101)–(102) of a craft: `η̂' = J(z)ν̂ + K1(z − η̂)`, `Mν̂' + (C(ν̂) + D(ν̂))ν̂ + g(z) = τ + Jᵀ(z)K2(z − η̂)`.
+
+    `k1` [1/s] and `k2` [N/m, N m] (n, n); K2 symmetric positive definite makes it converge, with the metric
+    `diag(K2, M)` only where drag acts at rest, and with a cross term everywhere. The paper's `K2 = I − K_p` is unstable
+    for K_p > 1. `start` (2n,) is at rest at the origin by default.
+
+    Raises `ValueError` where a gain is not (n, n).
+    """
+    n = len(craft.coordinates)
+    gains = [np.asarray(k, float) for k in (k1, k2)]
+    for name, k in zip(("k1", "k2"), gains, strict=True):
+        if k.shape != (n, n):
+            raise ValueError(f"{name} must be square, ({n}, {n}); its shape is {k.shape}")
+
+    def gain(t, z):
+        first, second = (jnp.asarray(k, z.dtype) for k in gains)
+        mass = jnp.asarray(craft.mass, z.dtype)
+        return jnp.concatenate([first, solve(mass, craft.transform(z).T @ second)])
+
+    def injected(t, x, u, z):
+        nu = x[n:]
+        return jnp.concatenate([craft.transform(z) @ nu, craft.acceleration(z, nu, u)])
+
+    return Contracting(state_space(craft), gain, jnp.zeros(2 * n) if start is None else start, injected)

@@ -1,0 +1,209 @@
+"""The passive observer of ships: low-frequency position and velocity, wave motion and slow forces from position alone.
+
+Source: Fossen & Strand 1999, Passive nonlinear observer design for ships using Lyapunov methods, Automatica 35(1);
+Jouffroy & Fossen 2004, equations (43)–(60) with the signs of (54) and (59) corrected.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from covariant._linalg import solve
+from covariant._typing import Matrix, Number, Numbers, Scalar, Vector
+from covariant.models.marine import Station, yaw_rotation
+from covariant.models.marine._craft import spd
+from covariant.observers._contracting import Contracting, ContractingState
+from covariant.observers._protocol import AbstractFlowObserver, Info
+
+
+class PassiveGains(NamedTuple):
+    """Gains of `PassiveShip`.
+
+    - `position` K1 (3, 3) [1/s].
+    - `stiffness` P1 and `inertia` P2 (3, 3), symmetric positive definite: the velocity's gain is
+      `K2(ψ) = P2⁻¹ Rᵀ(ψ) P1 + A1(ψ)`, (49) and (60); with the ship's own mass for P2 it is `M⁻¹ Rᵀ P1 + A1`.
+    - `bias` K3 (3, 3) [N/(m s) and with angles].
+    - `waves` (6, 3) [1, 1/s]: the notch, upper half for the integral of the wave motion, lower for the motion.
+    """
+
+    position: Matrix
+    stiffness: Matrix
+    inertia: Matrix
+    bias: Matrix
+    waves: Float[Array, "6 3"]
+
+
+class PassiveShip(AbstractFlowObserver):
+    """Observer (43)–(44) of a `marine.Station`, with its waves, bias and thrusters where it has such.
+
+    - `gains`: from `lyapunov_gains` for a ship alone, from `notch_gains` for one at sea.
+    - `substeps`, `memory`: as in `Contracting`, whose virtual system it is: rotations are by the measured heading, and
+      by the estimated one while that is missing.
+
+    The first row of a record must hold north, east and heading: the estimate starts from them, at rest.
+    """
+
+    station: Station
+    gains: PassiveGains
+    substeps: int = eqx.field(default=1, static=True)
+    memory: Number = jnp.inf
+
+    def init(self, y: Float[Array, "p"], t: Number = 0.0) -> ContractingState:
+        """State at rest at the measured position. Raises `ValueError`, or an error under jit, where it is missing."""
+        if y.shape != (3,):
+            raise ValueError(f"a ship's measurement is north, east and heading; this one has shape {y.shape}")
+        y = eqx.error_if(
+            y,
+            jnp.isnan(y).any(),
+            "the first row must hold north, east and heading; one is missing: start at a row with all",
+        )
+        start = jnp.zeros(self.station.order, y.dtype).at[:3].set(y)
+        return ContractingState(start, jnp.asarray(t, y.dtype), jnp.zeros_like(y))
+
+    def estimate(self, state: ContractingState) -> Vector:
+        return state.x
+
+    def flow(self, t: Scalar, state: ContractingState, u: Float[Array, "3"], y: Float[Array, "3"]) -> ContractingState:
+        return self.contracting().flow(t, state, u, y)
+
+    def step(
+        self, state: ContractingState, u: Float[Array, "3"], y: Float[Array, "3"], dt: Scalar
+    ) -> tuple[ContractingState, Info]:
+        return self.contracting().step(state, u, y, dt)
+
+    def contracting(self) -> Contracting:
+        """The same as a `Contracting`, for its virtual system."""
+        return Contracting(
+            self.station.model(),
+            lambda t, z: self.gain(z[2]),
+            jnp.zeros(self.station.order),
+            lambda t, x, u, z: self.station.derivative(z[2], x, u),
+            self.substeps,
+            self.memory,
+        )
+
+    def gain(self, heading: Scalar) -> Float[Array, "n 3"]:
+        """K(ψ) (n, 3), a row for each state."""
+        g = PassiveGains(*(jnp.asarray(a, heading.dtype) for a in self.gains))
+        turn = yaw_rotation(heading)
+        rows = {
+            "eta": g.position,
+            "nu": solve(g.inertia, turn.T @ g.stiffness) + position_matrix(self.station, heading),
+            "waves": g.waves,
+            "bias": g.bias,
+            "thrust": jnp.zeros((3, 3), heading.dtype),
+        }
+        return jnp.concatenate([rows[part] for part in self.station.parts])
+
+
+def position_matrix(station: Station, heading: Scalar) -> Matrix:
+    """`A1(ψ) = −M⁻¹ Rᵀ(ψ) K` (3, 3): how the estimated position accelerates the ship, (40)–(41)."""
+    return _jacobian(station, heading)[3:6, :3]
+
+
+def velocity_matrix(station: Station) -> Matrix:
+    """`A2 = −M⁻¹ D` (3, 3) at rest, (40)–(41)."""
+    return _jacobian(station, jnp.zeros(()))[3:6, 3:6]
+
+
+def _jacobian(station: Station, heading: Scalar) -> Matrix:
+    zero = jnp.zeros(station.order, heading.dtype)
+    return jax.jacfwd(lambda x: station.derivative(heading, x, jnp.zeros(3, heading.dtype)))(zero)
+
+
+def lyapunov_gains(station: Station, stiffness: Numbers, q1: Numbers, q2: Numbers | None = None) -> PassiveGains:
+    """Gains of the ship alone from `V = ½(η̃ᵀP1η̃ + ν̃ᵀP2ν̃)`, `V' = −η̃ᵀQ1η̃ − ν̃ᵀQ2ν̃`: (48)–(50).
+
+    `stiffness` P1, `q1` and `q2` (3, 3), symmetric positive definite; `K1 = P1⁻¹Q1` and P2 solves
+    `½(P2A2 + A2ᵀP2) = −Q2`. Without `q2`, P2 is the ship's mass, so that Q2 is the symmetric part of its damping.
+
+    Raises `ValueError` where a matrix is not symmetric positive definite, where A2 is not Hurwitz, and where without q2
+    the damping does not take energy from every motion.
+    """
+    p1, first = (np.asarray(spd(name, a, 3)) for name, a in (("stiffness", stiffness), ("q1", q1)))
+    a2 = np.asarray(velocity_matrix(station))
+    worst = np.linalg.eigvals(a2).real.max()
+    if not worst < 0:
+        raise ValueError(f"A2 = −M⁻¹D is not Hurwitz: an eigenvalue has real part {worst:.3g}; the ship needs damping")
+    if q2 is None:
+        p2 = np.asarray(station.ship.mass)
+        spd("the symmetric part of the damping", -(p2 @ a2 + a2.T @ p2) / 2, 3)
+    else:
+        second = np.asarray(spd("q2", q2, 3))
+        identity = np.eye(3)
+        p2 = np.linalg.solve(np.kron(identity, a2.T) + np.kron(a2.T, identity), -2 * second.ravel()).reshape(3, 3)
+        p2 = (p2 + p2.T) / 2
+    rest = np.zeros((3, 3))
+    return _gains(np.linalg.solve(p1, first), p1, p2, rest, np.zeros((6, 3)))
+
+
+def lyapunov_rate(station: Station, gains: PassiveGains) -> float:
+    """The largest α [1/s] with `Q ≥ αP`, so that `V ≤ e^(−2αt) V(0)` for the ship alone.
+
+    (47) takes `λmin(Q) / λmax(P)`, which is never more and depends on units; see `printed_rate`.
+    """
+    return float(min(_eigenvalues(p, q)[0] for p, q in _forms(station, gains)))
+
+
+def printed_rate(station: Station, gains: PassiveGains) -> float:
+    """`α = λmin(Q) / λmax(P)` [1/s] of (47), in the units of the model."""
+    forms = _forms(station, gains)
+    return float(min(np.linalg.eigvalsh(q)[0] for _, q in forms) / max(np.linalg.eigvalsh(p)[-1] for p, _ in forms))
+
+
+def _forms(station: Station, gains: PassiveGains) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
+    """(P1, Q1) and (P2, Q2)."""
+    a2 = np.asarray(velocity_matrix(station))
+    p1, p2, k1 = (np.asarray(a) for a in (gains.stiffness, gains.inertia, gains.position))
+    return (p1, (p1 @ k1 + k1.T @ p1) / 2), (p2, -(p2 @ a2 + a2.T @ p2) / 2)
+
+
+def _eigenvalues(p: np.ndarray, q: np.ndarray) -> np.ndarray:
+    """Generalised eigenvalues of (Q, P), in order."""
+    half = np.linalg.inv(np.linalg.cholesky(p))
+    return np.linalg.eigvalsh(half @ q @ half.T)
+
+
+def notch_gains(
+    station: Station,
+    bandwidth: Sequence[float],
+    cutoff: Sequence[float] | None = None,
+    notch_damping: float = 1.0,
+) -> PassiveGains:
+    """Gains at sea, for diagonal design: position, velocity and bias as a loop behind a notch at the wave frequency.
+
+    - `bandwidth` (3,) [rad/s]: of the velocity in north, east and heading, below the waves; the stiffness is
+      `M K1 ω/2`, and the bias follows at a tenth of the bandwidth.
+    - `cutoff` (3,) [rad/s]: of the wave filter, above the waves; by default 1.22 times their frequency.
+    - `notch_damping`: relative damping of the notch, above that of the waves.
+
+    Source: Fossen & Strand 1999, equations (41)–(46). Raises `ValueError` where entries are not positive.
+    """
+    width = _three("bandwidth", bandwidth)
+    m = np.diag(np.asarray(station.ship.mass))
+    waves, edge = np.zeros((6, 3)), 2 * width
+    if station.waves is not None:
+        w, z = np.asarray(station.waves.frequency), np.asarray(station.waves.damping)
+        edge = 1.22 * w if cutoff is None else _three("cutoff", cutoff)
+        if not (notch_damping > z).all():
+            raise ValueError(f"notch_damping must exceed that of the waves, {z.max():g}; got {notch_damping:g}")
+        waves = np.concatenate([np.diag(-2 * (notch_damping - z) * edge / w), np.diag(2 * w * (notch_damping - z))])
+    stiffness = m * edge * width / 2
+    bias = stiffness * width / 10 if station.bias_time is not None else np.zeros(3)
+    return _gains(np.diag(edge), np.diag(stiffness), np.asarray(station.ship.mass), np.diag(bias), waves)
+
+
+def _three(name: str, entries: Sequence[float]) -> np.ndarray:
+    found = np.asarray(entries, float)
+    if found.shape != (3,) or not (found > 0).all():
+        raise ValueError(f"{name} needs three positive numbers [rad/s], for north, east, heading; got {entries}")
+    return found
+
+
+def _gains(*matrices: np.ndarray) -> PassiveGains:
+    return PassiveGains(*(jnp.asarray(a) for a in matrices))

@@ -1,0 +1,242 @@
+"""Virtual systems, metrics from linear matrix inequalities, and Theorem 3 with its dependence on units."""
+
+import math
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from covariant import models
+from covariant.certificates import (
+    Box,
+    Constants,
+    StateMetric,
+    Subject,
+    box,
+    cascade,
+    common_metric,
+    contraction,
+    falsify,
+    in_coordinates,
+    observer_gain,
+    prove,
+    virtual,
+)
+from covariant.certificates._region import Point
+from covariant.design import contracting_gain
+from covariant.observers import Contracting
+from covariant.papers.jouffroy_fossen import COUNTEREXAMPLES, Scalar
+
+ZERO = jnp.zeros(())
+
+
+# Theorem 2
+
+
+@pytest.mark.parametrize("name", COUNTEREXAMPLES)
+def test_print_of_theorem_2_says_the_opposite_of_what_happens(name):
+    case = COUNTEREXAMPLES[name]
+    assert (case.printed < 0) != (case.true < 0)
+    observer = case.observer()
+    x, estimate, u = jnp.array([1.0]), jnp.array([0.5]), jnp.array([0.5 * case.g])
+    state = observer.init(x)._replace(x=estimate)
+    error = x - estimate
+    rate = observer.model.f(ZERO, x, u) - observer.flow(ZERO, state, u, x).x
+    np.testing.assert_allclose(rate, case.true * error)  # the closed loop, u = gx̂, does what the virtual system says
+    assert case.proof(0.1).verdict == ("holds" if case.true < 0 else "fails")
+
+
+def test_virtual_system_proves_up_to_its_rate_and_no_further():
+    slow = Scalar(-1.0, 1.0, 5.0, 0.5)  # squared lengths shrink at 2 · 1.5
+    assert slow.proof(2.999).verdict == "holds"
+    assert slow.proof(3.001).verdict == "fails"
+
+
+def test_metric_that_follows_the_measurement_counts_its_change():
+    """x' = 0 with M = e^z: where z falls at 1, squared lengths do; a metric without its Ṁ would see nothing."""
+    model = models.StateSpace(lambda t, x, u: 0.0 * x, lambda t, x, u: x, coordinates=("x",))
+    still = Contracting(model, jnp.zeros((1, 1)), jnp.zeros(1))
+    subject = virtual(still, lambda z, x: jnp.exp(z)[:, None])
+
+    def region(change):
+        return Box(subject.names, subject.units, np.array([-1.0, -1.0, change]), np.array([1.0, 1.0, change]))
+
+    assert prove(contraction(subject, 0.9), region(-1.0)).verdict == "holds"
+    assert prove(contraction(subject, 1.1), region(-1.0)).verdict == "fails"
+    assert prove(contraction(subject, 0.0), region(1.0)).verdict == "fails"
+
+
+def test_virtual_needs_names():
+    with pytest.raises(ValueError, match="states need names"):
+        virtual(
+            Contracting(models.StateSpace(lambda t, x, u: -x, lambda t, x, u: x), jnp.eye(1), jnp.zeros(1)), np.eye(1)
+        )
+
+
+# Metrics and gains
+
+
+def test_common_metric_serves_all_jacobians():
+    f = np.array([[[-1.0, 4.0], [0.0, -1.0]], [[-1.0, 0.0], [-0.3, -2.0]]])
+    design = common_metric(f, 0.5)
+    for jacobian in f:
+        change = jacobian.T @ design.metric + design.metric @ jacobian + 0.5 * design.metric
+        assert np.linalg.eigvalsh(change)[-1] < 1e-6
+    values = np.linalg.eigvalsh(design.metric)
+    assert values[0] > 1 - 1e-6
+    np.testing.assert_allclose(values[-1] / values[0], design.conditioning, rtol=1e-4)
+    assert design.gain.shape == (2, 0)
+
+
+def test_common_metric_is_the_best_conditioned_one():
+    """Scaled shear: the best diagonal metric is known, and no random metric of less conditioning serves."""
+    f = np.array([[-1.0, 4.0], [0.0, -1.0]])
+    best = common_metric(f, 0.0)
+    random = np.random.default_rng(0)
+    for _ in range(2000):
+        root = random.normal(size=(2, 2))
+        m = root @ root.T
+        values = np.linalg.eigvalsh(m)
+        if values[-1] / values[0] < 0.99 * best.conditioning:
+            assert np.linalg.eigvalsh(f.T @ m + m @ f)[-1] > 0
+
+
+def test_gain_from_vertices_is_proved_on_the_whole_polytope():
+    """A pendulum: cos q runs over [−1, 1], so two Jacobians span all of them, and a box proves it."""
+    model = models.StateSpace(
+        lambda t, x, u: jnp.stack([x[1], -4.0 * jnp.sin(x[0]) + u[0]]),
+        lambda t, x, u: x[:1],
+        coordinates=("q", "v"),
+        inputs=1,
+        circles=(0,),
+    )
+    design = contracting_gain(model, [[0.0, 0.0], [math.pi, 0.0]], 2.0)
+    observer = Contracting(model, jnp.asarray(design.gain), jnp.zeros(2))
+    subject = virtual(observer, design.metric)
+    high = np.array([math.pi, 10.0, 1.0, math.pi, 1.0])
+    region = Box(subject.names, subject.units, -high, high)
+    assert prove(contraction(subject, 1.99), region).verdict == "holds"
+    weak = Contracting(model, jnp.asarray(0.2 * design.gain), jnp.zeros(2))
+    assert falsify(virtual(weak, design.metric), region, 1.99).verdict == "fails"
+
+
+def test_designs_that_cannot_be_are_refused():
+    with pytest.raises(ValueError, match="no constant metric makes all 1 Jacobians contract at 3 1/s; lower the rate"):
+        common_metric(-np.eye(2), 3.0)
+    with pytest.raises(ValueError, match=r"outputs must have the shape \(1, p, 2\)"):
+        observer_gain(-np.eye(2), np.ones((1, 3)), 1.0)
+    with pytest.raises(ValueError, match=r"states must have the shape \(k, 2\)"):
+        contracting_gain(
+            models.StateSpace(lambda t, x, u: -x, lambda t, x, u: x[:1], coordinates=("a", "b")), [[1.0]], 1.0
+        )
+
+
+# Theorem 3
+
+
+def linear(matrix, form, names):
+    """A linear error system with a constant metric, over variables that do not enter but one: its damping."""
+    n = len(matrix)
+
+    def at(z):
+        f = jnp.asarray(matrix) - z[0] * jnp.eye(n)
+        metric: StateMetric = in_coordinates(lambda t, x: jnp.asarray(form))
+        return Point(lambda t, x: f @ x, metric, jnp.zeros(n), jnp.eye(n))
+
+    return Subject(names, ("",), at)
+
+
+def built(gain=1.0, more=0.0, spread=(0.0, 1.0), **options):
+    a, p = np.array([[-1.0, 2.0], [-2.0, -3.0]]), np.diag([4.0, 1.0])
+    plant = linear(a, p, ("d",))
+    error = linear(np.array([[-2.0, 0.0], [0.0, -1.0]]), np.eye(2), ("d",))
+    matrix = gain * np.array([[0.0, 0.0], [1.0, 0.5]])
+
+    def coupling(z):
+        return jnp.asarray(matrix) * z[0], jnp.full((2, 2), more)
+
+    region = box(d=spread)
+    return cascade((plant, region), (error, region), (coupling, box(k=(0.5, 2.0))), **options)
+
+
+def test_constants_are_those_of_the_closed_form():
+    found = built()
+    a, p = np.array([[-1.0, 2.0], [-2.0, -3.0]]), np.diag([4.0, 1.0])
+    c = found.constants
+    np.testing.assert_allclose([c.c1, c.c2, c.c4], [0.5, 2.0, 4.0], rtol=1e-9)
+    np.testing.assert_allclose(c.c3, np.linalg.eigvalsh(-(p @ a + a.T @ p) / 2)[0], rtol=1e-9)
+    np.testing.assert_allclose(c.lambda_q, 2.0, rtol=1e-9)  # V_obs = |x̃|² falls at 2 · 1
+    np.testing.assert_allclose(c.gamma1, 2.0 * math.hypot(1.0, 0.5), rtol=1e-9)
+    assert c.gamma2 == 0.0
+    np.testing.assert_allclose(c.bound, 4 * c.c3 * c.lambda_q / 16, rtol=1e-12)
+
+
+def test_lyapunov_function_with_kappa_decreases_and_with_less_does_not():
+    c = built().constants
+    for factor, falls in ((1.01, True), (0.99, False)):
+        kappa = factor * c.kappa
+        matrix = np.array([[c.c3, -c.c4 * c.gamma1 / 2], [-c.c4 * c.gamma1 / 2, kappa * c.lambda_q]])
+        assert (np.linalg.eigvalsh(matrix)[0] > 0) == falls  # (79) with κ on V_obs
+
+
+def test_printed_condition_is_that_of_the_matrix_in_79():
+    random = np.random.default_rng(3)
+    for c1, c3, c4, q, g1, g2 in random.uniform(0.1, 2.0, size=(200, 6)):
+        c = Constants(c1, 2 * c1, c3, c4, q, g1, 0.3 * g2)
+        m = np.array([[c3 - c4 * c.gamma2, -c4 * g1 / 2], [-c4 * g1 / 2, q]])
+        assert c.printed == bool(np.linalg.eigvalsh(m)[0] > 0)
+
+
+def test_printed_verdict_depends_on_units_and_the_weighted_one_does_not():
+    units = (("m", "rad/s"), ("m", "rad/s"))
+    found = built(gain=0.2, units=units)
+    assert found.printed
+    assert found.depends_on_units
+    assert "depends on units" in str(found)
+    assert found.verdict == "holds"
+    for gain in (0.01, 100.0):
+        assert built(gain=gain).verdict == "holds"
+    assert not built(gain=100.0).printed
+
+
+def test_coupling_to_the_error_itself_limits_both_conditions():
+    assert built(more=0.02).verdict == "holds"
+    too_much = built(more=2.0)
+    assert too_much.verdict == "fails"
+    assert not too_much.printed
+    assert math.isinf(too_much.kappa)
+
+
+def test_growing_observer_error_is_shown_as_a_trajectory():
+    found = built(spread=(-3.0, 1.0))
+    assert found.verdict == "fails"
+    assert found.growth is not None
+    np.testing.assert_allclose(found.growth.rate, 2.0, rtol=1e-6)
+    np.testing.assert_allclose(found.growth.point["d"], -3.0, rtol=1e-6)
+    size = np.linalg.norm(found.growth.error, axis=1)
+    np.testing.assert_allclose(np.diff(np.log(size)) / np.diff(found.growth.t), 2.0, rtol=1e-6)
+
+
+def test_proved_constants_are_on_the_safe_side():
+    sampled, proved = built(), built(proved=True)
+    a, b = sampled.constants, proved.constants
+    assert proved.evidence == "proved"
+    assert b.c3 <= a.c3 <= b.c3 / 0.97
+    assert b.lambda_q <= a.lambda_q <= b.lambda_q / 0.97
+    assert a.gamma1 <= b.gamma1 <= 1.02 * a.gamma1
+    assert a.c4 <= b.c4 <= 1.03 * a.c4
+
+
+def test_constants_hold_at_random_points():
+    """The definitions (65)–(67) and (71), directly on the functions, at points and errors of no grid."""
+    c = built().constants
+    a, p = np.array([[-1.0, 2.0], [-2.0, -3.0]]), np.diag([4.0, 1.0])
+    random = np.random.default_rng(5)
+    for d, k, *rest in random.uniform(size=(300, 6)):
+        d, k, e, x = d, 0.5 + 1.5 * k, np.array(rest[:2]) - 0.5, np.array(rest[2:]) - 0.5
+        v, slope = e @ p @ e / 2, p @ e
+        assert c.c1 * (e @ e) - 1e-12 <= v <= c.c2 * (e @ e) + 1e-12
+        assert slope @ (a - d * np.eye(2)) @ e <= -c.c3 * (e @ e) + 1e-12
+        assert np.linalg.norm(slope) <= c.c4 * np.linalg.norm(e) + 1e-12
+        b = k * np.array([[0.0, 0.0], [1.0, 0.5]]) @ x
+        assert np.linalg.norm(b) <= c.gamma1 * np.linalg.norm(x) + 1e-12

@@ -1,0 +1,282 @@
+"""Observers that copy the plant: the virtual system, samples, gaps, and the passive observer of ships."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import sympy
+
+from covariant import models
+from covariant.models import marine, state_space
+from covariant.observers import (
+    Contracting,
+    PassiveShip,
+    craft_observer,
+    lyapunov_gains,
+    lyapunov_rate,
+    notch_gains,
+    printed_rate,
+    run,
+)
+from covariant.signals import Record, Result
+from covariant.simulation import observe, simulate
+
+ZERO = jnp.zeros(())
+
+
+@pytest.fixture(scope="module")
+def oscillator():
+    return models.duffing()
+
+
+def mass_on_a_spring():
+    return models.StateSpace(
+        lambda t, x, u: jnp.stack([x[1], u[0] - x[0]]),
+        lambda t, x, u: x[:1],
+        coordinates=("x", "v"),
+        inputs=1,
+    )
+
+
+# The sampled form
+
+
+def test_step_tends_to_the_flow():
+    observer = Contracting(mass_on_a_spring(), jnp.array([[3.0], [2.0]]), jnp.array([0.2, -0.3]))
+    u, y = jnp.array([0.4]), jnp.array([0.7])
+    state = observer.init(y)
+    slope = observer.flow(ZERO, state, u, y).x
+    errors = []
+    for dt in (1e-2, 5e-3, 2.5e-3):
+        moved, _ = observer.step(state, u, y, jnp.asarray(dt))
+        errors.append(float(jnp.linalg.norm((moved.x - state.x) / dt - slope)))
+    orders = np.log2(np.divide(errors[:-1], errors[1:]))
+    np.testing.assert_allclose(orders, 1.0, atol=0.1)
+
+
+def test_a_sample_counts_for_the_time_since_the_one_before():
+    model = mass_on_a_spring()
+    slow = Contracting(model, jnp.array([[3.0], [2.0]]), jnp.zeros(2))
+    t = np.arange(0.0, 8.0, 0.05)
+    truth = np.stack([np.cos(t), -np.sin(t)], axis=1)
+    y = truth[:, :1].copy()
+    y[np.arange(len(t)) % 10 != 0] = np.nan
+    record = Record(t, np.zeros((len(t), 1)), y, None)
+    error = np.abs(np.asarray(run(slow, record).estimate) - truth)[-20:].max()
+    assert error < 2e-2
+    forgetful = np.asarray(run(Contracting(model, slow.gain, slow.start, memory=0.05), record).estimate)
+    assert np.abs(forgetful - truth)[-20:].max() > 3 * error
+
+
+def test_missing_samples_are_coasted_and_gains_of_any_size_are_stable():
+    model = mass_on_a_spring()
+    observer = Contracting(model, jnp.array([[1e4], [1e4]]), jnp.array([0.3, 0.1]))
+    state = observer.init(jnp.array([1.0]))
+    moved, info = observer.step(state, jnp.zeros(1), jnp.array([jnp.nan]), jnp.asarray(0.1))
+    assert int(info.result) == Result.COASTED
+    np.testing.assert_allclose(moved.silent, 0.1)
+    alone = simulate(model, state.x, jnp.array([0.0, 0.1])).x[-1]
+    np.testing.assert_allclose(moved.x, alone, atol=1e-6)
+    for _ in range(200):
+        state, info = observer.step(state, jnp.ones(1), jnp.array([1.0]), jnp.asarray(0.1))  # the spring at rest
+    np.testing.assert_allclose(state.x, [1.0, 0.0], atol=1e-9)
+    np.testing.assert_allclose(info.innovation, 0.0, atol=1e-9)
+
+
+def test_angles_are_wrapped():
+    model = models.StateSpace(
+        lambda t, x, u: jnp.stack([x[1], -x[1]]), lambda t, x, u: x[:1], coordinates=("a", "w"), circles=(0,)
+    )
+    observer = Contracting(model, jnp.array([[1.0], [1.0]]), jnp.array([3.1, 0.0]))
+    state = observer.init(jnp.zeros(1))
+    flows = [observer.flow(ZERO, state, jnp.zeros(0), jnp.array([a])).x for a in (-3.1, 2 * np.pi - 3.1)]
+    np.testing.assert_allclose(*flows, atol=1e-12)
+    assert flows[0][0] > 0  # the short way round
+
+
+def test_single_precision_stays_single():
+    observer = Contracting(mass_on_a_spring(), jnp.array([[3.0], [2.0]]), jnp.zeros(2))
+    y = jnp.ones(1, jnp.float32)
+    state, _ = observer.step(observer.init(y), jnp.zeros(1, jnp.float32), y, jnp.asarray(0.1, jnp.float32))
+    assert state.x.dtype == jnp.float32
+
+
+def test_gains_and_starts_that_do_not_fit_are_refused():
+    model = mass_on_a_spring()
+    with pytest.raises(ValueError, match="start has 3 entries; the model has 2 states"):
+        Contracting(model, jnp.ones((3, 1)), jnp.zeros(3))
+    with pytest.raises(ValueError, match="a row for each of 2 states, a column for each of 1 outputs"):
+        Contracting(model, jnp.ones((2, 2)), jnp.zeros(2))
+    with pytest.raises(ValueError, match="k2 must be square"):
+        craft_observer(marine.odin(), np.eye(6), np.ones((6, 3)))
+
+
+# The passive observer
+
+
+def station(**more):
+    return marine.Station(marine.supply_vessel(mooring=np.diag([5e4, 5e4, 5e7])), **more)
+
+
+def test_passive_observer_is_the_printed_one():
+    """(43) and (44) in letters, at another heading than the estimated one."""
+    plain = station()
+    mass, d, k = (np.asarray(a) for a in (plain.ship.mass, plain.ship.damping(jnp.zeros(3)), np.diag([5e4, 5e4, 5e7])))
+    gains = lyapunov_gains(plain, mass * 1e-2, mass * 1e-3)
+    observer = PassiveShip(plain, gains)
+    z, x = jnp.array([3.0, -2.0, 1.1]), jnp.array([2.5, -1.0, 0.8, 0.3, -0.1, 0.01])
+    tau = jnp.array([1e5, 2e4, -3e6])
+    flow = observer.flow(ZERO, observer.init(z)._replace(x=x), tau, z).x
+    turn = np.asarray(marine.yaw_rotation(z[2]))
+    error, eta, nu = np.asarray(z - x[:3]), np.asarray(x[:3]), np.asarray(x[3:])
+    held = np.array([eta[0], eta[1], eta[2]])
+    p1, p2 = mass * 1e-2, mass
+    a1 = -np.linalg.solve(mass, turn.T @ k)
+    k2 = np.linalg.solve(p2, turn.T @ p1) + a1
+    # The mooring pulls by the estimated place and the measured heading.
+    seen = np.array([held[0], held[1], np.asarray(z)[2]])
+    pulled = -np.linalg.solve(mass, turn.T @ k @ seen)
+    assert np.allclose(flow[:3], turn @ nu + np.linalg.solve(p1, mass * 1e-3) @ error)
+    assert not np.allclose(a1 @ held, pulled)
+    np.testing.assert_allclose(
+        flow[3:] + np.linalg.solve(mass, d @ nu) - np.linalg.solve(mass, np.asarray(tau)) - k2 @ error,
+        a1 @ held,
+        rtol=1e-9,
+    )
+
+
+@pytest.mark.parametrize("own", [False, True])
+def test_lyapunov_function_of_the_ship_falls_as_designed(own):
+    """V' = −η̃ᵀQ1η̃ − ν̃ᵀQ2ν̃ along the virtual system, whatever the heading."""
+    plain = station()
+    mass = np.asarray(plain.ship.mass)
+    q1, q2 = mass * 1e-3, np.diag(np.diag(mass)) * 1e-2 if own else None
+    gains = lyapunov_gains(plain, mass * 1e-2, q1, q2)
+    virtual = PassiveShip(plain, gains).contracting().virtual
+    p = np.asarray(jax.scipy.linalg.block_diag(gains.stiffness, gains.inertia))
+    for psi in (0.0, 1.0, -2.5):
+        z = jnp.array([1.0, 2.0, psi])
+        f = np.asarray(jax.jacfwd(virtual, 1)(ZERO, jnp.zeros(6), jnp.zeros(3), z))
+        fall = -(p @ f + f.T @ p) / 2
+        damping = np.asarray(plain.ship.damping(jnp.zeros(3)))
+        expected = np.asarray(jax.scipy.linalg.block_diag(q1, (damping + damping.T) / 2 if q2 is None else q2))
+        scale = np.sqrt(np.diag(expected))
+        np.testing.assert_allclose(fall / scale / scale[:, None], expected / scale / scale[:, None], atol=1e-9)
+
+
+def test_conditions_of_contraction_are_those_of_lyapunov():
+    """(55)–(60) in symbols: with P = ΘᵀΘ the generalised Jacobian's symmetric part is ½Θ⁻ᵀ(PF + FᵀP)Θ⁻¹, and with K2
+    of (49) = (60) its off-diagonal blocks vanish."""
+    n = 2
+    psi = sympy.symbols("psi", real=True)
+    turn = sympy.Matrix([[sympy.cos(psi), -sympy.sin(psi)], [sympy.sin(psi), sympy.cos(psi)]])
+
+    def matrix(name):
+        return sympy.Matrix(n, n, lambda i, j: sympy.symbols(f"{name}{i}{j}", real=True))
+
+    a1, a2, k1, theta1, theta2 = (matrix(name) for name in ("a", "b", "k", "s", "t"))
+    p1, p2 = theta1.T * theta1, theta2.T * theta2
+    k2 = p2.inv() * turn.T * p1 + a1
+    f = sympy.Matrix(sympy.BlockMatrix([[-k1, turn], [a1 - k2, a2]]))
+    theta = sympy.diag(theta1, theta2)
+    general = theta * f * theta.inv()
+    symmetric = (general + general.T).applyfunc(sympy.simplify)
+    assert symmetric[:n, n:] == sympy.zeros(n)  # (57)
+    p = sympy.diag(p1, p2)
+    lyapunov = theta.inv().T * (p * f + f.T * p) * theta.inv()
+    assert (symmetric - lyapunov).applyfunc(sympy.simplify) == sympy.zeros(2 * n)
+    # (55), (56) and (58), (59): the blocks on the diagonal are −(K1ᵀP1 + P1K1) and A2ᵀP2 + P2A2, which must be < 0.
+    first = theta1.inv().T * -(k1.T * p1 + p1 * k1) * theta1.inv()
+    second = theta2.inv().T * (a2.T * p2 + p2 * a2) * theta2.inv()
+    assert (symmetric[:n, :n] - first).applyfunc(sympy.simplify) == sympy.zeros(n)
+    assert (symmetric[n:, n:] - second).applyfunc(sympy.simplify) == sympy.zeros(n)
+    # (54) as printed doubles the off-diagonal block instead of removing it.
+    printed = sympy.Matrix(sympy.BlockMatrix([[-k1, turn], [a1 - (a1 - turn.T), a2]]))
+    assert sympy.simplify((printed + printed.T)[:n, n:] - 2 * turn) == sympy.zeros(n)
+
+
+def test_passive_observer_converges_as_fast_as_its_lyapunov_function_says():
+    plain = station()
+    mass = np.asarray(plain.ship.mass)
+    gains = lyapunov_gains(plain, mass * 1e-2, mass * 1e-3)
+    rate = lyapunov_rate(plain, gains)
+    observer = PassiveShip(plain, gains)
+    x0 = jnp.array([0.0, 0.0, 0.3, 0.5, -0.2, 0.004])
+    t = jnp.linspace(0.0, 300.0, 31)
+    x, state = observe(plain.model(), observer, x0, observer.init(jnp.array([10.0, -5.0, 0.4])), t)
+    error = np.asarray(x - state.x)
+    p = np.asarray(jax.scipy.linalg.block_diag(gains.stiffness, gains.inertia))
+    value = np.einsum("ti,ij,tj->t", error, p, error) / 2
+    assert rate >= printed_rate(plain, gains) > 0  # (47) as printed, which depends on units, is never more
+    assert (value <= np.exp(-2 * rate * np.asarray(t)) * value[0] * (1 + 1e-9)).all()
+    assert value[-1] < 1e-2 * value[0]
+
+
+def test_passive_observer_does_not_mind_whole_turns_and_needs_a_first_position():
+    noisy = station(waves=marine.Waves((0.8,) * 3, (0.1,) * 3, (0.5, 0.5, 0.01)), bias_time=1000.0)
+    observer = PassiveShip(noisy, notch_gains(noisy, (0.1, 0.1, 0.2)))
+    y = jnp.array([1.0, 2.0, 3.1])
+    state = observer.init(y)
+    states = [observer.step(state, jnp.zeros(3), y.at[2].add(2 * np.pi * k), jnp.asarray(1.0))[0].x for k in (-1, 0, 1)]
+    np.testing.assert_allclose(states[0], states[1], atol=1e-6)
+    np.testing.assert_allclose(states[2], states[1], atol=1e-6)
+    with pytest.raises(Exception, match="the first row must hold north, east and heading"):
+        observer.init(jnp.array([1.0, 2.0, jnp.nan]))
+    with pytest.raises(ValueError, match="north, east and heading; this one has shape"):
+        observer.init(jnp.array([1.0, 2.0]))
+
+
+def test_notch_holds_back_waves_and_follows_the_bias():
+    """The frequency response of the estimated position: little at the wave frequency, all at rest."""
+    noisy = marine.Station(
+        marine.supply_vessel(), marine.Waves((0.8,) * 3, (0.1,) * 3, (0.5, 0.5, 0.01)), bias_time=1e6
+    )
+    observer = PassiveShip(noisy, notch_gains(noisy, (0.1, 0.1, 0.2)))
+    f = np.asarray(jax.jacfwd(observer.contracting().virtual, 1)(ZERO, jnp.zeros(15), jnp.zeros(3), jnp.zeros(3)))
+    gain = np.asarray(observer.gain(ZERO))
+    assert np.linalg.eigvals(f).real.max() < 0
+
+    def response(w):
+        return np.linalg.solve(1j * w * np.eye(15) - f, gain)[:3]
+
+    assert np.abs(response(0.8).diagonal()).max() < 0.2
+    np.testing.assert_allclose(np.abs(response(1e-4).diagonal()), 1.0, atol=0.05)
+
+
+REFUSED = {
+    "A2 not Hurwitz": (
+        lambda: lyapunov_gains(marine.Station(marine.surface_ship(np.eye(3), -np.eye(3))), np.eye(3), np.eye(3)),
+        "A2 = −M⁻¹D is not Hurwitz",
+    ),
+    "Q not positive": (lambda: lyapunov_gains(station(), np.eye(3), -np.eye(3)), "q1 must be positive definite"),
+    "Q2 not positive": (
+        lambda: lyapunov_gains(station(), np.eye(3), np.eye(3), np.diag([1.0, 0.0, 1.0])),
+        "q2 must be positive definite",
+    ),
+    "K not square": (lambda: lyapunov_gains(station(), np.ones((3, 2)), np.eye(3)), "stiffness must be a matrix of 3"),
+    "bandwidth": (lambda: notch_gains(station(), (0.1, 0.1)), "bandwidth needs three positive numbers"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_bad_designs_are_refused_in_one_line(case):
+    make, message = REFUSED[case]
+    with pytest.raises(ValueError, match=message) as caught:
+        make()
+    assert "\n" not in str(caught.value)
+
+
+def test_craft_observer_is_the_printed_one():
+    craft = marine.odin()
+    k1, k2 = np.diag(np.arange(1.0, 7.0)), np.diag(np.arange(10.0, 16.0))
+    observer = craft_observer(craft, k1, k2)
+    random = np.random.default_rng(0)
+    z, x, tau = (jnp.asarray(random.normal(size=n)) for n in (6, 12, 6))
+    flow = observer.virtual(ZERO, x, tau, z)
+    j = craft.transform(z)
+    np.testing.assert_allclose(flow[:6], j @ x[6:] + k1 @ (z - x[:6]), rtol=1e-12)  # (101)
+    right = tau + j.T @ k2 @ (z - x[:6]) - craft.damping(x[6:]) @ x[6:] - craft.restoring(z)
+    np.testing.assert_allclose(craft.mass @ flow[6:], right, rtol=1e-12)  # (102)
+    drag = jax.jacfwd(lambda nu: craft.damping(nu) @ nu)(x[6:])
+    np.testing.assert_allclose(drag, 2 * craft.damping(x[6:]), rtol=1e-12)  # the factor that F_obs lacks
+    assert state_space(craft).outputs == craft.coordinates
