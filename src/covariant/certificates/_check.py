@@ -25,8 +25,8 @@ from covariant.certificates._saved import observer_from
 from covariant.certificates._taylor import ROUND, Enclosure, halves, show_definite
 from covariant.models import GroupSystem, Lagrangian, applied_force
 
-ROOM = 2.0**-30
-"""Forces may be larger than claimed by this part, so that the rounding of their bounds does not matter."""
+ROOM = 2.0**-20
+"""Forces may be larger than claimed by this part, so that bounds which they reach are quickly shown."""
 DEPTH, DEEPEST, SHARE = 6, 200, 4096
 """How often a leaf is halved, and how often the box of the inputs; leaves given to a process at once."""
 
