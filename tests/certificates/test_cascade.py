@@ -12,6 +12,7 @@ from covariant.certificates import (
     Constants,
     StateMetric,
     Subject,
+    blocks,
     box,
     cascade,
     common_metric,
@@ -20,6 +21,7 @@ from covariant.certificates import (
     in_coordinates,
     observer_gain,
     prove,
+    prove_at_corners,
     virtual,
 )
 from covariant.certificates._region import Point
@@ -71,6 +73,42 @@ def test_virtual_needs_names():
         virtual(
             Contracting(models.StateSpace(lambda t, x, u: -x, lambda t, x, u: x), jnp.eye(1), jnp.zeros(1)), np.eye(1)
         )
+
+
+# Proofs of parts
+
+
+def quartered(z):
+    """Blocks {0, 2} and {1}, affine in a and b together, curved in c."""
+    a, b, c = z
+    zero = jnp.zeros_like(a)
+    return jnp.stack(
+        [
+            jnp.stack([2.0 + a, zero, c]),
+            jnp.stack([zero, 1.5 - b + c**2, zero]),
+            jnp.stack([c, zero, 2.0 + a + b]),
+        ]
+    )
+
+
+def test_blocks_are_found_from_zeros_of_the_graph():
+    region = box(a=(-0.5, 0.5), b=(-1.0, 1.0), c=(-0.5, 0.5))
+    assert sorted(part.tolist() for part in blocks(quartered, region)) == [[0, 2], [1]]
+
+
+def test_corners_of_affine_variables_stand_for_their_box():
+    region = box(a=(-0.5, 0.5), b=(-1.0, 1.0), c=(-0.5, 0.5))
+    proofs = prove_at_corners(quartered, region, ("a", "b"))
+    assert [proof.verdict for proof in proofs] == ["holds"] * 4
+    assert prove(quartered, region).verdict == "holds"
+    wider = box(a=(-0.5, 0.5), b=(-1.6, 1.6), c=(-0.5, 0.5))
+    assert prove_at_corners(quartered, wider, ("a", "b"))[-1].verdict == "fails"
+    unmoved = prove_at_corners(lambda z: quartered(z)[1:2, 1:2], region, ("a", "b"))
+    assert len(unmoved) == 2  # a does not enter
+    with pytest.raises(ValueError, match="not affine in a, c together"):
+        prove_at_corners(lambda z: jnp.eye(2) * (2.0 + z[0] * z[2]), region, ("a", "c"))
+    with pytest.raises(ValueError, match="no variable 'd'"):
+        prove_at_corners(quartered, region, ("d",))
 
 
 # Metrics and gains

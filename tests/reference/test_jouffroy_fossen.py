@@ -33,8 +33,13 @@ def test_printed_gain_of_odin_makes_the_observer_diverge():
 
 
 def test_identity_is_only_semidefinite_in_the_lyapunov_metric():
-    assert abs(paper.odin_sampled_rate(np.eye(6), np.zeros((6, 6)))) < 1e-9
-    assert abs(paper.odin_sampled_rate(paper.K2, np.zeros((6, 6)))) < 1e-9
+    """In diag(K2, M), the best that can be said of any K2: drag is a square, so it has no slope at rest."""
+    for k2 in (np.eye(6), paper.K2):
+        subject = virtual(paper.odin_observer(k2), paper.crossed_metric(paper.marine.odin(), k2, np.zeros((6, 6))))
+        values = np.linalg.eigvalsh(contraction(subject, 0.0)(jnp.zeros(len(subject.names))))
+        assert values[0] > -1e-9
+        np.testing.assert_allclose(values[:6], 0.0, atol=1e-9)
+        assert np.linalg.eigvalsh(contraction(subject, 1e-3)(jnp.zeros(len(subject.names))))[0] < 0
 
 
 @pytest.fixture(scope="module")
@@ -43,13 +48,13 @@ def certificate():
 
 
 def test_repaired_observer_of_odin_is_proved_to_contract(certificate):
-    assert certificate.verdict == "holds"
-    free = paper.wide(certificate.box)
+    assert all(proof.verdict == "holds" for proof in certificate)
+    free = paper.wide(paper.odin_box())
     assert {"z_roll", "z_pitch", "surge", "yaw_rate"} <= set(free.names)
     assert np.rad2deg(free.high[free.names.index("z_pitch")]) > 40.0
     sampled = paper.odin_sampled_rate()
     assert sampled >= paper.RATE
-    assert paper.odin_certificate(1.1 * sampled, seconds=20.0).verdict == "fails"
+    assert "fails" in {proof.verdict for proof in paper.odin_certificate(1.1 * sampled)}
 
 
 def test_closed_loop_of_odin_converges_faster_than_certified():
@@ -61,7 +66,7 @@ def test_closed_loop_of_odin_converges_faster_than_certified():
 
 
 def test_theorem_3_on_odin_is_stable_under_refinement_and_depends_on_units_as_printed():
-    coarse, fine = (paper.odin_cascade(attempts=n, starts=s) for n, s in ((5_000, 32), (20_000, 96)))
+    coarse, fine = (paper.odin_cascade(attempts=n, starts=s) for n, s in ((4_000, 32), (12_000, 64)))
     for a, b in zip(coarse.constants, fine.constants, strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-2)
     assert fine.verdict == "holds"

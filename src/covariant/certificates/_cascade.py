@@ -18,10 +18,10 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from covariant.certificates._contraction import contraction_matrix
-from covariant.certificates._falsify import slowest
+from covariant.certificates._falsify import Pencil, pencil, slowest
 from covariant.certificates._prove import Box, check_box, prove
 from covariant.certificates._region import Subject
-from covariant.lowering import Lowered, lower
+from covariant.lowering import lower
 
 Coupling = Callable[[Array], tuple[Array, Array]]
 """`z -> (∂b/∂x̃ (n, k), ∂b/∂e (n, n))` over boxed variables z."""
@@ -154,9 +154,9 @@ def cascade(
     forms = _forms(controller, observer, coupling)
     ones = tuple(np.ones(size) for size in _sizes(coupling))
     constants, worst = _constants(forms, ones, 1.0, search)
-    elsewhere = {}
+    elsewhere, few = {}, search._replace(attempts=min(attempts, 2000), starts=min(starts, 16), proved=False)
     for name, scales, mass in _scales(*units) if units is not None else ():
-        elsewhere[name] = _constants(forms, scales, mass, search._replace(proved=False))[0].printed
+        elsewhere[name] = _constants(forms, scales, mass, few)[0].printed
     return CascadeCertificate(
         "holds" if constants.weighted else "fails",
         constants.printed,
@@ -180,12 +180,12 @@ class _Form(NamedTuple):
     """A symmetric matrix (n, n) of z whose smallest eigenvalue is wanted, in the units of the problem.
 
     `matrix` takes (z, squares of the scales of e, of x̃); `into` says whose scales its vectors have. `graph` holds the
-    squares of those scales and the negative matrix, for `slowest`.
+    squares of those scales and the negative matrix, both as functions of z and all scales.
     """
 
     matrix: Callable[[Array, Array, Array], Array]
     into: Literal["e", "x"]
-    graph: Lowered
+    graph: Pencil
     box: Box
 
 
@@ -219,7 +219,8 @@ def _forms(controller, observer, coupling) -> dict[str, _Form]:
             found = matrix(z, e, x)
             return jnp.concatenate([jnp.diag(e if into == "e" else x).ravel(), -((found + found.T) / 2).ravel()])
 
-        return _Form(matrix, into, lower(both, jnp.concatenate([jnp.asarray(box.low), *map(jnp.ones, sizes)])), box)
+        graph = lower(both, jnp.concatenate([jnp.asarray(box.low), *map(jnp.ones, sizes)]))
+        return _Form(matrix, into, pencil(graph, _scaled(box, np.ones(sum(sizes)))), box)
 
     return {
         "small": made(metric, "e", plant_box),
@@ -252,14 +253,7 @@ def _constants(forms: dict[str, _Form], scales, mass: float, search: _Search) ->
 def _least(form: _Form, scales, search: _Search) -> tuple[float, np.ndarray]:
     """The smallest eigenvalue over the box, and where; where proved, a lower bound of it."""
     squares = [scale**2 for scale in scales]
-    fixed = np.concatenate(squares)
-    names, box = tuple(f"_{i}" for i in range(len(fixed))), form.box
-    whole = Box(
-        (*box.names, *names),
-        (*box.units, *("",) * len(fixed)),
-        np.concatenate([box.low, fixed]),
-        np.concatenate([box.high, fixed]),
-    )
+    box, whole = form.box, _scaled(form.box, np.concatenate(squares))
     value, where = slowest(form.graph, whole, search.attempts, search.starts, search.seed)
     if search.proved:
         bound = value - 0.02 * abs(value) - 1e-9
@@ -271,6 +265,13 @@ def _least(form: _Form, scales, search: _Search) -> tuple[float, np.ndarray]:
 
         value = bound if prove(above, box, seconds=search.seconds).verdict == "holds" else -math.inf
     return value, where[: len(box.low)]
+
+
+def _scaled(box: Box, squares: np.ndarray) -> Box:
+    """The box with the squares of the scales as variables that are held fixed."""
+    names = tuple(f"scale_{i}" for i in range(len(squares)))
+    low, high = (np.concatenate([bound, squares]) for bound in (box.low, box.high))
+    return Box((*box.names, *names), (*box.units, *("",) * len(squares)), low, high)
 
 
 def _change(subject: Subject, z: Array) -> Array:

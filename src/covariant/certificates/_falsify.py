@@ -36,7 +36,7 @@ def falsify(
     check_box(domain)
     z = jnp.asarray(domain.low)
     value = lower(lambda z: jnp.concatenate([m.ravel() for m in _matrices(subject, z)]), z)
-    least, point = slowest(value, domain, attempts, starts, seed)
+    least, point = slowest(pencil(value, domain), domain, attempts, starts, seed)
     return Certificate(
         f"squared lengths shrink at no less than {rate:.4g} 1/s; the margin is the least rate found [1/s]",
         "holds" if least >= rate else "fails",
@@ -76,8 +76,22 @@ def _two(entries: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return both[..., 0, :, :], both[..., 1, :, :]
 
 
-def slowest(value: Lowered, domain: Box, attempts: int, starts: int, seed: int) -> tuple[float, Float[np.ndarray, "d"]]:
-    """The least of −λmax(N⁻¹K) over a box, and where, for the entries of N and K (2 k²,) as a graph."""
+class Pencil(NamedTuple):
+    """Entries of N and of K (2 k²,) as a graph, and with their derivatives in the `free` variables."""
+
+    value: Lowered
+    slopes: Lowered
+    free: list[int]
+
+
+def pencil(value: Lowered, domain: Box) -> Pencil:
+    """The graph of N and K (2 k²,), to be searched over boxes with the same free variables as the domain."""
+    free = np.flatnonzero(domain.high > domain.low).tolist()
+    return Pencil(value, expand(value, free, 1), free)
+
+
+def slowest(form: Pencil, domain: Box, attempts: int, starts: int, seed: int) -> tuple[float, Float[np.ndarray, "d"]]:
+    """The least of −λmax(N⁻¹K) over a box, and where."""
     rng, d = np.random.default_rng(seed), len(domain.low)
     width = domain.high - domain.low
     least, kept = np.zeros(0), np.zeros((0, d))
@@ -87,16 +101,15 @@ def slowest(value: Lowered, domain: Box, attempts: int, starts: int, seed: int) 
         face = rng.integers(d, size=count)
         share[np.arange(count)[::2], face[::2]] = rng.integers(2, size=len(face[::2]))
         points = np.clip(domain.low + share * width, domain.low, domain.high)
-        least = np.concatenate([least, _rates(numbers(value, points)).rate])
+        least = np.concatenate([least, _rates(numbers(form.value, points)).rate])
         kept = np.concatenate([kept, points])
         order = np.argsort(least)[: max(starts, 1)]
         least, kept = least[order], kept[order]
     if starts:
-        free = np.flatnonzero(width > 0).tolist()
-        first = expand(value, free, 1)
+        free = form.free
         z = kept.copy()
         for step in range(STEPS):
-            entries, slopes = numbers(first, z)
+            entries, slopes = numbers(form.slopes, z)
             now = _rates(entries)
             better = now.rate < least
             least, kept[better] = np.where(better, now.rate, least), z[better]
