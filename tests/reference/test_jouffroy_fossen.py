@@ -65,6 +65,18 @@ def test_closed_loop_of_odin_converges_faster_than_certified():
     assert paper.tail_rate(loop.t, loop.tracking) >= paper.RATE / 2
 
 
+def test_a_pitch_of_ninety_degrees_is_no_event_on_the_group():
+    turning = paper.somersault()
+    steep = np.abs(turning["pitch"]) > np.deg2rad(80.0)
+    assert np.rad2deg(np.abs(turning["pitch"]).max()) > 89.0
+    assert (np.diff(steep.astype(int)) == 1).sum() >= 3
+    before, after = turning["error"][:-40], turning["error"][40:]
+    assert (after < before)[before > 1e-6].all()  # smaller than two seconds before, through the vertical too
+    assert turning["error"][-1] < 1e-8
+    rate = paper.tail_rate(turning["t"], turning["error"], 1e-6)
+    np.testing.assert_allclose(rate, 4.0, atol=1.0)  # the double pole at −4 of s² + 8s + 16
+
+
 def test_theorem_3_on_odin_is_stable_under_refinement_and_depends_on_units_as_printed():
     coarse, fine = (paper.odin_cascade(attempts=n, starts=s) for n, s in ((4_000, 32), (12_000, 64)))
     for a, b in zip(coarse.constants, fine.constants, strict=True):

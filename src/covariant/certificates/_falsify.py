@@ -100,6 +100,8 @@ def slowest(form: Pencil, domain: Box, attempts: int, starts: int, seed: int) ->
         share = rng.uniform(size=(count, d))
         face = rng.integers(d, size=count)
         share[np.arange(count)[::2], face[::2]] = rng.integers(2, size=len(face[::2]))
+        if not begin:
+            share[0] = 0.5  # the middle, where what vanishes at rest does
         points = np.clip(domain.low + share * width, domain.low, domain.high)
         least = np.concatenate([least, _rates(numbers(form.value, points)).rate])
         kept = np.concatenate([kept, points])
