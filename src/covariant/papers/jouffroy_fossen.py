@@ -316,8 +316,8 @@ def _somersault(t: Array):
 def somersault(duration: float = 16.0) -> dict[str, np.ndarray]:
     """ODIN on SE(3), turned over its own nose by a constant torque, and the observer of its group beside it.
 
-    Stamps `t` [s], `pitch` (T,) [rad], and the norm of the observer's `error` (T,). Its law is s² + 8s + 16; gains of a
-    quarter of that are too low for this speed, and leave a persistent error.
+    Stamps `t` [s], `pitch` (T,) [rad], and the norm of the observer's `error` (T,). Its law is s² + 8s + 16
+    beside the drag; with s² + 2s + 1 the gains are too low for this speed, and an error remains.
     """
     t = np.linspace(0.0, duration, round(20 * duration) + 1)
     pitch, error = _somersault(jnp.asarray(t))
