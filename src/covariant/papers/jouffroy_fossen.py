@@ -555,10 +555,11 @@ def tail_rate(t: np.ndarray, error: np.ndarray, floor: float = 1e-7) -> float:
 
 def draw(path: Path) -> tuple[Path, Path]:
     """ODIN under output feedback with either K2, and (`_sea`) three estimators of a ship's velocity."""
-    return _draw_odin(path), _draw_sea(path.with_stem(f"{path.stem}_sea"))
+    return draw_odin(path), draw_sea(path.with_stem(f"{path.stem}_sea"))
 
 
-def _draw_odin(path: Path) -> Path:
+def draw_odin(path: Path) -> Path:
+    """Errors of the observer and of the tracking of ODIN, with K2 as repaired and as printed."""
     from covariant.report import new_figure, save_figure
 
     titles = ("Observer error |x̃| of ODIN", "Tracking error |(η̃, s)|")
@@ -576,7 +577,8 @@ def _draw_odin(path: Path) -> Path:
     return save_figure(figure, path)
 
 
-def _draw_sea(path: Path) -> Path:
+def draw_sea(path: Path) -> Path:
+    """The log at sea, and what three estimators make of its velocity."""
     from covariant.report import new_figure, save_figure
 
     log = sea()
