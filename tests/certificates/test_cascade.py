@@ -240,7 +240,7 @@ def test_printed_verdict_depends_on_units_and_the_weighted_one_does_not():
 def test_coupling_to_the_error_itself_limits_both_conditions():
     assert built(more=0.02).verdict == "holds"
     too_much = built(more=2.0)
-    assert too_much.verdict == "fails"
+    assert too_much.verdict == "undecided"
     assert not too_much.printed
     assert math.isinf(too_much.kappa)
 
@@ -263,6 +263,15 @@ def test_proved_constants_are_on_the_safe_side():
     assert b.lambda_q <= a.lambda_q <= b.lambda_q / 0.97
     assert a.gamma1 <= b.gamma1 <= 1.02 * a.gamma1
     assert a.c4 <= b.c4 <= 1.03 * a.c4
+
+
+def test_a_constant_that_is_not_proved_in_time_decides_nothing():
+    assert Constants(1.0, 1.0, 1.0, 1.0, 1.0, 0.5, 0.0).weighted
+    for name, value in (("gamma1", math.inf), ("c4", math.inf), ("c3", -math.inf), ("lambda_q", -math.inf)):
+        broken = Constants(1.0, 1.0, 1.0, 1.0, 1.0, 0.5, 0.0)._replace(**{name: value})
+        assert not broken.weighted
+        assert not broken.printed
+        assert math.isinf(broken.kappa)
 
 
 def test_constants_hold_at_random_points():

@@ -60,7 +60,8 @@ class Constants(NamedTuple):
     @property
     def weighted(self) -> bool:
         """The condition that remains with `V_con + κV_obs`."""
-        return bool(self.lambda_q > 0 and self.c3 > 0 and self.gamma2 < self.c3 / self.c4)
+        decay = self.lambda_q > 0 and self.c3 > 0 and self.gamma2 < self.c3 / self.c4
+        return bool(decay and math.isfinite(self.gamma1))
 
     @property
     def kappa(self) -> float:
@@ -85,13 +86,14 @@ class Growth(NamedTuple):
 class CascadeCertificate(NamedTuple):
     """Whether the cascade is exponentially stable over a set, by either condition.
 
-    - `verdict`: "holds" where the weighted condition does, else "fails"; `printed`: that of (72).
+    - `verdict`: "holds" where the weighted condition does, "fails" where the observer's error can grow, else
+      "undecided": the conditions are sufficient. `printed`: whether (72) holds.
     - `units`: what (72) says in other units, by name; `depends_on_units` where these differ.
     - `constants`, with their `evidence`; `kappa`: a weight that makes `V_con + κV_obs` decrease.
     - `growth`: where the observer's error can grow, how.
     """
 
-    verdict: Literal["holds", "fails"]
+    verdict: Literal["holds", "fails", "undecided"]
     printed: bool
     constants: Constants
     units: dict[str, bool]
@@ -143,7 +145,7 @@ def cascade(
     - `units`: of the entries of e and of x̃, such as "m" or "rad/s"; with them (72) is tried in other units as well, one
       changed at a time. V_con is taken as an energy, which has a unit of mass; V_obs as it is, without.
     - `proved`: prove every constant instead of sampling it, giving away 2 %; one that cannot be proved within `seconds`
-      makes the verdict "fails".
+      leaves the verdict "undecided".
 
     All constants come from Jacobians, so they hold for finite errors within the boxes, by the mean-value theorem.
     Sampled ones come from `attempts` random points and a descent from the `starts` worst.
@@ -157,13 +159,14 @@ def cascade(
     elsewhere, few = {}, search._replace(attempts=min(attempts, 2000), starts=min(starts, 16), proved=False)
     for name, scales, mass in _scales(*units) if units is not None else ():
         elsewhere[name] = _constants(forms, scales, mass, few)[0].printed
+    growth = None if constants.lambda_q > 0 else _growth(*observer, worst)
     return CascadeCertificate(
-        "holds" if constants.weighted else "fails",
+        "holds" if constants.weighted else "undecided" if growth is None else "fails",
         constants.printed,
         constants,
         elsewhere,
         "proved" if proved else "sampled",
-        None if constants.lambda_q > 0 else _growth(*observer, worst),
+        growth,
         "; ".join(str(_free(box)) for box in (controller[1], observer[1], coupling[1])),
     )
 
