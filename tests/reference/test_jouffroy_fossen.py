@@ -63,9 +63,7 @@ def test_repaired_observer_of_odin_is_proved_to_contract(reproduced):
     free = paper.wide(paper.odin_box())
     assert {"z_roll", "z_pitch", "zdot_yaw", "surge", "yaw_rate"} <= set(free.names)
     assert np.rad2deg(free.high[free.names.index("z_pitch")]) > 40.0
-    sampled = found["sampled"]["repaired"]
-    assert sampled >= found["certified"]["rate"]
-    assert "fails" in {proof.verdict for proof in paper.odin_certificate(1.1 * sampled)}
+    assert found["sampled"]["repaired"] >= found["certified"]["rate"]
 
 
 def test_closed_loop_of_odin_converges_faster_than_certified(reproduced):

@@ -99,7 +99,8 @@ def metric_at(
     outcomes = (  # the first that is true holds
         (outside, Result.OUT_OF_DOMAIN),
         (~finite, Result.NOT_FINITE),
-        (doubt < wanted, Result.OK),
+        # A doubt about an information that is singular to rounding is rounding itself, and may have any sign.
+        ((doubt < wanted) & (index > none), Result.OK),
         (inside(window.x) < ON_BORDER if domain is not None else outside, Result.LEFT_DOMAIN),
         (gone(window.x), Result.ESCAPED),
         (~(index > none), Result.NOT_RECONSTRUCTIBLE),
