@@ -24,6 +24,7 @@ from covariant.certificates import (
     prove_at_corners,
     virtual,
 )
+from covariant.certificates._cascade import _constants, _forms, _Search
 from covariant.certificates._region import Point
 from covariant.design import contracting_gain
 from covariant.observers import Contracting
@@ -235,6 +236,27 @@ def test_printed_verdict_depends_on_units_and_the_weighted_one_does_not():
     for gain in (0.01, 100.0):
         assert built(gain=gain).verdict == "holds"
     assert not built(gain=100.0).printed
+
+
+def test_constants_in_other_units_are_those_of_the_problem_written_in_them():
+    a, p, b = np.array([[-1.0, 2.0], [-2.0, -3.0]]), np.diag([4.0, 1.0]), np.array([[0.1, 0.0], [1.0, 0.5]])
+    f, m, own = np.array([[-2.0, 0.3], [0.0, -1.0]]), np.array([[2.0, 0.1], [0.1, 1.0]]), np.full((2, 2), 0.01)
+
+    def problem(of_e, of_x):
+        e, x = np.diag(of_e), np.diag(of_x)
+        back, there = np.diag(1 / of_e), np.diag(1 / of_x)
+        plant = linear(e @ a @ back, back @ p @ back, ("d",))
+        error = linear(x @ f @ there, there @ m @ there, ("d",))
+        coupling = (lambda z: (jnp.asarray(e @ b @ there) * z[0], jnp.asarray(e @ own @ back)), box(k=(0.5, 2.0)))
+        return (plant, box(d=(0.0, 1.0))), (error, box(d=(0.0, 1.0))), coupling
+
+    scales = np.array([1e3, 1.0]), np.array([1.0, 57.0])
+    search = _Search(2000, 16, 0, False, 1.0)
+    ones = np.ones(2), np.ones(2)
+    inside, _ = _constants(_forms(*problem(*ones)), scales, 1e-3, search)
+    outside, _ = _constants(_forms(*problem(*scales)), ones, 1.0, search)
+    mass = np.array([1e-3, 1e-3, 1e-3, 1e-3, 1.0, 1.0, 1.0])  # V_con is an energy
+    np.testing.assert_allclose(inside, mass * np.array(outside), rtol=1e-6)
 
 
 def test_coupling_to_the_error_itself_limits_both_conditions():
