@@ -253,10 +253,10 @@ def test_constants_in_other_units_are_those_of_the_problem_written_in_them():
     scales = np.array([1e3, 1.0]), np.array([1.0, 57.0])
     search = _Search(2000, 16, 0, False, 1.0)
     ones = np.ones(2), np.ones(2)
-    inside, _ = _constants(_forms(*problem(*ones)), scales, 1e-3, search)
-    outside, _ = _constants(_forms(*problem(*scales)), ones, 1.0, search)
+    inside, _ = _constants(_forms(*problem(*ones)), scales, search)
+    outside, _ = _constants(_forms(*problem(*scales)), ones, search)
     mass = np.array([1e-3, 1e-3, 1e-3, 1e-3, 1.0, 1.0, 1.0])  # V_con is an energy
-    np.testing.assert_allclose(inside, mass * np.array(outside), rtol=1e-6)
+    np.testing.assert_allclose(inside.with_mass(1e-3), mass * np.array(outside), rtol=1e-6)
 
 
 def test_coupling_to_the_error_itself_limits_both_conditions():

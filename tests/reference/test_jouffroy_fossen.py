@@ -60,7 +60,7 @@ def test_without_a_cross_term_the_metric_is_only_semidefinite(reproduced):
 def test_repaired_observer_of_odin_is_proved_to_contract(reproduced):
     found = reproduced["odin"]
     assert found["certified"]["verdict"] == "holds"
-    free = paper.wide(paper.odin_box())
+    free = paper.odin_box().free
     assert {"z_roll", "z_pitch", "zdot_yaw", "surge", "yaw_rate"} <= set(free.names)
     assert np.rad2deg(free.high[free.names.index("z_pitch")]) > 40.0
     assert found["sampled"]["repaired"] >= found["certified"]["rate"]

@@ -47,6 +47,11 @@ class Constants(NamedTuple):
     gamma1: float
     gamma2: float
 
+    def with_mass(self, factor: float) -> "Constants":
+        """The same where V_con, an energy, is `factor` times as large in number."""
+        energies = {name: factor * getattr(self, name) for name in ("c1", "c2", "c3", "c4")}
+        return self._replace(**energies)
+
     @property
     def bound(self) -> float:
         """What γ1² must be below as printed, `4(c3 − c4γ2)λ_q/c4²`."""
@@ -155,10 +160,11 @@ def cascade(
     search = _Search(attempts, starts, seed, proved, seconds)
     forms = _forms(controller, observer, coupling)
     ones = tuple(np.ones(size) for size in _sizes(coupling))
-    constants, worst = _constants(forms, ones, 1.0, search)
+    constants, worst = _constants(forms, ones, search)
     elsewhere, few = {}, search._replace(attempts=min(attempts, 2000), starts=min(starts, 16), proved=False)
     for name, scales, mass in _scales(*units) if units is not None else ():
-        elsewhere[name] = _constants(forms, scales, mass, few)[0].printed
+        there = constants if mass != 1 else _constants(forms, scales, few)[0]
+        elsewhere[name] = there.with_mass(mass).printed
     growth = None if constants.lambda_q > 0 else _growth(*observer, worst)
     return CascadeCertificate(
         "holds" if constants.weighted else "undecided" if growth is None else "fails",
@@ -167,7 +173,7 @@ def cascade(
         elsewhere,
         "proved" if proved else "sampled",
         growth,
-        "; ".join(str(_free(box)) for box in (controller[1], observer[1], coupling[1])),
+        "; ".join(str(box.free) for box in (controller[1], observer[1], coupling[1])),
     )
 
 
@@ -235,16 +241,16 @@ def _forms(controller, observer, coupling) -> dict[str, _Form]:
     }
 
 
-def _constants(forms: dict[str, _Form], scales, mass: float, search: _Search) -> tuple[Constants, np.ndarray]:
-    """The constants where e and x̃ are multiplied by `scales` and V_con by `mass`; and where λ_q is attained."""
+def _constants(forms: dict[str, _Form], scales, search: _Search) -> tuple[Constants, np.ndarray]:
+    """The constants where e and x̃ are multiplied by `scales`; and where λ_q is attained."""
     found = {name: _least(form, scales, search) for name, form in forms.items()}
     small, large, c3, lambda_q, gamma1, gamma2 = (value for value, _ in found.values())
     return (
         Constants(
-            mass * small / 2,
-            -mass * large / 2,
-            mass * c3,
-            -mass * large,
+            small / 2,
+            -large / 2,
+            c3,
+            -large,
             lambda_q,
             math.sqrt(max(-gamma1, 0.0)),
             math.sqrt(max(-gamma2, 0.0)),
@@ -297,12 +303,6 @@ def _factor(written: str, unit: str, factor: float) -> float:
     """By how much a quantity in "a" or "a/b" grows in number where a unit becomes `factor` smaller ones."""
     over, _, under = written.partition("/")
     return (factor if over == unit else 1.0) / (factor if under == unit else 1.0)
-
-
-def _free(box: Box) -> Box:
-    """The variables that are not held fixed."""
-    free = np.flatnonzero(box.high > box.low)
-    return Box(tuple(box.names[i] for i in free), tuple(box.units[i] for i in free), box.low[free], box.high[free])
 
 
 def _growth(subject: Subject, domain: Box, where: np.ndarray) -> Growth | None:

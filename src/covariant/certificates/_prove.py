@@ -51,6 +51,13 @@ class Box(NamedTuple):
     low: Float[np.ndarray, "d"]
     high: Float[np.ndarray, "d"]
 
+    @property
+    def free(self) -> "Box":
+        """The variables that are not held fixed."""
+        kept = np.flatnonzero(self.high > self.low)
+        names, units = (tuple(words[i] for i in kept) for words in (self.names, self.units))
+        return Box(names, units, self.low[kept], self.high[kept])
+
     def __str__(self) -> str:
         parts = zip(self.names, self.units, self.low, self.high, strict=True)
         return ", ".join(f"{low:.4g} ≤ {name} ≤ {high:.4g} {unit}".rstrip() for name, unit, low, high in parts)

@@ -4,29 +4,24 @@ Such a system takes and gives plain vectors, so states that are trees, as those 
 component after the other.
 """
 
-from collections.abc import Callable
 from typing import Any
 
 import jax
 import jax.flatten_util
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
 
 from covariant._guests import load_guest
 from covariant.models import StateSpace
 from covariant.observers import AbstractFlowObserver
-
-Controller = Callable[[Array, Array, Any], Array]
-"""`(t, y, estimate) -> u (m,)`."""
+from covariant.simulation._simulate import Controller
 
 
 def plant(model: StateSpace, name: str = "plant") -> Any:
     """The model as a `control.NonlinearIOSystem` from u to y. Raises `ImportError` without python-control."""
-    f, h = jax.jit(model.f), jax.jit(model.h)
     return _system(
-        lambda t, x, u: f(t, x, u),
-        lambda t, x, u: h(t, x, u),
+        jax.jit(model.f),
+        jax.jit(model.h),
         inputs=_inputs(model.inputs),
         outputs=list(model.outputs),
         states=list(model.coordinates),

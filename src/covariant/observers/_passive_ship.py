@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from covariant._linalg import solve
+from covariant._linalg import solve, whiten
 from covariant._typing import Matrix, Number, Numbers, Scalar, Vector
 from covariant.models.marine import Station, yaw_rotation
 from covariant.models.marine._craft import spd
@@ -103,17 +103,22 @@ class PassiveShip(AbstractFlowObserver):
 
 def position_matrix(station: Station, heading: Scalar) -> Matrix:
     """`A1(ψ) = −M⁻¹ Rᵀ(ψ) K` (3, 3): how the estimated position accelerates the ship, (40)–(41)."""
-    return _jacobian(station, heading)[3:6, :3]
+    return _pull(station, heading, "eta")
 
 
 def velocity_matrix(station: Station) -> Matrix:
     """`A2 = −M⁻¹ D` (3, 3) at rest, (40)–(41)."""
-    return _jacobian(station, jnp.zeros(()))[3:6, 3:6]
+    return _pull(station, jnp.zeros(()), "nu")
 
 
-def _jacobian(station: Station, heading: Scalar) -> Matrix:
-    zero = jnp.zeros(station.order, heading.dtype)
-    return jax.jacfwd(lambda x: station.derivative(heading, x, jnp.zeros(3, heading.dtype)))(zero)
+def _pull(station: Station, heading: Scalar, part: str) -> Matrix:
+    """How a part of the state (3,) accelerates the ship, (3, 3), at rest at the origin."""
+    rest, none, parts = jnp.zeros(station.order, heading.dtype), jnp.zeros(3, heading.dtype), station.parts
+
+    def acceleration(moved):
+        return station.derivative(heading, rest.at[parts[part]].set(moved), none)[parts["nu"]]
+
+    return jax.jacfwd(acceleration)(none)
 
 
 def lyapunov_gains(station: Station, stiffness: Numbers, q1: Numbers, q2: Numbers | None = None) -> PassiveGains:
@@ -147,7 +152,8 @@ def lyapunov_rate(station: Station, gains: PassiveGains) -> float:
 
     (47) takes `λmin(Q) / λmax(P)`, which is never more and depends on units; see `printed_rate`.
     """
-    return float(min(_eigenvalues(p, q)[0] for p, q in _forms(station, gains)))
+    forms = _forms(station, gains)
+    return float(min(np.linalg.eigvalsh(whiten(jnp.asarray(p), jnp.asarray(q)))[0] for p, q in forms))
 
 
 def printed_rate(station: Station, gains: PassiveGains) -> float:
@@ -161,12 +167,6 @@ def _forms(station: Station, gains: PassiveGains) -> tuple[tuple[np.ndarray, np.
     a2 = np.asarray(velocity_matrix(station))
     p1, p2, k1 = (np.asarray(a) for a in (gains.stiffness, gains.inertia, gains.position))
     return (p1, (p1 @ k1 + k1.T @ p1) / 2), (p2, -(p2 @ a2 + a2.T @ p2) / 2)
-
-
-def _eigenvalues(p: np.ndarray, q: np.ndarray) -> np.ndarray:
-    """Generalised eigenvalues of (Q, P), in order."""
-    half = np.linalg.inv(np.linalg.cholesky(p))
-    return np.linalg.eigvalsh(half @ q @ half.T)
 
 
 def notch_gains(

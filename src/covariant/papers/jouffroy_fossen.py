@@ -180,12 +180,11 @@ def odin_observer(k2: Float[np.ndarray, "6 6"] = K2) -> Contracting:
 
 
 class Loop(NamedTuple):
-    """Stamps (T,) [s], norms (T,) of the tracking error (η̃, s) and of the observer's error, and pitch (T,) [rad]."""
+    """Stamps (T,) [s], and norms (T,) of the tracking error (η̃, s) and of the observer's error."""
 
     t: np.ndarray
     tracking: np.ndarray
     observer: np.ndarray
-    pitch: np.ndarray
 
 
 @eqx.filter_jit
@@ -199,15 +198,15 @@ def _odin_loop(controller: Backstepping, observer: Contracting, t: Array):
     eta = x[:, :6]
     e = jax.vmap(controller.error)(t, eta)
     s = x[:, 6:] - jax.vmap(controller.virtual_velocity)(t, eta)
-    return jnp.concatenate([e, s], axis=1), x - state.x, x[:, 4]
+    return jnp.concatenate([e, s], axis=1), x - state.x
 
 
 def odin_loop(k2: Float[np.ndarray, "6 6"] = K2, duration: float = 60.0) -> Loop:
     """The true plant, J' included, under (94) and (101)–(102), from errors of a metre and some degrees."""
     t = jnp.linspace(0.0, duration, round(10 * duration) + 1)
-    e, error, pitch = _odin_loop(odin_controller(), odin_observer(k2), t)
+    e, error = _odin_loop(odin_controller(), odin_observer(k2), t)
     tracking, observer = (np.linalg.norm(np.asarray(a), axis=1) for a in (e, error))
-    return Loop(np.asarray(t), tracking, observer, np.asarray(pitch))
+    return Loop(np.asarray(t), tracking, observer)
 
 
 def odin_box(pitch: float = 0.7, roll: float = 0.7, rate: float = 0.2, speed: float = 0.5, spin: float = 0.3) -> Box:
@@ -277,15 +276,14 @@ def odin_cascade(
     plant = tracking(controller)
     high = [0.0, 0.0, 0.0, pitch, pitch, 0.0] + [0.0] * 6 + [0.5] * 3 + [0.3] * 3
     plant_box = Box(plant.names, plant.units, -np.array(high), np.array(high))
-    heavy = crossed_metric(marine.odin(), K2, CROSS)
-    mass = float(marine.odin().mass[0, 0])
+    craft = controller.craft
+    heavy = crossed_metric(craft, K2, CROSS)
+    mass = float(craft.mass[0, 0])
     subject = virtual(odin_observer(), lambda z, x: heavy(z, x) / mass)  # V_obs per unit of mass
     tilts: dict[str, tuple[float, float]] = dict.fromkeys(("coupling_roll", "coupling_pitch"), (-pitch, pitch))
-    names = [f"coupling_{c}" for c in ("north", "east", "down", "roll", "pitch", "yaw")]
-    asked = [f"asked_{c}" for c in ("north", "east", "down", "roll", "pitch", "yaw")]
-    coupling_box = box(**{name: tilts.get(name, (0.0, 0.0)) for name in (*names, *asked)})
-    units = ("m", "m", "m", "rad", "rad", "rad"), ("m/s", "m/s", "m/s", "rad/s", "rad/s", "rad/s")
-    both = (*units[0], *units[1])
+    names = [f"{kind}_{name}" for kind in ("coupling", "asked") for name in craft.coordinates]
+    coupling_box = box(**{name: tilts.get(name, (0.0, 0.0)) for name in names})
+    both = state_space(craft).units
     return cascade(
         (plant, plant_box),
         (subject, odin_box(pitch=pitch, roll=pitch)),
@@ -331,10 +329,12 @@ class Sea(NamedTuple):
     """A log of dynamic positioning: north, east and heading with noise, gaps and wave motion, and the truth.
 
     `record` has the commanded force (T, 3), the measurement (T, 3) with NaN where there is none, and the true state.
+    `observers`: the estimators compared on it, by their key in the results.
     """
 
     record: Record
     station: marine.Station
+    observers: dict[str, AbstractObserver]
 
 
 STEP, DURATION, GAPS = 0.1, 1200.0, ((400.0, 460.0), (800.0, 830.0))
@@ -378,7 +378,12 @@ def sea(seed: int = 0) -> Sea:
     for begin, end in GAPS:
         silent |= (t >= begin) & (t < end)
     y[silent, :2] = np.nan
-    return Sea(Record(t, np.asarray(tau), y, x), station)
+    observers = {
+        "passive observer": passive_observer(station),
+        "extended Kalman filter": sea_filter(station, y[0]),
+        "filtered derivative": FilteredDerivative(0.1, (2,)),
+    }
+    return Sea(Record(t, np.asarray(tau), y, x), station, observers)
 
 
 def passive_observer(station: marine.Station) -> PassiveShip:
@@ -409,20 +414,11 @@ def sea_filter(station: marine.Station, y0: np.ndarray) -> InformationEKF:
     )
 
 
-def sea_observers(log: Sea) -> dict[str, AbstractObserver]:
-    """The estimators compared on the log, by their key in the results."""
-    return {
-        "passive observer": passive_observer(log.station),
-        "extended Kalman filter": sea_filter(log.station, np.asarray(log.record.y[0])),
-        "filtered derivative": FilteredDerivative(0.1, (2,)),
-    }
-
-
 def sea_errors(log: Sea) -> dict[str, Float[np.ndarray, "T 3"]]:
     """Errors of surge, sway [m/s] and yaw rate [rad/s] by three estimators; row k has used measurements up to row k."""
     record = log.record
     truth = np.asarray(record.x)[:, 3:6]
-    passive, kalman, filtered = (np.asarray(run(o, record).estimate) for o in sea_observers(log).values())
+    passive, kalman, filtered = (np.asarray(run(o, record).estimate) for o in log.observers.values())
     derived = filtered[:, 3:]
     heading = np.asarray(record.x)[:, 2]
     turned = np.stack(
@@ -434,13 +430,13 @@ def sea_errors(log: Sea) -> dict[str, Float[np.ndarray, "T 3"]]:
         axis=1,
     )
     estimates = (passive[:, 3:6], kalman[:, 3:6], turned)
-    return {name: estimate - truth for name, estimate in zip(sea_observers(log), estimates, strict=True)}
+    return {name: estimate - truth for name, estimate in zip(log.observers, estimates, strict=True)}
 
 
 def sea_cost(log: Sea) -> dict[str, float]:
     """Time of a sample [µs], of the compiled loop on this machine."""
     found = {}
-    for name, observer in sea_observers(log).items():
+    for name, observer in log.observers.items():
         jax.block_until_ready(run(observer, log.record).estimate)
         began = time.perf_counter()
         jax.block_until_ready(run(observer, log.record).estimate)
@@ -503,7 +499,7 @@ def reproduce(progress: Callable[[str], None] = lambda stage: None) -> dict[str,
             "rate": RATE,
             "verdict": "holds" if all(proof.verdict == "holds" for proof in proofs) else "undecided",
             "boxes": sum(proof.boxes for proof in proofs),
-            "domain": str(wide(odin_box())),
+            "domain": str(odin_box().free),
         },
         "loop": {"tracking": tail_rate(fitted.t, fitted.tracking), "observer": tail_rate(fitted.t, fitted.observer)},
     }
@@ -536,14 +532,6 @@ def reproduce(progress: Callable[[str], None] = lambda stage: None) -> dict[str,
 
 RATE = 0.8
 """Certified rate of ODIN's observer [1/s], of squared lengths."""
-
-
-def wide(domain: Box) -> Box:
-    """The variables that are not held fixed."""
-    free = np.flatnonzero(domain.high > domain.low)
-    return Box(
-        tuple(domain.names[i] for i in free), tuple(domain.units[i] for i in free), domain.low[free], domain.high[free]
-    )
 
 
 def tail_rate(t: np.ndarray, error: np.ndarray, floor: float = 1e-7) -> float:

@@ -19,15 +19,18 @@ _BODY = "Choi, Yuh & Takashige 1995: a sphere of 0.31 m radius, neutrally buoyan
 _SPHERE = "potential flow about a sphere: half the displaced mass, no added inertia"
 _DRAG = "as tabulated after Choi, Yuh & Takashige 1995; not checked in print"
 _CHOSEN = "chosen: the paper gives none"
+_MASS, _INERTIA, _ADDED = 125.0, (8.0, 8.0, 8.0), (62.5, 62.5, 62.5, 0.0, 0.0, 0.0)
+_NO_DRAG, _SQUARE = (0.0,) * 6, (48.0, 48.0, 48.0, 80.0, 80.0, 80.0)
+_STABILITY = 0.05
 
 
 def odin(
-    mass: float = 125.0,
-    inertia: Sequence[float] = (8.0, 8.0, 8.0),
-    added_mass: Sequence[float] = (62.5, 62.5, 62.5, 0.0, 0.0, 0.0),
-    drag: Sequence[float] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
-    quadratic_drag: Sequence[float] = (48.0, 48.0, 48.0, 80.0, 80.0, 80.0),
-    stability: float = 0.05,
+    mass: float = _MASS,
+    inertia: Sequence[float] = _INERTIA,
+    added_mass: Sequence[float] = _ADDED,
+    drag: Sequence[float] = _NO_DRAG,
+    quadratic_drag: Sequence[float] = _SQUARE,
+    stability: float = _STABILITY,
     gravity: float = 9.81,
     coriolis: bool = False,
 ) -> Craft:
@@ -38,7 +41,7 @@ def odin(
     `z_g − z_b` [m]. The weight is that of the displaced water. `coriolis` adds C(ν)ν, which the paper leaves out. At a
     pitch of ±90° the angles are singular; `odin_on_group` is not.
     """
-    m = np.diag(np.asarray([mass] * 3 + list(inertia), float) + np.asarray(added_mass, float))
+    m = _inertia_matrix(mass, inertia, added_mass)
     linear, square, torque = np.asarray(drag, float), np.asarray(quadratic_drag, float), stability * mass * gravity
 
     def damping(nu):
@@ -65,16 +68,16 @@ def odin(
 
 
 def odin_on_group(
-    mass: float = 125.0,
-    inertia: Sequence[float] = (8.0, 8.0, 8.0),
-    added_mass: Sequence[float] = (62.5, 62.5, 62.5, 0.0, 0.0, 0.0),
-    drag: Sequence[float] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
-    quadratic_drag: Sequence[float] = (48.0, 48.0, 48.0, 80.0, 80.0, 80.0),
-    stability: float = 0.05,
+    mass: float = _MASS,
+    inertia: Sequence[float] = _INERTIA,
+    added_mass: Sequence[float] = _ADDED,
+    drag: Sequence[float] = _NO_DRAG,
+    quadratic_drag: Sequence[float] = _SQUARE,
+    stability: float = _STABILITY,
     gravity: float = 9.81,
 ) -> GroupSystem:
     """The same on SE(3), with C(ν)ν: no attitude is special. Axes and twist are those of `odin`, z down."""
-    m = np.diag(np.asarray([mass] * 3 + list(inertia), float) + np.asarray(added_mass, float))
+    m = _inertia_matrix(mass, inertia, added_mass)
 
     def potential(g):  # z is down, so the body's own z axis hangs at the lowest energy where it points along it
         return -stability * mass * gravity * g[2, 2]
@@ -82,6 +85,11 @@ def odin_on_group(
     return submerged_body(
         m, potential, drag, quadratic_drag, _parameters(mass, inertia, added_mass, drag, quadratic_drag, stability)
     )
+
+
+def _inertia_matrix(mass: float, inertia: Sequence[float], added_mass: Sequence[float]) -> np.ndarray:
+    """M (6, 6), (82)."""
+    return np.diag(np.asarray([mass] * 3 + list(inertia), float) + np.asarray(added_mass, float))
 
 
 def _parameters(mass, inertia, added_mass, drag, quadratic_drag, stability) -> dict[str, Parameter]:
