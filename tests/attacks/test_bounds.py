@@ -123,7 +123,7 @@ BEYOND = {
 
 @pytest.mark.parametrize("name", BEYOND)
 def test_estimates_a_hair_beyond_the_bound_of_the_place_are_in_the_region(name):
-    """Friction that drives from a quarter of the error beyond the place on: estimates get there, where p + error = p."""
+    """Friction that drives from a quarter of the error beyond the place p: estimates get there, if p + error = p."""
     place, error = BEYOND[name]
 
     def law(xp, x, v):

@@ -46,6 +46,10 @@ UNDEFINED = {
 }
 
 
+UNSEEN = {"a root to the power nought", "zero times a tangent", "an inverse of what is all but positive"}
+"""Where NumPy lets it pass, or no double is where it happens."""
+
+
 def at(function, x: float) -> float:
     with np.errstate(all="ignore"):
         return float(function(np, np.array(x)))
@@ -61,7 +65,7 @@ def everywhere(function) -> np.ndarray:
 def test_what_is_not_defined_everywhere_is_never_proved(name):
     function = UNDEFINED[name]
     values = everywhere(function)
-    assert not np.isfinite(values).all()
+    assert name in UNSEEN or not np.isfinite(values).all()
     assert proved(lambda z: jnp.reshape(function(jnp, z[0]), (1, 1)), LINE) != "holds"
 
 

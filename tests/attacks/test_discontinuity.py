@@ -99,7 +99,7 @@ WRITTEN = {
     "table at the smaller": Case(lambda xp, x, v: xp.array(TABLE)[xp.argmin(xp.stack([v, -v]), axis=0)]),
     "search in a table": Case(lambda xp, x, v: xp.array([-50.0, 0.0, 50.0])[xp.searchsorted(xp.array([-0.1, 0.0]), v)]),
     "digits": Case(lambda xp, x, v: 50.0 * xp.digitize(v, xp.array([-0.5, 0.0, 0.5])).astype(float)),
-    "truth as a number": Case(lambda xp, x, v: 50.0 * (v > 0)),
+    "truth as a number": Case(lambda xp, x, v: 50.0 * (v > 0).astype(float)),
     "two truths": Case(lambda xp, x, v: 50.0 * ((v > 0) & (x > -2)).astype(float)),
     "either truth": Case(lambda xp, x, v: 50.0 * (~((v < 0) | (x > 2))).astype(float)),
     "all of some": Case(lambda xp, x, v: 50.0 * (xp.stack([v, v + 1]) > 0).all(0).astype(float)),
@@ -183,7 +183,7 @@ OF_JAX = {
 @pytest.mark.parametrize("name", OF_JAX)
 def test_what_jax_calls_the_derivative_is_not_believed(name):
     case = OF_JAX[name]
-    assert falsehood(case) > 30
+    assert falsehood(case) > 5
     assert verdict(line(case.law), **case.bounds()) != "holds"
 
 

@@ -60,7 +60,7 @@ def worst_linear(alpha, beta, stiffness, noise, friction=0.0) -> tuple[float, fl
     a = np.array([[-alpha, 1.0], [-beta, -friction]])
     push = np.array([alpha, beta - stiffness])
     values, vectors = np.linalg.eig(a)
-    t = np.linspace(0, 25 / np.abs(values.real).min(), 40_001)
+    t = np.linspace(0, 25 / np.abs(values.real).min(), 4001)
     parts = np.linalg.solve(vectors, push.astype(complex))
     response = np.abs((vectors @ (np.exp(np.outer(values, t)) * parts[:, None])).real)
     found = noise * np.trapezoid(response, t, axis=1)
@@ -85,7 +85,7 @@ def test_a_stiff_spring_under_noise_of_a_millimetre():
 def test_no_noise_on_any_spring_exceeds_its_bound():
     rng = np.random.default_rng(1)
     tight = 0.0
-    for _ in range(300):
+    for _ in range(100):
         alpha = 10 ** rng.uniform(-1, 3)
         beta = alpha**2 * 10 ** rng.uniform(-1.5, 1)
         stiffness = rng.choice([-1, 1]) * beta * 10 ** rng.uniform(-2, 3) * rng.integers(0, 2)
