@@ -5,27 +5,43 @@ whatever the measured trajectory. A curve of length ε changes no position error
 allows. The force on the system stays within the bounds taken. It follows as in Theorem 1: along every solution whose
 velocity keeps its bound, an estimate that begins within ε of it stays within ε, and the distance falls as `e^(−λt/2)`.
 
-Source: Aghannan & Rouchon 2003, Theorems 1 and 2, and Fig. 2.
+With bounds of the measurement error and of the force that the model does not know there is a fourth: what they add to
+the flow is no longer than D. The true motion is then a solution of the observer's own flow but for D, so that the
+distance ends below 2D/λ; an estimate within ε stays so where 2D/λ < ε.
+
+Source: Aghannan & Rouchon 2003, Theorems 1 and 2, and Fig. 2; Lohmiller & Slotine 1998, section 3.7 for D.
 """
 
 import itertools
 import json
 import math
-import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike, Float
 
 from covariant._files import write_atomically
 from covariant.certificates import _saved
 from covariant.certificates._certificate import Certificate
-from covariant.certificates._prove import Box, Proof, check_box, prove
-from covariant.certificates._region import Intrinsics, Subject, contraction, force_bounds, reach, squares, subject
+from covariant.certificates._noise import steady_distance
+from covariant.certificates._prove import MOST_BOXES, Box, Proof, check_box, prove
+from covariant.certificates._region import (
+    Intrinsics,
+    Subject,
+    check_unique,
+    contraction,
+    disturbed,
+    force_bounds,
+    force_slopes,
+    reach,
+    squares,
+    subject,
+)
 from covariant.certificates._tangent import TwoByTwo, error_matrix, optimal_lyapunov, rate_of
-from covariant.lowering import lower, numbers
+from covariant.lowering import Lowered, lower, numbers
 from covariant.models import GroupSystem, Lagrangian
 from covariant.observers import Group
 
@@ -35,9 +51,13 @@ ROOM = 1.05
 
 
 class Claim(NamedTuple):
-    """One proved inequality: "contraction", or "reach" of a `row` of (error, velocity) by `square` up to `limit`."""
+    """One proved inequality.
 
-    kind: Literal["contraction", "reach"]
+    "contraction"; "reach" of a `row` of (error, velocity), by `square` up to `limit`; or "disturbance": what errors of
+    measurement and force, in the unit ball by their sizes, add to the flow is no longer than `√square`.
+    """
+
+    kind: Literal["contraction", "reach", "disturbance"]
     proof: Proof
     row: int = 0
     square: float = 0.0
@@ -75,7 +95,7 @@ class ContractionCertificate(NamedTuple):
     - `summary`: the statement, its verdict, and its margin, the rate λ [1/s] of squared lengths.
     - `radius`: ε, in the metric of Q on states; 0 unless the verdict is "holds".
     - `domain`: the box of estimate, error and force; `velocity` (n,): the bound of the true velocity.
-    - `given`: positions, inputs and times that the bounds of the force come from.
+    - `given`: positions, inputs and times that the bounds of the force come from; `noise`, `disturbance`, `slopes`.
     - `recipe`: where the model comes from, as `models.recipe`; None for a model known to this process only.
     """
 
@@ -95,6 +115,11 @@ class ContractionCertificate(NamedTuple):
     def decay(self) -> float:
         """μ [1/s]: the distance falls as `e^(−μt)`, half the rate."""
         return self.rate / 2
+
+    @property
+    def steady(self) -> float:
+        """What the distance comes down to under the noise and disturbance of the certificate, `2D/λ`; 0 without."""
+        return steady_distance(self.rate, disturbance_length(self.given, self.claims))
 
     @property
     def boxes(self) -> int:
@@ -217,8 +242,11 @@ def certify(
     times: tuple[float, float] = (0.0, 0.0),
     rate: float | None = None,
     q: TwoByTwo | None = None,
+    noise: ArrayLike = 0.0,
+    disturbance: ArrayLike = 0.0,
     recipe: dict[str, Any] | None = None,
-    seconds: float = 60.0,
+    boxes: int = MOST_BOXES,
+    seconds: float | None = None,
     processes: int = 1,
     progress: Callable[[str, float, int], None] | None = None,
 ) -> ContractionCertificate:
@@ -232,9 +260,15 @@ def certify(
     - `input`: bound of each input, a number or (m,), or a pair of bounds; `times` [s]: where the force depends on time.
     - `rate`: λ [1/s] to prove, of squared lengths; half of what Q allows at q̂ = q by default.
     - `q` (2, 2): the metric's matrix; by default the best conditioned one for two thirds of the rate of the gains.
-    - `seconds`: time for all proofs; `processes`, `progress` (what, share, boxes): as for `prove`.
+    - `noise`: bound of the error of each measured position [unit], a number or (n,), in coordinates or as `log(q⁻¹ y)`
+      in the body; bounds of matrix entries that `position` gives on a group are then those of the measured ones.
+    - `disturbance`: bound of the force that the model does not know, of each component, a number or (n,).
+    - `boxes`: effort for all proofs, the same on every machine; `seconds`: a limit of time besides, counted for each
+      proof from when its matrix has been written as a graph.
+    - `processes`, `progress` (what, share, boxes): as for `prove`.
 
-    Raises `ValueError` naming an argument without its bound, `TypeError` for another kind of observer.
+    Raises `ValueError` naming an argument without its bound, an error up to which a logarithm is not unique, friction
+    or force that are not covered; `TypeError` for another kind of observer.
     """
     alpha, beta = float(observer.alpha), float(observer.beta)
     if isinstance(observer, Group) and observer.doubled_alpha:
@@ -247,30 +281,45 @@ def certify(
     about = subject(observer, matrix)
     n = _dimension(observer)
     bound, off = _positive("velocity", velocity, n), _positive("error", error, n)
-    domain, given = _domain(observer, about, bound, off, position, input, times)
-    until = time.monotonic() + seconds
+    noisy, unknown = _amount("noise", noise, n), _amount("disturbance", disturbance, n)
+    if not (noisy < off).all():
+        raise ValueError(
+            f"certify: noise must be below the error {off.tolist()}, which includes it; got {noisy.tolist()}"
+        )
+    check_unique(observer, off)
+    domain, given = _domain(observer, about, bound, off, position, input, times, noisy, unknown)
+    left = boxes
 
     def run(what: str, matrix) -> Proof:
+        nonlocal left
+
         def tell(share: float, boxes: int) -> None:
             if progress is not None:
                 progress(what, share, boxes)
 
-        left = max(until - time.monotonic(), 0.0)
-        return prove(matrix, domain, seconds=left, processes=processes, progress=tell)
+        found = prove(matrix, domain, boxes=left, seconds=seconds, processes=processes, progress=tell)
+        left = max(left - found.boxes, 0)
+        return found
 
     claims = [Claim("contraction", run("contraction", contraction(about, wanted)))]
     radius = 0.0
     if claims[0].proof.verdict == "holds":
-        limits = _limits(domain, bound)
-        allowed = ROOM * _seen_squares(about, domain)
+        limits = limits_of(domain, bound, noisy)
+        seen = seen_squares(about, domain)
         for row in range(2 * n):
-            square, limit = float(allowed[row]), float(limits[row])
+            square, limit = float(ROOM * seen[row]), float(limits[row])
             proof = run(f"reach {row + 1} of {2 * n}", reach(about, row, square))
             claims.append(Claim("reach", proof, row, square, limit))
+        sizes = disturbance_sizes(given)
+        if sizes.any():
+            square = ROOM * _seen_disturbance(about, domain, sizes)
+            claims.append(Claim("disturbance", run("noise", disturbed(about, sizes, square)), 0, square))
         if all(claim.proof.verdict == "holds" for claim in claims):
             # Rounded down: a shorter radius is as true.
-            radius = min(limit / math.sqrt(claim.square) for claim, limit in zip(claims[1:], limits, strict=True))
+            radius = min(limit / math.sqrt(claim.square) for claim, limit in zip(claims[1:], limits, strict=False))
             radius *= 1 - 1e-9
+            if not steady_distance(wanted, disturbance_length(given, claims)) < radius:
+                radius = 0.0
     return ContractionCertificate(
         _summary(about, domain, bound, wanted, radius, claims),
         wanted,
@@ -286,9 +335,26 @@ def certify(
     )
 
 
+def disturbance_sizes(given: dict[str, Any]) -> Float[np.ndarray, "two_n"]:
+    """Largest errors of the measured position, and of the force: unknown, or taken at the wrong place.
+
+    All at once are in the ball of radius √m of these sizes, m of them not being zero.
+    """
+    noise, unknown, slopes = (np.asarray(given[name], float) for name in ("noise", "disturbance", "slopes"))
+    through = (np.reshape(slopes, (len(noise), -1)) * noise).sum(axis=1) * (1 + 1e-12)
+    return np.concatenate([noise, unknown + through])
+
+
+def disturbance_length(given: dict[str, Any], claims: Sequence[Claim]) -> float:
+    """D: the largest length of what noise and disturbance add to the flow; 0 where none are given, ∞ if not proved."""
+    count = np.count_nonzero(disturbance_sizes(given))
+    squares = [claim.square for claim in claims if claim.kind == "disturbance"]
+    return math.sqrt(count * squares[0]) * (1 + 1e-12) if squares else math.inf if count else 0.0
+
+
 def _summary(about: Subject, domain: Box, velocity, rate: float, radius: float, claims: Sequence[Claim]) -> Certificate:
     verdicts = {claim.proof.verdict for claim in claims}
-    verdict = "fails" if "fails" in verdicts else "undecided" if "undecided" in verdicts else "holds"
+    verdict = "fails" if "fails" in verdicts else "undecided" if "undecided" in verdicts or not radius else "holds"
     wrong = next((c.proof.counterexample for c in claims if c.proof.counterexample is not None), None)
     bounds = ", ".join(f"{v:.4g}" for v in velocity)
     return Certificate(
@@ -310,18 +376,32 @@ def _dimension(observer: Intrinsics) -> int:
 
 
 def _positive(name: str, value: ArrayLike, n: int) -> Float[np.ndarray, "n"]:
-    given = np.broadcast_to(np.asarray(value, float), (n,)) if np.ndim(value) == 0 else np.asarray(value, float)
-    if given.shape != (n,):
-        raise ValueError(f"certify: {name} needs one number, or {n} of them; got {given.size}")
+    given = _amounts(name, value, n)
     if not (np.isfinite(given).all() and (given > 0).all()):
         raise ValueError(
             f"certify: {name} must be a positive, finite bound; got {given.tolist()}. No contraction holds at all "
             "speeds and errors, so there is no certificate without such a bound"
         )
+    return given
+
+
+def _amount(name: str, value: ArrayLike, n: int) -> Float[np.ndarray, "n"]:
+    given = _amounts(name, value, n)
+    if not (np.isfinite(given).all() and (given >= 0).all()):
+        raise ValueError(f"certify: {name} must be a finite bound, zero or more; got {given.tolist()}")
+    return given
+
+
+def _amounts(name: str, value: ArrayLike, n: int) -> Float[np.ndarray, "n"]:
+    given = np.broadcast_to(np.asarray(value, float), (n,)) if np.ndim(value) == 0 else np.asarray(value, float)
+    if given.shape != (n,):
+        raise ValueError(f"certify: {name} needs one number, or {n} of them; got {given.size}")
     return given.copy()
 
 
-def _domain(observer, about: Subject, velocity, error, position, given_input, times) -> tuple[Box, dict[str, Any]]:
+def _domain(
+    observer, about: Subject, velocity, error, position, given_input, times, noise, disturbance
+) -> tuple[Box, dict[str, Any]]:
     """The box of estimate, error and force, and what the bounds of the force come from."""
     model = observer.model
     n = len(velocity)
@@ -329,22 +409,25 @@ def _domain(observer, about: Subject, velocity, error, position, given_input, ti
         if position is None:
             raise ValueError(f"certify: position needs bounds of {', '.join(model.coordinates)}")
         low, high = (np.broadcast_to(np.asarray(side, float), (n,)).copy() for side in position)
-        for i in model.circles:
-            if error[i] >= np.pi:
-                raise ValueError(f"certify: the error of {model.coordinates[i]} must be below π; got {error[i]:g}")
-        measured = Box(model.coordinates, model.units, low, high)
+        true = Box(model.coordinates, model.units, low, high)
+        check_box(true)
+        measured = true._replace(low=low - noise, high=high + noise) if noise.any() else true
         low, high = low - error, high + error
     else:
         low, high = np.zeros(0), np.zeros(0)
-        measured = _elements(model, position)
-    check_box(measured)
+        measured = true = check_box(_elements(model, position))
     inputs = _inputs(model, given_input, n)
-    force = force_bounds(model, measured, inputs, times)
+    first, last = _times(times)
+    # Between what acts and what the observer takes to act there may be all of the disturbance.
+    force = force_bounds(model, measured, inputs, (first, last)) + np.outer([-1.0, 1.0], disturbance) * (1 + 1e-12)
+    slopes = force_slopes(model, measured, inputs, (first, last)) if noise.any() else np.zeros((n, n))
     given = {
-        "positions": {"low": measured.low.tolist(), "high": measured.high.tolist()},
-        "low": inputs[0].tolist(),
-        "high": inputs[1].tolist(),
-        "times": [float(t) for t in times],
+        "positions": {"low": true.low.tolist(), "high": true.high.tolist()},
+        "inputs": {"low": inputs[0].tolist(), "high": inputs[1].tolist()},
+        "times": [first, last],
+        "noise": noise.tolist(),
+        "disturbance": disturbance.tolist(),
+        "slopes": slopes.tolist(),
     }
 
     def box(slack):
@@ -359,8 +442,8 @@ def _domain(observer, about: Subject, velocity, error, position, given_input, ti
     # The velocity error that goes with the position error: both ends of the tube in the same place.
     slack = np.zeros(n)
     for _ in range(3):
-        roots = np.sqrt(_seen_squares(about, box(slack)))
-        slack = 1.1 * roots[n:] * (error / roots[:n]).min()
+        roots = np.sqrt(seen_squares(about, box(slack)))
+        slack = 1.1 * roots[n:] * ((error - noise) / roots[:n]).min()
     return check_box(box(slack)), given
 
 
@@ -387,18 +470,42 @@ def _inputs(model, given, n: int) -> Float[np.ndarray, "2 m"]:
     return found
 
 
-def _limits(domain: Box, velocity) -> Float[np.ndarray, "two_n"]:
-    """How far each position error, and each velocity beyond its bound, may go before it leaves the region."""
+def _times(times: tuple[float, float]) -> tuple[float, float]:
+    try:
+        first, last = (float(t) for t in times)
+    except (TypeError, ValueError):
+        raise ValueError(f"certify: times needs two instants; got {times!r}") from None
+    if not (math.isfinite(first) and math.isfinite(last) and first <= last):
+        raise ValueError(f"certify: times must be finite, the earlier one first; got {first:g} and {last:g}")
+    return first, last
+
+
+def limits_of(domain: Box, velocity, noise) -> Float[np.ndarray, "two_n"]:
+    """How far each position error, and each velocity beyond its bound, may go before it leaves the region.
+
+    The measured position may be off by the noise before an estimate is.
+    """
     n = len(velocity)
     start = len(domain.low) - 3 * n
     speed, error = slice(start, start + n), slice(start + n, start + 2 * n)
     most = np.minimum(domain.high, -domain.low)
-    return np.concatenate([most[error], most[speed] - velocity])
+    return np.concatenate([most[error] - noise, most[speed] - velocity])
 
 
-def _seen_squares(about: Subject, domain: Box, count: int = 2000) -> Float[np.ndarray, "two_n"]:
+def seen_squares(about: Subject, domain: Box, count: int = 2000) -> Float[np.ndarray, "two_n"]:
     """The largest `squares` at random points of the region and its corners."""
+    return _seen(lambda z: squares(about, z), domain, count).max(axis=0)
+
+
+def _seen_disturbance(about: Subject, domain: Box, sizes: np.ndarray, count: int = 2000) -> float:
+    """The largest square of what errors in the unit ball add to the flow, at such points."""
+    matrices = _seen(disturbed(about, sizes, 0.0).graph(jnp.asarray(domain.low)).entries, domain, count)
+    return float(-np.linalg.eigvalsh(matrices).min())
+
+
+def _seen(function: Callable | Lowered, domain: Box, count: int) -> np.ndarray:
+    """A function at random points of a box, every other one a corner."""
     share = np.random.default_rng(0).uniform(size=(count, len(domain.low)))
     share[::2] = np.round(share[::2])
     points = domain.low + share * (domain.high - domain.low)
-    return numbers(lower(lambda z: squares(about, z), points[0]), points).max(axis=0)
+    return numbers(function if isinstance(function, Lowered) else lower(function, points[0]), points)

@@ -74,7 +74,12 @@ def contraction_matrix(flow: Flow, metric: StateMetric, t: Scalar, x: Vector) ->
     Negative definite where the flow contracts; `Θᵀ(…)Θ = FᵀM + Ṁ + MF`, whatever the frame.
     """
     gram, change = jax.jvp(metric.gram, (t, x), (jnp.ones_like(t), flow(t, x)))
-    push = gram @ generalised_jacobian(flow, metric, t, x)
+    return lengths(gram, change, generalised_jacobian(flow, metric, t, x))
+
+
+def lengths(gram: Matrix, change: Matrix, jacobian: Matrix) -> Matrix:
+    """`FᵀN + Ṅ + NF` from N, Ṅ and F."""
+    push = gram @ jacobian
     return push + push.T + change
 
 

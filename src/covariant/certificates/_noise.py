@@ -21,20 +21,32 @@ def steady_distance(rate: float, disturbance: float) -> float:
     return 2 * disturbance / rate
 
 
-def noise_disturbance(alpha: float, beta: float, q: TwoByTwo, noise: float) -> float:
+def noise_disturbance(alpha: float, beta: float, q: TwoByTwo, noise: float, slope: float) -> float:
     """The length, in the metric of q, of what a measurement error of length `noise` adds to the observer.
 
-    To first order the error b adds `αb` to q̂' and `βb` to ∇v̂: a length `|b| √½(aα² + 2cαβ + bβ²)`.
+    To first order the error b adds `αb` to q̂' and `βb` to ∇v̂, a length `|b| √½(aα² + 2cαβ + bβ²)`; and because force
+    and curvature are taken where the system is measured to be, up to `slope |b|` more to ∇v̂.
     """
     push = np.array([alpha, beta])
-    return noise * math.sqrt(push @ q @ push / 2)
+    return noise * (math.sqrt(push @ q @ push / 2) + slope * math.sqrt(q[1, 1] / 2))
 
 
-def error_bounds(alpha: float, beta: float, q: TwoByTwo, rate: float, noise: float) -> tuple[float, float]:
+def error_bounds(
+    alpha: float, beta: float, q: TwoByTwo, rate: float, noise: float, slope: float
+) -> tuple[float, float]:
     """Bounds of the steady errors |ξ| and |ζ|, in metric units, for measurement errors no longer than `noise`.
 
-    From `steady_distance`: a state at distance d has `|ξ| ≤ d √2(Q⁻¹)₁₁` and `|ζ| ≤ d √2(Q⁻¹)₂₂`.
+    From `steady_distance`: a state at distance d has `|ξ| ≤ d √2(Q⁻¹)₁₁` and `|ζ| ≤ d √2(Q⁻¹)₂₂`. To first order in the
+    error; `certify(noise=...)` proves a bound for all errors of that size, and finds the slope itself.
+
+    - `slope` [1/s²]: at least the largest `‖∇S‖ + ‖R(·, v)v‖` there is, of the acceleration at rest and of the
+      curvature at the largest speed. For a spring it is k/m; only without force and curvature is it 0.
+
+    Raises `ValueError` for a slope or a noise that is not a number, zero or more.
     """
-    distance = steady_distance(rate, noise_disturbance(alpha, beta, q, noise))
+    for name, value in (("slope", slope), ("noise", noise)):
+        if not (math.isfinite(value) and value >= 0):
+            raise ValueError(f"error_bounds: {name} must be a finite number, zero or more; got {value!r}")
+    distance = steady_distance(rate, noise_disturbance(alpha, beta, q, noise, slope))
     inverse = np.linalg.inv(q)
     return distance * math.sqrt(2 * inverse[0, 0]), distance * math.sqrt(2 * inverse[1, 1])

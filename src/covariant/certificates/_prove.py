@@ -2,28 +2,35 @@
 
 On each box the entries are enclosed by natural interval evaluation, by the mean-value form around the centre,
 `S(z) ∈ S(c) + S'(box) (z − c)`, and by Taylor's, `S(z) ∈ S(c) + S'(c) (z − c) + ½ S''(box) (z − c)²`, which needs boxes
-some ten times fewer a variable; the tightest bounds are taken. The enclosing interval matrix is brought near the
-identity by a congruence with floating-point factors, `I − CᵀSC = E`, and is positive definite where the spectral radius
-of |E| is below one, by Collatz & Wielandt: `|E| x < x` for some positive x, whose rounding is bounded in turn. Boxes
-for which that fails are halved across the variable that widens the enclosure most.
+some ten times fewer a variable. The enclosing interval matrix is brought near the identity by a congruence with
+floating-point factors, `I − CᵀSC = E`, and is positive definite where the spectral radius of |E| is below one, by
+Collatz & Wielandt: `|E| x < x` for some positive x, whose rounding is bounded in turn. Taylor's linear terms are brought
+there as matrices, each with its signs; where there is no such form, at kinks, the tightest bounds of the entries are
+taken. Boxes for which that fails are halved across the variable that widens the enclosure most.
+
+A matrix whose making is not defined somewhere, or jumps, is not proved: the conditions are halved over until they hold.
+
+Effort is counted in boxes, so that a verdict does not depend on the machine, nor on what else it does.
 
 Source: Neumaier 1990, Interval Methods for Systems of Equations, section 2.3; Rump 2010, Verification methods, Acta
 Numerica 19, section 10.8.
 """
 
 import concurrent.futures
+import functools
 import itertools
+import math
 import multiprocessing
 import time
 from collections.abc import Callable, Iterator, Sequence
 from typing import Literal, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from covariant.lowering import Lowered, enclose, expand, lower, pairs
+from covariant.certificates._form import Formed, as_form
+from covariant.lowering import Conditions, Enclosure, Graph, Lowered, enclose, expand, fulfilled, graft, pairs
 
 SLACK = 1e-3
 """By how much |E| x must stay below x, so that another implementation of the test agrees on every box."""
@@ -34,8 +41,14 @@ TINY = 1e-290
 CHUNK = 2048
 """Boxes evaluated at once: their intermediate values stay in the cache."""
 
-PATIENCE = 2.0
-"""Seconds of work alone before it is shared out over processes."""
+PATIENCE = 4 * CHUNK
+"""Boxes of work alone before it is shared out over processes."""
+ROUND_OF_LOTS = 4
+"""Lots of boxes that are evaluated before any of them is halved further, whoever does it."""
+MOST_BOXES = 200_000
+"""Boxes that a proof may take unless told otherwise."""
+MOST_CONDITIONS, DEEPEST = 4096, 40
+"""Boxes, and halvings of one, over which conditions may be decided: what is true mostly is so after three."""
 PROVED, OPEN = -1, -2
 
 
@@ -90,6 +103,7 @@ class Proof(NamedTuple):
     - `levels`: the boxes as a binary tree, one array of integers a level from the whole box down: the variable across
       whose middle a box is halved, lower half first, −1 where the matrix is proved positive definite, −2 if it is open.
     - `boxes`: how many were evaluated, in `seconds`.
+    - `reason`: where the matrix may not be defined, or jumps, which alone leaves everything undecided.
     """
 
     verdict: Literal["holds", "fails", "undecided"]
@@ -99,27 +113,32 @@ class Proof(NamedTuple):
     open: Float[np.ndarray, "k 2 d"]
     boxes: int
     seconds: float
+    reason: str = ""
 
 
 def prove(
     matrix: Callable[[Array], Array],
     domain: Box,
     *,
-    seconds: float = 60.0,
+    boxes: int = MOST_BOXES,
+    seconds: float | None = None,
     processes: int = 1,
     progress: Callable[[float, int], None] | None = None,
 ) -> Proof:
-    """Is `matrix`: `z (d,) -> (n, n)`, a symmetric JAX function, positive definite for every z in the domain?
+    """Is `matrix`: `z (d,) -> (n, n)`, a symmetric JAX function or a form, positive definite for every z in the domain?
 
-    Stops after `seconds`, then "undecided". `processes` above 1 shares the boxes out (a script that asks for it needs
+    Everything that the function computes must be defined and without jumps there, as well; kinks may be. Stops after
+    that many `boxes`, a few more or less, then "undecided"; after `seconds` too, where given, counted from when the
+    matrix has been written as a graph. `processes` above 1 shares the boxes out (a script that asks for it needs
     the `if __name__ == "__main__"` guard); the tree found does not depend on it. `progress` is told the share of the
     domain that is decided and the number of boxes evaluated, now and then.
 
     Raises `LoweringError` where the matrix has no graph of scalars, `ValueError` where it is not square.
     """
-    start = time.monotonic()
     check_box(domain)
-    return _decide(_task(matrix, domain), domain, start, start + seconds, processes, progress)
+    formed = as_form(matrix).graph(jnp.asarray(domain.low))
+    task = _task(formed.entries, domain)
+    return _decide(task, domain, _Effort.of(boxes, seconds), processes, progress, _reason(formed, domain))
 
 
 def prove_at_corners(
@@ -127,76 +146,144 @@ def prove_at_corners(
     domain: Box,
     affine: Sequence[str],
     *,
-    seconds: float = 60.0,
+    boxes: int = MOST_BOXES,
+    seconds: float | None = None,
     progress: Callable[[float, int], None] | None = None,
 ) -> list[Proof]:
     """The same where the matrix is affine in some of the variables, taken together: one proof for each corner of them.
 
     The smallest eigenvalue is then a concave function of those variables, least at a corner of their box; so they need
     not be halved, and 2^k proofs over the others take the place of one over all. Stops at the first that does not hold.
+    `boxes` and `seconds` are for all of them.
 
     Raises `ValueError` where the matrix is not affine in them, as its second derivatives show, or one is not known.
     """
-    start = time.monotonic()
     check_box(domain)
     unknown = set(affine) - set(domain.names)
     if unknown:
         raise ValueError(f"prove_at_corners: no variable {sorted(unknown)[0]!r}; the box has {', '.join(domain.names)}")
-    z = jnp.asarray(domain.low)
+    formed = as_form(matrix).graph(jnp.asarray(domain.low))
     kept = np.array([domain.names.index(name) for name in affine], int)
-    bent = expand(lower(lambda z: matrix(z).ravel(), z), kept.tolist(), 2)
-    count = jax.eval_shape(matrix, z).size
-    entries = np.array([_moves(bent.graph.nodes[i]) for i in bent.outputs]).reshape(-1, count)
+    bent = expand(formed.entries, kept.tolist(), 2)
+    entries = np.array([not bent.graph.is_zero(i) for i in bent.outputs]).reshape(-1, len(formed.entries.outputs))
     moves = [bool(row.any()) for row in entries]
     if any(moves[1 + len(kept) :]):
         raise ValueError(f"prove_at_corners: the matrix is not affine in {', '.join(affine)} together")
     ends = [(domain.low[i], domain.high[i])[: 1 + enters] for i, enters in zip(kept, moves[1:], strict=False)]
+    # The conditions are no affine functions: they are asked for over the whole domain.
+    reason, effort = _reason(formed, domain), _Effort.of(boxes, seconds)
     task, found = None, []
     for corner in itertools.product(*ends):
         low, high = domain.low.copy(), domain.high.copy()
         low[kept] = high[kept] = corner
         at = domain._replace(low=low, high=high)
-        task = _task(matrix, at) if task is None else task
-        found.append(_decide(task, at, time.monotonic(), start + seconds, 1, progress))
+        task = _task(formed.entries, at) if task is None else task
+        found.append(_decide(task, at, effort, 1, progress, reason))
+        effort = effort._replace(boxes=max(effort.boxes - found[-1].boxes, 0))
         if found[-1].verdict != "holds":
             break
     return found
 
 
-def _moves(node) -> bool:
-    """Whether a node is anything but the constant 0."""
-    return node.op != "constant" or node.value != 0
+class _Effort(NamedTuple):
+    """Boxes that may be evaluated, and the instant [s] at which the work began and has to end."""
+
+    boxes: int
+    start: float
+    until: float
+
+    @classmethod
+    def of(cls, boxes: int, seconds: float | None) -> "_Effort":
+        now = time.monotonic()
+        return cls(boxes, now, now + (math.inf if seconds is None else seconds))
 
 
-def _decide(task: "_Task", domain: Box, start: float, until: float, processes: int, progress) -> Proof:
+def _decide(task: "_Task", domain: Box, effort: _Effort, processes: int, progress, reason: str) -> Proof:
+    def proof(verdict, levels, wrong, remaining, count) -> Proof:
+        return Proof(verdict, domain, levels, wrong, remaining, count, time.monotonic() - effort.start, reason)
+
+    leaf, none = [np.array([OPEN])], np.zeros((0, 2, len(domain.low)))
     wrong = _look_around(task, domain)
     if wrong is not None:
-        leaf = [np.array([OPEN])]
-        return Proof("fails", domain, leaf, wrong, np.zeros((0, 2, len(domain.low))), 1, time.monotonic() - start)
+        return proof("fails", leaf, wrong, none, 1)
+    if reason:
+        return proof("undecided", leaf, None, np.stack([domain.low, domain.high])[None], 1)
     tree = _Tree(domain)
     # Most proofs are over before worker processes have started.
-    wrong = _search(task, tree, min(until, time.monotonic() + PATIENCE) if processes > 1 else until, progress)
-    if processes > 1 and wrong is None and tree.waiting and time.monotonic() < until:
+    alone = effort if processes == 1 else effort._replace(boxes=min(effort.boxes, PATIENCE))
+    wrong = _search(functools.partial(map, functools.partial(_judge, task)), tree, alone, progress)
+    if processes > 1 and wrong is None and tree.waiting and tree.evaluated < effort.boxes:
         context = multiprocessing.get_context("spawn")
         with concurrent.futures.ProcessPoolExecutor(processes, context, initializer=_take, initargs=(task,)) as pool:
-            wrong = _share_out(pool, tree, 2 * processes, until, progress)
+            wrong = _search(functools.partial(pool.map, _judge_here), tree, effort, progress)
     levels, remaining = tree.levels()
     verdict = "fails" if wrong is not None else "undecided" if len(remaining) else "holds"
-    return Proof(verdict, domain, levels, wrong, remaining, tree.evaluated, time.monotonic() - start)
+    return proof(verdict, levels, wrong, remaining, tree.evaluated)
+
+
+def _reason(formed: Formed, domain: Box) -> str:
+    """Why conditions are not shown to hold over the domain; nothing where they are."""
+    pins = formed.pins
+    names, units = (*domain.names, *("",) * len(pins)), (*domain.units, *("",) * len(pins))
+    low, high = (np.concatenate([ends, pins]) for ends in (domain.low, domain.high))
+    return show_conditions(formed.conditions, Box(names, units, low, high))
+
+
+def show_conditions(conditions: Conditions, domain: Box) -> str:
+    """Show by halving that all conditions hold over a domain: nothing, or which one is open, and where.
+
+    Once a condition holds on a box it does on its parts.
+    """
+    count, width = len(conditions.conditions), domain.high - domain.low
+    low, high, owed = domain.low[None], domain.high[None], np.ones((1, count), bool)
+    if not count:
+        return ""
+    reads = _reads(conditions)
+    for depth in itertools.count():
+        owed &= ~fulfilled(conditions, low, high)
+        left = owed.any(axis=1)
+        if not left.any():
+            return ""
+        low, high, owed = low[left], high[left], owed[left]
+        relative = (high - low) / np.where(width > 0, width, 1.0) * (owed @ reads > 0)
+        middle = _middle(low, high)
+        relative = np.where((middle > low) & (middle < high), relative, 0.0)
+        stuck = np.flatnonzero(relative.max(axis=1) <= 0)
+        if len(stuck) or depth >= DEEPEST or 2 * len(low) > MOST_CONDITIONS:
+            k = int(stuck[0]) if len(stuck) else 0
+            condition = conditions.conditions[int(owed[k].argmax())]
+            where = [i for i in np.flatnonzero(reads[owed[k].argmax()]) if domain.names[i]]
+            place = ", ".join(f"{domain.names[i]} is {low[k, i]:.6g} to {high[k, i]:.6g}" for i in where)
+            what = "is not shown to be defined" if condition.kind == "true" else "may jump"
+            return f"{condition.because} {what}" + (f" where {place}" if place else "")
+        axes = relative.argmax(axis=1)
+        low, high = halves(low, high, axes)
+        owed = np.repeat(owed, 2, axis=0)
+    raise AssertionError
+
+
+def _reads(conditions: Conditions) -> np.ndarray:
+    """Which inputs each condition depends on: (conditions, inputs)."""
+    nodes = conditions.graph.nodes
+    read = np.zeros((len(nodes), conditions.inputs), bool)
+    for i, node in enumerate(nodes):
+        if node.op == "input":
+            read[i, node.value] = True
+        for a in node.arguments:
+            read[i] |= read[a]
+    return read[[c.node for c in conditions.conditions]].astype(float)
 
 
 def blocks(matrix: Callable[[Array], Array], domain: Box) -> list[Int[np.ndarray, "k"]]:
     """Indices of the diagonal blocks that a symmetric `z -> (n, n)` falls into, after a permutation, for every z.
 
-    It is positive definite where each of them is, and each depends on fewer variables. Entries count as zero where
+    A matrix is positive definite where each of them is, and each depends on fewer variables. Entries count as zero where
     their graph is the constant 0.
     """
-    z = jnp.asarray(domain.low)
-    n = jax.eval_shape(matrix, z).shape[0]
-    lowered = lower(lambda z: (matrix(z) + matrix(z).T).ravel(), z)
-    nodes = [lowered.graph.nodes[i] for i in lowered.outputs]
-    reached = np.array([_moves(node) for node in nodes]).reshape(n, n) | np.eye(n, dtype=bool)
-    for _ in range(n.bit_length()):
+    formed = as_form(matrix).then(lambda m: m + m.T).graph(jnp.asarray(domain.low))
+    nodes = formed.entries.nodes()
+    reached = ~np.vectorize(formed.entries.graph.is_zero, otypes=[bool])(nodes) | np.eye(len(nodes), dtype=bool)
+    for _ in range(len(nodes).bit_length()):
         reached = reached @ reached
     return [np.flatnonzero(row) for row in np.unique(reached, axis=0)]
 
@@ -241,29 +328,36 @@ class _Task(NamedTuple):
 
 
 class _Enclosed(NamedTuple):
-    """Matrices `middle ± radius` (B, n, n), and the share (B, f, n, n) of the radius that each free variable brings."""
+    """Symmetric matrices (n, n) on boxes, in two ways.
 
+    - `centre + Σ wₘ terms[m]` within `rest`, |wₘ| ≤ 1, terms (B, f + p, n, n): Taylor's form, one term for each free
+      variable and one for each pair of them. `rest` is infinite where the matrix is not `smooth`.
+    - `middle` within `radius` (B, n, n): bounds of the entries alone.
+    - `shares` (B, f + p, n, n): how much of `rest` each variable, or pair, brings.
+    """
+
+    centre: np.ndarray
+    terms: np.ndarray
+    rest: np.ndarray
     middle: np.ndarray
     radius: np.ndarray
     shares: np.ndarray
     smooth: Bool[np.ndarray, "B"]
 
 
-def _task(matrix: Callable[[Array], Array], domain: Box) -> _Task:
-    z = jnp.asarray(domain.low)
-    shape = jax.eval_shape(matrix, z).shape
+def _task(entries: Lowered, domain: Box) -> _Task:
+    shape = entries.results[0].shape
     if len(shape) != 2 or shape[0] != shape[1] or not shape[0]:
         raise ValueError(f"the matrix must be square; it has shape {shape}")
     rows, columns = np.tril_indices(shape[0])
     free = np.flatnonzero(domain.high > domain.low)
-    inputs = free.tolist()
-
-    def entries(z):
-        full = matrix(z)
-        return ((full + full.T) / 2)[rows, columns]
-
-    value = lower(entries, z)
-    return _Task(value, expand(value, inputs, 1), expand(value, inputs, 2), shape[0], free, domain.high - domain.low)
+    graph = Graph.of(entries.graph.nodes)
+    lower = graft(graph, lambda full: ((full + full.T) / 2)[rows, columns], entries.nodes())
+    value = entries._replace(outputs=tuple(lower.tolist()))._replace(graph=graph)
+    first, second = (expand(value, free.tolist(), order) for order in (1, 2))
+    small, outputs = graph.pruned(value.outputs)
+    value = value._replace(graph=small, outputs=tuple(outputs))
+    return _Task(value, first, second, shape[0], free, domain.high - domain.low)
 
 
 def _full(entries: np.ndarray, n: int) -> np.ndarray:
@@ -277,39 +371,59 @@ def _full(entries: np.ndarray, n: int) -> np.ndarray:
 
 def _enclosed(task: _Task, low: np.ndarray, high: np.ndarray) -> _Enclosed:
     centre = _middle(low, high)
-    at = enclose(task.first, centre, centre)
-    on = enclose(task.second, low, high)
-    boxes, f, k = len(low), len(task.free), task.size * (task.size + 1) // 2
+    at, on = enclose(task.first, centre, centre), enclose(task.second, low, high)
+    k, f = task.size * (task.size + 1) // 2, len(task.free)
     half = np.maximum(high - centre, centre - low)[:, task.free] * (1 + ROUND)
-    size = np.maximum(np.abs(on.low), np.abs(on.high))
-    slopes = np.maximum(np.abs(at.low), np.abs(at.high))[:, k:].reshape(boxes, f, k)
-    here = _shares(slopes, size[:, k + f * k :], half)
-    anywhere = size[:, k : k + f * k].reshape(boxes, f, k) * half[:, :, None]
-    # A form with derivatives holds where these exist everywhere in the box. One that is not a number says nothing, and
-    # the other enclosures may still be numbers.
-    shares = np.where(on.smooth[:, None, None], np.fmin(here, anywhere), np.inf)
-    spread = [np.where(on.smooth[:, None], form.sum(axis=1) * (1 + ROUND), np.inf) for form in (here, anywhere)]
-    radius = np.fmin(*spread)
-    lower_bound = np.fmax(_outward(at.low[:, :k] - radius, -1), on.low[:, :k])
-    upper_bound = np.fmin(_outward(at.high[:, :k] + radius, 1), on.high[:, :k])
+    smooth = on.smooth[:, None]
     with np.errstate(invalid="ignore"):  # bounds of both signs that are infinite have no middle
+        value, slopes, terms, shares = _taylor_form(at, on, half, k)
+        # A form with derivatives holds where these exist everywhere in the box.
+        rest = np.where(smooth, (value.radius + shares.sum(axis=1)) * (1 + ROUND) + TINY, np.inf)
+        size = np.maximum(np.abs(on.low), np.abs(on.high))[:, k : k + f * k].reshape(slopes.middle.shape)
+        radius = rest + np.abs(terms).sum(axis=1) * (1 + ROUND)
+        lower_bound = np.fmax(_outward(value.middle - radius, -1), on.low[:, :k])
+        upper_bound = np.fmin(_outward(value.middle + radius, 1), on.high[:, :k])
+        # The mean-value form is about the value at the centre, before Taylor's form moved it.
+        here = _Ball.of(at.low[:, :k], at.high[:, :k])
+        spread = np.where(smooth, here.radius + (size * half[:, :, None]).sum(axis=1) * (1 + ROUND), np.inf)
+        lower_bound = np.fmax(lower_bound, _outward(here.middle - spread, -1))
+        upper_bound = np.fmin(upper_bound, _outward(here.middle + spread, 1))
         middle = _middle(lower_bound, upper_bound)
         radius = np.maximum(upper_bound - middle, middle - lower_bound) * (1 + ROUND) + TINY
-    n = task.size
-    return _Enclosed(_full(middle, n), _full(radius, n), _full(shares, n), on.smooth)
+    parts = (value.middle, terms, rest, middle, radius, shares)
+    return _Enclosed(*(_full(part, task.size) for part in parts), on.smooth)
 
 
-def _shares(slopes: np.ndarray, bend: np.ndarray, half: np.ndarray) -> np.ndarray:
-    """What each variable adds (B, f, K) to a change over ± half (B, f), by slopes (B, f, K) and second derivatives."""
-    boxes, f, k = slopes.shape
-    found = slopes * half[:, :, None]
-    bend = bend.reshape(boxes, -1, k)
-    for number, (i, j) in enumerate(pairs(f)):
-        part = bend[:, number] * (half[:, i] * half[:, j] / 2)[:, None]
-        found[:, i] += part
-        if i != j:
-            found[:, j] += part
-    return found
+class _Ball(NamedTuple):
+    """Numbers within `radius` of `middle`."""
+
+    middle: np.ndarray
+    radius: np.ndarray
+
+    @classmethod
+    def of(cls, low: np.ndarray, high: np.ndarray) -> "_Ball":
+        middle = _middle(low, high)
+        return cls(middle, np.maximum(high - middle, middle - low) * (1 + ROUND) + TINY)
+
+
+def _taylor_form(at: Enclosure, on: Enclosure, half: np.ndarray, k: int) -> tuple[_Ball, _Ball, np.ndarray, np.ndarray]:
+    """`S(c) + Σ Sᵢ(c) δᵢ + ½ Σ Sᵢⱼ δᵢδⱼ` over δ within ± half (B, f): the value at the centre, its slopes, all terms.
+
+    As δᵢ² is nowhere negative, half of what it can add moves the value, and is out by no more than the other half.
+    """
+    boxes, f = half.shape
+    value, slopes = _Ball.of(at.low[:, :k], at.high[:, :k]), _Ball.of(at.low[:, k:], at.high[:, k:])
+    slopes = _Ball(*(part.reshape(boxes, f, k) for part in slopes))
+    bends = _Ball(*(part.reshape(boxes, -1, k) for part in _Ball.of(on.low[:, k + f * k :], on.high[:, k + f * k :])))
+    chosen = pairs(f)
+    size = np.stack([half[:, i] * half[:, j] / (2 if i == j else 1) for i, j in chosen], axis=1)[:, :, None]
+    square = np.array([i == j for i, j in chosen])[:, None]
+    bent = bends.middle * size * np.where(square, 0.5, 1.0)
+    moved = value.middle + np.where(square, bent, 0.0).sum(axis=1)
+    rounding = ROUND * (np.abs(value.middle) + np.abs(bent).sum(axis=1))
+    terms = np.concatenate([slopes.middle * half[:, :, None], bent], axis=1)
+    shares = np.concatenate([slopes.radius * half[:, :, None], bends.radius * size * (1 + ROUND)], axis=1)
+    return _Ball(moved, value.radius + rounding), slopes, terms, shares
 
 
 def _outward(x: np.ndarray, sign: int) -> np.ndarray:
@@ -317,7 +431,10 @@ def _outward(x: np.ndarray, sign: int) -> np.ndarray:
 
 
 def _factors(middle: np.ndarray) -> tuple[np.ndarray, Bool[np.ndarray, "B"]]:
-    """C (B, n, n) with `Cᵀ middle C` near the identity, whatever the units of the entries; and whether there is one."""
+    """C (B, n, n) with `Cᵀ middle C` near the identity, whatever the units of the entries; and whether there is one.
+
+    Of all such factors the inverse root: it turns no more than it must, and a sum of absolute values grows by turning.
+    """
     n = middle.shape[1]
     diagonal = np.abs(np.diagonal(middle, axis1=1, axis2=2))
     units = 1 / np.sqrt(np.where(np.isfinite(diagonal) & (diagonal > TINY), diagonal, 1.0))
@@ -326,16 +443,24 @@ def _factors(middle: np.ndarray) -> tuple[np.ndarray, Bool[np.ndarray, "B"]]:
     finite = np.asarray(np.isfinite(scaled).all(axis=(1, 2)))
     values, vectors = np.linalg.eigh(np.where(finite[:, None, None], scaled, np.eye(n)))
     sizes = np.maximum(np.abs(values), np.abs(values).max(axis=1, keepdims=True) * 1e-12 + TINY)
-    return units[:, :, None] * vectors / np.sqrt(sizes)[:, None, :], finite & (values[:, 0] > 0)
+    root = (vectors / np.sqrt(sizes)[:, None, :]) @ np.swapaxes(vectors, 1, 2)
+    return units[:, :, None] * root, finite & (values[:, 0] > 0)
 
 
-def definite(middle: np.ndarray, radius: np.ndarray) -> tuple[Bool[np.ndarray, "B"], np.ndarray]:
-    """Are all symmetric matrices within `middle ± radius` (B, n, n) positive definite? Also the factors C used."""
+def definite(
+    middle: np.ndarray, radius: np.ndarray, terms: np.ndarray | None = None
+) -> tuple[Bool[np.ndarray, "B"], np.ndarray]:
+    """Are all symmetric matrices within `middle ± radius` (B, n, n) positive definite? Also the factors C used.
+
+    With `terms` (B, m, n, n) all those within `middle + Σ wₘ terms[m] ± radius`, |wₘ| ≤ 1.
+    """
     c, positive = _factors(middle)
     ct, n = np.swapaxes(c, 1, 2), middle.shape[1]
+    terms = np.zeros((len(middle), 0, n, n)) if terms is None else terms
     with np.errstate(all="ignore"):
-        error = np.abs(np.eye(n) - ct @ middle @ c)
-        size = np.abs(ct) @ (radius + ROUND * np.abs(middle)) @ np.abs(c)
+        error = np.abs(np.eye(n) - ct @ middle @ c) + np.abs(ct[:, None] @ terms @ c[:, None]).sum(axis=1)
+        rounded = ROUND * (np.abs(middle) + np.abs(terms).sum(axis=1))
+        size = np.abs(ct) @ (radius + rounded) @ np.abs(c)
         e = (error + size) * (1 + ROUND) + ROUND
         x = np.ones((len(e), n, 1))
         for _ in range(4):
@@ -376,7 +501,9 @@ def _counterexample(task: _Task, points: np.ndarray) -> np.ndarray | None:
 def _judge(task: _Task, low: np.ndarray, high: np.ndarray) -> tuple[Int[np.ndarray, "B"], np.ndarray | None]:
     """The code of each box: proved, the variable to halve, or open where it cannot be halved; a counter-example."""
     enclosed = _enclosed(task, low, high)
-    proved, c = definite(enclosed.middle, enclosed.radius)
+    proved, c = definite(enclosed.centre, enclosed.rest, enclosed.terms)
+    rest = np.flatnonzero(~proved)
+    proved[rest] = definite(enclosed.middle[rest], enclosed.radius[rest])[0]
     codes = np.full(len(low), PROVED)
     rest = np.flatnonzero(~proved)
     if not len(rest):
@@ -384,7 +511,7 @@ def _judge(task: _Task, low: np.ndarray, high: np.ndarray) -> tuple[Int[np.ndarr
     wrong = _counterexample(task, _middle(low[rest], high[rest]))
     if wrong is not None:
         return codes, wrong
-    weight = _weight(c[rest], enclosed.shares[rest])
+    weight = _weight(c[rest], enclosed.terms[rest], enclosed.shares[rest], len(task.free))
     blind = np.flatnonzero(~(np.isfinite(weight).all(axis=1) & enclosed.smooth[rest]))
     if len(blind):
         weight[blind] = _weight_at_centre(task, low[rest][blind], high[rest][blind])
@@ -399,22 +526,31 @@ def _judge(task: _Task, low: np.ndarray, high: np.ndarray) -> tuple[Int[np.ndarr
     return codes, None
 
 
-def _weight(c: np.ndarray, shares: np.ndarray) -> np.ndarray:
-    """How much each variable (B, f) widens the enclosures, seen where the matrix is near the identity."""
-    size = np.abs(c)[:, None]
+def _weight(c: np.ndarray, terms: np.ndarray, shares: np.ndarray, f: int) -> np.ndarray:
+    """How much each variable (B, f) widens the enclosures, seen where the matrix is near the identity.
+
+    What a pair brings counts for both of its variables.
+    """
+    c, size = c[:, None], np.abs(c)[:, None]
     with np.errstate(all="ignore"):
-        return (np.swapaxes(size, 2, 3) @ shares @ size).sum(axis=(2, 3))
+        seen = np.abs(np.swapaxes(c, 2, 3) @ terms @ c) + np.swapaxes(size, 2, 3) @ shares @ size
+    parts = seen.sum(axis=(2, 3))
+    weight = parts[:, :f].copy()
+    for number, (i, j) in enumerate(pairs(f), start=f):
+        weight[:, i] += parts[:, number]
+        if i != j:
+            weight[:, j] += parts[:, number]
+    return weight
 
 
 def _weight_at_centre(task: _Task, low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """The same from derivatives at the centre alone, for boxes over which nothing is bounded."""
     centre = _middle(low, high)
-    at = enclose(task.second, centre, centre)
-    f, k = len(task.free), task.size * (task.size + 1) // 2
-    size = np.maximum(np.abs(at.low), np.abs(at.high))
-    half = (high - low)[:, task.free] / 2
-    shares = _shares(size[:, k : k + f * k].reshape(len(low), f, k), size[:, k + f * k :], half)
-    return _weight(_factors(_full(_middle(at.low, at.high)[:, :k], task.size))[0], _full(shares, task.size))
+    at, k = enclose(task.second, centre, centre), task.size * (task.size + 1) // 2
+    near = Enclosure(*(side[:, : k + len(task.free) * k] for side in at[:2]), at.smooth)
+    value, _, terms, shares = _taylor_form(near, at, (high - low)[:, task.free] / 2, k)
+    factors = _factors(_full(value.middle, task.size))[0]
+    return _weight(factors, _full(terms, task.size), _full(shares, task.size), len(task.free))
 
 
 class _Tree:
@@ -485,32 +621,19 @@ def _judge_here(low: np.ndarray, high: np.ndarray) -> tuple[Int[np.ndarray, "B"]
     return _judge(_TASK, low, high)
 
 
-def _search(task: _Task, tree: _Tree, until: float, progress) -> np.ndarray | None:
-    """Evaluate boxes until none is left, the time is over or a counter-example is found."""
-    while time.monotonic() < until and (lot := tree.next()) is not None:
-        codes, wrong = _judge(task, lot[1], lot[2])
-        if wrong is not None:
-            return wrong
-        tree.take(lot, codes)
+def _search(judge: Callable, tree: _Tree, effort: _Effort, progress) -> np.ndarray | None:
+    """Evaluate boxes until none is left, the effort is spent or a counter-example is found.
+
+    `judge` maps boxes (low, high) to what became of them, here or in other processes.
+    """
+    while tree.evaluated < effort.boxes and time.monotonic() < effort.until:
+        lots = [lot for _ in range(ROUND_OF_LOTS) if (lot := tree.next()) is not None]
+        if not lots:
+            return None
+        for lot, (codes, wrong) in zip(lots, judge(*zip(*(lot[1:3] for lot in lots), strict=True)), strict=True):
+            if wrong is not None:
+                return wrong
+            tree.take(lot, codes)
         if progress is not None:
             progress(tree.decided, tree.evaluated)
     return None
-
-
-def _share_out(pool, tree: _Tree, most: int, until: float, progress) -> np.ndarray | None:
-    """The same by worker processes, with `most` lots under way."""
-    running: dict = {}
-    while True:
-        while len(running) < most and time.monotonic() < until and (lot := tree.next()) is not None:
-            running[pool.submit(_judge_here, lot[1], lot[2])] = lot
-        if not running:
-            return None
-        done, _ = concurrent.futures.wait(running, return_when=concurrent.futures.FIRST_COMPLETED)
-        for future in done:
-            codes, wrong = future.result()
-            if wrong is not None:
-                pool.shutdown(cancel_futures=True)
-                return wrong
-            tree.take(running.pop(future), codes)
-        if progress is not None:
-            progress(tree.decided, tree.evaluated)

@@ -2,10 +2,12 @@
 
 The variables are the estimate, the error of its position and the force on the system, each in a box. Nothing else
 enters: the source `S = g⁻¹ f` at the measured position is a known function of the force f, whatever the input, the
-potential and the time that made it. On a group the estimated configuration does not enter either, by symmetry.
+potential and the time that made it. On a group the estimated configuration does not enter either, by symmetry, and a
+model whose friction breaks the symmetry is refused.
 """
 
 import functools
+import math
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -16,10 +18,11 @@ from jaxtyping import Array, Float
 
 from covariant._linalg import solve
 from covariant._typing import Matrix, Scalar, Vector
-from covariant.certificates._contraction import StateMetric, contraction_matrix
-from covariant.certificates._prove import Box
+from covariant.certificates._contraction import StateMetric, contraction_matrix, lengths
+from covariant.certificates._form import Form, as_form, formed
+from covariant.certificates._prove import Box, check_box, show_conditions
 from covariant.certificates._tangent import TwoByTwo, tangent_metric
-from covariant.lowering import enclose, lower
+from covariant.lowering import Conditions, enclose, expand, lower, numbers
 from covariant.models import GroupSystem, Lagrangian, applied_force
 from covariant.observers import Geodesic, Group, Intrinsic
 
@@ -29,13 +32,15 @@ Intrinsics = Intrinsic | Geodesic | Group
 class Point(NamedTuple):
     """What a point z of a region stands for: the flow with the measurement held, the metric, and a state x (2n,).
 
-    `reach` (2n, 2n): the changes of position error and velocity that the vectors of the metric's frame bring.
+    `reach()` (2n, 2n): the changes of position error and velocity that the vectors of the metric's frame bring.
+    `offset()` (n, n): the change of the position error that an error of the measurement brings, in its coordinates.
     """
 
     flow: Callable[[Scalar, Vector], Array]
     metric: StateMetric
     x: Vector
-    reach: Matrix
+    reach: Callable[[], Matrix]
+    offset: Callable[[], Matrix]
 
 
 class Subject(NamedTuple):
@@ -61,17 +66,36 @@ def subject(observer: Intrinsics, q: TwoByTwo) -> Subject:
     raise TypeError(f"only intrinsic observers have this metric, Intrinsic, Geodesic and Group; got {observer!r}")
 
 
-def contraction(subject: Subject, rate: float) -> Callable[[Vector], Matrix]:
+def contraction(subject: Subject, rate: float) -> Form:
     """`z -> −(F_ΘᵀN + Ṅ + N F_Θ) − rate N`: positive definite where squared lengths shrink at the rate [1/s]."""
 
-    def matrix(z):
+    def numbers(z):
         point, t = subject.at(z), jnp.zeros((), z.dtype)
         return -contraction_matrix(point.flow, point.metric, t, point.x) - rate * point.metric.gram(t, point.x)
 
-    return matrix
+    return changing(subject, lambda coframe, gram, change: -change - rate * gram, numbers)
 
 
-def reach(subject: Subject, i: int, square: float) -> Callable[[Vector], Matrix]:
+def changing(subject: Subject, formula: Callable[[Array, Array, Array], Array], numbers: Callable) -> Form:
+    """A formula of Θ, of N, and of `F_ΘᵀN + Ṅ + N F_Θ`, the change of squared lengths, for a proof."""
+
+    def values(t, x, z):
+        flow, metric = subject.at(z)[:2]
+        return flow(t, x), metric.coframe(t, x), metric.frame(t, x), metric.gram(t, x)
+
+    def parts(slopes, nodes, count):
+        flow, coframe, frame, gram = nodes
+        state = range(1, count + 1)
+        along = {0: slopes.graph.constant(1.0), **dict(zip(state, flow.tolist(), strict=True))}
+        return *nodes[1:], slopes.each(flow, state, frame), slopes.along(coframe, along), slopes.along(gram, along)
+
+    def whole(coframe, frame, gram, moved, turn, change):
+        return formula(coframe, gram, lengths(gram, change, turn @ frame + coframe @ moved))
+
+    return formed(values, lambda z: subject.at(z).x, parts, whole, numbers)
+
+
+def reach(subject: Subject, i: int, square: float) -> Form:
     """`z -> square N − r rᵀ`, r being row i of `reach`.
 
     Positive definite where a curve of length ℓ changes that entry of (error, velocity) by less than `ℓ √square`.
@@ -79,16 +103,45 @@ def reach(subject: Subject, i: int, square: float) -> Callable[[Vector], Matrix]
 
     def matrix(z):
         point, t = subject.at(z), jnp.zeros((), z.dtype)
-        return square * point.metric.gram(t, point.x) - jnp.outer(point.reach[i], point.reach[i])
+        row = point.reach()[i]
+        return square * point.metric.gram(t, point.x) - jnp.outer(row, row)
 
-    return matrix
+    return as_form(matrix)
 
 
 def squares(subject: Subject, z: Vector) -> Float[Array, "two_n"]:
     """The least `square` of each row of `reach` at z."""
     point = subject.at(z)
-    gram = point.metric.gram(jnp.zeros((), z.dtype), point.x)
-    return jnp.sum(point.reach * solve(gram, point.reach.T).T, axis=1)
+    gram, rows = point.metric.gram(jnp.zeros((), z.dtype), point.x), point.reach()
+    return jnp.sum(rows * solve(gram, rows.T).T, axis=1)
+
+
+def disturbed(subject: Subject, sizes: Float[np.ndarray, "two_n"], square: float) -> Form:
+    """`z -> square I − BᵀMB`, B being how the flow changes with errors of the measurement and of the force, by size.
+
+    Positive definite where errors `δ = sizes w` with |w| ≤ 1 (in the Euclidean norm) change it by a vector shorter than
+    `√square`. The first n sizes are those of the measured position, the others those of the force.
+    """
+    n = len(sizes) // 2
+
+    def values(t, x, z):
+        point = subject.at(z)
+        return point.flow(t, x), point.metric.coframe(t, x), point.metric.gram(t, x), point.offset()
+
+    def parts(slopes, nodes, count):
+        last = 1 + count + len(subject.names)
+        return *nodes[1:], slopes.each(nodes[0], range(last - 2 * n, last))
+
+    def formula(coframe, gram, offset, change):
+        moved = jnp.concatenate([change[:, :n] @ offset, change[:, n:]], axis=1) * jnp.asarray(sizes)
+        return square * jnp.eye(2 * n) - (coframe @ moved).T @ gram @ (coframe @ moved)
+
+    def numbers(z):
+        point, t = subject.at(z), jnp.zeros((), z.dtype)
+        change = jax.jacfwd(lambda z: subject.at(z).flow(t, point.x))(z)[:, -2 * n :]
+        return formula(point.metric.coframe(t, point.x), point.metric.gram(t, point.x), point.offset(), change)
+
+    return formed(values, lambda z: subject.at(z).x, parts, formula, numbers)
 
 
 def _in_coordinates(observer: Intrinsic | Geodesic, q: TwoByTwo) -> Subject:
@@ -108,7 +161,13 @@ def _in_coordinates(observer: Intrinsic | Geodesic, q: TwoByTwo) -> Subject:
             return jnp.concatenate([change.q, change.v])
 
         x = jnp.concatenate([place, velocity])
-        return Point(flow, metric, x, metric.frame(jnp.zeros((), z.dtype), x))
+        return Point(
+            flow,
+            metric,
+            x,
+            lambda: metric.frame(jnp.zeros((), z.dtype), x),
+            lambda: -jnp.eye(n, dtype=z.dtype),
+        )
 
     names = model.coordinates or tuple(f"q{i + 1}" for i in range(n))
     units = model.units or ("",) * n
@@ -124,9 +183,8 @@ def _on_group(observer: Group, q: TwoByTwo) -> Subject:
     model, group = observer.model, observer.model.group
     n = group.dimension
     metric = model.metric
+    _need_symmetry(model)
     inertia = np.array(jax.vmap(metric.inertia)(jnp.eye(n)))
-    driven = GroupSystem(group, metric.inertia, dissipation=model.dissipation)
-    bare = _with_model(observer, driven)
 
     def each(linear, dtype):
         return jax.vmap(linear, out_axes=1)(jnp.eye(n, dtype=dtype))
@@ -147,18 +205,29 @@ def _on_group(observer: Group, q: TwoByTwo) -> Subject:
 
     def at(z):
         velocity, error, force = jnp.split(z, 3)
-        measured = group.exp(-error)  # seen from the estimate
 
         def flow(t, x):
             theta, v = jnp.split(x, 2)
-            state = bare.init(group.identity(x.dtype))._replace(g=group.exp(theta), v=v, t=t)
-            change = bare.flow(t, state, force, measured)
-            return jnp.concatenate([group.right_jacobian_inverse(theta, change.g), change.v])
+            # log(exp(−θ) exp(−e)) to first order in θ, without what the logarithm decides by matrix entries. It is an
+            # identity for errors whose logarithm is unique.
+            towards = -error - group.right_jacobian_inverse(error, theta)
+            source = metric.inertia.solve(force)
+            rubbing = metric.inertia.solve(model.dissipation(group.identity(z.dtype), v))
+            drive = observer.bend(source + metric.connection(towards, source), towards, v)
+            w, v_dot = observer.rates(v, towards, drive + rubbing)
+            return jnp.concatenate([group.right_jacobian_inverse(theta, w), v_dot])
 
         x = jnp.concatenate([jnp.zeros(n, z.dtype), velocity])
-        away = each(functools.partial(group.right_jacobian_inverse, error), z.dtype)
-        rows = jnp.concatenate([away, jnp.zeros((n, n), z.dtype)], axis=1)
-        return Point(flow, length, x, jnp.concatenate([rows, length.frame(jnp.zeros((), z.dtype), x)[n:]]))
+
+        def reach():
+            away = each(functools.partial(group.right_jacobian_inverse, error), z.dtype)
+            rows = jnp.concatenate([away, jnp.zeros((n, n), z.dtype)], axis=1)
+            return jnp.concatenate([rows, length.frame(jnp.zeros((), z.dtype), x)[n:]])
+
+        def offset():
+            return -each(functools.partial(group.left_jacobian_inverse, error), z.dtype)
+
+        return Point(flow, length, x, reach, offset)
 
     names, units = model.velocities, model.units
     turned = tuple(unit.removesuffix("/s") for unit in units)
@@ -184,25 +253,129 @@ def _dimension(model: Lagrangian) -> int:
     return len(model.coordinates)
 
 
+def _need_symmetry(model: GroupSystem) -> None:
+    """Raise `ValueError` where friction or inertia do not let the estimated configuration drop out."""
+    entries, n = model.group.order**2, model.group.dimension
+    rubbing = lower(model.dissipation, model.group.identity(), jnp.zeros(n), real=True)
+    assert rubbing.conditions is not None
+    read = {
+        node.value for graph in (rubbing.graph, rubbing.conditions.graph) for node in graph.nodes if node.op == "input"
+    }
+    places = [f"g{k // model.group.order + 1}{k % model.group.order + 1}" for k in range(entries) if k in read]
+    if places:
+        raise ValueError(
+            f"the friction of this model depends on where the body is, on {', '.join(places)} of its matrix; on a group "
+            "that is not covered: write the system as a Lagrangian in coordinates"
+        )
+    momentum = lower(model.metric.inertia, jnp.zeros(n))
+    bent = expand(momentum, range(n), 2)
+    second = np.ravel(bent.nodes()[2]).tolist()
+    if numbers(momentum, np.zeros(n)).any() or not all(bent.graph.is_zero(node) for node in second):
+        raise ValueError("the inertia of this model is not a linear map; on a group that is not covered")
+
+
+def check_unique(observer: Intrinsics, error: Float[np.ndarray, "n"]) -> None:
+    """Raise `ValueError` for errors of positions up to which the way to the measurement is not unique, or not known.
+
+    Below half a turn, of each circle, and of each rotation at the farthest corner of the box.
+    """
+    if isinstance(observer, Geodesic) or (isinstance(observer, Group) and observer.error != "group"):
+        raise ValueError(
+            "the exact observer searches its geodesic, and that it finds the shortest one is not proved; certify the "
+            "approximate one, Intrinsic or Group(error='group')"
+        )
+    model = observer.model
+    rotations = [(i,) for i in model.circles] if isinstance(model, Lagrangian) else model.group.rotations
+    if rotations is None:
+        raise ValueError(
+            f"how far the logarithm of {type(model.group).__name__} is unique is not known; no proof there"
+        )
+    for turn in rotations:
+        farthest = math.sqrt(math.fsum(float(error[i]) ** 2 for i in turn)) * (1 + 1e-12)
+        if not farthest < math.pi * (1 - 1e-12):
+            names = model.coordinates if isinstance(model, Lagrangian) else model.velocities
+            raise ValueError(
+                f"the error of {', '.join(names[i] for i in turn)} must be below π, at the farthest corner of its box; "
+                f"it is up to {farthest:g} there"
+            )
+
+
 def force_bounds(
     model: Lagrangian | GroupSystem, places: Box, inputs: Float[np.ndarray, "2 m"], times: tuple[float, float]
 ) -> Float[np.ndarray, "2 n"]:
     """Bounds of `force − grad U` over the box of positions, or on a group of matrix entries, of inputs and of times.
 
-    By interval arithmetic, outward rounded. Raises `ValueError` where the force has no bound there.
+    By interval arithmetic, outward rounded. The force may jump there. Raises `ValueError` where it has no bound, or is
+    not defined everywhere.
     """
-    shape = places.low.shape if isinstance(model, Lagrangian) else (model.group.order,) * 2
+    given = _given_box(places, inputs, times)
 
     def force(t, q, u):
         return applied_force(model, t, q, u)
 
-    lowered = lower(force, jnp.zeros(()), jnp.zeros(shape), jnp.zeros(inputs.shape[1]))
-    low, high = (
-        np.concatenate([[t], ends, u])[None]
-        for t, ends, u in zip(times, (places.low, places.high), inputs, strict=True)
+    lowered = lower(force, jnp.zeros(()), jnp.zeros(_shape(model, places)), jnp.zeros(inputs.shape[1]), real=True)
+    assert lowered.conditions is not None
+    defined = lowered.conditions._replace(
+        conditions=tuple(c for c in lowered.conditions.conditions if c.kind == "true")
     )
-    found = enclose(lowered, low, high)
+    _need_conditions("the force of the model is not defined", defined, given)
+    found = enclose(lowered, given.low[None], given.high[None])
     bounds = np.concatenate([found.low, found.high])
     if not np.isfinite(bounds).all():
         raise ValueError(f"the force of the model has no bound over {places}; make the box smaller")
     return bounds
+
+
+def force_slopes(
+    model: Lagrangian | GroupSystem, places: Box, inputs: Float[np.ndarray, "2 m"], times: tuple[float, float]
+) -> Float[np.ndarray, "n n"]:
+    """Bounds of |∂f_i/∂q_j| over the same boxes; on a group along the directions of the body.
+
+    Raises `ValueError` where the force has no such bound, as where it jumps.
+    """
+    given, shape = _given_box(places, inputs, times), _shape(model, places)
+    n = shape[0] if isinstance(model, Lagrangian) else model.group.dimension
+
+    def force(t, q, u, step):
+        return applied_force(model, t, moved(model, q, step), u)
+
+    lowered = lower(force, jnp.zeros(()), jnp.zeros(shape), jnp.zeros(inputs.shape[1]), jnp.zeros(n), real=True)
+    assert lowered.conditions is not None
+    still = np.zeros(n)
+    whole = Box(
+        (*given.names, *("",) * n),
+        (*given.units, *("",) * n),
+        np.concatenate([given.low, still]),
+        np.concatenate([given.high, still]),
+    )
+    _need_conditions("the force of the model jumps, or is not defined", lowered.conditions, whole)
+    steps = range(len(given.low), len(whole.low))
+    found = enclose(expand(lowered._replace(conditions=None), steps, 1), whole.low[None], whole.high[None])
+    bounds = np.maximum(np.abs(found.low), np.abs(found.high))[0, n:].reshape(n, n).T
+    if not np.isfinite(bounds).all():
+        raise ValueError(f"the slope of the model's force has no bound over {places}; make the box smaller")
+    return bounds
+
+
+def moved(model: Lagrangian | GroupSystem, q: Array, step: Vector) -> Array:
+    """The position a small step (n,) from q: in coordinates, or to first order in the body."""
+    return q + step if isinstance(model, Lagrangian) else q + q @ model.group.hat(step)
+
+
+def _shape(model: Lagrangian | GroupSystem, places: Box) -> tuple[int, ...]:
+    return places.low.shape if isinstance(model, Lagrangian) else (model.group.order,) * 2
+
+
+def _given_box(places: Box, inputs: Float[np.ndarray, "2 m"], times: tuple[float, float]) -> Box:
+    """Time, positions and inputs as one box."""
+    names = ("t", *places.names, *(f"u{i + 1}" for i in range(inputs.shape[1])))
+    low, high = (
+        np.concatenate([[t], ends, u]) for t, ends, u in zip(times, (places.low, places.high), inputs, strict=True)
+    )
+    return check_box(Box(names, ("s", *places.units, *("",) * inputs.shape[1]), low, high))
+
+
+def _need_conditions(what: str, conditions: Conditions, domain: Box) -> None:
+    reason = show_conditions(conditions, domain)
+    if reason:
+        raise ValueError(f"{what} everywhere in the region: {reason}")

@@ -11,12 +11,14 @@ import functools
 import itertools
 import math
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.interpreters import partial_eval
+
+from covariant.lowering import STUMPFF
 
 ROUND, TINY = 2.0**-40, 2.0**-990
 """More than the relative rounding of a few hundred operations, and than what may underflow in them."""
@@ -112,6 +114,9 @@ def points(name: str, x: np.ndarray) -> np.ndarray:
     """A function at points. Its error is below ROUND/2, relative, or absolute for a sine and a logarithm."""
     if name in ("inv", "sqrt"):
         return 1 / x if name == "inv" else np.sqrt(x)
+    if name.startswith("stumpff"):
+        k = int(name[7:])
+        return functools.reduce(lambda total, j: 1 / math.factorial(2 * j + k) - x * total, range(24, -1, -1), 0.0)
     if name in ("atan", "log"):  # twice the inverse tangent of half the angle; of a root near one
         for _ in range(3 if name == "atan" else 10):
             x = x / (1 + np.sqrt(1 + x * x)) if name == "atan" else np.sqrt(x)
@@ -130,8 +135,13 @@ def points(name: str, x: np.ndarray) -> np.ndarray:
 def bounds(name: str, a: Taylor) -> Taylor:
     """A function over the range of a number, from its values at the ends; a sine from that in the middle.
 
-    NaN where it is not defined on all of the range, or not known here.
+    NaN where it is not defined on all of the range, or not known here. Stumpff's functions fall up to π².
     """
+    if name.startswith("stumpff"):
+        low, high = a.middle - a.away, a.middle + a.away
+        ends = [points(name, np.where((low > -1) & (high < 9.8), end, np.nan)) for end in (low, high)]
+        half, error = abs(ends[1] - ends[0]) / 2, ROUND / math.factorial(int(name[7:]))
+        return number(ends[0] / 2 + ends[1] / 2, half + error)
     known = abs(a.middle) + a.away < (1e3 if name in ("sin", "exp") else 1e150)
     known &= (name not in ("inv", "log")) | (abs(a.middle) > a.away)
     x = np.where(known, [a.middle - a.away, a.middle, a.middle + a.away], np.nan)
@@ -158,21 +168,31 @@ CURVES: dict[str, Callable[[Taylor, Taylor], tuple[Taylor, Taylor]]] = {
 """The derivative, and half the second one, from x and the value."""
 
 
+def _stumpff(k: int) -> Callable[[Taylor, Taylor], tuple[Taylor, Taylor]]:
+    """From `c_k' = (k c_{k+2} − c_{k+1})/2`, twice."""
+
+    def slopes(x: Taylor, f: Taylor) -> tuple[Taylor, Taylor]:
+        one, two, three, four = (bounds(f"stumpff{k + i}", x) for i in (1, 2, 3, 4))
+        bend = exact(k * (k + 2)) * four - exact(2 * k + 1) * three + two
+        return HALF * (exact(k) * two - one), exact(0.125) * bend
+
+    return slopes
+
+
 @functools.cache
 def curve(name: str, a: Taylor) -> Taylor:
     """A function by Taylor's formula `f(c) + f'(c) d + ½ f''(ξ) d²`: c the middle, d what is left, ξ in the range."""
     at, around = number(a.middle), number(a.middle, a.away)
     value, left = bounds(name, at), Taylor([{(): 0.0 * a.middle}, *a.terms[1:]], a.radius)
-    return value + CURVES[name](at, value)[0] * left + CURVES[name](around, bounds(name, around))[1] * (left * left)
+    slopes = CURVES[name] if name in CURVES else _stumpff(int(name[7:]))
+    return value + slopes(at, value)[0] * left + slopes(around, bounds(name, around))[1] * (left * left)
 
 
 # Branches. A truth that is the same on all boxes is a `bool`, any other a number: 1, 0, or all between where undecided.
 
 
 def less(a: Taylor, b: Taylor) -> bool | Taylor:
-    """Whether a < b. A comparison with itself, by which a missing value is told, is known: a number is itself."""
-    if a is b:
-        return False
+    """Whether a < b, known where one is below the other by anything at all: where both may meet there may be a kink."""
     gap = a - b
     known = abs(gap.middle) > gap.away
     found = np.where(known, 1.0 * (gap.middle < 0), 0.5)
@@ -213,8 +233,9 @@ def floor(a: Taylor) -> Taylor:
 
 
 def unequal(a: Taylor, b: Taylor) -> bool | Taylor:
+    """Whether a ≠ b. A comparison with itself, by which a missing value is told, is known: a number is itself."""
     known = less(a, b)
-    if isinstance(known, bool):
+    if a is b or isinstance(known, bool):
         return a is not b
     return number(np.where(known.away < 0.25, 1.0, 0.5), np.where(known.away < 0.25, 0.0, 0.5))
 
@@ -259,11 +280,50 @@ ENTRIES: dict[str, Callable] = {
     "min": lambda a, b: choose(less(a, b), a, b),
     "clamp": lambda low, a, high: ENTRIES["min"](ENTRIES["max"](a, low), high),
     "abs": lambda a: choose(less(a, ZERO), -a, a),
-    "sign": lambda a: a if a is ZERO else choose(less(a, ZERO), -ONE, ONE),
+    "sign": lambda a: choose(less(a, ZERO), -ONE, ONE),
     "round": lambda a: floor(a + HALF),
     "floor": floor,
     "is_finite": lambda a: less(a * a, number(1e300)),
 }
+
+
+# Where a primitive is defined, and does not jump.
+
+
+def _apart(a: Taylor) -> Any:
+    return abs(a.middle) > a.away
+
+
+def _positive(a: Taylor) -> Any:
+    return a.middle > a.away
+
+
+def _between(a: Taylor) -> Any:
+    """Whether there is no whole number in the range, nor at its ends."""
+    below = np.floor(a.middle - a.away)
+    return (below < a.middle - a.away) & (np.floor(a.middle + a.away) == below)
+
+
+def _settled_choice(which: bool | Taylor, *cases: Taylor) -> Any:
+    return True if isinstance(which, bool | np.bool_) else abs(which.middle - 0.5) > which.away
+
+
+NEEDS: dict[str, Callable] = {
+    "div": lambda a, b: _apart(b),
+    "inv": _apart,
+    **dict.fromkeys(("sqrt", "rsqrt", "log"), _positive),
+    "log1p": lambda a: _positive(a + ONE),
+    "pow": lambda a, b: _positive(a),
+    "tan": lambda a: _apart(curve("sin", a + RIGHT)),
+    "atan2": lambda y, x: _positive(x) | _apart(y),
+}
+STAYS: dict[str, Callable] = {
+    "sign": _apart,
+    **dict.fromkeys(("floor", "ceil"), _between),
+    "round": lambda a: _between(a + HALF),
+    "select_n": _settled_choice,
+}
+"""Conditions under which each primitive is defined, and under which it does not jump; those not named always are."""
 
 
 def each(function: Callable, *x: Any) -> np.ndarray:
@@ -324,10 +384,80 @@ ARRAYS: dict[str, Callable] = {
 }
 MOVES = {
     *("split", "pad", "gather", "scatter", "dynamic_slice", "dynamic_update_slice", "expand_dims"),
-    *("copy", "copy_p", "convert_element_type", "stop_gradient", "reduce_precision"),
+    *("copy", "copy_p", "convert_element_type", "stop_gradient"),
 }
 """Primitives that only move entries; they do it themselves, with the numbers of the places."""
 CALLS = {"jit", "pjit", "closed_call", "custom_jvp_call", "custom_vjp_call"}
+LEAVES = {*CALLS, "cond", "scan"}
+"""Primitives that are looked into."""
+
+
+def _refuse_shortened(eqn: Any) -> None:
+    """A number made shorter is no function of real numbers."""
+    old, new = (v.aval.dtype for v in (*eqn.invars[:1], *eqn.outvars[:1])) if eqn.invars else (None, None)
+    if eqn.primitive.name == "reduce_precision":
+        raise ValueError("the model makes numbers shorter, by 'reduce_precision'")
+    if eqn.primitive.name == "convert_element_type" and all(jnp.issubdtype(t, jnp.floating) for t in (old, new)):
+        if jnp.finfo(new).nmant < jnp.finfo(old).nmant:
+            raise ValueError(f"the model makes numbers shorter, {old} to {new}")
+
+
+# A function without what JAX is told about its derivative.
+
+
+def plain(function: Callable) -> Callable:
+    """The same function, for JAX to differentiate: no rule that somebody declared for a derivative, nothing hidden from
+    one, and |x|, min and max as choices, whose derivatives are those of both sides where these meet.
+    """
+
+    def inlined(*x: Any) -> Any:
+        closed, shape = jax.make_jaxpr(function, return_shape=True)(*x)
+        found = _inlined(closed.jaxpr, closed.consts, jax.tree.leaves(x))
+        return jax.tree.unflatten(jax.tree.structure(shape), found)
+
+    return inlined
+
+
+CHOICES: dict[str, Callable] = {
+    "abs": lambda a: jnp.where(a < 0, -a, a),
+    "max": lambda a, b: jnp.where(a < b, b, a),
+    "min": lambda a, b: jnp.where(a < b, a, b),
+    "clamp": lambda low, a, high: CHOICES["min"](CHOICES["max"](a, low), high),
+    "stop_gradient": lambda a: a,
+}
+
+
+def _inlined(jaxpr: Any, consts: Sequence, x: Sequence) -> list:
+    known = dict(zip([*jaxpr.constvars, *jaxpr.invars], [*consts, *x], strict=True))
+
+    def read(atom: Any) -> Any:
+        return atom.val if hasattr(atom, "val") else known[atom]
+
+    for eqn in jaxpr.eqns:
+        name, p, x = eqn.primitive.name, eqn.params, list(map(read, eqn.invars))
+        if name in CALLS:
+            inner = p.get("jaxpr", p.get("call_jaxpr"))
+            out = _inlined(inner.jaxpr, inner.consts, x)
+        elif name == "scan":
+            out = _unrolled(p, x)
+        elif name in ("cond", "while"):
+            raise ValueError(f"the operation '{name}' is not known to the check")
+        elif name in CHOICES and _real(eqn.invars[0]):
+            out = [CHOICES[name](*x)]
+        else:
+            out = eqn.primitive.bind(*x, **p)
+            out = out if eqn.primitive.multiple_results else [out]
+        known |= dict(zip(eqn.outvars, out, strict=True))
+    return [read(atom) for atom in jaxpr.outvars]
+
+
+def _unrolled(p: dict, x: list) -> list:
+    first, last = p["num_consts"], p["num_consts"] + p["num_carry"]
+    carry, rows = x[first:last], []
+    for i in range(p["length"])[:: -1 if p["reverse"] else 1]:
+        found = _inlined(p["jaxpr"].jaxpr, p["jaxpr"].consts, [*x[:first], *carry, *(a[i] for a in x[last:])])
+        carry, rows = found[: last - first], [*rows, found[last - first :]]
+    return [*carry, *(jnp.stack(column) for column in zip(*rows[:: -1 if p["reverse"] else 1], strict=True))]
 
 
 def _real(atom: Any) -> bool:
@@ -355,11 +485,22 @@ class Enclosure:
 
     - `low`, `high` (d,): a box in which all others lie; variables without width are fixed.
     - `room` (d,): how much farther out than its box z may be.
+    - `watch`: instead of the function, the number 1 on boxes where all that it computes is "defined", or "smooth": is
+      defined and does not jump; and −1 on others.
     """
 
-    def __init__(self, function: Callable, low: np.ndarray, high: np.ndarray, room: np.ndarray):
+    def __init__(
+        self,
+        function: Callable,
+        low: np.ndarray,
+        high: np.ndarray,
+        room: np.ndarray,
+        watch: Literal["", "defined", "smooth"] = "",
+    ):
         closed = jax.make_jaxpr(function)(jnp.asarray(low))
-        self.jaxpr, self.consts = partial_eval.dce_jaxpr(closed.jaxpr, [True], instantiate=True)[0], closed.consts
+        needed = partial_eval.dce_jaxpr(closed.jaxpr, [True], instantiate=True)[0]
+        self.jaxpr, self.consts = closed.jaxpr if watch else needed, closed.consts
+        self.needs = {"": {}, "defined": NEEDS, "smooth": NEEDS | STAYS}[watch] if watch else None
         self.free, self.room, self._places = high > low, room, {}
 
     def __call__(self, low: np.ndarray, high: np.ndarray) -> np.ndarray:
@@ -374,8 +515,10 @@ class Enclosure:
         z = np.array([Taylor([{(): c}, {}, {}], room) for c, room in zip(middle.T, self.room, strict=True)], object)
         for k in np.flatnonzero(self.free):
             z[k] = Taylor([z[k].terms[0], {(int(k),): half[:, k]}, {}], self.room[k])
+        self._good = np.ones(len(low), bool)
         with np.errstate(all="ignore"):
-            return self._run(self.jaxpr, self.consts, [z])[0]
+            found = self._run(self.jaxpr, self.consts, [z])[0]
+        return found if self.needs is None else np.array([[number(np.where(self._good, 1.0, -1.0))]], object)
 
     def _run(self, jaxpr: Any, consts: Sequence, args: Sequence) -> list:
         known = dict(zip([*jaxpr.constvars, *jaxpr.invars], [*consts, *args], strict=True))
@@ -386,6 +529,9 @@ class Enclosure:
 
         for eqn in jaxpr.eqns:
             name, p, x = eqn.primitive.name, eqn.params, list(map(read, eqn.invars))
+            _refuse_shortened(eqn)
+            if self.needs is not None and any(a.dtype == object for a in x):
+                self._look(eqn, x)
             if name in CALLS:
                 inner = p.get("jaxpr", p.get("call_jaxpr"))
                 out = self._run(inner.jaxpr, inner.consts, x)
@@ -401,6 +547,23 @@ class Enclosure:
             known |= {v: _settled(value, v) for v, value in zip(eqn.outvars, out, strict=True)}
         return [read(atom) for atom in jaxpr.outvars]
 
+    def _look(self, eqn: Any, x: list) -> None:
+        """Note the boxes on which a primitive is not defined, or meets what is no number, or jumps."""
+        name = eqn.primitive.name
+        need = (self.needs or {}).get(name)
+        if name == "integer_pow" and eqn.params["y"] < 0:
+            need = _apart
+        if name in LEAVES:
+            return
+        for a, atom in zip(x, eqn.invars, strict=True):
+            if _real(atom) and name != "select_n" and name not in MOVES:
+                for entry in set((a if a.dtype == object else each(exact, a)).flat):
+                    self._good &= np.isfinite(entry.middle) & np.isfinite(entry.away)
+        if need is not None:
+            pairs = (a if a.dtype == object or a.dtype == bool else each(exact, a.astype(float)) for a in x)
+            for entries in np.nditer(np.broadcast_arrays(*pairs), flags=["refs_ok", "zerosize_ok"]):
+                self._good &= need(*(entry.item() for entry in (entries if len(x) > 1 else (entries,))))
+
     def _work(self, eqn: Any, x: list) -> list:
         """A primitive of numbers; `x` may have known places, and known truths, beside them."""
         name, p, atoms = eqn.primitive.name, eqn.params, eqn.invars
@@ -413,6 +576,8 @@ class Enclosure:
             return [ARRAYS[name](p, *x)]
         if chosen or (name in MOVES and _real(atoms[0]) <= _real(eqn.outvars[0])):
             return self._move(eqn, x)
+        if eqn.primitive is STUMPFF:
+            return [each(functools.partial(curve, f"stumpff{p['k']}"), *x)]
         if name in ENTRIES:
             return [each(ENTRIES[name], *(a if a.dtype == object else each(exact, a.astype(float)) for a in x))]
         raise ValueError(f"the operation '{name}' is not known to the check")

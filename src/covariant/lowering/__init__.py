@@ -2,19 +2,24 @@
 
 `lower` interprets the function's jaxpr over scalars: loops are unrolled, constants folded, zeros pruned, equal parts
 shared. A graph is then read in any arithmetic that knows its operations: in numbers, or in intervals, which bound its
-values over whole boxes. Knows only jaxprs.
+values over whole boxes, and say where it is defined and does not jump. Knows only jaxprs.
 """
 
-from covariant.lowering._differentiate import expand, pairs
-from covariant.lowering._graph import FOLD, Graph, Node
-from covariant.lowering._intervals import INTERVALS, Enclosure, Interval, Truth, enclose
+from covariant.lowering._differentiate import Derivative, expand, pairs
+from covariant.lowering._graph import FOLD, Condition, Graph, Node
+from covariant.lowering._intervals import INTERVALS, Enclosure, Interval, Truth, enclose, fulfilled
 from covariant.lowering._read import NUMBERS, Domain, evaluate, numbers
-from covariant.lowering._trace import Lowered, LoweringError, lower
+from covariant.lowering._stumpff import STUMPFF, stumpff
+from covariant.lowering._trace import Conditions, Lowered, LoweringError, graft, lower, substitute
 
 __all__ = [
     "FOLD",
     "INTERVALS",
     "NUMBERS",
+    "STUMPFF",
+    "Condition",
+    "Conditions",
+    "Derivative",
     "Domain",
     "Enclosure",
     "Graph",
@@ -26,7 +31,11 @@ __all__ = [
     "enclose",
     "evaluate",
     "expand",
+    "fulfilled",
+    "graft",
     "lower",
     "numbers",
     "pairs",
+    "stumpff",
+    "substitute",
 ]

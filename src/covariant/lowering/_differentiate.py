@@ -5,7 +5,7 @@ many nodes as they have, without tracing anything again.
 """
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import jax
 import jax.numpy as jnp
@@ -21,17 +21,18 @@ def expand(lowered: Lowered, inputs: Sequence[int], order: int) -> Lowered:
     """The graph of the values (K,) of all outputs and of their derivatives in the given inputs (F,).
 
     `order` 1: values (K,) and first derivatives (F, K). `order` 2: also second derivatives (P, K), of the pairs
-    `pairs(F)`. Where a function jumps or has a kink its derivative is that of one side.
+    `pairs(F)`. Where a function has a kink its derivative is anything between those of both sides (`either`), in numbers
+    that of one; where it jumps nothing is said, for which `Lowered.conditions` are there.
     """
     graph = Graph.of(lowered.graph.nodes)
-    derivative = Derivative(graph)
+    slopes = [Derivative(graph, {i: graph.constant(1.0)}) for i in inputs]
     values = list(lowered.outputs)
-    first = [[derivative(node, i) for node in values] for i in inputs]
+    first = [[slope(node) for node in values] for slope in slopes]
     parts = [values, *first]
     shapes = [(len(values),), (len(inputs), len(values))]
     if order == 2:
         chosen = pairs(len(inputs))
-        parts += [[derivative(node, inputs[j]) for node in first[i]] for i, j in chosen]
+        parts += [[slopes[j](node) for node in first[i]] for i, j in chosen]
         shapes.append((len(chosen), len(values)))
     small, outputs = graph.pruned(list(itertools.chain(*parts)))
     results = tuple(jax.ShapeDtypeStruct(shape, jnp.float64) for shape in shapes)
@@ -44,19 +45,21 @@ def pairs(count: int) -> list[tuple[int, int]]:
 
 
 class Derivative:
-    """Derivatives of the nodes of a graph, which grows by them; each is found once."""
+    """Derivatives of the nodes of a graph along a direction; the graph grows by them, and each is found once.
 
-    def __init__(self, graph: Graph):
+    `direction`: the node of the change of each input, by its position; an input without one does not change.
+    """
+
+    def __init__(self, graph: Graph, direction: Mapping[int, int]):
         self.graph = graph
-        self._known: dict[int, dict[int, int]] = {}
+        self._known = {graph.input(position): node for position, node in direction.items()}
 
-    def __call__(self, node: int, position: int) -> int:
-        """The derivative of a node in the input at a position."""
-        known = self._known.setdefault(position, {})
-        stack = [node]
+    def __call__(self, node: int) -> int:
+        """The derivative of a node."""
+        known, stack = self._known, [node]
         while stack:
             at = stack[-1]
-            op, arguments, value = self.graph.nodes[at]
+            op, arguments, _ = self.graph.nodes[at]
             missing = [a for a in arguments if a not in known]
             if at in known:
                 stack.pop()
@@ -65,16 +68,9 @@ class Derivative:
             else:
                 stack.pop()
                 changes = tuple(known[a] for a in arguments)
-                if op in ("constant", "input"):
-                    known[at] = self.graph.constant(1.0 if op == "input" and value == position else 0.0)
-                elif all(self._zero(c) for c in changes):
-                    known[at] = self.graph.constant(0.0)
-                else:
-                    known[at] = RULES[op](self.graph, at, arguments, changes)
+                still = all(self.graph.is_zero(c) for c in changes)  # a constant, and another input, too
+                known[at] = self.graph.constant(0.0) if still else RULES[op](self.graph, at, arguments, changes)
         return known[node]
-
-    def _zero(self, node: int) -> bool:
-        return self.graph.nodes[node].op == "constant" and self.graph.nodes[node].value == 0.0
 
 
 def _chain(slope: Callable[[Graph, int, int], int]) -> Rule:
@@ -116,8 +112,7 @@ def _power(graph: Graph, node: int, arguments: tuple[int, ...], changes: tuple[i
     lowered = graph.apply("pow", a, graph.apply("sub", b, graph.constant(1.0)))
     base = graph.apply("mul", graph.apply("mul", b, lowered), da)
     exponent = graph.apply("mul", graph.apply("mul", node, graph.apply("log", a)), db)
-    steady = graph.nodes[db].op == "constant" and graph.nodes[db].value == 0.0
-    return base if steady else graph.apply("add", base, exponent)  # log a may not exist where b is constant
+    return base if graph.is_zero(db) else graph.apply("add", base, exponent)  # log a may not exist where b is constant
 
 
 def _angle(graph: Graph, node: int, arguments: tuple[int, ...], changes: tuple[int, ...]) -> int:
@@ -127,9 +122,21 @@ def _angle(graph: Graph, node: int, arguments: tuple[int, ...], changes: tuple[i
 
 
 def _extreme(graph: Graph, node: int, arguments: tuple[int, ...], changes: tuple[int, ...]) -> int:
-    smaller = graph.apply("lt", *arguments)
     which = changes if graph.nodes[node].op == "min" else changes[::-1]
-    return graph.apply("select", smaller, *which)
+    return graph.apply("either", *arguments, *which)
+
+
+def _size(graph: Graph, node: int, arguments: tuple[int, ...], changes: tuple[int, ...]) -> int:
+    return graph.apply("either", arguments[0], graph.constant(0.0), graph.apply("neg", changes[0]), changes[0])
+
+
+def _stumpff(graph: Graph, node: int, arguments: tuple[int, ...], changes: tuple[int, ...]) -> int:
+    """c_k' = (k c_{k+2} − c_{k+1})/2."""
+    k, x = arguments
+    order = graph.nodes[k].value
+    one, two = (graph.apply("stumpff", graph.constant(float(order + i)), x) for i in (1, 2))  # pyright: ignore[reportOptionalOperand]
+    slope = graph.apply("sub", graph.apply("mul", k, two), one)
+    return graph.apply("mul", graph.apply("mul", graph.constant(0.5), slope), changes[1])
 
 
 def _root(graph: Graph, inside: int) -> int:
@@ -147,7 +154,9 @@ RULES: dict[str, Rule] = {
     "min": _extreme,
     "max": _extreme,
     "select": lambda g, node, x, d: g.apply("select", x[0], d[1], d[2]),
-    "abs": _chain(lambda g, f, x: g.apply("sign", x)),
+    "either": lambda g, node, x, d: g.apply("either", x[0], x[1], d[2], d[3]),
+    "abs": _size,
+    "stumpff": _stumpff,
     "sqrt": _over(lambda g, f, x: g.apply("mul", g.constant(2.0), f)),
     "cbrt": _over(lambda g, f, x: g.apply("mul", g.constant(3.0), _square(g, f))),
     "exp": _chain(lambda g, f, x: f),

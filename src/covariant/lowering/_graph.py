@@ -1,9 +1,31 @@
-"""A function of real numbers as a graph of scalar operations: constants folded, zeros pruned, equal parts shared."""
+"""A function of real numbers as a graph of scalar operations: constants folded, zeros pruned, equal parts shared.
 
-from collections.abc import Callable, Sequence
-from typing import NamedTuple
+Folding forgets: `0 · √q` is 0, wherever √q is. A graph of a function of real numbers therefore notes, before anything is
+simplified, what each operation needs to be defined and not to jump: its conditions.
+"""
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from typing import Literal, NamedTuple
 
 import numpy as np
+
+from covariant.lowering import _stumpff
+
+Kind = Literal["true", "decided", "whole"]
+
+
+class Condition(NamedTuple):
+    """What must be so wherever a function is defined and does not jump; `because` names the operation and its line.
+
+    - "true": the node, a statement, holds.
+    - "decided": it holds everywhere or nowhere, and not just so: a choice that depends on it is the same all around.
+    - "whole": the node, a number, is not and does not pass a whole number.
+    """
+
+    kind: Kind
+    node: int
+    because: str
 
 
 class Node(NamedTuple):
@@ -55,18 +77,35 @@ FOLD: dict[str, Callable] = {
     "not": np.logical_not,
     "is_finite": np.isfinite,
     "select": np.where,
+    "either": lambda a, b, x, y: np.where(np.less(a, b), x, y),
+    "stumpff": _stumpff.values,
 }
-"""Every operation of a graph, on numbers. `select(p, a, b)` is a where p holds, else b; comparisons give truths."""
+"""Every operation of a graph, on numbers. `select(p, a, b)` is a where p holds, else b; comparisons give truths.
+
+`either(a, b, x, y)` is x where a < b and y where b < a: the slope of what has a kink where a = b, and there all that lies
+between. `stumpff(k, x)` is Stumpff's c_k.
+"""
 
 COMMUTATIVE = {"add", "mul", "min", "max", "eq", "and", "or"}
 """Their arguments are put in order, so that a + b and b + a are one node; IEEE arithmetic does not tell them apart."""
 
 
-class Graph:
-    """Nodes in an order in which each follows its arguments. Nodes are added by `constant`, `input` and `apply`."""
+ANYTHING = {"lt", "le", "eq", "and", "or", "not", "is_finite", "select", "min", "max"}
+"""Operations that may meet what is infinite."""
 
-    def __init__(self) -> None:
+
+class Graph:
+    """Nodes in an order in which each follows its arguments. Nodes are added by `constant`, `input` and `apply`.
+
+    With `real` all inputs are real numbers, none missing (NaN): a number equals itself, is finite, and `conditions` are
+    noted, with what `line` says: where in somebody's code the operation was asked for.
+    """
+
+    def __init__(self, real: bool = False) -> None:
         self.nodes: list[Node] = []
+        self.real = real
+        self.conditions: dict[tuple[Kind, int], Condition] = {}
+        self.line: Callable[[], str] = str
         self._known: dict[tuple, int] = {}
 
     @classmethod
@@ -95,15 +134,42 @@ class Graph:
     def apply(self, op: str, *arguments: int) -> int:
         """The node of an operation, folded where its arguments are constants, simplified as real numbers allow."""
         nodes = [self.nodes[a] for a in arguments]
+        if self.real:
+            self._note(op, arguments, nodes)
+        if op == "either":
+            return self._either(*arguments)
         if all(node.op == "constant" for node in nodes):
             with np.errstate(all="ignore"):
                 return self.constant(np.asarray(FOLD[op](*(node.value for node in nodes))).item())
         simpler = self._simplify(op, arguments, [n.value if n.op == "constant" else None for n in nodes])
         if simpler is not None:
             return simpler
+        if self.real and op == "select":  # one that did not come down to something without a jump
+            self._condition("decided", arguments[0], op)
         if op in COMMUTATIVE:
             arguments = tuple(sorted(arguments))
         return self._add((op, *arguments), Node(op, arguments))
+
+    def _either(self, a: int, b: int, x: int, y: int) -> int:
+        """A slope at a kink. At the kink itself, a = b, both sides stay, also where a and b are known numbers."""
+        first, second = self.nodes[a], self.nodes[b]
+        if x == y:
+            return x
+        if first.op == second.op == "constant" and first.value != second.value:
+            return x if first.value < second.value else y  # pyright: ignore[reportOptionalOperand, reportOperatorIssue]
+        return self._add(("either", a, b, x, y), Node("either", (a, b, x, y)))
+
+    def _note(self, op: str, arguments: tuple[int, ...], nodes: list[Node]) -> None:
+        """Note what an operation needs, as far as it is not known to be so."""
+        for kind, node in _needs(self, op, arguments, nodes):
+            self._condition(kind, node, op)
+
+    def _condition(self, kind: Kind, node: int, op: str) -> None:
+        known = self.nodes[node]
+        # A number that is known neither passes a whole one nor jumps.
+        if not (known.op == "constant" and (kind != "true" or known.value)):
+            if (kind, node) not in self.conditions:
+                self.conditions[kind, node] = Condition(kind, node, f"{op} {self.line()}".strip())
 
     def _add(self, key: tuple, node: Node) -> int:
         if key not in self._known:
@@ -114,6 +180,10 @@ class Graph:
     def _is(self, op: str, node: int, first: int) -> bool:
         """Whether a node is that operation on that first argument."""
         return self.nodes[node].op == op and self.nodes[node].arguments[0] == first
+
+    def is_zero(self, node: int) -> bool:
+        """Whether a node is the number 0."""
+        return self.nodes[node].op == "constant" and self.nodes[node].value == 0
 
     def _simplify(self, op: str, arguments: tuple[int, ...], values: list) -> int | None:
         """The node that an operation with some constant arguments comes down to, or None.
@@ -164,6 +234,40 @@ class Graph:
                 return self.constant(True)
             case ("min" | "max" | "and" | "or", (a, b), _) if a == b:
                 return a
+        return self._simplify_real(op, arguments) if self.real else None
+
+    def _simplify_real(self, op: str, arguments: tuple[int, ...]) -> int | None:
+        """What holds for real numbers only. A choice that comes down to |x|, min or max is one that does not jump."""
+        match op, arguments:
+            case "is_finite", _:
+                return self.constant(True)
+            case "eq", (a, b) if a == b:
+                return self.constant(True)
+            case "eq", (a, b):
+                for one, other in ((a, b), (b, a)):  # a = max(a, c), as in the derivative of max
+                    node = self.nodes[other]
+                    if node.op in ("min", "max") and one in node.arguments:
+                        rest = node.arguments[0] if node.arguments[1] == one else node.arguments[1]
+                        return self.apply("le", *((one, rest) if node.op == "min" else (rest, one)))
+            case "not", (p,) if self.nodes[p].op == "not":
+                return self.nodes[p].arguments[0]
+            case "select", (p, a, b) if self.nodes[p].op == "not":
+                return self.apply("select", self.nodes[p].arguments[0], b, a)
+            case "select", (p, a, b) if self.nodes[p].op in ("lt", "le"):
+                less, more = self.nodes[p].arguments
+                if (a, b) in ((less, more), (more, less)):
+                    return self.apply("min" if a == less else "max", a, b)
+                size = self._size(less, more, a, b)
+                return None if size is None else self.apply("abs", size)
+        return None
+
+    def _size(self, less: int, more: int, a: int, b: int) -> int | None:
+        """x where `less < more ? a : b` is |x|: x < 0 ? −x : x, or 0 < x ? x : −x."""
+        zero = self.constant(0.0)
+        if more == zero and self._is("neg", a, b) and less == b:
+            return b
+        if less == zero and self._is("neg", b, a) and more == a:
+            return a
         return None
 
     def pruned(self, outputs: Sequence[int]) -> tuple["Graph", list[int]]:
@@ -180,3 +284,58 @@ class Graph:
             place[index] = len(small.nodes)
             small.nodes.append(node._replace(arguments=tuple(place[a] for a in node.arguments)))
         return small, [place[index] for index in outputs]
+
+
+def _needs(graph: Graph, op: str, x: tuple[int, ...], nodes: list[Node]) -> Iterator[tuple[Kind, int]]:
+    """Kinds and nodes of the conditions under which an operation is defined and, to first order, does not jump.
+
+    Where a root or an inverse is still defined but has no slope, at the end of its domain, it counts as not defined.
+    """
+
+    def number(value: float) -> int:
+        return graph.constant(value)
+
+    def less(a: int, b: int) -> tuple[Kind, int]:
+        return "true", graph.apply("lt", a, b)
+
+    def apart(a: int, b: int) -> tuple[Kind, int]:
+        return "true", graph.apply("or", graph.apply("lt", a, b), graph.apply("lt", b, a))
+
+    if any(n.op == "constant" and _no_number(n.value, op in ANYTHING) for n in nodes) and op not in (
+        "select",
+        "either",
+    ):
+        yield "true", graph.constant(False)
+    match op:
+        case "div":
+            yield apart(x[1], number(0.0))
+        case "sqrt" | "log":
+            yield less(number(0.0), x[0])
+        case "log1p":
+            yield less(number(-1.0), x[0])
+        case "acosh":
+            yield less(number(1.0), x[0])
+        case "asin" | "acos" | "atanh":
+            yield less(number(-1.0), x[0])
+            yield less(x[0], number(1.0))
+        case "cbrt" | "sign":
+            yield apart(x[0], number(0.0))
+        case "tan":
+            yield apart(graph.apply("cos", x[0]), number(0.0))
+        case "atan2":  # off its cut, the negative half-axis with the origin
+            yield "true", graph.apply("or", graph.apply("lt", number(0.0), x[1]), apart(x[0], number(0.0))[1])
+        case "pow":
+            exponent = nodes[1].value if nodes[1].op == "constant" else None
+            if exponent is None or not float(exponent).is_integer():
+                yield less(number(0.0), x[0])
+            elif exponent < 0:
+                yield apart(x[0], number(0.0))
+        case "floor" | "ceil":
+            yield "whole", x[0]
+        case "round":
+            yield "whole", graph.apply("add", x[0], number(0.5))
+
+
+def _no_number(value: float | bool | int | None, infinite: bool) -> bool:
+    """Whether a known value is none an operation can be applied to: NaN, and infinity where that is not allowed."""
+    return value is not None and not (math.isfinite(value) or (infinite and not math.isnan(value)))

@@ -10,14 +10,16 @@ A bound that is NaN says nothing. Where a function is not defined on all of a bo
 both bounds are NaN, and stay so through every operation; comparisons with them are undecided.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from covariant.lowering import _stumpff
 from covariant.lowering._elementary import ELEMENTARY, TINY
-from covariant.lowering._read import Domain, evaluate
-from covariant.lowering._trace import Lowered
+from covariant.lowering._graph import Graph
+from covariant.lowering._read import Domain, evaluate_nodes
+from covariant.lowering._trace import Conditions, Lowered
 
 STEP = 3 * 2.0**-54
 """A relative step outward: c ± STEP·|c|, in doubles, is a neighbour of c or beyond it.
@@ -300,6 +302,15 @@ def select(p: Truth, a: Any, b: Any) -> Any:
     return Interval(np.where(undecided, low, chosen.low), np.where(undecided, high, chosen.high))
 
 
+def kinked(a: Interval, b: Interval, x: Interval, y: Interval) -> Interval:
+    """A slope: x where a < b, y where b < a, and all between them where a and b may meet."""
+    return select(Truth(a.high < b.low, ~(a.low > b.high)), x, y)
+
+
+def stumpff(k: Interval, x: Interval) -> Interval:
+    return Interval(*_stumpff.bounds(int(k.low), np.asarray(x.low), np.asarray(x.high)))
+
+
 INTERVALS: Domain = {
     "constant": constant,
     "add": add,
@@ -323,12 +334,14 @@ INTERVALS: Domain = {
     "not": opposite,
     "is_finite": is_finite,
     "select": select,
+    "either": kinked,
+    "stumpff": stumpff,
     **_ELEMENTARY,
     "pow": power,
 }
 """Intervals, whole batches of them. Predicates are `Truth`."""
 
-JUMPS = ("select", "sign", "floor", "ceil", "round", "atan2")
+JUMPS = ("select", "either", "sign", "floor", "ceil", "round", "atan2")
 """Operations whose values may jump."""
 
 
@@ -336,6 +349,11 @@ def _no_jump(op: str, arguments: tuple, found: Any) -> Any:
     """Boxes on which such an operation does not jump."""
     if op == "select":
         return arguments[0].must | ~arguments[0].may
+    if op == "either":
+        a, b = arguments[:2]
+        return (a.high < b.low) | (a.low > b.high)
+    if op == "sign":  # zero itself has a sign of its own
+        return (arguments[0].low > 0) | (arguments[0].high < 0)
     if op == "atan2":
         (y_low, y_high), (x_low, x_high) = arguments
         # Across the negative half-axis, which is itself above the jump, or at the origin.
@@ -349,15 +367,7 @@ def enclose(lowered: Lowered, low: np.ndarray, high: np.ndarray) -> Enclosure:
     Truths among the outputs are bounded as the numbers 0 and 1. Raises `ValueError` for corners of another shape, or
     that are not numbers in order.
     """
-    low, high = np.asarray(low, float), np.asarray(high, float)
-    if low.ndim != 2 or low.shape != high.shape or low.shape[1] != lowered.inputs:
-        raise ValueError(f"boxes of this graph have corners (B, {lowered.inputs}); got {low.shape} and {high.shape}")
-    wrong = np.argwhere(~(low <= high))
-    if wrong.size:
-        box, entry = wrong[0]
-        raise ValueError(
-            f"a box has low <= high; box {box} has low {low[box, entry]} and high {high[box, entry]} in input {entry}"
-        )
+    low, high = _corners(low, high, lowered.inputs)
     if not len(low):
         nothing = np.empty((0, len(lowered.outputs)))
         return Enclosure(nothing, nothing, np.ones(0, bool))
@@ -372,9 +382,7 @@ def enclose(lowered: Lowered, low: np.ndarray, high: np.ndarray) -> Enclosure:
         return apply
 
     domain = {**INTERVALS, **{op: watched(op) for op in JUMPS}}
-    inputs = [Interval(a, b) for a, b in zip(low.T.copy(), high.T.copy(), strict=True)]
-    with np.errstate(all="ignore"):
-        values = evaluate(lowered, domain, inputs)
+    values = _values(lowered.graph, lowered.outputs, domain, low, high)
     for value in values:
         if isinstance(value, Truth):
             np.logical_and(smooth, value.must | ~value.may, out=smooth)
@@ -382,3 +390,83 @@ def enclose(lowered: Lowered, low: np.ndarray, high: np.ndarray) -> Enclosure:
     for k, value in enumerate(map(_number, values)):
         found[0, :, k], found[1, :, k] = value
     return Enclosure(found[0], found[1], smooth)
+
+
+def _corners(low: np.ndarray, high: np.ndarray, inputs: int) -> tuple[np.ndarray, np.ndarray]:
+    low, high = np.asarray(low, float), np.asarray(high, float)
+    if low.ndim != 2 or low.shape != high.shape or low.shape[1] != inputs:
+        raise ValueError(f"boxes of this graph have corners (B, {inputs}); got {low.shape} and {high.shape}")
+    wrong = np.argwhere(~(low <= high))
+    if wrong.size:
+        box, entry = wrong[0]
+        raise ValueError(
+            f"a box has low <= high; box {box} has low {low[box, entry]} and high {high[box, entry]} in input {entry}"
+        )
+    return low, high
+
+
+def _values(graph: Graph, outputs: Sequence[int], domain: Domain, low: np.ndarray, high: np.ndarray) -> list[Any]:
+    inputs = [Interval(a, b) for a, b in zip(low.T.copy(), high.T.copy(), strict=True)]
+    with np.errstate(all="ignore"):
+        return evaluate_nodes(graph, outputs, domain, inputs)
+
+
+# Where a function is defined and does not jump. Here a comparison is known only with room to spare: where both sides
+# may be equal, be it on one face of a box or at a variable that is held fixed, what depends on it may jump there.
+
+
+class Step(Interval):
+    """A number that is the same all around each point of a box, by conditions of its own, as the floor of another."""
+
+
+def _strictly(a: Interval | Truth, b: Interval | Truth) -> Truth:
+    """a < b, and a ≤ b all the same."""
+    a, b = _number(a), _number(b)
+    return Truth(a.high < b.low, ~(a.low > b.high))
+
+
+def _on_steps(rule: Callable, otherwise: Callable) -> Callable:
+    """A rule for numbers that are the same all around, and another for those that change."""
+
+    def apply(*arguments: Any) -> Any:
+        if not all(isinstance(a, Step | Truth) for a in arguments):
+            return otherwise(*arguments)
+        found = rule(*arguments)
+        return Step(*found) if isinstance(found, Interval) else found
+
+    return apply
+
+
+def _stepping(rule: Callable) -> Callable:
+    return lambda *arguments: Step(*rule(*arguments))
+
+
+def _same(a: Any, b: Any) -> Truth:
+    """Whether numbers that change are equal: known where they are one and the same, or apart."""
+    return eq(a, b) if a is b else Truth(np.zeros_like(eq(a, b).must), eq(a, b).may)
+
+
+STRICT: Domain = {
+    **{op: _on_steps(rule, rule) for op, rule in INTERVALS.items()},
+    "constant": lambda value: constant(value) if isinstance(value, bool | np.bool_) else Step(*constant(value)),
+    "lt": _on_steps(lt, _strictly),
+    "le": _on_steps(le, _strictly),
+    "eq": _on_steps(eq, _same),
+    **{op: _stepping(INTERVALS[op]) for op in ("floor", "ceil", "round", "sign")},
+}
+
+
+def fulfilled(conditions: Conditions, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Which conditions hold all over which boxes (B, conditions), with corners (B, inputs): True only where proved."""
+    low, high = _corners(low, high, conditions.inputs)
+    found = np.zeros((len(low), len(conditions.conditions)), bool)
+    if not found.size:
+        return found
+    values = _values(conditions.graph, [c.node for c in conditions.conditions], STRICT, low, high)
+    for k, (condition, value) in enumerate(zip(conditions.conditions, values, strict=True)):
+        if condition.kind == "whole":
+            below = np.floor(value.low)
+            found[:, k] = isinstance(value, Step) or (below < value.low) & (np.floor(value.high) == below)
+        else:
+            found[:, k] = value.must if condition.kind == "true" else value.must | ~value.may
+    return found

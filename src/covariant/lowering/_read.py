@@ -6,7 +6,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from covariant.lowering._graph import FOLD
+from covariant.lowering._graph import FOLD, Graph
 from covariant.lowering._trace import Lowered
 
 Domain = Mapping[str, Callable[..., Any]]
@@ -19,17 +19,21 @@ NUMBERS: Domain = {"constant": lambda value: value, **FOLD}
 def evaluate(lowered: Lowered, domain: Domain, inputs: Sequence[Any]) -> list[Any]:
     """Values of the outputs for values of the inputs, all in the domain.
 
-    A value is let go after its last use, so that large batches fit. Raises `ValueError` for another number of inputs
-    than the graph has.
+    Raises `ValueError` for another number of inputs than the graph has.
     """
     if len(inputs) != lowered.inputs:
         raise ValueError(f"the graph has {lowered.inputs} inputs; got {len(inputs)}")
-    nodes = lowered.graph.nodes
+    return evaluate_nodes(lowered.graph, lowered.outputs, domain, inputs)
+
+
+def evaluate_nodes(graph: Graph, outputs: Sequence[int], domain: Domain, inputs: Sequence[Any]) -> list[Any]:
+    """Values of some nodes of a graph. A value is let go after its last use, so that large batches fit."""
+    nodes = graph.nodes
     last = [-1] * len(nodes)
     for i, node in enumerate(nodes):
         for a in node.arguments:
             last[a] = i
-    for i in lowered.outputs:
+    for i in outputs:
         last[i] = len(nodes)
     values: list[Any] = [None] * len(nodes)
     for i, node in enumerate(nodes):
@@ -42,7 +46,7 @@ def evaluate(lowered: Lowered, domain: Domain, inputs: Sequence[Any]) -> list[An
             for a in node.arguments:
                 if last[a] == i:
                     values[a] = None
-    return [values[i] for i in lowered.outputs]
+    return [values[i] for i in outputs]
 
 
 def numbers(lowered: Lowered, *arguments: Any) -> Any:

@@ -8,15 +8,17 @@ arguments decide becomes a choice between all entries it may be, where these are
 import functools
 import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.extend import core
+from jax.extend import core, source_info_util
 
-from covariant.lowering._graph import Graph
+from covariant.lowering import _stumpff
+from covariant.lowering._graph import Condition, Graph
 
 MOST_PLACES = 64
 """Places that an index which depends on the arguments may have."""
@@ -43,6 +45,7 @@ class Lowered(NamedTuple):
 
     - `arguments`: shapes of the leaves of the arguments, whose entries are the inputs, in order.
     - `outputs`: nodes of the entries of the results; `results`, `tree`: their leaves, and how these hang together.
+    - `conditions`: where the function is defined and does not jump, if it was asked for as one of real numbers.
     """
 
     graph: Graph
@@ -50,11 +53,18 @@ class Lowered(NamedTuple):
     outputs: tuple[int, ...]
     results: tuple[jax.ShapeDtypeStruct, ...]
     tree: Any
+    conditions: "Conditions | None" = None
 
     @property
     def inputs(self) -> int:
         """Number of inputs."""
         return sum(math.prod(shape) for shape in self.arguments)
+
+    def nodes(self) -> Any:
+        """The function's result with the nodes in the places of their values."""
+        left = iter(self.outputs)
+        leaves = [np.array([next(left) for _ in range(leaf.size)], int).reshape(leaf.shape) for leaf in self.results]
+        return jax.tree.unflatten(self.tree, leaves)
 
     def rebuild(self, values: Sequence[np.ndarray]) -> Any:
         """The function's result from the values of the outputs, arrays of one batch shape (...)."""
@@ -67,14 +77,33 @@ class Lowered(NamedTuple):
         return jax.tree.unflatten(self.tree, leaves)
 
 
-def lower(function: Callable, *arguments: Any) -> Lowered:
+class Conditions(NamedTuple):
+    """What must be so wherever a function is defined and does not jump: a graph of its own, and what its nodes mean."""
+
+    graph: Graph
+    conditions: tuple[Condition, ...]
+    inputs: int
+
+    @classmethod
+    def of(cls, graph: Graph, conditions: Sequence[Condition], inputs: int) -> "Conditions":
+        """These conditions on nodes of a graph, without what they do not need of it."""
+        small, places = graph.pruned([condition.node for condition in conditions])
+        noted = tuple(c._replace(node=place) for c, place in zip(conditions, places, strict=True))
+        return cls(small, noted, inputs)
+
+
+def lower(function: Callable, *arguments: Any, real: bool = False) -> Lowered:
     """The graph of a function of arrays of real numbers, at the shapes of the arguments (arrays, or their shapes).
 
-    Its operations are those of `covariant.lowering.FOLD`. Raises `LoweringError` naming the primitive that has no
-    graph, such as a factorisation by LAPACK, or a loop whose length depends on the arguments.
+    Its operations are those of `covariant.lowering.FOLD`. With `real` all arguments are real numbers, none of them
+    missing (NaN), and the result has `conditions`: where the function is defined and does not jump, for everything that
+    it computes, whether a result needs it or not. What rounds by its nature, as a number made shorter, is then refused.
+
+    Raises `LoweringError` naming the primitive that has no graph, such as a factorisation by LAPACK, or a loop whose
+    length depends on the arguments.
     """
     closed, shape = jax.make_jaxpr(function, return_shape=True)(*arguments)
-    graph, position = Graph(), itertools.count()
+    graph, position = Graph(real), itertools.count()
     inputs: list[Value] = []
     for aval in closed.in_avals:
         if not jnp.issubdtype(aval.dtype, jnp.floating):
@@ -85,7 +114,31 @@ def lower(function: Callable, *arguments: Any) -> Lowered:
     ids = [_nodes(graph, value) for value in results]
     leaves, tree = jax.tree.flatten(shape)
     small, outputs = graph.pruned([int(i) for array in ids for i in array.ravel()])
-    return Lowered(small, tuple(aval.shape for aval in closed.in_avals), tuple(outputs), tuple(leaves), tree)
+    shapes = tuple(aval.shape for aval in closed.in_avals)
+    conditions = Conditions.of(graph, list(graph.conditions.values()), next(position)) if real else None
+    return Lowered(small, shapes, tuple(outputs), tuple(leaves), tree, conditions)
+
+
+def graft(graph: Graph, function: Callable, *arguments: np.ndarray) -> np.ndarray:
+    """The nodes of a function's result, an array, whose arguments are nodes of a graph, which grows by it."""
+    shapes = [jax.ShapeDtypeStruct(ids.shape, jnp.float64) for ids in arguments]
+    closed = jax.make_jaxpr(function)(*shapes)
+    (result,) = _Interpreter(graph).run(closed.jaxpr, closed.consts, [Scalars(ids) for ids in arguments])
+    return _nodes(graph, result)
+
+
+def substitute(graph: Graph, nodes: Sequence[int], into: Graph, inputs: Mapping[int, int]) -> list[int]:
+    """The nodes of a graph, its inputs having become nodes of another graph, which grows by them."""
+    small, outputs = graph.pruned(nodes)
+    place: list[int] = []
+    for node in small.nodes:
+        if node.op == "input":
+            place.append(inputs[node.value])  # pyright: ignore[reportArgumentType]
+        elif node.op == "constant":
+            place.append(into.constant(node.value))  # pyright: ignore[reportArgumentType]
+        else:
+            place.append(into.apply(node.op, *(place[a] for a in node.arguments)))
+    return [place[i] for i in outputs]
 
 
 def _nodes(graph: Graph, value: Value) -> np.ndarray:
@@ -108,7 +161,9 @@ class _Interpreter:
 
         known.update(zip(jaxpr.constvars, map(_known, consts), strict=True))
         known.update(zip(jaxpr.invars, inputs, strict=True))
+        outer = self.graph.line
         for eqn in jaxpr.eqns:
+            self.graph.line = functools.partial(_line, eqn, outer)
             found = self.equation(eqn, [read(atom) for atom in eqn.invars])
             known.update(zip(eqn.outvars, found, strict=True))
         return [read(atom) for atom in jaxpr.outvars]
@@ -121,6 +176,8 @@ class _Interpreter:
             return getattr(self, name + "_loop")(parameters, values)
         if not any(isinstance(value, Scalars) for value in values):
             return _compute(eqn, values)
+        if eqn.primitive is _stumpff.STUMPFF:
+            return [self.map("stumpff", np.asarray(float(parameters["k"])), *values)]
         if name not in _RULES:
             raise LoweringError(f"the primitive '{name}' has no graph of scalars; write the function without it")
         if name in _NOT_ON_INTEGERS and jnp.issubdtype(eqn.invars[0].aval.dtype, jnp.integer):
@@ -199,6 +256,13 @@ class _Interpreter:
 
 _NEUTRAL = {"add": 0.0, "mul": 1.0, "and": True, "or": False, "max": -np.inf, "min": np.inf}
 """What nothing sums up to."""
+
+
+def _line(eqn, outer: Callable[[], str]) -> str:
+    """Where in somebody's code an operation was asked for; in a function of JAX's, where that was."""
+    place, _, function = source_info_util.summarize(eqn.source_info).partition(" ")
+    file, *rest = place.split(":")
+    return f"at {':'.join([Path(file).name, *rest[:1]])} {function}".strip() if rest else outer()
 
 
 def _known(value) -> np.ndarray:
@@ -461,6 +525,8 @@ def _clamp(run: _Interpreter, eqn, values: list) -> list[Value]:
 
 def _convert(run: _Interpreter, eqn, values: list) -> list[Value]:
     source, target = eqn.invars[0].aval.dtype, eqn.params["new_dtype"]
+    if run.graph.real and all(jnp.issubdtype(t, jnp.floating) for t in (source, target)) and _shorter(target, source):
+        raise LoweringError(f"a number made shorter, {source} to {target}, is no function of real numbers")
     kinds = [next(k for k in (jnp.bool_, jnp.integer, jnp.floating) if jnp.issubdtype(t, k)) for t in (source, target)]
     if kinds[0] == jnp.bool_ and kinds[1] != jnp.bool_:
         return [run.map("select", values[0], np.array(1.0), np.array(0.0))]
@@ -469,6 +535,16 @@ def _convert(run: _Interpreter, eqn, values: list) -> list[Value]:
         return [run.map("select", negative, run.map("ceil", values[0]), run.map("floor", values[0]))]
     if kinds[1] == jnp.bool_ and kinds[0] != jnp.bool_:
         return [run.map("not", run.map("eq", values[0], np.array(0.0)))]
+    return [values[0]]
+
+
+def _shorter(one, other) -> bool:
+    return jnp.finfo(one).nmant < jnp.finfo(other).nmant
+
+
+def _shortened(run: _Interpreter, eqn, values: list) -> list[Value]:
+    if run.graph.real and eqn.params["mantissa_bits"] < jnp.finfo(eqn.invars[0].aval.dtype).nmant:
+        raise LoweringError("'reduce_precision' is no function of real numbers")
     return [values[0]]
 
 
@@ -515,7 +591,7 @@ _RULES: dict[str, Rule] = {
     "copy": _same,
     "copy_p": _same,
     "stop_gradient": _same,
-    "reduce_precision": _same,
+    "reduce_precision": _shortened,
     "optimization_barrier": lambda run, eqn, values: list(values),
     "broadcast_in_dim": _moves(_broadcast),
     "reshape": _moves(lambda p, ids: ids.reshape(p["new_sizes"])),

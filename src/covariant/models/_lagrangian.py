@@ -159,6 +159,6 @@ def position_error(model: Lagrangian, q: Vector, y: Vector) -> Vector:
 
 def wrap(circles: tuple[int, ...], e: Vector) -> Vector:
     """Bring the entries of e (n,) that are angles on a circle to ±π."""
-    whole = np.zeros(e.shape[0])
-    whole[list(circles)] = 2 * np.pi
-    return e - jnp.asarray(whole, e.dtype) * jnp.round(e / (2 * np.pi))
+    # Entry by entry: what is no angle is not rounded, not even for nothing.
+    turned = [x - 2 * np.pi * jnp.round(x / (2 * np.pi)) if i in circles else x for i, x in enumerate(e)]
+    return jnp.stack(turned) if circles else e

@@ -93,13 +93,19 @@ class Group(AbstractFlowObserver):
     def flow(self, t: Scalar, state: GroupState, u: Float[Array, "m"], y: Element) -> GroupState:
         """Time derivative of the state; in the place of g stands the body velocity w of `g̃' = g̃ w`."""
         found = self._correction(t, state, u, y)
-        alpha = self._alpha
-        w = state.v + alpha * found.towards
-        drive = found.drive + self.beta * found.towards + friction(self.model, state.g, state.v)
-        v_dot = drive - self.model.metric.connection(w, state.v)
+        w, v_dot = self.rates(state.v, found.towards, found.drive + friction(self.model, state.g, state.v))
         # Only a warm start: it follows the geodesic found, and no estimate depends on how closely.
-        log_dot = 10 * alpha * (found.towards - state.log)
+        log_dot = 10 * self._alpha * (found.towards - state.log)
         return GroupState(w, v_dot, jnp.ones_like(state.t), log_dot)
+
+    def rates(self, v: Vector, towards: Vector, drive: Vector) -> tuple[Vector, Vector]:
+        """Body velocity w of the estimate and v̂', from the way to the measurement and the acceleration it calls for."""
+        w = v + self._alpha * towards
+        return w, drive + self.beta * towards - self.model.metric.connection(w, v)
+
+    def bend(self, drive: Vector, towards: Vector, v: Vector) -> Vector:
+        """An acceleration carried to the estimate, with the curvature term `R(ζ_e, ζ̃)ζ̃`, unless it is left out."""
+        return drive - self.model.metric.curvature(towards, v, v) if self.curvature else drive
 
     def step(self, state: GroupState, u: Float[Array, "m"], y: Element, dt: Scalar) -> tuple[GroupState, GroupInfo]:
         g, v = predict(self.model, state.t, state.g, state.v, u, dt, self.substeps)
@@ -142,9 +148,7 @@ class Group(AbstractFlowObserver):
             residual, result = jnp.where(exact, shot.residual, jnp.inf), jnp.maximum(result, shot.result)
             transported = metric.transport_along(-jnp.where(exact, shot.arrival, 0.0), s, self.budget).w
             drive = jnp.where(exact, transported, drive)
-        if self.curvature:
-            drive = drive - metric.curvature(towards, state.v, state.v)
-        return _Correction(towards, innovation, drive, residual, result, exact)
+        return _Correction(towards, innovation, self.bend(drive, towards, state.v), residual, result, exact)
 
 
 def uniqueness(model: GroupSystem, between: Element) -> Code:

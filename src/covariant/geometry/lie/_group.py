@@ -32,6 +32,14 @@ class AbstractGroup(eqx.Module):
     def order(self) -> int:
         """Number N of rows of its matrices."""
 
+    @property
+    def rotations(self) -> tuple[tuple[int, ...], ...] | None:
+        """Which entries of x (n,) are rotation vectors [rad]; None where that is not known of a group.
+
+        Where all of them are shorter than π, `exp` is undone by `log`, smoothly.
+        """
+        return None
+
     @abc.abstractmethod
     def hat(self, x: Vector) -> Element:
         """The algebra's matrix with coordinates x (n,)."""

@@ -25,6 +25,10 @@ class SpecialEuclidean2(AbstractGroup):
     def order(self) -> int:
         return 3
 
+    @property
+    def rotations(self) -> tuple[tuple[int, ...], ...]:
+        return ((2,),)
+
     def hat(self, x: Vector) -> Element:
         return _affine(SO2.hat(x[2:]), x[:2], 0.0)
 
@@ -71,6 +75,10 @@ class SpecialEuclidean3(AbstractGroup):
     @property
     def order(self) -> int:
         return 4
+
+    @property
+    def rotations(self) -> tuple[tuple[int, ...], ...]:
+        return ((3, 4, 5),)
 
     def hat(self, x: Vector) -> Element:
         return _affine(SO3.hat(x[3:]), x[:3], 0.0)

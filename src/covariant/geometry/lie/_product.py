@@ -25,6 +25,16 @@ class Product(AbstractGroup):
     def order(self) -> int:
         return sum(group.order for group in self.groups)
 
+    @property
+    def rotations(self) -> tuple[tuple[int, ...], ...] | None:
+        found, start = [], 0
+        for group in self.groups:
+            if group.rotations is None:
+                return None
+            found += [tuple(start + i for i in turn) for turn in group.rotations]
+            start += group.dimension
+        return tuple(found)
+
     def parts(self, x: Vector) -> list[Float[Array, "_"]]:
         """The vectors of the groups in a vector of their product."""
         return _split(x, [group.dimension for group in self.groups])

@@ -25,6 +25,10 @@ class SpecialOrthogonal2(AbstractGroup):
     def order(self) -> int:
         return 2
 
+    @property
+    def rotations(self) -> tuple[tuple[int, ...], ...]:
+        return ((0,),)
+
     def hat(self, x: Vector) -> Element:
         zero = jnp.zeros_like(x[0])
         return jnp.stack([jnp.stack([zero, -x[0]]), jnp.stack([x[0], zero])])
@@ -71,6 +75,10 @@ class SpecialOrthogonal3(AbstractGroup):
     @property
     def order(self) -> int:
         return 3
+
+    @property
+    def rotations(self) -> tuple[tuple[int, ...], ...]:
+        return ((0, 1, 2),)
 
     def hat(self, x: Vector) -> Element:
         zero = jnp.zeros_like(x[0])

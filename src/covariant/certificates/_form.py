@@ -1,0 +1,146 @@
+"""A matrix of boxed variables that is to be proved positive definite, as numbers and as a graph.
+
+What a flow does to lengths needs derivatives. Those of JAX are blind to jumps: a `where`, a `sign`, a look-up have none,
+and what somebody declares instead of a derivative is believed. A proof therefore starts from values alone: they become a
+graph once, with the conditions under which they are defined and do not jump, and the graph is differentiated.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from covariant._typing import Matrix, Vector
+from covariant.lowering import Conditions, Derivative, Graph, Lowered, graft, lower, substitute
+
+
+class Formed(NamedTuple):
+    """A matrix as a graph of z (d,): its entries, and where what it was made of is defined and does not jump.
+
+    The conditions have further inputs after z: variables that were held at the numbers `pins`.
+    """
+
+    entries: Lowered
+    conditions: Conditions
+    pins: np.ndarray
+
+
+class Form(NamedTuple):
+    """A symmetric matrix of variables z (d,): `numbers` is its function, `graph` makes it at the shape of z."""
+
+    numbers: Callable[[Array], Array]
+    graph: Callable[[Array], Formed]
+
+    def __call__(self, z: Vector) -> Matrix:
+        return self.numbers(z)
+
+    def then(self, formula: Callable[[Array], Array]) -> "Form":
+        """What a formula makes of the matrix, such as one of its blocks."""
+
+        def graph(z):
+            formed = self.graph(z)
+            grown = Graph.of(formed.entries.graph.nodes)
+            made = graft(grown, formula, formed.entries.nodes())
+            return formed._replace(entries=_lowered(grown, made, formed.entries.arguments))
+
+        return Form(lambda z: formula(self.numbers(z)), graph)
+
+
+def as_form(matrix: Callable[[Array], Array]) -> Form:
+    """A function `z (d,) -> (n, n)` as a form, which is asked to be defined, and to have no jump anywhere."""
+    if isinstance(matrix, Form):
+        return matrix
+
+    def graph(z):
+        lowered = lower(matrix, z, real=True)
+        assert lowered.conditions is not None
+        return Formed(lowered._replace(conditions=None), lowered.conditions, np.zeros(0))
+
+    return Form(matrix, graph)
+
+
+class Slopes:
+    """Derivatives of arrays of nodes of one graph, for the formulas of forms."""
+
+    def __init__(self, graph: Graph):
+        self.graph = graph
+
+    def along(self, nodes: np.ndarray, direction: Mapping[int, int]) -> np.ndarray:
+        """Along a direction: the node of the change of each input, by its position."""
+        return np.vectorize(Derivative(self.graph, direction), otypes=[int])(nodes)
+
+    def each(self, nodes: np.ndarray, inputs: Sequence[int], sides: np.ndarray | None = None) -> np.ndarray:
+        """In each of the inputs (k,), or along the columns of `sides` (k, m) in them: one more axis, at the end."""
+        one, zero = self.graph.constant(1.0), self.graph.constant(0.0)
+        columns = np.where(np.eye(len(inputs), dtype=bool), one, zero) if sides is None else sides
+        found = [self.along(nodes, dict(zip(inputs, side, strict=True))) for side in columns.T.tolist()]
+        return np.stack(found, axis=-1)
+
+
+Values = Callable[[Array, Array, Array], tuple[Array, ...]]
+"""`(t, x (k,), z (d,)) -> arrays`."""
+Parts = Callable[[Slopes, tuple[np.ndarray, ...], int], tuple[np.ndarray, ...]]
+"""`(slopes, nodes of the values, k) -> nodes of the arguments of a formula`; inputs are t, then x (k,), then z."""
+
+
+def formed(
+    values: Values, state: Callable[[Array], Array], parts: Parts, formula: Callable[..., Array], numbers: Callable
+) -> Form:
+    """A formula of values and of their derivatives at x = state(z), t = 0, the derivatives being those of the graph.
+
+    At kinks, as those of |x|, min and max, the graph's derivatives are all between those of both sides: Clarke's
+    generalised Jacobian lies among them. Where all matrices so found are positive definite, an inequality of contraction
+    holds for Lipschitz flows as for smooth ones. For take neighbouring solutions x and x + δ: by the mean-value theorem
+    (Clarke 1983, Optimization and Nonsmooth Analysis, 2.6.5) δ' = Aδ for a mean A of Jacobians on the segment between
+    them, the inequality is affine in A, and its margin, positive on a compact set, outweighs what is of higher order in
+    δ. So sufficiently short chords shrink, and with them every curve, as the limit of its polygons.
+    """
+
+    def graph(z):
+        at = lower(state, z)
+        value = lower(values, jnp.zeros(()), jnp.zeros(len(at.outputs)), z, real=True)
+        grown = Graph.of(value.graph.nodes)
+        made = graft(grown, formula, *parts(Slopes(grown), value.nodes(), len(at.outputs)))
+        return _at_state(value, grown, made, at)
+
+    return Form(numbers, graph)
+
+
+def _at_state(value: Lowered, grown: Graph, made: np.ndarray, at: Lowered) -> Formed:
+    """The entries and conditions as functions of z alone, x being what it is there and t = 0."""
+    assert value.conditions is not None
+    d, count = at.inputs, len(at.outputs)
+
+    def inputs(into: Graph, held: Callable[[float], int]) -> dict[int, int]:
+        own = {j: into.input(j) for j in range(d)}
+        nodes = [at.graph.nodes[i] for i in at.outputs]
+        states = [
+            held(node.value) if node.op == "constant" else substitute(at.graph, [i], into, own)[0]  # pyright: ignore[reportArgumentType]
+            for node, i in zip(nodes, at.outputs, strict=True)
+        ]
+        return {0: held(0.0), **dict(enumerate(states, start=1)), **{1 + count + j: own[j] for j in range(d)}}
+
+    small = Graph()
+    entries = np.array(substitute(grown, made.ravel().tolist(), small, inputs(small, small.constant)), int)
+    # A variable that is held fixed is one all the same: what jumps there jumps.
+    free, pins = Graph(), []
+
+    def pinned(number: float) -> int:
+        pins.append(number)
+        return free.input(d + len(pins) - 1)
+
+    noted = value.conditions
+    nodes = substitute(noted.graph, [c.node for c in noted.conditions], free, inputs(free, pinned))
+    known = [free.nodes[i].op == "constant" and bool(free.nodes[i].value) for i in nodes]
+    kept = [c._replace(node=i) for c, i, k in zip(noted.conditions, nodes, known, strict=True) if not k]
+    conditions = Conditions.of(free, kept, d + len(pins))
+    return Formed(_lowered(small, entries.reshape(made.shape), at.arguments), conditions, np.array(pins))
+
+
+def _lowered(graph: Graph, made: np.ndarray, arguments: tuple[tuple[int, ...], ...]) -> Lowered:
+    small, outputs = graph.pruned(made.ravel().tolist())
+    result = jax.ShapeDtypeStruct(made.shape, jnp.float64)
+    return Lowered(small, arguments, tuple(outputs), (result,), jax.tree.structure(result))

@@ -1,0 +1,119 @@
+"""What a certificate claims, as the checker forms it: functions of JAX that must be positive definite, or defined.
+
+Made from the observer's flow and the metric's frame, as the prover's are, and by another route: by derivatives of JAX, of
+functions from which all that JAX was told about their derivatives has been taken out.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from covariant.certificates._region import Subject, moved
+from covariant.certificates._taylor import plain
+from covariant.models import applied_force
+
+Matrix = Callable[[Any], Any]
+
+
+def contraction(about: Subject, rate: float) -> Matrix:
+    """`−(FᵀN + Ṅ + NF) − rate N`, z (d,) -> (2n, 2n)."""
+
+    def matrix(z):
+        point, t = about.at(z), jnp.zeros(())
+        x, flow = point.x, plain(point.flow)
+        frame, velocity = point.metric.frame(t, x), flow(t, x)
+
+        def both(s):
+            at = x + s * velocity
+            return plain(point.metric.coframe)(s, at), plain(point.metric.gram)(s, at)
+
+        (coframe, gram), (turn, change) = jax.jvp(both, (t,), (t + 1,))
+        push = gram @ (turn + coframe @ jax.jacfwd(lambda y: flow(t, y))(x)) @ frame
+        return -(push + push.T + change) - rate * gram
+
+    return matrix
+
+
+def reach(about: Subject, row: int, square: float) -> Matrix:
+    """`square N − r rᵀ` for a row r of the changes of error and velocity, z (d,) -> (2n, 2n)."""
+
+    def matrix(z):
+        point = about.at(z)
+        r = point.reach()[row]
+        return square * point.metric.gram(jnp.zeros(()), point.x) - jnp.outer(r, r)
+
+    return matrix
+
+
+def disturbance(about: Subject, sizes: np.ndarray, square: float) -> Matrix:
+    """`square I − BᵀMB` for the change B of the flow with errors of measurement and force, by size, z -> (2n, 2n)."""
+    n = len(sizes) // 2
+
+    def matrix(z):
+        point, t = about.at(z), jnp.zeros(())
+        push = jax.jacfwd(plain(lambda at: about.at(at).flow(t, point.x)))(z)
+        b = jnp.concatenate([push[:, -2 * n : -n] @ point.offset(), push[:, -n:]], axis=1) * sizes
+        b = point.metric.coframe(t, point.x) @ b
+        return square * jnp.eye(2 * n) - b.T @ point.metric.gram(t, point.x) @ b
+
+    return matrix
+
+
+def values(about: Subject, n: int) -> Matrix:
+    """All that the claims are made of, z (d,) and 2n + 1 zeros -> (...).
+
+    The zeros are added to time and state: what is held fixed there is a variable all the same, at which nothing jumps.
+    """
+
+    def everything(y):
+        z, t, zeros = jnp.split(y, (len(about.names), len(about.names) + 1))
+        point, t = about.at(z), t[0]
+        x, metric = point.x + zeros, point.metric
+        parts = point.flow(t, x), metric.coframe(t, x), metric.frame(t, x), metric.gram(t, x), point.reach()
+        return jnp.concatenate([part.ravel() for part in (*parts, point.offset())])
+
+    return everything
+
+
+def force(model: Any, shape: tuple[int, ...]) -> Matrix:
+    """The force on the system, time, position, input -> (n,)."""
+
+    def applied(y):
+        t, q, u = jnp.split(y, (1, 1 + int(np.prod(shape))))
+        return applied_force(model, t[0], q.reshape(shape), u)
+
+    return applied
+
+
+def within(function: Matrix, low: np.ndarray, high: np.ndarray) -> Matrix:
+    """Positive definite where a function (n,) is within bounds (n,)."""
+
+    def matrix(y):
+        found = function(y)
+        return jnp.diag(jnp.concatenate([found - low, high - found]))
+
+    return matrix
+
+
+def slopes(model: Any, shape: tuple[int, ...], n: int) -> Matrix:
+    """Derivatives of the force by the position, in coordinates or in the body, time, position, input, zeros -> (n²,)."""
+
+    def derivatives(y):
+        t, q, u = jnp.split(y[:-n], (1, 1 + int(np.prod(shape))))
+        applied = plain(lambda step: applied_force(model, t[0], moved(model, q.reshape(shape), step), u))
+        return jax.jacfwd(applied)(y[-n:]).ravel()
+
+    return derivatives
+
+
+def stepped(model: Any, shape: tuple[int, ...], n: int) -> Matrix:
+    """The force a small step from the position, time, position, input, step -> (n,): what has those derivatives."""
+
+    def applied(y):
+        t, q, u = jnp.split(y[:-n], (1, 1 + int(np.prod(shape))))
+        return applied_force(model, t[0], moved(model, q.reshape(shape), y[-n:]), u)
+
+    return applied
