@@ -46,6 +46,18 @@ UNDEFINED = {
 }
 
 
+UNDEFINED |= {
+    "zero times a chosen infinity": lambda xp, x: 1 + 0 * xp.where(x > -5, xp.inf, 1.0),
+    "zero times a chosen no number": lambda xp, x: 1 + 0 * xp.where(x > -5, xp.nan, 1.0),
+    "a chosen infinity less itself": lambda xp, x: 1 + xp.where(x > -5, xp.inf, x) - xp.where(x > -5, xp.inf, x),
+    "zero times the smaller": lambda xp, x: 1 + 0 * xp.minimum(x, -xp.inf),
+    "zero times the larger": lambda xp, x: 1 + 0 * xp.maximum(x, xp.inf),
+    "the larger less itself": lambda xp, x: 1 + xp.maximum(x, xp.inf) - xp.maximum(x, xp.inf),
+    "zero times a clip": lambda xp, x: 1 + 0 * xp.clip(x, xp.inf, xp.inf),
+    "zero times a sum with an infinity": lambda xp, x: 1 + 0 * (xp.minimum(x, -xp.inf) + x),
+    "an inverse of an infinity": lambda xp, x: 1 + 0 * (x / xp.maximum(x, xp.inf)) * xp.maximum(x, xp.inf),
+}
+"""An infinity that is chosen, not computed."""
 UNSEEN = {"a root to the power nought", "zero times a tangent", "an inverse of what is all but positive"}
 """Where NumPy lets it pass, or no double is where it happens."""
 
@@ -66,6 +78,23 @@ def test_what_is_not_defined_everywhere_is_never_proved(name):
     function = UNDEFINED[name]
     values = everywhere(function)
     assert name in UNSEEN or not np.isfinite(values).all()
+    assert proved(lambda z: jnp.reshape(function(jnp, z[0]), (1, 1)), LINE) != "holds"
+
+
+LIES = {
+    "finite, is it": lambda xp, x: xp.where(xp.isfinite(xp.maximum(x, xp.inf)), 1.0, -1.0),
+    "a number, is it": lambda xp, x: xp.where(xp.isnan(xp.where(x > -5, xp.nan, 1.0)), -1.0, 1.0),
+    "a number made of none": lambda xp, x: xp.nan_to_num(xp.where(x > -5, xp.nan, 1.0), nan=-1.0),
+    "the root, is it a number": lambda xp, x: xp.where(xp.isnan(xp.sqrt(x - 9)), -1.0, 1.0),
+    "the quotient, is it finite": lambda xp, x: xp.where(xp.isfinite(1 / (x - x)), 1.0, -1.0),
+    "the overflow, is it finite": lambda xp, x: xp.where(xp.isfinite(xp.array(1e308) * 10 + x), 1.0, -1.0),
+}
+
+
+@pytest.mark.parametrize("name", LIES)
+def test_asking_whether_a_number_is_one_is_no_proof_that_it_is(name):
+    function = LIES[name]
+    assert (everywhere(function) == -1).all()
     assert proved(lambda z: jnp.reshape(function(jnp, z[0]), (1, 1)), LINE) != "holds"
 
 
@@ -130,6 +159,7 @@ def test_numbers_that_are_not_positive_are_never_proved(name):
 
 
 FRICTION = {
+    "zero times a chosen infinity": lambda xp, x, v: -v + 0 * xp.where(x > -5, xp.inf, 1.0),
     "zero times a root": lambda xp, x, v: -v + 0 * xp.sqrt(v),
     "zero times a root of the place": lambda xp, x, v: -v + 0 * xp.sqrt(x),
     "an inverse less itself": lambda xp, x, v: -v + 1 / v - 1 / v,
