@@ -15,9 +15,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from covariant._guests import load_guest
-from covariant.certificates._check import leaves, read
-from covariant.certificates._region import contraction, reach, subject
-from covariant.certificates._saved import observer_from
+from covariant.certificates._check import follows, leaves
+from covariant.certificates._document import Document, parse
+from covariant.certificates._region import contraction, reach
 from covariant.certificates._taylor import halves
 from covariant.lowering import Domain, Lowered, evaluate, expand, lower, pairs
 
@@ -40,20 +40,17 @@ class _UndecidedError(ArithmeticError):
     """A branch that is not the same everywhere in a box."""
 
 
-def check_sample(path: str | Path, count: int = 20, seed: int = 0) -> Sampled:
-    """Check `count` random leaves of a saved certificate, drawn from all its claims.
+def check_sample(source: str | Path | Document, count: int = 20, seed: int = 0, *, model: Any = None) -> Sampled:
+    """Check `count` random leaves of a saved certificate, a file or what was read from it, drawn from all its claims.
 
-    Raises `ValueError` saying which box is not shown to be right, `ImportError` where python-flint is missing.
+    `model`: as for `check`. Raises `ValueError` saying which box is not shown to be right, `ImportError` where
+    python-flint is missing.
     """
     start = time.monotonic()
     flint = load_guest("flint", use="checking in balls needs python-flint, imported as", extra="balls")
-    document = read(path)
-    about = subject(*observer_from(document))
-    claims = document["claims"]
-    boxes = [
-        leaves(np.array(claim["low"], float), np.array(claim["high"], float), claim["levels"], f"claim {index}")
-        for index, claim in enumerate(claims)
-    ]
+    document = source if isinstance(source, Document) else parse(source)
+    about, claims, low, high = follows(document, model).about, document.claims, document.low, document.high
+    boxes = [leaves(low, high, claim.levels, f"claims[{index}]") for index, claim in enumerate(claims)]
     ends = np.cumsum([len(low) for low, _ in boxes])
     drawn = np.sort(np.random.default_rng(seed).permutation(ends[-1])[:count])
     done = 0
@@ -62,11 +59,14 @@ def check_sample(path: str | Path, count: int = 20, seed: int = 0) -> Sampled:
             mine = drawn[(drawn < ends[index]) & (drawn >= ends[index] - len(boxes[index][0]))]
             if not len(mine):
                 continue
-            rate = contraction(about, document["rate"])
-            matrix = rate if claim["kind"] == "contraction" else reach(about, claim["row"], claim["square"])
-            form = _Form(flint, matrix, np.array(claim["low"], float), np.array(claim["high"], float))
+            rate = contraction(about, document.rate)
+            form = _Form(
+                flint, rate if claim.kind == "contraction" else reach(about, claim.row, claim.square), low, high
+            )
             for k in mine - (ends[index] - len(boxes[index][0])):
-                done += form.show(boxes[index][0][k], boxes[index][1][k], f"leaf {k} of claim {index}")
+                done += form.show(
+                    boxes[index][0][k], boxes[index][1][k], f"{document.file}: leaf {k} of claims[{index}]"
+                )
     return Sampled(len(drawn), int(ends[-1]), done, time.monotonic() - start)
 
 

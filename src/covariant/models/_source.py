@@ -3,10 +3,12 @@
 import importlib
 import inspect
 import os
+import reprlib
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from inspect import Parameter as Argument
-from typing import Any
+from types import UnionType
+from typing import Any, Union, get_args, get_origin
 
 from covariant.models._ball_and_beam import ball_and_beam
 from covariant.models._bioreactor import bioreactor
@@ -69,6 +71,23 @@ def attribute(spec: str) -> Any:
     if name not in vars(module):
         refuse_unknown(f"attribute of module {where!r}", name, [key for key in vars(module) if key[0] != "_"])
     return vars(module)[name]
+
+
+def check_types(name: str, factory: Callable[..., Any], parameters: dict[str, Any]) -> None:
+    """Raise `ValueError` for a parameter that is not of the type that the factory declares; a truth is no number."""
+    for key, argument in inspect.signature(factory).parameters.items():
+        if key in parameters and not _fits(parameters[key], argument.annotation):
+            wanted = inspect.formatannotation(argument.annotation).replace("collections.abc.", "")
+            raise ValueError(f"parameter {key} of {name} must be {wanted}; got {reprlib.repr(parameters[key])}")
+
+
+def _fits(value: Any, declared: Any) -> bool:
+    choices = get_args(declared)
+    if get_origin(declared) in (Union, UnionType):
+        return any(_fits(value, choice) for choice in choices)
+    if get_origin(declared) is Sequence:
+        return isinstance(value, list | tuple) and all(_fits(entry, choices[0]) for entry in value)
+    return type(value) in ((int, float) if declared is float else (declared,))
 
 
 def call(name: str, factory: Callable[..., Any], parameters: dict[str, Any]) -> Any:
