@@ -33,8 +33,8 @@ ROOM = 1.05
 
 
 class Claim(NamedTuple):
-    """One proved inequality: "contraction", "reach" of a `row` of (error, velocity) by `square` up to `limit`, or "push"
-    of a `size`.
+    """One proved inequality: "contraction", "reach" of a `row` of (error, velocity) by `square` up to `limit`, or
+    "push" of a `size`.
     """
 
     kind: _document.Kind
@@ -148,7 +148,7 @@ class ContractionCertificate(NamedTuple):
             raise ValueError("the statement is wrong, and a counter-example is printed, not saved; certify another one")
         found = {
             "format": _document.FORMAT,
-            "recipe": self.recipe,
+            "recipe": {"parameters": {}} | self.recipe,
             "observer": _saved.observer_document(self.observer),
             "q": self.q.tolist(),
             "rate": self.rate,

@@ -6,6 +6,7 @@ believed: whether the numbers make a proof is for `check` to say. The digest tel
 whoever changes a file can mend it.
 """
 
+import functools
 import hashlib
 import json
 import re
@@ -26,6 +27,8 @@ LETTERS = string.ascii_letters
 """One for each variable across whose middle a box is halved; a leaf is a dot, an open one a question mark."""
 MOST_BYTES, MOST_VALUES, DEEPEST = 64 * 2**20, 2_000_000, 8
 """Size of a file, values in it, and how deeply they are nested: looked at before anything is made of them."""
+CHUNK = 2**20
+"""Bytes that are looked at together."""
 MOST_LEVELS, MOST_LETTERS = 400, 10**7
 """Of a tree, and of all trees together."""
 LARGEST = 1e150
@@ -183,11 +186,9 @@ def write(path: str | Path, document: dict[str, Any]) -> Path:
     """Write a certificate. Raises `ValueError` for what `parse` would not read, and then writes nothing."""
     try:
         content = json.dumps(document, indent=1, ensure_ascii=False).encode("utf-8")
+        parse_bytes(path, content)
     except (TypeError, ValueError) as error:
-        raise ValueError(
-            f"{name(path)} is not written, since a certificate holds plain values only: {error}"
-        ) from error
-    parse_bytes(path, content)
+        raise ValueError(f"nothing is written, since it could not be read again: {error}") from error
     return write_atomically(path, lambda file: file.write(content))
 
 
@@ -202,35 +203,41 @@ def _values(file: str, content: bytes) -> Any:
     if "\\" in text:
         line = 1 + text.count("\n", 0, text.index("\\"))
         raise ValueError(f"{file} has a backslash on line {line}, and the strings of a certificate have none; {REMEDY}")
-    if _deeper(text, DEEPEST):
-        raise ValueError(f"{file} is nested more than {DEEPEST} deep; {REMEDY}")
     if text.count(",") >= MOST_VALUES:
         raise ValueError(f"{file} holds more than {MOST_VALUES} values; {REMEDY}")
-
-    def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-        found = dict(pairs)
-        if len(found) < len(pairs):
-            keys = [key for key, _ in pairs]
-            twice = next(key for key in keys if keys.count(key) > 1)
-            raise ValueError(f"{file}: the key {brief(twice)} is there twice; {REMEDY}")
-        return found
+    if _depth(content) > DEEPEST:
+        raise ValueError(f"{file} is nested more than {DEEPEST} deep; {REMEDY}")
 
     try:
         # Numbers beyond all bounds become infinite here, and are refused by the key that holds them.
-        return json.loads(text, object_pairs_hook=once, parse_constant=float, parse_int=_whole)
+        return json.loads(
+            text, object_pairs_hook=functools.partial(_once, file), parse_constant=float, parse_int=_whole
+        )
     except json.JSONDecodeError as error:
         where = f"line {error.lineno}, column {error.colno}"
         raise ValueError(f"{file} is not JSON: {error.msg} at {where}; {REMEDY}") from error
 
 
-def _deeper(text: str, most: int) -> bool:
-    """Whether brackets outside of strings are nested more deeply. A string that is not closed ends with the text."""
-    depth = 0
-    for found in re.finditer(r'"[^"]*"?|[\[\]{}]', text):
-        depth += {"[": 1, "{": 1, "]": -1, "}": -1}.get(found[0], 0)
-        if depth > most:
-            return True
-    return False
+def _once(file: str, pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """An object, in which no key is twice."""
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        keys = [key for key, _ in pairs]
+        twice = next(key for key in keys if keys.count(key) > 1)
+        raise ValueError(f"{file}: the key {brief(twice)} is there twice; {REMEDY}")
+    return found
+
+
+def _depth(content: bytes) -> int:
+    """How deeply brackets are nested, those in strings left out; a string that is not closed ends with the file."""
+    depth, deepest, quoted = 0, 0, False
+    for start in range(0, len(content), CHUNK):
+        letters = np.frombuffer(content[start : start + CHUNK], np.uint8)
+        inside = np.logical_xor.accumulate(np.append(quoted, letters == ord('"')))[1:]
+        opened, closed = np.isin(letters, list(b"[{")) & ~inside, np.isin(letters, list(b"]}")) & ~inside
+        depths = depth + np.cumsum(opened.astype(int) - closed)
+        depth, deepest, quoted = int(depths[-1]), max(deepest, int(depths.max())), bool(inside[-1])
+    return deepest
 
 
 def _whole(digits: str) -> int | float:
