@@ -175,9 +175,11 @@ def certify(
     Exit code 0 proved or verified, 1 wrong, undecided or refused, 2 bad input.
     """
     asked = _certify.Asked(observer, alpha, beta, sampling, box, velocity, error, input, rate, q, seconds, processes)
+    if given is not None and check is None:
+        raise ValueError("--model goes with --check FILE; the model to certify is the first argument")
     if check is not None and model is None:
         _certify.check_file(check, given, processes, json)
-    elif model is not None and check is None and given is None:
+    elif model is not None and check is None:
         _certify.certify_model(model, tuple(override), asked, out, figure, json)
     else:
         raise ValueError("give a model to certify, or --check FILE to verify a saved certificate")
