@@ -69,7 +69,7 @@ class Watched:
         reading = ("open", repr(str(self.path)), "'r'")
         self.reads = sum(event[:3] == reading for event in self.events)
         self.events = [event for event in self.events if event[:3] != reading]
-        self.opened = {name for name in set(sys.modules) - self.modules if name.partition(".")[0] not in OURS}
+        self.opened = {name for name in set(sys.modules) - self.modules if name.partition(".")[0] not in OURS | WRITERS}
 
 
 OURS = {"jax", "jaxlib", "numpy", "equinox", "covariant"}

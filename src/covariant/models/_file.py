@@ -111,10 +111,9 @@ def from_recipe(made: dict[str, Any], model: Any = None) -> Model:
                 f"the model is {made['attribute']!r}, code that a recipe does not run; whoever trusts it gives the "
                 "model, as --model module:attribute or model=..."
             )
-        factory = _source.system(made.get("system"))
-        _source.check_types(str(made["system"]), factory, parameters)
+        factory, name = _source.system(made.get("system")), str(made.get("system"))
         with np.errstate(all="ignore"):  # what parameters make infinite proves nothing later on
-            return _make(str(made["system"]), factory, parameters).model
+            return _make(name, factory, _source.typed(name, factory, parameters)).model
     except Exception as error:  # whatever parameters bring about in a system
         kind = "" if isinstance(error, ValueError) else f"{type(error).__name__}: "
         raise ModelError(kind + _source.first_line(error)) from error

@@ -1,5 +1,6 @@
 """Where a model comes from: a system known by name, or an attribute of somebody's module."""
 
+import contextlib
 import importlib
 import inspect
 import os
@@ -73,21 +74,34 @@ def attribute(spec: str) -> Any:
     return vars(module)[name]
 
 
-def check_types(name: str, factory: Callable[..., Any], parameters: dict[str, Any]) -> None:
-    """Raise `ValueError` for a parameter that is not of the type that the factory declares; a truth is no number."""
-    for key, argument in inspect.signature(factory).parameters.items():
-        if key in parameters and not _fits(parameters[key], argument.annotation):
-            wanted = inspect.formatannotation(argument.annotation).replace("collections.abc.", "")
-            raise ValueError(f"parameter {key} of {name} must be {wanted}; got {reprlib.repr(parameters[key])}")
+def typed(name: str, factory: Callable[..., Any], parameters: dict[str, Any]) -> dict[str, Any]:
+    """Parameters in the types that the factory declares: a whole number serves as a `float`, a truth does not.
+
+    Raises `ValueError` for one that is of another type; those that the factory does not take are left as they are.
+    """
+    declared, found = inspect.signature(factory).parameters, dict(parameters)
+    for key in found.keys() & declared.keys():
+        kind = declared[key].annotation
+        try:
+            found[key] = _typed(found[key], kind)
+        except TypeError as error:
+            wanted = inspect.formatannotation(kind).replace("collections.abc.", "")
+            given = reprlib.repr(found[key])
+            raise ValueError(f"parameter {key} of {name} must be {wanted}; got {given}") from error
+    return found
 
 
-def _fits(value: Any, declared: Any) -> bool:
+def _typed(value: Any, declared: Any) -> Any:
     choices = get_args(declared)
     if get_origin(declared) in (Union, UnionType):
-        return any(_fits(value, choice) for choice in choices)
-    if get_origin(declared) is Sequence:
-        return isinstance(value, list | tuple) and all(_fits(entry, choices[0]) for entry in value)
-    return type(value) in ((int, float) if declared is float else (declared,))
+        for choice in choices:
+            with contextlib.suppress(TypeError):
+                return _typed(value, choice)
+    elif get_origin(declared) is Sequence and isinstance(value, list | tuple):
+        return [_typed(entry, choices[0]) for entry in value]
+    elif type(value) is declared or (type(value), declared) == (int, float):
+        return declared(value)
+    raise TypeError
 
 
 def call(name: str, factory: Callable[..., Any], parameters: dict[str, Any]) -> Any:
