@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from covariant.certificates._region import Subject, moved
+from covariant.certificates._region import Subject, moved, values
 from covariant.certificates._taylor import plain
 from covariant.models import applied_force
 
@@ -62,20 +62,17 @@ def disturbance(about: Subject, sizes: np.ndarray, square: float) -> Matrix:
     return matrix
 
 
-def values(about: Subject, n: int) -> Matrix:
+def everything(about: Subject) -> Matrix:
     """All that the claims are made of, z (d,) and 2n + 1 zeros -> (...).
 
     The zeros are added to time and state: what is held fixed there is a variable all the same, at which nothing jumps.
     """
 
-    def everything(y):
+    def parts(y):
         z, t, zeros = jnp.split(y, (len(about.names), len(about.names) + 1))
-        point, t = about.at(z), t[0]
-        x, metric = point.x + zeros, point.metric
-        parts = point.flow(t, x), metric.coframe(t, x), metric.frame(t, x), metric.gram(t, x), point.reach()
-        return jnp.concatenate([part.ravel() for part in (*parts, point.offset())])
+        return jnp.concatenate([part.ravel() for part in values(about)(t[0], about.at(z).x + zeros, z)])
 
-    return everything
+    return parts
 
 
 def force(model: Any, shape: tuple[int, ...]) -> Matrix:

@@ -163,6 +163,10 @@ def certify(
     out: Annotated[Path | None, typer.Option("--out", "-o", help="Write the certificate here (.json).")] = None,
     figure: Annotated[Path | None, typer.Option(help="Draw region, tube, distances and gains here (.png).")] = None,
     check: Annotated[Path | None, typer.Option("--check", help="Verify this saved certificate instead.")] = None,
+    given: Annotated[
+        str | None,
+        typer.Option("--model", help="With --check: the module:attribute of a model that is not covariant's own."),
+    ] = None,
     override: Override = [],  # noqa: B006  typer copies it
     json: Json = False,
 ) -> None:
@@ -171,8 +175,10 @@ def certify(
     Exit code 0 proved or verified, 1 wrong, undecided or refused, 2 bad input.
     """
     asked = _certify.Asked(observer, alpha, beta, sampling, box, velocity, error, input, rate, q, seconds, processes)
+    if given is not None and check is None:
+        raise ValueError("--model goes with --check FILE; the model to certify is the first argument")
     if check is not None and model is None:
-        _certify.check_file(check, processes, json)
+        _certify.check_file(check, given, processes, json)
     elif model is not None and check is None:
         _certify.certify_model(model, tuple(override), asked, out, figure, json)
     else:
