@@ -166,6 +166,8 @@ class ContractionCertificate(NamedTuple):
         """
         if self.recipe is None:
             raise ValueError("a certificate is saved with its model; give certify(..., recipe=models.recipe(spec))")
+        if self.summary.verdict == "undecided" and not len(self.open):
+            raise ValueError(f"nothing is proved that could be saved: {self.summary.statement}")
         if self.counterexample is not None:
             raise ValueError("the statement is wrong, and a counter-example is printed, not saved; certify another one")
         found = {
@@ -202,7 +204,8 @@ class ContractionCertificate(NamedTuple):
         document, observer, about = _check.follows(_document.parse(path), model)
         domain = Box(about.names, about.units, document.low, document.high)
         claims = tuple(_stated(claim, domain) for claim in document.claims)
-        summary = _summary(about, domain, document.velocity, document.rate, document.radius, claims)
+        given = _plain(document.given)
+        summary = _summary(domain, document.velocity, document.rate, document.radius, given, claims)
         return cls(
             summary._replace(
                 statement=f"{summary.statement} (read from a file, not verified again)", evidence="claimed"
@@ -214,7 +217,7 @@ class ContractionCertificate(NamedTuple):
             about,
             domain,
             document.velocity,
-            _plain(document.given),
+            given,
             claims,
             document.recipe,
         )
@@ -328,7 +331,7 @@ def certify(
             if not steady_distance(wanted, disturbance_length(given, claims)) < radius:
                 radius = 0.0
     return ContractionCertificate(
-        _summary(about, domain, bound, wanted, radius, claims),
+        _summary(domain, bound, wanted, radius, given, claims),
         wanted,
         radius,
         observer,
@@ -360,22 +363,36 @@ def disturbance_length(given: dict[str, Any], claims: Sequence[Claim]) -> float:
     return math.sqrt(count * squares[0]) * (1 + 1e-12) if squares else math.inf if count else 0.0
 
 
-def _summary(about: Subject, domain: Box, velocity, rate: float, radius: float, claims: Sequence[Claim]) -> Certificate:
+def _summary(
+    domain: Box, velocity, rate: float, radius: float, given: dict[str, Any], claims: Sequence[Claim]
+) -> Certificate:
     verdicts = {claim.proof.verdict for claim in claims}
     verdict = "fails" if "fails" in verdicts else "undecided" if "undecided" in verdicts or not radius else "holds"
     wrong = next((c.proof.counterexample for c in claims if c.proof.counterexample is not None), None)
-    bounds = ", ".join(f"{v:.4g}" for v in velocity)
+    if verdict == "holds":
+        statement = _said(velocity, rate, radius, steady_distance(rate, disturbance_length(given, claims)))
+    else:
+        statement = f"squared lengths shrink at {rate:.4g} 1/s or faster on the region"
+        reasons = [claim.proof.reason for claim in claims if claim.proof.reason]
+        if verdicts == {"holds"}:
+            length = steady_distance(rate, disturbance_length(given, claims))
+            reasons = [f"noise and disturbance alone lead {length:.4g} away, out of the tube; make them smaller"]
+        statement += f"; {reasons[0]}" if reasons and verdict == "undecided" else ""
     return Certificate(
-        f"estimates within {radius:.4g} of a solution with velocities up to {bounds} stay so, and their distance falls "
-        f"at {rate / 2:.4g} 1/s or faster"
-        if verdict == "holds"
-        else f"squared lengths shrink at {rate:.4g} 1/s or faster on the region",
+        statement,
         verdict,
         rate,
         str(domain),
         "proved",
         () if wrong is None else tuple(((wrong[0] + wrong[1]) / 2).tolist()),
     )
+
+
+def _said(velocity, rate: float, radius: float, steady: float) -> str:
+    bounds = ", ".join(f"{v:.4g}" for v in velocity)
+    fall = f"at {rate / 2:.4g} 1/s or faster" + (f" to {steady:.4g} or less" if steady else "")
+    about = f"estimates within {radius:.4g} of a solution with velocities up to {bounds}"
+    return f"{about} stay so, and their distance falls {fall}"
 
 
 def _dimension(observer: Intrinsics) -> int:

@@ -153,7 +153,7 @@ def sizes(document: Document) -> np.ndarray:
 
 
 def _jobs(document: Document) -> Iterator[tuple]:
-    """What is to be shown, and on which boxes: all about the force, that everything is defined, the leaves of claims."""
+    """What is to be shown, and on which boxes: the force, that all is defined, the leaves of claims."""
     given, n = _given(document), len(document.velocity)
     for what in ("force", "force is defined"):
         yield what, *given[:, None]
@@ -198,7 +198,7 @@ def leaves(low: np.ndarray, high: np.ndarray, levels: Sequence[str], what: str) 
 
 def _matrix(statement: Statement, what: int | str) -> Enclosure:
     """The matrix that is positive definite, says a claim, or what has to be shown besides."""
-    (document, observer, about), model = statement, statement.observer.model
+    (document, _, about), model = statement, statement.observer.model
     low, high, n, given = document.low, document.high, len(document.velocity), _given(document)
     shape = _shape(model, n)
     if isinstance(what, int):

@@ -71,7 +71,7 @@ class Given(NamedTuple):
 
 
 class Stated(NamedTuple):
-    """A claim as a file states it: "contraction", "reach" of a `row` by `square` up to `limit`, or "disturbance" by one.
+    """A claim as a file states it: "contraction", "reach" of a `row` by `square` up to `limit`, or "disturbance".
 
     `levels`: its tree of boxes, a string a level.
     """

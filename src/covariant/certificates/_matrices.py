@@ -1,7 +1,7 @@
 """What a certificate claims, as the checker forms it: functions of JAX that must be positive definite, or defined.
 
-Made from the observer's flow and the metric's frame, as the prover's are, and by another route: by derivatives of JAX, of
-functions from which all that JAX was told about their derivatives has been taken out.
+Made from the observer's flow and the metric's frame, as the prover's are, and by another route: by derivatives of JAX,
+of functions from which all that JAX was told about their derivatives has been taken out.
 """
 
 from collections.abc import Callable
@@ -96,7 +96,7 @@ def within(function: Matrix, low: np.ndarray, high: np.ndarray) -> Matrix:
 
 
 def slopes(model: Any, shape: tuple[int, ...], n: int) -> Matrix:
-    """Derivatives of the force by the position, in coordinates or in the body, time, position, input, zeros -> (n²,)."""
+    """Derivatives of the force by the position, or in the body, time, position, input, zeros (n,) -> (n²,)."""
 
     def derivatives(y):
         t, q, u = jnp.split(y[:-n], (1, 1 + int(np.prod(shape))))

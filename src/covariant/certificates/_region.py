@@ -276,8 +276,8 @@ def _need_symmetry(model: GroupSystem) -> None:
     places = [f"g{k // model.group.order + 1}{k % model.group.order + 1}" for k in range(entries) if k in read]
     if places:
         raise ValueError(
-            f"the friction of this model depends on where the body is, on {', '.join(places)} of its matrix; on a group "
-            "that is not covered: write the system as a Lagrangian in coordinates"
+            f"the friction of this model depends on where the body is, on {', '.join(places)} of its matrix; on a "
+            "group that is not covered: write the system as a Lagrangian in coordinates"
         )
     momentum = lower(model.metric.inertia, jnp.zeros(n))
     bent = expand(momentum, range(n), 2)

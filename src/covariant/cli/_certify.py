@@ -40,7 +40,10 @@ class Asked(NamedTuple):
     input: str | None
     rate: float | None
     q: str | None
-    seconds: float
+    noise: str | None
+    disturbance: str | None
+    boxes: int
+    seconds: float | None
     processes: int | None
 
 
@@ -145,10 +148,7 @@ def _settings(spec: str, file: models.ModelFile, model, asked: Asked) -> tuple[d
         raise ValueError(f"--observer {name} does not fit {spec}; these do: {fitting}")
     velocity = _parse.numbers("--velocity", asked.velocity, [f"d{k}/dt" for k in names], positive=True, one=True)
     error = _parse.numbers("--error", asked.error, names, positive=True, one=True)
-    push = _parse.numbers("--input", asked.input or "0", inputs, one=True)
-    assert push is not None
-    if push.min(initial=0.0) < 0:
-        raise ValueError(f"--input: bounds must not be negative; got {asked.input!r}")
+    push = _amounts("--input", asked.input, inputs)
     alpha, beta, designed = _gains(file, asked)
     settings = {
         "observer": OBSERVERS[name](model, alpha, beta),
@@ -158,10 +158,22 @@ def _settings(spec: str, file: models.ModelFile, model, asked: Asked) -> tuple[d
         "input": push,
         "rate": None if asked.rate is None else _parse.above_zero("--rate", asked.rate),
         "q": _matrix(asked.q),
-        "seconds": _parse.above_zero("--seconds", asked.seconds),
+        "noise": _amounts("--noise", asked.noise, names),
+        "disturbance": _amounts("--disturbance", asked.disturbance, names),
+        "boxes": int(_parse.above_zero("--boxes", asked.boxes)),
+        "seconds": None if asked.seconds is None else _parse.above_zero("--seconds", asked.seconds),
         "processes": asked.processes or os.cpu_count() or 1,
     }
     return settings, designed
+
+
+def _amounts(option: str, text: str | None, names) -> np.ndarray:
+    """Bounds that may be zero, and are where nothing was said."""
+    found = _parse.numbers(option, text or "0", names, one=True)
+    assert found is not None
+    if found.min(initial=0.0) < 0:
+        raise ValueError(f"{option}: bounds must not be negative; got {text!r}")
+    return found
 
 
 def _gains(file: models.ModelFile, asked: Asked) -> tuple[float, float, str]:
@@ -255,6 +267,7 @@ def _result(spec: str, found: ContractionCertificate) -> dict[str, Any]:
         "rate": found.rate,
         "decay": found.decay,
         "radius": found.radius,
+        "steady": found.steady if math.isfinite(found.steady) else None,
         "half_widths": half_widths(found).tolist() if summary.verdict == "holds" else None,
         "velocity": found.velocity.tolist(),
         "domain": {name: [low, high] for name, low, high in bounds},
@@ -305,7 +318,7 @@ def _text(result: dict[str, Any], found: ContractionCertificate, designed: str) 
     for claim in _undecided(found):
         lines.append(
             f"{claim.kind}: {len(claim.proof.open)} boxes remain, {open_share(claim.proof):.2%} of the domain; more "
-            "--seconds, smaller bounds or a lower --rate may decide it"
+            "--boxes, smaller bounds or a lower --rate may decide it"
         )
     lines.append(f"{found.boxes} boxes, {found.seconds:.1f} s")
     lines += [f"wrote {result[key]}" for key in ("out", "figure") if result.get(key)]
