@@ -2,6 +2,7 @@
 
 import json
 import math
+import shutil
 import sys
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import pytest
 from commands import command
 
 from covariant import certificates, models
+from covariant.certificates._document import digest
 from covariant.cli import _certify, main
 from covariant.observers import Intrinsic
 
@@ -89,8 +91,9 @@ def test_a_proof_says_how_fast_from_how_far_and_where(proved):
 
 def test_the_file_is_the_certificate(proved):
     document = json.loads(Path("proved.json").read_text(encoding="utf-8"))
-    assert (document["verdict"], document["rate"], document["radius"]) == ("holds", proved["rate"], proved["radius"])
-    made = models.from_recipe(document["model"])
+    assert (document["rate"], document["radius"]) == (proved["rate"], proved["radius"])
+    assert not {"verdict", "statement", "counterexample"} & document.keys()
+    made = models.from_recipe(document["recipe"])
     assert dict(made.parameters) == dict(models.load("pendulum.toml").model.parameters)
 
 
@@ -150,6 +153,13 @@ def test_wrong_names_the_point_and_leaves_with_1(capsys, monkeypatch):
     assert (code, json.loads(out)["counterexample"]["v_q1"]) == (1, 0.5)
 
 
+def test_a_statement_that_is_wrong_is_not_written(capsys, monkeypatch):
+    monkeypatch.setattr(_certify, "certify", unproved("fails")[0])
+    code, out, _ = leave(capsys, monkeypatch, "pendulum.toml", *GAINS, *REGION, "--out", "wrong.json")
+    assert (code, Path("wrong.json").exists()) == (1, False)
+    assert out.endswith("no certificate is written of a statement that is wrong\n")
+
+
 def test_gains_are_designed_from_the_data_sheet(capsys, monkeypatch):
     stand_in, asked = unproved("undecided")
     monkeypatch.setattr(_certify, "certify", stand_in)
@@ -201,15 +211,47 @@ def leaves_with(monkeypatch, *arguments):
     return left.value.code or 0
 
 
-def test_a_saved_certificate_is_verified_and_an_altered_one_refused(folder, capsys, monkeypatch):
+def test_a_saved_certificate_is_verified_and_an_altered_one_refused(proved, folder, capsys, monkeypatch):
     saved = folder / "checked.json"
-    command("certify", "pendulum.toml", *GAINS, *REGION, *ONE, "--out", str(saved))
+    shutil.copy(folder / "proved.json", saved)
     found = command("certify", "--check", str(saved), *ONE)
-    assert found["verified"] is True
+    assert (found["verified"], found["model_given"], found["model"]) == (True, False, None)
     assert found["leaves"] > 0
+    assert found["assumed"] == list(certificates.ASSUMED)
     saved.write_text(saved.read_text().replace('"radius": 0.', '"radius": 1.'))
     assert leaves_with(monkeypatch, "certify", "--check", str(saved), *ONE) == 1
     assert "was changed" in capsys.readouterr().out
     assert leaves_with(monkeypatch, "certify", "--check", "nowhere.json") == 2
+    assert "nowhere.json does not exist" in capsys.readouterr().err
     assert leaves_with(monkeypatch, "certify") == 2
     assert "give a model to certify, or --check FILE" in capsys.readouterr().err
+    assert leaves_with(monkeypatch, "certify", "pendulum.toml", "--model", "mine:model") == 2
+    assert "--model goes with --check" in capsys.readouterr().err
+
+
+MINE = """
+from covariant import models
+
+def pendulum(mass, length):
+    return models.pendulum_chain(mass, length)
+"""
+
+
+@pytest.mark.parametrize("processes", ["1", "2"])
+def test_a_model_of_ones_own_is_given_by_who_checks(processes, proved, folder, capsys, monkeypatch):
+    (folder / "mine.py").write_text(MINE)
+    document = json.loads((folder / "proved.json").read_text())
+    document["recipe"] = {"attribute": "mine:pendulum", "parameters": {"mass": [1.0], "length": [0.5]}}
+    saved = folder / "mine.json"
+    saved.write_text(json.dumps(document | {"digest": digest(document)}))
+    assert leaves_with(monkeypatch, "certify", "--check", str(saved)) == 1
+    refusal = capsys.readouterr().out
+    assert refusal.count("\n") == 1
+    assert "'mine:pendulum', code that a recipe does not run" in refusal
+    arguments = ("certify", "--check", str(saved), "--model", "mine:pendulum", "--processes", processes)
+    assert leaves_with(monkeypatch, *arguments) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].startswith("Verified: ")
+    assert lines[1].startswith("The model is mine:pendulum, given by the person who checks")
+    assert lines[2] == "What remains assumed:"
+    assert lines[3:] == [f"- {line}" for line in certificates.ASSUMED]

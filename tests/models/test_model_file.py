@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from covariant import models
 from covariant.logs import Columns
 from covariant.models import Lagrangian
 from covariant.models._check import check_metric
@@ -43,6 +44,7 @@ MODULE = """
 from covariant.geometry.lie import SO3, Product
 from covariant.models import GroupSystem, Lagrangian, StateSpace, heavy_top, lorenz, oscillator, pendulum_chain
 from covariant.models._file import ModelFile
+from covariant import models
 from covariant.logs import Columns
 import jax.numpy as jnp
 
@@ -381,3 +383,38 @@ def test_a_metric_is_symmetric_and_positive():
     skew = Lagrangian(lambda q: jnp.array([[1.0, 0.5], [0.0, 1.0]]), lambda q: q @ q)
     with pytest.raises(ValueError, match=r"not symmetric .* largest asymmetry 0.5; look at"):
         check_metric(skew, np.zeros((1, 2)))
+
+
+def test_a_recipe_makes_the_model_of_its_system():
+    made = models.from_recipe({"system": "pendulum_chain", "parameters": {"mass": [1], "length": [0.5], "gravity": 10}})
+    assert made.coordinates == ("q1",)
+    assert made.parameters["gravity"].value == 10.0
+    made = models.from_recipe({"system": "heavy_top", "parameters": {"inertia": [[2, 0, 0], [0, 3, 0], [0, 0, 4]]}})
+    assert made.group.dimension == 3
+
+
+@pytest.mark.parametrize(
+    ("parameters", "line"),
+    [
+        ({"gravity": True}, "parameter gravity of pendulum_chain must be float; got True"),
+        ({"actuated": [0.0]}, r"parameter actuated of pendulum_chain must be Sequence\[int\] \| None; got \[0\.0\]"),
+        ({"mass": 1.0}, r"parameter mass of pendulum_chain must be Sequence\[float\]"),
+        ({"angles": 1}, "parameter angles of pendulum_chain must be str"),
+        ({"masses": [1.0]}, "unknown parameter of pendulum_chain 'masses'"),
+    ],
+)
+def test_the_parameters_of_a_recipe_have_the_types_of_the_system(parameters, line):
+    with pytest.raises(models.ModelError, match=line):
+        models.from_recipe({"system": "pendulum_chain", "parameters": parameters})
+
+
+def test_a_recipe_imports_nothing_but_what_somebody_gives():
+    recipe = {"attribute": "os:system", "parameters": {"command": "exit 1"}}
+    with pytest.raises(models.ModelError, match="code that a recipe does not run"):
+        models.from_recipe(recipe)
+    recipe = {"attribute": "my.module:chain", "parameters": {"mass": [1.0], "length": [0.5]}}
+    assert models.from_recipe(recipe, models.pendulum_chain).coordinates == ("q1",)
+    assert models.from_recipe(recipe, models.oscillator()).coordinates == ("q",)
+    assert models.from_recipe(recipe, "covariant.models:pendulum_chain").coordinates == ("q1",)
+    with pytest.raises(models.ModelError, match=r"'mass'|mass"):
+        models.from_recipe(recipe, models.oscillator)

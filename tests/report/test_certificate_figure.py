@@ -30,7 +30,11 @@ def canned(verdict: str = "holds") -> ContractionCertificate:
     if verdict == "holds":
         whole = Proof("holds", domain, [np.array([-1])], None, left, 1, 0.1)
         claims += [Claim("reach", whole, row, square, 0.1) for row, square in enumerate(SQUARES)]
-    given = {"positions": {"low": [-3.0], "high": [3.0]}, "low": [-0.5], "high": [0.5], "times": [0.0, 0.0]}
+    given = {
+        "positions": {"low": [-3.0], "high": [3.0]},
+        "inputs": {"low": [-0.5], "high": [0.5]},
+        "times": [0.0, 0.0],
+    }
     return ContractionCertificate(
         Certificate("squared lengths shrink at 3.33 1/s or faster on the region", verdict, RATE, "", "proved", ()),
         RATE,

@@ -1,5 +1,6 @@
 """Statements about convergence, each with its domain, its margin and its evidence."""
 
+from covariant.certificates._assumed import ASSUMED
 from covariant.certificates._audit import Audit, Law, audit
 from covariant.certificates._cascade import CascadeCertificate, Constants, Growth, cascade
 from covariant.certificates._certificate import Certificate
@@ -33,6 +34,7 @@ from covariant.certificates._tangent import (
 from covariant.certificates._virtual import virtual
 
 __all__ = [
+    "ASSUMED",
     "Audit",
     "Box",
     "CascadeCertificate",

@@ -5,21 +5,22 @@ The matrix of the claim is that of the prover, as a graph, and so are its deriva
 2017), and the test of positive definiteness is done in them. Needs python-flint.
 """
 
+import math
 import operator
 import time
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
 from covariant._guests import load_guest
-from covariant.certificates._check import leaves, read
-from covariant.certificates._region import contraction, reach, subject
-from covariant.certificates._saved import observer_from
+from covariant.certificates._check import follows, leaves, sizes
+from covariant.certificates._document import Document, Stated, parse
+from covariant.certificates._form import Form
+from covariant.certificates._region import Subject, contraction, disturbed, reach
 from covariant.certificates._taylor import halves
-from covariant.lowering import Domain, Lowered, evaluate, expand, lower, pairs
+from covariant.lowering import Domain, Lowered, evaluate, expand, pairs
 
 BITS = 106
 """Twice the digits of a double."""
@@ -40,20 +41,17 @@ class _UndecidedError(ArithmeticError):
     """A branch that is not the same everywhere in a box."""
 
 
-def check_sample(path: str | Path, count: int = 20, seed: int = 0) -> Sampled:
-    """Check `count` random leaves of a saved certificate, drawn from all its claims.
+def check_sample(source: str | Path | Document, count: int = 20, seed: int = 0, *, model: Any = None) -> Sampled:
+    """Check `count` random leaves of a saved certificate, a file or what was read from it, drawn from all its claims.
 
-    Raises `ValueError` saying which box is not shown to be right, `ImportError` where python-flint is missing.
+    `model`: as for `check`. Raises `ValueError` saying which box is not shown to be right, `ImportError` where
+    python-flint is missing.
     """
     start = time.monotonic()
     flint = load_guest("flint", use="checking in balls needs python-flint, imported as", extra="balls")
-    document = read(path)
-    about = subject(*observer_from(document))
-    claims = document["claims"]
-    boxes = [
-        leaves(np.array(claim["low"], float), np.array(claim["high"], float), claim["levels"], f"claim {index}")
-        for index, claim in enumerate(claims)
-    ]
+    document = source if isinstance(source, Document) else parse(source)
+    about, claims, low, high = follows(document, model).about, document.claims, document.low, document.high
+    boxes = [leaves(low, high, claim.levels, f"claims[{index}]") for index, claim in enumerate(claims)]
     ends = np.cumsum([len(low) for low, _ in boxes])
     drawn = np.sort(np.random.default_rng(seed).permutation(ends[-1])[:count])
     done = 0
@@ -62,23 +60,30 @@ def check_sample(path: str | Path, count: int = 20, seed: int = 0) -> Sampled:
             mine = drawn[(drawn < ends[index]) & (drawn >= ends[index] - len(boxes[index][0]))]
             if not len(mine):
                 continue
-            rate = contraction(about, document["rate"])
-            matrix = rate if claim["kind"] == "contraction" else reach(about, claim["row"], claim["square"])
-            form = _Form(flint, matrix, np.array(claim["low"], float), np.array(claim["high"], float))
+            form = _Form(flint, _form(claim, about, document), low, high)
             for k in mine - (ends[index] - len(boxes[index][0])):
-                done += form.show(boxes[index][0][k], boxes[index][1][k], f"leaf {k} of claim {index}")
+                done += form.show(
+                    boxes[index][0][k], boxes[index][1][k], f"{document.file}: leaf {k} of claims[{index}]"
+                )
     return Sampled(len(drawn), int(ends[-1]), done, time.monotonic() - start)
+
+
+def _form(claim: Stated, about: Subject, document: Document) -> Form:
+    if claim.kind == "contraction":
+        return contraction(about, document.rate)
+    if claim.kind == "reach":
+        return reach(about, claim.row, claim.square)
+    return disturbed(about, sizes(document), claim.square)
 
 
 class _Form:
     """Taylor's form of a symmetric matrix (n, n), `S(c) + S'(c) δ + ½ S''(box) δ²`, in balls."""
 
-    def __init__(self, flint: Any, matrix: Any, low: np.ndarray, high: np.ndarray):
-        z = jnp.asarray(low)
-        self.n = jax.eval_shape(matrix, z).shape[0]
+    def __init__(self, flint: Any, form: Form, low: np.ndarray, high: np.ndarray):
+        entries = form.then(lambda m: (m + m.T) / 2).graph(jnp.asarray(low)).entries
+        self.n = entries.results[0].shape[0]
         self.free = np.flatnonzero(high > low).tolist()
-        rows, columns = np.tril_indices(self.n)
-        value = lower(lambda z: ((m := matrix(z)) + m.T)[rows, columns] / 2, z)
+        value = entries._replace(outputs=tuple(entries.nodes()[np.tril_indices(self.n)].tolist()))
         self.first, self.second = expand(value, self.free, 1), expand(value, self.free, 2)
         self.arb, self.matrix, self.domain = flint.arb, flint.arb_mat, _balls(flint.arb)
 
@@ -166,6 +171,13 @@ def _balls(arb: Any) -> Domain:
             raise _UndecidedError
         return found
 
+    def _stumpff(k: int, x: Any) -> Any:
+        """The series, up to where what is left is below its last term, in absolute value."""
+        total, term = arb(0), 1 / arb(math.factorial(k))
+        for j in range(1, 40):
+            total, term = total + term, -term * x / ((2 * j + k) * (2 * j + k - 1))
+        return total + abs(term).upper() * arb(0, 1)
+
     zero, one = arb(0), arb(1)
     alone = "sqrt exp expm1 log log1p sin cos tan asin acos atan sinh cosh tanh asinh acosh atanh"
     return {
@@ -194,4 +206,6 @@ def _balls(arb: Any) -> Domain:
         "not": operator.not_,
         "is_finite": lambda a: a.is_finite(),
         "select": lambda p, a, b: a if p else b,
+        "either": lambda a, b, x, y: x if a < b else y if b < a else x.union(y),
+        "stumpff": lambda k, x: _stumpff(int(k.mid()), x),
     }

@@ -19,9 +19,9 @@ from jaxtyping import Array, Float
 
 from covariant.certificates._contraction import contraction_matrix
 from covariant.certificates._falsify import Pencil, pencil, slowest
-from covariant.certificates._prove import Box, check_box, prove
-from covariant.certificates._region import Subject
-from covariant.lowering import lower
+from covariant.certificates._form import Form, as_form
+from covariant.certificates._prove import MOST_BOXES, Box, check_box, prove
+from covariant.certificates._region import Subject, changing
 
 Coupling = Callable[[Array], tuple[Array, Array]]
 """`z -> (∂b/∂x̃ (n, k), ∂b/∂e (n, n))` over boxed variables z."""
@@ -139,7 +139,7 @@ def cascade(
     proved: bool = False,
     attempts: int = 20_000,
     starts: int = 64,
-    seconds: float = 60.0,
+    boxes: int = MOST_BOXES,
     seed: int = 0,
 ) -> CascadeCertificate:
     """The constants of Theorem 3 over a set, and both verdicts.
@@ -149,15 +149,15 @@ def cascade(
     - `coupling`: Jacobians of b in x̃ and in e, and a box.
     - `units`: of the entries of e and of x̃, such as "m" or "rad/s"; with them (72) is tried in other units as well, one
       changed at a time. V_con is taken as an energy, which has a unit of mass; V_obs as it is, without.
-    - `proved`: prove every constant instead of sampling it, giving away 2 %; one that cannot be proved within `seconds`
-      leaves the verdict "undecided".
+    - `proved`: prove every constant instead of sampling it, giving away 2 %; one that cannot be proved with `boxes` of
+      them leaves the verdict "undecided".
 
     All constants come from Jacobians, so they hold for finite errors within the boxes, by the mean-value theorem.
     Sampled ones come from `attempts` random points and a descent from the `starts` worst.
 
     Raises `ValueError` for bounds that are not in order.
     """
-    search = _Search(attempts, starts, seed, proved, seconds)
+    search = _Search(attempts, starts, seed, proved, boxes)
     forms = _forms(controller, observer, coupling)
     ones = tuple(np.ones(size) for size in _sizes(coupling))
     constants, worst = _constants(forms, ones, search)
@@ -182,17 +182,17 @@ class _Search(NamedTuple):
     starts: int
     seed: int
     proved: bool
-    seconds: float
+    boxes: int
 
 
 class _Form(NamedTuple):
     """A symmetric matrix (n, n) of z whose smallest eigenvalue is wanted, in the units of the problem.
 
-    `matrix` takes (z, squares of the scales of e, of x̃); `into` says whose scales its vectors have. `graph` holds the
-    squares of those scales and the negative matrix, both as functions of z and all scales.
+    `matrix` is a function of z and the squares of the scales of e and of x̃, one after the other; `into` says whose
+    scales its vectors have. `graph` holds the squares of those scales and the negative matrix.
     """
 
-    matrix: Callable[[Array, Array, Array], Array]
+    matrix: Form
     into: Literal["e", "x"]
     graph: Pencil
     box: Box
@@ -208,34 +208,40 @@ def _forms(controller, observer, coupling) -> dict[str, _Form]:
     (plant, plant_box), (error, error_box), (jacobians, coupling_box) = controller, observer, coupling
     sizes = _sizes(coupling)
 
-    def metric(z, e, x):
-        point = plant.at(z)
-        return point.metric(jnp.zeros((), z.dtype), point.x)
+    def split(whole, d):
+        return jnp.split(whole, (d, d + sizes[0]))
+
+    def metric(sign):
+        def form(whole):
+            point = plant.at(split(whole, len(plant_box.low))[0])
+            return sign * point.metric(jnp.zeros((), whole.dtype), point.x)
+
+        return as_form(form)
 
     def pushed(which):
-        def form(z, e, x):
+        def form(whole):
+            z, e, _ = split(whole, len(coupling_box.low))
             b = jacobians(z)[which]
             return -b.T @ (e[:, None] * b)
 
-        return form
+        return as_form(form)
 
-    def made(matrix, into, box) -> _Form:
+    def made(matrix: Form, into, box) -> _Form:
         check_box(box)
         d = len(box.low)
+        start, end = (d, d + sizes[0]) if into == "e" else (d + sizes[0], d + sum(sizes))
 
-        def both(all_of_it):
-            z, e, x = jnp.split(all_of_it, (d, d + sizes[0]))
-            found = matrix(z, e, x)
-            return jnp.concatenate([jnp.diag(e if into == "e" else x).ravel(), -((found + found.T) / 2).ravel()])
+        def pencil_of(found, whole):
+            return jnp.concatenate([jnp.diag(whole[start:end]).ravel(), -((found + found.T) / 2).ravel()])
 
-        graph = lower(both, jnp.concatenate([jnp.asarray(box.low), *map(jnp.ones, sizes)]))
+        graph = matrix.beside(pencil_of).graph(jnp.concatenate([jnp.asarray(box.low), *map(jnp.ones, sizes)])).entries
         return _Form(matrix, into, pencil(graph, _scaled(box, np.ones(sum(sizes)))), box)
 
     return {
-        "small": made(metric, "e", plant_box),
-        "large": made(lambda *a: -metric(*a), "e", plant_box),
-        "fall": made(lambda z, e, x: -_change(plant, z) / 2, "e", plant_box),
-        "error": made(lambda z, e, x: -_change(error, z), "x", error_box),
+        "small": made(metric(1.0), "e", plant_box),
+        "large": made(metric(-1.0), "e", plant_box),
+        "fall": made(_change(plant, len(plant_box.low), -0.5), "e", plant_box),
+        "error": made(_change(error, len(error_box.low), -1.0), "x", error_box),
         "from_error": made(pushed(0), "x", coupling_box),
         "from_itself": made(pushed(1), "e", coupling_box),
     }
@@ -268,11 +274,8 @@ def _least(form: _Form, scales, search: _Search) -> tuple[float, np.ndarray]:
         bound = value - 0.02 * abs(value) - 1e-9
         ours = squares[0 if form.into == "e" else 1]
 
-        def above(z):
-            found = form.matrix(z, *(jnp.asarray(square) for square in squares))
-            return found - bound * jnp.diag(jnp.asarray(ours))
-
-        value = bound if prove(above, box, seconds=search.seconds).verdict == "holds" else -math.inf
+        above = form.matrix.then(lambda found: found - bound * jnp.diag(jnp.asarray(ours)))
+        value = bound if prove(above, whole, boxes=search.boxes).verdict == "holds" else -math.inf
     return value, where[: len(box.low)]
 
 
@@ -283,11 +286,18 @@ def _scaled(box: Box, squares: np.ndarray) -> Box:
     return Box((*box.names, *names), (*box.units, *("",) * len(squares)), low, high)
 
 
-def _change(subject: Subject, z: Array) -> Array:
-    """`FᵀM + Ṁ + MF` (n, n) in coordinates."""
-    point, t = subject.at(z), jnp.zeros((), z.dtype)
-    theta = point.metric.coframe(t, point.x)
-    return theta.T @ contraction_matrix(point.flow, point.metric, t, point.x) @ theta
+def _change(subject: Subject, d: int, factor: float) -> Form:
+    """A multiple of `FᵀM + Ṁ + MF` (n, n) in coordinates, of z and of scales that do not enter."""
+
+    def formula(coframe, gram, change):
+        return factor * coframe.T @ change @ coframe
+
+    def numbers(z):
+        point, t = subject.at(z), jnp.zeros((), z.dtype)
+        change = contraction_matrix(point.flow, point.metric, t, point.x)
+        return formula(point.metric.coframe(t, point.x), None, change)
+
+    return changing(subject._replace(at=lambda whole: subject.at(whole[:d])), formula, lambda whole: numbers(whole[:d]))
 
 
 def _scales(of_e: Sequence[str], of_x: Sequence[str]):

@@ -9,7 +9,8 @@ class Certificate(NamedTuple):
     - `verdict`: "holds", "fails" (then `point` is a counter-example) or "undecided".
     - `margin`: the number that decides, with its meaning and unit in `statement`.
     - `domain`: where the statement is about.
-    - `evidence`: "sampled" (at points, between which nothing is known), "bounded" or "proved".
+    - `evidence`: "sampled" (at points, between which nothing is known), "bounded", "proved", or "claimed" by a
+      file that was read and not verified again.
     - `point`: the state where the margin is least.
     """
 
@@ -17,5 +18,5 @@ class Certificate(NamedTuple):
     verdict: Literal["holds", "fails", "undecided"]
     margin: float
     domain: str
-    evidence: Literal["sampled", "bounded", "proved"]
+    evidence: Literal["sampled", "bounded", "proved", "claimed"]
     point: tuple[float, ...]

@@ -13,21 +13,19 @@ Source: Aghannan & Rouchon 2003, Theorems 1 and 2, and Fig. 2; Lohmiller & Sloti
 """
 
 import itertools
-import json
 import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike, Float
 
-from covariant._files import write_atomically
-from covariant.certificates import _saved
+from covariant.certificates import _check, _document, _saved
 from covariant.certificates._certificate import Certificate
 from covariant.certificates._noise import steady_distance
-from covariant.certificates._prove import MOST_BOXES, Box, Proof, check_box, prove
+from covariant.certificates._prove import MOST_BOXES, OPEN, Box, Proof, check_box, leaves, prove
 from covariant.certificates._region import (
     Intrinsics,
     Subject,
@@ -57,11 +55,16 @@ class Claim(NamedTuple):
     measurement and force, in the unit ball by their sizes, add to the flow is no longer than `√square`.
     """
 
-    kind: Literal["contraction", "reach", "disturbance"]
+    kind: _document.Kind
     proof: Proof
     row: int = 0
     square: float = 0.0
     limit: float = 0.0
+
+    def document(self) -> dict[str, Any]:
+        """The claim as it is saved."""
+        numbers = {key: getattr(self, key) for key in _document.NUMBERS[self.kind]}
+        return {"kind": self.kind, **numbers, "levels": _saved.to_letters(self.proof.levels)}
 
 
 class Followed(NamedTuple):
@@ -97,6 +100,8 @@ class ContractionCertificate(NamedTuple):
     - `domain`: the box of estimate, error and force; `velocity` (n,): the bound of the true velocity.
     - `given`: positions, inputs and times that the bounds of the force come from; `noise`, `disturbance`, `slopes`.
     - `recipe`: where the model comes from, as `models.recipe`; None for a model known to this process only.
+    - `verified`: whether it was proved in this process. One that was read from a file is as good as the file, until
+      `covariant certify --check` has verified it.
     """
 
     summary: Certificate
@@ -110,6 +115,7 @@ class ContractionCertificate(NamedTuple):
     given: dict[str, Any]
     claims: tuple[Claim, ...]
     recipe: dict[str, Any] | None
+    verified: bool = False
 
     @property
     def decay(self) -> float:
@@ -154,82 +160,86 @@ class ContractionCertificate(NamedTuple):
         return _show.follow(self, count, stamps, seed, rtol, atol)
 
     def document(self) -> dict[str, Any]:
-        """The certificate as it is saved. Raises `ValueError` where the model has no recipe."""
+        """The certificate as it is saved.
+
+        Raises `ValueError` where the model has no recipe, and for a statement that was proved wrong.
+        """
         if self.recipe is None:
             raise ValueError("a certificate is saved with its model; give certify(..., recipe=models.recipe(spec))")
-        domain = self.domain
-        claims = [
-            {
-                "kind": claim.kind,
-                **({"row": claim.row, "square": claim.square, "limit": claim.limit} if claim.kind == "reach" else {}),
-                "low": domain.low.tolist(),
-                "high": domain.high.tolist(),
-                "levels": _saved.to_letters(claim.proof.levels),
-            }
-            for claim in self.claims
-        ]
-        wrong = self.counterexample
+        if self.summary.verdict == "undecided" and not len(self.open):
+            raise ValueError(f"nothing is proved that could be saved: {self.summary.statement}")
+        if self.counterexample is not None:
+            raise ValueError("the statement is wrong, and a counter-example is printed, not saved; certify another one")
         found = {
-            "format": _saved.FORMAT,
-            "statement": self.summary.statement,
-            "verdict": self.summary.verdict,
-            "rate": self.rate,
-            "radius": self.radius,
-            "model": self.recipe,
+            "format": _document.FORMAT,
+            "recipe": {"parameters": {}} | self.recipe,
             "observer": _saved.observer_document(self.observer),
             "q": self.q.tolist(),
-            "variables": list(domain.names),
-            "units": list(domain.units),
+            "rate": self.rate,
+            "radius": self.radius,
             "velocity": self.velocity.tolist(),
-            "inputs": self.given,
-            "claims": claims,
-            "counterexample": None if wrong is None else wrong.tolist(),
-            "open": self.open[:1000].tolist(),
-            "open_count": len(self.open),
+            "given": self.given,
+            "box": {"low": self.domain.low.tolist(), "high": self.domain.high.tolist()},
+            "claims": [claim.document() for claim in self.claims],
+            "graph": _saved.value_graph(self.subject),
         }
-        return found | {"digest": _saved.digest(found)}
+        return found | {"digest": _document.digest(found)}
 
     def save(self, path: str | Path) -> Path:
-        """Write the certificate with all its boxes (JSON). Raises `ValueError` where the model has no recipe."""
-        text = json.dumps(self.document(), indent=1, ensure_ascii=False)
-        return write_atomically(path, lambda file: file.write(text.encode("utf-8")))
+        """Write the certificate with all its boxes (JSON), as data that runs nothing where it is read.
+
+        Raises `ValueError` where the model has no recipe, and for a statement that was proved wrong.
+        """
+        return _document.write(path, self.document())
 
     @classmethod
-    def load(cls, path: str | Path) -> "ContractionCertificate":
+    def load(cls, path: str | Path, *, model: Any = None) -> "ContractionCertificate":
         """A saved certificate with all its boxes; how long the proofs took is not in the file (NaN).
 
-        Whether it is right is for `covariant certify --check` to say. Raises `ValueError` for a file that was changed,
-        or that proves nothing.
+        Checked is that the boxes cover the region and that the statement follows from the claims; that these hold is
+        for `covariant certify --check` to say, and until then the certificate is not `verified`. `model`: where the
+        recipe names somebody's own model, whoever reads the file gives it: the model, or a function that makes it of
+        the recipe's parameters, or the `module:attribute` of either. Raises `ValueError` naming file and key.
         """
-        document = json.loads(Path(path).read_text(encoding="utf-8"))
-        if not (isinstance(document, dict) and document.get("digest") == _saved.digest(document)):
-            raise ValueError(f"{path} is not a certificate as it was saved: its digest does not fit")
-        if document["format"] != _saved.FORMAT or document["verdict"] != "holds":
-            raise ValueError(f"{path} proves nothing, or not in the format {_saved.FORMAT!r}")
-        observer, q = _saved.observer_from(document)
-        about = subject(observer, q)
-        velocity, claims = np.asarray(document["velocity"], float), []
-        for claim in document["claims"]:
-            domain = Box(about.names, about.units, *(np.asarray(claim[end], float) for end in ("low", "high")))
-            levels, none = _saved.from_letters(claim["levels"]), np.zeros((0, 2, len(about.names)))
-            proof = Proof("holds", domain, levels, None, none, sum(map(len, levels)), math.nan)
-            claims.append(
-                Claim(claim["kind"], proof, *(claim[key] for key in ("row", "square", "limit") if key in claim))
-            )
-        rate, radius, domain = document["rate"], document["radius"], claims[0].proof.box
+        document, observer, about = _check.follows(_document.parse(path), model)
+        domain = Box(about.names, about.units, document.low, document.high)
+        claims = tuple(_stated(claim, domain) for claim in document.claims)
+        given = _plain(document.given)
+        summary = _summary(domain, document.velocity, document.rate, document.radius, given, claims)
         return cls(
-            _summary(about, domain, velocity, rate, radius, claims),
-            rate,
-            radius,
+            summary._replace(
+                statement=f"{summary.statement} (read from a file, not verified again)", evidence="claimed"
+            ),
+            document.rate,
+            document.radius,
             observer,
-            q,
+            document.q,
             about,
             domain,
-            velocity,
-            document["inputs"],
-            tuple(claims),
-            document["model"],
+            document.velocity,
+            given,
+            claims,
+            document.recipe,
         )
+
+
+def _stated(claim: _document.Stated, domain: Box) -> Claim:
+    """A claim that was read from a file."""
+    levels = _saved.from_letters(claim.levels)
+    left = [np.stack([low, high], axis=1)[codes == OPEN] for codes, low, high in leaves(domain, levels)]
+    verdict = "undecided" if claim.open else "holds"
+    proof = Proof(verdict, domain, levels, None, np.concatenate(left), sum(map(len, levels)), math.nan)
+    return Claim(claim.kind, proof, claim.row, claim.square, claim.limit)
+
+
+def _plain(given: _document.Given) -> dict[str, Any]:
+    """What is given, as it is saved."""
+
+    def pair(bounds: np.ndarray) -> dict[str, list[float]]:
+        return {"low": bounds[0].tolist(), "high": bounds[1].tolist()}
+
+    rest = {key: getattr(given, key).tolist() for key in ("times", "noise", "disturbance", "slopes")}
+    return {"positions": pair(given.positions), "inputs": pair(given.inputs), **rest}
 
 
 def certify(
@@ -321,7 +331,7 @@ def certify(
             if not steady_distance(wanted, disturbance_length(given, claims)) < radius:
                 radius = 0.0
     return ContractionCertificate(
-        _summary(about, domain, bound, wanted, radius, claims),
+        _summary(domain, bound, wanted, radius, given, claims),
         wanted,
         radius,
         observer,
@@ -332,6 +342,7 @@ def certify(
         given,
         tuple(claims),
         recipe,
+        verified=True,
     )
 
 
@@ -352,22 +363,36 @@ def disturbance_length(given: dict[str, Any], claims: Sequence[Claim]) -> float:
     return math.sqrt(count * squares[0]) * (1 + 1e-12) if squares else math.inf if count else 0.0
 
 
-def _summary(about: Subject, domain: Box, velocity, rate: float, radius: float, claims: Sequence[Claim]) -> Certificate:
+def _summary(
+    domain: Box, velocity, rate: float, radius: float, given: dict[str, Any], claims: Sequence[Claim]
+) -> Certificate:
     verdicts = {claim.proof.verdict for claim in claims}
     verdict = "fails" if "fails" in verdicts else "undecided" if "undecided" in verdicts or not radius else "holds"
     wrong = next((c.proof.counterexample for c in claims if c.proof.counterexample is not None), None)
-    bounds = ", ".join(f"{v:.4g}" for v in velocity)
+    if verdict == "holds":
+        statement = _said(velocity, rate, radius, steady_distance(rate, disturbance_length(given, claims)))
+    else:
+        statement = f"squared lengths shrink at {rate:.4g} 1/s or faster on the region"
+        reasons = [claim.proof.reason for claim in claims if claim.proof.reason]
+        if verdicts == {"holds"}:
+            length = steady_distance(rate, disturbance_length(given, claims))
+            reasons = [f"noise and disturbance alone lead {length:.4g} away, out of the tube; make them smaller"]
+        statement += f"; {reasons[0]}" if reasons and verdict == "undecided" else ""
     return Certificate(
-        f"estimates within {radius:.4g} of a solution with velocities up to {bounds} stay so, and their distance falls "
-        f"at {rate / 2:.4g} 1/s or faster"
-        if verdict == "holds"
-        else f"squared lengths shrink at {rate:.4g} 1/s or faster on the region",
+        statement,
         verdict,
         rate,
         str(domain),
         "proved",
         () if wrong is None else tuple(((wrong[0] + wrong[1]) / 2).tolist()),
     )
+
+
+def _said(velocity, rate: float, radius: float, steady: float) -> str:
+    bounds = ", ".join(f"{v:.4g}" for v in velocity)
+    fall = f"at {rate / 2:.4g} 1/s or faster" + (f" to {steady:.4g} or less" if steady else "")
+    about = f"estimates within {radius:.4g} of a solution with velocities up to {bounds}"
+    return f"{about} stay so, and their distance falls {fall}"
 
 
 def _dimension(observer: Intrinsics) -> int:

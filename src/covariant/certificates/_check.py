@@ -5,25 +5,24 @@ are formed here, and shown to be positive definite by Taylor models on each leaf
 """
 
 import functools
-import hashlib
-import json
 import math
 import multiprocessing
+import pickle
 import string
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
-from covariant.certificates._region import subject
-from covariant.certificates._saved import observer_from
+from covariant.certificates import _matrices as matrices
+from covariant.certificates._document import Document, parse
+from covariant.certificates._region import Intrinsics, Subject, check_unique, subject
+from covariant.certificates._saved import observer_from, value_graph
 from covariant.certificates._taylor import ROUND, Enclosure, halves, show_definite
-from covariant.models import GroupSystem, Lagrangian, applied_force
+from covariant.models import GroupSystem, Lagrangian
 
 ROOM = 2.0**-20
 """Forces may be larger than claimed by this part, so that bounds which they reach are quickly shown."""
@@ -32,32 +31,50 @@ DEPTH, DEEPEST, SHARE = 6, 200, 4096
 
 
 class Checked(NamedTuple):
-    """What was found right: rate [1/s] and radius of the certificate, by how many leaves, and in how many seconds."""
+    """What was found right: rate [1/s] and radius of the certificate, by how many leaves, and in how many seconds.
+
+    `model_given`: whether whoever checked gave the model, in the place of what the file names.
+    """
 
     rate: float
     radius: float
     leaves: int
     seconds: float
+    model_given: bool = False
 
 
-def check(path: str | Path, *, processes: int = 1, progress: Callable[[int, int], None] | None = None) -> Checked:
-    """Check a saved certificate. `progress` is told how many leaves are done, and of how many.
+def check(
+    source: str | Path | Document,
+    *,
+    model: Any = None,
+    processes: int = 1,
+    progress: Callable[[int, int], None] | None = None,
+) -> Checked:
+    """Check a saved certificate, a file or what `parse` made of it.
 
-    With several `processes` a script needs the `if __name__ == "__main__"` guard. Raises `ValueError` saying what is
-    wrong, or what is not shown, and where.
+    `progress` is told how many leaves are done, and of how many.
+    `model`: for a certificate about a model of somebody's own, who checks gives it: a model, or a function that makes
+    one of the recipe's parameters, or the `module:attribute` of either. With several `processes` a script needs the
+    `if __name__ == "__main__"` guard. Raises `ValueError` saying what is wrong, or what is not shown, and where.
     """
     start = time.monotonic()
-    try:
-        document = read(path)
-        jobs = list(_jobs(str(path), document))
-    except (LookupError, TypeError, AttributeError) as error:
-        raise ValueError(f"{path} is not a certificate: {error!r}") from error
+    document = source if isinstance(source, Document) else parse(source)
+    opened = [k for k, claim in enumerate(document.claims) if claim.open]
+    _need(not opened, f"{document.file}: claims{opened} must have no open leaves; nothing is claimed to hold")
+    statement = follows(document, model)
+    jobs = list(_jobs(document))
     done, total = 0, sum(len(low) for *_, low, _ in jobs)
-    for count in _results(jobs, processes):
+    for count in _results(statement, jobs, processes, model):
         done += count
         if progress is not None:
             progress(done, total)
-    return Checked(document["rate"], document["radius"], total - 1, time.monotonic() - start)
+    return Checked(
+        document.rate,
+        document.radius,
+        sum(len(low) for what, low, _ in jobs if isinstance(what, int)),
+        time.monotonic() - start,
+        model is not None,
+    )
 
 
 def _need(holds: Any, otherwise: str) -> None:
@@ -65,75 +82,106 @@ def _need(holds: Any, otherwise: str) -> None:
         raise ValueError(otherwise)
 
 
-def read(path: str | Path, digest: str = "") -> dict[str, Any]:
-    document = json.loads(Path(path).read_text(encoding="utf-8"))
-    rest = {key: value for key, value in document.items() if key != "digest"}
-    text = json.dumps(rest, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
-    found = hashlib.sha256(text.encode("utf-8")).hexdigest()
-    _need(found == document["digest"] and digest in ("", found), f"{path} was changed: its digest is {found}")
-    return document
+class Statement(NamedTuple):
+    """A document, and the observer that it is about."""
+
+    document: Document
+    observer: Intrinsics
+    about: Subject
 
 
-def _jobs(path: str, document: dict[str, Any]) -> Iterator[tuple]:
-    """The claims and their leaves, if the statement follows from them: path, digest, claim, and corners of boxes."""
-    claims, rate, radius = document["claims"], document["rate"], document["radius"]
-    _need(document["format"] == "covariant certificate 1", f"the format {document['format']!r} is not known")
-    _need(document["verdict"] == "holds", f"nothing is claimed to hold: the verdict is {document['verdict']!r}")
-    _need(0 < rate < math.inf and 0 < radius < math.inf, f"rate {rate} and radius {radius} must be positive")
-    observer, q = observer_from(document)
-    about = subject(observer, q)
-    _need(q.shape == (2, 2) and q[0, 1] == q[1, 0], f"Q must be a symmetric matrix; it is {q.tolist()}")
-    for key, found in (("variables", about.names), ("units", about.units)):
-        _need(document[key] == list(found), f"the {key} must be {list(found)}; they are {document[key]}")
-    low, high = (np.array(claims[0][side], float) for side in ("low", "high"))
-    n = jax.eval_shape(lambda z: about.at(z).x, jnp.zeros(len(about.names))).shape[0] // 2
-    _need(low.shape == high.shape == (len(about.names),), f"the box must bound {len(about.names)} variables")
-    _need(np.isfinite([low, high]).all() and (low <= high).all(), "the box must have finite bounds, the lower first")
-    kinds = [(claim["kind"], claim.get("row")) for claim in claims]
-    wanted = [("contraction", None), *(("reach", row) for row in range(2 * n))]
-    _need(kinds == wanted, f"the claims must be contraction, and reach of rows 0 to {2 * n - 1}; they are {kinds}")
-    same = all(claim["low"] == low.tolist() and claim["high"] == high.tolist() for claim in claims)
-    _need(same, "the claims must be about the same box")
+def follows(document: Document, model: Any = None) -> Statement:
+    """What a certificate is about. Raises `ValueError` unless its statement follows from its claims, if those hold."""
+    try:
+        with np.errstate(all="ignore"):
+            observer, q = observer_from(document, model)
+            statement = Statement(document, observer, subject(observer, q))
+            _complete(statement)
+            return statement
+    except Exception as error:  # somebody's model may fail in any way while it is traced
+        kind = "" if isinstance(error, ValueError) else f"recipe: the model fails: {type(error).__name__}: "
+        raise ValueError(f"{document.file}: {kind}{_first_line(error)}") from error
+
+
+def _first_line(error: Exception) -> str:
+    return next(iter(str(error).strip().splitlines()), "")
+
+
+def _complete(statement: Statement) -> None:
+    """Raise `ValueError` unless claims, region and radius fit the model, and each other."""
+    (document, observer, about), n = statement, len(statement.document.velocity)
+    model, low, high, claims = observer.model, document.low, document.high, document.claims
+    _need(len(about.names) == len(low), f"box: the model has {len(about.names)} variables; the box bounds {len(low)}")
+    m, places = n if model.inputs is None else model.inputs, math.prod(_shape(model, n))
+    for key, wanted in (("positions", places), ("inputs", m)):
+        found = getattr(document.given, key).shape[1]
+        _need(found == wanted, f"given.{key}: the model has {wanted}; bounds are there of {found}")
+    _need(document.graph == value_graph(about), "graph: it must be the one that the observer has")
+    check_unique(observer, np.maximum(high, -low)[-2 * n : -n])
+    noise, disturbed = document.given.noise, any(claim.kind == "disturbance" for claim in claims)
+    _need(noise.any() or not document.given.slopes.any(), "given.slopes: they must be 0 where there is no noise")
 
     # By hypothesis solutions are in `truth`; a curve of length `radius` leads no farther than `away` from there.
-    speed, given, model = np.array(document["velocity"], float), _given(document), observer.model
-    m, places = n if model.inputs is None else model.inputs, math.prod(_shape(model, n))
-    _need(speed.shape == (n,) and given.shape == (2, 1 + places + m), f"{n} velocities, {places} positions, {m} inputs")
-    _need(np.isfinite(given).all() and (given[0] <= given[1]).all(), "the inputs must have finite bounds in order")
-    start = given[:, 1 : 1 + places * isinstance(model, Lagrangian)]
-    truth = [np.concatenate([p, v, np.zeros(n)]) for p, v in zip(start, (-speed, speed), strict=True)]
-    reach = [radius * math.sqrt(claim["square"]) * (1 + ROUND) for claim in claims[1:]]
+    if document.open:
+        return
+    speed, radius = document.velocity, document.radius
+    _need(disturbed == bool(sizes(document).any()), "claims: one about a disturbance must be there, if there is any")
+    # An error is that from the measured position, and so more than that from the true one by the noise.
+    start = document.given.positions[:, : places * isinstance(model, Lagrangian)]
+    truth = [np.concatenate([p, v, b]) for p, v, b in zip(start, (-speed, speed), (-noise, noise), strict=True)]
+    reach = [radius * math.sqrt(claim.square) * (1 + ROUND) for claim in claims[1 : 1 + 2 * n]]
     away = [*reach[: len(start[0])], *reach[n:], *reach[:n]]
     for name, a, b, c, d, r in zip(about.names[:-n], low[:-n], high[:-n], *truth, away, strict=True):
         fits = c <= d and math.fsum([a, r, -c]) <= 0 and math.fsum([d, r, -b]) <= 0
-        _need(
-            fits, f"{name} may be {r:.6g} outside of {c:.6g} to {d:.6g}, which its box {a:.6g} to {b:.6g} does not hold"
-        )
+        far = f"{name} may be {r:.6g} outside of {c:.6g} to {d:.6g}"
+        _need(fits, f"box: {far}, which its box {a:.6g} to {b:.6g} does not hold")
     room = np.minimum(high[:-n] - truth[1], truth[0] - low[:-n])
-    for row, (claim, r, most) in enumerate(zip(claims[1:], reach, [*room[-n:], *room[-2 * n : -n]], strict=True)):
-        allowed = r <= claim["limit"] <= most
-        _need(allowed, f"row {row} reaches {r:.6g}, may reach {claim['limit']:.6g}, and has {most:.6g} of room")
+    limits = [*room[-n:], *room[-2 * n : -n]]
+    for row, (claim, r, most) in enumerate(zip(claims[1 : 1 + 2 * n], reach, limits, strict=True)):
+        what = f"claims[{row + 1}].limit: row {row} reaches {r:.6g}, may reach {claim.limit:.6g}"
+        _need(r <= claim.limit <= most, f"{what}, and has {most:.6g} of room")
+    if disturbed:
+        count = np.count_nonzero(sizes(document))
+        steady = 2 * math.sqrt(count * claims[-1].square) / document.rate * (1 + ROUND)
+        _need(steady < radius, f"radius: noise alone leads {steady:.6g} away, and the radius is {radius:.6g}")
 
-    yield path, document["digest"], None, *given[:, None]
-    for index, claim in enumerate(claims):
-        boxes = leaves(low, high, claim["levels"], f"claim {index}")
+
+def sizes(document: Document) -> np.ndarray:
+    """Largest errors of the measured position, and of the force: unknown, or taken at the wrong place (2n,)."""
+    given = document.given
+    return np.concatenate([given.noise, (given.disturbance + given.slopes @ given.noise) * (1 + ROUND)])
+
+
+def _jobs(document: Document) -> Iterator[tuple]:
+    """What is to be shown, and on which boxes: the force, that all is defined, the leaves of claims."""
+    given, n = _given(document), len(document.velocity)
+    for what in ("force", "force is defined"):
+        yield what, *given[:, None]
+    if document.given.noise.any():
+        still = np.concatenate([given, np.zeros((2, n))], axis=1)
+        for what in ("slopes", "slopes are defined"):
+            yield what, *still[:, None]
+    pins = np.zeros((2, 2 * n + 1))
+    yield "everything is defined", *np.concatenate([[document.low, document.high], pins], axis=1)[:, None]
+    for index, claim in enumerate(document.claims):
+        boxes = leaves(document.low, document.high, claim.levels, f"claim {index}")
         for k in range(0, len(boxes[0]), SHARE):
-            yield path, document["digest"], index, *(side[k : k + SHARE] for side in boxes)
+            yield index, *(side[k : k + SHARE] for side in boxes)
 
 
 def _shape(model: Lagrangian | GroupSystem, n: int) -> tuple[int, ...]:
     return (n,) if isinstance(model, Lagrangian) else (model.group.order, model.group.order)
 
 
-def _given(document: dict[str, Any]) -> np.ndarray:
-    """Least and largest time, position and input: (2, 1 + places + m)."""
-    given, times = document["inputs"], document["inputs"]["times"]
-    low, high = ([times[k], *given["positions"][side], *given[side]] for k, side in enumerate(("low", "high")))
-    _need(len(low) == len(high) and len(times) == 2, "times, positions and inputs must have two bounds each")
-    return np.array([low, high], float)
+def _given(document: Document) -> np.ndarray:
+    """Least and largest time, measured position and input: (2, 1 + places + m). On a group positions are measured."""
+    given, positions = document.given, document.given.positions
+    if document.observer["kind"] != "group":
+        positions = positions + np.outer([-1, 1], given.noise)
+    return np.concatenate([given.times[:, None], positions, given.inputs], axis=1)
 
 
-def leaves(low: np.ndarray, high: np.ndarray, levels: list[str], what: str) -> tuple[np.ndarray, np.ndarray]:
+def leaves(low: np.ndarray, high: np.ndarray, levels: Sequence[str], what: str) -> tuple[np.ndarray, np.ndarray]:
     """The leaves of a tree, which cover its box: both halves of a box are there, and hold its middle."""
     lows, highs, found = low[None], high[None], []
     for depth, level in enumerate(levels):
@@ -148,52 +196,75 @@ def leaves(low: np.ndarray, high: np.ndarray, levels: list[str], what: str) -> t
     return np.concatenate(first), np.concatenate(second)
 
 
-@functools.cache
-def _statement(path: str, digest: str, index: int | None) -> Enclosure:
-    """The matrix that is positive definite, says a claim; or the room that the force has within its bounds."""
-    document = read(path, digest)
-    observer, q = observer_from(document)
-    about, claim = subject(observer, q), document["claims"][index or 0]
-    low, high = np.array(claim["low"], float), np.array(claim["high"], float)
-    n = len(document["velocity"])
-    room = np.where(np.arange(len(low)) < len(low) - n, 0.0, ROOM * np.maximum(abs(low), abs(high)) + 1e-200)
-    shape, given = _shape(observer.model, n), _given(document)
-    m = math.prod(shape)
-
-    def force(y):
-        found = applied_force(observer.model, y[0], y[1 : m + 1].reshape(shape), y[m + 1 :])
-        return jnp.diag(jnp.concatenate([found - (low - room / 2)[-n:], (high + room / 2)[-n:] - found]))
-
-    def contraction(z):
-        point, t = about.at(z), jnp.zeros(())
-        frame, x, flow = point.metric.frame(t, point.x), point.x, point.flow(t, point.x)
-        along = jax.jvp(
-            lambda s: (point.metric.coframe(s, x + s * flow), point.metric.gram(s, x + s * flow)), (t,), (t + 1,)
-        )
-        (coframe, gram), (turn, change) = along
-        push = gram @ (turn + coframe @ jax.jacfwd(lambda y: point.flow(t, y))(x)) @ frame
-        return -(push + push.T + change) - document["rate"] * gram
-
-    def reach(z):
-        point = about.at(z)
-        row = point.reach[claim["row"]]
-        return claim["square"] * point.metric.gram(jnp.zeros(()), point.x) - jnp.outer(row, row)
-
-    if index is None:
-        return Enclosure(force, given[0], given[1], np.zeros(given.shape[1]))
-    return Enclosure(contraction if claim["kind"] == "contraction" else reach, low, high, room)
+def _matrix(statement: Statement, what: int | str) -> Enclosure:
+    """The matrix that is positive definite, says a claim, or what has to be shown besides."""
+    (document, _, about), model = statement, statement.observer.model
+    low, high, n, given = document.low, document.high, len(document.velocity), _given(document)
+    shape = _shape(model, n)
+    if isinstance(what, int):
+        claim = document.claims[what]
+        matrix = {
+            "contraction": lambda: matrices.contraction(about, document.rate),
+            "reach": lambda: matrices.reach(about, claim.row, claim.square),
+            "disturbance": lambda: matrices.disturbance(about, sizes(document), claim.square),
+        }[claim.kind]()
+        room = np.where(np.arange(len(low)) < len(low) - n, 0.0, _room(low, high))
+        return Enclosure(matrix, low, high, room)
+    still = np.concatenate([given, np.zeros((2, n))], axis=1)
+    pinned = np.concatenate([[low, high], np.zeros((2, 2 * n + 1))], axis=1)
+    force, slopes = matrices.force(model, shape), matrices.slopes(model, shape, n)
+    room, unknown, steep = _room(low, high)[-n:] / 2, document.given.disturbance, document.given.slopes.ravel()
+    claimed, allowed = (low[-n:] + unknown - room, high[-n:] - unknown + room), steep * (1 + ROOM) + 1e-200
+    function, box, watch = {
+        "force": (matrices.within(force, *claimed), given, ""),
+        "force is defined": (force, given, "defined"),
+        "slopes": (matrices.within(slopes, -allowed, allowed), still, ""),
+        "slopes are defined": (matrices.stepped(model, shape, n), still, "smooth"),
+        "everything is defined": (matrices.everything(about), pinned, "smooth"),
+    }[what]
+    return Enclosure(function, *box, np.zeros(box.shape[1]), watch)
 
 
-def _results(jobs: list[tuple], processes: int) -> Iterator[int]:
+def _room(low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    return ROOM * np.maximum(abs(low), abs(high)) + 1e-200
+
+
+class Judge:
+    """Shows leaves of one statement to be right; each matrix is formed once."""
+
+    def __init__(self, statement: Statement):
+        self.file, self.matrix = statement.document.file, functools.cache(functools.partial(_matrix, statement))
+
+    def __call__(self, job: tuple) -> int:
+        index, low, high = job
+        what, depth = (f"claims[{index}]", DEPTH) if isinstance(index, int) else (index, DEEPEST)
+        try:
+            show_definite(self.matrix(index), low, high, depth, what)
+        except (ValueError, TypeError, LookupError, ArithmeticError) as error:
+            raise ValueError(f"{self.file}: {_first_line(error)}") from error
+        return len(low)
+
+
+_worker: list[Judge] = []
+"""The judge of a worker process."""
+
+
+def _begin(document: Document, model: Any) -> None:
+    _worker[:] = [Judge(follows(document, model))]
+
+
+def _work(job: tuple) -> int:
+    return _worker[0](job)
+
+
+def _results(statement: Statement, jobs: list[tuple], processes: int, model: Any) -> Iterator[int]:
     if processes == 1:
-        yield from map(_judge, jobs)
+        yield from map(Judge(statement), jobs)
         return
-    with ProcessPoolExecutor(processes, multiprocessing.get_context("spawn")) as pool:
-        yield from pool.map(_judge, jobs)
-
-
-def _judge(job: tuple) -> int:
-    path, digest, index, low, high = job
-    what, depth = ("the bound of the force", DEEPEST) if index is None else (f"claim {index}", DEPTH)
-    show_definite(_statement(path, digest, index), low, high, depth, what)
-    return len(low)
+    try:
+        pickle.dumps(model)
+    except Exception as error:
+        raise ValueError("a model that is shared with processes is given as 'module:attribute'") from error
+    given, context = (statement.document, model), multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(processes, context, initializer=_begin, initargs=given) as pool:
+        yield from pool.map(_work, jobs)

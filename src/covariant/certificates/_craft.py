@@ -42,7 +42,8 @@ def tracking(controller: Backstepping) -> Subject:
 
         zero = jnp.zeros((n, n), z.dtype)
         metric = jnp.block([[kp, zero], [zero, mass]])
-        return Point(flow, in_coordinates(lambda t, x: metric), jnp.concatenate([jnp.zeros_like(s), s]), jnp.eye(2 * n))
+        state, own = jnp.concatenate([jnp.zeros_like(s), s]), jnp.eye(2 * n, dtype=z.dtype)
+        return Point(flow, in_coordinates(lambda t, x: metric), state, lambda: own, lambda: own)
 
     rates = tuple(f"{unit}/s" for unit in craft.units)
     return Subject(

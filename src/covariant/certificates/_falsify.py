@@ -10,8 +10,8 @@ from covariant._linalg import whiten
 from covariant.certificates._certificate import Certificate
 from covariant.certificates._contraction import contraction_matrix
 from covariant.certificates._prove import Box, check_box
-from covariant.certificates._region import Subject
-from covariant.lowering import Lowered, expand, lower, numbers
+from covariant.certificates._region import Subject, changing
+from covariant.lowering import Lowered, expand, numbers
 
 BATCH = 4096
 STEPS = 60
@@ -20,7 +20,8 @@ STEPS = 60
 
 def rate_at(subject: Subject, z: Array) -> Array:
     """The largest rate at which the flow contracts at the point z of a region [1/s]."""
-    gram, change = _matrices(subject, z)
+    point, t = subject.at(z), jnp.zeros((), z.dtype)
+    gram, change = point.metric.gram(t, point.x), contraction_matrix(point.flow, point.metric, t, point.x)
     return -jnp.linalg.eigvalsh(whiten(gram, change))[-1]
 
 
@@ -34,8 +35,8 @@ def falsify(
     where the rate is not a number.
     """
     check_box(domain)
-    z = jnp.asarray(domain.low)
-    value = lower(lambda z: jnp.concatenate([m.ravel() for m in _matrices(subject, z)]), z)
+    both = changing(subject, lambda coframe, gram, change: jnp.stack([gram, change]).ravel(), lambda z: z)
+    value = both.graph(jnp.asarray(domain.low)).entries
     least, point = slowest(pencil(value, domain), domain, attempts, starts, seed)
     return Certificate(
         f"squared lengths shrink at no less than {rate:.4g} 1/s; the margin is the least rate found [1/s]",
@@ -45,12 +46,6 @@ def falsify(
         "sampled",
         tuple(point.tolist()),
     )
-
-
-def _matrices(subject: Subject, z: Array) -> tuple[Array, Array]:
-    """Gram matrix and change of squared lengths (2n, 2n)."""
-    point, t = subject.at(z), jnp.zeros((), z.dtype)
-    return point.metric.gram(t, point.x), contraction_matrix(point.flow, point.metric, t, point.x)
 
 
 class _Rates(NamedTuple):

@@ -1,8 +1,8 @@
 """A matrix of boxed variables that is to be proved positive definite, as numbers and as a graph.
 
-What a flow does to lengths needs derivatives. Those of JAX are blind to jumps: a `where`, a `sign`, a look-up have none,
-and what somebody declares instead of a derivative is believed. A proof therefore starts from values alone: they become a
-graph once, with the conditions under which they are defined and do not jump, and the graph is differentiated.
+What a flow does to lengths needs derivatives. Those of JAX are blind to jumps: a `where`, a `sign`, a look-up have
+none, and what somebody declares instead of a derivative is believed. A proof therefore starts from values alone: they
+become a graph once, with the conditions under which they are defined and do not jump, and the graph is differentiated.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -39,14 +39,19 @@ class Form(NamedTuple):
 
     def then(self, formula: Callable[[Array], Array]) -> "Form":
         """What a formula makes of the matrix, such as one of its blocks."""
+        return self.beside(lambda matrix, z: formula(matrix))
+
+    def beside(self, formula: Callable[[Array, Array], Array]) -> "Form":
+        """What a formula makes of the matrix and of z."""
 
         def graph(z):
             formed = self.graph(z)
             grown = Graph.of(formed.entries.graph.nodes)
-            made = graft(grown, formula, formed.entries.nodes())
+            place = np.array([grown.input(i) for i in range(formed.entries.inputs)], int)
+            made = graft(grown, formula, formed.entries.nodes(), place)
             return formed._replace(entries=_lowered(grown, made, formed.entries.arguments))
 
-        return Form(lambda z: formula(self.numbers(z)), graph)
+        return Form(lambda z: formula(self.numbers(z), z), graph)
 
 
 def as_form(matrix: Callable[[Array], Array]) -> Form:
@@ -92,9 +97,9 @@ def formed(
     """A formula of values and of their derivatives at x = state(z), t = 0, the derivatives being those of the graph.
 
     At kinks, as those of |x|, min and max, the graph's derivatives are all between those of both sides: Clarke's
-    generalised Jacobian lies among them. Where all matrices so found are positive definite, an inequality of contraction
-    holds for Lipschitz flows as for smooth ones. For take neighbouring solutions x and x + δ: by the mean-value theorem
-    (Clarke 1983, Optimization and Nonsmooth Analysis, 2.6.5) δ' = Aδ for a mean A of Jacobians on the segment between
+    generalised Jacobian lies among them. Where all matrices so found are positive definite, an inequality of
+    contraction holds for Lipschitz flows as for smooth ones. For take neighbouring solutions x and x + δ: by the
+    mean-value theorem (Clarke 1983, Optimization and Nonsmooth Analysis, 2.6.5) δ' = Aδ for a mean A of Jacobians on the segment between
     them, the inequality is affine in A, and its margin, positive on a compact set, outweighs what is of higher order in
     δ. So sufficiently short chords shrink, and with them every curve, as the limit of its polygons.
     """

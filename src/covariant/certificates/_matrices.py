@@ -1,7 +1,7 @@
 """What a certificate claims, as the checker forms it: functions of JAX that must be positive definite, or defined.
 
-Made from the observer's flow and the metric's frame, as the prover's are, and by another route: by derivatives of JAX, of
-functions from which all that JAX was told about their derivatives has been taken out.
+Made from the observer's flow and the metric's frame, as the prover's are, and by another route: by derivatives of JAX,
+of functions from which all that JAX was told about their derivatives has been taken out.
 """
 
 from collections.abc import Callable
@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from covariant.certificates._region import Subject, moved
+from covariant.certificates._region import Subject, moved, values
 from covariant.certificates._taylor import plain
 from covariant.models import applied_force
 
@@ -62,20 +62,17 @@ def disturbance(about: Subject, sizes: np.ndarray, square: float) -> Matrix:
     return matrix
 
 
-def values(about: Subject, n: int) -> Matrix:
+def everything(about: Subject) -> Matrix:
     """All that the claims are made of, z (d,) and 2n + 1 zeros -> (...).
 
     The zeros are added to time and state: what is held fixed there is a variable all the same, at which nothing jumps.
     """
 
-    def everything(y):
+    def parts(y):
         z, t, zeros = jnp.split(y, (len(about.names), len(about.names) + 1))
-        point, t = about.at(z), t[0]
-        x, metric = point.x + zeros, point.metric
-        parts = point.flow(t, x), metric.coframe(t, x), metric.frame(t, x), metric.gram(t, x), point.reach()
-        return jnp.concatenate([part.ravel() for part in (*parts, point.offset())])
+        return jnp.concatenate([part.ravel() for part in values(about)(t[0], about.at(z).x + zeros, z)])
 
-    return everything
+    return parts
 
 
 def force(model: Any, shape: tuple[int, ...]) -> Matrix:
@@ -99,7 +96,7 @@ def within(function: Matrix, low: np.ndarray, high: np.ndarray) -> Matrix:
 
 
 def slopes(model: Any, shape: tuple[int, ...], n: int) -> Matrix:
-    """Derivatives of the force by the position, in coordinates or in the body, time, position, input, zeros -> (n²,)."""
+    """Derivatives of the force by the position, or in the body, time, position, input, zeros (n,) -> (n²,)."""
 
     def derivatives(y):
         t, q, u = jnp.split(y[:-n], (1, 1 + int(np.prod(shape))))

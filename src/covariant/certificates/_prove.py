@@ -4,9 +4,9 @@ On each box the entries are enclosed by natural interval evaluation, by the mean
 `S(z) ∈ S(c) + S'(box) (z − c)`, and by Taylor's, `S(z) ∈ S(c) + S'(c) (z − c) + ½ S''(box) (z − c)²`, which needs boxes
 some ten times fewer a variable. The enclosing interval matrix is brought near the identity by a congruence with
 floating-point factors, `I − CᵀSC = E`, and is positive definite where the spectral radius of |E| is below one, by
-Collatz & Wielandt: `|E| x < x` for some positive x, whose rounding is bounded in turn. Taylor's linear terms are brought
-there as matrices, each with its signs; where there is no such form, at kinks, the tightest bounds of the entries are
-taken. Boxes for which that fails are halved across the variable that widens the enclosure most.
+Collatz & Wielandt: `|E| x < x` for some positive x, whose rounding is bounded in turn. The terms of Taylor's form are
+brought there as matrices, each with its signs; where there is no such form, at kinks, the tightest bounds of the
+entries are taken. Boxes for which that fails are halved across the variable that widens the enclosure most.
 
 A matrix whose making is not defined somewhere, or jumps, is not proved: the conditions are halved over until they hold.
 
@@ -277,8 +277,8 @@ def _reads(conditions: Conditions) -> np.ndarray:
 def blocks(matrix: Callable[[Array], Array], domain: Box) -> list[Int[np.ndarray, "k"]]:
     """Indices of the diagonal blocks that a symmetric `z -> (n, n)` falls into, after a permutation, for every z.
 
-    A matrix is positive definite where each of them is, and each depends on fewer variables. Entries count as zero where
-    their graph is the constant 0.
+    A matrix is positive definite where each of them is, and each depends on fewer variables. Entries count as zero
+    where their graph is the constant 0.
     """
     formed = as_form(matrix).then(lambda m: m + m.T).graph(jnp.asarray(domain.low))
     nodes = formed.entries.nodes()

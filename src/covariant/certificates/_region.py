@@ -19,7 +19,7 @@ from jaxtyping import Array, Float
 from covariant._linalg import solve
 from covariant._typing import Matrix, Scalar, Vector
 from covariant.certificates._contraction import StateMetric, contraction_matrix, lengths
-from covariant.certificates._form import Form, as_form, formed
+from covariant.certificates._form import Form, Values, as_form, formed
 from covariant.certificates._prove import Box, check_box, show_conditions
 from covariant.certificates._tangent import TwoByTwo, tangent_metric
 from covariant.lowering import Conditions, enclose, expand, lower, numbers
@@ -79,20 +79,35 @@ def contraction(subject: Subject, rate: float) -> Form:
 def changing(subject: Subject, formula: Callable[[Array, Array, Array], Array], numbers: Callable) -> Form:
     """A formula of Θ, of N, and of `F_ΘᵀN + Ṅ + N F_Θ`, the change of squared lengths, for a proof."""
 
-    def values(t, x, z):
-        flow, metric = subject.at(z)[:2]
-        return flow(t, x), metric.coframe(t, x), metric.frame(t, x), metric.gram(t, x)
-
     def parts(slopes, nodes, count):
-        flow, coframe, frame, gram = nodes
+        flow, coframe, frame, gram, *_ = nodes
         state = range(1, count + 1)
         along = {0: slopes.graph.constant(1.0), **dict(zip(state, flow.tolist(), strict=True))}
-        return *nodes[1:], slopes.each(flow, state, frame), slopes.along(coframe, along), slopes.along(gram, along)
+        return (
+            coframe,
+            frame,
+            gram,
+            slopes.each(flow, state, frame),
+            slopes.along(coframe, along),
+            slopes.along(gram, along),
+        )
 
     def whole(coframe, frame, gram, moved, turn, change):
         return formula(coframe, gram, lengths(gram, change, turn @ frame + coframe @ moved))
 
-    return formed(values, lambda z: subject.at(z).x, parts, whole, numbers)
+    return formed(values(subject), lambda z: subject.at(z).x, parts, whole, numbers)
+
+
+def values(subject: Subject) -> Values:
+    """All that is claimed of a subject is made of this: the flow, Θ, Θ⁻¹, N, `reach` and `offset`, and derivatives."""
+
+    def at(t, x, z):
+        point = subject.at(z)
+        metric = point.metric
+        parts = point.flow(t, x), metric.coframe(t, x), metric.frame(t, x), metric.gram(t, x)
+        return *parts, point.reach(), point.offset()
+
+    return at
 
 
 def reach(subject: Subject, i: int, square: float) -> Form:
@@ -124,13 +139,10 @@ def disturbed(subject: Subject, sizes: Float[np.ndarray, "two_n"], square: float
     """
     n = len(sizes) // 2
 
-    def values(t, x, z):
-        point = subject.at(z)
-        return point.flow(t, x), point.metric.coframe(t, x), point.metric.gram(t, x), point.offset()
-
     def parts(slopes, nodes, count):
         last = 1 + count + len(subject.names)
-        return *nodes[1:], slopes.each(nodes[0], range(last - 2 * n, last))
+        flow, coframe, _, gram, _, offset = nodes
+        return coframe, gram, offset, slopes.each(flow, range(last - 2 * n, last))
 
     def formula(coframe, gram, offset, change):
         moved = jnp.concatenate([change[:, :n] @ offset, change[:, n:]], axis=1) * jnp.asarray(sizes)
@@ -141,7 +153,7 @@ def disturbed(subject: Subject, sizes: Float[np.ndarray, "two_n"], square: float
         change = jax.jacfwd(lambda z: subject.at(z).flow(t, point.x))(z)[:, -2 * n :]
         return formula(point.metric.coframe(t, point.x), point.metric.gram(t, point.x), point.offset(), change)
 
-    return formed(values, lambda z: subject.at(z).x, parts, formula, numbers)
+    return formed(values(subject), lambda z: subject.at(z).x, parts, formula, numbers)
 
 
 def _in_coordinates(observer: Intrinsic | Geodesic, q: TwoByTwo) -> Subject:
@@ -264,8 +276,8 @@ def _need_symmetry(model: GroupSystem) -> None:
     places = [f"g{k // model.group.order + 1}{k % model.group.order + 1}" for k in range(entries) if k in read]
     if places:
         raise ValueError(
-            f"the friction of this model depends on where the body is, on {', '.join(places)} of its matrix; on a group "
-            "that is not covered: write the system as a Lagrangian in coordinates"
+            f"the friction of this model depends on where the body is, on {', '.join(places)} of its matrix; on a "
+            "group that is not covered: write the system as a Lagrangian in coordinates"
         )
     momentum = lower(model.metric.inertia, jnp.zeros(n))
     bent = expand(momentum, range(n), 2)

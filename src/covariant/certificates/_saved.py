@@ -1,22 +1,21 @@
 """How a certificate is written down: an observer as plain numbers and names, and back."""
 
 import dataclasses
-import hashlib
-import json
-import string
 from collections.abc import Sequence
 from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from covariant import models
-from covariant.certificates._region import Intrinsics
+from covariant.certificates._document import LETTERS, OBSERVERS, Document
+from covariant.certificates._region import Intrinsics, Subject, values
+from covariant.lowering import lower
+from covariant.models import GroupSystem, Lagrangian
 from covariant.observers import Geodesic, Group, Intrinsic
 
-FORMAT = "covariant certificate 1"
-LETTERS = string.ascii_letters
-"""One for each variable across whose middle a box is halved; a leaf is a dot."""
 KINDS = {"intrinsic": Intrinsic, "geodesic": Geodesic, "group": Group}
 
 
@@ -26,33 +25,44 @@ def observer_document(observer: Intrinsics) -> dict[str, Any]:
     Raises `ValueError` for a field that cannot be written down, as a budget that is not the usual one.
     """
     kind = next(name for name, cls in KINDS.items() if type(observer) is cls)
-    usual = {field.name: field.default for field in dataclasses.fields(observer)}
-    found: dict[str, Any] = {"kind": kind}
-    for name in usual.keys() - {"model", "substeps"}:
-        value = getattr(observer, name)
-        if name in ("alpha", "beta"):
-            found[name] = float(value)
-        elif isinstance(value, bool | int | str):
-            found[name] = value
-        elif value != usual[name]:
-            raise ValueError(f"an observer with {name} = {value!r} cannot be written into a certificate")
+    found: dict[str, Any] = {"kind": kind, "alpha": float(observer.alpha), "beta": float(observer.beta)}
+    for field in dataclasses.fields(observer):
+        value = getattr(observer, field.name)
+        if field.name in OBSERVERS[kind]:
+            found[field.name] = value
+        elif field.name not in ("model", "alpha", "beta", "substeps") and value != field.default:
+            raise ValueError(f"an observer with {field.name} = {value!r} cannot be written into a certificate")
     return found
 
 
-def observer_from(document: dict[str, Any]) -> tuple[Intrinsics, Float[np.ndarray, "2 2"]]:
+def observer_from(document: Document, model: Any = None) -> tuple[Intrinsics, Float[np.ndarray, "2 2"]]:
     """The observer that a certificate is about, and the matrix Q of its metric.
 
-    Raises `ValueError` naming what fails.
+    `model`: what stands in the place of the recipe, as for `models.from_recipe`. Raises `ValueError` naming what fails.
     """
-    given = dict(document["observer"])
-    kind = given.pop("kind", None)
-    if kind not in KINDS:
-        raise ValueError(f"the observer must be one of {', '.join(KINDS)}; the certificate says {kind!r}")
-    model = models.from_recipe(document["model"])
     try:
-        return KINDS[kind](model, **given), np.asarray(document["q"], float)
-    except TypeError as error:
-        raise ValueError(f"the observer of the certificate cannot be made: {error}") from error
+        made = models.from_recipe(document.recipe, model)
+    except ValueError as error:
+        raise ValueError(f"recipe: {error}") from error
+    fields = dict(document.observer)
+    kind = fields.pop("kind")
+    wanted = GroupSystem if kind == "group" else Lagrangian
+    if not isinstance(made, wanted):
+        found = type(made).__name__
+        raise ValueError(f"observer.kind {kind!r} needs a {wanted.__name__}; the recipe makes a {found}")
+    return KINDS[kind](made, **fields), document.q
+
+
+def value_graph(about: Subject) -> dict[str, list]:
+    """What the claims are about as a graph of scalars, for readers without JAX.
+
+    The inputs are time, state and the variables of the box, the outputs the entries of `values`.
+    """
+    d = len(about.names)
+    states = jax.eval_shape(lambda z: about.at(z).x, jnp.zeros(d)).shape[0]
+    lowered = lower(values(about), jnp.zeros(()), jnp.zeros(states), jnp.zeros(d), real=True)
+    rows = [[node.op, *(node.arguments or (node.value,))] for node in lowered.graph.nodes]
+    return {"nodes": rows, "outputs": list(lowered.outputs)}
 
 
 def to_letters(levels: Sequence[np.ndarray]) -> list[str]:
@@ -65,10 +75,3 @@ def from_letters(levels: Sequence[str]) -> list[np.ndarray]:
     """The tree that `to_letters` wrote, as whole numbers: −1 for proved, −2 for open."""
     codes = {letter: code for code, letter in enumerate(LETTERS)} | {".": -1, "?": -2}
     return [np.array([codes[letter] for letter in level], int) for level in levels]
-
-
-def digest(document: dict[str, Any]) -> str:
-    """SHA-256 of everything in a certificate but the digest itself, in one canonical spelling."""
-    rest = {key: value for key, value in document.items() if key != "digest"}
-    text = json.dumps(rest, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
-    return hashlib.sha256(text.encode("utf-8")).hexdigest()

@@ -157,7 +157,7 @@ def trajectories(
     """
     reached, side = half_widths(certificate), _side(certificate)
     first, longest, _ = _eight_time_constants(certificate)
-    m = len(certificate.given["low"])
+    m = len(certificate.given["inputs"]["low"])
     push = _inputs(certificate, 2 * jnp.pi / longest * (2 + 0.74 * jnp.arange(m, dtype=float)), jnp.zeros(m))
     rng = np.random.default_rng(seed)
     start, duration, travel = _stays_inside(certificate, side, push, first, longest, rng)
@@ -243,7 +243,7 @@ def _motions(certificate, side, count: int, rng) -> tuple[Any, tuple[Array, Arra
     """
     first, longest, constant = _eight_time_constants(certificate)
     t = jnp.linspace(first, first + longest, WATCHED)
-    model, m = certificate.observer.model, len(certificate.given["low"])
+    model, m = certificate.observer.model, len(certificate.given["inputs"]["low"])
 
     @jax.jit
     @jax.vmap
@@ -367,7 +367,7 @@ def _eight_time_constants(certificate: ContractionCertificate) -> tuple[float, f
 
 def _inputs(certificate: ContractionCertificate, pace: Array, phase: Array):
     """Sines (m,) within the bounds of the inputs."""
-    low, high = (jnp.asarray(certificate.given[end]) for end in ("low", "high"))
+    low, high = (jnp.asarray(certificate.given["inputs"][end]) for end in ("low", "high"))
     return lambda t, x: (low + high) / 2 + INSIDE * (high - low) / 2 * jnp.sin(pace * t + phase)
 
 

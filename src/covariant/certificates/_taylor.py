@@ -397,9 +397,9 @@ def _refuse_shortened(eqn: Any) -> None:
     old, new = (v.aval.dtype for v in (*eqn.invars[:1], *eqn.outvars[:1])) if eqn.invars else (None, None)
     if eqn.primitive.name == "reduce_precision":
         raise ValueError("the model makes numbers shorter, by 'reduce_precision'")
-    if eqn.primitive.name == "convert_element_type" and all(jnp.issubdtype(t, jnp.floating) for t in (old, new)):
-        if jnp.finfo(new).nmant < jnp.finfo(old).nmant:
-            raise ValueError(f"the model makes numbers shorter, {old} to {new}")
+    real = eqn.primitive.name == "convert_element_type" and all(jnp.issubdtype(t, jnp.floating) for t in (old, new))
+    if real and jnp.finfo(new).nmant < jnp.finfo(old).nmant:
+        raise ValueError(f"the model makes numbers shorter, {old} to {new}")
 
 
 # A function without what JAX is told about its derivative.

@@ -158,11 +158,24 @@ def certify(
         float | None, typer.Option(help="Rate λ of squared lengths to prove [1/s]; half of Q's by default.")
     ] = None,
     q: Annotated[str | None, typer.Option(help="Metric Q as a,c,b; the best conditioned one by default.")] = None,
-    seconds: Annotated[float, typer.Option(help="Time for the proof [s].")] = 60.0,
+    noise: Annotated[
+        str | None, typer.Option(help="Bound of the error of each measured position: one number or one each.")
+    ] = None,
+    disturbance: Annotated[
+        str | None, typer.Option(help="Bound of the force that the model does not know: one number or one each.")
+    ] = None,
+    boxes: Annotated[
+        int, typer.Option(help="Effort: boxes that may be evaluated, the same on every machine.")
+    ] = 200_000,
+    seconds: Annotated[float | None, typer.Option(help="A limit of time besides [s], for each of the proofs.")] = None,
     processes: Annotated[int | None, typer.Option(help="Processes; as many as processors by default.", min=1)] = None,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="Write the certificate here (.json).")] = None,
     figure: Annotated[Path | None, typer.Option(help="Draw region, tube, distances and gains here (.png).")] = None,
     check: Annotated[Path | None, typer.Option("--check", help="Verify this saved certificate instead.")] = None,
+    given: Annotated[
+        str | None,
+        typer.Option("--model", help="With --check: the module:attribute of a model that is not covariant's own."),
+    ] = None,
     override: Override = [],  # noqa: B006  typer copies it
     json: Json = False,
 ) -> None:
@@ -170,9 +183,27 @@ def certify(
 
     Exit code 0 proved or verified, 1 wrong, undecided or refused, 2 bad input.
     """
-    asked = _certify.Asked(observer, alpha, beta, sampling, box, velocity, error, input, rate, q, seconds, processes)
+    asked = _certify.Asked(
+        observer,
+        alpha,
+        beta,
+        sampling,
+        box,
+        velocity,
+        error,
+        input,
+        rate,
+        q,
+        noise,
+        disturbance,
+        boxes,
+        seconds,
+        processes,
+    )
+    if given is not None and check is None:
+        raise ValueError("--model goes with --check FILE; the model to certify is the first argument")
     if check is not None and model is None:
-        _certify.check_file(check, processes, json)
+        _certify.check_file(check, given, processes, json)
     elif model is not None and check is None:
         _certify.certify_model(model, tuple(override), asked, out, figure, json)
     else:

@@ -11,9 +11,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from covariant import models
-from covariant.certificates import ContractionCertificate, certify
+from covariant.certificates import ASSUMED, ContractionCertificate, certify
 from covariant.certificates._balls import check_sample
-from covariant.certificates._check import check
+from covariant.certificates._check import Checked, check
+from covariant.certificates._document import Document, parse_bytes, read
 from covariant.certificates._show import half_widths, kinds, open_share
 from covariant.cli import _parse
 from covariant.cli._console import working
@@ -39,7 +40,10 @@ class Asked(NamedTuple):
     input: str | None
     rate: float | None
     q: str | None
-    seconds: float
+    noise: str | None
+    disturbance: str | None
+    boxes: int
+    seconds: float | None
     processes: int | None
 
 
@@ -64,7 +68,8 @@ def certify_model(
         found = certify(recipe=recipe, progress=tell, **settings)
     result = _result(spec, found)
     if out is not None:
-        result["out"] = str(found.save(out))
+        wrong = found.counterexample is not None  # it is printed, not saved
+        result["out"] = None if wrong else str(found.save(out))
     if figure is not None:
         from covariant.report import draw_certificate
 
@@ -75,34 +80,49 @@ def certify_model(
         raise SystemExit(1)
 
 
-def check_file(path: Path, processes: int | None, as_json: bool) -> None:
-    """Verify a saved certificate, all leaves and some again in balls; leaves with exit code 1 where it is refused."""
+def check_file(path: Path, model: str | None, processes: int | None, as_json: bool) -> None:
+    """Verify a saved certificate, all leaves and some again in balls; leaves with exit code 1 where it is refused.
+
+    `model`: the `module:attribute` that the person who checks gives for a model that is not in the fixed table.
+    """
+    content = read(path)  # once: what is checked and what is sampled in balls are the same
     try:
+        document = parse_bytes(path, content)
         with _proving(quiet=as_json) as tell:
             found = check(
-                path,
+                document,
+                model=model,
                 processes=processes or os.cpu_count() or 1,
                 progress=lambda done, total: tell("checking leaves", done / max(total, 1), done),
             )
-        result = {"verified": True, **found._asdict()}
-        try:
-            balls = check_sample(path)
-            result["balls"] = balls.leaves
-            more = f"{balls.leaves} of them again in ball arithmetic"
-        except ImportError as missing:
-            result["balls"] = 0
-            more = f"none in ball arithmetic: {missing}"
-    except json.JSONDecodeError as error:
-        raise ValueError(f"{path} is not a certificate: {error}") from error
+        balls, more = _balls(document, model)
     except ValueError as refusal:
         print(json.dumps({"verified": False, "reason": str(refusal)}) if as_json else f"Refused: {refusal}")
         raise SystemExit(1) from refusal
-    print(
-        json.dumps(result)
-        if as_json
-        else f"Verified: rate λ = {found.rate:.4g} 1/s, radius ε = {found.radius:.4g}; {found.leaves} leaves in "
+    result = {"verified": True, **found._asdict(), "model": model, "balls": balls, "assumed": ASSUMED}
+    print(json.dumps(result) if as_json else _verified(found, model, more))
+
+
+def _balls(document: Document, model: str | None) -> tuple[int, str]:
+    """How many leaves were found right in ball arithmetic, in a number and in words."""
+    try:
+        balls = check_sample(document, model=model).leaves
+    except ImportError as missing:
+        return 0, f"none in ball arithmetic: {missing}"
+    return balls, f"{balls} of them again in ball arithmetic"
+
+
+def _verified(found: Checked, model: str | None, more: str) -> str:
+    """What was verified, and what remains assumed."""
+    lines = [
+        f"Verified: rate λ = {found.rate:.4g} 1/s, radius ε = {found.radius:.4g}; {found.leaves} leaves in "
         f"{found.seconds:.1f} s, {more}."
-    )
+    ]
+    if found.model_given:
+        lines.append(
+            f"The model is {model}, given by the person who checks; that the file means this one is not verified."
+        )
+    return "\n".join([*lines, "What remains assumed:", *(f"- {line}" for line in ASSUMED)])
 
 
 def _model(spec: str, file: models.ModelFile) -> Lagrangian | GroupSystem:
@@ -128,10 +148,7 @@ def _settings(spec: str, file: models.ModelFile, model, asked: Asked) -> tuple[d
         raise ValueError(f"--observer {name} does not fit {spec}; these do: {fitting}")
     velocity = _parse.numbers("--velocity", asked.velocity, [f"d{k}/dt" for k in names], positive=True, one=True)
     error = _parse.numbers("--error", asked.error, names, positive=True, one=True)
-    push = _parse.numbers("--input", asked.input or "0", inputs, one=True)
-    assert push is not None
-    if push.min(initial=0.0) < 0:
-        raise ValueError(f"--input: bounds must not be negative; got {asked.input!r}")
+    push = _amounts("--input", asked.input, inputs)
     alpha, beta, designed = _gains(file, asked)
     settings = {
         "observer": OBSERVERS[name](model, alpha, beta),
@@ -141,10 +158,22 @@ def _settings(spec: str, file: models.ModelFile, model, asked: Asked) -> tuple[d
         "input": push,
         "rate": None if asked.rate is None else _parse.above_zero("--rate", asked.rate),
         "q": _matrix(asked.q),
-        "seconds": _parse.above_zero("--seconds", asked.seconds),
+        "noise": _amounts("--noise", asked.noise, names),
+        "disturbance": _amounts("--disturbance", asked.disturbance, names),
+        "boxes": int(_parse.above_zero("--boxes", asked.boxes)),
+        "seconds": None if asked.seconds is None else _parse.above_zero("--seconds", asked.seconds),
         "processes": asked.processes or os.cpu_count() or 1,
     }
     return settings, designed
+
+
+def _amounts(option: str, text: str | None, names) -> np.ndarray:
+    """Bounds that may be zero, and are where nothing was said."""
+    found = _parse.numbers(option, text or "0", names, one=True)
+    assert found is not None
+    if found.min(initial=0.0) < 0:
+        raise ValueError(f"{option}: bounds must not be negative; got {text!r}")
+    return found
 
 
 def _gains(file: models.ModelFile, asked: Asked) -> tuple[float, float, str]:
@@ -238,6 +267,7 @@ def _result(spec: str, found: ContractionCertificate) -> dict[str, Any]:
         "rate": found.rate,
         "decay": found.decay,
         "radius": found.radius,
+        "steady": found.steady if math.isfinite(found.steady) else None,
         "half_widths": half_widths(found).tolist() if summary.verdict == "holds" else None,
         "velocity": found.velocity.tolist(),
         "domain": {name: [low, high] for name, low, high in bounds},
@@ -288,10 +318,12 @@ def _text(result: dict[str, Any], found: ContractionCertificate, designed: str) 
     for claim in _undecided(found):
         lines.append(
             f"{claim.kind}: {len(claim.proof.open)} boxes remain, {open_share(claim.proof):.2%} of the domain; more "
-            "--seconds, smaller bounds or a lower --rate may decide it"
+            "--boxes, smaller bounds or a lower --rate may decide it"
         )
     lines.append(f"{found.boxes} boxes, {found.seconds:.1f} s")
-    lines += [f"wrote {result[key]}" for key in ("out", "figure") if key in result]
+    lines += [f"wrote {result[key]}" for key in ("out", "figure") if result.get(key)]
+    if "out" in result and result["out"] is None:
+        lines.append("no certificate is written of a statement that is wrong")
     return "\n".join(lines)
 
 

@@ -21,8 +21,8 @@ def expand(lowered: Lowered, inputs: Sequence[int], order: int) -> Lowered:
     """The graph of the values (K,) of all outputs and of their derivatives in the given inputs (F,).
 
     `order` 1: values (K,) and first derivatives (F, K). `order` 2: also second derivatives (P, K), of the pairs
-    `pairs(F)`. Where a function has a kink its derivative is anything between those of both sides (`either`), in numbers
-    that of one; where it jumps nothing is said, for which `Lowered.conditions` are there.
+    `pairs(F)`. Where a function has a kink its derivative is anything between those of both sides (`either`), in
+    numbers that of one; where it jumps nothing is said, for which `Lowered.conditions` are there.
     """
     graph = Graph.of(lowered.graph.nodes)
     slopes = [Derivative(graph, {i: graph.constant(1.0)}) for i in inputs]

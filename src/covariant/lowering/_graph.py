@@ -1,7 +1,7 @@
 """A function of real numbers as a graph of scalar operations: constants folded, zeros pruned, equal parts shared.
 
-Folding forgets: `0 · √q` is 0, wherever √q is. A graph of a function of real numbers therefore notes, before anything is
-simplified, what each operation needs to be defined and not to jump: its conditions.
+Folding forgets: `0 · √q` is 0, wherever √q is. A graph of a function of real numbers therefore notes, before anything
+is simplified, what each operation needs to be defined and not to jump: its conditions.
 """
 
 import math
@@ -82,8 +82,8 @@ FOLD: dict[str, Callable] = {
 }
 """Every operation of a graph, on numbers. `select(p, a, b)` is a where p holds, else b; comparisons give truths.
 
-`either(a, b, x, y)` is x where a < b and y where b < a: the slope of what has a kink where a = b, and there all that lies
-between. `stumpff(k, x)` is Stumpff's c_k.
+`either(a, b, x, y)` is x where a < b and y where b < a: the slope of what has a kink where a = b, and there all that
+lies between. `stumpff(k, x)` is Stumpff's c_k.
 """
 
 COMMUTATIVE = {"add", "mul", "min", "max", "eq", "and", "or"}
@@ -167,9 +167,9 @@ class Graph:
     def _condition(self, kind: Kind, node: int, op: str) -> None:
         known = self.nodes[node]
         # A number that is known neither passes a whole one nor jumps.
-        if not (known.op == "constant" and (kind != "true" or known.value)):
-            if (kind, node) not in self.conditions:
-                self.conditions[kind, node] = Condition(kind, node, f"{op} {self.line()}".strip())
+        settled = known.op == "constant" and (kind != "true" or known.value)
+        if not settled and (kind, node) not in self.conditions:
+            self.conditions[kind, node] = Condition(kind, node, f"{op} {self.line()}".strip())
 
     def _add(self, key: tuple, node: Node) -> int:
         if key not in self._known:

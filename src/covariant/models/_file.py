@@ -95,14 +95,37 @@ def recipe(spec: str, overrides: Sequence[str] = ()) -> dict[str, Any]:
     return {"system": document["system"], **kept} if _is_file(spec) or ":" not in spec else {"attribute": spec, **kept}
 
 
-def from_recipe(made: dict[str, Any]) -> Model:
-    """The model that a recipe makes. Raises `ModelError`, one line, naming what is wrong."""
+def from_recipe(made: dict[str, Any], model: Any = None) -> Model:
+    """The model that a recipe makes: a system of the fixed table by name, with parameters of the right types.
+
+    A recipe may come from a file, so it never imports anything. `model` stands in the place of the system or attribute
+    that it names, on the word of whoever gives it: a model, or a function that makes one of the recipe's parameters, or
+    the `module:attribute` of either. Raises `ModelError`, one line, naming what is wrong.
+    """
+    parameters = made.get("parameters", {})
     try:
-        found = _source.attribute(made["attribute"]) if "attribute" in made else _source.system(made.get("system"))
-        name = str(made.get("attribute", made.get("system")))
-        return _make(name, found, made.get("parameters", {})).model
-    except ValueError as error:
-        raise ModelError(f"model: {_source.first_line(error)}") from error
+        if model is not None:
+            return _given(model, parameters)
+        if "attribute" in made:
+            raise ValueError(
+                f"the model is {made['attribute']!r}, code that a recipe does not run; whoever trusts it gives the "
+                "model, as --model module:attribute or model=..."
+            )
+        factory, name = _source.system(made.get("system")), str(made.get("system"))
+        with np.errstate(all="ignore"):  # what parameters make infinite proves nothing later on
+            return _make(name, factory, _source.typed(name, factory, parameters)).model
+    except Exception as error:  # whatever parameters bring about in a system
+        kind = "" if isinstance(error, ValueError) else f"{type(error).__name__}: "
+        raise ModelError(kind + _source.first_line(error)) from error
+
+
+def _given(model: Any, parameters: dict[str, Any]) -> Model:
+    """The model that somebody gives in the place of a recipe."""
+    name = model if isinstance(model, str) else type(model).__name__
+    if isinstance(model, str) and not all(model.partition(":")):
+        raise ValueError(f"a model is given as module:attribute; got {model!r}")
+    found = _source.attribute(model) if isinstance(model, str) else model
+    return _make(name, found, {} if isinstance(found, Model | ModelFile) else parameters).model
 
 
 def _is_file(spec: str) -> bool:

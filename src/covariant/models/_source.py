@@ -1,12 +1,15 @@
 """Where a model comes from: a system known by name, or an attribute of somebody's module."""
 
+import contextlib
 import importlib
 import inspect
 import os
+import reprlib
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from inspect import Parameter as Argument
-from typing import Any
+from types import UnionType
+from typing import Any, Union, get_args, get_origin
 
 from covariant.models._ball_and_beam import ball_and_beam
 from covariant.models._bioreactor import bioreactor
@@ -69,6 +72,36 @@ def attribute(spec: str) -> Any:
     if name not in vars(module):
         refuse_unknown(f"attribute of module {where!r}", name, [key for key in vars(module) if key[0] != "_"])
     return vars(module)[name]
+
+
+def typed(name: str, factory: Callable[..., Any], parameters: dict[str, Any]) -> dict[str, Any]:
+    """Parameters in the types that the factory declares: a whole number serves as a `float`, a truth does not.
+
+    Raises `ValueError` for one that is of another type; those that the factory does not take are left as they are.
+    """
+    declared, found = inspect.signature(factory).parameters, dict(parameters)
+    for key in found.keys() & declared.keys():
+        kind = declared[key].annotation
+        try:
+            found[key] = _typed(found[key], kind)
+        except TypeError as error:
+            wanted = inspect.formatannotation(kind).replace("collections.abc.", "")
+            given = reprlib.repr(found[key])
+            raise ValueError(f"parameter {key} of {name} must be {wanted}; got {given}") from error
+    return found
+
+
+def _typed(value: Any, declared: Any) -> Any:
+    choices = get_args(declared)
+    if get_origin(declared) in (Union, UnionType):
+        for choice in choices:
+            with contextlib.suppress(TypeError):
+                return _typed(value, choice)
+    elif get_origin(declared) is Sequence and isinstance(value, list | tuple):
+        return [_typed(entry, choices[0]) for entry in value]
+    elif type(value) is declared or (type(value), declared) == (int, float):
+        return declared(value)
+    raise TypeError
 
 
 def call(name: str, factory: Callable[..., Any], parameters: dict[str, Any]) -> Any:

@@ -223,7 +223,7 @@ def odin_box(pitch: float = 0.7, roll: float = 0.7, rate: float = 0.2, speed: fl
     return Box(subject.names, subject.units, -high, high)
 
 
-def odin_certificate(rate: float, domain: Box | None = None, seconds: float = 120.0) -> list[Proof]:
+def odin_certificate(rate: float, domain: Box | None = None, boxes: int = 200_000) -> list[Proof]:
     """Does the repaired observer contract at `rate` [1/s] of squared lengths, in the metric with the cross term?
 
     Translation and rotation are apart, and proved apart. Velocities enter as the slope 2|ν| of the drag alone, so those
@@ -241,10 +241,10 @@ def odin_certificate(rate: float, domain: Box | None = None, seconds: float = 12
         proof
         for part in parts
         for proof in prove_at_corners(
-            lambda z, part=part: matrix(z)[part][:, part],
+            matrix.then(lambda whole, part=part: whole[part][:, part]),
             domain._replace(low=low),
             (*names, "zdot_roll", "zdot_pitch", "zdot_yaw"),
-            seconds=seconds / len(parts),
+            boxes=boxes,
         )
     ]
 
