@@ -150,11 +150,9 @@ def test_friction_that_drives_at_some_place_is_never_proved(name):
     [
         (lie.SO2, {}),
         (lie.SO3, {}),
-        (lie.SO3, {"doubled_alpha": True}),
-        (lie.SO3, {"curvature": False}),
-        (lie.SE2, {}),
+        (lie.SO3, {"doubled_alpha": True, "curvature": False}),
     ],
-    ids=["SO2", "SO3", "twice α", "no curvature", "SE2"],
+    ids=["SO2", "SO3", "twice α and no curvature"],
 )
 def test_the_flow_that_is_proved_is_the_one_that_runs(group, options):
     """In the chart g exp(θ) around an estimate g, at θ = 0 and to first order around it, anywhere on the group."""
@@ -175,7 +173,7 @@ def test_the_flow_that_is_proved_is_the_one_that_runs(group, options):
     def proved(z, x):
         return about.at(z).flow(jnp.zeros(()), x)
 
-    for _ in range(3):
+    for _ in range(2):
         z = jnp.asarray(rng.uniform(-1, 1, 3 * n))
         x = jnp.concatenate([jnp.zeros(n), z[:n]])
         np.testing.assert_allclose(proved(z, x), runs(z, x), atol=1e-12)
