@@ -222,11 +222,11 @@ def test_bound_of_the_error_under_noise_against_simulation():
     measured = np.std(np.array(seen), axis=(0, 2))
     predicted = predict_errors(ALPHA, BETA, density, 0.0)
     np.testing.assert_allclose(measured, [predicted.position_std, predicted.velocity_std], rtol=0.05)
-    bounds = error_bounds(ALPHA, BETA, PAPER, rate_of(ALPHA, BETA, PAPER), np.abs(noise).max())
+    bounds = error_bounds(ALPHA, BETA, PAPER, rate_of(ALPHA, BETA, PAPER), np.abs(noise).max(), 0.0)
     assert (np.abs(np.array(seen)).max(axis=(0, 2)) < bounds).all()
     # A constant error is the simplest of all noises: it moves the estimate by itself.
     steady = np.linalg.solve(a, -push)
-    assert (np.abs(steady) <= error_bounds(ALPHA, BETA, PAPER, rate_of(ALPHA, BETA, PAPER), 1.0)).all()
+    assert (np.abs(steady) <= error_bounds(ALPHA, BETA, PAPER, rate_of(ALPHA, BETA, PAPER), 1.0, 0.0)).all()
     with pytest.raises(ValueError, match="positive rate"):
         steady_distance(0.0, 1.0)
 

@@ -60,7 +60,7 @@ def test_an_eigenvalue_that_is_not_positive_is_never_proved(small):
         return r @ jnp.diag(jnp.array([1.0, small])) @ r.T
 
     for matrix in (turned, lambda z: jnp.diag(jnp.array([1.0, small]))):
-        assert prove(matrix, box(angle=(0.2, 1.0)), seconds=2.0).verdict != "holds"
+        assert prove(matrix, box(angle=(0.2, 1.0)), boxes=2000).verdict != "holds"
 
 
 def margin_of(flow, metric, rate=0.0):
@@ -90,7 +90,7 @@ def flat(t, x):
 def test_flows_that_do_not_contract_are_not_proved(flow, metric, state):
     names = [*"abc"[:state], "t"]
     domain = box(**dict.fromkeys(names[:-1], (-1.0, 1.0)), t=(0.0, 1.0))
-    assert prove(margin_of(flow, in_coordinates(metric)), domain, seconds=2.0).verdict != "holds"
+    assert prove(margin_of(flow, in_coordinates(metric)), domain, boxes=2000).verdict != "holds"
 
 
 def test_the_same_flows_are_proved_where_they_do():
@@ -222,7 +222,7 @@ def test_a_certificate_needs_its_bounds():
 def test_worker_processes_find_the_same_tree(monkeypatch):
     about, region = ball_and_beam_region(1.5, 0.01, 0.2)
     alone = prove(contraction(about, 0.2), region)
-    monkeypatch.setattr(prover, "PATIENCE", 0.0)
+    monkeypatch.setattr(prover, "PATIENCE", 0)
     shared = prove(contraction(about, 0.2), region, processes=2)
     assert alone.verdict == shared.verdict == "holds"
     assert [level.tolist() for level in alone.levels] == [level.tolist() for level in shared.levels]
@@ -251,7 +251,7 @@ def test_a_narrow_hole_is_found_and_a_prover_without_remainders_would_miss_it(mo
 
 def test_a_prover_that_forgets_how_large_a_box_is_would_be_wrong(monkeypatch):
     domain = box(z=(0.0, 1.0))
-    monkeypatch.setattr(prover, "definite", lambda middle, radius: honest_definite(middle, 0 * radius))
+    monkeypatch.setattr(prover, "definite", lambda middle, radius, terms=None: honest_definite(middle, 0 * radius))
     assert prove(hole, domain).verdict == "holds"
 
 
@@ -263,7 +263,7 @@ def test_open_boxes_and_progress_are_told():
     found = prove(
         margin_of(lambda t, x: -(x**3), in_coordinates(flat)),
         box(x=(-1.0, 1.0), t=(0.0, 1.0)),
-        seconds=1.0,
+        boxes=4000,
         progress=lambda share, boxes: told.append((share, boxes)),
     )
     assert found.verdict == "undecided"

@@ -225,8 +225,9 @@ class ContractionCertificate(NamedTuple):
 
 def _stated(claim: _document.Stated, domain: Box) -> Claim:
     """A claim that was read from a file."""
-    levels = _saved.from_letters(claim.levels)
-    left = [np.stack([low, high], axis=1)[codes == OPEN] for codes, low, high in leaves(domain, levels)]
+    levels, left = _saved.from_letters(claim.levels), [np.zeros((0, 2, len(domain.low)))]
+    if claim.open:
+        left += [np.stack([low, high], axis=1)[codes == OPEN] for codes, low, high in leaves(domain, levels)]
     verdict = "undecided" if claim.open else "holds"
     proof = Proof(verdict, domain, levels, None, np.concatenate(left), sum(map(len, levels)), math.nan)
     return Claim(claim.kind, proof, claim.row, claim.square, claim.limit)

@@ -27,6 +27,8 @@ LETTERS = string.ascii_letters
 """One for each variable across whose middle a box is halved; a leaf is a dot, an open one a question mark."""
 MOST_BYTES, MOST_VALUES, DEEPEST = 64 * 2**20, 2_000_000, 8
 """Size of a file, values in it, and how deeply they are nested: looked at before anything is made of them."""
+MOST_PARTS = len(LETTERS) // 3
+"""Velocities of a system whose variables have a letter each; so its parameters are no longer, and it is soon made."""
 CHUNK = 2**20
 """Bytes that are looked at together."""
 MOST_LEVELS, MOST_LETTERS = 400, 10**7
@@ -154,7 +156,7 @@ def parse_bytes(path: str | Path, content: bytes) -> Document:
     found = digest(top.value)
     wanted = f"{found} for what the file says; it was changed since it was saved"
     fields["digest"].need(fields["digest"].value == found, wanted)
-    observer, velocity = _observer(fields["observer"]), fields["velocity"].vector(1, len(LETTERS) // 3, least=0.0)
+    observer, velocity = _observer(fields["observer"]), fields["velocity"].vector(1, MOST_PARTS, least=0.0)
     fields["velocity"].need((velocity > 0).all(), "positive numbers")
     n = len(velocity)
     variables = n * (3 if observer["kind"] == "group" else 4)
@@ -346,17 +348,18 @@ def _recipe(field: _Field) -> dict[str, Any]:
     )
     for key in parameters.value:
         _Field(field.file, f"the name of a parameter in {parameters.key}", key).need(key.isidentifier(), "a name")
-    return {source: words, "parameters": {key: _parameter(parameters.at(key)) for key in parameters.value}}
+    most = MOST_PARTS if source == "system" else 100
+    return {source: words, "parameters": {key: _parameter(parameters.at(key), most) for key in parameters.value}}
 
 
-def _parameter(field: _Field, deep: int = 2) -> Any:
-    """A number, a truth, a text, or numbers in a list or in a list of lists."""
+def _parameter(field: _Field, most: int, deep: int = 2) -> Any:
+    """A number, a truth, a text, or numbers in a list or in a list of lists, each of `most` entries."""
     if deep == 2 and isinstance(field.value, bool):
         return field.value
     if deep == 2 and isinstance(field.value, str):
         return field.text(200)
     if deep and isinstance(field.value, list):
-        return [_parameter(row, deep - 1) for row in field.rows(0, 100)]
+        return [_parameter(row, most, deep - 1) for row in field.rows(0, most)]
     field.number()
     return field.value
 
@@ -430,25 +433,25 @@ def _levels(field: _Field, variables: int) -> tuple[str, ...]:
 
 def _graph(field: _Field) -> dict[str, list]:
     fields = field.record(["nodes", "outputs"])
-    nodes = fields["nodes"].rows(0, MOST_VALUES)
-    for k, node in enumerate(nodes):
-        _node(node, k)
-    outputs = [row.whole(0, len(nodes) - 1) for row in fields["outputs"].rows(0, MOST_VALUES)]
-    return {"nodes": fields["nodes"].value, "outputs": outputs}
+    nodes, outputs = fields["nodes"], fields["outputs"]
+    nodes.need(isinstance(nodes.value, list), "a list of rows")
+    for k, row in enumerate(nodes.value):
+        if not _is_node(row, k):
+            wanted = "[operation, numbers of earlier rows ...], ['input', number] or ['constant', value]"
+            _Field(field.file, f"{nodes.key}[{k}]", row).refuse(wanted)
+    rows = outputs.rows(0, MOST_VALUES)
+    return {"nodes": nodes.value, "outputs": [row.whole(0, len(nodes.value) - 1) for row in rows]}
 
 
-def _node(field: _Field, k: int) -> None:
-    """A row of a graph: a constant, an input, or an operation on earlier rows."""
-    field.need(isinstance(field.value, list) and 2 <= len(field.value) <= 5, "an operation and its arguments")
-    op, *arguments = field.rows(2, 5)
-    op.one_of(("constant", "input", *ARGUMENTS))
-    if op.value in ("constant", "input"):
-        field.need(len(arguments) == 1, f"[{op.value!r}, one value]")
-        if op.value == "input":
-            arguments[0].whole(0, 9999)
-        elif not isinstance(arguments[0].value, bool):
-            arguments[0].number()
-        return
-    field.need(len(arguments) in ARGUMENTS[op.value], f"{op.value!r} and as many arguments as it takes")
-    for argument in arguments:
-        argument.whole(0, k - 1)
+def _is_node(row: Any, k: int) -> bool:
+    """Whether this is row k of a graph: a constant, an input, or an operation on rows before it."""
+    if not (type(row) is list and row and type(row[0]) is str):
+        return False
+    op, *arguments = row
+    if op == "constant":
+        (value,) = arguments if len(arguments) == 1 else (None,)
+        return type(value) is bool or (type(value) in (int, float) and abs(value) <= LARGEST)
+    if op == "input":
+        return len(arguments) == 1 and type(arguments[0]) is int and 0 <= arguments[0] <= 9999
+    known = op in ARGUMENTS and len(arguments) in ARGUMENTS[op]
+    return known and all(type(argument) is int and 0 <= argument < k for argument in arguments)
