@@ -12,12 +12,11 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from systems import EFFORT, rotation, wrapped
+from systems import EFFORT, rotation, unless_refused, wrapped
 
 from covariant import geometry, models
 from covariant.certificates import ContractionCertificate, certify, optimal_lyapunov
 from covariant.geometry import lie
-from covariant.lowering import LoweringError
 from covariant.observers import Group, Intrinsic
 
 SHAPES: dict[str, Callable] = {
@@ -149,12 +148,7 @@ class System(NamedTuple):
 
     def certify(self, **more) -> ContractionCertificate | None:
         """What is said about it; None where it is refused."""
-        try:
-            return certify(self.observer(), q=self.q, **(EFFORT | self.bounds | more))
-        except np.linalg.LinAlgError:
-            raise
-        except (ValueError, LoweringError):
-            return None
+        return unless_refused(lambda: certify(self.observer(), q=self.q, **(EFFORT | self.bounds | more)))
 
 
 # What they really do.
