@@ -24,7 +24,7 @@ from covariant.certificates import _saved
 from covariant.certificates._certificate import Certificate
 from covariant.certificates._prove import Box, Proof, check_box, prove
 from covariant.certificates._region import Intrinsics, Subject, contraction, force_bounds, reach, squares, subject
-from covariant.certificates._tangent import TwoByTwo, error_matrix, optimal_lyapunov, rate_of
+from covariant.certificates._tangent import TwoByTwo, check_q, error_matrix, optimal_lyapunov, rate_of
 from covariant.lowering import lower, numbers
 from covariant.models import GroupSystem, Lagrangian
 from covariant.observers import Group
@@ -216,7 +216,7 @@ def certify(
     input: Bounds | ArrayLike = 0.0,
     times: tuple[float, float] = (0.0, 0.0),
     rate: float | None = None,
-    q: TwoByTwo | None = None,
+    q: ArrayLike | None = None,
     recipe: dict[str, Any] | None = None,
     seconds: float = 60.0,
     processes: int = 1,
@@ -234,13 +234,16 @@ def certify(
     - `q` (2, 2): the metric's matrix; by default the best conditioned one for two thirds of the rate of the gains.
     - `seconds`: time for all proofs; `processes`, `progress` (what, share, boxes): as for `prove`.
 
-    Raises `ValueError` naming an argument without its bound, `TypeError` for another kind of observer.
+    Raises `ValueError` naming an argument without its bound and a `q` that is not symmetric positive definite, `TypeError` for another kind of observer.
     """
     alpha, beta = float(observer.alpha), float(observer.beta)
     if isinstance(observer, Group) and observer.doubled_alpha:
         alpha *= 2
+    for name, gain in (("alpha", alpha), ("beta", beta)):
+        if not math.isfinite(gain):
+            raise ValueError(f"certify: {name} of the observer must be a finite number; got {gain:g}")
     best = -2 * float(np.linalg.eigvals(error_matrix(alpha, beta)).real.max())
-    matrix = optimal_lyapunov(alpha, beta, best * 2 / 3) if q is None else np.asarray(q, float)
+    matrix = optimal_lyapunov(alpha, beta, best * 2 / 3) if q is None else check_q("certify", q)
     wanted = rate_of(alpha, beta, matrix) / 2 if rate is None else float(rate)
     if not (math.isfinite(wanted) and wanted > 0):
         raise ValueError(f"certify: the rate must be a positive number; got {wanted:g}")

@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from covariant.certificates._tangent import TwoByTwo
+from covariant.certificates._tangent import TwoByTwo, check_q
 
 
 def steady_distance(rate: float, disturbance: float) -> float:
@@ -24,17 +24,19 @@ def steady_distance(rate: float, disturbance: float) -> float:
 def noise_disturbance(alpha: float, beta: float, q: TwoByTwo, noise: float) -> float:
     """The length, in the metric of q, of what a measurement error of length `noise` adds to the observer.
 
-    To first order the error b adds `αb` to q̂' and `βb` to ∇v̂: a length `|b| √½(aα² + 2cαβ + bβ²)`.
+    To first order the error b adds `αb` to q̂' and `βb` to ∇v̂: a length `|b| √½(aα² + 2cαβ + bβ²)`. Raises `ValueError`
+    where q is not symmetric positive definite.
     """
     push = np.array([alpha, beta])
-    return noise * math.sqrt(push @ q @ push / 2)
+    return noise * math.sqrt(push @ check_q("noise_disturbance", q) @ push / 2)
 
 
 def error_bounds(alpha: float, beta: float, q: TwoByTwo, rate: float, noise: float) -> tuple[float, float]:
     """Bounds of the steady errors |ξ| and |ζ|, in metric units, for measurement errors no longer than `noise`.
 
-    From `steady_distance`: a state at distance d has `|ξ| ≤ d √2(Q⁻¹)₁₁` and `|ζ| ≤ d √2(Q⁻¹)₂₂`.
+    From `steady_distance`: a state at distance d has `|ξ| ≤ d √2(Q⁻¹)₁₁` and `|ζ| ≤ d √2(Q⁻¹)₂₂`. Raises `ValueError`
+    where q is not symmetric positive definite, or the rate not positive.
     """
     distance = steady_distance(rate, noise_disturbance(alpha, beta, q, noise))
-    inverse = np.linalg.inv(q)
+    inverse = np.linalg.inv(check_q("error_bounds", q))
     return distance * math.sqrt(2 * inverse[0, 0]), distance * math.sqrt(2 * inverse[1, 1])

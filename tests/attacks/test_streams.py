@@ -1,0 +1,193 @@
+"""Streams as they come: whatever numbers arrive, every observer stays finite, says so, and returns once they are sound.
+
+Each observer's loop is compiled once, over streams of one length; the faults are drawn, the loop is not.
+"""
+
+import functools
+from collections.abc import Callable
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.flatten_util
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from covariant.models import Motion, StateSpace, ball_and_beam, free_body, marine, pendulum_chain
+from covariant.observers import (
+    EKF,
+    AbstractObserver,
+    Contracting,
+    Copy,
+    FilteredDerivative,
+    Geodesic,
+    Group,
+    InformationEKF,
+    Intrinsic,
+    InvariantEKF,
+    PassiveShip,
+    Riccati,
+    Salcudean,
+    SavitzkyGolay,
+    craft_observer,
+    lyapunov_gains,
+)
+from covariant.riccati import Equation
+from covariant.signals import Result
+from covariant.simulation import hold, simulate
+
+ROWS = 400
+FAULTY = slice(40, 70)
+"""Rows in which faults are drawn; those after are sound, and long enough to recover in."""
+
+
+class Stream(NamedTuple):
+    """What arrives: the first measurement, and of every later row the input, the measurement and the step in time."""
+
+    first: np.ndarray
+    u: np.ndarray
+    y: np.ndarray
+    dt: np.ndarray
+
+
+def stream(model, x0, rate: float, inputs: int, size: float = 0.3) -> Stream:
+    """A motion of the model under inputs that change slowly, each held from its row to the next."""
+    t = np.arange(ROWS + 1) / rate
+    u = size * np.sin(2 * np.pi * rate * t[:, None] / 100 + np.arange(inputs))
+    y = np.asarray(eqx.filter_jit(simulate)(model, x0, jnp.asarray(t), hold(jnp.asarray(t), jnp.asarray(u))).y)
+    return Stream(y[0], u[:-1], y[1:], np.diff(t))
+
+
+PENDULUM = pendulum_chain((1.2,), (0.5,), com=(0.3,), inertia=(0.02,), viscous=(0.05,))
+BEAM = ball_and_beam()
+BODY = free_body((1.0, 2.0, 3.5))
+STATION = marine.Station(marine.supply_vessel(mooring=np.diag([5e4, 5e4, 5e7])))
+CRAFT = marine.supply_vessel(mooring=np.diag([5e4, 5e4, 5e7]))
+MASSES = StateSpace(
+    lambda t, x, u: jnp.stack([x[2], x[3], u[0] - x[0] + x[1], x[0] - 2 * x[1] - 0.2 * x[3]]),
+    lambda t, x, u: x[:2],
+    coordinates=("a", "b", "va", "vb"),
+    inputs=1,
+)
+"""Two masses on springs, both positions measured."""
+
+START = jnp.zeros(4)
+GAIN = jnp.array([[3.0, 0.0], [0.0, 3.0], [2.0, 0.0], [0.0, 2.0]])
+STIFF = jnp.asarray(np.kron([[4.0, -2.0], [-2.0, 2.0]], np.eye(2)))
+"""A metric that two integrators observed through the first share: its correction is [1, 1] times the error."""
+
+pendulum = functools.cache(lambda: stream(PENDULUM, jnp.array([0.7, 4.0]), 100.0, 1))
+beam = functools.cache(lambda: stream(BEAM, jnp.array([0.3, 0.1, 0.2, -0.9]), 200.0, 1))
+body = functools.cache(lambda: stream(BODY, Motion(jnp.eye(3), jnp.array([0.1, 1.0, 0.2])), 50.0, 3))
+masses = functools.cache(lambda: stream(MASSES, jnp.array([0.5, -0.3, 0.2, 0.4]), 20.0, 1))
+ship = functools.cache(lambda: stream(STATION.model(), jnp.array([5.0, -3.0, 0.3, 0.5, -0.2, 0.004]), 1.0, 3, 1e3))
+
+MASS = np.asarray(STATION.ship.mass)
+WATCHED: dict[str, tuple[Callable[[], AbstractObserver], Callable[[], Stream], float]] = {
+    "intrinsic": (lambda: Intrinsic(BEAM, 40.0, 600.0), beam, 1e-5),
+    "intrinsic, second order": (lambda: Intrinsic(PENDULUM, 20.0, 150.0, order=2), pendulum, 1e-5),
+    "geodesic": (lambda: Geodesic(BEAM, 40.0, 600.0), beam, 1e-5),
+    "copy": (lambda: Copy(PENDULUM, 20.0, 150.0), pendulum, 1e-5),
+    "ekf": (lambda: EKF(BEAM, 10.0 * jnp.eye(2), 1e-6 * jnp.eye(2)), beam, 1e-5),
+    "filtered derivative": (lambda: FilteredDerivative(60.0), pendulum, 1e-5),
+    "savitzky-golay": (lambda: SavitzkyGolay(9, 2), pendulum, 1e-5),
+    "group": (lambda: Group(BODY, 4.0, 6.0, substeps=1), body, 1e-4),
+    "group, riemannian": (lambda: Group(BODY, 4.0, 6.0, error="riemannian", substeps=1), body, 1e-4),
+    "invariant ekf": (lambda: InvariantEKF(BODY, 1e-3 * jnp.eye(3), 1e-4 * jnp.eye(3), substeps=1), body, 1e-4),
+    "salcudean": (lambda: Salcudean(BODY, 96.0, 16.0, substeps=1), body, 1e-4),
+    "riccati": (lambda: Riccati(MASSES, lambda x: STIFF, START, 0.5), masses, 1e-5),
+    "information ekf": (lambda: InformationEKF(MASSES, Equation(1.0), START, jnp.eye(4)), masses, 1e-5),
+    "contracting": (lambda: Contracting(MASSES, GAIN, START, memory=0.1), masses, 1e-5),
+    "craft": (lambda: craft_observer(CRAFT, np.eye(3), MASS * 1e-2), ship, 1e-2),
+    "passive ship": (lambda: PassiveShip(STATION, lyapunov_gains(STATION, MASS * 1e-2, MASS * 1e-2)), ship, 1e-2),
+}
+
+class Loop(NamedTuple):
+    """An observer's compiled loop over streams of `ROWS` rows, the machine's sound stream, and how close it returns."""
+
+    follow: Callable[..., tuple[np.ndarray, np.ndarray]]
+    stream: Stream
+    sound: np.ndarray
+    close: float
+
+
+@functools.cache
+def loop(name: str) -> Loop:
+    """`follow(first, u, y, dt)` gives the estimates (ROWS, k), flat, and the result codes (ROWS,)."""
+    make, motion, close = WATCHED[name]
+    observer, sound = make(), motion()
+
+    @jax.jit
+    def follow(first, u, y, dt):
+        def step(state, row):
+            state, info = observer.step(state, *row)
+            return state, (jax.flatten_util.ravel_pytree(observer.estimate(state))[0], info.result)
+
+        return jax.lax.scan(step, observer.init(first), (u, y, dt))[1]
+
+    return Loop(follow, sound, np.asarray(follow(*sound)[0]), close)
+
+
+INPUTS = {"u nan": np.nan, "u +inf": np.inf, "u -inf": -np.inf}
+STEPS = {"dt nan": np.nan, "dt +inf": np.inf, "dt -inf": -np.inf, "dt negative": -0.7, "dt zero": 0.0}
+MEASUREMENTS = {"y nan": np.nan, "y +inf": np.inf, "y -inf": -np.inf, "y far": 1e3, "y none": np.nan}
+
+
+def spoiled(sound: Stream, faults: list[tuple[int, str, int]]) -> Stream:
+    """The stream with faults (row, kind, entry) in it; "y none" spoils every entry, the others one."""
+    u, y, dt = sound.u.copy(), sound.y.copy(), sound.dt.copy()
+    for row, kind, entry in faults:
+        if kind in STEPS:
+            dt[row] = STEPS[kind]
+        elif kind in INPUTS:
+            u[row, entry % u.shape[1]] = INPUTS[kind]
+        elif kind == "y none":
+            y[row] = np.nan
+        else:
+            y[row].flat[entry % y[row].size] = MEASUREMENTS[kind]
+    return Stream(sound.first, u, y, dt)
+
+
+def expected(stream: Stream) -> np.ndarray:
+    """The least code of every row, counted a second time and plainly."""
+    codes = np.zeros(ROWS, int)
+    y = stream.y.reshape(ROWS, -1)
+    codes[np.isnan(y).all(1) | np.isinf(y).any(1)] = Result.COASTED
+    codes[~np.isfinite(stream.u).all(1)] = Result.INPUT_HELD
+    codes[stream.dt == 0] = Result.REPEATED
+    codes[~np.isfinite(stream.dt) | (stream.dt < 0)] = Result.STEP_REFUSED
+    return codes
+
+
+FAULTS = st.lists(
+    st.tuples(
+        st.integers(FAULTY.start, FAULTY.stop - 1), st.sampled_from([*INPUTS, *STEPS, *MEASUREMENTS]), st.integers(0, 15)
+    ),
+    min_size=1,
+    max_size=20,
+)
+
+
+@pytest.mark.parametrize("name", WATCHED)
+def test_no_stream_spoils_an_observer(name):
+    """Finite throughout, each fault said in its row, and after the last one the estimate of the sound stream again."""
+    watched = loop(name)
+
+    @settings(max_examples=30)
+    @given(FAULTS)
+    def holds(faults):
+        stream = spoiled(watched.stream, faults)
+        x, codes = map(np.asarray, watched.follow(*stream))
+        assert np.isfinite(x).all()
+        least = expected(stream)
+        assert (codes >= least).all()
+        np.testing.assert_array_equal(codes == Result.STEP_REFUSED, least == Result.STEP_REFUSED)
+        np.testing.assert_array_equal(codes[FAULTY.stop :][-100:], Result.OK)
+        kept = least >= Result.REPEATED
+        np.testing.assert_array_equal(x[kept], np.concatenate([x[:1], x])[:-1][kept])
+        np.testing.assert_allclose(x[-1], watched.sound[-1], rtol=0, atol=watched.close)
+
+    holds()
