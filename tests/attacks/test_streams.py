@@ -16,7 +16,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from covariant.models import Motion, StateSpace, ball_and_beam, free_body, marine, pendulum_chain
+from covariant.geometry import Euclidean
+from covariant.lowering import lower, numbers
+from covariant.models import Lagrangian, Motion, StateSpace, ball_and_beam, free_body, marine, pendulum_chain
 from covariant.observers import (
     EKF,
     AbstractObserver,
@@ -25,6 +27,7 @@ from covariant.observers import (
     FilteredDerivative,
     Geodesic,
     Group,
+    HeldState,
     InformationEKF,
     Intrinsic,
     InvariantEKF,
@@ -86,38 +89,41 @@ masses = functools.cache(lambda: stream(MASSES, jnp.array([0.5, -0.3, 0.2, 0.4])
 ship = functools.cache(lambda: stream(STATION.model(), jnp.array([5.0, -3.0, 0.3, 0.5, -0.2, 0.004]), 1.0, 3, 1e3))
 
 MASS = np.asarray(STATION.ship.mass)
-WATCHED: dict[str, tuple[Callable[[], AbstractObserver], Callable[[], Stream], float]] = {
-    "intrinsic": (lambda: Intrinsic(BEAM, 40.0, 600.0), beam, 1e-5),
-    "intrinsic, second order": (lambda: Intrinsic(PENDULUM, 20.0, 150.0, order=2), pendulum, 1e-5),
-    "geodesic": (lambda: Geodesic(BEAM, 40.0, 600.0), beam, 1e-5),
-    "copy": (lambda: Copy(PENDULUM, 20.0, 150.0), pendulum, 1e-5),
-    "ekf": (lambda: EKF(BEAM, 10.0 * jnp.eye(2), 1e-6 * jnp.eye(2)), beam, 1e-5),
-    "filtered derivative": (lambda: FilteredDerivative(60.0), pendulum, 1e-5),
-    "savitzky-golay": (lambda: SavitzkyGolay(9, 2), pendulum, 1e-5),
-    "group": (lambda: Group(BODY, 4.0, 6.0, substeps=1), body, 1e-4),
-    "group, riemannian": (lambda: Group(BODY, 4.0, 6.0, error="riemannian", substeps=1), body, 1e-4),
-    "invariant ekf": (lambda: InvariantEKF(BODY, 1e-3 * jnp.eye(3), 1e-4 * jnp.eye(3), substeps=1), body, 1e-4),
-    "salcudean": (lambda: Salcudean(BODY, 96.0, 16.0, substeps=1), body, 1e-4),
-    "riccati": (lambda: Riccati(MASSES, lambda x: STIFF, START, 0.5), masses, 1e-5),
-    "information ekf": (lambda: InformationEKF(MASSES, Equation(1.0), START, jnp.eye(4)), masses, 1e-5),
-    "contracting": (lambda: Contracting(MASSES, GAIN, START, memory=0.1), masses, 1e-5),
-    "craft": (lambda: craft_observer(CRAFT, np.eye(3), MASS * 1e-2), ship, 1e-2),
-    "passive ship": (lambda: PassiveShip(STATION, lyapunov_gains(STATION, MASS * 1e-2, MASS * 1e-2)), ship, 1e-2),
+WATCHED: dict[str, tuple[Callable[[], AbstractObserver], Callable[[], Stream], float, float]] = {
+    "intrinsic": (lambda: Intrinsic(BEAM, 40.0, 600.0), beam, 0.3, 1e-5),
+    "intrinsic, second order": (lambda: Intrinsic(PENDULUM, 20.0, 150.0, order=2), pendulum, 1e3, 1e-5),
+    "geodesic": (lambda: Geodesic(BEAM, 40.0, 600.0), beam, 0.3, 1e-5),
+    "copy": (lambda: Copy(PENDULUM, 20.0, 150.0), pendulum, 1e3, 1e-5),
+    "ekf": (lambda: EKF(BEAM, 10.0 * jnp.eye(2), 1e-6 * jnp.eye(2)), beam, 0.3, 1e-5),
+    "filtered derivative": (lambda: FilteredDerivative(60.0), pendulum, 1e3, 1e-5),
+    "savitzky-golay": (lambda: SavitzkyGolay(9, 2), pendulum, 1e3, 1e-5),
+    "group": (lambda: Group(BODY, 4.0, 6.0, substeps=1), body, 1e3, 1e-4),
+    "group, riemannian": (lambda: Group(BODY, 4.0, 6.0, error="riemannian", substeps=1), body, 1e3, 1e-4),
+    "invariant ekf": (lambda: InvariantEKF(BODY, 1e-3 * jnp.eye(3), 1e-4 * jnp.eye(3), substeps=1), body, 1e3, 1e-4),
+    "salcudean": (lambda: Salcudean(BODY, 96.0, 16.0, substeps=1), body, 1e3, 1e-4),
+    "riccati": (lambda: Riccati(MASSES, lambda x: STIFF, START, 0.5), masses, 1e3, 1e-5),
+    "information ekf": (lambda: InformationEKF(MASSES, Equation(1.0), START, jnp.eye(4)), masses, 1e3, 1e-5),
+    "contracting": (lambda: Contracting(MASSES, GAIN, START, memory=0.1), masses, 1e3, 1e-5),
+    "craft": (lambda: craft_observer(CRAFT, np.eye(3), MASS * 1e-2), ship, 1e3, 1e-2),
+    "passive ship": (lambda: PassiveShip(STATION, lyapunov_gains(STATION, MASS * 1e-2, MASS * 1e-2)), ship, 1e3, 1e-2),
 }
 
+
 class Loop(NamedTuple):
-    """An observer's compiled loop over streams of `ROWS` rows, the machine's sound stream, and how close it returns."""
+    """An observer's compiled loop, the machine's sound stream and the estimates along it, how
+    far off a measurement may be that it recovers from, and how close it returns."""
 
     follow: Callable[..., tuple[np.ndarray, np.ndarray]]
     stream: Stream
     sound: np.ndarray
+    far: float
     close: float
 
 
 @functools.cache
 def loop(name: str) -> Loop:
     """`follow(first, u, y, dt)` gives the estimates (ROWS, k), flat, and the result codes (ROWS,)."""
-    make, motion, close = WATCHED[name]
+    make, motion, far, close = WATCHED[name]
     observer, sound = make(), motion()
 
     @jax.jit
@@ -128,16 +134,18 @@ def loop(name: str) -> Loop:
 
         return jax.lax.scan(step, observer.init(first), (u, y, dt))[1]
 
-    return Loop(follow, sound, np.asarray(follow(*sound)[0]), close)
+    return Loop(follow, sound, np.asarray(follow(*sound)[0]), far, close)
 
 
 INPUTS = {"u nan": np.nan, "u +inf": np.inf, "u -inf": -np.inf}
 STEPS = {"dt nan": np.nan, "dt +inf": np.inf, "dt -inf": -np.inf, "dt negative": -0.7, "dt zero": 0.0}
-MEASUREMENTS = {"y nan": np.nan, "y +inf": np.inf, "y -inf": -np.inf, "y far": 1e3, "y none": np.nan}
+MEASUREMENTS = {"y nan": np.nan, "y +inf": np.inf, "y -inf": -np.inf}
+
+KINDS = [*INPUTS, *STEPS, *MEASUREMENTS, "y none", "y far"]
 
 
-def spoiled(sound: Stream, faults: list[tuple[int, str, int]]) -> Stream:
-    """The stream with faults (row, kind, entry) in it; "y none" spoils every entry, the others one."""
+def spoiled(sound: Stream, faults: list[tuple[int, str, int]], far: float) -> Stream:
+    """The stream with faults (row, kind, entry) in it; "y none" spoils all entries, the others one, "y far" by `far`."""
     u, y, dt = sound.u.copy(), sound.y.copy(), sound.dt.copy()
     for row, kind, entry in faults:
         if kind in STEPS:
@@ -146,6 +154,8 @@ def spoiled(sound: Stream, faults: list[tuple[int, str, int]]) -> Stream:
             u[row, entry % u.shape[1]] = INPUTS[kind]
         elif kind == "y none":
             y[row] = np.nan
+        elif kind == "y far":
+            y[row].flat[entry % y[row].size] += far
         else:
             y[row].flat[entry % y[row].size] = MEASUREMENTS[kind]
     return Stream(sound.first, u, y, dt)
@@ -163,9 +173,7 @@ def expected(stream: Stream) -> np.ndarray:
 
 
 FAULTS = st.lists(
-    st.tuples(
-        st.integers(FAULTY.start, FAULTY.stop - 1), st.sampled_from([*INPUTS, *STEPS, *MEASUREMENTS]), st.integers(0, 15)
-    ),
+    st.tuples(st.integers(FAULTY.start, FAULTY.stop - 1), st.sampled_from(KINDS), st.integers(0, 15)),
     min_size=1,
     max_size=20,
 )
@@ -179,7 +187,7 @@ def test_no_stream_spoils_an_observer(name):
     @settings(max_examples=30)
     @given(FAULTS)
     def holds(faults):
-        stream = spoiled(watched.stream, faults)
+        stream = spoiled(watched.stream, faults, watched.far)
         x, codes = map(np.asarray, watched.follow(*stream))
         assert np.isfinite(x).all()
         least = expected(stream)
@@ -191,3 +199,142 @@ def test_no_stream_spoils_an_observer(name):
         np.testing.assert_allclose(x[-1], watched.sound[-1], rtol=0, atol=watched.close)
 
     holds()
+
+
+# The rules, one by one
+
+ONE = Lagrangian(Euclidean(), lambda q: 0.0 * q[0], inputs=2, force=lambda t, q, u: u[:1] + 10 * u[1:])
+"""A unit mass on a line, pushed by two inputs."""
+WATCHER = Intrinsic(ONE, 4.0, 4.0)
+NOTHING = jnp.array([jnp.nan])
+
+
+@jax.jit
+def stepped(state, u, y, dt):
+    return WATCHER.step(state, u, y, dt)
+
+
+def moving() -> HeldState:
+    return WATCHER.init(jnp.array([1.0]), 2.0)._replace(v=jnp.array([0.5]))
+
+
+def same(one, other) -> None:
+    jax.tree.map(np.testing.assert_array_equal, one, other)
+
+
+def test_the_last_finite_input_is_held_entry_by_entry_and_zero_before_the_first():
+    dt, state, twin = jnp.asarray(0.1), moving(), moving()
+    given = np.array([[np.nan, np.inf], [3.0, np.nan], [np.nan, -1.0], [-np.inf, np.nan], [2.0, 0.5]])
+    meant = np.array([[0.0, 0.0], [3.0, 0.0], [3.0, -1.0], [3.0, -1.0], [2.0, 0.5]])
+    for u, sound in zip(given, meant, strict=True):
+        state, info = stepped(state, jnp.asarray(u), jnp.array([1.0]), dt)
+        twin, _ = stepped(twin, jnp.asarray(sound), jnp.array([1.0]), dt)
+        same(state, twin)
+        assert info.result == (Result.OK if np.isfinite(u).all() else Result.INPUT_HELD)
+
+
+@pytest.mark.parametrize("dt", [np.nan, np.inf, -np.inf, -0.1, -1e-300])
+def test_a_step_that_is_none_is_refused_whatever_else_arrives(dt):
+    state, info = stepped(moving(), jnp.array([7.0, np.nan]), NOTHING, jnp.asarray(dt))
+    same(state, moving())
+    assert info.result == Result.STEP_REFUSED
+    assert all(np.isfinite(np.asarray(part)).all() for part in info)
+
+
+def test_a_repeated_stamp_changes_nothing_and_is_said():
+    ekf = EKF(ONE, jnp.eye(1), jnp.eye(1))  # which could take a measurement in without moving on
+    for observer in (WATCHER, ekf):
+        state = observer.init(jnp.array([1.0]))
+        after, info = eqx.filter_jit(observer.step)(state, jnp.ones(2), jnp.array([4.0]), jnp.zeros(()))
+        same(after, state)
+        assert info.result == Result.REPEATED
+        assert info.innovation[0] == pytest.approx(3.0)
+
+
+def test_infinite_measurements_are_missing_ones():
+    u, dt = jnp.array([0.3, 0.1]), jnp.asarray(0.1)
+    missing, _ = stepped(moving(), u, NOTHING, dt)
+    for y in (np.inf, -np.inf):
+        state, info = stepped(moving(), u, jnp.array([y]), dt)
+        same(state, missing)
+        assert info.result == Result.COASTED
+
+
+def test_on_a_group_one_entry_that_is_not_finite_makes_the_whole_missing():
+    watched = loop("group")
+    u, y, dt = (jnp.asarray(a[0]) for a in watched.stream[1:])
+    observer = WATCHED["group"][0]()
+    step = eqx.filter_jit(observer.step)
+    none, _ = step(observer.init(y), u, jnp.full((3, 3), jnp.nan), dt)
+    state, info = step(observer.init(y), u, y.at[1, 2].set(-jnp.inf), dt)
+    same(state, none)
+    assert info.result == Result.COASTED
+
+
+def test_a_state_made_by_hand_without_a_held_input_takes_zero_and_keeps_its_form():
+    bare = HeldState(jnp.array([1.0]), jnp.array([0.5]), jnp.asarray(2.0))
+    state, info = stepped(bare, jnp.array([np.nan, 1.0]), NOTHING, jnp.asarray(0.1))
+    twin, _ = stepped(bare, jnp.array([0.0, 1.0]), NOTHING, jnp.asarray(0.1))
+    same(state, twin)
+    assert state.held == ()
+    assert info.result == Result.INPUT_HELD
+
+
+def test_streams_may_be_mapped_and_stay_single():
+    single = jax.tree.map(lambda a: jnp.asarray(a, jnp.float32), (moving(), jnp.ones(2), NOTHING, 0.1))
+    state, info = eqx.filter_eval_shape(WATCHER.step, *single)
+    assert {leaf.dtype for leaf in jax.tree.leaves((state, info.innovation, info.distance))} == {np.dtype(np.float32)}
+    dts = jnp.array([0.1, jnp.nan, 0.0, -1.0])
+    states, info = jax.vmap(lambda dt: stepped(moving(), jnp.ones(2), jnp.array([1.0]), dt))(dts)
+    assert list(info.result) == [Result.OK, Result.STEP_REFUSED, Result.REPEATED, Result.STEP_REFUSED]
+    np.testing.assert_array_equal(states.t, [2.1, 2.0, 2.0, 2.0])
+
+
+def test_a_step_lowers_to_scalars_with_its_guard():
+    u, start = jnp.array([0.3, 0.1]), moving()
+    observer = Intrinsic(ONE, 4.0, 4.0, substeps=1)
+    lowered = lower(lambda y, dt: observer.step(start, u, y, dt), jnp.zeros(1), jnp.zeros(()))
+    for y, dt in ((1.2, 0.1), (np.inf, 0.1), (1.2, np.nan), (1.2, -1.0), (1.2, 0.0)):
+        found = numbers(lowered, np.array([y]), np.array(dt))
+        jax.tree.map(np.testing.assert_allclose, found, observer.step(start, u, jnp.array([y]), jnp.asarray(dt)))
+
+
+# Gains
+
+BAD_GAINS = (np.nan, np.inf, -np.inf, -1.0, 0.0)
+
+
+@pytest.mark.parametrize("gain", BAD_GAINS)
+@pytest.mark.parametrize("name", ["alpha", "beta"])
+def test_gains_that_are_not_positive_and_finite_are_refused_in_one_line(name, gain):
+    kinds = {Intrinsic: ONE, Geodesic: ONE, Copy: ONE, Group: BODY}
+    for kind, model in kinds.items():
+        for written in (gain, np.asarray(gain), jnp.asarray(gain)):
+            with pytest.raises(
+                ValueError, match=rf"^{kind.__name__}: {name} must be a positive, finite number; got .*$"
+            ):
+                kind(model, **{"alpha": 2.0, "beta": 3.0, name: written})
+
+
+def test_other_gains_are_refused_too():
+    for gain in BAD_GAINS:
+        with pytest.raises(ValueError, match="Salcudean: kv must be a positive"):
+            Salcudean(BODY, 1.0, gain)
+        with pytest.raises(ValueError, match="FilteredDerivative: bandwidth must be a positive"):
+            FilteredDerivative(gain)
+    bad = jnp.array([[1.0, jnp.nan], [0.0, 1.0]])
+    for kind, model in ((EKF, ONE), (InvariantEKF, BODY)):
+        with pytest.raises(ValueError, match=f"{kind.__name__}: process_cov must have finite entries"):
+            kind(model, bad, jnp.eye(2))
+    with pytest.raises(ValueError, match="Contracting: gain must have finite entries"):
+        Contracting(MASSES, GAIN.at[0, 0].set(jnp.inf), START)
+    with pytest.raises(ValueError, match="Riccati: gain must have finite entries"):
+        Riccati(MASSES, lambda x: STIFF, START, jnp.nan)
+
+
+def test_traced_gains_pass():
+    def estimate(alpha):
+        observer = Intrinsic(ONE, alpha, alpha**2)
+        return observer.step(moving(), jnp.ones(2), jnp.array([2.0]), jnp.asarray(0.1))[0].v
+
+    assert jax.jit(jax.vmap(estimate))(jnp.array([1.0, 2.0])).shape == (2, 1)

@@ -234,7 +234,8 @@ def certify(
     - `q` (2, 2): the metric's matrix; by default the best conditioned one for two thirds of the rate of the gains.
     - `seconds`: time for all proofs; `processes`, `progress` (what, share, boxes): as for `prove`.
 
-    Raises `ValueError` naming an argument without its bound and a `q` that is not symmetric positive definite, `TypeError` for another kind of observer.
+    Raises `ValueError` naming an argument without its bound, or a `q` that is not symmetric positive definite;
+    `TypeError` for another kind of observer.
     """
     alpha, beta = float(observer.alpha), float(observer.beta)
     if isinstance(observer, Group) and observer.doubled_alpha:

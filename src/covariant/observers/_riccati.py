@@ -89,7 +89,8 @@ class Riccati(AbstractFlowObserver):
 
 
 class InformationState(NamedTuple):
-    """Estimated state, its information matrix P (n, n), the time [s] they belong to, and the last finite input `held`."""
+    """Estimated state, its information matrix P (n, n), the time [s] they belong to, and the last finite input
+    `held`."""
 
     x: Vector
     information: Matrix
