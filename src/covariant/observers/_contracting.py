@@ -32,7 +32,7 @@ class ContractingState(NamedTuple):
     x: Vector
     t: Scalar
     silent: Float[Array, "p"]
-    held: Held = ()
+    held: Held = None
 
 
 class Contracting(AbstractFlowObserver):

@@ -26,7 +26,7 @@ class EKFState(NamedTuple):
     v: Vector
     t: Scalar
     cov: Float[Array, "two_n two_n"]
-    held: Held = ()
+    held: Held = None
 
 
 class EKFInfo(NamedTuple):

@@ -24,7 +24,7 @@ class GeodesicState(NamedTuple):
     v: Vector
     t: Scalar
     log: Vector
-    held: Held = ()
+    held: Held = None
 
 
 class GeodesicInfo(NamedTuple):

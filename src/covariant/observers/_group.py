@@ -26,7 +26,7 @@ class GroupState(NamedTuple):
     v: Vector
     t: Scalar
     log: Vector
-    held: Held = ()
+    held: Held = None
 
 
 class GroupInfo(NamedTuple):

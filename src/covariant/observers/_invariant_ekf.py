@@ -28,7 +28,7 @@ class InvariantState(NamedTuple):
     v: Vector
     t: Scalar
     cov: Float[Array, "two_n two_n"]
-    held: Held = ()
+    held: Held = None
 
 
 class InvariantInfo(NamedTuple):

@@ -22,8 +22,8 @@ from jaxtyping import Array, Float, Inexact
 from covariant._typing import Code, Number, Scalar, Vector
 from covariant.signals import Record, Result, Run
 
-Held = Float[Array, "m"] | tuple[()]
-"""The last finite input, in the field `held` of a state; `()` where none is kept."""
+Held = Float[Array, "m"] | None
+"""The last finite input, in the field `held` of a state; None where none is kept."""
 
 
 class MechanicalState(NamedTuple):
@@ -37,13 +37,13 @@ class MechanicalState(NamedTuple):
 class HeldState(NamedTuple):
     """As `MechanicalState`, with the last finite input `held` (m,), which stands in for one that is not finite.
 
-    Without one, `()`, the observer takes 0 in its place.
+    Without one, None, the observer takes 0 in its place.
     """
 
     q: Vector
     v: Vector
     t: Scalar
-    held: Held = ()
+    held: Held = None
 
 
 class Info(NamedTuple):
@@ -137,7 +137,7 @@ def still(held: Held) -> Held:
 
 def continuous(state: Any) -> Any:
     """The state without the input that it holds between samples: what a differential equation needs of it."""
-    return state._replace(held=()) if _holds(state) else state
+    return state._replace(held=None) if _holds(state) else state
 
 
 def _holds(state: Any) -> bool:
@@ -145,7 +145,7 @@ def _holds(state: Any) -> bool:
 
 
 def _has_room(state: Any, u: Array) -> bool:
-    return _holds(state) and not isinstance(state.held, tuple) and state.held.shape == u.shape
+    return _holds(state) and state.held is not None and state.held.shape == u.shape
 
 
 def _held(state: Any, u: Array) -> Array:

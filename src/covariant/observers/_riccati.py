@@ -25,7 +25,7 @@ class Estimate(NamedTuple):
 
     x: Vector
     t: Scalar
-    held: Held = ()
+    held: Held = None
 
 
 class Riccati(AbstractFlowObserver):
@@ -95,7 +95,7 @@ class InformationState(NamedTuple):
     x: Vector
     information: Matrix
     t: Scalar
-    held: Held = ()
+    held: Held = None
 
 
 class InformationEKF(AbstractFlowObserver):

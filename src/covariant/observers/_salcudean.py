@@ -25,7 +25,7 @@ class SalcudeanState(NamedTuple):
     g: Float[Array, "3 3"]
     momentum: Vector
     t: Scalar
-    held: Held = ()
+    held: Held = None
 
 
 class Salcudean(AbstractFlowObserver):
