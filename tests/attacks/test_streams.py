@@ -145,7 +145,7 @@ KINDS = [*INPUTS, *STEPS, *MEASUREMENTS, "y none", "y far"]
 
 
 def spoiled(sound: Stream, faults: list[tuple[int, str, int]], far: float) -> Stream:
-    """The stream with faults (row, kind, entry) in it; "y none" spoils all entries, the others one, "y far" by `far`."""
+    """The stream with faults (row, kind, entry) in it; "y none" spoils all entries, others one, "y far" by `far`."""
     u, y, dt = sound.u.copy(), sound.y.copy(), sound.dt.copy()
     for row, kind, entry in faults:
         if kind in STEPS:

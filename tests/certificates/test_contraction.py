@@ -125,7 +125,6 @@ BAD_Q = {
     "infinite": [[np.inf, 0.0], [0.0, 1.0]],
     "of another shape": np.eye(3),
     "a number": 1.0,
-    "a text": "Q",
     "ragged": [[1.0], [0.0, 1.0]],
 }
 

@@ -20,6 +20,7 @@ import numpy as np
 from jaxtyping import ArrayLike, Float
 
 from covariant._files import write_atomically
+from covariant._typing import Numbers
 from covariant.certificates import _saved
 from covariant.certificates._certificate import Certificate
 from covariant.certificates._prove import Box, Proof, check_box, prove
@@ -216,7 +217,7 @@ def certify(
     input: Bounds | ArrayLike = 0.0,
     times: tuple[float, float] = (0.0, 0.0),
     rate: float | None = None,
-    q: ArrayLike | None = None,
+    q: Numbers | None = None,
     recipe: dict[str, Any] | None = None,
     seconds: float = 60.0,
     processes: int = 1,

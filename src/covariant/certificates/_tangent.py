@@ -8,13 +8,14 @@ Source: Aghannan & Rouchon 2003, section IV and equations (6), (11); their dV/dt
 
 import contextlib
 import math
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import ArrayLike, Float
+from jaxtyping import Float
 
-from covariant._typing import MatrixField
+from covariant._typing import MatrixField, Numbers
 from covariant.certificates._contraction import StateMetric
 from covariant.geometry import as_metric, christoffel
 
@@ -48,7 +49,7 @@ def lyapunov(alpha: float, beta: float, rate: float = 0.0, weight: float = 1.0) 
     return (q + q.T) / 2
 
 
-def rate_of(alpha: float, beta: float, q: ArrayLike) -> float:
+def rate_of(alpha: float, beta: float, q: Numbers) -> float:
     """The rate λ [1/s] with `AᵀQ + QA ≤ −λQ`: that of squared lengths at q̂ = q.
 
     Raises `ValueError` for a gain that is not finite, and where q is not symmetric positive definite.
@@ -60,7 +61,7 @@ def rate_of(alpha: float, beta: float, q: ArrayLike) -> float:
     return float(-np.linalg.eigvalsh(half @ (a.T @ q + q @ a) @ half.T)[-1])
 
 
-def conditioning(beta: float, q: ArrayLike) -> float:
+def conditioning(beta: float, q: Numbers) -> float:
     """The condition number of Q, velocities being measured in units of √β times positions so that it has no unit.
 
     Raises `ValueError` for a beta that is not positive, and where q is not symmetric positive definite.
@@ -72,7 +73,7 @@ def conditioning(beta: float, q: ArrayLike) -> float:
     return float(np.linalg.cond(scale @ q @ scale))
 
 
-def check_q(whose: str, q: ArrayLike) -> TwoByTwo:
+def check_q(whose: str, q: Any) -> TwoByTwo:
     """The matrix Q as an array; raises `ValueError` where it is not a symmetric positive definite (2, 2) matrix."""
     try:
         given = np.asarray(q, float)

@@ -17,6 +17,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Float, Inexact
 
 from covariant._typing import Code, Number, Scalar, Vector
@@ -118,7 +119,7 @@ def check_finite(whose: str, **given: Any) -> None:
 
 
 def _known(value: Any, good: Callable[[np.ndarray], Any]) -> bool:
-    return isinstance(value, jax.core.Tracer) or bool(np.all(good(np.asarray(value))))
+    return isinstance(value, Tracer) or bool(np.all(good(np.asarray(value))))
 
 
 def _written(value: Any) -> str:
