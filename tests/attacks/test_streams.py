@@ -309,7 +309,7 @@ BAD_GAINS = (np.nan, np.inf, -np.inf, -1.0, 0.0)
 def test_gains_that_are_not_positive_and_finite_are_refused_in_one_line(name, gain):
     kinds = {Intrinsic: ONE, Geodesic: ONE, Copy: ONE, Group: BODY}
     for kind, model in kinds.items():
-        for written in (gain, np.asarray(gain), jnp.asarray(gain)):
+        for written in (gain, np.float64(gain), jnp.asarray(gain)):
             with pytest.raises(
                 ValueError, match=rf"^{kind.__name__}: {name} must be a positive, finite number; got .*$"
             ):
