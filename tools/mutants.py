@@ -23,6 +23,7 @@ import sys
 import tempfile
 import time
 import tomllib
+import traceback
 import warnings
 from collections import Counter
 from pathlib import Path
@@ -34,6 +35,8 @@ LIMIT = 240.0
 """Seconds for one mutant; to take longer tells something where the unmutated tests need less than half of it."""
 MEMORY = 12 * 2**30
 """Bytes that a mutant may ask for."""
+BROKEN = 70
+"""Exit status of a fork in which the tests could not be run at all."""
 WARM = "jax jax.numpy equinox diffrax optimistix scipy.linalg hypothesis pytest beartype"
 
 RELEVANT = {
@@ -144,7 +147,7 @@ class Workshop:
 
     def _run(self, arguments: list[str], note: Path) -> None:
         """In the fork: the tests, on the package in this folder."""
-        status = 70
+        status = BROKEN
         try:
             os.setpgid(0, 0)
             signal.signal(signal.SIGTERM, signal.SIG_DFL)
@@ -157,7 +160,10 @@ class Workshop:
             known = ["-W", "ignore::pytest.PytestAssertRewriteWarning"]  # some plugins are imported already
             status = int(importlib.import_module("pytest").main(["-q", *known, *arguments], plugins=[watch]))
             note.write_text(json.dumps({"failed": watch.failed, "seconds": watch.seconds}))
+        except BaseException:
+            traceback.print_exc()
         finally:
+            sys.stderr.flush()
             os._exit(status)
 
     def _put(self, file: str, source: bytes | None) -> None:
@@ -186,6 +192,8 @@ def judge(mutant: Mutant, told: dict, expected: float, reasons: dict) -> str:
     """What became of a mutant, given the seconds its tests take without it."""
     if told["status"] is None:
         return "timeout" if expected < LIMIT / 2 else "undecided"
+    if told["status"] == BROKEN:
+        return "undecided"
     if told["status"]:
         return "killed"
     return "equivalent" if (mutant.file, *mutant.diff()) in reasons else "survived"

@@ -108,7 +108,7 @@ def mutants_of(file: str) -> list[Mutant]:
 
 
 def _computing(node: ast.AST) -> Iterator[ast.AST]:
-    """The nodes that compute: no annotation, no decorator, nothing raised or asserted, no formatted text, no type."""
+    """The nodes that compute: no annotation, no decorator, nothing raised or asserted, no text, no type."""
     match node:
         case ast.Raise() | ast.Assert() | ast.JoinedStr() | ast.Import() | ast.ImportFrom():
             return
