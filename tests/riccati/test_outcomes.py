@@ -16,6 +16,7 @@ from covariant.papers.sanfelice_praly import analytic_metric, quadrature
 from covariant.riccati import (
     Equation,
     Metric,
+    Window,
     gramian,
     high_gain,
     lie_derivative,
@@ -110,6 +111,14 @@ def test_the_metric_before_a_window_is_one_unless_it_is_given():
     passage = metric_through(OSCILLATOR, Equation(1.0), x, 0.3, 20)
     np.testing.assert_array_equal(passage.metric[0], np.eye(3))
     np.testing.assert_allclose(by_default, passage.metric[-1], rtol=0, atol=1e-9)
+
+
+def test_a_window_that_tells_nothing_to_rounding_bounds_nothing():
+    """What it tells, and what the noise stirs, must be more than rounding in every direction."""
+    one, lost, x = jnp.eye(2), jnp.diag(jnp.array([1.0, -1e-17])), jnp.zeros(2)
+    assert Window(x, one, one, one).doubt(1.0) == 2.0
+    for information, spread in ((lost, one), (one, lost), (lost, lost), (lost, None)):
+        assert np.isnan(Window(x, one, information, spread).doubt(1.0))
 
 
 def two_modes(t, x, u):
