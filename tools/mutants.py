@@ -207,6 +207,7 @@ def main() -> int:
     parser.add_argument("--ids", nargs="*", metavar="ID", help="these mutants instead of drawn ones")
     parser.add_argument("--tests", nargs="*", metavar="TEST", help="these tests instead of the relevant files")
     parser.add_argument("--list", action="store_true", help="only list the mutants")
+    parser.add_argument("--programs", type=Path, help="folder that keeps compiled programs for the next run")
     parser.add_argument("--out", type=Path, help="file for a summary in JSON")
     options = parser.parse_args()
     chosen = _chosen(options)
@@ -232,7 +233,7 @@ def _chosen(options: argparse.Namespace) -> list[Mutant]:
 
 
 def _run_all(chosen: list[Mutant], workshop: Workshop, options: argparse.Namespace) -> int:
-    warm(workshop.folder / "programs")
+    warm(options.programs or workshop.folder / "programs")
     tests = {mutant.file: options.tests or relevant(mutant.file) for mutant in chosen}
     reasons, results, began = accepted(), [], time.monotonic()
     unmutated = workshop.test(list(dict.fromkeys(itertools.chain(*tests.values()))), limit=float("inf"))

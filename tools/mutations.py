@@ -1,7 +1,7 @@
 """What can be changed in a source, one token at a time, so that the tests should notice.
 
-Operators, comparisons, numbers, truth values, names that come in pairs (min and max, low and high), the order of two
-arguments; signs and negations are dropped. Left as they are: annotations, texts, what is raised or asserted.
+Operators, comparisons, numbers with NaN and infinity, truth values, names that come in pairs (min and max, low and
+high), the order of two arguments; signs and negations are dropped. Annotations, texts and errors are left as they are.
 """
 
 import ast
@@ -90,6 +90,8 @@ def mutants_of(file: str) -> list[Mutant]:
                 yield (start, start + (4 if isinstance(op, ast.Not) else 1)), ""
             case ast.Constant(bool() | int() | float() as value):
                 yield span(node), repr(_another(value))
+            case ast.Attribute(attr="nan" | "inf") | ast.Call(ast.Name("float"), [ast.Constant("nan" | "inf")]):
+                yield span(node), "0.0"
             case ast.Name(name, ast.Load()) | ast.Attribute(attr=name) if name in TWINS:
                 end = span(node)[1]
                 yield (end - len(name), end), TWINS[name]
@@ -150,9 +152,16 @@ def _another(value: bool | int | float) -> bool | int | float:
 
 def draw(seed: int, count: int) -> list[Mutant]:
     """`count` of all mutants, from every room in proportion to the number it has."""
-    files = [[str(path.relative_to(SOURCE)) for path in sorted((SOURCE / room).rglob("*.py"))] for room in ROOMS]
-    rooms = [[mutant for file in room for mutant in mutants_of(file)] for room in files]
-    ends = list(itertools.accumulate(map(len, rooms), initial=0))
+    rooms = {room: [m for file in _files(room) for m in mutants_of(file)] for room in ROOMS}
+    ends = list(itertools.accumulate(map(len, rooms.values()), initial=0))
     shares = [round(count * b / ends[-1]) - round(count * a / ends[-1]) for a, b in itertools.pairwise(ends)]
-    rng = random.Random(seed)
-    return [mutant for room, share in zip(rooms, shares, strict=True) for mutant in sorted(rng.sample(room, share))]
+    drawn = []
+    for (room, mutants), share in zip(rooms.items(), shares, strict=True):
+        # By room, and in an order that has nothing to do with the share: to change one room leaves the others' draw.
+        shuffled = random.Random(f"{seed} {room}").sample(mutants, len(mutants))
+        drawn += sorted(shuffled[:share])
+    return drawn
+
+
+def _files(room: str) -> list[str]:
+    return [str(path.relative_to(SOURCE)) for path in sorted((SOURCE / room).rglob("*.py"))]
