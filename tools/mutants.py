@@ -35,8 +35,8 @@ LIMIT = 240.0
 """Seconds for one mutant; to take longer tells something where the unmutated tests need less than half of it."""
 MEMORY = 12 * 2**30
 """Bytes that a mutant may ask for."""
-BROKEN = 70
-"""Exit status of a fork in which the tests could not be run at all."""
+FAILED = {1, 2, 4, -signal.SIGSEGV, -signal.SIGABRT, -signal.SIGFPE}
+"""Exit statuses of a mutant that fails a test, cannot be imported, or crashes; any other says nothing of it."""
 WARM = "jax jax.numpy equinox diffrax optimistix scipy.linalg hypothesis pytest beartype"
 
 RELEVANT = {
@@ -147,7 +147,7 @@ class Workshop:
 
     def _run(self, arguments: list[str], note: Path) -> None:
         """In the fork: the tests, on the package in this folder."""
-        status = BROKEN
+        status = os.EX_SOFTWARE
         try:
             os.setpgid(0, 0)
             signal.signal(signal.SIGTERM, signal.SIG_DFL)
@@ -190,12 +190,11 @@ def warm(cache: Path) -> None:
 
 def judge(mutant: Mutant, told: dict, expected: float, reasons: dict) -> str:
     """What became of a mutant, given the seconds its tests take without it."""
-    if told["status"] is None:
+    status = told["status"]
+    if status is None:
         return "timeout" if expected < LIMIT / 2 else "undecided"
-    if told["status"] == BROKEN:
-        return "undecided"
-    if told["status"]:
-        return "killed"
+    if status:
+        return "killed" if status in FAILED else "undecided"
     return "equivalent" if (mutant.file, *mutant.diff()) in reasons else "survived"
 
 
