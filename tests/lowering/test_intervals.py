@@ -3,6 +3,7 @@
 import itertools
 import math
 import operator
+import os
 import weakref
 from fractions import Fraction
 
@@ -20,7 +21,8 @@ from covariant.lowering import _intervals as intervals
 from covariant.lowering import _points as points
 
 U = 2.0**-53
-BATCH = 400
+BATCH = 400 * max(1, int(os.environ.get("COVARIANT_ATTACKS", "12")) // 12)
+"""How many random arguments of a sort are tried: with `COVARIANT_ATTACKS=500` in the environment 41 times as many."""
 
 
 def apply(op, *arguments):
@@ -237,6 +239,28 @@ def test_wide_arguments_give_bounds_that_hold_all_values(op):
             continue
         assert found.low[k] <= min(values)
         assert max(values) <= found.high[k] or not max(values) < 1e308
+
+
+@pytest.mark.parametrize("k", range(8))
+def test_stumpff_functions_are_bounded(k):
+    """c_k(x) = Σ (−x)ʲ / (2j + k)!, at points, over intervals, and beyond π² where the bounds are those of all x."""
+    rng = np.random.default_rng(BATCH)
+    count = BATCH // 10  # a value takes long
+    ends = [rng.uniform(0, 10, count), 10 ** rng.uniform(-300, 2, count), rng.uniform(9.86, 9.88, count)]
+    x = np.concatenate([*ends, [0.0, math.pi**2, 9.869, math.nextafter(9.869, 10), 1.0, 5e-324]])
+    widths = [0.0, 1e-9, 0.3]
+    for width in widths:
+        order = INTERVALS["constant"](float(k))
+        found = apply("stumpff", order, Interval(x, x + width))
+        for low, high, a in zip(found.low, found.high, x, strict=True):
+            for at in (a, a + width):
+                with mpmath.workdps(60):
+                    value = mpmath.hyper([1], [mpmath.mpf(k + 1) / 2, mpmath.mpf(k + 2) / 2], -mpmath.mpf(at) / 4)
+                    value /= mpmath.factorial(k)
+                    assert low <= value <= high, (at, width)
+            if not width and a < 9.869:
+                assert high - low <= 2e-13 * (1 + a)
+    assert np.isnan(apply("stumpff", order, Interval(np.array([-1e-300]), np.array([1.0]))).low).all()
 
 
 def test_extrema_inside_an_interval_are_found():

@@ -1,0 +1,135 @@
+"""What measurement noise and unmodelled forces do, simulated, against what is claimed about it.
+
+An error b of the measured position enters an observer three times: by its gains, as αb and βb, and because the force
+is taken where the system was measured to be, as S(q + b) − S(q).
+"""
+
+import inspect
+
+import numpy as np
+import pytest
+from systems import ALPHA, BETA, Q
+
+from covariant.certificates import error_bounds, lyapunov, optimal_lyapunov, rate_of
+
+
+def bounds(alpha: float, beta: float, q, rate: float, noise: float, slope: float) -> tuple[float, float]:
+    """Claimed bounds of the steady errors of position and velocity."""
+    known = {"slope": slope} if "slope" in inspect.signature(error_bounds).parameters else {}
+    return error_bounds(alpha, beta, q, rate, noise, **known)
+
+
+def errors(alpha, beta, force, noise, seconds: float, steps: int, friction=0.0, start=0.3, unmodelled=None):
+    """Largest errors (2, k) of position and velocity in the last tenth, under noises `(steps, k)` on the position.
+
+    A unit mass with q'' = S(q) − friction q' + unmodelled. All integrated by the rule of Runge and Kutta.
+    """
+    h = seconds / steps
+    extra = np.zeros_like(noise) if unmodelled is None else unmodelled
+    state = np.stack([np.full(noise.shape[1], start), np.zeros(noise.shape[1])] * 2)
+
+    def change(state, b, a):
+        q, v, estimated, speed = state
+        measured = q + b
+        off = estimated - measured
+        pull = force(measured)
+        return np.stack(
+            [
+                v,
+                force(q) - friction * v + a,
+                speed - alpha * off,
+                pull - friction * speed - beta * off,
+            ]
+        )
+
+    worst = np.zeros((2, noise.shape[1]))
+    for k in range(steps):
+        b, a = noise[k], extra[k]
+        k1 = change(state, b, a)
+        k2 = change(state + h / 2 * k1, b, a)
+        k3 = change(state + h / 2 * k2, b, a)
+        k4 = change(state + h * k3, b, a)
+        state = state + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+        if k > 0.9 * steps:
+            worst = np.maximum(worst, np.abs(state[2:] - state[:2]))
+    return worst
+
+
+def worst_linear(alpha, beta, stiffness, noise, friction=0.0) -> tuple[float, float]:
+    """The largest errors that any noise of that size can bring to a spring: the integrals of |impulse response|."""
+    a = np.array([[-alpha, 1.0], [-beta, -friction]])
+    push = np.array([alpha, beta - stiffness])
+    values, vectors = np.linalg.eig(a)
+    t = np.linspace(0, 25 / np.abs(values.real).min(), 4001)
+    parts = np.linalg.solve(vectors, push.astype(complex))
+    response = np.abs((vectors @ (np.exp(np.outer(values, t)) * parts[:, None])).real)
+    found = noise * np.trapezoid(response, t, axis=1)
+    return float(found[0]), float(found[1])
+
+
+def test_a_stiff_spring_under_noise_of_a_millimetre():
+    """4000 1/s²: a millimetre of the place is four metres per second squared of force."""
+    stiffness, noise = 4000.0, 1e-3
+    rate = rate_of(ALPHA, BETA, Q)
+    position, velocity = bounds(ALPHA, BETA, Q, rate, noise, stiffness)
+    real = worst_linear(ALPHA, BETA, stiffness, noise)
+    assert real[0] > 0.07
+    assert real[1] > 0.7
+    assert real[0] <= position
+    assert real[1] <= velocity
+    steady = errors(ALPHA, BETA, lambda q: -stiffness * q, np.full((20_000, 1), noise), 4.0, 20_000)
+    np.testing.assert_allclose(steady[0], noise * abs(BETA - stiffness) / BETA, rtol=1e-3)
+    assert steady[0] <= position
+
+
+def test_no_noise_on_any_spring_exceeds_its_bound():
+    rng = np.random.default_rng(1)
+    tight = 0.0
+    for _ in range(100):
+        alpha = 10 ** rng.uniform(-1, 3)
+        beta = alpha**2 * 10 ** rng.uniform(-1.5, 1)
+        stiffness = rng.choice([-1, 1]) * beta * 10 ** rng.uniform(-2, 3) * rng.integers(0, 2)
+        best = -2 * np.linalg.eigvals(np.array([[-alpha, 1], [-beta, 0]])).real.max()
+        q = lyapunov(alpha, beta) if rng.random() < 0.5 else optimal_lyapunov(alpha, beta, best * rng.uniform(0.1, 0.9))
+        noise = 10 ** rng.uniform(-6, 0)
+        claimed = bounds(alpha, beta, q, rate_of(alpha, beta, q), noise, abs(stiffness))
+        real = worst_linear(alpha, beta, stiffness, noise)
+        assert real[0] <= claimed[0]
+        assert real[1] <= claimed[1]
+        tight = max(tight, real[0] / claimed[0])
+    assert tight > 0.3  # the bounds are not idle either
+
+
+@pytest.mark.parametrize(
+    ("force", "slope"),
+    [
+        (lambda q: -400 * np.sin(q), 400.0),
+        (lambda q: 300 * np.sin(3 * q), 900.0),
+        (lambda q: -200 * np.clip(q, -0.1, 0.1) - 50 * q, 250.0),
+        (lambda q: -500 * np.abs(q) - 600 * q, 1100.0),
+    ],
+    ids=["pendulum", "egg box", "soft stop", "kink"],
+)
+def test_no_noise_on_a_nonlinear_force_exceeds_its_bound(force, slope):
+    """Constant, switching at random and at the worst times, random: none is above the bound."""
+    steps, noise, rng = 6000, 1e-2, np.random.default_rng(2)
+    switching = np.sign(rng.normal(size=(steps // 100, 40))).repeat(100, axis=0)
+    periods = np.sign(np.sin(np.outer(np.arange(steps), 2 * np.pi / np.geomspace(20, 4000, 40))))
+    tried = noise * np.concatenate([np.ones((steps, 1)), -np.ones((steps, 1)), switching, periods], axis=1)
+    tried = np.concatenate([tried, noise * rng.uniform(-1, 1, (steps, 10))], axis=1)
+    found = errors(ALPHA, BETA, force, tried, 6.0, steps, start=0.05)
+    claimed = bounds(ALPHA, BETA, Q, rate_of(ALPHA, BETA, Q), noise, slope)
+    assert found[0].max() <= claimed[0]
+    assert found[1].max() <= claimed[1]
+    assert found[0].max() > noise
+
+
+def test_the_slope_of_the_force_must_be_told():
+    with pytest.raises(TypeError):
+        error_bounds(ALPHA, BETA, Q, 2.0, 1e-3)  # pyright: ignore[reportCallIssue]
+    for wrong in (-1.0, np.nan, np.inf):
+        with pytest.raises(ValueError, match=r"slope|bound"):
+            error_bounds(ALPHA, BETA, Q, 2.0, 1e-3, slope=wrong)  # pyright: ignore[reportCallIssue]
+    for wrong in (-1e-3, np.nan, np.inf):
+        with pytest.raises(ValueError, match=r"noise|bound"):
+            error_bounds(ALPHA, BETA, Q, 2.0, wrong, slope=1.0)  # pyright: ignore[reportCallIssue]
