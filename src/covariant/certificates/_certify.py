@@ -280,7 +280,8 @@ def certify(
     - `processes`, `progress` (what, share, boxes): as for `prove`.
 
     Raises `ValueError` naming an argument without its bound, an error up to which a logarithm is not unique, friction
-    or force that are not covered, a `q` that is not symmetric positive definite; `TypeError` for another kind of observer.
+    or force that are not covered, or a `q` that is not symmetric positive definite; `TypeError` for another kind of
+    observer.
     """
     alpha, beta = float(observer.alpha), float(observer.beta)
     if isinstance(observer, Group) and observer.doubled_alpha:

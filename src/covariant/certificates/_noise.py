@@ -25,8 +25,8 @@ def noise_disturbance(alpha: float, beta: float, q: TwoByTwo, noise: float, slop
     """The length, in the metric of q, of what a measurement error of length `noise` adds to the observer.
 
     To first order the error b adds `αb` to q̂' and `βb` to ∇v̂, a length `|b| √½(aα² + 2cαβ + bβ²)`; and because force
-    and curvature are taken where the system is measured to be, up to `slope |b|` more to ∇v̂. Raises `ValueError` where q is not
-    symmetric positive definite.
+    and curvature are taken where the system is measured to be, up to `slope |b|` more to ∇v̂. Raises `ValueError` where
+    q is not symmetric positive definite.
     """
     q, push = check_q("noise_disturbance", q), np.array([alpha, beta])
     return noise * (math.sqrt(push @ q @ push / 2) + slope * math.sqrt(q[1, 1] / 2))
