@@ -41,6 +41,7 @@ WARM = "jax jax.numpy equinox diffrax optimistix scipy.linalg hypothesis pytest 
 
 RELEVANT = {
     "geometry/_interpolated.py": "geometry/test_interpolated",
+    "geometry/_[af]*.py": "geometry/test_metric geometry/test_spaces laws/test_geometry geometry/test_shooting",
     "geometry/_numeric.py": "geometry/test_metric geometry/test_shooting geometry/test_tensors laws/test_geometry",
     "geometry/lie/_left_invariant.py": "geometry/test_left_invariant",
     "geometry/lie/_munthe_kaas.py": "models/test_group_systems laws/test_group_observers",
