@@ -5,7 +5,7 @@ export OPENBLAS_NUM_THREADS := 1
 export OMP_NUM_THREADS := 1
 export JAX_PLATFORMS ?= cpu
 
-.PHONY: env demo test format lint types tests gallery bench lock clean
+.PHONY: env demo test format lint types tests gallery bench mutants lock clean
 
 env: .venv/ready
 
@@ -38,6 +38,10 @@ gallery: env
 bench: env
 	$(BIN)/pytest benchmarks --benchmark-only -o addopts=
 
+# Change the source one token at a time: every change that no test notices is a missing test. An hour or more.
+mutants: env
+	$(BIN)/python tools/mutants.py --seed 1 --count 200 --out mutants.json
+
 # Pins for every dependency, without the hosts they come from.
 lock:
 	$(PYTHON) -m venv .venv-lock && .venv-lock/bin/python -m pip install --quiet uv
@@ -45,4 +49,4 @@ lock:
 	rm -rf .venv-lock
 
 clean:
-	rm -rf .venv demo build dist
+	rm -rf .venv demo build dist mutants.json

@@ -13,7 +13,7 @@ ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "covariant"
 
 PLAN = (
-    "_typing _files _guests signals scoring _linalg _integrate lowering "
+    "_typing _files _guests _numbers signals scoring _linalg _integrate lowering "
     "logs geometry models riccati observers control simulation interop scale certificates design report papers cli"
 )
 """A room may import from itself and from any room to its left, never to its right."""
@@ -65,9 +65,9 @@ PUBLIC = {
     "manoeuvring_ship odin odin_on_group supply_vessel surface_ship yaw_rotation",
     "observers": "EKF AbstractFlowObserver AbstractObserver Contracting ContractingState Copy EKFInfo EKFState "
     "Estimate FilterInfo FilteredDerivative FilteredState Geodesic GeodesicInfo GeodesicState Group "
-    "GroupInfo GroupState Info InformationEKF InformationState Intrinsic InvariantEKF InvariantInfo "
+    "GroupInfo GroupState HeldState Info InformationEKF InformationState Intrinsic InvariantEKF InvariantInfo "
     "InvariantState MechanicalState PassiveGains PassiveShip Riccati Salcudean SalcudeanState "
-    "SavitzkyGolay WindowState craft_observer lyapunov_gains lyapunov_rate notch_gains printed_rate run",
+    "SavitzkyGolay WindowState continuous craft_observer lyapunov_gains lyapunov_rate notch_gains printed_rate run",
     "report": "PALETTE EstimateReport draw_audit draw_certificate new_figure save_figure table write_article "
     "write_audit write_html write_png",
     "riccati": "Box Equation Metric Passage Solution Window gramian gramians high_gain lie_derivative metric_at "

@@ -45,6 +45,27 @@ def test_where_measurements_are_few_the_nearest_ones_are_used(log, end):
     np.testing.assert_allclose(found, [expected], rtol=1e-6)
 
 
+@pytest.mark.parametrize("order", [1, 2, 3])
+@pytest.mark.parametrize("more", [2, 3], ids=["too few", "just enough"])
+def test_a_window_needs_two_measurements_more_than_the_polynomial_has_coefficients(order, more):
+    """The one at each rim may weigh nothing, and the rest must still determine the polynomial: order + 1 + 2 of them.
+
+    With order + 3 the window is as it is; with one less it grows by order + 3 to either side, over its own reach.
+    """
+    t, count = 0.01 * np.arange(60), order + more
+    y = np.random.default_rng(order).normal(size=60)
+    first = 25
+    middle, half = (t[first] + t[first + count - 1]) / 2, 0.01 * (count - 1) / 2 + 0.002
+    wider = 0 if more == 3 else order + 3
+    rows = slice(first - wider, first + count + wider)
+    s = t[rows] - middle
+    reach = max(half, np.abs(s).max())
+    weight = (1 - np.minimum(np.abs(s) / reach, 1) ** 3) ** 1.5 + 1e-6
+    expected = np.polyfit(s / reach, y[rows], order, w=weight)[-2] / reach
+    found = zero_phase_velocity(t, y[:, None], np.array([middle]), half, order)
+    np.testing.assert_allclose(found, [[expected]], rtol=1e-8)
+
+
 @pytest.mark.parametrize("order", [1, 2, 3, 4])
 def test_polynomials_are_exact_everywhere(log, order):
     t, _ = log

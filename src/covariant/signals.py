@@ -12,15 +12,18 @@ class Result(enum.IntEnum):
 
     OK = 0
     COASTED = 1
-    CUT_LOCUS = 2
-    LEFT_DOMAIN = 3
-    ESCAPED = 4
-    CONJUGATE_POINT = 5
-    NOT_CONVERGED = 6
-    NOT_SETTLED = 7
-    NOT_RECONSTRUCTIBLE = 8
-    OUT_OF_DOMAIN = 9
-    NOT_FINITE = 10
+    INPUT_HELD = 2
+    REPEATED = 3
+    CUT_LOCUS = 4
+    LEFT_DOMAIN = 5
+    ESCAPED = 6
+    CONJUGATE_POINT = 7
+    NOT_CONVERGED = 8
+    NOT_SETTLED = 9
+    NOT_RECONSTRUCTIBLE = 10
+    OUT_OF_DOMAIN = 11
+    STEP_REFUSED = 12
+    NOT_FINITE = 13
 
     @property
     def message(self) -> str:
@@ -30,6 +33,8 @@ class Result(enum.IntEnum):
 _MESSAGES = {
     Result.OK: "ok",
     Result.COASTED: "no measurement: the model ran on alone",
+    Result.INPUT_HELD: "an input is not finite: the last finite one was held",
+    Result.REPEATED: "the stamp is that of the sample before: the state was left as it was",
     Result.CUT_LOCUS: "two ways to the measurement are equally short, as after half a turn: one of them was taken",
     Result.LEFT_DOMAIN: "the past of the point leaves the domain: its metric starts at the border",
     Result.ESCAPED: "the past of the point escapes to infinity: its metric starts far away",
@@ -38,6 +43,7 @@ _MESSAGES = {
     Result.OUT_OF_DOMAIN: "outside the domain: there is no metric",
     Result.NOT_CONVERGED: "the geodesic to the measurement was not found: allow more Newton iterations or steps",
     Result.CONJUGATE_POINT: "the geodesic found passes a conjugate point and is not the shortest one",
+    Result.STEP_REFUSED: "the step in time is negative or not finite: the state was left as it was; mend the stamps",
     Result.NOT_FINITE: "the state is not finite: lower the gains or the step",
 }
 

@@ -65,7 +65,7 @@ class Spoiled(AbstractFlowObserver):
     def estimate(self, state):
         return jnp.concatenate([state.q, state.v])
 
-    def step(self, state, u, y, dt):
+    def advance(self, state, u, y, dt):
         raise NotImplementedError
 
     def flow(self, t, state, u, y):
@@ -257,7 +257,7 @@ def test_angles_go_around_the_circle():
         (Salcudean(TOP, 1.0, 1.0), {}, "Salcudean has no gains"),
         (Riccati(models.lorenz(), lambda x: jnp.eye(3), jnp.ones(3)), {}, "mechanical system"),
         (PrintedBallAndBeam(ALPHA, BETA), {}, "no model of its own; give model="),
-        (Intrinsic(BEAM, -1.0, BETA), {}, "gains must be positive"),
+        (eqx.tree_at(lambda o: o.alpha, Intrinsic(BEAM, ALPHA, BETA), -1.0), {}, "gains must be positive"),
         (Intrinsic(BEAM, ALPHA, BETA), {"gains": (ALPHA, 0.0)}, "gains must be positive"),
         (Intrinsic(BEAM, ALPHA, BETA), {"laws": ("eror",)}, "no law 'eror'; choose from plant, error"),
         (Intrinsic(BEAM, ALPHA, BETA), {"points": 0}, "points, speed and error must be positive"),

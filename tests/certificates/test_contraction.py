@@ -3,6 +3,7 @@
 import functools
 import math
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -14,6 +15,7 @@ from covariant import models
 from covariant.certificates import (
     Box,
     Decay,
+    certify,
     contraction_matrix,
     contraction_rate,
     decay,
@@ -113,6 +115,48 @@ def test_the_metric_of_the_paper():
     assert rate_of(ALPHA, BETA, PAPER) == pytest.approx(0.3852220515, abs=1e-10)
     with pytest.raises(ValueError, match=r"1\.414 1/s at best"):
         lyapunov(ALPHA, BETA, 1.5)
+
+
+BAD_Q = {
+    "indefinite": [[1.0, 2.0], [2.0, 1.0]],
+    "singular": [[1.0, 1.0], [1.0, 1.0]],
+    "not symmetric": [[2.0, 0.1], [0.2, 1.0]],
+    "not a number": [[np.nan, 0.0], [0.0, 1.0]],
+    "infinite": [[np.inf, 0.0], [0.0, 1.0]],
+    "of another shape": np.eye(3),
+    "a number": 1.0,
+    "ragged": [[1.0], [0.0, 1.0]],
+}
+
+
+@pytest.mark.parametrize("bad", BAD_Q.values(), ids=BAD_Q)
+def test_a_matrix_that_is_no_metric_is_refused_in_one_line(bad):
+    observer = Intrinsic(models.ball_and_beam(), ALPHA, BETA)
+    uses = {
+        "certify": lambda: certify(observer, velocity=1.0, error=0.01, position=(-0.1, 0.1), q=bad),
+        "rate_of": lambda: rate_of(ALPHA, BETA, bad),
+        "conditioning": lambda: conditioning(BETA, bad),
+    }
+    for name, use in uses.items():
+        with pytest.raises(ValueError, match=rf"^{name}: q must be a symmetric positive definite matrix \(2, 2\) .*$"):
+            use()
+
+
+def test_gains_that_are_no_numbers_are_refused_in_one_line():
+    for bad in (np.nan, np.inf):
+        with pytest.raises(ValueError, match=r"^rate_of: alpha must be a finite number; got .*$"):
+            rate_of(bad, BETA, PAPER)
+        with pytest.raises(ValueError, match=r"^lyapunov: beta must be a finite number; got .*$"):
+            lyapunov(ALPHA, bad)
+        with pytest.raises(ValueError, match=r"^lyapunov: rate must be a finite number; got .*$"):
+            lyapunov(ALPHA, BETA, bad)
+        with pytest.raises(ValueError, match=r"^conditioning: beta must be a positive number; got .*$"):
+            conditioning(bad, PAPER)
+    with pytest.raises(ValueError, match="weight must be a positive number"):
+        lyapunov(ALPHA, BETA, 0.0, -1.0)
+    spoiled = eqx.tree_at(lambda o: o.alpha, Intrinsic(models.ball_and_beam(), ALPHA, BETA), np.nan)
+    with pytest.raises(ValueError, match=r"^certify: alpha of the observer must be a finite number; got nan$"):
+        certify(spoiled, velocity=1.0, error=0.01, position=(-0.1, 0.1))
 
 
 @settings(deadline=None, max_examples=30)

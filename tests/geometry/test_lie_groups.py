@@ -330,6 +330,15 @@ def test_log_is_the_shortest():
     close(group.hat(x), np.diag(1j * (angles - [2 * np.pi, 0, 0])), 1e-14)
 
 
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_logarithm_is_traceless_also_where_the_angles_add_up_to_two_turns(sign):
+    group = lie.SU(5)
+    angles = sign * np.array([2.3, 2.4, 2.5, 2.6, 4 * np.pi - 9.8])
+    x = group.log(jnp.asarray(np.diag(np.exp(1j * angles))))
+    shortest = angles - sign * 2 * np.pi * np.array([0, 0, 0, 1, 1])
+    close(group.hat(x), np.diag(1j * shortest), 1e-14)
+
+
 bounded = st.floats(-3, 3)
 vectors = st.tuples(bounded, bounded, bounded)
 

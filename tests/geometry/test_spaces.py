@@ -296,6 +296,19 @@ def test_product_of_a_lost_and_a_found_geodesic_is_lost():
     assert np.isnan(geometry.log(both, jnp.zeros(2), jnp.ones(2))).all()
 
 
+def test_product_misses_by_the_root_of_the_squares():
+    from covariant.geometry import Shot
+
+    class Misses(geometry.Euclidean):
+        by: float
+
+        def shoot(self, p, q, guess, budget):
+            return Shot(q - p, q - p, jnp.asarray(self.by), jnp.asarray(Result.OK))
+
+    both = geometry.Product((Misses(0.3), Misses(0.4)), (1, 1))
+    assert geometry.shoot(both, jnp.zeros(2), jnp.ones(2)).residual == pytest.approx(0.5, rel=1e-15)
+
+
 def test_product_needs_a_size_for_each_space():
     with pytest.raises(ValueError, match="2 spaces but 1 sizes"):
         geometry.Product((geometry.sphere(), geometry.hyperbolic()), (4,))

@@ -103,6 +103,12 @@ def test_every_and_until_keep_some_rows(tmp_path):
         ("t,q\n0,1\n , 3\n", "column 't', row 2: found an empty cell"),
         ("t,q\n0,1\nnan,3\n", "column 't', row 2: found 'nan'"),
         ("t,q\n0,1\n1,inf\n", "column 'q', row 2: found 'inf', needs a finite number"),
+        ("t,q\n0,1\n1,1_0\n", "column 'q', row 2: found '1_0', needs a finite number"),
+        ("t,q\n0,1\n1, 0x10\n", "column 'q', row 2: found ' 0x10', needs a finite number"),
+        ("t,q\n0,1\n1,١٢\n", "column 'q', row 2: found '١٢', needs a finite number"),
+        ("t,q\n0,1\n１２,1\n", "column 't', row 2: found '１２', needs a finite number"),
+        ("t,q\n 0, 1\n 1, +1e2\n 2, 1e\n", "column 'q', row 3: found ' 1e', needs a finite number"),
+        ("t,q\n0,1\n1, +inf\n", "column 'q', row 2: found ' +inf', needs a finite number"),
         ("t,q\n0,1\n1,2\n2\n", "row 3 has 1 cells where the header has 2: '2'"),
         ("t,q\n0,1\n1,2,3\n", "row 2 has 3 cells where the header has 2: '1,2,3'"),
         ("t,q\n0,1\n2,1\n1,1\n", "row 3: time goes back from 2 s to 1 s"),
@@ -112,6 +118,14 @@ def test_every_and_until_keep_some_rows(tmp_path):
 )
 def test_names_what_is_wrong(tmp_path, text, words):
     assert words in fault(csv(tmp_path, text))
+
+
+@given(st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=1, max_size=5))
+def test_every_way_to_write_a_number_reads_as_python_does(tmp_path_factory, values):
+    forms = [form for v in values for form in (repr(v), f" {v:e} ", f"{v:+.3f}", f"{v:E}")]
+    text = "t,q\n" + "".join(f"{k},{form}\n" for k, form in enumerate(forms))
+    y = logs.read(csv(tmp_path_factory.mktemp("forms"), text), ONE).record.y[:, 0]
+    np.testing.assert_array_equal(y, [float(form) for form in forms])
 
 
 def test_an_input_may_not_be_missing(tmp_path):

@@ -131,6 +131,15 @@ def test_value_and_two_derivatives_are_those_of_jax(name):
         np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-10 * (1 + np.abs(theirs).max()))
 
 
+def test_entries_out_of_bounds_are_no_numbers_and_without_a_derivative():
+    """As `jnp.take` fills them; an entry counted from the end is one that is there."""
+    function = lambda x: jnp.take(x, jnp.array([1, 3, -1, 7])) * x[0]  # noqa: E731
+    graph = lower(lambda x: (function(x), jax.jacfwd(function)(x)), jnp.zeros(3))
+    found, expected = numbers(graph, POINTS[0]), (function(POINTS[0]), jax.jacfwd(function)(POINTS[0]))
+    jax.tree.map(np.testing.assert_array_equal, found, expected)
+    np.testing.assert_array_equal(np.isnan(found[0]), [False, True, False, True])
+
+
 def observers():
     """Right-hand sides and steps of observers with a fixed amount of work, as functions of all their numbers."""
     q, v, u = jnp.array([0.3, 0.5]), jnp.array([1.0, -2.0]), jnp.array([0.1, 0.2])

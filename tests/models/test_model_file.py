@@ -349,6 +349,8 @@ def test_refuses_text_that_is_not_utf8(tmp_path):
         ("measurement={std=1.0, quantum=1.0}", "[measurement] has both std and quantum; keep one"),
         ("design.damping", "override 'design.damping' must be written table.key=value"),
         ("design..damping=1", "override 'design..damping=1' must be written table.key=value"),
+        ("design.damping=1_0", "override 'design.damping=1_0': write numbers in plain decimals"),
+        ("parameters.mass=[1, 0x10]", "override 'parameters.mass=[1, 0x10]': write numbers in plain decimals"),
         ("=1", "override '=1' must be written table.key=value"),
         ("system.kind=1", "override 'system.kind=1': 'system' is not a table"),
         ("columns.t=stamp", "override 'columns.t=stamp': the value is not TOML (Invalid value); text needs quotes"),

@@ -212,6 +212,22 @@ def test_passive_observer_converges_as_fast_as_its_lyapunov_function_says():
     assert value[-1] < 1e-2 * value[0]
 
 
+def test_a_thruster_that_lags_is_modelled_and_not_corrected():
+    """The force at work follows the commanded one: no measurement of a position tells more of it."""
+    lagging = station(thruster_time=5.0)
+    mass = np.asarray(lagging.ship.mass)
+    observer = PassiveShip(lagging, lyapunov_gains(lagging, mass * 1e-2, mass * 1e-3))
+    x = jnp.array([2.5, -1.0, 0.8, 0.3, -0.1, 0.01, 1e4, -2e4, 3e5])
+    tau, z = jnp.array([1e5, 2e4, -3e6]), jnp.array([3.0, -2.0, 1.1])
+    state = observer.init(z)
+    assert state.t == 0.0
+    flow = observer.flow(ZERO, state._replace(x=x), tau, z).x
+    np.testing.assert_allclose(flow[6:], (tau - x[6:]) / 5.0, rtol=1e-14)
+    still = PassiveShip(station(), observer.gains)
+    alone = still.flow(ZERO, still.init(z)._replace(x=x[:6]), x[6:], z).x
+    np.testing.assert_allclose(flow[:6], alone, rtol=1e-12)
+
+
 def test_passive_observer_does_not_mind_whole_turns_and_needs_a_first_position():
     noisy = station(waves=marine.Waves((0.8,) * 3, (0.1,) * 3, (0.5, 0.5, 0.01)), bias_time=1000.0)
     observer = PassiveShip(noisy, notch_gains(noisy, (0.1, 0.1, 0.2)))

@@ -43,6 +43,13 @@ def test_no_step_is_no_correction(beta):
     assert [float(k) for k in gains(40.0, beta, 0.0)] == [0.0, 0.0]
 
 
+@pytest.mark.parametrize("beta", [1.0, 400.0, 1e5])
+def test_no_step_is_no_correction_whatever_the_gains(beta):
+    """Their derivatives vanish too: a record whose first step is empty can be differentiated in the gains."""
+    slopes = jax.jit(jax.jacrev(lambda alpha, beta: jnp.stack(gains(alpha, beta, 0.0)), (0, 1)))(40.0, beta)
+    np.testing.assert_array_equal(slopes, np.zeros((2, 2)))
+
+
 @pytest.mark.parametrize("beta", [1.0, 399.9, 400.0, 400.1, 1e5])
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 def test_small_steps_keep_every_digit(dtype, beta):

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from covariant.geometry import Budget
 from covariant.geometry.lie import SE3, SO3, quaternion_from_rotation, rotation_from_quaternion
 from covariant.models import Motion, free_body, heavy_top, underwater_vehicle
 from covariant.observers import Group, InvariantEKF, Salcudean, run
@@ -107,6 +108,26 @@ def test_a_short_step_is_the_flow(name):
     gaps = [float(jnp.abs(gap(jnp.asarray(dt))).max()) for dt in (1e-3, 1e-4)]
     assert gaps[1] < 1e-2
     assert np.log10(gaps[0] / gaps[1]) == pytest.approx(1.0, abs=0.15)
+
+
+@pytest.mark.parametrize("name", OBSERVERS)
+def test_an_observer_that_is_told_no_time_starts_at_zero(name):
+    assert OBSERVERS[name].init(jnp.eye(3)).t == 0.0
+
+
+@pytest.mark.parametrize("error", ["group", "riemannian"])
+def test_what_a_step_leaves_of_the_error_leads_from_the_new_estimate_to_the_measurement(error):
+    """It is what the next search starts from: the rest of a one-parameter curve, or of a geodesic."""
+    observer = OBSERVERS[error]
+    y, dt = SO3.exp(jnp.array([0.02, -0.01, 0.03])), jnp.asarray(0.1)
+    state = observer.init(SO3.exp(jnp.array([-0.03, 0.04, 0.01])))._replace(v=jnp.array([0.1, -0.1, 0.2]))
+    after, info = eqx.filter_jit(observer.step)(state, jnp.zeros(3), y, dt)
+    left = SO3.between(after.g, y)
+    if error == "riemannian":
+        budget = Budget(newton=2, steps=4)
+        left = jax.jit(lambda g: BODY.metric.shoot(g, budget=budget).velocity)(SO3.inverse(after.g) @ y)
+    np.testing.assert_allclose(after.log, left, rtol=0, atol=1e-6)
+    assert 0.4 < BODY.metric.norm(left) / info.distance < 0.9
 
 
 def hat(x):

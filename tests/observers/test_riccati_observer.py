@@ -185,6 +185,11 @@ def alone(model, x, dt=0.02):
     return rk8(lambda t, z: model.f(t, z, NONE), ZERO, x, jnp.asarray(dt), 4)
 
 
+def test_an_observer_that_is_told_no_time_starts_at_zero():
+    for observer in (Riccati(PLANT, constant, jnp.asarray(X)), InformationEKF(PLANT, LAW, jnp.asarray(X), jnp.eye(3))):
+        assert observer.init(jnp.asarray(Y)).t == 0.0
+
+
 def test_without_a_measurement_the_model_runs_on():
     for observer in (
         Riccati(PLANT, constant, jnp.asarray(X), 0.5, jnp.asarray(MEASUREMENT)),

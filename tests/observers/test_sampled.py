@@ -10,6 +10,7 @@ from covariant import geometry
 from covariant._integrate import rk8
 from covariant.models import Lagrangian, pendulum_chain
 from covariant.observers import EKF, Copy, FilteredDerivative, Geodesic, Intrinsic, SavitzkyGolay, run
+from covariant.observers._protocol import outcome
 from covariant.observers._sampled import predict
 from covariant.signals import Record, Result
 
@@ -142,6 +143,29 @@ def test_single_precision_finds_the_motion_too(pendulum, regular, follow):
     np.testing.assert_allclose(followed.x[200:, 1], x[201:, 1], rtol=0, atol=0.01)
 
 
+def test_a_state_lost_in_part_is_lost():
+    fine, lost = jnp.zeros(2), jnp.array([0.0, jnp.nan])
+    assert outcome(fine, fine, fine) == Result.OK
+    for q, v in ((lost, fine), (fine, lost), (lost, lost)):
+        assert outcome(q, v, fine) == outcome(q, v, lost) == Result.NOT_FINITE
+
+
+def test_an_observer_that_is_told_no_time_starts_at_zero(model_based):
+    assert model_based.init(jnp.ones(1)).t == 0.0
+
+
+def test_an_innovation_is_measured_against_a_straight_line_where_there_is_no_model(
+    filter_only, pendulum, irregular, follow
+):
+    """What was measured minus where the estimate before leads in a straight line."""
+    x = pendulum.truth(irregular, X0)
+    followed = follow(filter_only, irregular, x[:, :1])
+    q, v = followed.x[:-1].T
+    expected = x[2:, 0] - (q + v * np.diff(irregular)[1:])
+    np.testing.assert_allclose(followed.info.innovation[1:, 0], expected, rtol=0, atol=1e-12)
+    assert np.abs(expected).max() > 1e-3
+
+
 def test_gains_that_blow_up_are_reported_and_raise_nothing(with_gains, pendulum, regular, follow):
     x = pendulum.truth(regular, X0)
     unstable = eqx.tree_at(lambda o: o.alpha, with_gains, jnp.array(-1e4))
@@ -197,6 +221,16 @@ def test_fine_samples_follow_the_flow_to_first_order(kind):
     order = -np.polyfit(np.log(counts), np.log(error), 1)[0]
     assert order == pytest.approx(1.0, abs=0.05)
     assert error[-1] < 0.01
+
+
+def test_what_a_step_leaves_of_the_geodesic_leads_from_the_new_estimate_to_the_measurement():
+    """It is what the next search starts from, and exact: the rest of a geodesic is a geodesic."""
+    observer, u, y = Geodesic(CURVED, 3.0, 4.0), jnp.zeros(2), jnp.array([0.3, -0.2])
+    state = observer.init(jnp.array([-0.1, 0.4]))._replace(v=jnp.array([0.5, 0.4]))
+    after, info = jax.jit(observer.step)(state, u, y, jnp.array(0.1))
+    left = geometry.log(CURVED.metric, after.q, y)
+    np.testing.assert_allclose(after.log, left, rtol=0, atol=1e-13)
+    assert 0.5 < geometry.norm(CURVED.metric, after.q, left) / info.distance < 0.9
 
 
 # The loop

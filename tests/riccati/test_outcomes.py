@@ -15,6 +15,8 @@ from covariant.observers import Estimate, Riccati
 from covariant.papers.sanfelice_praly import analytic_metric, quadrature
 from covariant.riccati import (
     Equation,
+    Metric,
+    Window,
     gramian,
     high_gain,
     lie_derivative,
@@ -91,6 +93,32 @@ def test_a_solution_that_came_from_infinity_has_escaped():
     np.testing.assert_array_equal(found.result, [Result.ESCAPED, Result.OK])
     assert np.isfinite(found.metric).all()
     assert 1.0 < found.horizon[0] < 1.5
+
+
+def test_one_coordinate_that_came_from_infinity_is_enough():
+    """a' = −a³ began at infinity half a second before a = 1; b stayed where it is, and both are seen."""
+    model = StateSpace(lambda t, x, u: jnp.stack([-(x[0] ** 3), 0 * x[1]]), lambda t, x, u: x, coordinates=("a", "b"))
+    found = jax.jit(lambda x: metric_at(model, Equation(1.0), x, max_steps=500))(jnp.array([1.0, 0.5]))
+    assert found.result == Result.ESCAPED
+    assert found.horizon == pytest.approx(0.5, rel=1e-3)
+
+
+def test_the_metric_before_a_window_is_one_unless_it_is_given():
+    """A past so short that its start still counts; as a number it is that many times I."""
+    x = jnp.array([0.5, 1.2, 0.8])
+    by_default = Metric(OSCILLATOR, Equation(1.0), 0.3, 20)(x)
+    np.testing.assert_array_equal(by_default, Metric(OSCILLATOR, Equation(1.0), 0.3, 20, start=jnp.eye(3))(x))
+    passage = metric_through(OSCILLATOR, Equation(1.0), x, 0.3, 20)
+    np.testing.assert_array_equal(passage.metric[0], np.eye(3))
+    np.testing.assert_allclose(by_default, passage.metric[-1], rtol=0, atol=1e-9)
+
+
+def test_a_window_that_tells_nothing_to_rounding_bounds_nothing():
+    """What it tells, and what the noise stirs, must be more than rounding in every direction."""
+    one, lost, x = jnp.eye(2), jnp.diag(jnp.array([1.0, -1e-17])), jnp.zeros(2)
+    assert Window(x, one, one, one).doubt(1.0) == 2.0
+    for information, spread in ((lost, one), (one, lost), (lost, lost), (lost, None)):
+        assert np.isnan(Window(x, one, information, spread).doubt(1.0))
 
 
 def two_modes(t, x, u):

@@ -189,6 +189,28 @@ def test_a_killed_run_goes_on_where_it_was(whole, tmp_path):
     check_values(path, GRID)
 
 
+def test_what_killed_writers_left_is_swept_by_the_next_run(tmp_path):
+    path = tmp_path / "map.zarr"
+    with pytest.raises(RuntimeError):
+        map_grid(observables, GRID, path, block=BLOCK, workers=1, on_progress=stop_after(2), **SETTINGS)
+    (tmp_path / f".map.zarr.{32 * 'a'}.tmp" / "c").mkdir(parents=True)
+    part = next(path.glob("done/c/*")) / f"0.{32 * 'b'}.partial"
+    part.touch()
+    map_grid(observables, GRID, path, block=BLOCK, **SETTINGS)
+    assert not part.exists()
+    assert [p.name for p in tmp_path.iterdir()] == ["map.zarr"]
+
+
+def stop_after(blocks: int):
+    calls = iter(range(blocks))
+
+    def report(done, total):
+        if next(calls, None) is None:
+            raise RuntimeError("enough")
+
+    return report
+
+
 def test_points_never_computed_read_as_nan(whole, tmp_path):
     path, calls = tmp_path / "map.zarr", iter(range(6))
 

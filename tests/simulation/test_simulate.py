@@ -27,7 +27,7 @@ class Follower(AbstractFlowObserver):
     def estimate(self, state):
         return jnp.concatenate([state.q, state.v])
 
-    def step(self, state, u, y, dt):
+    def advance(self, state, u, y, dt):
         raise NotImplementedError
 
     def flow(self, t, state, u, y):

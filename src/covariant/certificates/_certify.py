@@ -22,6 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike, Float
 
+from covariant._typing import Numbers
 from covariant.certificates import _check, _document, _saved
 from covariant.certificates._certificate import Certificate
 from covariant.certificates._noise import steady_distance
@@ -38,7 +39,7 @@ from covariant.certificates._region import (
     squares,
     subject,
 )
-from covariant.certificates._tangent import TwoByTwo, error_matrix, optimal_lyapunov, rate_of
+from covariant.certificates._tangent import TwoByTwo, check_q, error_matrix, optimal_lyapunov, rate_of
 from covariant.lowering import Lowered, lower, numbers
 from covariant.models import GroupSystem, Lagrangian
 from covariant.observers import Group
@@ -252,7 +253,7 @@ def certify(
     input: Bounds | ArrayLike = 0.0,
     times: tuple[float, float] = (0.0, 0.0),
     rate: float | None = None,
-    q: TwoByTwo | None = None,
+    q: Numbers | None = None,
     noise: ArrayLike = 0.0,
     disturbance: ArrayLike = 0.0,
     recipe: dict[str, Any] | None = None,
@@ -279,13 +280,17 @@ def certify(
     - `processes`, `progress` (what, share, boxes): as for `prove`.
 
     Raises `ValueError` naming an argument without its bound, an error up to which a logarithm is not unique, friction
-    or force that are not covered; `TypeError` for another kind of observer.
+    or force that are not covered, or a `q` that is not symmetric positive definite; `TypeError` for another kind of
+    observer.
     """
     alpha, beta = float(observer.alpha), float(observer.beta)
     if isinstance(observer, Group) and observer.doubled_alpha:
         alpha *= 2
+    for name, gain in (("alpha", alpha), ("beta", beta)):
+        if not math.isfinite(gain):
+            raise ValueError(f"certify: {name} of the observer must be a finite number; got {gain:g}")
     best = -2 * float(np.linalg.eigvals(error_matrix(alpha, beta)).real.max())
-    matrix = optimal_lyapunov(alpha, beta, best * 2 / 3) if q is None else np.asarray(q, float)
+    matrix = optimal_lyapunov(alpha, beta, best * 2 / 3) if q is None else check_q("certify", q)
     wanted = rate_of(alpha, beta, matrix) / 2 if rate is None else float(rate)
     if not (math.isfinite(wanted) and wanted > 0):
         raise ValueError(f"certify: the rate must be a positive number; got {wanted:g}")

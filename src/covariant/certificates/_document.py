@@ -295,8 +295,7 @@ class _Field(NamedTuple):
 
     def number(self) -> float:
         """A number, which a truth is not."""
-        fits = type(self.value) in (int, float) and abs(self.value) <= LARGEST
-        self.need(fits, f"a finite number, below {LARGEST:g}")
+        self.need(_is_number(self.value), f"a finite number, below {LARGEST:g}")
         return float(self.value)
 
     def positive(self) -> float:
@@ -333,6 +332,10 @@ class _Field(NamedTuple):
         for k, field in enumerate(fields["high"].rows(0, most)):
             field.need(low[k] <= high[k], f"{low[k]:g} or larger, as its lower bound")
         return np.stack([low, high])
+
+
+def _is_number(value: Any) -> bool:
+    return type(value) in (int, float) and abs(value) <= LARGEST
 
 
 def _recipe(field: _Field) -> dict[str, Any]:
@@ -449,8 +452,7 @@ def _is_node(row: Any, k: int) -> bool:
         return False
     op, *arguments = row
     if op == "constant":
-        (value,) = arguments if len(arguments) == 1 else (None,)
-        return type(value) is bool or (type(value) in (int, float) and abs(value) <= LARGEST)
+        return len(arguments) == 1 and (type(arguments[0]) is bool or _is_number(arguments[0]))
     if op == "input":
         return len(arguments) == 1 and type(arguments[0]) is int and 0 <= arguments[0] <= 9999
     known = op in ARGUMENTS and len(arguments) in ARGUMENTS[op]

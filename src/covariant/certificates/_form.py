@@ -99,9 +99,10 @@ def formed(
     At kinks, as those of |x|, min and max, the graph's derivatives are all between those of both sides: Clarke's
     generalised Jacobian lies among them. Where all matrices so found are positive definite, an inequality of
     contraction holds for Lipschitz flows as for smooth ones. For take neighbouring solutions x and x + δ: by the
-    mean-value theorem (Clarke 1983, Optimization and Nonsmooth Analysis, 2.6.5) δ' = Aδ for a mean A of Jacobians on the segment between
-    them, the inequality is affine in A, and its margin, positive on a compact set, outweighs what is of higher order in
-    δ. So sufficiently short chords shrink, and with them every curve, as the limit of its polygons.
+    mean-value theorem (Clarke 1983, Optimization and Nonsmooth Analysis, 2.6.5) δ' = Aδ for a mean A of Jacobians on
+    the segment between them, the inequality is affine in A, and its margin, positive on a compact set, outweighs what
+    is of higher order in δ. So sufficiently short chords shrink, and with them every curve, as the limit of its
+    polygons.
     """
 
     def graph(z):

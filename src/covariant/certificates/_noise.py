@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from covariant.certificates._tangent import TwoByTwo
+from covariant.certificates._tangent import TwoByTwo, check_q
 
 
 def steady_distance(rate: float, disturbance: float) -> float:
@@ -25,9 +25,10 @@ def noise_disturbance(alpha: float, beta: float, q: TwoByTwo, noise: float, slop
     """The length, in the metric of q, of what a measurement error of length `noise` adds to the observer.
 
     To first order the error b adds `αb` to q̂' and `βb` to ∇v̂, a length `|b| √½(aα² + 2cαβ + bβ²)`; and because force
-    and curvature are taken where the system is measured to be, up to `slope |b|` more to ∇v̂.
+    and curvature are taken where the system is measured to be, up to `slope |b|` more to ∇v̂. Raises `ValueError` where
+    q is not symmetric positive definite.
     """
-    push = np.array([alpha, beta])
+    q, push = check_q("noise_disturbance", q), np.array([alpha, beta])
     return noise * (math.sqrt(push @ q @ push / 2) + slope * math.sqrt(q[1, 1] / 2))
 
 
@@ -42,11 +43,12 @@ def error_bounds(
     - `slope` [1/s²]: at least the largest `‖∇S‖ + ‖R(·, v)v‖` there is, of the acceleration at rest and of the
       curvature at the largest speed. For a spring it is k/m; only without force and curvature is it 0.
 
-    Raises `ValueError` for a slope or a noise that is not a number, zero or more.
+    Raises `ValueError` for a slope or a noise that is not a number, zero or more, a rate that is not positive, or a q
+    that is not symmetric positive definite.
     """
     for name, value in (("slope", slope), ("noise", noise)):
         if not (math.isfinite(value) and value >= 0):
             raise ValueError(f"error_bounds: {name} must be a finite number, zero or more; got {value!r}")
     distance = steady_distance(rate, noise_disturbance(alpha, beta, q, noise, slope))
-    inverse = np.linalg.inv(q)
+    inverse = np.linalg.inv(check_q("error_bounds", q))
     return distance * math.sqrt(2 * inverse[0, 0]), distance * math.sqrt(2 * inverse[1, 1])

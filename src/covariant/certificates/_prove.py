@@ -268,7 +268,7 @@ def _reads(conditions: Conditions) -> np.ndarray:
     read = np.zeros((len(nodes), conditions.inputs), bool)
     for i, node in enumerate(nodes):
         if node.op == "input":
-            read[i, node.value] = True
+            read[i, int(node.value or 0)] = True
         for a in node.arguments:
             read[i] |= read[a]
     return read[[c.node for c in conditions.conditions]].astype(float)
@@ -391,7 +391,8 @@ def _enclosed(task: _Task, low: np.ndarray, high: np.ndarray) -> _Enclosed:
         middle = _middle(lower_bound, upper_bound)
         radius = np.maximum(upper_bound - middle, middle - lower_bound) * (1 + ROUND) + TINY
     parts = (value.middle, terms, rest, middle, radius, shares)
-    return _Enclosed(*(_full(part, task.size) for part in parts), on.smooth)
+    full = [_full(part, task.size) for part in parts]
+    return _Enclosed(*full, smooth=on.smooth)
 
 
 class _Ball(NamedTuple):
@@ -547,7 +548,8 @@ def _weight_at_centre(task: _Task, low: np.ndarray, high: np.ndarray) -> np.ndar
     """The same from derivatives at the centre alone, for boxes over which nothing is bounded."""
     centre = _middle(low, high)
     at, k = enclose(task.second, centre, centre), task.size * (task.size + 1) // 2
-    near = Enclosure(*(side[:, : k + len(task.free) * k] for side in at[:2]), at.smooth)
+    count = k + len(task.free) * k
+    near = Enclosure(at.low[:, :count], at.high[:, :count], at.smooth)
     value, _, terms, shares = _taylor_form(near, at, (high - low)[:, task.free] / 2, k)
     factors = _factors(_full(value.middle, task.size))[0]
     return _weight(factors, _full(terms, task.size), _full(shares, task.size), len(task.free))

@@ -6,14 +6,16 @@ The squared length is `½(a<ξ,ξ> + 2c<ξ,ζ> + b<ζ,ζ>)` with a matrix `Q = [
 Source: Aghannan & Rouchon 2003, section IV and equations (6), (11); their dV/dt lacks a factor ½.
 """
 
+import contextlib
 import math
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from covariant._typing import MatrixField
+from covariant._typing import MatrixField, Numbers
 from covariant.certificates._contraction import StateMetric
 from covariant.geometry import as_metric, christoffel
 
@@ -29,8 +31,12 @@ def lyapunov(alpha: float, beta: float, rate: float = 0.0, weight: float = 1.0) 
     """Q (2, 2) with `AᵀQ + QA + rate Q = −diag(1, weight)`, A being `error_matrix(alpha, beta)`.
 
     `rate` [1/s] below twice the real part of the slower pole; with 0 and weight 1 it is the metric of the paper.
-    Raises `ValueError` for gains that do not converge, or converge no faster than `e^(−rate t/2)`.
+    Raises `ValueError` for gains that do not converge, or converge no faster than `e^(−rate t/2)`, and for a weight
+    that is not positive.
     """
+    _check_finite("lyapunov", alpha=alpha, beta=beta, rate=rate, weight=weight)
+    if weight <= 0:
+        raise ValueError(f"lyapunov: weight must be a positive number; got {weight:g}")
     shifted = error_matrix(alpha, beta) + rate / 2 * np.eye(2)
     if not (np.linalg.eigvals(shifted).real < 0).all():
         slowest = -2 * np.linalg.eigvals(error_matrix(alpha, beta)).real.max()
@@ -43,17 +49,50 @@ def lyapunov(alpha: float, beta: float, rate: float = 0.0, weight: float = 1.0) 
     return (q + q.T) / 2
 
 
-def rate_of(alpha: float, beta: float, q: TwoByTwo) -> float:
-    """The rate λ [1/s] with `AᵀQ + QA ≤ −λQ`: that of squared lengths at q̂ = q."""
+def rate_of(alpha: float, beta: float, q: Numbers) -> float:
+    """The rate λ [1/s] with `AᵀQ + QA ≤ −λQ`: that of squared lengths at q̂ = q.
+
+    Raises `ValueError` for a gain that is not finite, and where q is not symmetric positive definite.
+    """
+    _check_finite("rate_of", alpha=alpha, beta=beta)
+    q = check_q("rate_of", q)
     a = error_matrix(alpha, beta)
     half = np.linalg.inv(np.linalg.cholesky(q))
     return float(-np.linalg.eigvalsh(half @ (a.T @ q + q @ a) @ half.T)[-1])
 
 
-def conditioning(beta: float, q: TwoByTwo) -> float:
-    """The condition number of Q, velocities being measured in units of √β times positions so that it has no unit."""
+def conditioning(beta: float, q: Numbers) -> float:
+    """The condition number of Q, velocities being measured in units of √β times positions so that it has no unit.
+
+    Raises `ValueError` for a beta that is not positive, and where q is not symmetric positive definite.
+    """
+    if not 0 < beta < math.inf:
+        raise ValueError(f"conditioning: beta must be a positive number; got {beta:g}")
+    q = check_q("conditioning", q)
     scale = np.diag([1.0, math.sqrt(beta)])
     return float(np.linalg.cond(scale @ q @ scale))
+
+
+def check_q(whose: str, q: Any) -> TwoByTwo:
+    """The matrix Q as an array; raises `ValueError` where it is not a symmetric positive definite (2, 2) matrix."""
+    try:
+        given = np.asarray(q, float)
+    except (TypeError, ValueError):
+        given = np.zeros(0)
+    if given.shape == (2, 2) and np.isfinite(given).all():
+        with contextlib.suppress(np.linalg.LinAlgError):
+            # A last digit may differ, as after products of matrices.
+            if abs(given[0, 1] - given[1, 0]) <= 1e-12 * np.abs(given).max():
+                np.linalg.cholesky(given)
+                return (given + given.T) / 2
+    found = " ".join(str(q).split())
+    raise ValueError(f"{whose}: q must be a symmetric positive definite matrix (2, 2) of finite numbers; got {found}")
+
+
+def _check_finite(whose: str, **given: float) -> None:
+    for name, value in given.items():
+        if not math.isfinite(value):
+            raise ValueError(f"{whose}: {name} must be a finite number; got {value:g}")
 
 
 def optimal_lyapunov(alpha: float, beta: float, rate: float) -> TwoByTwo:

@@ -394,11 +394,12 @@ LEAVES = {*CALLS, "cond", "scan"}
 
 def _refuse_shortened(eqn: Any) -> None:
     """A number made shorter is no function of real numbers."""
-    old, new = (v.aval.dtype for v in (*eqn.invars[:1], *eqn.outvars[:1])) if eqn.invars else (None, None)
     if eqn.primitive.name == "reduce_precision":
         raise ValueError("the model makes numbers shorter, by 'reduce_precision'")
-    real = eqn.primitive.name == "convert_element_type" and all(jnp.issubdtype(t, jnp.floating) for t in (old, new))
-    if real and jnp.finfo(new).nmant < jnp.finfo(old).nmant:
+    if eqn.primitive.name != "convert_element_type" or not (_real(eqn.invars[0]) and _real(eqn.outvars[0])):
+        return
+    old, new = eqn.invars[0].aval.dtype, eqn.outvars[0].aval.dtype
+    if jnp.finfo(new).nmant < jnp.finfo(old).nmant:
         raise ValueError(f"the model makes numbers shorter, {old} to {new}")
 
 
@@ -561,8 +562,8 @@ class Enclosure:
                     self._good &= np.isfinite(entry.middle) & np.isfinite(entry.away)
         if need is not None:
             pairs = (a if a.dtype == object or a.dtype == bool else each(exact, a.astype(float)) for a in x)
-            for entries in np.nditer(np.broadcast_arrays(*pairs), flags=["refs_ok", "zerosize_ok"]):
-                self._good &= need(*(entry.item() for entry in (entries if len(x) > 1 else (entries,))))
+            for entries in zip(*(a.flat for a in np.broadcast_arrays(*pairs)), strict=True):
+                self._good &= need(*entries)
 
     def _work(self, eqn: Any, x: list) -> list:
         """A primitive of numbers; `x` may have known places, and known truths, beside them."""

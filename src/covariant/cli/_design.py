@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from covariant import design, models
+from covariant._numbers import integer
 from covariant.cli import _parse
 from covariant.cli._job import check_output
 from covariant.design import MetricSummary, metric_summary
@@ -116,7 +117,7 @@ def _counts(text: str, model: StateSpace) -> tuple[int, ...]:
     """Points along each axis; one count stands for all of them."""
     n = len(model.coordinates)
     try:
-        counts = tuple(int(part) for part in text.split(","))
+        counts = tuple(integer(part) for part in text.split(","))
     except ValueError:
         counts = ()
     if len(counts) not in (1, n) or min(counts) < 2:

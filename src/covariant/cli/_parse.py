@@ -6,6 +6,8 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
+from covariant._numbers import number
+
 Ends = dict[str, tuple[float, float]]
 
 
@@ -18,7 +20,7 @@ def ends(option: str, text: str | None, names: Sequence[str], what: str = "state
     for part in text.split(",") if text is not None else ():
         name, _, numbers_ = (piece.strip() for piece in part.partition("="))
         try:
-            low, high = map(float, numbers_.split(":"))
+            low, high = map(number, numbers_.split(":"))
         except ValueError:
             raise ValueError(f"{option}: {part!r} does not have the form NAME=LOW:HIGH") from None
         if name not in names:
@@ -42,7 +44,7 @@ def numbers(
         return None
     kind = "positive" if positive else "finite"
     try:
-        values = np.array([float(part) for part in text.split(",")])
+        values = np.array([number(part) for part in text.split(",")])
     except ValueError:
         raise ValueError(f"{option}: {text!r} is not a list of numbers separated by commas") from None
     counts = (1, len(names)) if one else (len(names),)

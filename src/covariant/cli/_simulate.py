@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from covariant import logs, models, simulation
+from covariant._numbers import number
 from covariant.cli._console import working
 from covariant.cli._job import check_output, velocity_columns
 from covariant.models import GroupSystem, Motion, StateSpace
@@ -101,7 +102,7 @@ def _numbers(option: str, text: str | None, count: int):
     if text is None:
         return jnp.zeros(count)
     try:
-        values = [float(part) for part in text.split(",")]
+        values = [number(part) for part in text.split(",")]
     except ValueError:
         raise ValueError(f"{option}: {text!r} is not a list of numbers separated by commas") from None
     if len(values) != count or not np.isfinite(values).all():

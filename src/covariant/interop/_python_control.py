@@ -13,7 +13,7 @@ import numpy as np
 
 from covariant._guests import load_guest
 from covariant.models import StateSpace
-from covariant.observers import AbstractFlowObserver
+from covariant.observers import AbstractFlowObserver, continuous
 from covariant.simulation._simulate import Controller
 
 
@@ -37,7 +37,7 @@ def observer_system(
     `model` names the signals; the attribute `initial` of the result is the state after `observer.init(y0, t0)`. Raises
     `ImportError` without python-control.
     """
-    start, unravel = jax.flatten_util.ravel_pytree(observer.init(jnp.asarray(y0, float), t0))
+    start, unravel = jax.flatten_util.ravel_pytree(continuous(observer.init(jnp.asarray(y0, float), t0)))
     m = model.inputs
 
     @jax.jit
@@ -73,7 +73,7 @@ def closed_loop(
     The attribute `initial(x0)` of the result is the state that belongs to x0 and `observer.init(y0, t0)`. Raises
     `ImportError` without python-control.
     """
-    start, unravel = jax.flatten_util.ravel_pytree(observer.init(jnp.asarray(y0, float), t0))
+    start, unravel = jax.flatten_util.ravel_pytree(continuous(observer.init(jnp.asarray(y0, float), t0)))
     n, zero = len(model.coordinates), jnp.zeros(model.inputs)
 
     def parts(t, joint):

@@ -71,6 +71,7 @@ def pyarrow() -> Any:
     """The guest that reads and writes files; raises `ImportError` with the line that installs it."""
     try:
         import pyarrow
+        import pyarrow.compute
         import pyarrow.csv
         import pyarrow.parquet
     except ImportError as error:

@@ -133,8 +133,8 @@ def _size(graph: Graph, node: int, arguments: tuple[int, ...], changes: tuple[in
 def _stumpff(graph: Graph, node: int, arguments: tuple[int, ...], changes: tuple[int, ...]) -> int:
     """c_k' = (k c_{k+2} − c_{k+1})/2."""
     k, x = arguments
-    order = graph.nodes[k].value
-    one, two = (graph.apply("stumpff", graph.constant(float(order + i)), x) for i in (1, 2))  # pyright: ignore[reportOptionalOperand]
+    order = float(graph.nodes[k].value or 0)
+    one, two = (graph.apply("stumpff", graph.constant(order + i), x) for i in (1, 2))
     slope = graph.apply("sub", graph.apply("mul", k, two), one)
     return graph.apply("mul", graph.apply("mul", graph.constant(0.5), slope), changes[1])
 

@@ -14,6 +14,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import ShapedArray
 from jax.extend import core
 from jax.interpreters import ad, batching, mlir
 
@@ -35,7 +36,7 @@ def stumpff(k: int, x: Scalar) -> Scalar:
 
 
 STUMPFF = core.Primitive("stumpff")
-STUMPFF.def_abstract_eval(lambda x, *, k: jax.core.ShapedArray(x.shape, x.dtype))
+STUMPFF.def_abstract_eval(lambda x, *, k: ShapedArray(x.shape, x.dtype))
 
 
 @STUMPFF.def_impl
@@ -45,7 +46,8 @@ def _values(x, *, k: int):
     # closed form would do from 1 on.
     threshold = max(1.0, k * (k - 1.0))
     small = x < threshold
-    return jnp.where(small, _series(k, threshold, jnp.where(small, x, 0.0)), _closed(k, jnp.where(small, threshold, x)))
+    near, far = jnp.asarray(jnp.where(small, x, 0.0)), jnp.asarray(jnp.where(small, threshold, x))
+    return jnp.where(small, _series(k, threshold, near), _closed(k, far))
 
 
 mlir.register_lowering(STUMPFF, mlir.lower_fun(_values, multiple_results=False))

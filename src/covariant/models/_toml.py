@@ -2,6 +2,7 @@
 
 import difflib
 import math
+import re
 import tomllib
 from collections.abc import Collection, Sequence
 from typing import Any
@@ -25,6 +26,9 @@ NUMBERS = {
 _KEYS = {"columns": Columns._fields} | {
     table: tuple(key for other, key in NUMBERS if other == table) for table in dict.fromkeys(t for t, _ in NUMBERS)
 }
+_QUOTED = re.compile(r"""\"(?:[^"\\\\]|\\\\.)*\"|'[^']*'""")
+_ODD_NUMBER = re.compile(r"(?<![\w-])[+-]?(?:0[xob]\w|[0-9.]+_)")
+"""TOML has numbers with underscores and in hexadecimal; given on a command line they are rather slips."""
 _MAY_BE_ZERO = {("inputs", "lag")}
 _RIVALS = {"measurement.std": ("quantum",), "measurement.quantum": ("std",)} | {
     f"columns.{kind}": tuple(other for other in ATTITUDES if other != kind) for kind in ATTITUDES
@@ -58,6 +62,8 @@ def override(document: dict[str, Any], overrides: Sequence[str]) -> dict[str, An
 
 
 def _value(text: str, value: str) -> Any:
+    if _ODD_NUMBER.search(_QUOTED.sub('""', value)):
+        raise ValueError(f"override {text!r}: write numbers in plain decimals, as 1000 or 1e3")
     try:
         return tomllib.loads(f"value = {value}")["value"]
     except tomllib.TOMLDecodeError as error:

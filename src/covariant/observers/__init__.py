@@ -16,7 +16,15 @@ from covariant.observers._passive_ship import (
     notch_gains,
     printed_rate,
 )
-from covariant.observers._protocol import AbstractFlowObserver, AbstractObserver, Info, MechanicalState, run
+from covariant.observers._protocol import (
+    AbstractFlowObserver,
+    AbstractObserver,
+    HeldState,
+    Info,
+    MechanicalState,
+    continuous,
+    run,
+)
 from covariant.observers._riccati import Estimate, InformationEKF, InformationState, Riccati
 from covariant.observers._salcudean import Salcudean, SalcudeanState
 from covariant.observers._savitzky_golay import SavitzkyGolay, WindowState
@@ -40,6 +48,7 @@ __all__ = [
     "Group",
     "GroupInfo",
     "GroupState",
+    "HeldState",
     "Info",
     "InformationEKF",
     "InformationState",
@@ -55,6 +64,7 @@ __all__ = [
     "SalcudeanState",
     "SavitzkyGolay",
     "WindowState",
+    "continuous",
     "craft_observer",
     "lyapunov_gains",
     "lyapunov_rate",

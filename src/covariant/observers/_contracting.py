@@ -18,7 +18,7 @@ from covariant._linalg import solve
 from covariant._typing import Number, Numbers, Scalar, Vector
 from covariant.models import StateSpace, state_space
 from covariant.models.marine import Craft
-from covariant.observers._protocol import AbstractFlowObserver, Info
+from covariant.observers._protocol import AbstractFlowObserver, Held, Info, check_finite, no_input, still
 from covariant.signals import Result
 
 Injected = Callable[[Array, Array, Array, Array], Array]
@@ -26,11 +26,13 @@ Injected = Callable[[Array, Array, Array, Array], Array]
 
 
 class ContractingState(NamedTuple):
-    """Estimated state, the time [s] it belongs to, and for how long [s] each output has not been measured (p,)."""
+    """Estimated state, the time [s] it belongs to, and for how long [s] each output has not been measured (p,);
+    `held` is the last finite input."""
 
     x: Vector
     t: Scalar
     silent: Float[Array, "p"]
+    held: Held = None
 
 
 class Contracting(AbstractFlowObserver):
@@ -46,7 +48,7 @@ class Contracting(AbstractFlowObserver):
     Sampled, the model runs on between samples, and the correction is implicit, `x⁺ = x̂ + WK (I + h_x WK)⁻¹ (z − h)`
     with W the time that each output counts for: no gain makes it unstable by itself, and for dt → 0 it is the flow.
 
-    Raises `ValueError` where gain, start and model do not fit each other.
+    Raises `ValueError` where gain, start and model do not fit each other, or the gain has an entry that is not finite.
     """
 
     model: StateSpace
@@ -65,9 +67,12 @@ class Contracting(AbstractFlowObserver):
                 f"gain must have a row for each of {n} states, a column for each of {p} outputs; "
                 f"its shape is {self.gain.shape}"
             )
+        if not callable(self.gain):
+            check_finite("Contracting", gain=self.gain)
 
     def init(self, y: Float[Array, "p"], t: Number = 0.0) -> ContractingState:
-        return ContractingState(jnp.asarray(self.start, y.dtype), jnp.asarray(t, y.dtype), jnp.zeros_like(y))
+        start = jnp.asarray(self.start, y.dtype)
+        return ContractingState(start, jnp.asarray(t, y.dtype), jnp.zeros_like(y), no_input(self.model, start))
 
     def estimate(self, state: ContractingState) -> Vector:
         return state.x
@@ -84,9 +89,10 @@ class Contracting(AbstractFlowObserver):
     def flow(self, t: Scalar, state: ContractingState, u: Float[Array, "m"], y: Float[Array, "p"]) -> ContractingState:
         expected = self.model.h(t, state.x, u)
         seen = expected - self.model.output_error(expected, y)  # the nearest of the angles that y may mean
-        return ContractingState(self.virtual(t, state.x, u, seen), jnp.ones_like(state.t), jnp.zeros_like(state.silent))
+        slope, one = self.virtual(t, state.x, u, seen), jnp.ones_like(state.t)
+        return ContractingState(slope, one, jnp.zeros_like(state.silent), still(state.held))
 
-    def step(
+    def advance(
         self, state: ContractingState, u: Float[Array, "m"], y: Float[Array, "p"], dt: Scalar
     ) -> tuple[ContractingState, Info]:
         now, waited = state.t + dt, state.silent + dt

@@ -8,7 +8,7 @@ from jaxtyping import Array, Float
 
 from covariant._typing import Code, Number, Scalar, Vector
 from covariant.models import wrap
-from covariant.observers._protocol import AbstractObserver, outcome
+from covariant.observers._protocol import AbstractObserver, check_positive, outcome
 
 
 class FilteredState(NamedTuple):
@@ -27,10 +27,16 @@ class FilterInfo(NamedTuple):
 
 
 class FilteredDerivative(AbstractObserver):
-    """`v' = ω (Δy/Δt − v)`, exact for irregular stamps; `bandwidth` ω [rad/s], `circles` as in `Lagrangian`."""
+    """`v' = ω (Δy/Δt − v)`, exact for irregular stamps; `bandwidth` ω [rad/s], `circles` as in `Lagrangian`.
+
+    Raises `ValueError` for a bandwidth that is not positive and finite.
+    """
 
     bandwidth: Number
     circles: tuple[int, ...] = eqx.field(default=(), static=True)
+
+    def __check_init__(self):
+        check_positive("FilteredDerivative", bandwidth=self.bandwidth)
 
     def init(self, y: Vector, t: Number = 0.0) -> FilteredState:
         return FilteredState(y, jnp.zeros_like(y), jnp.zeros_like(y))
@@ -38,7 +44,7 @@ class FilteredDerivative(AbstractObserver):
     def estimate(self, state: FilteredState) -> Float[Array, "two_n"]:
         return jnp.concatenate([state.q + state.age * state.v, state.v])
 
-    def step(
+    def advance(
         self, state: FilteredState, u: Float[Array, "m"], y: Vector, dt: Scalar
     ) -> tuple[FilteredState, FilterInfo]:
         age = state.age + dt

@@ -12,17 +12,19 @@ from jaxtyping import Array, Float
 from covariant._typing import Code, Number, Scalar, Vector
 from covariant.geometry import Budget, Shot, christoffel, curvature, norm, shoot, transport_along
 from covariant.models import Lagrangian, friction, position_error, source
-from covariant.observers._protocol import AbstractFlowObserver, outcome
+from covariant.observers._protocol import AbstractFlowObserver, Held, check_positive, no_input, outcome, still
 from covariant.observers._sampled import predict, sampled_gains
 
 
 class GeodesicState(NamedTuple):
-    """Estimate (q, v) at time t [s], and `log` = log_q̂(q) as last found, to start the next search."""
+    """Estimate (q, v) at time t [s], and `log` = log_q̂(q) as last found, to start the next search;
+    `held` is the last finite input."""
 
     q: Vector
     v: Vector
     t: Scalar
     log: Vector
+    held: Held = None
 
 
 class GeodesicInfo(NamedTuple):
@@ -45,6 +47,8 @@ class Geodesic(AbstractFlowObserver):
       is a fixed amount for real time. Metrics with closed forms need neither.
     - `curvature`: False leaves the curvature term out, to see what it is for.
     - `substeps`: Runge–Kutta steps a sample; None takes as many as dt and the friction need (offline).
+
+    Raises `ValueError` for gains that are not positive and finite.
     """
 
     model: Lagrangian
@@ -54,8 +58,12 @@ class Geodesic(AbstractFlowObserver):
     curvature: bool = eqx.field(default=True, static=True)
     substeps: int | None = eqx.field(default=None, static=True)
 
+    def __check_init__(self):
+        check_positive("Geodesic", alpha=self.alpha, beta=self.beta)
+
     def init(self, y: Vector, t: Number = 0.0) -> GeodesicState:
-        return GeodesicState(y, jnp.zeros_like(y), jnp.asarray(t, y.dtype), jnp.zeros_like(y))
+        none = jnp.zeros_like(y)
+        return GeodesicState(y, none, jnp.asarray(t, y.dtype), none, no_input(self.model, y))
 
     def estimate(self, state: GeodesicState) -> Float[Array, "two_n"]:
         return jnp.concatenate([state.q, state.v])
@@ -68,9 +76,9 @@ class Geodesic(AbstractFlowObserver):
         v_dot = v_dot - christoffel(self.model.metric, q, v, q_dot)
         # Only a warm start: it follows the geodesic found, and no estimate depends on how closely.
         log_dot = 10 * self.alpha * (shot.velocity - state.log)
-        return GeodesicState(q_dot, v_dot, jnp.ones_like(state.t), log_dot)
+        return GeodesicState(q_dot, v_dot, jnp.ones_like(state.t), log_dot, still(state.held))
 
-    def step(
+    def advance(
         self, state: GeodesicState, u: Float[Array, "m"], y: Vector, dt: Scalar
     ) -> tuple[GeodesicState, GeodesicInfo]:
         q, v = predict(self.model, state.t, state.q, state.v, u, dt, self.substeps)

@@ -13,18 +13,20 @@ from jaxtyping import Array, Float
 from covariant._typing import Code, Element, Flag, Number, Scalar, Vector
 from covariant.geometry import Budget
 from covariant.models import GroupSystem, Motion, friction, source
-from covariant.observers._protocol import AbstractFlowObserver, outcome
+from covariant.observers._protocol import AbstractFlowObserver, Held, check_positive, no_input, outcome, still
 from covariant.observers._sampled import predict, sampled_gains
 from covariant.signals import Result
 
 
 class GroupState(NamedTuple):
-    """Estimate (g, v) at time t [s], and the error `log` from g to the measurement as last found, to search from."""
+    """Estimate (g, v) at time t [s], and the error `log` from g to the measurement as last found, to search from;
+    `held` is the last finite input."""
 
     g: Element
     v: Vector
     t: Scalar
     log: Vector
+    held: Held = None
 
 
 class GroupInfo(NamedTuple):
@@ -66,7 +68,8 @@ class Group(AbstractFlowObserver):
 
     After half a turn two ways back are equally short: one is taken and `result` says `CUT_LOCUS`. Where no geodesic is
     found the group logarithm stands in for it and `result` says `NOT_CONVERGED`. A measurement with any NaN counts as
-    missing as a whole. Raises an error at the start when the first measurement is not an element of the group.
+    missing as a whole. Raises an error at the start when the first measurement is not an element of the group, and
+    `ValueError` for gains that are not positive and finite.
     """
 
     model: GroupSystem
@@ -79,13 +82,14 @@ class Group(AbstractFlowObserver):
     substeps: int | None = eqx.field(default=None, static=True)
 
     def __check_init__(self):
+        check_positive("Group", alpha=self.alpha, beta=self.beta)
         if self.error not in ("group", "riemannian"):
             raise ValueError(f"Group: error must be 'group' or 'riemannian'; got {self.error!r}")
 
     def init(self, y: Element, t: Number = 0.0) -> GroupState:
         y = check_element(self.model, y)
         rest = jnp.zeros(self.model.group.dimension, y.real.dtype)
-        return GroupState(y, rest, jnp.asarray(t, rest.dtype), rest)
+        return GroupState(y, rest, jnp.asarray(t, rest.dtype), rest, no_input(self.model, rest))
 
     def estimate(self, state: GroupState) -> Motion:
         return Motion(state.g, state.v)
@@ -96,7 +100,7 @@ class Group(AbstractFlowObserver):
         w, v_dot = self.rates(state.v, found.towards, found.drive + friction(self.model, state.g, state.v))
         # Only a warm start: it follows the geodesic found, and no estimate depends on how closely.
         log_dot = 10 * self._alpha * (found.towards - state.log)
-        return GroupState(w, v_dot, jnp.ones_like(state.t), log_dot)
+        return GroupState(w, v_dot, jnp.ones_like(state.t), log_dot, still(state.held))
 
     def rates(self, v: Vector, towards: Vector, drive: Vector) -> tuple[Vector, Vector]:
         """Body velocity w of the estimate and v̂', from the way to the measurement and the acceleration it calls for."""
@@ -107,7 +111,7 @@ class Group(AbstractFlowObserver):
         """An acceleration carried to the estimate, with the curvature term `R(ζ_e, ζ̃)ζ̃`, unless it is left out."""
         return drive - self.model.metric.curvature(towards, v, v) if self.curvature else drive
 
-    def step(self, state: GroupState, u: Float[Array, "m"], y: Element, dt: Scalar) -> tuple[GroupState, GroupInfo]:
+    def advance(self, state: GroupState, u: Float[Array, "m"], y: Element, dt: Scalar) -> tuple[GroupState, GroupInfo]:
         g, v = predict(self.model, state.t, state.g, state.v, u, dt, self.substeps)
         t = state.t + dt
         k1, k2 = sampled_gains(self._alpha, self.beta, dt)

@@ -12,7 +12,15 @@ from jaxtyping import Array, Float
 from covariant._typing import Number, Scalar, Vector
 from covariant.geometry import christoffel, curvature, norm
 from covariant.models import Lagrangian, friction, position_error, source
-from covariant.observers._protocol import AbstractFlowObserver, Info, MechanicalState, outcome
+from covariant.observers._protocol import (
+    AbstractFlowObserver,
+    HeldState,
+    Info,
+    check_positive,
+    no_input,
+    outcome,
+    still,
+)
 from covariant.observers._sampled import predict, sampled_gains
 
 
@@ -28,6 +36,8 @@ class Intrinsic(AbstractFlowObserver):
       "estimated" one as in (14); the difference is of second order.
     - `curvature`: False leaves the curvature term out, to see what it is for.
     - `substeps`: Runge–Kutta steps a sample; None takes as many as dt and the friction need (offline).
+
+    Raises `ValueError` for gains that are not positive and finite.
     """
 
     model: Lagrangian
@@ -39,25 +49,26 @@ class Intrinsic(AbstractFlowObserver):
     substeps: int | None = eqx.field(default=None, static=True)
 
     def __check_init__(self):
+        check_positive("Intrinsic", alpha=self.alpha, beta=self.beta)
         if self.order not in (1, 2):
             raise ValueError(f"Intrinsic: order must be 1 or 2; got {self.order!r}")
         if self.coefficients not in ("measured", "estimated"):
             raise ValueError(f"Intrinsic: coefficients must be 'measured' or 'estimated'; got {self.coefficients!r}")
 
-    def init(self, y: Vector, t: Number = 0.0) -> MechanicalState:
-        return MechanicalState(y, jnp.zeros_like(y), jnp.asarray(t, y.dtype))
+    def init(self, y: Vector, t: Number = 0.0) -> HeldState:
+        return HeldState(y, jnp.zeros_like(y), jnp.asarray(t, y.dtype), no_input(self.model, y))
 
-    def estimate(self, state: MechanicalState) -> Float[Array, "two_n"]:
+    def estimate(self, state: HeldState) -> Float[Array, "two_n"]:
         return jnp.concatenate([state.q, state.v])
 
-    def flow(self, t: Scalar, state: MechanicalState, u: Float[Array, "m"], y: Vector) -> MechanicalState:
-        q, v, _ = state
+    def flow(self, t: Scalar, state: HeldState, u: Float[Array, "m"], y: Vector) -> HeldState:
+        q, v, _, held = state
         xi, drive = self._correction(t, q, v, u, y)
         q_dot = v - self.alpha * xi
         v_dot = drive - self.beta * xi + friction(self.model, q, v) - christoffel(self.model.metric, q, v, q_dot)
-        return MechanicalState(q_dot, v_dot, jnp.ones_like(state.t))
+        return HeldState(q_dot, v_dot, jnp.ones_like(state.t), still(held))
 
-    def step(self, state: MechanicalState, u: Float[Array, "m"], y: Vector, dt: Scalar) -> tuple[MechanicalState, Info]:
+    def advance(self, state: HeldState, u: Float[Array, "m"], y: Vector, dt: Scalar) -> tuple[HeldState, Info]:
         q, v = predict(self.model, state.t, state.q, state.v, u, dt, self.substeps)
         t = state.t + dt
         k1, k2 = sampled_gains(self.alpha, self.beta, dt)
@@ -67,7 +78,7 @@ class Intrinsic(AbstractFlowObserver):
         new_v = v + christoffel(self.model.metric, q, v, k1 * xi) - k2 * xi + dt * missing
         innovation = -position_error(self.model, q, y)
         info = Info(innovation, norm(self.model.metric, q, xi), outcome(new_q, new_v, y))
-        return MechanicalState(new_q, new_v, t), info
+        return HeldState(new_q, new_v, t), info
 
     def _correction(self, t: Scalar, q: Vector, v: Vector, u: Float[Array, "m"], y: Vector) -> tuple[Vector, Vector]:
         """Error ξ at q̂ and the acceleration `T S(q) + R(ξ, v̂)v̂` that the measurement calls for."""

@@ -63,7 +63,7 @@ class PassiveShip(AbstractFlowObserver):
             "the first row must hold north, east and heading; one is missing: start at a row with all",
         )
         start = jnp.zeros(self.station.order, y.dtype).at[:3].set(y)
-        return ContractingState(start, jnp.asarray(t, y.dtype), jnp.zeros_like(y))
+        return ContractingState(start, jnp.asarray(t, y.dtype), jnp.zeros_like(y), jnp.zeros_like(y))
 
     def estimate(self, state: ContractingState) -> Vector:
         return state.x
@@ -71,10 +71,10 @@ class PassiveShip(AbstractFlowObserver):
     def flow(self, t: Scalar, state: ContractingState, u: Float[Array, "3"], y: Float[Array, "3"]) -> ContractingState:
         return self.contracting().flow(t, state, u, y)
 
-    def step(
+    def advance(
         self, state: ContractingState, u: Float[Array, "3"], y: Float[Array, "3"], dt: Scalar
     ) -> tuple[ContractingState, Info]:
-        return self.contracting().step(state, u, y, dt)
+        return self.contracting().advance(state, u, y, dt)
 
     def contracting(self) -> Contracting:
         """The same as a `Contracting`, for its virtual system."""

@@ -10,15 +10,21 @@ is its info. Writing the loop by hand takes four lines:
 """
 
 import abc
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple, final
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Float, Inexact
 
 from covariant._typing import Code, Number, Scalar, Vector
 from covariant.signals import Record, Result, Run
+
+Held = Float[Array, "m"] | None
+"""The last finite input, in the field `held` of a state; None where none is kept."""
 
 
 class MechanicalState(NamedTuple):
@@ -27,6 +33,18 @@ class MechanicalState(NamedTuple):
     q: Vector
     v: Vector
     t: Scalar
+
+
+class HeldState(NamedTuple):
+    """As `MechanicalState`, with the last finite input `held` (m,), which stands in for one that is not finite.
+
+    Without one, None, the observer takes 0 in its place.
+    """
+
+    q: Vector
+    v: Vector
+    t: Scalar
+    held: Held = None
 
 
 class Info(NamedTuple):
@@ -42,15 +60,36 @@ class Info(NamedTuple):
 
 
 class AbstractObserver(eqx.Module):
-    """From positions to state. Sampled: `step` brings the state to the stamp of y and then takes y in."""
+    """From positions to state. Sampled: `step` brings the state to the stamp of y and then takes y in.
+
+    An observer is written by its `advance`, which gets sound numbers only; `step`, the same for all, sees to that. A
+    state with a field `held` of the input's shape remembers the last finite input in it.
+    """
 
     @abc.abstractmethod
     def init(self, y: Inexact[Array, "*n"], t: Number = 0.0) -> Any:
         """State at rest at the measured position y, at time t [s]: (n,), or (N, N) on a group."""
 
-    @abc.abstractmethod
+    @final
     def step(self, state: Any, u: Float[Array, "m"], y: Inexact[Array, "*n"], dt: Scalar) -> tuple[Any, Any]:
-        """Advance by dt [s] under the input u (m,) held over the step, then correct by y; NaN in y is coasted."""
+        """Advance by dt [s] under the input u (m,) held over the step, then correct by y; NaN in y is coasted.
+
+        Nothing in u, y or dt spoils the state. An infinite entry of y is missing like NaN; in place of an entry of u
+        that is not finite stands the last finite one, 0 before the first; where dt is zero, negative or not finite the
+        state is left as it was. `info.result` says so: `COASTED`, `INPUT_HELD`, `REPEATED` (dt = 0), `STEP_REFUSED`,
+        the worst where there are several.
+        """
+        moves = jnp.isfinite(dt) & (dt > 0)
+        sound = jnp.where(jnp.isfinite(u), u, _held(state, u))
+        measured = jnp.where(jnp.isfinite(y), y, jnp.nan)
+        moved, info = self.advance(state, sound, measured, jnp.where(moves, dt, 0.0))
+        kept = jax.tree.map(lambda new, old: jnp.where(moves, new, old), _holding(moved, state, sound), state)
+        result = jnp.maximum(info.result, _fault(u, y, dt).astype(info.result.dtype))
+        return kept, info._replace(result=result)
+
+    @abc.abstractmethod
+    def advance(self, state: Any, u: Float[Array, "m"], y: Inexact[Array, "*n"], dt: Scalar) -> tuple[Any, Any]:
+        """What `step` does with sound numbers: u is finite, y finite or NaN where missing, dt finite and ≥ 0."""
 
     @abc.abstractmethod
     def estimate(self, state: Any) -> Any:
@@ -63,6 +102,77 @@ class AbstractFlowObserver(AbstractObserver):
     @abc.abstractmethod
     def flow(self, t: Scalar, state: Any, u: Float[Array, "m"], y: Inexact[Array, "*n"]) -> Any:
         """Time derivative of the state, for measurements in continuous time."""
+
+
+def check_positive(whose: str, **gains: Any) -> None:
+    """Raise `ValueError` where a gain is given as a number that is not positive and finite; one traced has no value."""
+    for name, gain in gains.items():
+        if not _known(gain, lambda a: np.isfinite(a) & (a > 0)):
+            raise ValueError(f"{whose}: {name} must be a positive, finite number; got {_written(gain)}")
+
+
+def check_finite(whose: str, **given: Any) -> None:
+    """Raise `ValueError` where an array has an entry that is not finite; one traced has no value to look at."""
+    for name, array in given.items():
+        if not _known(array, np.isfinite):
+            raise ValueError(f"{whose}: {name} must have finite entries; got {_written(array)}")
+
+
+def _known(value: Any, good: Callable[[np.ndarray], Any]) -> bool:
+    return isinstance(value, Tracer) or bool(np.all(good(np.asarray(value))))
+
+
+def _written(value: Any) -> str:
+    return " ".join(str(np.asarray(value)).split())
+
+
+def no_input(model: Any, like: Vector) -> Float[Array, "m"]:
+    """Zero input of the size the model takes, or of that of `like`, its coordinates, where it does not say."""
+    return jnp.zeros(like.shape[0] if model.inputs is None else model.inputs, like.dtype)
+
+
+def still(held: Held) -> Held:
+    """What becomes of the held input in a time derivative of the state: zero, in the same form."""
+    return jax.tree.map(jnp.zeros_like, held)
+
+
+def continuous(state: Any) -> Any:
+    """The state without the input that it holds between samples: what a differential equation needs of it."""
+    return state._replace(held=None) if _holds(state) else state
+
+
+def _holds(state: Any) -> bool:
+    return "held" in state._fields
+
+
+def _has_room(state: Any, u: Array) -> bool:
+    return _holds(state) and state.held is not None and state.held.shape == u.shape
+
+
+def _held(state: Any, u: Array) -> Array:
+    """The input to put in place of one that is not finite."""
+    return state.held.astype(u.dtype) if _has_room(state, u) else jnp.zeros_like(u)
+
+
+def _holding(moved: Any, state: Any, u: Array) -> Any:
+    """The state moved to, with the input in it where the state before has room for it: its form must not change."""
+    if _has_room(state, u):
+        return moved._replace(held=u.astype(state.held.dtype))
+    return moved._replace(held=state.held) if _holds(state) else moved
+
+
+def _fault(u: Array, y: Array, dt: Scalar) -> Code:
+    """The worst that is wrong with a sample, beside what the observer itself says of a missing measurement."""
+    faults = (
+        (jnp.any(jnp.isinf(y)), Result.COASTED),
+        (~jnp.all(jnp.isfinite(u)), Result.INPUT_HELD),
+        (dt == 0, Result.REPEATED),
+        (~(jnp.isfinite(dt) & (dt >= 0)), Result.STEP_REFUSED),
+    )
+    code = jnp.asarray(int(Result.OK))
+    for present, result in faults:
+        code = jnp.where(present, int(result), code)
+    return code
 
 
 def outcome(q: Array, v: Array, y: Array, result: Code | int = Result.OK) -> Code:
@@ -78,10 +188,10 @@ def _scan(observer: AbstractObserver, t: Array, u: Array, y: Array):
     dt = jnp.diff(t, prepend=t[:1])
 
     def step(state, sample):
-        moved, info = observer.step(state, *sample)
-        # The first row is where the state comes from: its measurement must not count twice.
-        state = jax.tree.map(lambda new, old: jnp.where(sample[2] > 0, new, old), moved, state)
-        return state, (observer.estimate(state), info)
+        state, info = observer.step(state, *sample)
+        # The first row is where the state comes from: it has no step, and repeats no stamp before.
+        first = (sample[2] == 0) & (info.result == int(Result.REPEATED))
+        return state, (observer.estimate(state), info._replace(result=jnp.where(first, int(Result.OK), info.result)))
 
     return jax.lax.scan(step, observer.init(y[0], t[0]), (before, y, dt))[1]
 

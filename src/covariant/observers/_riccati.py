@@ -15,16 +15,17 @@ from covariant._integrate import rk4
 from covariant._linalg import half_solve, pivots, solve
 from covariant._typing import Flag, Matrix, MatrixField, Number, Scalar, Vector
 from covariant.models import StateSpace
-from covariant.observers._protocol import AbstractFlowObserver, Info
+from covariant.observers._protocol import AbstractFlowObserver, Held, Info, check_finite, no_input, still
 from covariant.riccati import Equation, Metric
 from covariant.signals import Result
 
 
 class Estimate(NamedTuple):
-    """Estimated state and the time [s] it belongs to."""
+    """Estimated state, the time [s] it belongs to, and the last finite input `held`."""
 
     x: Vector
     t: Scalar
+    held: Held = None
 
 
 class Riccati(AbstractFlowObserver):
@@ -41,6 +42,8 @@ class Riccati(AbstractFlowObserver):
     Where the metric is not positive definite, as outside the grid of a field, the model runs on alone and the result
     says `OUT_OF_DOMAIN`. Sampled, the correction is implicit: it minimises `|x − x̂|²_P + 2 k_E dt |h + h_x (x − x̂) −
     y|²`, so no gain makes it unstable, and for dt → 0 it is the flow.
+
+    Raises `ValueError` for a gain that is not finite.
     """
 
     model: StateSpace
@@ -50,8 +53,13 @@ class Riccati(AbstractFlowObserver):
     measurement_cov: Float[Array, "p p"] | None = None
     substeps: int = eqx.field(default=1, static=True)
 
+    def __check_init__(self):
+        if not callable(self.gain):
+            check_finite("Riccati", gain=self.gain)
+
     def init(self, y: Float[Array, "p"], t: Number = 0.0) -> Estimate:
-        return Estimate(jnp.asarray(self.start, y.dtype), jnp.asarray(t, y.dtype))
+        start = jnp.asarray(self.start, y.dtype)
+        return Estimate(start, jnp.asarray(t, y.dtype), no_input(self.model, start))
 
     def estimate(self, state: Estimate) -> Vector:
         return state.x
@@ -61,9 +69,9 @@ class Riccati(AbstractFlowObserver):
         seen, error = _seen(self.model, self.measurement_cov, t, x, u, y)
         p = self._metric(x, u)
         correction = jnp.where(_is_metric(p), 2 * self._gain(x) * solve(p, seen.T @ error), 0.0)
-        return Estimate(self.model.f(t, x, u) - correction, jnp.ones_like(state.t))
+        return Estimate(self.model.f(t, x, u) - correction, jnp.ones_like(state.t), still(state.held))
 
-    def step(self, state: Estimate, u: Float[Array, "m"], y: Float[Array, "p"], dt: Scalar) -> tuple[Estimate, Info]:
+    def advance(self, state: Estimate, u: Float[Array, "m"], y: Float[Array, "p"], dt: Scalar) -> tuple[Estimate, Info]:
         x = rk4(lambda s, x: self.model.f(s, x, u), state.t, state.x, dt, self.substeps)
         moved, info = _correct(
             self.model, self.measurement_cov, state.t + dt, x, self._metric(x, u), 2 * self._gain(x) * dt, u, y
@@ -81,11 +89,13 @@ class Riccati(AbstractFlowObserver):
 
 
 class InformationState(NamedTuple):
-    """Estimated state, its information matrix P (n, n), and the time [s] they belong to."""
+    """Estimated state, its information matrix P (n, n), the time [s] they belong to, and the last finite input
+    `held`."""
 
     x: Vector
     information: Matrix
     t: Scalar
+    held: Held = None
 
 
 class InformationEKF(AbstractFlowObserver):
@@ -107,7 +117,7 @@ class InformationEKF(AbstractFlowObserver):
 
     def init(self, y: Float[Array, "p"], t: Number = 0.0) -> InformationState:
         start, information = jnp.asarray(self.start, y.dtype), jnp.asarray(self.information, y.dtype)
-        return InformationState(start, information, jnp.asarray(t, y.dtype))
+        return InformationState(start, information, jnp.asarray(t, y.dtype), no_input(self.model, start))
 
     def estimate(self, state: InformationState) -> Vector:
         return state.x
@@ -117,9 +127,10 @@ class InformationEKF(AbstractFlowObserver):
         seen, error = _seen(self.model, self.equation.measurement_cov, t, x, u, y)
         silent = self._silent(t, x, p, u)
         gathered = seen.T @ seen
-        return InformationState(self.model.f(t, x, u) - solve(p, seen.T @ error), silent + gathered, jnp.ones_like(t))
+        slope = self.model.f(t, x, u) - solve(p, seen.T @ error)
+        return InformationState(slope, silent + gathered, jnp.ones_like(t), still(state.held))
 
-    def step(
+    def advance(
         self, state: InformationState, u: Float[Array, "m"], y: Float[Array, "p"], dt: Scalar
     ) -> tuple[InformationState, Info]:
         def flow(s, joint):

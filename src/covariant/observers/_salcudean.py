@@ -14,16 +14,18 @@ from covariant._typing import Number, Scalar, Vector
 from covariant.geometry.lie import SO3, quaternion_from_rotation
 from covariant.models import GroupSystem, Motion, body_velocity, friction, source, spatial_momentum
 from covariant.observers._group import GroupInfo, check_element, uniqueness
-from covariant.observers._protocol import AbstractFlowObserver, outcome
+from covariant.observers._protocol import AbstractFlowObserver, Held, check_positive, no_input, outcome, still
 from covariant.observers._sampled import predict
 
 
 class SalcudeanState(NamedTuple):
-    """Estimated rotation g (3, 3), momentum in space (3,) [N m s], and the time t [s] they belong to."""
+    """Estimated rotation g (3, 3), momentum in space (3,) [N m s], the time t [s] they belong to, and the last
+    finite input `held`."""
 
     g: Float[Array, "3 3"]
     momentum: Vector
     t: Scalar
+    held: Held = None
 
 
 class Salcudean(AbstractFlowObserver):
@@ -37,7 +39,8 @@ class Salcudean(AbstractFlowObserver):
     - `substeps`: Runge–Kutta steps a sample; None takes as many as dt and the friction need (offline).
 
     A step predicts with the model and adds dt times the injected terms, so `kv dt` must stay below the inertia. A
-    measurement with any NaN counts as missing as a whole. Raises `ValueError` for another group.
+    measurement with any NaN counts as missing as a whole. Raises `ValueError` for another group, and for
+    gains that are not positive and finite.
     """
 
     model: GroupSystem
@@ -46,13 +49,14 @@ class Salcudean(AbstractFlowObserver):
     substeps: int | None = eqx.field(default=None, static=True)
 
     def __check_init__(self):
+        check_positive("Salcudean", kp=self.kp, kv=self.kv)
         if not isinstance(self.model.group, type(SO3)):
             raise ValueError(f"Salcudean: the observer is for SO(3) only; the model is on {self.model.group}")
 
     def init(self, y: Float[Array, "3 3"], t: Number = 0.0) -> SalcudeanState:
         y = check_element(self.model, y)
         rest = jnp.zeros(3, y.dtype)
-        return SalcudeanState(y, rest, jnp.asarray(t, rest.dtype))
+        return SalcudeanState(y, rest, jnp.asarray(t, rest.dtype), no_input(self.model, rest))
 
     def estimate(self, state: SalcudeanState) -> Motion:
         return Motion(state.g, body_velocity(self.model, state.g, state.momentum))
@@ -63,9 +67,9 @@ class Salcudean(AbstractFlowObserver):
         e = state.g @ quaternion_from_rotation(state.g.T @ y)[1:]
         injected = y @ self.model.metric.inertia.solve(y.T @ e)
         turning = state.g.T @ (omega + self.kv * injected)
-        return SalcudeanState(turning, torque + self.kp / 2 * injected, jnp.ones_like(state.t))
+        return SalcudeanState(turning, torque + self.kp / 2 * injected, jnp.ones_like(state.t), still(state.held))
 
-    def step(
+    def advance(
         self, state: SalcudeanState, u: Float[Array, "m"], y: Float[Array, "3 3"], dt: Scalar
     ) -> tuple[SalcudeanState, GroupInfo]:
         v = body_velocity(self.model, state.g, state.momentum)

@@ -50,7 +50,9 @@ class SavitzkyGolay(AbstractObserver):
     def estimate(self, state: WindowState) -> Float[Array, "two_n"]:
         return jnp.concatenate([state.q, state.v])
 
-    def step(self, state: WindowState, u: Float[Array, "m"], y: Vector, dt: Scalar) -> tuple[WindowState, FilterInfo]:
+    def advance(
+        self, state: WindowState, u: Float[Array, "m"], y: Vector, dt: Scalar
+    ) -> tuple[WindowState, FilterInfo]:
         expected = state.q + dt * state.v
         innovation = wrap(self.circles, y - expected)
         advanced = dt > 0

@@ -45,7 +45,9 @@ class PrintedBallAndBeam(AbstractFlowObserver):
             jnp.ones_like(state.t),
         )
 
-    def step(self, state: MechanicalState, u: Float[Array, "m"], y: Vector, dt: Scalar) -> tuple[MechanicalState, Info]:
+    def advance(
+        self, state: MechanicalState, u: Float[Array, "m"], y: Vector, dt: Scalar
+    ) -> tuple[MechanicalState, Info]:
         raise NotImplementedError("equation (14) as printed is a counter-example in continuous time only")
 
 
@@ -92,7 +94,7 @@ class PrintedGroup(AbstractFlowObserver):
             v_dot = v_dot + (1 - self.alpha) * group.lie_bracket(error, v)
         return GroupState(w, v_dot, jnp.ones_like(state.t), jnp.zeros_like(v))
 
-    def step(self, state: GroupState, u: Float[Array, "m"], y: Element, dt: Scalar):
+    def advance(self, state: GroupState, u: Float[Array, "m"], y: Element, dt: Scalar):
         raise NotImplementedError("the printed observer is a counter-example in continuous time only")
 
 

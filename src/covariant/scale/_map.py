@@ -71,7 +71,7 @@ def map_grid(
     if done < grid.size:
         work = _Work(function, str(path), blocks)
         crew = _threads(work, workers or os.cpu_count() or 1) if scheduler is None else _cluster(work, scheduler)
-        with crew as (submit, most):
+        with _store.tidied(path), crew as (submit, most):
             for index in _finished(submit, todo, most):
                 done += blocks.size(index)
                 report(done, grid.size)

@@ -10,15 +10,14 @@ import importlib.metadata
 import json
 import math
 import os
-import shutil
-import uuid
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from covariant._files import attended, sweep, temporary
 from covariant.scale._grid import Blocks, Grid
 from covariant.scale._guests import guest
 
@@ -76,6 +75,7 @@ def prepare(path: Path, settings: dict[str, Any], blocks: Blocks) -> None:
 
     Raises `ValueError`, one line, where the path holds anything else, and `FileNotFoundError` without its folder.
     """
+    sweep(path)
     if not os.path.lexists(path):
         return _create(path, settings, blocks)
     attributes = _attributes(path)
@@ -87,6 +87,18 @@ def prepare(path: Path, settings: dict[str, Any], blocks: Blocks) -> None:
     if _versions() not in attributes["versions"]:
         _annotate(path, versions=[*attributes["versions"], _versions()])
     return None
+
+
+@contextlib.contextmanager
+def tidied(path: Path) -> Iterator[None]:
+    """While a map is written: what killed writers left in its folders is removed, where nobody else writes there."""
+
+    def tidy():
+        for left in path.rglob("*.partial"):  # Zarr moves each chunk from such a file to its place
+            left.unlink(missing_ok=True)
+
+    with attended(path, tidy):
+        yield
 
 
 def finish(path: Path) -> None:
@@ -111,14 +123,9 @@ def write(path: str, region: tuple[slice, ...], values: Mapping[str, np.ndarray]
 
 def _create(path: Path, settings: dict[str, Any], blocks: Blocks) -> None:
     """Fill a folder beside the path and put it there in one move, so that a store is whole or is not there."""
-    fresh = path.with_name(f".{path.name}.{uuid.uuid4().hex}.tmp")
-    fresh.mkdir()
-    try:
+    with temporary(path, Path.mkdir) as fresh:
         _fill(guest("zarr").open_group(str(fresh), mode="w"), settings, blocks)
         fresh.rename(path)
-    except BaseException:
-        shutil.rmtree(fresh)
-        raise
 
 
 def _fill(store: Any, settings: dict[str, Any], blocks: Blocks) -> None:

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from covariant._integrate import solve
 from covariant._typing import Number
 from covariant.models import Lagrangian, acceleration
-from covariant.observers import AbstractFlowObserver
+from covariant.observers import AbstractFlowObserver, continuous
 from covariant.signals import Record
 
 Input = Callable[[Array, Any], Array]
@@ -74,7 +74,7 @@ def observe(
         now = push(s, x) if controller is None else controller(s, y, observer.estimate(state))
         return _plant(model, lambda *_: now)(s, x), observer.flow(s, state, now, y)
 
-    return solve(flow, (x0, state0), t, rtol=rtol, atol=atol, max_steps=max_steps)
+    return solve(flow, (x0, continuous(state0)), t, rtol=rtol, atol=atol, max_steps=max_steps)
 
 
 def no_input(model: Lagrangian, n: int) -> Input:

@@ -13,7 +13,7 @@ from covariant._integrate import solve
 from covariant._typing import Number
 from covariant.geometry.lie import Product, munthe_kaas
 from covariant.models import GroupSystem, Motion, advance, body_velocity, friction, source, spatial_momentum
-from covariant.observers import AbstractFlowObserver
+from covariant.observers import AbstractFlowObserver, continuous
 from covariant.signals import Record
 from covariant.simulation._simulate import Controller, Input, Measurement, observe, simulate
 
@@ -82,7 +82,7 @@ def _(
         moved = munthe_kaas(both, flow, start, g, beside, end - start, charts, rule)
         return moved, moved
 
-    first = (both.join([x0.g, state0.g]), (spatial_momentum(model, *x0), state0._replace(g=None)))
+    first = (both.join([x0.g, state0.g]), (spatial_momentum(model, *x0), continuous(state0)._replace(g=None)))
     after = jax.lax.scan(interval, first, (t[:-1], t[1:]))[1]
     g, (momentum, state) = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), first, after)
     actual, estimated = jax.vmap(both.blocks)(g)

@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 from covariant._integrate import solve
 from covariant._typing import Number, Vector
 from covariant.models import StateSpace
-from covariant.observers import AbstractFlowObserver
+from covariant.observers import AbstractFlowObserver, continuous
 from covariant.signals import Record
 from covariant.simulation._simulate import Controller, Input, Measurement, observe, simulate
 
@@ -55,7 +55,7 @@ def _(
             now = controller(s, y, observer.estimate(state))
         return model.f(s, x, now), observer.flow(s, state, now, y)
 
-    return solve(flow, (x0, state0), t, rtol=rtol, atol=atol, max_steps=max_steps)
+    return solve(flow, (x0, continuous(state0)), t, rtol=rtol, atol=atol, max_steps=max_steps)
 
 
 def _no_input(model: StateSpace) -> Input:

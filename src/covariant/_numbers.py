@@ -1,0 +1,26 @@
+"""Numbers as people write them: what counts as one in a log, an option or an override."""
+
+import re
+
+DECIMAL = r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?"
+"""A decimal number in ASCII. Python itself would take `1_0` and the digits of every script too."""
+SPECIAL = r"[+-]?(?i:nan|inf|infinity)"
+NUMBER = rf"(?:{DECIMAL}|{SPECIAL})"
+
+_NUMBER = re.compile(NUMBER)
+
+
+def number(text: str) -> float:
+    """The number that a text holds, with spaces around it or none; raises `ValueError` where it holds anything else."""
+    plain = text.strip()
+    if not _NUMBER.fullmatch(plain):
+        raise ValueError(f"{text!r} is not a decimal number")
+    return float(plain)
+
+
+def integer(text: str) -> int:
+    """The same for whole numbers, which have no point and no exponent."""
+    plain = text.strip()
+    if not re.fullmatch(r"[+-]?[0-9]+", plain):
+        raise ValueError(f"{text!r} is not a whole number")
+    return int(plain)

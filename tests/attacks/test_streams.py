@@ -1,0 +1,336 @@
+"""Streams as they come: whatever numbers arrive, every observer stays finite, says so, and returns once they are sound.
+
+Each observer's loop is compiled once, over streams of one length; the faults are drawn, the loop is not.
+"""
+
+import functools
+from collections.abc import Callable
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.flatten_util
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from covariant.geometry import Euclidean
+from covariant.lowering import lower, numbers
+from covariant.models import Lagrangian, Motion, StateSpace, ball_and_beam, free_body, marine, pendulum_chain
+from covariant.observers import (
+    EKF,
+    AbstractObserver,
+    Contracting,
+    Copy,
+    FilteredDerivative,
+    Geodesic,
+    Group,
+    HeldState,
+    InformationEKF,
+    Intrinsic,
+    InvariantEKF,
+    PassiveShip,
+    Riccati,
+    Salcudean,
+    SavitzkyGolay,
+    craft_observer,
+    lyapunov_gains,
+)
+from covariant.riccati import Equation
+from covariant.signals import Result
+from covariant.simulation import hold, simulate
+
+ROWS = 400
+FAULTY = slice(40, 70)
+"""Rows in which faults are drawn; those after are sound, and long enough to recover in."""
+
+
+class Stream(NamedTuple):
+    """What arrives: the first measurement, and of every later row the input, the measurement and the step in time."""
+
+    first: np.ndarray
+    u: np.ndarray
+    y: np.ndarray
+    dt: np.ndarray
+
+
+def stream(model, x0, rate: float, inputs: int, size: float = 0.3) -> Stream:
+    """A motion of the model under inputs that change slowly, each held from its row to the next."""
+    t = np.arange(ROWS + 1) / rate
+    u = size * np.sin(2 * np.pi * rate * t[:, None] / 100 + np.arange(inputs))
+    y = np.asarray(eqx.filter_jit(simulate)(model, x0, jnp.asarray(t), hold(jnp.asarray(t), jnp.asarray(u))).y)
+    return Stream(y[0], u[:-1], y[1:], np.diff(t))
+
+
+PENDULUM = pendulum_chain((1.2,), (0.5,), com=(0.3,), inertia=(0.02,), viscous=(0.05,))
+BEAM = ball_and_beam()
+BODY = free_body((1.0, 2.0, 3.5))
+STATION = marine.Station(marine.supply_vessel(mooring=np.diag([5e4, 5e4, 5e7])))
+CRAFT = marine.supply_vessel(mooring=np.diag([5e4, 5e4, 5e7]))
+MASSES = StateSpace(
+    lambda t, x, u: jnp.stack([x[2], x[3], u[0] - x[0] + x[1], x[0] - 2 * x[1] - 0.2 * x[3]]),
+    lambda t, x, u: x[:2],
+    coordinates=("a", "b", "va", "vb"),
+    inputs=1,
+)
+"""Two masses on springs, both positions measured."""
+
+START = jnp.zeros(4)
+GAIN = jnp.array([[3.0, 0.0], [0.0, 3.0], [2.0, 0.0], [0.0, 2.0]])
+METRIC = jnp.asarray(np.linalg.inv(np.kron([[3.0, 2.0], [2.0, 3.0]], np.eye(2))))
+"""A constant one, whose correction is that of GAIN."""
+
+pendulum = functools.cache(lambda: stream(PENDULUM, jnp.array([0.7, 4.0]), 100.0, 1))
+beam = functools.cache(lambda: stream(BEAM, jnp.array([0.3, 0.1, 0.2, -0.9]), 200.0, 1))
+body = functools.cache(lambda: stream(BODY, Motion(jnp.eye(3), jnp.array([0.1, 1.0, 0.2])), 50.0, 3))
+masses = functools.cache(lambda: stream(MASSES, jnp.array([0.5, -0.3, 0.2, 0.4]), 20.0, 1))
+ship = functools.cache(lambda: stream(STATION.model(), jnp.array([5.0, -3.0, 0.3, 0.5, -0.2, 0.004]), 1.0, 3, 1e3))
+
+MASS = np.asarray(STATION.ship.mass)
+WATCHED: dict[str, tuple[Callable[[], AbstractObserver], Callable[[], Stream], float, float]] = {
+    "intrinsic": (lambda: Intrinsic(BEAM, 40.0, 600.0), beam, 0.3, 1e-5),
+    "intrinsic, second order": (lambda: Intrinsic(PENDULUM, 20.0, 150.0, order=2), pendulum, 1e3, 1e-5),
+    "geodesic": (lambda: Geodesic(BEAM, 40.0, 600.0), beam, 0.3, 1e-5),
+    "copy": (lambda: Copy(PENDULUM, 20.0, 150.0), pendulum, 1e3, 1e-5),
+    "ekf": (lambda: EKF(BEAM, 10.0 * jnp.eye(2), 1e-6 * jnp.eye(2)), beam, 0.3, 1e-5),
+    "filtered derivative": (lambda: FilteredDerivative(60.0), pendulum, 1e3, 1e-5),
+    "savitzky-golay": (lambda: SavitzkyGolay(9, 2), pendulum, 1e3, 1e-5),
+    "group": (lambda: Group(BODY, 4.0, 6.0, substeps=1), body, 1e3, 1e-4),
+    "group, riemannian": (lambda: Group(BODY, 4.0, 6.0, error="riemannian", substeps=1), body, 1e3, 1e-4),
+    "invariant ekf": (lambda: InvariantEKF(BODY, 1e-3 * jnp.eye(3), 1e-4 * jnp.eye(3), substeps=1), body, 1e3, 1e-4),
+    "salcudean": (lambda: Salcudean(BODY, 96.0, 16.0, substeps=1), body, 0.3, 5e-3),
+    "riccati": (lambda: Riccati(MASSES, lambda x: METRIC, START, 0.5), masses, 1e3, 1e-3),
+    "information ekf": (lambda: InformationEKF(MASSES, Equation(1.0), START, jnp.eye(4)), masses, 1e3, 1e-2),
+    "contracting": (lambda: Contracting(MASSES, GAIN, START, memory=0.1), masses, 1e3, 1e-5),
+    "craft": (lambda: craft_observer(CRAFT, np.eye(3), MASS * 1e-2), ship, 1e3, 1e-2),
+    "passive ship": (lambda: PassiveShip(STATION, lyapunov_gains(STATION, MASS * 1e-2, MASS * 1e-2)), ship, 1e3, 5e-2),
+}
+
+
+class Loop(NamedTuple):
+    """An observer's compiled loop, the machine's sound stream and the estimates along it, how
+    far off a measurement may be that it recovers from, and how close it returns."""
+
+    follow: Callable[..., tuple[np.ndarray, np.ndarray]]
+    stream: Stream
+    sound: np.ndarray
+    far: float
+    close: float
+
+
+@functools.cache
+def loop(name: str) -> Loop:
+    """`follow(first, u, y, dt)` gives the estimates (ROWS, k), flat, and the result codes (ROWS,)."""
+    make, motion, far, close = WATCHED[name]
+    observer, sound = make(), motion()
+
+    @jax.jit
+    def follow(first, u, y, dt):
+        def step(state, row):
+            state, info = observer.step(state, *row)
+            return state, (jax.flatten_util.ravel_pytree(observer.estimate(state))[0], info.result)
+
+        return jax.lax.scan(step, observer.init(first), (u, y, dt))[1]
+
+    return Loop(follow, sound, np.asarray(follow(*sound)[0]), far, close)
+
+
+INPUTS = {"u nan": np.nan, "u +inf": np.inf, "u -inf": -np.inf}
+STEPS = {"dt nan": np.nan, "dt +inf": np.inf, "dt -inf": -np.inf, "dt negative": -0.7, "dt zero": 0.0}
+MEASUREMENTS = {"y nan": np.nan, "y +inf": np.inf, "y -inf": -np.inf}
+
+KINDS = [*INPUTS, *STEPS, *MEASUREMENTS, "y none", "y far"]
+
+
+def spoiled(sound: Stream, faults: list[tuple[int, str, int]], far: float) -> Stream:
+    """The stream with faults (row, kind, entry) in it; "y none" spoils all entries, others one, "y far" by `far`."""
+    u, y, dt = sound.u.copy(), sound.y.copy(), sound.dt.copy()
+    for row, kind, entry in faults:
+        if kind in STEPS:
+            dt[row] = STEPS[kind]
+        elif kind in INPUTS:
+            u[row, entry % u.shape[1]] = INPUTS[kind]
+        elif kind == "y none":
+            y[row] = np.nan
+        elif kind == "y far":
+            y[row].flat[entry % y[row].size] += far
+        else:
+            y[row].flat[entry % y[row].size] = MEASUREMENTS[kind]
+    return Stream(sound.first, u, y, dt)
+
+
+def expected(stream: Stream) -> np.ndarray:
+    """The least code of every row, counted a second time and plainly."""
+    codes = np.zeros(ROWS, int)
+    y = stream.y.reshape(ROWS, -1)
+    codes[np.isnan(y).all(1) | np.isinf(y).any(1)] = Result.COASTED
+    codes[~np.isfinite(stream.u).all(1)] = Result.INPUT_HELD
+    codes[stream.dt == 0] = Result.REPEATED
+    codes[~np.isfinite(stream.dt) | (stream.dt < 0)] = Result.STEP_REFUSED
+    return codes
+
+
+FAULTS = st.lists(
+    st.tuples(st.integers(FAULTY.start, FAULTY.stop - 1), st.sampled_from(KINDS), st.integers(0, 15)),
+    min_size=1,
+    max_size=20,
+)
+
+
+@pytest.mark.parametrize("name", WATCHED)
+def test_no_stream_spoils_an_observer(name):
+    """Finite throughout, each fault said in its row, and after the last one the estimate of the sound stream again."""
+    watched = loop(name)
+
+    @settings(max_examples=20)
+    @given(FAULTS)
+    def holds(faults):
+        stream = spoiled(watched.stream, faults, watched.far)
+        x, codes = map(np.asarray, watched.follow(*stream))
+        assert np.isfinite(x).all()
+        least = expected(stream)
+        assert (codes >= least).all()
+        np.testing.assert_array_equal(codes == Result.STEP_REFUSED, least == Result.STEP_REFUSED)
+        np.testing.assert_array_equal(codes[FAULTY.stop :][-100:], Result.OK)
+        kept = least >= Result.REPEATED
+        np.testing.assert_array_equal(x[kept], np.concatenate([x[:1], x])[:-1][kept])
+        np.testing.assert_allclose(x[-1], watched.sound[-1], rtol=0, atol=watched.close)
+
+    holds()
+
+
+# The rules, one by one
+
+ONE = Lagrangian(Euclidean(), lambda q: 0.0 * q[0], inputs=2, force=lambda t, q, u: u[:1] + 10 * u[1:])
+"""A unit mass on a line, pushed by two inputs."""
+WATCHER = Intrinsic(ONE, 4.0, 4.0)
+NOTHING = jnp.array([jnp.nan])
+
+
+@jax.jit
+def stepped(state, u, y, dt):
+    return WATCHER.step(state, u, y, dt)
+
+
+def moving() -> HeldState:
+    return WATCHER.init(jnp.array([1.0]), 2.0)._replace(v=jnp.array([0.5]))
+
+
+def same(one, other) -> None:
+    jax.tree.map(np.testing.assert_array_equal, one, other)
+
+
+def test_the_last_finite_input_is_held_entry_by_entry_and_zero_before_the_first():
+    dt, state, twin = jnp.asarray(0.1), moving(), moving()
+    given = np.array([[np.nan, np.inf], [3.0, np.nan], [np.nan, -1.0], [-np.inf, np.nan], [2.0, 0.5]])
+    meant = np.array([[0.0, 0.0], [3.0, 0.0], [3.0, -1.0], [3.0, -1.0], [2.0, 0.5]])
+    for u, sound in zip(given, meant, strict=True):
+        state, info = stepped(state, jnp.asarray(u), jnp.array([1.0]), dt)
+        twin, _ = stepped(twin, jnp.asarray(sound), jnp.array([1.0]), dt)
+        same(state, twin)
+        assert info.result == (Result.OK if np.isfinite(u).all() else Result.INPUT_HELD)
+
+
+@pytest.mark.parametrize("dt", [np.nan, np.inf, -np.inf, -0.1, -1e-300])
+def test_a_step_that_is_none_is_refused_whatever_else_arrives(dt):
+    state, info = stepped(moving(), jnp.array([7.0, np.nan]), NOTHING, jnp.asarray(dt))
+    same(state, moving())
+    assert info.result == Result.STEP_REFUSED
+    assert all(np.isfinite(np.asarray(part)).all() for part in info)
+
+
+def test_a_repeated_stamp_changes_nothing_and_is_said():
+    ekf = EKF(ONE, jnp.eye(1), jnp.eye(1))  # which could take a measurement in without moving on
+    for observer in (WATCHER, ekf):
+        state = observer.init(jnp.array([1.0]))
+        after, info = eqx.filter_jit(observer.step)(state, jnp.ones(2), jnp.array([4.0]), jnp.zeros(()))
+        same(after, state)
+        assert info.result == Result.REPEATED
+        assert info.innovation[0] == pytest.approx(3.0)
+
+
+def test_infinite_measurements_are_missing_ones():
+    u, dt = jnp.array([0.3, 0.1]), jnp.asarray(0.1)
+    missing, _ = stepped(moving(), u, NOTHING, dt)
+    for y in (np.inf, -np.inf):
+        state, info = stepped(moving(), u, jnp.array([y]), dt)
+        same(state, missing)
+        assert info.result == Result.COASTED
+
+
+def test_on_a_group_one_entry_that_is_not_finite_makes_the_whole_missing():
+    watched = loop("group")
+    none, one = watched.stream.y.copy(), watched.stream.y.copy()
+    none[50], one[50, 1, 2] = np.nan, -np.inf
+    same(watched.follow(*watched.stream._replace(y=one)), watched.follow(*watched.stream._replace(y=none)))
+
+
+def test_a_state_made_by_hand_without_a_held_input_takes_zero_and_keeps_its_form():
+    bare = HeldState(jnp.array([1.0]), jnp.array([0.5]), jnp.asarray(2.0))
+    state, info = stepped(bare, jnp.array([np.nan, 1.0]), NOTHING, jnp.asarray(0.1))
+    twin, _ = stepped(bare, jnp.array([0.0, 1.0]), NOTHING, jnp.asarray(0.1))
+    same(state, twin)
+    assert state.held is None
+    assert info.result == Result.INPUT_HELD
+
+
+def test_streams_may_be_mapped_and_stay_single():
+    single = jax.tree.map(lambda a: jnp.asarray(a, jnp.float32), (moving(), jnp.ones(2), NOTHING, 0.1))
+    state, info = eqx.filter_eval_shape(WATCHER.step, *single)
+    assert {leaf.dtype for leaf in jax.tree.leaves((state, info.innovation, info.distance))} == {np.dtype(np.float32)}
+    dts = jnp.array([0.1, jnp.nan, 0.0, -1.0])
+    states, info = jax.vmap(lambda dt: stepped(moving(), jnp.ones(2), jnp.array([1.0]), dt))(dts)
+    assert list(info.result) == [Result.OK, Result.STEP_REFUSED, Result.REPEATED, Result.STEP_REFUSED]
+    np.testing.assert_array_equal(states.t, [2.1, 2.0, 2.0, 2.0])
+
+
+def test_a_step_lowers_to_scalars_with_its_guard():
+    u, start = jnp.array([0.3, 0.1]), moving()
+    observer = Intrinsic(ONE, 4.0, 4.0, substeps=1)
+    lowered = lower(lambda y, dt: observer.step(start, u, y, dt), jnp.zeros(1), jnp.zeros(()))
+    for y, dt in ((1.2, 0.1), (np.inf, 0.1), (1.2, np.nan), (1.2, -1.0), (1.2, 0.0)):
+        found = numbers(lowered, np.array([y]), np.array(dt))
+        jax.tree.map(np.testing.assert_allclose, found, observer.step(start, u, jnp.array([y]), jnp.asarray(dt)))
+
+
+# Gains
+
+BAD_GAINS = (np.nan, np.inf, -np.inf, -1.0, 0.0)
+
+
+@pytest.mark.parametrize("gain", BAD_GAINS)
+@pytest.mark.parametrize("name", ["alpha", "beta"])
+def test_gains_that_are_not_positive_and_finite_are_refused_in_one_line(name, gain):
+    kinds = {Intrinsic: ONE, Geodesic: ONE, Copy: ONE, Group: BODY}
+    for kind, model in kinds.items():
+        for written in (gain, np.float64(gain), jnp.asarray(gain)):
+            with pytest.raises(
+                ValueError, match=rf"^{kind.__name__}: {name} must be a positive, finite number; got .*$"
+            ):
+                kind(model, **{"alpha": 2.0, "beta": 3.0, name: written})
+
+
+def test_other_gains_are_refused_too():
+    for gain in BAD_GAINS:
+        with pytest.raises(ValueError, match="Salcudean: kv must be a positive"):
+            Salcudean(BODY, 1.0, gain)
+        with pytest.raises(ValueError, match="FilteredDerivative: bandwidth must be a positive"):
+            FilteredDerivative(gain)
+    bad = jnp.array([[1.0, jnp.nan], [0.0, 1.0]])
+    for kind, model in ((EKF, ONE), (InvariantEKF, BODY)):
+        with pytest.raises(ValueError, match=f"{kind.__name__}: process_cov must have finite entries"):
+            kind(model, bad, jnp.eye(2))
+    with pytest.raises(ValueError, match="Contracting: gain must have finite entries"):
+        Contracting(MASSES, GAIN.at[0, 0].set(jnp.inf), START)
+    with pytest.raises(ValueError, match="Riccati: gain must have finite entries"):
+        Riccati(MASSES, lambda x: METRIC, START, jnp.nan)
+
+
+def test_traced_gains_pass():
+    def estimate(alpha):
+        observer = Intrinsic(ONE, alpha, alpha**2)
+        return observer.step(moving(), jnp.ones(2), jnp.array([2.0]), jnp.asarray(0.1))[0].v
+
+    assert jax.jit(jax.vmap(estimate))(jnp.array([1.0, 2.0])).shape == (2, 1)
