@@ -249,6 +249,12 @@ class World:
         squares = q[0, 0] * xi**2 + 2 * q[0, 1] * xi * zeta + q[1, 1] * zeta**2
         return np.sqrt(squares.sum(axis=0) / 2)
 
+    def resolved(self, s: Motions) -> np.ndarray:
+        """Whether errors are far above the last digits of the states, whose differences they are."""
+        sizes = np.abs(s.x).max(axis=tuple(range(s.x.ndim - 1))) + np.abs(s.v).max(axis=0)
+        lengths = self.distance(s) / np.sqrt(self.system.q.max())
+        return ~(lengths < 1e-11 * sizes)
+
     def kept(self, s: Motions) -> np.ndarray:
         """Whether the true motion is within its bounds."""
         bounds = self.system.bounds
@@ -271,6 +277,8 @@ def starts(system: System, radius: float, rng, count: int = 192) -> Motions:
     else:
         low, high = (np.broadcast_to(np.asarray(side, float), (n,))[:, None] for side in bounds["position"])
         x = low + (high - low) * np.clip(rng.uniform(-0.1, 1.1, (n, count)), 0, 1)
+        x[:, ::8] = high
+    v[:, ::4] = 0.0
     at = World(system, np.zeros(count, bool), np.zeros((n, count))).at(x)
     for term in system.terms:
         aimed = rng.random(count) < 0.6
@@ -306,11 +314,11 @@ def contradiction(system: System, found: ContractionCertificate, seed: int, drif
     h = min(3 / system.alpha / steps, 0.3 / steep)
     # Rotations that are a small distance apart are compared with that of the ball they began in.
     first = np.full(count, found.radius) if system.space == "body" else world.distance(begin)
-    now, keeps, worst = begin, world.kept(begin), 0.0
+    now, keeps, worst = begin, world.kept(begin) & world.resolved(begin), 0.0
     with np.errstate(all="ignore"):
         for k in range(steps):
             now = world.step(k, now, h)
-            keeps &= world.kept(now)
+            keeps &= world.kept(now) & world.resolved(now)
             shrunk = math.exp(-found.rate / 2 * (k + 1) * h)
             allowed = first * shrunk + drift * (1 - shrunk)
             part = np.where(keeps, world.distance(now) / allowed, 0.0)
@@ -444,10 +452,10 @@ def borders(rng, index: int) -> System:
     bound = system.bounds | {"velocity": spread(rng, 1e-3, 1e3), "error": spread(rng, 1e-3, 10)}
     if harmless:
         return system._replace(bounds=bound)
-    middle, half = rng.normal() * 10.0 ** rng.integers(-3, 4), 10.0 ** rng.uniform(-3, 2)
-    error = spread(rng, 1e-17, 1e-1)
-    bound |= {"position": (np.array([middle - half]), np.array([middle + half])), "error": error}
+    middle, half = spread(rng, 1, 1e6) * rng.choice([-1, 1]), spread(rng, 0.1, 1)
+    bound |= {"position": (np.array([middle - half]), np.array([middle + half])), "velocity": spread(rng, 1e-4, 1)}
     high = float(bound["position"][1][0])
+    error = bound["error"] = float(np.spacing(abs(high))) * spread(rng, 0.05, 1e3)
     drive = Term("beyond", 100 * system.beta * error, high, error, (1.0,), (0.0,), (1.0,))
     return system._replace(bounds=bound, terms=(drive,))
 

@@ -58,15 +58,8 @@ def test_bad_bounds_are_refused(name):
     ("alpha", "beta"), [(-1.0, 50.0), (10.0, -50.0), (math.nan, 50.0), (10.0, math.inf), (0.0, 0.0)]
 )
 def test_bad_gains_are_refused(alpha, beta):
-    observer = Intrinsic(OBSERVER.model, alpha, beta)
-    with np.errstate(all="ignore"), pytest.raises((ValueError, ZeroDivisionError)):
-        certify(observer, **USUAL, rate=RATE, **EFFORT)
-    try:
-        with np.errstate(all="ignore"):
-            found = certify(observer, **USUAL, rate=RATE, q=Q, **EFFORT)
-    except ValueError:
-        return
-    assert found.summary.verdict == "fails"
+    with pytest.raises(ValueError, match="must be a positive, finite number"):
+        certify(Intrinsic(OBSERVER.model, alpha, beta), **USUAL, rate=RATE, q=Q, **EFFORT)
 
 
 @pytest.mark.parametrize(
