@@ -12,12 +12,11 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from systems import EFFORT, rotation, wrapped
+from systems import EFFORT, rotation, unless_refused, wrapped
 
 from covariant import geometry, models
 from covariant.certificates import ContractionCertificate, certify, optimal_lyapunov
 from covariant.geometry import lie
-from covariant.lowering import LoweringError
 from covariant.observers import Group, Intrinsic
 
 SHAPES: dict[str, Callable] = {
@@ -31,6 +30,7 @@ SHAPES: dict[str, Callable] = {
     "ramp": lambda xp, r: xp.clip(r, -1.0, 1.0),
     "half": lambda xp, r: xp.maximum(r, 0.0),
     "choice": lambda xp, r: xp.where(r > 0, r, 0.0),
+    "beyond": lambda xp, r: xp.maximum(r - 0.25, 0.0),
     "hat": lambda xp, r: xp.maximum(0.0, 1 - xp.abs(r)),
     "quadratic": lambda xp, r: r * xp.abs(r),
     "smooth": lambda xp, r: xp.arctan(r),
@@ -45,9 +45,9 @@ SHAPES: dict[str, Callable] = {
     "a root": lambda xp, r: xp.sqrt(r),
     "a power": lambda xp, r: r**1.5,
 }
-"""Functions of one number. The first six jump; of the next five the slope does; the last are not defined everywhere."""
-JUMPS, KINKS, SMOOTH = list(SHAPES)[:6], list(SHAPES)[6:12], list(SHAPES)[11:15]
-PARTLY = list(SHAPES)[15:]
+"""Functions of one number. The first six jump; of the next six the slope does; the last are not defined everywhere."""
+NAMES = list(SHAPES)
+JUMPS, KINKS, SMOOTH, PARTLY = NAMES[:6], NAMES[6:13], NAMES[12:16], NAMES[16:]
 
 
 def blind(shape: Callable) -> Callable:
@@ -149,12 +149,7 @@ class System(NamedTuple):
 
     def certify(self, **more) -> ContractionCertificate | None:
         """What is said about it; None where it is refused."""
-        try:
-            return certify(self.observer(), q=self.q, **(EFFORT | self.bounds | more))
-        except np.linalg.LinAlgError:
-            raise
-        except (ValueError, LoweringError):
-            return None
+        return unless_refused(lambda: certify(self.observer(), q=self.q, **(EFFORT | self.bounds | more)))
 
 
 # What they really do.
@@ -453,8 +448,15 @@ def borders(rng, index: int) -> System:
     error = spread(rng, 1e-17, 1e-1)
     bound |= {"position": (np.array([middle - half]), np.array([middle + half])), "error": error}
     high = float(bound["position"][1][0])
-    drive = Term("half", 100 * system.beta, high + error / 4, 1.0, (1.0,), (0.0,), (1.0,))
+    drive = Term("beyond", 100 * system.beta * error, high, error, (1.0,), (0.0,), (1.0,))
     return system._replace(bounds=bound, terms=(drive,))
+
+
+def seen_from_the_border(system: System) -> System:
+    """The same system on a line, positions being counted from the upper bound, where there are digits enough."""
+    low, high = system.bounds["position"]
+    terms = tuple(term._replace(at=term.at - float(high[0]) * term.place[0]) for term in system.terms)
+    return system._replace(terms=terms, bounds=system.bounds | {"position": (low - high, high - high)})
 
 
 def noise(rng, index: int) -> System:

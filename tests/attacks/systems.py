@@ -5,7 +5,6 @@ is simulated, so that no derivative and no graph is shared between the two. x is
 rotation matrix (2, 2). Everything else is kept simple: unit mass, gains and metric the same for all.
 """
 
-import inspect
 import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -22,7 +21,7 @@ from covariant.observers import Group, Intrinsic
 ALPHA, BETA, RATE = 10.0, 50.0, 2.0
 """Gains [1/s], [1/s²] and the rate of squared lengths [1/s] that is asked for: the gains alone allow 10 1/s."""
 Q = optimal_lyapunov(ALPHA, BETA, 6.0)
-EFFORT: dict[str, Any] = {"boxes": 3000} if "boxes" in inspect.signature(certify).parameters else {"seconds": 5.0}
+EFFORT = {"boxes": 3000}
 """Enough for true statements about such systems, and no more."""
 
 Law = Callable[[Any, Any, Any], Any]
@@ -76,24 +75,27 @@ def wheel(law: Law, force=None, potential=None) -> Group:
     return Group(model, ALPHA, BETA)
 
 
+def unless_refused(work: Callable[[], Any]) -> Any:
+    """What some work finds, or None where it is refused; what breaks by accident is no refusal."""
+    try:
+        return work()
+    except np.linalg.LinAlgError:
+        raise
+    except (ValueError, LoweringError) as refusal:
+        if "jax_numpy" in str(refusal):  # the strict settings of the tests, broken by the library
+            raise
+        return None
+
+
 def attempt(observer, **bounds) -> ContractionCertificate | None:
     """What `certify` says, or None where it refuses."""
-    try:
-        return certify(observer, **{"rate": RATE, "q": Q, **EFFORT, **bounds})
-    except np.linalg.LinAlgError:
-        raise  # an accident, though it is a ValueError
-    except (ValueError, LoweringError):
-        return None
+    return unless_refused(lambda: certify(observer, **{"rate": RATE, "q": Q, **EFFORT, **bounds}))
 
 
 def proved(matrix, domain) -> str:
     """The verdict of `prove` on a matrix, "refused" where it raises."""
-    try:
-        return prove(matrix, domain, **EFFORT).verdict
-    except np.linalg.LinAlgError:
-        raise  # an accident, though it is a ValueError
-    except (ValueError, LoweringError):
-        return "refused"
+    found = unless_refused(lambda: prove(matrix, domain, **EFFORT))
+    return "refused" if found is None else found.verdict
 
 
 def verdict(observer, **bounds) -> str:

@@ -36,6 +36,7 @@ WRAPPED = {
     "bits of a stack": lambda x: jnp.bitwise_and.reduce(jnp.stack([whole(x, 6), whole(x, 1)])).astype(float),
     "size of the least": lambda x: jnp.abs(whole(x, -128, jnp.int8)).astype(float),
     "the least turned over": lambda x: (-whole(x, -128, jnp.int8)).astype(float),
+    "sum of 64 bits": lambda x: (whole(x, 0) + 2**62 + 2**62).astype(float),
     "more than 53 bits": lambda x: 0.5 - ((whole(x, 0) + (2**53 + 1)) - 2**53).astype(float),
     "to single precision": lambda x: (whole(x, 0) + (2**24 + 1)).astype(jnp.float32).astype(float) - 2**24 - 0.5,
     "too large for its kind": lambda x: jnp.floor(x / 10 + 300.5).astype(jnp.int8).astype(float) - 200,
@@ -97,6 +98,22 @@ def test_friction_whose_weight_wraps_around_is_never_proved(name):
     case = Case(FRICTION[name], speed=0.1, held=True)
     assert falsehood(case) > 1.2
     assert verdict(line(case.law), **case.bounds()) != "holds"
+
+
+NONE = {
+    "complex numbers": lambda x: (x * (1 + 0j)).real + 2,
+    "sizes of complex numbers": lambda x: jnp.abs(x * 1j + 1),
+    "keys of random numbers": lambda x: x + jax.random.uniform(jax.random.key(0)) + 2,
+    "bits": lambda x: jnp.bitwise_and.reduce(jnp.stack([whole(x, 6), whole(x, 3)])).astype(float),
+    "what Python computes": lambda x: jax.pure_callback(
+        lambda a: np.float64(1.0), jax.ShapeDtypeStruct((), jnp.float64), x
+    ),
+}
+
+
+@pytest.mark.parametrize("name", NONE)
+def test_what_is_no_real_number_is_refused_by_name(name):
+    assert proved(lambda z: jnp.reshape(NONE[name](z[0]), (1, 1)), LINE) == "refused"
 
 
 def test_integers_that_do_not_wrap_are_proved():

@@ -31,12 +31,12 @@ def test_no_point_is_slower_than_what_is_certified(name):
 
 @pytest.mark.parametrize("name", ["ball_and_beam", "heavy_top"])
 def test_a_faster_claim_would_be_found_false(name):
-    """On a region that is somewhat larger than the certified one the certified rate is not kept, and that is found."""
+    """On a region that is twelve times the certified one the certified rate is not kept, and that is found."""
     certificate = ContractionCertificate.load(FOLDER / f"{name}.json")
     domain = certificate.domain
-    larger = domain._replace(low=3 * domain.low, high=3 * domain.high)
+    larger = domain._replace(low=12 * domain.low, high=12 * domain.high)
     found = falsify(certificate.subject, larger, certificate.rate, attempts=20_000, starts=32)
     assert found.verdict == "fails"
-    point = np.array(found.counterexample)
+    point = np.array(found[-1])
     assert (point >= larger.low).all()
     assert (point <= larger.high).all()

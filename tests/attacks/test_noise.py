@@ -4,19 +4,13 @@ An error b of the measured position enters an observer three times: by its gains
 is taken where the system was measured to be, as S(q + b) − S(q).
 """
 
-import inspect
-
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
-from systems import ALPHA, BETA, Q
+from systems import ALPHA, BETA, Q, attempt, line, verdict
 
 from covariant.certificates import error_bounds, lyapunov, optimal_lyapunov, rate_of
-
-
-def bounds(alpha: float, beta: float, q, rate: float, noise: float, slope: float) -> tuple[float, float]:
-    """Claimed bounds of the steady errors of position and velocity."""
-    known = {"slope": slope} if "slope" in inspect.signature(error_bounds).parameters else {}
-    return error_bounds(alpha, beta, q, rate, noise, **known)
 
 
 def errors(alpha, beta, force, noise, seconds: float, steps: int, friction=0.0, start=0.3, unmodelled=None):
@@ -71,7 +65,7 @@ def test_a_stiff_spring_under_noise_of_a_millimetre():
     """4000 1/s²: a millimetre of the place is four metres per second squared of force."""
     stiffness, noise = 4000.0, 1e-3
     rate = rate_of(ALPHA, BETA, Q)
-    position, velocity = bounds(ALPHA, BETA, Q, rate, noise, stiffness)
+    position, velocity = error_bounds(ALPHA, BETA, Q, rate, noise, stiffness)
     real = worst_linear(ALPHA, BETA, stiffness, noise)
     assert real[0] > 0.07
     assert real[1] > 0.7
@@ -92,7 +86,7 @@ def test_no_noise_on_any_spring_exceeds_its_bound():
         best = -2 * np.linalg.eigvals(np.array([[-alpha, 1], [-beta, 0]])).real.max()
         q = lyapunov(alpha, beta) if rng.random() < 0.5 else optimal_lyapunov(alpha, beta, best * rng.uniform(0.1, 0.9))
         noise = 10 ** rng.uniform(-6, 0)
-        claimed = bounds(alpha, beta, q, rate_of(alpha, beta, q), noise, abs(stiffness))
+        claimed = error_bounds(alpha, beta, q, rate_of(alpha, beta, q), noise, abs(stiffness))
         real = worst_linear(alpha, beta, stiffness, noise)
         assert real[0] <= claimed[0]
         assert real[1] <= claimed[1]
@@ -118,7 +112,7 @@ def test_no_noise_on_a_nonlinear_force_exceeds_its_bound(force, slope):
     tried = noise * np.concatenate([np.ones((steps, 1)), -np.ones((steps, 1)), switching, periods], axis=1)
     tried = np.concatenate([tried, noise * rng.uniform(-1, 1, (steps, 10))], axis=1)
     found = errors(ALPHA, BETA, force, tried, 6.0, steps, start=0.05)
-    claimed = bounds(ALPHA, BETA, Q, rate_of(ALPHA, BETA, Q), noise, slope)
+    claimed = error_bounds(ALPHA, BETA, Q, rate_of(ALPHA, BETA, Q), noise, slope)
     assert found[0].max() <= claimed[0]
     assert found[1].max() <= claimed[1]
     assert found[0].max() > noise
@@ -133,3 +127,64 @@ def test_the_slope_of_the_force_must_be_told():
     for wrong in (-1e-3, np.nan, np.inf):
         with pytest.raises(ValueError, match=r"noise|bound"):
             error_bounds(ALPHA, BETA, Q, 2.0, wrong, slope=1.0)  # pyright: ignore[reportCallIssue]
+
+
+def sprung(stiffness: float, force=None):
+    """A point mass on a spring."""
+    return line(lambda xp, x, v: -0.5 * v, force=force, potential=lambda q: stiffness * q[0] ** 2 / 2)
+
+
+USUAL = {"velocity": 3.0, "error": 0.5, "position": (-1.0, 1.0), "input": 0.1}
+
+
+@pytest.mark.parametrize(("stiffness", "noise", "unknown"), [(0.0, 1e-3, 0.0), (400.0, 1e-3, 0.0), (30.0, 1e-3, 0.5)])
+def test_certified_steady_errors_hold_for_the_worst_signals(stiffness, noise, unknown):
+    found = attempt(sprung(stiffness), **USUAL, noise=noise, disturbance=unknown)
+    assert found is not None
+    assert found.summary.verdict == "holds"
+    assert 0 < found.steady < found.radius
+    inverse = np.linalg.inv(Q)
+    claimed = [found.steady * np.sqrt(2 * inverse[i, i]) for i in range(2)]
+    worst = np.array(worst_linear(ALPHA, BETA, stiffness, noise, friction=0.5))
+    # An unknown force w brings an error of its own, ζ' = −βξ − ½ζ − w.
+    worst += np.array(response_to_force(unknown))
+    assert worst[0] <= claimed[0]
+    assert worst[1] <= claimed[1]
+
+
+def response_to_force(unknown: float) -> tuple[float, float]:
+    """The largest errors that an unknown force of that size can bring."""
+    t = np.linspace(0, 6, 6001)
+    values, vectors = np.linalg.eig(np.array([[-ALPHA, 1.0], [-BETA, -0.5]]))
+    parts = np.linalg.solve(vectors, np.array([0, 1.0], complex))
+    response = np.abs((vectors @ (np.exp(np.outer(values, t)) * parts[:, None])).real)
+    found = unknown * np.trapezoid(response, t, axis=1)
+    return float(found[0]), float(found[1])
+
+
+def test_noise_on_a_stiff_spring_is_more_than_its_tube_bears():
+    """A millimetre on 4000 1/s² leaves 80 mm; a tube of a centimetre does not hold that."""
+    assert verdict(sprung(4000.0), **(USUAL | {"error": 0.01}), noise=1e-3) != "holds"
+
+
+REFUSED = {
+    "a force that jumps": ({"noise": 1e-3}, lambda t, q, u: u + jnp.where(q > 0, 1.0, -1.0)),
+    "a force with a steep ramp": ({"noise": 1e-3}, lambda t, q, u: u + 10 * jnp.clip(1e7 * q, -1.0, 1.0)),
+    "a force without a slope": ({"noise": 1e-3}, lambda t, q, u: u + 0 * jnp.sqrt(q)),
+    "a force hidden from derivatives": ({"noise": 1e-3}, lambda t, q, u: u + 5e3 * jax.lax.stop_gradient(q)),
+    "noise as large as the error": ({"noise": 0.5}, None),
+    "noise beyond the error": ({"noise": 0.6}, None),
+    "noise below nought": ({"noise": -1e-3}, None),
+    "noise that is no number": ({"noise": np.nan}, None),
+    "noise without bound": ({"noise": np.inf}, None),
+    "unknown force below nought": ({"disturbance": -1.0}, None),
+    "unknown force that is no number": ({"disturbance": np.nan}, None),
+    "unknown force without bound": ({"disturbance": np.inf}, None),
+    "unknown force that is too large": ({"disturbance": 1e3}, None),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_noise_that_no_bound_covers_is_never_proved(name):
+    acting, force = REFUSED[name]
+    assert verdict(sprung(1.0, force), **USUAL, **acting) != "holds"
