@@ -91,7 +91,7 @@ ALWAYS = {
     "minimum and maximum": lambda z: jnp.minimum(z[0], z[1]) + jnp.maximum(z[0], 0.0) + jnp.clip(z[1], -0.1, 0.1),
     "rectified": lambda z: jax.nn.relu(z[0]),
     "size by a choice": lambda z: jnp.where(z[0] < 0, -z[0], z[0]) + jnp.where(z[1] >= 0, z[1], -z[1]),
-    "size by the other choice": lambda z: jnp.where(0 < z[0], z[0], -z[0]) + jnp.where(z[1] <= 0, -z[1], z[1]),
+    "size by the other choice": lambda z: jnp.where(z[0] > 0, z[0], -z[0]) + jnp.where(z[1] <= 0, -z[1], z[1]),
     "smaller by a choice": lambda z: jnp.where(z[0] < z[1], z[0], z[1]) + jnp.where(z[0] > z[1], z[1], z[0]),
     "larger by a choice": lambda z: jnp.where(z[0] > 0, z[0], 0.0) + jnp.where(z[0] <= z[1], z[1], z[0]),
     "missing?": lambda z: jnp.where(jnp.isnan(z[0]), 0.0, z[0]) + jnp.where(jnp.isfinite(z[1]), z[1], 0.0),

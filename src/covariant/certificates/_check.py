@@ -155,15 +155,15 @@ def sizes(document: Document) -> np.ndarray:
 def _jobs(document: Document) -> Iterator[tuple]:
     """What is to be shown, and on which boxes: the force, that all is defined, the leaves of claims."""
     given, n = _given(document), len(document.velocity)
-    for what in ("the bound of the force", "that the force is defined"):
+    for what in ("the bound of the force", "the definedness of the force"):
         yield what, *given[:, None]
     if document.given.noise.any():
         still = np.concatenate([given, np.zeros((2, n))], axis=1)
-        for what in ("the bound of the force's slopes", "that the force has slopes"):
+        for what in ("the bound of the force's slopes", "the smoothness of the force"):
             yield what, *still[:, None]
     pins = np.zeros((2, 2 * n + 1))
     yield (
-        "that the observer is defined and does not jump",
+        "the definedness of the observer, without jumps,",
         *np.concatenate([[document.low, document.high], pins], axis=1)[:, None],
     )
     for index, claim in enumerate(document.claims):
@@ -220,10 +220,10 @@ def _matrix(statement: Statement, what: int | str) -> Enclosure:
     claimed, allowed = (low[-n:] + unknown - room, high[-n:] - unknown + room), steep * (1 + ROOM) + 1e-200
     function, box, watch = {
         "the bound of the force": (matrices.within(force, *claimed), given, ""),
-        "that the force is defined": (force, given, "defined"),
+        "the definedness of the force": (force, given, "defined"),
         "the bound of the force's slopes": (matrices.within(slopes, -allowed, allowed), still, ""),
-        "that the force has slopes": (matrices.stepped(model, shape, n), still, "smooth"),
-        "that the observer is defined and does not jump": (matrices.everything(about), pinned, "smooth"),
+        "the smoothness of the force": (matrices.stepped(model, shape, n), still, "smooth"),
+        "the definedness of the observer, without jumps,": (matrices.everything(about), pinned, "smooth"),
     }[what]
     return Enclosure(function, *box, np.zeros(box.shape[1]), watch)
 
