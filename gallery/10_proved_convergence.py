@@ -31,7 +31,6 @@ certificate = certificates.certify(
     rate=0.1,  # 1/s, of squared lengths
     q=certificates.lyapunov(alpha, beta),  # the metric of the paper
     recipe=models.recipe("ball_and_beam"),
-    seconds=100.0,
 )
 print(f"{certificate.summary.verdict}: {certificate.summary.statement}")
 print(f"{certificate.boxes} boxes in {certificate.seconds:.1f} s, all of them in the file")

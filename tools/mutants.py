@@ -28,6 +28,7 @@ import warnings
 from collections import Counter
 from pathlib import Path
 
+import pytest
 from mutations import ROOMS, ROOT, SOURCE, Mutant, draw, mutants_of
 
 EQUIVALENT = Path(__file__).parent / "equivalent_mutants.toml"
@@ -91,10 +92,16 @@ def accepted() -> dict[tuple[str, str, str], str]:
 
 
 class _Watch:
-    """Plugin that notes which test fails first, and how long each file takes."""
+    """Plugin that takes the files in their order, and notes which test fails first and how long each file takes."""
 
-    def __init__(self, package: Path):
+    def __init__(self, package: Path, tests: list[str]):
         self.package, self.failed, self.seconds = package, "", Counter()
+        self.files = [test.split("::")[0] for test in tests]
+
+    @pytest.hookimpl(trylast=True)
+    def pytest_collection_modifyitems(self, items):
+        # Pytest itself goes by the parameters of fixtures, from one file to another and back.
+        items.sort(key=lambda item: self.files.index(item.nodeid.split("::")[0]))
 
     def pytest_collection_finish(self):
         found = importlib.import_module("covariant").__file__
@@ -130,7 +137,7 @@ class Workshop:
         sys.stdout.flush()
         child = os.fork()
         if not child:
-            self._run(["-x", *tests] if mutant else tests, note)
+            self._run(tests, ["-x"] if mutant else [], note)
         status = None
         try:
             while status is None and time.monotonic() - began < limit:
@@ -146,7 +153,7 @@ class Workshop:
         told = json.loads(note.read_text()) if note.exists() else {"failed": f"exit status {status}", "seconds": {}}
         return {"status": status, "total": time.monotonic() - began, **told}
 
-    def _run(self, arguments: list[str], note: Path) -> None:
+    def _run(self, tests: list[str], options: list[str], note: Path) -> None:
         """In the fork: the tests, on the package in this folder."""
         status = os.EX_SOFTWARE
         try:
@@ -157,9 +164,9 @@ class Workshop:
             os.dup2(output, 1), os.dup2(output, 2)
             sys.path.insert(0, str(self.package.parent))
             os.environ["PYTHONPATH"] = str(self.package.parent)
-            watch = _Watch(self.package)
+            watch = _Watch(self.package, tests)
             known = ["-W", "ignore::pytest.PytestAssertRewriteWarning"]  # some plugins are imported already
-            status = int(importlib.import_module("pytest").main(["-q", *known, *arguments], plugins=[watch]))
+            status = int(pytest.main(["-q", *known, *options, *tests], plugins=[watch]))
             note.write_text(json.dumps({"failed": watch.failed, "seconds": watch.seconds}))
         except BaseException:
             traceback.print_exc()

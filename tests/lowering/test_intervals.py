@@ -548,7 +548,7 @@ def test_nothing_is_known_where_a_function_is_not_defined_on_the_whole_box(op):
 
 
 BINARY = [op for op in ["add", "sub", "mul", "div", "min", "max", "pow", "atan2"] if op in INTERVALS]
-TRUTHS = ("lt", "le", "eq", "and", "or", "not", "is_finite", "select", "constant")
+TRUTHS = ("lt", "le", "eq", "and", "or", "not", "is_finite", "select", "either", "stumpff", "constant")
 SINGLE = [op for op in INTERVALS if op not in (*BINARY, *TRUTHS)]
 
 
@@ -636,8 +636,40 @@ EXACTLY = {
     "not": operator.not_,
     "is_finite": lambda x: True,
     "select": lambda p, a, b: a if p else b,
+    "either": lambda a, b, x, y: x if a < b else y,
+    "stumpff": lambda k, x: series(int(k), x),
 }
 """The operations of a graph on numbers of many digits."""
+
+
+def series(k, x):
+    """Stumpff's c_k, by its definition."""
+    return mpmath.nsum(lambda j: (-x) ** int(j) / mpmath.factorial(2 * int(j) + k), [0, 60])
+
+
+@pytest.mark.parametrize("k", range(13))
+def test_stumpffs_functions_stay_within_their_bounds(k):
+    """At points, over boxes, and beyond π², where they rise and fall."""
+    rng = np.random.default_rng(k)
+    low = np.concatenate([np.zeros(9), rng.uniform(0, 10, 60), rng.uniform(9, 200, 20), [math.pi**2, 9.869, 5e-324]])
+    high = low + np.concatenate([10.0 ** -np.arange(9.0) * 8, rng.choice([0, 1e-9, 0.1, 1.0], 60), np.ones(23)])
+    found = apply("stumpff", Interval(float(k), float(k)), Interval(low, high))
+    with mpmath.workdps(60):
+        for i in range(len(low)):
+            for share in (0.0, 0.3, 1.0):
+                x = mpmath.mpf(low[i]) + share * (mpmath.mpf(high[i]) - mpmath.mpf(low[i]))
+                assert holds(found, i, Fraction(str(series(k, x)))), (low[i], high[i])
+    thin = low == high
+    assert (found.high - found.low)[thin & (low < 9.8)].max() < 1e-13 / math.factorial(k)
+    assert np.isnan(apply("stumpff", Interval(1.0, 1.0), Interval(np.array([-1e-3]), np.ones(1))).low).all()
+    assert np.isnan(apply("stumpff", Interval(1.0, 1.0), unknown(2))).all()
+
+
+def test_a_slope_at_a_kink_is_all_between_both_sides():
+    a, b = Interval(np.array([0.0, 0.0, 1.0, 2.0]), np.array([0.5, 1.0, 2.0, 3.0])), thin(1.0, 1.0, 1.0, 1.0)
+    found = apply("either", a, b, thin(-1.0, -1.0, -1.0, -1.0), thin(3.0, 3.0, 3.0, 3.0))
+    assert found.low.tolist() == [-1.0, -1.0, -1.0, 3.0]  # touched from below, and from above, counts
+    assert found.high.tolist() == [-1.0, 3.0, 3.0, 3.0]
 
 
 def test_each_operation_has_an_interval():

@@ -206,8 +206,9 @@ def test_known_numbers_are_folded_zeros_pruned_and_equal_parts_shared():
 def test_each_operation_has_a_number_and_folds_like_it():
     assert set(lowering.NUMBERS) == {*lowering.FOLD, "constant"}
     samples = {"acosh": (1.5,), "select": (True, 0.3, 0.4), "and": (True, False), "or": (True, False), "not": (True,)}
+    samples |= {"either": (0.3, -0.7, 1.0, 2.0), "stumpff": (3.0, 0.7)}
     for op, fold in lowering.FOLD.items():
-        arguments = samples.get(op, (0.3, -0.7))[: fold.nin if isinstance(fold, np.ufunc) else 3]
+        arguments = samples.get(op, (0.3, -0.7))[: fold.nin if isinstance(fold, np.ufunc) else 4]
         graph = lowering.Graph()
         folded = graph.nodes[graph.apply(op, *map(graph.constant, arguments))]
         assert folded.op == "constant"

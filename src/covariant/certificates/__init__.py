@@ -18,6 +18,7 @@ from covariant.certificates._contraction import (
 from covariant.certificates._craft import crossed_metric, feedthrough, tracking
 from covariant.certificates._distance import Decay, decay, lower_distance, upper_distance
 from covariant.certificates._falsify import falsify
+from covariant.certificates._form import Form
 from covariant.certificates._lmi import MetricDesign, common_metric, observer_gain
 from covariant.certificates._noise import error_bounds, noise_disturbance, steady_distance
 from covariant.certificates._observability import Observability, bending, detectability_rate, observability
@@ -43,6 +44,7 @@ __all__ = [
     "Constants",
     "ContractionCertificate",
     "Decay",
+    "Form",
     "Growth",
     "Law",
     "MetricDesign",

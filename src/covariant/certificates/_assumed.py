@@ -6,9 +6,11 @@ ASSUMED = (
     "the observer runs in continuous time",
     "the measured positions are exact up to the stated bound of the noise",
     "coordinates that the model calls circles are periodic",
+    "without an error the observer moves as the model, which `covariant audit` measures",
     "the code of the model is read as exact functions of real numbers, with its constants as they were computed",
     "the running observer does not round",
-    "trusted are JAX's tracing, the description of the observer that prover and checker share, and IEEE doubles in "
-    "NumPy: + − × ÷ √ and products of matrices",
+    "Stumpff's functions and logarithms of rotations are read as what they approximate",
+    "trusted are JAX's tracing, the description of the observer that prover and checker share, IEEE doubles in NumPy, "
+    "+ − × ÷ √ and products of matrices, and what is argued on paper: Theorem 1, and contraction of Lipschitz flows",
 )
 """Lines that `covariant certify --check` ends with."""

@@ -442,15 +442,17 @@ def _domain(
         low, high = (np.broadcast_to(np.asarray(side, float), (n,)).copy() for side in position)
         true = Box(model.coordinates, model.units, low, high)
         check_box(true)
-        measured = true._replace(low=low - noise, high=high + noise) if noise.any() else true
-        low, high = low - error, high + error
+        measured = true._replace(low=_below(low - noise), high=_above(high + noise)) if noise.any() else true
+        low, high = _below(low - error), _above(high + error)
     else:
         low, high = np.zeros(0), np.zeros(0)
         measured = true = check_box(_elements(model, position))
     inputs = _inputs(model, given_input, n)
     first, last = _times(times)
     # Between what acts and what the observer takes to act there may be all of the disturbance.
-    force = force_bounds(model, measured, inputs, (first, last)) + np.outer([-1.0, 1.0], disturbance) * (1 + 1e-12)
+    force = force_bounds(model, measured, inputs, (first, last))
+    if disturbance.any():
+        force = np.stack([_below(force[0] - disturbance), _above(force[1] + disturbance)])
     slopes = force_slopes(model, measured, inputs, (first, last)) if noise.any() else np.zeros((n, n))
     given = {
         "positions": {"low": true.low.tolist(), "high": true.high.tolist()},
@@ -462,7 +464,7 @@ def _domain(
     }
 
     def box(slack):
-        reach = velocity + slack
+        reach = _above(velocity + slack)
         return Box(
             about.names,
             about.units,
@@ -520,7 +522,16 @@ def limits_of(domain: Box, velocity, noise) -> Float[np.ndarray, "two_n"]:
     start = len(domain.low) - 3 * n
     speed, error = slice(start, start + n), slice(start + n, start + 2 * n)
     most = np.minimum(domain.high, -domain.low)
-    return np.concatenate([most[error] - noise, most[speed] - velocity])
+    return np.concatenate([_below(most[error] - noise) if noise.any() else most[error], _below(most[speed] - velocity)])
+
+
+def _below(x: np.ndarray) -> np.ndarray:
+    """What a sum or difference that was rounded to x cannot be less than."""
+    return np.nextafter(x, -np.inf)
+
+
+def _above(x: np.ndarray) -> np.ndarray:
+    return np.nextafter(x, np.inf)
 
 
 def seen_squares(about: Subject, domain: Box, count: int = 2000) -> Float[np.ndarray, "two_n"]:

@@ -155,14 +155,17 @@ def sizes(document: Document) -> np.ndarray:
 def _jobs(document: Document) -> Iterator[tuple]:
     """What is to be shown, and on which boxes: the force, that all is defined, the leaves of claims."""
     given, n = _given(document), len(document.velocity)
-    for what in ("force", "force is defined"):
+    for what in ("the bound of the force", "the definedness of the force"):
         yield what, *given[:, None]
     if document.given.noise.any():
         still = np.concatenate([given, np.zeros((2, n))], axis=1)
-        for what in ("slopes", "slopes are defined"):
+        for what in ("the bound of the force's slopes", "the smoothness of the force"):
             yield what, *still[:, None]
     pins = np.zeros((2, 2 * n + 1))
-    yield "everything is defined", *np.concatenate([[document.low, document.high], pins], axis=1)[:, None]
+    yield (
+        "the definedness of the observer, without jumps,",
+        *np.concatenate([[document.low, document.high], pins], axis=1)[:, None],
+    )
     for index, claim in enumerate(document.claims):
         boxes = leaves(document.low, document.high, claim.levels, f"claim {index}")
         for k in range(0, len(boxes[0]), SHARE):
@@ -216,11 +219,11 @@ def _matrix(statement: Statement, what: int | str) -> Enclosure:
     room, unknown, steep = _room(low, high)[-n:] / 2, document.given.disturbance, document.given.slopes.ravel()
     claimed, allowed = (low[-n:] + unknown - room, high[-n:] - unknown + room), steep * (1 + ROOM) + 1e-200
     function, box, watch = {
-        "force": (matrices.within(force, *claimed), given, ""),
-        "force is defined": (force, given, "defined"),
-        "slopes": (matrices.within(slopes, -allowed, allowed), still, ""),
-        "slopes are defined": (matrices.stepped(model, shape, n), still, "smooth"),
-        "everything is defined": (matrices.everything(about), pinned, "smooth"),
+        "the bound of the force": (matrices.within(force, *claimed), given, ""),
+        "the definedness of the force": (force, given, "defined"),
+        "the bound of the force's slopes": (matrices.within(slopes, -allowed, allowed), still, ""),
+        "the smoothness of the force": (matrices.stepped(model, shape, n), still, "smooth"),
+        "the definedness of the observer, without jumps,": (matrices.everything(about), pinned, "smooth"),
     }[what]
     return Enclosure(function, *box, np.zeros(box.shape[1]), watch)
 

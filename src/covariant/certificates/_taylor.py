@@ -102,7 +102,7 @@ ZERO, ONE, HALF, RIGHT = number(0.0), number(1.0), number(0.5), number(math.pi /
 
 
 @functools.cache
-def exact(x: float) -> Taylor:
+def exact(x: float | int) -> Taylor:
     """A known number."""
     return ZERO if x == 0 else ONE if x == 1 else number(np.float64(x))
 
@@ -116,7 +116,7 @@ def points(name: str, x: np.ndarray) -> np.ndarray:
         return 1 / x if name == "inv" else np.sqrt(x)
     if name.startswith("stumpff"):
         k = int(name[7:])
-        return functools.reduce(lambda total, j: 1 / math.factorial(2 * j + k) - x * total, range(24, -1, -1), 0.0)
+        return np.asarray(functools.reduce(lambda s, j: 1 / math.factorial(2 * j + k) - x * s, range(24, -1, -1), 0.0))
     if name in ("atan", "log"):  # twice the inverse tangent of half the angle; of a root near one
         for _ in range(3 if name == "atan" else 10):
             x = x / (1 + np.sqrt(1 + x * x)) if name == "atan" else np.sqrt(x)
@@ -304,7 +304,7 @@ def _between(a: Taylor) -> Any:
     return (below < a.middle - a.away) & (np.floor(a.middle + a.away) == below)
 
 
-def _settled_choice(which: bool | Taylor, *cases: Taylor) -> Any:
+def _settled_choice(which: Any, *cases: Taylor) -> Any:
     return True if isinstance(which, bool | np.bool_) else abs(which.middle - 0.5) > which.away
 
 

@@ -164,6 +164,11 @@ class Graph:
         for kind, node in _needs(self, op, arguments, nodes):
             self._condition(kind, node, op)
 
+    def need_between(self, low: float, node: int, high: float) -> None:
+        """Note that a number must be above one number and below another."""
+        for pair in ((self.constant(low), node), (node, self.constant(high))):
+            self._condition("true", self.apply("lt", *pair), "whole number")
+
     def _condition(self, kind: Kind, node: int, op: str) -> None:
         known = self.nodes[node]
         # A number that is known neither passes a whole one nor jumps.

@@ -165,6 +165,8 @@ class _Interpreter:
         for eqn in jaxpr.eqns:
             self.graph.line = functools.partial(_line, eqn, outer)
             found = self.equation(eqn, [read(atom) for atom in eqn.invars])
+            if self.graph.real:
+                self.bounded(eqn, found)
             known.update(zip(eqn.outvars, found, strict=True))
         return [read(atom) for atom in jaxpr.outvars]
 
@@ -183,6 +185,14 @@ class _Interpreter:
         if name in _NOT_ON_INTEGERS and jnp.issubdtype(eqn.invars[0].aval.dtype, jnp.integer):
             raise LoweringError(f"'{name}' on integers that depend on the arguments has no graph of real numbers")
         return _RULES[name](self, eqn, values)
+
+    def bounded(self, eqn, values: list[Value]) -> None:
+        """Note that whole numbers stay within their type, beyond which they would begin again at its other end."""
+        for atom, value in zip(eqn.outvars, values, strict=True):
+            if isinstance(value, Scalars) and jnp.issubdtype(atom.aval.dtype, jnp.integer):
+                limits = jnp.iinfo(atom.aval.dtype)
+                for node in set(value.ids.ravel().tolist()):
+                    self.graph.need_between(float(limits.min) - 1, node, float(limits.max) + 1)
 
     def call(self, inner, values: list[Value]) -> list[Value]:
         closed = inner if hasattr(inner, "jaxpr") else core.ClosedJaxpr(inner, ())

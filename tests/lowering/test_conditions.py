@@ -1,0 +1,194 @@
+"""Where a function of real numbers is defined and does not jump, and that its graph forgets neither."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from covariant.lowering import (
+    NUMBERS,
+    Derivative,
+    Graph,
+    LoweringError,
+    enclose,
+    evaluate,
+    expand,
+    fulfilled,
+    lower,
+    numbers,
+    substitute,
+)
+
+
+def everywhere(function, low, high):
+    """Whether all conditions of a function of (x, y) are shown over one box."""
+    lowered = lower(function, jnp.zeros(2), real=True)
+    return bool(fulfilled(lowered.conditions, np.array([low], float), np.array([high], float)).all())
+
+
+X = (0.25, 0.75), (0.5, 1.5)
+NEEDS = {
+    # a function, a box (x, y) on which it is defined, and one on which it is not, or just so
+    "quotient": (lambda z: 1 / z[0], X, ((0.0, 0.5), (0.25, 1.5))),
+    "difference of quotients": (lambda z: 1 / z[0] - 1 / z[0], X, ((-0.1, 0.5), (0.1, 1.5))),
+    "no part of a root": (lambda z: 0 * jnp.sqrt(z[0]), X, ((0.0, 0.5), (0.25, 1.5))),
+    "inverse root": (lambda z: jax.lax.rsqrt(z[0]), X, ((0.0, 0.5), (0.25, 1.5))),
+    "logarithm": (lambda z: jnp.log(z[0]), X, ((0.0, 0.5), (0.25, 1.5))),
+    "log1p": (lambda z: jnp.log1p(-z[0]), X, ((0.25, 0.5), (1.0, 1.5))),
+    "arc sine": (lambda z: jnp.arcsin(z[0]), X, ((0.25, 0.5), (1.0, 1.5))),
+    "arc cosine": (lambda z: jnp.arccos(-z[0]), X, ((0.25, 0.5), (1.0, 1.5))),
+    "area tangent": (lambda z: jnp.arctanh(z[0]), X, ((-1.0, 0.5), (0.0, 1.5))),
+    "area cosine": (lambda z: jnp.arccosh(1 + z[0]), X, ((0.0, 0.5), (0.1, 1.5))),
+    "cubic root": (lambda z: jnp.cbrt(z[0]), X, ((-0.1, 0.5), (0.0, 1.5))),
+    "tangent": (lambda z: jnp.tan(z[0]), X, ((1.5, 0.5), (1.6, 1.5))),
+    "real power": (lambda z: z[0] ** 1.5, X, ((0.0, 0.5), (0.25, 1.5))),
+    "power of a power": (lambda z: z[0] ** z[1], X, ((0.0, 0.5), (0.25, 1.5))),
+    "inverse square": (lambda z: z[0] ** -2, X, ((-0.5, 0.5), (0.0, 1.5))),
+    "angle on its cut": (lambda z: jnp.arctan2(z[0], -z[1]), X, ((0.0, 0.5), (0.25, 1.5))),
+    "angle at the origin": (lambda z: jnp.arctan2(z[0], z[1]), X, ((-0.1, 0.0), (0.1, 0.0))),
+    "sign": (lambda z: jnp.sign(z[0]), X, ((-0.1, 0.5), (0.0, 1.5))),
+    "floor": (lambda z: jnp.floor(z[0]), X, ((0.5, 0.5), (1.0, 1.5))),
+    "ceiling": (lambda z: jnp.ceil(z[0]), X, ((0.0, 0.5), (0.5, 1.5))),
+    "rounding": (lambda z: jnp.round(z[0]), ((0.1, 0.5), (0.4, 1.5)), ((0.4, 0.5), (0.5, 1.5))),
+    "whole part": (lambda z: z[0].astype(int).astype(float), X, ((0.5, 0.5), (1.0, 1.5))),
+    "choice": (lambda z: jnp.where(z[0] < 0.8, 1.0, 2.0), X, ((0.25, 0.5), (0.8, 1.5))),
+    "choice from above": (lambda z: jnp.where(z[0] >= 0.2, z[1], 2.0), X, ((0.2, 0.5), (0.25, 1.5))),
+    "choice without effect": (lambda z: 0 * jnp.where(z[0] < 0.8, 1.0, 2.0), X, ((0.25, 0.5), (0.8, 1.5))),
+    "exact equality": (lambda z: jnp.where(z[0] == 0, 1.0, 2.0), X, ((0.0, 0.5), (0.0, 1.5))),
+    "both of two": (
+        lambda z: jnp.where((z[0] > 0.1) & (z[1] > 0.1), 1.0, 2.0),
+        X,
+        ((0.1, 0.5), (0.2, 1.5)),
+    ),
+    "largest place": (lambda z: jnp.argmax(z).astype(float), ((0.1, 0.5), (0.2, 1.5)), ((0.1, 0.2), (0.2, 1.5))),
+    "place in a table": (
+        lambda z: jnp.array([1.0, 5.0, 9.0])[jnp.floor(z[0]).astype(int)],
+        X,
+        ((0.5, 0.5), (1.0, 1.5)),
+    ),
+    "inside a loop": (
+        lambda z: jax.lax.fori_loop(0, 2, lambda i, c: c + jnp.where(z[0] < 0.8, 1.0, 2.0), 0.0),
+        X,
+        ((0.25, 0.5), (0.8, 1.5)),
+    ),
+    "behind a stopped derivative": (
+        lambda z: jax.lax.stop_gradient(jnp.sign(z[0])),
+        X,
+        ((0.0, 0.5), (0.25, 1.5)),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", NEEDS)
+def test_what_is_defined_and_does_not_jump_is_shown_and_nothing_else(name):
+    function, good, bad = NEEDS[name]
+    assert everywhere(function, *good)
+    assert not everywhere(function, *bad)
+
+
+ALWAYS = {
+    "size": lambda z: jnp.abs(z[0]),
+    "minimum and maximum": lambda z: jnp.minimum(z[0], z[1]) + jnp.maximum(z[0], 0.0) + jnp.clip(z[1], -0.1, 0.1),
+    "rectified": lambda z: jax.nn.relu(z[0]),
+    "size by a choice": lambda z: jnp.where(z[0] < 0, -z[0], z[0]) + jnp.where(z[1] >= 0, z[1], -z[1]),
+    "size by the other choice": lambda z: jnp.where(z[0] > 0, z[0], -z[0]) + jnp.where(z[1] <= 0, -z[1], z[1]),
+    "smaller by a choice": lambda z: jnp.where(z[0] < z[1], z[0], z[1]) + jnp.where(z[0] > z[1], z[1], z[0]),
+    "larger by a choice": lambda z: jnp.where(z[0] > 0, z[0], 0.0) + jnp.where(z[0] <= z[1], z[1], z[0]),
+    "missing?": lambda z: jnp.where(jnp.isnan(z[0]), 0.0, z[0]) + jnp.where(jnp.isfinite(z[1]), z[1], 0.0),
+    "whole power": lambda z: z[0] ** 3 + z[1] ** 2.0,
+    "infinite bound": lambda z: jnp.clip(z[0], -jnp.inf, jnp.inf),
+    "slope of a maximum": lambda z: jnp.minimum(z[0], jnp.inf),
+}
+
+
+@pytest.mark.parametrize("name", ALWAYS)
+def test_what_is_continuous_by_construction_owes_nothing(name):
+    lowered = lower(ALWAYS[name], jnp.zeros(2), real=True)
+    assert lowered.conditions.conditions == ()
+    z = np.random.default_rng(0).normal(size=(200, 2))
+    np.testing.assert_allclose(numbers(lowered, z), jax.vmap(ALWAYS[name])(z), rtol=1e-15)
+
+
+@pytest.mark.parametrize(
+    "function",
+    [
+        lambda z: z[0] * jnp.nan * 0,
+        lambda z: z[0] + 0 * jnp.inf,
+        lambda z: z[0] / (jnp.inf * z[1] + 1),
+        lambda z: z[0] * jnp.exp(jnp.float64(800.0)) * 0,
+        lambda z: z[0] + jnp.sqrt(jnp.float64(-1.0)) * 0 * z[1],
+        lambda z: z[0] * 0 / (z[1] - z[1]),
+    ],
+)
+def test_what_is_no_number_is_never_defined(function):
+    assert not everywhere(function, (0.2, 0.2), (0.3, 0.3))
+
+
+def test_a_condition_names_the_operation_and_its_line():
+    def force(z):
+        return jnp.where(z[0] > 0, 1.0, -1.0) / z[1]
+
+    because = [c.because for c in lower(force, jnp.zeros(2), real=True).conditions.conditions]
+    assert len(because) == 2
+    for words, op in zip(sorted(because), ("div", "select"), strict=True):
+        assert words.startswith(f"{op} at test_conditions.py:")
+        assert "force" in words
+
+
+def test_numbers_that_are_made_shorter_are_refused_where_they_are_real():
+    for function in (
+        lambda x: x.astype(jnp.float32).astype(float),
+        lambda x: jax.lax.reduce_precision(x, exponent_bits=11, mantissa_bits=20),
+    ):
+        lower(function, jnp.zeros(()))
+        with pytest.raises(LoweringError, match=r"no function of real numbers"):
+            lower(function, jnp.zeros(()), real=True)
+    lower(lambda x: x.astype(float), jnp.zeros((), jnp.float32), real=True)
+
+
+def test_slopes_at_kinks_are_those_of_both_sides():
+    """Clarke's generalised derivative of |x| x + max(y, 0) + min(x, y), on boxes that touch the kinks or hold them."""
+
+    def function(z):
+        return jnp.abs(z[0]) + jnp.maximum(z[1], 0.0)
+
+    slopes = expand(lower(function, jnp.zeros(2), real=True), [0, 1], 1)
+    low, high = (
+        np.array([[0.0, 0.0], [0.0, -1.0], [-1.0, 0.1], [-1.0, -1.0]]),
+        np.array([[0.0, 1], [1, 0], [1, 2], [1, 1]]),
+    )
+    found = enclose(slopes, low, high)
+    assert found.low[:, 1].tolist() == [-1.0, -1.0, -1.0, -1.0]
+    assert found.high[:, 1].tolist() == [1.0, 1.0, 1.0, 1.0]
+    assert found.low[:, 2].tolist() == [0.0, 0.0, 1.0, 0.0]
+    assert found.high[:, 2].tolist() == [1.0, 1.0, 1.0, 1.0]
+    assert not found.smooth.any()
+    away = enclose(slopes, np.array([[0.1, -2.0]]), np.array([[1.0, -0.1]]))
+    assert away.smooth.all()
+    assert away.low[0, 1:].tolist() == away.high[0, 1:].tolist() == [1.0, 0.0]
+
+
+def test_a_kink_at_a_variable_that_became_a_number_keeps_both_slopes():
+    lowered = lower(lambda z: jnp.abs(z[0]), jnp.zeros(2), real=True)
+    graph = Graph.of(lowered.graph.nodes)
+    slope = Derivative(graph, {0: graph.constant(1.0)})(lowered.outputs[0])
+    into = Graph()
+    (node,) = substitute(graph, [slope], into, {0: into.constant(0.0), 1: into.input(1)})
+    assert into.nodes[node].op == "either"
+    (node,) = substitute(graph, [slope], into, {0: into.constant(-2.0), 1: into.input(1)})
+    assert into.nodes[node].value == -1.0
+
+
+def test_derivatives_along_a_direction_are_those_of_jax():
+    def function(z):
+        return jnp.sin(z[0]) * z[1] + z[0] ** 3 / (2 + z[1])
+
+    lowered = lower(function, jnp.zeros(2), real=True)
+    graph = Graph.of(lowered.graph.nodes)
+    x, y = graph.input(0), graph.input(1)
+    along = Derivative(graph, {0: y, 1: graph.apply("mul", x, x)})(lowered.outputs[0])
+    z = np.random.default_rng(1).uniform(0.1, 1, (20, 2))
+    small, outputs = graph.pruned([along])
+    found = evaluate(lowered._replace(graph=small, outputs=tuple(outputs)), NUMBERS, list(z.T))
+    wanted = jax.vmap(lambda z: jax.jvp(function, (z,), (jnp.stack([z[1], z[0] ** 2]),))[1])(z)
+    np.testing.assert_allclose(found[0], wanted, rtol=1e-13)
