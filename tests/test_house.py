@@ -38,7 +38,7 @@ OPTIONAL = (
 
 PUBLIC = {
     "certificates": "ASSUMED Audit Box CascadeCertificate Certificate Claim Constants ContractionCertificate Decay "
-    "Growth Law MetricDesign Observability Proof StateMetric Subject audit bending blocks box cascade certify "
+    "Form Growth Law MetricDesign Observability Proof StateMetric Subject audit bending blocks box cascade certify "
     "common_metric conditioning contraction contraction_matrix contraction_rate crossed_metric decay "
     "detectability_rate error_bounds error_matrix falsify feedthrough force_bounds generalised_jacobian "
     "in_coordinates in_frame log_norm lower_distance lyapunov noise_disturbance observability "

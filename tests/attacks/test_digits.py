@@ -101,8 +101,8 @@ def test_friction_whose_weight_wraps_around_is_never_proved(name):
 
 
 NONE = {
-    "complex numbers": lambda x: (x * (1 + 0j)).real + 2,
-    "sizes of complex numbers": lambda x: jnp.abs(x * 1j + 1),
+    "complex numbers": lambda x: jax.lax.complex(x, x).real + 2,
+    "sizes of complex numbers": lambda x: jnp.abs(jax.lax.complex(x + 1, x)),
     "keys of random numbers": lambda x: x + jax.random.uniform(jax.random.key(0)) + 2,
     "bits": lambda x: jnp.bitwise_and.reduce(jnp.stack([whole(x, 6), whole(x, 3)])).astype(float),
     "what Python computes": lambda x: jax.pure_callback(

@@ -55,7 +55,7 @@ def disturbance(about: Subject, sizes: np.ndarray, square: float) -> Matrix:
     def matrix(z):
         point, t = about.at(z), jnp.zeros(())
         push = jax.jacfwd(plain(lambda at: about.at(at).flow(t, point.x)))(z)
-        b = jnp.concatenate([push[:, -2 * n : -n] @ point.offset(), push[:, -n:]], axis=1) * sizes
+        b = jnp.concatenate([push[:, -2 * n : -n] @ point.offset(), push[:, -n:]], axis=1) * sizes[None]
         b = point.metric.coframe(t, point.x) @ b
         return square * jnp.eye(2 * n) - b.T @ point.metric.gram(t, point.x) @ b
 

@@ -145,7 +145,7 @@ def disturbed(subject: Subject, sizes: Float[np.ndarray, "two_n"], square: float
         return coframe, gram, offset, slopes.each(flow, range(last - 2 * n, last))
 
     def formula(coframe, gram, offset, change):
-        moved = jnp.concatenate([change[:, :n] @ offset, change[:, n:]], axis=1) * jnp.asarray(sizes)
+        moved = jnp.concatenate([change[:, :n] @ offset, change[:, n:]], axis=1) * jnp.asarray(sizes)[None]
         return square * jnp.eye(2 * n) - (coframe @ moved).T @ gram @ (coframe @ moved)
 
     def numbers(z):

@@ -92,6 +92,8 @@ COMMUTATIVE = {"add", "mul", "min", "max", "eq", "and", "or"}
 
 ANYTHING = {"lt", "le", "eq", "and", "or", "not", "is_finite", "select", "min", "max"}
 """Operations that may meet what is infinite."""
+CHOICES = {"select", "min", "max", "either"}
+"""Operations that may hand it on."""
 
 
 class Graph:
@@ -106,6 +108,7 @@ class Graph:
         self.real = real
         self.conditions: dict[tuple[Kind, int], Condition] = {}
         self.line: Callable[[], str] = str
+        self._endless: set[int] = set()  # nodes that are infinite, or no number, where a choice takes such a value
         self._known: dict[tuple, int] = {}
 
     @classmethod
@@ -134,8 +137,15 @@ class Graph:
     def apply(self, op: str, *arguments: int) -> int:
         """The node of an operation, folded where its arguments are constants, simplified as real numbers allow."""
         nodes = [self.nodes[a] for a in arguments]
-        if self.real:
-            self._note(op, arguments, nodes)
+        if not self.real:
+            return self._applied(op, arguments, nodes)
+        self._note(op, arguments, nodes)
+        found = self._applied(op, arguments, nodes)
+        if op in CHOICES and any(self._is_endless(a) for a in arguments):
+            self._endless.add(found)
+        return found
+
+    def _applied(self, op: str, arguments: tuple[int, ...], nodes: list[Node]) -> int:
         if op == "either":
             return self._either(*arguments)
         if all(node.op == "constant" for node in nodes):
@@ -163,6 +173,14 @@ class Graph:
         """Note what an operation needs, as far as it is not known to be so."""
         for kind, node in _needs(self, op, arguments, nodes):
             self._condition(kind, node, op)
+        if op not in ANYTHING:
+            for a in arguments:
+                if a in self._endless:
+                    self._condition("true", self._add(("is_finite", a), Node("is_finite", (a,))), op)
+
+    def _is_endless(self, node: int) -> bool:
+        value = self.nodes[node].value if self.nodes[node].op == "constant" else 0.0
+        return node in self._endless or (value is not None and not math.isfinite(value))
 
     def need_between(self, low: float, node: int, high: float) -> None:
         """Note that a number must be above one number and below another."""
@@ -244,10 +262,15 @@ class Graph:
     def _simplify_real(self, op: str, arguments: tuple[int, ...]) -> int | None:
         """What holds for real numbers only. A choice that comes down to |x|, min or max is one that does not jump."""
         match op, arguments:
-            case "is_finite", _:
+            case "is_finite", (a,) if not self._is_endless(a):
                 return self.constant(True)
-            case "eq", (a, b) if a == b:
+            case "eq", (a, b) if a == b and not self._is_endless(a):
                 return self.constant(True)
+            case "min" | "max", (a, b):  # a bound that is none
+                none = np.inf if op == "min" else -np.inf
+                for one, other in ((a, b), (b, a)):
+                    if self.nodes[other].op == "constant" and self.nodes[other].value == none:
+                        return one
             case "eq", (a, b):
                 for one, other in ((a, b), (b, a)):  # a = max(a, c), as in the derivative of max
                     node = self.nodes[other]
@@ -324,7 +347,7 @@ def _needs(graph: Graph, op: str, x: tuple[int, ...], nodes: list[Node]) -> Iter
             yield less(number(-1.0), x[0])
             yield less(x[0], number(1.0))
         case "cbrt" | "sign":
-            yield apart(x[0], number(0.0))
+            yield "decided", graph.apply("lt", x[0], number(0.0))
         case "tan":
             yield apart(graph.apply("cos", x[0]), number(0.0))
         case "atan2":  # off its cut, the negative half-axis with the origin

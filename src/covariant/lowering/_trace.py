@@ -22,6 +22,8 @@ from covariant.lowering._graph import Condition, Graph
 
 MOST_PLACES = 64
 """Places that an index which depends on the arguments may have."""
+EXACT = 2.0**53
+"""Whole numbers below this are doubles, each of them."""
 MOST_ITERATIONS = 100_000
 """Iterations of a loop that is unrolled, before it counts as endless."""
 
@@ -172,6 +174,7 @@ class _Interpreter:
 
     def equation(self, eqn, values: list[Value]) -> list[Value]:
         name, parameters = eqn.primitive.name, eqn.params
+        _need_reals(eqn, self.graph.real)
         if name in _CALLS:
             return self.call(parameters[_CALLS[name]], values)
         if name in ("scan", "while", "cond"):
@@ -191,8 +194,11 @@ class _Interpreter:
         for atom, value in zip(eqn.outvars, values, strict=True):
             if isinstance(value, Scalars) and jnp.issubdtype(atom.aval.dtype, jnp.integer):
                 limits = jnp.iinfo(atom.aval.dtype)
-                for node in set(value.ids.ravel().tolist()):
-                    self.graph.need_between(float(limits.min) - 1, node, float(limits.max) + 1)
+                self.within(value, max(float(limits.min) - 1, -EXACT), min(float(limits.max) + 1, EXACT))
+
+    def within(self, value: Scalars, low: float, high: float) -> None:
+        for node in set(value.ids.ravel().tolist()):
+            self.graph.need_between(low, node, high)
 
     def call(self, inner, values: list[Value]) -> list[Value]:
         closed = inner if hasattr(inner, "jaxpr") else core.ClosedJaxpr(inner, ())
@@ -266,6 +272,18 @@ class _Interpreter:
 
 _NEUTRAL = {"add": 0.0, "mul": 1.0, "and": True, "or": False, "max": -np.inf, "min": np.inf}
 """What nothing sums up to."""
+
+
+def _need_reals(eqn, real: bool) -> None:
+    """Refuse what makes of numbers something else, and where they are `real`, what makes them shorter."""
+    name, given = eqn.primitive.name, [atom.aval.dtype for atom in eqn.invars if hasattr(atom.aval, "dtype")]
+    made = [atom.aval.dtype for atom in eqn.outvars if hasattr(atom.aval, "dtype")]
+    for dtype in made:
+        if not any(jnp.issubdtype(dtype, kind) for kind in (jnp.bool_, jnp.integer, jnp.floating)):
+            raise LoweringError(f"'{name}' makes {dtype}, which is no real number")
+    digits = [[jnp.finfo(t).nmant for t in types if jnp.issubdtype(t, jnp.floating)] for types in (given, made)]
+    if real and all(digits) and min(digits[1]) < max(digits[0]):
+        raise LoweringError(f"'{name}' makes numbers shorter, to {made[0]}, and is no function of real numbers")
 
 
 def _line(eqn, outer: Callable[[], str]) -> str:
@@ -535,21 +553,17 @@ def _clamp(run: _Interpreter, eqn, values: list) -> list[Value]:
 
 def _convert(run: _Interpreter, eqn, values: list) -> list[Value]:
     source, target = eqn.invars[0].aval.dtype, eqn.params["new_dtype"]
-    if run.graph.real and all(jnp.issubdtype(t, jnp.floating) for t in (source, target)) and _shorter(target, source):
-        raise LoweringError(f"a number made shorter, {source} to {target}, is no function of real numbers")
     kinds = [next(k for k in (jnp.bool_, jnp.integer, jnp.floating) if jnp.issubdtype(t, k)) for t in (source, target)]
     if kinds[0] == jnp.bool_ and kinds[1] != jnp.bool_:
         return [run.map("select", values[0], np.array(1.0), np.array(0.0))]
     if kinds == [jnp.floating, jnp.integer]:  # towards zero
         negative = run.map("lt", values[0], np.array(0.0))
         return [run.map("select", negative, run.map("ceil", values[0]), run.map("floor", values[0]))]
+    if kinds == [jnp.integer, jnp.floating] and run.graph.real:  # of which it must be able to tell each
+        run.within(values[0], *(sign * 2.0 ** (jnp.finfo(target).nmant + 1) for sign in (-1, 1)))
     if kinds[1] == jnp.bool_ and kinds[0] != jnp.bool_:
         return [run.map("not", run.map("eq", values[0], np.array(0.0)))]
     return [values[0]]
-
-
-def _shorter(one, other) -> bool:
-    return jnp.finfo(one).nmant < jnp.finfo(other).nmant
 
 
 def _shortened(run: _Interpreter, eqn, values: list) -> list[Value]:
@@ -581,7 +595,7 @@ _ENTRYWISE = (
     "add sub mul div neg abs sign floor ceil min max pow sqrt cbrt log log1p exp expm1 sin cos tan asin acos atan "
     "atan2 sinh cosh tanh asinh acosh atanh lt le eq and or not is_finite"
 )
-_NOT_ON_INTEGERS = {"div", "pow", "and", "or", "not"}
+_NOT_ON_INTEGERS = {"div", "pow", "and", "or", "not", "reduce_and", "reduce_or"}
 """Primitives that round on integers, or work on their bits."""
 _RULES: dict[str, Rule] = {
     **{name: _entrywise(name) for name in _ENTRYWISE.split()},
