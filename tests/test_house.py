@@ -53,8 +53,8 @@ PUBLIC = {
     "geometry.lie": "SE2 SE3 SO2 SO3 SU AbstractGroup AbstractInertia Carried ExponentialChart Inertia LeftInvariant "
     "MatrixGroup Product munthe_kaas quaternion_from_rotation rotation_from_quaternion",
     "interop": "closed_loop observer_system plant",
-    "lowering": "FOLD INTERVALS NUMBERS STUMPFF Condition Conditions Derivative Domain Enclosure Graph Interval Lowered "
-    "LoweringError Node Truth enclose evaluate expand fulfilled graft lower numbers pairs stumpff substitute",
+    "lowering": "FOLD INTERVALS NUMBERS STUMPFF Condition Conditions Derivative Domain Enclosure Graph Interval "
+    "Lowered LoweringError Node Truth enclose evaluate expand fulfilled graft lower numbers pairs stumpff substitute",
     "logs": "ATTITUDES Body Columns Log LogError bodies matrices read to_columns write",
     "models": "GroupSystem Lagrangian ModelError ModelFile Motion Parameter StateSpace acceleration advance "
     "applied_force ball_and_beam bioreactor body_velocity check_metric check_model duffing energy "

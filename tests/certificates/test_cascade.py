@@ -180,7 +180,7 @@ def linear(matrix, form, names):
     def at(z):
         f = jnp.asarray(matrix) - z[0] * jnp.eye(n)
         metric: StateMetric = in_coordinates(lambda t, x: jnp.asarray(form))
-        return Point(lambda t, x: f @ x, metric, jnp.zeros(n), jnp.eye(n))
+        return Point(lambda t, x: f @ x, metric, jnp.zeros(n))
 
     return Subject(names, ("",), at)
 

@@ -361,7 +361,10 @@ FORGERIES = {
     ),
     "limit": (put("claims", 1, "limit", lambda w: 1.01 * w), "of room"),
     "square": (put("claims", 1, "square", lambda s: s / 4), r"claims\[1\] is not shown|may reach"),
-    "box beyond the metric": (bound("low", 0, lambda v: -v), "definedness of the observer, without jumps, is not shown"),
+    "box beyond the metric": (
+        bound("low", 0, lambda v: -v),
+        "definedness of the observer, without jumps, is not shown",
+    ),
     "box enlarged": (bound("high", 1, lambda v: 40 * v), r"claims\[0\] is not shown to hold where"),
     "box without the error": (bound("high", 0, lambda v: v - 0.01), "r may be .* which its box"),
     "force box": (bound("high", 3, lambda v: 0.5 * v), "the bound of the force is not shown"),

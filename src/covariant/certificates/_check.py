@@ -225,7 +225,8 @@ def _matrix(statement: Statement, what: int | str) -> Enclosure:
         "the smoothness of the force": (matrices.stepped(model, shape, n), still, "smooth"),
         "the definedness of the observer, without jumps,": (matrices.everything(about), pinned, "smooth"),
     }[what]
-    return Enclosure(function, *box, np.zeros(box.shape[1]), watch)
+    least, largest = box
+    return Enclosure(function, least, largest, np.zeros(len(least)), watch)
 
 
 def _room(low: np.ndarray, high: np.ndarray) -> np.ndarray:

@@ -42,8 +42,7 @@ def tracking(controller: Backstepping) -> Subject:
 
         zero = jnp.zeros((n, n), z.dtype)
         metric = jnp.block([[kp, zero], [zero, mass]])
-        state, own = jnp.concatenate([jnp.zeros_like(s), s]), jnp.eye(2 * n, dtype=z.dtype)
-        return Point(flow, in_coordinates(lambda t, x: metric), state, lambda: own, lambda: own)
+        return Point(flow, in_coordinates(lambda t, x: metric), jnp.concatenate([jnp.zeros_like(s), s]))
 
     rates = tuple(f"{unit}/s" for unit in craft.units)
     return Subject(

@@ -375,7 +375,7 @@ def _enclosed(task: _Task, low: np.ndarray, high: np.ndarray) -> _Enclosed:
     k, f = task.size * (task.size + 1) // 2, len(task.free)
     half = np.maximum(high - centre, centre - low)[:, task.free] * (1 + ROUND)
     smooth = on.smooth[:, None]
-    with np.errstate(invalid="ignore"):  # bounds of both signs that are infinite have no middle
+    with np.errstate(invalid="ignore", over="ignore"):  # infinite bounds of both signs have no middle
         value, slopes, terms, shares = _taylor_form(at, on, half, k)
         # A form with derivatives holds where these exist everywhere in the box.
         rest = np.where(smooth, (value.radius + shares.sum(axis=1)) * (1 + ROUND) + TINY, np.inf)

@@ -29,18 +29,22 @@ from covariant.observers import Geodesic, Group, Intrinsic
 Intrinsics = Intrinsic | Geodesic | Group
 
 
+def _nothing() -> Matrix:
+    return jnp.zeros((0, 0))
+
+
 class Point(NamedTuple):
     """What a point z of a region stands for: the flow with the measurement held, the metric, and a state x (2n,).
 
-    `reach()` (2n, 2n): the changes of position error and velocity that the vectors of the metric's frame bring.
-    `offset()` (n, n): the change of the position error that an error of the measurement brings, in its coordinates.
+    Of intrinsic observers, `reach()` (2n, 2n): the changes of position error and velocity that the vectors of the
+    metric's frame bring; `offset()` (n, n): the change of the position error that an error of the measurement brings.
     """
 
     flow: Callable[[Scalar, Vector], Array]
     metric: StateMetric
     x: Vector
-    reach: Callable[[], Matrix]
-    offset: Callable[[], Matrix]
+    reach: Callable[[], Matrix] = _nothing
+    offset: Callable[[], Matrix] = _nothing
 
 
 class Subject(NamedTuple):
@@ -297,11 +301,13 @@ def check_unique(observer: Intrinsics, error: Float[np.ndarray, "n"]) -> None:
             "approximate one, Intrinsic or Group(error='group')"
         )
     model = observer.model
-    rotations = [(i,) for i in model.circles] if isinstance(model, Lagrangian) else model.group.rotations
-    if rotations is None:
-        raise ValueError(
-            f"how far the logarithm of {type(model.group).__name__} is unique is not known; no proof there"
-        )
+    if isinstance(model, Lagrangian):
+        rotations = [(i,) for i in model.circles]
+    elif model.group.rotations is None:
+        group = type(model.group).__name__
+        raise ValueError(f"how far the logarithm of {group} is unique is not known; no proof there")
+    else:
+        rotations = model.group.rotations
     for turn in rotations:
         farthest = math.sqrt(math.fsum(float(error[i]) ** 2 for i in turn)) * (1 + 1e-12)
         if not farthest < math.pi * (1 - 1e-12):

@@ -44,7 +44,7 @@ def virtual(observer: Contracting, metric: OutputMetric | Numbers) -> Subject:
             return observer.virtual(t, y, u, measured + t * change)
 
         moving: StateMetric = in_coordinates(lambda t, y: field(measured + t * change, y))
-        return Point(flow, moving, x, *[lambda: jnp.eye(n, dtype=point.dtype)] * 2)
+        return Point(flow, moving, x)
 
     seen = dict(zip(model.coordinates, model.units, strict=False))
     units = [seen.get(name, "") for name in model.outputs]

@@ -428,17 +428,17 @@ def _strictly(a: Interval | Truth, b: Interval | Truth) -> Truth:
 def _on_steps(rule: Callable, otherwise: Callable) -> Callable:
     """A rule for numbers that are the same all around, and another for those that change."""
 
+    return lambda *arguments: (_stepping(rule) if all(isinstance(a, Step | Truth) for a in arguments) else otherwise)(
+        *arguments
+    )
+
+
+def _stepping(rule: Callable) -> Callable:
     def apply(*arguments: Any) -> Any:
-        if not all(isinstance(a, Step | Truth) for a in arguments):
-            return otherwise(*arguments)
         found = rule(*arguments)
         return Step(*found) if isinstance(found, Interval) else found
 
     return apply
-
-
-def _stepping(rule: Callable) -> Callable:
-    return lambda *arguments: Step(*rule(*arguments))
 
 
 def _same(a: Any, b: Any) -> Truth:
@@ -448,7 +448,7 @@ def _same(a: Any, b: Any) -> Truth:
 
 STRICT: Domain = {
     **{op: _on_steps(rule, rule) for op, rule in INTERVALS.items()},
-    "constant": lambda value: constant(value) if isinstance(value, bool | np.bool_) else Step(*constant(value)),
+    "constant": _stepping(constant),
     "lt": _on_steps(lt, _strictly),
     "le": _on_steps(le, _strictly),
     "eq": _on_steps(eq, _same),
