@@ -253,7 +253,7 @@ def _run_all(chosen: list[Mutant], workshop: Workshop, options: argparse.Namespa
         told = workshop.test(tests[mutant.file], mutant)
         expected = sum(unmutated["seconds"].get(test.split("::")[0], 0.0) for test in set(tests[mutant.file]))
         verdict, (old, new) = judge(mutant, told, expected, reasons), mutant.diff()
-        by = f" by {told['failed']}" if verdict == "killed" else ""
+        by = f" by {told['failed'] or 'its import'}" if verdict == "killed" else ""
         word = verdict.upper() if verdict == "survived" else verdict
         print(f"{word:9} {told['total']:5.1f} s  {mutant.id}{by}", flush=True)
         entry = {"id": mutant.id, "verdict": verdict, "by": told["failed"], "seconds": told["total"]}
