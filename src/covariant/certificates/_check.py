@@ -97,6 +97,9 @@ def follows(document: Document, model: Any = None) -> Statement:
             observer, q = observer_from(document, model)
             statement = Statement(document, observer, subject(observer, q))
             _complete(statement)
+            # What takes longest comes last.
+            found = value_graph(statement.about)
+            _need(document.graph == found, "graph: it must be the one that the observer has")
             return statement
     except Exception as error:  # somebody's model may fail in any way while it is traced
         kind = "" if isinstance(error, ValueError) else f"recipe: the model fails: {type(error).__name__}: "
@@ -116,7 +119,6 @@ def _complete(statement: Statement) -> None:
     for key, wanted in (("positions", places), ("inputs", m)):
         found = getattr(document.given, key).shape[1]
         _need(found == wanted, f"given.{key}: the model has {wanted}; bounds are there of {found}")
-    _need(document.graph == value_graph(about), "graph: it must be the one that the observer has")
     check_unique(observer, np.maximum(high, -low)[-2 * n : -n])
     noise, disturbed = document.given.noise, any(claim.kind == "disturbance" for claim in claims)
     _need(noise.any() or not document.given.slopes.any(), "given.slopes: they must be 0 where there is no noise")

@@ -1,0 +1,175 @@
+"""The checker alone: what a prover that was blind, or a liar, would have certified it refuses.
+
+A certificate of a harmless mass on a line is presented as one of another model. What differs in the graph that the file
+holds is overlooked on purpose: the refusal has to come from the checker's own reading of the model.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from covariant import models
+from covariant.certificates import _check, _prove, certify
+from covariant.certificates._check import check
+from covariant.certificates._document import parse
+from covariant.geometry import lie
+from covariant.observers import Group, Intrinsic
+
+RECIPE = {"attribute": "somebody:s", "parameters": {}}
+
+
+def line(dissipation=None, metric=lambda q: jnp.eye(1), force=None, potential=lambda q: 0 * q[0]):
+    return models.Lagrangian(metric, potential, force, dissipation, coordinates=("x",), units=("m",))
+
+
+def certified(model, **more):
+    given = {"velocity": 1.0, "error": 0.1, "position": (-1.0, 1.0), "input": 0.5} | more
+    found = certify(Intrinsic(model, 10.0, 50.0), **given, recipe=RECIPE)
+    assert found.summary.verdict == "holds"
+    return found
+
+
+@pytest.fixture(scope="module")
+def harmless(tmp_path_factory):
+    return certified(line(lambda q, v: -v)).save(tmp_path_factory.mktemp("line") / "harmless.json")
+
+
+def shown_as(path, model, monkeypatch):
+    """Check a certificate as one of another model, whose graph is not compared."""
+    graph = parse(path).graph
+    monkeypatch.setattr(_check, "value_graph", lambda about: graph)
+    return check(path, model=model)
+
+
+@jax.custom_jvp
+def braking(v):
+    """Says that it brakes, and drives."""
+    return 50.0 * v
+
+
+@braking.defjvp
+def _(primals, tangents):
+    return braking(*primals), -tangents[0]
+
+
+@jax.custom_vjp
+def secret(v):
+    return 50.0 * v
+
+
+secret.defvjp(lambda v: (secret(v), None), lambda _, g: (-g,))
+
+FALSE = {
+    "a step": (lambda q, v: -v + 50 * jnp.where(v > 0, 1.0, -1.0), "definedness of the observer"),
+    "a step at the border": (lambda q, v: -v + 50 * jnp.where(q >= 1.1, 1.0, -1.0), "definedness of the observer"),
+    "a sign": (lambda q, v: -v + 50 * jnp.sign(v), "definedness of the observer"),
+    "whole numbers": (lambda q, v: -v + 50 * jnp.floor(q), "definedness of the observer"),
+    "rounding": (lambda q, v: -v + 50 * jnp.round(q), "definedness of the observer"),
+    "no part of a root": (lambda q, v: -v + 0 * jnp.sqrt(q), "definedness of the observer"),
+    "no part of an inverse root": (lambda q, v: -v + 0 * jax.lax.rsqrt(q), "definedness of the observer"),
+    "no part of a logarithm": (lambda q, v: -v + 0 * jnp.log(1 + q), "definedness of the observer"),
+    "difference of quotients": (lambda q, v: -v + 1 / q - 1 / q, "definedness of the observer"),
+    "no part of an inverse square": (lambda q, v: -v + 0 * q**-2, "definedness of the observer"),
+    "no part of a real power": (lambda q, v: -v + 0 * q**1.5, "definedness of the observer"),
+    "no part of an angle": (lambda q, v: -v + 0 * jnp.arctan2(q, v - 2), "definedness of the observer"),
+    "no part of a tangent": (lambda q, v: -v + 0 * jnp.tan(q + 1), "definedness of the observer"),
+    "no part of an infinity": (lambda q, v: -v + 0 * jnp.where(q > -5, jnp.inf, 1.0), "definedness of the observer"),
+    "a driving kink": (lambda q, v: -v + 50 * jnp.maximum(v, 0.0), r"claims\[0\] is not shown"),
+    "a driving size": (lambda q, v: 25 * jnp.abs(v), r"claims\[0\] is not shown"),
+    "a driving clip": (lambda q, v: 50 * jnp.clip(v, -0.1, 0.1), r"claims\[0\] is not shown"),
+    "a stopped derivative": (lambda q, v: jax.lax.stop_gradient(51 * v) - v, r"claims\[0\] is not shown"),
+    "a declared derivative": (lambda q, v: braking(v), r"claims\[0\] is not shown"),
+    "a declared pullback": (lambda q, v: secret(v), r"claims\[0\] is not shown"),
+    "declared in a loop": (
+        lambda q, v: jax.lax.scan(lambda c, _: (braking(c) / 50, None), 50 * v, None, length=2)[0],
+        r"claims\[0\] is not shown",
+    ),
+    "fewer digits": (lambda q, v: -v.astype(jnp.float32).astype(float), "makes numbers shorter"),
+    "fewer bits": (
+        lambda q, v: -jax.lax.reduce_precision(v, exponent_bits=11, mantissa_bits=20),
+        "makes numbers shorter",
+    ),
+    "driven": (lambda q, v: 50 * v, r"claims\[0\] is not shown"),
+}
+
+
+@pytest.mark.parametrize("name", FALSE)
+def test_the_checker_sees_for_itself(harmless, monkeypatch, name):
+    dissipation, reason = FALSE[name]
+    monkeypatch.setattr(_check, "DEPTH", 2)
+    monkeypatch.setattr(_check, "DEEPEST", 12)
+    every = _check._jobs
+    seen = ("the definedness of the observer, without jumps,", 0)  # the others say nothing about friction
+    monkeypatch.setattr(_check, "_jobs", lambda document: (job for job in every(document) if job[0] in seen))
+    with pytest.raises(ValueError, match=reason):
+        shown_as(harmless, line(dissipation), monkeypatch)
+
+
+def test_another_force_is_not_within_its_bounds_or_not_defined(harmless, monkeypatch):
+    monkeypatch.setattr(_check, "DEEPEST", 12)
+    for force, reason in (
+        (lambda t, q, u: u + q, "bound of the force is not shown"),
+        (lambda t, q, u: u + 0 * jnp.sqrt(q), "definedness of the force is not shown"),
+    ):
+        with pytest.raises(ValueError, match=reason):
+            shown_as(harmless, line(lambda q, v: -v, force=force), monkeypatch)
+    jumping = line(lambda q, v: -v, force=lambda t, q, u: jnp.where(q > 0, u, u / 2))
+    assert shown_as(harmless, jumping, monkeypatch).leaves  # a known force may
+
+
+def test_a_harmless_certificate_is_found_right(harmless, monkeypatch):
+    assert shown_as(harmless, line(lambda q, v: -v), monkeypatch).leaves
+    monkeypatch.undo()
+    with pytest.raises(ValueError, match="graph: it must be the one that the observer has"):
+        check(harmless, model=line(lambda q, v: -2 * v))
+
+
+KINKS = {
+    "drag": lambda q, v: -v * jnp.abs(v),
+    "one-sided": lambda q, v: -jnp.maximum(v, 0.0) - v,
+    "saturated": lambda q, v: -jnp.clip(v, -0.5, 0.5),
+}
+
+
+@pytest.mark.parametrize("name", KINKS)
+def test_kinks_that_brake_are_proved_and_checked(tmp_path, name):
+    model = line(KINKS[name])
+    assert check(certified(model).save(tmp_path / "kink.json"), model=model).leaves
+
+
+def test_noise_and_its_slopes_are_checked(tmp_path, monkeypatch):
+    """A certificate for a soft spring says nothing about a stiff one, though the force stays within the same bounds."""
+    soft = line(lambda q, v: -v, potential=lambda q: 2 * q[0] ** 2)
+    path = certified(soft, noise=1e-3, disturbance=0.01).save(tmp_path / "noisy.json")
+    assert check(path, model=soft).leaves
+    monkeypatch.setattr(_check, "DEEPEST", 12)
+    steep = line(lambda q, v: -v, force=lambda t, q, u: u + jnp.sin(60 * q))
+    with pytest.raises(ValueError, match="bound of the force's slopes is not shown"):
+        shown_as(path, steep, monkeypatch)
+    hidden = line(lambda q, v: -v, force=lambda t, q, u: u + jax.lax.stop_gradient(jnp.sin(60 * q)))
+    with pytest.raises(ValueError, match="bound of the force's slopes is not shown"):
+        shown_as(path, hidden, monkeypatch)
+    jumping = line(lambda q, v: -v, force=lambda t, q, u: u + jnp.where(q > 0, 1.0, -1.0))
+    with pytest.raises(ValueError, match="smoothness of the force is not shown"):
+        shown_as(path, jumping, monkeypatch)
+
+
+def test_a_rotation_that_jumps_at_the_estimate_is_refused_by_prover_and_checker(tmp_path, monkeypatch):
+    """In the chart about the estimate the jump is at a variable that is held fixed."""
+
+    def step(g, v):
+        return -v + 50 * jnp.where(v > 0, 1.0, -1.0)
+
+    def wheel(dissipation):
+        return models.GroupSystem(lie.SO2, np.eye(1), dissipation=dissipation)
+
+    given = {"velocity": 1.0, "error": 0.1, "recipe": RECIPE}
+    assert certify(Group(wheel(step), 10.0, 50.0), **given).summary.verdict == "undecided"
+    honest = _prove._reason
+    monkeypatch.setattr(_prove, "_reason", lambda formed, domain: "")
+    careless = certify(Group(wheel(step), 10.0, 50.0), **given)
+    monkeypatch.setattr(_prove, "_reason", honest)
+    assert careless.summary.verdict == "holds"
+    with pytest.raises(ValueError, match="definedness of the observer, without jumps, is not shown"):
+        check(careless.save(tmp_path / "careless.json"), model=wheel(step))
