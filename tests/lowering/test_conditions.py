@@ -223,7 +223,7 @@ def build(graph, leaves, program):
 @given(st.lists(st.tuples(st.sampled_from(BINARY + UNARY), st.integers(0, 99), st.integers(0, 99)), max_size=14))
 @settings(max_examples=400)
 def test_where_the_conditions_hold_nothing_was_lost_by_simplifying(program):
-    """Plain arithmetic on the machine is finite there, and has the values of the simplified graph; and it does not jump.
+    """There, plain arithmetic on the machine is finite, has the values of the simplified graph, and does not jump.
 
     Without the conditions, `0 · √−1.3` would be 0, and `∞ − ∞` too.
     """

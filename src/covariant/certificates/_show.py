@@ -411,7 +411,7 @@ def _stays_inside(
 def _across(certificate, side, start, shown, angle):
     """A change of the state `start` in the plane of one position error and the change of velocity."""
     point, t = certificate.subject.at(side.place(start)), jnp.zeros(())
-    rows = point.reach[jnp.array([shown, shown + side.n])]
+    rows = point.reach()[jnp.array([shown, shown + side.n])]
     widest = jnp.linalg.solve(point.metric.gram(t, point.x), rows.T)
     along = widest / jnp.sqrt(jnp.sum(rows.T * widest, axis=0, keepdims=True))
     return point.metric.frame(t, point.x) @ (along @ jnp.array([jnp.cos(angle), jnp.sin(angle)]))

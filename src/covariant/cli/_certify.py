@@ -160,7 +160,7 @@ def _settings(spec: str, file: models.ModelFile, model, asked: Asked) -> tuple[d
         "q": _matrix(asked.q),
         "noise": _amounts("--noise", asked.noise, names),
         "disturbance": _amounts("--disturbance", asked.disturbance, names),
-        "boxes": int(_parse.above_zero("--boxes", asked.boxes)),
+        "boxes": int(_parse.above_zero("--boxes", float(asked.boxes))),
         "seconds": None if asked.seconds is None else _parse.above_zero("--seconds", asked.seconds),
         "processes": asked.processes or os.cpu_count() or 1,
     }
