@@ -43,7 +43,9 @@ def hook(event, arguments):
     if seen is not None and event in WATCHED:
         caller = sys._getframe(1).f_globals.get("__name__", "")
         written = event == "exec" and caller.partition(".")[0] in WRITERS
-        source = event == "open" and str(arguments[0]).endswith(".py") and arguments[1] == "r"  # lines for a traceback
+        # Lines for a traceback, of modules and of the program that was started.
+        lines = str(arguments[0]).endswith(".py") or caller == "tokenize"
+        source = event == "open" and lines and arguments[1] == "r"
         if not (written or source):
             seen.append((event, *map(repr, arguments), caller))
 
@@ -409,8 +411,11 @@ NAMED = {
     "no noise": (drop("given", "noise"), r"the key given\.'noise' is missing"),
     "noise below zero": (put("given", "noise", 0, -1e-9), r"given\.noise\[0\] must be 0 or larger"),
     "noise of one": (put("given", "noise", [0.0]), r"given\.noise must be a list of 2 entries"),
-    "noise that nothing is said of": (put("given", "noise", 0, 0.01), "given.noise: no claim about noise"),
-    "disturbance that nothing is said of": (put("given", "disturbance", 1, 0.01), "given.noise: no claim"),
+    "noise that nothing is said of": (put("given", "noise", 0, 0.01), "claims: one about a disturbance must be there"),
+    "disturbance that nothing is said of": (
+        put("given", "disturbance", 1, 0.01),
+        "claims: one about a disturbance must be there",
+    ),
     "times in disorder": (put("given", "times", [1.0, 0.0]), r"given\.times must be two times, the earlier"),
     "one time": (put("given", "times", [1.0]), r"given\.times must be a list of 2"),
     "positions in disorder": (put("given", "positions", "low", 0, 9.0), r"given\.positions\.high\[0\] must be 9 or"),
@@ -426,7 +431,7 @@ NAMED = {
     "box of a word": (put("box", "low", 0, "-0.22"), r"box\.low\[0\] must be a finite number"),
     "box of one bound less": (put("box", "high", lambda side: side[:-1]), r"box\.high must be a list of 8"),
     "box of other names": (put("box", "names", []), r"the key box\.'names' is not known"),
-    "no claims": (claims([]), "claims must be a list of 1 to 7 entries"),
+    "no claims": (claims([]), "claims must be a list of 1 to 6 entries"),
     "claims null": (claims(None), "claims must be a list"),
     "a claim less": (claims(lambda rows: rows[:-1]), "claims must be contraction, and reach of rows 0 to 3"),
     "contraction alone": (claims(lambda rows: rows[:1]), "claims must be contraction, and reach of rows 0 to 3"),
@@ -435,8 +440,8 @@ NAMED = {
         r"claims\[4\]\.row must be a whole number from 3 to 3",
     ),
     "claims in disorder": (claims(lambda rows: rows[::-1]), r"claims\[0\]\.kind must be one of 'contraction'"),
-    "a claim too many": (claims(lambda rows: [*rows, rows[1]]), r"claims\[5\]\.kind must be one of 'push'"),
-    "100 000 claims": (claims(lambda rows: rows[:1] * 100_000), "claims must be a list of 1 to 7 entries"),
+    "a claim too many": (claims(lambda rows: [*rows, rows[1]]), r"claims\[5\]\.kind must be one of 'disturbance'"),
+    "100 000 claims": (claims(lambda rows: rows[:1] * 100_000), "claims must be a list of 1 to 6 entries"),
     "claim null": (claims(lambda rows: [None, *rows[1:]]), r"claims\[0\] must be an object"),
     "claim of a kind that is none": (put("claims", 1, "kind", "safety"), r"claims\[1\]\.kind must be one of 'reach'"),
     "claim with a box": (put("claims", 0, "low", [0.0]), r"the key claims\[0\]\.'low' is not known"),
@@ -446,23 +451,29 @@ NAMED = {
     "square true": (put("claims", 1, "square", True), r"claims\[1\]\.square must be a finite number"),
     "limit below zero": (put("claims", 1, "limit", -0.02), r"claims\[1\]\.limit must be a positive number"),
     "limit beyond the box": (put("claims", 1, "limit", 1.0), r"claims\[1\]\.limit: row 0 reaches .* of room"),
-    "push of nothing": (
-        claims(lambda rows: [*rows, {"kind": "push", "size": 0.0, "levels": ["."]}]),
-        r"claims\[5\]\.size must be a positive number",
+    "disturbance of nothing": (
+        claims(lambda rows: [*rows, {"kind": "disturbance", "square": 0.0, "levels": ["."]}]),
+        r"claims\[5\]\.square must be a positive number",
     ),
-    "push that is not known": (
-        claims(lambda rows: [*rows, {"kind": "push", "size": 1.0, "levels": ["."]}]),
-        "no claim about noise, or about a disturbance, is known",
+    "disturbance where there is none": (
+        claims(lambda rows: [*rows, {"kind": "disturbance", "square": 1.0, "levels": ["."]}]),
+        "claims: one about a disturbance must be there, if there is any",
     ),
+    "slopes without noise": (
+        put("given", "slopes", 0, [1.0, 0.0]),
+        r"given\.slopes: they must be 0 where there is no noise",
+    ),
+    "slopes of one": (put("given", "slopes", [[0.0, 0.0]]), r"given\.slopes must be a list of 2"),
+    "slopes below zero": (put("given", "slopes", 1, [0.0, -1.0]), r"given\.slopes\[1\]\[1\] must be 0 or larger"),
     "levels in one string": (levels("."), r"claims\[0\]\.levels must be a list"),
     "no levels": (levels([]), r"claims\[0\]\.levels must be a list of 1 to 400 entries"),
-    "level a number": (levels(lambda rows: [*rows[:-1], 0]), r"claims\[0\]\.levels\[6\] must be"),
+    "level a number": (levels(lambda rows: [*rows[:-1], 0]), r"claims\[0\]\.levels\[5\] must be"),
     "level null": (levels(lambda rows: [None, *rows[1:]]), r"claims\[0\]\.levels\[0\] must be 1 of the letters"),
     "letter of no variable": (levels(["z"]), r"levels\[0\] must be 1 of the letters a to h, dots and question marks"),
     "letter of another alphabet": (levels(["а", ".."]), r"levels\[0\] must be 1 of the letters"),  # Cyrillic
-    "leaf dropped": (levels(lambda rows: [*rows[:-1], rows[-1][:-1]]), r"claims\[0\]\.levels\[6\] must be"),
-    "leaf added": (levels(lambda rows: [*rows[:-1], rows[-1] + "."]), r"claims\[0\]\.levels\[6\] must be"),
-    "leaf halved": (levels(lambda rows: [*rows[:-1], rows[-1][:-1] + "a", "."]), r"levels\[7\] must be 2 of the"),
+    "leaf dropped": (levels(lambda rows: [*rows[:-1], rows[-1][:-1]]), r"claims\[0\]\.levels\[5\] must be"),
+    "leaf added": (levels(lambda rows: [*rows[:-1], rows[-1] + "."]), r"claims\[0\]\.levels\[5\] must be"),
+    "leaf halved": (levels(lambda rows: [*rows[:-1], rows[-1][:-1] + "a", "."]), r"levels\[6\] must be 2 of the"),
     "level dropped": (levels(lambda rows: rows[:-1]), r"claims\[0\]\.levels must be levels down to the last boxes"),
     "level behind the last": (levels(lambda rows: [*rows, ""]), None),
     "two roots": (levels([".."]), r"claims\[0\]\.levels\[0\] must be 1 of"),
@@ -489,7 +500,7 @@ NAMED = {
     "graph of a word": (put("graph", "nodes", [["constant", "1"]]), r"graph\.nodes\[0\] must be"),
     "graph of a row too long": (put("graph", "nodes", [["select", 0, 0, 0, 0]]), r"graph\.nodes\[0\] must be"),
     "graph of an empty row": (put("graph", "nodes", [[]]), r"graph\.nodes\[0\] must be"),
-    "output that is none": (put("graph", "outputs", [0]), r"graph\.outputs\[0\] must be a whole number"),
+    "output that is none": (put("graph", "outputs", [10**6]), r"graph\.outputs\[0\] must be a whole number"),
     "graph of something else": (
         put("graph", {"nodes": [["constant", 1.0]], "outputs": [0]}),
         "graph: it must be the one that the observer has",

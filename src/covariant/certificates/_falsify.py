@@ -35,7 +35,7 @@ def falsify(
     where the rate is not a number.
     """
     check_box(domain)
-    both = changing(subject, lambda coframe, gram, change: jnp.concatenate([gram, change]), lambda z: z)
+    both = changing(subject, lambda coframe, gram, change: jnp.stack([gram, change]).ravel(), lambda z: z)
     value = both.graph(jnp.asarray(domain.low)).entries
     least, point = slowest(pencil(value, domain), domain, attempts, starts, seed)
     return Certificate(

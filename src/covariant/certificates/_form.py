@@ -11,9 +11,9 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
-from covariant._typing import Matrix, Vector
+from covariant._typing import Matrix
 from covariant.lowering import Conditions, Derivative, Graph, Lowered, graft, lower, substitute
 
 
@@ -34,7 +34,7 @@ class Form(NamedTuple):
     numbers: Callable[[Array], Array]
     graph: Callable[[Array], Formed]
 
-    def __call__(self, z: Vector) -> Matrix:
+    def __call__(self, z: Float[Array, "d"]) -> Matrix:
         return self.numbers(z)
 
     def then(self, formula: Callable[[Array], Array]) -> "Form":
