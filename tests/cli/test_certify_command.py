@@ -26,6 +26,9 @@ GAINS = ("--alpha", "10", "--beta", "50")
 REGION = ("--box", "q1=-1:1", "--velocity", "2", "--error", "0.1", "--input", "0.5")
 ONE = ("--processes", "1")
 
+QUIET = {"noise": [0.0], "disturbance": [0.0], "slopes": [[0.0]]}
+"""No noise."""
+
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
@@ -71,7 +74,7 @@ def unproved(verdict: str):
         summary = certificates.Certificate("squared lengths shrink", verdict, 1.0, str(domain), "proved", ())
         claims = (certificates.Claim("contraction", proof),)
         return certificates.ContractionCertificate(
-            summary, 1.0, 0.0, observer, q, about, domain, np.ones(1), {}, claims, None
+            summary, 1.0, 0.0, observer, q, about, domain, np.ones(1), QUIET, claims, None
         )
 
     return stand_in, asked
@@ -114,7 +117,7 @@ def test_for_a_person_angles_are_in_degrees_too(proved, monkeypatch):
         about,
         domain,
         np.array([2.0]),
-        {},
+        QUIET,
         (
             certificates.Claim("contraction", whole),
             *(certificates.Claim("reach", whole, row, square, 0.1) for row, square in enumerate(squares)),

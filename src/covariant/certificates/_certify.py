@@ -442,8 +442,8 @@ def _domain(
         low, high = (np.broadcast_to(np.asarray(side, float), (n,)).copy() for side in position)
         true = Box(model.coordinates, model.units, low, high)
         check_box(true)
-        measured = true._replace(low=_below(low - noise), high=_above(high + noise)) if noise.any() else true
-        low, high = _below(low - error), _above(high + error)
+        measured = true._replace(low=_sum(low, -noise, -1), high=_sum(high, noise, 1)) if noise.any() else true
+        low, high = _sum(low, -error, -1), _sum(high, error, 1)
     else:
         low, high = np.zeros(0), np.zeros(0)
         measured = true = check_box(_elements(model, position))
@@ -452,7 +452,7 @@ def _domain(
     # Between what acts and what the observer takes to act there may be all of the disturbance.
     force = force_bounds(model, measured, inputs, (first, last))
     if disturbance.any():
-        force = np.stack([_below(force[0] - disturbance), _above(force[1] + disturbance)])
+        force = np.stack([_sum(force[0], -disturbance, -1), _sum(force[1], disturbance, 1)])
     slopes = force_slopes(model, measured, inputs, (first, last)) if noise.any() else np.zeros((n, n))
     given = {
         "positions": {"low": true.low.tolist(), "high": true.high.tolist()},
@@ -464,7 +464,7 @@ def _domain(
     }
 
     def box(slack):
-        reach = _above(velocity + slack)
+        reach = _sum(velocity, slack, 1)
         return Box(
             about.names,
             about.units,
@@ -522,16 +522,15 @@ def limits_of(domain: Box, velocity, noise) -> Float[np.ndarray, "two_n"]:
     start = len(domain.low) - 3 * n
     speed, error = slice(start, start + n), slice(start + n, start + 2 * n)
     most = np.minimum(domain.high, -domain.low)
-    return np.concatenate([_below(most[error] - noise) if noise.any() else most[error], _below(most[speed] - velocity)])
+    return np.concatenate([_sum(most[error], -noise, -1), _sum(most[speed], -velocity, -1)])
 
 
-def _below(x: np.ndarray) -> np.ndarray:
-    """What a sum or difference that was rounded to x cannot be less than."""
-    return np.nextafter(x, -np.inf)
-
-
-def _above(x: np.ndarray) -> np.ndarray:
-    return np.nextafter(x, np.inf)
+def _sum(a: np.ndarray, b: np.ndarray, side: int) -> np.ndarray:
+    """a + b, rounded up (`side` 1) or down (−1); what rounding loses is known exactly (D. E. Knuth, TAOCP 2, 4.2.2)."""
+    total = a + b
+    part = total - a
+    lost = (a - (total - part)) + (b - part)
+    return np.where(side * lost > 0, np.nextafter(total, side * np.inf), total)
 
 
 def seen_squares(about: Subject, domain: Box, count: int = 2000) -> Float[np.ndarray, "two_n"]:
