@@ -670,6 +670,9 @@ def test_a_slope_at_a_kink_is_all_between_both_sides():
     found = apply("either", a, b, thin(-1.0, -1.0, -1.0, -1.0), thin(3.0, 3.0, 3.0, 3.0))
     assert found.low.tolist() == [-1.0, -1.0, -1.0, 3.0]  # touched from below, and from above, counts
     assert found.high.tolist() == [-1.0, 3.0, 3.0, 3.0]
+    for low, high in ((1.5, 1.6), (0.5, 1.5), (1.5, 2.5), (0.0, 3.0)):  # both may meet in the middle of their boxes
+        wide = apply("either", Interval(np.array([low]), np.array([high])), Interval(*np.array([[1.0], [2.0]])), b, a)
+        assert (wide.low[0], wide.high[0]) == (min(b.low[0], a.low[0]), max(b.high[0], a.high[0]))
 
 
 def test_each_operation_has_an_interval():
