@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from covariant.certificates import ContractionCertificate
+from covariant.certificates._balls import check_sample
 from covariant.certificates._check import check
 from covariant.certificates._document import parse
 
@@ -15,6 +16,12 @@ FOLDER = Path(__file__).parents[2] / "examples/certificates"
 
 def test_a_small_one_is_verified_whole():
     assert check(FOLDER / "ball_and_beam.json").rate == 0.1
+
+
+@pytest.mark.parametrize("name", ["heavy_top", "dfki_double_pendulum"])
+def test_some_leaves_are_looked_at_in_balls(name):
+    pytest.importorskip("flint")
+    assert check_sample(FOLDER / f"{name}.json", 4).leaves == 4
 
 
 @pytest.mark.parametrize("name", ["heavy_top", "dfki_double_pendulum"])

@@ -207,5 +207,5 @@ def _balls(arb: Any) -> Domain:
         "is_finite": lambda a: a.is_finite(),
         "select": lambda p, a, b: a if p else b,
         "either": lambda a, b, x, y: x if a < b else y if b < a else x.union(y),
-        "stumpff": lambda k, x: _stumpff(int(k.mid()), x),
+        "stumpff": lambda k, x: _stumpff(int(float(k)), x),
     }
