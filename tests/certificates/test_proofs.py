@@ -12,6 +12,7 @@ from covariant.certificates import (
     Box,
     Certificate,
     ContractionCertificate,
+    Subject,
     box,
     certify,
     contraction,
@@ -26,6 +27,7 @@ from covariant.certificates import (
     tangent_metric,
 )
 from covariant.certificates import _prove as prover
+from covariant.certificates._region import Point
 from covariant.geometry import hyperbolic
 from covariant.lowering import Enclosure
 from covariant.observers import Group, Intrinsic
@@ -98,6 +100,21 @@ def test_the_same_flows_are_proved_where_they_do():
     for flow, rate in ((lambda t, x: -(x**3), 1.49), (lambda t, x: -jnp.abs(x) * x, 1.99)):
         assert prove(margin_of(flow, in_coordinates(flat), rate), domain).verdict == "holds"
         assert prove(margin_of(flow, in_coordinates(flat), rate + 0.02), domain).verdict == "fails"
+
+
+@pytest.mark.parametrize(
+    "step", [lambda t, x: jnp.where(x > 0, 1.0, -1.0), lambda t, x: jnp.where(t < 0, x, -x), lambda t, x: jnp.abs(x)]
+)
+def test_a_jump_at_a_variable_that_is_held_fixed_is_one_all_the_same(step):
+    """The state and the time are not boxed here, but zero; what jumps or has a kink at zero does so there."""
+
+    def about(flow):
+        metric = in_coordinates(lambda t, x: jnp.eye(1))
+        return Subject(("z",), ("",), lambda z: Point(flow, metric, jnp.zeros(1)))
+
+    smooth = prove(contraction(about(lambda t, x: -0.9 * x), 1.0), box(z=(0.0, 1.0)))
+    assert (smooth.verdict, smooth.reason) == ("holds", "")
+    assert prove(contraction(about(lambda t, x: -0.9 * x + step(t, x)), 1.0), box(z=(0.0, 1.0))).verdict != "holds"
 
 
 def ball_and_beam_region(velocity, error=0.005, force=0.1):
