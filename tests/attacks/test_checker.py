@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from covariant import models
-from covariant.certificates import _check, _prove, certify
+from covariant.certificates import _certify, _check, _prove, certify
 from covariant.certificates._check import check
 from covariant.certificates._document import parse
 from covariant.geometry import lie
@@ -173,3 +173,23 @@ def test_a_rotation_that_jumps_at_the_estimate_is_refused_by_prover_and_checker(
     assert careless.summary.verdict == "holds"
     with pytest.raises(ValueError, match="definedness of the observer, without jumps, is not shown"):
         check(careless.save(tmp_path / "careless.json"), model=wheel(step))
+
+
+@pytest.mark.parametrize("kind", ["rotation", "circle"])
+def test_errors_of_half_a_turn_are_refused_by_the_checker_too(tmp_path, monkeypatch, kind):
+    honest = _certify.check_unique
+    monkeypatch.setattr(_certify, "check_unique", lambda observer, error: None)
+    if kind == "rotation":
+        model = models.GroupSystem(lie.SO2, np.eye(1))
+        careless = certify(Group(model, 10.0, 50.0), velocity=1.0, error=6.0, recipe=RECIPE)
+        assert careless.summary.verdict == "holds"
+        path = careless.save(tmp_path / "careless.json")
+    else:
+        free = line(lambda q, v: -v)
+        path = certified(free, error=4.0).save(tmp_path / "line.json")
+        model = models.Lagrangian(
+            lambda q: jnp.eye(1), lambda q: 0 * q[0], None, lambda q, v: -v, (0,), coordinates=("x",), units=("m",)
+        )
+    monkeypatch.setattr(_certify, "check_unique", honest)
+    with pytest.raises(ValueError, match="must be below π, at the farthest corner of its box"):
+        check(path, model=model)
