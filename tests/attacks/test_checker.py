@@ -141,7 +141,10 @@ def test_kinks_that_brake_are_proved_and_checked(tmp_path, name):
 def test_noise_and_its_slopes_are_checked(tmp_path, monkeypatch):
     """A certificate for a soft spring says nothing about a stiff one, though the force stays within the same bounds."""
     soft = line(lambda q, v: -v, potential=lambda q: 2 * q[0] ** 2)
-    path = certified(soft, noise=1e-3, disturbance=0.01).save(tmp_path / "noisy.json")
+    noisy = certified(soft, noise=1e-3, disturbance=0.01)
+    assert noisy.summary.statement.endswith(", under measurement errors up to 0.001 and unknown forces up to 0.01")
+    assert "under" not in certified(soft).summary.statement
+    path = noisy.save(tmp_path / "noisy.json")
     assert check(path, model=soft).leaves
     monkeypatch.setattr(_check, "DEEPEST", 12)
     steep = line(lambda q, v: -v, force=lambda t, q, u: u + jnp.sin(60 * q))

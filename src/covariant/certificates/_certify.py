@@ -376,7 +376,8 @@ def _summary(
     verdict = "fails" if "fails" in verdicts else "undecided" if "undecided" in verdicts or not radius else "holds"
     wrong = next((c.proof.counterexample for c in claims if c.proof.counterexample is not None), None)
     if verdict == "holds":
-        statement = _said(velocity, rate, radius, steady_distance(rate, disturbance_length(given, claims)))
+        steady = steady_distance(rate, disturbance_length(given, claims))
+        statement = _said(velocity, rate, radius, steady) + _under(given)
     else:
         statement = f"squared lengths shrink at {rate:.4g} 1/s or faster on the region"
         reasons = [claim.proof.reason for claim in claims if claim.proof.reason]
@@ -392,6 +393,13 @@ def _summary(
         "proved",
         () if wrong is None else tuple(((wrong[0] + wrong[1]) / 2).tolist()),
     )
+
+
+def _under(given: dict[str, Any]) -> str:
+    """The errors that a statement allows for; nothing where it allows for none."""
+    words = {"noise": "measurement errors", "disturbance": "unknown forces"}
+    bounds = {word: ", ".join(f"{bound:.4g}" for bound in given[key]) for key, word in words.items() if any(given[key])}
+    return f", under {' and '.join(f'{word} up to {b}' for word, b in bounds.items())}" if bounds else ""
 
 
 def _said(velocity, rate: float, radius: float, steady: float) -> str:
