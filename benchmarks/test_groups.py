@@ -8,14 +8,14 @@ import jax.numpy as jnp
 import pytest
 
 from covariant.models import free_body, underwater_vehicle
-from covariant.observers import Group, InvariantEKF, Salcudean
+from covariant.observers import EKF, Intrinsic, Salcudean
 
 BATCH = 1000
 SYSTEMS = {"SO(3)": free_body(), "SE(3)": underwater_vehicle()}
 OBSERVERS = {
-    "invariant EKF": lambda m, n: InvariantEKF(m, 0.1 * jnp.eye(n), 1e-6 * jnp.eye(n), substeps=1),
-    "group": lambda m, n: Group(m, 10.0, 50.0, substeps=1),
-    "riemannian": lambda m, n: Group(m, 10.0, 50.0, error="riemannian", substeps=1),
+    "invariant EKF": lambda m, n: EKF(m, 0.1 * jnp.eye(n), 1e-6 * jnp.eye(n), substeps=1),
+    "group": lambda m, n: Intrinsic(m, 10.0, 50.0, substeps=1),
+    "riemannian": lambda m, n: Geodesic(m, 10.0, 50.0, substeps=1),
     "salcudean": lambda m, n: Salcudean(m, 100.0, 10.0, substeps=1),
 }
 CASES = [(s, o) for s in SYSTEMS for o in OBSERVERS if (s, o) != ("SE(3)", "salcudean")]

@@ -16,7 +16,7 @@ import numpy as np
 
 from covariant.geometry.lie import SO3
 from covariant.models import Motion, free_body
-from covariant.observers import Group, InvariantEKF, Salcudean, run
+from covariant.observers import EKF, Intrinsic, Salcudean, run
 from covariant.report import PALETTE, new_figure, save_figure
 from covariant.signals import Record, Result
 from covariant.simulation import simulate
@@ -34,8 +34,8 @@ record = Record(t, truth.u, y)
 
 alpha, beta, inertia = 1.5, 1.2, 2.0
 observers = {
-    "intrinsic, on the group": Group(body, alpha, beta),
-    "multiplicative EKF": InvariantEKF(body, 1e-6 * jnp.eye(3), NOISE**2 * jnp.eye(3), initial_velocity_std=2.0),
+    "intrinsic, on the group": Intrinsic(body, alpha, beta),
+    "multiplicative EKF": EKF(body, 1e-6 * jnp.eye(3), NOISE**2 * jnp.eye(3), initial_velocity_std=2.0),
     "Salcudean": Salcudean(body, 4 * inertia**2 * beta, 2 * inertia * alpha),
 }
 runs = {name: run(observer, record) for name, observer in observers.items()}

@@ -16,7 +16,7 @@ import numpy as np
 
 from covariant.geometry.lie import SE3
 from covariant.models import Motion, underwater_vehicle
-from covariant.observers import Group, InvariantEKF, run
+from covariant.observers import EKF, Intrinsic, run
 from covariant.report import new_figure, save_figure
 from covariant.signals import Record
 from covariant.simulation import simulate
@@ -42,8 +42,8 @@ record = Record(t, truth.u, jax.vmap(lambda g, e: g @ SE3.exp(e))(truth.y, noise
 
 alpha, beta = 6.0, 18.0
 observers = {
-    "intrinsic": Group(believed, alpha, beta),
-    "left-invariant EKF": InvariantEKF(believed, 0.02 * jnp.diag(NOISE / NOISE[0]) ** 2, jnp.diag(NOISE**2)),
+    "intrinsic": Intrinsic(believed, alpha, beta),
+    "left-invariant EKF": EKF(believed, 0.02 * jnp.diag(NOISE / NOISE[0]) ** 2, jnp.diag(NOISE**2)),
 }
 runs = {name: run(observer, record).estimate.v for name, observer in observers.items()}
 differences = jax.vmap(SE3.between)(record.y[:-1], record.y[1:]) * RATE

@@ -20,7 +20,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from PIL import Image
 
 from covariant.models import Motion, advance, fluid
-from covariant.observers import Group
+from covariant.observers import Intrinsic
 from covariant.report import PALETTE, new_figure, save_figure
 
 OUT = Path(__file__).parent / "out"
@@ -68,7 +68,7 @@ def follow(observer, v, g):
 wrong = fluid.velocity_coordinates(n, fluid.modes(n, jnp.asarray(np.sin(x1 + x2) + 0.4 * np.cos(2 * x1 + 1))))
 guess = truth.v[0] + 0.5 * speed(truth.v[0]) / speed(wrong) * wrong
 estimates = {
-    label: follow(Group(system, alpha, beta, curvature=curvature, substeps=1), guess, truth.g)
+    label: follow(Intrinsic(system, alpha, beta, curvature=curvature, substeps=1), guess, truth.q)
     for label, curvature in (("with curvature", True), ("without curvature", False))
 }
 

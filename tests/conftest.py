@@ -153,7 +153,7 @@ def make_space(metric, centre, width) -> Space:
     velocity[1] *= 1e-9
     operations = (
         metric.__call__,
-        metric.christoffel,
+        metric.connection,
         metric.curvature,
         lambda p, v, w: geometry.transport_along(metric, p, v, w, BUDGET),
         lambda p, q: geometry.shoot(metric, p, q, None, BUDGET),

@@ -65,8 +65,8 @@ PUBLIC = {
     "manoeuvring_ship odin odin_on_group supply_vessel surface_ship yaw_rotation",
     "observers": "EKF AbstractFlowObserver AbstractObserver Contracting ContractingState Copy EKFInfo EKFState "
     "Estimate FilterInfo FilteredDerivative FilteredState Geodesic GeodesicInfo GeodesicState Group "
-    "GroupInfo GroupState HeldState Info InformationEKF InformationState Intrinsic InvariantEKF InvariantInfo "
-    "InvariantState MechanicalState PassiveGains PassiveShip Riccati Salcudean SalcudeanState "
+    "Info HeldState HeldState Info InformationEKF InformationState Intrinsic EKF EKFInfo "
+    "EKFState MechanicalState PassiveGains PassiveShip Riccati Salcudean SalcudeanState "
     "SavitzkyGolay WindowState continuous craft_observer lyapunov_gains lyapunov_rate notch_gains printed_rate run",
     "report": "PALETTE EstimateReport draw_audit draw_certificate new_figure save_figure table write_article "
     "write_audit write_html write_png",

@@ -17,7 +17,7 @@ from systems import EFFORT, rotation, unless_refused, wrapped
 from covariant import geometry, models
 from covariant.certificates import ContractionCertificate, certify, optimal_lyapunov
 from covariant.geometry import lie
-from covariant.observers import Group, Intrinsic
+from covariant.observers import Intrinsic
 
 SHAPES: dict[str, Callable] = {
     "step": lambda xp, r: xp.where(r > 0, 1.0, 0.0),
@@ -128,13 +128,13 @@ class System(NamedTuple):
         """The force of the springs, which the observer takes at the measured place."""
         return -self.stiffness * np.sin(x)
 
-    def observer(self) -> Intrinsic | Group:
+    def observer(self) -> Intrinsic:
         def friction(x, v):
             return self.friction(jnp, x, v)
 
         if self.on_group:
             group = lie.SO2 if self.space == "wheel" else lie.SO3
-            return Group(models.GroupSystem(group, np.eye(self.n), dissipation=friction), self.alpha, self.beta)
+            return Intrinsic(models.GroupSystem(group, np.eye(self.n), dissipation=friction), self.alpha, self.beta)
         names = ("x", "y")[: self.n]
         stiffness = self.stiffness
         model = models.Lagrangian(

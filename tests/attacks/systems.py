@@ -16,7 +16,7 @@ from covariant import geometry, models
 from covariant.certificates import ContractionCertificate, certify, optimal_lyapunov, prove
 from covariant.geometry import lie
 from covariant.lowering import LoweringError
-from covariant.observers import Group, Intrinsic
+from covariant.observers import Intrinsic
 
 ALPHA, BETA, RATE = 10.0, 50.0, 2.0
 """Gains [1/s], [1/s²] and the rate of squared lengths [1/s] that is asked for: the gains alone allow 10 1/s."""
@@ -69,10 +69,10 @@ def line(law: Law, metric=None, force=None, potential=None, circles: tuple[int, 
     return Intrinsic(model, ALPHA, BETA)
 
 
-def wheel(law: Law, force=None, potential=None) -> Group:
+def wheel(law: Law, force=None, potential=None) -> Intrinsic:
     """The observer of a wheel of unit inertia on the group SO(2); the law gets the matrix of its rotation."""
     model = models.GroupSystem(lie.SO2, np.eye(1), potential, force, lambda g, v: law(jnp, g, v), units=("1/s",))
-    return Group(model, ALPHA, BETA)
+    return Intrinsic(model, ALPHA, BETA)
 
 
 def unless_refused(work: Callable[[], Any]) -> Any:

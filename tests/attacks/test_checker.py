@@ -14,7 +14,7 @@ from covariant.certificates import _certify, _check, _prove, certify
 from covariant.certificates._check import check
 from covariant.certificates._document import parse
 from covariant.geometry import lie
-from covariant.observers import Group, Intrinsic
+from covariant.observers import Intrinsic
 
 RECIPE = {"attribute": "somebody:s", "parameters": {}}
 
@@ -168,10 +168,10 @@ def test_a_rotation_that_jumps_at_the_estimate_is_refused_by_prover_and_checker(
         return models.GroupSystem(lie.SO2, np.eye(1), dissipation=dissipation)
 
     given = {"velocity": 1.0, "error": 0.1, "recipe": RECIPE}
-    assert certify(Group(wheel(step), 10.0, 50.0), **given).summary.verdict == "undecided"
+    assert certify(Intrinsic(wheel(step), 10.0, 50.0), **given).summary.verdict == "undecided"
     honest = _prove._reason
     monkeypatch.setattr(_prove, "_reason", lambda formed, domain: "")
-    careless = certify(Group(wheel(step), 10.0, 50.0), **given)
+    careless = certify(Intrinsic(wheel(step), 10.0, 50.0), **given)
     monkeypatch.setattr(_prove, "_reason", honest)
     assert careless.summary.verdict == "holds"
     with pytest.raises(ValueError, match="definedness of the observer, without jumps, is not shown"):
@@ -184,7 +184,7 @@ def test_errors_of_half_a_turn_are_refused_by_the_checker_too(tmp_path, monkeypa
     monkeypatch.setattr(_certify, "check_unique", lambda observer, error: None)
     if kind == "rotation":
         model = models.GroupSystem(lie.SO2, np.eye(1))
-        careless = certify(Group(model, 10.0, 50.0), velocity=1.0, error=6.0, recipe=RECIPE)
+        careless = certify(Intrinsic(model, 10.0, 50.0), velocity=1.0, error=6.0, recipe=RECIPE)
         assert careless.summary.verdict == "holds"
         path = careless.save(tmp_path / "careless.json")
     else:

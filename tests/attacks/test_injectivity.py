@@ -7,7 +7,7 @@ from systems import ALPHA, BETA, RATE, Q, line, size_of, verdict, wheel
 from covariant import models
 from covariant.certificates import certify
 from covariant.geometry import lie
-from covariant.observers import Geodesic, Group
+from covariant.observers import Geodesic, Intrinsic
 
 
 def damped(xp, x, v):
@@ -68,7 +68,7 @@ def on(group, error) -> str:
     bounds = {"velocity": 0.01, "error": error, "input": 0.01, "rate": RATE, "q": Q}
     if group not in (lie.SO2, lie.SO3):
         bounds["position"] = (-np.ones((group.order,) * 2), np.ones((group.order,) * 2))
-    return verdict(Group(model, ALPHA, BETA), **bounds)
+    return verdict(Intrinsic(model, ALPHA, BETA), **bounds)
 
 
 @pytest.mark.parametrize(
@@ -96,7 +96,7 @@ def test_a_product_of_small_errors_is_proved():
 
 def test_geodesic_errors_beyond_half_a_turn_are_never_proved():
     model = models.GroupSystem(lie.SO2, np.eye(1), dissipation=lambda g, v: -v)
-    observer = Group(model, ALPHA, BETA, error="riemannian")
+    observer = Geodesic(model, ALPHA, BETA)
     assert verdict(observer, velocity=1.0, error=4.0, input=1.0) != "holds"
 
 

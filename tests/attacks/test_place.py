@@ -9,7 +9,7 @@ from systems import RATE, Case, Q, falsehood, line, on_any_circle, verdict, whee
 from covariant import models
 from covariant.certificates import subject
 from covariant.geometry import lie
-from covariant.observers import Group
+from covariant.observers import Intrinsic
 
 TURNED = {
     "driven when turned over": Case(lambda xp, g, v: -v + 50 * (1 - g[0, 0]) ** 2 * v, place=3.0, speed=0.3, held=True),
@@ -56,7 +56,7 @@ def refused_or_not(group, inertia, friction, **bounds) -> str:
     if group not in (lie.SO2, lie.SO3):
         usual["position"] = (-np.ones((group.order,) * 2), np.ones((group.order,) * 2))
     assert n == model.group.dimension
-    return verdict(Group(model, 10.0, 50.0), **(usual | bounds))
+    return verdict(Intrinsic(model, 10.0, 50.0), **(usual | bounds))
 
 
 LARGER = {
@@ -159,16 +159,16 @@ def test_the_flow_that_is_proved_is_the_one_that_runs(group, options):
     n, rng = group.dimension, np.random.default_rng(4)
     inertia = np.diag(rng.uniform(0.5, 2, n)) + 0.1
     model = models.GroupSystem(group, inertia, dissipation=lambda g, v: -v * jnp.abs(v))
-    observer = Group(model, 3.0, 5.0, **options)
+    observer = Intrinsic(model, 3.0, 5.0, **options)
     about = subject(observer, Q)
     g = group.exp(jnp.asarray(rng.normal(size=n)))
 
     def runs(z, x):
         v, error, force = jnp.split(z, 3)
         theta, v = jnp.split(x, 2)
-        state = observer.init(g)._replace(g=g @ group.exp(theta), v=v)
+        state = observer.init(g)._replace(q=g @ group.exp(theta), v=v)
         change = observer.flow(jnp.zeros(()), state, force, g @ group.exp(-error))
-        return jnp.concatenate([group.right_jacobian_inverse(theta, change.g), change.v])
+        return jnp.concatenate([group.right_jacobian_inverse(theta, change.q), change.v])
 
     def proved(z, x):
         return about.at(z).flow(jnp.zeros(()), x)

@@ -26,11 +26,9 @@ from covariant.observers import (
     Copy,
     FilteredDerivative,
     Geodesic,
-    Group,
     HeldState,
     InformationEKF,
     Intrinsic,
-    InvariantEKF,
     PassiveShip,
     Riccati,
     Salcudean,
@@ -97,9 +95,9 @@ WATCHED: dict[str, tuple[Callable[[], AbstractObserver], Callable[[], Stream], f
     "ekf": (lambda: EKF(BEAM, 10.0 * jnp.eye(2), 1e-6 * jnp.eye(2)), beam, 0.3, 1e-5),
     "filtered derivative": (lambda: FilteredDerivative(60.0), pendulum, 1e3, 1e-5),
     "savitzky-golay": (lambda: SavitzkyGolay(9, 2), pendulum, 1e3, 1e-5),
-    "group": (lambda: Group(BODY, 4.0, 6.0, substeps=1), body, 1e3, 1e-4),
-    "group, riemannian": (lambda: Group(BODY, 4.0, 6.0, error="riemannian", substeps=1), body, 1e3, 1e-4),
-    "invariant ekf": (lambda: InvariantEKF(BODY, 1e-3 * jnp.eye(3), 1e-4 * jnp.eye(3), substeps=1), body, 1e3, 1e-4),
+    "group": (lambda: Intrinsic(BODY, 4.0, 6.0, substeps=1), body, 1e3, 1e-4),
+    "group, riemannian": (lambda: Geodesic(BODY, 4.0, 6.0, substeps=1), body, 1e3, 1e-4),
+    "invariant ekf": (lambda: EKF(BODY, 1e-3 * jnp.eye(3), 1e-4 * jnp.eye(3), substeps=1), body, 1e3, 1e-4),
     "salcudean": (lambda: Salcudean(BODY, 96.0, 16.0, substeps=1), body, 0.3, 5e-3),
     "riccati": (lambda: Riccati(MASSES, lambda x: METRIC, START, 0.5), masses, 1e3, 1e-3),
     "information ekf": (lambda: InformationEKF(MASSES, Equation(1.0), START, jnp.eye(4)), masses, 1e3, 1e-2),
@@ -303,7 +301,7 @@ BAD_GAINS = (np.nan, np.inf, -np.inf, -1.0, 0.0)
 @pytest.mark.parametrize("gain", BAD_GAINS)
 @pytest.mark.parametrize("name", ["alpha", "beta"])
 def test_gains_that_are_not_positive_and_finite_are_refused_in_one_line(name, gain):
-    kinds = {Intrinsic: ONE, Geodesic: ONE, Copy: ONE, Group: BODY}
+    kinds = {Intrinsic: ONE, Geodesic: ONE, Copy: ONE}
     for kind, model in kinds.items():
         for written in (gain, np.float64(gain), jnp.asarray(gain)):
             with pytest.raises(
@@ -319,7 +317,7 @@ def test_other_gains_are_refused_too():
         with pytest.raises(ValueError, match="FilteredDerivative: bandwidth must be a positive"):
             FilteredDerivative(gain)
     bad = jnp.array([[1.0, jnp.nan], [0.0, 1.0]])
-    for kind, model in ((EKF, ONE), (InvariantEKF, BODY)):
+    for kind, model in ((EKF, ONE), (EKF, BODY)):
         with pytest.raises(ValueError, match=f"{kind.__name__}: process_cov must have finite entries"):
             kind(model, bad, jnp.eye(2))
     with pytest.raises(ValueError, match="Contracting: gain must have finite entries"):

@@ -8,7 +8,7 @@ from systems import ALPHA, BETA, EFFORT, RATE
 from covariant import geometry, models
 from covariant.certificates import certify, optimal_lyapunov
 from covariant.geometry import lie
-from covariant.observers import Group, Intrinsic
+from covariant.observers import Intrinsic
 
 LAWS = {
     "true": (lambda v: -v * jnp.abs(v), "holds"),
@@ -75,7 +75,7 @@ def on_a_wheel(law, gram: float):
     """The certificate of a wheel, where a kilogram is so many units."""
     model = models.GroupSystem(lie.SO2, np.eye(1) * gram, dissipation=lambda g, v: gram * law(v))
     q = optimal_lyapunov(ALPHA, BETA, 6.0)
-    return certify(Group(model, ALPHA, BETA), velocity=1.0, error=0.5, input=gram, rate=RATE, q=q, **EFFORT)
+    return certify(Intrinsic(model, ALPHA, BETA), velocity=1.0, error=0.5, input=gram, rate=RATE, q=q, **EFFORT)
 
 
 @pytest.mark.parametrize("name", LAWS)

@@ -24,7 +24,7 @@ from covariant.certificates._region import subject
 from covariant.certificates._saved import observer_from, value_graph
 from covariant.certificates._taylor import Enclosure, definite, show_definite
 from covariant.geometry import lie
-from covariant.observers import Group, Intrinsic
+from covariant.observers import Intrinsic
 from covariant.observers import _intrinsic as intrinsic
 
 SOURCE = Path(_taylor.__file__)
@@ -300,7 +300,7 @@ def wheel():
 
 def test_a_group_is_checked(tmp_path):
     recipe = {"attribute": f"{__name__}:wheel"}
-    found = certify(Group(wheel(), 10.0, 50.0), velocity=0.5, error=0.1, input=0.1, recipe=recipe)
+    found = certify(Intrinsic(wheel(), 10.0, 50.0), velocity=0.5, error=0.1, input=0.1, recipe=recipe)
     path = found.save(tmp_path / "wheel.json")
     assert check(path, model=wheel).radius == found.radius > 0
     with pytest.raises(ValueError, match="the bound of the force is not shown"):

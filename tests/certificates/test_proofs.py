@@ -30,7 +30,7 @@ from covariant.certificates import _prove as prover
 from covariant.certificates._region import Point
 from covariant.geometry import hyperbolic
 from covariant.lowering import Enclosure
-from covariant.observers import Group, Intrinsic
+from covariant.observers import Intrinsic
 from covariant.papers._errata import PrintedBallAndBeam
 
 ALPHA, BETA = math.sqrt(2), 0.5
@@ -212,7 +212,7 @@ def test_a_certificate_does_not_depend_on_units():
 
 def test_a_heavy_top_is_proved_for_all_attitudes():
     model = models.heavy_top()
-    found = certify(Group(model, 10.0, 50.0), velocity=0.5, error=0.03, input=0.1, rate=2.0)
+    found = certify(Intrinsic(model, 10.0, 50.0), velocity=0.5, error=0.03, input=0.1, rate=2.0)
     assert found.summary.verdict == "holds"
     assert found.domain.high[-3] == pytest.approx(1.1)  # moment plus torque
 

@@ -37,7 +37,8 @@ def inertias(rng, n):
 
 def together(group, operation):
     """`operation(metric, ...)` for many inertias and arguments at once."""
-    return jax.jit(jax.vmap(lambda inertia, *arguments: operation(lie.LeftInvariant(group, inertia), *arguments)))
+    here = group.identity()
+    return jax.jit(jax.vmap(lambda inertia, *arguments: operation(lie.LeftInvariant(group, inertia), here, *arguments)))
 
 
 # Connection and curvature
@@ -138,8 +139,23 @@ def test_second_bianchi_identity(space):
     close(sum(terms), 0 * x, 1e-12 * np.abs(terms).max())
 
 
-def test_spray_is_minus_the_connection_with_itself(space):
-    close(together(space.group, lie.LeftInvariant.spray)(space.inertia, space.x), -space.b(space.x, space.x))
+def test_a_connection_is_its_force_raised(space):
+    force = together(space.group, lie.LeftInvariant.connection_force)(space.inertia, space.x, space.y)
+    close(np.einsum("kij,kj->ki", np.linalg.inv(space.inertia), force), space.b(space.x, space.y), 1e-12)
+
+
+def test_the_frame_alone_gives_the_same_geometry(space):
+    """What automatic derivatives make of the inertia matrix in the body's frame, where it happens to be constant."""
+
+    def derived(operation):
+        def of_the_matrix(known, here, *vectors):
+            return operation(geometry.Metric(lambda g: known.inertia.matrix, manifold=space.group), here, *vectors)
+
+        return together(space.group, of_the_matrix)
+
+    close(derived(geometry.connection)(space.inertia, space.x, space.y), space.b(space.x, space.y), 1e-12)
+    found = derived(geometry.curvature)(space.inertia, space.x, space.y, space.z)
+    close(found, space.r(space.x, space.y, space.z), 1e-11)
 
 
 @pytest.mark.parametrize(("name", "scale"), [("SO3", 1.0), ("SO3", 2.5), ("SU3", 1.0)])
@@ -186,30 +202,37 @@ def test_euler_angles_have_the_same_geometry():
         body = lie.LeftInvariant(lie.SO3, inertia)
         rates = euler_rates(q)
         change = jax.jvp(lambda q: euler_rates(q) @ y, (q,), (x,))[1]
-        mine = body.connection(rates @ x, rates @ y), body.curvature(rates @ x, rates @ y, rates @ z)
-        return mine, (rates @ chart.christoffel(q, x, y) - change, rates @ chart.curvature(q, x, y, z))
+        here = lie.SO3.identity()
+        mine = body.connection(here, rates @ x, rates @ y), body.curvature(here, rates @ x, rates @ y, rates @ z)
+        return mine, (rates @ chart.connection(q, x, y) - change, rates @ chart.curvature(q, x, y, z))
 
     for mine, theirs in zip(*jax.jit(jax.vmap(both))(inertia, q, x, y, z), strict=True):
         close(mine, theirs, 1e-9)
 
 
 @pytest.mark.parametrize("name", ["SO3", "SE2"])
-def test_christoffel_of_exponential_coordinates_is_that_of_their_matrix(name):
-    def both(metric, q, x, y):
-        return [m.christoffel(q, x, y) for m in (metric.chart, geometry.Metric(metric.chart.__call__))]
+def test_exponential_coordinates_have_the_same_geometry(name):
+    """The metric's matrix in the coordinates s of `exp(s)`, and the group, seen in the body at `exp(s)`."""
+    group = GROUPS[name]
+
+    def both(metric, here, s, x, y, z):
+        def body(s, a):
+            return group.right_jacobian(s, a)
+
+        def matrix(s):
+            jacobian = jax.vmap(lambda e: body(s, e))(jnp.eye(3))
+            return jacobian @ metric.inertia.matrix @ jacobian.T
+
+        chart = geometry.Metric(matrix)
+        along_x, along_y, along_z = (body(s, a) for a in (x, y, z))
+        change = jax.jvp(lambda s: body(s, y), (s,), (x,))[1]
+        mine = metric.connection(here, along_x, along_y), metric.curvature(here, along_x, along_y, along_z)
+        return mine, (body(s, chart.connection(s, x, y)) - change, body(s, chart.curvature(s, x, y, z)))
 
     rng = np.random.default_rng(3)
-    close(*together(GROUPS[name], both)(inertias(rng, 3), *rng.normal(size=(3, SAMPLES, 3))), 1e-9)
-
-
-def test_curvature_of_exponential_coordinates_is_that_of_their_christoffel():
-    def both(metric, q, x, y, z):
-        g = metric.chart.christoffel
-        (g_yz, dx), (g_xz, dy) = (jax.jvp(lambda q, b=b: g(q, b, z), (q,), (a,)) for a, b in ((x, y), (y, x)))
-        return metric.chart.curvature(q, x, y, z), dx - dy + g(q, x, g_yz) - g(q, y, g_xz)
-
-    rng = np.random.default_rng(3)
-    close(*together(lie.SO3, both)(inertias(rng, 3), *rng.normal(size=(4, SAMPLES, 3))), 1e-9)
+    found = together(group, both)(inertias(rng, 3), *rng.normal(size=(4, SAMPLES, 3)))
+    for mine, theirs in zip(*found, strict=True):
+        close(mine, theirs, 1e-9)
 
 
 # Geodesics
@@ -225,7 +248,7 @@ class Flights(NamedTuple):
     inertia: np.ndarray
     velocity: np.ndarray
     w: np.ndarray
-    end: lie.Carried
+    end: geometry.Transported
 
 
 @pytest.fixture(scope="module")
@@ -264,7 +287,7 @@ def test_energy_is_conserved(flights):
 
 def test_momentum_in_space_is_conserved(flights):
     body = np.einsum("kij,kj->ki", flights.inertia, flights.end.velocity)
-    space = jax.vmap(lambda g, mu: flights.group.coadjoint_action(flights.group.inverse(g), mu))(flights.end.g, body)
+    space = jax.vmap(lambda g, mu: flights.group.coadjoint_action(flights.group.inverse(g), mu))(flights.end.q, body)
     close(space, np.einsum("kij,kj->ki", flights.inertia, flights.velocity), 1e-10)
 
 
@@ -279,7 +302,7 @@ def test_velocity_is_carried_along(flights):
 
 def test_shooting_undoes_exp(fly, shoot):
     flights = make_flights(fly, "SO3")
-    shot = shoot(flights.inertia, flights.end.g)
+    shot = shoot(flights.inertia, flights.end.q)
     assert (shot.result == Result.OK).all()
     close(shot.velocity, flights.velocity, 1e-9)
     close(shot.arrival, flights.end.velocity, 1e-9)
@@ -288,7 +311,7 @@ def test_shooting_undoes_exp(fly, shoot):
 def test_distance_is_symmetric(fly, shoot):
     """The way back from g is a left translation of the way to g⁻¹; it starts with the arrival reversed."""
     flights = make_flights(fly, "SO3")
-    back = shoot(flights.inertia, flights.end.g.swapaxes(1, 2))
+    back = shoot(flights.inertia, flights.end.q.swapaxes(1, 2))
     close(
         inner(flights.inertia, back.velocity, back.velocity),
         inner(flights.inertia, flights.velocity, flights.velocity),
@@ -310,8 +333,8 @@ def test_se3_with_one_mass_is_a_product(fly, shoot):
     part = shoot(body, turn)
     log = np.concatenate([b, part.velocity], axis=1)
     end = fly["SE3"](inertia, log, np.stack([log] * 3, axis=1))
-    close(end.g[:, :3, :3], turn, 1e-9)
-    close(end.g[:, :3, 3], b, 1e-9)
+    close(end.q[:, :3, :3], turn, 1e-9)
+    close(end.q[:, :3, 3], b, 1e-9)
     close(end.velocity, np.concatenate([np.einsum("kji,kj->ki", turn, b), part.arrival], axis=1), 1e-9)
 
 
@@ -376,25 +399,17 @@ def test_an_inertia_may_be_given_in_whole_numbers():
 
 def test_norm_has_a_derivative_at_zero():
     metric = lie.LeftInvariant(lie.SO3, TOP)
-    np.testing.assert_array_equal(jax.grad(metric.norm)(jnp.zeros(3)), np.zeros(3))
-    close(metric.norm(jnp.array([0.0, 2.0, 0.0])), np.sqrt(8.0), 1e-15)
+    np.testing.assert_array_equal(jax.grad(lambda x: metric.norm(jnp.eye(3), x))(jnp.zeros(3)), np.zeros(3))
+    close(metric.norm(jnp.eye(3), jnp.array([0.0, 2.0, 0.0])), np.sqrt(8.0), 1e-15)
 
 
 def test_float32_stays_float32():
     vector, matrix = (jax.ShapeDtypeStruct(shape, np.float32) for shape in ((3,), (3, 3)))
 
     def everything(inertia, x):
-        metric = lie.LeftInvariant(lie.SO3, inertia)
-        chart = metric.chart
-        along = metric.transport_along(x, x[None])
-        pointwise = metric.connection(x, x), metric.spray(x), metric.curvature(x, x, x), metric.norm(x)
-        return (
-            pointwise,
-            along,
-            metric.shoot(along.g)[:3],
-            chart(x),
-            chart.christoffel(x, x, x),
-            chart.curvature(x, x, x, x),
-        )
+        metric, here = lie.LeftInvariant(lie.SO3, inertia), jnp.eye(3, dtype=x.dtype)
+        along = metric.transport_along(here, x, x[None])
+        pointwise = metric.connection(here, x, x), metric.curvature(here, x, x, x), metric.norm(here, x)
+        return pointwise, along, metric.shoot(here, along.q)[:3], metric(here), metric.kinetic_force(here, x)
 
     assert {a.dtype for a in jax.tree.leaves(jax.eval_shape(everything, matrix, vector))} == {np.dtype(np.float32)}

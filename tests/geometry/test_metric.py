@@ -17,7 +17,7 @@ P, V, W = jnp.array([[0.3, 0.1], [0.2, -0.4], [0.5, 0.6]])
 
 
 def test_plain_callable_is_a_metric():
-    assert isinstance(geometry.as_metric(stretched), geometry.Metric)
+    assert isinstance(geometry.as_space(stretched), geometry.Metric)
     for operation, arguments in (
         (geometry.christoffel, (V, W)),
         (geometry.curvature, (V, W, V)),
@@ -30,7 +30,7 @@ def test_plain_callable_is_a_metric():
 
 def test_metric_is_left_as_it_is():
     sphere = geometry.sphere()
-    assert geometry.as_metric(sphere) is sphere
+    assert geometry.as_space(sphere) is sphere
 
 
 def test_inner_and_norm_are_those_of_the_matrix():

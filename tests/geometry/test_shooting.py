@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from covariant import geometry
-from covariant.geometry import Budget, Metric, _numeric
-from covariant.geometry._numeric import conjugate_points
+from covariant.geometry import Budget, Metric, _geodesics
+from covariant.geometry._geodesics import conjugate_points
 from covariant.models import ball_and_beam
 from covariant.signals import Result
 
@@ -68,14 +68,16 @@ def test_log_is_nan_where_not_converged():
 
 def test_a_search_ends_where_newtons_method_has_converged(monkeypatch):
     """Each step doubles the digits: from the chart's straight line a handful are enough, and none are made beyond."""
-    steps, newton_step = [], _numeric.newton_step
+    steps, newton_step = [], _geodesics.newton_step
 
     def counted(*arguments):
         jax.debug.callback(lambda: steps.append(1))
         return newton_step(*arguments)
 
-    monkeypatch.setattr(_numeric, "newton_step", counted)
-    found = jax.jit(lambda p, q: _numeric.damped_newton(NUMERIC, p, q, q - p, BUDGET))(P, Q)
+    monkeypatch.setattr(_geodesics, "newton_step", counted)
+    found = jax.jit(
+        lambda p, q: _geodesics.damped_newton(NUMERIC, p, _geodesics.aim(NUMERIC, p, q - p), q - p, BUDGET)
+    )(P, Q)
     close(found, geometry.log(SPHERE, P, Q), 1e-12)
     jax.effects_barrier()
     assert 2 <= len(steps) <= 6
@@ -85,16 +87,18 @@ def test_each_stage_of_a_search_starts_where_the_one_before_points(monkeypatch):
     """In flat space that is the answer: on the way to a target the velocity grows as the distance does."""
     seen = []
 
-    def search(metric, p, q, start, budget):
-        jax.debug.callback(lambda *pair: seen.append(pair), q - p, start, ordered=True)
-        return jnp.where(jnp.isnan(start), start, q - p)
+    def search(space, p, target, start, budget):
+        jax.debug.callback(lambda *pair: seen.append(pair), target.s, start, ordered=True)
+        return jnp.where(jnp.isnan(start), start, target.s)
 
-    monkeypatch.setattr(_numeric, "damped_newton", search)
-    found = _numeric.find_geodesic(geometry.Euclidean(), P, Q, jnp.full(2, jnp.nan), BUDGET)
+    monkeypatch.setattr(_geodesics, "damped_newton", search)
+    found = _geodesics.find_geodesic(
+        geometry.Euclidean(), P, _geodesics.aim(geometry.Euclidean(), P, Q - P), jnp.full(2, jnp.nan), BUDGET
+    )
     jax.effects_barrier()
     (_, direct), *stages = seen
     assert np.isnan(direct).all()
-    fractions = np.arange(1, _numeric.CONTINUATION_STAGES + 1) / _numeric.CONTINUATION_STAGES
+    fractions = np.arange(1, _geodesics.CONTINUATION_STAGES + 1) / _geodesics.CONTINUATION_STAGES
     for fraction, (answer, start) in zip(fractions, stages, strict=True):
         close(answer, fraction * (Q - P), 1e-15)
         close(start, answer, 1e-15)

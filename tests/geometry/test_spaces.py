@@ -30,7 +30,7 @@ def derived(closed):
     """The operations derived from the matrix of a space with closed forms, batched and compiled once."""
     metric = Metric(closed.metric)
     return closed._replace(
-        christoffel=jax.jit(jax.vmap(metric.christoffel)),
+        christoffel=jax.jit(jax.vmap(metric.connection)),
         curvature=jax.jit(jax.vmap(metric.curvature)),
         fly=jax.jit(jax.vmap(lambda p, v, w: metric.transport_along(p, v, w, Budget(steps=16)))),
     )

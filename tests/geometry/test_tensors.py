@@ -57,7 +57,7 @@ def test_christoffel_is_the_contraction_of_the_symbols(sample):
     @jax.vmap
     def both(weights, waves, q, x, y, z):
         g = random_metric(weights, waves)
-        return Metric(g).christoffel(q, x, y), jnp.einsum("ijk,j,k", christoffel_symbols(g)(q), x, y)
+        return Metric(g).connection(q, x, y), jnp.einsum("ijk,j,k", christoffel_symbols(g)(q), x, y)
 
     directional, contracted = both(*sample)
     np.testing.assert_allclose(directional, contracted, atol=1e-10)

@@ -17,7 +17,7 @@ from covariant import models
 from covariant._integrate import solve
 from covariant.geometry import Budget, Pullback, christoffel, curvature, hyperbolic, sphere, transport_along
 from covariant.geometry import shoot as shoot_geodesic
-from covariant.models import Lagrangian, acceleration, position_error, source
+from covariant.models import Lagrangian, acceleration, source
 from covariant.observers import Geodesic, Intrinsic, MechanicalState
 from covariant.simulation import observe
 
@@ -58,7 +58,7 @@ class Spoiled(eqx.Module):
     def flow(self, t, state, u, y):
         q, v, _ = state
         metric = self.model.metric
-        xi = position_error(self.model, q, y)
+        xi = -self.model.manifold.towards(q, y)
         s = source(self.model, t, y, u)
         sign = -1.0 if self.mistake == "curvature sign" else 1.0
         drive = s + sign * curvature(metric, y, xi, v, v)

@@ -13,7 +13,7 @@ from covariant._linalg import solve
 from covariant.geometry import Budget, christoffel, curvature, hyperbolic, sphere
 from covariant.geometry.lie import SE3, SO3
 from covariant.lowering import LoweringError, expand, lower, numbers, pairs
-from covariant.observers import Geodesic, Group, Intrinsic
+from covariant.observers import Geodesic, Intrinsic
 
 PENDULUM = models.pendulum_chain((1.0, 0.7), (0.5, 0.4), viscous=(0.1, 0.2))
 TABLE = jnp.array([0.5, -1.0, 2.0, 0.3])
@@ -146,7 +146,7 @@ def observers():
     zero, dt = jnp.zeros(()), jnp.asarray(0.01)
     intrinsic, geodesic = Intrinsic(PENDULUM, 2.0, 1.0, substeps=2), Geodesic(PENDULUM, 2.0, 1.0, Budget(1, 2))
     top = models.heavy_top()
-    group, g = Group(top, 2.0, 1.0), top.group.exp(jnp.array([0.1, 0.2, 0.3]))
+    group, g = Intrinsic(top, 2.0, 1.0), top.group.exp(jnp.array([0.1, 0.2, 0.3]))
     turned = g @ top.group.exp(jnp.array([0.1, 0.0, 0.1]))
     unknown = models.unknown_frequency()
     metric = riccati.Metric(unknown, riccati.Equation(1.0), 4.0, 6)

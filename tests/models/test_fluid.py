@@ -11,7 +11,7 @@ import pytest
 from covariant import models
 from covariant.geometry.lie import SU
 from covariant.models import Motion, fluid
-from covariant.observers import Group
+from covariant.observers import Intrinsic
 
 POINTS = 64
 X1, X2 = np.meshgrid(*2 * [2 * np.pi * np.arange(POINTS) / POINTS], indexing="ij")
@@ -229,7 +229,7 @@ def kept(n, v, g, last):
 def test_motion_keeps_casimirs_group_and_vorticity(n):
     v, moved = velocity(n, SMOOTH), smooth_path(n)
     assert relative(moved.v[-1], v) > 0.1  # it does move
-    eigenvalues, before, after, carried, found, defect = map(np.asarray, kept(n, v, moved.g[-1], moved.v[-1]))
+    eigenvalues, before, after, carried, found, defect = map(np.asarray, kept(n, v, moved.q[-1], moved.v[-1]))
     powers = np.arange(2, n + 1)
     scale = (2 * np.pi) ** 2 / n * np.sum(np.abs(eigenvalues[:, None]) ** powers, axis=0)  # odd ones may nearly vanish
     drift = np.abs(after - before) / scale
@@ -252,7 +252,7 @@ def test_relabelled_particles_move_alike():
     h = system(n).group.exp(velocity(n, ROUGH))
     other = path(system(n), Motion(h, velocity(n, SMOOTH)), jnp.asarray(0.01))[0]
     assert relative(other.v, smooth_path(n).v) < 1e-12
-    assert relative(other.g, h @ smooth_path(n).g) < 1e-12
+    assert relative(other.q, h @ smooth_path(n).q) < 1e-12
 
 
 def pseudo_spectral(vorticity, duration, steps=200):
@@ -297,10 +297,10 @@ def follow(observer, start, truth, direction, size, labels, dt):
     wrong = direction * (size * speed / metric.norm(direction))
 
     def step(state, x):
-        state, info = observer.step(state, jnp.zeros(0), labels @ x.g, dt)
+        state, info = observer.step(state, jnp.zeros(0), labels @ x.q, dt)
         return state, (metric.norm(state.v - x.v) / speed, info.distance / speed, info.result)
 
-    state = observer.init(labels)._replace(g=labels @ group.exp(0.1 * wrong), v=start + wrong)
+    state = observer.init(labels)._replace(q=labels @ group.exp(0.1 * wrong), v=start + wrong)
     return jax.lax.scan(step, state, truth)[1]
 
 
@@ -312,7 +312,7 @@ def errors_of(n, stream, alpha, dt, curvature=True, size=0.5, labels=None):
     model, v, direction = system(n), velocity(n, stream), velocity(n, OTHER + 0.5 * ROUGH)
     truth = path_from(n, v, dt)[0]
     h = model.group.identity() if labels is None else labels
-    observer = Group(model, jnp.asarray(alpha), jnp.asarray(0.21 * alpha**2), curvature=curvature, substeps=1)
+    observer = Intrinsic(model, jnp.asarray(alpha), jnp.asarray(0.21 * alpha**2), curvature=curvature, substeps=1)
     off, distance, result = follow(observer, v, truth, direction, jnp.asarray(size), h, jnp.asarray(dt))
     assert not np.any(np.asarray(result))
     return np.asarray([off, distance])

@@ -66,7 +66,7 @@ def test_odin_on_the_group_moves_as_in_euler_angles_with_coriolis():
     angles = simulate(state_space(marine.odin(**uneven, coriolis=True)), x0, t, push)
     group = simulate(marine.odin_on_group(**uneven), Motion(pose(x0[:6]), x0[6:]), t, push)
     np.testing.assert_allclose(group.x.v, angles.x[:, 6:], atol=1e-8)
-    np.testing.assert_allclose(group.x.g, jax.vmap(pose)(angles.x[:, :6]), atol=1e-8)
+    np.testing.assert_allclose(group.x.q, jax.vmap(pose)(angles.x[:, :6]), atol=1e-8)
     without = simulate(state_space(marine.odin(**uneven)), x0, t, push)
     assert np.abs(without.x - angles.x).max() > 1e-3
 
@@ -199,7 +199,7 @@ def test_group_form_meets_a_pitch_of_ninety_degrees_without_notice():
     g = SE3.identity().at[:3, :3].set(marine.euler_rotation(jnp.array([0.0, np.pi / 2, 0.0])))
     t = jnp.linspace(0.0, 2.0, 11)
     x = simulate(system, Motion(g, jnp.array([0.5, 0.0, 0.0, 0.0, 0.3, 0.1])), t).x
-    assert np.isfinite(x.g).all()
+    assert np.isfinite(x.q).all()
     np.testing.assert_allclose(
-        np.swapaxes(x.g[:, :3, :3], 1, 2) @ x.g[:, :3, :3], np.broadcast_to(np.eye(3), (11, 3, 3)), atol=1e-12
+        np.swapaxes(x.q[:, :3, :3], 1, 2) @ x.q[:, :3, :3], np.broadcast_to(np.eye(3), (11, 3, 3)), atol=1e-12
     )

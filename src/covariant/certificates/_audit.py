@@ -18,14 +18,16 @@ from covariant.certificates._audit_laws import (
     along_the_flow,
     between_charts,
     between_observers,
+    compiled_quickly,
+    configuration,
     of_the_geometry,
     order_of,
+    own,
 )
-from covariant.certificates._audit_places import AbstractPlace, InCoordinates, OnGroup, compiled_quickly, own
 from covariant.certificates._prove import Box, check_box
 from covariant.certificates._tangent import lyapunov, rate_of
-from covariant.models import GroupSystem, Lagrangian
-from covariant.observers import AbstractFlowObserver, AbstractObserver, Geodesic, Group
+from covariant.models import MechanicalSystem, source
+from covariant.observers import AbstractFlowObserver, AbstractObserver, Geodesic
 
 FLOOR = 1e-9
 """Differences below this share of the correction are rounding, and no power is fitted to them."""
@@ -178,7 +180,7 @@ class _Finding(NamedTuple):
 def audit(
     observer: AbstractObserver,
     *,
-    model: Lagrangian | GroupSystem | None = None,
+    model: MechanicalSystem | None = None,
     gains: tuple[float, float] | None = None,
     domain: Box | None = None,
     speed: float = 3.0,
@@ -187,7 +189,7 @@ def audit(
     seed: int = 0,
     laws: Sequence[str] = LAWS,
 ) -> Audit:
-    """Measure the laws of an intrinsic observer: `Intrinsic`, `Geodesic`, `Group`, or one that makes the same claim.
+    """Measure the laws of an intrinsic observer: `Intrinsic`, `Geodesic`, or one that makes the same claim.
 
     - `model`, `gains` (α [1/s], β [1/s²]): those of the laws, where they are not the observer's own `model`, `alpha`
       and `beta`.
@@ -202,46 +204,44 @@ def audit(
     Raises `ValueError` for an observer without that claim (no `flow`, no gains α and β, no mechanical model), for gains
     that are not positive, and for a domain without enough configurations at which the model is finite.
     """
-    flow, place = _subject(observer, model)
+    flow, model = _subject(observer, model)
     alpha, beta = _gains(observer, gains)
     unknown = [name for name in laws if name not in LAWS]
     if unknown:
         raise ValueError(f"audit: there is no law {unknown[0]!r}; choose from {', '.join(LAWS)}")
     if points < 1 or not (0 < speed < math.inf and 0 < error < math.inf):
         raise ValueError(f"audit: points, speed and error must be positive; got {points}, {speed:g}, {error:g}")
-    box = _box(place, domain)
-    states, coordinates = _draw(place, box, speed, points, np.random.default_rng(seed))
+    box = _box(model, domain)
+    states, coordinates = _draw(model, box, speed, points, np.random.default_rng(seed))
     both, errors = (jnp.asarray(alpha), jnp.asarray(beta)), error * np.array([1e-2, 1e-1, 1.0])
     found: dict[str, _Finding] = {}
     if not {"plant", "error", "lyapunov"}.isdisjoint(laws):
-        found |= _along_the_flow(place, flow, alpha, beta, states)
+        found |= _along_the_flow(model, flow, alpha, beta, states)
     if not {"metric", "torsion", "transport", "curvature"}.isdisjoint(laws):
-        found |= _of_the_geometry(place, states)
+        found |= _of_the_geometry(model, states)
     if "invariance" in laws:
-        found["invariance"] = _invariance(place, flow, both, states, errors)
+        found["invariance"] = _invariance(model, flow, both, states, errors)
     if "approximation" in laws:
-        differences = between_observers(place, flow, both, states, jnp.asarray(errors))
+        differences = between_observers(model, flow, both, states, jnp.asarray(errors))
         found["approximation"] = _second_order(np.asarray(differences), errors)
     at = np.concatenate([coordinates, np.asarray(states.v)], axis=1)
     return Audit(
         f"{type(observer).__name__}, α = {alpha:.4g} 1/s, β = {beta:.4g} 1/s²",
         f"{points} states, {box}, velocities to ±{speed:g} (seed {seed})",
-        tuple(_row(place, name, found[name], at) for name in LAWS if name in laws),
+        tuple(_row(model, name, found[name], at) for name in LAWS if name in laws),
     )
 
 
 def _subject(
-    observer: AbstractObserver, model: Lagrangian | GroupSystem | None
-) -> tuple[AbstractFlowObserver, AbstractPlace]:
+    observer: AbstractObserver, model: MechanicalSystem | None
+) -> tuple[AbstractFlowObserver, MechanicalSystem]:
     """The observer and where it lives, or why it has no such laws."""
     kind = type(observer).__name__
     if not isinstance(observer, AbstractFlowObserver):
-        raise ValueError(f"audit: {kind} is no differential equation; give an Intrinsic, a Geodesic or a Group")
+        raise ValueError(f"audit: {kind} is no differential equation; give an Intrinsic or a Geodesic")
     found = own(observer, "model") if model is None else model
-    if isinstance(found, Lagrangian):
-        return observer, InCoordinates(found)
-    if isinstance(found, GroupSystem):
-        return observer, OnGroup(found)
+    if isinstance(found, MechanicalSystem):
+        return observer, found
     lacks = "no model of its own; give model=" if found is None else f"a {type(found).__name__}; give an Intrinsic"
     raise ValueError(f"audit: the laws are those of an observer of a mechanical system, and {kind} has {lacks}")
 
@@ -251,18 +251,17 @@ def _gains(observer: AbstractObserver, given: tuple[float, float] | None) -> tup
     if any(gain is None for gain in pair):
         raise ValueError(
             f"audit: {type(observer).__name__} has no gains alpha and beta, nor the laws that go with them; give an "
-            "Intrinsic, a Geodesic or a Group"
+            "Intrinsic or a Geodesic"
         )
-    doubled = given is None and isinstance(observer, Group) and observer.doubled_alpha
-    alpha, beta = (2 if doubled else 1) * float(pair[0]), float(pair[1])
+    alpha, beta = float(pair[0]), float(pair[1])
     if not (0 < alpha < math.inf and 0 < beta < math.inf):
         raise ValueError(f"audit: the gains must be positive numbers; got {alpha:g} and {beta:g}")
     return alpha, beta
 
 
-def _box(place: AbstractPlace, domain: Box | None) -> Box:
+def _box(model: MechanicalSystem, domain: Box | None) -> Box:
     """All coordinates in order, each with its bounds of the domain, or with those that suit most machines."""
-    names, units, circles = place.coordinates
+    names, units, circles = _coordinates(model)
     if not names and domain is None:
         raise ValueError("audit: the model does not name its coordinates; give domain=box(q1=(low, high), …)")
     if domain is not None:
@@ -272,20 +271,39 @@ def _box(place: AbstractPlace, domain: Box | None) -> Box:
         unknown = [name for name in domain.names if name not in names]
         if unknown:
             raise ValueError(f"audit: there is no coordinate {unknown[0]!r}; the coordinates are {', '.join(names)}")
-    low, high = (np.full(len(names), end) for end in place.reach)
+    low, high = (np.full(len(names), end) for end in ((0.2, 1.2) if model.manifold.commuting else (-1.0, 1.0)))
     low[list(circles)], high[list(circles)] = -np.pi, np.pi
     for name, least, most in zip(domain.names, domain.low, domain.high, strict=True) if domain is not None else ():
         low[names.index(name)], high[names.index(name)] = least, most
     return Box(names, units, low, high)
 
 
+def _coordinates(model: MechanicalSystem) -> tuple[tuple[str, ...], tuple[str, ...], tuple[int, ...]]:
+    """Names and units of the coordinates, those of the retraction where the model has none, and which are circles."""
+    if model.manifold.commuting:
+        units = tuple("" if unit == "1" else unit for unit in model.units) or ("",) * len(model.coordinates)
+        return model.coordinates, units, model.circles
+    n = len(model.velocities)
+    return tuple(f"x{i + 1}" for i in range(n)), ("",) * n, ()
+
+
+def _usable(model: MechanicalSystem, coordinates: Array) -> Array:
+    """Whether the model is finite there, and its metric positive definite."""
+    q = configuration(model, coordinates)
+    g = model.space(q)
+    values = jnp.linalg.eigvalsh(jnp.where(jnp.isfinite(g), g, 0.0))
+    u = jnp.zeros(g.shape[0] if model.inputs is None else model.inputs)
+    finite = jnp.all(jnp.isfinite(g)) & jnp.all(jnp.isfinite(source(model, jnp.zeros(()), q, u)))
+    return finite & (values[0] > 1e-12 * values[-1])
+
+
 def _draw(
-    place: AbstractPlace, box: Box, speed: float, points: int, rng: np.random.Generator
+    model: MechanicalSystem, box: Box, speed: float, points: int, rng: np.random.Generator
 ) -> tuple[States, Float[np.ndarray, "k n"]]:
     """Random states, and the coordinates of their positions."""
     n = len(box.low)
     candidates = rng.uniform(box.low, box.high, (CANDIDATES * points, n))
-    good, positions = (np.asarray(a) for a in _look(place, jnp.asarray(candidates)))
+    good, positions = (np.asarray(a) for a in _look(model, jnp.asarray(candidates)))
     if good.sum() < points:
         raise ValueError(
             f"audit: the model is finite and its metric positive definite at only {good.sum()} of {len(good)} "
@@ -294,7 +312,7 @@ def _draw(
     v = rng.uniform(-speed, speed, (points, n))
     y, z, unit = rng.normal(size=(3, points, n))
     unit /= np.linalg.norm(unit, axis=1, keepdims=True)
-    u = rng.normal(size=(points, place.inputs(n)))
+    u = rng.normal(size=(points, n if model.inputs is None else model.inputs))
     # So small that the derivative of the chart stays near the identity wherever its centre is.
     bend = rng.uniform(-0.25 / n, 0.25 / n, (points, 2, n, n))
     centre = rng.uniform(-0.5, 0.5, (points, n))
@@ -303,21 +321,21 @@ def _draw(
 
 
 @compiled_quickly
-def _look(place: AbstractPlace, coordinates: Array) -> tuple[Array, Array]:
-    return jax.lax.map(lambda c: (place.usable(c), place.position(c)), coordinates)
+def _look(model: MechanicalSystem, coordinates: Array) -> tuple[Array, Array]:
+    return jax.lax.map(lambda c: (_usable(model, c), configuration(model, c)), coordinates)
 
 
 def _along_the_flow(
-    place: AbstractPlace, observer: AbstractFlowObserver, alpha: float, beta: float, states: States
+    model: MechanicalSystem, observer: AbstractFlowObserver, alpha: float, beta: float, states: States
 ) -> dict[str, _Finding]:
     q = lyapunov(alpha, beta)
-    found = along_the_flow(place, observer, jnp.asarray(alpha), jnp.asarray(beta), jnp.asarray(q), states)
+    found = along_the_flow(model, observer, jnp.asarray(alpha), jnp.asarray(beta), jnp.asarray(q), states)
     details = {"lyapunov": f"a rate of {rate_of(alpha, beta, q):.4g} 1/s where it holds"}
     return {name: _Finding(np.asarray(value), details.get(name, "")) for name, value in found._asdict().items()}
 
 
-def _of_the_geometry(place: AbstractPlace, states: States) -> dict[str, _Finding]:
-    found = {name: np.asarray(value) for name, value in of_the_geometry(place, states)._asdict().items()}
+def _of_the_geometry(model: MechanicalSystem, states: States) -> dict[str, _Finding]:
+    found = {name: np.asarray(value) for name, value in of_the_geometry(model, states)._asdict().items()}
     sectional = found.pop("sectional")
     findings = {name: _Finding(value) for name, value in found.items()}
     curved = findings["curvature"]._replace(
@@ -327,12 +345,12 @@ def _of_the_geometry(place: AbstractPlace, states: States) -> dict[str, _Finding
     return findings | {"curvature": flat if states.v.shape[1] == 1 else curved}
 
 
-def _invariance(place: AbstractPlace, observer: AbstractFlowObserver, gains, states: States, errors) -> _Finding:
-    if not isinstance(place, InCoordinates):
+def _invariance(model: MechanicalSystem, observer: AbstractFlowObserver, gains, states: States, errors) -> _Finding:
+    if not isinstance(model, InCoordinates):
         return _Finding(None, reason="no chart: the observer on a group is written without coordinates")
     if own(observer, "model") is None:
         return _Finding(None, reason="the observer is written in one chart: it has no model to exchange")
-    found = np.asarray(between_charts(place, observer, gains, states, jnp.asarray(errors)))
+    found = np.asarray(between_charts(model, observer, gains, states, jnp.asarray(errors)))
     if isinstance(observer, Geodesic):
         tolerance, reason = _EXACT
         return _Finding(found[-1], f"at an error of {errors[-1]:.2g}", None, tolerance, reason)
@@ -348,9 +366,9 @@ def _second_order(relative: Float[np.ndarray, "e k"], errors: Float[np.ndarray, 
     return _Finding(np.full_like(worst, np.maximum(0.0, 2 - order)), detail, worst)
 
 
-def _row(place: AbstractPlace, name: str, found: _Finding, points: Float[np.ndarray, "k two_n"]) -> Law:
+def _row(model: MechanicalSystem, name: str, found: _Finding, points: Float[np.ndarray, "k two_n"]) -> Law:
     said = _STATEMENTS[name]
-    where = said.sources[isinstance(place, OnGroup)]
+    where = said.sources[isinstance(model, OnGroup)]
     reason = said.reason if found.reason is None else found.reason
     tolerance = said.tolerance if found.tolerance is None else found.tolerance
     if found.deviations is None:

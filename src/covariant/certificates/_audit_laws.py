@@ -7,18 +7,23 @@ Source: Aghannan & Rouchon 2003, sections II to IV and appendix II; the derivati
 factor ½.
 """
 
-from typing import NamedTuple
+import dataclasses
+from collections.abc import Callable
+from typing import Any, NamedTuple, TypeVar
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from covariant._typing import Scalar, Vector
-from covariant.certificates._audit_places import AbstractPlace, compiled_quickly, exchange, traced_once
-from covariant.models import Lagrangian, acceleration, friction
-from covariant.observers import AbstractFlowObserver
+from covariant.geometry import AbstractSpace, Budget, Metric
+from covariant.models import Lagrangian, MechanicalSystem, acceleration, friction
+from covariant.observers import AbstractFlowObserver, AbstractObserver, Geodesic, Intrinsic
 
+NEAR = Budget(newton=0, steps=1)
+"""A geodesic to second order in the error, which is all that differences of second order need."""
 STEP = 4e-3
 """Time between the geodesics of a second difference; their speed is 1 in coordinates."""
 SHORT = 0.1
@@ -27,10 +32,19 @@ STEPS = 4
 """Eighth-order steps of such a geodesic."""
 
 
+_Function = TypeVar("_Function", bound=Callable[..., Any])
+
+
+def compiled_quickly(function: _Function) -> _Function:
+    """Compile a function that runs once, with the least effort: an audit is mostly the compiler's time."""
+    options = {"xla_backend_optimization_level": 0}
+    return eqx.filter_jit(function, compiler_options=options)  # pyright: ignore[reportCallIssue]
+
+
 class States(NamedTuple):
     """One random state a row, and what is needed to look around it; all (k, …)."""
 
-    x: Array  # positions, elements of a group
+    x: Array  # configurations
     v: Float[Array, "k n"]
     y: Float[Array, "k n"]  # two vectors
     z: Float[Array, "k n"]
@@ -58,11 +72,60 @@ class GeometryDeviations(NamedTuple):
     sectional: Array
 
 
-def slope(place: AbstractPlace, observer: AbstractFlowObserver, x: Array, v: Vector, u: Array, y: Array):
-    """`(q̂', v̂')` of the estimate (x, v) under the input u, y being measured."""
-    state = observer.init(y)._replace(**{place.slot: x, "v": v})
+def own(observer: AbstractObserver, name: str) -> Any:
+    """A field, or None where there is no such field."""
+    return getattr(observer, name) if name in {field.name for field in dataclasses.fields(observer)} else None
+
+
+def exchange(observer: Any, model: MechanicalSystem) -> Any:
+    """The same observer with another model."""
+    return dataclasses.replace(observer, model=model)
+
+
+def traced_once(model: MechanicalSystem) -> MechanicalSystem:
+    """The same model, the matrix of a numerical metric being traced once, not once for every derivative."""
+    if type(model.space) is not Metric:  # a subclass may do better
+        return model
+    return eqx.tree_at(lambda m: m.space.matrix, model, jax.jit(model.space.matrix))
+
+
+def _both_once(model: MechanicalSystem, observer: Any) -> tuple[MechanicalSystem, Any]:
+    """Model and observer, each with its model `traced_once`."""
+    mine = own(observer, "model")
+    known = isinstance(mine, MechanicalSystem)
+    return traced_once(model), exchange(observer, traced_once(mine)) if known else observer
+
+
+def configuration(model: MechanicalSystem, s: Vector) -> Array:
+    """The configuration with these coordinates; off coordinates, of the retraction at the origin."""
+    return s if model.manifold.commuting else model.manifold.retract(model.manifold.origin(), s)
+
+
+def nudged(model: MechanicalSystem, x: Array, a: Vector) -> Array:
+    """The configuration a small step a from x, to first order, for derivatives at a = 0."""
+    return x + model.manifold.tangent(x, a)
+
+
+def bracket(model: MechanicalSystem, x: Array, a: Vector, b: Vector) -> Vector:
+    """`[a, b]` by derivatives of the frame, so that the manifold's own formula is put to the test."""
+
+    def along(one, two):
+        field = lambda y: model.manifold.tangent(y, two)  # noqa: E731
+        return jax.jvp(field, (x,), (model.manifold.tangent(x, one),))[1]
+
+    return model.manifold.components(x, along(a, b) - along(b, a))
+
+
+def counterpart(observer: AbstractFlowObserver, model: MechanicalSystem, alpha, beta) -> AbstractFlowObserver:
+    """The approximate observer for the exact one, and the exact one for any other."""
+    return Intrinsic(model, alpha, beta) if isinstance(observer, Geodesic) else Geodesic(model, alpha, beta, NEAR)
+
+
+def slope(observer: AbstractFlowObserver, x: Array, v: Vector, u: Array, y: Array) -> tuple[Vector, Vector]:
+    """Velocity in the frame and v̂' of the estimate (x, v) under the input u, y being measured."""
+    state = observer.init(y)._replace(q=x, v=v)
     found = observer.flow(jnp.zeros((), v.dtype), state, u, y)
-    return getattr(found, place.slot), found.v
+    return found.q, found.v
 
 
 def change(function, *, aux: bool = False):
@@ -72,7 +135,7 @@ def change(function, *, aux: bool = False):
 
 @compiled_quickly
 def along_the_flow(
-    place: AbstractPlace,
+    model: MechanicalSystem,
     observer: AbstractFlowObserver,
     alpha: Scalar,
     beta: Scalar,
@@ -80,31 +143,32 @@ def along_the_flow(
     states: States,
 ) -> FlowDeviations:
     """At q̂ = q and any velocity: the estimate moves as the plant; law (10); V' for the matrix Q."""
-    place, observer = traced_once(place), traced_once(observer)
+    model, observer = _both_once(model, observer)
+    space = model.space
 
     def one(states: States) -> FlowDeviations:
         x, v, u, xi, delta = states.x, states.v, states.u, states.y, states.z
 
         def norm(a):
-            return place.norm(x, a)
+            return space.norm(x, a)
 
         def undamped(s):  # the dissipation at the estimate is the one addition to the law
-            near, moved = place.nudge(x, s * xi), v + s * delta
-            w, a = slope(place, observer, near, moved, u, x)
-            return w, a - friction(place.model, near, moved)
+            near, moved = nudged(model, x, s * xi), v + s * delta
+            w, a = slope(observer, near, moved, u, x)
+            return w, a - friction(model, near, moved)
 
         (w, a), (w_change, a_change) = change(undamped)
-        xi_rate = w_change + place.bracket(xi, w)
+        xi_rate = w_change + bracket(model, x, xi, w)
 
         def along(s):
             """ζ and V of the variation that the flow carries along."""
-            at, xi_now = place.nudge(x, s * w), xi + s * xi_rate
-            zeta = delta + s * a_change + place.connection(at, xi_now, v + s * a)
-            gram = place.gram(at, jnp.stack([xi_now, zeta]))
+            at, xi_now = nudged(model, x, s * w), xi + s * xi_rate
+            zeta = delta + s * a_change + space.connection(at, xi_now, v + s * a)
+            gram = space.gram(at, jnp.stack([xi_now, zeta]))
             return zeta, jnp.sum(q * gram) / 2
 
         (zeta, _), (zeta_rate, fall) = change(along)
-        turned, carried = place.connection(x, w, xi), place.connection(x, w, zeta)
+        turned, carried = space.connection(x, w, xi), space.connection(x, w, zeta)
         first = xi_rate + turned - (zeta - alpha * xi)
         second = zeta_rate + carried + beta * xi
         # Against the terms that cancel, so that rounding counts as what it is.
@@ -115,8 +179,8 @@ def along_the_flow(
                 norm(a_change) + norm(zeta_rate - a_change) + norm(carried) + beta * lengths[0],
             ]
         )
-        damping, bent = friction(place.model, x, v), place.connection(x, v, v)
-        plant = acceleration(place.model, jnp.zeros(()), x, v, u)
+        damping, bent = friction(model, x, v), space.connection(x, v, v)
+        plant = acceleration(model, jnp.zeros(()), x, v, u)
         parts = norm(plant) + norm(a) + norm(damping) + norm(bent)
         return FlowDeviations(
             jnp.maximum(norm(w - v) / norm(v), norm(a + damping - plant) / parts),
@@ -128,23 +192,24 @@ def along_the_flow(
 
 
 @compiled_quickly
-def of_the_geometry(place: AbstractPlace, states: States) -> GeometryDeviations:
+def of_the_geometry(model: MechanicalSystem, states: States) -> GeometryDeviations:
     """The connection is metric and symmetric, transport keeps lengths, geodesics part as the curvature says."""
-    place = traced_once(place)
+    model = traced_once(model)
+    space = model.space
 
     def one(states: States) -> GeometryDeviations:
         x, a, b, c, e = states.x, states.v, states.y, states.z, states.unit
 
         def norm(a):
-            return place.norm(x, a)
+            return space.norm(x, a)
 
-        along_b, along_c = place.connection(x, a, b), place.connection(x, a, c)
-        changed = change(lambda s: place.inner(place.nudge(x, s * a), b, c))[1]
-        metric = jnp.abs(changed - place.inner(x, along_b, c) - place.inner(x, b, along_c))
+        along_b, along_c = space.connection(x, a, b), space.connection(x, a, c)
+        changed = change(lambda s: space.inner(nudged(model, x, s * a), b, c))[1]
+        metric = jnp.abs(changed - space.inner(x, along_b, c) - space.inner(x, b, along_c))
         metric = metric / (jnp.abs(changed) + norm(along_b) * norm(c) + norm(b) * (norm(along_c) + norm(c)))
-        swapped, bracket = place.connection(x, b, a), place.bracket(a, b)
-        torsion = norm(along_b - swapped - bracket)
-        torsion = torsion / (norm(along_b) + norm(swapped) + norm(bracket) + norm(a) * norm(b))
+        swapped, commutator = space.connection(x, b, a), bracket(model, x, a, b)
+        torsion = norm(along_b - swapped - commutator)
+        torsion = torsion / (norm(along_b) + norm(swapped) + norm(commutator) + norm(a) * norm(b))
 
         # Vectors of unit length, so that a badly scaled metric is looked at alike in all directions.
         frame = jnp.eye(a.shape[0], dtype=a.dtype)
@@ -158,24 +223,25 @@ def of_the_geometry(place: AbstractPlace, states: States) -> GeometryDeviations:
             """
 
             def neighbour(s):
-                start, velocity = place.nudge(x, s * b), e - s * place.connection(x, b, e)
-                return place.geodesic(start, t * velocity, frame, STEPS)
+                start, velocity = nudged(model, x, s * b), e - s * space.connection(x, b, e)
+                end = space.transport_along(start, t * velocity, frame, Budget(steps=STEPS))
+                return end.q, end.w
 
             (end, moved), (parted, _) = change(neighbour)
-            return moved @ place.covector(end, place.tangent(end, parted)), place.gram(end, moved)
+            return moved @ space.lower(end, model.manifold.components(end, parted)), space.gram(end, moved)
 
         times = jnp.array([-2 * STEP, -STEP, 0.0, STEP, 2 * STEP, SHORT])
         field, gram = jax.lax.map(carried, times)
         second = jnp.array([-1.0, 16.0, -30.0, 16.0, -1.0]) / (12 * STEP**2) @ field[:5]
-        jacobi = place.curvature(x, b, e, e)
-        parting = jnp.max(jnp.abs(second + frame @ place.covector(x, jacobi)))
-        area = place.inner(x, e, e) - place.inner(x, b, e) ** 2
+        jacobi = space.curvature(x, b, e, e)
+        parting = jnp.max(jnp.abs(second + frame @ space.lower(x, jacobi)))
+        area = space.inner(x, e, e) - space.inner(x, b, e) ** 2
         return GeometryDeviations(
             metric,
             torsion,
             jnp.max(jnp.abs(gram[-1] - gram[2])),
             parting / (1 + norm(jacobi)),
-            place.inner(x, b, jacobi) / area,
+            space.inner(x, b, jacobi) / area,
         )
 
     return jax.lax.map(one, states)
@@ -188,16 +254,16 @@ def _spread(one, states: States, errors: Float[Array, "e"]) -> Float[Array, "e k
     return jax.lax.map(lambda both: one(*both), (tiled, jnp.repeat(errors, k))).reshape(e, k)
 
 
-def _difference(place: AbstractPlace, gains, x, v, error, one, two) -> Scalar:
+def _difference(space: AbstractSpace, gains, x, v, error, one, two) -> Scalar:
     """How far two slopes are from each other, relative to the correction that the error calls for."""
     (alpha, beta), w, a = gains, one[0] - two[0], one[1] - two[1]
-    gap = alpha * place.norm(x, w) + place.norm(x, a + place.connection(x, v, w))
-    return gap / ((alpha**2 + beta) * place.norm(x, error))
+    gap = alpha * space.norm(x, w) + space.norm(x, a + space.connection(x, v, w))
+    return gap / ((alpha**2 + beta) * space.norm(x, error))
 
 
 @compiled_quickly
 def between_charts(
-    place: AbstractPlace,
+    model: MechanicalSystem,
     observer: AbstractFlowObserver,
     gains: tuple[Scalar, Scalar],
     states: States,
@@ -207,8 +273,8 @@ def between_charts(
 
     The chart is `q = y + ψ(z) − ψ(centre)` with `ψ(z) = z + A z² + B z³`, powers by components.
     """
-    place, observer = traced_once(place), traced_once(observer)
-    model = place.model
+    model, observer = _both_once(model, observer)
+    space = model.space
 
     def one(states: States, error: Scalar) -> Scalar:
         y, v, u, centre = states.x, states.v, states.u, states.centre
@@ -228,7 +294,7 @@ def between_charts(
         @jax.jit  # so that it is traced once, and not wherever a derivative of it is taken
         def metric(z):
             jacobian = jax.jacfwd(chart)(z)
-            return jacobian.T @ model.metric(chart(z)) @ jacobian
+            return jacobian.T @ space(chart(z)) @ jacobian
 
         rewritten = Lagrangian(
             metric,
@@ -238,31 +304,32 @@ def between_charts(
             inputs=model.inputs,
         )
         estimate = centre + error * states.unit
-        there = slope(exchange(place, rewritten), exchange(observer, rewritten), estimate, v, u, centre)
+        there = slope(exchange(observer, rewritten), estimate, v, u, centre)
         (x, velocity), pushed = jax.jvp(lambda z, w: (chart(z), push(z, w)), (estimate, v), there)
-        here = slope(place, observer, x, velocity, u, y)
-        return _difference(place, gains, x, velocity, x - y, here, pushed)
+        here = slope(observer, x, velocity, u, y)
+        return _difference(space, gains, x, velocity, x - y, here, pushed)
 
     return _spread(one, states, errors)
 
 
 @compiled_quickly
 def between_observers(
-    place: AbstractPlace,
+    model: MechanicalSystem,
     observer: AbstractFlowObserver,
     gains: tuple[Scalar, Scalar],
     states: States,
     errors: Float[Array, "e"],
 ) -> Float[Array, "e k"]:
     """Relative differences of the slopes of the observer and of its counterpart, approximate or exact."""
-    place, observer = traced_once(place), traced_once(observer)
-    pair = observer, place.counterpart(observer, *gains)
+    model, observer = _both_once(model, observer)
+    space = model.space
+    pair = observer, counterpart(observer, model, *gains)
 
     def one(states: States, error: Scalar) -> Scalar:
         away = error * states.unit
-        x = place.move(states.x, away)
-        one, two = (slope(place, each, x, states.v, states.u, states.x) for each in pair)
-        return _difference(place, gains, x, states.v, away, one, two)
+        x = model.manifold.retract(states.x, away)
+        one, two = (slope(each, x, states.v, states.u, states.x) for each in pair)
+        return _difference(space, gains, x, states.v, away, one, two)
 
     return _spread(one, states, errors)
 

@@ -40,9 +40,9 @@ from covariant.certificates._region import (
     subject,
 )
 from covariant.certificates._tangent import TwoByTwo, check_q, error_matrix, optimal_lyapunov, rate_of
+from covariant.geometry.lie import SO2, SO3
 from covariant.lowering import Lowered, lower, numbers
-from covariant.models import GroupSystem, Lagrangian
-from covariant.observers import Group
+from covariant.models import MechanicalSystem
 
 Bounds = tuple[ArrayLike, ArrayLike]
 ROOM = 1.05
@@ -284,8 +284,6 @@ def certify(
     observer.
     """
     alpha, beta = float(observer.alpha), float(observer.beta)
-    if isinstance(observer, Group) and observer.doubled_alpha:
-        alpha *= 2
     for name, gain in (("alpha", alpha), ("beta", beta)):
         if not math.isfinite(gain):
             raise ValueError(f"certify: {name} of the observer must be a finite number; got {gain:g}")
@@ -410,8 +408,7 @@ def _said(velocity, rate: float, radius: float, steady: float) -> str:
 
 
 def _dimension(observer: Intrinsics) -> int:
-    model = observer.model
-    return model.group.dimension if isinstance(model, GroupSystem) else len(model.coordinates)
+    return len(observer.model.coordinates or observer.model.velocities)
 
 
 def _positive(name: str, value: ArrayLike, n: int) -> Float[np.ndarray, "n"]:
@@ -444,7 +441,7 @@ def _domain(
     """The box of estimate, error and force, and what the bounds of the force come from."""
     model = observer.model
     n = len(velocity)
-    if isinstance(model, Lagrangian):
+    if model.manifold.commuting:
         if position is None:
             raise ValueError(f"certify: position needs bounds of {', '.join(model.coordinates)}")
         low, high = (np.broadcast_to(np.asarray(side, float), (n,)).copy() for side in position)
@@ -488,11 +485,11 @@ def _domain(
     return check_box(box(slack)), given
 
 
-def _elements(model: GroupSystem, position: Bounds | None) -> Box:
-    order = model.group.order
+def _elements(model: MechanicalSystem, position: Bounds | None) -> Box:
+    order = model.manifold.shape[0]
     names = tuple(f"g{i + 1}{j + 1}" for i, j in itertools.product(range(order), repeat=2))
     if position is None:
-        if type(model.group).__name__ not in ("SpecialOrthogonal2", "SpecialOrthogonal3"):
+        if model.manifold not in (SO2, SO3):
             raise ValueError("certify: on this group position needs bounds of the entries of its matrices (N, N)")
         position = (-np.ones((order, order)), np.ones((order, order)))
     low, high = (np.broadcast_to(np.asarray(side, float), (order, order)).ravel().copy() for side in position)

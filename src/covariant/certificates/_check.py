@@ -15,6 +15,7 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 
 from covariant.certificates import _matrices as matrices
@@ -22,7 +23,7 @@ from covariant.certificates._document import Document, parse
 from covariant.certificates._region import Intrinsics, Subject, check_unique, subject
 from covariant.certificates._saved import observer_from, value_graph
 from covariant.certificates._taylor import ROUND, Enclosure, halves, show_definite
-from covariant.models import GroupSystem, Lagrangian
+from covariant.models import MechanicalSystem
 
 ROOM = 2.0**-20
 """Forces may be larger than claimed by this part, so that bounds which they reach are quickly shown."""
@@ -129,7 +130,7 @@ def _complete(statement: Statement) -> None:
     speed, radius = document.velocity, document.radius
     _need(disturbed == bool(sizes(document).any()), "claims: one about a disturbance must be there, if there is any")
     # An error is that from the measured position, and so more than that from the true one by the noise.
-    start = document.given.positions[:, : places * isinstance(model, Lagrangian)]
+    start = document.given.positions[:, : places * model.manifold.commuting]
     truth = [np.concatenate([p, v, b]) for p, v, b in zip(start, (-speed, speed), (-noise, noise), strict=True)]
     reach = [radius * math.sqrt(claim.square) * (1 + ROUND) for claim in claims[1 : 1 + 2 * n]]
     away = [*reach[: len(start[0])], *reach[n:], *reach[:n]]
@@ -174,14 +175,14 @@ def _jobs(document: Document) -> Iterator[tuple]:
             yield index, *(side[k : k + SHARE] for side in boxes)
 
 
-def _shape(model: Lagrangian | GroupSystem, n: int) -> tuple[int, ...]:
-    return (n,) if isinstance(model, Lagrangian) else (model.group.order, model.group.order)
+def _shape(model: MechanicalSystem, n: int) -> tuple[int, ...]:
+    return (n,) if model.manifold.commuting else jax.eval_shape(model.manifold.origin).shape
 
 
 def _given(document: Document) -> np.ndarray:
     """Least and largest time, measured position and input: (2, 1 + places + m). On a group positions are measured."""
     given, positions = document.given, document.given.positions
-    if document.observer["kind"] != "group":
+    if document.observer["frame"] == "coordinates":
         positions = positions + np.outer([-1, 1], given.noise)
     return np.concatenate([given.times[:, None], positions, given.inputs], axis=1)
 

@@ -43,9 +43,10 @@ KEYS = [
 OBSERVERS: dict[str, dict[str, Any]] = {
     "intrinsic": {"order": (1, 2), "coefficients": ("measured", "estimated"), "curvature": bool},
     "geodesic": {"curvature": bool},
-    "group": {"error": ("group", "riemannian"), "doubled_alpha": bool, "curvature": bool},
 }
 """Beside the gains, the fields of each kind of observer: what they may be, or a truth."""
+FRAMES = ("coordinates", "body")
+"""What vectors are written in. In the body the configuration is none of the variables of a region."""
 ARGUMENTS = {op: range(n := getattr(fold, "nin", 3), n + 1) for op, fold in FOLD.items()}
 ARGUMENTS |= {"either": range(4, 5), "stumpff": range(2, 3)}
 """Operations of a graph of scalars, and how many arguments they take."""
@@ -94,7 +95,7 @@ class Document(NamedTuple):
     """What a file says, of the right kinds and sizes.
 
     - `recipe`: {"system": name} or {"attribute": "module:attribute"}, and its "parameters": names, not yet looked up.
-    - `observer`: "kind", "alpha", "beta" and the options of that kind; `q` (2, 2): the matrix of its metric.
+    - `observer`: "kind", "frame", "alpha", "beta" and the options of that kind; `q` (2, 2): the matrix of its metric.
     - `rate` [1/s], `radius`: the radius is 0 where a claim is open; `velocity` (n,).
     - `low`, `high` (d,): the box of all claims.
     - `graph`: {"nodes": rows, "outputs": whole numbers}, a graph of scalars that points backwards only.
@@ -159,7 +160,7 @@ def parse_bytes(path: str | Path, content: bytes) -> Document:
     observer, velocity = _observer(fields["observer"]), fields["velocity"].vector(1, MOST_PARTS, least=0.0)
     fields["velocity"].need((velocity > 0).all(), "positive numbers")
     n = len(velocity)
-    variables = n * (3 if observer["kind"] == "group" else 4)
+    variables = n * (4 if observer["frame"] == "coordinates" else 3)
     low, high = fields["box"].pair(variables, variables)
     claims = _claims(fields["claims"], n, variables)
     return Document(
@@ -371,11 +372,13 @@ def _observer(field: _Field) -> dict[str, Any]:
     field.need(isinstance(field.value, dict) and "kind" in field.value, "an object with the kind of the observer")
     kind = field.at("kind").one_of(tuple(OBSERVERS))
     schema = OBSERVERS[kind]
-    fields = field.record(["kind", "alpha", "beta", *schema])
+    fields = field.record(["kind", "frame", "alpha", "beta", *schema])
+    frame = fields["frame"].one_of(FRAMES)
     options = {
         key: fields[key].one_of((True, False) if choices is bool else choices) for key, choices in schema.items()
     }
-    return {"kind": kind, "alpha": fields["alpha"].positive(), "beta": fields["beta"].positive(), **options}
+    gains = {key: fields[key].positive() for key in ("alpha", "beta")}
+    return {"kind": kind, "frame": frame, **gains, **options}
 
 
 def _metric(field: _Field) -> np.ndarray:

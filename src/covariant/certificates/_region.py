@@ -23,10 +23,10 @@ from covariant.certificates._form import Form, Values, as_form, formed
 from covariant.certificates._prove import Box, check_box, show_conditions
 from covariant.certificates._tangent import TwoByTwo, tangent_metric
 from covariant.lowering import Conditions, enclose, expand, lower, numbers
-from covariant.models import GroupSystem, Lagrangian, applied_force
-from covariant.observers import Geodesic, Group, Intrinsic
+from covariant.models import MechanicalSystem, applied_force
+from covariant.observers import Geodesic, Intrinsic, second_order
 
-Intrinsics = Intrinsic | Geodesic | Group
+Intrinsics = Intrinsic | Geodesic
 
 
 def _nothing() -> Matrix:
@@ -61,13 +61,19 @@ class Subject(NamedTuple):
 def subject(observer: Intrinsics, q: TwoByTwo) -> Subject:
     """The observer on any region, in the metric that the matrix q (2, 2) makes of that of its model.
 
-    Raises `TypeError` for another kind of observer.
+    Raises `TypeError` for another kind of observer, `ValueError` for a space where none is known.
     """
-    if isinstance(observer, Group):
-        return _on_group(observer, q)
-    if isinstance(observer, Intrinsic | Geodesic):
+    if not isinstance(observer, Intrinsics):
+        raise TypeError(f"only intrinsic observers have this metric, Intrinsic and Geodesic; got {observer!r}")
+    space = observer.model.space
+    if space.manifold.commuting:
         return _in_coordinates(observer, q)
-    raise TypeError(f"only intrinsic observers have this metric, Intrinsic, Geodesic and Group; got {observer!r}")
+    if space.homogeneous:
+        return _in_the_body(observer, q)
+    raise ValueError(
+        "regions are boxes of coordinates, or of velocities where the metric is the same everywhere; the metric of "
+        f"{type(observer.model).__name__} depends on where it is on {space.manifold}: not covered"
+    )
 
 
 def contraction(subject: Subject, rate: float) -> Form:
@@ -160,12 +166,12 @@ def disturbed(subject: Subject, sizes: Float[np.ndarray, "two_n"], square: float
     return formed(values(subject), lambda z: subject.at(z).x, parts, formula, numbers)
 
 
-def _in_coordinates(observer: Intrinsic | Geodesic, q: TwoByTwo) -> Subject:
+def _in_coordinates(observer: Intrinsics, q: TwoByTwo) -> Subject:
     model = observer.model
     n = _dimension(model)
-    driven = Lagrangian(model.metric, _no_potential, None, model.dissipation, model.circles)
+    driven = MechanicalSystem(model.space, None, None, model.dissipation)
     bare = _with_model(observer, driven)
-    metric = tangent_metric(model.metric, q)
+    metric = tangent_metric(model.space, q)
 
     def at(z):
         place, velocity, error, force = jnp.split(z, 4)
@@ -195,23 +201,23 @@ def _in_coordinates(observer: Intrinsic | Geodesic, q: TwoByTwo) -> Subject:
     )
 
 
-def _on_group(observer: Group, q: TwoByTwo) -> Subject:
-    model, group = observer.model, observer.model.group
-    n = group.dimension
-    metric = model.metric
+def _in_the_body(observer: Intrinsics, q: TwoByTwo) -> Subject:
+    model, space, manifold = observer.model, observer.model.space, observer.model.manifold
     _need_symmetry(model)
-    inertia = np.array(jax.vmap(metric.inertia)(jnp.eye(n)))
+    origin = manifold.origin()
+    inertia = np.array(space(origin))
+    n = len(inertia)
 
     def each(linear, dtype):
         return jax.vmap(linear, out_axes=1)(jnp.eye(n, dtype=dtype))
 
-    # Around an estimate g the chart is g exp(θ), and everything is looked at at θ = 0.
+    # Around an estimate the chart is that of the retraction, and everything is looked at at θ = 0.
     def frames(x, sign):
         theta, v = jnp.split(x, 2)
-        body = each(functools.partial(group.right_jacobian, theta), x.dtype)
-        turn = each(lambda e: metric.connection(e, v), x.dtype)
+        body = each(functools.partial(manifold.frame_velocity, origin, theta), x.dtype)
+        turn = each(lambda e: space.connection(origin, e, v), x.dtype)
         lower = turn @ body if sign > 0 else -turn
-        upper = body if sign > 0 else each(functools.partial(group.right_jacobian_inverse, theta), x.dtype)
+        upper = body if sign > 0 else each(functools.partial(manifold.local_rate, origin, theta), x.dtype)
         return jnp.block([[upper, jnp.zeros((n, n), x.dtype)], [lower, jnp.eye(n, dtype=x.dtype)]])
 
     def gram(t, x):
@@ -226,26 +232,28 @@ def _on_group(observer: Group, q: TwoByTwo) -> Subject:
             theta, v = jnp.split(x, 2)
             # log(exp(−θ) exp(−e)) to first order in θ, without what the logarithm decides by matrix entries. It is an
             # identity for errors whose logarithm is unique.
-            towards = -error - group.right_jacobian_inverse(error, theta)
-            source = metric.inertia.solve(force)
-            rubbing = metric.inertia.solve(model.dissipation(group.identity(z.dtype), v))
-            drive = observer.bend(source + metric.connection(towards, source), towards, v)
-            w, v_dot = observer.rates(v, towards, drive + rubbing)
-            return jnp.concatenate([group.right_jacobian_inverse(theta, w), v_dot])
+            towards = -error - manifold.local_rate(origin, error, theta)
+            at = manifold.origin(z.dtype)
+            xi = -towards if observer.order == 1 else second_order(space, at, -towards)
+            source = space.raise_(at, force)
+            rubbing = space.raise_(at, model.dissipation(at, v))
+            drive = observer.bend(at, source - space.connection(at, xi, source), xi, v)
+            w, v_dot = observer.rates(at, v, xi, drive + rubbing)
+            return jnp.concatenate([manifold.local_rate(origin, theta, w), v_dot])
 
         x = jnp.concatenate([jnp.zeros(n, z.dtype), velocity])
 
         def reach():
-            away = each(functools.partial(group.right_jacobian_inverse, error), z.dtype)
+            away = each(functools.partial(manifold.local_rate, origin, error), z.dtype)
             rows = jnp.concatenate([away, jnp.zeros((n, n), z.dtype)], axis=1)
             return jnp.concatenate([rows, length.frame(jnp.zeros((), z.dtype), x)[n:]])
 
         def offset():
-            return -each(functools.partial(group.left_jacobian_inverse, error), z.dtype)
+            return -each(functools.partial(manifold.local_rate, origin, -error), z.dtype)
 
         return Point(flow, length, x, reach, offset)
 
-    names, units = model.velocities, model.units
+    names, units = model.velocities, model.velocity_units
     turned = tuple(unit.removesuffix("/s") for unit in units)
     return Subject(
         (*names, *(f"e_{k}" for k in names), *(f"f_{k}" for k in names)),
@@ -259,34 +267,32 @@ def _with_model(observer, model):
     return type(observer)(**(fields | {"model": model}))
 
 
-def _no_potential(q):
-    return jnp.zeros((), q.dtype)
-
-
-def _dimension(model: Lagrangian) -> int:
+def _dimension(model: MechanicalSystem) -> int:
     if not model.coordinates:
         raise ValueError("the model must name its coordinates, so that a region can; give Lagrangian(coordinates=...)")
     return len(model.coordinates)
 
 
-def _need_symmetry(model: GroupSystem) -> None:
+def _need_symmetry(model: MechanicalSystem) -> None:
     """Raise `ValueError` where friction or inertia do not let the estimated configuration drop out."""
-    entries, n = model.group.order**2, model.group.dimension
-    rubbing = lower(model.dissipation, model.group.identity(), jnp.zeros(n), real=True)
+    origin = model.manifold.origin()
+    entries, rest = origin.size, model.manifold.zero(origin)
+    rubbing = lower(model.dissipation, origin, rest, real=True)
     assert rubbing.conditions is not None
     read = {
         node.value for graph in (rubbing.graph, rubbing.conditions.graph) for node in graph.nodes if node.op == "input"
     }
-    places = [f"g{k // model.group.order + 1}{k % model.group.order + 1}" for k in range(entries) if k in read]
+    indices = [np.unravel_index(k, origin.shape) for k in range(entries) if k in read]
+    places = ["g" + "".join(str(i + 1) for i in index) for index in indices]
     if places:
         raise ValueError(
             f"the friction of this model depends on where the body is, on {', '.join(places)} of its matrix; on a "
             "group that is not covered: write the system as a Lagrangian in coordinates"
         )
-    momentum = lower(model.metric.inertia, jnp.zeros(n))
-    bent = expand(momentum, range(n), 2)
+    momentum = lower(lambda a: model.space.lower(origin, a), rest)
+    bent = expand(momentum, range(rest.size), 2)
     second = np.ravel(bent.nodes()[2]).tolist()
-    if numbers(momentum, np.zeros(n)).any() or not all(bent.graph.is_zero(node) for node in second):
+    if numbers(momentum, np.zeros(rest.size)).any() or not all(bent.graph.is_zero(node) for node in second):
         raise ValueError("the inertia of this model is not a linear map; on a group that is not covered")
 
 
@@ -295,23 +301,20 @@ def check_unique(observer: Intrinsics, error: Float[np.ndarray, "n"]) -> None:
 
     Below half a turn, of each circle, and of each rotation at the farthest corner of the box.
     """
-    if isinstance(observer, Geodesic) or (isinstance(observer, Group) and observer.error != "group"):
+    if isinstance(observer, Geodesic):
         raise ValueError(
             "the exact observer searches its geodesic, and that it finds the shortest one is not proved; certify the "
-            "approximate one, Intrinsic or Group(error='group')"
+            "approximate one, Intrinsic"
         )
     model = observer.model
-    if isinstance(model, Lagrangian):
-        rotations = [(i,) for i in model.circles]
-    elif model.group.rotations is None:
-        group = type(model.group).__name__
-        raise ValueError(f"how far the logarithm of {group} is unique is not known; no proof there")
-    else:
-        rotations = model.group.rotations
-    for turn in rotations:
+    if model.manifold.rotations is None:
+        raise ValueError(
+            f"how far the logarithm of {type(model.manifold).__name__} is unique is not known; no proof there"
+        )
+    for turn in model.manifold.rotations:
         farthest = math.sqrt(math.fsum(float(error[i]) ** 2 for i in turn)) * (1 + 1e-12)
         if not farthest < math.pi * (1 - 1e-12):
-            names = model.coordinates if isinstance(model, Lagrangian) else model.velocities
+            names = model.coordinates or model.velocities
             raise ValueError(
                 f"the error of {', '.join(names[i] for i in turn)} must be below π, at the farthest corner of its box; "
                 f"it is up to {farthest:g} there"
@@ -319,7 +322,7 @@ def check_unique(observer: Intrinsics, error: Float[np.ndarray, "n"]) -> None:
 
 
 def force_bounds(
-    model: Lagrangian | GroupSystem, places: Box, inputs: Float[np.ndarray, "2 m"], times: tuple[float, float]
+    model: MechanicalSystem, places: Box, inputs: Float[np.ndarray, "2 m"], times: tuple[float, float]
 ) -> Float[np.ndarray, "2 n"]:
     """Bounds of `force − grad U` over the box of positions, or on a group of matrix entries, of inputs and of times.
 
@@ -345,14 +348,14 @@ def force_bounds(
 
 
 def force_slopes(
-    model: Lagrangian | GroupSystem, places: Box, inputs: Float[np.ndarray, "2 m"], times: tuple[float, float]
+    model: MechanicalSystem, places: Box, inputs: Float[np.ndarray, "2 m"], times: tuple[float, float]
 ) -> Float[np.ndarray, "n n"]:
     """Bounds of |∂f_i/∂q_j| over the same boxes; on a group along the directions of the body.
 
     Raises `ValueError` where the force has no such bound, as where it jumps.
     """
     given, shape = _given_box(places, inputs, times), _shape(model, places)
-    n = shape[0] if isinstance(model, Lagrangian) else model.group.dimension
+    n = model.manifold.zero(jnp.zeros(shape)).size
 
     def force(t, q, u, step):
         return applied_force(model, t, moved(model, q, step), u)
@@ -375,13 +378,13 @@ def force_slopes(
     return bounds
 
 
-def moved(model: Lagrangian | GroupSystem, q: Array, step: Vector) -> Array:
-    """The position a small step (n,) from q: in coordinates, or to first order in the body."""
-    return q + step if isinstance(model, Lagrangian) else q + q @ model.group.hat(step)
+def moved(model: MechanicalSystem, q: Array, step: Vector) -> Array:
+    """The configuration a small step (n,) from q, to first order."""
+    return q + model.manifold.tangent(q, step)
 
 
-def _shape(model: Lagrangian | GroupSystem, places: Box) -> tuple[int, ...]:
-    return places.low.shape if isinstance(model, Lagrangian) else (model.group.order,) * 2
+def _shape(model: MechanicalSystem, places: Box) -> tuple[int, ...]:
+    return places.low.shape if model.manifold.commuting else jax.eval_shape(model.manifold.origin).shape
 
 
 def _given_box(places: Box, inputs: Float[np.ndarray, "2 m"], times: tuple[float, float]) -> Box:

@@ -13,10 +13,10 @@ from covariant import models
 from covariant.certificates._document import LETTERS, OBSERVERS, Document
 from covariant.certificates._region import Intrinsics, Subject, values
 from covariant.lowering import lower
-from covariant.models import GroupSystem, Lagrangian
-from covariant.observers import Geodesic, Group, Intrinsic
+from covariant.models import MechanicalSystem
+from covariant.observers import Geodesic, Intrinsic
 
-KINDS = {"intrinsic": Intrinsic, "geodesic": Geodesic, "group": Group}
+KINDS = {"intrinsic": Intrinsic, "geodesic": Geodesic}
 
 
 def observer_document(observer: Intrinsics) -> dict[str, Any]:
@@ -25,7 +25,8 @@ def observer_document(observer: Intrinsics) -> dict[str, Any]:
     Raises `ValueError` for a field that cannot be written down, as a budget that is not the usual one.
     """
     kind = next(name for name, cls in KINDS.items() if type(observer) is cls)
-    found: dict[str, Any] = {"kind": kind, "alpha": float(observer.alpha), "beta": float(observer.beta)}
+    frame = frame_of(observer.model)
+    found: dict[str, Any] = {"kind": kind, "frame": frame, "alpha": float(observer.alpha), "beta": float(observer.beta)}
     for field in dataclasses.fields(observer):
         value = getattr(observer, field.name)
         if field.name in OBSERVERS[kind]:
@@ -45,12 +46,16 @@ def observer_from(document: Document, model: Any = None) -> tuple[Intrinsics, Fl
     except ValueError as error:
         raise ValueError(f"recipe: {error}") from error
     fields = dict(document.observer)
-    kind = fields.pop("kind")
-    wanted = GroupSystem if kind == "group" else Lagrangian
-    if not isinstance(made, wanted):
-        found = type(made).__name__
-        raise ValueError(f"observer.kind {kind!r} needs a {wanted.__name__}; the recipe makes a {found}")
+    kind, frame = fields.pop("kind"), fields.pop("frame")
+    if not isinstance(made, MechanicalSystem) or frame_of(made) != frame:
+        found = f"a model in {frame_of(made)}" if isinstance(made, MechanicalSystem) else f"a {type(made).__name__}"
+        raise ValueError(f"observer.frame {frame!r} needs a mechanical system in it; the recipe makes {found}")
     return KINDS[kind](made, **fields), document.q
+
+
+def frame_of(model: MechanicalSystem) -> str:
+    """What the vectors of a model are written in."""
+    return "coordinates" if model.manifold.commuting else "body"
 
 
 def value_graph(about: Subject) -> dict[str, list]:

@@ -15,8 +15,7 @@ from covariant.certificates._contraction import StateMetric
 from covariant.certificates._distance import Decay, lower_distance, upper_distance
 from covariant.certificates._prove import OPEN, PROVED, Proof, leaves
 from covariant.certificates._tangent import conditioning, error_matrix, lyapunov, optimal_lyapunov, rate_of
-from covariant.models import GroupSystem, Lagrangian, Motion
-from covariant.observers import Group
+from covariant.models import Motion
 from covariant.simulation import observe, simulate
 
 INSIDE = 0.98
@@ -155,7 +154,7 @@ def trajectories(
 
     Raises `ValueError` where nothing is proved, or where no motion stays inside for as long as two stamps.
     """
-    reached, side = half_widths(certificate), _side(certificate)
+    reached, side = half_widths(certificate), _Side(certificate)
     first, longest, _ = _eight_time_constants(certificate)
     m = len(certificate.given["inputs"]["low"])
     push = _inputs(certificate, 2 * jnp.pi / longest * (2 + 0.74 * jnp.arange(m, dtype=float)), jnp.zeros(m))
@@ -169,11 +168,7 @@ def trajectories(
     def follow(start, shown, size):
         def one(angle):
             begin = _on_the_border(certificate, side, start, _across(certificate, side, start, shown, angle), size)
-            state = side.state(begin)
-            actual, states = observe(
-                certificate.observer.model, certificate.observer, start, state, t, push, rtol=1e-9, atol=1e-11
-            )
-            estimated = side.of_state(states)
+            actual, estimated = side.observed(start, begin, t, push, rtol=1e-9, atol=1e-11)
             ends = jax.vmap(side.chart)(estimated, actual)
             metric = _metric(certificate)
             low = jax.vmap(lambda s, a, b: lower_distance(metric, s, a, b))(t, *ends)
@@ -206,7 +201,7 @@ def follow(
 ) -> Followed:
     """As `ContractionCertificate.follow`."""
     half_widths(certificate)
-    side, radius = _side(certificate), certificate.radius
+    side, radius = _Side(certificate), certificate.radius
     rng = np.random.default_rng(seed)
     start, pushes, first, until = _motions(certificate, side, count, rng)
     directions = jnp.asarray(rng.normal(size=(count, 2 * side.n)))
@@ -222,9 +217,8 @@ def follow(
         ball = jnp.linalg.solve(root.T, direction / jnp.linalg.norm(direction))
         begin = _on_the_border(certificate, side, start, metric.frame(jnp.zeros(()), place) @ ball, jnp.asarray(radius))
         t = first + (until - first) * jnp.linspace(0, 1, stamps)
-        push, model, observer = _inputs(certificate, *pushes), certificate.observer.model, certificate.observer
-        actual, states = observe(model, observer, start, side.state(begin), t, push, rtol=rtol, atol=atol)
-        return t, *jax.vmap(side.chart)(side.of_state(states), actual)
+        actual, estimated = side.observed(start, begin, t, _inputs(certificate, *pushes), rtol=rtol, atol=atol)
+        return t, *jax.vmap(side.chart)(estimated, actual)
 
     @jax.jit
     def distances(*given):
@@ -243,12 +237,12 @@ def _motions(certificate, side, count: int, rng) -> tuple[Any, tuple[Array, Arra
     """
     first, longest, constant = _eight_time_constants(certificate)
     t = jnp.linspace(first, first + longest, WATCHED)
-    model, m = certificate.observer.model, len(certificate.given["inputs"]["low"])
+    m = len(certificate.given["inputs"]["low"])
 
     @jax.jit
     @jax.vmap
     def motions(x0, pushes):
-        return side.entries(simulate(model, x0, t, _inputs(certificate, *pushes), rtol=1e-5, atol=1e-7).x)
+        return side.simulated(x0, t, _inputs(certificate, *pushes))
 
     found, ends = [], np.zeros(0)
     for _ in range(20):
@@ -265,92 +259,55 @@ def _motions(certificate, side, count: int, rng) -> tuple[Any, tuple[Array, Arra
     raise ValueError("too few motions stay inside the region for a time constant of the gains; take a larger region")
 
 
-class _InCoordinates:
-    """States x = (q, v) (2n,) of a `Lagrangian`."""
-
-    flat = True
+class _Side:
+    """Motions of a certificate's model, and where its metric compares them: in its coordinates, or in the chart of the
+    retraction around the estimate."""
 
     def __init__(self, certificate: ContractionCertificate):
         self.certificate, self.n = certificate, len(certificate.velocity)
-
-    def draw(self, rng, count: int) -> Array:
-        low, high = (np.asarray(self.certificate.given["positions"][end]) for end in ("low", "high"))
-        share = rng.uniform(-1, 1, (count, 2, self.n)) * rng.uniform(size=(count, 1, 1))
-        q = (low + high) / 2 + share[:, 0] * (high - low) / 2
-        return jnp.asarray(np.concatenate([q, share[:, 1] * self.certificate.velocity], axis=1))
-
-    def entries(self, x: Array) -> tuple[Array, Array]:
-        return x[..., : self.n], x[..., self.n :]
-
-    def coordinates(self, start: Array, x: Array) -> Array:
-        return x
-
-    def chart(self, estimated: Array, actual: Array) -> tuple[Array, Array]:
-        return estimated, actual
-
-    def place(self, x: Array) -> Array:
-        return jnp.concatenate([x, jnp.zeros_like(x)])
-
-    def moved(self, x: Array, step: Array) -> Array:
-        return x + step
-
-    def state(self, x: Array) -> Any:
-        q, v = jnp.split(x, 2)
-        return self.certificate.observer.init(q)._replace(q=q, v=v)
-
-    def of_state(self, state: Any) -> Array:
-        return jnp.concatenate([state.q, state.v], axis=-1)
-
-
-class _OnGroup:
-    """States `Motion(g, v)` of a `GroupSystem`, compared in the chart around the estimate."""
-
-    flat = False
-
-    def __init__(self, certificate: ContractionCertificate):
-        model = certificate.observer.model
-        assert isinstance(model, GroupSystem)
-        self.certificate, self.group, self.n = certificate, model.group, model.group.dimension
+        self.model, self.manifold = certificate.observer.model, certificate.observer.model.manifold
+        self.flat = self.manifold.commuting
 
     def draw(self, rng, count: int) -> Motion:
+        """Random motions inside the bounds."""
+        if self.flat:
+            low, high = (np.asarray(self.certificate.given["positions"][end]) for end in ("low", "high"))
+            share = rng.uniform(-1, 1, (count, 2, self.n)) * rng.uniform(size=(count, 1, 1))
+            q = (low + high) / 2 + share[:, 0] * (high - low) / 2
+            return Motion(jnp.asarray(q), jnp.asarray(share[:, 1] * self.certificate.velocity))
         turn = rng.normal(size=(count, self.n))
         turn *= np.pi * rng.uniform(size=(count, 1)) / np.linalg.norm(turn, axis=1, keepdims=True)
         v = rng.uniform(-1, 1, (count, self.n)) * rng.uniform(size=(count, 1)) * self.certificate.velocity
-        return Motion(jax.vmap(self.group.exp)(jnp.asarray(turn)), jnp.asarray(v))
+        q = jax.vmap(lambda s: self.manifold.retract(self.manifold.origin(), s))(jnp.asarray(turn))
+        return Motion(q, jnp.asarray(v))
 
-    def entries(self, x: Motion) -> tuple[Array, Array]:
-        return x.g.reshape(*x.g.shape[:-2], -1), x.v
+    def simulated(self, start: Motion, t: Array, push) -> tuple[Array, Array]:
+        """Entries of the configuration (T, k), and velocities (T, n), of the motion from there."""
+        q, v = self.model.motion(simulate(self.model, self.model.state(start), t, push, rtol=1e-5, atol=1e-7).x)
+        return q.reshape(len(t), -1), v
+
+    def observed(self, start: Motion, estimate: Motion, t: Array, push, **tolerances) -> tuple[Motion, Motion]:
+        """The motion from `start`, and what the observer makes of it that begins at `estimate`."""
+        observer = self.certificate.observer
+        state = observer.init(estimate.q)._replace(q=estimate.q, v=estimate.v)
+        x, states = observe(self.model, observer, self.model.state(start), state, t, push, **tolerances)
+        return self.model.motion(x), Motion(states.q, states.v)
 
     def coordinates(self, start: Motion, x: Motion) -> Array:
-        return jnp.concatenate([self.group.log(self.group.inverse(start.g) @ x.g), x.v])
+        """Position, as seen from the start where there are no coordinates, and velocity."""
+        return jnp.concatenate([x.q if self.flat else self.manifold.local(start.q, x.q), x.v])
 
     def chart(self, estimated: Motion, actual: Motion) -> tuple[Array, Array]:
-        between = self.group.log(self.group.inverse(estimated.g) @ actual.g)
-        return jnp.concatenate([jnp.zeros_like(between), estimated.v]), jnp.concatenate([between, actual.v])
+        """Both where the metric can compare them."""
+        return tuple(self.coordinates(estimated, x) for x in (estimated, actual))
 
     def place(self, x: Motion) -> Array:
-        return jnp.concatenate([x.v, jnp.zeros(2 * self.n)])
+        """The point of the region where the estimate is x and all else is zero."""
+        return jnp.concatenate([*([x.q] if self.flat else []), x.v, jnp.zeros(2 * self.n)])
 
     def moved(self, x: Motion, step: Array) -> Motion:
         turn, v = jnp.split(step, 2)
-        return Motion(x.g @ self.group.exp(turn), x.v + v)
-
-    def state(self, x: Motion) -> Any:
-        return self.certificate.observer.init(self.group.identity(x.v.dtype))._replace(g=x.g, v=x.v)
-
-    def of_state(self, state: Any) -> Motion:
-        return Motion(state.g, state.v)
-
-
-def _gains(certificate: ContractionCertificate) -> tuple[float, float]:
-    observer = certificate.observer
-    alpha = float(observer.alpha)
-    return 2 * alpha if isinstance(observer, Group) and observer.doubled_alpha else alpha, float(observer.beta)
-
-
-def _side(certificate: ContractionCertificate) -> Any:
-    on_group = isinstance(certificate.observer.model, GroupSystem)
-    return _OnGroup(certificate) if on_group else _InCoordinates(certificate)
+        return Motion(self.manifold.retract(x.q, turn), x.v + v)
 
 
 def _metric(certificate: ContractionCertificate) -> StateMetric:
@@ -360,7 +317,8 @@ def _metric(certificate: ContractionCertificate) -> StateMetric:
 
 def _eight_time_constants(certificate: ContractionCertificate) -> tuple[float, float, float]:
     """When motions begin, how long they are followed at most, and the time constant of the gains [s]."""
-    constant = -1 / float(np.linalg.eigvals(error_matrix(*_gains(certificate))).real.max())
+    alpha, beta = float(certificate.observer.alpha), float(certificate.observer.beta)
+    constant = -1 / float(np.linalg.eigvals(error_matrix(alpha, beta)).real.max())
     first, last = certificate.given["times"]
     return first, min(8 * constant, last - first) if last > first else 8 * constant, constant
 
@@ -387,14 +345,12 @@ def _stays_inside(
 ) -> tuple[Any, float, np.ndarray]:
     """The start of a motion within the bounds, for how long it is inside, and how far positions and velocities go."""
     t = jnp.linspace(first, first + longest, 49)
-    model: Lagrangian | GroupSystem = certificate.observer.model
     draws = side.draw(rng, count)
 
     @jax.jit
     @jax.vmap
     def motions(x0):
-        x = simulate(model, x0, t, push, rtol=1e-5, atol=1e-7).x
-        return side.entries(x)
+        return side.simulated(x0, t, push)
 
     places, v = (np.asarray(a) for a in motions(draws))
     lasts = _inside(certificate, side, places, v)

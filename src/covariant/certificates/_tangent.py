@@ -17,7 +17,7 @@ from jaxtyping import Float
 
 from covariant._typing import MatrixField, Numbers
 from covariant.certificates._contraction import StateMetric
-from covariant.geometry import as_metric, christoffel
+from covariant.geometry import as_space
 
 TwoByTwo = Float[np.ndarray, "2 2"]
 
@@ -104,12 +104,12 @@ def optimal_lyapunov(alpha: float, beta: float, rate: float) -> TwoByTwo:
 
 def tangent_metric(metric: MatrixField, q: TwoByTwo) -> StateMetric:
     """The metric on states x = (q, v) (2n,) from a metric of configurations and a matrix Q, in the frame (ξ, ζ)."""
-    geometry = as_metric(metric)
+    geometry = as_space(metric)
     lower = np.array([[0.0, 0.0], [1.0, 0.0]])
 
     def connection(x):
         at, v = jnp.split(x, 2)
-        return jax.vmap(lambda e: christoffel(geometry, at, v, e), out_axes=1)(jnp.eye(at.shape[0], dtype=x.dtype))
+        return jax.vmap(lambda e: geometry.connection(at, v, e), out_axes=1)(jnp.eye(at.shape[0], dtype=x.dtype))
 
     def coframe(t, x, sign=1.0):
         return jnp.eye(x.shape[0], dtype=x.dtype) + sign * jnp.kron(jnp.asarray(lower, x.dtype), connection(x))

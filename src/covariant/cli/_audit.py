@@ -13,7 +13,7 @@ from covariant.cli._console import working
 from covariant.cli._job import check_output, coordinates, numbered
 from covariant.cli._parse import above_zero, ends
 from covariant.design import estimators, with_gains
-from covariant.models import GroupSystem, StateSpace
+from covariant.models import StateSpace
 from covariant.observers import AbstractObserver
 
 GAINS = math.sqrt(2), 1.0
@@ -78,7 +78,7 @@ def _observer(
 
 def _domain(file: models.ModelFile, text: str | None) -> Box | None:
     """The bounds given, on a group those of exponential coordinates."""
-    names = numbered("x", file.dimension) if isinstance(file.model, GroupSystem) else coordinates(file)[0]
+    names = numbered("x", file.dimension) if not file.model.manifold.commuting else coordinates(file)[0]
     found = ends("--box", text, names, "coordinate")
     if not found:
         return None

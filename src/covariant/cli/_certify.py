@@ -20,10 +20,10 @@ from covariant.cli import _parse
 from covariant.cli._console import working
 from covariant.cli._job import check_output, data_sheet, numbered
 from covariant.design import observer_gains
-from covariant.models import GroupSystem, Lagrangian
-from covariant.observers import Geodesic, Group, Intrinsic
+from covariant.models import MechanicalSystem
+from covariant.observers import Geodesic, Intrinsic
 
-OBSERVERS = {"intrinsic": Intrinsic, "geodesic": Geodesic, "group": Group}
+OBSERVERS = {"intrinsic": Intrinsic, "geodesic": Geodesic}
 _KINDS = {"estimate": "estimate of", "velocity": "estimated velocity", "error": "position error", "force": "force"}
 
 
@@ -125,8 +125,8 @@ def _verified(found: Checked, model: str | None, more: str) -> str:
     return "\n".join([*lines, "What remains assumed:", *(f"- {line}" for line in ASSUMED)])
 
 
-def _model(spec: str, file: models.ModelFile) -> Lagrangian | GroupSystem:
-    if not isinstance(file.model, Lagrangian | GroupSystem):
+def _model(spec: str, file: models.ModelFile) -> MechanicalSystem:
+    if not isinstance(file.model, MechanicalSystem):
         raise ValueError(
             f"{spec} is a state-space model, and certificates are about intrinsic observers of mechanical ones, a "
             "Lagrangian or a GroupSystem"
@@ -137,15 +137,12 @@ def _model(spec: str, file: models.ModelFile) -> Lagrangian | GroupSystem:
 def _settings(spec: str, file: models.ModelFile, model, asked: Asked) -> tuple[dict[str, Any], str]:
     """Arguments of `certify`, and where the gains come from."""
     n = file.dimension
-    on_group = isinstance(model, GroupSystem)
+    on_group = not model.manifold.commuting
     names = model.velocities if on_group else model.coordinates or numbered("q", n)
     inputs = numbered("u", n if model.inputs is None else model.inputs)
-    name = asked.observer or ("group" if on_group else "intrinsic")
+    name = asked.observer or "intrinsic"
     if name not in OBSERVERS:
         raise ValueError(f"unknown observer {name!r}; choose one of {', '.join(OBSERVERS)}")
-    if on_group != (name == "group"):
-        fitting = "group" if on_group else "intrinsic, geodesic"
-        raise ValueError(f"--observer {name} does not fit {spec}; these do: {fitting}")
     velocity = _parse.numbers("--velocity", asked.velocity, [f"d{k}/dt" for k in names], positive=True, one=True)
     error = _parse.numbers("--error", asked.error, names, positive=True, one=True)
     push = _amounts("--input", asked.input, inputs)
@@ -201,11 +198,11 @@ def _bounds(spec: str, names: tuple[str, ...], text: str | None) -> tuple[np.nda
     return np.array(low), np.array(high)
 
 
-def _matrix_bounds(model: GroupSystem, text: str | None) -> tuple[np.ndarray, np.ndarray] | None:
+def _matrix_bounds(model: MechanicalSystem, text: str | None) -> tuple[np.ndarray, np.ndarray] | None:
     """Least and largest entries of the matrices; those of rotations need none."""
     if text is None:
         return None
-    order = model.group.order
+    order = model.manifold.shape[0]
     names = [f"g{i + 1}{j + 1}" for i in range(order) for j in range(order)]
     box = _parse.ends("--box", text, names, "matrix entry", equal=True)
     missing = [name for name in names if name not in box]

@@ -14,7 +14,6 @@ from covariant.cli._job import Job, Loaded, check_output, coordinates, data_shee
 from covariant.cli._pages import write_report
 from covariant.cli._results import Outcome, drive, report_arrays, summary
 from covariant.design import line_up, observer_gains
-from covariant.models import GroupSystem
 
 
 def compare(job: Job, out: Path | None, report: Path | None, as_json: bool) -> None:
@@ -62,7 +61,7 @@ def rank(outcomes: dict[str, Outcome], loaded: Loaded) -> list[str]:
 
 
 def _row(name: str, outcome: Outcome, loaded: Loaded) -> dict[str, str | float]:
-    form = "RMSE {} [{}]" if isinstance(loaded.model, GroupSystem) else "RMSE d{}/dt [{}/s]"
+    form = "RMSE {} [{}]" if loaded.model.velocities else "RMSE d{}/dt [{}/s]"
     errors = {
         form.format(label, unit): float(value)
         for label, unit, value in zip(*coordinates(loaded.file), outcome.velocity_rmse, strict=True)

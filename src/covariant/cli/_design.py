@@ -18,7 +18,7 @@ from covariant._numbers import integer
 from covariant.cli import _parse
 from covariant.cli._job import check_output
 from covariant.design import MetricSummary, metric_summary
-from covariant.models import GroupSystem, StateSpace
+from covariant.models import StateSpace
 from covariant.riccati import Equation, rate_from_gramian
 from covariant.scale import Grid
 
@@ -90,7 +90,7 @@ def metric(spec: str, overrides: tuple[str, ...], out: Path, task: Task, crew: C
 
 
 def _model(spec: str, file: models.ModelFile) -> StateSpace:
-    if isinstance(file.model, GroupSystem):
+    if not file.model.manifold.commuting:
         raise ValueError(
             f"{spec} is on a group, and metrics are designed in coordinates; give a StateSpace or a Lagrangian, or use "
             "the observers on groups by `covariant estimate`"

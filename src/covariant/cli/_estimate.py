@@ -13,7 +13,6 @@ from covariant.cli._job import Job, Loaded, check_output, data_sheet, load, numb
 from covariant.cli._pages import write_report
 from covariant.cli._results import Outcome, drive, report_arrays, rounded, summary
 from covariant.design import ESTIMATORS, estimators, line_up, observer_gains, with_gains
-from covariant.models import GroupSystem
 from covariant.observers import AbstractObserver
 from covariant.scoring import rmse
 
@@ -79,8 +78,8 @@ def _choose(
 def columns(loaded: Loaded, outcome: Outcome) -> dict[str, np.ndarray]:
     """The columns of an output file: t, q1…, v1…; on a group t, the configuration as in the log, and the velocities."""
     file, x = loaded.file, outcome.run.estimate
-    if isinstance(file.model, GroupSystem):
-        configuration = logs.to_columns(file.columns, np.asarray(x.g))
+    if not file.model.manifold.commuting:
+        configuration = logs.to_columns(file.columns, np.asarray(x.q))
     else:
         q = np.split(np.asarray(x), 2, axis=1)[0]
         configuration = dict(zip(numbered("q", file.dimension), q.T, strict=True))

@@ -7,7 +7,7 @@ import numpy as np
 
 from covariant import logs, models, scoring
 from covariant.design import DataSheet
-from covariant.models import GroupSystem, Lagrangian, StateSpace
+from covariant.models import MechanicalSystem, StateSpace
 from covariant.signals import Record, lag_inputs
 
 
@@ -26,7 +26,7 @@ class Loaded(NamedTuple):
     """A job's model, its log as used, and what its velocities are scored against: a reference (T, n) and its name."""
 
     file: models.ModelFile
-    model: Lagrangian | GroupSystem
+    model: MechanicalSystem
     log: logs.Log
     record: Record
     rate: float
@@ -53,7 +53,7 @@ def load(job: Job) -> Loaded:
     log = logs.read(job.log, columns, job.every, job.until)
     record = lag_inputs(log.record, file.input_lag)
     t, y = np.asarray(record.t), np.asarray(record.y)
-    if isinstance(model, Lagrangian):
+    if model.manifold.commuting:
         measured = y[np.isfinite(y).all(axis=1)]
         try:
             models.check_metric(model, measured[:: max(1, len(measured) // 20)])
@@ -67,7 +67,7 @@ def load(job: Job) -> Loaded:
 
 def _check_columns(job: Job, file: models.ModelFile, columns: logs.Columns) -> None:
     """As many columns as the model file has, an attitude that says how it is written, and no name used up."""
-    if columns.q and isinstance(file.model, GroupSystem):
+    if columns.q and not file.model.manifold.commuting:
         raise ValueError(
             f"--q names coordinates, and {job.model} is on a group; name its columns in [columns] or by --set"
         )
@@ -76,7 +76,7 @@ def _check_columns(job: Job, file: models.ModelFile, columns: logs.Columns) -> N
             f"{job.model} has {len(file.columns.q)} positions and {len(file.columns.u)} inputs; "
             f"the options name {len(columns.q)} and {len(columns.u)}"
         )
-    if not isinstance(file.model, GroupSystem):
+    if file.model.manifold.commuting:
         return
     if file.lacks_attitude:
         raise ValueError(
@@ -99,7 +99,7 @@ def _reference(file: models.ModelFile, log: logs.Log, full: logs.Log) -> tuple[n
     half, order = file.reference_half, int(file.reference_order)
     if np.isfinite(y).sum(axis=0).min() < order + 3:
         return np.full((len(at), file.dimension), np.nan), "velocity, unknown in so short a log"
-    if isinstance(file.model, Lagrangian):
+    if file.model.manifold.commuting:
         unwrapped = scoring.unwrap(y, file.model.circles)
         return scoring.zero_phase_velocity(t, unwrapped, at, half, order), "zero-phase reference"
     twists = [
@@ -142,15 +142,15 @@ def data_sheet(file: models.ModelFile) -> DataSheet:
 
 def coordinates(file: models.ModelFile) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Names and units of the coordinates, or on a group of the velocities, for a person."""
-    if isinstance(file.model, GroupSystem):
-        return file.model.velocities, file.model.units
+    if file.model.velocities:
+        return file.model.velocities, file.model.velocity_units
     names = file.model.coordinates or numbered("q", file.dimension)
     return names, file.model.units or ("",) * len(names)
 
 
 def velocity_columns(file: models.ModelFile) -> tuple[str, ...]:
     """Names of the velocities in a file that is written: v1, v2, …, or those of the model."""
-    return file.model.velocities if isinstance(file.model, GroupSystem) else numbered("v", file.dimension)
+    return file.model.velocities or numbered("v", file.dimension)
 
 
 def numbered(letter: str, count: int) -> tuple[str, ...]:

@@ -7,7 +7,6 @@ import numpy as np
 
 from covariant import scoring
 from covariant.cli._job import Loaded, coordinates
-from covariant.models import GroupSystem
 
 
 def write_report(
@@ -19,7 +18,7 @@ def write_report(
     names, units = coordinates(loaded.file)
     y = np.asarray(loaded.record.y)
     missing = int(np.isnan(y.reshape(len(y), -1)).any(1).sum())
-    drawn = None if isinstance(loaded.file.model, GroupSystem) else scoring.unwrap(y, loaded.file.model.circles)
+    drawn = scoring.unwrap(y, loaded.model.circles) if loaded.model.manifold.commuting else None
     notes = (
         *notes,
         f"{len(y)} samples at about {loaded.rate:.0f} Hz, {missing} of them coasted without a measurement.",

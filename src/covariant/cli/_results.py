@@ -8,15 +8,15 @@ import numpy as np
 
 from covariant import scoring
 from covariant.cli._job import Loaded
-from covariant.models import Motion
 from covariant.observers import AbstractObserver, run
 from covariant.signals import Result, Run
 
 
 class Outcome(NamedTuple):
-    """A run, its velocity error a coordinate (n,) where it is scored, and the time a sample took once compiled [µs]."""
+    """A run, its velocities (T, n), their error (n,) where scored, and the time that a sample took, compiled [µs]."""
 
     run: Run
+    velocity: np.ndarray
     velocity_rmse: np.ndarray
     microseconds: float
 
@@ -25,11 +25,6 @@ class Outcome(NamedTuple):
         """How many samples had each result, by its name."""
         codes = np.bincount(np.asarray(self.run.info.result), minlength=len(Result))
         return {Result(i).name.lower(): int(count) for i, count in enumerate(codes) if count}
-
-    @property
-    def velocity(self) -> np.ndarray:
-        """Estimated velocities (T, n)."""
-        return velocity_of(self.run)
 
     @property
     def failed(self) -> bool:
@@ -44,14 +39,9 @@ def drive(observer: AbstractObserver, loaded: Loaded, timed: bool = False) -> Ou
         began = time.perf_counter()
         jax.block_until_ready(run(observer, loaded.record))
         spent = min(spent, time.perf_counter() - began)
-    error = scoring.rmse(velocity_of(done)[loaded.scored], loaded.reference[loaded.scored])
-    return Outcome(done, error, 1e6 * spent / len(done.t) if timed else float("nan"))
-
-
-def velocity_of(run: Run) -> np.ndarray:
-    """Estimated velocities (T, n) of a run."""
-    x = run.estimate
-    return np.asarray(x.v) if isinstance(x, Motion) else np.split(np.asarray(x), 2, axis=1)[1]
+    velocity = np.asarray(loaded.model.motion(done.estimate).v)
+    error = scoring.rmse(velocity[loaded.scored], loaded.reference[loaded.scored])
+    return Outcome(done, velocity, error, 1e6 * spent / len(done.t) if timed else float("nan"))
 
 
 def summary(outcome: Outcome) -> dict[str, Any]:
@@ -72,7 +62,7 @@ def report_arrays(outcomes: dict[str, Outcome]) -> dict[str, Any]:
     """The curves of several outcomes, as `report.EstimateReport` wants them."""
     infos = {name: outcome.run.info for name, outcome in outcomes.items()}
     return {
-        "estimates": {name: _drawn(outcome.run.estimate) for name, outcome in outcomes.items()},
+        "estimates": {name: _drawn(outcome) for name, outcome in outcomes.items()},
         "innovation": {name: np.asarray(info.innovation) for name, info in infos.items()},
         "distance": {
             name: np.asarray(info.distance) for name, info in infos.items() if "distance" in type(info)._fields
@@ -80,5 +70,7 @@ def report_arrays(outcomes: dict[str, Outcome]) -> dict[str, Any]:
     }
 
 
-def _drawn(estimate: Any) -> np.ndarray:
-    return np.asarray(estimate.v if isinstance(estimate, Motion) else estimate)
+def _drawn(outcome: Outcome) -> np.ndarray:
+    """States in coordinates, velocities elsewhere."""
+    x = outcome.run.estimate
+    return np.asarray(x) if isinstance(x, jax.Array) else outcome.velocity

@@ -12,7 +12,7 @@ from covariant import logs, models, simulation
 from covariant._numbers import number
 from covariant.cli._console import working
 from covariant.cli._job import check_output, velocity_columns
-from covariant.models import GroupSystem, Motion, StateSpace
+from covariant.models import Motion, StateSpace
 from covariant.signals import Record
 
 
@@ -40,7 +40,7 @@ def simulate(model: str, overrides: tuple[str, ...], out: Path, scenario: Scenar
     x0 = _start(file, scenario)
     amplitude = _numbers("--amplitude", scenario.amplitude, m)
     sensor = simulation.Sensor(scenario.rate, scenario.noise, scenario.quantum, scenario.jitter, scenario.dropout)
-    if sensor.quantum and isinstance(file.model, GroupSystem):
+    if sensor.quantum and not file.model.manifold.commuting:
         raise ValueError(f"--quantum: encoders step in coordinates, and {model} is on a group; use --noise")
     t = simulation.stamps(sensor, scenario.duration, scenario.seed)
     pace = 2 * jnp.pi * scenario.frequency * (1 + 0.37 * jnp.arange(m, dtype=float))  # no two inputs in step
@@ -76,7 +76,8 @@ def _start(file: models.ModelFile, scenario: Scenario) -> jax.Array | Motion:
             raise ValueError("--v0: a state-space model has no velocities; give all its initial state by --q0")
         return q0
     v0 = _numbers("--v0", scenario.v0, file.dimension)
-    return Motion(file.model.group.exp(q0), v0) if isinstance(file.model, GroupSystem) else jnp.concatenate([q0, v0])
+    manifold = file.model.manifold
+    return file.model.state(Motion(manifold.retract(manifold.origin(), q0), v0))
 
 
 def _truth(file: models.ModelFile, names: logs.Columns, record: Record) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -84,18 +85,17 @@ def _truth(file: models.ModelFile, names: logs.Columns, record: Record) -> tuple
     x = record.x
     if isinstance(file.model, StateSpace):
         return {}, dict(zip(file.model.coordinates, np.asarray(x).T, strict=True))
-    v = x.v if isinstance(x, Motion) else np.split(np.asarray(x), 2, axis=1)[1]
-    velocities = dict(zip(velocity_columns(file), np.asarray(v).T, strict=True))
+    velocities = dict(zip(velocity_columns(file), np.asarray(file.model.motion(x).v).T, strict=True))
     return logs.to_columns(names, np.asarray(record.y)), velocities
 
 
 def _sense(model: Any, sensor: simulation.Sensor, y: np.ndarray, seed: int) -> np.ndarray:
     """Measurements of outputs or configurations; on a group their errors are turns and shifts as seen from the body."""
-    if not isinstance(model, GroupSystem):
+    if model.manifold.commuting:
         return simulation.sense(sensor, y, seed)
-    error = simulation.sense(sensor, np.zeros((len(y), model.group.dimension)), seed)
-    seen = np.asarray(jax.vmap(lambda g, e: g @ model.group.exp(e))(y, jnp.nan_to_num(error)))
-    return np.where(np.isnan(error[:, :1, None]), np.nan, seen)
+    error = simulation.sense(sensor, np.zeros((len(y), len(model.velocities))), seed)
+    seen = np.asarray(jax.vmap(model.manifold.retract)(y, jnp.nan_to_num(error)))
+    return np.where(np.isnan(error).any(axis=1).reshape(-1, *(1,) * (seen.ndim - 1)), np.nan, seen)
 
 
 def _numbers(option: str, text: str | None, count: int):

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 from covariant._linalg import solve
 from covariant._typing import Matrix, Numbers, Scalar, Vector
 from covariant.control._reference import Path
-from covariant.models import wrap
+from covariant.geometry import wrap
 from covariant.models.marine import Craft
 
 

@@ -2,22 +2,19 @@
 
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
 from covariant.design._gains import Gains, gains
 from covariant.geometry.lie import SO3
-from covariant.models import GroupSystem, Lagrangian
+from covariant.models import MechanicalSystem
 from covariant.observers import (
     EKF,
     AbstractObserver,
     Copy,
     FilteredDerivative,
     Geodesic,
-    Group,
     Intrinsic,
-    InvariantEKF,
     Salcudean,
     SavitzkyGolay,
 )
@@ -25,9 +22,8 @@ from covariant.observers import (
 LONGEST_WINDOW = 120
 """Samples; a filter without a model that would want more is limited to this many."""
 
-IN_COORDINATES = ("intrinsic", "intrinsic2", "geodesic", "copy", "ekf", "filtered-derivative", "savitzky-golay")
-ON_GROUPS = ("group", "riemannian", "invariant-ekf", "salcudean")
-ESTIMATORS = (*IN_COORDINATES, *ON_GROUPS)
+MODEL_FREE = ("filtered-derivative", "savitzky-golay")
+ESTIMATORS = ("intrinsic", "intrinsic2", "geodesic", "copy", "ekf", *MODEL_FREE, "salcudean")
 """All estimators by name."""
 
 
@@ -54,36 +50,34 @@ def observer_gains(sheet: DataSheet, rate: float) -> Gains:
     return gains(sheet.measurement_std, rate, sheet.acceleration_std, sheet.correlation_time, sheet.damping)
 
 
-def estimators(model: Lagrangian | GroupSystem) -> tuple[str, ...]:
-    """Names of the estimators that fit a model, the one to begin with first."""
-    if isinstance(model, Lagrangian):
-        return IN_COORDINATES
-    return ON_GROUPS if isinstance(model.group, type(SO3)) else ON_GROUPS[:-1]
+def estimators(model: MechanicalSystem) -> tuple[str, ...]:
+    """Names of the estimators that fit a model, the one to begin with first.
+
+    Those without a model filter coordinates; Salcudean's is for a rigid body that turns.
+    """
+    unfit = set() if model.manifold.commuting else set(MODEL_FREE)
+    unfit |= set() if model.manifold == SO3 else {"salcudean"}
+    return tuple(name for name in ESTIMATORS if name not in unfit)
 
 
-def with_gains(model: Lagrangian | GroupSystem, alpha: float, beta: float) -> dict[str, AbstractObserver]:
+def with_gains(model: MechanicalSystem, alpha: float, beta: float) -> dict[str, AbstractObserver]:
     """The observers that the gains α [1/s] and β [1/s²] make, by name.
 
     Salcudean's has α and β exactly for an inertia the same in all directions; the mean principal one stands for it.
     """
-    if isinstance(model, Lagrangian):
-        return {
-            "intrinsic": Intrinsic(model, alpha, beta),
-            "intrinsic2": Intrinsic(model, alpha, beta, order=2),
-            "geodesic": Geodesic(model, alpha, beta),
-            "copy": Copy(model, alpha, beta),
-        }
     found: dict[str, AbstractObserver] = {
-        "group": Group(model, alpha, beta),
-        "riemannian": Group(model, alpha, beta, error="riemannian"),
+        "intrinsic": Intrinsic(model, alpha, beta),
+        "intrinsic2": Intrinsic(model, alpha, beta, order=2),
+        "geodesic": Geodesic(model, alpha, beta),
+        "copy": Copy(model, alpha, beta),
     }
     if "salcudean" in estimators(model):
-        inertia = float(jnp.trace(jax.vmap(model.metric.inertia)(jnp.eye(3)))) / 3
+        inertia = float(jnp.trace(model.space(SO3.identity()))) / 3
         found["salcudean"] = Salcudean(model, 4 * inertia**2 * beta, 2 * inertia * alpha)
     return found
 
 
-def line_up(model: Lagrangian | GroupSystem, n: int, sheet: DataSheet, rate: float) -> dict[str, AbstractObserver]:
+def line_up(model: MechanicalSystem, n: int, sheet: DataSheet, rate: float) -> dict[str, AbstractObserver]:
     """The `estimators` by name, for a model of n velocities sampled at `rate` [Hz].
 
     Raises `ValueError` for numbers of the data sheet that are not positive.
@@ -97,14 +91,11 @@ def line_up(model: Lagrangian | GroupSystem, n: int, sheet: DataSheet, rate: flo
     measurement_cov = sheet.measurement_std**2 * jnp.eye(n)
     start_std = sheet.motion_std * sheet.motion_time
     found = with_gains(model, chosen.alpha, chosen.beta)
-    if isinstance(model, Lagrangian):
-        found |= {
-            "ekf": EKF(model, process_cov, measurement_cov, start_std),
-            "filtered-derivative": FilteredDerivative(filter_bandwidth(sheet, rate), model.circles),
-            "savitzky-golay": SavitzkyGolay(window_length(sheet, rate), 2, model.circles),
-        }
-    else:
-        found |= {"invariant-ekf": InvariantEKF(model, process_cov, measurement_cov, start_std)}
+    found |= {
+        "ekf": EKF(model, process_cov, measurement_cov, start_std),
+        "filtered-derivative": FilteredDerivative(filter_bandwidth(sheet, rate), model.circles),
+        "savitzky-golay": SavitzkyGolay(window_length(sheet, rate), 2, model.circles),
+    }
     return {name: found[name] for name in estimators(model)}
 
 

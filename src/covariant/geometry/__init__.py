@@ -1,37 +1,49 @@
-"""Riemannian geometry of any metric, and spaces with closed forms. Knows no machine and no time."""
+"""Configuration spaces: manifolds with a frame, metrics on them, closed forms. Knows no machine and no time."""
 
-from covariant.geometry._abstract import AbstractMetric, Budget, Shot, Transported, inner, norm
 from covariant.geometry._functions import (
-    as_metric,
     christoffel,
+    connection,
     curvature,
     distance,
     exp,
     gradient,
+    inner,
     log,
+    norm,
     shoot,
     transport,
     transport_along,
 )
+from covariant.geometry._geodesics import Budget, Shot, Transported
 from covariant.geometry._interpolated import Interpolated
-from covariant.geometry._numeric import Metric
+from covariant.geometry._manifold import AbstractManifold, Coordinates, ProductManifold, wrap
+from covariant.geometry._metric import AbstractMetric, KineticEnergy, Metric, as_space
+from covariant.geometry._space import AbstractSpace, derivative, differential
 from covariant.geometry._spaces import ConstantCurvature, Euclidean, FlatTorus, Product, Pullback, hyperbolic, sphere
 
 __all__ = [
+    "AbstractManifold",
     "AbstractMetric",
+    "AbstractSpace",
     "Budget",
     "ConstantCurvature",
+    "Coordinates",
     "Euclidean",
     "FlatTorus",
     "Interpolated",
+    "KineticEnergy",
     "Metric",
     "Product",
+    "ProductManifold",
     "Pullback",
     "Shot",
     "Transported",
-    "as_metric",
+    "as_space",
     "christoffel",
+    "connection",
     "curvature",
+    "derivative",
+    "differential",
     "distance",
     "exp",
     "gradient",
@@ -43,4 +55,5 @@ __all__ = [
     "sphere",
     "transport",
     "transport_along",
+    "wrap",
 ]

@@ -1,74 +1,88 @@
-"""The functions every user calls: metric first, then the base point."""
+"""The functions every user calls: space first, then the base point. A plain callable `q -> (n, n)` is a space too."""
 
 import jax.numpy as jnp
 
-from covariant._linalg import solve
 from covariant._typing import MatrixField, Scalar, Vector, Vectors
-from covariant.geometry._abstract import AbstractMetric, Budget, Shot, Transported, norm
-from covariant.geometry._numeric import Metric
+from covariant.geometry._geodesics import Budget, Shot, Transported
+from covariant.geometry._manifold import Configuration
+from covariant.geometry._metric import as_space
+from covariant.geometry._space import AbstractSpace
 from covariant.signals import Result
 
-
-def as_metric(metric: AbstractMetric | MatrixField) -> AbstractMetric:
-    """Give a plain callable `q -> (n, n)` the derived operations; an `AbstractMetric` is returned as it is."""
-    return metric if isinstance(metric, AbstractMetric) else Metric(metric)
+Space = AbstractSpace | MatrixField
 
 
-def christoffel(metric: AbstractMetric | MatrixField, q: Vector, x: Vector, y: Vector) -> Vector:
-    """Christoffel contraction `Γ(q)(x, y)`, symmetric in x and y, so that `∇_q̇ w = ẇ + Γ(q̇, w)`."""
-    return as_metric(metric).christoffel(q, x, y)
+def inner(space: Space, q: Configuration, x: Vector, y: Vector) -> Scalar:
+    """`<x, y>` at q; for a kinetic-energy metric `½ <v, v>` is the kinetic energy in joule."""
+    return as_space(space).inner(q, x, y)
 
 
-def curvature(metric: AbstractMetric | MatrixField, q: Vector, x: Vector, y: Vector, z: Vector) -> Vector:
+def norm(space: Space, q: Configuration, x: Vector) -> Scalar:
+    """`|x|` at q, with a zero (not undefined) derivative at x = 0."""
+    return as_space(space).norm(q, x)
+
+
+def connection(space: Space, q: Configuration, x: Vector, y: Vector) -> Vector:
+    """`B(x, y) = ∇_x y` of the field y with constant components, so that `∇_q̇ w = ẇ + B(v, w)` for a velocity v.
+
+    `B(x, y) − B(y, x) = [x, y]`: off coordinates x, the direction, and y, what is differentiated, do not commute.
+    """
+    return as_space(space).connection(q, x, y)
+
+
+def christoffel(space: Space, q: Vector, x: Vector, y: Vector) -> Vector:
+    """Christoffel contraction `Γ(q)(x, y)`: the `connection` in coordinates, where it is symmetric in x and y."""
+    return as_space(space).connection(q, x, y)
+
+
+def curvature(space: Space, q: Configuration, x: Vector, y: Vector, z: Vector) -> Vector:
     """Riemann curvature `R(x, y)z = ∇_x∇_y z − ∇_y∇_x z − ∇_[x,y] z` at q."""
-    return as_metric(metric).curvature(q, x, y, z)
+    return as_space(space).curvature(q, x, y, z)
 
 
-def gradient(metric: AbstractMetric | MatrixField, q: Vector, covector: Vector) -> Vector:
+def gradient(space: Space, q: Configuration, covector: Vector) -> Vector:
     """Raise a covector, such as a differential or a generalised force, to the tangent vector `g(q)⁻¹ covector`."""
-    return solve(metric(q), covector)
+    return as_space(space).raise_(q, covector)
 
 
-def exp(metric: AbstractMetric | MatrixField, q: Vector, v: Vector, budget: Budget = Budget()) -> Vector:
+def exp(space: Space, q: Configuration, v: Vector, budget: Budget = Budget()) -> Configuration:
     """Riemannian exponential: where the geodesic from q with velocity v is after unit time."""
-    return as_metric(metric).transport_along(q, v, v[None], budget).q
+    return as_space(space).transport_along(q, v, v[None], budget).q
 
 
 def shoot(
-    metric: AbstractMetric | MatrixField,
-    p: Vector,
-    q: Vector,
+    space: Space,
+    p: Configuration,
+    q: Configuration,
     guess: Vector | None = None,
     budget: Budget = Budget(),
 ) -> Shot:
     """The geodesic from p to q with residual and result code; `guess` warm-starts its initial velocity."""
-    return as_metric(metric).shoot(p, q, guess, budget)
+    return as_space(space).shoot(p, q, guess, budget)
 
 
-def log(metric: AbstractMetric | MatrixField, p: Vector, q: Vector, budget: Budget = Budget()) -> Vector:
+def log(space: Space, p: Configuration, q: Configuration, budget: Budget = Budget()) -> Vector:
     """Riemannian logarithm: the velocity at p of the unit-time geodesic to q.
 
     NaN where no geodesic was found; `shoot` says why. A geodesic beyond a conjugate point is returned as found, and
     flagged by `shoot`: it is a geodesic, but not the shortest one.
     """
-    shot = shoot(metric, p, q, None, budget)
+    shot = shoot(space, p, q, None, budget)
     return jnp.where(shot.result == Result.NOT_CONVERGED, jnp.nan, shot.velocity)
 
 
-def distance(metric: AbstractMetric | MatrixField, p: Vector, q: Vector, budget: Budget = Budget()) -> Scalar:
+def distance(space: Space, p: Configuration, q: Configuration, budget: Budget = Budget()) -> Scalar:
     """Geodesic distance, the length of `log`."""
-    return norm(metric, p, log(metric, p, q, budget))
+    return norm(space, p, log(space, p, q, budget))
 
 
-def transport(
-    metric: AbstractMetric | MatrixField, p: Vector, v: Vector, q: Vector, budget: Budget = Budget()
-) -> Vector:
+def transport(space: Space, p: Configuration, v: Vector, q: Configuration, budget: Budget = Budget()) -> Vector:
     """Parallel transport of v from p to q along the geodesic that joins them: a linear isometry."""
-    return as_metric(metric).transport_along(p, log(metric, p, q, budget), v, budget).w
+    return as_space(space).transport_along(p, log(space, p, q, budget), v, budget).w
 
 
 def transport_along(
-    metric: AbstractMetric | MatrixField, p: Vector, velocity: Vector, w: Vectors, budget: Budget = Budget()
+    space: Space, p: Configuration, velocity: Vector, w: Vectors, budget: Budget = Budget()
 ) -> Transported:
     """Follow a geodesic for unit time and carry the vectors w (..., n) along it in parallel."""
-    return as_metric(metric).transport_along(p, velocity, w, budget)
+    return as_space(space).transport_along(p, velocity, w, budget)

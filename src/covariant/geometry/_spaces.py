@@ -12,7 +12,9 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from covariant._typing import Flag, Matrix, Scalar, Vector, Vectors
-from covariant.geometry._abstract import AbstractMetric, Budget, Shot, Transported
+from covariant.geometry._geodesics import Budget, Shot, Transported
+from covariant.geometry._manifold import split
+from covariant.geometry._metric import AbstractMetric
 from covariant.signals import Result
 
 
@@ -27,16 +29,16 @@ class Euclidean(AbstractMetric):
     def __call__(self, q: Vector) -> Matrix:
         return jnp.eye(q.shape[0], dtype=q.dtype)
 
-    def christoffel(self, q: Vector, x: Vector, y: Vector) -> Vector:
+    def connection(self, q: Vector, x: Vector, y: Vector) -> Vector:
         return jnp.zeros_like(q)
 
     def curvature(self, q: Vector, x: Vector, y: Vector, z: Vector) -> Vector:
         return jnp.zeros_like(q)
 
-    def transport_along(self, p: Vector, velocity: Vector, w: Vectors, budget: Budget) -> Transported:
+    def transport_along(self, p: Vector, velocity: Vector, w: Vectors, budget: Budget = Budget()) -> Transported:
         return Transported(p + velocity, velocity, w)
 
-    def shoot(self, p: Vector, q: Vector, guess: Vector | None, budget: Budget) -> Shot:
+    def shoot(self, p: Vector, q: Vector, guess: Vector | None = None, budget: Budget = Budget()) -> Shot:
         return _found(q - p, q - p)
 
 
@@ -48,16 +50,16 @@ class FlatTorus(AbstractMetric):
     def __call__(self, q: Vector) -> Matrix:
         return jnp.eye(q.shape[0], dtype=q.dtype)
 
-    def christoffel(self, q: Vector, x: Vector, y: Vector) -> Vector:
+    def connection(self, q: Vector, x: Vector, y: Vector) -> Vector:
         return jnp.zeros_like(q)
 
     def curvature(self, q: Vector, x: Vector, y: Vector, z: Vector) -> Vector:
         return jnp.zeros_like(q)
 
-    def transport_along(self, p: Vector, velocity: Vector, w: Vectors, budget: Budget) -> Transported:
+    def transport_along(self, p: Vector, velocity: Vector, w: Vectors, budget: Budget = Budget()) -> Transported:
         return Transported(p + velocity, velocity, w)
 
-    def shoot(self, p: Vector, q: Vector, guess: Vector | None, budget: Budget) -> Shot:
+    def shoot(self, p: Vector, q: Vector, guess: Vector | None = None, budget: Budget = Budget()) -> Shot:
         periods = self.periods.astype(q.dtype)
         short = q - p - periods * jnp.round((q - p) / periods)
         return _found(short, short)
@@ -71,13 +73,13 @@ class ConstantCurvature(AbstractMetric):
     def __call__(self, q: Vector) -> Matrix:
         return self._scale(q) ** 2 * jnp.eye(q.shape[0], dtype=q.dtype)
 
-    def christoffel(self, q: Vector, x: Vector, y: Vector) -> Vector:
+    def connection(self, q: Vector, x: Vector, y: Vector) -> Vector:
         return -self.k * self._scale(q) * ((q @ x) * y + (q @ y) * x - (x @ y) * q)
 
     def curvature(self, q: Vector, x: Vector, y: Vector, z: Vector) -> Vector:
         return self.k * self._scale(q) ** 2 * ((y @ z) * x - (x @ z) * y)
 
-    def transport_along(self, p: Vector, velocity: Vector, w: Vectors, budget: Budget) -> Transported:
+    def transport_along(self, p: Vector, velocity: Vector, w: Vectors, budget: Budget = Budget()) -> Transported:
         middle, end = self._reach(p, velocity / 2), self._reach(p, velocity)
 
         def carry(a):  # by halves, since the transport straight to an antipode is 0/0
@@ -86,7 +88,7 @@ class ConstantCurvature(AbstractMetric):
         carried = jax.vmap(carry)(w.reshape(-1, p.shape[0])).reshape(w.shape)
         return Transported(end, carry(velocity), carried)
 
-    def shoot(self, p: Vector, q: Vector, guess: Vector | None, budget: Budget) -> Shot:
+    def shoot(self, p: Vector, q: Vector, guess: Vector | None = None, budget: Budget = Budget()) -> Shot:
         away = self._add(-p, q)
         velocity = 2 / self._scale(p) * away * self._arctan_ratio(away @ away)
         return _found(velocity, self._carry(p, velocity, q))
@@ -182,24 +184,24 @@ class Pullback(AbstractMetric):
         jacobian = jax.jacfwd(self.forward)(q)
         return jacobian.T @ self.space(self.forward(q)) @ jacobian
 
-    def christoffel(self, q: Vector, x: Vector, y: Vector) -> Vector:
+    def connection(self, q: Vector, x: Vector, y: Vector) -> Vector:
         """`Γ̄(x, y) = Dφ⁻¹ [Γ(Dφ x, Dφ y) + D²φ(x, y)]`."""
         old, along_x, along_y = self.forward(q), self._push(q, x), self._push(q, y)
         second = jax.jvp(lambda p: self._push(p, y), (q,), (x,))[1]
-        return self._pull(old, self.space.christoffel(old, along_x, along_y) + second)
+        return self._pull(old, self.space.connection(old, along_x, along_y) + second)
 
     def curvature(self, q: Vector, x: Vector, y: Vector, z: Vector) -> Vector:
         old = self.forward(q)
         turned = self.space.curvature(old, self._push(q, x), self._push(q, y), self._push(q, z))
         return self._pull(old, turned)
 
-    def transport_along(self, p: Vector, velocity: Vector, w: Vectors, budget: Budget) -> Transported:
+    def transport_along(self, p: Vector, velocity: Vector, w: Vectors, budget: Budget = Budget()) -> Transported:
         pushed = jax.vmap(lambda a: self._push(p, a))(w.reshape(-1, p.shape[0]))
         end = self.space.transport_along(self.forward(p), self._push(p, velocity), pushed, budget)
         pulled = jax.vmap(lambda a: self._pull(end.q, a))(end.w)
         return Transported(self.inverse(end.q), self._pull(end.q, end.velocity), pulled.reshape(w.shape))
 
-    def shoot(self, p: Vector, q: Vector, guess: Vector | None, budget: Budget) -> Shot:
+    def shoot(self, p: Vector, q: Vector, guess: Vector | None = None, budget: Budget = Budget()) -> Shot:
         old_p, old_q = self.forward(p), self.forward(q)
         shot = self.space.shoot(old_p, old_q, None if guess is None else self._push(p, guess), budget)
         return shot._replace(velocity=self._pull(old_p, shot.velocity), arrival=self._pull(old_q, shot.arrival))
@@ -224,18 +226,18 @@ class Product(AbstractMetric):
     def __call__(self, q: Vector) -> Matrix:
         return jax.scipy.linalg.block_diag(*(space(part) for space, part in self._each(q)))
 
-    def christoffel(self, q: Vector, x: Vector, y: Vector) -> Vector:
-        return jnp.concatenate([space.christoffel(*parts) for space, *parts in self._each(q, x, y)])
+    def connection(self, q: Vector, x: Vector, y: Vector) -> Vector:
+        return jnp.concatenate([space.connection(*parts) for space, *parts in self._each(q, x, y)])
 
     def curvature(self, q: Vector, x: Vector, y: Vector, z: Vector) -> Vector:
         return jnp.concatenate([space.curvature(*parts) for space, *parts in self._each(q, x, y, z)])
 
-    def transport_along(self, p: Vector, velocity: Vector, w: Vectors, budget: Budget) -> Transported:
+    def transport_along(self, p: Vector, velocity: Vector, w: Vectors, budget: Budget = Budget()) -> Transported:
         ends = [space.transport_along(*parts, budget) for space, *parts in self._each(p, velocity, w)]
         return Transported(*(jnp.concatenate(field, axis=-1) for field in zip(*ends, strict=True)))
 
-    def shoot(self, p: Vector, q: Vector, guess: Vector | None, budget: Budget) -> Shot:
-        guesses = [None] * len(self.sizes) if guess is None else self._split(guess)
+    def shoot(self, p: Vector, q: Vector, guess: Vector | None = None, budget: Budget = Budget()) -> Shot:
+        guesses = [None] * len(self.sizes) if guess is None else split(guess, self.sizes)
         shots = [
             space.shoot(*parts, first, budget) for (space, *parts), first in zip(self._each(p, q), guesses, strict=True)
         ]
@@ -243,9 +245,5 @@ class Product(AbstractMetric):
         residual = jnp.sqrt(sum(s.residual**2 for s in shots))
         return Shot(velocity, arrival, residual, jnp.max(jnp.stack([s.result for s in shots])))
 
-    def _split(self, x: Array) -> list[Array]:
-        edges = [sum(self.sizes[:i]) for i in range(1, len(self.sizes))]
-        return jnp.split(x, edges, axis=-1)
-
     def _each(self, *arrays: Array):
-        return zip(self.spaces, *(self._split(a) for a in arrays), strict=True)
+        return zip(self.spaces, *(split(a, self.sizes, axis=-1) for a in arrays), strict=True)

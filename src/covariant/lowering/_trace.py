@@ -18,6 +18,7 @@ import numpy as np
 from jax.extend import core, source_info_util
 
 from covariant.lowering import _stumpff
+from covariant.lowering._constants import compute
 from covariant.lowering._graph import Condition, Graph
 
 MOST_PLACES = 64
@@ -180,7 +181,7 @@ class _Interpreter:
         if name in ("scan", "while", "cond"):
             return getattr(self, name + "_loop")(parameters, values)
         if not any(isinstance(value, Scalars) for value in values):
-            return _compute(eqn, values)
+            return compute(eqn, values)
         if eqn.primitive is _stumpff.STUMPFF:
             return [self.map("stumpff", np.asarray(float(parameters["k"])), *values)]
         if name not in _RULES:
@@ -299,13 +300,6 @@ def _known(value) -> np.ndarray:
 
 def _take(value: Value, i: int) -> Value:
     return Scalars(np.asarray(value.ids[i])) if isinstance(value, Scalars) else np.asarray(value[i])
-
-
-def _compute(eqn, values: list) -> list[Value]:
-    """An equation all of whose numbers are known, by JAX itself."""
-    with jax.ensure_compile_time_eval():
-        found = eqn.primitive.bind(*(jnp.asarray(v) for v in values), **eqn.params)
-    return [np.asarray(f) for f in (found if eqn.primitive.multiple_results else [found])]
 
 
 _CALLS = {

@@ -5,26 +5,31 @@ from covariant.models._bioreactor import bioreactor
 from covariant.models._check import check_metric
 from covariant.models._duffing import duffing
 from covariant.models._file import ModelError, ModelFile, from_recipe, load, recipe
-from covariant.models._group_system import GroupSystem, Motion, advance, body_velocity, spatial_momentum
 from covariant.models._heavy_top import free_body, heavy_top
 from covariant.models._hovercraft import hovercraft
 from covariant.models._induction_motor import induction_motor
-from covariant.models._lagrangian import (
+from covariant.models._lorenz import lorenz
+from covariant.models._mechanical import (
+    GroupSystem,
     Lagrangian,
+    MechanicalSystem,
+    MomentumChart,
+    Motion,
     Parameter,
     acceleration,
+    advance,
     applied_force,
+    body_velocity,
     check_model,
     energy,
     friction,
-    position_error,
     source,
-    wrap,
+    spatial_momentum,
 )
-from covariant.models._lorenz import lorenz
 from covariant.models._oscillator import oscillator
 from covariant.models._pendulum_chain import pendulum_chain
 from covariant.models._satellite import satellite
+from covariant.models._satellite_arm import satellite_arm
 from covariant.models._state_space import StateSpace, state_space
 from covariant.models._underwater_vehicle import underwater_vehicle
 from covariant.models._unknown_frequency import unknown_frequency
@@ -33,8 +38,10 @@ from covariant.models._van_der_pol import van_der_pol
 __all__ = [
     "GroupSystem",
     "Lagrangian",
+    "MechanicalSystem",
     "ModelError",
     "ModelFile",
+    "MomentumChart",
     "Motion",
     "Parameter",
     "StateSpace",
@@ -58,14 +65,13 @@ __all__ = [
     "lorenz",
     "oscillator",
     "pendulum_chain",
-    "position_error",
     "recipe",
     "satellite",
+    "satellite_arm",
     "source",
     "spatial_momentum",
     "state_space",
     "underwater_vehicle",
     "unknown_frequency",
     "van_der_pol",
-    "wrap",
 ]

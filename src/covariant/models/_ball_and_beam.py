@@ -2,7 +2,7 @@
 
 import jax.numpy as jnp
 
-from covariant.models._lagrangian import Lagrangian, Parameter
+from covariant.models._mechanical import Lagrangian, Parameter
 
 _SOURCE = "Aghannan & Rouchon 2003, appendix I (normalised)"
 

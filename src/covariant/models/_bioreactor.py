@@ -6,7 +6,7 @@ Source: Bastin & Dochain 1990, On-line estimation and adaptive control of biorea
 
 import jax.numpy as jnp
 
-from covariant.models._lagrangian import Parameter
+from covariant.models._mechanical import Parameter
 from covariant.models._parameters import check_parameters
 from covariant.models._state_space import StateSpace
 

@@ -4,16 +4,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from covariant.models._lagrangian import Lagrangian
+from covariant.models._mechanical import MechanicalSystem
 
 
-def check_metric(model: Lagrangian, points: Float[np.ndarray, "k n"]) -> None:
+def check_metric(model: MechanicalSystem, points: Float[np.ndarray, "k n"]) -> None:
     """Raise `ValueError` unless the metric is symmetric and, where the chart holds, positive definite.
 
     A chart may end at some of the points, as polar coordinates do at r = 0: where the metric is singular or not finite
     it is passed over, unless it is so at all of them.
     """
-    usable = [_is_usable(np.asarray(model.metric(jnp.asarray(q))), q) for q in points]
+    usable = [_is_usable(np.asarray(model.space(jnp.asarray(q))), q) for q in points]
     if not any(usable):
         raise ValueError(
             f"metric is singular or not finite at all {len(points)} points tried, such as q = {_text(points[0])}"

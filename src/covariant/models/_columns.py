@@ -2,34 +2,30 @@
 
 from typing import Any, NamedTuple
 
-from covariant.geometry.lie import SE2, SE3, SO2, SO3, AbstractGroup, Product
+from covariant.geometry import AbstractManifold, Coordinates
+from covariant.geometry.lie import SE2, SE3, SO2, SO3
 from covariant.logs import ATTITUDES, Columns
-from covariant.models._group_system import GroupSystem
-from covariant.models._lagrangian import Lagrangian, check_model
+from covariant.models._mechanical import MechanicalSystem
 from covariant.models._source import Model
 from covariant.models._state_space import StateSpace
 
 
 class _Needs(NamedTuple):
-    """How many columns of each kind a configuration on a group takes."""
+    """How many columns of each kind a configuration takes."""
 
-    position: int
-    attitude: bool
-    angle: int
+    position: int = 0
+    attitude: bool = False
+    angle: int = 0
+    q: int = 0
 
     @property
     def remedy(self) -> str:
-        keys = [key for key in ("position", "angle") if getattr(self, key)]
+        keys = [key for key in ("position", "angle", "q") if getattr(self, key)]
         keys += [f"one of {', '.join(ATTITUDES)}"] if self.attitude else []
         return f"name {' and '.join(keys)} instead"
 
 
-_NEEDS = {
-    type(SO3): _Needs(0, True, 0),
-    type(SE3): _Needs(3, True, 0),
-    type(SE2): _Needs(2, False, 1),
-    type(SO2): _Needs(0, False, 1),
-}
+_NEEDS = {SO3: _Needs(0, True, 0), SE3: _Needs(3, True, 0), SE2: _Needs(2, False, 1), SO2: _Needs(0, False, 1)}
 
 
 def model_columns(model: Model, loaded: Columns, given: dict[str, Any]) -> Columns:
@@ -41,8 +37,8 @@ def model_columns(model: Model, loaded: Columns, given: dict[str, Any]) -> Colum
     if any(given.get(kind) for kind in ATTITUDES):
         loaded = loaded._replace(**dict.fromkeys(ATTITUDES, ()))
     given = {key: value for key, value in loaded._asdict().items() if value} | given
-    if isinstance(model, GroupSystem):
-        return _on_group(model, given)
+    if isinstance(model, MechanicalSystem) and not model.manifold.commuting:
+        return _off_coordinates(model, given)
     has = "outputs" if isinstance(model, StateSpace) else "coordinates"
     for key in ("position", *ATTITUDES, "angle"):
         if given.get(key):
@@ -52,11 +48,11 @@ def model_columns(model: Model, loaded: Columns, given: dict[str, Any]) -> Colum
 
 def lacks_attitude(model: Model, columns: Columns) -> bool:
     """Whether a log of the model holds an attitude and nobody said how it is written."""
-    needed = isinstance(model, GroupSystem) and _needs(model.group).attitude
+    needed = isinstance(model, MechanicalSystem) and _needs(model.manifold).attitude
     return needed and not any(getattr(columns, kind) for kind in ATTITUDES)
 
 
-def _in_coordinates(model: Lagrangian, given: dict[str, Any]) -> Columns:
+def _in_coordinates(model: MechanicalSystem, given: dict[str, Any]) -> Columns:
     n = len(model.coordinates) or len(given.get("q", ()))
     if not n:
         raise ValueError("the model names no coordinates; give it some, or columns.q")
@@ -82,17 +78,19 @@ def _of_outputs(model: StateSpace, given: dict[str, Any]) -> Columns:
     return columns
 
 
-def _on_group(model: GroupSystem, given: dict[str, Any]) -> Columns:
-    needs, n = _needs(model.group), model.group.dimension
+def _off_coordinates(model: MechanicalSystem, given: dict[str, Any]) -> Columns:
+    needs, n = _needs(model.manifold), len(model.velocities)
+    inputs = n if model.inputs is None else model.inputs
     written = [kind for kind in ATTITUDES if given.get(kind)]
-    if given.get("q"):
+    if given.get("q") and not needs.q:
         raise ValueError(f"columns.q: the model is on a group and has no coordinates; {needs.remedy}")
     if len(written) > 1:
         raise ValueError(f"columns.{written[0]} and columns.{written[1]} both give the attitude; keep one")
     if written and not needs.attitude:
         raise ValueError(f"columns.{written[0]}: the model has no attitude in space; {needs.remedy}")
     columns = Columns(
-        u=_numbered("u", model.inputs),
+        q=model.coordinates if needs.q else (),
+        u=_numbered("u", inputs),
         position=("px", "py", "pz")[: needs.position],
         angle=_numbered("angle", needs.angle) if needs.angle != 1 else ("angle",),
     )._replace(**given)
@@ -100,26 +98,31 @@ def _on_group(model: GroupSystem, given: dict[str, Any]) -> Columns:
         _check_count(kind, getattr(columns, kind), ATTITUDES[kind], "entries", whole="this way to write an attitude")
     _check_count("position", columns.position, needs.position, "coordinates of a position")
     _check_count("angle", columns.angle, needs.angle, "angles")
-    _check_count("u", columns.u, model.inputs, "inputs")
+    _check_count("q", columns.q, needs.q, "coordinates")
+    _check_count("u", columns.u, inputs, "inputs")
     _check_count("v", columns.v or model.velocities, n, "velocities")
     _check_count("truth", columns.truth or model.velocities, n, "velocities")
     return columns
 
 
-def _needs(group: AbstractGroup) -> _Needs:
-    """Raises `ValueError` for a group whose elements no log can hold."""
-    first, *wheels = _factors(group)
-    if type(first) not in _NEEDS or any(type(wheel) is not type(SO2) for wheel in wheels):
+def _needs(manifold: AbstractManifold) -> _Needs:
+    """Raises `ValueError` for a manifold whose configurations no log can hold."""
+    if manifold.commuting:
+        return _Needs()
+    first, *rest = _factors(manifold)
+    joints = [part.dimension for part in rest if isinstance(part, Coordinates)]
+    wheels = [part for part in rest if part == SO2]
+    if first not in _NEEDS or len(joints) > 1 or len(joints) + len(wheels) < len(rest):
         raise ValueError(
-            f"logs hold one attitude or pose, and angles after it: SO3, SE3, SE2, SO2, or one of them times SO2s; the "
-            f"model is on {group}, so use it from Python"
+            f"logs hold one attitude or pose, and angles or coordinates after it: SO3, SE3, SE2, SO2, or one of them "
+            f"times SO2s or Coordinates; the model is on {manifold}, so use it from Python"
         )
-    needs = _NEEDS[type(first)]
-    return needs._replace(angle=needs.angle + len(wheels))
+    needs = _NEEDS[first]
+    return needs._replace(angle=needs.angle + len(wheels), q=sum(joints))
 
 
-def _factors(group: AbstractGroup) -> list[AbstractGroup]:
-    return [factor for part in group.groups for factor in _factors(part)] if isinstance(group, Product) else [group]
+def _factors(manifold: AbstractManifold) -> list[AbstractManifold]:
+    return [factor for part in manifold.factors for factor in _factors(part)] or [manifold]
 
 
 def _numbered(letter: str, count: int) -> tuple[str, ...]:

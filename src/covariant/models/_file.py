@@ -11,8 +11,7 @@ from covariant.logs import Columns
 from covariant.models import _source, _toml
 from covariant.models._check import check_metric
 from covariant.models._columns import lacks_attitude, model_columns
-from covariant.models._group_system import GroupSystem
-from covariant.models._lagrangian import Lagrangian
+from covariant.models._mechanical import MechanicalSystem
 from covariant.models._source import Model
 from covariant.models._state_space import StateSpace
 
@@ -54,7 +53,7 @@ class ModelFile(NamedTuple):
         """Number n of velocities, or of the states of a `StateSpace`."""
         if isinstance(self.model, StateSpace):
             return len(self.model.coordinates)
-        return self.model.group.dimension if isinstance(self.model, GroupSystem) else len(self.columns.q)
+        return len(self.model.velocities) or len(self.columns.q)
 
     @property
     def lacks_attitude(self) -> bool:
@@ -76,7 +75,7 @@ def load(spec: str, overrides: Sequence[str] = ()) -> ModelFile:
         what = document.get("system", spec.rpartition(":")[2])
         loaded = _make(what, _find(spec, document), document.get("parameters", {}))
         columns = model_columns(loaded.model, loaded.columns, _toml.columns(document))
-        if isinstance(loaded.model, Lagrangian):
+        if isinstance(loaded.model, MechanicalSystem) and loaded.model.manifold.commuting:
             check_metric(loaded.model, _points(len(columns.q)))
         name = Path(spec).stem if _is_file(spec) else loaded.name
         return loaded._replace(name=name, columns=columns, **_toml.numbers(document))

@@ -6,8 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from covariant.geometry.lie import SE2
-from covariant.models._group_system import GroupSystem
-from covariant.models._lagrangian import Parameter
+from covariant.models._mechanical import GroupSystem, Parameter
 
 _SOURCE = "chosen: of the size of a laboratory model"
 

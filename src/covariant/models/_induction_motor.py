@@ -5,7 +5,7 @@ Source: Marino, Peresada & Valigi 1993, Adaptive input-output linearizing contro
 
 import jax.numpy as jnp
 
-from covariant.models._lagrangian import Parameter
+from covariant.models._mechanical import Parameter
 from covariant.models._parameters import check_parameters
 from covariant.models._state_space import StateSpace
 

@@ -2,7 +2,7 @@
 
 import jax.numpy as jnp
 
-from covariant.models._lagrangian import Parameter
+from covariant.models._mechanical import Parameter
 from covariant.models._parameters import check_parameters
 from covariant.models._state_space import StateSpace
 

@@ -2,7 +2,7 @@
 
 import jax.numpy as jnp
 
-from covariant.models._lagrangian import Lagrangian, Parameter
+from covariant.models._mechanical import Lagrangian, Parameter
 
 
 def oscillator(chart: str = "q", stiffness: float = 1.0) -> Lagrangian:

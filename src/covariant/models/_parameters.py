@@ -4,7 +4,7 @@ from collections.abc import Collection
 
 import numpy as np
 
-from covariant.models._lagrangian import Parameter
+from covariant.models._mechanical import Parameter
 
 
 def check_parameters(

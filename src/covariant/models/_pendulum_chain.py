@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import jax.numpy as jnp
 import numpy as np
 
-from covariant.models._lagrangian import Lagrangian, Parameter
+from covariant.models._mechanical import Lagrangian, Parameter
 
 COULOMB_STEEPNESS = 100.0
 """Slope at rest of the smoothed Coulomb friction `coulomb * atan(100 v)` [s/rad]."""

@@ -6,8 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from covariant.geometry.lie import SO2, SO3, Product
-from covariant.models._group_system import GroupSystem
-from covariant.models._lagrangian import Parameter
+from covariant.models._mechanical import GroupSystem, Parameter
 
 _SOURCE = "chosen: of the size of a small satellite"
 

@@ -14,22 +14,22 @@ from typing import Any, Union, get_args, get_origin
 from covariant.models._ball_and_beam import ball_and_beam
 from covariant.models._bioreactor import bioreactor
 from covariant.models._duffing import duffing
-from covariant.models._group_system import GroupSystem
 from covariant.models._heavy_top import free_body, heavy_top
 from covariant.models._hovercraft import hovercraft
 from covariant.models._induction_motor import induction_motor
-from covariant.models._lagrangian import Lagrangian
 from covariant.models._lorenz import lorenz
+from covariant.models._mechanical import MechanicalSystem
 from covariant.models._oscillator import oscillator
 from covariant.models._pendulum_chain import pendulum_chain
 from covariant.models._satellite import satellite
+from covariant.models._satellite_arm import satellite_arm
 from covariant.models._state_space import StateSpace
 from covariant.models._toml import refuse_unknown
 from covariant.models._underwater_vehicle import underwater_vehicle
 from covariant.models._unknown_frequency import unknown_frequency
 from covariant.models._van_der_pol import van_der_pol
 
-Model = Lagrangian | GroupSystem | StateSpace
+Model = MechanicalSystem | StateSpace
 """The kinds of models."""
 
 SYSTEMS: dict[str, Callable[..., Model]] = {
@@ -44,6 +44,7 @@ SYSTEMS: dict[str, Callable[..., Model]] = {
     "oscillator": oscillator,
     "pendulum_chain": pendulum_chain,
     "satellite": satellite,
+    "satellite_arm": satellite_arm,
     "underwater_vehicle": underwater_vehicle,
     "unknown_frequency": unknown_frequency,
     "van_der_pol": van_der_pol,

@@ -9,7 +9,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from covariant._typing import Matrix, Scalar, Vector
-from covariant.models._lagrangian import FrozenDict, Lagrangian, Parameter, acceleration, check_shapes, wrap
+from covariant.geometry import Coordinates, wrap
+from covariant.models._mechanical import FrozenDict, MechanicalSystem, Parameter, acceleration, check_shapes
 
 
 class StateSpace(eqx.Module):
@@ -59,6 +60,11 @@ class StateSpace(eqx.Module):
             count = _check(self)
             self.outputs = self.outputs or tuple(f"y{i + 1}" for i in range(count))
 
+    @property
+    def manifold(self) -> Coordinates:
+        """Where the outputs live."""
+        return Coordinates(self.circles, len(self.outputs))
+
     def jacobians(self, t: Scalar, x: Vector, u: Float[Array, "m"]) -> tuple[Matrix, Float[Array, "p n"]]:
         """`∂f/∂x` (n, n) and `∂h/∂x` (p, n)."""
         return jax.jacfwd(self.f, 1)(t, x, u), jax.jacfwd(self.h, 1)(t, x, u)
@@ -69,7 +75,7 @@ class StateSpace(eqx.Module):
 
 
 @functools.singledispatch
-def state_space(model: Lagrangian) -> StateSpace:
+def state_space(model: MechanicalSystem) -> StateSpace:
     """A mechanical system as that of x = (q, v) with y = q; a `marine.Craft` as that of x = (η, ν) with y = η."""
     names = model.coordinates
     rates = tuple(f"{name}_dot" for name in names)

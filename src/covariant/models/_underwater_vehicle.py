@@ -11,8 +11,7 @@ import numpy as np
 from jaxtyping import Array
 
 from covariant.geometry.lie import SE3
-from covariant.models._group_system import GroupSystem
-from covariant.models._lagrangian import Parameter
+from covariant.models._mechanical import GroupSystem, Parameter
 
 _SOURCE = "chosen: of the size of a small inspection vehicle"
 

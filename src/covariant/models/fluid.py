@@ -23,8 +23,7 @@ from jaxtyping import Array, Complex, Float
 
 from covariant._typing import Element, Scalar, Vector
 from covariant.geometry.lie import SU, AbstractInertia
-from covariant.models._group_system import GroupSystem
-from covariant.models._lagrangian import Parameter
+from covariant.models._mechanical import GroupSystem, Parameter
 
 Modes = Complex[Array, "N N"]
 """Fourier coefficients f_m of a real field at [m₁, m₂] modulo N, the order of `jnp.fft.fft2`; the mean f_0 is not used.

@@ -5,9 +5,7 @@ from covariant.observers._copy import Copy
 from covariant.observers._ekf import EKF, EKFInfo, EKFState
 from covariant.observers._filtered_derivative import FilteredDerivative, FilteredState, FilterInfo
 from covariant.observers._geodesic import Geodesic, GeodesicInfo, GeodesicState
-from covariant.observers._group import Group, GroupInfo, GroupState
-from covariant.observers._intrinsic import Intrinsic
-from covariant.observers._invariant_ekf import InvariantEKF, InvariantInfo, InvariantState
+from covariant.observers._intrinsic import Intrinsic, second_order
 from covariant.observers._passive_ship import (
     PassiveGains,
     PassiveShip,
@@ -18,6 +16,7 @@ from covariant.observers._passive_ship import (
 )
 from covariant.observers._protocol import (
     AbstractFlowObserver,
+    AbstractMechanicalObserver,
     AbstractObserver,
     HeldState,
     Info,
@@ -32,6 +31,7 @@ from covariant.observers._savitzky_golay import SavitzkyGolay, WindowState
 __all__ = [
     "EKF",
     "AbstractFlowObserver",
+    "AbstractMechanicalObserver",
     "AbstractObserver",
     "Contracting",
     "ContractingState",
@@ -45,17 +45,11 @@ __all__ = [
     "Geodesic",
     "GeodesicInfo",
     "GeodesicState",
-    "Group",
-    "GroupInfo",
-    "GroupState",
     "HeldState",
     "Info",
     "InformationEKF",
     "InformationState",
     "Intrinsic",
-    "InvariantEKF",
-    "InvariantInfo",
-    "InvariantState",
     "MechanicalState",
     "PassiveGains",
     "PassiveShip",
@@ -71,4 +65,5 @@ __all__ = [
     "notch_gains",
     "printed_rate",
     "run",
+    "second_order",
 ]

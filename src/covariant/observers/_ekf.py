@@ -1,28 +1,31 @@
-"""Extended Kalman filter on (q, v): what most people use today.
+"""Extended Kalman filter: what most people use today, with its error in the frame of the space.
 
-Source: Gelb 1974, Applied Optimal Estimation, section 6.1; Joseph form of the covariance update.
+In coordinates it is the usual one on (q, v); on SO(3) the multiplicative one with momentum dynamics, on SE(3) the
+left-invariant one.
+
+Source: Gelb 1974, Applied Optimal Estimation, section 6.1; Joseph form of the covariance update. Lefferts, Markley &
+Shuster 1982 for the multiplicative error; Barrau & Bonnabel 2017, section 3, for the left-invariant one.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Inexact
 
 from covariant._linalg import solve
 from covariant._typing import Code, Matrix, Number, Scalar, Vector
-from covariant.geometry import norm
-from covariant.models import Lagrangian, position_error
-from covariant.observers._protocol import AbstractObserver, Held, check_finite, no_input, outcome
+from covariant.models import MechanicalSystem, Motion
+from covariant.observers._protocol import AbstractObserver, Held, at_rest, check_finite, outcome, uniqueness
 from covariant.observers._sampled import predict
 
 
 class EKFState(NamedTuple):
-    """Estimated configuration and velocity at time t [s], the covariance `cov` (2n, 2n) of their error, and the last
-    finite input `held`."""
+    """Estimated configuration and velocity at time t [s], the covariance `cov` (2n, 2n) of `(local(q̂, q), v − v̂)`, and
+    the last finite input `held`."""
 
-    q: Vector
+    q: Inexact[Array, "..."]
     v: Vector
     t: Scalar
     cov: Float[Array, "two_n two_n"]
@@ -41,15 +44,15 @@ class EKFInfo(NamedTuple):
 class EKF(AbstractObserver):
     """Extended Kalman filter with automatic Jacobians of the integrated model.
 
-    - `process_cov` (n, n): density of the white acceleration noise [(rad/s²)² s, or (m/s²)² s].
-    - `measurement_cov` (n, n): covariance of one position sample [rad² or m²].
+    - `process_cov` (n, n): density of the white acceleration noise, in the frame [(rad/s²)² s, or (m/s²)² s].
+    - `measurement_cov` (n, n): covariance of `local(q, y)` of one sample [rad² or m²].
     - `initial_velocity_std`: standard deviation of the velocity at the start, assumed zero [rad/s or m/s].
     - `substeps`: Runge–Kutta steps a sample; None takes as many as dt and the friction need (offline).
 
     Raises `ValueError` for covariances that are not finite.
     """
 
-    model: Lagrangian
+    model: MechanicalSystem
     process_cov: Matrix
     measurement_cov: Matrix
     initial_velocity_std: Number = 1.0
@@ -59,47 +62,49 @@ class EKF(AbstractObserver):
         check_finite("EKF", process_cov=self.process_cov, measurement_cov=self.measurement_cov)
         check_finite("EKF", initial_velocity_std=self.initial_velocity_std)
 
-    def init(self, y: Vector, t: Number = 0.0) -> EKFState:
-        velocity_cov = jnp.eye(y.shape[0], dtype=y.dtype) * self.initial_velocity_std**2
+    def init(self, y: Array, t: Number = 0.0) -> EKFState:
+        q, v, t, held = at_rest(self.model, y, t)
+        velocity_cov = jnp.eye(v.shape[0], dtype=v.dtype) * self.initial_velocity_std**2
         zero = jnp.zeros_like(velocity_cov)
-        cov = jnp.block([[self.measurement_cov, zero], [zero, velocity_cov]])
-        return EKFState(y, jnp.zeros_like(y), jnp.asarray(t, y.dtype), cov, no_input(self.model, y))
+        return EKFState(q, v, t, jnp.block([[self.measurement_cov, zero], [zero, velocity_cov]]), held)
 
-    def estimate(self, state: EKFState) -> Float[Array, "two_n"]:
-        return jnp.concatenate([state.q, state.v])
+    def estimate(self, state: EKFState) -> Any:
+        return self.model.state(Motion(state.q, state.v))
 
     def predict(self, state: EKFState, u: Float[Array, "m"], dt: Scalar) -> EKFState:
         """Integrate model and covariance over dt [s] with u held."""
-        n = state.q.shape[0]
+        n = state.v.shape[0]
 
-        def motion(x):
-            q, v = predict(self.model, state.t, x[:n], x[n:], u, dt, self.substeps)
-            moved = jnp.concatenate([q, v])
-            return moved, moved
+        def error_ahead(error):
+            start = self.model.manifold.retract(state.q, error[:n])
+            moved = predict(self.model, state.t, start, state.v + error[n:], u, dt, self.substeps)
+            apart = self.model.manifold.local(jax.lax.stop_gradient(moved.q), moved.q)
+            return jnp.concatenate([apart, moved.v]), moved
 
-        transition, moved = jax.jacfwd(motion, has_aux=True)(self.estimate(state))
+        transition, (q, v) = jax.jacfwd(error_ahead, has_aux=True)(jnp.zeros(2 * n, state.v.dtype))
         q_part, cross, v_part = (self.process_cov * dt**k / c for k, c in ((3, 3), (2, 2), (1, 1)))
         noise = jnp.block([[q_part, cross], [cross, v_part]])
-        return EKFState(moved[:n], moved[n:], state.t + dt, transition @ state.cov @ transition.T + noise, state.held)
+        return EKFState(q, v, state.t + dt, transition @ state.cov @ transition.T + noise, state.held)
 
-    def correct(self, state: EKFState, y: Vector) -> tuple[EKFState, EKFInfo]:
-        """Take the measurement y (n,) in; missing entries (NaN) are left out."""
-        n = state.q.shape[0]
-        missing = jnp.isnan(y)
-        present = jnp.diag(jnp.where(missing, 0.0, 1.0).astype(state.q.dtype))
+    def correct(self, state: EKFState, y: Array) -> tuple[EKFState, EKFInfo]:
+        """Take the measurement y in; missing entries (NaN) are left out, on a group all where one is missing."""
+        n = state.v.shape[0]
+        missing = self.model.manifold.missing(y)
+        present = jnp.diag(jnp.where(missing, 0.0, 1.0).astype(state.v.dtype))
         # The noise of a missing entry tells nothing of the others', however they are correlated.
         apart = (missing[:, None] | missing[None, :]) & ~jnp.eye(n, dtype=bool)
         measurement_cov = jnp.where(apart, 0.0, self.measurement_cov)
         output = jnp.concatenate([present, jnp.zeros_like(present)], axis=1)
-        innovation = -position_error(self.model, state.q, y)
+        innovation = self.model.manifold.towards(state.q, y)
         innovation_cov = output @ state.cov @ output.T + measurement_cov
         gain = solve(innovation_cov, output @ state.cov).T
-        x = self.estimate(state) + gain @ innovation
-        left = jnp.eye(2 * n, dtype=x.dtype) - gain @ output
+        error = gain @ innovation
+        left = jnp.eye(2 * n, dtype=error.dtype) - gain @ output
         cov = left @ state.cov @ left.T + gain @ measurement_cov @ gain.T
-        new = EKFState(x[:n], x[n:], state.t, (cov + cov.T) / 2, state.held)
-        distance = norm(self.model.metric, state.q, innovation)
-        return new, EKFInfo(innovation, distance, innovation_cov, outcome(new.q, new.v, y))
+        q, v = self.model.manifold.retract(state.q, error[:n]), state.v + error[n:]
+        new = EKFState(q, v, state.t, (cov + cov.T) / 2, state.held)
+        result = outcome(q, v, y, uniqueness(self.model, state.q, y))
+        return new, EKFInfo(innovation, self.model.space.norm(state.q, innovation), innovation_cov, result)
 
-    def advance(self, state: EKFState, u: Float[Array, "m"], y: Vector, dt: Scalar) -> tuple[EKFState, EKFInfo]:
+    def advance(self, state: EKFState, u: Float[Array, "m"], y: Array, dt: Scalar) -> tuple[EKFState, EKFInfo]:
         return self.correct(self.predict(state, u, dt), y)

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from covariant._typing import Code, Number, Scalar, Vector
-from covariant.models import wrap
+from covariant.geometry import wrap
 from covariant.observers._protocol import AbstractObserver, check_positive, outcome
 
 

@@ -1,26 +1,36 @@
 """The exact intrinsic observer: geodesic error, parallel transport, curvature. The same in all coordinates.
 
-Source: Aghannan & Rouchon 2003, equation (2), with the curvature sign of `covariant.geometry`.
+Source: Aghannan & Rouchon 2003, equation (2), with the curvature sign of `covariant.geometry`; Maithripala, Berg &
+Dayawansa 2004, equation (17), for groups.
 """
 
 from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Inexact
 
-from covariant._typing import Code, Number, Scalar, Vector
-from covariant.geometry import Budget, Shot, christoffel, curvature, norm, shoot, transport_along
-from covariant.models import Lagrangian, friction, position_error, source
-from covariant.observers._protocol import AbstractFlowObserver, Held, check_positive, no_input, outcome, still
+from covariant._typing import Code, Flag, Number, Scalar, Vector
+from covariant.geometry import Budget
+from covariant.models import MechanicalSystem, friction, source
+from covariant.observers._protocol import (
+    AbstractMechanicalObserver,
+    Held,
+    at_rest,
+    check_positive,
+    outcome,
+    still,
+    uniqueness,
+)
 from covariant.observers._sampled import predict, sampled_gains
+from covariant.signals import Result
 
 
 class GeodesicState(NamedTuple):
     """Estimate (q, v) at time t [s], and `log` = log_q̂(q) as last found, to start the next search;
     `held` is the last finite input."""
 
-    q: Vector
+    q: Inexact[Array, "..."]
     v: Vector
     t: Scalar
     log: Vector
@@ -28,7 +38,8 @@ class GeodesicState(NamedTuple):
 
 
 class GeodesicInfo(NamedTuple):
-    """As `Info`, with the metric length `residual` by which the geodesic missed the measurement."""
+    """As `Info`, with the metric length `residual` by which the geodesic missed the measurement, infinite where none
+    was found; `distance` is the geodesic's length."""
 
     innovation: Vector
     distance: Scalar
@@ -36,11 +47,19 @@ class GeodesicInfo(NamedTuple):
     result: Code
 
 
-class Geodesic(AbstractFlowObserver):
-    """Observer (2) of Aghannan & Rouchon for any `Lagrangian`, with ξ = −log_q̂(q):
+class _Correction(NamedTuple):
+    log: Vector  # velocity at the estimate that leads to the measurement in unit time
+    drive: Vector
+    residual: Scalar
+    result: Code
+    exact: Flag  # along a geodesic that was found
 
-        q̂' = v̂ − αξ
-        ∇_q̂' v̂ = T(q→q̂) S(q) − βξ + R(ξ, v̂)v̂ + g(q̂)⁻¹ dissipation(q̂, v̂)
+
+class Geodesic(AbstractMechanicalObserver):
+    """Observer (2) of Aghannan & Rouchon for any `MechanicalSystem`, with ξ = −log_q̂(q):
+
+        q̂' = E(q̂) w,   w = v̂ − αξ
+        ∇_w v̂ = T(q→q̂) S(q) − βξ + R(ξ, v̂)v̂ + raise(dissipation(q̂, v̂))
 
     - `alpha` [1/s], `beta` [1/s²]: gains; the error obeys s² + αs + β whatever the velocity.
     - `budget`: work spent on the geodesic. `Budget()` converges and flags conjugate points; `Budget(newton=1, steps=4)`
@@ -48,10 +67,11 @@ class Geodesic(AbstractFlowObserver):
     - `curvature`: False leaves the curvature term out, to see what it is for.
     - `substeps`: Runge–Kutta steps a sample; None takes as many as dt and the friction need (offline).
 
-    Raises `ValueError` for gains that are not positive and finite.
+    Where no geodesic is found that is finite, the way that `Intrinsic` goes stands in for it and `result` says
+    `NOT_CONVERGED`. Raises `ValueError` for gains that are not positive and finite.
     """
 
-    model: Lagrangian
+    model: MechanicalSystem
     alpha: Number
     beta: Number
     budget: Budget = eqx.field(default=Budget(newton=1, steps=4), static=True)
@@ -61,44 +81,52 @@ class Geodesic(AbstractFlowObserver):
     def __check_init__(self):
         check_positive("Geodesic", alpha=self.alpha, beta=self.beta)
 
-    def init(self, y: Vector, t: Number = 0.0) -> GeodesicState:
-        none = jnp.zeros_like(y)
-        return GeodesicState(y, none, jnp.asarray(t, y.dtype), none, no_input(self.model, y))
+    def init(self, y: Array, t: Number = 0.0) -> GeodesicState:
+        q, v, t, held = at_rest(self.model, y, t)
+        return GeodesicState(q, v, t, jnp.zeros_like(v), held)
 
-    def estimate(self, state: GeodesicState) -> Float[Array, "two_n"]:
-        return jnp.concatenate([state.q, state.v])
-
-    def flow(self, t: Scalar, state: GeodesicState, u: Float[Array, "m"], y: Vector) -> GeodesicState:
-        q, v, *_ = state
-        shot, drive = self._correction(t, state, u, y)
-        q_dot = v + self.alpha * shot.velocity
-        v_dot = drive + self.beta * shot.velocity + friction(self.model, q, v)
-        v_dot = v_dot - christoffel(self.model.metric, q, v, q_dot)
+    def flow(self, t: Scalar, state: GeodesicState, u: Float[Array, "m"], y: Array) -> GeodesicState:
+        found = self._correction(t, state, u, y)
+        w = state.v + self.alpha * found.log
+        v_dot = found.drive + self.beta * found.log + friction(self.model, state.q, state.v)
+        v_dot = v_dot - self.model.space.connection(state.q, w, state.v)
         # Only a warm start: it follows the geodesic found, and no estimate depends on how closely.
-        log_dot = 10 * self.alpha * (shot.velocity - state.log)
-        return GeodesicState(q_dot, v_dot, jnp.ones_like(state.t), log_dot, still(state.held))
+        log_dot = 10 * self.alpha * (found.log - state.log)
+        return GeodesicState(w, v_dot, jnp.ones_like(state.t), log_dot, still(state.held))
 
     def advance(
-        self, state: GeodesicState, u: Float[Array, "m"], y: Vector, dt: Scalar
+        self, state: GeodesicState, u: Float[Array, "m"], y: Array, dt: Scalar
     ) -> tuple[GeodesicState, GeodesicInfo]:
+        space = self.model.space
         q, v = predict(self.model, state.t, state.q, state.v, u, dt, self.substeps)
         t = state.t + dt
         k1, k2 = sampled_gains(self.alpha, self.beta, dt)
-        shot, drive = self._correction(t, GeodesicState(q, v, t, state.log), u, y)
-        missing = drive - source(self.model, t, q, u)  # what the prediction, made with S(q̂), left out
+        found = self._correction(t, GeodesicState(q, v, t, state.log), u, y)
+        missing = found.drive - source(self.model, t, q, u)  # what the prediction, made with S(q̂), left out
+        corrected, left = v + k2 * found.log + dt * missing, (1 - k1) * found.log
         # Go the fraction k1 along the geodesic to the measurement; velocity and the rest of the geodesic come along.
-        carried = jnp.stack([v + k2 * shot.velocity + dt * missing, (1 - k1) * shot.velocity])
-        end = transport_along(self.model.metric, q, k1 * shot.velocity, carried, self.budget)
-        new = GeodesicState(end.q, end.w[0], t, end.w[1])
-        innovation = -position_error(self.model, q, y)
-        distance = norm(self.model.metric, q, shot.velocity)
-        return new, GeodesicInfo(innovation, distance, shot.residual, outcome(new.q, new.v, y, shot.result))
+        way = k1 * found.log
+        end = space.transport_along(q, way, jnp.stack([corrected, left]), self.budget)
+        straight = corrected - space.connection(q, way, v)
+        new_q = jnp.where(found.exact, end.q, space.manifold.retract(q, way))
+        new_v, log = jnp.where(found.exact, end.w, jnp.stack([straight, left]))
+        innovation = space.manifold.towards(q, y)
+        info = GeodesicInfo(
+            innovation, space.norm(q, found.log), found.residual, outcome(new_q, new_v, y, found.result)
+        )
+        return GeodesicState(new_q, new_v, t, log), info
 
-    def _correction(self, t: Scalar, state: GeodesicState, u: Float[Array, "m"], y: Vector) -> tuple[Shot, Vector]:
+    def _correction(self, t: Scalar, state: GeodesicState, u: Float[Array, "m"], y: Array) -> _Correction:
         """Geodesic to the measurement and the acceleration `T S(q) + R(ξ, v̂)v̂` that the measurement calls for."""
-        metric, q, v = self.model.metric, state.q, state.v
-        measured = q - position_error(self.model, q, y)
-        shot = shoot(metric, q, measured, state.log, self.budget)
+        space, q, v = self.model.space, state.q, state.v
+        measured = space.manifold.measured(q, y)
+        shot = space.shoot(q, measured, state.log, self.budget)
+        exact = (shot.result != Result.NOT_CONVERGED) & jnp.all(jnp.isfinite(shot.velocity))
+        straight = space.manifold.towards(q, y)
+        log = jnp.where(exact, shot.velocity, straight)
         s = source(self.model, t, measured, u)
-        drive = transport_along(metric, measured, -shot.arrival, s, self.budget).w
-        return shot, drive + curvature(metric, q, -shot.velocity, v, v) if self.curvature else drive
+        transported = space.transport_along(measured, -jnp.where(exact, shot.arrival, 0.0), s, self.budget).w
+        drive = jnp.where(exact, transported, s + space.connection(q, straight, s))
+        drive = drive - space.curvature(q, log, v, v) if self.curvature else drive
+        residual = jnp.where(exact, shot.residual, jnp.inf)
+        return _Correction(log, drive, residual, jnp.maximum(uniqueness(self.model, q, y), shot.result), exact)

@@ -1,46 +1,55 @@
-"""The approximate intrinsic observer: explicit, coordinate-bound only beyond first order, locally contracting.
+"""The approximate intrinsic observer: explicit, tied to the frame only beyond first order, locally contracting.
 
-Source: Aghannan & Rouchon 2003, equation (5); friction and second-order error are additions.
+Source: Aghannan & Rouchon 2003, equation (5); Maithripala, Berg & Dayawansa 2004, equations (17)–(21), corrected: the
+curvature has the sign of Aghannan & Rouchon's equation (2), the connection's arguments in the transport (19) are the
+other way round, (21) lacks an α. Friction and second-order error are additions.
 """
 
-from typing import Literal
+from typing import Any, Literal
 
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from covariant._typing import Number, Scalar, Vector
-from covariant.geometry import christoffel, curvature, norm
-from covariant.models import Lagrangian, friction, position_error, source
+from covariant.geometry import AbstractSpace
+from covariant.models import MechanicalSystem, friction, source
 from covariant.observers._protocol import (
-    AbstractFlowObserver,
+    AbstractMechanicalObserver,
     HeldState,
     Info,
+    at_rest,
     check_positive,
-    no_input,
     outcome,
     still,
+    uniqueness,
 )
 from covariant.observers._sampled import predict, sampled_gains
 
 
-class Intrinsic(AbstractFlowObserver):
-    """Observer (5) of Aghannan & Rouchon for any `Lagrangian`:
+class Intrinsic(AbstractMechanicalObserver):
+    """Observer (5) of Aghannan & Rouchon for any `MechanicalSystem`, in the frame of its space:
 
-        q̂' = v̂ − αξ
-        v̂' = −Γ(q̂)(v̂, q̂') + S(q) − Γ(S, ξ) − βξ + R(ξ, v̂)v̂ + g(q̂)⁻¹ dissipation(q̂, v̂)
+        q̂' = E(q̂) w,   w = v̂ − αξ
+        v̂' = −B(q̂)(w, v̂) + S(q) − B(ξ, S) − βξ + R(ξ, v̂)v̂ + raise(dissipation(q̂, v̂))
+
+    with ξ the way from q to q̂, `B(a, b) = ∇_a b` and R the curvature. On a group it is the observer of Maithripala,
+    Berg & Dayawansa, whose published α is half of this one.
 
     - `alpha` [1/s], `beta` [1/s²]: gains; the error obeys s² + αs + β whatever the velocity.
-    - `order`: 1 takes ξ = q̂ − q as published, 2 takes ξ = e − ½Γ(q̂)(e, e), e = q̂ − q.
-    - `coefficients`: where Γ and R of the error terms are taken, at the "measured" position as in (5) or at the
+    - `order`: 1 takes ξ = e := −local(q̂, q) as published, q̂ − q in coordinates; 2 takes ξ = e − ½(B + Q)(q̂)(e, e), Q
+      being the acceleration of the retraction, 0 in coordinates and along one-parameter groups.
+    - `coefficients`: where B and R of the error terms are taken, at the "measured" position as in (5) or at the
       "estimated" one as in (14); the difference is of second order.
     - `curvature`: False leaves the curvature term out, to see what it is for.
     - `substeps`: Runge–Kutta steps a sample; None takes as many as dt and the friction need (offline).
 
-    Raises `ValueError` for gains that are not positive and finite.
+    Where two ways to the measurement are equally short, as after half a turn, one is taken and `result` says
+    `CUT_LOCUS`. Raises `ValueError` for gains that are not positive and finite; an error at the start when the first
+    measurement is no configuration.
     """
 
-    model: Lagrangian
+    model: MechanicalSystem
     alpha: Number
     beta: Number
     order: Literal[1, 2] = eqx.field(default=1, static=True)
@@ -55,38 +64,46 @@ class Intrinsic(AbstractFlowObserver):
         if self.coefficients not in ("measured", "estimated"):
             raise ValueError(f"Intrinsic: coefficients must be 'measured' or 'estimated'; got {self.coefficients!r}")
 
-    def init(self, y: Vector, t: Number = 0.0) -> HeldState:
-        return HeldState(y, jnp.zeros_like(y), jnp.asarray(t, y.dtype), no_input(self.model, y))
+    def init(self, y: Array, t: Number = 0.0) -> HeldState:
+        return at_rest(self.model, y, t)
 
-    def estimate(self, state: HeldState) -> Float[Array, "two_n"]:
-        return jnp.concatenate([state.q, state.v])
-
-    def flow(self, t: Scalar, state: HeldState, u: Float[Array, "m"], y: Vector) -> HeldState:
+    def flow(self, t: Scalar, state: HeldState, u: Float[Array, "m"], y: Array) -> HeldState:
         q, v, _, held = state
         xi, drive = self._correction(t, q, v, u, y)
-        q_dot = v - self.alpha * xi
-        v_dot = drive - self.beta * xi + friction(self.model, q, v) - christoffel(self.model.metric, q, v, q_dot)
-        return HeldState(q_dot, v_dot, jnp.ones_like(state.t), still(held))
+        w, v_dot = self.rates(q, v, xi, drive + friction(self.model, q, v))
+        return HeldState(w, v_dot, jnp.ones_like(state.t), still(held))
 
-    def advance(self, state: HeldState, u: Float[Array, "m"], y: Vector, dt: Scalar) -> tuple[HeldState, Info]:
+    def rates(self, q: Array, v: Vector, xi: Vector, drive: Vector) -> tuple[Vector, Vector]:
+        """Velocity w of the estimate and v̂', from the error ξ and the acceleration that the measurement calls for."""
+        w = v - self.alpha * xi
+        return w, drive - self.beta * xi - self.model.space.connection(q, w, v)
+
+    def bend(self, at: Array, drive: Vector, xi: Vector, v: Vector) -> Vector:
+        """An acceleration with the curvature term `R(ξ, v̂)v̂` at a configuration, unless it is left out."""
+        return drive + self.model.space.curvature(at, xi, v, v) if self.curvature else drive
+
+    def advance(self, state: HeldState, u: Float[Array, "m"], y: Array, dt: Scalar) -> tuple[HeldState, Info]:
         q, v = predict(self.model, state.t, state.q, state.v, u, dt, self.substeps)
         t = state.t + dt
         k1, k2 = sampled_gains(self.alpha, self.beta, dt)
         xi, drive = self._correction(t, q, v, u, y)
         missing = drive - source(self.model, t, q, u)  # what the prediction, made with S(q̂), left out
-        new_q = q - k1 * xi
-        new_v = v + christoffel(self.model.metric, q, v, k1 * xi) - k2 * xi + dt * missing
-        innovation = -position_error(self.model, q, y)
-        info = Info(innovation, norm(self.model.metric, q, xi), outcome(new_q, new_v, y))
+        new_q = self.model.manifold.retract(q, -k1 * xi)
+        new_v = v + self.model.space.connection(q, k1 * xi, v) - k2 * xi + dt * missing
+        result = outcome(new_q, new_v, y, uniqueness(self.model, q, y))
+        info = Info(self.model.manifold.towards(q, y), self.model.space.norm(q, xi), result)
         return HeldState(new_q, new_v, t), info
 
-    def _correction(self, t: Scalar, q: Vector, v: Vector, u: Float[Array, "m"], y: Vector) -> tuple[Vector, Vector]:
+    def _correction(self, t: Scalar, q: Array, v: Vector, u: Float[Array, "m"], y: Array) -> tuple[Vector, Vector]:
         """Error ξ at q̂ and the acceleration `T S(q) + R(ξ, v̂)v̂` that the measurement calls for."""
-        metric = self.model.metric
-        e = position_error(self.model, q, y)
-        measured = q - e
+        e = -self.model.manifold.towards(q, y)
+        measured = self.model.manifold.measured(q, y)
         at = measured if self.coefficients == "measured" else q
-        xi = e if self.order == 1 else e - christoffel(metric, q, e, e) / 2
+        xi = e if self.order == 1 else second_order(self.model.space, q, e)
         s = source(self.model, t, measured, u)
-        drive = s - christoffel(metric, at, s, xi)
-        return xi, drive + curvature(metric, at, xi, v, v) if self.curvature else drive
+        return xi, self.bend(at, s - self.model.space.connection(at, xi, s), xi, v)
+
+
+def second_order(space: AbstractSpace, q: Any, e: Vector) -> Vector:
+    """`ξ = e − ½(B + Q)(e, e)` at q, the Riemannian error to second order."""
+    return e - (space.connection(q, e, e) + space.manifold.retraction_acceleration(q, e)) / 2

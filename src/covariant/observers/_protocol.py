@@ -21,6 +21,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Float, Inexact
 
 from covariant._typing import Code, Number, Scalar, Vector
+from covariant.models import MechanicalSystem, Motion
 from covariant.signals import Record, Result, Run
 
 Held = Float[Array, "m"] | None
@@ -50,8 +51,8 @@ class HeldState(NamedTuple):
 class Info(NamedTuple):
     """What a step saw.
 
-    `innovation`: y − q̂ before the correction, wrapped, 0 where missing; `distance`: its length in the metric;
-    `result`: a `covariant.signals.Result` code.
+    `innovation` (n,): the way from q̂ to y before the correction, y − q̂ in coordinates, wrapped, 0 where missing;
+    `distance`: its length in the metric; `result`: a `covariant.signals.Result` code.
     """
 
     innovation: Vector
@@ -68,7 +69,7 @@ class AbstractObserver(eqx.Module):
 
     @abc.abstractmethod
     def init(self, y: Inexact[Array, "*n"], t: Number = 0.0) -> Any:
-        """State at rest at the measured position y, at time t [s]: (n,), or (N, N) on a group."""
+        """State at rest at the measured configuration y, at time t [s]."""
 
     @final
     def step(self, state: Any, u: Float[Array, "m"], y: Inexact[Array, "*n"], dt: Scalar) -> tuple[Any, Any]:
@@ -93,7 +94,7 @@ class AbstractObserver(eqx.Module):
 
     @abc.abstractmethod
     def estimate(self, state: Any) -> Any:
-        """The estimate x = (q, v) (2n,), or on a group a `Motion`."""
+        """The estimate x = (q, v) (2n,), off coordinates a `Motion`."""
 
 
 class AbstractFlowObserver(AbstractObserver):
@@ -102,6 +103,31 @@ class AbstractFlowObserver(AbstractObserver):
     @abc.abstractmethod
     def flow(self, t: Scalar, state: Any, u: Float[Array, "m"], y: Inexact[Array, "*n"]) -> Any:
         """Time derivative of the state, for measurements in continuous time."""
+
+
+class AbstractMechanicalObserver(AbstractFlowObserver):
+    """An observer of a `MechanicalSystem` whose state holds its estimate as q and v.
+
+    Its `flow` has in the place of q the velocity w (n,) of the estimate in the frame, `q̂' = E(q̂)w`.
+    """
+
+    model: eqx.AbstractVar[MechanicalSystem]
+
+    def estimate(self, state: Any) -> Any:
+        return self.model.state(Motion(state.q, state.v))
+
+
+def at_rest(model: MechanicalSystem, y: Array, t: Number) -> HeldState:
+    """The state at rest at the first measurement; an error when it runs and y is no configuration of the model."""
+    q = model.manifold.checked(y)
+    rest = model.manifold.zero(q)
+    return HeldState(q, rest, jnp.asarray(t, rest.dtype), no_input(model, rest))
+
+
+def uniqueness(model: MechanicalSystem, q: Array, y: Array) -> Code:
+    """`OK`, or `CUT_LOCUS` where a second way from q to the measurement is as short."""
+    unique = model.manifold.unique(q, model.manifold.measured(q, y))
+    return jnp.where(unique, int(Result.OK), int(Result.CUT_LOCUS)).astype(jnp.int32)
 
 
 def check_positive(whose: str, **gains: Any) -> None:

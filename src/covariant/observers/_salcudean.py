@@ -12,17 +12,25 @@ from jaxtyping import Array, Float
 
 from covariant._typing import Number, Scalar, Vector
 from covariant.geometry.lie import SO3, quaternion_from_rotation
-from covariant.models import GroupSystem, Motion, body_velocity, friction, source, spatial_momentum
-from covariant.observers._group import GroupInfo, check_element, uniqueness
-from covariant.observers._protocol import AbstractFlowObserver, Held, check_positive, no_input, outcome, still
+from covariant.models import GroupSystem, Motion, applied_force, body_velocity, spatial_momentum
+from covariant.observers._protocol import (
+    AbstractFlowObserver,
+    Held,
+    Info,
+    at_rest,
+    check_positive,
+    outcome,
+    still,
+    uniqueness,
+)
 from covariant.observers._sampled import predict
 
 
 class SalcudeanState(NamedTuple):
-    """Estimated rotation g (3, 3), momentum in space (3,) [N m s], the time t [s] they belong to, and the last
+    """Estimated rotation q (3, 3), momentum in space (3,) [N m s], the time t [s] they belong to, and the last
     finite input `held`."""
 
-    g: Float[Array, "3 3"]
+    q: Float[Array, "3 3"]
     momentum: Vector
     t: Scalar
     held: Held = None
@@ -50,44 +58,41 @@ class Salcudean(AbstractFlowObserver):
 
     def __check_init__(self):
         check_positive("Salcudean", kp=self.kp, kv=self.kv)
-        if not isinstance(self.model.group, type(SO3)):
-            raise ValueError(f"Salcudean: the observer is for SO(3) only; the model is on {self.model.group}")
+        if self.model.manifold != SO3:
+            raise ValueError(f"Salcudean: the observer is for SO(3) only; the model is on {self.model.manifold}")
 
     def init(self, y: Float[Array, "3 3"], t: Number = 0.0) -> SalcudeanState:
-        y = check_element(self.model, y)
-        rest = jnp.zeros(3, y.dtype)
-        return SalcudeanState(y, rest, jnp.asarray(t, rest.dtype), no_input(self.model, rest))
+        return SalcudeanState(*at_rest(self.model, y, t))
 
     def estimate(self, state: SalcudeanState) -> Motion:
-        return Motion(state.g, body_velocity(self.model, state.g, state.momentum))
+        return Motion(state.q, body_velocity(self.model, state.q, state.momentum))
 
     def flow(self, t: Scalar, state: SalcudeanState, u: Float[Array, "m"], y: Float[Array, "3 3"]) -> SalcudeanState:
-        """Time derivative of the state; in the place of g stands the body velocity of R̂."""
+        """Time derivative of the state; in the place of q stands the body velocity of R̂."""
         omega, torque = self._alone(t, state, u, y)
-        e = state.g @ quaternion_from_rotation(state.g.T @ y)[1:]
-        injected = y @ self.model.metric.inertia.solve(y.T @ e)
-        turning = state.g.T @ (omega + self.kv * injected)
+        e = state.q @ quaternion_from_rotation(state.q.T @ y)[1:]
+        injected = y @ self.model.space.raise_(y, y.T @ e)
+        turning = state.q.T @ (omega + self.kv * injected)
         return SalcudeanState(turning, torque + self.kp / 2 * injected, jnp.ones_like(state.t), still(state.held))
 
     def advance(
         self, state: SalcudeanState, u: Float[Array, "m"], y: Float[Array, "3 3"], dt: Scalar
-    ) -> tuple[SalcudeanState, GroupInfo]:
-        v = body_velocity(self.model, state.g, state.momentum)
-        moved = predict(self.model, state.t, state.g, v, u, dt, self.substeps)
-        now = SalcudeanState(moved.g, spatial_momentum(self.model, *moved), state.t + dt)
-        measured = jnp.where(jnp.any(jnp.isnan(y)), now.g, y)
+    ) -> tuple[SalcudeanState, Info]:
+        v = body_velocity(self.model, state.q, state.momentum)
+        moved = predict(self.model, state.t, state.q, v, u, dt, self.substeps)
+        now = SalcudeanState(moved.q, spatial_momentum(self.model, *moved), state.t + dt)
+        measured = jnp.where(jnp.any(jnp.isnan(y)), now.q, y)
         # What the flow has beyond the prediction, which was made at the estimated rotation.
         slope = self.flow(now.t, now, u, measured)
-        omega, torque = self._alone(now.t, now, u, now.g)
-        g = now.g @ SO3.exp(dt * (slope.g - now.g.T @ omega))
-        new = SalcudeanState(g, now.momentum + dt * (slope.momentum - torque), now.t)
-        between = now.g.T @ measured
-        innovation = SO3.log(between)
-        code = outcome(new.g, new.momentum, y, uniqueness(self.model, between))
-        return new, GroupInfo(innovation, self.model.metric.norm(innovation), jnp.zeros_like(dt), code)
+        omega, torque = self._alone(now.t, now, u, now.q)
+        q = now.q @ SO3.exp(dt * (slope.q - now.q.T @ omega))
+        new = SalcudeanState(q, now.momentum + dt * (slope.momentum - torque), now.t)
+        code = outcome(new.q, new.momentum, y, uniqueness(self.model, now.q, measured))
+        innovation = SO3.local(now.q, measured)
+        return new, Info(innovation, self.model.space.norm(now.q, innovation), code)
 
     def _alone(self, t: Scalar, state: SalcudeanState, u: Float[Array, "m"], at: Float[Array, "3 3"]):
         """Angular velocity and torque in space of a body with the estimated momentum, at the rotation `at`."""
         v = body_velocity(self.model, at, state.momentum)
-        pull = self.model.metric.inertia(source(self.model, t, at, u) + friction(self.model, at, v))
+        pull = applied_force(self.model, t, at, u) + self.model.dissipation(at, v)
         return at @ v, at @ pull

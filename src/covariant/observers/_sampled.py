@@ -5,38 +5,27 @@ The error law ξ' = ζ − αξ, ζ' = −βξ is a double integrator with two p
 the poles exp(λ dt) of the continuous one. For dt → 0 the gains are α dt and β dt; for any dt the loop is stable.
 """
 
-import functools
-
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array, Float
 
-from covariant._integrate import rk4
 from covariant._typing import Code, Number, Scalar, Vector
-from covariant.models import GroupSystem, Lagrangian, Motion, acceleration, advance, friction
+from covariant.models import MechanicalSystem, Motion, advance, friction
 
 LONGEST_STEP = 0.01
 """Longest Runge–Kutta step [s] of a prediction whose number of substeps is left open."""
 MOST_SUBSTEPS = 10_000
 
 
-@functools.singledispatch
-def predict(model: Lagrangian, t: Number, q: Vector, v: Vector, u, dt: Number, substeps: int | None):
+def predict(
+    model: MechanicalSystem, t: Number, q: Array, v: Vector, u: Float[Array, "m"], dt: Number, substeps: int | None
+) -> Motion:
     """Integrate the model over dt [s] with u held; `substeps=None` uses as many steps as friction and dt ask for."""
-
-    def flow(s, x):
-        return x[1], acceleration(model, s, x[0], x[1], u)
-
-    count = needed_substeps(model, q, v, dt) if substeps is None else substeps
-    return rk4(flow, t, (q, v), dt, count)
-
-
-@predict.register
-def _(model: GroupSystem, t: Number, q, v: Vector, u, dt: Number, substeps: int | None):
     count = needed_substeps(model, q, v, dt) if substeps is None else substeps
     return advance(model, t, Motion(q, v), u, dt, count)
 
 
-def needed_substeps(model: Lagrangian | GroupSystem, q, v: Vector, dt: Number) -> Code:
+def needed_substeps(model: MechanicalSystem, q: Array, v: Vector, dt: Number) -> Code:
     """Steps that keep h·rate ≤ 1, the rate being a bound on that of the friction at rest and at v [1/s].
 
     Friction is steepest at rest where it is Coulomb's and at speed where it is drag. The trace bounds the fastest rate,

@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 
 from covariant._linalg import solve
 from covariant._typing import Number, Scalar, Vector
-from covariant.models import wrap
+from covariant.geometry import wrap
 from covariant.observers._filtered_derivative import FilterInfo
 from covariant.observers._protocol import AbstractObserver, outcome
 

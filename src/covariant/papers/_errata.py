@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from covariant._typing import Element, Number, Scalar, Vector
 from covariant.geometry.lie import SO3
 from covariant.models import GroupSystem, Motion, friction, source
-from covariant.observers import AbstractFlowObserver, GroupState, Info, MechanicalState
+from covariant.observers import AbstractFlowObserver, HeldState, Info, MechanicalState
 
 
 class PrintedBallAndBeam(AbstractFlowObserver):
@@ -63,38 +63,38 @@ SLIPS = {
 
 
 class PrintedGroup(AbstractFlowObserver):
-    """Observer (20)–(21) on SO(3) or SE(3) with some of the printed slips put back; with none it is `Group` with their
-    doubled α. Do not use it."""
+    """Observer (20)–(21) on SO(3) or SE(3) with some of the printed slips put back; with none it is `Intrinsic` with
+    their doubled α. Do not use it."""
 
     model: GroupSystem
     alpha: Number
     beta: Number
     slips: tuple[str, ...] = eqx.field(static=True)
 
-    def init(self, y: Element, t: Number = 0.0) -> GroupState:
+    def init(self, y: Element, t: Number = 0.0) -> HeldState:
         rest = jnp.zeros(self.model.group.dimension, y.dtype)
-        return GroupState(y, rest, jnp.asarray(t, y.dtype), rest)
+        return HeldState(y, rest, jnp.asarray(t, y.dtype))
 
-    def estimate(self, state: GroupState) -> Motion:
-        return Motion(state.g, state.v)
+    def estimate(self, state: HeldState) -> Motion:
+        return Motion(state.q, state.v)
 
-    def flow(self, t: Scalar, state: GroupState, u: Float[Array, "m"], y: Element) -> GroupState:
-        metric, group, v = self.model.metric, self.model.group, state.v
-        error = _printed_log(y, state.g) if "logarithm" in self.slips else group.between(y, state.g)
+    def flow(self, t: Scalar, state: HeldState, u: Float[Array, "m"], y: Element) -> HeldState:
+        space, group, q, v = self.model.space, self.model.group, state.q, state.v
+        error = _printed_log(y, q) if "logarithm" in self.slips else group.between(y, q)
         s = source(self.model, t, y, u)
-        s = metric.inertia(s) if "source" in self.slips else s
+        s = space.lower(q, s) if "source" in self.slips else s
         w = v - 2 * self.alpha * error
-        moved = s - (metric.connection(s, error) if "transport" in self.slips else metric.connection(error, s))
-        turned = metric.curvature(v, error, v)
+        moved = s - (space.connection(q, s, error) if "transport" in self.slips else space.connection(q, error, s))
+        turned = space.curvature(q, v, error, v)
         if "curvature count" in self.slips:
-            turned = 2 * turned - metric.connection(group.lie_bracket(v, error), v)
+            turned = 2 * turned - space.connection(q, group.lie_bracket(v, error), v)
         v_dot = moved + (turned if "curvature sign" in self.slips else -turned) - self.beta * error
-        v_dot = v_dot - metric.connection(w, v) + friction(self.model, state.g, v)
+        v_dot = v_dot - space.connection(q, w, v) + friction(self.model, q, v)
         if "alpha" in self.slips:
             v_dot = v_dot + (1 - self.alpha) * group.lie_bracket(error, v)
-        return GroupState(w, v_dot, jnp.ones_like(state.t), jnp.zeros_like(v))
+        return HeldState(w, v_dot, jnp.ones_like(state.t))
 
-    def advance(self, state: GroupState, u: Float[Array, "m"], y: Element, dt: Scalar):
+    def advance(self, state: HeldState, u: Float[Array, "m"], y: Element, dt: Scalar):
         raise NotImplementedError("the printed observer is a counter-example in continuous time only")
 
 

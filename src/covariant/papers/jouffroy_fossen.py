@@ -36,7 +36,6 @@ from covariant.observers import (
     AbstractObserver,
     Contracting,
     FilteredDerivative,
-    Group,
     InformationEKF,
     PassiveShip,
     craft_observer,
@@ -102,7 +101,7 @@ def ship_decay(duration: float = 600.0) -> dict[str, Any]:
         return jnp.array([5e4, -3e4, 2e6]) * jnp.sin(0.02 * s + jnp.array([0.0, 1.0, 2.0]))
 
     x, state = observe(station.model(), observer, x0, start, t, push)
-    error = np.asarray(jax.vmap(lambda e: models.wrap((2,), e))(x - state.x))
+    error = np.asarray(jax.vmap(lambda e: geometry.wrap((2,), e))(x - state.x))
     p1, p2 = np.asarray(gains.stiffness), np.asarray(gains.inertia)
     value = np.einsum("ti,ij,tj->t", error[:, :3], p1, error[:, :3]) / 2
     value = value + np.einsum("ti,ij,tj->t", error[:, 3:], p2, error[:, 3:]) / 2
@@ -298,7 +297,7 @@ def odin_cascade(
 @eqx.filter_jit
 def _somersault(t: Array):
     system = marine.odin_on_group()
-    observer = Group(system, 8.0, 16.0)
+    observer = Intrinsic(system, 8.0, 16.0)
     x0 = models.Motion(system.group.identity(), jnp.zeros(6))
     start = observer.init(system.group.exp(jnp.array([0.3, -0.2, 0.2, 0.1, 0.15, -0.2])))
     start = start._replace(v=jnp.array([0.2, 0.1, -0.1, 0.1, -0.2, 0.1]))
@@ -307,8 +306,8 @@ def _somersault(t: Array):
         return jnp.array([5.0, 0.0, 0.0, 0.0, 150.0, 0.0])
 
     x, state = observe(system, observer, x0, start, t, torque, rtol=1e-9, atol=1e-12)
-    error = jax.vmap(system.group.between)(x.g, state.g)
-    return jnp.arcsin(jnp.clip(-x.g[:, 2, 0], -1.0, 1.0)), jnp.concatenate([error, state.v - x.v], axis=1)
+    error = jax.vmap(system.group.between)(x.q, state.q)
+    return jnp.arcsin(jnp.clip(-x.q[:, 2, 0], -1.0, 1.0)), jnp.concatenate([error, state.v - x.v], axis=1)
 
 
 def somersault(duration: float = 16.0) -> dict[str, np.ndarray]:
@@ -363,7 +362,7 @@ def sea(seed: int = 0) -> Sea:
     def step(x, sample):
         now, drive = sample
         eta, nu = x[:3], x[3:6]
-        error = models.wrap((2,), eta - goal(now))
+        error = geometry.wrap((2,), eta - goal(now))
         wanted = -jnp.asarray(mass) * (0.05**2 * (marine.yaw_rotation(eta[2]).T @ error) + 2 * 0.8 * 0.05 * nu)
         tau = jnp.clip(wanted, -jnp.array([3e5, 3e5, 1e7]), jnp.array([3e5, 3e5, 1e7]))
         u = jnp.concatenate([tau, drive])

@@ -16,7 +16,7 @@ import numpy as np
 
 from covariant import models
 from covariant.geometry.lie import SO3, LeftInvariant
-from covariant.observers import AbstractFlowObserver, Group
+from covariant.observers import AbstractFlowObserver, Intrinsic
 from covariant.papers._errata import PrintedGroup
 from covariant.simulation import observe, simulate
 
@@ -76,7 +76,7 @@ def _follow(observer, top, velocity, t):
 
 def corrected(doubled: bool) -> Callable[..., AbstractFlowObserver]:
     """The observer of figure 1, with α as everywhere in this library or with the paper's doubled one."""
-    return lambda top: Group(top, ALPHA, BETA, doubled_alpha=doubled)
+    return lambda top: Intrinsic(top, 2 * ALPHA if doubled else ALPHA, BETA)
 
 
 def printed(top: models.GroupSystem) -> AbstractFlowObserver:
@@ -110,9 +110,9 @@ def _conserved(t):
 
     def invariants(g, v):
         vertical = g[2]  # e₃ as seen from the body
-        return jnp.stack([models.energy(top, g, v), vertical @ top.metric.inertia(v), vertical @ vertical])
+        return jnp.stack([models.energy(top, g, v), vertical @ top.space.lower(g, v), vertical @ vertical])
 
-    found = jax.vmap(invariants)(x.g, x.v)
+    found = jax.vmap(invariants)(x.q, x.v)
     return jnp.max(jnp.abs(found - found[:1]), axis=0)
 
 
@@ -134,12 +134,12 @@ def logarithm_gap(angle: float, axes: int = 200) -> dict[str, float]:
 
 @eqx.filter_jit
 def _logarithm_gap(x):
-    metric = LeftInvariant(SO3, jnp.diag(jnp.array(UNEQUAL)))
+    space, here = LeftInvariant(SO3, jnp.diag(jnp.array(UNEQUAL))), SO3.identity()
 
     def gap(published):
-        exact = metric.shoot(SO3.exp(published)).velocity
-        length, distance = metric.norm(published), metric.norm(exact)
-        cosine = metric.inner(published, exact) / (length * distance)
+        exact = space.shoot(here, SO3.exp(published)).velocity
+        length, distance = space.norm(here, published), space.norm(here, exact)
+        cosine = space.inner(here, published, exact) / (length * distance)
         return length / distance - 1, jnp.degrees(jnp.arccos(jnp.clip(cosine, -1.0, 1.0)))
 
     return jax.vmap(gap)(x)

@@ -17,7 +17,6 @@ from covariant.certificates._show import (
     trade_off,
     trajectories,
 )
-from covariant.models import GroupSystem
 from covariant.report._guests import guest
 from covariant.report._style import BACKDROP, INK, MUTED, PALETTE, new_figure, save_figure
 
@@ -72,7 +71,7 @@ def _title(certificate: ContractionCertificate) -> str:
 
 
 def _on_group(certificate: ContractionCertificate) -> bool:
-    return isinstance(certificate.observer.model, GroupSystem)
+    return not certificate.observer.model.manifold.commuting
 
 
 def _label(kind: str, name: str, unit: str) -> str:

@@ -1,7 +1,6 @@
 """Simulated truth and simulated sensors."""
 
-from covariant.simulation import _simulate_group as _simulate_group  # teaches simulate and observe groups
-from covariant.simulation import _simulate_state_space as _simulate_state_space  # and state-space models
+from covariant.simulation import _simulate_state_space as _simulate_state_space  # teaches both state-space models
 from covariant.simulation._sensors import Sensor, sense, stamps
 from covariant.simulation._simulate import hold, no_input, observe, simulate
 

@@ -1,4 +1,9 @@
-"""Trajectories of a model, alone or with an observer attached in continuous time."""
+"""Trajectories of a model, alone or with an observer attached in continuous time.
+
+In coordinates the motion is one differential equation. In any other frame it is solved in charts that move along with
+it, so that every configuration is on its manifold. Source: Munthe-Kaas 1998, Runge–Kutta methods on Lie groups, with
+the eighth-order method of Dormand and Prince.
+"""
 
 import functools
 from collections.abc import Callable
@@ -10,7 +15,7 @@ from jaxtyping import Array, Float
 
 from covariant._integrate import solve
 from covariant._typing import Number
-from covariant.models import Lagrangian, acceleration
+from covariant.models import MechanicalSystem, MomentumChart, Motion, acceleration, advance
 from covariant.observers import AbstractFlowObserver, continuous
 from covariant.signals import Record
 
@@ -21,10 +26,13 @@ Measurement = Callable[[Array, Array], Array]
 Controller = Callable[[Array, Array, Any], Array]
 """`(t, y, estimate) -> u (m,)`: what a controller makes of the measurement and of an observer's estimate."""
 
+CHART_SIZE = 0.5
+"""How far a motion may go, as the fastest component of v times time [rad or m], before its chart is moved along."""
+
 
 @functools.singledispatch
 def simulate(
-    model: Lagrangian,
+    model: MechanicalSystem,
     x0: Any,
     t: Float[Array, "T"],
     u: Input | None = None,
@@ -34,18 +42,29 @@ def simulate(
 ) -> Record:
     """Integrate the model from x0 and record its noise-free state and inputs at the stamps t [s].
 
-    x0 is (q, v) (2n,); for a `GroupSystem` it is a `Motion`, and so is the record's x, with y = g (T, N, N); for a
-    `StateSpace` it is the state (n,), with y = h (T, p). Stamps that the motion does not reach, because it escapes
+    x0 is (q, v) (2n,) in coordinates; elsewhere it is a `Motion`, and so is the record's x, with y = q, time first; for
+    a `StateSpace` it is the state (n,), with y = h (T, p). Stamps that the motion does not reach, because it escapes
     before, are not finite.
     """
-    push = u or no_input(model, x0.shape[0] // 2)
-    x = solve(_plant(model, push), x0, t, rtol=rtol, atol=atol)
-    return Record(t, jax.vmap(push)(t, x), x[:, : x.shape[1] // 2], x)
+    start = model.motion(x0)
+    push = u or no_input(model, start.v)
+    if model.manifold.commuting:
+        x = solve(lambda s, x: _derivative(model, s, x, push(s, x)), x0, t, rtol=rtol, atol=atol)
+    else:
+
+        def interval(motion, bounds):
+            begin, end = bounds
+            charts = _charts(end - begin, motion.v)
+            moved = advance(model, begin, motion, push, end - begin, charts, _adaptive(rtol, atol))
+            return moved, moved
+
+        x = _joined(start, jax.lax.scan(interval, start, (t[:-1], t[1:]))[1])
+    return Record(t, jax.vmap(push)(t, x), model.motion(x).q, x)
 
 
 @functools.singledispatch
 def observe(
-    model: Lagrangian,
+    model: MechanicalSystem,
     observer: AbstractFlowObserver,
     x0: Any,
     state0: Any,
@@ -61,25 +80,66 @@ def observe(
     """Integrate plant and observer as one system; returns the true states and the observer's, time first.
 
     With a `controller` the loop is closed: the input is what it makes of the measurement and the estimate, in place of
-    u. Stamps after a breakdown, such as an observer escaping in finite time, are not finite in both. The true states of
-    a `GroupSystem` are a `Motion`; the observer of a `StateSpace` sees `measure(t, h)`, and where a controller closes
-    the loop h must not depend on the input.
+    u. Stamps after a breakdown, such as an observer escaping in finite time, are not finite in both. The true states
+    are as in `simulate`; the observer of a `StateSpace` sees `measure(t, h)`, and where a controller closes the loop h
+    must not depend on the input.
     """
-    n = x0.shape[0] // 2
-    push = u or no_input(model, n)
+    push = u or no_input(model, model.motion(x0).v)
+
+    def answer(s, x, state) -> tuple[Array, Any]:
+        """The input, and the derivative of the observer's state."""
+        y = measure(s, model.motion(x).q)
+        now = push(s, x) if controller is None else controller(s, y, observer.estimate(state))
+        return now, observer.flow(s, state, now, y)
+
+    adaptive = functools.partial(_adaptive, rtol, atol, max_steps)
+    if not model.manifold.commuting:
+        return _observe_in_charts(model, observer, answer, x0, continuous(state0), t, adaptive())
 
     def flow(s, joint):
-        x, state = joint
-        y = measure(s, x[:n])
-        now = push(s, x) if controller is None else controller(s, y, observer.estimate(state))
-        return _plant(model, lambda *_: now)(s, x), observer.flow(s, state, now, y)
+        now, slope = answer(s, *joint)
+        return _derivative(model, s, joint[0], now), slope
 
     return solve(flow, (x0, continuous(state0)), t, rtol=rtol, atol=atol, max_steps=max_steps)
 
 
-def no_input(model: Lagrangian, n: int) -> Input:
-    """Zero input of the size the model takes."""
-    zero = jnp.zeros(n if model.inputs is None else model.inputs)
+def _observe_in_charts(model: MechanicalSystem, observer: AbstractFlowObserver, answer, x0: Motion, state0, t, rule):
+    """Plant and observer each in a chart around where it was, the plant's momentum beside it."""
+    manifold = model.manifold
+
+    def step(i, now, begin, h):
+        q, momentum, state = now
+        plant = MomentumChart(model, q)
+
+        def flow(s, joint):
+            (sigma, mu), moved, rest = joint
+            x = plant.motion(sigma, mu)
+            inputs, slope = answer(s, x, rest._replace(q=manifold.retract(state.q, moved)))
+            turning = manifold.local_rate(state.q, moved, slope.q)
+            return plant.flow(s, (sigma, mu), lambda *_: inputs)[0], turning, slope._replace(q=None)
+
+        none = jnp.zeros_like(momentum)
+        first = (none, momentum), none, state._replace(q=None)
+        (sigma, mu), moved, rest = rule(flow, begin + jnp.asarray(i, h.dtype) * h, first, h)
+        return *plant.end(sigma, mu), rest._replace(q=manifold.retract(state.q, moved))
+
+    def interval(now, bounds):
+        begin, end = bounds
+        q, momentum, state = now
+        v = jnp.concatenate([model.space.raise_(q, momentum), observer.estimate(state).v])
+        charts = _charts(end - begin, v)
+        h = (end - begin) / jnp.asarray(charts, v.dtype)
+        moved = jax.lax.fori_loop(0, charts, lambda i, now: step(i, now, begin, h), now)
+        return moved, moved
+
+    first = (x0.q, model.space.lower(*x0), state0)
+    q, momentum, state = _joined(first, jax.lax.scan(interval, first, (t[:-1], t[1:]))[1])
+    return Motion(q, jax.vmap(model.space.raise_)(q, momentum)), state
+
+
+def no_input(model: MechanicalSystem, v: Float[Array, "n"]) -> Input:
+    """Zero input of the size the model takes, n where it does not say."""
+    zero = jnp.zeros(v.shape[-1] if model.inputs is None else model.inputs, v.dtype)
     return lambda t, x: zero
 
 
@@ -92,9 +152,25 @@ def hold(t: Float[Array, "T"], u: Float[Array, "T m"]) -> Input:
     return held
 
 
-def _plant(model: Lagrangian, push: Input):
-    def flow(s, x):
-        q, v = jnp.split(x, 2)
-        return jnp.concatenate([v, acceleration(model, s, q, v, push(s, x))])
+def _derivative(model: MechanicalSystem, t: Array, x: Array, u: Array) -> Array:
+    q, v = model.motion(x)
+    return jnp.concatenate([v, acceleration(model, t, q, v, u)])
 
-    return flow
+
+def _joined(first: Any, after: Any) -> Any:
+    return jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), first, after)
+
+
+def _charts(duration: Number, v: Array) -> Array:
+    count = jnp.ceil(duration * jnp.max(jnp.abs(v)) / CHART_SIZE)
+    return jnp.clip(jnp.nan_to_num(count, nan=1.0), 1, 100_000).astype(jnp.int32)
+
+
+def _adaptive(rtol: Number, atol: Number, max_steps: int = 200_000):
+    """A step as many of Dormand and Prince's as the tolerances ask for."""
+
+    def rule(flow, t, x, dt):
+        ends = jnp.stack([t, t + dt])
+        return jax.tree.map(lambda a: a[-1], solve(flow, x, ends, rtol=rtol, atol=atol, max_steps=max_steps))
+
+    return rule

@@ -1,10 +1,9 @@
 """Lie groups as matrices, and the Riemannian geometry of left-invariant metrics on them."""
 
 from covariant.geometry.lie._group import AbstractGroup
-from covariant.geometry.lie._left_invariant import AbstractInertia, Carried, ExponentialChart, Inertia, LeftInvariant
+from covariant.geometry.lie._left_invariant import AbstractInertia, Inertia, LeftInvariant
 from covariant.geometry.lie._matrix import SU, MatrixGroup
 from covariant.geometry.lie._motions import SE2, SE3
-from covariant.geometry.lie._munthe_kaas import munthe_kaas
 from covariant.geometry.lie._product import Product
 from covariant.geometry.lie._rotations import SO2, SO3, quaternion_from_rotation, rotation_from_quaternion
 
@@ -16,13 +15,10 @@ __all__ = [
     "SU",
     "AbstractGroup",
     "AbstractInertia",
-    "Carried",
-    "ExponentialChart",
     "Inertia",
     "LeftInvariant",
     "MatrixGroup",
     "Product",
-    "munthe_kaas",
     "quaternion_from_rotation",
     "rotation_from_quaternion",
 ]

@@ -14,12 +14,13 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Inexact
+from jaxtyping import Array, Bool, Inexact
 
 from covariant._typing import Element, Flag, Vector
+from covariant.geometry._manifold import AbstractManifold
 
 
-class AbstractGroup(eqx.Module):
+class AbstractGroup(AbstractManifold):
     """A matrix Lie group with left translation as its trivialisation: velocities are `g' = g hat(x)`."""
 
     @property
@@ -31,14 +32,6 @@ class AbstractGroup(eqx.Module):
     @abc.abstractmethod
     def order(self) -> int:
         """Number N of rows of its matrices."""
-
-    @property
-    def rotations(self) -> tuple[tuple[int, ...], ...] | None:
-        """Which entries of x (n,) are rotation vectors [rad]; None where that is not known of a group.
-
-        Where all of them are shorter than π, `exp` is undone by `log`, smoothly.
-        """
-        return None
 
     @abc.abstractmethod
     def hat(self, x: Vector) -> Element:
@@ -123,3 +116,60 @@ class AbstractGroup(eqx.Module):
     def contains(self, g: Element, tolerance: float) -> Flag:
         """Whether a matrix is an element of the group to that tolerance; False where it is not finite."""
         return self.defect(g) <= tolerance
+
+    # As a manifold: the frame is the body's, and the retraction follows one-parameter groups.
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        return (self.order, self.order)
+
+    def origin(self, dtype: Any = float) -> Element:
+        return self.identity(dtype)
+
+    def zero(self, x: Element) -> Vector:
+        return jnp.zeros(self.dimension, jnp.finfo(x.dtype).dtype)
+
+    def tangent(self, x: Element, a: Vector) -> Element:
+        return x @ self.hat(a)
+
+    def components(self, x: Element, rate: Element) -> Vector:
+        return self.vee(self.inverse(x) @ rate)
+
+    def bracket(self, x: Element, a: Vector, b: Vector) -> Vector:
+        return self.lie_bracket(a, b)
+
+    def retract(self, x: Element, s: Vector) -> Element:
+        return x @ self.exp(s)
+
+    def local(self, x: Element, y: Element) -> Vector:
+        return self.between(x, y)
+
+    def frame_velocity(self, x: Element, s: Vector, rate: Vector) -> Vector:
+        return self.right_jacobian(s, rate)
+
+    def local_rate(self, x: Element, s: Vector, velocity: Vector) -> Vector:
+        return self.right_jacobian_inverse(s, velocity)
+
+    def retraction_acceleration(self, x: Element, a: Vector) -> Vector:
+        return jnp.zeros_like(a)
+
+    def carried_momentum(self, x: Element, s: Vector, mu: Vector) -> Vector:
+        return self.coadjoint_action(self.exp(s), mu)
+
+    def missing(self, y: Element) -> Bool[Array, "n"]:
+        """All of them or none: an element with a NaN in it is missing as a whole."""
+        return jnp.broadcast_to(jnp.any(jnp.isnan(y)), (self.dimension,))
+
+    def towards(self, x: Element, y: Element) -> Vector:
+        return self.local(x, self.measured(x, y))
+
+    def measured(self, x: Element, y: Element) -> Element:
+        return jnp.where(jnp.any(jnp.isnan(y)), x, y)
+
+    def unique(self, x: Element, y: Element) -> Flag:
+        return self.unique_log(self.inverse(x) @ y)
+
+    def checked(self, y: Element) -> Element:
+        tolerance = 100 * float(jnp.finfo(y.dtype).eps) ** 0.5
+        outside = ~self.contains(super().checked(y), tolerance)
+        return eqx.error_if(y, outside, "the configuration is not an element of the group; pass rotations as matrices")

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Inexact
 
 from covariant._typing import Element, Flag, Vector
+from covariant.geometry._manifold import split
 from covariant.geometry.lie._group import AbstractGroup
 
 
@@ -16,6 +17,10 @@ class Product(AbstractGroup):
     def __check_init__(self):
         if not self.groups:
             raise ValueError("Product: give at least one group")
+
+    @property
+    def factors(self) -> tuple[AbstractGroup, ...]:
+        return self.groups
 
     @property
     def dimension(self) -> int:
@@ -37,13 +42,13 @@ class Product(AbstractGroup):
 
     def parts(self, x: Vector) -> list[Float[Array, "_"]]:
         """The vectors of the groups in a vector of their product."""
-        return _split(x, [group.dimension for group in self.groups])
+        return split(x, [group.dimension for group in self.groups])
 
     def blocks(self, g: Element) -> list[Inexact[Array, "_ _"]]:
         """The elements of the groups in an element of their product."""
         sizes = [group.order for group in self.groups]
-        rows = _split(g, sizes)
-        return [_split(row, sizes, axis=1)[i] for i, row in enumerate(rows)]
+        rows = split(g, sizes)
+        return [split(row, sizes, axis=1)[i] for i, row in enumerate(rows)]
 
     def join(self, blocks: list[Inexact[Array, "_ _"]]) -> Element:
         """The element of the product with these elements of the groups."""
@@ -88,8 +93,3 @@ class Product(AbstractGroup):
     def _beside(self, operation: str, *arguments: list[Array]) -> Vector:
         each = zip(self.groups, *arguments, strict=True)
         return jnp.concatenate([getattr(group, operation)(*parts) for group, *parts in each])
-
-
-def _split(a: Array, sizes: list[int], axis: int = 0) -> list[Array]:
-    edges = [sum(sizes[:i]) for i in range(1, len(sizes))]
-    return jnp.split(a, edges, axis=axis)

@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 from covariant._linalg import solve
 from covariant._typing import Matrix, Numbers, Scalar, Vector
 from covariant.geometry.lie import SE2, SE3
-from covariant.models._lagrangian import FrozenDict, Parameter, check_shapes
+from covariant.models._mechanical import FrozenDict, Parameter, check_shapes
 from covariant.models._state_space import StateSpace, state_space
 
 

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 import jax.numpy as jnp
 
 from covariant._linalg import solve
-from covariant.models._lagrangian import Parameter
+from covariant.models._mechanical import Parameter
 from covariant.models._state_space import StateSpace
 from covariant.models.marine._craft import yaw_rotation
 

@@ -10,8 +10,7 @@ from collections.abc import Sequence
 import jax.numpy as jnp
 import numpy as np
 
-from covariant.models._group_system import GroupSystem
-from covariant.models._lagrangian import Parameter
+from covariant.models._mechanical import GroupSystem, Parameter
 from covariant.models._underwater_vehicle import submerged_body
 from covariant.models.marine._craft import Craft, coriolis_matrix, euler_transform
 

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Array
 
 from covariant._typing import Numbers
-from covariant.models._lagrangian import Parameter
+from covariant.models._mechanical import Parameter
 from covariant.models.marine._craft import Craft, coriolis_matrix, spd, yaw_rotation
 
 _SUPPLY = "Fossen, Sagatun & Sørensen 1996, Identification of dynamically positioned ships, CEP 4(3)"

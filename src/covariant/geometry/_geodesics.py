@@ -1,0 +1,289 @@
+"""Geodesics of any space from its connection alone: Runge–Kutta steps, Newton shooting, conjugate points.
+
+Everything runs in the coordinates s that the retraction draws around the start p, with velocities in the frame; a chart
+is its own. Source: Aghannan & Rouchon 2003, section II; Milnor, Morse Theory, section 15 (index theorem) for conjugate
+points.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from covariant._integrate import rk4, rk8
+from covariant._linalg import pivots, solve
+from covariant._typing import Code, Flag, Matrix, Scalar, Vector, Vectors
+from covariant.geometry._manifold import Configuration
+from covariant.signals import Result
+
+if TYPE_CHECKING:
+    from covariant.geometry._space import AbstractSpace
+
+NEWTON_LIMIT = 40
+"""Damped Newton iterations after which a search is given up."""
+CONTINUATION_STAGES = 12
+"""Intermediate targets of a search that failed directly."""
+
+
+class Budget(NamedTuple):
+    """How much work a numerical `exp` or `log` may do. Closed forms need none and ignore it.
+
+    `newton=None` is for work offline: Newton shooting until converged, `steps` eighth-order steps along the unit-time
+    geodesic. A number is for real time: exactly that many corrections and `steps` fourth-order steps, all static, so
+    that it can be exported.
+    """
+
+    newton: int | None = None
+    steps: int = 8
+
+
+class Shot(NamedTuple):
+    """A geodesic from p to q over unit time: its velocity at p (`log_p q`) and at q, and how well it was found.
+
+    `residual` is the metric length by which the geodesic misses q; `result` is a `covariant.Result` code.
+    """
+
+    velocity: Vector
+    arrival: Vector
+    residual: Scalar
+    result: Code
+
+
+class Transported(NamedTuple):
+    """Where a unit-time geodesic ends, its velocity there, and the vectors carried along in parallel."""
+
+    q: Configuration
+    velocity: Vector
+    w: Vectors
+
+
+class Ray(NamedTuple):
+    """A point of a geodesic in coordinates s around its start, its velocity and the vectors carried, in the frame."""
+
+    s: Vector
+    velocity: Vector
+    w: Vectors
+
+
+def transport_along(
+    space: AbstractSpace, p: Configuration, velocity: Vector, w: Vectors, budget: Budget
+) -> Transported:
+    """Numerical `transport_along` for any space."""
+    start = Ray(jnp.zeros_like(velocity), velocity, w.reshape(-1, velocity.shape[0]))
+    end = follow(space, p, start, budget)
+    return Transported(space.manifold.retract(p, end.s), end.velocity, end.w.reshape(w.shape))
+
+
+def follow(space: AbstractSpace, p: Configuration, ray: Ray, budget: Budget, fraction: float = 1.0) -> Ray:
+    """Where the ray is after a fraction of unit time, by the rule and the steps that the budget stands for."""
+    manifold = space.manifold
+
+    def flow(_, now: Ray) -> Ray:
+        x = manifold.retract(p, now.s)
+        turned = jax.vmap(lambda a: space.connection(x, now.velocity, a))(now.w)
+        rate = manifold.local_rate(p, now.s, now.velocity)
+        return Ray(rate, -space.connection(x, now.velocity, now.velocity), -turned)
+
+    rule = rk8 if budget.newton is None else rk4
+    return rule(flow, 0.0, ray, fraction, budget.steps)
+
+
+def arrive(space: AbstractSpace, p: Configuration, velocity: Vector, budget: Budget) -> Ray:
+    """The end of the unit-time geodesic from p with that velocity."""
+    none = jnp.zeros((0, *velocity.shape), velocity.dtype)
+    return follow(space, p, Ray(jnp.zeros_like(velocity), velocity, none), budget)
+
+
+class Target(NamedTuple):
+    """What is aimed at: the coordinates s around p of the point q, and the metric there in these coordinates."""
+
+    s: Vector
+    metric: Matrix
+
+    def length(self, miss: Vector) -> Scalar:
+        return root(self.square(miss))
+
+    def square(self, miss: Vector) -> Scalar:
+        return miss @ self.metric @ miss
+
+
+def root(square: Scalar) -> Scalar:
+    """The square root, with a zero (not undefined) derivative at 0."""
+    none = square <= 0
+    return jnp.where(none, 0.0, jnp.sqrt(jnp.where(none, 1.0, square)))
+
+
+def aim(space: AbstractSpace, p: Configuration, s: Vector) -> Target:
+    """The target with coordinates s around p."""
+    return Target(s, metric_in_retraction(space, p, s))
+
+
+def metric_in_retraction(space: AbstractSpace, p: Configuration, s: Vector) -> Matrix:
+    """The metric's matrix in the coordinates that the retraction draws around p, at s."""
+    axes = jnp.eye(s.shape[0], dtype=s.dtype)
+    return space.gram(space.manifold.retract(p, s), jax.vmap(lambda a: space.manifold.frame_velocity(p, s, a))(axes))
+
+
+def shoot(space: AbstractSpace, p: Configuration, q: Configuration, guess: Vector | None, budget: Budget) -> Shot:
+    """Newton shooting for the geodesic from p to q.
+
+    It starts from the best of `d + ½B(d, d)`, d = local(p, q), and the caller's guess. A fixed budget runs undamped and
+    is exported as it stands; an open one is damped, checked for conjugate points, and differentiated implicitly.
+    """
+    target = aim(space, p, space.manifold.local(p, q))
+    start = first_guess(space, p, target, guess, budget)
+    if budget.newton is None:
+        velocity = implicit_newton(space, p, target, start, budget)
+    else:
+        velocity = start
+        for _ in range(budget.newton):
+            velocity = velocity + newton_step(space, p, target, velocity, budget)[0]
+    end = arrive(space, p, velocity, budget)
+    residual = target.length(target.s - end.s)
+    scale = 1e-2 if budget.newton is not None else 1e4 * epsilon(velocity)
+    found = residual <= scale * space.norm(p, velocity) + 64 * epsilon(velocity)
+    result = jnp.where(found, Result.OK, Result.NOT_CONVERGED)
+    if budget.newton is None:
+        passed = conjugate_points(space, p, jax.lax.stop_gradient(velocity), budget) > 0
+        result = jnp.where(found & passed, Result.CONJUGATE_POINT, result)
+    return Shot(velocity, end.velocity, residual, result)
+
+
+def first_guess(space: AbstractSpace, p: Configuration, target: Target, guess: Vector | None, budget: Budget) -> Vector:
+    """The candidate whose geodesic passes closest to q; the second-order one is best near, but overshoots far away."""
+    d = target.s
+    bend = space.connection(p, d, d) + space.manifold.retraction_acceleration(p, d)
+    candidates = [d + bend / 2]
+    candidates += [] if guess is None else [guess]
+    candidates += [d] if budget.newton is None else []
+    best = candidates[0]
+    if len(candidates) > 1:
+        tried = jnp.stack(candidates)
+        miss = jax.vmap(lambda v: target.length(d - arrive(space, p, v, budget).s))(tried)
+        best = tried[jnp.argmin(jnp.where(jnp.isfinite(miss), miss, jnp.inf))]
+    return best
+
+
+def newton_step(space: AbstractSpace, p: Configuration, target: Target, velocity: Vector, budget: Budget):
+    """Correction of the initial velocity, and the squared miss (metric at q) it is meant to remove.
+
+    The normal equations in the metric keep the matrix symmetric positive definite, so no pivoting is needed.
+    """
+
+    def end(v):
+        s = arrive(space, p, v, budget).s
+        return s, s
+
+    jacobian, reached = jax.jacfwd(end, has_aux=True)(velocity)
+    miss = target.s - reached
+    weighted = jacobian.T @ target.metric
+    return solve(weighted @ jacobian, weighted @ miss), target.square(miss)
+
+
+def epsilon(a: Vector) -> float:
+    return float(jnp.finfo(a.dtype).eps)
+
+
+class _Search(NamedTuple):
+    velocity: Vector
+    correction: Vector
+    miss: Scalar
+    damping: Scalar
+    tries: Code
+
+
+def damped_newton(space: AbstractSpace, p: Configuration, target: Target, start: Vector, budget: Budget) -> Vector:
+    """Newton's method, each step shortened until the miss shrinks."""
+
+    def unfinished(s: _Search):
+        # Convergence is quadratic: below this the last correction leaves only rounding errors.
+        long = space.norm(p, s.correction) > epsilon(start) ** 0.5 * space.norm(p, s.velocity)
+        return (s.tries == 0) | (long & (s.tries < NEWTON_LIMIT) & (s.damping > 1e-6))
+
+    def improve(s: _Search):
+        candidate = s.velocity + s.damping * s.correction
+        correction, miss = newton_step(space, p, target, candidate, budget)
+        better = (miss < s.miss) & jnp.all(jnp.isfinite(correction))
+        damping = jnp.where(better, jnp.minimum(1.0, 4 * s.damping), s.damping / 4)
+        new = _Search(candidate, correction, miss, damping, s.tries + 1)
+        old = s._replace(damping=damping, tries=s.tries + 1)
+        return jax.tree.map(lambda a, b: jnp.where(better, a, b), new, old)
+
+    one = jnp.ones((), start.dtype)
+    first = _Search(start, jnp.zeros_like(start), one * jnp.inf, one, jnp.zeros((), jnp.int32))
+    last = jax.lax.while_loop(unfinished, improve, first)
+    return last.velocity + jnp.where(unfinished(last), 0.0, 1.0) * last.correction
+
+
+def find_geodesic(space: AbstractSpace, p: Configuration, target: Target, start: Vector, budget: Budget) -> Vector:
+    """A direct search, and where that fails one on targets that move from p to q in small steps."""
+
+    def stage(carry: tuple[Scalar, Vector, Flag]):
+        k, velocity, _ = carry
+        direct, moved = k == 0, k / CONTINUATION_STAGES
+        nearer = aim(space, p, jnp.where(direct, target.s, moved * target.s))
+        extrapolated = velocity * k / jnp.maximum(k - 1, 1)
+        begin = jnp.where(direct, start, jnp.where(k == 1, moved * target.s, extrapolated))
+        velocity = damped_newton(space, p, nearer, begin, budget)
+        miss = target.length(target.s - arrive(space, p, velocity, budget).s)
+        return k + 1, velocity, miss <= epsilon(start) ** 0.5 * space.norm(p, velocity)
+
+    def unfinished(carry):
+        k, _, found = carry
+        return ~found & (k <= CONTINUATION_STAGES)
+
+    return jax.lax.while_loop(unfinished, stage, (jnp.zeros((), start.dtype), start, jnp.zeros((), bool)))[1]
+
+
+def implicit_newton(space: AbstractSpace, p: Configuration, target: Target, start: Vector, budget: Budget) -> Vector:
+    """`find_geodesic`, differentiable by the implicit function theorem in p, q and the metric's own parameters."""
+
+    def miss(velocity):
+        return target.s - arrive(space, p, velocity, budget).s
+
+    def search(_, first):
+        return find_geodesic(space, p, target, first, budget)
+
+    def solve_linear(linear, y):
+        return least_squares(jax.jacfwd(linear)(jnp.zeros_like(y)), y)
+
+    return jax.lax.custom_root(miss, jax.lax.stop_gradient(start), search, solve_linear)
+
+
+def least_squares(a: Matrix, b: Vectors) -> Vectors:
+    """Solve the square system `a x = b` through its normal equations."""
+    return solve(a.T @ a, a.T @ b)
+
+
+def conjugate_points(space: AbstractSpace, p: Configuration, velocity: Vector, budget: Budget) -> Code:
+    """Number of points conjugate to p strictly inside the geodesic, with multiplicity.
+
+    By the index theorem this is the index of the second variation of the energy, which over fields that are Jacobi on
+    each of the budget's steps is block tridiagonal. With A, B the derivatives of a step's end point by its start point
+    and velocity, and J the Jacobi fields that vanish at p, its pivots are `g B⁻¹ J_next J⁻¹`.
+    """
+    n = velocity.shape[0]
+    none = jnp.zeros((0, n), velocity.dtype)
+
+    def step(flat):
+        end = follow(space, p, Ray(flat[:n], flat[n:], none), budget._replace(steps=1), 1 / budget.steps)
+        return jnp.concatenate([end.s, end.velocity])
+
+    def advance(carry, _):
+        x, fields, index = carry
+        change = jax.jacfwd(step)(x)
+        following = change @ fields
+        # Congruence by J keeps the signature of a pivot and spares its inverse. Velocities are in the frame, J is not.
+        axes = jnp.eye(n, dtype=x.dtype)
+        to_frame = jax.vmap(lambda a: space.manifold.frame_velocity(p, x[:n], a), out_axes=1)(axes)
+        g = space(space.manifold.retract(p, x[:n]))
+        pivot = (to_frame @ fields[:n]).T @ g @ least_squares(change[:n, n:], following[:n])
+        negative = jnp.sum(pivots((pivot + pivot.T) / 2) < 0)
+        return (step(x), following, index + negative.astype(index.dtype)), None
+
+    x = jnp.concatenate([jnp.zeros_like(velocity), velocity])
+    first = (step(x), jax.jacfwd(step)(x)[:, n:], jnp.zeros((), jnp.int32))
+    (_, _, index), _ = jax.lax.scan(advance, first, length=budget.steps - 1)
+    return index

@@ -1,0 +1,350 @@
+"""A mechanical system `∇_v v = raise(−dU + force + dissipation)` on any configuration space, as JAX functions.
+
+`Lagrangian` builds one in coordinates, `GroupSystem` one on a group with a left-invariant kinetic energy.
+
+Source: Aghannan & Rouchon 2003, section II; Maithripala, Berg & Dayawansa 2004, section II-D, equations (12)–(16);
+Hamel's equations in a frame, Marsden & Ratiu 1999, chapter 13. Dissipation is an addition every machine needs.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Inexact
+
+from covariant._integrate import rk4_step
+from covariant._typing import Element, MatrixField, Number, Scalar, Vector
+from covariant.geometry import AbstractManifold, AbstractSpace, Coordinates, as_space, differential
+from covariant.geometry.lie import AbstractGroup, LeftInvariant
+
+
+class Parameter(NamedTuple):
+    """A number of a model with its unit and where it comes from."""
+
+    value: float | tuple[float, ...]
+    unit: str
+    source: str
+
+
+class Motion(NamedTuple):
+    """Configuration q and velocity v (n,), in the frame of the space: on a group q (N, N) and `q' = q hat(v)`."""
+
+    q: Inexact[Array, "..."]
+    v: Float[Array, "*T n"]
+
+
+class FrozenDict(dict):
+    """A dictionary that may sit in a static field: hashed by its content, never changed."""
+
+    def __hash__(self):  # pyright: ignore[reportIncompatibleVariableOverride]
+        return hash(tuple(self.items()))
+
+
+class MechanicalSystem(eqx.Module):
+    """A mechanical system whose configuration is measured.
+
+    - `space`: its configuration space, with the kinetic energy `½ <v, v>` [J] as metric.
+    - `potential`: potential energy `q -> ()` [J]; on a group a smooth function of the matrix entries. None for none.
+    - `force`: generalised force (covector in the frame) `(t, q, u) -> (n,)` of the input u (m,); by default u itself.
+    - `dissipation`: generalised friction force `(q, v) -> (n,)`, evaluated at the estimate by observers. It opposes the
+      motion: viscous friction b is `lambda q, v: -b * v`.
+    - `coordinates`, `units`: names and units of the entries of q, where they are coordinates.
+    - `velocities`, `velocity_units`: names and units of the components of v, where they are not the coordinates' rates.
+    - `inputs`: number of inputs m where it is not n.
+    - `parameters`: `Parameter` by name, for people.
+
+    Raises `ValueError` when a function has the wrong shape.
+    """
+
+    space: AbstractSpace
+    potential: Callable[[Array], Array]
+    force: Callable[[Array, Array, Array], Array]
+    dissipation: Callable[[Array, Array], Array]
+    coordinates: tuple[str, ...] = eqx.field(static=True)
+    units: tuple[str, ...] = eqx.field(static=True)
+    velocities: tuple[str, ...] = eqx.field(static=True)
+    velocity_units: tuple[str, ...] = eqx.field(static=True)
+    inputs: int | None = eqx.field(static=True)
+    parameters: dict[str, Parameter] = eqx.field(static=True)
+
+    def __init__(
+        self,
+        space: AbstractSpace,
+        potential: Callable[[Array], Array] | None = None,
+        force: Callable[[Array, Array, Array], Array] | None = None,
+        dissipation: Callable[[Array, Array], Array] | None = None,
+        *,
+        coordinates: tuple[str, ...] = (),
+        units: tuple[str, ...] = (),
+        velocities: tuple[str, ...] = (),
+        velocity_units: tuple[str, ...] = (),
+        inputs: int | None = None,
+        parameters: dict[str, Parameter] | None = None,
+    ):
+        self.space = space
+        self.potential = no_potential if potential is None else potential
+        self.force = input_itself if force is None else force
+        self.dissipation = no_dissipation if dissipation is None else dissipation
+        self.coordinates, self.units = tuple(coordinates), tuple(units)
+        self.velocities, self.velocity_units = tuple(velocities), tuple(velocity_units)
+        self.inputs = inputs
+        self.parameters = FrozenDict(parameters or {})
+        if None not in self.manifold.shape:
+            check_model(self)
+
+    @property
+    def manifold(self) -> AbstractManifold:
+        """Where the configurations live."""
+        return self.space.manifold
+
+    @property
+    def metric(self) -> AbstractSpace:
+        """The space, by the name it has where it is a matrix in coordinates."""
+        return self.space
+
+    @property
+    def circles(self) -> tuple[int, ...]:
+        """Indices of the coordinates that are angles on a full circle [rad]."""
+        return self.manifold.circles
+
+    def state(self, motion: Motion) -> Any:
+        """The state x: (q, v) (2n,) in coordinates, the motion itself elsewhere."""
+        return jnp.concatenate(motion, axis=-1) if self.manifold.commuting else motion
+
+    def motion(self, x: Any) -> Motion:
+        """Configuration and velocity of a state x, or of many, time first."""
+        return Motion(*jnp.split(jnp.asarray(x), 2, axis=-1)) if self.manifold.commuting else x
+
+
+class Lagrangian(MechanicalSystem):
+    """A `MechanicalSystem` in coordinates q (n,), whose positions are measured.
+
+    - `metric`: inertia matrix `q (n,) -> (n, n)`, or a space in coordinates, as of `covariant.geometry`.
+    - `circles`: indices of coordinates that are angles on a full circle [rad]; errors in them are wrapped to ±π.
+    - `potential`, `force`, `dissipation`, `coordinates`, `units`, `inputs`, `parameters`: as for `MechanicalSystem`;
+      when the coordinates are named, all functions are checked at once.
+
+    Raises `ValueError` when a function has the wrong shape.
+    """
+
+    def __init__(
+        self,
+        metric: AbstractSpace | MatrixField,
+        potential: Callable[[Array], Array] | None = None,
+        force: Callable[[Array, Array, Array], Array] | None = None,
+        dissipation: Callable[[Array, Array], Array] | None = None,
+        circles: tuple[int, ...] = (),
+        *,
+        coordinates: tuple[str, ...] = (),
+        units: tuple[str, ...] = (),
+        inputs: int | None = None,
+        parameters: dict[str, Parameter] | None = None,
+    ):
+        n = len(coordinates) or None
+        if n and any(not 0 <= i < n for i in circles):
+            raise ValueError(f"circles {tuple(circles)} must be indices of the {n} coordinates, 0 to {n - 1}")
+        space = as_space(metric, Coordinates(tuple(circles), n))
+        named = {"coordinates": coordinates, "units": units, "inputs": inputs, "parameters": parameters}
+        super().__init__(space, potential, force, dissipation, **named)
+
+
+class GroupSystem(MechanicalSystem):
+    """A `MechanicalSystem` on a group: `g' = g hat(v)`, `I v' = ad*_v I v + force + dissipation`, all in the body.
+
+    - `group`: such as `lie.SO3` or `lie.SE3`.
+    - `inertia`: matrix (n, n), or an `AbstractInertia`; the twist of a motion is (v, ω).
+    - `velocities`, `units`: names and units of the components of v, for people.
+    - `potential`, `force`, `dissipation`, `inputs`, `parameters`: as for `MechanicalSystem`.
+
+    Raises `ValueError` when a function has the wrong shape.
+    """
+
+    def __init__(
+        self,
+        group: AbstractGroup,
+        inertia,
+        potential: Callable[[Array], Array] | None = None,
+        force: Callable[[Array, Array, Array], Array] | None = None,
+        dissipation: Callable[[Array, Array], Array] | None = None,
+        *,
+        velocities: tuple[str, ...] = (),
+        units: tuple[str, ...] = (),
+        inputs: int | None = None,
+        parameters: dict[str, Parameter] | None = None,
+    ):
+        n = group.dimension
+        names, units = tuple(velocities) or tuple(f"v{i + 1}" for i in range(n)), tuple(units) or ("",) * n
+        if not len(names) == len(units) == n:
+            raise ValueError(f"the group has {n} velocities; got {len(names)} names, {len(units)} units")
+        super().__init__(
+            LeftInvariant(group, inertia),
+            potential,
+            force,
+            dissipation,
+            velocities=names,
+            velocity_units=units,
+            inputs=n if inputs is None else inputs,
+            parameters=parameters,
+        )
+
+    @property
+    def group(self) -> AbstractGroup:
+        """The group the configurations are elements of."""
+        return self.space.group  # pyright: ignore[reportAttributeAccessIssue]
+
+
+def input_itself(t, q, u):
+    return u
+
+
+def no_dissipation(q, v):
+    return jnp.zeros_like(v)
+
+
+def no_potential(q):
+    return jnp.zeros((), jnp.finfo(q.dtype).dtype)
+
+
+def check_model(model: MechanicalSystem) -> None:
+    """Raise `ValueError` unless every function of the model has the shape that its configurations need.
+
+    The manifold must know the shape of a configuration, as coordinates do that are named.
+    """
+    q = jax.eval_shape(model.manifold.origin)
+    v = jax.eval_shape(model.manifold.zero, q)
+    n = v.shape[0]
+    u = jax.ShapeDtypeStruct((n if model.inputs is None else model.inputs,), jnp.float64)
+    t = jax.ShapeDtypeStruct((), jnp.float64)
+    whom = f"{n} coordinates" if model.manifold.commuting else f"configurations {q.shape} of {n} dimensions"
+    functions = (
+        ("metric", model.space, (q,), (n, n)),
+        ("potential", model.potential, (q,), ()),
+        ("force", model.force, (t, q, u), (n,)),
+        ("dissipation", model.dissipation, (q, v), (n,)),
+    )
+    check_shapes(functions, f"{whom} and {u.shape[0]} inputs", whom)
+
+
+def check_shapes(functions, given: str, whom: str) -> None:
+    """Raise `ValueError` for the first of the functions (name, function, arguments, shape) that has another shape."""
+    for name, function, arguments, wanted in functions:
+        try:
+            shape = jax.eval_shape(function, *arguments).shape
+        except (TypeError, ValueError, IndexError, AttributeError) as error:
+            reason = str(error).splitlines()[0]
+            raise ValueError(f"{name} cannot be evaluated with {given}: {reason}") from error
+        if shape != wanted:
+            raise ValueError(f"{name} must return shape {wanted} for {whom}; it returned {shape}")
+
+
+def applied_force(model: MechanicalSystem, t: Scalar, q: Array, u: Float[Array, "m"]) -> Vector:
+    """`−∂U + force`, the generalised force on the system without friction, in the frame."""
+    return model.force(t, q, u) - differential(model.manifold, model.potential, q)
+
+
+def source(model: MechanicalSystem, t: Scalar, q: Array, u: Float[Array, "m"]) -> Vector:
+    """`S(q, t) = raise(−∂U + force)`, the acceleration of the system at rest without friction."""
+    return model.space.raise_(q, applied_force(model, t, q, u))
+
+
+def friction(model: MechanicalSystem, q: Array, v: Vector) -> Vector:
+    """`raise(dissipation)`, as an acceleration."""
+    return model.space.raise_(q, model.dissipation(q, v))
+
+
+def acceleration(model: MechanicalSystem, t: Scalar, q: Array, v: Vector, u: Float[Array, "m"]) -> Vector:
+    """Forward dynamics `v' = raise(−∂U + force + dissipation − M B(v, v))` (Hamel)."""
+    covector = applied_force(model, t, q, u) + model.dissipation(q, v)
+    return model.space.raise_(q, covector - model.space.connection_force(q, v, v))
+
+
+def energy(model: MechanicalSystem, q: Array, v: Vector) -> Scalar:
+    """Kinetic plus potential energy [J]."""
+    return model.space.inner(q, v, v) / 2 + model.potential(q)
+
+
+def spatial_momentum(system: GroupSystem, g: Element, v: Vector) -> Vector:
+    """`Ad*_{g⁻¹} I v`: the momentum as seen from outside, constant where no force acts."""
+    return system.group.coadjoint_action(system.group.inverse(g), system.space.lower(g, v))
+
+
+def body_velocity(system: GroupSystem, g: Element, momentum: Vector) -> Vector:
+    """The body velocity v that has this spatial momentum at g."""
+    return system.space.raise_(g, system.group.coadjoint_action(g, momentum))
+
+
+Push = Callable[[Scalar, Any], Array]
+"""Input `(t, x) -> u (m,)` of the state x."""
+
+
+def advance(
+    system: MechanicalSystem,
+    t: Number,
+    motion: Motion,
+    u: Push | Float[Array, "m"],
+    dt: Number,
+    steps,
+    rule=rk4_step,
+) -> Motion:
+    """Integrate the system over dt [s] in equal steps, under the input u (m,), held, or `(t, x) -> u` of the state x.
+
+    `rule` is a one-step method `(flow, t, x, dt) -> x` of `covariant._integrate`.
+    """
+    advanced = _in_coordinates if system.manifold.commuting else _in_frame
+    return advanced(system, t, motion, u if callable(u) else lambda s, x: u, dt, steps, rule)
+
+
+def _in_coordinates(system: MechanicalSystem, t: Number, motion: Motion, u: Push, dt, steps, rule) -> Motion:
+    @jax.jit  # traced once, not at each slope of the rule
+    def flow(s, now):
+        return Motion(now.v, acceleration(system, s, now.q, now.v, u(s, system.state(now))))
+
+    h = dt / jnp.asarray(steps, motion.v.dtype)
+    return jax.lax.fori_loop(0, steps, lambda i, now: rule(flow, t + jnp.asarray(i, h.dtype) * h, now, h), motion)
+
+
+def _in_frame(system: MechanicalSystem, t: Number, motion: Motion, u: Push, dt, steps, rule) -> Motion:
+    """The configuration stays on the manifold. Beside it the unknown of each step is the momentum as seen from the
+    frame at the step's start: where no force acts on it, as on a floating base, it is constant to rounding whatever the
+    step."""
+    h = dt / jnp.asarray(steps, motion.v.dtype)
+
+    def step(i, now):
+        begin = t + jnp.asarray(i, h.dtype) * h
+        start = MomentumChart(system, now[0])
+        s, momentum = rule(lambda s, x: start.flow(s, x, u)[0], begin, (jnp.zeros_like(now[1]), now[1]), h)
+        return start.end(s, momentum)
+
+    q, momentum = jax.lax.fori_loop(0, steps, step, (motion.q, system.space.lower(*motion)))
+    return Motion(q, system.space.raise_(q, momentum))
+
+
+class MomentumChart(NamedTuple):
+    """The equations of motion around a configuration: coordinates s of the retraction, and momentum seen from there.
+
+    With `μ = M v`, Hamel's equations are `μ' = ad*_v μ + ½∂<v, v> + force`; seen from the frame at the centre the first
+    term is gone.
+    """
+
+    system: MechanicalSystem
+    centre: Inexact[Array, "..."]
+
+    def motion(self, s: Vector, momentum: Vector) -> Motion:
+        """Configuration and velocity."""
+        q = self.system.manifold.retract(self.centre, s)
+        return Motion(q, self.system.space.raise_(q, self.system.manifold.carried_momentum(self.centre, s, momentum)))
+
+    def flow(self, t: Scalar, now: tuple[Vector, Vector], u: Push) -> tuple[tuple[Vector, Vector], Motion]:
+        """Derivatives of s and of the momentum, and the motion they belong to."""
+        system, (s, momentum) = self.system, now
+        q, v = x = self.motion(s, momentum)
+        force = applied_force(system, t, q, u(t, x)) + system.dissipation(q, v) + system.space.kinetic_force(q, v)
+        rate = system.manifold.local_rate(self.centre, s, v)
+        return (rate, system.manifold.carried_momentum(self.centre, -s, force)), x
+
+    def end(self, s: Vector, momentum: Vector) -> tuple[Array, Vector]:
+        """The configuration, and the momentum seen from there: the centre of the next chart."""
+        manifold = self.system.manifold
+        return manifold.retract(self.centre, s), manifold.carried_momentum(self.centre, s, momentum)

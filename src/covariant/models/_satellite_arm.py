@@ -1,0 +1,110 @@
+"""A satellite with an arm that floats freely: a pose and joint angles, coupled by an inertia that the joints change."""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from covariant._typing import Scalar, Vector
+from covariant.geometry import Coordinates, KineticEnergy, ProductManifold
+from covariant.geometry.lie import SE3
+from covariant.models._mechanical import MechanicalSystem, Parameter
+
+_SOURCE = "chosen: of the size of a small servicing satellite"
+_AXES = ((0.0, 0.0, 1.0), (0.0, 1.0, 0.0))
+
+
+def satellite_arm(
+    mass: float = 50.0,
+    inertia: Sequence[float] = (6.0, 7.0, 5.0),
+    link_mass: Sequence[float] = (4.0, 3.0),
+    link_length: Sequence[float] = (0.8, 0.6),
+    bearing: float = 0.0,
+) -> MechanicalSystem:
+    """A rigid body on SE(3) with an arm of two slender links; no gravity, so that its momentum changes by no motor.
+
+    A configuration (18,) is the pose T_world_body (4, 4), row by row, and the joint angles; v (8,) the body's twist
+    (v, ω), about its own centre of mass, and the joint rates. The arm is mounted at 0.3 m along x and straight at
+    angles 0; the first joint turns about z, the second about y. `mass` [kg] and `inertia` [kg m²] of the body alone,
+    `link_mass` [kg] and `link_length` [m] of the links, `bearing` [N m s/rad] friction of the joints. Inputs are the
+    two motor torques [N m].
+    """
+    mount, roots = 0.3, (0.3, 0.3 + link_length[0])
+    bodies = [_spatial_inertia(mass, np.zeros(3), np.diag(np.asarray(inertia, float)))]
+    for m, length, root in zip(link_mass, link_length, roots, strict=True):
+        slender = m * length**2 / 12 * np.diag([0.0, 1.0, 1.0])
+        bodies.append(_spatial_inertia(m, np.array([root + length / 2, 0.0, 0.0]), slender))
+    pairs = zip(roots, _AXES, strict=True)
+    screws = np.stack([np.concatenate([np.cross([root, 0.0, 0.0], axis), axis]) for root, axis in pairs])
+    turns = np.stack([_ad(screw) for screw in screws])
+    manifold = ProductManifold((SE3, Coordinates((0, 1), 2)))
+    return MechanicalSystem(
+        KineticEnergy(ArmEnergy(*map(jnp.asarray, (np.stack(bodies), screws, turns))), manifold=manifold),
+        force=_at_the_joints,
+        dissipation=JointFriction(jnp.asarray(bearing, float)),
+        coordinates=("joint1", "joint2"),
+        units=("rad", "rad"),
+        velocities=("v1", "v2", "v3", "w1", "w2", "w3", "rate1", "rate2"),
+        velocity_units=("m/s",) * 3 + ("rad/s",) * 5,
+        inputs=2,
+        parameters={
+            "mass": Parameter(mass, "kg", _SOURCE),
+            "inertia": Parameter(tuple(inertia), "kg m^2", _SOURCE),
+            "link_mass": Parameter(tuple(link_mass), "kg", _SOURCE),
+            "link_length": Parameter(tuple(link_length), "m", _SOURCE),
+            "mount": Parameter(mount, "m", _SOURCE),
+            "bearing": Parameter(bearing, "N m s/rad", _SOURCE),
+        },
+    )
+
+
+class ArmEnergy(eqx.Module):
+    """Kinetic energy of a body with a serial arm, of v (6 + k,): its twist and the joint rates.
+
+    Everything is written where the arm is straight, seen from the body: `bodies` (k + 1, 6, 6) spatial inertias of the
+    body and the links, `screws` (k, 6) of the joints and their `turns` ad(S) (k, 6, 6). Link i then has the twist
+    `V_i = Ad(exp(−S_i q_i)) V_{i−1} + S_i q_i'`, with `Ad(exp(−S q)) = 1 − sin q ad(S) + (1 − cos q) ad(S)²` for a
+    joint that turns. Source: Lynch & Park 2017, Modern Robotics, section 8.3.
+    """
+
+    bodies: Float[Array, "links 6 6"]
+    screws: Float[Array, "k 6"]
+    turns: Float[Array, "k 6 6"]
+
+    def __call__(self, x: Float[Array, "m"], v: Vector) -> Scalar:
+        k, angles = self.screws.shape[0], x[16:]
+        bodies, screws, turns = (a.astype(x.dtype) for a in (self.bodies, self.screws, self.turns))
+        twist, total = v[:6], v[:6] @ bodies[0] @ v[:6]
+        for i in range(k):
+            across = turns[i] @ twist
+            twist = twist - jnp.sin(angles[i]) * across + (1 - jnp.cos(angles[i])) * (turns[i] @ across)
+            twist = twist + screws[i] * v[6 + i]
+            total = total + twist @ bodies[i + 1] @ twist
+        return total / 2
+
+
+class JointFriction(eqx.Module):
+    """Viscous friction of the joints alone."""
+
+    bearing: Float[Array, ""]
+
+    def __call__(self, q: Float[Array, "m"], v: Vector) -> Vector:
+        return jnp.concatenate([jnp.zeros(6, v.dtype), -self.bearing.astype(v.dtype) * v[6:]])
+
+
+def _spatial_inertia(mass: float, centre: np.ndarray, inertia: np.ndarray) -> np.ndarray:
+    """(6, 6) for twists (v, ω) about the origin, of a body whose inertia about its centre of mass this is."""
+    cross = np.cross(np.eye(3), centre)  # row i is e_i × c, so that ω × c = ω @ cross
+    return np.block([[mass * np.eye(3), mass * cross.T], [mass * cross, inertia + mass * cross @ cross.T]])
+
+
+def _ad(screw: np.ndarray) -> np.ndarray:
+    """`ad(S)` (6, 6): the bracket with a twist (v, ω), `(ω × v' − ω' × v, ω × ω')`."""
+    v, w = (np.cross(part, np.eye(3)).T for part in (screw[:3], screw[3:]))
+    return np.block([[w, v], [np.zeros((3, 3)), w]])
+
+
+def _at_the_joints(t, q, u):
+    return jnp.concatenate([jnp.zeros(6, u.dtype), u])
