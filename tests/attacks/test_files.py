@@ -342,8 +342,8 @@ NAMED = {
     "system with a line break": (put("recipe", "system", "a\u2028b"), r"recipe\.system must be a text"),
     "system of a dunder": (put("recipe", "system", "__class__"), "recipe: unknown system '__class__'"),
     "system null": (put("recipe", "system", None), r"recipe\.system must be a text"),
-    "system of another kind": (put("recipe", "system", "lorenz"), r"observer\.kind 'intrinsic' needs a Lagrangian"),
-    "system on a group": (put("recipe", "system", "heavy_top"), r"observer\.kind 'intrinsic' needs a Lagrangian"),
+    "system of another kind": (put("recipe", "system", "lorenz"), r"observer\.frame 'coordinates' needs a mechanical system"),
+    "system on a group": (put("recipe", "system", "heavy_top"), r"observer\.frame 'coordinates' .* makes a model in body"),
     "system of another size": (
         put("recipe", "system", "oscillator"),
         "box: the model has 4 variables; the box bounds 8",
@@ -382,7 +382,7 @@ NAMED = {
     "observer null": (put("observer", None), "observer must be an object"),
     "observer of no kind": (drop("observer", "kind"), "observer must be an object with the kind"),
     "observer of another kind": (put("observer", "kind", "ekf"), r"observer\.kind must be one of 'intrinsic'"),
-    "observer on a group": (put("observer", "kind", "group"), r"observer\.'coefficients' is not known"),
+    "observer in the body": (put("observer", "frame", "body"), r"box\.low must be a list of"),
     "gain below zero": (put("observer", "alpha", -1.0), r"observer\.alpha must be a positive number"),
     "gain true": (put("observer", "beta", True), r"observer\.beta must be a finite number"),
     "gain too large": (put("observer", "beta", 1e151), r"observer\.beta must be a finite number"),
@@ -526,11 +526,12 @@ def test_a_digest_that_is_none_is_refused(value, tmp_path):
 
 ON_GROUPS = {
     "observer in coordinates": (
-        put("observer", {"kind": "geodesic", "alpha": 1.0, "beta": 1.0, "curvature": True}),
+        put("observer", "frame", "coordinates"),
         r"box\.low must be a list of 12 entries",
     ),
-    "another error": (put("observer", "error", "euclidean"), r"observer\.error must be one of 'group', 'riemannian'"),
-    "doubled in words": (put("observer", "doubled_alpha", "no"), r"observer\.doubled_alpha must be one of True"),
+    "another frame": (put("observer", "frame", "space"), r"observer\.frame must be one of 'coordinates', 'body'"),
+    "a third order": (put("observer", "order", 3), r"observer\.order must be one of 1, 2"),
+    "curved in words": (put("observer", "curvature", "no"), r"observer\.curvature must be one of True"),
     "a matrix entry less": (
         lambda document: [document["given"]["positions"][side].pop() for side in ("low", "high")],
         r"given\.positions: the model has 9; bounds are there of 8",
@@ -539,7 +540,7 @@ ON_GROUPS = {
     "an inertia that is none": (parameters(inertia=[1.0]), "recipe"),
     "a system in coordinates": (
         put("recipe", "system", "ball_and_beam"),
-        r"observer\.kind 'group' needs a GroupSystem",
+        r"observer\.frame 'body' needs a mechanical system",
     ),
 }
 

@@ -150,9 +150,9 @@ def test_friction_that_drives_at_some_place_is_never_proved(name):
     [
         (lie.SO2, {}),
         (lie.SO3, {}),
-        (lie.SO3, {"doubled_alpha": True, "curvature": False}),
+        (lie.SO3, {"order": 2, "curvature": False}),
     ],
-    ids=["SO2", "SO3", "twice α and no curvature"],
+    ids=["SO2", "SO3", "second order and no curvature"],
 )
 def test_the_flow_that_is_proved_is_the_one_that_runs(group, options):
     """In the chart g exp(θ) around an estimate g, at θ = 0 and to first order around it, anywhere on the group."""

@@ -103,8 +103,8 @@ def test_a_bad_model(folder, monkeypatch, capsys, spec, named):
 @pytest.mark.parametrize(
     ("arguments", "named"),
     [
-        ((*ESTIMATE, "--observer", "magic"), ["magic", "intrinsic", "group"]),
-        ((*ESTIMATE, "--observer", "group"), ["group does not fit model.toml", "intrinsic", "savitzky-golay"]),
+        ((*ESTIMATE, "--observer", "magic"), ["magic", "intrinsic", "geodesic"]),
+        ((*ESTIMATE, "--observer", "salcudean"), ["salcudean does not fit model.toml", "intrinsic", "savitzky-golay"]),
         ((*ESTIMATE, "--set", 'columns.matrix=["a"]'), ["columns.matrix", "columns.q"]),
         ((*ESTIMATE, "--alpha", "3"), ["--beta"]),
         ((*ESTIMATE, "--alpha", "-3", "--beta", "1"), ["positive", "-3"]),
@@ -217,8 +217,8 @@ BARE = ("log.csv", "-o", "out/v.csv")
         ((*ATTITUDE, "--q", "qw,qx,qy,qz"), ["--q", "on a group", "--set"]),
         ((*ATTITUDE, "--u", "u1"), ["3 inputs", "name 0 and 1"]),
         (("estimate", "hovercraft", *BARE, "--set", 'columns.matrix=["a"]'), ["no attitude", "position and angle"]),
-        ((*ATTITUDE, "--observer", "intrinsic"), ["intrinsic does not fit", "group, riemannian, invariant-ekf, salcu"]),
-        ((*ATTITUDE, "--observer", "invariant-ekf", "--alpha", "3", "--beta", "1"), ["invariant-ekf", "group, riem"]),
+        ((*ATTITUDE, "--observer", "savitzky-golay"), ["savitzky-golay does not fit", "geodesic, copy, ekf, salcudean"]),
+        ((*ATTITUDE, "--observer", "ekf", "--alpha", "3", "--beta", "1"), ["ekf", "intrinsic, intrinsic2"]),
         ((*ATTITUDE, "--set", "measurement.std=0"), ["measurement.std", "positive"]),
         (("simulate", "top.toml", "-o", "out/l.csv", "--quantum", "1e-3"), ["--quantum", "group", "--noise"]),
         (("simulate", "top.toml", "-o", "out/l.csv", "--q0", "1,0,0,0"), ["--q0 needs 3 finite"]),
@@ -236,7 +236,7 @@ def test_a_bad_argument_on_a_group(folder, monkeypatch, capsys, arguments, named
 def test_only_what_fits_a_pose_is_offered(folder, monkeypatch, capsys):
     (folder / "log.csv").write_text(UNIT.replace("qw,qx,qy,qz,u1,u2,u3", "px,py,angle,u1,u2,a,b"))
     message = refused(monkeypatch, capsys, "estimate", "hovercraft", *BARE, "--observer", "salcudean")
-    assert "salcudean does not fit hovercraft; these do: group, riemannian, invariant-ekf\n" in message
+    assert "salcudean does not fit hovercraft; these do: intrinsic, intrinsic2, geodesic, copy, ekf\n" in message
 
 
 def test_a_name_that_the_estimate_needs_itself(folder, monkeypatch, capsys):

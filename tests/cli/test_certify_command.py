@@ -186,7 +186,6 @@ REFUSED = {
     "no data sheet": (("pendulum.toml", *REGION), ["data sheet", "--alpha and --beta"]),
     "no sampling rate": (("sheet.toml", *REGION), ["--sampling"]),
     "unknown observer": (("pendulum.toml", *GAINS, *REGION, "--observer", "ekf"), ["'ekf'", "geodesic"]),
-    "group on coordinates": (("pendulum.toml", *GAINS, *REGION, "--observer", "group"), ["group", "intrinsic"]),
     "state space": (("lorenz", *GAINS, *REGION), ["lorenz", "state-space"]),
     "out of another kind": (("pendulum.toml", *GAINS, *REGION, "--out", "proof.csv"), ["proof.csv", ".json"]),
     "out in no folder": (("pendulum.toml", *GAINS, *REGION, "--out", "no/proof.json"), ["no/proof.json", "no folder"]),

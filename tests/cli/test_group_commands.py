@@ -81,7 +81,7 @@ def test_the_truth_of_a_simulation_turns_the_body():
 
 
 def test_what_is_simulated_is_estimated(estimated):
-    assert estimated["observer"] == "group"
+    assert estimated["observer"] == "intrinsic"
     assert estimated["scored_against"] == "true velocity"
     assert max(estimated["velocity_rmse"]) < 0.03
 
@@ -146,7 +146,7 @@ def test_without_a_truth_the_attitudes_themselves_are_the_reference():
 
 
 def test_compare_ranks_what_fits(monkeypatch):
-    quick = ("group", "salcudean")  # the others take a minute to compile; `design` tests that all are lined up
+    quick = ("intrinsic", "salcudean")  # the others take a minute to compile; `design` tests that all are lined up
 
     def some(*arguments):
         return {name: observer for name, observer in line_up(*arguments).items() if name in quick}

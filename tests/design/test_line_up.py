@@ -181,23 +181,21 @@ def test_a_motion_that_makes_no_sense_is_named(field, number):
 def test_a_model_is_offered_the_estimators_that_fit_it():
     top, vehicle = heavy_top((0.1, 0.2, 0.6)), underwater_vehicle()
     assert estimators(FLAT) == tuple(line_up(FLAT, AXES, SHEET, RATE))
-    assert (
-        estimators(top) == ("group", "riemannian", "invariant-ekf", "salcudean") == tuple(line_up(top, 3, SHEET, RATE))
-    )
-    assert estimators(vehicle) == ("group", "riemannian", "invariant-ekf") == tuple(line_up(vehicle, 6, SHEET, RATE))
+    anywhere = ("intrinsic", "intrinsic2", "geodesic", "copy", "ekf")
+    assert estimators(top) == (*anywhere, "salcudean") == tuple(line_up(top, 3, SHEET, RATE))
+    assert estimators(vehicle) == anywhere == tuple(line_up(vehicle, 6, SHEET, RATE))
     assert {*estimators(FLAT), *estimators(top)} == set(ESTIMATORS)
 
 
 def test_on_groups_all_have_the_same_gains_and_noise():
     top = heavy_top((0.1, 0.2, 0.6))
     chosen, made = observer_gains(SHEET, RATE), line_up(top, 3, SHEET, RATE)
-    assert (made["group"].error, made["riemannian"].error) == ("group", "riemannian")
-    for name in ("group", "riemannian"):
+    for name in ("intrinsic", "intrinsic2", "geodesic", "copy"):
         assert (made[name].alpha, made[name].beta) == (chosen.alpha, chosen.beta)
     mean = 0.3  # Salcudean's gains, of the mean principal inertia
     assert made["salcudean"].kv == pytest.approx(2 * mean * chosen.alpha)
     assert made["salcudean"].kp == pytest.approx(4 * mean**2 * chosen.beta)
     ekf = line_up(FLAT, 3, SHEET, RATE)["ekf"]
-    np.testing.assert_array_equal(made["invariant-ekf"].process_cov, ekf.process_cov)
-    np.testing.assert_array_equal(made["invariant-ekf"].measurement_cov, ekf.measurement_cov)
-    assert made["invariant-ekf"].initial_velocity_std == ekf.initial_velocity_std
+    np.testing.assert_array_equal(made["ekf"].process_cov, ekf.process_cov)
+    np.testing.assert_array_equal(made["ekf"].measurement_cov, ekf.measurement_cov)
+    assert made["ekf"].initial_velocity_std == ekf.initial_velocity_std

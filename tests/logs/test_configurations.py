@@ -135,7 +135,7 @@ def test_rows_are_counted_as_in_the_file_past_missing_ones(read):
         (Columns(position=POSITION), "position (px, py, pz) and angle (none) make no pose"),
         (Columns(position=("px", "py"), matrix=MATRIX), "make no pose; three names go with a quaternion of 4"),
         (Columns(quaternion_wxyz=WXYZ[:3]), "and quaternion_wxyz (qw, qx, qy) make no pose"),
-        (Columns(q=("px",), angle=("heading",)), "q names px, but the configuration is on a group"),
+        (Columns(position=("px",), angle=("heading",)), "make no pose"),
     ],
 )
 def test_names_columns_that_make_no_configuration(tmp_path, read, columns, words):

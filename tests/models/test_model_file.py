@@ -210,7 +210,7 @@ def test_a_later_way_to_write_an_attitude_replaces_the_earlier(folder):
 
 
 def test_a_group_that_no_log_can_hold_is_named(folder):
-    assert "one attitude or pose, and angles after it" in fault("my_models:spins")
+    assert "one attitude or pose, and angles or coordinates after it" in fault("my_models:spins")
 
 
 def test_geared_rotors_of_the_double_pendulum_count_as_its_authors_count_them():

@@ -67,7 +67,7 @@ def load(job: Job) -> Loaded:
 
 def _check_columns(job: Job, file: models.ModelFile, columns: logs.Columns) -> None:
     """As many columns as the model file has, an attitude that says how it is written, and no name used up."""
-    if columns.q and not file.model.manifold.commuting:
+    if columns.q and not file.columns.q:
         raise ValueError(
             f"--q names coordinates, and {job.model} is on a group; name its columns in [columns] or by --set"
         )
@@ -106,7 +106,10 @@ def _reference(file: models.ModelFile, log: logs.Log, full: logs.Log) -> tuple[n
         scoring.zero_phase_twist(t, g, at, half, order, body.space)
         for body, g in zip(logs.bodies(file.columns), logs.matrices(file.columns, y), strict=True)
     ]
-    return np.concatenate(twists, axis=1), "zero-phase reference"
+    joints = logs.coordinates(file.columns, y)
+    circles = tuple(i - (y.shape[1] - joints.shape[1]) for i in file.model.circles)
+    rates = [scoring.zero_phase_velocity(t, scoring.unwrap(joints, circles), at, half, order)] if joints.size else []
+    return np.concatenate([*twists, *rates], axis=1), "zero-phase reference"
 
 
 def check_output(path: Path | None, *suffixes: str, log: Path | None = None) -> None:

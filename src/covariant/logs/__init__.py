@@ -1,8 +1,20 @@
 """Logs on disk: CSV and Parquet files read into a `Record`, and columns of numbers written back, all or nothing."""
 
 from covariant.logs._columns import ATTITUDES, Columns, Log, LogError
-from covariant.logs._configuration import Body, bodies, matrices, to_columns
+from covariant.logs._configuration import Body, bodies, coordinates, matrices, to_columns
 from covariant.logs._read import read
 from covariant.logs._write import write
 
-__all__ = ["ATTITUDES", "Body", "Columns", "Log", "LogError", "bodies", "matrices", "read", "to_columns", "write"]
+__all__ = [
+    "ATTITUDES",
+    "Body",
+    "Columns",
+    "Log",
+    "LogError",
+    "bodies",
+    "coordinates",
+    "matrices",
+    "read",
+    "to_columns",
+    "write",
+]

@@ -26,7 +26,8 @@ class Columns(NamedTuple):
     - `v`: logged velocities, only ever compared with: an observer never sees them.
     - `truth`: true velocities, where the log comes from a simulation.
 
-    On a group the measured configuration stands in place of `q`; one empty cell makes a whole row missing:
+    On a group the measured configuration stands in place of `q`, or before it where there are joints besides; one empty
+    cell makes all of it missing in that row:
 
     - `position`: where the body is, in the world [m]: three names, or two in the plane.
     - `quaternion_wxyz`, `quaternion_xyzw`: its attitude, R_world_body, as a unit quaternion, scalar first or last.

@@ -1,4 +1,8 @@
-"""Measured configurations as columns and as arrays: coordinates as they are, attitudes and poses as matrices."""
+"""Measured configurations as columns and as arrays: coordinates as they are, attitudes and poses as matrices.
+
+Where a configuration is bodies and coordinates, `y` is one row (m,): the matrices of the bodies as one, row by row, and
+then the coordinates.
+"""
 
 from pathlib import Path
 from typing import NamedTuple
@@ -32,9 +36,9 @@ class Body(NamedTuple):
 
 
 def bodies(columns: Columns) -> tuple[Body, ...]:
-    """The bodies of a configuration on a group: one with an attitude or a position first, then a wheel for each angle.
+    """The bodies of a configuration: one with an attitude or a position first, then a wheel for each angle.
 
-    None where the configuration is coordinates. Raises `LogError` when the columns do not make a configuration.
+    None where the configuration is coordinates alone. Raises `LogError` when the columns do not make a configuration.
     """
     attitudes = [kind for kind in ATTITUDES if getattr(columns, kind)]
     if len(attitudes) > 1:
@@ -49,17 +53,21 @@ def bodies(columns: Columns) -> tuple[Body, ...]:
             "pose; three names go with a quaternion of 4 or a matrix of 9 columns, two with an angle"
         )
     wheels = columns.angle[1:] if first and not attitudes else columns.angle
-    found = (*first, *(Body("angle", (name,)) for name in wheels))
-    if found and columns.q:
-        raise LogError(f"q names {', '.join(columns.q)}, but the configuration is on a group; keep one of the two")
-    return found
+    return (*first, *(Body("angle", (name,)) for name in wheels))
 
 
 def from_cells(path: Path, columns: Columns, cells: Float[np.ndarray, "T k"]) -> np.ndarray:
-    """Configurations (T, n) or (T, N, N) from the cells of `columns.measured`, a group's all NaN where any cell is."""
-    parts = bodies(columns)
-    if not parts:
+    """Configurations (T, n), (T, N, N) or (T, m) from the cells of `columns.measured`; of the bodies all are NaN where
+    any cell is."""
+    if not bodies(columns):
         return cells
+    coordinates, rest = np.split(cells, [len(columns.q)], axis=1)
+    y = _bodies_from_cells(path, columns._replace(q=()), rest)
+    return np.concatenate([y.reshape(len(y), -1), coordinates], axis=1) if columns.q else y
+
+
+def _bodies_from_cells(path: Path, columns: Columns, cells: Float[np.ndarray, "T k"]) -> np.ndarray:
+    parts = bodies(columns)
     order = sum(body.order for body in parts)
     y = np.full((len(cells), order, order), np.nan)
     present = np.isfinite(cells).all(axis=1)
@@ -77,14 +85,14 @@ def from_cells(path: Path, columns: Columns, cells: Float[np.ndarray, "T k"]) ->
 
 
 def to_columns(columns: Columns, y: np.ndarray) -> dict[str, np.ndarray]:
-    """Configurations (T, n) or (T, N, N) as columns by name, laid out as `columns` says; NaN stays.
+    """Configurations (T, n), (T, N, N) or (T, m) as columns by name, laid out as `columns` says; NaN stays.
 
     Quaternions and angles are written without jumps: not of sign, and not of a whole turn.
     """
     parts = bodies(columns)
     if not parts:
         return dict(zip(columns.q, np.asarray(y).T, strict=True))
-    found = {}
+    found = dict(zip(columns.q, coordinates(columns, y).T, strict=True))
     for body, g in zip(parts, matrices(columns, y), strict=True):
         present = np.isfinite(g).all(axis=(1, 2))
         cells = np.full((len(g), len(body.rotation)), np.nan)
@@ -94,11 +102,19 @@ def to_columns(columns: Columns, y: np.ndarray) -> dict[str, np.ndarray]:
     return {name: found[name] for name in columns.measured}
 
 
-def matrices(columns: Columns, y: Float[np.ndarray, "T N N"]) -> list[np.ndarray]:
-    """The matrices (T, order, order) of each of the `bodies` in configurations on a group."""
+def matrices(columns: Columns, y: np.ndarray) -> list[np.ndarray]:
+    """The matrices (T, order, order) of each of the `bodies` in configurations."""
     parts = bodies(columns)
+    order = sum(body.order for body in parts)
+    together = np.asarray(y)[:, : order**2].reshape(-1, order, order) if columns.q else np.asarray(y)
     spans = [slice(corner, corner + body.order) for body, corner in zip(parts, _corners(parts), strict=True)]
-    return [np.asarray(y)[:, span, span] for span in spans]
+    return [together[:, span, span] for span in spans]
+
+
+def coordinates(columns: Columns, y: np.ndarray) -> Float[np.ndarray, "T n"]:
+    """The coordinates in configurations: all of one in coordinates, the last of one that has bodies too."""
+    y = np.asarray(y)
+    return y[:, y.shape[1] - len(columns.q) :] if columns.q else np.zeros((len(y), 0))
 
 
 def _corners(parts: tuple[Body, ...]) -> list[int]:

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 from covariant.geometry import AbstractManifold, Coordinates
 from covariant.geometry.lie import SE2, SE3, SO2, SO3
 from covariant.logs import ATTITUDES, Columns
-from covariant.models._mechanical import MechanicalSystem
+from covariant.models._mechanical import MechanicalSystem, check_model
 from covariant.models._source import Model
 from covariant.models._state_space import StateSpace
 

@@ -142,10 +142,7 @@ class Lagrangian(MechanicalSystem):
         inputs: int | None = None,
         parameters: dict[str, Parameter] | None = None,
     ):
-        n = len(coordinates) or None
-        if n and any(not 0 <= i < n for i in circles):
-            raise ValueError(f"circles {tuple(circles)} must be indices of the {n} coordinates, 0 to {n - 1}")
-        space = as_space(metric, Coordinates(tuple(circles), n))
+        space = as_space(metric, Coordinates(tuple(circles), len(coordinates) or None))
         named = {"coordinates": coordinates, "units": units, "inputs": inputs, "parameters": parameters}
         super().__init__(space, potential, force, dissipation, **named)
 
@@ -207,12 +204,16 @@ def no_potential(q):
     return jnp.zeros((), jnp.finfo(q.dtype).dtype)
 
 
-def check_model(model: MechanicalSystem) -> None:
+def check_model(model: MechanicalSystem, dimension: int | None = None) -> None:
     """Raise `ValueError` unless every function of the model has the shape that its configurations need.
 
-    The manifold must know the shape of a configuration, as coordinates do that are named.
+    `dimension`: the number of coordinates, for a model that does not name them.
     """
-    q = jax.eval_shape(model.manifold.origin)
+    known = dimension is None or None not in model.manifold.shape
+    q = jax.eval_shape(model.manifold.origin) if known else jax.ShapeDtypeStruct((dimension,), jnp.float64)
+    if any(not 0 <= i < q.shape[0] for i in model.circles):
+        count = q.shape[0]
+        raise ValueError(f"circles {model.circles} must be indices of the {count} coordinates, 0 to {count - 1}")
     v = jax.eval_shape(model.manifold.zero, q)
     n = v.shape[0]
     u = jax.ShapeDtypeStruct((n if model.inputs is None else model.inputs,), jnp.float64)
