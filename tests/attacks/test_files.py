@@ -342,8 +342,14 @@ NAMED = {
     "system with a line break": (put("recipe", "system", "a\u2028b"), r"recipe\.system must be a text"),
     "system of a dunder": (put("recipe", "system", "__class__"), "recipe: unknown system '__class__'"),
     "system null": (put("recipe", "system", None), r"recipe\.system must be a text"),
-    "system of another kind": (put("recipe", "system", "lorenz"), r"observer\.frame 'coordinates' needs a mechanical system"),
-    "system on a group": (put("recipe", "system", "heavy_top"), r"observer\.frame 'coordinates' .* makes a model in body"),
+    "system of another kind": (
+        put("recipe", "system", "lorenz"),
+        r"observer\.frame 'coordinates' needs a mechanical system",
+    ),
+    "system on a group": (
+        put("recipe", "system", "heavy_top"),
+        r"observer\.frame 'coordinates' .* makes a model in body",
+    ),
     "system of another size": (
         put("recipe", "system", "oscillator"),
         "box: the model has 4 variables; the box bounds 8",

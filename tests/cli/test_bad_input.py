@@ -217,7 +217,10 @@ BARE = ("log.csv", "-o", "out/v.csv")
         ((*ATTITUDE, "--q", "qw,qx,qy,qz"), ["--q", "on a group", "--set"]),
         ((*ATTITUDE, "--u", "u1"), ["3 inputs", "name 0 and 1"]),
         (("estimate", "hovercraft", *BARE, "--set", 'columns.matrix=["a"]'), ["no attitude", "position and angle"]),
-        ((*ATTITUDE, "--observer", "savitzky-golay"), ["savitzky-golay does not fit", "geodesic, copy, ekf, salcudean"]),
+        (
+            (*ATTITUDE, "--observer", "savitzky-golay"),
+            ["savitzky-golay does not fit", "geodesic, copy, ekf, salcudean"],
+        ),
         ((*ATTITUDE, "--observer", "ekf", "--alpha", "3", "--beta", "1"), ["ekf", "intrinsic, intrinsic2"]),
         ((*ATTITUDE, "--set", "measurement.std=0"), ["measurement.std", "positive"]),
         (("simulate", "top.toml", "-o", "out/l.csv", "--quantum", "1e-3"), ["--quantum", "group", "--noise"]),

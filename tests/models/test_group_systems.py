@@ -163,8 +163,14 @@ def both_fans(s, x):
     [
         ({"inertia": np.eye(2)}, r"inertia: the group needs a matrix \(3, 3\); got \(2, 2\)"),
         ({"inertia": np.diag([1.0, 1.0, -1.0])}, "positive definite; its least eigenvalue is -1"),
-        ({"potential": lambda g: g}, r"potential must return shape \(\) for configurations .* of 3 dimensions; it returned \(3, 3\)"),
-        ({"force": lambda t, g, u: u[:1]}, r"force must return shape \(3,\) for configurations .* of 3 dimensions; it returned \(1,\)"),
+        (
+            {"potential": lambda g: g},
+            r"potential must return shape \(\) for configurations .* of 3 dimensions; it returned \(3, 3\)",
+        ),
+        (
+            {"force": lambda t, g, u: u[:1]},
+            r"force must return shape \(3,\) for configurations .* of 3 dimensions; it returned \(1,\)",
+        ),
         ({"dissipation": lambda g, v: g @ v[:2]}, "dissipation cannot be evaluated with configurations"),
         ({"velocities": ("a", "b")}, "the group has 3 velocities; got 2 names"),
         ({"inputs": 2}, r"force must return shape \(3,\) for configurations .* of 3 dimensions; it returned \(2,\)"),

@@ -346,7 +346,7 @@ def _of_the_geometry(model: MechanicalSystem, states: States) -> dict[str, _Find
 
 
 def _invariance(model: MechanicalSystem, observer: AbstractFlowObserver, gains, states: States, errors) -> _Finding:
-    if not isinstance(model, InCoordinates):
+    if not model.manifold.commuting:
         return _Finding(None, reason="no chart: the observer on a group is written without coordinates")
     if own(observer, "model") is None:
         return _Finding(None, reason="the observer is written in one chart: it has no model to exchange")
@@ -368,7 +368,7 @@ def _second_order(relative: Float[np.ndarray, "e k"], errors: Float[np.ndarray, 
 
 def _row(model: MechanicalSystem, name: str, found: _Finding, points: Float[np.ndarray, "k two_n"]) -> Law:
     said = _STATEMENTS[name]
-    where = said.sources[isinstance(model, OnGroup)]
+    where = said.sources[not model.manifold.commuting]
     reason = said.reason if found.reason is None else found.reason
     tolerance = said.tolerance if found.tolerance is None else found.tolerance
     if found.deviations is None:

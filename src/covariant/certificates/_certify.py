@@ -486,7 +486,7 @@ def _domain(
 
 
 def _elements(model: MechanicalSystem, position: Bounds | None) -> Box:
-    order = model.manifold.shape[0]
+    order = model.manifold.origin().shape[0]
     names = tuple(f"g{i + 1}{j + 1}" for i, j in itertools.product(range(order), repeat=2))
     if position is None:
         if model.manifold not in (SO2, SO3):

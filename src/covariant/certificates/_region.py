@@ -68,11 +68,11 @@ def subject(observer: Intrinsics, q: TwoByTwo) -> Subject:
     space = observer.model.space
     if space.manifold.commuting:
         return _in_coordinates(observer, q)
-    if space.homogeneous:
+    if space.homogeneous and isinstance(observer, Intrinsic):
         return _in_the_body(observer, q)
     raise ValueError(
-        "regions are boxes of coordinates, or of velocities where the metric is the same everywhere; the metric of "
-        f"{type(observer.model).__name__} depends on where it is on {space.manifold}: not covered"
+        "a region is a box of coordinates, or for Intrinsic of velocities alone where the metric is the same "
+        f"everywhere; {type(observer).__name__} on {space.manifold} is not covered"
     )
 
 
@@ -201,7 +201,7 @@ def _in_coordinates(observer: Intrinsics, q: TwoByTwo) -> Subject:
     )
 
 
-def _in_the_body(observer: Intrinsics, q: TwoByTwo) -> Subject:
+def _in_the_body(observer: Intrinsic, q: TwoByTwo) -> Subject:
     model, space, manifold = observer.model, observer.model.space, observer.model.manifold
     _need_symmetry(model)
     origin = manifold.origin()

@@ -131,7 +131,7 @@ def projection(certificate: ContractionCertificate) -> Projection:
 
 def trade_off(certificate: ContractionCertificate, count: int = 40) -> TradeOff:
     """What the gains of a certificate's observer allow, from slow rates to nearly the fastest."""
-    alpha, beta = _gains(certificate)
+    alpha, beta = float(certificate.observer.alpha), float(certificate.observer.beta)
     fastest = -2 * float(np.linalg.eigvals(error_matrix(alpha, beta)).real.max())
     rates = fastest * np.linspace(0.02, 0.98, count)
     matrices = [optimal_lyapunov(alpha, beta, rate) for rate in rates]
@@ -299,7 +299,7 @@ class _Side:
 
     def chart(self, estimated: Motion, actual: Motion) -> tuple[Array, Array]:
         """Both where the metric can compare them."""
-        return tuple(self.coordinates(estimated, x) for x in (estimated, actual))
+        return self.coordinates(estimated, estimated), self.coordinates(estimated, actual)
 
     def place(self, x: Motion) -> Array:
         """The point of the region where the estimate is x and all else is zero."""

@@ -202,7 +202,7 @@ def _matrix_bounds(model: MechanicalSystem, text: str | None) -> tuple[np.ndarra
     """Least and largest entries of the matrices; those of rotations need none."""
     if text is None:
         return None
-    order = model.manifold.shape[0]
+    order = model.manifold.origin().shape[0]
     names = [f"g{i + 1}{j + 1}" for i in range(order) for j in range(order)]
     box = _parse.ends("--box", text, names, "matrix entry", equal=True)
     missing = [name for name in names if name not in box]

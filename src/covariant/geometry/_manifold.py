@@ -7,6 +7,7 @@ Source: Absil, Mahony & Sepulchre 2008, Optimization Algorithms on Matrix Manifo
 """
 
 import abc
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -306,7 +307,7 @@ class ProductManifold(AbstractManifold):
 
     @property
     def _sizes(self) -> list[int]:
-        return [int(np.prod(factor.shape)) for factor in self.factors]  # pyright: ignore[reportArgumentType]
+        return [math.prod(size or 0 for size in factor.shape) for factor in self.factors]
 
     @property
     def _dimensions(self) -> list[int]:

@@ -2,7 +2,6 @@
 
 import abc
 import dataclasses
-
 from collections.abc import Callable
 
 import equinox as eqx

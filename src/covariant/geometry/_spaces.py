@@ -26,14 +26,14 @@ def _found(velocity: Vector, arrival: Vector) -> Shot:
 class Euclidean(AbstractMetric):
     """Flat space in Cartesian coordinates."""
 
-    def __call__(self, q: Vector) -> Matrix:
-        return jnp.eye(q.shape[0], dtype=q.dtype)
+    def __call__(self, x: Vector) -> Matrix:
+        return jnp.eye(x.shape[0], dtype=x.dtype)
 
-    def connection(self, q: Vector, x: Vector, y: Vector) -> Vector:
-        return jnp.zeros_like(q)
+    def connection(self, x: Vector, a: Vector, b: Vector) -> Vector:
+        return jnp.zeros_like(x)
 
-    def curvature(self, q: Vector, x: Vector, y: Vector, z: Vector) -> Vector:
-        return jnp.zeros_like(q)
+    def curvature(self, x: Vector, a: Vector, b: Vector, c: Vector) -> Vector:
+        return jnp.zeros_like(x)
 
     def transport_along(self, p: Vector, velocity: Vector, w: Vectors, budget: Budget = Budget()) -> Transported:
         return Transported(p + velocity, velocity, w)
@@ -47,14 +47,14 @@ class FlatTorus(AbstractMetric):
 
     periods: Vector
 
-    def __call__(self, q: Vector) -> Matrix:
-        return jnp.eye(q.shape[0], dtype=q.dtype)
+    def __call__(self, x: Vector) -> Matrix:
+        return jnp.eye(x.shape[0], dtype=x.dtype)
 
-    def connection(self, q: Vector, x: Vector, y: Vector) -> Vector:
-        return jnp.zeros_like(q)
+    def connection(self, x: Vector, a: Vector, b: Vector) -> Vector:
+        return jnp.zeros_like(x)
 
-    def curvature(self, q: Vector, x: Vector, y: Vector, z: Vector) -> Vector:
-        return jnp.zeros_like(q)
+    def curvature(self, x: Vector, a: Vector, b: Vector, c: Vector) -> Vector:
+        return jnp.zeros_like(x)
 
     def transport_along(self, p: Vector, velocity: Vector, w: Vectors, budget: Budget = Budget()) -> Transported:
         return Transported(p + velocity, velocity, w)
@@ -70,14 +70,14 @@ class ConstantCurvature(AbstractMetric):
 
     k: float = eqx.field(static=True, converter=float)
 
-    def __call__(self, q: Vector) -> Matrix:
-        return self._scale(q) ** 2 * jnp.eye(q.shape[0], dtype=q.dtype)
+    def __call__(self, x: Vector) -> Matrix:
+        return self._scale(x) ** 2 * jnp.eye(x.shape[0], dtype=x.dtype)
 
-    def connection(self, q: Vector, x: Vector, y: Vector) -> Vector:
-        return -self.k * self._scale(q) * ((q @ x) * y + (q @ y) * x - (x @ y) * q)
+    def connection(self, x: Vector, a: Vector, b: Vector) -> Vector:
+        return -self.k * self._scale(x) * ((x @ a) * b + (x @ b) * a - (a @ b) * x)
 
-    def curvature(self, q: Vector, x: Vector, y: Vector, z: Vector) -> Vector:
-        return self.k * self._scale(q) ** 2 * ((y @ z) * x - (x @ z) * y)
+    def curvature(self, x: Vector, a: Vector, b: Vector, c: Vector) -> Vector:
+        return self.k * self._scale(x) ** 2 * ((b @ c) * a - (a @ c) * b)
 
     def transport_along(self, p: Vector, velocity: Vector, w: Vectors, budget: Budget = Budget()) -> Transported:
         middle, end = self._reach(p, velocity / 2), self._reach(p, velocity)
@@ -180,19 +180,19 @@ class Pullback(AbstractMetric):
     forward: Callable[[Array], Array]
     inverse: Callable[[Array], Array]
 
-    def __call__(self, q: Vector) -> Matrix:
-        jacobian = jax.jacfwd(self.forward)(q)
-        return jacobian.T @ self.space(self.forward(q)) @ jacobian
+    def __call__(self, x: Vector) -> Matrix:
+        jacobian = jax.jacfwd(self.forward)(x)
+        return jacobian.T @ self.space(self.forward(x)) @ jacobian
 
-    def connection(self, q: Vector, x: Vector, y: Vector) -> Vector:
-        """`Γ̄(x, y) = Dφ⁻¹ [Γ(Dφ x, Dφ y) + D²φ(x, y)]`."""
-        old, along_x, along_y = self.forward(q), self._push(q, x), self._push(q, y)
-        second = jax.jvp(lambda p: self._push(p, y), (q,), (x,))[1]
-        return self._pull(old, self.space.connection(old, along_x, along_y) + second)
+    def connection(self, x: Vector, a: Vector, b: Vector) -> Vector:
+        """`Γ̄(a, b) = Dφ⁻¹ [Γ(Dφ a, Dφ b) + D²φ(a, b)]`."""
+        old, along_a, along_b = self.forward(x), self._push(x, a), self._push(x, b)
+        second = jax.jvp(lambda p: self._push(p, b), (x,), (a,))[1]
+        return self._pull(old, self.space.connection(old, along_a, along_b) + second)
 
-    def curvature(self, q: Vector, x: Vector, y: Vector, z: Vector) -> Vector:
-        old = self.forward(q)
-        turned = self.space.curvature(old, self._push(q, x), self._push(q, y), self._push(q, z))
+    def curvature(self, x: Vector, a: Vector, b: Vector, c: Vector) -> Vector:
+        old = self.forward(x)
+        turned = self.space.curvature(old, self._push(x, a), self._push(x, b), self._push(x, c))
         return self._pull(old, turned)
 
     def transport_along(self, p: Vector, velocity: Vector, w: Vectors, budget: Budget = Budget()) -> Transported:
@@ -223,14 +223,14 @@ class Product(AbstractMetric):
         if len(self.spaces) != len(self.sizes):
             raise ValueError(f"Product: {len(self.spaces)} spaces but {len(self.sizes)} sizes; give one size a space.")
 
-    def __call__(self, q: Vector) -> Matrix:
-        return jax.scipy.linalg.block_diag(*(space(part) for space, part in self._each(q)))
+    def __call__(self, x: Vector) -> Matrix:
+        return jax.scipy.linalg.block_diag(*(space(part) for space, part in self._each(x)))
 
-    def connection(self, q: Vector, x: Vector, y: Vector) -> Vector:
-        return jnp.concatenate([space.connection(*parts) for space, *parts in self._each(q, x, y)])
+    def connection(self, x: Vector, a: Vector, b: Vector) -> Vector:
+        return jnp.concatenate([space.connection(*parts) for space, *parts in self._each(x, a, b)])
 
-    def curvature(self, q: Vector, x: Vector, y: Vector, z: Vector) -> Vector:
-        return jnp.concatenate([space.curvature(*parts) for space, *parts in self._each(q, x, y, z)])
+    def curvature(self, x: Vector, a: Vector, b: Vector, c: Vector) -> Vector:
+        return jnp.concatenate([space.curvature(*parts) for space, *parts in self._each(x, a, b, c)])
 
     def transport_along(self, p: Vector, velocity: Vector, w: Vectors, budget: Budget = Budget()) -> Transported:
         ends = [space.transport_along(*parts, budget) for space, *parts in self._each(p, velocity, w)]

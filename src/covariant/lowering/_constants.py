@@ -4,7 +4,7 @@ Only what moves entries about, decides, or is one correctly rounded IEEE operati
 else is left to JAX itself.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 
-def compute(eqn, values: list[np.ndarray]) -> list[np.ndarray]:
+def compute(eqn, values: Sequence[Any]) -> list[Any]:
     """The outputs of an equation of a jaxpr."""
     rule = _RULES.get(eqn.primitive.name)
     outputs = [atom.aval for atom in eqn.outvars]

@@ -25,7 +25,7 @@ class _Needs(NamedTuple):
         return f"name {' and '.join(keys)} instead"
 
 
-_NEEDS = {SO3: _Needs(0, True, 0), SE3: _Needs(3, True, 0), SE2: _Needs(2, False, 1), SO2: _Needs(0, False, 1)}
+_NEEDS = ((SO3, _Needs(0, True, 0)), (SE3, _Needs(3, True, 0)), (SE2, _Needs(2, False, 1)), (SO2, _Needs(0, False, 1)))
 
 
 def model_columns(model: Model, loaded: Columns, given: dict[str, Any]) -> Columns:
@@ -110,14 +110,14 @@ def _needs(manifold: AbstractManifold) -> _Needs:
     if manifold.commuting:
         return _Needs()
     first, *rest = _factors(manifold)
-    joints = [part.dimension for part in rest if isinstance(part, Coordinates)]
+    needs = next((needs for group, needs in _NEEDS if group == first), None)
+    joints = [part.dimension or 0 for part in rest if isinstance(part, Coordinates)]
     wheels = [part for part in rest if part == SO2]
-    if first not in _NEEDS or len(joints) > 1 or len(joints) + len(wheels) < len(rest):
+    if needs is None or len(joints) > 1 or len(joints) + len(wheels) < len(rest):
         raise ValueError(
             f"logs hold one attitude or pose, and angles or coordinates after it: SO3, SE3, SE2, SO2, or one of them "
             f"times SO2s or Coordinates; the model is on {manifold}, so use it from Python"
         )
-    needs = _NEEDS[first]
     return needs._replace(angle=needs.angle + len(wheels), q=sum(joints))
 
 

@@ -266,14 +266,21 @@ def energy(model: MechanicalSystem, q: Array, v: Vector) -> Scalar:
     return model.space.inner(q, v, v) / 2 + model.potential(q)
 
 
-def spatial_momentum(system: GroupSystem, g: Element, v: Vector) -> Vector:
-    """`Ad*_{g⁻¹} I v`: the momentum as seen from outside, constant where no force acts."""
-    return system.group.coadjoint_action(system.group.inverse(g), system.space.lower(g, v))
+def spatial_momentum(system: MechanicalSystem, g: Element, v: Vector) -> Vector:
+    """`Ad*_{g⁻¹} I v` on a group: the momentum as seen from outside, constant where no force acts."""
+    group = _group_of(system)
+    return group.coadjoint_action(group.inverse(g), system.space.lower(g, v))
 
 
-def body_velocity(system: GroupSystem, g: Element, momentum: Vector) -> Vector:
-    """The body velocity v that has this spatial momentum at g."""
-    return system.space.raise_(g, system.group.coadjoint_action(g, momentum))
+def body_velocity(system: MechanicalSystem, g: Element, momentum: Vector) -> Vector:
+    """The body velocity v that has this spatial momentum at g, on a group."""
+    return system.space.raise_(g, _group_of(system).coadjoint_action(g, momentum))
+
+
+def _group_of(system: MechanicalSystem) -> AbstractGroup:
+    if not isinstance(system.manifold, AbstractGroup):
+        raise ValueError(f"the momentum in space is that of a system on a group; this one is on {system.manifold}")
+    return system.manifold
 
 
 Push = Callable[[Scalar, Any], Array]

@@ -61,6 +61,13 @@ class StateSpace(eqx.Module):
             self.outputs = self.outputs or tuple(f"y{i + 1}" for i in range(count))
 
     @property
+    def velocities(self) -> tuple[str, ...]:
+        """Names of velocities: a state-space model has none of its own."""
+        return ()
+
+    velocity_units = velocities
+
+    @property
     def manifold(self) -> Coordinates:
         """Where the outputs live."""
         return Coordinates(self.circles, len(self.outputs))

@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 
 from covariant._typing import Number, Scalar, Vector
 from covariant.geometry.lie import SO3, quaternion_from_rotation
-from covariant.models import GroupSystem, Motion, applied_force, body_velocity, spatial_momentum
+from covariant.models import MechanicalSystem, Motion, applied_force, body_velocity, spatial_momentum
 from covariant.observers._protocol import (
     AbstractFlowObserver,
     Held,
@@ -37,7 +37,7 @@ class SalcudeanState(NamedTuple):
 
 
 class Salcudean(AbstractFlowObserver):
-    """For a `GroupSystem` on SO(3), with e the vector of the unit quaternion of `R R̂ᵀ` (e₀ ≥ 0):
+    """For a system on SO(3), with e the vector of the unit quaternion of `R R̂ᵀ` (e₀ ≥ 0):
 
         R̂' = hat(ω̂) R̂,   ω̂ = I₀⁻¹(ĥ + k_v e),   ĥ' = torque + ½ k_p I₀⁻¹ e,   I₀ = R I Rᵀ, all in space
 
@@ -51,7 +51,7 @@ class Salcudean(AbstractFlowObserver):
     gains that are not positive and finite.
     """
 
-    model: GroupSystem
+    model: MechanicalSystem
     kp: Number
     kv: Number
     substeps: int | None = eqx.field(default=None, static=True)

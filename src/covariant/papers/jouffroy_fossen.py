@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from covariant import models
+from covariant import geometry, models
 from covariant._integrate import rk4
 from covariant.certificates import (
     Box,
@@ -37,6 +37,7 @@ from covariant.observers import (
     Contracting,
     FilteredDerivative,
     InformationEKF,
+    Intrinsic,
     PassiveShip,
     craft_observer,
     lyapunov_gains,

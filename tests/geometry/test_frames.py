@@ -1,0 +1,227 @@
+"""Spaces in a frame that no coordinates have: where the arguments of a connection do not commute, and a metric varies.
+
+The laws are those of every space; what they are held against is derivatives along the frame, not another formula.
+"""
+
+from functools import cache
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from covariant import geometry, models
+from covariant.geometry import Budget, Coordinates, Metric, ProductManifold, derivative, lie
+from covariant.signals import Result
+
+BUDGET = Budget(steps=12)
+
+
+def uneven(n):
+    """A metric that changes with every entry of the configuration."""
+    rng = np.random.default_rng(7)
+    weights = jnp.asarray(0.15 * rng.normal(size=(n, n, 40)))
+
+    def matrix(x):
+        flat = x.ravel()
+        factor = jnp.eye(n) + weights[:, :, : flat.shape[0]] @ jnp.sin(flat)
+        return factor.T @ factor
+
+    return matrix
+
+
+MIXED = ProductManifold((lie.SE2, Coordinates((0,), 2)))
+SPACES = {
+    "uneven, SO(3)": lambda: Metric(uneven(3), manifold=lie.SO3),
+    "uneven, SE(2) x coordinates": lambda: Metric(uneven(5), manifold=MIXED),
+    "arm, SE(3) x joints": lambda: models.satellite_arm().space,
+    "coordinates": lambda: models.ball_and_beam().space,
+}
+
+
+class Sample(NamedTuple):
+    """A space, a configuration, and four vectors there."""
+
+    space: geometry.AbstractSpace
+    manifold: geometry.AbstractManifold
+    x: jax.Array
+    a: jax.Array
+    b: jax.Array
+    c: jax.Array
+    d: jax.Array
+
+
+@cache
+def sample(name) -> Sample:
+    space = SPACES[name]()
+    manifold = space.manifold
+    n = manifold.zero(manifold.origin()).shape[0]
+    s, *vectors = 0.5 * np.random.default_rng(1).normal(size=(5, n))
+    return Sample(space, manifold, manifold.retract(manifold.origin(), jnp.asarray(s)), *map(jnp.asarray, vectors))
+
+
+@pytest.fixture(params=SPACES)
+def at(request) -> Sample:
+    return sample(request.param)
+
+
+def close(found: Any, expected: Any, tolerance: float = 1e-11):
+    scale = max(1.0, np.abs(np.asarray(expected)).max())
+    np.testing.assert_allclose(found, expected, rtol=0, atol=tolerance * scale)
+
+
+# Manifolds
+
+
+def test_the_retraction_starts_along_the_frame(at):
+    slope = jax.jvp(lambda t: at.manifold.retract(at.x, t * at.a), (jnp.zeros(()),), (jnp.ones(()),))[1]
+    close(slope, at.manifold.tangent(at.x, at.a))
+    close(at.manifold.components(at.x, slope), at.a)
+
+
+def test_local_undoes_the_retraction(at):
+    close(at.manifold.local(at.x, at.manifold.retract(at.x, at.a)), at.a)
+
+
+def test_the_velocity_of_a_curve_is_that_of_its_array(at):
+    y, rate = jax.jvp(lambda s: at.manifold.retract(at.x, s), (at.a,), (at.b,))
+    close(at.manifold.frame_velocity(at.x, at.a, at.b), at.manifold.components(y, rate))
+    close(at.manifold.local_rate(at.x, at.a, at.manifold.frame_velocity(at.x, at.a, at.b)), at.b)
+
+
+def test_the_bracket_is_that_of_the_frames_fields(at):
+    def along(one, two):
+        return jax.jvp(lambda y: at.manifold.tangent(y, two), (at.x,), (at.manifold.tangent(at.x, one),))[1]
+
+    close(at.manifold.bracket(at.x, at.a, at.b), at.manifold.components(at.x, along(at.a, at.b) - along(at.b, at.a)))
+
+
+def test_how_a_retraction_bends_is_the_change_of_its_velocity(at):
+    """`Q(a, a)`, by differences of the velocity along `t ↦ retract(x, t a)`."""
+
+    def velocity(t):
+        y, rate = jax.jvp(lambda t: at.manifold.retract(at.x, t * at.a), (t,), (jnp.ones(()),))
+        return at.manifold.components(y, rate)
+
+    change = (velocity(jnp.asarray(1e-4)) - velocity(jnp.asarray(-1e-4))) / 2e-4
+    close(at.manifold.retraction_acceleration(at.x, at.a), change, 1e-7)
+
+
+def test_a_momentum_that_is_carried_keeps_its_work_on_a_common_motion(at):
+    """Of the velocities that a motion of the whole space, seen from both ends, has there."""
+    y = at.manifold.retract(at.x, at.a)
+    moved = at.manifold.carried_momentum(at.x, at.a, at.b)
+    close(at.manifold.carried_momentum(y, -at.a, moved), at.b)
+    if at.manifold.commuting:
+        close(moved, at.b)
+
+
+@pytest.mark.parametrize("n", [0, 3, 9, 10])
+def test_what_is_missing_of_a_product_is_missing_of_its_factor(n):
+    """The pose as a whole, a coordinate alone."""
+    x = MIXED.retract(MIXED.origin(), jnp.arange(5.0) / 10)
+    y = MIXED.retract(x, jnp.array([0.1, -0.2, 0.3, 6.0, 0.4])).at[n].set(jnp.nan)
+    gone = np.array([n < 9] * 3 + [n == 9, n == 10])
+    np.testing.assert_array_equal(MIXED.missing(y), gone)
+    expected = np.where(gone, 0.0, [0.1, -0.2, 0.3, 6.0 - 2 * np.pi, 0.4])
+    close(MIXED.towards(x, y), expected, 1e-13)
+    close(MIXED.retract(x, jnp.asarray(expected)), MIXED.measured(x, y), 1e-13)
+
+
+@pytest.mark.parametrize(
+    ("manifold", "y", "word"),
+    [
+        (Coordinates(dimension=2), np.zeros(3), r"\(2\); got \(3,\)"),
+        (Coordinates(), np.zeros((3, 1)), r"\(n\); got \(3, 1\)"),
+        (lie.SO3, np.zeros(4), r"\(3, 3\); got \(4,\)"),
+        (MIXED, np.zeros((4, 4)), r"\(11\); got \(4, 4\)"),
+    ],
+)
+def test_what_is_no_configuration_is_named(manifold, y, word):
+    with pytest.raises(ValueError, match=word):
+        manifold.checked(jnp.asarray(y))
+
+
+def test_a_product_needs_to_know_its_factors():
+    with pytest.raises(ValueError, match="dimension"):
+        ProductManifold((lie.SO3, Coordinates()))
+    with pytest.raises(ValueError, match="at least one"):
+        ProductManifold(())
+
+
+# Metrics
+
+
+@pytest.fixture(scope="module")
+def bent():
+    """Connection and curvature of the samples, compiled once."""
+
+    @cache
+    def operations(name):
+        space = sample(name).space
+        return jax.jit(space.connection), jax.jit(space.curvature)
+
+    return operations
+
+
+@pytest.fixture(params=SPACES)
+def both(request, bent):
+    return sample(request.param), *bent(request.param)
+
+
+def test_lowering_is_symmetric_and_raising_undoes_it(at):
+    g = np.asarray(at.space(at.x))
+    close(g, g.T)
+    assert np.linalg.eigvalsh(g).min() > 0
+    close(at.space.lower(at.x, at.a), g @ at.a)
+    close(at.space.raise_(at.x, at.space.lower(at.x, at.a)), at.a)
+
+
+def test_the_connection_has_the_frames_torsion(both):
+    at, b, _ = both
+    close(b(at.x, at.a, at.b) - b(at.x, at.b, at.a), at.manifold.bracket(at.x, at.a, at.b))
+
+
+def test_the_connection_is_metric(both):
+    at, b, _ = both
+    change = derivative(at.manifold, lambda y: at.space.inner(y, at.b, at.c), at.x, at.a)
+    turned = at.space.inner(at.x, b(at.x, at.a, at.b), at.c) + at.space.inner(at.x, at.b, b(at.x, at.a, at.c))
+    close(turned, change)
+
+
+def test_free_motion_is_hamels(both):
+    """`M B(v, v) = (∂_v M)v − ½∂<v, v> − ad*_v M v`, as the momentum's equation has it."""
+    at, b, _ = both
+    change = derivative(at.manifold, lambda y: at.space.lower(y, at.a), at.x, at.a)
+    momentum = at.space.lower(at.x, at.a)
+    turned = jax.linear_transpose(lambda v: at.manifold.bracket(at.x, at.a, v), at.a)(momentum)[0]
+    force = change - at.space.kinetic_force(at.x, at.a) - turned
+    close(at.space.lower(at.x, b(at.x, at.a, at.a)), force)
+
+
+def test_the_curvature_has_its_symmetries(both):
+    at, _, curvature = both
+
+    def r(a, b, c):
+        return curvature(at.x, a, b, c)
+
+    def full(a, b, c, d):
+        return at.space.inner(at.x, r(a, b, c), d)
+
+    a, b, c, d = at.a, at.b, at.c, at.d
+    close(r(a, b, c), -r(b, a, c), 1e-10)
+    close(full(a, b, c, d), -full(a, b, d, c), 1e-10)
+    close(full(a, b, c, d), full(c, d, a, b), 1e-10)
+    close(r(a, b, c) + r(b, c, a) + r(c, a, b), jnp.zeros_like(a), 1e-10)
+
+
+def test_geodesics_keep_lengths_and_are_found_again(at):
+    w = jnp.stack([at.a, at.b])
+    end = jax.jit(lambda x: at.space.transport_along(x, 0.5 * at.a, w, BUDGET))(at.x)
+    close(at.space.gram(end.q, end.w), at.space.gram(at.x, w), 1e-9)
+    close(end.velocity, 0.5 * end.w[0], 1e-9)
+    shot = jax.jit(lambda x, y: at.space.shoot(x, y, None, Budget(newton=4, steps=12)))(at.x, end.q)
+    assert shot.result == Result.OK
+    close(shot.velocity, 0.5 * at.a, 1e-6)
+    close(shot.arrival, end.velocity, 1e-6)
