@@ -25,7 +25,6 @@ from covariant.certificates._saved import observer_from, value_graph
 from covariant.certificates._taylor import Enclosure, definite, show_definite
 from covariant.geometry import lie
 from covariant.observers import Intrinsic
-from covariant.observers import _intrinsic as intrinsic
 
 SOURCE = Path(_taylor.__file__)
 
@@ -395,8 +394,8 @@ def test_the_curvature_is_needed(beam, tmp_path):
 
 
 def test_the_sign_as_printed_is_refused(beam, tmp_path, monkeypatch):
-    right = intrinsic.curvature
-    monkeypatch.setattr(intrinsic, "curvature", lambda *given: -right(*given))
+    right = Intrinsic.bend
+    monkeypatch.setattr(Intrinsic, "bend", lambda self, at, drive, *given: 2 * drive - right(self, at, drive, *given))
     with pytest.raises(ValueError, match="graph: it must be the one that the observer has"):
         check(beam)
     with pytest.raises(ValueError, match=r"claims\[0\] is not shown to hold where"):
@@ -527,8 +526,7 @@ def test_the_checker_shares_nothing_with_the_prover(module):
         "covariant.certificates._saved.value_graph",
         "covariant.lowering.STUMPFF",
         "covariant.models.applied_force",
-        "covariant.models.GroupSystem",
-        "covariant.models.Lagrangian",
+        "covariant.models.MechanicalSystem",
     }
     assert {name for name in own if not name.startswith("covariant.certificates._taylor.")} <= allowed
 
