@@ -51,13 +51,13 @@ PUBLIC = {
     "FlatTorus Interpolated KineticEnergy Metric Product ProductManifold Pullback Shot Transported "
     "as_space christoffel connection curvature derivative differential distance exp gradient hyperbolic "
     "inner log norm shoot sphere transport transport_along wrap",
-    "geometry.lie": "SE2 SE3 SO2 SO3 SU AbstractGroup AbstractInertia Inertia LeftInvariant "
-    "MatrixGroup Product quaternion_from_rotation rotation_from_quaternion",
+    "geometry.lie": "SE2 SE3 SO2 SO3 SU AbstractGroup AbstractInertia Inertia LeftInvariant MatrixGroup Product "
+    "quaternion_from_rotation rotation_from_quaternion",
     "interop": "closed_loop observer_system plant",
     "lowering": "FOLD INTERVALS NUMBERS STUMPFF Condition Conditions Derivative Domain Enclosure Graph Interval "
     "Lowered LoweringError Node Truth enclose evaluate expand fulfilled graft lower numbers pairs stumpff substitute",
     "logs": "ATTITUDES Body Columns Log LogError bodies coordinates matrices read to_columns write",
-    "models": "GroupSystem Lagrangian MechanicalSystem MomentumChart ModelError ModelFile Motion Parameter "
+    "models": "GroupSystem Lagrangian MechanicalSystem ModelError ModelFile MomentumChart Motion Parameter "
     "StateSpace acceleration advance applied_force ball_and_beam bioreactor body_velocity check_metric "
     "check_model duffing energy free_body friction from_recipe heavy_top hovercraft induction_motor load "
     "lorenz oscillator pendulum_chain recipe satellite satellite_arm source spatial_momentum state_space "
@@ -66,7 +66,7 @@ PUBLIC = {
     "manoeuvring_ship odin odin_on_group supply_vessel surface_ship yaw_rotation",
     "observers": "EKF AbstractFlowObserver AbstractMechanicalObserver AbstractObserver Contracting ContractingState "
     "Copy EKFInfo EKFState Estimate FilterInfo FilteredDerivative FilteredState Geodesic GeodesicInfo "
-    "GeodesicState Info HeldState InformationEKF InformationState Intrinsic MechanicalState PassiveGains "
+    "GeodesicState HeldState Info InformationEKF InformationState Intrinsic MechanicalState PassiveGains "
     "PassiveShip Riccati Salcudean SalcudeanState SavitzkyGolay WindowState continuous craft_observer "
     "lyapunov_gains lyapunov_rate notch_gains printed_rate run second_order",
     "report": "PALETTE EstimateReport draw_audit draw_certificate new_figure save_figure table write_article "

@@ -87,7 +87,7 @@ class Bent(AbstractMetric):
     def __call__(self, q):
         return sphere()(q)
 
-    def christoffel(self, q, x, y):
+    def connection(self, q, x, y):
         found = (1 - 0.1 * self.spoil[0]) * sphere().connection(q, x, y)
         return found + 0.1 * self.spoil[1] * x[0] * y[::-1] * jnp.array([1.0, -1.0])
 

@@ -220,7 +220,7 @@ def check_model(model: MechanicalSystem, dimension: int | None = None) -> None:
     t = jax.ShapeDtypeStruct((), jnp.float64)
     whom = f"{n} coordinates" if model.manifold.commuting else f"configurations {q.shape} of {n} dimensions"
     functions = (
-        ("metric", model.space, (q,), (n, n)),
+        ("metric", getattr(model.space, "matrix", model.space), (q,), (n, n)),
         ("potential", model.potential, (q,), ()),
         ("force", model.force, (t, q, u), (n,)),
         ("dissipation", model.dissipation, (q, v), (n,)),
