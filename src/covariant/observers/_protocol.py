@@ -202,8 +202,11 @@ def _fault(u: Array, y: Array, dt: Scalar) -> Code:
 
 
 def outcome(q: Array, v: Array, y: Array, result: Code | int = Result.OK) -> Code:
-    """Result code of a step: not finite beats coasted beats the step's own."""
-    finite = jnp.all(jnp.isfinite(q)) & jnp.all(jnp.isfinite(v))
+    """Result code of a step: not finite beats coasted beats the step's own.
+
+    A position so large that its unit has no digit left counts as not finite: differences of it mean nothing any more.
+    """
+    finite = jnp.all(jnp.abs(q) < 1 / jnp.finfo(q.dtype).eps) & jnp.all(jnp.isfinite(v))
     measured = jnp.where(jnp.any(jnp.isnan(y)), int(Result.COASTED), result)
     return jnp.where(finite, measured, int(Result.NOT_FINITE)).astype(jnp.int32)
 
