@@ -69,6 +69,8 @@ RELEVANT = {
     "certificates/_prove.py": "certificates/test_proofs",
     "certificates/_balls.py": "certificates/test_check",
     "certificates/_taylor.py": "certificates/test_check",
+    "certificates/_matrices.py": "certificates/test_check",
+    "certificates/_document.py": "attacks/test_files certificates/test_check",
     "certificates/_saved.py": "certificates/test_check",
     "certificates/_show.py": "certificates/test_check",
     "certificates/_ce*.py": "certificates/test_check certificates/test_shipped_certificates",

@@ -275,6 +275,17 @@ def test_a_prover_that_forgets_how_large_a_box_is_would_be_wrong(monkeypatch):
 honest_definite = prover.definite
 
 
+def test_where_nothing_is_bounded_the_middle_of_a_box_says_which_variable_to_halve():
+    """Only x matters, at whose zero there is a kink; the slope in y, none in the middle, is steep at the border."""
+
+    def matrix(z):
+        return jnp.reshape(1 + jnp.abs(z[0]) - 0.99 * z[0] + z[1] ** 4 / 10, (1, 1))
+
+    found = prove(matrix, box(x=(-1.0, 3.0), y=(-1.0, 1.0)))
+    assert found.verdict == "holds"
+    assert [level.tolist() for level in found.levels] == [[0], [-1, -1]]
+
+
 def test_open_boxes_and_progress_are_told():
     told = []
     found = prove(
