@@ -34,6 +34,18 @@ SOURCE = Path(_taylor.__file__)
 
 # Enclosures hold the functions, and a source with a mistake in it is found out.
 
+
+def loop(z):
+    """Through the entries and back: what is carried on, what is kept at each, and what stays as it is."""
+
+    def step(total, x):
+        return total / 2 + x * z[1], total - x
+
+    total, kept = jax.lax.scan(step, z[0], z)
+    total, kept = jax.lax.scan(step, total, kept, reverse=True)
+    return total + kept @ jnp.array([1.0, 2.0, 3.0])
+
+
 SCALARS = {
     "product": lambda z: z[0] * z[1] * z[2] + z[0] ** 3,
     "quotient": lambda z: (z[0] + z[1]) / (3 + z[2] * z[0]),
@@ -49,6 +61,7 @@ SCALARS = {
     "matrix": lambda z: (jnp.outer(z, z) @ jnp.eye(3) @ jnp.diag(z)).T[0].sum() + z[::-1][jnp.array([0, 2])] @ z[:2],
     "rotation": lambda z: lie.SO3.log(lie.SO3.exp(z / 4) @ lie.SO3.exp(jnp.array([0.4, 0.5, 0.6])))[1],
     "trigonometric or hyperbolic": lambda z: sum(stumpff(k, 4 + 4 * z[0] + z[1] * z[2]) for k in range(3)),
+    "loop": loop,
     "kinks": lambda z: jnp.abs(z[0] - 0.3) * jnp.sign(z[1]) + jnp.maximum(z[0], z[1]) - jnp.clip(z[2], -0.2, 0.2),
     "clamped": lambda z: jax.lax.clamp(-0.3, z[0], 0.2) + jax.lax.clamp(-0.2, z[1] * z[2], 0.1),
     "branches": lambda z: jnp.where((z[0] < 0) & ~(z[1] >= z[2]) | jnp.any(z > 0.5), z[1], 0.2) + jnp.floor(z[0] + 0.4),
@@ -153,6 +166,12 @@ def exact_gap(module, numbers):
     return abs(Fraction(float(found.middle[0])) - (a * b + c * d - a)) - Fraction(float(found.radius[0]))
 
 
+def test_sums_and_products_are_no_less_exact_than_they_must_be():
+    a, b = _taylor.number(np.array([1.0]), 1e-3), _taylor.number(np.array([2.0]), 2e-3)
+    for found, radius in ((a + b, 3e-3), (a - b, 3e-3), (a * b, 4e-3 + 2e-6)):
+        np.testing.assert_allclose(found.radius, radius, rtol=1e-8)
+
+
 INDEFINITE = {
     "touches zero": (lambda z: jnp.diag(jnp.stack([1 - z[0], 2 + z[1]])), 1.0),
     "singular": (lambda z: jnp.array([[1.0, 1 / 3], [1 / 3, 1 / 9]]) * (2 + z[0] * z[1]), 0.1),
@@ -185,6 +204,14 @@ def test_matrices_that_are_definite_are_shown_to_be_after_halving():
     show_definite(enclosure, low, high, 12, "it")
     with pytest.raises(ValueError, match=r"it is not shown to hold where the variables are -2 to -1\.5, -1 to 1"):
         show_definite(enclosure, low, high, 2, "it")
+
+
+def test_boxes_that_take_different_branches_are_shown_apart():
+    low, high = np.array([[0.1, 0.5], [0.5, 0.1]]), np.array([[0.2, 0.6], [0.6, 0.2]])
+    enclosure = Enclosure(lambda z: z[jnp.argmax(z)][None, None], low.min(0), high.max(0), np.zeros(2))
+    with pytest.raises(_taylor.UndecidedError):
+        enclosure(low, high)
+    show_definite(enclosure, low, high, 0, "it")
 
 
 MUTANTS = [

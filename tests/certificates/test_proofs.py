@@ -54,6 +54,10 @@ def test_matrices_that_are_and_are_not_definite():
     assert np.linalg.eigvalsh(np.asarray(disc(jnp.asarray(wrong.counterexample[0]))))[0] < 0
 
 
+def test_a_box_is_told_with_both_its_bounds():
+    assert str(box(x=(-1.0, 2.0, "m"), y=(0.0, 0.5))) == "-1 ≤ x ≤ 2 m, 0 ≤ y ≤ 0.5"
+
+
 @pytest.mark.parametrize("small", [-1e-17, 0.0, -1e-300])
 def test_an_eigenvalue_that_is_not_positive_is_never_proved(small):
     def turned(z):
