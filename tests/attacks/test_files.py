@@ -7,7 +7,9 @@ import re
 import sys
 from pathlib import Path
 
+import jax
 import pytest
+from jax.experimental.compilation_cache import compilation_cache
 
 from covariant import models
 from covariant.certificates import ContractionCertificate
@@ -19,6 +21,17 @@ from covariant.models import _source
 SHIPPED = Path(__file__).parents[2] / "examples/certificates"
 BEAM = (SHIPPED / "ball_and_beam.json").read_text(encoding="utf-8")
 TOP = (SHIPPED / "heavy_top.json").read_text(encoding="utf-8")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def no_programs_are_kept():
+    """Where somebody keeps compiled programs in a folder, that they are read from there would be seen as well."""
+    kept = jax.config.jax_enable_compilation_cache  # pyright: ignore[reportAttributeAccessIssue]
+    for enabled in (False, kept):
+        jax.config.update("jax_enable_compilation_cache", enabled)
+        compilation_cache.reset_cache()
+        if not enabled:
+            yield
 
 
 # What happens while a file is read, as the interpreter sees it.

@@ -9,6 +9,7 @@ import types
 from fractions import Fraction
 from pathlib import Path
 
+import jax
 import jax.numpy as jnp
 import mpmath
 import numpy as np
@@ -18,18 +19,31 @@ from hypothesis import strategies as st
 
 from covariant import models
 from covariant.certificates import _balls, _certify, _check, _matrices, _taylor, certify
-from covariant.certificates._check import check
+from covariant.certificates._check import check, follows
 from covariant.certificates._document import digest, parse
 from covariant.certificates._region import subject
 from covariant.certificates._saved import observer_from, value_graph
 from covariant.certificates._taylor import Enclosure, definite, show_definite
 from covariant.geometry import lie
+from covariant.lowering import stumpff
 from covariant.observers import Intrinsic
 
 SOURCE = Path(_taylor.__file__)
 
 
 # Enclosures hold the functions, and a source with a mistake in it is found out.
+
+
+def loop(z):
+    """Through the entries and back: what is carried on, what is kept at each, and what stays as it is."""
+
+    def step(total, x):
+        return total / 2 + x * z[1], total - x
+
+    total, kept = jax.lax.scan(step, z[0], z)
+    total, kept = jax.lax.scan(step, total, kept, reverse=True)
+    return total + kept @ jnp.array([1.0, 2.0, 3.0])
+
 
 SCALARS = {
     "product": lambda z: z[0] * z[1] * z[2] + z[0] ** 3,
@@ -40,10 +54,15 @@ SCALARS = {
     "root": lambda z: jnp.sqrt(2.2 + z[0] * z[1] + z[2]),
     "exponential": lambda z: jnp.exp(z[0] - z[1] ** 2) + jnp.tanh(z[2]),
     "logarithm": lambda z: jnp.log(3 + z[0] + z[1] * z[2]),
+    "hyperbolic": lambda z: jnp.sinh(z[0]) * jnp.cosh(z[1]) + jnp.expm1(z[2]) - jax.nn.sigmoid(z[0] - z[1]),
+    "powers": lambda z: (2 + z[0]) ** z[1] + jax.lax.rsqrt(2 + z[2]) + jnp.log1p(z[0] / 2) + jnp.tan(z[1]),
     "angle": lambda z: jnp.arctan(3 * z[0]) + jnp.arctan2(z[1], 2 + z[2]),
     "matrix": lambda z: (jnp.outer(z, z) @ jnp.eye(3) @ jnp.diag(z)).T[0].sum() + z[::-1][jnp.array([0, 2])] @ z[:2],
     "rotation": lambda z: lie.SO3.log(lie.SO3.exp(z / 4) @ lie.SO3.exp(jnp.array([0.4, 0.5, 0.6])))[1],
+    "trigonometric or hyperbolic": lambda z: sum(stumpff(k, 4 + 4 * z[0] + z[1] * z[2]) for k in range(3)),
+    "loop": loop,
     "kinks": lambda z: jnp.abs(z[0] - 0.3) * jnp.sign(z[1]) + jnp.maximum(z[0], z[1]) - jnp.clip(z[2], -0.2, 0.2),
+    "clamped": lambda z: jax.lax.clamp(-0.3, z[0], 0.2) + jax.lax.clamp(-0.2, z[1] * z[2], 0.1),
     "branches": lambda z: jnp.where((z[0] < 0) & ~(z[1] >= z[2]) | jnp.any(z > 0.5), z[1], 0.2) + jnp.floor(z[0] + 0.4),
     "choice": lambda z: jnp.where(jnp.isnan(z[0]) | (z[1] > 5), z[2], z[jnp.argmax(z + jnp.array([0.0, 9.0, 0.0]))]),
 }
@@ -93,7 +112,7 @@ def test_taylor_models_hold_the_function_and_say_something_about_it(name):
     radius = np.broadcast_to(found.radius, len(low))
     thin, wide = radius[:12], radius[24:36]
     assert thin.max() < 1e-9
-    assert wide.max() < (1.5 if name in ("kinks", "branches") else 3e-2)  # of third order in the width
+    assert wide.max() < (1.5 if name in ("kinks", "clamped", "branches") else 3e-2)  # of third order in the width
 
 
 def test_remainders_are_of_third_order():
@@ -146,6 +165,12 @@ def exact_gap(module, numbers):
     return abs(Fraction(float(found.middle[0])) - (a * b + c * d - a)) - Fraction(float(found.radius[0]))
 
 
+def test_sums_and_products_are_no_less_exact_than_they_must_be():
+    a, b = _taylor.number(np.array([1.0]), 1e-3), _taylor.number(np.array([2.0]), 2e-3)
+    for found, radius in ((a + b, 3e-3), (a - b, 3e-3), (a * b, 4e-3 + 2e-6)):
+        np.testing.assert_allclose(found.radius, radius, rtol=1e-8)
+
+
 INDEFINITE = {
     "touches zero": (lambda z: jnp.diag(jnp.stack([1 - z[0], 2 + z[1]])), 1.0),
     "singular": (lambda z: jnp.array([[1.0, 1 / 3], [1 / 3, 1 / 9]]) * (2 + z[0] * z[1]), 0.1),
@@ -180,6 +205,14 @@ def test_matrices_that_are_definite_are_shown_to_be_after_halving():
         show_definite(enclosure, low, high, 2, "it")
 
 
+def test_boxes_that_take_different_branches_are_shown_apart():
+    low, high = np.array([[0.1, 0.5], [0.5, 0.1]]), np.array([[0.2, 0.6], [0.6, 0.2]])
+    enclosure = Enclosure(lambda z: z[jnp.argmax(z)][None, None], low.min(0), high.max(0), np.zeros(2))
+    with pytest.raises(_taylor.UndecidedError):
+        enclosure(low, high)
+    show_definite(enclosure, low, high, 0, "it")
+
+
 MUTANTS = [
     ("ROUND, TINY = 2.0**-40, 2.0**-990", "ROUND, TINY = 0.0, 0.0"),
     ("cut = line * curved + bend * (slope + curved)", "cut = 0.0"),
@@ -190,6 +223,7 @@ MUTANTS = [
         '"sin": lambda x, f: (bounds("sin", x + RIGHT), -(HALF * f))',
         '"sin": lambda x, f: (bounds("sin", x + RIGHT), f)',
     ),
+    ("- exact(2 * k + 1) * three", "+ exact(2 * k + 1) * three"),
     ("number(middle, a.away + error)", "number(middle, error)"),
     ("abs(high - low) / 2 + error", "error"),
     ("* (left * left)", "* (left * left) * HALF"),
@@ -409,6 +443,50 @@ def test_balls_find_the_same(saved, tmp_path):
     made = forged(saved, tmp_path, put("rate", 6.0))
     with pytest.raises(ValueError, match=r"of claims\[0\] is not shown in balls"):
         _balls.check_sample(made, found.total)
+
+
+def test_forces_may_leave_their_box_by_as_much_as_may_be_missing_there(saved):
+    """On either side: which of the bounds is the larger one depends on the force."""
+    statement = follows(parse(saved))
+    document = statement.document
+    turned = np.append(np.ones(len(document.low) - 1), -1.0)
+    other = document._replace(low=np.minimum(document.low * turned, document.high * turned))
+    other = other._replace(high=np.maximum(document.low * turned, document.high * turned))
+    assert abs(document.low[-1]) != abs(document.high[-1])
+    for each in (document, other):
+        room = _check._matrix(statement._replace(document=each), 0).room
+        assert (room[:-1] == 0).all()
+        assert room[-1] >= _check.ROOM * max(abs(each.low[-1]), abs(each.high[-1]))
+
+
+@pytest.fixture(scope="module")
+def noisy(tmp_path_factory):
+    """A certificate of the same system under noise and an unknown force, where its own force has a slope."""
+    recipe = {"system": "oscillator", "parameters": {"chart": "r"}}
+    observer = Intrinsic(models.from_recipe(recipe), 4.0, 8.0)
+    given = {"velocity": 0.2, "error": 0.05, "position": (0.8, 1.2), "input": 0.1}
+    found = certify(observer, **given, noise=1e-3, disturbance=2e-3, recipe=recipe)
+    assert found.summary.verdict == "holds"
+    assert 0 < found.steady < found.radius
+    return found.save(tmp_path_factory.mktemp("noisy") / "certificate.json")
+
+
+def test_what_noise_adds_is_no_more_than_its_bounds_and_the_slope_say(noisy):
+    given = json.loads(noisy.read_text(encoding="utf-8"))["given"]
+    true = [1e-3, 2e-3 + given["slopes"][0][0] * 1e-3]
+    assert given["slopes"][0][0] > 0.5
+    for sizes in (_check.sizes(parse(noisy)), _certify.disturbance_sizes(given)):
+        np.testing.assert_allclose(sizes, true, rtol=1e-11)
+
+
+def test_a_radius_that_noise_alone_reaches_is_refused(noisy, tmp_path):
+    """As a number it is the very distance at which noise keeps them, which may be off by its rounding."""
+    document = parse(noisy)
+    assert check(noisy).radius == document.radius
+    steady = 2 * math.sqrt(2 * document.claims[-1].square) / document.rate
+    assert check(forged(noisy, tmp_path, put("radius", 1.001 * steady))).radius < document.radius
+    with pytest.raises(ValueError, match=r"radius: noise alone leads .* away"):
+        check(forged(noisy, tmp_path, put("radius", steady)))
 
 
 # Regions that are not geodesically convex: the sector of a ring in polar coordinates, whose chords leave it inwards.

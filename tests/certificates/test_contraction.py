@@ -283,8 +283,16 @@ def region(scale):
 def test_a_counter_example_is_returned_with_its_point():
     found = falsify(paper_observer(), region(1.0), 0.1, attempts=4000)
     assert (found.verdict, found.evidence) == ("fails", "sampled")
-    same = paper_laws()(jnp.broadcast_to(jnp.asarray(found.point), (200, 8)))[0][0]
-    assert float(same) == pytest.approx(found.margin, rel=1e-9)
     sampled = falsify(paper_observer(), region(1.0), 0.1, attempts=4000, starts=0)
+    for each in (found, sampled):
+        same = paper_laws()(jnp.broadcast_to(jnp.asarray(each.point), (200, 8)))[0][0]
+        assert float(same) == pytest.approx(each.margin, rel=1e-9)
     assert found.margin < sampled.margin - 0.1  # descent finds what sampling misses
     assert falsify(paper_observer(), region(0.03), 0.1, attempts=4000).verdict == "holds"
+
+
+def test_the_middle_of_a_region_is_looked_at_first():
+    """There, at rest, vanishes what does; it is never drawn."""
+    found = falsify(paper_observer(), region(1.0), 0.1, attempts=1, starts=0)
+    assert found.point == (0.0,) * 8
+    assert found.margin == pytest.approx(rate_of(ALPHA, BETA, PAPER), rel=1e-9)

@@ -54,6 +54,10 @@ def test_matrices_that_are_and_are_not_definite():
     assert np.linalg.eigvalsh(np.asarray(disc(jnp.asarray(wrong.counterexample[0]))))[0] < 0
 
 
+def test_a_box_is_told_with_both_its_bounds():
+    assert str(box(x=(-1.0, 2.0, "m"), y=(0.0, 0.5))) == "-1 ≤ x ≤ 2 m, 0 ≤ y ≤ 0.5"
+
+
 @pytest.mark.parametrize("small", [-1e-17, 0.0, -1e-300])
 def test_an_eigenvalue_that_is_not_positive_is_never_proved(small):
     def turned(z):
@@ -273,6 +277,17 @@ def test_a_prover_that_forgets_how_large_a_box_is_would_be_wrong(monkeypatch):
 
 
 honest_definite = prover.definite
+
+
+def test_where_nothing_is_bounded_the_middle_of_a_box_says_which_variable_to_halve():
+    """Only x matters, at whose zero there is a kink; the slope in y, none in the middle, is steep at the border."""
+
+    def matrix(z):
+        return jnp.reshape(1 + jnp.abs(z[0]) - 0.99 * z[0] + z[1] ** 4 / 10, (1, 1))
+
+    found = prove(matrix, box(x=(-1.0, 3.0), y=(-1.0, 1.0)))
+    assert found.verdict == "holds"
+    assert [level.tolist() for level in found.levels] == [[0], [-1, -1]]
 
 
 def test_open_boxes_and_progress_are_told():
