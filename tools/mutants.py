@@ -55,7 +55,7 @@ RELEVANT = {
     "observers/_*ed_derivative.py": "observers/test_filters_and_ekf observers/test_sampled",
     "observers/_savitzky_golay.py": "observers/test_filters_and_ekf observers/test_sampled",
     "observers/_ekf.py": "observers/test_filters_and_ekf observers/test_kalman observers/test_group",
-    "observers/_intrinsic.py": "observers/test_sampled observers/test_group laws/test_observers laws/test_group_observers",
+    "observers/_intrinsic.py": "observers/test_sampled observers/test_group laws/test_observers",
     "observers/_geodesic.py": "observers/test_sampled observers/test_group laws/test_observers",
     "observers/_salcudean.py": "observers/test_group",
     "observers/_copy.py": "observers/test_sampled reference/test_aghannan_rouchon",
