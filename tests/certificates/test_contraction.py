@@ -223,6 +223,15 @@ def test_distances_are_bracketed_by_the_closed_form():
     assert lower_distance(metric, ZERO, a, a) == upper_distance(metric, ZERO, a, a) == 0
 
 
+def test_a_distance_from_below_looks_along_the_line_where_the_line_is():
+    """In polar coordinates, whose lengths, other than the hyperbolic ones above, depend on the direction."""
+    metric = in_coordinates(lambda t, x: jnp.diag(jnp.stack([jnp.ones(()), x[0] ** 2])))
+    for size in (0.1, 0.01):
+        a, b = jnp.array([1.0, 0.3]), jnp.array([1.0 + size, 0.3 + size])
+        true = abs((1 + size) * np.exp(1j * size) - 1)
+        assert (1 - 4 * size) * true < lower_distance(metric, ZERO, a, b) <= true <= upper_distance(metric, ZERO, a, b)
+
+
 def test_theorem_two_measured():
     """Pairs of estimates of one trajectory of the ball and beam: no distance falls more slowly than certified."""
     model = models.ball_and_beam()
