@@ -247,7 +247,7 @@ class Judge:
         what, depth = (f"claims[{index}]", DEPTH) if isinstance(index, int) else (index, DEEPEST)
         try:
             show_definite(self.matrix(index), low, high, depth, what)
-        except (ValueError, TypeError, LookupError, ArithmeticError) as error:
+        except (ValueError, TypeError, LookupError, ArithmeticError, AttributeError) as error:
             raise ValueError(f"{self.file}: {_first_line(error)}") from error
         return len(low)
 
