@@ -82,9 +82,9 @@ def test_a_machine_moves_by_held_inputs_as_by_steps_of_force():
 
 
 def test_no_input_has_as_many_entries_as_the_model_takes():
-    assert no_input(ball_and_beam(), 2)(0.0, jnp.zeros(4)).shape == (1,)
-    assert no_input(SPRING, 1)(0.0, jnp.zeros(2)).shape == (1,)
-    np.testing.assert_array_equal(no_input(SPRING, 1)(0.0, jnp.zeros(2)), 0.0)
+    assert no_input(ball_and_beam(), jnp.zeros(2))(0.0, jnp.zeros(4)).shape == (1,)
+    assert no_input(SPRING, jnp.zeros(1))(0.0, jnp.zeros(2)).shape == (1,)
+    np.testing.assert_array_equal(no_input(SPRING, jnp.zeros(1))(0.0, jnp.zeros(2)), 0.0)
 
 
 def test_a_watched_machine_moves_as_it_does_alone():
