@@ -6,6 +6,7 @@ The laws are those of every space; what they are held against is derivatives alo
 from functools import cache
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -160,7 +161,7 @@ def bent():
     @cache
     def operations(name):
         space = sample(name).space
-        return jax.jit(space.connection), jax.jit(space.curvature)
+        return eqx.filter_jit(space.connection), eqx.filter_jit(space.curvature)
 
     return operations
 

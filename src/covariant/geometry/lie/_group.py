@@ -169,7 +169,7 @@ class AbstractGroup(AbstractManifold):
     def unique(self, x: Element, y: Element) -> Flag:
         return self.unique_log(self.inverse(x) @ y)
 
-    def checked(self, y: Element) -> Element:
+    def checked(self, y: Array) -> Array:
         tolerance = 100 * float(jnp.finfo(y.dtype).eps) ** 0.5
         outside = ~self.contains(super().checked(y), tolerance)
         return eqx.error_if(y, outside, "the configuration is not an element of the group; pass rotations as matrices")
