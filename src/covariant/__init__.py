@@ -1,5 +1,75 @@
-"""covariant: intrinsic and contracting observers for mechanical systems."""
+"""covariant: intrinsic and contracting observers for mechanical systems.
 
-import jax as _jax
+Importing it loads nothing heavy: a room, such as `covariant.models`, is loaded where it is first asked for. JAX works
+in double precision from here on.
+"""
 
-_jax.config.update("jax_enable_x64", True)
+import importlib
+import os
+import sys
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from covariant import (
+        certificates,
+        control,
+        design,
+        geometry,
+        interop,
+        logs,
+        lowering,
+        models,
+        observers,
+        papers,
+        report,
+        riccati,
+        scale,
+        scoring,
+        signals,
+        simulation,
+    )
+    from covariant.signals import Record, Result, Run
+
+    __version__: str
+
+# JAX reads its variable when it is imported, which may be long after this, or has been already.
+os.environ["JAX_ENABLE_X64"] = "1"
+if "jax" in sys.modules:
+    sys.modules["jax"].config.update("jax_enable_x64", True)
+
+__all__ = [
+    "Record",
+    "Result",
+    "Run",
+    "__version__",
+    "certificates",
+    "control",
+    "design",
+    "geometry",
+    "interop",
+    "logs",
+    "lowering",
+    "models",
+    "observers",
+    "papers",
+    "report",
+    "riccati",
+    "scale",
+    "scoring",
+    "signals",
+    "simulation",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        return importlib.import_module("importlib.metadata").version("covariant")
+    if name in ("Record", "Result", "Run"):
+        return getattr(importlib.import_module("covariant.signals"), name)
+    if name in __all__:
+        return importlib.import_module(f"covariant.{name}")
+    raise AttributeError(f"module 'covariant' has no attribute {name!r}; it has {', '.join(__all__)}")
+
+
+def __dir__() -> list[str]:
+    return __all__

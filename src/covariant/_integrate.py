@@ -1,14 +1,16 @@
-"""Two integrators: a fixed-step one that can be exported, and `solve`, the only place that knows diffrax."""
+"""Two integrators: a fixed-step one that can be exported, and `solve`, the only place that knows diffrax.
 
+Diffrax is loaded where it is first used: it takes longer to load than all of this library.
+"""
+
+import functools
 from collections.abc import Callable
 from typing import Any
 
-import diffrax
 import jax
 import jax.flatten_util
 import jax.numpy as jnp
 import numpy as np
-import optimistix
 from jaxtyping import Array, Float
 
 from covariant._typing import Number
@@ -44,7 +46,7 @@ def rk8(flow: Flow, t, x, dt, steps: int = 1):
     The stages run in a loop, so the vector field is compiled once: cheap to build, for work offline.
     """
     flat, unravel = jax.flatten_util.ravel_pytree(x)
-    a, b, c = (jnp.asarray(part, flat.dtype) for part in _DOPRI8)
+    a, b, c = (jnp.asarray(part, flat.dtype) for part in _tableau())
     h = dt / steps
 
     @jax.jit  # every transformation of the loops keeps what it made of the field, which is most of the work of building
@@ -61,9 +63,12 @@ def rk8(flow: Flow, t, x, dt, steps: int = 1):
     return unravel(jax.lax.fori_loop(0, steps, step, flat))
 
 
-def _tableau(solver) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Butcher coefficients (A, b, c) of an explicit diffrax solver as dense arrays."""
-    tableau = solver.tableau
+@functools.cache
+def _tableau() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Butcher coefficients (A, b, c) of Dormand and Prince's eighth-order method as dense arrays."""
+    import diffrax
+
+    tableau = diffrax.Dopri8().tableau
     stages = len(tableau.b_sol)
     a = np.zeros((stages, stages))
     for i, row in enumerate(tableau.a_lower, start=1):
@@ -78,6 +83,8 @@ def solve(
 
     Where `max_steps` are spent, as when a solution escapes in finite time, the stamps not reached are infinite.
     """
+    import diffrax
+
     solution = diffrax.diffeqsolve(
         _term(flow),
         diffrax.Dopri8(),
@@ -111,6 +118,9 @@ def solve_until(
 
     Returns (t, x) there, or after `max_steps` steps where neither happens.
     """
+    import diffrax
+    import optimistix
+
     conditions = [lambda t, y, args, **_: stop(y)]
     if border is not None:
         conditions.append(lambda t, y, args, **_: border(y))
@@ -133,10 +143,10 @@ def solve_until(
     return solution.ts[0], jax.tree.map(lambda x: x[0], solution.ys)
 
 
-def _term(flow: Flow) -> diffrax.ODETerm:
+def _term(flow: Flow) -> Any:
     """The vector field for diffrax, traced once though diffrax calls it in several places."""
+    import diffrax
+
     once = jax.jit(flow)
     return diffrax.ODETerm(lambda t, x, _: once(jnp.asarray(t), x))
 
-
-_DOPRI8 = _tableau(diffrax.Dopri8())

@@ -1,17 +1,34 @@
-"""The commands and their options; each hands over to a module of its own."""
+"""The commands and their options; each hands over to a module of its own, loaded when it runs: help is quick."""
 
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from covariant.cli import _audit, _certify, _compare, _design, _estimate, _reproduce, _simulate
-from covariant.cli._job import Job
-from covariant.design import ESTIMATORS
+from covariant.cli._names import CERTIFIED, ESTIMATORS, PAPERS
 
-app = typer.Typer(add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode=None)
+app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode=None)
 design = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="Design what an observer needs.")
 app.add_typer(design, name="design")
+
+
+
+def _version(asked: bool) -> None:
+    if asked:
+        from importlib.metadata import version
+
+        print(f"covariant {version('covariant')}")
+        raise typer.Exit
+
+
+@app.callback()
+def covariant(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Say which version this is.")
+    ] = False,
+) -> None:
+    """Velocities and states from measured positions: observers, their proofs, their comparison."""
+
 
 Model = Annotated[str, typer.Argument(help="Model file (.toml), module:attribute, or the name of a system.")]
 LogFile = Annotated[
@@ -34,7 +51,7 @@ def estimate(
     model: Model,
     log: LogFile,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="Write the estimate here (.csv or .parquet).")] = None,
-    observer: Annotated[str | None, typer.Option(help=f"One of: {', '.join(ESTIMATORS)}; intrinsic or group.")] = None,
+    observer: Annotated[str | None, typer.Option(help=f"One of: {', '.join(ESTIMATORS)}; intrinsic by default.")] = None,
     alpha: Annotated[float | None, typer.Option(help="Gain α [1/s] in place of the designed one.")] = None,
     beta: Annotated[float | None, typer.Option(help="Gain β [1/s²] in place of the designed one.")] = None,
     override: Override = [],  # noqa: B006  typer copies it
@@ -49,6 +66,9 @@ def estimate(
     json: Json = False,
 ) -> None:
     """Estimate velocities from the positions or attitudes in a log."""
+    from covariant.cli import _estimate
+    from covariant.cli._job import Job
+
     job = Job(model, log, tuple(override), every, until, {"t": t, "q": q, "u": u, "v": v, "truth": truth})
     _estimate.estimate(job, out, observer, alpha, beta, report, json)
 
@@ -70,6 +90,9 @@ def compare(
     json: Json = False,
 ) -> None:
     """Run all estimators on a log, tuned from the same data sheet, and rank them."""
+    from covariant.cli import _compare
+    from covariant.cli._job import Job
+
     job = Job(model, log, tuple(override), every, until, {"t": t, "q": q, "u": u, "v": v, "truth": truth})
     _compare.compare(job, out, report, json)
 
@@ -99,18 +122,22 @@ def simulate(
     json: Json = False,
 ) -> None:
     """Simulate a model and its sensors, and write the log with the true state beside the measurements."""
+    from covariant.cli import _simulate
+
     scenario = _simulate.Scenario(duration, rate, q0, v0, amplitude, frequency, noise, quantum, jitter, dropout, seed)
     _simulate.simulate(model, tuple(override), out, scenario, json)
 
 
 @app.command()
 def reproduce(
-    paper: Annotated[str, typer.Argument(help=f"One of: {', '.join(_reproduce.PAPERS)}.")],
+    paper: Annotated[str, typer.Argument(help=f"One of: {', '.join(PAPERS)}.")],
     out: Annotated[Path | None, typer.Option("--out", "-o", help="Write the paper's figure here (.png).")] = None,
     report: Report = None,
     json: Json = False,
 ) -> None:
     """Reproduce a paper's numbers and figures."""
+    from covariant.cli import _reproduce
+
     _reproduce.reproduce(paper, out, report, json)
 
 
@@ -118,7 +145,7 @@ def reproduce(
 def audit(
     model: Model,
     observer: Annotated[
-        str | None, typer.Option(help="intrinsic, geodesic or group; one that fits by default.")
+        str | None, typer.Option(help="intrinsic, intrinsic2, geodesic or copy; intrinsic by default.")
     ] = None,
     alpha: Annotated[float | None, typer.Option(help="Gain α [1/s]; √2 by default.")] = None,
     beta: Annotated[float | None, typer.Option(help="Gain β [1/s²]; 1 by default.")] = None,
@@ -133,6 +160,8 @@ def audit(
     json: Json = False,
 ) -> None:
     """Measure the laws that an observer's convergence rests on; exit code 1 where one is broken."""
+    from covariant.cli import _audit
+
     look = _audit.Look(box, speed, points, seed)
     _audit.audit(model, tuple(override), observer, (alpha, beta), look, out, json)
 
@@ -149,7 +178,7 @@ def certify(
     box: Annotated[
         str | None, typer.Option(help="Ends of the positions, as r=-0.3:0.3,theta=-1:1; rotations need none.")
     ] = None,
-    observer: Annotated[str | None, typer.Option(help=f"One of: {', '.join(_certify.OBSERVERS)}.")] = None,
+    observer: Annotated[str | None, typer.Option(help=f"One of: {', '.join(CERTIFIED)}.")] = None,
     alpha: Annotated[float | None, typer.Option(help="Gain α [1/s]; designed from the data sheet by default.")] = None,
     beta: Annotated[float | None, typer.Option(help="Gain β [1/s²].")] = None,
     sampling: Annotated[float | None, typer.Option(help="Sampling rate that gains are designed for [Hz].")] = None,
@@ -183,6 +212,8 @@ def certify(
 
     Exit code 0 proved or verified, 1 wrong, undecided or refused, 2 bad input.
     """
+    from covariant.cli import _certify
+
     asked = _certify.Asked(
         observer,
         alpha,
@@ -242,6 +273,8 @@ def metric(
     json: Json = False,
 ) -> None:
     """Compute a contraction metric at every point of a grid of states; a run that was stopped goes on where it was."""
+    from covariant.cli import _design
+
     task = _design.Task(box, grid, rate, window, process_cov, measurement_cov, start, tolerance, domain, input)
     crew = _design.Crew(block, workers, scheduler)
     _design.metric(model, tuple(override), out, task, crew, json)
