@@ -149,4 +149,3 @@ def _term(flow: Flow) -> Any:
 
     once = jax.jit(flow)
     return diffrax.ODETerm(lambda t, x, _: once(jnp.asarray(t), x))
-

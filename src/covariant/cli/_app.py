@@ -12,7 +12,6 @@ design = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="Design w
 app.add_typer(design, name="design")
 
 
-
 def _version(asked: bool) -> None:
     if asked:
         from importlib.metadata import version
@@ -51,7 +50,9 @@ def estimate(
     model: Model,
     log: LogFile,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="Write the estimate here (.csv or .parquet).")] = None,
-    observer: Annotated[str | None, typer.Option(help=f"One of: {', '.join(ESTIMATORS)}; intrinsic by default.")] = None,
+    observer: Annotated[
+        str | None, typer.Option(help=f"One of: {', '.join(ESTIMATORS)}; intrinsic by default.")
+    ] = None,
     alpha: Annotated[float | None, typer.Option(help="Gain α [1/s] in place of the designed one.")] = None,
     beta: Annotated[float | None, typer.Option(help="Gain β [1/s²] in place of the designed one.")] = None,
     override: Override = [],  # noqa: B006  typer copies it
