@@ -12,12 +12,13 @@ design = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="Design w
 app.add_typer(design, name="design")
 
 
-def _version(asked: bool) -> None:
+def _version(asked: bool) -> bool:
     if asked:
         from importlib.metadata import version
 
         print(f"covariant {version('covariant')}")
         raise typer.Exit
+    return asked
 
 
 @app.callback()
