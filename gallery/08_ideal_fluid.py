@@ -7,6 +7,7 @@ error follows the law s² + αs + β of a flat space, because it compensates the
 the instability of the shear flow, which makes the weather hard to foretell, works against the observer.
 """
 
+import functools
 import os
 from pathlib import Path
 
@@ -50,7 +51,7 @@ def flow(v):
 truth = flow(fluid.velocity_coordinates(n, fluid.modes(n, stream)))
 alpha = 1.2  # less than a third of the largest vorticity
 beta = 0.21 * alpha**2  # s² + αs + β has the roots −0.3α and −0.7α
-speed = system.metric.norm
+speed = functools.partial(system.space.norm, system.group.identity())  # the same wherever the particles are
 
 
 @eqx.filter_jit
