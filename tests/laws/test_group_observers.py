@@ -50,7 +50,11 @@ OBSERVERS = {
     "group, coefficients at the estimate": lambda model: Intrinsic(model, ALPHA, BETA, coefficients="estimated"),
     "riemannian": lambda model: Geodesic(model, ALPHA, BETA),
 }
-WHERE = {"riemannian": ("SO(3)", "SE(3)")}
+WHERE = {
+    "group, order 2": ("SO(3)", "SE(3) x joints"),
+    "group, coefficients at the estimate": ("SO(3)", "SE(3) x joints"),
+    "riemannian": ("SO(3)", "SE(3)"),
+}
 """The published error is tested on all groups, its relatives where they compile in seconds."""
 
 

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from covariant import geometry, models
 from covariant._integrate import rk8
+from covariant.geometry.lie import SO3, LeftInvariant
 from covariant.models import Lagrangian, acceleration, check_model, energy, friction, source
 
 TIME = jnp.zeros(())
@@ -243,3 +244,8 @@ def test_missing_measurement_has_a_finite_derivative():
     model = models.ball_and_beam()
     slope = jax.jacrev(lambda q: model.manifold.towards(q, jnp.array([jnp.nan, 0.0])))(jnp.ones(2))
     np.testing.assert_array_equal(slope, [[0.0, 0.0], [0.0, -1.0]])
+
+
+def test_a_metric_on_a_group_is_no_lagrangian_in_coordinates():
+    with pytest.raises(ValueError, match="not in coordinates; build a MechanicalSystem"):
+        Lagrangian(LeftInvariant(SO3, np.eye(3)), lambda q: 0.0 * q[0])

@@ -60,8 +60,13 @@ class KineticEnergy(AbstractSpace):
 def as_space(metric: AbstractSpace | MatrixField, manifold: AbstractManifold | None = None) -> AbstractSpace:
     """A space from a metric: a plain callable `q -> (n, n)` gets the derived operations; a space is itself.
 
-    With a `manifold`, the metric on that one, such as coordinates some of which are circles.
+    With a `manifold`, the metric on that one, such as coordinates some of which are circles. Raises `ValueError` for a
+    metric that is not in coordinates.
     """
     if not isinstance(metric, AbstractSpace):
         return Metric(metric, manifold=manifold or Coordinates())
-    return metric if manifold is None else dataclasses.replace(metric, manifold=manifold)
+    if manifold is None:
+        return metric
+    if not metric.manifold.commuting:
+        raise ValueError(f"the metric is on {metric.manifold}, not in coordinates; build a MechanicalSystem on it")
+    return dataclasses.replace(metric, manifold=manifold)
