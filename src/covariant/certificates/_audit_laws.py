@@ -101,11 +101,6 @@ def configuration(model: MechanicalSystem, s: Vector) -> Array:
     return s if model.manifold.commuting else model.manifold.retract(model.manifold.origin(), s)
 
 
-def nudged(model: MechanicalSystem, x: Array, a: Vector) -> Array:
-    """The configuration a small step a from x, to first order, for derivatives at a = 0."""
-    return x + model.manifold.tangent(x, a)
-
-
 def bracket(model: MechanicalSystem, x: Array, a: Vector, b: Vector) -> Vector:
     """`[a, b]` by derivatives of the frame, so that the manifold's own formula is put to the test."""
 
@@ -153,7 +148,7 @@ def along_the_flow(
             return space.norm(x, a)
 
         def undamped(s):  # the dissipation at the estimate is the one addition to the law
-            near, moved = nudged(model, x, s * xi), v + s * delta
+            near, moved = model.manifold.nudged(x, s * xi), v + s * delta
             w, a = slope(observer, near, moved, u, x)
             return w, a - friction(model, near, moved)
 
@@ -162,7 +157,7 @@ def along_the_flow(
 
         def along(s):
             """ζ and V of the variation that the flow carries along."""
-            at, xi_now = nudged(model, x, s * w), xi + s * xi_rate
+            at, xi_now = model.manifold.nudged(x, s * w), xi + s * xi_rate
             zeta = delta + s * a_change + space.connection(at, xi_now, v + s * a)
             gram = space.gram(at, jnp.stack([xi_now, zeta]))
             return zeta, jnp.sum(q * gram) / 2
@@ -204,7 +199,7 @@ def of_the_geometry(model: MechanicalSystem, states: States) -> GeometryDeviatio
             return space.norm(x, a)
 
         along_b, along_c = space.connection(x, a, b), space.connection(x, a, c)
-        changed = change(lambda s: space.inner(nudged(model, x, s * a), b, c))[1]
+        changed = change(lambda s: space.inner(model.manifold.nudged(x, s * a), b, c))[1]
         metric = jnp.abs(changed - space.inner(x, along_b, c) - space.inner(x, b, along_c))
         metric = metric / (jnp.abs(changed) + norm(along_b) * norm(c) + norm(b) * (norm(along_c) + norm(c)))
         swapped, commutator = space.connection(x, b, a), bracket(model, x, a, b)
@@ -223,7 +218,7 @@ def of_the_geometry(model: MechanicalSystem, states: States) -> GeometryDeviatio
             """
 
             def neighbour(s):
-                start, velocity = nudged(model, x, s * b), e - s * space.connection(x, b, e)
+                start, velocity = model.manifold.nudged(x, s * b), e - s * space.connection(x, b, e)
                 end = space.transport_along(start, t * velocity, frame, Budget(steps=STEPS))
                 return end.q, end.w
 

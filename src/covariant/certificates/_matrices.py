@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from covariant.certificates._region import Subject, moved, values
+from covariant.certificates._region import Subject, values
 from covariant.certificates._taylor import plain
 from covariant.models import applied_force
 
@@ -100,7 +100,7 @@ def slopes(model: Any, shape: tuple[int, ...], n: int) -> Matrix:
 
     def derivatives(y):
         t, q, u = jnp.split(y[:-n], (1, 1 + int(np.prod(shape))))
-        applied = plain(lambda step: applied_force(model, t[0], moved(model, q.reshape(shape), step), u))
+        applied = plain(lambda step: applied_force(model, t[0], model.manifold.nudged(q.reshape(shape), step), u))
         return jax.jacfwd(applied)(y[-n:]).ravel()
 
     return derivatives
@@ -111,6 +111,6 @@ def stepped(model: Any, shape: tuple[int, ...], n: int) -> Matrix:
 
     def applied(y):
         t, q, u = jnp.split(y[:-n], (1, 1 + int(np.prod(shape))))
-        return applied_force(model, t[0], moved(model, q.reshape(shape), y[-n:]), u)
+        return applied_force(model, t[0], model.manifold.nudged(q.reshape(shape), y[-n:]), u)
 
     return applied

@@ -358,7 +358,7 @@ def force_slopes(
     n = model.manifold.zero(jnp.zeros(shape)).size
 
     def force(t, q, u, step):
-        return applied_force(model, t, moved(model, q, step), u)
+        return applied_force(model, t, model.manifold.nudged(q, step), u)
 
     lowered = lower(force, jnp.zeros(()), jnp.zeros(shape), jnp.zeros(inputs.shape[1]), jnp.zeros(n), real=True)
     assert lowered.conditions is not None
@@ -376,11 +376,6 @@ def force_slopes(
     if not np.isfinite(bounds).all():
         raise ValueError(f"the slope of the model's force has no bound over {places}; make the box smaller")
     return bounds
-
-
-def moved(model: MechanicalSystem, q: Array, step: Vector) -> Array:
-    """The configuration a small step (n,) from q, to first order."""
-    return q + model.manifold.tangent(q, step)
 
 
 def _shape(model: MechanicalSystem, places: Box) -> tuple[int, ...]:

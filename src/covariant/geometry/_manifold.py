@@ -70,6 +70,10 @@ class AbstractManifold(eqx.Module):
     def tangent(self, x: Configuration, a: Vector) -> Configuration:
         """`E(x)a`: the rate of change of the array x of a configuration that moves with a."""
 
+    def nudged(self, x: Configuration, a: Vector) -> Configuration:
+        """`x + tangent(x, a)`: where a small step a leads to first order, for derivatives at a = 0."""
+        return x + self.tangent(x, a)
+
     @abc.abstractmethod
     def components(self, x: Configuration, rate: Configuration) -> Vector:
         """The a for which `tangent(x, a)` is this rate of change."""

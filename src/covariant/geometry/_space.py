@@ -121,7 +121,7 @@ def derivative(
 
 def differential(manifold: AbstractManifold, f: Callable[[Array], Array], x: Configuration) -> Vector:
     """`∂f`, the covector with `<∂f, a> = ∂_a f`, for a scalar f."""
-    return jax.grad(lambda a: f(x + manifold.tangent(x, a)))(manifold.zero(x))
+    return jax.grad(lambda a: f(manifold.nudged(x, a)))(manifold.zero(x))
 
 
 def coadjoint(manifold: AbstractManifold, x: Configuration, a: Vector, mu: Vector) -> Vector:

@@ -42,22 +42,10 @@ class Euclidean(AbstractMetric):
         return _found(q - p, q - p)
 
 
-class FlatTorus(AbstractMetric):
+class FlatTorus(Euclidean):
     """Flat space whose coordinates repeat with the given periods (n,); `log` goes the short way round."""
 
     periods: Vector
-
-    def __call__(self, x: Vector) -> Matrix:
-        return jnp.eye(x.shape[0], dtype=x.dtype)
-
-    def connection(self, x: Vector, a: Vector, b: Vector) -> Vector:
-        return jnp.zeros_like(x)
-
-    def curvature(self, x: Vector, a: Vector, b: Vector, c: Vector) -> Vector:
-        return jnp.zeros_like(x)
-
-    def transport_along(self, p: Vector, velocity: Vector, w: Vectors, budget: Budget = Budget()) -> Transported:
-        return Transported(p + velocity, velocity, w)
 
     def shoot(self, p: Vector, q: Vector, guess: Vector | None = None, budget: Budget = Budget()) -> Shot:
         periods = self.periods.astype(q.dtype)

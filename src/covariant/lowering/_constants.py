@@ -113,6 +113,4 @@ _RULES: dict[str, Rule] = {
     "iota": lambda parameters, *_: _iota(parameters),
     "convert_element_type": _convert,
     "copy": _each(np.copy),
-    "copy_p": _each(np.copy),
-    "stop_gradient": _each(np.copy),
 }
