@@ -7,6 +7,7 @@ import functools
 from collections.abc import Callable
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.flatten_util
 import jax.numpy as jnp
@@ -17,6 +18,25 @@ from covariant._typing import Number
 
 Flow = Callable[[Array, Any], Any]
 """A vector field `(t, x) -> dx/dt` over any pytree."""
+
+
+def compiled(function: Callable) -> Callable:
+    """The function compiled once for all numbers in its arguments: Python's own are given to the program as arrays.
+
+    Whatever else its arguments hold, such as whole numbers and plain functions, a program is made for each of.
+    """
+    program = eqx.filter_jit(function)
+
+    @functools.wraps(function)
+    def call(*arguments: Any, **named: Any) -> Any:
+        arguments, named = jax.tree.map(_as_array, (arguments, named))
+        return program(*arguments, **named)
+
+    return call
+
+
+def _as_array(leaf: Any) -> Any:
+    return jnp.asarray(leaf) if isinstance(leaf, float | np.ndarray) else leaf
 
 
 def rk4_step(flow: Flow, t, x, dt):

@@ -26,7 +26,7 @@ from covariant.certificates._audit_laws import (
 )
 from covariant.certificates._prove import Box, check_box
 from covariant.certificates._tangent import lyapunov, rate_of
-from covariant.models import MechanicalSystem, source
+from covariant.models import MechanicalSystem, input_count, source
 from covariant.observers import AbstractFlowObserver, AbstractObserver, Geodesic
 
 FLOOR = 1e-9
@@ -292,7 +292,7 @@ def _usable(model: MechanicalSystem, coordinates: Array) -> Array:
     q = configuration(model, coordinates)
     g = model.space(q)
     values = jnp.linalg.eigvalsh(jnp.where(jnp.isfinite(g), g, 0.0))
-    u = jnp.zeros(g.shape[0] if model.inputs is None else model.inputs)
+    u = jnp.zeros(input_count(model, g.shape[0]))
     finite = jnp.all(jnp.isfinite(g)) & jnp.all(jnp.isfinite(source(model, jnp.zeros(()), q, u)))
     return finite & (values[0] > 1e-12 * values[-1])
 
@@ -312,7 +312,7 @@ def _draw(
     v = rng.uniform(-speed, speed, (points, n))
     y, z, unit = rng.normal(size=(3, points, n))
     unit /= np.linalg.norm(unit, axis=1, keepdims=True)
-    u = rng.normal(size=(points, n if model.inputs is None else model.inputs))
+    u = rng.normal(size=(points, input_count(model, n)))
     # So small that the derivative of the chart stays near the identity wherever its centre is.
     bend = rng.uniform(-0.25 / n, 0.25 / n, (points, 2, n, n))
     centre = rng.uniform(-0.5, 0.5, (points, n))

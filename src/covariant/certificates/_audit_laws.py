@@ -19,7 +19,7 @@ from jaxtyping import Array, Float
 
 from covariant._typing import Scalar, Vector
 from covariant.geometry import AbstractSpace, Budget, Metric
-from covariant.models import Lagrangian, MechanicalSystem, acceleration, friction
+from covariant.models import Lagrangian, MechanicalSystem, acceleration, friction, resistance
 from covariant.observers import AbstractFlowObserver, AbstractObserver, Geodesic, Intrinsic
 
 NEAR = Budget(newton=0, steps=1)
@@ -144,13 +144,15 @@ def along_the_flow(
     def one(states: States) -> FlowDeviations:
         x, v, u, xi, delta = states.x, states.v, states.u, states.y, states.z
 
+        t = jnp.zeros(())
+
         def norm(a):
             return space.norm(x, a)
 
         def undamped(s):  # the dissipation at the estimate is the one addition to the law
             near, moved = model.manifold.nudged(x, s * xi), v + s * delta
             w, a = slope(observer, near, moved, u, x)
-            return w, a - friction(model, near, moved)
+            return w, a - friction(model, t, near, moved, u)
 
         (w, a), (w_change, a_change) = change(undamped)
         xi_rate = w_change + bracket(model, x, xi, w)
@@ -174,8 +176,8 @@ def along_the_flow(
                 norm(a_change) + norm(zeta_rate - a_change) + norm(carried) + beta * lengths[0],
             ]
         )
-        damping, bent = friction(model, x, v), space.connection(x, v, v)
-        plant = acceleration(model, jnp.zeros(()), x, v, u)
+        damping, bent = friction(model, t, x, v, u), space.connection(x, v, v)
+        plant = acceleration(model, t, x, v, u)
         parts = norm(plant) + norm(a) + norm(damping) + norm(bent)
         return FlowDeviations(
             jnp.maximum(norm(w - v) / norm(v), norm(a + damping - plant) / parts),
@@ -295,7 +297,7 @@ def between_charts(
             metric,
             lambda z: model.potential(chart(z)),
             lambda t, z, u: pull(z, model.force(t, chart(z), u)),
-            lambda z, w: pull(z, model.dissipation(chart(z), push(z, w))),
+            lambda t, z, w, u: pull(z, resistance(model, t, chart(z), push(z, w), u)),
             inputs=model.inputs,
         )
         estimate = centre + error * states.unit

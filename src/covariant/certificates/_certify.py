@@ -42,7 +42,7 @@ from covariant.certificates._region import (
 from covariant.certificates._tangent import TwoByTwo, check_q, error_matrix, optimal_lyapunov, rate_of
 from covariant.geometry.lie import SO2, SO3
 from covariant.lowering import Lowered, lower, numbers
-from covariant.models import MechanicalSystem
+from covariant.models import MechanicalSystem, input_count
 
 Bounds = tuple[ArrayLike, ArrayLike]
 ROOM = 1.05
@@ -497,7 +497,7 @@ def _elements(model: MechanicalSystem, position: Bounds | None) -> Box:
 
 
 def _inputs(model, given, n: int) -> Float[np.ndarray, "2 m"]:
-    m = n if model.inputs is None else model.inputs
+    m = input_count(model, n)
     sides = given if isinstance(given, tuple) else (-np.asarray(given, float), np.asarray(given, float))
     try:
         found = np.stack([np.broadcast_to(np.asarray(side, float), (m,)) for side in sides])

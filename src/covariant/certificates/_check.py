@@ -23,7 +23,7 @@ from covariant.certificates._document import Document, parse
 from covariant.certificates._region import Intrinsics, Subject, check_unique, subject
 from covariant.certificates._saved import observer_from, value_graph
 from covariant.certificates._taylor import ROUND, Enclosure, halves, show_definite
-from covariant.models import MechanicalSystem
+from covariant.models import MechanicalSystem, input_count
 
 ROOM = 2.0**-20
 """Forces may be larger than claimed by this part, so that bounds which they reach are quickly shown."""
@@ -116,7 +116,7 @@ def _complete(statement: Statement) -> None:
     (document, observer, about), n = statement, len(statement.document.velocity)
     model, low, high, claims = observer.model, document.low, document.high, document.claims
     _need(len(about.names) == len(low), f"box: the model has {len(about.names)} variables; the box bounds {len(low)}")
-    m, places = n if model.inputs is None else model.inputs, math.prod(_shape(model, n))
+    m, places = input_count(model, n), math.prod(_shape(model, n))
     for key, wanted in (("positions", places), ("inputs", m)):
         found = getattr(document.given, key).shape[1]
         _need(found == wanted, f"given.{key}: the model has {wanted}; bounds are there of {found}")

@@ -23,7 +23,7 @@ from covariant.certificates._form import Form, Values, as_form, formed
 from covariant.certificates._prove import Box, check_box, show_conditions
 from covariant.certificates._tangent import TwoByTwo, tangent_metric
 from covariant.lowering import Conditions, enclose, expand, lower, numbers
-from covariant.models import MechanicalSystem, applied_force
+from covariant.models import MechanicalSystem, applied_force, input_count, resistance
 from covariant.observers import Geodesic, Intrinsic, second_order
 
 Intrinsics = Intrinsic | Geodesic
@@ -65,6 +65,7 @@ def subject(observer: Intrinsics, q: TwoByTwo) -> Subject:
     """
     if not isinstance(observer, Intrinsics):
         raise TypeError(f"only intrinsic observers have this metric, Intrinsic and Geodesic; got {observer!r}")
+    _need_friction_alone(observer.model)
     space = observer.model.space
     if space.manifold.commuting:
         return _in_coordinates(observer, q)
@@ -169,7 +170,7 @@ def disturbed(subject: Subject, sizes: Float[np.ndarray, "two_n"], square: float
 def _in_coordinates(observer: Intrinsics, q: TwoByTwo) -> Subject:
     model = observer.model
     n = _dimension(model)
-    driven = MechanicalSystem(model.space, None, None, model.dissipation)
+    driven = MechanicalSystem(model.space, None, None, functools.partial(_friction_alone, model))
     bare = _with_model(observer, driven)
     metric = tangent_metric(model.space, q)
 
@@ -236,7 +237,7 @@ def _in_the_body(observer: Intrinsic, q: TwoByTwo) -> Subject:
             at = manifold.origin(z.dtype)
             xi = -towards if observer.order == 1 else second_order(space, at, -towards)
             source = space.raise_(at, force)
-            rubbing = space.raise_(at, model.dissipation(at, v))
+            rubbing = space.raise_(at, _friction_alone(model, at, v))
             drive = observer.bend(at, source - space.connection(at, xi, source), xi, v)
             w, v_dot = observer.rates(at, v, xi, drive + rubbing)
             return jnp.concatenate([manifold.local_rate(origin, theta, w), v_dot])
@@ -262,6 +263,30 @@ def _in_the_body(observer: Intrinsic, q: TwoByTwo) -> Subject:
     )
 
 
+def _friction_alone(model: MechanicalSystem, q: Array, v: Vector) -> Vector:
+    """The dissipation of a model whose friction reads neither time nor input."""
+    n = v.shape[0]
+    return resistance(model, jnp.zeros((), v.dtype), q, v, jnp.zeros(input_count(model, n), v.dtype))
+
+
+def _need_friction_alone(model: MechanicalSystem) -> None:
+    """Raise `ValueError` where the dissipation depends on time or input: no region says how far those go in it."""
+    q = jnp.zeros(_dimension(model)) if model.manifold.commuting else model.manifold.origin()
+    v = model.manifold.zero(q)
+    u = jnp.zeros(input_count(model, v.size))
+    rubbing = lower(functools.partial(resistance, model), jnp.zeros(()), q, v, u, real=True)
+    assert rubbing.conditions is not None
+    read = {
+        node.value for graph in (rubbing.graph, rubbing.conditions.graph) for node in graph.nodes if node.op == "input"
+    }
+    found = ["time"] * (0 in read) + [f"u{i + 1}" for i in range(u.size) if 1 + q.size + v.size + i in read]
+    if found:
+        raise ValueError(
+            f"the dissipation of this model depends on {', '.join(found)}; only friction of position and velocity is "
+            "covered by a proof"
+        )
+
+
 def _with_model(observer, model):
     fields = {name: getattr(observer, name) for name in type(observer).__dataclass_fields__}
     return type(observer)(**(fields | {"model": model}))
@@ -277,7 +302,7 @@ def _need_symmetry(model: MechanicalSystem) -> None:
     """Raise `ValueError` where friction or inertia do not let the estimated configuration drop out."""
     origin = model.manifold.origin()
     entries, rest = origin.size, model.manifold.zero(origin)
-    rubbing = lower(model.dissipation, origin, rest, real=True)
+    rubbing = lower(functools.partial(_friction_alone, model), origin, rest, real=True)
     assert rubbing.conditions is not None
     read = {
         node.value for graph in (rubbing.graph, rubbing.conditions.graph) for node in graph.nodes if node.op == "input"

@@ -20,7 +20,7 @@ from covariant.cli import _parse
 from covariant.cli._console import working
 from covariant.cli._job import check_output, data_sheet, numbered
 from covariant.design import observer_gains
-from covariant.models import MechanicalSystem
+from covariant.models import MechanicalSystem, input_count
 from covariant.observers import Geodesic, Intrinsic
 
 OBSERVERS = {"intrinsic": Intrinsic, "geodesic": Geodesic}
@@ -139,7 +139,7 @@ def _settings(spec: str, file: models.ModelFile, model, asked: Asked) -> tuple[d
     n = file.dimension
     on_group = not model.manifold.commuting
     names = model.velocities if on_group else model.coordinates or numbered("q", n)
-    inputs = numbered("u", n if model.inputs is None else model.inputs)
+    inputs = numbered("u", input_count(model, n))
     name = asked.observer or "intrinsic"
     if name not in OBSERVERS:
         raise ValueError(f"unknown observer {name!r}; choose one of {', '.join(OBSERVERS)}")

@@ -15,7 +15,6 @@ from covariant.models._mechanical import (
     MechanicalSystem,
     MomentumChart,
     Motion,
-    Parameter,
     acceleration,
     advance,
     applied_force,
@@ -23,10 +22,13 @@ from covariant.models._mechanical import (
     check_model,
     energy,
     friction,
+    input_count,
+    resistance,
     source,
     spatial_momentum,
 )
 from covariant.models._oscillator import oscillator
+from covariant.models._parameters import Parameter, Parametric
 from covariant.models._pendulum_chain import pendulum_chain
 from covariant.models._satellite import satellite
 from covariant.models._satellite_arm import satellite_arm
@@ -44,6 +46,7 @@ __all__ = [
     "MomentumChart",
     "Motion",
     "Parameter",
+    "Parametric",
     "StateSpace",
     "acceleration",
     "advance",
@@ -61,11 +64,13 @@ __all__ = [
     "heavy_top",
     "hovercraft",
     "induction_motor",
+    "input_count",
     "load",
     "lorenz",
     "oscillator",
     "pendulum_chain",
     "recipe",
+    "resistance",
     "satellite",
     "satellite_arm",
     "source",

@@ -2,7 +2,8 @@
 
 import jax.numpy as jnp
 
-from covariant.models._mechanical import Lagrangian, Parameter
+from covariant.models._mechanical import Lagrangian
+from covariant.models._parameters import Parameter, Parametric
 
 _SOURCE = "Aghannan & Rouchon 2003, appendix I (normalised)"
 
@@ -13,20 +14,10 @@ def ball_and_beam(gravity: float = 1.0, mass: float = 1.0, inertia: float = 1.0)
     `mass` [kg] of the ball (rolling inertia included), `inertia` [kg m²] of the beam, `gravity` [m/s²]; all 1 in the
     paper's normalised form (13). Gaussian curvature of the metric is `−inertia/(inertia + mass r²)²`.
     """
-
-    def metric(q):
-        return jnp.diag(jnp.stack([jnp.full_like(q[0], mass), inertia + mass * q[0] ** 2]))
-
-    def potential(q):
-        return mass * gravity * q[0] * jnp.sin(q[1])
-
-    def force(t, q, u):
-        return jnp.stack([jnp.zeros_like(u[0]), u[0]])
-
     return Lagrangian(
-        metric,
-        potential,
-        force,
+        Parametric(_metric, mass=mass, inertia=inertia),
+        Parametric(_potential, mass=mass, gravity=gravity),
+        _on_the_beam,
         coordinates=("r", "theta"),
         units=("m", "rad"),
         inputs=1,
@@ -36,3 +27,15 @@ def ball_and_beam(gravity: float = 1.0, mass: float = 1.0, inertia: float = 1.0)
             "inertia": Parameter(inertia, "kg m^2", _SOURCE),
         },
     )
+
+
+def _metric(q, mass, inertia):
+    return jnp.diag(jnp.stack([jnp.broadcast_to(mass, q[0].shape), inertia + mass * q[0] ** 2]))
+
+
+def _potential(q, mass, gravity):
+    return mass * gravity * q[0] * jnp.sin(q[1])
+
+
+def _on_the_beam(t, q, u):
+    return jnp.stack([jnp.zeros_like(u[0]), u[0]])

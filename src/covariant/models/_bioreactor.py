@@ -6,8 +6,7 @@ Source: Bastin & Dochain 1990, On-line estimation and adaptive control of biorea
 
 import jax.numpy as jnp
 
-from covariant.models._mechanical import Parameter
-from covariant.models._parameters import check_parameters
+from covariant.models._parameters import Parameter, Parametric, check_parameters, values
 from covariant.models._state_space import StateSpace
 
 _SOURCE = "Bequette 1998, Process dynamics, module 8"
@@ -38,15 +37,9 @@ def bioreactor(
         "feed": Parameter(feed, "kg/m^3", _SOURCE),
     }
     check_parameters("bioreactor", parameters, may_vanish=("inhibition",))
-
-    def f(t, x, u):
-        biomass, substrate = x
-        grown = growth * substrate / (saturation + substrate + inhibition * substrate**2) * biomass
-        return jnp.stack([grown - u[0] * biomass, u[0] * (feed - substrate) - grown / conversion])
-
     return StateSpace(
-        f,
-        lambda t, x, u: x[1:],
+        Parametric(_f, **values(parameters)),
+        _h,
         coordinates=("biomass", "substrate"),
         units=("kg/m^3", "kg/m^3"),
         outputs=("substrate",),
@@ -54,3 +47,13 @@ def bioreactor(
         box=tuple((high / 50, high) for high in (conversion * feed, feed)),  # without food nothing is seen
         parameters=parameters,
     )
+
+
+def _f(t, x, u, growth, saturation, inhibition, conversion, feed):
+    biomass, substrate = x
+    grown = growth * substrate / (saturation + substrate + inhibition * substrate**2) * biomass
+    return jnp.stack([grown - u[0] * biomass, u[0] * (feed - substrate) - grown / conversion])
+
+
+def _h(t, x, u):
+    return x[1:]

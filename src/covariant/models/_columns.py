@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 from covariant.geometry import AbstractManifold, Coordinates
 from covariant.geometry.lie import SE2, SE3, SO2, SO3
 from covariant.logs import ATTITUDES, Columns
-from covariant.models._mechanical import MechanicalSystem, check_model
+from covariant.models._mechanical import MechanicalSystem, check_model, input_count
 from covariant.models._source import Model
 from covariant.models._state_space import StateSpace
 
@@ -57,7 +57,7 @@ def _in_coordinates(model: MechanicalSystem, given: dict[str, Any]) -> Columns:
     if not n:
         raise ValueError("the model names no coordinates; give it some, or columns.q")
     check_model(model, n)
-    m = n if model.inputs is None else model.inputs
+    m = input_count(model, n)
     columns = Columns(q=model.coordinates, u=_numbered("u", m))._replace(**given)
     _check_count("q", columns.q, n, "coordinates")
     _check_count("u", columns.u, m, "inputs")
@@ -80,7 +80,7 @@ def _of_outputs(model: StateSpace, given: dict[str, Any]) -> Columns:
 
 def _off_coordinates(model: MechanicalSystem, given: dict[str, Any]) -> Columns:
     needs, n = _needs(model.manifold), len(model.velocities)
-    inputs = n if model.inputs is None else model.inputs
+    inputs = input_count(model, n)
     written = [kind for kind in ATTITUDES if given.get(kind)]
     if given.get("q") and not needs.q:
         raise ValueError(f"columns.q: the model is on a group and has no coordinates; {needs.remedy}")

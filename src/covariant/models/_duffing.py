@@ -2,8 +2,7 @@
 
 import jax.numpy as jnp
 
-from covariant.models._mechanical import Parameter
-from covariant.models._parameters import check_parameters
+from covariant.models._parameters import Parameter, Parametric, check_parameters, values
 from covariant.models._state_space import StateSpace
 
 _SOURCE = "Guckenheimer & Holmes 1983, section 2.2"
@@ -20,18 +19,23 @@ def duffing(damping: float = 0.25, stiffness: float = -1.0, cubic: float = 1.0) 
         "stiffness": Parameter(stiffness, "N/m", _SOURCE),
         "cubic": Parameter(cubic, "N/m^3", _SOURCE),
     }
-
-    def f(t, x, u):
-        q, v = x
-        return jnp.stack([v, u[0] - damping * v - stiffness * q - cubic * q**3])
-
+    check_parameters("duffing", parameters, ("stiffness", "cubic"), ("damping",))
     return StateSpace(
-        f,
-        lambda t, x, u: x[:1],
+        Parametric(_f, **values(parameters)),
+        _h,
         coordinates=("q", "q_dot"),
         units=("m", "m/s"),
         outputs=("q",),
         inputs=1,
         box=((-2.0, 2.0), (-2.0, 2.0)),
-        parameters=check_parameters("duffing", parameters, ("stiffness", "cubic"), ("damping",)),
+        parameters=parameters,
     )
+
+
+def _f(t, x, u, damping, stiffness, cubic):
+    q, v = x
+    return jnp.stack([v, u[0] - damping * v - stiffness * q - cubic * q**3])
+
+
+def _h(t, x, u):
+    return x[:1]

@@ -2,11 +2,11 @@
 
 from collections.abc import Sequence
 
-import jax.numpy as jnp
 import numpy as np
 
 from covariant.geometry.lie import SO3
-from covariant.models._mechanical import GroupSystem, Parameter
+from covariant.models._mechanical import GroupSystem
+from covariant.models._parameters import Parameter, Parametric
 
 _SOURCE = "chosen: the paper gives no numbers"
 
@@ -27,15 +27,11 @@ def heavy_top(
     matrix = np.asarray(inertia, float)
     matrix = np.diag(matrix) if matrix.ndim == 1 else matrix
     arm = moment * np.asarray(axis, float) / np.linalg.norm(axis)
-
-    def potential(g):
-        return g[2] @ jnp.asarray(arm, g.dtype)
-
     return GroupSystem(
         SO3,
         matrix,
-        potential,
-        dissipation=lambda g, v: -viscous * v,
+        Parametric(_height, arm=arm),
+        dissipation=Parametric(_viscous, coefficient=viscous),
         velocities=("w1", "w2", "w3"),
         units=("rad/s",) * 3,
         parameters={
@@ -49,3 +45,11 @@ def heavy_top(
 def free_body(inertia: Sequence[float] | Sequence[Sequence[float]] = (1.0, 2.0, 3.5)) -> GroupSystem:
     """A body that turns freely, with torques [N m] as inputs: `heavy_top` at its centre of mass."""
     return heavy_top(inertia, moment=0.0)
+
+
+def _height(g, arm):
+    return g[2] @ arm
+
+
+def _viscous(g, v, coefficient):
+    return -coefficient * v

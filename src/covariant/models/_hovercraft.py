@@ -6,7 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from covariant.geometry.lie import SE2
-from covariant.models._mechanical import GroupSystem, Parameter
+from covariant.models._mechanical import GroupSystem
+from covariant.models._parameters import Parameter, Parametric
 
 _SOURCE = "chosen: of the size of a laboratory model"
 
@@ -22,16 +23,12 @@ def hovercraft(
     The inputs are the thrusts [N] of two fans, right and left of the middle by `fan_offset` [m]; `drag` is
     proportional to v [N s/m, N s/m, N m s].
     """
-
-    def force(t, g, u):
-        return jnp.stack([u[0] + u[1], jnp.zeros_like(u[0]), fan_offset * (u[0] - u[1])])
-
     return GroupSystem(
         SE2,
         np.diag([mass, mass, inertia]),
         None,
-        force,
-        lambda g, v: -jnp.asarray(drag, v.dtype) * v,
+        Parametric(_fans, offset=fan_offset),
+        Parametric(_drag, coefficients=drag),
         velocities=("surge", "sway", "yaw_rate"),
         units=("m/s", "m/s", "rad/s"),
         inputs=2,
@@ -39,6 +36,14 @@ def hovercraft(
             "mass": Parameter(mass, "kg", _SOURCE),
             "inertia": Parameter(inertia, "kg m^2", _SOURCE),
             "fan_offset": Parameter(fan_offset, "m", _SOURCE),
-            "drag": Parameter(tuple(drag), "N s/m, N m s", _SOURCE),
+            "drag": Parameter(drag, "N s/m, N m s", _SOURCE),
         },
     )
+
+
+def _fans(t, g, u, offset):
+    return jnp.stack([u[0] + u[1], jnp.zeros_like(u[0]), offset * (u[0] - u[1])])
+
+
+def _drag(g, v, coefficients):
+    return -coefficients * v

@@ -5,8 +5,7 @@ Source: Marino, Peresada & Valigi 1993, Adaptive input-output linearizing contro
 
 import jax.numpy as jnp
 
-from covariant.models._mechanical import Parameter
-from covariant.models._parameters import check_parameters
+from covariant.models._parameters import Parameter, Parametric, check_parameters, values
 from covariant.models._state_space import StateSpace
 
 _SOURCE = "Marino, Peresada & Valigi 1993"
@@ -48,21 +47,10 @@ def induction_motor(
             f"two, {(stator_inductance * rotor_inductance) ** 0.5:g} H"
         )
 
-    def f(t, x, u):
-        current, flux, speed = x[:2], x[2:4], x[4]
-        turned = jnp.stack([-flux[1], flux[0]])
-        induced = rotor_resistance / rotor_inductance * (mutual_inductance * current - flux)
-        flux_dot = induced + pole_pairs * speed * turned
-        current_dot = (u - stator_resistance * current - coupling * flux_dot) / leakage
-        torque = pole_pairs * coupling * (turned @ current)
-        resisting = x[5] if load is None else load
-        unknown = jnp.zeros_like(x[5:])
-        return jnp.concatenate([current_dot, flux_dot, ((torque - resisting) / inertia)[None], unknown])
-
     sixth = load is None
     return StateSpace(
-        f,
-        lambda t, x, u: x[:2],
+        Parametric(_f, coupling=coupling, leakage=leakage, **values(parameters)),
+        _currents,
         coordinates=("i_alpha", "i_beta", "psi_alpha", "psi_beta", "speed") + ("load",) * sixth,
         units=("A", "A", "Wb", "Wb", "rad/s") + ("N m",) * sixth,
         outputs=("i_alpha", "i_beta"),
@@ -70,3 +58,33 @@ def induction_motor(
         box=((-100.0, 100.0),) * 2 + ((-1.5, 1.5),) * 2 + ((-250.0, 250.0),) + ((-100.0, 100.0),) * sixth,
         parameters=parameters,
     )
+
+
+def _f(
+    t,
+    x,
+    u,
+    stator_resistance,
+    rotor_resistance,
+    stator_inductance,
+    rotor_inductance,
+    mutual_inductance,
+    inertia,
+    pole_pairs,
+    coupling,
+    leakage,
+    load=None,
+):
+    current, flux, speed = x[:2], x[2:4], x[4]
+    turned = jnp.stack([-flux[1], flux[0]])
+    induced = rotor_resistance / rotor_inductance * (mutual_inductance * current - flux)
+    flux_dot = induced + pole_pairs * speed * turned
+    current_dot = (u - stator_resistance * current - coupling * flux_dot) / leakage
+    torque = pole_pairs * coupling * (turned @ current)
+    resisting = x[5] if load is None else load
+    unknown = jnp.zeros_like(x[5:])
+    return jnp.concatenate([current_dot, flux_dot, ((torque - resisting) / inertia)[None], unknown])
+
+
+def _currents(t, x, u):
+    return x[:2]

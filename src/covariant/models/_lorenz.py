@@ -2,8 +2,7 @@
 
 import jax.numpy as jnp
 
-from covariant.models._mechanical import Parameter
-from covariant.models._parameters import check_parameters
+from covariant.models._parameters import Parameter, Parametric, check_parameters, values
 from covariant.models._state_space import StateSpace
 
 _SOURCE = "Lorenz 1963, section 7"
@@ -20,17 +19,21 @@ def lorenz(prandtl: float = 10.0, rayleigh: float = 28.0, geometry: float = 8 / 
         "rayleigh": Parameter(rayleigh, "1", _SOURCE),
         "geometry": Parameter(geometry, "1", _SOURCE),
     }
-
-    def f(t, state, u):
-        x, y, z = state
-        return jnp.stack([prandtl * (y - x), x * (rayleigh - z) - y, x * y - geometry * z])
-
     return StateSpace(
-        f,
-        lambda t, state, u: state[:1],
+        Parametric(_f, **values(check_parameters("lorenz", parameters))),
+        _h,
         coordinates=("x", "y", "z"),
         units=("1", "1", "1"),
         outputs=("x",),
         box=((-20.0, 20.0), (-30.0, 30.0), (0.0, 50.0)),
-        parameters=check_parameters("lorenz", parameters),
+        parameters=parameters,
     )
+
+
+def _f(t, state, u, prandtl, rayleigh, geometry):
+    x, y, z = state
+    return jnp.stack([prandtl * (y - x), x * (rayleigh - z) - y, x * y - geometry * z])
+
+
+def _h(t, state, u):
+    return state[:1]

@@ -6,6 +6,8 @@ Source: Aghannan & Rouchon 2003, section II; Maithripala, Berg & Dayawansa 2004,
 Hamel's equations in a frame, Marsden & Ratiu 1999, chapter 13. Dissipation is an addition every machine needs.
 """
 
+import functools
+import inspect
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -18,14 +20,7 @@ from covariant._integrate import rk4_step
 from covariant._typing import Element, MatrixField, Number, Scalar, Vector
 from covariant.geometry import AbstractManifold, AbstractSpace, Coordinates, as_space, differential
 from covariant.geometry.lie import AbstractGroup, LeftInvariant
-
-
-class Parameter(NamedTuple):
-    """A number of a model with its unit and where it comes from."""
-
-    value: float | tuple[float, ...]
-    unit: str
-    source: str
+from covariant.models._parameters import Parameter, Parametric
 
 
 class Motion(NamedTuple):
@@ -35,25 +30,20 @@ class Motion(NamedTuple):
     v: Float[Array, "*T n"]
 
 
-class FrozenDict(dict):
-    """A dictionary that may sit in a static field: hashed by its content, never changed."""
-
-    def __hash__(self):  # pyright: ignore[reportIncompatibleVariableOverride]
-        return hash(tuple(self.items()))
-
-
 class MechanicalSystem(eqx.Module):
     """A mechanical system whose configuration is measured.
 
     - `space`: its configuration space, with the kinetic energy `½ <v, v>` [J] as metric.
     - `potential`: potential energy `q -> ()` [J]; on a group a smooth function of the matrix entries. None for none.
     - `force`: generalised force (covector in the frame) `(t, q, u) -> (n,)` of the input u (m,); by default u itself.
-    - `dissipation`: generalised friction force `(q, v) -> (n,)`, evaluated at the estimate by observers. It opposes the
-      motion: viscous friction b is `lambda q, v: -b * v`.
+    - `dissipation`: generalised force that depends on the velocity, `(q, v) -> (n,)`, or `(t, q, v, u) -> (n,)` such as
+      that of a rudder or a drag that an input scales. Observers evaluate it at the estimate. Friction opposes the
+      motion: a viscous one b is `lambda q, v: -b * v`.
     - `coordinates`, `units`: names and units of the entries of q, where they are coordinates.
     - `velocities`, `velocity_units`: names and units of the components of v, where they are not the coordinates' rates.
     - `inputs`: number of inputs m where it is not n.
-    - `parameters`: `Parameter` by name, for people.
+    - `parameters`: `Parameter` by name, for people. Functions made by `Parametric` hold their numbers as leaves of the
+      pytree too, so that a model with other numbers compiles nothing again.
 
     Raises `ValueError` when a function has the wrong shape.
     """
@@ -61,20 +51,20 @@ class MechanicalSystem(eqx.Module):
     space: AbstractSpace
     potential: Callable[[Array], Array]
     force: Callable[[Array, Array, Array], Array]
-    dissipation: Callable[[Array, Array], Array]
+    dissipation: Callable[..., Array]
     coordinates: tuple[str, ...] = eqx.field(static=True)
     units: tuple[str, ...] = eqx.field(static=True)
     velocities: tuple[str, ...] = eqx.field(static=True)
     velocity_units: tuple[str, ...] = eqx.field(static=True)
     inputs: int | None = eqx.field(static=True)
-    parameters: dict[str, Parameter] = eqx.field(static=True)
+    parameters: dict[str, Parameter]
 
     def __init__(
         self,
         space: AbstractSpace,
         potential: Callable[[Array], Array] | None = None,
         force: Callable[[Array, Array, Array], Array] | None = None,
-        dissipation: Callable[[Array, Array], Array] | None = None,
+        dissipation: Callable[..., Array] | None = None,
         *,
         coordinates: tuple[str, ...] = (),
         units: tuple[str, ...] = (),
@@ -90,7 +80,7 @@ class MechanicalSystem(eqx.Module):
         self.coordinates, self.units = tuple(coordinates), tuple(units)
         self.velocities, self.velocity_units = tuple(velocities), tuple(velocity_units)
         self.inputs = inputs
-        self.parameters = FrozenDict(parameters or {})
+        self.parameters = dict(parameters or {})
         if None not in self.manifold.shape:
             check_model(self)
 
@@ -134,7 +124,7 @@ class Lagrangian(MechanicalSystem):
         metric: AbstractSpace | MatrixField,
         potential: Callable[[Array], Array] | None = None,
         force: Callable[[Array, Array, Array], Array] | None = None,
-        dissipation: Callable[[Array, Array], Array] | None = None,
+        dissipation: Callable[..., Array] | None = None,
         circles: tuple[int, ...] = (),
         *,
         coordinates: tuple[str, ...] = (),
@@ -164,7 +154,7 @@ class GroupSystem(MechanicalSystem):
         inertia,
         potential: Callable[[Array], Array] | None = None,
         force: Callable[[Array, Array, Array], Array] | None = None,
-        dissipation: Callable[[Array, Array], Array] | None = None,
+        dissipation: Callable[..., Array] | None = None,
         *,
         velocities: tuple[str, ...] = (),
         units: tuple[str, ...] = (),
@@ -216,14 +206,14 @@ def check_model(model: MechanicalSystem, dimension: int | None = None) -> None:
         raise ValueError(f"circles {model.circles} must be indices of the {count} coordinates, 0 to {count - 1}")
     v = jax.eval_shape(model.manifold.zero, q)
     n = v.shape[0]
-    u = jax.ShapeDtypeStruct((n if model.inputs is None else model.inputs,), jnp.float64)
+    u = jax.ShapeDtypeStruct((input_count(model, n),), jnp.float64)
     t = jax.ShapeDtypeStruct((), jnp.float64)
     whom = f"{n} coordinates" if model.manifold.commuting else f"configurations {q.shape} of {n} dimensions"
     functions = (
         ("metric", getattr(model.space, "matrix", model.space), (q,), (n, n)),
         ("potential", model.potential, (q,), ()),
         ("force", model.force, (t, q, u), (n,)),
-        ("dissipation", model.dissipation, (q, v), (n,)),
+        ("dissipation", functools.partial(resistance, model), (t, q, v, u), (n,)),
     )
     check_shapes(functions, f"{whom} and {u.shape[0]} inputs", whom)
 
@@ -250,14 +240,37 @@ def source(model: MechanicalSystem, t: Scalar, q: Array, u: Float[Array, "m"]) -
     return model.space.raise_(q, applied_force(model, t, q, u))
 
 
-def friction(model: MechanicalSystem, q: Array, v: Vector) -> Vector:
+def resistance(model: MechanicalSystem, t: Scalar, q: Array, v: Vector, u: Float[Array, "m"]) -> Vector:
+    """The dissipation, a generalised force in the frame, whether or not the model's takes time and input."""
+    return model.dissipation(t, q, v, u) if _takes_input(model.dissipation) else model.dissipation(q, v)
+
+
+def _takes_input(dissipation: Callable[..., Array]) -> bool:
+    """Whether it is called as (t, q, v, u); else as (q, v)."""
+    named = isinstance(dissipation, Parametric)
+    function, held = (dissipation.function, dissipation.parameters) if named else (dissipation, {})
+    try:
+        inspect.signature(function).bind(None, None, **held)
+    except TypeError:
+        return True
+    except ValueError:  # some built-in functions do not tell
+        pass
+    return False
+
+
+def friction(model: MechanicalSystem, t: Scalar, q: Array, v: Vector, u: Float[Array, "m"]) -> Vector:
     """`raise(dissipation)`, as an acceleration."""
-    return model.space.raise_(q, model.dissipation(q, v))
+    return model.space.raise_(q, resistance(model, t, q, v, u))
+
+
+def input_count(model: Any, n: int) -> int:
+    """Number of inputs m of a model, which is its number n of velocities where it does not say."""
+    return n if model.inputs is None else model.inputs
 
 
 def acceleration(model: MechanicalSystem, t: Scalar, q: Array, v: Vector, u: Float[Array, "m"]) -> Vector:
     """Forward dynamics `v' = raise(−∂U + force + dissipation − M B(v, v))` (Hamel)."""
-    covector = applied_force(model, t, q, u) + model.dissipation(q, v)
+    covector = applied_force(model, t, q, u) + resistance(model, t, q, v, u)
     return model.space.raise_(q, covector - model.space.connection_force(q, v, v))
 
 
@@ -348,7 +361,9 @@ class MomentumChart(NamedTuple):
         """Derivatives of s and of the momentum, and the motion they belong to."""
         system, (s, momentum) = self.system, now
         q, v = x = self.motion(s, momentum)
-        force = applied_force(system, t, q, u(t, x)) + system.dissipation(q, v) + system.space.kinetic_force(q, v)
+        pushed = u(t, x)
+        force = applied_force(system, t, q, pushed) + resistance(system, t, q, v, pushed)
+        force = force + system.space.kinetic_force(q, v)
         rate = system.manifold.local_rate(self.centre, s, v)
         return (rate, system.manifold.carried_momentum(self.centre, -s, force)), x
 

@@ -2,7 +2,8 @@
 
 import jax.numpy as jnp
 
-from covariant.models._mechanical import Lagrangian, Parameter
+from covariant.models._mechanical import Lagrangian
+from covariant.models._parameters import Parameter, Parametric
 
 
 def oscillator(chart: str = "q", stiffness: float = 1.0) -> Lagrangian:
@@ -13,19 +14,39 @@ def oscillator(chart: str = "q", stiffness: float = 1.0) -> Lagrangian:
     parameters = {"stiffness": Parameter(stiffness, "N/m", "Aghannan & Rouchon 2003, section III-B")}
     if chart == "q":
         return Lagrangian(
-            lambda q: jnp.eye(1, dtype=q.dtype),
-            lambda q: stiffness * q[0] ** 2 / 2,
+            _unit_mass,
+            Parametric(_spring, stiffness=stiffness),
             coordinates=("q",),
             units=("m",),
             parameters=parameters,
         )
     if chart == "r":
         return Lagrangian(
-            lambda r: 1 / r[None] ** 2,
-            lambda r: stiffness * jnp.log(r[0]) ** 2 / 2,
-            lambda t, r, u: u / r,
+            _unit_mass_in_r,
+            Parametric(_spring_in_r, stiffness=stiffness),
+            _force_in_r,
             coordinates=("r",),
             units=("1",),
             parameters=parameters,
         )
     raise ValueError(f"oscillator: chart must be 'q' or 'r'; got {chart!r}")
+
+
+def _unit_mass(q):
+    return jnp.eye(1, dtype=q.dtype)
+
+
+def _spring(q, stiffness):
+    return stiffness * q[0] ** 2 / 2
+
+
+def _unit_mass_in_r(r):
+    return 1 / r[None] ** 2
+
+
+def _spring_in_r(r, stiffness):
+    return stiffness * jnp.log(r[0]) ** 2 / 2
+
+
+def _force_in_r(t, r, u):
+    return u / r

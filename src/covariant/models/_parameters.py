@@ -1,19 +1,73 @@
-"""The check that the numbers of an example system make sense."""
+"""The numbers of a model: with units and sources for people, and as leaves of the pytree for programs."""
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection
+from typing import Any
 
+import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
+from jaxtyping import Array, Float
 
-from covariant.models._mechanical import Parameter
+
+class Parameter(eqx.Module):
+    """A number of a model, or an array of numbers, with its unit and where it comes from.
+
+    The value is a leaf of the model's pytree: the same model with other values compiles nothing again.
+    """
+
+    value: Float[Array, "..."] = eqx.field(converter=lambda value: jnp.asarray(value, float))
+    unit: str = eqx.field(static=True)
+    source: str = eqx.field(static=True)
+
+
+class Parametric(eqx.Module):
+    """A function of a model with the numbers in it held apart, so that other numbers are no other function.
+
+    `Parametric(f, mass=1.0)` is called as `f` without its keyword `mass`. A program is compiled for `f` and the shapes
+    of its parameters; a closure, such as a lambda that uses a number from around it, would be compiled for each number
+    anew. `f` should be a function of a module, the same object each time. It gets the parameters, numbers or arrays, as
+    arrays of the real type that matches its first argument with an axis.
+    """
+
+    function: Callable[..., Array] = eqx.field(static=True)
+    parameters: dict[str, Any]
+
+    def __init__(self, function: Callable[..., Array], /, **parameters: Any):
+        self.function = function
+        self.parameters = {name: _numbers(given) for name, given in parameters.items()}
+
+    def __call__(self, *arguments: Any) -> Array:
+        real = next((jnp.finfo(a.dtype).dtype for a in arguments if jnp.ndim(a) and _inexact(a)), jnp.zeros(()).dtype)
+        return self.function(*arguments, **jax.tree.map(lambda number: number.astype(real), self.parameters))
+
+
+def values(parameters: dict[str, Parameter]) -> dict[str, Array]:
+    """The numbers of the parameters by name, for a `Parametric`."""
+    return {name: parameter.value for name, parameter in parameters.items()}
+
+
+def _numbers(given: Any) -> Any:
+    if isinstance(given, dict):
+        return {name: _numbers(entry) for name, entry in given.items()}
+    return jnp.asarray(given, float)
+
+
+def _inexact(array: Any) -> bool:
+    return jnp.issubdtype(array.dtype, jnp.inexact)
 
 
 def check_parameters(
     system: str, parameters: dict[str, Parameter], signed: Collection[str] = (), may_vanish: Collection[str] = ()
 ) -> dict[str, Parameter]:
     """The parameters; raises `ValueError` for one that is not finite, or not positive and not named as an exception."""
-    for name, (value, unit, _) in parameters.items():
+    for name, parameter in parameters.items():
+        if isinstance(parameter.value, Tracer):
+            continue
+        value = np.asarray(parameter.value)
         wanted = "finite" if name in signed else "≥ 0" if name in may_vanish else "positive"
         least = {"finite": -np.inf, "≥ 0": 0.0, "positive": np.nextafter(0, 1)}[wanted]
-        if not (np.isfinite(value) & (np.asarray(value) >= least)).all():
-            raise ValueError(f"{system}: {name} [{unit}] must be {wanted}; got {value!r}")
+        if not (np.isfinite(value) & (value >= least)).all():
+            raise ValueError(f"{system}: {name} [{parameter.unit}] must be {wanted}; got {value.tolist()!r}")
     return parameters

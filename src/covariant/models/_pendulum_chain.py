@@ -9,7 +9,8 @@ from collections.abc import Sequence
 import jax.numpy as jnp
 import numpy as np
 
-from covariant.models._mechanical import Lagrangian, Parameter
+from covariant.models._mechanical import Lagrangian
+from covariant.models._parameters import Parameter, Parametric
 
 COULOMB_STEEPNESS = 100.0
 """Slope at rest of the smoothed Coulomb friction `coulomb * atan(100 v)` [s/rad]."""
@@ -90,38 +91,37 @@ def pendulum_chain(
     if any(not 0 <= i < n for i in driven):
         raise ValueError(f"pendulum_chain: actuated {tuple(driven)} must be joints 0 to {n - 1}")
 
-    def like(q, array):
-        return jnp.asarray(array, q.dtype)
-
-    def metric(q):
-        # Angles between links, from coordinates directly: that of the first link drops out.
-        links = like(q, coupling) * jnp.cos(like(q, between) @ q)
-        return like(q, absolute.T) @ (links + like(q, constant)) @ like(q, absolute)
-
-    def potential(q):
-        return up * gravity * (like(q, moment) @ jnp.cos(like(q, absolute) @ q))
-
-    def force(t, q, u):
-        torque = like(q, p["offset"]) + like(q, np.eye(n)[:, driven]) @ u
-        return like(q, joints.T) @ torque
-
-    def dissipation(q, v):
-        rate = like(q, joints) @ v
-        torque = like(q, p["viscous"]) * rate + like(q, p["coulomb"]) * jnp.arctan(COULOMB_STEEPNESS * rate)
-        return -like(q, joints.T) @ torque
-
     return Lagrangian(
-        metric,
-        potential,
-        force,
-        dissipation,
+        Parametric(_metric, coupling=coupling, constant=constant, between=between, absolute=absolute),
+        Parametric(_potential, moment=moment, absolute=absolute, gravity=up * gravity),
+        Parametric(_force, offset=p["offset"], motors=np.eye(n)[:, driven], joints=joints),
+        Parametric(_dissipation, viscous=p["viscous"], coulomb=p["coulomb"], joints=joints),
         circles=tuple(range(n)),
         coordinates=tuple(f"q{i + 1}" for i in range(n)),
         units=("rad",) * n,
         inputs=len(driven),
-        parameters={name: Parameter(tuple(map(float, p[name])), unit, source) for name, unit in _UNITS.items()}
+        parameters={name: Parameter(p[name], unit, source) for name, unit in _UNITS.items()}
         | {"gravity": Parameter(gravity, "m/s^2", source)},
     )
+
+
+def _metric(q, coupling, constant, between, absolute):
+    # Angles between links, from coordinates directly: that of the first link drops out.
+    links = coupling * jnp.cos(between @ q)
+    return absolute.T @ (links + constant) @ absolute
+
+
+def _potential(q, moment, absolute, gravity):
+    return gravity * (moment @ jnp.cos(absolute @ q))
+
+
+def _force(t, q, u, offset, motors, joints):
+    return joints.T @ (offset + motors @ u)
+
+
+def _dissipation(q, v, viscous, coulomb, joints):
+    rate = joints @ v
+    return -joints.T @ (viscous * rate + coulomb * jnp.arctan(COULOMB_STEEPNESS * rate))
 
 
 def _per_link(name: str, value: Sequence[float] | np.ndarray | None, n: int) -> np.ndarray:

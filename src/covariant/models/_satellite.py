@@ -6,7 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from covariant.geometry.lie import SO2, SO3, Product
-from covariant.models._mechanical import GroupSystem, Parameter
+from covariant.models._mechanical import GroupSystem
+from covariant.models._parameters import Parameter, Parametric
 
 _SOURCE = "chosen: of the size of a small satellite"
 
@@ -32,24 +33,26 @@ def satellite(
     spin = wheel_inertia * directions.T
     matrix = np.block([[body, spin], [spin.T, wheel_inertia * np.eye(k)]])
 
-    def force(t, g, u):
-        return jnp.concatenate([jnp.zeros(3, u.dtype), u])
-
-    def dissipation(g, v):
-        return jnp.concatenate([jnp.zeros(3, v.dtype), -bearing * v[3:]])
-
     return GroupSystem(
         Product((SO3, *(SO2,) * k)),
         matrix,
         None,
-        force,
-        dissipation,
+        _at_the_wheels,
+        Parametric(_bearing_friction, bearing=bearing),
         velocities=("w1", "w2", "w3", *(f"wheel{i + 1}" for i in range(k))),
         units=("rad/s",) * (3 + k),
         inputs=k,
         parameters={
-            "inertia": Parameter(tuple(inertia), "kg m^2", _SOURCE),
+            "inertia": Parameter(inertia, "kg m^2", _SOURCE),
             "wheel_inertia": Parameter(wheel_inertia, "kg m^2", _SOURCE),
             "bearing": Parameter(bearing, "N m s/rad", _SOURCE),
         },
     )
+
+
+def _at_the_wheels(t, g, u):
+    return jnp.concatenate([jnp.zeros(3, u.dtype), u])
+
+
+def _bearing_friction(g, v, bearing):
+    return jnp.concatenate([jnp.zeros(3, v.dtype), -bearing * v[3:]])

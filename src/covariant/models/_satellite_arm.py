@@ -10,7 +10,8 @@ from jaxtyping import Array, Float
 from covariant._typing import Scalar, Vector
 from covariant.geometry import Coordinates, KineticEnergy, ProductManifold
 from covariant.geometry.lie import SE3
-from covariant.models._mechanical import MechanicalSystem, Parameter
+from covariant.models._mechanical import MechanicalSystem
+from covariant.models._parameters import Parameter, Parametric
 
 _SOURCE = "chosen: of the size of a small servicing satellite"
 _AXES = ((0.0, 0.0, 1.0), (0.0, 1.0, 0.0))
@@ -43,7 +44,7 @@ def satellite_arm(
     return MechanicalSystem(
         KineticEnergy(ArmEnergy(*map(jnp.asarray, (np.stack(bodies), screws, turns))), manifold=manifold),
         force=_at_the_joints,
-        dissipation=JointFriction(jnp.asarray(bearing, float)),
+        dissipation=Parametric(_joint_friction, bearing=bearing),
         coordinates=("joint1", "joint2"),
         units=("rad", "rad"),
         velocities=("v1", "v2", "v3", "w1", "w2", "w3", "rate1", "rate2"),
@@ -51,9 +52,9 @@ def satellite_arm(
         inputs=2,
         parameters={
             "mass": Parameter(mass, "kg", _SOURCE),
-            "inertia": Parameter(tuple(inertia), "kg m^2", _SOURCE),
-            "link_mass": Parameter(tuple(link_mass), "kg", _SOURCE),
-            "link_length": Parameter(tuple(link_length), "m", _SOURCE),
+            "inertia": Parameter(inertia, "kg m^2", _SOURCE),
+            "link_mass": Parameter(link_mass, "kg", _SOURCE),
+            "link_length": Parameter(link_length, "m", _SOURCE),
             "mount": Parameter(mount, "m", _SOURCE),
             "bearing": Parameter(bearing, "N m s/rad", _SOURCE),
         },
@@ -85,15 +86,6 @@ class ArmEnergy(eqx.Module):
         return total / 2
 
 
-class JointFriction(eqx.Module):
-    """Viscous friction of the joints alone."""
-
-    bearing: Float[Array, ""]
-
-    def __call__(self, q: Float[Array, "m"], v: Vector) -> Vector:
-        return jnp.concatenate([jnp.zeros(6, v.dtype), -self.bearing.astype(v.dtype) * v[6:]])
-
-
 def _spatial_inertia(mass: float, centre: np.ndarray, inertia: np.ndarray) -> np.ndarray:
     """(6, 6) for twists (v, ω) about the origin, of a body whose inertia about its centre of mass this is."""
     cross = np.cross(np.eye(3), centre)  # row i is e_i × c, so that ω × c = ω @ cross
@@ -104,6 +96,10 @@ def _ad(screw: np.ndarray) -> np.ndarray:
     """`ad(S)` (6, 6): the bracket with a twist (v, ω), `(ω × v' − ω' × v, ω × ω')`."""
     v, w = (np.cross(part, np.eye(3)).T for part in (screw[:3], screw[3:]))
     return np.block([[w, v], [np.zeros((3, 3)), w]])
+
+
+def _joint_friction(q, v, bearing):
+    return jnp.concatenate([jnp.zeros(6, v.dtype), -bearing * v[6:]])
 
 
 def _at_the_joints(t, q, u):

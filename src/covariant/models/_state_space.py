@@ -10,7 +10,8 @@ from jaxtyping import Array, Float
 
 from covariant._typing import Matrix, Scalar, Vector
 from covariant.geometry import Coordinates, wrap
-from covariant.models._mechanical import FrozenDict, MechanicalSystem, Parameter, acceleration, check_shapes
+from covariant.models._mechanical import MechanicalSystem, acceleration, check_shapes, input_count
+from covariant.models._parameters import Parameter
 
 
 class StateSpace(eqx.Module):
@@ -35,7 +36,7 @@ class StateSpace(eqx.Module):
     inputs: int = eqx.field(static=True)
     circles: tuple[int, ...] = eqx.field(static=True)
     box: tuple[tuple[float, float], ...] = eqx.field(static=True)
-    parameters: dict[str, Parameter] = eqx.field(static=True)
+    parameters: dict[str, Parameter]
 
     def __init__(
         self,
@@ -54,7 +55,7 @@ class StateSpace(eqx.Module):
         self.coordinates, self.units = tuple(coordinates), tuple(units)
         self.inputs, self.circles = inputs, tuple(circles)
         self.box = tuple((float(low), float(high)) for low, high in box)
-        self.parameters = FrozenDict(parameters or {})
+        self.parameters = dict(parameters or {})
         self.outputs = tuple(outputs)
         if self.coordinates:
             count = _check(self)
@@ -87,20 +88,25 @@ def state_space(model: MechanicalSystem) -> StateSpace:
     names = model.coordinates
     rates = tuple(f"{name}_dot" for name in names)
 
-    def f(t, x, u):
-        q, v = jnp.split(x, 2)
-        return jnp.concatenate([v, acceleration(model, t, q, v, u)])
-
     return StateSpace(
-        f,
-        lambda t, x, u: jnp.split(x, 2)[0],
+        eqx.Partial(_motion_rate, model),
+        _position,
         coordinates=(*names, *rates),
         units=(*model.units, *(f"{unit}/s" for unit in model.units)),
         outputs=names,
-        inputs=len(names) if model.inputs is None else model.inputs,
+        inputs=input_count(model, len(names)),
         circles=model.circles,
         parameters=model.parameters,
     )
+
+
+def _motion_rate(model: MechanicalSystem, t: Scalar, x: Vector, u: Float[Array, "m"]) -> Vector:
+    q, v = jnp.split(x, 2)
+    return jnp.concatenate([v, acceleration(model, t, q, v, u)])
+
+
+def _position(t: Scalar, x: Vector, u: Float[Array, "m"]) -> Vector:
+    return jnp.split(x, 2)[0]
 
 
 def _check(model: StateSpace) -> int:

@@ -11,7 +11,8 @@ import numpy as np
 from jaxtyping import Array
 
 from covariant.geometry.lie import SE3
-from covariant.models._mechanical import GroupSystem, Parameter
+from covariant.models._mechanical import GroupSystem
+from covariant.models._parameters import Parameter, Parametric
 
 _SOURCE = "chosen: of the size of a small inspection vehicle"
 
@@ -36,20 +37,17 @@ def underwater_vehicle(
     centre, lift = np.asarray(centre_of_mass, float), np.asarray(centre_of_buoyancy, float)
     coupling = mass * np.cross(np.eye(3), centre)  # the matrix of x ↦ mass · centre × x
     rigid = np.block([[mass * np.eye(3), coupling.T], [coupling, np.diag(np.asarray(inertia, float))]])
-
-    def potential(g):
-        heights = [SE3.act(g, jnp.asarray(point, g.dtype))[2] for point in (centre, lift)]
-        return mass * gravity * heights[0] - buoyancy * heights[1]
+    potential = Parametric(_potential, weight=mass * gravity, buoyancy=buoyancy, centre=centre, lift=lift)
 
     parameters = {
         "mass": Parameter(mass, "kg", _SOURCE),
-        "inertia": Parameter(tuple(inertia), "kg m^2", _SOURCE),
-        "added_mass": Parameter(tuple(added_mass), "kg, kg m^2", _SOURCE),
+        "inertia": Parameter(inertia, "kg m^2", _SOURCE),
+        "added_mass": Parameter(added_mass, "kg, kg m^2", _SOURCE),
         "buoyancy": Parameter(buoyancy, "N", _SOURCE),
-        "centre_of_mass": Parameter(tuple(centre_of_mass), "m", _SOURCE),
-        "centre_of_buoyancy": Parameter(tuple(centre_of_buoyancy), "m", _SOURCE),
-        "drag": Parameter(tuple(drag), "N s/m, N m s", _SOURCE),
-        "quadratic_drag": Parameter(tuple(quadratic_drag), "N s^2/m^2, N m s^2", _SOURCE),
+        "centre_of_mass": Parameter(centre_of_mass, "m", _SOURCE),
+        "centre_of_buoyancy": Parameter(centre_of_buoyancy, "m", _SOURCE),
+        "drag": Parameter(drag, "N s/m, N m s", _SOURCE),
+        "quadratic_drag": Parameter(quadratic_drag, "N s^2/m^2, N m s^2", _SOURCE),
     }
     return submerged_body(rigid + np.diag(added_mass), potential, drag, quadratic_drag, parameters)
 
@@ -62,17 +60,20 @@ def submerged_body(
     parameters: dict[str, Parameter],
 ) -> GroupSystem:
     """A body on SE(3) with inertia (6, 6), a potential of its pose, and drag against each component of its twist."""
-    linear, square = np.asarray(drag, float), np.asarray(quadratic_drag, float)
-
-    def dissipation(g, v):
-        return -(jnp.asarray(linear, v.dtype) + jnp.asarray(square, v.dtype) * jnp.abs(v)) * v
-
     return GroupSystem(
         SE3,
         inertia,
         potential,
-        dissipation=dissipation,
+        dissipation=Parametric(_drag, linear=drag, square=quadratic_drag),
         velocities=("surge", "sway", "heave", "roll_rate", "pitch_rate", "yaw_rate"),
         units=("m/s",) * 3 + ("rad/s",) * 3,
         parameters=parameters,
     )
+
+
+def _potential(g, weight, buoyancy, centre, lift):
+    return weight * SE3.act(g, centre)[2] - buoyancy * SE3.act(g, lift)[2]
+
+
+def _drag(g, v, linear, square):
+    return -(linear + square * jnp.abs(v)) * v

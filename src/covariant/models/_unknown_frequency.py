@@ -10,15 +10,19 @@ def unknown_frequency() -> StateSpace:
 
     `f = (x2, −x3 x1, 0)`. The box is the grid of section III of the paper. At x1 = x2 = 0 nothing tells the frequency.
     """
-
-    def f(t, x, u):
-        return jnp.stack([x[1], -x[2] * x[0], jnp.zeros_like(x[0])])
-
     return StateSpace(
-        f,
-        lambda t, x, u: x[:1],
+        _f,
+        _h,
         coordinates=("x1", "x2", "x3"),
         units=("m", "m/s", "1/s^2"),
         outputs=("x1",),
         box=((0.0, 1.0), (1.0, 1.5), (0.5, 1.5)),
     )
+
+
+def _f(t, x, u):
+    return jnp.stack([x[1], -x[2] * x[0], jnp.zeros_like(x[0])])
+
+
+def _h(t, x, u):
+    return x[:1]

@@ -2,8 +2,7 @@
 
 import jax.numpy as jnp
 
-from covariant.models._mechanical import Parameter
-from covariant.models._parameters import check_parameters
+from covariant.models._parameters import Parameter, Parametric, check_parameters, values
 from covariant.models._state_space import StateSpace
 
 
@@ -13,17 +12,22 @@ def van_der_pol(damping: float = 1.0) -> StateSpace:
     Raises `ValueError` for a negative damping.
     """
     parameters = {"damping": Parameter(damping, "1", "van der Pol 1926")}
-
-    def f(t, x, u):
-        q, v = x
-        return jnp.stack([v, damping * (1 - q**2) * v - q])
-
+    check_parameters("van_der_pol", parameters, may_vanish=("damping",))
     return StateSpace(
-        f,
-        lambda t, x, u: x[:1],
+        Parametric(_f, **values(parameters)),
+        _h,
         coordinates=("q", "q_dot"),
         units=("1", "1"),
         outputs=("q",),
         box=((-3.0, 3.0), (-4.0, 4.0)),
-        parameters=check_parameters("van_der_pol", parameters, may_vanish=("damping",)),
+        parameters=parameters,
     )
+
+
+def _f(t, x, u, damping):
+    q, v = x
+    return jnp.stack([v, damping * (1 - q**2) * v - q])
+
+
+def _h(t, x, u):
+    return x[:1]

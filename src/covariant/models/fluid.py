@@ -23,7 +23,8 @@ from jaxtyping import Array, Complex, Float
 
 from covariant._typing import Element, Scalar, Vector
 from covariant.geometry.lie import SU, AbstractInertia
-from covariant.models._mechanical import GroupSystem, Parameter
+from covariant.models._mechanical import GroupSystem
+from covariant.models._parameters import Parameter
 
 Modes = Complex[Array, "N N"]
 """Fourier coefficients f_m of a real field at [m₁, m₂] modulo N, the order of `jnp.fft.fft2`; the mean f_0 is not used.
@@ -48,7 +49,7 @@ def ideal_fluid(n: int, viscosity: float = 0.0) -> GroupSystem:
         ParticleMaps(n),
         Laplacian(n),
         force=_no_force,
-        dissipation=Viscosity(n, viscosity) if viscosity else None,
+        dissipation=Viscosity(n, jnp.asarray(viscosity, float)) if viscosity else None,
         units=("1/s",) * (n**2 - 1),
         inputs=0,
         parameters={"viscosity": Parameter(viscosity, "m^2/s", "chosen")},
@@ -152,11 +153,11 @@ class Viscosity(eqx.Module):
     """Dissipation `(g, v) -> (n² − 1,)` that adds νΔω to the vorticity's rate."""
 
     n: int = eqx.field(static=True)
-    viscosity: float
+    viscosity: Float[Array, ""]
 
     def __call__(self, g: Element, v: Vector) -> Vector:
         inertia = Laplacian(self.n)
-        return -self.viscosity / inertia.scale * inertia(inertia(v))
+        return -self.viscosity.astype(v.dtype) / inertia.scale * inertia(inertia(v))
 
 
 def _no_force(t, g, u):

@@ -18,7 +18,7 @@ from covariant._linalg import solve
 from covariant._typing import Number, Numbers, Scalar, Vector
 from covariant.models import StateSpace, state_space
 from covariant.models.marine import Craft
-from covariant.observers._protocol import AbstractFlowObserver, Held, Info, check_finite, no_input, still
+from covariant.observers._protocol import AbstractFlowObserver, Held, Info, as_gain, check_finite, no_input, still
 from covariant.signals import Result
 
 Injected = Callable[[Array, Array, Array, Array], Array]
@@ -56,7 +56,7 @@ class Contracting(AbstractFlowObserver):
     start: Vector
     injected: Injected | None = None
     substeps: int = eqx.field(default=1, static=True)
-    memory: Number = jnp.inf
+    memory: Scalar = eqx.field(default=jnp.inf, converter=as_gain)
 
     def __check_init__(self):
         n, p = self.start.shape[0], len(self.model.outputs)

@@ -13,6 +13,7 @@ from covariant.observers._protocol import (
     AbstractMechanicalObserver,
     HeldState,
     Info,
+    as_gain,
     at_rest,
     check_positive,
     outcome,
@@ -32,8 +33,8 @@ class Copy(AbstractMechanicalObserver):
     """
 
     model: MechanicalSystem
-    alpha: Number
-    beta: Number
+    alpha: Scalar = eqx.field(converter=as_gain)
+    beta: Scalar = eqx.field(converter=as_gain)
     substeps: int | None = eqx.field(default=None, static=True)
 
     def __check_init__(self):
@@ -45,7 +46,7 @@ class Copy(AbstractMechanicalObserver):
     def flow(self, t: Scalar, state: HeldState, u: Float[Array, "m"], y: Array) -> HeldState:
         q, v, _, held = state
         e = -self.model.manifold.towards(q, y)
-        drive = source(self.model, t, self.model.manifold.measured(q, y), u) + friction(self.model, q, v)
+        drive = source(self.model, t, self.model.manifold.measured(q, y), u) + friction(self.model, t, q, v, u)
         v_dot = drive - self.beta * e - self.model.space.connection(q, v, v)
         return HeldState(v - self.alpha * e, v_dot, jnp.ones_like(state.t), still(held))
 

@@ -17,7 +17,7 @@ from jaxtyping import Array, Float, Inexact
 from covariant._linalg import solve
 from covariant._typing import Code, Matrix, Number, Scalar, Vector
 from covariant.models import MechanicalSystem, Motion
-from covariant.observers._protocol import AbstractObserver, Held, at_rest, check_finite, outcome, uniqueness
+from covariant.observers._protocol import AbstractObserver, Held, as_gain, at_rest, check_finite, outcome, uniqueness
 from covariant.observers._sampled import predict
 
 
@@ -55,7 +55,7 @@ class EKF(AbstractObserver):
     model: MechanicalSystem
     process_cov: Matrix
     measurement_cov: Matrix
-    initial_velocity_std: Number = 1.0
+    initial_velocity_std: Scalar = eqx.field(default=1.0, converter=as_gain)
     substeps: int | None = eqx.field(default=None, static=True)
 
     def __check_init__(self):

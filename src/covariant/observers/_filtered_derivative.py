@@ -8,7 +8,7 @@ from jaxtyping import Array, Float
 
 from covariant._typing import Code, Number, Scalar, Vector
 from covariant.geometry import wrap
-from covariant.observers._protocol import AbstractObserver, check_positive, outcome
+from covariant.observers._protocol import AbstractObserver, as_gain, check_positive, outcome
 
 
 class FilteredState(NamedTuple):
@@ -32,7 +32,7 @@ class FilteredDerivative(AbstractObserver):
     Raises `ValueError` for a bandwidth that is not positive and finite.
     """
 
-    bandwidth: Number
+    bandwidth: Scalar = eqx.field(converter=as_gain)
     circles: tuple[int, ...] = eqx.field(default=(), static=True)
 
     def __check_init__(self):

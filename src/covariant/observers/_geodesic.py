@@ -16,6 +16,7 @@ from covariant.models import MechanicalSystem, friction, source
 from covariant.observers._protocol import (
     AbstractMechanicalObserver,
     Held,
+    as_gain,
     at_rest,
     check_positive,
     outcome,
@@ -72,8 +73,8 @@ class Geodesic(AbstractMechanicalObserver):
     """
 
     model: MechanicalSystem
-    alpha: Number
-    beta: Number
+    alpha: Scalar = eqx.field(converter=as_gain)
+    beta: Scalar = eqx.field(converter=as_gain)
     budget: Budget = eqx.field(default=Budget(newton=1, steps=4), static=True)
     curvature: bool = eqx.field(default=True, static=True)
     substeps: int | None = eqx.field(default=None, static=True)
@@ -88,7 +89,7 @@ class Geodesic(AbstractMechanicalObserver):
     def flow(self, t: Scalar, state: GeodesicState, u: Float[Array, "m"], y: Array) -> GeodesicState:
         found = self._correction(t, state, u, y)
         w = state.v + self.alpha * found.log
-        v_dot = found.drive + self.beta * found.log + friction(self.model, state.q, state.v)
+        v_dot = found.drive + self.beta * found.log + friction(self.model, t, state.q, state.v, u)
         v_dot = v_dot - self.model.space.connection(state.q, w, state.v)
         # Only a warm start: it follows the geodesic found, and no estimate depends on how closely.
         log_dot = 10 * self.alpha * (found.log - state.log)

@@ -18,6 +18,7 @@ from covariant.observers._protocol import (
     AbstractMechanicalObserver,
     HeldState,
     Info,
+    as_gain,
     at_rest,
     check_positive,
     outcome,
@@ -50,8 +51,8 @@ class Intrinsic(AbstractMechanicalObserver):
     """
 
     model: MechanicalSystem
-    alpha: Number
-    beta: Number
+    alpha: Scalar = eqx.field(converter=as_gain)
+    beta: Scalar = eqx.field(converter=as_gain)
     order: Literal[1, 2] = eqx.field(default=1, static=True)
     coefficients: Literal["measured", "estimated"] = eqx.field(default="measured", static=True)
     curvature: bool = eqx.field(default=True, static=True)
@@ -70,7 +71,7 @@ class Intrinsic(AbstractMechanicalObserver):
     def flow(self, t: Scalar, state: HeldState, u: Float[Array, "m"], y: Array) -> HeldState:
         q, v, _, held = state
         xi, drive = self._correction(t, q, v, u, y)
-        w, v_dot = self.rates(q, v, xi, drive + friction(self.model, q, v))
+        w, v_dot = self.rates(q, v, xi, drive + friction(self.model, t, q, v, u))
         return HeldState(w, v_dot, jnp.ones_like(state.t), still(held))
 
     def rates(self, q: Array, v: Vector, xi: Vector, drive: Vector) -> tuple[Vector, Vector]:

@@ -18,7 +18,7 @@ from covariant._typing import Matrix, Number, Numbers, Scalar, Vector
 from covariant.models.marine import Station, yaw_rotation
 from covariant.models.marine._craft import spd
 from covariant.observers._contracting import Contracting, ContractingState
-from covariant.observers._protocol import AbstractFlowObserver, Info
+from covariant.observers._protocol import AbstractFlowObserver, Info, as_gain
 
 
 class PassiveGains(NamedTuple):
@@ -51,7 +51,7 @@ class PassiveShip(AbstractFlowObserver):
     station: Station
     gains: PassiveGains
     substeps: int = eqx.field(default=1, static=True)
-    memory: Number = jnp.inf
+    memory: Scalar = eqx.field(default=jnp.inf, converter=as_gain)
 
     def init(self, y: Float[Array, "p"], t: Number = 0.0) -> ContractingState:
         """State at rest at the measured position. Raises `ValueError`, or an error under jit, where it is missing."""

@@ -21,7 +21,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Float, Inexact
 
 from covariant._typing import Code, Number, Scalar, Vector
-from covariant.models import MechanicalSystem, Motion
+from covariant.models import MechanicalSystem, Motion, input_count
 from covariant.signals import Record, Result, Run
 
 Held = Float[Array, "m"] | None
@@ -130,6 +130,14 @@ def uniqueness(model: MechanicalSystem, q: Array, y: Array) -> Code:
     return jnp.where(unique, int(Result.OK), int(Result.CUT_LOCUS)).astype(jnp.int32)
 
 
+def as_gain(value: Any) -> Any:
+    """A gain as an array, so that a program is compiled once for all gains; it takes the precision of what it meets.
+
+    Whatever is no number stays as it is, for the checks to name.
+    """
+    return jnp.asarray(float(value)) if isinstance(value, int | float | np.generic) else value
+
+
 def check_positive(whose: str, **gains: Any) -> None:
     """Raise `ValueError` where a gain is given as a number that is not positive and finite; one traced has no value."""
     for name, gain in gains.items():
@@ -145,7 +153,12 @@ def check_finite(whose: str, **given: Any) -> None:
 
 
 def _known(value: Any, good: Callable[[np.ndarray], Any]) -> bool:
-    return isinstance(value, Tracer) or bool(np.all(good(np.asarray(value))))
+    if isinstance(value, Tracer):
+        return True
+    try:
+        return bool(np.all(good(np.asarray(value, float))))
+    except (TypeError, ValueError):  # no numbers
+        return False
 
 
 def _written(value: Any) -> str:
@@ -154,7 +167,7 @@ def _written(value: Any) -> str:
 
 def no_input(model: Any, like: Vector) -> Float[Array, "m"]:
     """Zero input of the size the model takes, or of that of `like`, its coordinates, where it does not say."""
-    return jnp.zeros(like.shape[0] if model.inputs is None else model.inputs, like.dtype)
+    return jnp.zeros(input_count(model, like.shape[0]), like.dtype)
 
 
 def still(held: Held) -> Held:

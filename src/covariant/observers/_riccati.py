@@ -15,7 +15,7 @@ from covariant._integrate import rk4
 from covariant._linalg import half_solve, pivots, solve
 from covariant._typing import Flag, Matrix, MatrixField, Number, Scalar, Vector
 from covariant.models import StateSpace
-from covariant.observers._protocol import AbstractFlowObserver, Held, Info, check_finite, no_input, still
+from covariant.observers._protocol import AbstractFlowObserver, Held, Info, as_gain, check_finite, no_input, still
 from covariant.riccati import Equation, Metric
 from covariant.signals import Result
 
@@ -49,7 +49,7 @@ class Riccati(AbstractFlowObserver):
     model: StateSpace
     metric: MatrixField
     start: Vector
-    gain: Number | Callable[[Array], Array] = 0.25
+    gain: Scalar | Callable[[Array], Array] = eqx.field(default=0.25, converter=as_gain)
     measurement_cov: Float[Array, "p p"] | None = None
     substeps: int = eqx.field(default=1, static=True)
 

@@ -12,11 +12,12 @@ from jaxtyping import Array, Float
 
 from covariant._typing import Number, Scalar, Vector
 from covariant.geometry.lie import SO3, quaternion_from_rotation
-from covariant.models import MechanicalSystem, Motion, applied_force, body_velocity, spatial_momentum
+from covariant.models import MechanicalSystem, Motion, applied_force, body_velocity, resistance, spatial_momentum
 from covariant.observers._protocol import (
     AbstractFlowObserver,
     Held,
     Info,
+    as_gain,
     at_rest,
     check_positive,
     outcome,
@@ -52,8 +53,8 @@ class Salcudean(AbstractFlowObserver):
     """
 
     model: MechanicalSystem
-    kp: Number
-    kv: Number
+    kp: Scalar = eqx.field(converter=as_gain)
+    kv: Scalar = eqx.field(converter=as_gain)
     substeps: int | None = eqx.field(default=None, static=True)
 
     def __check_init__(self):
@@ -94,5 +95,5 @@ class Salcudean(AbstractFlowObserver):
     def _alone(self, t: Scalar, state: SalcudeanState, u: Float[Array, "m"], at: Float[Array, "3 3"]):
         """Angular velocity and torque in space of a body with the estimated momentum, at the rotation `at`."""
         v = body_velocity(self.model, at, state.momentum)
-        pull = applied_force(self.model, t, at, u) + self.model.dissipation(at, v)
+        pull = applied_force(self.model, t, at, u) + resistance(self.model, t, at, v, u)
         return at @ v, at @ pull

@@ -21,11 +21,11 @@ def predict(
     model: MechanicalSystem, t: Number, q: Array, v: Vector, u: Float[Array, "m"], dt: Number, substeps: int | None
 ) -> Motion:
     """Integrate the model over dt [s] with u held; `substeps=None` uses as many steps as friction and dt ask for."""
-    count = needed_substeps(model, q, v, dt) if substeps is None else substeps
+    count = needed_substeps(model, t, q, v, u, dt) if substeps is None else substeps
     return advance(model, t, Motion(q, v), u, dt, count)
 
 
-def needed_substeps(model: MechanicalSystem, q: Array, v: Vector, dt: Number) -> Code:
+def needed_substeps(model: MechanicalSystem, t: Number, q: Array, v: Vector, u: Float[Array, "m"], dt: Number) -> Code:
     """Steps that keep h·rate ≤ 1, the rate being a bound on that of the friction at rest and at v [1/s].
 
     Friction is steepest at rest where it is Coulomb's and at speed where it is drag. The trace bounds the fastest rate,
@@ -34,7 +34,7 @@ def needed_substeps(model: MechanicalSystem, q: Array, v: Vector, dt: Number) ->
     n = v.shape[0]
 
     def rate(at):
-        jacobian = jax.jacfwd(lambda w: friction(model, q, w))(at)
+        jacobian = jax.jacfwd(lambda w: friction(model, jnp.asarray(t), q, w, u))(at)
         return -sum(jacobian[i, i] for i in range(n))
 
     fastest = jnp.maximum(jnp.maximum(rate(jnp.zeros_like(v)), rate(v)), 1 / LONGEST_STEP)

@@ -89,7 +89,7 @@ class PrintedGroup(AbstractFlowObserver):
         if "curvature count" in self.slips:
             turned = 2 * turned - space.connection(q, group.lie_bracket(v, error), v)
         v_dot = moved + (turned if "curvature sign" in self.slips else -turned) - self.beta * error
-        v_dot = v_dot - space.connection(q, w, v) + friction(self.model, q, v)
+        v_dot = v_dot - space.connection(q, w, v) + friction(self.model, t, q, v, u)
         if "alpha" in self.slips:
             v_dot = v_dot + (1 - self.alpha) * group.lie_bracket(error, v)
         return HeldState(w, v_dot, jnp.ones_like(state.t))

@@ -9,13 +9,14 @@ import functools
 from collections.abc import Callable
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from covariant._integrate import solve
+from covariant._integrate import compiled, solve
 from covariant._typing import Number
-from covariant.models import MechanicalSystem, MomentumChart, Motion, acceleration, advance
+from covariant.models import MechanicalSystem, MomentumChart, Motion, StateSpace, acceleration, advance, input_count
 from covariant.observers import AbstractFlowObserver, continuous
 from covariant.signals import Record
 
@@ -31,6 +32,7 @@ CHART_SIZE = 0.5
 
 
 @functools.singledispatch
+@compiled
 def simulate(
     model: MechanicalSystem,
     x0: Any,
@@ -62,7 +64,13 @@ def simulate(
     return Record(t, jax.vmap(push)(t, x), model.motion(x).q, x)
 
 
+def position(t, q):
+    """A measurement of the whole configuration, without noise."""
+    return q
+
+
 @functools.singledispatch
+@compiled
 def observe(
     model: MechanicalSystem,
     observer: AbstractFlowObserver,
@@ -70,7 +78,7 @@ def observe(
     state0: Any,
     t: Float[Array, "T"],
     u: Input | None = None,
-    measure: Measurement = lambda t, q: q,
+    measure: Measurement = position,
     *,
     rtol: Number = 1e-10,
     atol: Number = 1e-12,
@@ -137,19 +145,22 @@ def _observe_in_charts(model: MechanicalSystem, observer: AbstractFlowObserver, 
     return Motion(q, jax.vmap(model.space.raise_)(q, momentum)), state
 
 
-def no_input(model: MechanicalSystem, v: Float[Array, "n"]) -> Input:
-    """Zero input of the size the model takes, n where it does not say."""
-    zero = jnp.zeros(v.shape[-1] if model.inputs is None else model.inputs, v.dtype)
-    return lambda t, x: zero
+def no_input(model: MechanicalSystem | StateSpace, v: Float[Array, "n"]) -> Input:
+    """Zero input of the size the model takes, n where it does not say; v is a velocity, or a state."""
+    return eqx.Partial(_nothing, jnp.zeros(input_count(model, v.shape[-1]), v.dtype))
+
+
+def _nothing(zero, t, x):
+    return zero
 
 
 def hold(t: Float[Array, "T"], u: Float[Array, "T m"]) -> Input:
     """Recorded inputs, each held from its stamp to the next."""
+    return eqx.Partial(_held, jnp.asarray(t), jnp.asarray(u))
 
-    def held(s, x):
-        return u[jnp.clip(jnp.searchsorted(t, s, side="right") - 1, 0, t.shape[0] - 1)]
 
-    return held
+def _held(t, u, s, x):
+    return u[jnp.clip(jnp.searchsorted(t, s, side="right") - 1, 0, t.shape[0] - 1)]
 
 
 def _derivative(model: MechanicalSystem, t: Array, x: Array, u: Array) -> Array:

@@ -3,18 +3,18 @@
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from covariant._integrate import solve
+from covariant._integrate import compiled, solve
 from covariant._typing import Number, Vector
 from covariant.models import StateSpace
 from covariant.observers import AbstractFlowObserver, continuous
 from covariant.signals import Record
-from covariant.simulation._simulate import Controller, Input, Measurement, observe, simulate
+from covariant.simulation._simulate import Controller, Input, Measurement, no_input, observe, position, simulate
 
 
-@simulate.register
+@simulate.register(StateSpace)
+@compiled
 def _(
     model: StateSpace,
     x0: Vector,
@@ -24,13 +24,14 @@ def _(
     rtol: Number = 1e-10,
     atol: Number = 1e-12,
 ) -> Record:
-    push = u or _no_input(model)
+    push = u or no_input(model, x0)
     x = solve(lambda s, x: model.f(s, x, push(s, x)), x0, t, rtol=rtol, atol=atol)
     inputs = jax.vmap(push)(t, x)
     return Record(t, inputs, jax.vmap(model.h)(t, x, inputs), x)
 
 
-@observe.register
+@observe.register(StateSpace)
+@compiled
 def _(
     model: StateSpace,
     observer: AbstractFlowObserver,
@@ -38,14 +39,14 @@ def _(
     state0: Any,
     t: Float[Array, "T"],
     u: Input | None = None,
-    measure: Measurement = lambda t, y: y,
+    measure: Measurement = position,
     *,
     rtol: Number = 1e-10,
     atol: Number = 1e-12,
     max_steps: int = 200_000,
     controller: Controller | None = None,
 ) -> tuple[Any, Any]:
-    push = u or _no_input(model)
+    push = u or no_input(model, x0)
 
     def flow(s, joint):
         x, state = joint
@@ -56,7 +57,3 @@ def _(
         return model.f(s, x, now), observer.flow(s, state, now, y)
 
     return solve(flow, (x0, continuous(state0)), t, rtol=rtol, atol=atol, max_steps=max_steps)
-
-
-def _no_input(model: StateSpace) -> Input:
-    return lambda t, x: jnp.zeros(model.inputs, x.dtype)

@@ -15,7 +15,8 @@ from jaxtyping import Array, Float
 from covariant._linalg import solve
 from covariant._typing import Matrix, Numbers, Scalar, Vector
 from covariant.geometry.lie import SE2, SE3
-from covariant.models._mechanical import FrozenDict, Parameter, check_shapes
+from covariant.models._mechanical import check_shapes
+from covariant.models._parameters import Parameter, Parametric
 from covariant.models._state_space import StateSpace, state_space
 
 
@@ -43,7 +44,7 @@ class Craft(eqx.Module):
     units: tuple[str, ...] = eqx.field(static=True)
     velocities: tuple[str, ...] = eqx.field(static=True)
     circles: tuple[int, ...] = eqx.field(static=True)
-    parameters: dict[str, Parameter] = eqx.field(static=True)
+    parameters: dict[str, Parameter]
 
     def __init__(
         self,
@@ -64,7 +65,7 @@ class Craft(eqx.Module):
         self.restoring = jnp.zeros_like if restoring is None else restoring
         self.coriolis = _no_coriolis if coriolis is None else coriolis
         self.coordinates, self.units, self.velocities = coordinates, units, velocities
-        self.circles, self.parameters = circles, FrozenDict(parameters or {})
+        self.circles, self.parameters = circles, dict(parameters or {})
         n = len(coordinates)
         if not len(units) == len(velocities) == n:
             raise ValueError(f"a craft of {n} coordinates needs {n} units and {n} velocities")
@@ -84,22 +85,25 @@ class Craft(eqx.Module):
 
 @state_space.register
 def _(model: Craft) -> StateSpace:
-    n = len(model.coordinates)
-
-    def f(t, x, u):
-        eta, nu = jnp.split(x, 2)
-        return jnp.concatenate([model.transform(eta) @ nu, model.acceleration(eta, nu, u)])
-
     return StateSpace(
-        f,
-        lambda t, x, u: x[:n],
+        eqx.Partial(_rate, model),
+        _position,
         coordinates=(*model.coordinates, *model.velocities),
         units=(*model.units, *(f"{unit}/s" for unit in model.units)),
         outputs=model.coordinates,
-        inputs=n,
+        inputs=len(model.coordinates),
         circles=model.circles,
         parameters=model.parameters,
     )
+
+
+def _rate(model: Craft, t: Scalar, x: Vector, u: Vector) -> Vector:
+    eta, nu = jnp.split(x, 2)
+    return jnp.concatenate([model.transform(eta) @ nu, model.acceleration(eta, nu, u)])
+
+
+def _position(t: Scalar, x: Vector, u: Vector) -> Vector:
+    return jnp.split(x, 2)[0]
 
 
 def _no_coriolis(nu: Vector) -> Matrix:
@@ -124,14 +128,12 @@ def coriolis_matrix(mass: Numbers) -> Callable[[Array], Array]:
 
     `C(ν)w = −ad*_w(Mν)`, so that `C(ν)ν` is that of Kirchhoff's equations.
     """
-    inertia = np.asarray(mass, float)
-    group = {3: SE2, 6: SE3}[len(inertia)]
+    return Parametric(_coriolis, mass=mass)
 
-    def coriolis(nu):
-        momentum = jnp.asarray(inertia, nu.dtype) @ nu
-        return -jax.vmap(group.coadjoint, (0, None), 1)(jnp.eye(nu.shape[0], dtype=nu.dtype), momentum)
 
-    return coriolis
+def _coriolis(nu: Vector, mass: Matrix) -> Matrix:
+    group = {3: SE2, 6: SE3}[nu.shape[0]]
+    return -jax.vmap(group.coadjoint, (0, None), 1)(jnp.eye(nu.shape[0], dtype=nu.dtype), mass @ nu)
 
 
 def yaw_rotation(psi: Scalar) -> Matrix:

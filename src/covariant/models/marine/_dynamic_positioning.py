@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from covariant._typing import Scalar, Vector
-from covariant.models._mechanical import Parameter
+from covariant.models._parameters import Parameter
 from covariant.models._state_space import StateSpace
 from covariant.models.marine._craft import Craft, yaw_rotation
 

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 import jax.numpy as jnp
 
 from covariant._linalg import solve
-from covariant.models._mechanical import Parameter
+from covariant.models._parameters import Parameter, Parametric
 from covariant.models._state_space import StateSpace
 from covariant.models.marine._craft import yaw_rotation
 
@@ -83,67 +83,25 @@ def manoeuvring_ship(
     added = {"x": 0.022 * scale * length, "y": 0.223 * scale * length, "z": 0.011 * scale * length**3}
     turning = mass * (length / 4) ** 2 + centre**2 * mass + added["z"]
     ratio = propeller_diameter / rudder_height
-
-    def forces(nu, delta, n):
-        """Surge and sway force and yaw moment at midships [N, N, N m]."""
-        u, v, yaw = nu
-        speed = jnp.maximum(jnp.sqrt(u**2 + v**2), 1e-9)
-        turn = yaw * length
-        x = -h["R0"] * speed**2 + h["Xvv"] * v**2 + h["Xvr"] * v * turn + h["Xrr"] * turn**2
-        x = x + h["Xvvvv"] * v**4 / speed**2
-        cubic = (v**3, v**2 * turn, v * turn**2, turn**3)
-        y, z = (
-            (h[f"{a}v"] * v + h[f"{a}r"] * turn) * speed
-            + sum(h[f"{a}{name}"] * c for name, c in zip(("vvv", "vvr", "vrr", "rrr"), cubic, strict=True)) / speed
-            for a in "YN"
-        )
-        drift = jnp.arctan2(-v, u)
-        inflow = drift + 0.5 * turn / speed  # the propeller is at half a length aft
-        swirl = jnp.where(inflow > 0, p["C2+"], p["C2-"]) - 1
-        behind = (1 - wake) * u * (1 + (1 - jnp.exp(-p["C1"] * jnp.abs(inflow))) * swirl)
-        tip = jnp.maximum(n * propeller_diameter, 1e-9)
-        advance = behind / tip
-        thrust_coefficient = p["k0"] + p["k1"] * advance + p["k2"] * advance**2
-        thrust = density * n**2 * propeller_diameter**4 * thrust_coefficient
-        aft = drift - r["arm"] * turn / speed
-        cross = speed * aft * jnp.where(aft > 0, r["straightening+"], r["straightening-"])
-        jet = jnp.sqrt(jnp.maximum(behind**2 + 8 * thrust_coefficient * tip**2 / math.pi, 0.0))
-        along = r["wake"] * jnp.sqrt(ratio * (behind + r["jet"] * (jet - behind)) ** 2 + (1 - ratio) * behind**2)
-        lift = (
-            density / 2 * rudder_area * (along**2 + cross**2) * r["lift"] * jnp.sin(delta - jnp.arctan2(cross, along))
-        )
-        side = lift * jnp.cos(delta)
-        return jnp.stack(
-            [
-                scale * x + (1 - p["deduction"]) * thrust - (1 - r["deduction"]) * lift * jnp.sin(delta),
-                scale * y - (1 + r["hull"]) * side,
-                scale * length * z - (-0.5 + r["hull"] * r["place"]) * length * side,
-            ]
-        )
-
-    def f(t, x, u):
-        nu = x[3:]
-        surge, sway, yaw = nu
-        m = jnp.array(
-            [
-                [mass + added["x"], 0.0, 0.0],
-                [0.0, mass + added["y"], mass * centre],
-                [0.0, mass * centre, turning],
-            ],
-            x.dtype,
-        )
-        turned = jnp.stack(
-            [
-                (mass + added["y"]) * sway * yaw + mass * centre * yaw**2,
-                -(mass + added["x"]) * surge * yaw,
-                -mass * centre * surge * yaw,
-            ]
-        )
-        return jnp.concatenate([yaw_rotation(x[2]) @ nu, solve(m, forces(nu, u[0], u[1]) + turned)])
-
     return StateSpace(
-        f,
-        lambda t, x, u: x[:3],
+        Parametric(
+            _f,
+            length=length,
+            mass=mass,
+            scale=scale,
+            added=added,
+            turning=turning,
+            ratio=ratio,
+            centre=centre,
+            diameter=propeller_diameter,
+            rudder_area=rudder_area,
+            wake=wake,
+            density=density,
+            hull=h,
+            propeller=p,
+            rudder=r,
+        ),
+        _position,
         coordinates=("north", "east", "heading", "surge", "sway", "yaw_rate"),
         units=("m", "m", "rad", "m/s", "m/s", "rad/s"),
         outputs=("north", "east", "heading"),
@@ -158,9 +116,9 @@ def manoeuvring_ship(
             "rudder_height": Parameter(rudder_height, "m", _MMG),
             "rudder_area": Parameter(rudder_area, "m^2", _MMG),
             "wake": Parameter(wake, "1", _MMG),
-            "hull": Parameter(tuple(h.values()), "1", f"{_MMG}: {', '.join(h)}"),
-            "propeller": Parameter(tuple(p.values()), "1", f"{_MMG}: {', '.join(p)}"),
-            "rudder": Parameter(tuple(r.values()), "1", f"{_MMG}: {', '.join(r)}"),
+            "hull": Parameter(list(h.values()), "1", f"{_MMG}: {', '.join(h)}"),
+            "propeller": Parameter(list(p.values()), "1", f"{_MMG}: {', '.join(p)}"),
+            "rudder": Parameter(list(r.values()), "1", f"{_MMG}: {', '.join(r)}"),
         },
     )
 
@@ -170,3 +128,66 @@ def _merge(name: str, usual: Mapping[str, float], given: Mapping[str, float] | N
     if unknown:
         raise ValueError(f"{name} has no entry {sorted(unknown)[0]!r}; it has {', '.join(usual)}")
     return dict(usual) | dict(given or {})
+
+
+def _f(t, x, u, mass, added, turning, centre, **rest):
+    nu = x[3:]
+    surge, sway, yaw = nu
+    zero = jnp.zeros_like(mass)
+    m = jnp.stack(
+        [
+            jnp.stack([mass + added["x"], zero, zero]),
+            jnp.stack([zero, mass + added["y"], mass * centre]),
+            jnp.stack([zero, mass * centre, turning]),
+        ]
+    )
+    turned = jnp.stack(
+        [
+            (mass + added["y"]) * sway * yaw + mass * centre * yaw**2,
+            -(mass + added["x"]) * surge * yaw,
+            -mass * centre * surge * yaw,
+        ]
+    )
+    return jnp.concatenate([yaw_rotation(x[2]) @ nu, solve(m, _forces(nu, u[0], u[1], **rest) + turned)])
+
+
+def _position(t, x, u):
+    return x[:3]
+
+
+def _forces(nu, delta, n, length, scale, ratio, diameter, rudder_area, wake, density, hull, propeller, rudder):
+    """Surge and sway force and yaw moment at midships [N, N, N m]."""
+    u, v, yaw = nu
+    speed = jnp.maximum(jnp.sqrt(u**2 + v**2), 1e-9)
+    turn = yaw * length
+    x = -hull["R0"] * speed**2 + hull["Xvv"] * v**2 + hull["Xvr"] * v * turn + hull["Xrr"] * turn**2
+    x = x + hull["Xvvvv"] * v**4 / speed**2
+    cubic = (v**3, v**2 * turn, v * turn**2, turn**3)
+    y, z = (
+        (hull[f"{a}v"] * v + hull[f"{a}r"] * turn) * speed
+        + sum(hull[f"{a}{name}"] * c for name, c in zip(("vvv", "vvr", "vrr", "rrr"), cubic, strict=True)) / speed
+        for a in "YN"
+    )
+    drift = jnp.arctan2(-v, u)
+    inflow = drift + 0.5 * turn / speed  # the propeller is at half a length aft
+    swirl = jnp.where(inflow > 0, propeller["C2+"], propeller["C2-"]) - 1
+    behind = (1 - wake) * u * (1 + (1 - jnp.exp(-propeller["C1"] * jnp.abs(inflow))) * swirl)
+    tip = jnp.maximum(n * diameter, 1e-9)
+    advance = behind / tip
+    thrust_coefficient = propeller["k0"] + propeller["k1"] * advance + propeller["k2"] * advance**2
+    thrust = density * n**2 * diameter**4 * thrust_coefficient
+    aft = drift - rudder["arm"] * turn / speed
+    cross = speed * aft * jnp.where(aft > 0, rudder["straightening+"], rudder["straightening-"])
+    jet = jnp.sqrt(jnp.maximum(behind**2 + 8 * thrust_coefficient * tip**2 / math.pi, 0.0))
+    along = rudder["wake"] * jnp.sqrt(ratio * (behind + rudder["jet"] * (jet - behind)) ** 2 + (1 - ratio) * behind**2)
+    lift = (
+        density / 2 * rudder_area * (along**2 + cross**2) * rudder["lift"] * jnp.sin(delta - jnp.arctan2(cross, along))
+    )
+    side = lift * jnp.cos(delta)
+    return jnp.stack(
+        [
+            scale * x + (1 - propeller["deduction"]) * thrust - (1 - rudder["deduction"]) * lift * jnp.sin(delta),
+            scale * y - (1 + rudder["hull"]) * side,
+            scale * length * z - (-0.5 + rudder["hull"] * rudder["place"]) * length * side,
+        ]
+    )

@@ -10,7 +10,8 @@ from collections.abc import Sequence
 import jax.numpy as jnp
 import numpy as np
 
-from covariant.models._mechanical import GroupSystem, Parameter
+from covariant.models._mechanical import GroupSystem
+from covariant.models._parameters import Parameter, Parametric
 from covariant.models._underwater_vehicle import submerged_body
 from covariant.models.marine._craft import Craft, coriolis_matrix, euler_transform
 
@@ -41,22 +42,11 @@ def odin(
     pitch of ±90° the angles are singular; `odin_on_group` is not.
     """
     m = _inertia_matrix(mass, inertia, added_mass)
-    linear, square, torque = np.asarray(drag, float), np.asarray(quadratic_drag, float), stability * mass * gravity
-
-    def damping(nu):
-        return jnp.diag(jnp.asarray(linear, nu.dtype) + jnp.asarray(square, nu.dtype) * jnp.abs(nu))
-
-    def restoring(eta):
-        roll, pitch = eta[3], eta[4]
-        zero = jnp.zeros_like(roll)
-        tilt = [torque * jnp.cos(pitch) * jnp.sin(roll), torque * jnp.sin(pitch)]
-        return jnp.stack([zero, zero, zero, *tilt, zero])
-
     return Craft(
         m,
         euler_transform,
-        damping,
-        restoring,
+        Parametric(_damping, linear=drag, square=quadratic_drag),
+        Parametric(_restoring, torque=stability * mass * gravity),
         coriolis_matrix(m) if coriolis else None,
         coordinates=("north", "east", "down", "roll", "pitch", "yaw"),
         units=("m", "m", "m", "rad", "rad", "rad"),
@@ -77,13 +67,25 @@ def odin_on_group(
 ) -> GroupSystem:
     """The same on SE(3), with C(ν)ν: no attitude is special. Axes and twist are those of `odin`, z down."""
     m = _inertia_matrix(mass, inertia, added_mass)
-
-    def potential(g):  # z is down, so the body's own z axis hangs at the lowest energy where it points along it
-        return -stability * mass * gravity * g[2, 2]
-
+    potential = Parametric(_potential, torque=stability * mass * gravity)
     return submerged_body(
         m, potential, drag, quadratic_drag, _parameters(mass, inertia, added_mass, drag, quadratic_drag, stability)
     )
+
+
+def _damping(nu, linear, square):
+    return jnp.diag(linear + square * jnp.abs(nu))
+
+
+def _restoring(eta, torque):
+    roll, pitch = eta[3], eta[4]
+    zero = jnp.zeros_like(roll)
+    tilt = [torque * jnp.cos(pitch) * jnp.sin(roll), torque * jnp.sin(pitch)]
+    return jnp.stack([zero, zero, zero, *tilt, zero])
+
+
+def _potential(g, torque):  # z is down, so the body's own z axis hangs at the lowest energy where it points along it
+    return -torque * g[2, 2]
 
 
 def _inertia_matrix(mass: float, inertia: Sequence[float], added_mass: Sequence[float]) -> np.ndarray:
@@ -94,9 +96,9 @@ def _inertia_matrix(mass: float, inertia: Sequence[float], added_mass: Sequence[
 def _parameters(mass, inertia, added_mass, drag, quadratic_drag, stability) -> dict[str, Parameter]:
     return {
         "mass": Parameter(mass, "kg", _BODY),
-        "inertia": Parameter(tuple(inertia), "kg m^2", _BODY),
-        "added_mass": Parameter(tuple(added_mass), "kg, kg m^2", _SPHERE),
-        "drag": Parameter(tuple(drag), "N s/m, N m s", "none, as in the paper"),
-        "quadratic_drag": Parameter(tuple(quadratic_drag), "N s^2/m^2, N m s^2", _DRAG),
+        "inertia": Parameter(inertia, "kg m^2", _BODY),
+        "added_mass": Parameter(added_mass, "kg, kg m^2", _SPHERE),
+        "drag": Parameter(drag, "N s/m, N m s", "none, as in the paper"),
+        "quadratic_drag": Parameter(quadratic_drag, "N s^2/m^2, N m s^2", _DRAG),
         "stability": Parameter(stability, "m", _CHOSEN),
     }

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Array
 
 from covariant._typing import Numbers
-from covariant.models._mechanical import Parameter
+from covariant.models._parameters import Parameter, Parametric
 from covariant.models.marine._craft import Craft, coriolis_matrix, spd, yaw_rotation
 
 _SUPPLY = "Fossen, Sagatun & Sørensen 1996, Identification of dynamically positioned ships, CEP 4(3)"
@@ -26,17 +26,11 @@ def surface_ship(
     `mass` (3, 3) and `damping`, a matrix (3, 3) or `ν -> (3, 3)`; `mooring`: stiffness (3, 3) in north, east and
     heading, which pulls with `R(ψ)ᵀKη` in the body. The paper prints Kη there, which is the same at ψ = 0 only.
     """
-    held = None if mooring is None else np.asarray(mooring, float)
-    drag: Callable[[Array], Array] = damping if callable(damping) else _constant(damping)
-
-    def restoring(eta):
-        return yaw_rotation(eta[2]).T @ (jnp.asarray(held, eta.dtype) @ eta)
-
     return Craft(
         mass,
-        lambda eta: yaw_rotation(eta[2]),
-        drag,
-        None if held is None else restoring,
+        _turned,
+        damping if callable(damping) else Parametric(_constant, matrix=damping),
+        None if mooring is None else Parametric(_mooring, stiffness=mooring),
         coriolis,
         coordinates=("north", "east", "heading"),
         units=("m", "m", "rad"),
@@ -46,9 +40,16 @@ def surface_ship(
     )
 
 
-def _constant(matrix: Numbers) -> Callable[[Array], Array]:
-    held = np.asarray(matrix, float)
-    return lambda nu: jnp.asarray(held, nu.dtype)
+def _turned(eta):
+    return yaw_rotation(eta[2])
+
+
+def _constant(nu, matrix):
+    return matrix
+
+
+def _mooring(eta, stiffness):
+    return yaw_rotation(eta[2]).T @ (stiffness @ eta)
 
 
 def supply_vessel(
@@ -74,8 +75,8 @@ def supply_vessel(
         parameters={
             "length": Parameter(length, "m", _SUPPLY),
             "mass": Parameter(mass, "kg", _SUPPLY),
-            "inertia": Parameter(tuple(np.ravel(inertia).tolist()), "1", _SUPPLY),
-            "damping": Parameter(tuple(np.ravel(damping).tolist()), "1", _SUPPLY),
+            "inertia": Parameter(np.ravel(inertia), "1", _SUPPLY),
+            "damping": Parameter(np.ravel(damping), "1", _SUPPLY),
         },
     )
 
@@ -101,30 +102,30 @@ def cybership(
     x_u, y_v, y_r, n_v, n_r = added_mass
     across = mass * centre + (y_r + n_v) / 2
     m = np.array([[mass + x_u, 0.0, 0.0], [0.0, mass + y_v, across], [0.0, across, inertia + n_r]])
-    u1, u2, u3 = surge_drag
-    (v1, vv, rv, r1, vr, rr), (w1, ww, sw, s1, ws, ss) = sway_drag, yaw_drag
-
-    def damping(nu):
-        u, v, r = jnp.abs(nu)
-        zero = jnp.zeros_like(u)
-        rows = [
-            [u1 + u2 * u + u3 * u**2, zero, zero],
-            [zero, v1 + vv * v + rv * r, r1 + vr * v + rr * r],
-            [zero, w1 + ww * v + sw * r, s1 + ws * v + ss * r],
-        ]
-        return jnp.stack([jnp.stack(row) for row in rows])
-
     return surface_ship(
         m,
-        damping,
+        Parametric(_identified_drag, surge=surge_drag, sway=sway_drag, yaw=yaw_drag),
         coriolis=coriolis_matrix(m),
         parameters={
             "mass": Parameter(mass, "kg", _CYBERSHIP),
             "inertia": Parameter(inertia, "kg m^2", _CYBERSHIP),
             "centre": Parameter(centre, "m", _CYBERSHIP),
-            "added_mass": Parameter(tuple(added_mass), "kg, kg m, kg m^2", _CYBERSHIP),
-            "surge_drag": Parameter(tuple(surge_drag), "N s/m, N s^2/m^2, N s^3/m^3", _CYBERSHIP),
-            "sway_drag": Parameter(tuple(sway_drag), "N s/m, N s^2/m^2 and with angles", _CYBERSHIP),
-            "yaw_drag": Parameter(tuple(yaw_drag), "N m s, N m s^2 and with lengths", _CYBERSHIP),
+            "added_mass": Parameter(added_mass, "kg, kg m, kg m^2", _CYBERSHIP),
+            "surge_drag": Parameter(surge_drag, "N s/m, N s^2/m^2, N s^3/m^3", _CYBERSHIP),
+            "sway_drag": Parameter(sway_drag, "N s/m, N s^2/m^2 and with angles", _CYBERSHIP),
+            "yaw_drag": Parameter(yaw_drag, "N m s, N m s^2 and with lengths", _CYBERSHIP),
         },
     )
+
+
+def _identified_drag(nu, surge, sway, yaw):
+    u, v, r = jnp.abs(nu)
+    u1, u2, u3 = surge
+    (v1, vv, rv, r1, vr, rr), (w1, ww, sw, s1, ws, ss) = sway, yaw
+    zero = jnp.zeros_like(u)
+    rows = [
+        [u1 + u2 * u + u3 * u**2, zero, zero],
+        [zero, v1 + vv * v + rv * r, r1 + vr * v + rr * r],
+        [zero, w1 + ww * v + sw * r, s1 + ws * v + ss * r],
+    ]
+    return jnp.stack([jnp.stack(row) for row in rows])
