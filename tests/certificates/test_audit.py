@@ -74,7 +74,7 @@ class Spoiled(AbstractFlowObserver):
         drive = s - christoffel(metric, y, s, xi) + (1 - 2 * sign) * curvature(metric, y, xi, v, v)
         q_dot = v - self.alpha * xi
         v_dot = drive - self.beta * xi - christoffel(metric, q + place * (y - q), v, q_dot)
-        v_dot = v_dot + (1 - smooth) * friction(self.model, q, v)
+        v_dot = v_dot + (1 - smooth) * friction(self.model, t, q, v, u)
         nan = jnp.where((lost > 0) & (jnp.sum(v) > 0), jnp.nan, 1.0)
         return MechanicalState(q_dot, nan * v_dot, jnp.ones(()))
 

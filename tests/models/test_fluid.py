@@ -25,7 +25,9 @@ STEPS = 1000
 
 system = functools.cache(fluid.ideal_fluid)
 
-compiled = functools.partial(eqx.filter_jit, compiler_options={"xla_backend_optimization_level": 0})
+compiled = functools.partial(
+    eqx.filter_jit, compiler_options={"xla_backend_optimization_level": 0, "xla_cpu_use_fusion_emitters": False}
+)
 """The programs are large and their work is in LAPACK: half of the time to compile them buys nothing."""
 
 values = compiled(fluid.vorticity)

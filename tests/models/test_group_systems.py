@@ -79,7 +79,7 @@ def test_source_and_friction_are_raised_forces():
     torque = np.cross(np.asarray(g)[2], arm)  # mgl RᵀP₃ × axis, equation (32)
     inertia = np.array([1.0, 2.0, 3.5])
     np.testing.assert_allclose(source(system, jnp.zeros(()), g, jnp.zeros(3)), torque / inertia, atol=1e-14)
-    np.testing.assert_allclose(friction(system, g, v), -0.1 * v / inertia, atol=1e-14)
+    np.testing.assert_allclose(friction(system, jnp.zeros(()), g, v, jnp.zeros(3)), -0.1 * v / inertia, atol=1e-14)
 
 
 @eqx.filter_jit

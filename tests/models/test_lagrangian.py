@@ -75,7 +75,7 @@ def test_acceleration_is_source_friction_and_geodesic(model, motions):
     @jax.jit
     @jax.vmap
     def both(q, v, u):
-        parts = source(model, TIME, q, u) + friction(model, q, v) - geometry.christoffel(model.metric, q, v, v)
+        parts = source(model, TIME, q, u) + friction(model, TIME, q, v, u) - geometry.christoffel(model.metric, q, v, v)
         return acceleration(model, TIME, q, v, u), parts
 
     whole, parts = both(*motions)
@@ -103,7 +103,7 @@ def test_single_precision_stays_single(model):
         lambda t, q, v, u: (
             acceleration(model, t, q, v, u),
             source(model, t, q, u),
-            friction(model, q, v),
+            friction(model, TIME, q, v, u),
             energy(model, q, v),
             model.manifold.towards(q, v),
         ),

@@ -102,7 +102,7 @@ def _model(spec: str, file: models.ModelFile) -> StateSpace:
 
 
 def _grid(spec: str, model: StateSpace, task: Task) -> Grid:
-    own = dict(zip(model.coordinates, model.box, strict=False))
+    own = {name: (float(low), float(high)) for name, (low, high) in zip(model.coordinates, model.box, strict=False)}
     box = own | _parse.ends("--box", task.box, model.coordinates)
     missing = [name for name in model.coordinates if name not in box]
     if missing:

@@ -335,7 +335,12 @@ def _in_frame(system: MechanicalSystem, t: Number, motion: Motion, u: Push, dt, 
     def step(i, now):
         begin = t + jnp.asarray(i, h.dtype) * h
         start = MomentumChart(system, now[0])
-        s, momentum = rule(lambda s, x: start.flow(s, x, u)[0], begin, (jnp.zeros_like(now[1]), now[1]), h)
+
+        @jax.jit  # traced once, not at each slope of the rule
+        def flow(s, x):
+            return start.flow(s, x, u)[0]
+
+        s, momentum = rule(flow, begin, (jnp.zeros_like(now[1]), now[1]), h)
         return start.end(s, momentum)
 
     q, momentum = jax.lax.fori_loop(0, steps, step, (motion.q, system.space.lower(*motion)))

@@ -35,7 +35,7 @@ class StateSpace(eqx.Module):
     outputs: tuple[str, ...] = eqx.field(static=True)
     inputs: int = eqx.field(static=True)
     circles: tuple[int, ...] = eqx.field(static=True)
-    box: tuple[tuple[float, float], ...] = eqx.field(static=True)
+    box: tuple[tuple[Scalar, Scalar], ...]
     parameters: dict[str, Parameter]
 
     def __init__(
@@ -54,7 +54,7 @@ class StateSpace(eqx.Module):
         self.f, self.h = f, h
         self.coordinates, self.units = tuple(coordinates), tuple(units)
         self.inputs, self.circles = inputs, tuple(circles)
-        self.box = tuple((float(low), float(high)) for low, high in box)
+        self.box = tuple((jnp.asarray(low, float), jnp.asarray(high, float)) for low, high in box)
         self.parameters = dict(parameters or {})
         self.outputs = tuple(outputs)
         if self.coordinates:
@@ -100,12 +100,14 @@ def state_space(model: MechanicalSystem) -> StateSpace:
     )
 
 
-def _motion_rate(model: MechanicalSystem, t: Scalar, x: Vector, u: Float[Array, "m"]) -> Vector:
+def _motion_rate(
+    model: MechanicalSystem, t: Scalar, x: Float[Array, "two_n"], u: Float[Array, "m"]
+) -> Float[Array, "two_n"]:
     q, v = jnp.split(x, 2)
     return jnp.concatenate([v, acceleration(model, t, q, v, u)])
 
 
-def _position(t: Scalar, x: Vector, u: Float[Array, "m"]) -> Vector:
+def _position(t: Scalar, x: Float[Array, "two_n"], u: Float[Array, "m"]) -> Vector:
     return jnp.split(x, 2)[0]
 
 

@@ -39,8 +39,8 @@ def simulate(
     t: Float[Array, "T"],
     u: Input | None = None,
     *,
-    rtol: float = 1e-10,
-    atol: float = 1e-12,
+    rtol: Number = 1e-10,
+    atol: Number = 1e-12,
 ) -> Record:
     """Integrate the model from x0 and record its noise-free state and inputs at the stamps t [s].
 

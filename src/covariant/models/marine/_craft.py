@@ -97,12 +97,12 @@ def _(model: Craft) -> StateSpace:
     )
 
 
-def _rate(model: Craft, t: Scalar, x: Vector, u: Vector) -> Vector:
+def _rate(model: Craft, t: Scalar, x: Float[Array, "two_n"], u: Vector) -> Float[Array, "two_n"]:
     eta, nu = jnp.split(x, 2)
     return jnp.concatenate([model.transform(eta) @ nu, model.acceleration(eta, nu, u)])
 
 
-def _position(t: Scalar, x: Vector, u: Vector) -> Vector:
+def _position(t: Scalar, x: Float[Array, "two_n"], u: Vector) -> Vector:
     return jnp.split(x, 2)[0]
 
 
