@@ -57,10 +57,10 @@ PUBLIC = {
     "lowering": "FOLD INTERVALS NUMBERS STUMPFF Condition Conditions Derivative Domain Enclosure Graph Interval "
     "Lowered LoweringError Node Truth enclose evaluate expand fulfilled graft lower numbers pairs stumpff substitute",
     "logs": "ATTITUDES Body Columns Log LogError bodies coordinates matrices read to_columns write",
-    "models": "GroupSystem Lagrangian MechanicalSystem ModelError ModelFile MomentumChart Motion Parameter "
+    "models": "GroupSystem Lagrangian MechanicalSystem ModelError ModelFile MomentumChart Motion Parameter Parametric "
     "StateSpace acceleration advance applied_force ball_and_beam bioreactor body_velocity check_metric "
-    "check_model duffing energy free_body friction from_recipe heavy_top hovercraft induction_motor load "
-    "lorenz oscillator pendulum_chain recipe satellite satellite_arm source spatial_momentum state_space "
+    "check_model duffing energy free_body friction from_recipe heavy_top hovercraft induction_motor input_count load "
+    "lorenz oscillator pendulum_chain recipe resistance satellite satellite_arm source spatial_momentum state_space "
     "underwater_vehicle unknown_frequency van_der_pol",
     "models.marine": "Craft Station Waves coriolis_matrix cybership euler_rates euler_rotation euler_transform "
     "manoeuvring_ship odin odin_on_group supply_vessel surface_ship yaw_rotation",

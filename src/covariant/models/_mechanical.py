@@ -240,7 +240,7 @@ def source(model: MechanicalSystem, t: Scalar, q: Array, u: Float[Array, "m"]) -
     return model.space.raise_(q, applied_force(model, t, q, u))
 
 
-def resistance(model: MechanicalSystem, t: Scalar, q: Array, v: Vector, u: Float[Array, "m"]) -> Vector:
+def resistance(model: MechanicalSystem, t: Scalar, q: Array, v: Vector, u: Float[Array, "m"]) -> Array:
     """The dissipation, a generalised force in the frame, whether or not the model's takes time and input."""
     return model.dissipation(t, q, v, u) if _takes_input(model.dissipation) else model.dissipation(q, v)
 

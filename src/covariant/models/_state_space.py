@@ -1,11 +1,13 @@
 """General nonlinear systems `x' = f(t, x, u)`, `y = h(t, x, u)`, written once as JAX functions."""
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from covariant._typing import Matrix, Scalar, Vector
@@ -58,7 +60,7 @@ class StateSpace(eqx.Module):
         self.parameters = dict(parameters or {})
         self.outputs = tuple(outputs)
         if self.coordinates:
-            count = _check(self)
+            count = _check(self, box)
             self.outputs = self.outputs or tuple(f"y{i + 1}" for i in range(count))
 
     @property
@@ -111,7 +113,7 @@ def _position(t: Scalar, x: Float[Array, "two_n"], u: Float[Array, "m"]) -> Vect
     return jnp.split(x, 2)[0]
 
 
-def _check(model: StateSpace) -> int:
+def _check(model: StateSpace, box: Sequence[tuple[Any, Any]]) -> int:
     """Raise `ValueError` for the first thing that does not fit n coordinates; returns the number of outputs."""
     n = len(model.coordinates)
     t, x, u = (jax.ShapeDtypeStruct(shape, jnp.float64) for shape in ((), (n,), (model.inputs,)))
@@ -126,10 +128,10 @@ def _check(model: StateSpace) -> int:
     check_shapes((("h", model.h, (t, x, u), (count,)),), given, f"{count} outputs")
     if any(not 0 <= i < count for i in model.circles):
         raise ValueError(f"circles {model.circles} must be indices of the {count} outputs, 0 to {count - 1}")
-    for name, entries in (("units", model.units), ("box", model.box)):
+    for name, entries in (("units", model.units), ("box", box)):
         if entries and len(entries) != n:
             raise ValueError(f"{name} needs one entry for each of the {n} states; it has {len(entries)}")
-    for name, (low, high) in zip(model.coordinates, model.box, strict=False):
-        if not low < high:
+    for name, (low, high) in zip(model.coordinates, box, strict=False):
+        if not (isinstance(low, Tracer) or isinstance(high, Tracer) or low < high):
             raise ValueError(f"box of {name}: the lower bound {low:g} must be below the upper one {high:g}")
     return count
