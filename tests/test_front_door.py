@@ -1,8 +1,10 @@
 """What the package offers by its name, and what that costs to load."""
 
+import os
 import subprocess
 import sys
 from importlib.metadata import version
+from pathlib import Path
 
 import pytest
 
@@ -11,9 +13,11 @@ from covariant.cli import _certify, _names, _reproduce
 from covariant.design import ESTIMATORS
 
 
-def python(script: str) -> str:
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+def python(script: str, **variables: str) -> str:
+    surroundings = os.environ | variables
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False, env=surroundings)
     assert done.returncode == 0, done.stderr
+    assert not done.stderr
     return done.stdout.strip()
 
 
@@ -61,3 +65,47 @@ def test_what_help_names_is_what_there_is():
     assert _names.ESTIMATORS == ESTIMATORS
     assert tuple(_certify.OBSERVERS) == _names.CERTIFIED
     assert tuple(_reproduce.PAPERS) == _names.PAPERS
+
+
+COMPILES = """
+import covariant, jax, jax.numpy as jnp
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
+print(float(jax.jit(lambda x: jnp.sin(x) @ jnp.cos(x))(jnp.ones(5))), jax.config.jax_compilation_cache_dir)
+"""
+
+
+def test_programs_are_kept_and_loaded_without_a_word(tmp_path):
+    first = python(COMPILES, COVARIANT_CACHE=str(tmp_path))
+    kept = sorted(tmp_path.rglob("*-cache"))
+    assert kept
+    assert str(tmp_path) in first
+    assert python(COMPILES, COVARIANT_CACHE=str(tmp_path)) == first  # nothing on stderr either
+    assert sorted(tmp_path.rglob("*-cache")) == kept
+
+
+def test_programs_are_kept_in_the_users_cache_folder(tmp_path):
+    home = {"COVARIANT_CACHE": "", "HOME": str(tmp_path), "XDG_CACHE_HOME": "", "LOCALAPPDATA": str(tmp_path)}
+    script = "import covariant, os; print(os.environ['JAX_COMPILATION_CACHE_DIR'])"
+    folder = Path(python(script, **home))
+    assert folder.is_relative_to(tmp_path)
+    assert folder.parent.name == "covariant"
+    assert folder.is_dir()
+
+
+@pytest.mark.parametrize(
+    ("before", "variables"),
+    [
+        ("", {"COVARIANT_CACHE": "off"}),
+        ("", {"COVARIANT_CACHE": "/dev/null/nowhere"}),
+        ("import jax; ", {"COVARIANT_CACHE": ""}),  # too late: JAX has read its variables
+    ],
+)
+def test_no_programs_are_kept_where_none_may_be(before, variables, tmp_path):
+    script = f"{before}import covariant, os; print('JAX_COMPILATION_CACHE_DIR' in os.environ)"
+    assert python(script, HOME=str(tmp_path), XDG_CACHE_HOME=str(tmp_path), **variables) == "False"
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_folder_given_to_jax_is_left_alone(tmp_path):
+    script = "import covariant, os; print(os.environ['JAX_COMPILATION_CACHE_DIR'])"
+    assert python(script, COVARIANT_CACHE="", JAX_COMPILATION_CACHE_DIR=str(tmp_path)) == str(tmp_path)

@@ -13,7 +13,7 @@ ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "covariant"
 
 PLAN = (
-    "_typing _files _guests _numbers signals scoring _linalg _integrate lowering "
+    "_programs _typing _files _guests _numbers signals scoring _linalg _integrate lowering "
     "logs geometry models riccati observers control simulation interop scale certificates design report papers cli"
 )
 """A room may import from itself and from any room to its left, never to its right."""

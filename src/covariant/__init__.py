@@ -1,13 +1,15 @@
 """covariant: intrinsic and contracting observers for mechanical systems.
 
 Importing it loads nothing heavy: a room, such as `covariant.models`, is loaded where it is first asked for. JAX works
-in double precision from here on.
+in double precision from here on, and its compiled programs are kept in the user's cache folder (`COVARIANT_CACHE`).
 """
 
 import importlib
 import os
 import sys
 from typing import TYPE_CHECKING, Any
+
+from covariant._programs import keep_programs
 
 if TYPE_CHECKING:
     from covariant import (
@@ -36,6 +38,7 @@ if TYPE_CHECKING:
 os.environ["JAX_ENABLE_X64"] = "1"
 if "jax" in sys.modules:
     sys.modules["jax"].config.update("jax_enable_x64", True)
+keep_programs()
 
 __all__ = [
     "Record",
