@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 
 from covariant import geometry, models
-from covariant.geometry import Budget, Coordinates, Metric, ProductManifold, derivative, lie
+from covariant.geometry import AbstractManifold, Budget, Coordinates, Metric, ProductManifold, derivative, lie
+from covariant.observers import second_order
 from covariant.signals import Result
 
 BUDGET = Budget(steps=12)
@@ -226,3 +227,83 @@ def test_geodesics_keep_lengths_and_are_found_again(at):
     assert shot.result == Result.OK
     close(shot.velocity, 0.5 * at.a, 1e-6)
     close(shot.arrival, end.velocity, 1e-6)
+
+
+# A retraction that bends: of no group's exponential
+
+
+class Apart(AbstractManifold):
+    """The poses of the plane, whose position goes straight on while they turn: `(R, p) ↦ (R exp(ω), p + Rv)`.
+
+    Its one-parameter curves are no motions of constant twist, so that `Q(a, a) = (−ω × v, 0)`.
+    """
+
+    @property
+    def shape(self):
+        return (3, 3)
+
+    def origin(self, dtype=float):
+        return jnp.eye(3, dtype=dtype)
+
+    def zero(self, x):
+        return jnp.zeros(3, x.dtype)
+
+    def tangent(self, x, a):
+        return lie.SE2.tangent(x, a)
+
+    def components(self, x, rate):
+        return lie.SE2.components(x, rate)
+
+    def bracket(self, x, a, b):
+        return lie.SE2.bracket(x, a, b)
+
+    def turn(self, s):
+        return lie.SO2.exp(s[2:])
+
+    def retract(self, x, s):
+        moved = jnp.concatenate([x[:2, :2] @ self.turn(s), (x[:2, 2] + x[:2, :2] @ s[:2])[:, None]], axis=1)
+        return jnp.concatenate([moved, x[2:]])
+
+    def local(self, x, y):
+        turned = lie.SO2.log(x[:2, :2].T @ y[:2, :2])
+        return jnp.concatenate([x[:2, :2].T @ (y[:2, 2] - x[:2, 2]), turned])
+
+    def frame_velocity(self, x, s, rate):
+        return jnp.concatenate([self.turn(s).T @ rate[:2], rate[2:]])
+
+    def local_rate(self, x, s, velocity):
+        return jnp.concatenate([self.turn(s) @ velocity[:2], velocity[2:]])
+
+    def carried_momentum(self, x, s, mu):
+        return lie.SE2.coadjoint_action(lie.SE2.inverse(x) @ self.retract(x, s), mu)
+
+    def missing(self, y):
+        return lie.SE2.missing(y)
+
+    def towards(self, x, y):
+        return self.local(x, y)
+
+    def measured(self, x, y):
+        return y
+
+
+def test_the_error_to_second_order_counts_how_the_retraction_bends():
+    """`e − ½(B + Q)(e, e)` approaches −log_q̂ q one order faster than e; without Q it does not."""
+    space = Metric(uneven(3), manifold=Apart())
+    x, direction = lie.SE2.exp(jnp.array([0.3, -0.2, 0.5])), jnp.array([0.5, -0.7, 0.6])
+    v, w = direction[:2], direction[2]
+    expected = jnp.stack([w * v[1], -w * v[0], jnp.zeros(())])
+    close(space.manifold.retraction_acceleration(x, direction), expected)
+
+    @jax.jit
+    def rests(size):
+        e = size * direction
+        y = space.manifold.retract(x, -e)
+        exact = -space.shoot(x, y, None, Budget(newton=6, steps=12)).velocity
+        without = e - space.connection(x, e, e) / 2
+        return jnp.stack([jnp.linalg.norm(a - exact) for a in (e, without, second_order(space, x, e))])
+
+    sizes = np.geomspace(3e-3, 3e-2, 4)
+    found = np.array([rests(jnp.asarray(size)) for size in sizes])
+    slopes = [np.polyfit(np.log(sizes), np.log(column), 1)[0] for column in found.T]
+    assert slopes == pytest.approx([2.0, 2.0, 3.0], abs=0.1)

@@ -53,7 +53,7 @@ OBSERVERS = {
 WHERE = {
     "group, order 2": ("SO(3)", "SE(3) x joints"),
     "group, coefficients at the estimate": ("SO(3)", "SE(3) x joints"),
-    "riemannian": ("SO(3)", "SE(3)"),
+    "riemannian": ("SO(3)", "SE(3)", "SE(3) x joints"),
 }
 """The published error is tested on all groups, its relatives where they compile in seconds."""
 
