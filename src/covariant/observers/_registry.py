@@ -21,17 +21,17 @@ from covariant.observers._savitzky_golay import SavitzkyGolay
 
 
 def anything(model: MechanicalSystem) -> bool:
-    """Every mechanical system, on any space."""
+    """Every mechanical system."""
     return True
 
 
 def coordinates(model: MechanicalSystem) -> bool:
-    """Systems whose configuration is a vector of coordinates."""
+    """Systems in coordinates, on no group."""
     return model.manifold.commuting
 
 
 def rotations(model: MechanicalSystem) -> bool:
-    """Rigid bodies that turn, on SO(3)."""
+    """Rigid bodies on SO(3)."""
     return model.manifold == SO3
 
 
