@@ -1,4 +1,4 @@
-"""The house in one picture: every room on a floor above the rooms that it imports, drawn from the imports themselves."""
+"""The house in one picture: every room on a floor above those that it imports, drawn from the imports themselves."""
 
 import ast
 import textwrap
@@ -25,7 +25,7 @@ def read(source: Path) -> House:
     for path in sorted(source.rglob("*.py")):
         tree = ast.parse(path.read_text(encoding="utf-8"))
         room = path.relative_to(source).parts[0].removesuffix(".py")
-        if path.parent == source or path.parent.parent == source and path.name == "__init__.py":
+        if path.parent == source or (path.parent.parent == source and path.name == "__init__.py"):
             about[room] = _first_sentence(ast.get_docstring(tree) or "")
         imports.setdefault(room, set()).update(_imported(tree) - {room})
     rooms = [name for name in about if not name.startswith("_")]

@@ -48,7 +48,7 @@ class Entry(NamedTuple):
     - `fits`: tells whether it can be made for a model.
     - `promises`: laws that the tests hold it to beside those of every observer. "error law": to first order the error
       in a parallel frame obeys `ξ' = ζ − αξ`, `ζ' = −βξ` on every model that it fits; "coordinate-free": the estimate
-      is the same in all coordinates.
+      is the same in all coordinates, as exactly as its geodesics are found.
     """
 
     name: str
