@@ -5,7 +5,10 @@ export OPENBLAS_NUM_THREADS := 1
 export OMP_NUM_THREADS := 1
 export JAX_PLATFORMS ?= cpu
 
-.PHONY: env demo test format lint types tests gallery bench mutants lock clean
+# What a developer runs after every change: laws, the mathematics under them, and the house. About a minute.
+QUICK := @QUICK@
+
+.PHONY: env demo test quick format lint types tests gallery bench mutants docs lock clean
 
 env: .venv/ready
 
@@ -32,6 +35,9 @@ types: env
 tests: env
 	$(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder
 
+quick: env
+	$(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder $(QUICK)
+
 gallery: env
 	$(BIN)/python gallery/run_all.py
 
@@ -42,6 +48,14 @@ bench: env
 mutants: env
 	$(BIN)/python tools/mutants.py --seed 1 --count 200 --out mutants.json
 
+# The site, in the folder site. Its generators are not needed for anything else: they are installed when first asked for.
+docs: .venv/docs
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build
+
+.venv/docs: .venv/ready
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[docs]'
+	@touch $@
+
 # Pins for every dependency, without the hosts they come from.
 lock:
 	$(PYTHON) -m venv .venv-lock && .venv-lock/bin/python -m pip install --quiet uv
@@ -49,4 +63,4 @@ lock:
 	rm -rf .venv-lock
 
 clean:
-	rm -rf .venv demo build dist mutants.json
+	rm -rf .venv demo build dist site mutants.json

@@ -36,9 +36,3 @@ def test_model_file_examples_load(page, tmp_path):
     for text in blocks(page, "toml"):
         (tmp_path / "model.toml").write_text(text)
         assert models.load(str(tmp_path / "model.toml")).model.coordinates == ("q1", "q2")
-
-
-@each_page
-def test_links_lead_to_files_that_exist(page):
-    for target in re.findall(r"\]\((?!https?:)([^)#]+)\)", page.read_text(encoding="utf-8")):
-        assert (page.parent / target).exists(), target

@@ -64,9 +64,9 @@ PUBLIC = {
     "underwater_vehicle unknown_frequency van_der_pol",
     "models.marine": "Craft Station Waves coriolis_matrix cybership euler_rates euler_rotation euler_transform "
     "manoeuvring_ship odin odin_on_group supply_vessel surface_ship yaw_rotation",
-    "observers": "EKF AbstractFlowObserver AbstractMechanicalObserver AbstractObserver Contracting ContractingState "
-    "Copy EKFInfo EKFState Estimate FilterInfo FilteredDerivative FilteredState Geodesic GeodesicInfo "
-    "GeodesicState HeldState Info InformationEKF InformationState Intrinsic MechanicalState PassiveGains "
+    "observers": "EKF REGISTRY AbstractFlowObserver AbstractMechanicalObserver AbstractObserver Contracting "
+    "ContractingState Copy EKFInfo EKFState Entry Estimate FilterInfo FilteredDerivative FilteredState Geodesic "
+    "GeodesicInfo GeodesicState HeldState Info InformationEKF InformationState Intrinsic MechanicalState PassiveGains "
     "PassiveShip Riccati Salcudean SalcudeanState SavitzkyGolay WindowState continuous craft_observer "
     "lyapunov_gains lyapunov_rate notch_gains printed_rate run second_order",
     "report": "PALETTE EstimateReport draw_audit draw_certificate new_figure save_figure table write_article "

@@ -6,25 +6,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from covariant.design._gains import Gains, gains
-from covariant.geometry.lie import SO3
 from covariant.models import MechanicalSystem
-from covariant.observers import (
-    EKF,
-    AbstractObserver,
-    Copy,
-    FilteredDerivative,
-    Geodesic,
-    Intrinsic,
-    Salcudean,
-    SavitzkyGolay,
-)
+from covariant.observers import REGISTRY, AbstractObserver
 
 LONGEST_WINDOW = 120
 """Samples; a filter without a model that would want more is limited to this many."""
 
-MODEL_FREE = ("filtered-derivative", "savitzky-golay")
-ESTIMATORS = ("intrinsic", "intrinsic2", "geodesic", "copy", "ekf", *MODEL_FREE, "salcudean")
-"""All estimators by name."""
+ESTIMATORS = tuple(entry.name for entry in REGISTRY)
+"""All estimators by name: those of `covariant.observers.REGISTRY`."""
 
 
 class DataSheet(NamedTuple):
@@ -51,13 +40,8 @@ def observer_gains(sheet: DataSheet, rate: float) -> Gains:
 
 
 def estimators(model: MechanicalSystem) -> tuple[str, ...]:
-    """Names of the estimators that fit a model, the one to begin with first.
-
-    Those without a model filter coordinates; Salcudean's is for a rigid body that turns.
-    """
-    unfit = set() if model.manifold.commuting else set(MODEL_FREE)
-    unfit |= set() if model.manifold == SO3 else {"salcudean"}
-    return tuple(name for name in ESTIMATORS if name not in unfit)
+    """Names of the estimators that fit a model, the one to begin with first."""
+    return tuple(entry.name for entry in REGISTRY if entry.fits(model))
 
 
 def with_gains(model: MechanicalSystem, alpha: float, beta: float) -> dict[str, AbstractObserver]:
@@ -65,16 +49,8 @@ def with_gains(model: MechanicalSystem, alpha: float, beta: float) -> dict[str, 
 
     Salcudean's has α and β exactly for an inertia the same in all directions; the mean principal one stands for it.
     """
-    found: dict[str, AbstractObserver] = {
-        "intrinsic": Intrinsic(model, alpha, beta),
-        "intrinsic2": Intrinsic(model, alpha, beta, order=2),
-        "geodesic": Geodesic(model, alpha, beta),
-        "copy": Copy(model, alpha, beta),
-    }
-    if "salcudean" in estimators(model):
-        inertia = float(jnp.trace(model.space(SO3.identity()))) / 3
-        found["salcudean"] = Salcudean(model, 4 * inertia**2 * beta, 2 * inertia * alpha)
-    return found
+    fitting = (entry for entry in REGISTRY if entry.tuned_by == "gains" and entry.fits(model))
+    return {entry.name: entry.make(model, alpha, beta) for entry in fitting}
 
 
 def line_up(model: MechanicalSystem, n: int, sheet: DataSheet, rate: float) -> dict[str, AbstractObserver]:
@@ -89,14 +65,12 @@ def line_up(model: MechanicalSystem, n: int, sheet: DataSheet, rate: float) -> d
     time = 1 / (2 * rate) if sheet.correlation_time is None else sheet.correlation_time
     process_cov = 2 * sheet.acceleration_std**2 * time * jnp.eye(n)
     measurement_cov = sheet.measurement_std**2 * jnp.eye(n)
-    start_std = sheet.motion_std * sheet.motion_time
-    found = with_gains(model, chosen.alpha, chosen.beta)
-    found |= {
-        "ekf": EKF(model, process_cov, measurement_cov, start_std),
-        "filtered-derivative": FilteredDerivative(filter_bandwidth(sheet, rate), model.circles),
-        "savitzky-golay": SavitzkyGolay(window_length(sheet, rate), 2, model.circles),
+    numbers = {
+        "gains": (chosen.alpha, chosen.beta),
+        "noise": (process_cov, measurement_cov, sheet.motion_std * sheet.motion_time),
+        "motion": (filter_bandwidth(sheet, rate), window_length(sheet, rate)),
     }
-    return {name: found[name] for name in estimators(model)}
+    return {entry.name: entry.make(model, *numbers[entry.tuned_by]) for entry in REGISTRY if entry.fits(model)}
 
 
 def filter_bandwidth(sheet: DataSheet, rate: float) -> float:

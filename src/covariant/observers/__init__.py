@@ -24,12 +24,14 @@ from covariant.observers._protocol import (
     continuous,
     run,
 )
+from covariant.observers._registry import REGISTRY, Entry
 from covariant.observers._riccati import Estimate, InformationEKF, InformationState, Riccati
 from covariant.observers._salcudean import Salcudean, SalcudeanState
 from covariant.observers._savitzky_golay import SavitzkyGolay, WindowState
 
 __all__ = [
     "EKF",
+    "REGISTRY",
     "AbstractFlowObserver",
     "AbstractMechanicalObserver",
     "AbstractObserver",
@@ -38,6 +40,7 @@ __all__ = [
     "Copy",
     "EKFInfo",
     "EKFState",
+    "Entry",
     "Estimate",
     "FilterInfo",
     "FilteredDerivative",

@@ -97,3 +97,12 @@ class Salcudean(AbstractFlowObserver):
         v = body_velocity(self.model, at, state.momentum)
         pull = applied_force(self.model, t, at, u) + resistance(self.model, t, at, v, u)
         return at @ v, at @ pull
+
+
+def of_mean_inertia(model: MechanicalSystem, alpha: Number, beta: Number) -> Salcudean:
+    """Salcudean's observer for the error law s² + αs + β of a body whose inertia is the mean principal one.
+
+    The law is exact for an inertia that is the same in all directions.
+    """
+    inertia = float(jnp.trace(model.space(SO3.identity()))) / 3
+    return Salcudean(model, 4 * inertia**2 * beta, 2 * inertia * alpha)

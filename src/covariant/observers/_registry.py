@@ -1,0 +1,145 @@
+"""The observers that are made from a data sheet: one entry each.
+
+An observer is entered here and nowhere else. `design.line_up`, the commands `estimate`, `compare` and `audit`, the laws
+in `tests/laws` and the table in `docs/observers.md` read this list.
+"""
+
+from collections.abc import Callable
+from functools import partial
+from typing import Literal, NamedTuple
+
+from covariant.geometry.lie import SO3
+from covariant.models import MechanicalSystem
+from covariant.observers._copy import Copy
+from covariant.observers._ekf import EKF
+from covariant.observers._filtered_derivative import FilteredDerivative
+from covariant.observers._geodesic import Geodesic
+from covariant.observers._intrinsic import Intrinsic
+from covariant.observers._protocol import AbstractObserver
+from covariant.observers._salcudean import Salcudean, of_mean_inertia
+from covariant.observers._savitzky_golay import SavitzkyGolay
+
+
+def anything(model: MechanicalSystem) -> bool:
+    """Every mechanical system."""
+    return True
+
+
+def coordinates(model: MechanicalSystem) -> bool:
+    """Systems in coordinates, on no group."""
+    return model.manifold.commuting
+
+
+def rotations(model: MechanicalSystem) -> bool:
+    """Rigid bodies on SO(3)."""
+    return model.manifold == SO3
+
+
+class Entry(NamedTuple):
+    """An observer of mechanical systems, and how to make one for a model.
+
+    - `name`: what the command line calls it.
+    - `observer`: its class.
+    - `make`: makes the observer, `make(model, *numbers)`.
+    - `tuned_by`: the numbers it is made with. "gains" are α [1/s] and β [1/s²]; "noise" the process covariance (n, n),
+      the measurement covariance (n, n) and the standard deviation of the velocity at the start; "motion" the bandwidth
+      [rad/s] and the window [samples] of a filter that knows no model.
+    - `about`, `when`, `source`: what it is, when to choose it, and where it was published; sentences for people.
+    - `fits`: tells whether it can be made for a model.
+    - `promises`: laws that the tests hold it to beside those of every observer. "error law": to first order the error
+      in a parallel frame obeys `ξ' = ζ − αξ`, `ζ' = −βξ` on every model that it fits; "coordinate-free": the estimate
+      is the same in all coordinates, as exactly as its geodesics are found.
+    """
+
+    name: str
+    observer: type[AbstractObserver]
+    make: Callable[..., AbstractObserver]
+    tuned_by: Literal["gains", "noise", "motion"]
+    about: str
+    when: str
+    source: str
+    fits: Callable[[MechanicalSystem], bool] = anything
+    promises: tuple[Literal["error law", "coordinate-free"], ...] = ()
+
+
+REGISTRY = (
+    Entry(
+        name="intrinsic",
+        observer=Intrinsic,
+        make=Intrinsic,
+        tuned_by="gains",
+        about="explicit, errors to first order; on a group the observer of Maithripala, Berg & Dayawansa 2004",
+        when="the default: cheap, locally the full error law",
+        source="Aghannan & Rouchon 2003, (5)",
+        promises=("error law",),
+    ),
+    Entry(
+        name="intrinsic2",
+        observer=Intrinsic,
+        make=partial(Intrinsic, order=2),
+        tuned_by="gains",
+        about="`Intrinsic(order=2)`: the same with ξ = e − ½B(e, e)",
+        when="larger errors at little cost",
+        source="an addition to (5)",
+        promises=("error law",),
+    ),
+    Entry(
+        name="geodesic",
+        observer=Geodesic,
+        make=Geodesic,
+        tuned_by="gains",
+        about="geodesic error, parallel transport; the same in all coordinates",
+        when="large first errors, low gain, curved charts",
+        source="Aghannan & Rouchon 2003, (2)",
+        promises=("error law", "coordinate-free"),
+    ),
+    Entry(
+        name="copy",
+        observer=Copy,
+        make=Copy,
+        tuned_by="gains",
+        about="the model with output injection",
+        when="high gain on nearly flat metrics",
+        source="Aghannan & Rouchon 2003, (15)",
+    ),
+    Entry(
+        name="ekf",
+        observer=EKF,
+        make=EKF,
+        tuned_by="noise",
+        about="extended Kalman filter, Joseph form; on SO(3) the multiplicative, on SE(3) the left-invariant one",
+        when="known noise, large initial uncertainty",
+        source="Gelb 1974, 6.1; Lefferts, Markley & Shuster 1982; Barrau & Bonnabel 2017, 3",
+    ),
+    Entry(
+        name="filtered-derivative",
+        observer=FilteredDerivative,
+        make=lambda model, bandwidth, window: FilteredDerivative(bandwidth, model.circles),
+        tuned_by="motion",
+        about="difference of two samples, low-pass filtered; knows no model",
+        when="there is no model: what most drives do",
+        source="common practice",
+        fits=coordinates,
+    ),
+    Entry(
+        name="savitzky-golay",
+        observer=SavitzkyGolay,
+        make=lambda model, bandwidth, window: SavitzkyGolay(window, 2, model.circles),
+        tuned_by="motion",
+        about="slope of a parabola through the latest samples; knows no model",
+        when="there is no model: the better filter",
+        source="Savitzky & Golay 1964, one-sided",
+        fits=coordinates,
+    ),
+    Entry(
+        name="salcudean",
+        observer=Salcudean,
+        make=of_mean_inertia,
+        tuned_by="gains",
+        about="a Lyapunov design for a rigid body",
+        when="what the others are compared with",
+        source="Salcudean 1991",
+        fits=rotations,
+    ),
+)
+"""All entries, the one to begin with first."""

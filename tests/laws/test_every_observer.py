@@ -1,0 +1,169 @@
+"""Laws of every observer in the registry, each on the systems that it fits, with the numbers of one data sheet.
+
+What an observer promises beyond them is put to it in `test_observers` and `test_group_observers`.
+"""
+
+import functools
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from covariant.design import DataSheet, line_up
+from covariant.models import MechanicalSystem, Motion, ball_and_beam, free_body
+from covariant.observers import REGISTRY, AbstractObserver
+from covariant.signals import Result
+from covariant.simulation import hold, simulate
+
+ROWS, RATE = 240, 100.0
+GAP = slice(120, 150)
+SHEET = DataSheet(1e-2, 1.0, 0.01, motion_std=2.0, motion_time=0.3)
+
+
+class Yardstick(NamedTuple):
+    """A system of n velocities, and its motion from x0 seen at irregular stamps: t (T,), u (T, m), y and true v."""
+
+    model: MechanicalSystem
+    t: np.ndarray
+    u: np.ndarray
+    y: np.ndarray
+    v: np.ndarray
+
+
+def yardstick(model: MechanicalSystem, x0: Any, inputs: int) -> Yardstick:
+    """Steps of 2 to 18 ms, inputs that change slowly."""
+    t = np.cumsum(np.random.default_rng(1).uniform(0.2, 1.8, ROWS)) / RATE
+    u = 0.3 * np.sin(3 * t[:, None] + np.arange(inputs))
+    true = eqx.filter_jit(simulate)(model, x0, jnp.asarray(t), hold(jnp.asarray(t), jnp.asarray(u)))
+    return Yardstick(model, t, u, np.asarray(true.y), velocities(true.x))
+
+
+def velocities(x: Any) -> np.ndarray:
+    """Velocities (T, n) of states or estimates."""
+    return np.asarray(x.v) if isinstance(x, Motion) else np.split(np.asarray(x), 2, axis=1)[1]
+
+
+MODELS = {"ball and beam": ball_and_beam(), "body on SO(3)": free_body((0.9, 1.0, 1.2))}
+STARTS = {
+    "ball and beam": jnp.array([0.3, 0.1, 0.2, -0.9]),
+    "body on SO(3)": Motion(jnp.eye(3), jnp.array([0.3, 0.8, -0.2])),
+}
+CASES = [(entry, name) for entry in REGISTRY for name, model in MODELS.items() if entry.fits(model)]
+each = pytest.mark.parametrize(("entry", "name"), CASES, ids=[f"{entry.name}-{name}" for entry, name in CASES])
+
+
+@functools.cache
+def seen(name: str) -> Yardstick:
+    return yardstick(MODELS[name], STARTS[name], {"ball and beam": 1, "body on SO(3)": 3}[name])
+
+
+class Loop(NamedTuple):
+    """An observer, its compiled step `(state, u, y, dt) -> (state, estimate, info)`, and a list of its traces."""
+
+    observer: AbstractObserver
+    step: Callable
+    traces: list
+
+
+@functools.cache
+def loops(name: str) -> dict[str, Loop]:
+    """Every observer that fits, by name; what one test compiles the next one uses."""
+
+    def loop(observer):
+        traces = []
+
+        @jax.jit
+        def step(state, u, y, dt):
+            traces.append(dt)
+            state, info = observer.step(state, u, y, dt)
+            return state, observer.estimate(state), info
+
+        return Loop(observer, step, traces)
+
+    n = seen(name).v.shape[1]
+    return {entry: loop(observer) for entry, observer in line_up(MODELS[name], n, SHEET, RATE).items()}
+
+
+def followed(entry, name, y):
+    """Velocities, innovations and result codes of rows 1 and later, by the loop of the documentation."""
+    watched, (observer, step, _) = seen(name), loops(name)[entry.name]
+    t, u, y = (jnp.asarray(a) for a in (watched.t, watched.u, y))
+    state, rows = observer.init(y[0], t[0]), []
+    for k in range(1, ROWS):
+        state, x, info = step(state, u[k - 1], y[k], t[k] - t[k - 1])
+        rows.append((x, info.innovation, info.result))
+    x, innovation, codes = jax.tree.map(lambda *leaves: np.stack(leaves), *rows)
+    return velocities(x), innovation, codes
+
+
+def relative_error(entry, name, v, rows=slice(-60, None)) -> float:
+    """Of the velocities in the last rows, to those of the motion."""
+    true = seen(name).v[1:]
+    return float(np.sqrt(np.mean((v - true)[rows] ** 2) / np.mean(true**2)))
+
+
+def allowed(entry) -> float:
+    """A filter without a model lags; with a model and no noise nothing remains but the inputs' steps."""
+    return 0.15 if entry.tuned_by == "motion" else 0.01
+
+
+@each
+def test_from_rest_it_finds_the_motion_at_irregular_stamps(entry, name):
+    v, _, codes = followed(entry, name, seen(name).y)
+    assert relative_error(entry, name, v, slice(1)) > 0.1
+    assert relative_error(entry, name, v) < allowed(entry)
+    assert set(codes) == {Result.OK}
+
+
+@each
+def test_missing_measurements_are_coasted_and_said(entry, name):
+    y = seen(name).y.copy()
+    y[GAP] = np.nan
+    v, innovation, codes = followed(entry, name, y)
+    expected = np.full(ROWS, int(Result.OK))
+    expected[GAP] = Result.COASTED
+    np.testing.assert_array_equal(codes, expected[1:])
+    np.testing.assert_array_equal(innovation[GAP.start - 1 : GAP.stop - 1], 0.0)
+    assert np.isfinite(v).all()
+    assert relative_error(entry, name, v) < allowed(entry)
+
+
+def kinds(tree: Any) -> list:
+    """Shape, type and strength of type of every array of a state: what a compiled loop is bound to."""
+    return [(a.shape, a.dtype, jax.typeof(a).weak_type) for a in jax.tree.leaves(tree)]
+
+
+@each
+def test_a_loop_is_compiled_once_whatever_the_numbers_are(entry, name):
+    """A state has the same form before and after a step, the first one included."""
+    watched, (observer, step, traces) = seen(name), loops(name)[entry.name]
+    state = observer.init(jnp.asarray(watched.y[0]), 0.0)
+    for dt in (0.01, 0.02, 0.0, np.nan):
+        before = kinds(state)
+        state, _, _ = step(state, jnp.asarray(watched.u[1]), jnp.asarray(watched.y[1]), jnp.asarray(dt, float))
+        assert kinds(state) == before
+    assert len(traces) == 1
+
+
+@each
+def test_single_precision_stays_single(entry, name):
+    watched, (observer, _, _) = seen(name), loops(name)[entry.name]
+    cast = jax.tree.map(lambda a: a.astype(np.float32) if eqx.is_inexact_array(a) else a, observer)
+    given = [jnp.asarray(a, np.float32) for a in (watched.u[0], watched.y[0], 0.01)]
+
+    def first_step(u, y, dt):
+        state, info = cast.step(cast.init(y, dt), u, y, dt)
+        return state, info, cast.estimate(state)
+
+    state, info, x = eqx.filter_eval_shape(first_step, *given)
+    assert {leaf.dtype for leaf in jax.tree.leaves((state, info._replace(result=x), x))} == {np.dtype(np.float32)}
+
+
+def test_names_are_unique_and_every_entry_fits_something():
+    names = [entry.name for entry in REGISTRY]
+    assert len(set(names)) == len(names)
+    assert {entry.name for entry, _ in CASES} == set(names), "put a system that it fits into MODELS"

@@ -1,0 +1,111 @@
+"""The walks of docs/contributing.md, taken step by step in a copy of the project: what they say happens, happens."""
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PAGE = (ROOT / "docs" / "contributing.md").read_text(encoding="utf-8")
+COPIED = ("src", "tests/conftest.py", "tests/laws", "tools", "docs", "pyproject.toml")
+
+
+def follow_the_page(house: Path) -> None:
+    """Write the files of the page, and apply its changes: each must find its place exactly once."""
+    for language, name, text in re.findall(r'```(\w+) title="(.+?)"\n(.*?)```', PAGE, re.DOTALL):
+        path = house / name
+        if language == "python":
+            assert not path.exists(), f"{name} is there already"
+            path.write_text(text, encoding="utf-8")
+            continue
+        lines = text.splitlines(keepends=True)
+        assert {line[0] for line in lines} <= {" ", "+"}
+        old = "".join(line[1:] for line in lines if line[0] == " ")
+        present = path.read_text(encoding="utf-8")
+        assert present.count(old) == 1, f"{name} has {present.count(old)} places like this one:\n{old}"
+        path.write_text(present.replace(old, "".join(line[1:] for line in lines)), encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def house(tmp_path_factory) -> Path:
+    """A copy of the project in which the page has been followed."""
+    copy = tmp_path_factory.mktemp("house")
+    for name in COPIED:
+        source, target = ROOT / name, copy / name
+        target.parent.mkdir(parents=True, exist_ok=True)
+        if source.is_dir():
+            shutil.copytree(source, target, ignore=shutil.ignore_patterns("__pycache__", "*.egg-info"))
+        else:
+            shutil.copy(source, target)
+    follow_the_page(copy)
+    return copy
+
+
+def python(house: Path, *arguments: str) -> str:
+    paths = [str(house / "src"), str(house / "tools")]
+    done = subprocess.run(
+        [sys.executable, *arguments],
+        cwd=house,
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(paths), "PYTEST_ADDOPTS": ""},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+def test_an_observer_in_one_file_and_one_entry_is_run_and_compared(house):
+    """On the log of a model that was added in one file and one line."""
+    script = """
+import json, sys
+from covariant import design, models
+from covariant.cli import _compare, _names, main
+from covariant.observers import run
+from covariant.signals import Record
+
+def command(*arguments):
+    sys.argv = ["covariant", *arguments]
+    try:
+        main()
+    except SystemExit as done:
+        assert not done.code
+
+bead = models.load("bead_on_hoop").model
+assert _names.ESTIMATORS == design.ESTIMATORS
+assert design.estimators(bead)[-1] == "tracker"
+made = design.line_up(bead, 1, design.DataSheet(1e-3, 1.0), 100.0)
+
+command("simulate", "bead_on_hoop", "-o", "log.csv", "--duration", "3", "--rate", "100", "--q0", "0.5", "--v0", "0")
+quick = ("copy", "tracker")  # all would take a while to compile
+_compare.line_up = lambda *a: {name: o for name, o in design.line_up(*a).items() if name in quick}
+sheet = ("--set", "measurement.std=1e-3", "--set", "uncertainty.acceleration=1", "--truth", "true_v1")
+command("compare", "bead_on_hoop", "log.csv", *sheet, "--json")
+command("estimate", "bead_on_hoop", "log.csv", "--observer", "tracker", *sheet, "--json")
+from covariant import logs
+record = logs.read("log.csv", logs.Columns(q=("angle",), u=("u1",))).record
+print("RUN", run(made["tracker"], record).estimate.shape)
+"""
+    said = python(house, "-c", script)
+    assert "tracker" in said.split('"ranking"')[1].split("\n")[0]
+    assert '"observer": "tracker"' in said
+    assert "RUN (301, 2)" in said
+
+
+def test_it_is_put_to_the_laws_and_a_law_to_every_observer(house):
+    laws = "tests/laws/test_every_observer.py"
+    done = python(house, "-m", "pytest", "-q", "-p", "no:xdist", "--no-header", "-rA", laws, "-k", "tracker and beam")
+    passed = set(re.findall(r"PASSED \S+::(\w+)\[tracker-ball and beam\]", done))
+    source = (house / laws).read_text(encoding="utf-8")
+    assert passed == set(re.findall(r"@each\ndef (\w+)", source))
+    assert "test_what_is_measured_later_changes_nothing_before" in passed
+
+
+def test_it_is_in_the_table_of_the_docs(house):
+    python(house, "tools/pages.py")
+    row = "| `tracker` | `Tracker` | prediction by the model, correction along the error | as a first example |"
+    assert row in (house / "docs" / "observers.md").read_text(encoding="utf-8")
