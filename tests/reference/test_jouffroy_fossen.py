@@ -147,7 +147,7 @@ def test_page_and_words_come_from_the_numbers(reproduced, tmp_path):
     assert "K2 as printed in (54)" in words
     assert "Mt holds" in words
     picture = tmp_path / "empty.png"
-    paper.draw_odin(picture)
+    paper.draw_odin(paper.odin_loop(), picture)
     page = paper.write_page(reproduced, (picture, picture), tmp_path / "page.html")
     text = page.read_text(encoding="utf-8")
     assert "ODIN under output feedback" in text

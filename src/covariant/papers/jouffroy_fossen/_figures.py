@@ -4,23 +4,23 @@ from pathlib import Path
 
 import numpy as np
 
-from covariant.papers.jouffroy_fossen._odin import K2, PRINTED_K2, RATE, odin_loop
-from covariant.papers.jouffroy_fossen._sea import GAPS, sea, sea_errors
+from covariant.papers.jouffroy_fossen._odin import PRINTED_K2, RATE, Loop, odin_loop
+from covariant.papers.jouffroy_fossen._sea import GAPS, Sea, sea, sea_errors
 
 
 def draw(path: Path) -> tuple[Path, Path]:
     """ODIN under output feedback with either K2, and (`_sea`) three estimators of a ship's velocity."""
-    return draw_odin(path), draw_sea(path.with_stem(f"{path.stem}_sea"))
+    return draw_odin(odin_loop(), path), draw_sea(sea(), path.with_stem(f"{path.stem}_sea"))
 
 
-def draw_odin(path: Path) -> Path:
+def draw_odin(repaired: Loop, path: Path) -> Path:
     """Errors of the observer and of the tracking of ODIN, with K2 as repaired and as printed."""
     from covariant.report import new_figure, save_figure
 
     titles = ("Observer error |x̃| of ODIN", "Tracking error |(η̃, s)|")
     figure, axes = new_figure(1, 2, panel=(5.4, 3.6), titles=titles)
-    for label, k2, duration in (("K2 as repaired", K2, 60.0), ("K2 = I − Kp, as printed", PRINTED_K2, 12.0)):
-        loop = odin_loop(k2, duration)
+    printed = odin_loop(PRINTED_K2, 12.0)
+    for label, loop in (("K2 as repaired", repaired), ("K2 = I − Kp, as printed", printed)):
         for ax, error in zip(axes[0], (loop.observer, loop.tracking), strict=True):
             ax.semilogy(loop.t, np.where(error > 1e-10, error, np.nan), label=label)
     t = np.array([0.0, 30.0])
@@ -32,11 +32,10 @@ def draw_odin(path: Path) -> Path:
     return save_figure(figure, path)
 
 
-def draw_sea(path: Path) -> Path:
+def draw_sea(log: Sea, path: Path) -> Path:
     """The log at sea, and what three estimators make of its velocity."""
     from covariant.report import new_figure, save_figure
 
-    log = sea()
     t, truth = np.asarray(log.record.t), np.asarray(log.record.x)
     errors = sea_errors(log)
     figure, axes = new_figure(3, 1, panel=(8.4, 2.2), titles=("North", "Surge velocity", "Error of surge velocity"))

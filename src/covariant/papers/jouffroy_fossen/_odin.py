@@ -1,5 +1,6 @@
 """ODIN under output feedback, section IV of Jouffroy & Fossen 2004: controller, observer, their loop, and the proof."""
 
+import functools
 from typing import NamedTuple
 
 import equinox as eqx
@@ -71,9 +72,14 @@ def _odin_loop(controller: Backstepping, observer: Contracting, t: Array):
 def odin_loop(k2: Float[np.ndarray, "6 6"] = K2, duration: float = 60.0) -> Loop:
     """The true plant, J' included, under (94) and (101)–(102), from errors of a metre and some degrees."""
     t = jnp.linspace(0.0, duration, round(10 * duration) + 1)
-    e, error = _odin_loop(odin_controller(), odin_observer(k2), t)
+    e, error = _odin_loop(*_parts(tuple(map(tuple, k2.tolist()))), t)
     tracking, observer = (np.linalg.norm(np.asarray(a), axis=1) for a in (e, error))
     return Loop(np.asarray(t), tracking, observer)
+
+
+@functools.cache  # the same objects for the same numbers, so that what is compiled for them is found again
+def _parts(k2: tuple[tuple[float, ...], ...]) -> tuple[Backstepping, Contracting]:
+    return odin_controller(), odin_observer(np.array(k2))
 
 
 def odin_box(pitch: float = 0.7, roll: float = 0.7, rate: float = 0.2, speed: float = 0.5, spin: float = 0.3) -> Box:
@@ -122,16 +128,17 @@ def odin_sampled_rate(k2: np.ndarray = K2, cross: np.ndarray = CROSS, domain: Bo
     return falsify(subject, domain or odin_box(), 0.0).margin
 
 
+@eqx.filter_jit
+def _slope_at_rest(observer: Contracting) -> Array:
+    return jax.jacfwd(lambda x: observer.virtual(jnp.zeros(()), x, jnp.zeros(6), jnp.zeros(6)))(jnp.zeros(12))
+
+
 def odin_eigenvalues() -> dict[str, float]:
     """Largest real part of the frozen observer error at rest, level, for the printed K2, for I and for the repair."""
     found = {}
     for name, k2 in (("printed", PRINTED_K2), ("identity", np.eye(6)), ("repaired", K2)):
         observer = odin_observer(k2)
-
-        def flow(x, observer=observer):
-            return observer.virtual(jnp.zeros(()), x, jnp.zeros(6), jnp.zeros(6))
-
-        found[name] = float(np.linalg.eigvals(np.asarray(jax.jacfwd(flow)(jnp.zeros(12)))).real.max())
+        found[name] = float(np.linalg.eigvals(np.asarray(_slope_at_rest(observer))).real.max())
     return found
 
 

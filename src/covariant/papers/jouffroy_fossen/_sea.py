@@ -1,13 +1,15 @@
 """Dynamic positioning: a supply vessel in waves, and three estimators of its velocity on one log."""
 
+import functools
 import math
 import time
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 from covariant import geometry
 from covariant._integrate import rk4
@@ -40,31 +42,12 @@ def sea(seed: int = 0) -> Sea:
 
     Compass at 10 Hz, GNSS at 1 Hz with gaps of 60 and 30 s.
     """
-    waves = marine.Waves((0.8, 0.8, 0.8), (0.1, 0.1, 0.1), (0.8, 0.8, math.radians(1.0)))
-    station = marine.Station(marine.supply_vessel(), waves, bias_time=1000.0)
-    model = station.model(noise=True)
+    station = _station()
     random = np.random.default_rng(seed)
     t = np.arange(round(DURATION / STEP) + 1) * STEP
     slow = np.array([3e4, 3e4, 1e6]) / math.sqrt(1000.0 / 2)  # N/√s and N m/√s: 30 kN and 1 MN m in the long run
     noise = random.normal(size=(len(t), 6)) / math.sqrt(STEP) * np.concatenate([np.ones(3), slow])
-    mass = np.diag(np.asarray(station.ship.mass))
-
-    def goal(s):
-        return jnp.where(s < 600.0, jnp.zeros(3), jnp.array([20.0, -10.0, math.radians(30.0)]))
-
-    def step(x, sample):
-        now, drive = sample
-        eta, nu = x[:3], x[3:6]
-        error = geometry.wrap((2,), eta - goal(now))
-        wanted = -jnp.asarray(mass) * (0.05**2 * (marine.yaw_rotation(eta[2]).T @ error) + 2 * 0.8 * 0.05 * nu)
-        tau = jnp.clip(wanted, -jnp.array([3e5, 3e5, 1e7]), jnp.array([3e5, 3e5, 1e7]))
-        u = jnp.concatenate([tau, drive])
-        return rk4(lambda s, x: model.f(s, x, u), now, x, STEP, 1), (x, tau)
-
-    x0 = jnp.zeros(station.order).at[12:15].set(jnp.array([2e4, -1e4, 5e5]))
-    _, (x, tau) = jax.lax.scan(step, x0, (jnp.asarray(t), jnp.asarray(noise)))
-    x = np.asarray(x)
-    y = np.asarray(jax.vmap(station.output)(jnp.asarray(x)))
+    x, tau, y = (np.asarray(a) for a in _held_on_station(station, jnp.asarray(t), jnp.asarray(noise)))
     y = y + random.normal(size=y.shape) * np.array([GNSS, GNSS, COMPASS])
     silent = np.arange(len(t)) % round(1 / STEP) != 0
     for begin, end in GAPS:
@@ -75,7 +58,35 @@ def sea(seed: int = 0) -> Sea:
         "extended Kalman filter": sea_filter(station, y[0]),
         "filtered derivative": FilteredDerivative(0.1, (2,)),
     }
-    return Sea(Record(t, np.asarray(tau), y, x), station, observers)
+    return Sea(Record(t, tau, y, x), station, observers)
+
+
+@functools.cache  # one object, so that what is compiled for it is found again
+def _station() -> marine.Station:
+    waves = marine.Waves((0.8, 0.8, 0.8), (0.1, 0.1, 0.1), (0.8, 0.8, math.radians(1.0)))
+    return marine.Station(marine.supply_vessel(), waves, bias_time=1000.0)
+
+
+@eqx.filter_jit
+def _held_on_station(station: marine.Station, t: Array, noise: Array):
+    """True states, commanded forces and noise-free outputs under a PD controller that sees the truth."""
+    model, mass = station.model(noise=True), jnp.diag(jnp.asarray(station.ship.mass))
+
+    def goal(s):
+        return jnp.where(s < 600.0, jnp.zeros(3), jnp.array([20.0, -10.0, math.radians(30.0)]))
+
+    def step(x, sample):
+        now, drive = sample
+        eta, nu = x[:3], x[3:6]
+        error = geometry.wrap((2,), eta - goal(now))
+        wanted = -mass * (0.05**2 * (marine.yaw_rotation(eta[2]).T @ error) + 2 * 0.8 * 0.05 * nu)
+        tau = jnp.clip(wanted, -jnp.array([3e5, 3e5, 1e7]), jnp.array([3e5, 3e5, 1e7]))
+        u = jnp.concatenate([tau, drive])
+        return rk4(lambda s, x: model.f(s, x, u), now, x, STEP, 1), (x, tau)
+
+    x0 = jnp.zeros(station.order).at[12:15].set(jnp.array([2e4, -1e4, 5e5]))
+    _, (x, tau) = jax.lax.scan(step, x0, (t, noise))
+    return x, tau, jax.vmap(station.output)(x)
 
 
 def passive_observer(station: marine.Station) -> PassiveShip:
