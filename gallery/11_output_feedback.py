@@ -20,4 +20,4 @@ print(
     f"certified {paper.RATE / 2:g} 1/s; measured: observer {paper.tail_rate(loop.t, loop.observer):.2f} 1/s, "
     f"tracking {paper.tail_rate(loop.t, loop.tracking):.2f} 1/s"
 )
-paper.draw_odin(OUT / "11_output_feedback.png")
+paper.draw_odin(loop, OUT / "11_output_feedback.png")

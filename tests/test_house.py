@@ -69,6 +69,11 @@ PUBLIC = {
     "GeodesicInfo GeodesicState HeldState Info InformationEKF InformationState Intrinsic MechanicalState PassiveGains "
     "PassiveShip Riccati Salcudean SalcudeanState SavitzkyGolay WindowState continuous craft_observer "
     "lyapunov_gains lyapunov_rate notch_gains printed_rate run second_order",
+    "papers.jouffroy_fossen": "COMPASS COUNTEREXAMPLES CROSS DURATION GAPS GNSS K1 K2 KD KP LAMBDA PRINTED_K2 RATE "
+    "SETTLED STAGES STEP Loop Scalar Sea draw draw_odin draw_sea odin_box odin_cascade odin_certificate "
+    "odin_controller odin_eigenvalues odin_loop odin_observer odin_path odin_sampled_rate passive_observer reproduce "
+    "sea sea_cost sea_errors sea_filter sea_rows sea_table ship_decay ship_eigenvalues somersault summary tail_rate "
+    "write_page",
     "report": "PALETTE EstimateReport draw_audit draw_certificate new_figure save_figure table write_article "
     "write_audit write_html write_png",
     "riccati": "Box Equation Metric Passage Solution Window gramian gramians high_gain lie_derivative metric_at "

@@ -6,7 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from covariant.certificates import contraction, virtual
+from covariant.certificates import contraction, crossed_metric, feedthrough, virtual
+from covariant.models import marine
 from covariant.papers import jouffroy_fossen as paper
 
 
@@ -47,7 +48,7 @@ def test_printed_gain_of_odin_is_unstable_and_its_observer_does_not_converge(rep
 def test_without_a_cross_term_the_metric_is_only_semidefinite(reproduced):
     """In diag(K2, M), the best that can be said of any K2: drag is a square, so it has no slope at rest."""
     for k2 in (np.eye(6), paper.K2):
-        subject = virtual(paper.odin_observer(k2), paper.crossed_metric(paper.marine.odin(), k2, np.zeros((6, 6))))
+        subject = virtual(paper.odin_observer(k2), crossed_metric(marine.odin(), k2, np.zeros((6, 6))))
         rest = jnp.zeros(len(subject.names))
         values = np.linalg.eigvalsh(contraction(subject, 0.0)(rest))
         np.testing.assert_allclose(values[:6], 0.0, atol=1e-9)
@@ -102,11 +103,11 @@ def test_theorem_3_on_odin_is_stable_under_refinement_and_depends_on_units_as_pr
 @pytest.mark.parametrize(("pitch", "printed"), [(0.0, math.hypot(12.5, 25.5)), (0.5, 30.83)])
 def test_gamma_1_is_the_norm_of_the_coupling(pitch, printed):
     """At level attitude J is the identity and γ1 that of the paper, which drops Jᵀ: elsewhere it is larger."""
-    jacobians = paper.feedthrough(paper.odin_controller())
+    jacobians = feedthrough(paper.odin_controller())
     eta = jnp.zeros(6).at[3].set(pitch).at[4].set(pitch)
     b, itself = jacobians(jnp.concatenate([eta, jnp.zeros(6)]))
-    level = np.block([[np.zeros((6, 12))], [np.diag(100 / np.diag(paper.marine.odin().mass)), np.zeros((6, 6))]])
-    level[6:, 6:] = np.diag(200 / np.diag(paper.marine.odin().mass)) + 0.5 * np.eye(6)
+    level = np.block([[np.zeros((6, 12))], [np.diag(100 / np.diag(marine.odin().mass)), np.zeros((6, 6))]])
+    level[6:, 6:] = np.diag(200 / np.diag(marine.odin().mass)) + 0.5 * np.eye(6)
     exact = np.linalg.norm(b, 2)
     assert not itself.any()
     if pitch == 0.0:
@@ -146,7 +147,7 @@ def test_page_and_words_come_from_the_numbers(reproduced, tmp_path):
     assert "K2 as printed in (54)" in words
     assert "Mt holds" in words
     picture = tmp_path / "empty.png"
-    paper.draw_odin(picture)
+    paper.draw_odin(paper.odin_loop(), picture)
     page = paper.write_page(reproduced, (picture, picture), tmp_path / "page.html")
     text = page.read_text(encoding="utf-8")
     assert "ODIN under output feedback" in text

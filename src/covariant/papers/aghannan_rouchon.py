@@ -1,5 +1,6 @@
 """Aghannan & Rouchon 2003, reproduced: figure 4, the basin of attraction, the tutorial example."""
 
+import functools
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -44,7 +45,7 @@ class Trajectory(NamedTuple):
 
 def figure4_observers() -> dict[str, AbstractFlowObserver]:
     """The observers compared on figure 4, by their key in the results."""
-    plant = models.ball_and_beam()
+    plant = _plant()
     return {
         "exact": Geodesic(plant, ALPHA, BETA, Budget(steps=4)),
         "approximate": Intrinsic(plant, ALPHA, BETA),
@@ -53,6 +54,11 @@ def figure4_observers() -> dict[str, AbstractFlowObserver]:
         "copy": Copy(plant, ALPHA, BETA),
         "no_curvature": Intrinsic(plant, ALPHA, BETA, curvature=False),
     }
+
+
+@functools.cache  # one object, so that what is compiled for it is found again
+def _plant() -> models.Lagrangian:
+    return models.ball_and_beam()
 
 
 def feedback(t, x):
@@ -77,7 +83,7 @@ def figure4(
 
 @eqx.filter_jit
 def _figure4(observer, t, amplitude, scale, rtol):
-    plant = models.ball_and_beam()
+    plant = _plant()
     x0 = jnp.array(TRUTH)
     start = x0 + scale * (jnp.array(ESTIMATE) - x0)
     state0 = observer.init(start[:2])._replace(v=start[2:])

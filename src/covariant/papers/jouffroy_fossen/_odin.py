@@ -1,0 +1,149 @@
+"""ODIN under output feedback, section IV of Jouffroy & Fossen 2004: controller, observer, their loop, and the proof."""
+
+import functools
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from covariant.certificates import Box, Proof, blocks, contraction, crossed_metric, falsify, prove_at_corners, virtual
+from covariant.control import Backstepping, lissajous
+from covariant.models import marine, state_space
+from covariant.observers import Contracting, craft_observer
+from covariant.simulation import observe
+
+KP, KD, LAMBDA = 100.0, 200.0, 0.5
+"""Gains of the controller of ODIN."""
+PRINTED_K2 = (1.0 - KP) * np.eye(6)
+"""K2 = I − K_p, as printed below (103)."""
+K1, K2 = np.diag([1.7] * 3 + [3.0] * 3), np.diag([240.0] * 3 + [150.0] * 3)
+"""Repaired gains of the observer (101)–(102): K2 symmetric positive definite."""
+CROSS = np.diag([140.0] * 3 + [6.5] * 3)
+"""Cross term of its metric."""
+RATE = 0.8
+"""Certified rate of ODIN's observer [1/s], of squared lengths."""
+
+
+def odin_path():
+    """A motion in all six degrees of freedom: a slow Lissajous figure, rolling and pitching by 0.3 and 0.4 rad."""
+    return lissajous(
+        centre=(0.0, 0.0, 5.0, 0.0, 0.0, 0.0),
+        amplitude=(4.0, 3.0, 1.0, 0.3, 0.4, 1.0),
+        frequency=(0.1, 0.2, 0.15, 0.12, 0.17, 0.08),
+        phase=(0.0, 0.5, 1.0, 0.3, 0.0, 0.7),
+    )
+
+
+def odin_controller() -> Backstepping:
+    """The paper's controller (94) with K_p = 100, K_d = 200, Λ = 0.5."""
+    return Backstepping(marine.odin(), odin_path(), KP, KD, LAMBDA)
+
+
+def odin_observer(k2: Float[np.ndarray, "6 6"] = K2) -> Contracting:
+    """The paper's observer (101)–(102) with this K2."""
+    return craft_observer(marine.odin(), K1, k2)
+
+
+class Loop(NamedTuple):
+    """Stamps (T,) [s], and norms (T,) of the tracking error (η̃, s) and of the observer's error."""
+
+    t: np.ndarray
+    tracking: np.ndarray
+    observer: np.ndarray
+
+
+@eqx.filter_jit
+def _odin_loop(controller: Backstepping, observer: Contracting, t: Array):
+    plant = state_space(controller.craft)
+    x0 = jnp.array([1.0, -1.0, 4.0, 0.1, -0.1, 0.3, *[0.0] * 6])
+    start = observer.init(x0[:6])
+    off = jnp.array([0.3, -0.2, 0.2, 0.05, 0.05, -0.1, 0.2, 0.1, -0.1, 0.05, -0.05, 0.1])
+    start = start._replace(x=x0 + off)
+    x, state = observe(plant, observer, x0, start, t, controller=controller, rtol=1e-9, atol=1e-12, max_steps=100_000)
+    eta = x[:, :6]
+    e = jax.vmap(controller.error)(t, eta)
+    s = x[:, 6:] - jax.vmap(controller.virtual_velocity)(t, eta)
+    return jnp.concatenate([e, s], axis=1), x - state.x
+
+
+def odin_loop(k2: Float[np.ndarray, "6 6"] = K2, duration: float = 60.0) -> Loop:
+    """The true plant, J' included, under (94) and (101)–(102), from errors of a metre and some degrees."""
+    t = jnp.linspace(0.0, duration, round(10 * duration) + 1)
+    e, error = _odin_loop(*_parts(tuple(map(tuple, k2.tolist()))), t)
+    tracking, observer = (np.linalg.norm(np.asarray(a), axis=1) for a in (e, error))
+    return Loop(np.asarray(t), tracking, observer)
+
+
+@functools.cache  # the same objects for the same numbers, so that what is compiled for them is found again
+def _parts(k2: tuple[tuple[float, ...], ...]) -> tuple[Backstepping, Contracting]:
+    return odin_controller(), odin_observer(np.array(k2))
+
+
+def odin_box(pitch: float = 0.7, roll: float = 0.7, rate: float = 0.2, speed: float = 0.5, spin: float = 0.3) -> Box:
+    """Variables of the observer's virtual system: attitude [rad], its rates [rad/s], estimated velocities.
+
+    Position and yaw do not enter, and are held at zero; so are the input and the estimated position.
+    """
+    subject = virtual(odin_observer(), np.eye(12))
+    wide = {"z_roll": roll, "z_pitch": pitch, "zdot_roll": rate, "zdot_pitch": rate, "zdot_yaw": rate}
+    wide |= dict.fromkeys(("surge", "sway", "heave"), speed) | dict.fromkeys(
+        ("roll_rate", "pitch_rate", "yaw_rate"), spin
+    )
+    high = np.array([wide.get(name, 0.0) for name in subject.names])
+    return Box(subject.names, subject.units, -high, high)
+
+
+def odin_certificate(rate: float, domain: Box | None = None, boxes: int = 200_000) -> list[Proof]:
+    """Does the repaired observer contract at `rate` [1/s] of squared lengths, in the metric with the cross term?
+
+    Translation and rotation are apart, and proved apart. Velocities enter as the slope 2|ν| of the drag alone, so those
+    that are not negative stand for all; there the drag is a square, and its slope linear.
+    """
+    domain = odin_box() if domain is None else domain
+    names = marine.odin().velocities
+    low = np.where(np.isin(domain.names, names), 0.0, domain.low)
+    square = np.diag(marine.odin().damping(jnp.ones(6)))
+    ahead = eqx.tree_at(lambda c: c.damping, marine.odin(), lambda nu: jnp.diag(jnp.asarray(square) * nu))
+    subject = virtual(craft_observer(ahead, K1, K2), crossed_metric(ahead, K2, CROSS))
+    matrix = contraction(subject, rate)
+    parts = blocks(matrix, domain)
+    return [
+        proof
+        for part in parts
+        for proof in prove_at_corners(
+            matrix.then(lambda whole, part=part: whole[part][:, part]),
+            domain._replace(low=low),
+            (*names, "zdot_roll", "zdot_pitch", "zdot_yaw"),
+            boxes=boxes,
+        )
+    ]
+
+
+def odin_sampled_rate(k2: np.ndarray = K2, cross: np.ndarray = CROSS, domain: Box | None = None) -> float:
+    """Least rate [1/s] found over the set: at most 0 for K2 = I without a cross term, whatever drag acts elsewhere."""
+    subject = virtual(odin_observer(k2), crossed_metric(marine.odin(), k2, cross))
+    return falsify(subject, domain or odin_box(), 0.0).margin
+
+
+@eqx.filter_jit
+def _slope_at_rest(observer: Contracting) -> Array:
+    return jax.jacfwd(lambda x: observer.virtual(jnp.zeros(()), x, jnp.zeros(6), jnp.zeros(6)))(jnp.zeros(12))
+
+
+def odin_eigenvalues() -> dict[str, float]:
+    """Largest real part of the frozen observer error at rest, level, for the printed K2, for I and for the repair."""
+    found = {}
+    for name, k2 in (("printed", PRINTED_K2), ("identity", np.eye(6)), ("repaired", K2)):
+        observer = odin_observer(k2)
+        found[name] = float(np.linalg.eigvals(np.asarray(_slope_at_rest(observer))).real.max())
+    return found
+
+
+def tail_rate(t: np.ndarray, error: np.ndarray, floor: float = 1e-7) -> float:
+    """Slope of −log error over time [1/s], over the later half of the time it takes to reach the floor."""
+    end = int(np.argmax(error < floor)) or len(t)
+    later = slice(end // 2, end)
+    return -float(np.polyfit(t[later], np.log(error[later]), 1)[0])

@@ -1,0 +1,92 @@
+"""Everything together."""
+
+import math
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from covariant.papers.jouffroy_fossen._odin import (
+    K2,
+    RATE,
+    odin_box,
+    odin_certificate,
+    odin_eigenvalues,
+    odin_loop,
+    odin_sampled_rate,
+    tail_rate,
+)
+from covariant.papers.jouffroy_fossen._sea import sea, sea_cost, sea_table
+from covariant.papers.jouffroy_fossen._ship import ship_decay, ship_eigenvalues
+from covariant.papers.jouffroy_fossen._somersault import somersault
+from covariant.papers.jouffroy_fossen._theorem_2 import COUNTEREXAMPLES
+from covariant.papers.jouffroy_fossen._theorem_3 import odin_cascade
+
+STAGES = 6
+"""Number of times `reproduce` and the drawing that may follow report progress."""
+
+
+def reproduce(progress: Callable[[str], None] = lambda stage: None) -> dict[str, Any]:
+    """Everything of the paper that is a number.
+
+    Keys: `ship` (eigenvalues of (53) with either K2, guaranteed and fitted rates), `theorem2` (what the print says of
+    the counter-examples, what is true, and the verdict of the proof), `odin` (eigenvalues and sampled rates with three
+    K2, the certified rate and its set, the rates of the closed loop), `somersault` (on SE(3), through a
+    pitch of 90°), `theorem3` (constants and verdicts), `sea`
+    (velocity errors of three estimators), and `seconds`.
+    """
+    began = time.perf_counter()
+    progress("the ship")
+    decay = ship_decay()
+    results: dict[str, Any] = {
+        "ship": {"eigenvalues": ship_eigenvalues(), **{k: decay[k] for k in ("rate", "printed", "fitted")}},
+    }
+    progress("Theorem 2")
+    results["theorem2"] = {
+        name: {"printed": case.printed, "true": case.true, "proof": case.proof(0.1).verdict}
+        for name, case in COUNTEREXAMPLES.items()
+    }
+    progress("ODIN")
+    proofs = odin_certificate(RATE)
+    fitted = odin_loop()
+    results["odin"] = {
+        "eigenvalues": odin_eigenvalues(),
+        "sampled": {
+            "identity, no cross term": odin_sampled_rate(np.eye(6), np.zeros((6, 6))),
+            "repaired, no cross term": odin_sampled_rate(K2, np.zeros((6, 6))),
+            "repaired": odin_sampled_rate(),
+        },
+        "certified": {
+            "rate": RATE,
+            "verdict": "holds" if all(proof.verdict == "holds" for proof in proofs) else "undecided",
+            "boxes": sum(proof.boxes for proof in proofs),
+            "domain": str(odin_box().free),
+        },
+        "loop": {"tracking": tail_rate(fitted.t, fitted.tracking), "observer": tail_rate(fitted.t, fitted.observer)},
+    }
+    progress("Theorem 3")
+    turning = somersault()
+    results["somersault"] = {
+        "largest_pitch": math.degrees(float(np.abs(turning["pitch"]).max())),
+        "times_past_80_degrees": int((np.diff((np.abs(turning["pitch"]) > math.radians(80.0)).astype(int)) == 1).sum()),
+        "error_first": float(turning["error"][0]),
+        "error_last": float(turning["error"][-1]),
+    }
+    found = odin_cascade()
+    results["theorem3"] = {
+        "constants": found.constants._asdict(),
+        "gamma1_squared": found.constants.gamma1**2,
+        "bound": found.constants.bound,
+        "printed": found.printed,
+        "weighted": found.constants.weighted,
+        "kappa": found.kappa,
+        "units": found.units,
+    }
+    progress("dynamic positioning")
+    log = sea()
+    results["sea"] = sea_table(log)
+    for name, microseconds in sea_cost(log).items():
+        results["sea"][name]["cost"] = round(microseconds, 2)
+    results["seconds"] = round(time.perf_counter() - began, 1)
+    return results

@@ -1,0 +1,165 @@
+"""Dynamic positioning: a supply vessel in waves, and three estimators of its velocity on one log."""
+
+import functools
+import math
+import time
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from covariant import geometry
+from covariant._integrate import rk4
+from covariant.models import marine
+from covariant.observers import AbstractObserver, FilteredDerivative, InformationEKF, PassiveShip, notch_gains, run
+from covariant.riccati import Equation
+from covariant.signals import Record
+
+
+class Sea(NamedTuple):
+    """A log of dynamic positioning: north, east and heading with noise, gaps and wave motion, and the truth.
+
+    `record` has the commanded force (T, 3), the measurement (T, 3) with NaN where there is none, and the true state.
+    `observers`: the estimators compared on it, by their key in the results.
+    """
+
+    record: Record
+    station: marine.Station
+    observers: dict[str, AbstractObserver]
+
+
+STEP, DURATION, GAPS = 0.1, 1200.0, ((400.0, 460.0), (800.0, 830.0))
+"""Sampling time of the compass, length of the log and the gaps of GNSS [s]."""
+GNSS, COMPASS = 0.5, math.radians(0.1)
+"""Standard deviations of a position [m] and of a heading [rad]."""
+
+
+def sea(seed: int = 0) -> Sea:
+    """A supply vessel in waves of 0.8 m (standard deviation), with slowly varying forces, under PD control.
+
+    Compass at 10 Hz, GNSS at 1 Hz with gaps of 60 and 30 s.
+    """
+    station = _station()
+    random = np.random.default_rng(seed)
+    t = np.arange(round(DURATION / STEP) + 1) * STEP
+    slow = np.array([3e4, 3e4, 1e6]) / math.sqrt(1000.0 / 2)  # N/√s and N m/√s: 30 kN and 1 MN m in the long run
+    noise = random.normal(size=(len(t), 6)) / math.sqrt(STEP) * np.concatenate([np.ones(3), slow])
+    x, tau, y = (np.asarray(a) for a in _held_on_station(station, jnp.asarray(t), jnp.asarray(noise)))
+    y = y + random.normal(size=y.shape) * np.array([GNSS, GNSS, COMPASS])
+    silent = np.arange(len(t)) % round(1 / STEP) != 0
+    for begin, end in GAPS:
+        silent |= (t >= begin) & (t < end)
+    y[silent, :2] = np.nan
+    observers = {
+        "passive observer": passive_observer(station),
+        "extended Kalman filter": sea_filter(station, y[0]),
+        "filtered derivative": FilteredDerivative(0.1, (2,)),
+    }
+    return Sea(Record(t, tau, y, x), station, observers)
+
+
+@functools.cache  # one object, so that what is compiled for it is found again
+def _station() -> marine.Station:
+    waves = marine.Waves((0.8, 0.8, 0.8), (0.1, 0.1, 0.1), (0.8, 0.8, math.radians(1.0)))
+    return marine.Station(marine.supply_vessel(), waves, bias_time=1000.0)
+
+
+@eqx.filter_jit
+def _held_on_station(station: marine.Station, t: Array, noise: Array):
+    """True states, commanded forces and noise-free outputs under a PD controller that sees the truth."""
+    model, mass = station.model(noise=True), jnp.diag(jnp.asarray(station.ship.mass))
+
+    def goal(s):
+        return jnp.where(s < 600.0, jnp.zeros(3), jnp.array([20.0, -10.0, math.radians(30.0)]))
+
+    def step(x, sample):
+        now, drive = sample
+        eta, nu = x[:3], x[3:6]
+        error = geometry.wrap((2,), eta - goal(now))
+        wanted = -mass * (0.05**2 * (marine.yaw_rotation(eta[2]).T @ error) + 2 * 0.8 * 0.05 * nu)
+        tau = jnp.clip(wanted, -jnp.array([3e5, 3e5, 1e7]), jnp.array([3e5, 3e5, 1e7]))
+        u = jnp.concatenate([tau, drive])
+        return rk4(lambda s, x: model.f(s, x, u), now, x, STEP, 1), (x, tau)
+
+    x0 = jnp.zeros(station.order).at[12:15].set(jnp.array([2e4, -1e4, 5e5]))
+    _, (x, tau) = jax.lax.scan(step, x0, (t, noise))
+    return x, tau, jax.vmap(station.output)(x)
+
+
+def passive_observer(station: marine.Station) -> PassiveShip:
+    """The observer as it is tuned for the log."""
+    return PassiveShip(station, notch_gains(station, (0.1, 0.1, 0.2)), memory=2.0)
+
+
+def sea_filter(station: marine.Station, y0: np.ndarray) -> InformationEKF:
+    """The extended Kalman filter that knows the densities of all noises of the log."""
+    part, order = station.parts, station.order
+    q = np.zeros(order)
+    q[part["waves"]][3:] = np.asarray(station.waves.intensity) ** 2 if station.waves else 0.0
+    q[part["bias"]] = (np.array([3e4, 3e4, 1e6]) ** 2) * 2 / 1000.0
+    q[part["nu"]] = np.array([1e-6, 1e-6, 1e-9])
+    variances = np.full(order, 1.0)
+    variances[part["eta"]] = np.array([1.0, 1.0, 1e-3])
+    variances[part["nu"]] = np.array([0.1, 0.1, 1e-4])
+    variances[part["waves"]] = np.array([1.0, 1.0, 1e-3] * 2)
+    variances[part["bias"]] = np.array([1e9, 1e9, 1e12])
+    density = STEP * np.diag([GNSS**2, GNSS**2, COMPASS**2])
+    start = jnp.zeros(order).at[:3].set(jnp.asarray(y0))
+    return InformationEKF(
+        station.model(),
+        Equation(process_cov=jnp.diag(jnp.asarray(q)), measurement_cov=jnp.asarray(density)),
+        start,
+        jnp.diag(1 / jnp.asarray(variances)),
+        substeps=5,  # its information changes fast where waves are fast; with one it is off by half
+    )
+
+
+def sea_errors(log: Sea) -> dict[str, Float[np.ndarray, "T 3"]]:
+    """Errors of surge, sway [m/s] and yaw rate [rad/s] by three estimators; row k has used measurements up to row k."""
+    record = log.record
+    truth = np.asarray(record.x)[:, 3:6]
+    passive, kalman, filtered = (np.asarray(run(o, record).estimate) for o in log.observers.values())
+    derived = filtered[:, 3:]
+    heading = np.asarray(record.x)[:, 2]
+    turned = np.stack(
+        [
+            np.cos(heading) * derived[:, 0] + np.sin(heading) * derived[:, 1],
+            -np.sin(heading) * derived[:, 0] + np.cos(heading) * derived[:, 1],
+            derived[:, 2],
+        ],
+        axis=1,
+    )
+    estimates = (passive[:, 3:6], kalman[:, 3:6], turned)
+    return {name: estimate - truth for name, estimate in zip(log.observers, estimates, strict=True)}
+
+
+def sea_cost(log: Sea) -> dict[str, float]:
+    """Time of a sample [µs], of the compiled loop on this machine."""
+    found = {}
+    for name, observer in log.observers.items():
+        jax.block_until_ready(run(observer, log.record).estimate)
+        began = time.perf_counter()
+        jax.block_until_ready(run(observer, log.record).estimate)
+        found[name] = 1e6 * (time.perf_counter() - began) / len(log.record.t)
+    return found
+
+
+SETTLED = 100.0
+"""Seconds of the log that do not count."""
+
+
+def sea_table(log: Sea) -> dict[str, dict[str, float]]:
+    """Velocity errors (RMSE) after the first 100 s, and in the gaps of GNSS."""
+    t = np.asarray(log.record.t)
+    gap = np.zeros(len(t), bool)
+    for begin, end in GAPS:
+        gap |= (t >= begin) & (t < end)
+    found = {}
+    for name, error in sea_errors(log).items():
+        rms = np.sqrt(np.mean(error[t > SETTLED] ** 2, axis=0))
+        worst = np.sqrt(np.mean(np.sum(error[gap, :2] ** 2, axis=1)))
+        found[name] = {"surge": float(rms[0]), "sway": float(rms[1]), "yaw_rate": float(rms[2]), "gaps": float(worst)}
+    return found

@@ -1,0 +1,52 @@
+"""Theorem 2 of Jouffroy & Fossen 2004 as printed, and the systems it is wrong about."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from covariant import models
+from covariant.certificates import Box, Proof, contraction, prove, virtual
+from covariant.observers import Contracting
+
+
+class Scalar(NamedTuple):
+    """`x' = ax + bu`, z = x, `u = gx̂`, with the observer gain k: a counter-example in numbers."""
+
+    a: float
+    b: float
+    g: float
+    k: float
+
+    @property
+    def printed(self) -> float:
+        """The printed Jacobian `a + bg − k` [1/s]: "contracting" where negative."""
+        return self.a + self.b * self.g - self.k
+
+    @property
+    def true(self) -> float:
+        """What the observer's error obeys, `a − k` [1/s]."""
+        return self.a - self.k
+
+    def observer(self) -> Contracting:
+        model = models.StateSpace(
+            lambda t, x, u: self.a * x + self.b * u,
+            lambda t, x, u: x,
+            coordinates=("x",),
+            inputs=1,
+        )
+        return Contracting(model, jnp.array([[self.k]]), jnp.zeros(1))
+
+    def proof(self, rate: float) -> Proof:
+        """Does the virtual system contract at `rate` [1/s], over |x|, |u|, |z| ≤ 1?"""
+        subject = virtual(self.observer(), jnp.eye(1))
+        size = len(subject.names)
+        return prove(contraction(subject, rate), Box(subject.names, subject.units, -np.ones(size), np.ones(size)))
+
+
+COUNTEREXAMPLES = {
+    "called contracting, diverges": Scalar(1.0, 1.0, -10.0, 0.0),
+    "called contracting, diverges slowly": Scalar(1.0, 1.0, -3.0, 0.5),
+    "called not contracting, converges": Scalar(-1.0, 1.0, 5.0, 0.0),
+}
+"""Systems on which (16) and (20) as printed say the opposite of what happens."""

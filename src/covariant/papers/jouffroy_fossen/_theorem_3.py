@@ -1,0 +1,34 @@
+"""Theorem 3 of Jouffroy & Fossen 2004 on ODIN: is the controller, fed by the observer, exponentially stable?"""
+
+import numpy as np
+
+from covariant.certificates import Box, CascadeCertificate, box, cascade, crossed_metric, feedthrough, tracking, virtual
+from covariant.models import state_space
+from covariant.papers.jouffroy_fossen._odin import CROSS, K2, odin_box, odin_controller, odin_observer
+
+
+def odin_cascade(
+    pitch: float = 0.5, attempts: int = 20_000, starts: int = 64, proved: bool = False
+) -> CascadeCertificate:
+    """Theorem 3 for ODIN over attitudes up to `pitch` in roll and pitch and the velocities of `odin_box`."""
+    controller = odin_controller()
+    plant = tracking(controller)
+    high = [0.0, 0.0, 0.0, pitch, pitch, 0.0] + [0.0] * 6 + [0.5] * 3 + [0.3] * 3
+    plant_box = Box(plant.names, plant.units, -np.array(high), np.array(high))
+    craft = controller.craft
+    heavy = crossed_metric(craft, K2, CROSS)
+    mass = float(craft.mass[0, 0])
+    subject = virtual(odin_observer(), lambda z, x: heavy(z, x) / mass)  # V_obs per unit of mass
+    tilts: dict[str, tuple[float, float]] = dict.fromkeys(("coupling_roll", "coupling_pitch"), (-pitch, pitch))
+    names = [f"{kind}_{name}" for kind in ("coupling", "asked") for name in craft.coordinates]
+    coupling_box = box(**{name: tilts.get(name, (0.0, 0.0)) for name in names})
+    both = state_space(craft).units
+    return cascade(
+        (plant, plant_box),
+        (subject, odin_box(pitch=pitch, roll=pitch)),
+        (feedthrough(controller), coupling_box),
+        units=(both, both),
+        attempts=attempts,
+        starts=starts,
+        proved=proved,
+    )
