@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from covariant import (
+        audit,
         certificates,
         control,
         design,
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
         models,
         observers,
         papers,
+        proofs,
         report,
         riccati,
         scale,
@@ -42,6 +44,7 @@ __all__ = [
     "Result",
     "Run",
     "__version__",
+    "audit",
     "certificates",
     "control",
     "design",
@@ -52,6 +55,7 @@ __all__ = [
     "models",
     "observers",
     "papers",
+    "proofs",
     "report",
     "riccati",
     "scale",

@@ -9,9 +9,10 @@ from jaxtyping import Array, Float
 from covariant._linalg import whiten
 from covariant.certificates._certificate import Certificate
 from covariant.certificates._contraction import contraction_matrix
-from covariant.certificates._prove import Box, check_box
-from covariant.certificates._region import Subject, changing
+from covariant.certificates._inequalities import length_change
+from covariant.certificates._subject import Subject
 from covariant.lowering import Lowered, expand, numbers
+from covariant.proofs import Box, check_box
 
 BATCH = 4096
 STEPS = 60
@@ -35,7 +36,7 @@ def falsify(
     where the rate is not a number.
     """
     check_box(domain)
-    both = changing(subject, lambda coframe, gram, change: jnp.stack([gram, change]).ravel(), lambda z: z)
+    both = length_change(subject, lambda coframe, gram, change: jnp.stack([gram, change]).ravel(), lambda z: z)
     value = both.graph(jnp.asarray(domain.low)).entries
     least, point = slowest(pencil(value, domain), domain, attempts, starts, seed)
     return Certificate(

@@ -15,18 +15,12 @@ from jaxtyping import Array, Float
 from covariant import geometry, models
 from covariant._integrate import rk4
 from covariant.certificates import (
-    Box,
     CascadeCertificate,
-    Proof,
-    blocks,
-    box,
     cascade,
     contraction,
     crossed_metric,
     falsify,
     feedthrough,
-    prove,
-    prove_at_corners,
     tracking,
     virtual,
 )
@@ -46,6 +40,7 @@ from covariant.observers import (
     printed_rate,
     run,
 )
+from covariant.proofs import Box, Proof, blocks, box, prove, prove_at_corners
 from covariant.riccati import Equation
 from covariant.signals import Record
 from covariant.simulation import observe

@@ -7,11 +7,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from covariant._integrate import solve
-from covariant._typing import Number, Vector
+from covariant._typing import Controller, Number, Vector
 from covariant.models import StateSpace
 from covariant.observers import AbstractFlowObserver, continuous
 from covariant.signals import Record
-from covariant.simulation._simulate import Controller, Input, Measurement, observe, simulate
+from covariant.simulation._simulate import Input, Measurement, observe, simulate
 
 
 @simulate.register

@@ -1,6 +1,6 @@
-"""What a certificate looks like, and what simulations say of it: arrays taken from the certificate itself.
+"""Simulations beside a certificate: motions of the model in its region, and estimates from the border of its tube.
 
-Source: Aghannan & Rouchon 2003, Fig. 2 and Theorem 2.
+Source: Aghannan & Rouchon 2003, Theorem 2.
 """
 
 from typing import Any, NamedTuple
@@ -10,11 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from covariant.certificates._certify import ContractionCertificate, Followed
 from covariant.certificates._contraction import StateMetric
+from covariant.certificates._contraction_certificate import ContractionCertificate
 from covariant.certificates._distance import Decay, lower_distance, upper_distance
-from covariant.certificates._prove import OPEN, PROVED, Proof, leaves
-from covariant.certificates._tangent import conditioning, error_matrix, lyapunov, optimal_lyapunov, rate_of
+from covariant.certificates._tangent_metric import error_matrix
 from covariant.models import Motion
 from covariant.simulation import observe, simulate
 
@@ -24,22 +23,29 @@ WATCHED = 97
 """Stamps at which a motion is looked at, whether it is inside."""
 
 
-class Projection(NamedTuple):
-    """The boxes of one proof seen along all variables but two.
+class Followed(NamedTuple):
+    """Estimates that began on the border of the proved ball, each beside a motion of its own.
 
-    - `claim`: which statement; `kind`: of each of the two variables; `names`, `units`: as in the certificate.
-    - `proved`, `open` (k, 2, 2): different rectangles, low then high ends of both variables.
-    - `domain` (2, 2): all of it; `counterexample` (2,): where the statement was proved wrong, or None.
+    - `t` (k, T) [s]: until the motion leaves the region or the bound of the velocity, eight time constants at most.
+    - `low`, `high` (k, T): their distances from below and from above; `bound` (k, T): `ε e^(−λt/2)`.
+    - `certified` [1/s]: λ, of squared lengths.
     """
 
-    claim: str
-    kind: tuple[str, str]
-    names: tuple[str, str]
-    units: tuple[str, str]
-    proved: Float[np.ndarray, "k 2 2"]
-    open: Float[np.ndarray, "j 2 2"]
-    domain: Float[np.ndarray, "2 2"]
-    counterexample: Float[np.ndarray, "2"] | None
+    t: Float[np.ndarray, "k T"]
+    low: Float[np.ndarray, "k T"]
+    high: Float[np.ndarray, "k T"]
+    bound: Float[np.ndarray, "k T"]
+    certified: float
+
+    @property
+    def holds(self) -> bool:
+        """Whether no distance is above its bound, beyond a millionth for the integration."""
+        return bool((self.low <= self.bound * (1 + 1e-6)).all())
+
+    @property
+    def rates(self) -> Float[np.ndarray, "k"]:
+        """The rate λ [1/s] of each, from its first stamp to its last."""
+        return 2 * np.log(self.high[:, 0] / self.high[:, -1]) / (self.t[:, -1] - self.t[:, 0])
 
 
 class Trajectories(NamedTuple):
@@ -62,85 +68,51 @@ class Trajectories(NamedTuple):
     distances: Decay
 
 
-class TradeOff(NamedTuple):
-    """Rates λ [1/s] that the gains allow at q̂ = q, and how well conditioned a metric has them.
+def follow_estimates(
+    certificate: ContractionCertificate,
+    count: int = 100,
+    *,
+    stamps: int = 25,
+    seed: int = 0,
+    rtol: float = 1e-10,
+    atol: float = 1e-13,
+) -> Followed:
+    """Simulate motions in the region of a certificate, and beside each an estimate from the border of the proved ball.
 
-    - `rate`, `condition` (k,): of the best conditioned Q for each rate.
-    - `used`, `paper`: rate and condition number of the certificate's Q, and of the one of the paper.
-    - `certified`: the rate that the certificate is about.
+    `count` random motions, each with an estimate that begins at a random place on the border, integrated with the
+    tolerances given; `stamps`: instants at which their distances are measured.
+
+    Raises `ValueError` where nothing is proved, or where motions leave the region too soon to say anything.
     """
+    plant, radius = _Plant(certificate), certificate.radius
+    rng = np.random.default_rng(seed)
+    start, inputs, first, until = _motions(certificate, plant, count, rng)
+    directions = jnp.asarray(rng.normal(size=(count, 2 * plant.n)))
 
-    rate: Float[np.ndarray, "k"]
-    condition: Float[np.ndarray, "k"]
-    used: tuple[float, float]
-    paper: tuple[float, float]
-    certified: float
+    metric = _metric(certificate)
 
+    @jax.jit
+    @jax.vmap
+    def onwards(start, inputs, until, direction):
+        place = plant.place(start)[: 2 * plant.n]
+        root = jnp.linalg.cholesky(metric.gram(jnp.zeros(()), place))
+        # On a sphere of the metric all directions are alike.
+        ball = jnp.linalg.solve(root.T, direction / jnp.linalg.norm(direction))
+        begin = _on_the_border(
+            certificate, plant, start, metric.frame(jnp.zeros(()), place) @ ball, jnp.asarray(radius)
+        )
+        t = first + (until - first) * jnp.linspace(0, 1, stamps)
+        actual, estimated = plant.observed(start, begin, t, _inputs(certificate, *inputs), rtol=rtol, atol=atol)
+        return t, *jax.vmap(plant.chart)(estimated, actual)
 
-def open_share(proof: Proof) -> float:
-    """The share of the domain that no box proves."""
-    return float(sum((codes == OPEN).sum() * 0.5**depth for depth, codes in enumerate(proof.levels)))
+    @jax.jit
+    def distances(*given):
+        between = jax.vmap(lambda *x: (lower_distance(metric, *x), upper_distance(metric, *x)))
+        return jax.lax.map(lambda x: between(*x), given)  # one by one: each takes many points at every stamp
 
-
-def kinds(certificate: ContractionCertificate) -> tuple[str, ...]:
-    """What each variable of the domain is: "estimate", "velocity" (estimated), "error" or "force"."""
-    n = len(certificate.velocity)
-    words = ("estimate", "velocity", "error", "force")
-    parts = words if len(certificate.domain.low) == 4 * n else words[1:]
-    return tuple(word for word in parts for _ in range(n))
-
-
-def half_widths(certificate: ContractionCertificate) -> Float[np.ndarray, "two_n"]:
-    """How far the proved tube reaches in each position error [unit], then in each velocity error [unit/s].
-
-    Raises `ValueError` where no tube is proved.
-    """
-    if certificate.summary.verdict != "holds":
-        raise ValueError("no tube, since nothing is proved on the region")
-    reaches = [claim for claim in certificate.claims if claim.kind == "reach"]
-    return certificate.radius * np.sqrt([claim.square for claim in reaches])
-
-
-def projection(certificate: ContractionCertificate) -> Projection:
-    """Boxes of the first claim that does not hold, or of the contraction, over the two variables most often halved."""
-    undecided = [claim for claim in certificate.claims if claim.proof.verdict != "holds"]
-    claim = (undecided or certificate.claims)[0]
-    domain, proof = claim.proof.box, claim.proof
-    codes = np.concatenate(proof.levels)
-    splits = np.bincount(codes[codes >= 0], minlength=len(domain.low)) + 0.5 * (domain.high > domain.low)
-    i, j = sorted(np.argsort(-splits, kind="stable")[:2].tolist())
-    found = {PROVED: [np.zeros((0, 2, 2))], OPEN: [np.zeros((0, 2, 2))]}
-    for state, low, high in leaves(domain, proof.levels):
-        for code, kept in found.items():
-            of = state == code
-            kept.append(np.stack([low[of][:, [i, j]], high[of][:, [i, j]]], axis=1))
-    proved, remaining = (np.unique(np.concatenate(found[code]), axis=0) for code in (PROVED, OPEN))
-    wrong = certificate.counterexample
-    what = kinds(certificate)
-    return Projection(
-        claim.kind,
-        (what[i], what[j]),
-        (domain.names[i], domain.names[j]),
-        (domain.units[i], domain.units[j]),
-        proved,
-        remaining,
-        np.stack([domain.low[[i, j]], domain.high[[i, j]]]),
-        None if wrong is None else wrong.mean(axis=0)[[i, j]],
-    )
-
-
-def trade_off(certificate: ContractionCertificate, count: int = 40) -> TradeOff:
-    """What the gains of a certificate's observer allow, from slow rates to nearly the fastest."""
-    alpha, beta = float(certificate.observer.alpha), float(certificate.observer.beta)
-    fastest = -2 * float(np.linalg.eigvals(error_matrix(alpha, beta)).real.max())
-    rates = fastest * np.linspace(0.02, 0.98, count)
-    matrices = [optimal_lyapunov(alpha, beta, rate) for rate in rates]
-
-    def both(q) -> tuple[float, float]:
-        return rate_of(alpha, beta, q), conditioning(beta, q)
-
-    found = np.array(sorted(both(q) for q in matrices))
-    return TradeOff(found[:, 0], found[:, 1], both(certificate.q), both(lyapunov(alpha, beta)), certificate.rate)
+    t, *ends = onwards(start, inputs, jnp.asarray(until), directions)
+    t, low, high = (np.asarray(a) for a in (t, *distances(t, *ends)))
+    return Followed(t, low, high, radius * np.exp(-certificate.decay * (t - first)), certificate.rate)
 
 
 def trajectories(
@@ -154,12 +126,13 @@ def trajectories(
 
     Raises `ValueError` where nothing is proved, or where no motion stays inside for as long as two stamps.
     """
-    reached, side = half_widths(certificate), _Side(certificate)
+    plant = _Plant(certificate)
+    reached = plant.half_widths
     first, longest, _ = _eight_time_constants(certificate)
     m = len(certificate.given["inputs"]["low"])
-    push = _inputs(certificate, 2 * jnp.pi / longest * (2 + 0.74 * jnp.arange(m, dtype=float)), jnp.zeros(m))
+    control = _inputs(certificate, 2 * jnp.pi / longest * (2 + 0.74 * jnp.arange(m, dtype=float)), jnp.zeros(m))
     rng = np.random.default_rng(seed)
-    start, duration, travel = _stays_inside(certificate, side, push, first, longest, rng)
+    start, duration, travel = _stays_inside(certificate, plant, control, first, longest, rng)
     t = jnp.linspace(first, first + duration, stamps)
     n = len(certificate.velocity)
     angles = jnp.linspace(0, 2 * jnp.pi, count, endpoint=False) + 0.3
@@ -167,19 +140,19 @@ def trajectories(
     @jax.jit
     def follow(start, shown, size):
         def one(angle):
-            begin = _on_the_border(certificate, side, start, _across(certificate, side, start, shown, angle), size)
-            actual, estimated = side.observed(start, begin, t, push, rtol=1e-9, atol=1e-11)
-            ends = jax.vmap(side.chart)(estimated, actual)
+            begin = _on_the_border(certificate, plant, start, _across(certificate, plant, start, shown, angle), size)
+            actual, estimated = plant.observed(start, begin, t, control, rtol=1e-9, atol=1e-11)
+            ends = jax.vmap(plant.chart)(estimated, actual)
             metric = _metric(certificate)
             low = jax.vmap(lambda s, a, b: lower_distance(metric, s, a, b))(t, *ends)
             high = jax.vmap(lambda s, a, b: upper_distance(metric, s, a, b))(t, *ends)
-            places = [jax.vmap(side.coordinates, (None, 0))(start, x) for x in (actual, estimated)]
+            places = [jax.vmap(plant.coordinates, (None, 0))(start, x) for x in (actual, estimated)]
             return *places, low, high
 
         # One after the other: steps are chosen for each.
         return jax.lax.map(one, angles)
 
-    shown = int(np.argmax(travel[:n] / reached[:n] if side.flat else travel[-n:] / reached[n:]))
+    shown = int(np.argmax(travel[:n] / reached[:n] if plant.flat else travel[-n:] / reached[n:]))
     actual, estimated, low, high = (np.asarray(a) for a in follow(start, shown, certificate.radius))
     truth = actual[0]
     shrink = np.exp(-certificate.decay * (np.asarray(t) - first))
@@ -196,41 +169,7 @@ def trajectories(
     )
 
 
-def follow(
-    certificate: ContractionCertificate, count: int, stamps: int, seed: int, rtol: float, atol: float
-) -> Followed:
-    """As `ContractionCertificate.follow`."""
-    half_widths(certificate)
-    side, radius = _Side(certificate), certificate.radius
-    rng = np.random.default_rng(seed)
-    start, pushes, first, until = _motions(certificate, side, count, rng)
-    directions = jnp.asarray(rng.normal(size=(count, 2 * side.n)))
-
-    metric = _metric(certificate)
-
-    @jax.jit
-    @jax.vmap
-    def onwards(start, pushes, until, direction):
-        place = side.place(start)[: 2 * side.n]
-        root = jnp.linalg.cholesky(metric.gram(jnp.zeros(()), place))
-        # On a sphere of the metric all directions are alike.
-        ball = jnp.linalg.solve(root.T, direction / jnp.linalg.norm(direction))
-        begin = _on_the_border(certificate, side, start, metric.frame(jnp.zeros(()), place) @ ball, jnp.asarray(radius))
-        t = first + (until - first) * jnp.linspace(0, 1, stamps)
-        actual, estimated = side.observed(start, begin, t, _inputs(certificate, *pushes), rtol=rtol, atol=atol)
-        return t, *jax.vmap(side.chart)(estimated, actual)
-
-    @jax.jit
-    def distances(*given):
-        between = jax.vmap(lambda *x: (lower_distance(metric, *x), upper_distance(metric, *x)))
-        return jax.lax.map(lambda x: between(*x), given)  # one by one: each takes many points at every stamp
-
-    t, *ends = onwards(start, pushes, jnp.asarray(until), directions)
-    t, low, high = (np.asarray(a) for a in (t, *distances(t, *ends)))
-    return Followed(t, low, high, radius * np.exp(-certificate.decay * (t - first)), certificate.rate)
-
-
-def _motions(certificate, side, count: int, rng) -> tuple[Any, tuple[Array, Array], float, np.ndarray]:
+def _motions(certificate, plant, count: int, rng) -> tuple[Any, tuple[Array, Array], float, np.ndarray]:
     """`count` starts of motions and the pace and phase (count, m) of their inputs, when they begin and end (count,).
 
     Of random ones those that stay within the bounds for a time constant of the gains or longer.
@@ -241,30 +180,32 @@ def _motions(certificate, side, count: int, rng) -> tuple[Any, tuple[Array, Arra
 
     @jax.jit
     @jax.vmap
-    def motions(x0, pushes):
-        return side.simulated(x0, t, _inputs(certificate, *pushes))
+    def motions(x0, inputs):
+        return plant.simulated(x0, t, _inputs(certificate, *inputs))
 
     found, ends = [], np.zeros(0)
     for _ in range(20):
         pace = jnp.asarray(rng.uniform(1, 4, (2 * count, m))) * (2 * jnp.pi / longest)
-        drawn = side.draw(rng, 2 * count), (pace, jnp.asarray(rng.uniform(0, 2 * np.pi, (2 * count, m))))
-        lasts = _inside(certificate, side, *(np.asarray(a) for a in motions(*drawn)))
+        drawn = plant.draw(rng, 2 * count), (pace, jnp.asarray(rng.uniform(0, 2 * np.pi, (2 * count, m))))
+        lasts = _inside(certificate, plant, *(np.asarray(a) for a in motions(*drawn)))
         last = np.asarray(t)[np.maximum(lasts - 1, 0)]
         good = last >= first + min(constant, longest)
         found.append(jax.tree.map(lambda a, good=good: a[good], drawn))
         ends = np.concatenate([ends, last[good]])
         if len(ends) >= count:
-            start, pushes = jax.tree.map(lambda *parts: jnp.concatenate(parts)[:count], *found)
-            return start, pushes, first, ends[:count]
+            start, inputs = jax.tree.map(lambda *parts: jnp.concatenate(parts)[:count], *found)
+            return start, inputs, first, ends[:count]
     raise ValueError("too few motions stay inside the region for a time constant of the gains; take a larger region")
 
 
-class _Side:
-    """Motions of a certificate's model, and where its metric compares them: in its coordinates, or in the chart of the
-    retraction around the estimate."""
+class _Plant:
+    """The model of a certificate that has a tube: its motions, and the chart in which its metric compares states.
+
+    The chart is that of its coordinates, or of the retraction around the estimate.
+    """
 
     def __init__(self, certificate: ContractionCertificate):
-        self.certificate, self.n = certificate, len(certificate.velocity)
+        self.certificate, self.half_widths, self.n = certificate, certificate.half_widths, len(certificate.velocity)
         self.model, self.manifold = certificate.observer.model, certificate.observer.model.manifold
         self.flat = self.manifold.commuting
 
@@ -281,16 +222,16 @@ class _Side:
         q = jax.vmap(lambda s: self.manifold.retract(self.manifold.origin(), s))(jnp.asarray(turn))
         return Motion(q, jnp.asarray(v))
 
-    def simulated(self, start: Motion, t: Array, push) -> tuple[Array, Array]:
+    def simulated(self, start: Motion, t: Array, control) -> tuple[Array, Array]:
         """Entries of the configuration (T, k), and velocities (T, n), of the motion from there."""
-        q, v = self.model.motion(simulate(self.model, self.model.state(start), t, push, rtol=1e-5, atol=1e-7).x)
+        q, v = self.model.motion(simulate(self.model, self.model.state(start), t, control, rtol=1e-5, atol=1e-7).x)
         return q.reshape(len(t), -1), v
 
-    def observed(self, start: Motion, estimate: Motion, t: Array, push, **tolerances) -> tuple[Motion, Motion]:
+    def observed(self, start: Motion, estimate: Motion, t: Array, control, **tolerances) -> tuple[Motion, Motion]:
         """The motion from `start`, and what the observer makes of it that begins at `estimate`."""
         observer = self.certificate.observer
         state = observer.init(estimate.q)._replace(q=estimate.q, v=estimate.v)
-        x, states = observe(self.model, observer, self.model.state(start), state, t, push, **tolerances)
+        x, states = observe(self.model, observer, self.model.state(start), state, t, control, **tolerances)
         return self.model.motion(x), Motion(states.q, states.v)
 
     def coordinates(self, start: Motion, x: Motion) -> Array:
@@ -329,31 +270,31 @@ def _inputs(certificate: ContractionCertificate, pace: Array, phase: Array):
     return lambda t, x: (low + high) / 2 + INSIDE * (high - low) / 2 * jnp.sin(pace * t + phase)
 
 
-def _inside(certificate: ContractionCertificate, side: Any, places: np.ndarray, v: np.ndarray) -> np.ndarray:
+def _inside(certificate: ContractionCertificate, plant: Any, places: np.ndarray, v: np.ndarray) -> np.ndarray:
     """At how many of its first stamps each motion (k, T, ...) is inside the bounds."""
     low, high = (np.asarray(certificate.given["positions"][end]) for end in ("low", "high"))
     middle, half = (low + high) / 2, (high - low) / 2
-    room = half * INSIDE if side.flat else half + 1e-9
+    allowed = half * INSIDE if plant.flat else half + 1e-9
     with np.errstate(invalid="ignore"):
-        kept = (np.abs(places - middle) <= room).all(-1) & (np.abs(v) <= INSIDE * certificate.velocity).all(-1)
+        kept = (np.abs(places - middle) <= allowed).all(-1) & (np.abs(v) <= INSIDE * certificate.velocity).all(-1)
     inside = np.asarray(kept)
     return np.where(inside.all(1), inside.shape[1], inside.argmin(1))
 
 
 def _stays_inside(
-    certificate, side, push, first: float, longest: float, rng, count: int = 512
+    certificate, plant, control, first: float, longest: float, rng, count: int = 512
 ) -> tuple[Any, float, np.ndarray]:
     """The start of a motion within the bounds, for how long it is inside, and how far positions and velocities go."""
     t = jnp.linspace(first, first + longest, 49)
-    draws = side.draw(rng, count)
+    draws = plant.draw(rng, count)
 
     @jax.jit
     @jax.vmap
     def motions(x0):
-        return side.simulated(x0, t, push)
+        return plant.simulated(x0, t, control)
 
     places, v = (np.asarray(a) for a in motions(draws))
-    lasts = _inside(certificate, side, places, v)
+    lasts = _inside(certificate, plant, places, v)
     best = lasts == lasts.max()
     travel = np.where(best, np.nan_to_num(np.ptp(v / certificate.velocity, axis=1)).sum(-1), -1.0)
     chosen = int(travel.argmax())
@@ -364,20 +305,20 @@ def _stays_inside(
     return jax.tree.map(lambda a: a[chosen], draws), float(t[until - 1] - t[0]), gone
 
 
-def _across(certificate, side, start, shown, angle):
+def _across(certificate, plant, start, shown, angle):
     """A change of the state `start` in the plane of one position error and the change of velocity."""
-    point, t = certificate.subject.at(side.place(start)), jnp.zeros(())
-    rows = point.reach()[jnp.array([shown, shown + side.n])]
+    point, t = certificate.subject.at(plant.place(start)), jnp.zeros(())
+    rows = point.error_jacobian()[jnp.array([shown, shown + plant.n])]
     widest = jnp.linalg.solve(point.metric.gram(t, point.x), rows.T)
     along = widest / jnp.sqrt(jnp.sum(rows.T * widest, axis=0, keepdims=True))
     return point.metric.frame(t, point.x) @ (along @ jnp.array([jnp.cos(angle), jnp.sin(angle)]))
 
 
-def _on_the_border(certificate, side, start, step, size):
+def _on_the_border(certificate, plant, start, step, size):
     """The state at the distance `size` from `start`, in the direction of `step` (2n,)."""
     metric, t = _metric(certificate), jnp.zeros(())
 
     def nearer(_, scale):
-        return scale * size / upper_distance(metric, t, *side.chart(side.moved(start, scale * step), start))
+        return scale * size / upper_distance(metric, t, *plant.chart(plant.moved(start, scale * step), start))
 
-    return side.moved(start, jax.lax.fori_loop(0, 20, nearer, jnp.asarray(size)) * step)
+    return plant.moved(start, jax.lax.fori_loop(0, 20, nearer, jnp.asarray(size)) * step)
