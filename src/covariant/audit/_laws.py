@@ -289,10 +289,10 @@ def between_charts(
         def chart(z):
             return y + bent(z) - bent(centre)
 
-        def push(z, w):
+        def pushforward(z, w):
             return jax.jvp(chart, (z,), (w,))[1]
 
-        def pull(z, covector):
+        def pullback(z, covector):
             return jax.vjp(chart, z)[1](covector)[0]
 
         @jax.jit  # so that it is traced once, and not wherever a derivative of it is taken
@@ -303,13 +303,13 @@ def between_charts(
         rewritten = Lagrangian(
             metric,
             lambda z: model.potential(chart(z)),
-            lambda t, z, u: pull(z, model.force(t, chart(z), u)),
-            lambda z, w: pull(z, model.dissipation(chart(z), push(z, w))),
+            lambda t, z, u: pullback(z, model.force(t, chart(z), u)),
+            lambda z, w: pullback(z, model.dissipation(chart(z), pushforward(z, w))),
             inputs=model.inputs,
         )
         estimate = centre + error * states.unit
         there = slope(exchange(observer, rewritten), estimate, v, u, centre)
-        (x, velocity), pushed = jax.jvp(lambda z, w: (chart(z), push(z, w)), (estimate, v), there)
+        (x, velocity), pushed = jax.jvp(lambda z, w: (chart(z), pushforward(z, w)), (estimate, v), there)
         here = slope(observer, x, velocity, u, y)
         return _difference(space, gains, x, velocity, x - y, here, pushed)
 

@@ -72,7 +72,7 @@ def _in_coordinates(observer: Intrinsics, q: TwoByTwo) -> Subject:
             lambda: -jnp.eye(n, dtype=z.dtype),
         )
 
-    names = model.coordinates or tuple(f"q{i + 1}" for i in range(n))
+    names = model.coordinates
     units = model.units or ("",) * n
     rates = tuple(f"{unit}/s" if unit else "" for unit in units)
     return Subject(

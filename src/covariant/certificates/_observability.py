@@ -85,10 +85,10 @@ def _bending(model: StateSpace, metric: MatrixField, x: Vector, u: Array | None)
     hidden, dh = _directions(model, x, u)
     p = metric(x)
     unit = half_solve(hidden.T @ p @ hidden, hidden.T).T  # orthonormal in the metric
-    control, t0 = _still(model, x, u)
+    u0, t0 = _still(model, x, u)
 
     def second(v, w):
-        flat = jax.jvp(lambda y: jax.jvp(lambda z: model.h(t0, z, control), (y,), (v,))[1], (x,), (w,))[1]
+        flat = jax.jvp(lambda y: jax.jvp(lambda z: model.h(t0, z, u0), (y,), (v,))[1], (x,), (w,))[1]
         bent = dh @ christoffel(metric, x, v, w)
         return flat - bent, jnp.abs(flat) + jnp.abs(bent)
 
@@ -168,8 +168,8 @@ def _witness(metric: MatrixField, x: Vector, velocity: Vector, budget: Budget) -
 
 def _directions(model: StateSpace, x: Vector, u: Array | None) -> tuple[Float[Array, "n k"], Float[Array, "p n"]]:
     """A basis of the kernel of dh, and dh."""
-    control, t0 = _still(model, x, u)
-    dh = jax.jacfwd(model.h, 1)(t0, x, control)
+    u0, t0 = _still(model, x, u)
+    dh = jax.jacfwd(model.h, 1)(t0, x, u0)
     return jnp.linalg.qr(dh.T, mode="complete")[0][:, dh.shape[0] :], dh
 
 
@@ -178,8 +178,8 @@ def _still(model: StateSpace, x: Vector, u: Array | None) -> tuple[Array, Scalar
 
 
 def _arguments(model: StateSpace, x: Vector, u: Array | None) -> tuple[Scalar, Vector, Array]:
-    control, t0 = _still(model, x, u)
-    return t0, x, control
+    u0, t0 = _still(model, x, u)
+    return t0, x, u0
 
 
 def _text(x: np.ndarray) -> str:
