@@ -36,7 +36,6 @@ from covariant.certificates import (
     tangent_metric,
     upper_distance,
 )
-from covariant.certificates._falsify import rate_at
 from covariant.design import predict_errors
 from covariant.geometry import distance, hyperbolic
 from covariant.observers import Intrinsic
@@ -45,6 +44,11 @@ from covariant.proofs import Box
 ALPHA, BETA = math.sqrt(2), 0.5
 PAPER = lyapunov(ALPHA, BETA)
 ZERO = jnp.zeros(())
+
+
+def rate_at(about, z):
+    point = about.at(z)
+    return contraction_rate(point.flow, point.metric, ZERO, point.x)
 
 
 def curved(t, x):

@@ -281,9 +281,7 @@ def _least(form: _Form, scales, search: _Search) -> tuple[float, np.ndarray]:
 
 def _scaled(box: Box, squares: np.ndarray) -> Box:
     """The box with the squares of the scales as variables that are held fixed."""
-    names = tuple(f"scale_{i}" for i in range(len(squares)))
-    low, high = (np.concatenate([bound, squares]) for bound in (box.low, box.high))
-    return Box((*box.names, *names), (*box.units, *("",) * len(squares)), low, high)
+    return box.with_fixed(squares, tuple(f"scale_{i}" for i in range(len(squares))))
 
 
 def _change(subject: Subject, d: int, factor: float) -> Form:

@@ -94,7 +94,7 @@ def certify(
     if not (math.isfinite(wanted) and wanted > 0):
         raise ValueError(f"certify: the rate must be a positive number; got {wanted:g}")
     about = subject(observer, matrix)
-    n = _dimension(observer)
+    n = len(observer.model.coordinates or observer.model.velocities)
     bound, off = _positive("velocity", velocity, n), _positive("error", error, n)
     noisy, unknown = _amount("noise", noise, n), _amount("disturbance", disturbance, n)
     if not (noisy < off).all():
@@ -149,10 +149,6 @@ def certify(
         recipe,
         verified=True,
     )
-
-
-def _dimension(observer: Intrinsics) -> int:
-    return len(observer.model.coordinates or observer.model.velocities)
 
 
 def _positive(name: str, value: ArrayLike, n: int) -> Float[np.ndarray, "n"]:

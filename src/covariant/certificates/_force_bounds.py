@@ -1,5 +1,7 @@
 """Bounds of the force on a mechanical system, and of its derivatives by the position, over boxes: in intervals."""
 
+import functools
+
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
@@ -18,18 +20,9 @@ def force_bounds(
     By interval arithmetic, outward rounded. The force may jump there. Raises `ValueError` where it has no bound, or is
     not defined everywhere.
     """
-    given = _given_box(places, inputs, times)
-
-    def force(t, q, u):
-        return applied_force(model, t, q, u)
-
-    lowered = lower(
-        force,
-        jnp.zeros(()),
-        jnp.zeros(configuration_shape(model, len(places.low))),
-        jnp.zeros(inputs.shape[1]),
-        real=True,
-    )
+    given, shape = _given_box(places, inputs, times), configuration_shape(model, len(places.low))
+    force = functools.partial(applied_force, model)
+    lowered = lower(force, jnp.zeros(()), jnp.zeros(shape), jnp.zeros(inputs.shape[1]), real=True)
     assert lowered.conditions is not None
     defined = lowered.conditions._replace(
         conditions=tuple(c for c in lowered.conditions.conditions if c.kind == "true")
@@ -57,13 +50,7 @@ def force_slopes(
 
     lowered = lower(force, jnp.zeros(()), jnp.zeros(shape), jnp.zeros(inputs.shape[1]), jnp.zeros(n), real=True)
     assert lowered.conditions is not None
-    still = np.zeros(n)
-    whole = Box(
-        (*given.names, *("",) * n),
-        (*given.units, *("",) * n),
-        np.concatenate([given.low, still]),
-        np.concatenate([given.high, still]),
-    )
+    whole = given.with_fixed(np.zeros(n))
     _need_conditions("the force of the model jumps, or is not defined", lowered.conditions, whole)
     steps = range(len(given.low), len(whole.low))
     found = enclose(expand(lowered._replace(conditions=None), steps, 1), whole.low[None], whole.high[None])

@@ -85,7 +85,7 @@ def _bending(model: StateSpace, metric: MatrixField, x: Vector, u: Array | None)
     hidden, dh = _directions(model, x, u)
     p = metric(x)
     unit = half_solve(hidden.T @ p @ hidden, hidden.T).T  # orthonormal in the metric
-    u0, t0 = _still(model, x, u)
+    t0, _, u0 = _arguments(model, x, u)
 
     def second(v, w):
         flat = jax.jvp(lambda y: jax.jvp(lambda z: model.h(t0, z, u0), (y,), (v,))[1], (x,), (w,))[1]
@@ -168,18 +168,13 @@ def _witness(metric: MatrixField, x: Vector, velocity: Vector, budget: Budget) -
 
 def _directions(model: StateSpace, x: Vector, u: Array | None) -> tuple[Float[Array, "n k"], Float[Array, "p n"]]:
     """A basis of the kernel of dh, and dh."""
-    u0, t0 = _still(model, x, u)
-    dh = jax.jacfwd(model.h, 1)(t0, x, u0)
+    dh = jax.jacfwd(model.h, 1)(*_arguments(model, x, u))
     return jnp.linalg.qr(dh.T, mode="complete")[0][:, dh.shape[0] :], dh
 
 
-def _still(model: StateSpace, x: Vector, u: Array | None) -> tuple[Array, Scalar]:
-    return jnp.zeros(model.inputs, x.dtype) if u is None else u, jnp.zeros((), x.dtype)
-
-
 def _arguments(model: StateSpace, x: Vector, u: Array | None) -> tuple[Scalar, Vector, Array]:
-    u0, t0 = _still(model, x, u)
-    return t0, x, u0
+    """Arguments of f and h at time zero, with the input at zero where none is given."""
+    return jnp.zeros((), x.dtype), x, jnp.zeros(model.inputs, x.dtype) if u is None else u
 
 
 def _text(x: np.ndarray) -> str:

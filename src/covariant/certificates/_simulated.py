@@ -3,6 +3,7 @@
 Source: Aghannan & Rouchon 2003, Theorem 2.
 """
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -10,7 +11,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from covariant.certificates._contraction import StateMetric
 from covariant.certificates._contraction_certificate import ContractionCertificate
 from covariant.certificates._distance import Decay, lower_distance, upper_distance
 from covariant.certificates._tangent_metric import error_matrix
@@ -86,10 +86,9 @@ def follow_estimates(
     """
     plant, radius = _Plant(certificate), certificate.radius
     rng = np.random.default_rng(seed)
-    start, inputs, first, until = _motions(certificate, plant, count, rng)
+    start, inputs, until = _draw_motions(plant, count, rng)
     directions = jnp.asarray(rng.normal(size=(count, 2 * plant.n)))
-
-    metric = _metric(certificate)
+    metric, first = plant.metric, plant.first
 
     @jax.jit
     @jax.vmap
@@ -98,11 +97,9 @@ def follow_estimates(
         root = jnp.linalg.cholesky(metric.gram(jnp.zeros(()), place))
         # On a sphere of the metric all directions are alike.
         ball = jnp.linalg.solve(root.T, direction / jnp.linalg.norm(direction))
-        begin = _on_the_border(
-            certificate, plant, start, metric.frame(jnp.zeros(()), place) @ ball, jnp.asarray(radius)
-        )
+        begin = _on_the_border(plant, start, metric.frame(jnp.zeros(()), place) @ ball, jnp.asarray(radius))
         t = first + (until - first) * jnp.linspace(0, 1, stamps)
-        actual, estimated = plant.observed(start, begin, t, _inputs(certificate, *inputs), rtol=rtol, atol=atol)
+        actual, estimated = plant.observed(start, begin, t, plant.inputs(*inputs), rtol=rtol, atol=atol)
         return t, *jax.vmap(plant.chart)(estimated, actual)
 
     @jax.jit
@@ -128,24 +125,22 @@ def trajectories(
     """
     plant = _Plant(certificate)
     reached = plant.half_widths
-    first, longest, _ = _eight_time_constants(certificate)
     m = len(certificate.given["inputs"]["low"])
-    control = _inputs(certificate, 2 * jnp.pi / longest * (2 + 0.74 * jnp.arange(m, dtype=float)), jnp.zeros(m))
+    control = plant.inputs(2 * jnp.pi / plant.longest * (2 + 0.74 * jnp.arange(m, dtype=float)), jnp.zeros(m))
     rng = np.random.default_rng(seed)
-    start, duration, travel = _stays_inside(certificate, plant, control, first, longest, rng)
-    t = jnp.linspace(first, first + duration, stamps)
+    start, duration, travel = _longest_motion(plant, control, rng)
+    t = jnp.linspace(plant.first, plant.first + duration, stamps)
     n = len(certificate.velocity)
     angles = jnp.linspace(0, 2 * jnp.pi, count, endpoint=False) + 0.3
 
     @jax.jit
     def follow(start, shown, size):
         def one(angle):
-            begin = _on_the_border(certificate, plant, start, _across(certificate, plant, start, shown, angle), size)
+            begin = _on_the_border(plant, start, _across(plant, start, shown, angle), size)
             actual, estimated = plant.observed(start, begin, t, control, rtol=1e-9, atol=1e-11)
             ends = jax.vmap(plant.chart)(estimated, actual)
-            metric = _metric(certificate)
-            low = jax.vmap(lambda s, a, b: lower_distance(metric, s, a, b))(t, *ends)
-            high = jax.vmap(lambda s, a, b: upper_distance(metric, s, a, b))(t, *ends)
+            low = jax.vmap(lambda s, a, b: lower_distance(plant.metric, s, a, b))(t, *ends)
+            high = jax.vmap(lambda s, a, b: upper_distance(plant.metric, s, a, b))(t, *ends)
             places = [jax.vmap(plant.coordinates, (None, 0))(start, x) for x in (actual, estimated)]
             return *places, low, high
 
@@ -155,7 +150,7 @@ def trajectories(
     shown = int(np.argmax(travel[:n] / reached[:n] if plant.flat else travel[-n:] / reached[n:]))
     actual, estimated, low, high = (np.asarray(a) for a in follow(start, shown, certificate.radius))
     truth = actual[0]
-    shrink = np.exp(-certificate.decay * (np.asarray(t) - first))
+    shrink = np.exp(-certificate.decay * (np.asarray(t) - plant.first))
     bound = np.broadcast_to(certificate.radius * shrink, high.shape)
     return Trajectories(
         np.asarray(t),
@@ -169,45 +164,25 @@ def trajectories(
     )
 
 
-def _motions(certificate, plant, count: int, rng) -> tuple[Any, tuple[Array, Array], float, np.ndarray]:
-    """`count` starts of motions and the pace and phase (count, m) of their inputs, when they begin and end (count,).
-
-    Of random ones those that stay within the bounds for a time constant of the gains or longer.
-    """
-    first, longest, constant = _eight_time_constants(certificate)
-    t = jnp.linspace(first, first + longest, WATCHED)
-    m = len(certificate.given["inputs"]["low"])
-
-    @jax.jit
-    @jax.vmap
-    def motions(x0, inputs):
-        return plant.simulated(x0, t, _inputs(certificate, *inputs))
-
-    found, ends = [], np.zeros(0)
-    for _ in range(20):
-        pace = jnp.asarray(rng.uniform(1, 4, (2 * count, m))) * (2 * jnp.pi / longest)
-        drawn = plant.draw(rng, 2 * count), (pace, jnp.asarray(rng.uniform(0, 2 * np.pi, (2 * count, m))))
-        lasts = _inside(certificate, plant, *(np.asarray(a) for a in motions(*drawn)))
-        last = np.asarray(t)[np.maximum(lasts - 1, 0)]
-        good = last >= first + min(constant, longest)
-        found.append(jax.tree.map(lambda a, good=good: a[good], drawn))
-        ends = np.concatenate([ends, last[good]])
-        if len(ends) >= count:
-            start, inputs = jax.tree.map(lambda *parts: jnp.concatenate(parts)[:count], *found)
-            return start, inputs, first, ends[:count]
-    raise ValueError("too few motions stay inside the region for a time constant of the gains; take a larger region")
-
-
 class _Plant:
     """The model of a certificate that has a tube: its motions, and the chart in which its metric compares states.
 
-    The chart is that of its coordinates, or of the retraction around the estimate.
+    The chart is that of its coordinates, or of the retraction around the estimate. Motions begin at `first` and are
+    followed for `longest` at most, eight times the time `constant` of the gains [s].
     """
 
     def __init__(self, certificate: ContractionCertificate):
         self.certificate, self.half_widths, self.n = certificate, certificate.half_widths, len(certificate.velocity)
         self.model, self.manifold = certificate.observer.model, certificate.observer.model.manifold
         self.flat = self.manifold.commuting
+        # Of these subjects the metric on states is the same at every point of the region.
+        self.metric = certificate.subject.at(jnp.zeros(len(certificate.subject.names))).metric
+        alpha, beta = float(certificate.observer.alpha), float(certificate.observer.beta)
+        self.constant = -1 / float(np.linalg.eigvals(error_matrix(alpha, beta)).real.max())
+        self.first, last = certificate.given["times"]
+        self.longest = 8 * self.constant
+        if last > self.first:
+            self.longest = min(self.longest, last - self.first)
 
     def draw(self, rng, count: int) -> Motion:
         """Random motions inside the bounds."""
@@ -246,46 +221,60 @@ class _Plant:
         """The point of the region where the estimate is x and all else is zero."""
         return jnp.concatenate([*([x.q] if self.flat else []), x.v, jnp.zeros(2 * self.n)])
 
+    def inputs(self, pace: Array, phase: Array) -> Callable[[Array, Any], Array]:
+        """Sines (m,) within the bounds of the inputs."""
+        low, high = (jnp.asarray(self.certificate.given["inputs"][end]) for end in ("low", "high"))
+        return lambda t, x: (low + high) / 2 + INSIDE * (high - low) / 2 * jnp.sin(pace * t + phase)
+
+    def inside(self, places: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """At how many of its first stamps each motion (k, T, ...) is inside the bounds."""
+        low, high = (np.asarray(self.certificate.given["positions"][end]) for end in ("low", "high"))
+        middle, half = (low + high) / 2, (high - low) / 2
+        allowed = half * INSIDE if self.flat else half + 1e-9
+        with np.errstate(invalid="ignore"):
+            kept = (np.abs(places - middle) <= allowed).all(-1)
+            kept &= (np.abs(v) <= INSIDE * self.certificate.velocity).all(-1)
+        inside = np.asarray(kept)
+        return np.where(inside.all(1), inside.shape[1], inside.argmin(1))
+
     def moved(self, x: Motion, step: Array) -> Motion:
+        """The state x after a step (2n,) of position and velocity."""
         turn, v = jnp.split(step, 2)
         return Motion(self.manifold.retract(x.q, turn), x.v + v)
 
 
-def _metric(certificate: ContractionCertificate) -> StateMetric:
-    """The metric on states, which is the same at every point."""
-    return certificate.subject.at(jnp.zeros(len(certificate.subject.names))).metric
+def _draw_motions(plant: _Plant, count: int, rng) -> tuple[Any, tuple[Array, Array], np.ndarray]:
+    """`count` starts of motions, the pace and phase (count, m) of their inputs, and when they end (count,).
+
+    Of random ones those that stay within the bounds for a time constant of the gains or longer.
+    """
+    first, longest = plant.first, plant.longest
+    t = jnp.linspace(first, first + longest, WATCHED)
+    m = len(plant.certificate.given["inputs"]["low"])
+
+    @jax.jit
+    @jax.vmap
+    def motions(x0, inputs):
+        return plant.simulated(x0, t, plant.inputs(*inputs))
+
+    found, ends = [], np.zeros(0)
+    for _ in range(20):
+        pace = jnp.asarray(rng.uniform(1, 4, (2 * count, m))) * (2 * jnp.pi / longest)
+        drawn = plant.draw(rng, 2 * count), (pace, jnp.asarray(rng.uniform(0, 2 * np.pi, (2 * count, m))))
+        lasts = plant.inside(*(np.asarray(a) for a in motions(*drawn)))
+        last = np.asarray(t)[np.maximum(lasts - 1, 0)]
+        good = last >= first + min(plant.constant, longest)
+        found.append(jax.tree.map(lambda a, good=good: a[good], drawn))
+        ends = np.concatenate([ends, last[good]])
+        if len(ends) >= count:
+            start, inputs = jax.tree.map(lambda *parts: jnp.concatenate(parts)[:count], *found)
+            return start, inputs, ends[:count]
+    raise ValueError("too few motions stay inside the region for a time constant of the gains; take a larger region")
 
 
-def _eight_time_constants(certificate: ContractionCertificate) -> tuple[float, float, float]:
-    """When motions begin, how long they are followed at most, and the time constant of the gains [s]."""
-    alpha, beta = float(certificate.observer.alpha), float(certificate.observer.beta)
-    constant = -1 / float(np.linalg.eigvals(error_matrix(alpha, beta)).real.max())
-    first, last = certificate.given["times"]
-    return first, min(8 * constant, last - first) if last > first else 8 * constant, constant
-
-
-def _inputs(certificate: ContractionCertificate, pace: Array, phase: Array):
-    """Sines (m,) within the bounds of the inputs."""
-    low, high = (jnp.asarray(certificate.given["inputs"][end]) for end in ("low", "high"))
-    return lambda t, x: (low + high) / 2 + INSIDE * (high - low) / 2 * jnp.sin(pace * t + phase)
-
-
-def _inside(certificate: ContractionCertificate, plant: Any, places: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """At how many of its first stamps each motion (k, T, ...) is inside the bounds."""
-    low, high = (np.asarray(certificate.given["positions"][end]) for end in ("low", "high"))
-    middle, half = (low + high) / 2, (high - low) / 2
-    allowed = half * INSIDE if plant.flat else half + 1e-9
-    with np.errstate(invalid="ignore"):
-        kept = (np.abs(places - middle) <= allowed).all(-1) & (np.abs(v) <= INSIDE * certificate.velocity).all(-1)
-    inside = np.asarray(kept)
-    return np.where(inside.all(1), inside.shape[1], inside.argmin(1))
-
-
-def _stays_inside(
-    certificate, plant, control, first: float, longest: float, rng, count: int = 512
-) -> tuple[Any, float, np.ndarray]:
+def _longest_motion(plant: _Plant, control, rng, count: int = 512) -> tuple[Any, float, np.ndarray]:
     """The start of a motion within the bounds, for how long it is inside, and how far positions and velocities go."""
-    t = jnp.linspace(first, first + longest, 49)
+    t = jnp.linspace(plant.first, plant.first + plant.longest, 49)
     draws = plant.draw(rng, count)
 
     @jax.jit
@@ -294,9 +283,9 @@ def _stays_inside(
         return plant.simulated(x0, t, control)
 
     places, v = (np.asarray(a) for a in motions(draws))
-    lasts = _inside(certificate, plant, places, v)
+    lasts = plant.inside(places, v)
     best = lasts == lasts.max()
-    travel = np.where(best, np.nan_to_num(np.ptp(v / certificate.velocity, axis=1)).sum(-1), -1.0)
+    travel = np.where(best, np.nan_to_num(np.ptp(v / plant.certificate.velocity, axis=1)).sum(-1), -1.0)
     chosen = int(travel.argmax())
     if lasts[chosen] < 2:
         raise ValueError("no motion was found that stays inside the region; take a larger one to see its tube")
@@ -305,20 +294,20 @@ def _stays_inside(
     return jax.tree.map(lambda a: a[chosen], draws), float(t[until - 1] - t[0]), gone
 
 
-def _across(certificate, plant, start, shown, angle):
+def _across(plant, start, shown, angle):
     """A change of the state `start` in the plane of one position error and the change of velocity."""
-    point, t = certificate.subject.at(plant.place(start)), jnp.zeros(())
+    point, t = plant.certificate.subject.at(plant.place(start)), jnp.zeros(())
     rows = point.error_jacobian()[jnp.array([shown, shown + plant.n])]
     widest = jnp.linalg.solve(point.metric.gram(t, point.x), rows.T)
     along = widest / jnp.sqrt(jnp.sum(rows.T * widest, axis=0, keepdims=True))
     return point.metric.frame(t, point.x) @ (along @ jnp.array([jnp.cos(angle), jnp.sin(angle)]))
 
 
-def _on_the_border(certificate, plant, start, step, size):
+def _on_the_border(plant, start, step, size):
     """The state at the distance `size` from `start`, in the direction of `step` (2n,)."""
-    metric, t = _metric(certificate), jnp.zeros(())
+    t = jnp.zeros(())
 
     def nearer(_, scale):
-        return scale * size / upper_distance(metric, t, *plant.chart(plant.moved(start, scale * step), start))
+        return scale * size / upper_distance(plant.metric, t, *plant.chart(plant.moved(start, scale * step), start))
 
     return plant.moved(start, jax.lax.fori_loop(0, 20, nearer, jnp.asarray(size)) * step)

@@ -26,7 +26,7 @@ def _entrywise(op: str) -> Rule:
 
 
 def _same(write: Writer, eqn, values: list) -> list[Value]:
-    return [values[0]]
+    return list(values)
 
 
 def _of_ids(write: Writer, eqn, values: list, move: Callable[..., np.ndarray]) -> list[Value]:
@@ -180,14 +180,6 @@ def _logistic(write: Writer, eqn, values: list) -> list[Value]:
     return [write.map("div", np.array(1.0), below)]
 
 
-def _reciprocal_root(write: Writer, eqn, values: list) -> list[Value]:
-    return [write.map("div", np.array(1.0), write.map("sqrt", values[0]))]
-
-
-def _square(write: Writer, eqn, values: list) -> list[Value]:
-    return [write.map("mul", values[0], values[0])]
-
-
 _ENTRYWISE = (
     "add sub mul div neg abs sign floor ceil min max pow sqrt cbrt log log1p exp expm1 sin cos tan asin acos atan "
     "atan2 sinh cosh tanh asinh acosh atanh lt le eq and or not is_finite"
@@ -202,9 +194,9 @@ RULES: dict[str, Rule] = {
     "ne": _turned("eq", negate=True),
     "round": _rounded,
     "logistic": _logistic,
-    "rsqrt": _reciprocal_root,
+    "rsqrt": lambda write, eqn, values: [write.map("div", np.array(1.0), write.map("sqrt", values[0]))],
     "exp2": lambda write, eqn, values: [write.map("pow", np.array(2.0), values[0])],
-    "square": _square,
+    "square": lambda write, eqn, values: [write.map("mul", values[0], values[0])],
     "integer_pow": _integer_pow,
     "select_n": _select,
     "clamp": _clamp,
@@ -213,7 +205,7 @@ RULES: dict[str, Rule] = {
     "copy_p": _same,
     "stop_gradient": _same,
     "reduce_precision": _shortened,
-    "optimization_barrier": lambda write, eqn, values: list(values),
+    "optimization_barrier": _same,
     "broadcast_in_dim": _moves(_broadcast),
     "reshape": _moves(lambda p, ids: ids.reshape(p["new_sizes"])),
     "squeeze": _moves(lambda p, ids: np.squeeze(ids, tuple(p["dimensions"]))),

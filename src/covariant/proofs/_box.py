@@ -25,6 +25,12 @@ class Box(NamedTuple):
         names, units = (tuple(words[i] for i in kept) for words in (self.names, self.units))
         return Box(names, units, self.low[kept], self.high[kept])
 
+    def with_fixed(self, values: np.ndarray, names: tuple[str, ...] = ()) -> "Box":
+        """The box with more variables (k,), held fixed at these values; without `names` they have none."""
+        low, high = (np.concatenate([ends, values]) for ends in (self.low, self.high))
+        empty = ("",) * len(values)
+        return Box((*self.names, *(names or empty)), (*self.units, *empty), low, high)
+
     def __str__(self) -> str:
         parts = zip(self.names, self.units, self.low, self.high, strict=True)
         return ", ".join(f"{low:.4g} ≤ {name} ≤ {high:.4g} {unit}".rstrip() for name, unit, low, high in parts)

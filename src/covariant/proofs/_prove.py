@@ -195,10 +195,7 @@ def _decide(matrix: "Expansions", domain: Box, effort: _Effort, processes: int, 
 
 def _reason(formed: Formed, domain: Box) -> str:
     """Why conditions are not shown to hold over the domain; nothing where they are."""
-    pins = formed.pins
-    names, units = (*domain.names, *("",) * len(pins)), (*domain.units, *("",) * len(pins))
-    low, high = (np.concatenate([ends, pins]) for ends in (domain.low, domain.high))
-    return show_conditions(formed.conditions, Box(names, units, low, high))
+    return show_conditions(formed.conditions, domain.with_fixed(formed.pins))
 
 
 _matrix: Expansions | None = None
