@@ -123,6 +123,11 @@ def test_rooms_import_only_from_their_left(path):
     assert not wrong, f"{path.relative_to(SOURCE)} imports {sorted(wrong)}, which the plan puts to the right of {room}"
 
 
+def test_proofs_know_functions_and_boxes_and_no_model():
+    rooms = set().union(*(imported_rooms(path) for path in (SOURCE / "proofs").rglob("*.py")))
+    assert rooms == {"_typing", "lowering", "proofs"}
+
+
 @pytest.mark.parametrize("path", sorted(SOURCE.rglob("*.py")), ids=lambda p: str(p.relative_to(SOURCE)))
 def test_no_room_uses_what_is_private_to_another(path):
     room, others, wrong = room_of(path), set(), set()
