@@ -44,7 +44,7 @@ def distance(a: np.ndarray, b: np.ndarray) -> float:
 
 
 def test_grid_beside_a_loop(benchmark, tmp_path):
-    benchmark.group = f"metric on {np.prod(COUNTS)} states, λ = {RATE:g}, doubt {TOLERANCE:g}"
+    benchmark.group = f"metric on {np.prod(COUNTS)} states, λ = {RATE:g}, error bound {TOLERANCE:g}"
     model = models.unknown_frequency()
     low, high = zip(*model.box, strict=True)
     grid = scale.Grid(model.coordinates, model.units, low, high, COUNTS)

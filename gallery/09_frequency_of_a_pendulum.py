@@ -50,7 +50,7 @@ grid = scale.Grid(model.coordinates, model.units, (-0.08, -0.64, 30.0), (0.08, 0
 shutil.rmtree(STORE, ignore_errors=True)  # a finished store would be kept as it is
 design.metric(model, equation, grid, STORE, tolerance=1e-3, start=1e-6, name="unknown_frequency")
 field = design.load_metric(STORE)
-along = riccati.Metric(model, equation, length=1.5, steps=150, start=1e-6)
+along = riccati.RiccatiMetric(model, equation, length=1.5, steps=150, start=1e-6)
 ring = np.array([[0.066 * np.cos(a), 0.53 * np.sin(a), truth] for a in np.linspace(0, 2 * np.pi, 9)[:-1]])
 print(certificates.observability(model, field, ring).verdict)
 

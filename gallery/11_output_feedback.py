@@ -3,7 +3,7 @@
 Positions and attitudes are measured; the velocities that the backstepping controller needs come from a contracting
 observer, a copy of the robot with output injection. Jouffroy & Fossen (2004) print its gain as K2 = I − K_p, which
 makes the true error unstable; with a symmetric positive definite K2 the observer contracts in a metric with a cross
-term, at a rate that `certificates.prove_at_corners` proves over a set of attitudes and velocities. The paper's
+term, at a rate that `proofs.prove_at_corners` proves over a set of attitudes and velocities. The paper's
 condition for the two together depends on the units it is written in; the weighted one does not, and holds for any
 coupling of this form.
 """

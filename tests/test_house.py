@@ -1,10 +1,13 @@
 """The house rules: who may import whom, what loads with the package, and which names are public."""
 
 import ast
+import graphlib
 import importlib
 import re
 import subprocess
 import sys
+from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -14,7 +17,8 @@ SOURCE = ROOT / "src" / "covariant"
 
 PLAN = (
     "_programs _typing _files _guests _numbers signals scoring _linalg _integrate lowering "
-    "logs geometry models riccati observers control simulation interop scale certificates design report papers cli"
+    "logs geometry models riccati observers control simulation interop scale proofs certificates audit design report "
+    "papers cli"
 )
 """A room may import from itself and from any room to its left, never to its right."""
 
@@ -37,13 +41,14 @@ OPTIONAL = (
 )
 
 PUBLIC = {
-    "certificates": "ASSUMED Audit Box CascadeCertificate Certificate Claim Constants ContractionCertificate Decay "
-    "Form Growth Law MetricDesign Observability Proof StateMetric Subject audit bending blocks box cascade certify "
-    "common_metric conditioning contraction contraction_matrix contraction_rate crossed_metric decay "
-    "detectability_rate error_bounds error_matrix falsify feedthrough force_bounds generalised_jacobian "
-    "in_coordinates in_frame log_norm lower_distance lyapunov noise_disturbance observability "
-    "observer_gain optimal_lyapunov prove prove_at_corners rate_of rates_along steady_distance subject "
-    "tangent_metric tracking upper_distance virtual",
+    "audit": "LAWS Audit Law audit",
+    "certificates": "ASSUMED CascadeCertificate Certificate Checked Claim Constants ContractionCertificate Decay "
+    "Document Followed Growth MetricDesign Observability Projection Sampled StateMetric Subject TradeOff Trajectories "
+    "bending cascade certify check check_sample common_metric conditioning contraction contraction_matrix "
+    "contraction_rate crossed_metric decay detectability_rate error_bounds error_matrix falsify feedthrough "
+    "follow_estimates force_bounds generalised_jacobian in_coordinates in_frame log_norm lower_distance lyapunov "
+    "noise_disturbance observability observer_gain optimal_lyapunov parse projection rate_of rates_along "
+    "steady_distance subject tangent_metric tracking trade_off trajectories upper_distance virtual",
     "control": "Backstepping Reference follow lissajous set_point",
     "design": "ESTIMATORS DataSheet Gains MetricSummary bias contracting_gain estimators filter_bandwidth gains "
     "line_up load_metric metric metric_summary observer_gains predict_errors window_length with_gains",
@@ -63,7 +68,7 @@ PUBLIC = {
     "lorenz oscillator pendulum_chain recipe resistance satellite satellite_arm source spatial_momentum state_space "
     "underwater_vehicle unknown_frequency van_der_pol",
     "models.marine": "Craft Station Waves coriolis_matrix cybership euler_rates euler_rotation euler_transform "
-    "manoeuvring_ship odin odin_on_group supply_vessel surface_ship yaw_rotation",
+    "manoeuvring_ship odin odin_on_group positive_definite supply_vessel surface_ship yaw_rotation",
     "observers": "EKF REGISTRY AbstractFlowObserver AbstractMechanicalObserver AbstractObserver Contracting "
     "ContractingState Copy EKFInfo EKFState Entry Estimate FilterInfo FilteredDerivative FilteredState Geodesic "
     "GeodesicInfo GeodesicState HeldState Info InformationEKF InformationState Intrinsic MechanicalState PassiveGains "
@@ -74,9 +79,13 @@ PUBLIC = {
     "odin_controller odin_eigenvalues odin_loop odin_observer odin_path odin_sampled_rate passive_observer reproduce "
     "sea sea_cost sea_errors sea_filter sea_rows sea_table ship_decay ship_eigenvalues somersault summary tail_rate "
     "write_page",
+    "proofs": "BITS LETTERS MOST_BOXES MOST_LETTERS OPEN PROVED BallMatrix Box Field Form Proof as_form blocks box "
+    "check_box derivative_form digest from_letters graph_rows leaves parse_file prove prove_at_corners "
+    "read_file saved_graph saved_levels show_conditions to_letters",
+    "proofs.checker": "ROUND TaylorEnclosure halves leaves plain show_definite",
     "report": "PALETTE EstimateReport draw_audit draw_certificate new_figure save_figure table write_article "
     "write_audit write_html write_png",
-    "riccati": "Box Equation Metric Passage Solution Window gramian gramians high_gain lie_derivative metric_at "
+    "riccati": "Equation Passage RiccatiMetric Solution Window gramian gramians high_gain lie_derivative metric_at "
     "metric_through rate_from_gramian reconstructibility right_side spd_distance window_at",
     "scale": "Grid Variable map_grid open_grid",
     "simulation": "Sensor hold no_input observe sense simulate stamps",
@@ -87,18 +96,25 @@ def room_of(path: Path) -> str:
     return path.relative_to(SOURCE).parts[0].removesuffix(".py")
 
 
-def imported_rooms(path: Path) -> set[str]:
-    """Rooms that a file imports anywhere, inside functions too."""
-    found = set()
+def imported(path: Path) -> Iterator[tuple[str, str]]:
+    """What a file imports anywhere, inside functions too: the full name, and the name that it has in the file."""
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
-            names = [alias.name for alias in node.names]
+            yield from ((alias.name, alias.asname or alias.name) for alias in node.names)
         elif isinstance(node, ast.ImportFrom) and node.module:
-            names = [f"{node.module}.{alias.name}" for alias in node.names]
-        else:
-            continue
-        found |= {name.split(".")[1] for name in names if name.startswith("covariant.")}
-    return found
+            yield from ((f"{node.module}.{alias.name}", alias.asname or alias.name) for alias in node.names)
+
+
+def imported_rooms(path: Path) -> set[str]:
+    return {name.split(".")[1] for name, _ in imported(path) if name.startswith("covariant.")}
+
+
+OF_TUPLES = ("_asdict", "_fields", "_make", "_replace")
+"""What Python calls the public methods of a named tuple, so that they are none of its fields."""
+
+
+def private(name: str) -> bool:
+    return name.startswith("_") and not name.startswith("__") and name not in OF_TUPLES
 
 
 @pytest.mark.parametrize("path", sorted(SOURCE.rglob("*.py")), ids=lambda p: str(p.relative_to(SOURCE)))
@@ -112,13 +128,97 @@ def test_rooms_import_only_from_their_left(path):
     assert not wrong, f"{path.relative_to(SOURCE)} imports {sorted(wrong)}, which the plan puts to the right of {room}"
 
 
+def test_proofs_know_functions_and_boxes_and_no_model():
+    rooms = set().union(*(imported_rooms(path) for path in (SOURCE / "proofs").rglob("*.py")))
+    assert rooms == {"_typing", "lowering", "proofs"}
+
+
+@pytest.mark.parametrize("path", sorted(SOURCE.rglob("*.py")), ids=lambda p: str(p.relative_to(SOURCE)))
+def test_no_room_uses_what_is_private_to_another(path):
+    room, others, wrong = room_of(path), set(), set()
+    for name, here in imported(path):
+        package, *parts = name.split(".")
+        if package == "covariant" and parts[0] != room:
+            others.add(here)
+            wrong |= {name} if any(map(private, parts[1:])) else set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Attribute) and private(node.attr) and ast.unparse(node.value) in others:
+            wrong.add(ast.unparse(node))
+    assert not wrong, f"{path.relative_to(SOURCE)} uses {sorted(wrong)}; let that room offer it under a public name"
+
+
+def module_of(path: Path) -> str:
+    return ".".join(path.relative_to(SOURCE.parent).with_suffix("").parts).removesuffix(".__init__")
+
+
+def test_modules_import_each_other_in_no_circle():
+    """Imports inside functions count like those at the top of a file, and those for types alone do too."""
+    modules = {module_of(path): path for path in SOURCE.rglob("*.py")}
+    needs: dict[str, set[str]] = {}
+    for module, path in modules.items():
+        names = {name for name, _ in imported(path) if name.startswith("covariant")}
+        found = {name if name in modules else name.rpartition(".")[0] for name in names}
+        needs[module] = (found & set(modules)) - {module}
+    graphlib.TopologicalSorter(needs).prepare()  # raises CycleError, which names the circle
+
+
+MOST_LINES = 450
+LONGER = {"papers/jouffroy_fossen.py": "a paper of 23 pages; it is being taken apart by its sections"}
+
+
+def test_no_file_is_too_long_to_be_read_in_one_sitting():
+    lengths = {str(p.relative_to(SOURCE)): len(p.read_text(encoding="utf-8").split("\n")) for p in SOURCE.rglob("*.py")}
+    assert {name for name, length in lengths.items() if length > MOST_LINES} <= set(LONGER)
+
+
+@pytest.mark.parametrize("path", sorted(SOURCE.rglob("*.py")), ids=lambda p: str(p.relative_to(SOURCE)))
+def test_every_module_opens_with_what_it_is(path):
+    assert ast.get_docstring(ast.parse(path.read_text(encoding="utf-8")))
+
+
+SHARED = {"Product"}
+"""A product of spaces is a space, and one of groups a group."""
+
+
+def test_a_class_is_public_in_one_room_and_defined_once():
+    """There is one `Box` and one `Metric`."""
+    public = Counter(name for names in PUBLIC.values() for name in names.split() if name[0].isupper())
+    assert {name for name, count in public.items() if count > 1} == SHARED
+    defined = Counter(name for path in SOURCE.rglob("*.py") for name in classes(path))
+    assert {name: count for name, count in defined.items() if count > 1 and name in public} == dict.fromkeys(SHARED, 2)
+    others = [name for path in SOURCE.rglob("*.py") for name in aliases(path)]
+    assert not {"Box", "Metric"} & set(others)
+
+
+def classes(path: Path) -> list[str]:
+    return [node.name for node in ast.parse(path.read_text(encoding="utf-8")).body if isinstance(node, ast.ClassDef)]
+
+
+def aliases(path: Path) -> Iterator[str]:
+    """Names that a file gives to anything at its top level."""
+    for node in ast.parse(path.read_text(encoding="utf-8")).body:
+        if isinstance(node, ast.Assign):
+            yield from (target.id for target in node.targets if isinstance(target, ast.Name))
+
+
 @pytest.mark.parametrize(
     "module",
     [
         "covariant",
         *(
             f"covariant.{room}"
-            for room in ("geometry", "models", "riccati", "observers", "simulation", "scale", "certificates", "design")
+            for room in (
+                "geometry",
+                "models",
+                "riccati",
+                "observers",
+                "simulation",
+                "scale",
+                "proofs",
+                "certificates",
+                "audit",
+                "design",
+            )
         ),
     ],
 )

@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "covariant"
-ROOMS = ("geometry", "observers", "riccati", "lowering", "certificates")
+ROOMS = ("geometry", "observers", "riccati", "lowering", "proofs", "certificates", "audit")
 
 OPERATORS = {ast.Add: ("+", "-"), ast.Sub: ("-", "+"), ast.Mult: ("*", "/"), ast.Div: ("/", "*"), ast.Pow: ("**", "*")}
 OPERATORS |= {ast.FloorDiv: ("//", "/"), ast.BitAnd: ("&", "|"), ast.BitOr: ("|", "&")}

@@ -13,6 +13,7 @@ from covariant._programs import keep_programs
 
 if TYPE_CHECKING:
     from covariant import (
+        audit,
         certificates,
         control,
         design,
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
         models,
         observers,
         papers,
+        proofs,
         report,
         riccati,
         scale,
@@ -45,6 +47,7 @@ __all__ = [
     "Result",
     "Run",
     "__version__",
+    "audit",
     "certificates",
     "control",
     "design",
@@ -55,6 +58,7 @@ __all__ = [
     "models",
     "observers",
     "papers",
+    "proofs",
     "report",
     "riccati",
     "scale",

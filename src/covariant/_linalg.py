@@ -57,6 +57,11 @@ def _(primals, tangents):
     return x, solve(a, db - da @ x)
 
 
+def solve_square(a: Matrix, b: Float[Array, "n *k"]) -> Float[Array, "n *k"]:
+    """`a⁻¹ b` for any invertible a, by its normal equations: exact where a is orthogonal."""
+    return solve(a.T @ a, a.T @ b)
+
+
 def half_solve(a: Matrix, b: Float[Array, "n k"]) -> Float[Array, "n k"]:
     """`L⁻¹ b` for symmetric positive definite `a = L Lᵀ`: b as seen where a is the identity."""
     columns, d = ldl(a)

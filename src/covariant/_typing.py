@@ -1,6 +1,7 @@
 """Array roles, named once. Leading batch axes come from `jax.vmap`, never from the functions themselves."""
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 from jaxtyping import Array, ArrayLike, Bool, Float, Inexact, Int
 
@@ -17,6 +18,11 @@ Code = Int[Array, ""]
 
 MatrixField = Callable[[Array], Array]
 """A metric written in coordinates: `q (n,) -> (n, n)`, symmetric positive definite."""
+
+Bounds = tuple[Float[Array, "n"], Float[Array, "n"]]
+"""Lower and upper bounds of coordinates."""
+Controller = Callable[[Array, Array, Any], Array]
+"""`(t, y, estimate) -> u (m,)`: what a controller makes of the measurement and of an observer's estimate."""
 
 Numbers = ArrayLike | Sequence[float] | Sequence[Sequence[float]] | Sequence[Sequence[Sequence[float]]]
 """What a person may write for an array of numbers; it is made one at once."""

@@ -13,10 +13,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from covariant import geometry, models
-from covariant.certificates import ContractionCertificate, certify, optimal_lyapunov, prove
+from covariant.certificates import ContractionCertificate, certify, optimal_lyapunov
 from covariant.geometry import lie
 from covariant.lowering import LoweringError
 from covariant.observers import Intrinsic
+from covariant.proofs import prove
 
 ALPHA, BETA, RATE = 10.0, 50.0, 2.0
 """Gains [1/s], [1/s²] and the rate of squared lengths [1/s] that is asked for: the gains alone allow 10 1/s."""

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from systems import ALPHA, BETA, EFFORT, RATE, Case, Q, attempt, line, simulate, size_of, verdict, wheel
 
-from covariant.certificates import box, certify
+from covariant.certificates import certify
 from covariant.observers import Intrinsic
+from covariant.proofs import box
 
 USUAL = Case(lambda xp, x, v: -v).bounds()
 OBSERVER = line(lambda xp, x, v: -v)

@@ -10,11 +10,10 @@ import numpy as np
 import pytest
 
 from covariant import models
-from covariant.certificates import _certify, _check, _prove, certify
-from covariant.certificates._check import check
-from covariant.certificates._document import parse
+from covariant.certificates import _certify, _check, certify, check, parse
 from covariant.geometry import lie
 from covariant.observers import Intrinsic
+from covariant.proofs import _prove
 
 RECIPE = {"attribute": "somebody:s", "parameters": {}}
 

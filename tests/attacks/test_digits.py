@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from systems import Case, falsehood, line, proved, verdict
 
-from covariant.certificates import box
+from covariant.proofs import box
 
 LINE = box(x=(-1.0, 1.0))
 

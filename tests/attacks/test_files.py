@@ -12,11 +12,12 @@ import pytest
 from jax.experimental.compilation_cache import compilation_cache
 
 from covariant import models
-from covariant.certificates import ContractionCertificate
-from covariant.certificates._check import check, follows
-from covariant.certificates._document import MOST_BYTES, MOST_VALUES, digest, parse, parse_bytes
+from covariant.certificates import ContractionCertificate, check, parse
+from covariant.certificates._check import follows
 from covariant.cli import main
 from covariant.models import _source
+from covariant.proofs import digest
+from covariant.proofs._file import MOST_BYTES, MOST_VALUES
 
 SHIPPED = Path(__file__).parents[2] / "examples/certificates"
 BEAM = (SHIPPED / "ball_and_beam.json").read_text(encoding="utf-8")
@@ -95,7 +96,7 @@ OURS = {"jax", "jaxlib", "numpy", "equinox", "covariant"}
 def warm():
     """What JAX loads when a model is made for the first time is loaded."""
     for text in (BEAM, TOP):
-        follows(parse_bytes("warm.json", text.encode()))
+        follows(parse("warm.json", text.encode()))
 
 
 def refused(call, path: Path, key: str) -> str:
@@ -803,7 +804,7 @@ def test_files_changed_at_random_are_read_or_refused(tmp_path, monkeypatch):
         content = with_digest(made) if rng.random() < 0.7 else made if isinstance(made, bytes) else made.encode()
         with Watched() as watched:
             try:
-                document = parse_bytes(where, content)
+                document = parse(where, content)
                 came["read"] += 1
                 follows(document)
                 came["follows"] += 1

@@ -8,27 +8,23 @@ import pytest
 
 from covariant import models
 from covariant.certificates import (
-    Box,
     Constants,
     StateMetric,
     Subject,
-    blocks,
-    box,
     cascade,
     common_metric,
     contraction,
     falsify,
     in_coordinates,
     observer_gain,
-    prove,
-    prove_at_corners,
     virtual,
 )
 from covariant.certificates._cascade import _constants, _forms, _Search
-from covariant.certificates._region import Point
+from covariant.certificates._subject import Point
 from covariant.design import contracting_gain
 from covariant.observers import Contracting
 from covariant.papers.jouffroy_fossen import COUNTEREXAMPLES, Scalar
+from covariant.proofs import Box, blocks, box, prove, prove_at_corners
 
 ZERO = jnp.zeros(())
 

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 
 from covariant import models
 from covariant.certificates import (
-    Box,
     Decay,
     certify,
+    conditioning,
     contraction_matrix,
     contraction_rate,
     decay,
@@ -36,15 +36,19 @@ from covariant.certificates import (
     tangent_metric,
     upper_distance,
 )
-from covariant.certificates._falsify import rate_at
-from covariant.certificates._tangent import conditioning
 from covariant.design import predict_errors
 from covariant.geometry import distance, hyperbolic
 from covariant.observers import Intrinsic
+from covariant.proofs import Box
 
 ALPHA, BETA = math.sqrt(2), 0.5
 PAPER = lyapunov(ALPHA, BETA)
 ZERO = jnp.zeros(())
+
+
+def rate_at(about, z):
+    point = about.at(z)
+    return contraction_rate(point.flow, point.metric, ZERO, point.x)
 
 
 def curved(t, x):

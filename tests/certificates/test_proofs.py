@@ -9,11 +9,9 @@ import pytest
 
 from covariant import models
 from covariant.certificates import (
-    Box,
     Certificate,
     ContractionCertificate,
     Subject,
-    box,
     certify,
     contraction,
     contraction_matrix,
@@ -21,17 +19,16 @@ from covariant.certificates import (
     in_coordinates,
     lyapunov,
     optimal_lyapunov,
-    prove,
     rate_of,
     subject,
     tangent_metric,
 )
-from covariant.certificates import _prove as prover
-from covariant.certificates._region import Point
+from covariant.certificates._subject import Point
 from covariant.geometry import hyperbolic
 from covariant.lowering import Enclosure
 from covariant.observers import Intrinsic
 from covariant.papers._errata import PrintedBallAndBeam
+from covariant.proofs import Box, _enclosure, _judge, _prove, box, prove
 
 ALPHA, BETA = math.sqrt(2), 0.5
 PAPER = lyapunov(ALPHA, BETA)
@@ -243,7 +240,7 @@ def test_a_certificate_needs_its_bounds():
 def test_worker_processes_find_the_same_tree(monkeypatch):
     about, region = ball_and_beam_region(1.5, 0.01, 0.2)
     alone = prove(contraction(about, 0.2), region)
-    monkeypatch.setattr(prover, "PATIENCE", 0)
+    monkeypatch.setattr(_prove, "PATIENCE", 0)
     shared = prove(contraction(about, 0.2), region, processes=2)
     assert alone.verdict == shared.verdict == "holds"
     assert [level.tolist() for level in alone.levels] == [level.tolist() for level in shared.levels]
@@ -260,23 +257,23 @@ def blind_to_width(lowered, low, high):
     return Enclosure(found.low, found.high, found.smooth)
 
 
-prover_enclose = prover.enclose
+prover_enclose = _enclosure.enclose
 
 
 def test_a_narrow_hole_is_found_and_a_prover_without_remainders_would_miss_it(monkeypatch):
     domain = box(z=(0.0, 1.0))
     assert prove(hole, domain).verdict != "holds"
-    monkeypatch.setattr(prover, "enclose", blind_to_width)
+    monkeypatch.setattr(_enclosure, "enclose", blind_to_width)
     assert prove(hole, domain).verdict == "holds"
 
 
 def test_a_prover_that_forgets_how_large_a_box_is_would_be_wrong(monkeypatch):
     domain = box(z=(0.0, 1.0))
-    monkeypatch.setattr(prover, "definite", lambda middle, radius, terms=None: honest_definite(middle, 0 * radius))
+    monkeypatch.setattr(_judge, "definite", lambda middle, radius, terms=None: honest_definite(middle, 0 * radius))
     assert prove(hole, domain).verdict == "holds"
 
 
-honest_definite = prover.definite
+honest_definite = _judge.definite
 
 
 def test_where_nothing_is_bounded_the_middle_of_a_box_says_which_variable_to_halve():

@@ -6,10 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from covariant.certificates import ContractionCertificate
-from covariant.certificates._balls import check_sample
-from covariant.certificates._check import check
-from covariant.certificates._document import parse
+from covariant.certificates import ContractionCertificate, check, check_sample, follow_estimates, parse
 
 FOLDER = Path(__file__).parents[2] / "examples/certificates"
 
@@ -49,7 +46,7 @@ def test_a_certificate_that_was_changed_is_not_read(tmp_path):
 @pytest.mark.parametrize(("name", "slowest"), [("heavy_top", 7.0), ("dfki_double_pendulum", 25.0)])
 def test_estimates_from_the_border_of_the_ball_converge_as_certified(name, slowest):
     certificate = ContractionCertificate.load(FOLDER / f"{name}.json")
-    seen = certificate.follow(60)
+    seen = follow_estimates(certificate, 60)
     np.testing.assert_allclose(seen.high[:, 0], certificate.radius, rtol=1e-9)
     assert seen.holds
     assert (seen.high <= seen.bound * (1 + 1e-6)).all()  # more than is proved, of a straight line

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from commands import command
 
-from covariant import certificates, models
-from covariant.certificates._document import digest
+from covariant import certificates, models, proofs
 from covariant.cli import _certify, main
 from covariant.observers import Intrinsic
+from covariant.proofs import digest
 
 PENDULUM = """
 system = "pendulum_chain"
@@ -67,10 +67,10 @@ def unproved(verdict: str):
         asked.update(settings, observer=observer)
         q = certificates.optimal_lyapunov(observer.alpha, observer.beta, 1.0)
         about = certificates.subject(observer, q)
-        domain = certificates.Box(about.names, about.units, -np.ones(4), np.ones(4))
+        domain = proofs.Box(about.names, about.units, -np.ones(4), np.ones(4))
         levels = [np.array([0]), np.array([1, -1]), np.array([-2, -1])]
         wrong = np.full((2, 4), 0.5) if verdict == "fails" else None
-        proof = certificates.Proof(verdict, domain, levels, wrong, np.zeros((1, 2, 4)), 5, 0.1)
+        proof = proofs.Proof(verdict, domain, levels, wrong, np.zeros((1, 2, 4)), 5, 0.1)
         summary = certificates.Certificate("squared lengths shrink", verdict, 1.0, str(domain), "proved", ())
         claims = (certificates.Claim("contraction", proof),)
         return certificates.ContractionCertificate(
@@ -105,8 +105,8 @@ def test_for_a_person_angles_are_in_degrees_too(proved, monkeypatch):
     observer = Intrinsic(models.load("pendulum.toml").model, 10.0, 50.0)
     about = certificates.subject(observer, q)
     low, high = np.array(list(proved["domain"].values())).T
-    domain = certificates.Box(about.names, about.units, low, high)
-    whole = certificates.Proof("holds", domain, [np.array([-1])], None, np.zeros((0, 2, 4)), 1, 0.1)
+    domain = proofs.Box(about.names, about.units, low, high)
+    whole = proofs.Proof("holds", domain, [np.array([-1])], None, np.zeros((0, 2, 4)), 1, 0.1)
     squares = (np.array(proved["half_widths"]) / proved["radius"]) ** 2
     found = certificates.ContractionCertificate(
         certificates.Certificate(proved["statement"], "holds", proved["rate"], "", "proved", ()),

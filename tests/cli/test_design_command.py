@@ -74,19 +74,19 @@ def test_the_summary_is_that_of_the_store(made):
     assert made["p_low"] == pytest.approx(low, rel=1e-6)
     assert made["p_high"] == pytest.approx(high, rel=1e-12)
     assert made["reconstructibility"] == store["reconstructibility"].values.min()
-    assert made["doubt"] == store["doubt"].values.max() <= 1e-8
+    assert made["error_bound"] == store["error_bound"].values.max() <= 1e-8
     assert store["x2"].values.tolist() == [1.0, 1.125, 1.25, 1.375, 1.5]
     assert store.attrs["provenance"]["equation"] == {"rate": 8.0, "process_cov": None, "measurement_cov": None}
 
 
 def test_a_finished_store_is_summed_up_again_for_a_person(made, capsys, monkeypatch):
     text = said(capsys, monkeypatch, "design", "metric", "unknown_frequency", *SHAPE, "--rate", "8", "-o", "paper.zarr")
-    first, codes, least, bounds, doubt = text.splitlines()
+    first, codes, least, bounds, error_bound = text.splitlines()
     assert re.fullmatch(r"wrote paper\.zarr: 125 points, λ = 8 1/s, \d+\.\d s", first)
     assert codes == "  125 ok"
     assert least == f"smallest reconstructibility {made['reconstructibility']:.3g}"
     assert f"p_low = {made['p_low']:.3g}, p_high = {made['p_high']:.3g}" in bounds
-    assert doubt == f"largest doubt {made['doubt']:.2g}"
+    assert error_bound == f"largest error bound {made['error_bound']:.2g}"
 
 
 def test_the_rate_may_come_from_gramians(made):
@@ -166,8 +166,8 @@ def test_a_stopped_run_goes_on_where_it_stopped(made, monkeypatch, capsys):
         design.load_metric("again.zarr")
     done = command("design", "metric", *arguments)
     assert {path: path.stat().st_mtime_ns for path in kept} == kept
-    assert {key: done[key] for key in ("results", "p_low", "p_high", "doubt")} == {
-        key: made[key] for key in ("results", "p_low", "p_high", "doubt")
+    assert {key: done[key] for key in ("results", "p_low", "p_high", "error_bound")} == {
+        key: made[key] for key in ("results", "p_low", "p_high", "error_bound")
     }
 
 

@@ -50,7 +50,7 @@ def test_values_are_those_of_the_solver(store):
 def test_the_store_says_what_it_holds_and_where_it_comes_from(store):
     assert {name: store[name].dims[2:] for name in store} == {
         "metric": ("row", "column"),
-        "doubt": (),
+        "error_bound": (),
         "horizon": (),
         "reconstructibility": (),
         "result": (),
@@ -77,7 +77,7 @@ def test_a_summary_covers_the_whole_grid(path, store, monkeypatch):
     assert found.results == {Result(c): n for c, n in zip(codes.tolist(), counts.tolist(), strict=True)}
     assert found.results[Result.OUT_OF_DOMAIN] == 18
     assert (found.low, found.high) == pytest.approx((eigenvalues.min(), eigenvalues.max()), rel=1e-12)
-    assert found.doubt == np.nanmax(store["doubt"].values[known])
+    assert found.error_bound == np.nanmax(store["error_bound"].values[known])
     inside = store["result"].values != Result.OUT_OF_DOMAIN
     assert found.reconstructibility == store["reconstructibility"].values[inside].min()
     # The same in parts, as it is read where memory does not hold the grid.

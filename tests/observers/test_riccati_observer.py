@@ -13,7 +13,7 @@ from covariant.models import StateSpace
 from covariant.observers import Estimate, InformationEKF, Riccati, run
 from covariant.papers import sanfelice_praly
 from covariant.papers.sanfelice_praly import analytic_metric
-from covariant.riccati import Equation, Metric
+from covariant.riccati import Equation, RiccatiMetric
 from covariant.signals import Record, Result
 from covariant.simulation import observe
 
@@ -94,7 +94,7 @@ def constant(x):
 
 
 def test_with_a_gain_of_one_half_it_is_the_stationary_kalman_filter():
-    metric = Metric(PLANT, LAW, 40.0, 2000, start=1.0)
+    metric = RiccatiMetric(PLANT, LAW, 40.0, 2000, start=1.0)
     observer = Riccati(PLANT, metric, jnp.asarray(X), 0.5, jnp.asarray(MEASUREMENT))
     slope = jax.jit(lambda y: observer.flow(ZERO, Estimate(jnp.asarray(X), ZERO), NONE, y).x)
     found = jax.jacfwd(slope)(jnp.asarray(Y))
@@ -301,7 +301,7 @@ def record(duration=6.0, dt=0.02) -> Record:
 
 def test_however_the_metric_is_given_the_estimate_is_the_same(field):
     start = jnp.array([0.9, 0.1, 1.1])
-    metrics = (analytic_metric(2.0), Metric(OSCILLATOR, Equation(2.0), 16.0, 600), field)
+    metrics = (analytic_metric(2.0), RiccatiMetric(OSCILLATOR, Equation(2.0), 16.0, 600), field)
     exact, computed, looked_up = (np.asarray(run(Riccati(OSCILLATOR, m, start), record()).estimate) for m in metrics)
     np.testing.assert_allclose(computed, exact, rtol=0, atol=1e-5)
     np.testing.assert_allclose(looked_up, exact, rtol=0, atol=0.1)
@@ -311,8 +311,8 @@ def test_however_the_metric_is_given_the_estimate_is_the_same(field):
 def test_the_past_is_reckoned_with_the_input_of_now():
     model, u = models.duffing(), jnp.array([0.7])
     equation = Equation(process_cov=jnp.eye(2))
-    observer = Riccati(model, Metric(model, equation, 3.0, 60), jnp.array([0.4, 0.2]))
-    told = Riccati(model, lambda x: Metric(model, equation, 3.0, 60, u=u)(x), jnp.array([0.4, 0.2]))
+    observer = Riccati(model, RiccatiMetric(model, equation, 3.0, 60), jnp.array([0.4, 0.2]))
+    told = Riccati(model, lambda x: RiccatiMetric(model, equation, 3.0, 60, u=u)(x), jnp.array([0.4, 0.2]))
     y, dt = jnp.array([0.5]), jnp.asarray(0.02)
     one, other = (eqx.filter_jit(o.step)(o.init(y), u, y, dt)[0].x for o in (observer, told))
     np.testing.assert_allclose(one, other, rtol=1e-12)

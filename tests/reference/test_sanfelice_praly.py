@@ -11,7 +11,7 @@ from covariant import models
 from covariant.observers import InformationEKF, Riccati, run
 from covariant.papers import sanfelice_praly
 from covariant.report import new_figure, save_figure
-from covariant.riccati import Equation, Metric
+from covariant.riccati import Equation, RiccatiMetric
 from covariant.signals import Record
 
 FIGURE_1 = {1.0: 9.06e-2, 2.0: 2.40e-2, 4.0: 5.92e-3, 8.0: 9.55e-4}
@@ -66,7 +66,7 @@ def check(found):
 @pytest.mark.data
 def test_the_observer_finds_the_frequency_of_a_recorded_swing(swing):
     model, equation = models.unknown_frequency(), swing.equation
-    metric = Metric(model, equation, 1.5, 150, start=1e-6)
+    metric = RiccatiMetric(model, equation, 1.5, 150, start=1e-6)
     found = run(Riccati(model, metric, swing.start, 0.5, equation.measurement_cov), swing.record).estimate
     check(np.asarray(found)[swing.late, 2])
 

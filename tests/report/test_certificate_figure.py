@@ -7,9 +7,18 @@ import pytest
 from PIL import Image
 
 from covariant import models
-from covariant.certificates import Box, Certificate, Claim, ContractionCertificate, Proof, optimal_lyapunov, subject
-from covariant.certificates._show import half_widths, kinds, open_share, projection, trade_off, trajectories
+from covariant.certificates import (
+    Certificate,
+    Claim,
+    ContractionCertificate,
+    optimal_lyapunov,
+    projection,
+    subject,
+    trade_off,
+    trajectories,
+)
 from covariant.observers import Intrinsic
+from covariant.proofs import Box, Proof
 from covariant.report import _certificate, draw_certificate
 
 SQUARES, RADIUS, RATE = (56.0, 2178.0), 0.01336, 3.33
@@ -62,17 +71,17 @@ def test_the_boxes_are_projected_on_the_variables_that_are_halved():
     np.testing.assert_array_equal(seen.open, [[[-3.1, 0.0], [0.0, 4.7]]])
     assert seen.counterexample is None
     np.testing.assert_array_equal(projection(canned("fails")).counterexample, [3.1, 4.7])
-    assert kinds(canned()) == ("estimate", "velocity", "error", "force")
+    assert canned().kinds == ("estimate", "velocity", "error", "force")
 
 
 def test_the_share_left_open():
     certificate = canned("undecided")
-    assert open_share(certificate.claims[0].proof) == 0.25
-    assert open_share(canned().claims[0].proof) == 0.0
+    assert certificate.claims[0].proof.open_share == 0.25
+    assert canned().claims[0].proof.open_share == 0.0
 
 
 def test_the_motion_stays_in_the_region_and_estimates_in_the_tube(followed):
-    np.testing.assert_allclose(half_widths(canned()), RADIUS * np.sqrt(SQUARES))
+    np.testing.assert_allclose(canned().half_widths, RADIUS * np.sqrt(SQUARES))
     assert np.abs(followed.positions).max() <= 3.0
     assert 0.1 < np.abs(followed.velocities).max() <= 4.0
     off = np.concatenate(
@@ -102,7 +111,7 @@ def test_faster_rates_cost_conditioning():
 
 def test_nothing_proved_is_no_tube():
     with pytest.raises(ValueError, match="nothing is proved"):
-        half_widths(canned("undecided"))
+        _ = canned("undecided").half_widths
     with pytest.raises(ValueError, match="nothing is proved"):
         trajectories(canned("fails"))
 

@@ -14,7 +14,7 @@ from covariant._integrate import rk8
 from covariant.papers.sanfelice_praly import analytic_metric, grid, quadrature
 from covariant.riccati import (
     Equation,
-    Metric,
+    RiccatiMetric,
     lie_derivative,
     metric_at,
     metric_through,
@@ -222,7 +222,7 @@ def found(x):
 @jax.jit
 @jax.vmap
 def left_side(x):
-    return lie_derivative(MODEL, Metric(MODEL, QUADRATIC, 60.0, 4500), x)
+    return lie_derivative(MODEL, RiccatiMetric(MODEL, QUADRATIC, 60.0, 4500), x)
 
 
 @jax.vmap

@@ -282,7 +282,7 @@ def found(request) -> Found:
 def test_solutions_are_found_and_are_metrics(found):
     for name, answer in found.answers.items():
         assert (answer.solution.result == Result.OK).all(), name
-        assert (answer.solution.doubt < found.case.tolerance).all(), name
+        assert (answer.solution.error_bound < found.case.tolerance).all(), name
         assert np.linalg.eigvalsh(answer.metric).min() > 0, name
         np.testing.assert_allclose(answer.metric, answer.metric.swapaxes(1, 2), rtol=1e-10)
 
@@ -308,7 +308,9 @@ def test_how_it_was_started_is_forgotten(found):
     itself = found.answers["itself"]
     for name in ("low start", "high start"):
         other = found.answers[name]
-        assert (distances(itself.metric, other.metric) <= itself.solution.doubt + other.solution.doubt).all(), name
+        assert (
+            distances(itself.metric, other.metric) <= itself.solution.error_bound + other.solution.error_bound
+        ).all(), name
 
 
 def test_it_is_a_tensor(found):
@@ -334,20 +336,20 @@ def test_the_unit_of_the_output_changes_nothing(found):
 
 @jax.jit
 def weigh(windows, starts):
-    every = jax.vmap(lambda window: (window.doubt(1.0), jax.vmap(window.metric)(starts)))
+    every = jax.vmap(lambda window: (window.error_bound(1.0), jax.vmap(window.metric)(starts)))
     return jax.vmap(every)(windows)
 
 
-def test_doubt_bounds_what_the_unknown_past_can_change(found):
+def test_the_error_bound_holds_what_the_unknown_past_can_change(found):
     """From above for every start, and from below: some start is as wrong as half of it."""
     case, n = found.case, len(found.case.size)
     starts = np.array([1e-9, 1e-3, 1.0, 1e3, 1e12])[:, None, None] * np.diag(1 / case.size**2)
-    doubts, metrics = (np.asarray(part) for part in weigh(found.windows, starts))
+    error_bounds, metrics = (np.asarray(part) for part in weigh(found.windows, starts))
     errors = distances(found.answers["itself"].metric[:, None, None], metrics)
-    assert (errors <= doubts[..., None] * (1 + 1e-6) + 3 * case.tolerance).all()
-    clear = (doubts > 30 * case.tolerance) & (doubts < 0.3)
+    assert (errors <= error_bounds[..., None] * (1 + 1e-6) + 3 * case.tolerance).all()
+    clear = (error_bounds > 30 * case.tolerance) & (error_bounds < 0.3)
     assert clear.any()
-    assert (errors.max(-1)[clear] > doubts[clear] / (2.5 * np.sqrt(n))).all()
+    assert (errors.max(-1)[clear] > error_bounds[clear] / (2.5 * np.sqrt(n))).all()
 
 
 def star(near, far):
@@ -458,7 +460,7 @@ def test_it_is_approached_geometrically_in_the_number_of_windows(found):
 
 
 @pytest.mark.parametrize("tolerance", [1e-2, 1e-5])
-def test_the_error_is_below_the_doubt_and_the_doubt_below_the_tolerance(tolerance):
+def test_the_error_is_below_its_bound_and_that_below_the_tolerance(tolerance):
     """Each solution against one whose past is as long as nine digits need."""
     case = CASES["van der Pol"]
     states = jnp.asarray(np.random.default_rng(8).uniform(-0.9, 0.9, (40, 2)))
@@ -472,6 +474,6 @@ def test_the_error_is_below_the_doubt_and_the_doubt_below_the_tolerance(toleranc
     found, exact = at(states)
     error = distances(exact, found.metric)
     assert (found.result == Result.OK).all()
-    assert (error <= found.doubt + 1e-9).all()
-    assert (found.doubt < tolerance).all()
+    assert (error <= found.error_bound + 1e-9).all()
+    assert (found.error_bound < tolerance).all()
     assert error.max() > 1e-2 * tolerance  # no longer a past than needed

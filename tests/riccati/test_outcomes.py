@@ -15,7 +15,7 @@ from covariant.observers import Estimate, Riccati
 from covariant.papers.sanfelice_praly import analytic_metric, quadrature
 from covariant.riccati import (
     Equation,
-    Metric,
+    RiccatiMetric,
     Window,
     gramian,
     high_gain,
@@ -79,10 +79,10 @@ def test_a_batch_is_the_loop(answers):
     alone = metric_at(OSCILLATOR, equation, jnp.array([0.5, 1.2, 0.8]), domain=BOX, max_steps=500)
     batched = all_found["good"]
     assert alone.result == batched.result
-    assert spd_distance(alone.metric, batched.metric) < alone.doubt
+    assert spd_distance(alone.metric, batched.metric) < alone.error_bound
     # The lengths of adaptive steps follow the last digit of the error they estimate.
     np.testing.assert_allclose(alone.horizon, batched.horizon, rtol=1e-3)
-    np.testing.assert_allclose(alone.doubt, batched.doubt, rtol=0.2)
+    np.testing.assert_allclose(alone.error_bound, batched.error_bound, rtol=0.2)
     np.testing.assert_allclose(alone.reconstructibility, batched.reconstructibility, rtol=1e-5)
 
 
@@ -106,8 +106,8 @@ def test_one_coordinate_that_came_from_infinity_is_enough():
 def test_the_metric_before_a_window_is_one_unless_it_is_given():
     """A past so short that its start still counts; as a number it is that many times I."""
     x = jnp.array([0.5, 1.2, 0.8])
-    by_default = Metric(OSCILLATOR, Equation(1.0), 0.3, 20)(x)
-    np.testing.assert_array_equal(by_default, Metric(OSCILLATOR, Equation(1.0), 0.3, 20, start=jnp.eye(3))(x))
+    by_default = RiccatiMetric(OSCILLATOR, Equation(1.0), 0.3, 20)(x)
+    np.testing.assert_array_equal(by_default, RiccatiMetric(OSCILLATOR, Equation(1.0), 0.3, 20, start=jnp.eye(3))(x))
     passage = metric_through(OSCILLATOR, Equation(1.0), x, 0.3, 20)
     np.testing.assert_array_equal(passage.metric[0], np.eye(3))
     np.testing.assert_allclose(by_default, passage.metric[-1], rtol=0, atol=1e-9)
@@ -116,9 +116,9 @@ def test_the_metric_before_a_window_is_one_unless_it_is_given():
 def test_a_window_that_tells_nothing_to_rounding_bounds_nothing():
     """What it tells, and what the noise stirs, must be more than rounding in every direction."""
     one, lost, x = jnp.eye(2), jnp.diag(jnp.array([1.0, -1e-17])), jnp.zeros(2)
-    assert Window(x, one, one, one).doubt(1.0) == 2.0
+    assert Window(x, one, one, one).error_bound(1.0) == 2.0
     for information, spread in ((lost, one), (one, lost), (lost, lost), (lost, None)):
-        assert np.isnan(Window(x, one, information, spread).doubt(1.0))
+        assert np.isnan(Window(x, one, information, spread).error_bound(1.0))
 
 
 def two_modes(t, x, u):
@@ -163,7 +163,7 @@ def test_single_precision_stays_single():
         found = jax.jit(lambda x, equation=equation: metric_at(OSCILLATOR, equation, x))(x)
         assert {leaf.dtype for leaf in found[:4]} == {jnp.dtype(jnp.float32)}
         assert found.result == Result.OK
-        assert found.doubt < 1e-3
+        assert found.error_bound < 1e-3
         if equation.process_cov is None:
             exact = analytic_metric(2.0)(x.astype(float))
             assert spd_distance(exact, found.metric.astype(float)) < 2e-3

@@ -1,10 +1,10 @@
-"""Statements about convergence, each with its domain, its margin and its evidence."""
+"""Statements about observers, each with its domain, its margin and its evidence: saved, read and checked again."""
 
 from covariant.certificates._assumed import ASSUMED
-from covariant.certificates._audit import Audit, Law, audit
 from covariant.certificates._cascade import CascadeCertificate, Constants, Growth, cascade
 from covariant.certificates._certificate import Certificate
-from covariant.certificates._certify import Claim, ContractionCertificate, certify
+from covariant.certificates._certify import certify
+from covariant.certificates._check import Checked, check
 from covariant.certificates._contraction import (
     StateMetric,
     contraction_matrix,
@@ -15,16 +15,22 @@ from covariant.certificates._contraction import (
     log_norm,
     rates_along,
 )
-from covariant.certificates._craft import crossed_metric, feedthrough, tracking
+from covariant.certificates._contraction_certificate import Claim, ContractionCertificate
 from covariant.certificates._distance import Decay, decay, lower_distance, upper_distance
+from covariant.certificates._document import Document, parse
 from covariant.certificates._falsify import falsify
-from covariant.certificates._form import Form
+from covariant.certificates._figures import Projection, TradeOff, projection, trade_off
+from covariant.certificates._force_bounds import force_bounds
+from covariant.certificates._inequalities import contraction
+from covariant.certificates._intrinsic import subject
 from covariant.certificates._lmi import MetricDesign, common_metric, observer_gain
+from covariant.certificates._marine_cascade import crossed_metric, feedthrough, tracking
 from covariant.certificates._noise import error_bounds, noise_disturbance, steady_distance
 from covariant.certificates._observability import Observability, bending, detectability_rate, observability
-from covariant.certificates._prove import Box, Proof, blocks, box, prove, prove_at_corners
-from covariant.certificates._region import Subject, contraction, force_bounds, subject
-from covariant.certificates._tangent import (
+from covariant.certificates._sample import Sampled, check_sample
+from covariant.certificates._simulated import Followed, Trajectories, follow_estimates, trajectories
+from covariant.certificates._subject import Subject
+from covariant.certificates._tangent_metric import (
     conditioning,
     error_matrix,
     lyapunov,
@@ -36,28 +42,29 @@ from covariant.certificates._virtual import virtual
 
 __all__ = [
     "ASSUMED",
-    "Audit",
-    "Box",
     "CascadeCertificate",
     "Certificate",
+    "Checked",
     "Claim",
     "Constants",
     "ContractionCertificate",
     "Decay",
-    "Form",
+    "Document",
+    "Followed",
     "Growth",
-    "Law",
     "MetricDesign",
     "Observability",
-    "Proof",
+    "Projection",
+    "Sampled",
     "StateMetric",
     "Subject",
-    "audit",
+    "TradeOff",
+    "Trajectories",
     "bending",
-    "blocks",
-    "box",
     "cascade",
     "certify",
+    "check",
+    "check_sample",
     "common_metric",
     "conditioning",
     "contraction",
@@ -70,6 +77,7 @@ __all__ = [
     "error_matrix",
     "falsify",
     "feedthrough",
+    "follow_estimates",
     "force_bounds",
     "generalised_jacobian",
     "in_coordinates",
@@ -81,14 +89,16 @@ __all__ = [
     "observability",
     "observer_gain",
     "optimal_lyapunov",
-    "prove",
-    "prove_at_corners",
+    "parse",
+    "projection",
     "rate_of",
     "rates_along",
     "steady_distance",
     "subject",
     "tangent_metric",
     "tracking",
+    "trade_off",
+    "trajectories",
     "upper_distance",
     "virtual",
 ]

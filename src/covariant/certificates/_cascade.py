@@ -19,9 +19,9 @@ from jaxtyping import Array, Float
 
 from covariant.certificates._contraction import contraction_matrix
 from covariant.certificates._falsify import Pencil, pencil, slowest
-from covariant.certificates._form import Form, as_form
-from covariant.certificates._prove import MOST_BOXES, Box, check_box, prove
-from covariant.certificates._region import Subject, changing
+from covariant.certificates._inequalities import length_change
+from covariant.certificates._subject import Subject
+from covariant.proofs import MOST_BOXES, Box, Form, as_form, check_box, prove
 
 Coupling = Callable[[Array], tuple[Array, Array]]
 """`z -> (∂b/∂x̃ (n, k), ∂b/∂e (n, n))` over boxed variables z."""
@@ -218,7 +218,7 @@ def _forms(controller, observer, coupling) -> dict[str, _Form]:
 
         return as_form(form)
 
-    def pushed(which):
+    def squared(which):
         def form(whole):
             z, e, _ = split(whole, len(coupling_box.low))
             b = jacobians(z)[which]
@@ -242,8 +242,8 @@ def _forms(controller, observer, coupling) -> dict[str, _Form]:
         "large": made(metric(-1.0), "e", plant_box),
         "fall": made(_change(plant, len(plant_box.low), -0.5), "e", plant_box),
         "error": made(_change(error, len(error_box.low), -1.0), "x", error_box),
-        "from_error": made(pushed(0), "x", coupling_box),
-        "from_itself": made(pushed(1), "e", coupling_box),
+        "from_error": made(squared(0), "x", coupling_box),
+        "from_itself": made(squared(1), "e", coupling_box),
     }
 
 
@@ -281,9 +281,7 @@ def _least(form: _Form, scales, search: _Search) -> tuple[float, np.ndarray]:
 
 def _scaled(box: Box, squares: np.ndarray) -> Box:
     """The box with the squares of the scales as variables that are held fixed."""
-    names = tuple(f"scale_{i}" for i in range(len(squares)))
-    low, high = (np.concatenate([bound, squares]) for bound in (box.low, box.high))
-    return Box((*box.names, *names), (*box.units, *("",) * len(squares)), low, high)
+    return box.with_fixed(squares, tuple(f"scale_{i}" for i in range(len(squares))))
 
 
 def _change(subject: Subject, d: int, factor: float) -> Form:
@@ -297,7 +295,9 @@ def _change(subject: Subject, d: int, factor: float) -> Form:
         change = contraction_matrix(point.flow, point.metric, t, point.x)
         return formula(point.metric.coframe(t, point.x), None, change)
 
-    return changing(subject._replace(at=lambda whole: subject.at(whole[:d])), formula, lambda whole: numbers(whole[:d]))
+    return length_change(
+        subject._replace(at=lambda whole: subject.at(whole[:d])), formula, lambda whole: numbers(whole[:d])
+    )
 
 
 def _scales(of_e: Sequence[str], of_x: Sequence[str]):

@@ -1,4 +1,4 @@
-"""A proved statement about an intrinsic observer: how fast it converges, and from how far.
+"""Prove of an intrinsic observer how fast it converges, and from how far.
 
 Three things are proved, each over the whole region. The flow contracts the metric of the tangent bundle at the rate λ,
 whatever the measured trajectory. A curve of length ε changes no position error and no velocity by more than the region
@@ -14,234 +14,35 @@ Source: Aghannan & Rouchon 2003, Theorems 1 and 2, and Fig. 2; Lohmiller & Sloti
 
 import itertools
 import math
-from collections.abc import Callable, Sequence
-from pathlib import Path
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike, Float
 
 from covariant._typing import Numbers
-from covariant.certificates import _check, _document, _saved
-from covariant.certificates._certificate import Certificate
-from covariant.certificates._noise import steady_distance
-from covariant.certificates._prove import MOST_BOXES, OPEN, Box, Proof, check_box, leaves, prove
-from covariant.certificates._region import (
-    Intrinsics,
-    Subject,
-    check_unique,
-    contraction,
-    disturbed,
-    force_bounds,
-    force_slopes,
-    reach,
-    squares,
-    subject,
+from covariant.certificates._contraction_certificate import (
+    Claim,
+    ContractionCertificate,
+    disturbance_length,
+    disturbance_sizes,
+    summary_of,
 )
-from covariant.certificates._tangent import TwoByTwo, check_q, error_matrix, optimal_lyapunov, rate_of
+from covariant.certificates._force_bounds import force_bounds, force_slopes
+from covariant.certificates._inequalities import contraction, disturbance_bound, squared_widths, width_bound
+from covariant.certificates._intrinsic import Intrinsics, check_unique, subject
+from covariant.certificates._noise import steady_distance
+from covariant.certificates._subject import Subject
+from covariant.certificates._tangent_metric import check_q, error_matrix, optimal_lyapunov, rate_of
 from covariant.geometry.lie import SO2, SO3
 from covariant.lowering import Lowered, lower, numbers
 from covariant.models import MechanicalSystem, input_count
+from covariant.proofs import MOST_BOXES, Box, Proof, check_box, prove
 
 Bounds = tuple[ArrayLike, ArrayLike]
-ROOM = 1.05
-"""How much more a reach is allowed to be than was seen, so that it can be proved quickly."""
-
-
-class Claim(NamedTuple):
-    """One proved inequality.
-
-    "contraction"; "reach" of a `row` of (error, velocity), by `square` up to `limit`; or "disturbance": what errors of
-    measurement and force, in the unit ball by their sizes, add to the flow is no longer than `√square`.
-    """
-
-    kind: _document.Kind
-    proof: Proof
-    row: int = 0
-    square: float = 0.0
-    limit: float = 0.0
-
-    def document(self) -> dict[str, Any]:
-        """The claim as it is saved."""
-        numbers = {key: getattr(self, key) for key in _document.NUMBERS[self.kind]}
-        return {"kind": self.kind, **numbers, "levels": _saved.to_letters(self.proof.levels)}
-
-
-class Followed(NamedTuple):
-    """Estimates that began on the border of the proved ball, each beside a motion of its own.
-
-    - `t` (k, T) [s]: until the motion leaves the region or the bound of the velocity, eight time constants at most.
-    - `low`, `high` (k, T): their distances from below and from above; `bound` (k, T): `ε e^(−λt/2)`.
-    - `certified` [1/s]: λ, of squared lengths.
-    """
-
-    t: Float[np.ndarray, "k T"]
-    low: Float[np.ndarray, "k T"]
-    high: Float[np.ndarray, "k T"]
-    bound: Float[np.ndarray, "k T"]
-    certified: float
-
-    @property
-    def holds(self) -> bool:
-        """Whether no distance is above its bound, beyond a millionth for the integration."""
-        return bool((self.low <= self.bound * (1 + 1e-6)).all())
-
-    @property
-    def rates(self) -> Float[np.ndarray, "k"]:
-        """The rate λ [1/s] of each, from its first stamp to its last."""
-        return 2 * np.log(self.high[:, 0] / self.high[:, -1]) / (self.t[:, -1] - self.t[:, 0])
-
-
-class ContractionCertificate(NamedTuple):
-    """What was proved about an observer on a region.
-
-    - `summary`: the statement, its verdict, and its margin, the rate λ [1/s] of squared lengths.
-    - `radius`: ε, in the metric of Q on states; 0 unless the verdict is "holds".
-    - `domain`: the box of estimate, error and force; `velocity` (n,): the bound of the true velocity.
-    - `given`: positions, inputs and times that the bounds of the force come from; `noise`, `disturbance`, `slopes`.
-    - `recipe`: where the model comes from, as `models.recipe`; None for a model known to this process only.
-    - `verified`: whether it was proved in this process. One that was read from a file is as good as the file, until
-      `covariant certify --check` has verified it.
-    """
-
-    summary: Certificate
-    rate: float
-    radius: float
-    observer: Intrinsics
-    q: TwoByTwo
-    subject: Subject
-    domain: Box
-    velocity: Float[np.ndarray, "n"]
-    given: dict[str, Any]
-    claims: tuple[Claim, ...]
-    recipe: dict[str, Any] | None
-    verified: bool = False
-
-    @property
-    def decay(self) -> float:
-        """μ [1/s]: the distance falls as `e^(−μt)`, half the rate."""
-        return self.rate / 2
-
-    @property
-    def steady(self) -> float:
-        """What the distance comes down to under the noise and disturbance of the certificate, `2D/λ`; 0 without."""
-        return steady_distance(self.rate, disturbance_length(self.given, self.claims))
-
-    @property
-    def boxes(self) -> int:
-        """Boxes evaluated."""
-        return sum(claim.proof.boxes for claim in self.claims)
-
-    @property
-    def seconds(self) -> float:
-        """Time that the proofs took [s]."""
-        return sum(claim.proof.seconds for claim in self.claims)
-
-    @property
-    def counterexample(self) -> Float[np.ndarray, "2 d"] | None:
-        """Where the statement was proved wrong."""
-        return next((c.proof.counterexample for c in self.claims if c.proof.counterexample is not None), None)
-
-    @property
-    def open(self) -> Float[np.ndarray, "k 2 d"]:
-        """Boxes on which the time did not suffice to decide."""
-        return np.concatenate([claim.proof.open for claim in self.claims])
-
-    def follow(
-        self, count: int = 100, *, stamps: int = 25, seed: int = 0, rtol: float = 1e-10, atol: float = 1e-13
-    ) -> Followed:
-        """Simulate: `count` random motions in the region, and beside each an estimate from a random place on the border
-        of the proved ball, integrated with the tolerances given.
-
-        Raises `ValueError` where nothing is proved, or where motions leave the region too soon to say anything.
-        """
-        from covariant.certificates import _show
-
-        return _show.follow(self, count, stamps, seed, rtol, atol)
-
-    def document(self) -> dict[str, Any]:
-        """The certificate as it is saved.
-
-        Raises `ValueError` where the model has no recipe, and for a statement that was proved wrong.
-        """
-        if self.recipe is None:
-            raise ValueError("a certificate is saved with its model; give certify(..., recipe=models.recipe(spec))")
-        if self.summary.verdict == "undecided" and not len(self.open):
-            raise ValueError(f"nothing is proved that could be saved: {self.summary.statement}")
-        if self.counterexample is not None:
-            raise ValueError("the statement is wrong, and a counter-example is printed, not saved; certify another one")
-        found = {
-            "format": _document.FORMAT,
-            "recipe": {"parameters": {}} | self.recipe,
-            "observer": _saved.observer_document(self.observer),
-            "q": self.q.tolist(),
-            "rate": self.rate,
-            "radius": self.radius,
-            "velocity": self.velocity.tolist(),
-            "given": self.given,
-            "box": {"low": self.domain.low.tolist(), "high": self.domain.high.tolist()},
-            "claims": [claim.document() for claim in self.claims],
-            "graph": _saved.value_graph(self.subject),
-        }
-        return found | {"digest": _document.digest(found)}
-
-    def save(self, path: str | Path) -> Path:
-        """Write the certificate with all its boxes (JSON), as data that runs nothing where it is read.
-
-        Raises `ValueError` where the model has no recipe, and for a statement that was proved wrong.
-        """
-        return _document.write(path, self.document())
-
-    @classmethod
-    def load(cls, path: str | Path, *, model: Any = None) -> "ContractionCertificate":
-        """A saved certificate with all its boxes; how long the proofs took is not in the file (NaN).
-
-        Checked is that the boxes cover the region and that the statement follows from the claims; that these hold is
-        for `covariant certify --check` to say, and until then the certificate is not `verified`. `model`: where the
-        recipe names somebody's own model, whoever reads the file gives it: the model, or a function that makes it of
-        the recipe's parameters, or the `module:attribute` of either. Raises `ValueError` naming file and key.
-        """
-        document, observer, about = _check.follows(_document.parse(path), model)
-        domain = Box(about.names, about.units, document.low, document.high)
-        claims = tuple(_stated(claim, domain) for claim in document.claims)
-        given = _plain(document.given)
-        summary = _summary(domain, document.velocity, document.rate, document.radius, given, claims)
-        return cls(
-            summary._replace(
-                statement=f"{summary.statement} (read from a file, not verified again)", evidence="claimed"
-            ),
-            document.rate,
-            document.radius,
-            observer,
-            document.q,
-            about,
-            domain,
-            document.velocity,
-            given,
-            claims,
-            document.recipe,
-        )
-
-
-def _stated(claim: _document.Stated, domain: Box) -> Claim:
-    """A claim that was read from a file."""
-    levels, left = _saved.from_letters(claim.levels), [np.zeros((0, 2, len(domain.low)))]
-    if claim.open:
-        left += [np.stack([low, high], axis=1)[codes == OPEN] for codes, low, high in leaves(domain, levels)]
-    verdict = "undecided" if claim.open else "holds"
-    proof = Proof(verdict, domain, levels, None, np.concatenate(left), sum(map(len, levels)), math.nan)
-    return Claim(claim.kind, proof, claim.row, claim.square, claim.limit)
-
-
-def _plain(given: _document.Given) -> dict[str, Any]:
-    """What is given, as it is saved."""
-
-    def pair(bounds: np.ndarray) -> dict[str, list[float]]:
-        return {"low": bounds[0].tolist(), "high": bounds[1].tolist()}
-
-    rest = {key: getattr(given, key).tolist() for key in ("times", "noise", "disturbance", "slopes")}
-    return {"positions": pair(given.positions), "inputs": pair(given.inputs), **rest}
+SLACK = 1.05
+"""How much larger the square of a width may be than at sampled points, so that it can be proved quickly."""
 
 
 def certify(
@@ -293,7 +94,7 @@ def certify(
     if not (math.isfinite(wanted) and wanted > 0):
         raise ValueError(f"certify: the rate must be a positive number; got {wanted:g}")
     about = subject(observer, matrix)
-    n = _dimension(observer)
+    n = len(observer.model.coordinates or observer.model.velocities)
     bound, off = _positive("velocity", velocity, n), _positive("error", error, n)
     noisy, unknown = _amount("noise", noise, n), _amount("disturbance", disturbance, n)
     if not (noisy < off).all():
@@ -319,15 +120,15 @@ def certify(
     radius = 0.0
     if claims[0].proof.verdict == "holds":
         limits = limits_of(domain, bound, noisy)
-        seen = seen_squares(about, domain)
+        sampled = sampled_widths(about, domain)
         for row in range(2 * n):
-            square, limit = float(ROOM * seen[row]), float(limits[row])
-            proof = run(f"reach {row + 1} of {2 * n}", reach(about, row, square))
+            square, limit = float(SLACK * sampled[row]), float(limits[row])
+            proof = run(f"reach {row + 1} of {2 * n}", width_bound(about, row, square))
             claims.append(Claim("reach", proof, row, square, limit))
         sizes = disturbance_sizes(given)
         if sizes.any():
-            square = ROOM * _seen_disturbance(about, domain, sizes)
-            claims.append(Claim("disturbance", run("noise", disturbed(about, sizes, square)), 0, square))
+            square = SLACK * _sampled_disturbance(about, domain, sizes)
+            claims.append(Claim("disturbance", run("noise", disturbance_bound(about, sizes, square)), 0, square))
         if all(claim.proof.verdict == "holds" for claim in claims):
             # Rounded down: a shorter radius is as true.
             radius = min(limit / math.sqrt(claim.square) for claim, limit in zip(claims[1:], limits, strict=False))
@@ -335,7 +136,7 @@ def certify(
             if not steady_distance(wanted, disturbance_length(given, claims)) < radius:
                 radius = 0.0
     return ContractionCertificate(
-        _summary(domain, bound, wanted, radius, given, claims),
+        summary_of(domain, bound, wanted, radius, given, claims),
         wanted,
         radius,
         observer,
@@ -348,67 +149,6 @@ def certify(
         recipe,
         verified=True,
     )
-
-
-def disturbance_sizes(given: dict[str, Any]) -> Float[np.ndarray, "two_n"]:
-    """Largest errors of the measured position, and of the force: unknown, or taken at the wrong place.
-
-    All at once are in the ball of radius √m of these sizes, m of them not being zero.
-    """
-    noise, unknown, slopes = (np.asarray(given[name], float) for name in ("noise", "disturbance", "slopes"))
-    through = (np.reshape(slopes, (len(noise), -1)) * noise).sum(axis=1) * (1 + 1e-12)
-    return np.concatenate([noise, unknown + through])
-
-
-def disturbance_length(given: dict[str, Any], claims: Sequence[Claim]) -> float:
-    """D: the largest length of what noise and disturbance add to the flow; 0 where none are given, ∞ if not proved."""
-    count = np.count_nonzero(disturbance_sizes(given))
-    squares = [claim.square for claim in claims if claim.kind == "disturbance"]
-    return math.sqrt(count * squares[0]) * (1 + 1e-12) if squares else math.inf if count else 0.0
-
-
-def _summary(
-    domain: Box, velocity, rate: float, radius: float, given: dict[str, Any], claims: Sequence[Claim]
-) -> Certificate:
-    verdicts = {claim.proof.verdict for claim in claims}
-    verdict = "fails" if "fails" in verdicts else "undecided" if "undecided" in verdicts or not radius else "holds"
-    wrong = next((c.proof.counterexample for c in claims if c.proof.counterexample is not None), None)
-    if verdict == "holds":
-        steady = steady_distance(rate, disturbance_length(given, claims))
-        statement = _said(velocity, rate, radius, steady) + _under(given)
-    else:
-        statement = f"squared lengths shrink at {rate:.4g} 1/s or faster on the region"
-        reasons = [claim.proof.reason for claim in claims if claim.proof.reason]
-        if verdicts == {"holds"}:
-            length = steady_distance(rate, disturbance_length(given, claims))
-            reasons = [f"noise and disturbance alone lead {length:.4g} away, out of the tube; make them smaller"]
-        statement += f"; {reasons[0]}" if reasons and verdict == "undecided" else ""
-    return Certificate(
-        statement,
-        verdict,
-        rate,
-        str(domain),
-        "proved",
-        () if wrong is None else tuple(((wrong[0] + wrong[1]) / 2).tolist()),
-    )
-
-
-def _under(given: dict[str, Any]) -> str:
-    """The errors that a statement allows for; nothing where it allows for none."""
-    words = {"noise": "measurement errors", "disturbance": "unknown forces"}
-    bounds = {word: ", ".join(f"{bound:.4g}" for bound in given[key]) for key, word in words.items() if any(given[key])}
-    return f", under {' and '.join(f'{word} up to {b}' for word, b in bounds.items())}" if bounds else ""
-
-
-def _said(velocity, rate: float, radius: float, steady: float) -> str:
-    bounds = ", ".join(f"{v:.4g}" for v in velocity)
-    fall = f"at {rate / 2:.4g} 1/s or faster" + (f" to {steady:.4g} or less" if steady else "")
-    about = f"estimates within {radius:.4g} of a solution with velocities up to {bounds}"
-    return f"{about} stay so, and their distance falls {fall}"
-
-
-def _dimension(observer: Intrinsics) -> int:
-    return len(observer.model.coordinates or observer.model.velocities)
 
 
 def _positive(name: str, value: ArrayLike, n: int) -> Float[np.ndarray, "n"]:
@@ -469,18 +209,18 @@ def _domain(
     }
 
     def box(slack):
-        reach = _sum(velocity, slack, 1)
+        speed = _sum(velocity, slack, 1)
         return Box(
             about.names,
             about.units,
-            np.concatenate([low, -reach, -error, force[0]]),
-            np.concatenate([high, reach, error, force[1]]),
+            np.concatenate([low, -speed, -error, force[0]]),
+            np.concatenate([high, speed, error, force[1]]),
         )
 
     # The velocity error that goes with the position error: both ends of the tube in the same place.
     slack = np.zeros(n)
     for _ in range(3):
-        roots = np.sqrt(seen_squares(about, box(slack)))
+        roots = np.sqrt(sampled_widths(about, box(slack)))
         slack = 1.1 * roots[n:] * ((error - noise) / roots[:n]).min()
     return check_box(box(slack)), given
 
@@ -538,18 +278,18 @@ def _sum(a: np.ndarray, b: np.ndarray, side: int) -> np.ndarray:
     return np.where(side * lost > 0, np.nextafter(total, side * np.inf), total)
 
 
-def seen_squares(about: Subject, domain: Box, count: int = 2000) -> Float[np.ndarray, "two_n"]:
-    """The largest `squares` at random points of the region and its corners."""
-    return _seen(lambda z: squares(about, z), domain, count).max(axis=0)
+def sampled_widths(about: Subject, domain: Box, count: int = 2000) -> Float[np.ndarray, "two_n"]:
+    """The largest `squared_widths` at random points of the region and its corners."""
+    return _sampled(lambda z: squared_widths(about, z), domain, count).max(axis=0)
 
 
-def _seen_disturbance(about: Subject, domain: Box, sizes: np.ndarray, count: int = 2000) -> float:
+def _sampled_disturbance(about: Subject, domain: Box, sizes: np.ndarray, count: int = 2000) -> float:
     """The largest square of what errors in the unit ball add to the flow, at such points."""
-    matrices = _seen(disturbed(about, sizes, 0.0).graph(jnp.asarray(domain.low)).entries, domain, count)
+    matrices = _sampled(disturbance_bound(about, sizes, 0.0).graph(jnp.asarray(domain.low)).entries, domain, count)
     return float(-np.linalg.eigvalsh(matrices).min())
 
 
-def _seen(function: Callable | Lowered, domain: Box, count: int) -> np.ndarray:
+def _sampled(function: Callable | Lowered, domain: Box, count: int) -> np.ndarray:
     """A function at random points of a box, every other one a corner."""
     share = np.random.default_rng(0).uniform(size=(count, len(domain.low)))
     share[::2] = np.round(share[::2])

@@ -8,24 +8,23 @@ import functools
 import math
 import multiprocessing
 import pickle
-import string
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 
 from covariant.certificates import _matrices as matrices
 from covariant.certificates._document import Document, parse
-from covariant.certificates._region import Intrinsics, Subject, check_unique, subject
+from covariant.certificates._intrinsic import Intrinsics, check_unique, configuration_shape, subject
 from covariant.certificates._saved import observer_from, value_graph
-from covariant.certificates._taylor import ROUND, Enclosure, halves, show_definite
-from covariant.models import MechanicalSystem, input_count
+from covariant.certificates._subject import Subject
+from covariant.models import input_count
+from covariant.proofs.checker import ROUND, TaylorEnclosure, leaves, show_definite
 
-ROOM = 2.0**-20
+SLACK = 2.0**-20
 """Forces may be larger than claimed by this part, so that bounds which they reach are quickly shown."""
 DEPTH, DEEPEST, SHARE = 6, 200, 4096
 """How often a leaf is halved, and how often the box of the inputs; leaves given to a process at once."""
@@ -116,7 +115,7 @@ def _complete(statement: Statement) -> None:
     (document, observer, about), n = statement, len(statement.document.velocity)
     model, low, high, claims = observer.model, document.low, document.high, document.claims
     _need(len(about.names) == len(low), f"box: the model has {len(about.names)} variables; the box bounds {len(low)}")
-    m, places = input_count(model, n), math.prod(_shape(model, n))
+    m, places = input_count(model, n), math.prod(configuration_shape(model, n))
     for key, wanted in (("positions", places), ("inputs", m)):
         found = getattr(document.given, key).shape[1]
         _need(found == wanted, f"given.{key}: the model has {wanted}; bounds are there of {found}")
@@ -132,15 +131,15 @@ def _complete(statement: Statement) -> None:
     # An error is that from the measured position, and so more than that from the true one by the noise.
     start = document.given.positions[:, : places * model.manifold.commuting]
     truth = [np.concatenate([p, v, b]) for p, v, b in zip(start, (-speed, speed), (-noise, noise), strict=True)]
-    reach = [radius * math.sqrt(claim.square) * (1 + ROUND) for claim in claims[1 : 1 + 2 * n]]
-    away = [*reach[: len(start[0])], *reach[n:], *reach[:n]]
+    widths = [radius * math.sqrt(claim.square) * (1 + ROUND) for claim in claims[1 : 1 + 2 * n]]
+    away = [*widths[: len(start[0])], *widths[n:], *widths[:n]]
     for name, a, b, c, d, r in zip(about.names[:-n], low[:-n], high[:-n], *truth, away, strict=True):
         fits = c <= d and math.fsum([a, r, -c]) <= 0 and math.fsum([d, r, -b]) <= 0
         far = f"{name} may be {r:.6g} outside of {c:.6g} to {d:.6g}"
         _need(fits, f"box: {far}, which its box {a:.6g} to {b:.6g} does not hold")
-    room = np.minimum(high[:-n] - truth[1], truth[0] - low[:-n])
-    limits = [*room[-n:], *room[-2 * n : -n]]
-    for row, (claim, r, most) in enumerate(zip(claims[1 : 1 + 2 * n], reach, limits, strict=True)):
+    slack = np.minimum(high[:-n] - truth[1], truth[0] - low[:-n])
+    limits = [*slack[-n:], *slack[-2 * n : -n]]
+    for row, (claim, r, most) in enumerate(zip(claims[1 : 1 + 2 * n], widths, limits, strict=True)):
         what = f"claims[{row + 1}].limit: row {row} reaches {r:.6g}, may reach {claim.limit:.6g}"
         _need(r <= claim.limit <= most, f"{what}, and has {most:.6g} of room")
     if disturbed:
@@ -175,10 +174,6 @@ def _jobs(document: Document) -> Iterator[tuple]:
             yield index, *(side[k : k + SHARE] for side in boxes)
 
 
-def _shape(model: MechanicalSystem, n: int) -> tuple[int, ...]:
-    return (n,) if model.manifold.commuting else jax.eval_shape(model.manifold.origin).shape
-
-
 def _given(document: Document) -> np.ndarray:
     """Least and largest time, measured position and input: (2, 1 + places + m). On a group positions are measured."""
     given, positions = document.given, document.given.positions
@@ -187,40 +182,25 @@ def _given(document: Document) -> np.ndarray:
     return np.concatenate([given.times[:, None], positions, given.inputs], axis=1)
 
 
-def leaves(low: np.ndarray, high: np.ndarray, levels: Sequence[str], what: str) -> tuple[np.ndarray, np.ndarray]:
-    """The leaves of a tree, which cover its box: both halves of a box are there, and hold its middle."""
-    lows, highs, found = low[None], high[None], []
-    for depth, level in enumerate(levels):
-        axes = np.array([(string.ascii_letters[: len(low)] + ".").find(letter) for letter in level], int)
-        fits = len(axes) == len(lows) and (axes >= 0).all()
-        _need(fits, f"level {depth} of {what} must have {len(lows)} letters or dots; it is {level[:60]!r}")
-        end = axes == len(low)
-        found.append((lows[end], highs[end]))
-        lows, highs = halves(lows[~end], highs[~end], axes[~end])
-    _need(not len(lows), f"{what} lacks the last {len(lows)} boxes")
-    first, second = zip(*found, strict=True)
-    return np.concatenate(first), np.concatenate(second)
-
-
-def _matrix(statement: Statement, what: int | str) -> Enclosure:
+def _matrix(statement: Statement, what: int | str) -> TaylorEnclosure:
     """The matrix that is positive definite, says a claim, or what has to be shown besides."""
     (document, _, about), model = statement, statement.observer.model
     low, high, n, given = document.low, document.high, len(document.velocity), _given(document)
-    shape = _shape(model, n)
+    shape = configuration_shape(model, n)
     if isinstance(what, int):
         claim = document.claims[what]
         matrix = {
             "contraction": lambda: matrices.contraction(about, document.rate),
-            "reach": lambda: matrices.reach(about, claim.row, claim.square),
+            "reach": lambda: matrices.width_bound(about, claim.row, claim.square),
             "disturbance": lambda: matrices.disturbance(about, sizes(document), claim.square),
         }[claim.kind]()
-        room = np.where(np.arange(len(low)) < len(low) - n, 0.0, _room(low, high))
-        return Enclosure(matrix, low, high, room)
+        slack = np.where(np.arange(len(low)) < len(low) - n, 0.0, _slack(low, high))
+        return TaylorEnclosure(matrix, low, high, slack)
     still = np.concatenate([given, np.zeros((2, n))], axis=1)
     pinned = np.concatenate([[low, high], np.zeros((2, 2 * n + 1))], axis=1)
     force, slopes = matrices.force(model, shape), matrices.slopes(model, shape, n)
-    room, unknown, steep = _room(low, high)[-n:] / 2, document.given.disturbance, document.given.slopes.ravel()
-    claimed, allowed = (low[-n:] + unknown - room, high[-n:] - unknown + room), steep * (1 + ROOM) + 1e-200
+    slack, unknown, steep = _slack(low, high)[-n:] / 2, document.given.disturbance, document.given.slopes.ravel()
+    claimed, allowed = (low[-n:] + unknown - slack, high[-n:] - unknown + slack), steep * (1 + SLACK) + 1e-200
     function, box, watch = {
         "the bound of the force": (matrices.within(force, *claimed), given, ""),
         "the definedness of the force": (force, given, "defined"),
@@ -229,11 +209,11 @@ def _matrix(statement: Statement, what: int | str) -> Enclosure:
         "the definedness of the observer, without jumps,": (matrices.everything(about), pinned, "smooth"),
     }[what]
     least, largest = box
-    return Enclosure(function, least, largest, np.zeros(len(least)), watch)
+    return TaylorEnclosure(function, least, largest, np.zeros(len(least)), watch)
 
 
-def _room(low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    return ROOM * np.maximum(abs(low), abs(high)) + 1e-200
+def _slack(low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    return SLACK * np.maximum(abs(low), abs(high)) + 1e-200
 
 
 class Judge:

@@ -19,7 +19,7 @@ from covariant._typing import Matrix, Scalar, Vector
 
 Flow = Callable[[Scalar, Vector], Array]
 """`(t, x (n,)) -> x' (n,)`."""
-Field = Callable[[Scalar, Vector], Array]
+StateMatrix = Callable[[Scalar, Vector], Array]
 """`(t, x (n,)) -> (n, n)`."""
 
 
@@ -31,9 +31,9 @@ class StateMetric(NamedTuple):
     - `gram`: `(t, x) -> N (n, n)`, symmetric positive definite: the inner products of those vectors.
     """
 
-    coframe: Field
-    frame: Field
-    gram: Field
+    coframe: StateMatrix
+    frame: StateMatrix
+    gram: StateMatrix
 
     def __call__(self, t: Scalar, x: Vector) -> Matrix:
         """The metric M (n, n) in coordinates."""
@@ -41,7 +41,7 @@ class StateMetric(NamedTuple):
         return theta.T @ self.gram(t, x) @ theta
 
 
-def in_coordinates(metric: Field) -> StateMetric:
+def in_coordinates(metric: StateMatrix) -> StateMetric:
     """The metric `(t, x) -> M (n, n)` itself, in the frame of the coordinates: condition (9)."""
 
     def identity(t, x):
@@ -50,7 +50,7 @@ def in_coordinates(metric: Field) -> StateMetric:
     return StateMetric(identity, identity, metric)
 
 
-def in_frame(theta: Field) -> StateMetric:
+def in_frame(theta: StateMatrix) -> StateMetric:
     """The metric `M = ΘᵀΘ` of a transformation `δz = Θ(t, x) δx`, (4) and (7), in its own frame: condition (8)."""
 
     def inverse(t, x):
@@ -79,11 +79,11 @@ def contraction_matrix(flow: Flow, metric: StateMetric, t: Scalar, x: Vector) ->
 
 def lengths(gram: Matrix, change: Matrix, jacobian: Matrix) -> Matrix:
     """`FᵀN + Ṅ + NF` from N, Ṅ and F."""
-    push = gram @ jacobian
-    return push + push.T + change
+    moved = gram @ jacobian
+    return moved + moved.T + change
 
 
-def contraction_rate(flow: Flow, metric: StateMetric | Field, t: Scalar, x: Vector) -> Scalar:
+def contraction_rate(flow: Flow, metric: StateMetric | StateMatrix, t: Scalar, x: Vector) -> Scalar:
     """The largest λ at (t, x) with `FᵀM + Ṁ + MF ≤ −λM` [1/s]: minus the largest generalised eigenvalue.
 
     Distances between solutions shrink like `e^(−λt/2)` where λ is no less along the geodesics between them.
@@ -110,7 +110,7 @@ def log_norm(matrix: Matrix, order: float | int = 2) -> Scalar:
 
 
 def rates_along(
-    flow: Flow, metric: StateMetric | Field, t: Float[Array, "T"], x: Float[Array, "T n"]
+    flow: Flow, metric: StateMetric | StateMatrix, t: Float[Array, "T"], x: Float[Array, "T n"]
 ) -> Float[Array, "T"]:
     """`contraction_rate` at each instant of a trajectory."""
     return jax.vmap(lambda time, state: contraction_rate(flow, metric, time, state))(t, x)

@@ -4,25 +4,17 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
-from covariant._linalg import whiten
 from covariant.certificates._certificate import Certificate
-from covariant.certificates._contraction import contraction_matrix
-from covariant.certificates._prove import Box, check_box
-from covariant.certificates._region import Subject, changing
+from covariant.certificates._inequalities import length_change
+from covariant.certificates._subject import Subject
 from covariant.lowering import Lowered, expand, numbers
+from covariant.proofs import Box, check_box
 
 BATCH = 4096
 STEPS = 60
 """Steps of a descent; the first goes over a tenth of the region, each further one is shorter by a twentieth."""
-
-
-def rate_at(subject: Subject, z: Array) -> Array:
-    """The largest rate at which the flow contracts at the point z of a region [1/s]."""
-    point, t = subject.at(z), jnp.zeros((), z.dtype)
-    gram, change = point.metric.gram(t, point.x), contraction_matrix(point.flow, point.metric, t, point.x)
-    return -jnp.linalg.eigvalsh(whiten(gram, change))[-1]
 
 
 def falsify(
@@ -35,7 +27,7 @@ def falsify(
     where the rate is not a number.
     """
     check_box(domain)
-    both = changing(subject, lambda coframe, gram, change: jnp.stack([gram, change]).ravel(), lambda z: z)
+    both = length_change(subject, lambda coframe, gram, change: jnp.stack([gram, change]).ravel(), lambda z: z)
     value = both.graph(jnp.asarray(domain.low)).entries
     least, point = slowest(pencil(value, domain), domain, attempts, starts, seed)
     return Certificate(

@@ -14,7 +14,7 @@ from jaxtyping import Float
 from covariant._guests import load_guest
 from covariant._typing import Numbers
 
-Form = Callable[[np.ndarray], np.ndarray]
+AffineMatrix = Callable[[np.ndarray], np.ndarray]
 """Unknowns (d,) -> symmetric matrix that has to be positive semidefinite, affine in the unknowns."""
 
 
@@ -75,8 +75,8 @@ def _design(f: np.ndarray, h: np.ndarray, rate: float, effort: float) -> MetricD
     def shrinks(a, b):
         def form(x):
             m, y, _, _ = parts(x)
-            push = m @ a - y @ b
-            return -(push + push.T) - rate * m
+            moved = m @ a - y @ b
+            return -(moved + moved.T) - rate * m
 
         return form
 
@@ -85,7 +85,7 @@ def _design(f: np.ndarray, h: np.ndarray, rate: float, effort: float) -> MetricD
         return np.block([[g * np.eye(n), y], [y.T, g * np.eye(p)]])
 
     eye = np.eye(n)
-    forms: list[Form] = [shrinks(a, b) for a, b in zip(f, h, strict=True)]
+    forms: list[AffineMatrix] = [shrinks(a, b) for a, b in zip(f, h, strict=True)]
     forms += [lambda x: parts(x)[0] - eye, lambda x: parts(x)[2] * eye - parts(x)[0], bounded]
     cost = np.zeros(size + n * p + 2)
     cost[-2:] = 1.0, effort if p else 1.0
@@ -98,7 +98,7 @@ def _design(f: np.ndarray, h: np.ndarray, rate: float, effort: float) -> MetricD
     return MetricDesign(m, np.linalg.solve(m, y), float(conditioning))
 
 
-def minimise(cost: Float[np.ndarray, "d"], forms: list[Form]) -> Float[np.ndarray, "d"] | None:
+def minimise(cost: Float[np.ndarray, "d"], forms: list[AffineMatrix]) -> Float[np.ndarray, "d"] | None:
     """The unknowns with the least `cost @ x` for which all forms are positive semidefinite; None where there are none.
 
     Raises `ImportError` without clarabel, the solver.

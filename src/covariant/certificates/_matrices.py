@@ -11,9 +11,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from covariant.certificates._region import Subject, values
-from covariant.certificates._taylor import plain
+from covariant.certificates._subject import Subject, values
 from covariant.models import applied_force
+from covariant.proofs.checker import plain
 
 Matrix = Callable[[Any], Any]
 
@@ -31,18 +31,18 @@ def contraction(about: Subject, rate: float) -> Matrix:
             return plain(point.metric.coframe)(s, at), plain(point.metric.gram)(s, at)
 
         (coframe, gram), (turn, change) = jax.jvp(both, (t,), (t + 1,))
-        push = gram @ (turn + coframe @ jax.jacfwd(lambda y: flow(t, y))(x)) @ frame
-        return -(push + push.T + change) - rate * gram
+        moved = gram @ (turn + coframe @ jax.jacfwd(lambda y: flow(t, y))(x)) @ frame
+        return -(moved + moved.T + change) - rate * gram
 
     return matrix
 
 
-def reach(about: Subject, row: int, square: float) -> Matrix:
+def width_bound(about: Subject, row: int, square: float) -> Matrix:
     """`square N − r rᵀ` for a row r of the changes of error and velocity, z (d,) -> (2n, 2n)."""
 
     def matrix(z):
         point = about.at(z)
-        r = point.reach()[row]
+        r = point.error_jacobian()[row]
         return square * point.metric.gram(jnp.zeros(()), point.x) - jnp.outer(r, r)
 
     return matrix
@@ -54,8 +54,8 @@ def disturbance(about: Subject, sizes: np.ndarray, square: float) -> Matrix:
 
     def matrix(z):
         point, t = about.at(z), jnp.zeros(())
-        push = jax.jacfwd(plain(lambda at: about.at(at).flow(t, point.x)))(z)
-        b = jnp.concatenate([push[:, -2 * n : -n] @ point.offset(), push[:, -n:]], axis=1) * sizes[None]
+        slope = jax.jacfwd(plain(lambda at: about.at(at).flow(t, point.x)))(z)
+        b = jnp.concatenate([slope[:, -2 * n : -n] @ point.noise_jacobian(), slope[:, -n:]], axis=1) * sizes[None]
         b = point.metric.coframe(t, point.x) @ b
         return square * jnp.eye(2 * n) - b.T @ point.metric.gram(t, point.x) @ b
 

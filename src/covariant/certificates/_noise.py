@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from covariant.certificates._tangent import TwoByTwo, check_q
+from covariant.certificates._tangent_metric import TwoByTwo, check_q
 
 
 def steady_distance(rate: float, disturbance: float) -> float:
@@ -28,8 +28,8 @@ def noise_disturbance(alpha: float, beta: float, q: TwoByTwo, noise: float, slop
     and curvature are taken where the system is measured to be, up to `slope |b|` more to ∇v̂. Raises `ValueError` where
     q is not symmetric positive definite.
     """
-    q, push = check_q("noise_disturbance", q), np.array([alpha, beta])
-    return noise * (math.sqrt(push @ q @ push / 2) + slope * math.sqrt(q[1, 1] / 2))
+    q, gains = check_q("noise_disturbance", q), np.array([alpha, beta])
+    return noise * (math.sqrt(gains @ q @ gains / 2) + slope * math.sqrt(q[1, 1] / 2))
 
 
 def error_bounds(

@@ -60,11 +60,11 @@ def detectability_rate(model: StateSpace, metric: MatrixField, x: Vector, u: Flo
     Differential detectability: it is the least rate at which f contracts the squared length of vectors in the kernel of
     dh (Finsler's lemma). Infinite where the output sees every direction.
     """
-    unseen, _ = _directions(model, x, u)
-    if not unseen.shape[1]:
+    hidden, _ = _directions(model, x, u)
+    if not hidden.shape[1]:
         return jnp.full((), jnp.inf, x.dtype)
-    change = unseen.T @ lie_derivative(model, metric, x, u) @ unseen
-    return -jnp.linalg.eigvalsh(whiten(unseen.T @ metric(x) @ unseen, change))[-1]
+    change = hidden.T @ lie_derivative(model, metric, x, u) @ hidden
+    return -jnp.linalg.eigvalsh(whiten(hidden.T @ metric(x) @ hidden, change))[-1]
 
 
 def bending(
@@ -82,21 +82,21 @@ def bending(
 
 def _bending(model: StateSpace, metric: MatrixField, x: Vector, u: Array | None) -> tuple[Scalar, Scalar, Vector]:
     """Bending, the size of the terms it is the difference of, and the direction."""
-    unseen, seen = _directions(model, x, u)
+    hidden, dh = _directions(model, x, u)
     p = metric(x)
-    unit = half_solve(unseen.T @ p @ unseen, unseen.T).T  # orthonormal in the metric
-    push, t0 = _still(model, x, u)
+    unit = half_solve(hidden.T @ p @ hidden, hidden.T).T  # orthonormal in the metric
+    t0, _, u0 = _arguments(model, x, u)
 
     def second(v, w):
-        flat = jax.jvp(lambda y: jax.jvp(lambda z: model.h(t0, z, push), (y,), (v,))[1], (x,), (w,))[1]
-        bent = seen @ christoffel(metric, x, v, w)
+        flat = jax.jvp(lambda y: jax.jvp(lambda z: model.h(t0, z, u0), (y,), (v,))[1], (x,), (w,))[1]
+        bent = dh @ christoffel(metric, x, v, w)
         return flat - bent, jnp.abs(flat) + jnp.abs(bent)
 
     forms, sizes = jax.vmap(lambda v: jax.vmap(lambda w: second(v, w))(unit.T))(unit.T)  # (k, k, p)
     # Lengths of normal vectors: |a dh|² = aᵀ (dh P⁻¹ dhᵀ)⁻¹ a for the normal vector with dh(normal) = a.
-    normal = half_solve(seen @ solve(p, seen.T), jnp.moveaxis(forms, -1, 0).reshape(seen.shape[0], -1))
-    normal = jnp.moveaxis(normal.reshape(seen.shape[0], *forms.shape[:2]), 0, -1)
-    scale = jnp.sqrt(jnp.trace(jnp.linalg.inv(seen @ solve(p, seen.T))))
+    normal = half_solve(dh @ solve(p, dh.T), jnp.moveaxis(forms, -1, 0).reshape(dh.shape[0], -1))
+    normal = jnp.moveaxis(normal.reshape(dh.shape[0], *forms.shape[:2]), 0, -1)
+    scale = jnp.sqrt(jnp.trace(jnp.linalg.inv(dh @ solve(p, dh.T))))
     # The largest |II(v, v)| over unit v, output by output: exact for one output, a lower bound for more.
     values, vectors = jnp.linalg.eigh(jnp.moveaxis(normal + jnp.swapaxes(normal, 0, 1), -1, 0) / 2)
     best = jnp.argmax(jnp.abs(values))
@@ -160,26 +160,21 @@ def observability(
 
 
 @eqx.filter_jit
-def _witness(metric: MatrixField, x: Vector, reach: Vector, budget: Budget) -> Float[Array, "3 n"]:
-    """States before, at and behind x on the geodesic with velocity `reach`, which touches the level set there."""
-    ends = jax.vmap(lambda v: exp(metric, x, v, budget))(jnp.stack([-reach, 0.9 * reach]))
+def _witness(metric: MatrixField, x: Vector, velocity: Vector, budget: Budget) -> Float[Array, "3 n"]:
+    """States before, at and behind x on the geodesic with that velocity, which touches the level set there."""
+    ends = jax.vmap(lambda v: exp(metric, x, v, budget))(jnp.stack([-velocity, 0.9 * velocity]))
     return jnp.stack([ends[0], x, ends[1]])
 
 
 def _directions(model: StateSpace, x: Vector, u: Array | None) -> tuple[Float[Array, "n k"], Float[Array, "p n"]]:
     """A basis of the kernel of dh, and dh."""
-    push, t0 = _still(model, x, u)
-    seen = jax.jacfwd(model.h, 1)(t0, x, push)
-    return jnp.linalg.qr(seen.T, mode="complete")[0][:, seen.shape[0] :], seen
-
-
-def _still(model: StateSpace, x: Vector, u: Array | None) -> tuple[Array, Scalar]:
-    return jnp.zeros(model.inputs, x.dtype) if u is None else u, jnp.zeros((), x.dtype)
+    dh = jax.jacfwd(model.h, 1)(*_arguments(model, x, u))
+    return jnp.linalg.qr(dh.T, mode="complete")[0][:, dh.shape[0] :], dh
 
 
 def _arguments(model: StateSpace, x: Vector, u: Array | None) -> tuple[Scalar, Vector, Array]:
-    push, t0 = _still(model, x, u)
-    return t0, x, push
+    """Arguments of f and h at time zero, with the input at zero where none is given."""
+    return jnp.zeros((), x.dtype), x, jnp.zeros(model.inputs, x.dtype) if u is None else u
 
 
 def _text(x: np.ndarray) -> str:

@@ -1,7 +1,6 @@
 """How a certificate is written down: an observer as plain numbers and names, and back."""
 
 import dataclasses
-from collections.abc import Sequence
 from typing import Any
 
 import jax
@@ -10,11 +9,13 @@ import numpy as np
 from jaxtyping import Float
 
 from covariant import models
-from covariant.certificates._document import LETTERS, OBSERVERS, Document
-from covariant.certificates._region import Intrinsics, Subject, values
+from covariant.certificates._document import OBSERVERS, Document
+from covariant.certificates._intrinsic import Intrinsics
+from covariant.certificates._subject import Subject, values
 from covariant.lowering import lower
 from covariant.models import MechanicalSystem
 from covariant.observers import Geodesic, Intrinsic
+from covariant.proofs import graph_rows
 
 KINDS = {"intrinsic": Intrinsic, "geodesic": Geodesic}
 
@@ -47,8 +48,10 @@ def observer_from(document: Document, model: Any = None) -> tuple[Intrinsics, Fl
         raise ValueError(f"recipe: {error}") from error
     fields = dict(document.observer)
     kind, frame = fields.pop("kind"), fields.pop("frame")
-    if not isinstance(made, MechanicalSystem) or frame_of(made) != frame:
-        found = f"a model in {frame_of(made)}" if isinstance(made, MechanicalSystem) else f"a {type(made).__name__}"
+    # A file may name anything: only here has a model's kind to be asked for.
+    known = frame_of(made) if isinstance(made, MechanicalSystem) else ""
+    if known != frame:
+        found = f"a model in {known}" if known else f"a {type(made).__name__}"
         raise ValueError(f"observer.frame {frame!r} needs a mechanical system in it; the recipe makes {found}")
     return KINDS[kind](made, **fields), document.q
 
@@ -66,17 +69,4 @@ def value_graph(about: Subject) -> dict[str, list]:
     d = len(about.names)
     states = jax.eval_shape(lambda z: about.at(z).x, jnp.zeros(d)).shape[0]
     lowered = lower(values(about), jnp.zeros(()), jnp.zeros(states), jnp.zeros(d), real=True)
-    rows = [[node.op, *(node.arguments or (node.value,))] for node in lowered.graph.nodes]
-    return {"nodes": rows, "outputs": list(lowered.outputs)}
-
-
-def to_letters(levels: Sequence[np.ndarray]) -> list[str]:
-    """A tree of boxes, one string a level: the letter of the variable that is halved, '.' proved, '?' open."""
-    table = np.array([ord(c) for c in LETTERS + "?."], np.uint8)  # indices −1 and −2 are the last two
-    return [table[codes].tobytes().decode("ascii") for codes in levels]
-
-
-def from_letters(levels: Sequence[str]) -> list[np.ndarray]:
-    """The tree that `to_letters` wrote, as whole numbers: −1 for proved, −2 for open."""
-    codes = {letter: code for code, letter in enumerate(LETTERS)} | {".": -1, "?": -2}
-    return [np.array([codes[letter] for letter in level], int) for level in levels]
+    return graph_rows(lowered)

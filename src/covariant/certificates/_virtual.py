@@ -15,7 +15,7 @@ from jaxtyping import Array
 
 from covariant._typing import Numbers
 from covariant.certificates._contraction import StateMetric, in_coordinates
-from covariant.certificates._region import Point, Subject
+from covariant.certificates._subject import Point, Subject
 from covariant.observers import Contracting
 
 OutputMetric = Callable[[Array, Array], Array]

@@ -7,14 +7,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from covariant import certificates, models
-from covariant.certificates import Audit, Box
+from covariant import models
+from covariant.audit import Audit, Law
+from covariant.audit import audit as measure
 from covariant.cli._console import working
 from covariant.cli._job import check_output, coordinates, numbered
 from covariant.cli._parse import above_zero, ends
 from covariant.design import estimators, with_gains
 from covariant.models import StateSpace
 from covariant.observers import AbstractObserver
+from covariant.proofs import Box
 
 GAINS = math.sqrt(2), 1.0
 """α [1/s] and β [1/s²] where none are given: the laws hold with any."""
@@ -45,7 +47,7 @@ def audit(
     domain = _domain(file, look.box)
     above_zero("--speed", look.speed)
     with working(f"auditing {name} on {file.name}", quiet=as_json):
-        done = certificates.audit(chosen, domain=domain, speed=look.speed, points=look.points, seed=look.seed)
+        done = measure(chosen, domain=domain, speed=look.speed, points=look.points, seed=look.seed)
     result = {"model": spec, "observer": name, "passed": done.passed, "verdict": done.verdict, "domain": done.domain}
     result["laws"] = [_in_json(row) for row in done.rows]
     if out is not None:
@@ -86,7 +88,7 @@ def _domain(file: models.ModelFile, text: str | None) -> Box | None:
     return Box(tuple(found), ("",) * len(found), low, high)
 
 
-def _in_json(row: certificates.Law) -> dict[str, Any]:
+def _in_json(row: Law) -> dict[str, Any]:
     """A row for machines: None where the deviation is no number."""
     return row._asdict() | {"deviation": row.deviation if math.isfinite(row.deviation) else None}
 

@@ -11,17 +11,23 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from covariant import models
-from covariant.certificates import ASSUMED, ContractionCertificate, certify
-from covariant.certificates._balls import check_sample
-from covariant.certificates._check import Checked, check
-from covariant.certificates._document import Document, parse_bytes, read
-from covariant.certificates._show import half_widths, kinds, open_share
+from covariant.certificates import (
+    ASSUMED,
+    Checked,
+    ContractionCertificate,
+    Document,
+    certify,
+    check,
+    check_sample,
+    parse,
+)
 from covariant.cli import _parse
 from covariant.cli._console import working
 from covariant.cli._job import check_output, data_sheet, numbered
 from covariant.design import observer_gains
 from covariant.models import MechanicalSystem, input_count
 from covariant.observers import Geodesic, Intrinsic
+from covariant.proofs import read_file
 
 OBSERVERS = {"intrinsic": Intrinsic, "geodesic": Geodesic}
 _KINDS = {"estimate": "estimate of", "velocity": "estimated velocity", "error": "position error", "force": "force"}
@@ -85,9 +91,9 @@ def check_file(path: Path, model: str | None, processes: int | None, as_json: bo
 
     `model`: the `module:attribute` that the person who checks gives for a model that is not in the fixed table.
     """
-    content = read(path)  # once: what is checked and what is sampled in balls are the same
+    content = read_file(path)  # once: what is checked and what is sampled in balls are the same
     try:
-        document = parse_bytes(path, content)
+        document = parse(path, content)
         with _proving(quiet=as_json) as tell:
             found = check(
                 document,
@@ -265,13 +271,13 @@ def _result(spec: str, found: ContractionCertificate) -> dict[str, Any]:
         "decay": found.decay,
         "radius": found.radius,
         "steady": found.steady if math.isfinite(found.steady) else None,
-        "half_widths": half_widths(found).tolist() if summary.verdict == "holds" else None,
+        "half_widths": found.half_widths.tolist() if summary.verdict == "holds" else None,
         "velocity": found.velocity.tolist(),
         "domain": {name: [low, high] for name, low, high in bounds},
         "boxes": found.boxes,
         "seconds": found.seconds,
         "open": len(found.open),
-        "open_share": {claim.kind: open_share(claim.proof) for claim in _undecided(found)},
+        "open_share": {claim.kind: claim.proof.open_share for claim in _undecided(found)},
         "counterexample": wrong,
     }
 
@@ -292,7 +298,7 @@ def _text(result: dict[str, Any], found: ContractionCertificate, designed: str) 
     ]
     names, units, n = found.domain.names, found.domain.units, len(found.velocity)
     if verdict == "holds":
-        widths = half_widths(found)
+        widths = found.half_widths
         lines.append(f"tube of the radius ε = {found.radius:.4g}: every estimate in it stays within")
         rates = [f"{unit}/s" if unit and not unit.endswith("/s") else unit for unit in units[:n]]
         turns = [unit.removesuffix("/s") for unit in units[:n]]
@@ -306,7 +312,7 @@ def _text(result: dict[str, Any], found: ContractionCertificate, designed: str) 
     bounds = ", ".join(f"{v:.4g}" for v in found.velocity)
     lines.append(f"for true velocities up to {bounds}, and everywhere in the domain")
     domain = found.domain
-    for kind, name, unit, low, high in zip(kinds(found), names, units, domain.low, domain.high, strict=True):
+    for kind, name, unit, low, high in zip(found.kinds, names, units, domain.low, domain.high, strict=True):
         lines.append(f"  {low:.4g} ≤ {_KINDS[kind]} {name} ≤ {high:.4g} {unit}".rstrip() + _degrees(high, unit, low))
     if found.counterexample is not None:
         lines.append("it is wrong at")
@@ -314,7 +320,7 @@ def _text(result: dict[str, Any], found: ContractionCertificate, designed: str) 
         lines += [f"  {k} = {x:.6g} {u}".rstrip() + _degrees(x, u) for k, u, x in zip(names, units, point, strict=True)]
     for claim in _undecided(found):
         lines.append(
-            f"{claim.kind}: {len(claim.proof.open)} boxes remain, {open_share(claim.proof):.2%} of the domain; more "
+            f"{claim.kind}: {len(claim.proof.open)} boxes remain, {claim.proof.open_share:.2%} of the domain; more "
             "--boxes, smaller bounds or a lower --rate may decide it"
         )
     lines.append(f"{found.boxes} boxes, {found.seconds:.1f} s")

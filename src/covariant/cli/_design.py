@@ -219,7 +219,7 @@ def _in_json(found: MetricSummary) -> dict[str, Any]:
         "reconstructibility": found.reconstructibility,
         "p_low": found.low,
         "p_high": found.high,
-        "doubt": found.doubt,
+        "error_bound": found.error_bound,
     }
     results = {code.name.lower(): count for code, count in found.results.items()}
     return {"results": results, **{k: v if math.isfinite(v) else None for k, v in numbers.items()}}
@@ -233,6 +233,6 @@ def _text(result: dict[str, Any], found: MetricSummary) -> str:
             *(f"  {count} {code.message}" for code, count in found.results.items()),
             f"smallest reconstructibility {found.reconstructibility:.3g}",
             f"bounds of the metric, equation (9): p_low = {found.low:.3g}, p_high = {found.high:.3g}",
-            f"largest doubt {found.doubt:.2g}",
+            f"largest error bound {found.error_bound:.2g}",
         ]
     )

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from covariant._linalg import solve
+from covariant._linalg import solve_square
 from covariant._typing import Matrix, Numbers, Scalar, Vector
 from covariant.control._reference import Path
 from covariant.geometry import wrap
@@ -50,7 +50,7 @@ class Backstepping(eqx.Module):
     def virtual_velocity(self, t: Scalar, eta: Vector) -> Vector:
         """`ν_r = J⁻¹(η)(η_d' − Λη̃)` (n,), (87)."""
         wanted = self.path(t).velocity - jnp.asarray(self.lam, eta.dtype) @ self.error(t, eta)
-        return inverse_times(self.craft.transform(eta), wanted)
+        return solve_square(self.craft.transform(eta), wanted)
 
     def full_state(self, t: Scalar, eta: Vector, nu: Vector) -> Vector:
         """τ (n,) from the state, (89): `Mν_r' + (C(ν) + D(ν))ν_r + g(η) − JᵀK_pη̃ − K_d s`."""
@@ -70,11 +70,6 @@ class Backstepping(eqx.Module):
         mass, kp, kd = (jnp.asarray(a, z.dtype) for a in (self.craft.mass, self.kp, self.kd))
         pull = j.T @ (kp @ self.error(t, eta))
         return nu_r, mass @ change + self.craft.restoring(z) - pull - kd @ (nu - nu_r)
-
-
-def inverse_times(j: Matrix, b: Float[Array, "n *k"]) -> Float[Array, "n *k"]:
-    """`J⁻¹ b` for the square J of a craft, by its normal equations: exact where J is orthogonal."""
-    return solve(j.T @ j, j.T @ b)
 
 
 def _gain(name: str, given: Numbers, n: int) -> Matrix:

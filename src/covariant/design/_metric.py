@@ -14,9 +14,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from covariant._typing import Bounds
 from covariant.geometry import Interpolated
 from covariant.models import StateSpace
-from covariant.riccati import Box, Equation, metric_at
+from covariant.riccati import Equation, metric_at
 from covariant.scale import Grid, Variable, map_grid, open_grid
 from covariant.signals import Result
 
@@ -29,7 +30,7 @@ def metric(
     *,
     start: float = 1.0,
     tolerance: float = 1e-8,
-    domain: Box | None = None,
+    domain: Bounds | None = None,
     u: Float[Array, "m"] | None = None,
     name: str = "model",
     block: int = 4096,
@@ -39,9 +40,9 @@ def metric(
 ) -> Path:
     """Solve the equation at every point of a grid of states, into the Zarr store at `path`; return that path.
 
-    The store holds `metric` P, `doubt`, `horizon` [s], `reconstructibility` and `result` of `riccati.metric_at`, whose
-    options `start`, `tolerance`, `domain` and `u` are; `name` is what the store calls the model. The rest are options
-    of `scale.map_grid`, which also says how a run resumes and what it raises.
+    The store holds `metric` P, `error_bound`, `horizon` [s], `reconstructibility` and `result` of `riccati.metric_at`,
+    whose options `start`, `tolerance`, `domain` and `u` are; `name` is what the store calls the model. The rest are
+    options of `scale.map_grid`, which also says how a run resumes and what it raises.
 
     Raises `ValueError` where the grid has not one axis for each state.
     """
@@ -78,7 +79,7 @@ def metric(
 
 VARIABLES = {
     "metric": Variable(("row", "column"), "1", "contraction metric P, covariant: entry (i, j) goes with dx_i dx_j"),
-    "doubt": Variable((), "1", "bound on the affine-invariant distance to the metric of an endless past"),
+    "error_bound": Variable((), "1", "bound on the affine-invariant distance to the metric of an endless past"),
     "horizon": Variable((), "s", "length of the past that was used"),
     "reconstructibility": Variable((), "1", "least eigenvalue of the Gramian scaled to a diagonal of ones"),
     "result": Variable((), "1", "; ".join(f"{code.value} {code.name.lower()}" for code in Result)),
@@ -103,14 +104,14 @@ class MetricSummary(NamedTuple):
     - `reconstructibility`: the smallest in the domain.
     - `low`, `high`: bounds of equation (9), `low I ≤ P ≤ high I`, over the points that have a metric; they change with
       the units of the coordinates.
-    - `doubt`: the largest that is known, over the same points.
+    - `error_bound`: the largest that is known, over the same points.
     """
 
     results: dict[Result, int]
     reconstructibility: float
     low: float
     high: float
-    doubt: float
+    error_bound: float
 
 
 def metric_summary(path: str | os.PathLike[str]) -> MetricSummary:
@@ -121,13 +122,13 @@ def metric_summary(path: str | os.PathLike[str]) -> MetricSummary:
     store = _open(path)
     parts = [_part(store.isel(region).load()) for region in _regions(store)]
     counts = np.sum([counts for counts, _ in parts], axis=0)
-    reconstructibility, low, high, doubt = np.array([values for _, values in parts]).T
+    reconstructibility, low, high, error_bound = np.array([values for _, values in parts]).T
     return MetricSummary(
         {code: int(count) for code, count in zip(Result, counts, strict=True) if count},
         float(np.fmin.reduce(reconstructibility)),
         float(np.fmin.reduce(low)),
         float(np.fmax.reduce(high)),
-        float(np.fmax.reduce(doubt)),
+        float(np.fmax.reduce(error_bound)),
     )
 
 
@@ -148,13 +149,13 @@ def _regions(store: Any) -> Iterator[dict[str, slice]]:
 
 
 def _part(store: Any) -> tuple[np.ndarray, tuple[float, ...]]:
-    """Counts of the results, then least reconstructibility, least and largest eigenvalue, and largest doubt."""
+    """Counts of the results, then least reconstructibility, least and largest eigenvalue, and largest error bound."""
     result, metric = store["result"].values, store["metric"].values
     known = np.isfinite(metric).all(axis=(-2, -1))
     values = np.linalg.eigvalsh(metric[known]) if known.any() else np.full((1, 1), np.nan)
     inside = np.where(result != Result.OUT_OF_DOMAIN, store["reconstructibility"].values, np.nan)
-    doubt = np.where(known, store["doubt"].values, np.nan)
-    ends = (np.fmin.reduce(inside, axis=None), values.min(), values.max(), np.fmax.reduce(doubt, axis=None))
+    error_bound = np.where(known, store["error_bound"].values, np.nan)
+    ends = (np.fmin.reduce(inside, axis=None), values.min(), values.max(), np.fmax.reduce(error_bound, axis=None))
     return np.bincount(result.ravel(), minlength=len(Result)), tuple(map(float, ends))
 
 

@@ -7,7 +7,7 @@ points.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -15,16 +15,25 @@ import jax.numpy as jnp
 from covariant._integrate import rk4, rk8
 from covariant._linalg import pivots, solve
 from covariant._typing import Code, Flag, Matrix, Scalar, Vector, Vectors
-from covariant.geometry._manifold import Configuration
+from covariant.geometry._manifold import AbstractManifold, Configuration
 from covariant.signals import Result
-
-if TYPE_CHECKING:
-    from covariant.geometry._space import AbstractSpace
 
 NEWTON_LIMIT = 40
 """Damped Newton iterations after which a search is given up."""
 CONTINUATION_STAGES = 12
 """Intermediate targets of a search that failed directly."""
+
+
+@runtime_checkable
+class Curved(Protocol):
+    """A space as its geodesics see it: a manifold with a connection and with lengths."""
+
+    @property
+    def manifold(self) -> AbstractManifold: ...
+    def __call__(self, x: Configuration) -> Matrix: ...
+    def connection(self, x: Configuration, a: Vector, b: Vector) -> Vector: ...
+    def gram(self, x: Configuration, w: Vectors) -> Matrix: ...
+    def norm(self, x: Configuration, a: Vector) -> Scalar: ...
 
 
 class Budget(NamedTuple):
@@ -67,16 +76,14 @@ class Ray(NamedTuple):
     w: Vectors
 
 
-def transport_along(
-    space: AbstractSpace, p: Configuration, velocity: Vector, w: Vectors, budget: Budget
-) -> Transported:
+def transport_along(space: Curved, p: Configuration, velocity: Vector, w: Vectors, budget: Budget) -> Transported:
     """Numerical `transport_along` for any space."""
     start = Ray(jnp.zeros_like(velocity), velocity, w.reshape(-1, velocity.shape[0]))
     end = follow(space, p, start, budget)
     return Transported(space.manifold.retract(p, end.s), end.velocity, end.w.reshape(w.shape))
 
 
-def follow(space: AbstractSpace, p: Configuration, ray: Ray, budget: Budget, fraction: float = 1.0) -> Ray:
+def follow(space: Curved, p: Configuration, ray: Ray, budget: Budget, fraction: float = 1.0) -> Ray:
     """Where the ray is after a fraction of unit time, by the rule and the steps that the budget stands for."""
     manifold = space.manifold
 
@@ -90,7 +97,7 @@ def follow(space: AbstractSpace, p: Configuration, ray: Ray, budget: Budget, fra
     return rule(flow, 0.0, ray, fraction, budget.steps)
 
 
-def arrive(space: AbstractSpace, p: Configuration, velocity: Vector, budget: Budget) -> Ray:
+def arrive(space: Curved, p: Configuration, velocity: Vector, budget: Budget) -> Ray:
     """The end of the unit-time geodesic from p with that velocity."""
     none = jnp.zeros((0, *velocity.shape), velocity.dtype)
     return follow(space, p, Ray(jnp.zeros_like(velocity), velocity, none), budget)
@@ -115,18 +122,18 @@ def root(square: Scalar) -> Scalar:
     return jnp.where(none, 0.0, jnp.sqrt(jnp.where(none, 1.0, square)))
 
 
-def aim(space: AbstractSpace, p: Configuration, s: Vector) -> Target:
+def aim(space: Curved, p: Configuration, s: Vector) -> Target:
     """The target with coordinates s around p."""
     return Target(s, metric_in_retraction(space, p, s))
 
 
-def metric_in_retraction(space: AbstractSpace, p: Configuration, s: Vector) -> Matrix:
+def metric_in_retraction(space: Curved, p: Configuration, s: Vector) -> Matrix:
     """The metric's matrix in the coordinates that the retraction draws around p, at s."""
     axes = jnp.eye(s.shape[0], dtype=s.dtype)
     return space.gram(space.manifold.retract(p, s), jax.vmap(lambda a: space.manifold.frame_velocity(p, s, a))(axes))
 
 
-def shoot(space: AbstractSpace, p: Configuration, q: Configuration, guess: Vector | None, budget: Budget) -> Shot:
+def shoot(space: Curved, p: Configuration, q: Configuration, guess: Vector | None, budget: Budget) -> Shot:
     """Newton shooting for the geodesic from p to q.
 
     It starts from the best of `d + ½B(d, d)`, d = local(p, q), and the caller's guess. A fixed budget runs undamped and
@@ -151,7 +158,7 @@ def shoot(space: AbstractSpace, p: Configuration, q: Configuration, guess: Vecto
     return Shot(velocity, end.velocity, residual, result)
 
 
-def first_guess(space: AbstractSpace, p: Configuration, target: Target, guess: Vector | None, budget: Budget) -> Vector:
+def first_guess(space: Curved, p: Configuration, target: Target, guess: Vector | None, budget: Budget) -> Vector:
     """The candidate whose geodesic passes closest to q; the second-order one is best near, but overshoots far away."""
     d = target.s
     bend = space.connection(p, d, d) + space.manifold.retraction_acceleration(p, d)
@@ -166,7 +173,7 @@ def first_guess(space: AbstractSpace, p: Configuration, target: Target, guess: V
     return best
 
 
-def newton_step(space: AbstractSpace, p: Configuration, target: Target, velocity: Vector, budget: Budget):
+def newton_step(space: Curved, p: Configuration, target: Target, velocity: Vector, budget: Budget):
     """Correction of the initial velocity, and the squared miss (metric at q) it is meant to remove.
 
     The normal equations in the metric keep the matrix symmetric positive definite, so no pivoting is needed.
@@ -194,7 +201,7 @@ class _Search(NamedTuple):
     tries: Code
 
 
-def damped_newton(space: AbstractSpace, p: Configuration, target: Target, start: Vector, budget: Budget) -> Vector:
+def damped_newton(space: Curved, p: Configuration, target: Target, start: Vector, budget: Budget) -> Vector:
     """Newton's method, each step shortened until the miss shrinks."""
 
     def unfinished(s: _Search):
@@ -217,7 +224,7 @@ def damped_newton(space: AbstractSpace, p: Configuration, target: Target, start:
     return last.velocity + jnp.where(unfinished(last), 0.0, 1.0) * last.correction
 
 
-def find_geodesic(space: AbstractSpace, p: Configuration, target: Target, start: Vector, budget: Budget) -> Vector:
+def find_geodesic(space: Curved, p: Configuration, target: Target, start: Vector, budget: Budget) -> Vector:
     """A direct search, and where that fails one on targets that move from p to q in small steps."""
 
     def stage(carry: tuple[Scalar, Vector, Flag]):
@@ -237,7 +244,7 @@ def find_geodesic(space: AbstractSpace, p: Configuration, target: Target, start:
     return jax.lax.while_loop(unfinished, stage, (jnp.zeros((), start.dtype), start, jnp.zeros((), bool)))[1]
 
 
-def implicit_newton(space: AbstractSpace, p: Configuration, target: Target, start: Vector, budget: Budget) -> Vector:
+def implicit_newton(space: Curved, p: Configuration, target: Target, start: Vector, budget: Budget) -> Vector:
     """`find_geodesic`, differentiable by the implicit function theorem in p, q and the metric's own parameters."""
 
     def miss(velocity):
@@ -257,7 +264,7 @@ def least_squares(a: Matrix, b: Vectors) -> Vectors:
     return solve(a.T @ a, a.T @ b)
 
 
-def conjugate_points(space: AbstractSpace, p: Configuration, velocity: Vector, budget: Budget) -> Code:
+def conjugate_points(space: Curved, p: Configuration, velocity: Vector, budget: Budget) -> Code:
     """Number of points conjugate to p strictly inside the geodesic, with multiplicity.
 
     By the index theorem this is the index of the second variation of the energy, which over fields that are Jacobi on

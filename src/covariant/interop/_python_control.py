@@ -12,9 +12,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from covariant._guests import load_guest
+from covariant._typing import Controller
 from covariant.models import StateSpace
 from covariant.observers import AbstractFlowObserver, continuous
-from covariant.simulation._simulate import Controller
 
 
 def plant(model: StateSpace, name: str = "plant") -> Any:

@@ -6,11 +6,13 @@ values over whole boxes, and say where it is defined and does not jump. Knows on
 """
 
 from covariant.lowering._differentiate import Derivative, expand, pairs
+from covariant.lowering._enclose import Enclosure, enclose, fulfilled
 from covariant.lowering._graph import FOLD, Condition, Graph, Node
-from covariant.lowering._intervals import INTERVALS, Enclosure, Interval, Truth, enclose, fulfilled
+from covariant.lowering._intervals import INTERVALS, Interval, Truth
+from covariant.lowering._lowered import Conditions, Lowered, LoweringError
 from covariant.lowering._read import NUMBERS, Domain, evaluate, numbers
 from covariant.lowering._stumpff import STUMPFF, stumpff
-from covariant.lowering._trace import Conditions, Lowered, LoweringError, graft, lower, substitute
+from covariant.lowering._trace import graft, lower, substitute
 
 __all__ = [
     "FOLD",

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 
 from covariant.lowering._graph import Graph
-from covariant.lowering._trace import Lowered
+from covariant.lowering._lowered import Lowered
 
 Rule = Callable[[Graph, int, tuple[int, ...], tuple[int, ...]], int]
 """`(graph, node, its arguments, their derivatives) -> derivative`."""

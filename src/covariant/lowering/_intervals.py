@@ -10,16 +10,14 @@ A bound that is NaN says nothing. Where a function is not defined on all of a bo
 both bounds are NaN, and stay so through every operation; comparisons with them are undecided.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from covariant.lowering import _stumpff
 from covariant.lowering._elementary import ELEMENTARY, TINY
-from covariant.lowering._graph import Graph
-from covariant.lowering._read import Domain, evaluate_nodes
-from covariant.lowering._trace import Conditions, Lowered
+from covariant.lowering._read import Domain
 
 STEP = 3 * 2.0**-54
 """A relative step outward: c ± STEP·|c|, in doubles, is a neighbour of c or beyond it.
@@ -47,18 +45,6 @@ class Truth(NamedTuple):
 
     must: Any
     may: Any
-
-
-class Enclosure(NamedTuple):
-    """Bounds on the values of a graph over boxes.
-
-    - `low`, `high`: bounds (B, outputs); NaN where nothing is known.
-    - `smooth`: boxes (B,) on which every choice was decided, so that the function does not jump there.
-    """
-
-    low: np.ndarray
-    high: np.ndarray
-    smooth: np.ndarray
 
 
 def constant(value: float | bool | int) -> Interval | Truth:
@@ -250,23 +236,23 @@ def _stepwise(function: Callable) -> Callable:
 # Statements, and choices by them.
 
 
-def _number(a: Interval | Truth) -> Interval:
+def as_number(a: Interval | Truth) -> Interval:
     """A truth as a number, 0 or 1."""
     return Interval(np.float64(a.must), np.float64(a.may)) if isinstance(a, Truth) else a
 
 
 def lt(a: Interval | Truth, b: Interval | Truth) -> Truth:
-    a, b = _number(a), _number(b)
+    a, b = as_number(a), as_number(b)
     return Truth(a.high < b.low, ~(a.low >= b.high))
 
 
 def le(a: Interval | Truth, b: Interval | Truth) -> Truth:
-    a, b = _number(a), _number(b)
+    a, b = as_number(a), as_number(b)
     return Truth(a.high <= b.low, ~(a.low > b.high))
 
 
 def eq(a: Interval | Truth, b: Interval | Truth) -> Truth:
-    a, b = _number(a), _number(b)
+    a, b = as_number(a), as_number(b)
     if a is b:  # how a missing (NaN) measurement is asked for: a number is itself, where it is defined
         defined = ~(np.isnan(a.low) & np.isnan(a.high))
         return Truth(defined, np.ones_like(defined))
@@ -340,133 +326,3 @@ INTERVALS: Domain = {
     "pow": power,
 }
 """Intervals, whole batches of them. Predicates are `Truth`."""
-
-JUMPS = ("select", "either", "sign", "floor", "ceil", "round", "atan2")
-"""Operations whose values may jump."""
-
-
-def _no_jump(op: str, arguments: tuple, found: Any) -> Any:
-    """Boxes on which such an operation does not jump."""
-    if op == "select":
-        return arguments[0].must | ~arguments[0].may
-    if op == "either":
-        a, b = arguments[:2]
-        return (a.high < b.low) | (a.low > b.high)
-    if op == "sign":  # zero itself has a sign of its own
-        return (arguments[0].low > 0) | (arguments[0].high < 0)
-    if op == "atan2":
-        (y_low, y_high), (x_low, x_high) = arguments
-        # Across the negative half-axis, which is itself above the jump, or at the origin.
-        return ~((y_low <= 0) & (y_high >= 0) & (x_low <= 0)) | (y_low >= 0) & (x_high < 0)
-    return found.low == found.high
-
-
-def enclose(lowered: Lowered, low: np.ndarray, high: np.ndarray) -> Enclosure:
-    """Bounds on the values of a graph over boxes with corners `low` and `high`, both (B, inputs).
-
-    Truths among the outputs are bounded as the numbers 0 and 1. Raises `ValueError` for corners of another shape, or
-    that are not numbers in order.
-    """
-    low, high = _corners(low, high, lowered.inputs)
-    if not len(low):
-        nothing = np.empty((0, len(lowered.outputs)))
-        return Enclosure(nothing, nothing, np.ones(0, bool))
-    batch, smooth = low.shape[0], np.ones(low.shape[0], bool)
-
-    def watched(op: str) -> Callable:
-        def apply(*arguments: Any) -> Any:
-            found = INTERVALS[op](*arguments)
-            np.logical_and(smooth, _no_jump(op, arguments, found), out=smooth)
-            return found
-
-        return apply
-
-    domain = {**INTERVALS, **{op: watched(op) for op in JUMPS}}
-    values = _values(lowered.graph, lowered.outputs, domain, low, high)
-    for value in values:
-        if isinstance(value, Truth):
-            np.logical_and(smooth, value.must | ~value.may, out=smooth)
-    found = np.empty((2, batch, len(values)))
-    for k, value in enumerate(map(_number, values)):
-        found[0, :, k], found[1, :, k] = value
-    return Enclosure(found[0], found[1], smooth)
-
-
-def _corners(low: np.ndarray, high: np.ndarray, inputs: int) -> tuple[np.ndarray, np.ndarray]:
-    low, high = np.asarray(low, float), np.asarray(high, float)
-    if low.ndim != 2 or low.shape != high.shape or low.shape[1] != inputs:
-        raise ValueError(f"boxes of this graph have corners (B, {inputs}); got {low.shape} and {high.shape}")
-    wrong = np.argwhere(~(low <= high))
-    if wrong.size:
-        box, entry = wrong[0]
-        raise ValueError(
-            f"a box has low <= high; box {box} has low {low[box, entry]} and high {high[box, entry]} in input {entry}"
-        )
-    return low, high
-
-
-def _values(graph: Graph, outputs: Sequence[int], domain: Domain, low: np.ndarray, high: np.ndarray) -> list[Any]:
-    inputs = [Interval(a, b) for a, b in zip(low.T.copy(), high.T.copy(), strict=True)]
-    with np.errstate(all="ignore"):
-        return evaluate_nodes(graph, outputs, domain, inputs)
-
-
-# Where a function is defined and does not jump. Here a comparison is known only with room to spare: where both sides
-# may be equal, be it on one face of a box or at a variable that is held fixed, what depends on it may jump there.
-
-
-class Step(Interval):
-    """A number that is the same all around each point of a box, by conditions of its own, as the floor of another."""
-
-
-def _strictly(a: Interval | Truth, b: Interval | Truth) -> Truth:
-    """a < b, and a ≤ b all the same."""
-    a, b = _number(a), _number(b)
-    return Truth(a.high < b.low, ~(a.low > b.high))
-
-
-def _on_steps(rule: Callable, otherwise: Callable) -> Callable:
-    """A rule for numbers that are the same all around, and another for those that change."""
-
-    return lambda *arguments: (_stepping(rule) if all(isinstance(a, Step | Truth) for a in arguments) else otherwise)(
-        *arguments
-    )
-
-
-def _stepping(rule: Callable) -> Callable:
-    def apply(*arguments: Any) -> Any:
-        found = rule(*arguments)
-        return Step(*found) if isinstance(found, Interval) else found
-
-    return apply
-
-
-def _same(a: Any, b: Any) -> Truth:
-    """Whether numbers that change are equal: known where they are one and the same, or apart."""
-    return eq(a, b) if a is b else Truth(np.zeros_like(eq(a, b).must), eq(a, b).may)
-
-
-STRICT: Domain = {
-    **{op: _on_steps(rule, rule) for op, rule in INTERVALS.items()},
-    "constant": _stepping(constant),
-    "lt": _on_steps(lt, _strictly),
-    "le": _on_steps(le, _strictly),
-    "eq": _on_steps(eq, _same),
-    **{op: _stepping(INTERVALS[op]) for op in ("floor", "ceil", "round", "sign")},
-}
-
-
-def fulfilled(conditions: Conditions, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Which conditions hold all over which boxes (B, conditions), with corners (B, inputs): True only where proved."""
-    low, high = _corners(low, high, conditions.inputs)
-    found = np.zeros((len(low), len(conditions.conditions)), bool)
-    if not found.size:
-        return found
-    values = _values(conditions.graph, [c.node for c in conditions.conditions], STRICT, low, high)
-    for k, (condition, value) in enumerate(zip(conditions.conditions, values, strict=True)):
-        if condition.kind == "whole":
-            below = np.floor(value.low)
-            found[:, k] = isinstance(value, Step) or (below < value.low) & (np.floor(value.high) == below)
-        else:
-            found[:, k] = value.must if condition.kind == "true" else value.must | ~value.may
-    return found

@@ -7,7 +7,7 @@ import jax
 import numpy as np
 
 from covariant.lowering._graph import FOLD, Graph
-from covariant.lowering._trace import Lowered
+from covariant.lowering._lowered import Lowered
 
 Domain = Mapping[str, Callable[..., Any]]
 """An arithmetic: what each operation of `FOLD` is in it, and `constant`, which takes a number or truth value in."""

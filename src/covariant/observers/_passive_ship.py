@@ -15,8 +15,7 @@ from jaxtyping import Array, Float
 
 from covariant._linalg import solve, whiten
 from covariant._typing import Matrix, Number, Numbers, Scalar, Vector
-from covariant.models.marine import Station, yaw_rotation
-from covariant.models.marine._craft import spd
+from covariant.models.marine import Station, positive_definite, yaw_rotation
 from covariant.observers._contracting import Contracting, ContractingState
 from covariant.observers._protocol import AbstractFlowObserver, Info, as_gain
 
@@ -130,16 +129,16 @@ def lyapunov_gains(station: Station, stiffness: Numbers, q1: Numbers, q2: Number
     Raises `ValueError` where a matrix is not symmetric positive definite, where A2 is not Hurwitz, and where without q2
     the damping does not take energy from every motion.
     """
-    p1, first = (np.asarray(spd(name, a, 3)) for name, a in (("stiffness", stiffness), ("q1", q1)))
+    p1, first = (np.asarray(positive_definite(name, a, 3)) for name, a in (("stiffness", stiffness), ("q1", q1)))
     a2 = np.asarray(velocity_matrix(station))
     worst = np.linalg.eigvals(a2).real.max()
     if not worst < 0:
         raise ValueError(f"A2 = −M⁻¹D is not Hurwitz: an eigenvalue has real part {worst:.3g}; the ship needs damping")
     if q2 is None:
         p2 = np.asarray(station.ship.mass)
-        spd("the symmetric part of the damping", -(p2 @ a2 + a2.T @ p2) / 2, 3)
+        positive_definite("the symmetric part of the damping", -(p2 @ a2 + a2.T @ p2) / 2, 3)
     else:
-        second = np.asarray(spd("q2", q2, 3))
+        second = np.asarray(positive_definite("q2", q2, 3))
         identity = np.eye(3)
         p2 = np.linalg.solve(np.kron(identity, a2.T) + np.kron(a2.T, identity), -2 * second.ravel()).reshape(3, 3)
         p2 = (p2 + p2.T) / 2

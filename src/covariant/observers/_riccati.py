@@ -16,7 +16,7 @@ from covariant._linalg import half_solve, pivots, solve
 from covariant._typing import Flag, Matrix, MatrixField, Number, Scalar, Vector
 from covariant.models import StateSpace
 from covariant.observers._protocol import AbstractFlowObserver, Held, Info, as_gain, check_finite, no_input, still
-from covariant.riccati import Equation, Metric
+from covariant.riccati import Equation, RiccatiMetric
 from covariant.signals import Result
 
 
@@ -31,8 +31,8 @@ class Estimate(NamedTuple):
 class Riccati(AbstractFlowObserver):
     """`x̂' = f(x̂) − 2 k_E P⁻¹ h_xᵀ R⁻¹ (h(x̂) − y)`, equation (11), with P a contraction metric at x̂.
 
-    - `metric`: P, any `x (n,) -> (n, n)`: `riccati.Metric` computes it along the estimate's own characteristic, a field
-      designed on a grid looks it up, `riccati.high_gain` makes this the high-gain observer.
+    - `metric`: P, any `x (n,) -> (n, n)`: `riccati.RiccatiMetric` computes it along the estimate's own characteristic,
+      a field designed on a grid looks it up, `riccati.high_gain` makes this the high-gain observer.
     - `start` (n,): first estimate.
     - `gain`: k_E, a number or a function of x̂. With P from an equation with rate λ, ¼ makes the distance of P decay at
       λ/2 and less may lose that; ½ is the stationary Kalman filter.
@@ -82,7 +82,7 @@ class Riccati(AbstractFlowObserver):
         return self.gain(x) if callable(self.gain) else self.gain
 
     def _metric(self, x: Vector, u: Array) -> Matrix:
-        if isinstance(self.metric, Metric) and self.model.inputs:
+        if isinstance(self.metric, RiccatiMetric) and self.model.inputs:
             # The past of the estimate is reckoned with the input of now.
             return eqx.tree_at(lambda m: m.u, self.metric, u, is_leaf=lambda leaf: leaf is None)(x)
         return self.metric(x)

@@ -18,7 +18,7 @@ from covariant._typing import Matrix, MatrixField, Number, Vector
 from covariant.certificates import observability
 from covariant.geometry import distance
 from covariant.observers import Estimate, InformationEKF, Riccati, run
-from covariant.riccati import Equation, Metric, metric_at, metric_through, spd_distance
+from covariant.riccati import Equation, RiccatiMetric, metric_at, metric_through, spd_distance
 from covariant.signals import Record, Result
 from covariant.simulation import observe, simulate
 
@@ -186,7 +186,7 @@ def prior(duration: float = 40.0) -> dict[str, float]:
     equation = Equation(process_cov=jnp.diag(jnp.array([1e-6, 1e-6, 1e-4])), measurement_cov=jnp.array([[std**2 * dt]]))
     record = _noisy(duration, std)
     start = jnp.array([0.9, 0.1, 1.01])
-    metric = Metric(model, equation, 40.0, 400, start=1e-2)
+    metric = RiccatiMetric(model, equation, 40.0, 400, start=1e-2)
     riccati = run(Riccati(model, metric, start, 0.5, equation.measurement_cov), record).estimate
     known = jnp.diag(1 / jnp.array([0.1, 0.1, 0.01]) ** 2)
     filtered, _ = _filter(InformationEKF(model, equation, start, known), record)

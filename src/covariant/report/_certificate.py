@@ -7,12 +7,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from covariant.certificates import ContractionCertificate
-from covariant.certificates._show import (
+from covariant.certificates import (
+    ContractionCertificate,
     Projection,
     TradeOff,
     Trajectories,
-    open_share,
     projection,
     trade_off,
     trajectories,
@@ -121,7 +120,7 @@ def _draw_region(ax: "matplotlib.axes.Axes", seen: Projection, certificate: Cont
     ax.set_ylabel(_label(seen.kind[1], seen.names[1], seen.units[1]))
     ax.grid(visible=False)
     claim = next((c for c in certificate.claims if c.proof.verdict != "holds"), certificate.claims[0])
-    share = open_share(claim.proof) if claim.proof.verdict == "undecided" else 0.0
+    share = claim.proof.open_share if claim.proof.verdict == "undecided" else 0.0
     others = len(claim.proof.box.low) - 2
     said = f"{seen.claim}, {claim.proof.boxes} boxes, seen along {others} more variables"
     ax.set_title(said + (f"; {share:.1%} open" if share else ""), loc="right", fontsize=7, color=MUTED)

@@ -16,8 +16,7 @@ from covariant.riccati._equation import Equation, lie_derivative, right_side
 from covariant.riccati._high_gain import high_gain
 from covariant.riccati._passage import Passage, metric_through
 from covariant.riccati._solution import (
-    Box,
-    Metric,
+    RiccatiMetric,
     Solution,
     gramian,
     gramians,
@@ -29,10 +28,9 @@ from covariant.riccati._solution import (
 from covariant.riccati._window import Window, window_at
 
 __all__ = [
-    "Box",
     "Equation",
-    "Metric",
     "Passage",
+    "RiccatiMetric",
     "Solution",
     "Window",
     "gramian",

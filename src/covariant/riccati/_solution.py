@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 
 from covariant._integrate import rk8, solve_until
 from covariant._linalg import whiten
-from covariant._typing import Code, Matrix, Number, Scalar, Vector
+from covariant._typing import Bounds, Code, Matrix, Number, Scalar, Vector
 from covariant.models import StateSpace
 from covariant.riccati._equation import Equation, check_state
 from covariant.riccati._window import Window, backward, no_past, window_at
@@ -25,15 +25,12 @@ ON_BORDER = 1e-7
 FAR = 1e6
 """A past has escaped when a coordinate exceeds this many times one plus its value at the end."""
 
-Box = tuple[Float[Array, "n"], Float[Array, "n"]]
-"""Lower and upper bounds of a domain."""
-
 
 class Solution(NamedTuple):
     """P at a state, and how far to trust it.
 
     - `metric` (n, n): P; NaN where the result says that there is none.
-    - `doubt`: bound on the affine-invariant distance to the solution with an endless past; see `Window.doubt`.
+    - `error_bound`: of the affine-invariant distance to the solution with an endless past; see `Window.error_bound`.
     - `horizon`: length of the past that was used [s].
     - `reconstructibility`: 0 … 1, smallest eigenvalue of W after scaling its diagonal to one; no unit changes it.
     - `result`: a `covariant.signals.Result` code. With `LEFT_DOMAIN` and `ESCAPED` the metric is the solution that has
@@ -41,7 +38,7 @@ class Solution(NamedTuple):
     """
 
     metric: Matrix
-    doubt: Scalar
+    error_bound: Scalar
     horizon: Scalar
     reconstructibility: Scalar
     result: Code
@@ -54,7 +51,7 @@ def metric_at(
     *,
     start: Number | Matrix = 1.0,
     tolerance: float | None = None,
-    domain: Box | None = None,
+    domain: Bounds | None = None,
     u: Float[Array, "m"] | None = None,
     max_steps: int = MOST_STEPS,
 ) -> Solution:
@@ -86,28 +83,28 @@ def metric_at(
         return ~jnp.all(jnp.abs(y) < far)  # NaN has gone too
 
     def stop(window: Window):
-        return outside | (window.doubt(start) < wanted) | gone(window.x)
+        return outside | (window.error_bound(start) < wanted) | gone(window.x)
 
     flow = backward(model, equation, u, x.dtype)
     begin = no_past(equation, x)
     border = None if domain is None else lambda window: inside(window.x)
     horizon, window = solve_until(flow, begin, stop, border, rtol=rtol, atol=1e-3 * rtol, max_steps=max_steps)
     metric: Array = window.metric(start)
-    doubt, index = window.doubt(start), reconstructibility(window.information)
+    error_bound, index = window.error_bound(start), reconstructibility(window.information)
     finite = jnp.all(jnp.isfinite(x)) & jnp.all(jnp.isfinite(metric))
     none = SINGULAR * (eps / float(jnp.finfo(jnp.float64).eps)) ** 0.5
     outcomes = (  # the first that is true holds
         (outside, Result.OUT_OF_DOMAIN),
         (~finite, Result.NOT_FINITE),
-        # A doubt about an information that is singular to rounding is rounding itself, and may have any sign.
-        ((doubt < wanted) & (index > none), Result.OK),
+        # The bound for an information that is singular to rounding is rounding itself, and may have any sign.
+        ((error_bound < wanted) & (index > none), Result.OK),
         (inside(window.x) < ON_BORDER if domain is not None else outside, Result.LEFT_DOMAIN),
         (gone(window.x), Result.ESCAPED),
         (~(index > none), Result.NOT_RECONSTRUCTIBLE),
     )
     result = jnp.select([when for when, _ in outcomes], [int(code) for _, code in outcomes], int(Result.NOT_SETTLED))
     metric = jnp.where(result >= int(Result.NOT_RECONSTRUCTIBLE), jnp.nan, metric)
-    return Solution(metric, doubt, horizon, index, result.astype(jnp.int32))
+    return Solution(metric, error_bound, horizon, index, result.astype(jnp.int32))
 
 
 def gramian(
@@ -146,7 +143,7 @@ def rate_from_gramian(
     *,
     share: float = 0.5,
 ) -> float:
-    """A rate λ = 1/τ [1/s] for equation (15): the metric remembers about as long as the states take to be told.
+    """A rate λ = 1/τ [1/s] for equation (15): the metric remembers about as much as reconstructs a state.
 
     τ is the shortest window after which the least reconstructibility of the points has reached `share` of the best that
     windows up to `longest` [s] give. A larger λ converges faster, but the metric is worse conditioned and passes more
@@ -194,8 +191,10 @@ def spd_distance(a: Matrix, b: Matrix) -> Scalar:
     return jnp.sqrt(jnp.sum(jnp.log(jnp.where(finite & (ratios > 0), ratios, jnp.nan)) ** 2))
 
 
-class Metric(eqx.Module):
-    """P computed where it is needed, along the characteristic through that state: a function `x (n,) -> (n, n)`.
+class RiccatiMetric(eqx.Module):
+    """The metric of the Riccati equation, solved where it is needed along the characteristic through that state.
+
+    A function `x (n,) -> (n, n)`.
 
     - `length`: of the past that is looked at [s]; `steps`: Runge–Kutta steps along it. Both are fixed, so the function
       can be exported; `metric_at` tells how long is long enough.
@@ -214,7 +213,7 @@ class Metric(eqx.Module):
         return window.metric(self.start)
 
 
-def _box(domain: Box | None, x: Vector):
+def _box(domain: Bounds | None, x: Vector):
     if domain is None:
         return jnp.full_like(x, -jnp.inf), jnp.full_like(x, jnp.inf)
     low, high = (jnp.asarray(bound, x.dtype) for bound in domain)

@@ -41,7 +41,7 @@ class Window(NamedTuple):
         """The metric P at the end of the window, for the metric `start` (times I, where it is a number) before it."""
         return self.information + self._carried(start)
 
-    def doubt(self, start: Number | Matrix) -> Scalar:
+    def error_bound(self, start: Number | Matrix) -> Scalar:
         """Bound on the distance between the metrics that the unknown past allows; NaN where the window is too short.
 
         With a positive Q it holds for every past. Without, the metric before is taken to be at most `MARGIN` times W,

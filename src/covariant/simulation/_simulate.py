@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from covariant._integrate import compiled, solve
-from covariant._typing import Number
+from covariant._typing import Controller, Number
 from covariant.models import MechanicalSystem, MomentumChart, Motion, StateSpace, acceleration, advance, input_count
 from covariant.observers import AbstractFlowObserver, continuous
 from covariant.signals import Record
@@ -24,8 +24,6 @@ Input = Callable[[Array, Any], Array]
 """Input `(t, x) -> u (m,)`; it may feed the true state x back."""
 Measurement = Callable[[Array, Array], Array]
 """Continuous measurement `(t, q) -> y`; by default q itself. For a `StateSpace` q is the output h."""
-Controller = Callable[[Array, Array, Any], Array]
-"""`(t, y, estimate) -> u (m,)`: what a controller makes of the measurement and of an observer's estimate."""
 
 CHART_SIZE = 0.5
 """How far a motion may go, as the fastest component of v times time [rad or m], before its chart is moved along."""

@@ -6,11 +6,11 @@ import jax
 from jaxtyping import Array, Float
 
 from covariant._integrate import compiled, solve
-from covariant._typing import Number, Vector
+from covariant._typing import Controller, Number, Vector
 from covariant.models import StateSpace
 from covariant.observers import AbstractFlowObserver, continuous
 from covariant.signals import Record
-from covariant.simulation._simulate import Controller, Input, Measurement, no_input, observe, position, simulate
+from covariant.simulation._simulate import Input, Measurement, no_input, observe, position, simulate
 
 
 @simulate.register(StateSpace)

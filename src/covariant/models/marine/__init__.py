@@ -6,6 +6,7 @@ from covariant.models.marine._craft import (
     euler_rates,
     euler_rotation,
     euler_transform,
+    positive_definite,
     yaw_rotation,
 )
 from covariant.models.marine._dynamic_positioning import Station, Waves
@@ -25,6 +26,7 @@ __all__ = [
     "manoeuvring_ship",
     "odin",
     "odin_on_group",
+    "positive_definite",
     "supply_vessel",
     "surface_ship",
     "yaw_rotation",

@@ -60,7 +60,7 @@ class Craft(eqx.Module):
         circles: tuple[int, ...] = (),
         parameters: dict[str, Parameter] | None = None,
     ):
-        self.mass = spd("mass", mass, len(coordinates))
+        self.mass = positive_definite("mass", mass, len(coordinates))
         self.transform, self.damping = transform, damping
         self.restoring = jnp.zeros_like if restoring is None else restoring
         self.coriolis = _no_coriolis if coriolis is None else coriolis
@@ -110,7 +110,7 @@ def _no_coriolis(nu: Vector) -> Matrix:
     return jnp.zeros((nu.shape[0], nu.shape[0]), nu.dtype)
 
 
-def spd(name: str, matrix: Numbers, n: int) -> Matrix:
+def positive_definite(name: str, matrix: Numbers, n: int) -> Matrix:
     """The matrix, checked: symmetric positive definite (n, n). Raises `ValueError` naming what is wrong."""
     found = np.asarray(matrix, float)
     if found.shape != (n, n):

@@ -8,7 +8,7 @@ from jaxtyping import Array
 
 from covariant._typing import Numbers
 from covariant.models._parameters import Parameter, Parametric
-from covariant.models.marine._craft import Craft, coriolis_matrix, spd, yaw_rotation
+from covariant.models.marine._craft import Craft, coriolis_matrix, positive_definite, yaw_rotation
 
 _SUPPLY = "Fossen, Sagatun & Sørensen 1996, Identification of dynamically positioned ships, CEP 4(3)"
 _CYBERSHIP = "Skjetne, Smogeli & Fossen 2004, Modeling, identification, and adaptive maneuvering of CyberShip II, CAMS"
@@ -69,7 +69,7 @@ def supply_vessel(
     m = mass * stretch @ np.asarray(inertia, float) @ stretch
     d = mass * np.sqrt(gravity / length) * stretch @ np.asarray(damping, float) @ stretch
     return surface_ship(
-        spd("inertia", m, 3),
+        positive_definite("inertia", m, 3),
         d,
         mooring,
         parameters={

@@ -9,10 +9,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from covariant.certificates import Box, Proof, blocks, contraction, crossed_metric, falsify, prove_at_corners, virtual
+from covariant.certificates import contraction, crossed_metric, falsify, virtual
 from covariant.control import Backstepping, lissajous
 from covariant.models import marine, state_space
 from covariant.observers import Contracting, craft_observer
+from covariant.proofs import Box, Proof, blocks, prove_at_corners
 from covariant.simulation import observe
 
 KP, KD, LAMBDA = 100.0, 200.0, 0.5

@@ -6,8 +6,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from covariant import models
-from covariant.certificates import Box, Proof, contraction, prove, virtual
+from covariant.certificates import contraction, virtual
 from covariant.observers import Contracting
+from covariant.proofs import Box, Proof, prove
 
 
 class Scalar(NamedTuple):

@@ -72,9 +72,19 @@ class GeometryDeviations(NamedTuple):
     sectional: Array
 
 
-def own(observer: AbstractObserver, name: str) -> Any:
-    """A field, or None where there is no such field."""
-    return getattr(observer, name) if name in {field.name for field in dataclasses.fields(observer)} else None
+def own(given: Any, name: str) -> Any:
+    """A field of an observer or a model, or None where there is no such field."""
+    return getattr(given, name) if name in getattr(type(given), "__dataclass_fields__", {}) else None
+
+
+def mechanical(model: Any) -> bool:
+    """Whether this is the model of a mechanical system: one with a configuration space."""
+    return own(model, "space") is not None
+
+
+def exact(observer: AbstractObserver) -> bool:
+    """Whether an observer goes along geodesics, on which it spends a budget."""
+    return own(observer, "budget") is not None
 
 
 def exchange(observer: Any, model: MechanicalSystem) -> Any:
@@ -92,8 +102,7 @@ def traced_once(model: MechanicalSystem) -> MechanicalSystem:
 def _both_once(model: MechanicalSystem, observer: Any) -> tuple[MechanicalSystem, Any]:
     """Model and observer, each with its model `traced_once`."""
     mine = own(observer, "model")
-    known = isinstance(mine, MechanicalSystem)
-    return traced_once(model), exchange(observer, traced_once(mine)) if known else observer
+    return traced_once(model), exchange(observer, traced_once(mine)) if mechanical(mine) else observer
 
 
 def configuration(model: MechanicalSystem, s: Vector) -> Array:
@@ -113,7 +122,7 @@ def bracket(model: MechanicalSystem, x: Array, a: Vector, b: Vector) -> Vector:
 
 def counterpart(observer: AbstractFlowObserver, model: MechanicalSystem, alpha, beta) -> AbstractFlowObserver:
     """The approximate observer for the exact one, and the exact one for any other."""
-    return Intrinsic(model, alpha, beta) if isinstance(observer, Geodesic) else Geodesic(model, alpha, beta, NEAR)
+    return Intrinsic(model, alpha, beta) if exact(observer) else Geodesic(model, alpha, beta, NEAR)
 
 
 def slope(observer: AbstractFlowObserver, x: Array, v: Vector, u: Array, y: Array) -> tuple[Vector, Vector]:
@@ -282,10 +291,10 @@ def between_charts(
         def chart(z):
             return y + bent(z) - bent(centre)
 
-        def push(z, w):
+        def pushforward(z, w):
             return jax.jvp(chart, (z,), (w,))[1]
 
-        def pull(z, covector):
+        def pullback(z, covector):
             return jax.vjp(chart, z)[1](covector)[0]
 
         @jax.jit  # so that it is traced once, and not wherever a derivative of it is taken
@@ -296,13 +305,13 @@ def between_charts(
         rewritten = Lagrangian(
             metric,
             lambda z: model.potential(chart(z)),
-            lambda t, z, u: pull(z, model.force(t, chart(z), u)),
-            lambda t, z, w, u: pull(z, resistance(model, t, chart(z), push(z, w), u)),
+            lambda t, z, u: pullback(z, model.force(t, chart(z), u)),
+            lambda t, z, w, u: pullback(z, resistance(model, t, chart(z), pushforward(z, w), u)),
             inputs=model.inputs,
         )
         estimate = centre + error * states.unit
         there = slope(exchange(observer, rewritten), estimate, v, u, centre)
-        (x, velocity), pushed = jax.jvp(lambda z, w: (chart(z), push(z, w)), (estimate, v), there)
+        (x, velocity), pushed = jax.jvp(lambda z, w: (chart(z), pushforward(z, w)), (estimate, v), there)
         here = slope(observer, x, velocity, u, y)
         return _difference(space, gains, x, velocity, x - y, here, pushed)
 

@@ -67,7 +67,7 @@ def as_form(matrix: Callable[[Array], Array]) -> Form:
     return Form(matrix, graph)
 
 
-class Slopes:
+class NodeDerivatives:
     """Derivatives of arrays of nodes of one graph, for the formulas of forms."""
 
     def __init__(self, graph: Graph):
@@ -87,11 +87,11 @@ class Slopes:
 
 Values = Callable[[Array, Array, Array], tuple[Array, ...]]
 """`(t, x (k,), z (d,)) -> arrays`."""
-Parts = Callable[[Slopes, tuple[np.ndarray, ...], int], tuple[np.ndarray, ...]]
-"""`(slopes, nodes of the values, k) -> nodes of the arguments of a formula`; inputs are t, then x (k,), then z."""
+Parts = Callable[[NodeDerivatives, tuple[np.ndarray, ...], int], tuple[np.ndarray, ...]]
+"""`(derivatives, nodes of the values, k) -> nodes of the arguments of a formula`; inputs are t, then x (k,), then z."""
 
 
-def formed(
+def derivative_form(
     values: Values, state: Callable[[Array], Array], parts: Parts, formula: Callable[..., Array], numbers: Callable
 ) -> Form:
     """A formula of values and of their derivatives at x = state(z), t = 0, the derivatives being those of the graph.
@@ -109,7 +109,7 @@ def formed(
         at = lower(state, z)
         value = lower(values, jnp.zeros(()), jnp.zeros(len(at.outputs)), z, real=True)
         grown = Graph.of(value.graph.nodes)
-        made = graft(grown, formula, *parts(Slopes(grown), value.nodes(), len(at.outputs)))
+        made = graft(grown, formula, *parts(NodeDerivatives(grown), value.nodes(), len(at.outputs)))
         return _at_state(value, grown, made, at)
 
     return Form(numbers, graph)

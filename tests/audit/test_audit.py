@@ -7,8 +7,7 @@ import pytest
 from jaxtyping import Array
 
 from covariant import models
-from covariant.certificates import Audit, audit, box
-from covariant.certificates._audit import LAWS
+from covariant.audit import LAWS, Audit, audit
 from covariant.geometry import AbstractMetric, Euclidean, christoffel, curvature, sphere
 from covariant.models import Lagrangian, friction, source
 from covariant.observers import (
@@ -21,6 +20,7 @@ from covariant.observers import (
     Salcudean,
 )
 from covariant.papers._errata import SLIPS, PrintedBallAndBeam, PrintedGroup
+from covariant.proofs import box
 
 ALPHA, BETA = 1.2, 0.9
 FLOW = ("plant", "error", "lyapunov")

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from covariant.certificates._audit_laws import (
+from covariant.audit._laws import (
     STEP,
     States,
     along_the_flow,
@@ -20,14 +20,16 @@ from covariant.certificates._audit_laws import (
     between_observers,
     compiled_quickly,
     configuration,
+    exact,
+    mechanical,
     of_the_geometry,
     order_of,
     own,
 )
-from covariant.certificates._prove import Box, check_box
-from covariant.certificates._tangent import lyapunov, rate_of
+from covariant.certificates import lyapunov, rate_of
 from covariant.models import MechanicalSystem, input_count, source
-from covariant.observers import AbstractFlowObserver, AbstractObserver, Geodesic
+from covariant.observers import AbstractFlowObserver, AbstractObserver
+from covariant.proofs import Box, check_box
 
 FLOOR = 1e-9
 """Differences below this share of the correction are rounding, and no power is fitted to them."""
@@ -240,7 +242,7 @@ def _subject(
     if not isinstance(observer, AbstractFlowObserver):
         raise ValueError(f"audit: {kind} is no differential equation; give an Intrinsic or a Geodesic")
     found = own(observer, "model") if model is None else model
-    if isinstance(found, MechanicalSystem):
+    if mechanical(found):
         return observer, found
     lacks = "no model of its own; give model=" if found is None else f"a {type(found).__name__}; give an Intrinsic"
     raise ValueError(f"audit: the laws are those of an observer of a mechanical system, and {kind} has {lacks}")
@@ -351,7 +353,7 @@ def _invariance(model: MechanicalSystem, observer: AbstractFlowObserver, gains, 
     if own(observer, "model") is None:
         return _Finding(None, reason="the observer is written in one chart: it has no model to exchange")
     found = np.asarray(between_charts(model, observer, gains, states, jnp.asarray(errors)))
-    if isinstance(observer, Geodesic):
+    if exact(observer):
         tolerance, reason = _EXACT
         return _Finding(found[-1], f"at an error of {errors[-1]:.2g}", None, tolerance, reason)
     return _second_order(found, errors)

@@ -8,14 +8,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from covariant._linalg import solve
+from covariant._linalg import solve, solve_square
 from covariant._typing import Numbers
 from covariant.certificates._cascade import Coupling
 from covariant.certificates._contraction import in_coordinates
-from covariant.certificates._region import Point, Subject
+from covariant.certificates._subject import Point, Subject
 from covariant.certificates._virtual import OutputMetric
 from covariant.control import Backstepping
-from covariant.control._backstepping import inverse_times
 from covariant.models.marine import Craft
 
 
@@ -71,10 +70,10 @@ def feedthrough(controller: Backstepping) -> Coupling:
         )
         j = craft.transform(eta)
         # ν_r = J⁻¹(asked), whose error enters through the velocity that η is believed to have.
-        turned = jax.jacfwd(lambda y: inverse_times(craft.transform(y), asked))(eta)
-        nu_r = inverse_times(j, asked)
+        turned = jax.jacfwd(lambda y: solve_square(craft.transform(y), asked))(eta)
+        nu_r = solve_square(j, asked)
         gyric = jax.jacfwd(lambda nu: craft.coriolis(nu) @ nu_r)(jnp.zeros_like(eta))
-        through_velocity = solve(mass, kd - gyric) + inverse_times(j, lam @ j) - turned @ j
+        through_velocity = solve(mass, kd - gyric) + solve_square(j, lam @ j) - turned @ j
         zero = jnp.zeros((n, n), z.dtype)
         return (
             jnp.block([[zero, zero], [solve(mass, j.T @ kp), through_velocity]]),

@@ -1,26 +1,22 @@
-"""Some leaves of a saved certificate looked at once more, in balls of many digits: a third arithmetic.
+"""A matrix of boxed variables in balls of many digits: a third arithmetic, for looking at some boxes once more.
 
-The matrix of the claim is that of the prover, as a graph, and so are its derivatives; the numbers are those of Arb
-(F. Johansson, Arb: efficient arbitrary-precision midpoint-radius interval arithmetic, IEEE Trans. Computers 66(8),
-2017), and the test of positive definiteness is done in them. Needs python-flint.
+The matrix is that of the prover, as a graph, and so are its derivatives; the numbers are those of Arb, and the test of
+positive definiteness is done in them. Needs python-flint.
+
+Source: F. Johansson, Arb: efficient arbitrary-precision midpoint-radius interval arithmetic, IEEE Trans. Computers
+66(8), 2017.
 """
 
 import math
 import operator
-import time
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 
-from covariant._guests import load_guest
-from covariant.certificates._check import follows, leaves, sizes
-from covariant.certificates._document import Document, Stated, parse
-from covariant.certificates._form import Form
-from covariant.certificates._region import Subject, contraction, disturbed, reach
-from covariant.certificates._taylor import halves
 from covariant.lowering import Domain, Lowered, evaluate, expand, pairs
+from covariant.proofs._form import Form
+from covariant.proofs.checker import halves
 
 BITS = 106
 """Twice the digits of a double."""
@@ -28,56 +24,12 @@ DEPTH = 8
 """How often a leaf is halved: balls are wider than intervals."""
 
 
-class Sampled(NamedTuple):
-    """Leaves that were found right, of how many; how many boxes that took, and how many seconds."""
+class BallMatrix:
+    """Taylor's form of a symmetric matrix (n, n), `S(c) + S'(c) δ + ½ S''(box) δ²`, in balls.
 
-    leaves: int
-    total: int
-    boxes: int
-    seconds: float
-
-
-class _UndecidedError(ArithmeticError):
-    """A branch that is not the same everywhere in a box."""
-
-
-def check_sample(source: str | Path | Document, count: int = 20, seed: int = 0, *, model: Any = None) -> Sampled:
-    """Check `count` random leaves of a saved certificate, a file or what was read from it, drawn from all its claims.
-
-    `model`: as for `check`. Raises `ValueError` saying which box is not shown to be right, `ImportError` where
-    python-flint is missing.
+    - `flint`: the package python-flint, whose precision in bits the caller sets, such as to `BITS`.
+    - `form`: the matrix; `low`, `high` (d,): a box in which all others lie.
     """
-    start = time.monotonic()
-    flint = load_guest("flint", use="checking in balls needs python-flint, imported as", extra="balls")
-    document = source if isinstance(source, Document) else parse(source)
-    about, claims, low, high = follows(document, model).about, document.claims, document.low, document.high
-    boxes = [leaves(low, high, claim.levels, f"claims[{index}]") for index, claim in enumerate(claims)]
-    ends = np.cumsum([len(low) for low, _ in boxes])
-    drawn = np.sort(np.random.default_rng(seed).permutation(ends[-1])[:count])
-    done = 0
-    with flint.ctx.workprec(BITS):
-        for index, claim in enumerate(claims):
-            mine = drawn[(drawn < ends[index]) & (drawn >= ends[index] - len(boxes[index][0]))]
-            if not len(mine):
-                continue
-            form = _Form(flint, _form(claim, about, document), low, high)
-            for k in mine - (ends[index] - len(boxes[index][0])):
-                done += form.show(
-                    boxes[index][0][k], boxes[index][1][k], f"{document.file}: leaf {k} of claims[{index}]"
-                )
-    return Sampled(len(drawn), int(ends[-1]), done, time.monotonic() - start)
-
-
-def _form(claim: Stated, about: Subject, document: Document) -> Form:
-    if claim.kind == "contraction":
-        return contraction(about, document.rate)
-    if claim.kind == "reach":
-        return reach(about, claim.row, claim.square)
-    return disturbed(about, sizes(document), claim.square)
-
-
-class _Form:
-    """Taylor's form of a symmetric matrix (n, n), `S(c) + S'(c) δ + ½ S''(box) δ²`, in balls."""
 
     def __init__(self, flint: Any, form: Form, low: np.ndarray, high: np.ndarray):
         entries = form.then(lambda m: (m + m.T) / 2).graph(jnp.asarray(low)).entries
@@ -141,6 +93,10 @@ class _Form:
             self.matrix([[values[start + k] for k in row] for row in place.tolist()])
             for start in range(0, len(values), count)
         ]
+
+
+class _UndecidedError(ArithmeticError):
+    """A branch that is not the same everywhere in a box."""
 
 
 def _balls(arb: Any) -> Domain:

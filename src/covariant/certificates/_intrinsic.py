@@ -1,0 +1,229 @@
+"""An intrinsic observer on a region, as a subject: its flow and its metric as functions of boxed variables.
+
+The variables are the estimate, the error of its position and the force on the system, each in a box. Nothing else
+enters: the source `S = g⁻¹ f` at the measured position is a known function of the force f, whatever the input, the
+potential and the time that made it. On a group the estimated configuration does not enter either, by symmetry, and a
+model whose friction breaks the symmetry is refused.
+"""
+
+import functools
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from covariant._typing import Vector
+from covariant.certificates._contraction import StateMetric
+from covariant.certificates._subject import Point, Subject
+from covariant.certificates._tangent_metric import TwoByTwo, tangent_metric
+from covariant.lowering import expand, lower, numbers
+from covariant.models import MechanicalSystem, input_count, resistance
+from covariant.observers import Geodesic, Intrinsic, second_order
+
+Intrinsics = Intrinsic | Geodesic
+
+
+def subject(observer: Intrinsics, q: TwoByTwo) -> Subject:
+    """The observer on any region, in the metric that the matrix q (2, 2) makes of that of its model.
+
+    Raises `TypeError` for another kind of observer, `ValueError` for a space where none is known.
+    """
+    if not isinstance(observer, Intrinsics):
+        raise TypeError(f"only intrinsic observers have this metric, Intrinsic and Geodesic; got {observer!r}")
+    _need_steady_friction(observer.model)
+    space = observer.model.space
+    if space.manifold.commuting:
+        return _in_coordinates(observer, q)
+    if space.homogeneous and isinstance(observer, Intrinsic):
+        return _in_the_body(observer, q)
+    raise ValueError(
+        "a region is a box of coordinates, or for Intrinsic of velocities alone where the metric is the same "
+        f"everywhere; {type(observer).__name__} on {space.manifold} is not covered"
+    )
+
+
+def configuration_shape(model: MechanicalSystem, n: int) -> tuple[int, ...]:
+    """The shape of a configuration: (n,) coordinates, or that of a matrix of the group."""
+    return (n,) if model.manifold.commuting else jax.eval_shape(model.manifold.origin).shape
+
+
+def _in_coordinates(observer: Intrinsics, q: TwoByTwo) -> Subject:
+    model = observer.model
+    n = _dimension(model)
+    driven = MechanicalSystem(model.space, None, None, functools.partial(_friction, model))
+    bare = _with_model(observer, driven)
+    metric = tangent_metric(model.space, q)
+
+    def at(z):
+        place, velocity, error, force = jnp.split(z, 4)
+        measured = place - error
+
+        def flow(t, x):
+            state = bare.init(x[:n])._replace(q=x[:n], v=x[n:], t=t)
+            change = bare.flow(t, state, force, measured)
+            return jnp.concatenate([change.q, change.v])
+
+        x = jnp.concatenate([place, velocity])
+        return Point(
+            flow,
+            metric,
+            x,
+            lambda: metric.frame(jnp.zeros((), z.dtype), x),
+            lambda: -jnp.eye(n, dtype=z.dtype),
+        )
+
+    names = model.coordinates
+    units = model.units or ("",) * n
+    rates = tuple(f"{unit}/s" if unit else "" for unit in units)
+    return Subject(
+        (*names, *(f"v_{k}" for k in names), *(f"e_{k}" for k in names), *(f"f_{k}" for k in names)),
+        (*units, *rates, *units, *("",) * n),
+        at,
+    )
+
+
+def _in_the_body(observer: Intrinsic, q: TwoByTwo) -> Subject:
+    model, space, manifold = observer.model, observer.model.space, observer.model.manifold
+    _need_symmetry(model)
+    origin = manifold.origin()
+    inertia = np.array(space(origin))
+    n = len(inertia)
+
+    def each(linear, dtype):
+        return jax.vmap(linear, out_axes=1)(jnp.eye(n, dtype=dtype))
+
+    # Around an estimate the chart is that of the retraction, and everything is looked at at θ = 0.
+    def frames(x, sign):
+        theta, v = jnp.split(x, 2)
+        body = each(functools.partial(manifold.frame_velocity, origin, theta), x.dtype)
+        turn = each(lambda e: space.connection(origin, e, v), x.dtype)
+        lower = turn @ body if sign > 0 else -turn
+        upper = body if sign > 0 else each(functools.partial(manifold.local_rate, origin, theta), x.dtype)
+        return jnp.block([[upper, jnp.zeros((n, n), x.dtype)], [lower, jnp.eye(n, dtype=x.dtype)]])
+
+    def gram(t, x):
+        return jnp.asarray(np.kron(q / 2, inertia), x.dtype)
+
+    length = StateMetric(lambda t, x: frames(x, 1), lambda t, x: frames(x, -1), gram)
+
+    def at(z):
+        velocity, error, force = jnp.split(z, 3)
+
+        def flow(t, x):
+            theta, v = jnp.split(x, 2)
+            # log(exp(−θ) exp(−e)) to first order in θ, without what the logarithm decides by matrix entries. It is an
+            # identity for errors whose logarithm is unique.
+            towards = -error - manifold.local_rate(origin, error, theta)
+            at = manifold.origin(z.dtype)
+            xi = -towards if observer.order == 1 else second_order(space, at, -towards)
+            source = space.raise_(at, force)
+            rubbing = space.raise_(at, _friction(model, at, v))
+            drive = observer.bend(at, source - space.connection(at, xi, source), xi, v)
+            w, v_dot = observer.rates(at, v, xi, drive + rubbing)
+            return jnp.concatenate([manifold.local_rate(origin, theta, w), v_dot])
+
+        x = jnp.concatenate([jnp.zeros(n, z.dtype), velocity])
+
+        def error_jacobian():
+            away = each(functools.partial(manifold.local_rate, origin, error), z.dtype)
+            rows = jnp.concatenate([away, jnp.zeros((n, n), z.dtype)], axis=1)
+            return jnp.concatenate([rows, length.frame(jnp.zeros((), z.dtype), x)[n:]])
+
+        def noise_jacobian():
+            return -each(functools.partial(manifold.local_rate, origin, -error), z.dtype)
+
+        return Point(flow, length, x, error_jacobian, noise_jacobian)
+
+    names, units = model.velocities, model.velocity_units
+    turned = tuple(unit.removesuffix("/s") for unit in units)
+    return Subject(
+        (*names, *(f"e_{k}" for k in names), *(f"f_{k}" for k in names)),
+        (*units, *turned, *("",) * n),
+        at,
+    )
+
+
+def _with_model(observer, model):
+    fields = {name: getattr(observer, name) for name in type(observer).__dataclass_fields__}
+    return type(observer)(**(fields | {"model": model}))
+
+
+def _dimension(model: MechanicalSystem) -> int:
+    if not model.coordinates:
+        raise ValueError("the model must name its coordinates, so that a region can; give Lagrangian(coordinates=...)")
+    return len(model.coordinates)
+
+
+def _friction(model: MechanicalSystem, q: Array, v: Vector) -> Vector:
+    """The dissipation of a model in which neither time nor input enters."""
+    n = v.shape[0]
+    return resistance(model, jnp.zeros((), v.dtype), q, v, jnp.zeros(input_count(model, n), v.dtype))
+
+
+def _need_steady_friction(model: MechanicalSystem) -> None:
+    """Raise `ValueError` where time or input enter the dissipation: they are no variables of a region."""
+    q = jnp.zeros(_dimension(model)) if model.manifold.commuting else model.manifold.origin()
+    v = model.manifold.zero(q)
+    u = jnp.zeros(input_count(model, v.size))
+    read = _entries_read(functools.partial(resistance, model), jnp.zeros(()), q, v, u)
+    first = 1 + q.size + v.size
+    found = ["time"] * (0 in read) + [f"u{i + 1}" for i in range(u.size) if first + i in read]
+    if found:
+        raise ValueError(
+            f"the dissipation of this model depends on {', '.join(found)}; only friction of position and velocity is "
+            "covered by a proof"
+        )
+
+
+def _entries_read(function, *arguments: Array) -> set[int]:
+    """Which of the entries of its arguments, counted through, a function reads or is defined by."""
+    lowered = lower(function, *arguments, real=True)
+    assert lowered.conditions is not None
+    graphs = lowered.graph, lowered.conditions.graph
+    return {int(node.value or 0) for graph in graphs for node in graph.nodes if node.op == "input"}
+
+
+def _need_symmetry(model: MechanicalSystem) -> None:
+    """Raise `ValueError` where friction or inertia do not let the estimated configuration drop out."""
+    origin = model.manifold.origin()
+    entries, rest = origin.size, model.manifold.zero(origin)
+    read = _entries_read(functools.partial(_friction, model), origin, rest)
+    indices = [np.unravel_index(k, origin.shape) for k in range(entries) if k in read]
+    places = ["g" + "".join(str(i + 1) for i in index) for index in indices]
+    if places:
+        raise ValueError(
+            f"the friction of this model depends on where the body is, on {', '.join(places)} of its matrix; on a "
+            "group that is not covered: write the system as a Lagrangian in coordinates"
+        )
+    momentum = lower(lambda a: model.space.lower(origin, a), rest)
+    bent = expand(momentum, range(rest.size), 2)
+    second = np.ravel(bent.nodes()[2]).tolist()
+    if numbers(momentum, np.zeros(rest.size)).any() or not all(bent.graph.is_zero(node) for node in second):
+        raise ValueError("the inertia of this model is not a linear map; on a group that is not covered")
+
+
+def check_unique(observer: Intrinsics, error: Float[np.ndarray, "n"]) -> None:
+    """Raise `ValueError` for errors of positions up to which the way to the measurement is not unique, or not known.
+
+    Below half a turn, of each circle, and of each rotation at the farthest corner of the box.
+    """
+    if isinstance(observer, Geodesic):
+        raise ValueError(
+            "the exact observer searches its geodesic, and that it finds the shortest one is not proved; certify the "
+            "approximate one, Intrinsic"
+        )
+    model = observer.model
+    if model.manifold.rotations is None:
+        raise ValueError(
+            f"how far the logarithm of {type(model.manifold).__name__} is unique is not known; no proof there"
+        )
+    for turn in model.manifold.rotations:
+        farthest = math.sqrt(math.fsum(float(error[i]) ** 2 for i in turn)) * (1 + 1e-12)
+        if not farthest < math.pi * (1 - 1e-12):
+            names = model.coordinates or model.velocities
+            raise ValueError(
+                f"the error of {', '.join(names[i] for i in turn)} must be below π, at the farthest corner of its box; "
+                f"it is up to {farthest:g} there"
+            )

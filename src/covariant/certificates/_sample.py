@@ -1,0 +1,59 @@
+"""Some leaves of a saved certificate looked at once more, in balls of many digits: a third arithmetic."""
+
+import time
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from covariant._guests import load_guest
+from covariant.certificates._check import follows, sizes
+from covariant.certificates._document import Document, Stated, parse
+from covariant.certificates._inequalities import contraction, disturbance_bound, width_bound
+from covariant.certificates._subject import Subject
+from covariant.proofs import BITS, BallMatrix, Form
+from covariant.proofs.checker import leaves
+
+
+class Sampled(NamedTuple):
+    """Leaves that were found right, of how many; how many boxes that took, and how many seconds."""
+
+    leaves: int
+    total: int
+    boxes: int
+    seconds: float
+
+
+def check_sample(source: str | Path | Document, count: int = 20, seed: int = 0, *, model: Any = None) -> Sampled:
+    """Check `count` random leaves of a saved certificate, a file or what was read from it, drawn from all its claims.
+
+    `model`: as for `check`. Raises `ValueError` saying which box is not shown to be right, `ImportError` where
+    python-flint is missing.
+    """
+    start = time.monotonic()
+    flint = load_guest("flint", use="checking in balls needs python-flint, imported as", extra="balls")
+    document = source if isinstance(source, Document) else parse(source)
+    about, claims, low, high = follows(document, model).about, document.claims, document.low, document.high
+    boxes = [leaves(low, high, claim.levels, f"claims[{index}]") for index, claim in enumerate(claims)]
+    ends = np.cumsum([len(low) for low, _ in boxes])
+    drawn = np.sort(np.random.default_rng(seed).permutation(ends[-1])[:count])
+    done = 0
+    with flint.ctx.workprec(BITS):
+        for index, claim in enumerate(claims):
+            mine = drawn[(drawn < ends[index]) & (drawn >= ends[index] - len(boxes[index][0]))]
+            if not len(mine):
+                continue
+            form = BallMatrix(flint, _form(claim, about, document), low, high)
+            for k in mine - (ends[index] - len(boxes[index][0])):
+                done += form.show(
+                    boxes[index][0][k], boxes[index][1][k], f"{document.file}: leaf {k} of claims[{index}]"
+                )
+    return Sampled(len(drawn), int(ends[-1]), done, time.monotonic() - start)
+
+
+def _form(claim: Stated, about: Subject, document: Document) -> Form:
+    if claim.kind == "contraction":
+        return contraction(about, document.rate)
+    if claim.kind == "reach":
+        return width_bound(about, claim.row, claim.square)
+    return disturbance_bound(about, sizes(document), claim.square)

@@ -1,0 +1,313 @@
+"""Simulations beside a certificate: motions of the model in its region, and estimates from the border of its tube.
+
+Source: Aghannan & Rouchon 2003, Theorem 2.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from covariant.certificates._contraction_certificate import ContractionCertificate
+from covariant.certificates._distance import Decay, lower_distance, upper_distance
+from covariant.certificates._tangent_metric import error_matrix
+from covariant.models import Motion
+from covariant.simulation import observe, simulate
+
+INSIDE = 0.98
+"""How much of the bounds a motion that is shown may use, so that it keeps them between its stamps."""
+WATCHED = 97
+"""Stamps at which a motion is looked at, whether it is inside."""
+
+
+class Followed(NamedTuple):
+    """Estimates that began on the border of the proved ball, each beside a motion of its own.
+
+    - `t` (k, T) [s]: until the motion leaves the region or the bound of the velocity, eight time constants at most.
+    - `low`, `high` (k, T): their distances from below and from above; `bound` (k, T): `ε e^(−λt/2)`.
+    - `certified` [1/s]: λ, of squared lengths.
+    """
+
+    t: Float[np.ndarray, "k T"]
+    low: Float[np.ndarray, "k T"]
+    high: Float[np.ndarray, "k T"]
+    bound: Float[np.ndarray, "k T"]
+    certified: float
+
+    @property
+    def holds(self) -> bool:
+        """Whether no distance is above its bound, beyond a millionth for the integration."""
+        return bool((self.low <= self.bound * (1 + 1e-6)).all())
+
+    @property
+    def rates(self) -> Float[np.ndarray, "k"]:
+        """The rate λ [1/s] of each, from its first stamp to its last."""
+        return 2 * np.log(self.high[:, 0] / self.high[:, -1]) / (self.t[:, -1] - self.t[:, 0])
+
+
+class Trajectories(NamedTuple):
+    """A motion of the model inside the region, and estimates that begin on the border of the proved tube.
+
+    - `t` (T,) [s]; `positions`, `velocities` (T, n): the motion; positions on a group are `log(g(0)⁻¹ g)`.
+    - `estimated_positions`, `estimated_velocities` (k, T, n).
+    - `half_widths` (2n,): how far the tube reaches in each position error, then in each velocity.
+    - `shown`: the coordinate in whose plane of position and velocity the estimates begin all around the motion.
+    - `distances`: of the estimates from the motion, and the certified bound.
+    """
+
+    t: Float[np.ndarray, "T"]
+    positions: Float[np.ndarray, "T n"]
+    velocities: Float[np.ndarray, "T n"]
+    estimated_positions: Float[np.ndarray, "k T n"]
+    estimated_velocities: Float[np.ndarray, "k T n"]
+    half_widths: Float[np.ndarray, "two_n"]
+    shown: int
+    distances: Decay
+
+
+def follow_estimates(
+    certificate: ContractionCertificate,
+    count: int = 100,
+    *,
+    stamps: int = 25,
+    seed: int = 0,
+    rtol: float = 1e-10,
+    atol: float = 1e-13,
+) -> Followed:
+    """Simulate motions in the region of a certificate, and beside each an estimate from the border of the proved ball.
+
+    `count` random motions, each with an estimate that begins at a random place on the border, integrated with the
+    tolerances given; `stamps`: instants at which their distances are measured.
+
+    Raises `ValueError` where nothing is proved, or where motions leave the region too soon to say anything.
+    """
+    plant, radius = _Plant(certificate), certificate.radius
+    rng = np.random.default_rng(seed)
+    start, inputs, until = _draw_motions(plant, count, rng)
+    directions = jnp.asarray(rng.normal(size=(count, 2 * plant.n)))
+    metric, first = plant.metric, plant.first
+
+    @jax.jit
+    @jax.vmap
+    def onwards(start, inputs, until, direction):
+        place = plant.place(start)[: 2 * plant.n]
+        root = jnp.linalg.cholesky(metric.gram(jnp.zeros(()), place))
+        # On a sphere of the metric all directions are alike.
+        ball = jnp.linalg.solve(root.T, direction / jnp.linalg.norm(direction))
+        begin = _on_the_border(plant, start, metric.frame(jnp.zeros(()), place) @ ball, jnp.asarray(radius))
+        t = first + (until - first) * jnp.linspace(0, 1, stamps)
+        actual, estimated = plant.observed(start, begin, t, plant.inputs(*inputs), rtol=rtol, atol=atol)
+        return t, *jax.vmap(plant.chart)(estimated, actual)
+
+    @jax.jit
+    def distances(*given):
+        between = jax.vmap(lambda *x: (lower_distance(metric, *x), upper_distance(metric, *x)))
+        return jax.lax.map(lambda x: between(*x), given)  # one by one: each takes many points at every stamp
+
+    t, *ends = onwards(start, inputs, jnp.asarray(until), directions)
+    t, low, high = (np.asarray(a) for a in (t, *distances(t, *ends)))
+    return Followed(t, low, high, radius * np.exp(-certificate.decay * (t - first)), certificate.rate)
+
+
+def trajectories(
+    certificate: ContractionCertificate, *, count: int = 5, stamps: int = 160, seed: int = 0
+) -> Trajectories:
+    """Simulate the model inside the region of a proved certificate, and `count` estimates from the border of its tube.
+
+    Of random motions with sinusoidal inputs within their bounds, one that stays inside longest is taken, at most eight
+    time constants of the observer, and of those one that moves much. The upper distance of the estimates begins at the
+    radius.
+
+    Raises `ValueError` where nothing is proved, or where no motion stays inside for as long as two stamps.
+    """
+    plant = _Plant(certificate)
+    reached = plant.half_widths
+    m = len(certificate.given["inputs"]["low"])
+    control = plant.inputs(2 * jnp.pi / plant.longest * (2 + 0.74 * jnp.arange(m, dtype=float)), jnp.zeros(m))
+    rng = np.random.default_rng(seed)
+    start, duration, travel = _longest_motion(plant, control, rng)
+    t = jnp.linspace(plant.first, plant.first + duration, stamps)
+    n = len(certificate.velocity)
+    angles = jnp.linspace(0, 2 * jnp.pi, count, endpoint=False) + 0.3
+
+    @jax.jit
+    def follow(start, shown, size):
+        def one(angle):
+            begin = _on_the_border(plant, start, _across(plant, start, shown, angle), size)
+            actual, estimated = plant.observed(start, begin, t, control, rtol=1e-9, atol=1e-11)
+            ends = jax.vmap(plant.chart)(estimated, actual)
+            low = jax.vmap(lambda s, a, b: lower_distance(plant.metric, s, a, b))(t, *ends)
+            high = jax.vmap(lambda s, a, b: upper_distance(plant.metric, s, a, b))(t, *ends)
+            places = [jax.vmap(plant.coordinates, (None, 0))(start, x) for x in (actual, estimated)]
+            return *places, low, high
+
+        # One after the other: steps are chosen for each.
+        return jax.lax.map(one, angles)
+
+    shown = int(np.argmax(travel[:n] / reached[:n] if plant.flat else travel[-n:] / reached[n:]))
+    actual, estimated, low, high = (np.asarray(a) for a in follow(start, shown, certificate.radius))
+    truth = actual[0]
+    shrink = np.exp(-certificate.decay * (np.asarray(t) - plant.first))
+    bound = np.broadcast_to(certificate.radius * shrink, high.shape)
+    return Trajectories(
+        np.asarray(t),
+        truth[:, :n],
+        truth[:, n:],
+        estimated[..., :n],
+        estimated[..., n:],
+        reached,
+        shown,
+        Decay(np.asarray(t), low, high, bound),
+    )
+
+
+class _Plant:
+    """The model of a certificate that has a tube: its motions, and the chart in which its metric compares states.
+
+    The chart is that of its coordinates, or of the retraction around the estimate. Motions begin at `first` and are
+    followed for `longest` at most, eight times the time `constant` of the gains [s].
+    """
+
+    def __init__(self, certificate: ContractionCertificate):
+        self.certificate, self.half_widths, self.n = certificate, certificate.half_widths, len(certificate.velocity)
+        self.model, self.manifold = certificate.observer.model, certificate.observer.model.manifold
+        self.flat = self.manifold.commuting
+        # Of these subjects the metric on states is the same at every point of the region.
+        self.metric = certificate.subject.at(jnp.zeros(len(certificate.subject.names))).metric
+        alpha, beta = float(certificate.observer.alpha), float(certificate.observer.beta)
+        self.constant = -1 / float(np.linalg.eigvals(error_matrix(alpha, beta)).real.max())
+        self.first, last = certificate.given["times"]
+        self.longest = 8 * self.constant
+        if last > self.first:
+            self.longest = min(self.longest, last - self.first)
+
+    def draw(self, rng, count: int) -> Motion:
+        """Random motions inside the bounds."""
+        if self.flat:
+            low, high = (np.asarray(self.certificate.given["positions"][end]) for end in ("low", "high"))
+            share = rng.uniform(-1, 1, (count, 2, self.n)) * rng.uniform(size=(count, 1, 1))
+            q = (low + high) / 2 + share[:, 0] * (high - low) / 2
+            return Motion(jnp.asarray(q), jnp.asarray(share[:, 1] * self.certificate.velocity))
+        turn = rng.normal(size=(count, self.n))
+        turn *= np.pi * rng.uniform(size=(count, 1)) / np.linalg.norm(turn, axis=1, keepdims=True)
+        v = rng.uniform(-1, 1, (count, self.n)) * rng.uniform(size=(count, 1)) * self.certificate.velocity
+        q = jax.vmap(lambda s: self.manifold.retract(self.manifold.origin(), s))(jnp.asarray(turn))
+        return Motion(q, jnp.asarray(v))
+
+    def simulated(self, start: Motion, t: Array, control) -> tuple[Array, Array]:
+        """Entries of the configuration (T, k), and velocities (T, n), of the motion from there."""
+        q, v = self.model.motion(simulate(self.model, self.model.state(start), t, control, rtol=1e-5, atol=1e-7).x)
+        return q.reshape(len(t), -1), v
+
+    def observed(self, start: Motion, estimate: Motion, t: Array, control, **tolerances) -> tuple[Motion, Motion]:
+        """The motion from `start`, and what the observer makes of it that begins at `estimate`."""
+        observer = self.certificate.observer
+        state = observer.init(estimate.q)._replace(q=estimate.q, v=estimate.v)
+        x, states = observe(self.model, observer, self.model.state(start), state, t, control, **tolerances)
+        return self.model.motion(x), Motion(states.q, states.v)
+
+    def coordinates(self, start: Motion, x: Motion) -> Array:
+        """Position, as seen from the start where there are no coordinates, and velocity."""
+        return jnp.concatenate([x.q if self.flat else self.manifold.local(start.q, x.q), x.v])
+
+    def chart(self, estimated: Motion, actual: Motion) -> tuple[Array, Array]:
+        """Both where the metric can compare them."""
+        return self.coordinates(estimated, estimated), self.coordinates(estimated, actual)
+
+    def place(self, x: Motion) -> Array:
+        """The point of the region where the estimate is x and all else is zero."""
+        return jnp.concatenate([*([x.q] if self.flat else []), x.v, jnp.zeros(2 * self.n)])
+
+    def inputs(self, pace: Array, phase: Array) -> Callable[[Array, Any], Array]:
+        """Sines (m,) within the bounds of the inputs."""
+        low, high = (jnp.asarray(self.certificate.given["inputs"][end]) for end in ("low", "high"))
+        return lambda t, x: (low + high) / 2 + INSIDE * (high - low) / 2 * jnp.sin(pace * t + phase)
+
+    def inside(self, places: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """At how many of its first stamps each motion (k, T, ...) is inside the bounds."""
+        low, high = (np.asarray(self.certificate.given["positions"][end]) for end in ("low", "high"))
+        middle, half = (low + high) / 2, (high - low) / 2
+        allowed = half * INSIDE if self.flat else half + 1e-9
+        with np.errstate(invalid="ignore"):
+            kept = (np.abs(places - middle) <= allowed).all(-1)
+            kept &= (np.abs(v) <= INSIDE * self.certificate.velocity).all(-1)
+        inside = np.asarray(kept)
+        return np.where(inside.all(1), inside.shape[1], inside.argmin(1))
+
+    def moved(self, x: Motion, step: Array) -> Motion:
+        """The state x after a step (2n,) of position and velocity."""
+        turn, v = jnp.split(step, 2)
+        return Motion(self.manifold.retract(x.q, turn), x.v + v)
+
+
+def _draw_motions(plant: _Plant, count: int, rng) -> tuple[Any, tuple[Array, Array], np.ndarray]:
+    """`count` starts of motions, the pace and phase (count, m) of their inputs, and when they end (count,).
+
+    Of random ones those that stay within the bounds for a time constant of the gains or longer.
+    """
+    first, longest = plant.first, plant.longest
+    t = jnp.linspace(first, first + longest, WATCHED)
+    m = len(plant.certificate.given["inputs"]["low"])
+
+    @jax.jit
+    @jax.vmap
+    def motions(x0, inputs):
+        return plant.simulated(x0, t, plant.inputs(*inputs))
+
+    found, ends = [], np.zeros(0)
+    for _ in range(20):
+        pace = jnp.asarray(rng.uniform(1, 4, (2 * count, m))) * (2 * jnp.pi / longest)
+        drawn = plant.draw(rng, 2 * count), (pace, jnp.asarray(rng.uniform(0, 2 * np.pi, (2 * count, m))))
+        lasts = plant.inside(*(np.asarray(a) for a in motions(*drawn)))
+        last = np.asarray(t)[np.maximum(lasts - 1, 0)]
+        good = last >= first + min(plant.constant, longest)
+        found.append(jax.tree.map(lambda a, good=good: a[good], drawn))
+        ends = np.concatenate([ends, last[good]])
+        if len(ends) >= count:
+            start, inputs = jax.tree.map(lambda *parts: jnp.concatenate(parts)[:count], *found)
+            return start, inputs, ends[:count]
+    raise ValueError("too few motions stay inside the region for a time constant of the gains; take a larger region")
+
+
+def _longest_motion(plant: _Plant, control, rng, count: int = 512) -> tuple[Any, float, np.ndarray]:
+    """The start of a motion within the bounds, for how long it is inside, and how far positions and velocities go."""
+    t = jnp.linspace(plant.first, plant.first + plant.longest, 49)
+    draws = plant.draw(rng, count)
+
+    @jax.jit
+    @jax.vmap
+    def motions(x0):
+        return plant.simulated(x0, t, control)
+
+    places, v = (np.asarray(a) for a in motions(draws))
+    lasts = plant.inside(places, v)
+    best = lasts == lasts.max()
+    travel = np.where(best, np.nan_to_num(np.ptp(v / plant.certificate.velocity, axis=1)).sum(-1), -1.0)
+    chosen = int(travel.argmax())
+    if lasts[chosen] < 2:
+        raise ValueError("no motion was found that stays inside the region; take a larger one to see its tube")
+    until = lasts[chosen]
+    gone = np.concatenate([np.ptp(a[chosen, :until], axis=0) for a in (places, v)])
+    return jax.tree.map(lambda a: a[chosen], draws), float(t[until - 1] - t[0]), gone
+
+
+def _across(plant, start, shown, angle):
+    """A change of the state `start` in the plane of one position error and the change of velocity."""
+    point, t = plant.certificate.subject.at(plant.place(start)), jnp.zeros(())
+    rows = point.error_jacobian()[jnp.array([shown, shown + plant.n])]
+    widest = jnp.linalg.solve(point.metric.gram(t, point.x), rows.T)
+    along = widest / jnp.sqrt(jnp.sum(rows.T * widest, axis=0, keepdims=True))
+    return point.metric.frame(t, point.x) @ (along @ jnp.array([jnp.cos(angle), jnp.sin(angle)]))
+
+
+def _on_the_border(plant, start, step, size):
+    """The state at the distance `size` from `start`, in the direction of `step` (2n,)."""
+    t = jnp.zeros(())
+
+    def nearer(_, scale):
+        return scale * size / upper_distance(plant.metric, t, *plant.chart(plant.moved(start, scale * step), start))
+
+    return plant.moved(start, jax.lax.fori_loop(0, 20, nearer, jnp.asarray(size)) * step)

@@ -1,0 +1,76 @@
+"""Arrays whose entries are nodes of a graph of scalars, and operations on such arrays."""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from covariant.lowering._graph import Graph
+
+
+class Scalars(NamedTuple):
+    """An array of nodes, by their indices."""
+
+    ids: np.ndarray
+
+
+Value = Scalars | np.ndarray
+"""An array that depends on the arguments, or one whose numbers are known."""
+
+
+def nodes_of(graph: Graph, value: Value) -> np.ndarray:
+    """The nodes of an array; its numbers become constants where they are known."""
+    if isinstance(value, Scalars):
+        return value.ids
+    flat = [graph.constant(v) for v in np.asarray(value).ravel().tolist()]
+    return np.array(flat, int).reshape(np.shape(value))
+
+
+class Writer:
+    """Writes operations on arrays into a graph, entry by entry."""
+
+    def __init__(self, graph: Graph):
+        self.graph = graph
+
+    def map(self, op: str, *values: Value) -> Scalars:
+        """An operation on arrays of one shape, entry by entry."""
+        arrays = np.broadcast_arrays(*(nodes_of(self.graph, value) for value in values))
+        flat = [self.graph.apply(op, *map(int, ids)) for ids in zip(*(a.ravel() for a in arrays), strict=True)]
+        return Scalars(np.array(flat, int).reshape(arrays[0].shape))
+
+    def reduce(self, op: str, ids: np.ndarray, axes: Sequence[int]) -> Scalars:
+        """An operation over some axes, halves first, which rounds less than one after the other."""
+        kept = [axis for axis in range(ids.ndim) if axis not in axes]
+        shape = [ids.shape[axis] for axis in kept]
+        rows = np.transpose(ids, [*kept, *axes]).reshape(math.prod(shape), math.prod(ids.shape[a] for a in axes))
+
+        def together(row: list[int]) -> int:
+            if len(row) < 2:
+                return row[0] if row else self.graph.constant(_NEUTRAL[op])
+            middle = len(row) // 2
+            return self.graph.apply(op, together(row[:middle]), together(row[middle:]))
+
+        return Scalars(np.array([together(row) for row in rows.tolist()], int).reshape(shape))
+
+    def stack(self, values: list[Value]) -> Value:
+        """Arrays of one shape along a new first axis."""
+        if not any(isinstance(value, Scalars) for value in values):
+            return np.stack(values)
+        return Scalars(np.stack([nodes_of(self.graph, value) for value in values]))
+
+    def truth(self, value: Value) -> bool | None:
+        """A truth value, or None where the arguments decide it."""
+        if not isinstance(value, Scalars):
+            return bool(value)
+        node = self.graph.nodes[int(value.ids)]
+        return bool(node.value) if node.op == "constant" else None
+
+    def within(self, value: Scalars, low: float, high: float) -> None:
+        """Note the condition that all entries are between two numbers."""
+        for node in set(value.ids.ravel().tolist()):
+            self.graph.need_between(low, node, high)
+
+
+_NEUTRAL = {"add": 0.0, "mul": 1.0, "and": True, "or": False, "max": -np.inf, "min": np.inf}
+"""What nothing sums up to."""

@@ -1,0 +1,107 @@
+"""Entries that are moved to places, or taken from them: slices, gathers and scatters of arrays of nodes.
+
+Where the places are known numbers, the primitive itself moves the indices of the nodes. Where the arguments decide them
+the result is a choice between all places that they may name, if these are few.
+"""
+
+import itertools
+import math
+from collections.abc import Sequence
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from covariant.lowering._arrays import Scalars, Value, Writer, nodes_of
+from covariant.lowering._lowered import LoweringError
+
+MOST_PLACES = 64
+"""Places that an index which depends on the arguments may have."""
+
+
+def at_places(write: Writer, eqn, values: list) -> list[Value]:
+    """A primitive that moves entries to or from places, or adds them there: known ones, or a choice of few."""
+    name = eqn.primitive.name
+    move = _added if name == "scatter-add" else _moved
+    where, ends = _places(name, eqn.params, [atom.aval.shape for atom in eqn.invars])
+    fills = name == "gather" and eqn.params["mode"] == jax.lax.GatherScatterMode.FILL_OR_DROP
+    drops = name.startswith("scatter") and eqn.params["mode"] == jax.lax.GatherScatterMode.FILL_OR_DROP
+    places = [nodes_of(write.graph, values[i]) for i in where]
+    flat = [int(node) for place in places for node in place.ravel()]
+    known = [write.graph.nodes[node].value if write.graph.nodes[node].op == "constant" else None for node in flat]
+
+    def moved(numbers: Sequence) -> np.ndarray:
+        left, arguments = iter(numbers), []
+        for i, value in enumerate(values):
+            if i in where:
+                shape, dtype = eqn.invars[i].aval.shape, eqn.invars[i].aval.dtype
+                arguments.append(np.array([next(left) for _ in range(math.prod(shape))], dtype).reshape(shape))
+            else:
+                arguments.append(nodes_of(write.graph, value))
+        return move(write, eqn, arguments)
+
+    if None not in known:
+        return [Scalars(moved([value for value in known if value is not None]))]
+    largest = [ends[k % len(ends)] for k in range(len(flat))]
+    choices = [range(end + 1) if value is None else (value,) for end, value in zip(largest, known, strict=True)]
+    count = math.prod(len(choice) for choice in choices)
+    if not 0 < count <= MOST_PLACES:
+        raise LoweringError(f"'{name}' at one of {count} places that the arguments decide has no graph of scalars")
+    if not (fills or drops):  # places out of bounds are brought back
+        limits = [(write.graph.constant(0.0), write.graph.constant(end)) for end in largest]
+        flat = [
+            node if value is not None else write.graph.apply("min", write.graph.apply("max", node, low), high)
+            for node, value, (low, high) in zip(flat, known, limits, strict=True)
+        ]
+    outside = [float(end + 1) for end in largest]
+    result = moved([o if v is None else v for o, v in zip(outside, known, strict=True)]) if fills or drops else None
+    for combination in itertools.product(*choices):
+        here = write.graph.constant(True)
+        for node, value, number in zip(flat, known, combination, strict=True):
+            if value is None:
+                here = write.graph.apply("and", here, write.graph.apply("eq", node, write.graph.constant(number)))
+        ids = moved(combination)
+        result = (
+            ids if result is None else write.map("select", Scalars(np.array(here)), Scalars(ids), Scalars(result)).ids
+        )
+    assert result is not None
+    return [Scalars(result)]
+
+
+def _places(name: str, p: dict, shapes: Sequence[tuple[int, ...]]) -> tuple[range, list[int]]:
+    """Which arguments say where, and how far each of their numbers (the last axis of one) may go."""
+    operand = shapes[0]
+    if name == "dynamic_slice":
+        return range(1, len(shapes)), [a - b for a, b in zip(operand, p["slice_sizes"], strict=True)]
+    if name == "dynamic_update_slice":
+        return range(2, len(shapes)), [a - b for a, b in zip(operand, shapes[1], strict=True)]
+    numbers = p["dimension_numbers"]
+    if name == "gather":
+        return range(1, 2), [operand[d] - p["slice_sizes"][d] for d in numbers.start_index_map]
+    free = [d for d in range(len(operand)) if d not in (*numbers.inserted_window_dims, *numbers.operand_batching_dims)]
+    window = dict(zip(free, (shapes[2][k] for k in numbers.update_window_dims), strict=True))
+    return range(1, 2), [operand[d] - window.get(d, 1) for d in numbers.scatter_dims_to_operand_dims]
+
+
+def _moved(write: Writer, eqn, arguments: list[np.ndarray]) -> np.ndarray:
+    """Nodes moved by the primitive itself, which does not care what the numbers stand for."""
+    parameters = dict(eqn.params) | ({"fill_value": -1} if eqn.primitive.name == "gather" else {})
+    with jax.ensure_compile_time_eval():
+        ids = np.array(eqn.primitive.bind(*map(jnp.asarray, arguments), **parameters))
+    ids[ids < 0] = write.graph.constant(float("nan"))  # what a gather out of bounds is filled with
+    return ids
+
+
+def _added(write: Writer, eqn, arguments: list[np.ndarray]) -> np.ndarray:
+    operand, places, updates = arguments
+    total = operand.ravel().copy()
+    for k, node in enumerate(updates.ravel().tolist()):
+        # Where one update goes is found by letting it alone be one.
+        one = np.zeros(updates.size)
+        one[k] = 1.0
+        with jax.ensure_compile_time_eval():
+            arrays = map(jnp.asarray, (np.zeros(operand.shape), places, one.reshape(updates.shape)))
+            goes = np.asarray(eqn.primitive.bind(*arrays, **eqn.params))
+        for i in np.flatnonzero(goes.ravel()):
+            total[i] = write.graph.apply("add", int(total[i]), node)
+    return total.reshape(operand.shape)

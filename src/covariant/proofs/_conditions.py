@@ -1,0 +1,57 @@
+"""Where is a function defined, and without jumps? Its conditions are shown to hold all over a box by halving it."""
+
+import itertools
+
+import numpy as np
+
+from covariant.lowering import Conditions, fulfilled
+from covariant.proofs._box import Box
+from covariant.proofs._tree import halves, middle_of
+
+MOST_CONDITIONS, DEEPEST = 4096, 40
+"""Boxes, and halvings of one, over which conditions may be decided: what is true mostly is so after three."""
+
+
+def show_conditions(conditions: Conditions, domain: Box) -> str:
+    """Show by halving that all conditions hold over a domain: nothing, or which one is open, and where.
+
+    Once a condition holds on a box it does on its parts.
+    """
+    count, width = len(conditions.conditions), domain.high - domain.low
+    low, high, undecided = domain.low[None], domain.high[None], np.ones((1, count), bool)
+    if not count:
+        return ""
+    reads = _reads(conditions)
+    for depth in itertools.count():
+        undecided &= ~fulfilled(conditions, low, high)
+        left = undecided.any(axis=1)
+        if not left.any():
+            return ""
+        low, high, undecided = low[left], high[left], undecided[left]
+        relative = (high - low) / np.where(width > 0, width, 1.0) * (undecided @ reads > 0)
+        middle = middle_of(low, high)
+        relative = np.where((middle > low) & (middle < high), relative, 0.0)
+        stuck = np.flatnonzero(relative.max(axis=1) <= 0)
+        if len(stuck) or depth >= DEEPEST or 2 * len(low) > MOST_CONDITIONS:
+            k = int(stuck[0]) if len(stuck) else 0
+            condition = conditions.conditions[int(undecided[k].argmax())]
+            where = [i for i in np.flatnonzero(reads[undecided[k].argmax()]) if domain.names[i]]
+            place = ", ".join(f"{domain.names[i]} is {low[k, i]:.6g} to {high[k, i]:.6g}" for i in where)
+            what = "is not shown to be defined" if condition.kind == "true" else "may jump"
+            return f"{condition.because} {what}" + (f" where {place}" if place else "")
+        axes = relative.argmax(axis=1)
+        low, high = halves(low, high, axes)
+        undecided = np.repeat(undecided, 2, axis=0)
+    raise AssertionError
+
+
+def _reads(conditions: Conditions) -> np.ndarray:
+    """Which inputs each condition depends on: (conditions, inputs)."""
+    nodes = conditions.graph.nodes
+    read = np.zeros((len(nodes), conditions.inputs), bool)
+    for i, node in enumerate(nodes):
+        if node.op == "input":
+            read[i, int(node.value or 0)] = True
+        for a in node.arguments:
+            read[i] |= read[a]
+    return read[[c.node for c in conditions.conditions]].astype(float)

@@ -1,0 +1,73 @@
+"""How trees of boxes and graphs of scalars are written into a file, and read back."""
+
+import string
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from covariant.lowering import FOLD, Lowered
+from covariant.proofs._file import MOST_VALUES, Field, is_number
+
+LETTERS = string.ascii_letters
+"""One for each variable across whose middle a box is halved; a leaf is a dot, an open one a question mark."""
+MOST_LEVELS, MOST_LETTERS = 400, 10**7
+"""Of a tree, and of all trees of a file together."""
+ARGUMENTS = {op: range(n := getattr(fold, "nin", 3), n + 1) for op, fold in FOLD.items()}
+ARGUMENTS |= {"either": range(4, 5), "stumpff": range(2, 3)}
+"""Operations of a graph of scalars, and how many arguments they take."""
+
+
+def to_letters(levels: Sequence[np.ndarray]) -> list[str]:
+    """A tree of boxes, one string a level: the letter of the variable that is halved, '.' proved, '?' open."""
+    table = np.array([ord(c) for c in LETTERS + "?."], np.uint8)  # indices −1 and −2 are the last two
+    return [table[codes].tobytes().decode("ascii") for codes in levels]
+
+
+def from_letters(levels: Sequence[str]) -> list[np.ndarray]:
+    """The tree that `to_letters` wrote, as whole numbers: −1 for proved, −2 for open."""
+    codes = {letter: code for code, letter in enumerate(LETTERS)} | {".": -1, "?": -2}
+    return [np.array([codes[letter] for letter in level], int) for level in levels]
+
+
+def saved_levels(field: Field, variables: int) -> tuple[str, ...]:
+    """The levels of a tree that covers its box: both halves of each box that is halved are there."""
+    rows, known, size = field.rows(1, MOST_LEVELS), set(LETTERS[:variables]) | {".", "?"}, 1
+    for row in rows:
+        fits = type(row.value) is str and len(row.value) == size and known >= set(row.value)
+        row.need(fits, f"{size} of the letters a to {LETTERS[variables - 1]}, dots and question marks")
+        size = 2 * (size - row.value.count(".") - row.value.count("?"))
+    field.need(size == 0, f"levels down to the last boxes, of which {size} are missing")
+    return tuple(row.value for row in rows)
+
+
+def saved_graph(field: Field) -> dict[str, list]:
+    """The rows of a graph of scalars that points backwards only, as `graph_rows` wrote them."""
+    fields = field.record(["nodes", "outputs"])
+    nodes, outputs = fields["nodes"], fields["outputs"]
+    nodes.need(isinstance(nodes.value, list), "a list of rows")
+    for k, row in enumerate(nodes.value):
+        if not _is_node(row, k):
+            wanted = "[operation, numbers of earlier rows ...], ['input', number] or ['constant', value]"
+            Field(field.file, f"{nodes.key}[{k}]", row).refuse(wanted)
+    rows = outputs.rows(0, MOST_VALUES)
+    return {"nodes": nodes.value, "outputs": [row.whole(0, len(nodes.value) - 1) for row in rows]}
+
+
+def _is_node(row: Any, k: int) -> bool:
+    """Whether this is row k of a graph: a constant, an input, or an operation on rows before it."""
+    if not (type(row) is list and row and type(row[0]) is str):
+        return False
+    op, *arguments = row
+    if op == "constant":
+        return len(arguments) == 1 and (type(arguments[0]) is bool or is_number(arguments[0]))
+    if op == "input":
+        return len(arguments) == 1 and type(arguments[0]) is int and 0 <= arguments[0] <= 9999
+    known = op in ARGUMENTS and len(arguments) in ARGUMENTS[op]
+    return known and all(type(argument) is int and 0 <= argument < k for argument in arguments)
+
+
+def graph_rows(lowered: Lowered) -> dict[str, list]:
+    """A graph of scalars as rows, for readers without JAX: each an operation and the numbers of earlier rows."""
+    rows = [[node.op, *(node.arguments or (node.value,))] for node in lowered.graph.nodes]
+    return {"nodes": rows, "outputs": list(lowered.outputs)}

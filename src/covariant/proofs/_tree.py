@@ -1,0 +1,101 @@
+"""How a box is cut in halves, in halves of halves and so on: the binary tree of boxes that branch and bound leaves."""
+
+import itertools
+from collections.abc import Iterator
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from covariant.proofs._box import Box
+
+CHUNK = 2048
+"""Boxes evaluated at once: their intermediate values stay in the cache."""
+PROVED, OPEN = -1, -2
+"""Codes of leaves: the statement holds on all of the box, or that is not decided."""
+
+
+def leaves(domain: Box, levels: list[np.ndarray]) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """The leaves of a tree, level by level: their codes (m,), low (m, d) and high (m, d).
+
+    Raises `ValueError` where the levels are not a tree over the domain.
+    """
+    low, high = domain.low[None], domain.high[None]
+    for codes in itertools.chain(levels, [np.zeros(0, int)]):
+        if len(codes) != len(low):
+            raise ValueError(f"a level of the tree of boxes must hold {len(low)} boxes; it holds {len(codes)}")
+        end = codes < 0
+        yield codes[end], low[end], high[end]
+        low, high = halves(low[~end], high[~end], codes[~end])
+
+
+def open_boxes(domain: Box, levels: list[np.ndarray]) -> Float[np.ndarray, "k 2 d"]:
+    """Low and high corners of the leaves that are not decided."""
+    return np.concatenate([np.stack([low, high], 1)[codes == OPEN] for codes, low, high in leaves(domain, levels)])
+
+
+def halves(low, high, axes) -> tuple[np.ndarray, np.ndarray]:
+    """Both halves of boxes (k, d), lower before upper: (2k, d). The middle belongs to both, so that nothing is lost."""
+    rows = np.arange(len(low))
+    middle = middle_of(low[rows, axes], high[rows, axes])
+    low, high = np.repeat(low, 2, axis=0), np.repeat(high, 2, axis=0)
+    high[2 * rows, axes] = middle
+    low[2 * rows + 1, axes] = middle
+    return low, high
+
+
+def middle_of(low, high):
+    """The midpoint, without overflow."""
+    return low / 2 + high / 2
+
+
+class Tree:
+    """Boxes by number: what became of each, and its children."""
+
+    def __init__(self, domain: Box):
+        self.domain = domain
+        self.code = np.full(1, OPEN)
+        self.child = np.zeros(1, int)
+        self.count, self.evaluated, self.decided = 1, 0, 0.0
+        self.waiting: list[tuple[np.ndarray, ...]] = [
+            (np.zeros(1, int), domain.low[None], domain.high[None], np.zeros(1, int))
+        ]
+
+    def next(self) -> tuple | None:
+        """Some boxes to evaluate: numbers, low, high and depths; small lots are put together."""
+        if not self.waiting:
+            return None
+        lots, count = [], 0
+        while self.waiting and count < CHUNK:
+            lots.append(self.waiting.pop())
+            count += len(lots[-1][0])
+        whole = tuple(np.concatenate(part) for part in zip(*lots, strict=True))
+        if count > CHUNK:
+            self.waiting.append(tuple(part[CHUNK:] for part in whole))
+        return tuple(part[:CHUNK] for part in whole)
+
+    def take(self, lot: tuple, codes: Int[np.ndarray, "B"]) -> None:
+        """Enter what became of a lot."""
+        numbers, low, high, depth = lot
+        self.evaluated += len(numbers)
+        self.decided += float((2.0 ** -depth[codes == PROVED]).sum())
+        split = codes >= 0
+        new = 2 * int(split.sum())
+        first = self.count
+        self.count += new
+        while self.count > len(self.code):
+            self.code = np.concatenate([self.code, np.full(len(self.code), OPEN)])
+            self.child = np.concatenate([self.child, np.zeros(len(self.child), int)])
+        self.code[numbers] = codes
+        self.child[numbers[split]] = np.arange(first, first + new, 2)
+        if new:
+            children = halves(low[split], high[split], codes[split])
+            self.waiting.append((np.arange(first, first + new), *children, np.repeat(depth[split] + 1, 2)))
+
+    def levels(self) -> tuple[list[np.ndarray], Float[np.ndarray, "k 2 d"]]:
+        """The tree, and its open boxes."""
+        found, numbers = [], np.zeros(1, int)
+        while len(numbers):
+            found.append(self.code[numbers])
+            split = numbers[self.code[numbers] >= 0]
+            numbers = (self.child[split][:, None] + np.arange(2)).ravel()
+        return found, open_boxes(self.domain, found)

@@ -1,0 +1,72 @@
+"""Is a matrix positive definite on boxes? The checker's test, by Taylor models, with all rounding bounded."""
+
+import itertools
+
+import numpy as np
+
+from covariant.proofs.checker._enclosure import TaylorEnclosure
+from covariant.proofs.checker._taylor import ROUND, TINY, UndecidedError
+from covariant.proofs.checker._tree import halves
+
+CHUNK, MOST = 1024, 20_000
+"""Boxes at once, and boxes that may be left over when many were halved."""
+
+
+def definite(matrix: np.ndarray, width: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """On which boxes, of a width (B, d), a symmetric matrix (n, n) is positive definite; what variable widens it most.
+
+    A matrix `Σ Sₘeₘ` with e₀ = 1 and all other |eₘ| ≤ 1 is, if for some C the spectral radius of
+    `E = |CᵀS₀C − I| + Σ|CᵀSₘC|` is below one: if some positive x has Ex < x.
+    """
+    keys = sorted({m for entry in matrix.flat for part in entry.terms for m in part})
+    s, radius = np.zeros((len(keys), len(width), *matrix.shape)), np.zeros((len(width), *matrix.shape))
+    for (i, j), entry in np.ndenumerate(matrix):
+        radius[:, i, j] = entry.radius
+        for m, t in itertools.chain(*(part.items() for part in entry.terms)):
+            s[keys.index(m), :, i, j] = t
+    with np.errstate(all="ignore"):
+        unit = 1 / np.sqrt(np.diagonal(s[0], axis1=1, axis2=2))[:, :, None]
+        scaled = unit * s[0] * unit.swapaxes(1, 2)
+        values, vectors = np.linalg.eigh(np.where(np.isfinite(scaled), scaled, -np.eye(len(matrix))))
+        c = unit * vectors / np.sqrt(np.maximum(values, TINY))[:, None]
+        ct = c.swapaxes(1, 2)
+        turned = ct @ s @ c
+        turned[0] -= np.eye(len(matrix))
+        e = abs(turned).sum(0) + abs(ct) @ (radius + ROUND * abs(s).sum(0)) @ abs(c) + ROUND
+        x = np.ones((*e.shape[:2], 1))
+        for _ in range(5):
+            x = e @ x
+            x = x / x.max(1, keepdims=True) + ROUND
+        good = (e @ x * (1 + ROUND) < x).all((1, 2))
+    shares = [
+        sum((abs(t).sum((1, 2)) for t, m in zip(turned, keys, strict=True) if k in m), 0 * good)
+        for k in range(width.shape[1])
+    ]
+    weight = np.stack(shares, 1)
+    known = np.isfinite(weight).all(1, keepdims=True) & (weight > 0).any(1, keepdims=True)
+    return good, np.where(known, weight, width).argmax(1)
+
+
+def show_definite(matrix: TaylorEnclosure, low: np.ndarray, high: np.ndarray, depth: int, what: str) -> None:
+    """Raises `ValueError` unless `matrix + matrixᵀ` is positive definite on all boxes, halved up to `depth` times."""
+    left, most, size = np.full(len(low), depth), len(low) + MOST, CHUNK
+    while len(low):
+        # The last ones first, halves among them: an operation costs little more for many boxes than for one.
+        (low, a), (high, b), (left, deep) = ((x[:-size], x[-size:]) for x in (low, high, left))
+        if len(low) > most or (deep < 0).any():
+            k = deep.argmin()
+            box = ", ".join(f"{c:.6g} to {d:.6g}" for c, d in zip(a[k], b[k], strict=True))
+            raise ValueError(f"{what} is not shown to hold where the variables are {box}")
+        try:
+            found = matrix(a, b)
+            good, axes = definite(found + found.T, b - a)
+        except UndecidedError:
+            good, axes = np.zeros(len(a), bool), (b - a).argmax(1)
+            if len(a) > 1:
+                size = len(a) // 2
+                low, high, left = (np.concatenate(x) for x in ((low, a), (high, b), (left, deep)))
+                continue
+        size = min(2 * size, CHUNK)
+        lower, upper = halves(a[~good], b[~good], axes[~good])
+        low, high = np.concatenate([low, lower]), np.concatenate([high, upper])
+        left = np.concatenate([left, np.repeat(deep[~good] - 1, 2)])

@@ -1,0 +1,170 @@
+"""Enclosures of JAX functions over boxes by Taylor models: reads a jaxpr entry by entry, on arrays of boxes."""
+
+import functools
+import itertools
+from collections.abc import Callable, Sequence
+from typing import Any, Literal
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.interpreters import partial_eval
+
+from covariant.lowering import STUMPFF
+from covariant.proofs.checker._primitives import (
+    ARRAYS,
+    CALLS,
+    ENTRIES,
+    LEAVES,
+    MOVES,
+    NEEDS,
+    STAYS,
+    each,
+    is_real,
+    nonzero,
+    unrolled,
+)
+from covariant.proofs.checker._taylor import ROUND, Taylor, UndecidedError, curve, exact, forget, number
+
+
+def _refuse_shortened(eqn: Any) -> None:
+    """A number made shorter is no function of real numbers."""
+    if eqn.primitive.name == "reduce_precision":
+        raise ValueError("the model makes numbers shorter, by 'reduce_precision'")
+    if eqn.primitive.name != "convert_element_type" or not (is_real(eqn.invars[0]) and is_real(eqn.outvars[0])):
+        return
+    old, new = eqn.invars[0].aval.dtype, eqn.outvars[0].aval.dtype
+    if jnp.finfo(new).nmant < jnp.finfo(old).nmant:
+        raise ValueError(f"the model makes numbers shorter, {old} to {new}")
+
+
+def is_whole(atom: Any) -> bool:
+    return jnp.issubdtype(atom.aval.dtype, jnp.integer)
+
+
+def _settled(value: Any, atom: Any) -> np.ndarray:
+    """A result as an array: of numbers, or of known truths or whole numbers."""
+    value = np.asarray(value, getattr(value, "dtype", object))
+    if is_real(atom) or value.dtype != object:
+        return value
+    if not any(isinstance(entry, Taylor) for entry in value.flat):
+        return value.astype(atom.aval.dtype)
+    if is_whole(atom):
+        raise UndecidedError("a place is not decided")
+    return each(lambda truth: truth if isinstance(truth, Taylor) else exact(float(truth)), value)
+
+
+class TaylorEnclosure:
+    """A function of z (d,) over boxes, as an array of `Taylor`.
+
+    - `low`, `high` (d,): a box in which all others lie; variables without width are fixed.
+    - `slack` (d,): how much farther out than its box z may be.
+    - `watch`: instead of the function, the number 1 on boxes where all that it computes is "defined", or "smooth": is
+      defined and does not jump; and −1 on others.
+    """
+
+    def __init__(
+        self,
+        function: Callable,
+        low: np.ndarray,
+        high: np.ndarray,
+        slack: np.ndarray,
+        watch: Literal["", "defined", "smooth"] = "",
+    ):
+        closed = jax.make_jaxpr(function)(jnp.asarray(low))
+        needed = partial_eval.dce_jaxpr(closed.jaxpr, [True], instantiate=True)[0]
+        self.jaxpr, self.consts = closed.jaxpr if watch else needed, closed.consts
+        self.needs = {"": {}, "defined": NEEDS, "smooth": NEEDS | STAYS}[watch] if watch else None
+        self.free, self.slack, self._places = high > low, slack, {}
+
+    def __call__(self, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+        """The function over boxes with corners (B, d).
+
+        Raises `UndecidedError` where boxes take different branches, `ValueError` naming an operation not known here.
+        """
+        forget()
+        middle = low / 2 + high / 2
+        half = np.maximum(high - middle, middle - low) * (1 + ROUND)
+        z = np.array([Taylor([{(): c}, {}, {}], slack) for c, slack in zip(middle.T, self.slack, strict=True)], object)
+        for k in np.flatnonzero(self.free):
+            z[k] = Taylor([z[k].terms[0], {(int(k),): half[:, k]}, {}], self.slack[k])
+        self._good = np.ones(len(low), bool)
+        with np.errstate(all="ignore"):
+            found = self._run(self.jaxpr, self.consts, [z])[0]
+        return found if self.needs is None else np.array([[number(np.where(self._good, 1.0, -1.0))]], object)
+
+    def _run(self, jaxpr: Any, consts: Sequence, args: Sequence) -> list:
+        known = dict(zip([*jaxpr.constvars, *jaxpr.invars], [*consts, *args], strict=True))
+
+        def read(atom) -> np.ndarray:
+            x = np.asarray(atom.val if hasattr(atom, "val") else known[atom])
+            return each(exact, x.astype(float)) if is_real(atom) and x.dtype != object else x
+
+        for eqn in jaxpr.eqns:
+            name, p, x = eqn.primitive.name, eqn.params, list(map(read, eqn.invars))
+            _refuse_shortened(eqn)
+            if self.needs is not None and any(a.dtype == object for a in x):
+                self._look(eqn, x)
+            if name in CALLS:
+                inner = p.get("jaxpr", p.get("call_jaxpr"))
+                out = self._run(inner.jaxpr, inner.consts, x)
+            elif name == "cond":
+                inner = p["branches"][int(x[0])]
+                out = self._run(inner.jaxpr, inner.consts, x[1:])
+            elif name == "scan":
+                out = unrolled(p, x, self._run, np.stack)
+            elif not any(a.dtype == object for a in x):
+                out = self._move(eqn, x)
+            else:
+                out = self._work(eqn, x)
+            known |= {v: _settled(value, v) for v, value in zip(eqn.outvars, out, strict=True)}
+        return [read(atom) for atom in jaxpr.outvars]
+
+    def _look(self, eqn: Any, x: list) -> None:
+        """Note the boxes on which a primitive is not defined, or meets what is no number, or jumps."""
+        name = eqn.primitive.name
+        need = (self.needs or {}).get(name)
+        if name == "integer_pow" and eqn.params["y"] < 0:
+            need = nonzero
+        if name in LEAVES:
+            return
+        for a, atom in zip(x, eqn.invars, strict=True):
+            if is_real(atom) and name != "select_n" and name not in MOVES:
+                for entry in set((a if a.dtype == object else each(exact, a)).flat):
+                    self._good &= np.isfinite(entry.middle) & np.isfinite(entry.away)
+        if need is not None:
+            pairs = (a if a.dtype == object or a.dtype == bool else each(exact, a.astype(float)) for a in x)
+            for entries in zip(*(a.flat for a in np.broadcast_arrays(*pairs)), strict=True):
+                self._good &= need(*entries)
+
+    def _work(self, eqn: Any, x: list) -> list:
+        """A primitive of numbers; `x` may have known places, and known truths, beside them."""
+        name, p, atoms = eqn.primitive.name, eqn.params, eqn.invars
+        chosen = name == "select_n" and x[0].dtype != object
+        x = [
+            a if a.dtype == object or is_whole(v) or (chosen and v is atoms[0]) else each(exact, a.astype(float))
+            for a, v in zip(x, atoms, strict=True)
+        ]
+        if name in ARRAYS:
+            return [ARRAYS[name](p, *x)]
+        if chosen or (name in MOVES and is_real(atoms[0]) <= is_real(eqn.outvars[0])):
+            return self._move(eqn, x)
+        if eqn.primitive is STUMPFF:
+            return [each(functools.partial(curve, f"stumpff{p['k']}"), *x)]
+        if name in ENTRIES:
+            return [each(ENTRIES[name], *(a if a.dtype == object else each(exact, a.astype(float)) for a in x))]
+        raise ValueError(f"the operation '{name}' is not known to the check")
+
+    def _move(self, eqn: Any, x: list) -> list:
+        """What a primitive makes of known numbers, or where it moves entries."""
+        pairs = [(a, a.dtype == object) for a in x]
+        key = (id(eqn), *(a.tobytes() for a, real in pairs if not real))
+        if key not in self._places:
+            starts = itertools.accumulate((a.size * real for a, real in pairs), initial=0)
+            places = [np.arange(k, k + a.size).reshape(a.shape) for k, a in zip(starts, x, strict=False)]
+            given = [jnp.asarray(k if real else a) for k, (a, real) in zip(places, pairs, strict=True)]
+            with jax.ensure_compile_time_eval():
+                out = eqn.primitive.bind(*given, **eqn.params)
+            self._places[key] = [np.asarray(o) for o in (out if eqn.primitive.multiple_results else [out])]
+        entries = [a.ravel() for a, real in pairs if real]
+        return [np.concatenate(entries)[o.astype(int)] for o in self._places[key]] if entries else self._places[key]

@@ -1,0 +1,189 @@
+"""JAX's primitives on arrays of Taylor models, and where each is defined and does not jump."""
+
+import functools
+import math
+from collections.abc import Callable
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from covariant.proofs.checker._taylor import (
+    CURVES,
+    HALF,
+    ONE,
+    RIGHT,
+    ZERO,
+    Taylor,
+    choose,
+    curve,
+    decided,
+    floor,
+    less,
+    number,
+    opposite,
+    unequal,
+)
+
+ENTRIES: dict[str, Callable] = {
+    **{name: functools.partial(curve, name) for name in CURVES},
+    "add": lambda a, b: a + b,
+    "add_any": lambda a, b: a + b,
+    "sub": lambda a, b: a - b,
+    "neg": lambda a: -a,
+    "mul": lambda a, b: a * b,
+    "div": lambda a, b: a / b,
+    "square": lambda a: a * a,
+    "rsqrt": lambda a: curve("inv", curve("sqrt", a)),
+    "cos": lambda a: curve("sin", a + RIGHT),
+    "tan": lambda a: curve("sin", a) / curve("sin", a + RIGHT),
+    "tanh": lambda a: ONE - ONE / (HALF * (curve("exp", a + a) + ONE)),
+    "logistic": lambda a: ONE / (ONE + curve("exp", -a)),
+    "atan2": lambda y, x: (half := curve("atan", y / (x + curve("sqrt", x * x + y * y)))) + half,
+    "expm1": lambda a: curve("exp", a) - ONE,
+    "log1p": lambda a: curve("log", a + ONE),
+    "sinh": lambda a: HALF * (curve("exp", a) - curve("exp", -a)),
+    "cosh": lambda a: HALF * (curve("exp", a) + curve("exp", -a)),
+    "pow": lambda a, b: curve("exp", b * curve("log", a)),
+    "lt": less,
+    "gt": lambda a, b: less(b, a),
+    "le": lambda a, b: opposite(less(b, a)),
+    "ge": lambda a, b: opposite(less(a, b)),
+    "ne": unequal,
+    "eq": lambda a, b: opposite(unequal(a, b)),
+    "and": lambda a, b: a * b,
+    "or": lambda a, b: a + b - a * b,
+    "not": opposite,
+    "select_n": lambda which, no, yes: choose(which, yes, no),
+    "max": lambda a, b: choose(less(a, b), b, a),
+    "min": lambda a, b: choose(less(a, b), a, b),
+    "clamp": lambda low, a, high: ENTRIES["min"](ENTRIES["max"](a, low), high),
+    "abs": lambda a: choose(less(a, ZERO), -a, a),
+    "sign": lambda a: choose(less(a, ZERO), -ONE, ONE),
+    "round": lambda a: floor(a + HALF),
+    "floor": floor,
+    "is_finite": lambda a: less(a * a, number(1e300)),
+}
+
+
+# Where a primitive is defined, and does not jump.
+
+
+def nonzero(a: Taylor) -> Any:
+    return abs(a.middle) > a.away
+
+
+def _positive(a: Taylor) -> Any:
+    return a.middle > a.away
+
+
+def _between(a: Taylor) -> Any:
+    """Whether there is no whole number in the range, nor at its ends."""
+    below = np.floor(a.middle - a.away)
+    return (below < a.middle - a.away) & (np.floor(a.middle + a.away) == below)
+
+
+def _settled_choice(which: Any, *cases: Taylor) -> Any:
+    return True if isinstance(which, bool | np.bool_) else abs(which.middle - 0.5) > which.away
+
+
+NEEDS: dict[str, Callable] = {
+    "div": lambda a, b: nonzero(b),
+    "inv": nonzero,
+    **dict.fromkeys(("sqrt", "rsqrt", "log"), _positive),
+    "log1p": lambda a: _positive(a + ONE),
+    "pow": lambda a, b: _positive(a),
+    "tan": lambda a: nonzero(curve("sin", a + RIGHT)),
+    "atan2": lambda y, x: _positive(x) | nonzero(y),
+}
+STAYS: dict[str, Callable] = {
+    "sign": nonzero,
+    **dict.fromkeys(("floor", "ceil"), _between),
+    "round": lambda a: _between(a + HALF),
+    "select_n": _settled_choice,
+}
+"""Conditions under which each primitive is defined, and under which it does not jump; those not named always are."""
+
+
+# Arrays of such numbers.
+
+
+def each(function: Callable, *x: Any) -> np.ndarray:
+    """A function of entries, entry by entry."""
+    return np.asarray(np.frompyfunc(function, len(x), 1)(*x), object)
+
+
+def _total(x: np.ndarray, axes: Any) -> Any:
+    return np.sum(x, axis=axes, initial=ZERO)  # pyright: ignore[reportCallIssue, reportArgumentType]
+
+
+def _dot(p: dict, a: np.ndarray, b: np.ndarray) -> Any:
+    (over, other), (batch, second) = p["dimension_numbers"]
+    free, rest = ([k for k in range(x.ndim) if k not in axes] for x, axes in ((a, over + batch), (b, other + second)))
+    start, end = len(batch), len(batch) + len(free)
+    a = np.expand_dims(a.transpose(*batch, *free, *over), tuple(range(end, end + len(rest))))
+    b = np.expand_dims(b.transpose(*second, *rest, *other), tuple(range(start, end)))
+    return _total(a * b, tuple(range(-len(over), 0)))
+
+
+def _power(p: dict, x: np.ndarray) -> Any:
+    base = x if p["y"] > 0 else each(ENTRIES["inv"], x)
+    return functools.reduce(np.multiply, [base] * abs(p["y"]), each(lambda _: ONE, x))
+
+
+def _fold(name: str) -> Callable:
+    """An operation over some axes, one entry after the other."""
+
+    def fold(p: dict, x: np.ndarray) -> Any:
+        axes = tuple(p["axes"])
+        rows = np.moveaxis(x, axes, range(len(axes)))
+        rows = rows.reshape(math.prod(rows.shape[: len(axes)]), *rows.shape[len(axes) :])
+        return functools.reduce(functools.partial(each, ENTRIES[name]), rows)
+
+    return fold
+
+
+def _broadcast(p: dict, x: np.ndarray) -> np.ndarray:
+    sides = dict(zip(p["broadcast_dimensions"], x.shape, strict=True))
+    return np.broadcast_to(x.reshape([sides.get(k, 1) for k in range(len(p["shape"]))]), p["shape"])
+
+
+ARRAYS: dict[str, Callable] = {
+    "dot_general": _dot,
+    "integer_pow": _power,
+    "reduce_sum": lambda p, x: _total(x, tuple(p["axes"])),
+    **{f"reduce_{name}": _fold(name) for name in ("max", "min", "and", "or")},
+    "argmax": lambda p, x: max(range(len(x)), key=functools.cmp_to_key(lambda i, j: 1 - 2 * decided(less(x[i], x[j])))),
+    "broadcast_in_dim": _broadcast,
+    "reshape": lambda p, x: x.reshape(p["new_sizes"]),
+    "squeeze": lambda p, x: np.squeeze(x, p["dimensions"]),
+    "transpose": lambda p, x: x.transpose(p["permutation"]),
+    "concatenate": lambda p, *x: np.concatenate(x, p["dimension"]),
+    "rev": lambda p, x: np.flip(x, p["dimensions"]),
+    "slice": lambda p, x: x[
+        tuple(map(slice, p["start_indices"], p["limit_indices"], p["strides"] or (None,) * x.ndim))
+    ],
+}
+MOVES = {
+    *("split", "pad", "gather", "scatter", "dynamic_slice", "dynamic_update_slice", "expand_dims"),
+    *("copy", "copy_p", "convert_element_type", "stop_gradient"),
+}
+"""Primitives that only move entries; they do it themselves, with the numbers of the places."""
+CALLS = {"jit", "pjit", "closed_call", "custom_jvp_call", "custom_vjp_call"}
+LEAVES = {*CALLS, "cond", "scan"}
+"""Primitives that are looked into."""
+
+
+def is_real(atom: Any) -> bool:
+    return jnp.issubdtype(atom.aval.dtype, jnp.floating)
+
+
+def unrolled(p: dict, x: list, run: Callable[[Any, Any, list], list], stack: Callable) -> list:
+    """The results of a `scan` with parameters p and arguments x, by `run(jaxpr, consts, x)` for each of its steps."""
+    first, last = p["num_consts"], p["num_consts"] + p["num_carry"]
+    carry, rows = x[first:last], []
+    order = range(p["length"])[:: -1 if p["reverse"] else 1]
+    for i in order:
+        found = run(p["jaxpr"].jaxpr, p["jaxpr"].consts, [*x[:first], *carry, *(a[i] for a in x[last:])])
+        carry, rows = found[: last - first], [*rows, found[last - first :]]
+    return [*carry, *(stack(column) for column in zip(*rows[:: -1 if p["reverse"] else 1], strict=True))]

@@ -1,0 +1,242 @@
+"""Numbers on boxes as Taylor models: a polynomial of second order, and a radius for all the rest.
+
+Trusted are IEEE `+ − × ÷ √` and operations that are exact; no library's elementary functions.
+
+Source: Makino & Berz 2003, Taylor models and other validated functional inclusion methods, International Journal of
+Pure and Applied Mathematics 4(4).
+"""
+
+import functools
+import itertools
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+ROUND, TINY = 2.0**-40, 2.0**-990
+"""More than the relative rounding of a few hundred operations, and than what may underflow in them."""
+LN2 = float.fromhex("0x1.62e42fefa38p-1"), float.fromhex("0x1.ef35793c7673p-45")
+QUARTER = float.fromhex("0x1.921fb544p+0"), float.fromhex("0x1.0b4611a626331p-34")
+"""log 2 and π/2, each in two parts: products of the first one with whole numbers below 2000 are exact."""
+
+
+class UndecidedError(ArithmeticError):
+    """A branch that is not the same everywhere in the boxes."""
+
+
+class Taylor:
+    """A number on each of B boxes: within `radius` of `Σ terms[k][m] eₘ`, eₘ of degree k in variables εᵢ in [−1, 1].
+
+    e₀ = 1, eᵢ = εᵢ, eᵢⱼ = εᵢεⱼ, eᵢᵢ = 2εᵢ² − 1. The number is no farther than `away` from its constant term, `middle`.
+    """
+
+    def __init__(self, terms: Sequence[dict], radius: Any):
+        self.terms, self.middle, self.radius = terms, terms[0][()], radius + TINY
+        self.sizes = [sum(map(abs, part.values()), 0.0) for part in terms]
+        self.away = (self.sizes[1] + self.sizes[2] + self.radius) * (1 + ROUND)
+
+    def __add__(self, other: "Taylor") -> "Taylor":
+        return _sum(self, other)
+
+    def __sub__(self, other: "Taylor") -> "Taylor":
+        return _sum(self, _minus(other))
+
+    def __neg__(self) -> "Taylor":
+        return _minus(self)
+
+    def __mul__(self, other: "Taylor") -> "Taylor":
+        return _product(self, other)
+
+    def __truediv__(self, other: "Taylor") -> "Taylor":
+        return _product(self, curve("inv", other))
+
+
+# Every operation is done once for the boxes at hand: its result is kept, and found by the numbers that went into it.
+
+
+@functools.cache
+def _sum(a: Taylor, b: Taylor) -> Taylor:
+    if ZERO in (a, b):
+        return b if a is ZERO else a
+    terms = [{m: s.get(m, 0.0) + t.get(m, 0.0) for m in s | t} for s, t in zip(a.terms, b.terms, strict=True)]
+    return Taylor(terms, (a.radius + b.radius + ROUND * sum(a.sizes + b.sizes)) * (1 + ROUND))
+
+
+@functools.cache
+def _minus(a: Taylor) -> Taylor:
+    return a if a is ZERO else Taylor([{m: -t for m, t in part.items()} for part in a.terms], a.radius)
+
+
+@functools.cache
+def _product(a: Taylor, b: Taylor) -> Taylor:
+    if ZERO in (a, b) or ONE in (a, b):
+        return ZERO if ZERO in (a, b) else b if a is ONE else a
+    terms, (_, line, bend), (_, slope, curved) = [{}, {}, {}], a.sizes, b.sizes
+    for i, j in ((0, 0), (0, 1), (1, 0), (0, 2), (1, 1), (2, 0)):
+        for (m, s), (n, t) in itertools.product(a.terms[i].items(), b.terms[j].items()):
+            key, part = tuple(sorted(m + n)), s * t
+            if m == n and m:  # the square of a variable is ½, up or down by ½
+                part = part / 2
+                terms[0][()] = terms[0][()] + part
+            terms[i + j][key] = terms[i + j].get(key, 0.0) + part
+    one, two = sum(a.sizes), sum(b.sizes)
+    cut = line * curved + bend * (slope + curved)  # of third and fourth order
+    return Taylor(terms, (cut + a.radius * (two + b.radius) + one * b.radius + ROUND * one * two) * (1 + ROUND))
+
+
+def number(middle: Any, radius: Any = 0.0) -> Taylor:
+    """Anything between `middle − radius` and `middle + radius`."""
+    return Taylor([{(): middle}, {}, {}], radius)
+
+
+ZERO, ONE, HALF, RIGHT = number(0.0), number(1.0), number(0.5), number(math.pi / 2, ROUND)
+
+
+@functools.cache
+def exact(x: float | int) -> Taylor:
+    """A known number."""
+    return ZERO if x == 0 else ONE if x == 1 else number(np.float64(x))
+
+
+def forget() -> None:
+    """Begin with other boxes."""
+    for known in (_sum, _minus, _product, curve):
+        known.cache_clear()
+
+
+# Elementary functions.
+
+
+def points(name: str, x: np.ndarray) -> np.ndarray:
+    """A function at points. Its error is below ROUND/2, relative, or absolute for a sine and a logarithm."""
+    if name in ("inv", "sqrt"):
+        return 1 / x if name == "inv" else np.sqrt(x)
+    if name.startswith("stumpff"):
+        k = int(name[7:])
+        return np.asarray(functools.reduce(lambda s, j: 1 / math.factorial(2 * j + k) - x * s, range(24, -1, -1), 0.0))
+    if name in ("atan", "log"):  # twice the inverse tangent of half the angle; of a root near one
+        for _ in range(3 if name == "atan" else 10):
+            x = x / (1 + np.sqrt(1 + x * x)) if name == "atan" else np.sqrt(x)
+        x = x if name == "atan" else (x - 1) / (x + 1)
+        square, scale = (-x * x, 8) if name == "atan" else (x * x, 2048)
+        return scale * x * functools.reduce(lambda total, k: 1 / k + square * total, range(45, 0, -2), 0.0)
+    unit, turn = (QUARTER, 1j) if name == "sin" else (LN2, 1)
+    n = np.rint(x / unit[0])
+    r = ((x - n * unit[0]) - n * unit[1]) * turn
+    value = functools.reduce(lambda total, k: 1 + r / k * total, range(22, 0, -1), 1.0)
+    if name == "exp":
+        return np.ldexp(value, n.astype(int))
+    return np.where(n % 2 == 0, value.imag, value.real) * np.where(n % 4 < 2, 1, -1)
+
+
+def bounds(name: str, a: Taylor) -> Taylor:
+    """A function over the range of a number, from its values at the ends; a sine from that in the middle.
+
+    NaN where it is not defined on all of the range, or not known here. Stumpff's functions fall up to π².
+    """
+    if name.startswith("stumpff"):
+        low, high = a.middle - a.away, a.middle + a.away
+        ends = [points(name, np.where((low > -1) & (high < 9.8), end, np.nan)) for end in (low, high)]
+        half, error = abs(ends[1] - ends[0]) / 2, ROUND / math.factorial(int(name[7:]))
+        return number(ends[0] / 2 + ends[1] / 2, half + error)
+    known = abs(a.middle) + a.away < (1e3 if name in ("sin", "exp") else 1e150)
+    known &= (name not in ("inv", "log")) | (abs(a.middle) > a.away)
+    x = np.where(known, [a.middle - a.away, a.middle, a.middle + a.away], np.nan)
+    low, middle, high = points(name, x)
+    error = ROUND * (abs(low) + abs(high) + (name in ("sin", "log")))
+    return number(middle, a.away + error) if name == "sin" else number(low / 2 + high / 2, abs(high - low) / 2 + error)
+
+
+def _bell(a: Taylor) -> Taylor:
+    """1/(1 + a²) over the range of a."""
+    near, far = np.maximum(abs(a.middle) - a.away, 0.0), abs(a.middle) + a.away
+    low, high = 1 / (1 + far * far), 1 / (1 + near * near)
+    return number(low / 2 + high / 2, (high - low) / 2 + ROUND * high)
+
+
+CURVES: dict[str, Callable[[Taylor, Taylor], tuple[Taylor, Taylor]]] = {
+    "inv": lambda x, f: (-(f * f), f * f * f),
+    "sqrt": lambda x, f: (HALF * (g := bounds("inv", f)), -(HALF * HALF * HALF * g * g * g)),
+    "exp": lambda x, f: (f, HALF * f),
+    "log": lambda x, f: (g := bounds("inv", x), -(HALF * g * g)),
+    "atan": lambda x, f: (g := _bell(x), -(x * g * g)),
+    "sin": lambda x, f: (bounds("sin", x + RIGHT), -(HALF * f)),
+}
+"""The derivative, and half the second one, from x and the value."""
+
+
+def _stumpff(k: int) -> Callable[[Taylor, Taylor], tuple[Taylor, Taylor]]:
+    """From `c_k' = (k c_{k+2} − c_{k+1})/2`, twice."""
+
+    def slopes(x: Taylor, f: Taylor) -> tuple[Taylor, Taylor]:
+        one, two, three, four = (bounds(f"stumpff{k + i}", x) for i in (1, 2, 3, 4))
+        bend = exact(k * (k + 2)) * four - exact(2 * k + 1) * three + two
+        return HALF * (exact(k) * two - one), exact(0.125) * bend
+
+    return slopes
+
+
+@functools.cache
+def curve(name: str, a: Taylor) -> Taylor:
+    """A function by Taylor's formula `f(c) + f'(c) d + ½ f''(ξ) d²`: c the middle, d what is left, ξ in the range."""
+    at, around = number(a.middle), number(a.middle, a.away)
+    value, left = bounds(name, at), Taylor([{(): 0.0 * a.middle}, *a.terms[1:]], a.radius)
+    slopes = CURVES[name] if name in CURVES else _stumpff(int(name[7:]))
+    return value + slopes(at, value)[0] * left + slopes(around, bounds(name, around))[1] * (left * left)
+
+
+# Branches. A truth that is the same on all boxes is a `bool`, any other a number: 1, 0, or all between where undecided.
+
+
+def less(a: Taylor, b: Taylor) -> bool | Taylor:
+    """Whether a < b, known where one is below the other by anything at all: where both may meet there may be a kink."""
+    gap = a - b
+    known = abs(gap.middle) > gap.away
+    found = np.where(known, 1.0 * (gap.middle < 0), 0.5)
+    same = np.all(known) and np.all(found == np.max(found))
+    return bool(np.max(found)) if same else number(found, np.where(known, 0.0, 0.5))
+
+
+def choose(which: bool | Taylor, a: Taylor, b: Taylor) -> Taylor:
+    """a where that is true, b where it is not, and anything between them where it is undecided."""
+    if isinstance(which, bool):
+        return a if which else b
+    yes, no = which.middle - which.away > 0.5, which.middle + which.away < 0.5
+    low = np.minimum(a.middle - a.away, b.middle - b.away)
+    high = np.maximum(a.middle + a.away, b.middle + b.away)
+    keys = [s | t for s, t in zip(a.terms, b.terms, strict=True)]
+    terms = [
+        {m: np.where(yes, s.get(m, 0.0), np.where(no, t.get(m, 0.0), 0.0)) for m in all_}
+        for s, t, all_ in zip(a.terms, b.terms, keys, strict=True)
+    ]
+    terms[0][()] = np.where(yes | no, terms[0][()], low / 2 + high / 2)
+    between = (high - low) / 2 + ROUND * (abs(low) + abs(high))
+    return Taylor(terms, np.where(yes, a.radius, np.where(no, b.radius, between)))
+
+
+def decided(truth: bool | Taylor) -> bool:
+    """A truth that must be known. Raises `UndecidedError`."""
+    if isinstance(truth, Taylor):
+        raise UndecidedError("a branch is not decided")
+    return truth
+
+
+def floor(a: Taylor) -> Taylor:
+    """The whole number below, or one of those. Where it is always the same it is known."""
+    low, high = np.floor(a.middle - a.away), np.floor(a.middle + a.away)
+    if np.all(low == high) and np.all(low == np.max(low)):
+        return exact(float(np.max(low)))
+    return number(low / 2 + high / 2, (high - low) / 2)
+
+
+def unequal(a: Taylor, b: Taylor) -> bool | Taylor:
+    """Whether a ≠ b. A comparison with itself, by which a missing value is told, is known: a number is itself."""
+    known = less(a, b)
+    if a is b or isinstance(known, bool):
+        return a is not b
+    return number(np.where(known.away < 0.25, 1.0, 0.5), np.where(known.away < 0.25, 0.0, 0.5))
+
+
+def opposite(truth: bool | Taylor) -> bool | Taylor:
+    return ONE - truth if isinstance(truth, Taylor) else not truth

@@ -1,0 +1,302 @@
+"""The checker's arithmetic encloses what it says, shares nothing with the prover, and a mistake in it is found out."""
+
+import ast
+import functools
+import math
+import types
+from fractions import Fraction
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import mpmath
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from covariant.geometry import lie
+from covariant.lowering import stumpff
+from covariant.proofs import checker
+from covariant.proofs.checker import TaylorEnclosure, show_definite
+from covariant.proofs.checker._definite import definite
+from covariant.proofs.checker._taylor import UndecidedError, number
+
+FOLDER = Path(checker.__file__).parent
+FILES = [FOLDER / f"_{name}.py" for name in ("taylor", "primitives", "tree", "enclosure", "definite")]
+
+
+def alone(file):
+    """A source without what it imports from the other files."""
+    lines = file.read_text(encoding="utf-8").splitlines(keepends=True)
+    for node in ast.parse("".join(lines)).body:
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("covariant.proofs.checker"):
+            lines[node.lineno - 1 : node.end_lineno] = [""] * (node.end_lineno - node.lineno + 1)
+    return "".join(lines)
+
+
+def in_one_module(text):
+    module = types.ModuleType("one")
+    exec(compile(text, "one", "exec"), module.__dict__)
+    return module
+
+
+TEXT = "".join(map(alone, FILES))
+CHECKER = in_one_module(TEXT)
+"""All of the arithmetic in one module, in which one place can be changed for all the others."""
+
+
+# Enclosures hold the functions, and a source with a mistake in it is found out.
+
+
+def loop(z):
+    """Through the entries and back: what is carried on, what is kept at each, and what stays as it is."""
+
+    def step(total, x):
+        return total / 2 + x * z[1], total - x
+
+    total, kept = jax.lax.scan(step, z[0], z)
+    total, kept = jax.lax.scan(step, total, kept, reverse=True)
+    return total + kept @ jnp.array([1.0, 2.0, 3.0])
+
+
+SCALARS = {
+    "product": lambda z: z[0] * z[1] * z[2] + z[0] ** 3,
+    "quotient": lambda z: (z[0] + z[1]) / (3 + z[2] * z[0]),
+    "power": lambda z: (2.5 + z[1]) ** -2,
+    "sine": lambda z: jnp.sin(40 + 2 * z[0] + z[1] * z[2]),
+    "cosine": lambda z: jnp.cos(z[0] * z[1] - z[2]),
+    "root": lambda z: jnp.sqrt(2.2 + z[0] * z[1] + z[2]),
+    "exponential": lambda z: jnp.exp(z[0] - z[1] ** 2) + jnp.tanh(z[2]),
+    "logarithm": lambda z: jnp.log(3 + z[0] + z[1] * z[2]),
+    "hyperbolic": lambda z: jnp.sinh(z[0]) * jnp.cosh(z[1]) + jnp.expm1(z[2]) - jax.nn.sigmoid(z[0] - z[1]),
+    "powers": lambda z: (2 + z[0]) ** z[1] + jax.lax.rsqrt(2 + z[2]) + jnp.log1p(z[0] / 2) + jnp.tan(z[1]),
+    "angle": lambda z: jnp.arctan(3 * z[0]) + jnp.arctan2(z[1], 2 + z[2]),
+    "matrix": lambda z: (jnp.outer(z, z) @ jnp.eye(3) @ jnp.diag(z)).T[0].sum() + z[::-1][jnp.array([0, 2])] @ z[:2],
+    "rotation": lambda z: lie.SO3.log(lie.SO3.exp(z / 4) @ lie.SO3.exp(jnp.array([0.4, 0.5, 0.6])))[1],
+    "trigonometric or hyperbolic": lambda z: sum(stumpff(k, 4 + 4 * z[0] + z[1] * z[2]) for k in range(3)),
+    "loop": loop,
+    "kinks": lambda z: jnp.abs(z[0] - 0.3) * jnp.sign(z[1]) + jnp.maximum(z[0], z[1]) - jnp.clip(z[2], -0.2, 0.2),
+    "clamped": lambda z: jax.lax.clamp(-0.3, z[0], 0.2) + jax.lax.clamp(-0.2, z[1] * z[2], 0.1),
+    "branches": lambda z: jnp.where((z[0] < 0) & ~(z[1] >= z[2]) | jnp.any(z > 0.5), z[1], 0.2) + jnp.floor(z[0] + 0.4),
+    "choice": lambda z: jnp.where(jnp.isnan(z[0]) | (z[1] > 5), z[2], z[jnp.argmax(z + jnp.array([0.0, 9.0, 0.0]))]),
+}
+WIDTHS = (0.0, 1e-9, 0.03, 0.4)
+
+
+@functools.cache
+def places():
+    """Boxes within ±1 (B, 3) of several widths, and points in each, at corners too (B, k, 3) of ±1."""
+    rng = np.random.default_rng(5)
+    half = np.repeat(np.array(WIDTHS), 12)[:, None] * rng.uniform(0.3, 1.0, (48, 3))
+    middle = rng.uniform(-0.6, 0.6, (48, 3))
+    points = rng.uniform(-1, 1, (48, 24, 3))
+    points[:, ::2] = np.sign(points[:, ::2])
+    return middle - half, middle + half, points
+
+
+@functools.cache
+def values(name):
+    """The function at these points, in doubles."""
+    low, high, points = places()
+    z = low[:, None] / 2 + high[:, None] / 2 + points * (high - low)[:, None] / 2
+    return np.asarray(jnp.vectorize(SCALARS[name], signature="(n)->()")(jnp.asarray(z)))
+
+
+def basis(m, e):
+    """What the term m of a Taylor model stands for, at e (B, k, 3)."""
+    return 2 * e[..., m[0]] ** 2 - 1 if len(m) == 2 and m[0] == m[1] else np.prod([e[..., i] for i in m], axis=0)
+
+
+def beyond(module, name):
+    """How far values are outside of what the module says about them; no more than zero if it is right."""
+    low, high, e = places()
+    whole = -np.ones(3), np.ones(3)
+    found = module.TaylorEnclosure(SCALARS[name], *whole, np.zeros(3))(low, high)[()]
+    inside = e / (1 + 2.0**-40)  # boxes are enlarged by their rounding
+    model = sum(np.reshape(t, (-1, 1)) * basis(m, inside) for part in found.terms for m, t in part.items())
+    with np.errstate(invalid="ignore"):
+        return np.abs(values(name) - model) - np.reshape(found.radius, (-1, 1)) - 2.0**-50  # doubles are off themselves
+
+
+@pytest.mark.parametrize("name", SCALARS)
+def test_taylor_models_hold_the_function_and_say_something_about_it(name):
+    assert beyond(CHECKER, name).max() <= 0
+    low, high, _ = places()
+    found = TaylorEnclosure(SCALARS[name], -np.ones(3), np.ones(3), np.zeros(3))(low, high)[()]
+    radius = np.broadcast_to(found.radius, len(low))
+    thin, wide = radius[:12], radius[24:36]
+    assert thin.max() < 1e-9
+    assert wide.max() < (1.5 if name in ("kinks", "clamped", "branches") else 3e-2)  # of third order in the width
+
+
+def test_remainders_are_of_third_order():
+    low, high, _ = places()
+    sizes = []
+    for share in (0.2, 0.1):
+        box = (low + high) / 2 - share * (high - low) / 2, (low + high) / 2 + share * (high - low) / 2
+        found = TaylorEnclosure(SCALARS["quotient"], -np.ones(3), np.ones(3), np.zeros(3))(*box)[()]
+        sizes.append(found.radius[36:].mean())
+    assert 6 < sizes[0] / sizes[1] < 10
+
+
+ERRORS = {"sin": 1, "log": 1, "exp": 0, "atan": 0, "sqrt": 0, "inv": 0}  # absolute or relative
+FUNCTIONS = {"sin": mpmath.sin, "log": mpmath.log, "exp": mpmath.exp, "atan": mpmath.atan, "sqrt": mpmath.sqrt}
+
+
+def worst(module, name):
+    """The largest error of a function at points, as a part of what it may be."""
+    rng = np.random.default_rng(3)
+    x = np.concatenate([rng.uniform(-1, 1, 40), rng.uniform(-999, 999, 60), 10.0 ** rng.uniform(-300, 149, 60)])
+    x = np.concatenate([x, math.pi / 2 * np.arange(-12, 13), 2.0 ** np.arange(-30, 30)])
+    x = x[abs(x) < 700] if name == "exp" else x[abs(x) < 999] if name == "sin" else x
+    x = x[x > 0] if name in ("log", "sqrt", "inv") else x
+    x = x[x != 0]
+    with mpmath.workdps(40), np.errstate(all="ignore"):
+        true = [FUNCTIONS.get(name, lambda v: 1 / v)(mpmath.mpf(v)) for v in x.tolist()]
+        found = module.points(name, x)
+        allowed = [2.0**-41 * max(abs(t), 1) if ERRORS[name] else 2.0**-41 * abs(t) for t in true]
+        return max(float(abs(f - t) / a) for f, t, a in zip(found.tolist(), true, allowed, strict=True))
+
+
+@pytest.mark.parametrize("name", ERRORS)
+def test_elementary_functions_are_as_near_as_stated(name):
+    assert worst(CHECKER, name) < 1
+
+
+FLOATS = st.floats(-1e3, 1e3).filter(lambda x: x == 0 or abs(x) > 1e-200)
+
+
+@settings(max_examples=40)
+@given(st.lists(FLOATS, min_size=4, max_size=4))
+def test_thin_sums_and_products_hold_the_exact_ones(numbers):
+    assert exact_gap(CHECKER, numbers) <= 0
+
+
+def exact_gap(module, numbers):
+    a, b, c, d = map(Fraction, numbers)
+    z = [module.number(np.array([x])) for x in numbers]
+    found = z[0] * z[1] + z[2] * z[3] - z[0]
+    return abs(Fraction(float(found.middle[0])) - (a * b + c * d - a)) - Fraction(float(found.radius[0]))
+
+
+def test_sums_and_products_are_no_less_exact_than_they_must_be():
+    a, b = number(np.array([1.0]), 1e-3), number(np.array([2.0]), 2e-3)
+    for found, radius in ((a + b, 3e-3), (a - b, 3e-3), (a * b, 4e-3 + 2e-6)):
+        np.testing.assert_allclose(found.radius, radius, rtol=1e-8)
+
+
+INDEFINITE = {
+    "touches zero": (lambda z: jnp.diag(jnp.stack([1 - z[0], 2 + z[1]])), 1.0),
+    "singular": (lambda z: jnp.array([[1.0, 1 / 3], [1 / 3, 1 / 9]]) * (2 + z[0] * z[1]), 0.1),
+    "turned": (lambda z: jnp.array([[1.0, 1.0], [1.0, 1.0]]) * z[0] + jnp.eye(2) * (1 + z[1] / 4), 0.7),
+    "far terms": (lambda z: jnp.diag(jnp.stack([jnp.cos(1.7 * z[0]), 2 + z[1]])), 1.0),
+    "cubic": (lambda z: jnp.diag(jnp.stack([1 - 1.2 * z[0] ** 3, 2 + z[1]])), 1.0),
+    "bent": (lambda z: jnp.diag(jnp.stack([1 - 1.05 * z[0] ** 2, 1 + 0 * z[1]])), 1.0),
+}
+
+
+def proves(module, name):
+    matrix, half = INDEFINITE[name]
+    low, high = -half * np.ones((1, 2)), half * np.ones((1, 2))
+    return bool(
+        module.definite(module.TaylorEnclosure(matrix, low[0], high[0], np.zeros(2))(low, high), high - low)[0][0]
+    )
+
+
+@pytest.mark.parametrize("name", INDEFINITE)
+def test_no_matrix_that_is_not_definite_is_shown_to_be(name):
+    assert not proves(CHECKER, name)
+
+
+def test_matrices_that_are_definite_are_shown_to_be_after_halving():
+    def matrix(z):
+        return jnp.diag(jnp.stack([jnp.exp(z[0]) - 0.13, 2 + z[1]]))
+
+    low, high = np.array([[-2.0, -1.0]]), np.array([[2.0, 1.0]])
+    enclosure = TaylorEnclosure(matrix, low[0], high[0], np.zeros(2))
+    good, axis = definite(enclosure(low, high), high - low)
+    assert (good[0], axis[0]) == (False, 0)
+    show_definite(enclosure, low, high, 12, "it")
+    with pytest.raises(ValueError, match=r"it is not shown to hold where the variables are -2 to -1\.5, -1 to 1"):
+        show_definite(enclosure, low, high, 2, "it")
+
+
+def test_boxes_that_take_different_branches_are_shown_apart():
+    low, high = np.array([[0.1, 0.5], [0.5, 0.1]]), np.array([[0.2, 0.6], [0.6, 0.2]])
+    enclosure = TaylorEnclosure(lambda z: z[jnp.argmax(z)][None, None], low.min(0), high.max(0), np.zeros(2))
+    with pytest.raises(UndecidedError):
+        enclosure(low, high)
+    show_definite(enclosure, low, high, 0, "it")
+
+
+MUTANTS = [
+    ("ROUND, TINY = 2.0**-40, 2.0**-990", "ROUND, TINY = 0.0, 0.0"),
+    ("cut = line * curved + bend * (slope + curved)", "cut = 0.0"),
+    ("a.radius * (two + b.radius) + one * b.radius", "0.0"),
+    ("terms[0][()] = terms[0][()] + part", "pass"),
+    ('"inv": lambda x, f: (-(f * f), f * f * f)', '"inv": lambda x, f: (-(f * f), ZERO)'),
+    (
+        '"sin": lambda x, f: (bounds("sin", x + RIGHT), -(HALF * f))',
+        '"sin": lambda x, f: (bounds("sin", x + RIGHT), f)',
+    ),
+    ("- exact(2 * k + 1) * three", "+ exact(2 * k + 1) * three"),
+    ("number(middle, a.away + error)", "number(middle, error)"),
+    ("abs(high - low) / 2 + error", "error"),
+    ("* (left * left)", "* (left * left) * HALF"),
+    ("0x1.0b4611a626331p-34", "0x0p+0"),
+    ("range(22, 0, -1)", "range(9, 0, -1)"),
+    ("range(45, 0, -2)", "range(9, 0, -2)"),
+    ("e = abs(turned).sum(0)", "e = abs(turned[0])"),
+    ("(radius + ROUND * abs(s).sum(0))", "(0 * radius)"),
+    ("* (1 + ROUND) < x).all((1, 2))", "< 2 * x).all((1, 2))"),
+    ("known = abs(gap.middle) > gap.away", "known = abs(gap.middle) > -1"),
+]
+
+
+def mutant(old, new):
+    assert TEXT.count(old) == 1, f"the source no longer says {old!r} once"
+    return in_one_module(TEXT.replace(old, new))
+
+
+def is_wrong(module):
+    """Whether any of the tests above would fail."""
+    if any(exact_gap(module, numbers) > 0 for numbers in ([0.1, 0.2, 0.3, 0.7], [1e3, 1 / 3, 7.1, 1e-3])):
+        return True
+    if any(worst(module, name) >= 1 for name in ERRORS) or any(proves(module, name) for name in INDEFINITE):
+        return True
+    if any(beyond(module, name).max() > 0 for name in SCALARS):
+        return True
+    return isinstance(module.less(module.number(np.zeros(2), 1.0), module.number(np.ones(2) / 2)), bool)
+
+
+@pytest.mark.parametrize(("old", "new"), MUTANTS, ids=range(len(MUTANTS)))
+def test_a_mistake_in_the_arithmetic_is_noticed(old, new):
+    assert is_wrong(mutant(old, new))
+
+
+def test_no_mistake_is_noticed_where_there_is_none():
+    assert not is_wrong(mutant("ROUND, TINY = 2.0**-40, 2.0**-990", "ROUND, TINY = 2.0**-40, 2.0**-980"))
+
+
+def test_what_is_not_decided_or_not_known_is_refused_by_name():
+    box = -np.ones(2), np.ones(2)
+    one = box[0][None], box[1][None]
+    with pytest.raises(UndecidedError):
+        TaylorEnclosure(lambda z: z[jnp.argmax(z)], *box, np.zeros(2))(*one)
+    with pytest.raises(ValueError, match="'sort' is not known"):
+        TaylorEnclosure(lambda z: jnp.sort(z), *box, np.zeros(2))(*one)
+    with pytest.raises(ValueError, match="'convert_element_type' is not known"):
+        TaylorEnclosure(lambda z: z[0].astype(int).astype(float) + z[1], *box, np.zeros(2))(*one)
+
+
+@pytest.mark.parametrize("file", sorted(FOLDER.glob("*.py")), ids=lambda file: file.stem)
+def test_the_checker_shares_nothing_with_the_prover(file):
+    imported = set()
+    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            imported |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            imported |= {f"{node.module}.{alias.name}" for alias in node.names}
+    own = {name for name in imported if name.startswith("covariant")}
+    assert {name for name in own if not name.startswith("covariant.proofs.checker.")} <= {"covariant.lowering.STUMPFF"}
