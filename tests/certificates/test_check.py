@@ -343,6 +343,7 @@ def test_the_check_shares_with_the_prover_the_observer_alone(module):
         "covariant.certificates._subject.Subject",
         "covariant.certificates._subject.values",
         "covariant.models.applied_force",
+        "covariant.models.input_count",
     }
     assert {name for name in own if not name.startswith("covariant.proofs.checker.")} <= allowed
 

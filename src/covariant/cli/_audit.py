@@ -14,7 +14,6 @@ from covariant.cli._console import working
 from covariant.cli._job import check_output, coordinates, numbered
 from covariant.cli._parse import above_zero, ends
 from covariant.design import estimators, with_gains
-from covariant.models import StateSpace
 from covariant.observers import AbstractObserver
 from covariant.proofs import Box
 
@@ -65,12 +64,7 @@ def _observer(
     chosen = GAINS if alpha is None or beta is None else (alpha, beta)
     if not all(0 < gain < math.inf for gain in chosen):
         raise ValueError(f"--alpha and --beta must be positive numbers; got {chosen[0]:g} and {chosen[1]:g}")
-    model = file.model
-    if isinstance(model, StateSpace):
-        raise ValueError(
-            f"{spec} is a state-space model, and the laws are those of observers of mechanical ones, a Lagrangian or a "
-            "GroupSystem"
-        )
+    model = file.need_mechanical(spec, "the laws are those of observers of")
     made = with_gains(model, *chosen)
     name = name or estimators(model)[0]
     if name not in made:

@@ -67,7 +67,7 @@ def certify_model(
     if asked.error is None:
         raise ValueError("--error is missing: give how far an estimated position may be off, one bound or one each")
     file = models.load(spec, overrides)
-    model = _model(spec, file)
+    model = file.need_mechanical(spec, "certificates are about intrinsic observers of")
     settings, designed = _settings(spec, file, model, asked)
     recipe = models.recipe(spec, overrides)
     with _proving(quiet=as_json) as tell:
@@ -129,15 +129,6 @@ def _verified(found: Checked, model: str | None, more: str) -> str:
             f"The model is {model}, given by the person who checks; that the file means this one is not verified."
         )
     return "\n".join([*lines, "What remains assumed:", *(f"- {line}" for line in ASSUMED)])
-
-
-def _model(spec: str, file: models.ModelFile) -> MechanicalSystem:
-    if not isinstance(file.model, MechanicalSystem):
-        raise ValueError(
-            f"{spec} is a state-space model, and certificates are about intrinsic observers of mechanical ones, a "
-            "Lagrangian or a GroupSystem"
-        )
-    return file.model
 
 
 def _settings(spec: str, file: models.ModelFile, model, asked: Asked) -> tuple[dict[str, Any], str]:

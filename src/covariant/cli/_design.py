@@ -95,7 +95,7 @@ def _model(spec: str, file: models.ModelFile) -> StateSpace:
             f"{spec} is on a group, and metrics are designed in coordinates; give a StateSpace or a Lagrangian, or use "
             "the observers on groups by `covariant estimate`"
         )
-    model = file.model if isinstance(file.model, StateSpace) else models.state_space(file.model)
+    model = models.state_space(file.model)
     if not model.coordinates:
         raise ValueError(f"{spec}: the model names no coordinates; give it some: they are the axes of the grid")
     return model

@@ -7,7 +7,7 @@ import numpy as np
 
 from covariant import logs, models, scoring
 from covariant.design import DataSheet
-from covariant.models import MechanicalSystem, StateSpace
+from covariant.models import MechanicalSystem
 from covariant.signals import Record, lag_inputs
 
 
@@ -38,12 +38,7 @@ class Loaded(NamedTuple):
 def load(job: Job) -> Loaded:
     """Read model and log; raises `ValueError` or `OSError` with one line for the user."""
     file = models.load(job.model, job.overrides)
-    model = file.model
-    if isinstance(model, StateSpace):
-        raise ValueError(
-            f"{job.model} is a state-space model, and velocities are estimated for mechanical ones, a Lagrangian or a "
-            "GroupSystem; design an observer for its states by `covariant design metric`"
-        )
+    model = file.need_mechanical(job.model, "velocities are estimated for")
     given = {key: names.strip() for key, names in job.columns.items() if names is not None}
     columns = file.columns._replace(
         **{key: names if key == "t" else tuple(n.strip() for n in names.split(",")) for key, names in given.items()}

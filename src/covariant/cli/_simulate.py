@@ -12,7 +12,7 @@ from covariant import logs, models, simulation
 from covariant._numbers import number
 from covariant.cli._console import working
 from covariant.cli._job import check_output, velocity_columns
-from covariant.models import Motion, StateSpace
+from covariant.models import Motion
 from covariant.signals import Record
 
 
@@ -59,7 +59,7 @@ def simulate(model: str, overrides: tuple[str, ...], out: Path, scenario: Scenar
     logs.write(out, columns)
     truth = ",".join(f"true_{name}" for name in hidden)
     result = {"model": model, "rows": len(t), "out": str(out), "truth_columns": truth}
-    use = "the true state is in" if isinstance(file.model, StateSpace) else "score against --truth"
+    use = "the true state is in" if not file.mechanical else "score against --truth"
     print(json.dumps(result) if as_json else f"wrote {out}: {len(t)} rows; {use} {truth}")
 
 
@@ -71,21 +71,23 @@ def _columns(file: models.ModelFile) -> logs.Columns:
 def _start(file: models.ModelFile, scenario: Scenario) -> jax.Array | Motion:
     """The initial state; --q0 is all of it where the model is a state-space one."""
     q0 = _numbers("--q0", scenario.q0, file.dimension)
-    if isinstance(file.model, StateSpace):
+    if not file.mechanical:
         if scenario.v0 is not None:
             raise ValueError("--v0: a state-space model has no velocities; give all its initial state by --q0")
         return q0
     v0 = _numbers("--v0", scenario.v0, file.dimension)
-    manifold = file.model.manifold
-    return file.model.state(Motion(manifold.retract(manifold.origin(), q0), v0))
+    model: Any = file.model
+    manifold = model.manifold
+    return model.state(Motion(manifold.retract(manifold.origin(), q0), v0))
 
 
 def _truth(file: models.ModelFile, names: logs.Columns, record: Record) -> tuple[dict[str, Any], dict[str, Any]]:
     """Columns of the true configuration and of the velocities; of a state-space model none, and of all its states."""
+    model: Any = file.model
     x = record.x
-    if isinstance(file.model, StateSpace):
+    if not file.mechanical:
         return {}, dict(zip(file.model.coordinates, np.asarray(x).T, strict=True))
-    velocities = dict(zip(velocity_columns(file), np.asarray(file.model.motion(x).v).T, strict=True))
+    velocities = dict(zip(velocity_columns(file), np.asarray(model.motion(x).v).T, strict=True))
     return logs.to_columns(names, np.asarray(record.y)), velocities
 
 

@@ -28,7 +28,7 @@ class _Needs(NamedTuple):
 _NEEDS = ((SO3, _Needs(0, True, 0)), (SE3, _Needs(3, True, 0)), (SE2, _Needs(2, False, 1)), (SO2, _Needs(0, False, 1)))
 
 
-def model_columns(model: Model, loaded: Columns, given: dict[str, Any]) -> Columns:
+def model_columns(model: Any, loaded: Columns, given: dict[str, Any]) -> Columns:
     """The columns that a model file gives, before those its module has (`loaded`), before names after the model.
 
     An attitude gets no name that is not given, since nobody can tell how it is written. Raises `ValueError` naming the
@@ -37,19 +37,19 @@ def model_columns(model: Model, loaded: Columns, given: dict[str, Any]) -> Colum
     if any(given.get(kind) for kind in ATTITUDES):
         loaded = loaded._replace(**dict.fromkeys(ATTITUDES, ()))
     given = {key: value for key, value in loaded._asdict().items() if value} | given
-    if isinstance(model, MechanicalSystem) and not model.manifold.commuting:
+    if not model.manifold.commuting:
         return _off_coordinates(model, given)
-    has = "outputs" if isinstance(model, StateSpace) else "coordinates"
+    by_outputs = isinstance(model, StateSpace)
+    has, columns = ("outputs", _of_outputs) if by_outputs else ("coordinates", _in_coordinates)
     for key in ("position", *ATTITUDES, "angle"):
         if given.get(key):
             raise ValueError(f"columns.{key} is for a model on a group; this one has {has}: name them in columns.q")
-    return _of_outputs(model, given) if isinstance(model, StateSpace) else _in_coordinates(model, given)
+    return columns(model, given)
 
 
 def lacks_attitude(model: Model, columns: Columns) -> bool:
     """Whether a log of the model holds an attitude and nobody said how it is written."""
-    needed = isinstance(model, MechanicalSystem) and _needs(model.manifold).attitude
-    return needed and not any(getattr(columns, kind) for kind in ATTITUDES)
+    return _needs(model.manifold).attitude and not any(getattr(columns, kind) for kind in ATTITUDES)
 
 
 def _in_coordinates(model: MechanicalSystem, given: dict[str, Any]) -> Columns:

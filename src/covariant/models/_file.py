@@ -13,7 +13,6 @@ from covariant.models._check import check_metric
 from covariant.models._columns import lacks_attitude, model_columns
 from covariant.models._mechanical import MechanicalSystem
 from covariant.models._source import Model
-from covariant.models._state_space import StateSpace
 
 
 class ModelError(ValueError):
@@ -51,9 +50,21 @@ class ModelFile(NamedTuple):
     @property
     def dimension(self) -> int:
         """Number n of velocities, or of the states of a `StateSpace`."""
-        if isinstance(self.model, StateSpace):
-            return len(self.model.coordinates)
-        return len(self.model.velocities) or len(self.columns.q)
+        return len(self.model.velocities) or len(self.columns.q if self.mechanical else self.model.coordinates)
+
+    @property
+    def mechanical(self) -> bool:
+        """Whether the model is one of a configuration, with a velocity to estimate; else it is a `StateSpace`."""
+        return isinstance(self.model, MechanicalSystem)
+
+    def need_mechanical(self, spec: str, why: str) -> MechanicalSystem:
+        """The model; raises `ValueError` naming `spec` and `why` for a state-space one."""
+        if not isinstance(self.model, MechanicalSystem):
+            raise ValueError(
+                f"{spec} is a state-space model, and {why} mechanical ones, a Lagrangian or a GroupSystem; design an "
+                "observer for its states by `covariant design metric`"
+            )
+        return self.model
 
     @property
     def lacks_attitude(self) -> bool:
@@ -75,8 +86,9 @@ def load(spec: str, overrides: Sequence[str] = ()) -> ModelFile:
         what = document.get("system", spec.rpartition(":")[2])
         loaded = _make(what, _find(spec, document), document.get("parameters", {}))
         columns = model_columns(loaded.model, loaded.columns, _toml.columns(document))
-        if isinstance(loaded.model, MechanicalSystem) and loaded.model.manifold.commuting:
-            check_metric(loaded.model, _points(len(columns.q)))
+        model: Any = loaded.model
+        if loaded.mechanical and model.manifold.commuting:
+            check_metric(model, _points(len(columns.q)))
         name = Path(spec).stem if _is_file(spec) else loaded.name
         return loaded._replace(name=name, columns=columns, **_toml.numbers(document))
     except ValueError as error:

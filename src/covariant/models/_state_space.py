@@ -102,6 +102,11 @@ def state_space(model: MechanicalSystem) -> StateSpace:
     )
 
 
+@state_space.register
+def _(model: StateSpace) -> StateSpace:
+    return model
+
+
 def _motion_rate(
     model: MechanicalSystem, t: Scalar, x: Float[Array, "two_n"], u: Float[Array, "m"]
 ) -> Float[Array, "two_n"]:
