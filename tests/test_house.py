@@ -282,3 +282,10 @@ def test_no_file_names_a_package_host_or_a_path_of_one_machine():
     found = {str(p.relative_to(ROOT)): hosts.search(text) for p, text in tracked_texts() if p.name not in allowed}
     assert not {name: hit.group() for name, hit in found.items() if hit}
     assert "://" not in (ROOT / "constraints.txt").read_text(encoding="utf-8")
+
+
+def test_what_make_quick_runs_is_there():
+    text = (ROOT / "Makefile").read_text(encoding="utf-8").replace("\\\n", " ")
+    chosen = re.findall(r"^QUICK := (.*)$", text, re.MULTILINE)[0].split()
+    assert "tests/laws/test_every_observer.py" in chosen
+    assert [path for path in chosen if not (ROOT / path).is_file()] == []

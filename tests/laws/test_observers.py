@@ -234,7 +234,7 @@ def chart_gap(make, seed: int) -> float:
 @pytest.mark.parametrize("name", promising("coordinate-free"))
 def test_a_coordinate_free_observer_is_the_same_in_all_coordinates(name):
     """As exactly as it solves for its geodesics, which by default is a fixed amount of work."""
-    assert chart_gap(promising("coordinate-free")[name], seed=3) <= 1e-5
+    assert chart_gap(promising("coordinate-free")[name], seed=3) <= 5e-5
 
 
 def test_the_exact_observer_is_the_same_to_the_tolerance_of_the_integration():
