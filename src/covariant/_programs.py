@@ -55,7 +55,7 @@ def _users_caches() -> Path:
 
 def _processor() -> str:
     """A name for the instructions that this machine knows."""
-    known = [platform.machine(), platform.processor()]
+    known = [platform.machine()]
     listed = Path("/proc/cpuinfo")
     if listed.exists():
         lines = listed.read_text(encoding="utf-8", errors="replace").splitlines()
