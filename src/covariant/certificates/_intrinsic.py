@@ -164,6 +164,8 @@ def _friction(model: MechanicalSystem, q: Array, v: Vector) -> Vector:
 
 def _need_steady_friction(model: MechanicalSystem) -> None:
     """Raise `ValueError` where time or input enter the dissipation: they are no variables of a region."""
+    if not model.dissipation_is_driven:
+        return
     q = jnp.zeros(_dimension(model)) if model.manifold.commuting else model.manifold.origin()
     v = model.manifold.zero(q)
     u = jnp.zeros(input_count(model, v.size))

@@ -99,6 +99,19 @@ class MechanicalSystem(eqx.Module):
         """Indices of the coordinates that are angles on a full circle [rad]."""
         return self.manifold.circles
 
+    @property
+    def dissipation_is_driven(self) -> bool:
+        """Whether the dissipation is called as (t, q, v, u), so that time and input may enter it; else as (q, v)."""
+        given = self.dissipation
+        function, held = (given.function, given.parameters) if isinstance(given, Parametric) else (given, {})
+        try:
+            inspect.signature(function).bind(None, None, **held)
+        except TypeError:
+            return True
+        except ValueError:  # some built-in functions do not tell
+            pass
+        return False
+
     def state(self, motion: Motion) -> Any:
         """The state x: (q, v) (2n,) in coordinates, the motion itself elsewhere."""
         return jnp.concatenate(motion, axis=-1) if self.manifold.commuting else motion
@@ -242,20 +255,7 @@ def source(model: MechanicalSystem, t: Scalar, q: Array, u: Float[Array, "m"]) -
 
 def resistance(model: MechanicalSystem, t: Scalar, q: Array, v: Vector, u: Float[Array, "m"]) -> Array:
     """The dissipation, a generalised force in the frame, whether or not the model's takes time and input."""
-    return model.dissipation(t, q, v, u) if _takes_input(model.dissipation) else model.dissipation(q, v)
-
-
-def _takes_input(dissipation: Callable[..., Array]) -> bool:
-    """Whether it is called as (t, q, v, u); else as (q, v)."""
-    named = isinstance(dissipation, Parametric)
-    function, held = (dissipation.function, dissipation.parameters) if named else (dissipation, {})
-    try:
-        inspect.signature(function).bind(None, None, **held)
-    except TypeError:
-        return True
-    except ValueError:  # some built-in functions do not tell
-        pass
-    return False
+    return model.dissipation(t, q, v, u) if model.dissipation_is_driven else model.dissipation(q, v)
 
 
 def friction(model: MechanicalSystem, t: Scalar, q: Array, v: Vector, u: Float[Array, "m"]) -> Vector:
