@@ -215,7 +215,7 @@ def test_viscosity_damps_each_mode_by_its_wave_number():
     n, nu = 9, 0.03
     viscous = fluid.ideal_fluid(n, nu)
     v = velocity(n, SMOOTH)
-    rate = compiled(models.friction)(viscous, viscous.group.identity(), v)
+    rate = compiled(models.friction)(viscous, jnp.zeros(()), viscous.group.identity(), v, jnp.zeros(0))
     assert relative(values(n, rate, POINTS), nu * laplacian(values(n, v, POINTS))) < 1e-12
 
 
