@@ -202,7 +202,8 @@ def test_chain_describes_itself():
     assert model.coordinates == ("q1", "q2", "q3")
     assert model.circles == (0, 1, 2)
     assert model.units == ("rad",) * 3
-    assert model.parameters["mass"] == ((1.0, 0.5, 0.7), "kg", "a data sheet")
+    mass = model.parameters["mass"]
+    assert (mass.value.tolist(), mass.unit, mass.source) == ([1.0, 0.5, 0.7], "kg", "a data sheet")
     assert model.parameters["gravity"].value == 9.0
 
 
