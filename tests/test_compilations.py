@@ -169,3 +169,16 @@ def test_a_model_is_differentiable_in_its_parameters():
 
     slopes = eqx.filter_grad(at_rest)(models.ball_and_beam(9.81))
     assert float(slopes.potential.parameters["mass"]) == pytest.approx(9.81 * 0.3 * np.sin(0.5))
+
+
+def test_what_has_numbers_in_it_may_be_given_to_jax_as_a_function():
+    model = models.ball_and_beam()
+    observer, u, y = Intrinsic(model, 8.0, 30.0), jnp.zeros(1), jnp.array([0.3, 0.1])
+    state = observer.init(y)
+    after, _ = jax.jit(observer.step)(state, u, y, jnp.asarray(0.01))
+    assert after.q.shape == (2,)
+    for function in (model.potential, model.space.matrix, model.space):
+        assert np.isfinite(jax.jit(function)(y)).all()
+    assert np.isfinite(jax.jit(models.van_der_pol().f)(jnp.zeros(()), y, jnp.zeros(0))).all()
+    metric = models.heavy_top().space
+    assert jax.jit(metric.connection)(jnp.eye(3), jnp.ones(3), jnp.ones(3)).shape == (3,)

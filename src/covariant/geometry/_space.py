@@ -37,6 +37,9 @@ class AbstractSpace(eqx.Module):
         """Whether the metric, and all that follows from it, is the same at every configuration, in the frame."""
         return False
 
+    def __hash__(self):  # of the object, as for any function: `jax.jit` keeps what it compiles by it
+        return id(self)
+
     @abc.abstractmethod
     def lower(self, x: Configuration, a: Vector) -> Vector:
         """`<a, ·>` at x: the momentum of a velocity where the metric is kinetic energy."""

@@ -84,6 +84,9 @@ class MechanicalSystem(eqx.Module):
         if None not in self.manifold.shape:
             check_model(self)
 
+    def __hash__(self):  # of the object, as for any function: `jax.jit` keeps what it compiles by it
+        return id(self)
+
     @property
     def manifold(self) -> AbstractManifold:
         """Where the configurations live."""

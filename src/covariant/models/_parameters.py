@@ -38,6 +38,9 @@ class Parametric(eqx.Module):
         self.function = function
         self.parameters = {name: _numbers(given) for name, given in parameters.items()}
 
+    def __hash__(self):  # of the object, as for any function: `jax.jit` keeps what it compiles by it
+        return id(self)
+
     def __call__(self, *arguments: Any) -> Array:
         real = next((jnp.finfo(a.dtype).dtype for a in arguments if jnp.ndim(a) and _inexact(a)), jnp.zeros(()).dtype)
         return self.function(*arguments, **jax.tree.map(lambda number: number.astype(real), self.parameters))

@@ -63,6 +63,9 @@ class StateSpace(eqx.Module):
             count = _check(self, box)
             self.outputs = self.outputs or tuple(f"y{i + 1}" for i in range(count))
 
+    def __hash__(self):  # of the object, as for any function: `jax.jit` keeps what it compiles by it
+        return id(self)
+
     @property
     def velocities(self) -> tuple[str, ...]:
         """Names of velocities: a state-space model has none of its own."""

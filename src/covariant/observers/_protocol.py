@@ -67,6 +67,9 @@ class AbstractObserver(eqx.Module):
     state with a field `held` of the input's shape remembers the last finite input in it.
     """
 
+    def __hash__(self):  # of the object, as for any function: `jax.jit` keeps what it compiles by it
+        return id(self)
+
     @abc.abstractmethod
     def init(self, y: Inexact[Array, "*n"], t: Number = 0.0) -> Any:
         """State at rest at the measured configuration y, at time t [s]."""
