@@ -16,7 +16,7 @@ ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "covariant"
 
 PLAN = (
-    "_programs _typing _files _guests _numbers signals scoring _linalg _integrate lowering "
+    "_programs _typing _functional _files _guests _numbers signals scoring _linalg _integrate lowering "
     "logs geometry models riccati observers control simulation interop scale proofs certificates audit design report "
     "papers cli"
 )

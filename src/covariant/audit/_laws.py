@@ -96,7 +96,8 @@ def traced_once(model: MechanicalSystem) -> MechanicalSystem:
     """The same model, the matrix of a numerical metric being traced once, not once for every derivative."""
     if type(model.space) is not Metric:  # a subclass may do better
         return model
-    return eqx.tree_at(lambda m: m.space.matrix, model, jax.jit(model.space.matrix))
+    matrix = jax.jit(model.space.matrix)
+    return eqx.tree_at(lambda m: m.space.matrix, model, lambda q: matrix(q))  # not jitted itself: its numbers are fixed
 
 
 def _both_once(model: MechanicalSystem, observer: Any) -> tuple[MechanicalSystem, Any]:

@@ -20,6 +20,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from covariant._functional import Functional
 from covariant._linalg import solve
 from covariant._typing import Matrix, Scalar, Vector, Vectors
 from covariant.geometry import _geodesics as geodesics
@@ -27,7 +28,7 @@ from covariant.geometry._geodesics import Budget, Shot, Transported, root
 from covariant.geometry._manifold import AbstractManifold, Configuration
 
 
-class AbstractSpace(eqx.Module):
+class AbstractSpace(Functional):
     """A Riemannian configuration space. Vectors are components (n,) in the manifold's frame."""
 
     manifold: eqx.AbstractVar[AbstractManifold]
@@ -36,9 +37,6 @@ class AbstractSpace(eqx.Module):
     def homogeneous(self) -> bool:
         """Whether the metric, and all that follows from it, is the same at every configuration, in the frame."""
         return False
-
-    def __hash__(self):  # of the object, as for any function: `jax.jit` keeps what it compiles by it
-        return id(self)
 
     @abc.abstractmethod
     def lower(self, x: Configuration, a: Vector) -> Vector:

@@ -16,6 +16,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Inexact
 
+from covariant._functional import Functional
 from covariant._integrate import rk4_step
 from covariant._typing import Element, MatrixField, Number, Scalar, Vector
 from covariant.geometry import AbstractManifold, AbstractSpace, Coordinates, as_space, differential
@@ -30,7 +31,7 @@ class Motion(NamedTuple):
     v: Float[Array, "*T n"]
 
 
-class MechanicalSystem(eqx.Module):
+class MechanicalSystem(Functional):
     """A mechanical system whose configuration is measured.
 
     - `space`: its configuration space, with the kinetic energy `½ <v, v>` [J] as metric.
@@ -83,9 +84,6 @@ class MechanicalSystem(eqx.Module):
         self.parameters = dict(parameters or {})
         if None not in self.manifold.shape:
             check_model(self)
-
-    def __hash__(self):  # of the object, as for any function: `jax.jit` keeps what it compiles by it
-        return id(self)
 
     @property
     def manifold(self) -> AbstractManifold:

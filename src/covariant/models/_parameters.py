@@ -10,6 +10,8 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
+from covariant._functional import Functional
+
 
 class Parameter(eqx.Module):
     """A number of a model, or an array of numbers, with its unit and where it comes from.
@@ -22,7 +24,7 @@ class Parameter(eqx.Module):
     source: str = eqx.field(static=True)
 
 
-class Parametric(eqx.Module):
+class Parametric(Functional):
     """A function of a model with the numbers in it held apart, so that other numbers are no other function.
 
     `Parametric(f, mass=1.0)` is called as `f` without its keyword `mass`. A program is compiled for `f` and the shapes
@@ -37,9 +39,6 @@ class Parametric(eqx.Module):
     def __init__(self, function: Callable[..., Array], /, **parameters: Any):
         self.function = function
         self.parameters = {name: _numbers(given) for name, given in parameters.items()}
-
-    def __hash__(self):  # of the object, as for any function: `jax.jit` keeps what it compiles by it
-        return id(self)
 
     def __call__(self, *arguments: Any) -> Array:
         real = next((jnp.finfo(a.dtype).dtype for a in arguments if jnp.ndim(a) and _inexact(a)), jnp.zeros(()).dtype)

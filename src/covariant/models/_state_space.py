@@ -10,13 +10,14 @@ import jax.numpy as jnp
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
+from covariant._functional import Functional
 from covariant._typing import Matrix, Scalar, Vector
 from covariant.geometry import Coordinates, wrap
 from covariant.models._mechanical import MechanicalSystem, acceleration, check_shapes, input_count
 from covariant.models._parameters import Parameter
 
 
-class StateSpace(eqx.Module):
+class StateSpace(Functional):
     """A nonlinear system with measured outputs; its Jacobians are automatic.
 
     - `f`: state derivative `(t, x, u) -> (n,)` of state x (n,) and input u (m,).
@@ -62,9 +63,6 @@ class StateSpace(eqx.Module):
         if self.coordinates:
             count = _check(self, box)
             self.outputs = self.outputs or tuple(f"y{i + 1}" for i in range(count))
-
-    def __hash__(self):  # of the object, as for any function: `jax.jit` keeps what it compiles by it
-        return id(self)
 
     @property
     def velocities(self) -> tuple[str, ...]:

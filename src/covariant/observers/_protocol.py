@@ -20,6 +20,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float, Inexact
 
+from covariant._functional import Functional
 from covariant._typing import Code, Number, Scalar, Vector
 from covariant.models import MechanicalSystem, Motion, input_count
 from covariant.signals import Record, Result, Run
@@ -60,15 +61,12 @@ class Info(NamedTuple):
     result: Code
 
 
-class AbstractObserver(eqx.Module):
+class AbstractObserver(Functional):
     """From positions to state. Sampled: `step` brings the state to the stamp of y and then takes y in.
 
     An observer is written by its `advance`, which gets sound numbers only; `step`, the same for all, sees to that. A
     state with a field `held` of the input's shape remembers the last finite input in it.
     """
-
-    def __hash__(self):  # of the object, as for any function: `jax.jit` keeps what it compiles by it
-        return id(self)
 
     @abc.abstractmethod
     def init(self, y: Inexact[Array, "*n"], t: Number = 0.0) -> Any:

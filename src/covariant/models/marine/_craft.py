@@ -10,6 +10,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from covariant._linalg import solve
@@ -111,10 +112,15 @@ def _no_coriolis(nu: Vector) -> Matrix:
 
 
 def positive_definite(name: str, matrix: Numbers, n: int) -> Matrix:
-    """The matrix, checked: symmetric positive definite (n, n). Raises `ValueError` naming what is wrong."""
+    """The matrix, checked: symmetric positive definite (n, n). Raises `ValueError` naming what is wrong.
+
+    Inside a compiled function its numbers are not known yet: there its shape alone is looked at.
+    """
+    if np.shape(matrix) != (n, n):
+        raise ValueError(f"{name} must be a matrix of {n} rows and {n} columns; its shape is {np.shape(matrix)}")
+    if isinstance(matrix, Tracer):
+        return matrix
     found = np.asarray(matrix, float)
-    if found.shape != (n, n):
-        raise ValueError(f"{name} must be a matrix of {n} rows and {n} columns; its shape is {found.shape}")
     if not np.allclose(found, found.T, rtol=1e-9, atol=0.0):
         raise ValueError(f"{name} must be symmetric")
     least = np.linalg.eigvalsh(found)[0]
