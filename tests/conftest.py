@@ -8,7 +8,10 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
 os.environ.setdefault("COVARIANT_CACHE", "off")  # every run makes its own programs, so do processes it starts
 # The tests compile far longer than they compute: programs are made quickly, not fast. Processes they start do the same.
-os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false")
+os.environ.setdefault(
+    "XLA_FLAGS",
+    "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false --xla_disable_hlo_passes=call-inliner",
+)
 
 from collections.abc import Callable
 from pathlib import Path

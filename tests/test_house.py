@@ -63,15 +63,17 @@ PUBLIC = {
     "Lowered LoweringError Node Truth enclose evaluate expand fulfilled graft lower numbers pairs stumpff substitute",
     "logs": "ATTITUDES Body Columns Log LogError bodies coordinates matrices read to_columns write",
     "models": "GroupSystem Lagrangian MechanicalSystem ModelError ModelFile MomentumChart Motion Parameter Parametric "
-    "StateSpace acceleration advance applied_force ball_and_beam bioreactor body_velocity check_metric "
-    "check_model duffing energy free_body friction from_recipe heavy_top hovercraft induction_motor input_count load "
+    "StateSpace acceleration advance applied_force ball_and_beam bioreactor body_velocity chart_jacobian "
+    "chart_velocity check_metric check_model duffing energy free_body friction from_recipe heavy_top hovercraft "
+    "in_chart induction_motor input_count load "
     "lorenz oscillator pendulum_chain recipe resistance satellite satellite_arm source spatial_momentum state_space "
     "underwater_vehicle unknown_frequency van_der_pol",
     "models.marine": "Craft Station Waves coriolis_matrix cybership euler_rates euler_rotation euler_transform "
     "manoeuvring_ship odin odin_on_group positive_definite supply_vessel surface_ship yaw_rotation",
     "observers": "EKF REGISTRY AbstractFlowObserver AbstractMechanicalObserver AbstractObserver Contracting "
-    "ContractingState Copy EKFInfo EKFState Entry Estimate FilterInfo FilteredDerivative FilteredState Geodesic "
-    "GeodesicInfo GeodesicState HeldState Info InformationEKF InformationState Intrinsic MechanicalState PassiveGains "
+    "ContractingState Copy EKFInfo EKFState Entry Estimate FilterInfo FilteredDerivative FilteredState Gate Geodesic "
+    "GeodesicInfo GeodesicState HeldState Info InformationEKF InformationState Intrinsic IntrinsicKalman KalmanInfo "
+    "KalmanState MechanicalState PassiveGains "
     "PassiveShip Riccati Salcudean SalcudeanState SavitzkyGolay WindowState continuous craft_observer "
     "lyapunov_gains lyapunov_rate notch_gains printed_rate run second_order",
     "papers.jouffroy_fossen": "COMPASS COUNTEREXAMPLES CROSS DURATION GAPS GNSS K1 K2 KD KP LAMBDA PRINTED_K2 RATE "

@@ -79,3 +79,29 @@ def cholesky(a: Matrix) -> Matrix:
     n = a.shape[0]
     full = [jnp.concatenate([jnp.zeros(n - c.shape[0], a.dtype), c]) for c in columns]
     return jnp.stack(full, axis=1) * jnp.sqrt(d)[None, :]
+
+
+def semidefinite_root(a: Matrix) -> Matrix:
+    """Lower triangular L with `a = L Lᵀ`, for symmetric a ≥ 0 that may be singular."""
+    columns, rest = [], a
+    for k in range(a.shape[0]):
+        known = rest[0, 0] > 0
+        column = jnp.where(known, rest[:, 0] / jnp.sqrt(jnp.where(known, rest[0, 0], 1.0)), 0.0)
+        columns.append(jnp.concatenate([jnp.zeros(k, a.dtype), column]))
+        rest = rest[1:, 1:] - jnp.outer(column[1:], column[1:])
+    return jnp.stack(columns, axis=1)
+
+
+def triangular(a: Float[Array, "n k"]) -> Matrix:
+    """Lower triangular L with `L Lᵀ = a aᵀ`: a square root of a covariance from a wide one, no digit lost to squaring.
+
+    By Gram and Schmidt on the rows, which may depend on each other.
+    """
+    columns, rest = [], a
+    for k in range(a.shape[0]):
+        length = jnp.sqrt(jnp.sum(rest[0] ** 2))
+        axis = rest[0] / jnp.where(length > 0, length, 1.0)
+        below = rest @ axis
+        columns.append(jnp.concatenate([jnp.zeros(k, a.dtype), below]))
+        rest = rest[1:] - jnp.outer(below[1:], axis)
+    return jnp.stack(columns, axis=1)

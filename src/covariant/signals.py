@@ -14,16 +14,18 @@ class Result(enum.IntEnum):
     COASTED = 1
     INPUT_HELD = 2
     REPEATED = 3
-    CUT_LOCUS = 4
-    LEFT_DOMAIN = 5
-    ESCAPED = 6
-    CONJUGATE_POINT = 7
-    NOT_CONVERGED = 8
-    NOT_SETTLED = 9
-    NOT_RECONSTRUCTIBLE = 10
-    OUT_OF_DOMAIN = 11
-    STEP_REFUSED = 12
-    NOT_FINITE = 13
+    OUTLIER = 4
+    RESTARTED = 5
+    CUT_LOCUS = 6
+    LEFT_DOMAIN = 7
+    ESCAPED = 8
+    CONJUGATE_POINT = 9
+    NOT_CONVERGED = 10
+    NOT_SETTLED = 11
+    NOT_RECONSTRUCTIBLE = 12
+    OUT_OF_DOMAIN = 13
+    STEP_REFUSED = 14
+    NOT_FINITE = 15
 
     @property
     def message(self) -> str:
@@ -35,6 +37,8 @@ _MESSAGES = {
     Result.COASTED: "no measurement: the model ran on alone",
     Result.INPUT_HELD: "an input is not finite: the last finite one was held",
     Result.REPEATED: "the stamp is that of the sample before: the state was left as it was",
+    Result.OUTLIER: "a measurement is too far from what is expected: it was refused, as if it were missing",
+    Result.RESTARTED: "the estimate started anew: what came before tells too little of the motion now",
     Result.CUT_LOCUS: "two ways to the measurement are equally short, as after half a turn: one of them was taken",
     Result.LEFT_DOMAIN: "the past of the point leaves the domain: its metric starts at the border",
     Result.ESCAPED: "the past of the point escapes to infinity: its metric starts far away",

@@ -181,11 +181,13 @@ def paper_observer():
 def paper_laws():
     """Rate and `d/dt length² + ½(|ξ|² + |ζ|²)` at points with q̂ = q, compiled once."""
 
+    observer, beam = paper_observer(), models.ball_and_beam()
+
     def both(z):
-        point = paper_observer().at(z)
+        point = observer.at(z)
         change = contraction_matrix(point.flow, point.metric, ZERO, point.x)
-        metric = models.ball_and_beam().metric(z[:2])
-        return rate_at(paper_observer(), z), change + jnp.kron(jnp.eye(2), metric) / 2
+        metric = beam.metric(z[:2])
+        return rate_at(observer, z), change + jnp.kron(jnp.eye(2), metric) / 2
 
     return jax.jit(jax.vmap(both))
 

@@ -2,6 +2,7 @@
 
 import math
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -21,7 +22,7 @@ from covariant.design import (
 )
 from covariant.design._line_up import LONGEST_WINDOW, derivative_weights, linear_filter_error, polynomial_weights
 from covariant.models import Lagrangian, heavy_top, oscillator, underwater_vehicle
-from covariant.observers import EKF, Copy, FilteredDerivative, Geodesic, Intrinsic, SavitzkyGolay, run
+from covariant.observers import EKF, Copy, FilteredDerivative, Geodesic, Intrinsic, IntrinsicKalman, SavitzkyGolay, run
 from covariant.signals import Record
 
 AXES = 8
@@ -153,9 +154,13 @@ def test_all_estimators_come_from_one_data_sheet():
     assert float(ekf.process_cov[0, 0]) == pytest.approx(2 * 2.0**2 * 0.01)
     assert float(ekf.measurement_cov[0, 0]) == pytest.approx(1e-6)
     assert ekf.initial_velocity_std == pytest.approx(1.0)
-    assert estimators["filtered-derivative"] == FilteredDerivative(filter_bandwidth(SHEET, RATE))
-    assert estimators["savitzky-golay"] == SavitzkyGolay(window_length(SHEET, RATE), 2)
-    assert len(estimators) == 7
+    kalman = estimators["intrinsic-kalman"]
+    assert isinstance(kalman, IntrinsicKalman)
+    np.testing.assert_array_equal(kalman.process_cov, ekf.process_cov)
+    np.testing.assert_allclose(kalman.initial_velocity_cov, np.eye(1), rtol=1e-12)
+    assert eqx.tree_equal(estimators["filtered-derivative"], FilteredDerivative(filter_bandwidth(SHEET, RATE)))
+    assert eqx.tree_equal(estimators["savitzky-golay"], SavitzkyGolay(window_length(SHEET, RATE), 2))
+    assert len(estimators) == 8
 
 
 def test_an_acceleration_new_at_each_sample_is_white_over_one():
@@ -181,7 +186,7 @@ def test_a_motion_that_makes_no_sense_is_named(field, number):
 def test_a_model_is_offered_the_estimators_that_fit_it():
     top, vehicle = heavy_top((0.1, 0.2, 0.6)), underwater_vehicle()
     assert estimators(FLAT) == tuple(line_up(FLAT, AXES, SHEET, RATE))
-    anywhere = ("intrinsic", "intrinsic2", "geodesic", "copy", "ekf")
+    anywhere = ("intrinsic", "intrinsic2", "geodesic", "copy", "intrinsic-kalman", "ekf")
     assert estimators(top) == (*anywhere, "salcudean") == tuple(line_up(top, 3, SHEET, RATE))
     assert estimators(vehicle) == anywhere == tuple(line_up(vehicle, 6, SHEET, RATE))
     assert {*estimators(FLAT), *estimators(top)} == set(ESTIMATORS)

@@ -7,6 +7,7 @@ import math
 
 import numpy as np
 
+from covariant._typing import Number
 from covariant.certificates._tangent_metric import TwoByTwo, check_q
 
 
@@ -21,7 +22,7 @@ def steady_distance(rate: float, disturbance: float) -> float:
     return 2 * disturbance / rate
 
 
-def noise_disturbance(alpha: float, beta: float, q: TwoByTwo, noise: float, slope: float) -> float:
+def noise_disturbance(alpha: Number, beta: Number, q: TwoByTwo, noise: float, slope: float) -> float:
     """The length, in the metric of q, of what a measurement error of length `noise` adds to the observer.
 
     To first order the error b adds `αb` to q̂' and `βb` to ∇v̂, a length `|b| √½(aα² + 2cαβ + bβ²)`; and because force
@@ -33,7 +34,7 @@ def noise_disturbance(alpha: float, beta: float, q: TwoByTwo, noise: float, slop
 
 
 def error_bounds(
-    alpha: float, beta: float, q: TwoByTwo, rate: float, noise: float, slope: float
+    alpha: Number, beta: Number, q: TwoByTwo, rate: float, noise: float, slope: float
 ) -> tuple[float, float]:
     """Bounds of the steady errors |ξ| and |ζ|, in metric units, for measurement errors no longer than `noise`.
 

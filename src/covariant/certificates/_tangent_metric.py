@@ -15,19 +15,19 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from covariant._typing import MatrixField, Numbers
+from covariant._typing import MatrixField, Number, Numbers
 from covariant.certificates._contraction import StateMetric
 from covariant.geometry import as_space
 
 TwoByTwo = Float[np.ndarray, "2 2"]
 
 
-def error_matrix(alpha: float, beta: float) -> TwoByTwo:
+def error_matrix(alpha: Number, beta: Number) -> TwoByTwo:
     """`A = [[−α, 1], [−β, 0]]`: the law ξ' = ζ − αξ, ζ' = −βξ of a small error in a parallel frame, equation (10)."""
     return np.array([[-alpha, 1.0], [-beta, 0.0]])
 
 
-def lyapunov(alpha: float, beta: float, rate: float = 0.0, weight: float = 1.0) -> TwoByTwo:
+def lyapunov(alpha: Number, beta: Number, rate: float = 0.0, weight: float = 1.0) -> TwoByTwo:
     """Q (2, 2) with `AᵀQ + QA + rate Q = −diag(1, weight)`, A being `error_matrix(alpha, beta)`.
 
     `rate` [1/s] below twice the real part of the slower pole; with 0 and weight 1 it is the metric of the paper.
@@ -49,7 +49,7 @@ def lyapunov(alpha: float, beta: float, rate: float = 0.0, weight: float = 1.0) 
     return (q + q.T) / 2
 
 
-def rate_of(alpha: float, beta: float, q: Numbers) -> float:
+def rate_of(alpha: Number, beta: Number, q: Numbers) -> float:
     """The rate λ [1/s] with `AᵀQ + QA ≤ −λQ`: that of squared lengths at q̂ = q.
 
     Raises `ValueError` for a gain that is not finite, and where q is not symmetric positive definite.
@@ -61,7 +61,7 @@ def rate_of(alpha: float, beta: float, q: Numbers) -> float:
     return float(-np.linalg.eigvalsh(half @ (a.T @ q + q @ a) @ half.T)[-1])
 
 
-def conditioning(beta: float, q: Numbers) -> float:
+def conditioning(beta: Number, q: Numbers) -> float:
     """The condition number of Q, velocities being measured in units of √β times positions so that it has no unit.
 
     Raises `ValueError` for a beta that is not positive, and where q is not symmetric positive definite.
@@ -89,16 +89,16 @@ def check_q(whose: str, q: Any) -> TwoByTwo:
     raise ValueError(f"{whose}: q must be a symmetric positive definite matrix (2, 2) of finite numbers; got {found}")
 
 
-def _check_finite(whose: str, **given: float) -> None:
+def _check_finite(whose: str, **given: Number) -> None:
     for name, value in given.items():
         if not math.isfinite(value):
             raise ValueError(f"{whose}: {name} must be a finite number; got {value:g}")
 
 
-def optimal_lyapunov(alpha: float, beta: float, rate: float) -> TwoByTwo:
+def optimal_lyapunov(alpha: Number, beta: Number, rate: float) -> TwoByTwo:
     """Of the matrices of `lyapunov` for a rate, the one with the least condition number."""
-    weights = beta**-1 * np.logspace(-6, 6, 241)
-    found = [lyapunov(alpha, beta, rate, weight) for weight in weights]
+    weights = np.logspace(-6, 6, 241) / float(beta)
+    found = [lyapunov(float(alpha), float(beta), rate, weight) for weight in weights]
     return min(found, key=lambda q: conditioning(beta, q))
 
 

@@ -7,6 +7,8 @@ unmodelled acceleration of density S_a, so the best isotropic gains are those of
 import math
 from typing import NamedTuple
 
+from covariant._typing import Number
+
 
 class Gains(NamedTuple):
     """`alpha` [1/s], `beta` [1/s²], and the standard deviations of the errors they should leave, in metric units."""
@@ -58,14 +60,15 @@ def gains(
     return predict_errors(2 * damping * omega, omega**2, measurement_density, acceleration_density)
 
 
-def predict_errors(alpha: float, beta: float, measurement_density: float, acceleration_density: float) -> Gains:
+def predict_errors(alpha: Number, beta: Number, measurement_density: float, acceleration_density: float) -> Gains:
     """Stationary errors of given gains: `Var q̃ = (α²+β) S_m/2α + S_a/2αβ`, `Var ṽ = β² S_m/2α + (α²+β) S_a/2αβ`."""
+    alpha, beta = float(alpha), float(beta)
     both = alpha**2 + beta
     position = both * measurement_density / (2 * alpha) + acceleration_density / (2 * alpha * beta)
     velocity = beta**2 * measurement_density / (2 * alpha) + both * acceleration_density / (2 * alpha * beta)
     return Gains(alpha, beta, math.sqrt(position), math.sqrt(velocity))
 
 
-def bias(alpha: float, beta: float, acceleration: float) -> tuple[float, float]:
+def bias(alpha: Number, beta: Number, acceleration: float) -> tuple[float, float]:
     """Position and velocity error that a constant unmodelled acceleration leaves: `a/β` and `αa/β`."""
-    return acceleration / beta, alpha * acceleration / beta
+    return acceleration / float(beta), float(alpha) * acceleration / float(beta)

@@ -110,6 +110,10 @@ class AbstractManifold(eqx.Module):
     def missing(self, y: Configuration) -> Bool[Array, "n"]:
         """Which components of `local(x, y)` a measurement y with NaN in it does not tell."""
 
+    def measured_together(self, n: int) -> tuple[tuple[int, ...], ...]:
+        """Which components of a velocity (n,) one sensor tells all at once, such as an attitude's; one tuple each."""
+        return (tuple(range(n)),)
+
     @abc.abstractmethod
     def towards(self, x: Configuration, y: Configuration) -> Vector:
         """`local(x, y)` to a measurement y, with zeros for what is `missing` in it."""
@@ -190,6 +194,9 @@ class Coordinates(AbstractManifold):
     def missing(self, y: Vector) -> Bool[Array, "n"]:
         return jnp.isnan(y)
 
+    def measured_together(self, n: int) -> tuple[tuple[int, ...], ...]:
+        return tuple((i,) for i in range(n))
+
     def towards(self, x: Vector, y: Vector) -> Vector:
         return wrap(self.circles, jnp.where(jnp.isnan(y), 0.0, y - x))
 
@@ -241,6 +248,12 @@ class ProductManifold(AbstractManifold):
             found += [tuple(start + i for i in turn) for turn in factor.rotations]
             start += dimension
         return tuple(found)
+
+    def measured_together(self, n: int) -> tuple[tuple[int, ...], ...]:
+        sizes = self._dimensions
+        starts = [sum(sizes[:i]) for i in range(len(sizes))]
+        each = zip(self.factors, starts, sizes, strict=True)
+        return tuple(tuple(k + i for i in piece) for f, k, size in each for piece in f.measured_together(size))
 
     @property
     def circles(self) -> tuple[int, ...]:

@@ -7,6 +7,7 @@ from covariant.models._duffing import duffing
 from covariant.models._file import ModelError, ModelFile, from_recipe, load, recipe
 from covariant.models._heavy_top import free_body, heavy_top
 from covariant.models._hovercraft import hovercraft
+from covariant.models._in_chart import chart_jacobian, chart_velocity, in_chart
 from covariant.models._induction_motor import induction_motor
 from covariant.models._lorenz import lorenz
 from covariant.models._mechanical import (
@@ -54,6 +55,8 @@ __all__ = [
     "ball_and_beam",
     "bioreactor",
     "body_velocity",
+    "chart_jacobian",
+    "chart_velocity",
     "check_metric",
     "check_model",
     "duffing",
@@ -63,6 +66,7 @@ __all__ = [
     "from_recipe",
     "heavy_top",
     "hovercraft",
+    "in_chart",
     "induction_motor",
     "input_count",
     "load",

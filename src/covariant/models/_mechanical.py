@@ -104,9 +104,12 @@ class MechanicalSystem(Functional):
     def dissipation_is_driven(self) -> bool:
         """Whether the dissipation is called as (t, q, v, u), so that time and input may enter it; else as (q, v)."""
         given = self.dissipation
-        function, held = (given.function, given.parameters) if isinstance(given, Parametric) else (given, {})
+        if isinstance(given, Parametric):
+            given = functools.partial(given.function, **given.parameters)
+        elif isinstance(given, eqx.Partial):
+            given = functools.partial(given.func, *given.args, **given.keywords)
         try:
-            inspect.signature(function).bind(None, None, **held)
+            inspect.signature(given).bind(None, None)
         except TypeError:
             return True
         except ValueError:  # some built-in functions do not tell

@@ -4,8 +4,10 @@ from covariant.observers._contracting import Contracting, ContractingState, craf
 from covariant.observers._copy import Copy
 from covariant.observers._ekf import EKF, EKFInfo, EKFState
 from covariant.observers._filtered_derivative import FilteredDerivative, FilteredState, FilterInfo
+from covariant.observers._gate import Gate
 from covariant.observers._geodesic import Geodesic, GeodesicInfo, GeodesicState
 from covariant.observers._intrinsic import Intrinsic, second_order
+from covariant.observers._intrinsic_kalman import IntrinsicKalman, KalmanInfo, KalmanState
 from covariant.observers._passive_ship import (
     PassiveGains,
     PassiveShip,
@@ -45,6 +47,7 @@ __all__ = [
     "FilterInfo",
     "FilteredDerivative",
     "FilteredState",
+    "Gate",
     "Geodesic",
     "GeodesicInfo",
     "GeodesicState",
@@ -53,6 +56,9 @@ __all__ = [
     "InformationEKF",
     "InformationState",
     "Intrinsic",
+    "IntrinsicKalman",
+    "KalmanInfo",
+    "KalmanState",
     "MechanicalState",
     "PassiveGains",
     "PassiveShip",

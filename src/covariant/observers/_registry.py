@@ -8,6 +8,8 @@ from collections.abc import Callable
 from functools import partial
 from typing import Literal, NamedTuple
 
+import jax.numpy as jnp
+
 from covariant.geometry.lie import SO3
 from covariant.models import MechanicalSystem
 from covariant.observers._copy import Copy
@@ -15,6 +17,7 @@ from covariant.observers._ekf import EKF
 from covariant.observers._filtered_derivative import FilteredDerivative
 from covariant.observers._geodesic import Geodesic
 from covariant.observers._intrinsic import Intrinsic
+from covariant.observers._intrinsic_kalman import IntrinsicKalman
 from covariant.observers._protocol import AbstractObserver
 from covariant.observers._salcudean import Salcudean, of_mean_inertia
 from covariant.observers._savitzky_golay import SavitzkyGolay
@@ -101,6 +104,17 @@ REGISTRY = (
         about="the model with output injection",
         when="high gain on nearly flat metrics",
         source="Aghannan & Rouchon 2003, (15)",
+    ),
+    Entry(
+        name="intrinsic-kalman",
+        observer=IntrinsicKalman,
+        make=lambda model, process, measurement, speed: IntrinsicKalman(
+            model, process, measurement, speed**2 * jnp.eye(process.shape[0])
+        ),
+        tuned_by="noise",
+        about="error and covariance in the parallel frame, with reset and gate; the same in all coordinates",
+        when="known noise, large first errors, gaps and outliers: the most accurate",
+        source="Ge, van Goor & Mahony 2025, extended to second-order systems",
     ),
     Entry(
         name="ekf",

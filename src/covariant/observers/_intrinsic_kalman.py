@@ -1,0 +1,202 @@
+"""The intrinsic Kalman filter: error and covariance in the parallel frame, the same filter in all coordinates.
+
+Of a true motion (q, v) the error at the estimate is `ε = log_q̂ q` and `ν = Tv − v̂`, with T the parallel transport along
+the geodesic from q to q̂; the covariance P of (ε, ν) is a tensor at q̂. Two maps move it, the flow of the model and the
+change of base point by a correction, and both are differentiated as they are computed: curvature, the change of the
+force and friction are in these derivatives, and none of them has a formula here. With components δv in a frame that is
+not parallel, `ν = δv + B(ε, v)`, which is all that the two need to be told.
+
+Source: Ge, van Goor & Mahony 2025, on the reset; Kailath, Sayed & Hassibi 2000, Linear Estimation, chapter 12, for the
+array form; Bar-Shalom, Li & Kirubarajan 2001, section 5.4, for the gate.
+"""
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Inexact, Int
+
+from covariant._linalg import semidefinite_root, solve, triangular
+from covariant._typing import Code, Matrix, Number, Scalar, Vector
+from covariant.geometry import AbstractSpace, Budget
+from covariant.models import MechanicalSystem, Motion, advance
+from covariant.observers._gate import Gate
+from covariant.observers._protocol import AbstractObserver, Held, as_gain, at_rest, check_finite, outcome, uniqueness
+from covariant.observers._sampled import needed_substeps
+from covariant.observers._spread import Spread, spread_at
+from covariant.signals import Result
+
+
+class KalmanState(NamedTuple):
+    """Estimated configuration and velocity at time t [s]; `root` (2n, 2n), `P = root rootᵀ` the covariance of (ε, ν) in
+    the parallel frame; how many samples in a row were `refused`; `held` is the last finite input."""
+
+    q: Inexact[Array, "..."]
+    v: Vector
+    t: Scalar
+    root: Float[Array, "two_n two_n"]
+    refused: Int[Array, ""]
+    held: Held = None
+
+
+class KalmanInfo(NamedTuple):
+    """As `Info`, with the predicted covariance of the innovation and the square `nis` of its length in it, which is
+    χ²-distributed with as many degrees of freedom as there are components measured, where the model is right."""
+
+    innovation: Vector
+    distance: Scalar
+    innovation_cov: Matrix
+    nis: Scalar
+    result: Code
+
+
+class IntrinsicKalman(AbstractObserver):
+    """Kalman filter of a `MechanicalSystem` on any space.
+
+    - `process_cov`: density of the white acceleration noise [(rad/s²)² s, or (m/s²)² s].
+    - `measurement_cov`: covariance of the noise of one sample [rad² or m²].
+    - `initial_velocity_cov`: covariance of the velocity at the start, which is assumed zero [(rad/s)² or (m/s)²].
+      Each is a matrix (n, n) in the frame, the same everywhere; a function of the configuration; or a number, a
+      variance in metric units, the same in every direction.
+    - `gate`: which measurements are refused as outliers, None for none of them; see `Gate`.
+    - `budget`: work spent on geodesics, from the estimate to the measurement and along the correction.
+    - `substeps`: Runge–Kutta steps a sample; None takes as many as dt and the friction need (offline).
+
+    In other coordinates, with noise that is the same tensor, the estimate is the same to the accuracy of the budget.
+    Raises `ValueError` for covariances that are not finite.
+    """
+
+    model: MechanicalSystem
+    process_cov: Spread = eqx.field(converter=as_gain)
+    measurement_cov: Spread = eqx.field(converter=as_gain)
+    initial_velocity_cov: Spread = eqx.field(converter=as_gain)
+    gate: Gate | None = Gate()
+    budget: Budget = eqx.field(default=Budget(newton=1, steps=2), static=True)
+    substeps: int | None = eqx.field(default=None, static=True)
+
+    def __check_init__(self):
+        for name in ("process_cov", "measurement_cov", "initial_velocity_cov"):
+            given = getattr(self, name)
+            if not callable(given):
+                check_finite("IntrinsicKalman", **{name: given})
+
+    def init(self, y: Array, t: Number = 0.0) -> KalmanState:
+        q, v, t, held = at_rest(self.model, y, t)
+        return KalmanState(q, v, t, self._first_root(q), jnp.zeros((), jnp.int32), held)
+
+    def estimate(self, state: KalmanState) -> Any:
+        return self.model.state(Motion(state.q, state.v))
+
+    def cov(self, state: KalmanState) -> Float[Array, "two_n two_n"]:
+        """The covariance P of (ε, ν) in the parallel frame at the estimate."""
+        return state.root @ state.root.T
+
+    def advance(self, state: KalmanState, u: Float[Array, "m"], y: Array, dt: Scalar) -> tuple[KalmanState, KalmanInfo]:
+        return self.correct(self.predict(state, u, dt), y)
+
+    def predict(self, state: KalmanState, u: Float[Array, "m"], dt: Scalar) -> KalmanState:
+        """Integrate model and covariance over dt [s] with u held."""
+        count = self.substeps or needed_substeps(self.model, state.t, state.q, state.v, u, dt)
+        h = dt / jnp.asarray(count, state.v.dtype)
+        return jax.lax.fori_loop(0, count, lambda _, now: self._moved(now, u, h), state)
+
+    def correct(self, state: KalmanState, y: Array) -> tuple[KalmanState, KalmanInfo]:
+        """Take the measurement y in; missing entries (NaN) are left out, on a group all where one is missing."""
+        space, manifold, n = self.model.space, self.model.manifold, state.v.shape[0]
+        missing, straight = manifold.missing(y), manifold.towards(state.q, y)
+        shot = space.shoot(state.q, manifold.measured(state.q, y), straight, self.budget)
+        # Where an entry is missing, what the others tell is a difference of coordinates, not the end of a geodesic.
+        found = jnp.all(jnp.isfinite(shot.velocity)) & (shot.result != Result.NOT_CONVERGED) & ~jnp.any(missing)
+        innovation = jnp.where(found, shot.velocity, straight)
+        noise = spread_at(self.measurement_cov, space, state.q)
+        spread = state.root[:n] @ state.root[:n].T + noise
+        nis = _nis(spread, innovation, ~missing)
+        far = (
+            jnp.zeros_like(missing) if self.gate is None else self.gate.refuses(manifold, innovation, spread) & ~missing
+        )
+        refused = jnp.where(jnp.any(far), state.refused + 1, 0)
+        again = jnp.zeros((), bool) if self.gate is None else refused > self.gate.patience
+        used = ~missing & ~far
+        gain, root = _updated(state.root, noise, used)
+        q, v, root = self._rebased(state, gain @ jnp.where(used, innovation, 0.0), root)
+        new = KalmanState(q, v, state.t, root, jnp.where(jnp.any(far) & ~again, state.refused + 1, 0), state.held)
+        measured = manifold.measured(state.q, y)
+        fresh = new._replace(q=measured, root=self._first_root(measured))
+        new = jax.tree.map(lambda a, b: jnp.where(again, a, b), fresh, new)
+        result = jnp.where(jnp.any(far), int(Result.OUTLIER), uniqueness(self.model, state.q, y))
+        result = outcome(new.q, new.v, y, jnp.where(again, int(Result.RESTARTED), result))
+        return new, KalmanInfo(straight, space.norm(state.q, innovation), spread, nis, result)
+
+    def _moved(self, state: KalmanState, u: Float[Array, "m"], h: Scalar) -> KalmanState:
+        """One Runge–Kutta step of the model, and the covariance with it."""
+        space, manifold, n = self.model.space, self.model.manifold, state.v.shape[0]
+
+        def ahead(error):
+            start = Motion(manifold.retract(state.q, error[:n]), state.v + error[n:])
+            end = advance(self.model, state.t, start, u, h, 1)
+            return jnp.concatenate([manifold.local(jax.lax.stop_gradient(end.q), end.q), end.v]), end
+
+        slope, (q, v) = jax.jacfwd(ahead, has_aux=True)(jnp.zeros(2 * n, state.v.dtype))
+        root = parallel(space, q, v) @ slope @ apart(space, state.q, state.v) @ state.root
+        acceleration = semidefinite_root(spread_at(self.process_cov, space, q))
+        # The double and the single integral of white noise over h have the covariance h³/3, h²/2; h²/2, h.
+        integrals = jnp.sqrt(h) * jnp.array([[h / 3**0.5, 0.0], [0.75**0.5, 0.5]])
+        noise = jnp.kron(integrals, acceleration)
+        return state._replace(q=q, v=v, t=state.t + h, root=triangular(jnp.concatenate([root, noise], axis=1)))
+
+    def _rebased(self, state: KalmanState, error: Array, root: Array) -> tuple[Array, Vector, Array]:
+        """Estimate and root after the correction by an error (2n,) along its geodesic, the velocity carried with it.
+
+        An error is seen from the new estimate as the derivative of that very map sees it (the reset).
+        """
+        space, manifold, n = self.model.space, self.model.manifold, state.v.shape[0]
+
+        def corrected(e):
+            end = space.transport_along(state.q, e[:n], state.v + e[n:], self.budget)
+            return jnp.concatenate([manifold.local(jax.lax.stop_gradient(end.q), end.q), end.w]), (end.q, end.w)
+
+        slope, (q, v) = jax.jacfwd(corrected, has_aux=True)(error)
+        return q, v, parallel(space, q, v) @ slope @ root
+
+    def _first_root(self, q: Array) -> Float[Array, "two_n two_n"]:
+        position, velocity = (
+            semidefinite_root(spread_at(spread, self.model.space, q))
+            for spread in (self.measurement_cov, self.initial_velocity_cov)
+        )
+        zero = jnp.zeros_like(velocity)
+        return jnp.block([[position, zero], [zero, velocity]])
+
+
+def parallel(space: AbstractSpace, q: Array, v: Vector, sign: int = 1) -> Float[Array, "two_n two_n"]:
+    """`[[I, 0], [B(·, v), I]]`: from small differences (s, δv) of motions at (q, v), in the frame, to (ε, ν)."""
+    axes = jnp.eye(v.shape[0], dtype=v.dtype)
+    turned = jax.vmap(lambda a: space.connection(q, a, v), out_axes=1)(axes)
+    return jnp.block([[axes, jnp.zeros_like(axes)], [sign * turned, axes]])
+
+
+def apart(space: AbstractSpace, q: Array, v: Vector) -> Float[Array, "two_n two_n"]:
+    """`parallel` undone."""
+    return parallel(space, q, v, -1)
+
+
+def _nis(spread: Matrix, innovation: Vector, present: Array) -> Scalar:
+    """`rᵀS⁻¹r` of the components present."""
+    both = present[:, None] & present[None, :]
+    r = jnp.where(present, innovation, 0.0)
+    return r @ solve(jnp.where(both, spread, jnp.eye(len(r), dtype=r.dtype)), r)
+
+
+def _updated(
+    root: Float[Array, "two_n two_n"], noise: Matrix, used: Array
+) -> tuple[Float[Array, "two_n n"], Float[Array, "two_n two_n"]]:
+    """Gain, and root of the covariance after the correction, from the components that are used."""
+    n = noise.shape[0]
+    both = used[:, None] & used[None, :]
+    own = semidefinite_root(jnp.where(both, noise, jnp.eye(n, dtype=noise.dtype)))
+    seen = jnp.where(used[:, None], root[:n], 0.0)
+    above = jnp.concatenate([own, seen], axis=1)
+    below = jnp.concatenate([jnp.zeros((2 * n, n), root.dtype), root], axis=1)
+    both = triangular(jnp.concatenate([above, below]))
+    spread, cross = both[:n, :n], both[n:, :n]
+    return solve(spread @ spread.T, spread @ cross.T).T, both[n:, n:]

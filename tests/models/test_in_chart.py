@@ -1,0 +1,93 @@
+"""The same machine in other coordinates moves the same, with everything that pushes and brakes it."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from covariant import models
+from covariant.geometry.lie import SE2, SO3
+from covariant.models import GroupSystem, Lagrangian, Motion, chart_jacobian, chart_velocity, in_chart
+from covariant.models.marine import euler_rates, euler_rotation
+
+INERTIA = jnp.diag(jnp.array([1.0, 2.0, 3.5]))
+DRAG = jnp.diag(jnp.array([0.3, 0.2, 0.5]))
+
+
+def wavy(z):
+    return z + 0.2 * jnp.sin(z[::-1])
+
+
+def planar(z):
+    return SE2.exp(jnp.stack([z[0], z[1], z[2]]))
+
+
+def braked(group, n) -> GroupSystem:
+    """A body with a potential, a drag that the input scales and a force that depends on time and input."""
+    return GroupSystem(
+        group,
+        INERTIA[:n, :n],
+        lambda g: 2.0 * g[0, 0] - g[1, 0],
+        lambda t, g, u: jnp.sin(t) * g[0, :n] + u,
+        lambda t, g, v, u: -(1 + u[0] ** 2) * DRAG[:n, :n] @ v,
+    )
+
+
+CHAIN = models.pendulum_chain((1.0, 0.7), (0.5, 0.4), viscous=(0.1, 0.2))
+CASES = {
+    "double pendulum": (CHAIN, wavy, (0.3, -0.8)),
+    "body on SO(3)": (braked(SO3, 3), euler_rotation, (0.4, 0.5, -0.3)),
+    "body on SE(2)": (braked(SE2, 3), planar, (0.4, 0.5, -0.3)),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_it_accelerates_alike(name):
+    model, chart, z = CASES[name]
+    z, manifold = jnp.array(z), model.manifold
+    n = len(z)
+    rate, u, t = jnp.linspace(1.0, -0.7, n), jnp.linspace(0.2, 0.9, n), jnp.asarray(0.7)
+    there = in_chart(model, chart)
+    bend = models.acceleration(there, t, z, rate, u)
+    # v(t) = J(z)z', so v' = J z'' + (∂_z' J) z'.
+    turned = jax.jvp(lambda s: chart_jacobian(manifold, chart, s) @ rate, (z,), (rate,))[1]
+    found = chart_jacobian(manifold, chart, z) @ bend + turned
+    v = chart_velocity(manifold, chart, z, rate)
+    np.testing.assert_allclose(found, models.acceleration(model, t, chart(z), v, u), rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(models.energy(there, z, rate), models.energy(model, chart(z), v), rtol=1e-12)
+
+
+def test_euler_angles_have_the_rates_they_are_known_for():
+    z = jnp.array([0.4, 0.5, -0.3])
+    jacobian = chart_jacobian(SO3, euler_rotation, z)
+    np.testing.assert_allclose(euler_rates(z) @ jacobian, np.eye(3), rtol=0, atol=1e-12)
+
+
+def test_a_chart_of_a_chart():
+    z = jnp.array([0.3, -0.8])
+    twice = in_chart(in_chart(CHAIN, wavy), wavy)
+    at_once = in_chart(CHAIN, lambda s: wavy(wavy(s)))
+    np.testing.assert_allclose(twice.metric(z), at_once.metric(z), rtol=1e-12)
+
+
+def test_a_chart_that_leads_elsewhere_is_refused():
+    with pytest.raises(ValueError, match="metric cannot be evaluated"):
+        in_chart(GroupSystem(SO3, INERTIA), lambda z: z, coordinates=("a", "b", "c"))
+
+
+def test_a_plain_lagrangian_keeps_its_inputs():
+    model = Lagrangian(lambda q: jnp.eye(2), force=lambda t, q, u: jnp.stack([u[0], 0 * u[0]]), inputs=1)
+    assert in_chart(model, wavy).inputs == 1
+    assert in_chart(braked(SO3, 3), euler_rotation).inputs == 3
+
+
+def test_motion_of_the_body_is_the_same():
+    """Half a second with drag, force and potential, to the integrator's tolerance."""
+    body = braked(SO3, 3)
+    euler = in_chart(body, euler_rotation)
+    z, rate = jnp.array([0.2, 0.3, -0.1]), jnp.array([0.4, -0.3, 0.5])
+    u = jnp.array([0.1, 0.2, 0.3])
+    start = Motion(euler_rotation(z), chart_velocity(SO3, euler_rotation, z, rate))
+    there = models.advance(body, 0.0, start, u, 0.5, 200)
+    here = models.advance(euler, 0.0, Motion(z, rate), u, 0.5, 200)
+    np.testing.assert_allclose(euler_rotation(here.q), there.q, rtol=0, atol=1e-9)

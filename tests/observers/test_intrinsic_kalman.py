@@ -1,0 +1,234 @@
+"""The intrinsic Kalman filter: the textbook's in flat space, its reset exact, the same in all coordinates."""
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jaxtyping import Array
+
+from covariant import models
+from covariant.geometry import Budget
+from covariant.geometry.lie import SO3
+from covariant.models import GroupSystem, Lagrangian, Motion, Parametric, chart_jacobian, chart_velocity, in_chart
+from covariant.models.marine import euler_rotation
+from covariant.observers import EKF, IntrinsicKalman
+
+ROWS = 60
+INERTIA = jnp.diag(jnp.array([1.0, 2.0, 3.5]))
+FINE = Budget(newton=None, steps=12)
+STRICT = Budget(newton=2, steps=16)
+
+
+def isotropic(model, process=0.5, measurement=0.02, velocity=1.0, **named) -> IntrinsicKalman:
+    """A filter whose noise is the same in all directions of the metric, hence the same tensor in every chart."""
+    return IntrinsicKalman(model, process**2, measurement**2, velocity**2, **named)
+
+
+# Where space is flat.
+
+MASS = np.array([[2.0, 0.5], [0.5, 1.0]])
+STIFFNESS = np.array([[30.0, -10.0], [-10.0, 20.0]])
+PROCESS = np.array([[2.0, 0.4], [0.4, 1.0]])
+MEASUREMENT = 1e-4 * np.array([[1.0, 0.6], [0.6, 2.0]])
+
+
+def test_on_two_coupled_masses_it_is_the_kalman_filter(follow):
+    """The EKF, itself checked against a textbook, with gaps of both coordinates, of one, of the other."""
+    rng = np.random.default_rng(0)
+    t = np.cumsum(rng.uniform(0.002, 0.01, ROWS))
+    y = 0.1 * np.cumsum(rng.normal(size=(ROWS, 2)), 0)
+    y[20:25] = y[30:36, 0] = y[40:48:2, 1] = np.nan
+    model = Lagrangian(lambda q: jnp.asarray(MASS), lambda q: q @ jnp.asarray(STIFFNESS) @ q / 2)
+    noise = jnp.asarray(PROCESS), jnp.asarray(MEASUREMENT)
+    plain = follow(EKF(model, *noise, 0.7, substeps=1), t, y)
+    found = follow(IntrinsicKalman(model, *noise, 0.49 * jnp.eye(2), gate=None, substeps=1), t, y)
+    np.testing.assert_allclose(found.x, plain.x, rtol=0, atol=1e-10)
+    cov = found.state.root @ np.swapaxes(found.state.root, 1, 2)
+    np.testing.assert_allclose(cov, plain.state.cov, rtol=0, atol=1e-10)
+
+
+# The reset: how an error is seen from the estimate after a correction.
+
+
+def sphere_pendulum() -> Lagrangian:
+    """A pendulum on a sphere, in its angles from the pole and around it."""
+    return Lagrangian(
+        lambda q: jnp.diag(jnp.stack([jnp.ones(()), jnp.sin(q[0]) ** 2])),
+        lambda q: 9.81 * jnp.cos(q[0]),
+        coordinates=("inclination", "azimuth"),
+    )
+
+
+def double_pendulum() -> Lagrangian:
+    chain = models.pendulum_chain((1.0, 0.7), (0.5, 0.4))
+    return Lagrangian(chain.metric, chain.potential, coordinates=chain.coordinates)
+
+
+CASES = {
+    "SO(3)": (GroupSystem(SO3, INERTIA), SO3.exp(jnp.array([0.3, -0.2, 0.4])), (1.0, -2.0, 1.5)),
+    "sphere": (sphere_pendulum(), jnp.array([1.1, 0.4]), (1.5, -2.0)),
+    "double pendulum": (double_pendulum(), jnp.array([0.5, -0.8]), (2.0, -1.0)),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_the_reset_is_the_derivative_of_the_exact_change_of_base_point(name):
+    model, q, v = CASES[name]
+    space, n = model.space, len(v)
+    observer = isotropic(model, budget=FINE)
+    correction = 0.25 * jnp.asarray(np.random.default_rng(1).normal(size=2 * n))
+    state = observer.init(q)._replace(v=jnp.array(v))
+
+    @jax.jit
+    def rebased():
+        return observer._rebased(state, correction, jnp.eye(2 * n))
+
+    new_q, new_v, reset = rebased()
+
+    @jax.jit
+    def seen_anew(error):
+        """(ε, ν) of the old estimate, seen from the new one: out along the geodesic and back, by shooting."""
+        true = space.transport_along(q, error[:n], state.v + error[n:], FINE)
+        shot = space.shoot(new_q, true.q, None, FINE)
+        back = space.transport_along(true.q, -shot.arrival, true.w, FINE)
+        return jnp.concatenate([shot.velocity, back.w - new_v])
+
+    np.testing.assert_allclose(seen_anew(correction), 0, atol=1e-11)
+    h = 2e-3
+    one, two = ([seen_anew(correction + a) - seen_anew(correction - a) for a in k * h * np.eye(2 * n)] for k in (1, 2))
+    slopes = (8 * np.stack(one, axis=1) - np.stack(two, axis=1)) / (12 * h)
+    np.testing.assert_allclose(reset, slopes, rtol=0, atol=1e-8)
+    assert np.abs(reset - np.eye(2 * n)).max() > 0.02  # it does something
+
+
+# The lottery of coordinates.
+
+
+def test_body_frame_and_euler_angles_predict_correct_and_reset_alike():
+    body = GroupSystem(SO3, INERTIA)
+    angles, rates = jnp.array([0.4, 0.5, -0.3]), jnp.array([1.0, -0.8, 1.2])
+    measured = angles + jnp.array([0.25, -0.2, 0.3])
+    fine = {"budget": STRICT, "substeps": 40, "gate": None}
+    there, here = isotropic(body, **fine), isotropic(in_chart(body, euler_rotation), **fine)
+
+    def turned(q):
+        return chart_jacobian(SO3, euler_rotation, q)
+
+    @eqx.filter_jit
+    def both(observer, q, v, y):
+        state = observer.init(q)._replace(v=v)
+        return observer.correct(observer.predict(state, jnp.zeros(3), jnp.asarray(0.2)), y)[0]
+
+    group = both(there, euler_rotation(angles), turned(angles) @ rates, euler_rotation(measured))
+    chart = both(here, angles, rates, measured)
+    np.testing.assert_allclose(euler_rotation(chart.q), group.q, rtol=0, atol=1e-9)
+    to_body = turned(chart.q)
+    np.testing.assert_allclose(to_body @ chart.v, group.v, rtol=0, atol=1e-8)
+    map_ = jnp.kron(jnp.eye(2), to_body)
+    np.testing.assert_allclose(map_ @ here.cov(chart) @ map_.T, there.cov(group), rtol=0, atol=1e-9)
+
+
+class Lottery(NamedTuple):
+    """A machine in coordinates, which are warped from draw to draw, how it moves and what is wrong of it."""
+
+    model: Any
+    chart: Any  # (z, a, b) -> configuration
+    z: tuple[float, ...]
+    rate: tuple[float, ...]
+    first_error: float
+    noise: float
+
+
+def warped(z, a, b):
+    """A diffeomorphism of Rⁿ: one coordinate after the other is sheared by waves of the next."""
+    n = z.shape[0]
+    for i in range(n):
+        next_ = z[(i + 1) % n]
+        z = z.at[i].add(a[i] * jnp.sin(next_) + b[i] * jnp.cos(2 * next_))
+    return z
+
+
+def body_in_euler_angles() -> Lagrangian:
+    """A body on SO(3) in roll, pitch and yaw, its metric written out, which compiles sooner than `in_chart` does."""
+
+    def metric(z):
+        (cr, cp, _), (sr, sp, _) = jnp.cos(z), jnp.sin(z)
+        one, none = jnp.ones_like(cr), jnp.zeros_like(cr)
+        rows = ((one, none, -sp), (none, cr, sr * cp), (none, -sr, cr * cp))
+        turned = jnp.stack([jnp.stack(row) for row in rows])
+        return turned.T @ INERTIA @ turned
+
+    return Lagrangian(metric, coordinates=("roll", "pitch", "yaw"))
+
+
+LOTTERIES = {
+    "double pendulum": Lottery(double_pendulum(), warped, (0.5, -0.8), (2.0, -1.0), 0.3, 0.02),
+    "sphere": Lottery(sphere_pendulum(), warped, (1.1, 0.4), (0.8, -2.0), 0.3, 0.05),
+    "SO(3)": Lottery(body_in_euler_angles(), warped, (0.4, 0.3, -0.3), (0.6, -0.8, 0.5), 0.3, 0.05),
+}
+DRAWS = 10
+RATE = 50.0
+SAMPLES = 40
+
+
+def samples(case: Lottery) -> tuple[Motion, Array]:
+    """The true motion at the stamps, and what is measured of it: large noise, a larger error at the start."""
+    n, manifold = len(case.z), case.model.manifold
+    none = Parametric(case.chart, a=np.zeros(n), b=np.zeros(n))
+    z, rate = jnp.array(case.z), jnp.array(case.rate)
+    noise = case.noise * np.random.default_rng(7).normal(size=(SAMPLES, n))
+    noise[0] *= case.first_error / case.noise
+
+    def step(motion, _):
+        return models.advance(case.model, 0.0, motion, jnp.zeros(n), 1 / RATE, 4), motion
+
+    true = jax.lax.scan(step, Motion(none(z), chart_velocity(manifold, none, z, rate)), None, SAMPLES)[1]
+    return true, jax.vmap(manifold.retract)(true.q, jnp.asarray(noise))
+
+
+def play(name: str, make: Any) -> np.ndarray:
+    """Estimates of the velocity (DRAWS, SAMPLES, n), in the frame of the machine, of a filter written in each chart."""
+    case = LOTTERIES[name]
+    n, manifold = len(case.z), case.model.manifold
+    _, y = jax.jit(lambda: samples(case))()
+
+    @eqx.filter_jit
+    def played(draw):
+        chart = Parametric(case.chart, a=draw[0], b=draw[1])
+        observer = make(in_chart(case.model, chart))
+
+        def inverse(guess, q):
+            def newton(_, z):
+                return z + jnp.linalg.solve(chart_jacobian(manifold, chart, z), manifold.local(chart(z), q))
+
+            found = jax.lax.fori_loop(0, 12, newton, guess)
+            return found, found
+
+        measured = jax.lax.scan(inverse, jnp.array(case.z), y)[1]
+
+        def step(state, sample):
+            state, _ = observer.step(state, jnp.zeros(n), sample, jnp.asarray(1 / RATE))
+            return state, chart_velocity(manifold, chart, state.q, state.v)
+
+        return jax.lax.scan(step, observer.init(measured[0]), measured[1:])[1]
+
+    draws = 0.15 * np.random.default_rng(1).normal(size=(DRAWS, 2, n))
+    return np.stack([played(jnp.asarray(draw)) for draw in draws])
+
+
+def intrinsic_kalman(model):
+    return isotropic(model, 0.5, 0.05, 3.0, gate=None, budget=Budget(newton=1, steps=3), substeps=2)
+
+
+@pytest.mark.parametrize("name", LOTTERIES)
+def test_ten_charts_make_no_difference(name):
+    """Less than a hundredth of the error itself, at errors of a third of a radian and noise of a twentieth."""
+    estimates = play(name, intrinsic_kalman)
+    true = jax.jit(lambda: samples(LOTTERIES[name]))()[0].v[1:]
+    errors = np.sqrt(np.mean((estimates - np.asarray(true)) ** 2, axis=(1, 2)))
+    assert np.isfinite(errors).all()
+    assert np.ptp(errors) < 0.01 * errors.mean()
+    assert np.abs(estimates - estimates[0]).max() < 0.1 * errors.mean()  # at the worst sample
