@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from covariant._typing import Number, Scalar
-from covariant.models import MechanicalSystem, friction, source
+from covariant.models import MechanicalSystem, Motion, friction, source
 from covariant.observers._protocol import (
     AbstractMechanicalObserver,
     HeldState,
@@ -20,7 +20,7 @@ from covariant.observers._protocol import (
     still,
     uniqueness,
 )
-from covariant.observers._sampled import predict, sampled_gains
+from covariant.observers._sampled import predict, sampled_correction, worth
 
 
 class Copy(AbstractMechanicalObserver):
@@ -53,9 +53,9 @@ class Copy(AbstractMechanicalObserver):
     def advance(self, state: HeldState, u: Float[Array, "m"], y: Array, dt: Scalar) -> tuple[HeldState, Info]:
         q, v = predict(self.model, state.t, state.q, state.v, u, dt, self.substeps)
         t = state.t + dt
-        k1, k2 = sampled_gains(self.alpha, self.beta, dt)
         e = -self.model.manifold.towards(q, y)
         missing = source(self.model, t, self.model.manifold.measured(q, y), u) - source(self.model, t, q, u)
-        new_q, new_v = self.model.manifold.retract(q, -k1 * e), v - k2 * e + dt * missing
-        result = outcome(new_q, new_v, y, uniqueness(self.model, q, y))
+        taken = sampled_correction(self.model.space, Motion(q, v), self.alpha, self.beta, dt, e, missing)
+        new_q, new_v = self.model.manifold.retract(q, -taken.part * e), v + taken.velocity
+        result = outcome(new_q, new_v, y, worth(taken, uniqueness(self.model, q, y)))
         return HeldState(new_q, new_v, t), Info(-e, self.model.space.norm(q, e), result)

@@ -12,7 +12,7 @@ from jaxtyping import Array, Float, Inexact
 
 from covariant._typing import Code, Flag, Number, Scalar, Vector
 from covariant.geometry import Budget
-from covariant.models import MechanicalSystem, friction, source
+from covariant.models import MechanicalSystem, Motion, friction, source
 from covariant.observers._protocol import (
     AbstractMechanicalObserver,
     Held,
@@ -23,7 +23,7 @@ from covariant.observers._protocol import (
     still,
     uniqueness,
 )
-from covariant.observers._sampled import predict, sampled_gains
+from covariant.observers._sampled import predict, sampled_correction, worth
 from covariant.signals import Result
 
 
@@ -101,19 +101,19 @@ class Geodesic(AbstractMechanicalObserver):
         space = self.model.space
         q, v = predict(self.model, state.t, state.q, state.v, u, dt, self.substeps)
         t = state.t + dt
-        k1, k2 = sampled_gains(self.alpha, self.beta, dt)
         found = self._correction(t, GeodesicState(q, v, t, state.log), u, y)
         missing = found.drive - source(self.model, t, q, u)  # what the prediction, made with S(q̂), left out
-        corrected, left = v + k2 * found.log + dt * missing, (1 - k1) * found.log
-        # Go the fraction k1 along the geodesic to the measurement; velocity and the rest of the geodesic come along.
-        way = k1 * found.log
+        taken = sampled_correction(space, Motion(q, v), self.alpha, self.beta, dt, -found.log, missing)
+        corrected, left = v + taken.velocity, (1 - taken.part) * found.log
+        # Go that part along the geodesic to the measurement; velocity and the rest of the geodesic come along.
+        way = taken.part * found.log
         end = space.transport_along(q, way, jnp.stack([corrected, left]), self.budget)
         straight = corrected - space.connection(q, way, v)
         new_q = jnp.where(found.exact, end.q, space.manifold.retract(q, way))
         new_v, log = jnp.where(found.exact, end.w, jnp.stack([straight, left]))
         innovation = space.manifold.towards(q, y)
         info = GeodesicInfo(
-            innovation, space.norm(q, found.log), found.residual, outcome(new_q, new_v, y, found.result)
+            innovation, space.norm(q, found.log), found.residual, outcome(new_q, new_v, y, worth(taken, found.result))
         )
         return GeodesicState(new_q, new_v, t, log), info
 

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 
 from covariant._typing import Number, Scalar, Vector
 from covariant.geometry import AbstractSpace
-from covariant.models import MechanicalSystem, friction, source
+from covariant.models import MechanicalSystem, Motion, friction, source
 from covariant.observers._protocol import (
     AbstractMechanicalObserver,
     HeldState,
@@ -25,7 +25,7 @@ from covariant.observers._protocol import (
     still,
     uniqueness,
 )
-from covariant.observers._sampled import predict, sampled_gains
+from covariant.observers._sampled import predict, sampled_correction, worth
 
 
 class Intrinsic(AbstractMechanicalObserver):
@@ -86,12 +86,13 @@ class Intrinsic(AbstractMechanicalObserver):
     def advance(self, state: HeldState, u: Float[Array, "m"], y: Array, dt: Scalar) -> tuple[HeldState, Info]:
         q, v = predict(self.model, state.t, state.q, state.v, u, dt, self.substeps)
         t = state.t + dt
-        k1, k2 = sampled_gains(self.alpha, self.beta, dt)
         xi, drive = self._correction(t, q, v, u, y)
         missing = drive - source(self.model, t, q, u)  # what the prediction, made with S(q̂), left out
-        new_q = self.model.manifold.retract(q, -k1 * xi)
-        new_v = v + self.model.space.connection(q, k1 * xi, v) - k2 * xi + dt * missing
-        result = outcome(new_q, new_v, y, uniqueness(self.model, q, y))
+        taken = sampled_correction(self.model.space, Motion(q, v), self.alpha, self.beta, dt, xi, missing)
+        way = -taken.part * xi
+        new_q = self.model.manifold.retract(q, way)
+        new_v = v - self.model.space.connection(q, way, v) + taken.velocity
+        result = outcome(new_q, new_v, y, worth(taken, uniqueness(self.model, q, y)))
         info = Info(self.model.manifold.towards(q, y), self.model.space.norm(q, xi), result)
         return HeldState(new_q, new_v, t), info
 

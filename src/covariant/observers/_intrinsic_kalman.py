@@ -19,13 +19,16 @@ from jaxtyping import Array, Float, Inexact, Int
 
 from covariant._linalg import semidefinite_root, solve, triangular
 from covariant._typing import Code, Matrix, Number, Scalar, Vector
-from covariant.geometry import AbstractSpace, Budget
+from covariant.geometry import AbstractManifold, AbstractSpace, Budget
 from covariant.models import MechanicalSystem, Motion, advance
 from covariant.observers._gate import Gate
 from covariant.observers._protocol import AbstractObserver, Held, as_gain, at_rest, check_finite, outcome, uniqueness
 from covariant.observers._sampled import needed_substeps
 from covariant.observers._spread import Spread, spread_at
 from covariant.signals import Result
+
+FARTHEST_TURN = 0.5
+"""Standard deviation of an angle [rad] beyond which the estimate starts anew, as after a long gap."""
 
 
 class KalmanState(NamedTuple):
@@ -63,7 +66,10 @@ class IntrinsicKalman(AbstractObserver):
     - `budget`: work spent on geodesics, from the estimate to the measurement and along the correction.
     - `substeps`: Runge–Kutta steps a sample; None takes as many as dt and the friction need (offline).
 
-    In other coordinates, with noise that is the same tensor, the estimate is the same to the accuracy of the budget.
+    After a gap so long that an angle may be anywhere it starts anew from the measured configuration and the predicted
+    velocity, and `result` says `RESTARTED`. In other coordinates, with noise that is the same tensor, the estimate is
+    the same to the accuracy of the budget.
+
     Raises `ValueError` for covariances that are not finite.
     """
 
@@ -178,6 +184,16 @@ def parallel(space: AbstractSpace, q: Array, v: Vector, sign: int = 1) -> Float[
 def apart(space: AbstractSpace, q: Array, v: Vector) -> Float[Array, "two_n two_n"]:
     """`parallel` undone."""
     return parallel(space, q, v, -1)
+
+
+def _lost(manifold: AbstractManifold, spread: Matrix, noise: Matrix) -> Array:
+    """Whether an angle is expected so far off, by more than its noise explains, that no linear law holds.
+
+    Then the predicted velocity is all that is known of the velocity.
+    """
+    turns = sorted({i for turn in manifold.rotations or () for i in turn})
+    variance = jnp.diag(spread)[jnp.array(turns, int)]
+    return jnp.any(variance > jnp.maximum(FARTHEST_TURN**2, 9 * jnp.diag(noise)[jnp.array(turns, int)]))
 
 
 def _nis(spread: Matrix, innovation: Vector, present: Array) -> Scalar:

@@ -1,20 +1,30 @@
 """A continuous mechanical observer between samples: predict with the model, correct with matched gains.
 
-The error law ξ' = ζ − αξ, ζ' = −βξ is a double integrator with two poles. Over a step dt the model is integrated alone
-(which leaves the double integrator), then the measured error is fed back with the two gains that give the sampled loop
-the poles exp(λ dt) of the continuous one. For dt → 0 the gains are α dt and β dt; for any dt the loop is stable.
+The error law ξ' = ζ − αξ, ζ' = −βξ is a double integrator with two poles a, b. Over a step dt the model is integrated
+alone, and then the measured error is fed back so that the sampled loop has the poles exp(λ dt) of the continuous one.
+
+What the model does alone to an error is `ξ' = ζ, ζ' = Nξ` with N = ∇S − R(·, v)v. For a constant number N the gains are
+`K1 = 1 − ab` and `K2 = √N ((1 + ab) cosh(√N dt) − a − b)/sinh(√N dt) = k2 + κN + O(N²)`, with `k2 = (1 − a)(1 − b)/dt`
+and `κ = ½(1 + ab) dt − k2 dt²/6`. For dt → 0 they are α dt and β dt + N dt.
 """
+
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from covariant._typing import Code, Number, Scalar, Vector
+from covariant._typing import Code, Flag, Number, Scalar, Vector
+from covariant.geometry import AbstractSpace
 from covariant.models import MechanicalSystem, Motion, advance, friction
+from covariant.signals import Result
 
 LONGEST_STEP = 0.01
 """Longest Runge–Kutta step [s] of a prediction whose number of substeps is left open."""
 MOST_SUBSTEPS = 10_000
+LONGEST_GAP = (jnp.pi / 2) ** 2
+"""Largest `|N| dt²` of a sample that is believed to tell of the velocity, a quarter of the period of an oscillation:
+beyond it the error may have turned round."""
 
 
 def predict(
@@ -56,3 +66,39 @@ def sampled_gains(alpha: Number, beta: Number, dt: Number) -> tuple[Scalar, Scal
     real_poles = jnp.expm1(-fast * safe) * jnp.expm1(-beta / fast * safe)
     k2 = jnp.where(square < 0, real_poles, jnp.expm1(-alpha * safe / 2) ** 2 + 4 * root * swing) / safe
     return jnp.where(dt > 0, -jnp.expm1(-alpha * safe), 0.0), jnp.where(dt > 0, k2, 0.0)
+
+
+class Correction(NamedTuple):
+    """What a sample does: the part of ξ to take away, and what is added to the velocity.
+
+    Where the sample came too late to tell of the velocity, `restarted`: the estimate starts anew from the measured
+    configuration and the predicted velocity.
+    """
+
+    part: Scalar
+    velocity: Vector
+    restarted: Flag
+
+
+def sampled_correction(
+    space: AbstractSpace, motion: Motion, alpha: Number, beta: Number, dt: Number, xi: Vector, missing: Vector
+) -> Correction:
+    """The correction of a predicted motion by the error ξ, `missing = −Nξ` being the acceleration that the prediction,
+    made at the estimate, left out.
+
+    N is an operator and known in one direction only; beyond first order in `|N| dt²` its size stands for it.
+    """
+    k1, k2 = sampled_gains(alpha, beta, dt)
+    size, gap = space.norm(motion.q, xi), space.norm(motion.q, missing) * dt * dt
+    # An error lost in the rounding of the distance moved tells nothing of N.
+    faint = float(jnp.finfo(xi.dtype).eps) ** 0.5 * dt * space.norm(*motion)
+    restarted = gap > LONGEST_GAP * size + faint
+    square = gap / jnp.where(size > 0, size, 1.0)
+    kappa = dt * (1 - k1 / 2) - k2 * dt * dt / 6
+    velocity = kappa / (1 + square / 18) * missing - k2 * xi  # as x coth x grows
+    return Correction(jnp.where(restarted, 1.0, k1), jnp.where(restarted, 0.0, velocity), restarted)
+
+
+def worth(taken: Correction, result: Code) -> Code:
+    """The code of a step: its own, or `RESTARTED`, whichever is worse."""
+    return jnp.where(taken.restarted, jnp.maximum(result, int(Result.RESTARTED)), result)
