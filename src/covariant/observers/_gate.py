@@ -21,26 +21,41 @@ class Gate(eqx.Module):
     - `deviations`: a single number is refused when it is more standard deviations off than this; several that are
       measured together, such as an attitude, when they are as improbable.
     - `patience`: samples refused in a row, after which the next is believed and the estimate starts anew from it.
+    - `memory`: samples over which it is learnt how much larger the innovations are than expected, which widens the gate
+      where the noise was told too small.
     """
 
     deviations: float = eqx.field(default=6.0, static=True)
     patience: int = eqx.field(default=10, static=True)
+    memory: float = eqx.field(default=50.0, static=True)
 
     def __check_init__(self):
-        if not (math.isfinite(self.deviations) and self.deviations > 0):
-            raise ValueError(f"Gate: deviations must be a positive, finite number; got {self.deviations}")
+        for name in ("deviations", "memory"):
+            given = getattr(self, name)
+            if not (math.isfinite(given) and given > 0):
+                raise ValueError(f"Gate: {name} must be a positive, finite number; got {given}")
         if self.patience < 0:
             raise ValueError(f"Gate: patience must be a number of samples, 0 or more; got {self.patience}")
 
-    def refuses(self, manifold: AbstractManifold, innovation: Vector, spread: Matrix) -> Bool[Array, "n"]:
-        """Which components of the innovation (n,), expected to have the covariance `spread`, are too far off."""
-        far = jnp.zeros(innovation.shape, bool)
+    def judge(
+        self, manifold: AbstractManifold, innovation: Vector, spread: Matrix, present: Bool[Array, "n"], scale: Vector
+    ) -> tuple[Bool[Array, "n"], Vector]:
+        """Which components present of an innovation (n,) with the expected covariance `spread` are too far off.
+
+        `scale` (n,): how much larger than expected the squares of the innovations have been, 1 at the start; returned
+        with this sample in it, of which no more counts than the gate lets pass.
+        """
+        far, learnt = jnp.zeros_like(present), scale
         for together in manifold.measured_together(innovation.shape[0]):
             own = jnp.asarray(together)
             r = innovation[own]
-            square = r @ solve(spread[jnp.ix_(own, own)], r)
-            far = far.at[own].set(square > self._limit(len(together)))
-        return far
+            square = r @ solve(spread[jnp.ix_(own, own)], r) / len(together)
+            limit = self._limit(len(together)) / len(together) * jnp.maximum(scale[own[0]], 1.0)
+            seen = jnp.all(present[own])
+            far = far.at[own].set(seen & (square > limit))
+            change = (jnp.minimum(square, limit) - scale[own]) / self.memory
+            learnt = learnt.at[own].add(jnp.where(seen, change, 0.0))
+        return far, learnt
 
     def _limit(self, n: int) -> float:
         """The squared length that n Gaussian numbers exceed as seldom as one exceeds `deviations` (Wilson–Hilferty)."""

@@ -33,13 +33,15 @@ FARTHEST_TURN = 0.5
 
 class KalmanState(NamedTuple):
     """Estimated configuration and velocity at time t [s]; `root` (2n, 2n), `P = root rootᵀ` the covariance of (ε, ν) in
-    the parallel frame; how many samples in a row were `refused`; `held` is the last finite input."""
+    the parallel frame; how many samples in a row were `refused`, and the `scale` (n,) of the innovations that the gate
+    has learnt; `held` is the last finite input."""
 
     q: Inexact[Array, "..."]
     v: Vector
     t: Scalar
     root: Float[Array, "two_n two_n"]
     refused: Int[Array, ""]
+    scale: Vector
     held: Held = None
 
 
@@ -89,7 +91,7 @@ class IntrinsicKalman(AbstractObserver):
 
     def init(self, y: Array, t: Number = 0.0) -> KalmanState:
         q, v, t, held = at_rest(self.model, y, t)
-        return KalmanState(q, v, t, self._first_root(q), jnp.zeros((), jnp.int32), held)
+        return KalmanState(q, v, t, self._first_root(q), jnp.zeros((), jnp.int32), jnp.ones_like(v), held)
 
     def estimate(self, state: KalmanState) -> Any:
         return self.model.state(Motion(state.q, state.v))
@@ -117,21 +119,21 @@ class IntrinsicKalman(AbstractObserver):
         innovation = jnp.where(found, shot.velocity, straight)
         noise = spread_at(self.measurement_cov, space, state.q)
         spread = state.root[:n] @ state.root[:n].T + noise
-        nis = _nis(spread, innovation, ~missing)
-        far = (
-            jnp.zeros_like(missing) if self.gate is None else self.gate.refuses(manifold, innovation, spread) & ~missing
-        )
-        refused = jnp.where(jnp.any(far), state.refused + 1, 0)
-        again = jnp.zeros((), bool) if self.gate is None else refused > self.gate.patience
+        far, scale, again = jnp.zeros_like(missing), state.scale, _lost(manifold, spread, noise) & ~jnp.any(missing)
+        if self.gate is not None:
+            far, scale = self.gate.judge(manifold, innovation, spread, ~missing, scale)
+            again = again | (jnp.any(far) & (state.refused >= self.gate.patience))
         used = ~missing & ~far
         gain, root = _updated(state.root, noise, used)
         q, v, root = self._rebased(state, gain @ jnp.where(used, innovation, 0.0), root)
-        new = KalmanState(q, v, state.t, root, jnp.where(jnp.any(far) & ~again, state.refused + 1, 0), state.held)
+        refused = jnp.where(jnp.any(far) & ~again, state.refused + 1, 0)
+        new = KalmanState(q, v, state.t, root, refused, scale, state.held)
         measured = manifold.measured(state.q, y)
-        fresh = new._replace(q=measured, root=self._first_root(measured))
+        fresh = new._replace(q=measured, v=state.v, root=self._first_root(measured))
         new = jax.tree.map(lambda a, b: jnp.where(again, a, b), fresh, new)
         result = jnp.where(jnp.any(far), int(Result.OUTLIER), uniqueness(self.model, state.q, y))
         result = outcome(new.q, new.v, y, jnp.where(again, int(Result.RESTARTED), result))
+        nis = _nis(spread, innovation, ~missing)
         return new, KalmanInfo(straight, space.norm(state.q, innovation), spread, nis, result)
 
     def _moved(self, state: KalmanState, u: Float[Array, "m"], h: Scalar) -> KalmanState:
