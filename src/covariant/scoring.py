@@ -11,6 +11,9 @@ NumpyArray = np.ndarray
 CHUNK = 1000
 """Windows fitted at once: enough for NumPy to be quick, and a few megabytes."""
 
+SAME = 10
+"""Digits of the stamps, in units of half a window, that windows share to be taken for equal."""
+
 FARTHEST_TURN = 1.5
 """A rotation vector is nearly a polynomial in time up to this angle [rad]; a fast body gets a shorter window."""
 
@@ -111,10 +114,21 @@ def _fits(t, at, half, order) -> Iterator[_Fit]:
         s = np.where(inside, t[rows] - at[part, None], 0.0)
         reach = np.maximum(half, np.abs(s).max(axis=1))[:, None]
         weight = inside * ((1 - np.minimum(np.abs(s) / reach, 1) ** 3) ** 1.5 + 1e-6)
+        # Windows of a log with even stamps are equal but for the rounding of its stamps, and are fitted once.
+        each, same = _distinct(np.round(np.column_stack([s / half, inside.sum(1)]), SAME))
+        s, weight, reach = s[each], weight[each], reach[each]
         powers = np.arange(order + 1)
         basis = (s / reach)[..., None] ** powers * weight[..., None]
         solved = np.linalg.pinv(basis, rcond=max(basis.shape[1:]) * np.finfo(float).eps)
-        yield _Fit(part, rows, nearest[part], solved * weight[:, None] / reach[..., None] ** powers[:, None])
+        weights = solved * weight[:, None] / reach[..., None] ** powers[:, None]
+        yield _Fit(part, rows, nearest[part], weights[same])
+
+
+def _distinct(rows):
+    """Indices of the rows (k, w) that are new, and for each row which of those it equals."""
+    found: dict[bytes, int] = {}
+    same = np.array([found.setdefault(row.tobytes(), len(found)) for row in rows + 0.0])  # −0 is 0
+    return np.unique(same, return_index=True)[1], same
 
 
 def _between(a, b):
