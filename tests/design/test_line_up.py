@@ -12,6 +12,7 @@ from covariant import geometry
 from covariant.design import (
     ESTIMATORS,
     DataSheet,
+    Trial,
     bias,
     estimators,
     filter_bandwidth,
@@ -20,7 +21,14 @@ from covariant.design import (
     observer_gains,
     window_length,
 )
-from covariant.design._line_up import LONGEST_WINDOW, derivative_weights, linear_filter_error, polynomial_weights
+from covariant.design._line_up import (
+    LONGEST_WINDOW,
+    derivative_weights,
+    filter_error,
+    linear_filter_error,
+    polynomial,
+    polynomial_weights,
+)
 from covariant.models import Lagrangian, heavy_top, oscillator, underwater_vehicle
 from covariant.observers import EKF, Copy, FilteredDerivative, Geodesic, Intrinsic, IntrinsicKalman, SavitzkyGolay, run
 from covariant.signals import Record
@@ -204,3 +212,55 @@ def test_on_groups_all_have_the_same_gains_and_noise():
     np.testing.assert_array_equal(made["ekf"].process_cov, ekf.process_cov)
     np.testing.assert_array_equal(made["ekf"].measurement_cov, ekf.measurement_cov)
     assert made["ekf"].initial_velocity_std == ekf.initial_velocity_std
+
+
+# Filters that know no model, tuned on a part of a log.
+
+
+def trial(noise: float, missing: bool = False) -> Trial:
+    """Two seconds of a motion that a cubic follows much better than a parabola."""
+    t = np.arange(0.0, 3.0, 1 / RATE)
+    rng = np.random.default_rng(2)
+    y = np.stack([np.sin(6 * t), 0.5 * np.cos(9 * t)], axis=1) + noise * rng.normal(size=(len(t), 2))
+    if missing:
+        y[rng.random(y.shape) < 0.05] = np.nan
+    return Trial(t, y, np.stack([6 * np.cos(6 * t), -4.5 * np.sin(9 * t)], axis=1))
+
+
+def trial_error(observer, part: Trial) -> float:
+    """Velocity error of an observer, run in earnest, as a part of the velocity."""
+    x = np.asarray(run(observer, Record(part.t, np.zeros((len(part.t), 0)), part.y)).estimate)
+    late = part.t > part.t[0] + 1.0
+    relative = np.mean((x[late, 2:] - part.v[late]) ** 2, axis=0) / np.mean(part.v[late] ** 2, axis=0)
+    return float(np.sqrt(relative.mean()))
+
+
+@pytest.mark.parametrize("missing", [False, True])
+@pytest.mark.parametrize("noise", [1e-4, 1e-2])
+def test_on_a_trial_filters_are_the_best_of_their_kind(noise, missing):
+    part = trial(noise, missing)
+    window, order = polynomial(SHEET, RATE, part)
+    best = trial_error(SavitzkyGolay(window, order), part)
+    for other in ((window_length(SHEET, RATE), 2), (window + 6, order), (max(window - 6, order + 1), order)):
+        assert best <= 1.02 * trial_error(SavitzkyGolay(*other), part)
+    bandwidth = filter_bandwidth(SHEET, RATE, part)
+    best = trial_error(FilteredDerivative(bandwidth), part)
+    for other in (
+        filter_bandwidth(SHEET, RATE),
+        min(1.3 * bandwidth, 3 * RATE),
+        bandwidth / 1.3,
+    ):  # 3: the largest tried
+        assert best <= 1.02 * trial_error(FilteredDerivative(other), part)
+
+
+def test_a_cubic_is_taken_where_it_is_better():
+    assert polynomial(SHEET, RATE, trial(1e-4))[1] == 3
+    observers = line_up(FLAT, 2, SHEET, RATE, trial(1e-4))
+    assert observers["savitzky-golay"].order == 3
+    assert observers["intrinsic"].alpha == observer_gains(SHEET, RATE).alpha
+
+
+def test_an_error_on_a_trial_is_that_of_the_filter_itself():
+    part = trial(1e-3)
+    predicted = filter_error(polynomial_weights(15, 2, RATE), SHEET, RATE, part)
+    assert predicted == pytest.approx(trial_error(SavitzkyGolay(15, 2), part), rel=0.01)

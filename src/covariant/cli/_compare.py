@@ -13,7 +13,11 @@ from covariant.cli._console import stages
 from covariant.cli._job import Job, Loaded, check_output, coordinates, data_sheet, load, velocity_columns
 from covariant.cli._pages import write_report
 from covariant.cli._results import Outcome, drive, report_arrays, summary
-from covariant.design import line_up, observer_gains
+from covariant.design import Trial, line_up, observer_gains
+from covariant.scoring import unwrap
+
+SHORTEST_TRIAL = 200
+"""Rows that the first third of a log must have for filters to be tuned on it."""
 
 
 def compare(job: Job, out: Path | None, report: Path | None, as_json: bool) -> None:
@@ -22,7 +26,8 @@ def compare(job: Job, out: Path | None, report: Path | None, as_json: bool) -> N
     check_output(report, ".html")
     loaded = load(job)
     sheet = data_sheet(loaded.file)
-    observers = line_up(loaded.model, loaded.file.dimension, sheet, loaded.rate)
+    trial = first_part(loaded)
+    observers = line_up(loaded.model, loaded.file.dimension, sheet, loaded.rate, trial)
     outcomes: dict[str, Outcome] = {}
     with stages("comparing", len(observers), quiet=as_json) as begin:
         for name, observer in observers.items():
@@ -31,6 +36,8 @@ def compare(job: Job, out: Path | None, report: Path | None, as_json: bool) -> N
     ranked = rank(outcomes, loaded)
     rows = tuple(_row(name, outcomes[name], loaded) for name in ranked)
     note = f"All tuned from one data sheet; the observers have {observer_gains(sheet, loaded.rate).summary}."
+    if trial is not None:
+        note += " Filters that know no model are those that are best on the first third of this very log."
     result: dict[str, Any] = {
         "model": job.model,
         "log": str(job.log),
@@ -46,6 +53,18 @@ def compare(job: Job, out: Path | None, report: Path | None, as_json: bool) -> N
         title = f"Estimators compared: {Path(job.model).stem}, {job.log.name}"
         result["report"] = [str(p) for p in write_report(report, title, loaded, curves, (note,), rows)]
     print(json.dumps(result) if as_json else _text(result, rows))
+
+
+def first_part(loaded: Loaded) -> Trial | None:
+    """The first third of the log and its velocities; None off coordinates and where it is too short to tune on."""
+    if not loaded.model.manifold.commuting:
+        return None
+    t = np.asarray(loaded.record.t)
+    part = (t <= t[0] + (t[-1] - t[0]) / 3) & np.isfinite(loaded.reference).all(axis=1)
+    y = unwrap(np.asarray(loaded.record.y), loaded.model.circles)[part]
+    if part.sum() < SHORTEST_TRIAL or np.isfinite(y).sum(axis=0).min() < SHORTEST_TRIAL // 2:
+        return None
+    return Trial(t[part], y, loaded.reference[part])
 
 
 def rank(outcomes: dict[str, Outcome], loaded: Loaded) -> list[str]:

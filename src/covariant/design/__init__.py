@@ -5,6 +5,7 @@ from covariant.design._gains import Gains, bias, gains, predict_errors
 from covariant.design._line_up import (
     ESTIMATORS,
     DataSheet,
+    Trial,
     estimators,
     filter_bandwidth,
     line_up,
@@ -19,6 +20,7 @@ __all__ = [
     "DataSheet",
     "Gains",
     "MetricSummary",
+    "Trial",
     "bias",
     "contracting_gain",
     "estimators",

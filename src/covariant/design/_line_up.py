@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 from covariant.design._gains import Gains, gains
 from covariant.models import MechanicalSystem
@@ -34,6 +35,15 @@ class DataSheet(NamedTuple):
     damping: float = 0.5**0.5
 
 
+class Trial(NamedTuple):
+    """Part of a log on which the filters that know no model are tuned: stamps (T,) [s], positions (T, n), which go on
+    over a full turn and may lack entries (NaN), and velocities (T, n) to compare with."""
+
+    t: Float[np.ndarray, "T"]
+    y: Float[np.ndarray, "T n"]
+    v: Float[np.ndarray, "T n"]
+
+
 def observer_gains(sheet: DataSheet, rate: float) -> Gains:
     """`gains` for a data sheet at a sampling rate [Hz]."""
     return gains(sheet.measurement_std, rate, sheet.acceleration_std, sheet.correlation_time, sheet.damping)
@@ -53,9 +63,12 @@ def with_gains(model: MechanicalSystem, alpha: float, beta: float) -> dict[str, 
     return {entry.name: entry.make(model, alpha, beta) for entry in fitting}
 
 
-def line_up(model: MechanicalSystem, n: int, sheet: DataSheet, rate: float) -> dict[str, AbstractObserver]:
+def line_up(
+    model: MechanicalSystem, n: int, sheet: DataSheet, rate: float, trial: Trial | None = None
+) -> dict[str, AbstractObserver]:
     """The `estimators` by name, for a model of n velocities sampled at `rate` [Hz].
 
+    Filters that know no model are tuned by the data sheet too, or, where there is a `trial`, by what is best on it.
     Raises `ValueError` for numbers of the data sheet that are not positive.
     """
     for name in ("motion_std", "motion_time"):
@@ -68,21 +81,47 @@ def line_up(model: MechanicalSystem, n: int, sheet: DataSheet, rate: float) -> d
     numbers = {
         "gains": (chosen.alpha, chosen.beta),
         "noise": (process_cov, measurement_cov, sheet.motion_std * sheet.motion_time),
-        "motion": (filter_bandwidth(sheet, rate), window_length(sheet, rate)),
+        "motion": (filter_bandwidth(sheet, rate, trial), *polynomial(sheet, rate, trial)),
     }
     return {entry.name: entry.make(model, *numbers[entry.tuned_by]) for entry in REGISTRY if entry.fits(model)}
 
 
-def filter_bandwidth(sheet: DataSheet, rate: float) -> float:
-    """Bandwidth [rad/s] of the filtered derivative with the least predicted velocity error."""
+def filter_bandwidth(sheet: DataSheet, rate: float, trial: Trial | None = None) -> float:
+    """Bandwidth [rad/s] of the filtered derivative with the least velocity error: predicted, or found on a trial."""
     candidates = np.geomspace(0.005, 3.0, 80) * rate
-    return float(min(candidates, key=lambda w: linear_filter_error(derivative_weights(w, rate), sheet, rate)))
+    return float(min(candidates, key=lambda w: filter_error(derivative_weights(w, rate), sheet, rate, trial)))
 
 
-def window_length(sheet: DataSheet, rate: float, order: int = 2) -> int:
-    """Window [samples] of the causal Savitzky–Golay filter with the least predicted velocity error."""
+def window_length(sheet: DataSheet, rate: float, order: int = 2, trial: Trial | None = None) -> int:
+    """Window [samples] of the causal Savitzky–Golay filter with the least velocity error, likewise."""
     candidates = range(order + 1, LONGEST_WINDOW + 1)
-    return min(candidates, key=lambda k: linear_filter_error(polynomial_weights(k, order, rate), sheet, rate))
+    return min(candidates, key=lambda k: filter_error(polynomial_weights(k, order, rate), sheet, rate, trial))
+
+
+def polynomial(sheet: DataSheet, rate: float, trial: Trial | None = None) -> tuple[int, int]:
+    """Window [samples] and order, 2 or 3, of the causal Savitzky–Golay filter with the least velocity error."""
+    candidates = [(window_length(sheet, rate, order, trial), order) for order in (2, 3)]
+    return min(candidates, key=lambda c: filter_error(polynomial_weights(*c, rate), sheet, rate, trial))
+
+
+def filter_error(weights: np.ndarray, sheet: DataSheet, rate: float, trial: Trial | None) -> float:
+    """Velocity error of a linear filter: as the data sheet predicts it, or found on a trial as if its stamps were even.
+
+    On a trial it is a part of the velocity, over all coordinates, its first second left out.
+    """
+    if trial is None:
+        return linear_filter_error(weights, sheet, rate)
+    t = np.asarray(trial.t)
+    even = np.arange(t[0], t[-1], 1 / rate)
+    late = even > min(t[0] + 1.0, t[0] + (t[-1] - t[0]) / 2)
+    squares = []
+    for y, v in zip(np.transpose(trial.y), np.transpose(trial.v), strict=True):
+        known, true = np.isfinite(y), np.interp(even, t, v)[late]
+        smooth = np.interp(even, t[known], y[known])
+        padded = np.concatenate([np.full(len(weights) - 1, smooth[0]), smooth])
+        found = np.convolve(padded, weights, "valid")[late]
+        squares.append(np.mean((found - true) ** 2) / max(np.mean(true**2), np.finfo(float).tiny))
+    return float(np.sqrt(np.mean(squares)))
 
 
 def derivative_weights(bandwidth: float, rate: float) -> np.ndarray:

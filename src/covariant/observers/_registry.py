@@ -46,7 +46,7 @@ class Entry(NamedTuple):
     - `make`: makes the observer, `make(model, *numbers)`.
     - `tuned_by`: the numbers it is made with. "gains" are α [1/s] and β [1/s²]; "noise" the process covariance (n, n),
       the measurement covariance (n, n) and the standard deviation of the velocity at the start; "motion" the bandwidth
-      [rad/s] and the window [samples] of a filter that knows no model.
+      [rad/s], and the window [samples] and order of a polynomial, of a filter that knows no model.
     - `about`, `when`, `source`: what it is, when to choose it, and where it was published; sentences for people.
     - `fits`: tells whether it can be made for a model.
     - `promises`: laws that the tests hold it to beside those of every observer. "error law": to first order the error
@@ -128,7 +128,7 @@ REGISTRY = (
     Entry(
         name="filtered-derivative",
         observer=FilteredDerivative,
-        make=lambda model, bandwidth, window: FilteredDerivative(bandwidth, model.circles),
+        make=lambda model, bandwidth, window, order: FilteredDerivative(bandwidth, model.circles),
         tuned_by="motion",
         about="difference of two samples, low-pass filtered; knows no model",
         when="there is no model: what most drives do",
@@ -138,9 +138,9 @@ REGISTRY = (
     Entry(
         name="savitzky-golay",
         observer=SavitzkyGolay,
-        make=lambda model, bandwidth, window: SavitzkyGolay(window, 2, model.circles),
+        make=lambda model, bandwidth, window, order: SavitzkyGolay(window, order, model.circles),
         tuned_by="motion",
-        about="slope of a parabola through the latest samples; knows no model",
+        about="slope of a parabola or cubic through the latest samples; knows no model",
         when="there is no model: the better filter",
         source="Savitzky & Golay 1964, one-sided",
         fits=coordinates,
