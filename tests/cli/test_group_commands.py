@@ -108,7 +108,7 @@ def test_the_report_is_one_page_and_figures(estimated):
     assert [Path(p).suffix for p in estimated["report"]] == [".html", ".png", ".png", ".png"]
     page = Path("report.html").read_text()
     assert "along w1 [rad]" in page
-    assert "dw1" not in page
+    assert "dw1/dt" not in page
 
 
 def test_signs_and_rounding_of_quaternions_do_not_matter(estimated):

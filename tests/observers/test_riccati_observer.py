@@ -124,6 +124,20 @@ def follow(observer, state, y, dt):
     return jax.lax.scan(step, state, y)[1]
 
 
+def test_the_information_filter_takes_as_many_steps_as_its_equation_needs():
+    """Knowing the start well makes the equation of P stiff; one step of Runge and Kutta is far off there."""
+    known = jnp.asarray(300 * np.linalg.inv(PROCESS))
+    y = jnp.asarray(np.stack([np.sin(3 * np.arange(1, 11) / 50), np.cos(2 * np.arange(1, 11) / 50)], axis=1))
+
+    def information(substeps):
+        ekf = InformationEKF(PLANT, LAW, jnp.asarray(X), known, substeps=substeps)
+        return np.asarray(follow(ekf, ekf.init(y[0]), y, jnp.asarray(1 / 50))[0].information[-1])
+
+    exact = information(2000)
+    np.testing.assert_allclose(information(None), exact, rtol=0, atol=1e-2 * np.abs(exact).max())
+    assert not np.abs(information(1) - exact).max() <= 0.3 * np.abs(exact).max()
+
+
 def test_the_information_filter_is_the_textbooks_to_first_order_in_the_step():
     """The discrete filter with exact discretisation of the motion, R/dt and Q dt for one step of dt."""
     ends = {}

@@ -13,9 +13,10 @@ from jaxtyping import Array, Float
 
 from covariant._integrate import rk4
 from covariant._linalg import half_solve, pivots, solve
-from covariant._typing import Flag, Matrix, MatrixField, Number, Scalar, Vector
+from covariant._typing import Code, Flag, Matrix, MatrixField, Number, Scalar, Vector
 from covariant.models import StateSpace
 from covariant.observers._protocol import AbstractFlowObserver, Held, Info, as_gain, check_finite, no_input, still
+from covariant.observers._sampled import MOST_SUBSTEPS
 from covariant.riccati import Equation, RiccatiMetric
 from covariant.signals import Result
 
@@ -103,7 +104,7 @@ class InformationEKF(AbstractFlowObserver):
 
     - `equation`: Q and R as in the metric's equation; a rate λ makes the filter forget at that rate.
     - `start` (n,), `information` (n, n): first estimate and the information it comes with.
-    - `substeps`: Runge–Kutta steps of the model a sample.
+    - `substeps`: Runge–Kutta steps a sample; None takes as many as dt and the equation of P need (offline).
 
     It knows how well it knows, which a constant field cannot; but nothing bounds its P unless the estimate stays close
     to the state.
@@ -113,7 +114,7 @@ class InformationEKF(AbstractFlowObserver):
     equation: Equation
     start: Vector
     information: Matrix
-    substeps: int = eqx.field(default=1, static=True)
+    substeps: int | None = eqx.field(default=None, static=True)
 
     def init(self, y: Float[Array, "p"], t: Number = 0.0) -> InformationState:
         start, information = jnp.asarray(self.start, y.dtype), jnp.asarray(self.information, y.dtype)
@@ -138,10 +139,21 @@ class InformationEKF(AbstractFlowObserver):
             return self.model.f(s, x, u), self._silent(s, x, p, u)
 
         now = state.t + dt
-        x, p = rk4(flow, state.t, (state.x, state.information), dt, self.substeps)
+        count = self._needed_substeps(state, u, dt) if self.substeps is None else self.substeps
+        x, p = rk4(flow, state.t, (state.x, state.information), dt, count)
         moved, info = _correct(self.model, self.equation.measurement_cov, now, x, p, dt, u, y)
         seen, _ = _seen(self.model, self.equation.measurement_cov, now, x, u, y)
         return InformationState(moved, p + dt * seen.T @ seen, now), info
+
+    def _needed_substeps(self, state: InformationState, u: Array, dt: Scalar) -> Code:
+        """Steps that keep h·rate ≤ 1: to first order changes of P die at sums of two eigenvalues of `A + QP`."""
+        power = jax.jacfwd(self.model.f, 1)(state.t, state.x, u)
+        q = self.equation.noise(state.x)
+        power = power if q is None else power + q @ state.information
+        for _ in range(3):
+            power = power @ power
+        fastest = 2 * jnp.sqrt(jnp.sum(power * power)) ** 0.125 + self.equation.rate
+        return jnp.clip(jnp.nan_to_num(jnp.ceil(dt * fastest), nan=1.0), 1, MOST_SUBSTEPS).astype(jnp.int32)
 
     def _silent(self, t: Scalar, x: Vector, p: Matrix, u: Array) -> Matrix:
         """How P changes while nothing is measured."""
