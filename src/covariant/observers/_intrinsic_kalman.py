@@ -20,7 +20,7 @@ from jaxtyping import Array, Float, Inexact, Int
 from covariant._linalg import semidefinite_root, solve, triangular
 from covariant._typing import Code, Matrix, Number, Scalar, Vector
 from covariant.geometry import AbstractManifold, AbstractSpace, Budget
-from covariant.models import MechanicalSystem, Motion, advance
+from covariant.models import MechanicalSystem, Motion, advance, resistance
 from covariant.observers._gate import Gate
 from covariant.observers._protocol import AbstractObserver, Held, as_gain, at_rest, check_finite, outcome, uniqueness
 from covariant.observers._sampled import needed_substeps
@@ -32,14 +32,18 @@ FARTHEST_TURN = 0.5
 
 
 class KalmanState(NamedTuple):
-    """Estimated configuration and velocity at time t [s]; `root` (2n, 2n), `P = root rootᵀ` the covariance of (ε, ν) in
-    the parallel frame; how many samples in a row were `refused`, and the `scale` (n,) of the innovations that the gate
-    has learnt; `held` is the last finite input."""
+    """Estimated configuration and velocity at time t [s], and the estimated external `force` (k,), k = n or 0.
+
+    `root`: a square root of the covariance of (ε, ν) in the parallel frame, and of the force after them. `refused`:
+    how many samples in a row the gate refused; `scale` (n,): how large it has learnt innovations to be. `held`: the
+    last finite input.
+    """
 
     q: Inexact[Array, "..."]
     v: Vector
     t: Scalar
-    root: Float[Array, "two_n two_n"]
+    force: Float[Array, "k"]
+    root: Float[Array, "two_n_k two_n_k"]
     refused: Int[Array, ""]
     scale: Vector
     held: Held = None
@@ -64,6 +68,9 @@ class IntrinsicKalman(AbstractObserver):
     - `initial_velocity_cov`: covariance of the velocity at the start, which is assumed zero [(rad/s)² or (m/s)²].
       Each is a matrix (n, n) in the frame, the same everywhere; a function of the configuration; or a number, a
       variance in metric units, the same in every direction.
+    - `force_cov` (n, n): density of the random walk of an external force that the model does not know, a covector in
+      the frame [N²/s or (N m)²/s]: a push, a payload, friction that is wrong. It is estimated too, and a constant one
+      leaves no bias. None for no such force.
     - `gate`: which measurements are refused as outliers, None for none of them; see `Gate`.
     - `budget`: work spent on geodesics, from the estimate to the measurement and along the correction.
     - `substeps`: Runge–Kutta steps a sample; None takes as many as dt and the friction need (offline).
@@ -79,6 +86,7 @@ class IntrinsicKalman(AbstractObserver):
     process_cov: Spread = eqx.field(converter=as_gain)
     measurement_cov: Spread = eqx.field(converter=as_gain)
     initial_velocity_cov: Spread = eqx.field(converter=as_gain)
+    force_cov: Matrix | None = None
     gate: Gate | None = Gate()
     budget: Budget = eqx.field(default=Budget(newton=1, steps=2), static=True)
     substeps: int | None = eqx.field(default=None, static=True)
@@ -88,17 +96,25 @@ class IntrinsicKalman(AbstractObserver):
             given = getattr(self, name)
             if not callable(given):
                 check_finite("IntrinsicKalman", **{name: given})
+        if self.force_cov is not None:
+            check_finite("IntrinsicKalman", force_cov=self.force_cov)
 
     def init(self, y: Array, t: Number = 0.0) -> KalmanState:
         q, v, t, held = at_rest(self.model, y, t)
-        return KalmanState(q, v, t, self._first_root(q), jnp.zeros((), jnp.int32), jnp.ones_like(v), held)
+        force = v[:0] if self.force_cov is None else jnp.zeros_like(v)
+        return KalmanState(q, v, t, force, self._first_root(q), jnp.zeros((), jnp.int32), jnp.ones_like(v), held)
 
     def estimate(self, state: KalmanState) -> Any:
         return self.model.state(Motion(state.q, state.v))
 
-    def cov(self, state: KalmanState) -> Float[Array, "two_n two_n"]:
-        """The covariance P of (ε, ν) in the parallel frame at the estimate."""
+    def cov(self, state: KalmanState) -> Float[Array, "two_n_k two_n_k"]:
+        """The covariance P of (ε, ν), and of the external force after them, in the parallel frame at the estimate."""
         return state.root @ state.root.T
+
+    def velocity_std(self, state: KalmanState) -> Vector:
+        """Standard deviations of the components of the velocity."""
+        n = state.v.shape[0]
+        return jnp.sqrt(jnp.sum(state.root[n : 2 * n] ** 2, axis=1))
 
     def advance(self, state: KalmanState, u: Float[Array, "m"], y: Array, dt: Scalar) -> tuple[KalmanState, KalmanInfo]:
         return self.correct(self.predict(state, u, dt), y)
@@ -125,9 +141,10 @@ class IntrinsicKalman(AbstractObserver):
             again = again | (jnp.any(far) & (state.refused >= self.gate.patience))
         used = ~missing & ~far
         gain, root = _updated(state.root, noise, used)
-        q, v, root = self._rebased(state, gain @ jnp.where(used, innovation, 0.0), root)
+        error = gain @ jnp.where(used, innovation, 0.0)
+        q, v, root = self._rebased(state, error, root)
         refused = jnp.where(jnp.any(far) & ~again, state.refused + 1, 0)
-        new = KalmanState(q, v, state.t, root, refused, scale, state.held)
+        new = KalmanState(q, v, state.t, state.force + error[2 * n :], root, refused, scale, state.held)
         measured = manifold.measured(state.q, y)
         fresh = new._replace(q=measured, v=state.v, root=self._first_root(measured))
         new = jax.tree.map(lambda a, b: jnp.where(again, a, b), fresh, new)
@@ -139,22 +156,28 @@ class IntrinsicKalman(AbstractObserver):
     def _moved(self, state: KalmanState, u: Float[Array, "m"], h: Scalar) -> KalmanState:
         """One Runge–Kutta step of the model, and the covariance with it."""
         space, manifold, n = self.model.space, self.model.manifold, state.v.shape[0]
+        model = self.model if self.force_cov is None else pushed(self.model, u.shape[0])
 
         def ahead(error):
-            start = Motion(manifold.retract(state.q, error[:n]), state.v + error[n:])
-            end = advance(self.model, state.t, start, u, h, 1)
-            return jnp.concatenate([manifold.local(jax.lax.stop_gradient(end.q), end.q), end.v]), end
+            start = Motion(manifold.retract(state.q, error[:n]), state.v + error[n : 2 * n])
+            push = state.force + error[2 * n :]
+            end = advance(model, state.t, start, jnp.concatenate([u, push]), h, 1)
+            return jnp.concatenate([manifold.local(jax.lax.stop_gradient(end.q), end.q), end.v, push]), end
 
-        slope, (q, v) = jax.jacfwd(ahead, has_aux=True)(jnp.zeros(2 * n, state.v.dtype))
-        root = parallel(space, q, v) @ slope @ apart(space, state.q, state.v) @ state.root
+        slope, (q, v) = jax.jacfwd(ahead, has_aux=True)(jnp.zeros(state.root.shape[0], state.v.dtype))
+        root = (
+            _beside(parallel(space, q, v), state) @ slope @ _beside(apart(space, state.q, state.v), state) @ state.root
+        )
         acceleration = semidefinite_root(spread_at(self.process_cov, space, q))
         # The double and the single integral of white noise over h have the covariance h³/3, h²/2; h²/2, h.
         integrals = jnp.sqrt(h) * jnp.array([[h / 3**0.5, 0.0], [0.75**0.5, 0.5]])
         noise = jnp.kron(integrals, acceleration)
+        if self.force_cov is not None:
+            noise = _diagonal(noise, jnp.sqrt(h) * semidefinite_root(self.force_cov))
         return state._replace(q=q, v=v, t=state.t + h, root=triangular(jnp.concatenate([root, noise], axis=1)))
 
     def _rebased(self, state: KalmanState, error: Array, root: Array) -> tuple[Array, Vector, Array]:
-        """Estimate and root after the correction by an error (2n,) along its geodesic, the velocity carried with it.
+        """Estimate and root after the correction by an error along its geodesic, the velocity carried with it.
 
         An error is seen from the new estimate as the derivative of that very map sees it (the reset).
         """
@@ -164,16 +187,39 @@ class IntrinsicKalman(AbstractObserver):
             end = space.transport_along(state.q, e[:n], state.v + e[n:], self.budget)
             return jnp.concatenate([manifold.local(jax.lax.stop_gradient(end.q), end.q), end.w]), (end.q, end.w)
 
-        slope, (q, v) = jax.jacfwd(corrected, has_aux=True)(error)
-        return q, v, parallel(space, q, v) @ slope @ root
+        slope, (q, v) = jax.jacfwd(corrected, has_aux=True)(error[: 2 * n])
+        return q, v, _beside(parallel(space, q, v) @ slope, state) @ root
 
-    def _first_root(self, q: Array) -> Float[Array, "two_n two_n"]:
-        position, velocity = (
-            semidefinite_root(spread_at(spread, self.model.space, q))
-            for spread in (self.measurement_cov, self.initial_velocity_cov)
-        )
-        zero = jnp.zeros_like(velocity)
-        return jnp.block([[position, zero], [zero, velocity]])
+    def _first_root(self, q: Array) -> Float[Array, "two_n_k two_n_k"]:
+        spreads = (self.measurement_cov, self.initial_velocity_cov)
+        position, velocity = (semidefinite_root(spread_at(spread, self.model.space, q)) for spread in spreads)
+        both = _diagonal(position, velocity)
+        # Nothing is known of the force: it may have walked for a second.
+        return both if self.force_cov is None else _diagonal(both, semidefinite_root(self.force_cov))
+
+
+def pushed(model: MechanicalSystem, inputs: int) -> MechanicalSystem:
+    """The model with a generalised force (n,) in the frame after its inputs (m,): `u = (u, force)`."""
+
+    def force(t, q, u):
+        return model.force(t, q, u[:inputs]) + u[inputs:]
+
+    def dissipation(t, q, v, u):
+        return resistance(model, t, q, v, u[:inputs])
+
+    return eqx.tree_at(lambda m: (m.force, m.dissipation), model, (force, dissipation))
+
+
+def _beside(matrix: Array, state: KalmanState) -> Array:
+    """A matrix of (ε, ν) as one of (ε, ν, force), which leaves the force as it is."""
+    return _diagonal(matrix, jnp.eye(state.force.shape[0], dtype=matrix.dtype))
+
+
+def _diagonal(a: Array, b: Array) -> Array:
+    """Block-diagonal."""
+    top = jnp.concatenate([a, jnp.zeros((a.shape[0], b.shape[1]), a.dtype)], axis=1)
+    bottom = jnp.concatenate([jnp.zeros((b.shape[0], a.shape[1]), a.dtype), b.astype(a.dtype)], axis=1)
+    return jnp.concatenate([top, bottom])
 
 
 def parallel(space: AbstractSpace, q: Array, v: Vector, sign: int = 1) -> Float[Array, "two_n two_n"]:
@@ -206,15 +252,15 @@ def _nis(spread: Matrix, innovation: Vector, present: Array) -> Scalar:
 
 
 def _updated(
-    root: Float[Array, "two_n two_n"], noise: Matrix, used: Array
-) -> tuple[Float[Array, "two_n n"], Float[Array, "two_n two_n"]]:
+    root: Float[Array, "two_n_k two_n_k"], noise: Matrix, used: Array
+) -> tuple[Float[Array, "two_n_k n"], Float[Array, "two_n_k two_n_k"]]:
     """Gain, and root of the covariance after the correction, from the components that are used."""
     n = noise.shape[0]
     both = used[:, None] & used[None, :]
     own = semidefinite_root(jnp.where(both, noise, jnp.eye(n, dtype=noise.dtype)))
     seen = jnp.where(used[:, None], root[:n], 0.0)
     above = jnp.concatenate([own, seen], axis=1)
-    below = jnp.concatenate([jnp.zeros((2 * n, n), root.dtype), root], axis=1)
+    below = jnp.concatenate([jnp.zeros((root.shape[0], n), root.dtype), root], axis=1)
     both = triangular(jnp.concatenate([above, below]))
     spread, cross = both[:n, :n], both[n:, :n]
     return solve(spread @ spread.T, spread @ cross.T).T, both[n:, n:]
