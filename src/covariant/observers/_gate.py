@@ -4,7 +4,6 @@ Source: Bar-Shalom, Li & Kirubarajan 2001, Estimation with Applications to Track
 """
 
 import math
-from statistics import NormalDist
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -13,6 +12,9 @@ from jaxtyping import Array, Bool
 from covariant._linalg import solve
 from covariant._typing import Matrix, Vector
 from covariant.geometry import AbstractManifold
+
+BELIEVED = 4.0
+"""How much larger than usual a square counts for when it is learnt what is usual: an outlier teaches little."""
 
 
 class Gate(eqx.Module):
@@ -25,7 +27,7 @@ class Gate(eqx.Module):
       where the noise was told too small.
     """
 
-    deviations: float = eqx.field(default=6.0, static=True)
+    deviations: float = eqx.field(default=8.0, static=True)
     patience: int = eqx.field(default=10, static=True)
     memory: float = eqx.field(default=50.0, static=True)
 
@@ -43,7 +45,7 @@ class Gate(eqx.Module):
         """Which components present of an innovation (n,) with the expected covariance `spread` are too far off.
 
         `scale` (n,): how much larger than expected the squares of the innovations have been, 1 at the start; returned
-        with this sample in it, of which no more counts than the gate lets pass.
+        with this sample in it, of whose square no more counts than `BELIEVED` times the scale.
         """
         far, learnt = jnp.zeros_like(present), scale
         for together in manifold.measured_together(innovation.shape[0]):
@@ -53,14 +55,24 @@ class Gate(eqx.Module):
             limit = self._limit(len(together)) / len(together) * jnp.maximum(scale[own[0]], 1.0)
             seen = jnp.all(present[own])
             far = far.at[own].set(seen & (square > limit))
-            change = (jnp.minimum(square, limit) - scale[own]) / self.memory
+            change = (jnp.minimum(square, BELIEVED * jnp.maximum(scale[own], 1.0)) - scale[own]) / self.memory
             learnt = learnt.at[own].add(jnp.where(seen, change, 0.0))
         return far, learnt
 
     def _limit(self, n: int) -> float:
-        """The squared length that n Gaussian numbers exceed as seldom as one exceeds `deviations` (Wilson–Hilferty)."""
-        if n == 1:
-            return self.deviations**2
-        normal = NormalDist()
-        z = -normal.inv_cdf(max(2 * normal.cdf(-self.deviations), 1e-300))
-        return n * (1 - 2 / (9 * n) + z * math.sqrt(2 / (9 * n))) ** 3
+        """The squared length that n Gaussian numbers exceed as seldom as one exceeds `deviations`."""
+        rare, low, high = _exceed(1, self.deviations**2), 0.0, 4 * (self.deviations**2 + n)
+        for _ in range(80):
+            middle = (low + high) / 2
+            low, high = (middle, high) if _exceed(n, middle) > rare else (low, middle)
+        return high
+
+
+def _exceed(n: int, square: float) -> float:
+    """Probability that χ² with n degrees of freedom exceeds a number, `Q(n/2, square/2)`, by its recurrence in n."""
+    x = square / 2
+    a, total = (1.0, math.exp(-x)) if n % 2 == 0 else (0.5, math.erfc(math.sqrt(x)))
+    while a < n / 2:
+        total += math.exp(a * math.log(x) - x - math.lgamma(a + 1)) if x > 0 else 0.0
+        a += 1
+    return total

@@ -34,9 +34,9 @@ FARTHEST_TURN = 0.5
 class KalmanState(NamedTuple):
     """Estimated configuration and velocity at time t [s], and the estimated external `force` (k,), k = n or 0.
 
-    `root`: a square root of the covariance of (ε, ν) in the parallel frame, and of the force after them. `refused`:
-    how many samples in a row the gate refused; `scale` (n,): how large it has learnt innovations to be. `held`: the
-    last finite input.
+    `root`: a square root of the covariance of (ε, ν) in the parallel frame, and of the force after them. `refused`
+    (n,): how many samples in a row the gate refused; `scale` (n,): how large it has learnt innovations to be. `held`:
+    the last finite input.
     """
 
     q: Inexact[Array, "..."]
@@ -44,7 +44,7 @@ class KalmanState(NamedTuple):
     t: Scalar
     force: Float[Array, "k"]
     root: Float[Array, "two_n_k two_n_k"]
-    refused: Int[Array, ""]
+    refused: Int[Array, "n"]
     scale: Vector
     held: Held = None
 
@@ -102,7 +102,7 @@ class IntrinsicKalman(AbstractObserver):
     def init(self, y: Array, t: Number = 0.0) -> KalmanState:
         q, v, t, held = at_rest(self.model, y, t)
         force = v[:0] if self.force_cov is None else jnp.zeros_like(v)
-        return KalmanState(q, v, t, force, self._first_root(q), jnp.zeros((), jnp.int32), jnp.ones_like(v), held)
+        return KalmanState(q, v, t, force, self._first_root(q), jnp.zeros(v.shape, jnp.int32), jnp.ones_like(v), held)
 
     def estimate(self, state: KalmanState) -> Any:
         return self.model.state(Motion(state.q, state.v))
@@ -129,29 +129,33 @@ class IntrinsicKalman(AbstractObserver):
         """Take the measurement y in; missing entries (NaN) are left out, on a group all where one is missing."""
         space, manifold, n = self.model.space, self.model.manifold, state.v.shape[0]
         missing, straight = manifold.missing(y), manifold.towards(state.q, y)
-        shot = space.shoot(state.q, manifold.measured(state.q, y), straight, self.budget)
-        # Where an entry is missing, what the others tell is a difference of coordinates, not the end of a geodesic.
-        found = jnp.all(jnp.isfinite(shot.velocity)) & (shot.result != Result.NOT_CONVERGED) & ~jnp.any(missing)
-        innovation = jnp.where(found, shot.velocity, straight)
         noise = spread_at(self.measurement_cov, space, state.q)
         spread = state.root[:n] @ state.root[:n].T + noise
-        far, scale, again = jnp.zeros_like(missing), state.scale, _lost(manifold, spread, noise) & ~jnp.any(missing)
+        far, scale, again = jnp.zeros_like(missing), state.scale, _lost(manifold, spread, noise)
         if self.gate is not None:
-            far, scale = self.gate.judge(manifold, innovation, spread, ~missing, scale)
-            again = again | (jnp.any(far) & (state.refused >= self.gate.patience))
+            far, scale = self.gate.judge(manifold, straight, spread, ~missing, scale)
+            again = again | jnp.any(far & (state.refused >= self.gate.patience))
+        again = again & ~jnp.any(missing)  # it starts anew from a whole configuration
         used = ~missing & ~far
+        innovation = jnp.where(used, self._way(state, y, straight, used), 0.0)
         gain, root = _updated(state.root, noise, used)
-        error = gain @ jnp.where(used, innovation, 0.0)
+        error = gain @ innovation
         q, v, root = self._rebased(state, error, root)
-        refused = jnp.where(jnp.any(far) & ~again, state.refused + 1, 0)
+        refused = jnp.where(far, state.refused + 1, jnp.where(missing, state.refused, 0))
         new = KalmanState(q, v, state.t, state.force + error[2 * n :], root, refused, scale, state.held)
         measured = manifold.measured(state.q, y)
-        fresh = new._replace(q=measured, v=state.v, root=self._first_root(measured))
+        fresh = new._replace(q=measured, v=state.v, root=self._first_root(measured), refused=0 * refused)
         new = jax.tree.map(lambda a, b: jnp.where(again, a, b), fresh, new)
         result = jnp.where(jnp.any(far), int(Result.OUTLIER), uniqueness(self.model, state.q, y))
         result = outcome(new.q, new.v, y, jnp.where(again, int(Result.RESTARTED), result))
-        nis = _nis(spread, innovation, ~missing)
-        return new, KalmanInfo(straight, space.norm(state.q, innovation), spread, nis, result)
+        nis = _nis(spread, straight, ~missing)
+        return new, KalmanInfo(straight, space.norm(state.q, straight), spread, nis, result)
+
+    def _way(self, state: KalmanState, y: Array, straight: Vector, used: Array) -> Vector:
+        """`log_q̂ y`; where an entry of y is not used the others tell a difference of coordinates."""
+        shot = self.model.space.shoot(state.q, self.model.manifold.measured(state.q, y), straight, self.budget)
+        found = jnp.all(jnp.isfinite(shot.velocity)) & (shot.result != Result.NOT_CONVERGED)
+        return jnp.where(found & jnp.all(used), shot.velocity, straight)
 
     def _moved(self, state: KalmanState, u: Float[Array, "m"], h: Scalar) -> KalmanState:
         """One Runge–Kutta step of the model, and the covariance with it."""
