@@ -12,9 +12,9 @@ from covariant.models import GroupSystem, Lagrangian, Motion, advance, pendulum_
 from covariant.observers import IntrinsicKalman
 
 RUNS = 1000
-STEPS = 40
+STEPS = 24
 DT = 0.02
-FINE = Budget(newton=1, steps=3)
+FINE = Budget(newton=1, steps=2)
 PROCESS, MEASUREMENT, SPEED = 0.3, 0.01, 1.0
 
 
@@ -70,7 +70,7 @@ def squares(model, observer, q0, key):
     def step(carry, key):
         motion, state = carry
         a, b, c = jax.random.split(key, 3)
-        motion = advance(model, 0.0, motion, jnp.zeros(n), DT, 4)
+        motion = advance(model, 0.0, motion, jnp.zeros(n), DT, 2)
         w1, w2 = PROCESS * DT**0.5 * drawn(motion.q, a), PROCESS * DT**0.5 * drawn(motion.q, b)
         motion = moved(space, motion.q, DT * (w1 / 2 + w2 / 12**0.5), motion.v + w1)
         y = moved(space, motion.q, MEASUREMENT * drawn(motion.q, c), motion.v).q
@@ -87,7 +87,7 @@ def test_errors_are_as_large_as_the_filter_says(name):
     """Within the bounds that 95 of 100 consistent filters stay in, of χ² over all runs."""
     model, q0 = MODELS[name]
     n = model.manifold.zero(q0).shape[0]
-    observer = IntrinsicKalman(model, PROCESS**2, MEASUREMENT**2, SPEED**2, gate=None, budget=FINE, substeps=4)
+    observer = IntrinsicKalman(model, PROCESS**2, MEASUREMENT**2, SPEED**2, gate=None, budget=FINE, substeps=2)
     keys = jax.random.split(jax.random.key(1), RUNS)
     nees, nis = map(np.asarray, eqx.filter_vmap(squares, in_axes=(None, None, None, 0))(model, observer, q0, keys))
     assert abs(nees.mean() - 2 * n) < 1.96 * np.sqrt(2 * 2 * n / RUNS)
