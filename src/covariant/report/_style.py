@@ -14,8 +14,8 @@ from covariant.report._guests import guest
 if TYPE_CHECKING:
     import matplotlib.figure
 
-PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#5D4037")
-"""Colours told apart by every kind of colour vision (Okabe & Ito 2008), with a brown for their black and yellow."""
+PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#5D4037", "#8C8A2E")
+"""Colours told apart by every kind of colour vision (Okabe & Ito 2008); brown and olive for their black and yellow."""
 
 BACKDROP = "#A8AEB5"
 """Grey of what estimates are compared with."""
