@@ -17,7 +17,7 @@ from covariant import models
 from covariant._integrate import solve
 from covariant.geometry import Budget, Pullback, christoffel, curvature, hyperbolic, sphere, transport_along
 from covariant.geometry import shoot as shoot_geodesic
-from covariant.models import Lagrangian, acceleration, source
+from covariant.models import Lagrangian, acceleration, in_chart, source
 from covariant.observers import REGISTRY, Geodesic, Intrinsic, MechanicalState
 from covariant.simulation import observe
 
@@ -186,17 +186,6 @@ def shear(a, b):
     return forward, inverse
 
 
-def in_another_chart(model: Lagrangian, forward) -> Lagrangian:
-    """The same machine in coordinates z, q = forward(z); its geometry found numerically from the new matrix."""
-
-    @jax.jit  # differentiated and batched in many places: each way once
-    def metric(z):
-        jacobian = jax.jacfwd(forward)(z)
-        return jacobian.T @ model.metric(forward(z)) @ jacobian
-
-    return Lagrangian(metric, lambda z: model.potential(forward(z)), inputs=model.inputs)
-
-
 TOLERANCE = 1e-9
 
 
@@ -216,7 +205,7 @@ def chart_gap(make, seed: int) -> float:
         models.pendulum_chain((1.0, 0.7), (0.5, 0.4)).potential,
         inputs=2,
     )
-    bent = in_another_chart(plain, forward)
+    bent = in_chart(plain, forward)
     x0, start = jnp.array([0.2, -0.3, 0.5, 0.4]), jnp.array([0.35, -0.1, 0.2, 0.1])
 
     def there(x):

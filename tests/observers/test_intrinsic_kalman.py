@@ -232,3 +232,29 @@ def test_ten_charts_make_no_difference(name):
     assert np.isfinite(errors).all()
     assert np.ptp(errors) < 0.01 * errors.mean()
     assert np.abs(estimates - estimates[0]).max() < 0.1 * errors.mean()  # at the worst sample
+
+
+NO_COVARIANCES = [
+    ({"process_cov": -1.0}, "process_cov must have variances that are zero or more; its least is -1"),
+    ({"process_cov": jnp.diag(jnp.array([1.0, -0.1]))}, "process_cov must have variances that are zero or more"),
+    ({"measurement_cov": 0.0}, "measurement_cov must have variances that are positive; its least is 0"),
+    ({"measurement_cov": np.ones((2, 2))}, "measurement_cov must have variances that are positive"),
+    ({"initial_velocity_cov": np.array([[1.0, 0.5], [0.4, 1.0]])}, "initial_velocity_cov must be symmetric"),
+    (
+        {"initial_velocity_cov": np.ones(2)},
+        "initial_velocity_cov must be a number or a square matrix",
+    ),
+    ({"initial_velocity_cov": np.nan}, "initial_velocity_cov must have finite entries"),
+    ({"force_cov": -jnp.eye(2)}, "force_cov must have variances that are zero or more"),
+]
+
+
+@pytest.mark.parametrize(("wrong", "words"), NO_COVARIANCES)
+def test_what_is_no_covariance_is_refused(wrong, words):
+    given = {"process_cov": 1.0, "measurement_cov": 1.0, "initial_velocity_cov": 1.0} | wrong
+    with pytest.raises(ValueError, match=words):
+        IntrinsicKalman(double_pendulum(), **given)
+
+
+def test_no_process_noise_and_a_known_start_are_covariances():
+    isotropic(double_pendulum(), 0.0, 0.1, 0.0)

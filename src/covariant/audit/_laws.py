@@ -19,7 +19,7 @@ from jaxtyping import Array, Float
 
 from covariant._typing import Scalar, Vector
 from covariant.geometry import AbstractSpace, Budget, Metric
-from covariant.models import Lagrangian, MechanicalSystem, acceleration, friction, resistance
+from covariant.models import MechanicalSystem, acceleration, friction, in_chart
 from covariant.observers import AbstractFlowObserver, AbstractObserver, Geodesic, Intrinsic
 
 NEAR = Budget(newton=0, steps=1)
@@ -292,27 +292,10 @@ def between_charts(
         def chart(z):
             return y + bent(z) - bent(centre)
 
-        def pushforward(z, w):
-            return jax.jvp(chart, (z,), (w,))[1]
-
-        def pullback(z, covector):
-            return jax.vjp(chart, z)[1](covector)[0]
-
-        @jax.jit  # so that it is traced once, and not wherever a derivative of it is taken
-        def metric(z):
-            jacobian = jax.jacfwd(chart)(z)
-            return jacobian.T @ space(chart(z)) @ jacobian
-
-        rewritten = Lagrangian(
-            metric,
-            lambda z: model.potential(chart(z)),
-            lambda t, z, u: pullback(z, model.force(t, chart(z), u)),
-            lambda t, z, w, u: pullback(z, resistance(model, t, chart(z), pushforward(z, w), u)),
-            inputs=model.inputs,
-        )
+        rewritten = in_chart(model, chart)
         estimate = centre + error * states.unit
         there = slope(exchange(observer, rewritten), estimate, v, u, centre)
-        (x, velocity), pushed = jax.jvp(lambda z, w: (chart(z), pushforward(z, w)), (estimate, v), there)
+        (x, velocity), pushed = jax.jvp(lambda z, w: jax.jvp(chart, (z,), (w,)), (estimate, v), there)
         here = slope(observer, x, velocity, u, y)
         return _difference(space, gains, x, velocity, x - y, here, pushed)
 

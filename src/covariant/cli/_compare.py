@@ -20,6 +20,10 @@ SHORTEST_TRIAL = 200
 """Rows that the first third of a log must have for filters to be tuned on it."""
 
 
+LONGEST_TRIAL = 20_000
+"""Rows of it that are used at most: the search takes seconds there, and minutes on a million."""
+
+
 def compare(job: Job, out: Path | None, report: Path | None, as_json: bool) -> None:
     """Run the whole line-up and write, print and draw the ranking."""
     check_output(out, ".csv", log=job.log)
@@ -37,7 +41,8 @@ def compare(job: Job, out: Path | None, report: Path | None, as_json: bool) -> N
     rows = tuple(_row(name, outcomes[name], loaded) for name in ranked)
     note = f"All tuned from one data sheet; the observers have {observer_gains(sheet, loaded.rate).summary}."
     if trial is not None:
-        note += " Filters that know no model are those that are best on the first third of this very log."
+        end = trial.t[-1] - np.asarray(loaded.record.t)[0]
+        note += f" Filters that know no model are those that are best on the first {end:.3g} s of this very log."
     result: dict[str, Any] = {
         "model": job.model,
         "log": str(job.log),
@@ -56,11 +61,15 @@ def compare(job: Job, out: Path | None, report: Path | None, as_json: bool) -> N
 
 
 def first_part(loaded: Loaded) -> Trial | None:
-    """The first third of the log and its velocities; None off coordinates and where it is too short to tune on."""
+    """The first third of the log, at most `LONGEST_TRIAL` rows, and its velocities.
+
+    None off coordinates and where it is too short to tune on.
+    """
     if not loaded.model.manifold.commuting:
         return None
     t = np.asarray(loaded.record.t)
     part = (t <= t[0] + (t[-1] - t[0]) / 3) & np.isfinite(loaded.reference).all(axis=1)
+    part[np.flatnonzero(part)[LONGEST_TRIAL:]] = False
     y = unwrap(np.asarray(loaded.record.y), loaded.model.circles)[part]
     if part.sum() < SHORTEST_TRIAL or np.isfinite(y).sum(axis=0).min() < SHORTEST_TRIAL // 2:
         return None

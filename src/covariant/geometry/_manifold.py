@@ -241,24 +241,21 @@ class ProductManifold(AbstractManifold):
 
     @property
     def rotations(self) -> tuple[tuple[int, ...], ...] | None:
-        found, start = [], 0
-        for factor, dimension in zip(self.factors, self._dimensions, strict=True):
+        found = []
+        for factor, start in zip(self.factors, starts(self._dimensions), strict=True):
             if factor.rotations is None:
                 return None
             found += [tuple(start + i for i in turn) for turn in factor.rotations]
-            start += dimension
         return tuple(found)
 
     def measured_together(self, n: int) -> tuple[tuple[int, ...], ...]:
-        sizes = self._dimensions
-        starts = [sum(sizes[:i]) for i in range(len(sizes))]
-        each = zip(self.factors, starts, sizes, strict=True)
+        each = zip(self.factors, starts(self._dimensions), self._dimensions, strict=True)
         return tuple(tuple(k + i for i in piece) for f, k, size in each for piece in f.measured_together(size))
 
     @property
     def circles(self) -> tuple[int, ...]:
-        starts = [sum(self._sizes[:i]) for i in range(len(self.factors))]
-        return tuple(start + i for start, factor in zip(starts, self.factors, strict=True) for i in factor.circles)
+        each = zip(starts(self._sizes), self.factors, strict=True)
+        return tuple(start + i for start, factor in each for i in factor.circles)
 
     def origin(self, dtype: Any = float) -> Configuration:
         return self.join([factor.origin(dtype) for factor in self.factors])
@@ -339,4 +336,9 @@ class ProductManifold(AbstractManifold):
 
 def split(a: Array, sizes: Sequence[int], axis: int = 0) -> list[Array]:
     """Cut an array along an axis into pieces of these lengths."""
-    return jnp.split(a, [sum(sizes[:i]) for i in range(1, len(sizes))], axis=axis)
+    return jnp.split(a, starts(sizes)[1:], axis=axis)
+
+
+def starts(sizes: Sequence[int]) -> list[int]:
+    """Where each of pieces of these lengths begins, one after the other."""
+    return [sum(sizes[:i]) for i in range(len(sizes))]

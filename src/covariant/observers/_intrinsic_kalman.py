@@ -22,9 +22,9 @@ from covariant._typing import Code, Matrix, Number, Scalar, Vector
 from covariant.geometry import AbstractManifold, AbstractSpace, Budget
 from covariant.models import MechanicalSystem, Motion, advance, resistance
 from covariant.observers._gate import Gate
-from covariant.observers._protocol import AbstractObserver, Held, as_gain, at_rest, check_finite, outcome, uniqueness
+from covariant.observers._protocol import AbstractObserver, Held, as_gain, at_rest, outcome, uniqueness
 from covariant.observers._sampled import needed_substeps
-from covariant.observers._spread import Spread, spread_at
+from covariant.observers._spread import Spread, check_spread, spread_at
 from covariant.signals import Result
 
 FARTHEST_TURN = 0.5
@@ -79,7 +79,7 @@ class IntrinsicKalman(AbstractObserver):
     velocity, and `result` says `RESTARTED`. In other coordinates, with noise that is the same tensor, the estimate is
     the same to the accuracy of the budget.
 
-    Raises `ValueError` for covariances that are not finite.
+    Raises `ValueError` for numbers and matrices that are no covariances, and for a measurement without noise.
     """
 
     model: MechanicalSystem
@@ -92,12 +92,11 @@ class IntrinsicKalman(AbstractObserver):
     substeps: int | None = eqx.field(default=None, static=True)
 
     def __check_init__(self):
-        for name in ("process_cov", "measurement_cov", "initial_velocity_cov"):
-            given = getattr(self, name)
-            if not callable(given):
-                check_finite("IntrinsicKalman", **{name: given})
+        check_spread("IntrinsicKalman", "measurement_cov", self.measurement_cov, positive=True)
+        for name in ("process_cov", "initial_velocity_cov"):
+            check_spread("IntrinsicKalman", name, getattr(self, name))
         if self.force_cov is not None:
-            check_finite("IntrinsicKalman", force_cov=self.force_cov)
+            check_spread("IntrinsicKalman", "force_cov", self.force_cov)
 
     def init(self, y: Array, t: Number = 0.0) -> KalmanState:
         q, v, t, held = at_rest(self.model, y, t)
@@ -121,7 +120,9 @@ class IntrinsicKalman(AbstractObserver):
 
     def predict(self, state: KalmanState, u: Float[Array, "m"], dt: Scalar) -> KalmanState:
         """Integrate model and covariance over dt [s] with u held."""
-        count = self.substeps or needed_substeps(self.model, state.t, state.q, state.v, u, dt)
+        count = self.substeps
+        if count is None:
+            count = needed_substeps(self.model, state.t, state.q, state.v, u, dt)
         h = dt / jnp.asarray(count, state.v.dtype)
         return jax.lax.fori_loop(0, count, lambda _, now: self._moved(now, u, h), state)
 
@@ -265,6 +266,6 @@ def _updated(
     seen = jnp.where(used[:, None], root[:n], 0.0)
     above = jnp.concatenate([own, seen], axis=1)
     below = jnp.concatenate([jnp.zeros((root.shape[0], n), root.dtype), root], axis=1)
-    both = triangular(jnp.concatenate([above, below]))
-    spread, cross = both[:n, :n], both[n:, :n]
-    return solve(spread @ spread.T, spread @ cross.T).T, both[n:, n:]
+    joint = triangular(jnp.concatenate([above, below]))
+    spread, cross = joint[:n, :n], joint[n:, :n]
+    return solve(spread @ spread.T, spread @ cross.T).T, joint[n:, n:]

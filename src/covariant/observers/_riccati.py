@@ -16,7 +16,7 @@ from covariant._linalg import half_solve, pivots, solve
 from covariant._typing import Code, Flag, Matrix, MatrixField, Number, Scalar, Vector
 from covariant.models import StateSpace
 from covariant.observers._protocol import AbstractFlowObserver, Held, Info, as_gain, check_finite, no_input, still
-from covariant.observers._sampled import MOST_SUBSTEPS
+from covariant.observers._sampled import steps_for
 from covariant.riccati import Equation, RiccatiMetric
 from covariant.signals import Result
 
@@ -153,7 +153,7 @@ class InformationEKF(AbstractFlowObserver):
         for _ in range(3):
             power = power @ power
         fastest = 2 * jnp.sqrt(jnp.sum(power * power)) ** 0.125 + self.equation.rate
-        return jnp.clip(jnp.nan_to_num(jnp.ceil(dt * fastest), nan=1.0), 1, MOST_SUBSTEPS).astype(jnp.int32)
+        return steps_for(dt, fastest)
 
     def _silent(self, t: Scalar, x: Vector, p: Matrix, u: Array) -> Matrix:
         """How P changes while nothing is measured."""

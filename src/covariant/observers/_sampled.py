@@ -48,7 +48,12 @@ def needed_substeps(model: MechanicalSystem, t: Number, q: Array, v: Vector, u: 
         return -sum(jacobian[i, i] for i in range(n))
 
     fastest = jnp.maximum(jnp.maximum(rate(jnp.zeros_like(v)), rate(v)), 1 / LONGEST_STEP)
-    count = jnp.ceil(jnp.nan_to_num(dt * fastest, nan=1.0))
+    return steps_for(dt, fastest)
+
+
+def steps_for(dt: Number, rate: Number) -> Code:
+    """How many steps of dt [s] keep h·rate ≤ 1, at most `MOST_SUBSTEPS`."""
+    count = jnp.ceil(jnp.nan_to_num(jnp.asarray(dt * rate), nan=1.0))
     return jnp.clip(count, 1, MOST_SUBSTEPS).astype(jnp.int32)
 
 

@@ -4,15 +4,39 @@ from collections.abc import Callable
 from typing import Any
 
 import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from covariant._linalg import solve
 from covariant._typing import Matrix, Scalar
 from covariant.geometry import AbstractSpace
+from covariant.observers._protocol import check_finite
 
 Spread = Scalar | Matrix | Callable[[Any], Matrix]
 """A covariance of vectors at a configuration, in the frame of the space: a number is a variance in metric units, the
 same in every direction; a matrix (n, n) is the same everywhere; else a function `q -> (n, n)`."""
+
+
+def check_spread(whose: str, name: str, spread: Any, positive: bool = False) -> None:
+    """Raise `ValueError` for a number or a matrix that is no covariance, `positive`: nor one without variance.
+
+    What is traced, or a function, has no value to look at.
+    """
+    if callable(spread) or isinstance(spread, Tracer):
+        return
+    check_finite(whose, **{name: spread})
+    given = np.asarray(spread, float)
+    if given.ndim not in (0, 2) or (given.ndim == 2 and given.shape[0] != given.shape[1]):
+        raise ValueError(f"{whose}: {name} must be a number or a square matrix; its shape is {given.shape}")
+    matrix = np.atleast_2d(given)
+    size = np.abs(matrix).max()
+    if not np.allclose(matrix, matrix.T, rtol=0, atol=1e-9 * size):
+        raise ValueError(f"{whose}: {name} must be symmetric; got {given.tolist()}")
+    least = np.linalg.eigvalsh(matrix)[0]
+    if least < -1e-12 * size or (positive and not least > 1e-12 * size):
+        wanted = "positive" if positive else "zero or more"
+        raise ValueError(f"{whose}: {name} must have variances that are {wanted}; its least is {least:.3g}")
 
 
 def spread_at(spread: Spread, space: AbstractSpace, q: Array) -> Float[Array, "n n"]:
