@@ -6,7 +6,7 @@ export OMP_NUM_THREADS := 1
 export JAX_PLATFORMS ?= cpu
 
 # What a developer runs after every change: laws, the mathematics under them, and the house. About a minute.
-QUICK := tests/laws/test_every_observer.py tests/design/test_line_up.py tests/design/test_gain_rule.py \
+QUICK := tests/laws/test_every_observer.py tests/design/test_estimators.py tests/design/test_gain_rule.py \
 	tests/geometry/test_tensors.py tests/test_integrate.py tests/test_scoring.py tests/test_signals.py \
 	tests/test_house.py tests/test_pages.py
 

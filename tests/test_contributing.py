@@ -78,11 +78,11 @@ def command(*arguments):
 bead = models.load("bead_on_hoop").model
 assert _names.ESTIMATORS == design.ESTIMATORS
 assert design.estimators(bead)[-1] == "tracker"
-made = design.line_up(bead, 1, design.DataSheet(1e-3, 1.0), 100.0)
+made = design.tuned_estimators(bead, 1, design.DataSheet(1e-3, 1.0), 100.0)
 
 command("simulate", "bead_on_hoop", "-o", "log.csv", "--duration", "3", "--rate", "100", "--q0", "0.5", "--v0", "0")
 quick = ("copy", "tracker")  # all would take a while to compile
-_compare.line_up = lambda *a: {name: o for name, o in design.line_up(*a).items() if name in quick}
+_compare.tuned_estimators = lambda *a: {name: o for name, o in design.tuned_estimators(*a).items() if name in quick}
 sheet = ("--set", "measurement.std=1e-3", "--set", "uncertainty.acceleration=1", "--truth", "true_v1")
 command("compare", "bead_on_hoop", "log.csv", *sheet, "--json")
 command("estimate", "bead_on_hoop", "log.csv", "--observer", "tracker", *sheet, "--json")

@@ -16,7 +16,7 @@ ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "covariant"
 
 PLAN = (
-    "_programs _typing _functional _files _guests _numbers signals scoring _linalg _integrate lowering "
+    "_programs _typing _functional _files _optional _numbers signals scoring _linalg _integrate lowering "
     "logs geometry models riccati observers control simulation interop scale proofs certificates audit design report "
     "papers cli"
 )
@@ -51,7 +51,7 @@ PUBLIC = {
     "steady_distance subject tangent_metric tracking trade_off trajectories upper_distance virtual",
     "control": "Backstepping Reference follow lissajous set_point",
     "design": "ESTIMATORS DataSheet Gains MetricSummary Trial bias contracting_gain estimators filter_bandwidth gains "
-    "line_up load_metric metric metric_summary observer_gains predict_errors window_length with_gains",
+    "load_metric metric metric_summary observer_gains predict_errors tuned_estimators window_length with_gains",
     "geometry": "AbstractManifold AbstractMetric AbstractSpace Budget ConstantCurvature Coordinates Euclidean "
     "FlatTorus Interpolated KineticEnergy Metric Product ProductManifold Pullback Shot Transported "
     "as_space christoffel connection curvature derivative differential distance exp gradient hyperbolic "
@@ -87,8 +87,8 @@ PUBLIC = {
     "proofs.checker": "ROUND TaylorEnclosure halves leaves plain show_definite",
     "report": "PALETTE EstimateReport draw_audit draw_certificate new_figure save_figure table write_article "
     "write_audit write_html write_png",
-    "riccati": "Equation Passage RiccatiMetric Solution Window gramian gramians high_gain lie_derivative metric_at "
-    "metric_through rate_from_gramian reconstructibility right_side spd_distance window_at",
+    "riccati": "Characteristic Equation RiccatiMetric Solution Window gramian gramians high_gain lie_derivative "
+    "metric_at metric_through rate_from_gramian reconstructibility right_side spd_distance window_at",
     "scale": "Grid Variable map_grid open_grid",
     "simulation": "Sensor hold no_input observe sense simulate stamps",
 }

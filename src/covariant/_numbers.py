@@ -19,7 +19,7 @@ def number(text: str) -> float:
 
 
 def integer(text: str) -> int:
-    """The same for whole numbers, which have no point and no exponent."""
+    """The whole number that a text holds, without point or exponent; raises `ValueError` where it holds no such."""
     plain = text.strip()
     if not re.fullmatch(r"[+-]?[0-9]+", plain):
         raise ValueError(f"{text!r} is not a whole number")

@@ -74,15 +74,15 @@ def _turning(t, rotation, at, half, order):
     half = min(half, FARTHEST_TURN / max(float(np.quantile(speed, 0.95)), 1e-9))
     attitude, turning = np.empty((len(at), 3, 3)), np.empty((len(at), 3))
     for fit in _fits(t, at, half, order):
-        near, seen = rotation[fit.nearest], rotation[fit.rows]
-        attitude[fit.at] = near @ _exp(_polynomial(fit, near, seen)[0])
-        turning[fit.at] = _polynomial(fit, attitude[fit.at], seen)[1]  # at no offset the slope is the velocity
+        near, measured = rotation[fit.nearest], rotation[fit.rows]
+        attitude[fit.at] = near @ _exp(_polynomial(fit, near, measured)[0])
+        turning[fit.at] = _polynomial(fit, attitude[fit.at], measured)[1]  # at no offset the slope is the velocity
     return attitude, turning
 
 
-def _polynomial(fit, base, seen):
+def _polynomial(fit, base, measured):
     """Offset and slope (2, k, 3) of the rotation vectors from the base to the rotations seen."""
-    return np.einsum("kcw,kwi->cki", fit.weights[:, :2], _log(_between(base[:, None], seen)))
+    return np.einsum("kcw,kwi->cki", fit.weights[:, :2], _log(_between(base[:, None], measured)))
 
 
 class _Fit(NamedTuple):
@@ -112,15 +112,15 @@ def _fits(t, at, half, order) -> Iterator[_Fit]:
         inside = rows < last[part, None]
         rows = np.minimum(rows, len(t) - 1)
         s = np.where(inside, t[rows] - at[part, None], 0.0)
-        reach = np.maximum(half, np.abs(s).max(axis=1))[:, None]
-        weight = inside * ((1 - np.minimum(np.abs(s) / reach, 1) ** 3) ** 1.5 + 1e-6)
+        half_width = np.maximum(half, np.abs(s).max(axis=1))[:, None]
+        weight = inside * ((1 - np.minimum(np.abs(s) / half_width, 1) ** 3) ** 1.5 + 1e-6)
         # Windows of a log with even stamps are equal but for the rounding of its stamps, and are fitted once.
         each, same = _distinct(np.round(np.column_stack([s / half, inside.sum(1)]), SAME))
-        s, weight, reach = s[each], weight[each], reach[each]
+        s, weight, half_width = s[each], weight[each], half_width[each]
         powers = np.arange(order + 1)
-        basis = (s / reach)[..., None] ** powers * weight[..., None]
+        basis = (s / half_width)[..., None] ** powers * weight[..., None]
         solved = np.linalg.pinv(basis, rcond=max(basis.shape[1:]) * np.finfo(float).eps)
-        weights = solved * weight[:, None] / reach[..., None] ** powers[:, None]
+        weights = solved * weight[:, None] / half_width[..., None] ** powers[:, None]
         yield _Fit(part, rows, nearest[part], weights[same])
 
 

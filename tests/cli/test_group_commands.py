@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from covariant import logs
 from covariant.cli._job import Job, load
-from covariant.design import line_up
+from covariant.design import tuned_estimators
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 TOP, VEHICLE = str(EXAMPLES / "heavy_top.toml"), str(EXAMPLES / "underwater_vehicle.toml")
@@ -149,9 +149,9 @@ def test_compare_ranks_what_fits(monkeypatch):
     quick = ("intrinsic", "salcudean")  # the others take a minute to compile; `design` tests that all are lined up
 
     def some(*arguments):
-        return {name: observer for name, observer in line_up(*arguments).items() if name in quick}
+        return {name: observer for name, observer in tuned_estimators(*arguments).items() if name in quick}
 
-    monkeypatch.setattr("covariant.cli._compare.line_up", some)
+    monkeypatch.setattr("covariant.cli._compare.tuned_estimators", some)
     result = command("compare", TOP, "log.csv", "--truth", TRUTH, "-o", "table.csv", "--every", "2", "--until", "2")
     names = [row["estimator"] for row in result["ranking"]]
     assert sorted(names) == sorted(quick)

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from covariant.design import DataSheet, line_up
+from covariant.design import DataSheet, tuned_estimators
 from covariant.models import MechanicalSystem, Motion, ball_and_beam, free_body
 from covariant.observers import REGISTRY, AbstractObserver
 from covariant.signals import Result
@@ -85,7 +85,7 @@ def loops(name: str) -> dict[str, Loop]:
         return Loop(observer, step, traces)
 
     n = seen(name).v.shape[1]
-    return {entry: loop(observer) for entry, observer in line_up(MODELS[name], n, SHEET, RATE).items()}
+    return {entry: loop(observer) for entry, observer in tuned_estimators(MODELS[name], n, SHEET, RATE).items()}
 
 
 def followed(entry, name, y):

@@ -74,7 +74,7 @@ def test_missing_samples_are_coasted_and_gains_of_any_size_are_stable():
     state = observer.init(jnp.array([1.0]))
     moved, info = observer.step(state, jnp.zeros(1), jnp.array([jnp.nan]), jnp.asarray(0.1))
     assert int(info.result) == Result.COASTED
-    np.testing.assert_allclose(moved.silent, 0.1)
+    np.testing.assert_allclose(moved.unmeasured, 0.1)
     alone = simulate(model, state.x, jnp.array([0.0, 0.1])).x[-1]
     np.testing.assert_allclose(moved.x, alone, atol=1e-6)
     for _ in range(200):

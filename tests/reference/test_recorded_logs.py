@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from covariant import logs, models, scoring
-from covariant.design import DataSheet, line_up
+from covariant.design import DataSheet, tuned_estimators
 from covariant.observers import run
 from covariant.signals import lag_inputs
 
@@ -34,7 +34,7 @@ def test_velocity_error_on_a_recorded_log(data_folder, model, log, every, until,
     record = lag_inputs(logs.read(data_folder / log, file.columns, every, until).record, file.input_lag)
     sheet = DataSheet(file.measurement_std, file.acceleration_std, file.correlation_time, damping=file.damping)
     t = np.asarray(record.t)
-    observer = line_up(file.model, len(bars), sheet, 1 / float(np.median(np.diff(t))))["intrinsic"]
+    observer = tuned_estimators(file.model, len(bars), sheet, 1 / float(np.median(np.diff(t))))["intrinsic"]
     estimate = np.asarray(run(observer, record).estimate)
     reference = scoring.zero_phase_velocity(full.t, full.y, t, file.reference_half, int(file.reference_order))
     scored = scoring.scored_window(t)

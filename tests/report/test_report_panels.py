@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from covariant.report._axis_range import axis_range
 from covariant.report._panels import Curve, Quantity, depths, quantities
-from covariant.report._strokes import LIMIT, strokes, thin
+from covariant.report._polylines import LIMIT, polyline, thin
 from covariant.report._style import styles
-from covariant.report._view import view
 
 T = np.linspace(0.0, 10.0, 4001)
 NOISE = np.random.default_rng(1).standard_normal(len(T))
@@ -46,21 +46,21 @@ def test_samples_without_neighbours_become_dots():
     y = np.full(len(T), np.nan)
     y[::10] = 1.0
     y[100:105] = 2.0
-    line, dots = strokes(T, y, log=False)
+    line, dots = polyline(T, y, log=False)
     assert np.nansum(line[1]) == 10.0
     assert set(dots[1]) == {1.0}
     assert len(dots[1]) == np.isfinite(y).sum() - 5
 
 
 def test_log_axis_leaves_gaps_where_it_has_no_place():
-    line, dots = strokes(T[:6], np.array([1.0, 2.0, 0.0, -1.0, np.inf, 3.0]), log=True)
+    line, dots = polyline(T[:6], np.array([1.0, 2.0, 0.0, -1.0, np.inf, 3.0]), log=True)
     np.testing.assert_array_equal(line[1], [1.0, 2.0, np.nan, np.nan, np.nan, np.nan])
     np.testing.assert_array_equal(dots[1], [3.0])
 
 
 def test_overshoot_is_cut_and_steady_part_is_not():
     y = 0.1 * NOISE + 30 * np.exp(-5 * T)
-    seen = view(panel(("EKF", y)), 0)
+    seen = axis_range(panel(("EKF", y)), 0)
     steady = y[T > 2.5]
     assert seen.low <= steady.min() < steady.max() <= seen.high < 1.0
     assert seen.outside.startswith("off scale: EKF 30")
@@ -68,19 +68,19 @@ def test_overshoot_is_cut_and_steady_part_is_not():
 
 def test_small_overshoot_is_not_cut():
     y = 0.1 * NOISE + 0.3 * np.exp(-5 * T)
-    seen = view(panel(("EKF", y)), 0)
+    seen = axis_range(panel(("EKF", y)), 0)
     assert seen.low < y.min() < y.max() < seen.high
     assert seen.outside == ""
 
 
 def test_exact_simulation_shows_its_transient():
     y = 3 * np.exp(-9 * T)
-    assert view(panel(("EKF", y)), 0).high > 3
+    assert axis_range(panel(("EKF", y)), 0).high > 3
 
 
 def test_backdrop_is_whole_and_lost_estimate_does_not_hide_it():
     truth = np.sin(T) + 5 * (T < 0.1)
-    seen = view(panel(("truth", truth), ("good", truth + 0.01 * NOISE), ("lost", np.exp(3 * T)), scale=2.0), 0)
+    seen = axis_range(panel(("truth", truth), ("good", truth + 0.01 * NOISE), ("lost", np.exp(3 * T)), scale=2.0), 0)
     assert truth.max() <= seen.high < 10
     assert "lost 1.07e+13" in seen.outside
 
@@ -88,25 +88,25 @@ def test_backdrop_is_whole_and_lost_estimate_does_not_hide_it():
 def test_single_spikes_do_not_set_the_axis():
     y = 0.1 * NOISE
     y[3000] = -40.0
-    seen = view(panel(("EKF", y)), 0)
+    seen = axis_range(panel(("EKF", y)), 0)
     assert seen.low > -2
     assert seen.outside == "off scale: EKF −40"
 
 
 @pytest.mark.parametrize("level", [0.0, -2.0, 1e-20, 1e20])
 def test_constant_has_room(level):
-    seen = view(panel(("EKF", np.full(len(T), level))), 0)
+    seen = axis_range(panel(("EKF", np.full(len(T), level))), 0)
     assert seen.low < level < seen.high
 
 
 def test_log_view():
     decay = np.exp(-2 * T)
     decay[7] = 0.0
-    seen = view(panel(("EKF", decay), deviation=True, log=True), 0)
+    seen = axis_range(panel(("EKF", decay), deviation=True, log=True), 0)
     assert 0 < seen.low < decay[-1] < 1 < seen.high
-    equal = view(panel(("EKF", np.full(len(T), 0.3)), log=True), 0)
+    equal = axis_range(panel(("EKF", np.full(len(T), 0.3)), log=True), 0)
     assert equal.high / equal.low == pytest.approx(10)
-    assert view(panel(("EKF", np.zeros(len(T))), log=True), 0) is None
+    assert axis_range(panel(("EKF", np.zeros(len(T))), log=True), 0) is None
 
 
 def test_smallest_deviation_lies_in_front():

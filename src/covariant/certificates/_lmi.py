@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from covariant._guests import load_guest
+from covariant._optional import load_optional
 from covariant._typing import Numbers
 
 AffineMatrix = Callable[[np.ndarray], np.ndarray]
@@ -104,7 +104,7 @@ def minimise(cost: Float[np.ndarray, "d"], forms: list[AffineMatrix]) -> Float[n
     Raises `ImportError` without clarabel, the solver.
     """
     clarabel, sparse = (
-        load_guest(m, use="designing a metric needs", extra="lmi") for m in ("clarabel", "scipy.sparse")
+        load_optional(m, use="designing a metric needs", extra="lmi") for m in ("clarabel", "scipy.sparse")
     )
     d = len(cost)
     blocks, constants, cones = [], [], []

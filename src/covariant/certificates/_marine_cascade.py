@@ -36,8 +36,8 @@ def tracking(controller: Backstepping) -> Subject:
 
         def flow(t, e):
             nu = wanted + e[n:]
-            pull = craft.coriolis(nu) @ e[n:] + craft.damping(nu) @ nu - craft.damping(wanted) @ wanted
-            return jnp.concatenate([j @ e[n:] - lam @ e[:n], -solve(mass, pull + kd @ e[n:] + j.T @ (kp @ e[:n]))])
+            force = craft.coriolis(nu) @ e[n:] + craft.damping(nu) @ nu - craft.damping(wanted) @ wanted
+            return jnp.concatenate([j @ e[n:] - lam @ e[:n], -solve(mass, force + kd @ e[n:] + j.T @ (kp @ e[:n]))])
 
         zero = jnp.zeros((n, n), z.dtype)
         metric = jnp.block([[kp, zero], [zero, mass]])

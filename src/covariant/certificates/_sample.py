@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from covariant._guests import load_guest
+from covariant._optional import load_optional
 from covariant.certificates._check import follows, sizes
 from covariant.certificates._document import Document, Stated, parse
 from covariant.certificates._inequalities import contraction, disturbance_bound, width_bound
@@ -31,7 +31,7 @@ def check_sample(source: str | Path | Document, count: int = 20, seed: int = 0, 
     python-flint is missing.
     """
     start = time.monotonic()
-    flint = load_guest("flint", use="checking in balls needs python-flint, imported as", extra="balls")
+    flint = load_optional("flint", use="checking in balls needs python-flint, imported as", extra="balls")
     document = source if isinstance(source, Document) else parse(source)
     about, claims, low, high = follows(document, model).about, document.claims, document.low, document.high
     boxes = [leaves(low, high, claim.levels, f"claims[{index}]") for index, claim in enumerate(claims)]

@@ -46,8 +46,8 @@ def virtual(observer: Contracting, metric: OutputMetric | Numbers) -> Subject:
         moving: StateMetric = in_coordinates(lambda t, y: field(measured + t * change, y))
         return Point(flow, moving, x)
 
-    seen = dict(zip(model.coordinates, model.units, strict=False))
-    units = [seen.get(name, "") for name in model.outputs]
+    known = dict(zip(model.coordinates, model.units, strict=False))
+    units = [known.get(name, "") for name in model.outputs]
     return Subject(
         (
             *model.coordinates,

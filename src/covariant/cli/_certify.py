@@ -142,14 +142,14 @@ def _settings(spec: str, file: models.ModelFile, model, asked: Asked) -> tuple[d
         raise ValueError(f"unknown observer {name!r}; choose one of {', '.join(OBSERVERS)}")
     velocity = _parse.numbers("--velocity", asked.velocity, [f"d{k}/dt" for k in names], positive=True, one=True)
     error = _parse.numbers("--error", asked.error, names, positive=True, one=True)
-    push = _amounts("--input", asked.input, inputs)
+    input_bounds = _amounts("--input", asked.input, inputs)
     alpha, beta, designed = _gains(file, asked)
     settings = {
         "observer": OBSERVERS[name](model, alpha, beta),
         "velocity": velocity,
         "error": error,
         "position": _matrix_bounds(model, asked.box) if on_group else _bounds(spec, names, asked.box),
-        "input": push,
+        "input": input_bounds,
         "rate": None if asked.rate is None else _parse.above_zero("--rate", asked.rate),
         "q": _matrix(asked.q),
         "noise": _amounts("--noise", asked.noise, names),

@@ -13,7 +13,7 @@ from covariant.cli._console import stages
 from covariant.cli._job import Job, Loaded, check_output, coordinates, data_sheet, load, velocity_columns
 from covariant.cli._pages import write_report
 from covariant.cli._results import Outcome, drive, report_arrays, summary
-from covariant.design import Trial, line_up, observer_gains
+from covariant.design import Trial, observer_gains, tuned_estimators
 from covariant.scoring import unwrap
 
 SHORTEST_TRIAL = 200
@@ -31,7 +31,7 @@ def compare(job: Job, out: Path | None, report: Path | None, as_json: bool) -> N
     loaded = load(job)
     sheet = data_sheet(loaded.file)
     trial = first_part(loaded)
-    observers = line_up(loaded.model, loaded.file.dimension, sheet, loaded.rate, trial)
+    observers = tuned_estimators(loaded.model, loaded.file.dimension, sheet, loaded.rate, trial)
     outcomes: dict[str, Outcome] = {}
     with stages("comparing", len(observers), quiet=as_json) as begin:
         for name, observer in observers.items():

@@ -12,7 +12,7 @@ from covariant.cli._console import note, working
 from covariant.cli._job import Job, Loaded, check_output, data_sheet, load, numbered, velocity_columns
 from covariant.cli._pages import write_report
 from covariant.cli._results import Outcome, drive, report_arrays, rounded, summary
-from covariant.design import ESTIMATORS, estimators, line_up, observer_gains, with_gains
+from covariant.design import ESTIMATORS, estimators, observer_gains, tuned_estimators, with_gains
 from covariant.observers import AbstractObserver
 from covariant.scoring import rmse
 
@@ -72,7 +72,7 @@ def _choose(
         return made[observer], (f"Given gains: alpha = {alpha:g} 1/s, beta = {beta:g} 1/s².",)
     sheet = data_sheet(loaded.file)
     designed = observer_gains(sheet, loaded.rate).summary
-    return line_up(model, loaded.file.dimension, sheet, loaded.rate)[observer], (f"Designed {designed}.",)
+    return tuned_estimators(model, loaded.file.dimension, sheet, loaded.rate)[observer], (f"Designed {designed}.",)
 
 
 def columns(loaded: Loaded, outcome: Outcome) -> dict[str, np.ndarray]:

@@ -45,11 +45,11 @@ def simulate(model: str, overrides: tuple[str, ...], out: Path, scenario: Scenar
     t = simulation.stamps(sensor, scenario.duration, scenario.seed)
     pace = 2 * jnp.pi * scenario.frequency * (1 + 0.37 * jnp.arange(m, dtype=float))  # no two inputs in step
 
-    def push(s, x):
+    def input_at(s, x):
         return amplitude * jnp.sin(pace * s)
 
     with working("simulating", quiet=as_json):
-        record = simulation.simulate(file.model, x0, jnp.asarray(t), push)
+        record = simulation.simulate(file.model, x0, jnp.asarray(t), input_at)
     if not all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(record.x)):
         raise ValueError(f"{model}: the motion leaves the finite numbers; check initial state and inputs")
     columns = {names.t: t} | logs.to_columns(names, _sense(file.model, sensor, np.asarray(record.y), scenario.seed))
@@ -96,8 +96,8 @@ def _sense(model: Any, sensor: simulation.Sensor, y: np.ndarray, seed: int) -> n
     if model.manifold.commuting:
         return simulation.sense(sensor, y, seed)
     error = simulation.sense(sensor, np.zeros((len(y), len(model.velocities))), seed)
-    seen = np.asarray(jax.vmap(model.manifold.retract)(y, jnp.nan_to_num(error)))
-    return np.where(np.isnan(error).any(axis=1).reshape(-1, *(1,) * (seen.ndim - 1)), np.nan, seen)
+    measured = np.asarray(jax.vmap(model.manifold.retract)(y, jnp.nan_to_num(error)))
+    return np.where(np.isnan(error).any(axis=1).reshape(-1, *(1,) * (measured.ndim - 1)), np.nan, measured)
 
 
 def _numbers(option: str, text: str | None, count: int):

@@ -68,8 +68,8 @@ class Backstepping(eqx.Module):
         j = self.craft.transform(z)
         nu_r, change = jax.jvp(self.virtual_velocity, (t, z), (jnp.ones_like(t), j @ nu))
         mass, kp, kd = (jnp.asarray(a, z.dtype) for a in (self.craft.mass, self.kp, self.kd))
-        pull = j.T @ (kp @ self.error(t, eta))
-        return nu_r, mass @ change + self.craft.restoring(z) - pull - kd @ (nu - nu_r)
+        spring = j.T @ (kp @ self.error(t, eta))
+        return nu_r, mass @ change + self.craft.restoring(z) - spring - kd @ (nu - nu_r)
 
 
 def _gain(name: str, given: Numbers, n: int) -> Matrix:

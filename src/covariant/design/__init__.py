@@ -1,18 +1,18 @@
 """From data-sheet numbers to gains, and from a model to a contraction metric."""
 
 from covariant.design._contracting import contracting_gain
-from covariant.design._gains import Gains, bias, gains, predict_errors
-from covariant.design._line_up import (
+from covariant.design._estimators import (
     ESTIMATORS,
     DataSheet,
     Trial,
     estimators,
     filter_bandwidth,
-    line_up,
     observer_gains,
+    tuned_estimators,
     window_length,
     with_gains,
 )
+from covariant.design._gains import Gains, bias, gains, predict_errors
 from covariant.design._metric import MetricSummary, load_metric, metric, metric_summary
 
 __all__ = [
@@ -26,12 +26,12 @@ __all__ = [
     "estimators",
     "filter_bandwidth",
     "gains",
-    "line_up",
     "load_metric",
     "metric",
     "metric_summary",
     "observer_gains",
     "predict_errors",
+    "tuned_estimators",
     "window_length",
     "with_gains",
 ]

@@ -68,7 +68,7 @@ class ConstantCurvature(AbstractMetric):
         return self.k * self._scale(x) ** 2 * ((b @ c) * a - (a @ c) * b)
 
     def transport_along(self, p: Vector, velocity: Vector, w: Vectors, budget: Budget = Budget()) -> Transported:
-        middle, end = self._reach(p, velocity / 2), self._reach(p, velocity)
+        middle, end = self._exponential(p, velocity / 2), self._exponential(p, velocity)
 
         def carry(a):  # by halves, since the transport straight to an antipode is 0/0
             return self._carry(middle, self._carry(p, a, middle), end)
@@ -81,7 +81,7 @@ class ConstantCurvature(AbstractMetric):
         velocity = 2 / self._scale(p) * away * self._arctan_ratio(away @ away)
         return _found(velocity, self._carry(p, velocity, q))
 
-    def _reach(self, p: Vector, velocity: Vector) -> Vector:
+    def _exponential(self, p: Vector, velocity: Vector) -> Vector:
         half = self._scale(p) * velocity / 2
         return self._add(p, half * self._tan_ratio(half @ half))
 
@@ -174,30 +174,32 @@ class Pullback(AbstractMetric):
 
     def connection(self, x: Vector, a: Vector, b: Vector) -> Vector:
         """`Γ̄(a, b) = Dφ⁻¹ [Γ(Dφ a, Dφ b) + D²φ(a, b)]`."""
-        old, along_a, along_b = self.forward(x), self._push(x, a), self._push(x, b)
-        second = jax.jvp(lambda p: self._push(p, b), (x,), (a,))[1]
-        return self._pull(old, self.space.connection(old, along_a, along_b) + second)
+        old, along_a, along_b = self.forward(x), self._pushforward(x, a), self._pushforward(x, b)
+        second = jax.jvp(lambda p: self._pushforward(p, b), (x,), (a,))[1]
+        return self._pulled_back(old, self.space.connection(old, along_a, along_b) + second)
 
     def curvature(self, x: Vector, a: Vector, b: Vector, c: Vector) -> Vector:
         old = self.forward(x)
-        turned = self.space.curvature(old, self._push(x, a), self._push(x, b), self._push(x, c))
-        return self._pull(old, turned)
+        turned = self.space.curvature(old, self._pushforward(x, a), self._pushforward(x, b), self._pushforward(x, c))
+        return self._pulled_back(old, turned)
 
     def transport_along(self, p: Vector, velocity: Vector, w: Vectors, budget: Budget = Budget()) -> Transported:
-        pushed = jax.vmap(lambda a: self._push(p, a))(w.reshape(-1, p.shape[0]))
-        end = self.space.transport_along(self.forward(p), self._push(p, velocity), pushed, budget)
-        pulled = jax.vmap(lambda a: self._pull(end.q, a))(end.w)
-        return Transported(self.inverse(end.q), self._pull(end.q, end.velocity), pulled.reshape(w.shape))
+        pushed = jax.vmap(lambda a: self._pushforward(p, a))(w.reshape(-1, p.shape[0]))
+        end = self.space.transport_along(self.forward(p), self._pushforward(p, velocity), pushed, budget)
+        pulled = jax.vmap(lambda a: self._pulled_back(end.q, a))(end.w)
+        return Transported(self.inverse(end.q), self._pulled_back(end.q, end.velocity), pulled.reshape(w.shape))
 
     def shoot(self, p: Vector, q: Vector, guess: Vector | None = None, budget: Budget = Budget()) -> Shot:
         old_p, old_q = self.forward(p), self.forward(q)
-        shot = self.space.shoot(old_p, old_q, None if guess is None else self._push(p, guess), budget)
-        return shot._replace(velocity=self._pull(old_p, shot.velocity), arrival=self._pull(old_q, shot.arrival))
+        shot = self.space.shoot(old_p, old_q, None if guess is None else self._pushforward(p, guess), budget)
+        return shot._replace(
+            velocity=self._pulled_back(old_p, shot.velocity), arrival=self._pulled_back(old_q, shot.arrival)
+        )
 
-    def _push(self, q: Vector, x: Vector) -> Vector:
+    def _pushforward(self, q: Vector, x: Vector) -> Vector:
         return jax.jvp(self.forward, (q,), (x,))[1]
 
-    def _pull(self, old: Vector, x: Vector) -> Vector:
+    def _pulled_back(self, old: Vector, x: Vector) -> Vector:
         return jax.jvp(self.inverse, (old,), (x,))[1]
 
 

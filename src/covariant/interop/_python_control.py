@@ -11,7 +11,7 @@ import jax.flatten_util
 import jax.numpy as jnp
 import numpy as np
 
-from covariant._guests import load_guest
+from covariant._optional import load_optional
 from covariant._typing import Controller
 from covariant.models import StateSpace
 from covariant.observers import AbstractFlowObserver, continuous
@@ -110,7 +110,7 @@ def _inputs(count: int) -> list[str]:
 
 
 def _system(update, output, **named) -> Any:
-    package = load_guest("control", use="such a system needs python-", extra="control")
+    package = load_optional("control", use="such a system needs python-", extra="control")
 
     def numpy(function):
         return lambda t, x, u, params: np.asarray(function(jnp.asarray(t, float), jnp.asarray(x), jnp.asarray(u)))

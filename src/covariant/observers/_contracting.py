@@ -31,7 +31,7 @@ class ContractingState(NamedTuple):
 
     x: Vector
     t: Scalar
-    silent: Float[Array, "p"]
+    unmeasured: Float[Array, "p"]
     held: Held = None
 
 
@@ -88,23 +88,23 @@ class Contracting(AbstractFlowObserver):
 
     def flow(self, t: Scalar, state: ContractingState, u: Float[Array, "m"], y: Float[Array, "p"]) -> ContractingState:
         expected = self.model.h(t, state.x, u)
-        seen = expected - self.model.output_error(expected, y)  # the nearest of the angles that y may mean
-        slope, one = self.virtual(t, state.x, u, seen), jnp.ones_like(state.t)
-        return ContractingState(slope, one, jnp.zeros_like(state.silent), still(state.held))
+        nearest = expected - self.model.output_error(expected, y)  # the nearest of the angles that y may mean
+        slope, one = self.virtual(t, state.x, u, nearest), jnp.ones_like(state.t)
+        return ContractingState(slope, one, jnp.zeros_like(state.unmeasured), still(state.held))
 
     def advance(
         self, state: ContractingState, u: Float[Array, "m"], y: Float[Array, "p"], dt: Scalar
     ) -> tuple[ContractingState, Info]:
-        now, waited = state.t + dt, state.silent + dt
+        now, waited = state.t + dt, state.unmeasured + dt
         x = rk4(lambda s, x: self.model.f(s, x, u), state.t, state.x, dt, self.substeps)
         expected = self.model.h(now, x, u)
         missing = jnp.isnan(y)
         error = self.model.output_error(expected, y)
         weight = jnp.where(missing, 0.0, jnp.minimum(waited, self.memory))
-        push = self._gain(now, expected - error) * weight[None, :]
-        felt = jnp.eye(y.shape[0], dtype=y.dtype) + jax.jacfwd(self.model.h, 1)(now, x, u) @ push
+        correction_gain = self._gain(now, expected - error) * weight[None, :]
+        effect = jnp.eye(y.shape[0], dtype=y.dtype) + jax.jacfwd(self.model.h, 1)(now, x, u) @ correction_gain
         # The matrix is not symmetric, and small: its normal equations are.
-        correction = push @ solve(felt.T @ felt, felt.T @ error)
+        correction = correction_gain @ solve(effect.T @ effect, effect.T @ error)
         moved = x - correction
         result = jnp.where(jnp.all(missing), int(Result.COASTED), int(Result.OK))
         result = jnp.where(jnp.all(jnp.isfinite(moved)), result, int(Result.NOT_FINITE)).astype(jnp.int32)

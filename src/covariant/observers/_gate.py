@@ -53,10 +53,10 @@ class Gate(eqx.Module):
             r = innovation[own]
             square = r @ solve(spread[jnp.ix_(own, own)], r) / len(together)
             limit = self._limit(len(together)) / len(together) * jnp.maximum(scale[own[0]], 1.0)
-            seen = jnp.all(present[own])
-            far = far.at[own].set(seen & (square > limit))
+            measured = jnp.all(present[own])
+            far = far.at[own].set(measured & (square > limit))
             change = (jnp.minimum(square, BELIEVED * jnp.maximum(scale[own], 1.0)) - scale[own]) / self.memory
-            learnt = learnt.at[own].add(jnp.where(seen, change, 0.0))
+            learnt = learnt.at[own].add(jnp.where(measured, change, 0.0))
         return far, learnt
 
     def _limit(self, n: int) -> float:

@@ -165,9 +165,9 @@ class IntrinsicKalman(AbstractObserver):
 
         def ahead(error):
             start = Motion(manifold.retract(state.q, error[:n]), state.v + error[n : 2 * n])
-            push = state.force + error[2 * n :]
-            end = advance(model, state.t, start, jnp.concatenate([u, push]), h, 1)
-            return jnp.concatenate([manifold.local(jax.lax.stop_gradient(end.q), end.q), end.v, push]), end
+            external = state.force + error[2 * n :]
+            end = advance(model, state.t, start, jnp.concatenate([u, external]), h, 1)
+            return jnp.concatenate([manifold.local(jax.lax.stop_gradient(end.q), end.q), end.v, external]), end
 
         slope, (q, v) = jax.jacfwd(ahead, has_aux=True)(jnp.zeros(state.root.shape[0], state.v.dtype))
         root = (
@@ -263,8 +263,8 @@ def _updated(
     n = noise.shape[0]
     both = used[:, None] & used[None, :]
     own = semidefinite_root(jnp.where(both, noise, jnp.eye(n, dtype=noise.dtype)))
-    seen = jnp.where(used[:, None], root[:n], 0.0)
-    above = jnp.concatenate([own, seen], axis=1)
+    measured_root = jnp.where(used[:, None], root[:n], 0.0)
+    above = jnp.concatenate([own, measured_root], axis=1)
     below = jnp.concatenate([jnp.zeros((root.shape[0], n), root.dtype), root], axis=1)
     joint = triangular(jnp.concatenate([above, below]))
     spread, cross = joint[:n, :n], joint[n:, :n]

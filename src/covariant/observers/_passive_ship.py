@@ -102,15 +102,15 @@ class PassiveShip(AbstractFlowObserver):
 
 def position_matrix(station: Station, heading: Scalar) -> Matrix:
     """`A1(ψ) = −M⁻¹ Rᵀ(ψ) K` (3, 3): how the estimated position accelerates the ship, (40)–(41)."""
-    return _pull(station, heading, "eta")
+    return _station_matrix(station, heading, "eta")
 
 
 def velocity_matrix(station: Station) -> Matrix:
     """`A2 = −M⁻¹ D` (3, 3) at rest, (40)–(41)."""
-    return _pull(station, jnp.zeros(()), "nu")
+    return _station_matrix(station, jnp.zeros(()), "nu")
 
 
-def _pull(station: Station, heading: Scalar, part: str) -> Matrix:
+def _station_matrix(station: Station, heading: Scalar, part: str) -> Matrix:
     """How a part of the state (3,) accelerates the ship, (3, 3), at rest at the origin."""
     rest, none, parts = jnp.zeros(station.order, heading.dtype), jnp.zeros(3, heading.dtype), station.parts
 

@@ -1,7 +1,7 @@
 """The observers that are made from a data sheet: one entry each.
 
-An observer is entered here and nowhere else. `design.line_up`, the commands `estimate`, `compare` and `audit`, the laws
-in `tests/laws` and the table in `docs/observers.md` read this list.
+An observer is entered here and nowhere else. `design.tuned_estimators`, the commands `estimate`, `compare` and `audit`,
+the laws in `tests/laws` and the table in `docs/observers.md` read this list.
 """
 
 from collections.abc import Callable

@@ -67,9 +67,9 @@ class Riccati(AbstractFlowObserver):
 
     def flow(self, t: Scalar, state: Estimate, u: Float[Array, "m"], y: Float[Array, "p"]) -> Estimate:
         x = state.x
-        seen, error = _seen(self.model, self.measurement_cov, t, x, u, y)
+        output_jacobian, error = _whitened_output(self.model, self.measurement_cov, t, x, u, y)
         p = self._metric(x, u)
-        correction = jnp.where(_is_metric(p), 2 * self._gain(x) * solve(p, seen.T @ error), 0.0)
+        correction = jnp.where(_is_metric(p), 2 * self._gain(x) * solve(p, output_jacobian.T @ error), 0.0)
         return Estimate(self.model.f(t, x, u) - correction, jnp.ones_like(state.t), still(state.held))
 
     def advance(self, state: Estimate, u: Float[Array, "m"], y: Float[Array, "p"], dt: Scalar) -> tuple[Estimate, Info]:
@@ -125,25 +125,25 @@ class InformationEKF(AbstractFlowObserver):
 
     def flow(self, t: Scalar, state: InformationState, u: Float[Array, "m"], y: Float[Array, "p"]) -> InformationState:
         x, p = state.x, state.information
-        seen, error = _seen(self.model, self.equation.measurement_cov, t, x, u, y)
-        silent = self._silent(t, x, p, u)
-        gathered = seen.T @ seen
-        slope = self.model.f(t, x, u) - solve(p, seen.T @ error)
-        return InformationState(slope, silent + gathered, jnp.ones_like(t), still(state.held))
+        output_jacobian, error = _whitened_output(self.model, self.equation.measurement_cov, t, x, u, y)
+        predicted = self._unmeasured_rate(t, x, p, u)
+        gathered = output_jacobian.T @ output_jacobian
+        slope = self.model.f(t, x, u) - solve(p, output_jacobian.T @ error)
+        return InformationState(slope, predicted + gathered, jnp.ones_like(t), still(state.held))
 
     def advance(
         self, state: InformationState, u: Float[Array, "m"], y: Float[Array, "p"], dt: Scalar
     ) -> tuple[InformationState, Info]:
         def flow(s, joint):
             x, p = joint
-            return self.model.f(s, x, u), self._silent(s, x, p, u)
+            return self.model.f(s, x, u), self._unmeasured_rate(s, x, p, u)
 
         now = state.t + dt
         count = self._needed_substeps(state, u, dt) if self.substeps is None else self.substeps
         x, p = rk4(flow, state.t, (state.x, state.information), dt, count)
         moved, info = _correct(self.model, self.equation.measurement_cov, now, x, p, dt, u, y)
-        seen, _ = _seen(self.model, self.equation.measurement_cov, now, x, u, y)
-        return InformationState(moved, p + dt * seen.T @ seen, now), info
+        output_jacobian, _ = _whitened_output(self.model, self.equation.measurement_cov, now, x, u, y)
+        return InformationState(moved, p + dt * output_jacobian.T @ output_jacobian, now), info
 
     def _needed_substeps(self, state: InformationState, u: Array, dt: Scalar) -> Code:
         """Steps that keep h·rate ≤ 1: to first order changes of P die at sums of two eigenvalues of `A + QP`."""
@@ -155,7 +155,7 @@ class InformationEKF(AbstractFlowObserver):
         fastest = 2 * jnp.sqrt(jnp.sum(power * power)) ** 0.125 + self.equation.rate
         return steps_for(dt, fastest)
 
-    def _silent(self, t: Scalar, x: Vector, p: Matrix, u: Array) -> Matrix:
+    def _unmeasured_rate(self, t: Scalar, x: Vector, p: Matrix, u: Array) -> Matrix:
         """How P changes while nothing is measured."""
         a = jax.jacfwd(self.model.f, 1)(t, x, u)
         q = self.equation.noise(x)
@@ -168,20 +168,20 @@ def _is_metric(p: Matrix) -> Flag:
     return jnp.all(pivots(p) > 0)
 
 
-def _seen(
+def _whitened_output(
     model: StateSpace, measurement_cov: Float[Array, "p p"] | None, t, x: Vector, u: Array, y: Array
 ) -> tuple[Array, Array]:
     """`R^{-1/2} h_x` and `R^{-1/2} (h − y)`, both without the outputs that are missing (NaN)."""
     missing = jnp.isnan(y)
     error = model.output_error(model.h(t, x, u), y)
     jacobian: Array = jax.jacfwd(model.h, 1)(t, x, u)
-    seen: Array = jnp.where(missing[:, None], 0.0, jacobian)
+    output_jacobian: Array = jnp.where(missing[:, None], 0.0, jacobian)
     if measurement_cov is None:
-        return seen, error
+        return output_jacobian, error
     # The noise of a missing output tells nothing of the others', however they are correlated.
     apart = (missing[:, None] | missing[None, :]) & ~jnp.eye(y.shape[0], dtype=bool)
     cov = jnp.where(apart, 0.0, jnp.asarray(measurement_cov, x.dtype))
-    both = half_solve(cov, jnp.concatenate([seen, error[:, None]], axis=1))
+    both = half_solve(cov, jnp.concatenate([output_jacobian, error[:, None]], axis=1))
     return both[:, :-1], both[:, -1]
 
 
@@ -196,8 +196,8 @@ def _correct(
     y: Array,
 ) -> tuple[Vector, Info]:
     """Take y in: `x − (P + w h_xᵀ R⁻¹ h_x)⁻¹ w h_xᵀ R⁻¹ (h − y)`."""
-    seen, error = _seen(model, measurement_cov, t, x, u, y)
-    correction = solve(p + weight * seen.T @ seen, weight * seen.T @ error)
+    output_jacobian, error = _whitened_output(model, measurement_cov, t, x, u, y)
+    correction = solve(p + weight * output_jacobian.T @ output_jacobian, weight * output_jacobian.T @ error)
     positive = _is_metric(p)
     correction = jnp.where(positive, correction, 0.0)
     moved = x - correction

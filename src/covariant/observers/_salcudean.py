@@ -95,8 +95,8 @@ class Salcudean(AbstractFlowObserver):
     def _alone(self, t: Scalar, state: SalcudeanState, u: Float[Array, "m"], at: Float[Array, "3 3"]):
         """Angular velocity and torque in space of a body with the estimated momentum, at the rotation `at`."""
         v = body_velocity(self.model, at, state.momentum)
-        pull = applied_force(self.model, t, at, u) + resistance(self.model, t, at, v, u)
-        return at @ v, at @ pull
+        total_torque = applied_force(self.model, t, at, u) + resistance(self.model, t, at, v, u)
+        return at @ v, at @ total_torque
 
 
 def of_mean_inertia(model: MechanicalSystem, alpha: Number, beta: Number) -> Salcudean:

@@ -206,8 +206,8 @@ def draw_figure4(runs: dict[str, Trajectory], path: Path) -> Path:
         ax.plot(real.t, truth, color="0.6", linewidth=2.5, label="real system")
         for name, run in runs.items():
             ax.plot(run.t, run.estimate[:, column], linewidth=1.0, label=LABELS[name])
-        reach = 6 * np.abs(real.x[:, column]).max()
-        ax.set_ylim(-reach, reach)
+        largest = 6 * np.abs(real.x[:, column]).max()
+        ax.set_ylim(-largest, largest)
         ax.set_ylabel(labels[k])
         ax.set_xlabel("t [s]" if k > 3 else "")
     axes[0, 0].legend(loc="lower left", fontsize=7, ncols=2)

@@ -60,14 +60,14 @@ def quadrature(x: Vector, rate: Number, length: Number, steps: int = 400) -> Mat
     x1, x2, x3 = x
     w = jnp.sqrt(x3)
 
-    def seen(s):
+    def output_row(s):
         """Derivative of the output at time −s with respect to the state now."""
         c, s_ = jnp.cos(w * s), jnp.sin(w * s)
         by_w = -x1 * s * s_ - x2 * (s * c / w - s_ / w**2)
         return jnp.stack([c, -s_ / w, by_w / (2 * w)])
 
     def flow(s, p):
-        row = seen(s)
+        row = output_row(s)
         return jnp.exp(-rate * s) * jnp.outer(row, row)
 
     return rk8(flow, jnp.zeros(()), jnp.zeros((3, 3)), jnp.asarray(length), steps)
@@ -155,7 +155,7 @@ def _least_rate(points: Array, rate: Array, gain: Array):
     return jax.vmap(at)(points).min()
 
 
-def gap(duration: float = 40.0, silent: tuple[float, float] = (15.0, 25.0)) -> dict[str, np.ndarray]:
+def gap(duration: float = 40.0, missing: tuple[float, float] = (15.0, 25.0)) -> dict[str, np.ndarray]:
     """The observer and the filter with the same forgetting, λ = 2, on one noisy log with a gap of ten seconds.
 
     Stamps, norms of the errors, and least eigenvalues of the metric P at the estimate: the filter's own, and the field.
@@ -164,7 +164,7 @@ def gap(duration: float = 40.0, silent: tuple[float, float] = (15.0, 25.0)) -> d
     metric, start = analytic_metric(rate), jnp.array([0.8, 0.3, 1.5])
     record = _noisy(duration, 0.01)
     y = np.array(record.y)
-    y[(record.t >= silent[0]) & (record.t < silent[1])] = np.nan
+    y[(record.t >= missing[0]) & (record.t < missing[1])] = np.nan
     record = record._replace(y=y)
     riccati = run(Riccati(model, metric, start), record).estimate
     filtered, information = _filter(InformationEKF(model, Equation(rate), start, metric(start)), record)

@@ -16,7 +16,7 @@ from covariant.certificates import (
     trade_off,
     trajectories,
 )
-from covariant.report._guests import guest
+from covariant.report._optional import optional
 from covariant.report._style import BACKDROP, INK, MUTED, PALETTE, new_figure, save_figure
 
 if TYPE_CHECKING:
@@ -95,7 +95,7 @@ def _legend(ax: "matplotlib.axes.Axes", **options) -> None:
 
 
 def _draw_region(ax: "matplotlib.axes.Axes", seen: Projection, certificate: ContractionCertificate) -> None:
-    collection = guest("matplotlib.collections").PolyCollection
+    collection = optional("matplotlib.collections").PolyCollection
     for order, (boxes, colour, fill, label) in enumerate(
         ((seen.proved, _PROVED, 0.18, "boxes proved"), (seen.open, _OPEN, 0.55, "boxes not decided")), start=1
     ):
@@ -113,9 +113,9 @@ def _draw_region(ax: "matplotlib.axes.Axes", seen: Projection, certificate: Cont
             *seen.counterexample, "X", color=_WRONG, markersize=10, zorder=4, label="counter-example", clip_on=False
         )
     low, high = seen.domain
-    room = 0.03 * (high - low)
-    ax.set_xlim(low[0] - room[0], high[0] + room[0])
-    ax.set_ylim(low[1] - room[1], high[1] + 5 * room[1])  # the legend stands above the region
+    margin = 0.03 * (high - low)
+    ax.set_xlim(low[0] - margin[0], high[0] + margin[0])
+    ax.set_ylim(low[1] - margin[1], high[1] + 5 * margin[1])  # the legend stands above the region
     ax.set_xlabel(_label(seen.kind[0], seen.names[0], seen.units[0]))
     ax.set_ylabel(_label(seen.kind[1], seen.names[1], seen.units[1]))
     ax.grid(visible=False)
@@ -130,7 +130,7 @@ def _draw_region(ax: "matplotlib.axes.Axes", seen: Projection, certificate: Cont
 
 def _mixed(colour: str, share: float) -> tuple[float, float, float]:
     """A colour thinned with white, opaque so that boxes over each other look like one."""
-    rgb = guest("matplotlib.colors").to_rgb(colour)
+    rgb = optional("matplotlib.colors").to_rgb(colour)
     return tuple(1 - share * (1 - part) for part in rgb)  # pyright: ignore[reportReturnType]
 
 
@@ -143,7 +143,7 @@ def _draw_tube(ax: "matplotlib.axes.Axes", found: Trajectories, certificate: Con
     steps = np.arange(len(x))
     middles = np.stack([np.interp(dense, steps, x), np.interp(dense, steps, y)], axis=1)
     around = middles[:, None] + half * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
-    patches = guest("matplotlib.collections").PolyCollection
+    patches = optional("matplotlib.collections").PolyCollection
     tube = _mixed(_TUBE, 0.35)
     of = f" {units[i]}" if units[i] else ""
     ax.add_collection(patches(list(around), facecolor=tube, edgecolor="none", zorder=1))

@@ -8,10 +8,10 @@ from pathlib import Path
 
 from covariant._files import write_atomically
 from covariant.report._estimate import EstimateReport
-from covariant.report._guests import guest
+from covariant.report._optional import optional
 from covariant.report._panels import quantities
 from covariant.report._plotly import stack
-from covariant.report._strokes import LIMIT
+from covariant.report._polylines import LIMIT
 from covariant.report._style import Style, styles
 from covariant.report._table import cells
 
@@ -30,7 +30,7 @@ def write_html(report: EstimateReport, path: str | os.PathLike[str]) -> Path:
 
 
 def _page(report: EstimateReport) -> str:
-    script = guest("plotly.offline").get_plotlyjs()
+    script = optional("plotly.offline").get_plotlyjs()
     found, styled = quantities(report), styles(report)
     stacked = [quantity for quantity in found.values() if quantity.name != "distance"]
     figures = [stack(stacked, i, styled) for i in range(len(report.coordinates))]

@@ -94,10 +94,10 @@ _ON_A_GROUP = {
 
 def span(values: Float[np.ndarray, "T c"]) -> Float[np.ndarray, "c"]:
     """Largest minus smallest finite sample of each column, 0 where there is none."""
-    seen = np.isfinite(values)
-    high = np.where(seen, values, -np.inf).max(axis=0)
-    low = np.where(seen, values, np.inf).min(axis=0)
-    return np.where(seen.any(axis=0), high, 0.0) - np.where(seen.any(axis=0), low, 0.0)
+    finite = np.isfinite(values)
+    high = np.where(finite, values, -np.inf).max(axis=0)
+    low = np.where(finite, values, np.inf).min(axis=0)
+    return np.where(finite.any(axis=0), high, 0.0) - np.where(finite.any(axis=0), low, 0.0)
 
 
 def depths(quantity: Quantity, column: int) -> list[int]:
@@ -113,8 +113,8 @@ def shorten(text: str, most: int) -> str:
 
 
 def _size(values: Float[np.ndarray, "T"]) -> float:
-    seen = np.abs(values[np.isfinite(values)])
-    return float(np.median(seen)) if seen.size else 0.0
+    finite = np.abs(values[np.isfinite(values)])
+    return float(np.median(finite)) if finite.size else 0.0
 
 
 def _labels(report: EstimateReport, form: str, per: str) -> tuple[str, ...]:

@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from covariant.report._guests import guest
+from covariant.report._axis_range import AxisRange, axis_range
+from covariant.report._optional import optional
 from covariant.report._panels import Curve, Quantity, depths
-from covariant.report._strokes import strokes
+from covariant.report._polylines import polyline
 from covariant.report._style import GRID, INK, MUTED, Style
-from covariant.report._view import View, view
 
 if TYPE_CHECKING:
     import plotly.graph_objects
@@ -38,12 +38,12 @@ def stack(shown: list[Quantity], column: int, styled: dict[str, Style]) -> "plot
     traces = []
     for k, quantity in enumerate(shown, start=1):
         top = 1 - (k - 1) * (_ROW + _GAP) / inner
-        seen = view(quantity, column)
-        layout[f"yaxis{k}"] = _y_axis(quantity, column, seen) | {"domain": [max(0.0, top - _ROW / inner), top]}
-        layout["annotations"] += _captions(quantity.title if len(shown) > 1 else "", top, seen)
+        limits = axis_range(quantity, column)
+        layout[f"yaxis{k}"] = _y_axis(quantity, column, limits) | {"domain": [max(0.0, top - _ROW / inner), top]}
+        layout["annotations"] += _captions(quantity.title if len(shown) > 1 else "", top, limits)
         for curve, depth in zip(quantity.curves, depths(quantity, column), strict=True):
             traces += _traces(curve, column, quantity.log, styled[curve.label], _axis("y", k), depth)
-    return guest("plotly.graph_objects").Figure(data=traces, layout=layout)
+    return optional("plotly.graph_objects").Figure(data=traces, layout=layout)
 
 
 _FRAME = {"gridcolor": GRID, "linecolor": MUTED, "showline": True, "zeroline": False, "ticks": "outside", "ticklen": 4}
@@ -61,23 +61,23 @@ def _axis(letter: str, k: int) -> str:
     return letter if k == 1 else f"{letter}{k}"
 
 
-def _y_axis(quantity: Quantity, column: int, seen: View | None) -> dict[str, Any]:
+def _y_axis(quantity: Quantity, column: int, limits: AxisRange | None) -> dict[str, Any]:
     label = escape(quantity.labels[column], quote=False).replace("\n", "<br>")
     axis = {"title": {"text": label, "standoff": 8}, "nticks": 6, "automargin": True, **_FRAME}
     if quantity.deviation and not quantity.log:
         axis |= {"zeroline": True, "zerolinecolor": MUTED, "zerolinewidth": 1}
     if quantity.log:
         axis |= {"type": "log", "exponentformat": "power"}
-    if seen is not None:
-        axis["range"] = [math.log10(y) if quantity.log else y for y in (seen.low, seen.high)]
+    if limits is not None:
+        axis["range"] = [math.log10(y) if quantity.log else y for y in (limits.low, limits.high)]
     return axis
 
 
-def _captions(heading: str, top: float, seen: View | None) -> list[dict[str, Any]]:
+def _captions(heading: str, top: float, limits: AxisRange | None) -> list[dict[str, Any]]:
     """Above the panel: its title, and what it does not show."""
     place = {"xref": "paper", "yref": "paper", "y": top, "yanchor": "bottom", "showarrow": False}
     title = {**place, "x": 0, "xanchor": "left", "text": f"<b>{heading}</b>"}
-    said = "nothing to draw" if seen is None else seen.outside
+    said = "nothing to draw" if limits is None else limits.outside
     if not said:
         return [title]
     note = {"x": 1, "xanchor": "right", "text": escape(said, quote=False), "font": {"size": 10.5}, "opacity": 0.75}
@@ -89,7 +89,7 @@ def _traces(curve: Curve, column: int, log: bool, style: Style, axis: str, depth
 
     Single precision is finer than any screen and makes the page a quarter smaller.
     """
-    line, dots = strokes(curve.t, curve.values[:, column], log)
+    line, dots = polyline(curve.t, curve.values[:, column], log)
     shared = {
         "type": "scatter",
         "xaxis": "x",

@@ -5,12 +5,12 @@ import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from covariant.report._axis_range import axis_range
 from covariant.report._estimate import EstimateReport
-from covariant.report._guests import guest
+from covariant.report._optional import optional
 from covariant.report._panels import Quantity, depths, quantities, shorten
-from covariant.report._strokes import strokes
+from covariant.report._polylines import polyline
 from covariant.report._style import INK, MUTED, Style, new_figure, save_figure, styles
-from covariant.report._view import view
 
 if TYPE_CHECKING:
     import matplotlib.axes
@@ -55,7 +55,7 @@ def _figure(title: str, shown: list[Quantity], styled: dict[str, Style]) -> "mat
 
 
 def _draw(ax: "matplotlib.axes.Axes", quantity: Quantity, column: int, styled: dict[str, Style]) -> None:
-    seen = view(quantity, column)
+    limits = axis_range(quantity, column)
     ax.set_ylabel(_plain(quantity.labels[column]))
     if quantity.deviation and not quantity.log:
         ax.axhline(0.0, color=MUTED, linewidth=0.7)
@@ -64,23 +64,23 @@ def _draw(ax: "matplotlib.axes.Axes", quantity: Quantity, column: int, styled: d
     first, last = quantity.curves[0].t[[0, -1]]
     if last > first:
         ax.set_xlim(first - 0.01 * (last - first), last + 0.01 * (last - first))
-    if seen is None:
+    if limits is None:
         ax.tick_params(axis="y", which="both", left=False, labelleft=False)
         ax.text(0.5, 0.5, "nothing to draw", transform=ax.transAxes, ha="center", va="center", color=MUTED, fontsize=9)
         return
     for curve, depth in zip(quantity.curves, depths(quantity, column), strict=True):
         color, width, dash = styled[curve.label]
-        line, dots = strokes(curve.t, curve.values[:, column], quantity.log)
+        line, dots = polyline(curve.t, curve.values[:, column], quantity.log)
         order = 2 + depth / 100  # between grid and text
         ax.plot(*line, color=color, linewidth=width, linestyle=(0, dash) if dash else "-", zorder=order)
         ax.plot(*dots, ".", color=color, markersize=1.5 + width, zorder=order)
-    ax.set_ylim(seen.low, seen.high)
-    ax.set_title(_plain(seen.outside), loc="right", fontsize=7, color=MUTED)
+    ax.set_ylim(limits.low, limits.high)
+    ax.set_title(_plain(limits.outside), loc="right", fontsize=7, color=MUTED)
 
 
 def _legend(figure: "matplotlib.figure.Figure", styled: dict[str, Style]) -> int:
     """One legend below all panels, in as many columns as its labels allow; returns its number of lines."""
-    line = guest("matplotlib.lines").Line2D
+    line = optional("matplotlib.lines").Line2D
     handles = [
         line([], [], color=color, linewidth=max(width, 1.5), linestyle=(0, dash) if dash else "-")
         for color, width, dash in styled.values()

@@ -9,7 +9,7 @@ import numpy as np
 
 from covariant._files import write_atomically
 from covariant.report._estimate import EstimateReport
-from covariant.report._guests import guest
+from covariant.report._optional import optional
 
 if TYPE_CHECKING:
     import matplotlib.figure
@@ -57,7 +57,7 @@ def new_figure(
     Lines take the colours of `PALETTE`. The figure belongs to no window and no global state; `save_figure` writes it.
     """
     width, height = panel[0] * cols, panel[1] * rows + 0.5
-    figure = guest("matplotlib.figure").Figure(
+    figure = optional("matplotlib.figure").Figure(
         figsize=(width, height), dpi=DPI, layout="constrained", facecolor="white"
     )
     axes = figure.subplots(rows, cols, sharex=sharex, squeeze=False)

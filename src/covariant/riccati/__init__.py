@@ -12,9 +12,9 @@ Source: Sanfelice & Praly 2015, Solution of a Riccati equation for the design of
 distance.
 """
 
+from covariant.riccati._characteristic import Characteristic, metric_through
 from covariant.riccati._equation import Equation, lie_derivative, right_side
 from covariant.riccati._high_gain import high_gain
-from covariant.riccati._passage import Passage, metric_through
 from covariant.riccati._solution import (
     RiccatiMetric,
     Solution,
@@ -28,8 +28,8 @@ from covariant.riccati._solution import (
 from covariant.riccati._window import Window, window_at
 
 __all__ = [
+    "Characteristic",
     "Equation",
-    "Passage",
     "RiccatiMetric",
     "Solution",
     "Window",

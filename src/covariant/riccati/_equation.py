@@ -40,9 +40,9 @@ class Equation(eqx.Module):
 
 def lie_derivative(model: StateSpace, metric: MatrixField, x: Vector, u: Float[Array, "m"] | None = None) -> Matrix:
     """`L_f P = Ṗ + P f_x + f_xᵀ P` at x (n,), G-8 of the paper."""
-    push, t0 = model_input(model, u, x.dtype), jnp.zeros((), x.dtype)
-    p, along = jax.jvp(metric, (x,), (model.f(t0, x, push),))
-    a = jax.jacfwd(model.f, 1)(t0, x, push)
+    input_held, t0 = model_input(model, u, x.dtype), jnp.zeros((), x.dtype)
+    p, along = jax.jvp(metric, (x,), (model.f(t0, x, input_held),))
+    a = jax.jacfwd(model.f, 1)(t0, x, input_held)
     return along + p @ a + a.T @ p
 
 
@@ -50,20 +50,20 @@ def right_side(
     model: StateSpace, equation: Equation, metric: Matrix, x: Vector, u: Float[Array, "m"] | None = None
 ) -> Matrix:
     """`dhᵀ R⁻¹ dh − λ P − P Q P` at x (n,), which `lie_derivative` equals where P solves the equation."""
-    push = model_input(model, u, x.dtype)
-    _, q, seen = coefficients(model, equation, x, push)
+    input_held = model_input(model, u, x.dtype)
+    _, q, c = coefficients(model, equation, x, input_held)
     quadratic = 0.0 if q is None else metric @ q @ metric
-    return seen.T @ seen - equation.rate * metric - quadratic
+    return c.T @ c - equation.rate * metric - quadratic
 
 
 def coefficients(model: StateSpace, equation: Equation, x: Vector, u: Array):
     """`f_x + λ/2`, Q, and `R^{-1/2} h_x` at x: with the shift by λ/2 the term −λP needs no line of its own."""
-    a, seen = model.jacobians(jnp.zeros((), x.dtype), x, u)
+    a, c = model.jacobians(jnp.zeros((), x.dtype), x, u)
     eye = jnp.eye(x.shape[0], dtype=x.dtype)
     if equation.measurement_cov is not None:
-        seen = half_solve(jnp.asarray(equation.measurement_cov, x.dtype), seen)
+        c = half_solve(jnp.asarray(equation.measurement_cov, x.dtype), c)
     shifted = a + jnp.asarray(equation.rate, x.dtype) / 2 * eye
-    return shifted, equation.noise(x), seen
+    return shifted, equation.noise(x), c
 
 
 def model_input(model: StateSpace, u: Array | None, dtype) -> Array:

@@ -24,19 +24,19 @@ def high_gain(model: StateSpace, rate: Number) -> MatrixField:
 
     def metric(x: Vector) -> Matrix:
         n = x.shape[0]
-        push, t0 = model_input(model, None, x.dtype), jnp.zeros((), x.dtype)
+        input_held, t0 = model_input(model, None, x.dtype), jnp.zeros((), x.dtype)
 
         def derivatives(y):
-            functions = [lambda z: model.h(t0, z, push)[0]]
+            functions = [lambda z: model.h(t0, z, input_held)[0]]
             for _ in range(n - 1):
-                functions.append(lambda z, last=functions[-1]: jax.jvp(last, (z,), (model.f(t0, z, push),))[1])
+                functions.append(lambda z, last=functions[-1]: jax.jvp(last, (z,), (model.f(t0, z, input_held),))[1])
             return jnp.stack([function(y) for function in functions])
 
-        seen = jax.jacfwd(derivatives)(x)
+        jacobian = jax.jacfwd(derivatives)(x)
         order = np.arange(n)
         binomial = np.array([[math.comb(i + j, j) for j in order] for i in order])
         signed = jnp.asarray(binomial * (-1.0) ** (order[:, None] + order), x.dtype)
         chain = signed / jnp.asarray(rate, x.dtype) ** jnp.asarray(order[:, None] + order + 1, x.dtype)
-        return seen.T @ chain @ seen
+        return jacobian.T @ chain @ jacobian
 
     return metric

@@ -155,9 +155,9 @@ def rate_from_gramian(
     """
     told = jax.jit(jax.vmap(lambda x: jax.vmap(reconstructibility)(gramians(model, x, longest, u))))(points)
     told = np.nan_to_num(np.asarray(told))  # (k, steps); a past that escapes tells no more
-    silent = told.max(axis=1) <= SINGULAR
-    if silent.any():
-        point = ", ".join(f"{entry:.4g}" for entry in np.asarray(points)[int(silent.argmax())])
+    unobserved = told.max(axis=1) <= SINGULAR
+    if unobserved.any():
+        point = ", ".join(f"{entry:.4g}" for entry in np.asarray(points)[int(unobserved.argmax())])
         raise ValueError(f"({point}) is not reconstructible from any past up to {longest:g} s, so it has no rate")
     least = told.min(axis=0)
     enough = int((least >= share * least.max()).argmax())

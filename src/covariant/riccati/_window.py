@@ -86,19 +86,19 @@ def window_at(
 
 def backward(model: StateSpace, equation: Equation, u: Array | None, dtype):
     """Flow of a `Window` as it reaches further back, by s seconds."""
-    push, t0 = model_input(model, u, dtype), jnp.zeros((), dtype)
+    input_held, t0 = model_input(model, u, dtype), jnp.zeros((), dtype)
 
     def flow(s, window: Window) -> Window:
         x, phi, _, v = window
-        a, q, seen = coefficients(model, equation, x, push)
-        output = _times(seen, phi)
+        a, q, c = coefficients(model, equation, x, input_held)
+        output = _times(c, phi)
         grown = _times(a, phi)
         if q is None or v is None:
-            return Window(-model.f(t0, x, push), -grown, _times(output.T, output), None)
-        masked = _times(v, seen.T)
+            return Window(-model.f(t0, x, input_held), -grown, _times(output.T, output), None)
+        masked = _times(v, c.T)
         drift = _times(a, v)
         spread = q - drift - drift.T - _times(masked, masked.T)
-        return Window(-model.f(t0, x, push), -grown - _times(masked, output), _times(output.T, output), spread)
+        return Window(-model.f(t0, x, input_held), -grown - _times(masked, output), _times(output.T, output), spread)
 
     return flow
 

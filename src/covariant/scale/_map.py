@@ -17,7 +17,7 @@ from jaxtyping import Array
 
 from covariant.scale import _store
 from covariant.scale._grid import Blocks, Grid, cut
-from covariant.scale._guests import guest
+from covariant.scale._optional import optional
 from covariant.scale._store import Variable
 
 Index = tuple[int, ...]
@@ -114,8 +114,8 @@ def _threads(work: _Work, workers: int) -> Iterator[tuple[Submit, int]]:
 
 @contextlib.contextmanager
 def _cluster(work: _Work, scheduler: str) -> Iterator[tuple[Submit, int]]:
-    pickled = guest("cloudpickle").dumps(work)
-    with guest("distributed").Client(scheduler, set_as_default=False) as client:
+    pickled = optional("cloudpickle").dumps(work)
+    with optional("distributed").Client(scheduler, set_as_default=False) as client:
         # A task and not a scattered value: the scheduler can make it again when the worker that holds it dies.
         shared = client.submit(bytes, pickled)
         pool = client.get_executor(pure=False)
@@ -134,7 +134,7 @@ _COMPILING = threading.Lock()
 
 @functools.lru_cache(maxsize=4)
 def _compiled(pickled: bytes) -> tuple[_Work, Callable[[Any], Any]]:
-    work = guest("cloudpickle").loads(pickled)
+    work = optional("cloudpickle").loads(pickled)
     return work, work.compile()
 
 

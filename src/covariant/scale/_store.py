@@ -19,7 +19,7 @@ import numpy as np
 
 from covariant._files import attended, sweep, temporary
 from covariant.scale._grid import Blocks, Grid
-from covariant.scale._guests import guest
+from covariant.scale._optional import optional
 
 if TYPE_CHECKING:
     import xarray
@@ -50,7 +50,7 @@ def open_grid(path: str | os.PathLike[str], *, complete: bool = False) -> "xarra
         raise ValueError(
             f"{path} is not complete: {missing} of {math.prod(counts)} blocks are missing; run its map_grid again"
         )
-    dataset = guest("xarray").open_zarr(path, consolidated=False, chunks="auto", decode_cf=False)
+    dataset = optional("xarray").open_zarr(path, consolidated=False, chunks="auto", decode_cf=False)
     done, dataset = dataset[DONE], dataset[list(attributes["variables"])]
     if attributes["complete"]:
         return dataset
@@ -115,7 +115,7 @@ def written(path: Path, n: int) -> set[tuple[int, ...]]:
 
 def write(path: str, region: tuple[slice, ...], values: Mapping[str, np.ndarray]) -> None:
     """Put a block where it belongs, and then its flag: a writer killed in between leaves a block to be done again."""
-    store = guest("zarr").open_group(path, mode="r+")
+    store = optional("zarr").open_group(path, mode="r+")
     for name, value in values.items():
         store[name][region] = value
     store[DONE][region] = True
@@ -124,7 +124,7 @@ def write(path: str, region: tuple[slice, ...], values: Mapping[str, np.ndarray]
 def _create(path: Path, settings: dict[str, Any], blocks: Blocks) -> None:
     """Fill a folder beside the path and put it there in one move, so that a store is whole or is not there."""
     with temporary(path, Path.mkdir) as fresh:
-        _fill(guest("zarr").open_group(str(fresh), mode="w"), settings, blocks)
+        _fill(optional("zarr").open_group(str(fresh), mode="w"), settings, blocks)
         fresh.rename(path)
 
 
@@ -156,14 +156,14 @@ def _fill(store: Any, settings: dict[str, Any], blocks: Blocks) -> None:
 def _attributes(path: Path) -> dict[str, Any]:
     found: dict[str, Any] = {}
     with contextlib.suppress(OSError, ValueError):
-        found = guest("zarr").open_group(str(path), mode="r").attrs.asdict()
+        found = optional("zarr").open_group(str(path), mode="r").attrs.asdict()
     if found.get("format") != FORMAT:
         raise ValueError(f"{path} is not a map made by map_grid; give another path")
     return found
 
 
 def _annotate(path: Path, **attributes: Any) -> None:
-    guest("zarr").open_group(str(path), mode="r+").attrs.update(attributes)
+    optional("zarr").open_group(str(path), mode="r+").attrs.update(attributes)
 
 
 def _versions() -> dict[str, str]:

@@ -47,19 +47,19 @@ def simulate(
     before, are not finite.
     """
     start = model.motion(x0)
-    push = u or no_input(model, start.v)
+    input_at = u or no_input(model, start.v)
     if model.manifold.commuting:
-        x = solve(lambda s, x: _derivative(model, s, x, push(s, x)), x0, t, rtol=rtol, atol=atol)
+        x = solve(lambda s, x: _derivative(model, s, x, input_at(s, x)), x0, t, rtol=rtol, atol=atol)
     else:
 
         def interval(motion, bounds):
             begin, end = bounds
             charts = _charts(end - begin, motion.v)
-            moved = advance(model, begin, motion, push, end - begin, charts, _adaptive(rtol, atol))
+            moved = advance(model, begin, motion, input_at, end - begin, charts, _adaptive(rtol, atol))
             return moved, moved
 
         x = _joined(start, jax.lax.scan(interval, start, (t[:-1], t[1:]))[1])
-    return Record(t, jax.vmap(push)(t, x), model.motion(x).q, x)
+    return Record(t, jax.vmap(input_at)(t, x), model.motion(x).q, x)
 
 
 def position(t, q):
@@ -90,12 +90,12 @@ def observe(
     are as in `simulate`; the observer of a `StateSpace` sees `measure(t, h)`, and where a controller closes the loop h
     must not depend on the input.
     """
-    push = u or no_input(model, model.motion(x0).v)
+    input_at = u or no_input(model, model.motion(x0).v)
 
     def answer(s, x, state) -> tuple[Array, Any]:
         """The input, and the derivative of the observer's state."""
         y = measure(s, model.motion(x).q)
-        now = push(s, x) if controller is None else controller(s, y, observer.estimate(state))
+        now = input_at(s, x) if controller is None else controller(s, y, observer.estimate(state))
         return now, observer.flow(s, state, now, y)
 
     adaptive = functools.partial(_adaptive, rtol, atol, max_steps)

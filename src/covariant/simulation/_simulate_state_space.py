@@ -1,4 +1,4 @@
-"""The same for state-space models, whose output is h along the motion."""
+"""Trajectories of state-space models, alone or with an observer: the measurement is the output h along the motion."""
 
 from typing import Any
 
@@ -24,9 +24,9 @@ def _(
     rtol: Number = 1e-10,
     atol: Number = 1e-12,
 ) -> Record:
-    push = u or no_input(model, x0)
-    x = solve(lambda s, x: model.f(s, x, push(s, x)), x0, t, rtol=rtol, atol=atol)
-    inputs = jax.vmap(push)(t, x)
+    input_at = u or no_input(model, x0)
+    x = solve(lambda s, x: model.f(s, x, input_at(s, x)), x0, t, rtol=rtol, atol=atol)
+    inputs = jax.vmap(input_at)(t, x)
     return Record(t, inputs, jax.vmap(model.h)(t, x, inputs), x)
 
 
@@ -46,11 +46,11 @@ def _(
     max_steps: int = 200_000,
     controller: Controller | None = None,
 ) -> tuple[Any, Any]:
-    push = u or no_input(model, x0)
+    input_at = u or no_input(model, x0)
 
     def flow(s, joint):
         x, state = joint
-        now = push(s, x)
+        now = input_at(s, x)
         y = measure(s, model.h(s, x, now))
         if controller is not None:
             now = controller(s, y, observer.estimate(state))

@@ -80,8 +80,8 @@ class Craft(eqx.Module):
 
     def acceleration(self, eta: Vector, nu: Vector, tau: Vector) -> Vector:
         """ν' (n,) where the craft is at η, moves with ν and is pushed by τ."""
-        pull = tau - (self.coriolis(nu) + self.damping(nu)) @ nu - self.restoring(eta)
-        return solve(jnp.asarray(self.mass, nu.dtype), pull)
+        force = tau - (self.coriolis(nu) + self.damping(nu)) @ nu - self.restoring(eta)
+        return solve(jnp.asarray(self.mass, nu.dtype), force)
 
 
 @state_space.register

@@ -49,10 +49,10 @@ def sea(seed: int = 0) -> Sea:
     noise = random.normal(size=(len(t), 6)) / math.sqrt(STEP) * np.concatenate([np.ones(3), slow])
     x, tau, y = (np.asarray(a) for a in _held_on_station(station, jnp.asarray(t), jnp.asarray(noise)))
     y = y + random.normal(size=y.shape) * np.array([GNSS, GNSS, COMPASS])
-    silent = np.arange(len(t)) % round(1 / STEP) != 0
+    missing = np.arange(len(t)) % round(1 / STEP) != 0
     for begin, end in GAPS:
-        silent |= (t >= begin) & (t < end)
-    y[silent, :2] = np.nan
+        missing |= (t >= begin) & (t < end)
+    y[missing, :2] = np.nan
     observers = {
         "passive observer": passive_observer(station),
         "extended Kalman filter": sea_filter(station, y[0]),

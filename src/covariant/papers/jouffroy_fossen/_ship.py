@@ -64,8 +64,8 @@ def _turning_errors(observer: PassiveShip, t: Array) -> Array:
     x0 = jnp.array([0.0, 0.0, 0.3, 0.5, -0.2, 0.004])
     start = observer.init(jnp.array([10.0, -5.0, 0.4]))
 
-    def push(s, x):
+    def input_at(s, x):
         return jnp.array([5e4, -3e4, 2e6]) * jnp.sin(0.02 * s + jnp.array([0.0, 1.0, 2.0]))
 
-    x, state = observe(observer.station.model(), observer, x0, start, t, push)
+    x, state = observe(observer.station.model(), observer, x0, start, t, input_at)
     return jax.vmap(lambda e: geometry.wrap((2,), e))(x - state.x)

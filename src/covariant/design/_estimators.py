@@ -63,7 +63,7 @@ def with_gains(model: MechanicalSystem, alpha: float, beta: float) -> dict[str, 
     return {entry.name: entry.make(model, alpha, beta) for entry in fitting}
 
 
-def line_up(
+def tuned_estimators(
     model: MechanicalSystem, n: int, sheet: DataSheet, rate: float, trial: Trial | None = None
 ) -> dict[str, AbstractObserver]:
     """The `estimators` by name, for a model of n velocities sampled at `rate` [Hz].
@@ -73,7 +73,7 @@ def line_up(
     """
     for name in ("motion_std", "motion_time"):
         if not 0 < getattr(sheet, name) < np.inf:
-            raise ValueError(f"line_up: {name} must be a positive number; got {getattr(sheet, name)}")
+            raise ValueError(f"tuned_estimators: {name} must be a positive number; got {getattr(sheet, name)}")
     chosen = observer_gains(sheet, rate)
     time = 1 / (2 * rate) if sheet.correlation_time is None else sheet.correlation_time
     process_cov = 2 * sheet.acceleration_std**2 * time * jnp.eye(n)

@@ -12,7 +12,7 @@ from covariant.models import StateSpace
 from covariant.riccati._equation import Equation, check_state, coefficients, model_input
 
 
-class Passage(NamedTuple):
+class Characteristic(NamedTuple):
     """The published algorithm along one characteristic: stamps t (K,) [s] from −T to 0, states x (K, n) and metrics."""
 
     t: Float[Array, "K"]
@@ -30,7 +30,7 @@ def metric_through(
     start: Number | Matrix = 1.0,
     u: Float[Array, "m"] | None = None,
     route: Literal["riccati", "radon"] = "riccati",
-) -> Passage:
+) -> Characteristic:
     """Steps 1 to 3 of section III: the solution back to −T, then the metric forward along it from π(−T) = start.
 
     `route="radon"` carries Radon's linear pair (α, β), π = α β⁻¹, in place of π: equation (10), whose first line must
@@ -38,27 +38,27 @@ def metric_through(
     """
     check_state(model, x)
     n, dtype = x.shape[0], x.dtype
-    push, t0 = model_input(model, u, dtype), jnp.zeros((), dtype)
+    input_held, t0 = model_input(model, u, dtype), jnp.zeros((), dtype)
     h = jnp.asarray(length, dtype) / steps
     eye = jnp.eye(n, dtype=dtype)
 
     def back(y, _):
-        return rk8(lambda s, y: -model.f(t0, y, push), t0, y, h), y
+        return rk8(lambda s, y: -model.f(t0, y, input_held), t0, y, h), y
 
     first, later = jax.lax.scan(back, x, length=steps)
     nodes = jnp.concatenate([first[None], later[::-1]])
 
     def riccati(s, joint):
         y, p = joint
-        a, q, seen = coefficients(model, equation, y, push)
+        a, q, c = coefficients(model, equation, y, input_held)
         quadratic = 0.0 if q is None else p @ q @ p
-        return model.f(t0, y, push), -p @ a - a.T @ p + seen.T @ seen - quadratic
+        return model.f(t0, y, input_held), -p @ a - a.T @ p + c.T @ c - quadratic
 
     def radon(s, joint):
         y, alpha, beta = joint
-        a, q, seen = coefficients(model, equation, y, push)
+        a, q, c = coefficients(model, equation, y, input_held)
         grown = a @ beta if q is None else q @ alpha + a @ beta
-        return model.f(t0, y, push), -a.T @ alpha + seen.T @ seen @ beta, grown
+        return model.f(t0, y, input_held), -a.T @ alpha + c.T @ c @ beta, grown
 
     def forward(p, node):
         # Each step starts from the state found on the way back, so that an unstable solution is not lost.
@@ -73,4 +73,4 @@ def metric_through(
     start = start * eye if jnp.ndim(start) == 0 else jnp.asarray(start)
     metrics = jax.lax.scan(forward, start, nodes[:-1])[1]
     t = h * jnp.arange(-steps, 1, dtype=dtype)
-    return Passage(t, nodes, jnp.concatenate([start[None], metrics]))
+    return Characteristic(t, nodes, jnp.concatenate([start[None], metrics]))

@@ -4,7 +4,7 @@ import importlib
 from typing import Any
 
 
-def load_guest(module: str, *, use: str, extra: str) -> Any:
+def load_optional(module: str, *, use: str, extra: str) -> Any:
     """Import an optional module, or raise `ImportError` saying what needs it and with the line that installs it."""
     try:
         return importlib.import_module(module)

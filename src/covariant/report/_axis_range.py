@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from covariant.report._panels import Quantity, shorten
-from covariant.report._strokes import drawable
+from covariant.report._polylines import drawable
 
 _TRANSIENT = 0.25
 """Share of the record in which an estimate may still be arriving; it does not set the axis."""
@@ -24,7 +24,7 @@ _FEW = 20
 Samples = Float[np.ndarray, "T"]
 
 
-class View(NamedTuple):
+class AxisRange(NamedTuple):
     """Limits of the y axis in the units of the data, and a sentence on what lies outside, or ""."""
 
     low: float
@@ -43,7 +43,7 @@ class _Range(NamedTuple):
     wanted_high: float
 
 
-def view(quantity: Quantity, column: int) -> View | None:
+def axis_range(quantity: Quantity, column: int) -> AxisRange | None:
     """Limits of one panel, or None where there is nothing to draw.
 
     Backdrops are seen whole. An estimate is seen from the end of its transient on (on a log axis, from the start), save
@@ -58,18 +58,18 @@ def view(quantity: Quantity, column: int) -> View | None:
     if not _GAIN[0] < (highest - lowest) / (high - low) < _GAIN[1]:
         low, high = lowest, highest
     outside = _outside(ranges, low, high, quantity.log)
-    return View(10**low, 10**high, outside) if quantity.log else View(low, high, outside)
+    return AxisRange(10**low, 10**high, outside) if quantity.log else AxisRange(low, high, outside)
 
 
 def _ranges(quantity: Quantity, column: int) -> list[_Range]:
     ranges = []
     for t, values, label, backdrop in quantity.curves:
-        seen = drawable(values[:, column], quantity.log)
-        if seen.any():
-            y = values[seen, column]
+        visible = drawable(values[:, column], quantity.log)
+        if visible.any():
+            y = values[visible, column]
             y = np.log10(y) if quantity.log else y
             ends = float(y.min()), float(y.max())
-            late = y if quantity.log else y[_late(t)[seen]]
+            late = y if quantity.log else y[_late(t)[visible]]
             wanted = ends if backdrop else _core(late if len(late) >= _FEW else y)
             ranges.append(_Range(label, backdrop, *ends, *wanted))
     return ranges

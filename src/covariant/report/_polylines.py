@@ -1,4 +1,4 @@
-"""How samples become strokes: gaps left open, long logs thinned without losing an extreme."""
+"""How a curve is drawn as a line and dots: gaps left open, long logs thinned without losing an extreme."""
 
 from typing import NamedTuple
 
@@ -15,20 +15,20 @@ Samples = Float[np.ndarray, "T"]
 Thinned = tuple[Float[np.ndarray, "k"], Float[np.ndarray, "k"]]
 
 
-class Strokes(NamedTuple):
+class Polyline(NamedTuple):
     """A curve made ready: a line with NaN at its gaps, and dots for samples without a neighbour to be joined with."""
 
     line: Thinned
     dots: Thinned
 
 
-def strokes(t: Samples, values: Samples, log: bool) -> Strokes:
+def polyline(t: Samples, values: Samples, log: bool) -> Polyline:
     """Line and dots of one curve; on a log axis what is not positive is a gap."""
     shown = np.where(drawable(values, log), values, np.nan)
     alone = _alone(~np.isnan(shown))
     joined = np.where(alone, np.nan, shown)
     some = len(t) if np.isfinite(joined).any() else 1  # one gap says as much as many
-    return Strokes(thin(t[:some], joined[:some]), thin(t[alone], shown[alone]))
+    return Polyline(thin(t[:some], joined[:some]), thin(t[alone], shown[alone]))
 
 
 def thin(t: Samples, values: Samples, limit: int = LIMIT) -> Thinned:
@@ -50,6 +50,6 @@ def drawable(values: Samples, log: bool) -> Bool[np.ndarray, "T"]:
     return (values > least) & (values < _DRAWABLE)
 
 
-def _alone(seen: Bool[np.ndarray, "T"]) -> Bool[np.ndarray, "T"]:
-    edged = np.pad(seen, 1)
-    return seen & ~edged[:-2] & ~edged[2:]
+def _alone(present: Bool[np.ndarray, "T"]) -> Bool[np.ndarray, "T"]:
+    edged = np.pad(present, 1)
+    return present & ~edged[:-2] & ~edged[2:]

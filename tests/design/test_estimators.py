@@ -17,11 +17,11 @@ from covariant.design import (
     estimators,
     filter_bandwidth,
     gains,
-    line_up,
     observer_gains,
+    tuned_estimators,
     window_length,
 )
-from covariant.design._line_up import (
+from covariant.design._estimators import (
     LONGEST_WINDOW,
     derivative_weights,
     filter_error,
@@ -150,7 +150,7 @@ def test_more_noise_wants_more_smoothing():
 
 def test_all_estimators_come_from_one_data_sheet():
     model = oscillator()
-    estimators = line_up(model, 1, SHEET, RATE)
+    estimators = tuned_estimators(model, 1, SHEET, RATE)
     chosen = observer_gains(SHEET, RATE)
     assert chosen == gains(1e-3, RATE, 2.0, 0.01, SHEET.damping)
     for name, kind in (("intrinsic", Intrinsic), ("intrinsic2", Intrinsic), ("geodesic", Geodesic), ("copy", Copy)):
@@ -174,41 +174,43 @@ def test_all_estimators_come_from_one_data_sheet():
 def test_an_acceleration_new_at_each_sample_is_white_over_one():
     fresh = SHEET._replace(correlation_time=None)
     assert observer_gains(fresh, RATE) == observer_gains(fresh._replace(correlation_time=1 / (2 * RATE)), RATE)
-    assert float(line_up(oscillator(), 1, fresh, RATE)["ekf"].process_cov[0, 0]) == pytest.approx(2.0**2 / RATE)
+    assert float(tuned_estimators(oscillator(), 1, fresh, RATE)["ekf"].process_cov[0, 0]) == pytest.approx(
+        2.0**2 / RATE
+    )
 
 
 @pytest.mark.parametrize("field", ["measurement_std", "acceleration_std", "correlation_time", "damping"])
 @pytest.mark.parametrize("number", [0.0, math.nan, math.inf])
 def test_a_number_that_makes_no_sense_is_named(field, number):
     with pytest.raises(ValueError, match=f"gains: {field} must be a positive number; got {number}"):
-        line_up(oscillator(), 1, SHEET._replace(**{field: number}), RATE)
+        tuned_estimators(oscillator(), 1, SHEET._replace(**{field: number}), RATE)
 
 
 @pytest.mark.parametrize("field", ["motion_std", "motion_time"])
 @pytest.mark.parametrize("number", [-1.0, math.nan])
 def test_a_motion_that_makes_no_sense_is_named(field, number):
     with pytest.raises(ValueError, match=field):
-        line_up(oscillator(), 1, SHEET._replace(**{field: number}), RATE)
+        tuned_estimators(oscillator(), 1, SHEET._replace(**{field: number}), RATE)
 
 
 def test_a_model_is_offered_the_estimators_that_fit_it():
     top, vehicle = heavy_top((0.1, 0.2, 0.6)), underwater_vehicle()
-    assert estimators(FLAT) == tuple(line_up(FLAT, AXES, SHEET, RATE))
+    assert estimators(FLAT) == tuple(tuned_estimators(FLAT, AXES, SHEET, RATE))
     anywhere = ("intrinsic", "intrinsic2", "geodesic", "copy", "intrinsic-kalman", "ekf")
-    assert estimators(top) == (*anywhere, "salcudean") == tuple(line_up(top, 3, SHEET, RATE))
-    assert estimators(vehicle) == anywhere == tuple(line_up(vehicle, 6, SHEET, RATE))
+    assert estimators(top) == (*anywhere, "salcudean") == tuple(tuned_estimators(top, 3, SHEET, RATE))
+    assert estimators(vehicle) == anywhere == tuple(tuned_estimators(vehicle, 6, SHEET, RATE))
     assert {*estimators(FLAT), *estimators(top)} == set(ESTIMATORS)
 
 
 def test_on_groups_all_have_the_same_gains_and_noise():
     top = heavy_top((0.1, 0.2, 0.6))
-    chosen, made = observer_gains(SHEET, RATE), line_up(top, 3, SHEET, RATE)
+    chosen, made = observer_gains(SHEET, RATE), tuned_estimators(top, 3, SHEET, RATE)
     for name in ("intrinsic", "intrinsic2", "geodesic", "copy"):
         assert (made[name].alpha, made[name].beta) == (chosen.alpha, chosen.beta)
     mean = 0.3  # Salcudean's gains, of the mean principal inertia
     assert made["salcudean"].kv == pytest.approx(2 * mean * chosen.alpha)
     assert made["salcudean"].kp == pytest.approx(4 * mean**2 * chosen.beta)
-    ekf = line_up(FLAT, 3, SHEET, RATE)["ekf"]
+    ekf = tuned_estimators(FLAT, 3, SHEET, RATE)["ekf"]
     np.testing.assert_array_equal(made["ekf"].process_cov, ekf.process_cov)
     np.testing.assert_array_equal(made["ekf"].measurement_cov, ekf.measurement_cov)
     assert made["ekf"].initial_velocity_std == ekf.initial_velocity_std
@@ -255,7 +257,7 @@ def test_on_a_trial_filters_are_the_best_of_their_kind(noise, missing):
 
 def test_a_cubic_is_taken_where_it_is_better():
     assert polynomial(SHEET, RATE, trial(1e-4))[1] == 3
-    observers = line_up(FLAT, 2, SHEET, RATE, trial(1e-4))
+    observers = tuned_estimators(FLAT, 2, SHEET, RATE, trial(1e-4))
     assert observers["savitzky-golay"].order == 3
     assert observers["intrinsic"].alpha == observer_gains(SHEET, RATE).alpha
 
