@@ -1,7 +1,7 @@
 """covariant: intrinsic and contracting observers for mechanical systems.
 
-Importing it loads nothing heavy: a room, such as `covariant.models`, is loaded where it is first asked for. JAX works
-in double precision from here on, and its compiled programs are kept in the user's cache folder (`COVARIANT_CACHE`).
+Importing it loads nothing heavy: a subpackage, such as `covariant.models`, is loaded on first use. From then on JAX
+works in double precision, and its compiled programs are kept in the user's cache folder (`COVARIANT_CACHE`).
 """
 
 import importlib
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
     __version__: str
 
-# JAX reads its variable when it is imported, which may be long after this, or has been already.
+# JAX reads this variable when it is imported, which may happen long after this, or may have happened already.
 os.environ["JAX_ENABLE_X64"] = "1"
 if "jax" in sys.modules:
     sys.modules["jax"].config.update("jax_enable_x64", True)

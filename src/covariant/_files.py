@@ -1,4 +1,4 @@
-"""Files that are either the old one or the new one, never half of each; what a killed writer leaves is swept."""
+"""Atomic writing of files: a path holds the old file or the new one, and what a killed writer leaves is removed."""
 
 import contextlib
 import os
@@ -11,15 +11,16 @@ from typing import BinaryIO, Literal
 
 try:
     import fcntl
-except ImportError:  # Windows: nothing is locked there, and so nothing is swept
+except ImportError:  # Windows: files cannot be locked there, and so nothing is removed
     fcntl = None
 
 
 def write_atomically(path: str | os.PathLike[str], write: Callable[[BinaryIO], object]) -> Path:
-    """Let `write` fill a file beside `path`, then put it in its place; where `write` raises, `path` stays as it was.
+    """Let `write` fill a temporary file beside `path`, then rename it to `path`.
 
-    A writer that was killed leaves its file beside `path`, and the next one to the same path removes it. Raises
-    `FileNotFoundError` where the folder does not exist, and whatever `write` raises.
+    Where `write` raises, `path` stays as it was. A writer that is killed leaves its temporary file, and the next writer
+    to the same path removes it. Raises `FileNotFoundError` where the folder does not exist, and whatever `write`
+    raises.
     """
     path = Path(path)
     # A plain `open`, not `tempfile`, so that the file gets the permissions any other new file would.
@@ -34,9 +35,10 @@ def write_atomically(path: str | os.PathLike[str], write: Callable[[BinaryIO], o
 
 @contextlib.contextmanager
 def temporary(path: Path, make: Callable[[Path], object]) -> Iterator[Path]:
-    """A new file or folder beside `path`, made by `make`, to be moved to `path`; at the end it is gone in any case.
+    """A new file or folder beside `path`, created by `make`, to be renamed to `path`; it is removed at the end.
 
-    Its writer holds a lock on it, which the system lets go when the writer dies: so nobody sweeps a living one's.
+    Its writer holds a lock on it, which the system releases when the writer dies: so nobody removes that of a writer
+    that is still alive.
     """
     sweep(path)
     fresh, lock = _locked(path, make)
@@ -49,7 +51,7 @@ def temporary(path: Path, make: Callable[[Path], object]) -> Iterator[Path]:
 
 
 def sweep(path: Path) -> None:
-    """Remove what killed writers of `path` have left beside it; what a living one is writing stays."""
+    """Remove the temporary files of `path` whose writers were killed; those of living writers stay."""
     ours = re.compile(rf"\.{re.escape(path.name)}\.[0-9a-f]{{32}}\.tmp")
     with contextlib.suppress(OSError):
         for left in [other for other in path.parent.iterdir() if ours.fullmatch(other.name)]:
@@ -60,8 +62,9 @@ def sweep(path: Path) -> None:
 
 @contextlib.contextmanager
 def attended(folder: Path, tidy: Callable[[], object]) -> Iterator[None]:
-    """While several may write in a folder: `tidy` is called first where nobody else attends it, and not by others
-    until the end."""
+    """Hold a shared lock on a folder into which several processes may write.
+
+    `tidy` is called first where no other process holds the lock; none can call it until this one is done."""
     with _opened(folder) as lock:
         if _take(lock, "EX", wait=False):
             tidy()
@@ -70,7 +73,7 @@ def attended(folder: Path, tidy: Callable[[], object]) -> Iterator[None]:
 
 
 def _locked(path: Path, make: Callable[[Path], object]) -> tuple[Path, int | None]:
-    """A new file or folder, and its lock where there are locks."""
+    """A new file or folder, and its lock where the system has locks."""
     while True:
         fresh = path.with_name(f".{path.name}.{uuid.uuid4().hex}.tmp")
         make(fresh)
@@ -78,7 +81,7 @@ def _locked(path: Path, make: Callable[[Path], object]) -> tuple[Path, int | Non
         _take(lock, "EX", wait=True)
         if fcntl is None or (lock is not None and fresh.exists()):
             return fresh, lock
-        if lock is not None:  # a sweeper took it between its making and its locking
+        if lock is not None:  # another process removed it between its creation and its locking
             os.close(lock)
 
 
@@ -99,7 +102,7 @@ def _opened(path: Path) -> Iterator[int | None]:
 
 
 def _take(lock: int | None, kind: Literal["EX", "SH"], wait: bool) -> bool:
-    """Take the lock, exclusive or shared; False where another has it, or where the file system has none."""
+    """Take the lock, exclusive or shared; False where another process has it, or the file system has no locks."""
     if fcntl is None or lock is None:
         return False
     try:

@@ -1,14 +1,14 @@
-"""What is a function with numbers in it: the base of models, spaces and observers."""
+"""A function that holds numbers: the base class of models, spaces and observers."""
 
 import equinox as eqx
 
 
 class Functional(eqx.Module):
-    """A module that is compared as functions are: it equals itself only.
+    """A module that is compared by identity, as functions are: it equals only itself.
 
-    `jax.jit(model.metric)` keeps what it compiles by the function it was given, in tables that hash and compare; a
-    module's own `==` compares the numbers in it, which are not known where the module is made inside such a function.
-    Whether two have the same numbers is a question for `equinox.tree_equal`.
+    `jax.jit(model.metric)` keeps compiled programs by the function it was given, in tables that hash and compare. The
+    `==` of an `equinox.Module` compares the numbers in it, which are not known where the module is made inside a
+    compiled function. To ask whether two have the same numbers use `equinox.tree_equal`.
     """
 
     def __hash__(self):

@@ -1,6 +1,6 @@
-"""Two integrators: a fixed-step one that can be exported, and `solve`, the only place that knows diffrax.
+"""Numerical integration: fixed-step methods that can be exported, and adaptive ones by diffrax.
 
-Diffrax is loaded where it is first used: it takes longer to load than all of this library.
+Only this module uses diffrax, and it is imported on first use: it takes longer to load than the rest of this library.
 """
 
 import functools
@@ -21,9 +21,9 @@ Flow = Callable[[Array, Any], Any]
 
 
 def compiled(function: Callable) -> Callable:
-    """The function compiled once for all numbers in its arguments: Python's own are given to the program as arrays.
+    """The function compiled once for all floating-point numbers in its arguments, which are passed as arrays.
 
-    Whatever else its arguments hold, such as whole numbers and plain functions, a program is made for each of.
+    For every other value in the arguments, such as an integer or a plain function, a separate program is compiled.
     """
     program = eqx.filter_jit(function)
 
@@ -55,7 +55,7 @@ def rk4_step(flow: Flow, t, x, dt):
 
 
 def rk4(flow: Flow, t, x, dt, steps):
-    """Advance `x` by `dt` in `steps` equal Runge–Kutta steps; a Python int is static, a traced count is not."""
+    """Advance `x` by `dt` in `steps` equal Runge–Kutta steps; `steps` is a Python int, or a traced integer."""
     real = jax.tree.leaves(x)[0].dtype
     h = dt / jnp.asarray(steps, real)
     once = jax.jit(flow)  # traced once, not at each of the four slopes
@@ -65,13 +65,13 @@ def rk4(flow: Flow, t, x, dt, steps):
 def rk8(flow: Flow, t, x, dt, steps: int = 1):
     """Advance `x` by `dt` in `steps` equal steps of Dormand and Prince's eighth-order method.
 
-    The stages run in a loop, so the vector field is compiled once: cheap to build, for work offline.
+    The stages run in a loop, so the vector field is compiled once: quick to compile, for work offline.
     """
     flat, unravel = jax.flatten_util.ravel_pytree(x)
     a, b, c = (jnp.asarray(part, flat.dtype) for part in _tableau())
     h = dt / steps
 
-    @jax.jit  # every transformation of the loops keeps what it made of the field, which is most of the work of building
+    @jax.jit  # so that each transformation of the loops traces the field once: tracing is most of the compile time
     def slope(s, y):
         return jax.flatten_util.ravel_pytree(flow(s, unravel(y)))[0]
 
@@ -103,7 +103,7 @@ def solve(
 ):
     """Integrate adaptively (Dormand–Prince 8) and return `x` at every stamp of `ts`, time first.
 
-    Where `max_steps` are spent, as when a solution escapes in finite time, the stamps not reached are infinite.
+    Where `max_steps` are used up, as when a solution escapes in finite time, `x` is infinite at the remaining stamps.
     """
     import diffrax
 
@@ -146,7 +146,7 @@ def solve_until(
     conditions = [lambda t, y, args, **_: stop(y)]
     if border is not None:
         conditions.append(lambda t, y, args, **_: border(y))
-    real = jax.tree.leaves(x0)[0].dtype  # of the times too, or single precision would not stay single
+    real = jax.tree.leaves(x0)[0].dtype  # of the times too, or single precision would be promoted to double
     solution = diffrax.diffeqsolve(
         _term(flow),
         diffrax.Dopri8(),

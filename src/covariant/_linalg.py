@@ -23,7 +23,7 @@ def ldl(a: Matrix) -> tuple[list[Array], Vector]:
 
 
 def pivots(a: Matrix) -> Vector:
-    """Pivots of `ldl`; by Sylvester's law as many are negative as `a` has negative eigenvalues."""
+    """Pivots of `ldl`; by Sylvester's law of inertia as many are negative as `a` has negative eigenvalues."""
     return ldl(a)[1]
 
 
@@ -51,19 +51,19 @@ def _forward(columns: list[Array], b: Float[Array, "n *k"]) -> list[Array]:
 
 @solve.defjvp
 def _(primals, tangents):
-    # The derivative of the solution is another solve with the same factor, which the compiler shares.
+    # The derivative of the solution is another solve with the same factor, which the compiler reuses.
     (a, b), (da, db) = primals, tangents
     x = solve(a, b)
     return x, solve(a, db - da @ x)
 
 
 def solve_square(a: Matrix, b: Float[Array, "n *k"]) -> Float[Array, "n *k"]:
-    """`a⁻¹ b` for any invertible a, by its normal equations: exact where a is orthogonal."""
+    """`a⁻¹ b` for any invertible a, by the normal equations, which lose no accuracy where a is orthogonal."""
     return solve(a.T @ a, a.T @ b)
 
 
 def half_solve(a: Matrix, b: Float[Array, "n k"]) -> Float[Array, "n k"]:
-    """`L⁻¹ b` for symmetric positive definite `a = L Lᵀ`: b as seen where a is the identity."""
+    """`L⁻¹ b` for symmetric positive definite `a = L Lᵀ`: b in the basis in which a is the identity."""
     columns, d = ldl(a)
     return jnp.stack(_forward(columns, b)) / jnp.sqrt(d)[:, None]
 
@@ -93,9 +93,9 @@ def semidefinite_root(a: Matrix) -> Matrix:
 
 
 def triangular(a: Float[Array, "n k"]) -> Matrix:
-    """Lower triangular L with `L Lᵀ = a aᵀ`: a square root of a covariance from a wide one, no digit lost to squaring.
+    """Lower triangular L with `L Lᵀ = a aᵀ`: a square root of a covariance from a wide one, without squaring it.
 
-    By Gram and Schmidt on the rows, which may depend on each other.
+    It uses Gram–Schmidt orthogonalisation of the rows, which may be linearly dependent.
     """
     columns, rest = [], a
     for k in range(a.shape[0]):

@@ -1,11 +1,11 @@
-"""The door for optional packages."""
+"""Import of optional packages."""
 
 import importlib
 from typing import Any
 
 
 def load_optional(module: str, *, use: str, extra: str) -> Any:
-    """Import an optional module, or raise `ImportError` saying what needs it and with the line that installs it."""
+    """Import an optional module, or raise `ImportError` that names what needs it and the command that installs it."""
     try:
         return importlib.import_module(module)
     except ImportError as missing:

@@ -1,7 +1,7 @@
 """Compiled programs are kept from one process to the next, in the user's cache folder.
 
-JAX compiles a program in seconds and loads a kept one in milliseconds. `COVARIANT_CACHE=off` keeps none, and
-`COVARIANT_CACHE=FOLDER` keeps them there; where `JAX_COMPILATION_CACHE_DIR` is set, that is left alone.
+JAX compiles a program in seconds and loads a stored one in milliseconds. `COVARIANT_CACHE=off` stores none, and
+`COVARIANT_CACHE=FOLDER` stores them in that folder. Where `JAX_COMPILATION_CACHE_DIR` is set, it is respected.
 """
 
 import hashlib
@@ -11,36 +11,36 @@ import sys
 from pathlib import Path
 
 FATAL = "3"
-"""The least of the compiler's messages that are shown; what goes wrong in it is an exception as well."""
+"""Lowest severity of the compiler's messages that are shown; errors in compilation raise exceptions as well."""
 WORTH_KEEPING = "0.1"
-"""Shortest time of compilation [s] of a program that is kept."""
+"""Shortest compilation time [s] of a program that is stored."""
 
 
 def keep_programs() -> None:
-    """Tell JAX, which reads its variables when it is imported, where to keep its programs.
+    """Tell JAX, which reads its environment variables when it is imported, where to store its programs.
 
-    Nothing where it has been imported before this: then it is late to silence what its compiler notes about each
-    program that it loads. Who imports JAX first sets its own variables.
+    Does nothing where JAX has been imported before: then it is too late to suppress the notes that its compiler writes
+    about each program it loads. Whoever imports JAX first sets these variables.
     """
     folder = None if "jax" in sys.modules else _folder()
     if folder is None:
         return
     os.environ["JAX_COMPILATION_CACHE_DIR"] = str(folder)
     os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", WORTH_KEEPING)
-    # As an error: which of the compiler's own wishes the processor cannot fulfil. 1 is what JAX itself sets.
+    # The compiler reports features that the processor lacks as errors. 1 is the level that JAX itself sets.
     if os.environ.get("TF_CPP_MIN_LOG_LEVEL", "1") == "1":
         os.environ["TF_CPP_MIN_LOG_LEVEL"] = FATAL
 
 
 def _folder() -> Path | None:
-    """One for each kind of processor, since a program of one may not run on another; None where none can be written."""
+    """A folder for this kind of processor, since a program may not run on another; None where none can be written."""
     chosen = os.environ.get("COVARIANT_CACHE", "")
     if chosen.lower() in ("off", "0", "no") or "JAX_COMPILATION_CACHE_DIR" in os.environ:
         return None
     try:
         folder = (Path(chosen).expanduser() if chosen else _users_caches() / "covariant") / _processor()
         folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-    except (OSError, RuntimeError):  # no home, or not ours to write in
+    except (OSError, RuntimeError):  # there is no home folder, or it cannot be written to
         return None
     return folder if os.access(folder, os.W_OK | os.X_OK) else None
 
@@ -54,7 +54,7 @@ def _users_caches() -> Path:
 
 
 def _processor() -> str:
-    """A name for the instructions that this machine knows."""
+    """A name for the instruction set of this processor."""
     known = [platform.machine()]
     listed = Path("/proc/cpuinfo")
     if listed.exists():

@@ -1,4 +1,4 @@
-"""Array roles, named once. Leading batch axes come from `jax.vmap`, never from the functions themselves."""
+"""Array types by their role. Leading batch axes come from `jax.vmap`, never from the functions themselves."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -12,7 +12,7 @@ Matrix = Float[Array, "n n"]
 State = Float[Array, "two_n"]
 Number = Scalar | float
 Element = Inexact[Array, "N N"]
-"""A group element, or a matrix of its algebra."""
+"""A group element, or a matrix of its Lie algebra."""
 Flag = Bool[Array, ""]
 Code = Int[Array, ""]
 
@@ -22,7 +22,7 @@ MatrixField = Callable[[Array], Array]
 Bounds = tuple[Float[Array, "n"], Float[Array, "n"]]
 """Lower and upper bounds of coordinates."""
 Controller = Callable[[Array, Array, Any], Array]
-"""`(t, y, estimate) -> u (m,)`: what a controller makes of the measurement and of an observer's estimate."""
+"""`(t, y, estimate) -> u (m,)`: the input as a function of the measurement and of an observer's estimate."""
 
 Numbers = ArrayLike | Sequence[float] | Sequence[Sequence[float]] | Sequence[Sequence[Sequence[float]]]
-"""What a person may write for an array of numbers; it is made one at once."""
+"""What a caller may give for an array of numbers; it is converted at once."""

@@ -1,4 +1,4 @@
-"""How good a velocity estimate is, against the truth or against a reference made from the recorded positions."""
+"""Scoring of velocity estimates, against the truth or against a reference computed from the recorded positions."""
 
 from collections.abc import Iterator
 from typing import NamedTuple
@@ -9,13 +9,13 @@ from jaxtyping import Float, Int
 NumpyArray = np.ndarray
 
 CHUNK = 1000
-"""Windows fitted at once: enough for NumPy to be quick, and a few megabytes."""
+"""Number of windows fitted at once: enough for NumPy to be quick, in a few megabytes."""
 
 SAME = 10
-"""Digits of the stamps, in units of half a window, that windows share to be taken for equal."""
+"""Decimal digits, in units of half a window, to which the stamps of two windows must agree to be taken as equal."""
 
 FARTHEST_TURN = 1.5
-"""A rotation vector is nearly a polynomial in time up to this angle [rad]; a fast body gets a shorter window."""
+"""A rotation vector is close to a polynomial in time up to this angle [rad]; a fast body gets a shorter window."""
 
 
 def zero_phase_velocity(
@@ -25,9 +25,12 @@ def zero_phase_velocity(
     half: float = 0.03,
     order: int = 3,
 ) -> Float[NumpyArray, "K n"]:
-    """Slopes at the stamps `at` [s] of local polynomials over ±`half` [s] of the positions, with tricube weights.
+    """Slopes (K, n) at the stamps `at` [s] of local polynomials fitted to the positions, with tricube weights.
 
-    It looks ahead, so it is for scoring only. Missing positions (NaN) are left out, column by column.
+    - `t` (T,) [s], `y` (T, n): stamps and positions. Missing positions (NaN) are left out, column by column.
+    - `half` [s], `order`: half width of each window, and degree of the polynomials.
+
+    The windows include later samples, so this is for scoring only.
     """
     return np.stack([_slopes(t, column, at, half, order) for column in np.asarray(y, float).T], axis=1)
 
@@ -40,11 +43,12 @@ def zero_phase_twist(
     order: int = 3,
     space: int = 3,
 ) -> Float[NumpyArray, "K n"]:
-    """Body velocities at the stamps `at` [s], the same of rotations (d, d) or poses (d + 1, d + 1), d = `space`.
+    """Body velocities (K, n) at the stamps `at` [s] of recorded rotations (d, d) or poses (d + 1, d + 1), d = `space`.
 
-    Polynomials are fitted to the rotation vectors [rad] of the motion as seen from the body, and to its positions. The
-    result is the angular velocity in the body, after the linear one, in the body too, where there is a position.
-    Missing matrices (any NaN) are left out. A body must turn by less than half a turn in `order` + 3 samples.
+    As in `zero_phase_velocity`, local polynomials are fitted over ±`half` [s]: to the rotation vectors [rad] of the
+    motion relative to the body, and to the positions. The result is the angular velocity in the body frame; where there
+    is a position, the linear velocity, also in the body frame, comes before it. Missing matrices (any NaN) are left
+    out. A body must turn by less than half a turn in `order` + 3 samples.
     """
     present = np.isfinite(g).all(axis=(1, 2))
     t, g = t[present], np.asarray(g, float)[present]
@@ -62,7 +66,7 @@ def _slopes(t, y, at, half, order):
 
 
 def _turning(t, rotation, at, half, order):
-    """Attitudes (K, d, d) and angular velocities in the body (K, 3), or (K, 1) in the plane."""
+    """Attitudes (K, d, d) and angular velocities in the body frame (K, 3), or (K, 1) in the plane."""
     if rotation.shape[1] == 2:
         angle = np.unwrap(np.arctan2(rotation[:, 1, 0], rotation[:, 0, 0]))
         smooth, rate = np.empty(len(at)), np.empty(len(at))
@@ -76,18 +80,22 @@ def _turning(t, rotation, at, half, order):
     for fit in _fits(t, at, half, order):
         near, measured = rotation[fit.nearest], rotation[fit.rows]
         attitude[fit.at] = near @ _exp(_polynomial(fit, near, measured)[0])
-        turning[fit.at] = _polynomial(fit, attitude[fit.at], measured)[1]  # at no offset the slope is the velocity
+        turning[fit.at] = _polynomial(fit, attitude[fit.at], measured)[1]  # at zero offset the slope is the velocity
     return attitude, turning
 
 
 def _polynomial(fit, base, measured):
-    """Offset and slope (2, k, 3) of the rotation vectors from the base to the rotations seen."""
+    """Offset and slope (2, k, 3) of the rotation vectors from `base` to the measured rotations."""
     return np.einsum("kcw,kwi->cki", fit.weights[:, :2], _log(_between(base[:, None], measured)))
 
 
 class _Fit(NamedTuple):
-    """Local polynomials at some of the stamps: `rows` (k, w) of the measurements in each window, the `nearest` (k,) of
-    them all, and the `weights` (k, order + 1, w) by which they add up to the coefficients."""
+    """Local polynomials at a slice `at` of the stamps.
+
+    - `rows` (k, w): indices of the measurements in each window.
+    - `nearest` (k,): index of the measurement nearest to each stamp.
+    - `weights` (k, order + 1, w): weights with which the measurements sum up to the coefficients.
+    """
 
     at: slice
     rows: Int[NumpyArray, "k w"]
@@ -114,7 +122,7 @@ def _fits(t, at, half, order) -> Iterator[_Fit]:
         s = np.where(inside, t[rows] - at[part, None], 0.0)
         half_width = np.maximum(half, np.abs(s).max(axis=1))[:, None]
         weight = inside * ((1 - np.minimum(np.abs(s) / half_width, 1) ** 3) ** 1.5 + 1e-6)
-        # Windows of a log with even stamps are equal but for the rounding of its stamps, and are fitted once.
+        # Windows of a log with evenly spaced stamps are equal up to the rounding of the stamps, and are fitted once.
         each, same = _distinct(np.round(np.column_stack([s / half, inside.sum(1)]), SAME))
         s, weight, half_width = s[each], weight[each], half_width[each]
         powers = np.arange(order + 1)
@@ -125,9 +133,9 @@ def _fits(t, at, half, order) -> Iterator[_Fit]:
 
 
 def _distinct(rows):
-    """Indices of the rows (k, w) that are new, and for each row which of those it equals."""
+    """Indices of the distinct rows of (k, w), and for each row the position of its equal among them."""
     found: dict[bytes, int] = {}
-    same = np.array([found.setdefault(row.tobytes(), len(found)) for row in rows + 0.0])  # −0 is 0
+    same = np.array([found.setdefault(row.tobytes(), len(found)) for row in rows + 0.0])  # + 0.0 turns −0 into 0
     return np.unique(same, return_index=True)[1], same
 
 
@@ -153,7 +161,7 @@ def _exp(vector):
 
 
 def unwrap(y: Float[NumpyArray, "T n"], circles: tuple[int, ...]) -> Float[NumpyArray, "T n"]:
-    """The positions with the jumps of 2π taken out of the columns that are angles on a circle; NaN stays."""
+    """The positions without the jumps of 2π in the columns that are angles on a circle; NaN stays."""
     y = np.array(y, float)
     for column in circles:
         present = np.isfinite(y[:, column])
@@ -162,7 +170,8 @@ def unwrap(y: Float[NumpyArray, "T n"], circles: tuple[int, ...]) -> Float[Numpy
 
 
 def scored_window(t: Float[NumpyArray, "T"], skip: float = 1.0, tail: float = 0.2) -> np.ndarray:
-    """Mask (T,) of the stamps that count: after the observer has settled and before the reference runs out.
+    """Mask (T,) of the stamps that are scored: without the first `skip` [s], in which the observer settles, and without
+    the last `tail` [s], where the reference ends.
 
     A log too short for that is scored over its second half.
     """
@@ -171,5 +180,5 @@ def scored_window(t: Float[NumpyArray, "T"], skip: float = 1.0, tail: float = 0.
 
 
 def rmse(estimate: Float[NumpyArray, "K n"], reference: Float[NumpyArray, "K n"]) -> Float[NumpyArray, "n"]:
-    """Root mean square error a coordinate."""
+    """Root mean square error of each coordinate."""
     return np.sqrt(np.mean((np.asarray(estimate) - np.asarray(reference)) ** 2, axis=0))

@@ -1,4 +1,4 @@
-"""What travels between rooms: a `Record` goes into an observer, a `Run` comes out."""
+"""Data that pass between subpackages: a `Record` goes into an observer, a `Run` comes out."""
 
 import enum
 from typing import Any, NamedTuple
@@ -8,7 +8,7 @@ from jaxtyping import Array, Float, Inexact
 
 
 class Result(enum.IntEnum):
-    """Outcome of a numerical step, as found in `info.result`; zero is good, a larger one is worse."""
+    """Outcome of a numerical step, as found in `info.result`; zero is good, and a larger code is worse."""
 
     OK = 0
     COASTED = 1
@@ -58,8 +58,8 @@ AnyArray = Array | np.ndarray
 class Record(NamedTuple):
     """A log, time first: stamps t (T,) [s], inputs u (T, m), measured positions y, and the true state x where known.
 
-    Positions are coordinates (T, n), or group elements (T, N, N); the state is (T, 2n), or a `Motion` of the group.
-    NaN in y marks a missing measurement. `check` says what a record must satisfy.
+    Positions are coordinates (T, n), or group elements (T, N, N). The state is (T, 2n), or a `Motion` of the group.
+    NaN in y marks a missing measurement. `check` tests what a record must satisfy.
     """
 
     t: Float[AnyArray, "T"]
@@ -98,7 +98,7 @@ class Record(NamedTuple):
 
 
 class Run(NamedTuple):
-    """What an observer made of a record: stamps t (T,), its estimates and its info, stacked.
+    """Result of an observer's pass over a record: stamps t (T,), the estimates, and the info, stacked along time.
 
     The estimates are (q, v) (T, 2n), or on a group a `Motion` of g (T, N, N) and v (T, n).
     """
@@ -109,9 +109,9 @@ class Run(NamedTuple):
 
 
 def lag_inputs(record: Record, time_constant: float) -> Record:
-    """The record with its inputs passed through a causal first-order lag [s]; 0 leaves it as it is.
+    """The record with its inputs passed through a causal first-order lag of `time_constant` [s]; 0 changes nothing.
 
-    Motors follow their logged torque with a delay; a lag identified with the model's other parameters stands for it.
+    A motor follows its logged torque with a delay; such a lag, identified with the other parameters, models it.
     """
     if time_constant == 0:
         return record

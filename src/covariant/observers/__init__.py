@@ -1,4 +1,4 @@
-"""Observers: one file each, baselines in the same form."""
+"""Observers: each in a file of its own, and the baselines they are compared with, all in one form."""
 
 from covariant.observers._contracting import Contracting, ContractingState, craft_observer
 from covariant.observers._copy import Copy

@@ -1,7 +1,7 @@
 """A copy of the plant with output injection, made contracting by its gain.
 
-Source: Jouffroy & Fossen 2004, equation (12), and in place of its Theorem 2 the virtual system
-`y' = f(t, y, u(t)) + K(z − h(t, y))`: both plant and observer are solutions of it, whatever made the input.
+Source: Jouffroy & Fossen 2004, equation (12). In place of its Theorem 2 stands the virtual system
+`y' = f(t, y, u(t)) + K(z − h(t, y))`: both plant and observer are solutions of it, whatever generates the input u(t).
 """
 
 from collections.abc import Callable
@@ -22,12 +22,12 @@ from covariant.observers._protocol import AbstractFlowObserver, Held, Info, as_g
 from covariant.signals import Result
 
 Injected = Callable[[Array, Array, Array, Array], Array]
-"""`(t, x, u, z) -> (n,)`: the model's f with measured outputs in place of states; equal to f where z = h(x)."""
+"""`(t, x, u, z) -> (n,)`: the model's f with measured outputs z replacing states; it equals f where z = h(x)."""
 
 
 class ContractingState(NamedTuple):
-    """Estimated state, the time [s] it belongs to, and for how long [s] each output has not been measured (p,);
-    `held` is the last finite input."""
+    """Estimated state, the time [s] it belongs to, the time [s] since each output was last measured (p,), and the last
+    finite input `held`."""
 
     x: Vector
     t: Scalar
@@ -40,13 +40,14 @@ class Contracting(AbstractFlowObserver):
 
     - `gain`: K (n, p), or a function `(t, z) -> (n, p)` of time and measured outputs.
     - `start` (n,): first estimate.
-    - `injected`: f with measured outputs in it, `(t, x, u, z)`, as where a rotation by the measured heading takes the
-      place of one by the estimated; by default f alone.
-    - `substeps`: Runge–Kutta steps of the model a sample.
-    - `memory` [s]: a sample counts for the time since the one before, but for no longer than this.
+    - `injected`: f with measured outputs z in place of states, `(t, x, u, z) -> (n,)`; for instance a rotation by the
+      measured heading instead of the estimated one. By default f itself.
+    - `substeps`: Runge–Kutta steps of the model in each sample.
+    - `memory` [s]: a sample is weighted by the time since the one before, but by no more than this.
 
-    Sampled, the model runs on between samples, and the correction is implicit, `x⁺ = x̂ + WK (I + h_x WK)⁻¹ (z − h)`
-    with W the time that each output counts for: no gain makes it unstable by itself, and for dt → 0 it is the flow.
+    With sampled measurements the model runs between samples, and the correction is implicit,
+    `x⁺ = x̂ + WK (I + h_x WK)⁻¹ (z − h)`, where W holds the weight [s] of each output: no gain makes it unstable by
+    itself, and for dt → 0 it is the differential equation.
 
     Raises `ValueError` where gain, start and model do not fit each other, or the gain has an entry that is not finite.
     """
@@ -78,17 +79,17 @@ class Contracting(AbstractFlowObserver):
         return state.x
 
     def virtual(self, t: Scalar, x: Vector, u: Float[Array, "m"], z: Float[Array, "p"]) -> Vector:
-        """The virtual system: x' (n,) at x under the input u and the measurement z, complete and not wrapped.
+        """The right-hand side x' (n,) of the virtual system at x under the input u and the complete measurement z.
 
-        Its Jacobian in x, at fixed u and z, is what has to be contracting: the input's own dependence on an estimate
-        acts on plant and observer alike.
+        Angles in z are not wrapped. What has to be contracting is its Jacobian in x at fixed u and z: where u depends
+        on an estimate, it acts on plant and observer alike.
         """
         copy = self.model.f(t, x, u) if self.injected is None else self.injected(t, x, u, z)
         return copy + self._gain(t, z) @ (z - self.model.h(t, x, u))
 
     def flow(self, t: Scalar, state: ContractingState, u: Float[Array, "m"], y: Float[Array, "p"]) -> ContractingState:
         expected = self.model.h(t, state.x, u)
-        nearest = expected - self.model.output_error(expected, y)  # the nearest of the angles that y may mean
+        nearest = expected - self.model.output_error(expected, y)  # y, with angles shifted by 2π to be nearest
         slope, one = self.virtual(t, state.x, u, nearest), jnp.ones_like(state.t)
         return ContractingState(slope, one, jnp.zeros_like(state.unmeasured), still(state.held))
 
@@ -103,7 +104,7 @@ class Contracting(AbstractFlowObserver):
         weight = jnp.where(missing, 0.0, jnp.minimum(waited, self.memory))
         correction_gain = self._gain(now, expected - error) * weight[None, :]
         effect = jnp.eye(y.shape[0], dtype=y.dtype) + jax.jacfwd(self.model.h, 1)(now, x, u) @ correction_gain
-        # The matrix is not symmetric, and small: its normal equations are.
+        # The matrix is not symmetric, so its normal equations are solved; it is small.
         correction = correction_gain @ solve(effect.T @ effect, effect.T @ error)
         moved = x - correction
         result = jnp.where(jnp.all(missing), int(Result.COASTED), int(Result.OK))
@@ -118,9 +119,10 @@ class Contracting(AbstractFlowObserver):
 def craft_observer(craft: Craft, k1: Numbers, k2: Numbers, start: Vector | None = None) -> Contracting:
     """Observer (101)–(102) of a craft: `η̂' = J(z)ν̂ + K1(z − η̂)`, `Mν̂' + (C(ν̂) + D(ν̂))ν̂ + g(z) = τ + Jᵀ(z)K2(z − η̂)`.
 
-    `k1` [1/s] and `k2` [N/m, N m] (n, n); K2 symmetric positive definite makes it converge, with the metric
-    `diag(K2, M)` only where drag acts at rest, and with a cross term everywhere. The paper's `K2 = I − K_p` is unstable
-    for K_p > 1. `start` (2n,) is at rest at the origin by default.
+    - `k1` [1/s] and `k2` [N/m, N m] (n, n): gains. It converges where K2 is symmetric positive definite. The metric
+      `diag(K2, M)` shows this only where drag acts at rest; a metric with a cross term shows it everywhere. The paper's
+      `K2 = I − K_p` is unstable for K_p > 1.
+    - `start` (2n,): first estimate (η, ν), by default at rest at the origin.
 
     Raises `ValueError` where a gain is not (n, n).
     """

@@ -1,4 +1,4 @@
-"""The copy observer: the model with output injection, no transport and no curvature.
+"""The copy observer: the model with output injection, without parallel transport and curvature terms.
 
 Source: Aghannan & Rouchon 2003, equation (15), the baseline of their figure 4.
 """
@@ -24,10 +24,12 @@ from covariant.observers._sampled import predict, sampled_correction, worth
 
 
 class Copy(AbstractMechanicalObserver):
-    """Observer (15) in the frame: `q̂' = E(q̂)(v̂ − αe)`, `v̂' = −B(q̂)(v̂, v̂) + S(q) − βe + friction`, e = −local(q̂, q).
+    """Observer (15) of Aghannan & Rouchon 2003, in the frame of the space, with the error e = −local(q̂, q):
+
+        q̂' = E(q̂)(v̂ − αe),   v̂' = −B(q̂)(v̂, v̂) + S(q) − βe + friction
 
     - `alpha` [1/s], `beta` [1/s²]: gains, which must be high where curvature or velocity is.
-    - `substeps`: Runge–Kutta steps a sample; None takes as many as dt and the friction need (offline).
+    - `substeps`: Runge–Kutta steps in each sample; None takes as many as dt and the friction need (offline).
 
     Raises `ValueError` for gains that are not positive and finite.
     """

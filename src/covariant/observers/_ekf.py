@@ -1,6 +1,6 @@
-"""Extended Kalman filter: what most people use today, with its error in the frame of the space.
+"""Extended Kalman filter, the standard choice in practice, with its error in the frame of the space.
 
-In coordinates it is the usual one on (q, v); on SO(3) the multiplicative one with momentum dynamics, on SE(3) the
+In coordinates it is the usual filter on (q, v); on SO(3) the multiplicative one with momentum dynamics; on SE(3) the
 left-invariant one.
 
 Source: Gelb 1974, Applied Optimal Estimation, section 6.1; Joseph form of the covariance update. Lefferts, Markley &
@@ -42,12 +42,12 @@ class EKFInfo(NamedTuple):
 
 
 class EKF(AbstractObserver):
-    """Extended Kalman filter with automatic Jacobians of the integrated model.
+    """Extended Kalman filter whose Jacobians are those of the integrated model, by automatic differentiation.
 
-    - `process_cov` (n, n): density of the white acceleration noise, in the frame [(rad/s²)² s, or (m/s²)² s].
+    - `process_cov` (n, n): spectral density of the white acceleration noise, in the frame [(rad/s²)² s, or (m/s²)² s].
     - `measurement_cov` (n, n): covariance of `local(q, y)` of one sample [rad² or m²].
-    - `initial_velocity_std`: standard deviation of the velocity at the start, assumed zero [rad/s or m/s].
-    - `substeps`: Runge–Kutta steps a sample; None takes as many as dt and the friction need (offline).
+    - `initial_velocity_std`: standard deviation of the initial velocity, which is assumed zero [rad/s or m/s].
+    - `substeps`: Runge–Kutta steps in each sample; None takes as many as dt and the friction need (offline).
 
     Raises `ValueError` for covariances that are not finite.
     """
@@ -72,7 +72,7 @@ class EKF(AbstractObserver):
         return self.model.state(Motion(state.q, state.v))
 
     def predict(self, state: EKFState, u: Float[Array, "m"], dt: Scalar) -> EKFState:
-        """Integrate model and covariance over dt [s] with u held."""
+        """Integrate model and covariance over dt [s] with u held constant."""
         n = state.v.shape[0]
 
         def error_ahead(error):
@@ -87,11 +87,11 @@ class EKF(AbstractObserver):
         return EKFState(q, v, state.t + dt, transition @ state.cov @ transition.T + noise, state.held)
 
     def correct(self, state: EKFState, y: Array) -> tuple[EKFState, EKFInfo]:
-        """Take the measurement y in; missing entries (NaN) are left out, on a group all where one is missing."""
+        """Correct by the measurement y. Missing entries (NaN) are left out; on a group one NaN makes all missing."""
         n = state.v.shape[0]
         missing = self.model.manifold.missing(y)
         present = jnp.diag(jnp.where(missing, 0.0, 1.0).astype(state.v.dtype))
-        # The noise of a missing entry tells nothing of the others', however they are correlated.
+        # The noise of a missing entry must not affect the others, even where the two are correlated.
         apart = (missing[:, None] | missing[None, :]) & ~jnp.eye(n, dtype=bool)
         measurement_cov = jnp.where(apart, 0.0, self.measurement_cov)
         output = jnp.concatenate([present, jnp.zeros_like(present)], axis=1)

@@ -1,4 +1,4 @@
-"""Backward difference through a first-order low-pass filter: what most drives do today. Knows no model."""
+"""Backward difference through a first-order low-pass filter, as in most drives. It uses no model."""
 
 from typing import NamedTuple
 
@@ -20,14 +20,17 @@ class FilteredState(NamedTuple):
 
 
 class FilterInfo(NamedTuple):
-    """`innovation`: measured minus extrapolated position, 0 where missing; `result` a `Result`."""
+    """`innovation`: measured minus extrapolated position, 0 where missing; `result`: a `Result` code."""
 
     innovation: Vector
     result: Code
 
 
 class FilteredDerivative(AbstractObserver):
-    """`v' = ω (Δy/Δt − v)`, exact for irregular stamps; `bandwidth` ω [rad/s], `circles` as in `Lagrangian`.
+    """Velocity by `v' = ω (Δy/Δt − v)`, solved exactly for irregular stamps.
+
+    - `bandwidth`: ω [rad/s].
+    - `circles`: as in `Lagrangian`.
 
     Raises `ValueError` for a bandwidth that is not positive and finite.
     """

@@ -1,4 +1,4 @@
-"""The gate: which measurements an estimator believes, told from how far they are from what it expects.
+"""The gate: decides which measurements an estimator uses, by how far they are from what it expects.
 
 Source: Bar-Shalom, Li & Kirubarajan 2001, Estimation with Applications to Tracking and Navigation, section 5.4.
 """
@@ -14,17 +14,17 @@ from covariant._typing import Matrix, Vector
 from covariant.geometry import AbstractManifold
 
 BELIEVED = 4.0
-"""How much larger than usual a square counts for when it is learnt what is usual: an outlier teaches little."""
+"""Largest ratio to the usual with which a squared innovation enters the average: an outlier changes it little."""
 
 
 class Gate(eqx.Module):
-    """Refuses a measurement that is too improbable, unless as much comes again and again.
+    """Refuses a measurement that is too improbable, unless such measurements persist.
 
-    - `deviations`: a single number is refused when it is more standard deviations off than this; several that are
-      measured together, such as an attitude, when they are as improbable.
-    - `patience`: samples refused in a row, after which the next is believed and the estimate starts anew from it.
-    - `memory`: samples over which it is learnt how much larger the innovations are than expected, which widens the gate
-      where the noise was told too small.
+    - `deviations`: a single number is refused when it is off by more standard deviations than this. Several numbers
+      measured together, such as an attitude, are refused when they are as improbable as that.
+    - `patience`: after this many samples refused in a row the next is accepted, and the estimate starts anew from it.
+    - `memory`: number of samples over which the ratio of the actual to the expected squared innovations is averaged;
+      it widens the gate where the assumed noise is too small.
     """
 
     deviations: float = eqx.field(default=8.0, static=True)
@@ -42,10 +42,13 @@ class Gate(eqx.Module):
     def judge(
         self, manifold: AbstractManifold, innovation: Vector, spread: Matrix, present: Bool[Array, "n"], scale: Vector
     ) -> tuple[Bool[Array, "n"], Vector]:
-        """Which components present of an innovation (n,) with the expected covariance `spread` are too far off.
+        """Find the measured components of an innovation (n,) that are too far off, given its covariance `spread`.
 
-        `scale` (n,): how much larger than expected the squares of the innovations have been, 1 at the start; returned
-        with this sample in it, of whose square no more counts than `BELIEVED` times the scale.
+        - `present` (n,): which components were measured.
+        - `scale` (n,): averaged ratio of actual to expected squared innovations, 1 at the start.
+
+        Returns which components are refused, and the scale updated by this sample, whose square counts no more than
+        `BELIEVED` times the scale.
         """
         far, learnt = jnp.zeros_like(present), scale
         for together in manifold.measured_together(innovation.shape[0]):
@@ -60,7 +63,7 @@ class Gate(eqx.Module):
         return far, learnt
 
     def _limit(self, n: int) -> float:
-        """The squared length that n Gaussian numbers exceed as seldom as one exceeds `deviations`."""
+        """The squared length that n standard Gaussian numbers exceed as rarely as a single one exceeds `deviations`."""
         rare, low, high = _exceed(1, self.deviations**2), 0.0, 4 * (self.deviations**2 + n)
         for _ in range(80):
             middle = (low + high) / 2
@@ -69,7 +72,7 @@ class Gate(eqx.Module):
 
 
 def _exceed(n: int, square: float) -> float:
-    """Probability that χ² with n degrees of freedom exceeds a number, `Q(n/2, square/2)`, by its recurrence in n."""
+    """Probability that χ² with n degrees of freedom exceeds `square`: `Q(n/2, square/2)`, by its recurrence in n."""
     x = square / 2
     a, total = (1.0, math.exp(-x)) if n % 2 == 0 else (0.5, math.erfc(math.sqrt(x)))
     while a < n / 2:

@@ -1,4 +1,4 @@
-"""The exact intrinsic observer: geodesic error, parallel transport, curvature. The same in all coordinates.
+"""The exact intrinsic observer: geodesic error, parallel transport, curvature. It is the same in all coordinates.
 
 Source: Aghannan & Rouchon 2003, equation (2), with the curvature sign of `covariant.geometry`; Maithripala, Berg &
 Dayawansa 2004, equation (17), for groups.
@@ -28,8 +28,8 @@ from covariant.signals import Result
 
 
 class GeodesicState(NamedTuple):
-    """Estimate (q, v) at time t [s], and `log` = log_q̂(q) as last found, to start the next search;
-    `held` is the last finite input."""
+    """Estimate (q, v) at time t [s], the last solution `log` = log_q̂(q), from which the next search starts, and the
+    last finite input `held`."""
 
     q: Inexact[Array, "..."]
     v: Vector
@@ -39,8 +39,8 @@ class GeodesicState(NamedTuple):
 
 
 class GeodesicInfo(NamedTuple):
-    """As `Info`, with the metric length `residual` by which the geodesic missed the measurement, infinite where none
-    was found; `distance` is the geodesic's length."""
+    """As `Info`, where `distance` is the length of the geodesic, and `residual` the length in the metric by which it
+    misses the measurement, infinite where no geodesic was found."""
 
     innovation: Vector
     distance: Scalar
@@ -53,7 +53,7 @@ class _Correction(NamedTuple):
     drive: Vector
     residual: Scalar
     result: Code
-    exact: Flag  # along a geodesic that was found
+    exact: Flag  # whether it is along a geodesic that was found
 
 
 class Geodesic(AbstractMechanicalObserver):
@@ -65,10 +65,10 @@ class Geodesic(AbstractMechanicalObserver):
     - `alpha` [1/s], `beta` [1/s²]: gains; the error obeys s² + αs + β whatever the velocity.
     - `budget`: work spent on the geodesic. `Budget()` converges and flags conjugate points; `Budget(newton=1, steps=4)`
       is a fixed amount for real time. Metrics with closed forms need neither.
-    - `curvature`: False leaves the curvature term out, to see what it is for.
-    - `substeps`: Runge–Kutta steps a sample; None takes as many as dt and the friction need (offline).
+    - `curvature`: False leaves the curvature term out, to show its effect.
+    - `substeps`: Runge–Kutta steps in each sample; None takes as many as dt and the friction need (offline).
 
-    Where no geodesic is found that is finite, the way that `Intrinsic` goes stands in for it and `result` says
+    Where no finite geodesic is found, the first-order error of `Intrinsic` replaces it and `result` says
     `NOT_CONVERGED`. Raises `ValueError` for gains that are not positive and finite.
     """
 
@@ -91,7 +91,7 @@ class Geodesic(AbstractMechanicalObserver):
         w = state.v + self.alpha * found.log
         v_dot = found.drive + self.beta * found.log + friction(self.model, t, state.q, state.v, u)
         v_dot = v_dot - self.model.space.connection(state.q, w, state.v)
-        # Only a warm start: it follows the geodesic found, and no estimate depends on how closely.
+        # This is only a warm start: it tracks the geodesic found, and the estimate does not depend on how closely.
         log_dot = 10 * self.alpha * (found.log - state.log)
         return GeodesicState(w, v_dot, jnp.ones_like(state.t), log_dot, still(state.held))
 
@@ -102,10 +102,10 @@ class Geodesic(AbstractMechanicalObserver):
         q, v = predict(self.model, state.t, state.q, state.v, u, dt, self.substeps)
         t = state.t + dt
         found = self._correction(t, GeodesicState(q, v, t, state.log), u, y)
-        missing = found.drive - source(self.model, t, q, u)  # what the prediction, made with S(q̂), left out
+        missing = found.drive - source(self.model, t, q, u)  # acceleration missing in the prediction, which used S(q̂)
         taken = sampled_correction(space, Motion(q, v), self.alpha, self.beta, dt, -found.log, missing)
         corrected, left = v + taken.velocity, (1 - taken.part) * found.log
-        # Go that part along the geodesic to the measurement; velocity and the rest of the geodesic come along.
+        # Move along the geodesic by the given part; transport the velocity and the rest of the geodesic with it.
         way = taken.part * found.log
         end = space.transport_along(q, way, jnp.stack([corrected, left]), self.budget)
         straight = corrected - space.connection(q, way, v)
@@ -118,7 +118,7 @@ class Geodesic(AbstractMechanicalObserver):
         return GeodesicState(new_q, new_v, t, log), info
 
     def _correction(self, t: Scalar, state: GeodesicState, u: Float[Array, "m"], y: Array) -> _Correction:
-        """Geodesic to the measurement and the acceleration `T S(q) + R(ξ, v̂)v̂` that the measurement calls for."""
+        """The geodesic to the measurement, and the acceleration `T S(q) + R(ξ, v̂)v̂` computed from it."""
         space, q, v = self.model.space, state.q, state.v
         measured = space.manifold.measured(q, y)
         shot = space.shoot(q, measured, state.log, self.budget)

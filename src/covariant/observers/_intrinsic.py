@@ -1,8 +1,8 @@
-"""The approximate intrinsic observer: explicit, tied to the frame only beyond first order, locally contracting.
+"""The approximate intrinsic observer: explicit, locally contracting, and independent of the frame to first order.
 
-Source: Aghannan & Rouchon 2003, equation (5); Maithripala, Berg & Dayawansa 2004, equations (17)–(21), corrected: the
-curvature has the sign of Aghannan & Rouchon's equation (2), the connection's arguments in the transport (19) are the
-other way round, (21) lacks an α. Friction and second-order error are additions.
+Source: Aghannan & Rouchon 2003, equation (5); Maithripala, Berg & Dayawansa 2004, equations (17)–(21), with three
+corrections: the curvature has the sign of Aghannan & Rouchon's equation (2), the arguments of the connection in the
+transport (19) are exchanged, and (21) lacks an α. Friction and the second-order error are additions.
 """
 
 from typing import Any, Literal
@@ -34,19 +34,19 @@ class Intrinsic(AbstractMechanicalObserver):
         q̂' = E(q̂) w,   w = v̂ − αξ
         v̂' = −B(q̂)(w, v̂) + S(q) − B(ξ, S) − βξ + R(ξ, v̂)v̂ + raise(dissipation(q̂, v̂))
 
-    with ξ the way from q to q̂, `B(a, b) = ∇_a b` and R the curvature. On a group it is the observer of Maithripala,
+    with ξ the error from q to q̂, `B(a, b) = ∇_a b` and R the curvature. On a group it is the observer of Maithripala,
     Berg & Dayawansa, whose published α is half of this one.
 
     - `alpha` [1/s], `beta` [1/s²]: gains; the error obeys s² + αs + β whatever the velocity.
-    - `order`: 1 takes ξ = e := −local(q̂, q) as published, q̂ − q in coordinates; 2 takes ξ = e − ½(B + Q)(q̂)(e, e), Q
-      being the acceleration of the retraction, 0 in coordinates and along one-parameter groups.
-    - `coefficients`: where B and R of the error terms are taken, at the "measured" position as in (5) or at the
+    - `order`: 1 takes ξ = e := −local(q̂, q) as published, q̂ − q in coordinates; 2 takes ξ = e − ½(B + Q)(q̂)(e, e),
+      where Q is the acceleration of the retraction, 0 in coordinates and along one-parameter groups.
+    - `coefficients`: where B and R of the error terms are evaluated, at the "measured" position as in (5) or at the
       "estimated" one as in (14); the difference is of second order.
-    - `curvature`: False leaves the curvature term out, to see what it is for.
-    - `substeps`: Runge–Kutta steps a sample; None takes as many as dt and the friction need (offline).
+    - `curvature`: False leaves the curvature term out, to show its effect.
+    - `substeps`: Runge–Kutta steps in each sample; None takes as many as dt and the friction need (offline).
 
-    Where two ways to the measurement are equally short, as after half a turn, one is taken and `result` says
-    `CUT_LOCUS`. Raises `ValueError` for gains that are not positive and finite; an error at the start when the first
+    Where two shortest paths lead to the measurement, as after half a turn, one is taken and `result` says `CUT_LOCUS`.
+    Raises `ValueError` for gains that are not positive and finite; raises an error at the start where the first
     measurement is no configuration.
     """
 
@@ -75,19 +75,19 @@ class Intrinsic(AbstractMechanicalObserver):
         return HeldState(w, v_dot, jnp.ones_like(state.t), still(held))
 
     def rates(self, q: Array, v: Vector, xi: Vector, drive: Vector) -> tuple[Vector, Vector]:
-        """Velocity w of the estimate and v̂', from the error ξ and the acceleration that the measurement calls for."""
+        """Velocity w of the estimate and v̂', from the error ξ and the acceleration `drive` without the feedback."""
         w = v - self.alpha * xi
         return w, drive - self.beta * xi - self.model.space.connection(q, w, v)
 
     def bend(self, at: Array, drive: Vector, xi: Vector, v: Vector) -> Vector:
-        """An acceleration with the curvature term `R(ξ, v̂)v̂` at a configuration, unless it is left out."""
+        """The acceleration `drive` with the curvature term `R(ξ, v̂)v̂` at the configuration `at` added, if it is on."""
         return drive + self.model.space.curvature(at, xi, v, v) if self.curvature else drive
 
     def advance(self, state: HeldState, u: Float[Array, "m"], y: Array, dt: Scalar) -> tuple[HeldState, Info]:
         q, v = predict(self.model, state.t, state.q, state.v, u, dt, self.substeps)
         t = state.t + dt
         xi, drive = self._correction(t, q, v, u, y)
-        missing = drive - source(self.model, t, q, u)  # what the prediction, made with S(q̂), left out
+        missing = drive - source(self.model, t, q, u)  # acceleration missing in the prediction, which used S(q̂)
         taken = sampled_correction(self.model.space, Motion(q, v), self.alpha, self.beta, dt, xi, missing)
         way = -taken.part * xi
         new_q = self.model.manifold.retract(q, way)
@@ -97,7 +97,7 @@ class Intrinsic(AbstractMechanicalObserver):
         return HeldState(new_q, new_v, t), info
 
     def _correction(self, t: Scalar, q: Array, v: Vector, u: Float[Array, "m"], y: Array) -> tuple[Vector, Vector]:
-        """Error ξ at q̂ and the acceleration `T S(q) + R(ξ, v̂)v̂` that the measurement calls for."""
+        """The error ξ at q̂, and the acceleration `T S(q) + R(ξ, v̂)v̂` computed from the measurement."""
         e = -self.model.manifold.towards(q, y)
         measured = self.model.manifold.measured(q, y)
         at = measured if self.coefficients == "measured" else q

@@ -1,10 +1,10 @@
 """The intrinsic Kalman filter: error and covariance in the parallel frame, the same filter in all coordinates.
 
-Of a true motion (q, v) the error at the estimate is `ε = log_q̂ q` and `ν = Tv − v̂`, with T the parallel transport along
-the geodesic from q to q̂; the covariance P of (ε, ν) is a tensor at q̂. Two maps move it, the flow of the model and the
-change of base point by a correction, and both are differentiated as they are computed: curvature, the change of the
-force and friction are in these derivatives, and none of them has a formula here. With components δv in a frame that is
-not parallel, `ν = δv + B(ε, v)`, which is all that the two need to be told.
+For a true motion (q, v) the error at the estimate is `ε = log_q̂ q` and `ν = Tv − v̂`, with T the parallel transport
+along the geodesic from q to q̂. The covariance P of (ε, ν) is a tensor at q̂. Two maps change it: the flow of the model,
+and the change of base point by a correction. Both are differentiated automatically, and these derivatives contain the
+curvature, the change of the force and the friction, so none of them needs a formula here. For components δv in a frame
+that is not parallel, `ν = δv + B(ε, v)`; this relation is all that the two maps need in addition.
 
 Source: Ge, van Goor & Mahony 2025, on the reset; Kailath, Sayed & Hassibi 2000, Linear Estimation, chapter 12, for the
 array form; Bar-Shalom, Li & Kirubarajan 2001, section 5.4, for the gate.
@@ -28,15 +28,16 @@ from covariant.observers._spread import Spread, check_spread, spread_at
 from covariant.signals import Result
 
 FARTHEST_TURN = 0.5
-"""Standard deviation of an angle [rad] beyond which the estimate starts anew, as after a long gap."""
+"""Standard deviation of an angle [rad] beyond which the estimate starts anew, as after a long gap in the log."""
 
 
 class KalmanState(NamedTuple):
     """Estimated configuration and velocity at time t [s], and the estimated external `force` (k,), k = n or 0.
 
-    `root`: a square root of the covariance of (ε, ν) in the parallel frame, and of the force after them. `refused`
-    (n,): how many samples in a row the gate refused; `scale` (n,): how large it has learnt innovations to be. `held`:
-    the last finite input.
+    - `root`: a square root of the covariance of (ε, ν) in the parallel frame, followed by the force.
+    - `refused` (n,): number of samples in a row that the gate refused.
+    - `scale` (n,): averaged ratio of actual to expected squared innovations; see `Gate.judge`.
+    - `held`: the last finite input.
     """
 
     q: Inexact[Array, "..."]
@@ -50,8 +51,8 @@ class KalmanState(NamedTuple):
 
 
 class KalmanInfo(NamedTuple):
-    """As `Info`, with the predicted covariance of the innovation and the square `nis` of its length in it, which is
-    χ²-distributed with as many degrees of freedom as there are components measured, where the model is right."""
+    """As `Info`, with the predicted covariance of the innovation and its normalised square `nis`. Where the model is
+    right, `nis` is χ²-distributed with as many degrees of freedom as there are measured components."""
 
     innovation: Vector
     distance: Scalar
@@ -63,23 +64,23 @@ class KalmanInfo(NamedTuple):
 class IntrinsicKalman(AbstractObserver):
     """Kalman filter of a `MechanicalSystem` on any space.
 
-    - `process_cov`: density of the white acceleration noise [(rad/s²)² s, or (m/s²)² s].
+    - `process_cov`: spectral density of the white acceleration noise [(rad/s²)² s, or (m/s²)² s].
     - `measurement_cov`: covariance of the noise of one sample [rad² or m²].
-    - `initial_velocity_cov`: covariance of the velocity at the start, which is assumed zero [(rad/s)² or (m/s)²].
-      Each is a matrix (n, n) in the frame, the same everywhere; a function of the configuration; or a number, a
-      variance in metric units, the same in every direction.
-    - `force_cov` (n, n): density of the random walk of an external force that the model does not know, a covector in
-      the frame [N²/s or (N m)²/s]: a push, a payload, friction that is wrong. It is estimated too, and a constant one
-      leaves no bias. None for no such force.
-    - `gate`: which measurements are refused as outliers, None for none of them; see `Gate`.
+    - `initial_velocity_cov`: covariance of the initial velocity, which is assumed zero [(rad/s)² or (m/s)²].
+      Each of the three is a matrix (n, n) in the frame, the same everywhere; a function of the configuration; or a
+      number, a variance in metric units, the same in every direction.
+    - `force_cov` (n, n): spectral density of the random walk of an external force that the model does not contain, a
+      covector in the frame [N²/s or (N m)²/s]: a disturbance, a payload, a wrong friction. The force is estimated too,
+      and a constant one leaves no bias. None assumes no such force.
+    - `gate`: which measurements are refused as outliers; None refuses none. See `Gate`.
     - `budget`: work spent on geodesics, from the estimate to the measurement and along the correction.
-    - `substeps`: Runge–Kutta steps a sample; None takes as many as dt and the friction need (offline).
+    - `substeps`: Runge–Kutta steps in each sample; None takes as many as dt and the friction need (offline).
 
-    After a gap so long that an angle may be anywhere it starts anew from the measured configuration and the predicted
-    velocity, and `result` says `RESTARTED`. In other coordinates, with noise that is the same tensor, the estimate is
-    the same to the accuracy of the budget.
+    After a gap so long that an angle may be anywhere the filter starts anew from the measured configuration and the
+    predicted velocity, and `result` says `RESTARTED`. In other coordinates, with noise that is the same tensor, the
+    estimate is the same to the accuracy of the budget.
 
-    Raises `ValueError` for numbers and matrices that are no covariances, and for a measurement without noise.
+    Raises `ValueError` for numbers and matrices that are no covariances, and for a singular measurement covariance.
     """
 
     model: MechanicalSystem
@@ -107,7 +108,7 @@ class IntrinsicKalman(AbstractObserver):
         return self.model.state(Motion(state.q, state.v))
 
     def cov(self, state: KalmanState) -> Float[Array, "two_n_k two_n_k"]:
-        """The covariance P of (ε, ν), and of the external force after them, in the parallel frame at the estimate."""
+        """The covariance P of (ε, ν), followed by the external force, in the parallel frame at the estimate."""
         return state.root @ state.root.T
 
     def velocity_std(self, state: KalmanState) -> Vector:
@@ -119,7 +120,7 @@ class IntrinsicKalman(AbstractObserver):
         return self.correct(self.predict(state, u, dt), y)
 
     def predict(self, state: KalmanState, u: Float[Array, "m"], dt: Scalar) -> KalmanState:
-        """Integrate model and covariance over dt [s] with u held."""
+        """Integrate model and covariance over dt [s] with u held constant."""
         count = self.substeps
         if count is None:
             count = needed_substeps(self.model, state.t, state.q, state.v, u, dt)
@@ -127,7 +128,7 @@ class IntrinsicKalman(AbstractObserver):
         return jax.lax.fori_loop(0, count, lambda _, now: self._moved(now, u, h), state)
 
     def correct(self, state: KalmanState, y: Array) -> tuple[KalmanState, KalmanInfo]:
-        """Take the measurement y in; missing entries (NaN) are left out, on a group all where one is missing."""
+        """Correct by the measurement y. Missing entries (NaN) are left out; on a group one NaN makes all missing."""
         space, manifold, n = self.model.space, self.model.manifold, state.v.shape[0]
         missing, straight = manifold.missing(y), manifold.towards(state.q, y)
         noise = spread_at(self.measurement_cov, space, state.q)
@@ -136,7 +137,7 @@ class IntrinsicKalman(AbstractObserver):
         if self.gate is not None:
             far, scale = self.gate.judge(manifold, straight, spread, ~missing, scale)
             again = again | jnp.any(far & (state.refused >= self.gate.patience))
-        again = again & ~jnp.any(missing)  # it starts anew from a whole configuration
+        again = again & ~jnp.any(missing)  # a restart needs a complete configuration
         used = ~missing & ~far
         innovation = jnp.where(used, self._way(state, y, straight, used), 0.0)
         gain, root = _updated(state.root, noise, used)
@@ -153,13 +154,13 @@ class IntrinsicKalman(AbstractObserver):
         return new, KalmanInfo(straight, space.norm(state.q, straight), spread, nis, result)
 
     def _way(self, state: KalmanState, y: Array, straight: Vector, used: Array) -> Vector:
-        """`log_q̂ y`; where an entry of y is not used the others tell a difference of coordinates."""
+        """`log_q̂ y`; where an entry of y is not used, the difference of the coordinates `straight` instead."""
         shot = self.model.space.shoot(state.q, self.model.manifold.measured(state.q, y), straight, self.budget)
         found = jnp.all(jnp.isfinite(shot.velocity)) & (shot.result != Result.NOT_CONVERGED)
         return jnp.where(found & jnp.all(used), shot.velocity, straight)
 
     def _moved(self, state: KalmanState, u: Float[Array, "m"], h: Scalar) -> KalmanState:
-        """One Runge–Kutta step of the model, and the covariance with it."""
+        """One Runge–Kutta step of the model and of the covariance."""
         space, manifold, n = self.model.space, self.model.manifold, state.v.shape[0]
         model = self.model if self.force_cov is None else pushed(self.model, u.shape[0])
 
@@ -182,9 +183,9 @@ class IntrinsicKalman(AbstractObserver):
         return state._replace(q=q, v=v, t=state.t + h, root=triangular(jnp.concatenate([root, noise], axis=1)))
 
     def _rebased(self, state: KalmanState, error: Array, root: Array) -> tuple[Array, Vector, Array]:
-        """Estimate and root after the correction by an error along its geodesic, the velocity carried with it.
+        """Estimate and root after a correction by `error` along its geodesic, which transports the velocity.
 
-        An error is seen from the new estimate as the derivative of that very map sees it (the reset).
+        The covariance is moved to the new estimate by the derivative of this map (the reset).
         """
         space, manifold, n = self.model.space, self.model.manifold, state.v.shape[0]
 
@@ -199,12 +200,12 @@ class IntrinsicKalman(AbstractObserver):
         spreads = (self.measurement_cov, self.initial_velocity_cov)
         position, velocity = (semidefinite_root(spread_at(spread, self.model.space, q)) for spread in spreads)
         both = _diagonal(position, velocity)
-        # Nothing is known of the force: it may have walked for a second.
+        # Nothing is known of the force yet: its covariance is that of a random walk of one second.
         return both if self.force_cov is None else _diagonal(both, semidefinite_root(self.force_cov))
 
 
 def pushed(model: MechanicalSystem, inputs: int) -> MechanicalSystem:
-    """The model with a generalised force (n,) in the frame after its inputs (m,): `u = (u, force)`."""
+    """The model with a generalised force (n,) in the frame appended to its inputs (m,): `u = (u, force)`."""
 
     def force(t, q, u):
         return model.force(t, q, u[:inputs]) + u[inputs:]
@@ -216,31 +217,31 @@ def pushed(model: MechanicalSystem, inputs: int) -> MechanicalSystem:
 
 
 def _beside(matrix: Array, state: KalmanState) -> Array:
-    """A matrix of (ε, ν) as one of (ε, ν, force), which leaves the force as it is."""
+    """A matrix for (ε, ν), extended to one for (ε, ν, force) that leaves the force unchanged."""
     return _diagonal(matrix, jnp.eye(state.force.shape[0], dtype=matrix.dtype))
 
 
 def _diagonal(a: Array, b: Array) -> Array:
-    """Block-diagonal."""
+    """The block-diagonal matrix of a and b."""
     top = jnp.concatenate([a, jnp.zeros((a.shape[0], b.shape[1]), a.dtype)], axis=1)
     bottom = jnp.concatenate([jnp.zeros((b.shape[0], a.shape[1]), a.dtype), b.astype(a.dtype)], axis=1)
     return jnp.concatenate([top, bottom])
 
 
 def parallel(space: AbstractSpace, q: Array, v: Vector, sign: int = 1) -> Float[Array, "two_n two_n"]:
-    """`[[I, 0], [B(·, v), I]]`: from small differences (s, δv) of motions at (q, v), in the frame, to (ε, ν)."""
+    """`[[I, 0], [B(·, v), I]]`: maps small differences (s, δv) of motions at (q, v), in the frame, to (ε, ν)."""
     axes = jnp.eye(v.shape[0], dtype=v.dtype)
     turned = jax.vmap(lambda a: space.connection(q, a, v), out_axes=1)(axes)
     return jnp.block([[axes, jnp.zeros_like(axes)], [sign * turned, axes]])
 
 
 def apart(space: AbstractSpace, q: Array, v: Vector) -> Float[Array, "two_n two_n"]:
-    """`parallel` undone."""
+    """The inverse of `parallel`."""
     return parallel(space, q, v, -1)
 
 
 def _lost(manifold: AbstractManifold, spread: Matrix, noise: Matrix) -> Array:
-    """Whether an angle is expected so far off, by more than its noise explains, that no linear law holds.
+    """Whether an angle has so large an expected error, beyond what its noise explains, that linearisation fails.
 
     Then the predicted velocity is all that is known of the velocity.
     """
@@ -250,7 +251,7 @@ def _lost(manifold: AbstractManifold, spread: Matrix, noise: Matrix) -> Array:
 
 
 def _nis(spread: Matrix, innovation: Vector, present: Array) -> Scalar:
-    """`rᵀS⁻¹r` of the components present."""
+    """`rᵀS⁻¹r` of the measured components `present`."""
     both = present[:, None] & present[None, :]
     r = jnp.where(present, innovation, 0.0)
     return r @ solve(jnp.where(both, spread, jnp.eye(len(r), dtype=r.dtype)), r)
@@ -259,7 +260,7 @@ def _nis(spread: Matrix, innovation: Vector, present: Array) -> Scalar:
 def _updated(
     root: Float[Array, "two_n_k two_n_k"], noise: Matrix, used: Array
 ) -> tuple[Float[Array, "two_n_k n"], Float[Array, "two_n_k two_n_k"]]:
-    """Gain, and root of the covariance after the correction, from the components that are used."""
+    """Gain, and root of the covariance after the correction, from the components in `used`."""
     n = noise.shape[0]
     both = used[:, None] & used[None, :]
     own = semidefinite_root(jnp.where(both, noise, jnp.eye(n, dtype=noise.dtype)))

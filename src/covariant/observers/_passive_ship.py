@@ -1,4 +1,4 @@
-"""The passive observer of ships: low-frequency position and velocity, wave motion and slow forces from position alone.
+"""The passive observer of ships: low-frequency motion, wave motion and slowly varying forces from position alone.
 
 Source: Fossen & Strand 1999, Passive nonlinear observer design for ships using Lyapunov methods, Automatica 35(1);
 Jouffroy & Fossen 2004, equations (43)–(60) with the signs of (54) and (59) corrected.
@@ -24,10 +24,10 @@ class PassiveGains(NamedTuple):
     """Gains of `PassiveShip`.
 
     - `position` K1 (3, 3) [1/s].
-    - `stiffness` P1 and `inertia` P2 (3, 3), symmetric positive definite: the velocity's gain is
-      `K2(ψ) = P2⁻¹ Rᵀ(ψ) P1 + A1(ψ)`, (49) and (60); with the ship's own mass for P2 it is `M⁻¹ Rᵀ P1 + A1`.
-    - `bias` K3 (3, 3) [N/(m s) and with angles].
-    - `waves` (6, 3) [1, 1/s]: the notch, upper half for the integral of the wave motion, lower for the motion.
+    - `stiffness` P1 and `inertia` P2 (3, 3), symmetric positive definite: the gain of the velocity is
+      `K2(ψ) = P2⁻¹ Rᵀ(ψ) P1 + A1(ψ)`, (49) and (60); where P2 is the ship's own mass it is `M⁻¹ Rᵀ P1 + A1`.
+    - `bias` K3 (3, 3) [N/(m s), and N m in place of N for the heading].
+    - `waves` (6, 3) [1, 1/s]: the notch filter; upper half for the integral of the wave motion, lower for the motion.
     """
 
     position: Matrix
@@ -38,11 +38,11 @@ class PassiveGains(NamedTuple):
 
 
 class PassiveShip(AbstractFlowObserver):
-    """Observer (43)–(44) of a `marine.Station`, with its waves, bias and thrusters where it has such.
+    """Observer (43)–(44) of a `marine.Station`, with its waves, bias and thrusters where the station has them.
 
     - `gains`: from `lyapunov_gains` for a ship alone, from `notch_gains` for one at sea.
-    - `substeps`, `memory`: as in `Contracting`, whose virtual system it is: rotations are by the measured heading, and
-      by the estimated one while that is missing.
+    - `substeps`, `memory`: as in `Contracting`, whose virtual system it uses: rotations are by the measured heading, or
+      by the estimated one while the heading is missing.
 
     The first row of a record must hold north, east and heading: the estimate starts from them, at rest.
     """
@@ -76,7 +76,7 @@ class PassiveShip(AbstractFlowObserver):
         return self.contracting().advance(state, u, y, dt)
 
     def contracting(self) -> Contracting:
-        """The same as a `Contracting`, for its virtual system."""
+        """The same observer as a `Contracting`, which offers its virtual system."""
         return Contracting(
             self.station.model(),
             lambda t, z: self.gain(z[2]),
@@ -87,7 +87,7 @@ class PassiveShip(AbstractFlowObserver):
         )
 
     def gain(self, heading: Scalar) -> Float[Array, "n 3"]:
-        """K(ψ) (n, 3), a row for each state."""
+        """The gain K(ψ) (n, 3), with one row for each state."""
         g = PassiveGains(*(jnp.asarray(a, heading.dtype) for a in self.gains))
         turn = yaw_rotation(heading)
         rows = {
@@ -101,17 +101,17 @@ class PassiveShip(AbstractFlowObserver):
 
 
 def position_matrix(station: Station, heading: Scalar) -> Matrix:
-    """`A1(ψ) = −M⁻¹ Rᵀ(ψ) K` (3, 3): how the estimated position accelerates the ship, (40)–(41)."""
+    """`A1(ψ) = −M⁻¹ Rᵀ(ψ) K` (3, 3): the ship's acceleration per position, (40)–(41)."""
     return _station_matrix(station, heading, "eta")
 
 
 def velocity_matrix(station: Station) -> Matrix:
-    """`A2 = −M⁻¹ D` (3, 3) at rest, (40)–(41)."""
+    """`A2 = −M⁻¹ D` (3, 3): the ship's acceleration per velocity, at rest, (40)–(41)."""
     return _station_matrix(station, jnp.zeros(()), "nu")
 
 
 def _station_matrix(station: Station, heading: Scalar, part: str) -> Matrix:
-    """How a part of the state (3,) accelerates the ship, (3, 3), at rest at the origin."""
+    """Derivative (3, 3) of the ship's acceleration in one part of the state (3,), at rest at the origin."""
     rest, none, parts = jnp.zeros(station.order, heading.dtype), jnp.zeros(3, heading.dtype), station.parts
 
     def acceleration(moved):
@@ -123,11 +123,11 @@ def _station_matrix(station: Station, heading: Scalar, part: str) -> Matrix:
 def lyapunov_gains(station: Station, stiffness: Numbers, q1: Numbers, q2: Numbers | None = None) -> PassiveGains:
     """Gains of the ship alone from `V = ½(η̃ᵀP1η̃ + ν̃ᵀP2ν̃)`, `V' = −η̃ᵀQ1η̃ − ν̃ᵀQ2ν̃`: (48)–(50).
 
-    `stiffness` P1, `q1` and `q2` (3, 3), symmetric positive definite; `K1 = P1⁻¹Q1` and P2 solves
-    `½(P2A2 + A2ᵀP2) = −Q2`. Without `q2`, P2 is the ship's mass, so that Q2 is the symmetric part of its damping.
+    - `stiffness` P1, `q1` and `q2`: (3, 3), symmetric positive definite; `K1 = P1⁻¹Q1`, and P2 solves
+      `½(P2A2 + A2ᵀP2) = −Q2`. Without `q2`, P2 is the ship's mass, so that Q2 is the symmetric part of its damping.
 
-    Raises `ValueError` where a matrix is not symmetric positive definite, where A2 is not Hurwitz, and where without q2
-    the damping does not take energy from every motion.
+    Raises `ValueError` where a matrix is not symmetric positive definite, where A2 is not Hurwitz, and, without q2,
+    where the damping does not take energy from every motion.
     """
     p1, first = (np.asarray(positive_definite(name, a, 3)) for name, a in (("stiffness", stiffness), ("q1", q1)))
     a2 = np.asarray(velocity_matrix(station))
@@ -149,20 +149,20 @@ def lyapunov_gains(station: Station, stiffness: Numbers, q1: Numbers, q2: Number
 def lyapunov_rate(station: Station, gains: PassiveGains) -> float:
     """The largest α [1/s] with `Q ≥ αP`, so that `V ≤ e^(−2αt) V(0)` for the ship alone.
 
-    (47) takes `λmin(Q) / λmax(P)`, which is never more and depends on units; see `printed_rate`.
+    (47) takes `λmin(Q) / λmax(P)`, which is never larger and depends on the units; see `printed_rate`.
     """
     forms = _forms(station, gains)
     return float(min(np.linalg.eigvalsh(whiten(jnp.asarray(p), jnp.asarray(q)))[0] for p, q in forms))
 
 
 def printed_rate(station: Station, gains: PassiveGains) -> float:
-    """`α = λmin(Q) / λmax(P)` [1/s] of (47), in the units of the model."""
+    """`α = λmin(Q) / λmax(P)` [1/s] as printed in (47), in the units of the model."""
     forms = _forms(station, gains)
     return float(min(np.linalg.eigvalsh(q)[0] for _, q in forms) / max(np.linalg.eigvalsh(p)[-1] for p, _ in forms))
 
 
 def _forms(station: Station, gains: PassiveGains) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
-    """(P1, Q1) and (P2, Q2)."""
+    """The pairs (P1, Q1) and (P2, Q2) of the Lyapunov function and its derivative."""
     a2 = np.asarray(velocity_matrix(station))
     p1, p2, k1 = (np.asarray(a) for a in (gains.stiffness, gains.inertia, gains.position))
     return (p1, (p1 @ k1 + k1.T @ p1) / 2), (p2, -(p2 @ a2 + a2.T @ p2) / 2)
@@ -174,9 +174,9 @@ def notch_gains(
     cutoff: Sequence[float] | None = None,
     notch_damping: float = 1.0,
 ) -> PassiveGains:
-    """Gains at sea, for diagonal design: position, velocity and bias as a loop behind a notch at the wave frequency.
+    """Diagonal gains for a ship at sea: a loop for position, velocity and bias behind a notch at the wave frequency.
 
-    - `bandwidth` (3,) [rad/s]: of the velocity in north, east and heading, below the waves; the stiffness is
+    - `bandwidth` (3,) [rad/s]: of the velocity in north, east and heading, below the waves. The stiffness is
       `M K1 ω/2`, and the bias follows at a tenth of the bandwidth.
     - `cutoff` (3,) [rad/s]: of the wave filter, above the waves; by default 1.22 times their frequency.
     - `notch_damping`: relative damping of the notch, above that of the waves.

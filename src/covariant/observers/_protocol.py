@@ -1,7 +1,7 @@
-"""The one protocol of all observers, and the loop that drives them.
+"""The protocol that all observers share, and the loop that drives them.
 
-An observer is a frozen recipe; what it remembers is a state in the caller's hand; what a person wants to see of a step
-is its info. Writing the loop by hand takes four lines:
+An observer is a frozen recipe. What it remembers is a state, which the caller holds; what a person may want to know
+about a step is its info. Writing the loop by hand takes four lines:
 
     state = observer.init(y[0], t[0])
     for k in range(1, len(t)):
@@ -26,7 +26,7 @@ from covariant.models import MechanicalSystem, Motion, input_count
 from covariant.signals import Record, Result, Run
 
 Held = Float[Array, "m"] | None
-"""The last finite input, in the field `held` of a state; None where none is kept."""
+"""The last finite input, in the field `held` of a state; None where the state keeps none."""
 
 
 class MechanicalState(NamedTuple):
@@ -38,9 +38,9 @@ class MechanicalState(NamedTuple):
 
 
 class HeldState(NamedTuple):
-    """As `MechanicalState`, with the last finite input `held` (m,), which stands in for one that is not finite.
+    """As `MechanicalState`, with the last finite input `held` (m,), which replaces an input that is not finite.
 
-    Without one, None, the observer takes 0 in its place.
+    Where `held` is None, the observer uses zero instead.
     """
 
     q: Vector
@@ -50,10 +50,12 @@ class HeldState(NamedTuple):
 
 
 class Info(NamedTuple):
-    """What a step saw.
+    """Diagnostics of a step.
 
-    `innovation` (n,): the way from q̂ to y before the correction, y − q̂ in coordinates, wrapped, 0 where missing;
-    `distance`: its length in the metric; `result`: a `covariant.signals.Result` code.
+    - `innovation` (n,): the difference from q̂ to y before the correction, y − q̂ in coordinates, with angles wrapped,
+      and 0 for a missing measurement.
+    - `distance`: its length in the metric.
+    - `result`: a `covariant.signals.Result` code.
     """
 
     innovation: Vector
@@ -62,10 +64,11 @@ class Info(NamedTuple):
 
 
 class AbstractObserver(Functional):
-    """From positions to state. Sampled: `step` brings the state to the stamp of y and then takes y in.
+    """Estimates the state from measured positions, sample by sample.
 
-    An observer is written by its `advance`, which gets sound numbers only; `step`, the same for all, sees to that. A
-    state with a field `held` of the input's shape remembers the last finite input in it.
+    `step` advances the state to the time stamp of y and then corrects it by y. A subclass writes its algorithm in
+    `advance`, which gets valid numbers only: `step` is the same for all observers and sees to that. A state whose
+    field `held` has the shape of the input remembers the last finite input in it.
     """
 
     @abc.abstractmethod
@@ -74,12 +77,13 @@ class AbstractObserver(Functional):
 
     @final
     def step(self, state: Any, u: Float[Array, "m"], y: Inexact[Array, "*n"], dt: Scalar) -> tuple[Any, Any]:
-        """Advance by dt [s] under the input u (m,) held over the step, then correct by y; NaN in y is coasted.
+        """Advance by dt [s] under the input u (m,), held constant over the step, then correct by the measurement y.
 
-        Nothing in u, y or dt spoils the state. An infinite entry of y is missing like NaN; in place of an entry of u
-        that is not finite stands the last finite one, 0 before the first; where dt is zero, negative or not finite the
-        state is left as it was. `info.result` says so: `COASTED`, `INPUT_HELD`, `REPEATED` (dt = 0), `STEP_REFUSED`,
-        the worst where there are several.
+        Where y has NaN entries, these are missing, and the model predicts alone. Invalid numbers never spoil the
+        state. An infinite entry of y counts as missing, as NaN does. An entry of u that is not finite is replaced by
+        the last finite one, or by 0 before there is any. Where dt is zero, negative or not finite, the state is left
+        as it was. `info.result` reports this: `COASTED`, `INPUT_HELD`, `REPEATED` (dt = 0) or `STEP_REFUSED`, the
+        worst one where several apply. Returns the new state and the info.
         """
         moves = jnp.isfinite(dt) & (dt > 0)
         sound = jnp.where(jnp.isfinite(u), u, _held(state, u))
@@ -91,15 +95,15 @@ class AbstractObserver(Functional):
 
     @abc.abstractmethod
     def advance(self, state: Any, u: Float[Array, "m"], y: Inexact[Array, "*n"], dt: Scalar) -> tuple[Any, Any]:
-        """What `step` does with sound numbers: u is finite, y finite or NaN where missing, dt finite and ≥ 0."""
+        """The algorithm of `step` for valid numbers: u is finite, y finite or NaN where missing, dt finite and ≥ 0."""
 
     @abc.abstractmethod
     def estimate(self, state: Any) -> Any:
-        """The estimate x = (q, v) (2n,), off coordinates a `Motion`."""
+        """The estimate x = (q, v) (2n,) of a state; a `Motion` for a system that is not in coordinates."""
 
 
 class AbstractFlowObserver(AbstractObserver):
-    """An observer that is a differential equation."""
+    """An observer that is given by a differential equation."""
 
     @abc.abstractmethod
     def flow(self, t: Scalar, state: Any, u: Float[Array, "m"], y: Inexact[Array, "*n"]) -> Any:
@@ -109,7 +113,7 @@ class AbstractFlowObserver(AbstractObserver):
 class AbstractMechanicalObserver(AbstractFlowObserver):
     """An observer of a `MechanicalSystem` whose state holds its estimate as q and v.
 
-    Its `flow` has in the place of q the velocity w (n,) of the estimate in the frame, `q̂' = E(q̂)w`.
+    In what its `flow` returns, the field q holds the velocity w (n,) of the estimate in the frame, `q̂' = E(q̂)w`.
     """
 
     model: eqx.AbstractVar[MechanicalSystem]
@@ -119,35 +123,35 @@ class AbstractMechanicalObserver(AbstractFlowObserver):
 
 
 def at_rest(model: MechanicalSystem, y: Array, t: Number) -> HeldState:
-    """The state at rest at the first measurement; an error when it runs and y is no configuration of the model."""
+    """The state at rest at the first measurement; raises an error at run time where y is no configuration."""
     q = model.manifold.checked(y)
     rest = model.manifold.zero(q)
     return HeldState(q, rest, jnp.asarray(t, rest.dtype), no_input(model, rest))
 
 
 def uniqueness(model: MechanicalSystem, q: Array, y: Array) -> Code:
-    """`OK`, or `CUT_LOCUS` where a second way from q to the measurement is as short."""
+    """`OK`, or `CUT_LOCUS` where two shortest paths lead from q to the measurement."""
     unique = model.manifold.unique(q, model.manifold.measured(q, y))
     return jnp.where(unique, int(Result.OK), int(Result.CUT_LOCUS)).astype(jnp.int32)
 
 
 def as_gain(value: Any) -> Any:
-    """A gain as an array, so that a program is compiled once for all gains; it takes the precision of what it meets.
+    """A gain as an array, so that a program is compiled once for all gains. It adopts the precision of other operands.
 
-    Whatever is no number stays as it is, for the checks to name.
+    Anything that is not a number is returned as it is, so that the checks can name it.
     """
     return jnp.asarray(float(value)) if isinstance(value, int | float | np.generic) else value
 
 
 def check_positive(whose: str, **gains: Any) -> None:
-    """Raise `ValueError` where a gain is given as a number that is not positive and finite; one traced has no value."""
+    """Raise `ValueError` for a gain that is not a positive, finite number; a traced gain has no value to check."""
     for name, gain in gains.items():
         if not _known(gain, lambda a: np.isfinite(a) & (a > 0)):
             raise ValueError(f"{whose}: {name} must be a positive, finite number; got {_written(gain)}")
 
 
 def check_finite(whose: str, **given: Any) -> None:
-    """Raise `ValueError` where an array has an entry that is not finite; one traced has no value to look at."""
+    """Raise `ValueError` where an array has an entry that is not finite; a traced array has no values to check."""
     for name, array in given.items():
         if not _known(array, np.isfinite):
             raise ValueError(f"{whose}: {name} must have finite entries; got {_written(array)}")
@@ -158,7 +162,7 @@ def _known(value: Any, good: Callable[[np.ndarray], Any]) -> bool:
         return True
     try:
         return bool(np.all(good(np.asarray(value, float))))
-    except (TypeError, ValueError):  # no numbers
+    except (TypeError, ValueError):  # it does not hold numbers
         return False
 
 
@@ -167,17 +171,17 @@ def _written(value: Any) -> str:
 
 
 def no_input(model: Any, like: Vector) -> Float[Array, "m"]:
-    """Zero input of the size the model takes, or of that of `like`, its coordinates, where it does not say."""
+    """Zero input of the size the model takes, or of the size of its coordinates `like` where it states none."""
     return jnp.zeros(input_count(model, like.shape[0]), like.dtype)
 
 
 def still(held: Held) -> Held:
-    """What becomes of the held input in a time derivative of the state: zero, in the same form."""
+    """Time derivative of the held input: zero, in the same form."""
     return jax.tree.map(jnp.zeros_like, held)
 
 
 def continuous(state: Any) -> Any:
-    """The state without the input that it holds between samples: what a differential equation needs of it."""
+    """The state without the input held between samples, which a differential equation does not need."""
     return state._replace(held=None) if _holds(state) else state
 
 
@@ -185,24 +189,24 @@ def _holds(state: Any) -> bool:
     return "held" in state._fields
 
 
-def _has_room(state: Any, u: Array) -> bool:
+def _keeps_input(state: Any, u: Array) -> bool:
     return _holds(state) and state.held is not None and state.held.shape == u.shape
 
 
 def _held(state: Any, u: Array) -> Array:
-    """The input to put in place of one that is not finite."""
-    return state.held.astype(u.dtype) if _has_room(state, u) else jnp.zeros_like(u)
+    """The input that replaces one that is not finite."""
+    return state.held.astype(u.dtype) if _keeps_input(state, u) else jnp.zeros_like(u)
 
 
 def _holding(moved: Any, state: Any, u: Array) -> Any:
-    """The state moved to, with the input in it where the state before has room for it: its form must not change."""
-    if _has_room(state, u):
+    """The new state, with the input stored in it where the old state keeps one: the form of a state must not change."""
+    if _keeps_input(state, u):
         return moved._replace(held=u.astype(state.held.dtype))
     return moved._replace(held=state.held) if _holds(state) else moved
 
 
 def _fault(u: Array, y: Array, dt: Scalar) -> Code:
-    """The worst that is wrong with a sample, beside what the observer itself says of a missing measurement."""
+    """The worst fault of a sample, apart from what the observer itself reports about a missing measurement."""
     faults = (
         (jnp.any(jnp.isinf(y)), Result.COASTED),
         (~jnp.all(jnp.isfinite(u)), Result.INPUT_HELD),
@@ -216,9 +220,10 @@ def _fault(u: Array, y: Array, dt: Scalar) -> Code:
 
 
 def outcome(q: Array, v: Array, y: Array, result: Code | int = Result.OK) -> Code:
-    """Result code of a step: not finite beats coasted beats the step's own.
+    """Result code of a step: `NOT_FINITE` takes precedence over `COASTED`, and this over the step's own `result`.
 
-    A position so large that its unit has no digit left counts as not finite: differences of it mean nothing any more.
+    A position so large that floating-point numbers cannot resolve one unit counts as not finite: differences of such
+    positions mean nothing.
     """
     finite = jnp.all(jnp.abs(q) < 1 / jnp.finfo(q.dtype).eps) & jnp.all(jnp.isfinite(v))
     measured = jnp.where(jnp.any(jnp.isnan(y)), int(Result.COASTED), result)
@@ -232,7 +237,7 @@ def _scan(observer: AbstractObserver, t: Array, u: Array, y: Array):
 
     def step(state, sample):
         state, info = observer.step(state, *sample)
-        # The first row is where the state comes from: it has no step, and repeats no stamp before.
+        # The first row starts the state: it is not a step, and repeats no earlier stamp.
         first = (sample[2] == 0) & (info.result == int(Result.REPEATED))
         return state, (observer.estimate(state), info._replace(result=jnp.where(first, int(Result.OK), info.result)))
 
@@ -240,9 +245,9 @@ def _scan(observer: AbstractObserver, t: Array, u: Array, y: Array):
 
 
 def run(observer: AbstractObserver, record: Record) -> Run:
-    """Drive an observer along a record; row k of the run has used measurements up to row k and no later ones.
+    """Run an observer over a record. Row k of the run depends on the measurements up to row k only.
 
-    Raises `ValueError` from `Record.check`.
+    Returns a `Run` with the stamps, the estimates and the info of every row. Raises `ValueError` from `Record.check`.
     """
     t, u, y, _ = record.check()
     estimate, info = _scan(observer, jnp.asarray(t), jnp.asarray(u), jnp.asarray(y))

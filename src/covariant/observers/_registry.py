@@ -1,4 +1,4 @@
-"""The observers that are made from a data sheet: one entry each.
+"""The registry of observers that `design` can tune from a model's data sheet: one entry for each.
 
 An observer is entered here and nowhere else. `design.tuned_estimators`, the commands `estimate`, `compare` and `audit`,
 the laws in `tests/laws` and the table in `docs/observers.md` read this list.
@@ -44,12 +44,12 @@ class Entry(NamedTuple):
     - `name`: what the command line calls it.
     - `observer`: its class.
     - `make`: makes the observer, `make(model, *numbers)`.
-    - `tuned_by`: the numbers it is made with. "gains" are α [1/s] and β [1/s²]; "noise" the process covariance (n, n),
-      the measurement covariance (n, n) and the standard deviation of the velocity at the start; "motion" the bandwidth
-      [rad/s], and the window [samples] and order of a polynomial, of a filter that knows no model.
+    - `tuned_by`: the numbers it is made with. "gains" are α [1/s] and β [1/s²]. "noise" are the process covariance
+      (n, n), the measurement covariance (n, n) and the standard deviation of the initial velocity. "motion" are the
+      bandwidth [rad/s], the window [samples] and the polynomial order of a filter that uses no model.
     - `about`, `when`, `source`: what it is, when to choose it, and where it was published; sentences for people.
     - `fits`: tells whether it can be made for a model.
-    - `promises`: laws that the tests hold it to beside those of every observer. "error law": to first order the error
+    - `promises`: laws that the tests check beside those of every observer. "error law": to first order the error
       in a parallel frame obeys `ξ' = ζ − αξ`, `ζ' = −βξ` on every model that it fits; "coordinate-free": the estimate
       is the same in all coordinates, as exactly as its geodesics are found.
     """
@@ -156,4 +156,4 @@ REGISTRY = (
         fits=rotations,
     ),
 )
-"""All entries, the one to begin with first."""
+"""All entries; the first is the one to begin with."""

@@ -1,4 +1,4 @@
-"""Observers of general systems that feed the output back through a contraction metric.
+"""Observers of general nonlinear systems that correct through a contraction metric, which solves a Riccati equation.
 
 Source: Sanfelice & Praly 2015, equations (3), (11) and (13)–(14).
 """
@@ -32,17 +32,18 @@ class Estimate(NamedTuple):
 class Riccati(AbstractFlowObserver):
     """`x̂' = f(x̂) − 2 k_E P⁻¹ h_xᵀ R⁻¹ (h(x̂) − y)`, equation (11), with P a contraction metric at x̂.
 
-    - `metric`: P, any `x (n,) -> (n, n)`: `riccati.RiccatiMetric` computes it along the estimate's own characteristic,
-      a field designed on a grid looks it up, `riccati.high_gain` makes this the high-gain observer.
+    - `metric`: P, any `x (n,) -> (n, n)`: `riccati.RiccatiMetric` computes it along the characteristic of the estimate,
+      a field designed on a grid interpolates it, and `riccati.high_gain` gives the high-gain observer.
     - `start` (n,): first estimate.
-    - `gain`: k_E, a number or a function of x̂. With P from an equation with rate λ, ¼ makes the distance of P decay at
-      λ/2 and less may lose that; ½ is the stationary Kalman filter.
-    - `measurement_cov`: R (p, p), that of the equation; by default the identity.
-    - `substeps`: Runge–Kutta steps of the model a sample.
+    - `gain`: k_E, a number or a function of x̂. With P from an equation with rate λ, ¼ makes the distance in P decay at
+      the rate λ/2, which a smaller gain may not reach; ½ is the stationary Kalman filter.
+    - `measurement_cov`: R (p, p), as in the equation of P; by default the identity.
+    - `substeps`: Runge–Kutta steps of the model in each sample.
 
-    Where the metric is not positive definite, as outside the grid of a field, the model runs on alone and the result
-    says `OUT_OF_DOMAIN`. Sampled, the correction is implicit: it minimises `|x − x̂|²_P + 2 k_E dt |h + h_x (x − x̂) −
-    y|²`, so no gain makes it unstable, and for dt → 0 it is the flow.
+    Where the metric is not positive definite, as outside the grid of a field, the model runs without correction and
+    `result` says `OUT_OF_DOMAIN`. With sampled measurements the correction is implicit: it minimises
+    `|x − x̂|²_P + 2 k_E dt |h + h_x (x − x̂) − y|²`, so no gain makes it unstable, and for dt → 0 it is the differential
+    equation.
 
     Raises `ValueError` for a gain that is not finite.
     """
@@ -84,7 +85,7 @@ class Riccati(AbstractFlowObserver):
 
     def _metric(self, x: Vector, u: Array) -> Matrix:
         if isinstance(self.metric, RiccatiMetric) and self.model.inputs:
-            # The past of the estimate is reckoned with the input of now.
+            # The characteristic, which runs backwards in time, is computed with the present input.
             return eqx.tree_at(lambda m: m.u, self.metric, u, is_leaf=lambda leaf: leaf is None)(x)
         return self.metric(x)
 
@@ -103,11 +104,11 @@ class InformationEKF(AbstractFlowObserver):
     """The extended Kalman filter in information form, equations (13)–(14): P is integrated along the estimate itself.
 
     - `equation`: Q and R as in the metric's equation; a rate λ makes the filter forget at that rate.
-    - `start` (n,), `information` (n, n): first estimate and the information it comes with.
-    - `substeps`: Runge–Kutta steps a sample; None takes as many as dt and the equation of P need (offline).
+    - `start` (n,), `information` (n, n): first estimate and its information matrix, the inverse of its covariance.
+    - `substeps`: Runge–Kutta steps in each sample; None takes as many as dt and the equation of P need (offline).
 
-    It knows how well it knows, which a constant field cannot; but nothing bounds its P unless the estimate stays close
-    to the state.
+    Its P measures how certain the estimate is, which a constant field cannot; but nothing bounds P unless the estimate
+    stays close to the state.
     """
 
     model: StateSpace
@@ -146,7 +147,7 @@ class InformationEKF(AbstractFlowObserver):
         return InformationState(moved, p + dt * output_jacobian.T @ output_jacobian, now), info
 
     def _needed_substeps(self, state: InformationState, u: Array, dt: Scalar) -> Code:
-        """Steps that keep h·rate ≤ 1: to first order changes of P die at sums of two eigenvalues of `A + QP`."""
+        """Steps that keep h·rate ≤ 1: to first order changes of P decay at sums of two eigenvalues of `A + QP`."""
         power = jax.jacfwd(self.model.f, 1)(state.t, state.x, u)
         q = self.equation.noise(state.x)
         power = power if q is None else power + q @ state.information
@@ -156,7 +157,7 @@ class InformationEKF(AbstractFlowObserver):
         return steps_for(dt, fastest)
 
     def _unmeasured_rate(self, t: Scalar, x: Vector, p: Matrix, u: Array) -> Matrix:
-        """How P changes while nothing is measured."""
+        """Time derivative of P without measurements."""
         a = jax.jacfwd(self.model.f, 1)(t, x, u)
         q = self.equation.noise(x)
         loss = self.equation.rate * p + (0.0 if q is None else p @ q @ p)
@@ -164,21 +165,21 @@ class InformationEKF(AbstractFlowObserver):
 
 
 def _is_metric(p: Matrix) -> Flag:
-    """Whether p is positive definite; where it is not, or not finite, nothing can be fed back."""
+    """Whether p is positive definite; where it is not, or not finite, there is no correction."""
     return jnp.all(pivots(p) > 0)
 
 
 def _whitened_output(
     model: StateSpace, measurement_cov: Float[Array, "p p"] | None, t, x: Vector, u: Array, y: Array
 ) -> tuple[Array, Array]:
-    """`R^{-1/2} h_x` and `R^{-1/2} (h − y)`, both without the outputs that are missing (NaN)."""
+    """`R^{-1/2} h_x` and `R^{-1/2} (h − y)`, both with zeros for the outputs that are missing (NaN)."""
     missing = jnp.isnan(y)
     error = model.output_error(model.h(t, x, u), y)
     jacobian: Array = jax.jacfwd(model.h, 1)(t, x, u)
     output_jacobian: Array = jnp.where(missing[:, None], 0.0, jacobian)
     if measurement_cov is None:
         return output_jacobian, error
-    # The noise of a missing output tells nothing of the others', however they are correlated.
+        # The noise of a missing output must not affect the others, even where the two are correlated.
     apart = (missing[:, None] | missing[None, :]) & ~jnp.eye(y.shape[0], dtype=bool)
     cov = jnp.where(apart, 0.0, jnp.asarray(measurement_cov, x.dtype))
     both = half_solve(cov, jnp.concatenate([output_jacobian, error[:, None]], axis=1))
@@ -195,7 +196,7 @@ def _correct(
     u: Array,
     y: Array,
 ) -> tuple[Vector, Info]:
-    """Take y in: `x − (P + w h_xᵀ R⁻¹ h_x)⁻¹ w h_xᵀ R⁻¹ (h − y)`."""
+    """Correct by y: `x − (P + w h_xᵀ R⁻¹ h_x)⁻¹ w h_xᵀ R⁻¹ (h − y)`, with w the `weight`."""
     output_jacobian, error = _whitened_output(model, measurement_cov, t, x, u, y)
     correction = solve(p + weight * output_jacobian.T @ output_jacobian, weight * output_jacobian.T @ error)
     positive = _is_metric(p)

@@ -1,7 +1,7 @@
 """Salcudean's observer of the angular velocity of a rigid body: a Lyapunov function, no linearisation, no metric.
 
 Source: Salcudean 1991, A globally convergent angular velocity observer for rigid body motion, IEEE TAC 36. With
-`V = ½|h̃|² + k_p(1 − |e₀|)`, h the momentum in space, `V' = −½ k_p k_v e·I₀⁻¹e`.
+`V = ½|h̃|² + k_p(1 − |e₀|)`, h being the momentum in the space frame, `V' = −½ k_p k_v e·I₀⁻¹e`.
 """
 
 from typing import NamedTuple
@@ -28,8 +28,8 @@ from covariant.observers._sampled import predict
 
 
 class SalcudeanState(NamedTuple):
-    """Estimated rotation q (3, 3), momentum in space (3,) [N m s], the time t [s] they belong to, and the last
-    finite input `held`."""
+    """Estimated rotation q (3, 3), momentum in the space frame (3,) [N m s], the time t [s] they belong to, and the
+    last finite input `held`."""
 
     q: Float[Array, "3 3"]
     momentum: Vector
@@ -38,18 +38,18 @@ class SalcudeanState(NamedTuple):
 
 
 class Salcudean(AbstractFlowObserver):
-    """For a system on SO(3), with e the vector of the unit quaternion of `R R̂ᵀ` (e₀ ≥ 0):
+    """Observer of a system on SO(3), with e the vector part of the unit quaternion of `R R̂ᵀ` (e₀ ≥ 0):
 
-        R̂' = hat(ω̂) R̂,   ω̂ = I₀⁻¹(ĥ + k_v e),   ĥ' = torque + ½ k_p I₀⁻¹ e,   I₀ = R I Rᵀ, all in space
+        R̂' = hat(ω̂) R̂,   ω̂ = I₀⁻¹(ĥ + k_v e),   ĥ' = torque + ½ k_p I₀⁻¹ e,   I₀ = R I Rᵀ, all in the space frame
 
-    For an inertia J the same in all directions its error obeys s² + αs + β with α = k_v/2J, β = k_p/4J².
+    For an inertia J that is the same in all directions its error obeys s² + αs + β with α = k_v/2J, β = k_p/4J².
 
     - `kp` [N m kg m²], `kv` [N m s]: gains.
-    - `substeps`: Runge–Kutta steps a sample; None takes as many as dt and the friction need (offline).
+    - `substeps`: Runge–Kutta steps in each sample; None takes as many as dt and the friction need (offline).
 
     A step predicts with the model and adds dt times the injected terms, so `kv dt` must stay below the inertia. A
-    measurement with any NaN counts as missing as a whole. Raises `ValueError` for another group, and for
-    gains that are not positive and finite.
+    measurement with any NaN counts as missing as a whole. Raises `ValueError` for a system that is not on SO(3), and
+    for gains that are not positive and finite.
     """
 
     model: MechanicalSystem
@@ -69,7 +69,7 @@ class Salcudean(AbstractFlowObserver):
         return Motion(state.q, body_velocity(self.model, state.q, state.momentum))
 
     def flow(self, t: Scalar, state: SalcudeanState, u: Float[Array, "m"], y: Float[Array, "3 3"]) -> SalcudeanState:
-        """Time derivative of the state; in the place of q stands the body velocity of R̂."""
+        """Time derivative of the state; its field q holds the body velocity of R̂."""
         omega, torque = self._alone(t, state, u, y)
         e = state.q @ quaternion_from_rotation(state.q.T @ y)[1:]
         injected = y @ self.model.space.raise_(y, y.T @ e)
@@ -83,7 +83,7 @@ class Salcudean(AbstractFlowObserver):
         moved = predict(self.model, state.t, state.q, v, u, dt, self.substeps)
         now = SalcudeanState(moved.q, spatial_momentum(self.model, *moved), state.t + dt)
         measured = jnp.where(jnp.any(jnp.isnan(y)), now.q, y)
-        # What the flow has beyond the prediction, which was made at the estimated rotation.
+        # The feedback: the difference between the flow and the prediction, which used the estimated rotation.
         slope = self.flow(now.t, now, u, measured)
         omega, torque = self._alone(now.t, now, u, now.q)
         q = now.q @ SO3.exp(dt * (slope.q - now.q.T @ omega))
@@ -93,14 +93,14 @@ class Salcudean(AbstractFlowObserver):
         return new, Info(innovation, self.model.space.norm(now.q, innovation), code)
 
     def _alone(self, t: Scalar, state: SalcudeanState, u: Float[Array, "m"], at: Float[Array, "3 3"]):
-        """Angular velocity and torque in space of a body with the estimated momentum, at the rotation `at`."""
+        """Angular velocity and torque in the space frame of a body with the estimated momentum at the rotation `at`."""
         v = body_velocity(self.model, at, state.momentum)
         total_torque = applied_force(self.model, t, at, u) + resistance(self.model, t, at, v, u)
         return at @ v, at @ total_torque
 
 
 def of_mean_inertia(model: MechanicalSystem, alpha: Number, beta: Number) -> Salcudean:
-    """Salcudean's observer for the error law s² + αs + β of a body whose inertia is the mean principal one.
+    """Salcudean's observer with the gains of the error law s² + αs + β for the mean of the principal inertias.
 
     The law is exact for an inertia that is the same in all directions.
     """

@@ -1,9 +1,11 @@
-"""A continuous mechanical observer between samples: predict with the model, correct with matched gains.
+"""Continuous mechanical observers with sampled measurements: predict with the model, correct with matched gains.
 
-The error law ξ' = ζ − αξ, ζ' = −βξ is a double integrator with two poles a, b. Over a step dt the model is integrated
-alone, and then the measured error is fed back so that the sampled loop has the poles exp(λ dt) of the continuous one.
+The error law ξ' = ζ − αξ, ζ' = −βξ is a double integrator with two poles. Over a step dt the model is integrated
+without correction; then the measured error is fed back so that the sampled loop has the poles a, b = exp(λ dt) of the
+continuous one.
 
-What the model does alone to an error is `ξ' = ζ, ζ' = Nξ` with N = ∇S − R(·, v)v. For a constant number N the gains are
+Without correction the model changes an error by `ξ' = ζ, ζ' = Nξ` with N = ∇S − R(·, v)v. For a constant number N the
+gains are
 `K1 = 1 − ab` and `K2 = √N ((1 + ab) cosh(√N dt) − a − b)/sinh(√N dt) = k2 + κN + O(N²)`, with `k2 = (1 − a)(1 − b)/dt`
 and `κ = ½(1 + ab) dt − k2 dt²/6`. For dt → 0 they are α dt and β dt + N dt.
 """
@@ -20,26 +22,26 @@ from covariant.models import MechanicalSystem, Motion, advance, friction
 from covariant.signals import Result
 
 LONGEST_STEP = 0.01
-"""Longest Runge–Kutta step [s] of a prediction whose number of substeps is left open."""
+"""Longest Runge–Kutta step [s] of a prediction whose number of substeps is not given."""
 MOST_SUBSTEPS = 10_000
 LONGEST_GAP = (jnp.pi / 2) ** 2
-"""Largest `|N| dt²` of a sample that is believed to tell of the velocity, a quarter of the period of an oscillation:
-beyond it the error may have turned round."""
+"""Largest `|N| dt²` at which a sample is used for the velocity, a quarter of the period of an oscillation: beyond it
+the error may have changed its sign."""
 
 
 def predict(
     model: MechanicalSystem, t: Number, q: Array, v: Vector, u: Float[Array, "m"], dt: Number, substeps: int | None
 ) -> Motion:
-    """Integrate the model over dt [s] with u held; `substeps=None` uses as many steps as friction and dt ask for."""
+    """Integrate the model over dt [s] with u held constant; `substeps=None` uses as many as friction and dt need."""
     count = needed_substeps(model, t, q, v, u, dt) if substeps is None else substeps
     return advance(model, t, Motion(q, v), u, dt, count)
 
 
 def needed_substeps(model: MechanicalSystem, t: Number, q: Array, v: Vector, u: Float[Array, "m"], dt: Number) -> Code:
-    """Steps that keep h·rate ≤ 1, the rate being a bound on that of the friction at rest and at v [1/s].
+    """Number of steps that keep h·rate ≤ 1, with a bound on the rate [1/s] of the friction at rest and at v.
 
-    Friction is steepest at rest where it is Coulomb's and at speed where it is drag. The trace bounds the fastest rate,
-    since monotone friction has a Jacobian similar to a symmetric negative one.
+    Coulomb friction is steepest at rest, drag at speed. The trace bounds the fastest rate, since the Jacobian of
+    monotone friction is similar to a symmetric negative semidefinite matrix.
     """
     n = v.shape[0]
 
@@ -52,13 +54,13 @@ def needed_substeps(model: MechanicalSystem, t: Number, q: Array, v: Vector, u: 
 
 
 def steps_for(dt: Number, rate: Number) -> Code:
-    """How many steps of dt [s] keep h·rate ≤ 1, at most `MOST_SUBSTEPS`."""
+    """Number of equal steps in dt [s] that keep h·rate ≤ 1, at most `MOST_SUBSTEPS`."""
     count = jnp.ceil(jnp.nan_to_num(jnp.asarray(dt * rate), nan=1.0))
     return jnp.clip(count, 1, MOST_SUBSTEPS).astype(jnp.int32)
 
 
 def sampled_gains(alpha: Number, beta: Number, dt: Number) -> tuple[Scalar, Scalar]:
-    """Position and velocity gains of one sample: `k1 = 1 − ab`, `k2 = (1 − a)(1 − b)/dt`, sampled poles a and b.
+    """Position and velocity gains of one sample: `k1 = 1 − ab`, `k2 = (1 − a)(1 − b)/dt`, for sampled poles a and b.
 
     Complex poles `√p exp(±iφ)`, p = exp(−α dt), give `k2 = (1 − √p)²/dt + 2√p (1 − cos φ)/dt`.
     """
@@ -74,9 +76,9 @@ def sampled_gains(alpha: Number, beta: Number, dt: Number) -> tuple[Scalar, Scal
 
 
 class Correction(NamedTuple):
-    """What a sample does: the part of ξ to take away, and what is added to the velocity.
+    """The correction by one sample: the fraction `part` of ξ to take away, and the change of the `velocity`.
 
-    Where the sample came too late to tell of the velocity, `restarted`: the estimate starts anew from the measured
+    `restarted`: the sample came too late to be used for the velocity, so the estimate starts anew from the measured
     configuration and the predicted velocity.
     """
 
@@ -88,22 +90,23 @@ class Correction(NamedTuple):
 def sampled_correction(
     space: AbstractSpace, motion: Motion, alpha: Number, beta: Number, dt: Number, xi: Vector, missing: Vector
 ) -> Correction:
-    """The correction of a predicted motion by the error ξ, `missing = −Nξ` being the acceleration that the prediction,
-    made at the estimate, left out.
+    """The correction of a predicted motion by the error ξ.
 
-    N is an operator and known in one direction only; beyond first order in `|N| dt²` its size stands for it.
+    - `missing`: −Nξ, the acceleration missing in the prediction, which was made at the estimate.
+
+    N is an operator and known in the direction of ξ only; terms beyond first order in `|N| dt²` use its size instead.
     """
     k1, k2 = sampled_gains(alpha, beta, dt)
     size, gap = space.norm(motion.q, xi), space.norm(motion.q, missing) * dt * dt
-    # An error lost in the rounding of the distance moved tells nothing of N.
+    # An error below the rounding of the distance moved says nothing about N.
     faint = float(jnp.finfo(xi.dtype).eps) ** 0.5 * dt * space.norm(*motion)
     restarted = gap > LONGEST_GAP * size + faint
     square = gap / jnp.where(size > 0, size, 1.0)
     kappa = dt * (1 - k1 / 2) - k2 * dt * dt / 6
-    velocity = kappa / (1 + square / 18) * missing - k2 * xi  # as x coth x grows
+    velocity = kappa / (1 + square / 18) * missing - k2 * xi  # for large |N| dt² it grows as x coth x does
     return Correction(jnp.where(restarted, 1.0, k1), jnp.where(restarted, 0.0, velocity), restarted)
 
 
 def worth(taken: Correction, result: Code) -> Code:
-    """The code of a step: its own, or `RESTARTED`, whichever is worse."""
+    """The result code of a step: its own, or `RESTARTED`, whichever is worse."""
     return jnp.where(taken.restarted, jnp.maximum(result, int(Result.RESTARTED)), result)

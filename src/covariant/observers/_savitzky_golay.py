@@ -1,6 +1,6 @@
-"""Causal Savitzky–Golay: slope at the last sample of a polynomial through the latest ones. Knows no model.
+"""Causal Savitzky–Golay filter: the slope, at the last sample, of a polynomial fitted to the latest ones. No model.
 
-Source: Savitzky & Golay 1964, Analytical Chemistry 36(8), one-sided; solved afresh each step for irregular stamps.
+Source: Savitzky & Golay 1964, Analytical Chemistry 36(8), one-sided; solved anew in each step for irregular stamps.
 """
 
 from typing import NamedTuple
@@ -18,7 +18,7 @@ from covariant.observers._protocol import AbstractObserver, outcome
 
 
 class WindowState(NamedTuple):
-    """Ages [s] (k,) and positions (k, n) of the latest samples, newest last; NaN where there is none."""
+    """Ages [s] (k,) and positions (k, n) of the latest samples, newest last, NaN where missing; and q and v."""
 
     age: Float[Array, "k"]
     y: Float[Array, "k n"]
@@ -27,7 +27,10 @@ class WindowState(NamedTuple):
 
 
 class SavitzkyGolay(AbstractObserver):
-    """Least-squares polynomial over the last `window` samples; `order` its degree, `circles` as in `Lagrangian`.
+    """Least-squares polynomial over the last `window` samples.
+
+    - `order`: degree of the polynomial.
+    - `circles`: as in `Lagrangian`.
 
     Raises `ValueError` when the window is not longer than the order.
     """
@@ -63,7 +66,7 @@ class SavitzkyGolay(AbstractObserver):
         return WindowState(age, samples, q, v), info
 
     def _fit(self, age, samples, expected: Vector, v: Vector) -> tuple[Vector, Vector]:
-        """Value and slope at age zero; the polynomial is pulled to (expected, v) only where samples are too few."""
+        """Value and slope at age zero; a weak prior (expected, v) decides only where there are too few samples."""
         span = jnp.maximum(age[0], jnp.finfo(age.dtype).tiny)
         powers = jnp.stack([(-age / span) ** k for k in range(self.order + 1)], axis=1)
         faint = 1e-9 * jnp.eye(self.order + 1, dtype=samples.dtype)

@@ -1,4 +1,4 @@
-"""Covariances as tensors: what a filter is told of noise, in every chart."""
+"""Covariances as tensors, so that a filter can be given the same noise in every chart."""
 
 from collections.abc import Callable
 from typing import Any
@@ -15,13 +15,13 @@ from covariant.observers._protocol import check_finite
 
 Spread = Scalar | Matrix | Callable[[Any], Matrix]
 """A covariance of vectors at a configuration, in the frame of the space: a number is a variance in metric units, the
-same in every direction; a matrix (n, n) is the same everywhere; else a function `q -> (n, n)`."""
+same in every direction; a matrix (n, n) is the same at every configuration; or a function `q -> (n, n)`."""
 
 
 def check_spread(whose: str, name: str, spread: Any, positive: bool = False) -> None:
-    """Raise `ValueError` for a number or a matrix that is no covariance, `positive`: nor one without variance.
+    """Raise `ValueError` for a number or matrix that is no covariance; with `positive`, also for a singular one.
 
-    What is traced, or a function, has no value to look at.
+    A traced value and a function are not checked.
     """
     if callable(spread) or isinstance(spread, Tracer):
         return
@@ -40,7 +40,7 @@ def check_spread(whose: str, name: str, spread: Any, positive: bool = False) -> 
 
 
 def spread_at(spread: Spread, space: AbstractSpace, q: Array) -> Float[Array, "n n"]:
-    """The covariance at a configuration."""
+    """The covariance matrix (n, n) at the configuration q."""
     if callable(spread):
         return spread(q)
     spread = jnp.asarray(spread)
