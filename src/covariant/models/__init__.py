@@ -1,4 +1,4 @@
-"""What moves: mechanical systems as JAX functions, and example systems, one a file."""
+"""Models: mechanical systems and general nonlinear systems as JAX functions, with one example system in each file."""
 
 from covariant.models._ball_and_beam import ball_and_beam
 from covariant.models._bioreactor import bioreactor

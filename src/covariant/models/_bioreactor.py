@@ -1,7 +1,7 @@
-"""A continuous stirred-tank bioreactor: microbes that feed on a substrate, which inhibits them where there is much.
+"""A continuous stirred-tank bioreactor: microbes that feed on a substrate, which inhibits them at high concentration.
 
 Source: Bastin & Dochain 1990, On-line estimation and adaptive control of bioreactors, chapter 1; numbers of Bequette
-1998, Process dynamics, module 8, which has hours in place of seconds.
+1998, Process dynamics, module 8, who uses hours in place of seconds.
 """
 
 import jax.numpy as jnp
@@ -23,11 +23,12 @@ def bioreactor(
 
     The growth rate is `μ(s) = growth s/(saturation + s + inhibition s²)`: Haldane's kinetics, and Monod's where
     `inhibition` [m³/kg] is zero. `growth` [1/s], `saturation` [kg/m³], `conversion` of substrate into biomass [1], and
-    the substrate in the `feed` [kg/m³] are positive; raises `ValueError` otherwise. In hours, or any other unit of
-    time, give `growth` and u in it.
+    the substrate in the `feed` [kg/m³] are positive; raises `ValueError` otherwise. To work in hours, or any other unit
+    of time, give `growth` and u in that unit.
 
-    The substrate tells the biomass from the rate at which it is eaten wherever there is any, s > 0. The biomass would
-    not tell the substrate: two of them, on both sides of the fastest growth, give the same rate.
+    The biomass is observable from the substrate, by the rate at which it is consumed, wherever s > 0. The substrate
+    would not be observable from the biomass: two concentrations, below and above that of the fastest growth, give the
+    same growth rate.
     """
     parameters = {
         "growth": Parameter(growth, "1/s", _SOURCE),
@@ -44,7 +45,7 @@ def bioreactor(
         units=("kg/m^3", "kg/m^3"),
         outputs=("substrate",),
         inputs=1,
-        box=tuple((high / 50, high) for high in (conversion * feed, feed)),  # without food nothing is seen
+        box=tuple((high / 50, high) for high in (conversion * feed, feed)),  # unobservable without substrate
         parameters=parameters,
     )
 

@@ -1,4 +1,4 @@
-"""A check by numbers that the types and shapes of a model cannot make."""
+"""A numerical check of the metric of a model, beyond the types and shapes of its functions."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -8,10 +8,10 @@ from covariant.models._mechanical import MechanicalSystem
 
 
 def check_metric(model: MechanicalSystem, points: Float[np.ndarray, "k n"]) -> None:
-    """Raise `ValueError` unless the metric is symmetric and, where the chart holds, positive definite.
+    """Raise `ValueError` unless the metric is symmetric and, where the chart is valid, positive definite.
 
-    A chart may end at some of the points, as polar coordinates do at r = 0: where the metric is singular or not finite
-    it is passed over, unless it is so at all of them.
+    A chart may be singular at some of the points, as polar coordinates are at r = 0: points where the metric is
+    singular or not finite are passed over, unless all of them are.
     """
     usable = [_is_usable(np.asarray(model.space(jnp.asarray(q))), q) for q in points]
     if not any(usable):
@@ -21,7 +21,7 @@ def check_metric(model: MechanicalSystem, points: Float[np.ndarray, "k n"]) -> N
 
 
 def _is_usable(g: np.ndarray, q: np.ndarray) -> bool:
-    """Whether g (n, n) is positive definite at q (n,), with some digits to spare."""
+    """Whether g (n, n) is positive definite at q (n,), well beyond rounding errors."""
     if not np.isfinite(g).all():
         return False
     roundoff = len(g) * np.finfo(np.result_type(g, np.float32)).eps * np.abs(g).max()

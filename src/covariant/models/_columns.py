@@ -1,4 +1,4 @@
-"""The columns of a model's logs: what was given, else names after the model; as many as the model has of each."""
+"""The columns of a model's logs: those given, and by default names derived from the model, in the number it needs."""
 
 from typing import Any, NamedTuple
 
@@ -11,7 +11,7 @@ from covariant.models._state_space import StateSpace
 
 
 class _Needs(NamedTuple):
-    """How many columns of each kind a configuration takes."""
+    """Number of columns of each kind that a configuration needs."""
 
     position: int = 0
     attitude: bool = False
@@ -29,10 +29,11 @@ _NEEDS = ((SO3, _Needs(0, True, 0)), (SE3, _Needs(3, True, 0)), (SE2, _Needs(2, 
 
 
 def model_columns(model: Any, loaded: Columns, given: dict[str, Any]) -> Columns:
-    """The columns that a model file gives, before those its module has (`loaded`), before names after the model.
+    """The columns of a model's logs. Those `given` in the model file take precedence over those `loaded` with the
+    model, and these over names derived from the model.
 
-    An attitude gets no name that is not given, since nobody can tell how it is written. Raises `ValueError` naming the
-    first key with too many columns or too few.
+    An attitude gets no default names, since its representation is unknown. Raises `ValueError` naming the first key
+    with too many columns or too few.
     """
     if any(given.get(kind) for kind in ATTITUDES):
         loaded = loaded._replace(**dict.fromkeys(ATTITUDES, ()))
@@ -48,7 +49,7 @@ def model_columns(model: Any, loaded: Columns, given: dict[str, Any]) -> Columns
 
 
 def lacks_attitude(model: Model, columns: Columns) -> bool:
-    """Whether a log of the model holds an attitude and nobody said how it is written."""
+    """Whether a log of the model holds an attitude whose representation is not given."""
     return _needs(model.manifold).attitude and not any(getattr(columns, kind) for kind in ATTITUDES)
 
 
@@ -106,7 +107,7 @@ def _off_coordinates(model: MechanicalSystem, given: dict[str, Any]) -> Columns:
 
 
 def _needs(manifold: AbstractManifold) -> _Needs:
-    """Raises `ValueError` for a manifold whose configurations no log can hold."""
+    """The columns that a manifold needs; raises `ValueError` where logs cannot hold its configurations."""
     if manifold.commuting:
         return _Needs()
     first, *rest = _factors(manifold)

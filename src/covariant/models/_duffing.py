@@ -1,4 +1,4 @@
-"""The oscillator of Duffing 1918 with a cubic spring: by default a buckled beam, two wells with a hill between."""
+"""The oscillator of Duffing 1918 with a cubic spring: by default a buckled beam, with two potential wells."""
 
 import jax.numpy as jnp
 
@@ -11,8 +11,8 @@ _SOURCE = "Guckenheimer & Holmes 1983, section 2.2"
 def duffing(damping: float = 0.25, stiffness: float = -1.0, cubic: float = 1.0) -> StateSpace:
     """`q̈ + damping q̇ + stiffness q + cubic q³ = u` for a unit mass [kg], with x = (q, q̇) [m, m/s] and y = q.
 
-    `damping` [N s/m], not negative; `stiffness` [N/m] and `cubic` [N/m³] of any sign; the force u [N] is zero where
-    none is given. Raises `ValueError` for other parameters.
+    `damping` [N s/m], not negative; `stiffness` [N/m] and `cubic` [N/m³] of any sign. The input u is a force [N], zero
+    where none is given. Raises `ValueError` for other parameters.
     """
     parameters = {
         "damping": Parameter(damping, "N s/m", _SOURCE),

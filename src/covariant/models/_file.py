@@ -1,4 +1,4 @@
-"""A model with all that is known around it: the columns of its logs, its sensors, and what the model does not know."""
+"""A model with what surrounds it: the columns of its logs, the noise of its sensors, and its own uncertainty."""
 
 import math
 from collections.abc import Sequence
@@ -16,22 +16,23 @@ from covariant.models._source import Model
 
 
 class ModelError(ValueError):
-    """A model that cannot be loaded. One line: which file or module, what is wrong there, and what to do."""
+    """A model that cannot be loaded. The message is one line: the file or module, what is wrong there, what to do."""
 
 
 class ModelFile(NamedTuple):
-    """A model and the numbers a design starts from; None where nobody said.
+    """A model and the numbers that a design starts from; a number that is not known is None.
 
     - `columns`: columns of a log; empty `q` and `u` stand for the model's coordinates and for u1, u2, …. Where the
       model is a `StateSpace`, `q` are its outputs.
-    - `measurement_std`: standard deviation of a measured position [its unit]; on a group of each component of
+    - `measurement_std`: standard deviation of a measured position [its unit]; on a group that of each component of
       `log(g⁻¹ y)`, the error as seen from the body [rad, and m where there is a position].
-    - `acceleration_std`, `correlation_time`: the acceleration that the model does not know [unit/s²], and for how
-      long it stays alike [s].
-    - `motion_std`, `motion_time`: the same for the acceleration of the motion itself, for filters that know no model.
+    - `acceleration_std`, `correlation_time`: standard deviation [unit/s²] and correlation time [s] of the acceleration
+      that the model does not explain.
+    - `motion_std`, `motion_time`: the same of the acceleration of the motion itself, for filters that use no model.
     - `damping`: damping ratio of the error.
-    - `input_lag`: first-order lag between logged input and force [s].
-    - `reference_half` [s], `reference_order`: local polynomial that velocities are scored against.
+    - `input_lag`: time constant of the first-order lag between logged input and force [s].
+    - `reference_half` [s], `reference_order`: half width of the windows, and degree, of the local polynomials that
+      give the reference velocity for scoring.
     """
 
     name: str
@@ -49,16 +50,16 @@ class ModelFile(NamedTuple):
 
     @property
     def dimension(self) -> int:
-        """Number n of velocities, or of the states of a `StateSpace`."""
+        """Number n of velocities; for a `StateSpace`, of states."""
         return len(self.model.velocities) or len(self.columns.q if self.mechanical else self.model.coordinates)
 
     @property
     def mechanical(self) -> bool:
-        """Whether the model is one of a configuration, with a velocity to estimate; else it is a `StateSpace`."""
+        """Whether the model is a mechanical system, with a velocity to estimate; otherwise it is a `StateSpace`."""
         return isinstance(self.model, MechanicalSystem)
 
     def need_mechanical(self, spec: str, why: str) -> MechanicalSystem:
-        """The model; raises `ValueError` naming `spec` and `why` for a state-space one."""
+        """The mechanical model; for a state-space one raises `ValueError`, a message with `spec` and `why`."""
         if not isinstance(self.model, MechanicalSystem):
             raise ValueError(
                 f"{spec} is a state-space model, and {why} mechanical ones, a Lagrangian or a GroupSystem; design an "
@@ -68,17 +69,20 @@ class ModelFile(NamedTuple):
 
     @property
     def lacks_attitude(self) -> bool:
-        """Whether a log of the model holds an attitude, and no columns say how it is written."""
+        """Whether a log of the model holds an attitude whose representation no column states."""
         return lacks_attitude(self.model, self.columns)
 
 
 def load(spec: str, overrides: Sequence[str] = ()) -> ModelFile:
-    """Load a model: a `.toml` file, `module:attribute` (a `Lagrangian`, a `GroupSystem`, a `StateSpace`, a `ModelFile`,
-    or a function that makes one; the module is also looked for in the current folder), or the name of a system with its
-    default parameters.
+    """Load a model.
 
-    `overrides` are applied last: `table.key=value` with the tables of the file and values as in TOML, such as
-    `parameters.mass=[1.0, 2.0]`. Raises `ModelError`, one line, naming the spec and the first thing wrong.
+    - `spec`: a `.toml` file; `module:attribute` (a `Lagrangian`, a `GroupSystem`, a `StateSpace`, a `ModelFile`, or a
+      function that makes one; the module is also looked for in the current folder); or the name of a system with its
+      default parameters.
+    - `overrides`: applied last. Each is `table.key=value`, with the tables of the file and values as in TOML, such as
+      `parameters.mass=[1.0, 2.0]`.
+
+    Raises `ModelError`, one line that names the spec and the first thing wrong.
     """
     try:
         document = _toml.override(_document(spec), overrides)
@@ -96,9 +100,9 @@ def load(spec: str, overrides: Sequence[str] = ()) -> ModelFile:
 
 
 def recipe(spec: str, overrides: Sequence[str] = ()) -> dict[str, Any]:
-    """What makes the model that `load(spec, overrides)` gives, and nothing else: to be written down and used later.
+    """The recipe of the model that `load(spec, overrides)` gives: just what is needed to make it again later.
 
-    A system with its parameters, or `module:attribute` with parameters. Raises `ModelError` as `load` does.
+    It holds a system with its parameters, or `module:attribute` with parameters. Raises `ModelError` as `load` does.
     """
     load(spec, overrides)
     document = _toml.override(_document(spec), overrides)
@@ -109,9 +113,9 @@ def recipe(spec: str, overrides: Sequence[str] = ()) -> dict[str, Any]:
 def from_recipe(made: dict[str, Any], model: Any = None) -> Model:
     """The model that a recipe makes: a system of the fixed table by name, with parameters of the right types.
 
-    A recipe may come from a file, so it never imports anything. `model` stands in the place of the system or attribute
-    that it names, on the word of whoever gives it: a model, or a function that makes one of the recipe's parameters, or
-    the `module:attribute` of either. Raises `ModelError`, one line, naming what is wrong.
+    A recipe may come from a file, so nothing in it is ever imported. A caller who trusts the code may give `model` in
+    place of the system or attribute that the recipe names: a model, a function that makes one from the recipe's
+    parameters, or the `module:attribute` of either. Raises `ModelError`, one line that names what is wrong.
     """
     parameters = made.get("parameters", {})
     try:
@@ -123,15 +127,15 @@ def from_recipe(made: dict[str, Any], model: Any = None) -> Model:
                 "model, as --model module:attribute or model=..."
             )
         factory, name = _source.system(made.get("system")), str(made.get("system"))
-        with np.errstate(all="ignore"):  # what parameters make infinite proves nothing later on
+        with np.errstate(all="ignore"):  # parameters may make numbers infinite, which later checks find
             return _make(name, factory, _source.typed(name, factory, parameters)).model
-    except Exception as error:  # whatever parameters bring about in a system
+    except Exception as error:  # parameters from a file may make a system fail in any way
         kind = "" if isinstance(error, ValueError) else f"{type(error).__name__}: "
         raise ModelError(kind + _source.first_line(error)) from error
 
 
 def _given(model: Any, parameters: dict[str, Any]) -> Model:
-    """The model that somebody gives in the place of a recipe."""
+    """The model that a caller gives in place of the one that a recipe names."""
     name = model if isinstance(model, str) else type(model).__name__
     if isinstance(model, str) and not all(model.partition(":")):
         raise ValueError(f"a model is given as module:attribute; got {model!r}")
@@ -144,7 +148,7 @@ def _is_file(spec: str) -> bool:
 
 
 def _document(spec: str) -> dict[str, Any]:
-    """The document a spec stands for, before it is overridden."""
+    """The document that a spec stands for, without overrides."""
     if _is_file(spec):
         return _toml.parse(_text(Path(spec)))
     if ":" in spec:
@@ -162,7 +166,7 @@ def _text(path: Path) -> str:
 
 
 def _find(spec: str, document: dict[str, Any]) -> Any:
-    """A model, or the factory of one."""
+    """The model that a spec names, or the function that makes it."""
     if _is_file(spec) or ":" not in spec:
         return _source.system(document.get("system"))
     if "system" in document:
@@ -171,7 +175,7 @@ def _find(spec: str, document: dict[str, Any]) -> Any:
 
 
 def _make(name: str, found: Any, parameters: dict[str, Any]) -> ModelFile:
-    """The model itself, or what the factory makes of the parameters."""
+    """The model itself, or what the function makes of the parameters."""
     finished = isinstance(found, Model | ModelFile)
     if finished and parameters:
         raise ValueError(f"{name} is a finished model; only a function that makes one takes parameters")
@@ -187,5 +191,5 @@ def _make(name: str, found: Any, parameters: dict[str, Any]) -> ModelFile:
 
 
 def _points(n: int) -> np.ndarray:
-    """Where the metric is looked at: 0, 1, and a few points between 0 and 2 that are always the same."""
+    """Points at which the metric is checked: 0, 1, and a few fixed points between 0 and 2."""
     return np.concatenate([np.zeros((1, n)), np.ones((1, n)), np.random.default_rng(0).uniform(0, 2, (4, n))])

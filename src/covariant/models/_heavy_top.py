@@ -1,4 +1,4 @@
-"""A rigid body that turns about a fixed point: the heavy top, and, without gravity, the free body."""
+"""A rigid body that rotates about a fixed point: the heavy top and, without gravity, the free body."""
 
 from collections.abc import Sequence
 
@@ -17,12 +17,14 @@ def heavy_top(
     axis: Sequence[float] = (0.0, 0.0, 1.0),
     viscous: float = 0.0,
 ) -> GroupSystem:
-    """Top of Maithripala, Berg & Dayawansa 2004, section IV-A, equations (31)–(32), of any shape.
+    """Top of Maithripala, Berg & Dayawansa 2004, section IV-A, equations (31)–(32), with any inertia.
 
-    `inertia` [kg m²] about the fixed point: three principal ones, or a matrix (3, 3); `moment` = m g l [N m], the
-    weight times the distance of the centre of mass, which lies along `axis` in the body. Gravity points along −z in
-    space. `viscous` [N m s/rad] is friction proportional to the angular velocity. Inputs are three torques in the
-    body [N m].
+    - `inertia` [kg m²] about the fixed point: three principal moments, or a matrix (3, 3).
+    - `moment`: m g l [N m], the weight times the distance of the centre of mass, which lies along `axis` in the body.
+      Gravity points along −z in space.
+    - `viscous` [N m s/rad]: friction proportional to the angular velocity.
+
+    Inputs are three torques in the body frame [N m].
     """
     matrix = np.asarray(inertia, float)
     matrix = np.diag(matrix) if matrix.ndim == 1 else matrix
@@ -43,7 +45,7 @@ def heavy_top(
 
 
 def free_body(inertia: Sequence[float] | Sequence[Sequence[float]] = (1.0, 2.0, 3.5)) -> GroupSystem:
-    """A body that turns freely, with torques [N m] as inputs: `heavy_top` at its centre of mass."""
+    """A freely rotating body, with torques in the body frame [N m] as inputs: `heavy_top` with no gravity moment."""
     return heavy_top(inertia, moment=0.0)
 
 

@@ -1,4 +1,4 @@
-"""A planar hovercraft on SE(2), pushed by two fans."""
+"""A planar hovercraft on SE(2), driven by two fans."""
 
 from collections.abc import Sequence
 

@@ -1,4 +1,4 @@
-"""The same machine in other coordinates."""
+"""A mechanical system rewritten in other coordinates."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -19,13 +19,14 @@ Chart = Callable[[Array], Any]
 def in_chart(
     model: MechanicalSystem, chart: Chart, *, coordinates: Sequence[str] = (), circles: Sequence[int] = ()
 ) -> Lagrangian:
-    """The machine in coordinates z (n,), its configuration being `chart(z)`; from any space, such as SO(3).
+    """The system in coordinates z (n,), its configuration being `chart(z)`; from any space, such as SO(3).
 
-    - `chart`: for instance `marine.euler_rotation` for a body on SO(3), whose rates are then those of its Euler angles.
-      Numbers in it are leaves where it is a pytree, such as a `Parametric`.
+    - `chart`: for instance `marine.euler_rotation` for a body on SO(3), whose velocities then are the rates of its
+      Euler angles. Numbers in the chart are leaves of the model's pytree where the chart itself is a pytree, such as a
+      `Parametric`.
     - `coordinates`, `circles`: as for `Lagrangian`.
 
-    Raises `ValueError` when the chart's values are no configurations of the model.
+    Raises `ValueError` when the values of the chart are no configurations of the model.
     """
 
     def part(function: Callable) -> Any:
@@ -33,7 +34,7 @@ def in_chart(
 
     n = jax.eval_shape(model.manifold.zero, jax.eval_shape(model.manifold.origin)).shape[0] if _known(model) else None
     return Lagrangian(
-        part(eqx.filter_jit(_metric)),  # differentiated and batched in many places: traced once for each way
+        part(eqx.filter_jit(_metric)),  # differentiated and batched in many places: each way traces it only once
         part(_potential),
         part(_force),
         part(_dissipation),
@@ -50,7 +51,7 @@ def chart_velocity(manifold: AbstractManifold, chart: Chart, z: Vector, rate: Ve
 
 
 def chart_jacobian(manifold: AbstractManifold, chart: Chart, z: Vector) -> Matrix:
-    """Matrix (n, n) of `chart_velocity`."""
+    """Matrix (n, n) of the linear map `rate ↦ chart_velocity`."""
     return jax.vmap(lambda a: chart_velocity(manifold, chart, z, a), out_axes=1)(jnp.eye(z.shape[0], dtype=z.dtype))
 
 

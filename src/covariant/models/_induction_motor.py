@@ -23,11 +23,12 @@ def induction_motor(
 ) -> StateSpace:
     """Stator currents i [A], rotor flux linkages ψ [Wb], each along α and β, and the speed ω [rad/s] of the rotor.
 
-    Resistances [Ω], inductances [H] of the two equivalent phases (`mutual_inductance²` below the product of the other
-    two), `inertia` [kg m²], and the torque of the `load` [N m] against positive speed: a known constant, or None for an
-    unknown one, which is then a sixth state. Inputs are the stator voltages [V], and the currents are measured. The
-    two phases carry the power of the three: `u·i` is the electrical one. Raises `ValueError` for parameters that are
-    not positive.
+    - Resistances are in Ω, inductances of the two equivalent phases in H; `mutual_inductance²` must be below the
+      product of the other two. `inertia` is in kg m².
+    - `load`: torque [N m] against positive speed, a known constant; None for an unknown one, which is a sixth state.
+
+    Inputs are the stator voltages [V], and the currents are measured. The two phases carry the power of the three:
+    `u·i` is the electrical power. Raises `ValueError` for parameters that are not positive.
     """
     parameters = {
         "stator_resistance": Parameter(stator_resistance, "ohm", _SOURCE),

@@ -1,4 +1,4 @@
-"""The convection cell of Lorenz 1963, Deterministic nonperiodic flow: the chaotic system everybody knows."""
+"""The convection cell of Lorenz 1963, Deterministic nonperiodic flow: the classical chaotic system."""
 
 import jax.numpy as jnp
 
@@ -9,10 +9,10 @@ _SOURCE = "Lorenz 1963, section 7"
 
 
 def lorenz(prandtl: float = 10.0, rayleigh: float = 28.0, geometry: float = 8 / 3) -> StateSpace:
-    """Lorenz 1963, equations (25)–(27), without dimensions: convection x, temperatures y and z; x is measured.
+    """Lorenz 1963, equations (25)–(27), dimensionless: convection x, temperatures y and z; x is measured.
 
-    `prandtl` number σ, `rayleigh` number r over the critical one, and `geometry` b of the cell, all positive: raises
-    `ValueError` otherwise. The box holds the attractor of the default parameters.
+    The `prandtl` number σ, the ratio `rayleigh` r of the Rayleigh number to the critical one, and the `geometry` b of
+    the cell must be positive; raises `ValueError` otherwise. The box holds the attractor of the default parameters.
     """
     parameters = {
         "prandtl": Parameter(prandtl, "1", _SOURCE),

@@ -1,9 +1,9 @@
 """A mechanical system `∇_v v = raise(−dU + force + dissipation)` on any configuration space, as JAX functions.
 
-`Lagrangian` builds one in coordinates, `GroupSystem` one on a group with a left-invariant kinetic energy.
+`Lagrangian` builds one in coordinates, `GroupSystem` one on a Lie group with a left-invariant kinetic energy.
 
 Source: Aghannan & Rouchon 2003, section II; Maithripala, Berg & Dayawansa 2004, section II-D, equations (12)–(16);
-Hamel's equations in a frame, Marsden & Ratiu 1999, chapter 13. Dissipation is an addition every machine needs.
+Hamel's equations in a frame, Marsden & Ratiu 1999, chapter 13. Dissipation is an addition: every real machine has it.
 """
 
 import functools
@@ -36,15 +36,16 @@ class MechanicalSystem(Functional):
 
     - `space`: its configuration space, with the kinetic energy `½ <v, v>` [J] as metric.
     - `potential`: potential energy `q -> ()` [J]; on a group a smooth function of the matrix entries. None for none.
-    - `force`: generalised force (covector in the frame) `(t, q, u) -> (n,)` of the input u (m,); by default u itself.
+    - `force`: generalised force (a covector in the frame) `(t, q, u) -> (n,)` of the input u (m,); by default u itself.
     - `dissipation`: generalised force that depends on the velocity, `(q, v) -> (n,)`, or `(t, q, v, u) -> (n,)` such as
       that of a rudder or a drag that an input scales. Observers evaluate it at the estimate. Friction opposes the
-      motion: a viscous one b is `lambda q, v: -b * v`.
+      motion: viscous friction with coefficient b is `lambda q, v: -b * v`.
     - `coordinates`, `units`: names and units of the entries of q, where they are coordinates.
-    - `velocities`, `velocity_units`: names and units of the components of v, where they are not the coordinates' rates.
-    - `inputs`: number of inputs m where it is not n.
-    - `parameters`: `Parameter` by name, for people. Functions made by `Parametric` hold their numbers as leaves of the
-      pytree too, so that a model with other numbers compiles nothing again.
+    - `velocities`, `velocity_units`: names and units of the components of v, where they are not the rates of the
+      coordinates.
+    - `inputs`: number of inputs m, where it is not n.
+    - `parameters`: a `Parameter` for each name, as documentation. Functions made by `Parametric` also hold their
+      numbers as leaves of the pytree, so that a model with other numbers needs no new compilation.
 
     Raises `ValueError` when a function has the wrong shape.
     """
@@ -87,12 +88,12 @@ class MechanicalSystem(Functional):
 
     @property
     def manifold(self) -> AbstractManifold:
-        """Where the configurations live."""
+        """The manifold of the configurations."""
         return self.space.manifold
 
     @property
     def metric(self) -> AbstractSpace:
-        """The space, by the name it has where it is a matrix in coordinates."""
+        """The space, under the name that it has where it is a matrix in coordinates."""
         return self.space
 
     @property
@@ -102,7 +103,7 @@ class MechanicalSystem(Functional):
 
     @property
     def dissipation_is_driven(self) -> bool:
-        """Whether the dissipation is called as (t, q, v, u), so that time and input may enter it; else as (q, v)."""
+        """Whether the dissipation takes (t, q, v, u), so that it may depend on time and input; otherwise (q, v)."""
         given = self.dissipation
         if isinstance(given, Parametric):
             given = functools.partial(given.function, **given.parameters)
@@ -112,26 +113,26 @@ class MechanicalSystem(Functional):
             inspect.signature(given).bind(None, None)
         except TypeError:
             return True
-        except ValueError:  # some built-in functions do not tell
+        except ValueError:  # some built-in functions have no signature
             pass
         return False
 
     def state(self, motion: Motion) -> Any:
-        """The state x: (q, v) (2n,) in coordinates, the motion itself elsewhere."""
+        """The state x of a motion: (q, v) (2n,) in coordinates, the motion itself elsewhere."""
         return jnp.concatenate(motion, axis=-1) if self.manifold.commuting else motion
 
     def motion(self, x: Any) -> Motion:
-        """Configuration and velocity of a state x, or of many, time first."""
+        """Configuration and velocity of a state x, or of many states, time first."""
         return Motion(*jnp.split(jnp.asarray(x), 2, axis=-1)) if self.manifold.commuting else x
 
 
 class Lagrangian(MechanicalSystem):
     """A `MechanicalSystem` in coordinates q (n,), whose positions are measured.
 
-    - `metric`: inertia matrix `q (n,) -> (n, n)`, or a space in coordinates, as of `covariant.geometry`.
+    - `metric`: inertia matrix `q (n,) -> (n, n)`, or a space in coordinates from `covariant.geometry`.
     - `circles`: indices of coordinates that are angles on a full circle [rad]; errors in them are wrapped to ±π.
-    - `potential`, `force`, `dissipation`, `coordinates`, `units`, `inputs`, `parameters`: as for `MechanicalSystem`;
-      when the coordinates are named, all functions are checked at once.
+    - `potential`, `force`, `dissipation`, `coordinates`, `units`, `inputs`, `parameters`: as for `MechanicalSystem`.
+      Where the coordinates are named, all functions are checked at once.
 
     Raises `ValueError` when a function has the wrong shape.
     """
@@ -155,11 +156,11 @@ class Lagrangian(MechanicalSystem):
 
 
 class GroupSystem(MechanicalSystem):
-    """A `MechanicalSystem` on a group: `g' = g hat(v)`, `I v' = ad*_v I v + force + dissipation`, all in the body.
+    """A `MechanicalSystem` on a Lie group, `g' = g hat(v)`, `I v' = ad*_v I v + force + dissipation` in the body frame.
 
     - `group`: such as `lie.SO3` or `lie.SE3`.
-    - `inertia`: matrix (n, n), or an `AbstractInertia`; the twist of a motion is (v, ω).
-    - `velocities`, `units`: names and units of the components of v, for people.
+    - `inertia`: matrix (n, n), or an `AbstractInertia`; on SE(3) v is the twist (v, ω), translation first.
+    - `velocities`, `units`: names and units of the components of v.
     - `potential`, `force`, `dissipation`, `inputs`, `parameters`: as for `MechanicalSystem`.
 
     Raises `ValueError` when a function has the wrong shape.
@@ -195,7 +196,7 @@ class GroupSystem(MechanicalSystem):
 
     @property
     def group(self) -> AbstractGroup:
-        """The group the configurations are elements of."""
+        """The group whose elements are the configurations."""
         return self.space.group  # pyright: ignore[reportAttributeAccessIssue]
 
 
@@ -236,7 +237,7 @@ def check_model(model: MechanicalSystem, dimension: int | None = None) -> None:
 
 
 def check_shapes(functions, given: str, whom: str) -> None:
-    """Raise `ValueError` for the first of the functions (name, function, arguments, shape) that has another shape."""
+    """Raise `ValueError` for the first (name, function, arguments, shape) whose function returns another shape."""
     for name, function, arguments, wanted in functions:
         try:
             shape = jax.eval_shape(function, *arguments).shape
@@ -248,7 +249,7 @@ def check_shapes(functions, given: str, whom: str) -> None:
 
 
 def applied_force(model: MechanicalSystem, t: Scalar, q: Array, u: Float[Array, "m"]) -> Vector:
-    """`−∂U + force`, the generalised force on the system without friction, in the frame."""
+    """`−∂U + force`: the generalised force on the system apart from dissipation, in the frame."""
     return model.force(t, q, u) - differential(model.manifold, model.potential, q)
 
 
@@ -258,17 +259,17 @@ def source(model: MechanicalSystem, t: Scalar, q: Array, u: Float[Array, "m"]) -
 
 
 def resistance(model: MechanicalSystem, t: Scalar, q: Array, v: Vector, u: Float[Array, "m"]) -> Array:
-    """The dissipation, a generalised force in the frame, whether or not the model's takes time and input."""
+    """The dissipation, a generalised force in the frame, for either signature of the model's function."""
     return model.dissipation(t, q, v, u) if model.dissipation_is_driven else model.dissipation(q, v)
 
 
 def friction(model: MechanicalSystem, t: Scalar, q: Array, v: Vector, u: Float[Array, "m"]) -> Vector:
-    """`raise(dissipation)`, as an acceleration."""
+    """`raise(dissipation)`: the acceleration due to dissipation."""
     return model.space.raise_(q, resistance(model, t, q, v, u))
 
 
 def input_count(model: Any, n: int) -> int:
-    """Number of inputs m of a model, which is its number n of velocities where it does not say."""
+    """Number of inputs m of a model; where it does not state one, its number n of velocities."""
     return n if model.inputs is None else model.inputs
 
 
@@ -284,13 +285,13 @@ def energy(model: MechanicalSystem, q: Array, v: Vector) -> Scalar:
 
 
 def spatial_momentum(system: MechanicalSystem, g: Element, v: Vector) -> Vector:
-    """`Ad*_{g⁻¹} I v` on a group: the momentum as seen from outside, constant where no force acts."""
+    """`Ad*_{g⁻¹} I v` on a group: the momentum in the space frame, constant where no force acts."""
     group = _group_of(system)
     return group.coadjoint_action(group.inverse(g), system.space.lower(g, v))
 
 
 def body_velocity(system: MechanicalSystem, g: Element, momentum: Vector) -> Vector:
-    """The body velocity v that has this spatial momentum at g, on a group."""
+    """The body velocity v whose momentum in the space frame is `momentum` at g, on a group."""
     return system.space.raise_(g, _group_of(system).coadjoint_action(g, momentum))
 
 
@@ -300,7 +301,7 @@ def _group_of(system: MechanicalSystem) -> AbstractGroup:
     return system.manifold
 
 
-Push = Callable[[Scalar, Any], Array]
+InputLaw = Callable[[Scalar, Any], Array]
 """Input `(t, x) -> u (m,)` of the state x."""
 
 
@@ -308,12 +309,13 @@ def advance(
     system: MechanicalSystem,
     t: Number,
     motion: Motion,
-    u: Push | Float[Array, "m"],
+    u: InputLaw | Float[Array, "m"],
     dt: Number,
     steps,
     rule=rk4_step,
 ) -> Motion:
-    """Integrate the system over dt [s] in equal steps, under the input u (m,), held, or `(t, x) -> u` of the state x.
+    """Integrate the system over dt [s] in equal steps, under an input u (m,) held constant, or a function `(t, x) -> u`
+    of the state x.
 
     `rule` is a one-step method `(flow, t, x, dt) -> x` of `covariant._integrate`.
     """
@@ -321,7 +323,7 @@ def advance(
     return advanced(system, t, motion, u if callable(u) else lambda s, x: u, dt, steps, rule)
 
 
-def _in_coordinates(system: MechanicalSystem, t: Number, motion: Motion, u: Push, dt, steps, rule) -> Motion:
+def _in_coordinates(system: MechanicalSystem, t: Number, motion: Motion, u: InputLaw, dt, steps, rule) -> Motion:
     @jax.jit  # traced once, not at each slope of the rule
     def flow(s, now):
         return Motion(now.v, acceleration(system, s, now.q, now.v, u(s, system.state(now))))
@@ -330,10 +332,11 @@ def _in_coordinates(system: MechanicalSystem, t: Number, motion: Motion, u: Push
     return jax.lax.fori_loop(0, steps, lambda i, now: rule(flow, t + jnp.asarray(i, h.dtype) * h, now, h), motion)
 
 
-def _in_frame(system: MechanicalSystem, t: Number, motion: Motion, u: Push, dt, steps, rule) -> Motion:
-    """The configuration stays on the manifold. Beside it the unknown of each step is the momentum as seen from the
-    frame at the step's start: where no force acts on it, as on a floating base, it is constant to rounding whatever the
-    step."""
+def _in_frame(system: MechanicalSystem, t: Number, motion: Motion, u: InputLaw, dt, steps, rule) -> Motion:
+    """Integrate on the manifold, where the configuration always stays.
+
+    The other unknown of each step is the momentum in the frame at the start of the step. Where no force acts on it, as
+    on a floating base, it is constant to rounding whatever the step."""
     h = dt / jnp.asarray(steps, motion.v.dtype)
 
     def step(i, now):
@@ -352,21 +355,22 @@ def _in_frame(system: MechanicalSystem, t: Number, motion: Motion, u: Push, dt, 
 
 
 class MomentumChart(NamedTuple):
-    """The equations of motion around a configuration: coordinates s of the retraction, and momentum seen from there.
+    """The equations of motion around a configuration: coordinates s of the retraction, and the momentum in the frame of
+    the centre.
 
-    With `μ = M v`, Hamel's equations are `μ' = ad*_v μ + ½∂<v, v> + force`; seen from the frame at the centre the first
-    term is gone.
+    With `μ = M v`, Hamel's equations are `μ' = ad*_v μ + ½∂<v, v> + force`; in the frame at the centre the first term
+    vanishes.
     """
 
     system: MechanicalSystem
     centre: Inexact[Array, "..."]
 
     def motion(self, s: Vector, momentum: Vector) -> Motion:
-        """Configuration and velocity."""
+        """Configuration and velocity at the coordinates s with the given momentum."""
         q = self.system.manifold.retract(self.centre, s)
         return Motion(q, self.system.space.raise_(q, self.system.manifold.carried_momentum(self.centre, s, momentum)))
 
-    def flow(self, t: Scalar, now: tuple[Vector, Vector], u: Push) -> tuple[tuple[Vector, Vector], Motion]:
+    def flow(self, t: Scalar, now: tuple[Vector, Vector], u: InputLaw) -> tuple[tuple[Vector, Vector], Motion]:
         """Derivatives of s and of the momentum, and the motion they belong to."""
         system, (s, momentum) = self.system, now
         q, v = x = self.motion(s, momentum)
@@ -377,6 +381,6 @@ class MomentumChart(NamedTuple):
         return (rate, system.manifold.carried_momentum(self.centre, -s, force)), x
 
     def end(self, s: Vector, momentum: Vector) -> tuple[Array, Vector]:
-        """The configuration, and the momentum seen from there: the centre of the next chart."""
+        """The configuration at s, and the momentum in its frame: the start of the next chart."""
         manifold = self.system.manifold
         return manifold.retract(self.centre, s), manifold.carried_momentum(self.centre, s, momentum)

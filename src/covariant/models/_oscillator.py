@@ -1,4 +1,4 @@
-"""The harmonic oscillator of Aghannan & Rouchon 2003, section III-B, in two charts: one system."""
+"""The harmonic oscillator of Aghannan & Rouchon 2003, section III-B, in two charts that describe the same system."""
 
 import jax.numpy as jnp
 
@@ -9,7 +9,7 @@ from covariant.models._parameters import Parameter, Parametric
 def oscillator(chart: str = "q", stiffness: float = 1.0) -> Lagrangian:
     """Unit mass [kg] on a spring [N/m], in the coordinate q [m] or in r = exp(q) with metric 1/r².
 
-    Raises `ValueError` for any other chart. The input is a force on q [N]; in r its covector is u/r.
+    Raises `ValueError` for any other chart. The input u is a force on q [N]; as a covector in r it is u/r.
     """
     parameters = {"stiffness": Parameter(stiffness, "N/m", "Aghannan & Rouchon 2003, section III-B")}
     if chart == "q":

@@ -1,4 +1,4 @@
-"""The numbers of a model: with units and sources for people, and as leaves of the pytree for programs."""
+"""Parameters of a model: with units and sources for people, and as leaves of the pytree for programs."""
 
 from collections.abc import Callable, Collection
 from typing import Any
@@ -14,9 +14,9 @@ from covariant._functional import Functional
 
 
 class Parameter(eqx.Module):
-    """A number of a model, or an array of numbers, with its unit and where it comes from.
+    """A number of a model, or an array of numbers, with its unit and its source.
 
-    The value is a leaf of the model's pytree: the same model with other values compiles nothing again.
+    The value is a leaf of the model's pytree: the same model with other values needs no new compilation.
     """
 
     value: Float[Array, "..."] = eqx.field(converter=lambda value: jnp.asarray(value, float))
@@ -25,12 +25,12 @@ class Parameter(eqx.Module):
 
 
 class Parametric(Functional):
-    """A function of a model with the numbers in it held apart, so that other numbers are no other function.
+    """A function of a model whose numbers are kept apart from its code.
 
-    `Parametric(f, mass=1.0)` is called as `f` without its keyword `mass`. A program is compiled for `f` and the shapes
-    of its parameters; a closure, such as a lambda that uses a number from around it, would be compiled for each number
-    anew. `f` should be a function of a module, the same object each time. It gets the parameters, numbers or arrays, as
-    arrays of the real type that matches its first argument with an axis.
+    `Parametric(f, mass=1.0)` is called as `f` without its keyword `mass`. A program is compiled once for `f` and the
+    shapes of its parameters; a closure, such as a lambda that uses a number from around it, would be compiled again for
+    each number. `f` should be a function of a module, so that it is the same object each time. It gets the parameters
+    as arrays, of the real type that matches its first array argument with an axis.
     """
 
     function: Callable[..., Array] = eqx.field(static=True)

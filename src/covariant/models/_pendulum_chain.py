@@ -46,15 +46,17 @@ def pendulum_chain(
     gravity: float = 9.81,
     source: str = "chosen",
 ) -> Lagrangian:
-    """A chain of n links swinging in a vertical plane; sequences have one entry a link.
+    """A chain of n links that swings in a vertical plane; each sequence has one entry for each link.
 
-    - `mass` [kg], `length` joint to joint [m], `com` joint to centre of mass [m] (default: at the end, a point mass),
-      `inertia` [kg m²] about the centre of mass, or about the joint with `inertia_about="joint"`.
+    - `mass` [kg], `length` from joint to joint [m], `com` from joint to centre of mass [m] (default: at the end, a
+      point mass), `inertia` [kg m²] about the centre of mass, or about the joint with `inertia_about="joint"`.
     - `angles`: "relative" (joint angles) or "absolute" (each link from the vertical); `zero`: "hanging" or "upright".
-    - `rotor_inertia` [kg m²] before the gear ratio `gear`; friction torque `viscous q̇ + coulomb atan(100 q̇)` and a
-      constant `offset` torque [N m] in each joint. `actuated`: joints with an input torque, in order (default all).
+    - `rotor_inertia` [kg m²] before the gear ratio `gear`.
+    - `viscous` [N m s/rad], `coulomb` [N m]: friction torque `viscous q̇ + coulomb atan(100 q̇)` in each joint; `offset`:
+      constant torque [N m] in each joint.
+    - `actuated`: joints with an input torque [N m], in order (default all).
 
-    Coordinates are full circles. Raises `ValueError` on wrong lengths, names, or negative masses.
+    Coordinates are angles on full circles. Raises `ValueError` on wrong lengths, names, or negative masses.
     """
     n = len(mass)
     given = {
@@ -77,15 +79,15 @@ def pendulum_chain(
             raise ValueError(f"pendulum_chain: {name} must not be negative; got {tuple(p[name].tolist())}")
 
     about_com = p["inertia"] - (p["mass"] * p["com"] ** 2 if inertia_about == "joint" else 0.0)
-    arms = np.tril(np.tile(p["length"], (n, 1)), -1) + np.diag(p["com"])  # arms[k, i]: reach of link i towards mass k
+    arms = np.tril(np.tile(p["length"], (n, 1)), -1) + np.diag(p["com"])  # arms[k, i]: lever arm of link i at mass k
     coupling = (arms.T * p["mass"]) @ arms
     moment = p["mass"] @ arms
     relative = np.eye(n) - np.eye(n, k=-1)  # joint rates from absolute rates
     rotor_rates = np.eye(n, k=-1) - p["gear"][:, None] * relative  # rotor rates from absolute rates
     constant = np.diag(about_com) + (rotor_rates.T * p["rotor_inertia"]) @ rotor_rates
-    absolute = np.linalg.inv(relative) if angles == "relative" else np.eye(n)  # absolute rates from the chart's
+    absolute = np.linalg.inv(relative) if angles == "relative" else np.eye(n)  # absolute rates from the coordinates'
     between = absolute[:, None, :] - absolute[None, :, :]
-    joints = np.eye(n) if angles == "relative" else relative  # joint rates from the chart's
+    joints = np.eye(n) if angles == "relative" else relative  # joint rates from the coordinates'
     up = 1.0 if zero == "upright" else -1.0
     driven = list(range(n)) if actuated is None else list(actuated)
     if any(not 0 <= i < n for i in driven):
@@ -106,7 +108,7 @@ def pendulum_chain(
 
 
 def _metric(q, coupling, constant, between, absolute):
-    # Angles between links, from coordinates directly: that of the first link drops out.
+    # The angles between links are computed from the coordinates directly, so that the first link's angle drops out.
     links = coupling * jnp.cos(between @ q)
     return absolute.T @ (links + constant) @ absolute
 

@@ -1,4 +1,4 @@
-"""A satellite that turns by spinning wheels up: only torques between its parts act, so its momentum never changes."""
+"""A satellite with reaction wheels: only torques between its parts act, so its total angular momentum is constant."""
 
 from collections.abc import Sequence
 
@@ -20,9 +20,11 @@ def satellite(
 ) -> GroupSystem:
     """Attitude and wheel angles on SO(3) × SO(2)^k; v holds the angular velocity and the rates against the body.
 
-    `inertia` [kg m²] of the satellite with its wheels locked, but for their spin; `wheel_inertia` [kg m²] of each
-    wheel about its axis, a unit vector of `axes` (k, 3); `bearing` [N m s/rad] friction of the wheels. Inputs are the
-    k motor torques [N m].
+    - `inertia` [kg m²]: principal moments of the satellite with its wheels, except their inertia of spin.
+    - `wheel_inertia` [kg m²]: of each wheel about its axis; `axes` (k, 3): these axes, as unit vectors.
+    - `bearing` [N m s/rad]: friction of the wheels.
+
+    Inputs are the k motor torques [N m].
     """
     directions = np.asarray(axes, float)
     if directions.ndim != 2 or directions.shape[1] != 3:

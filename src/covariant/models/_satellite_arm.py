@@ -1,4 +1,4 @@
-"""A satellite with an arm that floats freely: a pose and joint angles, coupled by an inertia that the joints change."""
+"""A free-floating satellite with an arm: a pose and joint angles, coupled by an inertia that depends on the joints."""
 
 from collections.abc import Sequence
 
@@ -24,13 +24,17 @@ def satellite_arm(
     link_length: Sequence[float] = (0.8, 0.6),
     bearing: float = 0.0,
 ) -> MechanicalSystem:
-    """A rigid body on SE(3) with an arm of two slender links; no gravity, so that its momentum changes by no motor.
+    """A rigid body on SE(3) with an arm of two slender links; without gravity, so that no motor changes its momentum.
 
-    A configuration (18,) is the pose T_world_body (4, 4), row by row, and the joint angles; v (8,) the body's twist
-    (v, ω), about its own centre of mass, and the joint rates. The arm is mounted at 0.3 m along x and straight at
-    angles 0; the first joint turns about z, the second about y. `mass` [kg] and `inertia` [kg m²] of the body alone,
-    `link_mass` [kg] and `link_length` [m] of the links, `bearing` [N m s/rad] friction of the joints. Inputs are the
-    two motor torques [N m].
+    A configuration (18,) is the pose T_world_body (4, 4), row by row, followed by the two joint angles. The velocity v
+    (8,) is the twist (v, ω) of the body about its own centre of mass, followed by the joint rates. The arm is mounted
+    at 0.3 m along x and straight at angles 0; the first joint turns about z, the second about y.
+
+    - `mass` [kg], `inertia` [kg m²]: of the body alone.
+    - `link_mass` [kg], `link_length` [m]: of the links.
+    - `bearing` [N m s/rad]: friction of the joints.
+
+    Inputs are the two motor torques [N m].
     """
     mount, roots = 0.3, (0.3, 0.3 + link_length[0])
     bodies = [_spatial_inertia(mass, np.zeros(3), np.diag(np.asarray(inertia, float)))]
@@ -62,12 +66,12 @@ def satellite_arm(
 
 
 class ArmEnergy(eqx.Module):
-    """Kinetic energy of a body with a serial arm, of v (6 + k,): its twist and the joint rates.
+    """Kinetic energy of a body with a serial arm, for the velocity v (6 + k,): its twist and the joint rates.
 
-    Everything is written where the arm is straight, seen from the body: `bodies` (k + 1, 6, 6) spatial inertias of the
-    body and the links, `screws` (k, 6) of the joints and their `turns` ad(S) (k, 6, 6). Link i then has the twist
-    `V_i = Ad(exp(−S_i q_i)) V_{i−1} + S_i q_i'`, with `Ad(exp(−S q)) = 1 − sin q ad(S) + (1 − cos q) ad(S)²` for a
-    joint that turns. Source: Lynch & Park 2017, Modern Robotics, section 8.3.
+    All constants are given in the body frame with the arm straight: `bodies` (k + 1, 6, 6), the spatial inertias of the
+    body and the links; `screws` S (k, 6) of the joints; and `turns` (k, 6, 6), the matrices ad(S). Link i then has the
+    twist `V_i = Ad(exp(−S_i q_i)) V_{i−1} + S_i q_i'`, with `Ad(exp(−S q)) = 1 − sin q ad(S) + (1 − cos q) ad(S)²` for
+    a joint that turns. Source: Lynch & Park 2017, Modern Robotics, section 8.3.
     """
 
     bodies: Float[Array, "links 6 6"]
@@ -87,7 +91,7 @@ class ArmEnergy(eqx.Module):
 
 
 def _spatial_inertia(mass: float, centre: np.ndarray, inertia: np.ndarray) -> np.ndarray:
-    """(6, 6) for twists (v, ω) about the origin, of a body whose inertia about its centre of mass this is."""
+    """Spatial inertia (6, 6) for twists (v, ω) about the origin, of a body with `inertia` about its centre of mass."""
     cross = np.cross(np.eye(3), centre)  # row i is e_i × c, so that ω × c = ω @ cross
     return np.block([[mass * np.eye(3), mass * cross.T], [mass * cross, inertia + mass * cross @ cross.T]])
 

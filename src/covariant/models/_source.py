@@ -1,4 +1,4 @@
-"""Where a model comes from: a system known by name, or an attribute of somebody's module."""
+"""Finds a model: a system of this library by its name, or an attribute of a module."""
 
 import contextlib
 import importlib
@@ -30,7 +30,7 @@ from covariant.models._unknown_frequency import unknown_frequency
 from covariant.models._van_der_pol import van_der_pol
 
 Model = MechanicalSystem | StateSpace
-"""The kinds of models."""
+"""The kinds of models, `MechanicalSystem` and `StateSpace`."""
 
 SYSTEMS: dict[str, Callable[..., Model]] = {
     "ball_and_beam": ball_and_beam,
@@ -49,11 +49,11 @@ SYSTEMS: dict[str, Callable[..., Model]] = {
     "unknown_frequency": unknown_frequency,
     "van_der_pol": van_der_pol,
 }
-"""The systems a model file may name."""
+"""The systems that a model file may name, and the functions that make them."""
 
 
 def system(name: Any) -> Callable[..., Model]:
-    """The factory of a known system; raises `ValueError` with the nearest one."""
+    """The function that makes a system; for an unknown name raises `ValueError` that suggests the nearest one."""
     if not isinstance(name, str):
         raise ValueError(f'system must be a name, as in system = "oscillator"; got {name!r}')
     refuse_unknown("system", name, SYSTEMS)
@@ -61,10 +61,10 @@ def system(name: Any) -> Callable[..., Model]:
 
 
 def attribute(spec: str) -> Any:
-    """What `module:attribute` names; the current folder is searched too. Raises `ValueError` saying what is missing."""
+    """The object that `module:attribute` names; the current folder is searched too. Raises `ValueError` otherwise."""
     where, _, name = spec.partition(":")
     if "" not in sys.path and os.getcwd() not in sys.path:
-        sys.path.insert(0, os.getcwd())  # as `python -m` does, and to stay: the module may import others later
+        sys.path.insert(0, os.getcwd())  # as `python -m` does; it stays, since the module may import others later
     try:
         module = importlib.import_module(where)
     except Exception as error:  # a module may fail in any way while it is imported
@@ -76,9 +76,9 @@ def attribute(spec: str) -> Any:
 
 
 def typed(name: str, factory: Callable[..., Any], parameters: dict[str, Any]) -> dict[str, Any]:
-    """Parameters in the types that the factory declares: a whole number serves as a `float`, a truth does not.
+    """Parameters converted to the types that the function declares: an int serves as a `float`, a bool does not.
 
-    Raises `ValueError` for one that is of another type; those that the factory does not take are left as they are.
+    Raises `ValueError` for one of another type; parameters that the function does not take are left as they are.
     """
     declared, found = inspect.signature(factory).parameters, dict(parameters)
     for key in found.keys() & declared.keys():
@@ -106,7 +106,7 @@ def _typed(value: Any, declared: Any) -> Any:
 
 
 def call(name: str, factory: Callable[..., Any], parameters: dict[str, Any]) -> Any:
-    """What a factory makes of its parameters; raises `ValueError` naming one it does not take, misses or refuses."""
+    """The result of a function; raises `ValueError` naming a parameter it does not take, lacks or refuses."""
     accepted = inspect.signature(factory).parameters
     for given in parameters:
         refuse_unknown(f"parameter of {name}", given, accepted)
@@ -121,5 +121,5 @@ def call(name: str, factory: Callable[..., Any], parameters: dict[str, Any]) -> 
 
 
 def first_line(error: BaseException) -> str:
-    """What an error says, in one line."""
+    """The first line of an error's message."""
     return next(iter(str(error).strip().splitlines()), type(error).__name__)

@@ -23,10 +23,11 @@ class StateSpace(Functional):
     - `f`: state derivative `(t, x, u) -> (n,)` of state x (n,) and input u (m,).
     - `h`: output `(t, x, u) -> (p,)`.
     - `coordinates`, `units`: names and units of the state; when given, both functions are checked at once.
-    - `outputs`: names of the outputs, y1, y2, … by default where coordinates are given; `inputs`: number of inputs m.
+    - `outputs`: names of the outputs, y1, y2, … by default where coordinates are given.
+    - `inputs`: number of inputs m.
     - `circles`: indices of outputs that are angles on a full circle [rad]; errors in them are wrapped to ±π.
-    - `box`: lower and upper bound of each state in which the model is meant to hold, for designs that need one.
-    - `parameters`: `Parameter` by name, for people.
+    - `box`: lower and upper bound of each state within which the model is valid, for designs that need one.
+    - `parameters`: a `Parameter` for each name, as documentation.
 
     Raises `ValueError` when a function has the wrong shape, or the names, units or box do not fit the state.
     """
@@ -66,14 +67,14 @@ class StateSpace(Functional):
 
     @property
     def velocities(self) -> tuple[str, ...]:
-        """Names of velocities: a state-space model has none of its own."""
+        """Names of velocities: empty, since a state-space model has states only."""
         return ()
 
     velocity_units = velocities
 
     @property
     def manifold(self) -> Coordinates:
-        """Where the outputs live."""
+        """The manifold of the outputs."""
         return Coordinates(self.circles, len(self.outputs))
 
     def jacobians(self, t: Scalar, x: Vector, u: Float[Array, "m"]) -> tuple[Matrix, Float[Array, "p n"]]:
@@ -87,7 +88,7 @@ class StateSpace(Functional):
 
 @functools.singledispatch
 def state_space(model: MechanicalSystem) -> StateSpace:
-    """A mechanical system as that of x = (q, v) with y = q; a `marine.Craft` as that of x = (η, ν) with y = η."""
+    """The `StateSpace` of a mechanical system, x = (q, v), y = q; or of a `marine.Craft`, x = (η, ν), y = η."""
     names = model.coordinates
     rates = tuple(f"{name}_dot" for name in names)
 
@@ -120,7 +121,7 @@ def _position(t: Scalar, x: Float[Array, "two_n"], u: Float[Array, "m"]) -> Vect
 
 
 def _check(model: StateSpace, box: Sequence[tuple[Any, Any]]) -> int:
-    """Raise `ValueError` for the first thing that does not fit n coordinates; returns the number of outputs."""
+    """The number of outputs; raises `ValueError` for the first thing that does not fit the n coordinates."""
     n = len(model.coordinates)
     t, x, u = (jax.ShapeDtypeStruct(shape, jnp.float64) for shape in ((), (n,), (model.inputs,)))
     given, whom = f"{n} states and {model.inputs} inputs", f"{n} states"

@@ -1,4 +1,4 @@
-"""The layout of a model file: which tables and keys there are, and what each of them may hold."""
+"""The layout of a model file: its tables and keys, and the values that each of them may hold."""
 
 import difflib
 import math
@@ -21,14 +21,14 @@ NUMBERS = {
     ("reference", "half"): ("reference_half", 1.0),
     ("reference", "order"): ("reference_order", 1),
 }
-"""Table and key of each number: the field it fills, and the factor on the way."""
+"""Table and key of each number, with the field of `ModelFile` it fills and the factor that converts it."""
 
 _KEYS = {"columns": Columns._fields} | {
     table: tuple(key for other, key in NUMBERS if other == table) for table in dict.fromkeys(t for t, _ in NUMBERS)
 }
 _QUOTED = re.compile(r"""\"(?:[^"\\\\]|\\\\.)*\"|'[^']*'""")
 _ODD_NUMBER = re.compile(r"(?<![\w-])[+-]?(?:0[xob]\w|[0-9.]+_)")
-"""TOML has numbers with underscores and in hexadecimal; given on a command line they are rather slips."""
+"""TOML allows underscores and hexadecimal numbers; on a command line these are more likely typing errors."""
 _MAY_BE_ZERO = {("inputs", "lag")}
 _RIVALS = {"measurement.std": ("quantum",), "measurement.quantum": ("std",)} | {
     f"columns.{kind}": tuple(other for other in ATTITUDES if other != kind) for kind in ATTITUDES
@@ -55,7 +55,7 @@ def override(document: dict[str, Any], overrides: Sequence[str]) -> dict[str, An
             table = table.setdefault(name, {})
             if not isinstance(table, dict):
                 raise ValueError(f"override {text!r}: {name!r} is not a table")
-        for rival in _RIVALS.get(key, ()):  # the new one of two ways to say the same replaces the old
+        for rival in _RIVALS.get(key, ()):  # of two keys for the same number the new one replaces the old
             table.pop(rival, None)
         table[last] = _value(text, value)
     return document
@@ -89,7 +89,7 @@ def refuse_unknown(what: str, name: str, known: Collection[str]) -> None:
 
 
 def unknown(what: str, name: str, known: Collection[str]) -> str:
-    """The words for a name that is not known: the nearest known one, and all of them."""
+    """The message for an unknown name: it names the nearest known one, and all of them."""
     near = difflib.get_close_matches(name, known, 1)
     meant = f" Did you mean {near[0]!r}?" if near else ""
     return f"unknown {what} {name!r}.{meant} Known: {', '.join(known) or 'none'}"
@@ -109,7 +109,7 @@ def columns(document: dict[str, Any]) -> dict[str, Any]:
 
 
 def numbers(document: dict[str, Any]) -> dict[str, float]:
-    """The numbers that the document gives, by field of `ModelFile`; raises `ValueError` when one makes no sense."""
+    """The numbers that the document gives, by field of `ModelFile`; raises `ValueError` for an invalid one."""
     if {"std", "quantum"} <= document.get("measurement", {}).keys():
         raise ValueError("[measurement] has both std and quantum; keep one (std = quantum / sqrt(12))")
     given = {(table, key): document[table][key] for table, key in NUMBERS if key in document.get(table, {})}

@@ -1,4 +1,4 @@
-"""A rigid body in water, on SE(3): no Euler angles, so that no pitch is special.
+"""A rigid body in water, on SE(3): without Euler angles, so that there is no singular pitch.
 
 Source: Leonard 1997, Stability of a bottom-heavy underwater vehicle, for the left-invariant kinetic energy of body and
 water; Fossen 2011, Handbook of Marine Craft Hydrodynamics and Motion Control, chapter 6, for the drag.
@@ -30,9 +30,12 @@ def underwater_vehicle(
 ) -> GroupSystem:
     """Vehicle in still water; twist (v, ω) in the body [m/s, rad/s], z up in space.
 
-    `mass` [kg], `inertia` [kg m²] about the body's origin, `added_mass` [kg, kg m²] along and about the body's axes,
-    `buoyancy` [N], centres of mass and buoyancy [m] in the body, `drag` and `quadratic_drag` for each component of
-    the twist. The input is the wrench (force, torque) at the origin, in the body [N, N m].
+    - `mass` [kg], `inertia` [kg m²] about the origin of the body frame.
+    - `added_mass` [kg, kg m²]: along and about the axes of the body.
+    - `buoyancy` [N]; `centre_of_mass`, `centre_of_buoyancy` [m] in the body frame.
+    - `drag`, `quadratic_drag`: coefficients for each component of the twist.
+
+    The input is the wrench (force, torque) at the origin, in the body frame [N, N m].
     """
     centre, lift = np.asarray(centre_of_mass, float), np.asarray(centre_of_buoyancy, float)
     coupling = mass * np.cross(np.eye(3), centre)  # the matrix of x ↦ mass · centre × x
@@ -59,7 +62,7 @@ def submerged_body(
     quadratic_drag: Sequence[float],
     parameters: dict[str, Parameter],
 ) -> GroupSystem:
-    """A body on SE(3) with inertia (6, 6), a potential of its pose, and drag against each component of its twist."""
+    """A body on SE(3) with inertia (6, 6), a potential of its pose, and drag in each component of its twist."""
     return GroupSystem(
         SE3,
         inertia,

@@ -8,7 +8,8 @@ from covariant.models._state_space import StateSpace
 def unknown_frequency() -> StateSpace:
     """A unit mass on a spring of unknown stiffness: x1 [m], its velocity x2 [m/s], and x3 = ω² [1/s²]; y = x1.
 
-    `f = (x2, −x3 x1, 0)`. The box is the grid of section III of the paper. At x1 = x2 = 0 nothing tells the frequency.
+    `f = (x2, −x3 x1, 0)`. The box is the grid of section III of the paper. At x1 = x2 = 0 the frequency is not
+    observable.
     """
     return StateSpace(
         _f,

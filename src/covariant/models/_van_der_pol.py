@@ -1,4 +1,4 @@
-"""The oscillator of van der Pol 1926, On relaxation-oscillations: a limit cycle, the same from every start but zero."""
+"""The oscillator of van der Pol 1926, On relaxation-oscillations: every motion but rest tends to one limit cycle."""
 
 import jax.numpy as jnp
 
@@ -7,7 +7,7 @@ from covariant.models._state_space import StateSpace
 
 
 def van_der_pol(damping: float = 1.0) -> StateSpace:
-    """`q̈ − damping (1 − q²) q̇ + q = 0` without dimensions, with x = (q, q̇) and y = q.
+    """`q̈ − damping (1 − q²) q̇ + q = 0`, dimensionless, with x = (q, q̇) and y = q.
 
     Raises `ValueError` for a negative damping.
     """

@@ -1,4 +1,4 @@
-"""The ideal fluid in the plane, periodic in both directions, as free motion on SU(n).
+"""The ideal fluid in the plane, periodic in both directions, as free motion on the group SU(n).
 
 The domain is the torus [0, 2π)² [m]; u = (−∂₂ψ, ∂₁ψ) [m/s] with stream function ψ [m²/s] and vorticity ω = Δψ [1/s]:
 
@@ -9,7 +9,7 @@ In the basis T_m of the clock and shift matrices, `(T_m)[k, k + m₂] = exp(2πi
 su(n). Commutators are Poisson brackets, `[X_f, X_g] = X_{{f, g}}`, with sin(2π(m×l)/n)·n/2π for m×l: an error of
 second order in |m||l|/n. The body velocity is X_ψ, the inertia −Δ, and Euler's equation `μ' = [μ, ζ]`, μ = X_{−ω}, is
 the Euler–Poincaré equation of a left-invariant metric. On the group of particle maps Arnold's metric is
-right-invariant; the configuration g is therefore the inverse map, from places back to labels.
+right-invariant; the configuration g is therefore the inverse map, from positions back to particle labels.
 
 Sources: Arnold 1966, Ann. Inst. Fourier 16, 319–361; Zeitlin 1991, Physica D 49, 353–362. Aghannan & Rouchon 2003
 name the ideal fluid as an extension of their observer.
@@ -38,8 +38,9 @@ Grid = Float[Array, "P P"]
 def ideal_fluid(n: int, viscosity: float = 0.0) -> GroupSystem:
     """The fluid with the n² − 1 modes |m₁|, |m₂| ≤ (n − 1)/2; `viscosity` ν [m²/s] is its dissipation.
 
-    Velocities are the coordinates of `lie.SU(n)`, those of a stream function by `velocity_coordinates`. The system's
-    energy is ½∫|u|²dx, per density. It has no inputs. Raises `ValueError` unless n is odd and at least 3, ν ≥ 0.
+    Velocities are coordinates of `lie.SU(n)`; `velocity_coordinates` gives those of a stream function. The energy of
+    the system is ½∫|u|²dx, that is, energy per unit density. It has no inputs. Raises `ValueError` unless n is odd and
+    at least 3, and ν ≥ 0.
     """
     if not isinstance(n, int) or n < 3 or n % 2 == 0:
         raise ValueError(f"ideal_fluid: n must be an odd integer of 3 or more; got {n!r}")
@@ -95,22 +96,24 @@ def modes(n: int, values: Grid) -> Modes:
 
 
 def carry(n: int, g: Element, tracer: Modes) -> Modes:
-    """Coefficients (n, n) of a dye after the motion g, given those before it: `a_t = −{ψ, a}`, so `X_a ↦ g⁻¹ X_a g`.
+    """Coefficients (n, n) of a passive tracer, such as a dye, after the motion g, given those before it.
 
-    Without viscosity the vorticity is such a dye.
+    The tracer obeys `a_t = −{ψ, a}`, so `X_a ↦ g⁻¹ X_a g`.
+
+    Without viscosity the vorticity is such a tracer.
     """
     return _coefficients(n, g.conj().T @ _matrix(n, tracer) @ g)
 
 
 def enstrophy(n: int, v: Vector) -> Scalar:
-    """`½∫ω²dx` [m²/s²]."""
+    """Enstrophy `½∫ω²dx` [m²/s²] of a velocity (n² − 1,)."""
     return (2 * np.pi) ** 2 / 2 * jnp.sum(jnp.abs(vorticity_modes(n, v)) ** 2)
 
 
 def casimirs(n: int, v: Vector) -> Float[Array, "k"]:
-    """`(2π)²/n · tr Ωᵏ` for k = 2, …, n, with Ω = Σ ω_m T_m: what becomes of `∫ωᵏdx` [m²/sᵏ].
+    """`(2π)²/n · tr Ωᵏ` for k = 2, …, n, with Ω = Σ ω_m T_m: the discrete counterpart of `∫ωᵏdx` [m²/sᵏ].
 
-    These n − 1 numbers determine the orbit of the vorticity; without viscosity the motion keeps them all.
+    These n − 1 numbers determine the coadjoint orbit of the vorticity; without viscosity all of them are conserved.
     """
     values = jnp.linalg.eigvalsh(_matrix(n, vorticity_modes(n, v)))
     return (2 * np.pi) ** 2 / n * jnp.sum(values[:, None] ** jnp.arange(2, n + 1, dtype=values.dtype)[None], axis=0)
@@ -124,9 +127,9 @@ class ParticleMaps(SU):
 
 
 class Laplacian(AbstractInertia):
-    """The inertia `−Δ`, |m|² on mode m, in coordinates of `lie.SU(n)` and in units that make energies physical.
+    """The inertia `−Δ`, |m|² on mode m, in coordinates of `lie.SU(n)`, scaled so that energies are physical.
 
-    As the dot product of coordinates is `2 tr(Xᴴ Y)`, that is n³/8π² Σ f̄_m g_m, they ask for the factor 32π⁴/n³.
+    The dot product of coordinates is `2 tr(Xᴴ Y)`, that is n³/8π² Σ f̄_m g_m, hence the factor 32π⁴/n³.
     """
 
     n: int = eqx.field(static=True)
@@ -136,8 +139,8 @@ class Laplacian(AbstractInertia):
 
     def solve(self, mu: Vector) -> Vector:
         x = self._nearly_solved(mu)
-        # Rounding in a transform is the same at every step and adds up: without this correction a thousand steps change
-        # the Casimirs by some 1e-12.
+        # A transform makes the same rounding error at every step, which accumulates: without this correction a thousand
+        # steps change the Casimirs by some 1e-12.
         return x + self._nearly_solved(mu - self(x))
 
     def _nearly_solved(self, mu: Vector) -> Vector:
@@ -150,7 +153,7 @@ class Laplacian(AbstractInertia):
 
 
 class Viscosity(eqx.Module):
-    """Dissipation `(g, v) -> (n² − 1,)` that adds νΔω to the vorticity's rate."""
+    """Dissipation `(g, v) -> (n² − 1,)` that adds νΔω to the rate of the vorticity."""
 
     n: int = eqx.field(static=True)
     viscosity: Float[Array, ""]
@@ -185,12 +188,12 @@ def _filtered(n: int, factors: np.ndarray, x: Vector) -> Vector:
 
 def _nonzero_squares(n: int) -> np.ndarray:
     squares = _wave_numbers_squared(n)
-    squares[0, 0] = 1.0  # of the mean, which no velocity has
+    squares[0, 0] = 1.0  # the mean, which no velocity has
     return squares
 
 
 def _rows(n: int, points: int) -> np.ndarray:
-    """Where the n frequencies of either sign are among those of a grid."""
+    """Indices of the n frequencies of either sign among those of a grid."""
     if points < n:
         raise ValueError(f"a grid of {n} frequencies needs at least {n} points a side; got {points}")
     return _frequencies(n) % points
@@ -201,7 +204,7 @@ def _times(factors: np.ndarray | Array, coefficients: Modes) -> Modes:
 
 
 def _matrix(n: int, coefficients: Modes) -> Element:
-    """`Σ f_m T_m`: entry (j, k) is `Σ f_m exp(2πi m₁(j + k)/n)` over the modes with m₂ = k − j."""
+    """The matrix `Σ f_m T_m`: entry (j, k) is `Σ f_m exp(2πi m₁(j + k)/n)` over the modes with m₂ = k − j."""
     j, k = np.ogrid[:n, :n]
     return jnp.fft.ifft(coefficients, axis=0, norm="forward")[(j + k) % n, (k - j) % n]
 
@@ -215,7 +218,8 @@ def _coefficients(n: int, matrix: Element) -> Modes:
 
 @eqx.filter_custom_jvp
 def _right_jacobian_inverse(group: SU, x: Vector, y: Vector) -> Vector:
-    """Where x is diagonal with angles θ, entry (j, k) of y is divided by the mean of exp(−is(θ_j − θ_k)), 0 ≤ s ≤ 1."""
+    """J_r(x)⁻¹ y: where x is diagonal with angles θ, entry (j, k) of y divided by the mean of exp(−is(θ_j − θ_k)),
+    0 ≤ s ≤ 1."""
     angles, vectors = jnp.linalg.eigh(-1j * group.hat(x))
     half = (angles[:, None] - angles[None]).astype(vectors.dtype) / 2
     factors = jnp.exp(1j * half) / jnp.sinc(half / np.pi)

@@ -1,4 +1,4 @@
-"""Ships and underwater vehicles, with parameters that say where they come from."""
+"""Ships and underwater vehicles, with parameters that name their sources."""
 
 from covariant.models.marine._craft import (
     Craft,

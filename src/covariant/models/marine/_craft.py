@@ -1,4 +1,4 @@
-"""A marine craft in the vectorial form of Fossen: body velocities, and coordinates that say where the body is.
+"""A marine craft in the vectorial form of Fossen: velocities in the body frame, and coordinates of its position.
 
 Source: Jouffroy & Fossen 2004, equations (38)–(39) and (80)–(85); Fossen 2011, Handbook of Marine Craft Hydrodynamics
 and Motion Control, chapters 2 and 6, for the kinematics and the Coriolis matrix.
@@ -31,7 +31,7 @@ class Craft(eqx.Module):
     - `coriolis`: `C(ν)` (n, n), skew-symmetric; none by default.
     - `coordinates`, `units`, `velocities`: names of η and ν, and the units of η.
     - `circles`: indices of coordinates that are angles on a full circle [rad].
-    - `parameters`: `Parameter` by name, for people.
+    - `parameters`: a `Parameter` for each name, as documentation.
 
     Raises `ValueError` when a matrix or function has the wrong shape, or M is not symmetric positive definite.
     """
@@ -79,7 +79,7 @@ class Craft(eqx.Module):
         check_shapes(functions, f"{n} coordinates", "this craft")
 
     def acceleration(self, eta: Vector, nu: Vector, tau: Vector) -> Vector:
-        """ν' (n,) where the craft is at η, moves with ν and is pushed by τ."""
+        """ν' (n,) at the position η with the velocity ν under the force τ."""
         force = tau - (self.coriolis(nu) + self.damping(nu)) @ nu - self.restoring(eta)
         return solve(jnp.asarray(self.mass, nu.dtype), force)
 
@@ -112,9 +112,9 @@ def _no_coriolis(nu: Vector) -> Matrix:
 
 
 def positive_definite(name: str, matrix: Numbers, n: int) -> Matrix:
-    """The matrix, checked: symmetric positive definite (n, n). Raises `ValueError` naming what is wrong.
+    """A matrix (n, n) checked to be symmetric positive definite. Raises `ValueError` that says what is wrong.
 
-    Inside a compiled function its numbers are not known yet: there its shape alone is looked at.
+    Inside a compiled function its numbers are not known: there only its shape is checked.
     """
     if np.shape(matrix) != (n, n):
         raise ValueError(f"{name} must be a matrix of {n} rows and {n} columns; its shape is {np.shape(matrix)}")
@@ -130,9 +130,9 @@ def positive_definite(name: str, matrix: Numbers, n: int) -> Matrix:
 
 
 def coriolis_matrix(mass: Numbers) -> Callable[[Array], Array]:
-    """`ν ↦ C(ν)`, skew-symmetric, for the inertia M (3, 3) of planar or (6, 6) of spatial motion.
+    """`ν ↦ C(ν)`, skew-symmetric, for the inertia M, (3, 3) of planar or (6, 6) of spatial motion.
 
-    `C(ν)w = −ad*_w(Mν)`, so that `C(ν)ν` is that of Kirchhoff's equations.
+    `C(ν)w = −ad*_w(Mν)`, so that `C(ν)ν` is the Coriolis term of Kirchhoff's equations.
     """
     return Parametric(_coriolis, mass=mass)
 
@@ -143,13 +143,13 @@ def _coriolis(nu: Vector, mass: Matrix) -> Matrix:
 
 
 def yaw_rotation(psi: Scalar) -> Matrix:
-    """R(ψ) (3, 3): from surge, sway and yaw rate in the body to rates of north, east and heading ψ [rad]."""
+    """R(ψ) (3, 3): from surge, sway and yaw rate in the body frame to the rates of north, east and heading ψ [rad]."""
     c, s, zero = jnp.cos(psi), jnp.sin(psi), jnp.zeros_like(psi)
     return jnp.stack([jnp.stack([c, -s, zero]), jnp.stack([s, c, zero]), jnp.stack([zero, zero, jnp.ones_like(psi)])])
 
 
 def euler_rotation(angles: Float[Array, "3"]) -> Matrix:
-    """R (3, 3) of roll φ, pitch θ and yaw ψ [rad]: from the body to north, east and down."""
+    """R (3, 3) of roll φ, pitch θ and yaw ψ [rad]: from the body frame to north, east and down."""
     (cr, cp, cy), (sr, sp, sy) = jnp.cos(angles), jnp.sin(angles)
     return jnp.stack(
         [
@@ -161,7 +161,7 @@ def euler_rotation(angles: Float[Array, "3"]) -> Matrix:
 
 
 def euler_rates(angles: Float[Array, "3"]) -> Matrix:
-    """T (3, 3): from angular velocity in the body to the rates of roll, pitch and yaw. Singular at a pitch of ±90°."""
+    """T (3, 3): from body angular velocity to the rates of roll, pitch and yaw. Singular at a pitch of ±90°."""
     (cr, cp, _), (sr, sp, _) = jnp.cos(angles), jnp.sin(angles)
     one, zero = jnp.ones_like(cr), jnp.zeros_like(cr)
     return jnp.stack(

@@ -1,4 +1,4 @@
-"""A ship that keeps its place: first-order wave motion, slowly varying forces, and thrusters that lag.
+"""A ship in dynamic positioning: first-order wave motion, slowly varying forces, and thrusters with a lag.
 
 Source: Fossen & Strand 1999, Passive nonlinear observer design for ships using Lyapunov methods, Automatica 35(1);
 Jouffroy & Fossen 2004, equations (38)–(42), for the ship alone.
@@ -18,7 +18,7 @@ from covariant.models.marine._craft import Craft, yaw_rotation
 
 
 class Waves(eqx.Module):
-    """Oscillation of north, east and heading by first-order waves: `ξ₁' = ξ₂`, `ξ₂' = −ω²ξ₁ − 2ζωξ₂ + w`, seen ξ₂.
+    """Wave motion of north, east and heading: `ξ₁' = ξ₂`, `ξ₂' = −ω²ξ₁ − 2ζωξ₂ + w`, of which ξ₂ is measured.
 
     - `frequency` (3,): ω [rad/s].
     - `damping` (3,): ζ, relative.
@@ -42,15 +42,16 @@ class Waves(eqx.Module):
 
 
 class Station(eqx.Module):
-    """A surface ship with what acts on it at sea; its states beside η and ν are those of the parts it has.
+    """A surface ship with the disturbances at sea; beside η and ν its states are those of the parts it has.
 
     - `ship`: a `Craft` in the plane, such as `supply_vessel()`.
     - `waves`: wave motion ξ (6,), added to the measured position.
     - `bias_time`: a slowly varying force b (3,) in north, east and heading [N, N, N m] is part of the state, a Markov
-      process with this time constant [s]; infinity is a random walk.
+      process with this time constant [s]; infinity makes it a random walk.
     - `thruster_time`: the force τ (3,) follows the commanded one with this time constant [s].
 
-    States in this order: η, ν, ξ, b, τ. Raises `ValueError` for a craft that is not planar or a time not positive.
+    States are in this order: η, ν, ξ, b, τ. Raises `ValueError` for a craft that is not planar or a time that is not
+    positive.
     """
 
     ship: Craft
@@ -67,7 +68,7 @@ class Station(eqx.Module):
 
     @property
     def parts(self) -> dict[str, slice]:
-        """Where each part of the state is: eta, nu, and waves, bias and thrust where there are such."""
+        """The slice of each part of the state: eta, nu, and waves, bias and thrust where the station has them."""
         sizes = {
             "eta": 3,
             "nu": 3,
@@ -86,9 +87,10 @@ class Station(eqx.Module):
     def derivative(
         self, heading: Scalar, x: Vector, u: Float[Array, "3"], noise: Float[Array, "k"] | None = None
     ) -> Vector:
-        """x' (n,) under the commanded force u (3,), where the ship points to `heading`, measured or its own.
+        """x' (n,) under the commanded force u (3,), with rotations by `heading`, measured or that of the state.
 
-        `noise` drives the waves and the bias, three entries each, with unit spectral density [and N/√s, N m/√s].
+        `noise` drives the waves and the bias, three entries each: white noise of unit spectral density for the waves,
+        and [N/√s, N/√s, N m/√s] for the bias.
         """
         part = {name: x[where] for name, where in self.parts.items()}
         turn = yaw_rotation(heading)
@@ -111,12 +113,12 @@ class Station(eqx.Module):
         return jnp.concatenate(rates)
 
     def output(self, x: Vector) -> Float[Array, "3"]:
-        """North, east and heading as measured: position and wave motion."""
+        """The measured north, east and heading: position plus wave motion."""
         eta = x[self.parts["eta"]]
         return eta if self.waves is None else eta + x[self.parts["waves"]][3:]
 
     def model(self, noise: bool = False) -> StateSpace:
-        """As a `StateSpace`; with `noise` the inputs of the waves and of the bias follow the force in u."""
+        """The station as a `StateSpace`; with `noise` the inputs of waves and bias follow the force in u."""
         extra = 3 * ((self.waves is not None) + (self.bias_time is not None)) if noise else 0
 
         def f(t, x, u):

@@ -35,7 +35,7 @@ HULL = {
     "Nvrr": 0.055,
     "Nrrr": -0.013,
 }
-"""Hydrodynamic derivatives of the hull, made dimensionless by ½ρLdU² and ½ρL²dU², velocities by U and U/L."""
+"""Hydrodynamic derivatives of the hull, made dimensionless by ½ρLdU² and ½ρL²dU², and velocities by U and U/L."""
 
 PROPELLER = {"k0": 0.2931, "k1": -0.2753, "k2": -0.1385, "deduction": 0.220, "C1": 2.0, "C2+": 1.6, "C2-": 1.1}
 """Thrust `K_T = k0 + k1 J + k2 J²`, thrust deduction, and the wake that changes with the inflow angle."""
@@ -51,7 +51,7 @@ RUDDER = {
     "jet": 0.50,
     "lift": 2.747,
 }
-"""Interaction t_R, a_H, x_H', γ_R, l_R', ε, κ and the slope f_α of the rudder's lift."""
+"""Interaction coefficients t_R, a_H, x_H', γ_R, l_R', ε and κ, and the slope f_α of the rudder's lift."""
 
 
 def manoeuvring_ship(
@@ -68,13 +68,14 @@ def manoeuvring_ship(
     propeller: Mapping[str, float] | None = None,
     rudder: Mapping[str, float] | None = None,
 ) -> StateSpace:
-    """A model of the tanker KVLCC2, 7 m long; x = (north, east, heading, surge, sway, yaw rate), y = (η).
+    """A model of the tanker KVLCC2, 7 m long; x = (north, east, heading, surge, sway, yaw rate), y = η.
 
     The input is (rudder angle [rad], revolutions [1/s]); a positive angle turns the bow to starboard.
 
-    Lengths [m], `displacement` [m³], `centre` of gravity forward of midships [m], `wake` fraction at the propeller in
-    straight motion; `hull`, `propeller` and `rudder` override entries of `HULL`, `PROPELLER` and `RUDDER`. Valid ahead
-    at cruising speed: the propeller turns ahead, and surge is positive.
+    Lengths are in m, `displacement` in m³; `centre` is that of gravity, forward of midships [m], and `wake` the wake
+    fraction at the propeller in straight motion. `hull`, `propeller` and `rudder` override entries of `HULL`,
+    `PROPELLER` and `RUDDER`. The model is valid at cruising speed ahead: the propeller turns ahead, and surge is
+    positive.
 
     Raises `ValueError` naming an entry that is not known.
     """

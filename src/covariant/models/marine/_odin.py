@@ -1,8 +1,9 @@
 """ODIN, a spherical underwater robot with eight thrusters, in Euler angles and on SE(3).
 
-Source: Jouffroy & Fossen 2004, equations (80)–(85). The paper gives no numbers. Those here are the usual ones: a sphere
-of 0.31 m radius and 125 kg, half its displaced mass as added mass, the inertia of a shell, and the quadratic drag of
-Choi, Yuh & Takashige 1995 as found in Antonelli, Underwater Robots, appendix A; the drag was not checked in print.
+Source: Jouffroy & Fossen 2004, equations (80)–(85). The paper gives no numbers. Those used here are the usual ones: a
+sphere of 0.31 m radius and 125 kg, half its displaced mass as added mass, the inertia of a shell, and the quadratic
+drag of Choi, Yuh & Takashige 1995 as found in Antonelli, Underwater Robots, appendix A. The drag was not checked
+against the printed paper.
 """
 
 from collections.abc import Sequence
@@ -36,10 +37,14 @@ def odin(
 ) -> Craft:
     """ODIN with η = (north, east, down [m], roll, pitch, yaw [rad]) and ν = (surge, sway, heave, p, q, r).
 
-    `mass` [kg], `inertia` [kg m²], `added_mass` [kg, kg m²] along and about the body's axes; `drag` and
-    `quadratic_drag` for each component of ν; `stability`, how far the centre of gravity lies below that of buoyancy,
-    `z_g − z_b` [m]. The weight is that of the displaced water. `coriolis` adds C(ν)ν, which the paper leaves out. At a
-    pitch of ±90° the angles are singular; `odin_on_group` is not.
+    - `mass` [kg], `inertia` [kg m²].
+    - `added_mass` [kg, kg m²]: along and about the axes of the body.
+    - `drag`, `quadratic_drag`: coefficients for each component of ν.
+    - `stability`: how far the centre of gravity lies below that of buoyancy, `z_g − z_b` [m].
+    - `coriolis`: adds C(ν)ν, which the paper leaves out.
+
+    The weight equals that of the displaced water. At a pitch of ±90° the angles are singular; `odin_on_group` has no
+    singularity.
     """
     m = _inertia_matrix(mass, inertia, added_mass)
     return Craft(
@@ -65,7 +70,7 @@ def odin_on_group(
     stability: float = _STABILITY,
     gravity: float = 9.81,
 ) -> GroupSystem:
-    """The same on SE(3), with C(ν)ν: no attitude is special. Axes and twist are those of `odin`, z down."""
+    """ODIN on SE(3), with C(ν)ν and no singular attitude. Arguments, axes and twist are as in `odin`, with z down."""
     m = _inertia_matrix(mass, inertia, added_mass)
     potential = Parametric(_potential, torque=stability * mass * gravity)
     return submerged_body(
@@ -84,12 +89,12 @@ def _restoring(eta, torque):
     return jnp.stack([zero, zero, zero, *tilt, zero])
 
 
-def _potential(g, torque):  # z is down, so the body's own z axis hangs at the lowest energy where it points along it
+def _potential(g, torque):  # z is down, so the energy is lowest where the body's z axis points along that of space
     return -torque * g[2, 2]
 
 
 def _inertia_matrix(mass: float, inertia: Sequence[float], added_mass: Sequence[float]) -> np.ndarray:
-    """M (6, 6), (82)."""
+    """M (6, 6), equation (82)."""
     return np.diag(np.asarray([mass] * 3 + list(inertia), float) + np.asarray(added_mass, float))
 
 

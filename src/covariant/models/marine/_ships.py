@@ -1,4 +1,4 @@
-"""Two ships in the horizontal plane: an offshore supply vessel at low speed, and a model ship of a laboratory."""
+"""Two ships in the horizontal plane: an offshore supply vessel at low speed, and a laboratory model ship."""
 
 from collections.abc import Callable, Sequence
 
@@ -23,8 +23,10 @@ def surface_ship(
 ) -> Craft:
     """A ship with η = (north, east [m], heading [rad]) and ν = (surge, sway [m/s], yaw rate [rad/s]), (38)–(39).
 
-    `mass` (3, 3) and `damping`, a matrix (3, 3) or `ν -> (3, 3)`; `mooring`: stiffness (3, 3) in north, east and
-    heading, which pulls with `R(ψ)ᵀKη` in the body. The paper prints Kη there, which is the same at ψ = 0 only.
+    - `mass` (3, 3).
+    - `damping`: a matrix (3, 3) or `ν -> (3, 3)`.
+    - `mooring`: stiffness K (3, 3) in north, east and heading, whose force is `R(ψ)ᵀKη` in the body frame. The paper
+      prints Kη, which is the same only at ψ = 0.
     """
     return Craft(
         mass,
@@ -62,8 +64,9 @@ def supply_vessel(
 ) -> Craft:
     """An offshore supply vessel near rest, for dynamic positioning: linear damping, no Coriolis force.
 
-    `length` [m], `mass` [kg], `gravity` [m/s²] scale the dimensionless `inertia` and `damping` (3, 3), identified at
-    sea, in the Bis system: lengths by L, times by √(L/g), masses by m. `mooring` (3, 3) [N/m, N, N m].
+    `length` L [m], `mass` m [kg] and `gravity` g [m/s²] scale the dimensionless `inertia` and `damping` (3, 3), which
+    were identified at sea, in the Bis system: lengths by L, times by √(L/g), masses by m. `mooring` (3, 3) [N/m, N,
+    N m].
     """
     stretch = np.diag([1.0, 1.0, length])
     m = mass * stretch @ np.asarray(inertia, float) @ stretch
@@ -92,12 +95,12 @@ def cybership(
 ) -> Craft:
     """CyberShip II, a supply ship at 1:70, 1.255 m long, with its identified nonlinear drag and Coriolis force.
 
-    The drag was fitted to towed motions; where it turns and drifts at once it does not take energy from every motion.
+    The drag was fitted to towed motions; where the ship turns and drifts at once it does not take energy from every
+    motion.
 
-    `mass` [kg], `inertia` about the centre of gravity's vertical [kg m²] at the origin, `centre`, that of gravity
-    forward of the origin [m], and the sizes of the hydrodynamic derivatives, all opposite in sign to the usual ones:
-    `added_mass` (X_u̇, Y_v̇, Y_ṙ, N_v̇, N_ṙ), `surge_drag` (X_u, X_|u|u, X_uuu), `sway_drag` (Y_v, Y_|v|v, Y_|r|v, Y_r,
-    Y_|v|r, Y_|r|r) and `yaw_drag` likewise.
+    - `mass` [kg]; `inertia` [kg m²] about the vertical axis; `centre`, that of gravity forward of the origin [m].
+    - `added_mass` (X_u̇, Y_v̇, Y_ṙ, N_v̇, N_ṙ), `surge_drag` (X_u, X_|u|u, X_uuu), `sway_drag` (Y_v, Y_|v|v, Y_|r|v,
+      Y_r, Y_|v|r, Y_|r|r) and `yaw_drag` (likewise): hydrodynamic derivatives, all opposite in sign to the usual ones.
     """
     x_u, y_v, y_r, n_v, n_r = added_mass
     across = mass * centre + (y_r + n_v) / 2
