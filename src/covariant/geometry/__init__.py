@@ -1,4 +1,4 @@
-"""Configuration spaces: manifolds with a frame, metrics on them, closed forms. Knows no machine and no time."""
+"""Configuration spaces: manifolds with a frame, and metrics on them, with closed forms where these are known."""
 
 from covariant.geometry._functions import (
     christoffel,

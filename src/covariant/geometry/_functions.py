@@ -1,4 +1,4 @@
-"""The functions every user calls: space first, then the base point. A plain callable `q -> (n, n)` is a space too."""
+"""The public functions of geometry: space first, then the base point. A plain callable `q -> (n, n)` is a space too."""
 
 import jax.numpy as jnp
 
@@ -25,13 +25,14 @@ def norm(space: Space, q: Configuration, x: Vector) -> Scalar:
 def connection(space: Space, q: Configuration, x: Vector, y: Vector) -> Vector:
     """`B(x, y) = ∇_x y` of the field y with constant components, so that `∇_q̇ w = ẇ + B(v, w)` for a velocity v.
 
-    `B(x, y) − B(y, x) = [x, y]`: off coordinates x, the direction, and y, what is differentiated, do not commute.
+    `B(x, y) − B(y, x) = [x, y]`: in a frame that is not of coordinates, the direction x and the differentiated field y
+    do not commute.
     """
     return as_space(space).connection(q, x, y)
 
 
 def christoffel(space: Space, q: Vector, x: Vector, y: Vector) -> Vector:
-    """Christoffel contraction `Γ(q)(x, y)`: the `connection` in coordinates, where it is symmetric in x and y."""
+    """Christoffel symbols `Γ(q)(x, y)` contracted with x and y: the `connection` in coordinates, symmetric in both."""
     return as_space(space).connection(q, x, y)
 
 
@@ -46,7 +47,7 @@ def gradient(space: Space, q: Configuration, covector: Vector) -> Vector:
 
 
 def exp(space: Space, q: Configuration, v: Vector, budget: Budget = Budget()) -> Configuration:
-    """Riemannian exponential: where the geodesic from q with velocity v is after unit time."""
+    """Riemannian exponential: the end, after unit time, of the geodesic from q with velocity v."""
     return as_space(space).transport_along(q, v, v[None], budget).q
 
 
@@ -57,15 +58,15 @@ def shoot(
     guess: Vector | None = None,
     budget: Budget = Budget(),
 ) -> Shot:
-    """The geodesic from p to q with residual and result code; `guess` warm-starts its initial velocity."""
+    """The geodesic from p to q with residual and result code; `guess` is a first guess of its initial velocity."""
     return as_space(space).shoot(p, q, guess, budget)
 
 
 def log(space: Space, p: Configuration, q: Configuration, budget: Budget = Budget()) -> Vector:
     """Riemannian logarithm: the velocity at p of the unit-time geodesic to q.
 
-    NaN where no geodesic was found; `shoot` says why. A geodesic beyond a conjugate point is returned as found, and
-    flagged by `shoot`: it is a geodesic, but not the shortest one.
+    It is NaN where no geodesic was found; `shoot` reports why. A geodesic beyond a conjugate point is returned as found
+    and flagged by `shoot`: it is a geodesic, but not the shortest one.
     """
     shot = shoot(space, p, q, None, budget)
     return jnp.where(shot.result == Result.NOT_CONVERGED, jnp.nan, shot.velocity)
@@ -77,12 +78,12 @@ def distance(space: Space, p: Configuration, q: Configuration, budget: Budget = 
 
 
 def transport(space: Space, p: Configuration, v: Vector, q: Configuration, budget: Budget = Budget()) -> Vector:
-    """Parallel transport of v from p to q along the geodesic that joins them: a linear isometry."""
+    """Parallel transport of v from p to q along the geodesic between them: a linear isometry."""
     return as_space(space).transport_along(p, log(space, p, q, budget), v, budget).w
 
 
 def transport_along(
     space: Space, p: Configuration, velocity: Vector, w: Vectors, budget: Budget = Budget()
 ) -> Transported:
-    """Follow a geodesic for unit time and carry the vectors w (..., n) along it in parallel."""
+    """Follow a geodesic for unit time, and transport the vectors w (..., n) in parallel along it."""
     return as_space(space).transport_along(p, velocity, w, budget)

@@ -1,8 +1,8 @@
 """Geodesics of any space from its connection alone: Runge–Kutta steps, Newton shooting, conjugate points.
 
-Everything runs in the coordinates s that the retraction draws around the start p, with velocities in the frame; a chart
-is its own. Source: Aghannan & Rouchon 2003, section II; Milnor, Morse Theory, section 15 (index theorem) for conjugate
-points.
+Everything is computed in the coordinates s of the retraction around the start p, with velocities in the frame; in a
+chart these are the coordinates themselves, up to a shift. Source: Aghannan & Rouchon 2003, section II; Milnor, Morse
+Theory, section 15 (index theorem) for conjugate points.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from covariant.geometry._manifold import AbstractManifold, Configuration
 from covariant.signals import Result
 
 NEWTON_LIMIT = 40
-"""Damped Newton iterations after which a search is given up."""
+"""Damped Newton iterations after which a search stops without success."""
 CONTINUATION_STAGES = 12
-"""Intermediate targets of a search that failed directly."""
+"""Number of intermediate targets of a search whose direct attempt failed."""
 
 
 @runtime_checkable
 class Curved(Protocol):
-    """A space as its geodesics see it: a manifold with a connection and with lengths."""
+    """What the computation of geodesics needs of a space: a manifold with a connection, and lengths."""
 
     @property
     def manifold(self) -> AbstractManifold: ...
@@ -37,11 +37,12 @@ class Curved(Protocol):
 
 
 class Budget(NamedTuple):
-    """How much work a numerical `exp` or `log` may do. Closed forms need none and ignore it.
+    """How much work a numerical `exp` or `log` may do. Closed forms ignore it.
 
-    `newton=None` is for work offline: Newton shooting until converged, `steps` eighth-order steps along the unit-time
-    geodesic. A number is for real time: exactly that many corrections and `steps` fourth-order steps, all static, so
-    that it can be exported.
+    - `newton`: None, for work offline, iterates Newton shooting until it converges, with `steps` eighth-order steps
+      along the unit-time geodesic. A number, for real time, makes exactly that many corrections, with `steps`
+      fourth-order steps: the amount of work is fixed, so that it can be exported.
+    - `steps`: number of integration steps along the geodesic.
     """
 
     newton: int | None = None
@@ -49,9 +50,11 @@ class Budget(NamedTuple):
 
 
 class Shot(NamedTuple):
-    """A geodesic from p to q over unit time: its velocity at p (`log_p q`) and at q, and how well it was found.
+    """A geodesic from p to q over unit time.
 
-    `residual` is the metric length by which the geodesic misses q; `result` is a `covariant.Result` code.
+    - `velocity`, `arrival`: its velocity at p (`log_p q`) and at q.
+    - `residual`: length in the metric by which it misses q.
+    - `result`: a `covariant.Result` code.
     """
 
     velocity: Vector
@@ -61,7 +64,7 @@ class Shot(NamedTuple):
 
 
 class Transported(NamedTuple):
-    """Where a unit-time geodesic ends, its velocity there, and the vectors carried along in parallel."""
+    """The end q of a unit-time geodesic, its velocity there, and the vectors w transported in parallel along it."""
 
     q: Configuration
     velocity: Vector
@@ -69,7 +72,7 @@ class Transported(NamedTuple):
 
 
 class Ray(NamedTuple):
-    """A point of a geodesic in coordinates s around its start, its velocity and the vectors carried, in the frame."""
+    """A point of a geodesic in coordinates s around its start; its velocity and the transported vectors, in the frame."""
 
     s: Vector
     velocity: Vector
@@ -77,14 +80,14 @@ class Ray(NamedTuple):
 
 
 def transport_along(space: Curved, p: Configuration, velocity: Vector, w: Vectors, budget: Budget) -> Transported:
-    """Numerical `transport_along` for any space."""
+    """`transport_along` by numerical integration, for any space."""
     start = Ray(jnp.zeros_like(velocity), velocity, w.reshape(-1, velocity.shape[0]))
     end = follow(space, p, start, budget)
     return Transported(space.manifold.retract(p, end.s), end.velocity, end.w.reshape(w.shape))
 
 
 def follow(space: Curved, p: Configuration, ray: Ray, budget: Budget, fraction: float = 1.0) -> Ray:
-    """Where the ray is after a fraction of unit time, by the rule and the steps that the budget stands for."""
+    """The ray after a fraction of unit time, integrated by the rule and the steps that the budget sets."""
     manifold = space.manifold
 
     def flow(_, now: Ray) -> Ray:
@@ -104,7 +107,7 @@ def arrive(space: Curved, p: Configuration, velocity: Vector, budget: Budget) ->
 
 
 class Target(NamedTuple):
-    """What is aimed at: the coordinates s around p of the point q, and the metric there in these coordinates."""
+    """The target q of a search: its coordinates s around p, and the metric there in these coordinates."""
 
     s: Vector
     metric: Matrix
@@ -128,7 +131,7 @@ def aim(space: Curved, p: Configuration, s: Vector) -> Target:
 
 
 def metric_in_retraction(space: Curved, p: Configuration, s: Vector) -> Matrix:
-    """The metric's matrix in the coordinates that the retraction draws around p, at s."""
+    """The metric's matrix at s, in the coordinates of the retraction around p."""
     axes = jnp.eye(s.shape[0], dtype=s.dtype)
     return space.gram(space.manifold.retract(p, s), jax.vmap(lambda a: space.manifold.frame_velocity(p, s, a))(axes))
 
@@ -136,8 +139,9 @@ def metric_in_retraction(space: Curved, p: Configuration, s: Vector) -> Matrix:
 def shoot(space: Curved, p: Configuration, q: Configuration, guess: Vector | None, budget: Budget) -> Shot:
     """Newton shooting for the geodesic from p to q.
 
-    It starts from the best of `d + ½B(d, d)`, d = local(p, q), and the caller's guess. A fixed budget runs undamped and
-    is exported as it stands; an open one is damped, checked for conjugate points, and differentiated implicitly.
+    The search starts from the best of `d + ½B(d, d)`, d = local(p, q), and the caller's guess. With a fixed budget it
+    is undamped and can be exported; otherwise it is damped, checked for conjugate points, and differentiated
+    implicitly.
     """
     target = aim(space, p, space.manifold.local(p, q))
     start = first_guess(space, p, target, guess, budget)
@@ -159,7 +163,7 @@ def shoot(space: Curved, p: Configuration, q: Configuration, guess: Vector | Non
 
 
 def first_guess(space: Curved, p: Configuration, target: Target, guess: Vector | None, budget: Budget) -> Vector:
-    """The candidate whose geodesic passes closest to q; the second-order one is best near, but overshoots far away."""
+    """The candidate whose geodesic ends closest to q; the second-order one is best near p, but overshoots far away."""
     d = target.s
     bend = space.connection(p, d, d) + space.manifold.retraction_acceleration(p, d)
     candidates = [d + bend / 2]
@@ -202,7 +206,7 @@ class _Search(NamedTuple):
 
 
 def damped_newton(space: Curved, p: Configuration, target: Target, start: Vector, budget: Budget) -> Vector:
-    """Newton's method, each step shortened until the miss shrinks."""
+    """Newton's method with each step shortened until the residual decreases."""
 
     def unfinished(s: _Search):
         # Convergence is quadratic: below this the last correction leaves only rounding errors.
@@ -225,7 +229,7 @@ def damped_newton(space: Curved, p: Configuration, target: Target, start: Vector
 
 
 def find_geodesic(space: Curved, p: Configuration, target: Target, start: Vector, budget: Budget) -> Vector:
-    """A direct search, and where that fails one on targets that move from p to q in small steps."""
+    """A direct search, and where that fails one for a sequence of targets that move from p to q in small steps."""
 
     def stage(carry: tuple[Scalar, Vector, Flag]):
         k, velocity, _ = carry
@@ -267,9 +271,9 @@ def least_squares(a: Matrix, b: Vectors) -> Vectors:
 def conjugate_points(space: Curved, p: Configuration, velocity: Vector, budget: Budget) -> Code:
     """Number of points conjugate to p strictly inside the geodesic, with multiplicity.
 
-    By the index theorem this is the index of the second variation of the energy, which over fields that are Jacobi on
-    each of the budget's steps is block tridiagonal. With A, B the derivatives of a step's end point by its start point
-    and velocity, and J the Jacobi fields that vanish at p, its pivots are `g B⁻¹ J_next J⁻¹`.
+    By the index theorem this is the index of the second variation of the energy. Over fields that are Jacobi fields on
+    each of the budget's steps, that form is block tridiagonal. With A, B the derivatives of a step's end point by its
+    start point and velocity, and J the Jacobi fields that vanish at p, its pivots are `g B⁻¹ J_next J⁻¹`.
     """
     n = velocity.shape[0]
     none = jnp.zeros((0, n), velocity.dtype)
@@ -282,7 +286,7 @@ def conjugate_points(space: Curved, p: Configuration, velocity: Vector, budget: 
         x, fields, index = carry
         change = jax.jacfwd(step)(x)
         following = change @ fields
-        # Congruence by J keeps the signature of a pivot and spares its inverse. Velocities are in the frame, J is not.
+        # Congruence by J keeps the signature of a pivot and avoids its inverse. Velocities are in the frame, J is not.
         axes = jnp.eye(n, dtype=x.dtype)
         to_frame = jax.vmap(lambda a: space.manifold.frame_velocity(p, x[:n], a), out_axes=1)(axes)
         g = space(space.manifold.retract(p, x[:n]))

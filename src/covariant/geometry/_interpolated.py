@@ -1,4 +1,4 @@
-"""A metric known at the points of a grid.
+"""A metric interpolated from its values at the points of a grid.
 
 Source: Keys 1981, Cubic convolution interpolation for digital image processing, IEEE Trans. ASSP 29.
 """
@@ -18,10 +18,10 @@ from covariant._typing import Flag, Matrix, Vector
 class Interpolated(eqx.Module):
     """A metric interpolated between the points of a uniform grid: a function `x (n,) -> (n, n)`.
 
-    What is interpolated are the factors of `P = L D Lᵀ`, with the logarithms of D, so that every value in between is
-    positive definite; entries of P would not do. Cubic, of third order in the spacing, with continuous derivatives, so
-    that Christoffel symbols and geodesics exist. It never extrapolates: it is NaN outside the grid, and within two
-    spacings of a grid point without a metric.
+    The interpolated quantities are the factors of `P = L D Lᵀ`, with the logarithms of D, so that every interpolated
+    value is positive definite; the entries of P would not ensure this. Interpolation is cubic, of third order in the
+    spacing, with continuous derivatives, so that Christoffel symbols and geodesics exist. There is no extrapolation:
+    the value is NaN outside the grid, and within two spacings of a grid point without a metric.
     """
 
     low: Vector
@@ -30,7 +30,7 @@ class Interpolated(eqx.Module):
     factors: Float[Array, "*grid k"]
 
     def __init__(self, axes: tuple[Float[np.ndarray, "_"], ...], values: Float[np.ndarray, "..."]):
-        """From the axes (c_i,) of the grid and P at its points (c_1, …, c_n, n, n); not finite where there is none.
+        """From the axes (c_i,) of the grid and P at its points (c_1, …, c_n, n, n), not finite where it is unknown.
 
         Raises `ValueError` where axes and values do not fit, an axis is not uniform or has fewer than four points, or
         a value is not symmetric positive definite.
@@ -39,7 +39,7 @@ class Interpolated(eqx.Module):
         n = len(axes)
         _check_axes(axes, values)
         _check_symmetry(axes, values)
-        # A value without NaN stands in where there is none, so that a failed factor means a wrong value.
+        # A valid matrix replaces each unknown one, so that a factorisation that fails means a wrong value.
         known = _known(values)[..., None, None]
         filled = np.where(known, values, np.eye(n, dtype=values.dtype))
         factors = np.asarray(_to_factors(jnp.asarray(filled.reshape(-1, n, n))))
@@ -68,7 +68,7 @@ class Interpolated(eqx.Module):
 
 
 def _keys(s: Vector) -> Float[Array, "n 4"]:
-    """Weights of the four neighbours along each axis, at the fraction s of the cell between the middle two."""
+    """Weights of the four neighbours along each axis, at the fraction s of the cell between the two in the middle."""
     near, far = jnp.stack([s, 1 - s]), jnp.stack([1 + s, 2 - s])
     inner = (1.5 * near - 2.5) * near * near + 1.0
     outer = ((-0.5 * far + 2.5) * far - 4.0) * far + 2.0
@@ -76,7 +76,7 @@ def _keys(s: Vector) -> Float[Array, "n 4"]:
 
 
 def _with_border(factors: np.ndarray, n: int) -> np.ndarray:
-    """One more layer around the grid, continued as a parabola, for the cells at its border."""
+    """The grid with one more layer around it, continued as a parabola, for the cells at its border."""
     for axis in range(n):
         a = np.moveaxis(factors, axis, 0)
         before, after = (3 * (e[0] - e[1]) + e[2] for e in (a, a[::-1]))
@@ -93,7 +93,7 @@ def _to_factors(p: Matrix) -> Float[Array, "k"]:
 
 
 def _from_factors(factors: Float[Array, "k"], n: int) -> Matrix:
-    """`L D Lᵀ`, written out as the half with √D times itself, so that it is symmetric to the last bit."""
+    """`L D Lᵀ`, computed as `(L√D)(L√D)ᵀ`, so that it is exactly symmetric."""
     entries, root = factors[:-n], jnp.exp(factors[-n:] / 2)
     starts = itertools.accumulate(range(n - 1, 0, -1), initial=0)
     columns = [
@@ -105,7 +105,7 @@ def _from_factors(factors: Float[Array, "k"], n: int) -> Matrix:
 
 
 def _known(values: np.ndarray) -> np.ndarray:
-    """Where there is a metric."""
+    """Mask of the grid points that have a metric."""
     return np.asarray(np.isfinite(values).all(axis=(-2, -1)))
 
 
@@ -129,7 +129,7 @@ def _check_symmetry(axes: tuple[np.ndarray, ...], values: np.ndarray) -> None:
     if not known.any():
         raise ValueError("there is no metric at any point of the grid")
     filled = np.where(known[..., None, None], values, 0)
-    # Against the diagonal, and so the same in all units of the coordinates.
+    # Relative to the diagonal, so that the test does not depend on the units of the coordinates.
     size = np.sqrt(np.abs(np.diagonal(filled, axis1=-2, axis2=-1)))
     least = size[..., :, None] * size[..., None, :]
     wrong = np.asarray((np.abs(filled - np.swapaxes(filled, -1, -2)) > 1e-6 * least).any(axis=(-2, -1)))
@@ -146,7 +146,7 @@ def _check_definite(axes: tuple[np.ndarray, ...], values: np.ndarray, factors: n
 
 
 def _first(axes: tuple[np.ndarray, ...], wrong: np.ndarray) -> tuple[tuple[int, ...], str]:
-    """Index of the first point that is wrong, and its coordinates for a person."""
+    """Index of the first wrong point, and its coordinates as text."""
     where = tuple(int(i) for i in np.unravel_index(int(wrong.argmax()), wrong.shape))
     return where, f"({', '.join(f'{axis[i]:.4g}' for axis, i in zip(axes, where, strict=True))})"
 

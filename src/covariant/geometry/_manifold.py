@@ -1,7 +1,7 @@
-"""Where configurations live: how they move, how they differ, and the frame their velocities are written in. No metric.
+"""Manifolds of configurations: how configurations move and differ, and the frame of their velocities. No metric.
 
 A configuration is an array x; a velocity is a column a (n,) of components in a frame `e_i`: ∂/∂q in coordinates, the
-body's own axes on a group, one beside the other in a product. Everything that is not Riemannian is here.
+body frame on a group, and those of the factors side by side in a product. All geometry without a metric is here.
 
 Source: Absil, Mahony & Sepulchre 2008, Optimization Algorithms on Matrix Manifolds, chapter 4, for retractions.
 """
@@ -26,25 +26,25 @@ Configuration = Inexact[Array, "..."]
 class AbstractManifold(eqx.Module):
     """A configuration manifold with a frame and a retraction.
 
-    The retraction `s ↦ retract(x, s)` draws coordinates s (n,) around x, in which `local` reads a configuration. A
+    The retraction `s ↦ retract(x, s)` defines coordinates s (n,) around x; `local` gives those of a configuration. A
     curve through x with the frame velocity a has `x' = tangent(x, a)`.
     """
 
     @property
     def commuting(self) -> bool:
-        """Whether the frame is that of coordinates: brackets vanish, and s are the coordinates' differences."""
+        """Whether the frame is that of coordinates: brackets vanish, and s are differences of the coordinates."""
         return False
 
     @property
     @abc.abstractmethod
     def shape(self) -> tuple[int | None, ...]:
-        """The shape of x; None where any length will do."""
+        """The shape of x; None for a dimension of any length."""
 
     @property
     def rotations(self) -> tuple[tuple[int, ...], ...] | None:
-        """Which entries of s (n,) are rotation vectors [rad], or angles on a circle; None where nobody knows.
+        """Which entries of s (n,) are rotation vectors [rad], or angles on a circle; None where this is unknown.
 
-        Where all of them are shorter than π, `retract` is undone by `local`, smoothly.
+        Where all of them are shorter than π, `local` is the smooth inverse of `retract`.
         """
         return None
 
@@ -60,31 +60,31 @@ class AbstractManifold(eqx.Module):
 
     @abc.abstractmethod
     def origin(self, dtype: Any = float) -> Configuration:
-        """Some configuration: the neutral element, coordinates 0. Raises `ValueError` where their number is unknown."""
+        """A base configuration: the neutral element, or coordinates 0. Raises `ValueError` where n is unknown."""
 
     @abc.abstractmethod
     def zero(self, x: Configuration) -> Vector:
-        """The velocity (n,) of rest at x."""
+        """The zero velocity (n,) at x."""
 
     @abc.abstractmethod
     def tangent(self, x: Configuration, a: Vector) -> Configuration:
         """`E(x)a`: the rate of change of the array x of a configuration that moves with a."""
 
     def nudged(self, x: Configuration, a: Vector) -> Configuration:
-        """`x + tangent(x, a)`: where a small step a leads to first order, for derivatives at a = 0."""
+        """`x + tangent(x, a)`: the configuration to first order after a small step a, for derivatives at a = 0."""
         return x + self.tangent(x, a)
 
     @abc.abstractmethod
     def components(self, x: Configuration, rate: Configuration) -> Vector:
-        """The a for which `tangent(x, a)` is this rate of change."""
+        """The velocity a for which `tangent(x, a)` is this rate of change: the inverse of `tangent`."""
 
     @abc.abstractmethod
     def bracket(self, x: Configuration, a: Vector, b: Vector) -> Vector:
-        """`[a, b]` of the vector fields with these components everywhere."""
+        """`[a, b]` of the vector fields that have these components everywhere."""
 
     @abc.abstractmethod
     def retract(self, x: Configuration, s: Vector) -> Configuration:
-        """The configuration that s leads to from x; to first order `x + tangent(x, s)`."""
+        """The configuration at the coordinates s around x; to first order `x + tangent(x, s)`."""
 
     @abc.abstractmethod
     def local(self, x: Configuration, y: Configuration) -> Vector:
@@ -96,7 +96,7 @@ class AbstractManifold(eqx.Module):
 
     @abc.abstractmethod
     def local_rate(self, x: Configuration, s: Vector, velocity: Vector) -> Vector:
-        """The s' that makes `velocity` the frame velocity at `retract(x, s)`: `frame_velocity` undone."""
+        """The s' for which `velocity` is the frame velocity at `retract(x, s)`: the inverse of `frame_velocity`."""
 
     def retraction_acceleration(self, x: Configuration, a: Vector) -> Vector:
         """`Q(a, a)`: how fast the frame velocity of `t ↦ retract(x, t a)` changes at t = 0."""
@@ -104,30 +104,32 @@ class AbstractManifold(eqx.Module):
 
     @abc.abstractmethod
     def carried_momentum(self, x: Configuration, s: Vector, mu: Vector) -> Vector:
-        """A momentum μ at x as the frame at `retract(x, s)` sees it, unchanged in space; with −s the other way."""
+        """A momentum μ in the frame at x, expressed in the frame at `retract(x, s)`; with −s the other way round.
+
+        As a momentum in space it is unchanged."""
 
     @abc.abstractmethod
     def missing(self, y: Configuration) -> Bool[Array, "n"]:
-        """Which components of `local(x, y)` a measurement y with NaN in it does not tell."""
+        """Which components of `local(x, y)` are unknown, y being a measurement with NaN in it."""
 
     def measured_together(self, n: int) -> tuple[tuple[int, ...], ...]:
-        """Which components of a velocity (n,) one sensor tells all at once, such as an attitude's; one tuple each."""
+        """Components of a velocity (n,) that are measured only together, such as those of an attitude; a tuple each."""
         return (tuple(range(n)),)
 
     @abc.abstractmethod
     def towards(self, x: Configuration, y: Configuration) -> Vector:
-        """`local(x, y)` to a measurement y, with zeros for what is `missing` in it."""
+        """`local(x, y)` for a measurement y, with zeros for the components that are `missing` in it."""
 
     @abc.abstractmethod
     def measured(self, x: Configuration, y: Configuration) -> Configuration:
-        """The configuration that a measurement y says, on the turn of its circles next to x; missing ones from x."""
+        """The configuration that y measures, with angles on the turn nearest to x; missing entries are those of x."""
 
     def unique(self, x: Configuration, y: Configuration) -> Flag:
-        """False within rounding of where a second s as short as `local(x, y)` leads to y."""
+        """False, to within rounding, where a second s of the length of `local(x, y)` also leads to y."""
         return jnp.ones((), bool)
 
     def checked(self, y: Configuration) -> Configuration:
-        """The configuration y itself; an error when it runs and y is none. Raises `ValueError` for a wrong shape."""
+        """The configuration y, with an error at run time where it is none. Raises `ValueError` for a wrong shape."""
         if len(y.shape) != len(self.shape) or any(w not in (None, n) for n, w in zip(y.shape, self.shape, strict=True)):
             wanted = ", ".join("n" if size is None else str(size) for size in self.shape)
             raise ValueError(f"a configuration must have shape ({wanted}); got {y.shape}")
@@ -206,7 +208,7 @@ class Coordinates(AbstractManifold):
 
 def wrap(circles: tuple[int, ...], e: Vector) -> Vector:
     """Bring the entries of e (n,) that are angles on a circle to ±π."""
-    # Entry by entry: what is no angle is not rounded, not even for nothing.
+    # Entry by entry, so that an entry that is no angle is not even rounded.
     turned = [x - 2 * np.pi * jnp.round(x / (2 * np.pi)) if i in circles else x for i, x in enumerate(e)]
     return jnp.stack(turned) if circles else e
 
@@ -214,8 +216,8 @@ def wrap(circles: tuple[int, ...], e: Vector) -> Vector:
 class ProductManifold(AbstractManifold):
     """Several manifolds as one, such as the pose of a satellite and the angles of its arm.
 
-    A configuration is one array (m,): those of the factors, flat, one after the other; so are velocities. Each factor
-    must know the shape of its configurations.
+    A configuration is one array (m,): the configurations of the factors, flattened, one after the other. Velocities are
+    concatenated likewise. Each factor must know the shape of its configurations.
     """
 
     manifolds: tuple[AbstractManifold, ...]
@@ -261,16 +263,16 @@ class ProductManifold(AbstractManifold):
         return self.join([factor.origin(dtype) for factor in self.factors])
 
     def parts(self, x: Configuration) -> list[Array]:
-        """The configurations of the factors."""
+        """The configurations of the factors, in their own shapes."""
         flat = split(x, self._sizes)
         return [part.reshape(factor.shape) for factor, part in zip(self.factors, flat, strict=True)]
 
     def join(self, parts: list[Array]) -> Array:
-        """The configuration with these parts."""
+        """The configuration of the product with these configurations of the factors."""
         return jnp.concatenate([part.reshape(-1) for part in parts])
 
     def vectors(self, a: Vector) -> list[Array]:
-        """The velocities of the factors in one of their product."""
+        """The velocities of the factors, from a velocity of the product."""
         return split(a, self._dimensions)
 
     def zero(self, x: Configuration) -> Vector:
@@ -340,5 +342,5 @@ def split(a: Array, sizes: Sequence[int], axis: int = 0) -> list[Array]:
 
 
 def starts(sizes: Sequence[int]) -> list[int]:
-    """Where each of pieces of these lengths begins, one after the other."""
+    """The offsets at which consecutive pieces of these lengths begin."""
     return [sum(sizes[:i]) for i in range(len(sizes))]

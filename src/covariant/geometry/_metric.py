@@ -1,4 +1,4 @@
-"""A metric known by its matrix: in coordinates, or in the frame of any manifold."""
+"""Spaces given by the matrix of their metric or by a kinetic energy, in coordinates or in the frame of any manifold."""
 
 import abc
 import dataclasses
@@ -31,10 +31,10 @@ class AbstractMetric(AbstractSpace):
 
 
 class Metric(AbstractMetric):
-    """A metric known only by its matrix `x -> (n, n)`; every operation is derived from it.
+    """A metric given only by its matrix `x -> (n, n)`; every operation is derived from it.
 
-    With a `manifold` the matrix is in its frame: a machine whose inertia depends on its configuration, on whatever
-    manifold that is; without, in coordinates.
+    With a `manifold` the matrix is in the frame of that manifold, as for a machine whose inertia depends on its
+    configuration; without one it is in coordinates.
     """
 
     matrix: MatrixField
@@ -44,10 +44,10 @@ class Metric(AbstractMetric):
 
 
 class KineticEnergy(AbstractSpace):
-    """A space known by its kinetic energy `(x, v) -> ½ <v, v>` [J], v being components in the manifold's frame.
+    """A space given by its kinetic energy `(x, v) -> ½ <v, v>` [J], v being components in the manifold's frame.
 
-    Where energies are easier to write than matrices, as of bodies in a chain, the momentum `∂energy/∂v` costs one
-    velocity and not one for each column.
+    Energies are often easier to write than matrices, as for bodies in a chain. The momentum is the derivative
+    `∂energy/∂v`, so its cost is that of a few energies, not that of all columns of a matrix.
     """
 
     energy: Callable[[Array, Array], Array]
@@ -58,10 +58,10 @@ class KineticEnergy(AbstractSpace):
 
 
 def as_space(metric: AbstractSpace | MatrixField, manifold: AbstractManifold | None = None) -> AbstractSpace:
-    """A space from a metric: a plain callable `q -> (n, n)` gets the derived operations; a space is itself.
+    """A space from a metric: a plain callable `q -> (n, n)` gets the derived operations; a space is returned as it is.
 
-    With a `manifold`, the metric on that one, such as coordinates some of which are circles. Raises `ValueError` for a
-    metric that is not in coordinates.
+    With a `manifold` the metric is put on that manifold, such as coordinates some of which are circles. Raises
+    `ValueError` for a metric that is not in coordinates.
     """
     if not isinstance(metric, AbstractSpace):
         return Metric(metric, manifold=manifold or Coordinates())

@@ -1,11 +1,12 @@
-"""A configuration space: a manifold with a frame, and a metric in it. What every operation is derived from.
+"""A configuration space: a manifold with a frame, and a metric in it; all its operations, derived from the metric.
 
-`lower` alone says what the metric is; the connection, the curvature and geodesics follow from it and the frame. A space
-that knows better, from closed forms or the recursions of a robot, says so by its own method. Everything is directional:
-no array of n³ entries exists.
+`lower` alone defines the metric; the connection, the curvature and geodesics follow from it and the frame. A space
+with something better, such as closed forms or the recursions of a robot, has methods of its own for them. Every
+operation is directional: no array of n³ entries is formed.
 
 `B(a, b) = ∇_a b` is the covariant derivative, along a, of the field whose components are b everywhere. Its arguments
-do not commute off coordinates: `B(a, b) − B(b, a) = [a, b]`. The first is the direction, the second is differentiated.
+do not commute outside coordinates: `B(a, b) − B(b, a) = [a, b]`. The first is the direction, the second is
+differentiated.
 
 Source: Aghannan & Rouchon 2003, section II; Koszul's formula in a frame, and Hamel's equations, as in Marsden & Ratiu
 1999, Introduction to Mechanics and Symmetry, chapter 13. Curvature sign: on the unit sphere
@@ -35,15 +36,15 @@ class AbstractSpace(Functional):
 
     @property
     def homogeneous(self) -> bool:
-        """Whether the metric, and all that follows from it, is the same at every configuration, in the frame."""
+        """Whether the metric, in the frame, is the same at every configuration, and so all that follows from it."""
         return False
 
     @abc.abstractmethod
     def lower(self, x: Configuration, a: Vector) -> Vector:
-        """`<a, ·>` at x: the momentum of a velocity where the metric is kinetic energy."""
+        """`<a, ·>` at x; where the metric is kinetic energy, the momentum of the velocity a."""
 
     def raise_(self, x: Configuration, mu: Vector) -> Vector:
-        """The vector whose `lower` is the covector μ, such as a force's acceleration."""
+        """The vector a with `lower(x, a) = μ`; where μ is a force, its acceleration."""
         return solve(self(x), mu)
 
     def __call__(self, x: Configuration) -> Matrix:
@@ -64,7 +65,7 @@ class AbstractSpace(Functional):
         return root(self.inner(x, a, a))
 
     def connection_force(self, x: Configuration, a: Vector, b: Vector) -> Vector:
-        """`<∇_a b, ·>`, not yet raised. With M = `lower`, Koszul's formula:
+        """`<∇_a b, ·>`, the covector of the connection. With M = `lower`, Koszul's formula:
 
         `½[(∂_a M)b + (∂_b M)a − ∂<a, b> + M[a, b] − ad*_a M b − ad*_b M a]`.
         """
@@ -78,7 +79,7 @@ class AbstractSpace(Functional):
         return total / 2
 
     def kinetic_force(self, x: Configuration, v: Vector) -> Vector:
-        """`½∂<v, v>`: how kinetic energy changes with the configuration, the components of v being kept."""
+        """`½∂<v, v>`: the derivative of the kinetic energy by the configuration, with the components of v constant."""
         return differential(self.manifold, lambda y: self.inner(y, v, v), x) / 2
 
     def connection(self, x: Configuration, a: Vector, b: Vector) -> Vector:
@@ -88,7 +89,8 @@ class AbstractSpace(Functional):
     def curvature(self, x: Configuration, a: Vector, b: Vector, c: Vector) -> Vector:
         """`R(a, b)c = (∂_a B)(b, c) − (∂_b B)(a, c) + B(a, B(b, c)) − B(b, B(a, c)) − B([a, b], c)` at x.
 
-        Raised once, with `M (∂_a B)(b, c) = (∂_a (M B))(b, c) − (∂_a M) B(b, c)`: no derivative of a solve.
+        The covector is computed first and raised once, with `M (∂_a B)(b, c) = (∂_a (M B))(b, c) − (∂_a M) B(b, c)`:
+        no solution of a linear system is differentiated.
         """
         bc, force_a = self._bent(x, a, b, c)
         ac, force_b = self._bent(x, b, a, c)
@@ -98,15 +100,15 @@ class AbstractSpace(Functional):
         return self.raise_(x, total)
 
     def transport_along(self, p: Configuration, velocity: Vector, w: Vectors, budget: Budget = Budget()) -> Transported:
-        """Follow the geodesic of that velocity for unit time, carrying the vectors w (..., n) in parallel."""
+        """Follow the geodesic of that velocity for unit time, with parallel transport of the vectors w (..., n)."""
         return geodesics.transport_along(self, p, velocity, w, budget)
 
     def shoot(self, p: Configuration, q: Configuration, guess: Vector | None = None, budget: Budget = Budget()) -> Shot:
-        """The geodesic from p to q; `guess` warm-starts its velocity at p."""
+        """The geodesic from p to q; `guess` is a first guess of its velocity at p."""
         return geodesics.shoot(self, p, q, guess, budget)
 
     def _bent(self, x: Configuration, along: Vector, a: Vector, b: Vector) -> tuple[Vector, Vector]:
-        """`B(a, b)`, and the force of its change along a vector, a and b being kept."""
+        """`B(a, b)`, and the covector `M (∂_along B)(a, b)` of its change in the direction `along`."""
         change = self.manifold.tangent(x, along)
         force, slope = jax.jvp(lambda y: self.connection_force(y, a, b), (x,), (change,))
         turned = self.raise_(x, force)
@@ -116,7 +118,7 @@ class AbstractSpace(Functional):
 def derivative(
     manifold: AbstractManifold, f: Callable[[Array], Array], x: Configuration, a: Vector
 ) -> Float[Array, "..."]:
-    """`∂_a f`: how f changes at x while the configuration moves with a."""
+    """`∂_a f`: the rate of change of f at x when the configuration moves with velocity a."""
     return jax.jvp(f, (x,), (manifold.tangent(x, a),))[1]
 
 

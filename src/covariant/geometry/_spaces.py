@@ -1,6 +1,6 @@
-"""Yardstick spaces whose exponential, logarithm and transport are known in closed form.
+"""Reference spaces whose exponential, logarithm and transport are known in closed form.
 
-Constant curvature K of either sign is one space: the stereographic chart with the metric `4 / (1 + K|q|²)² I`, in which
+All constant curvatures K ≠ 0 are one class: the stereographic chart with the metric `4 / (1 + K|q|²)² I`, in which
 geodesics are Möbius translations (Ungar 2008, Analytic Hyperbolic Geometry, chapters 3 and 6, with c = −K).
 """
 
@@ -43,7 +43,7 @@ class Euclidean(AbstractMetric):
 
 
 class FlatTorus(Euclidean):
-    """Flat space whose coordinates repeat with the given periods (n,); `log` goes the short way round."""
+    """Flat space whose coordinates repeat with the given periods (n,); `log` takes the shortest way round."""
 
     periods: Vector
 
@@ -54,7 +54,7 @@ class FlatTorus(Euclidean):
 
 
 class ConstantCurvature(AbstractMetric):
-    """Space of constant curvature K ≠ 0 in the stereographic chart; `sphere` and `hyperbolic` make it."""
+    """Space of constant curvature K ≠ 0 in the stereographic chart; made by `sphere` and `hyperbolic`."""
 
     k: float = eqx.field(static=True, converter=float)
 
@@ -70,7 +70,7 @@ class ConstantCurvature(AbstractMetric):
     def transport_along(self, p: Vector, velocity: Vector, w: Vectors, budget: Budget = Budget()) -> Transported:
         middle, end = self._exponential(p, velocity / 2), self._exponential(p, velocity)
 
-        def carry(a):  # by halves, since the transport straight to an antipode is 0/0
+        def carry(a):  # in two halves, since the formula for the transport to an antipode is 0/0
             return self._carry(middle, self._carry(p, a, middle), end)
 
         carried = jax.vmap(carry)(w.reshape(-1, p.shape[0])).reshape(w.shape)
@@ -118,12 +118,12 @@ class ConstantCurvature(AbstractMetric):
 
 
 _NEAR = 0.1
-"""Below this |K s²| a series stands for the closed form. A generous bound: around s = 0 the series alone has a say."""
+"""Below this |K s²| a series replaces the closed form. The bound is generous: around s = 0 only the series is used."""
 _TERMS = 18
 
 
 def _root(x: Scalar) -> tuple[Flag, Scalar]:
-    """Whether the series is to be taken at x, and `√|x|`, or there the root of a harmless number."""
+    """Whether the series applies at x, and `√|x|`; where the series applies, the root of `_NEAR` instead."""
     near = jnp.abs(x) < _NEAR
     return near, jnp.sqrt(jnp.where(near, _NEAR, jnp.abs(x)))
 
@@ -154,14 +154,14 @@ def sphere(radius: float = 1.0) -> ConstantCurvature:
 
 
 def hyperbolic(radius: float = 1.0) -> ConstantCurvature:
-    """Hyperbolic plane (or space) of curvature −1/radius², in the Poincaré ball |q| < radius."""
+    """Hyperbolic space of curvature −1/radius², in the Poincaré ball |q| < radius."""
     return ConstantCurvature(-1.0 / radius**2)
 
 
 class Pullback(AbstractMetric):
-    """The same space in another chart: `forward` takes the new coordinates to the old, `inverse` back.
+    """A space in another chart: `forward` maps the new coordinates to those of `space`, `inverse` back.
 
-    Both are plain functions (n,) -> (n,); derivatives are taken automatically.
+    Both are plain functions (n,) -> (n,), differentiated automatically.
     """
 
     space: AbstractMetric
@@ -204,7 +204,7 @@ class Pullback(AbstractMetric):
 
 
 class Product(AbstractMetric):
-    """Product of spaces: coordinates side by side, `sizes` of them each."""
+    """Product of spaces: their coordinates side by side, `sizes` of them for each space."""
 
     spaces: tuple[AbstractMetric, ...]
     sizes: tuple[int, ...] = eqx.field(static=True)

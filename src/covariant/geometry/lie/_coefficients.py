@@ -1,4 +1,4 @@
-"""Every coefficient of a rotation that is 0/0 at small angles, as a series in the squared angle.
+"""Coefficients of formulas for rotations that are 0/0 at angle zero, as functions of the squared angle x = θ².
 
 Source: Stiefel & Scheifele 1971, Linear and Regular Celestial Mechanics, section 11 (Stumpff's functions).
 """
@@ -18,13 +18,13 @@ def _alternating(coefficients: list[float], x: Scalar) -> Scalar:
 
 
 def inverse_jacobian_coefficient(x: Scalar) -> Scalar:
-    """`(1 − (θ/2) cot(θ/2))/θ²`, as `(c₂ − c₃)/(4c₁)` of the half angle, where nothing cancels."""
+    """`(1 − (θ/2) cot(θ/2))/θ²`, computed as `(c₂ − c₃)/(4c₁)` of the half angle, without cancellation."""
     x = x / 4
     return (stumpff(2, x) - stumpff(3, x)) / (4 * stumpff(1, x))
 
 
 def angle_over_half_sine(squared_sine: Scalar, cosine: Scalar) -> Scalar:
-    """`θ / sin(θ/2)` from `sin²(θ/2)` and `cos(θ/2) ≥ 0`: it turns a quaternion's vector into a rotation vector."""
+    """`θ / sin(θ/2)` from `sin²(θ/2)` and `cos(θ/2) ≥ 0`: it takes a quaternion's vector part to a rotation vector."""
     small = squared_sine < 0.01 * cosine**2
     safe_cosine = jnp.where(small, cosine, 1.0)
     x = jnp.where(small, squared_sine, 0.0) / safe_cosine**2

@@ -1,8 +1,8 @@
-"""What a Lie group is to this library: matrices that multiply, and an algebra of real vectors.
+"""The interface of a Lie group in this library: matrices that are multiplied, and an algebra of real vectors.
 
-Elements are matrices (N, N), so that `g @ h` composes them; elements of the algebra are their coordinates x (n,), real
-also for complex groups. Everything is directional, and the closed forms make no array of n² entries. Batches come from
-`jax.vmap`.
+Elements are matrices (N, N), so that `g @ h` composes them. Elements of the algebra are given by coordinates x (n,),
+real also for complex groups. Every operation is directional, and the closed forms form no array of n² entries. Batches
+come from `jax.vmap`.
 
 Source: Maithripala, Berg & Dayawansa 2004, section II; Chirikjian 2012, Stochastic Models, Information Theory, and Lie
 Groups, chapter 10, for the Jacobians.
@@ -21,7 +21,7 @@ from covariant.geometry._manifold import AbstractManifold
 
 
 class AbstractGroup(AbstractManifold):
-    """A matrix Lie group with left translation as its trivialisation: velocities are `g' = g hat(x)`."""
+    """A matrix Lie group, trivialised by left translation: velocities are `g' = g hat(x)`, in the body frame."""
 
     @property
     @abc.abstractmethod
@@ -47,14 +47,14 @@ class AbstractGroup(AbstractManifold):
 
     @abc.abstractmethod
     def exp(self, x: Vector) -> Element:
-        """Where the one-parameter group with velocity x is after unit time."""
+        """The element reached after unit time along the one-parameter group with velocity x."""
 
     @abc.abstractmethod
     def log(self, g: Element) -> Vector:
         """The principal logarithm: the shortest x with `exp(x) = g`.
 
-        Where two are as short, as after half a turn, one of them is returned, but which one jumps there. Only a
-        `MatrixGroup` has elements without.
+        Where two are equally short, as after half a turn, one of them is returned, and the choice is discontinuous
+        there. Only a `MatrixGroup` has elements without a logarithm.
         """
 
     @abc.abstractmethod
@@ -70,7 +70,7 @@ class AbstractGroup(AbstractManifold):
         """`J_r(x)⁻¹y`: the velocity x' that makes y the body velocity of `exp(x(t))`."""
 
     def identity(self, dtype: Any = float) -> Element:
-        """The neutral element; `dtype` is the real one of the coordinates."""
+        """The neutral element; `dtype` is the real type of the coordinates."""
         return jnp.eye(self.order, dtype=self.hat(jnp.zeros(self.dimension, dtype)).dtype)
 
     def compose(self, g: Element, h: Element) -> Element:
@@ -78,7 +78,7 @@ class AbstractGroup(AbstractManifold):
         return g @ h
 
     def between(self, g: Element, h: Element) -> Vector:
-        """`log(g⁻¹ h)`: the body velocity that leads from g to h in unit time."""
+        """`log(g⁻¹ h)`: the body velocity that takes g to h in unit time."""
         return self.log(self.inverse(g) @ h)
 
     def left_jacobian(self, x: Vector, y: Vector) -> Vector:
@@ -90,7 +90,7 @@ class AbstractGroup(AbstractManifold):
         return self.right_jacobian_inverse(-x, y)
 
     def adjoint(self, g: Element, x: Vector) -> Vector:
-        """`Ad_g x`: a body velocity x at g as seen from the other side, `g hat(x) g⁻¹`."""
+        """`Ad_g x`, the coordinates of `g hat(x) g⁻¹`: a body velocity x at g in the space frame."""
         return self.vee(g @ self.hat(x) @ self.inverse(g))
 
     def coadjoint(self, x: Vector, mu: Vector) -> Vector:
@@ -98,26 +98,26 @@ class AbstractGroup(AbstractManifold):
         return jax.linear_transpose(lambda y: self.lie_bracket(x, y), x)(mu)[0]
 
     def coadjoint_action(self, g: Element, mu: Vector) -> Vector:
-        """`Ad*_g μ`, with `<Ad*_g μ, y> = <μ, Ad_g y>`: a momentum carried along by the motion."""
+        """`Ad*_g μ`, with `<Ad*_g μ, y> = <μ, Ad_g y>`: the coadjoint action on a momentum."""
         return jax.linear_transpose(lambda y: self.adjoint(g, y), mu)(mu)[0]
 
     @abc.abstractmethod
     def act(self, g: Element, point: Inexact[Array, "d"]) -> Inexact[Array, "d"]:
-        """Where g takes a point of the space the group moves."""
+        """The image under g of a point of the space that the group acts on."""
 
     @abc.abstractmethod
     def defect(self, g: Element) -> Array:
-        """How far a matrix is from the group: the largest entry by which it breaks the group's equations."""
+        """Distance of a matrix from the group: the largest entry by which it violates the equations of the group."""
 
     @abc.abstractmethod
     def unique_log(self, g: Element) -> Flag:
-        """False within rounding of the cut locus, where a second logarithm is as short as `log(g)`."""
+        """False, to within rounding, on the cut locus, where a second logarithm is as short as `log(g)`."""
 
     def contains(self, g: Element, tolerance: float) -> Flag:
         """Whether a matrix is an element of the group to that tolerance; False where it is not finite."""
         return self.defect(g) <= tolerance
 
-    # As a manifold: the frame is the body's, and the retraction follows one-parameter groups.
+    # As a manifold: the frame is the body frame, and the retraction follows one-parameter groups.
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -157,7 +157,7 @@ class AbstractGroup(AbstractManifold):
         return self.coadjoint_action(self.exp(s), mu)
 
     def missing(self, y: Element) -> Bool[Array, "n"]:
-        """All of them or none: an element with a NaN in it is missing as a whole."""
+        """All or none: an element with a NaN in it is missing as a whole."""
         return jnp.broadcast_to(jnp.any(jnp.isnan(y)), (self.dimension,))
 
     def towards(self, x: Element, y: Element) -> Vector:

@@ -1,6 +1,6 @@
-"""Riemannian geometry of a group whose metric is an inertia on its algebra, moved about by left translation.
+"""Riemannian geometry of a group with a left-invariant metric, given by an inertia on its algebra.
 
-All vectors are body velocities (n,): coordinates of `g⁻¹ g'`. The base point is an argument that matters nowhere.
+All vectors are body velocities (n,): coordinates of `g⁻¹ g'`. No operation depends on its base point.
 
 Source: Maithripala, Berg & Dayawansa 2004, section II, equations (1)–(11), corrected: the curvature (6)–(8) counts a
 term up to four times; the gradient of the squared distance is the Riemannian logarithm, not the group's.
@@ -20,7 +20,7 @@ from covariant.geometry.lie._group import AbstractGroup
 
 
 class AbstractInertia(eqx.Module):
-    """A symmetric positive definite map from velocities to momenta; large ones need not be matrices."""
+    """A symmetric positive definite map from velocities to momenta; a large one need not be stored as a matrix."""
 
     @abc.abstractmethod
     def __call__(self, x: Vector) -> Vector:
@@ -52,7 +52,7 @@ class Inertia(AbstractInertia):
             least = float(np.linalg.eigvalsh(given)[0])
             if not least > 0:
                 raise ValueError(f"inertia: the matrix must be positive definite; its least eigenvalue is {least:.3g}")
-        # In NumPy where the numbers are known: a compiled program for each of many small steps takes a second.
+        # In NumPy where the numbers are known: compiling a JAX program for each of the many small steps takes a second.
         inverse = _inverse(self.matrix) if isinstance(self.matrix, Tracer) else np.linalg.inv(np.asarray(self.matrix))
         self.inverse = jnp.asarray((inverse + inverse.T) / 2)
 
@@ -70,7 +70,7 @@ def _inverse(matrix: Matrix) -> Matrix:
 class LeftInvariant(AbstractSpace):
     """The left-invariant metric of an inertia: a matrix (n, n) or an `AbstractInertia`.
 
-    Every operation at a point is the same at all of them.
+    In the body frame every operation is the same at all points.
     """
 
     group: AbstractGroup
@@ -98,7 +98,7 @@ class LeftInvariant(AbstractSpace):
         return self.inertia.solve(mu)
 
     def connection_force(self, x: Element, a: Vector, b: Vector) -> Vector:
-        """`½(I[a, b] − ad*_a I b − ad*_b I a)`."""
+        """`½(I[a, b] − ad*_a I b − ad*_b I a)`, the covector of the connection."""
         return (self.inertia(self.group.lie_bracket(a, b)) - self._pulls(a, b)) / 2
 
     def kinetic_force(self, x: Element, v: Vector) -> Vector:

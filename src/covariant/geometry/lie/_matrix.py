@@ -1,4 +1,4 @@
-"""Any other matrix group: SU(n), and groups a user gives by a basis of their algebra.
+"""General matrix groups: SU(n), and groups that a user defines by a basis of their algebra.
 
 Source: Higham 2008, Functions of Matrices, chapters 6 (square roots), 10 (exponential) and 11 (logarithm).
 """
@@ -16,21 +16,21 @@ from covariant._typing import Element, Flag, Vector
 from covariant.geometry.lie._group import AbstractGroup
 
 HALVINGS = 6
-"""Square roots taken before the logarithm's series."""
+"""Number of square roots taken before the series of the logarithm."""
 ROOT_LIMIT = 80
-"""Newton iterations after which a square root is given up: the matrix is on the cut locus to rounding."""
+"""Newton iterations after which a square root stops: the matrix is then on the cut locus, to within rounding."""
 TAYLOR = 18
-"""Degree of the exponential's series, exact to rounding for norms up to 1."""
+"""Degree of the series of the exponential, exact to rounding for norms up to 1."""
 DOUBLINGS = 10
-"""Squarings after the exponential's series; they serve norms up to 1024, beyond which float64 overflows."""
+"""Squarings after the series of the exponential: enough for norms up to 1024, beyond which float64 overflows."""
 
 
 class SU(AbstractGroup):
     """The unitary matrices of determinant 1, SU(n); x holds the n² − 1 real coordinates of su(n).
 
     The basis is −i/2 times the generalised Gell-Mann matrices: first the symmetric ones of all pairs j < k, then the
-    antisymmetric ones, then the diagonal ones. It makes su(2) the cross product of SO(3). The logarithm needs the Schur
-    form, which JAX has on CPUs only.
+    antisymmetric ones, then the diagonal ones. With it the bracket of su(2) is the cross product, as in SO(3). The
+    logarithm needs the Schur form, which JAX offers on CPUs only.
     """
 
     n: int = eqx.field(static=True)
@@ -94,9 +94,9 @@ class SU(AbstractGroup):
 class MatrixGroup(AbstractGroup):
     """A group of invertible matrices given by a basis (n, N, N) of its algebra, real or complex.
 
-    `structure` (n, n, n), with `[e_i, e_j] = C[i, j, k] e_k`, may be given where it is known (many zeros, exact
-    numbers); it must agree with the basis, and is otherwise not needed. Raises `ValueError` for a basis that is
-    linearly dependent or not closed under the bracket.
+    `structure` (n, n, n), with `[e_i, e_j] = C[i, j, k] e_k`, is optional: it is worth giving where it has many zeros
+    and exact numbers, and must agree with the basis. Raises `ValueError` for a basis that is linearly dependent or not
+    closed under the bracket.
     """
 
     basis: Inexact[Array, "n N N"]
@@ -154,7 +154,7 @@ class MatrixGroup(AbstractGroup):
         return matrix_exp(self.hat(x))
 
     def log(self, g: Element) -> Vector:
-        """The principal logarithm where that lies in the algebra; elsewhere none, and `contains` is False."""
+        """The principal logarithm where it lies in the algebra; elsewhere there is none, and `contains` is False."""
         return differentiable_log(self, partial(principal_log, self), g)
 
     def inverse(self, g: Element) -> Element:
@@ -170,8 +170,8 @@ class MatrixGroup(AbstractGroup):
         return g @ point
 
     def defect(self, g: Element) -> Array:
-        """How far `exp(log g)` is from g: without equations of the group there is no other test, and elements without
-        a principal logarithm in the algebra do not pass."""
+        """How far `exp(log g)` is from g: the group's equations are not known, so this is the only test. Elements
+        without a principal logarithm in the algebra do not pass it."""
         return jnp.max(jnp.abs(self.exp(self.log(g)) - g))
 
     def unique_log(self, g: Element) -> Flag:
@@ -179,7 +179,7 @@ class MatrixGroup(AbstractGroup):
 
 
 def _in_precision(constants: Array, dtype) -> Array:
-    """The constants, real or complex as they are, in the precision of `dtype`."""
+    """Constants, real or complex, in the precision of `dtype`."""
     real = np.finfo(dtype).dtype
     return constants.astype(np.result_type(real, np.complex64) if jnp.iscomplexobj(constants) else real)
 
@@ -200,7 +200,7 @@ def matrix_bracket(group: AbstractGroup, x: Vector, y: Vector) -> Vector:
 
 
 def matrix_exp(a: Element) -> Element:
-    """Scaling and squaring, of exp − 1 so that small steps from the identity lose nothing."""
+    """Exponential by scaling and squaring of exp − 1, so that small steps from the identity lose no digits."""
     norm = jax.lax.stop_gradient(jnp.max(jnp.sum(jnp.abs(a), axis=0)))
     doublings = jnp.clip(jnp.ceil(jnp.log2(norm)), 0, DOUBLINGS)
     a = a * 0.5 ** doublings.astype(a.dtype)
@@ -211,19 +211,19 @@ def matrix_exp(a: Element) -> Element:
 
 
 def matrix_right_jacobian(group: AbstractGroup, x: Vector, y: Vector) -> Vector:
-    """`exp(−x) D exp(x)[y]`; a matrix inverse would square the condition of exp(x)."""
+    """`exp(−x) D exp(x)[y]`; inverting the matrix exp(x) instead would lose twice as many digits."""
     return group.vee(group.exp(-x) @ jax.jvp(group.exp, (x,), (y,))[1])
 
 
 def matrix_right_jacobian_inverse(group: AbstractGroup, x: Vector, y: Vector) -> Vector:
-    """From the matrix (n, n) of the Jacobian, whose inverse has no series that converges wherever it exists."""
+    """`J_r(x)⁻¹y`, from the matrix (n, n) of J_r: no series for the inverse converges wherever it exists."""
     one = jnp.eye(x.shape[0], dtype=x.dtype)
     return jnp.linalg.solve(jax.vmap(lambda e: group.right_jacobian(x, e), out_axes=1)(one), y)
 
 
 @eqx.filter_custom_jvp
 def differentiable_log(group: AbstractGroup, algorithm: Callable[[Element], Element], g: Element) -> Vector:
-    """A logarithm by any algorithm, however it finds it."""
+    """A logarithm by any algorithm, with a derivative that does not differentiate the algorithm."""
     return group.vee(algorithm(g))
 
 
@@ -235,7 +235,7 @@ def _(primals, tangents):
 
 
 def unitary_log(g: Element) -> Element:
-    """From the Schur form, diagonal for a unitary matrix, with the smallest angles that add up to zero."""
+    """Logarithm from the Schur form, diagonal for a unitary matrix, with the smallest angles whose sum is zero."""
     form, vectors = jax.scipy.linalg.schur(g, output="complex")
     angles = jnp.angle(jnp.diagonal(form))
     turns = jnp.round(jnp.sum(angles) / (2 * np.pi)).astype(int)
@@ -246,7 +246,7 @@ def unitary_log(g: Element) -> Element:
 
 
 def principal_log(group: AbstractGroup, g: Element) -> Element:
-    """Inverse scaling and squaring, and one Newton step that leaves rounding errors only.
+    """Logarithm by inverse scaling and squaring, and one Newton step that leaves rounding errors only.
 
     Where the square roots do not converge (an eigenvalue −1, to rounding) the last iterate is used.
     """

@@ -1,7 +1,8 @@
-"""The rigid motions of plane and space, SE(2) and SE(3). A twist is (v, ω): translation first.
+"""The rigid motions of the plane and of space, SE(2) and SE(3). A twist is (v, ω): translation first.
 
-A twist is a dual number: with ε² = 0 the bracket of SE(3) is the cross product of `ω + εv`. Every formula of SO(3)
-that is made of cross products so gives that of SE(3) by one directional derivative, and SE(2) is SE(3) in the plane.
+A twist is a dual number: with ε² = 0 the bracket of SE(3) is the cross product of numbers `ω + εv`. Every formula of
+SO(3) that is made of cross products therefore gives that of SE(3) by one directional derivative. SE(2) is SE(3) in the
+plane.
 """
 
 import jax
@@ -15,7 +16,7 @@ from covariant.geometry.lie._rotations import SO2, SO3, no_half_turn, rotation_d
 
 
 class SpecialEuclidean2(AbstractGroup):
-    """SE(2): rigid motions of the plane; x = (v₁, v₂, ω) in the body [m, m, rad]."""
+    """SE(2): rigid motions of the plane; x = (v₁, v₂, ω) in the body frame [m, m, rad]."""
 
     @property
     def dimension(self) -> int:
@@ -66,7 +67,7 @@ class SpecialEuclidean2(AbstractGroup):
 
 
 class SpecialEuclidean3(AbstractGroup):
-    """SE(3): rigid motions of space; x = (v, ω) in the body [m, rad]."""
+    """SE(3): rigid motions of space; x = (v, ω) in the body frame [m, rad]."""
 
     @property
     def dimension(self) -> int:

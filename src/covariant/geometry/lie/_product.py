@@ -1,4 +1,4 @@
-"""Products of groups: matrices on the diagonal, vectors side by side."""
+"""Products of groups: block-diagonal matrices, and vectors side by side."""
 
 import jax
 import jax.numpy as jnp
@@ -41,17 +41,17 @@ class Product(AbstractGroup):
         return tuple(found)
 
     def parts(self, x: Vector) -> list[Float[Array, "_"]]:
-        """The vectors of the groups in a vector of their product."""
+        """The vectors of the factors, from a vector of the product."""
         return split(x, [group.dimension for group in self.groups])
 
     def blocks(self, g: Element) -> list[Inexact[Array, "_ _"]]:
-        """The elements of the groups in an element of their product."""
+        """The elements of the factors, from an element of the product."""
         sizes = [group.order for group in self.groups]
         rows = split(g, sizes)
         return [split(row, sizes, axis=1)[i] for i, row in enumerate(rows)]
 
     def join(self, blocks: list[Inexact[Array, "_ _"]]) -> Element:
-        """The element of the product with these elements of the groups."""
+        """The element of the product with these elements of the factors."""
         return jax.scipy.linalg.block_diag(*blocks)
 
     def hat(self, x: Vector) -> Element:

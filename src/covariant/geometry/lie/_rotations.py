@@ -1,4 +1,4 @@
-"""The rotations of plane and space, SO(2) and SO(3), and the unit quaternions that stand for them.
+"""The rotations of the plane and of space, SO(2) and SO(3), and the unit quaternions that represent them.
 
 Source: Barfoot 2017, State Estimation for Robotics, chapter 7; Shepperd 1978 for the quaternion of a matrix.
 """
@@ -66,7 +66,7 @@ class SpecialOrthogonal2(AbstractGroup):
 
 
 class SpecialOrthogonal3(AbstractGroup):
-    """SO(3): rotations of space; x (3,) is a rotation vector [rad], and a velocity the angular one in the body."""
+    """SO(3): rotations of space; x (3,) is a rotation vector [rad]; velocities are angular ones in the body frame."""
 
     @property
     def dimension(self) -> int:
@@ -134,7 +134,7 @@ def rotation_defect(g: Element) -> Array:
 
 
 def no_half_turn(g: Element) -> Flag:
-    """False for a turn by π, to the square root of rounding."""
+    """False for a turn by π, to within the square root of rounding."""
     squared_cosine = jnp.trace(g) + (4 - g.shape[0])  # 4cos²(θ/2), in the plane and in space
     return squared_cosine > 4 * jnp.finfo(g.dtype).eps
 
@@ -142,8 +142,8 @@ def no_half_turn(g: Element) -> Flag:
 def quaternion_from_rotation(g: Float[Array, "3 3"]) -> Quaternion:
     """The unit quaternion wxyz, w ≥ 0, of a rotation matrix.
 
-    Each of the four rows below is the quaternion times four times one of its entries; the longest is the accurate one.
-    Near half a turn the axis so comes from the symmetric part of the matrix.
+    Each of the four rows below is the quaternion times four times one of its entries; the longest row is the most
+    accurate. Near half a turn the axis thus comes from the symmetric part of the matrix.
     """
     x, y, z = g[0, 0], g[1, 1], g[2, 2]
     a, b, c = (g[i, j] - g[j, i] for i, j in ((2, 1), (0, 2), (1, 0)))
@@ -156,7 +156,7 @@ def quaternion_from_rotation(g: Float[Array, "3 3"]) -> Quaternion:
 
 
 def rotation_from_quaternion(q: Quaternion) -> Float[Array, "3 3"]:
-    """The rotation matrix of a quaternion wxyz of any length but zero; q and −q give the same."""
+    """The rotation matrix of a quaternion wxyz of any length but zero; q and −q give the same matrix."""
     w, v = q[0], q[1:]
     square = v @ v
     turned = (w * w - square) * jnp.eye(3, dtype=q.dtype) + 2 * jnp.outer(v, v) + 2 * w * SO3.hat(v)
