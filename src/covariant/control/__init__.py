@@ -1,4 +1,4 @@
-"""Controllers that an observer feeds, and what they are asked to follow."""
+"""Controllers that use the estimate of an observer, and the references they follow."""
 
 from covariant.control._backstepping import Backstepping
 from covariant.control._reference import Reference, follow, lissajous, set_point

@@ -1,7 +1,7 @@
 """Vectorial backstepping of a marine craft: a nonlinear PD controller, from the state or from an estimate of it.
 
-Source: Jouffroy & Fossen 2004, equations (86)–(98). The paper takes J as constant; here `ν_r'` keeps its derivative, so
-that (88), (90), (97) and (98) hold as they stand.
+Source: Jouffroy & Fossen 2004, equations (86)–(98). The paper takes J as constant; here `ν_r'` contains the derivative
+of J, so that (88), (90), (97) and (98) hold as printed.
 """
 
 import equinox as eqx
@@ -20,13 +20,13 @@ from covariant.models.marine import Craft
 class Backstepping(eqx.Module):
     """A tracking controller of a `marine.Craft`.
 
-    - `path`: what to follow, `t -> Reference` in the craft's coordinates.
+    - `path`: the reference to follow, `t -> Reference` in the craft's coordinates.
     - `kp`, `kd`, `lam`: K_p [N/m, N m], K_d [N s/m, N m s] and Λ [1/s], matrices (n, n), vectors (n,) for diagonal ones
       or numbers; symmetric positive definite, with `K_pΛ + ΛᵀK_p` positive definite.
 
     With V = ½(sᵀMs + η̃ᵀK_pη̃), `V' = −sᵀ(D̄ + K_d)s − η̃ᵀK_pΛη̃` where the state is known, (92).
 
-    Raises `ValueError` naming the gain that is not what it must be.
+    Raises `ValueError` naming the gain that does not satisfy this.
     """
 
     craft: Craft
@@ -44,7 +44,7 @@ class Backstepping(eqx.Module):
             raise ValueError("kp and lam: K_pΛ + ΛᵀK_p must be positive definite; choose both diagonal")
 
     def error(self, t: Scalar, eta: Vector) -> Vector:
-        """`η̃ = η − η_d` (n,), wrapped."""
+        """`η̃ = η − η_d` (n,), with angles wrapped to ±π."""
         return wrap(self.craft.circles, eta - self.path(t).position)
 
     def virtual_velocity(self, t: Scalar, eta: Vector) -> Vector:
@@ -53,7 +53,7 @@ class Backstepping(eqx.Module):
         return solve_square(self.craft.transform(eta), wanted)
 
     def full_state(self, t: Scalar, eta: Vector, nu: Vector) -> Vector:
-        """τ (n,) from the state, (89): `Mν_r' + (C(ν) + D(ν))ν_r + g(η) − JᵀK_pη̃ − K_d s`."""
+        """τ (n,) from the true state, (89): `Mν_r' + (C(ν) + D(ν))ν_r + g(η) − JᵀK_pη̃ − K_d s`."""
         nu_r, force = self._common(t, eta, eta, nu)
         return force + (self.craft.coriolis(nu) + self.craft.damping(nu)) @ nu_r
 
@@ -64,7 +64,7 @@ class Backstepping(eqx.Module):
         return force + (self.craft.coriolis(nu) + self.craft.damping(nu_r)) @ nu_r
 
     def _common(self, t: Scalar, z: Vector, eta: Vector, nu: Vector) -> tuple[Vector, Vector]:
-        """ν_r, and the part of τ that both forms share; `ν_r'` is along the motion `z' = J(z)ν`."""
+        """ν_r, and the terms of τ common to both forms; `ν_r'` is the derivative along the motion `z' = J(z)ν`."""
         j = self.craft.transform(z)
         nu_r, change = jax.jvp(self.virtual_velocity, (t, z), (jnp.ones_like(t), j @ nu))
         mass, kp, kd = (jnp.asarray(a, z.dtype) for a in (self.craft.mass, self.kp, self.kd))

@@ -1,4 +1,4 @@
-"""What a craft is asked to follow: a position with its first and second derivative, as a function of time.
+"""References for a craft to follow: a position and its first and second derivative, as functions of time.
 
 Source: Fossen 2011, Handbook of Marine Craft Hydrodynamics and Motion Control, section 10.2, for the filter.
 """
@@ -15,7 +15,7 @@ from covariant._typing import Numbers, Scalar, Vector
 
 
 class Reference(NamedTuple):
-    """Wanted position (n,), its velocity and its acceleration."""
+    """Desired position (n,), velocity and acceleration."""
 
     position: Vector
     velocity: Vector
@@ -23,11 +23,11 @@ class Reference(NamedTuple):
 
 
 Path = Callable[[Array], Reference]
-"""`t -> Reference`."""
+"""A reference as a function of time, `t -> Reference`."""
 
 
 def follow(position: Callable[[Array], Array]) -> Path:
-    """The reference along any smooth function of time `t -> (n,)`; its derivatives are automatic."""
+    """The reference given by a smooth function of time `t -> (n,)`, differentiated automatically."""
 
     def at(t: Scalar) -> Reference:
         one = jnp.ones_like(t)
@@ -44,7 +44,7 @@ def follow(position: Callable[[Array], Array]) -> Path:
 def set_point(start: Numbers, goal: Numbers, bandwidth: Numbers, begin: float = 0.0) -> Path:
     """From rest at `start` (n,) to rest at `goal` (n,), beginning at `begin` [s], without a jump in acceleration.
 
-    The response of three equal poles at `bandwidth` [rad/s], one or n, with its closed form. Raises `ValueError`
+    It is the closed-form response of three equal poles at `bandwidth` [rad/s], one number or n. Raises `ValueError`
     where the bandwidth is not positive or the shapes differ.
     """
     a, b = np.asarray(start, float), np.asarray(goal, float)
@@ -69,7 +69,7 @@ def set_point(start: Numbers, goal: Numbers, bandwidth: Numbers, begin: float = 
 
 
 def lissajous(centre: Numbers, amplitude: Numbers, frequency: Numbers, phase: Numbers = 0.0) -> Path:
-    """`centre + amplitude · sin(frequency · t + phase)`, each (n,): circles, figures of eight, and tests of everything.
+    """`centre + amplitude · sin(frequency · t + phase)`, each (n,): circles, figures of eight, and test motions.
 
     Frequencies in rad/s, phases in rad.
     """

@@ -1,4 +1,4 @@
-"""From data-sheet numbers to gains, and from a model to a contraction metric."""
+"""Design of observers: gains from the numbers of a data sheet, and contraction metrics from a model."""
 
 from covariant.design._contracting import contracting_gain
 from covariant.design._estimators import (

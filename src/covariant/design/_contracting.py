@@ -1,4 +1,4 @@
-"""A constant gain that makes a copy of the plant contracting."""
+"""A constant gain of output injection that makes a copy of the plant contracting."""
 
 import jax
 import jax.numpy as jnp
@@ -18,12 +18,15 @@ def contracting_gain(
     t: float = 0.0,
     effort: float = 1e-3,
 ) -> MetricDesign:
-    """K (n, p) and M (n, n) for `observers.Contracting`, from the model's Jacobians at `states` (k, n).
+    """A gain K (n, p) and metric M (n, n) for `observers.Contracting`, from the model's Jacobians at given states.
 
-    `inputs` (k, m), zero by default; `rate` [1/s] of squared lengths, at the states given: between them it has to be
-    certified. The Jacobians are those of the virtual system, at fixed input.
+    - `states` (k, n): the states at which the virtual system has to contract. Between them this has to be certified.
+    - `rate` [1/s]: rate at which squared lengths decay there.
+    - `inputs` (k, m): the input at each state, zero by default; `t` [s]: time given to the model.
+    - `effort`: as for `certificates.observer_gain`, which does the design.
 
-    Raises `ValueError` where the states do not fit the model or no gain serves.
+    The Jacobians are those of the virtual system, at fixed input. Raises `ValueError` where the states do not fit the
+    model or no gain is found.
     """
     x = np.atleast_2d(np.asarray(states, float))
     n = len(model.coordinates) or x.shape[1]

@@ -1,4 +1,4 @@
-"""Every estimator for the same job, tuned from the same data sheet: by the least velocity error each should leave."""
+"""All estimators for the same task, tuned from the same data sheet for the least predicted velocity error."""
 
 from typing import NamedTuple
 
@@ -11,20 +11,22 @@ from covariant.models import MechanicalSystem
 from covariant.observers import REGISTRY, AbstractObserver
 
 LONGEST_WINDOW = 120
-"""Samples; a filter without a model that would want more is limited to this many."""
+"""Longest window [samples] of a filter without a model, where the data sheet alone would ask for a longer one."""
 
 ESTIMATORS = tuple(entry.name for entry in REGISTRY)
-"""All estimators by name: those of `covariant.observers.REGISTRY`."""
+"""Names of all estimators: those in `covariant.observers.REGISTRY`."""
 
 
 class DataSheet(NamedTuple):
-    """What is known of sensor, model and motion before any log is seen; units of the coordinates and seconds.
+    """What is known of sensor, model and motion before any log is recorded; in units of the coordinates and seconds.
 
-    On a group each number stands for every component of a vector as seen from the body, in rad and, for positions, m.
+    On a group each number holds for every component of a vector in the body frame, in rad and, for positions, m.
 
-    `measurement_std` of one sample; `acceleration_std` of what the model leaves out, over `correlation_time` (None: new
-    at each sample); `motion_std` of the accelerations of the motion itself and `motion_time` over which they change,
-    for filters that know no model; `damping` ζ of the observers.
+    - `measurement_std`: standard deviation of the noise of one sample.
+    - `acceleration_std`, `correlation_time`: standard deviation and correlation time of the acceleration that the model
+      does not explain; None for one that is independent at each sample.
+    - `motion_std`, `motion_time`: the same of the acceleration of the motion itself, for filters that use no model.
+    - `damping`: damping ratio ζ of the observers.
     """
 
     measurement_std: float
@@ -36,8 +38,12 @@ class DataSheet(NamedTuple):
 
 
 class Trial(NamedTuple):
-    """Part of a log on which the filters that know no model are tuned: stamps (T,) [s], positions (T, n), which go on
-    over a full turn and may lack entries (NaN), and velocities (T, n) to compare with."""
+    """Part of a log on which the filters without a model are tuned.
+
+    - `t` (T,): stamps [s].
+    - `y` (T, n): positions, continuous across full turns; entries may be missing (NaN).
+    - `v` (T, n): velocities to compare with.
+    """
 
     t: Float[np.ndarray, "T"]
     y: Float[np.ndarray, "T n"]
@@ -50,14 +56,15 @@ def observer_gains(sheet: DataSheet, rate: float) -> Gains:
 
 
 def estimators(model: MechanicalSystem) -> tuple[str, ...]:
-    """Names of the estimators that fit a model, the one to begin with first."""
+    """Names of the estimators that fit a model; the first is the one to begin with."""
     return tuple(entry.name for entry in REGISTRY if entry.fits(model))
 
 
 def with_gains(model: MechanicalSystem, alpha: float, beta: float) -> dict[str, AbstractObserver]:
-    """The observers that the gains α [1/s] and β [1/s²] make, by name.
+    """The observers that take the gains α [1/s] and β [1/s²], by name.
 
-    Salcudean's has α and β exactly for an inertia the same in all directions; the mean principal one stands for it.
+    Salcudean's observer has α and β exactly only for an inertia that is the same in all directions; otherwise they hold
+    for the mean of the principal inertias.
     """
     fitting = (entry for entry in REGISTRY if entry.tuned_by == "gains" and entry.fits(model))
     return {entry.name: entry.make(model, alpha, beta) for entry in fitting}
@@ -68,7 +75,7 @@ def tuned_estimators(
 ) -> dict[str, AbstractObserver]:
     """The `estimators` by name, for a model of n velocities sampled at `rate` [Hz].
 
-    Filters that know no model are tuned by the data sheet too, or, where there is a `trial`, by what is best on it.
+    Filters without a model are tuned by the data sheet too or, where there is a `trial`, to what is best on it.
     Raises `ValueError` for numbers of the data sheet that are not positive.
     """
     for name in ("motion_std", "motion_time"):
@@ -93,21 +100,22 @@ def filter_bandwidth(sheet: DataSheet, rate: float, trial: Trial | None = None) 
 
 
 def window_length(sheet: DataSheet, rate: float, order: int = 2, trial: Trial | None = None) -> int:
-    """Window [samples] of the causal Savitzky–Golay filter with the least velocity error, likewise."""
+    """Window [samples] of the causal Savitzky–Golay filter with the least velocity error: predicted, or on a trial."""
     candidates = range(order + 1, LONGEST_WINDOW + 1)
     return min(candidates, key=lambda k: filter_error(polynomial_weights(k, order, rate), sheet, rate, trial))
 
 
 def polynomial(sheet: DataSheet, rate: float, trial: Trial | None = None) -> tuple[int, int]:
-    """Window [samples] and order, 2 or 3, of the causal Savitzky–Golay filter with the least velocity error."""
+    """Window [samples] and order (2 or 3) of the causal Savitzky–Golay filter with the least velocity error."""
     candidates = [(window_length(sheet, rate, order, trial), order) for order in (2, 3)]
     return min(candidates, key=lambda c: filter_error(polynomial_weights(*c, rate), sheet, rate, trial))
 
 
 def filter_error(weights: np.ndarray, sheet: DataSheet, rate: float, trial: Trial | None) -> float:
-    """Velocity error of a linear filter: as the data sheet predicts it, or found on a trial as if its stamps were even.
+    """Velocity error of a linear filter: predicted from the data sheet, or measured on a trial.
 
-    On a trial it is a part of the velocity, over all coordinates, its first second left out.
+    On a trial, stamps are treated as evenly spaced. The error then is relative to the velocity, over all coordinates,
+    without the first second.
     """
     if trial is None:
         return linear_filter_error(weights, sheet, rate)
@@ -125,14 +133,14 @@ def filter_error(weights: np.ndarray, sheet: DataSheet, rate: float, trial: Tria
 
 
 def derivative_weights(bandwidth: float, rate: float) -> np.ndarray:
-    """Weights (k,), newest first, by which the filtered derivative forms a velocity from positions."""
+    """Weights (k,), newest first, with which the filtered derivative computes a velocity from positions."""
     decay = np.exp(-bandwidth / rate)
     difference = (1 - decay) * decay ** np.arange(min(2000, int(12 * rate / bandwidth) + 2)) * rate
     return np.append(difference, 0.0) - np.append(0.0, difference)
 
 
 def polynomial_weights(window: int, order: int, rate: float) -> np.ndarray:
-    """Weights (window,), newest first, of the slope at the newest sample of a fitted polynomial."""
+    """Weights (window,), newest first, of the slope at the newest sample of a polynomial fitted to the window."""
     ages = -np.arange(window) / rate
     return np.linalg.pinv(np.vander(ages, order + 1, increasing=True))[1]
 
@@ -140,8 +148,8 @@ def polynomial_weights(window: int, order: int, rate: float) -> np.ndarray:
 def linear_filter_error(weights: np.ndarray, sheet: DataSheet, rate: float) -> float:
     """Predicted standard deviation of the velocity `Σ w_i y(t − i/rate)`: sensor noise plus lag.
 
-    The weights annihilate constants and return slopes, so what remains of a motion is its acceleration a(t − r),
-    weighted by `h(r) = Σ_{s_i > r} w_i (s_i − r)`; a has exponential correlation.
+    The weights annihilate constants and give the exact slope of a straight line, so what remains of a motion is its
+    acceleration a(t − r), weighted by `h(r) = Σ_{s_i > r} w_i (s_i − r)`; a has exponential correlation.
     """
     ages = np.arange(len(weights)) / rate
     tail = np.cumsum(weights[::-1])[::-1]

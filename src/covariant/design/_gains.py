@@ -1,4 +1,4 @@
-"""Gains of a mechanical observer from data-sheet numbers.
+"""Gains of a mechanical observer from the numbers of a data sheet.
 
 In the parallel frame the error law is a double integrator driven by white measurement noise of density S_m and
 unmodelled acceleration of density S_a, so the best isotropic gains are those of its stationary Kalman filter.
@@ -35,11 +35,12 @@ def gains(
 ) -> Gains:
     """Gains α = 2ζω, β = ω² with ω = (S_a/S_m)^¼.
 
-    - `measurement_std`: standard deviation of one position sample [rad or m]; an encoder step over √12.
-    - `rate`: samples a second [Hz].
-    - `acceleration_std`: standard deviation of the acceleration the model does not know [rad/s² or m/s²], and
-      `correlation_time` [s] over which it persists, S_a = 2 std² time; by default it is new at each sample.
-    - `damping` ζ: √½ is optimal for white disturbances; more helps when they are faster than the observer.
+    - `measurement_std`: standard deviation of one position sample [rad or m]; for an encoder, one step divided by √12.
+    - `rate`: samples per second [Hz].
+    - `acceleration_std`: standard deviation of the acceleration that the model does not explain [rad/s² or m/s²].
+    - `correlation_time`: time [s] over which it persists, S_a = 2 std² time; by default it is independent at each
+      sample.
+    - `damping`: ζ; √½ is optimal for white disturbances, and more helps when they are faster than the observer.
 
     Raises `ValueError` for numbers that are not positive.
     """
@@ -70,5 +71,5 @@ def predict_errors(alpha: Number, beta: Number, measurement_density: float, acce
 
 
 def bias(alpha: Number, beta: Number, acceleration: float) -> tuple[float, float]:
-    """Position and velocity error that a constant unmodelled acceleration leaves: `a/β` and `αa/β`."""
+    """Position and velocity errors due to a constant unmodelled acceleration a: `a/β` and `αa/β`."""
     return acceleration / float(beta), float(alpha) * acceleration / float(beta)

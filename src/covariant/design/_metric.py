@@ -1,4 +1,4 @@
-"""Contraction metrics over a grid of states.
+"""Contraction metrics on a grid of states.
 
 Source: Sanfelice & Praly 2015, section III.
 """
@@ -38,13 +38,17 @@ def metric(
     workers: int | None = None,
     on_progress: Callable[[int, int], object] | None = None,
 ) -> Path:
-    """Solve the equation at every point of a grid of states, into the Zarr store at `path`; return that path.
+    """Solve the equation at every point of a grid of states, into the Zarr store at `path`; returns that path.
 
-    The store holds `metric` P, `error_bound`, `horizon` [s], `reconstructibility` and `result` of `riccati.metric_at`,
-    whose options `start`, `tolerance`, `domain` and `u` are; `name` is what the store calls the model. The rest are
-    options of `scale.map_grid`, which also says how a run resumes and what it raises.
+    - `start`, `tolerance`, `domain`, `u`: options of `riccati.metric_at`.
+    - `name`: name of the model in the store.
+    - `block`, `scheduler`, `workers`, `on_progress`: options of `scale.map_grid`, which also describes how a run
+      resumes and what it raises.
 
-    Raises `ValueError` where the grid has not one axis for each state.
+    The store holds the fields of a `riccati.Solution`: `metric` P, `error_bound`, `horizon` [s], `reconstructibility`
+    and `result`.
+
+    Raises `ValueError` where the axes of the grid are not the states.
     """
     n = len(model.coordinates)
     if n and tuple(grid.names) != model.coordinates:
@@ -98,13 +102,13 @@ def load_metric(path: str | os.PathLike[str]) -> Interpolated:
 
 
 class MetricSummary(NamedTuple):
-    """A finished store in a few numbers; NaN where no point has the one asked for.
+    """Summary of a finished store; NaN for a number that no point has.
 
-    - `results`: number of points of each `covariant.signals.Result`, without those that have none.
+    - `results`: number of points with each `covariant.signals.Result`; results without points are left out.
     - `reconstructibility`: the smallest in the domain.
-    - `low`, `high`: bounds of equation (9), `low I ≤ P ≤ high I`, over the points that have a metric; they change with
+    - `low`, `high`: bounds of equation (9), `low I ≤ P ≤ high I`, over the points that have a metric; they depend on
       the units of the coordinates.
-    - `error_bound`: the largest that is known, over the same points.
+    - `error_bound`: the largest known one, over the same points.
     """
 
     results: dict[Result, int]
@@ -115,7 +119,7 @@ class MetricSummary(NamedTuple):
 
 
 def metric_summary(path: str | os.PathLike[str]) -> MetricSummary:
-    """Summarise the finished store at `path`, with the memory of some of its blocks at a time.
+    """Summarise the finished store at `path`, with only some of its blocks in memory at a time.
 
     Raises `ValueError` where the store is not one of `metric`, or not finished.
     """
@@ -140,7 +144,7 @@ def _open(path: str | os.PathLike[str]) -> Any:
 
 
 def _regions(store: Any) -> Iterator[dict[str, slice]]:
-    """Boxes that cover the grid, each of a size that memory holds: the chunks in which the metric is read."""
+    """Boxes that cover the grid, each small enough for memory: the chunks in which the metric is read."""
     metric = store["metric"]
     ends = [np.cumsum((0, *sizes)) for sizes in metric.chunks[:-2]]
     sides = [[slice(int(a), int(b)) for a, b in itertools.pairwise(end)] for end in ends]
@@ -149,7 +153,7 @@ def _regions(store: Any) -> Iterator[dict[str, slice]]:
 
 
 def _part(store: Any) -> tuple[np.ndarray, tuple[float, ...]]:
-    """Counts of the results, then least reconstructibility, least and largest eigenvalue, and largest error bound."""
+    """Counts of the results; then least reconstructibility, least and largest eigenvalue, and largest error bound."""
     result, metric = store["result"].values, store["metric"].values
     known = np.isfinite(metric).all(axis=(-2, -1))
     values = np.linalg.eigvalsh(metric[known]) if known.any() else np.full((1, 1), np.nan)
@@ -160,12 +164,12 @@ def _part(store: Any) -> tuple[np.ndarray, tuple[float, ...]]:
 
 
 def _finite_or_none(bound: Array) -> list[float | None]:
-    """A bound in what JSON can hold: None where there is none."""
+    """A bound as JSON can hold it, with None where it is infinite."""
     return [value if math.isfinite(value) else None for value in np.asarray(bound).tolist()]
 
 
 def _described(equation: Equation) -> dict[str, Any]:
-    """An equation in what JSON can hold; a field of Q by its name."""
+    """An equation as JSON can hold it, with the name of a field Q."""
 
     def written(cov: Any) -> Any:
         if callable(cov):

@@ -1,4 +1,4 @@
-"""Plants, observers and closed loops for other packages."""
+"""Models, observers and closed loops as objects of other packages."""
 
 from covariant.interop._python_control import closed_loop, observer_system, plant
 

@@ -1,7 +1,7 @@
 """Models, observers and closed loops as `control.NonlinearIOSystem` of the python-control package.
 
-Such a system takes and gives plain vectors, so states that are trees, as those of observers, are written out one
-component after the other.
+Such a system takes and returns plain vectors, so a state that is a pytree, as that of an observer, is flattened into
+one vector.
 """
 
 from typing import Any
@@ -34,8 +34,11 @@ def observer_system(
 ) -> Any:
     """An observer as a `control.NonlinearIOSystem` from (u, y) to its estimate, to be interconnected with `plant`.
 
-    `model` names the signals; the attribute `initial` of the result is the state after `observer.init(y0, t0)`. Raises
-    `ImportError` without python-control.
+    - `model`: gives the names of the signals.
+    - `y0`, `t0`: first measurement and its time [s]; the attribute `initial` of the result is the flattened state
+      `observer.init(y0, t0)`.
+
+    Raises `ImportError` without python-control.
     """
     start, unravel = jax.flatten_util.ravel_pytree(continuous(observer.init(jnp.asarray(y0, float), t0)))
     m = model.inputs
@@ -70,7 +73,7 @@ def closed_loop(
 ) -> Any:
     """Plant, observer and controller as one `control.NonlinearIOSystem` without inputs; its outputs are x, x̂ and u.
 
-    The attribute `initial(x0)` of the result is the state that belongs to x0 and `observer.init(y0, t0)`. Raises
+    The method `initial(x0)` of the result gives the initial state for x0 and `observer.init(y0, t0)`. Raises
     `ImportError` without python-control.
     """
     start, unravel = jax.flatten_util.ravel_pytree(continuous(observer.init(jnp.asarray(y0, float), t0)))

@@ -1,12 +1,12 @@
-"""Contraction metrics of general systems, from a Riccati equation solved along characteristics.
+"""Contraction metrics of general nonlinear systems, from a Riccati equation solved along characteristics.
 
 For `x' = f(x)`, `y = h(x)` a metric P with
 
     L_f P = dhᵀ R⁻¹ dh − λ P − P Q P,      L_f P = Ṗ + P f_x + f_xᵀ P,
 
-makes f contract in every direction that the output does not see, so that output injection can make it contract in all.
-P(x) is what the past output tells of the state x: with λ alone the weighted Gramian of the past, with Q alone the
-information matrix of a stationary Kalman filter.
+makes f contract in every direction that is tangent to the level sets of the output, so that output injection can make
+it contract in all. P(x) measures how well the past output determines the state x: with λ alone it is the weighted
+Gramian of the past, with Q alone the information matrix of a stationary Kalman filter.
 
 Source: Sanfelice & Praly 2015, Solution of a Riccati equation for the design of an observer contracting a Riemannian
 distance.

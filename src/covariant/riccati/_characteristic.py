@@ -1,4 +1,4 @@
-"""The algorithm as published: back along the solution, then forward with the metric. A second way to the same P."""
+"""The algorithm as published: back along the solution, then forward with the metric. An independent way to P."""
 
 from typing import Literal, NamedTuple
 
@@ -31,10 +31,14 @@ def metric_through(
     u: Float[Array, "m"] | None = None,
     route: Literal["riccati", "radon"] = "riccati",
 ) -> Characteristic:
-    """Steps 1 to 3 of section III: the solution back to −T, then the metric forward along it from π(−T) = start.
+    """Steps 1 to 3 of section III of Sanfelice & Praly 2015: back along the solution to −T, then forward along it with
+    the metric from π(−T) = start.
 
-    `route="radon"` carries Radon's linear pair (α, β), π = α β⁻¹, in place of π: equation (10), whose first line must
-    read `−f_xᵀ α + h_xᵀ h_x β`. Here β is brought back to I at every step, since the pair grows without bound.
+    - `x` (n,): state at time 0; `length` T [s]; `steps`: number of integration steps each way.
+    - `start`: metric at −T, a matrix (n, n) or a multiple of I; `u` (m,): constant input, zero by default.
+    - `route`: "riccati" integrates π. "radon" integrates Radon's linear pair (α, β), π = α β⁻¹, instead: equation (10),
+      whose first line must read `−f_xᵀ α + h_xᵀ h_x β`. Here β is reset to I at every step, since the pair grows
+      without bound.
     """
     check_state(model, x)
     n, dtype = x.shape[0], x.dtype
@@ -61,7 +65,7 @@ def metric_through(
         return model.f(t0, y, input_held), -a.T @ alpha + c.T @ c @ beta, grown
 
     def forward(p, node):
-        # Each step starts from the state found on the way back, so that an unstable solution is not lost.
+        # Each step starts from the state stored on the way back, so that an unstable solution is followed exactly.
         if route == "riccati":
             p = rk8(riccati, t0, (node, p), h)[1]
         else:

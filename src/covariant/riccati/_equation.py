@@ -1,4 +1,4 @@
-"""The equation a metric is to satisfy, and both of its sides."""
+"""The Riccati equation of a contraction metric, and its left and right sides."""
 
 import equinox as eqx
 import jax
@@ -11,12 +11,13 @@ from covariant.models import StateSpace
 
 
 class Equation(eqx.Module):
-    """What is asked of P: `L_f P = dhᵀ R⁻¹ dh − λ P − P Q P`, equation (8) with Q alone and (15) with λ alone.
+    """The equation for P: `L_f P = dhᵀ R⁻¹ dh − λ P − P Q P`, equation (8) with Q alone and (15) with λ alone.
 
-    - `rate`: λ [1/s]; the observer with gain ¼ contracts the distance of P at the rate λ/2.
+    - `rate`: λ [1/s]; the observer with gain ¼ contracts the distance in P at the rate λ/2.
     - `process_cov`: Q, a symmetric positive matrix (n, n), or a field `x -> (n, n)`. Under a change of coordinates z(x)
-      it becomes `z_x Q z_xᵀ`. In a filter it is the density of the process noise.
-    - `measurement_cov`: R (p, p), by default the identity. In a filter it is the density of the measurement noise.
+      it becomes `z_x Q z_xᵀ`. In a filter it is the spectral density of the process noise.
+    - `measurement_cov`: R (p, p), by default the identity. In a filter it is the spectral density of the measurement
+      noise.
 
     Raises `ValueError` when there is neither λ nor Q, or a negative λ.
     """
@@ -49,7 +50,7 @@ def lie_derivative(model: StateSpace, metric: MatrixField, x: Vector, u: Float[A
 def right_side(
     model: StateSpace, equation: Equation, metric: Matrix, x: Vector, u: Float[Array, "m"] | None = None
 ) -> Matrix:
-    """`dhᵀ R⁻¹ dh − λ P − P Q P` at x (n,), which `lie_derivative` equals where P solves the equation."""
+    """`dhᵀ R⁻¹ dh − λ P − P Q P` at x (n,); it equals `lie_derivative` where P solves the equation."""
     input_held = model_input(model, u, x.dtype)
     _, q, c = coefficients(model, equation, x, input_held)
     quadratic = 0.0 if q is None else metric @ q @ metric
@@ -57,7 +58,7 @@ def right_side(
 
 
 def coefficients(model: StateSpace, equation: Equation, x: Vector, u: Array):
-    """`f_x + λ/2`, Q, and `R^{-1/2} h_x` at x: with the shift by λ/2 the term −λP needs no line of its own."""
+    """`f_x + λ/2`, Q, and `R^{-1/2} h_x` at x; the shift by λ/2 accounts for the term −λP."""
     a, c = model.jacobians(jnp.zeros((), x.dtype), x, u)
     eye = jnp.eye(x.shape[0], dtype=x.dtype)
     if equation.measurement_cov is not None:

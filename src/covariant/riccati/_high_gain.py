@@ -1,4 +1,4 @@
-"""The metric of the high-gain observer, which makes that observer one of the same family."""
+"""The metric of the high-gain observer, with which this observer becomes a Riccati observer."""
 
 import math
 
@@ -12,12 +12,13 @@ from covariant.riccati._equation import model_input
 
 
 def high_gain(model: StateSpace, rate: Number) -> MatrixField:
-    """The metric of the high-gain observer: equation (15) solved for a chain of integrators, seen through the map
-    `x -> (h, L_f h, …, L_f^{n−1} h)` of the states to the output's derivatives.
+    """The metric of the high-gain observer, for a model with one output.
 
-    For one output. Drive `observers.Riccati` with it and gain ½: the observer's poles are at −rate for a chain, and
-    what the model has beyond a chain is outweighed where the rate is large enough. Where the map is singular, so is the
-    metric. Source: Gauthier, Hammouri & Othman 1992, A simple observer for nonlinear systems.
+    It solves equation (15) for a chain of integrators, pulled back by the map `x -> (h, L_f h, …, L_f^{n−1} h)` from
+    the state to the derivatives of the output. Use it in `observers.Riccati` with gain ½: for a chain of integrators
+    all poles of the observer are at −rate, and the other terms of a model are dominated where the rate is large enough.
+    Where the map is singular, so is the metric. Source: Gauthier, Hammouri & Othman 1992, A simple observer for
+    nonlinear systems.
     """
     if len(model.outputs) > 1:
         raise ValueError(f"high_gain is for one output; the model has {len(model.outputs)}: {', '.join(model.outputs)}")

@@ -1,4 +1,4 @@
-"""The metric at a state, with a past as long as it needs."""
+"""The metric at a state, from a past as long as needed."""
 
 from typing import NamedTuple
 
@@ -17,24 +17,24 @@ from covariant.riccati._window import Window, backward, no_past, window_at
 from covariant.signals import Result
 
 MOST_STEPS = 1024
-"""Integration steps after which a window counts as never long enough."""
+"""Integration steps after which the past counts as too short in any case."""
 SINGULAR = 1e-9
 """Reconstructibility below which a state counts as not reconstructible, in double precision."""
 ON_BORDER = 1e-7
-"""Share of a domain's width within which a state is on its border."""
+"""Fraction of a domain's width within which a state is on its border."""
 FAR = 1e6
-"""A past has escaped when a coordinate exceeds this many times one plus its value at the end."""
+"""The past has escaped when a coordinate exceeds this many times one plus its final value."""
 
 
 class Solution(NamedTuple):
-    """P at a state, and how far to trust it.
+    """P at a state, and how accurate it is.
 
     - `metric` (n, n): P; NaN where the result says that there is none.
-    - `error_bound`: of the affine-invariant distance to the solution with an endless past; see `Window.error_bound`.
+    - `error_bound`: of the affine-invariant distance to the solution with an infinite past; see `Window.error_bound`.
     - `horizon`: length of the past that was used [s].
-    - `reconstructibility`: 0 … 1, smallest eigenvalue of W after scaling its diagonal to one; no unit changes it.
-    - `result`: a `covariant.signals.Result` code. With `LEFT_DOMAIN` and `ESCAPED` the metric is the solution that has
-      `start` where the past begins.
+    - `reconstructibility`: 0 … 1, smallest eigenvalue of W with its diagonal scaled to one; it does not depend on units.
+    - `result`: a `covariant.signals.Result` code. With `LEFT_DOMAIN` and `ESCAPED` the metric is the solution that
+      equals `start` where the past begins.
     """
 
     metric: Matrix
@@ -55,15 +55,16 @@ def metric_at(
     u: Float[Array, "m"] | None = None,
     max_steps: int = MOST_STEPS,
 ) -> Solution:
-    """Solve the equation at x (n,), looking back as far as needed.
+    """Solve the equation at x (n,), with as long a past as needed.
 
-    - `start`: the metric before the past that is looked at, as a matrix or a multiple of I.
-    - `tolerance`: how much the unknown past may change P, as an affine-invariant distance (1e-8 means eight digits in
-      every direction, the weakest too); by default half of the digits.
-    - `domain`: box where the model holds; the past is followed no further than its border.
-    - `u`: constant input (m,); zero by default. The time that f and h are given is zero.
+    - `start`: the metric before the past that is used, as a matrix or a multiple of I.
+    - `tolerance`: largest change of P by the unknown earlier past, as an affine-invariant distance (1e-8 means eight
+      digits in every direction, the weakest too); by default half of the digits of the precision.
+    - `domain`: box in which the model is valid; the past is followed no further than its border.
+    - `u`: constant input (m,); zero by default. The time given to f and h is zero.
+    - `max_steps`: integration steps after which the search ends.
 
-    Works under `jit` and `vmap`. Raises `ValueError` when x has not as many entries as the model has states.
+    Works under `jit` and `vmap`. Raises `ValueError` when the length of x is not the number of states of the model.
     """
     check_state(model, x)
     eps = float(jnp.finfo(x.dtype).eps)
@@ -76,11 +77,11 @@ def metric_at(
     outside = jnp.any((x < low) | (x > high))
 
     def inside(y):
-        """Share of the domain's width that is left to its border; a start on the border counts as inside."""
+        """Distance to the border of the domain, as a fraction of its width; on the border it counts as inside."""
         return jnp.min(jnp.minimum(y - low, high - y) / width) + ON_BORDER
 
     def gone(y):
-        return ~jnp.all(jnp.abs(y) < far)  # NaN has gone too
+        return ~jnp.all(jnp.abs(y) < far)  # NaN counts as escaped
 
     def stop(window: Window):
         return outside | (window.error_bound(start) < wanted) | gone(window.x)
@@ -93,10 +94,10 @@ def metric_at(
     error_bound, index = window.error_bound(start), reconstructibility(window.information)
     finite = jnp.all(jnp.isfinite(x)) & jnp.all(jnp.isfinite(metric))
     none = SINGULAR * (eps / float(jnp.finfo(jnp.float64).eps)) ** 0.5
-    outcomes = (  # the first that is true holds
+    outcomes = (  # the first true condition determines the result
         (outside, Result.OUT_OF_DOMAIN),
         (~finite, Result.NOT_FINITE),
-        # The bound for an information that is singular to rounding is rounding itself, and may have any sign.
+        # Where the information is singular to rounding, its bound is rounding noise and may have any sign.
         ((error_bound < wanted) & (index > none), Result.OK),
         (inside(window.x) < ON_BORDER if domain is not None else outside, Result.LEFT_DOMAIN),
         (gone(window.x), Result.ESCAPED),
@@ -125,7 +126,7 @@ def gramians(
 ) -> Float[Array, "steps n n"]:
     """Gramians (6) over the last 1/steps, 2/steps, … of `length` [s] before x (n,)."""
     check_state(model, x)
-    unweighted = Equation(rate=jnp.zeros((), x.dtype))  # as an array, which passes for a rate
+    unweighted = Equation(rate=jnp.zeros((), x.dtype))  # as an array, since the number 0 is refused as a rate
     flow, zero = backward(model, unweighted, u, x.dtype), jnp.zeros((), x.dtype)
 
     def further(window: Window, _):
@@ -143,18 +144,18 @@ def rate_from_gramian(
     *,
     share: float = 0.5,
 ) -> float:
-    """A rate λ = 1/τ [1/s] for equation (15): the metric remembers about as much as reconstructs a state.
+    """A rate λ = 1/τ [1/s] for equation (15), such that the metric weights about as much past as reconstructs a state.
 
-    τ is the shortest window after which the least reconstructibility of the points has reached `share` of the best that
-    windows up to `longest` [s] give. A larger λ converges faster, but the metric is worse conditioned and passes more
-    noise: (9) has the lower bound ε exp(−λτ).
+    τ is the shortest window for which the least reconstructibility of the `points` (k, n) is at least `share` of the
+    best over all windows up to `longest` [s]. A larger λ converges faster, but the metric is worse conditioned and
+    passes more noise: (9) has the lower bound ε exp(−λτ).
 
-    For systems whose past stays bounded. Raises `ValueError` where a point is not reconstructible from any of the
-    windows, and where the shortest ones tell most: then the past grows, as that of a damped system does, and only a λ
-    above twice its rate of growth gives a metric at all.
+    This is for systems whose past stays bounded. Raises `ValueError` where a point is not reconstructible from any of
+    the windows, and where the shortest window is the best. In the latter case the solution grows backwards in time, as
+    that of a damped system does, and a metric exists only for λ above twice its rate of growth.
     """
     told = jax.jit(jax.vmap(lambda x: jax.vmap(reconstructibility)(gramians(model, x, longest, u))))(points)
-    told = np.nan_to_num(np.asarray(told))  # (k, steps); a past that escapes tells no more
+    told = np.nan_to_num(np.asarray(told))  # (k, steps); a past that escapes counts as zero
     unobserved = told.max(axis=1) <= SINGULAR
     if unobserved.any():
         point = ", ".join(f"{entry:.4g}" for entry in np.asarray(points)[int(unobserved.argmax())])
@@ -170,7 +171,7 @@ def rate_from_gramian(
 
 
 def reconstructibility(gramian: Matrix) -> Scalar:
-    """Smallest eigenvalue of a Gramian (n, n) scaled to a diagonal of ones: 0 (a direction is not seen) … 1."""
+    """Smallest eigenvalue of a Gramian (n, n) with its diagonal scaled to ones: 0 for an unobserved direction, up to 1."""
     diagonal: Array = jnp.diagonal(gramian)
     scale = jnp.where(diagonal > 0, jax.lax.rsqrt(jnp.where(diagonal > 0, diagonal, 1.0)), 0.0)
     scaled = scale[:, None] * gramian * scale[None, :]
@@ -182,8 +183,8 @@ def reconstructibility(gramian: Matrix) -> Scalar:
 def spd_distance(a: Matrix, b: Matrix) -> Scalar:
     """Affine-invariant distance `sqrt(Σ log² eig(a⁻¹ b))` of two symmetric positive definite matrices (n, n).
 
-    It does not change with coordinates, so it is small only when b is right in every direction. NaN where a or b is not
-    positive definite. Source: Sanfelice & Praly 2015, equation (25); Bhatia 2007, Positive definite matrices.
+    It does not depend on coordinates, so it is small only when b is accurate in every direction. NaN where a or b is
+    not positive definite. Source: Sanfelice & Praly 2015, equation (25); Bhatia 2007, Positive definite matrices.
     """
     whitened = whiten(a, b)
     finite = jnp.all(jnp.isfinite(whitened))
@@ -192,12 +193,10 @@ def spd_distance(a: Matrix, b: Matrix) -> Scalar:
 
 
 class RiccatiMetric(eqx.Module):
-    """The metric of the Riccati equation, solved where it is needed along the characteristic through that state.
+    """The metric of the Riccati equation as a function `x (n,) -> (n, n)`, computed along the characteristic through x.
 
-    A function `x (n,) -> (n, n)`.
-
-    - `length`: of the past that is looked at [s]; `steps`: Runge–Kutta steps along it. Both are fixed, so the function
-      can be exported; `metric_at` tells how long is long enough.
+    - `length`: of the past that is used [s]; `steps`: Runge–Kutta steps along it. Both are fixed, so the function can
+      be exported; `metric_at` finds how long is long enough.
     - `start`, `u`: as for `metric_at`.
     """
 

@@ -1,11 +1,11 @@
-"""A window of past, as the map of metrics that it is (Redheffer's scattering form of the Riccati equation).
+"""A window of the past, represented by its action on metrics (Redheffer's scattering form of the Riccati equation).
 
 Let Φ, W, V describe the window [−s, 0] of the solution through x: a metric π at its beginning becomes the metric
 
     P = W + Φᵀ (π⁻¹ + V)⁻¹ Φ
 
-at its end. The three obey equations in s that run backward along with the solution itself, so one pass finds P, and at
-every s it bounds what the unknown π can still change.
+at its end. The three obey equations in s that run backwards along with the solution itself. So one pass computes P,
+and at every s it bounds how much the unknown π can still change P.
 
 Source: Redheffer 1962, On the relation of transmission-line theory to scattering and transfer, J. Math. and Phys. 41.
 """
@@ -22,14 +22,15 @@ from covariant.models import StateSpace
 from covariant.riccati._equation import Equation, check_state, coefficients, model_input
 
 MARGIN = 10.0
-"""How many times the metric of the window the metric before it is reckoned to be, where Q gives no bound."""
+"""Largest ratio assumed of the metric before the window to that of the window, where Q gives no bound."""
 
 
 class Window(NamedTuple):
-    """A window of past as it is seen from its end.
+    """A window of the past that ends at the given state.
 
-    - `x` (n,): the state at its beginning; `transition` Φ, `information` W and `spread` V (n, n) as in the head of this
-      file. V is None where the equation has no Q and V is zero.
+    - `x` (n,): the state at its beginning.
+    - `transition` Φ, `information` W and `spread` V (n, n): as at the top of this file. V is None where the equation
+      has no Q and V is zero.
     """
 
     x: Vector
@@ -38,21 +39,21 @@ class Window(NamedTuple):
     spread: Matrix | None
 
     def metric(self, start: Number | Matrix) -> Matrix:
-        """The metric P at the end of the window, for the metric `start` (times I, where it is a number) before it."""
+        """The metric P at the end of the window, for the metric `start`, or `start` times I, at its beginning."""
         return self.information + self._carried(start)
 
     def error_bound(self, start: Number | Matrix) -> Scalar:
-        """Bound on the distance between the metrics that the unknown past allows; NaN where the window is too short.
+        """Bound on the distance between the metrics that the unknown past permits; NaN where the window is too short.
 
-        With a positive Q it holds for every past. Without, the metric before is taken to be at most `MARGIN` times W,
-        or at most `start`.
+        With a positive Q it holds for every past. Without Q, the metric at the beginning is assumed to be at most
+        `MARGIN` times W, or at most `start`.
         """
         known = jnp.all(pivots(self.information) > 0)
         if self.spread is None:
             before = MARGIN * self.transition.T @ self.information @ self.transition
             most = jnp.maximum(self._share(before), self._share(self._carried(start)))
         else:
-            # Where Q is singular, V becomes positive as the window grows, and until then bounds nothing.
+            # Where Q is singular, V becomes positive as the window grows; until then it gives no bound.
             known = known & jnp.all(pivots(self.spread) > 0)
             most = self._share(self.transition.T @ solve(self.spread, self.transition))
         return jnp.where(known, most, jnp.nan)
@@ -85,7 +86,7 @@ def window_at(
 
 
 def backward(model: StateSpace, equation: Equation, u: Array | None, dtype):
-    """Flow of a `Window` as it reaches further back, by s seconds."""
+    """Flow of a `Window` whose beginning moves back by s seconds."""
     input_held, t0 = model_input(model, u, dtype), jnp.zeros((), dtype)
 
     def flow(s, window: Window) -> Window:
@@ -104,7 +105,7 @@ def backward(model: StateSpace, equation: Equation, u: Array | None, dtype):
 
 
 def _times(a: Array, b: Array) -> Array:
-    """Product of two small matrices, written out: in a batch it is several times faster than a batched one."""
+    """Product of two small matrices, written out: in a batch this is several times faster than a batched product."""
     return jnp.sum(a[:, :, None] * b[None, :, :], axis=1)
 
 

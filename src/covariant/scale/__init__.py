@@ -1,7 +1,7 @@
-"""Functions of one state over big grids: computed block by block on Dask, kept in Zarr, read through xarray.
+"""Functions of a state on large grids: computed block by block on Dask, stored in Zarr, read through xarray.
 
-A grid may hold far more points than memory does: only the blocks being computed are there. A killed run goes on where
-it stopped. Dask, Zarr and xarray are guests: the functions load them, and `pip install 'covariant[scale]'` brings them.
+A grid may have far more points than fit in memory: only the blocks being computed are held there. A run that was killed
+continues where it stopped. Dask, Zarr and xarray are optional packages, installed by `pip install 'covariant[scale]'`.
 
     grid = Grid(("angle", "rate"), ("rad", "rad/s"), low=(-3.0, -5.0), high=(3.0, 5.0), counts=(601, 1001))
     energy = Variable((), "J", "energy of the pendulum")

@@ -1,4 +1,4 @@
-"""Grids, and the blocks they are computed in."""
+"""Grids of states, and the blocks in which they are computed."""
 
 import math
 import operator
@@ -14,8 +14,8 @@ from jaxtyping import Float
 class Grid:
     """A box of n axes with equally spaced points, both ends included.
 
-    Each axis has a name, a unit, its ends `low` < `high` [in that unit], and a count of points, two at least.
-    Raises `ValueError`, one line naming the axis, for anything else.
+    Each axis has a name, a unit, its ends `low` < `high` [in that unit], and a count of points, two at least. Raises
+    `ValueError`, one line naming the axis, for anything else.
     """
 
     names: Sequence[str]
@@ -47,12 +47,12 @@ class Grid:
 
     @property
     def ends(self) -> tuple[list[float], list[float]]:
-        """Low ends and high ends as numbers of Python."""
+        """Low ends and high ends, as Python floats."""
         return [float(end) for end in self.low], [float(end) for end in self.high]
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Counts of points along the axes."""
+        """Number of points along each axis."""
         return tuple(map(operator.index, self.counts))
 
     @property
@@ -62,43 +62,43 @@ class Grid:
 
 
 class Blocks(NamedTuple):
-    """A grid cut into boxes of equal sides, which are also the chunks of the store; those at the edge may stick out."""
+    """A grid cut into boxes of equal sides, which are also the chunks of the store; the last may extend beyond it."""
 
     axes: tuple[np.ndarray, ...]
     sides: tuple[int, ...]
 
     @property
     def counts(self) -> tuple[int, ...]:
-        """Numbers of blocks along the axes."""
+        """Number of blocks along each axis."""
         return tuple(-(-len(axis) // side) for axis, side in zip(self.axes, self.sides, strict=True))
 
     def indices(self) -> Iterator[tuple[int, ...]]:
-        """Indices of the blocks, made one by one."""
+        """Indices of the blocks, as an iterator."""
         return np.ndindex(*self.counts)
 
     def region(self, index: tuple[int, ...]) -> tuple[slice, ...]:
-        """Where a block lies in the grid."""
+        """The slices of the grid that a block covers."""
         parts = zip(index, self.sides, self.axes, strict=True)
         return tuple(slice(k * side, min((k + 1) * side, len(axis))) for k, side, axis in parts)
 
     def size(self, index: tuple[int, ...]) -> int:
-        """Number of points of the grid in a block."""
+        """Number of grid points in a block."""
         return math.prod(part.stop - part.start for part in self.region(index))
 
     def points(self, index: tuple[int, ...]) -> Float[np.ndarray, "points n"]:
-        """Points of a block; where it sticks out of the grid the last ones are repeated, so all blocks have as many."""
+        """Points of a block; beyond the grid its last points are repeated, so that all blocks have the same size."""
         parts = zip(index, self.sides, self.axes, strict=True)
         lines = [axis[np.minimum(k * side + np.arange(side), len(axis) - 1)] for k, side, axis in parts]
         return np.stack(np.meshgrid(*lines, indexing="ij"), -1).reshape(-1, len(lines))
 
 
 def cut(grid: Grid, points: int) -> Blocks:
-    """Blocks of at most so many points, as near to a cube as the counts allow."""
+    """Cut a grid into blocks of at most `points` points, as close to cubes as the counts allow."""
     if points < 1:
         raise ValueError(f"a block needs at least one point; got {points}")
     sides, left, shape = [1] * len(grid.shape), points, grid.shape
     for k, axis in enumerate(sorted(range(len(shape)), key=shape.__getitem__)):
-        side = min(shape[axis], int(left ** (1 / (len(shape) - k)) + 1e-9))  # 4096 ** (1 / 3) is a hair below 16
+        side = min(shape[axis], int(left ** (1 / (len(shape) - k)) + 1e-9))  # 4096 ** (1 / 3) rounds to less than 16
         sides[axis] = math.ceil(shape[axis] / math.ceil(shape[axis] / side))  # no thin blocks at the edge
         left //= sides[axis]
     return Blocks(grid.axes, tuple(sides))

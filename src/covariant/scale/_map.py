@@ -1,4 +1,4 @@
-"""The map itself: one compiled program, run over the blocks by threads or by the workers of a cluster."""
+"""Evaluation of a function on a grid: one compiled program, run over the blocks by threads or workers of a cluster."""
 
 import concurrent.futures
 import contextlib
@@ -24,9 +24,9 @@ Index = tuple[int, ...]
 Submit = Callable[[Index], Future]
 
 IN_FLIGHT = 1024
-"""Blocks a scheduler is given at a time: enough to keep a big cluster busy, few enough to cost it nothing."""
+"""Blocks submitted to a scheduler at a time: enough to keep a big cluster busy, few enough not to burden it."""
 BATCH = 256
-"""Points of a block that are computed together."""
+"""Number of points of a block that are computed together."""
 
 
 def map_grid(
@@ -41,20 +41,24 @@ def map_grid(
     workers: int | None = None,
     on_progress: Callable[[int, int], object] | None = None,
 ) -> Path:
-    """Evaluate a function at every point of a grid, into the store at `path`; return that path.
+    """Evaluate a function at every point of a grid, into the store at `path`; returns that path.
 
-    `function` takes one point x (n,) [units of the grid] to a dict of arrays of any fixed shapes, which `variables`
-    describes, and can be traced by JAX. At most `block` points are computed at a time by each of the `workers`, threads
-    of this process (as many as processors by default), or by the workers of the Dask cluster whose `scheduler` has
-    this address, such as "tcp://10.0.0.1:8786", and which see the path. All write the same bytes on processors of
-    one kind. `provenance` says where the function comes from, in what JSON can hold, and is kept in the store.
+    - `function`: takes one point x (n,) [units of the grid] to a dict of arrays of any fixed shapes; JAX must be able
+      to trace it.
+    - `variables`: describes each of these arrays.
+    - `provenance`: where the function comes from, in values that JSON can hold; it is kept in the store.
+    - `block`: largest number of points that one worker computes at a time.
+    - `workers`: number of threads of this process, by default one for each processor.
+    - `scheduler`: address of the scheduler of a Dask cluster, such as "tcp://10.0.0.1:8786", whose workers compute
+      instead; they need access to the path. On processors of one kind all write the same bytes.
+    - `on_progress`: called as `on_progress(done, total)` with numbers of points, first with those already computed,
+      then after every block.
 
-    A run that was stopped, killed or failed goes on where it was when called again; the function itself cannot be
-    compared, so change the provenance with it. `on_progress(done, total)` is called with numbers of points, first with
-    what is already there, then after every block.
+    A run that was stopped, killed or failed continues when called again. The function itself cannot be compared with
+    that of the earlier run, so change the provenance with it.
 
     Raises `ValueError`, one line, for a function that does not match `variables`, and for a path that holds anything
-    but an earlier run of the same grid, variables, provenance and block; `FileNotFoundError` where the folder of the
+    but an earlier run with the same grid, variables, provenance and block; `FileNotFoundError` where the folder of the
     path does not exist; `ImportError` for a missing package; and what the function raises.
     """
     if scheduler is not None and workers is not None:
@@ -80,21 +84,21 @@ def map_grid(
 
 
 class _Work(NamedTuple):
-    """All that it takes to compute any block."""
+    """Everything needed to compute any block."""
 
     function: Callable[[Array], Mapping[str, Any]]
     path: str
     blocks: Blocks
 
     def compile(self) -> Callable[[Any], Any]:
-        """The one program of the map, for blocks of the full size."""
+        """The program of the map, compiled for blocks of the full size."""
         sides = self.blocks.sides
         points = jax.ShapeDtypeStruct(self.blocks.points((0,) * len(sides)).shape, jnp.float64)
-        # In batches that stay in a processor's cache, whose points also wait for fewer others to finish.
+        # In batches small enough for a processor's cache, in which few points wait for the slowest one.
         return jax.jit(lambda x: jax.lax.map(self.function, x, batch_size=BATCH)).lower(points).compile()
 
     def compute(self, program: Callable[[Any], Any], index: Index) -> None:
-        """Evaluate a block, cut off what sticks out of the grid, and write it."""
+        """Evaluate a block, cut off what lies beyond the grid, and write it."""
         region, sides = self.blocks.region(index), self.blocks.sides
         inside = tuple(slice(part.stop - part.start) for part in region)
         values = jax.device_get(program(self.blocks.points(index)))
@@ -116,7 +120,7 @@ def _threads(work: _Work, workers: int) -> Iterator[tuple[Submit, int]]:
 def _cluster(work: _Work, scheduler: str) -> Iterator[tuple[Submit, int]]:
     pickled = optional("cloudpickle").dumps(work)
     with optional("distributed").Client(scheduler, set_as_default=False) as client:
-        # A task and not a scattered value: the scheduler can make it again when the worker that holds it dies.
+        # A task and not a scattered value: the scheduler can compute it again when the worker that holds it dies.
         shared = client.submit(bytes, pickled)
         pool = client.get_executor(pure=False)
         yield lambda index: pool.submit(_compute_pickled, shared, index), IN_FLIGHT
@@ -129,7 +133,7 @@ def _compute_pickled(pickled: bytes, index: Index) -> None:
 
 
 _COMPILING = threading.Lock()
-"""Threads of one worker wait for the program instead of compiling it several times."""
+"""Lock by which the threads of one worker wait for the program instead of each compiling it."""
 
 
 @functools.lru_cache(maxsize=4)
@@ -139,7 +143,7 @@ def _compiled(pickled: bytes) -> tuple[_Work, Callable[[Any], Any]]:
 
 
 def _finished(submit: Submit, todo: Iterable[Index], most: int) -> Iterator[Index]:
-    """Submit blocks, so many at a time at most, and give the index of each one that is written."""
+    """Submit blocks, at most `most` at a time, and yield the index of each one when it is written."""
     pending: dict[Future, Index] = {}
     todo = iter(todo)
     while True:
@@ -152,7 +156,7 @@ def _finished(submit: Submit, todo: Iterable[Index], most: int) -> Iterator[Inde
 
 
 def _outputs(function: Callable, grid: Grid, variables: Mapping[str, Variable]) -> dict[str, dict[str, Any]]:
-    """What is written of each variable; raises `ValueError` where the function does something else."""
+    """The arrays to store for each variable; raises `ValueError` where the function does not return them."""
     found = jax.eval_shape(function, jax.ShapeDtypeStruct((len(grid.names),), jnp.float64))
     if not isinstance(found, Mapping) or set(found) != set(variables):
         made = sorted(found) if isinstance(found, Mapping) else f"a {type(found).__name__}"

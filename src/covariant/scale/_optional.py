@@ -1,4 +1,4 @@
-"""The optional packages of grids."""
+"""Import of the optional packages for grids."""
 
 import functools
 

@@ -1,7 +1,7 @@
-"""What a map is on disk: a Zarr group with coordinates, variables, and a flag `done` that is set after the rest.
+"""A map on disk: a Zarr group with coordinates, variables, and a flag `done` for each block, which is set last.
 
-A block of the grid is one chunk of every variable and one of `done`, so that no two writers share a file. This guards
-against killed processes; against a power cut it does not, since files are not forced to the disk one by one.
+A block of the grid is one chunk of every variable and one of `done`, so that no two writers share a file. This protects
+against killed processes, but not against a power cut, since files are not forced to the disk one by one.
 """
 
 import contextlib
@@ -29,7 +29,7 @@ DONE = "done"
 
 
 class Variable(NamedTuple):
-    """What one output of a function means: names of its own axes (`()` for a number), its unit, and a description."""
+    """Description of one output of a function: names of its own axes (`()` for a number), its unit, and a text."""
 
     dims: tuple[str, ...]
     units: str
@@ -37,10 +37,10 @@ class Variable(NamedTuple):
 
 
 def open_grid(path: str | os.PathLike[str], *, complete: bool = False) -> "xarray.Dataset":
-    """A map as a lazy dataset: coordinates and variables with their units, and where they come from in its attributes.
+    """A map as a lazy `xarray.Dataset`: coordinates and variables with their units, and the provenance as attributes.
 
-    In an unfinished map, points never computed read as NaN, and whole numbers and flags are read as float64 for that.
-    Raises `ValueError`, one line, where there is no map, or where `complete` is asked for and blocks are missing.
+    In an unfinished map, points not yet computed are NaN, and integers and flags are therefore read as float64. Raises
+    `ValueError`, one line, where there is no map, or where `complete` is required and blocks are missing.
     """
     path = Path(path)
     attributes = _attributes(path)
@@ -58,7 +58,7 @@ def open_grid(path: str | os.PathLike[str], *, complete: bool = False) -> "xarra
 
 
 def configuration(grid: Grid, blocks: Blocks, variables: Any, provenance: Any) -> dict[str, Any]:
-    """All that two runs must share to work on one store, in the form that JSON gives back, and its digest."""
+    """What two runs must have in common to work on one store, in the form that JSON gives back, with its digest."""
     low, high = grid.ends
     box = {"names": tuple(grid.names), "units": tuple(grid.units), "low": low, "high": high, "counts": grid.shape}
     whole = {"grid": box, "variables": variables, "provenance": provenance, "block": blocks.sides}
@@ -71,7 +71,7 @@ def configuration(grid: Grid, blocks: Blocks, variables: Any, provenance: Any) -
 
 
 def prepare(path: Path, settings: dict[str, Any], blocks: Blocks) -> None:
-    """Make the store, or make sure that the one there is of the same configuration.
+    """Make the store, or check that an existing one has the same configuration.
 
     Raises `ValueError`, one line, where the path holds anything else, and `FileNotFoundError` without its folder.
     """
@@ -91,7 +91,7 @@ def prepare(path: Path, settings: dict[str, Any], blocks: Blocks) -> None:
 
 @contextlib.contextmanager
 def tidied(path: Path) -> Iterator[None]:
-    """While a map is written: what killed writers left in its folders is removed, where nobody else writes there."""
+    """While a map is written: remove the files of killed writers from its folders first, where nobody else writes."""
 
     def tidy():
         for left in path.rglob("*.partial"):  # Zarr moves each chunk from such a file to its place
@@ -108,13 +108,13 @@ def finish(path: Path) -> None:
 
 def written(path: Path, n: int) -> set[tuple[int, ...]]:
     """Indices of the blocks that are done: a chunk of `done` exists only where the flag is set."""
-    # Listed, not read: reading asks for every chunk of the grid, though a young map has hardly any.
+    # The chunks are listed, not read: reading would open every chunk of the grid, of which only a few exist at first.
     chunks = path.joinpath(DONE, "c").glob("/".join("*" * n))
     return {tuple(map(int, chunk.parts[-n:])) for chunk in chunks if chunk.name.isdecimal()}
 
 
 def write(path: str, region: tuple[slice, ...], values: Mapping[str, np.ndarray]) -> None:
-    """Put a block where it belongs, and then its flag: a writer killed in between leaves a block to be done again."""
+    """Write a block, and then its flag: if the writer is killed in between, the block is computed again."""
     store = optional("zarr").open_group(path, mode="r+")
     for name, value in values.items():
         store[name][region] = value
@@ -122,7 +122,7 @@ def write(path: str, region: tuple[slice, ...], values: Mapping[str, np.ndarray]
 
 
 def _create(path: Path, settings: dict[str, Any], blocks: Blocks) -> None:
-    """Fill a folder beside the path and put it there in one move, so that a store is whole or is not there."""
+    """Fill a folder beside the path and rename it to the path, so that a store is complete or absent."""
     with temporary(path, Path.mkdir) as fresh:
         _fill(optional("zarr").open_group(str(fresh), mode="w"), settings, blocks)
         fresh.rename(path)
@@ -171,7 +171,7 @@ def _versions() -> dict[str, str]:
 
 
 def _difference(there: Any, here: Any, name: str = "") -> str:
-    """The first thing that differs, by its dotted name."""
+    """The first difference, with its dotted name."""
     if isinstance(there, dict) and isinstance(here, dict):
         key = next(key for key in [*here, *there] if there.get(key) != here.get(key))
         return _difference(there.get(key), here.get(key), f"{name}.{key}".lstrip("."))

@@ -1,4 +1,4 @@
-"""Simulated truth and simulated sensors."""
+"""Simulation of models, alone or with an observer, and of sensors."""
 
 from covariant.simulation import _simulate_state_space as _simulate_state_space  # teaches both state-space models
 from covariant.simulation._sensors import Sensor, sense, stamps

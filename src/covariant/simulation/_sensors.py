@@ -1,4 +1,4 @@
-"""What an encoder makes of a position: sampling, jitter, noise, quantisation, dropouts. Seeded, so repeatable."""
+"""Simulated position sensors: sampling, jitter, noise, quantisation, dropouts; repeatable by a seed."""
 
 from typing import NamedTuple
 
@@ -11,8 +11,10 @@ NumpyArray = np.ndarray
 class Sensor(NamedTuple):
     """A position sensor.
 
-    `rate` [Hz]; `jitter` standard deviation of a sampling instant [s], limited so that stamps keep their order;
-    `noise_std` and `quantum` in units of the position; `dropout` probability that a sample is missing (NaN).
+    - `rate`: samples per second [Hz].
+    - `noise_std`, `quantum`: standard deviation of the noise, and quantisation step, in units of the position.
+    - `jitter`: standard deviation of a sampling instant [s], limited so that stamps keep their order.
+    - `dropout`: probability that a sample is missing (NaN).
     """
 
     rate: float
@@ -22,7 +24,7 @@ class Sensor(NamedTuple):
     dropout: float = 0.0
 
     def check(self) -> "Sensor":
-        """Return the sensor, or raise `ValueError` naming the first field that makes no sense."""
+        """Return the sensor, or raise `ValueError` naming the first invalid field."""
         if not 0 < self.rate < np.inf:
             raise ValueError(f"sensor: rate must be positive [Hz]; got {self.rate}")
         for name in ("noise_std", "quantum", "jitter"):
@@ -36,7 +38,7 @@ class Sensor(NamedTuple):
 def stamps(sensor: Sensor, duration: float, seed: int = 0) -> Float[NumpyArray, "T"]:
     """Sampling instants from 0 to `duration` [s], strictly increasing, the first at 0."""
     sensor.check()
-    steps = duration * sensor.rate + 1e-9  # 0.29 s hold 29 steps at 100 Hz, although 0.29 * 100 is a hair less
+    steps = duration * sensor.rate + 1e-9  # 0.29 s hold 29 steps at 100 Hz, although 0.29 * 100 rounds to less
     if not 1 <= steps < np.inf:
         raise ValueError(f"sensor: {duration} s at {sensor.rate} Hz do not hold two samples or more")
     count = int(steps) + 1
@@ -46,7 +48,7 @@ def stamps(sensor: Sensor, duration: float, seed: int = 0) -> Float[NumpyArray, 
 
 
 def sense(sensor: Sensor, q: Float[NumpyArray, "T n"], seed: int = 0) -> Float[NumpyArray, "T n"]:
-    """Measurements of the positions q; the first row is never dropped, since an observer starts from it."""
+    """Measurements of the positions q (T, n); the first row is never dropped, since an observer starts from it."""
     sensor.check()
     random = np.random.default_rng([seed, 1])
     y = np.asarray(q) + (random.normal(0, sensor.noise_std, np.shape(q)) if sensor.noise_std else 0.0)

@@ -1,8 +1,8 @@
 """Trajectories of a model, alone or with an observer attached in continuous time.
 
-In coordinates the motion is one differential equation. In any other frame it is solved in charts that move along with
-it, so that every configuration is on its manifold. Source: Munthe-Kaas 1998, Runge–Kutta methods on Lie groups, with
-the eighth-order method of Dormand and Prince.
+In coordinates the motion is one differential equation. In any other frame it is solved in a sequence of charts that
+follow the motion, so that every configuration is on its manifold. Source: Munthe-Kaas 1998, Runge–Kutta methods on Lie
+groups, with the eighth-order method of Dormand and Prince.
 """
 
 import functools
@@ -21,12 +21,12 @@ from covariant.observers import AbstractFlowObserver, continuous
 from covariant.signals import Record
 
 Input = Callable[[Array, Any], Array]
-"""Input `(t, x) -> u (m,)`; it may feed the true state x back."""
+"""Input `(t, x) -> u (m,)`; it may be a feedback of the true state x."""
 Measurement = Callable[[Array, Array], Array]
 """Continuous measurement `(t, q) -> y`; by default q itself. For a `StateSpace` q is the output h."""
 
 CHART_SIZE = 0.5
-"""How far a motion may go, as the fastest component of v times time [rad or m], before its chart is moved along."""
+"""Largest motion in one chart, as the fastest component of v times time [rad or m]."""
 
 
 @functools.singledispatch
@@ -42,9 +42,12 @@ def simulate(
 ) -> Record:
     """Integrate the model from x0 and record its noise-free state and inputs at the stamps t [s].
 
-    x0 is (q, v) (2n,) in coordinates; elsewhere it is a `Motion`, and so is the record's x, with y = q, time first; for
-    a `StateSpace` it is the state (n,), with y = h (T, p). Stamps that the motion does not reach, because it escapes
-    before, are not finite.
+    - `x0`: (q, v) (2n,) in coordinates, a `Motion` on another manifold; for a `StateSpace` the state (n,).
+    - `u`: input `(t, x) -> u (m,)`, zero by default.
+    - `rtol`, `atol`: tolerances of the integrator.
+
+    The record's x has the form of x0, time first, with y = q; for a `StateSpace` y = h (T, p). Rows at stamps that the
+    motion does not reach, because it escapes earlier, are not finite.
     """
     start = model.motion(x0)
     input_at = u or no_input(model, start.v)
@@ -63,7 +66,7 @@ def simulate(
 
 
 def position(t, q):
-    """A measurement of the whole configuration, without noise."""
+    """A measurement of the whole configuration without noise."""
     return q
 
 
@@ -83,12 +86,15 @@ def observe(
     max_steps: int = 200_000,
     controller: Controller | None = None,
 ) -> tuple[Any, Any]:
-    """Integrate plant and observer as one system; returns the true states and the observer's, time first.
+    """Integrate plant and observer as one system; returns the true states and the observer's states, time first.
 
-    With a `controller` the loop is closed: the input is what it makes of the measurement and the estimate, in place of
-    u. Stamps after a breakdown, such as an observer escaping in finite time, are not finite in both. The true states
-    are as in `simulate`; the observer of a `StateSpace` sees `measure(t, h)`, and where a controller closes the loop h
-    must not depend on the input.
+    - `x0`, `u`, `rtol`, `atol`: as in `simulate`, and so are the true states that are returned.
+    - `state0`: initial state of the observer, as from `observer.init`.
+    - `measure`: measurement `(t, q) -> y` in continuous time. The observer of a `StateSpace` gets `measure(t, h)`.
+    - `controller`: closes the loop: the input is `controller(t, y, estimate)`, instead of u. For a `StateSpace` h must
+      then not depend on the input.
+
+    After a breakdown, such as an observer that escapes in finite time, both are not finite.
     """
     input_at = u or no_input(model, model.motion(x0).v)
 
@@ -110,7 +116,7 @@ def observe(
 
 
 def _observe_in_charts(model: MechanicalSystem, observer: AbstractFlowObserver, answer, x0: Motion, state0, t, rule):
-    """Plant and observer each in a chart around where it was, the plant's momentum beside it."""
+    """Plant and observer, each in a chart around its configuration at the step's start; the plant with its momentum."""
     manifold = model.manifold
 
     def step(i, now, begin, h):
@@ -144,7 +150,7 @@ def _observe_in_charts(model: MechanicalSystem, observer: AbstractFlowObserver, 
 
 
 def no_input(model: MechanicalSystem | StateSpace, v: Float[Array, "n"]) -> Input:
-    """Zero input of the size the model takes, n where it does not say; v is a velocity, or a state."""
+    """Zero input of the size that the model takes, n where it states none; v (n,) is a velocity, or a state."""
     return eqx.Partial(_nothing, jnp.zeros(input_count(model, v.shape[-1]), v.dtype))
 
 
@@ -153,7 +159,7 @@ def _nothing(zero, t, x):
 
 
 def hold(t: Float[Array, "T"], u: Float[Array, "T m"]) -> Input:
-    """Recorded inputs, each held from its stamp to the next."""
+    """Recorded inputs as a function of time, each held constant from its stamp to the next."""
     return eqx.Partial(_held, jnp.asarray(t), jnp.asarray(u))
 
 
@@ -176,7 +182,7 @@ def _charts(duration: Number, v: Array) -> Array:
 
 
 def _adaptive(rtol: Number, atol: Number, max_steps: int = 200_000):
-    """A step as many of Dormand and Prince's as the tolerances ask for."""
+    """A one-step method that makes as many steps of Dormand and Prince's as the tolerances need."""
 
     def rule(flow, t, x, dt):
         ends = jnp.stack([t, t + dt])

@@ -1,4 +1,4 @@
-"""Trajectories of state-space models, alone or with an observer: the measurement is the output h along the motion."""
+"""Simulation of state-space models, alone or with an observer that measures the output h along the motion."""
 
 from typing import Any
 
