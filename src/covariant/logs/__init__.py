@@ -1,4 +1,4 @@
-"""Logs on disk: CSV and Parquet files read into a `Record`, and columns of numbers written back, all or nothing."""
+"""Log files: CSV and Parquet files are read into a `Record`, and columns of numbers are written, as complete files."""
 
 from covariant.logs._columns import ATTITUDES, Columns, Log, LogError
 from covariant.logs._configuration import Body, bodies, coordinates, matrices, to_columns

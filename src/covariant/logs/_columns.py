@@ -1,4 +1,4 @@
-"""What a log holds: the names of its columns, what reading it gives, and the error that says why it cannot be used."""
+"""The content of a log: names of its columns, the result of reading it, and the error for an unusable log."""
 
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -10,28 +10,28 @@ from covariant.signals import Record
 
 
 class LogError(ValueError):
-    """A log that cannot be used. One line: which file, column and row, what was found there, and what to do."""
+    """A log that cannot be used. The message is one line: the file, column and row, what was found, and what to do."""
 
 
 ATTITUDES = {"quaternion_wxyz": 4, "quaternion_xyzw": 4, "matrix": 9}
-"""The ways to write an attitude, by their field of `Columns`, and how many columns each takes."""
+"""The representations of an attitude, by their field of `Columns`, and the number of columns each needs."""
 
 
 class Columns(NamedTuple):
-    """The names that the columns of a log have in its file; an empty cell is a missing measurement.
+    """The names of the columns of a log in its file; an empty cell is a missing measurement.
 
     - `t`: time stamp [s].
-    - `q`: measured positions, one name a coordinate.
-    - `u`: inputs; none for a machine that moves on its own.
-    - `v`: logged velocities, only ever compared with: an observer never sees them.
+    - `q`: measured positions, one name for each coordinate.
+    - `u`: inputs; none for a system without inputs.
+    - `v`: logged velocities, used only for comparison: no observer uses them.
     - `truth`: true velocities, where the log comes from a simulation.
 
-    On a group the measured configuration stands in place of `q`, or before it where there are joints besides; one empty
-    cell makes all of it missing in that row:
+    On a group the fields below give the measured configuration, in place of `q`, or before it where there are joints as
+    well. One empty cell makes all of it missing in that row.
 
-    - `position`: where the body is, in the world [m]: three names, or two in the plane.
+    - `position`: position of the body in the world [m]: three names, or two in the plane.
     - `quaternion_wxyz`, `quaternion_xyzw`: its attitude, R_world_body, as a unit quaternion, scalar first or last.
-    - `matrix`: or as the nine entries of R_world_body, row by row.
+    - `matrix`: its attitude as the nine entries of R_world_body, row by row.
     - `angle`: angles [rad]: the heading of a body in the plane, and of each wheel.
     """
 
@@ -48,12 +48,12 @@ class Columns(NamedTuple):
 
     @property
     def measured(self) -> tuple[str, ...]:
-        """All columns that hold the measured configuration, in the order they are written in."""
+        """All columns of the measured configuration, in the order in which they are written."""
         return self.q + self.position + self.quaternion_wxyz + self.quaternion_xyzw + self.matrix + self.angle
 
 
 class Log(NamedTuple):
-    """A record, with the logged velocities `v` (T, n) and the true ones `truth` (T, n) to compare with, or None."""
+    """A record, with the logged velocities `v` (T, n) and the true ones `truth` (T, n) for comparison, or None."""
 
     record: Record
     v: Float[np.ndarray, "T n"] | None = None
@@ -61,7 +61,7 @@ class Log(NamedTuple):
 
 
 def kind(path: Path) -> str:
-    """The kind of file a log is, ".csv" or ".parquet", told by its ending; raises `LogError` for any other."""
+    """The type of a log file by its suffix, ".csv" or ".parquet"; raises `LogError` for any other."""
     suffix = path.suffix.lower()
     if suffix not in (".csv", ".parquet"):
         raise LogError(f"{path}: a log must be a .csv or .parquet file; this one ends in {suffix or 'nothing'}")
@@ -69,7 +69,7 @@ def kind(path: Path) -> str:
 
 
 def pyarrow() -> Any:
-    """The guest that reads and writes files; raises `ImportError` with the line that installs it."""
+    """The package pyarrow, which reads and writes files; raises `ImportError` with the command that installs it."""
     try:
         import pyarrow
         import pyarrow.compute

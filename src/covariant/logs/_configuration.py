@@ -1,7 +1,7 @@
-"""Measured configurations as columns and as arrays: coordinates as they are, attitudes and poses as matrices.
+"""Measured configurations as columns and as arrays: coordinates unchanged, attitudes and poses as matrices.
 
-Where a configuration is bodies and coordinates, `y` is one row (m,): the matrices of the bodies as one, row by row, and
-then the coordinates.
+For a configuration of bodies and coordinates, each row (m,) of `y` is the block-diagonal matrix of the bodies,
+flattened row by row, followed by the coordinates.
 """
 
 from pathlib import Path
@@ -15,7 +15,7 @@ from covariant.logs._rotations import KINDS
 
 
 class Body(NamedTuple):
-    """The columns of one body: the way its rotation is written, their names, and those of its position, if it has one.
+    """The columns of one body: the representation `kind` of its rotation, and the names of rotation and position.
 
     Its matrices are rotations (d, d), or poses (d + 1, d + 1) with the position in the last column; d is `space`.
     """
@@ -26,7 +26,7 @@ class Body(NamedTuple):
 
     @property
     def space(self) -> int:
-        """Dimension d of the space it turns in."""
+        """Dimension d of the space in which the body moves."""
         return 2 if self.kind == "angle" else 3
 
     @property
@@ -36,9 +36,9 @@ class Body(NamedTuple):
 
 
 def bodies(columns: Columns) -> tuple[Body, ...]:
-    """The bodies of a configuration: one with an attitude or a position first, then a wheel for each angle.
+    """The bodies of a configuration: first one with an attitude or a position, then a wheel for each angle.
 
-    None where the configuration is coordinates alone. Raises `LogError` when the columns do not make a configuration.
+    Empty where the configuration has coordinates only. Raises `LogError` when the columns make no configuration.
     """
     attitudes = [kind for kind in ATTITUDES if getattr(columns, kind)]
     if len(attitudes) > 1:
@@ -57,8 +57,9 @@ def bodies(columns: Columns) -> tuple[Body, ...]:
 
 
 def from_cells(path: Path, columns: Columns, cells: Float[np.ndarray, "T k"]) -> np.ndarray:
-    """Configurations (T, n), (T, N, N) or (T, m) from the cells of `columns.measured`; of the bodies all are NaN where
-    any cell is."""
+    """Configurations (T, n), (T, N, N) or (T, m) from the cells of `columns.measured`.
+
+    Where a cell of a body is NaN, all bodies are NaN in that row."""
     if not bodies(columns):
         return cells
     coordinates, rest = np.split(cells, [len(columns.q)], axis=1)
@@ -85,9 +86,9 @@ def _bodies_from_cells(path: Path, columns: Columns, cells: Float[np.ndarray, "T
 
 
 def to_columns(columns: Columns, y: np.ndarray) -> dict[str, np.ndarray]:
-    """Configurations (T, n), (T, N, N) or (T, m) as columns by name, laid out as `columns` says; NaN stays.
+    """Configurations (T, n), (T, N, N) or (T, m) as columns by name, in the layout of `columns`; NaN stays.
 
-    Quaternions and angles are written without jumps: not of sign, and not of a whole turn.
+    Quaternions are written without jumps of sign, and angles without jumps of a whole turn.
     """
     parts = bodies(columns)
     if not parts:
@@ -103,7 +104,7 @@ def to_columns(columns: Columns, y: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def matrices(columns: Columns, y: np.ndarray) -> list[np.ndarray]:
-    """The matrices (T, order, order) of each of the `bodies` in configurations."""
+    """The matrices (T, order, order) of each of the `bodies` in the configurations."""
     parts = bodies(columns)
     order = sum(body.order for body in parts)
     together = np.asarray(y)[:, : order**2].reshape(-1, order, order) if columns.q else np.asarray(y)
@@ -112,7 +113,7 @@ def matrices(columns: Columns, y: np.ndarray) -> list[np.ndarray]:
 
 
 def coordinates(columns: Columns, y: np.ndarray) -> Float[np.ndarray, "T n"]:
-    """The coordinates in configurations: all of one in coordinates, the last of one that has bodies too."""
+    """The coordinates in configurations: all entries where there are no bodies, otherwise the last ones."""
     y = np.asarray(y)
     return y[:, y.shape[1] - len(columns.q) :] if columns.q else np.zeros((len(y), 0))
 

@@ -1,4 +1,4 @@
-"""Reading a log. Cells are read as text first, so that a bad one can be quoted with its column and row."""
+"""Reading of logs. Cells are read as text first, so that an invalid one can be quoted with its column and row."""
 
 import csv
 import difflib
@@ -20,9 +20,11 @@ from covariant.signals import Record
 def read(path: str | PathLike[str], columns: Columns, every: int = 1, until: float | None = None) -> Log:
     """Read a `.csv` or `.parquet` log; an empty cell or `nan` is a missing measurement, and an error in t and u.
 
-    `every` keeps each k-th row, `until` [s] the rows with t ≤ until; the whole log must be sound all the same.
-    Rows are counted from 1, without the header and without blank lines. Attitudes become rotation matrices: a
-    quaternion or matrix that misses by less than 5 % is brought to the nearest one.
+    - `columns`: names of the columns.
+    - `every`: keeps each k-th row; `until` [s]: keeps the rows with t ≤ until. The whole log must be valid even so.
+
+    Rows are counted from 1, without the header and blank lines. Attitudes become rotation matrices: a quaternion or
+    matrix that is off by less than 5 % is replaced by the nearest rotation.
 
     Raises `LogError` naming the file, column and row of the first thing wrong; `FileNotFoundError` where there is no
     file; `ImportError` without pyarrow.
@@ -59,7 +61,7 @@ def read(path: str | PathLike[str], columns: Columns, every: int = 1, until: flo
 
 
 def _sound(path: Path, t: np.ndarray, u: np.ndarray, y: np.ndarray) -> None:
-    """What `Record.check` asks, and before rows are dropped, so that they are counted as in the file."""
+    """Apply `Record.check` before rows are dropped, so that rows are counted as in the file."""
     try:
         Record(t, u, y).check()
     except ValueError as error:
@@ -108,7 +110,7 @@ def _read_csv(pa: Any, path: Path, wanted: list[str]) -> Any:
         ),
     )
     if ragged:
-        row = ragged[0]  # its number counts the header
+        row = ragged[0]  # its number includes the header
         raise LogError(
             f"{path}: row {row.number - 1} has {row.actual_columns} cells where the header has {row.expected_columns}: "
             f"{row.text[:60]!r}; a missing measurement is an empty cell between its commas"
@@ -117,7 +119,7 @@ def _read_csv(pa: Any, path: Path, wanted: list[str]) -> Any:
 
 
 def _find(path: Path, wanted: Sequence[str], found: Sequence[str]) -> None:
-    """Each wanted column must be there once."""
+    """Check that each wanted column exists exactly once."""
     count = Counter(found)
     for name in wanted:
         if count[name] > 1:
@@ -129,7 +131,7 @@ def _find(path: Path, wanted: Sequence[str], found: Sequence[str]) -> None:
 
 
 def _numbers(where: str, column: Any, needed: bool) -> Float[np.ndarray, "T"]:
-    """A column as float64, NaN where a cell is empty (unless it is needed)."""
+    """A column as float64, NaN where a cell is empty; `needed` makes an empty cell an error."""
     pa = pyarrow()
     try:
         values = column.cast(pa.float64(), safe=False).to_numpy()
@@ -144,7 +146,7 @@ def _numbers(where: str, column: Any, needed: bool) -> Float[np.ndarray, "T"]:
 
 
 def _texts(where: str, column: Any, needed: bool) -> np.ndarray:
-    """The slower way, when the fast one met a cell that is not plainly a number: it may have a plus or spaces."""
+    """Slower conversion, for a column with a cell that may have a plus sign or spaces, or is no number."""
     pa = pyarrow()
     compute = pa.compute
     cells = compute.utf8_trim_whitespace(compute.fill_null(column.cast(pa.string()), ""))

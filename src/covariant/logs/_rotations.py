@@ -1,4 +1,4 @@
-"""Rotations as a log writes them, and as matrices: whole columns at once, in NumPy."""
+"""Conversion of rotations between the columns of a log and matrices: whole columns at once, in NumPy."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -7,14 +7,19 @@ import numpy as np
 from jaxtyping import Float
 
 TOLERANCE = 0.05
-"""A quaternion or matrix farther than this from a rotation is no rounding error."""
+"""A quaternion or matrix farther than this from a rotation is an error, not rounding."""
 
 Cells = Float[np.ndarray, "T k"]
 Rotations = Float[np.ndarray, "T d d"]
 
 
 class Kind(NamedTuple):
-    """A way to write a rotation: to the nearest matrices, what is wrong with a row (or ""), and back to cells."""
+    """A representation of rotations.
+
+    - `matrices`: converts cells to the nearest rotation matrices.
+    - `fault`: which rows are invalid, and a function that describes the fault of a row.
+    - `cells`: converts rotation matrices back to cells.
+    """
 
     matrices: Callable[[Cells], Rotations]
     fault: Callable[[Cells], tuple[np.ndarray, Callable[[int], str]]]
@@ -32,9 +37,9 @@ def _from_wxyz(q: Cells) -> Rotations:
 
 
 def _to_wxyz(r: Rotations) -> Cells:
-    """The quaternions of a motion, without the jumps of sign between q and −q; the first has w ≥ 0.
+    """The quaternions of a motion, without jumps of sign between q and −q; the first has w ≥ 0.
 
-    Each row of the table is the quaternion times four times one of its entries; the longest is the accurate one.
+    Each row of the table is the quaternion times four times one of its entries; the longest row is the most accurate.
     Source: Shepperd 1978.
     """
     x, y, z = r[:, 0, 0], r[:, 1, 1], r[:, 2, 2]
@@ -101,4 +106,4 @@ KINDS = {
     "matrix": Kind(_nearest, _shape_fault, lambda r: r.reshape(-1, 9)),
     "angle": Kind(_from_angle, _no_fault, _to_angle),
 }
-"""The ways by their name; an angle [rad] is the only one in the plane."""
+"""The representations by name; an angle [rad] is the only one in the plane."""

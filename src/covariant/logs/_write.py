@@ -1,4 +1,4 @@
-"""Writing columns of numbers: into a file beside the target first, so that the target is whole or untouched."""
+"""Writing of columns of numbers: first into a file beside the target, so that the target is complete or unchanged."""
 
 import csv
 import io
@@ -14,9 +14,9 @@ from covariant.logs._columns import LogError, kind, pyarrow
 
 
 def write(path: str | PathLike[str], columns: Mapping[str, np.ndarray]) -> None:
-    """Write columns (T,) by name to a `.csv` or `.parquet` file; floats are read back bit for bit, NaN included.
+    """Write columns (T,) by name to a `.csv` or `.parquet` file; floats are read back exactly, NaN included.
 
-    The file appears at once and complete, replacing one of the same name; after a failure the old one is still there.
+    The file appears at once and complete, replacing one of the same name; after a failure the old one is unchanged.
     Raises `LogError` when the columns are not 1-D numbers of one length or the file cannot be written; `ImportError`
     without pyarrow.
     """
@@ -55,7 +55,7 @@ def _write_parquet(pa: Any, table: Any, file: BinaryIO) -> None:
 
 
 def _write_csv(pa: Any, table: Any, file: BinaryIO) -> None:
-    """Arrow writes the shortest digits that read back the same; the header is ours, as Arrow's has needless quotes."""
+    """Arrow writes the shortest digits that read back exactly; the header is written here, since Arrow quotes it."""
     header = io.StringIO()
     csv.writer(header, lineterminator="\n").writerow(table.column_names)
     file.write(header.getvalue().encode())
