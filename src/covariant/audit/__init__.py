@@ -1,4 +1,4 @@
-"""The laws that an intrinsic observer's convergence rests on, measured at random states."""
+"""Numerical audit of an intrinsic observer: the laws its convergence rests on, measured at random states."""
 
 from covariant.audit._audit import LAWS, Audit, Law, audit
 

@@ -32,19 +32,19 @@ from covariant.observers import AbstractFlowObserver, AbstractObserver
 from covariant.proofs import Box, check_box
 
 FLOOR = 1e-9
-"""Differences below this share of the correction are rounding, and no power is fitted to them."""
+"""Differences below this fraction of the correction are rounding, and no order is fitted to them."""
 CANDIDATES = 16
-"""Configurations drawn for each one wanted, since a chart may end inside the box."""
+"""Configurations drawn for each one needed, since a chart may be singular at some points of the box."""
 
 
 class Law(NamedTuple):
-    """One law, and how far the observer is from it.
+    """One law, and how far the observer deviates from it.
 
-    - `name`: for selection; `statement`: what should hold; `source`: where it is written.
+    - `name`: for selection; `statement`: what should hold; `source`: where it is published.
     - `verdict`: "holds", "fails", or "skipped" where there is nothing to measure.
     - `deviation`: the largest found, relative to the terms of the law; NaN where skipped or not a number.
-    - `tolerance`: what it may be; `reason`: why that much, or why the law is skipped.
-    - `detail`: what else was found, such as an order or a rate; may be empty.
+    - `tolerance`: the largest deviation allowed; `reason`: why that much, or why the law is skipped.
+    - `detail`: further findings, such as an order or a rate; may be empty.
     - `point`: the state of the largest deviation, position (on a group: exponential coordinates) and then velocity.
     """
 
@@ -60,12 +60,12 @@ class Law(NamedTuple):
 
     @property
     def passed(self) -> bool:
-        """Whether the law was not found broken."""
+        """Whether the law is not violated: it holds or is skipped."""
         return self.verdict != "fails"
 
     @property
     def remark(self) -> str:
-        """What there is to say beside the numbers, in one line."""
+        """The remarks beside the numbers, in one line."""
         if self.verdict == "skipped":
             return self.reason
         parts = [self.detail] if self.detail else []
@@ -76,7 +76,7 @@ class Law(NamedTuple):
 class Audit(NamedTuple):
     """The laws of one observer; `str` of it is a table.
 
-    - `observer`: its kind and gains; `domain`: where it was looked at. Plain text.
+    - `observer`: its kind and gains, as text; `domain`: the states at which it was audited, as text.
     - `rows`: the laws, in the order of `LAWS`.
     """
 
@@ -86,17 +86,17 @@ class Audit(NamedTuple):
 
     @property
     def passed(self) -> bool:
-        """Whether no law is broken."""
+        """Whether no law is violated."""
         return not self.broken
 
     @property
     def broken(self) -> tuple[str, ...]:
-        """Names of the laws that are broken."""
+        """Names of the laws that are violated."""
         return tuple(row.name for row in self.rows if not row.passed)
 
     @property
     def verdict(self) -> str:
-        """One sentence."""
+        """The result in one sentence."""
         skipped = sum(row.verdict == "skipped" for row in self.rows)
         rest = f", {skipped} skipped" if skipped else ""
         if not self.passed:
@@ -163,13 +163,16 @@ _STATEMENTS = {
     ),
 }
 LAWS = tuple(_STATEMENTS)
-"""Names of the laws."""
+"""Names of all laws."""
 
 
 class _Finding(NamedTuple):
-    """What was measured of a law: deviations (k,) at the states, how bad each state is, and what else there is to say.
+    """What was measured of a law.
 
-    No deviations where the law is skipped; then `reason` says why. Elsewhere it and `tolerance` replace the usual ones.
+    - `deviations` (k,): at the states; None where the law is skipped.
+    - `detail`: further findings.
+    - `badness` (k,): what ranks the states, where this is not the deviation.
+    - `tolerance`, `reason`: replace the usual ones where given; for a skipped law the reason says why.
     """
 
     deviations: np.ndarray | None
@@ -191,17 +194,19 @@ def audit(
     seed: int = 0,
     laws: Sequence[str] = LAWS,
 ) -> Audit:
-    """Measure the laws of an intrinsic observer: `Intrinsic`, `Geodesic`, or one that makes the same claim.
+    """Measure the laws of an intrinsic observer: `Intrinsic`, `Geodesic`, or one with the same claim.
 
     - `model`, `gains` (α [1/s], β [1/s²]): those of the laws, where they are not the observer's own `model`, `alpha`
       and `beta`.
-    - `domain`: box of coordinates to draw positions from, on a group exponential ones, x1, x2, …. Those it does not
-      name go from 0.2 to 1.2 [their units], around a whole circle, or on a group from −1 to 1.
+    - `domain`: box of coordinates from which positions are drawn; on a group exponential coordinates, x1, x2, ….
+      Coordinates that it does not name range from 0.2 to 1.2 [their units], around a whole circle, or on a group from
+      −1 to 1.
     - `speed`: largest velocity of each coordinate [units/s].
-    - `error`: largest position error for the laws that need one [units]; 0.1 and 0.01 of it are tried too.
-    - `points`: number of states; `laws`: which of `LAWS` to look at.
+    - `error`: largest position error for the laws that need one [units]; 0.1 and 0.01 of it are used too.
+    - `points`: number of states; `seed`: of their random numbers; `laws`: those of `LAWS` to measure.
 
-    Inputs are of the order of 1. Where a deviation is not a number the law counts as broken. In double precision.
+    Inputs are of the order of 1. A law with a deviation that is not a number counts as violated. Computations are in
+    double precision.
 
     Raises `ValueError` for an observer without that claim (no `flow`, no gains α and β, no mechanical model), for gains
     that are not positive, and for a domain without enough configurations at which the model is finite.
@@ -237,7 +242,7 @@ def audit(
 def _subject(
     observer: AbstractObserver, model: MechanicalSystem | None
 ) -> tuple[AbstractFlowObserver, MechanicalSystem]:
-    """The observer and where it lives, or why it has no such laws."""
+    """The observer and its model; raises `ValueError` that says why the laws do not apply to it."""
     kind = type(observer).__name__
     if not isinstance(observer, AbstractFlowObserver):
         raise ValueError(f"audit: {kind} is no differential equation; give an Intrinsic or a Geodesic")
@@ -262,7 +267,7 @@ def _gains(observer: AbstractObserver, given: tuple[float, float] | None) -> tup
 
 
 def _box(model: MechanicalSystem, domain: Box | None) -> Box:
-    """All coordinates in order, each with its bounds of the domain, or with those that suit most machines."""
+    """All coordinates in order, each with its bounds from the domain, or with default bounds that suit most models."""
     names, units, circles = _coordinates(model)
     if not names and domain is None:
         raise ValueError("audit: the model does not name its coordinates; give domain=box(q1=(low, high), …)")
@@ -281,7 +286,7 @@ def _box(model: MechanicalSystem, domain: Box | None) -> Box:
 
 
 def _coordinates(model: MechanicalSystem) -> tuple[tuple[str, ...], tuple[str, ...], tuple[int, ...]]:
-    """Names and units of the coordinates, those of the retraction where the model has none, and which are circles."""
+    """Names and units of the coordinates, or those of the retraction where the model has none; indices of circles."""
     if model.manifold.commuting:
         units = tuple("" if unit == "1" else unit for unit in model.units) or ("",) * len(model.coordinates)
         return model.coordinates, units, model.circles
@@ -290,7 +295,7 @@ def _coordinates(model: MechanicalSystem) -> tuple[tuple[str, ...], tuple[str, .
 
 
 def _usable(model: MechanicalSystem, coordinates: Array) -> Array:
-    """Whether the model is finite there, and its metric positive definite."""
+    """Whether the model is finite and its metric positive definite at these coordinates."""
     q = configuration(model, coordinates)
     g = model.space(q)
     values = jnp.linalg.eigvalsh(jnp.where(jnp.isfinite(g), g, 0.0))
@@ -315,7 +320,7 @@ def _draw(
     y, z, unit = rng.normal(size=(3, points, n))
     unit /= np.linalg.norm(unit, axis=1, keepdims=True)
     u = rng.normal(size=(points, input_count(model, n)))
-    # So small that the derivative of the chart stays near the identity wherever its centre is.
+    # So small that the derivative of the chart stays near the identity at every centre.
     bend = rng.uniform(-0.25 / n, 0.25 / n, (points, 2, n, n))
     centre = rng.uniform(-0.5, 0.5, (points, n))
     rows = (positions[good][:points], v, y, z, unit, u, bend, centre)
@@ -360,7 +365,7 @@ def _invariance(model: MechanicalSystem, observer: AbstractFlowObserver, gains, 
 
 
 def _second_order(relative: Float[np.ndarray, "e k"], errors: Float[np.ndarray, "e"]) -> _Finding:
-    """Whether differences, here relative to the error, vanish with its square or faster."""
+    """Whether differences, given relative to the error, vanish with its square or faster."""
     order, worst = order_of(relative, errors, FLOOR), relative[-1]
     if order is None:
         return _Finding(0 * worst, "no difference beyond rounding", worst)

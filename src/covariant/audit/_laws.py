@@ -1,7 +1,7 @@
-"""Deviations from the laws of an intrinsic observer, at states that are given.
+"""Deviations from the laws of an intrinsic observer, at given states.
 
-Nothing is measured by the formula it is to check: the error law takes no curvature, but derivatives of the observer's
-own flow and of the connection; the curvature is found again in the way that geodesics part.
+No law is measured by the formula that it checks: the error law is computed without curvature, from derivatives of the
+observer's own flow and of the connection; the curvature is compared with the separation of neighbouring geodesics.
 
 Source: Aghannan & Rouchon 2003, sections II to IV and appendix II; the derivative of the Lyapunov function carries a
 factor ½.
@@ -25,9 +25,9 @@ from covariant.observers import AbstractFlowObserver, AbstractObserver, Geodesic
 NEAR = Budget(newton=0, steps=1)
 """A geodesic to second order in the error, which is all that differences of second order need."""
 STEP = 4e-3
-"""Time between the geodesics of a second difference; their speed is 1 in coordinates."""
+"""Time step of the second difference along a geodesic, whose speed is 1 in coordinates."""
 SHORT = 0.1
-"""Time for which vectors are carried along a geodesic, at the same speed."""
+"""Time for which vectors are transported along a geodesic, at the same speed."""
 STEPS = 4
 """Eighth-order steps of such a geodesic."""
 
@@ -36,21 +36,21 @@ _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 
 def compiled_quickly(function: _Function) -> _Function:
-    """Compile a function that runs once, with the least effort: an audit is mostly the compiler's time."""
+    """Compile a function that runs once, with little optimisation: most of the time of an audit is compilation."""
     options = {"xla_backend_optimization_level": 0, "xla_cpu_use_fusion_emitters": False}
     return eqx.filter_jit(function, compiler_options=options)  # pyright: ignore[reportCallIssue]
 
 
 class States(NamedTuple):
-    """One random state a row, and what is needed to look around it; all (k, …)."""
+    """Random states, one in each row, and directions to examine the laws around them; all (k, …)."""
 
     x: Array  # configurations
     v: Float[Array, "k n"]
-    y: Float[Array, "k n"]  # two vectors
+    y: Float[Array, "k n"]  # first of two random vectors
     z: Float[Array, "k n"]
-    unit: Float[Array, "k n"]  # one of unit length in coordinates
+    unit: Float[Array, "k n"]  # a vector of unit length in coordinates
     u: Float[Array, "k m"]
-    bend: Float[Array, "k 2 n n"]  # of a random chart, and where in it the state is
+    bend: Float[Array, "k 2 n n"]  # coefficients of a random chart, and below the coordinates of the state in it
     centre: Float[Array, "k n"]
 
 
@@ -83,36 +83,36 @@ def mechanical(model: Any) -> bool:
 
 
 def exact(observer: AbstractObserver) -> bool:
-    """Whether an observer goes along geodesics, on which it spends a budget."""
+    """Whether an observer uses geodesics, and therefore has a budget for them."""
     return own(observer, "budget") is not None
 
 
 def exchange(observer: Any, model: MechanicalSystem) -> Any:
-    """The same observer with another model."""
+    """The observer with another model."""
     return dataclasses.replace(observer, model=model)
 
 
 def traced_once(model: MechanicalSystem) -> MechanicalSystem:
-    """The same model, the matrix of a numerical metric being traced once, not once for every derivative."""
-    if type(model.space) is not Metric:  # a subclass may do better
+    """The model, with the matrix of a numerical metric traced only once, not once for every derivative."""
+    if type(model.space) is not Metric:  # a subclass may have closed forms
         return model
     matrix = jax.jit(model.space.matrix)
     return eqx.tree_at(lambda m: m.space.matrix, model, lambda q: matrix(q))  # not jitted itself: its numbers are fixed
 
 
 def _both_once(model: MechanicalSystem, observer: Any) -> tuple[MechanicalSystem, Any]:
-    """Model and observer, each with its model `traced_once`."""
+    """The model, and the observer with its own model, each `traced_once`."""
     mine = own(observer, "model")
     return traced_once(model), exchange(observer, traced_once(mine)) if mechanical(mine) else observer
 
 
 def configuration(model: MechanicalSystem, s: Vector) -> Array:
-    """The configuration with these coordinates; off coordinates, of the retraction at the origin."""
+    """The configuration with these coordinates; on a group, those of the retraction at the origin."""
     return s if model.manifold.commuting else model.manifold.retract(model.manifold.origin(), s)
 
 
 def bracket(model: MechanicalSystem, x: Array, a: Vector, b: Vector) -> Vector:
-    """`[a, b]` by derivatives of the frame, so that the manifold's own formula is put to the test."""
+    """`[a, b]` by derivatives of the frame, so that the manifold's own formula is tested too."""
 
     def along(one, two):
         field = lambda y: model.manifold.tangent(y, two)  # noqa: E731
@@ -122,19 +122,19 @@ def bracket(model: MechanicalSystem, x: Array, a: Vector, b: Vector) -> Vector:
 
 
 def counterpart(observer: AbstractFlowObserver, model: MechanicalSystem, alpha, beta) -> AbstractFlowObserver:
-    """The approximate observer for the exact one, and the exact one for any other."""
+    """The approximate observer `Intrinsic` for an exact one, and the exact `Geodesic` for any other."""
     return Intrinsic(model, alpha, beta) if exact(observer) else Geodesic(model, alpha, beta, NEAR)
 
 
 def slope(observer: AbstractFlowObserver, x: Array, v: Vector, u: Array, y: Array) -> tuple[Vector, Vector]:
-    """Velocity in the frame and v̂' of the estimate (x, v) under the input u, y being measured."""
+    """Velocity in the frame and v̂' of the estimate (x, v) under the input u with the measurement y."""
     state = observer.init(y)._replace(q=x, v=v)
     found = observer.flow(jnp.zeros((), v.dtype), state, u, y)
     return found.q, found.v
 
 
 def change(function, *, aux: bool = False):
-    """A function of one number and its derivative, at zero."""
+    """The value and derivative at zero of a function of one number."""
     return jax.jvp(function, (jnp.zeros(()),), (jnp.ones(()),), has_aux=aux)
 
 
@@ -147,7 +147,7 @@ def along_the_flow(
     q: Float[Array, "2 2"],
     states: States,
 ) -> FlowDeviations:
-    """At q̂ = q and any velocity: the estimate moves as the plant; law (10); V' for the matrix Q."""
+    """Deviations at q̂ = q and any velocity: the estimate moves as the plant; law (10); V' for the matrix Q."""
     model, observer = _both_once(model, observer)
     space = model.space
 
@@ -159,7 +159,7 @@ def along_the_flow(
         def norm(a):
             return space.norm(x, a)
 
-        def undamped(s):  # the dissipation at the estimate is the one addition to the law
+        def undamped(s):  # without dissipation, which is added to the published law
             near, moved = model.manifold.nudged(x, s * xi), v + s * delta
             w, a = slope(observer, near, moved, u, x)
             return w, a - friction(model, t, near, moved, u)
@@ -168,7 +168,7 @@ def along_the_flow(
         xi_rate = w_change + bracket(model, x, xi, w)
 
         def along(s):
-            """ζ and V of the variation that the flow carries along."""
+            """ζ and V of the variation that is transported by the flow."""
             at, xi_now = model.manifold.nudged(x, s * w), xi + s * xi_rate
             zeta = delta + s * a_change + space.connection(at, xi_now, v + s * a)
             gram = space.gram(at, jnp.stack([xi_now, zeta]))
@@ -178,7 +178,7 @@ def along_the_flow(
         turned, carried = space.connection(x, w, xi), space.connection(x, w, zeta)
         first = xi_rate + turned - (zeta - alpha * xi)
         second = zeta_rate + carried + beta * xi
-        # Against the terms that cancel, so that rounding counts as what it is.
+        # Relative to the terms that cancel, so that rounding errors are measured in proportion to them.
         lengths = jnp.stack([norm(xi), norm(zeta)])
         sizes = jnp.stack(
             [
@@ -200,7 +200,7 @@ def along_the_flow(
 
 @compiled_quickly
 def of_the_geometry(model: MechanicalSystem, states: States) -> GeometryDeviations:
-    """The connection is metric and symmetric, transport keeps lengths, geodesics part as the curvature says."""
+    """Deviations: the connection is metric and symmetric, transport keeps lengths, geodesics separate by curvature."""
     model = traced_once(model)
     space = model.space
 
@@ -218,15 +218,15 @@ def of_the_geometry(model: MechanicalSystem, states: States) -> GeometryDeviatio
         torsion = norm(along_b - swapped - commutator)
         torsion = torsion / (norm(along_b) + norm(swapped) + norm(commutator) + norm(a) * norm(b))
 
-        # Vectors of unit length, so that a badly scaled metric is looked at alike in all directions.
+        # Vectors of unit length, so that a badly scaled metric is tested equally in all directions.
         frame = jnp.eye(a.shape[0], dtype=a.dtype)
         frame = frame / jax.vmap(norm)(frame)[:, None]
         b = b / norm(b)
 
         def carried(t):
-            """In the parallel frame: the field by which geodesics part that start side by side, and its own products.
+            """In the parallel frame: the field that separates neighbouring geodesics, and the products of the frame.
 
-            Each starts from its x with the velocity e carried over, to first order, from here.
+            Each neighbour starts from its x with the velocity e, transported there to first order.
             """
 
             def neighbour(s):
@@ -255,14 +255,14 @@ def of_the_geometry(model: MechanicalSystem, states: States) -> GeometryDeviatio
 
 
 def _spread(one, states: States, errors: Float[Array, "e"]) -> Float[Array, "e k"]:
-    """A function of state and size of the error, over all of both."""
+    """A function of a state and an error, evaluated for all pairs of both."""
     k, e = states.v.shape[0], errors.shape[0]
     tiled = jax.tree.map(lambda a: jnp.tile(a, (e,) + (1,) * (a.ndim - 1)), states)
     return jax.lax.map(lambda both: one(*both), (tiled, jnp.repeat(errors, k))).reshape(e, k)
 
 
 def _difference(space: AbstractSpace, gains, x, v, error, one, two) -> Scalar:
-    """How far two slopes are from each other, relative to the correction that the error calls for."""
+    """Distance of two slopes, relative to the correction for the error."""
     (alpha, beta), w, a = gains, one[0] - two[0], one[1] - two[1]
     gap = alpha * space.norm(x, w) + space.norm(x, a + space.connection(x, v, w))
     return gap / ((alpha**2 + beta) * space.norm(x, error))
@@ -276,9 +276,10 @@ def between_charts(
     states: States,
     errors: Float[Array, "e"],
 ) -> Float[Array, "e k"]:
-    """Relative differences of the observer's slopes in its own chart and in a random cubic one, seen in the first.
+    """Relative differences of the observer's slopes, computed in its own chart and in a random cubic one.
 
-    The chart is `q = y + ψ(z) − ψ(centre)` with `ψ(z) = z + A z² + B z³`, powers by components.
+    They are compared in the first chart. The second is `q = y + ψ(z) − ψ(centre)` with `ψ(z) = z + A z² + B z³`, with
+    powers taken by components.
     """
     model, observer = _both_once(model, observer)
     space = model.space
@@ -310,7 +311,7 @@ def between_observers(
     states: States,
     errors: Float[Array, "e"],
 ) -> Float[Array, "e k"]:
-    """Relative differences of the slopes of the observer and of its counterpart, approximate or exact."""
+    """Relative differences between the slopes of the observer and of its counterpart, approximate or exact."""
     model, observer = _both_once(model, observer)
     space = model.space
     pair = observer, counterpart(observer, model, *gains)
@@ -325,7 +326,7 @@ def between_observers(
 
 
 def order_of(relative: Float[np.ndarray, "e k"], errors: Float[np.ndarray, "e"], floor: float) -> float | None:
-    """The power of the error with which differences vanish that are given relative to it; None below the floor."""
+    """The order in the error with which differences vanish, given these relative to the error; None below the floor."""
     typical = np.sqrt(np.mean(relative**2, axis=1))
     clear = ~(typical < floor)
     if clear.sum() < 2:

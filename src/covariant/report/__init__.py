@@ -1,6 +1,7 @@
-"""Figures and pages made of arrays: what observers said of a log, drawn for a person. No mathematics of observers here.
+"""Figures and pages from arrays: estimates, certificates and audits drawn for people. No mathematics of observers here.
 
-matplotlib and plotly are guests: the functions that draw load them, and `pip install 'covariant[report]'` brings them.
+matplotlib and plotly are optional packages, loaded by the functions that draw and installed by
+`pip install 'covariant[report]'`.
 """
 
 from covariant.report._article import write_article

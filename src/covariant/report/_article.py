@@ -1,4 +1,4 @@
-"""Text, tables and figures as one page that needs nothing but a browser."""
+"""Text, tables and figures as one self-contained HTML page."""
 
 import base64
 import os
@@ -10,11 +10,11 @@ from covariant._files import write_atomically
 from covariant.report._html import asset, table_html
 
 Block = str | Path | Sequence[Mapping[str, object]]
-"""A paragraph ("# …" is a heading), a PNG file, or the rows of a table."""
+"""A paragraph ("# …" makes it a heading), a PNG file, or the rows of a table."""
 
 
 def write_article(title: str, blocks: Sequence[Block], path: str | os.PathLike[str]) -> Path:
-    """Write blocks one under the other, figures embedded, whole or not at all; returns the path."""
+    """Write blocks one below the other, with figures embedded, as one complete file; returns its path."""
     body = "\n".join(_block(block) for block in blocks)
     page = f"""<!DOCTYPE html>
 <html lang="en">

@@ -1,4 +1,4 @@
-"""The audit of an observer, drawn for a person: every law on one page."""
+"""Figure and page of an audit: every law of an observer on one page."""
 
 import math
 import os
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 _HOLDS, _FAILS = PALETTE[:2]
 _LOW, _LEAST, _MOST, _HIGH = 1e-19, 1e-18, 1e2, 1e3
-"""Ends of the axis, and of what is told apart: less or more, or not a number, stands at these."""
+"""Ends of the axis, and the range drawn to scale: a deviation outside it, or one that is no number, is at its ends."""
 
 _INTRODUCTION = (
     "Every law is measured at random states, from the observer's own equations and the model's own geometry, in a way "
@@ -58,12 +58,12 @@ def _draw(ax: "matplotlib.axes.Axes", line: int, row: Law) -> None:
     ax.barh(line, row.tolerance, left=_LOW, height=0.62, color=GRID, zorder=1)
     ax.vlines(row.tolerance, line - 0.31, line + 0.31, color=INK, linewidth=1.2, zorder=2)
     ax.plot(at, line, "o" if row.passed else "X", color=color, markersize=8, zorder=3)
-    beside = ax.get_yaxis_transform()  # the line, and the width of the axes
+    beside = ax.get_yaxis_transform()  # y in lines of the plot, x in widths of the axes
     ax.text(1.01, line, row.detail, transform=beside, va="center", fontsize=8, color=INK if row.passed else color)
 
 
 def write_audit(audit: Audit, title: str, path: str | os.PathLike[str]) -> Path:
-    """Write an audit as one page that needs nothing but a browser, whole or not at all; returns the path.
+    """Write an audit as one self-contained HTML page, as one complete file; returns its path.
 
     Raises `ImportError` without matplotlib.
     """

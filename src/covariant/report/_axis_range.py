@@ -1,4 +1,4 @@
-"""Which part of the y axis a panel opens with: the steady part of the estimates, not the tip of an overshoot."""
+"""The initial range of a panel's y axis: that of the steady part of the estimates, without the tip of an overshoot."""
 
 from typing import NamedTuple
 
@@ -9,23 +9,24 @@ from covariant.report._panels import Quantity, shorten
 from covariant.report._polylines import drawable
 
 _TRANSIENT = 0.25
-"""Share of the record in which an estimate may still be arriving; it does not set the axis."""
+"""Fraction of the record in which an estimate may still be converging; it does not affect the axis."""
 
 _LOST = 10.0
-"""An estimate that wanders this many times farther than the motion and the first estimate does not set the axis."""
+"""An estimate whose range exceeds that of the motion and of the first estimate by this factor does not affect the
+axis."""
 
 _GAIN = (1.6, 1e4)
-"""Something is left out where the rest becomes between these many times as tall: less is not worth it, and more is an
-exact simulation, whose transient is all there is to see."""
+"""Samples are left off scale only if the axis then shows the rest larger by a factor in this range: a smaller one is
+not worth it, and a larger one occurs in exact simulations, where the transient is all there is to see."""
 
 _FEW = 20
-"""Fewer samples than this after the transient do not speak for a record."""
+"""With fewer samples than this after the transient, all samples determine the axis."""
 
 Samples = Float[np.ndarray, "T"]
 
 
 class AxisRange(NamedTuple):
-    """Limits of the y axis in the units of the data, and a sentence on what lies outside, or ""."""
+    """Limits of the y axis in the units of the data, and a sentence on what lies outside them, or ""."""
 
     low: float
     high: float
@@ -33,7 +34,7 @@ class AxisRange(NamedTuple):
 
 
 class _Range(NamedTuple):
-    """Along the axis (logarithms, if it has them): ends of all samples of a curve, and of those that must be seen."""
+    """Along the axis (in logarithms on a log axis): ends of all samples of a curve, and of those that must be shown."""
 
     label: str
     backdrop: bool
@@ -46,8 +47,8 @@ class _Range(NamedTuple):
 def axis_range(quantity: Quantity, column: int) -> AxisRange | None:
     """Limits of one panel, or None where there is nothing to draw.
 
-    Backdrops are seen whole. An estimate is seen from the end of its transient on (on a log axis, from the start), save
-    single spikes more than one width of its central 99.5 % away from it, and unless it is lost altogether.
+    Backdrops are shown in full. An estimate is shown from the end of its transient (on a log axis, from the start),
+    except single spikes farther from its central 99.5 % than the width of these, and unless it has diverged.
     """
     ranges = _ranges(quantity, column)
     if not ranges:
@@ -80,20 +81,20 @@ def _late(t: Samples) -> Bool[np.ndarray, "T"]:
 
 
 def _core(y: Samples) -> tuple[float, float]:
-    """Ends of the samples, without spikes farther off than the width of the central 99.5 %."""
+    """Ends of the samples, except spikes farther off than the width of the central 99.5 % of them."""
     low, high = np.quantile(y, [0.0025, 0.9975])
     return float(max(y.min(), 2 * low - high)), float(min(y.max(), 2 * high - low))
 
 
 def _not_lost(ranges: list[_Range], scale: float) -> list[_Range]:
-    """The backdrops, the first estimate, and those not wildly wider than it and the motion."""
+    """The backdrops, the first estimate, and those whose range is not far larger than that of these and the motion."""
     first = next((r for r in ranges if not r.backdrop), ranges[0])
     most = _LOST * max(first.wanted_high - first.wanted_low, scale)
     return [r for r in ranges if r.backdrop or r is first or r.wanted_high - r.wanted_low <= most]
 
 
 def _padded(low: float, high: float, log: bool) -> tuple[float, float]:
-    """Ends with some air; equal ends, or ends that differ by rounding, with enough to read a level."""
+    """Ends with a margin; equal ends, or ends that differ by rounding only, with a margin that shows their level."""
     size = max(abs(low), abs(high))
     level = 0.5 if log else 0.1 * size or 1.0
     air = 0.06 * (high - low) if high - low > 1e-9 * size else level
@@ -101,7 +102,7 @@ def _padded(low: float, high: float, log: bool) -> tuple[float, float]:
 
 
 def _outside(ranges: list[_Range], low: float, high: float, log: bool) -> str:
-    """How far the worst of the curves that leave the panel goes, and how many more do."""
+    """A note on how far the worst of the curves that leave the panel goes, and how many others do."""
     far = [r for r in ranges if r.low < low or r.high > high]
     if not far:
         return ""

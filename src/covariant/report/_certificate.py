@@ -1,4 +1,4 @@
-"""A certificate as a figure: where it holds, the tube it proves, how estimates converge in it, and what Q costs."""
+"""A certificate as a figure: its region, the proved tube, the convergence of estimates, and the choice of metrics."""
 
 import os
 import textwrap
@@ -36,9 +36,10 @@ _MOST_RECTANGLES = 20_000
 def draw_certificate(certificate: ContractionCertificate, path: str | os.PathLike[str]) -> Path:
     """Draw a certificate, in the format the suffix names; returns the path.
 
-    Four panels: the region by boxes, a motion with the proved tube and estimates that begin on its border, their
-    distances under the certified line, and the rates that the gains allow by condition number. Without a proof the
-    second and third say so. Raises `ValueError` for a suffix that names no format, `ImportError` without matplotlib.
+    It has four panels: the region by boxes; a motion with the proved tube and estimates that begin on its border; their
+    distances below the certified line; and the rates that the gains permit, against the condition number of the
+    metric. Without a proof the second and third panel say so. Raises `ValueError` for a suffix that names no format,
+    `ImportError` without matplotlib.
     """
     titles = (
         "Where it is proved",
@@ -78,7 +79,7 @@ def _label(kind: str, name: str, unit: str) -> str:
 
 
 def _names(certificate: ContractionCertificate) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Names and units of the coordinates, or on a group of the velocities."""
+    """Names and units of the coordinates; on a group, of the velocities."""
     n = len(certificate.velocity)
     return certificate.domain.names[:n], certificate.domain.units[:n]
 
@@ -103,7 +104,7 @@ def _draw_region(ax: "matplotlib.axes.Axes", seen: Projection, certificate: Cont
             shown = boxes[:_MOST_RECTANGLES]
             (left, bottom), (right, top) = shown[:, 0].T, shown[:, 1].T
             corners = np.stack([left, bottom, right, bottom, right, top, left, top], axis=1).reshape(-1, 4, 2)
-            # Boxes lie over each other where they differ in other variables: fills first, then all edges.
+            # Boxes that differ only in other variables overlap in the figure: all fills are drawn before the edges.
             thinned = _mixed(colour, fill)
             ax.add_collection(collection(list(corners), facecolor=thinned, edgecolor="none", zorder=order))
             ax.add_collection(collection(list(corners), facecolor="none", edgecolor=colour, linewidth=0.6, zorder=3))
@@ -129,7 +130,7 @@ def _draw_region(ax: "matplotlib.axes.Axes", seen: Projection, certificate: Cont
 
 
 def _mixed(colour: str, share: float) -> tuple[float, float, float]:
-    """A colour thinned with white, opaque so that boxes over each other look like one."""
+    """A colour mixed with white; it is opaque, so that overlapping boxes look like one."""
     rgb = optional("matplotlib.colors").to_rgb(colour)
     return tuple(1 - share * (1 - part) for part in rgb)  # pyright: ignore[reportReturnType]
 

@@ -1,4 +1,4 @@
-"""What a report is made of: the arrays of several observers on one log."""
+"""The content of a report: the arrays of several observers on one log."""
 
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
@@ -14,21 +14,22 @@ Samples = Float[np.ndarray | Array, "T n"]
 
 
 class EstimateReport(NamedTuple):
-    """Estimates of one log, time first; NaN marks what is missing and is drawn as a gap. `check` says what must hold.
+    """Estimates of one log, time first; NaN marks a missing value and is drawn as a gap. `check` tests the shapes.
 
     - `title`: headline, plain text.
-    - `coordinates`, `units`: name and unit of each of the n coordinates, say "θ" and "rad"; velocities are per second.
+    - `coordinates`, `units`: name and unit of each of the n coordinates, such as "θ" and "rad"; velocities are per
+      second.
     - `t` (T,): stamps [s]. `q_measured` (T, n): measured positions [units].
     - `estimates`: label -> (T, 2n), position [units] then velocity [units/s]. The first is the observer reported on.
     - `innovation`: label -> (T, n), measurement minus estimate before correction [units].
-    - `distance`: label -> (T,), its length in the metric, for those observers that know one.
-    - `v_reference` (T, n) [units/s]: what velocities are compared with, or None; `v_reference_label` says what it is.
-    - `rows`: lines of a comparison, best first; columns are the keys. May be empty.
-    - `notes`: plain sentences under the title: gains, predicted error, samples coasted.
+    - `distance`: label -> (T,), the length of the innovation in the metric, for observers that compute it.
+    - `v_reference` (T, n) [units/s]: reference for the velocities, or None; `v_reference_label` is its label.
+    - `rows`: rows of a comparison, best first; columns are the keys. May be empty.
+    - `notes`: plain sentences under the title, such as gains, predicted errors, and samples without measurement.
 
-    On a group a configuration is no curve: there `q_measured` is None, `coordinates` and `units` are those of the n
-    velocities, `estimates` hold the velocities alone (T, n), and the innovation is the error as seen from the body,
-    along each of them.
+    On a group a configuration cannot be drawn as a curve. There `q_measured` is None, `coordinates` and `units` are
+    those of the n velocities, `estimates` hold the velocities alone (T, n), and the innovation is the error in the body
+    frame, along each of them.
     """
 
     title: str
@@ -67,7 +68,7 @@ class EstimateReport(NamedTuple):
 
     @property
     def backdrops(self) -> list[str]:
-        """Labels of what the estimates are compared with."""
+        """Labels of the curves that the estimates are compared with."""
         measured = [] if self.q_measured is None else [MEASURED]
         return measured if self.v_reference is None else [*measured, self.v_reference_label]
 

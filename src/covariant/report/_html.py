@@ -1,4 +1,4 @@
-"""A report as one interactive page that needs nothing but a browser."""
+"""A report as one interactive, self-contained HTML page."""
 
 import importlib.resources
 import os
@@ -21,7 +21,7 @@ see what is off scale. A label hides its curve everywhere; double-click it to se
 
 
 def write_html(report: EstimateReport, path: str | os.PathLike[str]) -> Path:
-    """Write the report as one page that holds its data and its plotting code, whole or not at all; returns the path.
+    """Write the report as one complete file, a page that contains its data and its plotting code; returns its path.
 
     Raises `ValueError` from `EstimateReport.check`, `ImportError` without plotly.
     """
@@ -38,7 +38,7 @@ def _page(report: EstimateReport) -> str:
     if "distance" in found:
         figures.append(stack([found["distance"]], 0, styled))
         sections.append(_section(found["distance"].title, "wide"))
-    data = ",".join(str(figure.to_json()) for figure in figures)  # plotly escapes what could end the script element
+    data = ",".join(str(figure.to_json()) for figure in figures)  # plotly escapes what would end the script element
     return f"""<!DOCTYPE html>
 <html lang="en">
 <head>
@@ -89,7 +89,7 @@ def _notes(report: EstimateReport) -> str:
 
 
 def table_html(rows: Sequence[Mapping[str, object]], mark_best: bool = True) -> str:
-    """A table; `mark_best` sets its first row off."""
+    """A table in HTML; `mark_best` highlights its first row."""
     if not rows:
         return ""
     header, body, numeric = cells(rows)
@@ -106,7 +106,7 @@ def table_html(rows: Sequence[Mapping[str, object]], mark_best: bool = True) -> 
 
 
 def _legend(styled: dict[str, Style]) -> str:
-    """Buttons that switch a label in all panels at once."""
+    """Buttons that show or hide a label in all panels at once."""
     return "".join(
         f'<button type="button" aria-pressed="true" data-label="{name}">{_swatch(style)}{name}</button>'
         for name, style in ((escape(label), style) for label, style in styled.items())

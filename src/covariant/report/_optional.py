@@ -1,4 +1,4 @@
-"""The optional packages of figures and pages."""
+"""Import of the optional packages for figures and pages."""
 
 import functools
 

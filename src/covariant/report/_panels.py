@@ -1,4 +1,4 @@
-"""From a report to its panels, once for every medium: which curves, under which labels, in front of what."""
+"""The panels of a report, the same for every medium: their curves, labels, and drawing order."""
 
 from typing import NamedTuple
 
@@ -9,7 +9,8 @@ from covariant.report._estimate import MEASURED, EstimateReport
 
 
 class Curve(NamedTuple):
-    """Samples of one quantity: t (T,) [s], values (T, c), one column a panel; `backdrop` is drawn behind, and whole."""
+    """Samples of one quantity: t (T,) [s], values (T, c), a column for each panel. A `backdrop` is drawn behind the
+    others, and in full."""
 
     t: Float[np.ndarray, "T"]
     values: Float[np.ndarray, "T c"]
@@ -18,12 +19,13 @@ class Curve(NamedTuple):
 
 
 class Quantity(NamedTuple):
-    """One kind of panel over its c columns (the coordinates, or one).
+    """One kind of panel, drawn for each of its c columns (the coordinates, or a single one).
 
-    - `name`: for file names; `title`: for people; `labels` (c): what stands at the y axes, with units.
+    - `name`: for file names; `title`: for people; `labels` (c): labels of the y axes, with units.
     - `curves`: backdrops first, then the estimates in their order.
-    - `deviation`: tells how far off the estimates are, so zero is a mark and the smallest curve lies in front.
-    - `scale` (c): size of the motion itself. An error many times as large says only that the estimate is lost.
+    - `deviation`: the values are errors, so zero is marked and the smallest curve is drawn in front.
+    - `scale` (c): size of the motion itself; an error many times as large shows only that the estimate has diverged.
+    - `log`: the y axis is logarithmic.
     """
 
     name: str
@@ -89,11 +91,12 @@ _ON_A_GROUP = {
     "error": ("error of {}", ""),
     "innovation": ("along {}", " s"),
 }
-"""Name of each kind of panel, made of that of a coordinate, or on a group of a velocity; and what follows its unit."""
+"""For each kind of panel: a format of its label, filled with the name of a coordinate or, on a group, of a velocity;
+and the suffix of its unit."""
 
 
 def span(values: Float[np.ndarray, "T c"]) -> Float[np.ndarray, "c"]:
-    """Largest minus smallest finite sample of each column, 0 where there is none."""
+    """Largest minus smallest finite sample of each column, 0 for a column without any."""
     finite = np.isfinite(values)
     high = np.where(finite, values, -np.inf).max(axis=0)
     low = np.where(finite, values, np.inf).min(axis=0)
@@ -101,14 +104,14 @@ def span(values: Float[np.ndarray, "T c"]) -> Float[np.ndarray, "c"]:
 
 
 def depths(quantity: Quantity, column: int) -> list[int]:
-    """Drawing order of the curves, 0 rearmost: backdrops, then estimates with the first, or the smallest, in front."""
+    """Drawing order of the curves, 0 at the back: backdrops, then estimates, the first or the smallest in front."""
     far = [_size(c.values[:, column]) if quantity.deviation else rank for rank, c in enumerate(quantity.curves)]
     order = sorted(range(len(far)), key=lambda i: (not quantity.curves[i].backdrop, -far[i], -i))
     return [order.index(i) for i in range(len(far))]
 
 
 def shorten(text: str, most: int) -> str:
-    """Text of at most so many characters, the cut shown."""
+    """Text of at most `most` characters; an ellipsis marks a cut."""
     return text if len(text) <= most else text[: most - 1] + "…"
 
 
@@ -118,9 +121,9 @@ def _size(values: Float[np.ndarray, "T"]) -> float:
 
 
 def _labels(report: EstimateReport, form: str, per: str) -> tuple[str, ...]:
-    """Axis labels such as "dθ/dt [rad/s]"; the name of a joint stands for itself, over its unit.
+    """Axis labels such as "dθ/dt [rad/s]"; a long name, such as that of a joint, appears as it is, above its unit.
 
-    On a group all names stand for themselves where one of them is long.
+    On a group all names appear as they are where one of them is long.
     """
     longest = max(map(len, report.coordinates)) if report.q_measured is None else 0
     short = [max(len(name), longest) <= 4 for name in report.coordinates]

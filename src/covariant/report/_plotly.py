@@ -1,4 +1,4 @@
-"""Panels stacked over one time axis, for the browser."""
+"""Panels stacked above one time axis, as a plotly figure."""
 
 import math
 from html import escape
@@ -16,11 +16,11 @@ if TYPE_CHECKING:
     import plotly.graph_objects
 
 _ROW, _GAP, _TOP, _BOTTOM = 170, 40, 52, 44
-"""Heights of a panel, of the space between two, and of the margins [px]."""
+"""Heights of a panel, of the gap between two, and of the margins [px]."""
 
 
 def stack(shown: list[Quantity], column: int, styled: dict[str, Style]) -> "plotly.graph_objects.Figure":
-    """One figure: the panels of one column of each quantity, top to bottom, zooming together in time."""
+    """One figure: the panels of one column of each quantity, top to bottom, with a common zoom in time."""
     inner = len(shown) * (_ROW + _GAP) - _GAP
     layout: dict[str, Any] = {
         "template": "none",
@@ -74,7 +74,7 @@ def _y_axis(quantity: Quantity, column: int, limits: AxisRange | None) -> dict[s
 
 
 def _captions(heading: str, top: float, limits: AxisRange | None) -> list[dict[str, Any]]:
-    """Above the panel: its title, and what it does not show."""
+    """Captions above a panel: its title, and a note on what lies outside."""
     place = {"xref": "paper", "yref": "paper", "y": top, "yanchor": "bottom", "showarrow": False}
     title = {**place, "x": 0, "xanchor": "left", "text": f"<b>{heading}</b>"}
     said = "nothing to draw" if limits is None else limits.outside
@@ -85,9 +85,9 @@ def _captions(heading: str, top: float, limits: AxisRange | None) -> list[dict[s
 
 
 def _traces(curve: Curve, column: int, log: bool, style: Style, axis: str, depth: int) -> list[dict[str, Any]]:
-    """The line of a curve and its lone samples; `legendgroup` is what the page's legend switches.
+    """The line of a curve and its isolated samples; the legend of the page switches the `legendgroup`.
 
-    Single precision is finer than any screen and makes the page a quarter smaller.
+    Values are in single precision, which is finer than any screen and makes the page a quarter smaller.
     """
     line, dots = polyline(curve.t, curve.values[:, column], log)
     shared = {

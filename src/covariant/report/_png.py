@@ -1,4 +1,4 @@
-"""A report as still figures."""
+"""A report as PNG figures."""
 
 import os
 import textwrap
@@ -20,10 +20,10 @@ _FIGURES = {"velocity": ("velocity", "error"), "position": ("position", "innovat
 
 
 def write_png(report: EstimateReport, path: str | os.PathLike[str]) -> list[Path]:
-    """Write `<path>_velocity.png`, `<path>_position.png`, `<path>_distance.png`, those that have curves; return them.
+    """Write `<path>_velocity.png`, `<path>_position.png`, `<path>_distance.png`, where they have curves; return them.
 
-    A row is a coordinate, a column a quantity. A suffix .png of the path is dropped first.
-    Raises `ValueError` from `EstimateReport.check`, `ImportError` without matplotlib.
+    Each row is a coordinate, each column a quantity. A suffix .png of the path is dropped first. Raises `ValueError`
+    from `EstimateReport.check`, `ImportError` without matplotlib.
     """
     found, styled = quantities(report.check()), styles(report)
     path = Path(path)
@@ -49,7 +49,7 @@ def _figure(title: str, shown: list[Quantity], styled: dict[str, Style]) -> "mat
     legend_lines = _legend(figure, {label: style for label, style in styled.items() if label in used})
     lines = textwrap.wrap(title, int(10 * figure.get_figwidth()))
     figure.suptitle(_plain("\n".join(lines)), x=0.012, ha="left", fontsize=11, fontweight="bold", color=INK)
-    # What stands around the panels is paid for by the figure, not by the panels.
+    # The figure grows by the height of title and legend, so that the panels keep theirs.
     figure.set_figheight(figure.get_figheight() + 0.19 * (len(lines) + legend_lines))
     return figure
 
@@ -79,7 +79,7 @@ def _draw(ax: "matplotlib.axes.Axes", quantity: Quantity, column: int, styled: d
 
 
 def _legend(figure: "matplotlib.figure.Figure", styled: dict[str, Style]) -> int:
-    """One legend below all panels, in as many columns as its labels allow; returns its number of lines."""
+    """One legend below all panels, in as many columns as fit its labels; returns its number of lines."""
     line = optional("matplotlib.lines").Line2D
     handles = [
         line([], [], color=color, linewidth=max(width, 1.5), linestyle=(0, dash) if dash else "-")
@@ -95,5 +95,5 @@ def _legend(figure: "matplotlib.figure.Figure", styled: dict[str, Style]) -> int
 
 
 def _plain(text: str) -> str:
-    """Text in which a dollar is a dollar and no formula begins."""
+    """Text in which matplotlib shows a dollar sign instead of starting a formula."""
     return text.replace("$", r"\$")

@@ -1,4 +1,4 @@
-"""How a curve is drawn as a line and dots: gaps left open, long logs thinned without losing an extreme."""
+"""A curve as a line and dots: with gaps where samples are missing, and long logs thinned without losing extremes."""
 
 from typing import NamedTuple
 
@@ -6,33 +6,33 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 LIMIT = 5000
-"""Most points drawn of one curve; panels have fewer pixels than that."""
+"""Largest number of points drawn of one curve; panels have fewer pixels than that."""
 
 _DRAWABLE = 1e30
-"""Values beyond this, or below its inverse on a log axis, count as missing: drawing overflows in single precision."""
+"""Larger values, or on a log axis values below its inverse, count as missing: drawing would overflow in float32."""
 
 Samples = Float[np.ndarray, "T"]
 Thinned = tuple[Float[np.ndarray, "k"], Float[np.ndarray, "k"]]
 
 
 class Polyline(NamedTuple):
-    """A curve made ready: a line with NaN at its gaps, and dots for samples without a neighbour to be joined with."""
+    """A curve ready to be drawn: a line with NaN at its gaps, and dots for samples without a neighbour."""
 
     line: Thinned
     dots: Thinned
 
 
 def polyline(t: Samples, values: Samples, log: bool) -> Polyline:
-    """Line and dots of one curve; on a log axis what is not positive is a gap."""
+    """Line and dots of one curve; on a log axis a value that is not positive is a gap."""
     shown = np.where(drawable(values, log), values, np.nan)
     alone = _alone(~np.isnan(shown))
     joined = np.where(alone, np.nan, shown)
-    some = len(t) if np.isfinite(joined).any() else 1  # one gap says as much as many
+    some = len(t) if np.isfinite(joined).any() else 1  # an empty line needs a single gap only
     return Polyline(thin(t[:some], joined[:some]), thin(t[alone], shown[alone]))
 
 
 def thin(t: Samples, values: Samples, limit: int = LIMIT) -> Thinned:
-    """At most `limit` samples: of each interval the smallest, the largest, and the first gap (or the first sample)."""
+    """At most `limit` samples: of each interval the smallest, the largest, and its first gap (or first sample)."""
     if len(t) <= limit:
         return t, values
     size = -(-len(t) // (limit // 3))

@@ -1,4 +1,4 @@
-"""One look for all figures: colours, panels, files."""
+"""The common look of all figures: colours, panels, files."""
 
 import os
 from collections.abc import Sequence
@@ -15,10 +15,10 @@ if TYPE_CHECKING:
     import matplotlib.figure
 
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#5D4037", "#8C8A2E")
-"""Colours told apart by every kind of colour vision (Okabe & Ito 2008); brown and olive for their black and yellow."""
+"""Colours for all kinds of colour vision (Okabe & Ito 2008), with brown and olive in place of black and yellow."""
 
 BACKDROP = "#A8AEB5"
-"""Grey of what estimates are compared with."""
+"""Grey, for the curves that estimates are compared with."""
 
 INK, MUTED, GRID = "#24292F", "#6B737C", "#E4E7EA"
 
@@ -28,7 +28,7 @@ _DASHES = ((), (7, 3), (2, 2), (7, 2, 2, 2))
 
 
 class Style(NamedTuple):
-    """How a label is drawn everywhere: colour, width [points], lengths of dashes and gaps [points], none if solid."""
+    """Style of a label in all panels: colour, width [points], lengths of dashes and gaps [points], empty if solid."""
 
     color: str
     width: float
@@ -36,7 +36,7 @@ class Style(NamedTuple):
 
 
 def styles(report: EstimateReport) -> dict[str, Style]:
-    """Style of every label, in the order of the legend: backdrops broad and grey, the first estimate strong."""
+    """Style of every label, in the order of the legend: backdrops wide and grey, the first estimate slightly wide."""
     found = {label: Style(BACKDROP, 3.2) for label in report.backdrops}
     for i, label in enumerate(report.estimates):
         dash = _DASHES[i // len(PALETTE) % len(_DASHES)]
@@ -52,7 +52,9 @@ def new_figure(
     titles: Sequence[str] = (),
     sharex: bool | str = "col",
 ) -> "tuple[matplotlib.figure.Figure, np.ndarray]":
-    """A figure in the house style and its axes (rows, cols); `panel` is the size of one [inch], `titles` go row by row.
+    """A figure in the house style, and its axes (rows, cols).
+
+    - `panel`: size of one panel [inch]; `titles`: of the panels, row by row.
 
     Lines take the colours of `PALETTE`. The figure belongs to no window and no global state; `save_figure` writes it.
     """
@@ -77,7 +79,7 @@ def new_figure(
 
 
 def save_figure(figure: "matplotlib.figure.Figure", path: str | os.PathLike[str]) -> Path:
-    """Write a figure in the format its suffix names (png, pdf, svg), whole or not at all; returns the path.
+    """Write a figure in the format its suffix names (png, pdf, svg), as one complete file; returns its path.
 
     Raises `ValueError` where there is no suffix or matplotlib does not know it.
     """

@@ -1,4 +1,4 @@
-"""Tables of a comparison: one dictionary a row, columns in the order they first appear."""
+"""Tables of a comparison: each row is a dictionary, and columns are in the order in which they first appear."""
 
 import math
 import numbers
@@ -11,7 +11,7 @@ MISSING = "—"
 
 
 class Cells(NamedTuple):
-    """A table as text: header (c), body of rows (c), and which columns (c) hold numbers and go to the right."""
+    """A table as text: header (c), rows of the body (c), and which columns (c) hold numbers and are right-aligned."""
 
     header: list[str]
     body: list[list[str]]
@@ -19,7 +19,7 @@ class Cells(NamedTuple):
 
 
 def cells(rows: Sequence[Mapping[str, object]]) -> Cells:
-    """Rows as text, numbers to four digits; a key a row lacks, None and NaN are a dash."""
+    """Rows as text, with numbers to four digits; a missing key, None and NaN become a dash."""
     header = list(dict.fromkeys(key for row in rows for key in row))
     columns = [[row.get(key) for row in rows] for key in header]
     numeric = [any(map(_is_number, column)) and all(v is None or _is_number(v) for v in column) for column in columns]
@@ -27,7 +27,7 @@ def cells(rows: Sequence[Mapping[str, object]]) -> Cells:
 
 
 def table(rows: Sequence[Mapping[str, object]]) -> str:
-    """A GitHub-markdown table, numbers to the right, ending in a newline; "" where there are no rows."""
+    """A GitHub-Markdown table with right-aligned numbers, ending in a newline; "" where there are no rows."""
     if not rows:
         return ""
     header, body, numeric = cells(rows)
@@ -46,14 +46,14 @@ def _is_number(value: object) -> TypeGuard[float]:
 
 
 def _column(values: list[object]) -> list[str]:
-    """A column as text; numbers of like size share their decimals, so that they compare at a glance."""
+    """A column as text; numbers of similar size get the same number of decimals, so that they can be compared."""
     sizes = [abs(float(v)) for v in values if _is_number(v) and math.isfinite(v) and v]
     alike = bool(sizes) and min(sizes) >= 1e-4 and max(sizes) < min(1e7, 1e4 * min(sizes))
     return [_text(value, _decimals(sizes) if alike else None) for value in values]
 
 
 def _decimals(sizes: list[float]) -> int:
-    """As many as any number has at four digits, but no more than give the smallest its four."""
+    """The largest number of decimals that a number needs for four digits, but no more than the smallest needs."""
     shown = (np.format_float_positional(x, precision=4, fractional=False, trim="-") for x in sizes)
     most = max(len(text.partition(".")[2]) for text in shown)
     return min(most, max(0, 3 - math.floor(math.log10(min(sizes)))))
@@ -71,5 +71,5 @@ def _text(value: object, decimals: int | None) -> str:
 
 
 def _markdown(text: str) -> str:
-    """Text that cannot end a cell or open an HTML tag; emphasis and links are left to the writer."""
+    """Text escaped so that it cannot end a cell or open an HTML tag; emphasis and links are not escaped."""
     return " ".join(text.split()).replace("|", r"\|").replace("<", "&lt;")
