@@ -72,7 +72,7 @@ class Transported(NamedTuple):
 
 
 class Ray(NamedTuple):
-    """A point of a geodesic in coordinates s around its start; its velocity and the transported vectors in the frame."""
+    """A point of a geodesic in coordinates s around its start; velocity and transported vectors in the frame."""
 
     s: Vector
     velocity: Vector

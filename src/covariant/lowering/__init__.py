@@ -1,8 +1,9 @@
-"""A model is written once, as a JAX function, and read in several ways: here it becomes a graph of scalar operations.
+"""JAX functions lowered to graphs of scalar operations, which can be evaluated in several arithmetics.
 
-`lower` interprets the function's jaxpr over scalars: loops are unrolled, constants folded, zeros pruned, equal parts
-shared. A graph is then read in any arithmetic that knows its operations: in numbers, or in intervals, which bound its
-values over whole boxes, and say where it is defined and does not jump. Knows only jaxprs.
+`lower` interprets the jaxpr of a function over scalars: loops are unrolled, constants folded, zeros pruned, and equal
+sub-expressions shared. A graph can then be evaluated in any arithmetic that has its operations: in numbers, or in
+intervals. Intervals bound its values over whole boxes, and prove where it is defined and has no jumps. This package
+knows only jaxprs.
 """
 
 from covariant.lowering._differentiate import Derivative, expand, pairs

@@ -10,17 +10,17 @@ from covariant.lowering._graph import Graph
 
 
 class Scalars(NamedTuple):
-    """An array of nodes, by their indices."""
+    """An array of nodes, given by their indices."""
 
     ids: np.ndarray
 
 
 Value = Scalars | np.ndarray
-"""An array that depends on the arguments, or one whose numbers are known."""
+"""An array that depends on the arguments, or one of known numbers."""
 
 
 def nodes_of(graph: Graph, value: Value) -> np.ndarray:
-    """The nodes of an array; its numbers become constants where they are known."""
+    """The nodes of an array; known numbers become constants."""
     if isinstance(value, Scalars):
         return value.ids
     flat = [graph.constant(v) for v in np.asarray(value).ravel().tolist()]
@@ -34,13 +34,13 @@ class Writer:
         self.graph = graph
 
     def map(self, op: str, *values: Value) -> Scalars:
-        """An operation on arrays of one shape, entry by entry."""
+        """Apply an operation to arrays of one shape, entry by entry."""
         arrays = np.broadcast_arrays(*(nodes_of(self.graph, value) for value in values))
         flat = [self.graph.apply(op, *map(int, ids)) for ids in zip(*(a.ravel() for a in arrays), strict=True)]
         return Scalars(np.array(flat, int).reshape(arrays[0].shape))
 
     def reduce(self, op: str, ids: np.ndarray, axes: Sequence[int]) -> Scalars:
-        """An operation over some axes, halves first, which rounds less than one after the other."""
+        """Reduce over some axes by an operation, by recursive halving, which rounds less than a loop does."""
         kept = [axis for axis in range(ids.ndim) if axis not in axes]
         shape = [ids.shape[axis] for axis in kept]
         rows = np.transpose(ids, [*kept, *axes]).reshape(math.prod(shape), math.prod(ids.shape[a] for a in axes))
@@ -60,17 +60,17 @@ class Writer:
         return Scalars(np.stack([nodes_of(self.graph, value) for value in values]))
 
     def truth(self, value: Value) -> bool | None:
-        """A truth value, or None where the arguments decide it."""
+        """The value of a statement, or None where it depends on the arguments."""
         if not isinstance(value, Scalars):
             return bool(value)
         node = self.graph.nodes[int(value.ids)]
         return bool(node.value) if node.op == "constant" else None
 
     def within(self, value: Scalars, low: float, high: float) -> None:
-        """Note the condition that all entries are between two numbers."""
+        """Add the condition that all entries are between two numbers."""
         for node in set(value.ids.ravel().tolist()):
             self.graph.need_between(low, node, high)
 
 
 _NEUTRAL = {"add": 0.0, "mul": 1.0, "and": True, "or": False, "max": -np.inf, "min": np.inf}
-"""What nothing sums up to."""
+"""Result of each operation over no entries."""

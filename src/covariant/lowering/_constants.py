@@ -1,7 +1,7 @@
-"""Equations all of whose numbers are known, in NumPy where it rounds as JAX does: a compiled program for each is slow.
+"""Equations of a jaxpr whose inputs are known, computed in NumPy: compiling a program for each would be slow.
 
-Only what moves entries about, decides, or is one correctly rounded IEEE operation an entry has a rule here; everything
-else is left to JAX itself.
+There is a rule only for what rounds as in JAX: operations that move entries, compare, or make one correctly rounded
+IEEE operation for each entry. Everything else is computed by JAX itself.
 """
 
 from collections.abc import Callable, Sequence
@@ -17,7 +17,7 @@ def compute(eqn, values: Sequence[Any]) -> list[Any]:
     rule = _RULES.get(eqn.primitive.name)
     outputs = [atom.aval for atom in eqn.outvars]
     if rule is not None and all(_plain(aval) for aval in outputs):
-        # Entries are of the type of the variable they stand for, which NumPy would not always give them.
+        # Inputs get the type of their variable in the jaxpr, which NumPy alone would not always give them.
         given = [np.asarray(v, atom.aval.dtype) for v, atom in zip(values, eqn.invars, strict=True)]
         with np.errstate(all="ignore"):
             found = rule(eqn.params, *given)
@@ -69,7 +69,7 @@ def _iota(parameters: dict) -> np.ndarray:
 def _divide(parameters: dict, a: np.ndarray, b: np.ndarray) -> np.ndarray:
     if not np.issubdtype(a.dtype, np.floating):
         quotient = np.abs(a) // np.where(b == 0, 1, np.abs(b)) * np.sign(a) * np.sign(b)
-        return np.where(b == 0, -1, quotient)  # as XLA has it
+        return np.where(b == 0, -1, quotient)  # as in XLA
     return a / b
 
 

@@ -1,7 +1,7 @@
 """Derivatives of a graph, as a graph: forward, one input at a time, with the same folding and sharing.
 
-A second route beside JAX's own derivatives, and a short one: a function is traced once, and its derivatives cost as
-many nodes as they have, without tracing anything again.
+This is an independent alternative to JAX's own derivatives, and an economical one: a function is traced only once, and
+no derivative needs more nodes than its own.
 """
 
 import itertools
@@ -20,9 +20,11 @@ Rule = Callable[[Graph, int, tuple[int, ...], tuple[int, ...]], int]
 def expand(lowered: Lowered, inputs: Sequence[int], order: int) -> Lowered:
     """The graph of the values (K,) of all outputs and of their derivatives in the given inputs (F,).
 
-    `order` 1: values (K,) and first derivatives (F, K). `order` 2: also second derivatives (P, K), of the pairs
-    `pairs(F)`. Where a function has a kink its derivative is anything between those of both sides (`either`), in
-    numbers that of one; where it jumps nothing is said, for which `Lowered.conditions` are there.
+    - `order`: 1 for values (K,) and first derivatives (F, K); 2 for second derivatives (P, K), of the pairs `pairs(F)`,
+      as well.
+
+    Where a function has a kink, its derivative is the set of all values between those of both sides (`either`); in
+    numbers it is that of one side. Where it jumps the derivative is wrong: `Lowered.conditions` exclude such places.
     """
     graph = Graph.of(lowered.graph.nodes)
     slopes = [Derivative(graph, {i: graph.constant(1.0)}) for i in inputs]
@@ -40,14 +42,14 @@ def expand(lowered: Lowered, inputs: Sequence[int], order: int) -> Lowered:
 
 
 def pairs(count: int) -> list[tuple[int, int]]:
-    """Pairs (i, j), i ≤ j, of that many inputs, in the order of the second derivatives."""
+    """Pairs (i, j), i ≤ j, of `count` inputs, in the order of the second derivatives."""
     return list(itertools.combinations_with_replacement(range(count), 2))
 
 
 class Derivative:
-    """Derivatives of the nodes of a graph along a direction; the graph grows by them, and each is found once.
+    """Derivatives of the nodes of a graph along a direction; they are added to the graph, each of them once.
 
-    `direction`: the node of the change of each input, by its position; an input without one does not change.
+    `direction`: for the position of each input that changes, the node of its change.
     """
 
     def __init__(self, graph: Graph, direction: Mapping[int, int]):
@@ -68,7 +70,7 @@ class Derivative:
             else:
                 stack.pop()
                 changes = tuple(known[a] for a in arguments)
-                still = all(self.graph.is_zero(c) for c in changes)  # a constant, and another input, too
+                still = all(self.graph.is_zero(c) for c in changes)  # a constant, or an input that does not change
                 known[at] = self.graph.constant(0.0) if still else RULES[op](self.graph, at, arguments, changes)
         return known[node]
 
@@ -112,7 +114,7 @@ def _power(graph: Graph, node: int, arguments: tuple[int, ...], changes: tuple[i
     lowered = graph.apply("pow", a, graph.apply("sub", b, graph.constant(1.0)))
     base = graph.apply("mul", graph.apply("mul", b, lowered), da)
     exponent = graph.apply("mul", graph.apply("mul", node, graph.apply("log", a)), db)
-    return base if graph.is_zero(db) else graph.apply("add", base, exponent)  # log a may not exist where b is constant
+    return base if graph.is_zero(db) else graph.apply("add", base, exponent)  # log a need not exist if b is constant
 
 
 def _angle(graph: Graph, node: int, arguments: tuple[int, ...], changes: tuple[int, ...]) -> int:
@@ -131,7 +133,7 @@ def _size(graph: Graph, node: int, arguments: tuple[int, ...], changes: tuple[in
 
 
 def _stumpff(graph: Graph, node: int, arguments: tuple[int, ...], changes: tuple[int, ...]) -> int:
-    """c_k' = (k c_{k+2} − c_{k+1})/2."""
+    """The derivative c_k' = (k c_{k+2} − c_{k+1})/2."""
     k, x = arguments
     order = float(graph.nodes[k].value or 0)
     one, two = (graph.apply("stumpff", graph.constant(order + i), x) for i in (1, 2))
@@ -176,7 +178,7 @@ RULES: dict[str, Rule] = {
     "acosh": _over(lambda g, f, x: _root(g, _plus(g, -1.0, _square(g, x)))),
     "atanh": _over(lambda g, f, x: _minus(g, 1.0, _square(g, x))),
     **{op: lambda g, node, x, d: g.constant(0.0) for op in ("sign", "floor", "ceil", "round")},
-    # Truth values do not change by degrees.
+    # The derivative of a statement is zero.
     **{op: lambda g, node, x, d: g.constant(0.0) for op in ("lt", "le", "eq", "and", "or", "not", "is_finite")},
 }
 """The derivative of each operation."""

@@ -1,7 +1,7 @@
 """Elementary functions of intervals: bounds from the values at the ends, moved outward by their proved errors.
 
-Each takes the bounds of its argument, arrays (B,), and gives those of its values. NaN, in one bound or in both, says
-that nothing is known there, and stays.
+Each function takes the bounds of its argument, arrays (B,), and returns those of its values. NaN in a bound means that
+nothing is known, and is propagated.
 """
 
 from collections.abc import Callable
@@ -13,29 +13,29 @@ from covariant.lowering import _points as points
 from covariant.lowering._points import HALF_PI_HIGH, UNITS, U
 
 TINY = 2.0**-1022
-"""More than the error of a result that underflows. The smallest normal double: smaller ones are slow."""
+"""Larger than the error of a result that underflows. It is the smallest normal double, as smaller ones are slow."""
 LARGEST = np.finfo(float).max
 HUGE = LARGEST * (1 - 2.0**-40)
-"""A bound of what overflows, for all errors here."""
+"""A lower bound of results that overflow, below them by more than all errors here."""
 
 Bounds = tuple[Any, Any]
 Rule = Callable[..., Bounds]
 
 
 def _relative(op: str) -> float:
-    """A step outward, in parts of the value, that exceeds the error of the value, and that of taking the step."""
+    """Relative step outward that exceeds the error of the value and of the step itself."""
     return (UNITS[op] + 1.25) * U
 
 
 def _known(defined: Any, bounds: Bounds) -> Bounds:
-    """The bounds where the function is defined, nothing elsewhere."""
+    """The bounds where the function is defined, NaN elsewhere."""
     if np.all(defined):
         return bounds
     return np.where(defined, bounds[0], np.nan), np.where(defined, bounds[1], np.nan)
 
 
 def _rising(op: str, floor: float = -np.inf, ceiling: float = np.inf) -> Rule:
-    """Bounds of a function that rises, and vanishes exactly where it does."""
+    """Bounds of an increasing function whose computed value is zero exactly where the function is."""
     point, relative = getattr(points, op), _relative(op)
 
     def bounds(low: Any, high: Any) -> Bounds:
@@ -44,7 +44,7 @@ def _rising(op: str, floor: float = -np.inf, ceiling: float = np.inf) -> Rule:
         step = np.minimum(size, TINY)
         size *= relative
         step += size
-        # A value that overflows is still known to be large.
+        # Of a value that overflows it is still known that it is large.
         lowest = np.where(value[0] > LARGEST, HUGE, value[0] - step[0])
         highest = np.where(value[1] < -LARGEST, -HUGE, value[1] + step[1])
         if floor > -np.inf or ceiling < np.inf:
@@ -55,14 +55,15 @@ def _rising(op: str, floor: float = -np.inf, ceiling: float = np.inf) -> Rule:
 
 
 def _within(first: Any, last: Any, rest: int, period: int) -> Any:
-    """Whether there is a whole number from first to last that leaves this rest."""
+    """Whether there is an integer from first to last that is congruent to `rest` modulo `period`."""
     return np.floor((last - rest) * (1 / period)) * period + rest >= first
 
 
 def _turns(low: Any, high: Any) -> tuple[Any, ...]:
-    """The reduced ends, their errors, the first and the last whole quarter turn between them, and what is too far.
+    """Data of both ends reduced modulo π/2: quarter turns, sine and cosine, errors; and the range of quarter turns.
 
-    A quarter turn that is too near to an end to know on which side it is counts too.
+    The range is the first and the last whole quarter turn between the ends. A quarter turn too close to an end to know
+    its side counts as between. The last entry is the largest number of quarter turns, which may be too large to reduce.
     """
     x = np.stack([low, high])
     k, bits, r, rest = points.quarters(x)
@@ -74,7 +75,7 @@ def _turns(low: Any, high: Any) -> tuple[Any, ...]:
 
 
 def _wave(op: str) -> Rule:
-    """Bounds of the sine, or of the cosine, which is the sine a quarter turn on."""
+    """Bounds of the sine or cosine; the cosine is the sine a quarter turn ahead."""
     ahead, relative = ("sin", "cos").index(op), max(_relative("sin"), _relative("cos"))
 
     def bounds(low: Any, high: Any) -> Bounds:
@@ -103,7 +104,7 @@ def _tan(low: Any, high: Any) -> Bounds:
     odd = (bits & 1).astype(bool)
     value = np.where(odd, -cosine, sine) / np.where(odd, sine, cosine)
     size = np.abs(value)
-    # What is left of the reduction is magnified by the derivative, 1 + tan².
+    # The remaining error of the reduction is magnified by the derivative, 1 + tan².
     step = size * _relative("tan") + 2.0 * error * (1.0 + size * size) + np.minimum(size, TINY)
     pole = _within(first, last, 1, 2) | ~(size * error < 2.0**-20).all(axis=0)
     return _known((largest <= points.MOST_QUARTERS) & ~pole, (value[0] - step[0], value[1] + step[1]))
@@ -117,7 +118,7 @@ def _exp(low: Any, high: Any) -> Bounds:
 
 
 def _power(x_low: Any, x_high: Any, y_low: Any, y_high: Any) -> Bounds:
-    """Bounds of xʸ for x ≥ 0, with y > 0 where x may be 0. It rises or falls along every side of a box."""
+    """Bounds of xʸ for x ≥ 0, with y > 0 where x may be 0. It is monotonic along every side of a box."""
     x = np.stack([x_low, x_high])
     parts, ends = points.log_parts(np.where(x == 0, 1.0, x)), []
     for y in (y_low,) if np.array_equal(y_low, y_high) else (y_low, y_high):
@@ -144,9 +145,9 @@ def _acos(low: Any, high: Any) -> Bounds:
 
 
 def _atan2(y_low: Any, y_high: Any, x_low: Any, x_high: Any) -> Bounds:
-    """The angle has no extremum inside a box, nor inside a side: its bounds are those of the corners.
+    """Bounds of the angle. It has no extremum inside a box or inside a side: its bounds are those of the corners.
 
-    Except where it jumps, across the negative half-axis: there they are ±π.
+    The exception is a box across the negative half-axis, where the angle jumps: there the bounds are ±π.
     """
     x, ends = np.stack([x_low, x_high]), []
     for y in (y_low, y_high):
@@ -161,7 +162,7 @@ def _atan2(y_low: Any, y_high: Any, x_low: Any, x_high: Any) -> Bounds:
 
 
 def _cbrt(low: Any, high: Any) -> Bounds:
-    """NumPy's root is a guess. Numbers a little below and above it are bounds if their cubes are on the right sides."""
+    """Bounds of the cube root: numbers slightly below and above NumPy's root, verified by their cubes."""
     x = np.stack([low, high])
     size = np.abs(x)
     scale = np.where(size < 2.0**-700, 2.0**-100, np.where(size > 2.0**700, 2.0**100, 1.0))
@@ -199,4 +200,4 @@ ELEMENTARY: dict[str, Rule] = {
     "cbrt": _cbrt,
     "pow": _power,
 }
-"""Bounds of each function from the bounds of its arguments: NaN where it is not defined on all of them."""
+"""Bounds of each function from the bounds of its arguments: NaN where it is not defined on all of the box."""

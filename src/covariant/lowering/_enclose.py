@@ -1,4 +1,4 @@
-"""A graph read in intervals: bounds on a function's values over boxes, and where it is defined and does not jump."""
+"""A graph evaluated in intervals: bounds on a function over boxes, and boxes on which it is defined without jumps."""
 
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
@@ -15,7 +15,7 @@ class Enclosure(NamedTuple):
     """Bounds on the values of a graph over boxes.
 
     - `low`, `high`: bounds (B, outputs); NaN where nothing is known.
-    - `smooth`: boxes (B,) on which every choice was decided, so that the function does not jump there.
+    - `smooth`: which boxes (B,) have every choice decided, so that the function does not jump there.
     """
 
     low: np.ndarray
@@ -28,17 +28,17 @@ JUMPS = ("select", "either", "sign", "floor", "ceil", "round", "atan2")
 
 
 def _no_jump(op: str, arguments: tuple, found: Any) -> Any:
-    """Boxes on which such an operation does not jump."""
+    """Boxes on which an operation of `JUMPS` does not jump."""
     if op == "select":
         return arguments[0].must | ~arguments[0].may
     if op == "either":
         a, b = arguments[:2]
         return (a.high < b.low) | (a.low > b.high)
-    if op == "sign":  # zero itself has a sign of its own
+    if op == "sign":  # zero has a sign of its own, 0
         return (arguments[0].low > 0) | (arguments[0].high < 0)
     if op == "atan2":
         (y_low, y_high), (x_low, x_high) = arguments
-        # Across the negative half-axis, which is itself above the jump, or at the origin.
+        # The cut is the negative half-axis with the origin; values on it belong to the upper side.
         return ~((y_low <= 0) & (y_high >= 0) & (x_low <= 0)) | (y_low >= 0) & (x_high < 0)
     return found.low == found.high
 
@@ -46,8 +46,8 @@ def _no_jump(op: str, arguments: tuple, found: Any) -> Any:
 def enclose(lowered: Lowered, low: np.ndarray, high: np.ndarray) -> Enclosure:
     """Bounds on the values of a graph over boxes with corners `low` and `high`, both (B, inputs).
 
-    Truths among the outputs are bounded as the numbers 0 and 1. Raises `ValueError` for corners of another shape, or
-    that are not numbers in order.
+    Statements among the outputs are bounded as the numbers 0 and 1. Raises `ValueError` for corners of another shape,
+    that are not numbers, or where low exceeds high.
     """
     low, high = _corners(low, high, lowered.inputs)
     if not len(low):
@@ -93,22 +93,22 @@ def _values(graph: Graph, outputs: Sequence[int], domain: Domain, low: np.ndarra
         return evaluate_nodes(graph, outputs, domain, inputs)
 
 
-# Where a function is defined and does not jump. Here a comparison is known only strictly: where both sides
-# may be equal, be it on one face of a box or at a variable that is held fixed, what depends on it may jump there.
+# Where a function is defined and does not jump. Here a comparison is decided only strictly: where both sides may be
+# equal, on a face of a box or at a variable that is held fixed, what depends on the comparison may jump there.
 
 
 class Step(Interval):
-    """A number that is the same all around each point of a box, by conditions of its own, as the floor of another."""
+    """A number that is constant around each point of a box, given its own conditions, such as a floor."""
 
 
 def _strictly(a: Interval | Truth, b: Interval | Truth) -> Truth:
-    """a < b, and a ≤ b all the same."""
+    """a < b; also for a ≤ b, since equality counts as undecided."""
     a, b = as_number(a), as_number(b)
     return Truth(a.high < b.low, ~(a.low > b.high))
 
 
 def _on_steps(rule: Callable, otherwise: Callable) -> Callable:
-    """A rule for numbers that are the same all around, and another for those that change."""
+    """A rule for arguments that are locally constant, and another for arguments that change."""
 
     return lambda *arguments: (_stepping(rule) if all(isinstance(a, Step | Truth) for a in arguments) else otherwise)(
         *arguments
@@ -124,7 +124,7 @@ def _stepping(rule: Callable) -> Callable:
 
 
 def _same(a: Any, b: Any) -> Truth:
-    """Whether numbers that change are equal: known where they are one and the same, or apart."""
+    """Equality of numbers that change: decided only where they are the same node, or have disjoint intervals."""
     return eq(a, b) if a is b else Truth(np.zeros_like(eq(a, b).must), eq(a, b).may)
 
 
@@ -139,7 +139,7 @@ STRICT: Domain = {
 
 
 def fulfilled(conditions: Conditions, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Which conditions hold all over which boxes (B, conditions), with corners (B, inputs): True only where proved."""
+    """Which conditions hold on all of which boxes (B, conditions), with corners (B, inputs): True only where proved."""
     low, high = _corners(low, high, conditions.inputs)
     found = np.zeros((len(low), len(conditions.conditions)), bool)
     if not found.size:

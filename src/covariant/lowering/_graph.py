@@ -1,7 +1,7 @@
 """A function of real numbers as a graph of scalar operations: constants folded, zeros pruned, equal parts shared.
 
-Folding forgets: `0 · √q` is 0, wherever √q is. A graph of a function of real numbers therefore notes, before anything
-is simplified, what each operation needs to be defined and not to jump: its conditions.
+Folding loses information: `0 · √q` is 0, even where √q is undefined. A graph of a function of real numbers therefore
+notes, before anything is simplified, its conditions: what each operation needs to be defined and not to jump.
 """
 
 import math
@@ -16,11 +16,12 @@ Kind = Literal["true", "decided", "whole"]
 
 
 class Condition(NamedTuple):
-    """What must be so wherever a function is defined and does not jump; `because` names the operation and its line.
+    """A condition that holds wherever a function is defined and does not jump; `because` names its operation and line.
 
     - "true": the node, a statement, holds.
-    - "decided": it holds everywhere or nowhere, and not just so: a choice that depends on it is the same all around.
-    - "whole": the node, a number, is not and does not pass a whole number.
+    - "decided": the node, a statement, has one value in a neighbourhood of the point, so that a choice by it does not
+      jump.
+    - "whole": the node, a number, neither equals nor crosses an integer.
     """
 
     kind: Kind
@@ -29,7 +30,7 @@ class Condition(NamedTuple):
 
 
 class Node(NamedTuple):
-    """An operation and the indices of its arguments; the value of a `constant`, the position of an `input`."""
+    """An operation and the indices of its arguments; `value` of a `constant`, or position of an `input`."""
 
     op: str
     arguments: tuple[int, ...]
@@ -80,27 +81,27 @@ FOLD: dict[str, Callable] = {
     "either": lambda a, b, x, y: np.where(np.less(a, b), x, y),
     "stumpff": _stumpff.values,
 }
-"""Every operation of a graph, on numbers. `select(p, a, b)` is a where p holds, else b; comparisons give truths.
+"""Every operation of a graph, on numbers. `select(p, a, b)` is a where p holds, else b; comparisons give truth values.
 
-`either(a, b, x, y)` is x where a < b and y where b < a: the slope of what has a kink where a = b, and there all that
-lies between. `stumpff(k, x)` is Stumpff's c_k.
+`either(a, b, x, y)` is x where a < b and y where b < a: the derivative of a function with a kink where a = b; in
+intervals it is there the hull of x and y. `stumpff(k, x)` is Stumpff's function c_k.
 """
 
 COMMUTATIVE = {"add", "mul", "min", "max", "eq", "and", "or"}
-"""Their arguments are put in order, so that a + b and b + a are one node; IEEE arithmetic does not tell them apart."""
+"""Operations whose arguments are sorted, so that a + b and b + a are one node; IEEE arithmetic gives both one value."""
 
 
 ANYTHING = {"lt", "le", "eq", "and", "or", "not", "is_finite", "select", "min", "max"}
-"""Operations that may meet what is infinite."""
+"""Operations that accept infinite arguments."""
 CHOICES = {"select", "min", "max", "either"}
-"""Operations that may hand it on."""
+"""Operations that may return an infinite argument."""
 
 
 class Graph:
     """Nodes in an order in which each follows its arguments. Nodes are added by `constant`, `input` and `apply`.
 
-    With `real` all inputs are real numbers, none missing (NaN): a number equals itself, is finite, and `conditions` are
-    noted, with what `line` says: where in somebody's code the operation was asked for.
+    With `real` all inputs are real numbers, none missing (NaN): a number equals itself and is finite. Then `conditions`
+    are noted, each with the text that `line` returns: the place in the user's code that asked for the operation.
     """
 
     def __init__(self, real: bool = False) -> None:
@@ -108,7 +109,7 @@ class Graph:
         self.real = real
         self.conditions: dict[tuple[Kind, int], Condition] = {}
         self.line: Callable[[], str] = str
-        self._endless: set[int] = set()  # nodes that are infinite, or no number, where a choice takes such a value
+        self._endless: set[int] = set()  # nodes that may be infinite or NaN, by a choice that returns such a value
         self._known: dict[tuple, int] = {}
 
     @classmethod
@@ -126,7 +127,7 @@ class Graph:
         """The node of a number or truth value."""
         kind = bool if isinstance(value, bool | np.bool_) else float
         value = kind(value)
-        # Zero has two signs and NaN equals nothing: told apart by their bits.
+        # Zero has two signs and NaN equals nothing, so constants are distinguished by their bits.
         key = ("constant", kind, value if kind is bool else np.float64(value).tobytes())
         return self._add(key, Node("constant", (), value))
 
@@ -135,7 +136,7 @@ class Graph:
         return self._add(("input", position), Node("input", (), position))
 
     def apply(self, op: str, *arguments: int) -> int:
-        """The node of an operation, folded where its arguments are constants, simplified as real numbers allow."""
+        """The node of an operation, folded where its arguments are constants, and simplified as for real numbers."""
         nodes = [self.nodes[a] for a in arguments]
         if not self.real:
             return self._applied(op, arguments, nodes)
@@ -154,14 +155,14 @@ class Graph:
         simpler = self._simplify(op, arguments, [n.value if n.op == "constant" else None for n in nodes])
         if simpler is not None:
             return simpler
-        if self.real and op == "select":  # one that did not come down to something without a jump
+        if self.real and op == "select":  # not simplified to an operation without a jump
             self._condition("decided", arguments[0], op)
         if op in COMMUTATIVE:
             arguments = tuple(sorted(arguments))
         return self._add((op, *arguments), Node(op, arguments))
 
     def _either(self, a: int, b: int, x: int, y: int) -> int:
-        """A slope at a kink. At the kink itself, a = b, both sides stay, also where a and b are known numbers."""
+        """The derivative at a kink. Where a = b both sides are kept, even if a and b are known numbers."""
         first, second = self.nodes[a], self.nodes[b]
         if x == y:
             return x
@@ -170,7 +171,7 @@ class Graph:
         return self._add(("either", a, b, x, y), Node("either", (a, b, x, y)))
 
     def _note(self, op: str, arguments: tuple[int, ...], nodes: list[Node]) -> None:
-        """Note what an operation needs, as far as it is not known to be so."""
+        """Note the conditions of an operation that are not already known to hold."""
         for kind, node in _needs(self, op, arguments, nodes):
             self._condition(kind, node, op)
         if op not in ANYTHING:
@@ -183,13 +184,13 @@ class Graph:
         return node in self._endless or (value is not None and not math.isfinite(value))
 
     def need_between(self, low: float, node: int, high: float) -> None:
-        """Note that a number must be above one number and below another."""
+        """Note the condition that a number is between two others."""
         for pair in ((self.constant(low), node), (node, self.constant(high))):
             self._condition("true", self.apply("lt", *pair), "whole number")
 
     def _condition(self, kind: Kind, node: int, op: str) -> None:
         known = self.nodes[node]
-        # A number that is known neither passes a whole one nor jumps.
+        # A constant neither crosses an integer nor jumps.
         settled = known.op == "constant" and (kind != "true" or known.value)
         if not settled and (kind, node) not in self.conditions:
             self.conditions[kind, node] = Condition(kind, node, f"{op} {self.line()}".strip())
@@ -209,9 +210,9 @@ class Graph:
         return self.nodes[node].op == "constant" and self.nodes[node].value == 0
 
     def _simplify(self, op: str, arguments: tuple[int, ...], values: list) -> int | None:
-        """The node that an operation with some constant arguments comes down to, or None.
+        """The node that an operation with some constant arguments simplifies to, or None.
 
-        A product with zero is zero: right for real numbers, and for floating-point ones that are finite.
+        A product with zero becomes zero, which is correct for real numbers and for finite floating-point numbers.
         """
         match op, arguments, values:
             case ("add", (a, _), (_, 0.0)) | ("add", (_, a), (0.0, _)):
@@ -260,13 +261,13 @@ class Graph:
         return self._simplify_real(op, arguments) if self.real else None
 
     def _simplify_real(self, op: str, arguments: tuple[int, ...]) -> int | None:
-        """What holds for real numbers only. A choice that comes down to |x|, min or max is one that does not jump."""
+        """Simplifications for real numbers only. A choice that is |x|, min or max in disguise does not jump."""
         match op, arguments:
             case "is_finite", (a,) if not self._is_endless(a):
                 return self.constant(True)
             case "eq", (a, b) if a == b and not self._is_endless(a):
                 return self.constant(True)
-            case "min" | "max", (a, b):  # a bound that is none
+            case "min" | "max", (a, b):  # an infinite bound
                 none = np.inf if op == "min" else -np.inf
                 for one, other in ((a, b), (b, a)):
                     if self.nodes[other].op == "constant" and self.nodes[other].value == none:
@@ -290,7 +291,7 @@ class Graph:
         return None
 
     def _size(self, less: int, more: int, a: int, b: int) -> int | None:
-        """x where `less < more ? a : b` is |x|: x < 0 ? −x : x, or 0 < x ? x : −x."""
+        """x where `less < more ? a : b` is |x|, that is x < 0 ? −x : x, or 0 < x ? x : −x; else None."""
         zero = self.constant(0.0)
         if more == zero and self._is("neg", a, b) and less == b:
             return b
@@ -299,7 +300,7 @@ class Graph:
         return None
 
     def pruned(self, outputs: Sequence[int]) -> tuple["Graph", list[int]]:
-        """The graph of the nodes that the outputs need, and where the outputs are in it."""
+        """The graph of the nodes that the outputs need, and the outputs in it."""
         needed, stack = set(), list(outputs)
         while stack:
             index = stack.pop()
@@ -315,9 +316,9 @@ class Graph:
 
 
 def _needs(graph: Graph, op: str, x: tuple[int, ...], nodes: list[Node]) -> Iterator[tuple[Kind, int]]:
-    """Kinds and nodes of the conditions under which an operation is defined and, to first order, does not jump.
+    """Kinds and nodes of the conditions under which an operation and its first derivative are defined without a jump.
 
-    Where a root or an inverse is still defined but has no slope, at the end of its domain, it counts as not defined.
+    A root or inverse function counts as not defined at the end of its domain, where it has no derivative.
     """
 
     def number(value: float) -> int:
@@ -350,7 +351,7 @@ def _needs(graph: Graph, op: str, x: tuple[int, ...], nodes: list[Node]) -> Iter
             yield "decided", graph.apply("lt", x[0], number(0.0))
         case "tan":
             yield apart(graph.apply("cos", x[0]), number(0.0))
-        case "atan2":  # off its cut, the negative half-axis with the origin
+        case "atan2":  # away from its cut, the negative half-axis with the origin
             yield "true", graph.apply("or", graph.apply("lt", number(0.0), x[1]), apart(x[0], number(0.0))[1])
         case "pow":
             exponent = nodes[1].value if nodes[1].op == "constant" else None
@@ -365,5 +366,5 @@ def _needs(graph: Graph, op: str, x: tuple[int, ...], nodes: list[Node]) -> Iter
 
 
 def _no_number(value: float | bool | int | None, infinite: bool) -> bool:
-    """Whether a known value is none an operation can be applied to: NaN, and infinity where that is not allowed."""
+    """Whether a known value cannot be an argument of an operation: NaN, or infinity where that is not allowed."""
     return value is not None and not (math.isfinite(value) or (infinite and not math.isnan(value)))

@@ -1,13 +1,13 @@
-"""The interval reading of a graph: bounds on its values over whole boxes, which rounding does not spoil.
+"""Interval arithmetic for graphs: rigorous bounds on their values over whole boxes, including all rounding errors.
 
-The bounds hold for the real-number function that the graph stands for, its constants being the doubles they are.
-Trusted is IEEE 754 alone: + - × ÷ and the square root of doubles, rounded to the nearest. Every bound is moved outward
-by at least the error of its rounding: by a part in 2⁵³ of itself and, where products may underflow, by the smallest
+The bounds hold for the function of real numbers that the graph represents, with its constants exactly the doubles they
+are. They rely on IEEE 754 alone: + - × ÷ and the square root of doubles, rounded to nearest. Every bound is moved
+outward by at least its rounding error: by a part in 2⁵³ of itself and, where products may underflow, by the smallest
 normal double (S. M. Rump, P. Zimmermann, S. Boldo, G. Melquiond, Computing predecessor and successor in rounding to
 nearest, BIT 49, 2009).
 
-A bound that is NaN says nothing. Where a function is not defined on all of a box, as the root of a negative number,
-both bounds are NaN, and stay so through every operation; comparisons with them are undecided.
+A bound that is NaN gives no information. Where a function is not defined on all of a box, such as the root of a
+negative number, both bounds are NaN and remain so through every operation; comparisons with them are undecided.
 """
 
 from collections.abc import Callable
@@ -22,15 +22,15 @@ from covariant.lowering._read import Domain
 STEP = 3 * 2.0**-54
 """A relative step outward: c ± STEP·|c|, in doubles, is a neighbour of c or beyond it.
 
-Half a unit in the last place of c is at most 2⁻⁵³|c|; the margin makes the sum round away from c. That holds for
-subnormal c too, down to those whose unit is the smallest double, where sums are exact.
+Half a unit in the last place of c is at most 2⁻⁵³|c|; the margin makes the sum round away from c. This also holds for
+subnormal c, down to those whose unit is the smallest double, where sums are exact.
 """
 SMALL = 2.0**-1000
-"""Results at least as large as this have not underflowed."""
+"""Results of at least this size have not underflowed."""
 BLOCK = 4096
-"""Boxes for which an elementary function is computed at once: its working arrays then stay in the cache."""
+"""Number of boxes for which an elementary function is computed at once: its working arrays then stay in the cache."""
 MOST_PRODUCTS = 32
-"""Powers up to this are products."""
+"""Largest exponent of a power that is computed as a product."""
 
 
 class Interval(NamedTuple):
@@ -41,7 +41,7 @@ class Interval(NamedTuple):
 
 
 class Truth(NamedTuple):
-    """What is known of a statement, for each box (B,): it must hold on all of it; it may hold somewhere in it."""
+    """What is known of a statement, for each box (B,): `must` if it holds everywhere on it, `may` if it may hold."""
 
     must: Any
     may: Any
@@ -53,7 +53,7 @@ def constant(value: float | bool | int) -> Interval | Truth:
     return Interval(np.float64(value), np.float64(value))
 
 
-# Rounding outward. The arrays that come in are new, and are changed in place.
+# Outward rounding. The argument is a new array, which is changed in place.
 
 
 def _down(c: Any) -> Any:
@@ -71,9 +71,9 @@ def _up(c: Any) -> Any:
 
 
 def _product_step(c: Any, inexact: Callable[[], Any]) -> Any:
-    """How far the bound c moves, a product or a quotient.
+    """Outward step of a bound c that is a product or a quotient.
 
-    Where some may have underflowed, `inexact` tells where c is not what it should be for that reason.
+    Where results may have underflowed, `inexact` tells which values of c differ from the exact ones because of that.
     """
     step = np.abs(c)
     underflows = not step.min() >= SMALL
@@ -86,7 +86,7 @@ def _product_step(c: Any, inexact: Callable[[], Any]) -> Any:
 def _product(low: Any, high: Any, a: Interval, b: Interval) -> Interval:
     """Bounds moved outward from the extreme products, or quotients, of the bounds of a and b.
 
-    A zero is one that underflowed only where the signs of a and b allow what is beyond it.
+    A zero may be an underflowed product only where the signs of a and b permit a nonzero one.
     """
     below = _product_step(low, lambda: (low != 0) | (a.low < 0) & (b.high > 0) | (a.high > 0) & (b.low < 0))
     above = _product_step(high, lambda: (high != 0) | (a.low < 0) & (b.low < 0) | (a.high > 0) & (b.high > 0))
@@ -127,7 +127,7 @@ def mul(a: Interval, b: Interval) -> Interval:
 def _extremes(operation: np.ufunc, a: Interval, b: Interval) -> Interval:
     """Bounds of products or quotients: their extremes are at the ends of a and b."""
     low, other = operation(a.low, b.low), operation(a.low, b.high)
-    own = isinstance(low, np.ndarray)  # and may be changed in place
+    own = isinstance(low, np.ndarray)  # a new array, which may be changed in place
     high = np.maximum(low, other)
     low = np.minimum(low, other, out=low if own else None)
     for end in b:
@@ -165,7 +165,7 @@ def div(a: Interval, b: Interval) -> Interval:
 
 
 def where(defined: Any, a: Interval) -> Interval:
-    """The interval where the function is defined, nothing known elsewhere."""
+    """The interval where the function is defined, NaN bounds elsewhere."""
     if np.all(defined):
         return a
     return Interval(np.where(defined, a.low, np.nan), np.where(defined, a.high, np.nan))
@@ -193,7 +193,7 @@ def sqrt(a: Interval) -> Interval:
 
 
 def _elementary_of(bounds: Callable) -> Callable:
-    """An operation on intervals from one on bounds, done block by block, so that what it needs stays at hand."""
+    """An operation on intervals from one on bounds, applied block by block, so that its arrays stay in the cache."""
 
     def apply(*arguments: Interval) -> Interval:
         ends = np.broadcast_arrays(*(end for a in arguments for end in a))
@@ -210,7 +210,7 @@ _ELEMENTARY = {op: _elementary_of(bounds) for op, bounds in ELEMENTARY.items()}
 
 
 def power(a: Interval, b: Interval) -> Interval:
-    """Products and roots for whole and half exponents that are numbers; by the logarithm, for a ≥ 0, otherwise."""
+    """Products and roots for constant exponents that are multiples of ½; otherwise by the logarithm, for a ≥ 0."""
     if _is_number(b) and (2 * b.low).is_integer() and abs(b.low) <= MOST_PRODUCTS:
         whole = b.low.is_integer()
         found = _product_of_many(a if whole else sqrt(a), int(abs(b.low if whole else 2 * b.low)))
@@ -219,7 +219,7 @@ def power(a: Interval, b: Interval) -> Interval:
 
 
 def _product_of_many(a: Interval, count: int) -> Interval:
-    """aᶜᵒᵘⁿᵗ, by squaring."""
+    """aᶜᵒᵘⁿᵗ, by repeated squaring."""
     result = Interval(1.0 + 0.0 * a.low, 1.0 + 0.0 * a.high)
     while count:
         result = mul(result, a) if count % 2 else result
@@ -229,7 +229,7 @@ def _product_of_many(a: Interval, count: int) -> Interval:
 
 
 def _stepwise(function: Callable) -> Callable:
-    """A function that is constant between its jumps, and does not decrease."""
+    """A non-decreasing function that is constant between its jumps."""
     return lambda a: Interval(function(a.low), function(a.high))
 
 
@@ -237,7 +237,7 @@ def _stepwise(function: Callable) -> Callable:
 
 
 def as_number(a: Interval | Truth) -> Interval:
-    """A truth as a number, 0 or 1."""
+    """A truth value as a number, 0 or 1."""
     return Interval(np.float64(a.must), np.float64(a.may)) if isinstance(a, Truth) else a
 
 
@@ -253,7 +253,7 @@ def le(a: Interval | Truth, b: Interval | Truth) -> Truth:
 
 def eq(a: Interval | Truth, b: Interval | Truth) -> Truth:
     a, b = as_number(a), as_number(b)
-    if a is b:  # how a missing (NaN) measurement is asked for: a number is itself, where it is defined
+    if a is b:  # the usual test for a missing (NaN) measurement: a number equals itself where it is defined
         defined = ~(np.isnan(a.low) & np.isnan(a.high))
         return Truth(defined, np.ones_like(defined))
     return Truth((a.high <= b.low) & (b.high <= a.low), ~((a.high < b.low) | (b.high < a.low)))
@@ -277,7 +277,7 @@ def is_finite(a: Interval) -> Truth:
 
 
 def select(p: Truth, a: Any, b: Any) -> Any:
-    """Values of a where p must hold, of b where it cannot, and of both where it is undecided."""
+    """Values of a where p must hold, of b where it cannot, and the hull of both where it is undecided."""
     if isinstance(a, Truth):
         return either(both(a, b), either(both(p, a), both(opposite(p), b)))
     chosen = Interval(np.where(p.must, a.low, b.low), np.where(p.must, a.high, b.high))
@@ -289,7 +289,7 @@ def select(p: Truth, a: Any, b: Any) -> Any:
 
 
 def kinked(a: Interval, b: Interval, x: Interval, y: Interval) -> Interval:
-    """A slope: x where a < b, y where b < a, and all between them where a and b may meet."""
+    """A derivative at a kink: x where a < b, y where b < a, and the hull of both where a and b may be equal."""
     return select(Truth(a.high < b.low, ~(a.low > b.high)), x, y)
 
 
@@ -325,4 +325,4 @@ INTERVALS: Domain = {
     **_ELEMENTARY,
     "pow": power,
 }
-"""Intervals, whole batches of them. Predicates are `Truth`."""
+"""Each operation on intervals, for whole batches of boxes; statements are of the type `Truth`."""

@@ -1,4 +1,4 @@
-"""A lowered function: its graph of scalars, where its results are in it, and where it is defined."""
+"""A lowered function: its graph of scalars, the nodes of its results, and the conditions of its domain."""
 
 import itertools
 import math
@@ -13,15 +13,15 @@ from covariant.lowering._graph import Condition, Graph
 
 
 class LoweringError(NotImplementedError):
-    """A function that cannot be written as a graph of scalars: which operation, and why."""
+    """A function that cannot be written as a graph of scalars; the message names the operation and the reason."""
 
 
 class Lowered(NamedTuple):
     """A function as a graph.
 
     - `arguments`: shapes of the leaves of the arguments, whose entries are the inputs, in order.
-    - `outputs`: nodes of the entries of the results; `results`, `tree`: their leaves, and how these hang together.
-    - `conditions`: where the function is defined and does not jump, if it was asked for as one of real numbers.
+    - `outputs`: nodes of the entries of the results; `results`, `tree`: the leaves of the results, and their pytree.
+    - `conditions`: where the function is defined and does not jump; None unless it was lowered with `real=True`.
     """
 
     graph: Graph
@@ -37,13 +37,13 @@ class Lowered(NamedTuple):
         return sum(math.prod(shape) for shape in self.arguments)
 
     def nodes(self) -> Any:
-        """The function's result with the nodes in the places of their values."""
+        """The result of the function, with nodes in place of values."""
         left = iter(self.outputs)
         leaves = [np.array([next(left) for _ in range(leaf.size)], int).reshape(leaf.shape) for leaf in self.results]
         return jax.tree.unflatten(self.tree, leaves)
 
     def rebuild(self, values: Sequence[np.ndarray]) -> Any:
-        """The function's result from the values of the outputs, arrays of one batch shape (...)."""
+        """The result of the function from the values of the outputs, arrays of one batch shape (...)."""
         left = iter(values)
         leaves = []
         for leaf in self.results:
@@ -54,7 +54,7 @@ class Lowered(NamedTuple):
 
 
 class Conditions(NamedTuple):
-    """What must be so wherever a function is defined and does not jump: a graph of its own, and what its nodes mean."""
+    """Conditions under which a function is defined and does not jump: a graph of their own, and what its nodes mean."""
 
     graph: Graph
     conditions: tuple[Condition, ...]
@@ -62,7 +62,7 @@ class Conditions(NamedTuple):
 
     @classmethod
     def of(cls, graph: Graph, conditions: Sequence[Condition], inputs: int) -> "Conditions":
-        """These conditions on nodes of a graph, without what they do not need of it."""
+        """Conditions on nodes of a graph, with only the part of the graph that they need."""
         small, places = graph.pruned([condition.node for condition in conditions])
         noted = tuple(c._replace(node=place) for c, place in zip(conditions, places, strict=True))
         return cls(small, noted, inputs)

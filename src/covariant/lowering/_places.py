@@ -1,7 +1,7 @@
-"""Entries that are moved to places, or taken from them: slices, gathers and scatters of arrays of nodes.
+"""Slices, gathers and scatters of arrays of nodes: entries moved to or taken from given places.
 
-Where the places are known numbers, the primitive itself moves the indices of the nodes. Where the arguments decide them
-the result is a choice between all places that they may name, if these are few.
+Where the places are known numbers, the primitive itself is applied to the indices of the nodes. Where they depend on
+the arguments, the result is a choice between all possible places, if these are few.
 """
 
 import itertools
@@ -16,11 +16,11 @@ from covariant.lowering._arrays import Scalars, Value, Writer, nodes_of
 from covariant.lowering._lowered import LoweringError
 
 MOST_PLACES = 64
-"""Places that an index which depends on the arguments may have."""
+"""Largest number of possible places for an index that depends on the arguments."""
 
 
 def at_places(write: Writer, eqn, values: list) -> list[Value]:
-    """A primitive that moves entries to or from places, or adds them there: known ones, or a choice of few."""
+    """A primitive that moves entries to or from places, or adds them there; the places are known, or one of few."""
     name = eqn.primitive.name
     move = _added if name == "scatter-add" else _moved
     where, ends = _places(name, eqn.params, [atom.aval.shape for atom in eqn.invars])
@@ -47,7 +47,7 @@ def at_places(write: Writer, eqn, values: list) -> list[Value]:
     count = math.prod(len(choice) for choice in choices)
     if not 0 < count <= MOST_PLACES:
         raise LoweringError(f"'{name}' at one of {count} places that the arguments decide has no graph of scalars")
-    if not (fills or drops):  # places out of bounds are brought back
+    if not (fills or drops):  # places out of bounds are clipped
         limits = [(write.graph.constant(0.0), write.graph.constant(end)) for end in largest]
         flat = [
             node if value is not None else write.graph.apply("min", write.graph.apply("max", node, low), high)
@@ -69,7 +69,7 @@ def at_places(write: Writer, eqn, values: list) -> list[Value]:
 
 
 def _places(name: str, p: dict, shapes: Sequence[tuple[int, ...]]) -> tuple[range, list[int]]:
-    """Which arguments say where, and how far each of their numbers (the last axis of one) may go."""
+    """The arguments that hold places, and the largest value of each of their numbers (along the last axis of one)."""
     operand = shapes[0]
     if name == "dynamic_slice":
         return range(1, len(shapes)), [a - b for a, b in zip(operand, p["slice_sizes"], strict=True)]
@@ -84,11 +84,11 @@ def _places(name: str, p: dict, shapes: Sequence[tuple[int, ...]]) -> tuple[rang
 
 
 def _moved(write: Writer, eqn, arguments: list[np.ndarray]) -> np.ndarray:
-    """Nodes moved by the primitive itself, which does not care what the numbers stand for."""
+    """Nodes moved by the primitive itself, applied to their indices."""
     parameters = dict(eqn.params) | ({"fill_value": -1} if eqn.primitive.name == "gather" else {})
     with jax.ensure_compile_time_eval():
         ids = np.array(eqn.primitive.bind(*map(jnp.asarray, arguments), **parameters))
-    ids[ids < 0] = write.graph.constant(float("nan"))  # what a gather out of bounds is filled with
+    ids[ids < 0] = write.graph.constant(float("nan"))  # the value of a gather out of bounds
     return ids
 
 
@@ -96,7 +96,7 @@ def _added(write: Writer, eqn, arguments: list[np.ndarray]) -> np.ndarray:
     operand, places, updates = arguments
     total = operand.ravel().copy()
     for k, node in enumerate(updates.ravel().tolist()):
-        # Where one update goes is found by letting it alone be one.
+        # The place of an update is found by applying the primitive to a one in its position, and zeros elsewhere.
         one = np.zeros(updates.size)
         one[k] = 1.0
         with jax.ensure_compile_time_eval():

@@ -1,12 +1,13 @@
 """Elementary functions at points, from sums, products, quotients and roots alone, with errors proved beforehand.
 
-No library's values are trusted. The argument is reduced without error, or with its error carried along; the Taylor
+No values of a library are trusted. The argument is reduced without error, or with an error that is kept; the Taylor
 polynomial of the reduced function has a remainder known in closed form; and every operation rounds by at most a part
 u = 2⁻⁵³ of its result (N. J. Higham, Accuracy and Stability of Numerical Algorithms, 2002, chapter 5). `UNITS` states
-how many u that comes to in all: the first-order analysis is carried out by a machine in the tests of this room. The
-reductions are those of J.-M. Muller, Elementary Functions, 2016.
+the total error in u; its first-order analysis is carried out automatically in the tests of this package. The reductions
+are those of J.-M. Muller, Elementary Functions, 2016.
 
-Trusted besides IEEE arithmetic is what is exact: comparisons, and moving bits. Arguments are arrays (...).
+Besides IEEE arithmetic only exact operations are trusted: comparisons and operations on bits. Arguments are arrays
+(...).
 """
 
 import math
@@ -18,7 +19,7 @@ import numpy as np
 U = 2.0**-53
 """The largest relative error of one rounding."""
 MAGIC = 1.5 * 2.0**52
-"""Added to a number well below 2⁵¹, leaves the nearest whole number in its last bits."""
+"""Added to a number well below 2⁵¹, it puts the nearest integer into the last bits of the sum."""
 
 UNITS = {
     "exp": 2.5,
@@ -40,14 +41,14 @@ UNITS = {
     "cos": 2.75,
     "tan": 6.0,
 }
-"""Relative errors in u, apart from results that underflow, and from what is left of the reduction modulo π/2."""
+"""Relative errors in u, except for results that underflow, and without the error of the reduction modulo π/2."""
 
 
 def _words(*words: str) -> list[float]:
     return [float.fromhex(f"0x{word}") for word in words]
 
 
-# Constants in words of a few bits, whose products with whole numbers of 11 or 20 bits are exact; the last one has 53.
+# Constants split into words of a few bits, whose products with integers of 11 or 20 bits are exact; the last has 53.
 LN2_HIGH, LN2_LOW = _words("1.62e42fefa38p-1", "1.ef35793c7673p-45")
 QUARTER_HIGH, QUARTER_MIDDLE, QUARTER_LOW = _words("1.921fb544p+0", "1.0b4611a6p-34", "1.3198a2e037073p-69")
 HALF_PI_HIGH, HALF_PI_LOW = _words("1.921fb54442d18p+0", "1.1a62633145c07p-54")
@@ -55,14 +56,14 @@ _UNUSED = (math.nan,) * 3
 ATAN_HIGH = np.array(
     [*_words("0p+0", "1.f5b75f92c80ddp-3", "1.dac670561bb4fp-2", "1.4978fa3269ee1p-1", "1.921fb54442d18p-1"), *_UNUSED]
 )
-"""Arc tangents of 0, ¼, ½, ¾ and 1, to the nearest double; then what NaN is looked up as."""
+"""Arc tangents of 0, ¼, ½, ¾ and 1, to the nearest double; the remaining entries are for the index of NaN."""
 ATAN_LOW = np.array(
     [
         *_words("0p+0", "1.8ab6e3cf7afbdp-57", "1.a2b7f222f65e2p-56", "1.2419a87f2a458p-56", "1.1a62633145c07p-55"),
         *_UNUSED,
     ]
 )
-"""What is left of them."""
+"""Differences of the exact values from `ATAN_HIGH`."""
 
 # Taylor coefficients, highest power first.
 EXP = [1 / math.factorial(n) for n in range(13, 1, -1)]
@@ -78,7 +79,7 @@ ATAN = [(-1) ** i / (2 * i + 3) for i in range(9, -1, -1)]
 
 
 def horner(coefficients: Sequence[float], x: Any) -> Any:
-    """A polynomial from its coefficients, highest power first."""
+    """A polynomial by Horner's rule, from its coefficients, highest power first."""
     total = x * coefficients[0]
     total += coefficients[1]
     for coefficient in coefficients[2:]:
@@ -88,7 +89,7 @@ def horner(coefficients: Sequence[float], x: Any) -> Any:
 
 
 def whole(x: Any) -> tuple[Any, Any]:
-    """The nearest whole number, as a double and in the last bits of an integer."""
+    """The nearest integer, as a double and in the last bits of an int64."""
     shifted = x + MAGIC
     return shifted - MAGIC, shifted.view(np.int64)
 
@@ -99,7 +100,7 @@ def _power_of_two(bits: Any) -> Any:
 
 
 def _scaled(x: Any, k: Any) -> Any:
-    """x·2ᵏ for whole |k| ≤ 2000: in two products, of which one may underflow, or overflow."""
+    """x·2ᵏ for integers |k| ≤ 2000, as two products, of which one may underflow or overflow."""
     half, bits = whole(0.5 * k)
     return x * _power_of_two(bits) * _power_of_two(whole(k - half)[1])
 
@@ -119,7 +120,7 @@ def _exp_parts(x: Any, rest: Any = None) -> tuple[Any, Any]:
 
 
 def exp(x: Any, shift: float = 0.0, rest: Any = None) -> Any:
-    """exp(x + rest) · 2ˢʰⁱᶠᵗ, infinite where it overflows; the rest is below a unit in the last place of x."""
+    """exp(x + rest) · 2ˢʰⁱᶠᵗ, infinite where it overflows; `rest` is below a unit in the last place of x."""
     k, q = _exp_parts(np.minimum(np.maximum(x, -746.0), 712.0), rest)
     return _scaled(1.0 + q, k + shift)
 
@@ -131,9 +132,9 @@ def expm1(x: Any) -> Any:
 
 
 def sinh(x: Any) -> Any:
-    """(q + q/(q + 1))/2 for q = exp |x| - 1, or half of the exponential function, for |x| > 20.
+    """(q + q/(q + 1))/2 for q = exp |x| - 1, or half the exponential for |x| > 20.
 
-    An error of q is not magnified, as q d/dq of the logarithm of this is at most 1.
+    It does not magnify a relative error of q, since q d/dq of its logarithm is at most 1.
     """
     size = np.abs(x)
     q = expm1(np.minimum(size, 20.0))
@@ -146,7 +147,7 @@ def cosh(x: Any) -> Any:
 
 
 def tanh(x: Any) -> Any:
-    """q/(q + 2) for q = exp 2|x| - 1, whose errors are not magnified. From |x| = 22 on it is 1 to within u/4."""
+    """q/(q + 2) for q = exp 2|x| - 1, which does not magnify relative errors. For |x| ≥ 22 it is 1 to within u/4."""
     q = expm1(2.0 * np.minimum(np.abs(x), 22.0))
     return np.copysign(q / (q + 2.0), x)
 
@@ -165,7 +166,7 @@ def log_tail(f: Any) -> Any:
 
 
 def _mantissa(x: Any) -> tuple[Any, Any]:
-    """k and m - 1 of a positive number, both exact."""
+    """k and m - 1 of a positive number x = 2ᵏ m, both exact."""
     low = x < 2.0**-1022
     if low.any():
         x = np.where(low, x * 2.0**54, x)
@@ -182,7 +183,7 @@ def log(x: Any, shift: float = 0.0) -> Any:
 
 
 def log1p(x: Any) -> Any:
-    """log(1 + x). What the sum 1 + x rounds off is known exactly; divided by 1 + x, it is added."""
+    """log(1 + x). The rounding error of the sum 1 + x is known exactly; divided by 1 + x, it is added."""
     total = 1.0 + x
     k, f = _mantissa(total)
     near = (x > -0.2928) & (x < 0.4142)
@@ -203,7 +204,7 @@ def _at_ends(x: Any, value: Any) -> Any:
 
 
 def log_parts(x: Any) -> tuple[Any, Any, Any]:
-    """The logarithm of a positive number as the sum of two doubles, and a bound on what they lack."""
+    """The logarithm of a positive number as the sum of two doubles, and a bound on the error of this sum."""
     k, f = _mantissa(x)
     tail = log_tail(f) - k * LN2_LOW
     first = k * LN2_HIGH
@@ -224,14 +225,14 @@ def power(parts: tuple[Any, Any, Any], y: Any) -> tuple[Any, Any]:
 
 
 def _product(a: Any, b: Any) -> tuple[Any, Any]:
-    """a·b rounded, and what that lost, exactly (T. J. Dekker, Numerische Mathematik 18, 1971)."""
+    """a·b rounded, and its rounding error, exactly (T. J. Dekker, Numerische Mathematik 18, 1971)."""
     product = a * b
     (a, c), (b, d) = _halves(a), _halves(b)
     return product, ((a * b - product) + a * d + c * b) + c * d
 
 
 def _halves(a: Any) -> tuple[Any, Any]:
-    """The sum of two numbers of 26 bits."""
+    """A number as the sum of two numbers of 26 bits."""
     c = (2.0**27 + 1) * a
     high = c - (c - a)
     return high, a - high
@@ -270,7 +271,7 @@ def atan_reduced(t: Any, c: Any, high: Any, low: Any) -> Any:
 
 
 def from_axis(theta: Any, turns: int) -> Any:
-    """The angle of so many quarter turns, less theta."""
+    """`turns` quarter turns minus theta."""
     return turns * HALF_PI_HIGH - (theta - turns * HALF_PI_LOW)
 
 
@@ -307,9 +308,9 @@ def acos(x: Any) -> Any:
 # Trigonometric functions. x = k π/2 + r with |r| ≤ 0.7854.
 
 MOST_QUARTERS = 2.0**20
-"""Quarter turns an argument may have: of more the words of π/2 do not know enough."""
+"""Largest number of quarter turns in an argument: for more, the words of π/2 have too few bits."""
 QUARTER_ERROR = 2.0**-119
-"""Error of the reduced argument, for each quarter turn."""
+"""Error of the reduced argument for each quarter turn."""
 
 
 def quarters(x: Any) -> tuple[Any, Any, Any, Any]:

@@ -1,7 +1,7 @@
-"""What each of JAX's primitives is in scalars: the rules by which a jaxpr becomes a graph.
+"""The rules by which a jaxpr becomes a graph: each of JAX's primitives as operations on scalars.
 
 Every rule takes a `Writer`, an equation of the jaxpr and the values of its inputs, at least one of which depends on the
-arguments of the function, and returns the values of its outputs.
+arguments of the function, and returns the values of the outputs.
 """
 
 import functools
@@ -34,7 +34,7 @@ def _of_ids(write: Writer, eqn, values: list, move: Callable[..., np.ndarray]) -
 
 
 def _moves(move: Callable[..., np.ndarray]) -> Rule:
-    """A primitive that only moves entries: `move(parameters, *ids)` does it with the indices of the nodes."""
+    """A primitive that only moves entries; `move(parameters, *ids)` does it with the indices of the nodes."""
     return lambda write, eqn, values: _of_ids(write, eqn, values, functools.partial(move, eqn.params))
 
 
@@ -51,7 +51,7 @@ def _slice(p: dict, ids: np.ndarray) -> np.ndarray:
 
 
 def _extreme(comparison: Callable[[Graph, int, int], int]) -> Rule:
-    """The place of the first largest or smallest entry."""
+    """The index of the first largest or smallest entry."""
 
     def rule(write: Writer, eqn, values: list) -> list[Value]:
         (axis,) = eqn.params["axes"]
@@ -123,7 +123,7 @@ def _integer_pow(write: Writer, eqn, values: list) -> list[Value]:
 
 
 def _turned(op: str, negate: bool = False) -> Rule:
-    """A comparison with its sides exchanged, or denied."""
+    """A comparison with its sides exchanged, or negated."""
 
     def rule(write: Writer, eqn, values: list) -> list[Value]:
         found = write.map(op, *(values if negate else values[::-1]))
@@ -156,7 +156,7 @@ def _convert(write: Writer, eqn, values: list) -> list[Value]:
     if kinds == [jnp.floating, jnp.integer]:  # towards zero
         negative = write.map("lt", values[0], np.array(0.0))
         return [write.map("select", negative, write.map("ceil", values[0]), write.map("floor", values[0]))]
-    if kinds == [jnp.integer, jnp.floating] and write.graph.real:  # of which it must be able to tell each
+    if kinds == [jnp.integer, jnp.floating] and write.graph.real:  # the type must represent each integer exactly
         write.within(values[0], *(sign * 2.0 ** (jnp.finfo(target).nmant + 1) for sign in (-1, 1)))
     if kinds[1] == jnp.bool_ and kinds[0] != jnp.bool_:
         return [write.map("not", write.map("eq", values[0], np.array(0.0)))]
@@ -185,7 +185,7 @@ _ENTRYWISE = (
     "atan2 sinh cosh tanh asinh acosh atanh lt le eq and or not is_finite"
 )
 NOT_ON_INTEGERS = {"div", "pow", "and", "or", "not", "reduce_and", "reduce_or"}
-"""Primitives that round on integers, or work on their bits."""
+"""Primitives that round on integers, or act on their bits."""
 RULES: dict[str, Rule] = {
     **{name: _entrywise(name) for name in _ENTRYWISE.split()},
     "add_any": _entrywise("add"),
@@ -235,4 +235,4 @@ RULES: dict[str, Rule] = {
     "cummax": _cumulative("max"),
     "cummin": _cumulative("min"),
 }
-"""What each primitive is in scalars."""
+"""The rule of each primitive."""

@@ -1,4 +1,4 @@
-"""Readings of a graph: the same operations in another arithmetic."""
+"""Evaluation of a graph in any arithmetic that has its operations."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -10,16 +10,16 @@ from covariant.lowering._graph import FOLD, Graph
 from covariant.lowering._lowered import Lowered
 
 Domain = Mapping[str, Callable[..., Any]]
-"""An arithmetic: what each operation of `FOLD` is in it, and `constant`, which takes a number or truth value in."""
+"""An arithmetic: a function for each operation of `FOLD`, and `constant`, which converts a number or truth value."""
 
 NUMBERS: Domain = {"constant": lambda value: value, **FOLD}
-"""Numbers, and NumPy arrays of them: a whole batch goes through the graph at once."""
+"""Numbers, and NumPy arrays of them, with which a whole batch is evaluated at once."""
 
 
 def evaluate(lowered: Lowered, domain: Domain, inputs: Sequence[Any]) -> list[Any]:
-    """Values of the outputs for values of the inputs, all in the domain.
+    """Values of the outputs for given values of the inputs, all in the arithmetic `domain`.
 
-    Raises `ValueError` for another number of inputs than the graph has.
+    Raises `ValueError` where the number of inputs is not that of the graph.
     """
     if len(inputs) != lowered.inputs:
         raise ValueError(f"the graph has {lowered.inputs} inputs; got {len(inputs)}")
@@ -27,7 +27,7 @@ def evaluate(lowered: Lowered, domain: Domain, inputs: Sequence[Any]) -> list[An
 
 
 def evaluate_nodes(graph: Graph, outputs: Sequence[int], domain: Domain, inputs: Sequence[Any]) -> list[Any]:
-    """Values of some nodes of a graph. A value is let go after its last use, so that large batches fit."""
+    """Values of some nodes of a graph. Each is released after its last use, so that large batches fit in memory."""
     nodes = graph.nodes
     last = [-1] * len(nodes)
     for i, node in enumerate(nodes):
@@ -50,9 +50,9 @@ def evaluate_nodes(graph: Graph, outputs: Sequence[int], domain: Domain, inputs:
 
 
 def numbers(lowered: Lowered, *arguments: Any) -> Any:
-    """The function's result in double precision, for arguments with leading batch axes (...) that all share.
+    """The function's result in double precision, for arguments with common leading batch axes (...).
 
-    Operations that are not defined somewhere give NaN or infinity there, as in NumPy, without a warning.
+    Operations that are undefined give NaN or infinity, as in NumPy, without a warning.
     """
     leaves = [np.asarray(leaf, float) for leaf in jax.tree.leaves(arguments)]
     inputs = [entry for leaf, shape in zip(leaves, lowered.arguments, strict=True) for entry in _entries(leaf, shape)]
@@ -63,6 +63,6 @@ def numbers(lowered: Lowered, *arguments: Any) -> Any:
 
 
 def _entries(leaf: np.ndarray, shape: tuple[int, ...]) -> list[np.ndarray]:
-    """Scalars of a leaf, each with its batch axes."""
+    """The scalars of a leaf, each with its batch axes."""
     batch = leaf.shape[: leaf.ndim - len(shape)]
     return [np.asarray(entry) for entry in np.moveaxis(leaf.reshape(*batch, -1), -1, 0)]

@@ -1,8 +1,9 @@
-"""Stumpff's functions: what is 0/0 at small angles, as one operation of a graph instead of a branch.
+"""Stumpff's functions, the coefficients that are 0/0 at angle zero, as one operation of a graph without a branch.
 
-A JAX primitive, so that a graph knows it by identity and not by how it is computed: its two branches, a series near
-zero and a closed form beyond, agree to rounding only, and a branch that a box leaves open proves nothing. As a real
-function it is entire, falls on [0, π²], and its derivative is made of its own kind.
+They are a JAX primitive, so that a graph knows them as an operation and not by their computation. The computation has
+two branches, a series near zero and a closed form beyond, which agree only to rounding; in intervals a branch that is
+undecided on a box would prove nothing. As functions of real numbers they are entire, decrease on [0, π²], and their
+derivatives are again Stumpff's functions.
 
 Source: Stiefel & Scheifele 1971, Linear and Regular Celestial Mechanics, section 11.
 """
@@ -22,16 +23,13 @@ from covariant._typing import Scalar
 
 U = 2.0**-53
 TERMS = 24
-"""Of the series: what is left out is below 10⁻³⁶ of the first term, for x up to π²."""
+"""Number of terms of the series: the remainder is below 10⁻³⁶ of the first term, for x up to π²."""
 FALLS_UNTIL = 9.869
-"""A little below π²."""
+"""A number slightly below π²."""
 
 
 def stumpff(k: int, x: Scalar) -> Scalar:
-    """`c_k(x) = Σ_j (−x)^j / (2j + k)!`, x = θ² ≥ 0.
-
-    c₀ = cos θ, c₁ = sin θ / θ, c₂ = (1 − cos θ)/θ², c₃ = (θ − sin θ)/θ³, and so on; c_k' = (k c_{k+2} − c_{k+1})/2.
-    """
+    """Stumpff's function `c_k(x) = Σ_j (−x)^j / (2j + k)!`, x = θ² ≥ 0."""
     return STUMPFF.bind(jnp.asarray(x), k=int(k))
 
 
@@ -42,8 +40,8 @@ STUMPFF.def_abstract_eval(lambda x, *, k: ShapedArray(x.shape, x.dtype))
 @STUMPFF.def_impl
 @functools.partial(jax.jit, static_argnames="k")
 def _values(x, *, k: int):
-    # From c₃ on the closed forms cancel below k(k − 1), where the terms of the series decrease. For k below 3 the
-    # closed form would do from 1 on.
+    # From c₃ on the closed forms lose digits below k(k − 1), where the terms of the series decrease. For k below 3 the
+    # closed form is accurate from 1 on.
     threshold = max(1.0, k * (k - 1.0))
     small = x < threshold
     near, far = jnp.asarray(jnp.where(small, x, 0.0)), jnp.asarray(jnp.where(small, threshold, x))
@@ -80,7 +78,7 @@ def _closed(k: int, x: Scalar) -> Scalar:
 
 
 def values(k: Any, x: Any) -> Any:
-    """c_k at numbers, by NumPy."""
+    """Values of c_k at numbers, by NumPy."""
     x = np.asarray(x, float)
     near = _horner(int(k), np.clip(x, 0.0, FALLS_UNTIL), -1.0)
     safe = np.maximum(x, FALLS_UNTIL)
@@ -92,10 +90,11 @@ def values(k: Any, x: Any) -> Any:
 
 
 def bounds(k: int, low: Any, high: Any) -> tuple[Any, Any]:
-    """Bounds of c_k from bounds of x (B,): it falls until π², and is nowhere beyond ±1/k!. NaN where x may be negative.
+    """Bounds of c_k from bounds of x (B,), or NaN where x may be negative.
 
-    The sum is off by a part 3·TERMS·u of that of the absolute terms (N. J. Higham, Accuracy and Stability of Numerical
-    Algorithms, 2002, section 5.1), the last one of which is added for those left out.
+    It decreases until π², and is nowhere beyond ±1/k!. The relative error of the sum is at most 3·TERMS·u of the sum of
+    the absolute terms (N. J. Higham, Accuracy and Stability of Numerical Algorithms, 2002, section 5.1); the last term
+    is added for those left out.
     """
     most = (1 / math.factorial(k)) * (1 + 4 * U)
     inside = (low >= 0) & (high <= FALLS_UNTIL)

@@ -1,8 +1,8 @@
-"""From a JAX function to its graph: the jaxpr interpreted over scalars, loops unrolled.
+"""From a JAX function to its graph: the jaxpr interpreted over scalars, with loops unrolled.
 
-Integers are whole real numbers: sums and products of them are exact, and operations that are not, such as a division
-that rounds, are refused by name, as is every primitive that is not known here. An entry taken at a place that the
-arguments decide becomes a choice between all entries it may be, where these are few. Nothing is guessed.
+Integers are treated as integral real numbers: their sums and products are exact. Operations that are not, such as an
+integer division, are refused by name, as is every primitive without a rule. An entry taken at a place that depends on
+the arguments becomes a choice between all entries it may be, where these are few. Nothing is guessed.
 """
 
 import functools
@@ -24,20 +24,20 @@ from covariant.lowering._lowered import Conditions, Lowered, LoweringError
 from covariant.lowering._primitives import NOT_ON_INTEGERS, RULES
 
 EXACT = 2.0**53
-"""Whole numbers below this are doubles, each of them."""
+"""All integers up to this one are doubles."""
 MOST_ITERATIONS = 100_000
-"""Iterations of a loop that is unrolled, before it counts as endless."""
+"""Largest number of iterations of a loop that is unrolled; a longer one is refused."""
 
 
 def lower(function: Callable, *arguments: Any, real: bool = False) -> Lowered:
     """The graph of a function of arrays of real numbers, at the shapes of the arguments (arrays, or their shapes).
 
-    Its operations are those of `covariant.lowering.FOLD`. With `real` all arguments are real numbers, none of them
-    missing (NaN), and the result has `conditions`: where the function is defined and does not jump, for everything that
-    it computes, whether a result needs it or not. What rounds by its nature, as a number made shorter, is then refused.
+    - `real`: all arguments are real numbers, none of them missing (NaN). The result then has `conditions`: where the
+      function is defined and does not jump, for everything that it computes, whether a result needs it or not. What
+      rounds by its nature, such as conversion to a shorter type, is refused.
 
-    Raises `LoweringError` naming the primitive that has no graph, such as a factorisation by LAPACK, or a loop whose
-    length depends on the arguments.
+    Its operations are those of `covariant.lowering.FOLD`. Raises `LoweringError` naming the primitive that has no
+    graph, such as a factorisation by LAPACK, or a loop whose length depends on the arguments.
     """
     closed, shape = jax.make_jaxpr(function, return_shape=True)(*arguments)
     graph, position = Graph(real), itertools.count()
@@ -57,7 +57,7 @@ def lower(function: Callable, *arguments: Any, real: bool = False) -> Lowered:
 
 
 def graft(graph: Graph, function: Callable, *arguments: np.ndarray) -> np.ndarray:
-    """The nodes of a function's result, an array, whose arguments are nodes of a graph, which grows by it."""
+    """Add a function of nodes of a graph to this graph, and return the nodes of its result, an array."""
     shapes = [jax.ShapeDtypeStruct(ids.shape, jnp.float64) for ids in arguments]
     closed = jax.make_jaxpr(function)(*shapes)
     (result,) = _Interpreter(graph).run(closed.jaxpr, closed.consts, [Scalars(ids) for ids in arguments])
@@ -65,7 +65,7 @@ def graft(graph: Graph, function: Callable, *arguments: np.ndarray) -> np.ndarra
 
 
 def substitute(graph: Graph, nodes: Sequence[int], into: Graph, inputs: Mapping[int, int]) -> list[int]:
-    """The nodes of a graph, its inputs having become nodes of another graph, which grows by them."""
+    """Nodes of a graph copied into another graph, with given nodes there in place of the inputs."""
     small, outputs = graph.pruned(nodes)
     place: list[int] = []
     for node in small.nodes:
@@ -79,13 +79,13 @@ def substitute(graph: Graph, nodes: Sequence[int], into: Graph, inputs: Mapping[
 
 
 class _Interpreter:
-    """Runs a jaxpr on arrays of nodes: what is known is computed, everything else is written into the graph."""
+    """Runs a jaxpr on arrays of nodes: what is known is computed, everything else is added to the graph."""
 
     def __init__(self, graph: Graph):
         self.graph, self.write = graph, Writer(graph)
 
     def run(self, jaxpr, consts: Sequence, inputs: Sequence[Value]) -> list[Value]:
-        """Values of a jaxpr's outputs."""
+        """Values of the outputs of a jaxpr."""
         known: dict = {}
 
         def read(atom) -> Value:
@@ -120,7 +120,7 @@ class _Interpreter:
         return RULES[name](self.write, eqn, values)
 
     def bounded(self, eqn, values: list[Value]) -> None:
-        """Note that whole numbers stay within their type, beyond which they would begin again at its other end."""
+        """Note the condition that integers stay within the range of their type, beyond which they would wrap around."""
         for atom, value in zip(eqn.outvars, values, strict=True):
             if isinstance(value, Scalars) and jnp.issubdtype(atom.aval.dtype, jnp.integer):
                 limits = jnp.iinfo(atom.aval.dtype)
@@ -166,7 +166,7 @@ class _Interpreter:
 
 
 def _need_reals(eqn, real: bool) -> None:
-    """Refuse what makes of numbers something else, and where they are `real`, what makes them shorter."""
+    """Refuse operations whose results are not numbers and, with `real`, those that shorten numbers."""
     name, given = eqn.primitive.name, [atom.aval.dtype for atom in eqn.invars if hasattr(atom.aval, "dtype")]
     made = [atom.aval.dtype for atom in eqn.outvars if hasattr(atom.aval, "dtype")]
     for dtype in made:
@@ -178,7 +178,7 @@ def _need_reals(eqn, real: bool) -> None:
 
 
 def _line(eqn, outer: Callable[[], str]) -> str:
-    """Where in somebody's code an operation was asked for; in a function of JAX's, where that was."""
+    """The place in the user's code that asked for an operation; for a function inside JAX, that of its caller."""
     place, _, function = source_info_util.summarize(eqn.source_info).partition(" ")
     file, *rest = place.split(":")
     return f"at {':'.join([Path(file).name, *rest[:1]])} {function}".strip() if rest else outer()

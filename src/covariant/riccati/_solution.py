@@ -32,7 +32,7 @@ class Solution(NamedTuple):
     - `metric` (n, n): P; NaN where the result says that there is none.
     - `error_bound`: of the affine-invariant distance to the solution with an infinite past; see `Window.error_bound`.
     - `horizon`: length of the past that was used [s].
-    - `reconstructibility`: 0 … 1, smallest eigenvalue of W with its diagonal scaled to one; it does not depend on units.
+    - `reconstructibility`: 0 … 1, smallest eigenvalue of W with its diagonal scaled to one; independent of units.
     - `result`: a `covariant.signals.Result` code. With `LEFT_DOMAIN` and `ESCAPED` the metric is the solution that
       equals `start` where the past begins.
     """
@@ -171,7 +171,7 @@ def rate_from_gramian(
 
 
 def reconstructibility(gramian: Matrix) -> Scalar:
-    """Smallest eigenvalue of a Gramian (n, n) with its diagonal scaled to ones: 0 for an unobserved direction, up to 1."""
+    """Smallest eigenvalue of a Gramian (n, n) with its diagonal scaled to ones: 0 (an unobserved direction) … 1."""
     diagonal: Array = jnp.diagonal(gramian)
     scale = jnp.where(diagonal > 0, jax.lax.rsqrt(jnp.where(diagonal > 0, diagonal, 1.0)), 0.0)
     scaled = scale[:, None] * gramian * scale[None, :]
