@@ -1,4 +1,4 @@
-"""Statements about observers, each with its domain, its margin and its evidence: saved, read and checked again."""
+"""Certificates: statements about observers with domain, margin and evidence, which can be saved, read and checked."""
 
 from covariant.certificates._assumed import ASSUMED
 from covariant.certificates._cascade import CascadeCertificate, Constants, Growth, cascade

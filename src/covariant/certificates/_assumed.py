@@ -1,4 +1,4 @@
-"""What a certificate rests on that no machine has checked."""
+"""Assumptions of a certificate that are not checked by computation."""
 
 ASSUMED = (
     "the true motion solves the model, keeps to the region of positions, and to the bounds of velocities, inputs and "
@@ -13,4 +13,4 @@ ASSUMED = (
     "trusted are JAX's tracing, the description of the observer that prover and checker share, IEEE doubles in NumPy, "
     "+ − × ÷ √ and products of matrices, and what is argued on paper: Theorem 1, and contraction of Lipschitz flows",
 )
-"""Lines that `covariant certify --check` ends with."""
+"""The lines that `covariant certify --check` prints last."""

@@ -1,9 +1,9 @@
-"""Is a controller that is fed by an observer exponentially stable?
+"""Exponential stability of a controller that uses the estimate of an observer.
 
 The error e of the controlled plant obeys `e' = a(e, t) + b(e, x̃, t)`, where b vanishes with the observer's error x̃.
 With `c1|e|² ≤ V_con ≤ c2|e|²`, `V_con' ≤ −c3|e|²` along a, `|∂V_con/∂e| ≤ c4|e|`, `V_obs' ≤ −λ_q|x̃|²` and
-`|b| ≤ γ1|x̃| + γ2|e|`, Theorem 3 asks for γ1² < 4(c3 − c4γ2)λ_q/c4². Its function V_con + V_obs adds quantities of
-different units, so that the condition depends on them. With V_con + κV_obs and κ large enough, γ2 < c3/c4 suffices.
+`|b| ≤ γ1|x̃| + γ2|e|`, Theorem 3 requires γ1² < 4(c3 − c4γ2)λ_q/c4². Its function V_con + V_obs adds quantities of
+different units, so this condition depends on them. With V_con + κV_obs and κ large enough, γ2 < c3/c4 suffices.
 
 Source: Jouffroy & Fossen 2004, Theorem 3, equations (64)–(79).
 """
@@ -24,7 +24,7 @@ from covariant.certificates._subject import Subject
 from covariant.proofs import MOST_BOXES, Box, Form, as_form, check_box, prove
 
 Coupling = Callable[[Array], tuple[Array, Array]]
-"""`z -> (∂b/∂x̃ (n, k), ∂b/∂e (n, n))` over boxed variables z."""
+"""`z -> (∂b/∂x̃ (n, k), ∂b/∂e (n, n))`, a function of variables z in a box."""
 Evidence = Literal["sampled", "proved"]
 
 UNITS: Mapping[str, tuple[tuple[str, float], ...]] = {
@@ -33,11 +33,11 @@ UNITS: Mapping[str, tuple[tuple[str, float], ...]] = {
     "rad": (("deg", 180 / math.pi),),
     "s": (("ms", 1e3), ("h", 1 / 3600)),
 }
-"""Other units in which the printed condition is tried, and how many of them a unit is."""
+"""Other units in which the printed condition is tried: their names, and how many of them make one unit."""
 
 
 class Constants(NamedTuple):
-    """The constants of Theorem 3 over a set; `c1`, `c2` and `c4` of V_con, `c3` and `lambda_q` decay [1/s times V]."""
+    """The constants of Theorem 3 over a set: `c1`, `c2`, `c4` of V_con; `c3` and `lambda_q` are decay [1/s times V]."""
 
     c1: float
     c2: float
@@ -48,38 +48,40 @@ class Constants(NamedTuple):
     gamma2: float
 
     def with_mass(self, factor: float) -> "Constants":
-        """The same where V_con, an energy, is `factor` times as large in number."""
+        """The constants in a unit of mass in which V_con, an energy, has `factor` times its numerical value."""
         energies = {name: factor * getattr(self, name) for name in ("c1", "c2", "c3", "c4")}
         return self._replace(**energies)
 
     @property
     def bound(self) -> float:
-        """What γ1² must be below as printed, `4(c3 − c4γ2)λ_q/c4²`."""
+        """The upper bound of γ1² as printed, `4(c3 − c4γ2)λ_q/c4²`."""
         return 4 * (self.c3 - self.c4 * self.gamma2) * self.lambda_q / self.c4**2
 
     @property
     def printed(self) -> bool:
-        """Condition (72)."""
+        """Whether condition (72) holds as printed."""
         return bool(self.lambda_q > 0 and self.gamma2 < self.c3 / self.c4 and self.gamma1**2 < self.bound)
 
     @property
     def weighted(self) -> bool:
-        """The condition that remains with `V_con + κV_obs`."""
+        """Whether the weaker condition for `V_con + κV_obs` holds."""
         decay = self.lambda_q > 0 and self.c3 > 0 and self.gamma2 < self.c3 / self.c4
         return bool(decay and math.isfinite(self.gamma1))
 
     @property
     def kappa(self) -> float:
-        """The κ above which `V_con + κV_obs` decreases; infinite where none does."""
+        """The lower bound of the κ for which `V_con + κV_obs` decreases; infinite where there is no such κ."""
         if not self.weighted:
             return math.inf
         return (self.c4 * self.gamma1) ** 2 / (4 * self.lambda_q * (self.c3 - self.c4 * self.gamma2))
 
 
 class Growth(NamedTuple):
-    """A solution of the observer's error system, frozen where it is worst, that does not decay.
+    """A growing solution of the observer's error system, linearised and frozen at its worst point.
 
-    `t` (T,) [s], `error` (T, k), `rate` of growth [1/s], and `point`, the boxed variables by name.
+    - `t` (T,) [s], `error` (T, k): the solution.
+    - `rate`: of growth [1/s].
+    - `point`: values of the variables of the box, by name.
     """
 
     t: Float[np.ndarray, "T"]
@@ -89,13 +91,15 @@ class Growth(NamedTuple):
 
 
 class CascadeCertificate(NamedTuple):
-    """Whether the cascade is exponentially stable over a set, by either condition.
+    """Whether the cascade is exponentially stable over a set, by the printed and by the weighted condition.
 
-    - `verdict`: "holds" where the weighted condition does, "fails" where the observer's error can grow, else
-      "undecided": the conditions are sufficient. `printed`: whether (72) holds.
-    - `units`: what (72) says in other units, by name; `depends_on_units` where these differ.
-    - `constants`, with their `evidence`; `kappa`: a weight that makes `V_con + κV_obs` decrease.
-    - `growth`: where the observer's error can grow, how.
+    - `verdict`: "holds" where the weighted condition holds, "fails" where the observer's error can grow, else
+      "undecided", since the conditions are only sufficient.
+    - `printed`: whether (72) holds.
+    - `constants`: those of Theorem 3; `evidence`: how they were found.
+    - `units`: whether (72) holds in other units, by name; `depends_on_units` where the results differ.
+    - `growth`: a solution by which the observer's error grows, if it can.
+    - `kappa`: the lower bound of the weights with which `V_con + κV_obs` decreases.
     """
 
     verdict: Literal["holds", "fails", "undecided"]
@@ -142,19 +146,19 @@ def cascade(
     boxes: int = MOST_BOXES,
     seed: int = 0,
 ) -> CascadeCertificate:
-    """The constants of Theorem 3 over a set, and both verdicts.
+    """The constants of Theorem 3 over a set, and the verdicts of both conditions.
 
-    - `controller`: `e' = a(e, t)` with the metric P of `V_con = ½eᵀPe`, and the box of its variables.
-    - `observer`: its virtual system with the metric M of `V_obs = x̃ᵀMx̃`, as `virtual` makes it, and a box.
+    - `controller`: the system `e' = a(e, t)` with the metric P of `V_con = ½eᵀPe`, and the box of its variables.
+    - `observer`: its virtual system with the metric M of `V_obs = x̃ᵀMx̃`, as made by `virtual`, and a box.
     - `coupling`: Jacobians of b in x̃ and in e, and a box.
-    - `units`: of the entries of e and of x̃, such as "m" or "rad/s"; with them (72) is tried in other units as well, one
-      changed at a time. V_con is taken as an energy, which has a unit of mass; V_obs as it is, without.
-    - `proved`: prove every constant instead of sampling it, giving away 2 %; one that cannot be proved with `boxes` of
-      them leaves the verdict "undecided".
+    - `units`: units of the entries of e and of x̃, such as "m" or "rad/s"; with them (72) is also tried in other units,
+      of which one is changed at a time. V_con is taken as an energy, whose unit contains mass; V_obs as having none.
+    - `proved`: proves every constant instead of sampling it, with a margin of 2 %; a constant that cannot be proved
+      with `boxes` boxes leaves the verdict "undecided".
+    - `attempts`, `starts`, `seed`: sampled constants come from `attempts` random points and a descent from the `starts`
+      worst of these.
 
     All constants come from Jacobians, so they hold for finite errors within the boxes, by the mean-value theorem.
-    Sampled ones come from `attempts` random points and a descent from the `starts` worst.
-
     Raises `ValueError` for bounds that are not in order.
     """
     search = _Search(attempts, starts, seed, proved, boxes)
@@ -186,10 +190,11 @@ class _Search(NamedTuple):
 
 
 class _Form(NamedTuple):
-    """A symmetric matrix (n, n) of z whose smallest eigenvalue is wanted, in the units of the problem.
+    """A symmetric matrix (n, n) of z whose smallest eigenvalue is sought, in the units of the problem.
 
-    `matrix` is a function of z and the squares of the scales of e and of x̃, one after the other; `into` says whose
-    scales its vectors have. `graph` holds the squares of those scales and the negative matrix.
+    - `matrix`: a function of z, followed by the squares of the scales of e and of x̃.
+    - `into`: whether the scales of e or those of x̃ apply to its vectors.
+    - `graph`: the squares of these scales, and the negative of the matrix.
     """
 
     matrix: Form
@@ -199,7 +204,7 @@ class _Form(NamedTuple):
 
 
 def _sizes(coupling: tuple[Coupling, Box]) -> tuple[int, int]:
-    """Numbers of entries of e and of x̃."""
+    """Number of entries of e and of x̃."""
     shape = jax.eval_shape(coupling[0], jnp.asarray(coupling[1].low))[0].shape
     return shape[0], shape[1]
 
@@ -248,7 +253,7 @@ def _forms(controller, observer, coupling) -> dict[str, _Form]:
 
 
 def _constants(forms: dict[str, _Form], scales, search: _Search) -> tuple[Constants, np.ndarray]:
-    """The constants where e and x̃ are multiplied by `scales`; and where λ_q is attained."""
+    """The constants with e and x̃ multiplied by `scales`, and the point at which λ_q is attained."""
     found = {name: _least(form, scales, search) for name, form in forms.items()}
     small, large, c3, lambda_q, gamma1, gamma2 = (value for value, _ in found.values())
     return (
@@ -266,7 +271,7 @@ def _constants(forms: dict[str, _Form], scales, search: _Search) -> tuple[Consta
 
 
 def _least(form: _Form, scales, search: _Search) -> tuple[float, np.ndarray]:
-    """The smallest eigenvalue over the box, and where; where proved, a lower bound of it."""
+    """The smallest eigenvalue over the box, or where proved a lower bound of it, and the point found."""
     squares = [scale**2 for scale in scales]
     box, whole = form.box, _scaled(form.box, np.concatenate(squares))
     value, where = slowest(form.graph, whole, search.attempts, search.starts, search.seed)
@@ -280,12 +285,12 @@ def _least(form: _Form, scales, search: _Search) -> tuple[float, np.ndarray]:
 
 
 def _scaled(box: Box, squares: np.ndarray) -> Box:
-    """The box with the squares of the scales as variables that are held fixed."""
+    """The box extended by the squares of the scales, as variables that are held fixed."""
     return box.with_fixed(squares, tuple(f"scale_{i}" for i in range(len(squares))))
 
 
 def _change(subject: Subject, d: int, factor: float) -> Form:
-    """A multiple of `FᵀM + Ṁ + MF` (n, n) in coordinates, of z and of scales that do not enter."""
+    """A multiple of `FᵀM + Ṁ + MF` (n, n) in coordinates, as a function of z and of scales, which it ignores."""
 
     def formula(coframe, gram, change):
         return factor * coframe.T @ change @ coframe
@@ -301,7 +306,7 @@ def _change(subject: Subject, d: int, factor: float) -> Form:
 
 
 def _scales(of_e: Sequence[str], of_x: Sequence[str]):
-    """Other units, one changed at a time: their name, what e and x̃ are multiplied by, and V_con."""
+    """Other units, of which one is changed at a time: the name, the scales of e and x̃, and the factor of V_con."""
     for unit, others in UNITS.items():
         for name, factor in others:
             pair = tuple(np.array([_factor(u, unit, factor) for u in entries]) for entries in (of_e, of_x))
@@ -310,13 +315,13 @@ def _scales(of_e: Sequence[str], of_x: Sequence[str]):
 
 
 def _factor(written: str, unit: str, factor: float) -> float:
-    """By how much a quantity in "a" or "a/b" grows in number where a unit becomes `factor` smaller ones."""
+    """Factor of the number of a quantity in "a" or "a/b" where `unit` is replaced by a unit smaller by `factor`."""
     over, _, under = written.partition("/")
     return (factor if over == unit else 1.0) / (factor if under == unit else 1.0)
 
 
 def _growth(subject: Subject, domain: Box, where: np.ndarray) -> Growth | None:
-    """The fastest growing solution of the error system frozen at a point, over five of its time constants."""
+    """The fastest growing solution of the error system frozen at a point, over five time constants, or None."""
     point, t = subject.at(jnp.asarray(where)), jnp.zeros(())
     jacobian = np.asarray(jax.jacfwd(lambda x: point.flow(t, x))(point.x))
     values, vectors = np.linalg.eig(jacobian)

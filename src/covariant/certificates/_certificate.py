@@ -1,17 +1,17 @@
-"""What a certificate says."""
+"""The common form of certificates."""
 
 from typing import Literal, NamedTuple
 
 
 class Certificate(NamedTuple):
-    """A statement, whether it was found to hold, and what that rests on.
+    """A statement, whether it holds, and the evidence for it.
 
     - `verdict`: "holds", "fails" (then `point` is a counter-example) or "undecided".
-    - `margin`: the number that decides, with its meaning and unit in `statement`.
-    - `domain`: where the statement is about.
+    - `margin`: the number that decides; `statement` gives its meaning and unit.
+    - `domain`: the states that the statement is about.
     - `evidence`: "sampled" (at points, between which nothing is known), "bounded", "proved", or "claimed" by a
       file that was read and not verified again.
-    - `point`: the state where the margin is least.
+    - `point`: the state at which the margin is least.
     """
 
     statement: str

@@ -1,14 +1,14 @@
-"""Prove of an intrinsic observer how fast it converges, and from how far.
+"""Proof of how fast an intrinsic observer converges, and from how far.
 
-Three things are proved, each over the whole region. The flow contracts the metric of the tangent bundle at the rate λ,
-whatever the measured trajectory. A curve of length ε changes no position error and no velocity by more than the region
-allows. The force on the system stays within the bounds taken. It follows as in Theorem 1: along every solution whose
-velocity keeps its bound, an estimate that begins within ε of it stays within ε, and the distance falls as `e^(−λt/2)`.
+Three claims are proved, each over the whole region. First, the flow contracts the metric of the tangent bundle at the
+rate λ, whatever the measured trajectory. Second, a curve of length ε changes no position error and no velocity by more
+than the region allows. Third, the force on the system stays within the assumed bounds. As in Theorem 1 it follows that
+along every solution whose velocity keeps its bound, an estimate that begins within ε of it stays within ε, and the
+distance decreases as `e^(−λt/2)`.
 
-With bounds of the measurement error and of the force that the model does not know there is a fourth: what they add to
-the flow is no longer than D. The true motion is then a solution of the observer's own flow but for D, so that the
-distance ends below 2D/λ; an estimate within ε stays so where 2D/λ < ε.
-
+With bounds of the measurement error and of an unmodelled force there is a fourth claim: what these add to the flow has
+at most the length D. Then the true motion is a solution of the observer's own flow up to D, so that the distance ends
+below 2D/λ. An estimate within ε stays so where 2D/λ < ε.
 Source: Aghannan & Rouchon 2003, Theorems 1 and 2, and Fig. 2; Lohmiller & Slotine 1998, section 3.7 for D.
 """
 
@@ -42,7 +42,7 @@ from covariant.proofs import MOST_BOXES, Box, Proof, check_box, prove
 
 Bounds = tuple[ArrayLike, ArrayLike]
 SLACK = 1.05
-"""How much larger the square of a width may be than at sampled points, so that it can be proved quickly."""
+"""Factor of margin on the square of a sampled width, so that the bound can be proved quickly."""
 
 
 def certify(
@@ -67,17 +67,18 @@ def certify(
 
     - `velocity`: bound of each true velocity [unit/s], a number or (n,). There is no certificate without it: the tube
       of Theorem 1 shrinks as the velocity grows.
-    - `error`: how far an estimated position may be off, in coordinates or as `log(g⁻¹ g̃)` [unit], a number or (n,).
-    - `position`: least and largest true positions, (n,) each; on a group the entries of its matrices (N, N), for which
+    - `error`: bound of the error of the estimated position, in coordinates or as `log(g⁻¹ g̃)` [unit], a number or (n,).
+    - `position`: least and largest true positions, (n,) each; on a group the entries of its matrices (N, N), where
       rotations need no bounds.
     - `input`: bound of each input, a number or (m,), or a pair of bounds; `times` [s]: where the force depends on time.
-    - `rate`: λ [1/s] to prove, of squared lengths; half of what Q allows at q̂ = q by default.
-    - `q` (2, 2): the metric's matrix; by default the best conditioned one for two thirds of the rate of the gains.
+    - `rate`: λ [1/s] to prove, of squared lengths; by default half of the rate that Q allows at q̂ = q.
+    - `q` (2, 2): the matrix of the metric; by default the best conditioned one for two thirds of the rate of the gains.
     - `noise`: bound of the error of each measured position [unit], a number or (n,), in coordinates or as `log(q⁻¹ y)`
-      in the body; bounds of matrix entries that `position` gives on a group are then those of the measured ones.
-    - `disturbance`: bound of the force that the model does not know, of each component, a number or (n,).
-    - `boxes`: effort for all proofs, the same on every machine; `seconds`: a limit of time besides, counted for each
-      proof from when its matrix has been written as a graph.
+      in the body frame. Bounds of matrix entries that `position` gives on a group then apply to the measured ones.
+    - `disturbance`: bound of each component of an unmodelled force, a number or (n,).
+    - `recipe`: where the model comes from, as from `models.recipe`; needed to save the certificate.
+    - `boxes`: effort for all proofs, the same on every machine; `seconds`: an additional limit of time for each proof,
+      which starts when its matrix has been written as a graph.
     - `processes`, `progress` (what, share, boxes): as for `prove`.
 
     Raises `ValueError` naming an argument without its bound, an error up to which a logarithm is not unique, friction
@@ -130,7 +131,7 @@ def certify(
             square = SLACK * _sampled_disturbance(about, domain, sizes)
             claims.append(Claim("disturbance", run("noise", disturbance_bound(about, sizes, square)), 0, square))
         if all(claim.proof.verdict == "holds" for claim in claims):
-            # Rounded down: a shorter radius is as true.
+            # Rounded down: the statement also holds for a smaller radius.
             radius = min(limit / math.sqrt(claim.square) for claim, limit in zip(claims[1:], limits, strict=False))
             radius *= 1 - 1e-9
             if not steady_distance(wanted, disturbance_length(given, claims)) < radius:
@@ -178,7 +179,7 @@ def _amounts(name: str, value: ArrayLike, n: int) -> Float[np.ndarray, "n"]:
 def _domain(
     observer, about: Subject, velocity, error, position, given_input, times, noise, disturbance
 ) -> tuple[Box, dict[str, Any]]:
-    """The box of estimate, error and force, and what the bounds of the force come from."""
+    """The box of estimate, error and force, and the quantities from which the bounds of the force follow."""
     model = observer.model
     n = len(velocity)
     if model.manifold.commuting:
@@ -194,7 +195,7 @@ def _domain(
         measured = true = check_box(_elements(model, position))
     inputs = _inputs(model, given_input, n)
     first, last = _times(times)
-    # Between what acts and what the observer takes to act there may be all of the disturbance.
+    # The true force and the one that the observer uses may differ by the whole disturbance.
     force = force_bounds(model, measured, inputs, (first, last))
     if disturbance.any():
         force = np.stack([_sum(force[0], -disturbance, -1), _sum(force[1], disturbance, 1)])
@@ -217,7 +218,7 @@ def _domain(
             np.concatenate([high, speed, error, force[1]]),
         )
 
-    # The velocity error that goes with the position error: both ends of the tube in the same place.
+    # The velocity error that corresponds to the position error, so that both limit the tube equally.
     slack = np.zeros(n)
     for _ in range(3):
         roots = np.sqrt(sampled_widths(about, box(slack)))
@@ -259,9 +260,9 @@ def _times(times: tuple[float, float]) -> tuple[float, float]:
 
 
 def limits_of(domain: Box, velocity, noise) -> Float[np.ndarray, "two_n"]:
-    """How far each position error, and each velocity beyond its bound, may go before it leaves the region.
+    """The largest position errors, and the largest velocities beyond their bound, that stay within the region.
 
-    The measured position may be off by the noise before an estimate is.
+    Position errors are measured from the measured position, so the noise is subtracted.
     """
     n = len(velocity)
     start = len(domain.low) - 3 * n
@@ -271,7 +272,7 @@ def limits_of(domain: Box, velocity, noise) -> Float[np.ndarray, "two_n"]:
 
 
 def _sum(a: np.ndarray, b: np.ndarray, side: int) -> np.ndarray:
-    """a + b, rounded up (`side` 1) or down (−1); what rounding loses is known exactly (D. E. Knuth, TAOCP 2, 4.2.2)."""
+    """a + b, rounded up (`side` 1) or down (−1); the rounding error is known exactly (D. E. Knuth, TAOCP 2, 4.2.2)."""
     total = a + b
     part = total - a
     lost = (a - (total - part)) + (b - part)
@@ -279,18 +280,18 @@ def _sum(a: np.ndarray, b: np.ndarray, side: int) -> np.ndarray:
 
 
 def sampled_widths(about: Subject, domain: Box, count: int = 2000) -> Float[np.ndarray, "two_n"]:
-    """The largest `squared_widths` at random points of the region and its corners."""
+    """The largest `squared_widths` at random points and corners of the region."""
     return _sampled(lambda z: squared_widths(about, z), domain, count).max(axis=0)
 
 
 def _sampled_disturbance(about: Subject, domain: Box, sizes: np.ndarray, count: int = 2000) -> float:
-    """The largest square of what errors in the unit ball add to the flow, at such points."""
+    """The largest squared change of the flow by errors in the unit ball, at such points."""
     matrices = _sampled(disturbance_bound(about, sizes, 0.0).graph(jnp.asarray(domain.low)).entries, domain, count)
     return float(-np.linalg.eigvalsh(matrices).min())
 
 
 def _sampled(function: Callable | Lowered, domain: Box, count: int) -> np.ndarray:
-    """A function at random points of a box, every other one a corner."""
+    """A function at random points of a box, every second one a corner."""
     share = np.random.default_rng(0).uniform(size=(count, len(domain.low)))
     share[::2] = np.round(share[::2])
     points = domain.low + share * (domain.high - domain.low)

@@ -1,6 +1,6 @@
-"""An independent check of a saved certificate, from the file alone: do its claims hold, and do they say so much?
+"""An independent check of a saved certificate, from the file alone: do its claims hold, and does its statement follow?
 
-It shares with the prover the model as JAX functions, and how an observer is written down. The matrices of the claims
+It shares with the prover the model as JAX functions, and the description of the observer. The matrices of the claims
 are formed here, and shown to be positive definite by Taylor models on each leaf of the saved tree.
 """
 
@@ -25,15 +25,17 @@ from covariant.models import input_count
 from covariant.proofs.checker import ROUND, TaylorEnclosure, leaves, show_definite
 
 SLACK = 2.0**-20
-"""Forces may be larger than claimed by this part, so that bounds which they reach are quickly shown."""
+"""Relative margin by which forces may exceed their bounds, so that bounds that are attained can be shown quickly."""
 DEPTH, DEEPEST, SHARE = 6, 200, 4096
-"""How often a leaf is halved, and how often the box of the inputs; leaves given to a process at once."""
+"""How often a leaf may be halved; how often the box of the inputs may; number of leaves in a job of one process."""
 
 
 class Checked(NamedTuple):
-    """What was found right: rate [1/s] and radius of the certificate, by how many leaves, and in how many seconds.
+    """Result of a successful check.
 
-    `model_given`: whether whoever checked gave the model, in the place of what the file names.
+    - `rate` [1/s], `radius`: those of the certificate.
+    - `leaves`: number of leaves shown; `seconds`: time it took.
+    - `model_given`: whether the caller gave the model, in place of the one that the file names.
     """
 
     rate: float
@@ -50,12 +52,14 @@ def check(
     processes: int = 1,
     progress: Callable[[int, int], None] | None = None,
 ) -> Checked:
-    """Check a saved certificate, a file or what `parse` made of it.
+    """Check a saved certificate, a file or the result of `parse`.
 
-    `progress` is told how many leaves are done, and of how many.
-    `model`: for a certificate about a model of somebody's own, who checks gives it: a model, or a function that makes
-    one of the recipe's parameters, or the `module:attribute` of either. With several `processes` a script needs the
-    `if __name__ == "__main__"` guard. Raises `ValueError` saying what is wrong, or what is not shown, and where.
+    - `model`: for a certificate about a model that is not of this library, whose code the file cannot give: a model, a
+      function that makes one from the recipe's parameters, or the `module:attribute` of either.
+    - `processes`: number of processes; with several, a script needs the `if __name__ == "__main__"` guard.
+    - `progress`: called with the number of leaves done and of all leaves.
+
+    Raises `ValueError` saying what is wrong, or what cannot be shown, and where.
     """
     start = time.monotonic()
     document = source if isinstance(source, Document) else parse(source)
@@ -83,7 +87,7 @@ def _need(holds: Any, otherwise: str) -> None:
 
 
 class Statement(NamedTuple):
-    """A document, and the observer that it is about."""
+    """A document, and the observer it is about."""
 
     document: Document
     observer: Intrinsics
@@ -91,17 +95,17 @@ class Statement(NamedTuple):
 
 
 def follows(document: Document, model: Any = None) -> Statement:
-    """What a certificate is about. Raises `ValueError` unless its statement follows from its claims, if those hold."""
+    """The statement of a certificate. Raises `ValueError` unless it follows from the claims, if these hold."""
     try:
         with np.errstate(all="ignore"):
             observer, q = observer_from(document, model)
             statement = Statement(document, observer, subject(observer, q))
             _complete(statement)
-            # What takes longest comes last.
+            # The comparison that takes longest comes last.
             found = value_graph(statement.about)
             _need(document.graph == found, "graph: it must be the one that the observer has")
             return statement
-    except Exception as error:  # somebody's model may fail in any way while it is traced
+    except Exception as error:  # the model of a user may fail in any way while it is traced
         kind = "" if isinstance(error, ValueError) else f"recipe: the model fails: {type(error).__name__}: "
         raise ValueError(f"{document.file}: {kind}{_first_line(error)}") from error
 
@@ -111,7 +115,7 @@ def _first_line(error: Exception) -> str:
 
 
 def _complete(statement: Statement) -> None:
-    """Raise `ValueError` unless claims, region and radius fit the model, and each other."""
+    """Raise `ValueError` unless claims, region and radius fit the model and each other."""
     (document, observer, about), n = statement, len(statement.document.velocity)
     model, low, high, claims = observer.model, document.low, document.high, document.claims
     _need(len(about.names) == len(low), f"box: the model has {len(about.names)} variables; the box bounds {len(low)}")
@@ -123,12 +127,12 @@ def _complete(statement: Statement) -> None:
     noise, disturbed = document.given.noise, any(claim.kind == "disturbance" for claim in claims)
     _need(noise.any() or not document.given.slopes.any(), "given.slopes: they must be 0 where there is no noise")
 
-    # By hypothesis solutions are in `truth`; a curve of length `radius` leads no farther than `away` from there.
+    # By assumption solutions are in `truth`; a curve of length `radius` leads no farther than `away` from them.
     if document.open:
         return
     speed, radius = document.velocity, document.radius
     _need(disturbed == bool(sizes(document).any()), "claims: one about a disturbance must be there, if there is any")
-    # An error is that from the measured position, and so more than that from the true one by the noise.
+    # The error is measured from the measured position, so it exceeds that from the true one by up to the noise.
     start = document.given.positions[:, : places * model.manifold.commuting]
     truth = [np.concatenate([p, v, b]) for p, v, b in zip(start, (-speed, speed), (-noise, noise), strict=True)]
     widths = [radius * math.sqrt(claim.square) * (1 + ROUND) for claim in claims[1 : 1 + 2 * n]]
@@ -149,13 +153,13 @@ def _complete(statement: Statement) -> None:
 
 
 def sizes(document: Document) -> np.ndarray:
-    """Largest errors of the measured position, and of the force: unknown, or taken at the wrong place (2n,)."""
+    """Largest errors of the measured position, and of the force, unmodelled or evaluated at a wrong position (2n,)."""
     given = document.given
     return np.concatenate([given.noise, (given.disturbance + given.slopes @ given.noise) * (1 + ROUND)])
 
 
 def _jobs(document: Document) -> Iterator[tuple]:
-    """What is to be shown, and on which boxes: the force, that all is defined, the leaves of claims."""
+    """Everything to be shown, with its boxes: the bounds of the force, definedness, and the leaves of the claims."""
     given, n = _given(document), len(document.velocity)
     for what in ("the bound of the force", "the definedness of the force"):
         yield what, *given[:, None]
@@ -175,7 +179,7 @@ def _jobs(document: Document) -> Iterator[tuple]:
 
 
 def _given(document: Document) -> np.ndarray:
-    """Least and largest time, measured position and input: (2, 1 + places + m). On a group positions are measured."""
+    """Least and largest time, measured position and input: (2, 1 + places + m). On a group `positions` are measured."""
     given, positions = document.given, document.given.positions
     if document.observer["frame"] == "coordinates":
         positions = positions + np.outer([-1, 1], given.noise)
@@ -183,7 +187,7 @@ def _given(document: Document) -> np.ndarray:
 
 
 def _matrix(statement: Statement, what: int | str) -> TaylorEnclosure:
-    """The matrix that is positive definite, says a claim, or what has to be shown besides."""
+    """The matrix to be shown positive definite, for a claim by its index or for a further condition by its name."""
     (document, _, about), model = statement, statement.observer.model
     low, high, n, given = document.low, document.high, len(document.velocity), _given(document)
     shape = configuration_shape(model, n)
@@ -217,7 +221,7 @@ def _slack(low: np.ndarray, high: np.ndarray) -> np.ndarray:
 
 
 class Judge:
-    """Shows leaves of one statement to be right; each matrix is formed once."""
+    """Shows that leaves of one statement are right; each matrix is formed once."""
 
     def __init__(self, statement: Statement):
         self.file, self.matrix = statement.document.file, functools.cache(functools.partial(_matrix, statement))
@@ -233,7 +237,7 @@ class Judge:
 
 
 _worker: list[Judge] = []
-"""The judge of a worker process."""
+"""The judge of this worker process."""
 
 
 def _begin(document: Document, model: Any) -> None:

@@ -1,7 +1,7 @@
-"""Contraction of a flow `x' = f(t, x)` in a metric: the generalised Jacobian and the rate at which lengths shrink.
+"""Contraction of a flow `x' = f(t, x)` in a metric: the generalised Jacobian, and the rate at which lengths decrease.
 
-A metric on states is held as `M = ΘᵀNΘ`: a coframe Θ(t, x) with its inverse, and a Gram matrix N(t, x) of the frame.
-With N = I the condition is (8) of the paper, on the generalised Jacobian; with Θ = I it is (9), on M itself.
+A metric on states is represented as `M = ΘᵀNΘ`: a coframe Θ(t, x) with its inverse, and the Gram matrix N(t, x) of the
+frame. With N = I the condition is (8) of the paper, on the generalised Jacobian; with Θ = I it is (9), on M itself.
 
 Source: Jouffroy & Fossen 2004, equations (4)–(9); Lohmiller & Slotine 1998, On contraction analysis for nonlinear
 systems, Automatica 34(6); Theorem 2 of Aghannan & Rouchon 2003.
@@ -18,17 +18,17 @@ from covariant._linalg import solve, whiten
 from covariant._typing import Matrix, Scalar, Vector
 
 Flow = Callable[[Scalar, Vector], Array]
-"""`(t, x (n,)) -> x' (n,)`."""
+"""The right-hand side of a flow, `(t, x (n,)) -> x' (n,)`."""
 StateMatrix = Callable[[Scalar, Vector], Array]
-"""`(t, x (n,)) -> (n, n)`."""
+"""A matrix field, `(t, x (n,)) -> (n, n)`."""
 
 
 class StateMetric(NamedTuple):
     """A metric `M = ΘᵀNΘ` on states x (n,), which may change with time.
 
-    - `coframe`: `(t, x) -> Θ (n, n)`, which gives a variation δx its components in a moving frame.
+    - `coframe`: `(t, x) -> Θ (n, n)`, which gives the components of a variation δx in a moving frame.
     - `frame`: `(t, x) -> Θ⁻¹ (n, n)`; its columns are the vectors of that frame.
-    - `gram`: `(t, x) -> N (n, n)`, symmetric positive definite: the inner products of those vectors.
+    - `gram`: `(t, x) -> N (n, n)`, symmetric positive definite: the inner products of these vectors.
     """
 
     coframe: StateMatrix
@@ -42,7 +42,7 @@ class StateMetric(NamedTuple):
 
 
 def in_coordinates(metric: StateMatrix) -> StateMetric:
-    """The metric `(t, x) -> M (n, n)` itself, in the frame of the coordinates: condition (9)."""
+    """The `StateMetric` of a metric `(t, x) -> M (n, n)`, in the frame of the coordinates: condition (9)."""
 
     def identity(t, x):
         return jnp.eye(x.shape[0], dtype=x.dtype)
@@ -61,7 +61,7 @@ def in_frame(theta: StateMatrix) -> StateMetric:
 
 
 def generalised_jacobian(flow: Flow, metric: StateMetric, t: Scalar, x: Vector) -> Matrix:
-    """`F_Θ = (Θ̇ + Θ ∂f/∂x) Θ⁻¹` (n, n), equation (6): how components in the frame change along the flow [1/s]."""
+    """`F_Θ = (Θ̇ + Θ ∂f/∂x) Θ⁻¹` (n, n), equation (6): the Jacobian of components in the frame along the flow [1/s]."""
     change = jax.jvp(metric.coframe, (t, x), (jnp.ones_like(t), flow(t, x)))[1]
     frame = metric.frame(t, x)
     moved = jax.vmap(lambda e: jax.jvp(lambda y: flow(t, y), (x,), (e,))[1], in_axes=1, out_axes=1)(frame)
@@ -69,9 +69,9 @@ def generalised_jacobian(flow: Flow, metric: StateMetric, t: Scalar, x: Vector) 
 
 
 def contraction_matrix(flow: Flow, metric: StateMetric, t: Scalar, x: Vector) -> Matrix:
-    """`F_ΘᵀN + Ṅ + N F_Θ` (n, n): the change of squared lengths, in the frame. Conditions (8) and (9) in one.
+    """`F_ΘᵀN + Ṅ + N F_Θ` (n, n): the rate of change of squared lengths, in the frame; for both conditions (8) and (9).
 
-    Negative definite where the flow contracts; `Θᵀ(…)Θ = FᵀM + Ṁ + MF`, whatever the frame.
+    It is negative definite where the flow contracts; `Θᵀ(…)Θ = FᵀM + Ṁ + MF` does not depend on the frame.
     """
     gram, change = jax.jvp(metric.gram, (t, x), (jnp.ones_like(t), flow(t, x)))
     return lengths(gram, change, generalised_jacobian(flow, metric, t, x))
@@ -86,7 +86,7 @@ def lengths(gram: Matrix, change: Matrix, jacobian: Matrix) -> Matrix:
 def contraction_rate(flow: Flow, metric: StateMetric | StateMatrix, t: Scalar, x: Vector) -> Scalar:
     """The largest λ at (t, x) with `FᵀM + Ṁ + MF ≤ −λM` [1/s]: minus the largest generalised eigenvalue.
 
-    Distances between solutions shrink like `e^(−λt/2)` where λ is no less along the geodesics between them.
+    Distances between solutions decrease as `e^(−λt/2)` where λ is a lower bound along the geodesics between them.
     """
     metric = metric if isinstance(metric, StateMetric) else in_coordinates(metric)
     return -jnp.linalg.eigvalsh(whiten(metric.gram(t, x), contraction_matrix(flow, metric, t, x)))[-1]
@@ -95,7 +95,7 @@ def contraction_rate(flow: Flow, metric: StateMetric | StateMatrix, t: Scalar, x
 def log_norm(matrix: Matrix, order: float | int = 2) -> Scalar:
     """The logarithmic norm of a Jacobian (n, n) for the vector norm ℓ1, ℓ2 or ℓ∞ [1/s]: `|δx|' ≤ μ |δx|`.
 
-    A quick check: negative everywhere on a convex set means contraction in that norm. Source: Desoer & Haneda 1972,
+    A quick test: where it is negative on a convex set, the flow contracts in that norm. Source: Desoer & Haneda 1972,
     The measure of a matrix as a tool to analyze computer algorithms, IEEE Trans. Circuit Theory 19(5).
 
     Raises `ValueError` for an order other than 1, 2 or infinity.
@@ -112,5 +112,5 @@ def log_norm(matrix: Matrix, order: float | int = 2) -> Scalar:
 def rates_along(
     flow: Flow, metric: StateMetric | StateMatrix, t: Float[Array, "T"], x: Float[Array, "T n"]
 ) -> Float[Array, "T"]:
-    """`contraction_rate` at each instant of a trajectory."""
+    """`contraction_rate` at each stamp of a trajectory."""
     return jax.vmap(lambda time, state: contraction_rate(flow, metric, time, state))(t, x)

@@ -1,4 +1,4 @@
-"""What was proved about an intrinsic observer on a region: the statement, its claims, and how it is saved and read."""
+"""Proved contraction of an intrinsic observer on a region: the statement and its claims, to be saved and read."""
 
 import math
 from collections.abc import Sequence
@@ -23,11 +23,11 @@ class Claim(NamedTuple):
     """One proved inequality.
 
     `kind` is one of
-    - "contraction": squared lengths shrink at the rate of the certificate;
-    - "reach": a curve of length ℓ changes the entry `row` of (error, velocity) by less than `ℓ √square`, which bounds
-      the half width of the tube there, and that may be up to `limit`;
-    - "disturbance": what errors of measurement and force, in the unit ball by their sizes, add to the flow is no longer
-      than `√square`.
+    - "contraction": squared lengths decrease at the rate of the certificate.
+    - "reach": a curve of length ℓ changes the entry `row` of (error, velocity) by less than `ℓ √square`. This bounds
+      the half width of the tube in that entry, which may be up to `limit`.
+    - "disturbance": errors of measurement and force, relative to their sizes and within the unit ball, add at most
+      `√square` in length to the flow.
     """
 
     kind: Kind
@@ -37,21 +37,23 @@ class Claim(NamedTuple):
     limit: float = 0.0
 
     def document(self) -> dict[str, Any]:
-        """The claim as it is saved."""
+        """The claim as data for the file."""
         numbers = {key: getattr(self, key) for key in NUMBERS[self.kind]}
         return {"kind": self.kind, **numbers, "levels": to_letters(self.proof.levels)}
 
 
 class ContractionCertificate(NamedTuple):
-    """What was proved about an observer on a region.
+    """Result of a proof about an observer on a region.
 
     - `summary`: the statement, its verdict, and its margin, the rate λ [1/s] of squared lengths.
-    - `radius`: ε, in the metric of Q on states; 0 unless the verdict is "holds".
+    - `rate`: λ [1/s]; `radius`: ε, in the metric of Q on states; 0 unless the verdict is "holds".
+    - `observer`, `q` (2, 2): the observer, and the matrix Q of the metric; `subject`: both as functions of a box.
     - `domain`: the box of estimate, error and force; `velocity` (n,): the bound of the true velocity.
-    - `given`: positions, inputs and times that the bounds of the force come from; `noise`, `disturbance`, `slopes`.
-    - `recipe`: where the model comes from, as `models.recipe`; None for a model known to this process only.
-    - `verified`: whether it was proved in this process. One that was read from a file is as good as the file, until
-      `covariant certify --check` has verified it.
+    - `given`: positions, inputs and times from which the bounds of the force follow; `noise`, `disturbance`, `slopes`.
+    - `claims`: the inequalities, with their proofs.
+    - `recipe`: where the model comes from, as from `models.recipe`; None for a model that only this process knows.
+    - `verified`: whether it was proved in this process. A certificate that was read from a file is only as trustworthy
+      as the file, until `covariant certify --check` has verified it.
     """
 
     summary: Certificate
@@ -69,33 +71,32 @@ class ContractionCertificate(NamedTuple):
 
     @property
     def decay(self) -> float:
-        """μ [1/s]: the distance falls as `e^(−μt)`, half the rate."""
+        """μ [1/s]: distances decrease as `e^(−μt)`, at half the rate."""
         return self.rate / 2
 
     @property
     def steady(self) -> float:
-        """What the distance comes down to under the noise and disturbance of the certificate, `2D/λ`; 0 without."""
+        """The final distance under the noise and disturbance of the certificate, at most `2D/λ`; 0 without them."""
         return steady_distance(self.rate, disturbance_length(self.given, self.claims))
 
     @property
     def boxes(self) -> int:
-        """Boxes evaluated."""
+        """Number of boxes evaluated."""
         return sum(claim.proof.boxes for claim in self.claims)
 
     @property
     def seconds(self) -> float:
-        """Time that the proofs took [s]."""
+        """Time of the proofs [s]."""
         return sum(claim.proof.seconds for claim in self.claims)
 
     @property
     def counterexample(self) -> Float[np.ndarray, "2 d"] | None:
-        """Where the statement was proved wrong."""
+        """A box on which the statement was proved wrong, or None."""
         return next((c.proof.counterexample for c in self.claims if c.proof.counterexample is not None), None)
 
     @property
     def half_widths(self) -> Float[np.ndarray, "two_n"]:
-        """How far the proved tube extends in each position error [unit], then in each velocity error [unit/s].
-
+        """Half widths of the proved tube in each position error [unit], then in each velocity error [unit/s].
         Raises `ValueError` where no tube is proved.
         """
         if self.summary.verdict != "holds":
@@ -104,7 +105,7 @@ class ContractionCertificate(NamedTuple):
 
     @property
     def kinds(self) -> tuple[str, ...]:
-        """What each variable of the domain is: "estimate", "velocity" (estimated), "error" or "force"."""
+        """The kind of each variable of the domain: "estimate", "velocity" (estimated), "error" or "force"."""
         n = len(self.velocity)
         words = ("estimate", "velocity", "error", "force")
         parts = words if len(self.domain.low) == 4 * n else words[1:]
@@ -112,11 +113,11 @@ class ContractionCertificate(NamedTuple):
 
     @property
     def open(self) -> Float[np.ndarray, "k 2 d"]:
-        """Boxes on which the time did not suffice to decide."""
+        """Boxes that were left undecided."""
         return np.concatenate([claim.proof.open for claim in self.claims])
 
     def document(self) -> dict[str, Any]:
-        """The certificate as it is saved.
+        """The certificate as data for the file.
 
         Raises `ValueError` where the model has no recipe, and for a statement that was proved wrong.
         """
@@ -142,7 +143,7 @@ class ContractionCertificate(NamedTuple):
         return found | {"digest": digest(found)}
 
     def save(self, path: str | Path) -> Path:
-        """Write the certificate with all its boxes (JSON), as data that runs nothing where it is read.
+        """Write the certificate with all its boxes as JSON, as data that executes nothing when it is read.
 
         Raises `ValueError` where the model has no recipe, and for a statement that was proved wrong.
         """
@@ -150,12 +151,14 @@ class ContractionCertificate(NamedTuple):
 
     @classmethod
     def load(cls, path: str | Path, *, model: Any = None) -> "ContractionCertificate":
-        """A saved certificate with all its boxes; how long the proofs took is not in the file (NaN).
+        """Read a saved certificate with all its boxes; the time of the proofs is not in the file (NaN).
 
-        Checked is that the boxes cover the region and that the statement follows from the claims; that these hold is
-        for `covariant certify --check` to say, and until then the certificate is not `verified`. `model`: where the
-        recipe names somebody's own model, whoever reads the file gives it: the model, or a function that makes it of
-        the recipe's parameters, or the `module:attribute` of either. Raises `ValueError` naming file and key.
+        It is checked that the boxes cover the region and that the statement follows from the claims. Whether the claims
+        hold is checked only by `covariant certify --check`; until then the certificate is not `verified`.
+
+        `model`: where the recipe names a model that is not of this library, the caller gives it: the model, a function
+        that makes it from the recipe's parameters, or the `module:attribute` of either. Raises `ValueError` naming file
+        and key.
         """
         document, observer, about = follows(parse(path), model)
         domain = Box(about.names, about.units, document.low, document.high)
@@ -183,9 +186,9 @@ class ContractionCertificate(NamedTuple):
 
 
 def disturbance_sizes(given: dict[str, Any]) -> Float[np.ndarray, "two_n"]:
-    """Largest errors of the measured position, and of the force: unknown, or taken at the wrong place.
+    """Largest errors of the measured position, and of the force, unmodelled or evaluated at a wrong position (2n,).
 
-    All at once are in the ball of radius √m of these sizes, m of them not being zero.
+    Together they lie in a ball of radius √m relative to these sizes, m being the number of sizes that are not zero.
     """
     noise, unknown, slopes = (np.asarray(given[name], float) for name in ("noise", "disturbance", "slopes"))
     through = (np.reshape(slopes, (len(noise), -1)) * noise).sum(axis=1) * (1 + 1e-12)
@@ -193,7 +196,7 @@ def disturbance_sizes(given: dict[str, Any]) -> Float[np.ndarray, "two_n"]:
 
 
 def disturbance_length(given: dict[str, Any], claims: Sequence[Claim]) -> float:
-    """D: the largest length of what noise and disturbance add to the flow; 0 where none are given, ∞ if not proved."""
+    """D: the largest length that noise and disturbance add to the flow; 0 where none are given, ∞ if not proved."""
     count = np.count_nonzero(disturbance_sizes(given))
     squares = [claim.square for claim in claims if claim.kind == "disturbance"]
     return math.sqrt(count * squares[0]) * (1 + 1e-12) if squares else math.inf if count else 0.0
@@ -226,7 +229,7 @@ def summary_of(
 
 
 def _under(given: dict[str, Any]) -> str:
-    """The errors that a statement allows for; nothing where it allows for none."""
+    """The errors that a statement allows, in words; empty where it allows none."""
     words = {"noise": "measurement errors", "disturbance": "unknown forces"}
     bounds = {word: ", ".join(f"{bound:.4g}" for bound in given[key]) for key, word in words.items() if any(given[key])}
     return f", under {' and '.join(f'{word} up to {b}' for word, b in bounds.items())}" if bounds else ""
@@ -240,7 +243,7 @@ def _said(velocity, rate: float, radius: float, steady: float) -> str:
 
 
 def _plain(given: Given) -> dict[str, Any]:
-    """What is given, as it is saved."""
+    """The given bounds as data for the file."""
 
     def pair(bounds: np.ndarray) -> dict[str, list[float]]:
         return {"low": bounds[0].tolist(), "high": bounds[1].tolist()}

@@ -1,8 +1,8 @@
-"""Distances between states in a metric on states, from above and from below, and Theorem 2 as a measurement.
+"""Upper and lower bounds of distances between states in a metric, and Theorem 2 measured along solutions.
 
-From above: the length of the straight line in the chart. From below: a function whose differential is nowhere longer
-than one changes by no more than the distance; a linear function of the coordinates is taken, and the length of its
-differential is bounded over a box that no shorter curve leaves.
+The upper bound is the length of the straight line in the chart. The lower bound uses a function whose differential
+nowhere has a length above one, since it changes by no more than the distance. It is a linear function of the
+coordinates, and the length of its differential is bounded over a box that no shorter curve leaves.
 """
 
 from typing import NamedTuple
@@ -19,12 +19,12 @@ from covariant.certificates._contraction import Flow, StateMetric
 
 NODES, WEIGHTS = ((np.polynomial.legendre.leggauss(12)[0] + 1) / 2, np.polynomial.legendre.leggauss(12)[1] / 2)
 SAMPLES = 3
-"""Points a variable, over which the length of a differential is maximised."""
+"""Points for each variable at which the length of a differential is maximised."""
 MOST_SAMPLES = 729
 
 
 def upper_distance(metric: StateMetric, t: Scalar, x0: Vector, x1: Vector) -> Scalar:
-    """The length of the straight line in coordinates from x0 to x1 (n,), no less than the distance."""
+    """The length of the straight line in coordinates from x0 to x1 (n,): an upper bound of the distance."""
     step = x1 - x0
 
     def speed(s):
@@ -36,9 +36,9 @@ def upper_distance(metric: StateMetric, t: Scalar, x0: Vector, x1: Vector) -> Sc
 
 
 def lower_distance(metric: StateMetric, t: Scalar, x0: Vector, x1: Vector) -> Scalar:
-    """A number no more than the distance from x0 to x1 (n,), of second order in their difference below it.
+    """A lower bound of the distance from x0 to x1 (n,), which it approaches to second order in their difference.
 
-    The suprema over boxes are taken over their corners, faces and middles, not proved.
+    The maxima over boxes are taken at corners, faces and middles; they are not proved.
     """
     upper = upper_distance(metric, t, x0, x1)
     middle = (x0 + x1) / 2
@@ -66,16 +66,16 @@ def lower_distance(metric: StateMetric, t: Scalar, x0: Vector, x1: Vector) -> Sc
 
 
 def _shares(n: int) -> np.ndarray:
-    """Where a box is looked at: a grid of corners, faces and middles, or where that is too much, corners drawn once."""
+    """Relative points of a box: a grid of corners, faces and middles; where that is too large, a fixed random part."""
     if SAMPLES**n <= MOST_SAMPLES:
         return np.stack(np.meshgrid(*[np.linspace(-1, 1, SAMPLES)] * n, indexing="ij"), -1).reshape(-1, n)
     return np.random.default_rng(0).integers(-1, 2, (MOST_SAMPLES, n)).astype(float)
 
 
 class Decay(NamedTuple):
-    """Theorem 2 of Aghannan & Rouchon on pairs of solutions.
+    """Theorem 2 of Aghannan & Rouchon, measured on pairs of solutions.
 
-    - `t` (T,) [s]; `low`, `high` (k, T): distances between them, from below and from above.
+    - `t` (T,) [s]; `low`, `high` (k, T): lower and upper bounds of the distance in each pair.
     - `bound` (k, T): `e^(−λt/2)` times the first distance, which the distance must not exceed.
     """
 
@@ -86,12 +86,12 @@ class Decay(NamedTuple):
 
     @property
     def holds(self) -> bool:
-        """Whether no distance is seen above its bound: `low` never exceeds it, the bound being taken from `high`."""
+        """Whether no distance is shown to exceed its bound: `low` stays below the bound, which is taken from `high`."""
         return bool((self.low <= self.bound * (1 + 1e-6)).all())
 
     @property
     def slowest(self) -> float:
-        """The least rate λ [1/s] that the upper distances show between the first stamp and the last."""
+        """The least rate λ [1/s] of the upper bounds between the first stamp and the last."""
         return float((2 * np.log(self.high[:, 0] / self.high[:, -1]) / (self.t[-1] - self.t[0])).min())
 
 
@@ -103,7 +103,9 @@ def decay(
     x1: Float[Array, "k n"],
     t: Float[Array, "T"],
 ) -> Decay:
-    """Follow solutions from x0 and from x1, and measure the distance between them at the stamps t.
+    """Follow pairs of solutions from x0 and x1 (k, n), and measure their distances at the stamps t.
+
+    - `rate` [1/s]: λ of squared lengths, from which the bound follows.
 
     Source: Aghannan & Rouchon 2003, Theorem 2. Raises `ValueError` where a solution cannot be followed.
     """

@@ -1,6 +1,6 @@
-"""A saved certificate is data: what its file must hold, read into checked numbers, and written.
+"""The file format of certificates: its required content, read into checked numbers, and written.
 
-Nothing in it is believed: whether the numbers make a proof is for `check` to say.
+Nothing in a file is trusted: whether its numbers make a proof is decided by `check`.
 """
 
 import json
@@ -26,7 +26,7 @@ from covariant.proofs import (
 
 FORMAT = "covariant certificate 2"
 MOST_PARTS = len(LETTERS) // 3
-"""Velocities of a system whose variables have a letter each; so its parameters are no longer, and it is soon made."""
+"""Largest number of velocities, so that each variable has a letter; it also limits the size of parameters."""
 KEYS = [
     *("format", "recipe", "observer", "q", "rate", "radius", "velocity", "given", "box", "claims", "graph", "digest"),
 ]
@@ -34,16 +34,16 @@ OBSERVERS: dict[str, dict[str, Any]] = {
     "intrinsic": {"order": (1, 2), "coefficients": ("measured", "estimated"), "curvature": bool},
     "geodesic": {"curvature": bool},
 }
-"""Beside the gains, the fields of each kind of observer: what they may be, or a truth."""
+"""The fields of each kind of observer beside the gains, with their possible values."""
 FRAMES = ("coordinates", "body")
-"""What vectors are written in. In the body the configuration is none of the variables of a region."""
+"""Frames of the vectors. In the "body" frame the configuration is not a variable of the region."""
 Kind = Literal["contraction", "reach", "disturbance"]
 NUMBERS: dict[Kind, list[str]] = {"contraction": [], "reach": ["row", "square", "limit"], "disturbance": ["square"]}
-"""What each kind of claim says beside its tree of boxes."""
+"""The numbers of each kind of claim, beside its tree of boxes."""
 
 
 class Given(NamedTuple):
-    """What bounds the force and the measurements.
+    """Bounds from which those of the force and the measurements follow.
 
     - `positions` (2, p), `inputs` (2, m), `times` (2,) [s]: least and largest ones.
     - `noise`, `disturbance` (n,): bounds of the error of measured positions, and of a force that the model lacks.
@@ -59,9 +59,9 @@ class Given(NamedTuple):
 
 
 class Stated(NamedTuple):
-    """A claim as a file states it: "contraction", "reach" of a `row` by `square` up to `limit`, or "disturbance".
+    """A claim as stated in a file: "contraction", "reach" of a `row` by `square` up to `limit`, or "disturbance".
 
-    `levels`: its tree of boxes, a string a level.
+    `levels`: its tree of boxes, one string for each level.
     """
 
     kind: Kind
@@ -72,18 +72,18 @@ class Stated(NamedTuple):
 
     @property
     def open(self) -> bool:
-        """Whether boxes are left that nothing decides."""
+        """Whether some of its boxes are undecided."""
         return any("?" in level for level in self.levels)
 
 
 class Document(NamedTuple):
-    """What a file says, of the right kinds and sizes.
+    """The content of a file, with checked types and sizes.
 
-    - `recipe`: {"system": name} or {"attribute": "module:attribute"}, and its "parameters": names, not yet looked up.
+    - `recipe`: {"system": name} or {"attribute": "module:attribute"}, and its "parameters". Names are not resolved yet.
     - `observer`: "kind", "frame", "alpha", "beta" and the options of that kind; `q` (2, 2): the matrix of its metric.
     - `rate` [1/s], `radius`: the radius is 0 where a claim is open; `velocity` (n,).
     - `low`, `high` (d,): the box of all claims.
-    - `graph`: {"nodes": rows, "outputs": whole numbers}, a graph of scalars that points backwards only.
+    - `graph`: {"nodes": rows, "outputs": integers}, a graph of scalars in which every node follows its arguments.
     """
 
     file: str
@@ -106,7 +106,7 @@ class Document(NamedTuple):
 
 
 def parse(path: str | Path, content: bytes | None = None) -> Document:
-    """Read a certificate; `content`: that of the file, where it has been read already.
+    """Read a certificate; `content` is that of the file, where it has been read already.
 
     Raises `ValueError`, one line, where it cannot be read or is no certificate.
     """
@@ -167,7 +167,7 @@ def _recipe(field: Field) -> dict[str, Any]:
 
 
 def _parameter(field: Field, most: int, deep: int = 2) -> Any:
-    """A number, a truth, a text, or numbers in a list or in a list of lists, each of `most` entries."""
+    """A number, a truth value, a text, or numbers in a list or a list of lists, of at most `most` entries each."""
     if deep == 2 and isinstance(field.value, bool):
         return field.value
     if deep == 2 and isinstance(field.value, str):
@@ -215,7 +215,7 @@ def _given(field: Field, n: int) -> Given:
 
 
 def _claims(field: Field, n: int, variables: int) -> tuple[Stated, ...]:
-    """Contraction, then a reach of each of the 2n rows, then what noise and disturbance add, if there are any."""
+    """Contraction, then "reach" for each of the 2n rows, then "disturbance", if there is noise or disturbance."""
     rows = field.rows(1, 2 * n + 2)
     claims = [_claim(row, k, n, variables) for k, row in enumerate(rows)]
     if sum(len(level) for claim in claims for level in claim.levels) > MOST_LETTERS:

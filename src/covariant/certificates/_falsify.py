@@ -1,4 +1,4 @@
-"""The attempt to break a statement: the slowest point of a region, by sampling and by descent from many starts."""
+"""The attempt to refute a statement: the slowest point of a region, by sampling and by descent from many starts."""
 
 from typing import NamedTuple
 
@@ -14,17 +14,19 @@ from covariant.proofs import Box, check_box
 
 BATCH = 4096
 STEPS = 60
-"""Steps of a descent; the first goes over a tenth of the region, each further one is shorter by a twentieth."""
+"""Number of steps of a descent; the first is a tenth of the region, and each further one shorter by a twentieth."""
 
 
 def falsify(
     subject: Subject, domain: Box, rate: float, *, attempts: int = 20_000, starts: int = 64, seed: int = 0
 ) -> Certificate:
-    """Does some point of the region contract more slowly than `rate` [1/s]? The slowest point found says.
+    """Search for a point of the region that contracts more slowly than `rate` [1/s]; returns the slowest one found.
 
-    `attempts` random points, half of them on faces of the region, then a descent from the `starts` slowest. The
-    evidence is "sampled": that none was found proves nothing. Raises `ValueError` for bounds that are not in order, and
-    where the rate is not a number.
+    - `attempts`: number of random points, half of them on faces of the region.
+    - `starts`: number of the slowest of these from which a descent starts.
+
+    The evidence is "sampled": where no slower point was found, nothing is proved. Raises `ValueError` for bounds that
+    are not in order, and where the rate is not a number.
     """
     check_box(domain)
     both = length_change(subject, lambda coframe, gram, change: jnp.stack([gram, change]).ravel(), lambda z: z)
@@ -41,7 +43,7 @@ def falsify(
 
 
 class _Rates(NamedTuple):
-    """Rates (B,) and the vectors (B, 2n) that shrink most slowly, of unit length."""
+    """Rates (B,), and the unit vectors (B, 2n) that decrease most slowly."""
 
     rate: Float[np.ndarray, "B"]
     vector: Float[np.ndarray, "B k"]
@@ -64,7 +66,7 @@ def _two(entries: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 class Pencil(NamedTuple):
-    """Entries of N and of K (2 k²,) as a graph, and with their derivatives in the `free` variables."""
+    """Entries of N and of K (2 k²,) as a graph; and a graph with their derivatives in the `free` variables."""
 
     value: Lowered
     slopes: Lowered
@@ -72,13 +74,13 @@ class Pencil(NamedTuple):
 
 
 def pencil(value: Lowered, domain: Box) -> Pencil:
-    """The graph of N and K (2 k²,), to be searched over boxes with the same free variables as the domain."""
+    """The graph of N and K (2 k²,), for searches over boxes with the same free variables as the domain."""
     free = np.flatnonzero(domain.high > domain.low).tolist()
     return Pencil(value, expand(value, free, 1), free)
 
 
 def slowest(form: Pencil, domain: Box, attempts: int, starts: int, seed: int) -> tuple[float, Float[np.ndarray, "d"]]:
-    """The least of −λmax(N⁻¹K) over a box, and where."""
+    """The least value of −λmax(N⁻¹K) over a box, and its point."""
     rng, d = np.random.default_rng(seed), len(domain.low)
     width = domain.high - domain.low
     least, kept = np.zeros(0), np.zeros((0, d))
@@ -88,7 +90,7 @@ def slowest(form: Pencil, domain: Box, attempts: int, starts: int, seed: int) ->
         face = rng.integers(d, size=count)
         share[np.arange(count)[::2], face[::2]] = rng.integers(2, size=len(face[::2]))
         if not begin:
-            share[0] = 0.5  # the middle, where what vanishes at rest does
+            share[0] = 0.5  # the middle, which often is at rest
         points = np.clip(domain.low + share * width, domain.low, domain.high)
         least = np.concatenate([least, _rates(numbers(form.value, points)).rate])
         kept = np.concatenate([kept, points])

@@ -1,4 +1,4 @@
-"""Arrays from which a certificate is drawn: its boxes seen along all variables but two, and what its gains allow.
+"""Data for drawing a certificate: its boxes projected on two variables, and the rates that its gains allow.
 
 Source: Aghannan & Rouchon 2003, Fig. 2.
 """
@@ -14,11 +14,11 @@ from covariant.proofs import OPEN, PROVED, leaves
 
 
 class Projection(NamedTuple):
-    """The boxes of one proof seen along all variables but two.
+    """The boxes of one proof, projected on two variables.
 
-    - `claim`: which statement; `kind`: of each of the two variables; `names`, `units`: as in the certificate.
-    - `proved`, `open` (k, 2, 2): different rectangles, low then high ends of both variables.
-    - `domain` (2, 2): all of it; `counterexample` (2,): where the statement was proved wrong, or None.
+    - `claim`: its kind; `kind`: that of each of the two variables; `names`, `units`: as in the certificate.
+    - `proved`, `open` (k, 2, 2): distinct rectangles, as low then high ends of both variables.
+    - `domain` (2, 2): of both variables; `counterexample` (2,): where the statement was proved wrong, or None.
     """
 
     claim: str
@@ -32,11 +32,11 @@ class Projection(NamedTuple):
 
 
 class TradeOff(NamedTuple):
-    """Rates λ [1/s] that the gains allow at q̂ = q, and how well conditioned a metric has them.
+    """Rates λ [1/s] that the gains allow at q̂ = q, and the condition numbers of the metrics for them.
 
-    - `rate`, `condition` (k,): of the best conditioned Q for each rate.
-    - `used`, `paper`: rate and condition number of the certificate's Q, and of the one of the paper.
-    - `certified`: the rate that the certificate is about.
+    - `rate`, `condition` (k,): those of the best conditioned Q for each rate.
+    - `used`, `paper`: rate and condition number of the certificate's Q, and of that of the paper.
+    - `certified`: the rate of the certificate.
     """
 
     rate: Float[np.ndarray, "k"]
@@ -47,7 +47,7 @@ class TradeOff(NamedTuple):
 
 
 def projection(certificate: ContractionCertificate) -> Projection:
-    """Boxes of the first claim that does not hold, or of the contraction, over the two variables most often halved."""
+    """Boxes of the first claim that is not proved, or of the contraction, over the two variables halved most often."""
     undecided = [claim for claim in certificate.claims if claim.proof.verdict != "holds"]
     claim = (undecided or certificate.claims)[0]
     domain, proof = claim.proof.box, claim.proof
@@ -75,7 +75,7 @@ def projection(certificate: ContractionCertificate) -> Projection:
 
 
 def trade_off(certificate: ContractionCertificate, count: int = 40) -> TradeOff:
-    """What the gains of a certificate's observer allow, from slow rates to nearly the fastest."""
+    """Rates that the gains of a certificate's observer allow, from slow ones to nearly the fastest."""
     alpha, beta = float(certificate.observer.alpha), float(certificate.observer.beta)
     fastest = -2 * float(np.linalg.eigvals(error_matrix(alpha, beta)).real.max())
     rates = fastest * np.linspace(0.02, 0.98, count)

@@ -1,4 +1,4 @@
-"""Bounds of the force on a mechanical system, and of its derivatives by the position, over boxes: in intervals."""
+"""Bounds of the force on a mechanical system, and of its derivatives by the position, over boxes; by intervals."""
 
 import functools
 
@@ -15,10 +15,10 @@ from covariant.proofs import Box, check_box, show_conditions
 def force_bounds(
     model: MechanicalSystem, places: Box, inputs: Float[np.ndarray, "2 m"], times: tuple[float, float]
 ) -> Float[np.ndarray, "2 n"]:
-    """Bounds of `force − grad U` over the box of positions, or on a group of matrix entries, of inputs and of times.
+    """Bounds of `force − grad U` over boxes of inputs, times, and positions (on a group, of matrix entries).
 
-    By interval arithmetic, outward rounded. The force may jump there. Raises `ValueError` where it has no bound, or is
-    not defined everywhere.
+    They come from interval arithmetic with outward rounding. The force may jump within the boxes. Raises `ValueError`
+    where it has no bound or is not defined everywhere.
     """
     given, shape = _given_box(places, inputs, times), configuration_shape(model, len(places.low))
     force = functools.partial(applied_force, model)
@@ -38,9 +38,9 @@ def force_bounds(
 def force_slopes(
     model: MechanicalSystem, places: Box, inputs: Float[np.ndarray, "2 m"], times: tuple[float, float]
 ) -> Float[np.ndarray, "n n"]:
-    """Bounds of |∂f_i/∂q_j| over the same boxes; on a group along the directions of the body.
+    """Bounds of |∂f_i/∂q_j| over the same boxes; on a group along the directions of the body frame.
 
-    Raises `ValueError` where the force has no such bound, as where it jumps.
+    Raises `ValueError` where the force has no such bound, for instance where it jumps.
     """
     given, shape = _given_box(places, inputs, times), configuration_shape(model, len(places.low))
     n = model.manifold.zero(jnp.zeros(shape)).size

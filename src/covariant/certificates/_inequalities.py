@@ -1,4 +1,4 @@
-"""The inequalities that are proved of a subject, as symmetric matrices that must be positive definite on its region."""
+"""The inequalities to be proved of a subject: symmetric matrices that must be positive definite on its region."""
 
 from collections.abc import Callable
 
@@ -15,7 +15,7 @@ from covariant.proofs import Form, as_form, derivative_form
 
 
 def contraction(subject: Subject, rate: float) -> Form:
-    """`z -> −(F_ΘᵀN + Ṅ + N F_Θ) − rate N`: positive definite where squared lengths shrink at the rate [1/s]."""
+    """`z -> −(F_ΘᵀN + Ṅ + N F_Θ) − rate N`: positive definite where squared lengths decrease at the rate [1/s]."""
 
     def numbers(z):
         point, t = subject.at(z), jnp.zeros((), z.dtype)
@@ -25,7 +25,7 @@ def contraction(subject: Subject, rate: float) -> Form:
 
 
 def length_change(subject: Subject, formula: Callable[[Array, Array, Array], Array], numbers: Callable) -> Form:
-    """A formula of Θ, of N, and of `F_ΘᵀN + Ṅ + N F_Θ`, the change of squared lengths, for a proof."""
+    """A formula of Θ, of N, and of `F_ΘᵀN + Ṅ + N F_Θ`, the rate of squared lengths, in the form that proofs need."""
 
     def parts(derivatives, nodes, count):
         flow, coframe, frame, gram, *_ = nodes
@@ -47,9 +47,9 @@ def length_change(subject: Subject, formula: Callable[[Array, Array, Array], Arr
 
 
 def width_bound(subject: Subject, row: int, square: float) -> Form:
-    """`z -> square N − r rᵀ`, r being that row of the Jacobian of (error, velocity).
+    """`z -> square N − r rᵀ`, with r the given row of the Jacobian of (error, velocity).
 
-    Positive definite where a curve of length ℓ changes that entry of (error, velocity) by less than `ℓ √square`.
+    It is positive definite where a curve of length ℓ changes that entry of (error, velocity) by less than `ℓ √square`.
     """
 
     def matrix(z):
@@ -61,17 +61,17 @@ def width_bound(subject: Subject, row: int, square: float) -> Form:
 
 
 def squared_widths(subject: Subject, z: Vector) -> Float[Array, "two_n"]:
-    """The least `square` of each row with which `width_bound` holds at z."""
+    """The least `square` of each row for which `width_bound` is positive semidefinite at z."""
     point = subject.at(z)
     gram, rows = point.metric.gram(jnp.zeros((), z.dtype), point.x), point.error_jacobian()
     return jnp.sum(rows * solve(gram, rows.T).T, axis=1)
 
 
 def disturbance_bound(subject: Subject, sizes: Float[np.ndarray, "two_n"], square: float) -> Form:
-    """`z -> square I − BᵀMB`, B being how the flow changes with errors of the measurement and of the force, by size.
+    """`z -> square I − BᵀMB`, with B the Jacobian of the flow in errors of measurement and force, scaled by `sizes`.
 
-    Positive definite where errors `δ = sizes w` with |w| ≤ 1 (in the Euclidean norm) change it by a vector shorter than
-    `√square`. The first n sizes are those of the measured position, the others those of the force.
+    It is positive definite where errors `δ = sizes w` with |w| ≤ 1 (in the Euclidean norm) change the flow by a vector
+    shorter than `√square`. The first n sizes are those of the measured position, the others those of the force.
     """
     n = len(sizes) // 2
 

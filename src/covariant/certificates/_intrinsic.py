@@ -1,9 +1,9 @@
-"""An intrinsic observer on a region, as a subject: its flow and its metric as functions of boxed variables.
+"""An intrinsic observer on a region, as a subject of proofs: its flow and metric as functions of variables in a box.
 
-The variables are the estimate, the error of its position and the force on the system, each in a box. Nothing else
-enters: the source `S = g⁻¹ f` at the measured position is a known function of the force f, whatever the input, the
-potential and the time that made it. On a group the estimated configuration does not enter either, by symmetry, and a
-model whose friction breaks the symmetry is refused.
+The variables are the estimate, the error of its position, and the force on the system. Nothing else enters: the source
+`S = g⁻¹ f` at the measured position is a known function of the force f, whatever the input, potential and time that
+cause it. On a group the estimated configuration does not enter either, by symmetry; a model whose friction breaks this
+symmetry is refused.
 """
 
 import functools
@@ -26,9 +26,9 @@ Intrinsics = Intrinsic | Geodesic
 
 
 def subject(observer: Intrinsics, q: TwoByTwo) -> Subject:
-    """The observer on any region, in the metric that the matrix q (2, 2) makes of that of its model.
+    """The observer on any region, with the metric on states made from that of its model by the matrix q (2, 2).
 
-    Raises `TypeError` for another kind of observer, `ValueError` for a space where none is known.
+    Raises `TypeError` for another kind of observer, `ValueError` for a space that is not covered.
     """
     if not isinstance(observer, Intrinsics):
         raise TypeError(f"only intrinsic observers have this metric, Intrinsic and Geodesic; got {observer!r}")
@@ -94,7 +94,7 @@ def _in_the_body(observer: Intrinsic, q: TwoByTwo) -> Subject:
     def each(linear, dtype):
         return jax.vmap(linear, out_axes=1)(jnp.eye(n, dtype=dtype))
 
-    # Around an estimate the chart is that of the retraction, and everything is looked at at θ = 0.
+    # Around an estimate the chart is that of the retraction, with coordinates θ; everything is evaluated at θ = 0.
     def frames(x, sign):
         theta, v = jnp.split(x, 2)
         body = each(functools.partial(manifold.frame_velocity, origin, theta), x.dtype)
@@ -113,8 +113,8 @@ def _in_the_body(observer: Intrinsic, q: TwoByTwo) -> Subject:
 
         def flow(t, x):
             theta, v = jnp.split(x, 2)
-            # log(exp(−θ) exp(−e)) to first order in θ, without what the logarithm decides by matrix entries. It is an
-            # identity for errors whose logarithm is unique.
+            # log(exp(−θ) exp(−e)) to first order in θ, without a logarithm, whose computation branches on matrix
+            # entries. It is an identity for errors whose logarithm is unique.
             towards = -error - manifold.local_rate(origin, error, theta)
             at = manifold.origin(z.dtype)
             xi = -towards if observer.order == 1 else second_order(space, at, -towards)
@@ -157,13 +157,13 @@ def _dimension(model: MechanicalSystem) -> int:
 
 
 def _friction(model: MechanicalSystem, q: Array, v: Vector) -> Vector:
-    """The dissipation of a model in which neither time nor input enters."""
+    """The dissipation of a model in which it depends on neither time nor input."""
     n = v.shape[0]
     return resistance(model, jnp.zeros((), v.dtype), q, v, jnp.zeros(input_count(model, n), v.dtype))
 
 
 def _need_steady_friction(model: MechanicalSystem) -> None:
-    """Raise `ValueError` where time or input enter the dissipation: they are no variables of a region."""
+    """Raise `ValueError` where the dissipation depends on time or input: these are not variables of a region."""
     if not model.dissipation_is_driven:
         return
     q = jnp.zeros(_dimension(model)) if model.manifold.commuting else model.manifold.origin()
@@ -180,7 +180,7 @@ def _need_steady_friction(model: MechanicalSystem) -> None:
 
 
 def _entries_read(function, *arguments: Array) -> set[int]:
-    """Which of the entries of its arguments, counted through, a function reads or is defined by."""
+    """The entries of its arguments, numbered consecutively, on which a function or its domain depends."""
     lowered = lower(function, *arguments, real=True)
     assert lowered.conditions is not None
     graphs = lowered.graph, lowered.conditions.graph
@@ -188,7 +188,7 @@ def _entries_read(function, *arguments: Array) -> set[int]:
 
 
 def _need_symmetry(model: MechanicalSystem) -> None:
-    """Raise `ValueError` where friction or inertia do not let the estimated configuration drop out."""
+    """Raise `ValueError` where friction or inertia depend on the estimated configuration."""
     origin = model.manifold.origin()
     entries, rest = origin.size, model.manifold.zero(origin)
     read = _entries_read(functools.partial(_friction, model), origin, rest)
@@ -207,9 +207,9 @@ def _need_symmetry(model: MechanicalSystem) -> None:
 
 
 def check_unique(observer: Intrinsics, error: Float[np.ndarray, "n"]) -> None:
-    """Raise `ValueError` for errors of positions up to which the way to the measurement is not unique, or not known.
+    """Raise `ValueError` unless the shortest path to the measurement is known to be unique for errors up to a bound.
 
-    Below half a turn, of each circle, and of each rotation at the farthest corner of the box.
+    Errors must be below half a turn, in each circle, and in each rotation at the farthest corner of the box.
     """
     if isinstance(observer, Geodesic):
         raise ValueError(

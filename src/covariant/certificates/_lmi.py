@@ -1,4 +1,4 @@
-"""Linear matrix inequalities for contraction: one metric for many Jacobians, and an observer's gain with it.
+"""Linear matrix inequalities for contraction: one constant metric for many Jacobians, and the gain of an observer.
 
 Source: Boyd, El Ghaoui, Feron & Balakrishnan 1994, Linear Matrix Inequalities in System and Control Theory, chapters 5
 and 7: quadratic stability of a polytope of systems, and the change of variable Y = MK.
@@ -15,11 +15,11 @@ from covariant._optional import load_optional
 from covariant._typing import Numbers
 
 AffineMatrix = Callable[[np.ndarray], np.ndarray]
-"""Unknowns (d,) -> symmetric matrix that has to be positive semidefinite, affine in the unknowns."""
+"""Unknowns (d,) -> a symmetric matrix, affine in the unknowns, that has to be positive semidefinite."""
 
 
 class MetricDesign(NamedTuple):
-    """A constant metric M (n, n), eigenvalues from 1 to `conditioning`, and a gain K (n, p) (no columns without)."""
+    """A constant metric M (n, n) with eigenvalues from 1 to `conditioning`, and a gain K (n, p), p = 0 without one."""
 
     metric: Float[np.ndarray, "n n"]
     gain: Float[np.ndarray, "n p"]
@@ -29,7 +29,7 @@ class MetricDesign(NamedTuple):
 def common_metric(jacobians: Numbers, rate: float) -> MetricDesign:
     """The best conditioned M with `FᵀM + MF ≤ −rate M` for every Jacobian F (k, n, n), so for all in their hull.
 
-    Squared lengths shrink at `rate` [1/s], distances at half of it. Raises `ValueError` where there is none.
+    Squared lengths decrease at `rate` [1/s], distances at half of it. Raises `ValueError` where there is none.
     """
     f = _stack("jacobians", jacobians, None)
     return _design(f, np.zeros((len(f), 0, f.shape[1])), rate, 0.0)
@@ -38,9 +38,9 @@ def common_metric(jacobians: Numbers, rate: float) -> MetricDesign:
 def observer_gain(jacobians: Numbers, outputs: Numbers, rate: float, *, effort: float = 1e-3) -> MetricDesign:
     """K and M with `(F − KH)ᵀM + M(F − KH) ≤ −rate M` for all pairs of Jacobians F (k, n, n) and H (k, p, n).
 
-    What is least is the conditioning of M plus `effort` times the norm of MK. The pairs are the vertices of a polytope,
-    for all of which the result then holds, or samples of a set, between which it has to be certified. Raises
-    `ValueError` where the shapes do not fit or no gain serves, with the advice to lower the rate.
+    They minimise the condition number of M plus `effort` times the norm of MK. The pairs are the vertices of a
+    polytope, on all of which the result then holds, or samples of a set, between which it has to be certified. Raises
+    `ValueError` where the shapes do not fit, or where there is no such gain, with the advice to lower the rate.
     """
     f = _stack("jacobians", jacobians, None)
     return _design(f, _stack("outputs", outputs, f), rate, effort)
@@ -99,7 +99,7 @@ def _design(f: np.ndarray, h: np.ndarray, rate: float, effort: float) -> MetricD
 
 
 def minimise(cost: Float[np.ndarray, "d"], forms: list[AffineMatrix]) -> Float[np.ndarray, "d"] | None:
-    """The unknowns with the least `cost @ x` for which all forms are positive semidefinite; None where there are none.
+    """The unknowns x that minimise `cost @ x` with all forms positive semidefinite; None where there are none.
 
     Raises `ImportError` without clarabel, the solver.
     """
@@ -130,6 +130,6 @@ def minimise(cost: Float[np.ndarray, "d"], forms: list[AffineMatrix]) -> Float[n
 
 
 def _packed(matrix: np.ndarray) -> np.ndarray:
-    """The upper triangle, column by column, off-diagonal entries times √2, as the solver's cone wants it."""
+    """The upper triangle, column by column, with off-diagonal entries times √2, as the solver's cone needs it."""
     columns, rows = np.tril_indices(len(matrix))
     return matrix[rows, columns] * np.where(rows == columns, 1.0, math.sqrt(2))

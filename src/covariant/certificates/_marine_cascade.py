@@ -1,4 +1,4 @@
-"""Theorem 3 for a marine craft under `control.Backstepping`, fed by `observers.craft_observer`: what `cascade` needs.
+"""Theorem 3 for a marine craft under `control.Backstepping` with `observers.craft_observer`: arguments of `cascade`.
 
 Source: Jouffroy & Fossen 2004, equations (97)–(102).
 """
@@ -21,8 +21,8 @@ from covariant.models.marine import Craft
 def tracking(controller: Backstepping) -> Subject:
     """The closed loop with a known state, `e = (η̃, s)`, in the metric diag(K_p, M) of V_con, (91) and (97).
 
-    The variables are the position η (n,), the wanted velocity ν_r (n,) and the error s (n,), named `eta_x`, `r_x` and
-    `s_x`.
+    The variables are the position η (n,), the desired velocity ν_r (n,) and the error s (n,), named `eta_x`, `r_x` and
+    `s_x`, with x the name of a coordinate or velocity.
     """
     craft = controller.craft
     n = len(craft.coordinates)
@@ -56,9 +56,9 @@ def tracking(controller: Backstepping) -> Subject:
 
 
 def feedthrough(controller: Backstepping) -> Coupling:
-    """`b(x̃)` of (98) as Jacobians over the position η (n,) and the rate `η_d' − Λη̃` (n,) that is asked for.
+    """Jacobians of `b(x̃)` of (98), as functions of the position η (n,) and of the desired rate `η_d' − Λη̃` (n,).
 
-    With that rate at zero this is the paper's b, which takes J as constant; otherwise its change is included.
+    Where that rate is zero this is the paper's b, which takes J as constant; otherwise the change of J is included.
     """
     craft = controller.craft
     n = len(craft.coordinates)
@@ -69,7 +69,7 @@ def feedthrough(controller: Backstepping) -> Coupling:
             jnp.asarray(a, z.dtype) for a in (craft.mass, controller.kp, controller.kd, controller.lam)
         )
         j = craft.transform(eta)
-        # ν_r = J⁻¹(asked), whose error enters through the velocity that η is believed to have.
+        # ν_r = J⁻¹(asked); its derivative is along the motion of η, whose velocity is that of the estimate.
         turned = jax.jacfwd(lambda y: solve_square(craft.transform(y), asked))(eta)
         nu_r = solve_square(j, asked)
         gyric = jax.jacfwd(lambda nu: craft.coriolis(nu) @ nu_r)(jnp.zeros_like(eta))
@@ -84,7 +84,7 @@ def feedthrough(controller: Backstepping) -> Coupling:
 
 
 def crossed_metric(craft: Craft, k2: Numbers, cross: Numbers) -> OutputMetric:
-    """The metric `[[K2, −JN], [−(JN)ᵀ, M]]` on (η, ν) with a cross term N (n, n) [kg m/s and with angles].
+    """The metric `[[K2, −JN], [−(JN)ᵀ, M]]` on (η, ν), with a cross term N (n, n) [kg m/s and with angles].
 
     With N = 0 it is that of the observer's Lyapunov function, in which quadratic drag gives no rate at rest.
     """

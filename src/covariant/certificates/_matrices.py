@@ -1,7 +1,7 @@
-"""What a certificate claims, as the checker forms it: functions of JAX that must be positive definite, or defined.
+"""The claims of a certificate as the checker forms them: JAX functions that must be positive definite, or defined.
 
-Made from the observer's flow and the metric's frame, as the prover's are, and by another route: by derivatives of JAX,
-of functions from which all that JAX was told about their derivatives has been taken out.
+They are made from the observer's flow and the frame of the metric, as those of the prover are, but in another way: by
+derivatives of JAX, for functions without the custom derivative rules that JAX was given.
 """
 
 from collections.abc import Callable
@@ -19,7 +19,7 @@ Matrix = Callable[[Any], Any]
 
 
 def contraction(about: Subject, rate: float) -> Matrix:
-    """`−(FᵀN + Ṅ + NF) − rate N`, z (d,) -> (2n, 2n)."""
+    """`−(FᵀN + Ṅ + NF) − rate N`, a function z (d,) -> (2n, 2n)."""
 
     def matrix(z):
         point, t = about.at(z), jnp.zeros(())
@@ -38,7 +38,7 @@ def contraction(about: Subject, rate: float) -> Matrix:
 
 
 def width_bound(about: Subject, row: int, square: float) -> Matrix:
-    """`square N − r rᵀ` for a row r of the changes of error and velocity, z (d,) -> (2n, 2n)."""
+    """`square N − r rᵀ` for a row r of the Jacobian of error and velocity, a function z (d,) -> (2n, 2n)."""
 
     def matrix(z):
         point = about.at(z)
@@ -49,7 +49,7 @@ def width_bound(about: Subject, row: int, square: float) -> Matrix:
 
 
 def disturbance(about: Subject, sizes: np.ndarray, square: float) -> Matrix:
-    """`square I − BᵀMB` for the change B of the flow with errors of measurement and force, by size, z -> (2n, 2n)."""
+    """`square I − BᵀMB`, B the scaled Jacobian of the flow in errors of measurement and force, z -> (2n, 2n)."""
     n = len(sizes) // 2
 
     def matrix(z):
@@ -63,9 +63,9 @@ def disturbance(about: Subject, sizes: np.ndarray, square: float) -> Matrix:
 
 
 def everything(about: Subject) -> Matrix:
-    """All that the claims are made of, z (d,) and 2n + 1 zeros -> (...).
+    """Everything that the claims are computed from, a function of z (d,) and 2n + 1 zeros -> (...).
 
-    The zeros are added to time and state: what is held fixed there is a variable all the same, at which nothing jumps.
+    The zeros are added to time and state: what a claim holds fixed is a variable here, so that jumps in it are found.
     """
 
     def parts(y):
@@ -76,7 +76,7 @@ def everything(about: Subject) -> Matrix:
 
 
 def force(model: Any, shape: tuple[int, ...]) -> Matrix:
-    """The force on the system, time, position, input -> (n,)."""
+    """The force on the system, a function of time, position and input -> (n,)."""
 
     def applied(y):
         t, q, u = jnp.split(y, (1, 1 + int(np.prod(shape))))
@@ -86,7 +86,7 @@ def force(model: Any, shape: tuple[int, ...]) -> Matrix:
 
 
 def within(function: Matrix, low: np.ndarray, high: np.ndarray) -> Matrix:
-    """Positive definite where a function (n,) is within bounds (n,)."""
+    """A matrix that is positive definite where a function (n,) is within bounds (n,)."""
 
     def matrix(y):
         found = function(y)
@@ -96,7 +96,7 @@ def within(function: Matrix, low: np.ndarray, high: np.ndarray) -> Matrix:
 
 
 def slopes(model: Any, shape: tuple[int, ...], n: int) -> Matrix:
-    """Derivatives of the force by the position, or in the body, time, position, input, zeros (n,) -> (n²,)."""
+    """Derivatives of the force by the position, or in the body frame: time, position, input, zeros (n,) -> (n²,)."""
 
     def derivatives(y):
         t, q, u = jnp.split(y[:-n], (1, 1 + int(np.prod(shape))))
@@ -107,7 +107,7 @@ def slopes(model: Any, shape: tuple[int, ...], n: int) -> Matrix:
 
 
 def stepped(model: Any, shape: tuple[int, ...], n: int) -> Matrix:
-    """The force a small step from the position, time, position, input, step -> (n,): what has those derivatives."""
+    """The force at a small step from the position, as in `slopes`: time, position, input, step (n,) -> (n,)."""
 
     def applied(y):
         t, q, u = jnp.split(y[:-n], (1, 1 + int(np.prod(shape))))

@@ -1,6 +1,6 @@
-"""What a rate of contraction says about noise: a bound for any noise, beside the prediction for white noise.
+"""Bounds of the effect of noise from a rate of contraction: for any noise, not only for white noise.
 
-Source: Lohmiller & Slotine 1998, section 3.7 (robustness); the white-noise prediction is `design.predict_errors`.
+Source: Lohmiller & Slotine 1998, section 3.7 (robustness); the prediction for white noise is `design.predict_errors`.
 """
 
 import math
@@ -12,9 +12,11 @@ from covariant.certificates._tangent_metric import TwoByTwo, check_q
 
 
 def steady_distance(rate: float, disturbance: float) -> float:
-    """The distance that solutions of a contracting flow and of a disturbed one keep at most: `2 D / λ`.
+    """The largest final distance between solutions of a contracting flow and of a disturbed one: `2 D / λ`.
 
-    `rate` λ [1/s] of squared lengths; `disturbance` D: the largest length, in the metric, of what is added to x'.
+    - `rate`: λ [1/s], of squared lengths.
+    - `disturbance`: D, the largest length in the metric of what is added to x'.
+
     Raises `ValueError` for a rate that is not positive.
     """
     if not rate > 0:
@@ -23,11 +25,11 @@ def steady_distance(rate: float, disturbance: float) -> float:
 
 
 def noise_disturbance(alpha: Number, beta: Number, q: TwoByTwo, noise: float, slope: float) -> float:
-    """The length, in the metric of q, of what a measurement error of length `noise` adds to the observer.
+    """The length, in the metric of q, of what a measurement error of length `noise` adds to the observer's flow.
 
-    To first order the error b adds `αb` to q̂' and `βb` to ∇v̂, a length `|b| √½(aα² + 2cαβ + bβ²)`; and because force
-    and curvature are taken where the system is measured to be, up to `slope |b|` more to ∇v̂. Raises `ValueError` where
-    q is not symmetric positive definite.
+    To first order the error b adds `αb` to q̂' and `βb` to ∇v̂, a vector of length `|b| √½(aα² + 2cαβ + bβ²)`. Since
+    force and curvature are evaluated at the measured position, it adds up to `slope |b|` more to ∇v̂. Raises
+    `ValueError` where q is not symmetric positive definite.
     """
     q, gains = check_q("noise_disturbance", q), np.array([alpha, beta])
     return noise * (math.sqrt(gains @ q @ gains / 2) + slope * math.sqrt(q[1, 1] / 2))
@@ -38,14 +40,15 @@ def error_bounds(
 ) -> tuple[float, float]:
     """Bounds of the steady errors |ξ| and |ζ|, in metric units, for measurement errors no longer than `noise`.
 
-    From `steady_distance`: a state at distance d has `|ξ| ≤ d √2(Q⁻¹)₁₁` and `|ζ| ≤ d √2(Q⁻¹)₂₂`. To first order in the
-    error; `certify(noise=...)` proves a bound for all errors of that size, and finds the slope itself.
+    They follow from `steady_distance`: a state at distance d has `|ξ| ≤ d √2(Q⁻¹)₁₁` and `|ζ| ≤ d √2(Q⁻¹)₂₂`. They hold
+    to first order in the error; `certify(noise=...)` proves a bound for all errors of that size, and finds the slope
+    itself.
 
-    - `slope` [1/s²]: at least the largest `‖∇S‖ + ‖R(·, v)v‖` there is, of the acceleration at rest and of the
-      curvature at the largest speed. For a spring it is k/m; only without force and curvature is it 0.
+    - `slope` [1/s²]: an upper bound of `‖∇S‖ + ‖R(·, v)v‖`, of the gradient of the acceleration at rest and the
+      curvature at the largest speed. For a spring it is k/m; it is 0 only without force and curvature.
 
-    Raises `ValueError` for a slope or a noise that is not a number, zero or more, a rate that is not positive, or a q
-    that is not symmetric positive definite.
+    Raises `ValueError` for a slope or a noise that is not a finite number ≥ 0, a rate that is not positive, or a q that
+    is not symmetric positive definite.
     """
     for name, value in (("slope", slope), ("noise", noise)):
         if not (math.isfinite(value) and value >= 0):

@@ -1,9 +1,9 @@
-"""Does a metric make an observer converge, and from how far?
+"""Conditions under which a metric makes an observer converge, locally or from any distance.
 
-Two conditions. The first, inequality (2): f contracts the metric in all directions that the output does not see. It
-gives an observer that converges from nearby. The second, G-9: the output is monotonic along geodesics, which needs
-level sets of the output that are totally geodesic. Only with it can a larger gain make the observer converge from
-farther away.
+There are two conditions. The first, inequality (2): f contracts the metric in all directions that do not change the
+output. It gives an observer that converges locally. The second, G-9: the output is monotonic along geodesics, which
+requires that the level sets of the output are totally geodesic. Only with it can a larger gain make the observer
+converge from farther away.
 
 Source: Sanfelice & Praly 2015, section I; Sanfelice & Praly 2012, Convergence of nonlinear observers on Rⁿ with a
 Riemannian metric (Part I), IEEE TAC 57(7).
@@ -25,14 +25,14 @@ from covariant.models import StateSpace
 from covariant.riccati import lie_derivative
 
 ROUNDING = 1e-7
-"""A bending below this share of the terms it is the difference of counts as none."""
+"""Bending below this fraction of the terms whose difference it is counts as zero."""
 
 
 class Observability(NamedTuple):
-    """Both conditions, and a geodesic on which the second is seen to fail.
+    """Certificates of both conditions, and a geodesic on which the second fails.
 
-    - `witness` (3, n): three states one after the other on a minimising geodesic; the outputs of the first and the last
-      are nearer to each other than those of the first and the middle. None where the second condition does not fail.
+    - `witness` (3, n): three successive states on a minimising geodesic, where the output of the first is closer to
+      that of the last than to that of the middle. None where the second condition does not fail.
     - `outputs` (3, p): their outputs.
     """
 
@@ -43,7 +43,7 @@ class Observability(NamedTuple):
 
     @property
     def verdict(self) -> str:
-        """One sentence."""
+        """The result in one sentence."""
         if self.condition_1.verdict != "holds":
             return f"no observer from this metric: {self.condition_1.statement}, margin {self.condition_1.margin:.3g}"
         if self.condition_2.verdict == "fails":
@@ -57,8 +57,8 @@ class Observability(NamedTuple):
 def detectability_rate(model: StateSpace, metric: MatrixField, x: Vector, u: Float[Array, "m"] | None = None) -> Scalar:
     """The largest q at x (n,) with which inequality (2), `L_f P ≤ ρ dh⊗dh − q P`, holds for some ρ [1/s].
 
-    Differential detectability: it is the least rate at which f contracts the squared length of vectors in the kernel of
-    dh (Finsler's lemma). Infinite where the output sees every direction.
+    This is differential detectability: q is the least rate at which f contracts the squared length of vectors in the
+    kernel of dh (Finsler's lemma). It is infinite where the output determines every direction.
     """
     hidden, _ = _directions(model, x, u)
     if not hidden.shape[1]:
@@ -70,18 +70,18 @@ def detectability_rate(model: StateSpace, metric: MatrixField, x: Vector, u: Flo
 def bending(
     model: StateSpace, metric: MatrixField, x: Vector, u: Float[Array, "m"] | None = None
 ) -> tuple[Scalar, Vector]:
-    """How much the level set of the output through x (n,) bends in the metric, and the unit direction of most bending.
+    """Curvature of the level set of the output through x (n,) in the metric, and the unit direction of most curvature.
 
-    The largest principal curvature |II(v, v)|, the second fundamental form II being the part of `∂²h(v, v) −
-    dh Γ(v, v)` that grad h carries: 0 where the level set is totally geodesic. In units of one over the metric's
-    length. The second value is what rounding may have made of it.
+    It is the largest principal curvature |II(v, v)|. The second fundamental form II is the component of
+    `∂²h(v, v) − dh Γ(v, v)` along grad h; it is 0 where the level set is totally geodesic. The unit is the inverse of
+    the metric's unit of length.
     """
     curvature, _, direction = _bending(model, metric, x, u)
     return curvature, direction
 
 
 def _bending(model: StateSpace, metric: MatrixField, x: Vector, u: Array | None) -> tuple[Scalar, Scalar, Vector]:
-    """Bending, the size of the terms it is the difference of, and the direction."""
+    """The bending, the size of the terms whose difference it is, and the direction."""
     hidden, dh = _directions(model, x, u)
     p = metric(x)
     unit = half_solve(hidden.T @ p @ hidden, hidden.T).T  # orthonormal in the metric
@@ -114,12 +114,14 @@ def observability(
     rate: float = 0.0,
     budget: Budget = Budget(),
 ) -> Observability:
-    """Both conditions at the given states: does the metric give an observer, and only from nearby?
+    """Test both conditions at the given states `points` (k, n).
 
-    The first holds where `detectability_rate` exceeds `rate` at all points; the second fails where `bending` does not
-    vanish, and a geodesic that shows it is given. With several outputs a vanishing bending decides nothing.
+    - `u` (m,): constant input, zero by default.
+    - `rate`: the first condition holds where `detectability_rate` exceeds it at all points.
+    - `budget`: work spent on the geodesic of the witness.
 
-    Raises `ValueError` where a point has no finite metric.
+    The second condition fails where `bending` does not vanish; then a geodesic shows it. With several outputs a
+    vanishing bending decides nothing. Raises `ValueError` where the metric is not finite at a point.
     """
     points = np.asarray(points)
 
@@ -161,7 +163,7 @@ def observability(
 
 @eqx.filter_jit
 def _witness(metric: MatrixField, x: Vector, velocity: Vector, budget: Budget) -> Float[Array, "3 n"]:
-    """States before, at and behind x on the geodesic with that velocity, which touches the level set there."""
+    """States before, at and after x on the geodesic with that velocity, which touches the level set at x."""
     ends = jax.vmap(lambda v: exp(metric, x, v, budget))(jnp.stack([-velocity, 0.9 * velocity]))
     return jnp.stack([ends[0], x, ends[1]])
 
@@ -173,7 +175,7 @@ def _directions(model: StateSpace, x: Vector, u: Array | None) -> tuple[Float[Ar
 
 
 def _arguments(model: StateSpace, x: Vector, u: Array | None) -> tuple[Scalar, Vector, Array]:
-    """Arguments of f and h at time zero, with the input at zero where none is given."""
+    """Arguments of f and h at time zero, with a zero input where none is given."""
     return jnp.zeros((), x.dtype), x, jnp.zeros(model.inputs, x.dtype) if u is None else u
 
 

@@ -1,4 +1,4 @@
-"""Some leaves of a saved certificate looked at once more, in balls of many digits: a third arithmetic."""
+"""A check of random leaves of a saved certificate in ball arithmetic with many digits: a third, independent one."""
 
 import time
 from pathlib import Path
@@ -16,7 +16,7 @@ from covariant.proofs.checker import leaves
 
 
 class Sampled(NamedTuple):
-    """Leaves that were found right, of how many; how many boxes that took, and how many seconds."""
+    """Number of leaves shown to be right, of all leaves; number of boxes this took, and time [s]."""
 
     leaves: int
     total: int
@@ -25,9 +25,9 @@ class Sampled(NamedTuple):
 
 
 def check_sample(source: str | Path | Document, count: int = 20, seed: int = 0, *, model: Any = None) -> Sampled:
-    """Check `count` random leaves of a saved certificate, a file or what was read from it, drawn from all its claims.
+    """Check `count` random leaves of a saved certificate, a file or its parsed content, drawn from all its claims.
 
-    `model`: as for `check`. Raises `ValueError` saying which box is not shown to be right, `ImportError` where
+    `model`: as for `check`. Raises `ValueError` naming a box that is not shown to be right, `ImportError` where
     python-flint is missing.
     """
     start = time.monotonic()

@@ -1,4 +1,4 @@
-"""How a certificate is written down: an observer as plain numbers and names, and back."""
+"""Conversion of an observer to plain numbers and names for a certificate, and back."""
 
 import dataclasses
 from typing import Any
@@ -21,9 +21,9 @@ KINDS = {"intrinsic": Intrinsic, "geodesic": Geodesic}
 
 
 def observer_document(observer: Intrinsics) -> dict[str, Any]:
-    """An observer without its model: its kind, gains and options.
+    """An observer without its model, as data: its kind, gains and options.
 
-    Raises `ValueError` for a field that cannot be written down, as a budget that is not the usual one.
+    Raises `ValueError` for a field that cannot be saved, such as a budget that is not the default.
     """
     kind = next(name for name, cls in KINDS.items() if type(observer) is cls)
     frame = frame_of(observer.model)
@@ -40,7 +40,7 @@ def observer_document(observer: Intrinsics) -> dict[str, Any]:
 def observer_from(document: Document, model: Any = None) -> tuple[Intrinsics, Float[np.ndarray, "2 2"]]:
     """The observer that a certificate is about, and the matrix Q of its metric.
 
-    `model`: what stands in the place of the recipe, as for `models.from_recipe`. Raises `ValueError` naming what fails.
+    `model`: used in place of the recipe, as for `models.from_recipe`. Raises `ValueError` naming what fails.
     """
     try:
         made = models.from_recipe(document.recipe, model)
@@ -48,7 +48,7 @@ def observer_from(document: Document, model: Any = None) -> tuple[Intrinsics, Fl
         raise ValueError(f"recipe: {error}") from error
     fields = dict(document.observer)
     kind, frame = fields.pop("kind"), fields.pop("frame")
-    # A file may name anything: only here has a model's kind to be asked for.
+    # A file may name any model, so its kind has to be checked here.
     known = frame_of(made) if isinstance(made, MechanicalSystem) else ""
     if known != frame:
         found = f"a model in {known}" if known else f"a {type(made).__name__}"
@@ -57,14 +57,14 @@ def observer_from(document: Document, model: Any = None) -> tuple[Intrinsics, Fl
 
 
 def frame_of(model: MechanicalSystem) -> str:
-    """What the vectors of a model are written in."""
+    """The frame of the vectors of a model, as named in a certificate."""
     return "coordinates" if model.manifold.commuting else "body"
 
 
 def value_graph(about: Subject) -> dict[str, list]:
-    """What the claims are about as a graph of scalars, for readers without JAX.
+    """The functions that the claims are about, as a graph of scalars, for readers without JAX.
 
-    The inputs are time, state and the variables of the box, the outputs the entries of `values`.
+    Its inputs are time, state and the variables of the box; its outputs are the entries of `values`.
     """
     d = len(about.names)
     states = jax.eval_shape(lambda z: about.at(z).x, jnp.zeros(d)).shape[0]

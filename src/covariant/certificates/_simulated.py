@@ -1,4 +1,4 @@
-"""Simulations beside a certificate: motions of the model in its region, and estimates from the border of its tube.
+"""Simulations for a certificate: motions of the model in its region, and estimates from the border of its tube.
 
 Source: Aghannan & Rouchon 2003, Theorem 2.
 """
@@ -18,16 +18,16 @@ from covariant.models import Motion
 from covariant.simulation import observe, simulate
 
 INSIDE = 0.98
-"""How much of the bounds a motion that is shown may use, so that it keeps them between its stamps."""
+"""Fraction of the bounds that a simulated motion may use, so that it also keeps them between its stamps."""
 WATCHED = 97
-"""Stamps at which a motion is looked at, whether it is inside."""
+"""Number of stamps at which it is tested whether a motion is inside the bounds."""
 
 
 class Followed(NamedTuple):
-    """Estimates that began on the border of the proved ball, each beside a motion of its own.
+    """Estimates that start on the border of the proved ball, each with a motion of its own.
 
-    - `t` (k, T) [s]: until the motion leaves the region or the bound of the velocity, eight time constants at most.
-    - `low`, `high` (k, T): their distances from below and from above; `bound` (k, T): `ε e^(−λt/2)`.
+    - `t` (k, T) [s]: until the motion leaves the region or the bound of the velocity, but eight time constants at most.
+    - `low`, `high` (k, T): lower and upper bounds of their distances; `bound` (k, T): `ε e^(−λt/2)`.
     - `certified` [1/s]: λ, of squared lengths.
     """
 
@@ -39,22 +39,22 @@ class Followed(NamedTuple):
 
     @property
     def holds(self) -> bool:
-        """Whether no distance is above its bound, beyond a millionth for the integration."""
+        """Whether no distance exceeds its bound, with a tolerance of one millionth for the integration."""
         return bool((self.low <= self.bound * (1 + 1e-6)).all())
 
     @property
     def rates(self) -> Float[np.ndarray, "k"]:
-        """The rate λ [1/s] of each, from its first stamp to its last."""
+        """The rate λ [1/s] of each pair, from its first stamp to its last."""
         return 2 * np.log(self.high[:, 0] / self.high[:, -1]) / (self.t[:, -1] - self.t[:, 0])
 
 
 class Trajectories(NamedTuple):
-    """A motion of the model inside the region, and estimates that begin on the border of the proved tube.
+    """A motion of the model inside the region, and estimates that start on the border of the proved tube.
 
     - `t` (T,) [s]; `positions`, `velocities` (T, n): the motion; positions on a group are `log(g(0)⁻¹ g)`.
-    - `estimated_positions`, `estimated_velocities` (k, T, n).
-    - `half_widths` (2n,): how far the tube reaches in each position error, then in each velocity.
-    - `shown`: the coordinate in whose plane of position and velocity the estimates begin all around the motion.
+    - `estimated_positions`, `estimated_velocities` (k, T, n): the estimates.
+    - `half_widths` (2n,): those of the tube in each position error, then in each velocity.
+    - `shown`: the coordinate in whose plane of position and velocity the estimates start all around the motion.
     - `distances`: of the estimates from the motion, and the certified bound.
     """
 
@@ -77,12 +77,13 @@ def follow_estimates(
     rtol: float = 1e-10,
     atol: float = 1e-13,
 ) -> Followed:
-    """Simulate motions in the region of a certificate, and beside each an estimate from the border of the proved ball.
+    """Simulate motions in the region of a certificate, each with an estimate from the border of the proved ball.
 
-    `count` random motions, each with an estimate that begins at a random place on the border, integrated with the
-    tolerances given; `stamps`: instants at which their distances are measured.
+    - `count`: number of random motions; each estimate starts at a random point of the border.
+    - `stamps`: number of instants at which the distances are measured.
+    - `rtol`, `atol`: tolerances of the integration.
 
-    Raises `ValueError` where nothing is proved, or where motions leave the region too soon to say anything.
+    Raises `ValueError` where nothing is proved, or where motions leave the region too soon.
     """
     plant, radius = _Plant(certificate), certificate.radius
     rng = np.random.default_rng(seed)
@@ -95,7 +96,7 @@ def follow_estimates(
     def onwards(start, inputs, until, direction):
         place = plant.place(start)[: 2 * plant.n]
         root = jnp.linalg.cholesky(metric.gram(jnp.zeros(()), place))
-        # On a sphere of the metric all directions are alike.
+        # Uniform on the sphere of the metric.
         ball = jnp.linalg.solve(root.T, direction / jnp.linalg.norm(direction))
         begin = _on_the_border(plant, start, metric.frame(jnp.zeros(()), place) @ ball, jnp.asarray(radius))
         t = first + (until - first) * jnp.linspace(0, 1, stamps)
@@ -105,7 +106,7 @@ def follow_estimates(
     @jax.jit
     def distances(*given):
         between = jax.vmap(lambda *x: (lower_distance(metric, *x), upper_distance(metric, *x)))
-        return jax.lax.map(lambda x: between(*x), given)  # one by one: each takes many points at every stamp
+        return jax.lax.map(lambda x: between(*x), given)  # one by one: each evaluates many points at every stamp
 
     t, *ends = onwards(start, inputs, jnp.asarray(until), directions)
     t, low, high = (np.asarray(a) for a in (t, *distances(t, *ends)))
@@ -117,11 +118,11 @@ def trajectories(
 ) -> Trajectories:
     """Simulate the model inside the region of a proved certificate, and `count` estimates from the border of its tube.
 
-    Of random motions with sinusoidal inputs within their bounds, one that stays inside longest is taken, at most eight
-    time constants of the observer, and of those one that moves much. The upper distance of the estimates begins at the
+    Among random motions with sinusoidal inputs within their bounds, one is chosen that stays inside longest, up to
+    eight time constants of the observer, and moves much. The upper bound of each estimate's distance starts at the
     radius.
 
-    Raises `ValueError` where nothing is proved, or where no motion stays inside for as long as two stamps.
+    Raises `ValueError` where nothing is proved, or where no motion stays inside for two stamps.
     """
     plant = _Plant(certificate)
     reached = plant.half_widths
@@ -144,7 +145,7 @@ def trajectories(
             places = [jax.vmap(plant.coordinates, (None, 0))(start, x) for x in (actual, estimated)]
             return *places, low, high
 
-        # One after the other: steps are chosen for each.
+        # One after the other, since each chooses its own steps.
         return jax.lax.map(one, angles)
 
     shown = int(np.argmax(travel[:n] / reached[:n] if plant.flat else travel[-n:] / reached[n:]))
@@ -167,15 +168,15 @@ def trajectories(
 class _Plant:
     """The model of a certificate that has a tube: its motions, and the chart in which its metric compares states.
 
-    The chart is that of its coordinates, or of the retraction around the estimate. Motions begin at `first` and are
-    followed for `longest` at most, eight times the time `constant` of the gains [s].
+    The chart is that of its coordinates, or of the retraction around the estimate. Motions start at `first` and are
+    followed for at most `longest`, eight times the time `constant` of the gains [s].
     """
 
     def __init__(self, certificate: ContractionCertificate):
         self.certificate, self.half_widths, self.n = certificate, certificate.half_widths, len(certificate.velocity)
         self.model, self.manifold = certificate.observer.model, certificate.observer.model.manifold
         self.flat = self.manifold.commuting
-        # Of these subjects the metric on states is the same at every point of the region.
+        # For these subjects the metric on states is one function for the whole region.
         self.metric = certificate.subject.at(jnp.zeros(len(certificate.subject.names))).metric
         alpha, beta = float(certificate.observer.alpha), float(certificate.observer.beta)
         self.constant = -1 / float(np.linalg.eigvals(error_matrix(alpha, beta)).real.max())
@@ -185,7 +186,7 @@ class _Plant:
             self.longest = min(self.longest, last - self.first)
 
     def draw(self, rng, count: int) -> Motion:
-        """Random motions inside the bounds."""
+        """Random states inside the bounds, as starts of motions."""
         if self.flat:
             low, high = (np.asarray(self.certificate.given["positions"][end]) for end in ("low", "high"))
             share = rng.uniform(-1, 1, (count, 2, self.n)) * rng.uniform(size=(count, 1, 1))
@@ -198,36 +199,36 @@ class _Plant:
         return Motion(q, jnp.asarray(v))
 
     def simulated(self, start: Motion, t: Array, control) -> tuple[Array, Array]:
-        """Entries of the configuration (T, k), and velocities (T, n), of the motion from there."""
+        """Entries of the configuration (T, k), and velocities (T, n), of the motion from `start`."""
         q, v = self.model.motion(simulate(self.model, self.model.state(start), t, control, rtol=1e-5, atol=1e-7).x)
         return q.reshape(len(t), -1), v
 
     def observed(self, start: Motion, estimate: Motion, t: Array, control, **tolerances) -> tuple[Motion, Motion]:
-        """The motion from `start`, and what the observer makes of it that begins at `estimate`."""
+        """The motion from `start`, and the estimates of an observer that starts at `estimate`."""
         observer = self.certificate.observer
         state = observer.init(estimate.q)._replace(q=estimate.q, v=estimate.v)
         x, states = observe(self.model, observer, self.model.state(start), state, t, control, **tolerances)
         return self.model.motion(x), Motion(states.q, states.v)
 
     def coordinates(self, start: Motion, x: Motion) -> Array:
-        """Position, as seen from the start where there are no coordinates, and velocity."""
+        """Position, relative to `start` where there are no coordinates, and velocity."""
         return jnp.concatenate([x.q if self.flat else self.manifold.local(start.q, x.q), x.v])
 
     def chart(self, estimated: Motion, actual: Motion) -> tuple[Array, Array]:
-        """Both where the metric can compare them."""
+        """Both states in the chart in which the metric compares them."""
         return self.coordinates(estimated, estimated), self.coordinates(estimated, actual)
 
     def place(self, x: Motion) -> Array:
-        """The point of the region where the estimate is x and all else is zero."""
+        """The point of the region with the estimate x and all other variables zero."""
         return jnp.concatenate([*([x.q] if self.flat else []), x.v, jnp.zeros(2 * self.n)])
 
     def inputs(self, pace: Array, phase: Array) -> Callable[[Array, Any], Array]:
-        """Sines (m,) within the bounds of the inputs."""
+        """Sinusoidal inputs (m,) within their bounds."""
         low, high = (jnp.asarray(self.certificate.given["inputs"][end]) for end in ("low", "high"))
         return lambda t, x: (low + high) / 2 + INSIDE * (high - low) / 2 * jnp.sin(pace * t + phase)
 
     def inside(self, places: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """At how many of its first stamps each motion (k, T, ...) is inside the bounds."""
+        """The number of first stamps at which each motion (k, T, ...) is inside the bounds."""
         low, high = (np.asarray(self.certificate.given["positions"][end]) for end in ("low", "high"))
         middle, half = (low + high) / 2, (high - low) / 2
         allowed = half * INSIDE if self.flat else half + 1e-9
@@ -238,15 +239,15 @@ class _Plant:
         return np.where(inside.all(1), inside.shape[1], inside.argmin(1))
 
     def moved(self, x: Motion, step: Array) -> Motion:
-        """The state x after a step (2n,) of position and velocity."""
+        """The state x changed by a step (2n,) of position and velocity."""
         turn, v = jnp.split(step, 2)
         return Motion(self.manifold.retract(x.q, turn), x.v + v)
 
 
 def _draw_motions(plant: _Plant, count: int, rng) -> tuple[Any, tuple[Array, Array], np.ndarray]:
-    """`count` starts of motions, the pace and phase (count, m) of their inputs, and when they end (count,).
+    """`count` starts of motions, the pace and phase (count, m) of their inputs, and their ends in time (count,).
 
-    Of random ones those that stay within the bounds for a time constant of the gains or longer.
+    These are random motions that stay within the bounds for at least a time constant of the gains.
     """
     first, longest = plant.first, plant.longest
     t = jnp.linspace(first, first + longest, WATCHED)
@@ -273,7 +274,7 @@ def _draw_motions(plant: _Plant, count: int, rng) -> tuple[Any, tuple[Array, Arr
 
 
 def _longest_motion(plant: _Plant, control, rng, count: int = 512) -> tuple[Any, float, np.ndarray]:
-    """The start of a motion within the bounds, for how long it is inside, and how far positions and velocities go."""
+    """The start of a motion within the bounds, how long it stays inside, and the ranges of positions and velocities."""
     t = jnp.linspace(plant.first, plant.first + plant.longest, 49)
     draws = plant.draw(rng, count)
 
@@ -295,7 +296,7 @@ def _longest_motion(plant: _Plant, control, rng, count: int = 512) -> tuple[Any,
 
 
 def _across(plant, start, shown, angle):
-    """A change of the state `start` in the plane of one position error and the change of velocity."""
+    """A step from the state `start`, in the plane of one position error and its velocity, at the given angle."""
     point, t = plant.certificate.subject.at(plant.place(start)), jnp.zeros(())
     rows = point.error_jacobian()[jnp.array([shown, shown + plant.n])]
     widest = jnp.linalg.solve(point.metric.gram(t, point.x), rows.T)
@@ -304,7 +305,7 @@ def _across(plant, start, shown, angle):
 
 
 def _on_the_border(plant, start, step, size):
-    """The state at the distance `size` from `start`, in the direction of `step` (2n,)."""
+    """The state at the distance `size` from `start` in the direction of `step` (2n,)."""
     t = jnp.zeros(())
 
     def nearer(_, scale):

@@ -1,4 +1,4 @@
-"""What a statement about contraction is made of: a flow and a metric, as functions of boxed variables."""
+"""The subject of a statement about contraction: a flow and a metric, as functions of variables in a box."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -15,11 +15,12 @@ def _nothing() -> Matrix:
 
 
 class Point(NamedTuple):
-    """What a point z of a region stands for: the flow with the measurement held, the metric, and a state x (2n,).
+    """A point z of a region: the flow with the measurement held constant, the metric, and a state x (2n,).
 
-    Of intrinsic observers, `error_jacobian()` (2n, 2n): the changes of position error and velocity that the vectors of
-    the metric's frame bring; `noise_jacobian()` (n, n): the change of the position error that an error of the
-    measurement brings.
+    Two Jacobians are defined for intrinsic observers only:
+
+    - `error_jacobian()` (2n, 2n): changes of position error and velocity by the vectors of the metric's frame.
+    - `noise_jacobian()` (n, n): change of the position error by an error of the measurement.
     """
 
     flow: Callable[[Scalar, Vector], Array]
@@ -32,9 +33,9 @@ class Point(NamedTuple):
 class Subject(NamedTuple):
     """A system about which something is proved on a region, which is a box of variables.
 
-    - `names`, `units`: of the variables. Of an intrinsic observer these are, n each, the estimate's position (not on a
-      group) and velocity, the error of its position, and the force on the system.
-    - `at`: what a point z of the box stands for.
+    - `names`, `units`: of the variables. For an intrinsic observer these are, n each, the estimated position (not on a
+      group) and velocity, the error of the position, and the force on the system.
+    - `at`: the `Point` at a point z of the box.
     """
 
     names: tuple[str, ...]
@@ -43,7 +44,7 @@ class Subject(NamedTuple):
 
 
 def values(subject: Subject) -> Callable[[Scalar, Vector, Vector], tuple[Array, ...]]:
-    """All that is claimed of a subject is made of this and its derivatives: flow, Θ, Θ⁻¹, N and both Jacobians."""
+    """The functions from which, with their derivatives, all claims are made: flow, Θ, Θ⁻¹, N and both Jacobians."""
 
     def at(t, x, z):
         point = subject.at(z)

@@ -1,7 +1,7 @@
 """The metric on the tangent bundle in which an intrinsic observer contracts.
 
 A variation (δq, δv) of a state (q, v) has the components `ξ = δq` and `ζ = δv + Γ(v, δq)`, both tangent vectors at q.
-The squared length is `½(a<ξ,ξ> + 2c<ξ,ζ> + b<ζ,ζ>)` with a matrix `Q = [[a, c], [c, b]]` that the gains decide.
+The squared length is `½(a<ξ,ξ> + 2c<ξ,ζ> + b<ζ,ζ>)`, with a matrix `Q = [[a, c], [c, b]]` chosen for the gains.
 
 Source: Aghannan & Rouchon 2003, section IV and equations (6), (11); their dV/dt lacks a factor ½.
 """
@@ -30,9 +30,9 @@ def error_matrix(alpha: Number, beta: Number) -> TwoByTwo:
 def lyapunov(alpha: Number, beta: Number, rate: float = 0.0, weight: float = 1.0) -> TwoByTwo:
     """Q (2, 2) with `AᵀQ + QA + rate Q = −diag(1, weight)`, A being `error_matrix(alpha, beta)`.
 
-    `rate` [1/s] below twice the real part of the slower pole; with 0 and weight 1 it is the metric of the paper.
-    Raises `ValueError` for gains that do not converge, or converge no faster than `e^(−rate t/2)`, and for a weight
-    that is not positive.
+    `rate` [1/s] must be below twice the decay rate of the slower pole; with rate 0 and weight 1 it is the metric of the
+    paper. Raises `ValueError` for gains that do not converge, or converge no faster than `e^(−rate t/2)`, and for a
+    weight that is not positive.
     """
     _check_finite("lyapunov", alpha=alpha, beta=beta, rate=rate, weight=weight)
     if weight <= 0:
@@ -50,7 +50,7 @@ def lyapunov(alpha: Number, beta: Number, rate: float = 0.0, weight: float = 1.0
 
 
 def rate_of(alpha: Number, beta: Number, q: Numbers) -> float:
-    """The rate λ [1/s] with `AᵀQ + QA ≤ −λQ`: that of squared lengths at q̂ = q.
+    """The largest λ [1/s] with `AᵀQ + QA ≤ −λQ`: the rate of squared lengths at q̂ = q.
 
     Raises `ValueError` for a gain that is not finite, and where q is not symmetric positive definite.
     """
@@ -62,7 +62,7 @@ def rate_of(alpha: Number, beta: Number, q: Numbers) -> float:
 
 
 def conditioning(beta: Number, q: Numbers) -> float:
-    """The condition number of Q, velocities being measured in units of √β times positions so that it has no unit.
+    """The condition number of Q, with velocities in units of √β times those of positions, so that it is dimensionless.
 
     Raises `ValueError` for a beta that is not positive, and where q is not symmetric positive definite.
     """
@@ -81,7 +81,7 @@ def check_q(whose: str, q: Any) -> TwoByTwo:
         given = np.zeros(0)
     if given.shape == (2, 2) and np.isfinite(given).all():
         with contextlib.suppress(np.linalg.LinAlgError):
-            # A last digit may differ, as after products of matrices.
+            # The off-diagonal entries may differ by rounding, as after products of matrices.
             if abs(given[0, 1] - given[1, 0]) <= 1e-12 * np.abs(given).max():
                 np.linalg.cholesky(given)
                 return (given + given.T) / 2
@@ -96,14 +96,14 @@ def _check_finite(whose: str, **given: Number) -> None:
 
 
 def optimal_lyapunov(alpha: Number, beta: Number, rate: float) -> TwoByTwo:
-    """Of the matrices of `lyapunov` for a rate, the one with the least condition number."""
+    """Among the matrices of `lyapunov` for a rate, the one with the smallest condition number."""
     weights = np.logspace(-6, 6, 241) / float(beta)
     found = [lyapunov(float(alpha), float(beta), rate, weight) for weight in weights]
     return min(found, key=lambda q: conditioning(beta, q))
 
 
 def tangent_metric(metric: MatrixField, q: TwoByTwo) -> StateMetric:
-    """The metric on states x = (q, v) (2n,) from a metric of configurations and a matrix Q, in the frame (ξ, ζ)."""
+    """The metric on states x = (q, v) (2n,) from a metric on configurations and a matrix Q, in the frame (ξ, ζ)."""
     geometry = as_space(metric)
     lower = np.array([[0.0, 0.0], [1.0, 0.0]])
 

@@ -1,8 +1,8 @@
-"""The virtual system of a contracting observer on a region, as functions of boxed variables.
+"""The virtual system of a contracting observer on a region, as functions of variables in a box.
 
-Plant and observer both solve `y' = f(t, y, u(t)) + K(z − h(t, y))`, with the same u and z, whatever made them. So the
-observer converges where that system contracts at fixed u and z. The paper's Theorem 2 differentiates the input's
-dependence on the estimate as well, and is wrong both ways.
+Plant and observer both solve `y' = f(t, y, u(t)) + K(z − h(t, y))`, with the same u and z, whatever generates these. So
+the observer converges where that system contracts at fixed u and z. The paper's Theorem 2 also differentiates the
+dependence of the input on the estimate; its condition is neither necessary nor sufficient.
 
 Source: Jouffroy & Fossen 2004, Theorem 2, corrected.
 """
@@ -19,16 +19,17 @@ from covariant.certificates._subject import Point, Subject
 from covariant.observers import Contracting
 
 OutputMetric = Callable[[Array, Array], Array]
-"""`(z, x) -> M (n, n)`: a metric on states that may look at the measured output."""
+"""`(z, x) -> M (n, n)`: a metric on states that may depend on the measured output."""
 
 
 def virtual(observer: Contracting, metric: OutputMetric | Numbers) -> Subject:
     """The observer on any region, in a metric M (n, n), constant or a function of measurement z and state x.
 
-    The variables are the state x (n,), the input u (m,), the measurement z (p,), and how fast it changes (p,), named
-    `x`, `u_1`, `z_x`, `zdot_x`. The result goes to `contraction`, `prove` and `falsify`.
+    The variables are the state x (n,), the input u (m,), the measurement z (p,) and its rate of change (p,), named
+    `x`, `u_1`, `z_x`, `zdot_x` with x the name of a state or output. Use the result in `contraction`, `prove` and
+    `falsify`.
 
-    Raises `ValueError` where the model's states have no names.
+    Raises `ValueError` where the states of the model have no names.
     """
     model = observer.model
     if not model.coordinates:
