@@ -1,8 +1,9 @@
 """Proofs that a matrix is positive definite everywhere in a box: branch and bound, its checker, and files of trees.
 
-The matrix is a JAX function of boxed variables. It becomes a graph of scalars, which is bounded over boxes in outward
-rounded arithmetic, and boxes are halved until each is decided. `proofs.checker` shows the same in another arithmetic.
-Knows functions and boxes; what a matrix says about an observer is for `covariant.certificates` to say.
+The matrix is a JAX function of variables in a box. It becomes a graph of scalars, which is bounded over boxes in
+outward-rounded arithmetic, and boxes are halved until each is decided. `proofs.checker` proves the same in another
+arithmetic. This package knows functions and boxes only; what a matrix says about an observer is in
+`covariant.certificates`.
 """
 
 from covariant.proofs._balls import BITS, BallMatrix

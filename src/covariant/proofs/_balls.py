@@ -1,7 +1,7 @@
-"""A matrix of boxed variables in balls of many digits: a third arithmetic, for looking at some boxes once more.
+"""A matrix of variables in a box, in ball arithmetic of many digits: a third arithmetic, to check some boxes again.
 
-The matrix is that of the prover, as a graph, and so are its derivatives; the numbers are those of Arb, and the test of
-positive definiteness is done in them. Needs python-flint.
+The matrix and its derivatives are the graphs of the prover. The numbers are those of Arb, and the test of positive
+definiteness is done in them. It needs python-flint.
 
 Source: F. Johansson, Arb: efficient arbitrary-precision midpoint-radius interval arithmetic, IEEE Trans. Computers
 66(8), 2017.
@@ -19,16 +19,16 @@ from covariant.proofs._form import Form
 from covariant.proofs.checker import halves
 
 BITS = 106
-"""Twice the digits of a double."""
+"""Precision in bits, twice that of a double."""
 DEPTH = 8
-"""How often a leaf is halved: balls are wider than intervals."""
+"""Largest number of halvings of a leaf: balls are wider than intervals."""
 
 
 class BallMatrix:
     """Taylor's form of a symmetric matrix (n, n), `S(c) + S'(c) δ + ½ S''(box) δ²`, in balls.
 
     - `flint`: the package python-flint, whose precision in bits the caller sets, such as to `BITS`.
-    - `form`: the matrix; `low`, `high` (d,): a box in which all others lie.
+    - `form`: the matrix; `low`, `high` (d,): a box that contains all others.
     """
 
     def __init__(self, flint: Any, form: Form, low: np.ndarray, high: np.ndarray):
@@ -40,7 +40,7 @@ class BallMatrix:
         self.arb, self.matrix, self.domain = flint.arb, flint.arb_mat, _balls(flint.arb)
 
     def show(self, low: np.ndarray, high: np.ndarray, what: str, depth: int = DEPTH) -> int:
-        """How many boxes it takes to show that the matrix is positive definite on one of them."""
+        """Number of boxes needed to show that the matrix is positive definite on one box. Raises `ValueError`."""
         try:
             good, axis = self._definite(low, high)
         except _UndecidedError:
@@ -54,7 +54,7 @@ class BallMatrix:
         return 1 + sum(self.show(a, b, what, depth - 1) for a, b in zip(lows, highs, strict=True))
 
     def _definite(self, low: np.ndarray, high: np.ndarray) -> tuple[bool, int]:
-        """Whether the matrix is positive definite, by `|I − CᵀSC| x < x`, and the variable that widens it most."""
+        """Whether the matrix is positive definite, by `|I − CᵀSC| x < x`; and the variable that widens it most."""
         centre, count = low / 2 + high / 2, self.n * (self.n + 1) // 2
         around = [self.arb(a).union(self.arb(b)) for a, b in zip(low.tolist(), high.tolist(), strict=True)]
         away = [abs(around[i] - self.arb(float(centre[i]))).upper() for i in self.free]
@@ -84,7 +84,7 @@ class BallMatrix:
         return good, int(self.free[share.argmax()] if len(share) else 0)
 
     def _matrices(self, graph: Lowered, z: list, count: int) -> list:
-        """Symmetric matrices from the entries below their diagonals, one after the other."""
+        """Consecutive symmetric matrices, each from its entries on and below the diagonal."""
         values = evaluate(graph, self.domain, z)
         place = np.zeros((self.n, self.n), int)
         place[np.tril_indices(self.n)] = np.arange(count)
@@ -96,11 +96,11 @@ class BallMatrix:
 
 
 class _UndecidedError(ArithmeticError):
-    """A branch that is not the same everywhere in a box."""
+    """A branch that is undecided on a box."""
 
 
 def _balls(arb: Any) -> Domain:
-    """The arithmetic of Arb. Branches that a box does not decide raise `_UndecidedError`."""
+    """The arithmetic of Arb. A branch that a box does not decide raises `_UndecidedError`."""
 
     def less(a: Any, b: Any) -> bool:
         if a < b:
@@ -128,7 +128,7 @@ def _balls(arb: Any) -> Domain:
         return found
 
     def _stumpff(k: int, x: Any) -> Any:
-        """The series, up to where what is left is below its last term, in absolute value."""
+        """The series, with a remainder bounded by the absolute value of its first omitted term."""
         total, term = arb(0), 1 / arb(math.factorial(k))
         for j in range(1, 40):
             total, term = total + term, -term * x / ((2 * j + k) * (2 * j + k - 1))

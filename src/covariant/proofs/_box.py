@@ -7,10 +7,10 @@ from jaxtyping import Float
 
 
 class Box(NamedTuple):
-    """Bounds of named variables; one with equal bounds is held fixed.
+    """Bounds of named variables; a variable with equal bounds is held fixed.
 
-    - `names`, `units`: of the variables, for people.
-    - `low`, `high`: (d,).
+    - `names`, `units`: of the variables, as text.
+    - `low`, `high` (d,): their bounds.
     """
 
     names: tuple[str, ...]
@@ -20,13 +20,13 @@ class Box(NamedTuple):
 
     @property
     def free(self) -> "Box":
-        """The variables that are not held fixed."""
+        """The box of the variables that are not held fixed."""
         kept = np.flatnonzero(self.high > self.low)
         names, units = (tuple(words[i] for i in kept) for words in (self.names, self.units))
         return Box(names, units, self.low[kept], self.high[kept])
 
     def with_fixed(self, values: np.ndarray, names: tuple[str, ...] = ()) -> "Box":
-        """The box with more variables (k,), held fixed at these values; without `names` they have none."""
+        """The box with further variables (k,), held fixed at these values; without `names` theirs are empty."""
         low, high = (np.concatenate([ends, values]) for ends in (self.low, self.high))
         empty = ("",) * len(values)
         return Box((*self.names, *(names or empty)), (*self.units, *empty), low, high)
@@ -48,7 +48,7 @@ def box(**bounds: tuple[float, float] | tuple[float, float, str]) -> Box:
 
 
 def check_box(given: Box) -> Box:
-    """The box itself. Raises `ValueError` naming a variable whose bounds are not finite numbers in order."""
+    """The box, unchanged. Raises `ValueError` naming a variable whose bounds are not finite numbers in order."""
     for name, low, high in zip(given.names, given.low, given.high, strict=True):
         if not (np.isfinite(low) and np.isfinite(high) and low <= high):
             raise ValueError(f"bounds of {name} must be finite, the lower one first; got {low:g} to {high:g}")

@@ -1,4 +1,4 @@
-"""Where is a function defined, and without jumps? Its conditions are shown to hold all over a box by halving it."""
+"""Proof that a function is defined and does not jump on a box: its conditions are shown by halving the box."""
 
 import itertools
 
@@ -9,13 +9,13 @@ from covariant.proofs._box import Box
 from covariant.proofs._tree import halves, middle_of
 
 MOST_CONDITIONS, DEEPEST = 4096, 40
-"""Boxes, and halvings of one, over which conditions may be decided: what is true mostly is so after three."""
+"""Largest number of boxes, and of halvings of one, for a proof of conditions; most are proved after three halvings."""
 
 
 def show_conditions(conditions: Conditions, domain: Box) -> str:
-    """Show by halving that all conditions hold over a domain: nothing, or which one is open, and where.
+    """Show by halving that all conditions hold over a domain. Returns "", or a text that names an open one and its box.
 
-    Once a condition holds on a box it does on its parts.
+    A condition that holds on a box is not tested again on its parts.
     """
     count, width = len(conditions.conditions), domain.high - domain.low
     low, high, undecided = domain.low[None], domain.high[None], np.ones((1, count), bool)
@@ -46,7 +46,7 @@ def show_conditions(conditions: Conditions, domain: Box) -> str:
 
 
 def _reads(conditions: Conditions) -> np.ndarray:
-    """Which inputs each condition depends on: (conditions, inputs)."""
+    """The inputs that each condition depends on, as a mask (conditions, inputs)."""
     nodes = conditions.graph.nodes
     read = np.zeros((len(nodes), conditions.inputs), bool)
     for i, node in enumerate(nodes):

@@ -1,8 +1,8 @@
-"""Are all matrices of an interval matrix positive definite? The tests of the prover, with all rounding bounded.
+"""Positive definiteness of all matrices in an interval matrix: the tests of the prover, with all rounding bounded.
 
-The interval matrix is brought near the identity by a congruence with floating-point factors, `I − CᵀSC = E`, and is
-positive definite where the spectral radius of |E| is below one, by Collatz & Wielandt: `|E| x < x` for some positive x,
-whose rounding is bounded in turn.
+A congruence with floating-point factors brings the interval matrix near the identity, `I − CᵀSC = E`. It is positive
+definite where the spectral radius of |E| is below one, by Collatz & Wielandt: `|E| x < x` for some positive x. The
+rounding of this test is bounded as well.
 
 Source: Rump 2010, Verification methods, Acta Numerica 19, section 10.8.
 """
@@ -11,19 +11,19 @@ import numpy as np
 from jaxtyping import Bool
 
 SLACK = 1e-3
-"""By how much |E| x must stay below x, so that another implementation of the test agrees on every box."""
+"""Relative margin by which |E| x must stay below x, so that another implementation of the test agrees on every box."""
 ROUND = 1e-12
-"""A bound of the relative rounding of a sum of a few hundred terms, with room to spare."""
+"""A generous bound of the relative rounding error of a sum of a few hundred terms."""
 TINY = 1e-290
-"""More than all underflows of such a sum together."""
+"""Larger than all underflows of such a sum together."""
 
 
 def definite(
     middle: np.ndarray, radius: np.ndarray, terms: np.ndarray | None = None
 ) -> tuple[Bool[np.ndarray, "B"], np.ndarray]:
-    """Are all symmetric matrices within `middle ± radius` (B, n, n) positive definite? Also the factors C used.
+    """Whether all symmetric matrices within `middle ± radius` (B, n, n) are positive definite; and the factors C used.
 
-    With `terms` (B, m, n, n) all those within `middle + Σ wₘ terms[m] ± radius`, |wₘ| ≤ 1.
+    With `terms` (B, m, n, n): all those within `middle + Σ wₘ terms[m] ± radius`, |wₘ| ≤ 1.
     """
     c, positive = factors(middle)
     ct, n = np.swapaxes(c, 1, 2), middle.shape[1]
@@ -42,7 +42,7 @@ def definite(
 
 
 def indefinite(middle: np.ndarray, radius: np.ndarray) -> Bool[np.ndarray, "B"]:
-    """Is no symmetric matrix within `middle ± radius` (B, n, n) positive definite? Some x with xᵀSx < 0 shows it."""
+    """Whether no symmetric matrix within `middle ± radius` (B, n, n) is positive definite: xᵀSx < 0 for some x."""
     finite = np.asarray((np.isfinite(middle) & np.isfinite(radius)).all(axis=(1, 2)))
     safe = np.where(finite[:, None, None], middle, 0.0)
     x = np.linalg.eigh(safe)[1][:, :, :1]
@@ -55,7 +55,7 @@ def indefinite(middle: np.ndarray, radius: np.ndarray) -> Bool[np.ndarray, "B"]:
 def factors(middle: np.ndarray) -> tuple[np.ndarray, Bool[np.ndarray, "B"]]:
     """C (B, n, n) with `Cᵀ middle C` near the identity, whatever the units of the entries; and whether there is one.
 
-    Of all such factors the inverse root: it turns no more than it must, and a sum of absolute values grows by turning.
+    Of all such factors it is the inverse square root: it rotates least, and rotation increases sums of absolute values.
     """
     n = middle.shape[1]
     diagonal = np.abs(np.diagonal(middle, axis1=1, axis2=2))

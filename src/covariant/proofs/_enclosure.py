@@ -1,8 +1,8 @@
 """Enclosures of a symmetric matrix over boxes, from a graph of its entries and of their derivatives.
 
-On each box the entries are enclosed by natural interval evaluation, by the mean-value form around the centre,
-`S(z) ∈ S(c) + S'(box) (z − c)`, and by Taylor's, `S(z) ∈ S(c) + S'(c) (z − c) + ½ S''(box) (z − c)²`, which needs boxes
-some ten times fewer a variable.
+On each box the entries are enclosed in three ways: by natural interval evaluation; by the mean-value form around the
+centre, `S(z) ∈ S(c) + S'(box) (z − c)`; and by Taylor's form, `S(z) ∈ S(c) + S'(c) (z − c) + ½ S''(box) (z − c)²`,
+which needs about ten times fewer boxes for each variable.
 
 Source: Neumaier 1990, Interval Methods for Systems of Equations, section 2.3.
 """
@@ -19,10 +19,10 @@ from covariant.proofs._tree import middle_of
 
 
 class Expansions(NamedTuple):
-    """A symmetric matrix (n, n) as graphs of its entries below the diagonal (K,), alone and with their derivatives.
+    """A symmetric matrix (n, n) as graphs of its K entries on and below the diagonal, and of their derivatives.
 
-    - `value`, `first`, `second`: the entries, those with first derivatives, and those with second ones as well.
-    - `size`: n; `free` (f,): the variables that are not held fixed; `width` (d,): of the whole domain.
+    - `value`, `first`, `second`: the entries, with first derivatives, and with first and second derivatives.
+    - `size`: n; `free` (f,): the variables that are not held fixed; `width` (d,): widths of the whole domain.
     """
 
     value: Lowered
@@ -34,7 +34,7 @@ class Expansions(NamedTuple):
 
     @classmethod
     def of(cls, entries: Lowered, domain: Box) -> "Expansions":
-        """From the graph of all entries. Raises `ValueError` where the matrix is not square."""
+        """The expansions of the graph of all entries. Raises `ValueError` where the matrix is not square."""
         shape = entries.results[0].shape
         if len(shape) != 2 or shape[0] != shape[1] or not shape[0]:
             raise ValueError(f"the matrix must be square; it has shape {shape}")
@@ -50,12 +50,12 @@ class Expansions(NamedTuple):
 
 
 class EnclosedMatrices(NamedTuple):
-    """Symmetric matrices (n, n) on boxes, in two ways.
+    """Enclosures of symmetric matrices (n, n) on boxes, in two forms.
 
-    - `centre + Σ wₘ terms[m]` within `rest`, |wₘ| ≤ 1, terms (B, f + p, n, n): Taylor's form, one term for each free
-      variable and one for each pair of them. `rest` is infinite where the matrix is not `smooth`.
-    - `middle` within `radius` (B, n, n): bounds of the entries alone.
-    - `shares` (B, f + p, n, n): how much of `rest` each variable, or pair, brings.
+    - `centre + Σ wₘ terms[m]` within `rest`, |wₘ| ≤ 1, terms (B, f + p, n, n): Taylor's form, with one term for each
+      free variable and one for each pair of them. `rest` is infinite where the matrix is not `smooth`.
+    - `middle` within `radius` (B, n, n): bounds of the entries.
+    - `shares` (B, f + p, n, n): contribution of each variable or pair to `rest`.
     """
 
     centre: np.ndarray
@@ -68,7 +68,7 @@ class EnclosedMatrices(NamedTuple):
 
 
 def symmetric(entries: np.ndarray, n: int) -> np.ndarray:
-    """Symmetric matrices (..., n, n) from their entries below the diagonal (..., K)."""
+    """Symmetric matrices (..., n, n) from their entries on and below the diagonal (..., K)."""
     rows, columns = np.tril_indices(n)
     full = np.empty((*entries.shape[:-1], n, n))
     full[..., rows, columns] = entries
@@ -77,13 +77,13 @@ def symmetric(entries: np.ndarray, n: int) -> np.ndarray:
 
 
 def enclosed(matrix: Expansions, low: np.ndarray, high: np.ndarray) -> EnclosedMatrices:
-    """The matrix on boxes with corners (B, d)."""
+    """Enclosures of the matrix on boxes with corners (B, d)."""
     centre = middle_of(low, high)
     at, on = enclose(matrix.first, centre, centre), enclose(matrix.second, low, high)
     k, f = matrix.size * (matrix.size + 1) // 2, len(matrix.free)
     half = np.maximum(high - centre, centre - low)[:, matrix.free] * (1 + ROUND)
     smooth = on.smooth[:, None]
-    with np.errstate(invalid="ignore", over="ignore"):  # infinite bounds of both signs have no middle
+    with np.errstate(invalid="ignore", over="ignore"):  # the middle of bounds −∞ and ∞ is NaN
         value, slopes, terms, shares = taylor_form(at, on, half, k)
         # A form with derivatives holds where these exist everywhere in the box.
         rest = np.where(smooth, (value.radius + shares.sum(axis=1)) * (1 + ROUND) + TINY, np.inf)
@@ -91,7 +91,7 @@ def enclosed(matrix: Expansions, low: np.ndarray, high: np.ndarray) -> EnclosedM
         radius = rest + np.abs(terms).sum(axis=1) * (1 + ROUND)
         lower_bound = np.fmax(_outward(value.middle - radius, -1), on.low[:, :k])
         upper_bound = np.fmin(_outward(value.middle + radius, 1), on.high[:, :k])
-        # The mean-value form is about the value at the centre, before Taylor's form moved it.
+        # The mean-value form is around the value at the centre, which Taylor's form has shifted.
         here = Ball.of(at.low[:, :k], at.high[:, :k])
         spread = np.where(smooth, here.radius + (size * half[:, :, None]).sum(axis=1) * (1 + ROUND), np.inf)
         lower_bound = np.fmax(lower_bound, _outward(here.middle - spread, -1))
@@ -116,9 +116,9 @@ class Ball(NamedTuple):
 
 
 def taylor_form(at: Enclosure, on: Enclosure, half: np.ndarray, k: int) -> tuple[Ball, Ball, np.ndarray, np.ndarray]:
-    """`S(c) + Σ Sᵢ(c) δᵢ + ½ Σ Sᵢⱼ δᵢδⱼ` over δ within ± half (B, f): the value at the centre, its slopes, all terms.
+    """`S(c) + Σ Sᵢ(c) δᵢ + ½ Σ Sᵢⱼ δᵢδⱼ` over δ within ± half (B, f): shifted value, slopes, terms and contributions.
 
-    As δᵢ² is nowhere negative, half of what it can add moves the value, and is out by no more than the other half.
+    Since δᵢ² is never negative, half of its largest contribution shifts the value, and bounds the deviation from it.
     """
     boxes, f = half.shape
     value, slopes = Ball.of(at.low[:, :k], at.high[:, :k]), Ball.of(at.low[:, k:], at.high[:, k:])

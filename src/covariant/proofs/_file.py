@@ -1,8 +1,8 @@
-"""A file of proofs is data in JSON: it is read once, and each value in it is checked where it is used.
+"""Reading of files of proofs: JSON data, read once, with every value checked where it is used.
 
-A file may come from anybody. What is wrong with one is a `ValueError` of one line that names the file and the key, what
-was found there and what was wanted. Nothing is run, imported or believed. The digest tells damage, and not forgery,
-since whoever changes a file can mend it.
+A file may come from anybody. A fault is a `ValueError` of one line, which names the file and the key, what was found
+there and what was expected. Nothing in a file is executed, imported or trusted. The digest detects damage, not forgery,
+since whoever changes a file can recompute it.
 """
 
 import functools
@@ -15,16 +15,16 @@ from typing import Any, NamedTuple, NoReturn
 import numpy as np
 
 MOST_BYTES, MOST_VALUES, DEEPEST = 64 * 2**20, 2_000_000, 8
-"""Size of a file, values in it, and how deeply they are nested: looked at before anything is made of them."""
+"""Largest size of a file [bytes], number of values in it, and depth of nesting, all checked before it is parsed."""
 CHUNK = 2**20
-"""Bytes that are looked at together."""
+"""Number of bytes that are examined at once."""
 LARGEST = 1e150
-"""The products of two numbers of a file, and sums of those, are finite."""
+"""Largest number in a file, so that products of two numbers, and sums of these, are finite."""
 REMEDY = "ask for the file as it was saved, or certify again"
 
 
 def read_file(path: str | Path) -> bytes:
-    """The content of a file, which is read once. Raises `ValueError` where there is none, or too much."""
+    """The content of a file, which is read only once. Raises `ValueError` where there is none, or too much."""
     file = file_name(path)
     try:
         if not Path(path).is_file():  # a pipe or a device may never end
@@ -41,12 +41,12 @@ def read_file(path: str | Path) -> bytes:
 
 
 def file_name(path: str | Path) -> str:
-    """A path in one line."""
+    """A path as one printable line."""
     return str(path) if str(path).isprintable() else ascii(str(path))
 
 
 def parse_file(path: str | Path, content: bytes) -> "Field":
-    """All that the content of a file says, as one field to be taken apart.
+    """The parsed content of a file, as one field.
 
     Raises `ValueError`, one line, where it is not JSON, or too large or too deep.
     """
@@ -55,7 +55,7 @@ def parse_file(path: str | Path, content: bytes) -> "Field":
 
 
 def digest(document: dict[str, Any]) -> str:
-    """SHA-256 of everything in a certificate but the digest itself, in one canonical spelling."""
+    """SHA-256 of a certificate without its digest, in a canonical form."""
     rest = {key: value for key, value in document.items() if key != "digest"}
     text = json.dumps(rest, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
     return hashlib.sha256(text.encode("utf-8")).hexdigest()
@@ -75,7 +75,7 @@ def _values(file: str, content: bytes) -> Any:
         raise ValueError(f"{file} is nested more than {DEEPEST} deep; {REMEDY}")
 
     try:
-        # Numbers beyond all bounds become infinite here, and are refused by the key that holds them.
+        # Numbers beyond the range of doubles become infinite here, and are refused where they are used.
         return json.loads(
             text, object_pairs_hook=functools.partial(_once, file), parse_constant=float, parse_int=_whole
         )
@@ -85,7 +85,7 @@ def _values(file: str, content: bytes) -> Any:
 
 
 def _once(file: str, pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """An object, in which no key is twice."""
+    """An object in which no key occurs twice."""
     found = dict(pairs)
     if len(found) < len(pairs):
         keys = [key for key, _ in pairs]
@@ -95,7 +95,7 @@ def _once(file: str, pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def _depth(content: bytes) -> int:
-    """How deeply brackets are nested, those in strings left out; a string that is not closed ends with the file."""
+    """Depth of nested brackets outside strings; a string that is not closed ends with the file."""
     depth, deepest, quoted = 0, 0, False
     for start in range(0, len(content), CHUNK):
         letters = np.frombuffer(content[start : start + CHUNK], np.uint8)
@@ -111,16 +111,16 @@ def _whole(digits: str) -> int | float:
 
 
 def brief(value: Any) -> str:
-    """A value in one short line."""
+    """A value as one short line."""
     short = reprlib.Repr()
     short.maxstring = short.maxother = short.maxlong = 60
     return short.repr(value)
 
 
 class Field(NamedTuple):
-    """A value of a file, and where it is: the file, and the key from the top, such as `claims[2].levels`.
+    """A value of a file and its place: the file, and the key from the top, such as `claims[2].levels`.
 
-    Its methods give the value, checked: each raises `ValueError` naming file and key, what was found and wanted.
+    Its methods return the checked value. Each raises `ValueError` naming file and key, what was found and expected.
     """
 
     file: str
@@ -139,7 +139,7 @@ class Field(NamedTuple):
         return Field(self.file, f"{self.key}.{key}" if self.key else key, self.value[key])
 
     def record(self, keys: list[str]) -> dict[str, "Field"]:
-        """The entries of an object that has these keys and no others."""
+        """The entries of an object that has exactly these keys."""
         self.need(isinstance(self.value, dict), f"an object with {', '.join(keys)}")
         for wrong, how in (
             (self.value.keys() - set(keys), "is not known"),
@@ -151,13 +151,13 @@ class Field(NamedTuple):
         return {key: self.at(key) for key in keys}
 
     def rows(self, least: int, most: int) -> list["Field"]:
-        """The entries of a list."""
+        """The entries of a list of `least` to `most` values."""
         several = f"{least}" if least == most else f"{least} to {most}"
         self.need(isinstance(self.value, list) and least <= len(self.value) <= most, f"a list of {several} entries")
         return [Field(self.file, f"{self.key}[{k}]", value) for k, value in enumerate(self.value)]
 
     def number(self) -> float:
-        """A number, which a truth is not."""
+        """A number; a truth value is not one."""
         self.need(is_number(self.value), f"a finite number, below {LARGEST:g}")
         return float(self.value)
 
@@ -181,14 +181,14 @@ class Field(NamedTuple):
         return self.value
 
     def vector(self, fewest: int, most: int, least: float = -LARGEST) -> np.ndarray:
-        """Numbers, none of them below `least`."""
+        """Numbers that are not below `least`."""
         numbers = self.rows(fewest, most)
         for number in numbers:
             number.need(number.number() >= least, f"{least:g} or larger")
         return np.array([number.number() for number in numbers], float)
 
     def pair(self, fewest: int, most: int) -> np.ndarray:
-        """Bounds {"low", "high"} of some variables (2, k)."""
+        """Bounds {"low", "high"} of variables (2, k)."""
         fields = self.record(["low", "high"])
         low = fields["low"].vector(fewest, most)
         high = fields["high"].vector(len(low), len(low))
@@ -198,5 +198,5 @@ class Field(NamedTuple):
 
 
 def is_number(value: Any) -> bool:
-    """Whether a value is a finite number, which a truth value is not."""
+    """Whether a value is a finite number; a truth value is not one."""
     return type(value) in (int, float) and abs(value) <= LARGEST

@@ -1,8 +1,8 @@
-"""A matrix of boxed variables that is to be proved positive definite, as numbers and as a graph.
+"""A matrix of variables in a box that is to be proved positive definite, as a function of numbers and as a graph.
 
-What a flow does to lengths needs derivatives. Those of JAX are blind to jumps: a `where`, a `sign`, a look-up have
-none, and what somebody declares instead of a derivative is believed. A proof therefore starts from values alone: they
-become a graph once, with the conditions under which they are defined and do not jump, and the graph is differentiated.
+Contraction of a flow involves derivatives. Those of JAX do not see jumps: a `where`, a `sign` or a table look-up has
+none, and custom derivative rules are trusted. A proof therefore starts from values alone. They become a graph once,
+with the conditions under which they are defined and do not jump, and this graph is differentiated.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -18,9 +18,9 @@ from covariant.lowering import Conditions, Derivative, Graph, Lowered, graft, lo
 
 
 class Formed(NamedTuple):
-    """A matrix as a graph of z (d,): its entries, and where what it was made of is defined and does not jump.
+    """A matrix as a graph of z (d,): its entries, and the conditions under which its parts are defined without jumps.
 
-    The conditions have further inputs after z: variables that were held at the numbers `pins`.
+    The conditions have further inputs after z: variables that are held fixed at the numbers `pins`.
     """
 
     entries: Lowered
@@ -29,7 +29,7 @@ class Formed(NamedTuple):
 
 
 class Form(NamedTuple):
-    """A symmetric matrix of variables z (d,): `numbers` is its function, `graph` makes it at the shape of z."""
+    """A symmetric matrix of variables z (d,): `numbers` computes it, `graph` makes its graph for the shape of z."""
 
     numbers: Callable[[Array], Array]
     graph: Callable[[Array], Formed]
@@ -38,11 +38,11 @@ class Form(NamedTuple):
         return self.numbers(z)
 
     def then(self, formula: Callable[[Array], Array]) -> "Form":
-        """What a formula makes of the matrix, such as one of its blocks."""
+        """The form of a formula of the matrix, such as one of its blocks."""
         return self.beside(lambda matrix, z: formula(matrix))
 
     def beside(self, formula: Callable[[Array, Array], Array]) -> "Form":
-        """What a formula makes of the matrix and of z."""
+        """The form of a formula of the matrix and of z."""
 
         def graph(z):
             formed = self.graph(z)
@@ -55,7 +55,7 @@ class Form(NamedTuple):
 
 
 def as_form(matrix: Callable[[Array], Array]) -> Form:
-    """A function `z (d,) -> (n, n)` as a form, which is asked to be defined, and to have no jump anywhere."""
+    """A function `z (d,) -> (n, n)` as a form, with the conditions that it is defined and has no jump."""
     if isinstance(matrix, Form):
         return matrix
 
@@ -74,11 +74,11 @@ class NodeDerivatives:
         self.graph = graph
 
     def along(self, nodes: np.ndarray, direction: Mapping[int, int]) -> np.ndarray:
-        """Along a direction: the node of the change of each input, by its position."""
+        """Derivatives along a direction: for the position of each input that changes, the node of its change."""
         return np.vectorize(Derivative(self.graph, direction), otypes=[int])(nodes)
 
     def each(self, nodes: np.ndarray, inputs: Sequence[int], sides: np.ndarray | None = None) -> np.ndarray:
-        """In each of the inputs (k,), or along the columns of `sides` (k, m) in them: one more axis, at the end."""
+        """Derivatives in each of the inputs (k,), or along the columns of `sides` (k, m); on a new last axis."""
         one, zero = self.graph.constant(1.0), self.graph.constant(0.0)
         columns = np.where(np.eye(len(inputs), dtype=bool), one, zero) if sides is None else sides
         found = [self.along(nodes, dict(zip(inputs, side, strict=True))) for side in columns.T.tolist()]
@@ -86,7 +86,7 @@ class NodeDerivatives:
 
 
 Values = Callable[[Array, Array, Array], tuple[Array, ...]]
-"""`(t, x (k,), z (d,)) -> arrays`."""
+"""Functions of time, state and variables, `(t, x (k,), z (d,)) -> arrays`."""
 Parts = Callable[[NodeDerivatives, tuple[np.ndarray, ...], int], tuple[np.ndarray, ...]]
 """`(derivatives, nodes of the values, k) -> nodes of the arguments of a formula`; inputs are t, then x (k,), then z."""
 
@@ -94,15 +94,15 @@ Parts = Callable[[NodeDerivatives, tuple[np.ndarray, ...], int], tuple[np.ndarra
 def derivative_form(
     values: Values, state: Callable[[Array], Array], parts: Parts, formula: Callable[..., Array], numbers: Callable
 ) -> Form:
-    """A formula of values and of their derivatives at x = state(z), t = 0, the derivatives being those of the graph.
+    """A formula of values and of their derivatives at x = state(z), t = 0, with the derivatives of the graph.
 
-    At kinks, as those of |x|, min and max, the graph's derivatives are all between those of both sides: Clarke's
-    generalised Jacobian lies among them. Where all matrices so found are positive definite, an inequality of
-    contraction holds for Lipschitz flows as for smooth ones. For take neighbouring solutions x and x + δ: by the
-    mean-value theorem (Clarke 1983, Optimization and Nonsmooth Analysis, 2.6.5) δ' = Aδ for a mean A of Jacobians on
-    the segment between them, the inequality is affine in A, and its margin, positive on a compact set, outweighs what
-    is of higher order in δ. So sufficiently short chords shrink, and with them every curve, as the limit of its
-    polygons.
+    At kinks, such as those of |x|, min and max, the derivatives in intervals contain all values between those of both
+    sides, and so Clarke's generalised Jacobian. Where all matrices found in this way are positive definite, an
+    inequality of contraction holds for Lipschitz flows as for smooth ones. The argument: for neighbouring solutions x
+    and x + δ, the mean-value theorem (Clarke 1983, Optimization and Nonsmooth Analysis, 2.6.5) gives δ' = Aδ with a
+    mean A of Jacobians on the segment between them. The inequality is affine in A, and its margin, which is positive on
+    a compact set, outweighs terms of higher order in δ. So sufficiently short chords shrink, and with them every curve,
+    as the limit of polygons.
     """
 
     def graph(z):
@@ -116,7 +116,7 @@ def derivative_form(
 
 
 def _at_state(value: Lowered, grown: Graph, made: np.ndarray, at: Lowered) -> Formed:
-    """The entries and conditions as functions of z alone, x being what it is there and t = 0."""
+    """The entries and conditions as functions of z alone, with x = state(z) and t = 0."""
     assert value.conditions is not None
     d, count = at.inputs, len(at.outputs)
 
@@ -131,7 +131,7 @@ def _at_state(value: Lowered, grown: Graph, made: np.ndarray, at: Lowered) -> Fo
 
     small = Graph()
     entries = np.array(substitute(grown, made.ravel().tolist(), small, inputs(small, small.constant)), int)
-    # A variable that is held fixed is one all the same: what jumps there jumps.
+    # A variable that is held fixed is still an input of the conditions, so that a jump in it is found.
     free, pins = Graph(), []
 
     def pinned(number: float) -> int:

@@ -1,6 +1,6 @@
-"""What becomes of a box: the matrix is proved positive definite on it, or seen not to be, or the box has to be halved.
+"""Decision on a box: the matrix is proved positive definite on it, or shown not to be, or the box is halved.
 
-Boxes for which nothing is decided are halved across the variable that widens the enclosure most.
+A box that is not decided is halved across the variable that widens the enclosure most.
 """
 
 import numpy as np
@@ -14,7 +14,7 @@ from covariant.proofs._tree import OPEN, PROVED, middle_of
 
 
 def judge(matrix: Expansions, low: np.ndarray, high: np.ndarray) -> tuple[Int[np.ndarray, "B"], np.ndarray | None]:
-    """The code of each box: proved, the variable to halve, or open where it cannot be halved; a counter-example."""
+    """A code for each box: proved, the variable to halve, or open if it cannot be halved; and a counter-example."""
     found = enclosed(matrix, low, high)
     proved, c = definite(found.centre, found.rest, found.terms)
     rest = np.flatnonzero(~proved)
@@ -33,7 +33,7 @@ def judge(matrix: Expansions, low: np.ndarray, high: np.ndarray) -> tuple[Int[np
     relative = ((high - low)[rest] / np.where(matrix.width > 0, matrix.width, 1.0))[:, matrix.free]
     lost = ~np.isfinite(weight).all(axis=1)
     weight[lost] = relative[lost]
-    # Where every variable seems harmless, or cannot be halved any more, the widest one is.
+    # Where every variable has no effect, or cannot be halved any more, the widest one is halved.
     middle = middle_of(low[rest], high[rest])[:, matrix.free]
     possible = (middle > low[rest][:, matrix.free]) & (middle < high[rest][:, matrix.free])
     weight = np.where(possible, weight + 1e-9 * relative * weight.max(axis=1, keepdims=True, initial=0.0), -1.0)
@@ -42,16 +42,16 @@ def judge(matrix: Expansions, low: np.ndarray, high: np.ndarray) -> tuple[Int[np
 
 
 def look_around(matrix: Expansions, domain: Box, count: int = 4096) -> np.ndarray | None:
-    """A point of the domain, as a box (2, d), at which the matrix is seen not to be positive definite."""
+    """A point of the domain, as a box (2, d), at which the matrix is not positive definite, from random points."""
     rng = np.random.default_rng(0)
     inside = rng.uniform(size=(count, len(domain.low)))
-    inside[::2] = np.round(inside[::2])  # corners, where the worst often is
+    inside[::2] = np.round(inside[::2])  # corners, where the smallest eigenvalue often is
     points = np.clip(domain.low + inside * (domain.high - domain.low), domain.low, domain.high)
     return counterexample_at(matrix, points)
 
 
 def counterexample_at(matrix: Expansions, points: np.ndarray) -> np.ndarray | None:
-    """The first of some points (k, d), as a box (2, d), at which the matrix is seen not to be positive definite."""
+    """The first of some points (k, d), as a box (2, d), at which the matrix is shown not to be positive definite."""
     at = enclose(matrix.value, points, points)
     middle, radius = (symmetric(part, matrix.size) for part in Ball.of(at.low, at.high))
     wrong = np.flatnonzero(indefinite(middle, radius))
@@ -59,9 +59,9 @@ def counterexample_at(matrix: Expansions, points: np.ndarray) -> np.ndarray | No
 
 
 def _weight(c: np.ndarray, terms: np.ndarray, shares: np.ndarray, f: int) -> np.ndarray:
-    """How much each variable (B, f) widens the enclosures of matrices that the factors c bring near the identity.
+    """How much each variable (B, f) widens the enclosures, after the factors c bring the matrices near the identity.
 
-    What a pair brings counts for both of its variables.
+    The contribution of a pair counts for both of its variables.
     """
     c, size = c[:, None], np.abs(c)[:, None]
     with np.errstate(all="ignore"):
@@ -76,7 +76,7 @@ def _weight(c: np.ndarray, terms: np.ndarray, shares: np.ndarray, f: int) -> np.
 
 
 def _weight_at_centre(matrix: Expansions, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """The same from derivatives at the centre alone, for boxes over which nothing is bounded."""
+    """The weights from derivatives at the centre alone, for boxes on which nothing is bounded."""
     centre = middle_of(low, high)
     at, k = enclose(matrix.second, centre, centre), matrix.size * (matrix.size + 1) // 2
     count = k + len(matrix.free) * k

@@ -1,10 +1,10 @@
-"""Is a matrix positive definite everywhere in a box? Proved by branch and bound in outward-rounded arithmetic.
+"""Proof by branch and bound that a matrix is positive definite everywhere in a box, with outward rounding.
 
-The matrix is enclosed on a box, and the enclosure tested for being positive definite; boxes for which that fails are
-halved. A matrix whose making is not defined somewhere, or jumps, is not proved: the conditions are halved over until
-they hold.
+The matrix is enclosed on a box, and the enclosure tested for positive definiteness; boxes on which the test fails are
+halved. A matrix is not proved where its computation is undefined somewhere or jumps: the conditions for this are shown
+first, also by halving.
 
-Effort is counted in boxes, so that a verdict does not depend on the machine, nor on what else it does.
+Effort is counted in boxes, so that a verdict depends neither on the machine nor on its load.
 """
 
 import concurrent.futures
@@ -29,22 +29,24 @@ from covariant.proofs._judge import judge, look_around
 from covariant.proofs._tree import CHUNK, OPEN, Tree, open_boxes
 
 PATIENCE = 4 * CHUNK
-"""Boxes of work alone before it is shared out over processes."""
+"""Number of boxes that are evaluated by one process before the work is shared out."""
 ROUND_OF_LOTS = 4
-"""Lots of boxes that are evaluated before any of them is halved further, whoever does it."""
+"""Number of lots of boxes that are evaluated before any of them is halved further, whichever process does it."""
 MOST_BOXES = 200_000
-"""Boxes that a proof may take unless told otherwise."""
+"""Default limit of the number of boxes of a proof."""
 
 
 class Proof(NamedTuple):
-    """What branch and bound found.
+    """Result of branch and bound.
 
     - `verdict`: "holds", "fails" (then `counterexample` is a box in which the matrix is nowhere positive definite) or
-      "undecided" (then `open` are the boxes that remain).
-    - `levels`: the boxes as a binary tree, one array of integers a level from the whole box down: the variable across
-      whose middle a box is halved, lower half first, −1 where the matrix is proved positive definite, −2 if it is open.
-    - `boxes`: how many were evaluated, in `seconds`.
-    - `reason`: where the matrix may not be defined, or jumps, which alone leaves everything undecided.
+      "undecided" (then `open` are the remaining boxes).
+    - `box`: the domain.
+    - `levels`: the boxes as a binary tree, from the whole box down, with one array of integers for each level: the
+      variable across whose middle a box is halved, lower half first; −1 where the matrix is proved positive definite;
+      −2 where it is open.
+    - `boxes`: number of boxes evaluated; `seconds`: time it took.
+    - `reason`: where the matrix may be undefined or jump, which alone leaves everything undecided.
     """
 
     verdict: Literal["holds", "fails", "undecided"]
@@ -58,7 +60,7 @@ class Proof(NamedTuple):
 
     @classmethod
     def stated(cls, domain: Box, levels: list[np.ndarray]) -> "Proof":
-        """What a tree says that was read from a file; how long it took is not known (NaN).
+        """The proof stated by a tree that was read from a file; the time it took is not known (NaN).
 
         Raises `ValueError` where the levels are not a tree over the domain.
         """
@@ -70,7 +72,7 @@ class Proof(NamedTuple):
 
     @property
     def open_share(self) -> float:
-        """The share of the domain that no box proves."""
+        """Fraction of the domain in open boxes."""
         return float(sum((codes == OPEN).sum() * 0.5**depth for depth, codes in enumerate(self.levels)))
 
 
@@ -83,13 +85,15 @@ def prove(
     processes: int = 1,
     progress: Callable[[float, int], None] | None = None,
 ) -> Proof:
-    """Is `matrix`: `z (d,) -> (n, n)`, a symmetric JAX function or a form, positive definite for every z in the domain?
+    """Prove that a symmetric matrix is positive definite for every z in the domain.
 
-    Everything that the function computes must be defined and without jumps there, as well; kinks may be. Stops after
-    that many `boxes`, a few more or less, then "undecided"; after `seconds` too, where given, counted from when the
-    matrix has been written as a graph. `processes` above 1 shares the boxes out (a script that asks for it needs
-    the `if __name__ == "__main__"` guard); the tree found does not depend on it. `progress` is told the share of the
-    domain that is decided and the number of boxes evaluated, now and then.
+    - `matrix`: `z (d,) -> (n, n)`, a JAX function or a form. Everything that it computes must also be defined and
+      without jumps on the domain; kinks are allowed.
+    - `boxes`: the proof stops after about this many boxes, with the verdict "undecided".
+    - `seconds`: optional limit of time, counted from when the matrix has been written as a graph.
+    - `processes`: above 1 they share the boxes (a script then needs the `if __name__ == "__main__"` guard); the tree
+      found does not depend on their number.
+    - `progress`: called now and then with the decided fraction of the domain and the number of boxes evaluated.
 
     Raises `LoweringError` where the matrix has no graph of scalars, `ValueError` where it is not square.
     """
@@ -108,13 +112,15 @@ def prove_at_corners(
     seconds: float | None = None,
     progress: Callable[[float, int], None] | None = None,
 ) -> list[Proof]:
-    """The same where the matrix is affine in some of the variables, taken together: one proof for each corner of them.
+    """Prove that a matrix is positive definite where it is affine in some variables jointly: one proof for each corner.
 
-    The smallest eigenvalue is then a concave function of those variables, least at a corner of their box; so they need
-    not be halved, and 2^k proofs over the others take the place of one over all. Stops at the first that does not hold.
-    `boxes` and `seconds` are for all of them.
+    - `affine`: names of these variables.
+    - `boxes`, `seconds`: effort of all proofs together; `matrix`, `domain`, `progress`: as for `prove`.
 
-    Raises `ValueError` where the matrix is not affine in them, as its second derivatives show, or one is not known.
+    The smallest eigenvalue is a concave function of these variables, so it is least at a corner of their box. They need
+    not be halved: 2^k proofs over the other variables replace one over all. It stops at the first that does not hold.
+
+    Raises `ValueError` where the matrix is not affine in them, as its second derivatives show, or a name is not known.
     """
     check_box(domain)
     unknown = set(affine) - set(domain.names)
@@ -128,7 +134,7 @@ def prove_at_corners(
     if any(moves[1 + len(kept) :]):
         raise ValueError(f"prove_at_corners: the matrix is not affine in {', '.join(affine)} together")
     ends = [(domain.low[i], domain.high[i])[: 1 + enters] for i, enters in zip(kept, moves[1:], strict=False)]
-    # The conditions are no affine functions: they are asked for over the whole domain.
+    # The conditions are not affine: they are proved over the whole domain.
     reason, effort = _reason(formed, domain), _Effort.of(boxes, seconds)
     expansions, found = None, []
     for corner in itertools.product(*ends):
@@ -144,10 +150,10 @@ def prove_at_corners(
 
 
 def blocks(matrix: Callable[[Array], Array], domain: Box) -> list[Int[np.ndarray, "k"]]:
-    """Indices of the diagonal blocks that a symmetric `z -> (n, n)` falls into, after a permutation, for every z.
+    """Indices of the diagonal blocks of a symmetric `z -> (n, n)`, after a permutation, for every z.
 
-    A matrix is positive definite where each of them is, and each depends on fewer variables. Entries count as zero
-    where their graph is the constant 0.
+    A matrix is positive definite where each block is, and each block depends on fewer variables. An entry counts as
+    zero where its graph is the constant 0.
     """
     formed = as_form(matrix).then(lambda m: m + m.T).graph(jnp.asarray(domain.low))
     nodes = formed.entries.nodes()
@@ -158,7 +164,7 @@ def blocks(matrix: Callable[[Array], Array], domain: Box) -> list[Int[np.ndarray
 
 
 class _Effort(NamedTuple):
-    """Boxes that may be evaluated, and the instant [s] at which the work began and has to end."""
+    """Number of boxes that may be evaluated, and the times [s] at which the work began and must end."""
 
     boxes: int
     start: float
@@ -181,7 +187,7 @@ def _decide(matrix: "Expansions", domain: Box, effort: _Effort, processes: int, 
     if reason:
         return proof("undecided", leaf, None, np.stack([domain.low, domain.high])[None], 1)
     tree = Tree(domain)
-    # Most proofs are over before worker processes have started.
+    # Most proofs are finished before worker processes have started.
     alone = effort if processes == 1 else effort._replace(boxes=min(effort.boxes, PATIENCE))
     wrong = _search(functools.partial(map, functools.partial(judge, matrix)), tree, alone, progress)
     if processes > 1 and wrong is None and tree.waiting and tree.evaluated < effort.boxes:
@@ -194,12 +200,12 @@ def _decide(matrix: "Expansions", domain: Box, effort: _Effort, processes: int, 
 
 
 def _reason(formed: Formed, domain: Box) -> str:
-    """Why conditions are not shown to hold over the domain; nothing where they are."""
+    """Why the conditions are not shown to hold over the domain; "" where they are."""
     return show_conditions(formed.conditions, domain.with_fixed(formed.pins))
 
 
 _matrix: Expansions | None = None
-"""What a worker process judges."""
+"""The matrix of this worker process."""
 
 
 def _take(matrix: Expansions) -> None:
@@ -213,9 +219,9 @@ def _judge_here(low: np.ndarray, high: np.ndarray) -> tuple[Int[np.ndarray, "B"]
 
 
 def _search(judge: Callable, tree: Tree, effort: _Effort, progress) -> np.ndarray | None:
-    """Evaluate boxes until none is left, the effort is spent or a counter-example is found.
+    """Evaluate boxes until none is left, the effort is used up, or a counter-example is found.
 
-    `judge` maps boxes (low, high) to what became of them, here or in other processes.
+    `judge` maps boxes (low, high) to their codes, in this or in other processes.
     """
     while tree.evaluated < effort.boxes and time.monotonic() < effort.until:
         lots = [lot for _ in range(ROUND_OF_LOTS) if (lot := tree.next()) is not None]

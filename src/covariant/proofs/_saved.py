@@ -1,4 +1,4 @@
-"""How trees of boxes and graphs of scalars are written into a file, and read back."""
+"""Conversion of trees of boxes and graphs of scalars to data for a file, and back."""
 
 import string
 from collections.abc import Sequence
@@ -10,28 +10,28 @@ from covariant.lowering import FOLD, Lowered
 from covariant.proofs._file import MOST_VALUES, Field, is_number
 
 LETTERS = string.ascii_letters
-"""One for each variable across whose middle a box is halved; a leaf is a dot, an open one a question mark."""
+"""One letter for each variable across whose middle a box is halved; a leaf is a dot, an open leaf a question mark."""
 MOST_LEVELS, MOST_LETTERS = 400, 10**7
-"""Of a tree, and of all trees of a file together."""
+"""Largest number of levels of a tree, and of letters of all trees of a file together."""
 ARGUMENTS = {op: range(n := getattr(fold, "nin", 3), n + 1) for op, fold in FOLD.items()}
 ARGUMENTS |= {"either": range(4, 5), "stumpff": range(2, 3)}
-"""Operations of a graph of scalars, and how many arguments they take."""
+"""Operations of a graph of scalars, and the numbers of arguments they take."""
 
 
 def to_letters(levels: Sequence[np.ndarray]) -> list[str]:
-    """A tree of boxes, one string a level: the letter of the variable that is halved, '.' proved, '?' open."""
+    """A tree of boxes, one string for each level: the letter of the variable that is halved, '.' proved, '?' open."""
     table = np.array([ord(c) for c in LETTERS + "?."], np.uint8)  # indices −1 and −2 are the last two
     return [table[codes].tobytes().decode("ascii") for codes in levels]
 
 
 def from_letters(levels: Sequence[str]) -> list[np.ndarray]:
-    """The tree that `to_letters` wrote, as whole numbers: −1 for proved, −2 for open."""
+    """The tree written by `to_letters`, as integers: −1 for proved, −2 for open."""
     codes = {letter: code for code, letter in enumerate(LETTERS)} | {".": -1, "?": -2}
     return [np.array([codes[letter] for letter in level], int) for level in levels]
 
 
 def saved_levels(field: Field, variables: int) -> tuple[str, ...]:
-    """The levels of a tree that covers its box: both halves of each box that is halved are there."""
+    """The levels of a tree, checked to cover its box: both halves of each halved box are present."""
     rows, known, size = field.rows(1, MOST_LEVELS), set(LETTERS[:variables]) | {".", "?"}, 1
     for row in rows:
         fits = type(row.value) is str and len(row.value) == size and known >= set(row.value)
@@ -42,7 +42,7 @@ def saved_levels(field: Field, variables: int) -> tuple[str, ...]:
 
 
 def saved_graph(field: Field) -> dict[str, list]:
-    """The rows of a graph of scalars that points backwards only, as `graph_rows` wrote them."""
+    """The rows of a graph of scalars as written by `graph_rows`, checked to refer to earlier rows only."""
     fields = field.record(["nodes", "outputs"])
     nodes, outputs = fields["nodes"], fields["outputs"]
     nodes.need(isinstance(nodes.value, list), "a list of rows")
@@ -55,7 +55,7 @@ def saved_graph(field: Field) -> dict[str, list]:
 
 
 def _is_node(row: Any, k: int) -> bool:
-    """Whether this is row k of a graph: a constant, an input, or an operation on rows before it."""
+    """Whether this is a valid row k of a graph: a constant, an input, or an operation on earlier rows."""
     if not (type(row) is list and row and type(row[0]) is str):
         return False
     op, *arguments = row
@@ -68,6 +68,6 @@ def _is_node(row: Any, k: int) -> bool:
 
 
 def graph_rows(lowered: Lowered) -> dict[str, list]:
-    """A graph of scalars as rows, for readers without JAX: each an operation and the numbers of earlier rows."""
+    """A graph of scalars as rows, for readers without JAX: each row is an operation and the numbers of earlier rows."""
     rows = [[node.op, *(node.arguments or (node.value,))] for node in lowered.graph.nodes]
     return {"nodes": rows, "outputs": list(lowered.outputs)}

@@ -1,4 +1,4 @@
-"""How a box is cut in halves, in halves of halves and so on: the binary tree of boxes that branch and bound leaves."""
+"""The binary tree of boxes of branch and bound, in which a box is halved, its halves are halved, and so on."""
 
 import itertools
 from collections.abc import Iterator
@@ -9,9 +9,9 @@ from jaxtyping import Float, Int
 from covariant.proofs._box import Box
 
 CHUNK = 2048
-"""Boxes evaluated at once: their intermediate values stay in the cache."""
+"""Number of boxes evaluated at once: their intermediate values stay in the cache."""
 PROVED, OPEN = -1, -2
-"""Codes of leaves: the statement holds on all of the box, or that is not decided."""
+"""Codes of leaves: the statement is proved on all of the box, or undecided."""
 
 
 def leaves(domain: Box, levels: list[np.ndarray]) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
@@ -34,7 +34,7 @@ def open_boxes(domain: Box, levels: list[np.ndarray]) -> Float[np.ndarray, "k 2 
 
 
 def halves(low, high, axes) -> tuple[np.ndarray, np.ndarray]:
-    """Both halves of boxes (k, d), lower before upper: (2k, d). The middle belongs to both, so that nothing is lost."""
+    """Both halves of boxes (k, d), lower before upper: (2k, d). Both include the middle, so that no point is lost."""
     rows = np.arange(len(low))
     middle = middle_of(low[rows, axes], high[rows, axes])
     low, high = np.repeat(low, 2, axis=0), np.repeat(high, 2, axis=0)
@@ -49,7 +49,7 @@ def middle_of(low, high):
 
 
 class Tree:
-    """Boxes by number: what became of each, and its children."""
+    """Boxes by number: the code of each, and its children."""
 
     def __init__(self, domain: Box):
         self.domain = domain
@@ -61,7 +61,7 @@ class Tree:
         ]
 
     def next(self) -> tuple | None:
-        """Some boxes to evaluate: numbers, low, high and depths; small lots are put together."""
+        """Some boxes to evaluate: numbers, low, high and depths; small lots are combined."""
         if not self.waiting:
             return None
         lots, count = [], 0
@@ -74,7 +74,7 @@ class Tree:
         return tuple(part[:CHUNK] for part in whole)
 
     def take(self, lot: tuple, codes: Int[np.ndarray, "B"]) -> None:
-        """Enter what became of a lot."""
+        """Store the codes of a lot of boxes, and add the halves of those that are halved."""
         numbers, low, high, depth = lot
         self.evaluated += len(numbers)
         self.decided += float((2.0 ** -depth[codes == PROVED]).sum())
@@ -92,7 +92,7 @@ class Tree:
             self.waiting.append((np.arange(first, first + new), *children, np.repeat(depth[split] + 1, 2)))
 
     def levels(self) -> tuple[list[np.ndarray], Float[np.ndarray, "k 2 d"]]:
-        """The tree, and its open boxes."""
+        """The tree, level by level, and its open boxes."""
         found, numbers = [], np.zeros(1, int)
         while len(numbers):
             found.append(self.code[numbers])

@@ -1,7 +1,7 @@
-"""The checker's arithmetic: shows again, by Taylor models, what branch and bound has proved in intervals.
+"""An independent check, by Taylor models, of what branch and bound has proved in intervals.
 
-It is made for checking another arithmetic and shares nothing with it: it reads JAX's programs itself, and trusts IEEE
-`+ − × ÷ √` alone.
+To be independent it shares nothing with the prover: it reads JAX's programs itself, and relies on IEEE `+ − × ÷ √`
+alone.
 """
 
 from covariant.proofs.checker._definite import show_definite

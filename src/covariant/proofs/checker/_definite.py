@@ -1,4 +1,4 @@
-"""Is a matrix positive definite on boxes? The checker's test, by Taylor models, with all rounding bounded."""
+"""Positive definiteness of a matrix on boxes: the test of the checker, by Taylor models, with all rounding bounded."""
 
 import itertools
 
@@ -9,14 +9,14 @@ from covariant.proofs.checker._taylor import ROUND, TINY, UndecidedError
 from covariant.proofs.checker._tree import halves
 
 CHUNK, MOST = 1024, 20_000
-"""Boxes at once, and boxes that may be left over when many were halved."""
+"""Number of boxes evaluated at once, and largest number of further boxes waiting after halvings."""
 
 
 def definite(matrix: np.ndarray, width: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """On which boxes, of a width (B, d), a symmetric matrix (n, n) is positive definite; what variable widens it most.
+    """On which boxes, of width (B, d), a symmetric matrix (n, n) is positive definite; and the variable to halve.
 
-    A matrix `Σ Sₘeₘ` with e₀ = 1 and all other |eₘ| ≤ 1 is, if for some C the spectral radius of
-    `E = |CᵀS₀C − I| + Σ|CᵀSₘC|` is below one: if some positive x has Ex < x.
+    A matrix `Σ Sₘeₘ` with e₀ = 1 and all other |eₘ| ≤ 1 is positive definite if, for some C, the spectral radius of
+    `E = |CᵀS₀C − I| + Σ|CᵀSₘC|` is below one, that is, if Ex < x for some positive x.
     """
     keys = sorted({m for entry in matrix.flat for part in entry.terms for m in part})
     s, radius = np.zeros((len(keys), len(width), *matrix.shape)), np.zeros((len(width), *matrix.shape))
@@ -48,10 +48,10 @@ def definite(matrix: np.ndarray, width: np.ndarray) -> tuple[np.ndarray, np.ndar
 
 
 def show_definite(matrix: TaylorEnclosure, low: np.ndarray, high: np.ndarray, depth: int, what: str) -> None:
-    """Raises `ValueError` unless `matrix + matrixᵀ` is positive definite on all boxes, halved up to `depth` times."""
+    """Raise `ValueError` unless `matrix + matrixᵀ` is positive definite on all boxes, halved up to `depth` times."""
     left, most, size = np.full(len(low), depth), len(low) + MOST, CHUNK
     while len(low):
-        # The last ones first, halves among them: an operation costs little more for many boxes than for one.
+        # The last boxes first, with the halves among them: an operation on many boxes costs little more than on one.
         (low, a), (high, b), (left, deep) = ((x[:-size], x[-size:]) for x in (low, high, left))
         if len(low) > most or (deep < 0).any():
             k = deep.argmin()

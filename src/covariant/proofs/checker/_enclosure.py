@@ -1,4 +1,4 @@
-"""Enclosures of JAX functions over boxes by Taylor models: reads a jaxpr entry by entry, on arrays of boxes."""
+"""Enclosures of JAX functions over boxes by Taylor models: evaluates a jaxpr entry by entry, for arrays of boxes."""
 
 import functools
 import itertools
@@ -28,7 +28,7 @@ from covariant.proofs.checker._taylor import ROUND, Taylor, UndecidedError, curv
 
 
 def _refuse_shortened(eqn: Any) -> None:
-    """A number made shorter is no function of real numbers."""
+    """Refuse conversion to a shorter type, which is not a function of real numbers."""
     if eqn.primitive.name == "reduce_precision":
         raise ValueError("the model makes numbers shorter, by 'reduce_precision'")
     if eqn.primitive.name != "convert_element_type" or not (is_real(eqn.invars[0]) and is_real(eqn.outvars[0])):
@@ -43,7 +43,7 @@ def is_whole(atom: Any) -> bool:
 
 
 def _settled(value: Any, atom: Any) -> np.ndarray:
-    """A result as an array: of numbers, or of known truths or whole numbers."""
+    """A result as an array: of Taylor models, or of known truth values or integers."""
     value = np.asarray(value, getattr(value, "dtype", object))
     if is_real(atom) or value.dtype != object:
         return value
@@ -57,10 +57,10 @@ def _settled(value: Any, atom: Any) -> np.ndarray:
 class TaylorEnclosure:
     """A function of z (d,) over boxes, as an array of `Taylor`.
 
-    - `low`, `high` (d,): a box in which all others lie; variables without width are fixed.
-    - `slack` (d,): how much farther out than its box z may be.
-    - `watch`: instead of the function, the number 1 on boxes where all that it computes is "defined", or "smooth": is
-      defined and does not jump; and −1 on others.
+    - `low`, `high` (d,): a box that contains all others; variables of zero width are fixed.
+    - `slack` (d,): how far beyond its box z may be.
+    - `watch`: "" for the function itself. "defined" or "smooth" for a matrix (1, 1) instead, which is 1 on boxes where
+      everything that the function computes is defined, or defined without jumps, and −1 on others.
     """
 
     def __init__(
@@ -80,7 +80,7 @@ class TaylorEnclosure:
     def __call__(self, low: np.ndarray, high: np.ndarray) -> np.ndarray:
         """The function over boxes with corners (B, d).
 
-        Raises `UndecidedError` where boxes take different branches, `ValueError` naming an operation not known here.
+        Raises `UndecidedError` where boxes take different branches, `ValueError` naming an operation that is not known.
         """
         forget()
         middle = low / 2 + high / 2
@@ -121,7 +121,7 @@ class TaylorEnclosure:
         return [read(atom) for atom in jaxpr.outvars]
 
     def _look(self, eqn: Any, x: list) -> None:
-        """Note the boxes on which a primitive is not defined, or meets what is no number, or jumps."""
+        """Note the boxes on which a primitive is undefined, has an argument that is not finite, or jumps."""
         name = eqn.primitive.name
         need = (self.needs or {}).get(name)
         if name == "integer_pow" and eqn.params["y"] < 0:
@@ -138,7 +138,7 @@ class TaylorEnclosure:
                 self._good &= need(*entries)
 
     def _work(self, eqn: Any, x: list) -> list:
-        """A primitive of numbers; `x` may have known places, and known truths, beside them."""
+        """Apply a primitive to numbers; `x` may also hold known indices and truth values."""
         name, p, atoms = eqn.primitive.name, eqn.params, eqn.invars
         chosen = name == "select_n" and x[0].dtype != object
         x = [
@@ -156,7 +156,7 @@ class TaylorEnclosure:
         raise ValueError(f"the operation '{name}' is not known to the check")
 
     def _move(self, eqn: Any, x: list) -> list:
-        """What a primitive makes of known numbers, or where it moves entries."""
+        """Apply a primitive to known numbers, or let it move entries."""
         pairs = [(a, a.dtype == object) for a in x]
         key = (id(eqn), *(a.tobytes() for a, real in pairs if not real))
         if key not in self._places:

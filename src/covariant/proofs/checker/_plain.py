@@ -1,4 +1,4 @@
-"""A function without what JAX is told about its derivative, so that what JAX differentiates is the function itself."""
+"""A function without custom derivative rules, so that JAX differentiates the function itself."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -10,8 +10,9 @@ from covariant.proofs.checker._primitives import CALLS, is_real, unrolled
 
 
 def plain(function: Callable) -> Callable:
-    """The same function, for JAX to differentiate: no rule that somebody declared for a derivative, nothing hidden from
-    one, and |x|, min and max as choices, whose derivatives are those of both sides where these meet.
+    """The function without custom derivative rules and without `stop_gradient`, for JAX to differentiate.
+
+    In it |x|, min and max are choices, whose derivatives at a kink are those of both sides.
     """
 
     def inlined(*x: Any) -> Any:

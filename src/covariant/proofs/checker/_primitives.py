@@ -1,4 +1,4 @@
-"""JAX's primitives on arrays of Taylor models, and where each is defined and does not jump."""
+"""JAX's primitives on arrays of Taylor models, and the conditions under which each is defined and does not jump."""
 
 import functools
 import math
@@ -66,7 +66,7 @@ ENTRIES: dict[str, Callable] = {
 }
 
 
-# Where a primitive is defined, and does not jump.
+# Conditions under which a primitive is defined, and under which it does not jump.
 
 
 def nonzero(a: Taylor) -> Any:
@@ -78,7 +78,7 @@ def _positive(a: Taylor) -> Any:
 
 
 def _between(a: Taylor) -> Any:
-    """Whether there is no whole number in the range, nor at its ends."""
+    """Whether the range, including its ends, contains no integer."""
     below = np.floor(a.middle - a.away)
     return (below < a.middle - a.away) & (np.floor(a.middle + a.away) == below)
 
@@ -102,14 +102,14 @@ STAYS: dict[str, Callable] = {
     "round": lambda a: _between(a + HALF),
     "select_n": _settled_choice,
 }
-"""Conditions under which each primitive is defined, and under which it does not jump; those not named always are."""
+"""Conditions under which each primitive is defined, and under which it does not jump; all others always are."""
 
 
-# Arrays of such numbers.
+# Operations on arrays of Taylor models.
 
 
 def each(function: Callable, *x: Any) -> np.ndarray:
-    """A function of entries, entry by entry."""
+    """Apply a function entry by entry."""
     return np.asarray(np.frompyfunc(function, len(x), 1)(*x), object)
 
 
@@ -132,7 +132,7 @@ def _power(p: dict, x: np.ndarray) -> Any:
 
 
 def _fold(name: str) -> Callable:
-    """An operation over some axes, one entry after the other."""
+    """Reduce over some axes by an operation, one entry after the other."""
 
     def fold(p: dict, x: np.ndarray) -> Any:
         axes = tuple(p["axes"])
@@ -168,10 +168,10 @@ MOVES = {
     *("split", "pad", "gather", "scatter", "dynamic_slice", "dynamic_update_slice", "expand_dims"),
     *("copy", "copy_p", "convert_element_type", "stop_gradient"),
 }
-"""Primitives that only move entries; they do it themselves, with the numbers of the places."""
+"""Primitives that only move entries; they are applied to the indices of the entries."""
 CALLS = {"jit", "pjit", "closed_call", "custom_jvp_call", "custom_vjp_call"}
 LEAVES = {*CALLS, "cond", "scan"}
-"""Primitives that are looked into."""
+"""Primitives that contain other primitives, which are examined instead."""
 
 
 def is_real(atom: Any) -> bool:
@@ -179,7 +179,7 @@ def is_real(atom: Any) -> bool:
 
 
 def unrolled(p: dict, x: list, run: Callable[[Any, Any, list], list], stack: Callable) -> list:
-    """The results of a `scan` with parameters p and arguments x, by `run(jaxpr, consts, x)` for each of its steps."""
+    """The results of a `scan` with parameters p and arguments x, with `run(jaxpr, consts, x)` for each of its steps."""
     first, last = p["num_consts"], p["num_consts"] + p["num_carry"]
     carry, rows = x[first:last], []
     order = range(p["length"])[:: -1 if p["reverse"] else 1]

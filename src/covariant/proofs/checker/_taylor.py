@@ -1,6 +1,6 @@
-"""Numbers on boxes as Taylor models: a polynomial of second order, and a radius for all the rest.
+"""Numbers on boxes as Taylor models: a polynomial of second order, and a radius that bounds the remainder.
 
-Trusted are IEEE `+ − × ÷ √` and operations that are exact; no library's elementary functions.
+They rely on IEEE `+ − × ÷ √` and on exact operations; no elementary functions of a library are trusted.
 
 Source: Makino & Berz 2003, Taylor models and other validated functional inclusion methods, International Journal of
 Pure and Applied Mathematics 4(4).
@@ -15,20 +15,20 @@ from typing import Any
 import numpy as np
 
 ROUND, TINY = 2.0**-40, 2.0**-990
-"""More than the relative rounding of a few hundred operations, and than what may underflow in them."""
+"""Larger than the relative rounding error of a few hundred operations, and than what may underflow in them."""
 LN2 = float.fromhex("0x1.62e42fefa38p-1"), float.fromhex("0x1.ef35793c7673p-45")
 QUARTER = float.fromhex("0x1.921fb544p+0"), float.fromhex("0x1.0b4611a626331p-34")
-"""log 2 and π/2, each in two parts: products of the first one with whole numbers below 2000 are exact."""
+"""log 2 and π/2, each in two parts: products of the first part with integers below 2000 are exact."""
 
 
 class UndecidedError(ArithmeticError):
-    """A branch that is not the same everywhere in the boxes."""
+    """A branch that is not the same on all boxes."""
 
 
 class Taylor:
     """A number on each of B boxes: within `radius` of `Σ terms[k][m] eₘ`, eₘ of degree k in variables εᵢ in [−1, 1].
 
-    e₀ = 1, eᵢ = εᵢ, eᵢⱼ = εᵢεⱼ, eᵢᵢ = 2εᵢ² − 1. The number is no farther than `away` from its constant term, `middle`.
+    e₀ = 1, eᵢ = εᵢ, eᵢⱼ = εᵢεⱼ, eᵢᵢ = 2εᵢ² − 1. The number is within `away` of its constant term, `middle`.
     """
 
     def __init__(self, terms: Sequence[dict], radius: Any):
@@ -52,7 +52,7 @@ class Taylor:
         return _product(self, curve("inv", other))
 
 
-# Every operation is done once for the boxes at hand: its result is kept, and found by the numbers that went into it.
+# Every operation is computed once for the current boxes: its result is cached by the arguments.
 
 
 @functools.cache
@@ -76,7 +76,7 @@ def _product(a: Taylor, b: Taylor) -> Taylor:
     for i, j in ((0, 0), (0, 1), (1, 0), (0, 2), (1, 1), (2, 0)):
         for (m, s), (n, t) in itertools.product(a.terms[i].items(), b.terms[j].items()):
             key, part = tuple(sorted(m + n)), s * t
-            if m == n and m:  # the square of a variable is ½, up or down by ½
+            if m == n and m:  # the square of a variable is ½ ± ½
                 part = part / 2
                 terms[0][()] = terms[0][()] + part
             terms[i + j][key] = terms[i + j].get(key, 0.0) + part
@@ -86,7 +86,7 @@ def _product(a: Taylor, b: Taylor) -> Taylor:
 
 
 def number(middle: Any, radius: Any = 0.0) -> Taylor:
-    """Anything between `middle − radius` and `middle + radius`."""
+    """A number between `middle − radius` and `middle + radius`."""
     return Taylor([{(): middle}, {}, {}], radius)
 
 
@@ -95,12 +95,12 @@ ZERO, ONE, HALF, RIGHT = number(0.0), number(1.0), number(0.5), number(math.pi /
 
 @functools.cache
 def exact(x: float | int) -> Taylor:
-    """A known number."""
+    """A known number, without radius."""
     return ZERO if x == 0 else ONE if x == 1 else number(np.float64(x))
 
 
 def forget() -> None:
-    """Begin with other boxes."""
+    """Clear the caches, before other boxes."""
     for known in (_sum, _minus, _product, curve):
         known.cache_clear()
 
@@ -109,13 +109,13 @@ def forget() -> None:
 
 
 def points(name: str, x: np.ndarray) -> np.ndarray:
-    """A function at points. Its error is below ROUND/2, relative, or absolute for a sine and a logarithm."""
+    """A function at points. Its error is below ROUND/2: relative, but absolute for sine and logarithm."""
     if name in ("inv", "sqrt"):
         return 1 / x if name == "inv" else np.sqrt(x)
     if name.startswith("stumpff"):
         k = int(name[7:])
         return np.asarray(functools.reduce(lambda s, j: 1 / math.factorial(2 * j + k) - x * s, range(24, -1, -1), 0.0))
-    if name in ("atan", "log"):  # twice the inverse tangent of half the angle; of a root near one
+    if name in ("atan", "log"):  # the arc tangent by halved angles; the logarithm by square roots, near one
         for _ in range(3 if name == "atan" else 10):
             x = x / (1 + np.sqrt(1 + x * x)) if name == "atan" else np.sqrt(x)
         x = x if name == "atan" else (x - 1) / (x + 1)
@@ -131,9 +131,9 @@ def points(name: str, x: np.ndarray) -> np.ndarray:
 
 
 def bounds(name: str, a: Taylor) -> Taylor:
-    """A function over the range of a number, from its values at the ends; a sine from that in the middle.
+    """A function over the range of a number, from its values at the ends; for the sine, from that at the middle.
 
-    NaN where it is not defined on all of the range, or not known here. Stumpff's functions fall up to π².
+    NaN where it is not defined on all of the range, or not covered here. Stumpff's functions decrease up to π².
     """
     if name.startswith("stumpff"):
         low, high = a.middle - a.away, a.middle + a.away
@@ -163,11 +163,11 @@ CURVES: dict[str, Callable[[Taylor, Taylor], tuple[Taylor, Taylor]]] = {
     "atan": lambda x, f: (g := _bell(x), -(x * g * g)),
     "sin": lambda x, f: (bounds("sin", x + RIGHT), -(HALF * f)),
 }
-"""The derivative, and half the second one, from x and the value."""
+"""First derivative, and half of the second, from x and the value f."""
 
 
 def _stumpff(k: int) -> Callable[[Taylor, Taylor], tuple[Taylor, Taylor]]:
-    """From `c_k' = (k c_{k+2} − c_{k+1})/2`, twice."""
+    """The derivatives by `c_k' = (k c_{k+2} − c_{k+1})/2`, applied twice."""
 
     def slopes(x: Taylor, f: Taylor) -> tuple[Taylor, Taylor]:
         one, two, three, four = (bounds(f"stumpff{k + i}", x) for i in (1, 2, 3, 4))
@@ -179,18 +179,18 @@ def _stumpff(k: int) -> Callable[[Taylor, Taylor], tuple[Taylor, Taylor]]:
 
 @functools.cache
 def curve(name: str, a: Taylor) -> Taylor:
-    """A function by Taylor's formula `f(c) + f'(c) d + ½ f''(ξ) d²`: c the middle, d what is left, ξ in the range."""
+    """A function by Taylor's formula `f(c) + f'(c) d + ½ f''(ξ) d²`, with c the middle, d the rest, ξ in the range."""
     at, around = number(a.middle), number(a.middle, a.away)
     value, left = bounds(name, at), Taylor([{(): 0.0 * a.middle}, *a.terms[1:]], a.radius)
     slopes = CURVES[name] if name in CURVES else _stumpff(int(name[7:]))
     return value + slopes(at, value)[0] * left + slopes(around, bounds(name, around))[1] * (left * left)
 
 
-# Branches. A truth that is the same on all boxes is a `bool`, any other a number: 1, 0, or all between where undecided.
+# Branches. A truth value that is the same on all boxes is a `bool`. Otherwise it is a number: 1, 0, or [0, 1] if undecided.
 
 
 def less(a: Taylor, b: Taylor) -> bool | Taylor:
-    """Whether a < b, known where one is below the other by anything at all: where both may meet there may be a kink."""
+    """Whether a < b. It is decided only where they are strictly apart: where both may be equal there may be a kink."""
     gap = a - b
     known = abs(gap.middle) > gap.away
     found = np.where(known, 1.0 * (gap.middle < 0), 0.5)
@@ -199,7 +199,7 @@ def less(a: Taylor, b: Taylor) -> bool | Taylor:
 
 
 def choose(which: bool | Taylor, a: Taylor, b: Taylor) -> Taylor:
-    """a where that is true, b where it is not, and anything between them where it is undecided."""
+    """a where `which` is true, b where it is false, and the hull of both where it is undecided."""
     if isinstance(which, bool):
         return a if which else b
     yes, no = which.middle - which.away > 0.5, which.middle + which.away < 0.5
@@ -216,14 +216,14 @@ def choose(which: bool | Taylor, a: Taylor, b: Taylor) -> Taylor:
 
 
 def decided(truth: bool | Taylor) -> bool:
-    """A truth that must be known. Raises `UndecidedError`."""
+    """A truth value that must be known. Raises `UndecidedError` where it is not."""
     if isinstance(truth, Taylor):
         raise UndecidedError("a branch is not decided")
     return truth
 
 
 def floor(a: Taylor) -> Taylor:
-    """The whole number below, or one of those. Where it is always the same it is known."""
+    """The largest integer below; where it is the same on all boxes it is known, elsewhere a range of integers."""
     low, high = np.floor(a.middle - a.away), np.floor(a.middle + a.away)
     if np.all(low == high) and np.all(low == np.max(low)):
         return exact(float(np.max(low)))
@@ -231,7 +231,7 @@ def floor(a: Taylor) -> Taylor:
 
 
 def unequal(a: Taylor, b: Taylor) -> bool | Taylor:
-    """Whether a ≠ b. A comparison with itself, by which a missing value is told, is known: a number is itself."""
+    """Whether a ≠ b. For a is b it is known: comparison with itself is the test for a missing value (NaN)."""
     known = less(a, b)
     if a is b or isinstance(known, bool):
         return a is not b

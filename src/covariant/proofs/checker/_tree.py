@@ -1,4 +1,4 @@
-"""The leaves of a saved tree of boxes, as the checker reads them."""
+"""Leaves of a saved tree of boxes, computed by the checker."""
 
 import string
 from collections.abc import Sequence
@@ -7,7 +7,7 @@ import numpy as np
 
 
 def halves(low: np.ndarray, high: np.ndarray, axes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Both halves of boxes (B, d), lower before upper, along one axis each. Both hold the middle."""
+    """Both halves of boxes (B, d), lower before upper, along one axis each. Both include the middle."""
     rows = np.arange(len(low))
     middle = low[rows, axes] / 2 + high[rows, axes] / 2
     low, high = np.repeat(low, 2, 0), np.repeat(high, 2, 0)
@@ -16,10 +16,10 @@ def halves(low: np.ndarray, high: np.ndarray, axes: np.ndarray) -> tuple[np.ndar
 
 
 def leaves(low: np.ndarray, high: np.ndarray, levels: Sequence[str], what: str) -> tuple[np.ndarray, np.ndarray]:
-    """The leaves of a tree, which cover its box (d,): both halves of a box are there, and hold its middle.
+    """The leaves of a tree, which cover its box (d,): both halves of every halved box are present.
 
-    A tree is a string a level: for each box the letter of the variable that is halved, or a dot for a leaf. Raises
-    `ValueError` naming the tree, `what`, where it does not cover the box.
+    `levels`: one string for each level, with a letter for each box: that of the variable that is halved, or a dot for a
+    leaf. Raises `ValueError` naming the tree, `what`, where it does not cover the box.
     """
     lows, highs, found = low[None], high[None], []
     for depth, level in enumerate(levels):
