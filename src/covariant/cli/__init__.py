@@ -3,7 +3,7 @@
 import os
 import sys
 
-# Before numpy is loaded: threaded BLAS slows the tiny matrices of a compiled step down by orders of magnitude.
+# Before numpy is loaded: a threaded BLAS slows the tiny matrices of a compiled step by orders of magnitude.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 

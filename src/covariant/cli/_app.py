@@ -1,4 +1,4 @@
-"""The commands and their options; each hands over to a module of its own, loaded when it runs: help is quick."""
+"""The commands and their options. Each command is in its own module, loaded when it runs, so that help is quick."""
 
 from pathlib import Path
 from typing import Annotated

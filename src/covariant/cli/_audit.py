@@ -1,4 +1,4 @@
-"""`covariant audit`: the laws of an observer, measured."""
+"""`covariant audit`: the laws of an observer, measured at random states."""
 
 import json
 import math
@@ -18,11 +18,11 @@ from covariant.observers import AbstractObserver
 from covariant.proofs import Box
 
 GAINS = math.sqrt(2), 1.0
-"""α [1/s] and β [1/s²] where none are given: the laws hold with any."""
+"""Default α [1/s] and β [1/s²]: the laws hold with any gains."""
 
 
 class Look(NamedTuple):
-    """Where to look, in options of the command as the user gave them."""
+    """The states to audit, in the options of the command as the user gave them."""
 
     box: str | None
     speed: float
@@ -39,7 +39,7 @@ def audit(
     out: Path | None,
     as_json: bool,
 ) -> None:
-    """Audit an observer of a model, by default the first that fits it, and print and draw what was found."""
+    """Audit an observer of a model, by default the first that fits it, and print and draw the results."""
     check_output(out, ".html", ".png", ".pdf", ".svg")
     file = models.load(spec, overrides)
     name, chosen = _observer(spec, file, observer, *gains)
@@ -73,7 +73,7 @@ def _observer(
 
 
 def _domain(file: models.ModelFile, text: str | None) -> Box | None:
-    """The bounds given, on a group those of exponential coordinates."""
+    """The given bounds of coordinates; on a group, of exponential coordinates."""
     names = numbered("x", file.dimension) if not file.model.manifold.commuting else coordinates(file)[0]
     found = ends("--box", text, names, "coordinate")
     if not found:
@@ -83,7 +83,7 @@ def _domain(file: models.ModelFile, text: str | None) -> Box | None:
 
 
 def _in_json(row: Law) -> dict[str, Any]:
-    """A row for machines: None where the deviation is no number."""
+    """A row as JSON data, with None for a deviation that is no finite number."""
     return row._asdict() | {"deviation": row.deviation if math.isfinite(row.deviation) else None}
 
 

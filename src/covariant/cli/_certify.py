@@ -1,4 +1,4 @@
-"""`covariant certify`: a proof that an observer converges, with its region, its rate and its tube."""
+"""`covariant certify`: proves that an observer converges, with region, rate and tube; or verifies a saved proof."""
 
 import json
 import math
@@ -34,7 +34,7 @@ _KINDS = {"estimate": "estimate of", "velocity": "estimated velocity", "error": 
 
 
 class Asked(NamedTuple):
-    """What is to be proved, in options of the command as the user gave them."""
+    """The statement to prove, in the options of the command as the user gave them."""
 
     observer: str | None
     alpha: float | None
@@ -56,7 +56,7 @@ class Asked(NamedTuple):
 def certify_model(
     spec: str, overrides: tuple[str, ...], asked: Asked, out: Path | None, figure: Path | None, as_json: bool
 ) -> None:
-    """Prove, write and draw; leaves with exit code 1 where the statement is not proved."""
+    """Prove, write and draw; exits with code 1 where the statement is not proved."""
     check_output(out, ".json")
     check_output(figure, ".png", ".pdf", ".svg")
     if asked.velocity is None:
@@ -74,7 +74,7 @@ def certify_model(
         found = certify(recipe=recipe, progress=tell, **settings)
     result = _result(spec, found)
     if out is not None:
-        wrong = found.counterexample is not None  # it is printed, not saved
+        wrong = found.counterexample is not None  # a counter-example is printed, not saved
         result["out"] = None if wrong else str(found.save(out))
     if figure is not None:
         from covariant.report import draw_certificate
@@ -87,11 +87,11 @@ def certify_model(
 
 
 def check_file(path: Path, model: str | None, processes: int | None, as_json: bool) -> None:
-    """Verify a saved certificate, all leaves and some again in balls; leaves with exit code 1 where it is refused.
+    """Verify a saved certificate, all leaves, and some again in ball arithmetic; exits with code 1 if it is refused.
 
-    `model`: the `module:attribute` that the person who checks gives for a model that is not in the fixed table.
+    `model`: the `module:attribute` that the user gives for a model that is not of this library.
     """
-    content = read_file(path)  # once: what is checked and what is sampled in balls are the same
+    content = read_file(path)  # only once, so that both checks examine the same content
     try:
         document = parse(path, content)
         with _proving(quiet=as_json) as tell:
@@ -110,7 +110,7 @@ def check_file(path: Path, model: str | None, processes: int | None, as_json: bo
 
 
 def _balls(document: Document, model: str | None) -> tuple[int, str]:
-    """How many leaves were found right in ball arithmetic, in a number and in words."""
+    """The number of leaves found right in ball arithmetic, also in words."""
     try:
         balls = check_sample(document, model=model).leaves
     except ImportError as missing:
@@ -119,7 +119,7 @@ def _balls(document: Document, model: str | None) -> tuple[int, str]:
 
 
 def _verified(found: Checked, model: str | None, more: str) -> str:
-    """What was verified, and what remains assumed."""
+    """What was verified, and what is still assumed, in words."""
     lines = [
         f"Verified: rate λ = {found.rate:.4g} 1/s, radius ε = {found.radius:.4g}; {found.leaves} leaves in "
         f"{found.seconds:.1f} s, {more}."
@@ -132,7 +132,7 @@ def _verified(found: Checked, model: str | None, more: str) -> str:
 
 
 def _settings(spec: str, file: models.ModelFile, model, asked: Asked) -> tuple[dict[str, Any], str]:
-    """Arguments of `certify`, and where the gains come from."""
+    """Arguments of `certify`, and a sentence on the origin of the gains."""
     n = file.dimension
     on_group = not model.manifold.commuting
     names = model.velocities if on_group else model.coordinates or numbered("q", n)
@@ -162,7 +162,7 @@ def _settings(spec: str, file: models.ModelFile, model, asked: Asked) -> tuple[d
 
 
 def _amounts(option: str, text: str | None, names) -> np.ndarray:
-    """Bounds that may be zero, and are where nothing was said."""
+    """Bounds that may be zero, and are zero by default."""
     found = _parse.numbers(option, text or "0", names, one=True)
     assert found is not None
     if found.min(initial=0.0) < 0:
@@ -185,7 +185,7 @@ def _gains(file: models.ModelFile, asked: Asked) -> tuple[float, float, str]:
 
 
 def _bounds(spec: str, names: tuple[str, ...], text: str | None) -> tuple[np.ndarray, np.ndarray]:
-    """Least and largest positions, every coordinate being named."""
+    """Least and largest positions; every coordinate must be named."""
     box = _parse.ends("--box", text, names, "coordinate", equal=True)
     missing = [name for name in names if name not in box]
     if missing:
@@ -196,7 +196,7 @@ def _bounds(spec: str, names: tuple[str, ...], text: str | None) -> tuple[np.nda
 
 
 def _matrix_bounds(model: MechanicalSystem, text: str | None) -> tuple[np.ndarray, np.ndarray] | None:
-    """Least and largest entries of the matrices; those of rotations need none."""
+    """Least and largest entries of the matrices; None where nothing is given, as for rotations."""
     if text is None:
         return None
     order = model.manifold.origin().shape[0]
@@ -210,7 +210,7 @@ def _matrix_bounds(model: MechanicalSystem, text: str | None) -> tuple[np.ndarra
 
 
 def _matrix(text: str | None) -> np.ndarray | None:
-    """Q from a, c, b."""
+    """Q from its entries a, c, b."""
     entries = _parse.numbers("--q", text, ("a", "c", "b"))
     if entries is None:
         return None
@@ -222,7 +222,7 @@ def _matrix(text: str | None) -> np.ndarray | None:
 
 @contextmanager
 def _proving(quiet: bool) -> Iterator[Callable[[str, float, int], None]]:
-    """A progress bar of the share decided; the body gets a function of what is proved, that share, and boxes."""
+    """A progress bar of the decided fraction; yields a function of the current proof, that fraction, and the boxes."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 
@@ -243,7 +243,7 @@ def _proving(quiet: bool) -> Iterator[Callable[[str, float, int], None]]:
 
 
 def _result(spec: str, found: ContractionCertificate) -> dict[str, Any]:
-    """Everything that is printed, for machines."""
+    """All results as JSON data."""
     summary, domain = found.summary, found.domain
     bounds = zip(domain.names, domain.low.tolist(), domain.high.tolist(), strict=True)
     wrong = None
@@ -322,7 +322,7 @@ def _text(result: dict[str, Any], found: ContractionCertificate, designed: str) 
 
 
 def _degrees(value: float, unit: str, low: float | None = None) -> str:
-    """An angle once more, in degrees."""
+    """An angle also in degrees, in brackets; empty for other units."""
     if unit not in ("rad", "rad/s"):
         return ""
     per = unit.removeprefix("rad")

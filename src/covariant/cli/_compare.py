@@ -1,4 +1,4 @@
-"""`covariant compare`: every estimator on the same log, tuned from the same data sheet, ranked."""
+"""`covariant compare`: all estimators on the same log, tuned from the same data sheet, and ranked."""
 
 import csv
 import io
@@ -17,15 +17,15 @@ from covariant.design import Trial, observer_gains, tuned_estimators
 from covariant.scoring import unwrap
 
 SHORTEST_TRIAL = 200
-"""Rows that the first third of a log must have for filters to be tuned on it."""
+"""Rows that the first third of a log must have, so that filters can be tuned on it."""
 
 
 LONGEST_TRIAL = 20_000
-"""Rows of it that are used at most: the search takes seconds there, and minutes on a million."""
+"""Largest number of these rows that are used: the search takes seconds on them, and minutes on a million."""
 
 
 def compare(job: Job, out: Path | None, report: Path | None, as_json: bool) -> None:
-    """Run the whole line-up and write, print and draw the ranking."""
+    """Run all estimators that fit the model, and write, print and draw the ranking."""
     check_output(out, ".csv", log=job.log)
     check_output(report, ".html")
     loaded = load(job)
@@ -61,9 +61,9 @@ def compare(job: Job, out: Path | None, report: Path | None, as_json: bool) -> N
 
 
 def first_part(loaded: Loaded) -> Trial | None:
-    """The first third of the log, at most `LONGEST_TRIAL` rows, and its velocities.
+    """The first third of the log, at most `LONGEST_TRIAL` rows, with its velocities.
 
-    None off coordinates and where it is too short to tune on.
+    None for a model that is not in coordinates, and for a log too short to tune on.
     """
     if not loaded.model.manifold.commuting:
         return None
@@ -77,7 +77,7 @@ def first_part(loaded: Loaded) -> Trial | None:
 
 
 def rank(outcomes: dict[str, Outcome], loaded: Loaded) -> list[str]:
-    """Names by velocity error, each coordinate weighed by the size of its velocities; escaped ones last."""
+    """Names in order of velocity error, each coordinate relative to the size of its velocities; diverged ones last."""
     scale = np.sqrt(np.mean(loaded.reference[loaded.scored] ** 2, axis=0))
 
     def badness(name: str) -> float:

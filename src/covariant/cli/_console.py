@@ -1,4 +1,4 @@
-"""Progress on standard error, so that standard output stays clean for results."""
+"""Progress on standard error, so that standard output holds only results."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -8,7 +8,7 @@ from covariant.signals import Result
 
 @contextmanager
 def working(what: str, quiet: bool = False) -> Iterator[None]:
-    """Show a spinner while something of unknown length runs."""
+    """Show a spinner while a task of unknown length runs."""
     from rich.console import Console
 
     console = Console(stderr=True, quiet=quiet)
@@ -18,7 +18,7 @@ def working(what: str, quiet: bool = False) -> Iterator[None]:
 
 @contextmanager
 def stages(what: str, total: int, quiet: bool = False):
-    """A progress bar over named stages; the body gets a function to call with the name of each stage as it begins."""
+    """A progress bar over named stages; yields a function to call with the name of each stage when it begins."""
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
@@ -36,5 +36,5 @@ def stages(what: str, total: int, quiet: bool = False):
 
 
 def note(result: str) -> str:
-    """The sentence that goes with a result's name."""
+    """The sentence for a result code, given by its name."""
     return Result[result.upper()].message

@@ -1,4 +1,4 @@
-"""`covariant design metric`: a contraction metric over a grid of states."""
+"""`covariant design metric`: a contraction metric on a grid of states."""
 
 import asyncio
 import json
@@ -23,11 +23,11 @@ from covariant.riccati import Equation, rate_from_gramian
 from covariant.scale import Grid
 
 PATIENCE = 4.0
-"""Seconds after which a scheduler that does not answer counts as not there."""
+"""Seconds after which a scheduler that does not answer counts as absent."""
 
 
 class Task(NamedTuple):
-    """What is to be solved, in options of the command as the user gave them."""
+    """The equation and grid, in the options of the command as the user gave them."""
 
     box: str | None
     grid: str
@@ -42,7 +42,7 @@ class Task(NamedTuple):
 
 
 class Crew(NamedTuple):
-    """Who solves it: points of a block, and threads of this process or a scheduler's workers."""
+    """The workers: number of points of a block, and threads of this process or the address of a scheduler."""
 
     block: int
     workers: int | None
@@ -50,7 +50,7 @@ class Crew(NamedTuple):
 
 
 def metric(spec: str, overrides: tuple[str, ...], out: Path, task: Task, crew: Crew, as_json: bool) -> None:
-    """Solve the equation at every point of the grid, or go on where an earlier run stopped, and sum up the store."""
+    """Solve the equation at every point of the grid, or continue a run that was stopped, and summarise the store."""
     check_output(out, ".zarr")
     file = models.load(spec, overrides)
     model = _model(spec, file)
@@ -61,7 +61,7 @@ def metric(spec: str, overrides: tuple[str, ...], out: Path, task: Task, crew: C
         "tolerance": _parse.above_zero("--tolerance", task.tolerance),
         "domain": _domain(model, task.domain),
         "u": _array(_parse.numbers("--input", task.input, [f"u{i + 1}" for i in range(model.inputs)])),
-        # What was set may leave no other trace in the store.
+        # The overrides are stored only in the name.
         "name": ", ".join((file.name, *overrides)),
         **crew._asdict(),
     }
@@ -114,7 +114,7 @@ def _grid(spec: str, model: StateSpace, task: Task) -> Grid:
 
 
 def _counts(text: str, model: StateSpace) -> tuple[int, ...]:
-    """Points along each axis; one count stands for all of them."""
+    """Number of points along each axis; a single one holds for all axes."""
     n = len(model.coordinates)
     try:
         counts = tuple(integer(part) for part in text.split(","))
@@ -142,7 +142,7 @@ def _equation(model: StateSpace, task: Task, grid: Grid) -> Equation:
 
 
 def _rate(model: StateSpace, task: Task, grid: Grid, longest: float) -> float:
-    """λ from the Gramians at states drawn from the box, always the same."""
+    """λ from the Gramians at fixed random states of the box."""
     low, high = np.asarray(grid.low, float), np.asarray(grid.high, float)
     points = np.random.default_rng(0).uniform(low, high, (64, len(low)))
     u = _array(_parse.numbers("--input", task.input, [f"u{i + 1}" for i in range(model.inputs)]))
@@ -150,7 +150,7 @@ def _rate(model: StateSpace, task: Task, grid: Grid, longest: float) -> float:
 
 
 def _domain(model: StateSpace, text: str | None):
-    """The box the past is followed in, without bounds for the states it does not name."""
+    """The box in which the past is followed, unbounded in the states that it does not name."""
     if text is None:
         return None
     ends = _parse.ends("--domain", text, model.coordinates)
@@ -163,7 +163,7 @@ def _array(values: np.ndarray | None):
 
 
 def _check_crew(crew: Crew) -> None:
-    """Ask for the scheduler now: a client would wait for half a minute, and leave an empty store behind."""
+    """Contact the scheduler first: a client would wait for half a minute, and leave an empty store behind."""
     if crew.scheduler is None:
         return
     if crew.workers is not None:
@@ -179,7 +179,7 @@ def _check_crew(crew: Crew) -> None:
 
     try:
         asyncio.run(greet(crew.scheduler))
-    except (OSError, ValueError, MemoryError) as error:  # the last where something else answers
+    except (OSError, ValueError, MemoryError) as error:  # MemoryError where something else answers
         raise ValueError(
             f"--scheduler: no Dask scheduler answers at {crew.scheduler!r} ({error or 'no answer'}); give an address "
             "such as tcp://10.0.0.1:8786"
@@ -188,7 +188,7 @@ def _check_crew(crew: Crew) -> None:
 
 @contextmanager
 def _points(what: str, quiet: bool) -> Iterator[Callable[[int, int], None]]:
-    """A progress bar in points, with their rate and the time left; the body gets a function of points done and all."""
+    """A progress bar in points, with their rate and the time left; yields a function of the points done and of all."""
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, TextColumn, TimeRemainingColumn
     from rich.text import Text
@@ -200,13 +200,13 @@ def _points(what: str, quiet: bool) -> Iterator[Callable[[int, int], None]]:
     columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), Rate(), TimeRemainingColumn()
     console = Console(stderr=True)
     settings: dict[str, Any] = {"transient": True, "disable": quiet or not console.is_interactive}
-    # A block may take minutes, and a rate needs two of them.
+    # A block may take minutes, and an estimate of the rate needs two blocks.
     with Progress(*columns, console=console, speed_estimate_period=3600.0, **settings) as progress:
         task = None
 
         def show(done: int, total: int) -> None:
             nonlocal task
-            if task is None:  # here, so that points of an earlier run do not count as fast ones
+            if task is None:  # created here, so that points of an earlier run do not count for the rate
                 task = progress.add_task(what, total=total, completed=done)
             progress.update(task, completed=done)
 
@@ -214,7 +214,7 @@ def _points(what: str, quiet: bool) -> Iterator[Callable[[int, int], None]]:
 
 
 def _in_json(found: MetricSummary) -> dict[str, Any]:
-    """Numbers of a summary for machines: None for what no point has, and points by the name of their result."""
+    """A summary as JSON data: None for a number that no point has, and counts of points by the name of their result."""
     numbers = {
         "reconstructibility": found.reconstructibility,
         "p_low": found.low,

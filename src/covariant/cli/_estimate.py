@@ -1,4 +1,4 @@
-"""`covariant estimate`: a log in, velocities out."""
+"""`covariant estimate`: velocities from a log."""
 
 import json
 import math
@@ -26,7 +26,7 @@ def estimate(
     report: Path | None,
     as_json: bool,
 ) -> None:
-    """Run one observer on a log, by default the first that fits the model, and write, print and draw what it found."""
+    """Run one observer on a log, by default the first that fits the model, and write, print and draw its estimates."""
     _check(observer, alpha, beta)
     check_output(out, ".csv", ".parquet", log=job.log)
     check_output(report, ".html")

@@ -1,4 +1,4 @@
-"""What `estimate` and `compare` have in common: a model file, a log, and the window they are scored in."""
+"""Common parts of `estimate` and `compare`: the model file, the log, and the reference for scoring."""
 
 from pathlib import Path
 from typing import NamedTuple
@@ -12,7 +12,7 @@ from covariant.signals import Record, lag_inputs
 
 
 class Job(NamedTuple):
-    """The arguments a user gave; `columns` maps t, q, u, v, truth to names separated by commas, or None."""
+    """The arguments of a command; `columns` maps t, q, u, v, truth to names separated by commas, or None."""
 
     model: str
     log: Path
@@ -23,7 +23,7 @@ class Job(NamedTuple):
 
 
 class Loaded(NamedTuple):
-    """A job's model, its log as used, and what its velocities are scored against: a reference (T, n) and its name."""
+    """The model and log of a job, the reference (T, n) of its velocities with a label, and the rows to be scored."""
 
     file: models.ModelFile
     model: MechanicalSystem
@@ -61,7 +61,7 @@ def load(job: Job) -> Loaded:
 
 
 def _check_columns(job: Job, file: models.ModelFile, columns: logs.Columns) -> None:
-    """As many columns as the model file has, an attitude that says how it is written, and no name used up."""
+    """Check the number of columns, that the representation of an attitude is given, and that names are unique."""
     if columns.q and not file.columns.q:
         raise ValueError(
             f"--q names coordinates, and {job.model} is on a group; name its columns in [columns] or by --set"
@@ -87,7 +87,7 @@ def _check_columns(job: Job, file: models.ModelFile, columns: logs.Columns) -> N
 
 
 def _reference(file: models.ModelFile, log: logs.Log, full: logs.Log) -> tuple[np.ndarray, str]:
-    """True velocities (T, n) where the log has them, else slopes of the positions in the whole log."""
+    """True velocities (T, n) where the log has them, else slopes of the positions in the whole log; and a label."""
     if log.truth is not None:
         return log.truth, "true velocity"
     t, y, at = np.asarray(full.record.t), np.asarray(full.record.y), np.asarray(log.record.t)
@@ -108,7 +108,7 @@ def _reference(file: models.ModelFile, log: logs.Log, full: logs.Log) -> tuple[n
 
 
 def check_output(path: Path | None, *suffixes: str, log: Path | None = None) -> None:
-    """Refuse an output file of another kind, without a folder, or in place of the log; None is no file and passes."""
+    """Refuse an output file of another kind, without a folder, or in place of the log; None, for no file, passes."""
     if path is None:
         return
     if path.suffix not in suffixes:
@@ -120,7 +120,7 @@ def check_output(path: Path | None, *suffixes: str, log: Path | None = None) -> 
 
 
 def data_sheet(file: models.ModelFile) -> DataSheet:
-    """The numbers a design needs; raises `ValueError` naming the one that is missing."""
+    """The data sheet for a design; raises `ValueError` naming a number that is missing."""
     for value, key in ((file.measurement_std, "measurement.std"), (file.acceleration_std, "uncertainty.acceleration")):
         if value is None:
             raise ValueError(
@@ -139,7 +139,7 @@ def data_sheet(file: models.ModelFile) -> DataSheet:
 
 
 def coordinates(file: models.ModelFile) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Names and units of the coordinates, or on a group of the velocities, for a person."""
+    """Names and units of the coordinates, or on a group of the velocities, for printing."""
     if file.model.velocities:
         return file.model.velocities, file.model.velocity_units
     names = file.model.coordinates or numbered("q", file.dimension)
@@ -147,7 +147,7 @@ def coordinates(file: models.ModelFile) -> tuple[tuple[str, ...], tuple[str, ...
 
 
 def velocity_columns(file: models.ModelFile) -> tuple[str, ...]:
-    """Names of the velocities in a file that is written: v1, v2, …, or those of the model."""
+    """Names of the velocities in an output file: those of the model, or v1, v2, …"""
     return file.model.velocities or numbered("v", file.dimension)
 
 

@@ -1,4 +1,4 @@
-"""From a job's outcomes to the report room."""
+"""Writes the results of `estimate` and `compare` as a report: a page and figures."""
 
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,7 @@ from covariant.cli._job import Loaded, coordinates
 def write_report(
     path: Path, title: str, loaded: Loaded, curves: dict[str, Any], notes: tuple[str, ...], rows: tuple = ()
 ) -> list[Path]:
-    """Write the interactive page and PNG figures beside it; returns all paths."""
+    """Write the interactive page, and PNG figures beside it; returns all paths."""
     from covariant.report import EstimateReport, write_html, write_png
 
     names, units = coordinates(loaded.file)

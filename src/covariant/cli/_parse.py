@@ -1,4 +1,4 @@
-"""Options that hold several numbers: lists, and ends of named variables."""
+"""Parsing of options with several numbers: lists of numbers, and ends of named variables."""
 
 import math
 from collections.abc import Sequence
@@ -12,7 +12,7 @@ Ends = dict[str, tuple[float, float]]
 
 
 def ends(option: str, text: str | None, names: Sequence[str], what: str = "state", equal: bool = False) -> Ends:
-    """Low and high ends from `name=low:high`, by commas; `equal` allows both to be the same.
+    """Low and high ends from `name=low:high`, separated by commas; `equal` allows both ends to be the same.
 
     Raises `ValueError`, one line for the user, naming the option and what is wrong.
     """
@@ -36,7 +36,7 @@ def ends(option: str, text: str | None, names: Sequence[str], what: str = "state
 def numbers(
     option: str, text: str | None, names: Sequence[str], positive: bool = False, one: bool = False
 ) -> Float[np.ndarray, "n"] | None:
-    """Numbers by commas, one for each name, or where `one` is allowed one for all; None where nothing is given.
+    """Numbers separated by commas, one for each name; `one` also allows one for all. None where nothing is given.
 
     Raises `ValueError`, one line for the user, naming the option and what is wrong.
     """
@@ -56,7 +56,7 @@ def numbers(
 
 
 def above_zero(option: str, value: float) -> float:
-    """The value itself. Raises `ValueError` unless it is a positive number."""
+    """The value, unchanged. Raises `ValueError` unless it is a positive number."""
     if not 0 < value < math.inf:
         raise ValueError(f"{option} must be a positive number; got {value}")
     return value

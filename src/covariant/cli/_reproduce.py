@@ -1,4 +1,4 @@
-"""`covariant reproduce`: the papers' examples."""
+"""`covariant reproduce`: the examples of the papers."""
 
 import importlib
 import json
@@ -14,27 +14,27 @@ PAPERS = {
     "sanfelice-praly": "sanfelice_praly",
     "jouffroy-fossen": "jouffroy_fossen",
 }
-"""Each paper and its module, which has `STAGES`, `reproduce`, `draw`, `summary` and `write_page`."""
+"""The module of each paper, with `STAGES`, `reproduce`, `draw`, `summary` and `write_page`."""
 
 
 def reproduce(paper: str, out: Path | None, report: Path | None, as_json: bool) -> None:
-    """Compute, print and draw a paper's numbers."""
+    """Compute, print and draw the numbers of a paper."""
     if paper not in PAPERS:
         raise ValueError(f"unknown paper {paper!r}; choose one of {', '.join(PAPERS)}")
-    paper_room = importlib.import_module(f"covariant.papers.{PAPERS[paper]}")
+    reproduced = importlib.import_module(f"covariant.papers.{PAPERS[paper]}")
     check_output(report, ".html")
     check_output(out, ".png")
-    with stages("reproducing", paper_room.STAGES, quiet=as_json) as begin:
-        results = paper_room.reproduce(begin)
+    with stages("reproducing", reproduced.STAGES, quiet=as_json) as begin:
+        results = reproduced.reproduce(begin)
         written: list[Path] = []
         if out is not None or report is not None:
             begin("drawing")
-            figures = paper_room.draw(out or report.with_suffix(".png"))  # pyright: ignore[reportOptionalMemberAccess]
+            figures = reproduced.draw(out or report.with_suffix(".png"))  # pyright: ignore[reportOptionalMemberAccess]
             written += figures
             if report is not None:
-                written.append(paper_room.write_page(results, figures, report))
+                written.append(reproduced.write_page(results, figures, report))
     results["wrote"] = [str(path) for path in written]
-    print(json.dumps(results) if as_json else _text(results, paper_room.summary(results)))
+    print(json.dumps(results) if as_json else _text(results, reproduced.summary(results)))
 
 
 def _text(results: dict[str, Any], parts: list[str | list[dict[str, str]]]) -> str:

@@ -1,4 +1,4 @@
-"""Running one observer and saying what came of it."""
+"""Runs an observer on a log and summarises the result."""
 
 import time
 from typing import Any, NamedTuple
@@ -13,7 +13,7 @@ from covariant.signals import Result, Run
 
 
 class Outcome(NamedTuple):
-    """A run, its velocities (T, n), their error (n,) where scored, and the time that a sample took, compiled [µs]."""
+    """A run, its velocities (T, n), their error (n,) where scored, and the compiled time for each sample [µs]."""
 
     run: Run
     velocity: np.ndarray
@@ -22,7 +22,7 @@ class Outcome(NamedTuple):
 
     @property
     def counts(self) -> dict[str, int]:
-        """How many samples had each result, by its name."""
+        """Number of samples with each result, by its name."""
         codes = np.bincount(np.asarray(self.run.info.result), minlength=len(Result))
         return {Result(i).name.lower(): int(count) for i, count in enumerate(codes) if count}
 
@@ -32,10 +32,10 @@ class Outcome(NamedTuple):
 
 
 def drive(observer: AbstractObserver, loaded: Loaded, timed: bool = False) -> Outcome:
-    """Run an observer on the loaded record; `timed` runs it again to leave compilation out."""
+    """Run an observer on the loaded record; `timed` runs it again, to measure its time without compilation."""
     done = jax.block_until_ready(run(observer, loaded.record))
     spent = float("inf")
-    for _ in range(3 if timed else 0):  # the quickest of three, since other work disturbs a timing only upwards
+    for _ in range(3 if timed else 0):  # the quickest of three, since other load only lengthens a run
         began = time.perf_counter()
         jax.block_until_ready(run(observer, loaded.record))
         spent = min(spent, time.perf_counter() - began)
@@ -45,7 +45,7 @@ def drive(observer: AbstractObserver, loaded: Loaded, timed: bool = False) -> Ou
 
 
 def summary(outcome: Outcome) -> dict[str, Any]:
-    """Numbers of an outcome for JSON."""
+    """The numbers of an outcome as JSON data."""
     innovation = np.asarray(outcome.run.info.innovation)
     return {
         "velocity_rmse": rounded(outcome.velocity_rmse),
@@ -59,7 +59,7 @@ def rounded(values: np.ndarray) -> list[float | None]:
 
 
 def report_arrays(outcomes: dict[str, Outcome]) -> dict[str, Any]:
-    """The curves of several outcomes, as `report.EstimateReport` wants them."""
+    """The curves of several outcomes, as fields of `report.EstimateReport`."""
     infos = {name: outcome.run.info for name, outcome in outcomes.items()}
     return {
         "estimates": {name: _drawn(outcome) for name, outcome in outcomes.items()},
@@ -71,6 +71,6 @@ def report_arrays(outcomes: dict[str, Outcome]) -> dict[str, Any]:
 
 
 def _drawn(outcome: Outcome) -> np.ndarray:
-    """States in coordinates, velocities elsewhere."""
+    """The curves to draw: states in coordinates, otherwise velocities."""
     x = outcome.run.estimate
     return np.asarray(x) if isinstance(x, jax.Array) else outcome.velocity

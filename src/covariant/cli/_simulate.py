@@ -1,4 +1,4 @@
-"""`covariant simulate`: a log with the truth in it."""
+"""`covariant simulate`: a simulated log that contains the truth."""
 
 import json
 from pathlib import Path
@@ -17,7 +17,7 @@ from covariant.signals import Record
 
 
 class Scenario(NamedTuple):
-    """Options of the command, as the user gave them."""
+    """The options of the command, as the user gave them."""
 
     duration: float
     rate: float
@@ -33,7 +33,7 @@ class Scenario(NamedTuple):
 
 
 def simulate(model: str, overrides: tuple[str, ...], out: Path, scenario: Scenario, as_json: bool) -> None:
-    """Simulate, measure, and write t, the measured configuration or outputs, inputs, and the true state as true_…."""
+    """Simulate and measure; write t, measured configurations or outputs, the inputs, and the true state as true_…."""
     check_output(out, ".csv", ".parquet")
     file = models.load(model, overrides)
     names, m = _columns(file), len(file.columns.u)
@@ -64,12 +64,12 @@ def simulate(model: str, overrides: tuple[str, ...], out: Path, scenario: Scenar
 
 
 def _columns(file: models.ModelFile) -> logs.Columns:
-    """Where to write; an attitude goes into qw, qx, qy, qz unless the model file names another way."""
+    """The columns to write; an attitude is written as qw, qx, qy, qz unless the model file names other columns."""
     return file.columns._replace(quaternion_wxyz=("qw", "qx", "qy", "qz")) if file.lacks_attitude else file.columns
 
 
 def _start(file: models.ModelFile, scenario: Scenario) -> jax.Array | Motion:
-    """The initial state; --q0 is all of it where the model is a state-space one."""
+    """The initial state; for a state-space model --q0 holds all of it."""
     q0 = _numbers("--q0", scenario.q0, file.dimension)
     if not file.mechanical:
         if scenario.v0 is not None:
@@ -82,7 +82,7 @@ def _start(file: models.ModelFile, scenario: Scenario) -> jax.Array | Motion:
 
 
 def _truth(file: models.ModelFile, names: logs.Columns, record: Record) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Columns of the true configuration and of the velocities; of a state-space model none, and of all its states."""
+    """Columns of the true configuration and velocities; for a state-space model none, and those of all its states."""
     model: Any = file.model
     x = record.x
     if not file.mechanical:
@@ -92,7 +92,7 @@ def _truth(file: models.ModelFile, names: logs.Columns, record: Record) -> tuple
 
 
 def _sense(model: Any, sensor: simulation.Sensor, y: np.ndarray, seed: int) -> np.ndarray:
-    """Measurements of outputs or configurations; on a group their errors are turns and shifts as seen from the body."""
+    """Measurements of outputs or configurations; on a group errors are rotations and translations in the body frame."""
     if model.manifold.commuting:
         return simulation.sense(sensor, y, seed)
     error = simulation.sense(sensor, np.zeros((len(y), len(model.velocities))), seed)

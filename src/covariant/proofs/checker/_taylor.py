@@ -186,7 +186,7 @@ def curve(name: str, a: Taylor) -> Taylor:
     return value + slopes(at, value)[0] * left + slopes(around, bounds(name, around))[1] * (left * left)
 
 
-# Branches. A truth value that is the same on all boxes is a `bool`. Otherwise it is a number: 1, 0, or [0, 1] if undecided.
+# Branches. A truth value that is the same on all boxes is a `bool`, any other a number: 1, 0, or [0, 1] if undecided.
 
 
 def less(a: Taylor, b: Taylor) -> bool | Taylor:
