@@ -1,1 +1,1 @@
-"""The papers' own examples, reproduced with the library's observers, and the errata that matter."""
+"""The examples of the papers, reproduced with this library's observers, and the errata that matter."""

@@ -1,4 +1,4 @@
-"""Printed equations that are wrong, kept as counter-examples that visibly fail.
+"""Wrong printed equations, kept as counter-examples that demonstrably fail.
 
 Sources: Aghannan & Rouchon 2003, equation (14): all four curvature terms have the sign opposite to their own (5).
 Maithripala, Berg & Dayawansa 2004, equations (8), (18), (19), (21), (44), (45) and the definition of S below (30).
@@ -15,12 +15,12 @@ from covariant.observers import AbstractFlowObserver, HeldState, Info, Mechanica
 
 
 class PrintedBallAndBeam(AbstractFlowObserver):
-    """Observer (14) for the normalised ball and beam, letter by letter as printed. Do not use it."""
+    """Observer (14) for the normalised ball and beam, exactly as printed. Do not use it."""
 
     alpha: Number
     beta: Number
     curvature_sign: int = eqx.field(default=1, static=True)
-    """1 as printed, −1 as (5) demands."""
+    """1 as printed, −1 as (5) requires."""
 
     def init(self, y: Vector, t: Number = 0.0) -> MechanicalState:
         return MechanicalState(y, jnp.zeros_like(y), jnp.asarray(t, y.dtype))
@@ -59,12 +59,12 @@ SLIPS = {
     "logarithm": "(44), (45): not the logarithm of g⁻¹g̃",
     "source": "below (30): S without the inverse inertia",
 }
-"""What is wrong in the print of Maithripala, Berg & Dayawansa, each with its equation."""
+"""Misprints of Maithripala, Berg & Dayawansa 2004, each with its equation."""
 
 
 class PrintedGroup(AbstractFlowObserver):
-    """Observer (20)–(21) on SO(3) or SE(3) with some of the printed slips put back; with none it is `Intrinsic` with
-    their doubled α. Do not use it."""
+    """Observer (20)–(21) on SO(3) or SE(3) with some of the misprints `slips` put back; without any it is `Intrinsic`
+    with the paper's doubled α. Do not use it."""
 
     model: GroupSystem
     alpha: Number
@@ -99,7 +99,7 @@ class PrintedGroup(AbstractFlowObserver):
 
 
 def _printed_log(y: Element, estimate: Element) -> Vector:
-    """Equations (44) and (45) in letters: the rotation's spatial logarithm, and a difference of two frames."""
+    """Equations (44) and (45) as printed: the spatial logarithm of the rotation, and a difference of two frames."""
     omega = SO3.log(estimate[:3, :3] @ y[:3, :3].T)
     if y.shape[0] == 3:
         return omega

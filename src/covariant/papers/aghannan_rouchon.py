@@ -1,4 +1,4 @@
-"""Aghannan & Rouchon 2003, reproduced: figure 4, the basin of attraction, the tutorial example."""
+"""Aghannan & Rouchon 2003, reproduced: figure 4, the basin of attraction, and the tutorial example."""
 
 import functools
 import time
@@ -24,7 +24,7 @@ ESTIMATE = (0.021, 0.2, 0.525, 2.0)
 """Initial (r, θ, v_r, v_θ) of plant and observers in figure 4."""
 STAMPS = (0.0, 5.0, 10.0, 20.0, 40.0)
 MOST_STEPS = 20_000
-"""Integration steps after which an observer counts as escaped."""
+"""Number of integration steps after which an observer counts as escaped."""
 SCALES = (0.05, 0.5, 1.0, 1.5, 1.75, 2.0, 4.0, 8.0)
 
 
@@ -44,7 +44,7 @@ class Trajectory(NamedTuple):
 
 
 def figure4_observers() -> dict[str, AbstractFlowObserver]:
-    """The observers compared on figure 4, by their key in the results."""
+    """The observers compared in figure 4, by their key in the results."""
     plant = _plant()
     return {
         "exact": Geodesic(plant, ALPHA, BETA, Budget(steps=4)),
@@ -56,7 +56,7 @@ def figure4_observers() -> dict[str, AbstractFlowObserver]:
     }
 
 
-@functools.cache  # one object, so that what is compiled for it is found again
+@functools.cache  # one object, so that compiled programs are found again
 def _plant() -> models.Lagrangian:
     return models.ball_and_beam()
 
@@ -74,8 +74,8 @@ def noise(t):
 def figure4(
     observer: AbstractFlowObserver, t, noisy: bool = False, scale: float = 1.0, rtol: float = 1e-10
 ) -> Trajectory:
-    """Run one observer on the scenario of figure 4, its initial error multiplied by `scale`."""
-    # Everything that varies is an array, so that an observer is compiled once for all of its runs.
+    """Run one observer on the scenario of figure 4, with its initial error multiplied by `scale`."""
+    # Everything that varies is an array, so that each observer is compiled only once.
     varied = (jnp.asarray(float(a)) for a in (noisy, scale, rtol))
     x, estimate, y = _figure4(observer, jnp.asarray(t), *varied)
     return Trajectory(np.asarray(t), *(np.asarray(a) for a in (x, y, estimate)))
@@ -98,10 +98,10 @@ def _figure4(observer, t, amplitude, scale, rtol):
 
 
 def tutorial() -> dict[str, Any]:
-    """Section III-B: the same oscillator in q and in r = e^q.
+    """Section III-B: one oscillator in the charts q and r = e^q.
 
-    `geodesic_difference` and `intrinsic_difference` are the largest relative distances, over time, between the two
-    charts' estimates mapped to q, for an initial error ξ; `intrinsic_slope` is the order of the second in |ξ|.
+    `geodesic_difference` and `intrinsic_difference` are the largest relative distances, over time, between the
+    estimates in both charts mapped to q, for an initial error ξ; `intrinsic_slope` is the order of the latter in |ξ|.
     """
     errors = (0.4, 0.2, 0.1, 0.05)
     exact = _chart_differences(lambda model: Geodesic(model, ALPHA, BETA, Budget()), errors)
@@ -141,10 +141,10 @@ def _oscillator_run(observer, x0, start):
 
 
 def reproduce(progress: Callable[[str], None] = lambda stage: None) -> dict[str, Any]:
-    """Everything of the paper that is a number; not finite values become None.
+    """All numbers of the paper that are reproduced; values that are not finite become None.
 
-    Keys: `fig4` and `fig4_noise` (per observer `t` and `error`), `basin` (final error of the exact and the approximate
-    observer by scale of the initial error), `tutorial`, and `seconds`, the time it took.
+    Keys: `fig4` and `fig4_noise` (for each observer `t` and `error`), `basin` (final error of the exact and the
+    approximate observer by scale of the initial error), `tutorial`, and `seconds`, the time it took.
     """
     began = time.perf_counter()
     results: dict[str, Any] = {"fig4": {}, "fig4_noise": {}, "basin": {"scale": list(SCALES)}}
@@ -169,7 +169,7 @@ def _finite(values) -> list[float | None]:
 
 
 STAGES = 2 * len(figure4_observers()) + 5
-"""Number of times `reproduce` and the drawing that may follow report progress."""
+"""Number of progress reports of `reproduce` and of the drawing that may follow."""
 LABELS = {
     "exact": "exact observer (2)",
     "approximate": "approximate observer (5)",
@@ -181,19 +181,19 @@ LABELS = {
 
 
 def figure4_runs(duration: float = 20.0) -> dict[str, Trajectory]:
-    """The noisy runs that figure 4 shows, finely sampled, by key."""
+    """The noisy runs shown in figure 4, finely sampled, by key."""
     t = np.linspace(0.0, duration, int(100 * duration) + 1)
     observers = figure4_observers()
     return {name: figure4(observers[name], t, True, rtol=1e-7) for name in ("approximate", "copy", "printed14")}
 
 
 def draw(path: Path) -> tuple[Path, Path]:
-    """Figure 4, and beside it (`_errors`) the errors without noise."""
+    """Figure 4, and with the suffix `_errors` the errors without noise."""
     return draw_figure4(figure4_runs(), path), draw_errors(path.with_stem(f"{path.stem}_errors"))
 
 
 def draw_figure4(runs: dict[str, Trajectory], path: Path) -> Path:
-    """Panels a–f of figure 4: positions as measured, as they are, and velocities; returns the path."""
+    """Panels a–f of figure 4: measured and true positions, and velocities; returns the path."""
     from covariant.report import new_figure, save_figure
 
     titles = ("a) r, real as measured", "b) θ, real as measured", "c) r", "d) θ", "e) dr/dt", "f) dθ/dt")
@@ -215,7 +215,7 @@ def draw_figure4(runs: dict[str, Trajectory], path: Path) -> Path:
 
 
 def draw_errors(path: Path, duration: float = 40.0) -> Path:
-    """Error of each observer on figure 4 without noise, on a log axis, next to the theory's e^(−ω0 t)."""
+    """Error of each observer on figure 4 without noise, on a log axis, with the theoretical e^(−ω0 t)."""
     from covariant.report import new_figure, save_figure
 
     t = np.linspace(0.0, duration, 401)
@@ -234,7 +234,7 @@ def draw_errors(path: Path, duration: float = 40.0) -> Path:
 
 
 def summary(results: dict[str, Any]) -> list[str | list[dict[str, str]]]:
-    """Lines and tables, for a person."""
+    """Lines and tables to print."""
     tutorial = results["tutorial"]
     return [
         "Figure 4, ball and beam: |(q̂ − q, v̂ − v)|",
@@ -249,7 +249,7 @@ def summary(results: dict[str, Any]) -> list[str | list[dict[str, str]]]:
 
 
 def write_page(results: dict[str, Any], figures: tuple[Path, ...], path: Path) -> Path:
-    """One page with the tables, the figures and what they show; returns the path."""
+    """One page with the tables, the figures and explanations; returns the path."""
     from covariant.report import write_article
 
     return write_article(

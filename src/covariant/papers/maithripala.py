@@ -1,4 +1,4 @@
-"""Maithripala, Berg & Dayawansa 2004, reproduced: the heavy top of their figure 1, and what their misprints do.
+"""Maithripala, Berg & Dayawansa 2004, reproduced: the heavy top of their figure 1, and the effect of misprints.
 
 The paper gives neither inertia nor initial state; those below are chosen. The rates of the theory depend on neither.
 """
@@ -25,21 +25,21 @@ ALPHA = BETA = 10.0
 TOP, DISC = (0.2, 0.2, 0.1), (0.1, 0.1, 0.19)
 """Principal inertias [kg m²] of an elongated top and of a disc, both symmetric."""
 TILT, MISALIGNED = (0.3, 0.2, 0.0), (0.1, -0.15, 0.05)
-"""Rotation vectors [rad] of the top at the start, and of the estimate against the top."""
+"""Rotation vectors [rad] of the initial attitude of the top, and of the initial error of the estimate."""
 SPINNING, TUMBLING = (1.0, -0.5, 5.0), (10.0, 0.0, 1.0)
-"""Angular velocities [rad/s] at the start: about the axis, and across it, where a disc has negative curvature."""
+"""Initial angular velocities [rad/s]: about the axis, and across it, where a disc has negative curvature."""
 PRINTED = ("curvature sign", "curvature count")
-"""The curvature (8) and its sign in (18), as printed."""
+"""The curvature (8) and its sign in (18) as printed, as entries of `SLIPS`."""
 UNEQUAL = (1.0, 2.0, 3.5)
 """Principal inertias of a body on which the two logarithms are compared."""
 POINTS = 601
-"""Stamps of every run, the same number so that an observer is compiled once."""
+"""Number of stamps of every run, the same for all so that an observer is compiled once."""
 STAGES = 6
-"""Number of times `reproduce` and the drawing that may follow report progress."""
+"""Number of progress reports of `reproduce` and of the drawing that may follow."""
 
 
 class Trajectory(NamedTuple):
-    """Stamps t (T,) [s], true angular velocities (T, 3) and estimated ones (T, 3) [rad/s], in the body."""
+    """Stamps t (T,) [s], and true and estimated angular velocities (T, 3) [rad/s] in the body frame."""
 
     t: np.ndarray
     v: np.ndarray
@@ -55,13 +55,13 @@ class Trajectory(NamedTuple):
 def follow(
     inertia: tuple[float, ...], velocity: tuple[float, ...], observer: Callable[..., AbstractFlowObserver], t
 ) -> Trajectory:
-    """Run an observer, at rest and misaligned at the start, beside a top in free motion."""
+    """Run an observer, initially at rest and misaligned, on a top in free motion."""
     top = _top(inertia)
     x, v = _follow(observer(top), top, jnp.asarray(velocity), jnp.asarray(t))
     return Trajectory(np.asarray(t), np.asarray(x), np.asarray(v))
 
 
-@functools.cache  # one object, so that what is compiled for it is found again
+@functools.cache  # one object, so that compiled programs are found again
 def _top(inertia: tuple[float, ...]) -> models.GroupSystem:
     return models.heavy_top(inertia)
 
@@ -75,7 +75,7 @@ def _follow(observer, top, velocity, t):
 
 
 def corrected(doubled: bool) -> Callable[..., AbstractFlowObserver]:
-    """The observer of figure 1, with α as everywhere in this library or with the paper's doubled one."""
+    """The corrected observer of figure 1, with the α of this library or with the paper's doubled one."""
     return lambda top: Intrinsic(top, 2 * ALPHA if doubled else ALPHA, BETA)
 
 
@@ -91,14 +91,14 @@ def slow_rate(doubled: bool) -> float:
 
 
 def fitted_rate(run: Trajectory, begin: float) -> float:
-    """Slope of −log(error) [1/s] from `begin` until the error meets the accuracy of the integration."""
+    """Slope of −log(error) [1/s] from `begin` until the error reaches the accuracy of the integration."""
     used = (run.t >= begin) & (run.error > 1e-8)
     return float(-np.polyfit(run.t[used], np.log(run.error[used]), 1)[0])
 
 
 def conserved(duration: float = 60.0) -> dict[str, float]:
-    """Largest changes of what the free top conserves: energy [J], momentum about the vertical [N m s], and the Casimir
-    `|Rᵀe₃|²`, in which a drift off the group would show."""
+    """Largest changes of quantities that the free top conserves: energy [J], momentum about the vertical [N m s], and
+    the Casimir `|Rᵀe₃|²`, which would show a drift off the group."""
     change = _conserved(jnp.linspace(0.0, duration, 601))
     return dict(zip(("energy", "vertical_momentum", "casimir"), (float(a) for a in change), strict=True))
 
@@ -109,7 +109,7 @@ def _conserved(t):
     x = simulate(top, models.Motion(SO3.exp(jnp.array(TILT)), jnp.array(SPINNING)), t).x
 
     def invariants(g, v):
-        vertical = g[2]  # e₃ as seen from the body
+        vertical = g[2]  # e₃ in the body frame
         return jnp.stack([models.energy(top, g, v), vertical @ top.space.lower(g, v), vertical @ vertical])
 
     found = jax.vmap(invariants)(x.q, x.v)
@@ -117,9 +117,10 @@ def _conserved(t):
 
 
 def logarithm_gap(angle: float, axes: int = 200) -> dict[str, float]:
-    """The group logarithm against the Riemannian one, I = diag(1, 2, 3.5), turned by `angle` [rad] about random axes.
+    """The group logarithm compared with the Riemannian one, for I = diag(1, 2, 3.5) and rotations about random axes.
 
-    `too_long`: how much longer than the distance it is, mean and largest; `degrees`: the angle between the two.
+    The rotations are by `angle` [rad]. `too_long_…`: relative excess of its length over the distance, mean and largest;
+    `degrees_…`: the angle between both logarithms.
     """
     directions = np.random.default_rng(0).normal(size=(axes, 3))
     x = angle * directions / np.linalg.norm(directions, axis=1, keepdims=True)
@@ -146,11 +147,11 @@ def _logarithm_gap(x):
 
 
 def reproduce(progress: Callable[[str], None] = lambda stage: None) -> dict[str, Any]:
-    """Everything of the paper that is a number; not finite values become None.
+    """All numbers of the paper that are reproduced; values that are not finite become None.
 
     Keys: `top` (stamps `t`, velocity errors `error_doubled` and `error`, their fitted rates `rate_doubled` and `rate`
-    [1/s] beside the `theory`, and what is `conserved`), `printed` (error at the end with the curvature as printed and
-    as corrected, on top and disc), `logarithm` (gap of the two logarithms by angle), and `seconds`.
+    [1/s] with those of the `theory`, and `conserved` quantities), `printed` (final error with the curvature as printed
+    and as corrected, for top and disc), `logarithm` (difference of the two logarithms by angle), and `seconds`.
     """
     began = time.perf_counter()
     progress("heavy top, doubled α")
@@ -185,7 +186,7 @@ def _finite(values) -> list[float | None]:
 
 
 def draw(path: Path) -> tuple[Path, Path]:
-    """Figure 1, and beside it (`_errors`) the errors with the rates of the theory and those of the print."""
+    """Figure 1, and with the suffix `_errors` the errors with the rates of the theory and those of the print."""
     from covariant.report import new_figure, save_figure
 
     t = np.linspace(0.0, 10.0, POINTS)
@@ -227,7 +228,7 @@ def _draw_errors(path: Path) -> Path:
 
 
 def summary(results: dict[str, Any]) -> list[str | list[dict[str, str]]]:
-    """Lines and tables, for a person."""
+    """Lines and tables to print."""
     top, gaps = results["top"], results["logarithm"]
     rates = [
         {"observer": name, "fitted rate [1/s]": f"{top[key]:.4f}", "theory [1/s]": f"{top[theory]:.4f}"}
@@ -261,7 +262,7 @@ def summary(results: dict[str, Any]) -> list[str | list[dict[str, str]]]:
 
 
 def write_page(results: dict[str, Any], figures: tuple[Path, ...], path: Path) -> Path:
-    """One page with the tables, the figures and what they show; returns the path."""
+    """One page with the tables, the figures and explanations; returns the path."""
     from covariant.report import write_article
 
     rates, kept, prints, gaps = (summary(results)[i] for i in (1, 2, 4, 6))

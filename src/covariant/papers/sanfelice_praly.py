@@ -23,17 +23,17 @@ from covariant.signals import Record, Result
 from covariant.simulation import observe, simulate
 
 RATES = (1.0, 2.0, 4.0, 6.0, 8.0, 10.0)
-"""λ of figure 1 [1/s]."""
+"""The rates λ of figure 1 [1/s]."""
 GAINS = (0.0, 0.1, 0.2, 0.25, 0.5, 1.0)
-"""k_E of the observer."""
+"""The gains k_E of the observer."""
 PASSAGE = 200
-"""Integration steps of figure 1 from −T̄ to 0."""
+"""Number of integration steps of figure 1 from −T̄ to 0."""
 TRUTH = (1.0, 0.0, 1.0)
-"""State that the observers start from, near or far."""
+"""Initial state of the plant; the observers start from errors around it."""
 
 
 def analytic_metric(rate: Number) -> MatrixField:
-    """The solution of (15) for the oscillator (16), printed below it: correct in every entry."""
+    """The solution of (15) for the oscillator (16) as printed below it, which is correct in every entry."""
 
     def metric(x: Vector) -> Matrix:
         x1, x2, x3 = x
@@ -56,12 +56,12 @@ def grid() -> Float[np.ndarray, "125 3"]:
 
 
 def quadrature(x: Vector, rate: Number, length: Number, steps: int = 400) -> Matrix:
-    """`∫ exp(λt) Φᵀ h_xᵀ h_x Φ dt` from −length to 0 with Φ in closed form: no Riccati equation, no Jacobian."""
+    """`∫ exp(λt) Φᵀ h_xᵀ h_x Φ dt` from −length to 0 with Φ in closed form, without Riccati equation or Jacobians."""
     x1, x2, x3 = x
     w = jnp.sqrt(x3)
 
     def output_row(s):
-        """Derivative of the output at time −s with respect to the state now."""
+        """Derivative of the output at time −s with respect to the present state."""
         c, s_ = jnp.cos(w * s), jnp.sin(w * s)
         by_w = -x1 * s * s_ - x2 * (s * c / w - s_ / w**2)
         return jnp.stack([c, -s_ / w, by_w / (2 * w)])
@@ -75,7 +75,7 @@ def quadrature(x: Vector, rate: Number, length: Number, steps: int = 400) -> Mat
 
 @eqx.filter_jit
 def _figure1(points: Array, rate: Array):
-    """Largest entry of the error, and largest affine-invariant error, over the grid at each step from −T̄ to 0."""
+    """Largest error of an entry, and largest affine-invariant error, over the grid at each step from −T̄ to 0."""
     model, exact = models.unknown_frequency(), analytic_metric(rate)
 
     def along(x):
@@ -88,7 +88,7 @@ def _figure1(points: Array, rate: Array):
 
 
 def figure1(rate: float) -> dict[str, np.ndarray]:
-    """Stamps [s], `entry` and `distance` error of the computed metric, largest over the grid; π(−T̄) = 5 I."""
+    """Stamps [s], and largest `entry` and `distance` errors of the computed metric over the grid; π(−T̄) = 5 I."""
     entry, true = _figure1(jnp.asarray(grid()), jnp.asarray(rate))
     t = np.linspace(-math.log(1e4) / rate, 0.0, PASSAGE + 1)
     return {"t": t, "entry": np.asarray(entry), "distance": np.asarray(true)}
@@ -96,7 +96,7 @@ def figure1(rate: float) -> dict[str, np.ndarray]:
 
 @eqx.filter_jit
 def _routes(points: Array, rate: Array) -> dict[str, Array]:
-    """Largest distance to the printed P of what each of four ways to compute it finds, over the points."""
+    """Largest distance to the printed P, over the points, of the metric computed in each of four ways."""
     model, equation, exact = models.unknown_frequency(), Equation(rate), analytic_metric(rate)
 
     def at(x):
@@ -116,7 +116,7 @@ def _routes(points: Array, rate: Array) -> dict[str, Array]:
 
 @eqx.filter_jit
 def _decay(rate: Array, gain: Array, t: Array):
-    """Distance in the metric between observer and plant at the stamps, from a small error."""
+    """Distance in the metric between observer and plant at the stamps, from a small initial error."""
     model, metric = models.unknown_frequency(), analytic_metric(rate)
     x0 = jnp.array(TRUTH)
     start = Estimate(x0 + 1e-3 * jnp.array([1.0, -1.0, 2.0]), jnp.zeros(()))
@@ -126,7 +126,7 @@ def _decay(rate: Array, gain: Array, t: Array):
 
 
 def decay(rate: float, gain: float, duration: float = 10.0) -> tuple[np.ndarray, np.ndarray]:
-    """Stamps and distances of the observer with this λ and k_E."""
+    """Stamps and distances of the observer with the given λ and k_E."""
     t = np.linspace(0.0, duration, 51)
     return t, np.asarray(_decay(jnp.asarray(rate), jnp.asarray(gain), jnp.asarray(t)))
 
@@ -138,7 +138,7 @@ def fitted_rate(t: np.ndarray, d: np.ndarray) -> float:
 
 @eqx.filter_jit
 def _least_rate(points: Array, rate: Array, gain: Array):
-    """Least rate [1/s] at which the flow of the observer contracts lengths of the metric, over the points."""
+    """Least rate [1/s], over the points, at which the flow of the observer contracts lengths in the metric."""
     model, metric = models.unknown_frequency(), analytic_metric(rate)
     observer = Riccati(model, metric, jnp.array(TRUTH), gain)
     none, zero = jnp.zeros(0), jnp.zeros(())
@@ -156,9 +156,10 @@ def _least_rate(points: Array, rate: Array, gain: Array):
 
 
 def gap(duration: float = 40.0, missing: tuple[float, float] = (15.0, 25.0)) -> dict[str, np.ndarray]:
-    """The observer and the filter with the same forgetting, λ = 2, on one noisy log with a gap of ten seconds.
+    """The observer and the filter with the same forgetting rate, λ = 2, on one noisy log with a gap of ten seconds.
 
-    Stamps, norms of the errors, and least eigenvalues of the metric P at the estimate: the filter's own, and the field.
+    Returns stamps, norms of the errors, and least eigenvalues of P: the filter's own, and the metric at the observer's
+    estimate.
     """
     model, rate = models.unknown_frequency(), 2.0
     metric, start = analytic_metric(rate), jnp.array([0.8, 0.3, 1.5])
@@ -178,9 +179,10 @@ def gap(duration: float = 40.0, missing: tuple[float, float] = (15.0, 25.0)) -> 
 
 
 def prior(duration: float = 40.0) -> dict[str, float]:
-    """Where the filter is better: it is told that the frequency is known to 1 %, which a stationary metric cannot be.
+    """A case where the filter is better: it is told that the frequency is known to 1 %, which a stationary metric
+    cannot use.
 
-    Root mean square errors of x3 [1/s²] over the log; noise of 0.1 m, the same Q and R for both.
+    Returns root mean square errors of x3 [1/s²] over the log; noise is 0.1 m, and Q and R are the same for both.
     """
     model, std, dt = models.unknown_frequency(), 0.1, 0.01
     equation = Equation(process_cov=jnp.diag(jnp.array([1e-6, 1e-6, 1e-4])), measurement_cov=jnp.array([[std**2 * dt]]))
@@ -195,7 +197,7 @@ def prior(duration: float = 40.0) -> dict[str, float]:
 
 
 def _noisy(duration: float, std: float) -> Record:
-    """The oscillator from `TRUTH` at 100 Hz, with noise on its output."""
+    """A log of the oscillator from `TRUTH` at 100 Hz, with noise on its output."""
     t = np.arange(round(100 * duration) + 1) / 100
     record = _swing(jnp.asarray(t))
     noise = std * np.random.default_rng(0).normal(size=record.y.shape)
@@ -233,13 +235,13 @@ def _least(matrices: Array | np.ndarray) -> np.ndarray:
 
 
 def reproduce(progress: Callable[[str], None] = lambda stage: None) -> dict[str, Any]:
-    """Everything of the paper that is a number.
+    """All numbers of the paper that are reproduced.
 
-    Keys: `fig1` (λ → largest error of an entry at t = 0 over the grid) and `fig1_distance` (the same in the
-    affine-invariant distance); `routes` (λ → way to compute P → its distance to the printed P, largest over some
-    states); `decay` (k_E → λ → fitted rate of the metric distance [1/s]) and `guaranteed` (the least rate over the
-    grid); `verdict` and `bending`; `origin` (the answer at x1 = x2 = 0); `gap` and `prior` (the extended Kalman filter
-    beside the observer), and `seconds`.
+    Keys: `fig1` (λ → largest error of an entry at t = 0 over the grid), `fig1_distance` (λ → largest affine-invariant
+    distance); `routes` (λ → way to compute P → its distance to the printed P, largest over some states); `decay`
+    (k_E → λ → fitted rate of the metric distance [1/s]) and `guaranteed` (the least rate over the grid); `verdict` and
+    `bending`; `origin` (the result at x1 = x2 = 0); `gap` and `prior` (comparison with the extended Kalman filter), and
+    `seconds`.
     """
     began = time.perf_counter()
     results: dict[str, Any] = {"fig1": {}, "fig1_distance": {}, "routes": {}}
@@ -279,11 +281,11 @@ def reproduce(progress: Callable[[str], None] = lambda stage: None) -> dict[str,
 
 
 STAGES = len(RATES) + 5
-"""Number of times `reproduce` and the drawing that may follow report progress."""
+"""Number of progress reports of `reproduce` and of the drawing that may follow."""
 
 
 def draw(path: Path) -> tuple[Path, Path]:
-    """Figure 1 with the error that tells the truth beside it, and (`_observer`) the observer."""
+    """Figure 1 with the affine-invariant error beside the published one, and with suffix `_observer` the observer."""
     return draw_figure1(path), draw_observer(path.with_stem(f"{path.stem}_observer"))
 
 
@@ -307,7 +309,7 @@ def draw_figure1(path: Path) -> Path:
 
 
 def draw_observer(path: Path) -> Path:
-    """Decay of the distance by k_E, and the gap in the log that winds the filter up."""
+    """Decay of the distance for each k_E, and the gap in the log, in which the P of the filter degenerates."""
     from covariant.report import new_figure, save_figure
 
     titles = ("Distance of observer and plant, λ = 2", "Error on a log with a gap", "Least eigenvalue of P")
@@ -333,7 +335,7 @@ def draw_observer(path: Path) -> Path:
 
 
 def summary(results: dict[str, Any]) -> list[str | list[dict[str, str]]]:
-    """Lines and tables, for a person."""
+    """Lines and tables to print."""
     gap, prior = results["gap"], results["prior"]
     return [
         "Figure 1, oscillator of unknown frequency: largest error at t = 0 over the grid, π(−T̄) = 5 I, T̄ = ln(1e4)/λ",
@@ -351,7 +353,7 @@ def summary(results: dict[str, Any]) -> list[str | list[dict[str, str]]]:
 
 
 def write_page(results: dict[str, Any], figures: tuple[Path, ...], path: Path) -> Path:
-    """One page with the tables, the figures and what they show; returns the path."""
+    """One page with the tables, the figures and explanations; returns the path."""
     from covariant.report import write_article
 
     gap, prior = results["gap"], results["prior"]

@@ -1,4 +1,4 @@
-"""Jouffroy & Fossen 2004, reproduced: the ship, the print's counter-examples, ODIN under output feedback, Theorem 3."""
+"""Jouffroy & Fossen 2004, reproduced: the ship, counter-examples to the print, ODIN with output feedback, Theorem 3."""
 
 from covariant.papers.jouffroy_fossen._figures import draw, draw_odin, draw_sea
 from covariant.papers.jouffroy_fossen._odin import (

@@ -1,4 +1,4 @@
-"""Figures of Jouffroy & Fossen 2004, reproduced."""
+"""Figures of the reproduction of Jouffroy & Fossen 2004."""
 
 from pathlib import Path
 
@@ -9,12 +9,12 @@ from covariant.papers.jouffroy_fossen._sea import GAPS, Sea, sea, sea_errors
 
 
 def draw(path: Path) -> tuple[Path, Path]:
-    """ODIN under output feedback with either K2, and (`_sea`) three estimators of a ship's velocity."""
+    """ODIN under output feedback with either K2, and with the suffix `_sea` three estimators of a ship's velocity."""
     return draw_odin(odin_loop(), path), draw_sea(sea(), path.with_stem(f"{path.stem}_sea"))
 
 
 def draw_odin(repaired: Loop, path: Path) -> Path:
-    """Errors of the observer and of the tracking of ODIN, with K2 as repaired and as printed."""
+    """Errors of ODIN's observer and of its tracking, with K2 as repaired and as printed."""
     from covariant.report import new_figure, save_figure
 
     titles = ("Observer error |x̃| of ODIN", "Tracking error |(η̃, s)|")
@@ -33,7 +33,7 @@ def draw_odin(repaired: Loop, path: Path) -> Path:
 
 
 def draw_sea(log: Sea, path: Path) -> Path:
-    """The log at sea, and what three estimators make of its velocity."""
+    """The log at sea, and three estimates of the velocity from it."""
     from covariant.report import new_figure, save_figure
 
     t, truth = np.asarray(log.record.t), np.asarray(log.record.x)

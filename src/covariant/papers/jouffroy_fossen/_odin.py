@@ -1,4 +1,4 @@
-"""ODIN under output feedback, section IV of Jouffroy & Fossen 2004: controller, observer, their loop, and the proof."""
+"""ODIN under output feedback, section IV of Jouffroy & Fossen 2004: controller, observer, closed loop, and proof."""
 
 import functools
 from typing import NamedTuple
@@ -17,15 +17,15 @@ from covariant.proofs import Box, Proof, blocks, prove_at_corners
 from covariant.simulation import observe
 
 KP, KD, LAMBDA = 100.0, 200.0, 0.5
-"""Gains of the controller of ODIN."""
+"""Gains K_p, K_d and Λ of the controller of ODIN."""
 PRINTED_K2 = (1.0 - KP) * np.eye(6)
 """K2 = I − K_p, as printed below (103)."""
 K1, K2 = np.diag([1.7] * 3 + [3.0] * 3), np.diag([240.0] * 3 + [150.0] * 3)
 """Repaired gains of the observer (101)–(102): K2 symmetric positive definite."""
 CROSS = np.diag([140.0] * 3 + [6.5] * 3)
-"""Cross term of its metric."""
+"""Cross term N of the observer's metric, see `crossed_metric`."""
 RATE = 0.8
-"""Certified rate of ODIN's observer [1/s], of squared lengths."""
+"""Certified rate of squared lengths of ODIN's observer [1/s]."""
 
 
 def odin_path():
@@ -44,7 +44,7 @@ def odin_controller() -> Backstepping:
 
 
 def odin_observer(k2: Float[np.ndarray, "6 6"] = K2) -> Contracting:
-    """The paper's observer (101)–(102) with this K2."""
+    """The paper's observer (101)–(102) with the given K2."""
     return craft_observer(marine.odin(), K1, k2)
 
 
@@ -71,22 +71,22 @@ def _odin_loop(controller: Backstepping, observer: Contracting, t: Array):
 
 
 def odin_loop(k2: Float[np.ndarray, "6 6"] = K2, duration: float = 60.0) -> Loop:
-    """The true plant, J' included, under (94) and (101)–(102), from errors of a metre and some degrees."""
+    """The closed loop (94), (101)–(102) with the true plant, including J', from errors of a metre and some degrees."""
     t = jnp.linspace(0.0, duration, round(10 * duration) + 1)
     e, error = _odin_loop(*_parts(tuple(map(tuple, k2.tolist()))), t)
     tracking, observer = (np.linalg.norm(np.asarray(a), axis=1) for a in (e, error))
     return Loop(np.asarray(t), tracking, observer)
 
 
-@functools.cache  # the same objects for the same numbers, so that what is compiled for them is found again
+@functools.cache  # the same objects for the same numbers, so that compiled programs are found again
 def _parts(k2: tuple[tuple[float, ...], ...]) -> tuple[Backstepping, Contracting]:
     return odin_controller(), odin_observer(np.array(k2))
 
 
 def odin_box(pitch: float = 0.7, roll: float = 0.7, rate: float = 0.2, speed: float = 0.5, spin: float = 0.3) -> Box:
-    """Variables of the observer's virtual system: attitude [rad], its rates [rad/s], estimated velocities.
+    """Box of the observer's virtual system: bounds of attitude [rad], its rates [rad/s], and estimated velocities.
 
-    Position and yaw do not enter, and are held at zero; so are the input and the estimated position.
+    Position and yaw have no effect, and are held at zero; so are the input and the estimated position.
     """
     subject = virtual(odin_observer(), np.eye(12))
     wide = {"z_roll": roll, "z_pitch": pitch, "zdot_roll": rate, "zdot_pitch": rate, "zdot_yaw": rate}
@@ -98,10 +98,11 @@ def odin_box(pitch: float = 0.7, roll: float = 0.7, rate: float = 0.2, speed: fl
 
 
 def odin_certificate(rate: float, domain: Box | None = None, boxes: int = 200_000) -> list[Proof]:
-    """Does the repaired observer contract at `rate` [1/s] of squared lengths, in the metric with the cross term?
+    """Prove that the repaired observer contracts at `rate` [1/s] of squared lengths, in the metric with the cross term.
 
-    Translation and rotation are apart, and proved apart. Velocities enter as the slope 2|ν| of the drag alone, so those
-    that are not negative stand for all; there the drag is a square, and its slope linear.
+    Translation and rotation are independent blocks, proved separately. Velocities enter only through the slope 2|ν| of
+    the drag, so it suffices to consider velocities that are not negative; there the drag is a square, with a linear
+    slope.
     """
     domain = odin_box() if domain is None else domain
     names = marine.odin().velocities
@@ -124,7 +125,7 @@ def odin_certificate(rate: float, domain: Box | None = None, boxes: int = 200_00
 
 
 def odin_sampled_rate(k2: np.ndarray = K2, cross: np.ndarray = CROSS, domain: Box | None = None) -> float:
-    """Least rate [1/s] found over the set: at most 0 for K2 = I without a cross term, whatever drag acts elsewhere."""
+    """Least rate [1/s] found over the set; for K2 = I without a cross term it is at most 0, whatever the drag."""
     subject = virtual(odin_observer(k2), crossed_metric(marine.odin(), k2, cross))
     return falsify(subject, domain or odin_box(), 0.0).margin
 
@@ -135,7 +136,7 @@ def _slope_at_rest(observer: Contracting) -> Array:
 
 
 def odin_eigenvalues() -> dict[str, float]:
-    """Largest real part of the frozen observer error at rest, level, for the printed K2, for I and for the repair."""
+    """Largest real part of the linearised observer error, at rest and level, for K2 as printed, I, and as repaired."""
     found = {}
     for name, k2 in (("printed", PRINTED_K2), ("identity", np.eye(6)), ("repaired", K2)):
         observer = odin_observer(k2)
@@ -144,7 +145,7 @@ def odin_eigenvalues() -> dict[str, float]:
 
 
 def tail_rate(t: np.ndarray, error: np.ndarray, floor: float = 1e-7) -> float:
-    """Slope of −log error over time [1/s], over the later half of the time it takes to reach the floor."""
+    """Slope of −log error over time [1/s], over the second half of the time until the error reaches the floor."""
     end = int(np.argmax(error < floor)) or len(t)
     later = slice(end // 2, end)
     return -float(np.polyfit(t[later], np.log(error[later]), 1)[0])

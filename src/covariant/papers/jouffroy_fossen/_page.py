@@ -1,4 +1,4 @@
-"""Words and tables of Jouffroy & Fossen 2004, reproduced."""
+"""Text and tables of the reproduction of Jouffroy & Fossen 2004."""
 
 import math
 from pathlib import Path
@@ -8,7 +8,7 @@ from covariant.papers.jouffroy_fossen._sea import SETTLED
 
 
 def summary(results: dict[str, Any]) -> list[str | list[dict[str, str]]]:
-    """Lines and tables, for a person."""
+    """Lines and tables to print."""
     ship, odin, three = results["ship"], results["odin"], results["theorem3"]
     c = three["constants"]
     return [
@@ -64,7 +64,7 @@ def sea_rows(table: dict[str, dict[str, float]]) -> list[dict[str, str]]:
 
 
 def write_page(results: dict[str, Any], figures: tuple[Path, ...], path: Path) -> Path:
-    """One page with the tables, the figures and what they show; returns the path."""
+    """One page with the tables, the figures and explanations; returns the path."""
     from covariant.report import write_article
 
     ship, _, theorem2, _, eigen, sampled, certified, turned, _, constants, verdicts, _, table = summary(results)

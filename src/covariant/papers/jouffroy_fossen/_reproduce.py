@@ -1,4 +1,4 @@
-"""Everything together."""
+"""All numbers of the reproduction of Jouffroy & Fossen 2004, computed in stages."""
 
 import math
 import time
@@ -24,17 +24,16 @@ from covariant.papers.jouffroy_fossen._theorem_2 import COUNTEREXAMPLES
 from covariant.papers.jouffroy_fossen._theorem_3 import odin_cascade
 
 STAGES = 6
-"""Number of times `reproduce` and the drawing that may follow report progress."""
+"""Number of progress reports of `reproduce` and of the drawing that may follow."""
 
 
 def reproduce(progress: Callable[[str], None] = lambda stage: None) -> dict[str, Any]:
-    """Everything of the paper that is a number.
+    """All numbers of the paper that are reproduced.
 
-    Keys: `ship` (eigenvalues of (53) with either K2, guaranteed and fitted rates), `theorem2` (what the print says of
-    the counter-examples, what is true, and the verdict of the proof), `odin` (eigenvalues and sampled rates with three
-    K2, the certified rate and its set, the rates of the closed loop), `somersault` (on SE(3), through a
-    pitch of 90°), `theorem3` (constants and verdicts), `sea`
-    (velocity errors of three estimators), and `seconds`.
+    Keys: `ship` (eigenvalues of (53) with either K2, guaranteed and fitted rates); `theorem2` (for each counter-example
+    the printed statement, the truth, and the verdict of the proof); `odin` (eigenvalues and sampled rates with three
+    K2, the certified rate and its set, the rates of the closed loop); `somersault` (on SE(3), through a pitch of 90°);
+    `theorem3` (constants and verdicts); `sea` (velocity errors of three estimators); and `seconds`, the time it took.
     """
     began = time.perf_counter()
     progress("the ship")

@@ -1,4 +1,4 @@
-"""Dynamic positioning: a supply vessel in waves, and three estimators of its velocity on one log."""
+"""Dynamic positioning: a supply vessel in waves, and three estimators of its velocity compared on one log."""
 
 import functools
 import math
@@ -22,8 +22,9 @@ from covariant.signals import Record
 class Sea(NamedTuple):
     """A log of dynamic positioning: north, east and heading with noise, gaps and wave motion, and the truth.
 
-    `record` has the commanded force (T, 3), the measurement (T, 3) with NaN where there is none, and the true state.
-    `observers`: the estimators compared on it, by their key in the results.
+    - `record`: the commanded force (T, 3), the measurement (T, 3) with NaN where there is none, and the true state.
+    - `station`: the model of the ship and its disturbances.
+    - `observers`: the estimators compared, by their key in the results.
     """
 
     record: Record
@@ -32,9 +33,9 @@ class Sea(NamedTuple):
 
 
 STEP, DURATION, GAPS = 0.1, 1200.0, ((400.0, 460.0), (800.0, 830.0))
-"""Sampling time of the compass, length of the log and the gaps of GNSS [s]."""
+"""Sampling period of the compass, length of the log, and gaps of GNSS [s]."""
 GNSS, COMPASS = 0.5, math.radians(0.1)
-"""Standard deviations of a position [m] and of a heading [rad]."""
+"""Standard deviations of a measured position [m] and heading [rad]."""
 
 
 def sea(seed: int = 0) -> Sea:
@@ -61,7 +62,7 @@ def sea(seed: int = 0) -> Sea:
     return Sea(Record(t, tau, y, x), station, observers)
 
 
-@functools.cache  # one object, so that what is compiled for it is found again
+@functools.cache  # one object, so that compiled programs are found again
 def _station() -> marine.Station:
     waves = marine.Waves((0.8, 0.8, 0.8), (0.1, 0.1, 0.1), (0.8, 0.8, math.radians(1.0)))
     return marine.Station(marine.supply_vessel(), waves, bias_time=1000.0)
@@ -69,7 +70,7 @@ def _station() -> marine.Station:
 
 @eqx.filter_jit
 def _held_on_station(station: marine.Station, t: Array, noise: Array):
-    """True states, commanded forces and noise-free outputs under a PD controller that sees the truth."""
+    """True states, commanded forces and noise-free outputs under a PD controller that is given the true state."""
     model, mass = station.model(noise=True), jnp.diag(jnp.asarray(station.ship.mass))
 
     def goal(s):
@@ -90,12 +91,12 @@ def _held_on_station(station: marine.Station, t: Array, noise: Array):
 
 
 def passive_observer(station: marine.Station) -> PassiveShip:
-    """The observer as it is tuned for the log."""
+    """The passive observer as tuned for the log."""
     return PassiveShip(station, notch_gains(station, (0.1, 0.1, 0.2)), memory=2.0)
 
 
 def sea_filter(station: marine.Station, y0: np.ndarray) -> InformationEKF:
-    """The extended Kalman filter that knows the densities of all noises of the log."""
+    """The extended Kalman filter that is given the spectral densities of all noises of the log."""
     part, order = station.parts, station.order
     q = np.zeros(order)
     q[part["waves"]][3:] = np.asarray(station.waves.intensity) ** 2 if station.waves else 0.0
@@ -113,12 +114,12 @@ def sea_filter(station: marine.Station, y0: np.ndarray) -> InformationEKF:
         Equation(process_cov=jnp.diag(jnp.asarray(q)), measurement_cov=jnp.asarray(density)),
         start,
         jnp.diag(1 / jnp.asarray(variances)),
-        substeps=5,  # its information changes fast where waves are fast; with one it is off by half
+        substeps=5,  # its information matrix changes fast with the waves; with a single step it is wrong by half
     )
 
 
 def sea_errors(log: Sea) -> dict[str, Float[np.ndarray, "T 3"]]:
-    """Errors of surge, sway [m/s] and yaw rate [rad/s] by three estimators; row k has used measurements up to row k."""
+    """Errors of surge, sway [m/s] and yaw rate [rad/s] of the estimators; row k uses measurements up to row k."""
     record = log.record
     truth = np.asarray(record.x)[:, 3:6]
     passive, kalman, filtered = (np.asarray(run(o, record).estimate) for o in log.observers.values())
@@ -137,7 +138,7 @@ def sea_errors(log: Sea) -> dict[str, Float[np.ndarray, "T 3"]]:
 
 
 def sea_cost(log: Sea) -> dict[str, float]:
-    """Time of a sample [µs], of the compiled loop on this machine."""
+    """Time for each sample [µs] in the compiled loop on this machine."""
     found = {}
     for name, observer in log.observers.items():
         jax.block_until_ready(run(observer, log.record).estimate)
@@ -148,7 +149,7 @@ def sea_cost(log: Sea) -> dict[str, float]:
 
 
 SETTLED = 100.0
-"""Seconds of the log that do not count."""
+"""Length of the initial part of the log that is not scored [s]."""
 
 
 def sea_table(log: Sea) -> dict[str, dict[str, float]]:

@@ -37,9 +37,10 @@ def _virtual_slope(station: marine.Station, sign: Array) -> Array:
 
 
 def ship_decay(duration: float = 600.0) -> dict[str, Any]:
-    """The observer (43)–(44) of the supply vessel, moored, with gains from (48)–(50): V along a turning motion.
+    """The observer (43)–(44) of the moored supply vessel, with gains from (48)–(50): V along a turning motion.
 
-    `t`, `lyapunov` V (T,), the guaranteed `rate` α of `V ≤ e^(−2αt) V(0)`, that `printed` in (47) and the `fitted` one.
+    Returns `t`, `lyapunov` V (T,), the guaranteed `rate` α of `V ≤ e^(−2αt) V(0)`, the rate `printed` in (47), and the
+    `fitted` one.
     """
     station = _moored()
     mass = np.asarray(station.ship.mass)
@@ -54,7 +55,7 @@ def ship_decay(duration: float = 600.0) -> dict[str, Any]:
     return {"t": np.asarray(t), "lyapunov": value, **rates}
 
 
-@functools.cache  # one object, so that what is compiled for it is found again
+@functools.cache  # one object, so that compiled programs are found again
 def _moored() -> marine.Station:
     return marine.Station(marine.supply_vessel(mooring=np.diag([5e4, 5e4, 5e7])))
 

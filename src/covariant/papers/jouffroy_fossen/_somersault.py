@@ -1,4 +1,4 @@
-"""ODIN on SE(3), beside section IV of Jouffroy & Fossen 2004: there a pitch of 90° is nothing special."""
+"""ODIN on SE(3), in addition to section IV of Jouffroy & Fossen 2004: there a pitch of 90° is not singular."""
 
 import equinox as eqx
 import jax
@@ -28,10 +28,10 @@ def _somersault(t: Array):
 
 
 def somersault(duration: float = 16.0) -> dict[str, np.ndarray]:
-    """ODIN on SE(3), turned over its own nose by a constant torque, and the observer of its group beside it.
+    """ODIN on SE(3), turned over its nose by a constant torque, with the intrinsic observer on the group.
 
-    Stamps `t` [s], `pitch` (T,) [rad], and the norm of the observer's `error` (T,). Its law is s² + 8s + 16
-    beside the drag; with s² + 2s + 1 the gains are too low for this speed, and an error remains.
+    Returns stamps `t` [s], `pitch` (T,) [rad], and the norm of the observer's `error` (T,). Apart from the drag the
+    error law is s² + 8s + 16; with s² + 2s + 1 the gains are too low for this speed, and an error remains.
     """
     t = np.linspace(0.0, duration, round(20 * duration) + 1)
     pitch, error = _somersault(jnp.asarray(t))

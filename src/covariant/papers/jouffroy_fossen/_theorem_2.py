@@ -1,4 +1,4 @@
-"""Theorem 2 of Jouffroy & Fossen 2004 as printed, and the systems it is wrong about."""
+"""Theorem 2 of Jouffroy & Fossen 2004 as printed, and systems for which it is wrong."""
 
 from typing import NamedTuple
 
@@ -12,7 +12,7 @@ from covariant.proofs import Box, Proof, prove
 
 
 class Scalar(NamedTuple):
-    """`x' = ax + bu`, z = x, `u = gx̂`, with the observer gain k: a counter-example in numbers."""
+    """The system `x' = ax + bu`, z = x, `u = gx̂` with the observer gain k, as a counter-example."""
 
     a: float
     b: float
@@ -21,12 +21,12 @@ class Scalar(NamedTuple):
 
     @property
     def printed(self) -> float:
-        """The printed Jacobian `a + bg − k` [1/s]: "contracting" where negative."""
+        """The printed Jacobian `a + bg − k` [1/s], "contracting" where it is negative."""
         return self.a + self.b * self.g - self.k
 
     @property
     def true(self) -> float:
-        """What the observer's error obeys, `a − k` [1/s]."""
+        """The true rate of the observer's error, `a − k` [1/s]."""
         return self.a - self.k
 
     def observer(self) -> Contracting:
@@ -39,7 +39,7 @@ class Scalar(NamedTuple):
         return Contracting(model, jnp.array([[self.k]]), jnp.zeros(1))
 
     def proof(self, rate: float) -> Proof:
-        """Does the virtual system contract at `rate` [1/s], over |x|, |u|, |z| ≤ 1?"""
+        """Prove that the virtual system contracts at `rate` [1/s], over |x|, |u|, |z| ≤ 1."""
         subject = virtual(self.observer(), jnp.eye(1))
         size = len(subject.names)
         return prove(contraction(subject, rate), Box(subject.names, subject.units, -np.ones(size), np.ones(size)))
@@ -50,4 +50,4 @@ COUNTEREXAMPLES = {
     "called contracting, diverges slowly": Scalar(1.0, 1.0, -3.0, 0.5),
     "called not contracting, converges": Scalar(-1.0, 1.0, 5.0, 0.0),
 }
-"""Systems on which (16) and (20) as printed say the opposite of what happens."""
+"""Systems for which (16) and (20) as printed state the opposite of the truth."""

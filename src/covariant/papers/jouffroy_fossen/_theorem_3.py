@@ -1,4 +1,4 @@
-"""Theorem 3 of Jouffroy & Fossen 2004 on ODIN: is the controller, fed by the observer, exponentially stable?"""
+"""Theorem 3 of Jouffroy & Fossen 2004 for ODIN: exponential stability of the controller with the observer."""
 
 import numpy as np
 
