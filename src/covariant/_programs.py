@@ -20,7 +20,7 @@ def keep_programs() -> None:
     """Tell JAX, which reads its environment variables when it is imported, where to store its programs.
 
     Does nothing where JAX has been imported before: then it is too late to suppress the notes that its compiler writes
-    about each program it loads. Whoever imports JAX first sets these variables.
+    about each program it loads. Whoever imports JAX earlier sets these variables.
     """
     folder = None if "jax" in sys.modules else _folder()
     if folder is None:

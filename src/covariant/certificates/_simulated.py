@@ -125,7 +125,7 @@ def trajectories(
     Raises `ValueError` where nothing is proved, or where no motion stays inside for two stamps.
     """
     plant = _Plant(certificate)
-    reached = plant.half_widths
+    half_widths = plant.half_widths
     m = len(certificate.given["inputs"]["low"])
     control = plant.inputs(2 * jnp.pi / plant.longest * (2 + 0.74 * jnp.arange(m, dtype=float)), jnp.zeros(m))
     rng = np.random.default_rng(seed)
@@ -148,7 +148,7 @@ def trajectories(
         # One after the other, since each chooses its own steps.
         return jax.lax.map(one, angles)
 
-    shown = int(np.argmax(travel[:n] / reached[:n] if plant.flat else travel[-n:] / reached[n:]))
+    shown = int(np.argmax(travel[:n] / half_widths[:n] if plant.flat else travel[-n:] / half_widths[n:]))
     actual, estimated, low, high = (np.asarray(a) for a in follow(start, shown, certificate.radius))
     truth = actual[0]
     shrink = np.exp(-certificate.decay * (np.asarray(t) - plant.first))
@@ -159,7 +159,7 @@ def trajectories(
         truth[:, n:],
         estimated[..., :n],
         estimated[..., n:],
-        reached,
+        half_widths,
         shown,
         Decay(np.asarray(t), low, high, bound),
     )

@@ -178,7 +178,7 @@ def first_guess(space: Curved, p: Configuration, target: Target, guess: Vector |
 
 
 def newton_step(space: Curved, p: Configuration, target: Target, velocity: Vector, budget: Budget):
-    """Correction of the initial velocity, and the squared miss (metric at q) it is meant to remove.
+    """Correction of the initial velocity, and the squared distance (metric at q) to the target that it should remove.
 
     The normal equations in the metric keep the matrix symmetric positive definite, so no pivoting is needed.
     """

@@ -73,7 +73,7 @@ def closed_loop(
 ) -> Any:
     """Plant, observer and controller as one `control.NonlinearIOSystem` without inputs; its outputs are x, x̂ and u.
 
-    The method `initial(x0)` of the result gives the initial state for x0 and `observer.init(y0, t0)`. Raises
+    The result has a function `initial(x0)`, which gives the initial state for x0 and `observer.init(y0, t0)`. Raises
     `ImportError` without python-control.
     """
     start, unravel = jax.flatten_util.ravel_pytree(continuous(observer.init(jnp.asarray(y0, float), t0)))

@@ -16,7 +16,7 @@ TINY = 2.0**-1022
 """Larger than the error of a result that underflows. It is the smallest normal double, as smaller ones are slow."""
 LARGEST = np.finfo(float).max
 HUGE = LARGEST * (1 - 2.0**-40)
-"""A lower bound of results that overflow, below them by more than all errors here."""
+"""A lower bound of every result that overflows, whatever its errors here."""
 
 Bounds = tuple[Any, Any]
 Rule = Callable[..., Bounds]

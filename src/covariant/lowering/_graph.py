@@ -109,7 +109,7 @@ class Graph:
         self.real = real
         self.conditions: dict[tuple[Kind, int], Condition] = {}
         self.line: Callable[[], str] = str
-        self._endless: set[int] = set()  # nodes that may be infinite or NaN, by a choice that returns such a value
+        self._infinite: set[int] = set()  # nodes that may be infinite or NaN, by a choice that returns such a value
         self._known: dict[tuple, int] = {}
 
     @classmethod
@@ -142,8 +142,8 @@ class Graph:
             return self._applied(op, arguments, nodes)
         self._note(op, arguments, nodes)
         found = self._applied(op, arguments, nodes)
-        if op in CHOICES and any(self._is_endless(a) for a in arguments):
-            self._endless.add(found)
+        if op in CHOICES and any(self._may_be_infinite(a) for a in arguments):
+            self._infinite.add(found)
         return found
 
     def _applied(self, op: str, arguments: tuple[int, ...], nodes: list[Node]) -> int:
@@ -176,12 +176,12 @@ class Graph:
             self._condition(kind, node, op)
         if op not in ANYTHING:
             for a in arguments:
-                if a in self._endless:
+                if a in self._infinite:
                     self._condition("true", self._add(("is_finite", a), Node("is_finite", (a,))), op)
 
-    def _is_endless(self, node: int) -> bool:
+    def _may_be_infinite(self, node: int) -> bool:
         value = self.nodes[node].value if self.nodes[node].op == "constant" else 0.0
-        return node in self._endless or (value is not None and not math.isfinite(value))
+        return node in self._infinite or (value is not None and not math.isfinite(value))
 
     def need_between(self, low: float, node: int, high: float) -> None:
         """Note the condition that a number is between two others."""
@@ -263,9 +263,9 @@ class Graph:
     def _simplify_real(self, op: str, arguments: tuple[int, ...]) -> int | None:
         """Simplifications for real numbers only. A choice that is |x|, min or max in disguise does not jump."""
         match op, arguments:
-            case "is_finite", (a,) if not self._is_endless(a):
+            case "is_finite", (a,) if not self._may_be_infinite(a):
                 return self.constant(True)
-            case "eq", (a, b) if a == b and not self._is_endless(a):
+            case "eq", (a, b) if a == b and not self._may_be_infinite(a):
                 return self.constant(True)
             case "min" | "max", (a, b):  # an infinite bound
                 none = np.inf if op == "min" else -np.inf

@@ -132,7 +132,7 @@ def expm1(x: Any) -> Any:
 
 
 def sinh(x: Any) -> Any:
-    """(q + q/(q + 1))/2 for q = exp |x| - 1, or half the exponential for |x| > 20.
+    """sinh x as (q + q/(q + 1))/2 for q = exp |x| - 1, or half the exponential for |x| > 20, with the sign of x.
 
     It does not magnify a relative error of q, since q d/dq of its logarithm is at most 1.
     """
@@ -147,7 +147,7 @@ def cosh(x: Any) -> Any:
 
 
 def tanh(x: Any) -> Any:
-    """q/(q + 2) for q = exp 2|x| - 1, which does not magnify relative errors. For |x| ≥ 22 it is 1 to within u/4."""
+    """tanh x as q/(q + 2) for q = exp 2|x| - 1, which magnifies no relative error. For |x| ≥ 22 it is 1 within u/4."""
     q = expm1(2.0 * np.minimum(np.abs(x), 22.0))
     return np.copysign(q / (q + 2.0), x)
 
@@ -188,11 +188,11 @@ def log1p(x: Any) -> Any:
     k, f = _mantissa(total)
     near = (x > -0.2928) & (x < 0.4142)
     k, f = np.where(near, 0.0, k), np.where(near, x, f)
-    rest = np.where(near, 0.0, _lost(1.0, x, total) / total + k * LN2_LOW)
+    rest = np.where(near, 0.0, _rounding_error(1.0, x, total) / total + k * LN2_LOW)
     return _at_ends(total, f - (log_tail(f) - rest) + k * LN2_HIGH)
 
 
-def _lost(a: Any, b: Any, total: Any) -> Any:
+def _rounding_error(a: Any, b: Any, total: Any) -> Any:
     """a + b - total for the rounded sum, exactly (D. E. Knuth, The Art of Computer Programming 2, section 4.2.2)."""
     part = total - a
     return (a - (total - part)) + (b - part)
@@ -209,7 +209,7 @@ def log_parts(x: Any) -> tuple[Any, Any, Any]:
     tail = log_tail(f) - k * LN2_LOW
     first = k * LN2_HIGH
     head = first + f
-    rest = _lost(first, f, head) - tail
+    rest = _rounding_error(first, f, head) - tail
     return head, rest, U * (6.0 * np.abs(tail) + 2.0 * np.abs(rest)) + 2.0**-83
 
 
@@ -246,13 +246,13 @@ def asinh(x: Any) -> Any:
 
 
 def acosh(x: Any) -> Any:
-    """log1p(t + √(t (t + 2))) for t = x - 1, or log 2x where x > 2²⁸."""
+    """acosh x as log1p(t + √(t (t + 2))) for t = x - 1, or log 2x where x > 2²⁸."""
     t = np.minimum(x, 2.0**28) - 1.0
     return np.where(x > 2.0**28, log(x, 1.0), log1p(t + np.sqrt(t * (t + 2.0))))
 
 
 def atanh(x: Any) -> Any:
-    """½ log1p(2a/(1 - a)) for a = |x|."""
+    """atanh x as ½ log1p(2a/(1 - a)) for a = |x|, with the sign of x."""
     a = np.abs(x)
     return np.copysign(0.5 * log1p(2.0 * a / (1.0 - a)), x)
 
@@ -276,7 +276,7 @@ def from_axis(theta: Any, turns: int) -> Any:
 
 
 def angle(y: Any, x: Any) -> Any:
-    """The angle of (x, y) for y ≥ 0: 0 at the origin, π on the negative half-axis."""
+    """The angle of the point (x, y) for y ≥ 0: 0 at the origin, π on the negative half-axis."""
     size = np.abs(x)
     largest = np.maximum(y, size)
     t = np.minimum(y, size) / np.where(largest == 0, 1.0, largest)
@@ -296,12 +296,12 @@ def atan2(y: Any, x: Any) -> Any:
 
 
 def asin(x: Any) -> Any:
-    """The angle of (√((1 - x)(1 + x)), x)."""
+    """asin x as the angle of the point (√((1 - x)(1 + x)), x)."""
     return np.copysign(angle(np.abs(x), np.sqrt((1.0 - x) * (1.0 + x))), x)
 
 
 def acos(x: Any) -> Any:
-    """Twice the angle whose tangent is √(1 - x)/√(1 + x)."""
+    """acos x as twice the angle whose tangent is √(1 - x)/√(1 + x)."""
     return 2.0 * angle(np.sqrt(1.0 - x), np.sqrt(1.0 + x))
 
 
@@ -314,14 +314,16 @@ QUARTER_ERROR = 2.0**-119
 
 
 def quarters(x: Any) -> tuple[Any, Any, Any, Any]:
-    """k, its bits, and r as the sum of two doubles, within |k|·QUARTER_ERROR and u² of r, for |k| ≤ 2²⁰.
+    """k, its bits, and r of x = k π/2 + r as the sum of two doubles, for |k| ≤ 2²⁰.
+
+    The error of r is at most |k|·QUARTER_ERROR plus u² times r.
 
     The products with the first two words, of 33 bits, and the first difference are exact.
     """
     k, bits = whole(x * (2 / math.pi))
     first, second = x - k * QUARTER_HIGH, k * -QUARTER_MIDDLE
     r = first + second
-    rest = _lost(first, second, r) - k * QUARTER_LOW
+    rest = _rounding_error(first, second, r) - k * QUARTER_LOW
     total = r + rest
     return k, bits, total, rest - (total - r)
 

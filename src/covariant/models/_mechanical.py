@@ -374,8 +374,8 @@ class MomentumChart(NamedTuple):
         """Derivatives of s and of the momentum, and the motion they belong to."""
         system, (s, momentum) = self.system, now
         q, v = x = self.motion(s, momentum)
-        pushed = u(t, x)
-        force = applied_force(system, t, q, pushed) + resistance(system, t, q, v, pushed)
+        inputs = u(t, x)
+        force = applied_force(system, t, q, inputs) + resistance(system, t, q, v, inputs)
         force = force + system.space.kinetic_force(q, v)
         rate = system.manifold.local_rate(self.centre, s, v)
         return (rate, system.manifold.carried_momentum(self.centre, -s, force)), x

@@ -30,7 +30,7 @@ class Parametric(Functional):
     `Parametric(f, mass=1.0)` is called as `f` without its keyword `mass`. A program is compiled once for `f` and the
     shapes of its parameters; a closure, such as a lambda that uses a number from around it, would be compiled again for
     each number. `f` should be a function of a module, so that it is the same object each time. It gets the parameters
-    as arrays, of the real type that matches its first array argument with an axis.
+    as arrays, of the real type that matches its first floating-point argument with an axis.
     """
 
     function: Callable[..., Array] = eqx.field(static=True)

@@ -43,7 +43,7 @@ class Contracting(AbstractFlowObserver):
     - `injected`: f with measured outputs z in place of states, `(t, x, u, z) -> (n,)`; for instance a rotation by the
       measured heading instead of the estimated one. By default f itself.
     - `substeps`: Runge–Kutta steps of the model in each sample.
-    - `memory` [s]: a sample is weighted by the time since the one before, but by no more than this.
+    - `memory` [s]: an output is weighted by the time since it was last measured, but by no more than this.
 
     With sampled measurements the model runs between samples, and the correction is implicit,
     `x⁺ = x̂ + WK (I + h_x WK)⁻¹ (z − h)`, where W holds the weight [s] of each output: no gain makes it unstable by

@@ -133,7 +133,7 @@ class IntrinsicKalman(AbstractObserver):
         missing, straight = manifold.missing(y), manifold.towards(state.q, y)
         noise = spread_at(self.measurement_cov, space, state.q)
         spread = state.root[:n] @ state.root[:n].T + noise
-        far, scale, again = jnp.zeros_like(missing), state.scale, _lost(manifold, spread, noise)
+        far, scale, again = jnp.zeros_like(missing), state.scale, _too_uncertain(manifold, spread, noise)
         if self.gate is not None:
             far, scale = self.gate.judge(manifold, straight, spread, ~missing, scale)
             again = again | jnp.any(far & (state.refused >= self.gate.patience))
@@ -162,7 +162,7 @@ class IntrinsicKalman(AbstractObserver):
     def _moved(self, state: KalmanState, u: Float[Array, "m"], h: Scalar) -> KalmanState:
         """One Runge–Kutta step of the model and of the covariance."""
         space, manifold, n = self.model.space, self.model.manifold, state.v.shape[0]
-        model = self.model if self.force_cov is None else pushed(self.model, u.shape[0])
+        model = self.model if self.force_cov is None else with_external_force(self.model, u.shape[0])
 
         def ahead(error):
             start = Motion(manifold.retract(state.q, error[:n]), state.v + error[n : 2 * n])
@@ -204,7 +204,7 @@ class IntrinsicKalman(AbstractObserver):
         return both if self.force_cov is None else _diagonal(both, semidefinite_root(self.force_cov))
 
 
-def pushed(model: MechanicalSystem, inputs: int) -> MechanicalSystem:
+def with_external_force(model: MechanicalSystem, inputs: int) -> MechanicalSystem:
     """The model with a generalised force (n,) in the frame appended to its inputs (m,): `u = (u, force)`."""
 
     def force(t, q, u):
@@ -240,7 +240,7 @@ def apart(space: AbstractSpace, q: Array, v: Vector) -> Float[Array, "two_n two_
     return parallel(space, q, v, -1)
 
 
-def _lost(manifold: AbstractManifold, spread: Matrix, noise: Matrix) -> Array:
+def _too_uncertain(manifold: AbstractManifold, spread: Matrix, noise: Matrix) -> Array:
     """Whether an angle has so large an expected error, beyond what its noise explains, that linearisation fails.
 
     Then the predicted velocity is all that is known of the velocity.

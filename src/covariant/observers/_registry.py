@@ -29,7 +29,7 @@ def anything(model: MechanicalSystem) -> bool:
 
 
 def coordinates(model: MechanicalSystem) -> bool:
-    """Systems in coordinates, on no group."""
+    """Systems in coordinates, not on a group."""
     return model.manifold.commuting
 
 

@@ -402,7 +402,7 @@ def error_rows(results: dict[str, Any]) -> list[dict[str, str]]:
 
 
 def route_rows(results: dict[str, Any]) -> list[dict[str, str]]:
-    """Table rows of the ways to compute P."""
+    """Table rows of the four ways to compute P."""
     names = next(iter(results["routes"].values()))
     return [
         {"way": name} | {f"λ = {rate}": f"{found[name]:.1e}" for rate, found in results["routes"].items()}
@@ -411,7 +411,7 @@ def route_rows(results: dict[str, Any]) -> list[dict[str, str]]:
 
 
 def rate_rows(results: dict[str, Any]) -> list[dict[str, str]]:
-    """Table rows of the decay."""
+    """Table rows of the rates of decay."""
     return [
         {"k_E": gain}
         | {f"λ = {rate}": f"{fitted:.3f} ({results['guaranteed'][gain][rate]:.3f})" for rate, fitted in rates.items()}

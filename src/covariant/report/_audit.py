@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 _HOLDS, _FAILS = PALETTE[:2]
 _LOW, _LEAST, _MOST, _HIGH = 1e-19, 1e-18, 1e2, 1e3
-"""Ends of the axis, and the range drawn to scale: a deviation outside it, or one that is no number, is at its ends."""
+"""Ends of the axis, and the range drawn to scale: deviations outside it are drawn at its ends, NaN at the upper one."""
 
 _INTRODUCTION = (
     "Every law is measured at random states, from the observer's own equations and the model's own geometry, in a way "

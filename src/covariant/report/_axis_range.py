@@ -53,7 +53,7 @@ def axis_range(quantity: Quantity, column: int) -> AxisRange | None:
     ranges = _ranges(quantity, column)
     if not ranges:
         return None
-    kept = ranges if quantity.log else _not_lost(ranges, quantity.scale[column])
+    kept = ranges if quantity.log else _not_diverged(ranges, quantity.scale[column])
     low, high = _padded(min(r.wanted_low for r in kept), max(r.wanted_high for r in kept), quantity.log)
     lowest, highest = _padded(min(r.low for r in kept), max(r.high for r in kept), quantity.log)
     if not _GAIN[0] < (highest - lowest) / (high - low) < _GAIN[1]:
@@ -86,7 +86,7 @@ def _core(y: Samples) -> tuple[float, float]:
     return float(max(y.min(), 2 * low - high)), float(min(y.max(), 2 * high - low))
 
 
-def _not_lost(ranges: list[_Range], scale: float) -> list[_Range]:
+def _not_diverged(ranges: list[_Range], scale: float) -> list[_Range]:
     """The backdrops, the first estimate, and those whose range is not far larger than that of these and the motion."""
     first = next((r for r in ranges if not r.backdrop), ranges[0])
     most = _LOST * max(first.wanted_high - first.wanted_low, scale)

@@ -99,14 +99,14 @@ class LeftInvariant(AbstractSpace):
 
     def connection_force(self, x: Element, a: Vector, b: Vector) -> Vector:
         """`½(I[a, b] − ad*_a I b − ad*_b I a)`, the covector of the connection."""
-        return (self.inertia(self.group.lie_bracket(a, b)) - self._pulls(a, b)) / 2
+        return (self.inertia(self.group.lie_bracket(a, b)) - self._coadjoint_sum(a, b)) / 2
 
     def kinetic_force(self, x: Element, v: Vector) -> Vector:
         return jnp.zeros_like(v)
 
     def connection(self, x: Element, a: Vector, b: Vector) -> Vector:
         """`B(a, b) = ½([a, b] − I⁻¹(ad*_a I b + ad*_b I a))` of left-invariant fields; equation (3)."""
-        return (self.group.lie_bracket(a, b) - self.inertia.solve(self._pulls(a, b))) / 2
+        return (self.group.lie_bracket(a, b) - self.inertia.solve(self._coadjoint_sum(a, b))) / 2
 
     def curvature(self, x: Element, a: Vector, b: Vector, c: Vector) -> Vector:
         """`R(a, b)c = B(a, B(b, c)) − B(b, B(a, c)) − B([a, b], c)`."""
@@ -116,5 +116,5 @@ class LeftInvariant(AbstractSpace):
 
         return along(a, along(b, c)) - along(b, along(a, c)) - along(self.group.lie_bracket(a, b), c)
 
-    def _pulls(self, a: Vector, b: Vector) -> Vector:
+    def _coadjoint_sum(self, a: Vector, b: Vector) -> Vector:
         return self.group.coadjoint(a, self.inertia(b)) + self.group.coadjoint(b, self.inertia(a))

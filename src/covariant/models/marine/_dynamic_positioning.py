@@ -95,11 +95,11 @@ class Station(eqx.Module):
         part = {name: x[where] for name, where in self.parts.items()}
         turn = yaw_rotation(heading)
         eta, nu = part["eta"], part["nu"]
-        pushed = part.get("thrust", u)
+        force = part.get("thrust", u)
         if "bias" in part:
-            pushed = pushed + turn.T @ part["bias"]
+            force = force + turn.T @ part["bias"]
         drive = jnp.zeros(3 * (("waves" in part) + ("bias" in part)), x.dtype) if noise is None else noise
-        rates = [turn @ nu, self.ship.acceleration(eta.at[2].set(heading), nu, pushed)]
+        rates = [turn @ nu, self.ship.acceleration(eta.at[2].set(heading), nu, force)]
         if self.waves is not None:
             w, z, k = (
                 jnp.asarray(a, x.dtype) for a in (self.waves.frequency, self.waves.damping, self.waves.intensity)
