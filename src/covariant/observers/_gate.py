@@ -14,7 +14,7 @@ from covariant._typing import Matrix, Vector
 from covariant.geometry import AbstractManifold
 
 BELIEVED = 4.0
-"""Largest ratio to the usual with which a squared innovation enters the average: an outlier changes it little."""
+"""Cap on a squared innovation in the average, as a multiple of the average: so an outlier changes it little."""
 
 
 class Gate(eqx.Module):

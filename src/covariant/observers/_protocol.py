@@ -79,7 +79,7 @@ class AbstractObserver(Functional):
     def step(self, state: Any, u: Float[Array, "m"], y: Inexact[Array, "*n"], dt: Scalar) -> tuple[Any, Any]:
         """Advance by dt [s] under the input u (m,), held constant over the step, then correct by the measurement y.
 
-        Where y has NaN entries, these are missing, and the model predicts alone. Invalid numbers never spoil the
+        NaN in y marks a missing measurement, over which the model predicts alone. Invalid numbers never spoil the
         state. An infinite entry of y counts as missing, as NaN does. An entry of u that is not finite is replaced by
         the last finite one, or by 0 before there is any. Where dt is zero, negative or not finite, the state is left
         as it was. `info.result` reports this: `COASTED`, `INPUT_HELD`, `REPEATED` (dt = 0) or `STEP_REFUSED`, the
