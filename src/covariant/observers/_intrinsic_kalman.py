@@ -22,9 +22,10 @@ from covariant._typing import Code, Matrix, Number, Scalar, Vector
 from covariant.geometry import AbstractManifold, AbstractSpace, Budget
 from covariant.models import MechanicalSystem, Motion, advance, resistance
 from covariant.observers._gate import Gate
-from covariant.observers._protocol import AbstractObserver, Held, as_gain, at_rest, outcome, uniqueness
+from covariant.observers._protocol import AbstractObserver, Held, as_gain, at_rest, check_positive, outcome, uniqueness
 from covariant.observers._sampled import needed_substeps
 from covariant.observers._spread import Spread, check_spread, spread_at
+from covariant.observers._ticks import Readings, take
 from covariant.signals import Result
 
 FARTHEST_TURN = 0.5
@@ -38,6 +39,7 @@ class KalmanState(NamedTuple):
     - `refused` (n,): number of samples in a row that the gate refused.
     - `scale` (n,): averaged ratio of actual to expected squared innovations; see `Gate.judge`.
     - `held`: the last finite input.
+    - `readings`: the last readings of encoders that count ticks; None where measurements have noise.
     """
 
     q: Inexact[Array, "..."]
@@ -48,6 +50,7 @@ class KalmanState(NamedTuple):
     refused: Int[Array, "n"]
     scale: Vector
     held: Held = None
+    readings: Readings | None = None
 
 
 class KalmanInfo(NamedTuple):
@@ -61,6 +64,11 @@ class KalmanInfo(NamedTuple):
     result: Code
 
 
+def as_quantum(value: Any) -> Any:
+    """One tick of each encoder as an array."""
+    return None if value is None else jnp.atleast_1d(jnp.asarray(value, float))
+
+
 class IntrinsicKalman(AbstractObserver):
     """Kalman filter of a `MechanicalSystem` on any space.
 
@@ -72,6 +80,9 @@ class IntrinsicKalman(AbstractObserver):
     - `force_cov` (n, n): spectral density of the random walk of an external force that the model does not contain, a
       covector in the frame [N²/s or (N m)²/s]: a disturbance, a payload, a wrong friction. The force is estimated too,
       and a constant one leaves no bias. None assumes no such force.
+    - `quantum` (n,): one tick of each encoder, in coordinates [their unit]. A reading is then an interval, and a change
+      of it an edge that was passed; `measurement_cov` is the covariance of the positions of edges. None where every
+      sample has independent noise.
     - `gate`: which measurements are refused as outliers; None refuses none. See `Gate`.
     - `budget`: work spent on geodesics, from the estimate to the measurement and along the correction.
     - `substeps`: Runge–Kutta steps in each sample; None takes as many as dt and the friction need (offline).
@@ -88,6 +99,7 @@ class IntrinsicKalman(AbstractObserver):
     measurement_cov: Spread = eqx.field(converter=as_gain)
     initial_velocity_cov: Spread = eqx.field(converter=as_gain)
     force_cov: Matrix | None = None
+    quantum: Vector | None = eqx.field(default=None, converter=as_quantum)
     gate: Gate | None = Gate()
     budget: Budget = eqx.field(default=Budget(newton=1, steps=2), static=True)
     substeps: int | None = eqx.field(default=None, static=True)
@@ -98,11 +110,16 @@ class IntrinsicKalman(AbstractObserver):
             check_spread("IntrinsicKalman", name, getattr(self, name))
         if self.force_cov is not None:
             check_spread("IntrinsicKalman", "force_cov", self.force_cov)
+        if self.quantum is not None:
+            check_positive("IntrinsicKalman", quantum=self.quantum)
+            if not self.model.manifold.commuting:
+                raise ValueError("IntrinsicKalman: quantum is for coordinates; encoders count no ticks of an attitude")
 
     def init(self, y: Array, t: Number = 0.0) -> KalmanState:
         q, v, t, held = at_rest(self.model, y, t)
         force = v[:0] if self.force_cov is None else jnp.zeros_like(v)
-        return KalmanState(q, v, t, force, self._first_root(q), jnp.zeros(v.shape, jnp.int32), jnp.ones_like(v), held)
+        refused, scale, readings = jnp.zeros(v.shape, jnp.int32), jnp.ones_like(v), self._read(q, jnp.zeros_like(v))
+        return KalmanState(q, v, t, force, self._first_root(q), refused, scale, held, readings)
 
     def estimate(self, state: KalmanState) -> Any:
         return self.model.state(Motion(state.q, state.v))
@@ -131,7 +148,7 @@ class IntrinsicKalman(AbstractObserver):
         """Correct by the measurement y. Missing entries (NaN) are left out; on a group one NaN makes all missing."""
         space, manifold, n = self.model.space, self.model.manifold, state.v.shape[0]
         missing, straight = manifold.missing(y), manifold.towards(state.q, y)
-        noise = spread_at(self.measurement_cov, space, state.q)
+        noise = self._noise(state.q)
         spread = state.root[:n] @ state.root[:n].T + noise
         far, scale, again = jnp.zeros_like(missing), state.scale, _too_uncertain(manifold, spread, noise)
         if self.gate is not None:
@@ -139,19 +156,42 @@ class IntrinsicKalman(AbstractObserver):
             again = again | jnp.any(far & (state.refused >= self.gate.patience))
         again = again & ~jnp.any(missing)  # a restart needs a complete configuration
         used = ~missing & ~far
-        innovation = jnp.where(used, self._way(state, y, straight, used), 0.0)
-        gain, root = _updated(state.root, noise, used)
-        error = gain @ innovation
+        error, root = self._believed(state, y, straight, used)
         q, v, root = self._rebased(state, error, root)
         refused = jnp.where(far, state.refused + 1, jnp.where(missing, state.refused, 0))
-        new = KalmanState(q, v, state.t, state.force + error[2 * n :], root, refused, scale, state.held)
-        measured = manifold.measured(state.q, y)
+        measured, force = manifold.measured(state.q, y), state.force + error[2 * n :]
+        readings = None
+        if state.readings is not None:
+            readings = Readings(jnp.where(used, y, state.readings.y), jnp.where(used, 0.0, state.readings.age))
+        new = KalmanState(q, v, state.t, force, root, refused, scale, state.held, readings)
         fresh = new._replace(q=measured, v=state.v, root=self._first_root(measured), refused=0 * refused)
+        fresh = fresh._replace(readings=self._read(measured, 0 * v))
         new = jax.tree.map(lambda a, b: jnp.where(again, a, b), fresh, new)
         result = jnp.where(jnp.any(far), int(Result.OUTLIER), uniqueness(self.model, state.q, y))
         result = outcome(new.q, new.v, y, jnp.where(again, int(Result.RESTARTED), result))
         nis = _nis(spread, straight, ~missing)
         return new, KalmanInfo(straight, space.norm(state.q, straight), spread, nis, result)
+
+    def _noise(self, q: Array) -> Matrix:
+        """Covariance of one sample, taken as noise."""
+        noise = spread_at(self.measurement_cov, self.model.space, q)
+        return noise if self.quantum is None else noise + jnp.diag(self.quantum.astype(noise.dtype) ** 2 / 12)
+
+    def _read(self, y: Array, age: Vector) -> Readings | None:
+        return None if self.quantum is None else Readings(y, age)
+
+    def _believed(self, state: KalmanState, y: Array, straight: Vector, used: Array) -> tuple[Array, Array]:
+        """The error (2n + k,) that the sample makes believe, and the root of its covariance."""
+        space, n = self.model.space, state.v.shape[0]
+        if self.quantum is None or state.readings is None:
+            gain, root = _updated(state.root, self._noise(state.q), used)
+            return gain @ jnp.where(used, self._way(state, y, straight, used), 0.0), root
+        rows = _beside(apart(space, state.q, state.v), state)
+        moved = self.model.manifold.towards(state.readings.y, y)
+        noise = jnp.diag(spread_at(self.measurement_cov, space, state.q))
+        parts = rows[:n], rows[n : 2 * n]
+        step = self.quantum.astype(noise.dtype)
+        return take(state.root, straight, moved, state.readings.age, state.v, parts, step, noise, used)
 
     def _way(self, state: KalmanState, y: Array, straight: Vector, used: Array) -> Vector:
         """`log_q̂ y`; where an entry of y is not used, the difference of the coordinates `straight` instead."""
@@ -180,7 +220,9 @@ class IntrinsicKalman(AbstractObserver):
         noise = jnp.kron(integrals, acceleration)
         if self.force_cov is not None:
             noise = _diagonal(noise, jnp.sqrt(h) * semidefinite_root(self.force_cov))
-        return state._replace(q=q, v=v, t=state.t + h, root=triangular(jnp.concatenate([root, noise], axis=1)))
+        readings = state.readings and state.readings._replace(age=state.readings.age + h)
+        root = triangular(jnp.concatenate([root, noise], axis=1))
+        return state._replace(q=q, v=v, t=state.t + h, root=root, readings=readings)
 
     def _rebased(self, state: KalmanState, error: Array, root: Array) -> tuple[Array, Vector, Array]:
         """Estimate and root after a correction by `error` along its geodesic, which transports the velocity.
@@ -197,9 +239,8 @@ class IntrinsicKalman(AbstractObserver):
         return q, v, _beside(parallel(space, q, v) @ slope, state) @ root
 
     def _first_root(self, q: Array) -> Float[Array, "two_n_k two_n_k"]:
-        spreads = (self.measurement_cov, self.initial_velocity_cov)
-        position, velocity = (semidefinite_root(spread_at(spread, self.model.space, q)) for spread in spreads)
-        both = _diagonal(position, velocity)
+        velocity = semidefinite_root(spread_at(self.initial_velocity_cov, self.model.space, q))
+        both = _diagonal(semidefinite_root(self._noise(q)), velocity)
         # Nothing is known of the force yet: its covariance is that of a random walk of one second.
         return both if self.force_cov is None else _diagonal(both, semidefinite_root(self.force_cov))
 
