@@ -70,11 +70,11 @@ PUBLIC = {
     "underwater_vehicle unknown_frequency van_der_pol",
     "models.marine": "Craft Station Waves coriolis_matrix cybership euler_rates euler_rotation euler_transform "
     "manoeuvring_ship odin odin_on_group positive_definite supply_vessel surface_ship yaw_rotation",
-    "observers": "EKF REGISTRY AbstractFlowObserver AbstractMechanicalObserver AbstractObserver Contracting "
+    "observers": "EKF REGISTRY UKF AbstractFlowObserver AbstractMechanicalObserver AbstractObserver Contracting "
     "ContractingState Copy EKFInfo EKFState Entry Estimate FilterInfo FilteredDerivative FilteredState Gate Geodesic "
     "GeodesicInfo GeodesicState HeldState Info InformationEKF InformationState Intrinsic IntrinsicKalman KalmanInfo "
     "KalmanState MechanicalState PassiveGains "
-    "PassiveShip Riccati Salcudean SalcudeanState SavitzkyGolay WindowState continuous craft_observer "
+    "PassiveShip Riccati Salcudean SalcudeanState SavitzkyGolay UKFState WindowState continuous craft_observer "
     "lyapunov_gains lyapunov_rate notch_gains printed_rate run second_order",
     "papers.jouffroy_fossen": "COMPASS COUNTEREXAMPLES CROSS DURATION GAPS GNSS K1 K2 KD KP LAMBDA PRINTED_K2 RATE "
     "SETTLED STAGES STEP Loop Scalar Sea draw draw_odin draw_sea odin_box odin_cascade odin_certificate "

@@ -30,10 +30,12 @@ from covariant.observers._registry import REGISTRY, Entry
 from covariant.observers._riccati import Estimate, InformationEKF, InformationState, Riccati
 from covariant.observers._salcudean import Salcudean, SalcudeanState
 from covariant.observers._savitzky_golay import SavitzkyGolay, WindowState
+from covariant.observers._ukf import UKF, UKFState
 
 __all__ = [
     "EKF",
     "REGISTRY",
+    "UKF",
     "AbstractFlowObserver",
     "AbstractMechanicalObserver",
     "AbstractObserver",
@@ -66,6 +68,7 @@ __all__ = [
     "Salcudean",
     "SalcudeanState",
     "SavitzkyGolay",
+    "UKFState",
     "WindowState",
     "continuous",
     "craft_observer",

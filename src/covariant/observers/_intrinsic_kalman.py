@@ -25,6 +25,7 @@ from covariant.observers._gate import Gate
 from covariant.observers._protocol import AbstractObserver, Held, as_gain, at_rest, outcome, uniqueness
 from covariant.observers._sampled import needed_substeps
 from covariant.observers._spread import Spread, check_spread, spread_at
+from covariant.observers._square_root import diagonal, updated, white_acceleration
 from covariant.signals import Result
 
 FARTHEST_TURN = 0.5
@@ -139,7 +140,7 @@ class IntrinsicKalman(AbstractObserver):
         again = again & ~jnp.any(missing)  # it starts anew from a whole configuration
         used = ~missing & ~far
         innovation = jnp.where(used, self._way(state, y, straight, used), 0.0)
-        gain, root = _updated(state.root, noise, used)
+        gain, root = updated(state.root, noise, used)
         error = gain @ innovation
         q, v, root = self._rebased(state, error, root)
         refused = jnp.where(far, state.refused + 1, jnp.where(missing, state.refused, 0))
@@ -173,12 +174,9 @@ class IntrinsicKalman(AbstractObserver):
         root = (
             _beside(parallel(space, q, v), state) @ slope @ _beside(apart(space, state.q, state.v), state) @ state.root
         )
-        acceleration = semidefinite_root(spread_at(self.process_cov, space, q))
-        # The double and the single integral of white noise over h have the covariance h³/3, h²/2; h²/2, h.
-        integrals = jnp.sqrt(h) * jnp.array([[h / 3**0.5, 0.0], [0.75**0.5, 0.5]])
-        noise = jnp.kron(integrals, acceleration)
+        noise = white_acceleration(spread_at(self.process_cov, space, q), h)
         if self.force_cov is not None:
-            noise = _diagonal(noise, jnp.sqrt(h) * semidefinite_root(self.force_cov))
+            noise = diagonal(noise, jnp.sqrt(h) * semidefinite_root(self.force_cov))
         return state._replace(q=q, v=v, t=state.t + h, root=triangular(jnp.concatenate([root, noise], axis=1)))
 
     def _rebased(self, state: KalmanState, error: Array, root: Array) -> tuple[Array, Vector, Array]:
@@ -198,9 +196,9 @@ class IntrinsicKalman(AbstractObserver):
     def _first_root(self, q: Array) -> Float[Array, "two_n_k two_n_k"]:
         spreads = (self.measurement_cov, self.initial_velocity_cov)
         position, velocity = (semidefinite_root(spread_at(spread, self.model.space, q)) for spread in spreads)
-        both = _diagonal(position, velocity)
+        both = diagonal(position, velocity)
         # Nothing is known of the force: it may have walked for a second.
-        return both if self.force_cov is None else _diagonal(both, semidefinite_root(self.force_cov))
+        return both if self.force_cov is None else diagonal(both, semidefinite_root(self.force_cov))
 
 
 def pushed(model: MechanicalSystem, inputs: int) -> MechanicalSystem:
@@ -217,14 +215,7 @@ def pushed(model: MechanicalSystem, inputs: int) -> MechanicalSystem:
 
 def _beside(matrix: Array, state: KalmanState) -> Array:
     """A matrix of (ε, ν) as one of (ε, ν, force), which leaves the force as it is."""
-    return _diagonal(matrix, jnp.eye(state.force.shape[0], dtype=matrix.dtype))
-
-
-def _diagonal(a: Array, b: Array) -> Array:
-    """Block-diagonal."""
-    top = jnp.concatenate([a, jnp.zeros((a.shape[0], b.shape[1]), a.dtype)], axis=1)
-    bottom = jnp.concatenate([jnp.zeros((b.shape[0], a.shape[1]), a.dtype), b.astype(a.dtype)], axis=1)
-    return jnp.concatenate([top, bottom])
+    return diagonal(matrix, jnp.eye(state.force.shape[0], dtype=matrix.dtype))
 
 
 def parallel(space: AbstractSpace, q: Array, v: Vector, sign: int = 1) -> Float[Array, "two_n two_n"]:
@@ -254,18 +245,3 @@ def _nis(spread: Matrix, innovation: Vector, present: Array) -> Scalar:
     both = present[:, None] & present[None, :]
     r = jnp.where(present, innovation, 0.0)
     return r @ solve(jnp.where(both, spread, jnp.eye(len(r), dtype=r.dtype)), r)
-
-
-def _updated(
-    root: Float[Array, "two_n_k two_n_k"], noise: Matrix, used: Array
-) -> tuple[Float[Array, "two_n_k n"], Float[Array, "two_n_k two_n_k"]]:
-    """Gain, and root of the covariance after the correction, from the components that are used."""
-    n = noise.shape[0]
-    both = used[:, None] & used[None, :]
-    own = semidefinite_root(jnp.where(both, noise, jnp.eye(n, dtype=noise.dtype)))
-    measured_root = jnp.where(used[:, None], root[:n], 0.0)
-    above = jnp.concatenate([own, measured_root], axis=1)
-    below = jnp.concatenate([jnp.zeros((root.shape[0], n), root.dtype), root], axis=1)
-    joint = triangular(jnp.concatenate([above, below]))
-    spread, cross = joint[:n, :n], joint[n:, :n]
-    return solve(spread @ spread.T, spread @ cross.T).T, joint[n:, n:]

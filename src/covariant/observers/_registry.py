@@ -21,6 +21,7 @@ from covariant.observers._intrinsic_kalman import IntrinsicKalman
 from covariant.observers._protocol import AbstractObserver
 from covariant.observers._salcudean import Salcudean, of_mean_inertia
 from covariant.observers._savitzky_golay import SavitzkyGolay
+from covariant.observers._ukf import UKF
 
 
 def anything(model: MechanicalSystem) -> bool:
@@ -124,6 +125,15 @@ REGISTRY = (
         about="extended Kalman filter, Joseph form; on SO(3) the multiplicative, on SE(3) the left-invariant one",
         when="known noise, large initial uncertainty",
         source="Gelb 1974, 6.1; Lefferts, Markley & Shuster 1982; Barrau & Bonnabel 2017, 3",
+    ),
+    Entry(
+        name="ukf",
+        observer=UKF,
+        make=UKF,
+        tuned_by="noise",
+        about="unscented Kalman filter, square-root form; on a group its points are drawn in the frame",
+        when="known noise, strong nonlinearity between few samples",
+        source="Julier & Uhlmann 2004; Brossard, Barrau & Bonnabel 2020",
     ),
     Entry(
         name="filtered-derivative",
