@@ -21,14 +21,7 @@ from covariant.design import (
     tuned_estimators,
     window_length,
 )
-from covariant.design._estimators import (
-    LONGEST_WINDOW,
-    derivative_weights,
-    filter_error,
-    linear_filter_error,
-    polynomial,
-    polynomial_weights,
-)
+from covariant.design._filters import LONGEST_WINDOW, filter_error, linear_filter_error, polynomial
 from covariant.models import Lagrangian, heavy_top, oscillator, underwater_vehicle
 from covariant.observers import EKF, Copy, FilteredDerivative, Geodesic, Intrinsic, IntrinsicKalman, SavitzkyGolay, run
 from covariant.signals import Record
@@ -78,9 +71,9 @@ SHEET = DataSheet(1e-3, 2.0, 0.01, motion_std=20.0, motion_time=0.05)
 RATE = 200.0
 WEIGHTS = {
     "difference": np.array([RATE, -RATE]),
-    "filtered derivative": derivative_weights(30.0, RATE),
-    "line": polynomial_weights(9, 1, RATE),
-    "parabola": polynomial_weights(15, 2, RATE),
+    "filtered derivative": FilteredDerivative(30.0).weights(RATE),
+    "line": SavitzkyGolay(9, 1).weights(RATE),
+    "parabola": SavitzkyGolay(15, 2).weights(RATE),
 }
 
 
@@ -131,13 +124,13 @@ def test_a_difference_is_half_a_sample_late_and_a_parabola_is_not():
 def test_bandwidth_and_window_are_the_best_ones(noise):
     sheet = SHEET._replace(measurement_std=noise)
     chosen = filter_bandwidth(sheet, RATE)
-    least = linear_filter_error(derivative_weights(chosen, RATE), sheet, RATE)
+    least = linear_filter_error(FilteredDerivative(chosen).weights(RATE), sheet, RATE)
     for factor in (0.5, 0.8, 1.25, 2.0):
-        assert linear_filter_error(derivative_weights(chosen * factor, RATE), sheet, RATE) > least
+        assert linear_filter_error(FilteredDerivative(chosen * factor).weights(RATE), sheet, RATE) > least
     window = window_length(sheet, RATE)
-    least = linear_filter_error(polynomial_weights(window, 2, RATE), sheet, RATE)
+    least = linear_filter_error(SavitzkyGolay(window, 2).weights(RATE), sheet, RATE)
     for other in (window - 1, window + 1, 2 * window):
-        assert other < 3 or linear_filter_error(polynomial_weights(other, 2, RATE), sheet, RATE) >= least
+        assert other < 3 or linear_filter_error(SavitzkyGolay(other, 2).weights(RATE), sheet, RATE) >= least
     assert 3 <= window <= LONGEST_WINDOW
 
 
@@ -168,7 +161,7 @@ def test_all_estimators_come_from_one_data_sheet():
     np.testing.assert_allclose(kalman.initial_velocity_cov, np.eye(1), rtol=1e-12)
     assert eqx.tree_equal(estimators["filtered-derivative"], FilteredDerivative(filter_bandwidth(SHEET, RATE)))
     assert eqx.tree_equal(estimators["savitzky-golay"], SavitzkyGolay(window_length(SHEET, RATE), 2))
-    assert len(estimators) == 8
+    assert len(estimators) == 13
 
 
 def test_an_acceleration_new_at_each_sample_is_white_over_one():
@@ -196,7 +189,7 @@ def test_a_motion_that_makes_no_sense_is_named(field, number):
 def test_a_model_is_offered_the_estimators_that_fit_it():
     top, vehicle = heavy_top((0.1, 0.2, 0.6)), underwater_vehicle()
     assert estimators(FLAT) == tuple(tuned_estimators(FLAT, AXES, SHEET, RATE))
-    anywhere = ("intrinsic", "intrinsic2", "geodesic", "copy", "intrinsic-kalman", "ekf")
+    anywhere = ("intrinsic", "intrinsic2", "geodesic", "copy", "intrinsic-kalman", "ekf", "ukf")
     assert estimators(top) == (*anywhere, "salcudean") == tuple(tuned_estimators(top, 3, SHEET, RATE))
     assert estimators(vehicle) == anywhere == tuple(tuned_estimators(vehicle, 6, SHEET, RATE))
     assert {*estimators(FLAT), *estimators(top)} == set(ESTIMATORS)
@@ -264,5 +257,5 @@ def test_a_cubic_is_taken_where_it_is_better():
 
 def test_an_error_on_a_trial_is_that_of_the_filter_itself():
     part = trial(1e-3)
-    predicted = filter_error(polynomial_weights(15, 2, RATE), SHEET, RATE, part)
+    predicted = filter_error(SavitzkyGolay(15, 2).weights(RATE), SHEET, RATE, part)
     assert predicted == pytest.approx(trial_error(SavitzkyGolay(15, 2), part), rel=0.01)

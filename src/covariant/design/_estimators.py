@@ -1,47 +1,19 @@
 """Every estimator for the same job, tuned from the same data sheet: by the least velocity error each should leave."""
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
 
+from covariant.design._data_sheet import DataSheet, Trial
+from covariant.design._filters import filter_bandwidth, jerk_bound, joint_noise, polynomial
 from covariant.design._gains import Gains, gains
 from covariant.models import MechanicalSystem
-from covariant.observers import REGISTRY, AbstractObserver
-
-LONGEST_WINDOW = 120
-"""Samples; a filter without a model that would want more is limited to this many."""
+from covariant.observers import REGISTRY, AbstractObserver, Entry
 
 ESTIMATORS = tuple(entry.name for entry in REGISTRY)
 """All estimators by name: those of `covariant.observers.REGISTRY`."""
-
-
-class DataSheet(NamedTuple):
-    """What is known of sensor, model and motion before any log is seen; units of the coordinates and seconds.
-
-    On a group each number stands for every component of a vector as seen from the body, in rad and, for positions, m.
-
-    `measurement_std` of one sample; `acceleration_std` of what the model leaves out, over `correlation_time` (None: new
-    at each sample); `motion_std` of the accelerations of the motion itself and `motion_time` over which they change,
-    for filters that know no model; `damping` ζ of the observers.
-    """
-
-    measurement_std: float
-    acceleration_std: float
-    correlation_time: float | None = None
-    motion_std: float = 10.0
-    motion_time: float = 0.1
-    damping: float = 0.5**0.5
-
-
-class Trial(NamedTuple):
-    """Part of a log on which the filters that know no model are tuned: stamps (T,) [s], positions (T, n), which go on
-    over a full turn and may lack entries (NaN), and velocities (T, n) to compare with."""
-
-    t: Float[np.ndarray, "T"]
-    y: Float[np.ndarray, "T n"]
-    v: Float[np.ndarray, "T n"]
 
 
 def observer_gains(sheet: DataSheet, rate: float) -> Gains:
@@ -63,6 +35,15 @@ def with_gains(model: MechanicalSystem, alpha: float, beta: float) -> dict[str, 
     return {entry.name: entry.make(model, alpha, beta) for entry in fitting}
 
 
+class Known(NamedTuple):
+    """What is known when an estimator is tuned: n velocities, the data sheet, the rate [Hz], and perhaps a trial."""
+
+    n: int
+    sheet: DataSheet
+    rate: float
+    trial: Trial | None
+
+
 def tuned_estimators(
     model: MechanicalSystem, n: int, sheet: DataSheet, rate: float, trial: Trial | None = None
 ) -> dict[str, AbstractObserver]:
@@ -74,83 +55,34 @@ def tuned_estimators(
     for name in ("motion_std", "motion_time"):
         if not 0 < getattr(sheet, name) < np.inf:
             raise ValueError(f"tuned_estimators: {name} must be a positive number; got {getattr(sheet, name)}")
-    chosen = observer_gains(sheet, rate)
-    time = 1 / (2 * rate) if sheet.correlation_time is None else sheet.correlation_time
-    process_cov = 2 * sheet.acceleration_std**2 * time * jnp.eye(n)
-    measurement_cov = sheet.measurement_std**2 * jnp.eye(n)
-    numbers = {
-        "gains": (chosen.alpha, chosen.beta),
-        "noise": (process_cov, measurement_cov, sheet.motion_std * sheet.motion_time),
-        "motion": (filter_bandwidth(sheet, rate, trial), *polynomial(sheet, rate, trial)),
-    }
-    return {entry.name: entry.make(model, *numbers[entry.tuned_by]) for entry in REGISTRY if entry.fits(model)}
+    known = Known(n, sheet, rate, trial)
+    fitting = (entry for entry in REGISTRY if entry.fits(model))
+    return {entry.name: entry.make(model, *TUNINGS[entry.tuned_by](entry, known)) for entry in fitting}
 
 
-def filter_bandwidth(sheet: DataSheet, rate: float, trial: Trial | None = None) -> float:
-    """Bandwidth [rad/s] of the filtered derivative with the least velocity error: predicted, or found on a trial."""
-    candidates = np.geomspace(0.005, 3.0, 80) * rate
-    return float(min(candidates, key=lambda w: filter_error(derivative_weights(w, rate), sheet, rate, trial)))
+def _gains(entry: Entry, known: Known) -> tuple:
+    chosen = observer_gains(known.sheet, known.rate)
+    return chosen.alpha, chosen.beta
 
 
-def window_length(sheet: DataSheet, rate: float, order: int = 2, trial: Trial | None = None) -> int:
-    """Window [samples] of the causal Savitzky–Golay filter with the least velocity error, likewise."""
-    candidates = range(order + 1, LONGEST_WINDOW + 1)
-    return min(candidates, key=lambda k: filter_error(polynomial_weights(k, order, rate), sheet, rate, trial))
+def _noise(entry: Entry, known: Known) -> tuple:
+    sheet = known.sheet
+    time = 1 / (2 * known.rate) if sheet.correlation_time is None else sheet.correlation_time
+    process_cov = 2 * sheet.acceleration_std**2 * time * jnp.eye(known.n)
+    return process_cov, sheet.measurement_std**2 * jnp.eye(known.n), sheet.motion_std * sheet.motion_time
 
 
-def polynomial(sheet: DataSheet, rate: float, trial: Trial | None = None) -> tuple[int, int]:
-    """Window [samples] and order, 2 or 3, of the causal Savitzky–Golay filter with the least velocity error."""
-    candidates = [(window_length(sheet, rate, order, trial), order) for order in (2, 3)]
-    return min(candidates, key=lambda c: filter_error(polynomial_weights(*c, rate), sheet, rate, trial))
+def _bandwidth(entry: Entry, known: Known) -> tuple:
+    kind: Any = entry.observer
+    return (filter_bandwidth(known.sheet, known.rate, known.trial, kind),)
 
 
-def filter_error(weights: np.ndarray, sheet: DataSheet, rate: float, trial: Trial | None) -> float:
-    """Velocity error of a linear filter: as the data sheet predicts it, or found on a trial as if its stamps were even.
-
-    On a trial it is a part of the velocity, over all coordinates, its first second left out.
-    """
-    if trial is None:
-        return linear_filter_error(weights, sheet, rate)
-    t = np.asarray(trial.t)
-    even = np.arange(t[0], t[-1], 1 / rate)
-    late = even > min(t[0] + 1.0, t[0] + (t[-1] - t[0]) / 2)
-    squares = []
-    for y, v in zip(np.transpose(trial.y), np.transpose(trial.v), strict=True):
-        known, true = np.isfinite(y), np.interp(even, t, v)[late]
-        smooth = np.interp(even, t[known], y[known])
-        padded = np.concatenate([np.full(len(weights) - 1, smooth[0]), smooth])
-        found = np.convolve(padded, weights, "valid")[late]
-        squares.append(np.mean((found - true) ** 2) / max(np.mean(true**2), np.finfo(float).tiny))
-    return float(np.sqrt(np.mean(squares)))
-
-
-def derivative_weights(bandwidth: float, rate: float) -> np.ndarray:
-    """Weights (k,), newest first, by which the filtered derivative forms a velocity from positions."""
-    decay = np.exp(-bandwidth / rate)
-    difference = (1 - decay) * decay ** np.arange(min(2000, int(12 * rate / bandwidth) + 2)) * rate
-    return np.append(difference, 0.0) - np.append(0.0, difference)
-
-
-def polynomial_weights(window: int, order: int, rate: float) -> np.ndarray:
-    """Weights (window,), newest first, of the slope at the newest sample of a fitted polynomial."""
-    ages = -np.arange(window) / rate
-    return np.linalg.pinv(np.vander(ages, order + 1, increasing=True))[1]
-
-
-def linear_filter_error(weights: np.ndarray, sheet: DataSheet, rate: float) -> float:
-    """Predicted standard deviation of the velocity `Σ w_i y(t − i/rate)`: sensor noise plus lag.
-
-    The weights annihilate constants and return slopes, so what remains of a motion is its acceleration a(t − r),
-    weighted by `h(r) = Σ_{s_i > r} w_i (s_i − r)`; a has exponential correlation.
-    """
-    ages = np.arange(len(weights)) / rate
-    tail = np.cumsum(weights[::-1])[::-1]
-    moment = np.cumsum((weights * ages)[::-1])[::-1]
-    lag = (moment - tail * ages) / rate
-    lag[0] /= 2  # trapezoid rule over r; h ends at 0 on the other side
-    decay = np.exp(-1 / (rate * sheet.motion_time))
-    carried, lagged = 0.0, 0.0
-    for value in lag:  # Σ_ij lag_i lag_j decay^|i−j| in one pass
-        lagged += value * (value + 2 * decay * carried)
-        carried = value + decay * carried
-    return float(np.sqrt(sheet.measurement_std**2 * weights @ weights + sheet.motion_std**2 * max(lagged, 0.0)))
+TUNINGS: dict[str, Callable[[Entry, Known], tuple]] = {
+    "gains": _gains,
+    "noise": _noise,
+    "bandwidth": _bandwidth,
+    "window": lambda entry, known: polynomial(known.sheet, known.rate, known.trial),
+    "motion": lambda entry, known: joint_noise(known.sheet, known.rate, known.trial),
+    "jerk": lambda entry, known: (jerk_bound(known.sheet, known.trial),),
+}
+"""How the numbers are found that an entry of the registry is `tuned_by`."""

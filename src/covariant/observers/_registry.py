@@ -16,8 +16,12 @@ from covariant.observers._copy import Copy
 from covariant.observers._ekf import EKF
 from covariant.observers._filtered_derivative import FilteredDerivative
 from covariant.observers._geodesic import Geodesic
+from covariant.observers._high_gain import HighGain
 from covariant.observers._intrinsic import Intrinsic
 from covariant.observers._intrinsic_kalman import IntrinsicKalman
+from covariant.observers._joint_kalman import JointKalman
+from covariant.observers._levant import Levant
+from covariant.observers._pll import PLL
 from covariant.observers._protocol import AbstractObserver
 from covariant.observers._salcudean import Salcudean, of_mean_inertia
 from covariant.observers._savitzky_golay import SavitzkyGolay
@@ -45,9 +49,11 @@ class Entry(NamedTuple):
     - `name`: what the command line calls it.
     - `observer`: its class.
     - `make`: makes the observer, `make(model, *numbers)`.
-    - `tuned_by`: the numbers it is made with. "gains" are α [1/s] and β [1/s²]; "noise" the process covariance (n, n),
-      the measurement covariance (n, n) and the standard deviation of the velocity at the start; "motion" the bandwidth
-      [rad/s], and the window [samples] and order of a polynomial, of a filter that knows no model.
+    - `tuned_by`: the numbers it is made with, which `design.tuned_estimators` finds: "gains" are α [1/s] and β [1/s²];
+      "noise" the process covariance (n, n), the measurement covariance (n, n) and the standard deviation of the
+      velocity at the start. Of filters that know no model: "bandwidth" is one [rad/s], of a linear filter that is
+      made by it alone; "window" a window [samples] and the order of a polynomial; "motion" the standard deviation
+      [rad/s²] and time [s] of accelerations, and the standard deviation of a sample; "jerk" a bound on it [rad/s³].
     - `about`, `when`, `source`: what it is, when to choose it, and where it was published; sentences for people.
     - `fits`: tells whether it can be made for a model.
     - `promises`: laws that the tests hold it to beside those of every observer. "error law": to first order the error
@@ -58,7 +64,7 @@ class Entry(NamedTuple):
     name: str
     observer: type[AbstractObserver]
     make: Callable[..., AbstractObserver]
-    tuned_by: Literal["gains", "noise", "motion"]
+    tuned_by: Literal["gains", "noise", "bandwidth", "window", "motion", "jerk"]
     about: str
     when: str
     source: str
@@ -138,21 +144,61 @@ REGISTRY = (
     Entry(
         name="filtered-derivative",
         observer=FilteredDerivative,
-        make=lambda model, bandwidth, window, order: FilteredDerivative(bandwidth, model.circles),
-        tuned_by="motion",
+        make=lambda model, bandwidth: FilteredDerivative(bandwidth, model.circles),
+        tuned_by="bandwidth",
         about="difference of two samples, low-pass filtered; knows no model",
-        when="there is no model: what most drives do",
+        when="there is no model: the least effort",
         source="common practice",
+        fits=coordinates,
+    ),
+    Entry(
+        name="pll",
+        observer=PLL,
+        make=lambda model, bandwidth: PLL(bandwidth, circles=model.circles),
+        tuned_by="bandwidth",
+        about="phase-locked loop, the α-β tracking loop of drives; knows no model",
+        when="there is no model, and speeds are steady",
+        source="Gardner 2005; Kalata 1984",
+        fits=coordinates,
+    ),
+    Entry(
+        name="high-gain",
+        observer=HighGain,
+        make=lambda model, bandwidth: HighGain(bandwidth, model.circles),
+        tuned_by="bandwidth",
+        about="high-gain differentiator of third order, three equal poles; knows no model",
+        when="there is no model, and speeds change",
+        source="Vasiljevic & Khalil 2008; Khalil & Praly 2014",
+        fits=coordinates,
+    ),
+    Entry(
+        name="levant",
+        observer=Levant,
+        make=lambda model, jerk: Levant(jerk, model.circles),
+        tuned_by="jerk",
+        about="Levant's exact differentiator of second order, sampled without chatter; knows no model",
+        when="there is no model, little noise, and a bound on the jerk",
+        source="Levant 2003; Koch, Reichhartinger, Horn & Fridman 2020",
         fits=coordinates,
     ),
     Entry(
         name="savitzky-golay",
         observer=SavitzkyGolay,
-        make=lambda model, bandwidth, window, order: SavitzkyGolay(window, order, model.circles),
-        tuned_by="motion",
+        make=lambda model, window, order: SavitzkyGolay(window, order, model.circles),
+        tuned_by="window",
         about="slope of a parabola or cubic through the latest samples; knows no model",
-        when="there is no model: the better filter",
+        when="there is no model, and memory for a window",
         source="Savitzky & Golay 1964, one-sided",
+        fits=coordinates,
+    ),
+    Entry(
+        name="joint-kalman",
+        observer=JointKalman,
+        make=lambda model, *motion: JointKalman(*motion, model.circles),
+        tuned_by="motion",
+        about="Kalman filter of every joint by itself, its acceleration coloured noise; knows no model",
+        when="there is no model, but an idea of the motion: the best linear filter for it",
+        source="Singer 1970; Bar-Shalom, Li & Kirubarajan 2001",
         fits=coordinates,
     ),
     Entry(

@@ -1,0 +1,83 @@
+"""Tracking loops: position, velocity and perhaps acceleration, carried on as a polynomial and corrected at samples.
+
+A loop of k integrators is written in continuous time by its poles λ. Between samples the error of the extrapolation
+obeys the integrators alone, and the correction at a sample is the one that gives the sampled loop the poles exp(λ dt):
+exact for a motion that is a polynomial of degree k − 1, at irregular stamps too, and stable for every dt.
+
+Source: Kalata 1984, The tracking index, IEEE TAES 20(2); Brookner 1998, Tracking and Kalman Filtering Made Easy,
+for three equal poles.
+"""
+
+import abc
+import math
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from covariant._typing import Number, Scalar, Vector
+from covariant.geometry import wrap
+from covariant.observers._model_free import FilterInfo, response
+from covariant.observers._protocol import AbstractObserver, outcome
+
+
+class LoopState(NamedTuple):
+    """Position, velocity and perhaps acceleration `x` (k, n), and the `age` [s] (n,) of the last measurement."""
+
+    x: Float[Array, "k n"]
+    age: Vector
+
+
+class AbstractTrackingLoop(AbstractObserver):
+    """A tracking loop of each coordinate by itself.
+
+    - `order`: k, how many integrators it has.
+    - `circles`: indices of the coordinates that are angles on a full circle [rad], followed modulo a turn.
+    """
+
+    order: eqx.AbstractClassVar[int]
+    circles: eqx.AbstractVar[tuple[int, ...]]
+
+    @abc.abstractmethod
+    def gains(self, dt: Vector, error: Vector) -> Float[Array, "k n"]:
+        """What an error (n,) of the extrapolated position, dt (n,) after the last measurement, is multiplied by."""
+
+    def init(self, y: Vector, t: Number = 0.0) -> LoopState:
+        still = jnp.zeros((self.order - 1, y.shape[0]), y.dtype)
+        return LoopState(jnp.concatenate([y[None], still]), jnp.zeros_like(y))
+
+    def estimate(self, state: LoopState) -> Float[Array, "two_n"]:
+        return jnp.concatenate([state.x[0], state.x[1]])
+
+    def advance(self, state: LoopState, u: Float[Array, "m"], y: Vector, dt: Scalar) -> tuple[LoopState, FilterInfo]:
+        x, age = extrapolated(state.x, dt), state.age + dt
+        present = ~jnp.isnan(y) & (age > 0)
+        error = wrap(self.circles, jnp.where(present, y - x[0], 0.0))
+        x = x + self.gains(jnp.where(present, age, 1.0), error) * error[None]
+        new = LoopState(x, jnp.where(present, 0.0, age))
+        return new, FilterInfo(error, outcome(x[0], x[1], y))
+
+
+def extrapolated(x: Float[Array, "k n"], dt: Scalar) -> Float[Array, "k n"]:
+    """A polynomial's value and derivatives (k, n) after dt [s]."""
+    k = x.shape[0]
+    return jnp.stack([sum(x[j] * dt ** (j - i) / math.factorial(j - i) for j in range(i, k)) for i in range(k)])
+
+
+@eqx.filter_jit
+def _sampled(loop: AbstractTrackingLoop, dt: Scalar) -> tuple[Array, Array]:
+    return extrapolated(jnp.eye(loop.order), dt), loop.gains(dt[None], jnp.zeros(1))[:, 0]
+
+
+def loop_weights(loop: AbstractTrackingLoop, rate: float) -> Float[np.ndarray, "k"]:
+    """The weights of a loop whose gains do not depend on the error, newest first."""
+    return response(*map(np.asarray, _sampled(loop, jnp.asarray(1 / rate))))
+
+
+def triple_pole(reach: Vector, dt: Vector) -> Float[Array, "3 n"]:
+    """Gains on position, velocity and acceleration that give a loop of three integrators three sampled poles
+    `p = exp(−reach)`: `1 − p³`, `3(1 − p)²(1 + p)/2dt`, `(1 − p)³/dt²`."""
+    p, gone = jnp.exp(-reach), -jnp.expm1(-reach)
+    return jnp.stack([gone * (1 + p + p**2), 1.5 * gone**2 * (1 + p) / dt, gone**3 / dt**2])
