@@ -17,13 +17,28 @@ from covariant.design import (
     estimators,
     filter_bandwidth,
     gains,
+    jerk_bound,
+    joint_noise,
     observer_gains,
     tuned_estimators,
     window_length,
 )
-from covariant.design._filters import LONGEST_WINDOW, filter_error, linear_filter_error, polynomial
+from covariant.design._filters import LONGEST_WINDOW, filter_error, filtered, linear_filter_error, polynomial
 from covariant.models import Lagrangian, heavy_top, oscillator, underwater_vehicle
-from covariant.observers import EKF, Copy, FilteredDerivative, Geodesic, Intrinsic, IntrinsicKalman, SavitzkyGolay, run
+from covariant.observers import (
+    EKF,
+    PLL,
+    Copy,
+    FilteredDerivative,
+    Geodesic,
+    HighGain,
+    Intrinsic,
+    IntrinsicKalman,
+    JointKalman,
+    Levant,
+    SavitzkyGolay,
+    run,
+)
 from covariant.signals import Record
 
 AXES = 8
@@ -246,6 +261,50 @@ def test_on_a_trial_filters_are_the_best_of_their_kind(noise, missing):
         bandwidth / 1.3,
     ):  # 3: the largest tried
         assert best <= 1.02 * trial_error(FilteredDerivative(other), part)
+
+
+@pytest.mark.parametrize("missing", [False, True])
+def test_on_a_trial_loops_have_their_best_number(missing):
+    """Searched by their weights or by a run; here all are run in earnest, with more of it and with less."""
+    part = trial(1e-3, missing)
+    std, *rest = joint_noise(SHEET, RATE, part)
+    found = (
+        (PLL, filter_bandwidth(SHEET, RATE, part, PLL)),
+        (HighGain, filter_bandwidth(SHEET, RATE, part, HighGain)),
+        (Levant, jerk_bound(SHEET, part)),
+        (lambda number: JointKalman(number, *rest), std),
+    )
+    for kind, number in found:
+        best = trial_error(kind(number), part)
+        assert best < 0.1
+        for factor in (0.5, 0.8, 1.25, 2.0):
+            assert best <= 1.02 * trial_error(kind(factor * number), part)
+
+
+def test_for_the_motion_of_the_data_sheet_no_linear_filter_is_better_than_a_joints_kalman_filter():
+    """Not another of its kind, nor the best of another kind; the numbers of the sheet are taken as they are."""
+    told = joint_noise(SHEET, RATE)
+    assert told == (SHEET.motion_std, SHEET.motion_time, SHEET.measurement_std)
+
+    def error(observer):
+        return linear_filter_error(observer.weights(RATE), SHEET, RATE)
+
+    least = error(JointKalman(*told))
+    for factor in (0.5, 0.8, 1.25, 2.0):
+        assert error(JointKalman(factor * told[0], *told[1:])) > least
+        assert error(JointKalman(told[0], factor * told[1], told[2])) > least
+    for kind in (FilteredDerivative, PLL, HighGain):
+        assert error(kind(filter_bandwidth(SHEET, RATE, kind=kind))) > least
+    assert error(SavitzkyGolay(*polynomial(SHEET, RATE))) > least
+    assert jerk_bound(SHEET) == SHEET.motion_std / SHEET.motion_time
+
+
+def test_long_weights_filter_as_short_ones_do():
+    rng = np.random.default_rng(0)
+    weights, x = rng.normal(size=99), rng.normal(size=400)
+    padded = np.append(weights, np.zeros(500))
+    np.testing.assert_allclose(filtered(padded, x), filtered(weights, x), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(filtered(weights, x)[-1], weights @ (x[:-100:-1] - x[0]), rtol=1e-12)
 
 
 def test_a_cubic_is_taken_where_it_is_better():

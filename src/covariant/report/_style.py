@@ -14,8 +14,13 @@ from covariant.report._optional import optional
 if TYPE_CHECKING:
     import matplotlib.figure
 
-PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#5D4037", "#8C8A2E")
-"""Colours told apart by every kind of colour vision (Okabe & Ito 2008); brown and olive for their black and yellow."""
+PALETTE = (
+    *("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#5D4037", "#8C8A2E"),
+    *("#4A1FE0", "#1BCB7E", "#4A0E4E", "#8A7CFF", "#0A1464"),
+)
+"""Colours told apart by every kind of colour vision (Okabe & Ito 2008), brown and olive for their black and yellow; and
+five more, as far from those and from each other as people without red, green or blue cones see them (Machado, Oliveira
+& Fernandes 2009)."""
 
 BACKDROP = "#A8AEB5"
 """Grey of what estimates are compared with."""
