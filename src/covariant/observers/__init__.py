@@ -35,7 +35,7 @@ from covariant.observers._registry import REGISTRY, Entry
 from covariant.observers._riccati import Estimate, InformationEKF, InformationState, Riccati
 from covariant.observers._salcudean import Salcudean, SalcudeanState
 from covariant.observers._savitzky_golay import SavitzkyGolay, WindowState
-from covariant.observers._tracking_loop import AbstractTrackingLoop, LoopState
+from covariant.observers._tracking_loop import LoopState
 from covariant.observers._ukf import UKF, UKFState
 
 __all__ = [
@@ -47,7 +47,6 @@ __all__ = [
     "AbstractLinearFilter",
     "AbstractMechanicalObserver",
     "AbstractObserver",
-    "AbstractTrackingLoop",
     "Contracting",
     "ContractingState",
     "Copy",

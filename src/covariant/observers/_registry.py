@@ -194,7 +194,7 @@ REGISTRY = (
     Entry(
         name="joint-kalman",
         observer=JointKalman,
-        make=lambda model, *motion: JointKalman(*motion, model.circles),
+        make=lambda model, std, time, noise: JointKalman(std, time, noise, model.circles),
         tuned_by="motion",
         about="Kalman filter of every joint by itself, its acceleration coloured noise; knows no model",
         when="there is no model, but an idea of the motion: the best linear filter for it",

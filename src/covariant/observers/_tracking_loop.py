@@ -8,8 +8,8 @@ Source: Kalata 1984, The tracking index, IEEE TAES 20(2); Brookner 1998, Trackin
 for three equal poles.
 """
 
-import abc
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import equinox as eqx
@@ -17,10 +17,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from covariant._typing import Number, Scalar, Vector
+from covariant._typing import Scalar, Vector
 from covariant.geometry import wrap
 from covariant.observers._model_free import FilterInfo, response
-from covariant.observers._protocol import AbstractObserver, outcome
+from covariant.observers._protocol import outcome
+
+Gains = Callable[[Vector, Vector], Array]
+"""`(dt, error) -> (k, n)`: what an error (n,) of the extrapolated position, dt [s] (n,) after the last measurement, is
+multiplied by in the correction of position, velocity and so on."""
 
 
 class LoopState(NamedTuple):
@@ -30,34 +34,20 @@ class LoopState(NamedTuple):
     age: Vector
 
 
-class AbstractTrackingLoop(AbstractObserver):
-    """A tracking loop of each coordinate by itself.
+def standing(order: int, y: Vector) -> LoopState:
+    """The state of a loop of this order k at rest at y."""
+    return LoopState(jnp.concatenate([y[None], jnp.zeros((order - 1, y.shape[0]), y.dtype)]), jnp.zeros_like(y))
 
-    - `order`: k, how many integrators it has.
-    - `circles`: indices of the coordinates that are angles on a full circle [rad], followed modulo a turn.
-    """
 
-    order: eqx.AbstractClassVar[int]
-    circles: eqx.AbstractVar[tuple[int, ...]]
-
-    @abc.abstractmethod
-    def gains(self, dt: Vector, error: Vector) -> Float[Array, "k n"]:
-        """What an error (n,) of the extrapolated position, dt (n,) after the last measurement, is multiplied by."""
-
-    def init(self, y: Vector, t: Number = 0.0) -> LoopState:
-        still = jnp.zeros((self.order - 1, y.shape[0]), y.dtype)
-        return LoopState(jnp.concatenate([y[None], still]), jnp.zeros_like(y))
-
-    def estimate(self, state: LoopState) -> Float[Array, "two_n"]:
-        return jnp.concatenate([state.x[0], state.x[1]])
-
-    def advance(self, state: LoopState, u: Float[Array, "m"], y: Vector, dt: Scalar) -> tuple[LoopState, FilterInfo]:
-        x, age = extrapolated(state.x, dt), state.age + dt
-        present = ~jnp.isnan(y) & (age > 0)
-        error = wrap(self.circles, jnp.where(present, y - x[0], 0.0))
-        x = x + self.gains(jnp.where(present, age, 1.0), error) * error[None]
-        new = LoopState(x, jnp.where(present, 0.0, age))
-        return new, FilterInfo(error, outcome(x[0], x[1], y))
+def tracked(
+    gains: Gains, circles: tuple[int, ...], state: LoopState, y: Vector, dt: Scalar
+) -> tuple[LoopState, FilterInfo]:
+    """The next state: extrapolated over dt [s], and corrected where y is not missing; `circles` are angles on one."""
+    x, age = extrapolated(state.x, dt), state.age + dt
+    present = ~jnp.isnan(y) & (age > 0)
+    error = wrap(circles, jnp.where(present, y - x[0], 0.0))
+    x = x + gains(jnp.where(present, age, 1.0), error) * error[None]
+    return LoopState(x, jnp.where(present, 0.0, age)), FilterInfo(error, outcome(x[0], x[1], y))
 
 
 def extrapolated(x: Float[Array, "k n"], dt: Scalar) -> Float[Array, "k n"]:
@@ -67,13 +57,15 @@ def extrapolated(x: Float[Array, "k n"], dt: Scalar) -> Float[Array, "k n"]:
 
 
 @eqx.filter_jit
-def _sampled(loop: AbstractTrackingLoop, dt: Scalar) -> tuple[Array, Array]:
-    return extrapolated(jnp.eye(loop.order), dt), loop.gains(dt[None], jnp.zeros(1))[:, 0]
+def sampled(gains: Gains, dt: Scalar) -> tuple[Array, Array]:
+    """Transition (k, k) over dt [s], and gain (k,) at its end, of a loop whose gains do not depend on the error."""
+    gain = gains(dt[None], jnp.zeros(1))[:, 0]
+    return extrapolated(jnp.eye(len(gain)), dt), gain
 
 
-def loop_weights(loop: AbstractTrackingLoop, rate: float) -> Float[np.ndarray, "k"]:
-    """The weights of a loop whose gains do not depend on the error, newest first."""
-    return response(*map(np.asarray, _sampled(loop, jnp.asarray(1 / rate))))
+def loop_weights(gains: Gains, rate: float) -> Float[np.ndarray, "k"]:
+    """The weights of such a loop, newest first, at an even rate [Hz]."""
+    return response(*map(np.asarray, sampled(gains, jnp.asarray(1 / rate))))
 
 
 def triple_pole(reach: Vector, dt: Vector) -> Float[Array, "3 n"]:
