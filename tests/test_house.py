@@ -51,7 +51,8 @@ PUBLIC = {
     "steady_distance subject tangent_metric tracking trade_off trajectories upper_distance virtual",
     "control": "Backstepping Reference follow lissajous set_point",
     "design": "ESTIMATORS DataSheet Gains MetricSummary Trial bias contracting_gain estimators filter_bandwidth gains "
-    "load_metric metric metric_summary observer_gains predict_errors tuned_estimators window_length with_gains",
+    "jerk_bound joint_noise load_metric metric metric_summary observer_gains predict_errors tuned_estimators "
+    "window_length with_gains",
     "geometry": "AbstractManifold AbstractMetric AbstractSpace Budget ConstantCurvature Coordinates Euclidean "
     "FlatTorus Interpolated KineticEnergy Metric Product ProductManifold Pullback Shot Transported "
     "as_space christoffel connection curvature derivative differential distance exp gradient hyperbolic "
@@ -70,11 +71,12 @@ PUBLIC = {
     "underwater_vehicle unknown_frequency van_der_pol",
     "models.marine": "Craft Station Waves coriolis_matrix cybership euler_rates euler_rotation euler_transform "
     "manoeuvring_ship odin odin_on_group positive_definite supply_vessel surface_ship yaw_rotation",
-    "observers": "EKF REGISTRY AbstractFlowObserver AbstractMechanicalObserver AbstractObserver Contracting "
-    "ContractingState Copy EKFInfo EKFState Entry Estimate FilterInfo FilteredDerivative FilteredState Gate Geodesic "
-    "GeodesicInfo GeodesicState HeldState Info InformationEKF InformationState Intrinsic IntrinsicKalman KalmanInfo "
-    "KalmanState MechanicalState PassiveGains "
-    "PassiveShip Riccati Salcudean SalcudeanState SavitzkyGolay WindowState continuous craft_observer "
+    "observers": "EKF PLL REGISTRY UKF AbstractFlowObserver AbstractLinearFilter AbstractMechanicalObserver "
+    "AbstractObserver Contracting ContractingState Copy EKFInfo EKFState Entry "
+    "Estimate FilterInfo FilteredDerivative FilteredState Gate Geodesic GeodesicInfo GeodesicState "
+    "HeldState HighGain Info InformationEKF InformationState Intrinsic IntrinsicKalman JointKalman "
+    "JointState KalmanInfo KalmanState Levant LoopState MechanicalState PassiveGains PassiveShip "
+    "Riccati Salcudean SalcudeanState SavitzkyGolay UKFState WindowState continuous craft_observer "
     "lyapunov_gains lyapunov_rate notch_gains printed_rate run second_order",
     "papers.jouffroy_fossen": "COMPASS COUNTEREXAMPLES CROSS DURATION GAPS GNSS K1 K2 KD KP LAMBDA PRINTED_K2 RATE "
     "SETTLED STAGES STEP Loop Scalar Sea draw draw_odin draw_sea odin_box odin_cascade odin_certificate "

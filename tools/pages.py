@@ -15,7 +15,15 @@ from covariant.observers import REGISTRY, Entry
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 
-NUMBERS = {"gains": "α, β", "noise": "covariances", "motion": "bandwidth, window"}
+NUMBERS = {
+    "gains": "α, β",
+    "noise": "covariances",
+    "noise or ticks": "covariances, quantum",
+    "bandwidth": "bandwidth",
+    "window": "window, order",
+    "motion": "motion, noise",
+    "jerk": "jerk",
+}
 
 
 def observers_table(entries: tuple[Entry, ...] = REGISTRY) -> str:

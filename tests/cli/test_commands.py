@@ -168,10 +168,11 @@ def test_given_gains_replace_the_designed_ones():
 def test_compare_ranks_all_estimators():
     result = command("compare", "model.toml", "log.csv", "--truth", "true_v1", "-o", "table.csv")
     names = [row["estimator"] for row in result["ranking"]]
-    assert len(names) == len(set(names)) == 8
+    assert len(names) == len(set(names)) == 13
     errors = [row["velocity_rmse"][0] for row in result["ranking"]]
     assert errors == sorted(errors)
-    assert set(names[-2:]) == {"filtered-derivative", "savitzky-golay"}
+    model_free = {"filtered-derivative", "pll", "high-gain", "levant", "savitzky-golay", "joint-kalman"}
+    assert set(names[-6:]) == model_free
     table = [line.split(",") for line in Path("table.csv").read_text().splitlines()]
     assert table[0] == ["rank", "estimator", "v1_rmse", "microseconds"]
     assert [row[:2] for row in table[1:]] == [[str(k), name] for k, name in enumerate(names, start=1)]

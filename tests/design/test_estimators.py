@@ -17,20 +17,28 @@ from covariant.design import (
     estimators,
     filter_bandwidth,
     gains,
+    jerk_bound,
+    joint_noise,
     observer_gains,
     tuned_estimators,
     window_length,
 )
-from covariant.design._estimators import (
-    LONGEST_WINDOW,
-    derivative_weights,
-    filter_error,
-    linear_filter_error,
-    polynomial,
-    polynomial_weights,
-)
+from covariant.design._filters import LONGEST_WINDOW, filter_error, filtered, linear_filter_error, polynomial
 from covariant.models import Lagrangian, heavy_top, oscillator, underwater_vehicle
-from covariant.observers import EKF, Copy, FilteredDerivative, Geodesic, Intrinsic, IntrinsicKalman, SavitzkyGolay, run
+from covariant.observers import (
+    EKF,
+    PLL,
+    Copy,
+    FilteredDerivative,
+    Geodesic,
+    HighGain,
+    Intrinsic,
+    IntrinsicKalman,
+    JointKalman,
+    Levant,
+    SavitzkyGolay,
+    run,
+)
 from covariant.signals import Record
 
 AXES = 8
@@ -78,9 +86,9 @@ SHEET = DataSheet(1e-3, 2.0, 0.01, motion_std=20.0, motion_time=0.05)
 RATE = 200.0
 WEIGHTS = {
     "difference": np.array([RATE, -RATE]),
-    "filtered derivative": derivative_weights(30.0, RATE),
-    "line": polynomial_weights(9, 1, RATE),
-    "parabola": polynomial_weights(15, 2, RATE),
+    "filtered derivative": FilteredDerivative(30.0).weights(RATE),
+    "line": SavitzkyGolay(9, 1).weights(RATE),
+    "parabola": SavitzkyGolay(15, 2).weights(RATE),
 }
 
 
@@ -131,13 +139,13 @@ def test_a_difference_is_half_a_sample_late_and_a_parabola_is_not():
 def test_bandwidth_and_window_are_the_best_ones(noise):
     sheet = SHEET._replace(measurement_std=noise)
     chosen = filter_bandwidth(sheet, RATE)
-    least = linear_filter_error(derivative_weights(chosen, RATE), sheet, RATE)
+    least = linear_filter_error(FilteredDerivative(chosen).weights(RATE), sheet, RATE)
     for factor in (0.5, 0.8, 1.25, 2.0):
-        assert linear_filter_error(derivative_weights(chosen * factor, RATE), sheet, RATE) > least
+        assert linear_filter_error(FilteredDerivative(chosen * factor).weights(RATE), sheet, RATE) > least
     window = window_length(sheet, RATE)
-    least = linear_filter_error(polynomial_weights(window, 2, RATE), sheet, RATE)
+    least = linear_filter_error(SavitzkyGolay(window, 2).weights(RATE), sheet, RATE)
     for other in (window - 1, window + 1, 2 * window):
-        assert other < 3 or linear_filter_error(polynomial_weights(other, 2, RATE), sheet, RATE) >= least
+        assert other < 3 or linear_filter_error(SavitzkyGolay(other, 2).weights(RATE), sheet, RATE) >= least
     assert 3 <= window <= LONGEST_WINDOW
 
 
@@ -168,7 +176,7 @@ def test_all_estimators_come_from_one_data_sheet():
     np.testing.assert_allclose(kalman.initial_velocity_cov, np.eye(1), rtol=1e-12)
     assert eqx.tree_equal(estimators["filtered-derivative"], FilteredDerivative(filter_bandwidth(SHEET, RATE)))
     assert eqx.tree_equal(estimators["savitzky-golay"], SavitzkyGolay(window_length(SHEET, RATE), 2))
-    assert len(estimators) == 8
+    assert len(estimators) == 13
 
 
 def test_an_acceleration_new_at_each_sample_is_white_over_one():
@@ -196,7 +204,7 @@ def test_a_motion_that_makes_no_sense_is_named(field, number):
 def test_a_model_is_offered_the_estimators_that_fit_it():
     top, vehicle = heavy_top((0.1, 0.2, 0.6)), underwater_vehicle()
     assert estimators(FLAT) == tuple(tuned_estimators(FLAT, AXES, SHEET, RATE))
-    anywhere = ("intrinsic", "intrinsic2", "geodesic", "copy", "intrinsic-kalman", "ekf")
+    anywhere = ("intrinsic", "intrinsic2", "geodesic", "copy", "intrinsic-kalman", "ekf", "ukf")
     assert estimators(top) == (*anywhere, "salcudean") == tuple(tuned_estimators(top, 3, SHEET, RATE))
     assert estimators(vehicle) == anywhere == tuple(tuned_estimators(vehicle, 6, SHEET, RATE))
     assert {*estimators(FLAT), *estimators(top)} == set(ESTIMATORS)
@@ -255,6 +263,50 @@ def test_on_a_trial_filters_are_the_best_of_their_kind(noise, missing):
         assert best <= 1.02 * trial_error(FilteredDerivative(other), part)
 
 
+@pytest.mark.parametrize("missing", [False, True])
+def test_on_a_trial_loops_have_their_best_number(missing):
+    """Searched by their weights or by a run; here all are run in earnest, with more of it and with less."""
+    part = trial(1e-3, missing)
+    std, *rest = joint_noise(SHEET, RATE, part)
+    found = (
+        (PLL, filter_bandwidth(SHEET, RATE, part, PLL)),
+        (HighGain, filter_bandwidth(SHEET, RATE, part, HighGain)),
+        (Levant, jerk_bound(SHEET, part)),
+        (lambda number: JointKalman(number, *rest), std),
+    )
+    for kind, number in found:
+        best = trial_error(kind(number), part)
+        assert best < 0.1
+        for factor in (0.5, 0.8, 1.25, 2.0):
+            assert best <= 1.02 * trial_error(kind(factor * number), part)
+
+
+def test_for_the_motion_of_the_data_sheet_no_linear_filter_is_better_than_a_joints_kalman_filter():
+    """Not another of its kind, nor the best of another kind; the numbers of the sheet are taken as they are."""
+    told = joint_noise(SHEET, RATE)
+    assert told == (SHEET.motion_std, SHEET.motion_time, SHEET.measurement_std)
+
+    def error(observer):
+        return linear_filter_error(observer.weights(RATE), SHEET, RATE)
+
+    least = error(JointKalman(*told))
+    for factor in (0.5, 0.8, 1.25, 2.0):
+        assert error(JointKalman(factor * told[0], *told[1:])) > least
+        assert error(JointKalman(told[0], factor * told[1], told[2])) > least
+    for kind in (FilteredDerivative, PLL, HighGain):
+        assert error(kind(filter_bandwidth(SHEET, RATE, kind=kind))) > least
+    assert error(SavitzkyGolay(*polynomial(SHEET, RATE))) > least
+    assert jerk_bound(SHEET) == SHEET.motion_std / SHEET.motion_time
+
+
+def test_long_weights_filter_as_short_ones_do():
+    rng = np.random.default_rng(0)
+    weights, x = rng.normal(size=99), rng.normal(size=400)
+    padded = np.append(weights, np.zeros(500))
+    np.testing.assert_allclose(filtered(padded, x), filtered(weights, x), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(filtered(weights, x)[-1], weights @ (x[:-100:-1] - x[0]), rtol=1e-12)
+
+
 def test_a_cubic_is_taken_where_it_is_better():
     assert polynomial(SHEET, RATE, trial(1e-4))[1] == 3
     observers = tuned_estimators(FLAT, 2, SHEET, RATE, trial(1e-4))
@@ -264,5 +316,5 @@ def test_a_cubic_is_taken_where_it_is_better():
 
 def test_an_error_on_a_trial_is_that_of_the_filter_itself():
     part = trial(1e-3)
-    predicted = filter_error(polynomial_weights(15, 2, RATE), SHEET, RATE, part)
+    predicted = filter_error(SavitzkyGolay(15, 2).weights(RATE), SHEET, RATE, part)
     assert predicted == pytest.approx(trial_error(SavitzkyGolay(15, 2), part), rel=0.01)

@@ -108,7 +108,7 @@ def relative_error(entry, name, v, rows=slice(-60, None)) -> float:
 
 def allowed(entry) -> float:
     """A filter without a model lags; with a model and no noise nothing remains but the inputs' steps."""
-    return 0.15 if entry.tuned_by == "motion" else 0.01
+    return 0.01 if entry.tuned_by in ("gains", "noise", "noise or ticks") else 0.15
 
 
 @each

@@ -40,6 +40,7 @@ def compare(job: Job, out: Path | None, report: Path | None, as_json: bool) -> N
     ranked = rank(outcomes, loaded)
     rows = tuple(_row(name, outcomes[name], loaded) for name in ranked)
     note = f"All tuned from one data sheet; the observers have {observer_gains(sheet, loaded.rate).summary}."
+    note += loaded.note
     if trial is not None:
         end = trial.t[-1] - np.asarray(loaded.record.t)[0]
         note += f" Filters that know no model are those that are best on the first {end:.3g} s of this very log."

@@ -10,6 +10,9 @@ from covariant.design import DataSheet
 from covariant.models import MechanicalSystem
 from covariant.signals import Record, lag_inputs
 
+OFF_TICK = 0.1
+"""How far differences of positions may be from whole ticks, as a fraction of one: logs hold few digits."""
+
 
 class Job(NamedTuple):
     """The arguments of a command; `columns` maps t, q, u, v, truth to names separated by commas, or None."""
@@ -33,6 +36,7 @@ class Loaded(NamedTuple):
     reference: np.ndarray
     reference_label: str
     scored: np.ndarray
+    note: str = ""
 
 
 def load(job: Job) -> Loaded:
@@ -54,10 +58,23 @@ def load(job: Job) -> Loaded:
             models.check_metric(model, measured[:: max(1, len(measured) // 20)])
         except ValueError as error:
             raise ValueError(f"{job.model} on {job.log}: {error}") from error
+    file, note = _in_ticks(file, y)
     full = logs.read(job.log, columns._replace(u=(), v=())) if job.every > 1 or job.until else log
     reference, label = _reference(file, log, full)
     rate = 1 / float(np.median(np.diff(t)))
-    return Loaded(file, model, log, record, rate, reference, label, scoring.scored_window(t))
+    return Loaded(file, model, log, record, rate, reference, label, scoring.scored_window(t), note)
+
+
+def _in_ticks(file: models.ModelFile, y: np.ndarray) -> tuple[models.ModelFile, str]:
+    """The model file without its quantum where positions (T, n) are no whole ticks apart, and a sentence saying so."""
+    if file.quantum is None or not file.model.manifold.commuting:
+        return file, ""
+    moved = np.diff(y, axis=0) / file.quantum
+    off = np.abs(moved - np.round(moved))[np.isfinite(moved)]
+    if off.size == 0 or np.quantile(off, 0.95) < OFF_TICK:
+        return file, ""
+    words = f" Positions are not whole ticks of {file.quantum:.4g} apart: they are taken as noisy, not as ticks."
+    return file._replace(quantum=None), words
 
 
 def _check_columns(job: Job, file: models.ModelFile, columns: logs.Columns) -> None:
@@ -129,6 +146,7 @@ def data_sheet(file: models.ModelFile) -> DataSheet:
             )
     known = {
         "measurement_std": file.measurement_std,
+        "quantum": file.quantum,
         "acceleration_std": file.acceleration_std,
         "correlation_time": file.correlation_time,
         "motion_std": file.motion_std,

@@ -1,17 +1,9 @@
 """Design of observers: gains from the numbers of a data sheet, and contraction metrics from a model."""
 
 from covariant.design._contracting import contracting_gain
-from covariant.design._estimators import (
-    ESTIMATORS,
-    DataSheet,
-    Trial,
-    estimators,
-    filter_bandwidth,
-    observer_gains,
-    tuned_estimators,
-    window_length,
-    with_gains,
-)
+from covariant.design._data_sheet import DataSheet, Trial
+from covariant.design._estimators import ESTIMATORS, estimators, observer_gains, tuned_estimators, with_gains
+from covariant.design._filters import filter_bandwidth, jerk_bound, joint_noise, window_length
 from covariant.design._gains import Gains, bias, gains, predict_errors
 from covariant.design._metric import MetricSummary, load_metric, metric, metric_summary
 
@@ -26,6 +18,8 @@ __all__ = [
     "estimators",
     "filter_bandwidth",
     "gains",
+    "jerk_bound",
+    "joint_noise",
     "load_metric",
     "metric",
     "metric_summary",

@@ -26,6 +26,8 @@ class ModelFile(NamedTuple):
       model is a `StateSpace`, `q` are its outputs.
     - `measurement_std`: standard deviation of a measured position [its unit]; on a group that of each component of
       `log(g⁻¹ y)`, the error as seen from the body [rad, and m where there is a position].
+    - `quantum`: one tick of the encoders [unit of the coordinates], where the model file gives that and not a standard
+      deviation.
     - `acceleration_std`, `correlation_time`: standard deviation [unit/s²] and correlation time [s] of the acceleration
       that the model does not explain.
     - `motion_std`, `motion_time`: the same of the acceleration of the motion itself, for filters that use no model.
@@ -39,6 +41,7 @@ class ModelFile(NamedTuple):
     model: Model
     columns: Columns = Columns()
     measurement_std: float | None = None
+    quantum: float | None = None
     acceleration_std: float | None = None
     correlation_time: float | None = None
     motion_std: float | None = None

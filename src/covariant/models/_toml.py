@@ -12,7 +12,7 @@ from covariant.logs import ATTITUDES, Columns
 NUMBERS = {
     ("inputs", "lag"): ("input_lag", 1.0),
     ("measurement", "std"): ("measurement_std", 1.0),
-    ("measurement", "quantum"): ("measurement_std", 1 / math.sqrt(12)),  # an error uniform over one step
+    ("measurement", "quantum"): ("quantum", 1.0),
     ("uncertainty", "acceleration"): ("acceleration_std", 1.0),
     ("uncertainty", "correlation_time"): ("correlation_time", 1.0),
     ("uncertainty", "motion_acceleration"): ("motion_std", 1.0),
@@ -117,4 +117,7 @@ def numbers(document: dict[str, Any]) -> dict[str, float]:
         least = 0.0 if (table, key) in _MAY_BE_ZERO else math.ulp(0.0)
         if isinstance(value, bool) or not isinstance(value, int | float) or not least <= value < math.inf:
             raise ValueError(f"{table}.{key} must be a {'positive number' if least else 'number ≥ 0'}; got {value!r}")
-    return {NUMBERS[where][0]: value * NUMBERS[where][1] for where, value in given.items()}
+    found = {NUMBERS[where][0]: value * NUMBERS[where][1] for where, value in given.items()}
+    if "quantum" in found:
+        found["measurement_std"] = found["quantum"] / math.sqrt(12)  # an error uniform over one step
+    return found

@@ -3,11 +3,15 @@
 from covariant.observers._contracting import Contracting, ContractingState, craft_observer
 from covariant.observers._copy import Copy
 from covariant.observers._ekf import EKF, EKFInfo, EKFState
-from covariant.observers._filtered_derivative import FilteredDerivative, FilteredState, FilterInfo
+from covariant.observers._filtered_derivative import FilteredDerivative, FilteredState
 from covariant.observers._gate import Gate
 from covariant.observers._geodesic import Geodesic, GeodesicInfo, GeodesicState
+from covariant.observers._high_gain import HighGain
 from covariant.observers._intrinsic import Intrinsic, second_order
 from covariant.observers._intrinsic_kalman import IntrinsicKalman, KalmanInfo, KalmanState
+from covariant.observers._joint_kalman import JointKalman, JointState
+from covariant.observers._levant import Levant
+from covariant.observers._model_free import AbstractLinearFilter, FilterInfo
 from covariant.observers._passive_ship import (
     PassiveGains,
     PassiveShip,
@@ -16,6 +20,7 @@ from covariant.observers._passive_ship import (
     notch_gains,
     printed_rate,
 )
+from covariant.observers._pll import PLL
 from covariant.observers._protocol import (
     AbstractFlowObserver,
     AbstractMechanicalObserver,
@@ -30,11 +35,16 @@ from covariant.observers._registry import REGISTRY, Entry
 from covariant.observers._riccati import Estimate, InformationEKF, InformationState, Riccati
 from covariant.observers._salcudean import Salcudean, SalcudeanState
 from covariant.observers._savitzky_golay import SavitzkyGolay, WindowState
+from covariant.observers._tracking_loop import LoopState
+from covariant.observers._ukf import UKF, UKFState
 
 __all__ = [
     "EKF",
+    "PLL",
     "REGISTRY",
+    "UKF",
     "AbstractFlowObserver",
+    "AbstractLinearFilter",
     "AbstractMechanicalObserver",
     "AbstractObserver",
     "Contracting",
@@ -52,13 +62,18 @@ __all__ = [
     "GeodesicInfo",
     "GeodesicState",
     "HeldState",
+    "HighGain",
     "Info",
     "InformationEKF",
     "InformationState",
     "Intrinsic",
     "IntrinsicKalman",
+    "JointKalman",
+    "JointState",
     "KalmanInfo",
     "KalmanState",
+    "Levant",
+    "LoopState",
     "MechanicalState",
     "PassiveGains",
     "PassiveShip",
@@ -66,6 +81,7 @@ __all__ = [
     "Salcudean",
     "SalcudeanState",
     "SavitzkyGolay",
+    "UKFState",
     "WindowState",
     "continuous",
     "craft_observer",

@@ -4,11 +4,13 @@ from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
-from covariant._typing import Code, Number, Scalar, Vector
+from covariant._typing import Number, Scalar, Vector
 from covariant.geometry import wrap
-from covariant.observers._protocol import AbstractObserver, as_gain, check_positive, outcome
+from covariant.observers._model_free import AbstractLinearFilter, FilterInfo
+from covariant.observers._protocol import as_gain, check_positive, outcome
 
 
 class FilteredState(NamedTuple):
@@ -19,18 +21,8 @@ class FilteredState(NamedTuple):
     age: Vector
 
 
-class FilterInfo(NamedTuple):
-    """`innovation`: measured minus extrapolated position, 0 where missing; `result`: a `Result` code."""
-
-    innovation: Vector
-    result: Code
-
-
-class FilteredDerivative(AbstractObserver):
-    """Velocity by `v' = ω (Δy/Δt − v)`, solved exactly for irregular stamps.
-
-    - `bandwidth`: ω [rad/s].
-    - `circles`: as in `Lagrangian`.
+class FilteredDerivative(AbstractLinearFilter):
+    """`v' = ω (Δy/Δt − v)`, exact for irregular stamps; `bandwidth` ω [rad/s], `circles` as in `Lagrangian`.
 
     Raises `ValueError` for a bandwidth that is not positive and finite.
     """
@@ -59,3 +51,9 @@ class FilteredDerivative(AbstractObserver):
         innovation = jnp.where(present, moved - age * state.v, 0.0)
         new = FilteredState(q, v, jnp.where(present, 0.0, age))
         return new, FilterInfo(innovation, outcome(q, v, y))
+
+    def weights(self, rate: float) -> Float[np.ndarray, "k"]:
+        bandwidth = float(self.bandwidth)
+        decay = np.exp(-bandwidth / rate)
+        difference = (1 - decay) * decay ** np.arange(min(2000, int(12 * rate / bandwidth) + 2)) * rate
+        return np.append(difference, 0.0) - np.append(0.0, difference)

@@ -25,6 +25,7 @@ from covariant.observers._gate import Gate
 from covariant.observers._protocol import AbstractObserver, Held, as_gain, at_rest, check_positive, outcome, uniqueness
 from covariant.observers._sampled import needed_substeps
 from covariant.observers._spread import Spread, check_spread, spread_at
+from covariant.observers._square_root import diagonal, updated, white_acceleration
 from covariant.observers._ticks import Readings, take
 from covariant.signals import Result
 
@@ -184,7 +185,7 @@ class IntrinsicKalman(AbstractObserver):
         """The error (2n + k,) that the sample makes believe, and the root of its covariance."""
         space, n = self.model.space, state.v.shape[0]
         if self.quantum is None or state.readings is None:
-            gain, root = _updated(state.root, self._noise(state.q), used)
+            gain, root = updated(state.root, self._noise(state.q), used)
             return gain @ jnp.where(used, self._way(state, y, straight, used), 0.0), root
         rows = _beside(apart(space, state.q, state.v), state)
         moved = self.model.manifold.towards(state.readings.y, y)
@@ -214,12 +215,9 @@ class IntrinsicKalman(AbstractObserver):
         root = (
             _beside(parallel(space, q, v), state) @ slope @ _beside(apart(space, state.q, state.v), state) @ state.root
         )
-        acceleration = semidefinite_root(spread_at(self.process_cov, space, q))
-        # The double and the single integral of white noise over h have the covariance h³/3, h²/2; h²/2, h.
-        integrals = jnp.sqrt(h) * jnp.array([[h / 3**0.5, 0.0], [0.75**0.5, 0.5]])
-        noise = jnp.kron(integrals, acceleration)
+        noise = white_acceleration(spread_at(self.process_cov, space, q), h)
         if self.force_cov is not None:
-            noise = _diagonal(noise, jnp.sqrt(h) * semidefinite_root(self.force_cov))
+            noise = diagonal(noise, jnp.sqrt(h) * semidefinite_root(self.force_cov))
         readings = state.readings and state.readings._replace(age=state.readings.age + h)
         root = triangular(jnp.concatenate([root, noise], axis=1))
         return state._replace(q=q, v=v, t=state.t + h, root=root, readings=readings)
@@ -240,9 +238,9 @@ class IntrinsicKalman(AbstractObserver):
 
     def _first_root(self, q: Array) -> Float[Array, "two_n_k two_n_k"]:
         velocity = semidefinite_root(spread_at(self.initial_velocity_cov, self.model.space, q))
-        both = _diagonal(semidefinite_root(self._noise(q)), velocity)
+        both = diagonal(semidefinite_root(self._noise(q)), velocity)
         # Nothing is known of the force yet: its covariance is that of a random walk of one second.
-        return both if self.force_cov is None else _diagonal(both, semidefinite_root(self.force_cov))
+        return both if self.force_cov is None else diagonal(both, semidefinite_root(self.force_cov))
 
 
 def with_external_force(model: MechanicalSystem, inputs: int) -> MechanicalSystem:
@@ -259,14 +257,7 @@ def with_external_force(model: MechanicalSystem, inputs: int) -> MechanicalSyste
 
 def _beside(matrix: Array, state: KalmanState) -> Array:
     """A matrix for (ε, ν), extended to one for (ε, ν, force) that leaves the force unchanged."""
-    return _diagonal(matrix, jnp.eye(state.force.shape[0], dtype=matrix.dtype))
-
-
-def _diagonal(a: Array, b: Array) -> Array:
-    """The block-diagonal matrix of a and b."""
-    top = jnp.concatenate([a, jnp.zeros((a.shape[0], b.shape[1]), a.dtype)], axis=1)
-    bottom = jnp.concatenate([jnp.zeros((b.shape[0], a.shape[1]), a.dtype), b.astype(a.dtype)], axis=1)
-    return jnp.concatenate([top, bottom])
+    return diagonal(matrix, jnp.eye(state.force.shape[0], dtype=matrix.dtype))
 
 
 def parallel(space: AbstractSpace, q: Array, v: Vector, sign: int = 1) -> Float[Array, "two_n two_n"]:
@@ -296,18 +287,3 @@ def _nis(spread: Matrix, innovation: Vector, present: Array) -> Scalar:
     both = present[:, None] & present[None, :]
     r = jnp.where(present, innovation, 0.0)
     return r @ solve(jnp.where(both, spread, jnp.eye(len(r), dtype=r.dtype)), r)
-
-
-def _updated(
-    root: Float[Array, "two_n_k two_n_k"], noise: Matrix, used: Array
-) -> tuple[Float[Array, "two_n_k n"], Float[Array, "two_n_k two_n_k"]]:
-    """Gain, and root of the covariance after the correction, from the components in `used`."""
-    n = noise.shape[0]
-    both = used[:, None] & used[None, :]
-    own = semidefinite_root(jnp.where(both, noise, jnp.eye(n, dtype=noise.dtype)))
-    measured_root = jnp.where(used[:, None], root[:n], 0.0)
-    above = jnp.concatenate([own, measured_root], axis=1)
-    below = jnp.concatenate([jnp.zeros((root.shape[0], n), root.dtype), root], axis=1)
-    joint = triangular(jnp.concatenate([above, below]))
-    spread, cross = joint[:n, :n], joint[n:, :n]
-    return solve(spread @ spread.T, spread @ cross.T).T, joint[n:, n:]

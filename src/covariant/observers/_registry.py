@@ -10,17 +10,26 @@ from typing import Literal, NamedTuple
 
 import jax.numpy as jnp
 
+from covariant._typing import Matrix
 from covariant.geometry.lie import SO3
 from covariant.models import MechanicalSystem
 from covariant.observers._copy import Copy
 from covariant.observers._ekf import EKF
 from covariant.observers._filtered_derivative import FilteredDerivative
 from covariant.observers._geodesic import Geodesic
+from covariant.observers._high_gain import HighGain
 from covariant.observers._intrinsic import Intrinsic
 from covariant.observers._intrinsic_kalman import IntrinsicKalman
+from covariant.observers._joint_kalman import JointKalman
+from covariant.observers._levant import Levant
+from covariant.observers._pll import PLL
 from covariant.observers._protocol import AbstractObserver
 from covariant.observers._salcudean import Salcudean, of_mean_inertia
 from covariant.observers._savitzky_golay import SavitzkyGolay
+from covariant.observers._ukf import UKF
+
+EDGE = 0.1
+"""Standard deviation of the position of an encoder's edge, as a fraction of a tick: how evenly encoders are made."""
 
 
 def anything(model: MechanicalSystem) -> bool:
@@ -38,15 +47,28 @@ def rotations(model: MechanicalSystem) -> bool:
     return model.manifold == SO3
 
 
+def intrinsic_kalman(
+    model: MechanicalSystem, process: Matrix, measurement: Matrix, speed: float, quantum: float | None
+) -> IntrinsicKalman:
+    """The filter for encoders that count ticks, where there is a quantum in coordinates; else for noise."""
+    n, start = process.shape[0], speed**2 * jnp.eye(process.shape[0])
+    if quantum is None or not model.manifold.commuting:
+        return IntrinsicKalman(model, process, measurement, start)
+    return IntrinsicKalman(model, process, (EDGE * quantum) ** 2 * jnp.eye(n), start, quantum=jnp.full(n, quantum))
+
+
 class Entry(NamedTuple):
     """An observer of mechanical systems, and how to make one for a model.
 
     - `name`: what the command line calls it.
     - `observer`: its class.
     - `make`: makes the observer, `make(model, *numbers)`.
-    - `tuned_by`: the numbers it is made with. "gains" are α [1/s] and β [1/s²]. "noise" are the process covariance
-      (n, n), the measurement covariance (n, n) and the standard deviation of the initial velocity. "motion" are the
-      bandwidth [rad/s], the window [samples] and the polynomial order of a filter that uses no model.
+    - `tuned_by`: the numbers it is made with, which `design.tuned_estimators` finds: "gains" are α [1/s] and β [1/s²].
+      "noise" are the process covariance (n, n), the measurement covariance (n, n) and the standard deviation of the
+      initial velocity; "noise or ticks" are these and one tick of the encoders, or None. Of filters that use no model:
+      "bandwidth" is the bandwidth [rad/s] of a linear filter; "window" are a window [samples] and the degree of a
+      polynomial; "motion" are the standard deviation [rad/s²] and the correlation time [s] of the accelerations, and
+      the standard deviation of a sample; "jerk" is a bound on the jerk [rad/s³].
     - `about`, `when`, `source`: what it is, when to choose it, and where it was published; sentences for people.
     - `fits`: tells whether it can be made for a model.
     - `promises`: laws that the tests check beside those of every observer. "error law": to first order the error
@@ -57,7 +79,7 @@ class Entry(NamedTuple):
     name: str
     observer: type[AbstractObserver]
     make: Callable[..., AbstractObserver]
-    tuned_by: Literal["gains", "noise", "motion"]
+    tuned_by: Literal["gains", "noise", "noise or ticks", "bandwidth", "window", "motion", "jerk"]
     about: str
     when: str
     source: str
@@ -108,10 +130,8 @@ REGISTRY = (
     Entry(
         name="intrinsic-kalman",
         observer=IntrinsicKalman,
-        make=lambda model, process, measurement, speed: IntrinsicKalman(
-            model, process, measurement, speed**2 * jnp.eye(process.shape[0])
-        ),
-        tuned_by="noise",
+        make=intrinsic_kalman,
+        tuned_by="noise or ticks",
         about="error and covariance in the parallel frame, with reset and gate; the same in all coordinates",
         when="known noise, large first errors, gaps and outliers: the most accurate",
         source="Ge, van Goor & Mahony 2025, extended to second-order systems",
@@ -126,23 +146,72 @@ REGISTRY = (
         source="Gelb 1974, 6.1; Lefferts, Markley & Shuster 1982; Barrau & Bonnabel 2017, 3",
     ),
     Entry(
+        name="ukf",
+        observer=UKF,
+        make=UKF,
+        tuned_by="noise",
+        about="unscented Kalman filter, square-root form; on a group its points are drawn in the frame",
+        when="known noise, strong nonlinearity between few samples",
+        source="Julier & Uhlmann 2004; Brossard, Barrau & Bonnabel 2020",
+    ),
+    Entry(
         name="filtered-derivative",
         observer=FilteredDerivative,
-        make=lambda model, bandwidth, window, order: FilteredDerivative(bandwidth, model.circles),
-        tuned_by="motion",
+        make=lambda model, bandwidth: FilteredDerivative(bandwidth, model.circles),
+        tuned_by="bandwidth",
         about="difference of two samples, low-pass filtered; knows no model",
-        when="there is no model: what most drives do",
+        when="there is no model: the least effort",
         source="common practice",
+        fits=coordinates,
+    ),
+    Entry(
+        name="pll",
+        observer=PLL,
+        make=lambda model, bandwidth: PLL(bandwidth, circles=model.circles),
+        tuned_by="bandwidth",
+        about="phase-locked loop, the α-β tracking loop of drives; knows no model",
+        when="there is no model, and speeds are steady",
+        source="Gardner 2005; Kalata 1984",
+        fits=coordinates,
+    ),
+    Entry(
+        name="high-gain",
+        observer=HighGain,
+        make=lambda model, bandwidth: HighGain(bandwidth, model.circles),
+        tuned_by="bandwidth",
+        about="high-gain differentiator of third order, three equal poles; knows no model",
+        when="there is no model, and speeds change",
+        source="Vasiljevic & Khalil 2008; Khalil & Praly 2014",
+        fits=coordinates,
+    ),
+    Entry(
+        name="levant",
+        observer=Levant,
+        make=lambda model, jerk: Levant(jerk, model.circles),
+        tuned_by="jerk",
+        about="Levant's exact differentiator of second order, sampled without chatter; knows no model",
+        when="there is no model, little noise, and a bound on the jerk",
+        source="Levant 2003; Koch, Reichhartinger, Horn & Fridman 2020",
         fits=coordinates,
     ),
     Entry(
         name="savitzky-golay",
         observer=SavitzkyGolay,
-        make=lambda model, bandwidth, window, order: SavitzkyGolay(window, order, model.circles),
-        tuned_by="motion",
+        make=lambda model, window, order: SavitzkyGolay(window, order, model.circles),
+        tuned_by="window",
         about="slope of a parabola or cubic through the latest samples; knows no model",
-        when="there is no model: the better filter",
+        when="there is no model, and memory for a window",
         source="Savitzky & Golay 1964, one-sided",
+        fits=coordinates,
+    ),
+    Entry(
+        name="joint-kalman",
+        observer=JointKalman,
+        make=lambda model, std, time, noise: JointKalman(std, time, noise, model.circles),
+        tuned_by="motion",
+        about="Kalman filter of every joint by itself, its acceleration coloured noise; knows no model",
+        when="there is no model, but an idea of the motion: the best linear filter for it",
+        source="Singer 1970; Bar-Shalom, Li & Kirubarajan 2001",
         fits=coordinates,
     ),
     Entry(

@@ -8,13 +8,14 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from covariant._linalg import solve
 from covariant._typing import Number, Scalar, Vector
 from covariant.geometry import wrap
-from covariant.observers._filtered_derivative import FilterInfo
-from covariant.observers._protocol import AbstractObserver, outcome
+from covariant.observers._model_free import AbstractLinearFilter, FilterInfo
+from covariant.observers._protocol import outcome
 
 
 class WindowState(NamedTuple):
@@ -26,11 +27,8 @@ class WindowState(NamedTuple):
     v: Vector
 
 
-class SavitzkyGolay(AbstractObserver):
-    """Least-squares polynomial over the last `window` samples.
-
-    - `order`: degree of the polynomial.
-    - `circles`: as in `Lagrangian`.
+class SavitzkyGolay(AbstractLinearFilter):
+    """Least-squares polynomial over the last `window` samples; `order` its degree, `circles` as in `Lagrangian`.
 
     Raises `ValueError` when the window is not longer than the order.
     """
@@ -64,6 +62,10 @@ class SavitzkyGolay(AbstractObserver):
         q, v = self._fit(age, samples, expected, state.v)
         info = FilterInfo(jnp.where(jnp.isnan(y), 0.0, innovation), outcome(q, v, y))
         return WindowState(age, samples, q, v), info
+
+    def weights(self, rate: float) -> Float[np.ndarray, "k"]:
+        ages = -np.arange(self.window) / rate
+        return np.linalg.pinv(np.vander(ages, self.order + 1, increasing=True))[1]
 
     def _fit(self, age, samples, expected: Vector, v: Vector) -> tuple[Vector, Vector]:
         """Value and slope at age zero; a weak prior (expected, v) decides only where there are too few samples."""

@@ -14,8 +14,13 @@ from covariant.report._optional import optional
 if TYPE_CHECKING:
     import matplotlib.figure
 
-PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#5D4037", "#8C8A2E")
-"""Colours for all kinds of colour vision (Okabe & Ito 2008), with brown and olive in place of black and yellow."""
+PALETTE = (
+    *("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#5D4037", "#8C8A2E"),
+    *("#4A1FE0", "#1BCB7E", "#4A0E4E", "#8A7CFF", "#0A1464"),
+)
+"""Colours for all kinds of colour vision (Okabe & Ito 2008), with brown and olive for its black and yellow, and five
+more that people without red, green or blue cones distinguish from these and from each other (Machado, Oliveira &
+Fernandes 2009)."""
 
 BACKDROP = "#A8AEB5"
 """Grey, for the curves that estimates are compared with."""

@@ -1,0 +1,41 @@
+"""What estimators are tuned by: a data sheet, and part of a log for those that use no model."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+
+class DataSheet(NamedTuple):
+    """What is known of sensor, model and motion before any log is recorded; in units of the coordinates and seconds.
+
+    On a group each number holds for every component of a vector in the body frame, in rad and, for positions, m.
+
+    - `measurement_std`: standard deviation of the noise of one sample.
+    - `acceleration_std`, `correlation_time`: standard deviation and correlation time of the acceleration that the model
+      does not explain; None for one that is independent at each sample.
+    - `motion_std`, `motion_time`: the same of the acceleration of the motion itself, for filters that use no model.
+    - `damping`: damping ratio ζ of the observers.
+    - `quantum`: one tick of the encoders, where that is what makes the noise; `measurement_std` then is this over √12.
+    """
+
+    measurement_std: float
+    acceleration_std: float
+    correlation_time: float | None = None
+    motion_std: float = 10.0
+    motion_time: float = 0.1
+    damping: float = 0.5**0.5
+    quantum: float | None = None
+
+
+class Trial(NamedTuple):
+    """Part of a log on which the filters without a model are tuned.
+
+    - `t` (T,): stamps [s].
+    - `y` (T, n): positions, continuous across full turns; entries may be missing (NaN).
+    - `v` (T, n): velocities to compare with.
+    """
+
+    t: Float[np.ndarray, "T"]
+    y: Float[np.ndarray, "T n"]
+    v: Float[np.ndarray, "T n"]

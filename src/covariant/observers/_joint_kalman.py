@@ -1,0 +1,144 @@
+"""Kalman filter of every coordinate by itself, whose acceleration is coloured noise: Singer's. Knows no model.
+
+    q' = v,   v' = a,   a' = −a/τ + w,   w white of the density 2σ²/τ:
+
+in the long run a has the standard deviation σ and is forgotten after τ. For dt much shorter than τ this is white jerk;
+over a gap the acceleration fades out, where white jerk would fly off. Of all linear filters it has the least error for
+such a motion. In units of σ and τ nothing is left but `θ = dt/τ` and the noise of a sample, `s/στ²`.
+
+Source: Singer 1970, Estimating optimal tracking filter performance for manned maneuvering targets, IEEE TAES 6(4);
+Bar-Shalom, Li & Kirubarajan 2001, Estimation with Applications to Tracking and Navigation, chapter 6.
+"""
+
+import math
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from covariant._linalg import semidefinite_root, triangular
+from covariant._typing import Matrix, Number, Scalar, Vector
+from covariant.geometry import wrap
+from covariant.observers._model_free import AbstractLinearFilter, FilterInfo, response
+from covariant.observers._protocol import as_gain, check_positive, outcome
+from covariant.observers._square_root import updated
+
+
+class JointState(NamedTuple):
+    """Position, velocity and acceleration (n,), and of each coordinate a square root `root` (n, 3, 3) of their
+    covariance in units of στ², στ and σ."""
+
+    q: Vector
+    v: Vector
+    a: Vector
+    root: Float[Array, "n 3 3"]
+
+
+class JointKalman(AbstractLinearFilter):
+    """Kalman filter of each coordinate with Singer's acceleration, exact at irregular stamps.
+
+    - `motion_std`: σ, standard deviation of the accelerations [rad/s² or m/s²].
+    - `motion_time`: τ, over which they change [s].
+    - `measurement_std`: s, of the noise of one sample [rad or m].
+    - `circles`: indices of the coordinates that are angles on a full circle, which are followed modulo a turn.
+
+    At the start the velocity is known to be zero within στ. Raises `ValueError` for numbers that are not positive.
+    """
+
+    motion_std: Scalar = eqx.field(converter=as_gain)
+    motion_time: Scalar = eqx.field(converter=as_gain)
+    measurement_std: Scalar = eqx.field(converter=as_gain)
+    circles: tuple[int, ...] = eqx.field(default=(), static=True)
+
+    def __check_init__(self):
+        numbers = {"motion_std": self.motion_std, "motion_time": self.motion_time}
+        check_positive("JointKalman", **numbers, measurement_std=self.measurement_std)
+
+    @property
+    def noise(self) -> Scalar:
+        """Standard deviation of a sample in units of στ²."""
+        return self.measurement_std / (self.motion_std * self.motion_time**2)
+
+    def init(self, y: Vector, t: Number = 0.0) -> JointState:
+        one = jnp.ones_like(y)
+        root = jax.vmap(jnp.diag)(jnp.stack([self.noise * one, one, one], axis=1))
+        return JointState(y, 0 * one, 0 * one, root)
+
+    def estimate(self, state: JointState) -> Float[Array, "two_n"]:
+        return jnp.concatenate([state.q, state.v])
+
+    def advance(self, state: JointState, u: Float[Array, "m"], y: Vector, dt: Scalar) -> tuple[JointState, FilterInfo]:
+        step, added = singer(dt / self.motion_time)
+        unit = jnp.stack([self.motion_time**2, self.motion_time, jnp.ones_like(dt)])  # of q, v and a, in units of σ
+        x = unit[:, None] * (step @ (jnp.stack([state.q, state.v, state.a]) / unit[:, None]))
+        noise = semidefinite_root(added)
+        root = jax.vmap(lambda each: triangular(jnp.concatenate([step @ each, noise], axis=1)))(state.root)
+        present = ~jnp.isnan(y)
+        innovation = wrap(self.circles, jnp.where(present, y - x[0], 0.0))
+        gain, root = jax.vmap(updated, (0, None, 0))(root, jnp.full((1, 1), self.noise**2), present[:, None])
+        q, v, a = x + (unit / unit[0])[:, None] * gain[..., 0].T * innovation[None]
+        return JointState(q, v, a, root), FilterInfo(innovation, outcome(q, v, y))
+
+    def weights(self, rate: float) -> Float[np.ndarray, "k"]:
+        time, noise = float(self.motion_time), float(self.noise)
+        step, added = map(np.asarray, jax.jit(singer)(1 / (rate * time)))
+        cov = _stationary(step, added, noise**2)
+        gain = cov[:, 0] / (cov[0, 0] + noise**2)
+        return response(step, gain) / time  # of a velocity in units of στ from positions in units of στ²
+
+
+TERMS = 25
+"""Terms of the series for θ ≤ 1: the next is below 1e-17."""
+
+_POSITION = [(-1) ** k / math.factorial(k) for k in range(2, TERMS)]
+_VELOCITY_SQUARE = [(-1) ** k * (2**k - 2) / math.factorial(k) / (k + 1) for k in range(2, TERMS)]
+_POSITION_SQUARE = [(-1) ** k * (2**k - 2 - 2 * k) / math.factorial(k) / (k + 1) for k in range(4, TERMS)]
+
+
+def singer(theta: Scalar) -> tuple[Matrix, Matrix]:
+    """Transition (3, 3) of position, velocity and acceleration over θ = dt/τ, in units of στ², στ, σ, and the
+    covariance (3, 3) of what the noise adds.
+
+    An acceleration of 1 moves the velocity by `f(x) = 1 − e⁻ˣ` and the position by `g(x) = x − f(x)` in the time x; the
+    covariance is twice the integral of the products of g, f and e⁻ˣ from 0 to θ, where `g' = f`, `f' = e⁻ˣ`.
+    """
+    far = theta > 1
+    near = jnp.where(far, 1.0, theta)  # where the closed forms would be differences of equal numbers
+    fades, f = jnp.exp(-theta), -jnp.expm1(-theta)
+    g = jnp.where(far, theta - f, near**2 * _series(_POSITION, near))
+    ff = jnp.where(far, g - f**2 / 2, near**3 * _series(_VELOCITY_SQUARE, near))  # ∫f²
+    gg = theta**3 / 3 - theta**2 + 2 * (1 - (1 + theta) * fades) + ff
+    gg = jnp.where(far, gg, near**5 * _series(_POSITION_SQUARE, near))  # ∫g²
+    zero, one = jnp.zeros_like(theta), jnp.ones_like(theta)
+    step = [[one, theta, g], [zero, one, f], [zero, zero, fades]]
+    added = [[2 * gg, g**2, 2 * (f * g - ff)], [g**2, 2 * ff, f**2], [2 * (f * g - ff), f**2, -jnp.expm1(-2 * theta)]]
+    return jnp.stack([jnp.stack(row) for row in step]), jnp.stack([jnp.stack(row) for row in added])
+
+
+def _series(coefficients: list[float], x: Scalar) -> Scalar:
+    total = jnp.zeros_like(x)
+    for coefficient in coefficients[::-1]:
+        total = total * x + coefficient
+    return total
+
+
+def _stationary(step: np.ndarray, added: np.ndarray, noise: float) -> np.ndarray:
+    """The covariance before a measurement of the first component that measurements no longer change.
+
+    By doubling: each pass takes twice as many samples at once (Anderson & Moore 1979, Optimal Filtering, section 6.7).
+    """
+    a, cov = step.T, added
+    told = np.zeros_like(cov)
+    told[0, 0] = 1 / noise
+    for _ in range(60):
+        passed = np.linalg.solve(np.eye(3) + told @ cov, np.concatenate([a, told], axis=1))
+        more = a.T @ cov @ passed[:, :3]
+        told = told + a @ passed[:, 3:] @ a.T
+        cov, before = cov + more, cov
+        a = a @ passed[:, :3]
+        if np.abs(cov - before).max() <= 1e-14 * np.abs(cov).max():
+            break
+    return cov

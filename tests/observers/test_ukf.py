@@ -1,0 +1,147 @@
+"""The unscented Kalman filter: the textbook's where all is linear, and against Monte Carlo where nothing is."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import linalg
+
+from covariant import models
+from covariant.geometry.lie import SO3
+from covariant.models import GroupSystem, Lagrangian, Motion
+from covariant.observers import EKF, UKF, run
+from covariant.signals import Record, Result
+
+MASS = np.array([[2.0, 0.5], [0.5, 1.0]])
+STIFFNESS = np.array([[30.0, -10.0], [-10.0, 20.0]])
+PROCESS = np.array([[2.0, 0.4], [0.4, 1.0]])
+MEASUREMENT = 1e-4 * np.array([[1.0, 0.6], [0.6, 2.0]])
+MASSES = Lagrangian(lambda q: jnp.asarray(MASS), lambda q: q @ jnp.asarray(STIFFNESS) @ q / 2)
+
+
+def textbook(t, y):
+    """The Kalman filter of the two masses, from rest with a velocity known to .7; absent entries are left out."""
+    flow = np.block([[np.zeros((2, 2)), np.eye(2)], [-np.linalg.solve(MASS, STIFFNESS), np.zeros((2, 2))]])
+    x, cov, rows = np.append(y[0], [0.0, 0.0]), linalg.block_diag(MEASUREMENT, 0.49 * np.eye(2)), []
+    for dt, measured in zip(np.diff(t), y[1:], strict=True):
+        step = linalg.expm(flow * dt)
+        noise = np.kron([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]], PROCESS)
+        x, cov = step @ x, step @ cov @ step.T + noise
+        seen = np.flatnonzero(np.isfinite(measured))
+        output = np.eye(4)[seen]
+        gain = cov @ output.T @ np.linalg.inv(output @ cov @ output.T + MEASUREMENT[np.ix_(seen, seen)])
+        x, cov = x + gain @ (measured[seen] - x[seen]), cov - gain @ output @ cov
+        rows.append(x)
+    return np.array(rows), cov
+
+
+@pytest.mark.parametrize("spread", [1.0, 0.6])
+def test_where_all_is_linear_it_is_the_kalman_filter(spread):
+    """At irregular stamps, with gaps of both positions, of one, of the other."""
+    rng = np.random.default_rng(0)
+    t = np.cumsum(rng.uniform(0.002, 0.01, 60))
+    y = 0.1 * np.cumsum(rng.normal(size=(60, 2)), 0)
+    y[20:25] = y[30:36, 0] = y[40:48:2, 1] = np.nan
+    observer = UKF(MASSES, PROCESS, MEASUREMENT, 0.7, substeps=16, spread=spread)
+    done = run(observer, Record(t, np.zeros((60, 2)), y))
+    expected, cov = textbook(t, y)
+    np.testing.assert_allclose(done.estimate[1:], expected, rtol=0, atol=1e-10)
+    innovation_cov = np.asarray(done.info.innovation_cov[-1])
+    before = np.linalg.inv(np.linalg.inv(cov[:2, :2]) - np.linalg.inv(MEASUREMENT)) + MEASUREMENT
+    np.testing.assert_allclose(innovation_cov, before, rtol=1e-8)
+    np.testing.assert_array_equal(np.asarray(done.info.result)[20:25], Result.COASTED)
+
+
+def swings(count: int, dt: float):
+    """Large swings (count, 21, 2) of a point mass on a rod of half a metre, by a plain midpoint rule, and their angles
+    as a poor sensor sees them."""
+    rng, h = np.random.default_rng(3), dt / 40
+    rows = [np.stack([rng.normal(1.6, 0.3, count), rng.normal(0, 2.0, count)], axis=1)]
+
+    def rate(x):
+        return np.stack([x[:, 1], -9.81 / 0.5 * np.sin(x[:, 0]) - 0.2 * x[:, 1]], axis=1)
+
+    for _ in range(20):
+        x = rows[-1]
+        for _ in range(40):
+            x = x + h * rate(x + h / 2 * rate(x))
+        rows.append(x)
+    x = np.stack(rows, axis=1)
+    return x, x[..., :1] + 0.3 * rng.normal(size=(*x.shape[:2], 1))
+
+
+def test_far_from_linear_it_is_nearer_than_the_ekf():
+    dt = 0.3
+    x, y = swings(400, dt)
+    pendulum = models.pendulum_chain((1.0,), (0.5,), viscous=(0.2 * 0.25,))
+
+    def error(kind):
+        observer = kind(pendulum, 0.1 * jnp.eye(1), 0.09 * jnp.eye(1), 2.0, 10)
+
+        def step(state, row):
+            state, _ = observer.step(state, jnp.zeros(1), row, jnp.asarray(dt))
+            return state, state.v[0]
+
+        follow = jax.jit(jax.vmap(lambda rows: jax.lax.scan(step, observer.init(rows[0]), rows[1:])[1]))
+        return np.sqrt(np.mean((follow(jnp.asarray(y)) - x[:, 1:, 1]) ** 2))
+
+    assert error(UKF) < min(0.65, 0.8 * error(EKF))
+
+
+BODY = GroupSystem(SO3, jnp.diag(jnp.array([1.0, 2.0, 3.5])))
+
+
+def test_on_rotations_mean_and_covariance_are_those_of_a_cloud_of_bodies():
+    """A tumbling body of uncertain attitude and velocity, half a second later; the EKF's are further off."""
+    rng = np.random.default_rng(7)
+    root = np.sqrt(np.diag([0.02] * 3 + [0.5] * 3))
+    q0, v0, u, dt = SO3.exp(jnp.array([0.3, -0.2, 0.4])), jnp.array([0.5, 2.0, -0.4]), jnp.zeros(3), jnp.asarray(0.5)
+    still = jnp.zeros((3, 3)), 1e-4 * jnp.eye(3), 1.0, 4
+    ukf, ekf = UKF(BODY, *still), EKF(BODY, *still)
+
+    @jax.jit
+    def both(errors):
+        """Both predictions, and the bodies of the cloud as seen from each."""
+        found = ukf.predict(ukf.init(q0)._replace(v=v0, root=jnp.asarray(root)), u, dt)
+        linear = ekf.predict(ekf.init(q0)._replace(v=v0, cov=jnp.asarray(root**2)), u, dt)
+
+        def seen(error):
+            q, v = models.advance(BODY, 0.0, Motion(SO3.retract(q0, error[:3]), v0 + error[3:]), u, dt, 4)
+            return [jnp.concatenate([SO3.local(state.q, q), v - state.v]) for state in (found, linear)]
+
+        return (found, linear), jax.vmap(seen)(errors)
+
+    def off(seen, cov):
+        """Mean and covariance of an estimate, measured by those of the cloud."""
+        whiten = np.linalg.inv(np.linalg.cholesky(np.cov(seen.T)))
+        return np.linalg.norm(whiten @ seen.mean(0)), np.linalg.norm(whiten @ np.asarray(cov) @ whiten.T - np.eye(6))
+
+    (found, linear), cloud = both(jnp.asarray(rng.normal(size=(40_000, 6)) @ root))
+    unscented, extended = off(np.asarray(cloud[0]), ukf.cov(found)), off(np.asarray(cloud[1]), linear.cov)
+    assert unscented[0] < 0.03 < 0.5 < extended[0]
+    assert unscented[1] < min(0.7, 0.8 * extended[1])
+
+
+def test_a_covariance_without_rank_stays_one():
+    """Nothing is unknown of the velocity and nothing disturbs it: the model alone moves it, and numbers stay finite."""
+    observer = UKF(MASSES, np.zeros((2, 2)), MEASUREMENT, 0.0, substeps=16)
+    t, y = 0.01 * np.arange(60.0), np.full((60, 2), 0.1)  # as many rows as above, the same program
+    y[1:, 1] = np.nan
+    done = run(observer, Record(t, np.zeros((60, 2)), y))
+    assert np.isfinite(done.estimate).all()
+    assert np.linalg.eigvalsh(done.info.innovation_cov)[:, 0].min() > 0
+
+
+def test_angles_go_round():
+    """A rod that turns at 9 rad/s, its angle read between ±π."""
+    rod = Lagrangian(lambda q: jnp.eye(1), circles=(0,))
+    t = 0.02 * np.arange(100.0)
+    y = (9 * t[:, None] + np.pi) % (2 * np.pi) - np.pi
+    v = run(UKF(rod, np.eye(1), 1e-6 * np.eye(1), 3.0, substeps=1), Record(t, np.zeros((100, 1)), y)).estimate[:, 1]
+    np.testing.assert_allclose(v[20:], 9.0, atol=1e-6)
+
+
+@pytest.mark.parametrize("wrong", [{"spread": 0.3}, {"process_cov": -np.eye(2)}, {"measurement_cov": np.zeros((2, 2))}])
+def test_what_is_no_covariance_is_refused(wrong):
+    with pytest.raises(ValueError, match=f"UKF: {next(iter(wrong))} must"):
+        UKF(MASSES, **({"process_cov": PROCESS, "measurement_cov": MEASUREMENT} | wrong))
