@@ -26,8 +26,6 @@ class ModelFile(NamedTuple):
       model is a `StateSpace`, `q` are its outputs.
     - `measurement_std`: standard deviation of a measured position [its unit]; on a group that of each component of
       `log(g⁻¹ y)`, the error as seen from the body [rad, and m where there is a position].
-    - `quantum`: one tick of the encoders [unit of the coordinates], where the model file gives that and not a standard
-      deviation.
     - `acceleration_std`, `correlation_time`: standard deviation [unit/s²] and correlation time [s] of the acceleration
       that the model does not explain.
     - `motion_std`, `motion_time`: the same of the acceleration of the motion itself, for filters that use no model.
@@ -35,13 +33,14 @@ class ModelFile(NamedTuple):
     - `input_lag`: time constant of the first-order lag between logged input and force [s].
     - `reference_half` [s], `reference_order`: half width of the windows, and degree, of the local polynomials that
       give the reference velocity for scoring.
+    - `quantum`: one tick of the encoders [unit of the coordinates], where the model file gives that and not a standard
+      deviation.
     """
 
     name: str
     model: Model
     columns: Columns = Columns()
     measurement_std: float | None = None
-    quantum: float | None = None
     acceleration_std: float | None = None
     correlation_time: float | None = None
     motion_std: float | None = None
@@ -50,6 +49,7 @@ class ModelFile(NamedTuple):
     input_lag: float = 0.0
     reference_half: float = 0.03
     reference_order: float = 3
+    quantum: float | None = None
 
     @property
     def dimension(self) -> int:

@@ -1,0 +1,197 @@
+"""Encoders that count ticks: edges and intervals in the intrinsic Kalman filter, beside the same filter with noise."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from covariant.design import DataSheet, Trial, tuned_estimators
+from covariant.models import Lagrangian, Motion, advance, free_body, pendulum_chain
+from covariant.observers import IntrinsicKalman, run
+from covariant.observers._ticks import take
+from covariant.signals import Record
+
+DT, TICK, PROCESS = 1e-3, 0.02, 0.05
+NONE = jnp.zeros(1)
+
+
+def plant() -> Lagrangian:
+    chain = pendulum_chain((1.0,), (0.5,))
+    return Lagrangian(chain.metric, chain.potential, circles=(0,))
+
+
+MODEL = plant()
+
+
+def counting(quantum=TICK, model=MODEL):
+    """A filter that is told of ticks, with edges that are exact but for a hundredth of one."""
+    eye = jnp.eye(1)
+    return IntrinsicKalman(model, PROCESS**2 * eye, (quantum / 100) ** 2 * eye, eye, quantum=jnp.full(1, quantum))
+
+
+def noisy(quantum=TICK):
+    eye = jnp.eye(1)
+    return IntrinsicKalman(MODEL, PROCESS**2 * eye, quantum**2 / 12 * eye, eye)
+
+
+def rounded(q, quantum=TICK):
+    return jnp.round(q / quantum) * quantum
+
+
+@eqx.filter_jit
+def swing(start, key, steps):
+    """Positions and velocities (T,) of a pendulum, accelerated by white noise."""
+
+    def step(motion, key):
+        motion = advance(MODEL, 0.0, motion, NONE, DT, 1)
+        a, b = PROCESS * DT**0.5 * jax.random.normal(key, (2, 1))
+        motion = Motion(motion.q + DT * (a / 2 + b / 12**0.5), motion.v + a)
+        return motion, (motion.q[0], motion.v[0])
+
+    return jax.lax.scan(step, Motion(start, jnp.zeros(1)), jax.random.split(key, steps.shape[0]))[1]
+
+
+@eqx.filter_jit
+def followed(observer, y):
+    """Estimates (T, 2) and covariances (T, 2, 2) along readings y (T,)."""
+
+    def step(state, reading):
+        state, info = observer.step(state, NONE, reading[None], jnp.asarray(DT))
+        return state, (observer.estimate(state), observer.cov(state), info.nis)
+
+    return jax.lax.scan(step, observer.init(y[:1]), y[1:])[1]
+
+
+def taken(prior, **given):
+    """`take` for one joint, its covariance (2, 2) in place of the root."""
+    numbers = {"offset": 0.0, "moved": 0.0, "age": 0.01, "speed": 2.0, "step": 0.1, "noise": 1e-6} | given
+    rows = jnp.eye(2)[:1], jnp.eye(2)[1:]
+    o, m, a, s, step, noise = (jnp.array([numbers[k]]) for k in ("offset", "moved", "age", "speed", "step", "noise"))
+    found = take(jnp.linalg.cholesky(jnp.asarray(prior)), o, m, a, s, rows, step, noise, jnp.array([True]))
+    return np.asarray(found.error), np.asarray(found.root @ found.root.T)
+
+
+def textbook(prior, row, value, noise):
+    gain = prior @ row / (row @ prior @ row + noise)
+    return gain * value, prior - np.outer(gain, row @ prior)
+
+
+PRIOR = np.array([[4e-4, 3e-3], [3e-3, 0.09]])
+
+
+@pytest.mark.parametrize("direction", [1, -1])
+def test_an_edge_is_where_the_joint_was_between_two_samples(direction):
+    """One tick on, the joint passed the middle between the readings, half a step ago on average."""
+    speed, age, offset = direction * 2.0, 0.01, direction * 0.03
+    spread = (speed**2 + PRIOR[1, 1]) * age**2 / 12 + 1e-6
+    passed = offset - direction * 0.05  # from the expected position now to the edge
+    expected = textbook(PRIOR, np.array([1.0, -age / 2]), passed + speed * age / 2, spread)
+    found = taken(PRIOR, offset=offset, moved=direction * 0.1, speed=speed)
+    np.testing.assert_allclose(found[0], expected[0], rtol=1e-12)
+    np.testing.assert_allclose(found[1], expected[1], atol=1e-15)
+
+
+def test_many_ticks_are_a_uniform_error():
+    expected = textbook(PRIOR, np.array([1.0, 0.0]), 0.03, 0.1**2 / 12 + 1e-6)
+    found = taken(PRIOR, offset=0.03, moved=0.5)
+    np.testing.assert_allclose(found[0], expected[0], rtol=1e-12)
+    np.testing.assert_allclose(found[1], expected[1], atol=1e-15)
+
+
+def test_no_edge_says_nothing_to_one_who_knows_better_and_holds_the_mean_inside():
+    """The variance is well below that of the interval: only the mean moves, to its end."""
+    inside = taken(PRIOR, offset=0.03)
+    np.testing.assert_array_equal(inside[0], 0)
+    np.testing.assert_allclose(inside[1], PRIOR, rtol=1e-12)
+    error, cov = taken(PRIOR, offset=0.08)
+    np.testing.assert_allclose(error, PRIOR[:, 0] / PRIOR[0, 0] * (0.08 - 0.05 - 1e-3), rtol=1e-12)
+    np.testing.assert_allclose(cov, PRIOR, rtol=1e-12)
+
+
+def test_no_edge_leaves_the_uniform_variance_to_one_who_knows_less():
+    wide = 100 * PRIOR
+    cov = taken(wide, offset=0.03)[1]
+    np.testing.assert_allclose(cov[0, 0], 0.1**2 / 12 + 1e-6, rtol=1e-3)
+
+
+def test_errors_are_as_large_as_it_says_where_noise_would_say_ten_times_too_little():
+    """One tick in 25 samples. An interval cuts errors off and not the variance: NEES below 2 is of the safe side."""
+    keys = jax.random.split(jax.random.key(3), 100)
+    steps = jnp.zeros(1200)
+    starts = jnp.linspace(0.1, 0.4, len(keys))[:, None]
+    q, v = jax.vmap(lambda s, k: swing(s, k, steps))(starts, keys)
+    pace = float(jnp.sqrt(jnp.mean(v**2))) * DT / TICK
+    assert 1 / 30 < pace < 1 / 20
+    late = slice(500, None, 50)
+    squares, errors, nis = {}, {}, {}
+    for name, observer in (("ticks", counting()), ("noise", noisy())):
+        x, cov, innovations = jax.vmap(lambda y, o=observer: followed(o, y))(rounded(q))
+        off = np.asarray(jnp.stack([q, v], axis=2)[:, 1:] - x)[:, late]
+        cov = np.asarray(cov)[:, late]
+        squares[name] = float(np.mean(np.einsum("...i,...ij,...j", off, np.linalg.inv(cov), off)))
+        errors[name] = float(np.sqrt(np.mean(off[..., 1] ** 2)))
+        nis[name] = float(np.mean(np.asarray(innovations)[:, late]))
+    assert 1.3 < squares["ticks"] < 2.15
+    assert squares["noise"] > 4
+    assert errors["ticks"] < 0.7 * errors["noise"]
+    assert nis["ticks"] == pytest.approx(1.0, abs=0.1)
+
+
+def test_at_one_tick_in_twenty_samples_a_model_leaves_a_third_of_the_error_of_the_best_without():
+    t = np.arange(8000) * DT
+    q, v = (np.asarray(a) for a in swing(jnp.array([0.33]), jax.random.key(5), jnp.zeros(len(t))))
+    assert np.sqrt(np.mean(v**2)) * DT / TICK == pytest.approx(1 / 20, rel=0.15)
+    y = np.asarray(rounded(q))[:, None]
+    record = Record(jnp.asarray(t), jnp.zeros((len(t), 1)), jnp.asarray(y))
+    sheet = DataSheet(TICK / 12**0.5, PROCESS / DT**0.5, None, 3.0, 0.2, quantum=TICK)
+    line_up = tuned_estimators(MODEL, 1, sheet, 1 / DT, Trial(t, y, v[:, None]))
+    late = t > 0.5
+    error = {}
+    for name in ("pll", "joint-kalman", "levant", "high-gain"):
+        error[name] = np.sqrt(np.mean((np.asarray(run(line_up[name], record).estimate)[late, 1] - v[late]) ** 2))
+    found = np.asarray(run(counting(), record).estimate)[late, 1]
+    error["edges in time"] = np.sqrt(np.mean((edge_timing(t, y[:, 0])[late] - v[late]) ** 2))
+    assert np.sqrt(np.mean((found - v[late]) ** 2)) < min(error.values()) / 3, error
+
+
+def edge_timing(t, y):
+    """One tick over the time since the edge before, or less where none came for longer; what low-cost drives do."""
+    speed, last, since, out = 0.0, 0, 0.0, []
+    for k in range(len(t)):
+        ticks = 0 if k == 0 else round((y[k] - y[k - 1]) / TICK)
+        since = t[k] - t[last]
+        if ticks and since > 0:
+            speed, last = ticks * TICK / since, k
+        out.append(np.sign(speed) * min(abs(speed), TICK / since) if since > 0 else speed)
+    return np.array(out)
+
+
+def test_at_rest_between_two_edges_it_comes_to_rest_too():
+    """Neither a staircase nor a drift: the joint stands inside its tick, and the velocity goes to zero."""
+    model = Lagrangian(lambda q: jnp.eye(1), dissipation=lambda t, q, v, u: -0.1 * v)
+    y = jnp.concatenate([rounded(jnp.linspace(0.0, 0.31, 600)), jnp.full(6000, rounded(jnp.array(0.31)))])
+    x = np.asarray(followed(counting(model=model), y)[0])
+    assert np.abs(x[300:600, 1] - 0.31 / 0.6).max() < 0.1 * 0.31 / 0.6
+    assert np.abs(x[-2000:, 1]).max() < 1e-3
+    assert np.abs(x[600:, 0] - y[-1]).max() < 0.52 * TICK
+
+
+def test_a_turn_of_the_reading_is_no_edge_and_missing_readings_are_waited_for():
+    t = np.arange(2000) * DT
+    q, v = 3.0 + 1.5 * t, np.full(len(t), 1.5)
+    free = Lagrangian(lambda q: jnp.eye(1), circles=(0,))
+    x = np.asarray(followed(counting(2 * np.pi / 300, free), jnp.asarray(rounded(q, 2 * np.pi / 300)))[0])
+    wrapped = np.array((rounded(q, 2 * np.pi / 300) + np.pi) % (2 * np.pi) - np.pi)
+    wrapped[700:800] = np.nan
+    round_ = np.asarray(followed(counting(2 * np.pi / 300, free), jnp.asarray(wrapped))[0])
+    assert np.abs(x[300:, 1] - v[301:]).max() < 0.05
+    assert np.abs(round_[300:, 1] - v[301:]).max() < 0.05
+
+
+def test_a_quantum_off_coordinates_or_without_size_is_refused():
+    eye = jnp.eye(3)
+    with pytest.raises(ValueError, match="quantum is for coordinates"):
+        IntrinsicKalman(free_body((1.0, 2.0, 3.5)), eye, eye, eye, quantum=jnp.full(3, 0.1))
+    with pytest.raises(ValueError, match="quantum must be a positive, finite number; got"):
+        IntrinsicKalman(MODEL, 1.0, 1.0, 1.0, quantum=0.0)
