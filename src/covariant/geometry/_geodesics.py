@@ -43,10 +43,12 @@ class Budget(NamedTuple):
       along the unit-time geodesic. A number, for real time, makes exactly that many corrections, with `steps`
       fourth-order steps: the amount of work is fixed, so that it can be exported.
     - `steps`: number of integration steps along the geodesic.
+    - `conjugate`: whether a search that iterates until it converges counts the conjugate points too.
     """
 
     newton: int | None = None
     steps: int = 8
+    conjugate: bool = True
 
 
 class Shot(NamedTuple):
@@ -156,7 +158,7 @@ def shoot(space: Curved, p: Configuration, q: Configuration, guess: Vector | Non
     scale = 1e-2 if budget.newton is not None else 1e4 * epsilon(velocity)
     found = residual <= scale * space.norm(p, velocity) + 64 * epsilon(velocity)
     result = jnp.where(found, Result.OK, Result.NOT_CONVERGED)
-    if budget.newton is None:
+    if budget.newton is None and budget.conjugate:
         passed = conjugate_points(space, p, jax.lax.stop_gradient(velocity), budget) > 0
         result = jnp.where(found & passed, Result.CONJUGATE_POINT, result)
     return Shot(velocity, end.velocity, residual, result)

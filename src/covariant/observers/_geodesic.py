@@ -87,7 +87,8 @@ class Geodesic(AbstractMechanicalObserver):
         return GeodesicState(q, v, t, jnp.zeros_like(v), held)
 
     def flow(self, t: Scalar, state: GeodesicState, u: Float[Array, "m"], y: Array) -> GeodesicState:
-        found = self._correction(t, state, u, y)
+        # A time derivative has no result to report: conjugate points are not counted.
+        found = self._correction(t, state, u, y, self.budget._replace(conjugate=False))
         w = state.v + self.alpha * found.log
         v_dot = found.drive + self.beta * found.log + friction(self.model, t, state.q, state.v, u)
         v_dot = v_dot - self.model.space.connection(state.q, w, state.v)
@@ -101,7 +102,7 @@ class Geodesic(AbstractMechanicalObserver):
         space = self.model.space
         q, v = predict(self.model, state.t, state.q, state.v, u, dt, self.substeps)
         t = state.t + dt
-        found = self._correction(t, GeodesicState(q, v, t, state.log), u, y)
+        found = self._correction(t, GeodesicState(q, v, t, state.log), u, y, self.budget)
         missing = found.drive - source(self.model, t, q, u)  # acceleration missing in the prediction, which used S(q̂)
         taken = sampled_correction(space, Motion(q, v), self.alpha, self.beta, dt, -found.log, missing)
         corrected, left = v + taken.velocity, (1 - taken.part) * found.log
@@ -117,16 +118,18 @@ class Geodesic(AbstractMechanicalObserver):
         )
         return GeodesicState(new_q, new_v, t, log), info
 
-    def _correction(self, t: Scalar, state: GeodesicState, u: Float[Array, "m"], y: Array) -> _Correction:
+    def _correction(
+        self, t: Scalar, state: GeodesicState, u: Float[Array, "m"], y: Array, budget: Budget
+    ) -> _Correction:
         """The geodesic to the measurement, and the acceleration `T S(q) + R(ξ, v̂)v̂` computed from it."""
         space, q, v = self.model.space, state.q, state.v
         measured = space.manifold.measured(q, y)
-        shot = space.shoot(q, measured, state.log, self.budget)
+        shot = space.shoot(q, measured, state.log, budget)
         exact = (shot.result != Result.NOT_CONVERGED) & jnp.all(jnp.isfinite(shot.velocity))
         straight = space.manifold.towards(q, y)
         log = jnp.where(exact, shot.velocity, straight)
         s = source(self.model, t, measured, u)
-        transported = space.transport_along(measured, -jnp.where(exact, shot.arrival, 0.0), s, self.budget).w
+        transported = space.transport_along(measured, -jnp.where(exact, shot.arrival, 0.0), s, budget).w
         drive = jnp.where(exact, transported, s + space.connection(q, straight, s))
         drive = drive - space.curvature(q, log, v, v) if self.curvature else drive
         residual = jnp.where(exact, shot.residual, jnp.inf)
