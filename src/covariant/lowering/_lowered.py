@@ -42,14 +42,16 @@ class Lowered(NamedTuple):
         leaves = [np.array([next(left) for _ in range(leaf.size)], int).reshape(leaf.shape) for leaf in self.results]
         return jax.tree.unflatten(self.tree, leaves)
 
-    def rebuild(self, values: Sequence[np.ndarray]) -> Any:
-        """The result of the function from the values of the outputs, arrays of one batch shape (...)."""
+    def rebuild(self, values: Sequence[Any], batch: tuple[int, ...]) -> Any:
+        """The result of the function from the values of the outputs, numbers or arrays of the batch shape (...)."""
         left = iter(values)
         leaves = []
         for leaf in self.results:
-            part = np.array(list(itertools.islice(left, leaf.size)))
             kind = float if jnp.issubdtype(leaf.dtype, jnp.floating) else leaf.dtype
-            leaves.append(np.moveaxis(part, 0, -1).reshape((*part.shape[1:], *leaf.shape)).astype(kind))
+            part = np.empty((leaf.size, *batch), kind)
+            for k, value in enumerate(itertools.islice(left, leaf.size)):
+                part[k] = value
+            leaves.append(np.ascontiguousarray(np.moveaxis(part, 0, -1)).reshape((*batch, *leaf.shape)))
         return jax.tree.unflatten(self.tree, leaves)
 
 

@@ -59,7 +59,7 @@ def numbers(lowered: Lowered, *arguments: Any) -> Any:
     with np.errstate(all="ignore"):
         values = evaluate(lowered, NUMBERS, inputs)
     batch = np.broadcast_shapes(*(np.shape(entry) for entry in inputs)) if inputs else ()
-    return lowered.rebuild([np.broadcast_to(value, batch) for value in values])
+    return lowered.rebuild(values, batch)
 
 
 def _entries(leaf: np.ndarray, shape: tuple[int, ...]) -> list[np.ndarray]:

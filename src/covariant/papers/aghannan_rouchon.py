@@ -81,7 +81,7 @@ def figure4(
 
 
 def figure4_batch(observer: AbstractFlowObserver, t, runs: Sequence[tuple[bool, float, float]]) -> list[Trajectory]:
-    """As `figure4` for several (noisy, scale, rtol) side by side, which takes little longer than the longest of them."""
+    """As `figure4`, for several (noisy, scale, rtol) side by side: it takes little longer than the longest of them."""
     varied = (jnp.asarray(column, float) for column in zip(*runs, strict=True))
     found = _figure4(observer, jnp.asarray(t), *varied)
     return [Trajectory(np.asarray(t), *run) for run in zip(*map(np.asarray, found), strict=True)]

@@ -136,17 +136,28 @@ def prove_at_corners(
     ends = [(domain.low[i], domain.high[i])[: 1 + enters] for i, enters in zip(kept, moves[1:], strict=False)]
     # The conditions are not affine: they are proved over the whole domain.
     reason, effort = _reason(formed, domain), _Effort.of(boxes, seconds)
-    expansions, found = None, []
+    corners = []
     for corner in itertools.product(*ends):
         low, high = domain.low.copy(), domain.high.copy()
         low[kept] = high[kept] = corner
-        at = domain._replace(low=low, high=high)
-        expansions = Expansions.of(formed.entries, at) if expansions is None else expansions
-        found.append(_decide(expansions, at, effort, 1, progress, reason))
-        effort = effort._replace(boxes=max(effort.boxes - found[-1].boxes, 0))
-        if found[-1].verdict != "holds":
+        corners.append(domain._replace(low=low, high=high))
+    expansions = Expansions.of(formed.entries, corners[0])
+    if reason:
+        return [_decide(expansions, corners[0], effort, 1, progress, reason)]
+    failed = []
+    for k, at in enumerate(corners):
+        wrong = look_around(expansions, at)
+        if wrong is not None:
+            failed, corners = [_failed_at_once(at, wrong, effort, reason)], corners[:k]
             break
-    return found
+    trees = [Tree(at) for at in corners]
+    while (wrong := _search_together(expansions, trees, effort, progress)) is not None:
+        at = wrong[0][kept]
+        k = next(k for k, tree in enumerate(trees) if np.array_equal(tree.domain.low[kept], at))
+        failed, trees = [_concluded(trees[k], effort, reason, wrong)], trees[:k]
+    found = [_concluded(tree, effort, reason) for tree in trees] + failed
+    holding = next((k for k, proof in enumerate(found) if proof.verdict != "holds"), len(found))
+    return found[: holding + 1]
 
 
 def blocks(matrix: Callable[[Array], Array], domain: Box) -> list[Int[np.ndarray, "k"]]:
@@ -175,17 +186,19 @@ class _Effort(NamedTuple):
         now = time.monotonic()
         return cls(boxes, now, now + (math.inf if seconds is None else seconds))
 
+    @property
+    def spent(self) -> float:
+        """Time since the work began [s]."""
+        return time.monotonic() - self.start
+
 
 def _decide(matrix: "Expansions", domain: Box, effort: _Effort, processes: int, progress, reason: str) -> Proof:
-    def proof(verdict, levels, wrong, remaining, count) -> Proof:
-        return Proof(verdict, domain, levels, wrong, remaining, count, time.monotonic() - effort.start, reason)
-
-    leaf, none = [np.array([OPEN])], np.zeros((0, 2, len(domain.low)))
     wrong = look_around(matrix, domain)
     if wrong is not None:
-        return proof("fails", leaf, wrong, none, 1)
+        return _failed_at_once(domain, wrong, effort, reason)
     if reason:
-        return proof("undecided", leaf, None, np.stack([domain.low, domain.high])[None], 1)
+        whole = np.stack([domain.low, domain.high])[None]
+        return Proof("undecided", domain, [np.array([OPEN])], None, whole, 1, effort.spent, reason)
     tree = Tree(domain)
     # Most proofs are finished before worker processes have started.
     alone = effort if processes == 1 else effort._replace(boxes=min(effort.boxes, PATIENCE))
@@ -194,9 +207,19 @@ def _decide(matrix: "Expansions", domain: Box, effort: _Effort, processes: int, 
         context = multiprocessing.get_context("spawn")
         with concurrent.futures.ProcessPoolExecutor(processes, context, initializer=_take, initargs=(matrix,)) as pool:
             wrong = _search(functools.partial(pool.map, _judge_here), tree, effort, progress)
+    return _concluded(tree, effort, reason, wrong)
+
+
+def _failed_at_once(domain: Box, wrong: np.ndarray, effort: _Effort, reason: str) -> Proof:
+    none = np.zeros((0, 2, len(domain.low)))
+    return Proof("fails", domain, [np.array([OPEN])], wrong, none, 1, effort.spent, reason)
+
+
+def _concluded(tree: Tree, effort: _Effort, reason: str, wrong: np.ndarray | None = None) -> Proof:
+    """What a tree of boxes shows, and the counter-example that was found."""
     levels, remaining = tree.levels()
     verdict = "fails" if wrong is not None else "undecided" if len(remaining) else "holds"
-    return proof(verdict, levels, wrong, remaining, tree.evaluated)
+    return Proof(verdict, tree.domain, levels, wrong, remaining, tree.evaluated, effort.spent, reason)
 
 
 def _reason(formed: Formed, domain: Box) -> str:
@@ -233,4 +256,27 @@ def _search(judge: Callable, tree: Tree, effort: _Effort, progress) -> np.ndarra
             tree.take(lot, codes)
         if progress is not None:
             progress(tree.decided, tree.evaluated)
+    return None
+
+
+def _search_together(matrix: Expansions, trees: Sequence[Tree], effort: _Effort, progress) -> np.ndarray | None:
+    """As `_search`, for several trees of one matrix: their boxes are evaluated side by side."""
+    while sum(tree.evaluated for tree in trees) < effort.boxes and time.monotonic() < effort.until:
+        lots = [(tree, lot) for tree in trees if (lot := tree.next()) is not None]
+        if not lots:
+            return None
+        low, high = (np.concatenate([lot[side] for _, lot in lots]) for side in (1, 2))
+        codes = []
+        for begin in range(0, len(low), CHUNK):
+            some, wrong = judge(matrix, low[begin : begin + CHUNK], high[begin : begin + CHUNK])
+            if wrong is not None:
+                for tree, lot in lots:
+                    tree.waiting.append(lot)
+                return wrong
+            codes.append(some)
+        ends = np.cumsum([len(lot[0]) for _, lot in lots])[:-1]
+        for (tree, lot), own in zip(lots, np.split(np.concatenate(codes), ends), strict=True):
+            tree.take(lot, own)
+        if progress is not None:
+            progress(float(np.mean([tree.decided for tree in trees])), sum(tree.evaluated for tree in trees))
     return None
