@@ -83,6 +83,25 @@ def test_estimate_prints_what_it_found(estimated):
     assert estimated["velocity_rmse"][0] < 0.05
 
 
+def test_a_filter_that_knows_how_accurate_it_is_writes_that_too():
+    """The standard deviation is that of the errors, in the order of magnitude; a log in no ticks is told as noise."""
+    command("estimate", "model.toml", "log.csv", "--observer", "intrinsic-kalman", "-o", "std.csv")
+    assert Path("std.csv").read_text().splitlines()[0] == "t,q1,v1,v1_std"
+    found = logs.read("std.csv", logs.Columns(t="t", q=("q1",), u=("v1_std",), truth=("v1",)))
+    truth = logs.read("log.csv", logs.Columns(q=("angle",), u=(), truth=("true_v1",))).truth
+    std = np.asarray(found.record.u)[200:, 0]
+    off = np.asarray(found.truth - truth)[200:, 0]
+    assert (std > 0).all()
+    assert 0.3 < np.sqrt(np.mean(off**2)) / std.mean() < 1.5
+    told = command(
+        "estimate", "model.toml", "log.csv", "--observer", "filtered-derivative", "--set", "measurement.quantum=7e-4"
+    )
+    assert "Positions are not whole ticks of 0.0007 apart" in told["design"]
+    assert (
+        "whole ticks" not in command("estimate", "model.toml", "log.csv", "--observer", "filtered-derivative")["design"]
+    )
+
+
 def test_estimate_writes_stamps_positions_and_velocities(estimated):
     assert Path(estimated["out"]).read_text().splitlines()[0] == "t,q1,v1"
     log = logs.read("v.csv", READ)

@@ -77,7 +77,10 @@ def _choose(
 
 
 def columns(loaded: Loaded, outcome: Outcome) -> dict[str, np.ndarray]:
-    """The columns of an output file: t, q1…, v1…; on a group t, the configuration as in the log, and the velocities."""
+    """The columns of an output file: t, q1…, v1…; on a group t, the configuration as in the log, and the velocities.
+
+    A filter that knows how accurate it is adds the standard deviations of the velocities, v1_std….
+    """
     file, x = loaded.file, outcome.run.estimate
     if not file.model.manifold.commuting:
         configuration = logs.to_columns(file.columns, np.asarray(x.q))
@@ -85,6 +88,9 @@ def columns(loaded: Loaded, outcome: Outcome) -> dict[str, np.ndarray]:
         q = np.split(np.asarray(x), 2, axis=1)[0]
         configuration = dict(zip(numbered("q", file.dimension), q.T, strict=True))
     velocities = dict(zip(velocity_columns(file), outcome.velocity.T, strict=True))
+    std = getattr(outcome.run.info, "velocity_std", None)
+    if std is not None:
+        velocities |= {f"{name}_std": column for name, column in zip(velocities, np.asarray(std).T, strict=True)}
     return {"t": np.asarray(outcome.run.t)} | configuration | velocities
 
 

@@ -24,7 +24,8 @@ def in_chart(
     - `chart`: for instance `marine.euler_rotation` for a body on SO(3), whose velocities then are the rates of its
       Euler angles. Numbers in the chart are leaves of the model's pytree where the chart itself is a pytree, such as a
       `Parametric`.
-    - `coordinates`, `circles`: as for `Lagrangian`.
+    - `coordinates`, `circles`: as for `Lagrangian`. A circle of the model is none of the chart unless named here: its
+      measurements are then taken as they are, and must go on over a full turn.
 
     Raises `ValueError` when the values of the chart are no configurations of the model.
     """

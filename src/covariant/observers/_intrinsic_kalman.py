@@ -55,13 +55,15 @@ class KalmanState(NamedTuple):
 
 
 class KalmanInfo(NamedTuple):
-    """As `Info`, with the predicted covariance of the innovation and its normalised square `nis`. Where the model is
-    right, `nis` is χ²-distributed with as many degrees of freedom as there are measured components."""
+    """As `Info`, with the predicted covariance of the innovation and its normalised square `nis`, and the standard
+    deviations `velocity_std` (n,) of the velocity after the correction. Where the model is right, `nis` is
+    χ²-distributed with as many degrees of freedom as there are measured components."""
 
     innovation: Vector
     distance: Scalar
     innovation_cov: Matrix
     nis: Scalar
+    velocity_std: Vector
     result: Code
 
 
@@ -171,7 +173,8 @@ class IntrinsicKalman(AbstractObserver):
         result = jnp.where(jnp.any(far), int(Result.OUTLIER), uniqueness(self.model, state.q, y))
         result = outcome(new.q, new.v, y, jnp.where(again, int(Result.RESTARTED), result))
         nis = _nis(spread, straight, ~missing)
-        return new, KalmanInfo(straight, space.norm(state.q, straight), spread, nis, result)
+        distance, std = space.norm(state.q, straight), self.velocity_std(new)
+        return new, KalmanInfo(straight, distance, spread, nis, std, result)
 
     def _noise(self, q: Array) -> Matrix:
         """Covariance of one sample, taken as noise."""
