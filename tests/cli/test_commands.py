@@ -10,6 +10,8 @@ from commands import command
 
 from covariant import logs
 from covariant.cli import main
+from covariant.cli._job import _in_ticks
+from covariant.models import load
 
 MODEL = """
 system = "pendulum_chain"
@@ -100,6 +102,24 @@ def test_a_filter_that_knows_how_accurate_it_is_writes_that_too():
     assert (
         "whole ticks" not in command("estimate", "model.toml", "log.csv", "--observer", "filtered-derivative")["design"]
     )
+
+
+@pytest.mark.parametrize(
+    ("moved", "words"),
+    [
+        (lambda turn, noise: np.round(turn), ""),
+        (lambda turn, noise: 10 * np.round(turn / 10), "are multiples of 10 ticks of 0.5 apart"),
+        (lambda turn, noise: np.round(turn + 2 * noise), "go back and forth between ticks of 0.5 as noise does"),
+        (lambda turn, noise: turn, "are not whole ticks of 0.5 apart"),
+        (lambda turn, noise: 0 * turn, ""),
+    ],
+)
+def test_positions_in_other_ticks_than_told_are_named_and_taken_as_noisy(moved, words):
+    """A filter that believes finer ticks than the log's, or takes noise for edges, is wrong without a word."""
+    turn, noise = 300 * np.sin(np.linspace(0, 9, 2000)), np.random.default_rng(1).normal(size=2000)
+    file, told = _in_ticks(load("model.toml")._replace(quantum=0.5), 0.5 * moved(turn, noise)[:, None])
+    assert (file.quantum is None) == bool(words)
+    assert told == (f" Positions {words}: they are taken as noisy, not as ticks." if words else "")
 
 
 def test_estimate_writes_stamps_positions_and_velocities(estimated):

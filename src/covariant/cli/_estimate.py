@@ -72,8 +72,8 @@ def _choose(
         return made[observer], (f"Given gains: alpha = {alpha:g} 1/s, beta = {beta:g} 1/s².",)
     sheet = data_sheet(loaded.file)
     designed = observer_gains(sheet, loaded.rate).summary
-    made = tuned_estimators(model, loaded.file.dimension, sheet, loaded.rate)[observer]
-    return made, (f"Designed {designed}.{loaded.note}",)
+    made = tuned_estimators(model, loaded.file.dimension, sheet, loaded.rate, names=(observer,))
+    return made[observer], (f"Designed {designed}.{loaded.note}",)
 
 
 def columns(loaded: Loaded, outcome: Outcome) -> dict[str, np.ndarray]:

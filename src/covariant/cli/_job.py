@@ -10,6 +10,10 @@ from covariant.design import DataSheet
 from covariant.models import MechanicalSystem
 from covariant.signals import Record, lag_inputs
 
+FEWEST_MOVES = 50
+"""Changes of positions from which it is told whether the log's ticks are coarser than those of the model file."""
+MOST_REVERSALS, QUICK = 0.05, 5
+"""Largest fraction of changes that undo one within so few samples, as noise makes them and a motion seldom does."""
 OFF_TICK = 0.1
 """How far differences of positions may be from whole ticks, as a fraction of one: logs hold few digits."""
 
@@ -71,10 +75,31 @@ def _in_ticks(file: models.ModelFile, y: np.ndarray) -> tuple[models.ModelFile, 
         return file, ""
     moved = np.diff(y, axis=0) / file.quantum
     off = np.abs(moved - np.round(moved))[np.isfinite(moved)]
-    if off.size == 0 or np.quantile(off, 0.95) < OFF_TICK:
+    ticks = np.abs(np.round(moved[np.isfinite(moved)]))
+    ticks = ticks[ticks > 0]
+    if ticks.size == 0:
         return file, ""
-    words = f" Positions are not whole ticks of {file.quantum:.4g} apart: they are taken as noisy, not as ticks."
+    least = np.quantile(ticks, 0.01, method="lower")
+    if np.quantile(off, 0.95) >= OFF_TICK:
+        fault = f"are not whole ticks of {file.quantum:.4g} apart"
+    elif least > 1 and ticks.size >= FEWEST_MOVES and np.mean(ticks % least == 0) > 0.95:
+        fault = f"are multiples of {least:.0f} ticks of {file.quantum:.4g} apart"
+    elif ticks.size >= FEWEST_MOVES and _reversals(moved) > MOST_REVERSALS:
+        fault = f"go back and forth between ticks of {file.quantum:.4g} as noise does"
+    else:
+        return file, ""
+    words = f" Positions {fault}: they are taken as noisy, not as ticks."
     return file._replace(quantum=None), words
+
+
+def _reversals(moved: np.ndarray) -> float:
+    """How many of the changes of positions, in ticks (T, n), undo one at most `QUICK` samples before, as a fraction."""
+    count = found = 0
+    for column in np.nan_to_num(np.round(moved)).T:
+        at = np.flatnonzero(column)
+        turned = (np.sign(column[at[1:]]) != np.sign(column[at[:-1]])) & (np.diff(at) <= QUICK)
+        count, found = count + len(at), found + int(turned.sum())
+    return found / max(count, 1)
 
 
 def _check_columns(job: Job, file: models.ModelFile, columns: logs.Columns) -> None:

@@ -1,6 +1,6 @@
 """All estimators for the same task, tuned from the same data sheet for the least predicted velocity error."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -46,9 +46,14 @@ class Known(NamedTuple):
 
 
 def tuned_estimators(
-    model: MechanicalSystem, n: int, sheet: DataSheet, rate: float, trial: Trial | None = None
+    model: MechanicalSystem,
+    n: int,
+    sheet: DataSheet,
+    rate: float,
+    trial: Trial | None = None,
+    names: Collection[str] = ESTIMATORS,
 ) -> dict[str, AbstractObserver]:
-    """The `estimators` by name, for a model of n velocities sampled at `rate` [Hz].
+    """The `estimators` by name, for a model of n velocities sampled at `rate` [Hz]; only those in `names`.
 
     Filters without a model are tuned by the data sheet too or, where there is a `trial`, to what is best on it.
     Raises `ValueError` for numbers of the data sheet that are not positive.
@@ -57,7 +62,7 @@ def tuned_estimators(
         if not 0 < getattr(sheet, name) < np.inf:
             raise ValueError(f"tuned_estimators: {name} must be a positive number; got {getattr(sheet, name)}")
     known = Known(n, sheet, rate, trial)
-    fitting = (entry for entry in REGISTRY if entry.fits(model))
+    fitting = (entry for entry in REGISTRY if entry.name in names and entry.fits(model))
     return {entry.name: entry.make(model, *TUNINGS[entry.tuned_by](entry, known)) for entry in fitting}
 
 
