@@ -18,10 +18,10 @@ LINEAR = {
     "filtered derivative": FilteredDerivative(40.0, (0,)),
     "savitzky-golay": SavitzkyGolay(9, 2, (0,)),
     "pll": PLL(40.0, circles=(0,)),
-    "high-gain": HighGain(60.0, (0,)),
+    "high-gain": HighGain(60.0, circles=(0,)),
     "joint kalman": JointKalman(20.0, 0.1, 1e-3, (0,)),
 }
-LOOPS = {name: LINEAR[name] for name in ("pll", "high-gain", "joint kalman")} | {"levant": Levant(200.0, (0,))}
+LOOPS = {name: LINEAR[name] for name in ("pll", "high-gain", "joint kalman")} | {"levant": Levant(200.0, circles=(0,))}
 EVEN = np.arange(ROWS) / RATE
 IRREGULAR = np.cumsum(np.random.default_rng(4).uniform(2e-3, 8e-3, ROWS))
 
@@ -151,7 +151,7 @@ def test_levant_ends_in_finite_time_and_rests():
     """On a parabola, from a wrong velocity and acceleration; linear loops approach it for ever."""
     t = EVEN
     y = np.stack([3 * t**2 - 2 * t, 0.3 * t**2], axis=1)
-    q, v = states(Levant(50.0, (0,)), t, y)
+    q, v = states(Levant(50.0, circles=(0,)), t, y)
     error = np.abs(v - np.stack([6 * t - 2, 0.6 * t], axis=1))
     assert error[1, 0] > 0.5
     assert error[240:].max() < 1e-11
@@ -164,7 +164,7 @@ def test_levants_error_is_of_second_order_in_dt_within_the_bound_and_only_there(
     def worst(bound, dt):
         t = dt * np.arange(ROWS)
         y = np.stack([np.sin(frequency * t), np.cos(frequency * t)], axis=1)
-        v = states(Levant(bound, (0,)), t, y)[1]
+        v = states(Levant(bound, circles=(0,)), t, y)[1]
         truth = frequency * np.stack([np.cos(frequency * t), -np.sin(frequency * t)], axis=1)
         return np.abs(v - truth)[ROWS // 2 :].max()
 

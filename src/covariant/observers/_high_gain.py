@@ -5,17 +5,16 @@ Control Letters 57(10); Khalil & Praly 2014, High-gain observers in nonlinear fe
 """
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from covariant._typing import Number, Scalar, Vector
-from covariant.observers._model_free import AbstractLinearFilter, FilterInfo
+from covariant._typing import Scalar, Vector
+from covariant.observers._model_free import AbstractLinearFilter
 from covariant.observers._protocol import as_gain, check_positive
-from covariant.observers._tracking_loop import LoopState, loop_weights, standing, tracked, triple_pole
+from covariant.observers._tracking_loop import AbstractTrackingLoop, loop_weights, triple_pole
 
 
-class HighGain(AbstractLinearFilter):
+class HighGain(AbstractTrackingLoop, AbstractLinearFilter):
     """`q̂' = v̂ + 3ω e`, `v̂' = â + 3ω² e`, `â' = ω³ e`, `e = y − q̂`: three poles at −ω, and at exp(−ω dt) in samples.
 
     - `bandwidth` ω [rad/s]: 1/ε of the papers.
@@ -24,20 +23,11 @@ class HighGain(AbstractLinearFilter):
     Raises `ValueError` for a bandwidth that is not positive and finite.
     """
 
+    order = 3
     bandwidth: Scalar = eqx.field(converter=as_gain)
-    circles: tuple[int, ...] = eqx.field(default=(), static=True)
 
     def __check_init__(self):
         check_positive("HighGain", bandwidth=self.bandwidth)
-
-    def init(self, y: Vector, t: Number = 0.0) -> LoopState:
-        return standing(3, y)
-
-    def estimate(self, state: LoopState) -> Float[Array, "two_n"]:
-        return jnp.concatenate([state.x[0], state.x[1]])
-
-    def advance(self, state: LoopState, u: Float[Array, "m"], y: Vector, dt: Scalar) -> tuple[LoopState, FilterInfo]:
-        return tracked(self.gains, self.circles, state, y, dt)
 
     def gains(self, dt: Vector, error: Vector) -> Float[Array, "3 n"]:
         """What an error (n,) is multiplied by, dt [s] (n,) after the last measurement."""

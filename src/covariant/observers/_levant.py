@@ -16,16 +16,15 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from covariant._typing import Number, Scalar, Vector
-from covariant.observers._model_free import FilterInfo
-from covariant.observers._protocol import AbstractObserver, as_gain, check_positive
-from covariant.observers._tracking_loop import LoopState, standing, tracked, triple_pole
+from covariant._typing import Scalar, Vector
+from covariant.observers._protocol import as_gain, check_positive
+from covariant.observers._tracking_loop import AbstractTrackingLoop, triple_pole
 
 MARGIN = 1.5
 """κ/L. Where it is 1 the sign term only just holds against the jerk; tests look for the worst one."""
 
 
-class Levant(AbstractObserver):
+class Levant(AbstractTrackingLoop):
     """Levant's differentiator with a bound on the jerk.
 
     - `jerk`: L, the bound [rad/s³ or m/s³]. A larger one follows sooner and lets more noise through.
@@ -35,20 +34,11 @@ class Levant(AbstractObserver):
     bound that is not positive and finite.
     """
 
+    order = 3
     jerk: Scalar = eqx.field(converter=as_gain)
-    circles: tuple[int, ...] = eqx.field(default=(), static=True)
 
     def __check_init__(self):
         check_positive("Levant", jerk=self.jerk)
-
-    def init(self, y: Vector, t: Number = 0.0) -> LoopState:
-        return standing(3, y)
-
-    def estimate(self, state: LoopState) -> Float[Array, "two_n"]:
-        return jnp.concatenate([state.x[0], state.x[1]])
-
-    def advance(self, state: LoopState, u: Float[Array, "m"], y: Vector, dt: Scalar) -> tuple[LoopState, FilterInfo]:
-        return tracked(self.gains, self.circles, state, y, dt)
 
     def gains(self, dt: Vector, error: Vector) -> Float[Array, "3 n"]:
         """What an error (n,) is multiplied by, dt [s] (n,) after the last measurement."""

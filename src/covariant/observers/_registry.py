@@ -177,7 +177,7 @@ REGISTRY = (
     Entry(
         name="high-gain",
         observer=HighGain,
-        make=lambda model, bandwidth: HighGain(bandwidth, model.circles),
+        make=lambda model, bandwidth: HighGain(bandwidth, circles=model.circles),
         tuned_by="bandwidth",
         about="high-gain differentiator of third order, three equal poles; knows no model",
         when="there is no model, and speeds change",
@@ -187,7 +187,7 @@ REGISTRY = (
     Entry(
         name="levant",
         observer=Levant,
-        make=lambda model, jerk: Levant(jerk, model.circles),
+        make=lambda model, jerk: Levant(jerk, circles=model.circles),
         tuned_by="jerk",
         about="Levant's exact differentiator of second order, sampled without chatter; knows no model",
         when="there is no model, little noise, and a bound on the jerk",

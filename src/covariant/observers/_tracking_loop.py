@@ -8,19 +8,20 @@ Source: Kalata 1984, The tracking index, IEEE TAES 20(2); Brookner 1998, Trackin
 for three equal poles.
 """
 
+import abc
 import math
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from covariant._typing import Scalar, Vector
+from covariant._typing import Number, Scalar, Vector
 from covariant.geometry import wrap
 from covariant.observers._model_free import FilterInfo, response
-from covariant.observers._protocol import outcome
+from covariant.observers._protocol import AbstractObserver, outcome
 
 Gains = Callable[[Vector, Vector], Array]
 """`(dt, error) -> (k, n)`: what an error (n,) of the extrapolated position, dt [s] (n,) after the last measurement, is
@@ -32,6 +33,26 @@ class LoopState(NamedTuple):
 
     x: Float[Array, "k n"]
     age: Vector
+
+
+class AbstractTrackingLoop(AbstractObserver):
+    """A loop of `order` integrators for each coordinate, corrected at samples by its `gains`."""
+
+    order: ClassVar[int]
+    circles: tuple[int, ...] = eqx.field(default=(), static=True, kw_only=True)
+
+    @abc.abstractmethod
+    def gains(self, dt: Vector, error: Vector) -> Float[Array, "k n"]:
+        """The factors of an error (n,) in its correction, dt [s] (n,) after the last measurement."""
+
+    def init(self, y: Vector, t: Number = 0.0) -> LoopState:
+        return standing(self.order, y)
+
+    def estimate(self, state: LoopState) -> Float[Array, "two_n"]:
+        return jnp.concatenate([state.x[0], state.x[1]])
+
+    def advance(self, state: LoopState, u: Float[Array, "m"], y: Vector, dt: Scalar) -> tuple[LoopState, FilterInfo]:
+        return tracked(self.gains, self.circles, state, y, dt)
 
 
 def standing(order: int, y: Vector) -> LoopState:
