@@ -13,7 +13,7 @@ from covariant._linalg import solve
 from covariant.geometry import Budget, christoffel, curvature, hyperbolic, sphere
 from covariant.geometry.lie import SE3, SO3
 from covariant.lowering import LoweringError, expand, lower, numbers, pairs
-from covariant.observers import Geodesic, Intrinsic
+from covariant.observers import UKF, Geodesic, Intrinsic, with_fixed_substeps
 
 PENDULUM = models.pendulum_chain((1.0, 0.7), (0.5, 0.4), viscous=(0.1, 0.2))
 TABLE = jnp.array([0.5, -1.0, 2.0, 0.3])
@@ -33,6 +33,15 @@ def scanned(x):
 
 def while_counted(x):
     return jax.lax.while_loop(lambda s: s[0] < 3, lambda s: (s[0] + 1, s[1] * x[2] + s[1] ** 2), (0, x[0]))[1]
+
+
+def while_in_lanes(x):
+    """Each lane of a batch takes its own number of turns."""
+
+    def turn(s):
+        return s[0] + 1, s[1] * x[2] + jnp.sin(s[1])
+
+    return jax.vmap(lambda n: jax.lax.while_loop(lambda s: s[0] < n, turn, (0, x[0]))[1])(jnp.array([3, 0, 1])) * x
 
 
 def custom(x):
@@ -86,6 +95,7 @@ FUNCTIONS = {
     "loop": loop,
     "scan": scanned,
     "counted while": while_counted,
+    "while in lanes": while_in_lanes,
     "branch known beforehand": lambda x: jax.lax.cond(True, jnp.sin, jnp.cos, x[0]) * x[1],
     "custom derivative": custom,
     "rematerialised": lambda x: jax.checkpoint(lambda y: jnp.sin(y) * y)(x).sum(),
@@ -105,7 +115,7 @@ POINTS = np.random.default_rng(0).normal(size=(5, 3)) * 0.8
 
 def with_derivatives(name):
     """Value and first and second derivatives; JAX has no reverse derivative of a while loop."""
-    f, inner = FUNCTIONS[name], jax.jacfwd if name == "counted while" else jax.jacrev
+    f, inner = FUNCTIONS[name], jax.jacfwd if "while" in name else jax.jacrev
     return lambda x: (f(x), jax.jacfwd(f)(x), jax.jacfwd(inner(f))(x))
 
 
@@ -145,6 +155,7 @@ def observers():
     q, v, u = jnp.array([0.3, 0.5]), jnp.array([1.0, -2.0]), jnp.array([0.1, 0.2])
     zero, dt = jnp.zeros(()), jnp.asarray(0.01)
     intrinsic, geodesic = Intrinsic(PENDULUM, 2.0, 1.0, substeps=2), Geodesic(PENDULUM, 2.0, 1.0, Budget(1, 2))
+    unscented = UKF(models.oscillator("r"), jnp.eye(1), 1e-4 * jnp.eye(1))
     top = models.heavy_top()
     group, g = Intrinsic(top, 2.0, 1.0), top.group.exp(jnp.array([0.1, 0.2, 0.3]))
     turned = g @ top.group.exp(jnp.array([0.1, 0.0, 0.1]))
@@ -153,6 +164,11 @@ def observers():
     return {
         "intrinsic flow": (lambda s, y: intrinsic.flow(zero, s, u, y), intrinsic.init(q)._replace(v=v), q + 0.1),
         "intrinsic step": (lambda s, y: intrinsic.step(s, u, y, dt), intrinsic.init(q)._replace(v=v), q + 0.1),
+        "step with default settings": (
+            lambda s, y: unscented.step(s, u[:1], y, dt),
+            unscented.init(q[:1]),
+            q[:1] + 0.1,
+        ),
         "geodesic flow": (lambda s, y: geodesic.flow(zero, s, u, y), geodesic.init(q)._replace(v=v), q + 0.1),
         "group flow": (
             lambda s, y: group.flow(zero, s, jnp.zeros(top.inputs), y),
@@ -171,6 +187,25 @@ def test_observers_are_lowered_whole(name):
     for ours, theirs in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=1e-10, atol=1e-12)
         assert ours.dtype == theirs.dtype
+
+
+def test_substeps_that_friction_decides_are_fixed_beforehand():
+    """By rubbing as on the given motions; otherwise their number depends on the state and has no graph."""
+    rubbing = models.pendulum_chain((1.0,), (1.0,), viscous=(0.2,), coulomb=(3.0,))
+    free, u, dt = Intrinsic(rubbing, 2.0, 1.0), jnp.zeros(1), jnp.asarray(0.01)
+    q, v = jnp.array([[0.3], [0.5]]), jnp.array([[0.0], [2.0]])
+    fixed = with_fixed_substeps(free, 100.0, q, v, jnp.zeros((2, 1)))
+    assert fixed.substeps == 4  # (0.2 + 3 · 100) / 1 · 0.01, rounded up
+    states = [free.init(a)._replace(v=b) for a, b in zip(q, v, strict=True)]
+    with pytest.raises(LoweringError, match="while"):
+        lower(lambda s, y: free.step(s, u, y, dt)[0], states[0], q[0])
+    graph = lower(lambda s, y: fixed.step(s, u, y, dt)[0], states[0], q[0])
+    for state in states:
+        ours, theirs = numbers(graph, state, state.q + 0.01), free.step(state, u, state.q + 0.01, dt)[0]
+        np.testing.assert_allclose([*ours.q, *ours.v], [*theirs.q, *theirs.v], rtol=1e-12)
+    for observer, rate in ((fixed, 100.0), (free, 0.0), (free, np.nan)):
+        with pytest.raises(ValueError, match="with_fixed_substeps"):
+            with_fixed_substeps(observer, rate, q, v, jnp.zeros((2, 1)))
 
 
 REFUSED = {

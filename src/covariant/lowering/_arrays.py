@@ -59,12 +59,21 @@ class Writer:
             return np.stack(values)
         return Scalars(np.stack([nodes_of(self.graph, value) for value in values]))
 
-    def truth(self, value: Value) -> bool | None:
-        """The value of a statement, or None where it depends on the arguments."""
+    def truth(self, value: Value) -> np.ndarray | None:
+        """The values of statements, or None where one depends on the arguments."""
         if not isinstance(value, Scalars):
-            return bool(value)
-        node = self.graph.nodes[int(value.ids)]
-        return bool(node.value) if node.op == "constant" else None
+            return np.asarray(value, bool)
+        nodes = [self.graph.nodes[i] for i in value.ids.ravel().tolist()]
+        if any(node.op != "constant" for node in nodes):
+            return None
+        return np.array([bool(node.value) for node in nodes]).reshape(value.ids.shape)
+
+    def chosen(self, first: np.ndarray, a: Value, b: Value) -> Value:
+        """The rows of a where `first` holds, and those of b elsewhere."""
+        mask = first.reshape(first.shape + (1,) * (np.ndim(getattr(a, "ids", a)) - first.ndim))
+        if isinstance(a, Scalars) or isinstance(b, Scalars):
+            return Scalars(np.where(mask, nodes_of(self.graph, a), nodes_of(self.graph, b)))
+        return np.where(mask, a, b)
 
     def within(self, value: Scalars, low: float, high: float) -> None:
         """Add the condition that all entries are between two numbers."""

@@ -149,12 +149,15 @@ class _Interpreter:
         carry = values[of_condition + of_body :]
         for _ in range(MOST_ITERATIONS):
             (go,) = self.call(p["cond_jaxpr"], [*condition, *carry])
-            go = self.write.truth(go)
-            if go is None:
+            going = self.write.truth(go)  # one for each lane of a batch
+            if going is None:
                 raise LoweringError("a 'while' loop runs until something the arguments decide; give it a fixed length")
-            if not go:
+            if not going.any():
                 return carry
-            carry = self.call(p["body_jaxpr"], [*body, *carry])
+            moved = self.call(p["body_jaxpr"], [*body, *carry])
+            carry = (
+                moved if going.all() else [self.write.chosen(going, *pair) for pair in zip(moved, carry, strict=True)]
+            )
         raise LoweringError(f"a 'while' loop of more than {MOST_ITERATIONS} iterations is too long to unroll")
 
     def cond_loop(self, p: dict, values: list[Value]) -> list[Value]:

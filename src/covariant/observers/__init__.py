@@ -34,6 +34,7 @@ from covariant.observers._protocol import (
 from covariant.observers._registry import REGISTRY, Entry
 from covariant.observers._riccati import Estimate, InformationEKF, InformationState, Riccati
 from covariant.observers._salcudean import Salcudean, SalcudeanState
+from covariant.observers._sampled import with_fixed_substeps
 from covariant.observers._savitzky_golay import SavitzkyGolay, WindowState
 from covariant.observers._tracking_loop import LoopState
 from covariant.observers._ukf import UKF, UKFState
@@ -91,4 +92,5 @@ __all__ = [
     "printed_rate",
     "run",
     "second_order",
+    "with_fixed_substeps",
 ]

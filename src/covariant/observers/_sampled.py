@@ -10,16 +10,20 @@ gains are
 and `κ = ½(1 + ab) dt − k2 dt²/6`. For dt → 0 they are α dt and β dt + N dt.
 """
 
-from typing import NamedTuple
+import dataclasses
+import math
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Inexact
 
 from covariant._typing import Code, Flag, Number, Scalar, Vector
 from covariant.geometry import AbstractSpace
 from covariant.models import MechanicalSystem, Motion, advance, friction
 from covariant.signals import Result
+
+Observer = TypeVar("Observer", bound=Any)
 
 LONGEST_STEP = 0.01
 """Longest Runge–Kutta step [s] of a prediction whose number of substeps is not given."""
@@ -51,6 +55,26 @@ def needed_substeps(model: MechanicalSystem, t: Number, q: Array, v: Vector, u: 
 
     fastest = jnp.maximum(jnp.maximum(rate(jnp.zeros_like(v)), rate(v)), 1 / LONGEST_STEP)
     return steps_for(dt, fastest)
+
+
+def with_fixed_substeps(
+    observer: Observer, rate: float, q: Inexact[Array, "K *n"], v: Float[Array, "K n"], u: Float[Array, "K m"]
+) -> Observer:
+    """An observer as a program of fixed length: its number of substeps is chosen now, no longer in every sample.
+
+    It is the largest that any of K motions needs at `rate` [Hz], such as those of a simulation or of a log: q and v in
+    the frame, and inputs u. With a slower rate, or friction steeper than at these motions, take the number anew.
+
+    Raises `ValueError` for an observer whose number of substeps is fixed already or that has no mechanical model, and
+    for a rate that is not positive.
+    """
+    if getattr(observer, "substeps", 0) is not None or not isinstance(observer.model, MechanicalSystem):
+        raise ValueError(f"with_fixed_substeps: {type(observer).__name__} does not choose its substeps by friction")
+    if not 0 < rate < math.inf:
+        raise ValueError(f"with_fixed_substeps: rate must be a positive, finite number; got {rate}")
+    model, dt = observer.model, 1 / rate
+    needed = jax.jit(jax.vmap(lambda q, v, u: needed_substeps(model, 0.0, q, v, u, dt)))(q, v, u)
+    return dataclasses.replace(observer, substeps=int(needed.max()))
 
 
 def steps_for(dt: Number, rate: Number) -> Code:
