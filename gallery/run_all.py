@@ -11,7 +11,10 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 GALLERY = Path(__file__).resolve().parent
-QUICK = "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false --xla_disable_hlo_passes=call-inliner"
+QUICK = (
+    "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false --xla_disable_hlo_passes=call-inliner"
+    " --xla_cpu_parallel_codegen_split_count=1"
+)
 """Programs made quickly, not fast, as in the tests: most scripts compile longer than they compute."""
 
 

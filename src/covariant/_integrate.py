@@ -107,13 +107,14 @@ def solve(
     """
     import diffrax
 
+    start, unravel = jax.flatten_util.ravel_pytree(x0)
     solution = diffrax.diffeqsolve(
-        _term(flow),
+        _term(flow, unravel),
         diffrax.Dopri8(),
         t0=ts[0],
         t1=ts[-1],
         dt0=None,
-        y0=x0,
+        y0=start,
         saveat=diffrax.SaveAt(ts=ts),
         # Steps end at the stamps: interpolating between steps would cost a digit or two.
         stepsize_controller=diffrax.ClipStepSizeController(diffrax.PIDController(rtol=rtol, atol=atol), step_ts=ts),
@@ -122,7 +123,7 @@ def solve(
         throw=False,
     )
     assert solution.ys is not None  # SaveAt(ts=...) always saves
-    return solution.ys
+    return jax.vmap(unravel)(solution.ys)
 
 
 def solve_until(
@@ -143,17 +144,18 @@ def solve_until(
     import diffrax
     import optimistix
 
-    conditions = [lambda t, y, args, **_: stop(y)]
+    start, unravel = jax.flatten_util.ravel_pytree(x0)
+    conditions = [lambda t, y, args, **_: stop(unravel(y))]
     if border is not None:
-        conditions.append(lambda t, y, args, **_: border(y))
-    real = jax.tree.leaves(x0)[0].dtype  # of the times too, or single precision would be promoted to double
+        conditions.append(lambda t, y, args, **_: border(unravel(y)))
+    real = start.dtype  # of the times too, or single precision would be promoted to double
     solution = diffrax.diffeqsolve(
-        _term(flow),
+        _term(flow, unravel),
         diffrax.Dopri8(),
         t0=jnp.zeros((), real),
         t1=jnp.full((), jnp.inf, real),
         dt0=None,
-        y0=x0,
+        y0=start,
         saveat=diffrax.SaveAt(t1=True),
         stepsize_controller=diffrax.PIDController(rtol=rtol, atol=atol),
         event=diffrax.Event(conditions, None if border is None else optimistix.Newton(rtol=1e-9, atol=1e-12)),
@@ -162,12 +164,15 @@ def solve_until(
         throw=False,
     )
     assert solution.ts is not None  # SaveAt(t1=True) always saves
-    return solution.ts[0], jax.tree.map(lambda x: x[0], solution.ys)
+    assert solution.ys is not None
+    return solution.ts[0], unravel(solution.ys[0])
 
 
-def _term(flow: Flow) -> Any:
-    """The vector field for diffrax, traced once though diffrax calls it in several places."""
+def _term(flow: Flow, unravel: Callable[[Array], Any]) -> Any:
+    """The vector field for diffrax, of the state as one array: diffrax's programs grow with the number of arrays.
+
+    It is traced once though diffrax calls it in several places."""
     import diffrax
 
-    once = jax.jit(flow)
+    once = jax.jit(lambda t, x: jax.flatten_util.ravel_pytree(flow(t, unravel(x)))[0])
     return diffrax.ODETerm(lambda t, x, _: once(jnp.asarray(t), x))

@@ -1,5 +1,6 @@
 """The intrinsic Kalman filter: the textbook's in flat space, its reset exact, the same in all coordinates."""
 
+import functools
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -174,8 +175,13 @@ RATE = 50.0
 SAMPLES = 40
 
 
-def samples(case: Lottery) -> tuple[Motion, Array]:
+@functools.cache
+def samples(name: str) -> tuple[Motion, Array]:
     """The true motion at the stamps, and what is measured of it: large noise, a larger error at the start."""
+    return jax.jit(functools.partial(recorded, LOTTERIES[name]))()
+
+
+def recorded(case: Lottery) -> tuple[Motion, Array]:
     n, manifold = len(case.z), case.model.manifold
     none = Parametric(case.chart, a=np.zeros(n), b=np.zeros(n))
     z, rate = jnp.array(case.z), jnp.array(case.rate)
@@ -193,7 +199,7 @@ def play(name: str, make: Any) -> np.ndarray:
     """Estimates of the velocity (DRAWS, SAMPLES, n), in the frame of the machine, of a filter written in each chart."""
     case = LOTTERIES[name]
     n, manifold = len(case.z), case.model.manifold
-    _, y = jax.jit(lambda: samples(case))()
+    _, y = samples(name)
 
     @eqx.filter_jit
     def played(draw):
@@ -227,7 +233,7 @@ def intrinsic_kalman(model):
 def test_ten_charts_make_no_difference(name):
     """Less than a hundredth of the error itself, at errors of a third of a radian and noise of a twentieth."""
     estimates = play(name, intrinsic_kalman)
-    true = jax.jit(lambda: samples(LOTTERIES[name]))()[0].v[1:]
+    true = samples(name)[0].v[1:]
     errors = np.sqrt(np.mean((estimates - np.asarray(true)) ** 2, axis=(1, 2)))
     assert np.isfinite(errors).all()
     assert np.ptp(errors) < 0.01 * errors.mean()

@@ -7,6 +7,7 @@ coordinates, and the length of its differential is bounded over a box that no sh
 
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -109,16 +110,20 @@ def decay(
 
     Source: Aghannan & Rouchon 2003, Theorem 2. Raises `ValueError` where a solution cannot be followed.
     """
-
-    @jax.jit
-    @jax.vmap
-    def both(a, b):
-        x, y = solve(flow, a, t), solve(flow, b, t)
-        low = jax.vmap(lambda s, p, q: lower_distance(metric, s, p, q))(t, x, y)
-        return low, jax.vmap(lambda s, p, q: upper_distance(metric, s, p, q))(t, x, y)
-
-    low, high = (np.asarray(a) for a in both(x0, x1))
+    low, high = (np.asarray(a) for a in _followed(flow, metric, x0, x1, t))
     if not np.isfinite(high).all():
         raise ValueError("a solution leaves every bound before the last stamp; there is no distance to measure")
     shrink = np.exp(-rate / 2 * (np.asarray(t) - float(t[0])))
     return Decay(np.asarray(t), low, high, high[:, :1] * shrink)
+
+
+@eqx.filter_jit  # found again for another rate, other starts and other stamps
+def _followed(flow: Flow, metric: StateMetric, x0: Array, x1: Array, t: Array) -> tuple[Array, Array]:
+    """Lower and upper bounds (k, T) of the distances between the solutions of each pair."""
+
+    def both(pair):
+        ends = jax.vmap(lambda start: solve(flow, start, t))(pair)
+        low = jax.vmap(lambda s, p, q: lower_distance(metric, s, p, q))(t, *ends)
+        return low, jax.vmap(lambda s, p, q: upper_distance(metric, s, p, q))(t, *ends)
+
+    return jax.vmap(both, 1)(jnp.stack([x0, x1]))

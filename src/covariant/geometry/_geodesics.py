@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from typing import NamedTuple, Protocol, runtime_checkable
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 
@@ -94,14 +95,15 @@ def follow(space: Curved, p: Configuration, ray: Ray, budget: Budget, fraction: 
 
     def flow(_, now: Ray) -> Ray:
         x = manifold.retract(p, now.s)
-        turned = jax.vmap(lambda a: space.connection(x, now.velocity, a))(now.w)
-        rate = manifold.local_rate(p, now.s, now.velocity)
-        return Ray(rate, -space.connection(x, now.velocity, now.velocity), -turned)
+        carried = jnp.concatenate([now.velocity[None], now.w])  # a geodesic carries its own velocity
+        turned = jax.vmap(lambda a: space.connection(x, now.velocity, a))(carried)
+        return Ray(manifold.local_rate(p, now.s, now.velocity), -turned[0], -turned[1:])
 
     rule = rk8 if budget.newton is None else rk4
     return rule(flow, 0.0, ray, fraction, budget.steps)
 
 
+@eqx.filter_jit  # called in many places of a search: each of its derivatives is traced once
 def arrive(space: Curved, p: Configuration, velocity: Vector, budget: Budget) -> Ray:
     """The end of the unit-time geodesic from p with that velocity."""
     none = jnp.zeros((0, *velocity.shape), velocity.dtype)
