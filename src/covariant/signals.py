@@ -1,7 +1,7 @@
 """Data that pass between subpackages: a `Record` goes into an observer, a `Run` comes out."""
 
 import enum
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Array, Float, Inexact
@@ -124,7 +124,7 @@ def lag_inputs(record: Record, time_constant: float) -> Record:
     return record._replace(u=u)
 
 
-def acting_inputs(record: Record, between: Literal["held", "linear"] = "held", delay: float = 0.0) -> Record:
+def acting_inputs(record: Record, between: str = "held", delay: float = 0.0) -> Record:
     """The record with each input the mean, from its stamp to the next, of what acts `delay` [s] after it is logged.
 
     - `between`: how the input goes from a stamp to the next: "held" at the former, or "linear" to the latter, which is

@@ -15,7 +15,6 @@ from covariant.cli._job import check_output, velocity_columns
 from covariant.models import Motion
 from covariant.signals import Record
 
-
 DIGITS = 12
 """Decimals of a time [s] in a log: times that agree in all of them are one, whatever they were computed from."""
 

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -52,10 +52,10 @@ class ModelFile(NamedTuple):
     input_lag: float = 0.0
     reference_half: float = 0.03
     reference_order: float = 3
-    quantum: float | None = None
     delay: float | tuple[float, ...] = 0.0
     input_delay: float = 0.0
-    input_between: Literal["held", "linear"] = "held"
+    input_between: str = "held"
+    quantum: float | None = None
 
     @property
     def typical_std(self) -> float | None:

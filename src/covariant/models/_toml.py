@@ -127,25 +127,27 @@ def numbers(document: dict[str, Any], count: int) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for where, value in given.items():
         field, factor = NUMBERS[where]
-        found[field] = _numbers(where, value, count, factor) if isinstance(value, list) else _number(where, value) * factor
+        each = _numbers(where, value, count) if isinstance(value, list) else (_number(where, value),)
+        scaled = tuple(number * factor for number in each)
+        found[field] = scaled if isinstance(value, list) else scaled[0]
     if "quantum" in found:
         found["measurement_std"] = found["quantum"] / math.sqrt(12)  # an error uniform over one step
     return found | _words(document)
 
 
-def _number(where: tuple[str, str], value: Any) -> float:
+def _number(where: tuple[str, str], value: Any) -> float | int:
     least = 0.0 if where in _MAY_BE_ZERO else math.ulp(0.0)
     if isinstance(value, bool) or not isinstance(value, int | float) or not least <= value < math.inf:
         raise ValueError(f"{'.'.join(where)} must be a {'positive number' if least else 'number ≥ 0'}; got {value!r}")
     return value
 
 
-def _numbers(where: tuple[str, str], values: list[Any], count: int, factor: float) -> tuple[float, ...]:
+def _numbers(where: tuple[str, str], values: list[Any], count: int) -> tuple[float | int, ...]:
     if where not in _MAY_BE_LISTS:
         _number(where, values)
     if len(values) != count:
         raise ValueError(f"{'.'.join(where)} lists {len(values)} numbers; give {count}, or one number without brackets")
-    return tuple(_number(where, value) * factor for value in values)
+    return tuple(_number(where, value) for value in values)
 
 
 def _words(document: dict[str, Any]) -> dict[str, str]:

@@ -1,8 +1,8 @@
 """Sensors that tell late: readings are taken in at the times at which they were true, and the estimate is for now.
 
 Coordinate i of the sample with the stamp t was true at t − d_i. The state is kept where nothing older can arrive any
-more, at t − max d; what has been read since waits in a buffer. A sample is sorted into the buffer at its true times, the
-buffer is run through again in their order, and the model predicts from the last of them to the stamp.
+more, at t − max d; what has been read since waits in a buffer. A sample is sorted into the buffer at its true times,
+the buffer is run through again in their order, and the model predicts from the last of them to the stamp.
 
 Source: Bar-Shalom 2002, Update with out-of-sequence measurements in tracking: exact solution, IEEE Transactions on
 Aerospace and Electronic Systems 38(3), which shortens this for linear systems; Larsen, Andersen, Ravn & Poulsen 1998,
@@ -58,10 +58,10 @@ class Delayed(AbstractObserver):
     - `rate` [Hz]: the most samples in a second, by which the length of the buffers is chosen.
     - `lateness` [s]: how much later than its delay says a sample may arrive; see `late`.
 
-    Between two readings the mean of the inputs over that time acts. Where samples come faster than `rate`, the oldest
-    readings are settled before their time; whatever is then older than the settled state is left out, and `result` says
-    `TOO_LATE`. The info is that of the newest reading of a sample, with the innovations of all its readings, and with
-    the standard deviations, where the observer has some, of the estimate now.
+    Between two readings the mean of the inputs over that time acts. Where samples come faster than `rate`, the buffers
+    reach back too short a time: a reading that is older is left out, and `result` says `TOO_LATE`. The info is that of
+    the newest reading of a sample, with the innovations of all its readings and, where the observer has some, the
+    standard deviations of the estimate now.
 
     Raises `ValueError` for delays and a lateness that are not finite and ≥ 0, and a rate that is not positive.
     """
@@ -97,7 +97,7 @@ class Delayed(AbstractObserver):
         longest = jnp.max(self.delay).astype(real)
         t = jnp.asarray(t, real)
         held = getattr(now, "held", None)
-        rows, stamps = self.length * len(self.groups), self.length + 1
+        rows, stamps = self.length * len(self.groups), self.length + 2
         return DelayedState(
             now,
             t,
@@ -121,7 +121,8 @@ class Delayed(AbstractObserver):
             known_age=state.known_age + dt,
             age=state.age + dt,
             stamp=jnp.append(state.stamp[1:] + dt, 0.0),
-            u=jnp.concatenate([state.u[1:], u[None].astype(state.u.dtype)]),
+            # An observer that holds no input knows no model, and makes no use of one.
+            u=jnp.concatenate([state.u[1:], u[None, : state.u.shape[1]].astype(state.u.dtype)]),
         )
         return self._replayed(older, y, jnp.zeros_like(state.t))
 
@@ -129,10 +130,14 @@ class Delayed(AbstractObserver):
         """Take in a sample that arrives after later ones: its coordinate i was true at t − delay[i].
 
         NaN in y marks what is missing. Returns the new state, its estimate for the same time as before, and the info.
-        What is more than `lateness` later than its delay is left out, and `result` says `TOO_LATE`.
+        What is more than `lateness` later than its delay is left out, and `result` says `TOO_LATE`; it says
+        `STEP_REFUSED` of a time t that is later than that of the state, or not finite.
         """
-        measured = jnp.where(jnp.isfinite(y), y, jnp.nan)
-        return self._replayed(state, measured, state.t - jnp.asarray(t, state.t.dtype))
+        ago = state.t - jnp.asarray(t, state.t.dtype)
+        past = ago > -SAME_TIME
+        measured = jnp.where(past & jnp.isfinite(y), y, jnp.nan)
+        moved, info = self._replayed(state, measured, jnp.where(past, jnp.maximum(ago, 0.0), 0.0))
+        return moved, info._replace(result=jnp.where(past, info.result, int(Result.STEP_REFUSED)))
 
     def _replayed(self, state: DelayedState, y: Array, ago: Scalar) -> tuple[DelayedState, Any]:
         """The state with a sample taken in whose stamp is `ago` [s] old, and the info."""
@@ -177,8 +182,9 @@ class Delayed(AbstractObserver):
             mine = jnp.zeros(shape, bool).at[jnp.array(group)].set(True)
             part = jnp.where(_over(mine, y), y, jnp.nan)
             at = ago + self.delay[group[0]].astype(age.dtype)
-            there = jnp.abs(age - at) <= SAME_TIME
-            too_old = (at > state.known_age) & ~jnp.any(there)
+            apart = jnp.abs(age - at)
+            there = (apart <= SAME_TIME) & (jnp.arange(len(age)) == jnp.argmin(apart))
+            too_old = (at > jnp.minimum(state.known_age, state.stamp[0])) & ~jnp.any(there)
             refused = refused | (too_old & jnp.any(jnp.isfinite(part)))
             fill = _over(there, readings) & jnp.isfinite(part)[None]
             readings = jnp.concatenate([jnp.where(fill, part[None], readings), part[None]])
