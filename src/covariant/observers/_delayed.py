@@ -116,6 +116,9 @@ class Delayed(AbstractObserver):
     def advance(
         self, state: DelayedState, u: Float[Array, "m"], y: Inexact[Array, "*n"], dt: Scalar
     ) -> tuple[DelayedState, Any]:
+        if self.length == 1:  # nothing ever waits: it is the observer itself, to the last bit
+            now, info = self.observer.step(state.now, u, y, dt)
+            return state._replace(now=now, known=now, t=state.t + dt), info
         older = state._replace(
             t=state.t + dt,
             known_age=state.known_age + dt,
@@ -206,7 +209,7 @@ class Delayed(AbstractObserver):
         whole = ~jnp.any(jnp.isnan(y) & _over(fresh, y))
         code = jnp.where(whole & (info.result == int(Result.COASTED)), int(Result.OK), info.result)
         counts = jnp.any(fresh) | (code == int(Result.NOT_FINITE))
-        result = jnp.where(counts, jnp.maximum(said.result, code.astype(said.result.dtype)), said.result)
+        result = jnp.where(counts, jnp.maximum(said.result, jnp.asarray(code, said.result.dtype)), said.result)
         innovation = jnp.where(fresh, info.innovation, said.innovation)
         newest = jax.tree.map(lambda new, old: jnp.where(jnp.any(fresh), new, old), info, said)
         said = newest._replace(innovation=innovation, result=result)
