@@ -72,7 +72,7 @@ PUBLIC = {
     "models.marine": "Craft Station Waves coriolis_matrix cybership euler_rates euler_rotation euler_transform "
     "manoeuvring_ship odin odin_on_group positive_definite supply_vessel surface_ship yaw_rotation",
     "observers": "EKF PLL REGISTRY UKF AbstractFlowObserver AbstractLinearFilter AbstractMechanicalObserver "
-    "AbstractObserver Contracting ContractingState Copy EKFInfo EKFState Entry "
+    "AbstractObserver Contracting ContractingState Copy Delayed DelayedState EKFInfo EKFState Entry "
     "Estimate FilterInfo FilteredDerivative FilteredState Gate Geodesic GeodesicInfo GeodesicState "
     "HeldState HighGain Info InformationEKF InformationState Intrinsic IntrinsicKalman JointKalman "
     "JointState KalmanInfo KalmanState Levant LoopState MechanicalState PassiveGains PassiveShip "

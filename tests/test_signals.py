@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from covariant.signals import Record, Result, lag_inputs
+from covariant.signals import Record, Result, acting_inputs, lag_inputs
 
 T = np.array([0.0, 0.1, 0.3, 0.4])
 GOOD = Record(T, np.zeros((4, 1)), np.arange(8.0).reshape(4, 2))
@@ -93,3 +93,27 @@ def test_a_lag_is_the_filter_of_scipy_on_regular_stamps():
 def test_a_steady_input_passes_a_lag_unchanged():
     steady = GOOD._replace(u=np.full((4, 1), 2.5))
     np.testing.assert_allclose(lag_inputs(steady, 0.1).u, 2.5, rtol=1e-15)
+
+
+def test_inputs_held_without_delay_stay_as_they_are():
+    assert acting_inputs(GOOD) is GOOD
+
+
+def test_an_input_acts_by_its_mean_over_each_step():
+    """Quadrature of the delayed, held or interpolated input over each step, on irregular stamps."""
+    random = np.random.default_rng(5)
+    t, u = np.cumsum(random.uniform(0.5, 2.0, 12)), random.normal(size=(12, 2))
+    record = Record(t, u, np.zeros((12, 1)))
+    for between, delay in (("held", 0.7), ("linear", 0.0), ("linear", 1.3)):
+        found = acting_inputs(record, between, delay).u
+        for k in range(11):
+            s = t[k] + (t[k + 1] - t[k]) * (np.arange(20_000) + 0.5) / 20_000 - delay
+            held = u[np.maximum(np.searchsorted(t, s, side="right") - 1, 0)]
+            signal = np.stack([np.interp(s, t, column) for column in u.T], axis=1) if between == "linear" else held
+            np.testing.assert_allclose(found[k], signal.mean(axis=0), rtol=0, atol=2e-4)
+
+
+@pytest.mark.parametrize(("arguments", "words"), [(("spline", 0.0), "'held' or 'linear'"), (("held", -1.0), "≥ 0")])
+def test_an_input_that_acts_in_no_known_way_is_named(arguments, words):
+    with pytest.raises(ValueError, match=words):
+        acting_inputs(GOOD, *arguments)

@@ -15,17 +15,18 @@ class Result(enum.IntEnum):
     INPUT_HELD = 2
     REPEATED = 3
     OUTLIER = 4
-    RESTARTED = 5
-    CUT_LOCUS = 6
-    LEFT_DOMAIN = 7
-    ESCAPED = 8
-    CONJUGATE_POINT = 9
-    NOT_CONVERGED = 10
-    NOT_SETTLED = 11
-    NOT_RECONSTRUCTIBLE = 12
-    OUT_OF_DOMAIN = 13
-    STEP_REFUSED = 14
-    NOT_FINITE = 15
+    TOO_LATE = 5
+    RESTARTED = 6
+    CUT_LOCUS = 7
+    LEFT_DOMAIN = 8
+    ESCAPED = 9
+    CONJUGATE_POINT = 10
+    NOT_CONVERGED = 11
+    NOT_SETTLED = 12
+    NOT_RECONSTRUCTIBLE = 13
+    OUT_OF_DOMAIN = 14
+    STEP_REFUSED = 15
+    NOT_FINITE = 16
 
     @property
     def message(self) -> str:
@@ -38,6 +39,7 @@ _MESSAGES = {
     Result.INPUT_HELD: "an input is not finite: the last finite one was held",
     Result.REPEATED: "the stamp is that of the sample before: the state was left as it was",
     Result.OUTLIER: "a measurement is too far from what is expected: it was refused, as if it were missing",
+    Result.TOO_LATE: "a measurement came too late, beyond what is kept of the past: it was left out",
     Result.RESTARTED: "the estimate started anew: what came before tells too little of the motion now",
     Result.CUT_LOCUS: "two ways to the measurement are equally short, as after half a turn: one of them was taken",
     Result.LEFT_DOMAIN: "the past of the point leaves the domain: its metric starts at the border",
@@ -120,3 +122,30 @@ def lag_inputs(record: Record, time_constant: float) -> Record:
     for k in range(1, len(t)):
         u[k] = keep[k - 1] * u[k - 1] + (1 - keep[k - 1]) * u[k]
     return record._replace(u=u)
+
+
+def acting_inputs(record: Record, between: str = "held", delay: float = 0.0) -> Record:
+    """The record with each input the mean, from its stamp to the next, of what acts `delay` [s] after it is logged.
+
+    - `between`: how the input goes from a stamp to the next: "held" at the former, or "linear" to the latter, which is
+      known when the step between them is made.
+
+    Before the first stamp the first input acts. Held and without delay the record is as it was. Raises `ValueError`
+    for another word, and a delay that is not finite and ≥ 0.
+    """
+    if between not in ("held", "linear"):
+        raise ValueError(f"acting_inputs: between must be 'held' or 'linear'; got {between!r}")
+    if not 0 <= delay < np.inf:
+        raise ValueError(f"acting_inputs: delay must be a number ≥ 0 [s]; got {delay}")
+    if between == "held" and delay == 0:
+        return record
+    t, u = np.asarray(record.t, float), np.asarray(record.u, float)
+    step = np.diff(t)
+    rise = np.diff(u, axis=0) if between == "linear" else np.zeros_like(u[1:])
+    gathered = np.concatenate([np.zeros_like(u[:1]), np.cumsum((u[:-1] + rise / 2) * step[:, None], axis=0)])
+    slope = np.concatenate([rise / step[:, None], np.zeros_like(u[:1])])
+    edges = np.append(t, 2 * t[-1] - t[-2]) - delay
+    k = np.maximum(np.searchsorted(t, edges, side="right") - 1, 0)
+    past = (edges - t[k])[:, None]
+    integral = gathered[k] + u[k] * past + slope[k] * np.maximum(past, 0.0) ** 2 / 2
+    return record._replace(u=np.diff(integral, axis=0) / np.diff(edges)[:, None])

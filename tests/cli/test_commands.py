@@ -41,6 +41,9 @@ def folder(tmp_path_factory):
     return folder
 
 
+SWING = ("--duration", "2", "--rate", "200", "--v0", "3.0", "--amplitude", "0.5")
+
+
 def simulate(out: str, seed: int = 1) -> dict:
     return command(
         *("simulate", "model.toml", "-o", out, "--duration", "4", "--rate", "200", "--quantum", "1e-3"),
@@ -216,6 +219,21 @@ def test_compare_ranks_all_estimators():
     assert table[0] == ["rank", "estimator", "v1_rmse", "microseconds"]
     assert [row[:2] for row in table[1:]] == [[str(k), name] for k, name in enumerate(names, start=1)]
     assert [float(row[2]) for row in table[1:]] == pytest.approx(errors, rel=1e-5)
+
+
+def test_a_late_sensor_is_simulated_and_estimated_from():
+    """At the same stamps, a reading is what it was two samples before; told so, the estimate is hardly worse."""
+    late = ("--set", "measurement.delay=0.01")
+    command("simulate", "model.toml", "-o", "late.csv", *SWING, *late)
+    columns = logs.Columns(q=("angle",), u=("torque",), truth=("true_angle",))
+    log = logs.read("late.csv", columns)
+    np.testing.assert_allclose(log.record.y[2:, 0], log.truth[:-2, 0], rtol=0, atol=1e-9)
+    assert log.record.t[0] == 0.01
+    score = ("--truth", "true_v1")
+    told = command("estimate", "model.toml", "late.csv", *score, *late)
+    untold = command("estimate", "model.toml", "late.csv", *score)
+    assert "Positions are read 10 ms late." in told["design"]
+    assert told["velocity_rmse"][0] < 0.1 * untold["velocity_rmse"][0]
 
 
 def test_the_installed_command_runs():

@@ -99,13 +99,13 @@ def test_a_file_gives_everything(tmp_path):
     assert file.model.parameters["mass"].value.tolist() == [1.0, 2.0]
     assert file.columns == Columns("time", ("a", "b"), ("ta", "tb"), ("wa", "wb"), ("va", "vb"))
     assert file.measurement_std == pytest.approx(0.12 / math.sqrt(12))
-    assert file[4:] == (3.0, 0.002, 50.0, 0.1, 0.5, 0.01, 0.03, 3, 0.12)
+    assert file[4:] == (3.0, 0.002, 50.0, 0.1, 0.5, 0.01, 0.03, 3, 0.0, 0.0, "held", 0.12)
 
 
 def test_what_a_file_leaves_out_has_a_default(tmp_path):
     file = load(written(tmp_path, 'system = "ball_and_beam"'))
     assert file.columns == Columns("t", ("r", "theta"), ("u1",))
-    assert file[3:] == (None,) * 5 + (math.sqrt(0.5), 0.0, 0.03, 3, None)
+    assert file[3:] == (None,) * 5 + (math.sqrt(0.5), 0.0, 0.03, 3, 0.0, 0.0, "held", None)
     assert load("ball_and_beam")._replace(name="m", model=file.model) == file
 
 
@@ -245,6 +245,14 @@ def test_overrides_come_last(tmp_path):
     assert load("oscillator", ['system="ball_and_beam"']).columns.q == ("r", "theta")
 
 
+def test_what_differs_between_coordinates_is_a_list(tmp_path):
+    overrides = ("measurement.std=[3e-4, 4e-4]", "measurement.delay=[0, 0.005]", "inputs.delay=0.002")
+    file = load(written(tmp_path, WHOLE), (*overrides, "inputs.between='linear'"))
+    assert (file.measurement_std, file.delay) == ((3e-4, 4e-4), (0.0, 0.005))
+    assert file.typical_std == pytest.approx(2.5e-4 * 2**0.5)
+    assert (file.input_delay, file.input_between) == (0.002, "linear")
+
+
 def test_a_module_gives_a_model(folder):
     assert load("my_models:spring").columns == Columns("t", ("q",), ("u1",))
     assert load("my_models:chain").columns.q == ("q1", "q2", "q3")
@@ -343,6 +351,13 @@ def test_refuses_text_that_is_not_utf8(tmp_path):
         ("columns.t=['t']", "columns.t must be the name of a column; got ['t']"),
         ("inputs.lag=-1.0", "inputs.lag must be a number ≥ 0; got -1.0"),
         ("measurement.std=0.0", "measurement.std must be a positive number; got 0.0"),
+        ("measurement.std=[0.1, 0.0]", "measurement.std must be a positive number; got 0.0"),
+        ("measurement.delay=[0.0, 0.1, 0.2]", "measurement.delay lists 3 numbers; give 2, or one number without"),
+        ("measurement.delay=[0.0, -0.1]", "measurement.delay must be a number ≥ 0; got -0.1"),
+        ("measurement.delay='late'", "measurement.delay must be a number ≥ 0; got 'late'"),
+        ("measurement.quantum=[0.1, 0.1]", "measurement.quantum must be a positive number; got [0.1, 0.1]"),
+        ("inputs.delay=-1.0", "inputs.delay must be a number ≥ 0; got -1.0"),
+        ("inputs.between='spline'", "inputs.between must be one of 'held', 'linear'; got 'spline'"),
         ("design.damping=inf", "design.damping must be a positive number; got inf"),
         ("design.damping=true", "design.damping must be a positive number; got True"),
         ("design.damping='high'", "design.damping must be a positive number; got 'high'"),

@@ -10,7 +10,7 @@ import numpy as np
 
 from covariant._files import write_atomically
 from covariant.cli._console import stages
-from covariant.cli._job import Job, Loaded, check_output, coordinates, data_sheet, load, velocity_columns
+from covariant.cli._job import Job, Loaded, as_read, check_output, coordinates, data_sheet, load, velocity_columns
 from covariant.cli._pages import write_report
 from covariant.cli._results import Outcome, drive, report_arrays, summary
 from covariant.design import Trial, observer_gains, tuned_estimators
@@ -31,7 +31,7 @@ def compare(job: Job, out: Path | None, report: Path | None, as_json: bool) -> N
     loaded = load(job)
     sheet = data_sheet(loaded.file)
     trial = first_part(loaded)
-    observers = tuned_estimators(loaded.model, loaded.file.dimension, sheet, loaded.rate, trial)
+    observers = as_read(tuned_estimators(loaded.model, loaded.file.dimension, sheet, loaded.rate, trial), loaded)
     outcomes: dict[str, Outcome] = {}
     with stages("comparing", len(observers), quiet=as_json) as begin:
         for name, observer in observers.items():

@@ -9,7 +9,7 @@ import numpy as np
 
 from covariant import logs
 from covariant.cli._console import note, working
-from covariant.cli._job import Job, Loaded, check_output, data_sheet, load, numbered, velocity_columns
+from covariant.cli._job import Job, Loaded, as_read, check_output, data_sheet, load, numbered, velocity_columns
 from covariant.cli._pages import write_report
 from covariant.cli._results import Outcome, drive, report_arrays, rounded, summary
 from covariant.design import ESTIMATORS, estimators, observer_gains, tuned_estimators, with_gains
@@ -69,11 +69,11 @@ def _choose(
         made = with_gains(model, alpha, beta)
         if observer not in made:
             raise ValueError(f"--alpha and --beta do not apply to {observer}; they do to {', '.join(made)}")
-        return made[observer], (f"Given gains: alpha = {alpha:g} 1/s, beta = {beta:g} 1/s².",)
+        return as_read(made, loaded)[observer], (f"Given gains: alpha = {alpha:g} 1/s, beta = {beta:g} 1/s².",)
     sheet = data_sheet(loaded.file)
     designed = observer_gains(sheet, loaded.rate).summary
     made = tuned_estimators(model, loaded.file.dimension, sheet, loaded.rate, names=(observer,))
-    return made[observer], (f"Designed {designed}.{loaded.note}",)
+    return as_read(made, loaded)[observer], (f"Designed {designed}.{loaded.note}",)
 
 
 def columns(loaded: Loaded, outcome: Outcome) -> dict[str, np.ndarray]:

@@ -8,7 +8,8 @@ import numpy as np
 from covariant import logs, models, scoring
 from covariant.design import DataSheet
 from covariant.models import MechanicalSystem
-from covariant.signals import Record, lag_inputs
+from covariant.observers import REGISTRY, AbstractObserver, Delayed
+from covariant.signals import Record, acting_inputs, lag_inputs
 
 FEWEST_MOVES = 50
 """Changes of positions from which it is told whether the log's ticks are coarser than those of the model file."""
@@ -54,7 +55,7 @@ def load(job: Job) -> Loaded:
     _check_columns(job, file, columns)
     file = file._replace(columns=columns)
     log = logs.read(job.log, columns, job.every, job.until)
-    record = lag_inputs(log.record, file.input_lag)
+    record = acting_inputs(lag_inputs(log.record, file.input_lag), file.input_between, file.input_delay)
     t, y = np.asarray(record.t), np.asarray(record.y)
     if model.manifold.commuting:
         measured = y[np.isfinite(y).all(axis=1)]
@@ -66,7 +67,33 @@ def load(job: Job) -> Loaded:
     full = logs.read(job.log, columns._replace(u=(), v=())) if job.every > 1 or job.until else log
     reference, label = _reference(file, log, full)
     rate = 1 / float(np.median(np.diff(t)))
-    return Loaded(file, model, log, record, rate, reference, label, scoring.scored_window(t), note)
+    return Loaded(file, model, log, record, rate, reference, label, scoring.scored_window(t), note + _told(file))
+
+
+def as_read(observers: dict[str, AbstractObserver], loaded: Loaded) -> dict[str, AbstractObserver]:
+    """The observers by name, those that know the model told how late the log's positions are.
+
+    Filters without a model take what they read for now: as in a drive, their velocities are late by the same time.
+    """
+    longest = float(np.max(loaded.file.delay))
+    if longest == 0:
+        return observers
+    t = np.asarray(loaded.record.t)
+    within = np.searchsorted(t, t + longest, side="right") - np.arange(len(t))
+    rate = float(within.max()) / longest
+    informed = {entry.name for entry in REGISTRY if entry.knows_model}
+    return {
+        name: Delayed(observer, loaded.file.delay, rate) if name in informed else observer
+        for name, observer in observers.items()
+    }
+
+
+def _told(file: models.ModelFile) -> str:
+    """A sentence that says how late positions are, where they are."""
+    delays = np.atleast_1d(np.asarray(file.delay, float))
+    if not delays.any():
+        return ""
+    return f" Positions are read {', '.join(f'{1e3 * delay:g}' for delay in delays)} ms late."
 
 
 def _in_ticks(file: models.ModelFile, y: np.ndarray) -> tuple[models.ModelFile, str]:
@@ -129,7 +156,8 @@ def _check_columns(job: Job, file: models.ModelFile, columns: logs.Columns) -> N
 
 
 def _reference(file: models.ModelFile, log: logs.Log, full: logs.Log) -> tuple[np.ndarray, str]:
-    """True velocities (T, n) where the log has them, else slopes of the positions in the whole log; and a label."""
+    """True velocities (T, n) where the log has them, else slopes of the positions in the whole log, each at the time at
+    which it was true; and a label."""
     if log.truth is not None:
         return log.truth, "true velocity"
     t, y, at = np.asarray(full.record.t), np.asarray(full.record.y), np.asarray(log.record.t)
@@ -137,8 +165,14 @@ def _reference(file: models.ModelFile, log: logs.Log, full: logs.Log) -> tuple[n
     if np.isfinite(y).sum(axis=0).min() < order + 3:
         return np.full((len(at), file.dimension), np.nan), "velocity, unknown in so short a log"
     if file.model.manifold.commuting:
-        unwrapped = scoring.unwrap(y, file.model.circles)
-        return scoring.zero_phase_velocity(t, unwrapped, at, half, order), "zero-phase reference"
+        columns = scoring.unwrap(y, file.model.circles).T
+        delays = np.broadcast_to(np.asarray(file.delay, float), len(columns))
+        slopes = [
+            scoring.zero_phase_velocity(t - delay, column[:, None], at, half, order)
+            for column, delay in zip(columns, delays, strict=True)
+        ]
+        return np.concatenate(slopes, axis=1), "zero-phase reference"
+    t = t - np.max(file.delay)
     twists = [
         scoring.zero_phase_twist(t, g, at, half, order, body.space)
         for body, g in zip(logs.bodies(file.columns), logs.matrices(file.columns, y), strict=True)
@@ -163,14 +197,15 @@ def check_output(path: Path | None, *suffixes: str, log: Path | None = None) -> 
 
 def data_sheet(file: models.ModelFile) -> DataSheet:
     """The data sheet for a design; raises `ValueError` naming a number that is missing."""
-    for value, key in ((file.measurement_std, "measurement.std"), (file.acceleration_std, "uncertainty.acceleration")):
+    for value, key in ((file.typical_std, "measurement.std"), (file.acceleration_std, "uncertainty.acceleration")):
         if value is None:
             raise ValueError(
                 f"{file.name}: gains need {key}; put it in the model file, or give --set {key}=NUMBER"
                 " (or, for estimate, --alpha and --beta)"
             )
     known = {
-        "measurement_std": file.measurement_std,
+        "measurement_std": file.typical_std,
+        "coordinate_stds": file.measurement_std if isinstance(file.measurement_std, tuple) else None,
         "quantum": file.quantum,
         "acceleration_std": file.acceleration_std,
         "correlation_time": file.correlation_time,

@@ -15,6 +15,9 @@ from covariant.cli._job import check_output, velocity_columns
 from covariant.models import Motion
 from covariant.signals import Record
 
+DIGITS = 12
+"""Decimals of a time [s] in a log: times that agree in all of them are one, whatever they were computed from."""
+
 
 class Scenario(NamedTuple):
     """The options of the command, as the user gave them."""
@@ -42,17 +45,25 @@ def simulate(model: str, overrides: tuple[str, ...], out: Path, scenario: Scenar
     sensor = simulation.Sensor(scenario.rate, scenario.noise, scenario.quantum, scenario.jitter, scenario.dropout)
     if sensor.quantum and not file.model.manifold.commuting:
         raise ValueError(f"--quantum: encoders step in coordinates, and {model} is on a group; use --noise")
-    t = simulation.stamps(sensor, scenario.duration, scenario.seed)
+    # The log begins when its latest reading tells of the start.
+    delays = np.atleast_1d(np.asarray(file.delay, float))
+    t = simulation.stamps(sensor, scenario.duration, scenario.seed) + delays.max()
+    told_of = np.round([t, *(t - delay for delay in delays)], DIGITS)
+    times, rows = np.unique(told_of, return_inverse=True)
+    rows = rows.reshape(told_of.shape)
     pace = 2 * jnp.pi * scenario.frequency * (1 + 0.37 * jnp.arange(m, dtype=float))  # no two inputs in step
 
     def input_at(s, x):
         return amplitude * jnp.sin(pace * s)
 
     with working("simulating", quiet=as_json):
-        record = simulation.simulate(file.model, x0, jnp.asarray(t), input_at)
+        record = simulation.simulate(file.model, x0, jnp.asarray(times), input_at)
     if not all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(record.x)):
         raise ValueError(f"{model}: the motion leaves the finite numbers; check initial state and inputs")
-    columns = {names.t: t} | logs.to_columns(names, _sense(file.model, sensor, np.asarray(record.y), scenario.seed))
+    y = np.asarray(record.y)
+    read = y[rows[1]] if len(delays) == 1 else np.stack([y[row, i] for i, row in enumerate(rows[1:])], axis=1)
+    columns = {names.t: t} | logs.to_columns(names, _sense(file.model, sensor, read, scenario.seed))
+    record = jax.tree.map(lambda leaf: leaf[rows[0]], record)
     columns |= dict(zip(names.u, np.asarray(record.u).T, strict=True))
     configuration, hidden = _truth(file, names, record)
     columns |= {f"true_{name}": column for name, column in (configuration | hidden).items()}

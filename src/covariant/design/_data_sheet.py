@@ -16,6 +16,8 @@ class DataSheet(NamedTuple):
       does not explain; None for one that is independent at each sample.
     - `motion_std`, `motion_time`: the same of the acceleration of the motion itself, for filters that use no model.
     - `damping`: damping ratio ζ of the observers.
+    - `coordinate_stds`: standard deviations of the noise of each coordinate, where they differ; `measurement_std` is
+      then their root mean square, for designs that know one number only.
     - `quantum`: one tick of the encoders, where that is what makes the noise; `measurement_std` then is this over √12.
     """
 
@@ -26,6 +28,7 @@ class DataSheet(NamedTuple):
     motion_time: float = 0.1
     damping: float = 0.5**0.5
     quantum: float | None = None
+    coordinate_stds: tuple[float, ...] | None = None
 
 
 class Trial(NamedTuple):

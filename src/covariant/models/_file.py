@@ -24,13 +24,16 @@ class ModelFile(NamedTuple):
 
     - `columns`: columns of a log; empty `q` and `u` stand for the model's coordinates and for u1, u2, …. Where the
       model is a `StateSpace`, `q` are its outputs.
-    - `measurement_std`: standard deviation of a measured position [its unit]; on a group that of each component of
-      `log(g⁻¹ y)`, the error as seen from the body [rad, and m where there is a position].
+    - `measurement_std`: standard deviation of a measured position [its unit], or one for each coordinate; on a group
+      that of each component of `log(g⁻¹ y)`, the error as seen from the body [rad, and m where there is a position].
+    - `delay` [s]: a position read at the stamp t was true at t − delay; or one for each coordinate.
     - `acceleration_std`, `correlation_time`: standard deviation [unit/s²] and correlation time [s] of the acceleration
       that the model does not explain.
     - `motion_std`, `motion_time`: the same of the acceleration of the motion itself, for filters that use no model.
     - `damping`: damping ratio of the error.
     - `input_lag`: time constant of the first-order lag between logged input and force [s].
+    - `input_delay` [s]: how long after its stamp an input acts; `input_between`: whether it is "held" from one stamp to
+      the next, or "linear" between them.
     - `reference_half` [s], `reference_order`: half width of the windows, and degree, of the local polynomials that
       give the reference velocity for scoring.
     - `quantum`: one tick of the encoders [unit of the coordinates], where the model file gives that and not a standard
@@ -40,7 +43,7 @@ class ModelFile(NamedTuple):
     name: str
     model: Model
     columns: Columns = Columns()
-    measurement_std: float | None = None
+    measurement_std: float | tuple[float, ...] | None = None
     acceleration_std: float | None = None
     correlation_time: float | None = None
     motion_std: float | None = None
@@ -49,7 +52,16 @@ class ModelFile(NamedTuple):
     input_lag: float = 0.0
     reference_half: float = 0.03
     reference_order: float = 3
+    delay: float | tuple[float, ...] = 0.0
+    input_delay: float = 0.0
+    input_between: str = "held"
     quantum: float | None = None
+
+    @property
+    def typical_std(self) -> float | None:
+        """`measurement_std` where it is one number, else the root mean square of those of the coordinates."""
+        given = self.measurement_std
+        return math.hypot(*given) / math.sqrt(len(given)) if isinstance(given, tuple) else given
 
     @property
     def dimension(self) -> int:
@@ -97,7 +109,8 @@ def load(spec: str, overrides: Sequence[str] = ()) -> ModelFile:
         if loaded.mechanical and model.manifold.commuting:
             check_metric(model, _points(len(columns.q)))
         name = Path(spec).stem if _is_file(spec) else loaded.name
-        return loaded._replace(name=name, columns=columns, **_toml.numbers(document))
+        count = len(columns.q) if model.manifold.commuting else 1
+        return loaded._replace(name=name, columns=columns, **_toml.numbers(document, count))
     except ValueError as error:
         raise ModelError(f"{spec}: {_source.first_line(error)}") from error
 

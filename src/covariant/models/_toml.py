@@ -11,7 +11,9 @@ from covariant.logs import ATTITUDES, Columns
 
 NUMBERS = {
     ("inputs", "lag"): ("input_lag", 1.0),
+    ("inputs", "delay"): ("input_delay", 1.0),
     ("measurement", "std"): ("measurement_std", 1.0),
+    ("measurement", "delay"): ("delay", 1.0),
     ("measurement", "quantum"): ("quantum", 1.0),
     ("uncertainty", "acceleration"): ("acceleration_std", 1.0),
     ("uncertainty", "correlation_time"): ("correlation_time", 1.0),
@@ -23,13 +25,19 @@ NUMBERS = {
 }
 """Table and key of each number, with the field of `ModelFile` it fills and the factor that converts it."""
 
+WORDS = {("inputs", "between"): ("input_between", ("held", "linear"))}
+"""Table and key of each word, with the field of `ModelFile` it fills and the words that it may be."""
+
 _KEYS = {"columns": Columns._fields} | {
-    table: tuple(key for other, key in NUMBERS if other == table) for table in dict.fromkeys(t for t, _ in NUMBERS)
+    table: tuple(key for other, key in (*NUMBERS, *WORDS) if other == table)
+    for table in dict.fromkeys(table for table, _ in NUMBERS)
 }
 _QUOTED = re.compile(r"""\"(?:[^"\\\\]|\\\\.)*\"|'[^']*'""")
 _ODD_NUMBER = re.compile(r"(?<![\w-])[+-]?(?:0[xob]\w|[0-9.]+_)")
 """TOML allows underscores and hexadecimal numbers; on a command line these are more likely typing errors."""
-_MAY_BE_ZERO = {("inputs", "lag")}
+_MAY_BE_ZERO = {("inputs", "lag"), ("inputs", "delay"), ("measurement", "delay")}
+_MAY_BE_LISTS = {("measurement", "std"), ("measurement", "delay")}
+"""Numbers of which there may be one for each coordinate."""
 _RIVALS = {"measurement.std": ("quantum",), "measurement.quantum": ("std",)} | {
     f"columns.{kind}": tuple(other for other in ATTITUDES if other != kind) for kind in ATTITUDES
 }
@@ -108,16 +116,46 @@ def columns(document: dict[str, Any]) -> dict[str, Any]:
     return {key: value if key == "t" else tuple(value) for key, value in given.items()}
 
 
-def numbers(document: dict[str, Any]) -> dict[str, float]:
-    """The numbers that the document gives, by field of `ModelFile`; raises `ValueError` for an invalid one."""
+def numbers(document: dict[str, Any], count: int) -> dict[str, Any]:
+    """The numbers and words that the document gives, by field of `ModelFile`; raises `ValueError` for an invalid one.
+
+    A number for each coordinate is a tuple of `count` numbers; `count` is 1 where the model is on a group.
+    """
     if {"std", "quantum"} <= document.get("measurement", {}).keys():
         raise ValueError("[measurement] has both std and quantum; keep one (std = quantum / sqrt(12))")
     given = {(table, key): document[table][key] for table, key in NUMBERS if key in document.get(table, {})}
-    for (table, key), value in given.items():
-        least = 0.0 if (table, key) in _MAY_BE_ZERO else math.ulp(0.0)
-        if isinstance(value, bool) or not isinstance(value, int | float) or not least <= value < math.inf:
-            raise ValueError(f"{table}.{key} must be a {'positive number' if least else 'number ≥ 0'}; got {value!r}")
-    found = {NUMBERS[where][0]: value * NUMBERS[where][1] for where, value in given.items()}
+    found: dict[str, Any] = {}
+    for where, value in given.items():
+        field, factor = NUMBERS[where]
+        each = _numbers(where, value, count) if isinstance(value, list) else (_number(where, value),)
+        scaled = tuple(number * factor for number in each)
+        found[field] = scaled if isinstance(value, list) else scaled[0]
     if "quantum" in found:
         found["measurement_std"] = found["quantum"] / math.sqrt(12)  # an error uniform over one step
+    return found | _words(document)
+
+
+def _number(where: tuple[str, str], value: Any) -> float | int:
+    least = 0.0 if where in _MAY_BE_ZERO else math.ulp(0.0)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not least <= value < math.inf:
+        raise ValueError(f"{'.'.join(where)} must be a {'positive number' if least else 'number ≥ 0'}; got {value!r}")
+    return value
+
+
+def _numbers(where: tuple[str, str], values: list[Any], count: int) -> tuple[float | int, ...]:
+    if where not in _MAY_BE_LISTS:
+        _number(where, values)
+    if len(values) != count:
+        raise ValueError(f"{'.'.join(where)} lists {len(values)} numbers; give {count}, or one number without brackets")
+    return tuple(_number(where, value) for value in values)
+
+
+def _words(document: dict[str, Any]) -> dict[str, str]:
+    found = {}
+    for (table, key), (field, known) in WORDS.items():
+        if key in document.get(table, {}):
+            word = document[table][key]
+            if word not in known:
+                raise ValueError(f"{table}.{key} must be one of {', '.join(map(repr, known))}; got {word!r}")
+            found[field] = word
     return found

@@ -2,6 +2,7 @@
 
 from covariant.observers._contracting import Contracting, ContractingState, craft_observer
 from covariant.observers._copy import Copy
+from covariant.observers._delayed import Delayed, DelayedState
 from covariant.observers._ekf import EKF, EKFInfo, EKFState
 from covariant.observers._filtered_derivative import FilteredDerivative, FilteredState
 from covariant.observers._gate import Gate
@@ -51,6 +52,8 @@ __all__ = [
     "Contracting",
     "ContractingState",
     "Copy",
+    "Delayed",
+    "DelayedState",
     "EKFInfo",
     "EKFState",
     "Entry",

@@ -86,6 +86,11 @@ class Entry(NamedTuple):
     fits: Callable[[MechanicalSystem], bool] = anything
     promises: tuple[Literal["error law", "coordinate-free"], ...] = ()
 
+    @property
+    def knows_model(self) -> bool:
+        """Whether the observer predicts with the model, and not from the positions alone."""
+        return self.tuned_by in ("gains", "noise", "noise or ticks")
+
 
 REGISTRY = (
     Entry(

@@ -1,0 +1,244 @@
+"""Readings that are late: the estimate is that of the filter that got each reading at the time at which it was true."""
+
+from pathlib import Path
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from covariant.cli._job import Job, Loaded, as_read, data_sheet, load
+from covariant.design import tuned_estimators
+from covariant.models import MechanicalSystem, Motion, free_body, pendulum_chain
+from covariant.observers import EKF, Delayed, Intrinsic, IntrinsicKalman, run
+from covariant.scoring import rmse
+from covariant.signals import Record, Result
+from covariant.simulation import hold, simulate
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+CHAIN = pendulum_chain((0.6, 0.4), (0.3, 0.25), com=(0.16, 0.14), inertia=(0.005, 0.0026), viscous=(0.012, 0.008))
+FILTER = IntrinsicKalman(CHAIN, 0.1 * jnp.eye(2), 1e-8 * jnp.eye(2), 4.0 * jnp.eye(2), substeps=1)
+WAITING = 12
+"""Length of all buffers, so that one program serves all delays."""
+
+
+def delayed(observer, delay, lateness=0.0):
+    return Delayed(observer, delay, (WAITING - 1) / (np.max(delay) + lateness), lateness)
+
+
+def swing(delays, seed=0, rows=60) -> Record:
+    """A double pendulum under inputs held between irregular stamps, each joint read late; its state at the stamps."""
+    random = np.random.default_rng(seed)
+    t = 1.0 + np.cumsum(random.uniform(0.002, 0.008, rows))
+    u = random.normal(0, 0.4, (rows, 2))
+    times = np.unique([t - d for d in (0.0, 0.003, 0.005, 0.008, 0.1)])  # one program for all delays
+    x = np.asarray(
+        simulate(CHAIN, jnp.array([0.5, -0.4, 1.0, 2.0]), jnp.asarray(times), hold(jnp.asarray(t), jnp.asarray(u))).x
+    )
+    y = np.stack([x[np.searchsorted(times, t - d), i] for i, d in enumerate(delays)], axis=1)
+    y += random.normal(0, 1e-4, y.shape)
+    y[rows // 3, 1] = np.nan
+    return Record(t, u, y, x[np.searchsorted(times, t)])
+
+
+@pytest.fixture(scope="module")
+def step():
+    """One compiled step, for observers and filters alike."""
+    return eqx.filter_jit(lambda observer, state, u, y, dt: observer.step(state, u, y, dt))
+
+
+@pytest.fixture(scope="module")
+def late():
+    return eqx.filter_jit(lambda observer, state, y, t: observer.late(state, y, t))
+
+
+def along(step, observer, record, held_back=()):
+    """The states after every row; the rows `held_back` arrive empty."""
+    state = observer.init(jnp.asarray(record.y[0]), record.t[0])
+    states, infos = [state], []
+    for k in range(1, len(record.t)):
+        y = np.where(k in held_back, np.nan, record.y[k])
+        state, info = step(observer, state, record.u[k - 1], y, record.t[k] - record.t[k - 1])
+        states.append(state)
+        infos.append(info)
+    return states, infos
+
+
+def oracle(step, record, delays, k):
+    """The filter's state at the stamp k, from all readings up to it, sorted by hand; the mean input acts between."""
+    t, y = record.t, record.y
+    taken = np.concatenate([[0.0], np.cumsum(np.diff(t))])[:, None]
+    whole = np.concatenate([np.zeros((1, 2)), np.cumsum(record.u[:-1] * np.diff(taken, axis=0), axis=0)])
+
+    def gathered(s):
+        return [np.interp(s, t, column) for column in whole.T] + record.u[0] * min(s - t[0], 0.0)
+
+    events = sorted((t[j] - d, i, y[j, i]) for j in range(1, k + 1) for i, d in enumerate(delays))
+    now = t[0] - max(delays)
+    state = FILTER.init(jnp.asarray(y[0]), now)
+    for at, i, value in events:
+        reading = np.full(2, np.nan)
+        reading[i] = value
+        state, _ = step(FILTER, state, (gathered(at) - gathered(now)) / (at - now), reading, at - now)
+        now = at
+    for j in range(1, k + 1):
+        if t[j] > now:
+            state, _ = step(FILTER, state, record.u[j - 1], np.full(2, np.nan), t[j] - now)
+            now = t[j]
+    return state
+
+
+@pytest.mark.parametrize("delays", [(0.0, 0.005), (0.003, 0.008)])
+def test_every_reading_counts_at_the_time_at_which_it_was_true(step, delays):
+    record = swing(delays)
+    states, infos = along(step, delayed(FILTER, delays), record)
+    for k in (1, 2, 30, 59):
+        truth, found = oracle(step, record, delays, k), states[k].now
+        np.testing.assert_allclose(found.q, truth.q, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(found.v, truth.v, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(found.root @ found.root.T, truth.root @ truth.root.T, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(found.t, record.t[k], rtol=1e-12)
+    error = np.abs([state.now.v - x[2:] for state, x in zip(states, record.x, strict=True)])[20:].max()
+    untold = np.abs([state.v - x[2:] for state, x in zip(along(step, FILTER, record)[0], record.x, strict=True)])[20:]
+    assert error < 0.08 < 0.2 < untold.max()
+    codes = [int(info.result) for info in infos]
+    assert [k + 1 for k, code in enumerate(codes) if code != Result.OK] == [20]
+    assert codes[19] == Result.COASTED
+    np.testing.assert_allclose(infos[40].velocity_std, FILTER.velocity_std(states[41].now), rtol=1e-12)
+    assert np.abs([info.innovation for info in infos[20:]]).max() < 2e-3
+
+
+def test_a_sample_that_comes_after_later_ones_counts_as_in_order(step, late):
+    delays = (0.0, 0.005)
+    kalman = EKF(CHAIN, 0.1 * jnp.eye(2), 1e-8 * jnp.eye(2), substeps=1)
+    record, observer = swing(delays), delayed(kalman, delays, 0.02)
+    straight = along(step, observer, record)[0][-1]
+    gaps, _ = along(step, observer, record, held_back=(57, 58))
+    state, info = late(observer, gaps[-1], record.y[58], record.t[58])
+    state, info = late(observer, state, record.y[57], record.t[57])
+    assert info.result == Result.OK
+    for found, true in ((state.now.q, straight.now.q), (state.now.v, straight.now.v)):
+        np.testing.assert_allclose(found, true, rtol=0, atol=1e-9)
+    assert np.abs(gaps[-1].now.v - straight.now.v).max() > 1e-6
+    after, info = late(observer, state, record.y[40], record.t[40])
+    assert info.result == Result.TOO_LATE
+    np.testing.assert_array_equal(after.now.v, state.now.v)
+    assert late(observer, state, record.y[40], record.t[59] + 1.0)[1].result == Result.STEP_REFUSED
+
+
+def test_too_short_a_buffer_says_what_it_leaves_out(step):
+    delays = (0.0, 0.1)
+    observer = delayed(FILTER, delays)  # twelve samples, and in a tenth of a second come twenty
+    results = [int(info.result) for info in along(step, observer, swing(delays))[1]]
+    assert results.count(Result.TOO_LATE) > 30
+
+
+def test_without_delay_it_is_the_observer_itself(pendulum, regular):
+    observer = EKF(pendulum.model, 0.1 * jnp.eye(1), 1e-6 * jnp.eye(1))
+    y = np.sin(regular)[:, None]
+    y[100:104] = np.nan
+    record = Record(regular, np.cos(5 * regular)[:, None], y)
+    plain, wrapped = run(observer, record), run(Delayed(observer, 0.0, 250.0), record)
+    np.testing.assert_array_equal(wrapped.estimate, plain.estimate)
+    np.testing.assert_array_equal(wrapped.info.result, plain.info.result)
+    np.testing.assert_array_equal(wrapped.info.innovation, plain.info.innovation)
+
+
+def test_batches_and_full_turns():
+    """Logs run side by side, one with its angles as they are and one with angles that jump by a turn."""
+    t = 0.005 * np.arange(200)
+    angle = 3.0 + 12.0 * t
+    y = np.stack([angle, np.sin(3 * t)], axis=1)
+    logs = jnp.asarray([y, np.where([True, False], (y + np.pi) % (2 * np.pi) - np.pi, y)])
+    observer = Delayed(Intrinsic(CHAIN, 60.0, 1800.0, substeps=1), (0.012, 0.002), 200.0)
+
+    def last(y):
+        def step(state, y):
+            state, info = observer.step(state, jnp.zeros(2), y, jnp.asarray(0.005))
+            return state, (state.now.v, info.innovation)
+
+        return jax.lax.scan(step, observer.init(y[0]), y[1:])[1]
+
+    v, innovation = eqx.filter_jit(eqx.filter_vmap(last))(logs)
+    np.testing.assert_allclose(v[0], v[1], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(innovation[0], innovation[1], rtol=0, atol=1e-9)
+    alone = eqx.filter_jit(last)(logs[0])
+    np.testing.assert_allclose(v[0], alone[0], rtol=0, atol=1e-12)
+
+
+def test_an_attitude_is_late_as_a_whole(step):
+    """The observer runs behind by the delay; the model predicts from there to the stamp."""
+    model: MechanicalSystem = free_body((1.0, 2.0, 3.5))
+    t = 0.01 * np.arange(120)
+    x = simulate(model, Motion(jnp.eye(3), jnp.array([0.5, 2.0, -1.0])), jnp.asarray(t)).x
+    behind = 3
+    y = np.asarray(x.q)[np.maximum(np.arange(len(t)) - behind, 0)]
+    observer = Intrinsic(model, 30.0, 450.0, substeps=2)
+    none = np.zeros((len(t), 3))
+    found = run(Delayed(observer, behind * 0.01, 100.0), Record(t, none, y)).estimate
+    late = run(observer, Record(t - behind * 0.01, none, y))
+    state = observer.init(late.estimate.q[-1], late.t[-1])._replace(v=late.estimate.v[-1])
+    for _ in range(behind):
+        state, _ = step(observer, state, none[0], np.full((3, 3), np.nan), jnp.asarray(0.01))
+    np.testing.assert_allclose(found.v[-1], state.v, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(found.q[-1], state.q, rtol=0, atol=1e-9)
+    assert np.abs(found.v[60:] - x.v[60:]).max() < 0.01 < 0.05 < np.abs(late.estimate.v[60:] - x.v[60:]).max()
+    with pytest.raises(ValueError, match=r"3 delays do not fit a measurement of shape \(3, 3\)"):
+        Delayed(observer, (0.0, 0.01, 0.0), 100.0).init(jnp.eye(3))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ((-0.1, 100.0), "delay must be a number ≥ 0"),
+        (((0.1, np.nan), 100.0), "delay must be a number ≥ 0"),
+        ((0.1, 0.0), "rate must be a positive number"),
+        ((0.1, 100.0, np.inf), "lateness must be a number ≥ 0"),
+    ],
+)
+def test_names_a_number_that_makes_no_sense(arguments, words):
+    with pytest.raises(ValueError, match=words):
+        Delayed(FILTER, *arguments)
+
+
+def recorded(data_folder, model: str, log: str) -> Loaded:
+    return load(Job(str(EXAMPLES / model), data_folder / log, (), 1, 10.0, {}))
+
+
+def velocity_error(loaded: Loaded, name: str, rows: np.ndarray, y: np.ndarray, delay: tuple[float, ...]) -> float:
+    """The velocity error, as a part of the velocity, of an observer on some rows, which takes y to be so late."""
+    t, u = (np.asarray(a)[rows] for a in loaded.record[:2])
+    told = loaded._replace(file=loaded.file._replace(delay=delay), record=Record(t, u, y[rows]))
+    made = tuned_estimators(loaded.model, 2, data_sheet(loaded.file), 1 / np.median(np.diff(t)), names=(name,))
+    v = np.asarray(loaded.model.motion(run(as_read(made, told)[name], told.record).estimate).v)
+    scored, truth = loaded.scored[rows], loaded.reference[rows]
+    return float(np.linalg.norm(rmse(v[scored], truth[scored]) / np.sqrt(np.mean(truth[scored] ** 2, axis=0))))
+
+
+def test_the_free_pendulum_with_a_late_joint_and_jittered_stamps(data_folder):
+    """The log at 1 kHz, of which every fifth row is read, or one near it; its second joint is five rows late."""
+    loaded = recorded(data_folder, "multiarm_double.toml", "multiarm_pendulum/double.csv")
+    y = np.asarray(loaded.record.y)
+    behind = np.stack([y[:, 0], np.roll(y[:, 1], 5)], axis=1)
+    rows = np.arange(10, len(y) - 5, 5)
+    jittered = rows + np.random.default_rng(1).integers(-2, 3, len(rows))
+    late = (0.0, 0.005)
+    clean = velocity_error(loaded, "intrinsic", rows, y, (0.0, 0.0))
+    told = velocity_error(loaded, "intrinsic", rows, behind, late)
+    assert told < 1.15 * clean
+    assert velocity_error(loaded, "intrinsic", rows, behind, (0.0, 0.0)) > 25 * clean
+    assert velocity_error(loaded, "intrinsic", jittered, y, (0.0, 0.0)) < 1.05 * clean
+    assert velocity_error(loaded, "intrinsic", jittered, behind, late) < 1.05 * told
+
+
+def test_the_driven_pendulum_with_a_late_joint(data_folder):
+    """Its encoders tick, and its stamps jitter as they are."""
+    loaded = recorded(data_folder, "dfki_double_pendulum.toml", "dfki_double_pendulum/A0_sysid_00.csv")
+    t, y, tick = np.asarray(loaded.record.t), np.asarray(loaded.record.y), loaded.file.quantum
+    assert tick is not None
+    behind = np.stack([y[:, 0], np.round(np.interp(t - 0.005, t, y[:, 1]) / tick) * tick], axis=1)
+    rows = np.arange(len(t))
+    clean = velocity_error(loaded, "ekf", rows, y, (0.0, 0.0))
+    assert velocity_error(loaded, "ekf", rows, behind, (0.0, 0.005)) < 1.15 * clean
+    assert velocity_error(loaded, "ekf", rows, behind, (0.0, 0.0)) > 2.4 * clean
