@@ -17,6 +17,8 @@ class DataSheet(NamedTuple):
     - `motion_std`, `motion_time`: the same of the acceleration of the motion itself, for filters that use no model.
     - `damping`: damping ratio ζ of the observers.
     - `quantum`: one tick of the encoders, where that is what makes the noise; `measurement_std` then is this over √12.
+    - `external_force`: standard deviation of what a force that the model does not know changes by in a second [N or
+      N m]; None where no such force is estimated.
     """
 
     measurement_std: float
@@ -26,6 +28,7 @@ class DataSheet(NamedTuple):
     motion_time: float = 0.1
     damping: float = 0.5**0.5
     quantum: float | None = None
+    external_force: float | None = None
 
 
 class Trial(NamedTuple):

@@ -35,6 +35,8 @@ class ModelFile(NamedTuple):
       give the reference velocity for scoring.
     - `quantum`: one tick of the encoders [unit of the coordinates], where the model file gives that and not a standard
       deviation.
+    - `external_force`: standard deviation of what a force that the model does not know changes by in a second [N or
+      N m], for a filter that estimates it.
     """
 
     name: str
@@ -50,6 +52,7 @@ class ModelFile(NamedTuple):
     reference_half: float = 0.03
     reference_order: float = 3
     quantum: float | None = None
+    external_force: float | None = None
 
     @property
     def dimension(self) -> int:
