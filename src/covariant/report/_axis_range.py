@@ -64,10 +64,13 @@ def axis_range(quantity: Quantity, column: int) -> AxisRange | None:
 
 def _ranges(quantity: Quantity, column: int) -> list[_Range]:
     ranges = []
-    for t, values, label, backdrop in quantity.curves:
-        visible = drawable(values[:, column], quantity.log)
+    for t, values, label, backdrop, below in quantity.curves:
+        values = values[:, column]
+        if below is not None:
+            t, values = np.tile(t, 2), np.concatenate([below[:, column], values])
+        visible = drawable(values, quantity.log)
         if visible.any():
-            y = values[visible, column]
+            y = values[visible]
             y = np.log10(y) if quantity.log else y
             ends = float(y.min()), float(y.max())
             late = y if quantity.log else y[_late(t)[visible]]
