@@ -111,7 +111,8 @@ def _outside(ranges: list[_Range], low: float, high: float, log: bool) -> str:
         return ""
     worst = max(far, key=lambda r: max(low - r.low, r.high - high))
     end = worst.low if low - worst.low > worst.high - high else worst.high
-    more = f", {len(far) - 1} more" if len(far) > 1 else ""
+    others = len({r.label for r in far}) - 1
+    more = f", {others} more" if others else ""
     return f"off scale: {shorten(worst.label, 20)} {_number(10**end if log else end)}{more}"
 
 

@@ -18,6 +18,9 @@ MOST_INTERVALS, FEWEST_INTERVALS = 600, 100
 NUMBERS = 34_000
 """Numbers that all curves of a report may have together, so that its page stays small with many estimators."""
 
+LEAST = 4
+"""Samples of an interval, at least."""
+
 RUNNING = 1 / 60
 """Part of the log over which a running RMS is taken."""
 
@@ -32,12 +35,12 @@ def condensed(found: dict[str, Quantity]) -> dict[str, Quantity]:
     axis, which shows small beside large.
     """
     samples = len(next(iter(found.values())).curves[0].t)
-    whole = sum(2 * len(quantity.curves) * len(quantity.labels) for quantity in found.values())
+    whole = sum(len(quantity.curves) * len(quantity.labels) for quantity in found.values())
     if samples <= min(MOST_SAMPLES, max(FEWEST_INTERVALS, NUMBERS // whole)):
         return found
     found = {name: quantity._replace(curves=_compared(quantity)) for name, quantity in found.items()}
     numbers = sum((2 + len(quantity.curves)) * len(quantity.labels) for quantity in found.values())
-    size = -(-samples // min(MOST_INTERVALS, max(FEWEST_INTERVALS, NUMBERS // numbers)))
+    size = max(LEAST, -(-samples // min(MOST_INTERVALS, max(FEWEST_INTERVALS, NUMBERS // numbers))))
     return {name: _condensed(quantity, size) for name, quantity in found.items()}
 
 
@@ -73,10 +76,10 @@ def _band(curve: Curve, size: int, log: bool) -> Curve:
 def _running_rms(curve: Curve, size: int, run: int, log: bool) -> Curve:
     """The RMS of the samples in `run` intervals around each."""
     values, seen = _intervals(curve.values, size, log)
-    squares, count = np.where(seen, values, 0.0) ** 2, seen
+    squares, count = np.where(seen, values, 0.0) ** 2, seen.astype(float)
     squares, count = (_moving_sum(each.sum(axis=1), run) for each in (squares, count))
     none = ~seen.any(axis=1)
-    rms = np.sqrt(squares / np.where(none, 1, count))
+    rms = np.sqrt(squares / np.where(none, 1.0, count))
     return curve._replace(t=_middles(curve.t, size), values=np.where(none, np.nan, rms))
 
 

@@ -95,8 +95,8 @@ def _notes(report: EstimateReport, found: dict[str, Quantity]) -> str:
     if any(curve.below is not None for quantity in found.values() for curve in quantity.curves):
         notes.append(
             f"The log has {samples} samples. Positions and velocities are drawn as the range from the smallest to the "
-            "largest in short intervals, those of the first estimate only; errors and innovations as their running root "
-            "mean square (RMS)."
+            "largest in short intervals, those of the first estimate only; errors and innovations as their "
+            "running root mean square (RMS)."
         )
     return "<ul>" + "".join(f"<li>{escape(note)}</li>" for note in notes) + "</ul>\n" if notes else ""
 

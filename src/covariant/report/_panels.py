@@ -70,7 +70,7 @@ def quantities(report: EstimateReport) -> dict[str, Quantity]:
         Quantity(
             "distance",
             "Distance to the measurement",
-            ("metric distance",),
+            ("metric distance [√kg m]",),
             estimated(report.distance),
             np.zeros(1),
             deviation=True,

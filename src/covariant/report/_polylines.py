@@ -45,7 +45,7 @@ def polygons(t: Samples, low: Samples, high: Samples) -> Points:
     return (np.concatenate(x), np.concatenate(y)) if x else (t[:0], low[:0])
 
 
-def drawable(values: Samples, log: bool) -> Bool[np.ndarray, "T"]:
+def drawable(values: Float[np.ndarray, "*T"], log: bool) -> Bool[np.ndarray, "*T"]:
     """Which samples can be drawn on a linear or logarithmic axis."""
     least = 1 / _DRAWABLE if log else -_DRAWABLE
     return (values > least) & (values < _DRAWABLE)
