@@ -4,10 +4,11 @@ Its figures and the code that draws them are compressed, and the browser unpacks
 """
 
 import base64
+import functools
 import gzip
 import importlib.resources
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from html import escape
 from pathlib import Path
 
@@ -35,7 +36,7 @@ def write_html(report: EstimateReport, path: str | os.PathLike[str]) -> Path:
 
 
 def _page(report: EstimateReport) -> str:
-    script = optional("plotly.offline").get_plotlyjs()
+    library = _library(optional("plotly.offline").get_plotlyjs)
     found, styled = condensed(quantities(report)), styles(report)
     stacked = [quantity for quantity in found.values() if quantity.name != "distance"]
     figures = [stack(stacked, i, styled) for i in range(len(report.coordinates))]
@@ -66,7 +67,7 @@ script-src 'unsafe-inline'; img-src data: blob:">
 </main>
 <noscript>The figures need JavaScript.</noscript>
 {_packed("figures", f"[{data}]")}
-{_packed("plotly", script)}
+{library}
 <script>
 {asset("page.js")}</script>
 </body>
@@ -80,6 +81,11 @@ def asset(name: str) -> str:
 
 def _section(heading: str, kind: str = "") -> str:
     return f'<section class="{kind}"><h2>{escape(heading)}</h2><div class="figure"></div></section>'
+
+
+@functools.cache
+def _library(source: Callable[[], str]) -> str:
+    return _packed("plotly", source())
 
 
 def _packed(name: str, text: str) -> str:
