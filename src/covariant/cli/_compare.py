@@ -11,7 +11,16 @@ import numpy as np
 
 from covariant._files import write_atomically
 from covariant.cli._console import stages
-from covariant.cli._job import Job, Loaded, Reference, check_output, coordinates, data_sheet, load, velocity_columns
+from covariant.cli._job import (
+    Job,
+    Loaded,
+    ReferenceVelocity,
+    check_output,
+    coordinates,
+    data_sheet,
+    load,
+    velocity_columns,
+)
 from covariant.cli._pages import write_report
 from covariant.cli._results import Outcome, drive, report_arrays, summary
 from covariant.design import Trial, observer_gains, tuned_estimators
@@ -64,7 +73,7 @@ def compare(job: Job, out: Path | None, report: Path | None, as_json: bool) -> N
     print(json.dumps(result) if as_json else _text(result, rows))
 
 
-def first_part(loaded: Loaded, reference: Reference) -> Trial | None:
+def first_part(loaded: Loaded, reference: ReferenceVelocity) -> Trial | None:
     """The first third of the log, at most `LONGEST_TRIAL` rows, with its velocities.
 
     None for a model that is not in coordinates, and for a log too short to tune on.
@@ -80,7 +89,7 @@ def first_part(loaded: Loaded, reference: Reference) -> Trial | None:
     return Trial(t[part], y, reference.v[part])
 
 
-def rank(outcomes: dict[str, Outcome], reference: Reference) -> list[str]:
+def rank(outcomes: dict[str, Outcome], reference: ReferenceVelocity) -> list[str]:
     """Names in order of velocity error, each coordinate relative to the size of its velocities; diverged ones last."""
     scale = np.sqrt(np.mean(reference.v[reference.scored] ** 2, axis=0))
 

@@ -29,7 +29,7 @@ class Job(NamedTuple):
     columns: dict[str, str | None]
 
 
-class Reference(NamedTuple):
+class ReferenceVelocity(NamedTuple):
     """What velocities are scored against: those that it holds (T, n), what it is called, and the rows that count."""
 
     v: np.ndarray
@@ -45,7 +45,7 @@ class Loaded(NamedTuple):
     log: logs.Log
     record: Record
     rate: float
-    reference: Reference | None
+    reference: ReferenceVelocity | None
     note: str = ""
 
 
@@ -74,10 +74,10 @@ def load(job: Job, score: bool = True) -> Loaded:
     file, note = _in_ticks(file, y)
     reference = None
     if log.truth is not None:
-        reference = Reference(log.truth, "true velocity", scoring.scored_window(t))
+        reference = ReferenceVelocity(log.truth, "true velocity", scoring.scored_window(t))
     elif score:
         full = logs.read(job.log, columns._replace(u=(), v=())) if job.every > 1 or job.until else log
-        reference = Reference(*_slopes(file, log, full), scoring.scored_window(t))
+        reference = ReferenceVelocity(*_slopes(file, log, full), scoring.scored_window(t))
     return Loaded(file, model, log, record, 1 / float(np.median(np.diff(t))), reference, note)
 
 

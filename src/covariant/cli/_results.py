@@ -5,9 +5,10 @@ import time
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
-from covariant.cli._job import Loaded, Reference
+from covariant.cli._job import Loaded, ReferenceVelocity
 from covariant.observers import AbstractObserver, run
 from covariant.signals import Result, Run
 
@@ -67,7 +68,7 @@ def known(info: Any, name: str) -> np.ndarray | None:
     return np.asarray(getattr(info, name)) if name in info._fields else None
 
 
-def _score(velocity: np.ndarray, info: Any, reference: Reference) -> Score:
+def _score(velocity: np.ndarray, info: Any, reference: ReferenceVelocity) -> Score:
     off = velocity[reference.scored] - reference.v[reference.scored]
     std = known(info, "velocity_std")
     nees = math.nan if std is None else float(np.mean((off / std[reference.scored]) ** 2))
@@ -79,7 +80,7 @@ def _nis(info: Any, loaded: Loaded) -> float:
     nis = known(info, "nis")
     if nis is None:
         return math.nan
-    measured = ~np.asarray(jax.vmap(loaded.model.manifold.missing)(np.asarray(loaded.record.y)))
+    measured = ~np.asarray(jax.vmap(loaded.model.manifold.missing)(jnp.asarray(loaded.record.y)))
     taken = np.asarray(info.result) < Result.OUTLIER
     taken[0] = False
     count = measured[taken].sum()

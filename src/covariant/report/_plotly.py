@@ -99,13 +99,12 @@ def _traces(curve: Curve, column: int, quantity: Quantity, style: Style, axis: s
     stroke = {"color": style.color, "width": style.width, "dash": dash}
     if curve.below is not None:
         band = curve.t, curve.below[:, column], curve.values[:, column]
-        if curve.backdrop or quantity.deviation:
-            opacity = BACK if curve.backdrop else BAND
-            faint = "rgba({},{},{},{})".format(*bytes.fromhex(style.color[1:]), opacity)
-            look = {"mode": "none", "fill": "toself", "fillcolor": faint, "hoverinfo": "skip", "hovertemplate": None}
-            drawn = [(polygons(*band), look)]
-        else:
-            drawn = [(outline(*band), {"mode": "lines", "line": {**stroke, "width": EDGE * style.width}})]
+        opacity = BACK if curve.backdrop else BAND
+        faint = "rgba({},{},{},{})".format(*bytes.fromhex(style.color[1:]), opacity)
+        fill = {"mode": "none", "fill": "toself", "fillcolor": faint, "hoverinfo": "skip", "hovertemplate": None}
+        edges = {"mode": "lines", "line": {**stroke, "width": EDGE * style.width}}
+        drawn = [(polygons(*band), fill)] if curve.backdrop or quantity.deviation else []
+        drawn += [] if quantity.deviation else [(outline(*band), edges)]
     else:
         line, dots = polyline(curve.t, curve.values[:, column], quantity.log)
         drawn = [

@@ -75,10 +75,9 @@ def _draw(ax: "matplotlib.axes.Axes", quantity: Quantity, column: int, styled: d
         if curve.below is not None:
             low, high = curve.below[:, column], curve.values[:, column]
             if curve.backdrop or quantity.deviation:
-                ax.fill_between(
-                    curve.t, low, high, color=color, alpha=BACK if curve.backdrop else BAND, linewidth=0, zorder=order
-                )
-            else:
+                opacity = BACK if curve.backdrop else BAND
+                ax.fill_between(curve.t, low, high, color=color, alpha=opacity, linewidth=0, zorder=order)
+            if not quantity.deviation:
                 ax.plot(*outline(curve.t, low, high), color=color, linewidth=EDGE * width, zorder=order)
             continue
         line, dots = polyline(curve.t, curve.values[:, column], quantity.log)
