@@ -74,7 +74,7 @@ PUBLIC = {
     "observers": "EKF PLL REGISTRY UKF AbstractFlowObserver AbstractLinearFilter AbstractMechanicalObserver "
     "AbstractObserver Contracting ContractingState Copy Delayed DelayedState EKFInfo EKFState Entry "
     "Estimate FilterInfo FilteredDerivative FilteredState Gate Geodesic GeodesicInfo GeodesicState "
-    "HeldState HighGain Info InformationEKF InformationState Intrinsic IntrinsicKalman JointKalman "
+    "HeldState HighGain Info InformationEKF InformationState Intrinsic IntrinsicKalman JointInfo JointKalman "
     "JointState KalmanInfo KalmanState Levant LoopState MechanicalState PassiveGains PassiveShip "
     "Riccati Salcudean SalcudeanState SavitzkyGolay UKFState WindowState continuous craft_observer "
     "lyapunov_gains lyapunov_rate notch_gains printed_rate run second_order with_fixed_substeps",

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from covariant import scoring
 from covariant.scoring import rmse, scored_window, unwrap, zero_phase_twist, zero_phase_velocity
 
 
@@ -205,3 +206,19 @@ def test_the_reference_in_the_plane(stamps):
     expected = np.stack([4 * np.cos(angle), -4 * np.sin(angle), rate], axis=1)
     np.testing.assert_allclose(found[40:-40], expected[40:-40], atol=0.01)
     np.testing.assert_array_equal(zero_phase_twist(stamps, g[:, :2, :2], stamps, space=2), found[:, 2:])
+
+
+def test_windows_of_an_even_log_are_fitted_once_for_all_columns(monkeypatch):
+    """A long log is scored by a few fits, not by one for each row and column; jittered stamps need one for each row."""
+    fitted = []
+    weights = scoring._weights
+    monkeypatch.setattr(scoring, "_weights", lambda *given: fitted.append(len(given[1])) or weights(*given))
+    t = np.arange(20_000) / 1e3
+    y = np.stack([np.sin(3 * t), np.cos(2 * t)], axis=1)
+    slopes = scoring.zero_phase_velocity(t, y, t)
+    assert sum(fitted) < 100 + len(t) / 500
+    np.testing.assert_allclose(slopes, np.stack([3 * np.cos(3 * t), -2 * np.sin(2 * t)], axis=1), atol=2e-3)
+    fitted.clear()
+    jittered = t[:500] + 1e-5 * np.sin(np.arange(500) ** 2)
+    scoring.zero_phase_velocity(jittered, y[:500], jittered)
+    assert sum(fitted) == 500

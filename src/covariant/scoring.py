@@ -32,7 +32,20 @@ def zero_phase_velocity(
 
     The windows include later samples, so this is for scoring only.
     """
-    return np.stack([_slopes(t, column, at, half, order) for column in np.asarray(y, float).T], axis=1)
+    y = np.asarray(y, float)
+    measured = np.isfinite(y)
+    slopes = np.empty((len(at), y.shape[1]))
+    together: dict[bytes, list[int]] = {}  # columns that are measured in the same rows share their windows
+    for column, rows in enumerate(measured.T):
+        together.setdefault(rows.tobytes(), []).append(column)
+    for columns in together.values():
+        rows = measured[:, columns[0]]
+        seen = y[rows].T[columns]
+        for fit in _fits(t[rows], at, half, order):
+            weights = fit.weights[fit.same, 1]
+            for column, positions in zip(columns, seen, strict=True):
+                slopes[fit.at, column] = np.einsum("kw,kw->k", weights, positions.take(fit.rows))
+    return slopes
 
 
 def zero_phase_twist(
@@ -59,19 +72,13 @@ def zero_phase_twist(
     return np.concatenate([np.einsum("kij,ki->kj", attitude, slopes), turning], axis=1)
 
 
-def _slopes(t, y, at, half, order):
-    t, y = t[np.isfinite(y)], y[np.isfinite(y)]
-    fits = [np.einsum("kw,kw->k", fit.weights[:, 1], y[fit.rows]) for fit in _fits(t, at, half, order)]
-    return np.concatenate(fits)
-
-
 def _turning(t, rotation, at, half, order):
     """Attitudes (K, d, d) and angular velocities in the body frame (K, 3), or (K, 1) in the plane."""
     if rotation.shape[1] == 2:
         angle = np.unwrap(np.arctan2(rotation[:, 1, 0], rotation[:, 0, 0]))
         smooth, rate = np.empty(len(at)), np.empty(len(at))
         for fit in _fits(t, at, half, order):
-            smooth[fit.at], rate[fit.at] = np.einsum("kcw,kw->ck", fit.weights[:, :2], angle[fit.rows])
+            smooth[fit.at], rate[fit.at] = np.einsum("kcw,kw->ck", fit.weights[fit.same, :2], angle[fit.rows])
         c, s = np.cos(smooth), np.sin(smooth)
         return np.moveaxis(np.array(((c, -s), (s, c))), 2, 0), rate[:, None]
     speed = np.linalg.norm(_log(_between(rotation[:-1], rotation[1:])), axis=1) / np.diff(t)
@@ -86,7 +93,7 @@ def _turning(t, rotation, at, half, order):
 
 def _polynomial(fit, base, measured):
     """Offset and slope (2, k, 3) of the rotation vectors from `base` to the measured rotations."""
-    return np.einsum("kcw,kwi->cki", fit.weights[:, :2], _log(_between(base[:, None], measured)))
+    return np.einsum("kcw,kwi->cki", fit.weights[fit.same, :2], _log(_between(base[:, None], measured)))
 
 
 class _Fit(NamedTuple):
@@ -94,49 +101,61 @@ class _Fit(NamedTuple):
 
     - `rows` (k, w): indices of the measurements in each window.
     - `nearest` (k,): index of the measurement nearest to each stamp.
-    - `weights` (k, order + 1, w): weights with which the measurements sum up to the coefficients.
+    - `weights` (j, order + 1, w): weights with which the measurements sum up to the coefficients, for the j windows
+      that differ; `same` (k,): which of these each window is equal to.
     """
 
     at: slice
     rows: Int[NumpyArray, "k w"]
     nearest: Int[NumpyArray, "k"]
-    weights: Float[NumpyArray, "k c w"]
+    weights: Float[NumpyArray, "j c w"]
+    same: Int[NumpyArray, "k"]
 
 
 def _fits(t, at, half, order) -> Iterator[_Fit]:
     order = int(order)
     if len(t) < order + 3:
         raise ValueError(f"a reference of order {order} needs {order + 3} measurements; there are {len(t)}")
-    first = np.searchsorted(t, at - half)
-    last = np.searchsorted(t, at + half, side="right")
+    reach = half * (1 + 1e-9)  # so that no rounding decides on the samples at the ends of a window
+    first, last = np.searchsorted(t, at - reach), np.searchsorted(t, at + reach, side="right")
     few = last - first < order + 3
     first = np.where(few, np.maximum(0, first - order - 3), first)
     last = np.where(few, np.minimum(len(t), last + order + 3), last)
     before = np.clip(np.searchsorted(t, at), 1, len(t) - 1)
     nearest = np.where(at - t[before - 1] < t[before] - at, before - 1, before)
+    kind = _kinds(t, at, first, last, half)
     for start in range(0, len(at), CHUNK):
         part = slice(start, start + CHUNK)
         rows = first[part, None] + np.arange((last - first)[part].max())
-        inside = rows < last[part, None]
-        rows = np.minimum(rows, len(t) - 1)
-        s = np.where(inside, t[rows] - at[part, None], 0.0)
-        half_width = np.maximum(half, np.abs(s).max(axis=1))[:, None]
-        weight = inside * ((1 - np.minimum(np.abs(s) / half_width, 1) ** 3) ** 1.5 + 1e-6)
         # Windows of a log with evenly spaced stamps are equal up to the rounding of the stamps, and are fitted once.
-        each, same = _distinct(np.round(np.column_stack([s / half, inside.sum(1)]), SAME))
-        s, weight, half_width = s[each], weight[each], half_width[each]
-        powers = np.arange(order + 1)
-        basis = (s / half_width)[..., None] ** powers * weight[..., None]
-        solved = np.linalg.pinv(basis, rcond=max(basis.shape[1:]) * np.finfo(float).eps)
-        weights = solved * weight[:, None] / half_width[..., None] ** powers[:, None]
-        yield _Fit(part, rows, nearest[part], weights[same])
+        new = np.append(True, (kind[part][1:] != kind[part][:-1]).any(axis=1))
+        weights = _weights(t, at[part][new], rows[new], last[part][new], half, order)
+        yield _Fit(part, np.minimum(rows, len(t) - 1), nearest[part], weights, np.cumsum(new) - 1)
 
 
-def _distinct(rows):
-    """Indices of the distinct rows of (k, w), and for each row the position of its equal among them."""
-    found: dict[bytes, int] = {}
-    same = np.array([found.setdefault(row.tobytes(), len(found)) for row in rows + 0.0])  # + 0.0 turns −0 into 0
-    return np.unique(same, return_index=True)[1], same
+def _kinds(t, at, first, last, half):
+    """Rows (K, 3) that are equal where windows are: spacing of the stamps, offset of the first, and their number.
+
+    A window whose stamps are not evenly spaced is of a kind of its own.
+    """
+    spacing = np.round(np.diff(t) / half, SAME)
+    changes = np.concatenate([[0], np.cumsum(spacing[1:] != spacing[:-1])])
+    even = changes[first] == changes[last - 2]
+    offset = np.round((t[first] - at) / half, SAME)
+    own = np.column_stack([np.full(len(at), -1.0), np.arange(len(at)), np.zeros(len(at))])
+    return np.where(even[:, None], np.column_stack([spacing[first], offset, last - first]), own)
+
+
+def _weights(t, at, rows, last, half, order):
+    """Weights (j, order + 1, w) of the polynomials at the stamps `at` (j,), fitted to the measurements in `rows`."""
+    inside = rows < last[:, None]
+    s = np.where(inside, t[np.minimum(rows, len(t) - 1)] - at[:, None], 0.0)
+    half_width = np.maximum(half, np.abs(s).max(axis=1))[:, None]
+    weight = inside * ((1 - np.minimum(np.abs(s) / half_width, 1) ** 3) ** 1.5 + 1e-6)
+    powers = np.arange(order + 1)
+    basis = (s / half_width)[..., None] ** powers * weight[..., None]
+    solved = np.linalg.pinv(basis, rcond=max(basis.shape[1:]) * np.finfo(float).eps)
+    return solved * weight[:, None] / half_width[..., None] ** powers[:, None]
 
 
 def _between(a, b):

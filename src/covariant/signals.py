@@ -1,6 +1,7 @@
 """Data that pass between subpackages: a `Record` goes into an observer, a `Run` comes out."""
 
 import enum
+from itertools import accumulate
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -117,11 +118,14 @@ def lag_inputs(record: Record, time_constant: float) -> Record:
     """
     if time_constant == 0:
         return record
-    t, u = np.asarray(record.t), np.array(record.u)
-    keep = np.exp(-np.diff(t) / time_constant)
-    for k in range(1, len(t)):
-        u[k] = keep[k - 1] * u[k - 1] + (1 - keep[k - 1]) * u[k]
-    return record._replace(u=u)
+    keep = np.exp(-np.diff(np.asarray(record.t)) / time_constant).tolist()
+
+    def lagged(column):
+        first, *later = column.tolist()  # Python's own numbers, one by one quicker than NumPy's
+        return list(accumulate(zip(keep, later, strict=True), lambda u, k: k[0] * u + (1 - k[0]) * k[1], initial=first))
+
+    u = np.asarray(record.u, float)
+    return record._replace(u=np.array([lagged(column) for column in u.T]).T.reshape(u.shape))
 
 
 def acting_inputs(record: Record, between: str = "held", delay: float = 0.0) -> Record:

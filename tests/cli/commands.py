@@ -1,6 +1,9 @@
 """Running a command as a machine does."""
 
+import base64
+import gzip
 import json
+import re
 import sys
 
 import pytest
@@ -18,3 +21,9 @@ def command(*arguments: str) -> dict:
             main()
     assert left.value.code in (0, None), printed
     return json.loads(printed[-1])
+
+
+def unpacked(page: str, name: str) -> str:
+    """What a page holds compressed, in base 85 in other letters."""
+    found = re.search(rf'id="{name}" data-bytes="(\d+)">([^<]*)<', page)
+    return gzip.decompress(base64.b85decode(found[2].replace(",", "<"))[: int(found[1])]).decode()

@@ -4,6 +4,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from commands import command
@@ -11,7 +13,9 @@ from commands import command
 from covariant import logs
 from covariant.cli import main
 from covariant.cli._job import _in_ticks
+from covariant.cli._results import KEPT
 from covariant.models import load
+from covariant.observers import EKF, run
 
 MODEL = """
 system = "pendulum_chain"
@@ -159,18 +163,20 @@ def test_turns_in_a_log_do_not_spoil_the_score():
     assert (np.abs(np.diff(wrapped[log.record.t > 1.1])) > 3).any()
     logs.write("turns.csv", {"t": log.record.t, "angle": wrapped, "torque": log.record.u[:, 0]})
     plain, turned = (
-        command("estimate", "model.toml", name, "--observer", "filtered-derivative")
+        command("estimate", "model.toml", name, "--observer", "filtered-derivative", "--score")
         for name in ("log.csv", "turns.csv")
     )
     assert plain["scored_against"] == "zero-phase reference"
+    assert plain["innovation_rms"] == pytest.approx(turned["innovation_rms"], rel=1e-4)
     assert turned["velocity_rmse"] == pytest.approx(plain["velocity_rmse"], rel=1e-4)
 
 
 def test_machines_get_the_documented_keys(estimated):
     assert list(estimated) == [
         *("model", "log", "observer", "rows", "scored_against", "design"),
-        *("velocity_rmse", "innovation_rms", "results", "out", "report"),
+        *("velocity_rmse", "innovation_rms", "nis", "nees", "results", "out", "report"),
     ]
+    assert estimated["nis"] is estimated["nees"] is None  # the observer has no covariance
     missing = np.isnan(logs.read("log.csv", logs.Columns(q=("angle",))).record.y).sum()
     assert estimated["results"] == {"ok": 801 - missing, "coasted": missing}
 
@@ -185,7 +191,7 @@ def test_logged_velocities_are_compared_with_and_never_used(estimated):
 
 def test_some_rows_of_a_log():
     log = logs.read("log.csv", logs.Columns(q=("angle",)), every=4, until=2.0).record
-    result = command("estimate", "model.toml", "log.csv", "--every", "4", "--until", "2", "-o", "some.csv")
+    result = command("estimate", "model.toml", "log.csv", "--every", "4", "--until", "2", "-o", "some.csv", "--score")
     np.testing.assert_array_equal(logs.read("some.csv", READ).record.t, log.t)
     assert result["rows"] == len(log.t) == 101
     assert result["velocity_rmse"][0] < 0.2
@@ -198,7 +204,8 @@ def test_people_get_the_same_in_words(capsys, monkeypatch, estimated):
     out, error = capsys.readouterr()
     assert (left.value.code, error) == (0, "")
     assert estimated["design"] in out
-    assert f"{estimated['velocity_rmse'][0]:.4g}" in out
+    assert f"{estimated['velocity_rmse'][0]:.4g} rad/s" in out
+    assert f"innovation RMS: {estimated['innovation_rms'][0]:.4g} rad" in out
     assert f"{estimated['results']['coasted']} of 801 samples: no measurement" in out
 
 
@@ -216,7 +223,11 @@ def test_compare_ranks_all_estimators():
     model_free = {"filtered-derivative", "pll", "high-gain", "levant", "savitzky-golay", "joint-kalman"}
     assert set(names[-6:]) == model_free
     table = [line.split(",") for line in Path("table.csv").read_text().splitlines()]
-    assert table[0] == ["rank", "estimator", "v1_rmse", "microseconds"]
+    assert table[0] == ["rank", "estimator", "v1_rmse", "nis", "nees", "microseconds"]
+    knows = {row["estimator"] for row in result["ranking"] if row["nis"] is not None}
+    assert knows == {"intrinsic-kalman", "ekf", "ukf", "joint-kalman"}
+    assert {row[1] for row in table[1:] if row[3] and row[4]} == knows
+    assert {row[1] for row in table[1:] if row[3] or row[4]} == knows
     assert [row[:2] for row in table[1:]] == [[str(k), name] for k, name in enumerate(names, start=1)]
     assert [float(row[2]) for row in table[1:]] == pytest.approx(errors, rel=1e-5)
 
@@ -234,6 +245,52 @@ def test_a_late_sensor_is_simulated_and_estimated_from():
     untold = command("estimate", "model.toml", "late.csv", *score)
     assert "Positions are read 10 ms late." in told["design"]
     assert told["velocity_rmse"][0] < 0.1 * untold["velocity_rmse"][0]
+
+
+def test_without_being_asked_nothing_is_scored(monkeypatch, capsys):
+    """The reference costs more than the estimate; so does keeping what no output shows."""
+    monkeypatch.setattr("covariant.scoring.zero_phase_velocity", None)
+    found = command("estimate", "model.toml", "log.csv", "-o", "plain.csv", "--v", "true_v1")
+    assert not {"scored_against", "velocity_rmse", "nees", "logged_velocity_rmse"} & set(found)
+    assert Path("plain.csv").read_bytes() == Path("v.csv").read_bytes()
+    monkeypatch.setattr(sys, "argv", ["covariant", "estimate", "model.toml", "log.csv"])
+    with pytest.raises(SystemExit):
+        main()
+    printed = capsys.readouterr().out
+    assert "RMSE" not in printed
+    assert "innovation RMS: " in printed
+
+
+def test_a_torque_that_nobody_told_is_found_and_leaves_no_bias():
+    """The torque in the log lacks 0.2 N m of what acts: a bias of the velocity, and none where it is estimated."""
+    log = logs.read("log.csv", logs.Columns(q=("angle",), u=("torque",), truth=("true_v1",)))
+    told = {"t": log.record.t, "angle": log.record.y[:, 0], "torque": log.record.u[:, 0] - 0.2}
+    logs.write("untold.csv", told | {"true_v1": log.truth[:, 0]})
+    arguments = ("estimate", "model.toml", "untold.csv", "--truth", "true_v1", "--observer", "intrinsic-kalman")
+    late = log.record.t > 1.0
+    biases = []
+    for name, asked in (("without.csv", ()), ("with.csv", ("--set", "uncertainty.external_force=0.2"))):
+        command(*arguments, *asked, "-o", name)
+        biases.append(abs(np.mean(logs.read(name, READ).truth[late] - log.truth[late])))
+    assert biases[1] < 0.1 * biases[0]
+    assert Path("without.csv").read_text().splitlines()[0] == "t,q1,v1,v1_std"
+    assert Path("with.csv").read_text().splitlines()[0] == "t,q1,v1,v1_std,external_force1,external_force1_std"
+    force = logs.read("with.csv", logs.Columns(q=("external_force1", "external_force1_std"))).record.y
+    assert force[late, 0].mean() == pytest.approx(0.2, rel=0.1)
+    assert np.all(force[late, 1] > 0)
+    assert "intrinsic-kalman does" in command(*arguments[:3], "--set", "uncertainty.external_force=0.2")["design"]
+
+
+def test_a_run_keeps_what_is_asked_for():
+    """What a long log takes in memory: a few numbers a row, and none for what no output shows."""
+    model = load("model.toml").model
+    record = logs.read("log.csv", logs.Columns(q=("angle",), u=("torque",))).record
+    observer = EKF(model, jnp.eye(1), 1e-6 * jnp.eye(1))
+    few, all_of_it = run(observer, record, KEPT), run(observer, record)
+    assert few.info.innovation_cov is None
+    assert sum(leaf.nbytes for leaf in jax.tree.leaves(few)) <= 60 * len(record.t)
+    for name in ("innovation", "nis", "velocity_std", "result"):
+        np.testing.assert_array_equal(getattr(few.info, name), getattr(all_of_it.info, name))
 
 
 def test_the_installed_command_runs():

@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from covariant.report._axis_range import axis_range
+from covariant.report._condensed import MOST_INTERVALS, condensed
 from covariant.report._panels import Curve, Quantity, depths, quantities
-from covariant.report._polylines import LIMIT, polyline, thin
+from covariant.report._polylines import outline, polygons, polyline
 from covariant.report._style import styles
 
 T = np.linspace(0.0, 10.0, 4001)
@@ -20,26 +21,50 @@ def panel(*curves, scale=1.0, **options) -> Quantity:
     return Quantity("panel", "Panel", ("y",), made, np.array([scale]), **options)
 
 
-@given(st.integers(1, 40_000), st.integers(30, 6000), st.integers(0, 99))
-def test_thinning_keeps_extremes_and_gaps(samples, limit, seed):
+@settings(max_examples=20)
+@given(st.integers(2001, 40_000), st.integers(0, 99))
+def test_ranges_keep_extremes_and_long_gaps(samples, seed):
     rng = np.random.default_rng(seed)
     t, y = np.arange(samples, dtype=float), rng.standard_normal(samples)
-    y[rng.integers(0, samples)] = 50.0
-    y[rng.integers(0, samples)] = -50.0
-    gaps = rng.uniform(size=samples) < 1e-3
-    y[gaps] = np.nan
-    thin_t, thin_y = thin(t, y, limit)
-    assert len(thin_t) == len(thin_y) <= max(limit, 3)
-    assert (np.diff(thin_t) > 0).all()
-    assert np.isnan(thin_y).any() == gaps.any()
-    if not gaps.all():
-        assert np.nanmax(thin_y) == np.nanmax(y)
-        assert np.nanmin(thin_y) == np.nanmin(y)
+    y[rng.integers(0, samples // 2, 2)] = 50.0, -60.0
+    y[samples // 2 : samples // 2 + samples // 10] = np.nan
+    long = Quantity("panel", "Panel", ("y",), (Curve(t, y[:, None], "one"),), np.ones(1))
+    (band,) = condensed({"panel": long})["panel"].curves
+    assert len(band.t) == len(band.values) == len(band.below) <= MOST_INTERVALS
+    assert (np.diff(band.t) > 0).all()
+    assert (np.nanmax(band.values), np.nanmin(band.below)) == (np.nanmax(y), np.nanmin(y))
+    assert np.isnan(band.values).any()
+    line, rms = condensed({"panel": long._replace(deviation=True)})["panel"].curves
+    assert line.below is not None
+    assert np.isnan(rms.values).sum() == np.isnan(band.values).sum()
 
 
-def test_short_curves_are_not_thinned():
-    assert thin(T, NOISE)[1] is NOISE
-    assert len(thin(np.arange(1e6), np.zeros(10**6))[0]) <= LIMIT
+def test_running_rms_is_that_of_the_samples_around():
+    """White noise whose level doubles half way: the RMS is its level away from the change and from the ends."""
+    t, level = np.arange(60_000) / 1e3, np.repeat([1.0, 2.0], 30_000)
+    y = level * np.random.default_rng(0).standard_normal(len(t))
+    two = tuple(Curve(t, y[:, None], label) for label in ("one", "two"))
+    found = condensed({"panel": Quantity("panel", "Panel", ("y",), two, np.ones(1), deviation=True)})["panel"]
+    assert found.log  # of several estimates only the RMS is drawn
+    assert found.title == "Panel, RMS over 1 s"
+    for curve in found.curves:
+        expected = np.where(curve.t < 30, 1.0, 2.0)
+        apart = np.abs(curve.t - 30) > 1
+        np.testing.assert_allclose(curve.values[apart, 0], expected[apart], rtol=0.12)
+
+
+def test_short_curves_are_drawn_as_they_are(make):
+    found = quantities(make(2))
+    assert condensed(found) is found
+
+
+def test_bands_are_closed_polygons_with_gaps():
+    t, low = np.arange(5.0), np.array([0.0, 1.0, np.nan, 3.0, 4.0])
+    x, y = polygons(t, low, low + 0.5)
+    np.testing.assert_array_equal(x, [0, 1, 1, 0, 1, 3, 4, 4, 3, 4])
+    np.testing.assert_array_equal(y, [0, 1, 1.5, 0.5, np.nan, 3, 4, 4.5, 3.5, np.nan])
+    assert len(outline(t, low, low)[0]) == 11
+    assert len(polygons(t, low * np.nan, low)[0]) == 0
 
 
 def test_samples_without_neighbours_become_dots():

@@ -64,6 +64,10 @@ def estimate(
     u: Inputs = None,
     v: Velocities = None,
     truth: Truth = None,
+    score: Annotated[
+        bool,
+        typer.Option("--score", help="Score the velocities too, against slopes of the positions."),
+    ] = False,
     report: Report = None,
     json: Json = False,
 ) -> None:
@@ -72,7 +76,7 @@ def estimate(
     from covariant.cli._job import Job
 
     job = Job(model, log, tuple(override), every, until, {"t": t, "q": q, "u": u, "v": v, "truth": truth})
-    _estimate.estimate(job, out, observer, alpha, beta, report, json)
+    _estimate.estimate(job, out, observer, alpha, beta, score, report, json)
 
 
 @app.command()

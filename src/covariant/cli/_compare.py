@@ -3,6 +3,7 @@
 import csv
 import io
 import json
+import math
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,17 @@ import numpy as np
 
 from covariant._files import write_atomically
 from covariant.cli._console import stages
-from covariant.cli._job import Job, Loaded, as_read, check_output, coordinates, data_sheet, load, velocity_columns
+from covariant.cli._job import (
+    Job,
+    Loaded,
+    ReferenceVelocity,
+    as_read,
+    check_output,
+    coordinates,
+    data_sheet,
+    load,
+    velocity_columns,
+)
 from covariant.cli._pages import write_report
 from covariant.cli._results import Outcome, drive, report_arrays, summary
 from covariant.design import Trial, observer_gains, tuned_estimators
@@ -29,15 +40,17 @@ def compare(job: Job, out: Path | None, report: Path | None, as_json: bool) -> N
     check_output(out, ".csv", log=job.log)
     check_output(report, ".html")
     loaded = load(job)
+    reference = loaded.reference
+    assert reference is not None  # it was asked for
     sheet = data_sheet(loaded.file)
-    trial = first_part(loaded)
+    trial = first_part(loaded, reference)
     observers = as_read(tuned_estimators(loaded.model, loaded.file.dimension, sheet, loaded.rate, trial), loaded)
     outcomes: dict[str, Outcome] = {}
     with stages("comparing", len(observers), quiet=as_json) as begin:
         for name, observer in observers.items():
             begin(name)
             outcomes[name] = drive(observer, loaded, timed=True)
-    ranked = rank(outcomes, loaded)
+    ranked = rank(outcomes, reference)
     rows = tuple(_row(name, outcomes[name], loaded) for name in ranked)
     note = f"All tuned from one data sheet; the observers have {observer_gains(sheet, loaded.rate).summary}."
     note += loaded.note
@@ -47,7 +60,7 @@ def compare(job: Job, out: Path | None, report: Path | None, as_json: bool) -> N
     result: dict[str, Any] = {
         "model": job.model,
         "log": str(job.log),
-        "scored_against": loaded.reference_label,
+        "scored_against": reference.label,
         "design": note,
         "ranking": [{"estimator": name, **summary(outcomes[name])} for name in ranked],
     }
@@ -61,7 +74,7 @@ def compare(job: Job, out: Path | None, report: Path | None, as_json: bool) -> N
     print(json.dumps(result) if as_json else _text(result, rows))
 
 
-def first_part(loaded: Loaded) -> Trial | None:
+def first_part(loaded: Loaded, reference: ReferenceVelocity) -> Trial | None:
     """The first third of the log, at most `LONGEST_TRIAL` rows, with its velocities.
 
     None for a model that is not in coordinates, and for a log too short to tune on.
@@ -69,20 +82,20 @@ def first_part(loaded: Loaded) -> Trial | None:
     if not loaded.model.manifold.commuting:
         return None
     t = np.asarray(loaded.record.t)
-    part = (t <= t[0] + (t[-1] - t[0]) / 3) & np.isfinite(loaded.reference).all(axis=1)
+    part = (t <= t[0] + (t[-1] - t[0]) / 3) & np.isfinite(reference.v).all(axis=1)
     part[np.flatnonzero(part)[LONGEST_TRIAL:]] = False
     y = unwrap(np.asarray(loaded.record.y), loaded.model.circles)[part]
     if part.sum() < SHORTEST_TRIAL or np.isfinite(y).sum(axis=0).min() < SHORTEST_TRIAL // 2:
         return None
-    return Trial(t[part], y, loaded.reference[part])
+    return Trial(t[part], y, reference.v[part])
 
 
-def rank(outcomes: dict[str, Outcome], loaded: Loaded) -> list[str]:
+def rank(outcomes: dict[str, Outcome], reference: ReferenceVelocity) -> list[str]:
     """Names in order of velocity error, each coordinate relative to the size of its velocities; diverged ones last."""
-    scale = np.sqrt(np.mean(loaded.reference[loaded.scored] ** 2, axis=0))
+    scale = np.sqrt(np.mean(reference.v[reference.scored] ** 2, axis=0))
 
     def badness(name: str) -> float:
-        relative = outcomes[name].velocity_rmse / np.where(scale > 0, scale, 1.0)
+        relative = rmse(outcomes[name]) / np.where(scale > 0, scale, 1.0)
         total = float(np.sqrt(np.mean(relative**2)))
         return total if np.isfinite(total) else float("inf")
 
@@ -93,18 +106,30 @@ def _row(name: str, outcome: Outcome, loaded: Loaded) -> dict[str, str | float]:
     form = "RMSE {} [{}]" if loaded.model.velocities else "RMSE d{}/dt [{}/s]"
     errors = {
         form.format(label, unit): float(value)
-        for label, unit, value in zip(*coordinates(loaded.file), outcome.velocity_rmse, strict=True)
+        for label, unit, value in zip(*coordinates(loaded.file), rmse(outcome), strict=True)
     }
-    return {"estimator": name, **errors, "µs a sample": round(outcome.microseconds, 1)}
+    return {"estimator": name, **errors, **consistency(outcome), "µs a sample": round(outcome.microseconds, 1)}
+
+
+def rmse(outcome: Outcome) -> np.ndarray:
+    assert outcome.score is not None  # a comparison always has a reference
+    return outcome.score.rmse
+
+
+def consistency(outcome: Outcome) -> dict[str, float]:
+    """Normalised squares of innovations and of velocity errors, where 1 is expected; NaN for an estimator without."""
+    assert outcome.score is not None
+    return {"NIS": outcome.nis, "NEES": outcome.score.nees}
 
 
 def _table(ranked: list[str], outcomes: dict[str, Outcome], velocities: tuple[str, ...]) -> bytes:
     """The ranking as CSV."""
     text = io.StringIO()
     rows = csv.writer(text, lineterminator="\n")
-    rows.writerow(["rank", "estimator", *(f"{name}_rmse" for name in velocities), "microseconds"])
+    rows.writerow(["rank", "estimator", *(f"{name}_rmse" for name in velocities), "nis", "nees", "microseconds"])
     for place, name in enumerate(ranked, start=1):
-        rows.writerow([place, name, *outcomes[name].velocity_rmse, outcomes[name].microseconds])
+        told = ["" if math.isnan(value) else value for value in consistency(outcomes[name]).values()]
+        rows.writerow([place, name, *rmse(outcomes[name]), *told, outcomes[name].microseconds])
     return text.getvalue().encode()
 
 

@@ -9,9 +9,20 @@ import numpy as np
 
 from covariant import logs
 from covariant.cli._console import note, working
-from covariant.cli._job import Job, Loaded, as_read, check_output, data_sheet, load, numbered, velocity_columns
+from covariant.cli._job import (
+    Job,
+    Loaded,
+    as_read,
+    check_output,
+    data_sheet,
+    innovation_units,
+    load,
+    numbered,
+    velocity_columns,
+    velocity_units,
+)
 from covariant.cli._pages import write_report
-from covariant.cli._results import Outcome, drive, report_arrays, rounded, summary
+from covariant.cli._results import Outcome, drive, known, report_arrays, rounded, summary
 from covariant.design import ESTIMATORS, estimators, observer_gains, tuned_estimators, with_gains
 from covariant.observers import AbstractObserver
 from covariant.scoring import rmse
@@ -23,15 +34,19 @@ def estimate(
     observer: str | None,
     alpha: float | None,
     beta: float | None,
+    score: bool,
     report: Path | None,
     as_json: bool,
 ) -> None:
-    """Run one observer on a log, by default the first that fits the model, and write, print and draw its estimates."""
+    """Run one observer on a log, by default the first that fits the model, and write, print and draw its estimates.
+
+    Its velocities are scored where `score` asks for it, and where the log has true ones.
+    """
     _check(observer, alpha, beta)
     check_output(out, ".csv", ".parquet", log=job.log)
     check_output(report, ".html")
     with working("reading", quiet=as_json):
-        loaded = load(job)
+        loaded = load(job, score)
     observer = observer or estimators(loaded.model)[0]
     chosen, notes = _choose(job, loaded, observer, alpha, beta)
     with working(f"estimating with {observer}", quiet=as_json):
@@ -43,11 +58,9 @@ def estimate(
         logs.write(out, columns(loaded, outcome))
         result["out"] = str(out)
     if report is not None:
-        result["report"] = [
-            str(p)
-            for p in write_report(report, _title(job), loaded, _curves(observer, outcome), (*notes, _error(result)))
-        ]
-    print(json.dumps(result) if as_json else _text(result))
+        curves, said = report_arrays({observer: outcome}), (*notes, *_found(result, loaded))
+        result["report"] = [str(p) for p in write_report(report, _title(job), loaded, curves, said)]
+    print(json.dumps(result) if as_json else _text(result, loaded))
 
 
 def _check(observer: str | None, alpha: float | None, beta: float | None) -> None:
@@ -73,13 +86,17 @@ def _choose(
     sheet = data_sheet(loaded.file)
     designed = observer_gains(sheet, loaded.rate).summary
     made = tuned_estimators(model, loaded.file.dimension, sheet, loaded.rate, names=(observer,))
-    return as_read(made, loaded)[observer], (f"Designed {designed}.{loaded.note}",)
+    unused = ""
+    if sheet.external_force is not None and getattr(made[observer], "force_cov", None) is None:
+        unused = " It does not estimate the external force of [uncertainty]; intrinsic-kalman does."
+    return as_read(made, loaded)[observer], (f"Designed {designed}.{loaded.note}{unused}",)
 
 
 def columns(loaded: Loaded, outcome: Outcome) -> dict[str, np.ndarray]:
     """The columns of an output file: t, q1…, v1…; on a group t, the configuration as in the log, and the velocities.
 
-    A filter that knows how accurate it is adds the standard deviations of the velocities, v1_std….
+    A filter that knows how accurate it is adds the standard deviations of the velocities, v1_std…. One that estimates
+    the external force adds external_force1… and external_force1_std….
     """
     file, x = loaded.file, outcome.run.estimate
     if not file.model.manifold.commuting:
@@ -87,38 +104,45 @@ def columns(loaded: Loaded, outcome: Outcome) -> dict[str, np.ndarray]:
     else:
         q = np.split(np.asarray(x), 2, axis=1)[0]
         configuration = dict(zip(numbered("q", file.dimension), q.T, strict=True))
-    velocities = dict(zip(velocity_columns(file), outcome.velocity.T, strict=True))
-    std = getattr(outcome.run.info, "velocity_std", None)
-    if std is not None:
-        velocities |= {f"{name}_std": column for name, column in zip(velocities, np.asarray(std).T, strict=True)}
-    return {"t": np.asarray(outcome.run.t)} | configuration | velocities
+    found = {"t": np.asarray(outcome.run.t)} | configuration
+    forces = numbered("external_force", file.dimension)
+    for names, values, std in (
+        (velocity_columns(file), outcome.velocity, known(outcome.run.info, "velocity_std")),
+        (forces, *(known(outcome.run.info, name) for name in ("external_force", "external_force_std"))),
+    ):
+        for suffix, each in (("", values), ("_std", std)):
+            if each is not None and each.size:
+                found |= {f"{name}{suffix}": column for name, column in zip(names, each.T, strict=True)}
+    return found
 
 
 def _result(job: Job, loaded: Loaded, observer: str, outcome: Outcome, notes: tuple[str, ...]) -> dict[str, Any]:
+    reference, logged = loaded.reference, loaded.log.v
     result = {
         "model": job.model,
         "log": str(job.log),
         "observer": observer,
         "rows": len(outcome.run.t),
-        "scored_against": loaded.reference_label,
+        **({} if reference is None else {"scored_against": reference.label}),
         "design": notes[0],
         **summary(outcome),
     }
-    if loaded.log.v is not None:
-        both = loaded.scored & np.isfinite(loaded.log.v).all(1)
-        result["difference_to_logged_velocity"] = rounded(rmse(outcome.velocity[both], loaded.log.v[both]))
-        result["logged_velocity_rmse"] = rounded(rmse(loaded.log.v[both], loaded.reference[both]))
+    if reference is not None and logged is not None:
+        both = reference.scored & np.isfinite(logged).all(1)
+        result["difference_to_logged_velocity"] = rounded(rmse(outcome.velocity[both], logged[both]))
+        result["logged_velocity_rmse"] = rounded(rmse(logged[both], reference.v[both]))
     return result
 
 
-def _text(result: dict[str, Any]) -> str:
+def _text(result: dict[str, Any], loaded: Loaded) -> str:
     lines = [
         f"{result['log']}: {result['rows']} rows, {result['observer']} observer",
         result["design"],
-        _error(result),
+        *_found(result, loaded),
     ]
     if "logged_velocity_rmse" in result:
-        lines.append(f"the same for the velocity in the log: {_numbers(result['logged_velocity_rmse'])}")
+        speeds = _with_units(result["logged_velocity_rmse"], velocity_units(loaded.file))
+        lines.append(f"the same for the velocity in the log: {speeds}")
     for name, count in result["results"].items():
         if name != "ok":
             lines.append(f"{count} of {result['rows']} samples: {note(name)}")
@@ -126,17 +150,23 @@ def _text(result: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def _error(result: dict[str, Any]) -> str:
-    return f"velocity RMSE against the {result['scored_against']}: {_numbers(result['velocity_rmse'])}"
+def _found(result: dict[str, Any], loaded: Loaded) -> list[str]:
+    """Sentences on the errors, and on the innovations, which need no reference."""
+    lines = []
+    if "velocity_rmse" in result:
+        errors = _with_units(result["velocity_rmse"], velocity_units(loaded.file))
+        lines.append(f"velocity RMSE against the {result['scored_against']}: {errors}")
+    lines.append(f"innovation RMS: {_with_units(result['innovation_rms'], innovation_units(loaded.file))}")
+    told = [f"{name.upper()} {result[name]:.3g}" for name in ("nis", "nees") if result.get(name) is not None]
+    if told:
+        lines.append(f"{' and '.join(told)} a number; 1 is expected where model and noise are as told")
+    return lines
 
 
-def _numbers(values: list[float | None]) -> str:
-    return ", ".join("—" if v is None else f"{v:.4g}" for v in values)
+def _with_units(values: list[float | None], units: tuple[str, ...]) -> str:
+    written = ("—" if v is None else f"{v:.4g} {unit}".rstrip() for v, unit in zip(values, units, strict=True))
+    return ", ".join(written)
 
 
 def _title(job: Job) -> str:
     return f"Velocities of {Path(job.model).stem} from {job.log.name}"
-
-
-def _curves(observer: str, outcome: Outcome) -> dict[str, Any]:
-    return report_arrays({observer: outcome})

@@ -30,22 +30,31 @@ class Job(NamedTuple):
     columns: dict[str, str | None]
 
 
+class ReferenceVelocity(NamedTuple):
+    """What velocities are scored against: those that it holds (T, n), what it is called, and the rows that count."""
+
+    v: np.ndarray
+    label: str
+    scored: np.ndarray
+
+
 class Loaded(NamedTuple):
-    """The model and log of a job, the reference (T, n) of its velocities with a label, and the rows to be scored."""
+    """The model and log of a job, what its velocities are scored against where that was asked for, and a note."""
 
     file: models.ModelFile
     model: MechanicalSystem
     log: logs.Log
     record: Record
     rate: float
-    reference: np.ndarray
-    reference_label: str
-    scored: np.ndarray
+    reference: ReferenceVelocity | None
     note: str = ""
 
 
-def load(job: Job) -> Loaded:
-    """Read model and log; raises `ValueError` or `OSError` with one line for the user."""
+def load(job: Job, score: bool = True) -> Loaded:
+    """Read model and log, with a reference where `score` asks for one or the log has the true velocities.
+
+    Raises `ValueError` or `OSError` with one line for the user.
+    """
     file = models.load(job.model, job.overrides)
     model = file.need_mechanical(job.model, "velocities are estimated for")
     given = {key: names.strip() for key, names in job.columns.items() if names is not None}
@@ -64,10 +73,13 @@ def load(job: Job) -> Loaded:
         except ValueError as error:
             raise ValueError(f"{job.model} on {job.log}: {error}") from error
     file, note = _in_ticks(file, y)
-    full = logs.read(job.log, columns._replace(u=(), v=())) if job.every > 1 or job.until else log
-    reference, label = _reference(file, log, full)
-    rate = 1 / float(np.median(np.diff(t)))
-    return Loaded(file, model, log, record, rate, reference, label, scoring.scored_window(t), note + _told(file))
+    reference = None
+    if log.truth is not None:
+        reference = ReferenceVelocity(log.truth, "true velocity", scoring.scored_window(t))
+    elif score:
+        full = logs.read(job.log, columns._replace(u=(), v=())) if job.every > 1 or job.until else log
+        reference = ReferenceVelocity(*_slopes(file, log, full), scoring.scored_window(t))
+    return Loaded(file, model, log, record, 1 / float(np.median(np.diff(t))), reference, note + _told(file))
 
 
 def as_read(observers: dict[str, AbstractObserver], loaded: Loaded) -> dict[str, AbstractObserver]:
@@ -155,23 +167,19 @@ def _check_columns(job: Job, file: models.ModelFile, columns: logs.Columns) -> N
         )
 
 
-def _reference(file: models.ModelFile, log: logs.Log, full: logs.Log) -> tuple[np.ndarray, str]:
-    """True velocities (T, n) where the log has them, else slopes of the positions in the whole log, each at the time at
-    which it was true; and a label."""
-    if log.truth is not None:
-        return log.truth, "true velocity"
+def _slopes(file: models.ModelFile, log: logs.Log, full: logs.Log) -> tuple[np.ndarray, str]:
+    """Slopes (T, n) of the positions in the whole log, each at the time at which it was true, and a label."""
     t, y, at = np.asarray(full.record.t), np.asarray(full.record.y), np.asarray(log.record.t)
     half, order = file.reference_half, int(file.reference_order)
     if np.isfinite(y).sum(axis=0).min() < order + 3:
         return np.full((len(at), file.dimension), np.nan), "velocity, unknown in so short a log"
     if file.model.manifold.commuting:
-        columns = scoring.unwrap(y, file.model.circles).T
-        delays = np.broadcast_to(np.asarray(file.delay, float), len(columns))
-        slopes = [
-            scoring.zero_phase_velocity(t - delay, column[:, None], at, half, order)
-            for column, delay in zip(columns, delays, strict=True)
-        ]
-        return np.concatenate(slopes, axis=1), "zero-phase reference"
+        y = scoring.unwrap(y, file.model.circles)
+        delays, slopes = np.broadcast_to(np.asarray(file.delay, float), y.shape[1]), np.empty((len(at), y.shape[1]))
+        for delay in np.unique(delays):
+            own = delays == delay
+            slopes[:, own] = scoring.zero_phase_velocity(t - delay, y[:, own], at, half, order)
+        return slopes, "zero-phase reference"
     t = t - np.max(file.delay)
     twists = [
         scoring.zero_phase_twist(t, g, at, half, order, body.space)
@@ -207,6 +215,7 @@ def data_sheet(file: models.ModelFile) -> DataSheet:
         "measurement_std": file.typical_std,
         "coordinate_stds": file.measurement_std if isinstance(file.measurement_std, tuple) else None,
         "quantum": file.quantum,
+        "external_force": file.external_force,
         "acceleration_std": file.acceleration_std,
         "correlation_time": file.correlation_time,
         "motion_std": file.motion_std,
@@ -222,6 +231,18 @@ def coordinates(file: models.ModelFile) -> tuple[tuple[str, ...], tuple[str, ...
         return file.model.velocities, file.model.velocity_units
     names = file.model.coordinates or numbered("q", file.dimension)
     return names, file.model.units or ("",) * len(names)
+
+
+def velocity_units(file: models.ModelFile) -> tuple[str, ...]:
+    """Units of the velocities."""
+    units = coordinates(file)[1]
+    return units if file.model.velocities else tuple(f"{unit or '1'}/s" for unit in units)
+
+
+def innovation_units(file: models.ModelFile) -> tuple[str, ...]:
+    """Units of the innovations: those of the coordinates; on a group, of a velocity times a second."""
+    units = coordinates(file)[1]
+    return tuple(f"{unit} s".replace("/s s", "").strip() for unit in units) if file.model.velocities else units
 
 
 def velocity_columns(file: models.ModelFile) -> tuple[str, ...]:

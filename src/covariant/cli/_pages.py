@@ -29,10 +29,10 @@ def write_report(
         units=units,
         t=np.asarray(loaded.record.t),
         q_measured=drawn,
-        v_reference=loaded.reference,
-        v_reference_label=loaded.reference_label,
         rows=rows,
         notes=notes,
         **curves,
     )
+    if loaded.reference is not None:
+        report = report._replace(v_reference=loaded.reference.v, v_reference_label=loaded.reference.label)
     return [write_html(report, path), *write_png(report, path.with_suffix(""))]

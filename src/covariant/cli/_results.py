@@ -1,23 +1,42 @@
 """Runs an observer on a log and summarises the result."""
 
+import math
 import time
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
-from covariant import scoring
-from covariant.cli._job import Loaded
+from covariant.cli._job import Loaded, ReferenceVelocity
 from covariant.observers import AbstractObserver, run
 from covariant.signals import Result, Run
 
+KEPT = ("innovation", "distance", "result", "nis", "velocity_std", "external_force", "external_force_std")
+"""What the commands use of the info of an observer."""
+
+
+class Score(NamedTuple):
+    """How far velocities are from a reference: root mean square errors (n,), and NEES where the filter knows its own.
+
+    `nees` is the mean of the squared errors over their variances, for each velocity: 1 is expected.
+    """
+
+    rmse: np.ndarray
+    nees: float
+
 
 class Outcome(NamedTuple):
-    """A run, its velocities (T, n), their error (n,) where scored, and the compiled time for each sample [µs]."""
+    """A run, its velocities (T, n), their score where there is a reference, and the compiled time a sample [µs].
+
+    `nis` is the mean normalised innovation squared for each measured number, NaN for an observer without a covariance;
+    1 is expected.
+    """
 
     run: Run
     velocity: np.ndarray
-    velocity_rmse: np.ndarray
+    nis: float
+    score: Score | None
     microseconds: float
 
     @property
@@ -33,23 +52,50 @@ class Outcome(NamedTuple):
 
 def drive(observer: AbstractObserver, loaded: Loaded, timed: bool = False) -> Outcome:
     """Run an observer on the loaded record; `timed` runs it again, to measure its time without compilation."""
-    done = jax.block_until_ready(run(observer, loaded.record))
+    done = jax.block_until_ready(run(observer, loaded.record, KEPT))
     spent = float("inf")
     for _ in range(3 if timed else 0):  # the quickest of three, since other load only lengthens a run
         began = time.perf_counter()
-        jax.block_until_ready(run(observer, loaded.record))
+        jax.block_until_ready(run(observer, loaded.record, KEPT))
         spent = min(spent, time.perf_counter() - began)
     velocity = np.asarray(loaded.model.motion(done.estimate).v)
-    error = scoring.rmse(velocity[loaded.scored], loaded.reference[loaded.scored])
-    return Outcome(done, velocity, error, 1e6 * spent / len(done.t) if timed else float("nan"))
+    score = None if loaded.reference is None else _score(velocity, done.info, loaded.reference)
+    return Outcome(done, velocity, _nis(done.info, loaded), score, 1e6 * spent / len(done.t) if timed else math.nan)
+
+
+def known(info: Any, name: str) -> np.ndarray | None:
+    """A field of an observer's info, or None where it has no such field."""
+    return np.asarray(getattr(info, name)) if name in info._fields else None
+
+
+def _score(velocity: np.ndarray, info: Any, reference: ReferenceVelocity) -> Score:
+    off = velocity[reference.scored] - reference.v[reference.scored]
+    std = known(info, "velocity_std")
+    nees = math.nan if std is None else float(np.mean((off / std[reference.scored]) ** 2))
+    return Score(np.sqrt(np.mean(off**2, axis=0)), nees)
+
+
+def _nis(info: Any, loaded: Loaded) -> float:
+    """Refused measurements are left out, and so is the first, from which the state starts."""
+    nis = known(info, "nis")
+    if nis is None:
+        return math.nan
+    measured = ~np.asarray(jax.vmap(loaded.model.manifold.missing)(jnp.asarray(loaded.record.y)))
+    taken = np.asarray(info.result) < Result.OUTLIER
+    taken[0] = False
+    count = measured[taken].sum()
+    return float(nis[taken].sum() / count) if count else math.nan
 
 
 def summary(outcome: Outcome) -> dict[str, Any]:
     """The numbers of an outcome as JSON data."""
     innovation = np.asarray(outcome.run.info.innovation)
+    scored = {} if outcome.score is None else {"velocity_rmse": rounded(outcome.score.rmse)}
+    found = {"nis": outcome.nis} | ({} if outcome.score is None else {"nees": outcome.score.nees})
     return {
-        "velocity_rmse": rounded(outcome.velocity_rmse),
+        **scored,
         "innovation_rms": rounded(np.sqrt(np.mean(innovation**2, axis=0))),
+        **{name: rounded(np.array([value]))[0] for name, value in found.items()},
         "results": outcome.counts,
     }
 
@@ -64,9 +110,7 @@ def report_arrays(outcomes: dict[str, Outcome]) -> dict[str, Any]:
     return {
         "estimates": {name: _drawn(outcome) for name, outcome in outcomes.items()},
         "innovation": {name: np.asarray(info.innovation) for name, info in infos.items()},
-        "distance": {
-            name: np.asarray(info.distance) for name, info in infos.items() if "distance" in type(info)._fields
-        },
+        "distance": {name: np.asarray(info.distance) for name, info in infos.items() if "distance" in info._fields},
     }
 
 

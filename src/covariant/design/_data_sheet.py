@@ -19,6 +19,8 @@ class DataSheet(NamedTuple):
     - `coordinate_stds`: standard deviations of the noise of each coordinate, where they differ; `measurement_std` is
       then their root mean square, for designs that know one number only.
     - `quantum`: one tick of the encoders, where that is what makes the noise; `measurement_std` then is this over √12.
+    - `external_force`: standard deviation of what a force that the model does not know changes by in a second [N or
+      N m]; None where no such force is estimated.
     """
 
     measurement_std: float
@@ -29,6 +31,7 @@ class DataSheet(NamedTuple):
     damping: float = 0.5**0.5
     quantum: float | None = None
     coordinate_stds: tuple[float, ...] | None = None
+    external_force: float | None = None
 
 
 class Trial(NamedTuple):

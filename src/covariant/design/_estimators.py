@@ -80,7 +80,7 @@ def _noise(entry: Entry, known: Known) -> tuple:
 
 
 def _ticks(entry: Entry, known: Known) -> tuple:
-    return *_noise(entry, known), known.sheet.quantum
+    return *_noise(entry, known), known.sheet.quantum, known.sheet.external_force
 
 
 def _bandwidth(entry: Entry, known: Known) -> tuple:

@@ -38,6 +38,8 @@ class ModelFile(NamedTuple):
       give the reference velocity for scoring.
     - `quantum`: one tick of the encoders [unit of the coordinates], where the model file gives that and not a standard
       deviation.
+    - `external_force`: standard deviation of what a force that the model does not know changes by in a second [N or
+      N m], for a filter that estimates it.
     """
 
     name: str
@@ -56,6 +58,7 @@ class ModelFile(NamedTuple):
     input_delay: float = 0.0
     input_between: str = "held"
     quantum: float | None = None
+    external_force: float | None = None
 
     @property
     def typical_std(self) -> float | None:

@@ -17,6 +17,7 @@ NUMBERS = {
     ("measurement", "quantum"): ("quantum", 1.0),
     ("uncertainty", "acceleration"): ("acceleration_std", 1.0),
     ("uncertainty", "correlation_time"): ("correlation_time", 1.0),
+    ("uncertainty", "external_force"): ("external_force", 1.0),
     ("uncertainty", "motion_acceleration"): ("motion_std", 1.0),
     ("uncertainty", "motion_time"): ("motion_time", 1.0),
     ("design", "damping"): ("damping", 1.0),

@@ -10,7 +10,7 @@ from covariant.observers._geodesic import Geodesic, GeodesicInfo, GeodesicState
 from covariant.observers._high_gain import HighGain
 from covariant.observers._intrinsic import Intrinsic, second_order
 from covariant.observers._intrinsic_kalman import IntrinsicKalman, KalmanInfo, KalmanState
-from covariant.observers._joint_kalman import JointKalman, JointState
+from covariant.observers._joint_kalman import JointInfo, JointKalman, JointState
 from covariant.observers._levant import Levant
 from covariant.observers._model_free import AbstractLinearFilter, FilterInfo
 from covariant.observers._passive_ship import (
@@ -72,6 +72,7 @@ __all__ = [
     "InformationState",
     "Intrinsic",
     "IntrinsicKalman",
+    "JointInfo",
     "JointKalman",
     "JointState",
     "KalmanInfo",

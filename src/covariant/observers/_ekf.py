@@ -19,6 +19,7 @@ from covariant._typing import Code, Matrix, Number, Scalar, Vector
 from covariant.models import MechanicalSystem, Motion
 from covariant.observers._protocol import AbstractObserver, Held, as_gain, at_rest, check_finite, outcome, uniqueness
 from covariant.observers._sampled import predict
+from covariant.observers._square_root import normalised_square
 
 
 class EKFState(NamedTuple):
@@ -33,11 +34,15 @@ class EKFState(NamedTuple):
 
 
 class EKFInfo(NamedTuple):
-    """As `Info`, with the predicted covariance of the innovation."""
+    """As `Info`, with the predicted covariance of the innovation and its normalised square `nis`, and the standard
+    deviations `velocity_std` (n,) of the velocity after the correction. Where the model is right, `nis` is
+    χ²-distributed with as many degrees of freedom as there are measured components."""
 
     innovation: Vector
     distance: Scalar
     innovation_cov: Matrix
+    nis: Scalar
+    velocity_std: Vector
     result: Code
 
 
@@ -104,7 +109,9 @@ class EKF(AbstractObserver):
         q, v = self.model.manifold.retract(state.q, error[:n]), state.v + error[n:]
         new = EKFState(q, v, state.t, (cov + cov.T) / 2, state.held)
         result = outcome(q, v, y, uniqueness(self.model, state.q, y))
-        return new, EKFInfo(innovation, self.model.space.norm(state.q, innovation), innovation_cov, result)
+        distance, std = self.model.space.norm(state.q, innovation), jnp.sqrt(jnp.diag(new.cov)[n:])
+        nis = normalised_square(innovation_cov, innovation, ~missing)
+        return new, EKFInfo(innovation, distance, innovation_cov, nis, std, result)
 
     def advance(self, state: EKFState, u: Float[Array, "m"], y: Array, dt: Scalar) -> tuple[EKFState, EKFInfo]:
         return self.correct(self.predict(state, u, dt), y)

@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Inexact, Int
 
-from covariant._linalg import semidefinite_root, solve, triangular
+from covariant._linalg import semidefinite_root, triangular
 from covariant._typing import Code, Matrix, Number, Scalar, Vector
 from covariant.geometry import AbstractManifold, AbstractSpace, Budget
 from covariant.models import MechanicalSystem, Motion, advance, resistance
@@ -25,7 +25,7 @@ from covariant.observers._gate import Gate
 from covariant.observers._protocol import AbstractObserver, Held, as_gain, at_rest, check_positive, outcome, uniqueness
 from covariant.observers._sampled import needed_substeps
 from covariant.observers._spread import Spread, check_spread, spread_at
-from covariant.observers._square_root import diagonal, updated, white_acceleration
+from covariant.observers._square_root import diagonal, normalised_square, updated, white_acceleration
 from covariant.observers._ticks import Readings, take
 from covariant.signals import Result
 
@@ -57,13 +57,19 @@ class KalmanState(NamedTuple):
 class KalmanInfo(NamedTuple):
     """As `Info`, with the predicted covariance of the innovation and its normalised square `nis`, and the standard
     deviations `velocity_std` (n,) of the velocity after the correction. Where the model is right, `nis` is
-    χ²-distributed with as many degrees of freedom as there are measured components."""
+    χ²-distributed with as many degrees of freedom as there are measured components.
+
+    `external_force` (k,) is the estimated external force, and `external_force_std` (k,) its standard deviations; k = n
+    where it is estimated, else 0.
+    """
 
     innovation: Vector
     distance: Scalar
     innovation_cov: Matrix
     nis: Scalar
     velocity_std: Vector
+    external_force: Float[Array, "k"]
+    external_force_std: Float[Array, "k"]
     result: Code
 
 
@@ -172,9 +178,10 @@ class IntrinsicKalman(AbstractObserver):
         new = jax.tree.map(lambda a, b: jnp.where(again, a, b), fresh, new)
         result = jnp.where(jnp.any(far), int(Result.OUTLIER), uniqueness(self.model, state.q, y))
         result = outcome(new.q, new.v, y, jnp.where(again, int(Result.RESTARTED), result))
-        nis = _nis(spread, straight, ~missing)
+        nis = normalised_square(spread, straight, ~missing)
         distance, std = space.norm(state.q, straight), self.velocity_std(new)
-        return new, KalmanInfo(straight, distance, spread, nis, std, result)
+        force_std = jnp.sqrt(jnp.sum(new.root[2 * n :] ** 2, axis=1))
+        return new, KalmanInfo(straight, distance, spread, nis, std, new.force, force_std, result)
 
     def _noise(self, q: Array) -> Matrix:
         """Covariance of one sample, taken as noise."""
@@ -283,10 +290,3 @@ def _too_uncertain(manifold: AbstractManifold, spread: Matrix, noise: Matrix) ->
     turns = sorted({i for turn in manifold.rotations or () for i in turn})
     variance = jnp.diag(spread)[jnp.array(turns, int)]
     return jnp.any(variance > jnp.maximum(FARTHEST_TURN**2, 9 * jnp.diag(noise)[jnp.array(turns, int)]))
-
-
-def _nis(spread: Matrix, innovation: Vector, present: Array) -> Scalar:
-    """`rᵀS⁻¹r` of the measured components `present`."""
-    both = present[:, None] & present[None, :]
-    r = jnp.where(present, innovation, 0.0)
-    return r @ solve(jnp.where(both, spread, jnp.eye(len(r), dtype=r.dtype)), r)

@@ -20,9 +20,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from covariant._linalg import semidefinite_root, triangular
-from covariant._typing import Matrix, Number, Scalar, Vector
+from covariant._typing import Code, Matrix, Number, Scalar, Vector
 from covariant.geometry import wrap
-from covariant.observers._model_free import AbstractLinearFilter, FilterInfo, response
+from covariant.observers._model_free import AbstractLinearFilter, response
 from covariant.observers._protocol import as_gain, check_positive, outcome
 from covariant.observers._square_root import updated
 
@@ -35,6 +35,16 @@ class JointState(NamedTuple):
     v: Vector
     a: Vector
     root: Float[Array, "n 3 3"]
+
+
+class JointInfo(NamedTuple):
+    """As `FilterInfo`, with the sum `nis` of the squared innovations over their predicted variances, and the standard
+    deviations `velocity_std` (n,) of the velocity after the correction."""
+
+    innovation: Vector
+    nis: Scalar
+    velocity_std: Vector
+    result: Code
 
 
 class JointKalman(AbstractLinearFilter):
@@ -70,7 +80,7 @@ class JointKalman(AbstractLinearFilter):
     def estimate(self, state: JointState) -> Float[Array, "two_n"]:
         return jnp.concatenate([state.q, state.v])
 
-    def advance(self, state: JointState, u: Float[Array, "m"], y: Vector, dt: Scalar) -> tuple[JointState, FilterInfo]:
+    def advance(self, state: JointState, u: Float[Array, "m"], y: Vector, dt: Scalar) -> tuple[JointState, JointInfo]:
         step, added = singer(dt / self.motion_time)
         unit = jnp.stack([self.motion_time**2, self.motion_time, jnp.ones_like(dt)])  # of q, v and a, in units of σ
         x = unit[:, None] * (step @ (jnp.stack([state.q, state.v, state.a]) / unit[:, None]))
@@ -78,9 +88,12 @@ class JointKalman(AbstractLinearFilter):
         root = jax.vmap(lambda each: triangular(jnp.concatenate([step @ each, noise], axis=1)))(state.root)
         present = ~jnp.isnan(y)
         innovation = wrap(self.circles, jnp.where(present, y - x[0], 0.0))
+        expected = jnp.sum(root[:, 0] ** 2, axis=1) + self.noise**2
+        nis = jnp.sum((innovation / (self.motion_std * unit[0])) ** 2 / expected)
         gain, root = jax.vmap(updated, (0, None, 0))(root, jnp.full((1, 1), self.noise**2), present[:, None])
         q, v, a = x + (unit / unit[0])[:, None] * gain[..., 0].T * innovation[None]
-        return JointState(q, v, a, root), FilterInfo(innovation, outcome(q, v, y))
+        std = self.motion_std * unit[1] * jnp.sqrt(jnp.sum(root[:, 1] ** 2, axis=1))
+        return JointState(q, v, a, root), JointInfo(innovation, nis, std, outcome(q, v, y))
 
     def weights(self, rate: float) -> Float[np.ndarray, "k"]:
         time, noise = float(self.motion_time), float(self.noise)

@@ -10,7 +10,7 @@ about a step is its info. Writing the loop by hand takes four lines:
 """
 
 import abc
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import Any, NamedTuple, final
 
 import equinox as eqx
@@ -231,7 +231,7 @@ def outcome(q: Array, v: Array, y: Array, result: Code | int = Result.OK) -> Cod
 
 
 @eqx.filter_jit
-def _scan(observer: AbstractObserver, t: Array, u: Array, y: Array):
+def _scan(observer: AbstractObserver, t: Array, u: Array, y: Array, keep: frozenset[str] | None):
     before = jnp.concatenate([u[:1], u[:-1]])  # the input that acted since the previous stamp
     dt = jnp.diff(t, prepend=t[:1])
 
@@ -239,16 +239,22 @@ def _scan(observer: AbstractObserver, t: Array, u: Array, y: Array):
         state, info = observer.step(state, *sample)
         # The first row starts the state: it is not a step, and repeats no earlier stamp.
         first = (sample[2] == 0) & (info.result == int(Result.REPEATED))
-        return state, (observer.estimate(state), info._replace(result=jnp.where(first, int(Result.OK), info.result)))
+        info = info._replace(result=jnp.where(first, int(Result.OK), info.result))
+        dropped = () if keep is None else set(info._fields) - keep
+        return state, (observer.estimate(state), info._replace(**dict.fromkeys(dropped)))
 
     return jax.lax.scan(step, observer.init(y[0], t[0]), (before, y, dt))[1]
 
 
-def run(observer: AbstractObserver, record: Record) -> Run:
+def run(observer: AbstractObserver, record: Record, keep: Collection[str] | None = None) -> Run:
     """Run an observer over a record. Row k of the run depends on the measurements up to row k only.
+
+    - `keep`: names of the fields of the info that are kept; those left out are None, and take no memory on a long log.
+      By default all are kept. Names that an observer's info does not have are ignored.
 
     Returns a `Run` with the stamps, the estimates and the info of every row. Raises `ValueError` from `Record.check`.
     """
     t, u, y, _ = record.check()
-    estimate, info = _scan(observer, jnp.asarray(t), jnp.asarray(u), jnp.asarray(y))
+    kept = None if keep is None else frozenset(keep)
+    estimate, info = _scan(observer, jnp.asarray(t), jnp.asarray(u), jnp.asarray(y), kept)
     return Run(jnp.asarray(t), estimate, info)

@@ -48,13 +48,23 @@ def rotations(model: MechanicalSystem) -> bool:
 
 
 def intrinsic_kalman(
-    model: MechanicalSystem, process: Matrix, measurement: Matrix, speed: float, quantum: float | None
+    model: MechanicalSystem,
+    process: Matrix,
+    measurement: Matrix,
+    speed: float,
+    quantum: float | None,
+    external_force: float | None = None,
 ) -> IntrinsicKalman:
-    """The filter for encoders that count ticks, where there is a quantum in coordinates; else for noise."""
-    n, start = process.shape[0], speed**2 * jnp.eye(process.shape[0])
+    """The filter for encoders that count ticks, where there is a quantum in coordinates; else for noise.
+
+    It estimates a force that the model does not know where `external_force` says by how much this changes in a second.
+    """
+    axes = jnp.eye(process.shape[0])
+    force = None if external_force is None else external_force**2 * axes
     if quantum is None or not model.manifold.commuting:
-        return IntrinsicKalman(model, process, measurement, start)
-    return IntrinsicKalman(model, process, (EDGE * quantum) ** 2 * jnp.eye(n), start, quantum=jnp.full(n, quantum))
+        return IntrinsicKalman(model, process, measurement, speed**2 * axes, force)
+    edges, ticks = (EDGE * quantum) ** 2 * axes, jnp.full(len(axes), quantum)
+    return IntrinsicKalman(model, process, edges, speed**2 * axes, force, ticks)
 
 
 class Entry(NamedTuple):
@@ -65,7 +75,8 @@ class Entry(NamedTuple):
     - `make`: makes the observer, `make(model, *numbers)`.
     - `tuned_by`: the numbers it is made with, which `design.tuned_estimators` finds: "gains" are α [1/s] and β [1/s²].
       "noise" are the process covariance (n, n), the measurement covariance (n, n) and the standard deviation of the
-      initial velocity; "noise or ticks" are these and one tick of the encoders, or None. Of filters that use no model:
+      initial velocity; "noise or ticks" are these, one tick of the encoders or None, and the standard deviation of
+      what an external force changes by in a second [N or N m] or None. Of filters that use no model:
       "bandwidth" is the bandwidth [rad/s] of a linear filter; "window" are a window [samples] and the degree of a
       polynomial; "motion" are the standard deviation [rad/s²] and the correlation time [s] of the accelerations, and
       the standard deviation of a sample; "jerk" is a bound on the jerk [rad/s³].

@@ -53,8 +53,8 @@ def needed_substeps(model: MechanicalSystem, t: Number, q: Array, v: Vector, u: 
         jacobian = jax.jacfwd(lambda w: friction(model, jnp.asarray(t), q, w, u))(at)
         return -sum(jacobian[i, i] for i in range(n))
 
-    fastest = jnp.maximum(jnp.maximum(rate(jnp.zeros_like(v)), rate(v)), 1 / LONGEST_STEP)
-    return steps_for(dt, fastest)
+    rates = jax.vmap(rate)(jnp.stack([jnp.zeros_like(v), v]))
+    return steps_for(dt, jnp.maximum(jnp.max(rates), 1 / LONGEST_STEP))
 
 
 def with_fixed_substeps(

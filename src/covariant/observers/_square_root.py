@@ -4,10 +4,10 @@ Source: Kailath, Sayed & Hassibi 2000, Linear Estimation, chapter 12, the array 
 """
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from covariant._linalg import semidefinite_root, solve, triangular
-from covariant._typing import Matrix, Scalar
+from covariant._typing import Matrix, Scalar, Vector
 
 
 def diagonal(a: Array, b: Array) -> Array:
@@ -38,3 +38,10 @@ def updated(
     joint = triangular(jnp.concatenate([above, below]))
     spread, cross = joint[:n, :n], joint[n:, :n]
     return solve(spread @ spread.T, spread @ cross.T).T, joint[n:, n:]
+
+
+def normalised_square(spread: Matrix, innovation: Vector, present: Bool[Array, "n"]) -> Scalar:
+    """`rᵀS⁻¹r` of the measured components `present` of an innovation r (n,) with the covariance S."""
+    both = present[:, None] & present[None, :]
+    r = jnp.where(present, innovation, 0.0)
+    return r @ solve(jnp.where(both, spread, jnp.eye(len(r), dtype=r.dtype)), r)

@@ -27,7 +27,7 @@ from covariant.observers._ekf import EKFInfo
 from covariant.observers._protocol import AbstractObserver, Held, as_gain, at_rest, check_finite, outcome, uniqueness
 from covariant.observers._sampled import predict
 from covariant.observers._spread import Spread, check_spread, spread_at
-from covariant.observers._square_root import diagonal, updated, white_acceleration
+from covariant.observers._square_root import diagonal, normalised_square, updated, white_acceleration
 
 
 class UKFState(NamedTuple):
@@ -115,12 +115,14 @@ class UKF(AbstractObserver):
         manifold, n = self.model.manifold, state.v.shape[0]
         noise = spread_at(self.measurement_cov, self.model.space, state.q)
         innovation = manifold.towards(state.q, y)
-        gain, root = updated(state.root, noise, ~manifold.missing(y))
+        present = ~manifold.missing(y)
+        gain, root = updated(state.root, noise, present)
         error = gain @ innovation
         q, v = manifold.retract(state.q, error[:n]), state.v + error[n:]
         result = outcome(q, v, y, uniqueness(self.model, state.q, y))
         spread = state.root[:n] @ state.root[:n].T + noise
-        info = EKFInfo(innovation, self.model.space.norm(state.q, innovation), spread, result)
+        distance, std = self.model.space.norm(state.q, innovation), jnp.sqrt(jnp.sum(root[n:] ** 2, axis=1))
+        info = EKFInfo(innovation, distance, spread, normalised_square(spread, innovation, present), std, result)
         return UKFState(q, v, state.t, root, state.held), info
 
     def advance(self, state: UKFState, u: Float[Array, "m"], y: Array, dt: Scalar) -> tuple[UKFState, EKFInfo]:

@@ -64,10 +64,13 @@ def axis_range(quantity: Quantity, column: int) -> AxisRange | None:
 
 def _ranges(quantity: Quantity, column: int) -> list[_Range]:
     ranges = []
-    for t, values, label, backdrop in quantity.curves:
-        visible = drawable(values[:, column], quantity.log)
+    for t, values, label, backdrop, below in quantity.curves:
+        values = values[:, column]
+        if below is not None:
+            t, values = np.tile(t, 2), np.concatenate([below[:, column], values])
+        visible = drawable(values, quantity.log)
         if visible.any():
-            y = values[visible, column]
+            y = values[visible]
             y = np.log10(y) if quantity.log else y
             ends = float(y.min()), float(y.max())
             late = y if quantity.log else y[_late(t)[visible]]
@@ -108,7 +111,8 @@ def _outside(ranges: list[_Range], low: float, high: float, log: bool) -> str:
         return ""
     worst = max(far, key=lambda r: max(low - r.low, r.high - high))
     end = worst.low if low - worst.low > worst.high - high else worst.high
-    more = f", {len(far) - 1} more" if len(far) > 1 else ""
+    others = len({r.label for r in far}) - 1
+    more = f", {others} more" if others else ""
     return f"off scale: {shorten(worst.label, 20)} {_number(10**end if log else end)}{more}"
 
 

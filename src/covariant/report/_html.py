@@ -1,17 +1,23 @@
-"""A report as one interactive, self-contained HTML page."""
+"""A report as one interactive, self-contained HTML page.
 
+Its figures and the code that draws them are compressed, and the browser unpacks them: without that a page has 5 MB.
+"""
+
+import base64
+import functools
+import gzip
 import importlib.resources
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from html import escape
 from pathlib import Path
 
 from covariant._files import write_atomically
+from covariant.report._condensed import condensed
 from covariant.report._estimate import EstimateReport
 from covariant.report._optional import optional
-from covariant.report._panels import quantities
+from covariant.report._panels import Quantity, quantities
 from covariant.report._plotly import stack
-from covariant.report._polylines import LIMIT
 from covariant.report._style import Style, styles
 from covariant.report._table import cells
 
@@ -30,15 +36,15 @@ def write_html(report: EstimateReport, path: str | os.PathLike[str]) -> Path:
 
 
 def _page(report: EstimateReport) -> str:
-    script = optional("plotly.offline").get_plotlyjs()
-    found, styled = quantities(report), styles(report)
+    library = _library(optional("plotly.offline").get_plotlyjs)
+    found, styled = condensed(quantities(report)), styles(report)
     stacked = [quantity for quantity in found.values() if quantity.name != "distance"]
     figures = [stack(stacked, i, styled) for i in range(len(report.coordinates))]
     sections = [_section(name) for name in report.coordinates]
     if "distance" in found:
         figures.append(stack([found["distance"]], 0, styled))
         sections.append(_section(found["distance"].title, "wide"))
-    data = ",".join(str(figure.to_json()) for figure in figures)  # plotly escapes what would end the script element
+    data = ",".join(str(figure.to_json()) for figure in figures)
     return f"""<!DOCTYPE html>
 <html lang="en">
 <head>
@@ -54,14 +60,14 @@ script-src 'unsafe-inline'; img-src data: blob:">
 <body>
 <header>
 <h1>{escape(report.title)}</h1>
-{_notes(report)}{table_html(report.rows)}{_HINT}</header>
+{_notes(report, found)}{table_html(report.rows)}{_HINT}</header>
 <nav aria-label="Curves shown">{_legend(styled)}</nav>
 <main style="--columns: {len(report.coordinates)}">
 {chr(10).join(sections)}
 </main>
 <noscript>The figures need JavaScript.</noscript>
-<script type="application/json" id="figures">[{data}]</script>
-<script>{script}</script>
+{_packed("figures", f"[{data}]")}
+{library}
 <script>
 {asset("page.js")}</script>
 </body>
@@ -77,13 +83,26 @@ def _section(heading: str, kind: str = "") -> str:
     return f'<section class="{kind}"><h2>{escape(heading)}</h2><div class="figure"></div></section>'
 
 
-def _notes(report: EstimateReport) -> str:
+@functools.cache
+def _library(source: Callable[[], str]) -> str:
+    return _packed("plotly", source())
+
+
+def _packed(name: str, text: str) -> str:
+    """An element with a text for `unpack` in page.js: compressed, in base 85 without the character that opens a tag."""
+    squeezed = gzip.compress(text.encode(), mtime=0)
+    letters = base64.b85encode(squeezed, pad=True).decode().replace("<", ",")
+    return f'<script type="text/plain" id="{name}" data-bytes="{len(squeezed)}">{letters}</script>'
+
+
+def _notes(report: EstimateReport, found: dict[str, Quantity]) -> str:
     samples = len(report.t)
     notes = list(report.notes)
-    if samples > LIMIT:
+    if any(curve.below is not None for quantity in found.values() for curve in quantity.curves):
         notes.append(
-            f"The log has {samples} samples; each curve is drawn with at most {LIMIT} of them, "
-            "which keep the smallest and the largest of every interval."
+            f"The log has {samples} samples. Positions and velocities are drawn as the range from the smallest to the "
+            "largest in short intervals, those of the first estimate only; errors and innovations as their "
+            "running root mean square (RMS)."
         )
     return "<ul>" + "".join(f"<li>{escape(note)}</li>" for note in notes) + "</ul>\n" if notes else ""
 

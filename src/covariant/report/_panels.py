@@ -10,12 +10,13 @@ from covariant.report._estimate import MEASURED, EstimateReport
 
 class Curve(NamedTuple):
     """Samples of one quantity: t (T,) [s], values (T, c), a column for each panel. A `backdrop` is drawn behind the
-    others, and in full."""
+    others, and in full. A band reaches from `below` (T, c) up to the values."""
 
     t: Float[np.ndarray, "T"]
     values: Float[np.ndarray, "T c"]
     label: str
     backdrop: bool = False
+    below: Float[np.ndarray, "T c"] | None = None
 
 
 class Quantity(NamedTuple):
@@ -69,7 +70,7 @@ def quantities(report: EstimateReport) -> dict[str, Quantity]:
         Quantity(
             "distance",
             "Distance to the measurement",
-            ("metric distance",),
+            ("metric distance [√kg m]",),
             estimated(report.distance),
             np.zeros(1),
             deviation=True,
@@ -104,9 +105,11 @@ def span(values: Float[np.ndarray, "T c"]) -> Float[np.ndarray, "c"]:
 
 
 def depths(quantity: Quantity, column: int) -> list[int]:
-    """Drawing order of the curves, 0 at the back: backdrops, then estimates, the first or the smallest in front."""
+    """Drawing order of the curves, 0 at the back: backdrops and bands of errors, then estimates, the first or the
+    smallest in front."""
     far = [_size(c.values[:, column]) if quantity.deviation else rank for rank, c in enumerate(quantity.curves)]
-    order = sorted(range(len(far)), key=lambda i: (not quantity.curves[i].backdrop, -far[i], -i))
+    behind = [curve.backdrop or (quantity.deviation and curve.below is not None) for curve in quantity.curves]
+    order = sorted(range(len(far)), key=lambda i: (not behind[i], -far[i], -i))
     return [order.index(i) for i in range(len(far))]
 
 

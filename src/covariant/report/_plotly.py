@@ -9,8 +9,8 @@ import numpy as np
 from covariant.report._axis_range import AxisRange, axis_range
 from covariant.report._optional import optional
 from covariant.report._panels import Curve, Quantity, depths
-from covariant.report._polylines import polyline
-from covariant.report._style import GRID, INK, MUTED, Style
+from covariant.report._polylines import outline, polygons, polyline
+from covariant.report._style import BACK, BAND, EDGE, GRID, INK, MUTED, Style
 
 if TYPE_CHECKING:
     import plotly.graph_objects
@@ -42,7 +42,7 @@ def stack(shown: list[Quantity], column: int, styled: dict[str, Style]) -> "plot
         layout[f"yaxis{k}"] = _y_axis(quantity, column, limits) | {"domain": [max(0.0, top - _ROW / inner), top]}
         layout["annotations"] += _captions(quantity.title if len(shown) > 1 else "", top, limits)
         for curve, depth in zip(quantity.curves, depths(quantity, column), strict=True):
-            traces += _traces(curve, column, quantity.log, styled[curve.label], _axis("y", k), depth)
+            traces += _traces(curve, column, quantity, styled[curve.label], _axis("y", k), depth)
     return optional("plotly.graph_objects").Figure(data=traces, layout=layout)
 
 
@@ -84,12 +84,8 @@ def _captions(heading: str, top: float, limits: AxisRange | None) -> list[dict[s
     return [title, place | note]
 
 
-def _traces(curve: Curve, column: int, log: bool, style: Style, axis: str, depth: int) -> list[dict[str, Any]]:
-    """The line of a curve and its isolated samples; the legend of the page switches the `legendgroup`.
-
-    Values are in single precision, which is finer than any screen and makes the page a quarter smaller.
-    """
-    line, dots = polyline(curve.t, curve.values[:, column], log)
+def _traces(curve: Curve, column: int, quantity: Quantity, style: Style, axis: str, depth: int) -> list[dict[str, Any]]:
+    """The line of a curve and its isolated samples, or its band; the legend of the page switches the `legendgroup`."""
     shared = {
         "type": "scatter",
         "xaxis": "x",
@@ -97,12 +93,29 @@ def _traces(curve: Curve, column: int, log: bool, style: Style, axis: str, depth
         "zorder": depth,
         "name": escape(curve.label, quote=False),
         "legendgroup": curve.label,
-        "hovertemplate": "%{y:.4~g}",
+        "hovertemplate": "%{y:.3~g}",
     }
     dash = ",".join(f"{length}px" for length in style.dash) or "solid"
     stroke = {"color": style.color, "width": style.width, "dash": dash}
-    drawn = [
-        (line, {"mode": "lines", "line": stroke}),
-        (dots, {"mode": "markers", "marker": {"color": style.color, "size": 2 + style.width}}),
-    ]
-    return [{**shared, **look, "x": t, "y": y.astype(np.float32)} for (t, y), look in drawn if len(t)]
+    if curve.below is not None:
+        band = curve.t, curve.below[:, column], curve.values[:, column]
+        opacity = BACK if curve.backdrop else BAND
+        faint = "rgba({},{},{},{})".format(*bytes.fromhex(style.color[1:]), opacity)
+        fill = {"mode": "none", "fill": "toself", "fillcolor": faint, "hoverinfo": "skip", "hovertemplate": None}
+        edges = {"mode": "lines", "line": {**stroke, "width": EDGE * style.width}}
+        drawn = [(polygons(*band), fill)] if curve.backdrop or quantity.deviation else []
+        drawn += [] if quantity.deviation else [(outline(*band), edges)]
+    else:
+        line, dots = polyline(curve.t, curve.values[:, column], quantity.log)
+        drawn = [
+            (line, {"mode": "lines", "line": stroke}),
+            (dots, {"mode": "markers", "marker": {"color": style.color, "size": 2 + style.width}}),
+        ]
+    return [{**shared, **look, "x": t, "y": _rounded(y)} for (t, y), look in drawn if len(t)]
+
+
+def _rounded(values: np.ndarray) -> np.ndarray:
+    """Values to 3 digits, as on a screen: single precision with a short mantissa, which compresses well."""
+    bits = values.astype(np.float32).view(np.uint32)
+    short = ((bits + np.uint32(1 << 11)) & np.uint32(0xFFFFF000)).view(np.float32)
+    return np.where(np.isfinite(values), short, np.float32(np.nan))

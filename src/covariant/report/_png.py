@@ -6,11 +6,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from covariant.report._axis_range import axis_range
+from covariant.report._condensed import condensed
 from covariant.report._estimate import EstimateReport
 from covariant.report._optional import optional
 from covariant.report._panels import Quantity, depths, quantities, shorten
-from covariant.report._polylines import polyline
-from covariant.report._style import INK, MUTED, Style, new_figure, save_figure, styles
+from covariant.report._polylines import outline, polyline
+from covariant.report._style import BACK, BAND, EDGE, INK, MUTED, Style, new_figure, save_figure, styles
 
 if TYPE_CHECKING:
     import matplotlib.axes
@@ -25,7 +26,7 @@ def write_png(report: EstimateReport, path: str | os.PathLike[str]) -> list[Path
     Each row is a coordinate, each column a quantity. A suffix .png of the path is dropped first. Raises `ValueError`
     from `EstimateReport.check`, `ImportError` without matplotlib.
     """
-    found, styled = quantities(report.check()), styles(report)
+    found, styled = condensed(quantities(report.check())), styles(report)
     path = Path(path)
     stem = path.with_suffix("") if path.suffix.lower() == ".png" else path
     written = []
@@ -70,8 +71,16 @@ def _draw(ax: "matplotlib.axes.Axes", quantity: Quantity, column: int, styled: d
         return
     for curve, depth in zip(quantity.curves, depths(quantity, column), strict=True):
         color, width, dash = styled[curve.label]
-        line, dots = polyline(curve.t, curve.values[:, column], quantity.log)
         order = 2 + depth / 100  # between grid and text
+        if curve.below is not None:
+            low, high = curve.below[:, column], curve.values[:, column]
+            if curve.backdrop or quantity.deviation:
+                opacity = BACK if curve.backdrop else BAND
+                ax.fill_between(curve.t, low, high, color=color, alpha=opacity, linewidth=0, zorder=order)
+            if not quantity.deviation:
+                ax.plot(*outline(curve.t, low, high), color=color, linewidth=EDGE * width, zorder=order)
+            continue
+        line, dots = polyline(curve.t, curve.values[:, column], quantity.log)
         ax.plot(*line, color=color, linewidth=width, linestyle=(0, dash) if dash else "-", zorder=order)
         ax.plot(*dots, ".", color=color, markersize=1.5 + width, zorder=order)
     ax.set_ylim(limits.low, limits.high)

@@ -1,25 +1,22 @@
-"""A curve as a line and dots: with gaps where samples are missing, and long logs thinned without losing extremes."""
+"""A curve as a line and dots, with gaps where samples are missing; a band as its outline or as polygons."""
 
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-LIMIT = 5000
-"""Largest number of points drawn of one curve; panels have fewer pixels than that."""
-
 _DRAWABLE = 1e30
 """Larger values, or on a log axis values below its inverse, count as missing: drawing would overflow in float32."""
 
 Samples = Float[np.ndarray, "T"]
-Thinned = tuple[Float[np.ndarray, "k"], Float[np.ndarray, "k"]]
+Points = tuple[Float[np.ndarray, "k"], Float[np.ndarray, "k"]]
 
 
 class Polyline(NamedTuple):
     """A curve ready to be drawn: a line with NaN at its gaps, and dots for samples without a neighbour."""
 
-    line: Thinned
-    dots: Thinned
+    line: Points
+    dots: Points
 
 
 def polyline(t: Samples, values: Samples, log: bool) -> Polyline:
@@ -28,23 +25,27 @@ def polyline(t: Samples, values: Samples, log: bool) -> Polyline:
     alone = _alone(~np.isnan(shown))
     joined = np.where(alone, np.nan, shown)
     some = len(t) if np.isfinite(joined).any() else 1  # an empty line needs a single gap only
-    return Polyline(thin(t[:some], joined[:some]), thin(t[alone], shown[alone]))
+    return Polyline((t[:some], joined[:some]), (t[alone], shown[alone]))
 
 
-def thin(t: Samples, values: Samples, limit: int = LIMIT) -> Thinned:
-    """At most `limit` samples: of each interval the smallest, the largest, and its first gap (or first sample)."""
-    if len(t) <= limit:
-        return t, values
-    size = -(-len(t) // (limit // 3))
-    rows = np.pad(values, (0, -len(t) % size), mode="edge").reshape(-1, size)
-    gap = np.isnan(rows)
-    smallest, largest = np.where(gap, np.inf, rows).argmin(1), np.where(gap, -np.inf, rows).argmax(1)
-    within = np.stack([smallest, largest, gap.argmax(1)]) + size * np.arange(len(rows))
-    keep = np.unique(np.minimum(within, len(t) - 1))
-    return t[keep], values[keep]
+def outline(t: Samples, low: Samples, high: Samples) -> Points:
+    """The lower and the upper edge of a band, as one line with a gap."""
+    return np.concatenate([t, t[-1:], t]), np.concatenate([low, [np.nan], high])
 
 
-def drawable(values: Samples, log: bool) -> Bool[np.ndarray, "T"]:
+def polygons(t: Samples, low: Samples, high: Samples) -> Points:
+    """A band as closed polygons with gaps between them, one for each run of samples that are there."""
+    there = np.pad(np.isfinite(low) & np.isfinite(high), 1).astype(int)
+    ends = zip(np.flatnonzero(np.diff(there) > 0), np.flatnonzero(np.diff(there) < 0), strict=True)
+    x, y = [], []
+    for first, last in ends:
+        run = slice(first, last)
+        x += [t[run], t[run][::-1], t[last - 1 : last]]
+        y += [low[run], high[run][::-1], [np.nan]]
+    return (np.concatenate(x), np.concatenate(y)) if x else (t[:0], low[:0])
+
+
+def drawable(values: Float[np.ndarray, "*T"], log: bool) -> Bool[np.ndarray, "*T"]:
     """Which samples can be drawn on a linear or logarithmic axis."""
     least = 1 / _DRAWABLE if log else -_DRAWABLE
     return (values > least) & (values < _DRAWABLE)

@@ -29,6 +29,9 @@ INK, MUTED, GRID = "#24292F", "#6B737C", "#E4E7EA"
 
 DPI = 150
 
+BAND, BACK, EDGE = 0.3, 0.7, 0.5
+"""Opacity of the band of an error and of a backdrop, and width of the edges of a band, in widths of the line."""
+
 _DASHES = ((), (7, 3), (2, 2), (7, 2, 2, 2))
 
 

@@ -1,10 +1,33 @@
 "use strict";
+// The text of an element that holds it compressed, in base 85: five letters stand for four bytes.
+async function unpack(id) {
+  const order = "0123456789ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz!#$%&()*+-;,=>?@^_`{|}~";
+  const value = new Uint8Array(128);
+  [...order].forEach((letter, i) => { value[letter.charCodeAt(0)] = i; });
+  const element = document.getElementById(id), letters = element.textContent;
+  const bytes = new DataView(new ArrayBuffer(letters.length / 5 * 4));
+  for (let i = 0; i < letters.length; i += 5) {
+    let word = 0;
+    for (let k = i; k < i + 5; k++) word = word * 85 + value[letters.charCodeAt(k)];
+    bytes.setUint32(i / 5 * 4, word);
+  }
+  const packed = new Blob([bytes.buffer.slice(0, Number(element.dataset.bytes))]);
+  return new Response(packed.stream().pipeThrough(new DecompressionStream("gzip"))).text();
+}
+
 (async () => {
   const touch = matchMedia("(pointer: coarse)").matches;
   const config = { responsive: true, displaylogo: false, displayModeBar: touch || "hover",
                    modeBarButtons: [["toImage"], ["zoom2d", "pan2d"], ["zoomIn2d", "zoomOut2d", "resetScale2d"]] };
   const plots = [...document.querySelectorAll(".figure")];
-  const figures = JSON.parse(document.getElementById("figures").textContent);
+  if (!("DecompressionStream" in window)) {
+    document.querySelector("main").textContent = "This browser is too old to unpack the figures; open the page in a newer one.";
+    return;
+  }
+  const library = document.createElement("script");
+  library.textContent = await unpack("plotly");
+  document.head.append(library);
+  const figures = JSON.parse(await unpack("figures"));
   for (const [i, plot] of plots.entries()) {
     if (touch) figures[i].layout.dragmode = false; // a finger scrolls the page; zoom by the buttons
     await Plotly.newPlot(plot, figures[i].data, figures[i].layout, config);
