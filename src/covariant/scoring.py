@@ -32,7 +32,29 @@ def zero_phase_velocity(
 
     The windows include later samples, so this is for scoring only.
     """
-    return np.stack([_slopes(t, column, at, half, order) for column in np.asarray(y, float).T], axis=1)
+    return local_polynomials(t, y, at, half, order)[:, 1]
+
+
+def local_polynomials(
+    t: Float[NumpyArray, "T"],
+    y: Float[NumpyArray, "T n"],
+    at: Float[NumpyArray, "K"],
+    half: float = 0.03,
+    order: int = 3,
+) -> Float[NumpyArray, "K c n"]:
+    """The coefficients (K, order + 1, n) of the polynomials of `zero_phase_velocity`, in the time from each stamp `at`.
+
+    Coefficient c is the c-th derivative divided by c!.
+    """
+    y = np.asarray(y, float)
+    found = np.empty((len(at), int(order) + 1, y.shape[1]))
+    present = np.isfinite(y)
+    for pattern in np.unique(present, axis=1).T:  # columns that miss the same rows have the same windows
+        columns = np.flatnonzero((present == pattern[:, None]).all(axis=0))
+        measured = y[np.ix_(pattern, columns)]
+        for fit in _fits(t[pattern], at, half, order):
+            found[fit.at][:, :, columns] = np.einsum("kcw,kwn->kcn", fit.weights, measured[fit.rows])
+    return found
 
 
 def zero_phase_twist(
@@ -57,12 +79,6 @@ def zero_phase_twist(
         return turning
     slopes = zero_phase_velocity(t, g[:, :space, space], at, half, order)
     return np.concatenate([np.einsum("kij,ki->kj", attitude, slopes), turning], axis=1)
-
-
-def _slopes(t, y, at, half, order):
-    t, y = t[np.isfinite(y)], y[np.isfinite(y)]
-    fits = [np.einsum("kw,kw->k", fit.weights[:, 1], y[fit.rows]) for fit in _fits(t, at, half, order)]
-    return np.concatenate(fits)
 
 
 def _turning(t, rotation, at, half, order):
