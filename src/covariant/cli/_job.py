@@ -1,5 +1,6 @@
 """Common parts of `estimate` and `compare`: the model file, the log, and the reference for scoring."""
 
+import sys
 from pathlib import Path
 from typing import NamedTuple
 
@@ -7,6 +8,7 @@ import numpy as np
 
 from covariant import logs, models, scoring
 from covariant.design import DataSheet
+from covariant.diagnosis import misfit
 from covariant.models import MechanicalSystem
 from covariant.signals import Record, lag_inputs
 
@@ -19,7 +21,10 @@ OFF_TICK = 0.1
 
 
 class Job(NamedTuple):
-    """The arguments of a command; `columns` maps t, q, u, v, truth to names separated by commas, or None."""
+    """The arguments of a command; `columns` maps t, q, u, v, truth to names separated by commas, or None.
+
+    `anyway`: go on with a log that does not fit the model at all.
+    """
 
     model: str
     log: Path
@@ -27,6 +32,7 @@ class Job(NamedTuple):
     every: int
     until: float | None
     columns: dict[str, str | None]
+    anyway: bool = False
 
 
 class Loaded(NamedTuple):
@@ -43,10 +49,14 @@ class Loaded(NamedTuple):
     note: str = ""
 
 
-def load(job: Job) -> Loaded:
-    """Read model and log; raises `ValueError` or `OSError` with one line for the user."""
+def load(job: Job, why: str = "velocities are estimated for") -> Loaded:
+    """Read model and log; raises `ValueError` or `OSError` with one line for the user.
+
+    `why`: what mechanical models are needed for. A log that does not fit the model at all is refused with a line on
+    standard error and exit code 1.
+    """
     file = models.load(job.model, job.overrides)
-    model = file.need_mechanical(job.model, "velocities are estimated for")
+    model = file.need_mechanical(job.model, why)
     given = {key: names.strip() for key, names in job.columns.items() if names is not None}
     columns = file.columns._replace(
         **{key: names if key == "t" else tuple(n.strip() for n in names.split(",")) for key, names in given.items()}
@@ -54,6 +64,8 @@ def load(job: Job) -> Loaded:
     _check_columns(job, file, columns)
     file = file._replace(columns=columns)
     log = logs.read(job.log, columns, job.every, job.until)
+    if not job.anyway:
+        _refuse_misfit(job, file, log.record)
     record = lag_inputs(log.record, file.input_lag)
     t, y = np.asarray(record.t), np.asarray(record.y)
     if model.manifold.commuting:
@@ -67,6 +79,15 @@ def load(job: Job) -> Loaded:
     reference, label = _reference(file, log, full)
     rate = 1 / float(np.median(np.diff(t)))
     return Loaded(file, model, log, record, rate, reference, label, scoring.scored_window(t), note)
+
+
+def _refuse_misfit(job: Job, file: models.ModelFile, record: Record) -> None:
+    """Leave with exit code 1 where the model explains nothing of the motion, or another unit of the log explains it."""
+    finding = misfit(file, record)
+    if finding is not None:
+        how = f"`covariant check {job.model} {job.log}` looks closer, and --anyway goes on"
+        print(f"covariant: {job.log}: {finding.evidence}. {finding.line}; {how}", file=sys.stderr)
+        raise SystemExit(1)
 
 
 def _in_ticks(file: models.ModelFile, y: np.ndarray) -> tuple[models.ModelFile, str]:

@@ -65,11 +65,11 @@ class _Fit(NamedTuple):
 
 
 def delay_findings(
-    model: MechanicalSystem, names: Names, spacing: float, smoothed: Callable[[np.ndarray], Smooth]
+    model: MechanicalSystem, names: Names, spacing: float, lag: float, smoothed: Callable[[np.ndarray], Smooth]
 ) -> tuple[list[Finding], Residual]:
     """Findings of delays and of scales of inputs, and what the model leaves of the log after they are put right.
 
-    - `spacing` [s]: time between two rows.
+    - `spacing` [s]: time between two rows; `lag` [s]: that of the inputs in the model file.
     - `smoothed`: gives the smoothed log with delays (n,) [s] taken off.
     """
     fitting = _Fit(model, smoothed)
@@ -80,13 +80,15 @@ def delay_findings(
     scale = np.where((first := _settled(fitting, start, np.ones(m), spacing, False)[0]).off, first.scale, 1.0)
     common = _common(fitting, start, scale, spacing) if m else _Common()
     told, after = _settled(fitting, start + common.delay, scale, spacing, True)
-    return list(_findings(names, spacing, told, common, before, after)), after
+    return list(_findings(names, spacing, lag, told, common, before, after)), after
 
 
-def _settled(fitting: _Fit, delay: np.ndarray, scale: np.ndarray, spacing: float, delays: bool) -> tuple[_Told, Residual]:
+def _settled(
+    fitting: _Fit, delay: np.ndarray, scale: np.ndarray, spacing: float, delays: bool
+) -> tuple[_Told, Residual]:
     """What is believed in the end of delays, if asked for, and of scales; and what is left with them taken off.
 
-    The mean of `delay` over the earliest coordinates is taken off always.
+    The least of `delay`, which is that of all against the inputs, stays taken off.
     """
     base = delay.min()
     told, now = None, None
@@ -129,14 +131,13 @@ def _searched(model: MechanicalSystem, log: Smooth, now: Residual) -> Float[np.n
     """The long delay of one coordinate that halves what is left, or none (n,)."""
     n = log.q.shape[1]
     best, least = np.zeros(n), now.misfit / 2
-    if not now.misfit > LOST or n == 1 and log.u.shape[1] == 0:
+    if not now.misfit > LOST or n == 1:
         return best
     for i in range(n):
-        for size in SEARCHED:
-            for points in {int(sign * max(1, round(size / log.step))) for sign in (1, -1)}:
-                tried = residual(model, _rolled(log, i, points))
-                if tried.misfit < least:
-                    best, least = np.where(np.arange(n) == i, points * log.step, 0.0), tried.misfit
+        for points in sorted({max(1, round(size / log.step)) for size in SEARCHED}):
+            tried = residual(model, _rolled(log, i, points))
+            if tried.misfit < least:
+                best, least = np.where(np.arange(n) == i, points * log.step, 0.0), tried.misfit
     return best
 
 
@@ -148,8 +149,7 @@ def _rolled(log: Smooth, i: int, points: int) -> Smooth:
         values[:, i] = np.roll(values[:, i], -points)
         return values
 
-    ends = np.arange(len(log.t))
-    used = log.used & (ends + points >= 0) & (ends + points < len(ends)) & np.roll(log.used, -points)
+    used = log.used & np.roll(log.used, -points)  # the first and last points are never used
     return log._replace(q=moved(log.q), v=moved(log.v), a=moved(log.a), used=used)
 
 
@@ -172,7 +172,7 @@ def _std(cov: np.ndarray) -> np.ndarray:
 
 
 def _findings(
-    names: Names, spacing: float, told: _Told, common: _Common, before: Residual, after: Residual
+    names: Names, spacing: float, lag: float, told: _Told, common: _Common, before: Residual, after: Residual
 ) -> Iterator[Finding]:
     falls = ""
     if after.misfit < before.misfit:
@@ -186,16 +186,17 @@ def _findings(
         numbers = {"delay": delay, "std": std, "rows": delay / spacing}
         yield Finding("delay", names.q[i], evidence, line, True, numbers)
     if common.delay:
-        late, size = common.delay > 0, abs(common.delay)
-        who = "positions are measured" if late else "inputs act"
-        yield Finding(
-            "delay of positions" if late else "delay of inputs",
-            ", ".join(names.q if late else names.u),
-            f"{who} {_ms(size, common.std)} later than the stamps say{_rows(size, common.std, spacing)}{falls}",
-            line if late else f"[inputs] lag = {size:.2g}, or shift the inputs by {size:.2g} s",
-            True,
-            {"delay": common.delay, "std": common.std, "rows": common.delay / spacing},
-        )
+        size, how = abs(common.delay), f"{_ms(abs(common.delay), common.std)}"
+        rows = _rows(size, common.std, spacing)
+        if common.delay > 0:  # whether the one or the other is late, the log is the same
+            evidence = f"positions follow the inputs {how} later than the model says{rows}{falls}"
+            line = f"{line} where measurements are late, or [inputs] lag = {lag + size:.2g} where inputs act late"
+        else:
+            evidence = f"inputs are stamped {how} later than they act{rows}{falls}"
+            less = f"[inputs] lag = {max(lag - size, 0.0):.2g}, or " if lag else ""
+            line = f"{less}subtract {size:.2g} s from the stamps of {', '.join(names.u)}"
+        numbers = {"delay": common.delay, "std": common.std, "rows": common.delay / spacing}
+        yield Finding("delay against the inputs", "", evidence, line, True, numbers)
     for j in np.flatnonzero(told.off):
         scale, std = float(told.scale[j]), float(told.scale_std[j])
         yield Finding(

@@ -20,7 +20,7 @@ from covariant.models import MechanicalSystem, ModelFile
 from covariant.scoring import unwrap
 from covariant.signals import Record, lag_inputs
 
-MOST_ROWS = 30_000
+MOST_ROWS = 10_000
 """Rows of the log that are compared with the model: the stretch in which most moves."""
 FEW_ROWS = 4_000
 """The same for the check before an estimate."""
@@ -86,7 +86,7 @@ def diagnose(file: ModelFile, record: Record, quantum: float | None = None) -> D
         return Diagnosis((*found, _standstill(case)), looked)
     looked += ("units", "order and signs of columns", "scales of inputs", "delays", "accelerations")
     delays, now = delay_findings(
-        case.model, case.names, case.spacing, lambda delay: _smoothed(case, best[0], delay)
+        case.model, case.names, case.spacing, file.input_lag, lambda delay: _smoothed(case, best[0], delay)
     )
     return Diagnosis((*found, *delays, *_unexplained(file, case.names, now)), looked)
 
@@ -234,7 +234,10 @@ def _sensors(case: _Case, stated: float | None) -> list[Finding]:
     """Findings about ticks and noise, in the units of the model."""
     t, y = np.asarray(case.record.t), unwrap(np.asarray(case.record.y), case.model.circles)
     errors = [
-        _sensor.prediction_errors(t[seen], column[seen]) for column in y.T for seen in (np.isfinite(column),) if seen.sum() > 50
+        _sensor.prediction_errors(t[seen], column[seen])
+        for column in y.T
+        for seen in (np.isfinite(column),)
+        if seen.sum() > 50
     ]
     if len(errors) < y.shape[1]:
         return []
@@ -273,11 +276,15 @@ def _sensors(case: _Case, stated: float | None) -> list[Finding]:
 def _standstill(case: _Case) -> Finding:
     """Why nothing can be told of the log by its motion."""
     t, y = np.asarray(case.record.t), unwrap(np.asarray(case.record.y), case.model.circles)
-    ranges = [f"{name} by {np.nanmax(c) - np.nanmin(c):.3g} {unit}".rstrip() for name, c, unit in zip(case.names.q, y.T, case.names.units, strict=True)]
+    ranges = [
+        f"{name} by {np.nanmax(c) - np.nanmin(c):.3g} {unit}".rstrip()
+        for name, c, unit in zip(case.names.q, y.T, case.names.units, strict=True)
+    ]
     return Finding(
         "too little motion",
         "",
-        f"in {t[-1] - t[0]:.3g} s of {len(t)} rows {', '.join(ranges)} moved, too little or too short to tell an acceleration from noise",
+        f"in {t[-1] - t[0]:.3g} s of {len(t)} rows {', '.join(ranges)} moved: too little or too short to tell an "
+        "acceleration from noise",
         "log a motion: nothing can be told of units, signs, order and delays from this log",
         True,
         {"rows": len(t)},

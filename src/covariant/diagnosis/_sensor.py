@@ -1,7 +1,5 @@
 """What a log tells of its clock and its sensors without a model: missing rows, jitter, outliers, ticks."""
 
-from collections.abc import Sequence
-
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -9,14 +7,15 @@ from covariant.diagnosis._finding import Finding
 from covariant.scoring import unwrap
 
 GAP = 1.5
-"""Steps in time longer than so many usual ones miss a row."""
+"""Steps in time longer than so many usual ones, and than the jitter explains, miss a row."""
 JITTER = 0.02
 """Standard deviation of steps in time, as a fraction of the usual one, from which they are called irregular."""
 FAR = 8.0
 """Standard deviations from which a measurement between its neighbours is an outlier."""
 NEAR = (-2, -1, 1, 2)
 """Neighbours through which a polynomial predicts a measurement."""
-ROUNDS = 8
+ROUNDS = 30
+"""Most times that measurements are predicted anew."""
 FEW_OUTLIERS = 5e-3
 """Fraction of outliers that is not worth a finding."""
 LATTICE = 0.05
@@ -29,7 +28,8 @@ def stamps(t: Float[np.ndarray, "T"]) -> list[Finding]:
     """Rows that the stamps (T,) [s] show to be missing, and irregular stamps."""
     steps = np.diff(t)
     usual = float(np.median(steps))
-    gaps = steps > GAP * usual
+    jitter = 1.4826 * float(np.median(np.abs(steps - usual)))
+    gaps = steps > max(GAP * usual, usual + FAR * jitter)
     findings = []
     if gaps.any():
         missing = int(np.sum(np.rint(steps[gaps] / usual) - 1))
@@ -50,7 +50,7 @@ def stamps(t: Float[np.ndarray, "T"]) -> list[Finding]:
             Finding(
                 "irregular stamps",
                 "",
-                f"rows are {usual:.4g} s ± {spread:.2g} s apart, from {steps.min():.4g} s to {steps[~gaps].max():.4g} s",
+                f"rows are {usual:.4g} s ± {spread:.2g} s apart, from {steps.min():.4g} s to {steps[~gaps].max():.4g}",
                 "nothing to change: estimates use the stamps and assume no constant step",
                 False,
                 {"step": usual, "std": spread},
@@ -143,9 +143,13 @@ def tick(y: Float[np.ndarray, "T"]) -> float:
         step = least / fraction
         near = changes[changes < 20.5 * step]
         whole = np.rint(near / step)
-        if len(near) >= 20 and np.quantile(np.abs(near / step - whole), 0.95) < LATTICE and whole.max() > 1:
+        if len(near) >= 20 and np.quantile(np.abs(near / step - whole), 0.95) < LATTICE and _gcd(whole) == 1:
             return float(np.sum(near) / np.sum(whole))  # the mean over many ticks, since logs hold few digits
     return 0.0
+
+
+def _gcd(whole: np.ndarray) -> int:
+    return int(np.gcd.reduce(whole.astype(int)))
 
 
 def quanta(y: Float[np.ndarray, "T n"], noise: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
@@ -154,7 +158,9 @@ def quanta(y: Float[np.ndarray, "T n"], noise: Float[np.ndarray, "n"]) -> Float[
     return np.where(found > MOST_TICKS * noise, found, 0.0)
 
 
-def outlier_findings(wrong: Bool[np.ndarray, "T n"], sizes: Sequence[float], names, units) -> list[Finding]:
+def outlier_findings(
+    wrong: Bool[np.ndarray, "T n"], sizes: Float[np.ndarray, "n"], names: tuple[str, ...], units: tuple[str, ...]
+) -> list[Finding]:
     """A finding for each column with outliers; `sizes` are their usual distances."""
     findings = []
     for name, unit, column, size in zip(names, units, wrong.T, sizes, strict=True):

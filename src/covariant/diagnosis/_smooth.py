@@ -1,4 +1,4 @@
-"""A log smoothed on a grid of even times, with no phase: positions, velocities and accelerations from the future too."""
+"""A log smoothed without phase on a grid of even times: positions, velocities and accelerations."""
 
 from typing import Any, NamedTuple
 

@@ -58,6 +58,7 @@ def fit(model: MechanicalSystem, log: Smooth, now: Residual) -> Fitted:
 
 def shifted(log: Smooth, i: int, shift: float) -> Smooth:
     """The smoothed log with coordinate i as it is by `shift` [s] later, for a shift below the step of the grid."""
+
     def moved(values):
         values = values.copy()
         values[:, i] += shift * np.gradient(values[:, i], log.step)
