@@ -241,7 +241,7 @@ def _sensors(case: _Case, stated: float | None) -> list[Finding]:
     ]
     if len(errors) < y.shape[1]:
         return []
-    noise = np.array([np.sqrt(np.mean(error**2)) for error in errors])
+    noise = np.array([1.4826 * np.median(np.abs(error)) for error in errors])
     white = [np.mean(error[1:] * error[:-1]) < ALTERNATES * np.mean(error**2) for error in errors]
     ticks, unit = _sensor.quanta(y, noise), case.names.units[0]
     coarsest, findings = float(ticks.max()), []

@@ -12,10 +12,12 @@ JITTER = 0.02
 """Standard deviation of steps in time, as a fraction of the usual one, from which they are called irregular."""
 FAR = 8.0
 """Standard deviations from which a measurement between its neighbours is an outlier."""
-NEAR = (-2, -1, 1, 2)
-"""Neighbours through which a polynomial predicts a measurement."""
 ROUNDS = 30
 """Most times that measurements are predicted anew."""
+COARSE = 0.02
+"""Part of the motion among the neighbours of a measurement by which a polynomial may miss it."""
+FEW_ROWS = 50
+"""Fewest measurements among which outliers are told."""
 FEW_OUTLIERS = 5e-3
 """Fraction of outliers that is not worth a finding."""
 LATTICE = 0.05
@@ -90,39 +92,54 @@ def outliers(
     y = np.array(y, float)
     wrong, sizes = np.zeros(y.shape, bool), np.zeros(y.shape[1])
     for i in range(y.shape[1]):
-        kept, off = np.flatnonzero(np.isfinite(y[:, i])), []
+        kept, scale = np.flatnonzero(np.isfinite(y[:, i])), np.zeros(1)
+        column = unwrap(y[:, i : i + 1], (0,) if i in circles else ())[:, 0]
         for _ in range(ROUNDS):
-            if len(kept) < 50:
+            if len(kept) < FEW_ROWS:
                 break
-            column = unwrap(y[kept, i : i + 1], (0,) if i in circles else ())[:, 0]
-            error = prediction_errors(t[kept], column)
+            error = prediction_errors(t[kept], column[kept])
             scale = np.maximum(1.4826 * np.median(np.abs(error)), _around(error))
-            scale = np.maximum(scale, tick(column))
+            scale = np.maximum(scale, np.maximum(tick(column[kept]), COARSE * _moved(column[kept])))
             far = np.abs(error) / np.where(scale > 0, scale, np.inf)
             worst = far == np.max([np.roll(far, k) for k in (-3, -2, -1, 0, 1, 2, 3)], axis=0)
             bad = worst & (far > FAR)
             if not bad.any():
                 break
             wrong[kept[bad], i] = True
-            off.extend(np.abs(error[bad]))
             kept = kept[~bad]
-        sizes[i] = np.median(off) if off else 0.0
+        taken_out = np.flatnonzero(wrong[:, i])
+        if len(taken_out):
+            wrong[_readmitted(t, column, kept, taken_out, float(np.median(scale))), i] = False
+            places = np.flatnonzero(wrong[:, i])
+            sizes[i] = (
+                np.median(np.abs(column[places] - np.interp(t[places], t[kept], column[kept]))) if len(places) else 0.0
+            )
     return wrong, sizes
 
 
 def prediction_errors(t: Float[np.ndarray, "T"], y: Float[np.ndarray, "T"]) -> Float[np.ndarray, "T"]:
-    """What measurements (T,) differ by from the cubic through their neighbours, scaled to the noise of one."""
-    rows = np.arange(2, len(t) - 2)
-    near = rows[:, None] + np.array(NEAR)
-    offsets = (t[near] - t[rows, None]) / (t[near[:, -1:]] - t[near[:, :1]])
+    """What measurements (T,) differ by from the cubic through their four neighbours, scaled to the noise of one."""
+    rows = np.arange(len(t))
+    five = np.clip(rows - 2, 0, len(t) - 5)[:, None] + np.arange(5)  # at the ends the neighbours are on one side
+    return _errors(t, y, five[five != rows[:, None]].reshape(-1, 4), t, y)
+
+
+def _errors(t, y, near, at, value) -> np.ndarray:
+    """What values (k,) at stamps (k,) differ by from the cubics through the measurements `near` (k, 4) them, scaled."""
+    offsets = (t[near] - at[:, None]) / (t[near[:, -1:]] - t[near[:, :1]])
     weights = np.ones_like(offsets)  # Lagrange's, at zero
-    for k in range(len(NEAR)):
-        for other in range(len(NEAR)):
+    for k in range(4):
+        for other in range(4):
             if other != k:
                 weights[:, k] *= offsets[:, other] / (offsets[:, other] - offsets[:, k])
-    error = np.zeros(len(t))
-    error[rows] = (y[rows] - np.sum(weights * y[near], axis=1)) / np.sqrt(1 + np.sum(weights**2, axis=1))
-    return error
+    return (value - np.sum(weights * y[near], axis=1)) / np.sqrt(1 + np.sum(weights**2, axis=1))
+
+
+def _readmitted(t, y, kept: np.ndarray, taken_out: np.ndarray, scale: float) -> np.ndarray:
+    """Those of the rows taken out that are near to what the kept ones predict: they were between two outliers."""
+    place = np.clip(np.searchsorted(kept, taken_out), 2, len(kept) - 2)
+    error = _errors(t[kept], y[kept], place[:, None] + np.array([-2, -1, 0, 1]), t[taken_out], y[taken_out])
+    return taken_out[np.abs(error) < FAR * scale]
 
 
 def _around(error: np.ndarray, half: int = 25) -> np.ndarray:
@@ -130,6 +147,12 @@ def _around(error: np.ndarray, half: int = 25) -> np.ndarray:
     padded = np.pad(np.abs(error), half, mode="reflect")
     windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1)
     return 1.4826 * np.median(windows, axis=1)
+
+
+def _moved(y: np.ndarray) -> np.ndarray:
+    """How far apart measurements (T,) are among two before and two after each."""
+    windows = np.lib.stride_tricks.sliding_window_view(np.pad(y, 2, mode="edge"), 5)
+    return windows.max(axis=1) - windows.min(axis=1)
 
 
 def tick(y: Float[np.ndarray, "T"]) -> float:
