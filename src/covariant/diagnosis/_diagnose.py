@@ -6,7 +6,7 @@ stamps say.
 """
 
 from collections.abc import Iterable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -14,8 +14,8 @@ from covariant.diagnosis import _sensor
 from covariant.diagnosis._changes import Change, Names, structure_changes, unit_changes
 from covariant.diagnosis._delays import delay_findings
 from covariant.diagnosis._finding import Diagnosis, Finding
-from covariant.diagnosis._residual import Residual, residual
-from covariant.diagnosis._smooth import ORDER, Smooth, smooth
+from covariant.diagnosis._residual import CLEAR, Residual, residual
+from covariant.diagnosis._smooth import FEWEST, ORDER, Smooth, smooth
 from covariant.models import MechanicalSystem, ModelFile
 from covariant.scoring import unwrap
 from covariant.signals import Record, lag_inputs
@@ -28,6 +28,8 @@ SHORTEST = 6.0
 """Length of a log that is compared with the model, in half windows."""
 WINDOWS = (1.0, 2.0, 3.0)
 """Half windows that are tried, in those of the reference of the model file; that is kept which explains most."""
+WIDER = (2.0, 4.0, 8.0, 16.0)
+"""The same until accelerations are more than noise, as they are late in a slow motion."""
 FITS = 0.15
 """Largest unexplained fraction of the accelerations with which no other reading of the log is looked for."""
 BARELY = 0.5
@@ -141,27 +143,46 @@ def _without_outliers(file: ModelFile, record: Record) -> tuple[_Case, list[Find
     return case, _sensor.outlier_findings(far, sizes, names.q, names.units)
 
 
-def _smoothed(case: _Case, half: float, delay=0.0) -> Smooth:
+def _smoothed(case: _Case, half: float, delay: Any = 0.0) -> Smooth:
     return smooth(lag_inputs(case.record, case.file.input_lag), half, case.model.circles, delay)
 
 
-def _compared(case: _Case, window: float = 2.0) -> Residual | None:
+def _long_enough(case: _Case, half: float) -> bool:
+    """Whether the record can be smoothed over windows of ±`half` [s]."""
+    t, y = np.asarray(case.record.t), np.asarray(case.record.y)
+    enough = np.isfinite(y).sum(axis=0).min() > 10 * (ORDER + 1)
+    return bool(enough and t[-1] - t[0] >= SHORTEST * max(half, FEWEST * case.spacing))
+
+
+def _clearly(case: _Case) -> Smooth | None:
+    """The record smoothed by the first window in which accelerations are more than noise, or else the widest one.
+
+    None where the record is too short for any.
+    """
+    log = None
+    for half in (w * case.file.reference_half for w in WIDER):
+        if not _long_enough(case, half):
+            break
+        log = _smoothed(case, half)
+        if np.any(np.mean(log.a[log.used] ** 2, axis=0) > CLEAR * log.a_noise**2) if log.used.any() else False:
+            break
+    return log
+
+
+def _compared(case: _Case) -> Residual | None:
     """What the model leaves of the record; None where that is too short to be smoothed."""
-    half, t = window * case.file.reference_half, np.asarray(case.record.t)
-    enough = np.isfinite(np.asarray(case.record.y)).sum(axis=0).min() > 10 * (ORDER + 1)
-    if not enough or t[-1] - t[0] < SHORTEST * max(half, 5 * case.spacing):
-        return None
-    return residual(case.model, _smoothed(case, half))
+    log = _clearly(case)
+    return None if log is None else residual(case.model, log)
 
 
 def _best_window(case: _Case) -> tuple[float, Residual] | None:
-    """The half window [s] with which the model explains most, and what it leaves."""
-    halves = [w * case.file.reference_half for w in WINDOWS]
-    left = [_compared(case, w) for w in WINDOWS]
-    known = [(r.misfit, h, r) for r, h in zip(left, halves, strict=True) if r is not None and r.told.any()]
-    if not known:
-        return None
-    return min(known, key=lambda entry: entry[0])[1:]
+    """The half window [s] with which the model explains most, and what it leaves; None where nothing can be told."""
+    halves = [half for half in (w * case.file.reference_half for w in WINDOWS) if _long_enough(case, half)]
+    tried = [(half, residual(case.model, _smoothed(case, half))) for half in halves]
+    if not any(left.told.any() for _, left in tried) and (log := _clearly(case)) is not None:
+        tried = [(log.half, residual(case.model, log))]
+    known = [(half, left) for half, left in tried if left.told.any()]
+    return min(known, key=lambda entry: entry[1].misfit) if known else None
 
 
 def _units(case: _Case) -> Iterable[Change]:
@@ -180,8 +201,8 @@ def _put_right(case: _Case) -> tuple[list[Finding], _Case]:
         if asis is not None and asis.told.any() and asis.misfit < FITS:
             break
         tried = [(change, _compared(_changed(case, change))) for change in _units(case)]
-        if asis is not None:
-            log = _smoothed(case, 2.0 * case.file.reference_half)
+        log = _clearly(case)
+        if log is not None:
             tried += [(change, residual(case.model, change.of_smooth(log))) for change in structure_changes(case.names)]
         better = _best_change(case, asis, tried, BARELY)
         if better is None:

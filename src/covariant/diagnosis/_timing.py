@@ -16,6 +16,7 @@ from covariant.diagnosis._smooth import Smooth
 from covariant.models import MechanicalSystem
 
 BLOCKS = 30
+ROUNDS = 5
 NUDGE = 1e-4
 """Shift [s] by which derivatives with respect to a delay are taken."""
 
@@ -69,17 +70,25 @@ def shifted(log: Smooth, i: int, shift: float) -> Smooth:
 
 def _least_squares(left, columns):
     """Minimiser θ (p,) of the squares of `left + columns θ`, its covariance, and the weight (n, n) of the squares."""
-    theta = np.zeros(columns.shape[2])
-    for _ in range(5):  # the weight is that of what is left in the end
-        rest = left + columns @ theta
-        weight = np.linalg.pinv(rest.T @ rest / len(rest), rcond=1e-9)
-        weighted = np.einsum("kip,ij->kjp", columns, weight)
-        normal = np.einsum("kjp,kjq->pq", weighted, columns)
-        theta = -np.linalg.pinv(normal, rcond=1e-12) @ np.einsum("kjp,kj->p", weighted, left)
+    rest = left
+    for _ in range(ROUNDS - 1):  # the weight is that of what is left in the end
+        rest = left + columns @ _solved(left, columns, _weight(rest))[0]
+    weight = _weight(rest)
+    theta, inverse, weighted = _solved(left, columns, weight)
     scores = np.einsum("kjp,kj->kp", weighted, left + columns @ theta)
     sums = np.array([part.sum(axis=0) for part in np.array_split(scores, BLOCKS)])
-    inverse = np.linalg.pinv(normal, rcond=1e-12)
     return theta, inverse @ (sums.T @ sums) @ inverse * BLOCKS / (BLOCKS - 1), weight
+
+
+def _weight(rest):
+    return np.linalg.pinv(rest.T @ rest / len(rest), rcond=1e-9)
+
+
+def _solved(left, columns, weight):
+    """θ, the inverse of the normal matrix, and the weighted columns."""
+    weighted = np.einsum("kip,ij->kjp", columns, weight)
+    inverse = np.linalg.pinv(np.einsum("kjp,kjq->pq", weighted, columns), rcond=1e-12)
+    return -inverse @ np.einsum("kjp,kj->p", weighted, left), inverse, weighted
 
 
 def _gain(left, column, weight):
