@@ -17,8 +17,8 @@ SOURCE = ROOT / "src" / "covariant"
 
 PLAN = (
     "_programs _typing _functional _files _optional _numbers signals scoring _linalg _integrate lowering "
-    "logs geometry models riccati observers control simulation interop scale proofs certificates audit design report "
-    "papers cli"
+    "logs geometry models riccati observers control simulation interop scale proofs certificates audit diagnosis "
+    "design report papers cli"
 )
 """A room may import from itself and from any room to its left, never to its right."""
 
@@ -53,6 +53,7 @@ PUBLIC = {
     "design": "ESTIMATORS DataSheet Gains MetricSummary Trial bias contracting_gain estimators filter_bandwidth gains "
     "jerk_bound joint_noise load_metric metric metric_summary observer_gains predict_errors tuned_estimators "
     "window_length with_gains",
+    "diagnosis": "Diagnosis Finding diagnose misfit",
     "geometry": "AbstractManifold AbstractMetric AbstractSpace Budget ConstantCurvature Coordinates Euclidean "
     "FlatTorus Interpolated KineticEnergy Metric Product ProductManifold Pullback Shot Transported "
     "as_space christoffel connection curvature derivative differential distance exp gradient hyperbolic "
@@ -228,6 +229,7 @@ def aliases(path: Path) -> Iterator[str]:
                 "proofs",
                 "certificates",
                 "audit",
+                "diagnosis",
                 "design",
             )
         ),

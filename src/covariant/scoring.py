@@ -32,9 +32,28 @@ def zero_phase_velocity(
 
     The windows include later samples, so this is for scoring only.
     """
+    return _coefficients(t, y, at, half, order, slice(1, 2))[:, 0]
+
+
+def local_polynomials(
+    t: Float[NumpyArray, "T"],
+    y: Float[NumpyArray, "T n"],
+    at: Float[NumpyArray, "K"],
+    half: float = 0.03,
+    order: int = 3,
+) -> Float[NumpyArray, "K c n"]:
+    """The coefficients (K, order + 1, n) of the polynomials of `zero_phase_velocity`, in the time from each stamp `at`.
+
+    Coefficient c is the c-th derivative divided by c!.
+    """
+    return _coefficients(t, y, at, half, order, slice(int(order) + 1))
+
+
+def _coefficients(t, y, at, half, order, wanted: slice):
+    """The `wanted` coefficients (K, c, n) of the local polynomials."""
     y = np.asarray(y, float)
     measured = np.isfinite(y)
-    slopes = np.empty((len(at), y.shape[1]))
+    found = np.empty((len(at), len(range(int(order) + 1)[wanted]), y.shape[1]))
     together: dict[bytes, list[int]] = {}  # columns that are measured in the same rows share their windows
     for column, rows in enumerate(measured.T):
         together.setdefault(rows.tobytes(), []).append(column)
@@ -42,10 +61,10 @@ def zero_phase_velocity(
         rows = measured[:, columns[0]]
         seen = y[rows].T[columns]
         for fit in _fits(t[rows], at, half, order):
-            weights = fit.weights[fit.same, 1]
+            weights = fit.weights[fit.same, wanted]
             for column, positions in zip(columns, seen, strict=True):
-                slopes[fit.at, column] = np.einsum("kw,kw->k", weights, positions.take(fit.rows))
-    return slopes
+                found[fit.at, :, column] = np.einsum("kcw,kw->kc", weights, positions.take(fit.rows))
+    return found
 
 
 def zero_phase_twist(

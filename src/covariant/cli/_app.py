@@ -43,6 +43,7 @@ Inputs = Annotated[str | None, typer.Option("--u", help="Columns of the inputs, 
 Velocities = Annotated[str | None, typer.Option("--v", help="Columns of logged velocities, only compared with.")]
 Truth = Annotated[str | None, typer.Option("--truth", help="Columns of true velocities, to score against.")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object for machines.")]
+Anyway = Annotated[bool, typer.Option("--anyway", help="Go on although the log does not fit the model at all.")]
 Report = Annotated[Path | None, typer.Option(help="Write an interactive page (.html) and PNG figures beside it.")]
 
 
@@ -69,13 +70,14 @@ def estimate(
         typer.Option("--score", help="Score the velocities too, against slopes of the positions."),
     ] = False,
     report: Report = None,
+    anyway: Anyway = False,
     json: Json = False,
 ) -> None:
     """Estimate velocities from the positions or attitudes in a log."""
     from covariant.cli import _estimate
     from covariant.cli._job import Job
 
-    job = Job(model, log, tuple(override), every, until, {"t": t, "q": q, "u": u, "v": v, "truth": truth})
+    job = Job(model, log, tuple(override), every, until, {"t": t, "q": q, "u": u, "v": v, "truth": truth}, anyway)
     _estimate.estimate(job, out, observer, alpha, beta, score, report, json)
 
 
@@ -93,14 +95,34 @@ def compare(
     v: Velocities = None,
     truth: Truth = None,
     report: Report = None,
+    anyway: Anyway = False,
     json: Json = False,
 ) -> None:
     """Run all estimators on a log, tuned from the same data sheet, and rank them."""
     from covariant.cli import _compare
     from covariant.cli._job import Job
 
-    job = Job(model, log, tuple(override), every, until, {"t": t, "q": q, "u": u, "v": v, "truth": truth})
+    job = Job(model, log, tuple(override), every, until, {"t": t, "q": q, "u": u, "v": v, "truth": truth}, anyway)
     _compare.compare(job, out, report, json)
+
+
+@app.command()
+def check(
+    model: Model,
+    log: LogFile,
+    override: Override = [],  # noqa: B006  typer copies it
+    every: Every = 1,
+    until: Until = None,
+    t: Time = None,
+    q: Positions = None,
+    u: Inputs = None,
+    json: Json = False,
+) -> None:
+    """Compare a log with a model: units, order, signs, delays, ticks, outliers; exit code 1 where one is wrong."""
+    from covariant.cli import _check
+    from covariant.cli._job import Job
+
+    _check.check(Job(model, log, tuple(override), every, until, {"t": t, "q": q, "u": u}, anyway=True), json)
 
 
 @app.command()

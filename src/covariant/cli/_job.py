@@ -1,5 +1,6 @@
 """Common parts of `estimate` and `compare`: the model file, the log, and the reference for scoring."""
 
+import sys
 from pathlib import Path
 from typing import NamedTuple
 
@@ -7,6 +8,7 @@ import numpy as np
 
 from covariant import logs, models, scoring
 from covariant.design import DataSheet
+from covariant.diagnosis import misfit
 from covariant.models import MechanicalSystem
 from covariant.observers import REGISTRY, AbstractObserver, Delayed
 from covariant.signals import Record, acting_inputs, lag_inputs
@@ -20,7 +22,10 @@ OFF_TICK = 0.1
 
 
 class Job(NamedTuple):
-    """The arguments of a command; `columns` maps t, q, u, v, truth to names separated by commas, or None."""
+    """The arguments of a command; `columns` maps t, q, u, v, truth to names separated by commas, or None.
+
+    `anyway`: go on with a log that does not fit the model at all.
+    """
 
     model: str
     log: Path
@@ -28,6 +33,7 @@ class Job(NamedTuple):
     every: int
     until: float | None
     columns: dict[str, str | None]
+    anyway: bool = False
 
 
 class ReferenceVelocity(NamedTuple):
@@ -50,13 +56,14 @@ class Loaded(NamedTuple):
     note: str = ""
 
 
-def load(job: Job, score: bool = True) -> Loaded:
+def load(job: Job, score: bool = True, why: str = "velocities are estimated for") -> Loaded:
     """Read model and log, with a reference where `score` asks for one or the log has the true velocities.
 
-    Raises `ValueError` or `OSError` with one line for the user.
+    `why`: what mechanical models are needed for. A log that does not fit the model at all is refused with a line on
+    standard error and exit code 1. Raises `ValueError` or `OSError` with one line for the user.
     """
     file = models.load(job.model, job.overrides)
-    model = file.need_mechanical(job.model, "velocities are estimated for")
+    model = file.need_mechanical(job.model, why)
     given = {key: names.strip() for key, names in job.columns.items() if names is not None}
     columns = file.columns._replace(
         **{key: names if key == "t" else tuple(n.strip() for n in names.split(",")) for key, names in given.items()}
@@ -64,6 +71,8 @@ def load(job: Job, score: bool = True) -> Loaded:
     _check_columns(job, file, columns)
     file = file._replace(columns=columns)
     log = logs.read(job.log, columns, job.every, job.until)
+    if not job.anyway:
+        _refuse_misfit(job, file, log.record)
     record = acting_inputs(lag_inputs(log.record, file.input_lag), file.input_between, file.input_delay)
     t, y = np.asarray(record.t), np.asarray(record.y)
     if model.manifold.commuting:
@@ -106,6 +115,15 @@ def _told(file: models.ModelFile) -> str:
     if not delays.any():
         return ""
     return f" Positions are read {', '.join(f'{1e3 * delay:g}' for delay in delays)} ms late."
+
+
+def _refuse_misfit(job: Job, file: models.ModelFile, record: Record) -> None:
+    """Leave with exit code 1 where the model explains nothing of the motion, or another unit of the log explains it."""
+    finding = misfit(file, record)
+    if finding is not None:
+        how = f"`covariant check {job.model} {job.log}` looks closer, and --anyway goes on"
+        print(f"covariant: {job.log}: {finding.evidence}. {finding.line}; {how}", file=sys.stderr)
+        raise SystemExit(1)
 
 
 def _in_ticks(file: models.ModelFile, y: np.ndarray) -> tuple[models.ModelFile, str]:

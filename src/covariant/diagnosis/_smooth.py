@@ -1,0 +1,109 @@
+"""A log smoothed without phase on a grid of even times: positions, velocities and accelerations."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from covariant import scoring
+from covariant.signals import Record
+
+HALF = 10
+"""Points of the grid in half a window."""
+ORDER = 3
+FEWEST = 5.0
+"""Samples in half a window at the least."""
+FULL = 0.6
+"""Fraction of the usual number of samples that a window must hold to be used."""
+
+
+class Smooth(NamedTuple):
+    """A smoothed log on a grid of times.
+
+    - `t` (K,) [s]; `q`, `v`, `a` (K, n): positions and their derivatives; `u` (K, m): inputs, averaged between points.
+    - `used` (K,): where windows are full.
+    - `kernel` (2 HALF + 1,): `a` is the true acceleration averaged with these weights over the neighbouring points.
+    - `noise`, `a_noise` (n,): standard deviations of a measurement and of what it makes of `a`.
+    - `half`, `step` [s]: half width of a window, and time between points of the grid.
+    """
+
+    t: Float[np.ndarray, "K"]
+    q: Float[np.ndarray, "K n"]
+    v: Float[np.ndarray, "K n"]
+    a: Float[np.ndarray, "K n"]
+    u: Float[np.ndarray, "K m"]
+    used: Bool[np.ndarray, "K"]
+    kernel: Float[np.ndarray, "k"]
+    noise: Float[np.ndarray, "n"]
+    a_noise: Float[np.ndarray, "n"]
+    half: float
+    step: float
+
+
+def smooth(record: Record, half: float, circles: tuple[int, ...], delay: Any = 0.0) -> Smooth:
+    """Smooth a record whose positions are coordinates, by polynomials of degree 3 over windows of ±`half` [s].
+
+    - `circles`: indices of the coordinates that are angles.
+    - `delay` (n,) [s]: how much later than its stamp each coordinate is taken to have been measured, taken off.
+    """
+    t, u = np.asarray(record.t), np.asarray(record.u)
+    y = scoring.unwrap(np.asarray(record.y), circles)
+    n, delay = y.shape[1], np.broadcast_to(delay, y.shape[1:])
+    spacing = float(np.median(np.diff(t)))
+    half = max(half, FEWEST * spacing)
+    step = half / HALF
+    grid = t[0] + step * np.arange(int((t[-1] - t[0]) / step) + 1)
+    c, used = np.empty((len(grid), ORDER + 1, n)), (grid >= t[0] + half) & (grid <= t[-1] - half)
+    for shift in np.unique(delay):
+        same = np.flatnonzero(delay == shift)
+        c[:, :, same] = scoring.local_polynomials(t - shift, y[:, same], grid, half, ORDER)
+    for i in range(n):
+        seen = t[np.isfinite(y[:, i])] - delay[i]
+        held = np.searchsorted(seen, grid + half) - np.searchsorted(seen, grid - half)
+        used &= held >= FULL * 2 * half / spacing
+    noise, gain = _noise(t, y, grid, c, delay), _acceleration_weights(half, spacing)
+    q, v, a, held = c[:, 0], c[:, 1], 2 * c[:, 2], held_inputs(t, u, grid, step)
+    return Smooth(grid, q, v, a, held, used, _kernel(half), noise, gain * noise, half, step)
+
+
+def _noise(t, y, grid, c, delay):
+    """Standard deviation (n,) of what smoothing leaves of the measurements."""
+    found = np.empty(y.shape[1])
+    for i, shift in enumerate(delay):
+        at = t[np.isfinite(y[:, i])]
+        near = np.clip(np.rint((at - shift - grid[0]) / (grid[1] - grid[0])).astype(int), 0, len(grid) - 1)
+        offset = at - shift - grid[near]
+        fitted = sum(c[near, k, i] * offset**k for k in range(ORDER + 1))
+        found[i] = np.sqrt(np.mean((y[np.isfinite(y[:, i]), i] - fitted) ** 2))
+    return found
+
+
+def held_inputs(t, u, grid, step):
+    """Means (K, m), between neighbouring points of the grid, of inputs that act from their stamp to the next."""
+    summed = np.concatenate([np.zeros((1, u.shape[1])), np.cumsum(u[:-1] * np.diff(t)[:, None], axis=0)])
+
+    def integral(at):
+        return np.array([np.interp(at, t, column) for column in summed.T]).reshape(u.shape[1], len(at)).T
+
+    return (integral(grid + step / 2) - integral(grid - step / 2)) / step
+
+
+def _second_derivative(offsets, half):
+    """Weights with which samples at these offsets [s] make the second derivative at zero."""
+    return 2 * scoring.local_polynomials(offsets, np.eye(len(offsets)), np.zeros(1), half, ORDER)[0, 2]
+
+
+def _acceleration_weights(half: float, spacing: float) -> float:
+    """Ratio of the standard deviation of an acceleration to that of a measurement [1/s²]."""
+    count = int(half / spacing)
+    return float(np.linalg.norm(_second_derivative(spacing * np.arange(-count, count + 1), half)))
+
+
+def _kernel(half: float) -> np.ndarray:
+    """Weights of accelerations at points of the grid.
+
+    A sum of positions that is zero for motions at constant velocity is a sum of their second differences; its weights
+    are the double sums of those of the positions.
+    """
+    weights = _second_derivative(half / HALF * np.arange(-HALF, HALF + 1), half)
+    return (half / HALF) ** 2 * np.concatenate([[0.0], np.cumsum(np.cumsum(weights))[:-1]])
