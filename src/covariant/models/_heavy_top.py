@@ -2,11 +2,9 @@
 
 from collections.abc import Sequence
 
-import numpy as np
-
 from covariant.geometry.lie import SO3
 from covariant.models._mechanical import GroupSystem
-from covariant.models._parameters import Parameter, Parametric
+from covariant.models._parameters import Parameter, Parametric, namespace
 
 _SOURCE = "chosen: the paper gives no numbers"
 
@@ -26,9 +24,10 @@ def heavy_top(
 
     Inputs are three torques in the body frame [N m].
     """
-    matrix = np.asarray(inertia, float)
-    matrix = np.diag(matrix) if matrix.ndim == 1 else matrix
-    arm = moment * np.asarray(axis, float) / np.linalg.norm(axis)
+    xp = namespace(inertia, moment, axis)
+    matrix, along = xp.asarray(inertia, float), xp.asarray(axis, float)
+    matrix = xp.diag(matrix) if matrix.ndim == 1 else matrix
+    arm = moment * along / xp.linalg.norm(along)
     return GroupSystem(
         SO3,
         matrix,
@@ -37,7 +36,7 @@ def heavy_top(
         velocities=("w1", "w2", "w3"),
         units=("rad/s",) * 3,
         parameters={
-            "inertia": Parameter(tuple(matrix.ravel().tolist()), "kg m^2", _SOURCE),
+            "inertia": Parameter(matrix.ravel(), "kg m^2", _SOURCE),
             "moment": Parameter(moment, "N m", _SOURCE),
             "viscous": Parameter(viscous, "N m s/rad", _SOURCE),
         },

@@ -3,11 +3,10 @@
 from collections.abc import Sequence
 
 import jax.numpy as jnp
-import numpy as np
 
 from covariant.geometry.lie import SE2
 from covariant.models._mechanical import GroupSystem
-from covariant.models._parameters import Parameter, Parametric
+from covariant.models._parameters import Parameter, Parametric, namespace
 
 _SOURCE = "chosen: of the size of a laboratory model"
 
@@ -23,9 +22,10 @@ def hovercraft(
     The inputs are the thrusts [N] of two fans, right and left of the middle by `fan_offset` [m]; `drag` is
     proportional to v [N s/m, N s/m, N m s].
     """
+    xp = namespace(mass, inertia)
     return GroupSystem(
         SE2,
-        np.diag([mass, mass, inertia]),
+        xp.diag(xp.asarray([mass, mass, inertia])),
         None,
         Parametric(_fans, offset=fan_offset),
         Parametric(_drag, coefficients=drag),

@@ -7,7 +7,7 @@ import numpy as np
 
 from covariant.geometry.lie import SO2, SO3, Product
 from covariant.models._mechanical import GroupSystem
-from covariant.models._parameters import Parameter, Parametric
+from covariant.models._parameters import Parameter, Parametric, namespace
 
 _SOURCE = "chosen: of the size of a small satellite"
 
@@ -31,9 +31,10 @@ def satellite(
         raise ValueError(f"satellite: axes must have shape (k, 3); got {directions.shape}")
     directions = directions / np.linalg.norm(directions, axis=1, keepdims=True)
     k = directions.shape[0]
-    body = np.diag(np.asarray(inertia, float)) + wheel_inertia * directions.T @ directions
+    xp = namespace(inertia, wheel_inertia)
+    body = xp.diag(xp.asarray(inertia, float)) + wheel_inertia * directions.T @ directions
     spin = wheel_inertia * directions.T
-    matrix = np.block([[body, spin], [spin.T, wheel_inertia * np.eye(k)]])
+    matrix = xp.block([[body, spin], [spin.T, wheel_inertia * np.eye(k)]])
 
     return GroupSystem(
         Product((SO3, *(SO2,) * k)),

@@ -7,12 +7,11 @@ water; Fossen 2011, Handbook of Marine Craft Hydrodynamics and Motion Control, c
 from collections.abc import Callable, Sequence
 
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array
 
 from covariant.geometry.lie import SE3
 from covariant.models._mechanical import GroupSystem
-from covariant.models._parameters import Parameter, Parametric
+from covariant.models._parameters import Parameter, Parametric, namespace
 
 _SOURCE = "chosen: of the size of a small inspection vehicle"
 
@@ -37,9 +36,10 @@ def underwater_vehicle(
 
     The input is the wrench (force, torque) at the origin, in the body frame [N, N m].
     """
-    centre, lift = np.asarray(centre_of_mass, float), np.asarray(centre_of_buoyancy, float)
-    coupling = mass * np.cross(np.eye(3), centre)  # the matrix of x ↦ mass · centre × x
-    rigid = np.block([[mass * np.eye(3), coupling.T], [coupling, np.diag(np.asarray(inertia, float))]])
+    xp = namespace(mass, inertia, added_mass, centre_of_mass, centre_of_buoyancy)
+    centre, lift = xp.asarray(centre_of_mass, float), xp.asarray(centre_of_buoyancy, float)
+    coupling = mass * xp.cross(xp.eye(3), centre)  # the matrix of x ↦ mass · centre × x
+    rigid = xp.block([[mass * xp.eye(3), coupling.T], [coupling, xp.diag(xp.asarray(inertia, float))]])
     potential = Parametric(_potential, weight=mass * gravity, buoyancy=buoyancy, centre=centre, lift=lift)
 
     parameters = {
@@ -52,7 +52,7 @@ def underwater_vehicle(
         "drag": Parameter(drag, "N s/m, N m s", _SOURCE),
         "quadratic_drag": Parameter(quadratic_drag, "N s^2/m^2, N m s^2", _SOURCE),
     }
-    return submerged_body(rigid + np.diag(added_mass), potential, drag, quadratic_drag, parameters)
+    return submerged_body(rigid + xp.diag(xp.asarray(added_mass, float)), potential, drag, quadratic_drag, parameters)
 
 
 def submerged_body(
