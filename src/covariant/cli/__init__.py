@@ -1,4 +1,4 @@
-"""The command line: `covariant estimate | compare | simulate | certify | audit | design | reproduce`."""
+"""The command line: `covariant estimate | compare | fit | init | simulate | certify | audit | design | reproduce`."""
 
 import os
 import sys

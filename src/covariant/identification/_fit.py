@@ -9,6 +9,7 @@ Source: Bock 1983 for multiple shooting; Marquardt 1963, and Madsen, Nielsen & T
 Huber 1981, Robust Statistics, sections 6.3 and 7.6, for scale and covariance; White 1982 for the sandwich by windows.
 """
 
+import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -24,9 +25,9 @@ from covariant.models import Family, Motion
 
 ROUNDS = 3
 """How often scales of the errors and undetermined combinations are found anew, after a search each."""
-MOST_STEPS = 40
+MOST_STEPS = 25
 """Largest number of Levenberg–Marquardt steps in a round."""
-TOLERANCE = 1e-4
+TOLERANCE = 3e-3
 """A step that is predicted to lower half the sum of squares, in units of the errors' variance, by less ends a round: it
 moves no number by more than a hundredth of its standard error."""
 HUBER = 3.0
@@ -38,8 +39,11 @@ UNKNOWN = 1.0
 """A combination of relative changes with a larger standard error is not determined: not even within a factor e."""
 HELD = 1e3
 """Weight that holds an undetermined combination at its first value, in scales of the errors."""
-PURE = 1e-3
-"""Largest square of its part in undetermined combinations with which a number is still determined by itself."""
+PURE = 0.2
+"""A number is determined by itself where all undetermined combinations, changed by all of their size, change it by a
+smaller fraction; its standard error grows by that change."""
+SMALL = 0.01
+"""Parts of an undetermined combination below this fraction of the largest are taken for none."""
 FINEST = 1e-6
 """Least scale of the errors, as a fraction of how far the positions move in a window: below it is rounding."""
 ROUNDING = 1e-11
@@ -73,11 +77,11 @@ class Fit(NamedTuple):
         return np.isfinite(self.standard_errors)
 
 
-def fit(family: Family, windows: Windows, told: Callable[[str], object] = lambda _: None) -> Fit:
+def fit(family: Family, windows: Windows, told: Callable[[int, int], object] = lambda *_: None) -> Fit:
     """The numbers of a family for which its model predicts the windows best.
 
     - `windows`: of one log or several, from `windows`.
-    - `told`: called with a word on each step when it begins.
+    - `told`: called with the numbers of the round and of its step before each step, from 0.
 
     Positive numbers are sought by their logarithms. What the log does not determine keeps its first value, and is named
     by `Fit.undetermined`. Raises `ValueError` where the model's first prediction is not finite.
@@ -89,25 +93,20 @@ def fit(family: Family, windows: Windows, told: Callable[[str], object] = lambda
     now = _begin(problem, windows)
     held, taken = np.zeros((len(family.first),) * 2), 0
     for k in range(ROUNDS):
-        now, steps = _descend(problem, windows, now, held, lambda step, k=k: told(f"round {k + 1}, step {step + 1}"))
+        now, steps = _descend(problem, windows, now, held, functools.partial(told, k))
         now = _at(problem, windows, now.z, now.s, now.blocks.scale)
         taken += steps
         if k < ROUNDS - 1:
             held = _silent(now.blocks)
     covariance = _sandwich(now.blocks, held)
-    z, slopes = now.z, np.asarray(problem.slopes(now.z))
-    errors = slopes * np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
-    alone = np.diagonal(held) < PURE
+    z = now.z - held @ now.z  # what is held is held by a large weight, which leaves a trace
+    slopes = np.asarray(problem.slopes(z))
     values = np.asarray(problem.values(z))
-    return Fit(
-        family.names,
-        family.first,
-        values,
-        np.where(alone, errors, np.nan),
-        _rows(held, slopes / np.where(values == 0, 1.0, values)),
-        np.asarray(now.scale),
-        taken,
-    )
+    rows = _rows(held, slopes / np.where(values == 0, 1.0, values))
+    part = np.sqrt(np.sum(rows**2, axis=0))
+    variance = slopes**2 * np.diagonal(covariance) + (values * part * UNKNOWN) ** 2
+    errors = np.where(part < PURE, np.sqrt(np.maximum(variance, 0.0)), np.nan)
+    return Fit(family.names, family.first, values, errors, rows, np.asarray(now.scale), taken)
 
 
 class _Problem(NamedTuple):
@@ -301,13 +300,12 @@ def _rows(held: NumpyArray, ratio: NumpyArray) -> Float[NumpyArray, "d p"]:
     """Undetermined combinations as rows of relative changes of the values, reduced so that each has few entries."""
     values, vectors = np.linalg.eigh(held)
     rows = vectors[:, values > 0.5].T * ratio
-    taken: list[int] = []
-    for k in range(len(rows)):
-        free = np.abs(np.where(np.isin(np.arange(rows.shape[1]), taken), 0.0, rows[k]))
-        pivot = int(np.argmax(free))
-        taken.append(pivot)
+    left = np.ones(rows.shape, bool)
+    for _ in range(len(rows)):
+        k, pivot = np.unravel_index(np.argmax(np.abs(rows) * left), rows.shape)
+        left[k], left[:, pivot] = False, False
         rows[k] /= rows[k, pivot]
         others = np.arange(len(rows)) != k
         rows[others] -= np.outer(rows[others, pivot], rows[k])
-    rows[np.abs(rows) < np.sqrt(PURE)] = 0.0
+    rows[np.abs(rows) < SMALL] = 0.0
     return rows

@@ -22,13 +22,11 @@ class PredictionErrors(NamedTuple):
 
     - `one_step`, `position` (n,): of the positions after one step, and at all rows of the windows [units of the frame].
     - `velocity` (n,): of the velocities at all rows of the windows, against the reference [the same units a second].
-    - `windows` (W, n): the mean squares of the positions' errors in each window.
     """
 
     one_step: Float[Array, "n"]
     position: Float[Array, "n"]
     velocity: Float[Array, "n"]
-    windows: Float[Array, "W n"]
 
 
 def lagged(inputs: Float[Array, "S m"], steps: Float[Array, "S"], lag: Number) -> Float[Array, "S m"]:
@@ -89,12 +87,12 @@ def needed_substeps(model: MechanicalSystem, windows: Windows) -> int:
     return int(np.clip(np.ceil(needed), 1, MOST_SUBSTEPS))
 
 
-def prediction_errors(model: MechanicalSystem, lag: Number, windows: Windows, substeps: int) -> PredictionErrors:
+def prediction_errors(model: MechanicalSystem, lag: Number, windows: Windows) -> PredictionErrors:
     """How far the predictions of a model are from the positions and reference velocities of a log.
 
     - `lag` [s]: of the inputs.
-    - `substeps`: Runge–Kutta steps in one step of the log.
     """
+    substeps = needed_substeps(model, windows)
     u = lagged(jnp.asarray(windows.inputs), jnp.asarray(windows.steps), lag)[jnp.asarray(windows.rows)]
     given = (jnp.asarray(windows.t), u, jnp.asarray(windows.y), jnp.asarray(windows.v))
     single, whole, speed, seen, timed = _errors(model, given, substeps)
@@ -103,13 +101,7 @@ def prediction_errors(model: MechanicalSystem, lag: Number, windows: Windows, su
         return jnp.sqrt(jnp.sum(errors**2 * mask, axis=(0, 1)) / jnp.maximum(jnp.sum(mask, axis=(0, 1)), 1))
 
     later = seen.at[:, 0].set(False)
-    count = jnp.maximum(jnp.sum(later, axis=1), 1)
-    return PredictionErrors(
-        rms(single, later[:, 1:] & seen[:, :-1]),
-        rms(whole, later),
-        rms(speed, timed),
-        jnp.sum(whole**2 * later, axis=1) / count,
-    )
+    return PredictionErrors(rms(single, later[:, 1:] & seen[:, :-1]), rms(whole, later), rms(speed, timed))
 
 
 @eqx.filter_jit
