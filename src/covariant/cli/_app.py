@@ -104,7 +104,9 @@ def fit(
     model: Model,
     log_files: Annotated[
         list[Path],
-        typer.Argument(metavar="LOG...", help="Logs to fit; the last of several, or the last third of one, is held out."),
+        typer.Argument(
+            metavar="LOG...", help="Logs to fit; the last of several, or the last third of one, is held out."
+        ),
     ],
     parameters: Annotated[
         str, typer.Option(help="Numbers to fit, by commas: mass, com[0] of [parameters], or inputs.lag.")

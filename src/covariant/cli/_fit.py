@@ -98,7 +98,9 @@ def _head(jobs: list[Job], found: Fit) -> str:
     """Comment lines that say what has been fitted, how well it is known, and what is still a first value."""
     known = zip(found.names, found.values, found.standard_errors, strict=True)
     lines = [f"# Fitted by covariant fit to {_seen(jobs)}; ± is one standard error:"]
-    lines += [f"#   {name} = {value:.5g}" + (f" ± {error:.2g}" if error == error else "") for name, value, error in known]
+    lines += [
+        f"#   {name} = {value:.5g}" + (f" ± {error:.2g}" if error == error else "") for name, value, error in known
+    ]
     return "\n".join([*lines, *(f"#   {sentence}." for sentence in relations(found)), "", ""])
 
 

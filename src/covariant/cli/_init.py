@@ -43,18 +43,18 @@ def template(name: str, found: Draft) -> str:
         "# names and their content; the numbers in [parameters] are places to put yours, not measurements.",
         "# Units: s, m, kg, rad, N m.",
         "",
-        'system = "pendulum_chain"           # other machines: docs/models.md',
+        'system = "pendulum_chain"  # other machines: docs/models.md',
         "",
         "[parameters]",
-        'angles = "relative"                 # or "absolute": each link from the vertical',
-        'zero = "hanging"                    # or "upright": where the angles are 0',
+        'angles = "relative"  # or "absolute": each link from the vertical',
+        'zero = "hanging"  # or "upright": where the angles are 0',
         "gravity = 9.81",
         f"mass = {_list(1.0, n)}",
-        f"length = {_list(0.3, n)}{' ' * 14}# m, from joint to joint; that of the last link does not matter",
-        f"com = {_list(0.15, n)}{' ' * 14}# m, from joint to centre of mass",
-        f"inertia = {_list(0.01, n)}{' ' * 14}# kg m^2, about the centre of mass",
-        f"viscous = {_list(0.01, n)}{' ' * 14}# N m s/rad, friction in each joint",
-        f"coulomb = {_list(0.01, n)}{' ' * 14}# N m, times atan(100 v): dry friction, divided by pi/2",
+        f"length = {_list(0.3, n)}  # m, from joint to joint; that of the last link does not matter",
+        f"com = {_list(0.15, n)}  # m, from joint to centre of mass",
+        f"inertia = {_list(0.01, n)}  # kg m^2, about the centre of mass",
+        f"viscous = {_list(0.01, n)}  # N m s/rad, friction in each joint",
+        f"coulomb = {_list(0.01, n)}  # N m, times atan(100 v): dry friction, divided by pi/2",
     ]
     if len(found.u) < n:
         lines.append(
@@ -74,11 +74,11 @@ def template(name: str, found: Draft) -> str:
         "[measurement]",
         _sensor(found),
         "",
-        "# Gains of observers are designed from how much acceleration the model leaves unexplained. A log does not tell",
-        "# it before the model fits: set it after `covariant fit`, then take the marks of comments away.",
+        "# Gains of observers are designed from how much acceleration the model leaves unexplained, which a log does",
+        "# not tell before the model fits: set it after `covariant fit`, then take the marks of comments away.",
         "# [uncertainty]",
-        "# acceleration = 2.0               # rad/s^2",
-        "# correlation_time = 0.01          # s, over which it persists",
+        "# acceleration = 2.0  # rad/s^2",
+        "# correlation_time = 0.01  # s, over which it persists",
         "",
     ]
     return "\n".join(lines)
@@ -86,8 +86,8 @@ def template(name: str, found: Draft) -> str:
 
 def _sensor(found: Draft) -> str:
     if found.quantum is not None:
-        return f"quantum = {found.quantum:.6g}             # rad, the tick that positions of this log are multiples of"
-    return f"std = {max(found.noise, 1e-12):.3g}                       # rad, at most: from third differences of the positions"
+        return f"quantum = {found.quantum:.6g}  # rad, the tick that positions of this log are multiples of"
+    return f"std = {max(found.noise, 1e-12):.3g}  # rad, at most: from third differences of the positions"
 
 
 def _in_degrees(found: Draft) -> bool:

@@ -1,4 +1,4 @@
-"""Identification: from logs and a rough model to a calibrated one, with standard errors and what the logs leave open."""
+"""Identification: from logs and a rough model to a calibrated one, with standard errors."""
 
 from covariant.identification._draft import Draft, draft
 from covariant.identification._fit import Fit, fit

@@ -1,11 +1,11 @@
 """Numbers of a model for which it predicts a log best: multiple shooting with free initial states, robust to outliers.
 
 Over each window of the log the model predicts from an initial state that is free, and the errors of the positions
-decide. They are weighed by the pseudo-Huber loss in units of their own scale, which is estimated along with the numbers.
-In each step of Levenberg and Marquardt the initial states are eliminated window by window, so that what is solved is as
-small as the numbers are few, and the program is compiled once, for the errors and their derivatives together.
+decide. They are weighed by the pseudo-Huber loss in units of their own scale, which is estimated along with the
+numbers. In each step of Levenberg and Marquardt the initial states are eliminated window by window, so that the system
+to be solved is as small as the numbers are few; and one program is compiled, for errors and derivatives together.
 
-Source: Bock 1983 for multiple shooting; Marquardt 1963, and Madsen, Nielsen & Tingleff 2004, section 3.2, for the steps;
+Source: Bock 1983 for multiple shooting; Marquardt 1963, and Madsen, Nielsen & Tingleff 2004, section 3.2, for steps;
 Huber 1981, Robust Statistics, sections 6.3 and 7.6, for scale and covariance; White 1982 for the sandwich by windows.
 """
 
@@ -172,7 +172,7 @@ def _begin(problem: _Problem, windows: Windows) -> _Point:
     z, s = np.zeros(len(problem.first)), np.zeros((count, 2 * n))
     scale = _at(problem, windows, z, s, np.ones(n)).blocks.scale
     if not np.isfinite(scale).all():
-        raise ValueError("the model with its first values predicts no finite motion over the windows; mend these values")
+        raise ValueError("the model predicts no finite motion with its first values; mend these")
     return _at(problem, windows, z, s, scale)
 
 
@@ -180,29 +180,26 @@ def _begin(problem: _Problem, windows: Windows) -> _Point:
 def _evaluate(problem: _Problem, windows: Windows, z: Array, s: Array, scale: Array) -> _Blocks:
     p = z.shape[0]
 
-    def window(s, *given):
+    def window(s, rows, t, y, v):
         def errors(x):
-            model, inputs = _made(problem, x[:p], windows)
-            rows, t, y, v = given
             n = v.shape[-1]
+            model, inputs = _made(problem, x[:p], windows)
             start = Motion(model.manifold.retract(y[0], x[p : p + n]), v[0] + x[p + n :])
             found, seen = differences(model, follow(model, t, inputs[rows], start, problem.substeps).q, y)
-            return found / scale, (found / scale, seen)
+            found = found / scale[None]
+            return found, (found, seen)
 
         slope, (found, seen) = jax.jacfwd(errors, has_aux=True)(jnp.concatenate([z, s]))
         slope, e = slope.reshape(-1, p + s.shape[0]), found.ravel()
         weight = 1 / jnp.sqrt(1 + (e / HUBER) ** 2)
-        gradient, second, curved = slope.T @ (weight * e), slope.T @ (weight[:, None] * slope), slope.T @ (
-            weight[:, None] ** 3 * slope
-        )
         loss = jnp.sum(e**2 / (1 + 1 / weight))  # δ² (√(1 + (e/δ)²) − 1)
-        return loss, gradient, second, curved, found * scale, seen
+        second, curved = (slope.T @ (w[:, None] * slope) for w in (weight, weight**3))
+        return loss, slope.T @ (weight * e), second, curved, found * scale[None], seen
 
     loss, gradient, second, curved, errors, seen = jax.vmap(window)(s, windows.rows, windows.t, windows.y, windows.v)
-    time = windows.t - windows.t[:, :1]
-    moved = jnp.sqrt(jnp.mean((windows.v * time[..., None]) ** 2, axis=(0, 1)))
     # The median of the sizes is that of noise even where some errors are outliers.
     typical = 1.4826 * jnp.nanmedian(jnp.where(seen, jnp.abs(errors), jnp.nan), axis=(0, 1))
+    moved = jnp.sqrt(jnp.mean((windows.v * (windows.t - windows.t[:, :1])[..., None]) ** 2, axis=(0, 1)))
 
     def parts(full):
         return full[:, p:, p:], full[:, p:, :p], full[:, :p, :p]
@@ -243,7 +240,7 @@ def _step(now: _Point, held: NumpyArray, damping: float) -> tuple[NumpyArray, Nu
     b = now.blocks
     k, p = b.s.shape[1], len(now.z)
     stretched = 1 + damping
-    ss = b.ss * np.where(np.eye(k, dtype=bool), stretched, 1.0) + 1e-12 * _largest(b.ss)[:, None, None] * np.eye(k)
+    ss = b.ss * np.where(np.eye(k, dtype=bool), stretched, 1.0) + _ridge(b.ss)
     back = np.linalg.solve(ss, np.concatenate([b.sz, b.s[:, :, None]], axis=2))
     zz = np.sum(b.zz, axis=0)
     prior = np.eye(p) / BROAD**2 + HELD**2 * held
@@ -258,15 +255,16 @@ def _step(now: _Point, held: NumpyArray, damping: float) -> tuple[NumpyArray, Nu
     return dz, ds, float(-(slope @ dz + np.sum(b.s * ds) + quadratic / 2))
 
 
-def _largest(matrices: NumpyArray) -> NumpyArray:
-    return np.max(np.diagonal(matrices, axis1=1, axis2=2), axis=1) + 1e-300
+def _ridge(matrices: NumpyArray) -> NumpyArray:
+    """A small multiple of the identity for each matrix (W, k, k), for windows in which too little is measured."""
+    largest = np.max(np.diagonal(matrices, axis1=1, axis2=2), axis=1) + 1e-300
+    return 1e-12 * largest[:, None, None] * np.eye(matrices.shape[1])
 
 
 def _information(b: _Blocks) -> Float[NumpyArray, "p p"]:
     """Second derivatives of the loss in z with the best initial states."""
     ss, sz, zz = b.curved
-    k = ss.shape[1]
-    return np.sum(zz - np.swapaxes(sz, 1, 2) @ np.linalg.solve(ss + 1e-12 * _largest(ss)[:, None, None] * np.eye(k), sz), 0)
+    return np.sum(zz - np.swapaxes(sz, 1, 2) @ np.linalg.solve(ss + _ridge(ss), sz), axis=0)
 
 
 def _silent(b: _Blocks) -> Float[NumpyArray, "p p"]:

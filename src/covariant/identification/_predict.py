@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from covariant._typing import Number, Scalar
+from covariant._typing import Number
 from covariant.identification._windows import Windows
 from covariant.models import MechanicalSystem, Motion, advance, friction
 
@@ -98,7 +98,8 @@ def prediction_errors(model: MechanicalSystem, lag: Number, windows: Windows) ->
     single, whole, speed, seen, timed = _errors(model, given, substeps)
 
     def rms(errors, mask):
-        return jnp.sqrt(jnp.sum(errors**2 * mask, axis=(0, 1)) / jnp.maximum(jnp.sum(mask, axis=(0, 1)), 1))
+        total, count = (jnp.sum(jnp.where(mask, part, 0.0), axis=(0, 1)) for part in (errors**2, jnp.ones_like(errors)))
+        return jnp.sqrt(total / jnp.maximum(count, 1.0))
 
     later = seen.at[:, 0].set(False)
     return PredictionErrors(rms(single, later[:, 1:] & seen[:, :-1]), rms(whole, later), rms(speed, timed))
@@ -118,5 +119,3 @@ def _errors(model: MechanicalSystem, given: Any, substeps: int):
         return single, whole, v - predicted.v, seen, timed & jnp.ones_like(seen)
 
     return jax.vmap(window)(*given)
-
-

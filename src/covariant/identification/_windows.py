@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Float, Int
 
 from covariant.signals import AnyArray, Record
 
@@ -112,7 +112,7 @@ def windows(
 
 
 def _pieces(t: np.ndarray, whole: np.ndarray, length: float, begin: float, end: float) -> list[np.ndarray]:
-    """The rows of each window of one record: the last row of one is the first of the next."""
+    """The rows of each window of one record; no row is in two of them, so that their errors are independent."""
     step = float(np.median(np.diff(t)))
     starts = np.flatnonzero(whole & (t >= begin) & (t < end))
     pieces, at = [], 0
@@ -125,7 +125,7 @@ def _pieces(t: np.ndarray, whole: np.ndarray, length: float, begin: float, end: 
             last = first + int(gaps[0]) + 1
         if last - first > FEWEST_ROWS and (gaps.size or whole_length):
             pieces.append(np.arange(first, last))
-        at = int(np.searchsorted(starts, max(last - 1 if not gaps.size else last, first + 1)))
+        at = int(np.searchsorted(starts, last))
     return pieces
 
 

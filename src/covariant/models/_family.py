@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
-import jax
+import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Float
 
@@ -87,8 +87,8 @@ def _family(spec: str, names: Sequence[str], content: dict[str, Any]) -> Family:
             remedy = f"--set parameters.{name.partition('[')[0]}=…" if name != ".".join(LAG) else f"--set {name}=0.01"
             raise ValueError(f"{name} must be positive and starts from {value:g}; give it a first value by {remedy}")
     try:
-        jax.eval_shape(make, first)
-    except (jax.errors.JAXTypeError, TypeError) as error:
+        eqx.filter_eval_shape(make, first)
+    except (TypeError, ValueError) as error:  # with plain numbers it has just been made
         raise ValueError(
             f"the function that makes the model cannot be traced by JAX ({_source.first_line(error)[:80]}); compute "
             f"with jax.numpy in it, or leave {', '.join(names)} as they are"

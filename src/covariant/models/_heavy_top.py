@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+from covariant._typing import Number
 from covariant.geometry.lie import SO3
 from covariant.models._mechanical import GroupSystem
 from covariant.models._parameters import Parameter, Parametric, namespace
@@ -10,10 +11,10 @@ _SOURCE = "chosen: the paper gives no numbers"
 
 
 def heavy_top(
-    inertia: Sequence[float] | Sequence[Sequence[float]] = (0.2, 0.2, 0.1),
-    moment: float = 1.0,
-    axis: Sequence[float] = (0.0, 0.0, 1.0),
-    viscous: float = 0.0,
+    inertia: Sequence[Number] | Sequence[Sequence[Number]] = (0.2, 0.2, 0.1),
+    moment: Number = 1.0,
+    axis: Sequence[Number] = (0.0, 0.0, 1.0),
+    viscous: Number = 0.0,
 ) -> GroupSystem:
     """Top of Maithripala, Berg & Dayawansa 2004, section IV-A, equations (31)–(32), with any inertia.
 
@@ -43,7 +44,7 @@ def heavy_top(
     )
 
 
-def free_body(inertia: Sequence[float] | Sequence[Sequence[float]] = (1.0, 2.0, 3.5)) -> GroupSystem:
+def free_body(inertia: Sequence[Number] | Sequence[Sequence[Number]] = (1.0, 2.0, 3.5)) -> GroupSystem:
     """A freely rotating body, with torques in the body frame [N m] as inputs: `heavy_top` with no gravity moment."""
     return heavy_top(inertia, moment=0.0)
 

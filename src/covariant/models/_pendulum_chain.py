@@ -9,6 +9,7 @@ from collections.abc import Sequence
 import jax.numpy as jnp
 import numpy as np
 
+from covariant._typing import Number
 from covariant.models._mechanical import Lagrangian
 from covariant.models._parameters import AnyArray, Parameter, Parametric, known, namespace
 
@@ -29,21 +30,21 @@ _UNITS = {
 
 
 def pendulum_chain(
-    mass: Sequence[float] = (1.0, 1.0),
-    length: Sequence[float] = (1.0, 1.0),
-    com: Sequence[float] | None = None,
-    inertia: Sequence[float] | None = None,
+    mass: Sequence[Number] = (1.0, 1.0),
+    length: Sequence[Number] = (1.0, 1.0),
+    com: Sequence[Number] | None = None,
+    inertia: Sequence[Number] | None = None,
     *,
     angles: str = "relative",
     zero: str = "hanging",
     inertia_about: str = "com",
-    rotor_inertia: Sequence[float] | None = None,
-    gear: Sequence[float] | None = None,
-    viscous: Sequence[float] | None = None,
-    coulomb: Sequence[float] | None = None,
-    offset: Sequence[float] | None = None,
+    rotor_inertia: Sequence[Number] | None = None,
+    gear: Sequence[Number] | None = None,
+    viscous: Sequence[Number] | None = None,
+    coulomb: Sequence[Number] | None = None,
+    offset: Sequence[Number] | None = None,
     actuated: Sequence[int] | None = None,
-    gravity: float = 9.81,
+    gravity: Number = 9.81,
     source: str = "chosen",
 ) -> Lagrangian:
     """A chain of n links that swings in a vertical plane; each sequence has one entry for each link.
@@ -127,7 +128,7 @@ def _dissipation(q, v, viscous, coulomb, joints):
     return -joints.T @ (viscous * rate + coulomb * jnp.arctan(COULOMB_STEEPNESS * rate))
 
 
-def _per_link(name: str, value: Sequence[float] | np.ndarray | None, n: int) -> AnyArray:
+def _per_link(name: str, value: Sequence[Number] | AnyArray | None, n: int) -> AnyArray:
     array = np.zeros(n) if value is None else namespace(value).asarray(value, float)
     if array.shape != (n,):
         raise ValueError(f"pendulum_chain: {name} needs one number a link, {n} as in mass; got {np.size(array)}")

@@ -28,9 +28,13 @@ def rewrite(text: str, content: dict[str, Any]) -> str:
         for key, value in values.items():
             if key not in old or old[key] != value:
                 text = _replaced(text, table, key, value, old.get(key))
-    if _toml.parse(text) != content:
-        wrong = next((table for table in content if _toml.parse(text).get(table) != content[table]), "the file")
-        raise ValueError(f"[{wrong}] is written in a way that cannot be changed in place; write it as lines key = value")
+    try:
+        after = _toml.parse(text)
+    except ValueError:  # a table written as parameters.mass = 1 has become two
+        after = before
+    wrong = next((table for table in content if after.get(table) != content[table]), None)
+    if wrong is not None:
+        raise ValueError(f"[{wrong}] is written in a way that cannot be changed; write it as lines key = value")
     return text
 
 

@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from covariant._typing import Number
 from covariant.geometry.lie import SE3
 from covariant.models._mechanical import GroupSystem
 from covariant.models._parameters import Parameter, Parametric, namespace
@@ -17,15 +18,15 @@ _SOURCE = "chosen: of the size of a small inspection vehicle"
 
 
 def underwater_vehicle(
-    mass: float = 12.0,
-    inertia: Sequence[float] = (0.2, 0.35, 0.4),
-    added_mass: Sequence[float] = (5.0, 12.0, 14.0, 0.1, 0.2, 0.2),
-    buoyancy: float = 120.0,
-    gravity: float = 9.81,
-    centre_of_mass: Sequence[float] = (0.0, 0.0, -0.02),
-    centre_of_buoyancy: Sequence[float] = (0.0, 0.0, 0.01),
-    drag: Sequence[float] = (4.0, 6.0, 5.0, 0.1, 0.1, 0.1),
-    quadratic_drag: Sequence[float] = (18.0, 22.0, 37.0, 1.5, 1.5, 1.5),
+    mass: Number = 12.0,
+    inertia: Sequence[Number] = (0.2, 0.35, 0.4),
+    added_mass: Sequence[Number] = (5.0, 12.0, 14.0, 0.1, 0.2, 0.2),
+    buoyancy: Number = 120.0,
+    gravity: Number = 9.81,
+    centre_of_mass: Sequence[Number] = (0.0, 0.0, -0.02),
+    centre_of_buoyancy: Sequence[Number] = (0.0, 0.0, 0.01),
+    drag: Sequence[Number] = (4.0, 6.0, 5.0, 0.1, 0.1, 0.1),
+    quadratic_drag: Sequence[Number] = (18.0, 22.0, 37.0, 1.5, 1.5, 1.5),
 ) -> GroupSystem:
     """Vehicle in still water; twist (v, ω) in the body [m/s, rad/s], z up in space.
 
@@ -58,8 +59,8 @@ def underwater_vehicle(
 def submerged_body(
     inertia,
     potential: Callable[[Array], Array],
-    drag: Sequence[float],
-    quadratic_drag: Sequence[float],
+    drag: Sequence[Number],
+    quadratic_drag: Sequence[Number],
     parameters: dict[str, Parameter],
 ) -> GroupSystem:
     """A body on SE(3) with inertia (6, 6), a potential of its pose, and drag in each component of its twist."""
