@@ -19,6 +19,8 @@ UNITS = ((0.5, "s", 1.0), (500.0, "ms", 1e3), (5e5, "us", 1e6), (np.inf, "ns", 1
 """Median steps of stamps below which they are taken for seconds, milliseconds and so on."""
 SAME = 0.95
 """Least correlation of a column with the slope of a position with which it is taken for a velocity."""
+FEWEST_GAPS = 10
+"""Number of gaps between values from which it is told whether positions are whole ticks apart."""
 OFF_TICK = 0.1
 """How far differences of positions may be from whole ticks, as a fraction of one."""
 
@@ -143,15 +145,14 @@ def _is_slope(t: np.ndarray, y: np.ndarray, v: np.ndarray) -> bool:
 
 
 def _tick(y: np.ndarray) -> float | None:
-    """The largest tick that all positions are whole multiples apart, or None."""
-    moved = np.abs(np.diff(y, axis=0))
-    moved = moved[np.isfinite(moved) & (moved > 0)]
-    if moved.size < 20:
+    """The tick that all positions are whole multiples apart, from the gaps between their values, or None."""
+    gaps: np.ndarray = np.concatenate([np.diff(np.unique(column[np.isfinite(column)])) for column in y.T])
+    gaps = gaps[gaps > 1e-6 * np.nanmax(np.abs(y))]
+    if len(gaps) < FEWEST_GAPS:
         return None
-    moved = moved[moved > 1e-6 * np.max(np.abs(y[np.isfinite(y)]))]
-    least = float(np.quantile(moved, 0.02)) if moved.size else 0.0
-    few = moved[moved < 50 * least]
-    ticks = np.round(few / least) if least > 0 else np.array([])
-    if not ticks.size or np.quantile(np.abs(few / least - ticks), 0.95) > OFF_TICK or np.all(ticks == 1):
-        return least if ticks.size and np.all(ticks == 1) and np.ptp(few) < OFF_TICK * least else None
+    least = float(np.quantile(gaps, 0.02))
+    few = np.asarray(gaps, float)[gaps < 50 * least]
+    ticks = np.round(few / least)
+    if np.quantile(np.abs(few / least - ticks), 0.95) > OFF_TICK:
+        return None
     return float(np.sum(few) / np.sum(ticks))

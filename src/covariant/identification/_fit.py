@@ -87,14 +87,13 @@ def fit(family: Family, windows: Windows, told: Callable[[int, int], object] = l
     by `Fit.undetermined`. Raises `ValueError` where the model's first prediction is not finite.
     """
     windows = jax.tree.map(jnp.asarray, windows)
-    problem = _Problem(
-        family.make, jnp.asarray(family.first), family.positive, needed_substeps(family.file.model, windows)
-    )
+    model = family.file.need_mechanical(family.file.name, "numbers are fitted for")
+    problem = _Problem(family.make, jnp.asarray(family.first), family.positive, needed_substeps(model, windows))
     now = _begin(problem, windows)
     held, taken = np.zeros((len(family.first),) * 2), 0
     for k in range(ROUNDS):
         now, steps = _descend(problem, windows, now, held, functools.partial(told, k))
-        now = _at(problem, windows, now.z, now.s, now.blocks.scale)
+        now = _at(problem, windows, now.z, now.s, np.asarray(now.blocks.scale))
         taken += steps
         if k < ROUNDS - 1:
             held = _silent(now.blocks)
@@ -120,15 +119,15 @@ class _Problem(NamedTuple):
     @property
     def size(self) -> Float[Array, "p"]:
         """What a relative change of one is: the first value, or one unit where that is zero."""
-        return jnp.where(self.first == 0, 1.0, jnp.abs(self.first))
+        return jnp.where(jnp.equal(self.first, 0), 1.0, jnp.abs(self.first))
 
     def values(self, z) -> Float[Array, "p"]:
         """The numbers at relative changes z (p,): logarithms of ratios for positive ones."""
-        return jnp.where(np.array(self.positive), self.first * jnp.exp(z), self.first + self.size * z)
+        return jnp.where(jnp.asarray(self.positive), self.first * jnp.exp(z), self.first + self.size * z)
 
     def slopes(self, z) -> Float[Array, "p"]:
         """The derivative of each number in its own relative change."""
-        return jnp.where(np.array(self.positive), self.first * jnp.exp(z), self.size)
+        return jnp.where(jnp.asarray(self.positive), self.first * jnp.exp(z), self.size)
 
 
 class _Blocks(NamedTuple):
@@ -173,7 +172,7 @@ def _begin(problem: _Problem, windows: Windows) -> _Point:
     scale = _at(problem, windows, z, s, np.ones(n)).blocks.scale
     if not np.isfinite(scale).all():
         raise ValueError("the model predicts no finite motion with its first values; mend these")
-    return _at(problem, windows, z, s, scale)
+    return _at(problem, windows, z, s, np.asarray(scale))
 
 
 @eqx.filter_jit
@@ -211,7 +210,7 @@ def _evaluate(problem: _Problem, windows: Windows, z: Array, s: Array, scale: Ar
 def _made(problem: _Problem, z: Array, windows: Windows) -> tuple[Any, Float[Array, "S m"]]:
     """The model at z, and the inputs that act in each step."""
     model, lag = problem.make(problem.values(z))
-    return model, lagged(windows.inputs, windows.steps, lag)
+    return model, lagged(jnp.asarray(windows.inputs), jnp.asarray(windows.steps), lag)
 
 
 def _descend(
@@ -255,7 +254,7 @@ def _step(now: _Point, held: NumpyArray, damping: float) -> tuple[NumpyArray, Nu
     return dz, ds, float(-(slope @ dz + np.sum(b.s * ds) + quadratic / 2))
 
 
-def _ridge(matrices: NumpyArray) -> NumpyArray:
+def _ridge(matrices: Any) -> NumpyArray:
     """A small multiple of the identity for each matrix (W, k, k), for windows in which too little is measured."""
     largest = np.max(np.diagonal(matrices, axis1=1, axis2=2), axis=1) + 1e-300
     return 1e-12 * largest[:, None, None] * np.eye(matrices.shape[1])

@@ -6,6 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
 
 from covariant._typing import Number
@@ -31,7 +32,7 @@ class PredictionErrors(NamedTuple):
 
 def lagged(inputs: Float[Array, "S m"], steps: Float[Array, "S"], lag: Number) -> Float[Array, "S m"]:
     """Inputs behind a first-order lag [s], as `signals.lag_inputs` has them; the lag may be traced by JAX."""
-    if not isinstance(lag, jax.core.Tracer) and float(lag) == 0:
+    if not isinstance(lag, Tracer) and float(lag) == 0:
         return inputs
 
     def step(before, row):

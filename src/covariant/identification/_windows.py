@@ -81,7 +81,8 @@ def windows(
     longest = 0
     for k, (record, velocity, (begin, end)) in enumerate(zip(records, velocities, spans, strict=True)):
         t = np.asarray(record.t)
-        whole = np.isfinite(np.asarray(record.y).reshape(len(t), -1)).all(axis=1) & np.isfinite(velocity).all(axis=1)
+        known = np.concatenate([np.asarray(record.y).reshape(len(t), -1), velocity], axis=1)
+        whole = np.asarray(np.isfinite(known).all(axis=1))
         pieces = _pieces(t, whole, length, begin, end)
         found += [(k, piece) for piece in pieces]
         longest = max([longest, *(len(piece) for piece in pieces)])
