@@ -119,7 +119,7 @@ class _Problem(NamedTuple):
     @property
     def size(self) -> Float[Array, "p"]:
         """What a relative change of one is: the first value, or one unit where that is zero."""
-        return jnp.where(jnp.equal(self.first, 0), 1.0, jnp.abs(self.first))
+        return jnp.abs(self.first) + jnp.equal(self.first, 0).astype(self.first.dtype)
 
     def values(self, z) -> Float[Array, "p"]:
         """The numbers at relative changes z (p,): logarithms of ratios for positive ones."""

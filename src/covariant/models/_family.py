@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from covariant.models import _source, _toml
 from covariant.models._file import ModelError, ModelFile, document, finish, made
@@ -36,7 +36,7 @@ class Family(NamedTuple):
     names: tuple[str, ...]
     first: Float[np.ndarray, "p"]
     positive: tuple[bool, ...]
-    make: Callable[[Float[Array, "p"]], tuple[Any, Any]]
+    make: Callable[[Any], tuple[Any, Any]]
     document: dict[str, Any]
     places: tuple[Place, ...]
 
