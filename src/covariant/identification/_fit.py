@@ -123,7 +123,8 @@ class _Problem(NamedTuple):
 
     def values(self, z) -> Float[Array, "p"]:
         """The numbers at relative changes z (p,): logarithms of ratios for positive ones."""
-        return jnp.where(jnp.asarray(self.positive), self.first * jnp.exp(z), self.first + self.size * z)
+        ratio = jnp.asarray(self.first * jnp.exp(z))
+        return jnp.where(jnp.asarray(self.positive), ratio, jnp.asarray(self.first + self.size * z))
 
     def slopes(self, z) -> Float[Array, "p"]:
         """The derivative of each number in its own relative change."""
