@@ -1,12 +1,16 @@
 """Every example in the README and the pages runs as it stands."""
 
 import re
+import shlex
+import sys
 from pathlib import Path
 
 import jax.numpy as jnp
+import numpy as np
 import pytest
 
 from covariant import models
+from covariant.cli import main
 from covariant.observers import Intrinsic
 
 ROOT = Path(__file__).parents[1]
@@ -36,3 +40,20 @@ def test_model_file_examples_load(page, tmp_path):
     for text in blocks(page, "toml"):
         (tmp_path / "model.toml").write_text(text)
         assert models.load(str(tmp_path / "model.toml")).model.coordinates == ("q1", "q2")
+
+
+def test_the_commands_of_the_page_on_identification_run(tmp_path, monkeypatch):
+    """They work on what the page makes: its model file, and a log that is simulated."""
+    monkeypatch.chdir(tmp_path)
+    page = ROOT / "docs" / "identification.md"
+    [rough] = blocks(page, "toml")
+    Path("rough.toml").write_text(rough)
+    for line in "".join(blocks(page, "bash")).replace("\\\n", " ").splitlines():
+        monkeypatch.setattr(sys, "argv", shlex.split(line))
+        with pytest.raises(SystemExit) as left:
+            main()
+        assert left.value.code in (0, None), line
+    fitted = models.load("calibrated.toml").model.parameters
+    np.testing.assert_allclose(fitted["mass"].value, [0.6, 0.4], rtol=0.05)
+    assert Path("calibrated.toml").read_text().count("from the drawing") == 1
+    assert models.load("draft.toml").columns.u == ("u1", "u2")

@@ -18,7 +18,7 @@ SOURCE = ROOT / "src" / "covariant"
 PLAN = (
     "_programs _typing _functional _files _optional _numbers signals scoring _linalg _integrate lowering "
     "logs geometry models riccati observers control simulation interop scale proofs certificates audit diagnosis "
-    "design report papers cli"
+    "design identification report papers cli"
 )
 """A room may import from itself and from any room to its left, never to its right."""
 
@@ -60,16 +60,18 @@ PUBLIC = {
     "inner log norm shoot sphere transport transport_along wrap",
     "geometry.lie": "SE2 SE3 SO2 SO3 SU AbstractGroup AbstractInertia Inertia LeftInvariant MatrixGroup Product "
     "quaternion_from_rotation rotation_from_quaternion",
+    "identification": "Draft Fit PredictionErrors Windows draft fit growth horizon prediction_errors relations split "
+    "windows",
     "interop": "closed_loop observer_system plant",
     "lowering": "FOLD INTERVALS NUMBERS STUMPFF Condition Conditions Derivative Domain Enclosure Graph Interval "
     "Lowered LoweringError Node Truth enclose evaluate expand fulfilled graft lower numbers pairs stumpff substitute",
-    "logs": "ATTITUDES Body Columns Log LogError bodies coordinates matrices read to_columns write",
-    "models": "GroupSystem Lagrangian MechanicalSystem ModelError ModelFile MomentumChart Motion Parameter Parametric "
-    "StateSpace acceleration advance applied_force ball_and_beam bioreactor body_velocity chart_jacobian "
-    "chart_velocity check_metric check_model duffing energy free_body friction from_recipe heavy_top hovercraft "
+    "logs": "ATTITUDES Body Columns Log LogError bodies coordinates matrices read survey to_columns write",
+    "models": "Family GroupSystem Lagrangian MechanicalSystem ModelError ModelFile MomentumChart Motion Parameter "
+    "Parametric StateSpace acceleration advance applied_force ball_and_beam bioreactor body_velocity chart_jacobian "
+    "chart_velocity check_metric check_model duffing energy family free_body friction from_recipe heavy_top hovercraft "
     "in_chart induction_motor input_count load "
-    "lorenz oscillator pendulum_chain recipe resistance satellite satellite_arm source spatial_momentum state_space "
-    "underwater_vehicle unknown_frequency van_der_pol",
+    "lorenz oscillator pendulum_chain recipe resistance rewrite satellite satellite_arm source spatial_momentum "
+    "state_space underwater_vehicle unknown_frequency van_der_pol",
     "models.marine": "Craft Station Waves coriolis_matrix cybership euler_rates euler_rotation euler_transform "
     "manoeuvring_ship odin odin_on_group positive_definite supply_vessel surface_ship yaw_rotation",
     "observers": "EKF PLL REGISTRY UKF AbstractFlowObserver AbstractLinearFilter AbstractMechanicalObserver "
@@ -231,6 +233,7 @@ def aliases(path: Path) -> Iterator[str]:
                 "audit",
                 "diagnosis",
                 "design",
+                "identification",
             )
         ),
     ],

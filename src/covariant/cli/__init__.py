@@ -1,4 +1,4 @@
-"""The command line: `covariant check | estimate | compare | simulate | certify | audit | design | reproduce`."""
+"""The command line: `covariant init | check | fit | estimate | compare | simulate | certify | audit | design | …`."""
 
 import os
 import sys

@@ -126,6 +126,62 @@ def check(
 
 
 @app.command()
+def fit(
+    model: Model,
+    log_files: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="LOG...", help="Logs to fit; the last of several, or the last third of one, is held out."
+        ),
+    ],
+    parameters: Annotated[
+        str, typer.Option(help="Numbers to fit, by commas: mass, com[0] of [parameters], or inputs.lag.")
+    ],
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="Write the model file with the fitted numbers here (.toml).")
+    ] = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Let --out be the model file itself.")] = False,
+    horizon: Annotated[
+        float | None, typer.Option(help="Length of predictions [s]; by default as the motion suggests.")
+    ] = None,
+    override: Override = [],  # noqa: B006  typer copies it
+    every: Every = 1,
+    until: Until = None,
+    t: Time = None,
+    q: Positions = None,
+    u: Inputs = None,
+    anyway: Anyway = False,
+    json: Json = False,
+) -> None:
+    """Fit numbers of a model to logs: with standard errors, and with names for what the logs do not determine.
+
+    Exit code 1 where the fitted model predicts worse than before what is held out; it is not written then.
+    """
+    from covariant.cli import _fit
+    from covariant.cli._job import Job
+
+    columns = {"t": t, "q": q, "u": u, "v": None, "truth": None}
+    jobs = [Job(model, log, tuple(override), every, until, columns, anyway) for log in log_files]
+    _fit.fit_model(jobs, parameters, out, overwrite, horizon, json)
+
+
+@app.command()
+def init(
+    log: LogFile,
+    out: Annotated[Path, typer.Option("--out", "-o", help="Model file to write (.toml); it must not exist.")],
+    t: Time = None,
+    q: Positions = None,
+    u: Inputs = None,
+    v: Velocities = None,
+    json: Json = False,
+) -> None:
+    """Draft a model file from the header and the content of a log; what is guessed is said in its comments."""
+    from covariant.cli import _init
+
+    _init.init(log, out, {"t": t, "q": q, "u": u, "v": v}, json)
+
+
+@app.command()
 def simulate(
     model: Model,
     out: Annotated[Path, typer.Option("--out", "-o", help="Log to write (.csv or .parquet).")],

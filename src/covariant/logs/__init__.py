@@ -2,7 +2,7 @@
 
 from covariant.logs._columns import ATTITUDES, Columns, Log, LogError
 from covariant.logs._configuration import Body, bodies, coordinates, matrices, to_columns
-from covariant.logs._read import read
+from covariant.logs._read import read, survey
 from covariant.logs._write import write
 
 __all__ = [
@@ -15,6 +15,7 @@ __all__ = [
     "coordinates",
     "matrices",
     "read",
+    "survey",
     "to_columns",
     "write",
 ]

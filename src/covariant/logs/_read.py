@@ -1,5 +1,6 @@
 """Reading of logs. Cells are read as text first, so that an invalid one can be quoted with its column and row."""
 
+import contextlib
 import csv
 import difflib
 from collections import Counter
@@ -58,6 +59,36 @@ def read(path: str | PathLike[str], columns: Columns, every: int = 1, until: flo
         None if v is None else v[kept],
         None if truth is None else truth[kept],
     )
+
+
+def survey(path: str | PathLike[str]) -> dict[str, Float[np.ndarray, "T"]]:
+    """All columns of numbers of a `.csv` or `.parquet` log by their names, in its order; NaN where a cell is empty.
+
+    Columns that hold anything else are left out. Raises as `read` does for a file that is no log.
+    """
+    path = Path(path)
+    kind(path)
+    if not path.exists():
+        raise FileNotFoundError(f"{path}: no such file")
+    table = _table(path, _header(path))
+    found: dict[str, np.ndarray] = {}
+    for name in table.column_names:
+        with contextlib.suppress(LogError):
+            found[name] = _numbers(name, table.column(name), needed=False)
+    return found
+
+
+def _header(path: Path) -> list[str]:
+    """The names of all columns of a file."""
+    if kind(path) == ".csv":
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            return [name.strip() for name in next(csv.reader(file), [])]
+    pa = pyarrow()
+    try:
+        with pa.parquet.ParquetFile(path) as file:
+            return list(file.schema_arrow.names)
+    except (pa.ArrowException, OSError) as error:
+        raise LogError(f"{path}: cannot be read as .parquet: {str(error).splitlines()[0]}") from error
 
 
 def _sound(path: Path, t: np.ndarray, u: np.ndarray, y: np.ndarray) -> None:

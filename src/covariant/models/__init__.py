@@ -4,6 +4,7 @@ from covariant.models._ball_and_beam import ball_and_beam
 from covariant.models._bioreactor import bioreactor
 from covariant.models._check import check_metric
 from covariant.models._duffing import duffing
+from covariant.models._family import Family, family
 from covariant.models._file import ModelError, ModelFile, from_recipe, load, recipe
 from covariant.models._heavy_top import free_body, heavy_top
 from covariant.models._hovercraft import hovercraft
@@ -31,6 +32,7 @@ from covariant.models._mechanical import (
 from covariant.models._oscillator import oscillator
 from covariant.models._parameters import Parameter, Parametric
 from covariant.models._pendulum_chain import pendulum_chain
+from covariant.models._rewrite import rewrite
 from covariant.models._satellite import satellite
 from covariant.models._satellite_arm import satellite_arm
 from covariant.models._state_space import StateSpace, state_space
@@ -39,6 +41,7 @@ from covariant.models._unknown_frequency import unknown_frequency
 from covariant.models._van_der_pol import van_der_pol
 
 __all__ = [
+    "Family",
     "GroupSystem",
     "Lagrangian",
     "MechanicalSystem",
@@ -61,6 +64,7 @@ __all__ = [
     "check_model",
     "duffing",
     "energy",
+    "family",
     "free_body",
     "friction",
     "from_recipe",
@@ -75,6 +79,7 @@ __all__ = [
     "pendulum_chain",
     "recipe",
     "resistance",
+    "rewrite",
     "satellite",
     "satellite_arm",
     "source",

@@ -2,13 +2,14 @@
 
 import jax.numpy as jnp
 
+from covariant._typing import Number
 from covariant.models._mechanical import Lagrangian
 from covariant.models._parameters import Parameter, Parametric
 
 _SOURCE = "Aghannan & Rouchon 2003, appendix I (normalised)"
 
 
-def ball_and_beam(gravity: float = 1.0, mass: float = 1.0, inertia: float = 1.0) -> Lagrangian:
+def ball_and_beam(gravity: Number = 1.0, mass: Number = 1.0, inertia: Number = 1.0) -> Lagrangian:
     """Ball at r [m] on a beam at angle θ [rad] from the horizontal, driven by a torque u [N m] on the beam.
 
     `mass` [kg] of the ball (rolling inertia included), `inertia` [kg m²] of the beam, `gravity` [m/s²]; all 1 in the

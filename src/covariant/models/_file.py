@@ -103,19 +103,27 @@ def load(spec: str, overrides: Sequence[str] = ()) -> ModelFile:
     Raises `ModelError`, one line that names the spec and the first thing wrong.
     """
     try:
-        document = _toml.override(_document(spec), overrides)
-        _toml.check_layout(document)
-        what = document.get("system", spec.rpartition(":")[2])
-        loaded = _make(what, _find(spec, document), document.get("parameters", {}))
-        columns = model_columns(loaded.model, loaded.columns, _toml.columns(document))
-        model: Any = loaded.model
-        if loaded.mechanical and model.manifold.commuting:
-            check_metric(model, _points(len(columns.q)))
-        name = Path(spec).stem if _is_file(spec) else loaded.name
-        count = len(columns.q) if model.manifold.commuting else 1
-        return loaded._replace(name=name, columns=columns, **_toml.numbers(document, count))
+        return finish(spec, document(spec, overrides))
     except ValueError as error:
         raise ModelError(f"{spec}: {_source.first_line(error)}") from error
+
+
+def finish(spec: str, content: dict[str, Any]) -> ModelFile:
+    """The model file of a document that stands for a spec, checked; raises `ValueError`."""
+    loaded = made(spec, content)
+    columns = model_columns(loaded.model, loaded.columns, _toml.columns(content))
+    model: Any = loaded.model
+    if loaded.mechanical and model.manifold.commuting:
+        check_metric(model, _points(len(columns.q)))
+    name = Path(spec).stem if is_file(spec) else loaded.name
+    count = len(columns.q) if model.manifold.commuting else 1
+    return loaded._replace(name=name, columns=columns, **_toml.numbers(content, count))
+
+
+def made(spec: str, content: dict[str, Any]) -> ModelFile:
+    """What the system of a document, or the attribute that a spec names, makes of the parameters of the document."""
+    what = content.get("system", spec.rpartition(":")[2])
+    return _make(what, _find(spec, content), content.get("parameters", {}))
 
 
 def recipe(spec: str, overrides: Sequence[str] = ()) -> dict[str, Any]:
@@ -124,9 +132,9 @@ def recipe(spec: str, overrides: Sequence[str] = ()) -> dict[str, Any]:
     It holds a system with its parameters, or `module:attribute` with parameters. Raises `ModelError` as `load` does.
     """
     load(spec, overrides)
-    document = _toml.override(_document(spec), overrides)
-    kept = {"parameters": document.get("parameters", {})}
-    return {"system": document["system"], **kept} if _is_file(spec) or ":" not in spec else {"attribute": spec, **kept}
+    content = document(spec, overrides)
+    kept = {"parameters": content.get("parameters", {})}
+    return {"system": content["system"], **kept} if is_file(spec) or ":" not in spec else {"attribute": spec, **kept}
 
 
 def from_recipe(made: dict[str, Any], model: Any = None) -> Model:
@@ -162,14 +170,20 @@ def _given(model: Any, parameters: dict[str, Any]) -> Model:
     return _make(name, found, {} if isinstance(found, Model | ModelFile) else parameters).model
 
 
-def _is_file(spec: str) -> bool:
+def is_file(spec: str) -> bool:
     return spec.endswith(".toml")
 
 
+def document(spec: str, overrides: Sequence[str] = ()) -> dict[str, Any]:
+    """The document that a spec stands for, with overrides and a known layout; raises `ValueError`."""
+    content = _toml.override(_document(spec), overrides)
+    _toml.check_layout(content)
+    return content
+
+
 def _document(spec: str) -> dict[str, Any]:
-    """The document that a spec stands for, without overrides."""
-    if _is_file(spec):
-        return _toml.parse(_text(Path(spec)))
+    if is_file(spec):
+        return _toml.parse(text(Path(spec)))
     if ":" in spec:
         return {}
     if spec not in _source.SYSTEMS:
@@ -177,19 +191,19 @@ def _document(spec: str) -> dict[str, Any]:
     return {"system": spec}
 
 
-def _text(path: Path) -> str:
+def text(path: Path) -> str:
     try:
         return path.read_text(encoding="utf-8")
     except OSError as error:
         raise ValueError(f"{error.strerror or error}; give the path of a model file") from error
 
 
-def _find(spec: str, document: dict[str, Any]) -> Any:
+def _find(spec: str, content: dict[str, Any]) -> Any:
     """The model that a spec names, or the function that makes it."""
-    if _is_file(spec) or ":" not in spec:
-        return _source.system(document.get("system"))
-    if "system" in document:
-        raise ValueError(f"system = {document['system']!r} contradicts module:attribute; drop one of them")
+    if is_file(spec) or ":" not in spec:
+        return _source.system(content.get("system"))
+    if "system" in content:
+        raise ValueError(f"system = {content['system']!r} contradicts module:attribute; drop one of them")
     return _source.attribute(spec)
 
 

@@ -2,20 +2,19 @@
 
 from collections.abc import Sequence
 
-import numpy as np
-
+from covariant._typing import Number
 from covariant.geometry.lie import SO3
 from covariant.models._mechanical import GroupSystem
-from covariant.models._parameters import Parameter, Parametric
+from covariant.models._parameters import Parameter, Parametric, namespace
 
 _SOURCE = "chosen: the paper gives no numbers"
 
 
 def heavy_top(
-    inertia: Sequence[float] | Sequence[Sequence[float]] = (0.2, 0.2, 0.1),
-    moment: float = 1.0,
-    axis: Sequence[float] = (0.0, 0.0, 1.0),
-    viscous: float = 0.0,
+    inertia: Sequence[Number] | Sequence[Sequence[Number]] = (0.2, 0.2, 0.1),
+    moment: Number = 1.0,
+    axis: Sequence[Number] = (0.0, 0.0, 1.0),
+    viscous: Number = 0.0,
 ) -> GroupSystem:
     """Top of Maithripala, Berg & Dayawansa 2004, section IV-A, equations (31)–(32), with any inertia.
 
@@ -26,9 +25,10 @@ def heavy_top(
 
     Inputs are three torques in the body frame [N m].
     """
-    matrix = np.asarray(inertia, float)
-    matrix = np.diag(matrix) if matrix.ndim == 1 else matrix
-    arm = moment * np.asarray(axis, float) / np.linalg.norm(axis)
+    xp = namespace(inertia, moment, axis)
+    matrix, along = xp.asarray(inertia, float), xp.asarray(axis, float)
+    matrix = xp.diag(matrix) if matrix.ndim == 1 else matrix
+    arm = moment * along / xp.linalg.norm(along)
     return GroupSystem(
         SO3,
         matrix,
@@ -37,14 +37,14 @@ def heavy_top(
         velocities=("w1", "w2", "w3"),
         units=("rad/s",) * 3,
         parameters={
-            "inertia": Parameter(tuple(matrix.ravel().tolist()), "kg m^2", _SOURCE),
+            "inertia": Parameter(matrix.ravel(), "kg m^2", _SOURCE),
             "moment": Parameter(moment, "N m", _SOURCE),
             "viscous": Parameter(viscous, "N m s/rad", _SOURCE),
         },
     )
 
 
-def free_body(inertia: Sequence[float] | Sequence[Sequence[float]] = (1.0, 2.0, 3.5)) -> GroupSystem:
+def free_body(inertia: Sequence[Number] | Sequence[Sequence[Number]] = (1.0, 2.0, 3.5)) -> GroupSystem:
     """A freely rotating body, with torques in the body frame [N m] as inputs: `heavy_top` with no gravity moment."""
     return heavy_top(inertia, moment=0.0)
 

@@ -3,29 +3,30 @@
 from collections.abc import Sequence
 
 import jax.numpy as jnp
-import numpy as np
 
+from covariant._typing import Number
 from covariant.geometry.lie import SE2
 from covariant.models._mechanical import GroupSystem
-from covariant.models._parameters import Parameter, Parametric
+from covariant.models._parameters import Parameter, Parametric, namespace
 
 _SOURCE = "chosen: of the size of a laboratory model"
 
 
 def hovercraft(
-    mass: float = 5.0,
-    inertia: float = 0.05,
-    fan_offset: float = 0.12,
-    drag: Sequence[float] = (0.3, 0.5, 0.02),
+    mass: Number = 5.0,
+    inertia: Number = 0.05,
+    fan_offset: Number = 0.12,
+    drag: Sequence[Number] = (0.3, 0.5, 0.02),
 ) -> GroupSystem:
     """Hovercraft of `mass` [kg] and `inertia` [kg m²] about its centre of mass; v = (surge, sway, yaw rate).
 
     The inputs are the thrusts [N] of two fans, right and left of the middle by `fan_offset` [m]; `drag` is
     proportional to v [N s/m, N s/m, N m s].
     """
+    xp = namespace(mass, inertia)
     return GroupSystem(
         SE2,
-        np.diag([mass, mass, inertia]),
+        xp.diag(xp.asarray([mass, mass, inertia])),
         None,
         Parametric(_fans, offset=fan_offset),
         Parametric(_drag, coefficients=drag),

@@ -2,11 +2,12 @@
 
 import jax.numpy as jnp
 
+from covariant._typing import Number
 from covariant.models._mechanical import Lagrangian
 from covariant.models._parameters import Parameter, Parametric
 
 
-def oscillator(chart: str = "q", stiffness: float = 1.0) -> Lagrangian:
+def oscillator(chart: str = "q", stiffness: Number = 1.0) -> Lagrangian:
     """Unit mass [kg] on a spring [N/m], in the coordinate q [m] or in r = exp(q) with metric 1/r².
 
     Raises `ValueError` for any other chart. The input u is a force on q [N]; as a covector in r it is u/r.

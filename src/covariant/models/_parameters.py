@@ -12,6 +12,8 @@ from jaxtyping import Array, Float
 
 from covariant._functional import Functional
 
+AnyArray = Array | np.ndarray
+
 
 class Parameter(eqx.Module):
     """A number of a model, or an array of numbers, with its unit and its source.
@@ -58,6 +60,19 @@ def _numbers(given: Any) -> Any:
 
 def _inexact(array: Any) -> bool:
     return jnp.issubdtype(array.dtype, jnp.inexact)
+
+
+def namespace(*given: Any) -> Any:
+    """NumPy, or `jax.numpy` where one of the numbers is being traced by JAX, as the open ones of a family are.
+
+    In NumPy a model is built without compiling anything.
+    """
+    return np if known(given) else jnp
+
+
+def known(given: Any) -> bool:
+    """Whether numbers can be looked at: none of them is being traced by JAX."""
+    return not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(given))
 
 
 def check_parameters(

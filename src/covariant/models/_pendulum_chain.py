@@ -9,8 +9,9 @@ from collections.abc import Sequence
 import jax.numpy as jnp
 import numpy as np
 
+from covariant._typing import Number
 from covariant.models._mechanical import Lagrangian
-from covariant.models._parameters import Parameter, Parametric
+from covariant.models._parameters import AnyArray, Parameter, Parametric, known, namespace
 
 COULOMB_STEEPNESS = 100.0
 """Slope at rest of the smoothed Coulomb friction `coulomb * atan(100 v)` [s/rad]."""
@@ -29,21 +30,21 @@ _UNITS = {
 
 
 def pendulum_chain(
-    mass: Sequence[float] = (1.0, 1.0),
-    length: Sequence[float] = (1.0, 1.0),
-    com: Sequence[float] | None = None,
-    inertia: Sequence[float] | None = None,
+    mass: Sequence[Number] = (1.0, 1.0),
+    length: Sequence[Number] = (1.0, 1.0),
+    com: Sequence[Number] | None = None,
+    inertia: Sequence[Number] | None = None,
     *,
     angles: str = "relative",
     zero: str = "hanging",
     inertia_about: str = "com",
-    rotor_inertia: Sequence[float] | None = None,
-    gear: Sequence[float] | None = None,
-    viscous: Sequence[float] | None = None,
-    coulomb: Sequence[float] | None = None,
-    offset: Sequence[float] | None = None,
+    rotor_inertia: Sequence[Number] | None = None,
+    gear: Sequence[Number] | None = None,
+    viscous: Sequence[Number] | None = None,
+    coulomb: Sequence[Number] | None = None,
+    offset: Sequence[Number] | None = None,
     actuated: Sequence[int] | None = None,
-    gravity: float = 9.81,
+    gravity: Number = 9.81,
     source: str = "chosen",
 ) -> Lagrangian:
     """A chain of n links that swings in a vertical plane; each sequence has one entry for each link.
@@ -75,16 +76,17 @@ def pendulum_chain(
     _one_of("zero", zero, ("hanging", "upright"))
     _one_of("inertia_about", inertia_about, ("com", "joint"))
     for name in ("mass", "inertia", "rotor_inertia", "viscous", "coulomb"):
-        if (p[name] < 0).any():
+        if known(p[name]) and (p[name] < 0).any():
             raise ValueError(f"pendulum_chain: {name} must not be negative; got {tuple(p[name].tolist())}")
 
     about_com = p["inertia"] - (p["mass"] * p["com"] ** 2 if inertia_about == "joint" else 0.0)
-    arms = np.tril(np.tile(p["length"], (n, 1)), -1) + np.diag(p["com"])  # arms[k, i]: lever arm of link i at mass k
-    coupling = (arms.T * p["mass"]) @ arms
+    below, own = np.tri(n, k=-1), np.eye(n)
+    arms = below * p["length"][None] + own * p["com"][None]  # arms[k, i]: lever arm of link i at mass k
+    coupling = (arms.T * p["mass"][None]) @ arms
     moment = p["mass"] @ arms
     relative = np.eye(n) - np.eye(n, k=-1)  # joint rates from absolute rates
     rotor_rates = np.eye(n, k=-1) - p["gear"][:, None] * relative  # rotor rates from absolute rates
-    constant = np.diag(about_com) + (rotor_rates.T * p["rotor_inertia"]) @ rotor_rates
+    constant = own * about_com[None] + (rotor_rates.T * p["rotor_inertia"][None]) @ rotor_rates
     absolute = np.linalg.inv(relative) if angles == "relative" else np.eye(n)  # absolute rates from the coordinates'
     between = absolute[:, None, :] - absolute[None, :, :]
     joints = np.eye(n) if angles == "relative" else relative  # joint rates from the coordinates'
@@ -126,11 +128,11 @@ def _dissipation(q, v, viscous, coulomb, joints):
     return -joints.T @ (viscous * rate + coulomb * jnp.arctan(COULOMB_STEEPNESS * rate))
 
 
-def _per_link(name: str, value: Sequence[float] | np.ndarray | None, n: int) -> np.ndarray:
-    array = np.zeros(n) if value is None else np.asarray(value, dtype=float)
+def _per_link(name: str, value: Sequence[Number] | AnyArray | None, n: int) -> AnyArray:
+    array = np.zeros(n) if value is None else namespace(value).asarray(value, float)
     if array.shape != (n,):
         raise ValueError(f"pendulum_chain: {name} needs one number a link, {n} as in mass; got {np.size(array)}")
-    if not np.isfinite(array).all():
+    if known(array) and not np.isfinite(array).all():
         raise ValueError(f"pendulum_chain: {name} must be finite; got {tuple(array.tolist())}")
     return array
 

@@ -5,18 +5,19 @@ from collections.abc import Sequence
 import jax.numpy as jnp
 import numpy as np
 
+from covariant._typing import Number
 from covariant.geometry.lie import SO2, SO3, Product
 from covariant.models._mechanical import GroupSystem
-from covariant.models._parameters import Parameter, Parametric
+from covariant.models._parameters import Parameter, Parametric, namespace
 
 _SOURCE = "chosen: of the size of a small satellite"
 
 
 def satellite(
-    inertia: Sequence[float] = (0.05, 0.06, 0.04),
-    wheel_inertia: float = 2e-4,
-    axes: Sequence[Sequence[float]] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
-    bearing: float = 0.0,
+    inertia: Sequence[Number] = (0.05, 0.06, 0.04),
+    wheel_inertia: Number = 2e-4,
+    axes: Sequence[Sequence[Number]] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
+    bearing: Number = 0.0,
 ) -> GroupSystem:
     """Attitude and wheel angles on SO(3) × SO(2)^k; v holds the angular velocity and the rates against the body.
 
@@ -31,9 +32,10 @@ def satellite(
         raise ValueError(f"satellite: axes must have shape (k, 3); got {directions.shape}")
     directions = directions / np.linalg.norm(directions, axis=1, keepdims=True)
     k = directions.shape[0]
-    body = np.diag(np.asarray(inertia, float)) + wheel_inertia * directions.T @ directions
+    xp = namespace(inertia, wheel_inertia)
+    body = xp.diag(xp.asarray(inertia, float)) + wheel_inertia * directions.T @ directions
     spin = wheel_inertia * directions.T
-    matrix = np.block([[body, spin], [spin.T, wheel_inertia * np.eye(k)]])
+    matrix = xp.block([[body, spin], [spin.T, wheel_inertia * np.eye(k)]])
 
     return GroupSystem(
         Product((SO3, *(SO2,) * k)),

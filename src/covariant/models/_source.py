@@ -11,6 +11,7 @@ from inspect import Parameter as Argument
 from types import UnionType
 from typing import Any, Union, get_args, get_origin
 
+from covariant._typing import Number
 from covariant.models._ball_and_beam import ball_and_beam
 from covariant.models._bioreactor import bioreactor
 from covariant.models._duffing import duffing
@@ -86,7 +87,8 @@ def typed(name: str, factory: Callable[..., Any], parameters: dict[str, Any]) ->
         try:
             found[key] = _typed(found[key], kind)
         except TypeError as error:
-            wanted = inspect.formatannotation(kind).replace("collections.abc.", "")
+            open_too = inspect.formatannotation(Number)  # a number may be open, but not one from a file
+            wanted = inspect.formatannotation(kind).replace(open_too, "float").replace("collections.abc.", "")
             given = reprlib.repr(found[key])
             raise ValueError(f"parameter {key} of {name} must be {wanted}; got {given}") from error
     return found

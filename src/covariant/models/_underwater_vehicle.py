@@ -7,26 +7,26 @@ water; Fossen 2011, Handbook of Marine Craft Hydrodynamics and Motion Control, c
 from collections.abc import Callable, Sequence
 
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array
 
+from covariant._typing import Number
 from covariant.geometry.lie import SE3
 from covariant.models._mechanical import GroupSystem
-from covariant.models._parameters import Parameter, Parametric
+from covariant.models._parameters import Parameter, Parametric, namespace
 
 _SOURCE = "chosen: of the size of a small inspection vehicle"
 
 
 def underwater_vehicle(
-    mass: float = 12.0,
-    inertia: Sequence[float] = (0.2, 0.35, 0.4),
-    added_mass: Sequence[float] = (5.0, 12.0, 14.0, 0.1, 0.2, 0.2),
-    buoyancy: float = 120.0,
-    gravity: float = 9.81,
-    centre_of_mass: Sequence[float] = (0.0, 0.0, -0.02),
-    centre_of_buoyancy: Sequence[float] = (0.0, 0.0, 0.01),
-    drag: Sequence[float] = (4.0, 6.0, 5.0, 0.1, 0.1, 0.1),
-    quadratic_drag: Sequence[float] = (18.0, 22.0, 37.0, 1.5, 1.5, 1.5),
+    mass: Number = 12.0,
+    inertia: Sequence[Number] = (0.2, 0.35, 0.4),
+    added_mass: Sequence[Number] = (5.0, 12.0, 14.0, 0.1, 0.2, 0.2),
+    buoyancy: Number = 120.0,
+    gravity: Number = 9.81,
+    centre_of_mass: Sequence[Number] = (0.0, 0.0, -0.02),
+    centre_of_buoyancy: Sequence[Number] = (0.0, 0.0, 0.01),
+    drag: Sequence[Number] = (4.0, 6.0, 5.0, 0.1, 0.1, 0.1),
+    quadratic_drag: Sequence[Number] = (18.0, 22.0, 37.0, 1.5, 1.5, 1.5),
 ) -> GroupSystem:
     """Vehicle in still water; twist (v, ω) in the body [m/s, rad/s], z up in space.
 
@@ -37,9 +37,10 @@ def underwater_vehicle(
 
     The input is the wrench (force, torque) at the origin, in the body frame [N, N m].
     """
-    centre, lift = np.asarray(centre_of_mass, float), np.asarray(centre_of_buoyancy, float)
-    coupling = mass * np.cross(np.eye(3), centre)  # the matrix of x ↦ mass · centre × x
-    rigid = np.block([[mass * np.eye(3), coupling.T], [coupling, np.diag(np.asarray(inertia, float))]])
+    xp = namespace(mass, inertia, added_mass, centre_of_mass, centre_of_buoyancy)
+    centre, lift = xp.asarray(centre_of_mass, float), xp.asarray(centre_of_buoyancy, float)
+    coupling = mass * xp.cross(xp.eye(3), centre)  # the matrix of x ↦ mass · centre × x
+    rigid = xp.block([[mass * xp.eye(3), coupling.T], [coupling, xp.diag(xp.asarray(inertia, float))]])
     potential = Parametric(_potential, weight=mass * gravity, buoyancy=buoyancy, centre=centre, lift=lift)
 
     parameters = {
@@ -52,14 +53,14 @@ def underwater_vehicle(
         "drag": Parameter(drag, "N s/m, N m s", _SOURCE),
         "quadratic_drag": Parameter(quadratic_drag, "N s^2/m^2, N m s^2", _SOURCE),
     }
-    return submerged_body(rigid + np.diag(added_mass), potential, drag, quadratic_drag, parameters)
+    return submerged_body(rigid + xp.diag(xp.asarray(added_mass, float)), potential, drag, quadratic_drag, parameters)
 
 
 def submerged_body(
     inertia,
     potential: Callable[[Array], Array],
-    drag: Sequence[float],
-    quadratic_drag: Sequence[float],
+    drag: Sequence[Number],
+    quadratic_drag: Sequence[Number],
     parameters: dict[str, Parameter],
 ) -> GroupSystem:
     """A body on SE(3) with inertia (6, 6), a potential of its pose, and drag in each component of its twist."""

@@ -1,0 +1,152 @@
+"""A model with some of its numbers open, as a function of these numbers: what a fit to logs needs to know of it."""
+
+import copy
+import math
+import re
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float
+
+from covariant.models import _source, _toml
+from covariant.models._file import ModelError, ModelFile, document, finish, made
+
+LAG = ("inputs", "lag")
+"""The one number outside [parameters] that may be open."""
+
+Place = tuple[str | int, ...]
+"""Where a number stands in a document: table, key, and the index in each list."""
+
+
+class Family(NamedTuple):
+    """The models that a model file describes when some of its numbers are open.
+
+    - `file`: the model file with the first values of these numbers.
+    - `names` (p of them): the open numbers, such as `mass[0]` of [parameters], or `inputs.lag`.
+    - `first` (p,): their values in the file.
+    - `positive` (p,): which of them the model refuses where they are negative.
+    - `make`: `values (p,) -> (model, lag [s])`, which may be traced, differentiated and batched by JAX.
+    - `document`: the content of the file, with the first values, as nested dictionaries and lists.
+    - `places`: where each of the numbers stands in it.
+    """
+
+    file: ModelFile
+    names: tuple[str, ...]
+    first: Float[np.ndarray, "p"]
+    positive: tuple[bool, ...]
+    make: Callable[[Any], tuple[Any, Any]]
+    document: dict[str, Any]
+    places: tuple[Place, ...]
+
+    def with_values(self, values: Float[np.ndarray, "p"]) -> dict[str, Any]:
+        """The document with other numbers."""
+        return _with(self.document, self.places, np.asarray(values).tolist())
+
+
+def family(spec: str, names: Sequence[str], overrides: Sequence[str] = ()) -> Family:
+    """The family of a mechanical model with the named numbers open.
+
+    - `spec`, `overrides`: as for `load`; the overrides may give first values.
+    - `names`: `mass` for all entries of a list in [parameters], `mass[0]` for the first one; `inputs.lag` for the lag
+      of the inputs.
+
+    Raises `ModelError`, one line that names the spec and the first thing wrong: a name that is not there, a value that
+    is no number, a first value of zero where negative ones are refused, or a function that JAX cannot trace.
+    """
+    try:
+        return _family(spec, names, document(spec, overrides))
+    except ValueError as error:
+        raise ModelError(f"{spec}: {_source.first_line(error)}") from error
+
+
+def _family(spec: str, names: Sequence[str], content: dict[str, Any]) -> Family:
+    file = finish(spec, content)
+    file.need_mechanical(spec, "numbers are fitted for")
+    numbers = {_name(place): place for place in _numbers(content)}
+    chosen = [name for given in names for name in _chosen(given, numbers)]
+    twice = next((name for name in chosen if chosen.count(name) > 1), None)
+    if twice is not None:
+        raise ValueError(f"{twice} is named twice; name it once")
+    if not chosen:
+        raise ValueError(f"no number is named; there are: {', '.join(numbers) or 'none'}")
+    places = tuple(numbers[name] for name in chosen)
+    first = np.array([float(_at(content, place)) for place in places])
+
+    def make(values):
+        filled = _with(content, places, list(values))
+        return made(spec, filled).model, filled.get(LAG[0], {}).get(LAG[1], file.input_lag)
+
+    positive = tuple(
+        _refused(spec, _with(content, (place,), [-abs(value) or -1.0]))
+        for place, value in zip(places, first, strict=True)
+    )
+    for name, value, refused in zip(chosen, first, positive, strict=True):
+        if refused and not 0 < value < math.inf:
+            remedy = f"--set parameters.{name.partition('[')[0]}=…" if name != ".".join(LAG) else f"--set {name}=0.01"
+            raise ValueError(f"{name} must be positive and starts from {value:g}; give it a first value by {remedy}")
+    try:
+        eqx.filter_eval_shape(make, first)
+    except (TypeError, ValueError) as error:  # with plain numbers it has just been made
+        raise ValueError(
+            f"the function that makes the model cannot be traced by JAX ({_source.first_line(error)[:80]}); compute "
+            f"with jax.numpy in it, or leave {', '.join(names)} as they are"
+        ) from error
+    return Family(file, tuple(chosen), first, positive, make, content, places)
+
+
+def _numbers(content: dict[str, Any]) -> Iterator[Place]:
+    """The places of all numbers that may be open."""
+    if _is_number(content.get(LAG[0], {}).get(LAG[1])):
+        yield LAG
+    yield from _places(("parameters",), content.get("parameters", {}))
+
+
+def _places(here: Place, value: Any) -> Iterator[Place]:
+    if _is_number(value):
+        yield here
+    elif isinstance(value, dict | list):
+        for key, inner in value.items() if isinstance(value, dict) else enumerate(value):
+            yield from _places((*here, key), inner)
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _name(place: Place) -> str:
+    table, key, *indices = place
+    return ("" if table == "parameters" else f"{table}.") + str(key) + "".join(f"[{i}]" for i in indices)
+
+
+def _chosen(given: str, numbers: dict[str, Place]) -> list[str]:
+    """The numbers that a name stands for: itself, or all entries of the list."""
+    plain = given.strip().removeprefix("parameters.")
+    found = [name for name in numbers if name == plain or re.fullmatch(re.escape(plain) + r"(\[\w+\])+", name)]
+    if not found:
+        _toml.refuse_unknown("number", plain, tuple(numbers))
+    return found
+
+
+def _at(content: Any, place: Place) -> Any:
+    for key in place:
+        content = content[key]
+    return content
+
+
+def _with(content: dict[str, Any], places: Sequence[Place], values: Sequence[Any]) -> dict[str, Any]:
+    """A copy of the document with other numbers at these places."""
+    filled = copy.deepcopy(content)
+    for place, value in zip(places, values, strict=True):
+        _at(filled, place[:-1])[place[-1]] = value
+    return filled
+
+
+def _refused(spec: str, content: dict[str, Any]) -> bool:
+    """Whether the model refuses these numbers."""
+    try:
+        finish(spec, content)
+    except ValueError:
+        return True
+    return False

@@ -1,0 +1,107 @@
+"""Writes a model file anew with other values, keeping its comments and its layout."""
+
+import re
+from typing import Any
+
+from covariant.models import _toml
+
+_TOKEN = re.compile(
+    r"""(?P<skip>#[^\n]*|"(?:[^"\\\n]|\\.)*"|'[^'\n]*')|(?P<number>[+-]?(?:[0-9][0-9_]*\.?[0-9_]*)(?:[eE][+-]?[0-9]+)?)"""
+)
+"""A comment, a text, or a number in the text of a value."""
+
+
+def rewrite(text: str, content: dict[str, Any]) -> str:
+    """The text of a model file whose values are changed to those of a document, as it is after `tomllib.loads`.
+
+    Numbers are replaced where they stand, so that comments and layout remain; a key that is new goes to the end of its
+    table. Raises `ValueError` naming the key, where the file writes a table in a way that this does not follow, such as
+    `parameters.mass = 1`.
+    """
+    before = _toml.parse(text)
+    for table, values in content.items():
+        old = before.get(table, {})
+        if not isinstance(values, dict):
+            continue
+        for key in [key for key in old if key not in values]:
+            text = _replaced(text, table, key, None)
+        for key, value in values.items():
+            if key not in old or old[key] != value:
+                text = _replaced(text, table, key, value, old.get(key))
+    try:
+        after = _toml.parse(text)
+    except ValueError:  # a table written as parameters.mass = 1 has become two
+        after = before
+    wrong = next((table for table in content if after.get(table) != content[table]), None)
+    if wrong is not None:
+        raise ValueError(f"[{wrong}] is written in a way that cannot be changed; write it as lines key = value")
+    return text
+
+
+def _replaced(text: str, table: str, key: str, value: Any, old: Any = None) -> str:
+    """The text with one value changed, removed where it is None, or put at the end of its table."""
+    begin, end = _span(text, table)
+    if begin is None:
+        return f"{text.rstrip()}\n\n[{table}]\n{key} = {written(value)}\n"
+    found = re.compile(rf"^[ \t]*(?:{re.escape(key)}|\"{re.escape(key)}\")[ \t]*=[ \t]*", re.MULTILINE).search(
+        text, begin, end
+    )
+    if found is None:
+        body = text[begin:end].rstrip()
+        return f"{text[:begin]}{body}\n{key} = {written(value)}\n{text[begin + len(body) :].removeprefix(chr(10))}"
+    stop = _value_end(text, found.end())
+    if value is None:
+        return text[: found.start()] + text[text.find("\n", stop) + 1 :]
+    return text[: found.end()] + _value(text[found.end() : stop], value, old) + text[stop:]
+
+
+def _span(text: str, table: str) -> tuple[int | None, int]:
+    """Where the lines of a table begin and end."""
+    head = re.search(rf"^[ \t]*\[[ \t]*{re.escape(table)}[ \t]*\][^\n]*\n", text, re.MULTILINE)
+    if head is None:
+        return None, 0
+    after = re.compile(r"^[ \t]*\[[ \t]*[A-Za-z\"'\[]", re.MULTILINE)  # not the row of a matrix, nor its end
+    found = after.search(text, head.end())
+    return head.end(), found.start() if found else len(text)
+
+
+def _value_end(text: str, begin: int) -> int:
+    """Where a value that begins there ends: at the bracket that closes it, or before a comment or the line's end."""
+    depth, at = 0, begin
+    while at < len(text):
+        token = _TOKEN.match(text, at)
+        if token and token.lastgroup == "skip" and not (text[at] == "#" and depth == 0):
+            at = token.end()
+            continue
+        depth += {"[": 1, "{": 1, "]": -1, "}": -1}.get(text[at], 0)
+        if depth == 0 and text[at] in "#\n":
+            break
+        at += 1
+        if depth == 0 and text[at - 1] in "]}":
+            return at
+    return begin + len(text[begin:at].rstrip())
+
+
+def _value(text: str, value: Any, old: Any) -> str:
+    """The text of a value with other numbers, where it has as many of them as before; otherwise written anew."""
+    before, after = _leaves(old), _leaves(value)
+    tokens = [token for token in _TOKEN.finditer(text) if token.lastgroup == "number"]
+    if not len(before) == len(after) == len(tokens) or not all(isinstance(leaf, int | float) for leaf in after):
+        return written(value)
+    for token, was, is_now in reversed(list(zip(tokens, before, after, strict=True))):
+        if was != is_now:
+            text = text[: token.start()] + written(is_now) + text[token.end() :]
+    return text
+
+
+def _leaves(value: Any) -> list[Any]:
+    return [leaf for entry in value for leaf in _leaves(entry)] if isinstance(value, list) else [value]
+
+
+def written(value: Any) -> str:
+    """A value as TOML writes it."""
+    if isinstance(value, list):
+        return "[" + ", ".join(map(written, value)) + "]"
+    if isinstance(value, str):
+        return '"' + value.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n") + '"'
+    return str(value).lower() if isinstance(value, bool) else repr(value)

@@ -1,0 +1,118 @@
+"""`covariant fit` and `covariant init`: what they print, write and refuse."""
+
+import sys
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from commands import command
+
+from covariant import logs, models
+from covariant.cli import main
+
+MODEL = """system = "pendulum_chain"
+[parameters]
+mass = [1.0]     # from a scale
+length = [0.5]
+source = "a drawing"
+[columns]
+q = ["angle"]
+u = []
+[measurement]
+quantum = 1e-3
+"""
+"""A point mass on a rod: only gravity and length give its frequency."""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A log of a pendulum of 0.4 m that swings by up to 1.2 rad: its motion is that of an elliptic sine."""
+    folder = tmp_path_factory.mktemp("fit")
+    (folder / "model.toml").write_text(MODEL.replace("[columns]", "actuated = []\n[columns]"))
+    t = np.arange(0, 12, 0.02)
+    q, v, path = 1.2, 0.0, []
+    for _ in t:
+        path.append(q)
+        for _ in range(20):  # leapfrog
+            v -= 0.5e-3 * 9.81 / 0.4 * np.sin(q)
+            q += 1e-3 * v
+            v -= 0.5e-3 * 9.81 / 0.4 * np.sin(q)
+    y = np.round(np.array(path) / 1e-3) * 1e-3
+    logs.write(folder / "log.csv", {"t": t, "angle": y})
+    logs.write(folder / "wrong.csv", {"t": t, "angle": np.where(t < 8, y, 0.5 * t**2)})
+    return folder
+
+
+@pytest.fixture(autouse=True)
+def inside(folder, monkeypatch):
+    monkeypatch.chdir(folder)
+
+
+def refused(code: int, *arguments: str) -> str:
+    """What a command says on standard error, or prints, when it leaves with this code."""
+    said = []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("builtins.print", lambda *text, **_: said.append(str(text[0])))
+        patch.setattr(sys, "argv", ["covariant", *arguments])
+        with pytest.raises(SystemExit) as left:
+            main()
+    assert left.value.code == code, said
+    return said[-1]
+
+
+def test_fit_writes_a_model_file_that_keeps_its_comments():
+    result = command("fit", "model.toml", "log.csv", "--parameters", "length,mass", "-o", "calibrated.toml")
+    length, mass = result["parameters"]
+    assert length["after"] == pytest.approx(0.4, rel=2e-3)
+    assert abs(length["after"] - 0.4) < 4 * length["standard_error"]
+    assert (mass["after"], mass["determined"], mass["standard_error"]) == (1.0, False, None)
+    assert result["undetermined"] == ["mass[0] cannot be told from this log; it keeps its first value"]
+    assert result["growth"] < 0.1
+    text = Path("calibrated.toml").read_text()
+    assert "mass = [1.0]     # from a scale\n" in text
+    assert tomllib.loads(text)["parameters"]["source"] == "fitted to log.csv from first values of: a drawing"
+    assert models.load("calibrated.toml").model.parameters["length"].value[0] == pytest.approx(length["after"])
+
+
+def test_a_fit_that_is_worse_on_what_it_has_not_seen_is_not_written():
+    arguments = ("fit", "model.toml", "log.csv", "wrong.csv", "--parameters", "length", "-o", "no.toml", *FIRST)
+    assert "wrong.csv: the model leaves" in refused(1, *arguments)
+    said = refused(1, *arguments, "--anyway")
+    assert "worse on what it has not seen, so it is not written" in said
+    assert not Path("no.toml").exists()
+
+
+FIRST = ("--set", "parameters.length=[0.4]", "--set", "parameters.gravity=9.0")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--parameters", "lenght"), "unknown number 'lenght'. Did you mean"),
+        (
+            ("--parameters", "length", "-o", "model.toml"),
+            "this is the model file itself; write to another file",
+        ),
+        (
+            ("--parameters", "length", "--horizon", "5"),
+            "windows of 5 s with at least 12 rows and no gap, and 8 are",
+        ),
+        (("--parameters", "length", "--horizon", "-1"), "--horizon must be a positive number of seconds; got -1"),
+    ],
+)
+def test_wrong_arguments_of_fit_are_told_in_one_line(arguments, message):
+    assert message in refused(2, "fit", "model.toml", "log.csv", *arguments)
+
+
+def test_init_drafts_a_file_that_loads():
+    result = command("init", "log.csv", "-o", "draft.toml")
+    assert result["columns"] == {"t": "t", "q": ["angle"], "u": [], "v": []}
+    file = models.load("draft.toml")
+    assert file.quantum == pytest.approx(1e-3, rel=1e-3)
+    assert file.model.inputs == 0
+    assert "there is such a file already" in refused(2, "init", "log.csv", "-o", "draft.toml")
+    logs.write("odd.csv", {"t": np.arange(9.0) / 100, "a": np.ones(9)})
+    said = refused(2, "init", "odd.csv", "-o", "odd.toml")
+    assert "odd.csv: no column is named like a position" in said
+    assert "the columns of numbers are t, a" in said
