@@ -50,7 +50,7 @@ PUBLIC = {
     "noise_disturbance observability observer_gain optimal_lyapunov parse projection rate_of rates_along "
     "steady_distance subject tangent_metric tracking trade_off trajectories upper_distance virtual",
     "control": "Backstepping Reference follow lissajous set_point",
-    "design": "ESTIMATORS DataSheet Gains MetricSummary Trial bias contracting_gain estimators filter_bandwidth gains "
+    "design": "ESTIMATORS DataSheet Gains MetricSummary Trial bias contracting_gain estimators filter_bandwidth gains gated "
     "jerk_bound joint_noise load_metric metric metric_summary observer_gains predict_errors tuned_estimators "
     "window_length with_gains",
     "geometry": "AbstractManifold AbstractMetric AbstractSpace Budget ConstantCurvature Coordinates Euclidean "
@@ -73,7 +73,7 @@ PUBLIC = {
     "manoeuvring_ship odin odin_on_group positive_definite supply_vessel surface_ship yaw_rotation",
     "observers": "EKF PLL REGISTRY UKF AbstractFlowObserver AbstractLinearFilter AbstractMechanicalObserver "
     "AbstractObserver Contracting ContractingState Copy EKFInfo EKFState Entry "
-    "Estimate FilterInfo FilteredDerivative FilteredState Gate Geodesic GeodesicInfo GeodesicState "
+    "Estimate FilterInfo FilteredDerivative FilteredState Gate Gated GatedState Geodesic GeodesicInfo GeodesicState "
     "HeldState HighGain Info InformationEKF InformationState Intrinsic IntrinsicKalman JointKalman "
     "JointState KalmanInfo KalmanState Levant LoopState MechanicalState PassiveGains PassiveShip "
     "Riccati Salcudean SalcudeanState SavitzkyGolay UKFState WindowState continuous craft_observer "

@@ -16,16 +16,17 @@ class Result(enum.IntEnum):
     REPEATED = 3
     OUTLIER = 4
     RESTARTED = 5
-    CUT_LOCUS = 6
-    LEFT_DOMAIN = 7
-    ESCAPED = 8
-    CONJUGATE_POINT = 9
-    NOT_CONVERGED = 10
-    NOT_SETTLED = 11
-    NOT_RECONSTRUCTIBLE = 12
-    OUT_OF_DOMAIN = 13
-    STEP_REFUSED = 14
-    NOT_FINITE = 15
+    ASTRAY = 6
+    CUT_LOCUS = 7
+    LEFT_DOMAIN = 8
+    ESCAPED = 9
+    CONJUGATE_POINT = 10
+    NOT_CONVERGED = 11
+    NOT_SETTLED = 12
+    NOT_RECONSTRUCTIBLE = 13
+    OUT_OF_DOMAIN = 14
+    STEP_REFUSED = 15
+    NOT_FINITE = 16
 
     @property
     def message(self) -> str:
@@ -39,6 +40,7 @@ _MESSAGES = {
     Result.REPEATED: "the stamp is that of the sample before: the state was left as it was",
     Result.OUTLIER: "a measurement is too far from what is expected: it was refused, as if it were missing",
     Result.RESTARTED: "the estimate started anew: what came before tells too little of the motion now",
+    Result.ASTRAY: "the estimate does not follow the measurements: its velocity is off by more than the usual speed",
     Result.CUT_LOCUS: "two ways to the measurement are equally short, as after half a turn: one of them was taken",
     Result.LEFT_DOMAIN: "the past of the point leaves the domain: its metric starts at the border",
     Result.ESCAPED: "the past of the point escapes to infinity: its metric starts far away",

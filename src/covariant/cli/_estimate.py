@@ -12,7 +12,7 @@ from covariant.cli._console import note, working
 from covariant.cli._job import Job, Loaded, check_output, data_sheet, load, numbered, velocity_columns
 from covariant.cli._pages import write_report
 from covariant.cli._results import Outcome, drive, report_arrays, rounded, summary
-from covariant.design import ESTIMATORS, estimators, observer_gains, tuned_estimators, with_gains
+from covariant.design import ESTIMATORS, estimators, gated, observer_gains, tuned_estimators, with_gains
 from covariant.observers import AbstractObserver
 from covariant.scoring import rmse
 
@@ -69,7 +69,10 @@ def _choose(
         made = with_gains(model, alpha, beta)
         if observer not in made:
             raise ValueError(f"--alpha and --beta do not apply to {observer}; they do to {', '.join(made)}")
-        return made[observer], (f"Given gains: alpha = {alpha:g} 1/s, beta = {beta:g} 1/s².",)
+        given = f"Given gains: alpha = {alpha:g} 1/s, beta = {beta:g} 1/s²."
+        if loaded.file.measurement_std is None or loaded.file.acceleration_std is None:
+            return made[observer], (f"{given} No measurement is refused: the model file tells no noise.",)
+        return gated(made[observer], model, data_sheet(loaded.file)), (given,)
     sheet = data_sheet(loaded.file)
     designed = observer_gains(sheet, loaded.rate).summary
     made = tuned_estimators(model, loaded.file.dimension, sheet, loaded.rate, names=(observer,))
