@@ -50,8 +50,8 @@ PUBLIC = {
     "noise_disturbance observability observer_gain optimal_lyapunov parse projection rate_of rates_along "
     "steady_distance subject tangent_metric tracking trade_off trajectories upper_distance virtual",
     "control": "Backstepping Reference follow lissajous set_point",
-    "design": "ESTIMATORS DataSheet Gains MetricSummary Trial bias contracting_gain estimators filter_bandwidth gains gated "
-    "jerk_bound joint_noise load_metric metric metric_summary observer_gains predict_errors tuned_estimators "
+    "design": "ESTIMATORS DataSheet Gains MetricSummary Trial bias contracting_gain estimators filter_bandwidth gains "
+    "gated jerk_bound joint_noise load_metric metric metric_summary observer_gains predict_errors tuned_estimators "
     "window_length with_gains",
     "geometry": "AbstractManifold AbstractMetric AbstractSpace Budget ConstantCurvature Coordinates Euclidean "
     "FlatTorus Interpolated KineticEnergy Metric Product ProductManifold Pullback Shot Transported "

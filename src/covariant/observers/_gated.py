@@ -7,8 +7,12 @@ a correction and `e` the error that the correction left behind, both from the es
     d = r − e
 
 is what the measurement says that the one before did not: noise, and the error of the velocity times the step, whatever
-the gains and however large the error is. Before anything is learnt its variance is `2s² + (S dt)²`, with s the noise of
-a sample and S the usual speed.
+the gains and however large the error is. It is refused where neither the noise s of a sample nor a velocity explains
+it, `d² > 2(ks)² + (cS dt)²`, with k the deviations of the gate, S the usual speed of the motion and c between 4 at the
+start and 2 once smaller ones have been seen. An outlier that passes is no more than a velocity of cS over one step.
+
+Where measurements agree with each other and not with the estimate, as after an observer has lost a spinning body, d
+stays large: once its square is more than that of a velocity error of 2S on average, the estimate is `ASTRAY`.
 
 Source: Bar-Shalom, Li & Kirubarajan 2001, Estimation with Applications to Tracking and Navigation, section 5.4.
 """
@@ -32,9 +36,8 @@ from covariant.observers._protocol import (
 )
 from covariant.signals import Result
 
-
 CREDIBLE = 4.0
-"""Largest velocity, in usual ones, that two measurements may show: at the start, and after a hole while it lasted."""
+"""Largest velocity, in usual ones, that a measurement may show anew; half of it once smaller ones have been seen."""
 
 
 class GatedState(NamedTuple):
@@ -43,7 +46,7 @@ class GatedState(NamedTuple):
     - `left` (n,): error that the last correction left behind, from the estimate to the measurement.
     - `idle` (n,): time since the last measurement that was used [s].
     - `refused` (n,), `scale` (n,): what the gate remembers; see `Gate.judge`.
-    - `slip` (n,): averaged square of what the measurements said anew, as a part of what is too much.
+    - `slip` (n,): average of d², as a part of that of an estimate which is astray.
     - `held`: the last finite input.
     """
 
@@ -68,8 +71,11 @@ class Gated(AbstractObserver):
 
     A measurement that is refused counts as missing, and `result` says `OUTLIER`. After `gate.patience` of them in a row
     the estimate starts anew from the measured configuration, and `result` says `RESTARTED`; a velocity that the state
-    of the observer holds as `v` is kept, unless it is not credible. Raises `ValueError` for numbers that are not
+    of the observer holds as `v` is kept, unless it is not credible. Where the velocity is off by more than twice the
+    usual one, as far as measurements tell, `result` says `ASTRAY`. Raises `ValueError` for numbers that are not
     positive.
+
+    A step does the observer's work twice. The state of the observer is `state.inner`.
     """
 
     observer: AbstractObserver
@@ -100,24 +106,25 @@ class Gated(AbstractObserver):
             return far | found.far, (inner, info, found)
 
         # First with all that was measured, which gives the innovation; then with what passes the gate.
-        _, tries = jax.lax.scan(attempt, ~present & False, None, 2)
+        _, tries = jax.lax.scan(attempt, jnp.zeros_like(present), None, 2)
         _, first, found = jax.tree.map(lambda a: a[0], tries)
         inner, info, _ = jax.tree.map(lambda a: a[1], tries)
-        motion = self.model.motion(self.estimate(state._replace(inner=inner)))
-        error = manifold.towards(motion.q, y)
         used = present & ~found.far
-        left = jnp.where(used, error, state.left)
-        bound = 2 * (self.gate.deviations * self.noise) ** 2 + (CREDIBLE / 2 * self.speed * (state.idle + dt)) ** 2
-        slip = (first.innovation - state.left) ** 2 / bound - state.slip
-        slip = state.slip + jnp.where(used, slip, 0.0) / (1 + self.gate.patience)
-        idle = jnp.where(present, 0.0, state.idle + dt)
+        motion = self.model.motion(self.observer.estimate(inner))
+        error = manifold.towards(motion.q, y)
+        left, idle = jnp.where(used, error, state.left), jnp.where(present, 0.0, state.idle + dt)
+        slip = self._slip(state, first.innovation, used, dt)
         new = GatedState(inner, t, left, idle, found.refused, found.scale, slip)
         # What was learnt of the measurements still holds where it widens the gate.
         fresh = self._restarted(t, motion, error, found.restart)._replace(scale=jnp.maximum(found.scale, 1.0))
         new = jax.tree.map(lambda a, b: jnp.where(found.restart, a, b), fresh, new)
-        astray = jnp.any(slip > 1)
-        result = jnp.maximum(found.result(info.result), jnp.where(astray, int(Result.ASTRAY), info.result))
-        return new, info._replace(innovation=first.innovation, result=result)
+        astray = jnp.where(jnp.any(slip > 1), int(Result.ASTRAY), info.result)
+        return new, info._replace(innovation=first.innovation, result=jnp.maximum(found.result(info.result), astray))
+
+    def _slip(self, state: GatedState, innovation: Vector, used: Array, dt: Scalar) -> Vector:
+        most = 2 * (self.gate.deviations * self.noise) ** 2 + (CREDIBLE / 2 * self.speed * (state.idle + dt)) ** 2
+        change = (innovation - state.left) ** 2 / most - state.slip
+        return state.slip + jnp.where(used, change, 0.0) / (1 + self.gate.patience)
 
     def _judge(self, state: GatedState, innovation: Vector, present: Array, dt: Scalar) -> Judged:
         fast = CREDIBLE / self.gate.deviations * self.speed
@@ -133,7 +140,7 @@ class Gated(AbstractObserver):
         return jnp.where(far if self.model.manifold.commuting else jnp.any(far), jnp.nan, y)
 
     def _restarted(self, t: Scalar, motion: Motion, jump: Vector, restart: Flag) -> GatedState:
-        """The state at the measured configuration, at the error `jump` from the estimate; any other unless `restart`."""
+        """The state at the measured configuration, `jump` away from the estimate; of no use unless `restart`."""
         q = self.model.manifold.retract(motion.q, jnp.where(restart, jump, 0.0))
         fresh = self.init(q, t)._replace(held=None)
         if "v" not in fresh.inner._fields:
