@@ -79,7 +79,8 @@ def log(request, data_folder) -> Any:
     full = logs.read(data_folder / name, file.columns).record
     record = lag_inputs(logs.read(data_folder / name, file.columns, every, until).record, file.input_lag)
     t = np.asarray(record.t)
-    true = scoring.zero_phase_velocity(full.t, full.y, t, file.reference_half, int(file.reference_order))
+    positions = np.asarray(full.t), np.asarray(full.y)
+    true = scoring.zero_phase_velocity(*positions, t, file.reference_half, int(file.reference_order))
     named = ("measurement_std", "acceleration_std", "correlation_time", "motion_std", "motion_time", "damping")
     sheet = DataSheet(**{name: getattr(file, name) for name in named})
     return record, true, sheet, 1 / float(np.median(np.diff(t))), file.model

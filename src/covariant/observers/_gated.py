@@ -118,8 +118,9 @@ class Gated(AbstractObserver):
         # What was learnt of the measurements still holds where it widens the gate.
         fresh = self._restarted(t, motion, error, found.restart)._replace(scale=jnp.maximum(found.scale, 1.0))
         new = jax.tree.map(lambda a, b: jnp.where(found.restart, a, b), fresh, new)
-        astray = jnp.where(jnp.any(slip > 1), int(Result.ASTRAY), info.result)
-        return new, info._replace(innovation=first.innovation, result=jnp.maximum(found.result(info.result), astray))
+        astray = jnp.any(slip > 1) * int(Result.ASTRAY)
+        result = jnp.maximum(jnp.maximum(info.result, found.result(info.result)), astray)
+        return new, info._replace(innovation=first.innovation, result=result.astype(info.result.dtype))
 
     def _slip(self, state: GatedState, innovation: Vector, used: Array, dt: Scalar) -> Vector:
         most = 2 * (self.gate.deviations * self.noise) ** 2 + (CREDIBLE / 2 * self.speed * (state.idle + dt)) ** 2

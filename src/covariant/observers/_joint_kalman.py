@@ -90,7 +90,7 @@ class JointKalman(AbstractLinearFilter):
         used = present & ~found.far
         gain, root = jax.vmap(updated, (0, None, 0))(root, jnp.full((1, 1), self.noise**2), used[:, None])
         moved = x + (unit / unit[0])[:, None] * gain[..., 0].T * innovation[None]
-        new = JointState(*moved, root, found.refused, found.scale)
+        new = JointState(moved[0], moved[1], moved[2], root, found.refused, found.scale)
         fresh = new._replace(q=x[0] + innovation, v=x[1], a=x[2], root=self._first_root(y))
         new = jax.tree.map(lambda a, b: jnp.where(found.restart, a, b), fresh, new)
         code = found.result(jnp.zeros((), jnp.int32))

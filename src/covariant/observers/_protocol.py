@@ -139,7 +139,10 @@ def since(state: Any, dt: Scalar) -> Scalar:
 
 def aged(model: MechanicalSystem, state: Any, y: Array, dt: Scalar) -> Scalar | None:
     """The `age` after the measurement y: as it was where all of y is missing, else zero."""
-    return None if state.age is None else jnp.where(jnp.all(model.manifold.missing(y)), state.age + dt, 0.0)
+    if state.age is None:
+        return None
+    none: Array = jnp.all(model.manifold.missing(y))
+    return (state.age + dt) * none
 
 
 def uniqueness(model: MechanicalSystem, q: Array, y: Array) -> Code:
