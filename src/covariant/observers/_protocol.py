@@ -141,8 +141,7 @@ def aged(model: MechanicalSystem, state: Any, y: Array, dt: Scalar) -> Scalar | 
     """The `age` after the measurement y: as it was where all of y is missing, else zero."""
     if state.age is None:
         return None
-    none: Array = jnp.all(model.manifold.missing(y))
-    return (state.age + dt) * none
+    return (state.age + dt) * jnp.all(model.manifold.missing(y)).astype(state.age.dtype)
 
 
 def uniqueness(model: MechanicalSystem, q: Array, y: Array) -> Code:
