@@ -118,7 +118,7 @@ class Gated(AbstractObserver):
         # What was learnt of the measurements still holds where it widens the gate.
         fresh = self._restarted(t, motion, error, found.restart)._replace(scale=jnp.maximum(found.scale, 1.0))
         new = jax.tree.map(lambda a, b: jnp.where(found.restart, a, b), fresh, new)
-        astray = jnp.any(slip > 1) * int(Result.ASTRAY)
+        astray = jnp.any(slip > 1).astype(jnp.int32) * int(Result.ASTRAY)
         result = jnp.maximum(jnp.maximum(info.result, found.result(info.result)), astray)
         return new, info._replace(innovation=first.innovation, result=result.astype(info.result.dtype))
 
