@@ -190,9 +190,9 @@ def no_input(model: Any, like: Vector) -> Float[Array, "m"]:
     return jnp.zeros(input_count(model, like.shape[0]), like.dtype)
 
 
-def still(held: Held) -> Held:
+def still(kept: Held | Scalar) -> Any:
     """Time derivative of what is remembered between samples: zero, in the same form."""
-    return jax.tree.map(jnp.zeros_like, held)
+    return jax.tree.map(jnp.zeros_like, kept)
 
 
 def continuous(state: Any) -> Any:
