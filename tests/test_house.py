@@ -51,7 +51,7 @@ PUBLIC = {
     "steady_distance subject tangent_metric tracking trade_off trajectories upper_distance virtual",
     "control": "Backstepping Reference follow lissajous set_point",
     "design": "ESTIMATORS DataSheet Gains MetricSummary Trial bias contracting_gain estimators filter_bandwidth gains "
-    "jerk_bound joint_noise load_metric metric metric_summary observer_gains predict_errors tuned_estimators "
+    "gated jerk_bound joint_noise load_metric metric metric_summary observer_gains predict_errors tuned_estimators "
     "window_length with_gains",
     "diagnosis": "Diagnosis Finding diagnose misfit",
     "geometry": "AbstractManifold AbstractMetric AbstractSpace Budget ConstantCurvature Coordinates Euclidean "
@@ -76,7 +76,7 @@ PUBLIC = {
     "manoeuvring_ship odin odin_on_group positive_definite supply_vessel surface_ship yaw_rotation",
     "observers": "EKF PLL REGISTRY UKF AbstractFlowObserver AbstractLinearFilter AbstractMechanicalObserver "
     "AbstractObserver Contracting ContractingState Copy Delayed DelayedState EKFInfo EKFState Entry "
-    "Estimate FilterInfo FilteredDerivative FilteredState Gate Geodesic GeodesicInfo GeodesicState "
+    "Estimate FilterInfo FilteredDerivative FilteredState Gate Gated GatedState Geodesic GeodesicInfo GeodesicState "
     "HeldState HighGain Info InformationEKF InformationState Intrinsic IntrinsicKalman JointInfo JointKalman "
     "JointState KalmanInfo KalmanState Levant LoopState MechanicalState PassiveGains PassiveShip "
     "Riccati Salcudean SalcudeanState SavitzkyGolay UKFState WindowState continuous craft_observer "

@@ -18,16 +18,17 @@ class Result(enum.IntEnum):
     OUTLIER = 4
     TOO_LATE = 5
     RESTARTED = 6
-    CUT_LOCUS = 7
-    LEFT_DOMAIN = 8
-    ESCAPED = 9
-    CONJUGATE_POINT = 10
-    NOT_CONVERGED = 11
-    NOT_SETTLED = 12
-    NOT_RECONSTRUCTIBLE = 13
-    OUT_OF_DOMAIN = 14
-    STEP_REFUSED = 15
-    NOT_FINITE = 16
+    ASTRAY = 7
+    CUT_LOCUS = 8
+    LEFT_DOMAIN = 9
+    ESCAPED = 10
+    CONJUGATE_POINT = 11
+    NOT_CONVERGED = 12
+    NOT_SETTLED = 13
+    NOT_RECONSTRUCTIBLE = 14
+    OUT_OF_DOMAIN = 15
+    STEP_REFUSED = 16
+    NOT_FINITE = 17
 
     @property
     def message(self) -> str:
@@ -42,6 +43,7 @@ _MESSAGES = {
     Result.OUTLIER: "a measurement is too far from what is expected: it was refused, as if it were missing",
     Result.TOO_LATE: "a measurement came too late, beyond what is kept of the past: it was left out",
     Result.RESTARTED: "the estimate started anew: what came before tells too little of the motion now",
+    Result.ASTRAY: "the estimate does not follow the measurements: its velocity is off by more than the usual speed",
     Result.CUT_LOCUS: "two ways to the measurement are equally short, as after half a turn: one of them was taken",
     Result.LEFT_DOMAIN: "the past of the point leaves the domain: its metric starts at the border",
     Result.ESCAPED: "the past of the point escapes to infinity: its metric starts far away",

@@ -23,7 +23,7 @@ from covariant.cli._job import (
 )
 from covariant.cli._pages import write_report
 from covariant.cli._results import Outcome, drive, known, report_arrays, rounded, summary
-from covariant.design import ESTIMATORS, estimators, observer_gains, tuned_estimators, with_gains
+from covariant.design import ESTIMATORS, estimators, gated, observer_gains, tuned_estimators, with_gains
 from covariant.observers import AbstractObserver
 from covariant.scoring import rmse
 
@@ -82,7 +82,13 @@ def _choose(
         made = with_gains(model, alpha, beta)
         if observer not in made:
             raise ValueError(f"--alpha and --beta do not apply to {observer}; they do to {', '.join(made)}")
-        return as_read(made, loaded)[observer], (f"Given gains: alpha = {alpha:g} 1/s, beta = {beta:g} 1/s².",)
+        given = f"Given gains: alpha = {alpha:g} 1/s, beta = {beta:g} 1/s²."
+        if loaded.file.measurement_std is None or loaded.file.acceleration_std is None:
+            return as_read(made, loaded)[observer], (
+                f"{given} No measurement is refused: the model file tells no noise.",
+            )
+        behind = {observer: gated(made[observer], model, data_sheet(loaded.file))}
+        return as_read(behind, loaded)[observer], (given,)
     sheet = data_sheet(loaded.file)
     designed = observer_gains(sheet, loaded.rate).summary
     made = tuned_estimators(model, loaded.file.dimension, sheet, loaded.rate, names=(observer,))

@@ -2,7 +2,7 @@
 
 from covariant.design._contracting import contracting_gain
 from covariant.design._data_sheet import DataSheet, Trial
-from covariant.design._estimators import ESTIMATORS, estimators, observer_gains, tuned_estimators, with_gains
+from covariant.design._estimators import ESTIMATORS, estimators, gated, observer_gains, tuned_estimators, with_gains
 from covariant.design._filters import filter_bandwidth, jerk_bound, joint_noise, window_length
 from covariant.design._gains import Gains, bias, gains, predict_errors
 from covariant.design._metric import MetricSummary, load_metric, metric, metric_summary
@@ -18,6 +18,7 @@ __all__ = [
     "estimators",
     "filter_bandwidth",
     "gains",
+    "gated",
     "jerk_bound",
     "joint_noise",
     "load_metric",

@@ -10,7 +10,7 @@ from covariant.design._data_sheet import DataSheet, Trial
 from covariant.design._filters import filter_bandwidth, jerk_bound, joint_noise, polynomial
 from covariant.design._gains import Gains, gains
 from covariant.models import MechanicalSystem
-from covariant.observers import REGISTRY, AbstractObserver, Entry
+from covariant.observers import REGISTRY, AbstractObserver, Entry, Gated
 
 ESTIMATORS = tuple(entry.name for entry in REGISTRY)
 """Names of all estimators: those in `covariant.observers.REGISTRY`."""
@@ -55,15 +55,21 @@ def tuned_estimators(
 ) -> dict[str, AbstractObserver]:
     """The `estimators` by name, for a model of n velocities sampled at `rate` [Hz]; only those in `names`.
 
-    Filters without a model are tuned by the data sheet too or, where there is a `trial`, to what is best on it.
-    Raises `ValueError` for numbers of the data sheet that are not positive.
+    Filters without a model are tuned by the data sheet too or, where there is a `trial`, to what is best on it. What
+    has no gate of its own is `gated`. Raises `ValueError` for numbers of the data sheet that are not positive.
     """
     for name in ("motion_std", "motion_time"):
         if not 0 < getattr(sheet, name) < np.inf:
             raise ValueError(f"tuned_estimators: {name} must be a positive number; got {getattr(sheet, name)}")
     known = Known(n, sheet, rate, trial)
     fitting = (entry for entry in REGISTRY if entry.name in names and entry.fits(model))
-    return {entry.name: entry.make(model, *TUNINGS[entry.tuned_by](entry, known)) for entry in fitting}
+    made = {entry: entry.make(model, *TUNINGS[entry.tuned_by](entry, known)) for entry in fitting}
+    return {entry.name: each if entry.has_gate else gated(each, model, sheet) for entry, each in made.items()}
+
+
+def gated(observer: AbstractObserver, model: MechanicalSystem, sheet: DataSheet) -> Gated:
+    """The observer behind a gate for the noise and the motion of a data sheet."""
+    return Gated(observer, model, sheet.measurement_std, sheet.motion_std * sheet.motion_time)
 
 
 def _gains(entry: Entry, known: Known) -> tuple:

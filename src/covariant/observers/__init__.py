@@ -6,6 +6,7 @@ from covariant.observers._delayed import Delayed, DelayedState
 from covariant.observers._ekf import EKF, EKFInfo, EKFState
 from covariant.observers._filtered_derivative import FilteredDerivative, FilteredState
 from covariant.observers._gate import Gate
+from covariant.observers._gated import Gated, GatedState
 from covariant.observers._geodesic import Geodesic, GeodesicInfo, GeodesicState
 from covariant.observers._high_gain import HighGain
 from covariant.observers._intrinsic import Intrinsic, second_order
@@ -62,6 +63,8 @@ __all__ = [
     "FilteredDerivative",
     "FilteredState",
     "Gate",
+    "Gated",
+    "GatedState",
     "Geodesic",
     "GeodesicInfo",
     "GeodesicState",

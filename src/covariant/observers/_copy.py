@@ -13,10 +13,12 @@ from covariant.observers._protocol import (
     AbstractMechanicalObserver,
     HeldState,
     Info,
+    aged,
     as_gain,
     at_rest,
     check_positive,
     outcome,
+    since,
     still,
     uniqueness,
 )
@@ -46,18 +48,19 @@ class Copy(AbstractMechanicalObserver):
         return at_rest(self.model, y, t)
 
     def flow(self, t: Scalar, state: HeldState, u: Float[Array, "m"], y: Array) -> HeldState:
-        q, v, _, held = state
+        q, v, _, held, age = state
         e = -self.model.manifold.towards(q, y)
         drive = source(self.model, t, self.model.manifold.measured(q, y), u) + friction(self.model, t, q, v, u)
         v_dot = drive - self.beta * e - self.model.space.connection(q, v, v)
-        return HeldState(v - self.alpha * e, v_dot, jnp.ones_like(state.t), still(held))
+        return HeldState(v - self.alpha * e, v_dot, jnp.ones_like(state.t), still(held), still(age))
 
     def advance(self, state: HeldState, u: Float[Array, "m"], y: Array, dt: Scalar) -> tuple[HeldState, Info]:
         q, v = predict(self.model, state.t, state.q, state.v, u, dt, self.substeps)
         t = state.t + dt
         e = -self.model.manifold.towards(q, y)
         missing = source(self.model, t, self.model.manifold.measured(q, y), u) - source(self.model, t, q, u)
-        taken = sampled_correction(self.model.space, Motion(q, v), self.alpha, self.beta, dt, e, missing)
+        taken = sampled_correction(self.model.space, Motion(q, v), self.alpha, self.beta, since(state, dt), e, missing)
         new_q, new_v = self.model.manifold.retract(q, -taken.part * e), v + taken.velocity
         result = outcome(new_q, new_v, y, worth(taken, uniqueness(self.model, q, y)))
-        return HeldState(new_q, new_v, t), Info(-e, self.model.space.norm(q, e), result)
+        new = HeldState(new_q, new_v, t, age=aged(self.model, state, y, dt))
+        return new, Info(-e, self.model.space.norm(q, e), result)

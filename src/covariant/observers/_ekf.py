@@ -4,7 +4,8 @@ In coordinates it is the usual filter on (q, v); on SO(3) the multiplicative one
 left-invariant one.
 
 Source: Gelb 1974, Applied Optimal Estimation, section 6.1; Joseph form of the covariance update. Lefferts, Markley &
-Shuster 1982 for the multiplicative error; Barrau & Bonnabel 2017, section 3, for the left-invariant one.
+Shuster 1982 for the multiplicative error; Barrau & Bonnabel 2017, section 3, for the left-invariant one; Bar-Shalom,
+Li & Kirubarajan 2001, section 5.4, for the gate.
 """
 
 from typing import Any, NamedTuple
@@ -12,24 +13,30 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Inexact
+from jaxtyping import Array, Float, Inexact, Int
 
 from covariant._linalg import solve
 from covariant._typing import Code, Matrix, Number, Scalar, Vector
 from covariant.models import MechanicalSystem, Motion
+from covariant.observers._gate import Gate, judged, open_gate
 from covariant.observers._protocol import AbstractObserver, Held, as_gain, at_rest, check_finite, outcome, uniqueness
 from covariant.observers._sampled import predict
 from covariant.observers._square_root import normalised_square
 
 
 class EKFState(NamedTuple):
-    """Estimated configuration and velocity at time t [s], the covariance `cov` (2n, 2n) of `(local(q̂, q), v − v̂)`, and
-    the last finite input `held`."""
+    """Estimated configuration and velocity at time t [s], and the covariance `cov` (2n, 2n) of `(local(q̂, q), v − v̂)`.
+
+    - `refused` (n,), `scale` (n,): what the gate remembers; see `Gate.judge`.
+    - `held`: the last finite input.
+    """
 
     q: Inexact[Array, "..."]
     v: Vector
     t: Scalar
     cov: Float[Array, "two_n two_n"]
+    refused: Int[Array, "n"]
+    scale: Vector
     held: Held = None
 
 
@@ -53,6 +60,7 @@ class EKF(AbstractObserver):
     - `measurement_cov` (n, n): covariance of `local(q, y)` of one sample [rad² or m²].
     - `initial_velocity_std`: standard deviation of the initial velocity, which is assumed zero [rad/s or m/s].
     - `substeps`: Runge–Kutta steps in each sample; None takes as many as dt and the friction need (offline).
+    - `gate`: which measurements are refused as outliers; None refuses none. See `Gate`.
 
     Raises `ValueError` for covariances that are not finite.
     """
@@ -62,16 +70,15 @@ class EKF(AbstractObserver):
     measurement_cov: Matrix
     initial_velocity_std: Scalar = eqx.field(default=1.0, converter=as_gain)
     substeps: int | None = eqx.field(default=None, static=True)
+    gate: Gate | None = Gate()
 
     def __check_init__(self):
         check_finite("EKF", process_cov=self.process_cov, measurement_cov=self.measurement_cov)
         check_finite("EKF", initial_velocity_std=self.initial_velocity_std)
 
     def init(self, y: Array, t: Number = 0.0) -> EKFState:
-        q, v, t, held = at_rest(self.model, y, t)
-        velocity_cov = jnp.eye(v.shape[0], dtype=v.dtype) * self.initial_velocity_std**2
-        zero = jnp.zeros_like(velocity_cov)
-        return EKFState(q, v, t, jnp.block([[self.measurement_cov, zero], [zero, velocity_cov]]), held)
+        q, v, t, held, _ = at_rest(self.model, y, t)
+        return EKFState(q, v, t, self._first_cov(v), *open_gate(v), held)
 
     def estimate(self, state: EKFState) -> Any:
         return self.model.state(Motion(state.q, state.v))
@@ -89,29 +96,37 @@ class EKF(AbstractObserver):
         transition, (q, v) = jax.jacfwd(error_ahead, has_aux=True)(jnp.zeros(2 * n, state.v.dtype))
         q_part, cross, v_part = (self.process_cov * dt**k / c for k, c in ((3, 3), (2, 2), (1, 1)))
         noise = jnp.block([[q_part, cross], [cross, v_part]])
-        return EKFState(q, v, state.t + dt, transition @ state.cov @ transition.T + noise, state.held)
+        return state._replace(q=q, v=v, t=state.t + dt, cov=transition @ state.cov @ transition.T + noise)
 
     def correct(self, state: EKFState, y: Array) -> tuple[EKFState, EKFInfo]:
         """Correct by the measurement y. Missing entries (NaN) are left out; on a group one NaN makes all missing."""
-        n = state.v.shape[0]
-        missing = self.model.manifold.missing(y)
-        present = jnp.diag(jnp.where(missing, 0.0, 1.0).astype(state.v.dtype))
-        # The noise of a missing entry must not affect the others, even where the two are correlated.
-        apart = (missing[:, None] | missing[None, :]) & ~jnp.eye(n, dtype=bool)
+        n, manifold = state.v.shape[0], self.model.manifold
+        missing, innovation = manifold.missing(y), manifold.towards(state.q, y)
+        innovation_cov = state.cov[:n, :n] + self.measurement_cov
+        found = judged(self.gate, manifold, innovation, innovation_cov, ~missing, state.refused, state.scale)
+        used = ~missing & ~found.far
+        present = jnp.diag(used.astype(state.v.dtype))
+        # The noise of an entry that is not used must not affect the others, even where the two are correlated.
+        apart = ~(used[:, None] & used[None, :]) & ~jnp.eye(n, dtype=bool)
         measurement_cov = jnp.where(apart, 0.0, self.measurement_cov)
         output = jnp.concatenate([present, jnp.zeros_like(present)], axis=1)
-        innovation = self.model.manifold.towards(state.q, y)
-        innovation_cov = output @ state.cov @ output.T + measurement_cov
-        gain = solve(innovation_cov, output @ state.cov).T
+        gain = solve(output @ state.cov @ output.T + measurement_cov, output @ state.cov).T
         error = gain @ innovation
         left = jnp.eye(2 * n, dtype=error.dtype) - gain @ output
         cov = left @ state.cov @ left.T + gain @ measurement_cov @ gain.T
-        q, v = self.model.manifold.retract(state.q, error[:n]), state.v + error[n:]
-        new = EKFState(q, v, state.t, (cov + cov.T) / 2, state.held)
-        result = outcome(q, v, y, uniqueness(self.model, state.q, y))
+        q, v = manifold.retract(state.q, error[:n]), state.v + error[n:]
+        new = EKFState(q, v, state.t, (cov + cov.T) / 2, found.refused, found.scale, state.held)
+        fresh = new._replace(q=manifold.measured(state.q, y), v=state.v, cov=self._first_cov(state.v))
+        new = jax.tree.map(lambda a, b: jnp.where(found.restart, a, b), fresh, new)
+        result = outcome(new.q, new.v, y, found.result(uniqueness(self.model, state.q, y)))
         distance, std = self.model.space.norm(state.q, innovation), jnp.sqrt(jnp.diag(new.cov)[n:])
         nis = normalised_square(innovation_cov, innovation, ~missing)
         return new, EKFInfo(innovation, distance, innovation_cov, nis, std, result)
 
     def advance(self, state: EKFState, u: Float[Array, "m"], y: Array, dt: Scalar) -> tuple[EKFState, EKFInfo]:
         return self.correct(self.predict(state, u, dt), y)
+
+    def _first_cov(self, v: Vector) -> Float[Array, "two_n two_n"]:
+        velocity_cov = jnp.eye(v.shape[0], dtype=v.dtype) * self.initial_velocity_std**2
+        zero = jnp.zeros_like(velocity_cov)
+        return jnp.block([[self.measurement_cov, zero], [zero, velocity_cov]])

@@ -4,17 +4,39 @@ Source: Bar-Shalom, Li & Kirubarajan 2001, Estimation with Applications to Track
 """
 
 import math
+from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Bool
+from jaxtyping import Array, Bool, Int
 
 from covariant._linalg import solve
-from covariant._typing import Matrix, Vector
+from covariant._typing import Code, Flag, Matrix, Vector
 from covariant.geometry import AbstractManifold
+from covariant.signals import Result
 
 BELIEVED = 4.0
 """Cap on a squared innovation in the average, as a multiple of the average: so an outlier changes it little."""
+
+
+class Judged(NamedTuple):
+    """What a gate finds in a measurement of n components.
+
+    - `far` (n,): which of them are refused.
+    - `restart`: whether so many were refused in a row that the estimate has to start anew from this measurement.
+    - `refused` (n,): number of samples in a row that were refused, this one included.
+    - `scale` (n,): averaged ratio of actual to expected squared innovations.
+    """
+
+    far: Bool[Array, "n"]
+    restart: Flag
+    refused: Int[Array, "n"]
+    scale: Vector
+
+    def result(self, otherwise: Code) -> Code:
+        """The result code of the step: what the gate did, or else `otherwise`."""
+        code = jnp.where(jnp.any(self.far), int(Result.OUTLIER), otherwise)
+        return jnp.where(self.restart, int(Result.RESTARTED), code)
 
 
 class Gate(eqx.Module):
@@ -40,27 +62,37 @@ class Gate(eqx.Module):
             raise ValueError(f"Gate: patience must be a number of samples, 0 or more; got {self.patience}")
 
     def judge(
-        self, manifold: AbstractManifold, innovation: Vector, spread: Matrix, present: Bool[Array, "n"], scale: Vector
-    ) -> tuple[Bool[Array, "n"], Vector]:
+        self,
+        manifold: AbstractManifold,
+        innovation: Vector,
+        spread: Matrix,
+        present: Bool[Array, "n"],
+        refused: Int[Array, "n"],
+        scale: Vector,
+        least: Vector | float = 1.0,
+    ) -> Judged:
         """Find the measured components of an innovation (n,) that are too far off, given its covariance `spread`.
 
         - `present` (n,): which components were measured.
-        - `scale` (n,): averaged ratio of actual to expected squared innovations, 1 at the start.
+        - `refused` (n,), `scale` (n,): what was found in the sample before; 0 and 1 at the start.
+        - `least` (n,): the gate is never narrower than for a scale of this.
 
-        Returns which components are refused, and the scale updated by this sample, whose square counts no more than
-        `BELIEVED` times the scale.
+        In the average, the square of an innovation counts no more than `BELIEVED` times the scale.
         """
         far, learnt = jnp.zeros_like(present), scale
+        wide = jnp.maximum(scale, least)
         for together in manifold.measured_together(innovation.shape[0]):
             own = jnp.asarray(together)
             r = innovation[own]
             square = r @ solve(spread[jnp.ix_(own, own)], r) / len(together)
-            limit = self._limit(len(together)) / len(together) * jnp.maximum(scale[own[0]], 1.0)
             measured = jnp.all(present[own])
-            far = far.at[own].set(measured & (square > limit))
-            change = (jnp.minimum(square, BELIEVED * jnp.maximum(scale[own], 1.0)) - scale[own]) / self.memory
+            far = far.at[own].set(measured & (square > self._limit(len(together)) / len(together) * wide[own[0]]))
+            change = (jnp.minimum(square, BELIEVED * wide[own]) - scale[own]) / self.memory
             learnt = learnt.at[own].add(jnp.where(measured, change, 0.0))
-        return far, learnt
+        # A new start needs a complete configuration.
+        restart = jnp.any(far & (refused >= self.patience)) & jnp.all(present)
+        counted = jnp.where(far, refused + 1, jnp.where(present, 0, refused))
+        return Judged(far, restart, jnp.where(restart, 0, counted), learnt)
 
     def _limit(self, n: int) -> float:
         """The squared length that n standard Gaussian numbers exceed as rarely as a single one exceeds `deviations`."""
@@ -79,3 +111,23 @@ def _exceed(n: int, square: float) -> float:
         total += math.exp(a * math.log(x) - x - math.lgamma(a + 1)) if x > 0 else 0.0
         a += 1
     return total
+
+
+def judged(
+    gate: Gate | None,
+    manifold: AbstractManifold,
+    innovation: Vector,
+    spread: Matrix,
+    present: Bool[Array, "n"],
+    refused: Int[Array, "n"],
+    scale: Vector,
+) -> Judged:
+    """`Gate.judge`; without a gate nothing is refused."""
+    if gate is None:
+        return Judged(jnp.zeros_like(present), jnp.zeros((), bool), refused, scale)
+    return gate.judge(manifold, innovation, spread, present, refused, scale)
+
+
+def open_gate(v: Vector) -> tuple[Int[Array, "n"], Vector]:
+    """`refused` and `scale` of a state at the start, for n velocities v."""
+    return jnp.zeros(v.shape, jnp.int32), jnp.ones_like(v)

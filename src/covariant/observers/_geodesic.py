@@ -16,10 +16,12 @@ from covariant.models import MechanicalSystem, Motion, friction, source
 from covariant.observers._protocol import (
     AbstractMechanicalObserver,
     Held,
+    aged,
     as_gain,
     at_rest,
     check_positive,
     outcome,
+    since,
     still,
     uniqueness,
 )
@@ -28,14 +30,15 @@ from covariant.signals import Result
 
 
 class GeodesicState(NamedTuple):
-    """Estimate (q, v) at time t [s], the last solution `log` = log_q̂(q), from which the next search starts, and the
-    last finite input `held`."""
+    """Estimate (q, v) at time t [s], the last solution `log` = log_q̂(q), from which the next search starts, and what
+    `HeldState` remembers between samples."""
 
     q: Inexact[Array, "..."]
     v: Vector
     t: Scalar
     log: Vector
     held: Held = None
+    age: Scalar | None = None
 
 
 class GeodesicInfo(NamedTuple):
@@ -83,8 +86,8 @@ class Geodesic(AbstractMechanicalObserver):
         check_positive("Geodesic", alpha=self.alpha, beta=self.beta)
 
     def init(self, y: Array, t: Number = 0.0) -> GeodesicState:
-        q, v, t, held = at_rest(self.model, y, t)
-        return GeodesicState(q, v, t, jnp.zeros_like(v), held)
+        q, v, t, held, age = at_rest(self.model, y, t)
+        return GeodesicState(q, v, t, jnp.zeros_like(v), held, age)
 
     def flow(self, t: Scalar, state: GeodesicState, u: Float[Array, "m"], y: Array) -> GeodesicState:
         # A time derivative has no result to report: conjugate points are not counted.
@@ -94,7 +97,7 @@ class Geodesic(AbstractMechanicalObserver):
         v_dot = v_dot - self.model.space.connection(state.q, w, state.v)
         # This is only a warm start: it tracks the geodesic found, and the estimate does not depend on how closely.
         log_dot = 10 * self.alpha * (found.log - state.log)
-        return GeodesicState(w, v_dot, jnp.ones_like(state.t), log_dot, still(state.held))
+        return GeodesicState(w, v_dot, jnp.ones_like(state.t), log_dot, still(state.held), still(state.age))
 
     def advance(
         self, state: GeodesicState, u: Float[Array, "m"], y: Array, dt: Scalar
@@ -104,7 +107,7 @@ class Geodesic(AbstractMechanicalObserver):
         t = state.t + dt
         found = self._correction(t, GeodesicState(q, v, t, state.log), u, y, self.budget)
         missing = found.drive - source(self.model, t, q, u)  # acceleration missing in the prediction, which used S(q̂)
-        taken = sampled_correction(space, Motion(q, v), self.alpha, self.beta, dt, -found.log, missing)
+        taken = sampled_correction(space, Motion(q, v), self.alpha, self.beta, since(state, dt), -found.log, missing)
         corrected, left = v + taken.velocity, (1 - taken.part) * found.log
         # Move along the geodesic by the given part; transport the velocity and the rest of the geodesic with it.
         way = taken.part * found.log
@@ -116,7 +119,7 @@ class Geodesic(AbstractMechanicalObserver):
         info = GeodesicInfo(
             innovation, space.norm(q, found.log), found.residual, outcome(new_q, new_v, y, worth(taken, found.result))
         )
-        return GeodesicState(new_q, new_v, t, log), info
+        return GeodesicState(new_q, new_v, t, log, age=aged(self.model, state, y, dt)), info
 
     def _correction(
         self, t: Scalar, state: GeodesicState, u: Float[Array, "m"], y: Array, budget: Budget

@@ -18,10 +18,12 @@ from covariant.observers._protocol import (
     AbstractMechanicalObserver,
     HeldState,
     Info,
+    aged,
     as_gain,
     at_rest,
     check_positive,
     outcome,
+    since,
     still,
     uniqueness,
 )
@@ -69,10 +71,10 @@ class Intrinsic(AbstractMechanicalObserver):
         return at_rest(self.model, y, t)
 
     def flow(self, t: Scalar, state: HeldState, u: Float[Array, "m"], y: Array) -> HeldState:
-        q, v, _, held = state
+        q, v, _, held, age = state
         xi, drive = self._correction(t, q, v, u, y)
         w, v_dot = self.rates(q, v, xi, drive + friction(self.model, t, q, v, u))
-        return HeldState(w, v_dot, jnp.ones_like(state.t), still(held))
+        return HeldState(w, v_dot, jnp.ones_like(state.t), still(held), still(age))
 
     def rates(self, q: Array, v: Vector, xi: Vector, drive: Vector) -> tuple[Vector, Vector]:
         """Velocity w of the estimate and v̂', from the error ξ and the acceleration `drive` without the feedback."""
@@ -88,13 +90,13 @@ class Intrinsic(AbstractMechanicalObserver):
         t = state.t + dt
         xi, drive = self._correction(t, q, v, u, y)
         missing = drive - source(self.model, t, q, u)  # acceleration missing in the prediction, which used S(q̂)
-        taken = sampled_correction(self.model.space, Motion(q, v), self.alpha, self.beta, dt, xi, missing)
+        taken = sampled_correction(self.model.space, Motion(q, v), self.alpha, self.beta, since(state, dt), xi, missing)
         way = -taken.part * xi
         new_q = self.model.manifold.retract(q, way)
         new_v = v - self.model.space.connection(q, way, v) + taken.velocity
         result = outcome(new_q, new_v, y, worth(taken, uniqueness(self.model, q, y)))
         info = Info(self.model.manifold.towards(q, y), self.model.space.norm(q, xi), result)
-        return HeldState(new_q, new_v, t), info
+        return HeldState(new_q, new_v, t, age=aged(self.model, state, y, dt)), info
 
     def _correction(self, t: Scalar, q: Array, v: Vector, u: Float[Array, "m"], y: Array) -> tuple[Vector, Vector]:
         """The error ξ at q̂, and the acceleration `T S(q) + R(ξ, v̂)v̂` computed from the measurement."""

@@ -21,7 +21,7 @@ from covariant._linalg import semidefinite_root, triangular
 from covariant._typing import Code, Matrix, Number, Scalar, Vector
 from covariant.geometry import AbstractManifold, AbstractSpace, Budget
 from covariant.models import MechanicalSystem, Motion, advance, resistance
-from covariant.observers._gate import Gate
+from covariant.observers._gate import Gate, judged, open_gate
 from covariant.observers._protocol import AbstractObserver, Held, as_gain, at_rest, check_positive, outcome, uniqueness
 from covariant.observers._sampled import needed_substeps
 from covariant.observers._spread import Spread, check_spread, spread_at
@@ -125,10 +125,9 @@ class IntrinsicKalman(AbstractObserver):
                 raise ValueError("IntrinsicKalman: quantum is for coordinates; encoders count no ticks of an attitude")
 
     def init(self, y: Array, t: Number = 0.0) -> KalmanState:
-        q, v, t, held = at_rest(self.model, y, t)
+        q, v, t, held, _ = at_rest(self.model, y, t)
         force = v[:0] if self.force_cov is None else jnp.zeros_like(v)
-        refused, scale, readings = jnp.zeros(v.shape, jnp.int32), jnp.ones_like(v), self._read(q, jnp.zeros_like(v))
-        return KalmanState(q, v, t, force, self._first_root(q), refused, scale, held, readings)
+        return KalmanState(q, v, t, force, self._first_root(q), *open_gate(v), held, self._read(q, jnp.zeros_like(v)))
 
     def estimate(self, state: KalmanState) -> Any:
         return self.model.state(Motion(state.q, state.v))
@@ -159,25 +158,21 @@ class IntrinsicKalman(AbstractObserver):
         missing, straight = manifold.missing(y), manifold.towards(state.q, y)
         noise = self._noise(state.q)
         spread = state.root[:n] @ state.root[:n].T + noise
-        far, scale, again = jnp.zeros_like(missing), state.scale, _too_uncertain(manifold, spread, noise)
-        if self.gate is not None:
-            far, scale = self.gate.judge(manifold, straight, spread, ~missing, scale)
-            again = again | jnp.any(far & (state.refused >= self.gate.patience))
-        again = again & ~jnp.any(missing)  # a restart needs a complete configuration
-        used = ~missing & ~far
+        found = judged(self.gate, manifold, straight, spread, ~missing, state.refused, state.scale)
+        lost = _too_uncertain(manifold, spread, noise) & ~jnp.any(missing)
+        found = found._replace(restart=found.restart | lost)
+        used = ~missing & ~found.far
         error, root = self._believed(state, y, straight, used)
         q, v, root = self._rebased(state, error, root)
-        refused = jnp.where(far, state.refused + 1, jnp.where(missing, state.refused, 0))
         measured, force = manifold.measured(state.q, y), state.force + error[2 * n :]
         readings = None
         if state.readings is not None:
             readings = Readings(jnp.where(used, y, state.readings.y), jnp.where(used, 0.0, state.readings.age))
-        new = KalmanState(q, v, state.t, force, root, refused, scale, state.held, readings)
-        fresh = new._replace(q=measured, v=state.v, root=self._first_root(measured), refused=0 * refused)
+        new = KalmanState(q, v, state.t, force, root, found.refused, found.scale, state.held, readings)
+        fresh = new._replace(q=measured, v=state.v, root=self._first_root(measured), refused=0 * found.refused)
         fresh = fresh._replace(readings=self._read(measured, 0 * v))
-        new = jax.tree.map(lambda a, b: jnp.where(again, a, b), fresh, new)
-        result = jnp.where(jnp.any(far), int(Result.OUTLIER), uniqueness(self.model, state.q, y))
-        result = outcome(new.q, new.v, y, jnp.where(again, int(Result.RESTARTED), result))
+        new = jax.tree.map(lambda a, b: jnp.where(found.restart, a, b), fresh, new)
+        result = outcome(new.q, new.v, y, found.result(uniqueness(self.model, state.q, y)))
         nis = normalised_square(spread, straight, ~missing)
         distance, std = space.norm(state.q, straight), self.velocity_std(new)
         force_std = jnp.sqrt(jnp.sum(new.root[2 * n :] ** 2, axis=1))

@@ -17,11 +17,12 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from covariant._linalg import semidefinite_root, triangular
 from covariant._typing import Code, Matrix, Number, Scalar, Vector
-from covariant.geometry import wrap
+from covariant.geometry import Coordinates, wrap
+from covariant.observers._gate import Gate, judged, open_gate
 from covariant.observers._model_free import AbstractLinearFilter, response
 from covariant.observers._protocol import as_gain, check_positive, outcome
 from covariant.observers._square_root import updated
@@ -29,12 +30,17 @@ from covariant.observers._square_root import updated
 
 class JointState(NamedTuple):
     """Position, velocity and acceleration (n,), and of each coordinate a square root `root` (n, 3, 3) of their
-    covariance in units of στ², στ and σ."""
+    covariance in units of στ², στ and σ.
+
+    - `refused` (n,), `scale` (n,): what the gate remembers; see `Gate.judge`.
+    """
 
     q: Vector
     v: Vector
     a: Vector
     root: Float[Array, "n 3 3"]
+    refused: Int[Array, "n"]
+    scale: Vector
 
 
 class JointInfo(NamedTuple):
@@ -54,6 +60,7 @@ class JointKalman(AbstractLinearFilter):
     - `motion_time`: τ, over which they change [s].
     - `measurement_std`: s, of the noise of one sample [rad or m].
     - `circles`: indices of the coordinates that are angles on a full circle, which are followed modulo a turn.
+    - `gate`: which measurements are refused as outliers; None refuses none. See `Gate`.
 
     At the start the velocity is known to be zero within στ. Raises `ValueError` for numbers that are not positive.
     """
@@ -62,6 +69,7 @@ class JointKalman(AbstractLinearFilter):
     motion_time: Scalar = eqx.field(converter=as_gain)
     measurement_std: Scalar = eqx.field(converter=as_gain)
     circles: tuple[int, ...] = eqx.field(default=(), static=True)
+    gate: Gate | None = Gate()
 
     def __check_init__(self):
         numbers = {"motion_std": self.motion_std, "motion_time": self.motion_time}
@@ -73,9 +81,8 @@ class JointKalman(AbstractLinearFilter):
         return self.measurement_std / (self.motion_std * self.motion_time**2)
 
     def init(self, y: Vector, t: Number = 0.0) -> JointState:
-        one = jnp.ones_like(y)
-        root = jax.vmap(jnp.diag)(jnp.stack([self.noise * one, one, one], axis=1))
-        return JointState(y, 0 * one, 0 * one, root)
+        rest = jnp.zeros_like(y)
+        return JointState(y, rest, rest, self._first_root(y), *open_gate(y))
 
     def estimate(self, state: JointState) -> Float[Array, "two_n"]:
         return jnp.concatenate([state.q, state.v])
@@ -88,12 +95,22 @@ class JointKalman(AbstractLinearFilter):
         root = jax.vmap(lambda each: triangular(jnp.concatenate([step @ each, noise], axis=1)))(state.root)
         present = ~jnp.isnan(y)
         innovation = wrap(self.circles, jnp.where(present, y - x[0], 0.0))
-        expected = jnp.sum(root[:, 0] ** 2, axis=1) + self.noise**2
-        nis = jnp.sum((innovation / (self.motion_std * unit[0])) ** 2 / expected)
-        gain, root = jax.vmap(updated, (0, None, 0))(root, jnp.full((1, 1), self.noise**2), present[:, None])
-        q, v, a = x + (unit / unit[0])[:, None] * gain[..., 0].T * innovation[None]
-        std = self.motion_std * unit[1] * jnp.sqrt(jnp.sum(root[:, 1] ** 2, axis=1))
-        return JointState(q, v, a, root), JointInfo(innovation, nis, std, outcome(q, v, y))
+        spread = jnp.diag(jnp.sum(root[:, 0] ** 2, axis=1) + self.noise**2) * unit[0] ** 2 * self.motion_std**2
+        found = judged(self.gate, Coordinates(), innovation, spread, present, state.refused, state.scale)
+        used = present & ~found.far
+        gain, root = jax.vmap(updated, (0, None, 0))(root, jnp.full((1, 1), self.noise**2), used[:, None])
+        moved = x + (unit / unit[0])[:, None] * gain[..., 0].T * innovation[None]
+        new = JointState(moved[0], moved[1], moved[2], root, found.refused, found.scale)
+        fresh = new._replace(q=x[0] + innovation, v=x[1], a=x[2], root=self._first_root(y))
+        new = jax.tree.map(lambda a, b: jnp.where(found.restart, a, b), fresh, new)
+        nis = jnp.sum(innovation**2 / jnp.diag(spread))
+        std = self.motion_std * unit[1] * jnp.sqrt(jnp.sum(new.root[:, 1] ** 2, axis=1))
+        code = found.result(jnp.zeros((), jnp.int32))
+        return new, JointInfo(innovation, nis, std, outcome(new.q, new.v, y, code))
+
+    def _first_root(self, y: Vector) -> Float[Array, "n 3 3"]:
+        one = jnp.ones_like(y)
+        return jax.vmap(jnp.diag)(jnp.stack([self.noise * one, one, one], axis=1))
 
     def weights(self, rate: float) -> Float[np.ndarray, "k"]:
         time, noise = float(self.motion_time), float(self.noise)

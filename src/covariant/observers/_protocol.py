@@ -38,15 +38,17 @@ class MechanicalState(NamedTuple):
 
 
 class HeldState(NamedTuple):
-    """As `MechanicalState`, with the last finite input `held` (m,), which replaces an input that is not finite.
+    """As `MechanicalState`, with what is remembered between samples.
 
-    Where `held` is None, the observer uses zero instead.
+    - `held` (m,): the last finite input, which replaces an input that is not finite; where it is None, zero does.
+    - `age`: time since the last measurement [s]; where it is None, every step counts as following one.
     """
 
     q: Vector
     v: Vector
     t: Scalar
     held: Held = None
+    age: Scalar | None = None
 
 
 class Info(NamedTuple):
@@ -126,7 +128,20 @@ def at_rest(model: MechanicalSystem, y: Array, t: Number) -> HeldState:
     """The state at rest at the first measurement; raises an error at run time where y is no configuration."""
     q = model.manifold.checked(y)
     rest = model.manifold.zero(q)
-    return HeldState(q, rest, jnp.asarray(t, rest.dtype), no_input(model, rest))
+    t = jnp.asarray(t, rest.dtype)
+    return HeldState(q, rest, t, no_input(model, rest), jnp.zeros_like(t))
+
+
+def since(state: Any, dt: Scalar) -> Scalar:
+    """Time since the last measurement [s] at the end of a step."""
+    return dt if state.age is None else state.age + dt
+
+
+def aged(model: MechanicalSystem, state: Any, y: Array, dt: Scalar) -> Scalar | None:
+    """The `age` after the measurement y: as it was where all of y is missing, else zero."""
+    if state.age is None:
+        return None
+    return (state.age + dt) * jnp.all(model.manifold.missing(y)).astype(state.age.dtype)
 
 
 def uniqueness(model: MechanicalSystem, q: Array, y: Array) -> Code:
@@ -175,14 +190,14 @@ def no_input(model: Any, like: Vector) -> Float[Array, "m"]:
     return jnp.zeros(input_count(model, like.shape[0]), like.dtype)
 
 
-def still(held: Held) -> Held:
-    """Time derivative of the held input: zero, in the same form."""
-    return jax.tree.map(jnp.zeros_like, held)
+def still(kept: Held | Scalar) -> Any:
+    """Time derivative of what is remembered between samples: zero, in the same form."""
+    return jax.tree.map(jnp.zeros_like, kept)
 
 
 def continuous(state: Any) -> Any:
-    """The state without the input held between samples, which a differential equation does not need."""
-    return state._replace(held=None) if _holds(state) else state
+    """The state without what is remembered between samples, which a differential equation does not need."""
+    return state._replace(**{name: None for name in ("held", "age") if name in state._fields})
 
 
 def _holds(state: Any) -> bool:

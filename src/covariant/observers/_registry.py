@@ -85,6 +85,7 @@ class Entry(NamedTuple):
     - `promises`: laws that the tests check beside those of every observer. "error law": to first order the error
       in a parallel frame obeys `ξ' = ζ − αξ`, `ζ' = −βξ` on every model that it fits; "coordinate-free": the estimate
       is the same in all coordinates, as exactly as its geodesics are found.
+    - `has_gate`: whether it judges measurements itself, by its covariance; others are put behind a `Gated`.
     """
 
     name: str
@@ -96,6 +97,7 @@ class Entry(NamedTuple):
     source: str
     fits: Callable[[MechanicalSystem], bool] = anything
     promises: tuple[Literal["error law", "coordinate-free"], ...] = ()
+    has_gate: bool = False
 
     @property
     def knows_model(self) -> bool:
@@ -151,6 +153,7 @@ REGISTRY = (
         about="error and covariance in the parallel frame, with reset and gate; the same in all coordinates",
         when="known noise, large first errors, gaps and outliers: the most accurate",
         source="Ge, van Goor & Mahony 2025, extended to second-order systems",
+        has_gate=True,
     ),
     Entry(
         name="ekf",
@@ -160,6 +163,7 @@ REGISTRY = (
         about="extended Kalman filter, Joseph form; on SO(3) the multiplicative, on SE(3) the left-invariant one",
         when="known noise, large initial uncertainty",
         source="Gelb 1974, 6.1; Lefferts, Markley & Shuster 1982; Barrau & Bonnabel 2017, 3",
+        has_gate=True,
     ),
     Entry(
         name="ukf",
@@ -169,6 +173,7 @@ REGISTRY = (
         about="unscented Kalman filter, square-root form; on a group its points are drawn in the frame",
         when="known noise, strong nonlinearity between few samples",
         source="Julier & Uhlmann 2004; Brossard, Barrau & Bonnabel 2020",
+        has_gate=True,
     ),
     Entry(
         name="filtered-derivative",
@@ -228,6 +233,7 @@ REGISTRY = (
         about="Kalman filter of every joint by itself, its acceleration coloured noise; knows no model",
         when="there is no model, but an idea of the motion: the best linear filter for it",
         source="Singer 1970; Bar-Shalom, Li & Kirubarajan 2001",
+        has_gate=True,
         fits=coordinates,
     ),
     Entry(

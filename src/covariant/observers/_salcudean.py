@@ -63,7 +63,7 @@ class Salcudean(AbstractFlowObserver):
             raise ValueError(f"Salcudean: the observer is for SO(3) only; the model is on {self.model.manifold}")
 
     def init(self, y: Float[Array, "3 3"], t: Number = 0.0) -> SalcudeanState:
-        return SalcudeanState(*at_rest(self.model, y, t))
+        return SalcudeanState(*at_rest(self.model, y, t)[:4])
 
     def estimate(self, state: SalcudeanState) -> Motion:
         return Motion(state.q, body_velocity(self.model, state.q, state.momentum))

@@ -10,7 +10,7 @@ is exact: the correction is the Kalman filter's own, and takes no points.
 
 Source: Julier & Uhlmann 2004, Unscented filtering and nonlinear estimation, Proc. IEEE 92(3), for the scaled set;
 Brossard, Barrau & Bonnabel 2020, A code for unscented Kalman filtering on manifolds, ICRA; van der Merwe & Wan 2001,
-The square-root unscented Kalman filter, ICASSP.
+The square-root unscented Kalman filter, ICASSP; Bar-Shalom, Li & Kirubarajan 2001, section 5.4, for the gate.
 """
 
 from typing import Any, NamedTuple
@@ -18,12 +18,13 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Inexact
+from jaxtyping import Array, Float, Inexact, Int
 
 from covariant._linalg import semidefinite_root, triangular
 from covariant._typing import Number, Scalar, Vector
 from covariant.models import MechanicalSystem, Motion
 from covariant.observers._ekf import EKFInfo
+from covariant.observers._gate import Gate, judged, open_gate
 from covariant.observers._protocol import AbstractObserver, Held, as_gain, at_rest, check_finite, outcome, uniqueness
 from covariant.observers._sampled import predict
 from covariant.observers._spread import Spread, check_spread, spread_at
@@ -31,13 +32,19 @@ from covariant.observers._square_root import diagonal, normalised_square, update
 
 
 class UKFState(NamedTuple):
-    """Estimated configuration and velocity at time t [s], a square root `root` (2n, 2n) of the covariance of
-    `(local(q̂, q), v − v̂)`, and the last finite input `held`."""
+    """Estimated configuration and velocity at time t [s], and a square root `root` (2n, 2n) of the covariance of
+    `(local(q̂, q), v − v̂)`.
+
+    - `refused` (n,), `scale` (n,): what the gate remembers; see `Gate.judge`.
+    - `held`: the last finite input.
+    """
 
     q: Inexact[Array, "..."]
     v: Vector
     t: Scalar
     root: Float[Array, "two_n two_n"]
+    refused: Int[Array, "n"]
+    scale: Vector
     held: Held = None
 
 
@@ -53,6 +60,7 @@ class UKF(AbstractObserver):
     - `spread`: how far out the points are, in units of √(2n) standard deviations: α of the scaled set, whose other
       numbers are κ = 0 and β = 2. Nearer points take less of what is far from quadratic for the spread of the whole;
       between .52 and 1.93 no weight of the covariance is negative.
+    - `gate`: which measurements are refused as outliers; None refuses none. See `Gate`.
 
     Raises `ValueError` for numbers and matrices that are no covariances, for a measurement without noise, and for a
     spread outside of these bounds.
@@ -64,6 +72,7 @@ class UKF(AbstractObserver):
     initial_velocity_std: Scalar = eqx.field(default=1.0, converter=as_gain)
     substeps: int | None = eqx.field(default=None, static=True)
     spread: float = eqx.field(default=0.6, static=True)
+    gate: Gate | None = Gate()
 
     def __check_init__(self):
         check_spread("UKF", "process_cov", self.process_cov)
@@ -73,10 +82,8 @@ class UKF(AbstractObserver):
             raise ValueError(f"UKF: spread must be between .52 and 1.93; got {self.spread}")
 
     def init(self, y: Array, t: Number = 0.0) -> UKFState:
-        q, v, t, held = at_rest(self.model, y, t)
-        position = semidefinite_root(spread_at(self.measurement_cov, self.model.space, q)).astype(v.dtype)
-        velocity = jnp.eye(v.shape[0], dtype=v.dtype) * self.initial_velocity_std
-        return UKFState(q, v, t, diagonal(position, velocity), held)
+        q, v, t, held, _ = at_rest(self.model, y, t)
+        return UKFState(q, v, t, self._first_root(q, v), *open_gate(v), held)
 
     def estimate(self, state: UKFState) -> Any:
         return self.model.state(Motion(state.q, state.v))
@@ -108,22 +115,30 @@ class UKF(AbstractObserver):
         columns = jnp.concatenate([centre**0.5 * deviations[:1], deviations[1:] / (2 * squared) ** 0.5]).T
         noise = white_acceleration(spread_at(self.process_cov, self.model.space, q), dt)
         root = triangular(jnp.concatenate([columns, noise.astype(columns.dtype)], axis=1))
-        return UKFState(q, v, state.t + dt, root, state.held)
+        return state._replace(q=q, v=v, t=state.t + dt, root=root)
 
     def correct(self, state: UKFState, y: Array) -> tuple[UKFState, EKFInfo]:
         """Take the measurement y in; missing entries (NaN) are left out, on a group all where one is missing."""
         manifold, n = self.model.manifold, state.v.shape[0]
+        missing, innovation = manifold.missing(y), manifold.towards(state.q, y)
         noise = spread_at(self.measurement_cov, self.model.space, state.q)
-        innovation = manifold.towards(state.q, y)
-        present = ~manifold.missing(y)
-        gain, root = updated(state.root, noise, present)
+        spread = state.root[:n] @ state.root[:n].T + noise
+        found = judged(self.gate, manifold, innovation, spread, ~missing, state.refused, state.scale)
+        gain, root = updated(state.root, noise, ~missing & ~found.far)
         error = gain @ innovation
         q, v = manifold.retract(state.q, error[:n]), state.v + error[n:]
-        result = outcome(q, v, y, uniqueness(self.model, state.q, y))
-        spread = state.root[:n] @ state.root[:n].T + noise
-        distance, std = self.model.space.norm(state.q, innovation), jnp.sqrt(jnp.sum(root[n:] ** 2, axis=1))
-        info = EKFInfo(innovation, distance, spread, normalised_square(spread, innovation, present), std, result)
-        return UKFState(q, v, state.t, root, state.held), info
+        new = UKFState(q, v, state.t, root, found.refused, found.scale, state.held)
+        measured = manifold.measured(state.q, y)
+        fresh = new._replace(q=measured, v=state.v, root=self._first_root(measured, state.v))
+        new = jax.tree.map(lambda a, b: jnp.where(found.restart, a, b), fresh, new)
+        result = outcome(new.q, new.v, y, found.result(uniqueness(self.model, state.q, y)))
+        distance, std = self.model.space.norm(state.q, innovation), jnp.sqrt(jnp.sum(new.root[n:] ** 2, axis=1))
+        nis = normalised_square(spread, innovation, ~missing)
+        return new, EKFInfo(innovation, distance, spread, nis, std, result)
 
     def advance(self, state: UKFState, u: Float[Array, "m"], y: Array, dt: Scalar) -> tuple[UKFState, EKFInfo]:
         return self.correct(self.predict(state, u, dt), y)
+
+    def _first_root(self, q: Array, v: Vector) -> Float[Array, "two_n two_n"]:
+        position = semidefinite_root(spread_at(self.measurement_cov, self.model.space, q)).astype(v.dtype)
+        return diagonal(position, jnp.eye(v.shape[0], dtype=v.dtype) * self.initial_velocity_std)
