@@ -1,6 +1,7 @@
 """Common parts of `estimate` and `compare`: the model file, the log, and the reference for scoring."""
 
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -91,14 +92,14 @@ def load(job: Job, score: bool = True, why: str = "velocities are estimated for"
     return Loaded(file, model, log, record, 1 / float(np.median(np.diff(t))), reference, note + _told(file))
 
 
-def as_read(observers: dict[str, AbstractObserver], loaded: Loaded) -> dict[str, AbstractObserver]:
+def as_read(observers: Mapping[str, AbstractObserver], loaded: Loaded) -> dict[str, AbstractObserver]:
     """The observers by name, those that know the model told how late the log's positions are.
 
     Filters without a model take what they read for now: as in a drive, their velocities are late by the same time.
     """
     longest = float(np.max(loaded.file.delay))
     if longest == 0:
-        return observers
+        return dict(observers)
     t = np.asarray(loaded.record.t)
     within = np.searchsorted(t, t + longest, side="right") - np.arange(len(t))
     rate = float(within.max()) / longest
