@@ -178,7 +178,7 @@ class RobotSpace(AbstractSpace):
         rotation, place, turn, slide = (
             part.astype(x.dtype) for part in (tree.rotation, tree.place, tree.turn, tree.slide)
         )
-        angles = self.joint_rates(x[16:] if self.floating else x, along=False) + tree.offset.astype(x.dtype)
+        angles = self.joint_angles(x)
         along = turn[:, :, None] * turn[:, None, :]
         turns = jnp.any(tree.turn != 0, axis=1)
         angle = jnp.where(turns, angles, 0.0)[:, None, None]
@@ -187,9 +187,32 @@ class RobotSpace(AbstractSpace):
         turned = still + jnp.cos(angle) * flat + jnp.sin(angle) * _hat(turn)
         return Joints(rotation @ turned, place + jnp.einsum("kij,kj->ki", rotation, slide * angles[:, None]))
 
-    def joint_rates(self, a: Vector, along: bool = True) -> Float[Array, "k"]:
-        """The rates of the joints (k,) for a velocity a; with `along=False`, for the coordinates alone."""
-        return self.tree.coordinates.astype(a.dtype) @ (a[6:] if self.floating and along else a)
+    def joint_angles(self, x: Configuration) -> Float[Array, "k"]:
+        """Where the joints are [rad or m]."""
+        coordinates, offset = (part.astype(x.dtype) for part in (self.tree.coordinates, self.tree.offset))
+        return coordinates @ (x[16:] if self.floating else x) + offset
+
+    def joint_rates(self, a: Vector) -> Float[Array, "k"]:
+        """The rates of the joints [rad/s or m/s] at the velocity a."""
+        return self.tree.coordinates.astype(a.dtype) @ (a[6:] if self.floating else a)
+
+    def first_moment(self, x: Configuration, joints: Joints) -> Float[Array, "3"]:
+        """`∫ρ r` of the whole robot in the world [kg m]."""
+        mass, first, _ = self._moments(x)
+
+        def collect(total, body):
+            i, parent, rotation, place = body
+            carried, moment = total[0][i + 1], total[1][i + 1]
+            moved = rotation @ moment + carried * place
+            return (total[0].at[parent].add(carried), total[1].at[parent].add(moved)), None
+
+        parents = jnp.asarray([p + 1 for p in self.tree.parents])
+        bodies = (jnp.arange(len(parents)), parents, *joints)
+        (mass, first), _ = jax.lax.scan(collect, (mass, first), bodies, reverse=True)
+        if not self.floating:
+            return first[0]
+        pose = x[:16].reshape(4, 4)
+        return pose[:3, :3] @ first[0] + mass[0] * pose[:3, 3]
 
     def twists(self, joints: Joints, a: Vector) -> Float[Array, "k1 6"]:
         """Twists (v, ω) of the base and of all bodies, each in its own frame, at the velocity a: linear in a."""
