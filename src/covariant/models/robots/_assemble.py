@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from covariant._functional import Functional
-from covariant._typing import Scalar, Vector
+from covariant._typing import Scalar
 from covariant.geometry import AbstractManifold, Coordinates, ProductManifold
 from covariant.geometry.lie import SE3
 from covariant.models._mechanical import MechanicalSystem
@@ -18,6 +18,8 @@ from covariant.models.robots._space import RobotSpace, Tree
 
 COULOMB_STEEPNESS = 100.0
 """Slope at rest of the smoothed Coulomb friction `friction (2/π) atan(100 v)` [s/rad or s/m]."""
+TWIST = ("v1", "v2", "v3", "w1", "w2", "w3")
+"""Names of the components of the twist of the base."""
 SMALLEST_INERTIA = 1e-12
 """Smallest eigenvalue of the inertia matrix, relative to the largest, with which it counts as positive definite."""
 
@@ -104,12 +106,8 @@ def assemble(
         ),
         coordinates=tuple(names[i] for i in free),
         units=units,
-        velocities=(*("v1 v2 v3 w1 w2 w3".split() if floating else ()), *(f"rate_{names[i]}" for i in free))
-        if floating
-        else (),
-        velocity_units=(*(("m/s",) * 3 + ("rad/s",) * 3 if floating else ()), *(f"{unit}/s" for unit in units))
-        if floating
-        else (),
+        velocities=(*TWIST, *(f"rate_{names[i]}" for i in free)) if floating else (),
+        velocity_units=(*("m/s",) * 3, *("rad/s",) * 3, *(f"{unit}/s" for unit in units)) if floating else (),
         inputs=len(driven),
     )
     _check_inertia(made, names, free)
@@ -154,7 +152,9 @@ def _bodies(robot: Description, locked: dict[str, float]) -> tuple[list[_Axis], 
             add(body, robot.links[joint.child].moved(rotation, place))
             continue
         if joint.kind == "floating":
-            raise ValueError(f"joint {joint.name!r}: a floating joint is supported as floating=True, for the whole robot")
+            raise ValueError(
+                f"joint {joint.name!r}: a floating joint is supported as floating=True, for the whole robot"
+            )
         for name, turn, slide, circle in _motions(joint):
             axes.append(_Axis(name, joint, body, rotation, place, turn, slide, circle))
             bodies.append(NO_INERTIA)
@@ -252,12 +252,18 @@ class Potential(Functional):
         return jnp.sum(stiffness * stretched**2) / 2 - gravity @ self.space.first_moment(q, self.space.joints(q))
 
 
-def _force(t, q, u, motors: Float[Array, "n m"], base: Vector):
+def _force(t, q, u, motors: Float[Array, "n m"], base: Float[Array, "b"]):
     return jnp.concatenate([base, motors @ u])
 
 
-def _friction(q, v, coordinates: Float[Array, "k n"], damping: Vector, friction: Vector, base: Vector):
+def _friction(
+    q,
+    v,
+    coordinates: Float[Array, "k n"],
+    damping: Float[Array, "k"],
+    friction: Float[Array, "k"],
+    base: Float[Array, "b"],
+):
     rates = coordinates @ v[base.shape[0] :]
     torque = damping * rates + friction * (2 / jnp.pi) * jnp.arctan(COULOMB_STEEPNESS * rates)
     return jnp.concatenate([base, -coordinates.T @ torque])
-

@@ -59,7 +59,7 @@ class Joint(NamedTuple):
       where the joint is at 0. `axis` (3,): in that frame, of unit length.
     - `damping` [N m s/rad or N s/m], `friction` [N m or N], `armature` [kg m² or kg], `stiffness` [N m/rad or N/m] of a
       spring that rests at `rest` [rad or m].
-    - `lower`, `upper` [rad or m], `velocity` [rad/s or m/s], `effort` [N m or N]: limits, infinite where there are none.
+    - `lower`, `upper` [rad or m], `velocity` [rad/s or m/s], `effort` [N m or N]: limits, infinite where none is given.
     """
 
     name: str
@@ -118,15 +118,17 @@ def in_order(links: dict[str, Inertia], joints: list[Joint]) -> tuple[str, tuple
                 raise ValueError(f"joint {joint.name!r}: there is no link {end!r}")
         if joint.child in carrier:
             raise ValueError(
-                f"link {joint.child!r} is carried by two joints, {carrier[joint.child].name!r} and {joint.name!r}: closed "
-                "loops are not supported; cut the loop"
+                f"link {joint.child!r} is carried by two joints, {carrier[joint.child].name!r} and {joint.name!r}: "
+                "closed loops are not supported; cut the loop"
             )
         carrier[joint.child] = joint
     roots = [name for name in links if name not in carrier]
     if not roots:
         raise ValueError(f"no link is the root: the joints {', '.join(sorted(j.name for j in joints))} form a cycle")
     if len(roots) > 1:
-        raise ValueError(f"the links {', '.join(roots)} are carried by no joint; a robot has one root: connect the others")
+        raise ValueError(
+            f"the links {', '.join(roots)} are carried by no joint; a robot has one root: connect the others"
+        )
     ordered: list[Joint] = []
     stack = [roots[0]]
     while stack:

@@ -26,8 +26,8 @@ class Tree(eqx.Module):
     """Rigid bodies that hang on each other by joints of one axis, the parents first.
 
     Body i turns about, or slides along, an axis through its own origin. It stands on body `parents[i]`, or on the base
-    where this is −1. The motion of joint i is `θ = coordinates θ_free + offset`, a linear function of the n coordinates:
-    so a joint may follow another one or stand still.
+    where this is −1. The joints stand at `θ = coordinates q + offset`, linear functions of the n coordinates q: so one
+    may follow another.
 
     - `turn`, `slide` (k, 3): the axis, in the frame of the body; zero in the one that the joint does not do.
     - `rotation` (k, 3, 3), `place` (k, 3): of the frame of the body in that of its parent, at θ = 0.
@@ -79,7 +79,7 @@ class Moments(NamedTuple):
 
 
 class RobotSpace(AbstractSpace):
-    """The space of a tree of bodies; velocities are the base's twist (v, ω) in its own frame, where it floats, and q'."""
+    """The space of a tree of bodies. A velocity is q', after the twist (v, ω) of the base in its own frame if it floats."""
 
     tree: Tree
     manifold: AbstractManifold = eqx.field(kw_only=True)
@@ -122,7 +122,7 @@ class RobotSpace(AbstractSpace):
             force, moment = columns[:, :3], columns[:, 3:]
             row = jnp.where(carries, force @ slide + moment @ turn, 0.0)
             force = force @ rotation.T
-            moved = jnp.concatenate([force, moment @ rotation.T + jnp.cross(place, force)], axis=1)
+            moved = jnp.concatenate([force, moment @ rotation.T + jnp.cross(place[None], force)], axis=1)
             return jnp.where(carries[:, None], moved, columns), row
 
         bodies = (order, *joints, turn, slide, own, carried)
@@ -149,28 +149,30 @@ class RobotSpace(AbstractSpace):
 
     def curvature(self, x: Configuration, a: Vector, b: Vector, c: Vector) -> Vector:
         """`<R(a, b)c, w> = <II(a, w), II(b, c)> − <II(b, w), II(a, c)>` with the second fundamental form II (Gauss)."""
-        return self.raise_(x, self._bent_away(x, a, b, c) - self._bent_away(x, b, a, c))
-
-    def _bent_away(self, x: Configuration, a: Vector, b: Vector, c: Vector) -> Vector:
-        """The covector `w ↦ <II(a, w), II(b, c)>`."""
         joints, moments = self.joints(x), self._moments(x)
-        _, spin_a = _split(self.twists(joints, a))
-        _, spin_b = _split(self.twists(joints, b))
+        along_a, along_b = self.joint_rates(a), self.joint_rates(b)
+        (_, spin_a), (_, spin_b) = _split(self.twists(joints, a)), _split(self.twists(joints, b))
         twists = self.twists(joints, c)
-        speed, spin = _split(twists)
-        tangential = self.twists(joints, self.connection(x, b, c))
-        bend = self._change(joints, self.joint_rates(b), c, twists) - tangential
-        force, moment = _resistance(moments, spin_b, speed, spin, *_split(bend))
-        # <II(a, w), F> = Σ ∫ρ F·(∂_a w): also the part of ∂_a w that the twists of w make, by the spin of a, counts.
-        across = _across(moments, spin_a, spin_b, speed, spin, *_split(bend))
-        rates = self.joint_rates(a)
 
-        def changed(w):
+        def bend(along, spin, direction):
+            """`II(direction, c)`: force and moment of each body, and a function of the spin of another motion."""
+            change = self._change(joints, along, c, twists) - self.twists(joints, self.connection(x, direction, c))
+            both = *_split(twists), *_split(change)
+            force, moment = _resistance(moments, spin, *both)
+            # What it does in the motion of w: also by the change of w that the other motion's spin makes.
+            return jnp.concatenate([force, moment], axis=1), lambda side: jnp.concatenate(
+                [jnp.cross(force, side), _across(moments, side, spin, *both)], axis=1
+            )
+
+        of_b, beside_b = bend(along_b, spin_b, b)
+        of_a, beside_a = bend(along_a, spin_a, a)
+
+        def moved(w):
             twists = self.twists(joints, w)
-            return twists, self._change(joints, rates, w, twists)
+            return twists, self._change(joints, along_a, w, twists), self._change(joints, along_b, w, twists)
 
-        own = jnp.concatenate([jnp.cross(force, spin_a), across], axis=1)
-        return jax.vjp(changed, jnp.zeros_like(a))[1]((own, jnp.concatenate([force, moment], axis=1)))[0]
+        onto = beside_b(spin_a) - beside_a(spin_b), of_b, -of_a
+        return self.raise_(x, jax.vjp(moved, jnp.zeros_like(a))[1](onto)[0])
 
     def joints(self, x: Configuration) -> Joints:
         """Where each body stands on its parent at x."""
@@ -182,8 +184,9 @@ class RobotSpace(AbstractSpace):
         along = turn[:, :, None] * turn[:, None, :]
         turns = jnp.any(tree.turn != 0, axis=1)
         angle = jnp.where(turns, angles, 0.0)[:, None, None]
-        flat = jnp.where(turns[:, None, None], jnp.eye(3, dtype=x.dtype) - along, 0.0)
-        still = jnp.eye(3, dtype=x.dtype) - flat
+        eye = jnp.eye(3, dtype=x.dtype)[None]
+        flat = jnp.where(turns[:, None, None], eye - along, 0.0)
+        still = eye - flat
         turned = still + jnp.cos(angle) * flat + jnp.sin(angle) * _hat(turn)
         return Joints(rotation @ turned, place + jnp.einsum("kij,kj->ki", rotation, slide * angles[:, None]))
 
@@ -195,6 +198,11 @@ class RobotSpace(AbstractSpace):
     def joint_rates(self, a: Vector) -> Float[Array, "k"]:
         """The rates of the joints [rad/s or m/s] at the velocity a."""
         return self.tree.coordinates.astype(a.dtype) @ (a[6:] if self.floating else a)
+
+    @property
+    def mass(self) -> Array:
+        """Mass of the robot [kg]: of all that moves."""
+        return self.tree.base_mass + jnp.sum(self.tree.mass)
 
     def first_moment(self, x: Configuration, joints: Joints) -> Float[Array, "3"]:
         """`∫ρ r` of the whole robot in the world [kg m]."""
@@ -236,9 +244,7 @@ class RobotSpace(AbstractSpace):
         own = jnp.concatenate([jnp.cross(speed, turn) + jnp.cross(spin, slide), jnp.cross(spin, turn)], axis=1)
         return self._swept(joints, jnp.zeros_like(twists), own)
 
-    def _swept(
-        self, joints: Joints, first: Float[Array, "k1 6"], own: Float[Array, "k 6"]
-    ) -> Float[Array, "k1 6"]:
+    def _swept(self, joints: Joints, first: Float[Array, "k1 6"], own: Float[Array, "k 6"]) -> Float[Array, "k1 6"]:
         """Twists passed on along the tree from `first`, that of the base, each body adding its `own`."""
 
         def step(twists, body):
@@ -265,9 +271,9 @@ class RobotSpace(AbstractSpace):
 def _momentum(moments: Moments, speed: Array, spin: Array) -> tuple[Array, Array]:
     """Momentum and angular momentum about the origin of each body."""
     mass, first, second = moments
-    trace = jnp.trace(second, axis1=1, axis2=2)[:, None]
+    inertia = jnp.trace(second, axis1=1, axis2=2)[:, None, None] * jnp.eye(3, dtype=second.dtype)[None] - second
     linear = mass[:, None] * speed + jnp.cross(spin, first)
-    return linear, jnp.cross(first, speed) + trace * spin - jnp.einsum("kij,kj->ki", second, spin)
+    return linear, jnp.cross(first, speed) + jnp.einsum("kij,kj->ki", inertia, spin)
 
 
 def _resistance(
@@ -287,7 +293,7 @@ def _across(
     moments: Moments, side: Array, along: Array, speed: Array, spin: Array, speed_change: Array, spin_change: Array
 ) -> Array:
     """`∫ρ [∂u (r · side) − side (r · ∂u)]` for each body: what ∂u, as in `_resistance`, does to `side × (w × r)`."""
-    mass, first, second = moments
+    _, first, second = moments
     bend = speed_change + jnp.cross(along, speed)
     of_side = jnp.einsum("kij,kj->ki", second, side)
     onto = jnp.cross(spin_change, of_side) + jnp.cross(along, jnp.cross(spin, of_side)) + bend * _dot(first, side)
@@ -305,5 +311,5 @@ def _dot(a: Array, b: Array) -> Array:
 
 
 def _hat(a: Array) -> Array:
-    """The matrices (..., 3, 3) of `r ↦ a × r`."""
-    return jnp.swapaxes(jnp.cross(a[..., None, :], jnp.eye(3, dtype=a.dtype)), -1, -2)
+    """The matrices (k, 3, 3) of `r ↦ a × r`, for vectors a (k, 3)."""
+    return jnp.swapaxes(jnp.cross(a[:, None, :], jnp.eye(3, dtype=a.dtype)[None]), -1, -2)

@@ -103,9 +103,7 @@ def _joint(entry: Element, name: str) -> Joint:
     )
     if lower > upper:
         raise ValueError(f"{where}: the lower limit {lower:g} is above the upper one {upper:g}")
-    of = {
-        key: 0.0 if dynamics is None else _number(dynamics, key, where, 0.0) for key in ("damping", "friction")
-    }
+    of = {key: 0.0 if dynamics is None else _number(dynamics, key, where, 0.0) for key in ("damping", "friction")}
     for key, value in of.items():
         if value < 0:
             raise ValueError(f"{where}: {key} must not be negative; got {value:g}")
