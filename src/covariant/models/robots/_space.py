@@ -79,7 +79,7 @@ class Moments(NamedTuple):
 
 
 class RobotSpace(AbstractSpace):
-    """The space of a tree of bodies. A velocity is q', after the twist (v, ω) of the base in its own frame if it floats."""
+    """The space of a tree of bodies. A velocity is q', after the twist (v, ω) of a floating base in its own frame."""
 
     tree: Tree
     manifold: AbstractManifold = eqx.field(kw_only=True)
