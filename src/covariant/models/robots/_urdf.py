@@ -1,0 +1,178 @@
+"""URDF: the robot descriptions of ROS. Source: the specification of the ROS package `urdfdom`."""
+
+import math
+from collections import Counter
+from pathlib import Path
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element
+
+import numpy as np
+
+from covariant.models.robots._description import (
+    NO_INERTIA,
+    Description,
+    Follows,
+    Inertia,
+    Joint,
+    doubts_on,
+    exact,
+    in_order,
+)
+
+KINDS = ("revolute", "continuous", "prismatic", "fixed", "planar", "floating")
+OF_LINK = {"inertial"}
+OF_JOINT = {"origin", "parent", "child", "axis", "limit", "dynamics", "mimic"}
+GRAVITY = np.array([0.0, 0.0, -9.81])
+
+
+def read_urdf(path: Path) -> Description:
+    """The robot that a URDF file describes. Raises `ValueError`, one line, for what is wrong in it."""
+    data = path.read_bytes()
+    if b"<!DOCTYPE" in data or b"<!ENTITY" in data:
+        raise ValueError("declares a document type or entities, which a robot description has no need of; remove them")
+    try:
+        robot = ElementTree.fromstring(data)
+    except ElementTree.ParseError as error:
+        raise ValueError(f"is not readable XML: {error}") from error
+    if robot.tag != "robot":
+        raise ValueError(f"the outermost tag of a URDF file is <robot>; found <{robot.tag}>")
+    used, ignored, doubts = Counter(), Counter(), []
+    links: dict[str, Inertia] = {}
+    joints: list[Joint] = []
+    for entry in robot:
+        if entry.tag not in ("link", "joint") or (entry.tag == "joint" and "type" not in entry.attrib):
+            ignored[_tag(entry)] += 1
+            continue
+        used[entry.tag] += 1
+        for part in entry:
+            known = part.tag in (OF_LINK if entry.tag == "link" else OF_JOINT)
+            (used if known else ignored)[f"{entry.tag}/{_tag(part)}"] += 1
+        name = _attribute(entry, "name", entry.tag)
+        if name in (links if entry.tag == "link" else {joint.name for joint in joints}):
+            raise ValueError(f"two {entry.tag}s are called {name!r}")
+        if entry.tag == "link":
+            links[name] = _inertia(entry, name)
+            doubts += doubts_on(name, links[name])
+        else:
+            joints.append(_joint(entry, name))
+    if not links:
+        raise ValueError("has no <link>")
+    root, ordered = in_order(links, joints)
+    return Description(
+        robot.get("name", path.stem), links, ordered, root, GRAVITY, dict(used), dict(ignored), tuple(doubts)
+    )
+
+
+def _inertia(link: Element, name: str) -> Inertia:
+    inertial = link.find("inertial")
+    if inertial is None:
+        return NO_INERTIA
+    where = f"link {name!r}"
+    rotation, centre = _origin(inertial, where)
+    mass, moments = inertial.find("mass"), inertial.find("inertia")
+    if mass is None or moments is None:
+        raise ValueError(f"{where}: <inertial> needs <mass> and <inertia>")
+    xx, xy, xz, yy, yz, zz = (
+        _number(moments, key, where, 0.0 if key in ("ixy", "ixz", "iyz") else None)
+        for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+    )
+    tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    return Inertia.of(_number(mass, "value", where), centre, rotation @ tensor @ rotation.T)
+
+
+def _joint(entry: Element, name: str) -> Joint:
+    where, kind = f"joint {name!r}", entry.get("type", "")
+    if kind not in KINDS:
+        raise ValueError(f"{where}: unknown type {kind!r}; there are {', '.join(KINDS)}")
+    ends = {}
+    for end in ("parent", "child"):
+        tag = entry.find(end)
+        if tag is None:
+            raise ValueError(f"{where}: <{end} link=…/> is missing")
+        ends[end] = _attribute(tag, "link", where)
+    rotation, place = _origin(entry, where)
+    axis = _vector(entry.find("axis"), "xyz", where, (1.0, 0.0, 0.0))
+    length = np.linalg.norm(axis)
+    if kind not in ("fixed", "floating") and not length > 1e-9:
+        raise ValueError(f"{where}: the axis must have a direction; got {axis.tolist()}")
+    dynamics, limit, mimic = entry.find("dynamics"), entry.find("limit"), entry.find("mimic")
+    lower, upper = (
+        (-np.inf, np.inf)
+        if limit is None or kind == "continuous"
+        else (_number(limit, key, where, 0.0) for key in ("lower", "upper"))
+    )
+    if lower > upper:
+        raise ValueError(f"{where}: the lower limit {lower:g} is above the upper one {upper:g}")
+    of = {key: 0.0 if dynamics is None else _number(dynamics, key, where, 0.0) for key in ("damping", "friction")}
+    for key, value in of.items():
+        if value < 0:
+            raise ValueError(f"{where}: {key} must not be negative; got {value:g}")
+    follows = None
+    if mimic is not None:
+        numbers = (_number(mimic, key, where, default) for key, default in (("multiplier", 1.0), ("offset", 0.0)))
+        follows = Follows(_attribute(mimic, "joint", where), *numbers)
+    return Joint(
+        name,
+        kind,
+        ends["parent"],
+        ends["child"],
+        rotation,
+        place,
+        exact(axis / length) if length > 0 else axis,
+        **of,
+        lower=lower,
+        upper=upper,
+        velocity=np.inf if limit is None else _number(limit, "velocity", where, np.inf),
+        effort=np.inf if limit is None else _number(limit, "effort", where, np.inf),
+        follows=follows,
+    )
+
+
+def _origin(entry: Element, where: str) -> tuple[np.ndarray, np.ndarray]:
+    origin = entry.find("origin")
+    place = _vector(origin, "xyz", where, (0.0, 0.0, 0.0))
+    roll, pitch, yaw = _vector(origin, "rpy", where, (0.0, 0.0, 0.0))
+    (cr, sr), (cp, sp), (cy, sy) = ((math.cos(a), math.sin(a)) for a in (roll, pitch, yaw))
+    about_x = np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
+    about_y = np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
+    about_z = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]])
+    return exact(about_z @ about_y @ about_x), place
+
+
+def _vector(entry: Element | None, key: str, where: str, default: tuple[float, float, float]) -> np.ndarray:
+    written = None if entry is None else entry.get(key)
+    if written is None:
+        return np.array(default)
+    try:
+        found = np.array([float(part) for part in written.split()])
+    except ValueError:
+        found = np.zeros(0)
+    if found.shape != (3,) or not np.isfinite(found).all():
+        raise ValueError(f"{where}: {key} must be three finite numbers; got {written!r}")
+    return found
+
+
+def _number(entry: Element, key: str, where: str, default: float | None = None) -> float:
+    written = entry.get(key)
+    if written is None:
+        if default is None:
+            raise ValueError(f"{where}: <{entry.tag}> lacks {key!r}")
+        return default
+    try:
+        found = float(written)
+    except ValueError:
+        found = math.nan
+    if not math.isfinite(found):
+        raise ValueError(f"{where}: {key} of <{entry.tag}> must be a finite number; got {written!r}")
+    return found
+
+
+def _attribute(entry: Element, key: str, where: str) -> str:
+    found = entry.get(key)
+    if not found:
+        raise ValueError(f"{where}: a <{entry.tag}> lacks {key!r}")
+    return found
+
+
+def _tag(entry: Element) -> str:
+    return entry.tag if isinstance(entry.tag, str) else "comment"

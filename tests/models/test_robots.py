@@ -1,0 +1,260 @@
+"""Robots from files: the same mechanics as MuJoCo's, the same geometry as the space derived from the metric alone."""
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+
+from covariant.geometry.lie import SE3
+from covariant.models import Motion, acceleration, robots
+
+QUARTER = "1.5707963267948966"
+
+
+def inertial(xyz: str, mass: float, xx: float, yy: float, zz: float) -> str:
+    moments = f'ixx="{xx}" ixy="0" ixz="0" iyy="{yy}" iyz="0" izz="{zz}"'
+    return f'<inertial><origin xyz="{xyz}"/><mass value="{mass}"/><inertia {moments}/></inertial>'
+
+
+SHOULDER = """<inertial><origin xyz="0.02 -0.03 0.1" rpy="0.3 -0.2 0.5"/><mass value="2.5"/>
+  <inertia ixx="0.02" ixy="0.001" ixz="-0.002" iyy="0.03" iyz="0.0015" izz="0.025"/></inertial>"""
+WRIST = inertial("0 0.05 0.02", 0.8, 0.002, 0.001, 0.0025)
+ARM = f"""
+<robot name="arm">
+  <link name="base"/>
+  <link name="shoulder">{SHOULDER}<visual/></link>
+  <link name="slider">{inertial("0.1 0 0", 1.2, 0.004, 0.006, 0.007)}</link>
+  <link name="flange">{inertial("0 0 0", 0.3, 1e-3, 1e-3, 1e-3)}</link>
+  <link name="wrist">{WRIST}</link>
+  <link name="elbow">{inertial("0 0.1 0", 0.9, 0.003, 0.001, 0.003)}</link>
+  <joint name="turn" type="continuous">
+    <origin xyz="0 0 0.4" rpy="0.2 0.1 -0.3"/><parent link="base"/><child link="shoulder"/><axis xyz="0 0 2"/>
+    <dynamics damping="0.5" friction="0.2"/>
+  </joint>
+  <joint name="slide" type="prismatic">
+    <origin xyz="0.1 0 0.2" rpy="{QUARTER} 0 0.4"/><parent link="shoulder"/><child link="slider"/><axis xyz="1 1 0"/>
+    <limit lower="-0.5" upper="0.5" effort="30" velocity="2"/>
+  </joint>
+  <joint name="mount" type="fixed">
+    <origin xyz="0.2 0.1 0" rpy="0.1 0 0.7"/><parent link="slider"/><child link="flange"/>
+  </joint>
+  <joint name="roll" type="revolute">
+    <origin xyz="0 0 0.1"/><parent link="flange"/><child link="wrist"/><axis xyz="1 0 0"/>
+    <limit lower="-2" upper="2" effort="10" velocity="3"/>
+  </joint>
+  <joint name="bend" type="revolute">
+    <origin xyz="-0.1 0 0.1" rpy="0 0.5 0"/><parent link="shoulder"/><child link="elbow"/><axis xyz="0 1 0"/>
+    <limit lower="-2" upper="2" effort="10" velocity="3"/>
+  </joint>
+</robot>
+"""
+NAMES = ("turn", "slide", "roll", "bend")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("robots")
+    (folder / "arm.urdf").write_text(ARM)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def arm(folder):
+    return robots.load(folder / "arm.urdf")
+
+
+@pytest.fixture(scope="module")
+def floating_arm(folder):
+    """In the air, with a base that has a mass and two joints that stand still."""
+    heavy = ARM.replace(
+        '<link name="base"/>',
+        '<link name="base"><inertial><origin xyz="0.1 0 0.05"/><mass value="4"/>'
+        '<inertia ixx="0.05" iyy="0.06" izz="0.04" ixy="0.01"/></inertial></link>',
+    )
+    (folder / "floating.urdf").write_text(heavy)
+    return robots.load(folder / "floating.urdf", floating=True, lock={"bend": 0.3, "roll": -0.2})
+
+
+def state(model, seed: int):
+    """A configuration and vectors (6, n)."""
+    rng = np.random.default_rng(seed)
+    n = len(model.coordinates)
+    q = jnp.asarray(rng.uniform(-1, 1, n))
+    if not model.manifold.commuting:
+        q = jnp.concatenate([SE3.exp(jnp.asarray(rng.normal(size=6))).reshape(-1), q])
+    return q, jnp.asarray(rng.normal(size=(6, model.manifold.zero(q).shape[0])))
+
+
+def test_forward_dynamics_and_inertia_are_those_of_mujoco(arm):
+    """MuJoCo reads the same file; its friction losses are constraints, so they are left out there."""
+    theirs = mujoco.MjModel.from_xml_string(ARM.replace('friction="0.2"', ""))
+    data = mujoco.MjData(theirs)
+    order = [mujoco.mj_name2id(theirs, mujoco.mjtObj.mjOBJ_JOINT, name) for name in NAMES]
+    assert arm.coordinates == NAMES
+    ours = jax.jit(lambda q, v, u: (arm.space(q), acceleration(arm, jnp.zeros(()), q, v, u)))
+    for seed in range(5):
+        q, (v, u, *_) = state(arm, seed)
+        data.qpos[order], data.qvel[order], data.qfrc_applied[order] = q, v, u
+        data.qfrc_applied[order[0]] -= 0.2 * 2 / np.pi * np.arctan(100 * v[0])
+        mujoco.mj_forward(theirs, data)
+        full = np.zeros((4, 4))
+        mujoco.mj_fullM(theirs, data, full)
+        matrix, rate = ours(q, v, u)
+        np.testing.assert_allclose(matrix, full[np.ix_(order, order)], rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(rate, data.qacc_smooth[order], rtol=1e-9, atol=1e-9)  # without limits
+
+
+H = 1e-2
+WEIGHTS = np.array([1, -9, 45, -45, 9, -1]) / (60 * H)
+"""Central differences of sixth order, at the places 3, 2, 1, −1, −2, −3 steps away."""
+
+
+def around(model, q, a):
+    """Configurations (6, …) on the way through q along the frame field a."""
+    return jnp.stack([model.manifold.retract(q, k * H * a) for k in (3, 2, 1, -1, -2, -3)])
+
+
+@pytest.mark.parametrize("name", ["arm", "floating_arm"])
+def test_sweeps_are_what_follows_from_the_metric(name, request):
+    """Koszul's formula with differences of the inertia matrix; curvature with differences of the connection."""
+    model = request.getfixturevalue(name)
+    space, manifold = model.space, model.manifold
+    q, (a, b, c, *_) = state(model, 1)
+    n = len(a)
+    axes = jnp.eye(n)
+
+    @jax.jit
+    def near():
+        along = jax.vmap(lambda e: jnp.tensordot(WEIGHTS, jax.vmap(space)(around(model, q, e)), 1))(axes)
+        brackets = jax.vmap(lambda e: jax.vmap(lambda f: manifold.bracket(q, e, f))(axes))(axes)
+        pairs = ((a, b), (b, c), (a, c))
+        forces = jnp.stack([space.connection_force(q, *pair) for pair in pairs])
+        force = lambda at, e: jax.vmap(lambda x: space.connection(x, e, c))(around(model, q, at))  # noqa: E731
+        turned = jnp.stack([jnp.tensordot(WEIGHTS, force(one, two), 1) for one, two in ((a, b), (b, a))])
+        return along, brackets, forces, turned, space.curvature(q, a, b, c), space(q)
+
+    slopes, brackets, forces, turned, curvature, matrix = (np.asarray(part) for part in near())
+    a, b, c = (np.asarray(part) for part in (a, b, c))
+
+    def bracket(x, y):
+        return np.einsum("ijk,i,j->k", brackets, x, y)
+
+    def koszul(x, y):
+        total = np.einsum("k,kij,j->i", x, slopes, y) + np.einsum("k,kij,j->i", y, slopes, x)
+        total += matrix @ bracket(x, y) - np.einsum("i,kij,j->k", x, slopes, y)
+        total -= np.einsum("ijk,k,i->j", brackets, matrix @ y, x) + np.einsum("ijk,k,i->j", brackets, matrix @ x, y)
+        return total / 2
+
+    for force, pair in zip(forces, ((a, b), (b, c), (a, c)), strict=True):
+        np.testing.assert_allclose(force, koszul(*pair), rtol=0, atol=1e-9 * np.abs(force).max())
+
+    def connection(x, y):
+        return np.linalg.solve(matrix, koszul(x, y))
+
+    expected = turned[0] - turned[1] + connection(a, connection(b, c)) - connection(b, connection(a, c))
+    expected -= connection(bracket(a, b), c)
+    np.testing.assert_allclose(curvature, expected, rtol=0, atol=1e-8 * np.abs(curvature).max())
+
+
+def test_a_free_fall_keeps_the_momentum_that_weight_leaves(floating_arm):
+    """In the air the weight of all links acts at the common centre: the base accelerates so that this one falls."""
+    q, (v, u, *_) = state(floating_arm, 2)
+    space, mass = floating_arm.space, float(floating_arm.space.mass)
+    assert mass == pytest.approx(4 + 2.5 + 1.2 + 0.3 + 0.8 + 0.9)
+
+    def centre(q):
+        return space.first_moment(q, space.joints(q)) / mass
+
+    def fall(q, v):
+        rate = acceleration(floating_arm, jnp.zeros(()), q, v, u[: floating_arm.inputs])
+        speed = lambda q, v: jax.jvp(centre, (q,), (space.manifold.tangent(q, v),))[1]  # noqa: E731
+        return jax.jvp(speed, (q, v), (space.manifold.tangent(q, v), rate))[1]
+
+    np.testing.assert_allclose(jax.jit(fall)(q, v), [0, 0, -9.81], atol=1e-10)
+
+
+def test_a_joint_that_follows_moves_with_the_other(folder, arm):
+    """`roll = −0.5 bend + 0.2`: energies are those of the whole arm moving so."""
+    follows = ARM.replace(
+        '<parent link="flange"/>', '<mimic joint="bend" multiplier="-0.5" offset="0.2"/><parent link="flange"/>'
+    )
+    (folder / "follows.urdf").write_text(follows)
+    coupled = robots.load(folder / "follows.urdf")
+    assert coupled.coordinates == ("turn", "slide", "bend")
+    q, v = jnp.array([0.3, -0.2, 0.7]), jnp.array([1.0, 0.5, -2.0])
+    whole = jnp.array([0.3, -0.2, -0.5 * 0.7 + 0.2, 0.7]), jnp.array([1.0, 0.5, 1.0, -2.0])
+    assert coupled.space.inner(q, v, v) == pytest.approx(float(arm.space.inner(*whole, whole[1])), rel=1e-12)
+    assert coupled.potential(q) == pytest.approx(float(arm.potential(whole[0])), rel=1e-12)
+
+
+def test_ten_turns_of_a_continuous_joint_are_none(arm):
+    assert arm.manifold.circles == (0,)
+    q, _ = state(arm, 3)
+    round_about = q.at[0].add(20 * np.pi)
+    np.testing.assert_allclose(arm.manifold.local(q, round_about), 0, atol=1e-12)
+    np.testing.assert_allclose(arm.space(round_about), arm.space(q), rtol=1e-10, atol=1e-12)
+
+
+WRONG = {
+    "no link 'elbo'": ('<child link="elbow"/>', '<child link="elbo"/>'),
+    "form a cycle": ('<parent link="base"/>', '<parent link="elbow"/>'),
+    "carried by two joints": ('<child link="elbow"/>', '<child link="wrist"/>'),
+    "mass must not be negative; got -0.8": ('<mass value="0.8"/>', '<mass value="-0.8"/>'),
+    "inertia about the centre of mass must not be negative": ('ixx="0.004"', 'ixx="-0.004"'),
+    "joint 'roll' moves no mass": (WRIST, ""),
+    "unknown type 'hinge'": ('type="continuous"', 'type="hinge"'),
+    "not readable XML": ("</robot>", ""),
+    "document type or entities": ('<robot name="arm">', '<!DOCTYPE robot [<!ENTITY a "b">]><robot name="arm">'),
+    "xyz must be three finite numbers; got '0 0 nan'": ('xyz="0 0 0.4"', 'xyz="0 0 nan"'),
+    "the axis must have a direction": ('<axis xyz="0 0 2"/>', '<axis xyz="0 0 0"/>'),
+    "<mass> and <inertia>": ('<mass value="0.3"/>', ""),
+    "follows 'elbow_joint', and there is no such joint": (
+        '<parent link="flange"/>',
+        '<mimic joint="elbow_joint"/><parent link="flange"/>',
+    ),
+    "two joints are called 'turn'": ('<joint name="bend"', '<joint name="turn"'),
+    "damping must not be negative": ('damping="0.5"', 'damping="-0.5"'),
+    "lower limit 2.5 is above": ('lower="-2"', 'lower="2.5"'),
+}
+
+
+@pytest.mark.parametrize("words", WRONG)
+def test_a_broken_file_gives_one_clear_line(words, tmp_path):
+    path = tmp_path / "broken.urdf"
+    old, new = WRONG[words]
+    assert old in ARM
+    path.write_text(ARM.replace(old, new))
+    with pytest.raises(ValueError, match=r"broken\.urdf: ") as error:
+        robots.load(path)
+    assert words in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_names_that_the_robot_does_not_have_are_refused(folder):
+    with pytest.raises(ValueError, match=r"there is no joint 'elbow'; there are turn, slide, mount, roll, bend"):
+        robots.load(folder / "arm.urdf", lock={"elbow": 0.0})
+    with pytest.raises(ValueError, match="no joint moves"):
+        robots.load(folder / "arm.urdf", lock=dict.fromkeys(NAMES, 0.0))
+
+
+def test_what_was_used_and_what_was_not_is_counted(folder):
+    found = robots.read(folder / "arm.urdf")
+    assert found.used["joint"] == 5
+    assert found.used["link/inertial"] == 5
+    assert found.ignored == {"link/visual": 1}
+    assert not found.doubts
+    odd = ARM.replace('izz="0.007"', 'izz="0.07"')
+    (folder / "odd.urdf").write_text(odd)
+    assert "no rigid body has the principal moments" in robots.read(folder / "odd.urdf").doubts[0]
+
+
+def test_motion_is_that_of_the_coordinates(arm):
+    """Friction opposes every joint, and only those that have it."""
+    q, (v, *_) = state(arm, 4)
+    slow = np.asarray(arm.dissipation(q, 0 * v))
+    np.testing.assert_array_equal(slow, 0)
+    force = np.asarray(arm.dissipation(q, v))
+    np.testing.assert_allclose(force[0], -0.5 * v[0] - 0.2 * 2 / np.pi * np.arctan(100 * v[0]), rtol=1e-12)
+    np.testing.assert_array_equal(force[1:], 0)
+    assert arm.state(Motion(q, v)).shape == (8,)
