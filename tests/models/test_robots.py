@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from covariant.geometry.lie import SE3
-from covariant.models import Motion, acceleration, robots
+from covariant.models import ModelError, Motion, acceleration, load, robots
 
 QUARTER = "1.5707963267948966"
 
@@ -49,6 +49,7 @@ ARM = f"""
   </joint>
 </robot>
 """
+HEAVY = ARM.replace('<link name="base"/>', f'<link name="base">{inertial("0.1 0 0.05", 4, 0.05, 0.06, 0.04)}</link>')
 NAMES = ("turn", "slide", "roll", "bend")
 
 
@@ -67,12 +68,7 @@ def arm(folder):
 @pytest.fixture(scope="module")
 def floating_arm(folder):
     """In the air, with a base that has a mass and two joints that stand still."""
-    heavy = ARM.replace(
-        '<link name="base"/>',
-        '<link name="base"><inertial><origin xyz="0.1 0 0.05"/><mass value="4"/>'
-        '<inertia ixx="0.05" iyy="0.06" izz="0.04" ixy="0.01"/></inertial></link>',
-    )
-    (folder / "floating.urdf").write_text(heavy)
+    (folder / "floating.urdf").write_text(HEAVY)
     return robots.load(folder / "floating.urdf", floating=True, lock={"bend": 0.3, "roll": -0.2})
 
 
@@ -236,6 +232,31 @@ def test_names_that_the_robot_does_not_have_are_refused(folder):
         robots.load(folder / "arm.urdf", lock={"elbow": 0.0})
     with pytest.raises(ValueError, match="no joint moves"):
         robots.load(folder / "arm.urdf", lock=dict.fromkeys(NAMES, 0.0))
+
+
+def test_a_model_file_names_the_file_of_a_robot_beside_it(folder):
+    """Every command takes the URDF file itself, or a model file that adds what is known of sensors and logs."""
+    plain = load(str(folder / "arm.urdf"))
+    assert (plain.name, plain.columns.q) == ("arm", NAMES)
+    (folder / "in_the_air.toml").write_text("""system = "robot"
+[parameters]
+path = "floating.urdf"
+floating = true
+lock = {bend = 0.3, roll = -0.2}
+[columns]
+q = ["turn", "slide"]
+position = ["x", "y", "z"]
+quaternion_wxyz = ["qw", "qx", "qy", "qz"]
+[measurement]
+std = 1e-3
+""")
+    (folder / "floating.urdf").write_text(HEAVY)
+    file = load(str(folder / "in_the_air.toml"))
+    assert (file.dimension, file.model.coordinates) == (8, ("turn", "slide"))
+    wrongs = {"lock={elbow=1.0}": "there is no joint 'elbow'", 'path="none.urdf"': "give the path of a URDF file"}
+    for wrong, words in wrongs.items():
+        with pytest.raises(ModelError, match=words):
+            load(str(folder / "in_the_air.toml"), [f"parameters.{wrong}"])
 
 
 def test_what_was_used_and_what_was_not_is_counted(folder):

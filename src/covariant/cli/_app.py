@@ -30,7 +30,7 @@ def covariant(
     """Velocities and states from measured positions: observers, their proofs, their comparison."""
 
 
-Model = Annotated[str, typer.Argument(help="Model file (.toml), module:attribute, or the name of a system.")]
+Model = Annotated[str, typer.Argument(help="Model file (.toml or .urdf), module:attribute, or the name of a system.")]
 LogFile = Annotated[
     Path, typer.Argument(help="Log to read (.csv or .parquet): stamps, positions or attitudes, inputs.")
 ]
@@ -252,7 +252,9 @@ def audit(
 
 @app.command()
 def certify(
-    model: Annotated[str | None, typer.Argument(help="Model file (.toml), module:attribute, or a system.")] = None,
+    model: Annotated[
+        str | None, typer.Argument(help="Model file (.toml or .urdf), module:attribute, or a system.")
+    ] = None,
     velocity: Annotated[
         str | None, typer.Option(help="Bound of the true velocities, one or one each by commas; required.")
     ] = None,

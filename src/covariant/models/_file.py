@@ -94,9 +94,9 @@ class ModelFile(NamedTuple):
 def load(spec: str, overrides: Sequence[str] = ()) -> ModelFile:
     """Load a model.
 
-    - `spec`: a `.toml` file; `module:attribute` (a `Lagrangian`, a `GroupSystem`, a `StateSpace`, a `ModelFile`, or a
-      function that makes one; the module is also looked for in the current folder); or the name of a system with its
-      default parameters.
+    - `spec`: a `.toml` file; the `.urdf` file of a robot (see `models.robots.load`); `module:attribute` (a
+      `Lagrangian`, a `GroupSystem`, a `StateSpace`, a `ModelFile`, or a function that makes one; the module is also
+      looked for in the current folder); or the name of a system with its default parameters.
     - `overrides`: applied last. Each is `table.key=value`, with the tables of the file and values as in TOML, such as
       `parameters.mass=[1.0, 2.0]`.
 
@@ -171,7 +171,7 @@ def _given(model: Any, parameters: dict[str, Any]) -> Model:
 
 
 def is_file(spec: str) -> bool:
-    return spec.endswith(".toml")
+    return spec.endswith((".toml", ".urdf"))
 
 
 def document(spec: str, overrides: Sequence[str] = ()) -> dict[str, Any]:
@@ -182,13 +182,23 @@ def document(spec: str, overrides: Sequence[str] = ()) -> dict[str, Any]:
 
 
 def _document(spec: str) -> dict[str, Any]:
+    if spec.endswith(".urdf"):
+        return {"system": "robot", "parameters": {"path": spec}}
     if is_file(spec):
-        return _toml.parse(text(Path(spec)))
+        return _beside(Path(spec), _toml.parse(text(Path(spec))))
     if ":" in spec:
         return {}
     if spec not in _source.SYSTEMS:
-        raise ValueError(f"{_toml.unknown('model', spec, _source.SYSTEMS)}, a .toml file, or module:attribute")
+        raise ValueError(f"{_toml.unknown('model', spec, _source.SYSTEMS)}, a .toml or .urdf file, or module:attribute")
     return {"system": spec}
+
+
+def _beside(path: Path, content: dict[str, Any]) -> dict[str, Any]:
+    """The document of a model file; where it names the file of a robot, that is looked for from its own folder."""
+    given = content.get("parameters")
+    if content.get("system") != "robot" or not isinstance(given, dict) or not isinstance(given.get("path"), str):
+        return content
+    return content | {"parameters": given | {"path": str(path.parent / given["path"])}}
 
 
 def text(path: Path) -> str:

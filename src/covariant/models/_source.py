@@ -6,7 +6,7 @@ import inspect
 import os
 import reprlib
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from inspect import Parameter as Argument
 from types import UnionType
 from typing import Any, Union, get_args, get_origin
@@ -29,6 +29,7 @@ from covariant.models._toml import refuse_unknown
 from covariant.models._underwater_vehicle import underwater_vehicle
 from covariant.models._unknown_frequency import unknown_frequency
 from covariant.models._van_der_pol import van_der_pol
+from covariant.models.robots import load as robot
 
 Model = MechanicalSystem | StateSpace
 """The kinds of models, `MechanicalSystem` and `StateSpace`."""
@@ -44,6 +45,7 @@ SYSTEMS: dict[str, Callable[..., Model]] = {
     "lorenz": lorenz,
     "oscillator": oscillator,
     "pendulum_chain": pendulum_chain,
+    "robot": robot,
     "satellite": satellite,
     "satellite_arm": satellite_arm,
     "underwater_vehicle": underwater_vehicle,
@@ -100,6 +102,8 @@ def _typed(value: Any, declared: Any) -> Any:
         for choice in choices:
             with contextlib.suppress(TypeError):
                 return _typed(value, choice)
+    elif get_origin(declared) is Mapping and isinstance(value, dict):
+        return {_typed(key, choices[0]): _typed(entry, choices[1]) for key, entry in value.items()}
     elif get_origin(declared) is Sequence and isinstance(value, list | tuple):
         return [_typed(entry, choices[0]) for entry in value]
     elif type(value) is declared or (type(value), declared) == (int, float):

@@ -13,6 +13,8 @@ def read(path: str | Path) -> Description:
     """What a URDF file says of a robot. Raises `ValueError`, one line with the path, for what is wrong in it."""
     try:
         return read_urdf(Path(path))
+    except OSError as error:
+        raise ValueError(f"{path}: {error.strerror or error}; give the path of a URDF file") from error
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
 
@@ -39,7 +41,8 @@ def load(
 
     Raises `ValueError`, one line with the path, for what is wrong in the file, and for names it does not have.
     """
+    robot = read(path)
     try:
-        return assemble(read_urdf(Path(path)), floating=floating, lock=lock, actuated=actuated)
+        return assemble(robot, floating=floating, lock=lock, actuated=actuated)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error

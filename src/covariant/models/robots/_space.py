@@ -15,11 +15,12 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Inexact
 
 from covariant._typing import Matrix, Vector
 from covariant.geometry import AbstractManifold, AbstractSpace
-from covariant.geometry._manifold import Configuration
+
+Configuration = Inexact[Array, "..."]
 
 
 class Tree(eqx.Module):
@@ -114,16 +115,16 @@ class RobotSpace(AbstractSpace):
         turn, slide = (axis.astype(x.dtype) for axis in (tree.turn, tree.slide))
         each = Moments(*(part[1:] for part in whole))
         own = jnp.concatenate(_momentum(each, slide, turn), axis=1)  # of each composite body, for its joint's unit rate
-        carried = jnp.asarray(tree.carried())
+        carried = jnp.asarray(tree.carried(), x.dtype)
 
         def lower_down(columns, body):
             i, rotation, place, turn, slide, mine, carries = body
             columns = columns.at[i].set(mine)
             force, moment = columns[:, :3], columns[:, 3:]
-            row = jnp.where(carries, force @ slide + moment @ turn, 0.0)
+            row = carries * (force @ slide + moment @ turn)
             force = force @ rotation.T
             moved = jnp.concatenate([force, moment @ rotation.T + jnp.cross(place[None], force)], axis=1)
-            return jnp.where(carries[:, None], moved, columns), row
+            return jnp.where(carries[:, None] > 0, moved, columns), row
 
         bodies = (order, *joints, turn, slide, own, carried)
         at_base, rows = jax.lax.scan(lower_down, jnp.zeros_like(own), bodies, reverse=True)
@@ -132,7 +133,7 @@ class RobotSpace(AbstractSpace):
         matrix = coordinates.T @ matrix @ coordinates + jnp.diag(tree.armature.astype(x.dtype))
         if not self.floating:
             return matrix
-        side = coordinates.T @ at_base
+        side = coordinates.T @ jnp.asarray(at_base)
         axes = jnp.eye(3, dtype=x.dtype)
         base = Moments(*(jnp.broadcast_to(part[:1], (6, *part.shape[1:])) for part in whole))
         nothing = jnp.zeros_like(axes)
