@@ -52,7 +52,7 @@ PUBLIC = {
     "control": "Backstepping Reference follow lissajous set_point",
     "design": "ESTIMATORS DataSheet Gains MetricSummary Trial bias contracting_gain estimators filter_bandwidth gains "
     "gated jerk_bound joint_noise load_metric metric metric_summary observer_gains predict_errors tuned_estimators "
-    "window_length with_gains",
+    "usual_speeds window_length with_gains",
     "diagnosis": "Diagnosis Finding diagnose misfit",
     "geometry": "AbstractManifold AbstractMetric AbstractSpace Budget ConstantCurvature Coordinates Euclidean "
     "FlatTorus Interpolated KineticEnergy Metric Product ProductManifold Pullback Shot Transported "

@@ -82,7 +82,8 @@ def log(request, data_folder) -> Any:
     positions = np.asarray(full.t), np.asarray(full.y)
     true = scoring.zero_phase_velocity(*positions, t, file.reference_half, int(file.reference_order))
     named = ("measurement_std", "acceleration_std", "correlation_time", "motion_std", "motion_time", "damping")
-    sheet = DataSheet(**{name: getattr(file, name) for name in named})
+    told = {name: getattr(file, name) for name in named}
+    sheet = DataSheet(**told, speed=(told["motion_std"] * told["motion_time"],) * 2)
     return record, true, sheet, 1 / float(np.median(np.diff(t))), file.model
 
 

@@ -18,8 +18,8 @@ from covariant.cli._job import (
     as_read,
     check_output,
     coordinates,
-    data_sheet,
     load,
+    log_sheet,
     velocity_columns,
 )
 from covariant.cli._pages import write_report
@@ -42,7 +42,7 @@ def compare(job: Job, out: Path | None, report: Path | None, as_json: bool) -> N
     loaded = load(job)
     reference = loaded.reference
     assert reference is not None  # it was asked for
-    sheet = data_sheet(loaded.file)
+    sheet = log_sheet(loaded)
     trial = first_part(loaded, reference)
     observers = as_read(tuned_estimators(loaded.model, loaded.file.dimension, sheet, loaded.rate, trial), loaded)
     outcomes: dict[str, Outcome] = {}

@@ -14,9 +14,9 @@ from covariant.cli._job import (
     Loaded,
     as_read,
     check_output,
-    data_sheet,
     innovation_units,
     load,
+    log_sheet,
     numbered,
     velocity_columns,
     velocity_units,
@@ -87,9 +87,9 @@ def _choose(
             return as_read(made, loaded)[observer], (
                 f"{given} No measurement is refused: the model file tells no noise.",
             )
-        behind = {observer: gated(made[observer], model, data_sheet(loaded.file))}
+        behind = {observer: gated(made[observer], model, log_sheet(loaded))}
         return as_read(behind, loaded)[observer], (given,)
-    sheet = data_sheet(loaded.file)
+    sheet = log_sheet(loaded)
     designed = observer_gains(sheet, loaded.rate).summary
     made = tuned_estimators(model, loaded.file.dimension, sheet, loaded.rate, names=(observer,))
     unused = ""

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from covariant import logs, models, scoring
-from covariant.design import DataSheet
+from covariant.design import DataSheet, usual_speeds
 from covariant.diagnosis import misfit
 from covariant.models import MechanicalSystem
 from covariant.observers import REGISTRY, AbstractObserver, Delayed
@@ -242,6 +242,11 @@ def data_sheet(file: models.ModelFile) -> DataSheet:
         "damping": file.damping,
     }
     return DataSheet(**{name: value for name, value in known.items() if value is not None})
+
+
+def log_sheet(loaded: Loaded) -> DataSheet:
+    """The data sheet of the model file, with the speeds of the log."""
+    return data_sheet(loaded.file)._replace(speed=usual_speeds(loaded.model, loaded.record))
 
 
 def coordinates(file: models.ModelFile) -> tuple[tuple[str, ...], tuple[str, ...]]:

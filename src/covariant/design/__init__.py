@@ -6,6 +6,7 @@ from covariant.design._estimators import ESTIMATORS, estimators, gated, observer
 from covariant.design._filters import filter_bandwidth, jerk_bound, joint_noise, window_length
 from covariant.design._gains import Gains, bias, gains, predict_errors
 from covariant.design._metric import MetricSummary, load_metric, metric, metric_summary
+from covariant.design._speeds import usual_speeds
 
 __all__ = [
     "ESTIMATORS",
@@ -27,6 +28,7 @@ __all__ = [
     "observer_gains",
     "predict_errors",
     "tuned_estimators",
+    "usual_speeds",
     "window_length",
     "with_gains",
 ]

@@ -21,6 +21,7 @@ class DataSheet(NamedTuple):
     - `quantum`: one tick of the encoders, where that is what makes the noise; `measurement_std` then is this over √12.
     - `external_force`: standard deviation of what a force that the model does not know changes by in a second [N or
       N m]; None where no such force is estimated.
+    - `speed`: usual size of each velocity, as of `usual_speeds`, by which gates judge; None where it is not known.
     """
 
     measurement_std: float
@@ -32,6 +33,12 @@ class DataSheet(NamedTuple):
     quantum: float | None = None
     coordinate_stds: tuple[float, ...] | None = None
     external_force: float | None = None
+    speed: tuple[float, ...] | None = None
+
+    @property
+    def speeds(self) -> Float[np.ndarray, "*n"]:
+        """The usual size of the velocities: those of `speed`, and no less than `motion_std · motion_time`."""
+        return np.asarray(np.maximum(self.motion_std * self.motion_time, self.speed or 0.0))
 
 
 class Trial(NamedTuple):

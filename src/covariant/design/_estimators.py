@@ -64,12 +64,14 @@ def tuned_estimators(
     known = Known(n, sheet, rate, trial)
     fitting = (entry for entry in REGISTRY if entry.name in names and entry.fits(model))
     made = {entry: entry.make(model, *TUNINGS[entry.tuned_by](entry, known)) for entry in fitting}
-    return {entry.name: each if entry.has_gate else gated(each, model, sheet) for entry, each in made.items()}
+    bare = {entry.name for entry in made if entry.has_gate or sheet.speed is None}
+    return {entry.name: each if entry.name in bare else gated(each, model, sheet) for entry, each in made.items()}
 
 
 def gated(observer: AbstractObserver, model: MechanicalSystem, sheet: DataSheet) -> Gated:
-    """The observer behind a gate for the noise and the motion of a data sheet."""
-    return Gated(observer, model, sheet.measurement_std, sheet.motion_std * sheet.motion_time)
+    """The observer behind a gate for the noise and the speed of a data sheet, or else `motion_std · motion_time`."""
+    std = sheet.coordinate_stds or sheet.measurement_std
+    return Gated(observer, model, jnp.asarray(std, float), jnp.asarray(sheet.speeds))
 
 
 def _gains(entry: Entry, known: Known) -> tuple:

@@ -66,7 +66,7 @@ class Gated(AbstractObserver):
     - `observer`: the observer of a mechanical system, or a filter of its coordinates.
     - `model`: the system, whose configurations are measured.
     - `noise`: standard deviation of the noise of one sample [rad or m].
-    - `speed`: usual size of the velocities [rad/s or m/s].
+    - `speed`: usual size of the velocities [rad/s or m/s]. Both are numbers, or arrays (n,).
     - `gate`: see `Gate`.
 
     A measurement that is refused counts as missing, and `result` says `OUTLIER`. After `gate.patience` of them in a row
@@ -80,8 +80,8 @@ class Gated(AbstractObserver):
 
     observer: AbstractObserver
     model: MechanicalSystem
-    noise: Scalar = eqx.field(converter=as_gain)
-    speed: Scalar = eqx.field(converter=as_gain)
+    noise: Scalar | Vector = eqx.field(converter=as_gain)
+    speed: Scalar | Vector = eqx.field(converter=as_gain)
     gate: Gate = Gate()
 
     def __check_init__(self):
@@ -131,7 +131,7 @@ class Gated(AbstractObserver):
         fast = CREDIBLE / self.gate.deviations * self.speed
         usual = 2 * self.noise**2 + (fast * dt) ** 2
         least = (2 * self.noise**2 + (fast * (dt / 2 + state.idle)) ** 2) / usual
-        spread = usual * jnp.eye(innovation.shape[0], dtype=innovation.dtype)
+        spread = jnp.diag(jnp.broadcast_to(usual, innovation.shape).astype(innovation.dtype))
         return self.gate.judge(
             self.model.manifold, innovation - state.left, spread, present, state.refused, state.scale, least
         )
