@@ -53,7 +53,7 @@ PUBLIC = {
     "design": "ESTIMATORS DataSheet Gains MetricSummary Trial bias contracting_gain estimators filter_bandwidth gains "
     "gated jerk_bound joint_noise load_metric metric metric_summary observer_gains predict_errors tuned_estimators "
     "usual_speeds window_length with_gains",
-    "diagnosis": "Diagnosis Finding diagnose misfit",
+    "diagnosis": "Diagnosis Finding diagnose misfit outliers",
     "geometry": "AbstractManifold AbstractMetric AbstractSpace Budget ConstantCurvature Coordinates Euclidean "
     "FlatTorus Interpolated KineticEnergy Metric Product ProductManifold Pullback Shot Transported "
     "as_space christoffel connection curvature derivative differential distance exp gradient hyperbolic "

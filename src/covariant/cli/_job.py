@@ -9,7 +9,7 @@ import numpy as np
 
 from covariant import logs, models, scoring
 from covariant.design import DataSheet, usual_speeds
-from covariant.diagnosis import misfit
+from covariant.diagnosis import misfit, outliers
 from covariant.models import MechanicalSystem
 from covariant.observers import REGISTRY, AbstractObserver, Delayed
 from covariant.signals import Record, acting_inputs, lag_inputs
@@ -187,12 +187,14 @@ def _check_columns(job: Job, file: models.ModelFile, columns: logs.Columns) -> N
 
 
 def _slopes(file: models.ModelFile, log: logs.Log, full: logs.Log) -> tuple[np.ndarray, str]:
-    """Slopes (T, n) of the positions in the whole log, each at the time at which it was true, and a label."""
+    """Slopes (T, n) of the positions in the whole log, without outliers, each at the time at which it was true; and a
+    label."""
     t, y, at = np.asarray(full.record.t), np.asarray(full.record.y), np.asarray(log.record.t)
     half, order = file.reference_half, int(file.reference_order)
     if np.isfinite(y).sum(axis=0).min() < order + 3:
         return np.full((len(at), file.dimension), np.nan), "velocity, unknown in so short a log"
     if file.model.manifold.commuting:
+        y = np.where(outliers(t, y, file.model.circles)[0], np.nan, y)
         y = scoring.unwrap(y, file.model.circles)
         delays, slopes = np.broadcast_to(np.asarray(file.delay, float), y.shape[1]), np.empty((len(at), y.shape[1]))
         for delay in np.unique(delays):

@@ -2,5 +2,6 @@
 
 from covariant.diagnosis._diagnose import diagnose, misfit
 from covariant.diagnosis._finding import Diagnosis, Finding
+from covariant.diagnosis._sensor import outliers
 
-__all__ = ["Diagnosis", "Finding", "diagnose", "misfit"]
+__all__ = ["Diagnosis", "Finding", "diagnose", "misfit", "outliers"]

@@ -195,7 +195,7 @@ def outlier_findings(
                     name,
                     f"{int(column.sum())} of {len(column)} cells ({100 * share:.2g} %) are far from their neighbours, "
                     f"usually by {size:.3g} {unit}".rstrip(),
-                    "estimate with --observer intrinsic-kalman, which refuses outliers; other observers follow them",
+                    "look for what disturbs the sensor; estimates refuse such cells, and --score leaves them out",
                     True,
                     {"cells": int(column.sum()), "share": share, "size": float(size)},
                 )
