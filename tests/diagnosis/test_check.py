@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from covariant import logs, models
-from covariant.diagnosis import diagnose, misfit
+from covariant.diagnosis import diagnose, misfit, outliers
 from covariant.diagnosis._smooth import smooth
 from covariant.models import load
 from covariant.signals import Record
@@ -157,6 +157,17 @@ def test_noise_beyond_the_data_sheet_is_found(pendulum, clean):
     (found,) = diagnose(pendulum, noisy).findings
     assert found.what == "noise"
     assert abs(found.numbers["std"] / 3e-3 - 1) < 0.1
+
+
+@pytest.mark.parametrize("apart", [1, 2, 3, 4])
+@pytest.mark.parametrize("sign", [1, -1])
+def test_outliers_beside_each_other_are_told_from_what_is_between_them(apart, sign):
+    t = np.arange(0, 2, 0.002)
+    y = np.sin(3 * t)[:, None]
+    wrong = np.zeros(y.shape, bool)
+    wrong[[300, 300 + apart, 700]] = True
+    y[300], y[300 + apart], y[700] = y[300] + 0.5, y[300 + apart] + 0.5 * sign, y[700] - 0.5
+    np.testing.assert_array_equal(outliers(t, y, (0,))[0], wrong)
 
 
 def test_outliers_are_found_and_what_is_left_is_compared(pendulum, clean):

@@ -101,8 +101,8 @@ def outliers(
             scale = np.maximum(1.4826 * np.median(np.abs(error)), _around(error))
             scale = np.maximum(scale, np.maximum(tick(column[kept]), COARSE * _moved(column[kept])))
             far = np.abs(error) / np.where(scale > 0, scale, np.inf)
-            worst = far == np.max([np.roll(far, k) for k in (-3, -2, -1, 0, 1, 2, 3)], axis=0)
-            bad = worst & (far > FAR)
+            size = np.where(far > FAR, np.abs(error), 0.0)
+            bad = (size > 0) & (size == np.max([np.roll(size, k) for k in (-3, -2, -1, 0, 1, 2, 3)], axis=0))
             if not bad.any():
                 break
             wrong[kept[bad], i] = True
