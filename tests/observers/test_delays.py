@@ -212,7 +212,7 @@ def velocity_error(loaded: Loaded, name: str, rows: np.ndarray, y: np.ndarray, d
     told = loaded._replace(file=loaded.file._replace(delay=delay), record=Record(t, u, y[rows]))
     made = tuned_estimators(loaded.model, 2, data_sheet(loaded.file), 1 / np.median(np.diff(t)), names=(name,))
     v = np.asarray(loaded.model.motion(run(as_read(made, told)[name], told.record).estimate).v)
-    scored, truth = loaded.scored[rows], loaded.reference[rows]
+    scored, truth = loaded.reference.scored[rows], loaded.reference.v[rows]
     return float(np.linalg.norm(rmse(v[scored], truth[scored]) / np.sqrt(np.mean(truth[scored] ** 2, axis=0))))
 
 

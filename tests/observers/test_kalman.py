@@ -44,7 +44,7 @@ def followed(case, follow):
         lambda q: q @ jnp.asarray(STIFFNESS) @ q / 2,
         dissipation=lambda q, v: -jnp.asarray(DAMPING) @ v,
     )
-    observer = EKF(model, jnp.asarray(PROCESS), jnp.asarray(MEASUREMENT), 0.7, substeps=16)
+    observer = EKF(model, jnp.asarray(PROCESS), jnp.asarray(MEASUREMENT), 0.7, substeps=16, gate=None)
     return follow(observer, case.t, case.y, u=case.u)
 
 

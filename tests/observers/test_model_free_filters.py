@@ -19,7 +19,7 @@ LINEAR = {
     "savitzky-golay": SavitzkyGolay(9, 2, (0,)),
     "pll": PLL(40.0, circles=(0,)),
     "high-gain": HighGain(60.0, circles=(0,)),
-    "joint kalman": JointKalman(20.0, 0.1, 1e-3, (0,)),
+    "joint kalman": JointKalman(20.0, 0.1, 1e-3, (0,), gate=None),
 }
 LOOPS = {name: LINEAR[name] for name in ("pll", "high-gain", "joint kalman")} | {"levant": Levant(200.0, circles=(0,))}
 EVEN = np.arange(ROWS) / RATE

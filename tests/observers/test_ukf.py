@@ -42,7 +42,7 @@ def test_where_all_is_linear_it_is_the_kalman_filter(spread):
     t = np.cumsum(rng.uniform(0.002, 0.01, 60))
     y = 0.1 * np.cumsum(rng.normal(size=(60, 2)), 0)
     y[20:25] = y[30:36, 0] = y[40:48:2, 1] = np.nan
-    observer = UKF(MASSES, PROCESS, MEASUREMENT, 0.7, substeps=16, spread=spread)
+    observer = UKF(MASSES, PROCESS, MEASUREMENT, 0.7, substeps=16, spread=spread, gate=None)
     done = run(observer, Record(t, np.zeros((60, 2)), y))
     expected, cov = textbook(t, y)
     np.testing.assert_allclose(done.estimate[1:], expected, rtol=0, atol=1e-10)

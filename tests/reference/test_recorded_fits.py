@@ -38,15 +38,16 @@ def test_an_observer_with_fitted_numbers_is_within_5_percent_of_the_published_on
     spec, first = str(EXAMPLES / name), tuple(f"parameters.{key}={value}" for key, value in guess.items())
     columns = dict.fromkeys(("t", "q", "u", "v", "truth"))
     family = models.family(spec, names, first)
-    seen = load(Job(spec, data_folder / log, first, every, fitted_until, columns))
+    seen = load(Job(spec, data_folder / log, first, every, fitted_until, columns, True))
     record = seen.log.record
-    found = fit(family, windows([record], [seen.reference], horizon(record, seen.reference)))
+    found = fit(family, windows([record], [seen.reference.v], horizon(record, seen.reference.v)))
 
     def error(overrides):
-        loaded = load(Job(spec, data_folder / judged, tuple(overrides), every, judged_until, columns))
-        loaded = loaded._replace(scored=loaded.scored & (np.asarray(loaded.record.t) > (fitted_until or 0.0)))
+        loaded = load(Job(spec, data_folder / judged, tuple(overrides), every, judged_until, columns, True))
+        later = np.asarray(loaded.record.t) > (fitted_until or 0.0)
+        loaded = loaded._replace(reference=loaded.reference._replace(scored=loaded.reference.scored & later))
         gains = observer_gains(data_sheet(loaded.file), loaded.rate)
-        return drive(Intrinsic(loaded.model, gains.alpha, gains.beta), loaded).velocity_rmse
+        return drive(Intrinsic(loaded.model, gains.alpha, gains.beta), loaded).score.rmse
 
     content = family.with_values(found.values)
     fitted = [f"parameters.{key}={content['parameters'][key]}" for key in ("mass", "com", "inertia", *guess)]

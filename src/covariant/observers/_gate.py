@@ -34,9 +34,9 @@ class Judged(NamedTuple):
     scale: Vector
 
     def result(self, otherwise: Code) -> Code:
-        """The result code of the step: what the gate did, or else `otherwise`."""
-        code = jnp.where(jnp.any(self.far), int(Result.OUTLIER), otherwise)
-        return jnp.where(self.restart, int(Result.RESTARTED), code)
+        """The result code of the step: what the gate did, or `otherwise` where that is worse."""
+        code = jnp.where(self.restart, int(Result.RESTARTED), jnp.where(jnp.any(self.far), int(Result.OUTLIER), 0))
+        return jnp.maximum(code, otherwise)
 
 
 class Gate(eqx.Module):
