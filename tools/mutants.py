@@ -74,7 +74,7 @@ RELEVANT = {
     "proofs/_form.py": "certificates/test_contraction certificates/test_cascade",
     "proofs/*": "certificates/test_proofs",
     "audit/*": "audit/test_audit",
-    "diagnosis/*": "diagnosis/test_check",
+    "diagnosis/*": "diagnosis/test_diagnosis",
     "certificates/_cascade.py": "certificates/test_cascade",
     "certificates/_observability.py": "certificates/test_observability_conditions",
     "certificates/_matrices.py": "certificates/test_check",
