@@ -227,6 +227,15 @@ def test_a_broken_file_gives_one_clear_line(words, tmp_path):
     assert "\n" not in str(error.value)
 
 
+def test_entities_are_refused_in_any_encoding(tmp_path):
+    path = tmp_path / "wide.urdf"
+    path.write_text(
+        '<?xml version="1.0" encoding="UTF-16"?><!DOCTYPE robot [<!ENTITY a "b">]><robot/>', encoding="utf-16"
+    )
+    with pytest.raises(ValueError, match="not text in UTF-8"):
+        robots.read(path)
+
+
 def test_names_that_the_robot_does_not_have_are_refused(folder):
     with pytest.raises(ValueError, match=r"there is no joint 'elbow'; there are turn, slide, mount, roll, bend"):
         robots.load(folder / "arm.urdf", lock={"elbow": 0.0})

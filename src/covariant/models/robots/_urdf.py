@@ -28,6 +28,8 @@ GRAVITY = np.array([0.0, 0.0, -9.81])
 def read_urdf(path: Path) -> Description:
     """The robot that a URDF file describes. Raises `ValueError`, one line, for what is wrong in it."""
     data = path.read_bytes()
+    if b"\0" in data:
+        raise ValueError("is not text in UTF-8; save it as such")
     if b"<!DOCTYPE" in data or b"<!ENTITY" in data:
         raise ValueError("declares a document type or entities, which a robot description has no need of; remove them")
     try:
