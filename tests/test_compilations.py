@@ -1,7 +1,9 @@
 """Numbers are leaves: another gain, the same model again or one with other parameters compiles nothing."""
 
 import inspect
+import tempfile
 from collections.abc import Iterator
+from pathlib import Path
 
 import equinox as eqx
 import jax
@@ -17,6 +19,18 @@ from covariant.observers import EKF, Copy, FilteredDerivative, Geodesic, Intrins
 
 FACTORIES = SYSTEMS | {name: getattr(marine, name) for name in ("cybership", "odin", "odin_on_group", "supply_vessel")}
 FACTORIES["manoeuvring_ship"] = marine.manoeuvring_ship
+
+
+def scara(mass: float = 4.2):
+    """The robot of examples/scara.urdf with another mass of its first link [kg]."""
+    text = (Path(__file__).parents[1] / "examples" / "scara.urdf").read_text(encoding="utf-8")
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "scara.urdf")
+        path.write_text(text.replace('<mass value="4.2"/>', f'<mass value="{mass}"/>'), encoding="utf-8")
+        return models.robots.load(path)
+
+
+FACTORIES["robot"] = scara
 COMPILED = "/jax/core/compile/backend_compile_duration"
 
 

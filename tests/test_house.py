@@ -72,7 +72,7 @@ PUBLIC = {
     "in_chart induction_motor input_count load "
     "lorenz oscillator pendulum_chain recipe resistance rewrite satellite satellite_arm source spatial_momentum "
     "state_space underwater_vehicle unknown_frequency van_der_pol",
-    "models.robots": "Description Follows Inertia Joint RobotSpace Tree assemble load read",
+    "models.robots": "BodyInertia Description Follows Joint KinematicTree RobotSpace assemble load read",
     "models.marine": "Craft Station Waves coriolis_matrix cybership euler_rates euler_rotation euler_transform "
     "manoeuvring_ship odin odin_on_group positive_definite supply_vessel surface_ship yaw_rotation",
     "observers": "EKF PLL REGISTRY UKF AbstractFlowObserver AbstractLinearFilter AbstractMechanicalObserver "

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -13,8 +14,8 @@ from covariant.geometry import AbstractManifold, Coordinates, ProductManifold
 from covariant.geometry.lie import SE3
 from covariant.models._mechanical import MechanicalSystem
 from covariant.models._parameters import Parametric
-from covariant.models.robots._description import NO_INERTIA, Description, Inertia, Joint
-from covariant.models.robots._space import RobotSpace, Tree
+from covariant.models.robots._description import NO_INERTIA, BodyInertia, Description, Joint
+from covariant.models.robots._space import KinematicTree, RobotSpace
 
 COULOMB_STEEPNESS = 100.0
 """Slope at rest of the smoothed Coulomb friction `friction (2/π) atan(100 v)` [s/rad or s/m]."""
@@ -37,6 +38,7 @@ class _Axis(NamedTuple):
     circle: bool
 
 
+@jax.ensure_compile_time_eval()  # its inertia is looked at, also inside a compiled function
 def assemble(
     robot: Description,
     *,
@@ -60,7 +62,7 @@ def assemble(
     names = [axis.name for axis in axes]
     free = [i for i, axis in enumerate(axes) if axis.joint.follows is None]
     coordinates, offset = _follow(axes, names, free)
-    tree = Tree(
+    tree = KinematicTree(
         tuple(axis.parent for axis in axes),
         *(
             jnp.asarray(np.array(part, float))
@@ -128,14 +130,14 @@ def _with_followers(robot: Description, locked: dict[str, float]) -> dict[str, f
         still |= more
 
 
-def _bodies(robot: Description, locked: dict[str, float]) -> tuple[list[_Axis], list[Inertia], Inertia]:
+def _bodies(robot: Description, locked: dict[str, float]) -> tuple[list[_Axis], list[BodyInertia], BodyInertia]:
     """The axes, the body that each moves, and the base, with fixed and locked links made part of what carries them."""
     axes: list[_Axis] = []
-    bodies: list[Inertia] = []
+    bodies: list[BodyInertia] = []
     base = robot.links[robot.root]
     at = {robot.root: (-1, np.eye(3), np.zeros(3))}  # body of each link, and where the link's frame is in it
 
-    def add(body: int, inertia: Inertia) -> None:
+    def add(body: int, inertia: BodyInertia) -> None:
         nonlocal base
         if body < 0:
             base = base.joined(inertia)

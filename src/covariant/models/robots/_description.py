@@ -8,7 +8,7 @@ SMALLEST_ENTRY = 1e-10
 """Entries of rotations below this are zero: quarter turns in files are rounded, and zeros cost nothing."""
 
 
-class Inertia(NamedTuple):
+class BodyInertia(NamedTuple):
     """Mass [kg], and first [kg m] and second [kg m²] moments `∫ρ r`, `∫ρ r rᵀ` about the origin of a frame."""
 
     mass: float
@@ -16,21 +16,21 @@ class Inertia(NamedTuple):
     second: np.ndarray
 
     @classmethod
-    def of(cls, mass: float, centre: np.ndarray, about_centre: np.ndarray) -> "Inertia":
+    def of(cls, mass: float, centre: np.ndarray, about_centre: np.ndarray) -> "BodyInertia":
         """From the centre of mass and the inertia tensor (3, 3) about it, in the axes of the frame."""
         central = np.trace(about_centre) / 2 * np.eye(3) - about_centre
         return cls(mass, mass * centre, central + mass * np.outer(centre, centre))
 
-    def moved(self, rotation: np.ndarray, place: np.ndarray) -> "Inertia":
+    def moved(self, rotation: np.ndarray, place: np.ndarray) -> "BodyInertia":
         """The same body in a frame in which its own frame has this rotation and place."""
         first = rotation @ self.first
         aside = np.outer(first, place)
         second = rotation @ self.second @ rotation.T + aside + aside.T + self.mass * np.outer(place, place)
-        return Inertia(self.mass, first + self.mass * place, second)
+        return BodyInertia(self.mass, first + self.mass * place, second)
 
-    def joined(self, other: "Inertia") -> "Inertia":
+    def joined(self, other: "BodyInertia") -> "BodyInertia":
         """Of both bodies as one, in the same frame."""
-        return Inertia(self.mass + other.mass, self.first + other.first, self.second + other.second)
+        return BodyInertia(self.mass + other.mass, self.first + other.first, self.second + other.second)
 
     @property
     def about_centre(self) -> np.ndarray:
@@ -39,7 +39,7 @@ class Inertia(NamedTuple):
         return np.trace(central) * np.eye(3) - central
 
 
-NO_INERTIA = Inertia(0.0, np.zeros(3), np.zeros((3, 3)))
+NO_INERTIA = BodyInertia(0.0, np.zeros(3), np.zeros((3, 3)))
 
 
 class Follows(NamedTuple):
@@ -92,7 +92,7 @@ class Description(NamedTuple):
     """
 
     name: str
-    links: dict[str, Inertia]
+    links: dict[str, BodyInertia]
     joints: tuple[Joint, ...]
     root: str
     gravity: np.ndarray
@@ -106,7 +106,7 @@ def exact(rotation: np.ndarray) -> np.ndarray:
     return np.where(np.abs(rotation) < SMALLEST_ENTRY, 0.0, rotation)
 
 
-def in_order(links: dict[str, Inertia], joints: list[Joint]) -> tuple[str, tuple[Joint, ...]]:
+def in_order(links: dict[str, BodyInertia], joints: list[Joint]) -> tuple[str, tuple[Joint, ...]]:
     """The root, and the joints with each after the one that carries it, otherwise as they are given.
 
     Raises `ValueError` where the links are no tree.
@@ -144,7 +144,7 @@ def in_order(links: dict[str, Inertia], joints: list[Joint]) -> tuple[str, tuple
     return roots[0], tuple(ordered)
 
 
-def doubts_on(name: str, inertia: Inertia) -> list[str]:
+def doubts_on(name: str, inertia: BodyInertia) -> list[str]:
     """Sentences on an inertia that no rigid body has. Raises `ValueError` where it is not even an inertia."""
     numbers = np.concatenate([[inertia.mass], inertia.first, inertia.second.ravel()])
     if not np.isfinite(numbers).all():

@@ -23,7 +23,7 @@ from covariant.geometry import AbstractManifold, AbstractSpace
 Configuration = Inexact[Array, "..."]
 
 
-class Tree(eqx.Module):
+class KinematicTree(eqx.Module):
     """Rigid bodies that hang on each other by joints of one axis, the parents first.
 
     Body i turns about, or slides along, an axis through its own origin. It stands on body `parents[i]`, or on the base
@@ -72,7 +72,7 @@ class Joints(NamedTuple):
 
 
 class Moments(NamedTuple):
-    """Mass and moments of bodies, as those of `Tree`, the base first."""
+    """Mass and moments of bodies, as those of `KinematicTree`, the base first."""
 
     mass: Float[Array, "k1"]
     first: Float[Array, "k1 3"]
@@ -82,7 +82,7 @@ class Moments(NamedTuple):
 class RobotSpace(AbstractSpace):
     """The space of a tree of bodies. A velocity is q', after the twist (v, ω) of a floating base in its own frame."""
 
-    tree: Tree
+    tree: KinematicTree
     manifold: AbstractManifold = eqx.field(kw_only=True)
     floating: bool = eqx.field(default=False, static=True)
 

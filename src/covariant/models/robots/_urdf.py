@@ -10,9 +10,9 @@ import numpy as np
 
 from covariant.models.robots._description import (
     NO_INERTIA,
+    BodyInertia,
     Description,
     Follows,
-    Inertia,
     Joint,
     doubts_on,
     exact,
@@ -39,7 +39,7 @@ def read_urdf(path: Path) -> Description:
     if robot.tag != "robot":
         raise ValueError(f"the outermost tag of a URDF file is <robot>; found <{robot.tag}>")
     used, ignored, doubts = Counter(), Counter(), []
-    links: dict[str, Inertia] = {}
+    links: dict[str, BodyInertia] = {}
     joints: list[Joint] = []
     for entry in robot:
         if entry.tag not in ("link", "joint") or (entry.tag == "joint" and "type" not in entry.attrib):
@@ -65,7 +65,7 @@ def read_urdf(path: Path) -> Description:
     )
 
 
-def _inertia(link: Element, name: str) -> Inertia:
+def _inertia(link: Element, name: str) -> BodyInertia:
     inertial = link.find("inertial")
     if inertial is None:
         return NO_INERTIA
@@ -79,7 +79,7 @@ def _inertia(link: Element, name: str) -> Inertia:
         for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
     )
     tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    return Inertia.of(_number(mass, "value", where), centre, rotation @ tensor @ rotation.T)
+    return BodyInertia.of(_number(mass, "value", where), centre, rotation @ tensor @ rotation.T)
 
 
 def _joint(entry: Element, name: str) -> Joint:
