@@ -5,7 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from covariant._integrate import rk4, rk4_step, rk8, solve
+from covariant._dormand_prince import dormand_prince
+from covariant._integrate import rk4, rk4_step, rk8, solve, solve_until
 
 START, DURATION = 0.3, 2.0
 STATE = {"position": jnp.array([1.0, 0.2]), "speed": jnp.array(0.5)}
@@ -92,3 +93,55 @@ def test_solution_that_escapes_is_infinite():
     run = jax.jit(lambda x: solve(lambda t, x: x**2, x, times, max_steps=2000))(jnp.array(1.0))
     np.testing.assert_allclose(run[:2], [1.0, 2.0], rtol=1e-9)
     assert not np.isfinite(run[2])
+
+
+def test_stages_fit_their_nodes_and_both_rules_integrate_polynomials():
+    """A row sums to its node, and `Σ b c^(k−1) = 1/k` to order 8; without the error's weights to order 7."""
+    a, b, difference, c = dormand_prince()
+    np.testing.assert_allclose(a.sum(axis=1), c, rtol=0, atol=1e-14)
+    for k in range(1, 9):
+        assert b @ c ** (k - 1) == pytest.approx(1 / k, abs=1e-14)
+        assert (b - difference) @ c ** (k - 1) == pytest.approx(1 / k, abs=1e-3 if k == 8 else 1e-14)
+    assert abs((b - difference) @ c**7 - 1 / 8) > 1e-6
+
+
+def test_solve_goes_back_in_time_and_is_differentiable(exact):
+    times = jnp.array([START + DURATION, 1.0, START])
+    there = jax.tree.map(lambda a, b: jnp.reshape(a, jnp.shape(b)), {"position": exact[:2], "speed": exact[2]}, STATE)
+    back = jax.jit(lambda x: solve(flow, x, times))(there)
+    np.testing.assert_allclose(flat(jax.tree.map(lambda a: a[-1], back)), flat(STATE), rtol=0, atol=1e-8)
+
+    def end(k):
+        return solve(lambda t, x: -k * x, jnp.array(2.0), jnp.array([0.0, 1.0]))[-1]
+
+    np.testing.assert_allclose(jax.jit(jax.jacfwd(end))(jnp.array(0.7)), -2.0 * np.exp(-0.7), rtol=1e-9)
+
+
+def test_steps_end_where_a_condition_or_a_border_says():
+    """A falling stone: after the first step below half its height, and where it meets the ground, each in a batch."""
+
+    def fall(height, border):
+        start = jnp.stack([height, jnp.zeros(())])
+        low = height / 2 if border is None else -jnp.inf
+        return solve_until(
+            lambda t, x: jnp.stack([x[1], -9.81]),
+            start,
+            lambda x: x[0] < low,
+            border,
+            rtol=1e-9,
+            atol=1e-12,
+            max_steps=100,
+        )
+
+    heights = jnp.array([0.5, 3.0, 40.0])
+    t, x = jax.jit(jax.vmap(lambda h: fall(h, lambda x: x[0])))(heights)
+    np.testing.assert_allclose(t, np.sqrt(2 * heights / 9.81), rtol=1e-11)
+    np.testing.assert_allclose(x[:, 0], 0.0, atol=1e-10)
+    t, x = jax.jit(jax.vmap(lambda h: fall(h, None)))(heights)
+    np.testing.assert_allclose(x[:, 0], heights - 9.81 * t**2 / 2, rtol=1e-9)
+    assert np.all(x[:, 0] < heights / 2)
+
+
+def test_nothing_finite_is_made_of_a_slope_that_is_not():
+    run = jax.jit(lambda x: solve(lambda t, x: x * jnp.nan, x, jnp.array([0.0, 1.0])))(jnp.ones(2))
+    assert np.all(np.isinf(run[1]))

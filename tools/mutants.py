@@ -38,7 +38,7 @@ MEMORY = 12 * 2**30
 """Bytes that a mutant may ask for."""
 FAILED = {1, 2, 4, -signal.SIGSEGV, -signal.SIGABRT, -signal.SIGFPE}
 """Exit statuses of a mutant that fails a test, cannot be imported, or crashes; any other says nothing of it."""
-WARM = "jax jax.numpy equinox diffrax optimistix scipy.linalg hypothesis pytest beartype"
+WARM = "jax jax.numpy equinox scipy.linalg hypothesis pytest beartype"
 
 RELEVANT = {
     "geometry/_interpolated.py": "geometry/test_interpolated",
