@@ -24,6 +24,7 @@ PLAN = (
 
 OPTIONAL = (
     "pyarrow",
+    "rosbags",
     "matplotlib",
     "plotly",
     "mujoco",
@@ -65,7 +66,8 @@ PUBLIC = {
     "interop": "closed_loop observer_system plant",
     "lowering": "FOLD INTERVALS NUMBERS STUMPFF Condition Conditions Derivative Domain Enclosure Graph Interval "
     "Lowered LoweringError Node Truth enclose evaluate expand fulfilled graft lower numbers pairs stumpff substitute",
-    "logs": "ATTITUDES Body Columns Log LogError bodies coordinates matrices read survey to_columns write",
+    "logs": "ATTITUDES MESSAGES OPTIONAL WRITTEN Body Columns Log LogError bodies check_unit coordinates matrices read "
+    "survey to_columns unit_factor write",
     "models": "Family GroupSystem Lagrangian MechanicalSystem ModelError ModelFile MomentumChart Motion Parameter "
     "Parametric StateSpace acceleration advance applied_force ball_and_beam bioreactor body_velocity chart_jacobian "
     "chart_velocity check_metric check_model duffing energy family free_body friction from_recipe heavy_top hovercraft "

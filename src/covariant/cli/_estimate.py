@@ -43,7 +43,7 @@ def estimate(
     Its velocities are scored where `score` asks for it, and where the log has true ones.
     """
     _check(observer, alpha, beta)
-    check_output(out, ".csv", ".parquet", log=job.log)
+    check_output(out, *logs.WRITTEN, log=job.log)
     check_output(report, ".html")
     with working("reading", quiet=as_json):
         loaded = load(job, score)
@@ -55,7 +55,7 @@ def estimate(
     if outcome.failed:
         raise ValueError(f"{job.log}: the estimate left the finite numbers; lower the gains or check model and units")
     if out is not None:
-        logs.write(out, columns(loaded, outcome))
+        logs.write(out, columns(loaded, outcome, out), loaded.log.origin_ns)
         result["out"] = str(out)
     if report is not None:
         curves, said = report_arrays({observer: outcome}), (*notes, *_found(result, loaded))
@@ -98,8 +98,10 @@ def _choose(
     return as_read(made, loaded)[observer], (f"Designed {designed}.{loaded.note}{unused}",)
 
 
-def columns(loaded: Loaded, outcome: Outcome) -> dict[str, np.ndarray]:
+def columns(loaded: Loaded, outcome: Outcome, out: Path) -> dict[str, np.ndarray]:
     """The columns of an output file: t, q1…, v1…; on a group t, the configuration as in the log, and the velocities.
+
+    In messages of ROS coordinates are joints by their names in the log: shoulder/position, shoulder/velocity….
 
     A filter that knows how accurate it is adds the standard deviations of the velocities, v1_std…. One that estimates
     the external force adds external_force1… and external_force1_std….
@@ -109,7 +111,9 @@ def columns(loaded: Loaded, outcome: Outcome) -> dict[str, np.ndarray]:
         configuration = logs.to_columns(file.columns, np.asarray(x.q))
     else:
         q = np.split(np.asarray(x), 2, axis=1)[0]
-        configuration = dict(zip(numbered("q", file.dimension), q.T, strict=True))
+        named = [name.removesuffix("/position") for name in file.columns.q] if out.suffix in logs.MESSAGES else []
+        joints = {field: tuple(f"{name}/{field}" for name in named) for field in ("position", "velocity")}
+        configuration = dict(zip(joints["position"] or numbered("q", file.dimension), q.T, strict=True))
     found = {"t": np.asarray(outcome.run.t)} | configuration
     forces = numbered("external_force", file.dimension)
     for names, values, std in (
@@ -129,6 +133,7 @@ def _result(job: Job, loaded: Loaded, observer: str, outcome: Outcome, notes: tu
         "log": str(job.log),
         "observer": observer,
         "rows": len(outcome.run.t),
+        **({} if loaded.origin is None else {"t_counts_from": loaded.origin}),
         **({} if reference is None else {"scored_against": reference.label}),
         "design": notes[0],
         **summary(outcome),
@@ -143,6 +148,7 @@ def _result(job: Job, loaded: Loaded, observer: str, outcome: Outcome, notes: tu
 def _text(result: dict[str, Any], loaded: Loaded) -> str:
     lines = [
         f"{result['log']}: {result['rows']} rows, {result['observer']} observer",
+        *([f"t counts from {result['t_counts_from']}"] if "t_counts_from" in result else []),
         result["design"],
         *_found(result, loaded),
     ]

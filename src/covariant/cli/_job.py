@@ -25,7 +25,7 @@ OFF_TICK = 0.1
 class Job(NamedTuple):
     """The arguments of a command; `columns` maps t, q, u, v, truth to names separated by commas, or None.
 
-    `anyway`: go on with a log that does not fit the model at all.
+    `anyway`: go on with a log that does not fit the model at all. `start`, `until` [s]: since the log's first row.
     """
 
     model: str
@@ -35,6 +35,7 @@ class Job(NamedTuple):
     until: float | None
     columns: dict[str, str | None]
     anyway: bool = False
+    start: float | None = None
 
 
 class ReferenceVelocity(NamedTuple):
@@ -56,6 +57,12 @@ class Loaded(NamedTuple):
     reference: ReferenceVelocity | None
     note: str = ""
 
+    @property
+    def origin(self) -> str | None:
+        """The date from which the stamps count, where the log has dates or times since 1970."""
+        ns = self.log.origin_ns
+        return None if ns is None else f"{np.datetime64(ns, 'ns')}Z"
+
 
 def load(job: Job, score: bool = True, why: str = "velocities are estimated for") -> Loaded:
     """Read model and log, with a reference where `score` asks for one or the log has the true velocities.
@@ -67,11 +74,15 @@ def load(job: Job, score: bool = True, why: str = "velocities are estimated for"
     model = file.need_mechanical(job.model, why)
     given = {key: names.strip() for key, names in job.columns.items() if names is not None}
     columns = file.columns._replace(
-        **{key: names if key == "t" else tuple(n.strip() for n in names.split(",")) for key, names in given.items()}
+        **{
+            key: names if key == "t" else tuple(n.strip() for n in names.split(",") if names)
+            for key, names in given.items()
+        }
     )
     _check_columns(job, file, columns)
     file = file._replace(columns=columns)
-    log = logs.read(job.log, columns, job.every, job.until)
+    optional = [field for field in logs.OPTIONAL if not given.get(field)]
+    log = logs.read(job.log, columns, job.every, job.until, job.start, optional)
     if not job.anyway:
         _refuse_misfit(job, file, log.record)
     record = acting_inputs(lag_inputs(log.record, file.input_lag), file.input_between, file.input_delay)
@@ -87,7 +98,8 @@ def load(job: Job, score: bool = True, why: str = "velocities are estimated for"
     if log.truth is not None:
         reference = ReferenceVelocity(log.truth, "true velocity", scoring.scored_window(t))
     elif score:
-        full = logs.read(job.log, columns._replace(u=(), v=())) if job.every > 1 or job.until else log
+        whole = (job.every, job.until, job.start) == (1, None, None)
+        full = log if whole else logs.read(job.log, columns._replace(u=(), v=()))
         reference = ReferenceVelocity(*_slopes(file, log, full), scoring.scored_window(t))
     return Loaded(file, model, log, record, 1 / float(np.median(np.diff(t))), reference, note + _told(file))
 
@@ -218,6 +230,8 @@ def check_output(path: Path | None, *suffixes: str, log: Path | None = None) -> 
         return
     if path.suffix not in suffixes:
         raise ValueError(f"{path}: the file to write must end in {' or '.join(suffixes)}")
+    if path.is_dir():
+        raise ValueError(f"{path}: there is a folder of this name, and it is not replaced; give another name")
     if not path.parent.is_dir():
         raise ValueError(f"{path}: there is no folder {path.parent}; make it first")
     if log is not None and path.exists() and log.exists() and path.samefile(log):

@@ -16,3 +16,5 @@ CERTIFIED = ("intrinsic", "geodesic")
 """The observers of `covariant.cli._certify`."""
 PAPERS = ("aghannan-rouchon", "maithripala", "sanfelice-praly", "jouffroy-fossen")
 """The papers of `covariant.cli._reproduce`."""
+WRITTEN = (".csv", ".txt", ".tsv", ".parquet", ".mcap", ".rosbag2")
+"""Those of `covariant.logs`."""

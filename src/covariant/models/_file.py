@@ -134,7 +134,8 @@ def recipe(spec: str, overrides: Sequence[str] = ()) -> dict[str, Any]:
     load(spec, overrides)
     content = document(spec, overrides)
     kept = {"parameters": content.get("parameters", {})}
-    return {"system": content["system"], **kept} if is_file(spec) or ":" not in spec else {"attribute": spec, **kept}
+    named = content.get("system", spec)
+    return {"attribute" if ":" in named else "system": named, **kept}
 
 
 def from_recipe(made: dict[str, Any], model: Any = None) -> Model:
@@ -210,8 +211,11 @@ def text(path: Path) -> str:
 
 def _find(spec: str, content: dict[str, Any]) -> Any:
     """The model that a spec names, or the function that makes it."""
+    named = content.get("system")
+    if is_file(spec) and isinstance(named, str) and ":" in named:
+        return _source.attribute(named, Path(spec).parent)
     if is_file(spec) or ":" not in spec:
-        return _source.system(content.get("system"))
+        return _source.system(named)
     if "system" in content:
         raise ValueError(f"system = {content['system']!r} contradicts module:attribute; drop one of them")
     return _source.attribute(spec)

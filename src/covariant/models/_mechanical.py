@@ -102,6 +102,12 @@ class MechanicalSystem(Functional):
         return self.manifold.circles
 
     @property
+    def logged_units(self) -> dict[str, tuple[str, ...]]:
+        """Units of what a log holds of the model, by the names of positions, velocities and true velocities."""
+        rates = self.velocity_units or tuple(f"{unit}/s" for unit in self.units)
+        return {"q": self.units, "v": rates, "truth": rates}
+
+    @property
     def dissipation_is_driven(self) -> bool:
         """Whether the dissipation takes (t, q, v, u), so that it may depend on time and input; otherwise (q, v)."""
         given = self.dissipation

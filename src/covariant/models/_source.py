@@ -8,6 +8,7 @@ import reprlib
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from inspect import Parameter as Argument
+from pathlib import Path
 from types import UnionType
 from typing import Any, Union, get_args, get_origin
 
@@ -63,11 +64,15 @@ def system(name: Any) -> Callable[..., Model]:
     return SYSTEMS[name]
 
 
-def attribute(spec: str) -> Any:
-    """The object that `module:attribute` names; the current folder is searched too. Raises `ValueError` otherwise."""
+def attribute(spec: str, folder: Path | None = None) -> Any:
+    """The object that `module:attribute` names; the current folder, or the given one, is searched too.
+
+    Raises `ValueError` where there is none.
+    """
     where, _, name = spec.partition(":")
-    if "" not in sys.path and os.getcwd() not in sys.path:
-        sys.path.insert(0, os.getcwd())  # as `python -m` does; it stays, since the module may import others later
+    beside = os.getcwd() if folder is None else str(folder.resolve())
+    if ("" not in sys.path or folder is not None) and beside not in sys.path:
+        sys.path.insert(0, beside)  # as `python -m` does; it stays, since the module may import others later
     try:
         module = importlib.import_module(where)
     except Exception as error:  # a module may fail in any way while it is imported

@@ -73,6 +73,11 @@ class StateSpace(Functional):
     velocity_units = velocities
 
     @property
+    def logged_units(self) -> dict[str, tuple[str, ...]]:
+        """Units of what a log holds of the model where they are known: those of the true states."""
+        return {"truth": self.units}
+
+    @property
     def manifold(self) -> Coordinates:
         """The manifold of the outputs."""
         return Coordinates(self.circles, len(self.outputs))

@@ -7,7 +7,7 @@ import tomllib
 from collections.abc import Collection, Sequence
 from typing import Any
 
-from covariant.logs import ATTITUDES, Columns
+from covariant.logs import ATTITUDES, Columns, unit_factor
 
 NUMBERS = {
     ("inputs", "lag"): ("input_lag", 1.0),
@@ -29,7 +29,9 @@ NUMBERS = {
 WORDS = {("inputs", "between"): ("input_between", ("held", "linear"))}
 """Table and key of each word, with the field of `ModelFile` it fills and the words that it may be."""
 
-_KEYS = {"columns": Columns._fields} | {
+_NAMES = tuple(field for field in Columns._fields if field != "units")
+"""Keys of [columns], and of [units] but for attitudes, which have none."""
+_KEYS = {"columns": _NAMES, "units": tuple(name for name in _NAMES if name not in ATTITUDES)} | {
     table: tuple(key for other, key in (*NUMBERS, *WORDS) if other == table)
     for table in dict.fromkeys(table for table, _ in NUMBERS)
 }
@@ -105,7 +107,7 @@ def unknown(what: str, name: str, known: Collection[str]) -> str:
 
 
 def columns(document: dict[str, Any]) -> dict[str, Any]:
-    """The fields of `Columns` that the document gives; raises `ValueError` when they are not names."""
+    """The fields of `Columns` that the document gives; raises `ValueError` when they are no names and no units."""
     given = document.get("columns", {})
     for key, value in given.items():
         names = [value] if key == "t" else value
@@ -114,7 +116,22 @@ def columns(document: dict[str, Any]) -> dict[str, Any]:
             raise ValueError(f"columns.{key} must be {wanted}; got {value!r}")
         if len(set(names)) < len(names):
             raise ValueError(f"columns.{key} names a column twice: {', '.join(names)}")
-    return {key: value if key == "t" else tuple(value) for key, value in given.items()}
+    found = {key: value if key == "t" else tuple(value) for key, value in given.items()}
+    return found | ({"units": _units(document["units"])} if "units" in document else {})
+
+
+def _units(given: dict[str, Any]) -> dict[str, tuple[str, ...]]:
+    """The units of each field, one or one for each column; raises `ValueError` for what is no unit."""
+    found = {key: [value] if isinstance(value, str) else value for key, value in given.items()}
+    for key, texts in found.items():
+        if not isinstance(texts, list) or not texts or not all(isinstance(text, str) for text in texts):
+            raise ValueError(f'units.{key} must be a unit, as in "deg", or a list of units; got {given[key]!r}')
+        for text in texts:
+            try:
+                unit_factor(text)
+            except ValueError as error:
+                raise ValueError(f"units.{key}: {error}") from error
+    return {key: tuple(texts) for key, texts in found.items()}
 
 
 def numbers(document: dict[str, Any], count: int) -> dict[str, Any]:
