@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from covariant.cli._names import CERTIFIED, ESTIMATORS, PAPERS, WRITTEN
+from covariant.cli._names import CERTIFIED, ESTIMATORS, PAPERS, STATE_ESTIMATORS, WRITTEN
 
 app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode=None)
 design = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="Design what an observer needs.")
@@ -57,7 +57,11 @@ def estimate(
         Path | None, typer.Option("--out", "-o", help=f"Write the estimate here ({', '.join(WRITTEN)}).")
     ] = None,
     observer: Annotated[
-        str | None, typer.Option(help=f"One of: {', '.join(ESTIMATORS)}; intrinsic by default.")
+        str | None,
+        typer.Option(
+            help=f"One of: {', '.join(ESTIMATORS)}; intrinsic by default. For a state-space model: "
+            f"{', '.join(STATE_ESTIMATORS)}."
+        ),
     ] = None,
     alpha: Annotated[float | None, typer.Option(help="Gain α [1/s] in place of the designed one.")] = None,
     beta: Annotated[float | None, typer.Option(help="Gain β [1/s²] in place of the designed one.")] = None,

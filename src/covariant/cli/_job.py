@@ -10,7 +10,7 @@ import numpy as np
 from covariant import logs, models, scoring
 from covariant.design import DataSheet, usual_speeds
 from covariant.diagnosis import misfit, outliers
-from covariant.models import MechanicalSystem
+from covariant.models import MechanicalSystem, StateSpace
 from covariant.observers import REGISTRY, AbstractObserver, Delayed
 from covariant.signals import Record, acting_inputs, lag_inputs
 
@@ -50,7 +50,7 @@ class Loaded(NamedTuple):
     """The model and log of a job, what its velocities are scored against where that was asked for, and a note."""
 
     file: models.ModelFile
-    model: MechanicalSystem
+    model: MechanicalSystem | StateSpace
     log: logs.Log
     record: Record
     rate: float
@@ -64,14 +64,14 @@ class Loaded(NamedTuple):
         return None if ns is None else f"{np.datetime64(ns, 'ns')}Z"
 
 
-def load(job: Job, score: bool = True, why: str = "velocities are estimated for") -> Loaded:
+def load(job: Job, score: bool = True, why: str = "") -> Loaded:
     """Read model and log, with a reference where `score` asks for one or the log has the true velocities.
 
-    `why`: what mechanical models are needed for. A log that does not fit the model at all is refused with a line on
-    standard error and exit code 1. Raises `ValueError` or `OSError` with one line for the user.
+    `why`: what mechanical models are needed for, where they are. A log that does not fit the model at all is refused
+    with a line on standard error and exit code 1. Raises `ValueError` or `OSError` with one line for the user.
     """
     file = models.load(job.model, job.overrides)
-    model = file.need_mechanical(job.model, why)
+    model = file.need_mechanical(job.model, why) if why else file.model
     given = {key: names.strip() for key, names in job.columns.items() if names is not None}
     columns = file.columns._replace(
         **{
@@ -87,7 +87,7 @@ def load(job: Job, score: bool = True, why: str = "velocities are estimated for"
         _refuse_misfit(job, file, log.record)
     record = acting_inputs(lag_inputs(log.record, file.input_lag), file.input_between, file.input_delay)
     t, y = np.asarray(record.t), np.asarray(record.y)
-    if model.manifold.commuting:
+    if model.manifold.commuting and file.mechanical:
         measured = y[np.isfinite(y).all(axis=1)]
         try:
             models.check_metric(model, measured[:: max(1, len(measured) // 20)])
@@ -96,8 +96,8 @@ def load(job: Job, score: bool = True, why: str = "velocities are estimated for"
     file, note = _in_ticks(file, y)
     reference = None
     if log.truth is not None:
-        reference = ReferenceVelocity(log.truth, "true velocity", scoring.scored_window(t))
-    elif score:
+        reference = ReferenceVelocity(log.truth, f"true {model.sought.what}", scoring.scored_window(t))
+    elif score and file.mechanical:  # the slopes of outputs are no states
         whole = (job.every, job.until, job.start) == (1, None, None)
         full = log if whole else logs.read(job.log, columns._replace(u=(), v=()))
         reference = ReferenceVelocity(*_slopes(file, log, full), scoring.scored_window(t))
@@ -112,6 +112,8 @@ def as_read(observers: Mapping[str, AbstractObserver], loaded: Loaded) -> dict[s
     longest = float(np.max(loaded.file.delay))
     if longest == 0:
         return dict(observers)
+    if not loaded.file.mechanical:
+        raise ValueError(f"{loaded.file.name}: readings that are late are made up for in mechanical models only")
     t = np.asarray(loaded.record.t)
     within = np.searchsorted(t, t + longest, side="right") - np.arange(len(t))
     rate = float(within.max()) / longest
@@ -266,28 +268,29 @@ def log_sheet(loaded: Loaded) -> DataSheet:
 
 
 def coordinates(file: models.ModelFile) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Names and units of the coordinates, or on a group of the velocities, for printing."""
-    if file.model.velocities:
-        return file.model.velocities, file.model.velocity_units
+    """Names and units of the coordinates, or on a group of the velocities, or of the states, for printing."""
+    if file.model.sought.names:
+        return file.model.sought.names, file.model.sought.units
     names = file.model.coordinates or numbered("q", file.dimension)
     return names, file.model.units or ("",) * len(names)
 
 
-def velocity_units(file: models.ModelFile) -> tuple[str, ...]:
-    """Units of the velocities."""
-    units = coordinates(file)[1]
-    return units if file.model.velocities else tuple(f"{unit or '1'}/s" for unit in units)
+def sought_units(file: models.ModelFile) -> tuple[str, ...]:
+    """Units of the velocities, or of the states of a state-space model."""
+    return file.model.sought.units or ("1/s",) * file.dimension
 
 
 def innovation_units(file: models.ModelFile) -> tuple[str, ...]:
     """Units of the innovations: those of the coordinates; on a group, of a velocity times a second."""
     units = coordinates(file)[1]
+    if not file.mechanical:  # a model does not say them of its outputs
+        return ("",) * len(file.columns.q)
     return tuple(f"{unit} s".replace("/s s", "").strip() for unit in units) if file.model.velocities else units
 
 
-def velocity_columns(file: models.ModelFile) -> tuple[str, ...]:
-    """Names of the velocities in an output file: those of the model, or v1, v2, …"""
-    return file.model.velocities or numbered("v", file.dimension)
+def sought_columns(file: models.ModelFile) -> tuple[str, ...]:
+    """Names of the velocities in an output file: those of the model, or v1, v2, …; or names of the states."""
+    return file.model.sought.names or numbered("v", file.dimension)
 
 
 def numbered(letter: str, count: int) -> tuple[str, ...]:

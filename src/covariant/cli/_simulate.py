@@ -11,7 +11,7 @@ import numpy as np
 from covariant import logs, models, simulation
 from covariant._numbers import number
 from covariant.cli._console import working
-from covariant.cli._job import check_output, velocity_columns
+from covariant.cli._job import check_output, sought_columns
 from covariant.models import Motion
 from covariant.signals import Record
 
@@ -98,7 +98,7 @@ def _truth(file: models.ModelFile, names: logs.Columns, record: Record) -> tuple
     x = record.x
     if not file.mechanical:
         return {}, dict(zip(file.model.coordinates, np.asarray(x).T, strict=True))
-    velocities = dict(zip(velocity_columns(file), np.asarray(model.motion(x).v).T, strict=True))
+    velocities = dict(zip(sought_columns(file), np.asarray(model.motion(x).v).T, strict=True))
     return logs.to_columns(names, np.asarray(record.y)), velocities
 
 
