@@ -1,6 +1,7 @@
 """What `estimate` and `compare` need of state-space models: what the model file says of noise, and the observers."""
 
 from collections.abc import Collection
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -13,7 +14,8 @@ from covariant.observers import AbstractObserver, Noise
 
 def tuned_states(loaded: Loaded, names: Collection[str] = STATE_ESTIMATORS) -> dict[str, AbstractObserver]:
     """The observers of a state-space model by name, as its model file tells its noise."""
-    return tuned_state_estimators(loaded.file.model, noise(loaded.file, loaded.rate), names)
+    model: Any = loaded.model
+    return tuned_state_estimators(model, noise(loaded.file, loaded.rate), names)
 
 
 def noise(file: ModelFile, rate: float) -> Noise:
@@ -34,8 +36,9 @@ def noise(file: ModelFile, rate: float) -> Noise:
 
 def first_estimate(file: ModelFile) -> tuple[jnp.ndarray, jnp.ndarray]:
     """First estimate (n,) and its standard deviation (n,): as in the model file, or by the model's box."""
-    low, high = np.asarray(file.model.box, float).T if len(file.model.box) else (0.0, np.nan)
-    start = (low + high) / 2 if len(file.model.box) else 0.0
+    model: Any = file.model
+    low, high = np.asarray(model.box, float).T if model.box else (0.0, np.nan)
+    start = (low + high) / 2 if model.box else 0.0
     start = start if file.initial_state is None else file.initial_state
     spread = (high - low) / np.sqrt(12) if file.initial_std is None else file.initial_std
     if not np.isfinite(spread).all():

@@ -25,8 +25,8 @@ def observer_gains(sheet: DataSheet, rate: float) -> Gains:
 
 
 @functools.singledispatch
-def estimators(model: MechanicalSystem | StateSpace) -> tuple[str, ...]:
-    """Names of the estimators that fit a model; the first is the one to begin with."""
+def estimators(model: Any) -> tuple[str, ...]:
+    """Names of the estimators that fit a mechanical or state-space model; the first is the one to begin with."""
     return tuple(entry.name for entry in REGISTRY if entry.fits(model))
 
 
@@ -36,7 +36,7 @@ def _(model: StateSpace) -> tuple[str, ...]:
 
 
 @functools.singledispatch
-def with_gains(model: MechanicalSystem | StateSpace, alpha: float, beta: float) -> dict[str, AbstractObserver]:
+def with_gains(model: Any, alpha: float, beta: float) -> dict[str, AbstractObserver]:
     """The observers that take the gains α [1/s] and β [1/s²], by name; none for a state-space model.
 
     Salcudean's observer has α and β exactly only for an inertia that is the same in all directions; otherwise they hold

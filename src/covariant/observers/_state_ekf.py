@@ -103,7 +103,7 @@ class StateEKF(AbstractObserver):
     ) -> tuple[StateEKFState, StateEKFInfo]:
         """Correct by the outputs y. Missing ones (NaN) are left out."""
         x, missing = state.x, jnp.isnan(y)
-        slope = jax.jacfwd(self.model.h, 1)(state.t, x, u)
+        slope: Array = jax.jacfwd(self.model.h, 1)(state.t, x, u)
         innovation = -self.model.output_error(self.model.h(state.t, x, u), y)
         noise = jnp.asarray(self.measurement_cov, x.dtype)
         innovation_cov = slope @ state.cov @ slope.T + noise

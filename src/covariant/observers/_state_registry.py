@@ -72,9 +72,9 @@ def riccati(model: StateSpace, noise: Noise) -> Riccati:
     Raises `ValueError` where the past outputs do not tell these states.
     """
     equation, first = noise.equation, jnp.linalg.inv(noise.start_cov)
-    spread = jnp.sqrt(jnp.diag(noise.start_cov))
+    spread = np.sqrt(np.diag(np.asarray(noise.start_cov)))
     off = np.random.default_rng(0).uniform(-0.5, 0.5, (POINTS, len(spread)))
-    points = noise.start + jnp.asarray(off) * spread
+    points = jnp.asarray(np.asarray(noise.start) + off * spread)
     solve = jax.jit(jax.vmap(lambda x: metric_at(model, equation, x, start=first, tolerance=SETTLED)))
     found = solve(points)
     settled = np.asarray(found.result) == int(Result.OK)
