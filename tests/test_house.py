@@ -24,6 +24,7 @@ PLAN = (
 
 OPTIONAL = (
     "pyarrow",
+    "rosbags",
     "matplotlib",
     "plotly",
     "mujoco",
@@ -50,8 +51,10 @@ PUBLIC = {
     "noise_disturbance observability observer_gain optimal_lyapunov parse projection rate_of rates_along "
     "steady_distance subject tangent_metric tracking trade_off trajectories upper_distance virtual",
     "control": "Backstepping Reference follow lissajous set_point",
-    "design": "ESTIMATORS DataSheet Gains MetricSummary Trial bias contracting_gain estimators filter_bandwidth gains "
+    "design": "ESTIMATORS STATE_ESTIMATORS DataSheet Gains MetricSummary Trial bias contracting_gain estimators "
+    "filter_bandwidth gains "
     "gated jerk_bound joint_noise load_metric metric metric_summary observer_gains predict_errors tuned_estimators "
+    "tuned_state_estimators "
     "usual_speeds window_length with_gains",
     "diagnosis": "Diagnosis Finding diagnose misfit outliers",
     "geometry": "AbstractManifold AbstractMetric AbstractSpace Budget ConstantCurvature Coordinates Euclidean "
@@ -65,7 +68,8 @@ PUBLIC = {
     "interop": "closed_loop observer_system plant",
     "lowering": "FOLD INTERVALS NUMBERS STUMPFF Condition Conditions Derivative Domain Enclosure Graph Interval "
     "Lowered LoweringError Node Truth enclose evaluate expand fulfilled graft lower numbers pairs stumpff substitute",
-    "logs": "ATTITUDES Body Columns Log LogError bodies coordinates matrices read survey to_columns write",
+    "logs": "ATTITUDES MESSAGES OPTIONAL WRITTEN Body Columns Log LogError bodies check_unit coordinates matrices read "
+    "survey to_columns unit_factor write",
     "models": "Family GroupSystem Lagrangian MechanicalSystem ModelError ModelFile MomentumChart Motion Parameter "
     "Parametric StateSpace acceleration advance applied_force ball_and_beam bioreactor body_velocity chart_jacobian "
     "chart_velocity check_metric check_model duffing energy family free_body friction from_recipe heavy_top hovercraft "
@@ -75,12 +79,14 @@ PUBLIC = {
     "models.robots": "BodyInertia Description Follows Joint KinematicTree RobotSpace assemble load read",
     "models.marine": "Craft Station Waves coriolis_matrix cybership euler_rates euler_rotation euler_transform "
     "manoeuvring_ship odin odin_on_group positive_definite supply_vessel surface_ship yaw_rotation",
-    "observers": "EKF PLL REGISTRY UKF AbstractFlowObserver AbstractLinearFilter AbstractMechanicalObserver "
+    "observers": "EKF PLL REGISTRY STATE_REGISTRY UKF AbstractFlowObserver AbstractLinearFilter "
+    "AbstractMechanicalObserver "
     "AbstractObserver Contracting ContractingState Copy Delayed DelayedState EKFInfo EKFState Entry "
     "Estimate FilterInfo FilteredDerivative FilteredState Gate Gated GatedState Geodesic GeodesicInfo GeodesicState "
     "HeldState HighGain Info InformationEKF InformationState Intrinsic IntrinsicKalman JointInfo JointKalman "
-    "JointState KalmanInfo KalmanState Levant LoopState MechanicalState PassiveGains PassiveShip "
-    "Riccati Salcudean SalcudeanState SavitzkyGolay UKFState WindowState continuous craft_observer "
+    "JointState KalmanInfo KalmanState Levant LoopState MechanicalState Noise PassiveGains PassiveShip "
+    "Riccati Salcudean SalcudeanState SavitzkyGolay StateEKF StateEKFInfo StateEKFState StateEntry UKFState "
+    "WindowState continuous craft_observer "
     "lyapunov_gains lyapunov_rate notch_gains printed_rate run second_order with_fixed_substeps",
     "papers.jouffroy_fossen": "COMPASS COUNTEREXAMPLES CROSS DURATION GAPS GNSS K1 K2 KD KP LAMBDA PRINTED_K2 RATE "
     "SETTLED STAGES STEP Loop Scalar Sea draw draw_odin draw_sea odin_box odin_cascade odin_certificate "

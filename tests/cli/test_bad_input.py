@@ -145,15 +145,21 @@ def test_a_bad_argument(folder, monkeypatch, capsys, arguments, named):
     assert all(part in message for part in named), message
 
 
+CHAIN = ("model.toml", "log.csv")
+NOISE = ("--set", "measurement.std=1.0", "--set", "uncertainty.process=1.0")
 WATCHED = ("lorenz", "log.csv", "--q", "q1", "-o", "out/v.csv")
 
 
 @pytest.mark.parametrize(
     ("arguments", "named"),
     [
-        (("estimate", *WATCHED), ["lorenz is a state-space model", "mechanical", "`covariant design metric`"]),
-        (("compare", *WATCHED), ["lorenz is a state-space model", "mechanical", "`covariant design metric`"]),
-        (("estimate", "lorenz", "absent.csv"), ["lorenz is a state-space model"]),
+        (("estimate", *WATCHED), ["lorenz", "measurement.std"]),
+        (("compare", *WATCHED[:-1], "out/c.csv", *NOISE), ["lorenz", "initial.std"]),
+        (("estimate", "lorenz", "absent.csv"), ["absent.csv: no such file"]),
+        (("estimate", *WATCHED, *NOISE, "--alpha", "1", "--beta", "1"), ["do not apply to covariance-ekf"]),
+        (("estimate", *WATCHED, *NOISE, "--observer", "ekf"), ["covariance-ekf, information-ekf, riccati"]),
+        (("estimate", *WATCHED, "--set", "uncertainty.process=[1, 2]"), ["uncertainty.process lists 2", "give 3"]),
+        (("estimate", *CHAIN, "--set", "initial.std=1"), ["initial.std is for a state-space model"]),
         (("simulate", "lorenz", "-o", "out/l.csv", "--q0", "1"), ["--q0 needs 3 finite"]),
         (("simulate", "lorenz", "-o", "out/l.csv", "--v0", "1,2,3"), ["--v0", "no velocities", "--q0"]),
         (("simulate", "lorenz", "-o", "out/l.csv", "--amplitude", "1"), ["--amplitude needs 0 finite"]),

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from covariant.cli._names import CERTIFIED, ESTIMATORS, PAPERS
+from covariant.cli._names import CERTIFIED, ESTIMATORS, PAPERS, STATE_ESTIMATORS, WRITTEN
 
 app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode=None)
 design = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="Design what an observer needs.")
@@ -32,12 +32,14 @@ def covariant(
 
 Model = Annotated[str, typer.Argument(help="Model file (.toml or .urdf), module:attribute, or the name of a system.")]
 LogFile = Annotated[
-    Path, typer.Argument(help="Log to read (.csv or .parquet): stamps, positions or attitudes, inputs.")
+    Path,
+    typer.Argument(help="Log with stamps, positions or attitudes, inputs: .csv, .txt, .parquet, .mcap, a rosbag2."),
 ]
 Override = Annotated[list[str], typer.Option("--set", help="Override a value of the model file, as table.key=value.")]
 Every = Annotated[int, typer.Option(help="Use each k-th row only.", min=1)]
-Until = Annotated[float | None, typer.Option(help="Use the log up to this time only [s].")]
-Time = Annotated[str | None, typer.Option("--t", help="Column of the stamps [s].")]
+From = Annotated[float | None, typer.Option("--from", help="Use the log from this time on only [s since its start].")]
+Until = Annotated[float | None, typer.Option(help="Use the log up to this time only [s since its start].")]
+Time = Annotated[str | None, typer.Option("--t", help="Column of the stamps.")]
 Positions = Annotated[str | None, typer.Option("--q", help="Columns of the coordinates, separated by commas.")]
 Inputs = Annotated[str | None, typer.Option("--u", help="Columns of the inputs, separated by commas.")]
 Velocities = Annotated[str | None, typer.Option("--v", help="Columns of logged velocities, only compared with.")]
@@ -51,14 +53,21 @@ Report = Annotated[Path | None, typer.Option(help="Write an interactive page (.h
 def estimate(
     model: Model,
     log: LogFile,
-    out: Annotated[Path | None, typer.Option("--out", "-o", help="Write the estimate here (.csv or .parquet).")] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help=f"Write the estimate here ({', '.join(WRITTEN)}).")
+    ] = None,
     observer: Annotated[
-        str | None, typer.Option(help=f"One of: {', '.join(ESTIMATORS)}; intrinsic by default.")
+        str | None,
+        typer.Option(
+            help=f"One of: {', '.join(ESTIMATORS)}; intrinsic by default. For a state-space model: "
+            f"{', '.join(STATE_ESTIMATORS)}."
+        ),
     ] = None,
     alpha: Annotated[float | None, typer.Option(help="Gain α [1/s] in place of the designed one.")] = None,
     beta: Annotated[float | None, typer.Option(help="Gain β [1/s²] in place of the designed one.")] = None,
     override: Override = [],  # noqa: B006  typer copies it
     every: Every = 1,
+    start: From = None,
     until: Until = None,
     t: Time = None,
     q: Positions = None,
@@ -77,7 +86,9 @@ def estimate(
     from covariant.cli import _estimate
     from covariant.cli._job import Job
 
-    job = Job(model, log, tuple(override), every, until, {"t": t, "q": q, "u": u, "v": v, "truth": truth}, anyway)
+    job = Job(
+        model, log, tuple(override), every, until, {"t": t, "q": q, "u": u, "v": v, "truth": truth}, anyway, start
+    )
     _estimate.estimate(job, out, observer, alpha, beta, score, report, json)
 
 
@@ -88,6 +99,7 @@ def compare(
     out: Annotated[Path | None, typer.Option("--out", "-o", help="Write the table here (.csv).")] = None,
     override: Override = [],  # noqa: B006  typer copies it
     every: Every = 1,
+    start: From = None,
     until: Until = None,
     t: Time = None,
     q: Positions = None,
@@ -102,7 +114,9 @@ def compare(
     from covariant.cli import _compare
     from covariant.cli._job import Job
 
-    job = Job(model, log, tuple(override), every, until, {"t": t, "q": q, "u": u, "v": v, "truth": truth}, anyway)
+    job = Job(
+        model, log, tuple(override), every, until, {"t": t, "q": q, "u": u, "v": v, "truth": truth}, anyway, start
+    )
     _compare.compare(job, out, report, json)
 
 
@@ -112,6 +126,7 @@ def check(
     log: LogFile,
     override: Override = [],  # noqa: B006  typer copies it
     every: Every = 1,
+    start: From = None,
     until: Until = None,
     t: Time = None,
     q: Positions = None,
@@ -122,7 +137,7 @@ def check(
     from covariant.cli import _check
     from covariant.cli._job import Job
 
-    _check.check(Job(model, log, tuple(override), every, until, {"t": t, "q": q, "u": u}, anyway=True), json)
+    _check.check(Job(model, log, tuple(override), every, until, {"t": t, "q": q, "u": u}, True, start), json)
 
 
 @app.command()
@@ -146,6 +161,7 @@ def fit(
     ] = None,
     override: Override = [],  # noqa: B006  typer copies it
     every: Every = 1,
+    start: From = None,
     until: Until = None,
     t: Time = None,
     q: Positions = None,
@@ -161,7 +177,7 @@ def fit(
     from covariant.cli._job import Job
 
     columns = {"t": t, "q": q, "u": u, "v": None, "truth": None}
-    jobs = [Job(model, log, tuple(override), every, until, columns, anyway) for log in log_files]
+    jobs = [Job(model, log, tuple(override), every, until, columns, anyway, start) for log in log_files]
     _fit.fit_model(jobs, parameters, out, overwrite, horizon, json)
 
 
@@ -184,7 +200,7 @@ def init(
 @app.command()
 def simulate(
     model: Model,
-    out: Annotated[Path, typer.Option("--out", "-o", help="Log to write (.csv or .parquet).")],
+    out: Annotated[Path, typer.Option("--out", "-o", help=f"Log to write ({', '.join(WRITTEN)}).")],
     duration: Annotated[float, typer.Option(help="Length [s].", min=0.0)] = 10.0,
     rate: Annotated[float, typer.Option(help="Samples a second [Hz].")] = 500.0,
     q0: Annotated[

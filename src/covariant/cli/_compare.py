@@ -18,13 +18,16 @@ from covariant.cli._job import (
     as_read,
     check_output,
     coordinates,
+    innovation_units,
     load,
     log_sheet,
-    velocity_columns,
+    sought_columns,
 )
 from covariant.cli._pages import write_report
 from covariant.cli._results import Outcome, drive, report_arrays, summary
+from covariant.cli._states import said_of_states, tuned_states
 from covariant.design import Trial, observer_gains, tuned_estimators
+from covariant.observers import AbstractObserver
 from covariant.scoring import unwrap
 
 SHORTEST_TRIAL = 200
@@ -40,38 +43,51 @@ def compare(job: Job, out: Path | None, report: Path | None, as_json: bool) -> N
     check_output(out, ".csv", log=job.log)
     check_output(report, ".html")
     loaded = load(job)
-    reference = loaded.reference
-    assert reference is not None  # it was asked for
-    sheet = log_sheet(loaded)
-    trial = first_part(loaded, reference)
-    observers = as_read(tuned_estimators(loaded.model, loaded.file.dimension, sheet, loaded.rate, trial), loaded)
+    observers, note = line_up(loaded)
     outcomes: dict[str, Outcome] = {}
     with stages("comparing", len(observers), quiet=as_json) as begin:
         for name, observer in observers.items():
             begin(name)
             outcomes[name] = drive(observer, loaded, timed=True)
-    ranked = rank(outcomes, reference)
+    ranked = rank(outcomes, loaded)
     rows = tuple(_row(name, outcomes[name], loaded) for name in ranked)
+    what = loaded.model.sought.what
+    result: dict[str, Any] = {
+        "model": job.model,
+        "log": str(job.log),
+        "scored_against": scored_against(loaded),
+        "design": note,
+        "ranking": [{"estimator": name, **summary(outcomes[name], what)} for name in ranked],
+    }
+    if report is not None:
+        curves = report_arrays({name: outcomes[name] for name in ranked})
+        title = f"Estimators compared: {Path(job.model).stem}, {job.log.name}"
+        result["report"] = [str(p) for p in write_report(report, title, loaded, curves, (note,), rows)]
+    if out is not None:
+        write_atomically(out, lambda file: file.write(_table(ranked, outcomes, loaded)))
+        result["out"] = str(out)
+    print(json.dumps(result) if as_json else _text(result, rows, what if loaded.reference else "prediction"))
+
+
+def line_up(loaded: Loaded) -> tuple[dict[str, AbstractObserver], str]:
+    """The observers that are compared by name, and sentences on how they are tuned."""
+    if not loaded.file.mechanical:
+        return as_read(tuned_states(loaded), loaded), said_of_states(loaded)
+    reference = loaded.reference
+    assert reference is not None  # it was asked for
+    sheet = log_sheet(loaded)
+    trial = first_part(loaded, reference)
     note = f"All tuned from one data sheet; the observers have {observer_gains(sheet, loaded.rate).summary}."
     note += loaded.note
     if trial is not None:
         end = trial.t[-1] - np.asarray(loaded.record.t)[0]
         note += f" Filters that know no model are those that are best on the first {end:.3g} s of this very log."
-    result: dict[str, Any] = {
-        "model": job.model,
-        "log": str(job.log),
-        "scored_against": reference.label,
-        "design": note,
-        "ranking": [{"estimator": name, **summary(outcomes[name])} for name in ranked],
-    }
-    if out is not None:
-        write_atomically(out, lambda file: file.write(_table(ranked, outcomes, velocity_columns(loaded.file))))
-        result["out"] = str(out)
-    if report is not None:
-        curves = report_arrays({name: outcomes[name] for name in ranked})
-        title = f"Estimators compared: {Path(job.model).stem}, {job.log.name}"
-        result["report"] = [str(p) for p in write_report(report, title, loaded, curves, (note,), rows)]
-    print(json.dumps(result) if as_json else _text(result, rows))
+    return as_read(tuned_estimators(loaded.model, loaded.file.dimension, sheet, loaded.rate, trial), loaded), note
+
+
+def scored_against(loaded: Loaded) -> str:
+    """What errors are errors against: without a reference, the measured outputs, predicted one sample ahead."""
+    return "outputs, one sample ahead" if loaded.reference is None else loaded.reference.label
 
 
 def first_part(loaded: Loaded, reference: ReferenceVelocity) -> Trial | None:
@@ -90,9 +106,13 @@ def first_part(loaded: Loaded, reference: ReferenceVelocity) -> Trial | None:
     return Trial(t[part], y, reference.v[part])
 
 
-def rank(outcomes: dict[str, Outcome], reference: ReferenceVelocity) -> list[str]:
-    """Names in order of velocity error, each coordinate relative to the size of its velocities; diverged ones last."""
-    scale = np.sqrt(np.mean(reference.v[reference.scored] ** 2, axis=0))
+def rank(outcomes: dict[str, Outcome], loaded: Loaded) -> list[str]:
+    """Names in order of error, each column relative to the size of what it is an error of; diverged ones last."""
+    reference = loaded.reference
+    if reference is None:
+        scale = np.nanstd(np.asarray(loaded.record.y), axis=0)
+    else:
+        scale = np.sqrt(np.mean(reference.v[reference.scored] ** 2, axis=0))
 
     def badness(name: str) -> float:
         relative = rmse(outcomes[name]) / np.where(scale > 0, scale, 1.0)
@@ -103,41 +123,47 @@ def rank(outcomes: dict[str, Outcome], reference: ReferenceVelocity) -> list[str
 
 
 def _row(name: str, outcome: Outcome, loaded: Loaded) -> dict[str, str | float]:
-    form = "RMSE {} [{}]" if loaded.model.velocities else "RMSE d{}/dt [{}/s]"
+    form = "RMSE {} [{}]" if loaded.model.sought.names else "RMSE d{}/dt [{}/s]"
+    labels, units = coordinates(loaded.file)
+    if loaded.reference is None:
+        labels, units = loaded.file.columns.q, innovation_units(loaded.file)
     errors = {
-        form.format(label, unit): float(value)
-        for label, unit, value in zip(*coordinates(loaded.file), rmse(outcome), strict=True)
+        form.format(label, unit).removesuffix(" []"): float(value)
+        for label, unit, value in zip(labels, units, rmse(outcome), strict=True)
     }
     return {"estimator": name, **errors, **consistency(outcome), "µs a sample": round(outcome.microseconds, 1)}
 
 
 def rmse(outcome: Outcome) -> np.ndarray:
-    assert outcome.score is not None  # a comparison always has a reference
-    return outcome.score.rmse
+    """Errors of what is scored: of the velocities or states, and without a reference of the predicted outputs."""
+    if outcome.score is not None:
+        return outcome.score.rmse
+    innovation = np.asarray(outcome.run.info.innovation)
+    return np.sqrt(np.mean(innovation[len(innovation) // 10 :] ** 2, axis=0))
 
 
 def consistency(outcome: Outcome) -> dict[str, float]:
     """Normalised squares of innovations and of velocity errors, where 1 is expected; NaN for an estimator without."""
-    assert outcome.score is not None
-    return {"NIS": outcome.nis, "NEES": outcome.score.nees}
+    return {"NIS": outcome.nis, "NEES": math.nan if outcome.score is None else outcome.score.nees}
 
 
-def _table(ranked: list[str], outcomes: dict[str, Outcome], velocities: tuple[str, ...]) -> bytes:
+def _table(ranked: list[str], outcomes: dict[str, Outcome], loaded: Loaded) -> bytes:
     """The ranking as CSV."""
+    scored = sought_columns(loaded.file) if loaded.reference else loaded.file.columns.q
     text = io.StringIO()
     rows = csv.writer(text, lineterminator="\n")
-    rows.writerow(["rank", "estimator", *(f"{name}_rmse" for name in velocities), "nis", "nees", "microseconds"])
+    rows.writerow(["rank", "estimator", *(f"{name}_rmse" for name in scored), "nis", "nees", "microseconds"])
     for place, name in enumerate(ranked, start=1):
         told = ["" if math.isnan(value) else value for value in consistency(outcomes[name]).values()]
         rows.writerow([place, name, *rmse(outcomes[name]), *told, outcomes[name].microseconds])
     return text.getvalue().encode()
 
 
-def _text(result: dict[str, Any], rows: tuple[dict[str, str | float], ...]) -> str:
+def _text(result: dict[str, Any], rows: tuple[dict[str, str | float], ...], what: str) -> str:
     from covariant.report import table
 
     lines = [
-        f"{result['log']}, velocity errors against the {result['scored_against']}",
+        f"{result['log']}, {what} errors against the {result['scored_against']}",
         result["design"],
         "",
         table(rows),

@@ -18,12 +18,21 @@ from covariant.cli._job import (
     load,
     log_sheet,
     numbered,
-    velocity_columns,
-    velocity_units,
+    sought_columns,
+    sought_units,
 )
 from covariant.cli._pages import write_report
-from covariant.cli._results import Outcome, drive, known, report_arrays, rounded, summary
-from covariant.design import ESTIMATORS, estimators, gated, observer_gains, tuned_estimators, with_gains
+from covariant.cli._results import Outcome, deviations, drive, known, report_arrays, rounded, summary
+from covariant.cli._states import said_of_states, tuned_states
+from covariant.design import (
+    ESTIMATORS,
+    STATE_ESTIMATORS,
+    estimators,
+    gated,
+    observer_gains,
+    tuned_estimators,
+    with_gains,
+)
 from covariant.observers import AbstractObserver
 from covariant.scoring import rmse
 
@@ -43,7 +52,7 @@ def estimate(
     Its velocities are scored where `score` asks for it, and where the log has true ones.
     """
     _check(observer, alpha, beta)
-    check_output(out, ".csv", ".parquet", log=job.log)
+    check_output(out, *logs.WRITTEN, log=job.log)
     check_output(report, ".html")
     with working("reading", quiet=as_json):
         loaded = load(job, score)
@@ -54,18 +63,20 @@ def estimate(
     result = _result(job, loaded, observer, outcome, notes)
     if outcome.failed:
         raise ValueError(f"{job.log}: the estimate left the finite numbers; lower the gains or check model and units")
-    if out is not None:
-        logs.write(out, columns(loaded, outcome))
-        result["out"] = str(out)
     if report is not None:
         curves, said = report_arrays({observer: outcome}), (*notes, *_found(result, loaded))
-        result["report"] = [str(p) for p in write_report(report, _title(job), loaded, curves, said)]
+        title = _title(job, loaded.model.sought.what)
+        result["report"] = [str(p) for p in write_report(report, title, loaded, curves, said)]
+    if out is not None:
+        logs.write(out, columns(loaded, outcome, out), loaded.log.origin_ns)
+        result["out"] = str(out)
     print(json.dumps(result) if as_json else _text(result, loaded))
 
 
 def _check(observer: str | None, alpha: float | None, beta: float | None) -> None:
-    if observer is not None and observer not in ESTIMATORS:
-        raise ValueError(f"unknown observer {observer!r}; choose one of {', '.join(ESTIMATORS)}")
+    known_ones = (*ESTIMATORS, *STATE_ESTIMATORS)
+    if observer is not None and observer not in known_ones:
+        raise ValueError(f"unknown observer {observer!r}; choose one of {', '.join(known_ones)}")
     if (alpha is None) != (beta is None):
         raise ValueError("--alpha and --beta belong together: give both or neither")
     if alpha is not None and beta is not None and not (0 < alpha < math.inf and 0 < beta < math.inf):
@@ -81,7 +92,7 @@ def _choose(
     if alpha is not None and beta is not None:
         made = with_gains(model, alpha, beta)
         if observer not in made:
-            raise ValueError(f"--alpha and --beta do not apply to {observer}; they do to {', '.join(made)}")
+            raise ValueError(f"--alpha and --beta do not apply to {observer}; they do to {', '.join(made) or 'none'}")
         given = f"Given gains: alpha = {alpha:g} 1/s, beta = {beta:g} 1/s²."
         if loaded.file.measurement_std is None or loaded.file.acceleration_std is None:
             return as_read(made, loaded)[observer], (
@@ -89,6 +100,8 @@ def _choose(
             )
         behind = {observer: gated(made[observer], model, log_sheet(loaded))}
         return as_read(behind, loaded)[observer], (given,)
+    if not loaded.file.mechanical:
+        return as_read(tuned_states(loaded, (observer,)), loaded)[observer], (said_of_states(loaded),)
     sheet = log_sheet(loaded)
     designed = observer_gains(sheet, loaded.rate).summary
     made = tuned_estimators(model, loaded.file.dimension, sheet, loaded.rate, names=(observer,))
@@ -98,22 +111,30 @@ def _choose(
     return as_read(made, loaded)[observer], (f"Designed {designed}.{loaded.note}{unused}",)
 
 
-def columns(loaded: Loaded, outcome: Outcome) -> dict[str, np.ndarray]:
+def columns(loaded: Loaded, outcome: Outcome, out: Path) -> dict[str, np.ndarray]:
     """The columns of an output file: t, q1…, v1…; on a group t, the configuration as in the log, and the velocities.
+
+    In messages of ROS coordinates are joints by their names in the log: shoulder/position, shoulder/velocity….
 
     A filter that knows how accurate it is adds the standard deviations of the velocities, v1_std…. One that estimates
     the external force adds external_force1… and external_force1_std….
     """
     file, x = loaded.file, outcome.run.estimate
-    if not file.model.manifold.commuting:
+    joints = {}
+    if file.mechanical and file.model.manifold.commuting and out.suffix in logs.MESSAGES:
+        named = [name.removesuffix("/position") for name in file.columns.q]
+        joints = {field: tuple(f"{name}/{field}" for name in named) for field in ("position", "velocity")}
+    if not file.mechanical:
+        configuration = {}
+    elif not file.model.manifold.commuting:
         configuration = logs.to_columns(file.columns, np.asarray(x.q))
     else:
         q = np.split(np.asarray(x), 2, axis=1)[0]
-        configuration = dict(zip(numbered("q", file.dimension), q.T, strict=True))
+        configuration = dict(zip(joints.get("position") or numbered("q", file.dimension), q.T, strict=True))
     found = {"t": np.asarray(outcome.run.t)} | configuration
     forces = numbered("external_force", file.dimension)
     for names, values, std in (
-        (velocity_columns(file), outcome.velocity, known(outcome.run.info, "velocity_std")),
+        (joints.get("velocity") or sought_columns(file), outcome.velocity, deviations(outcome.run.info)),
         (forces, *(known(outcome.run.info, name) for name in ("external_force", "external_force_std"))),
     ):
         for suffix, each in (("", values), ("_std", std)):
@@ -129,9 +150,10 @@ def _result(job: Job, loaded: Loaded, observer: str, outcome: Outcome, notes: tu
         "log": str(job.log),
         "observer": observer,
         "rows": len(outcome.run.t),
+        **({} if loaded.origin is None else {"t_counts_from": loaded.origin}),
         **({} if reference is None else {"scored_against": reference.label}),
         "design": notes[0],
-        **summary(outcome),
+        **summary(outcome, loaded.model.sought.what),
     }
     if reference is not None and logged is not None:
         both = reference.scored & np.isfinite(logged).all(1)
@@ -143,11 +165,12 @@ def _result(job: Job, loaded: Loaded, observer: str, outcome: Outcome, notes: tu
 def _text(result: dict[str, Any], loaded: Loaded) -> str:
     lines = [
         f"{result['log']}: {result['rows']} rows, {result['observer']} observer",
+        *([f"t counts from {result['t_counts_from']}"] if "t_counts_from" in result else []),
         result["design"],
         *_found(result, loaded),
     ]
     if "logged_velocity_rmse" in result:
-        speeds = _with_units(result["logged_velocity_rmse"], velocity_units(loaded.file))
+        speeds = _with_units(result["logged_velocity_rmse"], sought_units(loaded.file))
         lines.append(f"the same for the velocity in the log: {speeds}")
     for name, count in result["results"].items():
         if name != "ok":
@@ -159,9 +182,10 @@ def _text(result: dict[str, Any], loaded: Loaded) -> str:
 def _found(result: dict[str, Any], loaded: Loaded) -> list[str]:
     """Sentences on the errors, and on the innovations, which need no reference."""
     lines = []
-    if "velocity_rmse" in result:
-        errors = _with_units(result["velocity_rmse"], velocity_units(loaded.file))
-        lines.append(f"velocity RMSE against the {result['scored_against']}: {errors}")
+    what = loaded.model.sought.what
+    if f"{what}_rmse" in result:
+        errors = _with_units(result[f"{what}_rmse"], sought_units(loaded.file))
+        lines.append(f"{what} RMSE against the {result['scored_against']}: {errors}")
     lines.append(f"innovation RMS: {_with_units(result['innovation_rms'], innovation_units(loaded.file))}")
     told = [f"{name.upper()} {result[name]:.3g}" for name in ("nis", "nees") if result.get(name) is not None]
     if told:
@@ -174,5 +198,5 @@ def _with_units(values: list[float | None], units: tuple[str, ...]) -> str:
     return ", ".join(written)
 
 
-def _title(job: Job) -> str:
-    return f"Velocities of {Path(job.model).stem} from {job.log.name}"
+def _title(job: Job, what: str) -> str:
+    return f"{'States' if what == 'state' else 'Velocities'} of {Path(job.model).stem} from {job.log.name}"

@@ -10,7 +10,7 @@ import numpy as np
 from covariant import logs, models, scoring
 from covariant.design import DataSheet, usual_speeds
 from covariant.diagnosis import misfit, outliers
-from covariant.models import MechanicalSystem
+from covariant.models import MechanicalSystem, StateSpace
 from covariant.observers import REGISTRY, AbstractObserver, Delayed
 from covariant.signals import Record, acting_inputs, lag_inputs
 
@@ -25,7 +25,7 @@ OFF_TICK = 0.1
 class Job(NamedTuple):
     """The arguments of a command; `columns` maps t, q, u, v, truth to names separated by commas, or None.
 
-    `anyway`: go on with a log that does not fit the model at all.
+    `anyway`: go on with a log that does not fit the model at all. `start`, `until` [s]: since the log's first row.
     """
 
     model: str
@@ -35,6 +35,7 @@ class Job(NamedTuple):
     until: float | None
     columns: dict[str, str | None]
     anyway: bool = False
+    start: float | None = None
 
 
 class ReferenceVelocity(NamedTuple):
@@ -49,34 +50,44 @@ class Loaded(NamedTuple):
     """The model and log of a job, what its velocities are scored against where that was asked for, and a note."""
 
     file: models.ModelFile
-    model: MechanicalSystem
+    model: MechanicalSystem | StateSpace
     log: logs.Log
     record: Record
     rate: float
     reference: ReferenceVelocity | None
     note: str = ""
 
+    @property
+    def origin(self) -> str | None:
+        """The date from which the stamps count, where the log has dates or times since 1970."""
+        ns = self.log.origin_ns
+        return None if ns is None else f"{np.datetime64(ns, 'ns')}Z"
 
-def load(job: Job, score: bool = True, why: str = "velocities are estimated for") -> Loaded:
+
+def load(job: Job, score: bool = True, why: str = "") -> Loaded:
     """Read model and log, with a reference where `score` asks for one or the log has the true velocities.
 
-    `why`: what mechanical models are needed for. A log that does not fit the model at all is refused with a line on
-    standard error and exit code 1. Raises `ValueError` or `OSError` with one line for the user.
+    `why`: what mechanical models are needed for, where they are. A log that does not fit the model at all is refused
+    with a line on standard error and exit code 1. Raises `ValueError` or `OSError` with one line for the user.
     """
     file = models.load(job.model, job.overrides)
-    model = file.need_mechanical(job.model, why)
+    model = file.need_mechanical(job.model, why) if why else file.model
     given = {key: names.strip() for key, names in job.columns.items() if names is not None}
     columns = file.columns._replace(
-        **{key: names if key == "t" else tuple(n.strip() for n in names.split(",")) for key, names in given.items()}
+        **{
+            key: names if key == "t" else tuple(n.strip() for n in names.split(",") if names)
+            for key, names in given.items()
+        }
     )
     _check_columns(job, file, columns)
     file = file._replace(columns=columns)
-    log = logs.read(job.log, columns, job.every, job.until)
+    optional = [field for field in logs.OPTIONAL if not given.get(field)]
+    log = logs.read(job.log, columns, job.every, job.until, job.start, optional)
     if not job.anyway:
         _refuse_misfit(job, file, log.record)
     record = acting_inputs(lag_inputs(log.record, file.input_lag), file.input_between, file.input_delay)
     t, y = np.asarray(record.t), np.asarray(record.y)
-    if model.manifold.commuting:
+    if model.manifold.commuting and file.mechanical:
         measured = y[np.isfinite(y).all(axis=1)]
         try:
             models.check_metric(model, measured[:: max(1, len(measured) // 20)])
@@ -85,9 +96,10 @@ def load(job: Job, score: bool = True, why: str = "velocities are estimated for"
     file, note = _in_ticks(file, y)
     reference = None
     if log.truth is not None:
-        reference = ReferenceVelocity(log.truth, "true velocity", scoring.scored_window(t))
-    elif score:
-        full = logs.read(job.log, columns._replace(u=(), v=())) if job.every > 1 or job.until else log
+        reference = ReferenceVelocity(log.truth, f"true {model.sought.what}", scoring.scored_window(t))
+    elif score and file.mechanical:  # the slopes of outputs are no states
+        whole = (job.every, job.until, job.start) == (1, None, None)
+        full = log if whole else logs.read(job.log, columns._replace(u=(), v=()))
         reference = ReferenceVelocity(*_slopes(file, log, full), scoring.scored_window(t))
     return Loaded(file, model, log, record, 1 / float(np.median(np.diff(t))), reference, note + _told(file))
 
@@ -100,6 +112,8 @@ def as_read(observers: Mapping[str, AbstractObserver], loaded: Loaded) -> dict[s
     longest = float(np.max(loaded.file.delay))
     if longest == 0:
         return dict(observers)
+    if not loaded.file.mechanical:
+        raise ValueError(f"{loaded.file.name}: readings that are late are made up for in mechanical models only")
     t = np.asarray(loaded.record.t)
     within = np.searchsorted(t, t + longest, side="right") - np.arange(len(t))
     rate = float(within.max()) / longest
@@ -218,6 +232,8 @@ def check_output(path: Path | None, *suffixes: str, log: Path | None = None) -> 
         return
     if path.suffix not in suffixes:
         raise ValueError(f"{path}: the file to write must end in {' or '.join(suffixes)}")
+    if path.is_dir():
+        raise ValueError(f"{path}: there is a folder of this name, and it is not replaced; give another name")
     if not path.parent.is_dir():
         raise ValueError(f"{path}: there is no folder {path.parent}; make it first")
     if log is not None and path.exists() and log.exists() and path.samefile(log):
@@ -252,28 +268,29 @@ def log_sheet(loaded: Loaded) -> DataSheet:
 
 
 def coordinates(file: models.ModelFile) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Names and units of the coordinates, or on a group of the velocities, for printing."""
-    if file.model.velocities:
-        return file.model.velocities, file.model.velocity_units
+    """Names and units of the coordinates, or on a group of the velocities, or of the states, for printing."""
+    if file.model.sought.names:
+        return file.model.sought.names, file.model.sought.units
     names = file.model.coordinates or numbered("q", file.dimension)
     return names, file.model.units or ("",) * len(names)
 
 
-def velocity_units(file: models.ModelFile) -> tuple[str, ...]:
-    """Units of the velocities."""
-    units = coordinates(file)[1]
-    return units if file.model.velocities else tuple(f"{unit or '1'}/s" for unit in units)
+def sought_units(file: models.ModelFile) -> tuple[str, ...]:
+    """Units of the velocities, or of the states of a state-space model."""
+    return file.model.sought.units or ("1/s",) * file.dimension
 
 
 def innovation_units(file: models.ModelFile) -> tuple[str, ...]:
     """Units of the innovations: those of the coordinates; on a group, of a velocity times a second."""
     units = coordinates(file)[1]
+    if not file.mechanical:  # a model does not say them of its outputs
+        return ("",) * len(file.columns.q)
     return tuple(f"{unit} s".replace("/s s", "").strip() for unit in units) if file.model.velocities else units
 
 
-def velocity_columns(file: models.ModelFile) -> tuple[str, ...]:
-    """Names of the velocities in an output file: those of the model, or v1, v2, …"""
-    return file.model.velocities or numbered("v", file.dimension)
+def sought_columns(file: models.ModelFile) -> tuple[str, ...]:
+    """Names of the velocities in an output file: those of the model, or v1, v2, …; or names of the states."""
+    return file.model.sought.names or numbered("v", file.dimension)
 
 
 def numbered(letter: str, count: int) -> tuple[str, ...]:

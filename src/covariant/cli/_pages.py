@@ -19,12 +19,15 @@ def write_report(
     y = np.asarray(loaded.record.y)
     missing = int(np.isnan(y.reshape(len(y), -1)).any(1).sum())
     drawn = scoring.unwrap(y, loaded.model.circles) if loaded.model.manifold.commuting else None
+    if not loaded.file.mechanical:  # the panels are those of the states, and the outputs are others
+        drawn, curves = None, {"estimates": curves["estimates"]}
     notes = (
         *notes,
         f"{len(y)} samples at about {loaded.rate:.0f} Hz, {missing} of them coasted without a measurement.",
     )
     report = EstimateReport(
         title=title,
+        estimated=loaded.model.sought.what,
         coordinates=names,
         units=units,
         t=np.asarray(loaded.record.t),

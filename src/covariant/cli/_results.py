@@ -12,12 +12,12 @@ from covariant.cli._job import Loaded, ReferenceVelocity
 from covariant.observers import AbstractObserver, run
 from covariant.signals import Result, Run
 
-KEPT = ("innovation", "distance", "result", "nis", "velocity_std", "external_force", "external_force_std")
+KEPT = ("innovation", "distance", "result", "nis", "velocity_std", "state_std", "external_force", "external_force_std")
 """What the commands use of the info of an observer."""
 
 
 class Score(NamedTuple):
-    """How far velocities are from a reference: root mean square errors (n,), and NEES where the filter knows its own.
+    """How far velocities or states are from a reference: root mean square errors (n,), and NEES of a filter that knows.
 
     `nees` is the mean of the squared errors over their variances, for each velocity: 1 is expected.
     """
@@ -27,7 +27,8 @@ class Score(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """A run, its velocities (T, n), their score where there is a reference, and the compiled time a sample [µs].
+    """A run, its velocities or states (T, n), their score where there is a reference, and the compiled time a sample
+    [µs].
 
     `nis` is the mean normalised innovation squared for each measured number, NaN for an observer without a covariance;
     1 is expected.
@@ -58,7 +59,7 @@ def drive(observer: AbstractObserver, loaded: Loaded, timed: bool = False) -> Ou
         began = time.perf_counter()
         jax.block_until_ready(run(observer, loaded.record, KEPT))
         spent = min(spent, time.perf_counter() - began)
-    velocity = np.asarray(loaded.model.motion(done.estimate).v)
+    velocity = np.asarray(loaded.model.sought.of(done.estimate))
     score = None if loaded.reference is None else _score(velocity, done.info, loaded.reference)
     return Outcome(done, velocity, _nis(done.info, loaded), score, 1e6 * spent / len(done.t) if timed else math.nan)
 
@@ -68,9 +69,15 @@ def known(info: Any, name: str) -> np.ndarray | None:
     return np.asarray(getattr(info, name)) if name in info._fields else None
 
 
+def deviations(info: Any) -> np.ndarray | None:
+    """Standard deviations of velocities or states that a filter knows of its own; None for another observer."""
+    found = [known(info, name) for name in ("velocity_std", "state_std")]
+    return next((std for std in found if std is not None), None)
+
+
 def _score(velocity: np.ndarray, info: Any, reference: ReferenceVelocity) -> Score:
     off = velocity[reference.scored] - reference.v[reference.scored]
-    std = known(info, "velocity_std")
+    std = deviations(info)
     nees = math.nan if std is None else float(np.mean((off / std[reference.scored]) ** 2))
     return Score(np.sqrt(np.mean(off**2, axis=0)), nees)
 
@@ -87,10 +94,10 @@ def _nis(info: Any, loaded: Loaded) -> float:
     return float(nis[taken].sum() / count) if count else math.nan
 
 
-def summary(outcome: Outcome) -> dict[str, Any]:
-    """The numbers of an outcome as JSON data."""
+def summary(outcome: Outcome, what: str = "velocity") -> dict[str, Any]:
+    """The numbers of an outcome as JSON data, with the error of what is estimated."""
     innovation = np.asarray(outcome.run.info.innovation)
-    scored = {} if outcome.score is None else {"velocity_rmse": rounded(outcome.score.rmse)}
+    scored = {} if outcome.score is None else {f"{what}_rmse": rounded(outcome.score.rmse)}
     found = {"nis": outcome.nis} | ({} if outcome.score is None else {"nees": outcome.score.nees})
     return {
         **scored,

@@ -11,7 +11,7 @@ import numpy as np
 from covariant import logs, models, simulation
 from covariant._numbers import number
 from covariant.cli._console import working
-from covariant.cli._job import check_output, velocity_columns
+from covariant.cli._job import check_output, sought_columns
 from covariant.models import Motion
 from covariant.signals import Record
 
@@ -37,7 +37,7 @@ class Scenario(NamedTuple):
 
 def simulate(model: str, overrides: tuple[str, ...], out: Path, scenario: Scenario, as_json: bool) -> None:
     """Simulate and measure; write t, measured configurations or outputs, the inputs, and the true state as true_…."""
-    check_output(out, ".csv", ".parquet")
+    check_output(out, *logs.WRITTEN)
     file = models.load(model, overrides)
     names, m = _columns(file), len(file.columns.u)
     x0 = _start(file, scenario)
@@ -67,7 +67,7 @@ def simulate(model: str, overrides: tuple[str, ...], out: Path, scenario: Scenar
     columns |= dict(zip(names.u, np.asarray(record.u).T, strict=True))
     configuration, hidden = _truth(file, names, record)
     columns |= {f"true_{name}": column for name, column in (configuration | hidden).items()}
-    logs.write(out, columns)
+    logs.write(out, _in_units(names, columns, tuple(hidden), out.suffix in logs.MESSAGES))
     truth = ",".join(f"true_{name}" for name in hidden)
     result = {"model": model, "rows": len(t), "out": str(out), "truth_columns": truth}
     use = "the true state is in" if not file.mechanical else "score against --truth"
@@ -98,8 +98,21 @@ def _truth(file: models.ModelFile, names: logs.Columns, record: Record) -> tuple
     x = record.x
     if not file.mechanical:
         return {}, dict(zip(file.model.coordinates, np.asarray(x).T, strict=True))
-    velocities = dict(zip(velocity_columns(file), np.asarray(model.motion(x).v).T, strict=True))
+    velocities = dict(zip(sought_columns(file), np.asarray(model.motion(x).v).T, strict=True))
     return logs.to_columns(names, np.asarray(record.y)), velocities
+
+
+def _in_units(
+    names: logs.Columns, columns: dict[str, np.ndarray], hidden: tuple[str, ...], messages: bool
+) -> dict[str, np.ndarray]:
+    """The columns in the units that the model file gives its logs; messages of ROS have a clock of their own."""
+    fields = {"t": () if messages else (names.t,), "q": names.q, "u": names.u}
+    fields |= {"position": names.position, "angle": names.angle}
+    units = {name: names.unit_of(field, i) for field, each in fields.items() for i, name in enumerate(each)}
+    units |= {f"true_{name}": unit for name, unit in units.items()}
+    units |= {f"true_{name}": names.unit_of("truth", i) for i, name in enumerate(hidden)}
+    factors = {name: logs.unit_factor(unit) for name, unit in units.items() if unit is not None}
+    return {name: column / factors[name] if name in factors else column for name, column in columns.items()}
 
 
 def _sense(model: Any, sensor: simulation.Sensor, y: np.ndarray, seed: int) -> np.ndarray:

@@ -2,7 +2,16 @@
 
 from covariant.design._contracting import contracting_gain
 from covariant.design._data_sheet import DataSheet, Trial
-from covariant.design._estimators import ESTIMATORS, estimators, gated, observer_gains, tuned_estimators, with_gains
+from covariant.design._estimators import (
+    ESTIMATORS,
+    STATE_ESTIMATORS,
+    estimators,
+    gated,
+    observer_gains,
+    tuned_estimators,
+    tuned_state_estimators,
+    with_gains,
+)
 from covariant.design._filters import filter_bandwidth, jerk_bound, joint_noise, window_length
 from covariant.design._gains import Gains, bias, gains, predict_errors
 from covariant.design._metric import MetricSummary, load_metric, metric, metric_summary
@@ -10,6 +19,7 @@ from covariant.design._speeds import usual_speeds
 
 __all__ = [
     "ESTIMATORS",
+    "STATE_ESTIMATORS",
     "DataSheet",
     "Gains",
     "MetricSummary",
@@ -28,6 +38,7 @@ __all__ = [
     "observer_gains",
     "predict_errors",
     "tuned_estimators",
+    "tuned_state_estimators",
     "usual_speeds",
     "window_length",
     "with_gains",

@@ -1,5 +1,6 @@
 """All estimators for the same task, tuned from the same data sheet for the least predicted velocity error."""
 
+import functools
 from collections.abc import Callable, Collection
 from typing import Any, NamedTuple
 
@@ -9,11 +10,13 @@ import numpy as np
 from covariant.design._data_sheet import DataSheet, Trial
 from covariant.design._filters import filter_bandwidth, jerk_bound, joint_noise, polynomial
 from covariant.design._gains import Gains, gains
-from covariant.models import MechanicalSystem
-from covariant.observers import REGISTRY, AbstractObserver, Entry, Gated
+from covariant.models import MechanicalSystem, StateSpace
+from covariant.observers import REGISTRY, STATE_REGISTRY, AbstractObserver, Entry, Gated, Noise
 
 ESTIMATORS = tuple(entry.name for entry in REGISTRY)
-"""Names of all estimators: those in `covariant.observers.REGISTRY`."""
+"""Names of all estimators of mechanical systems: those in `covariant.observers.REGISTRY`."""
+STATE_ESTIMATORS = tuple(entry.name for entry in STATE_REGISTRY)
+"""Names of all estimators of state-space models: those in `covariant.observers.STATE_REGISTRY`."""
 
 
 def observer_gains(sheet: DataSheet, rate: float) -> Gains:
@@ -21,19 +24,31 @@ def observer_gains(sheet: DataSheet, rate: float) -> Gains:
     return gains(sheet.measurement_std, rate, sheet.acceleration_std, sheet.correlation_time, sheet.damping)
 
 
-def estimators(model: MechanicalSystem) -> tuple[str, ...]:
-    """Names of the estimators that fit a model; the first is the one to begin with."""
+@functools.singledispatch
+def estimators(model: Any) -> tuple[str, ...]:
+    """Names of the estimators that fit a mechanical or state-space model; the first is the one to begin with."""
     return tuple(entry.name for entry in REGISTRY if entry.fits(model))
 
 
-def with_gains(model: MechanicalSystem, alpha: float, beta: float) -> dict[str, AbstractObserver]:
-    """The observers that take the gains α [1/s] and β [1/s²], by name.
+@estimators.register
+def _(model: StateSpace) -> tuple[str, ...]:
+    return STATE_ESTIMATORS
+
+
+@functools.singledispatch
+def with_gains(model: Any, alpha: float, beta: float) -> dict[str, AbstractObserver]:
+    """The observers that take the gains α [1/s] and β [1/s²], by name; none for a state-space model.
 
     Salcudean's observer has α and β exactly only for an inertia that is the same in all directions; otherwise they hold
     for the mean of the principal inertias.
     """
     fitting = (entry for entry in REGISTRY if entry.tuned_by == "gains" and entry.fits(model))
     return {entry.name: entry.make(model, alpha, beta) for entry in fitting}
+
+
+@with_gains.register
+def _(model: StateSpace, alpha: float, beta: float) -> dict[str, AbstractObserver]:
+    return {}
 
 
 class Known(NamedTuple):
@@ -66,6 +81,16 @@ def tuned_estimators(
     made = {entry: entry.make(model, *TUNINGS[entry.tuned_by](entry, known)) for entry in fitting}
     bare = {entry.name for entry in made if entry.has_gate or sheet.speed is None}
     return {entry.name: each if entry.name in bare else gated(each, model, sheet) for entry, each in made.items()}
+
+
+def tuned_state_estimators(
+    model: StateSpace, noise: Noise, names: Collection[str] = STATE_ESTIMATORS
+) -> dict[str, AbstractObserver]:
+    """The `estimators` of a state-space model by name, for what it does not know; only those in `names`.
+
+    Raises `ValueError` for one that cannot be made where the first estimate is.
+    """
+    return {entry.name: entry.make(model, noise) for entry in STATE_REGISTRY if entry.name in names}
 
 
 def gated(observer: AbstractObserver, model: MechanicalSystem, sheet: DataSheet) -> Gated:

@@ -1,6 +1,8 @@
 """The content of a log: names of its columns, the result of reading it, and the error for an unusable log."""
 
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,11 +22,14 @@ ATTITUDES = {"quaternion_wxyz": 4, "quaternion_xyzw": 4, "matrix": 9}
 class Columns(NamedTuple):
     """The names of the columns of a log in its file; an empty cell is a missing measurement.
 
-    - `t`: time stamp [s].
+    - `t`: time stamp [s], or dates.
     - `q`: measured positions, one name for each coordinate.
     - `u`: inputs; none for a system without inputs.
     - `v`: logged velocities, used only for comparison: no observer uses them.
-    - `truth`: true velocities, where the log comes from a simulation.
+    - `truth`: true velocities, where the log comes from a simulation; of a state-space model, the true state.
+    - `units`: for a field, as "q", the unit in which its columns are logged, or one for each of them: `("deg",)`,
+      `("deg", "mm")`; otherwise they are logged in SI units and radians. See
+      `unit_factor`.
 
     On a group the fields below give the measured configuration, in place of `q`, or before it where there are joints as
     well. One empty cell makes all of it missing in that row.
@@ -45,6 +50,12 @@ class Columns(NamedTuple):
     quaternion_xyzw: tuple[str, ...] = ()
     matrix: tuple[str, ...] = ()
     angle: tuple[str, ...] = ()
+    units: Mapping[str, tuple[str, ...]] = MappingProxyType({})
+
+    def unit_of(self, field: str, place: int) -> str | None:
+        """The unit of the column at a place in a field; None where it is logged in SI units."""
+        given = self.units.get(field, ())
+        return given[place if len(given) > 1 else 0] if given else None
 
     @property
     def measured(self) -> tuple[str, ...]:
@@ -53,18 +64,34 @@ class Columns(NamedTuple):
 
 
 class Log(NamedTuple):
-    """A record, with the logged velocities `v` (T, n) and the true ones `truth` (T, n) for comparison, or None."""
+    """A record in SI units, with the logged velocities `v` (T, n) and the true ones `truth` (T, n), or None.
+
+    `origin_ns`: the time [ns since 1970] that its stamps count from, where the log has dates or times since 1970;
+    otherwise None, and the stamps are as in the file.
+    """
 
     record: Record
     v: Float[np.ndarray, "T n"] | None = None
     truth: Float[np.ndarray, "T n"] | None = None
+    origin_ns: int | None = None
+
+
+TEXTS = (".csv", ".txt", ".tsv")
+"""Endings of logs as text."""
+BAGS = (".mcap", ".db3", ".bag")
+"""Endings of logs of ROS messages."""
 
 
 def kind(path: Path) -> str:
-    """The type of a log file by its suffix, ".csv" or ".parquet"; raises `LogError` for any other."""
+    """The type of a log by its ending, or "bag" for a folder or a file of ROS messages; raises `LogError` otherwise."""
     suffix = path.suffix.lower()
-    if suffix not in (".csv", ".parquet"):
-        raise LogError(f"{path}: a log must be a .csv or .parquet file; this one ends in {suffix or 'nothing'}")
+    if suffix in BAGS or (path / "metadata.yaml").is_file():
+        return "bag"
+    if suffix not in (*TEXTS, ".parquet"):
+        raise LogError(
+            f"{path}: a log must be a .csv, .txt, .tsv, .parquet or .mcap file, or the folder of a rosbag2; this one "
+            f"ends in {suffix or 'nothing'}"
+        )
     return suffix
 
 

@@ -10,24 +10,44 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from covariant._files import write_atomically
-from covariant.logs._columns import LogError, kind, pyarrow
+from covariant.logs._bag_write import write_bag
+from covariant.logs._columns import LogError, pyarrow
+
+MESSAGES = (".mcap", ".rosbag2")
+"""Endings of the logs of ROS messages that can be written."""
+WRITTEN = (".csv", ".txt", ".tsv", ".parquet", *MESSAGES)
+"""Endings of all logs that can be written."""
 
 
-def write(path: str | PathLike[str], columns: Mapping[str, np.ndarray]) -> None:
-    """Write columns (T,) by name to a `.csv` or `.parquet` file; floats are read back exactly, NaN included.
+def write(path: str | PathLike[str], columns: Mapping[str, np.ndarray], origin_ns: int | None = None) -> None:
+    """Write columns (T,) by name, the first of them the stamps; floats are read back exactly, NaN included.
 
-    The file appears at once and complete, replacing one of the same name; after a failure the old one is unchanged.
-    Raises `LogError` when the columns are not 1-D numbers of one length or the file cannot be written; `ImportError`
-    without pyarrow.
+    - `path`: a `.csv`, `.txt` or `.tsv` file, a `.parquet` file, or ROS messages: an `.mcap` file, or the folder of a
+      rosbag2 whose name ends in `.rosbag2`. In messages stamps are whole nanoseconds, `shoulder/position`,
+      `shoulder/velocity` and `shoulder/effort` are a joint, and px, py, pz, qw, qx, qy, qz are a pose.
+    - `origin_ns`: the time [ns since 1970] that stamps count from; it is kept only in messages.
+
+    The file appears at once and complete, replacing one of the same name; after a failure the old one is unchanged. A
+    folder is not replaced. Raises `LogError` when the columns are not 1-D numbers of one length or the file cannot be
+    written; `ImportError` without pyarrow, or without rosbags for messages.
     """
     path = Path(path)
-    save = {".csv": _write_csv, ".parquet": _write_parquet}[kind(path)]
+    if path.suffix.lower() not in WRITTEN:
+        ending = path.suffix or "nothing"
+        raise LogError(f"{path}: a log to write must end in {', '.join(WRITTEN)}; this one ends in {ending}")
     if not path.parent.is_dir():
         raise LogError(f"{path}: there is no folder {path.parent}; make it first")
-    pa = pyarrow()
-    table = pa.table(_checked(path, columns))
+    checked = _checked(path, columns)
     try:
-        write_atomically(path, lambda file: save(pa, table, file))
+        if path.suffix.lower() in MESSAGES:
+            if path.is_dir():
+                raise LogError(f"{path}: there is such a folder already, and it is not replaced; give another name")
+            write_bag(path, checked, origin_ns)
+            return
+        pa = pyarrow()
+        table = pa.table(checked)
+        save = _write_parquet if path.suffix.lower() == ".parquet" else _write_csv
+        write_atomically(path, lambda file: save(pa, table, file, "\t" if path.suffix.lower() == ".tsv" else ","))
     except OSError as error:
         raise LogError(f"{path}: cannot be written: {error.strerror or error}") from error
 
@@ -50,13 +70,13 @@ def _checked(path: Path, columns: Mapping[str, np.ndarray]) -> dict[str, np.ndar
     return arrays
 
 
-def _write_parquet(pa: Any, table: Any, file: BinaryIO) -> None:
+def _write_parquet(pa: Any, table: Any, file: BinaryIO, _: str) -> None:
     pa.parquet.write_table(table, file)
 
 
-def _write_csv(pa: Any, table: Any, file: BinaryIO) -> None:
+def _write_csv(pa: Any, table: Any, file: BinaryIO, delimiter: str) -> None:
     """Arrow writes the shortest digits that read back exactly; the header is written here, since Arrow quotes it."""
     header = io.StringIO()
-    csv.writer(header, lineterminator="\n").writerow(table.column_names)
+    csv.writer(header, lineterminator="\n", delimiter=delimiter).writerow(table.column_names)
     file.write(header.getvalue().encode())
-    pa.csv.write_csv(table, file, pa.csv.WriteOptions(include_header=False))
+    pa.csv.write_csv(table, file, pa.csv.WriteOptions(include_header=False, delimiter=delimiter))

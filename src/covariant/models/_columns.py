@@ -4,7 +4,7 @@ from typing import Any, NamedTuple
 
 from covariant.geometry import AbstractManifold, Coordinates
 from covariant.geometry.lie import SE2, SE3, SO2, SO3
-from covariant.logs import ATTITUDES, Columns
+from covariant.logs import ATTITUDES, Columns, check_unit
 from covariant.models._mechanical import MechanicalSystem, check_model, input_count
 from covariant.models._source import Model
 from covariant.models._state_space import StateSpace
@@ -38,6 +38,13 @@ def model_columns(model: Any, loaded: Columns, given: dict[str, Any]) -> Columns
     if any(given.get(kind) for kind in ATTITUDES):
         loaded = loaded._replace(**dict.fromkeys(ATTITUDES, ()))
     given = {key: value for key, value in loaded._asdict().items() if value} | given
+    columns = _named(model, given)
+    _check_units(model, columns)
+    return columns
+
+
+def _named(model: Any, given: dict[str, Any]) -> Columns:
+    """The columns with names derived from the model where none are given."""
     if not model.manifold.commuting:
         return _off_coordinates(model, given)
     by_outputs = isinstance(model, StateSpace)
@@ -124,6 +131,21 @@ def _needs(manifold: AbstractManifold) -> _Needs:
 
 def _factors(manifold: AbstractManifold) -> list[AbstractManifold]:
     return [factor for part in manifold.factors for factor in _factors(part)] or [manifold]
+
+
+def _check_units(model: Model, columns: Columns) -> None:
+    """Raise `ValueError` for a unit that measures something else than its column, or units in another number."""
+    wanted = {"t": ("s",), **model.logged_units, "position": ("m",) * len(columns.position)}
+    wanted["angle"] = ("rad",) * len(columns.angle)
+    for key, texts in columns.units.items():
+        names = (columns.t,) if key == "t" else getattr(columns, key)
+        if len(texts) not in (1, len(names)):
+            raise ValueError(f"units.{key} lists {len(texts)} units; give {len(names)}, or one without brackets")
+        for i, unit in enumerate(wanted.get(key, ())):
+            try:
+                check_unit(columns.unit_of(key, i) or unit, unit)
+            except ValueError as error:
+                raise ValueError(f"units.{key}: {error}") from error
 
 
 def _numbered(letter: str, count: int) -> tuple[str, ...]:

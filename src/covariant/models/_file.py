@@ -38,6 +38,9 @@ class ModelFile(NamedTuple):
       give the reference velocity for scoring.
     - `quantum`: one tick of the encoders [unit of the coordinates], where the model file gives that and not a standard
       deviation.
+    - `process_std`, `initial_state`, `initial_std`: of a `StateSpace`, for each state or one for all: standard
+      deviation of the white noise in its rate [its unit/√s], first estimate, and how uncertain that is. Where they are
+      not given, the first estimate is the middle of the model's box, or zero, and as uncertain as the box is wide.
     - `external_force`: standard deviation of what a force that the model does not know changes by in a second [N or
       N m], for a filter that estimates it.
     """
@@ -59,6 +62,9 @@ class ModelFile(NamedTuple):
     input_between: str = "held"
     quantum: float | None = None
     external_force: float | None = None
+    process_std: float | tuple[float, ...] | None = None
+    initial_state: float | tuple[float, ...] | None = None
+    initial_std: float | tuple[float, ...] | None = None
 
     @property
     def typical_std(self) -> float | None:
@@ -117,7 +123,8 @@ def finish(spec: str, content: dict[str, Any]) -> ModelFile:
         check_metric(model, _points(len(columns.q)))
     name = Path(spec).stem if is_file(spec) else loaded.name
     count = len(columns.q) if model.manifold.commuting else 1
-    return loaded._replace(name=name, columns=columns, **_toml.numbers(content, count))
+    states = 0 if loaded.mechanical else len(model.coordinates)
+    return loaded._replace(name=name, columns=columns, **_toml.numbers(content, count, states))
 
 
 def made(spec: str, content: dict[str, Any]) -> ModelFile:
@@ -134,7 +141,8 @@ def recipe(spec: str, overrides: Sequence[str] = ()) -> dict[str, Any]:
     load(spec, overrides)
     content = document(spec, overrides)
     kept = {"parameters": content.get("parameters", {})}
-    return {"system": content["system"], **kept} if is_file(spec) or ":" not in spec else {"attribute": spec, **kept}
+    named = content.get("system", spec)
+    return {"attribute" if ":" in named else "system": named, **kept}
 
 
 def from_recipe(made: dict[str, Any], model: Any = None) -> Model:
@@ -210,8 +218,11 @@ def text(path: Path) -> str:
 
 def _find(spec: str, content: dict[str, Any]) -> Any:
     """The model that a spec names, or the function that makes it."""
+    named = content.get("system")
+    if is_file(spec) and isinstance(named, str) and ":" in named:
+        return _source.attribute(named, Path(spec).parent)
     if is_file(spec) or ":" not in spec:
-        return _source.system(content.get("system"))
+        return _source.system(named)
     if "system" in content:
         raise ValueError(f"system = {content['system']!r} contradicts module:attribute; drop one of them")
     return _source.attribute(spec)

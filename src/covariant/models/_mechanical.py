@@ -31,6 +31,15 @@ class Motion(NamedTuple):
     v: Float[Array, "*T n"]
 
 
+class Sought(NamedTuple):
+    """What an estimate is for and scored by: what it is, its names and units, and `of(x)`, its values in states x."""
+
+    what: str
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    of: Callable[[Any], Array]
+
+
 class MechanicalSystem(Functional):
     """A mechanical system whose configuration is measured.
 
@@ -100,6 +109,17 @@ class MechanicalSystem(Functional):
     def circles(self) -> tuple[int, ...]:
         """Indices of the coordinates that are angles on a full circle [rad]."""
         return self.manifold.circles
+
+    @property
+    def logged_units(self) -> dict[str, tuple[str, ...]]:
+        """Units of what a log holds of the model, by field of `logs.Columns`, where they are known."""
+        return {"q": self.units, "v": self.sought.units, "truth": self.sought.units}
+
+    @property
+    def sought(self) -> Sought:
+        """What an estimate of the model is for: the velocities; names are empty where these are rates."""
+        units = self.velocity_units or tuple(f"{unit}/s" for unit in self.units)
+        return Sought("velocity", self.velocities, units, lambda x: self.motion(x).v)
 
     @property
     def dissipation_is_driven(self) -> bool:

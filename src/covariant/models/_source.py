@@ -1,6 +1,7 @@
 """Finds a model: a system of this library by its name, or an attribute of a module."""
 
 import contextlib
+import functools
 import importlib
 import inspect
 import os
@@ -8,6 +9,7 @@ import reprlib
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from inspect import Parameter as Argument
+from pathlib import Path
 from types import UnionType
 from typing import Any, Union, get_args, get_origin
 
@@ -24,30 +26,47 @@ from covariant.models._oscillator import oscillator
 from covariant.models._pendulum_chain import pendulum_chain
 from covariant.models._satellite import satellite
 from covariant.models._satellite_arm import satellite_arm
-from covariant.models._state_space import StateSpace
+from covariant.models._state_space import StateSpace, state_space
 from covariant.models._toml import refuse_unknown
 from covariant.models._underwater_vehicle import underwater_vehicle
 from covariant.models._unknown_frequency import unknown_frequency
 from covariant.models._van_der_pol import van_der_pol
+from covariant.models.marine import cybership, manoeuvring_ship, odin, odin_on_group, supply_vessel
 from covariant.models.robots import load as robot
 
 Model = MechanicalSystem | StateSpace
 """The kinds of models, `MechanicalSystem` and `StateSpace`."""
 
+
+def _states_of(factory: Callable[..., Any]) -> Callable[..., StateSpace]:
+    """A function that makes a craft, as one that makes its state-space model with the same parameters."""
+
+    @functools.wraps(factory)
+    def made(*arguments: Any, **parameters: Any) -> StateSpace:
+        return state_space(factory(*arguments, **parameters))
+
+    return made
+
+
 SYSTEMS: dict[str, Callable[..., Model]] = {
     "ball_and_beam": ball_and_beam,
     "bioreactor": bioreactor,
+    "cybership": _states_of(cybership),
     "duffing": duffing,
     "free_body": free_body,
     "heavy_top": heavy_top,
     "hovercraft": hovercraft,
     "induction_motor": induction_motor,
     "lorenz": lorenz,
+    "manoeuvring_ship": manoeuvring_ship,
+    "odin": _states_of(odin),
+    "odin_on_group": odin_on_group,
     "oscillator": oscillator,
     "pendulum_chain": pendulum_chain,
     "robot": robot,
     "satellite": satellite,
     "satellite_arm": satellite_arm,
+    "supply_vessel": _states_of(supply_vessel),
     "underwater_vehicle": underwater_vehicle,
     "unknown_frequency": unknown_frequency,
     "van_der_pol": van_der_pol,
@@ -63,11 +82,15 @@ def system(name: Any) -> Callable[..., Model]:
     return SYSTEMS[name]
 
 
-def attribute(spec: str) -> Any:
-    """The object that `module:attribute` names; the current folder is searched too. Raises `ValueError` otherwise."""
+def attribute(spec: str, folder: Path | None = None) -> Any:
+    """The object that `module:attribute` names; the current folder, or the given one, is searched too.
+
+    Raises `ValueError` where there is none.
+    """
     where, _, name = spec.partition(":")
-    if "" not in sys.path and os.getcwd() not in sys.path:
-        sys.path.insert(0, os.getcwd())  # as `python -m` does; it stays, since the module may import others later
+    beside = os.getcwd() if folder is None else str(folder.resolve())
+    if ("" not in sys.path or folder is not None) and beside not in sys.path:
+        sys.path.insert(0, beside)  # as `python -m` does; it stays, since the module may import others later
     try:
         module = importlib.import_module(where)
     except Exception as error:  # a module may fail in any way while it is imported

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 from covariant._functional import Functional
 from covariant._typing import Matrix, Scalar, Vector
 from covariant.geometry import Coordinates, wrap
-from covariant.models._mechanical import MechanicalSystem, acceleration, check_shapes, input_count
+from covariant.models._mechanical import MechanicalSystem, Sought, acceleration, check_shapes, input_count
 from covariant.models._parameters import Parameter
 
 
@@ -71,6 +71,16 @@ class StateSpace(Functional):
         return ()
 
     velocity_units = velocities
+
+    @property
+    def logged_units(self) -> dict[str, tuple[str, ...]]:
+        """Units of what a log holds of the model, by field of `logs.Columns`, where they are known."""
+        return {"truth": self.units}
+
+    @property
+    def sought(self) -> Sought:
+        """What an estimate of the model is for: all of its states."""
+        return Sought("state", self.coordinates, self.units or ("",) * len(self.coordinates), jnp.asarray)
 
     @property
     def manifold(self) -> Coordinates:

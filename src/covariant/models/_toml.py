@@ -7,7 +7,7 @@ import tomllib
 from collections.abc import Collection, Sequence
 from typing import Any
 
-from covariant.logs import ATTITUDES, Columns
+from covariant.logs import ATTITUDES, Columns, unit_factor
 
 NUMBERS = {
     ("inputs", "lag"): ("input_lag", 1.0),
@@ -17,6 +17,9 @@ NUMBERS = {
     ("measurement", "quantum"): ("quantum", 1.0),
     ("uncertainty", "acceleration"): ("acceleration_std", 1.0),
     ("uncertainty", "correlation_time"): ("correlation_time", 1.0),
+    ("uncertainty", "process"): ("process_std", 1.0),
+    ("initial", "state"): ("initial_state", 1.0),
+    ("initial", "std"): ("initial_std", 1.0),
     ("uncertainty", "external_force"): ("external_force", 1.0),
     ("uncertainty", "motion_acceleration"): ("motion_std", 1.0),
     ("uncertainty", "motion_time"): ("motion_time", 1.0),
@@ -29,7 +32,9 @@ NUMBERS = {
 WORDS = {("inputs", "between"): ("input_between", ("held", "linear"))}
 """Table and key of each word, with the field of `ModelFile` it fills and the words that it may be."""
 
-_KEYS = {"columns": Columns._fields} | {
+_NAMES = tuple(field for field in Columns._fields if field != "units")
+"""Keys of [columns], and of [units] but for attitudes, which have none."""
+_KEYS = {"columns": _NAMES, "units": tuple(name for name in _NAMES if name not in ATTITUDES)} | {
     table: tuple(key for other, key in (*NUMBERS, *WORDS) if other == table)
     for table in dict.fromkeys(table for table, _ in NUMBERS)
 }
@@ -37,8 +42,11 @@ _QUOTED = re.compile(r"""\"(?:[^"\\\\]|\\\\.)*\"|'[^']*'""")
 _ODD_NUMBER = re.compile(r"(?<![\w-])[+-]?(?:0[xob]\w|[0-9.]+_)")
 """TOML allows underscores and hexadecimal numbers; on a command line these are more likely typing errors."""
 _MAY_BE_ZERO = {("inputs", "lag"), ("inputs", "delay"), ("measurement", "delay")}
-_MAY_BE_LISTS = {("measurement", "std"), ("measurement", "delay")}
-"""Numbers of which there may be one for each coordinate."""
+_ANY_SIGN = {("initial", "state")}
+_OF_STATES = {("uncertainty", "process"), ("initial", "state"), ("initial", "std")}
+"""Numbers of state-space models, of which there may be one for each state."""
+_MAY_BE_LISTS = {("measurement", "std"), ("measurement", "delay")} | _OF_STATES
+"""Numbers of which there may be one for each coordinate or state."""
 _RIVALS = {"measurement.std": ("quantum",), "measurement.quantum": ("std",)} | {
     f"columns.{kind}": tuple(other for other in ATTITUDES if other != kind) for kind in ATTITUDES
 }
@@ -105,7 +113,7 @@ def unknown(what: str, name: str, known: Collection[str]) -> str:
 
 
 def columns(document: dict[str, Any]) -> dict[str, Any]:
-    """The fields of `Columns` that the document gives; raises `ValueError` when they are not names."""
+    """The fields of `Columns` that the document gives; raises `ValueError` when they are no names and no units."""
     given = document.get("columns", {})
     for key, value in given.items():
         names = [value] if key == "t" else value
@@ -114,13 +122,29 @@ def columns(document: dict[str, Any]) -> dict[str, Any]:
             raise ValueError(f"columns.{key} must be {wanted}; got {value!r}")
         if len(set(names)) < len(names):
             raise ValueError(f"columns.{key} names a column twice: {', '.join(names)}")
-    return {key: value if key == "t" else tuple(value) for key, value in given.items()}
+    found = {key: value if key == "t" else tuple(value) for key, value in given.items()}
+    return found | ({"units": _units(document["units"])} if "units" in document else {})
 
 
-def numbers(document: dict[str, Any], count: int) -> dict[str, Any]:
+def _units(given: dict[str, Any]) -> dict[str, tuple[str, ...]]:
+    """The units of each field, one or one for each column; raises `ValueError` for what is no unit."""
+    found = {key: [value] if isinstance(value, str) else value for key, value in given.items()}
+    for key, texts in found.items():
+        if not isinstance(texts, list) or not texts or not all(isinstance(text, str) for text in texts):
+            raise ValueError(f'units.{key} must be a unit, as in "deg", or a list of units; got {given[key]!r}')
+        for text in texts:
+            try:
+                unit_factor(text)
+            except ValueError as error:
+                raise ValueError(f"units.{key}: {error}") from error
+    return {key: tuple(texts) for key, texts in found.items()}
+
+
+def numbers(document: dict[str, Any], count: int, states: int) -> dict[str, Any]:
     """The numbers and words that the document gives, by field of `ModelFile`; raises `ValueError` for an invalid one.
 
-    A number for each coordinate is a tuple of `count` numbers; `count` is 1 where the model is on a group.
+    A number for each coordinate is a tuple of `count` numbers; `count` is 1 where the model is on a group. One for each
+    state is a tuple of `states`, of which a mechanical model has none.
     """
     if {"std", "quantum"} <= document.get("measurement", {}).keys():
         raise ValueError("[measurement] has both std and quantum; keep one (std = quantum / sqrt(12))")
@@ -128,7 +152,10 @@ def numbers(document: dict[str, Any], count: int) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for where, value in given.items():
         field, factor = NUMBERS[where]
-        each = _numbers(where, value, count) if isinstance(value, list) else (_number(where, value),)
+        if where in _OF_STATES and not states:
+            raise ValueError(f"{'.'.join(where)} is for a state-space model, and this one is mechanical")
+        needed = states if where in _OF_STATES else count
+        each = _numbers(where, value, needed) if isinstance(value, list) else (_number(where, value),)
         scaled = tuple(number * factor for number in each)
         found[field] = scaled if isinstance(value, list) else scaled[0]
     if "quantum" in found:
@@ -137,9 +164,14 @@ def numbers(document: dict[str, Any], count: int) -> dict[str, Any]:
 
 
 def _number(where: tuple[str, str], value: Any) -> float | int:
-    least = 0.0 if where in _MAY_BE_ZERO else math.ulp(0.0)
-    if isinstance(value, bool) or not isinstance(value, int | float) or not least <= value < math.inf:
-        raise ValueError(f"{'.'.join(where)} must be a {'positive number' if least else 'number ≥ 0'}; got {value!r}")
+    least = -math.inf if where in _ANY_SIGN else 0.0 if where in _MAY_BE_ZERO else math.ulp(0.0)
+    if (
+        isinstance(value, bool)
+        or not isinstance(value, int | float)
+        or not (least <= value < math.inf and math.isfinite(value))
+    ):
+        wanted = "finite number" if least < 0 else "positive number" if least > 0 else "number ≥ 0"
+        raise ValueError(f"{'.'.join(where)} must be a {wanted}; got {value!r}")
     return value
 
 

@@ -38,6 +38,8 @@ from covariant.observers._riccati import Estimate, InformationEKF, InformationSt
 from covariant.observers._salcudean import Salcudean, SalcudeanState
 from covariant.observers._sampled import with_fixed_substeps
 from covariant.observers._savitzky_golay import SavitzkyGolay, WindowState
+from covariant.observers._state_ekf import StateEKF, StateEKFInfo, StateEKFState
+from covariant.observers._state_registry import STATE_REGISTRY, Noise, StateEntry
 from covariant.observers._tracking_loop import LoopState
 from covariant.observers._ukf import UKF, UKFState
 
@@ -45,6 +47,7 @@ __all__ = [
     "EKF",
     "PLL",
     "REGISTRY",
+    "STATE_REGISTRY",
     "UKF",
     "AbstractFlowObserver",
     "AbstractLinearFilter",
@@ -83,12 +86,17 @@ __all__ = [
     "Levant",
     "LoopState",
     "MechanicalState",
+    "Noise",
     "PassiveGains",
     "PassiveShip",
     "Riccati",
     "Salcudean",
     "SalcudeanState",
     "SavitzkyGolay",
+    "StateEKF",
+    "StateEKFInfo",
+    "StateEKFState",
+    "StateEntry",
     "UKFState",
     "WindowState",
     "continuous",

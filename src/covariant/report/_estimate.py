@@ -25,6 +25,7 @@ class EstimateReport(NamedTuple):
     - `distance`: label -> (T,), the length of the innovation in the metric, for observers that compute it.
     - `v_reference` (T, n) [units/s]: reference for the velocities, or None; `v_reference_label` is its label.
     - `rows`: rows of a comparison, best first; columns are the keys. May be empty.
+    - `estimated`: what the estimates are scored by, "velocity" or "state".
     - `notes`: plain sentences under the title, such as gains, predicted errors, and samples without measurement.
 
     On a group a configuration cannot be drawn as a curve. There `q_measured` is None, `coordinates` and `units` are
@@ -44,6 +45,7 @@ class EstimateReport(NamedTuple):
     v_reference_label: str = "reference"
     rows: Sequence[Mapping[str, str | float]] = ()
     notes: tuple[str, ...] = ()
+    estimated: str = "velocity"
 
     def check(self) -> "EstimateReport":
         """Return the report, or raise `ValueError` naming the first thing wrong with it."""

@@ -61,11 +61,11 @@ def quantities(report: EstimateReport) -> dict[str, Quantity]:
         errors = estimated({label: found - v for label, found in velocities.items()})
         speed = span(v)
     names = {name: _labels(report, *form) for name, form in words.items()}
-    innovations = estimated(report.innovation)
+    innovations, sought = estimated(report.innovation), report.estimated.capitalize()
     found = (
         Quantity("position", "Position", names["position"], positions, travel),
-        Quantity("velocity", "Velocity", names["velocity"], reference + estimated(velocities), speed),
-        Quantity("error", "Velocity error", names["error"], errors, speed, deviation=True),
+        Quantity("velocity", sought, names["velocity"], reference + estimated(velocities), speed),
+        Quantity("error", f"{sought} error", names["error"], errors, speed, deviation=True),
         Quantity("innovation", "Innovation", names["innovation"], innovations, travel, deviation=True),
         Quantity(
             "distance",

@@ -1,0 +1,61 @@
+"""What `estimate` and `compare` need of state-space models: what the model file says of noise, and the observers."""
+
+from collections.abc import Collection
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from covariant.cli._job import Loaded
+from covariant.design import STATE_ESTIMATORS, tuned_state_estimators
+from covariant.models import ModelFile
+from covariant.observers import AbstractObserver, Noise
+
+
+def tuned_states(loaded: Loaded, names: Collection[str] = STATE_ESTIMATORS) -> dict[str, AbstractObserver]:
+    """The observers of a state-space model by name, as its model file tells its noise."""
+    model: Any = loaded.model
+    return tuned_state_estimators(model, noise(loaded.file, loaded.rate), names)
+
+
+def noise(file: ModelFile, rate: float) -> Noise:
+    """What the model file says that the model does not know; raises `ValueError` naming a number that is missing."""
+    for value, key in ((file.measurement_std, "measurement.std"), (file.process_std, "uncertainty.process")):
+        if value is None:
+            raise ValueError(f"{file.name}: its observers need {key}; put it in the model file, or give --set {key}=…")
+    states, outputs = file.dimension, len(file.columns.q)
+    start, spread = first_estimate(file)
+    return Noise(
+        jnp.diag(_each(file.process_std, states) ** 2),
+        jnp.diag(_each(file.measurement_std, outputs) ** 2),
+        start,
+        jnp.diag(spread**2),
+        rate,
+    )
+
+
+def first_estimate(file: ModelFile) -> tuple[jnp.ndarray, jnp.ndarray]:
+    """First estimate (n,) and its standard deviation (n,): as in the model file, or by the model's box."""
+    model: Any = file.model
+    low, high = np.asarray(model.box, float).T if model.box else (0.0, np.nan)
+    start = (low + high) / 2 if model.box else 0.0
+    start = start if file.initial_state is None else file.initial_state
+    spread = (high - low) / np.sqrt(12) if file.initial_std is None else file.initial_std
+    if not np.isfinite(spread).all():
+        raise ValueError(
+            f"{file.name}: its observers need initial.std, how far the states may be from initial.state at first; put "
+            "it in the model file, or give --set initial.std=…"
+        )
+    return _each(start, file.dimension), _each(spread, file.dimension)
+
+
+def said_of_states(loaded: Loaded) -> str:
+    """A sentence on what the observers are designed from."""
+    start, spread = first_estimate(loaded.file)
+    named = zip(loaded.model.sought.names, start, spread, loaded.model.sought.units, strict=True)
+    first = ", ".join(f"{name} {x:.4g} ± {std:.3g} {unit}".rstrip() for name, x, std, unit in named)
+    return f"Designed from the noise in the model file; first estimate {first}.{loaded.note}"
+
+
+def _each(value, count: int) -> jnp.ndarray:
+    return jnp.broadcast_to(jnp.asarray(value, float), (count,))

@@ -1,0 +1,219 @@
+"""Logs of ROS messages: rosbag2 folders with SQLite or MCAP storage, single files of these, and rosbag1 files.
+
+Messages are read one after another, and only the numbers that are asked for are kept.
+"""
+
+import contextlib
+from array import array
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from covariant._optional import load_optional
+from covariant.logs._columns import LogError, pyarrow
+
+HEADER, RECEIVED = "t", "received"
+"""Columns of stamps: when the sender says that a message was true, and when the recorder got it."""
+LOOKED_AT = 500
+"""Messages of each topic whose names are looked at: several senders may share a topic, each with joints of its own."""
+FIELDS = ("position", "velocity", "effort")
+"""Fields of a JointState, each a list with a number for each joint, or empty."""
+POSITION, QUATERNION = ("px", "py", "pz"), ("qw", "qx", "qy", "qz")
+TWIST = ("vx", "vy", "vz", "wx", "wy", "wz")
+
+
+def joints(message: Any) -> dict[str, float]:
+    """The numbers of a JointState by their names, `shoulder/position`; those of fields that are empty are absent."""
+    found = {}
+    for field in FIELDS:
+        values = getattr(message, field)
+        if len(values) not in (0, len(message.name)):
+            raise ValueError(f"names {len(message.name)} joints and has {len(values)} numbers of {field}")
+        found |= {f"{name}/{field}": value for name, value in zip(message.name, values, strict=False)}
+    return found
+
+
+def _pose(pose: Any) -> dict[str, float]:
+    place = {name: getattr(pose.position, name[1]) for name in POSITION}
+    return place | {name: getattr(pose.orientation, name[1]) for name in QUATERNION}
+
+
+def _odometry(message: Any) -> dict[str, float]:
+    twist = message.twist.twist
+    parts = (twist.linear.x, twist.linear.y, twist.linear.z, twist.angular.x, twist.angular.y, twist.angular.z)
+    return _pose(message.pose.pose) | dict(zip(TWIST, parts, strict=True))
+
+
+KINDS: dict[str, Callable[[Any], dict[str, float]]] = {
+    "sensor_msgs/msg/JointState": joints,
+    "geometry_msgs/msg/PoseStamped": lambda message: _pose(message.pose),
+    "geometry_msgs/msg/PoseWithCovarianceStamped": lambda message: _pose(message.pose.pose),
+    "nav_msgs/msg/Odometry": _odometry,
+}
+"""The messages that are read, and the numbers of each by their names."""
+
+
+class _Place(NamedTuple):
+    """Where a column is found: its topic, and the name of its number in the messages of that topic."""
+
+    topic: str
+    name: str
+
+
+def bag_columns(path: Path) -> dict[str, bool]:
+    """Names of the columns of a log of messages, and whether each is the shortest for what it holds.
+
+    A name that two topics share is left out, but not with its topic.
+
+    Raises `LogError` where there is no message that can be read; `ImportError` without rosbags.
+    """
+    with _messages(path) as (topics, messages):
+        places = _places(_named(path, topics, messages()))
+    first = {place: name for name, place in reversed(places.items())}
+    return {name: first[place] == name != RECEIVED for name, place in places.items()}
+
+
+def read_bag(path: Path, wanted: Sequence[str], held: Sequence[str]) -> dict[str, Any]:
+    """The wanted columns, a row for each stamp of a topic that holds one of them.
+
+    A cell is NaN where its topic has no message at that stamp. Columns that are `held` hold the latest number instead,
+    as the first row does; topics that hold only these make no rows. Rows before all columns have a number are left out.
+    """
+    with _messages(path) as (topics, messages):
+        places = _places(_named(path, topics, messages()))
+        places = {name: places[name] for name in wanted if name not in (HEADER, RECEIVED)}
+        read = {topic for topic in topics if topic in {place.topic for place in places.values()}}
+        series = _gather(path, messages(read), places, RECEIVED in wanted)
+    leading = {place.topic for name, place in places.items() if name not in held}
+    stamps = np.unique(np.concatenate([series[topic][0] for topic in leading]))
+    columns = {name: _at(stamps, series[topic], name, name in held) for name, (topic, _) in places.items()}
+    latest = {name: _latest(values) for name, values in columns.items()}
+    begin = max((int((at < 0).sum()) for at in latest.values()), default=0)
+    if begin == len(stamps):
+        empty = [name for name, at in latest.items() if at[-1] < 0]
+        raise LogError(f"{path}: no row has all columns; {', '.join(empty)} come after the last message of the others")
+    for name, values in columns.items():
+        values[begin] = values[latest[name][begin]]
+    clock = pyarrow().array(stamps[begin:], pyarrow().duration("ns"))
+    return dict.fromkeys((HEADER, RECEIVED), clock) | {name: values[begin:] for name, values in columns.items()}
+
+
+def _at(stamps: np.ndarray, series: tuple[np.ndarray, dict[str, np.ndarray]], name: str, held: bool) -> np.ndarray:
+    """A column of a topic at stamps that contain its own, or the latest number in it at any stamps."""
+    own, values = series[0], series[1][name]
+    column = np.full(len(stamps), np.nan)
+    if not held:
+        column[np.searchsorted(stamps, own)] = values
+        return column
+    own, values = own[~np.isnan(values)], values[~np.isnan(values)]
+    at = np.searchsorted(own, stamps, side="right") - 1
+    column[at >= 0] = values[at[at >= 0]]
+    return column
+
+
+def _latest(values: np.ndarray) -> np.ndarray:
+    """The row of the latest number at each row, −1 before there is one."""
+    return np.maximum.accumulate(np.where(np.isnan(values), -1, np.arange(len(values))))
+
+
+def _gather(
+    path: Path, messages: Iterator[tuple[str, int, Any]], places: Mapping[str, _Place], received: bool
+) -> dict[str, tuple[np.ndarray, dict[str, np.ndarray]]]:
+    """Stamps [ns] and columns of each topic, in the order of the stamps."""
+    topics = {place.topic for place in places.values()}
+    clocks = {topic: array("q") for topic in topics}
+    cells = {topic: {name: array("d") for name, place in places.items() if place.topic == topic} for topic in topics}
+    for topic, ns, message in messages:
+        numbers = _numbers(path, topic, len(clocks[topic]), message)
+        clocks[topic].append(ns if received else _stamp(message))
+        for name, column in cells[topic].items():
+            column.append(numbers.get(places[name].name, np.nan))
+    series = {}
+    for topic, clock in clocks.items():
+        stamps = np.frombuffer(clock, np.int64) if len(clock) else np.zeros(0, np.int64)
+        if len(stamps) > 1 and not stamps.any():
+            raise LogError(f"{path}: all headers of {topic} have the stamp 0; name the column {RECEIVED!r} as t")
+        order = np.argsort(stamps, kind="stable")
+        stamps = stamps[order]
+        twice = np.flatnonzero(np.diff(stamps) == 0)
+        if len(twice):
+            raise LogError(
+                f"{path}: messages {order[twice[0]] + 1} and {order[twice[0] + 1] + 1} of {topic} have the same stamp "
+                f"{stamps[twice[0]] * 1e-9:.9f} s; record one sender only, or name the column {RECEIVED!r} as t"
+            )
+        series[topic] = stamps, {name: np.frombuffer(column, float)[order] for name, column in cells[topic].items()}
+    return series
+
+
+def _stamp(message: Any) -> int:
+    stamp = message.header.stamp
+    return stamp.sec * 1_000_000_000 + stamp.nanosec
+
+
+def _numbers(path: Path, topic: str, count: int, message: Any) -> dict[str, float]:
+    try:
+        return KINDS[message.__msgtype__](message)
+    except ValueError as error:
+        raise LogError(f"{path}: message {count + 1} of {topic} {error}") from error
+
+
+def _named(path: Path, topics: Mapping[str, int], messages: Iterator[tuple[str, int, Any]]) -> list[_Place]:
+    """All numbers in the first messages of each topic."""
+    left, found = {topic: min(LOOKED_AT, count) for topic, count in topics.items()}, {}
+    for topic, _, message in messages:
+        if left[topic] > 0:
+            found |= dict.fromkeys(_Place(topic, name) for name in _numbers(path, topic, 0, message))
+            left[topic] -= 1
+        if not any(left.values()):
+            break
+    if not found:
+        raise LogError(f"{path}: its messages hold no joint and no pose; a JointState needs names")
+    return list(found)
+
+
+def _places(found: Sequence[_Place]) -> dict[str, _Place]:
+    """Where each column is: by the number's name, for a position by that of the joint alone too, and by topic and name.
+
+    The columns of stamps come first, with no place of their own.
+    """
+    named = [(place.name.removesuffix("/position"), place) for place in found]
+    named += [(place.name, place) for place in found] + [(f"{place.topic}/{place.name}", place) for place in found]
+    named = list(dict.fromkeys(named))
+    count = Counter(name for name, _ in named)
+    stamps = {name: _Place("", name) for name in (HEADER, RECEIVED)}
+    return stamps | {name: place for name, place in named if count[name] == 1 and name not in stamps}
+
+
+@contextlib.contextmanager
+def _messages(path: Path) -> Iterator[tuple[dict[str, int], Callable[..., Iterator[tuple[str, int, Any]]]]]:
+    """Topics that can be read with the number of their messages, and `messages(topics)`: topic, stamp and message."""
+    need = "reading messages of ROS needs"
+    highlevel = load_optional("rosbags.highlevel", use=need, extra="ros")
+    types = load_optional("rosbags.typesys", use=need, extra="ros")
+    try:
+        with highlevel.AnyReader([path], default_typestore=types.get_typestore(types.Stores.ROS2_HUMBLE)) as reader:
+            known = [connection for connection in reader.connections if connection.msgtype in KINDS]
+            if not known:
+                seen = sorted({connection.msgtype for connection in reader.connections}) or ["none"]
+                raise LogError(
+                    f"{path}: no topic holds {', '.join(name.split('/')[-1] for name in KINDS)}; there are: "
+                    f"{', '.join(seen)}"
+                )
+
+            def messages(topics=None):
+                chosen = [connection for connection in known if topics is None or connection.topic in topics]
+                for connection, ns, raw in reader.messages(chosen):
+                    yield connection.topic, ns, reader.deserialize(raw, connection.msgtype)
+
+            counts = Counter()
+            for connection in known:
+                counts[connection.topic] += connection.msgcount
+            yield dict(counts), messages
+    except (LogError, ImportError, FileNotFoundError):
+        raise
+    except Exception as error:  # a damaged file may make its reader fail in any way
+        reason = next(iter(str(error).strip().splitlines()), type(error).__name__)
+        raise LogError(f"{path}: cannot be read as a rosbag: {reason}") from error

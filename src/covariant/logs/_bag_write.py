@@ -1,0 +1,91 @@
+"""Writing of ROS messages, as an MCAP file or as the folder of a rosbag2."""
+
+import os
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from covariant._files import temporary
+from covariant._optional import load_optional
+from covariant.logs._bag import FIELDS, POSITION, QUATERNION
+from covariant.logs._columns import LogError
+
+VERSION = 8
+"""Of the layout of a rosbag2, which ROS reads since 2023."""
+JOINTS, POSE, VALUES = "/joint_states", "/pose", "/values"
+"""Topics of joints, of a pose, and of the numbers that are neither, as positions of joints of their names."""
+
+
+def write_bag(path: Path, columns: Mapping[str, np.ndarray], origin_ns: int | None) -> None:
+    """Write columns, the first of which are the stamps [s], counted from `origin_ns` [ns].
+
+    `shoulder/position`, `shoulder/velocity` and `shoulder/effort` make a JointState, where the first may be called
+    `shoulder`; px, py, pz, qw, qx, qy, qz make a PoseStamped. Raises `LogError` for stamps that ROS cannot hold.
+    """
+    (_, stamps), *others = columns.items()
+    ns = np.array([round(t * 1e9) for t in stamps.tolist()], dtype=object) + (origin_ns or 0)
+    if not 0 <= ns.min() <= ns.max() < 2**31 * 10**9:
+        raise LogError(f"{path}: ROS counts seconds from 0 to 2147483647; these go from {ns.min()} to {ns.max()} ns")
+    rosbag2 = load_optional("rosbags.rosbag2", use="writing messages of ROS needs", extra="ros")
+    types = load_optional("rosbags.typesys", use="writing messages of ROS needs", extra="ros")
+    known = types.get_typestore(types.Stores.ROS2_HUMBLE)
+    storage = rosbag2.StoragePlugin.MCAP if path.suffix.lower() == ".mcap" else rosbag2.StoragePlugin.SQLITE3
+    with temporary(path, Path.mkdir) as fresh:
+        bag = fresh / path.stem
+        with rosbag2.Writer(bag, version=VERSION, storage_plugin=storage) as writer:
+            topics = [
+                (writer.add_connection(topic, kind, typestore=known), messages)
+                for topic, kind, messages in _topics(known.types, dict(others))
+            ]
+            for k, now in enumerate(ns):
+                stamp = known.types["builtin_interfaces/msg/Time"](*divmod(now, 10**9))
+                header = known.types["std_msgs/msg/Header"](stamp, "")
+                for connection, message in topics:
+                    writer.write(connection, now, known.serialize_cdr(message(header, k), connection.msgtype))
+        os.replace(bag / f"{bag.name}.mcap" if path.suffix.lower() == ".mcap" else bag, path)
+
+
+def _topics(types: Mapping[str, Any], columns: dict[str, np.ndarray]) -> Iterator[tuple[str, str, Any]]:
+    """Topic, type, and `message(header, row)` of each topic that the columns make."""
+    fields = {name: name.rpartition("/")[::2] for name in columns}
+    joints = dict.fromkeys(joint for joint, field in fields.values() if joint and field in FIELDS)
+    inside = {
+        (joint, field): columns[name]
+        for joint in joints
+        for field in FIELDS
+        for name in (f"{joint}/{field}", *([joint] if field == "position" else ()))
+        if name in columns
+    }
+    state, pose = "sensor_msgs/msg/JointState", (*POSITION, *QUATERNION)
+    if inside:
+        yield JOINTS, state, _joint_states(types[state], list(joints), inside)
+    posed = pose if set(pose) <= columns.keys() else ()
+    if posed:
+        kind = "geometry_msgs/msg/PoseStamped"
+        yield POSE, kind, _poses(types, types[kind], [columns[name] for name in pose])
+    used = {name for name in columns if name in joints or fields[name] in inside} | set(posed)
+    rest = [name for name in columns if name not in used]
+    if rest:
+        yield VALUES, state, _joint_states(types[state], rest, {(name, "position"): columns[name] for name in rest})
+
+
+def _joint_states(make: Any, names: list[str], inside: Mapping[tuple[str, str], np.ndarray]) -> Any:
+    empty = np.full(len(next(iter(inside.values()))), np.nan)
+    given = {field for _, field in inside}
+    rows = [
+        np.column_stack([inside.get((name, field), empty) for name in names]) if field in given else None
+        for field in FIELDS
+    ]
+    return lambda header, k: make(header, names, *(np.zeros(0) if cells is None else cells[k] for cells in rows))
+
+
+def _poses(types: Mapping[str, Any], make: Any, cells: list[np.ndarray]) -> Any:
+    whole, point, turn = (types[f"geometry_msgs/msg/{name}"] for name in ("Pose", "Point", "Quaternion"))
+
+    def message(header: Any, k: int) -> Any:
+        x, y, z, *wxyz = (float(column[k]) for column in cells)
+        return make(header, whole(point(x, y, z), turn(*wxyz[1:], wxyz[0])))
+
+    return message

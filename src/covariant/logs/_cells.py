@@ -1,0 +1,48 @@
+"""Cells of a log as numbers. They are read as text first, so that an invalid one can be quoted with column and row."""
+
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from covariant._numbers import NUMBER
+from covariant.logs._columns import LogError, pyarrow
+
+
+def numbers(where: str, column: Any, needed: bool) -> Float[np.ndarray, "T"]:
+    """A column as float64, NaN where a cell is empty; `needed` makes an empty cell an error.
+
+    Raises `LogError` that begins with `where` and names the first row that holds anything else.
+    """
+    pa = pyarrow()
+    try:
+        values = column.cast(pa.float64(), safe=False).to_numpy()
+    except pa.ArrowInvalid:
+        values = _texts(where, column, needed)
+    except pa.ArrowNotImplementedError as error:
+        raise LogError(f"{where} holds {column.type}; convert it to plain numbers") from error
+    bad = ~np.isfinite(values) if needed else np.isinf(values)
+    if bad.any():
+        raise fault(where, int(bad.argmax()), column[int(bad.argmax())].as_py(), needed)
+    return values
+
+
+def _texts(where: str, column: Any, needed: bool) -> np.ndarray:
+    """Slower conversion, for a column with a cell that may have a plus sign or spaces, or is no number."""
+    pa = pyarrow()
+    compute = pa.compute
+    cells = compute.utf8_trim_whitespace(compute.fill_null(column.cast(pa.string()), ""))
+    written = compute.match_substring_regex(cells, rf"^({NUMBER})?\z").to_numpy()
+    if not written.all():
+        row = int((~written).argmax())
+        raise fault(where, row, column[row].as_py(), needed)
+    plain = compute.replace_substring_regex(cells, r"^\+", "")
+    filled = compute.if_else(compute.equal(plain, ""), "nan", plain)
+    return filled.cast(pa.float64()).to_numpy()
+
+
+def fault(where: str, row: int, cell: str | float | None, needed: bool) -> LogError:
+    """The error for a cell, counted from 0, that is no finite number."""
+    found = "an empty cell" if cell is None or not str(cell).strip() else repr(cell)
+    remedy = "only positions may be missing; fill it or cut the row" if needed else "leave it empty if it is missing"
+    return LogError(f"{where}, row {row + 1}: found {found}, needs a finite number; {remedy}")

@@ -1,0 +1,96 @@
+"""Time stamps in seconds, from numbers in any unit, dates, and times since 1970."""
+
+import re
+from fractions import Fraction
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from covariant.logs._cells import fault, numbers
+from covariant.logs._columns import LogError, pyarrow
+from covariant.logs._units import unit_factor
+
+LATEST = 1e8
+"""Stamps beyond this [s], three years, count from 1970 and not from the start of the machine."""
+_DATE = r"^\s*[0-9]{4}-[0-9]{2}-[0-9]{2}"
+
+
+class Stamps(NamedTuple):
+    """Stamps t (T,) [s], and the time [ns since 1970] at which t is zero; None where t is as in the file."""
+
+    t: Float[np.ndarray, "T"]
+    origin_ns: int | None
+
+
+def stamps(where: str, column: Any, given: str | None) -> Stamps:
+    """The stamps in a column of numbers, of dates as 2024-05-01T12:00:00.25Z, or of Arrow's timestamps.
+
+    Dates, and times since 1970, count from the first of them, and none of their digits is lost. `given` is the unit of
+    numbers, seconds by default. Raises `LogError` naming the first cell that is no stamp.
+    """
+    pa = pyarrow()
+    if dated(column):
+        _need_no_unit(where, given, "dates")
+        ticks = _dates(pa, where, column)
+        return Stamps((ticks - ticks[0]) * 1e-9, int(ticks[0]))
+    if pa.types.is_duration(column.type):
+        _need_no_unit(where, given, str(column.type))
+        column, given = column.cast(pa.int64()), column.type.unit
+    factor = 1.0 if given is None else unit_factor(given)
+    found = numbers(where, column, needed=True)
+    if not len(found) or abs(found[0] * factor) < LATEST:
+        return Stamps(found if factor == 1.0 else found * factor, None)
+    first, later = _since_first(pa, column, found)
+    return Stamps(later * factor, round(first * round(factor * 1e9)))
+
+
+def _since_first(pa: Any, column: Any, found: np.ndarray) -> tuple[Fraction, np.ndarray]:
+    """The first number, and all of them since the first, subtracted as they are written: a float has 16 digits."""
+    for exact in (pa.int64(), pa.decimal128(30, 12)):
+        try:
+            plain = pa.compute.utf8_trim_whitespace(column) if pa.types.is_string(column.type) else column
+            digits = plain.cast(exact)
+        except (pa.ArrowInvalid, pa.ArrowNotImplementedError):
+            continue
+        later = pa.compute.subtract(digits, digits[0]).cast(pa.float64(), safe=False)
+        return Fraction(digits[0].as_py()), later.to_numpy()
+    return Fraction(float(found[0])), found - found[0]
+
+
+def dated(column: Any) -> bool:
+    """Whether a column holds dates."""
+    types = pyarrow().types
+    if types.is_timestamp(column.type):
+        return True
+    return types.is_string(column.type) and len(column) > 0 and re.match(_DATE, column[0].as_py() or "") is not None
+
+
+def timed(column: Any) -> bool:
+    """Whether the type of a column, or its text, says that it holds time."""
+    return dated(column) or pyarrow().types.is_duration(column.type)
+
+
+def _need_no_unit(where: str, given: str | None, what: str) -> None:
+    if given is not None:
+        raise LogError(f"{where} holds {what}, which need no unit; leave [units] t away")
+
+
+def _dates(pa: Any, where: str, column: Any) -> np.ndarray:
+    """Nanoseconds since 1970 (T,); a date without a zone is taken for UTC."""
+    if pa.types.is_string(column.type):
+        plain = pa.compute.utf8_trim_whitespace(column)
+        plain = pa.compute.replace_substring_regex(plain, r"(:[0-9]{2}),([0-9]+)", r"\1.\2")
+        zone = None if re.search(r"(Z|[+-][0-9]{2}:?[0-9]{2})$", plain[0].as_py()) is None else "UTC"
+        try:
+            column = plain.cast(pa.timestamp("ns", zone))
+        except pa.ArrowInvalid as error:
+            quoted = re.search(r"'(.*)'", str(error))
+            row = -1 if quoted is None else pa.compute.index(plain, quoted[1]).as_py()
+            raise LogError(
+                f"{where}, row {row + 1}: found {plain[row].as_py()!r}, needs a date as in row 1, "
+                f"{plain[0].as_py()!r}, with nine digits after the second at most"
+            ) from error
+    if column.null_count:
+        raise fault(where, pa.compute.index(column.is_null(), True).as_py(), None, needed=True)
+    return column.cast(pa.timestamp("ns", column.type.tz)).cast(pa.int64()).to_numpy()

@@ -1,0 +1,149 @@
+"""Logs as text: header, delimiter and decimal mark are found in the file itself, and comments are left out."""
+
+import csv
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from covariant._numbers import DECIMAL
+from covariant.logs._columns import LogError
+
+DELIMITERS = {"\t": "tabs", ";": "semicolons", ",": "commas", "|": "strokes", " ": "spaces"}
+"""What may stand between two cells, most telling first, and its name; any number of spaces is one."""
+SAMPLE = 30
+"""Rows by which the delimiter is chosen."""
+_NOTHING = re.compile(rb"^[ \t]*(?:[#%][^\n]*)?(?:\n|\Z)", re.MULTILINE)
+"""A line that is empty or a comment."""
+_COMMA = r"^(\s*[+-]?[0-9]*),([0-9]+(?:[eE][+-]?[0-9]+)?\s*)$"
+_POINT = r"^\s*[+-]?(?:[0-9]+\.[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?\s*$"
+
+
+class Sheet(NamedTuple):
+    """The text of a log: names of its columns, delimiter, and the rows without comments and empty lines."""
+
+    header: list[str]
+    delimiter: str
+    rows: bytes
+
+
+def sheet(path: Path) -> Sheet:
+    """Read a text file; raises `LogError` for one without a header, `UnicodeDecodeError` for one not in Unicode."""
+    text = _unix(path.read_bytes())
+    remark = _remark(text)
+    text = _NOTHING.sub(b"", text)
+    first, _, rows = text.partition(b"\n")
+    if not first.strip(b" \t"):
+        raise LogError(f"{path}: the file is empty; its first line must name the columns")
+    lines = [first.decode(), *(line.decode() for line in rows.split(b"\n", SAMPLE)[:SAMPLE] if line)]
+    delimiter = next((d for d in DELIMITERS if _agrees(_split(lines, d))), None) or _of_header(lines[0])
+    header, *sample = _split(lines, delimiter)
+    if remark and all(is_number(cell) for cell in header if cell):  # as numpy.savetxt writes its header
+        names = _split([remark], delimiter)[0]
+        if len(names) == len(header):
+            header, sample, rows = names, [header, *sample], text
+    if header[-1] and sample and all(len(row) == len(header) + 1 and not row[-1] for row in sample):
+        header = [*header, ""]
+    elif not header[-1] and sample and all(len(row) == len(header) - 1 for row in sample):
+        header = header[:-1]
+    if delimiter == " ":
+        rows = re.sub(rb"[ \t]+", b" ", re.sub(rb"(?m)^[ \t]+|[ \t]+$", b"", rows))
+    return Sheet(header, delimiter, rows)
+
+
+def read_text(pa: Any, path: Path, found: Sheet, wanted: Sequence[str]) -> Any:
+    """The wanted columns of a sheet as texts; raises `LogError` for a row that is longer or shorter than the header."""
+    if not found.rows.strip():
+        raise LogError(f"{path}: the file has a header and no rows")
+    ragged = []
+    table = pa.csv.read_csv(
+        pa.BufferReader(found.rows),
+        read_options=pa.csv.ReadOptions(use_threads=False, column_names=found.header),
+        parse_options=pa.csv.ParseOptions(
+            delimiter=found.delimiter, invalid_row_handler=lambda row: ragged.append(row) or "skip"
+        ),
+        convert_options=pa.csv.ConvertOptions(
+            include_columns=wanted,
+            column_types=dict.fromkeys(wanted, pa.string()),
+            null_values=[""],
+            strings_can_be_null=True,
+        ),
+    )
+    if ragged:
+        row = ragged[0]
+        raise LogError(
+            f"{path}: row {row.number} has {row.actual_columns} cells where the header has {row.expected_columns}: "
+            f"{row.text[:60]!r}; a missing measurement is an empty cell between its {DELIMITERS[found.delimiter]}"
+        )
+    return table
+
+
+def with_points(pa: Any, path: Path, table: Any) -> Any:
+    """The table with decimal points in place of decimal commas; raises `LogError` where it has both."""
+    texts = [name for name in table.column_names if pa.types.is_string(table.schema.field(name).type)]
+    commas = {name: _matching(pa, table.column(name), _COMMA) for name in texts}
+    commas = {name: row for name, row in commas.items() if row is not None}
+    for name in texts if commas else ():
+        row = _matching(pa, table.column(name), _POINT)
+        if row is not None:
+            other, its = next(iter(commas.items()))
+            raise LogError(
+                f"{path}: column {other!r}, row {its + 1}: found {table.column(other)[its].as_py()!r}, and column "
+                f"{name!r}, row {row + 1}, has {table.column(name)[row].as_py()!r}; use one decimal mark, and no "
+                "commas between thousands"
+            )
+    for name in commas:
+        pointed = pa.compute.replace_substring_regex(table.column(name), _COMMA, r"\1.\2")
+        table = table.set_column(table.column_names.index(name), name, pointed)
+    return table
+
+
+def _matching(pa: Any, column: Any, pattern: str) -> int | None:
+    """The first row whose text matches a pattern."""
+    if "," in pattern and not pa.compute.any(pa.compute.match_substring(column, ",")).as_py():
+        return None
+    row = pa.compute.index(pa.compute.match_substring_regex(column, pattern), True).as_py()
+    return row if row >= 0 else None
+
+
+def _unix(text: bytes) -> bytes:
+    """The bytes in UTF-8 without its mark, each line ended by a line feed."""
+    if text[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        text = text.decode("utf-16").encode()
+    text = text.removeprefix(b"\xef\xbb\xbf")
+    return text.replace(b"\r\n", b"\n").replace(b"\r", b"\n") if b"\r" in text else text
+
+
+def _remark(text: bytes) -> str:
+    """The last comment before the first line that is none, without its mark."""
+    last = b""
+    for line in text.split(b"\n", SAMPLE):
+        plain = line.strip(b" \t")
+        if plain and plain[:1] not in b"#%":
+            break
+        last = plain or last
+    return last.lstrip(b"#% \t").decode()
+
+
+def _split(lines: Sequence[str], delimiter: str) -> list[list[str]]:
+    """The cells of each line, without the spaces around them."""
+    if delimiter == " ":
+        lines = [" ".join(line.split()) for line in lines]
+    return [[cell.strip() for cell in row] for row in csv.reader(lines, delimiter=delimiter)]
+
+
+def _agrees(rows: list[list[str]]) -> bool:
+    """Whether a delimiter splits all lines alike, but for one at the end of header or rows."""
+    header, *others = rows
+    widths = {len(row) for row in others} or {len(header)}
+    return len(header) > 1 and len(widths) == 1 and abs(len(header) - widths.pop()) <= 1
+
+
+def _of_header(line: str) -> str:
+    """The delimiter of a file whose rows do not agree: the first one that its header holds."""
+    return next((delimiter for delimiter in DELIMITERS if delimiter in line), ",")
+
+
+def is_number(cell: str) -> bool:
+    """Whether a cell holds a number, with a decimal point or a decimal comma."""
+    return re.fullmatch(DECIMAL, cell.replace(",", ".")) is not None

@@ -1,0 +1,105 @@
+"""Units of the columns of a log: the factor by which a number is multiplied to be in SI units and radians."""
+
+import math
+import re
+from typing import NamedTuple
+
+from covariant._numbers import DECIMAL
+
+
+class _Unit(NamedTuple):
+    """A unit: its size in s, rad, m, kg, A, and the exponents of these; None for a bare number, which fits any."""
+
+    factor: float
+    exponents: tuple[int, ...] | None
+
+
+_NEWTON, _JOULE = (-2, 0, 1, 1, 0), (-2, 0, 2, 1, 0)
+_SYMBOLS = {
+    "s": _Unit(1.0, (1, 0, 0, 0, 0)),
+    "sec": _Unit(1.0, (1, 0, 0, 0, 0)),
+    "min": _Unit(60.0, (1, 0, 0, 0, 0)),
+    "h": _Unit(3600.0, (1, 0, 0, 0, 0)),
+    "Hz": _Unit(1.0, (-1, 0, 0, 0, 0)),
+    "rad": _Unit(1.0, (0, 1, 0, 0, 0)),
+    "deg": _Unit(math.pi / 180, (0, 1, 0, 0, 0)),
+    "°": _Unit(math.pi / 180, (0, 1, 0, 0, 0)),
+    "turn": _Unit(2 * math.pi, (0, 1, 0, 0, 0)),
+    "turns": _Unit(2 * math.pi, (0, 1, 0, 0, 0)),
+    "rev": _Unit(2 * math.pi, (0, 1, 0, 0, 0)),
+    "rpm": _Unit(2 * math.pi / 60, (-1, 1, 0, 0, 0)),
+    "m": _Unit(1.0, (0, 0, 1, 0, 0)),
+    "g": _Unit(1e-3, (0, 0, 0, 1, 0)),
+    "N": _Unit(1.0, _NEWTON),
+    "Nm": _Unit(1.0, _JOULE),
+    "J": _Unit(1.0, _JOULE),
+    "W": _Unit(1.0, (-3, 0, 2, 1, 0)),
+    "Pa": _Unit(1.0, (-2, 0, -1, 1, 0)),
+    "bar": _Unit(1e5, (-2, 0, -1, 1, 0)),
+    "A": _Unit(1.0, (0, 0, 0, 0, 1)),
+    "V": _Unit(1.0, (-3, 0, 2, 1, -1)),
+}
+_PREFIXED = ("s", "rad", "m", "g", "Hz", "N", "Nm", "J", "W", "Pa", "A", "V")
+_PREFIXES = {"n": 1e-9, "u": 1e-6, "µ": 1e-6, "μ": 1e-6, "m": 1e-3, "c": 1e-2, "k": 1e3, "M": 1e6}
+_POWERS = {"": 1, "2": 2, "²": 2, "3": 3, "³": 3}
+_FACTOR = re.compile(rf"(?P<number>{DECIMAL})|(?P<symbol>[^\W\d_²³]+|°)(?P<power>\^?[23]|[²³])?")
+
+
+def _unit(text: str) -> _Unit:
+    """The unit that a text names: factors are multiplied, and one after a stroke divides; raises `ValueError`."""
+    size, exponents, named, rest, sign = 1.0, [0] * 5, False, text.strip(), 1
+    while rest or sign < 0 or not text.strip():
+        found = _FACTOR.match(rest)
+        part = None if found is None else _part(found)
+        if found is None or part is None:
+            raise ValueError(
+                f"unit {text!r} is not understood at {rest[:12]!r}; write it as in ms, us, deg, deg/s, mm, mN m, "
+                "turn/4096 for ticks of a 4096th of a turn, or -1 N m for the other sign"
+            )
+        size *= part.factor if sign > 0 else 1 / (part.factor or math.inf)
+        if part.exponents is not None:
+            named = True
+            exponents = [e + sign * more for e, more in zip(exponents, part.exponents, strict=True)]
+        rest, sign = rest[found.end() :].strip(), 1
+        if rest[:1] in ("/", "*", "·"):
+            sign, rest = -1 if rest[0] == "/" else 1, rest[1:].strip()
+    if not size or not math.isfinite(size):
+        raise ValueError(f"unit {text!r} is {size:g}; a unit must be a finite number other than zero")
+    return _Unit(size, tuple(exponents) if named else None)
+
+
+def _part(found: re.Match[str]) -> _Unit | None:
+    """The unit that one factor of a text stands for; None where no unit is called so."""
+    if found["number"]:
+        return _Unit(float(found["number"]), None)
+    name, power = found["symbol"], _POWERS[(found["power"] or "").removeprefix("^")]
+    base = _SYMBOLS.get(name)
+    if base is None and name[1:] in _PREFIXED and name[0] in _PREFIXES:
+        base = _SYMBOLS[name[1:]]
+        base = base._replace(factor=base.factor * _PREFIXES[name[0]])
+    if base is None or base.exponents is None:
+        return None
+    return _Unit(base.factor**power, tuple(power * e for e in base.exponents))
+
+
+def unit_factor(text: str) -> float:
+    """By what a number in a unit is multiplied to be in SI units and radians.
+
+    A unit is written as `ms`, `deg/s`, `mN m`, `turn/4096` for ticks of a 4096th of a turn, `-1 N m` for the other
+    sign, or as a bare number, `1e-3`. Raises `ValueError`, one line that quotes the text.
+    """
+    return _unit(text).factor
+
+
+def check_unit(text: str, wanted: str) -> None:
+    """Raise `ValueError` unless the text is a unit of the same kind as the `wanted` one.
+
+    A bare number fits, and so does anything where the unit that is wanted is unknown.
+    """
+    given = _unit(text)
+    try:
+        needed = _unit(wanted)
+    except ValueError:
+        return
+    if None not in (given.exponents, needed.exponents) and given.exponents != needed.exponents:
+        raise ValueError(f"unit {text!r} is no unit of what is measured in {wanted}")

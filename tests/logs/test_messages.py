@@ -1,0 +1,207 @@
+"""Logs as messages of ROS: what other programs write is read, they read what is written, and memory stays bounded."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+from mcap_ros2.writer import Writer as McapWriter
+from rosbags.rosbag2 import Reader, StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+
+from covariant import logs
+from covariant.logs import Columns, LogError
+
+STORE = get_typestore(Stores.ROS2_HUMBLE)
+STATE, POSED = "sensor_msgs/msg/JointState", "geometry_msgs/msg/PoseStamped"
+START = 1_700_000_000_123_456_789
+SECONDS = np.array([0.0, 0.25, 0.5, 0.75])
+MOTION = np.array([[0.1, 1.0], [0.2, 1.1], [0.3, 1.2], [0.4, 1.3]])
+JOINTS = Columns(q=("shoulder", "elbow"))
+
+
+def joint_state(stamp_ns: int, **numbers):
+    """A JointState as the fields of a dictionary: names, position, velocity, effort."""
+    sec, nanosec = divmod(stamp_ns, 10**9)
+    full = {"name": ["shoulder", "elbow"], "position": [], "velocity": [], "effort": []} | numbers
+    return {"header": {"stamp": {"sec": sec, "nanosec": nanosec}, "frame_id": ""}} | full
+
+
+def bag(path: Path, *series, storage=StoragePlugin.SQLITE3) -> Path:
+    """A rosbag2 of series (topic, [(received_ns, message)]) of joint states."""
+    types = STORE.types
+    with Writer(path, version=9, storage_plugin=storage) as writer:
+        for topic, messages in series:
+            connection = writer.add_connection(topic, STATE, typestore=STORE)
+            for received, m in messages:
+                stamp = types["builtin_interfaces/msg/Time"](**m["header"]["stamp"])
+                arrays = [np.array(m[field], float) for field in ("position", "velocity", "effort")]
+                made = types[STATE](types["std_msgs/msg/Header"](stamp, ""), m["name"], *arrays)
+                writer.write(connection, received, STORE.serialize_cdr(made, STATE))
+    return path
+
+
+def moving(late: int = 0, **numbers):
+    """Messages of MOTION, received so late [ns]."""
+    for t, row in zip(SECONDS, MOTION, strict=True):
+        stamp = START + round(t * 1e9)
+        yield stamp + late, joint_state(stamp, position=list(row), **numbers)
+
+
+@pytest.mark.parametrize("storage", list(StoragePlugin))
+def test_reads_a_rosbag(tmp_path, storage):
+    path = bag(tmp_path / "bag", ("/joint_states", list(moving(late=7, effort=[3.0, -4.0]))), storage=storage)
+    wanted = JOINTS._replace(u=("shoulder/effort", "/joint_states/elbow/effort"))
+    (inside,) = (each for each in path.iterdir() if each.suffix != ".yaml")
+    for place in (path, inside):
+        log = logs.read(place, wanted)
+        np.testing.assert_allclose(log.record.t, SECONDS, rtol=0, atol=1e-12)
+        np.testing.assert_array_equal(log.record.y, MOTION)
+        np.testing.assert_array_equal(log.record.u, np.tile([3.0, -4.0], (4, 1)))
+        assert log.origin_ns == START
+    assert logs.read(path, JOINTS._replace(t="received")).origin_ns == START + 7
+    assert list(logs.survey(path)) == ["t", "shoulder", "elbow", "shoulder/effort", "elbow/effort"]
+
+
+def test_reads_an_mcap_file_that_another_library_wrote(tmp_path):
+    definition = STORE.generate_msgdef(STATE, ros_version=2)[0]
+    with (tmp_path / "log.mcap").open("wb") as file:
+        writer = McapWriter(file)
+        schema = writer.register_msgdef(STATE, definition)
+        for received, message in moving():
+            writer.write_message("/arm", schema, message, log_time=received, publish_time=received)
+        writer.finish()
+    log = logs.read(tmp_path / "log.mcap", JOINTS)
+    np.testing.assert_array_equal(log.record.y, MOTION)
+    assert log.origin_ns == START
+
+
+def test_another_library_reads_what_is_written(tmp_path):
+    pose = dict(
+        zip(["px", "py", "pz", "qw", "qx", "qy", "qz"], np.arange(7.0)[:, None] + np.zeros((7, 4)), strict=True)
+    )
+    columns = {"t": SECONDS, "arm/position": MOTION[:, 0], "arm/velocity": MOTION[:, 1], "other": SECONDS, **pose}
+    logs.write(tmp_path / "log.mcap", columns, START)
+    with (tmp_path / "log.mcap").open("rb") as file:
+        found = [
+            (channel.topic, message.log_time, decoded)
+            for _, channel, message, decoded in make_reader(
+                file, decoder_factories=[DecoderFactory()]
+            ).iter_decoded_messages()
+        ]
+    states = [decoded for topic, _, decoded in found if topic == "/joint_states"]
+    assert [list(s.position) + list(s.velocity) for s in states] == MOTION.tolist()
+    assert all(s.name == ["arm"] and not s.effort for s in states)
+    assert [ns for topic, ns, _ in found if topic == "/pose"] == [START + round(t * 1e9) for t in SECONDS]
+    poses = [decoded.pose for topic, _, decoded in found if topic == "/pose"]
+    assert [(p.position.y, p.orientation.w, p.orientation.z) for p in poses] == [(1.0, 3.0, 6.0)] * 4
+    assert [list(decoded.position) for topic, _, decoded in found if topic == "/values"] == SECONDS[:, None].tolist()
+    logs.write(tmp_path / "log.rosbag2", columns)
+    with Reader(tmp_path / "log.rosbag2") as reader:
+        assert sorted(reader.topics) == ["/joint_states", "/pose", "/values"]
+        assert reader.message_count == 12
+    for name in ("log.mcap", "log.rosbag2"):
+        back = logs.read(tmp_path / name, Columns(q=("arm",), v=("arm/velocity",), position=("px", "py", "pz")[:0]))
+        np.testing.assert_array_equal(back.v[:, 0], MOTION[:, 1])
+        np.testing.assert_allclose(back.record.t, SECONDS, rtol=0, atol=1e-12)
+
+
+def test_several_topics_are_one_log(tmp_path):
+    """The rows are those of the positions; inputs hold between messages, and what is read more seldom is missing."""
+    early, late = (START + round(s * 1e9) for s in (-0.1, 0.6))
+    commands = [(ns, joint_state(ns, name=["drive"], effort=[u])) for ns, u in ((early, 5.0), (late, 6.0))]
+    slow = [(ns, m | {"name": ["slow"], "position": [9.0 + k]}) for k, (ns, m) in enumerate(list(moving())[::2])]
+    path = bag(tmp_path / "bag", ("/fast", list(moving())), ("/slow", slow), ("/commands", commands))
+    record = logs.read(path, Columns(q=("shoulder", "slow"), u=("drive/effort",))).record
+    np.testing.assert_array_equal(record.y[:, 0], MOTION[:, 0])
+    np.testing.assert_array_equal(record.y[:, 1], [9.0, np.nan, 10.0, np.nan])
+    np.testing.assert_array_equal(record.u[:, 0], [5.0, 5.0, 5.0, 6.0])
+
+
+@pytest.mark.parametrize(
+    ("series", "columns", "words"),
+    [
+        ([("/a", [(1, joint_state(1, position=[1.0]))])], JOINTS, "names 2 joints and has 1 numbers of position"),
+        ([("/a", [(1, joint_state(1))])], JOINTS, "its messages hold no joint and no pose"),
+        (
+            [("/a", [(k, joint_state(0, position=[1, 2])) for k in (1, 2)])],
+            JOINTS,
+            "stamp 0; name the column 'received'",
+        ),
+        (
+            [("/a", [(k, joint_state(5, position=[1, 2])) for k in (1, 2)])],
+            JOINTS,
+            "messages 1 and 2 of /a have the same",
+        ),
+        ([("/a", list(moving())), ("/b", list(moving()))], JOINTS, "There are: t, /a/shoulder/position, /a/elbow"),
+        ([("/a", list(moving()))], Columns(q=("wrist",)), "There are: t, shoulder, elbow"),
+        ([("/a", list(moving()))], JOINTS._replace(units={"t": ("ms",)}), "holds duration[ns], which need no unit"),
+    ],
+)
+def test_what_is_wrong_with_messages_is_said(tmp_path, series, columns, words):
+    with pytest.raises(LogError) as caught:
+        logs.read(bag(tmp_path / "bag", *series), columns)
+    assert words in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_damaged_and_foreign_files_get_one_line(tmp_path):
+    whole = bag(tmp_path / "bag", ("/a", list(moving())), storage=StoragePlugin.MCAP) / "bag.mcap"
+    for name, content in (("cut.mcap", whole.read_bytes()[:400]), ("other.mcap", b"t,q\n0,1\n"), ("empty.db3", b"")):
+        (tmp_path / name).write_bytes(content)
+        with pytest.raises(LogError, match="cannot be read as a rosbag: ") as caught:
+            logs.read(tmp_path / name, JOINTS)
+        assert "\n" not in str(caught.value)
+    with pytest.raises(FileNotFoundError, match="no such file"):
+        logs.read(tmp_path / "absent.mcap", JOINTS)
+
+
+def test_nothing_is_replaced_or_left_where_writing_fails(tmp_path):
+    logs.write(tmp_path / "log.mcap", {"t": SECONDS, "q": SECONDS})
+    before = (tmp_path / "log.mcap").read_bytes()
+    with pytest.raises(LogError, match="ROS counts seconds from 0"):
+        logs.write(tmp_path / "log.mcap", {"t": SECONDS - 1, "q": SECONDS})
+    logs.write(tmp_path / "log.rosbag2", {"t": SECONDS, "q": SECONDS})
+    with pytest.raises(LogError, match="there is such a folder already"):
+        logs.write(tmp_path / "log.rosbag2", {"t": SECONDS, "q": SECONDS})
+    assert (tmp_path / "log.mcap").read_bytes() == before
+    assert sorted(each.name for each in tmp_path.iterdir()) == ["log.mcap", "log.rosbag2"]
+
+
+def test_says_how_to_install_rosbags(tmp_path, monkeypatch):
+    logs.write(tmp_path / "log.mcap", {"t": SECONDS, "q": SECONDS})
+    monkeypatch.setitem(sys.modules, "rosbags.highlevel", None)
+    monkeypatch.setitem(sys.modules, "rosbags.rosbag2", None)
+    for use in (
+        lambda: logs.read(tmp_path / "log.mcap", JOINTS),
+        lambda: logs.write(tmp_path / "x.mcap", {"t": SECONDS}),
+    ):
+        with pytest.raises(ImportError, match=r"pip install 'covariant\[ros\]'"):
+            use()
+
+
+MEASURE = """
+import resource, sys
+from covariant import logs
+def peak(): return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+columns = logs.Columns(q=("shoulder", "elbow"))
+logs.read(sys.argv[1], columns)
+before = peak()
+rows = len(logs.read(sys.argv[2], columns).record.t)
+print(rows, peak() - before)
+"""
+
+
+def test_memory_grows_by_what_is_kept(tmp_path):
+    """30 000 messages, 1.2 MB of stamps and numbers: less than what the messages themselves would take."""
+    few, many = tmp_path / "few", tmp_path / "many"
+    for path, count in ((few, 100), (many, 30_000)):
+        messages = [(k + 1, joint_state(k + 1, position=[0.1, 0.2])) for k in range(count)]
+        bag(path, ("/a", messages), storage=StoragePlugin.MCAP)
+    done = subprocess.run([sys.executable, "-c", MEASURE, few, many], capture_output=True, text=True, check=True)
+    rows, grown = done.stdout.split()
+    assert int(rows) == 30_000
+    assert float(grown) < 12.0

@@ -1,0 +1,76 @@
+"""The extended Kalman filter of state-space models against one that is written plainly, and its gate."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from covariant.models import StateSpace
+from covariant.observers import StateEKF, run
+from covariant.signals import Record, Result
+
+A, C = np.array([[0.0, 1.0], [-4.0, -0.3]]), np.array([[1.0, 0.0], [0.5, 1.0]])
+Q, R = np.diag([0.02, 0.3]), np.array([[0.01, 0.004], [0.004, 0.04]])
+START, SPREAD = np.array([0.3, -1.0]), np.diag([0.5, 2.0])
+LINEAR = StateSpace(
+    lambda t, x, u: jnp.asarray(A) @ x + jnp.array([0.0, 1.0]) * u[0],
+    lambda t, x, u: jnp.asarray(C) @ x,
+    coordinates=("position", "velocity"),
+    inputs=1,
+)
+FILTER = StateEKF(LINEAR, jnp.asarray(Q), jnp.asarray(R), jnp.asarray(START), jnp.asarray(SPREAD))
+
+
+@pytest.fixture(scope="module")
+def record():
+    rng = np.random.default_rng(3)
+    t = np.cumsum(rng.uniform(0.005, 0.015, 300))
+    y = rng.multivariate_normal([0, 0], R, 300) + np.sin(2 * t)[:, None]
+    y[40:45, 0] = np.nan
+    y[100:110] = np.nan
+    return Record(t, np.cos(t)[:, None], y)
+
+
+def textbook(record):
+    """The Kalman filter with exact transition and noise of each step (Van Loan 1978), in plain NumPy."""
+    x, cov, rows = START, SPREAD, []
+    for k, y in enumerate(record.y):
+        if k:
+            h = record.t[k] - record.t[k - 1]
+            van_loan = expm(h * np.block([[-A, Q], [np.zeros((2, 2)), A.T]]))
+            f = van_loan[2:, 2:].T
+            added = f @ van_loan[:2, 2:]
+            moved = expm(h * np.block([[A, np.array([[0.0], [1.0]])], [np.zeros((1, 3))]]))
+            x = (moved @ np.append(x, record.u[k - 1]))[:2]
+            cov = f @ cov @ f.T + added
+        seen = np.isfinite(y)
+        c, r = C[seen], R[np.ix_(seen, seen)]
+        gain = cov @ c.T @ np.linalg.inv(c @ cov @ c.T + r)
+        x, cov = x + gain @ (y[seen] - c @ x), cov - gain @ c @ cov
+        rows.append(np.concatenate([x, np.sqrt(np.diag(cov))]))
+    return np.array(rows)
+
+
+def test_it_is_the_kalman_filter_on_a_linear_system(record):
+    done, plain = run(FILTER, record), textbook(record)
+    np.testing.assert_allclose(done.estimate, plain[:, :2], rtol=0, atol=1e-4)
+    np.testing.assert_allclose(done.info.state_std, plain[:, 2:], rtol=1e-4)
+    codes = np.asarray(done.info.result)
+    assert (codes[100:110] == Result.COASTED).all()
+    assert (codes[110:] == Result.OK).all()
+    assert 0.5 < np.mean(np.asarray(done.info.nis)[150:]) / 2 < 3.0
+
+
+def test_an_outlier_is_refused_and_one_that_stays_is_believed(record):
+    y = record.y.copy()
+    y[200, 0] += 50.0
+    clean, spoiled = run(FILTER, record), run(FILTER, record._replace(y=y))
+    assert int(spoiled.info.result[200]) == Result.OUTLIER
+    np.testing.assert_allclose(spoiled.estimate[200:], clean.estimate[200:], rtol=0, atol=0.1)
+    y[200:, :] += [50.0, 25.0]
+    assert Result.RESTARTED in np.asarray(run(FILTER, record._replace(y=y)).info.result)
+
+
+def test_numbers_that_are_not_finite_are_refused():
+    with pytest.raises(ValueError, match="StateEKF: process_cov must have finite entries"):
+        StateEKF(LINEAR, jnp.full((2, 2), jnp.nan), jnp.asarray(R), jnp.asarray(START), jnp.asarray(SPREAD))
