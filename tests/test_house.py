@@ -50,9 +50,9 @@ PUBLIC = {
     "noise_disturbance observability observer_gain optimal_lyapunov parse projection rate_of rates_along "
     "steady_distance subject tangent_metric tracking trade_off trajectories upper_distance virtual",
     "control": "Backstepping Reference follow lissajous set_point",
-    "design": "ESTIMATORS DataSheet Gains MetricSummary Trial bias contracting_gain estimators filter_bandwidth gains "
-    "gated jerk_bound joint_noise load_metric metric metric_summary observer_gains predict_errors tuned_estimators "
-    "usual_speeds window_length with_gains",
+    "design": "ESTIMATORS DataSheet Gains HeldOut MetricSummary Noise Trial Tuning bias contracting_gain estimators "
+    "filter_bandwidth gains gated given_noise jerk_bound joint_noise load_metric metric metric_summary observer_gains "
+    "predict_errors tune tuned_estimators usual_speeds window_length with_gains",
     "diagnosis": "Diagnosis Finding diagnose misfit outliers",
     "geometry": "AbstractManifold AbstractMetric AbstractSpace Budget ConstantCurvature Coordinates Euclidean "
     "FlatTorus Interpolated KineticEnergy Metric Product ProductManifold Pullback Shot Transported "
@@ -68,8 +68,8 @@ PUBLIC = {
     "logs": "ATTITUDES Body Columns Log LogError bodies coordinates matrices read survey to_columns write",
     "models": "Family GroupSystem Lagrangian MechanicalSystem ModelError ModelFile MomentumChart Motion Parameter "
     "Parametric StateSpace acceleration advance applied_force ball_and_beam bioreactor body_velocity chart_jacobian "
-    "chart_velocity check_metric check_model duffing energy family free_body friction from_recipe heavy_top hovercraft "
-    "in_chart induction_motor input_count load "
+    "chart_velocity check_metric check_model document duffing energy family free_body friction from_recipe heavy_top "
+    "hovercraft in_chart induction_motor input_count load "
     "lorenz oscillator pendulum_chain recipe resistance rewrite satellite satellite_arm source spatial_momentum "
     "state_space underwater_vehicle unknown_frequency van_der_pol",
     "models.robots": "BodyInertia Description Follows Joint KinematicTree RobotSpace assemble load read",
