@@ -60,8 +60,8 @@ PUBLIC = {
     "inner log norm shoot sphere transport transport_along wrap",
     "geometry.lie": "SE2 SE3 SO2 SO3 SU AbstractGroup AbstractInertia Inertia LeftInvariant MatrixGroup Product "
     "quaternion_from_rotation rotation_from_quaternion",
-    "identification": "Draft Fit PredictionErrors Windows draft fit growth horizon prediction_errors relations split "
-    "windows",
+    "identification": "FITTED Draft Fit PredictionErrors Windows draft fit growth horizon prediction_errors relations "
+    "split windows",
     "interop": "closed_loop observer_system plant",
     "lowering": "FOLD INTERVALS NUMBERS STUMPFF Condition Conditions Derivative Domain Enclosure Graph Interval "
     "Lowered LoweringError Node Truth enclose evaluate expand fulfilled graft lower numbers pairs stumpff substitute",

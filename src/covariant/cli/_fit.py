@@ -12,6 +12,7 @@ from covariant.cli._console import stages
 from covariant.cli._job import Job, Loaded, check_output, coordinates, load
 from covariant.cli._results import rounded
 from covariant.identification import (
+    FITTED,
     Fit,
     PredictionErrors,
     fit,
@@ -47,7 +48,8 @@ def fit_model(
         begin("reading")
         loaded = [when_true(job) for job in jobs]
         records, references = [one.log.record for one in loaded], [one.reference.v for one in loaded if one.reference]
-        length = horizon(records[0], references[0]) if length is None else length
+        part = 1 - FITTED if len(jobs) == 1 else 1.0
+        length = horizon(records[0], references[0], part) if length is None else length
         try:
             training, held_out = split(records, references, length)
         except ValueError as error:
