@@ -18,6 +18,10 @@ from covariant.observers import Intrinsic
 
 DIGITS = 4
 """Significant digits of tuned numbers in a model file."""
+WORSE = 1.2
+"""Ratio of the velocity errors of Kalman filter and constant gains from which it is said that the filter is worse."""
+COARSER = 1.5
+"""Readings whose noise is more than so many times that of their ticks are taken as noisy, not as ticks."""
 NOT_WHITE = 0.3
 """Correlation of neighbouring innovations from which it is said that the model does not explain them."""
 
@@ -63,7 +67,7 @@ def _tables(file: models.ModelFile, found: Tuning, rate: float) -> dict[str, dic
         "uncertainty": uncertainty,
         "design": {"damping": _short(found.damping), "natural_frequency": _short(found.natural_frequency)},
     }
-    if file.quantum is None:
+    if file.quantum is None or max(np.asarray(found.noise.measurement)) > COARSER * file.quantum / np.sqrt(12):
         std = [_short(value) for value in np.asarray(found.noise.measurement)]
         tables = {"measurement": {"std": std if file.model.manifold.commuting else std[0]}, **tables}
     return tables
@@ -121,6 +125,11 @@ def warning(found: Tuning) -> str | None:
         return (
             f"with constant gains the model does not help here: {without}, constant gains {gains:.3g}; {remedy}, or "
             f"estimate with --observer intrinsic-kalman ({kalman:.3g})"
+        )
+    if kalman > WORSE * gains:
+        return (
+            f"the noise is not white: the most likely Kalman filter leaves {kalman:.3g} of the velocity and constant "
+            f"gains {gains:.3g}; estimate with --observer intrinsic"
         )
     worst = float(np.max(np.abs(found.after.correlation)))
     if worst > NOT_WHITE:

@@ -20,7 +20,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from covariant._typing import Scalar, Vector
+from covariant._typing import Flag, Scalar, Vector
 from covariant.models import MechanicalSystem, Motion, advance
 
 CREDIBLE = 5.0
@@ -137,7 +137,7 @@ def _white(acceleration: Scalar, dt: Scalar, n: int) -> Float[Array, "m m"]:
     return jnp.zeros((3 * n, 3 * n)).at[: 2 * n, : 2 * n].set(jnp.kron(both, jnp.eye(n)))
 
 
-def _reading(x: Vector, cov: Array, i: int, residual: Scalar, variance: Scalar, present: Scalar):
+def _reading(x: Vector, cov: Array, i: int, residual: Scalar, variance: Scalar, present: Flag):
     """The correction by one number; beyond `CREDIBLE` deviations it has the noise of an outlier of its size."""
     innovation, spread = residual - x[i], cov[i, i] + variance
     square = innovation**2 / spread

@@ -85,7 +85,7 @@ class Tuning(NamedTuple):
     @property
     def model_helps(self) -> bool:
         """Whether an estimator with the model is better than the best filter without one."""
-        return self.model_free is None or min(self.after.relative) < self.model_free[1]
+        return self.model_free is None or bool(min(self.after.relative) < self.model_free[1])
 
 
 class _Log(NamedTuple):
@@ -120,7 +120,7 @@ def tune(
 
     - `velocities`: a reference (T, n) for each record, such as `scoring.zero_phase_velocity` gives; nothing but the
       choice of the filters without a model is tuned to it.
-    - `std` (n,): standard deviation of a reading, where it is known, as of an encoder; otherwise it is found as well.
+    - `std` (n,): least standard deviation of a reading, such as that of one tick of an encoder.
     - `before`: a data sheet whose gains and noise are judged beside those that are found.
     - `told`: called with the name of each of the four stages when it begins.
 
@@ -240,7 +240,8 @@ def _best_noise(
     logs: list[_Log], systems: list[ErrorModel], frequency: float, size: np.ndarray, std: np.ndarray | None
 ) -> Noise:
     """The noise of the greatest likelihood; with an unknown force where that tells more than it costs."""
-    first = size / np.sqrt(2) if std is None else np.asarray(std, float)
+    least = LEAST * size if std is None else np.asarray(std, float)
+    first = np.maximum(size / np.sqrt(2), least)
     acceleration = frequency**2 * float(np.sqrt(np.mean(first**2))) / np.sqrt(logs[0].rate)
     force = acceleration * np.sqrt(frequency) / float(np.mean([np.abs(np.asarray(s.push)).max() for s in systems]))
     ends = [len(log.first_part.t) for log in logs]
@@ -249,8 +250,8 @@ def _best_noise(
     speed = _speed(logs)
 
     def noise(z):
-        """Of the logarithms of the noise of acceleration and force, and of the readings where it is not known."""
-        measured = first if std is not None else np.maximum(np.exp(z[2:]), LEAST * size)
+        """Of the logarithms of the noise of acceleration, force and readings."""
+        measured = np.maximum(np.exp(z[2:]), least)
         return Noise(*(jnp.asarray(x) for x in (np.exp(z[0]), measured, np.exp(z[1]))))
 
     def cost(z):
@@ -260,7 +261,7 @@ def _best_noise(
         )
         return total if np.isfinite(total) else np.inf
 
-    start = np.log([acceleration, force, *(first if std is None else ())])
+    start = np.log([acceleration, force, *first])
     plain = start.copy()
     plain[1] = -np.inf
     plain, without = _descend(cost, plain)
