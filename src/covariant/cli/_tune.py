@@ -69,7 +69,7 @@ def _tables(file: models.ModelFile, found: Tuning, rate: float) -> dict[str, dic
     }
     if file.quantum is None or max(np.asarray(found.noise.measurement)) > COARSER * file.quantum / np.sqrt(12):
         std = [_short(value) for value in np.asarray(found.noise.measurement)]
-        tables = {"measurement": {"std": std if file.model.manifold.commuting else std[0]}, **tables}
+        tables = {"measurement": {"std": std if file.model.manifold.commuting and len(std) > 1 else std[0]}, **tables}
     return tables
 
 
