@@ -28,39 +28,42 @@ DRAWN = {
 }
 CASES = {
     "simple pendulum, dircol -> ddp": (
-        ("dfki_simple_pendulum_dircol", "dfki_simple_pendulum/dircol.csv", "dfki_simple_pendulum/ddp.csv"),
+        ("dfki_simple_pendulum_dircol", ["dfki_simple_pendulum/dircol.csv"], "dfki_simple_pendulum/ddp.csv"),
         SIMPLE,
         (*SIMPLE, "inputs.lag"),
     ),
     "simple pendulum, ddp -> dircol": (
-        ("dfki_simple_pendulum", "dfki_simple_pendulum/ddp.csv", "dfki_simple_pendulum/dircol.csv"),
+        ("dfki_simple_pendulum", ["dfki_simple_pendulum/ddp.csv"], "dfki_simple_pendulum/dircol.csv"),
         SIMPLE,
         (*SIMPLE, "inputs.lag"),
     ),
-    "DFKI A0, 00 -> 05": (
+    "DFKI A0, 00 and 12 -> 05": (
         (
             "dfki_double_pendulum",
-            "dfki_double_pendulum/A0_sysid_00.csv",
+            ["dfki_double_pendulum/A0_sysid_00.csv", "dfki_double_pendulum/A0_sysid_12.csv"],
             "dfki_double_pendulum/A0_sysid_05.csv",
         ),
         DRAWN,
-        ("mass", "length[0]", "com", "inertia", "viscous", "coulomb"),
+        ("mass", "length[0]", "inertia", "viscous", "coulomb", "inputs.lag"),
     ),
 }
 
 if __name__ == "__main__":
     print("| fitted on -> judged on | first numbers | fitted | published |")
-    for case, ((name, log, judged), guess, names) in CASES.items():
+    for case, ((name, fitted_logs, judged), guess, names) in CASES.items():
         spec, first = f"examples/{name}.toml", tuple(f"parameters.{key}={value}" for key, value in guess.items())
+        first += ("inputs.lag=0.005",) if "inputs.lag" in names else ()
         family = models.family(spec, names, first)
-        seen = load(Job(spec, DATA / log, first, 1, None, COLUMNS, True))
-        record = seen.log.record
-        found = fit(family, windows([record], [seen.reference.v], horizon(record, seen.reference.v)))
+        seen = [load(Job(spec, DATA / log, first, 1, None, COLUMNS, True)) for log in fitted_logs]
+        records, velocities = [one.log.record for one in seen], [one.reference.v for one in seen if one.reference]
+        found = fit(family, windows(records, velocities, horizon(records[0], velocities[0])))
 
         def error(overrides, spec=spec, judged=judged):
             loaded = load(Job(spec, DATA / judged, tuple(overrides), 1, None, COLUMNS, True))
             gains = observer_gains(data_sheet(loaded.file), loaded.rate)
-            return drive(Intrinsic(loaded.model, gains.alpha, gains.beta), loaded).score.rmse
+            score = drive(Intrinsic(loaded.model, gains.alpha, gains.beta), loaded).score
+            assert score is not None
+            return score.rmse
 
         content = family.with_values(found.values)
         fitted = [f"parameters.{key}={content['parameters'][key]}" for key in guess]

@@ -67,6 +67,7 @@ def test_what_is_held_out_confirms_it(tuned):
     assert np.abs(tuned.after.correlation).max() < 0.1
     assert tuned.model_helps
     assert tuned.after.kalman_error[0] < 1.03 * tuned.after.gains_error[0]
+    assert tuned.model_free is not None
     assert max(tuned.after.relative) < tuned.model_free[1]
 
 
@@ -75,6 +76,7 @@ def test_with_a_metric_that_is_too_large_the_filter_is_as_good_as_one_without_a_
     record, v = log
     found = tune(swing(1.5), [record], [v])
     assert found.noise.force > 0
+    assert found.model_free is not None
     assert found.after.relative[1] < 1.02 * found.model_free[1]
 
 

@@ -13,7 +13,7 @@ Source: Schweppe 1965, Evaluation of likelihood functions for Gaussian signals, 
 Optimal Filtering, section 10.1, for the likelihood. Huber 1981, section 7.7, for the weight of an outlier.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -121,12 +121,13 @@ def kalman(errors: ErrorModel, noise: Noise, speed: Scalar | float) -> Filtered:
         whole = jnp.block([[row.transition, push], [jnp.zeros((n, 2 * n)), jnp.eye(n)]])
         x = whole @ x + jnp.concatenate([row.defect, jnp.zeros(n)])
         cov = whole @ cov @ whole.T + row.dt * walk + _white(noise.acceleration, row.dt, n)
-        x, cov = jnp.where(row.fresh, 0.0, x), jnp.where(row.fresh, first, cov)
-        found = []
+        now: Any = jnp.where(row.fresh, 0.0, x), jnp.where(row.fresh, first, cov)
+        found: list[Any] = []
         for i in range(n):  # the noise of the readings is independent, so they are taken in one after the other
-            x, cov, told = _reading(x, cov, i, row.residual[i], variance[i], row.present[i])
+            *now, told = _reading(now[0], now[1], i, row.residual[i], variance[i], row.present[i])
             found.append(told)
-        return (x, cov), Filtered(*(jnp.stack(each) for each in zip(*found, strict=True)), x[: 2 * n])
+        loss, innovation, spread = (jnp.stack(each) for each in zip(*found, strict=True))
+        return tuple(now), Filtered(loss, innovation, spread, now[0][: 2 * n])
 
     return jax.lax.scan(step, (jnp.zeros(3 * n), first), errors)[1]
 

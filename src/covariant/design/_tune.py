@@ -233,7 +233,7 @@ def _system(model: MechanicalSystem, log: _Log, estimate) -> ErrorModel:
     t, u, y = (jnp.asarray(each) for each in log.record[:3])
     some = np.linspace(0, len(t) - 2, min(200, len(t) - 1)).astype(int)
     fixed = with_fixed_substeps(_intrinsic(model, 1.0, 1.0), log.rate, q[some], v[some], u[some])
-    return error_model(model, q, v, t, u, y, fixed.substeps)
+    return error_model(model, q, v, t, u, y, fixed.substeps or 1)
 
 
 def _best_noise(
@@ -351,7 +351,7 @@ def _best_model_free(model, logs: list[_Log], noise: Noise, sheet: DataSheet | N
     first, n = logs[0], logs[0].velocity.shape[1]
     end = len(first.first_part.t)
     known = np.isfinite(first.velocity[:end]).all(axis=1)
-    t, y = np.asarray(first.record.t)[:end], unwrap(first.record.y, model.circles)[:end]
+    t, y = np.asarray(first.record.t)[:end], unwrap(np.asarray(first.record.y), model.circles)[:end]
     trial = Trial(t[known], y[known], first.velocity[:end][known])
     typical = float(np.sqrt(np.mean(np.asarray(noise.measurement) ** 2)))
     sheet = (sheet or DataSheet(typical, float(noise.acceleration)))._replace(speed=None, quantum=None)
