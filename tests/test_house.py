@@ -16,7 +16,7 @@ ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "covariant"
 
 PLAN = (
-    "_programs _typing _functional _files _optional _numbers signals scoring _linalg _integrate lowering "
+    "_programs _typing _functional _files _optional _numbers signals scoring _linalg _dormand_prince _integrate lowering "
     "logs geometry models riccati observers control simulation interop scale proofs certificates audit diagnosis "
     "design identification report papers cli"
 )
@@ -51,11 +51,9 @@ PUBLIC = {
     "noise_disturbance observability observer_gain optimal_lyapunov parse projection rate_of rates_along "
     "steady_distance subject tangent_metric tracking trade_off trajectories upper_distance virtual",
     "control": "Backstepping Reference follow lissajous set_point",
-    "design": "ESTIMATORS STATE_ESTIMATORS DataSheet Gains MetricSummary Trial bias contracting_gain estimators "
-    "filter_bandwidth gains "
-    "gated jerk_bound joint_noise load_metric metric metric_summary observer_gains predict_errors tuned_estimators "
-    "tuned_state_estimators "
-    "usual_speeds window_length with_gains",
+    "design": "ESTIMATORS STATE_ESTIMATORS DataSheet Gains HeldOut MetricSummary Noise Trial Tuning bias "
+    "contracting_gain estimators filter_bandwidth gains gated given_noise jerk_bound joint_noise load_metric metric metric_summary "
+    "observer_gains predict_errors tune tuned_estimators tuned_state_estimators usual_speeds window_length with_gains",
     "diagnosis": "Diagnosis Finding diagnose misfit outliers",
     "geometry": "AbstractManifold AbstractMetric AbstractSpace Budget ConstantCurvature Coordinates Euclidean "
     "FlatTorus Interpolated KineticEnergy Metric Product ProductManifold Pullback Shot Transported "
@@ -63,8 +61,8 @@ PUBLIC = {
     "inner log norm shoot sphere transport transport_along wrap",
     "geometry.lie": "SE2 SE3 SO2 SO3 SU AbstractGroup AbstractInertia Inertia LeftInvariant MatrixGroup Product "
     "quaternion_from_rotation rotation_from_quaternion",
-    "identification": "Draft Fit PredictionErrors Windows draft fit growth horizon prediction_errors relations split "
-    "windows",
+    "identification": "FITTED Draft Fit PredictionErrors Windows draft fit growth horizon prediction_errors relations "
+    "split windows",
     "interop": "closed_loop observer_system plant",
     "lowering": "FOLD INTERVALS NUMBERS STUMPFF Condition Conditions Derivative Domain Enclosure Graph Interval "
     "Lowered LoweringError Node Truth enclose evaluate expand fulfilled graft lower numbers pairs stumpff substitute",
@@ -72,8 +70,8 @@ PUBLIC = {
     "survey to_columns unit_factor write",
     "models": "Family GroupSystem Lagrangian MechanicalSystem ModelError ModelFile MomentumChart Motion Parameter "
     "Parametric StateSpace acceleration advance applied_force ball_and_beam bioreactor body_velocity chart_jacobian "
-    "chart_velocity check_metric check_model duffing energy family free_body friction from_recipe heavy_top hovercraft "
-    "in_chart induction_motor input_count load "
+    "chart_velocity check_metric check_model document duffing energy family free_body friction from_recipe heavy_top "
+    "hovercraft in_chart induction_motor input_count load "
     "lorenz oscillator pendulum_chain recipe resistance rewrite satellite satellite_arm source spatial_momentum "
     "state_space underwater_vehicle unknown_frequency van_der_pol",
     "models.robots": "BodyInertia Description Follows Joint KinematicTree RobotSpace assemble load read",

@@ -1,4 +1,4 @@
-"""The command line: `covariant init | check | fit | estimate | compare | simulate | certify | audit | design | …`."""
+"""The command line: `covariant init | check | fit | tune | estimate | compare | simulate | certify | …`."""
 
 import os
 import sys

@@ -155,7 +155,7 @@ def fit(
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="Write the model file with the fitted numbers here (.toml).")
     ] = None,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Let --out be the model file itself.")] = False,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Let --out replace a file that exists.")] = False,
     horizon: Annotated[
         float | None, typer.Option(help="Length of predictions [s]; by default as the motion suggests.")
     ] = None,
@@ -179,6 +179,36 @@ def fit(
     columns = {"t": t, "q": q, "u": u, "v": None, "truth": None}
     jobs = [Job(model, log, tuple(override), every, until, columns, anyway, start) for log in log_files]
     _fit.fit_model(jobs, parameters, out, overwrite, horizon, json)
+
+
+@app.command()
+def tune(
+    model: Model,
+    log_files: Annotated[
+        list[Path], typer.Argument(metavar="LOG...", help="Logs; the last third of each is held out to judge by.")
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", "--write", help="Write the model file with the tuned numbers here (.toml)."),
+    ] = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Let --out replace a file that exists.")] = False,
+    override: Override = [],  # noqa: B006  typer copies it
+    every: Every = 1,
+    until: Until = None,
+    t: Time = None,
+    q: Positions = None,
+    u: Inputs = None,
+    report: Report = None,
+    anyway: Anyway = False,
+    json: Json = False,
+) -> None:
+    """Tune noise and gains to logs by the likelihood of their innovations, and judge them on what was held out."""
+    from covariant.cli import _tune
+    from covariant.cli._job import Job
+
+    columns = {"t": t, "q": q, "u": u, "v": None, "truth": None}
+    jobs = [Job(model, log, tuple(override), every, until, columns, anyway) for log in log_files]
+    _tune.tune_model(jobs, out, overwrite, report, json)
 
 
 @app.command()

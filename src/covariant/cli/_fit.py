@@ -12,6 +12,7 @@ from covariant.cli._console import stages
 from covariant.cli._job import Job, Loaded, check_output, coordinates, load
 from covariant.cli._results import rounded
 from covariant.identification import (
+    FITTED,
     Fit,
     PredictionErrors,
     fit,
@@ -21,7 +22,7 @@ from covariant.identification import (
     relations,
     split,
 )
-from covariant.signals import acting_inputs
+from covariant.signals import acting_inputs, lag_inputs
 
 WORST_GROWTH = 1.01
 """A model whose held-out error is larger than so many times the one before is not written: 1 % is no difference."""
@@ -39,15 +40,16 @@ def fit_model(
 ) -> None:
     """Fit, judge on what is held out, write and print; exits with code 1 where the fitted model is worse."""
     spec, overrides = jobs[0].model, jobs[0].overrides
-    text = _check_out(spec, out, overwrite)
+    text = check_out(spec, out, overwrite)
     if length is not None and not 0 < length < np.inf:
         raise ValueError(f"--horizon must be a positive number of seconds; got {length}")
     family = models.family(spec, parameters.split(","), overrides)
     with stages("fitting", 5, quiet=as_json) as begin:
         begin("reading")
-        loaded = [_when_true(job) for job in jobs]
+        loaded = [when_true(job) for job in jobs]
         records, references = [one.log.record for one in loaded], [one.reference.v for one in loaded if one.reference]
-        length = horizon(records[0], references[0]) if length is None else length
+        part = 1 - FITTED if len(jobs) == 1 else 1.0
+        length = horizon(records[0], references[0], part) if length is None else length
         try:
             training, held_out = split(records, references, length)
         except ValueError as error:
@@ -66,21 +68,24 @@ def fit_model(
         raise SystemExit(1)
 
 
-def _when_true(job: Job) -> Loaded:
+def when_true(job: Job) -> Loaded:
     """Model and log, its rows at the times at which the positions were true, and its inputs as they act between these.
 
-    Raises `ValueError` where one coordinate is later than another.
+    The inputs of its `log` are without their lag, those of its `record` with it. Raises `ValueError` where one
+    coordinate is later than another.
     """
     file = models.load(job.model, job.overrides)
     delay, *others = np.unique(np.asarray(file.delay, float))
     if others:
-        raise ValueError(f"{job.model}: fit takes one [measurement] delay for all positions; got {file.delay}")
+        raise ValueError(f"{job.model}: this takes one [measurement] delay for all positions; got {file.delay}")
     loaded = load(job._replace(overrides=(*job.overrides, "measurement.delay=0")))
-    record = acting_inputs(loaded.log.record, file.input_between, file.input_delay + float(delay))
-    return loaded._replace(log=loaded.log._replace(record=record))
+    between, late = file.input_between, file.input_delay + float(delay)
+    raw, lagging = loaded.log.record, lag_inputs(loaded.log.record, file.input_lag)
+    log = loaded.log._replace(record=acting_inputs(raw, between, late))
+    return loaded._replace(log=log, record=acting_inputs(lagging, between, late))
 
 
-def _check_out(spec: str, out: Path | None, overwrite: bool) -> str:
+def check_out(spec: str, out: Path | None, overwrite: bool) -> str:
     """The text of the model file that is to be changed; raises `ValueError` for a file that may not be written."""
     path = Path(spec)
     if out is None:
@@ -89,6 +94,8 @@ def _check_out(spec: str, out: Path | None, overwrite: bool) -> str:
     if path.suffix == ".toml":
         if out.exists() and path.exists() and out.samefile(path) and not overwrite:
             raise ValueError(f"{out}: this is the model file itself; write to another file, or say --overwrite")
+        if out.exists() and not overwrite:
+            raise ValueError(f"{out}: there is such a file already; write to another file, or say --overwrite")
         return path.read_text(encoding="utf-8")
     if ":" in spec:
         raise ValueError(f"--out: {spec} is code, which is not rewritten; leave --out away and put the numbers there")

@@ -258,6 +258,7 @@ def data_sheet(file: models.ModelFile) -> DataSheet:
         "motion_std": file.motion_std,
         "motion_time": file.motion_time,
         "damping": file.damping,
+        "natural_frequency": file.natural_frequency,
     }
     return DataSheet(**{name: value for name, value in known.items() if value is not None})
 

@@ -2,6 +2,7 @@
 
 from covariant.design._contracting import contracting_gain
 from covariant.design._data_sheet import DataSheet, Trial
+from covariant.design._error_model import Noise
 from covariant.design._estimators import (
     ESTIMATORS,
     STATE_ESTIMATORS,
@@ -16,20 +17,25 @@ from covariant.design._filters import filter_bandwidth, jerk_bound, joint_noise,
 from covariant.design._gains import Gains, bias, gains, predict_errors
 from covariant.design._metric import MetricSummary, load_metric, metric, metric_summary
 from covariant.design._speeds import usual_speeds
+from covariant.design._tune import HeldOut, Tuning, given_noise, tune
 
 __all__ = [
     "ESTIMATORS",
     "STATE_ESTIMATORS",
     "DataSheet",
     "Gains",
+    "HeldOut",
     "MetricSummary",
+    "Noise",
     "Trial",
+    "Tuning",
     "bias",
     "contracting_gain",
     "estimators",
     "filter_bandwidth",
     "gains",
     "gated",
+    "given_noise",
     "jerk_bound",
     "joint_noise",
     "load_metric",
@@ -37,6 +43,7 @@ __all__ = [
     "metric_summary",
     "observer_gains",
     "predict_errors",
+    "tune",
     "tuned_estimators",
     "tuned_state_estimators",
     "usual_speeds",

@@ -16,6 +16,7 @@ class DataSheet(NamedTuple):
       does not explain; None for one that is independent at each sample.
     - `motion_std`, `motion_time`: the same of the acceleration of the motion itself, for filters that use no model.
     - `damping`: damping ratio ζ of the observers.
+    - `natural_frequency` [rad/s]: ω of their gains α = 2ζω and β = ω²; None where it is designed from the noise.
     - `coordinate_stds`: standard deviations of the noise of each coordinate, where they differ; `measurement_std` is
       then their root mean square, for designs that know one number only.
     - `quantum`: one tick of the encoders, where that is what makes the noise; `measurement_std` then is this over √12.
@@ -34,6 +35,7 @@ class DataSheet(NamedTuple):
     coordinate_stds: tuple[float, ...] | None = None
     external_force: float | None = None
     speed: tuple[float, ...] | None = None
+    natural_frequency: float | None = None
 
     @property
     def speeds(self) -> Float[np.ndarray, "*n"]:

@@ -21,7 +21,14 @@ STATE_ESTIMATORS = tuple(entry.name for entry in STATE_REGISTRY)
 
 def observer_gains(sheet: DataSheet, rate: float) -> Gains:
     """`gains` for a data sheet at a sampling rate [Hz]."""
-    return gains(sheet.measurement_std, rate, sheet.acceleration_std, sheet.correlation_time, sheet.damping)
+    return gains(
+        sheet.measurement_std,
+        rate,
+        sheet.acceleration_std,
+        sheet.correlation_time,
+        sheet.damping,
+        sheet.natural_frequency,
+    )
 
 
 @functools.singledispatch

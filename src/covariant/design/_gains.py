@@ -32,6 +32,7 @@ def gains(
     acceleration_std: float,
     correlation_time: float | None = None,
     damping: float = math.sqrt(0.5),
+    natural_frequency: float | None = None,
 ) -> Gains:
     """Gains α = 2ζω, β = ω² with ω = (S_a/S_m)^¼.
 
@@ -41,6 +42,7 @@ def gains(
     - `correlation_time`: time [s] over which it persists, S_a = 2 std² time; by default it is independent at each
       sample.
     - `damping`: ζ; √½ is optimal for white disturbances, and more helps when they are faster than the observer.
+    - `natural_frequency`: another ω [rad/s], such as one found from a log.
 
     Raises `ValueError` for numbers that are not positive.
     """
@@ -52,12 +54,14 @@ def gains(
         "correlation_time": time,
         "damping": damping,
     }
+    if natural_frequency is not None:
+        given["natural_frequency"] = natural_frequency
     for name, value in given.items():
         if not (math.isfinite(value) and value > 0):
             raise ValueError(f"gains: {name} must be a positive number; got {value}")
     measurement_density = measurement_std**2 / rate
     acceleration_density = 2 * acceleration_std**2 * time
-    omega = (acceleration_density / measurement_density) ** 0.25
+    omega = natural_frequency or (acceleration_density / measurement_density) ** 0.25
     return predict_errors(2 * damping * omega, omega**2, measurement_density, acceleration_density)
 
 

@@ -37,7 +37,7 @@ class Windows(NamedTuple):
     steps: Float[AnyArray, "*k S"]
 
 
-def horizon(record: Record, velocity: Float[np.ndarray, "T n"]) -> float:
+def horizon(record: Record, velocity: Float[np.ndarray, "T n"], part: float = 1.0) -> float:
     """A length of the windows [s] that suits a motion: twice the time in which its velocity becomes another one.
 
     That is the least time τ, of a geometric sequence, after which `v(t + τ) − v(t)` is as large as v itself, root mean
@@ -45,12 +45,13 @@ def horizon(record: Record, velocity: Float[np.ndarray, "T n"]) -> float:
     much longer ones errors of the initial velocity and of the model grow beyond the range of a linearisation.
 
     - `velocity` (T, n): reference velocities, such as `scoring.zero_phase_velocity` gives.
+    - `part`: fraction of the record that must still hold enough windows, such as what is held out.
     """
     t = np.asarray(record.t)
     step, span = float(np.median(np.diff(t))), float(t[-1] - t[0])
     size = np.sqrt(np.nanmean(velocity**2, axis=0))
     relative = velocity[:, size > 0] / size[size > 0]
-    least, most = FEWEST_ROWS * step, span / (2 * FEWEST_WINDOWS)
+    least, most = FEWEST_ROWS * step, span * min(1 / (2 * FEWEST_WINDOWS), part / (FEWEST_WINDOWS + 1))
     if least >= most or not relative.size:
         return max(least, min(most, span / 2))
     times = np.geomspace(least, most, 40)

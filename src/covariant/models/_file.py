@@ -31,6 +31,7 @@ class ModelFile(NamedTuple):
       that the model does not explain.
     - `motion_std`, `motion_time`: the same of the acceleration of the motion itself, for filters that use no model.
     - `damping`: damping ratio of the error.
+    - `natural_frequency` [rad/s]: of the error under constant gains, where it is not designed from the noise.
     - `input_lag`: time constant of the first-order lag between logged input and force [s].
     - `input_delay` [s]: how long after its stamp an input acts; `input_between`: whether it is "held" from one stamp to
       the next, or "linear" between them.
@@ -65,6 +66,7 @@ class ModelFile(NamedTuple):
     process_std: float | tuple[float, ...] | None = None
     initial_state: float | tuple[float, ...] | None = None
     initial_std: float | tuple[float, ...] | None = None
+    natural_frequency: float | None = None
 
     @property
     def typical_std(self) -> float | None:

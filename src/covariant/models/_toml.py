@@ -24,6 +24,7 @@ NUMBERS = {
     ("uncertainty", "motion_acceleration"): ("motion_std", 1.0),
     ("uncertainty", "motion_time"): ("motion_time", 1.0),
     ("design", "damping"): ("damping", 1.0),
+    ("design", "natural_frequency"): ("natural_frequency", 1.0),
     ("reference", "half"): ("reference_half", 1.0),
     ("reference", "order"): ("reference_order", 1),
 }

@@ -1,0 +1,73 @@
+"""`covariant tune`: what it prints, writes and refuses."""
+
+import sys
+from pathlib import Path
+
+import pytest
+from commands import command
+
+from covariant import models
+from covariant.cli import main
+
+MODEL = """system = "oscillator"
+[columns]
+q = ["place"]
+[measurement]
+std = 0.1          # far too much
+[uncertainty]
+acceleration = 9.0 # likewise
+external_force = 3.0
+"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A log of an oscillator with noise of 0.2 mm, and a model file that says 0.1 m."""
+    folder = tmp_path_factory.mktemp("tune")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        Path("model.toml").write_text(MODEL)
+        motion = ("--duration", "12", "--rate", "50", "--q0", "1", "--noise", "2e-4")
+        command("simulate", "model.toml", "-o", "log.csv", *motion)
+    return folder
+
+
+@pytest.fixture(autouse=True)
+def inside(folder, monkeypatch):
+    monkeypatch.chdir(folder)
+
+
+def test_the_file_that_is_written_has_the_noise_of_the_log_and_its_comments():
+    result = command("tune", "model.toml", "log.csv", "-o", "tuned.toml")
+    before, after = result["held_out"]["before"], result["held_out"]["after"]
+    assert after["likelihood"][0] > before["likelihood"][0] + 2
+    assert after["gains_error"][0] < before["gains_error"][0]
+    assert result["warning"] is None
+    assert result["model_free"]["relative"] > min(after["relative"])
+    file = models.load("tuned.toml")
+    assert file.measurement_std == pytest.approx(2e-4, rel=0.15)
+    assert file.external_force is None, "there is none, so it is taken out"
+    assert file.natural_frequency == result["lines"]["design"]["natural_frequency"]
+    text = Path("tuned.toml").read_text()
+    assert text.startswith("# Tuned by covariant tune to log.csv.")
+    assert "# far too much" in text
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("-o", "model.toml"), "this is the model file itself; write to another file, or say --overwrite"),
+        (("-o", "log.csv"), "the file to write must end in .toml"),
+        (("-o", "other.toml"), "there is such a file already; write to another file, or say --overwrite"),
+        (("--until", "1.5"), "is too short to tune on"),
+    ],
+)
+def test_what_is_refused_is_told_in_one_line(arguments, message, capsys):
+    Path("other.toml").write_text("")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "argv", ["covariant", "tune", "model.toml", "log.csv", *arguments])
+        with pytest.raises(SystemExit) as left:
+            main()
+    assert left.value.code == 2
+    assert message in capsys.readouterr().err
+    assert Path("other.toml").read_text() == ""
