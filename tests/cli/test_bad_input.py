@@ -156,7 +156,7 @@ WATCHED = ("lorenz", "log.csv", "--q", "q1", "-o", "out/v.csv")
         (("estimate", *WATCHED), ["lorenz", "measurement.std"]),
         (
             ("compare", "odin", "log.csv", "--q", "q1,q2", "-o", "out/c.csv"),
-            ["odin has 6 positions", "the options name 2"],
+            ["odin has 6 positions"],
         ),
         (("estimate", "lorenz", "absent.csv"), ["absent.csv: no such file"]),
         (("estimate", *WATCHED, *NOISE, "--alpha", "1", "--beta", "1"), ["do not apply to covariance-ekf"]),
