@@ -154,7 +154,10 @@ WATCHED = ("lorenz", "log.csv", "--q", "q1", "-o", "out/v.csv")
     ("arguments", "named"),
     [
         (("estimate", *WATCHED), ["lorenz", "measurement.std"]),
-        (("compare", *WATCHED[:-1], "out/c.csv", *NOISE), ["lorenz", "initial.std"]),
+        (
+            ("compare", "odin", "log.csv", "--q", "q1,q2", "-o", "out/c.csv"),
+            ["odin has 6 positions"],
+        ),
         (("estimate", "lorenz", "absent.csv"), ["absent.csv: no such file"]),
         (("estimate", *WATCHED, *NOISE, "--alpha", "1", "--beta", "1"), ["do not apply to covariance-ekf"]),
         (("estimate", *WATCHED, *NOISE, "--observer", "ekf"), ["covariance-ekf, information-ekf, riccati"]),

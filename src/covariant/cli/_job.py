@@ -3,14 +3,13 @@
 import sys
 from collections.abc import Mapping
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from covariant import logs, models, scoring
 from covariant.design import DataSheet, usual_speeds
 from covariant.diagnosis import misfit, outliers
-from covariant.models import MechanicalSystem, StateSpace
 from covariant.observers import REGISTRY, AbstractObserver, Delayed
 from covariant.signals import Record, acting_inputs, lag_inputs
 
@@ -50,7 +49,7 @@ class Loaded(NamedTuple):
     """The model and log of a job, what its velocities are scored against where that was asked for, and a note."""
 
     file: models.ModelFile
-    model: MechanicalSystem | StateSpace
+    model: Any
     log: logs.Log
     record: Record
     rate: float
@@ -71,7 +70,7 @@ def load(job: Job, score: bool = True, why: str = "") -> Loaded:
     with a line on standard error and exit code 1. Raises `ValueError` or `OSError` with one line for the user.
     """
     file = models.load(job.model, job.overrides)
-    model = file.need_mechanical(job.model, why) if why else file.model
+    model: Any = file.need_mechanical(job.model, why) if why else file.model
     given = {key: names.strip() for key, names in job.columns.items() if names is not None}
     columns = file.columns._replace(
         **{
