@@ -110,7 +110,7 @@ class _Log(NamedTuple):
 def tune(
     model: MechanicalSystem,
     records: Sequence[Record],
-    velocities: Sequence[Float[np.ndarray, "T n"]],
+    velocities: Sequence[Float[np.ndarray, "_ n"]],
     *,
     std: Float[np.ndarray, "n"] | None = None,
     before: DataSheet | None = None,
