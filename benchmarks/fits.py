@@ -44,7 +44,7 @@ CASES = {
             "dfki_double_pendulum/A0_sysid_05.csv",
         ),
         DRAWN,
-        ("mass", "length[0]", "inertia", "viscous", "coulomb", "inputs.lag"),
+        ("mass", "length[0]", "com", "inertia", "viscous", "coulomb", "inputs.lag"),
     ),
 }
 

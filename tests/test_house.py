@@ -16,8 +16,8 @@ ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "covariant"
 
 PLAN = (
-    "_programs _typing _functional _files _optional _numbers signals scoring _linalg _dormand_prince _integrate lowering "
-    "logs geometry models riccati observers control simulation interop scale proofs certificates audit diagnosis "
+    "_programs _typing _functional _files _optional _numbers signals scoring _linalg _dormand_prince _integrate "
+    "lowering logs geometry models riccati observers control simulation interop scale proofs certificates audit diagnosis "
     "design identification report papers cli"
 )
 """A room may import from itself and from any room to its left, never to its right."""
@@ -51,9 +51,10 @@ PUBLIC = {
     "noise_disturbance observability observer_gain optimal_lyapunov parse projection rate_of rates_along "
     "steady_distance subject tangent_metric tracking trade_off trajectories upper_distance virtual",
     "control": "Backstepping Reference follow lissajous set_point",
-    "design": "ESTIMATORS STATE_ESTIMATORS DataSheet Gains HeldOut MetricSummary Noise Trial Tuning bias "
-    "contracting_gain estimators filter_bandwidth gains gated given_noise jerk_bound joint_noise load_metric metric metric_summary "
-    "observer_gains predict_errors tune tuned_estimators tuned_state_estimators usual_speeds window_length with_gains",
+    "design": "ESTIMATORS STATE_ESTIMATORS DataSheet Gains HeldOut MetricSummary NoiseLevels Trial Tuning bias "
+    "contracting_gain estimators filter_bandwidth gains gated given_noise jerk_bound joint_noise load_metric "
+    "metric metric_summary observer_gains predict_errors tune tuned_estimators tuned_state_estimators "
+    "usual_speeds window_length with_gains",
     "diagnosis": "Diagnosis Finding diagnose misfit outliers",
     "geometry": "AbstractManifold AbstractMetric AbstractSpace Budget ConstantCurvature Coordinates Euclidean "
     "FlatTorus Interpolated KineticEnergy Metric Product ProductManifold Pullback Shot Transported "

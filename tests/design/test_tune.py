@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from covariant.design import Noise, gains, tune
+from covariant.design import NoiseLevels, gains, tune
 from covariant.design._error_model import error_model, kalman
 from covariant.models import Lagrangian, Parametric
 from covariant.observers import Intrinsic, IntrinsicKalman, run
@@ -83,7 +83,7 @@ def test_with_a_metric_that_is_too_large_the_filter_is_as_good_as_one_without_a_
 def test_the_filter_of_the_errors_is_the_kalman_filter(log):
     """On a linear system exactly, whatever observer the errors are those of; with a force that is not known too."""
     record = Record(*(np.asarray(a[:300]) for a in log[0][:3]))
-    noise = Noise(jnp.asarray(0.4), jnp.array([2e-3]), jnp.asarray(0.7))
+    noise = NoiseLevels(jnp.asarray(0.4), jnp.array([2e-3]), jnp.asarray(0.7))
     t, u, y = map(jnp.asarray, record[:3])
     along = run(Intrinsic(MODEL, 3.0, 5.0), record).estimate
     found = kalman(error_model(MODEL, along[:, :1], along[:, 1:], t, u, y, 4), noise, 2.0)

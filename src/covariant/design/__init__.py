@@ -2,7 +2,7 @@
 
 from covariant.design._contracting import contracting_gain
 from covariant.design._data_sheet import DataSheet, Trial
-from covariant.design._error_model import Noise
+from covariant.design._error_model import NoiseLevels
 from covariant.design._estimators import (
     ESTIMATORS,
     STATE_ESTIMATORS,
@@ -26,7 +26,7 @@ __all__ = [
     "Gains",
     "HeldOut",
     "MetricSummary",
-    "Noise",
+    "NoiseLevels",
     "Trial",
     "Tuning",
     "bias",

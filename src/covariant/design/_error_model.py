@@ -29,7 +29,7 @@ LONGEST_GAP = 5.0
 """After a step longer than so many usual ones the filter begins anew."""
 
 
-class Noise(NamedTuple):
+class NoiseLevels(NamedTuple):
     """What a Kalman filter assumes of sensor and model.
 
     - `acceleration`: square root of the spectral density of the white acceleration noise, in every coordinate
@@ -107,7 +107,7 @@ def error_model(
     )
 
 
-def kalman(errors: ErrorModel, noise: Noise, speed: Scalar | float) -> Filtered:
+def kalman(errors: ErrorModel, noise: NoiseLevels, speed: Scalar | float) -> Filtered:
     """The Kalman filter of the system of errors; at the start velocities are known to `speed` [rad/s or m/s]."""
     n = errors.residual.shape[1]
     variance = noise.measurement**2

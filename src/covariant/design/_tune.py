@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from covariant.design._data_sheet import DataSheet, Trial
-from covariant.design._error_model import ErrorModel, Filtered, Noise, error_model, kalman
+from covariant.design._error_model import ErrorModel, Filtered, NoiseLevels, error_model, kalman
 from covariant.design._estimators import estimators, observer_gains, tuned_estimators
 from covariant.design._filters import relative_error
 from covariant.diagnosis import outliers
@@ -76,7 +76,7 @@ class Tuning(NamedTuple):
 
     natural_frequency: float
     damping: float
-    noise: Noise
+    noise: NoiseLevels
     before: HeldOut | None
     after: HeldOut
     model_free: tuple[str, float] | None
@@ -110,7 +110,7 @@ class _Log(NamedTuple):
 def tune(
     model: MechanicalSystem,
     records: Sequence[Record],
-    velocities: Sequence[Float[np.ndarray, "T n"]],
+    velocities: Sequence[Float[np.ndarray, "_ n"]],
     *,
     std: Float[np.ndarray, "n"] | None = None,
     before: DataSheet | None = None,
@@ -146,12 +146,12 @@ def tune(
     return Tuning(frequency, damping, noise, was, after, free, sum(int(log.tuned.sum()) for log in logs))
 
 
-def given_noise(sheet: DataSheet, rate: float, n: int) -> Noise:
+def given_noise(sheet: DataSheet, rate: float, n: int) -> NoiseLevels:
     """The noise that Kalman filters take from a data sheet, for n velocities at a rate [Hz]."""
     time = 1 / (2 * rate) if sheet.correlation_time is None else sheet.correlation_time
     std = np.broadcast_to(np.asarray(sheet.coordinate_stds or sheet.measurement_std, float), n)
     acceleration = float(np.sqrt(2 * time) * sheet.acceleration_std)
-    return Noise(jnp.asarray(acceleration), jnp.asarray(std), jnp.asarray(sheet.external_force or 0.0))
+    return NoiseLevels(jnp.asarray(acceleration), jnp.asarray(std), jnp.asarray(sheet.external_force or 0.0))
 
 
 def _prepared(model: MechanicalSystem, record: Record, velocity: np.ndarray) -> _Log:
@@ -238,7 +238,7 @@ def _system(model: MechanicalSystem, log: _Log, estimate) -> ErrorModel:
 
 def _best_noise(
     logs: list[_Log], systems: list[ErrorModel], frequency: float, size: np.ndarray, std: np.ndarray | None
-) -> Noise:
+) -> NoiseLevels:
     """The noise of the greatest likelihood; with an unknown force where that tells more than it costs."""
     least = LEAST * size if std is None else np.asarray(std, float)
     first = np.maximum(size / np.sqrt(2), least)
@@ -252,7 +252,7 @@ def _best_noise(
     def noise(z):
         """Of the logarithms of the noise of acceleration, force and readings."""
         measured = np.maximum(np.exp(z[2:]), least)
-        return Noise(*(jnp.asarray(x) for x in (np.exp(z[0]), measured, np.exp(z[1]))))
+        return NoiseLevels(*(jnp.asarray(x) for x in (np.exp(z[0]), measured, np.exp(z[1]))))
 
     def cost(z):
         total = sum(
@@ -293,11 +293,11 @@ def _speed(logs: list[_Log]) -> jax.Array:
 
 
 @eqx.filter_jit
-def _filtered(system: ErrorModel, noise: Noise, speed: jax.Array) -> Filtered:
+def _filtered(system: ErrorModel, noise: NoiseLevels, speed: jax.Array) -> Filtered:
     return kalman(system, noise, speed)
 
 
-def _judged(logs, systems, runs, earlier, noise: Noise) -> HeldOut:
+def _judged(logs, systems, runs, earlier, noise: NoiseLevels) -> HeldOut:
     """The gains of the runs `earlier`, and a noise for the errors of `runs`, on the rows that are held out."""
     n = logs[0].velocity.shape[1]
     parts = []
@@ -343,7 +343,7 @@ def _neighbours(white: np.ndarray, present: np.ndarray) -> np.ndarray:
     return np.stack([np.sum(both * white[1:] * white[:-1], axis=0), np.sum(both * white[1:] ** 2, axis=0)])
 
 
-def _best_model_free(model, logs: list[_Log], noise: Noise, sheet: DataSheet | None) -> tuple[str, float] | None:
+def _best_model_free(model, logs: list[_Log], noise: NoiseLevels, sheet: DataSheet | None) -> tuple[str, float] | None:
     """Name and velocity error of the best filter without a model, each tuned on the first part of the first log."""
     names = [entry.name for entry in REGISTRY if not entry.knows_model and entry.name in estimators(model)]
     if not names:

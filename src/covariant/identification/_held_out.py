@@ -14,7 +14,7 @@ FITTED = 2 / 3
 
 
 def split(
-    records: Sequence[Record], velocities: Sequence[Float[np.ndarray, "T n"]], length: float
+    records: Sequence[Record], velocities: Sequence[Float[np.ndarray, "_ n"]], length: float
 ) -> tuple[Windows, Windows]:
     """Windows of a length [s] to fit, and those to judge the fit by: of the last record, or of the last third of one.
 

@@ -66,7 +66,7 @@ def horizon(record: Record, velocity: Float[np.ndarray, "T n"], part: float = 1.
 
 def windows(
     records: Sequence[Record],
-    velocities: Sequence[Float[np.ndarray, "T n"]],
+    velocities: Sequence[Float[np.ndarray, "_ n"]],
     length: float,
     spans: Sequence[tuple[float, float]] | None = None,
 ) -> Windows:
