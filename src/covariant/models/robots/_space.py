@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Inexact
 
+from covariant._linalg import solve
 from covariant._typing import Matrix, Vector
 from covariant.geometry import AbstractManifold, AbstractSpace
 
@@ -143,37 +144,39 @@ class RobotSpace(AbstractSpace):
 
     def connection_force(self, x: Configuration, a: Vector, b: Vector) -> Vector:
         """`<∇_a b, ·>`: what the mass points resist the change of b along a with, summed up along the joints."""
-        joints, along, moments = self.joints(x), self.joint_rates(a), self._moments(x)
-        (_, spin), (twists, gathered) = _split(self.twists(joints, a)), jax.vjp(lambda w: self.twists(joints, w), b)
-        force, moment = _resistance(moments, spin, *_split(twists), *_split(self._change(joints, along, b, twists)))
-        return gathered(jnp.concatenate([force, moment], axis=1))[0]
+        joints = self.joints(x)
+        twists, gathered = jax.vjp(lambda w: self.twists(joints, w), b)
+        spins = self.twists(joints, a)[:, 3:], twists[:, 3:]
+        field = _field(self._bent(joints, a, b, *spins, twists[0, :3]), *spins)
+        return gathered(_wrench(*_resistance(self._moments(x), *field)))[0]
 
     def curvature(self, x: Configuration, a: Vector, b: Vector, c: Vector) -> Vector:
-        """`<R(a, b)c, w> = <II(a, w), II(b, c)> − <II(b, w), II(a, c)>` with the second fundamental form II (Gauss)."""
-        joints, moments = self.joints(x), self._moments(x)
-        along_a, along_b = self.joint_rates(a), self.joint_rates(b)
-        (_, spin_a), (_, spin_b) = _split(self.twists(joints, a)), _split(self.twists(joints, b))
-        twists = self.twists(joints, c)
+        """`<R(a, b)c, w> = <II(a, w), II(b, c)> − <II(b, w), II(a, c)>` with the second fundamental form II (Gauss).
 
-        def bend(along, spin, direction):
-            """`II(direction, c)`: force and moment of each body, and a function of the spin of another motion."""
-            change = self._change(joints, along, c, twists) - self.twists(joints, self.connection(x, direction, c))
-            both = *_split(twists), *_split(change)
-            force, moment = _resistance(moments, spin, *both)
-            # What it does in the motion of w: also by the change of w that the other motion's spin makes.
-            return jnp.concatenate([force, moment], axis=1), lambda side: jnp.concatenate(
-                [jnp.cross(force, side), _across(moments, side, spin, *both)], axis=1
-            )
+        In `<II(a, w), II(b, c)>` the first may be the whole `∂_a ∂_w` of the places: the second is normal to the rest.
+        """
+        joints, moments, matrix = self.joints(x), self._moments(x), self(x)
+        twists, gathered = jax.vjp(lambda w: self.twists(joints, w), c)
+        spin_a, spin_b, spin_c = self.twists(joints, a)[:, 3:], self.twists(joints, b)[:, 3:], twists[:, 3:]
 
-        of_b, beside_b = bend(along_b, spin_b, b)
-        of_a, beside_a = bend(along_a, spin_a, a)
+        def normal(along, spin):
+            """`II(along, c)`: its force on each body, and its moments `∫ρ II rᵀ`."""
+            bent = self._bent(joints, along, c, spin, spin_c, twists[0, :3])
+            force = gathered(_wrench(*_resistance(moments, *_field(bent, spin, spin_c))))[0]
+            within = self.twists(joints, solve(matrix, force))
+            return _resistance(moments, *_field(bent - within, spin, spin_c))
+
+        of_a, of_b = normal(a, spin_a), normal(b, spin_b)
 
         def moved(w):
-            twists = self.twists(joints, w)
-            return twists, self._change(joints, along_a, w, twists), self._change(joints, along_b, w, twists)
+            speed, spin = _split(self.twists(joints, w))
+            first = speed[0]
+            return spin, self._bent(joints, a, w, spin_a, spin, first), self._bent(joints, b, w, spin_b, spin, first)
 
-        onto = beside_b(spin_a) - beside_a(spin_b), of_b, -of_a
-        return self.raise_(x, jax.vjp(moved, jnp.zeros_like(a))[1](onto)[0])
+        # What is left of <∂_a ∂_w, II>: that of the part w × (a × r) of the field.
+        beside = _about(of_b[1], spin_a) - _about(of_a[1], spin_b)
+        onto = jax.vjp(moved, jnp.zeros_like(a))[1]((beside, _wrench(*of_b), -_wrench(*of_a)))[0]
+        return solve(matrix, onto)
 
     def joints(self, x: Configuration) -> Joints:
         """Where each body stands on its parent at x."""
@@ -232,18 +235,34 @@ class RobotSpace(AbstractSpace):
         own = jnp.concatenate([tree.slide.astype(a.dtype) * rates, tree.turn.astype(a.dtype) * rates], axis=1)
         return self._swept(joints, first, own)
 
-    def _change(
-        self, joints: Joints, rates: Float[Array, "k"], b: Vector, twists: Float[Array, "k1 6"]
+    def _bent(
+        self, joints: Joints, a: Vector, b: Vector, spin_a: Array, spin_b: Array, speed: Float[Array, "3"]
     ) -> Float[Array, "k1 6"]:
-        """How the components of `twists`, those at the velocity b, change as the joints move with `rates`."""
-        tree, rates = self.tree, rates[:, None]
-        turn, slide = tree.turn.astype(b.dtype) * rates, tree.slide.astype(b.dtype) * rates
-        mine = self.joint_rates(b)[:, None]
-        # What a body gets from its parent, in its own frame: without the motion of its own joint.
-        speed = twists[1:, :3] - tree.slide.astype(b.dtype) * mine
-        spin = twists[1:, 3:] - tree.turn.astype(b.dtype) * mine
-        own = jnp.concatenate([jnp.cross(speed, turn) + jnp.cross(spin, slide), jnp.cross(spin, turn)], axis=1)
-        return self._swept(joints, jnp.zeros_like(twists), own)
+        """`∂_a ∂_b` of the place of each body, in its own frame: linear and angular acceleration (n, α), linear in b.
+
+        A point of the body changes by `n + α × r + ω_b × (ω_a × r)`. `spin_a`, `spin_b` are the spins of the bodies,
+        `speed` is that of the base, all at the velocities a and b.
+        """
+        tree, rates_a, rates_b = self.tree, self.joint_rates(a)[:, None], self.joint_rates(b)[:, None]
+        turn, slide = tree.turn.astype(b.dtype), tree.slide.astype(b.dtype)
+        own = jnp.concatenate(
+            [
+                jnp.cross(spin_b[1:], slide * rates_a) + jnp.cross(spin_a[1:], slide * rates_b),
+                jnp.cross(spin_a[1:], turn * rates_b),
+            ],
+            axis=1,
+        )
+        base = jnp.concatenate([jnp.cross(spin_a[0], speed), jnp.cross(spin_a[0], spin_b[0])])
+
+        def step(bent, body):
+            i, parent, rotation, place, added = body
+            push, turned = _field(bent[parent], spin_a[parent], spin_b[parent])
+            moved = jnp.concatenate([(push + turned @ place) @ rotation, bent[parent, 3:] @ rotation])
+            return bent.at[i + 1].set(moved + added), None
+
+        parents = jnp.asarray([p + 1 for p in tree.parents])
+        first = jnp.zeros((len(parents) + 1, 6), b.dtype).at[0].set(base)
+        return jax.lax.scan(step, first, (jnp.arange(len(parents)), parents, *joints, own))[0]
 
     def _swept(self, joints: Joints, first: Float[Array, "k1 6"], own: Float[Array, "k 6"]) -> Float[Array, "k1 6"]:
         """Twists passed on along the tree from `first`, that of the base, each body adding its `own`."""
@@ -277,40 +296,44 @@ def _momentum(moments: Moments, speed: Array, spin: Array) -> tuple[Array, Array
     return linear, jnp.cross(first, speed) + jnp.einsum("kij,kj->ki", inertia, spin)
 
 
-def _resistance(
-    moments: Moments, along: Array, speed: Array, spin: Array, speed_change: Array, spin_change: Array
-) -> tuple[Array, Array]:
-    """Force and moment `∫ρ ∂u`, `∫ρ r × ∂u` of each body, u being the velocity of its points at a twist.
+def _field(bent: Float[Array, "... 6"], spin_a: Array, spin_b: Array) -> tuple[Array, Array]:
+    """The field `n + W r` (3,), (3, 3) of the accelerations of the points of bodies: W = α× + (ω_b×)(ω_a×)."""
+    push, turn = _split(bent)
+    twice = spin_a[..., :, None] * spin_b[..., None, :]
+    trace = jnp.trace(twice, axis1=-2, axis2=-1)
+    entries = [[twice[..., i, j] for j in range(3)] for i in range(3)]
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        entries[i][i] = entries[i][i] - trace
+        entries[k][j] = entries[k][j] + turn[..., i]
+        entries[j][k] = entries[j][k] - turn[..., i]
+    return push, jnp.stack([jnp.stack(row, -1) for row in entries], -2)
 
-    The twist (speed, spin) changes by (speed_change, spin_change) in the frame of the body, which spins by `along`:
-    `∂u = (speed_change + along × speed) + spin_change × r + along × (spin × r)`.
-    """
-    force, moment = _momentum(moments, speed_change + jnp.cross(along, speed), spin_change)
-    force = force + jnp.cross(along, jnp.cross(spin, moments.first))
-    return force, moment + jnp.cross(jnp.einsum("kij,kj->ki", moments.second, along), spin)
+
+def _resistance(moments: Moments, push: Array, turn: Array) -> tuple[Array, Array]:
+    """Force `∫ρ N` and moments `∫ρ N rᵀ` (3, 3) of each body, for the field `N = push + turn r`."""
+    mass, first, second = moments
+    force = mass[:, None] * push + jnp.einsum("kij,kj->ki", turn, first)
+    return force, push[:, :, None] * first[:, None, :] + turn @ second
 
 
-def _across(
-    moments: Moments, side: Array, along: Array, speed: Array, spin: Array, speed_change: Array, spin_change: Array
-) -> Array:
-    """`∫ρ [∂u (r · side) − side (r · ∂u)]` for each body: what ∂u, as in `_resistance`, does to `side × (w × r)`."""
-    _, first, second = moments
-    bend = speed_change + jnp.cross(along, speed)
-    of_side = jnp.einsum("kij,kj->ki", second, side)
-    onto = jnp.cross(spin_change, of_side) + jnp.cross(along, jnp.cross(spin, of_side)) + bend * _dot(first, side)
-    of_spin = jnp.einsum("kij,kj->ki", second, spin)
-    trace = jnp.trace(second, axis1=1, axis2=2)[:, None]
-    return onto - side * (_dot(bend, first) + _dot(along, of_spin) - trace * _dot(along, spin))
+def _wrench(force: Array, about: Array) -> Float[Array, "k1 6"]:
+    """Force and moment `∫ρ r × N` of each body, from `∫ρ N rᵀ`."""
+    return jnp.concatenate([force, jnp.stack([about[:, i - 1, i - 2] - about[:, i - 2, i - 1] for i in range(3)], 1)], 1)
+
+
+def _about(about: Array, spin: Array) -> Array:
+    """`∫ρ (ω × r) × N` of each body, from `∫ρ N rᵀ`."""
+    trace = jnp.trace(about, axis1=1, axis2=2)[:, None]
+    return jnp.einsum("kji,kj->ki", about, spin) - trace * spin
 
 
 def _split(twists: Array) -> tuple[Array, Array]:
     return twists[..., :3], twists[..., 3:]
 
 
-def _dot(a: Array, b: Array) -> Array:
-    return jnp.sum(a * b, axis=-1, keepdims=True)
-
-
 def _hat(a: Array) -> Array:
-    """The matrices (k, 3, 3) of `r ↦ a × r`, for vectors a (k, 3)."""
-    return jnp.swapaxes(jnp.cross(a[:, None, :], jnp.eye(3, dtype=a.dtype)[None]), -1, -2)
+    """The matrices (..., 3, 3) of `r ↦ a × r`, for vectors a (..., 3)."""
+    x, y, z = (a[..., i] for i in range(3))
+    none = jnp.zeros_like(x)
+    return jnp.stack([jnp.stack(row, -1) for row in ((none, -z, y), (z, none, -x), (-y, x, none))], -2)
