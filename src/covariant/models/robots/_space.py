@@ -22,6 +22,7 @@ from covariant._typing import Matrix, Vector
 from covariant.geometry import AbstractManifold, AbstractSpace
 
 Configuration = Inexact[Array, "..."]
+UPPER = np.triu(np.ones((3, 3), bool))
 
 
 class KinematicTree(eqx.Module):
@@ -65,6 +66,26 @@ class KinematicTree(eqx.Module):
         return found
 
 
+class Links(eqx.Module):
+    """Where the frames of a robot's links are.
+
+    - `names`, `bodies` (l of them): of each link, its name and the body it is part of, −1 for the base.
+    - `rotation` (l, 3, 3), `place` (l, 3): of its frame in that of the body.
+    """
+
+    names: tuple[str, ...] = eqx.field(static=True)
+    bodies: tuple[int, ...] = eqx.field(static=True)
+    rotation: Float[Array, "l 3 3"]
+    place: Float[Array, "l 3"]
+
+    def of(self, link: str) -> tuple[int, Float[Array, "3 3"], Float[Array, "3"]]:
+        """Body, rotation and place of a link. Raises `ValueError` for a name that is none."""
+        if link not in self.names:
+            raise ValueError(f"there is no link {link!r}; there are {', '.join(self.names)}")
+        i = self.names.index(link)
+        return self.bodies[i], self.rotation[i], self.place[i]
+
+
 class Joints(NamedTuple):
     """Where each body stands on its parent now: `rotation` (k, 3, 3) and `place` (k, 3)."""
 
@@ -80,10 +101,20 @@ class Moments(NamedTuple):
     second: Float[Array, "k1 3 3"]
 
 
+class Field(NamedTuple):
+    """A vector at each mass point r of each body, `push + turn r`: (k + 1, 3) and (k + 1, 3, 3), the base first.
+
+    Or what belongs to such fields by duality, forces on the mass points summed up: `∫ρ N` and `∫ρ N rᵀ`."""
+
+    push: Float[Array, "k1 3"]
+    turn: Float[Array, "k1 3 3"]
+
+
 class RobotSpace(AbstractSpace):
     """The space of a tree of bodies. A velocity is q', after the twist (v, ω) of a floating base in its own frame."""
 
     tree: KinematicTree
+    links: Links
     manifold: AbstractManifold = eqx.field(kw_only=True)
     floating: bool = eqx.field(default=False, static=True)
 
@@ -105,6 +136,7 @@ class RobotSpace(AbstractSpace):
             turned = rotation @ first
             aside = jnp.outer(turned, place)
             moved = rotation @ second @ rotation.T + aside + aside.T + mass * jnp.outer(place, place)
+            moved = jnp.where(UPPER, moved, moved.T)  # symmetric to the last bit: when lowered, half the work
             return Moments(
                 whole.mass.at[parent].add(mass),
                 whole.first.at[parent].add(turned + mass * place),
@@ -147,8 +179,8 @@ class RobotSpace(AbstractSpace):
         joints = self.joints(x)
         twists, gathered = jax.vjp(lambda w: self.twists(joints, w), b)
         spins = self.twists(joints, a)[:, 3:], twists[:, 3:]
-        field = _field(self._bent(joints, a, b, *spins, twists[0, :3]), *spins)
-        return gathered(_wrench(*_resistance(self._moments(x), *field)))[0]
+        field = self._bent(joints, a, b, *spins, twists[0, :3])
+        return gathered(_wrench(_resistance(self._moments(x), field)))[0]
 
     def curvature(self, x: Configuration, a: Vector, b: Vector, c: Vector) -> Vector:
         """`<R(a, b)c, w> = <II(a, w), II(b, c)> − <II(b, w), II(a, c)>` with the second fundamental form II (Gauss).
@@ -159,24 +191,20 @@ class RobotSpace(AbstractSpace):
         twists, gathered = jax.vjp(lambda w: self.twists(joints, w), c)
         spin_a, spin_b, spin_c = self.twists(joints, a)[:, 3:], self.twists(joints, b)[:, 3:], twists[:, 3:]
 
-        def normal(along, spin):
-            """`II(along, c)`: its force on each body, and its moments `∫ρ II rᵀ`."""
-            bent = self._bent(joints, along, c, spin, spin_c, twists[0, :3])
-            force = gathered(_wrench(*_resistance(moments, *_field(bent, spin, spin_c))))[0]
-            within = self.twists(joints, solve(matrix, force))
-            return _resistance(moments, *_field(bent - within, spin, spin_c))
+        def normal(along, spin, felt):
+            """What mass points with these moments resist `II(along, c)` with."""
+            field = self._bent(joints, along, c, spin, spin_c, twists[0, :3])
+            within = solve(matrix, gathered(_wrench(_resistance(moments, field)))[0])
+            speed, twist = _split(self.twists(joints, within))
+            return _resistance(felt, Field(field.push - speed, _spun(field.turn, -1, twist)))
 
-        of_a, of_b = normal(a, spin_a), normal(b, spin_b)
+        onto = normal(b, spin_b, moments), normal(a, spin_a, jax.tree.map(jnp.negative, moments))
 
         def moved(w):
             speed, spin = _split(self.twists(joints, w))
-            first = speed[0]
-            return spin, self._bent(joints, a, w, spin_a, spin, first), self._bent(joints, b, w, spin_b, spin, first)
+            return tuple(self._bent(joints, e, w, turn, spin, speed[0]) for e, turn in ((a, spin_a), (b, spin_b)))
 
-        # What is left of <∂_a ∂_w, II>: that of the part w × (a × r) of the field.
-        beside = _about(of_b[1], spin_a) - _about(of_a[1], spin_b)
-        onto = jax.vjp(moved, jnp.zeros_like(a))[1]((beside, _wrench(*of_b), -_wrench(*of_a)))[0]
-        return solve(matrix, onto)
+        return solve(matrix, jax.vjp(moved, jnp.zeros_like(a))[1](onto)[0])
 
     def joints(self, x: Configuration) -> Joints:
         """Where each body stands on its parent at x."""
@@ -203,9 +231,39 @@ class RobotSpace(AbstractSpace):
         """The rates of the joints [rad/s or m/s] at the velocity a."""
         return self.tree.coordinates.astype(a.dtype) @ (a[6:] if self.floating else a)
 
+    def pose(self, x: Configuration, link: str) -> Float[Array, "4 4"]:
+        """`T_world_link`: the pose of the frame of a link; the world is the frame of the root where that is fixed.
+
+        Raises `ValueError` for a name that is no link.
+        """
+        body, rotation, place = self.links.of(link)
+        rotation, place = rotation.astype(x.dtype), place.astype(x.dtype)
+        joints = self.joints(x)
+        while body >= 0:
+            rotation, place = joints.rotation[body] @ rotation, joints.rotation[body] @ place + joints.place[body]
+            body = self.tree.parents[body]
+        last = jnp.array([[0.0, 0.0, 0.0, 1.0]], x.dtype)
+        pose = jnp.concatenate([jnp.concatenate([rotation, place[:, None]], axis=1), last])
+        return x[:16].reshape(4, 4) @ pose if self.floating else pose
+
+    def jacobian(self, x: Configuration, link: str) -> Float[Array, "6 n"]:
+        """The twist (v, ω) of a link, in its own frame, for each component of the velocity.
+
+        Raises `ValueError` for a name that is no link.
+        """
+        body, rotation, place = self.links.of(link)
+        rotation, place, joints = rotation.astype(x.dtype), place.astype(x.dtype), self.joints(x)
+
+        def twist(a: Vector) -> Float[Array, "6"]:
+            speed, spin = _split(self.twists(joints, a)[body + 1])
+            return jnp.concatenate([(speed + jnp.cross(spin, place)) @ rotation, spin @ rotation])
+
+        zero = self.manifold.zero(x)
+        return jax.vmap(twist, out_axes=1)(jnp.eye(zero.shape[0], dtype=zero.dtype))
+
     @property
     def mass(self) -> Array:
-        """Mass of the robot [kg]: of all that moves."""
+        """Mass of the robot [kg], base included."""
         return self.tree.base_mass + jnp.sum(self.tree.mass)
 
     def first_moment(self, x: Configuration, joints: Joints) -> Float[Array, "3"]:
@@ -237,32 +295,40 @@ class RobotSpace(AbstractSpace):
 
     def _bent(
         self, joints: Joints, a: Vector, b: Vector, spin_a: Array, spin_b: Array, speed: Float[Array, "3"]
-    ) -> Float[Array, "k1 6"]:
-        """`∂_a ∂_b` of the place of each body, in its own frame: linear and angular acceleration (n, α), linear in b.
+    ) -> "Field":
+        """`∂_a ∂_b` of the places of the mass points: linear in b, without the change of b itself.
 
-        A point of the body changes by `n + α × r + ω_b × (ω_a × r)`. `spin_a`, `spin_b` are the spins of the bodies,
-        `speed` is that of the base, all at the velocities a and b.
+        `spin_a`, `spin_b` are the spins of the bodies, `speed` is that of the base, all at the velocities a and b.
         """
         tree, rates_a, rates_b = self.tree, self.joint_rates(a)[:, None], self.joint_rates(b)[:, None]
         turn, slide = tree.turn.astype(b.dtype), tree.slide.astype(b.dtype)
-        own = jnp.concatenate(
-            [
-                jnp.cross(spin_b[1:], slide * rates_a) + jnp.cross(spin_a[1:], slide * rates_b),
-                jnp.cross(spin_a[1:], turn * rates_b),
-            ],
-            axis=1,
-        )
-        base = jnp.concatenate([jnp.cross(spin_a[0], speed), jnp.cross(spin_a[0], spin_b[0])])
+        push = jnp.cross(spin_b[1:], slide * rates_a) + jnp.cross(spin_a[1:], slide * rates_b)
+        spun = jnp.cross(spin_a[1:], turn * rates_b)
+
+        def points(angular, spin_a, spin_b):
+            """The matrix of `r ↦ α × r + ω_b × (ω_a × r)`."""
+            twice = jnp.outer(spin_a, spin_b)
+            return _spun(twice - jnp.trace(twice) * jnp.eye(3, dtype=twice.dtype), 1, angular)
 
         def step(bent, body):
-            i, parent, rotation, place, added = body
-            push, turned = _field(bent[parent], spin_a[parent], spin_b[parent])
-            moved = jnp.concatenate([(push + turned @ place) @ rotation, bent[parent, 3:] @ rotation])
-            return bent.at[i + 1].set(moved + added), None
+            (field, angular), (i, parent, rotation, place, more, more_angular) = bent, body
+            moved = (field.push[parent] + field.turn[parent] @ place) @ rotation + more
+            turned = angular[parent] @ rotation + more_angular
+            now = Field(
+                field.push.at[i + 1].set(moved),
+                field.turn.at[i + 1].set(points(turned, spin_a[i + 1], spin_b[i + 1])),
+            )
+            return (now, angular.at[i + 1].set(turned)), None
 
         parents = jnp.asarray([p + 1 for p in tree.parents])
-        first = jnp.zeros((len(parents) + 1, 6), b.dtype).at[0].set(base)
-        return jax.lax.scan(step, first, (jnp.arange(len(parents)), parents, *joints, own))[0]
+        angular = jnp.cross(spin_a[0], spin_b[0])
+        none = jnp.zeros((len(parents) + 1, 3), b.dtype)
+        start = Field(
+            none.at[0].set(jnp.cross(spin_a[0], speed)),
+            jnp.zeros((*none.shape, 3), b.dtype).at[0].set(points(angular, spin_a[0], spin_b[0])),
+        )
+        bodies = (jnp.arange(len(parents)), parents, *joints, push, spun)
+        return jax.lax.scan(step, (start, none.at[0].set(angular)), bodies)[0][0]
 
     def _swept(self, joints: Joints, first: Float[Array, "k1 6"], own: Float[Array, "k 6"]) -> Float[Array, "k1 6"]:
         """Twists passed on along the tree from `first`, that of the base, each body adding its `own`."""
@@ -296,36 +362,28 @@ def _momentum(moments: Moments, speed: Array, spin: Array) -> tuple[Array, Array
     return linear, jnp.cross(first, speed) + jnp.einsum("kij,kj->ki", inertia, spin)
 
 
-def _field(bent: Float[Array, "... 6"], spin_a: Array, spin_b: Array) -> tuple[Array, Array]:
-    """The field `n + W r` (3,), (3, 3) of the accelerations of the points of bodies: W = α× + (ω_b×)(ω_a×)."""
-    push, turn = _split(bent)
-    twice = spin_a[..., :, None] * spin_b[..., None, :]
-    trace = jnp.trace(twice, axis1=-2, axis2=-1)
-    entries = [[twice[..., i, j] for j in range(3)] for i in range(3)]
-    for i in range(3):
-        j, k = (i + 1) % 3, (i + 2) % 3
-        entries[i][i] = entries[i][i] - trace
-        entries[k][j] = entries[k][j] + turn[..., i]
-        entries[j][k] = entries[j][k] - turn[..., i]
-    return push, jnp.stack([jnp.stack(row, -1) for row in entries], -2)
-
-
-def _resistance(moments: Moments, push: Array, turn: Array) -> tuple[Array, Array]:
-    """Force `∫ρ N` and moments `∫ρ N rᵀ` (3, 3) of each body, for the field `N = push + turn r`."""
+def _resistance(moments: Moments, field: Field) -> Field:
+    """`∫ρ N` and `∫ρ N rᵀ` of each body, for the field `N = push + turn r`."""
     mass, first, second = moments
-    force = mass[:, None] * push + jnp.einsum("kij,kj->ki", turn, first)
-    return force, push[:, :, None] * first[:, None, :] + turn @ second
+    force = mass[:, None] * field.push + jnp.einsum("kij,kj->ki", field.turn, first)
+    return Field(force, field.push[:, :, None] * first[:, None, :] + field.turn @ second)
 
 
-def _wrench(force: Array, about: Array) -> Float[Array, "k1 6"]:
-    """Force and moment `∫ρ r × N` of each body, from `∫ρ N rᵀ`."""
-    return jnp.concatenate([force, jnp.stack([about[:, i - 1, i - 2] - about[:, i - 2, i - 1] for i in range(3)], 1)], 1)
+def _wrench(resisted: Field) -> Float[Array, "k1 6"]:
+    """Force `∫ρ N` and moment `∫ρ r × N` of each body."""
+    force, about = resisted
+    moment = [about[:, i - 1, i - 2] - about[:, i - 2, i - 1] for i in range(3)]
+    return jnp.concatenate([force, jnp.stack(moment, axis=1)], axis=1)
 
 
-def _about(about: Array, spin: Array) -> Array:
-    """`∫ρ (ω × r) × N` of each body, from `∫ρ N rᵀ`."""
-    trace = jnp.trace(about, axis1=1, axis2=2)[:, None]
-    return jnp.einsum("kji,kj->ki", about, spin) - trace * spin
+def _spun(matrix: Array, sign: int, a: Array) -> Array:
+    """The matrix (..., 3, 3) of `r ↦ matrix r ± a × r`, entry by entry."""
+    entries = [[matrix[..., i, j] for j in range(3)] for i in range(3)]
+    for i in range(3):
+        j, k = ((i + 1) % 3, (i + 2) % 3)[::sign]
+        entries[k][j] = entries[k][j] + a[..., i]
+        entries[j][k] = entries[j][k] - a[..., i]
+    return jnp.stack([jnp.stack(row, -1) for row in entries], -2)
 
 
 def _split(twists: Array) -> tuple[Array, Array]:
@@ -333,7 +391,5 @@ def _split(twists: Array) -> tuple[Array, Array]:
 
 
 def _hat(a: Array) -> Array:
-    """The matrices (..., 3, 3) of `r ↦ a × r`, for vectors a (..., 3)."""
-    x, y, z = (a[..., i] for i in range(3))
-    none = jnp.zeros_like(x)
-    return jnp.stack([jnp.stack(row, -1) for row in ((none, -z, y), (z, none, -x), (-y, x, none))], -2)
+    """The matrices (k, 3, 3) of `r ↦ a × r`, for vectors a (k, 3)."""
+    return _spun(jnp.zeros((*a.shape, 3), a.dtype), 1, a)
