@@ -44,7 +44,7 @@ def survey(
     origin = np.asarray(model.manifold.origin())
     at = np.tile(origin.reshape(-1), (samples, 1))
     if count:
-        at[:, -count:] = rng.uniform(*box.T, (samples, count))
+        at[:, -count:] = rng.uniform(box[:, 0], box[:, 1], (samples, count))
     n = model.manifold.zero(jnp.asarray(origin)).shape[0]
     planes = rng.normal(size=(samples, 2, n))
     eigenvalues, curvature = jax.jit(jax.vmap(lambda x, w: _at(model, x.reshape(origin.shape), w)))(at, planes)

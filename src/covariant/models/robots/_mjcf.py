@@ -199,10 +199,13 @@ def _joint(read: _Reader, k: int, parent: str, child: str, rotation: np.ndarray,
         exact(rotation),
         place,
         axis,
-        **of,
-        rest=float(model.qpos_spring[address]),
-        lower=float(lower),
-        upper=float(upper),
+        of["damping"],
+        of["friction"],
+        of["armature"],
+        of["stiffness"],
+        float(model.qpos_spring[address]),
+        float(lower),
+        float(upper),
     )
     read.doubts += limits_in_doubt(joint)
     return joint

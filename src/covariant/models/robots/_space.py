@@ -179,7 +179,7 @@ class RobotSpace(AbstractSpace):
         joints = self.joints(x)
         twists, gathered = jax.vjp(lambda w: self.twists(joints, w), b)
         spins = self.twists(joints, a)[:, 3:], twists[:, 3:]
-        field = self._bent(joints, a, b, *spins, twists[0, :3])
+        field = self._accelerations(joints, a, b, *spins, twists[0, :3])
         return gathered(_wrench(_resistance(self._moments(x), field)))[0]
 
     def curvature(self, x: Configuration, a: Vector, b: Vector, c: Vector) -> Vector:
@@ -193,7 +193,7 @@ class RobotSpace(AbstractSpace):
 
         def normal(along, spin, felt):
             """What mass points with these moments resist `II(along, c)` with."""
-            field = self._bent(joints, along, c, spin, spin_c, twists[0, :3])
+            field = self._accelerations(joints, along, c, spin, spin_c, twists[0, :3])
             within = solve(matrix, gathered(_wrench(_resistance(moments, field)))[0])
             speed, twist = _split(self.twists(joints, within))
             return _resistance(felt, Field(field.push - speed, _spun(field.turn, -1, twist)))
@@ -202,7 +202,9 @@ class RobotSpace(AbstractSpace):
 
         def moved(w):
             speed, spin = _split(self.twists(joints, w))
-            return tuple(self._bent(joints, e, w, turn, spin, speed[0]) for e, turn in ((a, spin_a), (b, spin_b)))
+            return tuple(
+                self._accelerations(joints, e, w, turn, spin, speed[0]) for e, turn in ((a, spin_a), (b, spin_b))
+            )
 
         return solve(matrix, jax.vjp(moved, jnp.zeros_like(a))[1](onto)[0])
 
@@ -293,7 +295,7 @@ class RobotSpace(AbstractSpace):
         own = jnp.concatenate([tree.slide.astype(a.dtype) * rates, tree.turn.astype(a.dtype) * rates], axis=1)
         return self._swept(joints, first, own)
 
-    def _bent(
+    def _accelerations(
         self, joints: Joints, a: Vector, b: Vector, spin_a: Array, spin_b: Array, speed: Float[Array, "3"]
     ) -> "Field":
         """`∂_a ∂_b` of the places of the mass points: linear in b, without the change of b itself.
