@@ -107,12 +107,14 @@ def plain(text: str) -> str:
 
 def states(model, names: list[str], count: int, seed: int = 0) -> dict:
     """Random configurations and velocities of a robot, as poses, coordinates and angles of all its joints."""
+    import jax.numpy as jnp
+
     from covariant.geometry.lie import SE3
 
     rng, space = np.random.default_rng(seed), model.space
     n, loose = len(model.coordinates), space.floating
     q = rng.uniform(-2, 2, (count, n))
-    pose = np.stack([np.asarray(SE3.exp(np.asarray(s))) for s in rng.normal(size=(count, 6))]) if loose else None
+    pose = np.stack([np.asarray(SE3.exp(jnp.asarray(s))) for s in rng.normal(size=(count, 6))]) if loose else None
     at = np.concatenate([pose.reshape(count, 16), q], axis=1) if loose else q
     v, u = rng.normal(size=(2, count, 6 * loose + n))
     u[:, : 6 * loose] = 0  # nothing drives a base

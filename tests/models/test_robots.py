@@ -311,17 +311,17 @@ def test_shipped_robots_move_as_in_mujoco():
     for name in ("panda", "quadruped"):
         found = compare_robots.compared(robots.located(name).read_text(encoding="utf-8"), 5)
         assert found["MuJoCo"] < compare_robots.TOLERANCE
-    assert compare_robots.compared(compare_robots.tree(3), 5)["MuJoCo"] < compare_robots.TOLERANCE
 
 
-@pytest.mark.parametrize("name", robots.ROBOTS)
-def test_a_shipped_robot_is_found_by_its_name_and_says_where_its_numbers_are_from(name):
-    text = robots.located(name).read_text(encoding="utf-8")
-    comment = text[text.index("<!--") : text.index("-->")]
-    assert "chosen" in comment or re.search(r"(BSD|Apache License)", comment)
-    assert "mesh" not in text
-    assert not robots.read(name).doubts
-    assert load(name).model.space.floating == (name == "quadruped")
+def test_shipped_robots_are_found_by_their_names_and_say_where_their_numbers_are_from():
+    for name in robots.ROBOTS:
+        text = robots.located(name).read_text(encoding="utf-8")
+        comment = text[text.index("<!--") : text.index("-->")]
+        assert "chosen" in comment or re.search(r"(BSD|Apache License)", comment)
+        assert "mesh" not in text
+        assert not robots.read(name).doubts
+    assert load("double_pendulum").columns.q == ("shoulder", "elbow")
+    assert robots.load("quadruped").space.floating
 
 
 def test_operations_of_an_observer_of_a_panda(panda):
@@ -356,19 +356,29 @@ def test_a_payload_moves_with_its_link_and_can_be_differentiated(folder, arm):
             robots.load(folder / "arm.urdf", payload=wrong)
 
 
+LINKS = ("wrist", "elbow", "base")
+
+
 def test_poses_and_jacobians_of_links(floating_arm):
-    """The Jacobian is the rate of the pose, and so that of the joints' Coriolis matrix is the inertia matrix's."""
+    """The Jacobian gives the rate of the pose; the Coriolis matrix and its transpose that of the inertia matrix."""
     q, (v, *_) = state(floating_arm, 6)
     space, manifold = floating_arm.space, floating_arm.manifold
-    for link in ("wrist", "elbow", "base"):
-        pose, rate = jax.jvp(lambda x, link=link: space.pose(x, link), (q,), (manifold.tangent(q, v),))
-        moved = SE3.vee(jnp.linalg.inv(pose) @ rate)
-        np.testing.assert_allclose(space.jacobian(q, link) @ v, moved, atol=1e-12)
+
+    @jax.jit
+    def moving():
+        along = (manifold.tangent(q, v),)
+        poses = [jax.jvp(lambda x, link=link: space.pose(x, link), (q,), along) for link in LINKS]
+        twists = [space.jacobian(q, link) @ v for link in LINKS]
+        coriolis = space.coriolis_matrix(q, v)
+        return poses, twists, coriolis, jax.jvp(space, (q,), along)[1], space.connection_force(q, v, v)
+
+    poses, twists, coriolis, change, force = moving()
+    for (pose, rate), twist in zip(poses, twists, strict=True):
+        np.testing.assert_allclose(twist, SE3.vee(jnp.linalg.inv(pose) @ rate), atol=1e-12)
+    np.testing.assert_allclose(coriolis + coriolis.T, change, atol=1e-10)
+    np.testing.assert_allclose(coriolis @ v, force, atol=1e-10)
     with pytest.raises(ValueError, match="there is no link 'hand'"):
         space.pose(q, "hand")
-    coriolis, change = space.coriolis_matrix(q, v), jax.jvp(space, (q,), (manifold.tangent(q, v),))[1]
-    np.testing.assert_allclose(coriolis + coriolis.T, change, atol=1e-10)
-    np.testing.assert_allclose(coriolis @ v, space.connection_force(q, v, v), atol=1e-10)
 
 
 def test_a_floating_joint_carries_the_robot_and_nothing_stands_beside(tmp_path):

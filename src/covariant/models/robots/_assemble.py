@@ -117,7 +117,7 @@ def _assemble(
         jnp.asarray(np.array([place for _, _, place in where])),
     )
     space = RobotSpace(tree, links, manifold=manifold, floating=floating)
-    inputs = _inputs(axes, coordinates, free, motors, actuated, robot)
+    inputs = _inputs(axes, coordinates, free, motors, actuated)
     units = tuple("rad" if axes[i].turn.any() else "m" for i in free)
     made = MechanicalSystem(
         space,
@@ -201,7 +201,6 @@ def _inputs(
     free: list[int],
     motors: Sequence[Motor],
     actuated: Sequence[str] | None,
-    robot: Description,
 ) -> np.ndarray:
     """Generalised force (n, m) of each input."""
     if not motors:

@@ -222,7 +222,8 @@ class RobotSpace(AbstractSpace):
         flat = jnp.where(turns[:, None, None], eye - along, 0.0)
         still = eye - flat
         turned = still + jnp.cos(angle) * flat + jnp.sin(angle) * _hat(turn)
-        return Joints(rotation @ turned, place + jnp.einsum("kij,kj->ki", rotation, slide * angles[:, None]))
+        slid = jnp.sum(rotation * (slide * angles[:, None])[:, None, :], axis=2)
+        return Joints(_product(rotation, turned), place + slid)
 
     def joint_angles(self, x: Configuration) -> Float[Array, "k"]:
         """Where the joints are [rad or m]."""
@@ -361,14 +362,14 @@ def _momentum(moments: Moments, speed: Array, spin: Array) -> tuple[Array, Array
     mass, first, second = moments
     inertia = jnp.trace(second, axis1=1, axis2=2)[:, None, None] * jnp.eye(3, dtype=second.dtype)[None] - second
     linear = mass[:, None] * speed + jnp.cross(spin, first)
-    return linear, jnp.cross(first, speed) + jnp.einsum("kij,kj->ki", inertia, spin)
+    return linear, jnp.cross(first, speed) + jnp.sum(inertia * spin[:, None, :], axis=2)
 
 
 def _resistance(moments: Moments, field: Field) -> Field:
     """`∫ρ N` and `∫ρ N rᵀ` of each body, for the field `N = push + turn r`."""
     mass, first, second = moments
-    force = mass[:, None] * field.push + jnp.einsum("kij,kj->ki", field.turn, first)
-    return Field(force, field.push[:, :, None] * first[:, None, :] + field.turn @ second)
+    force = mass[:, None] * field.push + jnp.sum(field.turn * first[:, None, :], axis=2)
+    return Field(force, field.push[:, :, None] * first[:, None, :] + _product(field.turn, second))
 
 
 def _wrench(resisted: Field) -> Float[Array, "k1 6"]:
@@ -386,6 +387,11 @@ def _spun(matrix: Array, sign: int, a: Array) -> Array:
         entries[k][j] = entries[k][j] + a[..., i]
         entries[j][k] = entries[j][k] - a[..., i]
     return jnp.stack([jnp.stack(row, -1) for row in entries], -2)
+
+
+def _product(a: Array, b: Array) -> Array:
+    """The matrix products (k, 3, 3), written out: XLA 0.9 fails to compile some batches of batches of so small ones."""
+    return jnp.sum(a[:, :, :, None] * b[:, None, :, :], axis=2)
 
 
 def _split(twists: Array) -> tuple[Array, Array]:
