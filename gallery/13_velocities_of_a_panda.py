@@ -20,12 +20,14 @@ from covariant.signals import Record
 
 FIGURE = Path(__file__).parent / "out" / "13_velocities_of_a_panda.png"
 RATE, SECONDS, QUANTUM = 1000, 4.0, 2 * np.pi / 2**15
+SETTLED = 600
+"""Samples after which an observer that starts at rest is judged."""
 REST = np.array([0.0, 0.2, 0.0, -1.6, 0.0, 1.8, 0.5])
 SWING = np.array([0.8, 0.5, 0.7, 0.6, 0.9, 0.7, 1.0])
 PACE = np.array([2.1, 2.9, 2.5, 3.3, 3.7, 2.3, 4.1])
 FRICTION = np.array([0.6, 0.6, 0.5, 0.5, 0.3, 0.3, 0.2])
 """Dry friction of the joints [N m], and damping [N m s/rad] of the same size: chosen, as of an arm of this size."""
-UNEXPLAINED = (0.01, 0.1, 1.0, 10.0, 100.0)
+UNEXPLAINED = (0.01, 1.0, 10.0)
 """Accelerations that the model does not explain [rad/s²], to choose from."""
 OBSERVERS = ("intrinsic", "ekf")
 FREE = ("savitzky-golay", "filtered-derivative", "high-gain", "joint-kalman", "pll", "levant")
@@ -91,7 +93,7 @@ def errors(record: Record, v: np.ndarray) -> dict[str, tuple[np.ndarray, float]]
     chosen = tuned(FREE, 1.0)
     for name in OBSERVERS:
         offered = {value: tuned((name,), value)[name] for value in UNEXPLAINED}
-        best = min(offered, key=lambda value: rmse(offered[value], start, v[:third], 100)[1])
+        best = min(offered, key=lambda value: rmse(offered[value], start, v[:third], SETTLED)[1])
         chosen[name] = offered[best]
         print(f"  {name}: unexplained acceleration {best} rad/s²")
     found = {name: rmse(observer, record, v, third) for name, observer in chosen.items()}

@@ -101,7 +101,7 @@ class Moments(NamedTuple):
     second: Float[Array, "k1 3 3"]
 
 
-class Field(NamedTuple):
+class PointField(NamedTuple):
     """A vector at each mass point r of each body, `push + turn r`: (k + 1, 3) and (k + 1, 3, 3), the base first.
 
     Or what belongs to such fields by duality, forces on the mass points summed up: `∫ρ N` and `∫ρ N rᵀ`."""
@@ -196,7 +196,7 @@ class RobotSpace(AbstractSpace):
             field = self._accelerations(joints, along, c, spin, spin_c, twists[0, :3])
             within = solve(matrix, gathered(_wrench(_resistance(moments, field)))[0])
             speed, twist = _split(self.twists(joints, within))
-            return _resistance(felt, Field(field.push - speed, _spun(field.turn, -1, twist)))
+            return _resistance(felt, PointField(field.push - speed, _spun(field.turn, -1, twist)))
 
         onto = normal(b, spin_b, moments), normal(a, spin_a, jax.tree.map(jnp.negative, moments))
 
@@ -298,7 +298,7 @@ class RobotSpace(AbstractSpace):
 
     def _accelerations(
         self, joints: Joints, a: Vector, b: Vector, spin_a: Array, spin_b: Array, speed: Float[Array, "3"]
-    ) -> "Field":
+    ) -> "PointField":
         """`∂_a ∂_b` of the places of the mass points: linear in b, without the change of b itself.
 
         `spin_a`, `spin_b` are the spins of the bodies, `speed` is that of the base, all at the velocities a and b.
@@ -317,7 +317,7 @@ class RobotSpace(AbstractSpace):
             (field, angular), (i, parent, rotation, place, more, more_angular) = bent, body
             moved = (field.push[parent] + field.turn[parent] @ place) @ rotation + more
             turned = angular[parent] @ rotation + more_angular
-            now = Field(
+            now = PointField(
                 field.push.at[i + 1].set(moved),
                 field.turn.at[i + 1].set(points(turned, spin_a[i + 1], spin_b[i + 1])),
             )
@@ -326,7 +326,7 @@ class RobotSpace(AbstractSpace):
         parents = jnp.asarray([p + 1 for p in tree.parents])
         angular = jnp.cross(spin_a[0], spin_b[0])
         none = jnp.zeros((len(parents) + 1, 3), b.dtype)
-        start = Field(
+        start = PointField(
             none.at[0].set(jnp.cross(spin_a[0], speed)),
             jnp.zeros((*none.shape, 3), b.dtype).at[0].set(points(angular, spin_a[0], spin_b[0])),
         )
@@ -365,14 +365,14 @@ def _momentum(moments: Moments, speed: Array, spin: Array) -> tuple[Array, Array
     return linear, jnp.cross(first, speed) + jnp.sum(inertia * spin[:, None, :], axis=2)
 
 
-def _resistance(moments: Moments, field: Field) -> Field:
+def _resistance(moments: Moments, field: PointField) -> PointField:
     """`∫ρ N` and `∫ρ N rᵀ` of each body, for the field `N = push + turn r`."""
     mass, first, second = moments
     force = mass[:, None] * field.push + jnp.sum(field.turn * first[:, None, :], axis=2)
-    return Field(force, field.push[:, :, None] * first[:, None, :] + _product(field.turn, second))
+    return PointField(force, field.push[:, :, None] * first[:, None, :] + _product(field.turn, second))
 
 
-def _wrench(resisted: Field) -> Float[Array, "k1 6"]:
+def _wrench(resisted: PointField) -> Float[Array, "k1 6"]:
     """Force `∫ρ N` and moment `∫ρ r × N` of each body."""
     force, about = resisted
     moment = [about[:, i - 1, i - 2] - about[:, i - 2, i - 1] for i in range(3)]
