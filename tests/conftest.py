@@ -99,9 +99,8 @@ def closed_forms() -> dict:
 
 
 def numerical_spaces() -> dict:
-    """Spaces known by their matrix alone, and robots, which know sweeps."""
+    """Spaces known by their matrix alone, and a robot, which knows sweeps."""
     rotors = {"rotor_inertia": (0.02, 0.01), "gear": (3.0, 5.0)}
-    wrist = dict.fromkeys(("wrist_1_joint", "wrist_2_joint", "wrist_3_joint"), 0.4)
     triple = models.pendulum_chain((1.0, 0.5, 0.7), (1.0, 0.8, 0.6), com=(0.5, 0.4, 0.6), inertia=(0.1, 0.05, 0.0))
     return {
         "numeric sphere": (Metric(geometry.sphere()), np.zeros(2), 0.6),
@@ -111,8 +110,7 @@ def numerical_spaces() -> dict:
         "double pendulum": (models.pendulum_chain(**rotors).metric, np.array([0.2, 0.9]), 0.4),
         "double pendulum, absolute": (models.pendulum_chain(angles="absolute").metric, np.array([0.2, 0.9]), 0.4),
         "triple pendulum": (triple.metric, np.array([0.2, 0.9, -0.5]), 0.3),
-        "robot, planar": (robots.load("double_pendulum").space, np.array([0.2, 0.9]), 0.4),
-        "robot, spatial": (robots.load("ur5e", lock=wrist).space, np.array([0.2, -0.9, 0.8]), 0.3),
+        "robot": (robots.load("double_pendulum").space, np.array([0.2, 0.9]), 0.4),
     }
 
 

@@ -2,7 +2,7 @@
 
 import sys
 
-import numpy as np
+import jax.numpy as jnp
 import pytest
 from commands import command
 
@@ -19,7 +19,7 @@ def test_a_robot_is_shown_with_its_tree_and_its_geometry():
     assert shown["used"]["joint/dynamics"] == 2
     low, high = shown["curvature"]
     space = robots.load("double_pendulum").space
-    q, a, b = np.array([0.4, 1.0]), np.array([1.0, 0.3]), np.array([-0.2, 1.0])
+    q, a, b = jnp.array([0.4, 1.0]), jnp.array([1.0, 0.3]), jnp.array([-0.2, 1.0])
     assert low <= float(geometry.sectional_curvature(space, q, a, b)) <= high  # in the plane there is but one plane
     assert 1 < shown["conditioning"][0] < shown["conditioning"][1]
 
