@@ -26,7 +26,6 @@ import pytest
 
 from covariant import geometry, models
 from covariant.geometry import Budget, Metric
-from covariant.models import robots
 
 jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_numpy_dtype_promotion", "strict")
@@ -99,7 +98,7 @@ def closed_forms() -> dict:
 
 
 def numerical_spaces() -> dict:
-    """Spaces known by their matrix alone, and a robot, which knows sweeps."""
+    """Spaces known by their matrix alone."""
     rotors = {"rotor_inertia": (0.02, 0.01), "gear": (3.0, 5.0)}
     triple = models.pendulum_chain((1.0, 0.5, 0.7), (1.0, 0.8, 0.6), com=(0.5, 0.4, 0.6), inertia=(0.1, 0.05, 0.0))
     return {
@@ -110,7 +109,6 @@ def numerical_spaces() -> dict:
         "double pendulum": (models.pendulum_chain(**rotors).metric, np.array([0.2, 0.9]), 0.4),
         "double pendulum, absolute": (models.pendulum_chain(angles="absolute").metric, np.array([0.2, 0.9]), 0.4),
         "triple pendulum": (triple.metric, np.array([0.2, 0.9, -0.5]), 0.3),
-        "robot": (robots.load("double_pendulum").space, np.array([0.2, 0.9]), 0.4),
     }
 
 

@@ -18,7 +18,7 @@ from covariant.observers import REGISTRY, run
 from covariant.report import PALETTE, new_figure, save_figure
 from covariant.signals import Record
 
-FIGURE = Path(__file__).parent / "out" / "13_velocities_of_a_panda.png"
+FIGURE = Path(__file__).parent / "out" / "demo_panda.png"
 RATE, SECONDS, QUANTUM = 1000, 4.0, 2 * np.pi / 2**15
 SETTLED = 600
 """Samples after which an observer that starts at rest is judged."""
