@@ -116,7 +116,7 @@ for column, (case, title) in enumerate(TITLES.items()):
         above.plot(record.t, estimate[:, 3], color, linewidth=1, label=labels[name])
         below.plot(record.t, 1e3 * (estimate - v)[:, 3], color, linewidth=0.8, label=f"{name}: {1e3 * rmse:.2g}")
     above.set(xlim=(2, 3), ylabel="dq₄/dt [rad/s]")
-    below.set(xlim=(2, 3), xlabel="t [s]", ylabel="error of dq₄/dt [mrad/s]")
+    below.set(xlim=(2, 3), ylim=((-10, 10), (-150, 150))[column], xlabel="t [s]", ylabel="error of dq₄/dt [mrad/s]")
     below.legend(title="RMSE of all joints [mrad/s]", fontsize=7, title_fontsize=7, loc="upper right")
 axes[0, 0].legend(fontsize=7)
 FIGURE.parent.mkdir(exist_ok=True)
