@@ -22,8 +22,8 @@ FACTORIES["manoeuvring_ship"] = marine.manoeuvring_ship
 
 
 def scara(mass: float = 4.2):
-    """The robot of examples/scara.urdf with another mass of its first link [kg]."""
-    text = (Path(__file__).parents[1] / "examples" / "scara.urdf").read_text(encoding="utf-8")
+    """The robot `scara` with another mass of its first link [kg]."""
+    text = models.robots.located("scara").read_text(encoding="utf-8")
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "scara.urdf")
         path.write_text(text.replace('<mass value="4.2"/>', f'<mass value="{mass}"/>'), encoding="utf-8")

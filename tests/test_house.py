@@ -59,7 +59,7 @@ PUBLIC = {
     "geometry": "AbstractManifold AbstractMetric AbstractSpace Budget ConstantCurvature Coordinates Euclidean "
     "FlatTorus Interpolated KineticEnergy Metric Product ProductManifold Pullback Shot Transported "
     "as_space christoffel connection curvature derivative differential distance exp gradient hyperbolic "
-    "inner log norm shoot sphere transport transport_along wrap",
+    "inner log norm sectional_curvature shoot sphere transport transport_along wrap",
     "geometry.lie": "SE2 SE3 SO2 SO3 SU AbstractGroup AbstractInertia Inertia LeftInvariant MatrixGroup Product "
     "quaternion_from_rotation rotation_from_quaternion",
     "identification": "FITTED Draft Fit PredictionErrors Windows draft fit growth horizon prediction_errors relations "
@@ -70,12 +70,13 @@ PUBLIC = {
     "logs": "ATTITUDES MESSAGES OPTIONAL WRITTEN Body Columns Log LogError bodies check_unit coordinates matrices read "
     "survey to_columns unit_factor write",
     "models": "Family GroupSystem Lagrangian MechanicalSystem ModelError ModelFile MomentumChart Motion Parameter "
-    "Parametric StateSpace acceleration advance applied_force ball_and_beam bioreactor body_velocity chart_jacobian "
-    "chart_velocity check_metric check_model document duffing energy family free_body friction from_recipe heavy_top "
-    "hovercraft in_chart induction_motor input_count load "
+    "Parametric StateSpace Survey acceleration advance applied_force ball_and_beam bioreactor body_velocity "
+    "chart_jacobian chart_velocity check_metric check_model document duffing energy family free_body friction "
+    "from_recipe heavy_top hovercraft in_chart induction_motor input_count load "
     "lorenz oscillator pendulum_chain recipe resistance rewrite satellite satellite_arm source spatial_momentum "
-    "state_space underwater_vehicle unknown_frequency van_der_pol",
-    "models.robots": "BodyInertia Description Follows Joint KinematicTree RobotSpace assemble load read",
+    "state_space survey underwater_vehicle unknown_frequency van_der_pol",
+    "models.robots": "ROBOTS BodyInertia Description Follows Joint KinematicTree Links Motor RobotSpace assemble load "
+    "located read",
     "models.marine": "Craft Station Waves coriolis_matrix cybership euler_rates euler_rotation euler_transform "
     "manoeuvring_ship odin odin_on_group positive_definite supply_vessel surface_ship yaw_rotation",
     "observers": "EKF PLL REGISTRY STATE_REGISTRY UKF AbstractFlowObserver AbstractLinearFilter "

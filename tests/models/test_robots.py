@@ -1,13 +1,18 @@
 """Robots from files: the same mechanics as MuJoCo's, the same geometry as the space derived from the metric alone."""
 
+import re
+
+import compare_robots
 import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
 
+from covariant import lowering
 from covariant.geometry.lie import SE3
 from covariant.models import ModelError, Motion, acceleration, load, robots
+from covariant.observers import Intrinsic
 
 QUARTER = "1.5707963267948966"
 
@@ -63,6 +68,11 @@ def folder(tmp_path_factory):
 @pytest.fixture(scope="module")
 def arm(folder):
     return robots.load(folder / "arm.urdf")
+
+
+@pytest.fixture(scope="module")
+def panda():
+    return robots.load("panda")
 
 
 @pytest.fixture(scope="module")
@@ -262,7 +272,10 @@ std = 1e-3
     (folder / "floating.urdf").write_text(HEAVY)
     file = load(str(folder / "in_the_air.toml"))
     assert (file.dimension, file.model.coordinates) == (8, ("turn", "slide"))
-    wrongs = {"lock={elbow=1.0}": "there is no joint 'elbow'", 'path="none.urdf"': "give the path of a URDF file"}
+    wrongs = {
+        "lock={elbow=1.0}": "there is no joint 'elbow'",
+        'path="none.urdf"': "give the path of a URDF or MJCF file",
+    }
     for wrong, words in wrongs.items():
         with pytest.raises(ModelError, match=words):
             load(str(folder / "in_the_air.toml"), [f"parameters.{wrong}"])
@@ -288,3 +301,94 @@ def test_motion_is_that_of_the_coordinates(arm):
     np.testing.assert_allclose(force[0], -0.5 * v[0] - 0.2 * 2 / np.pi * np.arctan(100 * v[0]), rtol=1e-12)
     np.testing.assert_array_equal(force[1:], 0)
     assert arm.state(Motion(q, v)).shape == (8,)
+
+
+# The robots that come with the library
+
+
+def test_shipped_robots_move_as_in_mujoco():
+    """The others, and random trees, are compared by `tools/compare_robots.py`, with Pinocchio too."""
+    for name in ("panda", "quadruped"):
+        found = compare_robots.compared(robots.located(name).read_text(encoding="utf-8"), 5)
+        assert found["MuJoCo"] < compare_robots.TOLERANCE
+
+
+def test_shipped_robots_are_found_by_their_names_and_say_where_their_numbers_are_from():
+    for name in robots.ROBOTS:
+        text = robots.located(name).read_text(encoding="utf-8")
+        comment = text[text.index("<!--") : text.index("-->")]
+        assert "chosen" in comment or re.search(r"(BSD|Apache License)", comment)
+        assert "mesh" not in text
+        assert not robots.read(name).doubts
+    assert load("double_pendulum").columns.q == ("shoulder", "elbow")
+    assert robots.load("quadruped").space.floating
+
+
+def test_operations_of_an_observer_of_a_panda(panda):
+    """What a microcontroller computes at every instant: everything but constants and inputs."""
+    observer, zero = Intrinsic(panda, 8.0, 30.0), jnp.zeros(7)
+    state = observer.init(zero)
+
+    def right_hand_side(q, v, u, y):
+        rate = observer.flow(jnp.zeros(()), state._replace(q=q, v=v), u, y)
+        return rate.q, rate.v
+
+    nodes = lowering.lower(right_hand_side, zero, zero, zero, zero).graph.nodes
+    assert sum(node.op not in ("constant", "input") for node in nodes) <= 6500
+
+
+def test_a_payload_moves_with_its_link_and_can_be_differentiated(folder, arm):
+    """In the frame of the link, whatever it is welded to; energies are those of a mass point there."""
+    load_ = (0.7, 0.1, -0.2, 0.3)
+    loaded = robots.load(folder / "arm.urdf", payload={"flange": load_})
+    q, (v, *_) = state(arm, 5)
+    at = arm.space.pose(q, "flange")
+    place = at[:3, 3] + at[:3, :3] @ jnp.array(load_[1:])
+    twist = arm.space.jacobian(q, "flange") @ v
+    speed = twist[:3] + jnp.cross(twist[3:], jnp.array(load_[1:]))
+    more = loaded.space.inner(q, v, v) - arm.space.inner(q, v, v)
+    assert float(more) == pytest.approx(0.7 * float(speed @ speed), rel=1e-10)
+    assert float(loaded.potential(q) - arm.potential(q)) == pytest.approx(0.7 * 9.81 * float(place[2]), rel=1e-10)
+    weight = jax.grad(lambda m: robots.load(folder / "arm.urdf", payload={"flange": (m, *load_[1:])}).potential(q))
+    assert float(weight(0.7)) == pytest.approx(9.81 * float(place[2]), rel=1e-10)
+    for wrong, words in (({"hand": load_}, "there is no link 'hand'"), ({"flange": (1.0,)}, "give mass, x, y, z")):
+        with pytest.raises(ValueError, match=words):
+            robots.load(folder / "arm.urdf", payload=wrong)
+
+
+LINKS = ("wrist", "elbow", "base")
+
+
+def test_poses_and_jacobians_of_links(floating_arm):
+    """The Jacobian gives the rate of the pose; the Coriolis matrix and its transpose that of the inertia matrix."""
+    q, (v, *_) = state(floating_arm, 6)
+    space, manifold = floating_arm.space, floating_arm.manifold
+
+    @jax.jit
+    def moving():
+        along = (manifold.tangent(q, v),)
+        poses = [jax.jvp(lambda x, link=link: space.pose(x, link), (q,), along) for link in LINKS]
+        twists = [space.jacobian(q, link) @ v for link in LINKS]
+        coriolis = space.coriolis_matrix(q, v)
+        return poses, twists, coriolis, jax.jvp(space, (q,), along)[1], space.connection_force(q, v, v)
+
+    poses, twists, coriolis, change, force = moving()
+    for (pose, rate), twist in zip(poses, twists, strict=True):
+        np.testing.assert_allclose(twist, SE3.vee(jnp.linalg.inv(pose) @ rate), atol=1e-12)
+    np.testing.assert_allclose(coriolis + coriolis.T, change, atol=1e-10)
+    np.testing.assert_allclose(coriolis @ v, force, atol=1e-10)
+    with pytest.raises(ValueError, match="there is no link 'hand'"):
+        space.pose(q, "hand")
+
+
+def test_a_floating_joint_carries_the_robot_and_nothing_stands_beside(tmp_path):
+    """`floating=True` and a floating joint at the root are one and the same."""
+    loose = '<link name="world"/><joint name="air" type="floating"><parent link="world"/><child link="base"/></joint>'
+    (tmp_path / "a.urdf").write_text(HEAVY.replace('<link name="base">', loose + '<link name="base">'))
+    assert robots.load(tmp_path / "a.urdf").space.floating
+    beside = (
+        '<link name="more"/><joint name="beside" type="revolute"><parent link="world"/><child link="more"/></joint>'
+    )
+    (tmp_path / "b.urdf").write_text(HEAVY.replace('<link name="base">', loose + beside + '<link name="base">'))
+    with pytest.raises(ValueError, match="joint 'beside': one floating joint is supported"):
+        robots.load(tmp_path / "b.urdf")

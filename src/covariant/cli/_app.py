@@ -30,7 +30,12 @@ def covariant(
     """Velocities and states from measured positions: observers, their proofs, their comparison."""
 
 
-Model = Annotated[str, typer.Argument(help="Model file (.toml or .urdf), module:attribute, or the name of a system.")]
+Model = Annotated[
+    str,
+    typer.Argument(
+        help="Model file (.toml), robot (.urdf or .xml), module:attribute, or the name of a system or a robot."
+    ),
+]
 LogFile = Annotated[
     Path,
     typer.Argument(help="Log with stamps, positions or attitudes, inputs: .csv, .txt, .parquet, .mcap, a rosbag2."),
@@ -258,6 +263,20 @@ def simulate(
     _simulate.simulate(model, tuple(override), out, scenario, json)
 
 
+@app.command("model")
+def show_model(
+    model: Model,
+    samples: Annotated[int, typer.Option(help="Number of configurations to measure the geometry at.", min=1)] = 200,
+    seed: Annotated[int, typer.Option(help="Seed of the configurations.", min=0)] = 0,
+    override: Override = [],  # noqa: B006  typer copies it
+    json: Json = False,
+) -> None:
+    """Say what a model is made of: the tree of a robot, what of its file is used, and how curved its metric is."""
+    from covariant.cli import _model
+
+    _model.show(model, tuple(override), samples, seed, json)
+
+
 @app.command()
 def reproduce(
     paper: Annotated[str, typer.Argument(help=f"One of: {', '.join(PAPERS)}.")],
@@ -299,7 +318,7 @@ def audit(
 @app.command()
 def certify(
     model: Annotated[
-        str | None, typer.Argument(help="Model file (.toml or .urdf), module:attribute, or a system.")
+        str | None, typer.Argument(help="Model file (.toml), robot (.urdf or .xml), module:attribute, or a system.")
     ] = None,
     velocity: Annotated[
         str | None, typer.Option(help="Bound of the true velocities, one or one each by commas; required.")

@@ -41,6 +41,16 @@ def curvature(space: Space, q: Configuration, x: Vector, y: Vector, z: Vector) -
     return as_space(space).curvature(q, x, y, z)
 
 
+def sectional_curvature(space: Space, q: Configuration, x: Vector, y: Vector) -> Scalar:
+    """`K(x, y) = <R(x, y)y, x> / (|x|²|y|² − <x, y>²)` at q: of the plane of two vectors; 1 on the unit sphere.
+
+    Its unit is the reciprocal of that of the metric. Where it is negative, geodesics that start side by side part.
+    """
+    space = as_space(space)
+    xx, xy, yy = space.inner(q, x, x), space.inner(q, x, y), space.inner(q, y, y)
+    return space.inner(q, space.curvature(q, x, y, y), x) / (xx * yy - xy**2)
+
+
 def gradient(space: Space, q: Configuration, covector: Vector) -> Vector:
     """Raise a covector, such as a differential or a generalised force, to the tangent vector `g(q)⁻¹ covector`."""
     return as_space(space).raise_(q, covector)

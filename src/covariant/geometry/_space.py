@@ -78,6 +78,12 @@ class AbstractSpace(Functional):
             total = total - coadjoint(self.manifold, x, b, self.lower(x, a))
         return total / 2
 
+    def coriolis_matrix(self, x: Configuration, v: Vector) -> Matrix:
+        """The matrix C with `C a = <∇_v a, ·>`, so that C v are the Coriolis forces and `M' − 2C` is skew along v."""
+        zero = self.manifold.zero(x)
+        force = jax.vmap(lambda a: self.connection_force(x, v, a), out_axes=1)
+        return force(jnp.eye(zero.shape[0], dtype=zero.dtype))
+
     def kinetic_force(self, x: Configuration, v: Vector) -> Vector:
         """`½∂<v, v>`: the derivative of the kinetic energy by the configuration, with the components of v constant."""
         return differential(self.manifold, lambda y: self.inner(y, v, v), x) / 2

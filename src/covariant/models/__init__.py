@@ -36,6 +36,7 @@ from covariant.models._rewrite import rewrite
 from covariant.models._satellite import satellite
 from covariant.models._satellite_arm import satellite_arm
 from covariant.models._state_space import StateSpace, state_space
+from covariant.models._survey import Survey, survey
 from covariant.models._underwater_vehicle import underwater_vehicle
 from covariant.models._unknown_frequency import unknown_frequency
 from covariant.models._van_der_pol import van_der_pol
@@ -52,6 +53,7 @@ __all__ = [
     "Parameter",
     "Parametric",
     "StateSpace",
+    "Survey",
     "acceleration",
     "advance",
     "applied_force",
@@ -86,6 +88,7 @@ __all__ = [
     "source",
     "spatial_momentum",
     "state_space",
+    "survey",
     "underwater_vehicle",
     "unknown_frequency",
     "van_der_pol",

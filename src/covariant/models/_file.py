@@ -13,6 +13,10 @@ from covariant.models._check import check_metric
 from covariant.models._columns import lacks_attitude, model_columns
 from covariant.models._mechanical import MechanicalSystem
 from covariant.models._source import Model
+from covariant.models.robots import ROBOTS
+
+ROBOT_FILES = (".urdf", ".xml")
+"""How the files of robots end."""
 
 
 class ModelError(ValueError):
@@ -102,9 +106,10 @@ class ModelFile(NamedTuple):
 def load(spec: str, overrides: Sequence[str] = ()) -> ModelFile:
     """Load a model.
 
-    - `spec`: a `.toml` file; the `.urdf` file of a robot (see `models.robots.load`); `module:attribute` (a
-      `Lagrangian`, a `GroupSystem`, a `StateSpace`, a `ModelFile`, or a function that makes one; the module is also
-      looked for in the current folder); or the name of a system with its default parameters.
+    - `spec`: a `.toml` file; the `.urdf` or `.xml` file of a robot, or the name of one that comes with the library (see
+      `models.robots.load`); `module:attribute` (a `Lagrangian`, a `GroupSystem`, a `StateSpace`, a `ModelFile`, or a
+      function that makes one; the module is also looked for in the current folder); or the name of a system with its
+      default parameters.
     - `overrides`: applied last. Each is `table.key=value`, with the tables of the file and values as in TOML, such as
       `parameters.mass=[1.0, 2.0]`.
 
@@ -181,7 +186,7 @@ def _given(model: Any, parameters: dict[str, Any]) -> Model:
 
 
 def is_file(spec: str) -> bool:
-    return spec.endswith((".toml", ".urdf"))
+    return spec.endswith((".toml", *ROBOT_FILES)) or spec in ROBOTS
 
 
 def document(spec: str, overrides: Sequence[str] = ()) -> dict[str, Any]:
@@ -192,14 +197,15 @@ def document(spec: str, overrides: Sequence[str] = ()) -> dict[str, Any]:
 
 
 def _document(spec: str) -> dict[str, Any]:
-    if spec.endswith(".urdf"):
+    if spec.endswith(ROBOT_FILES) or spec in ROBOTS:
         return {"system": "robot", "parameters": {"path": spec}}
     if is_file(spec):
         return _beside(Path(spec), _toml.parse(text(Path(spec))))
     if ":" in spec:
         return {}
     if spec not in _source.SYSTEMS:
-        raise ValueError(f"{_toml.unknown('model', spec, _source.SYSTEMS)}, a .toml or .urdf file, or module:attribute")
+        known = _toml.unknown("model", spec, (*_source.SYSTEMS, *ROBOTS))
+        raise ValueError(f"{known}, a .toml, .urdf or .xml file, or module:attribute")
     return {"system": spec}
 
 
@@ -207,6 +213,8 @@ def _beside(path: Path, content: dict[str, Any]) -> dict[str, Any]:
     """The document of a model file; where it names the file of a robot, that is looked for from its own folder."""
     given = content.get("parameters")
     if content.get("system") != "robot" or not isinstance(given, dict) or not isinstance(given.get("path"), str):
+        return content
+    if given["path"] in ROBOTS:
         return content
     return content | {"parameters": given | {"path": str(path.parent / given["path"])}}
 

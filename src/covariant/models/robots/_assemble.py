@@ -1,7 +1,8 @@
 """A mechanical system from the description of a robot: links that do not move apart become one body."""
 
+import contextlib
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -13,9 +14,9 @@ from covariant._typing import Scalar
 from covariant.geometry import AbstractManifold, Coordinates, ProductManifold
 from covariant.geometry.lie import SE3
 from covariant.models._mechanical import MechanicalSystem
-from covariant.models._parameters import Parametric
-from covariant.models.robots._description import NO_INERTIA, BodyInertia, Description, Joint
-from covariant.models.robots._space import KinematicTree, RobotSpace
+from covariant.models._parameters import Parametric, known, namespace
+from covariant.models.robots._description import NO_INERTIA, BodyInertia, Description, Joint, Motor, turn_about
+from covariant.models.robots._space import KinematicTree, Links, RobotSpace
 
 COULOMB_STEEPNESS = 100.0
 """Slope at rest of the smoothed Coulomb friction `friction (2/π) atan(100 v)` [s/rad or s/m]."""
@@ -38,87 +39,188 @@ class _Axis(NamedTuple):
     circle: bool
 
 
-@jax.ensure_compile_time_eval()  # its inertia is looked at, also inside a compiled function
 def assemble(
     robot: Description,
     *,
     floating: bool = False,
     lock: Mapping[str, float] | None = None,
     actuated: Sequence[str] | None = None,
+    payload: Mapping[str, Any] | None = None,
 ) -> MechanicalSystem:
     """The mechanical system of a robot; see `load`."""
-    locked = dict(lock or {})
-    known = {joint.name: joint for joint in robot.joints}
+    loads = _checked_payload(payload or {})
+    # The inertia is looked at, also inside a compiled function.
+    with jax.ensure_compile_time_eval() if known(loads) else contextlib.nullcontext():
+        return _assemble(robot, floating, dict(lock or {}), actuated, loads)
+
+
+def _assemble(
+    robot: Description, floating: bool, locked: dict[str, float], actuated: Sequence[str] | None, loads: dict[str, Any]
+) -> MechanicalSystem:
+    named = {joint.name: joint for joint in robot.joints}
     for name in [*locked, *(actuated or ())]:
-        if name not in known:
-            raise ValueError(f"there is no joint {name!r}; there are {', '.join(known)}")
+        if name not in named:
+            raise ValueError(f"there is no joint {name!r}; there are {', '.join(named)}")
     for joint in robot.joints:
         follows = joint.follows
-        if follows is not None and follows.joint not in known:
+        if follows is not None and follows.joint not in (*named, ""):
             raise ValueError(f"joint {joint.name!r} follows {follows.joint!r}, and there is no such joint")
-    axes, bodies, base = _bodies(robot, _with_followers(robot, locked))
-    if not axes:
+    locked = _with_followers(robot, locked)
+    robot, free_base = _on_its_base(robot, locked)
+    floating = floating or free_base
+    axes, bodies, base, at = _bodies(robot, locked)
+    for link, (mass, place) in loads.items():
+        if link not in at:
+            raise ValueError(f"payload: there is no link {link!r}; there are {', '.join(at)}")
+        body, rotation, origin = at[link]
+        if body < 0:
+            base = base.with_mass(mass, rotation @ place + origin)
+        else:
+            bodies[body] = bodies[body].with_mass(mass, rotation @ place + origin)
+    if not axes and not floating:
         raise ValueError("no joint moves; a robot needs one that is not fixed or locked")
     names = [axis.name for axis in axes]
     free = [i for i, axis in enumerate(axes) if axis.joint.follows is None]
     coordinates, offset = _follow(axes, names, free)
+    motors = robot.motors if actuated is None else ()
+    springs = [_with_motors(axis.joint, motors) for axis in axes]
+    bodies, base = _regrouped(axes, bodies, base)
+    xnp = namespace(loads)
+
+    def stacked(parts: list, shape: tuple[int, ...]) -> Array:
+        return jnp.asarray(xnp.stack([xnp.asarray(part, float) for part in parts])) if parts else jnp.zeros((0, *shape))
+
     tree = KinematicTree(
         tuple(axis.parent for axis in axes),
-        *(
-            jnp.asarray(np.array(part, float))
-            for part in (
-                [axis.turn for axis in axes],
-                [axis.slide for axis in axes],
-                [axis.rotation for axis in axes],
-                [axis.place for axis in axes],
-                [body.mass for body in bodies],
-                [body.first for body in bodies],
-                [body.second for body in bodies],
-                base.mass if floating else 0.0,
-                base.first if floating else np.zeros(3),
-                base.second if floating else np.zeros((3, 3)),
-                coordinates,
-                offset,
-                coordinates.T**2 @ np.array([axis.joint.armature for axis in axes]),
-            )
-        ),
+        stacked([axis.turn for axis in axes], (3,)),
+        stacked([axis.slide for axis in axes], (3,)),
+        stacked([axis.rotation for axis in axes], (3, 3)),
+        stacked([axis.place for axis in axes], (3,)),
+        stacked([body.mass for body in bodies], ()),
+        stacked([body.first for body in bodies], (3,)),
+        stacked([body.second for body in bodies], (3, 3)),
+        jnp.asarray(base.mass, float),
+        jnp.asarray(base.first, float),
+        jnp.asarray(base.second, float),
+        jnp.asarray(coordinates),
+        jnp.asarray(offset),
+        jnp.asarray(coordinates.T**2 @ np.array([axis.joint.armature for axis in axes])),
     )
     circles, n = tuple(k for k, i in enumerate(free) if axes[i].circle), len(free)
     of_joints = Coordinates(circles, n)
     manifold: AbstractManifold = ProductManifold((SE3, of_joints)) if floating else of_joints
-    space = RobotSpace(tree, manifold=manifold, floating=floating)
-    driven = [k for k, i in enumerate(free) if actuated is None or axes[i].joint.name in actuated]
-    joints = [axis.joint for axis in axes]
+    where = list(at.values())
+    links = Links(
+        tuple(at),
+        tuple(body for body, _, _ in where),
+        jnp.asarray(np.array([rotation for _, rotation, _ in where])),
+        jnp.asarray(np.array([place for _, _, place in where])),
+    )
+    space = RobotSpace(tree, links, manifold=manifold, floating=floating)
+    inputs = _inputs(axes, coordinates, free, motors, actuated)
     units = tuple("rad" if axes[i].turn.any() else "m" for i in free)
     made = MechanicalSystem(
         space,
         potential=Potential(
             space,
             jnp.asarray(robot.gravity),
-            jnp.array([joint.stiffness for joint in joints]),
-            jnp.array([joint.rest for joint in joints]),
+            jnp.array([spring.stiffness for spring in springs], float),
+            jnp.array([spring.rest for spring in springs], float),
         ),
-        force=Parametric(_force, motors=np.eye(n)[:, driven], base=np.zeros(6 * floating)),
+        force=Parametric(_force, motors=inputs, base=np.zeros(6 * floating)),
         dissipation=Parametric(
             _friction,
             coordinates=coordinates,
-            damping=np.array([joint.damping for joint in joints]),
-            friction=np.array([joint.friction for joint in joints]),
+            damping=np.array([spring.damping for spring in springs]),
+            friction=np.array([spring.friction for spring in springs]),
             base=np.zeros(6 * floating),
         ),
         coordinates=tuple(names[i] for i in free),
         units=units,
         velocities=(*TWIST, *(f"rate_{names[i]}" for i in free)) if floating else (),
         velocity_units=(*("m/s",) * 3, *("rad/s",) * 3, *(f"{unit}/s" for unit in units)) if floating else (),
-        inputs=len(driven),
+        inputs=inputs.shape[1],
     )
-    _check_inertia(made, names, free)
+    if known(loads):
+        _check_inertia(made, names, free)
     return made
+
+
+def _checked_payload(payload: Mapping[str, Any]) -> dict[str, Any]:
+    """Mass and place (3,) of the load on each link."""
+    loads = {}
+    for link, given in payload.items():
+        if len(given) != 4:
+            raise ValueError(f"payload of {link!r}: give mass, x, y, z; got {len(given)} numbers")
+        numbers = namespace(list(given)).asarray(given)
+        if known(numbers) and not (np.isfinite(numbers).all() and numbers[0] >= 0):
+            raise ValueError(
+                f"payload of {link!r}: the mass must not be negative, and all be finite; got {list(given)}"
+            )
+        loads[link] = numbers[0], numbers[1:]
+    return loads
+
+
+def _on_its_base(robot: Description, locked: dict[str, float]) -> tuple[Description, bool]:
+    """The part of a robot that a floating joint carries, and whether there is such a joint."""
+    loose = [joint for joint in robot.joints if joint.kind == "floating" and joint.name not in locked]
+    if not loose:
+        return robot, False
+    base = loose[0].child
+    carried = {base}
+    for joint in robot.joints:  # each after the one that carries it
+        carried |= {joint.child} if joint.parent in carried else set()
+    beside = [j for j in robot.joints if j.child not in carried and j.name not in locked]
+    if len(loose) > 1 or beside:
+        other = (loose[1:] + beside)[0]
+        raise ValueError(
+            f"joint {other.name!r}: one floating joint is supported, and it must carry all that moves; "
+            f"{loose[0].name!r} is another; load one robot at a time, or lock the others"
+        )
+    joints = tuple(joint for joint in robot.joints if joint.parent in carried)
+    return robot._replace(root=base, joints=joints), True
+
+
+def _with_motors(joint: Joint, motors: Sequence[Motor]) -> Joint:
+    """The joint with the springs and dampers of the servos that drive it."""
+    mine = [motor for motor in motors if motor.joint == joint.name]
+    stiffness = joint.stiffness + sum(motor.stiffness for motor in mine)
+    torque = joint.stiffness * joint.rest + sum(motor.constant for motor in mine)
+    if torque and not stiffness:
+        raise ValueError(f"joint {joint.name!r}: a motor with a constant bias is not supported; add it to the input")
+    return joint._replace(
+        stiffness=stiffness,
+        rest=torque / stiffness if stiffness else 0.0,
+        damping=joint.damping + sum(motor.damping for motor in mine),
+    )
+
+
+def _inputs(
+    axes: list[_Axis],
+    coordinates: np.ndarray,
+    free: list[int],
+    motors: Sequence[Motor],
+    actuated: Sequence[str] | None,
+) -> np.ndarray:
+    """Generalised force (n, m) of each input."""
+    if not motors:
+        driven = [i for i in free if actuated is None or axes[i].joint.name in actuated]
+        return coordinates[driven].T
+    columns = []
+    for motor in motors:
+        if motor.unsupported:
+            raise ValueError(
+                f"actuator {motor.name!r} {motor.unsupported}, which is not supported; give actuated=[...], the joints "
+                "whose torques are logged, or remove it"
+            )
+        columns += [motor.gain * coordinates[i] for i, axis in enumerate(axes) if axis.joint.name == motor.joint]
+    return np.array(columns).reshape(len(columns), coordinates.shape[1]).T
 
 
 def _with_followers(robot: Description, locked: dict[str, float]) -> dict[str, float]:
     """The locked joints, and those that follow one of them."""
     still = locked | {joint.name: 0.0 for joint in robot.joints if joint.kind == "fixed"}
+    still |= {j.name: j.follows.offset for j in robot.joints if j.follows is not None and not j.follows.joint}
     while True:
         more = {
             joint.name: joint.follows.ratio * still[joint.follows.joint] + joint.follows.offset
@@ -130,8 +232,13 @@ def _with_followers(robot: Description, locked: dict[str, float]) -> dict[str, f
         still |= more
 
 
-def _bodies(robot: Description, locked: dict[str, float]) -> tuple[list[_Axis], list[BodyInertia], BodyInertia]:
-    """The axes, the body that each moves, and the base, with fixed and locked links made part of what carries them."""
+def _bodies(
+    robot: Description, locked: dict[str, float]
+) -> tuple[list[_Axis], list[BodyInertia], BodyInertia, dict[str, Any]]:
+    """The axes, the body that each moves, and the base, with fixed and locked links made part of what carries them.
+
+    And of each link its body, with rotation and place of the link's frame in that of the body.
+    """
     axes: list[_Axis] = []
     bodies: list[BodyInertia] = []
     base = robot.links[robot.root]
@@ -153,17 +260,42 @@ def _bodies(robot: Description, locked: dict[str, float]) -> tuple[list[_Axis], 
             at[joint.child] = body, rotation, place
             add(body, robot.links[joint.child].moved(rotation, place))
             continue
-        if joint.kind == "floating":
+        if joint.kind == "ball":
             raise ValueError(
-                f"joint {joint.name!r}: a floating joint is supported as floating=True, for the whole robot"
+                f"joint {joint.name!r}: ball joints are not supported; write three hinges in its place, or lock it at 0"
             )
+        # Where the frame of the link is that of its carrier but for quarter turns, that of the body makes none: they
+        # would cost an observer a change of sign at every joint in every sweep.
+        turned = rotation if np.isin(rotation, (-1.0, 0.0, 1.0)).all() else np.eye(3)
         for name, turn, slide, circle in _motions(joint):
-            axes.append(_Axis(name, joint, body, rotation, place, turn, slide, circle))
+            axes.append(_Axis(name, joint, body, rotation @ turned.T, place, turned @ turn, turned @ slide, circle))
             bodies.append(NO_INERTIA)
-            body, rotation, place = len(bodies) - 1, np.eye(3), np.zeros(3)
-        bodies[body] = robot.links[joint.child]
-        at[joint.child] = body, np.eye(3), np.zeros(3)
-    return axes, bodies, base
+            body, rotation, place = len(bodies) - 1, turned, np.zeros(3)
+        bodies[body] = robot.links[joint.child].moved(turned, place)
+        at[joint.child] = body, turned, place
+    return axes, bodies, base, at
+
+
+def _regrouped(
+    axes: list[_Axis], bodies: list[BodyInertia], base: BodyInertia
+) -> tuple[list[BodyInertia], BodyInertia]:
+    """The same mechanics with fewer numbers: what a joint does not move differently is made part of what carries it.
+
+    A mass on the axis of a turning joint moves with the carrier, and a sliding joint turns its body as the carrier. So
+    bodies keep no mass, no first and no second moment along an axis that they turn about, and no second moment where
+    they slide. Source: Khalil & Dombre 2002, Modeling, Identification and Control of Robots, section 9.4.
+    """
+    kept, carried = list(bodies), [*bodies, base]
+    for i in reversed(range(len(axes))):
+        turn, body = axes[i].turn, carried[i]
+        if turn.any():
+            along = np.outer(turn, turn)
+            moved = BodyInertia(body.mass, along @ body.first, along @ body.second @ along)
+        else:
+            moved = BodyInertia(0.0, np.zeros(3), body.second)
+        kept[i] = BodyInertia(body.mass - moved.mass, body.first - moved.first, body.second - moved.second)
+        carried[axes[i].parent] = carried[axes[i].parent].joined(moved.moved(axes[i].rotation, axes[i].place))
+    return kept, carried[-1]
 
 
 def _motions(joint: Joint) -> list[tuple[str, np.ndarray, np.ndarray, bool]]:
@@ -190,11 +322,9 @@ def _locked(joint: Joint, value: float) -> tuple[np.ndarray, np.ndarray]:
         raise ValueError(f"joint {joint.name!r}: it must be locked at a finite number; got {value}")
     if joint.kind == "prismatic":
         return np.eye(3), joint.axis * value
-    if joint.kind in ("fixed", "planar", "floating"):
+    if joint.kind in ("fixed", "planar", "floating", "ball"):
         return np.eye(3), np.zeros(3)
-    along = np.outer(joint.axis, joint.axis)
-    hat = np.cross(joint.axis, np.eye(3)).T
-    return along + np.cos(value) * (np.eye(3) - along) + np.sin(value) * hat, np.zeros(3)
+    return turn_about(joint.axis, value), np.zeros(3)
 
 
 def _follow(axes: list[_Axis], names: list[str], free: list[int]) -> tuple[np.ndarray, np.ndarray]:
@@ -230,7 +360,7 @@ def _check_inertia(model: MechanicalSystem, names: list[str], free: list[int]) -
     values, vectors = np.linalg.eigh(np.asarray(model.space(x)))
     if values[0] <= SMALLEST_INERTIA * values[-1]:
         part = np.abs(vectors[:, 0])[-len(free) :]
-        worst = names[free[int(np.argmax(part))]]
+        worst = names[free[int(np.argmax(part))]] if free else "of the base"
         raise ValueError(
             f"joint {worst!r} moves no mass: the inertia matrix has the eigenvalue {values[0]:.2g} beside "
             f"{values[-1]:.2g}; give the links beyond it an <inertial>, or lock it"

@@ -1,9 +1,11 @@
 """What a file says of a robot: its links, its joints and the forces in them, whatever the format."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+MOST_TURNS = 4
+"""Limits of a joint beyond so many turns are taken for degrees."""
 SMALLEST_ENTRY = 1e-10
 """Entries of rotations below this are zero: quarter turns in files are rounded, and zeros cost nothing."""
 
@@ -24,7 +26,7 @@ class BodyInertia(NamedTuple):
     def moved(self, rotation: np.ndarray, place: np.ndarray) -> "BodyInertia":
         """The same body in a frame in which its own frame has this rotation and place."""
         first = rotation @ self.first
-        aside = np.outer(first, place)
+        aside = first[:, None] * place[None, :]
         second = rotation @ self.second @ rotation.T + aside + aside.T + self.mass * np.outer(place, place)
         return BodyInertia(self.mass, first + self.mass * place, second)
 
@@ -38,12 +40,16 @@ class BodyInertia(NamedTuple):
         central = self.second - np.outer(self.first, self.first) / self.mass if self.mass > 0 else self.second
         return np.trace(central) * np.eye(3) - central
 
+    def with_mass(self, mass: Any, at: Any) -> "BodyInertia":
+        """With a point mass [kg] at a place (3,) in addition."""
+        return BodyInertia(self.mass + mass, self.first + mass * at, self.second + mass * at[:, None] * at[None, :])
+
 
 NO_INERTIA = BodyInertia(0.0, np.zeros(3), np.zeros((3, 3)))
 
 
 class Follows(NamedTuple):
-    """A joint that follows another one: `θ = ratio θ_other + offset`."""
+    """A joint that follows another one: `θ = ratio θ_other + offset`; without a name of another, it stands still."""
 
     joint: str
     ratio: float
@@ -54,7 +60,7 @@ class Joint(NamedTuple):
     """A joint between two links.
 
     - `kind`: "revolute", "continuous" (a full circle), "prismatic", "planar" (in the plane normal to the axis),
-      "floating" or "fixed".
+      "ball", "floating" or "fixed". A floating joint carries the base of the robot; its frame is that of the parent.
     - `rotation` (3, 3), `place` (3,): of the frame of the child, which is that of the joint, in that of the parent,
       where the joint is at 0. `axis` (3,): in that frame, of unit length.
     - `damping` [N m s/rad or N s/m], `friction` [N m or N], `armature` [kg m² or kg], `stiffness` [N m/rad or N/m] of a
@@ -81,6 +87,22 @@ class Joint(NamedTuple):
     follows: Follows | None = None
 
 
+class Motor(NamedTuple):
+    """A motor of a joint: `gain u − stiffness θ − damping θ' + constant` [N m or N], the input being u.
+
+    - `name`: of the motor; `joint`: of the joint that it drives.
+    - `unsupported`: why it cannot be an input here, empty where it can.
+    """
+
+    name: str
+    joint: str
+    gain: float
+    stiffness: float
+    damping: float
+    constant: float
+    unsupported: str
+
+
 class Description(NamedTuple):
     """A robot as a file describes it.
 
@@ -89,6 +111,7 @@ class Description(NamedTuple):
     - `gravity` (3,) [m/s²], in the frame of the world.
     - `used`, `ignored`: how often each kind of entry of the file was used, or has no meaning here.
     - `doubts`: sentences on what looks wrong in the file but does not keep it from being used.
+    - `motors`: those that the file names; where there are none, every joint has an input.
     """
 
     name: str
@@ -99,11 +122,30 @@ class Description(NamedTuple):
     used: dict[str, int]
     ignored: dict[str, int]
     doubts: tuple[str, ...]
+    motors: tuple[Motor, ...] = ()
 
 
 def exact(rotation: np.ndarray) -> np.ndarray:
     """A rotation without entries that are zero but for rounding."""
     return np.where(np.abs(rotation) < SMALLEST_ENTRY, 0.0, rotation)
+
+
+def turn_about(axis: np.ndarray, angle: float) -> np.ndarray:
+    """The rotation (3, 3) about a unit axis by an angle [rad]."""
+    along = np.outer(axis, axis)
+    hat = np.cross(axis, np.eye(3)).T
+    return along + np.cos(angle) * (np.eye(3) - along) + np.sin(angle) * hat
+
+
+def limits_in_doubt(joint: Joint) -> list[str]:
+    """A sentence where the limits of a turning joint look like degrees."""
+    farthest = max(abs(limit) for limit in (joint.lower, joint.upper))
+    if joint.kind != "revolute" or not MOST_TURNS * 2 * np.pi < farthest < np.inf:
+        return []
+    return [
+        f"joint {joint.name!r}: its limits are {joint.lower:g} and {joint.upper:g} rad, more than {MOST_TURNS} turns; "
+        "are they degrees?"
+    ]
 
 
 def in_order(links: dict[str, BodyInertia], joints: list[Joint]) -> tuple[str, tuple[Joint, ...]]:

@@ -6,17 +6,35 @@ from pathlib import Path
 from covariant.models._mechanical import MechanicalSystem
 from covariant.models.robots._assemble import assemble
 from covariant.models.robots._description import Description
+from covariant.models.robots._library import ROBOTS, located
+from covariant.models.robots._mjcf import read_mjcf
 from covariant.models.robots._urdf import read_urdf
+from covariant.models.robots._xml import parse
 
 
 def read(path: str | Path) -> Description:
-    """What a URDF file says of a robot. Raises `ValueError`, one line with the path, for what is wrong in it."""
+    """What a URDF or MJCF file says of a robot, or the file of one of `ROBOTS` by its name.
+
+    Raises `ValueError`, one line with the path, for what is wrong in it, and `ImportError` for an MJCF file where
+    MuJoCo is not installed.
+    """
     try:
-        return read_urdf(Path(path))
+        return _read(located(path))
     except OSError as error:
-        raise ValueError(f"{path}: {error.strerror or error}; give the path of a URDF file") from error
+        raise ValueError(
+            f"{path}: {error.strerror or error}; give the path of a URDF or MJCF file, or one of {', '.join(ROBOTS)}"
+        ) from error
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
+
+
+def _read(path: Path) -> Description:
+    outermost = parse(path)
+    if outermost.tag == "mujoco":
+        return read_mjcf(path)
+    if outermost.tag != "robot":
+        raise ValueError(f"a robot's file begins with <robot> (URDF) or <mujoco> (MJCF); found <{outermost.tag}>")
+    return read_urdf(outermost, path.stem)
 
 
 def load(
@@ -25,24 +43,29 @@ def load(
     floating: bool = False,
     lock: Mapping[str, float] | None = None,
     actuated: Sequence[str] | None = None,
+    payload: Mapping[str, Sequence[float]] | None = None,
 ) -> MechanicalSystem:
-    """The mechanical system of a robot, from its URDF file.
+    """The mechanical system of a robot, from its URDF or MJCF file, or of one of `ROBOTS` by its name.
 
-    Coordinates are the joints that are not fixed, locked or following another one, by their names [rad or m]; those of
-    type "continuous" are full circles. Inputs are the torques [N m] or forces [N] at them.
+    Coordinates are the joints that are not fixed, locked or following another one, by their names [rad or m]; those
+    without limits are full circles. Inputs are the torques [N m] or forces [N] at them, or what goes into the motors of
+    the joints where an MJCF file names some.
 
-    - `floating`: the root link moves freely. A configuration is then its pose T_world_root (4, 4), row by row, followed
-      by the joints, and a velocity its twist (v, ω) in its own frame, followed by the rates of the joints.
+    - `floating`: the root link moves freely, as it does where the file has a floating joint. A configuration is then
+      its pose T_world_root (4, 4), row by row, followed by the joints, and a velocity its twist (v, ω) in its own
+      frame, followed by the rates of the joints.
     - `lock`: joints that stand still, and where [rad or m].
-    - `actuated`: names of the joints with an input, in the order of the joints; by default all.
+    - `actuated`: names of the joints with an input, in the order of the joints; motors of the file are then left out.
+    - `payload`: point masses, `{link: (mass, x, y, z)}` [kg, m in the frame of the link]. They may be traced and
+      differentiated by JAX.
 
-    Gravity is 9.81 m/s² along −z of the root, or of the world. Friction of a joint is
+    Gravity is 9.81 m/s² along −z of the root, or of the world, or as an MJCF file says. Friction of a joint is
     `damping v + friction (2/π) atan(100 v)`.
 
     Raises `ValueError`, one line with the path, for what is wrong in the file, and for names it does not have.
     """
     robot = read(path)
     try:
-        return assemble(robot, floating=floating, lock=lock, actuated=actuated)
+        return assemble(robot, floating=floating, lock=lock, actuated=actuated, payload=payload)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error

@@ -17,10 +17,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Inexact
 
+from covariant._linalg import solve
 from covariant._typing import Matrix, Vector
 from covariant.geometry import AbstractManifold, AbstractSpace
 
 Configuration = Inexact[Array, "..."]
+UPPER = np.triu(np.ones((3, 3), bool))
 
 
 class KinematicTree(eqx.Module):
@@ -64,6 +66,26 @@ class KinematicTree(eqx.Module):
         return found
 
 
+class Links(eqx.Module):
+    """Where the frames of a robot's links are.
+
+    - `names`, `bodies` (l of them): of each link, its name and the body it is part of, −1 for the base.
+    - `rotation` (l, 3, 3), `place` (l, 3): of its frame in that of the body.
+    """
+
+    names: tuple[str, ...] = eqx.field(static=True)
+    bodies: tuple[int, ...] = eqx.field(static=True)
+    rotation: Float[Array, "l 3 3"]
+    place: Float[Array, "l 3"]
+
+    def of(self, link: str) -> tuple[int, Float[Array, "3 3"], Float[Array, "3"]]:
+        """Body, rotation and place of a link. Raises `ValueError` for a name that is none."""
+        if link not in self.names:
+            raise ValueError(f"there is no link {link!r}; there are {', '.join(self.names)}")
+        i = self.names.index(link)
+        return self.bodies[i], self.rotation[i], self.place[i]
+
+
 class Joints(NamedTuple):
     """Where each body stands on its parent now: `rotation` (k, 3, 3) and `place` (k, 3)."""
 
@@ -79,10 +101,20 @@ class Moments(NamedTuple):
     second: Float[Array, "k1 3 3"]
 
 
+class PointField(NamedTuple):
+    """A vector at each mass point r of each body, `push + turn r`: (k + 1, 3) and (k + 1, 3, 3), the base first.
+
+    Or what belongs to such fields by duality, forces on the mass points summed up: `∫ρ N` and `∫ρ N rᵀ`."""
+
+    push: Float[Array, "k1 3"]
+    turn: Float[Array, "k1 3 3"]
+
+
 class RobotSpace(AbstractSpace):
     """The space of a tree of bodies. A velocity is q', after the twist (v, ω) of a floating base in its own frame."""
 
     tree: KinematicTree
+    links: Links
     manifold: AbstractManifold = eqx.field(kw_only=True)
     floating: bool = eqx.field(default=False, static=True)
 
@@ -104,6 +136,7 @@ class RobotSpace(AbstractSpace):
             turned = rotation @ first
             aside = jnp.outer(turned, place)
             moved = rotation @ second @ rotation.T + aside + aside.T + mass * jnp.outer(place, place)
+            moved = jnp.where(UPPER, moved, moved.T)  # symmetric to the last bit: when lowered, half the work
             return Moments(
                 whole.mass.at[parent].add(mass),
                 whole.first.at[parent].add(turned + mass * place),
@@ -143,37 +176,37 @@ class RobotSpace(AbstractSpace):
 
     def connection_force(self, x: Configuration, a: Vector, b: Vector) -> Vector:
         """`<∇_a b, ·>`: what the mass points resist the change of b along a with, summed up along the joints."""
-        joints, along, moments = self.joints(x), self.joint_rates(a), self._moments(x)
-        (_, spin), (twists, gathered) = _split(self.twists(joints, a)), jax.vjp(lambda w: self.twists(joints, w), b)
-        force, moment = _resistance(moments, spin, *_split(twists), *_split(self._change(joints, along, b, twists)))
-        return gathered(jnp.concatenate([force, moment], axis=1))[0]
+        joints = self.joints(x)
+        twists, gathered = jax.vjp(lambda w: self.twists(joints, w), b)
+        spins = self.twists(joints, a)[:, 3:], twists[:, 3:]
+        field = self._accelerations(joints, a, b, *spins, twists[0, :3])
+        return gathered(_wrench(_resistance(self._moments(x), field)))[0]
 
     def curvature(self, x: Configuration, a: Vector, b: Vector, c: Vector) -> Vector:
-        """`<R(a, b)c, w> = <II(a, w), II(b, c)> − <II(b, w), II(a, c)>` with the second fundamental form II (Gauss)."""
-        joints, moments = self.joints(x), self._moments(x)
-        along_a, along_b = self.joint_rates(a), self.joint_rates(b)
-        (_, spin_a), (_, spin_b) = _split(self.twists(joints, a)), _split(self.twists(joints, b))
-        twists = self.twists(joints, c)
+        """`<R(a, b)c, w> = <II(a, w), II(b, c)> − <II(b, w), II(a, c)>` with the second fundamental form II (Gauss).
 
-        def bend(along, spin, direction):
-            """`II(direction, c)`: force and moment of each body, and a function of the spin of another motion."""
-            change = self._change(joints, along, c, twists) - self.twists(joints, self.connection(x, direction, c))
-            both = *_split(twists), *_split(change)
-            force, moment = _resistance(moments, spin, *both)
-            # What it does in the motion of w: also by the change of w that the other motion's spin makes.
-            return jnp.concatenate([force, moment], axis=1), lambda side: jnp.concatenate(
-                [jnp.cross(force, side), _across(moments, side, spin, *both)], axis=1
-            )
+        In `<II(a, w), II(b, c)>` the first may be the whole `∂_a ∂_w` of the places: the second is normal to the rest.
+        """
+        joints, moments, matrix = self.joints(x), self._moments(x), self(x)
+        twists, gathered = jax.vjp(lambda w: self.twists(joints, w), c)
+        spin_a, spin_b, spin_c = self.twists(joints, a)[:, 3:], self.twists(joints, b)[:, 3:], twists[:, 3:]
 
-        of_b, beside_b = bend(along_b, spin_b, b)
-        of_a, beside_a = bend(along_a, spin_a, a)
+        def normal(along, spin, felt):
+            """What mass points with these moments resist `II(along, c)` with."""
+            field = self._accelerations(joints, along, c, spin, spin_c, twists[0, :3])
+            within = solve(matrix, gathered(_wrench(_resistance(moments, field)))[0])
+            speed, twist = _split(self.twists(joints, within))
+            return _resistance(felt, PointField(field.push - speed, _spun(field.turn, -1, twist)))
+
+        onto = normal(b, spin_b, moments), normal(a, spin_a, jax.tree.map(jnp.negative, moments))
 
         def moved(w):
-            twists = self.twists(joints, w)
-            return twists, self._change(joints, along_a, w, twists), self._change(joints, along_b, w, twists)
+            speed, spin = _split(self.twists(joints, w))
+            return tuple(
+                self._accelerations(joints, e, w, turn, spin, speed[0]) for e, turn in ((a, spin_a), (b, spin_b))
+            )
 
-        onto = beside_b(spin_a) - beside_a(spin_b), of_b, -of_a
-        return self.raise_(x, jax.vjp(moved, jnp.zeros_like(a))[1](onto)[0])
+        return solve(matrix, jax.vjp(moved, jnp.zeros_like(a))[1](onto)[0])
 
     def joints(self, x: Configuration) -> Joints:
         """Where each body stands on its parent at x."""
@@ -189,7 +222,8 @@ class RobotSpace(AbstractSpace):
         flat = jnp.where(turns[:, None, None], eye - along, 0.0)
         still = eye - flat
         turned = still + jnp.cos(angle) * flat + jnp.sin(angle) * _hat(turn)
-        return Joints(rotation @ turned, place + jnp.einsum("kij,kj->ki", rotation, slide * angles[:, None]))
+        slid = jnp.sum(rotation * (slide * angles[:, None])[:, None, :], axis=2)
+        return Joints(_product(rotation, turned), place + slid)
 
     def joint_angles(self, x: Configuration) -> Float[Array, "k"]:
         """Where the joints are [rad or m]."""
@@ -200,9 +234,39 @@ class RobotSpace(AbstractSpace):
         """The rates of the joints [rad/s or m/s] at the velocity a."""
         return self.tree.coordinates.astype(a.dtype) @ (a[6:] if self.floating else a)
 
+    def pose(self, x: Configuration, link: str) -> Float[Array, "4 4"]:
+        """`T_world_link`: the pose of the frame of a link; the world is the frame of the root where that is fixed.
+
+        Raises `ValueError` for a name that is no link.
+        """
+        body, rotation, place = self.links.of(link)
+        rotation, place = rotation.astype(x.dtype), place.astype(x.dtype)
+        joints = self.joints(x)
+        while body >= 0:
+            rotation, place = joints.rotation[body] @ rotation, joints.rotation[body] @ place + joints.place[body]
+            body = self.tree.parents[body]
+        last = jnp.array([[0.0, 0.0, 0.0, 1.0]], x.dtype)
+        pose = jnp.concatenate([jnp.concatenate([rotation, place[:, None]], axis=1), last])
+        return x[:16].reshape(4, 4) @ pose if self.floating else pose
+
+    def jacobian(self, x: Configuration, link: str) -> Float[Array, "6 n"]:
+        """The twist (v, ω) of a link, in its own frame, for each component of the velocity.
+
+        Raises `ValueError` for a name that is no link.
+        """
+        body, rotation, place = self.links.of(link)
+        rotation, place, joints = rotation.astype(x.dtype), place.astype(x.dtype), self.joints(x)
+
+        def twist(a: Vector) -> Float[Array, "6"]:
+            speed, spin = _split(self.twists(joints, a)[body + 1])
+            return jnp.concatenate([(speed + jnp.cross(spin, place)) @ rotation, spin @ rotation])
+
+        zero = self.manifold.zero(x)
+        return jax.vmap(twist, out_axes=1)(jnp.eye(zero.shape[0], dtype=zero.dtype))
+
     @property
     def mass(self) -> Array:
-        """Mass of the robot [kg]: of all that moves."""
+        """Mass of the robot [kg], base included."""
         return self.tree.base_mass + jnp.sum(self.tree.mass)
 
     def first_moment(self, x: Configuration, joints: Joints) -> Float[Array, "3"]:
@@ -232,18 +296,42 @@ class RobotSpace(AbstractSpace):
         own = jnp.concatenate([tree.slide.astype(a.dtype) * rates, tree.turn.astype(a.dtype) * rates], axis=1)
         return self._swept(joints, first, own)
 
-    def _change(
-        self, joints: Joints, rates: Float[Array, "k"], b: Vector, twists: Float[Array, "k1 6"]
-    ) -> Float[Array, "k1 6"]:
-        """How the components of `twists`, those at the velocity b, change as the joints move with `rates`."""
-        tree, rates = self.tree, rates[:, None]
-        turn, slide = tree.turn.astype(b.dtype) * rates, tree.slide.astype(b.dtype) * rates
-        mine = self.joint_rates(b)[:, None]
-        # What a body gets from its parent, in its own frame: without the motion of its own joint.
-        speed = twists[1:, :3] - tree.slide.astype(b.dtype) * mine
-        spin = twists[1:, 3:] - tree.turn.astype(b.dtype) * mine
-        own = jnp.concatenate([jnp.cross(speed, turn) + jnp.cross(spin, slide), jnp.cross(spin, turn)], axis=1)
-        return self._swept(joints, jnp.zeros_like(twists), own)
+    def _accelerations(
+        self, joints: Joints, a: Vector, b: Vector, spin_a: Array, spin_b: Array, speed: Float[Array, "3"]
+    ) -> "PointField":
+        """`∂_a ∂_b` of the places of the mass points: linear in b, without the change of b itself.
+
+        `spin_a`, `spin_b` are the spins of the bodies, `speed` is that of the base, all at the velocities a and b.
+        """
+        tree, rates_a, rates_b = self.tree, self.joint_rates(a)[:, None], self.joint_rates(b)[:, None]
+        turn, slide = tree.turn.astype(b.dtype), tree.slide.astype(b.dtype)
+        push = jnp.cross(spin_b[1:], slide * rates_a) + jnp.cross(spin_a[1:], slide * rates_b)
+        spun = jnp.cross(spin_a[1:], turn * rates_b)
+
+        def points(angular, spin_a, spin_b):
+            """The matrix of `r ↦ α × r + ω_b × (ω_a × r)`."""
+            twice = jnp.outer(spin_a, spin_b)
+            return _spun(twice - jnp.trace(twice) * jnp.eye(3, dtype=twice.dtype), 1, angular)
+
+        def step(bent, body):
+            (field, angular), (i, parent, rotation, place, more, more_angular) = bent, body
+            moved = (field.push[parent] + field.turn[parent] @ place) @ rotation + more
+            turned = angular[parent] @ rotation + more_angular
+            now = PointField(
+                field.push.at[i + 1].set(moved),
+                field.turn.at[i + 1].set(points(turned, spin_a[i + 1], spin_b[i + 1])),
+            )
+            return (now, angular.at[i + 1].set(turned)), None
+
+        parents = jnp.asarray([p + 1 for p in tree.parents])
+        angular = jnp.cross(spin_a[0], spin_b[0])
+        none = jnp.zeros((len(parents) + 1, 3), b.dtype)
+        start = PointField(
+            none.at[0].set(jnp.cross(spin_a[0], speed)),
+            jnp.zeros((*none.shape, 3), b.dtype).at[0].set(points(angular, spin_a[0], spin_b[0])),
+        )
+        bodies = (jnp.arange(len(parents)), parents, *joints, push, spun)
+        return jax.lax.scan(step, (start, none.at[0].set(angular)), bodies)[0][0]
 
     def _swept(self, joints: Joints, first: Float[Array, "k1 6"], own: Float[Array, "k 6"]) -> Float[Array, "k1 6"]:
         """Twists passed on along the tree from `first`, that of the base, each body adding its `own`."""
@@ -274,43 +362,42 @@ def _momentum(moments: Moments, speed: Array, spin: Array) -> tuple[Array, Array
     mass, first, second = moments
     inertia = jnp.trace(second, axis1=1, axis2=2)[:, None, None] * jnp.eye(3, dtype=second.dtype)[None] - second
     linear = mass[:, None] * speed + jnp.cross(spin, first)
-    return linear, jnp.cross(first, speed) + jnp.einsum("kij,kj->ki", inertia, spin)
+    return linear, jnp.cross(first, speed) + jnp.sum(inertia * spin[:, None, :], axis=2)
 
 
-def _resistance(
-    moments: Moments, along: Array, speed: Array, spin: Array, speed_change: Array, spin_change: Array
-) -> tuple[Array, Array]:
-    """Force and moment `∫ρ ∂u`, `∫ρ r × ∂u` of each body, u being the velocity of its points at a twist.
-
-    The twist (speed, spin) changes by (speed_change, spin_change) in the frame of the body, which spins by `along`:
-    `∂u = (speed_change + along × speed) + spin_change × r + along × (spin × r)`.
-    """
-    force, moment = _momentum(moments, speed_change + jnp.cross(along, speed), spin_change)
-    force = force + jnp.cross(along, jnp.cross(spin, moments.first))
-    return force, moment + jnp.cross(jnp.einsum("kij,kj->ki", moments.second, along), spin)
+def _resistance(moments: Moments, field: PointField) -> PointField:
+    """`∫ρ N` and `∫ρ N rᵀ` of each body, for the field `N = push + turn r`."""
+    mass, first, second = moments
+    force = mass[:, None] * field.push + jnp.sum(field.turn * first[:, None, :], axis=2)
+    return PointField(force, field.push[:, :, None] * first[:, None, :] + _product(field.turn, second))
 
 
-def _across(
-    moments: Moments, side: Array, along: Array, speed: Array, spin: Array, speed_change: Array, spin_change: Array
-) -> Array:
-    """`∫ρ [∂u (r · side) − side (r · ∂u)]` for each body: what ∂u, as in `_resistance`, does to `side × (w × r)`."""
-    _, first, second = moments
-    bend = speed_change + jnp.cross(along, speed)
-    of_side = jnp.einsum("kij,kj->ki", second, side)
-    onto = jnp.cross(spin_change, of_side) + jnp.cross(along, jnp.cross(spin, of_side)) + bend * _dot(first, side)
-    of_spin = jnp.einsum("kij,kj->ki", second, spin)
-    trace = jnp.trace(second, axis1=1, axis2=2)[:, None]
-    return onto - side * (_dot(bend, first) + _dot(along, of_spin) - trace * _dot(along, spin))
+def _wrench(resisted: PointField) -> Float[Array, "k1 6"]:
+    """Force `∫ρ N` and moment `∫ρ r × N` of each body."""
+    force, about = resisted
+    moment = [about[:, i - 1, i - 2] - about[:, i - 2, i - 1] for i in range(3)]
+    return jnp.concatenate([force, jnp.stack(moment, axis=1)], axis=1)
+
+
+def _spun(matrix: Array, sign: int, a: Array) -> Array:
+    """The matrix (..., 3, 3) of `r ↦ matrix r ± a × r`, entry by entry."""
+    entries = [[matrix[..., i, j] for j in range(3)] for i in range(3)]
+    for i in range(3):
+        j, k = ((i + 1) % 3, (i + 2) % 3)[::sign]
+        entries[k][j] = entries[k][j] + a[..., i]
+        entries[j][k] = entries[j][k] - a[..., i]
+    return jnp.stack([jnp.stack(row, -1) for row in entries], -2)
+
+
+def _product(a: Array, b: Array) -> Array:
+    """The matrix products (k, 3, 3), written out: XLA 0.9 fails to compile some batches of batches of so small ones."""
+    return jnp.sum(a[:, :, :, None] * b[:, None, :, :], axis=2)
 
 
 def _split(twists: Array) -> tuple[Array, Array]:
     return twists[..., :3], twists[..., 3:]
 
 
-def _dot(a: Array, b: Array) -> Array:
-    return jnp.sum(a * b, axis=-1, keepdims=True)
-
-
 def _hat(a: Array) -> Array:
     """The matrices (k, 3, 3) of `r ↦ a × r`, for vectors a (k, 3)."""
-    return jnp.swapaxes(jnp.cross(a[:, None, :], jnp.eye(3, dtype=a.dtype)[None]), -1, -2)
+    return _spun(jnp.zeros((*a.shape, 3), a.dtype), 1, a)

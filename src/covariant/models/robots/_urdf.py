@@ -2,8 +2,6 @@
 
 import math
 from collections import Counter
-from pathlib import Path
-from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
 import numpy as np
@@ -17,6 +15,7 @@ from covariant.models.robots._description import (
     doubts_on,
     exact,
     in_order,
+    limits_in_doubt,
 )
 
 KINDS = ("revolute", "continuous", "prismatic", "fixed", "planar", "floating")
@@ -25,19 +24,11 @@ OF_JOINT = {"origin", "parent", "child", "axis", "limit", "dynamics", "mimic"}
 GRAVITY = np.array([0.0, 0.0, -9.81])
 
 
-def read_urdf(path: Path) -> Description:
-    """The robot that a URDF file describes. Raises `ValueError`, one line, for what is wrong in it."""
-    data = path.read_bytes()
-    if b"\0" in data:
-        raise ValueError("is not text in UTF-8; save it as such")
-    if b"<!DOCTYPE" in data or b"<!ENTITY" in data:
-        raise ValueError("declares a document type or entities, which a robot description has no need of; remove them")
-    try:
-        robot = ElementTree.fromstring(data)
-    except ElementTree.ParseError as error:
-        raise ValueError(f"is not readable XML: {error}") from error
-    if robot.tag != "robot":
-        raise ValueError(f"the outermost tag of a URDF file is <robot>; found <{robot.tag}>")
+def read_urdf(robot: Element, name: str) -> Description:
+    """The robot that a URDF file describes, from its outermost tag; `name` where it has none.
+
+    Raises `ValueError`, one line, for what is wrong in it.
+    """
     used, ignored, doubts = Counter(), Counter(), []
     links: dict[str, BodyInertia] = {}
     joints: list[Joint] = []
@@ -49,20 +40,19 @@ def read_urdf(path: Path) -> Description:
         for part in entry:
             known = part.tag in (OF_LINK if entry.tag == "link" else OF_JOINT)
             (used if known else ignored)[f"{entry.tag}/{_tag(part)}"] += 1
-        name = _attribute(entry, "name", entry.tag)
-        if name in (links if entry.tag == "link" else {joint.name for joint in joints}):
-            raise ValueError(f"two {entry.tag}s are called {name!r}")
+        given = _attribute(entry, "name", entry.tag)
+        if given in (links if entry.tag == "link" else {joint.name for joint in joints}):
+            raise ValueError(f"two {entry.tag}s are called {given!r}")
         if entry.tag == "link":
-            links[name] = _inertia(entry, name)
-            doubts += doubts_on(name, links[name])
+            links[given] = _inertia(entry, given)
+            doubts += doubts_on(given, links[given])
         else:
-            joints.append(_joint(entry, name))
+            joints.append(_joint(entry, given))
+            doubts += limits_in_doubt(joints[-1])
     if not links:
         raise ValueError("has no <link>")
     root, ordered = in_order(links, joints)
-    return Description(
-        robot.get("name", path.stem), links, ordered, root, GRAVITY, dict(used), dict(ignored), tuple(doubts)
-    )
+    return Description(robot.get("name", name), links, ordered, root, GRAVITY, dict(used), dict(ignored), tuple(doubts))
 
 
 def _inertia(link: Element, name: str) -> BodyInertia:

@@ -1,0 +1,288 @@
+"""MJCF: the robot descriptions of MuJoCo, through its own compiler. Source: MuJoCo documentation, XML reference.
+
+The compiled model knows defaults, units, included files and the inertia of shapes; here it becomes a `Description`.
+What would change the motion and is not supported is refused by name; what does not, or only in contact, is counted as
+ignored.
+"""
+
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from covariant._optional import load_optional
+from covariant.models.robots._description import (
+    NO_INERTIA,
+    BodyInertia,
+    Description,
+    Follows,
+    Joint,
+    Motor,
+    doubts_on,
+    exact,
+    in_order,
+    limits_in_doubt,
+    turn_about,
+)
+
+IGNORED = {
+    "ngeom": "geom (contacts, shapes)",
+    "nsite": "site",
+    "nsensor": "sensor",
+    "ncam": "camera",
+    "nlight": "light",
+    "nkey": "keyframe",
+    "npair": "contact/pair",
+    "nexclude": "contact/exclude",
+    "nmesh": "asset/mesh",
+    "ntex": "asset/texture",
+    "nmat": "asset/material",
+    "nskin": "skin",
+}
+"""What has no meaning here: sizes of the compiled model, and the names under which they are reported."""
+
+
+class _Reader:
+    """A compiled model with what has been found in it so far."""
+
+    def __init__(self, mujoco: Any, model: Any):
+        self.mujoco, self.model = mujoco, model
+        self.used, self.ignored, self.doubts = Counter(), Counter(), []
+        self.bodies = [self.name("BODY", i) for i in range(model.nbody)]
+        self.names = [self.name("JOINT", i) for i in range(model.njnt)]
+
+    def name(self, kind: str, index: int) -> str:
+        found = self.mujoco.mj_id2name(self.model, getattr(self.mujoco.mjtObj, f"mjOBJ_{kind}"), index)
+        return found or f"{kind.lower()}{index}"
+
+    def off(self, flag: str) -> bool:
+        """Whether the file switches a kind of force off."""
+        return bool(self.model.opt.disableflags & int(getattr(self.mujoco.mjtDisableBit, f"mjDSBL_{flag}")))
+
+
+def read_mjcf(path: Path) -> Description:
+    """The robot that an MJCF file describes. Raises `ValueError`, one line, for what is wrong or not supported."""
+    mujoco = load_optional("mujoco", use="MJCF files are read with", extra="robots")
+    try:
+        model = mujoco.MjModel.from_xml_path(str(path))
+    except ValueError as error:
+        raise ValueError(f"MuJoCo cannot read it: {' '.join(str(error).removeprefix('Error: ').split())}") from error
+    read = _Reader(mujoco, model)
+    _refuse(read)
+    links: dict[str, BodyInertia] = {read.bodies[0]: NO_INERTIA}
+    joints: list[Joint] = []
+    for i in range(1, model.nbody):
+        _body(read, i, links, joints)
+    joints = _coupled(read, joints)
+    for size, what in IGNORED.items():
+        if getattr(model, size):
+            read.ignored[what] += int(getattr(model, size))
+    root, ordered = in_order(links, joints)
+    gravity = np.zeros(3) if read.off("GRAVITY") else np.array(model.opt.gravity)
+    return Description(
+        bytes(model.names).split(b"\0")[0].decode() or path.stem,
+        links,
+        ordered,
+        root,
+        gravity,
+        dict(read.used),
+        dict(read.ignored),
+        tuple(read.doubts),
+        _motors(read),
+    )
+
+
+def _refuse(read: _Reader) -> None:
+    """Raise `ValueError` for the first thing that moves the robot and is not supported."""
+    model = read.model
+    if model.opt.density or model.opt.viscosity:
+        raise ValueError("<option> has a fluid (density, viscosity), which is not supported; set both to 0")
+    if model.nflex:
+        raise ValueError("<flex>: soft bodies are not supported; remove them")
+    if model.nplugin:
+        raise ValueError("<plugin>: plugins are not supported; remove them")
+    for i in np.flatnonzero(model.body_gravcomp):
+        raise ValueError(f"body {read.bodies[i]!r}: gravcomp is not supported; set it to 0 and log the torque it makes")
+    for i in range(model.ntendon):
+        felt = (model.tendon_stiffness, model.tendon_damping, model.tendon_frictionloss, model.tendon_armature)
+        if any(part[i] for part in felt):
+            raise ValueError(
+                f"tendon {read.name('TENDON', i)!r}: springs, damping, friction and armature of tendons are not "
+                "supported; put them into the joints"
+            )
+        read.ignored["tendon"] += 1
+    for i in range(model.neq):
+        if not model.eq_active0[i] or read.off("EQUALITY"):
+            read.ignored["equality (inactive)"] += 1
+        elif model.eq_type[i] != int(read.mujoco.mjtEq.mjEQ_JOINT):
+            kind = read.mujoco.mjtEq(int(model.eq_type[i])).name.removeprefix("mjEQ_").lower()
+            raise ValueError(
+                f"equality {read.name('EQUALITY', i)!r} ({kind}): closed loops are not supported; cut the loop, or "
+                "make it inactive and let the joints carry the constraint"
+            )
+
+
+def _body(read: _Reader, i: int, links: dict[str, BodyInertia], joints: list[Joint]) -> None:
+    """Add a body, its joints, and a link without mass between any two of them."""
+    model = read.model
+    axes = _rotation(model.body_iquat[i])
+    inertia = BodyInertia.of(
+        float(model.body_mass[i]), np.array(model.body_ipos[i]), axes @ np.diag(model.body_inertia[i]) @ axes.T
+    )
+    read.doubts += doubts_on(read.bodies[i], inertia)
+    read.used["body"] += 1
+    parent = int(model.body_parentid[i])
+    # The frame of a link is that of its body, moved to the anchor of its last joint.
+    above, rotation = read.bodies[parent], _rotation(model.body_quat[i])
+    place = np.array(model.body_pos[i]) - _anchor(read, parent)
+    first, count = int(model.body_jntadr[i]), int(model.body_jntnum[i])
+    if not count:
+        links[read.bodies[i]] = inertia
+        name = f"weld of {read.bodies[i]}"
+        joints.append(Joint(name, "fixed", above, read.bodies[i], exact(rotation), place, np.eye(3)[2]))
+        return
+    at = np.zeros(3)
+    for k in range(first, first + count):
+        last = k == first + count - 1
+        below = read.bodies[i] if last else f"{read.bodies[i]} before {read.names[k + 1]}"
+        anchor = np.array(model.jnt_pos[k])
+        joints.append(_joint(read, k, above, below, rotation, place + rotation @ (anchor - at)))
+        links[below] = inertia.moved(np.eye(3), -anchor) if last else NO_INERTIA
+        above, rotation, place, at = below, np.eye(3), np.zeros(3), anchor
+
+
+def _anchor(read: _Reader, body: int) -> np.ndarray:
+    """Where the frame of the link of a body is, in the frame of the body."""
+    count = int(read.model.body_jntnum[body])
+    return np.array(read.model.jnt_pos[read.model.body_jntadr[body] + count - 1]) if count else np.zeros(3)
+
+
+def _joint(read: _Reader, k: int, parent: str, child: str, rotation: np.ndarray, place: np.ndarray) -> Joint:
+    model, where = read.model, f"joint {read.names[k]!r}"
+    kind = read.mujoco.mjtJoint(int(model.jnt_type[k])).name.removeprefix("mjJNT_").lower()
+    read.used[f"joint/{kind}"] += 1
+    d, axis = int(model.jnt_dofadr[k]), exact(np.array(model.jnt_axis[k]))
+    if kind == "free":
+        if model.dof_damping[d : d + 6].any() or model.dof_armature[d : d + 6].any() or model.jnt_stiffness[k]:
+            raise ValueError(
+                f"{where}: damping, armature and stiffness of a free joint are not supported; set them to 0"
+            )
+        return Joint(read.names[k], "floating", parent, child, exact(rotation), place, axis)
+    if kind == "ball":
+        return Joint(read.names[k], "ball", parent, child, exact(rotation), place, axis)
+    if model.jnt_stiffnesspoly[k].any() or model.dof_dampingpoly[d].any() or model.jnt_springyield[k].any():
+        raise ValueError(f"{where}: springs and dampers that are not linear are not supported; give one number each")
+    address = int(model.jnt_qposadr[k])
+    start, slide = float(model.qpos0[address]), kind == "slide"
+    limited = bool(model.jnt_limited[k])
+    lower, upper = model.jnt_range[k] if limited else (-np.inf, np.inf)
+    of = {
+        "damping": 0.0 if read.off("DAMPER") else float(model.dof_damping[d]),
+        "friction": 0.0 if read.off("FRICTIONLOSS") else float(model.dof_frictionloss[d]),
+        "armature": float(model.dof_armature[d]),
+        "stiffness": 0.0 if read.off("SPRING") else float(model.jnt_stiffness[k]),
+    }
+    for key, value in of.items():
+        if value:
+            read.used[f"joint/{key}"] += 1
+    # The file's pose of the body is that at q = ref.
+    if slide:
+        place = place - rotation @ axis * start
+    else:
+        rotation = rotation @ turn_about(axis, -start)
+    joint = Joint(
+        read.names[k],
+        "prismatic" if slide else "revolute" if limited else "continuous",
+        parent,
+        child,
+        exact(rotation),
+        place,
+        axis,
+        of["damping"],
+        of["friction"],
+        of["armature"],
+        of["stiffness"],
+        float(model.qpos_spring[address]),
+        float(lower),
+        float(upper),
+    )
+    read.doubts += limits_in_doubt(joint)
+    return joint
+
+
+def _coupled(read: _Reader, joints: list[Joint]) -> list[Joint]:
+    """The joints, with those that an equality lets follow another one, or holds where they are."""
+    model, found = read.model, {joint.name: joint for joint in joints}
+    for i in range(model.neq):
+        if not model.eq_active0[i] or read.off("EQUALITY"):
+            continue
+        one, other = int(model.eq_obj1id[i]), int(model.eq_obj2id[i])
+        constant, ratio, *higher = (float(number) for number in model.eq_data[i, :5])
+        name = read.names[one]
+        if any(higher):
+            raise ValueError(
+                f"equality {read.name('EQUALITY', i)!r}: joint {name!r} follows by a polynomial of an order above 1, "
+                "which is not supported; give polycoef two numbers"
+            )
+        start = float(model.qpos0[model.jnt_qposadr[one]])
+        read.used["equality/joint"] += 1
+        if found[name].follows is not None:
+            raise ValueError(f"joint {name!r} is in two equalities; keep one")
+        if other < 0:
+            found[name] = found[name]._replace(follows=Follows("", 0.0, start + constant))
+        else:
+            offset = start + constant - ratio * float(model.qpos0[model.jnt_qposadr[other]])
+            found[name] = found[name]._replace(follows=Follows(read.names[other], ratio, offset))
+    return list(found.values())
+
+
+def _motors(read: _Reader) -> tuple[Motor, ...]:
+    """The motors of the joints; those with a state of their own are refused when they become inputs."""
+    model, mujoco, found = read.model, read.mujoco, []
+    if read.off("ACTUATION"):
+        read.ignored["actuator"] += int(model.nu)
+        return ()
+    for i in range(model.nu):
+        name, why = read.name("ACTUATOR", i), ""
+        gain, bias, gear = (
+            model.actuator_gainprm[i],
+            np.array(model.actuator_biasprm[i]),
+            float(model.actuator_gear[i, 0]),
+        )
+        linear = (int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE))
+        joint = int(model.actuator_trnid[i, 0])
+        hinged = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+        if int(model.actuator_trntype[i]) not in hinged:
+            why = "acts on no joint"
+        elif int(model.jnt_type[joint]) not in (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)):
+            why = f"acts on {read.names[joint]!r}, a joint of more than one axis"
+        elif int(model.actuator_dyntype[i]) != int(mujoco.mjtDyn.mjDYN_NONE):
+            why = "has a state of its own"
+        elif int(model.actuator_gaintype[i]) != int(mujoco.mjtGain.mjGAIN_FIXED) or (
+            int(model.actuator_biastype[i]) not in linear
+        ):
+            why = "is neither a motor nor a linear servo"
+        if int(model.actuator_biastype[i]) == linear[0]:
+            bias = bias * 0
+        constant, spring, damper = (float(number) for number in bias[:3])
+        read.used["actuator"] += 1
+        found.append(
+            Motor(
+                name,
+                "" if why else read.names[joint],
+                gear * float(gain[0]),
+                -(gear**2) * spring,
+                -(gear**2) * damper,
+                gear * constant,
+                why,
+            )
+        )
+    return tuple(found)
+
+
+def _rotation(quaternion: np.ndarray) -> np.ndarray:
+    """The rotation matrix of a unit quaternion (w, x, y, z)."""
+    w, x, y, z = quaternion / np.linalg.norm(quaternion)
+    hat = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.eye(3) + 2 * w * hat + 2 * hat @ hat
