@@ -86,6 +86,11 @@ def c_helpers(names: Sequence[str] | frozenset[str], real: Real = "double", pref
     return helpers(names, Words(real, prefix))
 
 
+def c_number(value: float, real: Real = "double") -> str:
+    """A number in C, in the fewest digits that identify it."""
+    return literal(value, Words(real, ""))
+
+
 def _flat(lowered: Lowered, real: Real) -> Signature:
     inputs = tuple(f"x[{i}]" for i in range(lowered.inputs))
     outputs = tuple(f"y[{i}]" for i in range(len(lowered.outputs)))

@@ -1,0 +1,234 @@
+"""An observer as graphs of scalars, with its numbers as arguments: what code is made of."""
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from fnmatch import fnmatchcase
+from typing import Any, Literal, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from covariant.lowering import Lowered, lower
+from covariant.models import Family, Motion, input_count
+from covariant.observers import AbstractObserver
+
+Real = Literal["double", "float"]
+DTYPES = {"double": np.float64, "float": np.float32}
+
+
+class Recipe(NamedTuple):
+    """An observer some of whose numbers are open.
+
+    - `make`: `numbers -> observer`, which may be traced by JAX.
+    - `numbers`: the open numbers by name, with their values.
+    """
+
+    make: Callable[[Mapping[str, Any]], AbstractObserver]
+    numbers: dict[str, np.ndarray]
+
+
+class Leaf(NamedTuple):
+    """An array of a structure: its name, its shape, and whether it holds real numbers."""
+
+    name: str
+    shape: tuple[int, ...]
+    real: bool = True
+
+    @property
+    def size(self) -> int:
+        """Number of entries."""
+        return int(np.prod(self.shape, dtype=int))
+
+
+class Program(NamedTuple):
+    """An observer as graphs, on real numbers throughout: counts and truth values of its state are held as numbers.
+
+    - `init`: `(numbers, y, t) -> state`; `step`: `(numbers, state, u, y, dt) -> (state, info)`; `estimate`:
+      `(numbers, state) -> x`.
+    - `numbers`: the open numbers that any of the graphs uses, with their values; `given` are all that are arguments.
+    - `state`, `info`, `x`: what these consist of; `y`: the shape of a measurement; `u`: the number of inputs.
+    - `real`: the type of the numbers.
+    """
+
+    init: Lowered
+    step: Lowered
+    estimate: Lowered
+    numbers: dict[str, np.ndarray]
+    given: tuple[Leaf, ...]
+    state: tuple[Leaf, ...]
+    info: tuple[Leaf, ...]
+    x: tuple[Leaf, ...]
+    y: tuple[int, ...]
+    u: int
+    real: Real
+
+
+def with_open_numbers(observer: AbstractObserver, fixed: Sequence[str] = ()) -> Recipe:
+    """The recipe in which all arrays of an observer and of its model are open.
+
+    - `fixed`: patterns of names, such as `rotation` or `place*`, of arrays that stay as they are. Zeros among them cost
+      nothing in the code.
+
+    An array is called as in the source. Arrays of one name and equal values, such as a mass that the inertia and the
+    potential both use, are one number. Those of one name with different values are told apart by where they are.
+    """
+    dynamic, static = eqx.partition(observer, eqx.is_inexact_array)
+    paths, tree = jax.tree_util.tree_flatten_with_path(dynamic)
+    arrays = [np.asarray(leaf) for _, leaf in paths]
+    names = _named([_words(path) for path, _ in paths], arrays)
+    kept = [any(fnmatchcase(name, pattern) for pattern in fixed) for name in names]
+    numbers = {name: a for name, a, fix in zip(names, arrays, kept, strict=True) if a.size and not fix}
+
+    def make(values):
+        leaves = [values[n] if n in numbers else leaf for n, (_, leaf) in zip(names, paths, strict=True)]
+        return eqx.combine(jax.tree.unflatten(tree, leaves), static)
+
+    return Recipe(make, numbers)
+
+
+def of_family(observer: AbstractObserver, family: Family) -> Recipe:
+    """The recipe in which the open numbers of a family of models, and those of the observer itself, are open.
+
+    The observer is one of `family.file.model`, whose arrays it holds.
+    """
+    model = family.file.model
+    own = {id(leaf): k for k, leaf in enumerate(jax.tree.leaves(model))}
+    dynamic, static = eqx.partition(observer, eqx.is_inexact_array)
+    paths, tree = jax.tree_util.tree_flatten_with_path(dynamic)
+    outside = [(path, leaf) for path, leaf in paths if id(leaf) not in own]
+    names = _named([_words(path) for path, _ in outside], [np.asarray(leaf) for _, leaf in outside])
+    groups: dict[str, list[int]] = {}
+    for k, name in enumerate(family.names):
+        groups.setdefault(_identifier(name.partition("[")[0]), []).append(k)
+    clash = sorted(set(names) & set(groups))
+    renamed = {name: f"observer_{name}" for name in clash}
+    names = [renamed.get(name, name) for name in names]
+    first = np.asarray(family.first, float)
+    numbers = {name: first[ks] if len(ks) > 1 else first[ks[0]] for name, ks in groups.items()}
+    numbers |= {name: np.asarray(leaf) for name, (_, leaf) in zip(names, outside, strict=True) if np.size(leaf)}
+
+    def make(values):
+        flat = jnp.zeros(len(first))
+        for name, ks in groups.items():
+            flat = flat.at[jnp.array(ks)].set(jnp.atleast_1d(jnp.asarray(values[name], float)))
+        leaves = jax.tree.leaves(family.make(flat)[0])
+        mine = dict(zip((id(leaf) for _, leaf in outside), names, strict=True))
+        filled = [leaves[own[id(leaf)]] if id(leaf) in own else values.get(mine[id(leaf)], leaf) for _, leaf in paths]
+        return eqx.combine(jax.tree.unflatten(tree, filled), static)
+
+    return Recipe(make, numbers)
+
+
+def program(recipe: Recipe, y: Array | np.ndarray, inputs: int | None = None, real: Real = "double") -> Program:
+    """The graphs of an observer.
+
+    - `y`: a configuration, of which the shape counts.
+    - `inputs`: number of inputs m; by default that of the observer's model, or 0 where it has none.
+    - `real`: the type in which the graphs compute.
+
+    Raises `LoweringError` where a step has no graph of a fixed size, as where friction decides the number of its
+    substeps (`observers.with_fixed_substeps`).
+    """
+    dtype = DTYPES[real]
+    y = np.asarray(y, dtype)
+    first = recipe.make(recipe.numbers)
+    model: Any = getattr(first, "model", None)
+    # A filter without a model looks at no input.
+    u = inputs if inputs is not None else input_count(model, y.shape[0]) if model is not None else 0
+    given = {name: jax.ShapeDtypeStruct(np.shape(value), dtype) for name, value in recipe.numbers.items()}
+    scalar, measured = jax.ShapeDtypeStruct((), dtype), jax.ShapeDtypeStruct(y.shape, dtype)
+
+    def made(numbers):
+        return jax.tree.map(lambda a: a.astype(dtype) if eqx.is_inexact_array(a) else a, recipe.make(numbers))
+
+    def init(numbers, y, t):
+        return _real(made(numbers).init(y, t), dtype)
+
+    kinds = jax.eval_shape(lambda n, y, t: made(n).init(y, t), given, measured, scalar)
+    state = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape, dtype), kinds)
+
+    def typed(state):
+        return jax.tree.map(lambda a, kind: a.astype(kind.dtype), state, kinds)
+
+    def step(numbers, state, u, y, dt):
+        return _real(made(numbers).step(typed(state), u, y, dt), dtype)
+
+    def estimate(numbers, state):
+        observer = made(numbers)
+        x = observer.estimate(typed(state))
+        halves = not isinstance(x, tuple) and "x" not in getattr(state, "_fields", ())
+        return Motion(*jnp.split(x, 2)) if halves else x
+
+    acting = jax.ShapeDtypeStruct((u,), dtype)
+    lowered = lower(init, given, measured, scalar), lower(step, given, state, acting, measured, scalar)
+    read = lower(estimate, given, state)
+    leaves = _leaves(given)
+    used = _used((*lowered, read), leaves)
+    _, info = jax.tree.unflatten(lowered[1].tree, lowered[1].results)
+    return Program(
+        *lowered,
+        read,
+        {leaf.name: np.asarray(recipe.numbers[leaf.name], float) for leaf in leaves if leaf.name in used},
+        leaves,
+        _leaves(kinds),
+        _leaves(info),
+        _leaves(jax.tree.unflatten(read.tree, read.results)),
+        y.shape,
+        u,
+        real,
+    )
+
+
+def _real(tree: Any, dtype: Any) -> Any:
+    return jax.tree.map(lambda a: jnp.asarray(a).astype(dtype), tree)
+
+
+def _used(graphs: Sequence[Lowered], leaves: Sequence[Leaf]) -> set[str]:
+    """The open numbers that a graph uses."""
+    inputs = {node.value for lowered in graphs for node in _reached(lowered) if node.op == "input"}
+    owners = [leaf.name for leaf in leaves for _ in range(leaf.size)]
+    return {name for k, name in enumerate(owners) if k in inputs}
+
+
+def _reached(lowered: Lowered):
+    return lowered.graph.pruned(lowered.outputs)[0].nodes
+
+
+def _leaves(tree: Any) -> tuple[Leaf, ...]:
+    """The arrays of a pytree, in order; an array alone is called x."""
+    found = []
+    for path, leaf in jax.tree_util.tree_flatten_with_path(tree)[0]:
+        name = "_".join(_words(path)) or "x"
+        found.append(Leaf(name, tuple(leaf.shape), bool(jnp.issubdtype(leaf.dtype, jnp.floating))))
+    return tuple(found)
+
+
+def _words(path: Sequence[Any]) -> list[str]:
+    """The attributes and keys that lead to a leaf, as words."""
+    keys = [str(getattr(key, "name", getattr(key, "key", getattr(key, "idx", "")))) for key in path]
+    return [_identifier(key) for key in keys if key not in ("parameters", "value")]
+
+
+def _identifier(text: str) -> str:
+    """A name as one of C."""
+    plain = re.sub(r"\W", "_", text, flags=re.ASCII)
+    return f"n{plain}" if plain[:1].isdigit() else plain or "n"
+
+
+def _named(words: Sequence[Sequence[str]], arrays: Sequence[np.ndarray]) -> list[str]:
+    """The shortest names by which arrays of different values are told apart."""
+
+    def same(i: int, j: int) -> bool:
+        return arrays[i].shape == arrays[j].shape and np.array_equal(arrays[i], arrays[j])
+
+    names = ["_".join(w[-1:]) for w in words]
+    for length in range(2, max(map(len, words), default=0) + 1):
+        for i in range(len(names)):
+            twins = [j for j in range(len(names)) if names[j] == names[i]]
+            if any(not same(i, j) for j in twins):
+                for j in twins:
+                    names[j] = "_".join(words[j][-length:])
+    return names

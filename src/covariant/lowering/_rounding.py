@@ -1,0 +1,42 @@
+"""What rounding does to the results of a graph: its numbers, with every operation off by one rounding at random.
+
+Lanes of a batch that see other roundings differ by what the function makes of them, its conditioning included: so much
+may an implementation differ from another.
+
+Source: Vignes 1993, A stochastic arithmetic for reliable scientific computation, Mathematics and Computers in Simulation
+35(3).
+"""
+
+import numpy as np
+
+from covariant.lowering._graph import FOLD
+from covariant.lowering._read import Domain
+
+EXACT = {"neg", "abs", "sign", "floor", "ceil", "round", "min", "max", "select", "either"}
+"""Operations on numbers that do not round; those that give truth values do not either."""
+WHOLE = {"add", "sub", "mul"}
+"""Operations that do not round where their result is a whole number, such as a count."""
+
+
+def perturbed(unit: float, lanes: int, seed: int = 0) -> Domain:
+    """An arithmetic on arrays of so many lanes: lane 0 has the numbers, the others are off by `unit` at random.
+
+    - `unit`: the largest relative error of an operation, 2⁻⁵³ in double precision.
+    """
+    random = np.random.default_rng(seed)
+
+    def rough(op: str):
+        plain = FOLD[op]
+
+        def rounded(*arguments):
+            value = plain(*arguments)
+            if value.dtype == bool or op in EXACT:
+                return value
+            off = unit * random.uniform(-1.0, 1.0, lanes)
+            off[0] = 0.0
+            off = np.where(value == np.rint(value), 0.0, off) if op in WHOLE else off
+            return value * (1.0 + off)
+
+        return rounded
+
+    return {"constant": lambda value: value, **{op: rough(op) for op in FOLD}}
