@@ -18,6 +18,9 @@ from covariant.observers import AbstractObserver
 Real = Literal["double", "float"]
 DTYPES = {"double": np.float64, "float": np.float32}
 
+REPORTED = ("innovation", "distance", "nis", "velocity_std", "external_force", "external_force_std")
+"""Fields of an info that are kept, beside the result code."""
+
 
 class Recipe(NamedTuple):
     """An observer some of whose numbers are open.
@@ -48,7 +51,8 @@ class Program(NamedTuple):
 
     - `init`: `(numbers, y, t) -> state`; `step`: `(numbers, state, u, y, dt) -> (state, info)`; `estimate`:
       `(numbers, state) -> x`.
-    - `numbers`: the open numbers that any of the graphs uses, with their values; `given` are all that are arguments.
+    - `numbers`: the open numbers that any of the graphs uses, with their values; `given` are all that are arguments,
+      with the values `values`.
     - `state`, `info`, `x`: what these consist of; `y`: the shape of a measurement; `u`: the number of inputs.
     - `real`: the type of the numbers.
     """
@@ -58,12 +62,23 @@ class Program(NamedTuple):
     estimate: Lowered
     numbers: dict[str, np.ndarray]
     given: tuple[Leaf, ...]
+    values: tuple[np.ndarray, ...]
     state: tuple[Leaf, ...]
     info: tuple[Leaf, ...]
     x: tuple[Leaf, ...]
     y: tuple[int, ...]
     u: int
     real: Real
+
+    @property
+    def reported(self) -> list[Leaf]:
+        """The fields of the info that are kept beside a state."""
+        return [leaf for leaf in self.info if leaf.name in REPORTED and leaf.size]
+
+    @property
+    def told(self) -> list[Leaf]:
+        """Standard deviations and external forces, which belong to an estimate."""
+        return [leaf for leaf in self.reported if leaf.name.endswith(("_std", "external_force"))]
 
 
 def with_open_numbers(observer: AbstractObserver, fixed: Sequence[str] = ()) -> Recipe:
@@ -165,7 +180,7 @@ def program(recipe: Recipe, y: Array | np.ndarray, inputs: int | None = None, re
     acting = jax.ShapeDtypeStruct((u,), dtype)
     lowered = lower(init, given, measured, scalar), lower(step, given, state, acting, measured, scalar)
     read = lower(estimate, given, state)
-    leaves = _leaves(given)
+    leaves = tuple(Leaf(name, np.shape(recipe.numbers[name])) for name in sorted(recipe.numbers))  # as JAX orders them
     used = _used((*lowered, read), leaves)
     _, info = jax.tree.unflatten(lowered[1].tree, lowered[1].results)
     return Program(
@@ -173,6 +188,7 @@ def program(recipe: Recipe, y: Array | np.ndarray, inputs: int | None = None, re
         read,
         {leaf.name: np.asarray(recipe.numbers[leaf.name], float) for leaf in leaves if leaf.name in used},
         leaves,
+        tuple(np.asarray(recipe.numbers[leaf.name], float) for leaf in leaves),
         _leaves(kinds),
         _leaves(info),
         _leaves(jax.tree.unflatten(read.tree, read.results)),

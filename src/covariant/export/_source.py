@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from covariant.export._program import Leaf, Program
+from covariant.export._program import Leaf, Program, Real
 from covariant.lowering import CText, Lowered, Signature, c_function, c_helpers, c_number
 from covariant.signals import Result
 
@@ -21,8 +21,6 @@ KEYWORDS = frozenset(
     "delete this template public private protected operator namespace using try catch throw bool true false and or not "
     "xor info".split()
 )
-REPORTED = ("innovation", "distance", "nis", "velocity_std", "external_force", "external_force_std")
-"""Fields of an info that a state holds after a step, beside the result code that `step` returns."""
 SENTENCE = "This text is yours: use, change and sell it as you like; no licence of its generator extends to it."
 
 
@@ -53,16 +51,6 @@ def write_source(program: Program, name: str, about: str) -> Source:
     return Source(name, _header(program, name, about), _source(program, name, about, functions), functions)
 
 
-def reported(program: Program) -> list[Leaf]:
-    """The fields of the info that the state holds."""
-    return [leaf for leaf in program.info if leaf.name in REPORTED and leaf.size]
-
-
-def told(program: Program) -> list[Leaf]:
-    """The standard deviations, which are part of an estimate."""
-    return [leaf for leaf in reported(program) if leaf.name.endswith(("_std", "external_force"))]
-
-
 def entries(owner: str, leaf: Leaf) -> list[str]:
     """The C expressions of the entries of an array of a structure."""
     return [f"{owner}{field(leaf)}[{i}]" for i in range(leaf.size)] if leaf.shape else [f"{owner}{field(leaf)}"]
@@ -73,9 +61,9 @@ def field(leaf: Leaf) -> str:
     return f"{leaf.name}_" if leaf.name in KEYWORDS else leaf.name
 
 
-def number(value: float, program: Program) -> str:
+def number(value: float, real: Real) -> str:
     """A number in C."""
-    return c_number(value, program.real)
+    return c_number(value, real)
 
 
 def _members(leaves: Sequence[Leaf], name: str) -> str:
@@ -108,9 +96,9 @@ def _header(program: Program, name: str, about: str) -> str:
             name,
             "What an observer remembers. A copy is a snapshot. Innovation and standard deviations are those of the last "
             "step.",
-            _members([*program.state, *(_last(leaf) for leaf in reported(program))], name),
+            _members([*program.state, *(_last(leaf) for leaf in program.reported)], name),
         ),
-        _structure("output", name, "An estimate.", _members([*program.x, *told(program)], name)),
+        _structure("output", name, "An estimate.", _members([*program.x, *program.told], name)),
         f"extern const {name}_params {name}_default;\n",
         f"/* Start at rest at the measurement y, at the time t [s]. Returns {upper}_OK, or {upper}_NOT_FINITE, without a\n"
         f" * state, where y is not all finite. */\n"
@@ -148,7 +136,7 @@ def _step(program: Program, name: str) -> CText:
     state = [e for leaf in program.state for e in entries("state->", leaf)]
     u, y = ([f"{n}[{i}]" for i in range(k)] for n, k in (("u", program.u), ("y", int(np.prod(program.y)))))
     after = [e for leaf in program.state for e in entries("next->", leaf)]
-    lowered, places, info = _without_unreported(program)
+    lowered, places, info = _only_reported(program)
     found = ["*result" if leaf.name == "result" else None for leaf in info]
     outputs = [*after]
     for leaf, result in zip(info, found, strict=True):
@@ -164,9 +152,9 @@ def _step(program: Program, name: str) -> CText:
     )
 
 
-def _without_unreported(program: Program) -> tuple[Lowered, list[int], list[Leaf]]:
+def _only_reported(program: Program) -> tuple[Lowered, list[int], list[Leaf]]:
     """The step without the results that nobody reads."""
-    kept = [*reported(program), *(leaf for leaf in program.info if leaf.name == "result")]
+    kept = [*program.reported, *(leaf for leaf in program.info if leaf.name == "result")]
     count = sum(leaf.size for leaf in program.state)
     places, at, chosen = list(range(count)), count, []
     for leaf in program.info:
@@ -215,9 +203,9 @@ def _source(program: Program, name: str, about: str, functions: dict[str, CText]
     upper = name.upper()
     y = int(np.prod(program.y))
     size = {"double": 8, "float": 4}[program.real]
-    copied = "".join(_copy(leaf, "output->", "state->") for leaf in told(program))
-    unknown = "".join(_unknown(leaf, name) for leaf in reported(program))
-    no_input = f"    const {name}_real none[{program.u}] = {{{number(0.0, program)}}};\n" if program.u else ""
+    copied = "".join(_copy(leaf, "output->", "state->") for leaf in program.told)
+    unknown = "".join(_unknown(leaf, name) for leaf in program.reported)
+    no_input = f"    const {name}_real none[{program.u}] = {{{number(0.0, program.real)}}};\n" if program.u else ""
     acting = "u != NULL ? u : none" if program.u else "u"
     parts = [
         f"/* {about}\n *\n * Written by covariant {_version()}. {SENTENCE}\n */",
@@ -251,7 +239,7 @@ def _source(program: Program, name: str, about: str, functions: dict[str, CText]
 def _defaults(program: Program) -> str:
     lines = []
     for key, value in program.numbers.items():
-        digits = ", ".join(number(v, program) for v in np.ravel(value).tolist())
+        digits = ", ".join(number(v, program.real) for v in np.ravel(value).tolist())
         lines.append(f"    {'{' + digits + '}' if np.ndim(value) else digits} /* {key} */")
     return ",\n".join(lines) or "    0"
 

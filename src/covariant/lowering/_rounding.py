@@ -29,14 +29,21 @@ def perturbed(unit: float, lanes: int, seed: int = 0) -> Domain:
         plain = FOLD[op]
 
         def rounded(*arguments):
-            value = plain(*arguments)
+            value = np.asarray(plain(*arguments))
             if value.dtype == bool or op in EXACT:
                 return value
-            off = unit * random.uniform(-1.0, 1.0, lanes)
-            off[0] = 0.0
+            off = unit * random.uniform(-1.0, 1.0, lanes) * away
             off = np.where(value == np.rint(value), 0.0, off) if op in WHOLE else off
             return value * (1.0 + off)
 
         return rounded
 
-    return {"constant": lambda value: value, **{op: rough(op) for op in FOLD}}
+    short = unit > 2.0**-50
+
+    def constant(value):
+        """A number as it is or, where single precision cannot hold it, off as a result is."""
+        exact = isinstance(value, bool) or not short or not np.isfinite(value) or np.float32(value) == value
+        return np.asarray(value) if exact else value * (1.0 + unit * random.uniform(-1.0, 1.0, lanes) * away)
+
+    away = np.arange(lanes) > 0
+    return {"constant": constant, **{op: rough(op) for op in FOLD}}
