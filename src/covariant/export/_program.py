@@ -107,17 +107,24 @@ def with_open_numbers(observer: AbstractObserver, fixed: Sequence[str] = ()) -> 
 def of_family(observer: AbstractObserver, family: Family) -> Recipe:
     """The recipe in which the open numbers of a family of models, and those of the observer itself, are open.
 
-    The observer is one of `family.file.model`, whose arrays it holds.
+    The observer is one of `family.file.model`, whose arrays it holds; raises `ValueError` for another.
     """
     model = family.file.model
     own = {id(leaf): k for k, leaf in enumerate(jax.tree.leaves(model))}
     dynamic, static = eqx.partition(observer, eqx.is_inexact_array)
     paths, tree = jax.tree_util.tree_flatten_with_path(dynamic)
     outside = [(path, leaf) for path, leaf in paths if id(leaf) not in own]
+    if len(outside) == len(paths):
+        raise ValueError("of_family: the observer is not one of family.file.model; make it of that model")
     names = _named([_words(path) for path, _ in outside], [np.asarray(leaf) for _, leaf in outside])
     groups: dict[str, list[int]] = {}
     for k, name in enumerate(family.names):
-        groups.setdefault(_identifier(name.partition("[")[0]), []).append(k)
+        groups.setdefault(name.partition("[")[0], []).append(k)
+    groups = {
+        _identifier(name): each
+        for base, ks in groups.items()
+        for name, each in ([(base, ks)] if _whole(base, ks, family) else [(family.names[k], [k]) for k in ks])
+    }
     clash = sorted(set(names) & set(groups))
     renamed = {name: f"observer_{name}" for name in clash}
     names = [renamed.get(name, name) for name in names]
@@ -135,6 +142,12 @@ def of_family(observer: AbstractObserver, family: Family) -> Recipe:
         return eqx.combine(jax.tree.unflatten(tree, filled), static)
 
     return Recipe(make, numbers)
+
+
+def _whole(base: str, ks: Sequence[int], family: Family) -> bool:
+    """Whether open numbers are all of a number or of a list in the file, and so are one array."""
+    given = family.document.get("parameters", {}).get(base)
+    return not isinstance(given, list) or (np.ndim(given) == 1 and len(given) == len(ks))
 
 
 def program(recipe: Recipe, y: Array | np.ndarray, inputs: int | None = None, real: Real = "double") -> Program:
