@@ -243,7 +243,7 @@ def _words(path: Sequence[Any]) -> list[str]:
 
 def _identifier(text: str) -> str:
     """A name as one of C."""
-    plain = re.sub(r"\W", "_", text, flags=re.ASCII)
+    plain = re.sub(r"\W+", "_", text, flags=re.ASCII).strip("_")
     return f"n{plain}" if plain[:1].isdigit() else plain or "n"
 
 
