@@ -154,6 +154,8 @@ Call `@NAME@_init` with the first measurement, then `@NAME@_step` at each sample
 ```c
 #include "@NAME@.h"
 
+#include <stddef.h>
+
 static @NAME@_state state;
 static @NAME@_params params;
 static int started;
