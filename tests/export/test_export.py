@@ -1,7 +1,9 @@
-"""Exported observers compile without a warning, follow Python, and are plain: no memory management, no clash of names."""
+"""Exported observers compile without a warning and follow Python; they need no memory management and share no names."""
 
 import functools
 import json
+import re
+import shlex
 import shutil
 import subprocess
 import sys
@@ -21,6 +23,7 @@ from covariant.export import (
     Facts,
     Program,
     Vectors,
+    _data_sheet,
     export_texts,
     of_family,
     program,
@@ -28,12 +31,11 @@ from covariant.export import (
     with_open_numbers,
     write_folder,
 )
-from covariant.export import _data_sheet
 from covariant.geometry import Budget
 from covariant.models import robots
 
 ROOT = Path(__file__).parents[2]
-FLAGS = "-std=c99 -Wall -Wextra -Wpedantic -Wconversion -Wdouble-promotion -Werror".split()
+FLAGS = ["-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wdouble-promotion", "-Werror"]
 RATE = 250.0
 K = np.arange(ROWS + 1.0)
 needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler, `cc`")
@@ -268,10 +270,12 @@ def command(monkeypatch, capsys, *words) -> tuple[int, str, str]:
 
 
 @needs_compiler
-def test_the_command_writes_what_passes_its_test(tmp_path, monkeypatch, capsys):
-    model, out = ROOT / "examples" / "demo_double_pendulum.toml", tmp_path / "out"
-    options = ("--rate", 500, "--real", "float", "--name", "arm", "--no-audit", "--json")
-    code, told, _ = command(monkeypatch, capsys, model, *options, "-o", out)
+def test_the_command_of_the_page_writes_what_passes_its_test(tmp_path, monkeypatch, capsys):
+    [line] = re.findall(r"```bash\ncovariant export (.*?)\n```", (ROOT / "docs" / "firmware.md").read_text())
+    options, out = shlex.split(line), tmp_path / "arm"
+    shutil.copy(ROOT / "examples" / options[0], tmp_path)
+    monkeypatch.chdir(tmp_path)
+    code, told, _ = command(monkeypatch, capsys, *options, "--json")
     assert code == 0
     assert {"alpha", "mass", "coulomb"} <= set(json.loads(told)["numbers"])
     ran(["cc", *FLAGS, "-I.", "arm.c", "test/arm_test.c", "-lm", "-o", "self_test"], out)
@@ -279,7 +283,7 @@ def test_the_command_writes_what_passes_its_test(tmp_path, monkeypatch, capsys):
     sheet = (out / "DATASHEET.md").read_text()
     assert "| calls of sin |" in sheet
     assert "500 Hz" in sheet
-    assert command(monkeypatch, capsys, model, *options, "-o", out)[0] == 2
+    assert command(monkeypatch, capsys, *options)[0] == 2, "the folder is not empty"
 
 
 @pytest.mark.parametrize(

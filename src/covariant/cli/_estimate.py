@@ -25,6 +25,7 @@ from covariant.cli._pages import write_report
 from covariant.cli._results import Outcome, drive, known, report_arrays, rounded, summary
 from covariant.design import ESTIMATORS, estimators, gated, observer_gains, tuned_estimators, with_gains
 from covariant.observers import AbstractObserver
+from covariant.runtime import FEWEST_ROWS
 from covariant.scoring import rmse
 
 
@@ -129,6 +130,7 @@ def _result(job: Job, loaded: Loaded, observer: str, outcome: Outcome, notes: tu
         "log": str(job.log),
         "observer": observer,
         "rows": len(outcome.run.t),
+        "engine": outcome.engine,
         **({} if reference is None else {"scored_against": reference.label}),
         "design": notes[0],
         **summary(outcome),
@@ -149,6 +151,8 @@ def _text(result: dict[str, Any], loaded: Loaded) -> str:
     if "logged_velocity_rmse" in result:
         speeds = _with_units(result["logged_velocity_rmse"], velocity_units(loaded.file))
         lines.append(f"the same for the velocity in the log: {speeds}")
+    if result["rows"] >= FEWEST_ROWS:
+        lines.append(f"engine: {result['engine']}")
     for name, count in result["results"].items():
         if name != "ok":
             lines.append(f"{count} of {result['rows']} samples: {note(name)}")

@@ -17,9 +17,19 @@ from covariant.cli._console import working
 from covariant.cli._job import data_sheet
 from covariant.cli._parse import above_zero
 from covariant.design import ESTIMATORS, estimators, observer_gains, tuned_estimators, with_gains
-from covariant.export import ROWS, Facts, Program, Recipe, export_texts, of_family, program, with_open_numbers, write_folder
+from covariant.export import (
+    ROWS,
+    Facts,
+    Program,
+    Recipe,
+    export_texts,
+    of_family,
+    program,
+    with_open_numbers,
+    write_folder,
+)
 from covariant.lowering import LoweringError
-from covariant.observers import REGISTRY, AbstractObserver, Delayed, with_fixed_substeps
+from covariant.observers import REGISTRY, AbstractObserver, Delayed, chooses_substeps, with_fixed_substeps
 
 GEOMETRY = ("rotation", "place", "turn", "slide", "coordinates", "motors", "joints", "base*")
 """Arrays of a robot that say how it is put together: as constants they save nine tenths of the work."""
@@ -50,7 +60,7 @@ def export(spec: str, overrides: tuple[str, ...], asked: Asked, out: Path, as_js
     family = _family(spec, overrides, asked.parameters)
     file = models.load(spec, overrides) if family is None else family.file
     model = file.need_mechanical(spec, "code is written for observers of")
-    kind, bare, design = _observer(spec, file, asked)
+    kind, bare, design = _observer(spec, file, model, asked)
     name = asked.name or _identifier(file.name)
     about = f"{kind} observer of {file.name}. {design}"
     proved = "" if asked.certificate is None else _certificate(asked.certificate, spec, overrides, bare)
@@ -60,7 +70,7 @@ def export(spec: str, overrides: tuple[str, ...], asked: Asked, out: Path, as_js
     observer = Delayed(fixed, file.delay, rate) if late else fixed
     with working(f"writing {name}", quiet=as_json):
         made = _program(spec, observer, family, file, asked, measured[0])
-        found = _audited(bare) if asked.audited and asked.observer != "copy" else ""
+        found = _audited(bare) if asked.audited else ""
         substeps = getattr(fixed, "substeps", None)
         texts = export_texts(made, name, about, measured, Facts(rate, substeps, proved, found))
         paths = write_folder(texts, out, asked.overwrite)
@@ -74,10 +84,12 @@ def export(spec: str, overrides: tuple[str, ...], asked: Asked, out: Path, as_js
     print(json.dumps(result) if as_json else f"{about}\n{told}")
 
 
-def _observer(spec: str, file: models.ModelFile, asked: Asked) -> tuple[str, AbstractObserver, str]:
+def _observer(
+    spec: str, file: models.ModelFile, model: models.MechanicalSystem, asked: Asked
+) -> tuple[str, AbstractObserver, str]:
     """The name of the observer, the observer, and a sentence on its numbers."""
     alpha, beta = asked.gains
-    fitting = estimators(file.model)
+    fitting = estimators(model)
     kind = asked.observer or fitting[0]
     if kind not in fitting:
         known = "does not fit" if kind in ESTIMATORS else "is no observer for"
@@ -85,14 +97,18 @@ def _observer(spec: str, file: models.ModelFile, asked: Asked) -> tuple[str, Abs
     if (alpha is None) != (beta is None):
         raise ValueError("--alpha and --beta belong together: give both or neither")
     if alpha is not None and beta is not None:
-        made = with_gains(file.model, above_zero("--alpha", alpha), above_zero("--beta", beta))
+        made = with_gains(model, above_zero("--alpha", alpha), above_zero("--beta", beta))
         if kind not in made:
             raise ValueError(f"--alpha and --beta do not apply to {kind}; they do to {', '.join(made)}")
         return kind, made[kind], f"Given gains: alpha = {alpha:g} 1/s, beta = {beta:g} 1/s^2."
     sheet = data_sheet(file)
-    made = tuned_estimators(file.model, file.dimension, sheet, asked.rate, names=(kind,))
+    made = tuned_estimators(model, file.dimension, sheet, asked.rate, names=(kind,))
     designed = observer_gains(sheet, asked.rate).summary.replace("²", "^2")
-    return kind, made[kind], f"Designed {designed}." if hasattr(made[kind], "alpha") else "Tuned from its data sheet."
+    return kind, made[kind], f"Designed {designed}." if _tuned_by_gains(kind) else "Tuned from its data sheet."
+
+
+def _tuned_by_gains(kind: str) -> bool:
+    return next(entry for entry in REGISTRY if entry.name == kind).tuned_by == "gains"
 
 
 def _program(
@@ -160,7 +176,7 @@ def _of_fixed_length(
     observer: AbstractObserver, rate: float, model: models.MechanicalSystem, file: models.ModelFile, q: np.ndarray
 ) -> AbstractObserver:
     """The observer with as many substeps as friction needs at the usual speed of the model file."""
-    if getattr(observer, "substeps", 0) is not None:
+    if not chooses_substeps(observer):
         return observer
     sheet = data_sheet(file) if file.acceleration_std is not None and file.measurement_std is not None else None
     speed = 3.0 if sheet is None else np.broadcast_to(sheet.speeds, file.dimension)

@@ -10,6 +10,7 @@ import numpy as np
 
 from covariant.cli._job import Loaded, ReferenceVelocity
 from covariant.observers import AbstractObserver, run
+from covariant.runtime import run_log
 from covariant.signals import Result, Run
 
 KEPT = ("innovation", "distance", "result", "nis", "velocity_std", "external_force", "external_force_std")
@@ -30,7 +31,7 @@ class Outcome(NamedTuple):
     """A run, its velocities (T, n), their score where there is a reference, and the compiled time a sample [µs].
 
     `nis` is the mean normalised innovation squared for each measured number, NaN for an observer without a covariance;
-    1 is expected.
+    1 is expected. `engine` says what computed the run.
     """
 
     run: Run
@@ -38,6 +39,7 @@ class Outcome(NamedTuple):
     nis: float
     score: Score | None
     microseconds: float
+    engine: str = ""
 
     @property
     def counts(self) -> dict[str, int]:
@@ -51,8 +53,11 @@ class Outcome(NamedTuple):
 
 
 def drive(observer: AbstractObserver, loaded: Loaded, timed: bool = False) -> Outcome:
-    """Run an observer on the loaded record; `timed` runs it again, to measure its time without compilation."""
-    done = jax.block_until_ready(run(observer, loaded.record, KEPT))
+    """Run an observer on the loaded record; `timed` runs it again by JAX, to measure its time
+    without compilation; otherwise C runs a long log.
+    """
+    done, engine = run_log(observer, loaded.record, KEPT, "jax" if timed else "auto")
+    done = jax.block_until_ready(done)
     spent = float("inf")
     for _ in range(3 if timed else 0):  # the quickest of three, since other load only lengthens a run
         began = time.perf_counter()
@@ -60,7 +65,9 @@ def drive(observer: AbstractObserver, loaded: Loaded, timed: bool = False) -> Ou
         spent = min(spent, time.perf_counter() - began)
     velocity = np.asarray(loaded.model.motion(done.estimate).v)
     score = None if loaded.reference is None else _score(velocity, done.info, loaded.reference)
-    return Outcome(done, velocity, _nis(done.info, loaded), score, 1e6 * spent / len(done.t) if timed else math.nan)
+    return Outcome(
+        done, velocity, _nis(done.info, loaded), score, 1e6 * spent / len(done.t) if timed else math.nan, engine
+    )
 
 
 def known(info: Any, name: str) -> np.ndarray | None:

@@ -1,4 +1,4 @@
-"""Observers as C99 for microcontrollers and real-time programs: plain source with self-test, build files, data sheet."""
+"""Observers as C99 for microcontrollers and controllers: plain source with self-test, build files, data sheet."""
 
 from covariant.export._data_sheet import Facts
 from covariant.export._program import Leaf, Program, Recipe, of_family, program, with_open_numbers

@@ -9,7 +9,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
 from covariant.lowering import Lowered, lower
 from covariant.models import Family, Motion, input_count
@@ -186,9 +186,10 @@ def program(recipe: Recipe, y: Array | np.ndarray, inputs: int | None = None, re
 
     def estimate(numbers, state):
         observer = made(numbers)
-        x = observer.estimate(typed(state))
-        halves = not isinstance(x, tuple) and "x" not in getattr(state, "_fields", ())
-        return Motion(*jnp.split(x, 2)) if halves else x
+        x: Any = observer.estimate(typed(state))
+        if isinstance(x, tuple) or "x" in getattr(state, "_fields", ()):
+            return x
+        return Motion(*jnp.split(x, 2))
 
     acting = jax.ShapeDtypeStruct((u,), dtype)
     lowered = lower(init, given, measured, scalar), lower(step, given, state, acting, measured, scalar)
@@ -260,4 +261,10 @@ def _named(words: Sequence[Sequence[str]], arrays: Sequence[np.ndarray]) -> list
             if any(not same(i, j) for j in twins):
                 for j in twins:
                     names[j] = "_".join(words[j][-length:])
+    first: dict[str, list[int]] = {}  # of the values that a name has, where even the whole path does not tell
+    for i, name in enumerate(names):
+        values = first.setdefault(name, [])
+        k = next((k for k, j in enumerate(values) if same(i, j)), len(values))
+        values += [i] if k == len(values) else []
+        names[i] = name if k == 0 else f"{name}_{k + 1}"
     return names

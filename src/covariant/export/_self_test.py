@@ -43,7 +43,10 @@ def write_test(program: Program, name: str, vectors: Vectors) -> str:
         table(kind, "allowed", vectors.allowed),
         "/* The outcome of each step, or -1 where rounding decides it. */\n"
         f"static const int outcomes[ROWS] = {{{', '.join(map(str, vectors.result.tolist()))}}};\n",
-        _MAIN.replace("@NAME@", name).replace("@UPPER@", upper).replace("@READ@", read).replace("@ZERO@", number(0.0, real)),
+        _MAIN.replace("@NAME@", name)
+        .replace("@UPPER@", upper)
+        .replace("@READ@", read)
+        .replace("@ZERO@", number(0.0, real)),
     ]
     return "\n".join(parts)
 

@@ -16,10 +16,64 @@ from covariant.lowering import CText, Lowered, Signature, c_function, c_helpers,
 from covariant.signals import Result
 
 KEYWORDS = frozenset(
-    "auto break case char const continue default do double else enum extern float for goto if inline int long register "
-    "restrict return short signed sizeof static struct switch typedef union unsigned void volatile while class new "
-    "delete this template public private protected operator namespace using try catch throw bool true false and or not "
-    "xor info".split()
+    [
+        "auto",
+        "break",
+        "case",
+        "char",
+        "const",
+        "continue",
+        "default",
+        "do",
+        "double",
+        "else",
+        "enum",
+        "extern",
+        "float",
+        "for",
+        "goto",
+        "if",
+        "inline",
+        "int",
+        "long",
+        "register",
+        "restrict",
+        "return",
+        "short",
+        "signed",
+        "sizeof",
+        "static",
+        "struct",
+        "switch",
+        "typedef",
+        "union",
+        "unsigned",
+        "void",
+        "volatile",
+        "while",
+        "class",
+        "new",
+        "delete",
+        "this",
+        "template",
+        "public",
+        "private",
+        "protected",
+        "operator",
+        "namespace",
+        "using",
+        "try",
+        "catch",
+        "throw",
+        "bool",
+        "true",
+        "false",
+        "and",
+        "or",
+        "not",
+        "xor",
+        "info",
+    ]
 )
 SENTENCE = "This text is yours: use, change and sell it as you like; no licence of its generator extends to it."
 
@@ -90,30 +144,31 @@ def _header(program: Program, name: str, about: str) -> str:
         f"#define {upper}_MEASUREMENTS {y} /* numbers of a measurement, {shape} by rows */\n"
         f"#define {upper}_INPUTS {program.u}\n",
         f"/* Outcome of a step; a larger one is worse. */\nenum {{\n{codes}\n}};\n",
-        _structure("params", name, "Numbers that may be changed at any time, between two steps.", _members(given, name)),
+        _structure(
+            "params", name, "Numbers that may be changed at any time, between two steps.", _members(given, name)
+        ),
         _structure(
             "state",
             name,
-            "What an observer remembers. A copy is a snapshot. Innovation and standard deviations are those of the last "
-            "step.",
+            "What is remembered; a copy is a snapshot. Innovation and standard deviations are of the last step.",
             _members([*program.state, *(_last(leaf) for leaf in program.reported)], name),
         ),
         _structure("output", name, "An estimate.", _members([*program.x, *program.told], name)),
         f"extern const {name}_params {name}_default;\n",
-        f"/* Start at rest at the measurement y, at the time t [s]. Returns {upper}_OK, or {upper}_NOT_FINITE, without a\n"
-        f" * state, where y is not all finite. */\n"
+        f"/* Start at rest at the measurement y, at the time t [s]. Returns {upper}_OK or, where y is not all finite,\n"
+        f" * {upper}_NOT_FINITE, and then leaves the state as it was. */\n"
         f"int {name}_init({name}_state *state, const {name}_params *params, const {name}_real *y, {name}_real t);\n",
         "/* Advance by dt [s] under the input u, held over the step, then correct by the measurement y.\n"
         " *\n"
         " * missing: for each number of y, 1 where it was not measured; NULL for none. NaN in y says the same.\n"
-        " * u: NULL counts as zero. An input that is not finite is replaced by the last one, and a step dt that is not\n"
-        " * positive leaves the state as it was; the outcome says so. */\n"
+        " * u: NULL counts as zero. An input that is not finite is replaced by the last one, and a step dt that is\n"
+        " * not positive leaves the state as it was; the outcome says so. */\n"
         f"int {name}_step({name}_state *state, const {name}_params *params, const {name}_real *u,\n"
         f"    const {name}_real *y, const unsigned char *missing, {name}_real dt);\n",
         "/* The estimate of a state. */\n"
         f"void {name}_estimate(const {name}_state *state, const {name}_params *params, {name}_output *output);\n",
         "#ifdef __cplusplus\n}\n#endif\n",
-        f"#endif",
+        "#endif",
     ]
     return "\n".join(parts) + "\n"
 
@@ -129,14 +184,16 @@ def _init(program: Program, name: str) -> CText:
         f"const {name}_params *restrict params, const {name}_real *restrict y, {name}_real t,\n"
         f"    {name}_state *restrict state"
     )
-    return _function(program.init, program, f"{name}_core_init", declared, ("params", "y", "t", "state"), inputs, outputs)
+    return _function(
+        program.init, program, f"{name}_core_init", declared, ("params", "y", "t", "state"), inputs, outputs
+    )
 
 
 def _step(program: Program, name: str) -> CText:
     state = [e for leaf in program.state for e in entries("state->", leaf)]
     u, y = ([f"{n}[{i}]" for i in range(k)] for n, k in (("u", program.u), ("y", int(np.prod(program.y)))))
     after = [e for leaf in program.state for e in entries("next->", leaf)]
-    lowered, places, info = _only_reported(program)
+    lowered, _places, info = _only_reported(program)
     found = ["*result" if leaf.name == "result" else None for leaf in info]
     outputs = [*after]
     for leaf, result in zip(info, found, strict=True):
@@ -171,8 +228,7 @@ def _estimate(program: Program, name: str) -> CText:
     state = [e for leaf in program.state for e in entries("state->", leaf)]
     outputs = [e for leaf in program.x for e in entries("output->", leaf)]
     declared = (
-        f"const {name}_params *restrict params, const {name}_state *restrict state,\n"
-        f"    {name}_output *restrict output"
+        f"const {name}_params *restrict params, const {name}_state *restrict state,\n    {name}_output *restrict output"
     )
     passed = ("params", "state", "output")
     return _function(

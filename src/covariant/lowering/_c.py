@@ -129,7 +129,9 @@ class _Writer:
             calls = ", ".join([*self.signature.passed, *(array for array, _, _ in arrays)])
             lines = [f"{c} {array}[{size}];" for array, c, size in arrays]
             parts.append(
-                self._function(self.name, self.static, "", [*lines, *(f"{self.name}_{k + 1}({calls});" for k in range(last + 1))])
+                self._function(
+                    self.name, self.static, "", [*lines, *(f"{self.name}_{k + 1}({calls});" for k in range(last + 1))]
+                )
             )
         operations = Counter(node.op for node in self.graph.nodes if node.op not in ("input", "constant"))
         used = frozenset(h for i in range(len(self.graph.nodes)) for h in self._helpers(i))

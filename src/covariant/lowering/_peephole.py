@@ -34,7 +34,7 @@ def simplified(lowered: Lowered) -> Lowered:
 
 
 def _rewritten(lowered: Lowered, rule: Callable[[Graph, Node, tuple[int, ...]], int]) -> Lowered:
-    """The function with each operation added anew by a rule, from the node before and its arguments in the new graph."""
+    """The function with each operation added anew by a rule, from the old node and its arguments in the new graph."""
     graph, place = Graph(), []
     for node in lowered.graph.nodes:
         if node.op == "input":

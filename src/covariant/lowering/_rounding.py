@@ -3,8 +3,8 @@
 Lanes of a batch that see other roundings differ by what the function makes of them, its conditioning included: so much
 may an implementation differ from another.
 
-Source: Vignes 1993, A stochastic arithmetic for reliable scientific computation, Mathematics and Computers in Simulation
-35(3).
+Source: Vignes 1993, A stochastic arithmetic for reliable scientific computation, Mathematics and Computers in
+Simulation 35(3).
 """
 
 import numpy as np

@@ -36,7 +36,7 @@ from covariant.observers._protocol import (
 from covariant.observers._registry import REGISTRY, Entry
 from covariant.observers._riccati import Estimate, InformationEKF, InformationState, Riccati
 from covariant.observers._salcudean import Salcudean, SalcudeanState
-from covariant.observers._sampled import needed_substeps, with_fixed_substeps
+from covariant.observers._sampled import chooses_substeps, needed_substeps, with_fixed_substeps
 from covariant.observers._savitzky_golay import SavitzkyGolay, WindowState
 from covariant.observers._tracking_loop import LoopState
 from covariant.observers._ukf import UKF, UKFState
@@ -91,6 +91,7 @@ __all__ = [
     "SavitzkyGolay",
     "UKFState",
     "WindowState",
+    "chooses_substeps",
     "continuous",
     "craft_observer",
     "lyapunov_gains",

@@ -1,5 +1,6 @@
 """An observer as a function of plain arrays of numbers, compiled from C."""
 
+import dataclasses
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -8,9 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from covariant.export import Program, program, with_open_numbers
-from covariant.lowering import LoweringError, Signature, c_function, c_helpers, lower
-from covariant.models import MechanicalSystem
-from covariant.observers import AbstractObserver, Gated, needed_substeps
+from covariant.lowering import Signature, c_function, c_helpers, lower
+from covariant.observers import AbstractObserver, Gated, chooses_substeps, needed_substeps
 from covariant.runtime._compile import library
 
 DECLARED = """
@@ -70,20 +70,17 @@ def chooses(observer: Any) -> bool:
 
 def _chooser(observer: Any) -> Any:
     inner = observer.observer if isinstance(observer, Gated) else observer
-    known = isinstance(getattr(inner, "model", None), MechanicalSystem)
-    return inner if known and getattr(inner, "substeps", 0) is None else None
+    return inner if chooses_substeps(inner) else None
 
 
 def _fixed(observer: Any, count: int) -> Any:
-    import dataclasses
-
     return dataclasses.replace(observer, substeps=count)
 
 
 def substeps_needed(observer: Any, state: Any, u: Any, dt: Any) -> Any:
     """The number of substeps that the observer would choose."""
     inner = state.inner if isinstance(observer, Gated) else state
-    moves = jnp.where(jnp.isfinite(dt) & (dt > 0), dt, 0.0)
+    moves = jnp.asarray(jnp.where(jnp.isfinite(dt) & (dt > 0), dt, 0.0))
     return needed_substeps(_chooser(observer).model, inner.t, inner.q, inner.v, u, moves)
 
 
@@ -163,4 +160,3 @@ long kernel_run(double *state, long rows, const double *u, const double *y, cons
     return r;
 }
 """
-__all__ = ["Kernel", "LoweringError", "chooses", "kernel", "kernel_of", "substeps_needed", "with_substeps"]

@@ -70,7 +70,7 @@ def _by_c(observer: Any, record: Record, keep: Collection[str] | None) -> Run:
         done = chosen.library.kernel_run(chosen.pointer(state), rows - at, *map(chosen.pointer, arrays))
         at += done
         if at < rows:
-            count = needs(state, acting[at], dt[at])
+            count = needs(state, acting[at], float(dt[at]))
             seen.add(count)
             if len(seen) > MOST_COUNTS:
                 raise LoweringError("the number of substeps changes too often for C")

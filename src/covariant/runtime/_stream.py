@@ -148,7 +148,7 @@ class Stream:
     def _told(self, result: Result) -> Any:
         self._results[int(result)] += 1
         self._last = result
-        x = self._works.x.copy()
+        x: Any = self._works.x.copy()
         if self._shape is None:
             return x
         return Motion(x[: self._works.y.size].reshape(self._shape), x[self._works.y.size :])
