@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import NamedTuple
 
 import equinox as eqx
@@ -17,7 +18,7 @@ import numpy as np
 import pytest
 
 from covariant import models, observers
-from covariant.cli import main
+from covariant.cli import _export, main
 from covariant.export import (
     ROWS,
     Facts,
@@ -284,6 +285,23 @@ def test_the_command_of_the_page_writes_what_passes_its_test(tmp_path, monkeypat
     assert "| calls of sin |" in sheet
     assert "500 Hz" in sheet
     assert command(monkeypatch, capsys, *options)[0] == 2, "the folder is not empty"
+
+
+def test_what_is_proved_and_what_is_broken_is_told(tmp_path, monkeypatch, capsys):
+    """The data sheet quotes a certificate of this observer only, and a broken law is a warning."""
+    proved = ROOT / "examples" / "certificates" / "ball_and_beam.json"
+    gains = ("--alpha", "1.4142135623730951", "--beta", 0.5, "--rate", 100, "--certificate", proved)
+    broken = SimpleNamespace(rows=[SimpleNamespace(name="torsion", verdict="fails")], passed=False)
+    monkeypatch.setattr(_export, "audit", lambda observer, points: broken)
+    code, _, told = command(monkeypatch, capsys, "ball_and_beam", *gains, "-o", tmp_path / "out")
+    assert code == 0
+    assert "warning: the observer breaks laws of its audit: torsion" in told
+    sheet = (tmp_path / "out" / "DATASHEET.md").read_text()
+    assert "converges at the rate 0.05 1/s" in sheet
+    assert "breaks laws of its audit: torsion" in sheet
+    code, _, told = command(monkeypatch, capsys, "ball_and_beam", *gains, "--beta", 0.6, "-o", tmp_path / "other")
+    assert code == 2
+    assert "is for alpha = 1.41421, beta = 0.5" in told
 
 
 @pytest.mark.parametrize(

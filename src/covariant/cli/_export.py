@@ -63,7 +63,7 @@ def export(spec: str, overrides: tuple[str, ...], asked: Asked, out: Path, as_js
     kind, bare, design = _observer(spec, file, model, asked)
     name = asked.name or _identifier(file.name)
     about = f"{kind} observer of {file.name}. {design}"
-    proved = "" if asked.certificate is None else _certificate(asked.certificate, spec, overrides, bare)
+    proved = "" if asked.certificate is None else _certificate(asked.certificate, spec, overrides, kind, bare)
     measured = _measured(model, file.dimension)
     fixed = _of_fixed_length(bare, rate, model, file, measured)
     late = float(np.max(file.delay)) > 0 and next(e for e in REGISTRY if e.name == kind).knows_model
@@ -195,13 +195,15 @@ def _measured(model: models.MechanicalSystem, n: int) -> np.ndarray:
     return np.stack([np.asarray(manifold.retract(manifold.origin(), jnp.asarray(s))) for s in swing])
 
 
-def _certificate(path: Path, spec: str, overrides: Sequence[str], observer: Any) -> str:
+def _certificate(path: Path, spec: str, overrides: Sequence[str], kind: str, observer: Any) -> str:
     """Lines on what a saved certificate says of this observer; raises `ValueError` where it is of another."""
     document = certificates.parse(path)
     gains = tuple(float(getattr(observer, name, np.nan)) for name in ("alpha", "beta"))
     saved = tuple(float(document.observer[name]) for name in ("alpha", "beta"))
     if document.recipe != models.recipe(spec, overrides):
         raise ValueError(f"{path}: the certificate is for another model, or other numbers, than {spec}")
+    if document.observer["kind"] != kind:
+        raise ValueError(f"{path}: the certificate is for the observer {document.observer['kind']}, not for {kind}")
     if not np.allclose(gains, saved, rtol=1e-12):
         raise ValueError(
             f"{path}: the certificate is for alpha = {saved[0]:g}, beta = {saved[1]:g}; the observer has {gains[0]:g}, "

@@ -18,6 +18,8 @@ LONGEST_GAP = 1.0
 SET_BACK = 5
 """After so many samples in a row with stamps before the last one used, the clock was set back."""
 
+CODES = tuple(Result)
+
 
 class Health(NamedTuple):
     """What a stream has seen.
@@ -65,8 +67,8 @@ class Stream:
         self.engine, self._works = engine(self.observer, y, m)
         self._shape = y.shape if y.ndim == 2 else None
         self._started, self._t, self._back = False, math.nan, 0
-        self._counts: Counter[str] = Counter()
-        self._results: Counter[int] = Counter()
+        self._samples, self._counts = 0, Counter[str]()
+        self._results = [0] * len(CODES)
         self._last = Result.OK
         # Compile before the first sample.
         self._works.y[:], self._works.u[:] = y.ravel(), 0.0
@@ -77,9 +79,9 @@ class Stream:
     @property
     def health(self) -> Health:
         """What was seen so far."""
-        named = {Result(code).name.lower(): count for code, count in sorted(self._results.items())}
+        named = {Result(code).name.lower(): count for code, count in enumerate(self._results) if count}
         c = self._counts
-        return Health(c["samples"], named, c["late"], c["unstamped"], c["misshapen"], c["restarts"])
+        return Health(self._samples, named, c["late"], c["unstamped"], c["misshapen"], c["restarts"])
 
     @property
     def result(self) -> Result:
@@ -92,7 +94,7 @@ class Stream:
         y and u are numbers, lists or arrays; u None counts as unknown. Returns (q, v) (2n,) as an array of its own, or
         a `Motion` of arrays for a system that is not in coordinates.
         """
-        self._counts["samples"] += 1
+        self._samples += 1
         self._read(self._works.y, y)
         self._read(self._works.u, u)
         try:
@@ -113,10 +115,13 @@ class Stream:
         if code == Result.NOT_FINITE:
             self._started = False
             self._counts["restarts"] += 1
-        return self._told(Result(code))
+        return self._told(CODES[code])
 
     def _anew(self, dt: float) -> bool:
         """Whether the stamps leave too long a gap, or the clock was set back."""
+        if 0 <= dt <= LONGEST_GAP:
+            self._back = 0
+            return False
         self._back = self._back + 1 if dt < 0 else 0
         jumped = dt > LONGEST_GAP or self._back >= SET_BACK
         self._counts["restarts"] += jumped
@@ -134,6 +139,9 @@ class Stream:
 
     def _read(self, into: np.ndarray, given: Any) -> None:
         """Numbers as given, or NaN where they are not the right count of numbers."""
+        if type(given) is np.ndarray and given.shape == into.shape and given.dtype == into.dtype:  # the quick way
+            into[:] = given
+            return
         try:
             if given is None:
                 into.fill(math.nan)
@@ -146,7 +154,7 @@ class Stream:
             self._counts["misshapen"] += 1
 
     def _told(self, result: Result) -> Any:
-        self._results[int(result)] += 1
+        self._results[result] += 1
         self._last = result
         x: Any = self._works.x.copy()
         if self._shape is None:

@@ -19,13 +19,13 @@ class InC:
         states, estimates, infos = made.sizes
         names = [leaf.name for leaf in made.program.info for _ in range(leaf.size)]
         self.y, self.u = np.zeros(int(np.prod(made.program.y))), np.zeros(made.program.u)
-        self.x, self.info, self.state, self.dt = (np.zeros(size) for size in (estimates, infos, states, 1))
+        self.x, self.info, self.state = (np.zeros(size) for size in (estimates, infos, states))
         self._result = names.index("result")
         self._made = made  # it keeps the library loaded
         self._run, self._init = made.library.kernel_run, made.library.kernel_init
         point = made.pointer
-        self._pointers = point(self.state), 1, point(self.u), point(self.y), point(self.dt), point(self.x)
-        self._pointers = *self._pointers, point(self.info)
+        self._dt, self._told = made.ffi.new("double[1]"), point(self.info)
+        self._pointers = point(self.state), 1, point(self.u), point(self.y), self._dt, point(self.x), self._told
         self._starts = self._pointers[3], self._pointers[0]
 
     def start(self, t: float) -> None:
@@ -39,9 +39,9 @@ class InC:
 
     def advance(self, dt: float) -> int:
         """One step, in place; returns its result code."""
-        self.dt[0] = dt
+        self._dt[0] = dt
         self._run(*self._pointers)
-        return int(self.info[self._result])
+        return int(self._told[self._result])
 
 
 class InJax:
