@@ -57,18 +57,26 @@ def test_a_short_log_stays_with_jax_and_a_fault_of_the_record_is_told():
         run_log(gated(), short)
 
 
+@functools.cache
+def made(engine: str) -> Stream:
+    with pytest.MonkeyPatch.context() as patch:
+        if engine == "jax":
+            patch.setattr(_compile, "compiler", lambda: None)
+            _compile.missing.cache_clear()
+        stream = Stream(gated(), record().y[0], RATE)
+        _compile.missing.cache_clear()
+    assert stream.engine.startswith(engine)
+    return stream
+
+
 @pytest.fixture(params=["c", "jax"])
-def stream(request, monkeypatch) -> Stream:
-    """A stream by each engine, fresh."""
+def stream(request) -> Stream:
+    """A stream by each engine, as if it were new."""
     if request.param == "c" and shutil.which("cc") is None:
         pytest.skip("there is no C compiler, `cc`")
-    if request.param == "jax":
-        monkeypatch.setattr(_compile, "compiler", lambda: None)
-        _compile.missing.cache_clear()
-    made = Stream(gated(), record().y[0], RATE)
-    _compile.missing.cache_clear()
-    assert made.engine.startswith(request.param)
-    return made
+    stream = made(request.param)
+    stream.reset()
+    return stream
 
 
 def test_a_stream_does_what_the_loop_by_hand_does(stream):

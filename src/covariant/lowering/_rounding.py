@@ -7,6 +7,8 @@ Source: Vignes 1993, A stochastic arithmetic for reliable scientific computation
 Simulation 35(3).
 """
 
+import itertools
+
 import numpy as np
 
 from covariant.lowering._graph import FOLD
@@ -17,13 +19,18 @@ EXACT = {"neg", "abs", "sign", "floor", "ceil", "round", "min", "max", "select",
 WHOLE = {"add", "sub", "mul"}
 """Operations that do not round where their result is a whole number, such as a count."""
 
+POOL = 4093
+"""Number of roundings that are drawn; they are used in turn."""
+
 
 def perturbed(unit: float, lanes: int, seed: int = 0) -> Domain:
     """An arithmetic on arrays of so many lanes: lane 0 has the numbers, the others are off by `unit` at random.
 
     - `unit`: the largest relative error of an operation, 2⁻⁵³ in double precision.
     """
-    random = np.random.default_rng(seed)
+    away = np.arange(lanes) > 0
+    pool = unit * np.random.default_rng(seed).uniform(-1.0, 1.0, (POOL, lanes)) * away
+    turn = itertools.cycle(pool)
 
     def rough(op: str):
         plain = FOLD[op]
@@ -32,9 +39,8 @@ def perturbed(unit: float, lanes: int, seed: int = 0) -> Domain:
             value = np.asarray(plain(*arguments))
             if value.dtype == bool or op in EXACT:
                 return value
-            off = unit * random.uniform(-1.0, 1.0, lanes) * away
-            off = np.where(value == np.rint(value), 0.0, off) if op in WHOLE else off
-            return value * (1.0 + off)
+            off = next(turn)
+            return np.where(value == np.rint(value), value, value + value * off) if op in WHOLE else value + value * off
 
         return rounded
 
@@ -43,7 +49,6 @@ def perturbed(unit: float, lanes: int, seed: int = 0) -> Domain:
     def constant(value):
         """A number as it is or, where single precision cannot hold it, off as a result is."""
         exact = isinstance(value, bool) or not short or not np.isfinite(value) or np.float32(value) == value
-        return np.asarray(value) if exact else value * (1.0 + unit * random.uniform(-1.0, 1.0, lanes) * away)
+        return np.asarray(value) if exact else value * (1.0 + next(turn))
 
-    away = np.arange(lanes) > 0
     return {"constant": constant, **{op: rough(op) for op in FOLD}}

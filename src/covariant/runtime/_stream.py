@@ -66,15 +66,11 @@ class Stream:
         self.observer: Any = _of_fixed_length(observer, y, m, 1 / rate)
         self.engine, self._works = engine(self.observer, y, m)
         self._shape = y.shape if y.ndim == 2 else None
-        self._started, self._t, self._back = False, math.nan, 0
-        self._samples, self._counts = 0, Counter[str]()
-        self._results = [0] * len(CODES)
-        self._last = Result.OK
         # Compile before the first sample.
         self._works.y[:], self._works.u[:] = y.ravel(), 0.0
         self._works.start(0.0)
         self._works.advance(1 / rate)
-        self._works.x[:] = math.nan
+        self.reset()
 
     @property
     def health(self) -> Health:
@@ -88,7 +84,14 @@ class Stream:
         """The result of the last sample."""
         return self._last
 
-    def step(self, t: float, y: Any, u: Any = None) -> Any:
+    def reset(self) -> None:
+        """Forget all samples and counts: the next complete measurement starts the estimate."""
+        self._started, self._t, self._back = False, math.nan, 0
+        self._samples, self._counts, self._results = 0, Counter[str](), [0] * len(CODES)
+        self._last = Result.OK
+        self._works.x[:] = math.nan
+
+    def step(self, t: Any, y: Any, u: Any = None) -> Any:
         """The estimate at the stamp t [s], from the measurement y, with the input u that acted since the last stamp.
 
         y and u are numbers, lists or arrays; u None counts as unknown. Returns (q, v) (2n,) as an array of its own, or
