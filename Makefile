@@ -10,7 +10,7 @@ QUICK := tests/laws/test_every_observer.py tests/design/test_estimators.py tests
 	tests/geometry/test_tensors.py tests/test_integrate.py tests/test_scoring.py tests/test_signals.py \
 	tests/test_house.py tests/test_pages.py
 
-.PHONY: env demo test quick format lint types tests gallery bench mutants docs lock clean
+.PHONY: env demo test quick format lint types tests gallery bench firmware mutants docs lock clean
 
 env: .venv/ready
 
@@ -45,6 +45,11 @@ gallery: env
 
 bench: env
 	$(BIN)/pytest benchmarks --benchmark-only -o addopts=
+
+# An exported observer on an emulated microcontroller; needs arm-none-eabi-gcc and qemu-system-arm.
+firmware: env
+	$(BIN)/covariant export examples/demo_double_pendulum.toml --rate 500 --real float --name arm --overwrite -o build/arm
+	$(BIN)/python tools/firmware.py build/arm
 
 # Change the source one token at a time: every change that no test notices is a missing test. An hour or more.
 mutants: env

@@ -17,8 +17,8 @@ SOURCE = ROOT / "src" / "covariant"
 
 PLAN = (
     "_programs _typing _functional _files _optional _numbers signals scoring _linalg _dormand_prince _integrate "
-    "lowering logs geometry models riccati observers control simulation interop scale proofs certificates audit diagnosis "
-    "design identification report papers cli"
+    "lowering logs geometry models riccati observers control simulation interop scale proofs certificates audit "
+    "diagnosis design identification export runtime report papers cli"
 )
 """A room may import from itself and from any room to its left, never to its right."""
 
@@ -39,6 +39,7 @@ OPTIONAL = (
     "flint",
     "clarabel",
     "control",
+    "cffi",
 )
 
 PUBLIC = {
@@ -56,6 +57,8 @@ PUBLIC = {
     "metric metric_summary observer_gains predict_errors tune tuned_estimators tuned_state_estimators "
     "usual_speeds window_length with_gains",
     "diagnosis": "Diagnosis Finding diagnose misfit outliers",
+    "export": "ROWS Facts Leaf Program Recipe Source Vectors export_texts of_family program vectors with_open_numbers "
+    "write_folder write_source",
     "geometry": "AbstractManifold AbstractMetric AbstractSpace Budget ConstantCurvature Coordinates Euclidean "
     "FlatTorus Interpolated KineticEnergy Metric Product ProductManifold Pullback Shot Transported "
     "as_space christoffel connection curvature derivative differential distance exp gradient hyperbolic "
@@ -65,8 +68,9 @@ PUBLIC = {
     "identification": "FITTED Draft Fit PredictionErrors Windows draft fit growth horizon prediction_errors relations "
     "split windows",
     "interop": "closed_loop observer_system plant",
-    "lowering": "FOLD INTERVALS NUMBERS STUMPFF Condition Conditions Derivative Domain Enclosure Graph Interval "
-    "Lowered LoweringError Node Truth enclose evaluate expand fulfilled graft lower numbers pairs stumpff substitute",
+    "lowering": "FOLD INTERVALS NUMBERS STUMPFF CText Condition Conditions Derivative Domain Enclosure Graph Interval "
+    "Lowered LoweringError Node Signature Truth c_function c_helpers c_number enclose evaluate expand fulfilled graft "
+    "lower numbers pairs perturbed simplified stumpff substitute",
     "logs": "ATTITUDES MESSAGES OPTIONAL WRITTEN Body Columns Log LogError bodies check_unit coordinates matrices read "
     "survey to_columns unit_factor write",
     "models": "Family GroupSystem Lagrangian MechanicalSystem ModelError ModelFile MomentumChart Motion Parameter "
@@ -86,8 +90,8 @@ PUBLIC = {
     "HeldState HighGain Info InformationEKF InformationState Intrinsic IntrinsicKalman JointInfo JointKalman "
     "JointState KalmanInfo KalmanState Levant LoopState MechanicalState Noise PassiveGains PassiveShip "
     "Riccati Salcudean SalcudeanState SavitzkyGolay StateEKF StateEKFInfo StateEKFState StateEntry UKFState "
-    "WindowState continuous craft_observer "
-    "lyapunov_gains lyapunov_rate notch_gains printed_rate run second_order with_fixed_substeps",
+    "WindowState chooses_substeps continuous craft_observer "
+    "lyapunov_gains lyapunov_rate needed_substeps notch_gains printed_rate run second_order with_fixed_substeps",
     "papers.jouffroy_fossen": "COMPASS COUNTEREXAMPLES CROSS DURATION GAPS GNSS K1 K2 KD KP LAMBDA PRINTED_K2 RATE "
     "SETTLED STAGES STEP Loop Scalar Sea draw draw_odin draw_sea odin_box odin_cascade odin_certificate "
     "odin_controller odin_eigenvalues odin_loop odin_observer odin_path odin_sampled_rate passive_observer reproduce "
@@ -101,6 +105,7 @@ PUBLIC = {
     "write_audit write_html write_png",
     "riccati": "Characteristic Equation RiccatiMetric Solution Window gramian gramians high_gain lie_derivative "
     "metric_at metric_through rate_from_gramian reconstructibility right_side spd_distance window_at",
+    "runtime": "FEWEST_ROWS Health Stream run_log",
     "scale": "Grid Variable map_grid open_grid",
     "simulation": "Sensor hold no_input observe sense simulate stamps",
 }
@@ -241,6 +246,8 @@ def aliases(path: Path) -> Iterator[str]:
                 "diagnosis",
                 "design",
                 "identification",
+                "export",
+                "runtime",
             )
         ),
     ],

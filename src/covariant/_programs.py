@@ -22,7 +22,8 @@ def keep_programs() -> None:
     Does nothing where JAX has been imported before: then it is too late to suppress the notes that its compiler writes
     about each program it loads. Whoever imports JAX earlier sets these variables.
     """
-    folder = None if "jax" in sys.modules else _folder()
+    taken = "jax" in sys.modules or "JAX_COMPILATION_CACHE_DIR" in os.environ
+    folder = None if taken else cache_folder()
     if folder is None:
         return
     os.environ["JAX_COMPILATION_CACHE_DIR"] = str(folder)
@@ -32,10 +33,10 @@ def keep_programs() -> None:
         os.environ["TF_CPP_MIN_LOG_LEVEL"] = FATAL
 
 
-def _folder() -> Path | None:
+def cache_folder() -> Path | None:
     """A folder for this kind of processor, since a program may not run on another; None where none can be written."""
     chosen = os.environ.get("COVARIANT_CACHE", "")
-    if chosen.lower() in ("off", "0", "no") or "JAX_COMPILATION_CACHE_DIR" in os.environ:
+    if chosen.lower() in ("off", "0", "no"):
         return None
     try:
         folder = (Path(chosen).expanduser() if chosen else _users_caches() / "covariant") / _processor()

@@ -316,6 +316,37 @@ def audit(
 
 
 @app.command()
+def export(
+    model: Model,
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder to write.")],
+    rate: Annotated[float, typer.Option(help="Sampling rate [Hz] that it is made for.")],
+    observer: Annotated[
+        str | None, typer.Option(help=f"One of: {', '.join(ESTIMATORS)}; intrinsic by default.")
+    ] = None,
+    alpha: Annotated[float | None, typer.Option(help="Gain α [1/s] in place of the designed one.")] = None,
+    beta: Annotated[float | None, typer.Option(help="Gain β [1/s²] in place of the designed one.")] = None,
+    real: Annotated[str, typer.Option(help="Type of all numbers: double or float.")] = "double",
+    name: Annotated[str | None, typer.Option(help="What all names in C begin with; the model's by default.")] = None,
+    parameters: Annotated[
+        str | None,
+        typer.Option(help="Numbers of the model that may be changed at run time, by commas; all by default, or none."),
+    ] = None,
+    certificate: Annotated[
+        Path | None, typer.Option(help="Saved certificate of this observer, for the data sheet (.json).")
+    ] = None,
+    audit: Annotated[bool, typer.Option("--audit/--no-audit", help="Measure the laws of the observer first.")] = True,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace files in the folder.")] = False,
+    override: Override = [],  # noqa: B006  typer copies it
+    json: Json = False,
+) -> None:
+    """Write an observer as C99, with self-test, build files and data sheet, for microcontrollers and controllers."""
+    from covariant.cli import _export
+
+    asked = _export.Asked(observer, (alpha, beta), rate, real, name, parameters, certificate, audit, overwrite)
+    _export.export(model, tuple(override), asked, out, json)
+
+
+@app.command()
 def certify(
     model: Annotated[
         str | None, typer.Argument(help="Model file (.toml), robot (.urdf or .xml), module:attribute, or a system.")

@@ -34,6 +34,7 @@ from covariant.design import (
     with_gains,
 )
 from covariant.observers import AbstractObserver
+from covariant.runtime import FEWEST_ROWS
 from covariant.scoring import rmse
 
 
@@ -151,6 +152,7 @@ def _result(job: Job, loaded: Loaded, observer: str, outcome: Outcome, notes: tu
         "observer": observer,
         "rows": len(outcome.run.t),
         **({} if loaded.origin is None else {"t_counts_from": loaded.origin}),
+        "engine": outcome.engine,
         **({} if reference is None else {"scored_against": reference.label}),
         "design": notes[0],
         **summary(outcome, loaded.model.sought.what),
@@ -172,6 +174,8 @@ def _text(result: dict[str, Any], loaded: Loaded) -> str:
     if "logged_velocity_rmse" in result:
         speeds = _with_units(result["logged_velocity_rmse"], sought_units(loaded.file))
         lines.append(f"the same for the velocity in the log: {speeds}")
+    if result["rows"] >= FEWEST_ROWS:
+        lines.append(f"engine: {result['engine']}")
     for name, count in result["results"].items():
         if name != "ok":
             lines.append(f"{count} of {result['rows']} samples: {note(name)}")

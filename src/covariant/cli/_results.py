@@ -10,6 +10,7 @@ import numpy as np
 
 from covariant.cli._job import Loaded, ReferenceVelocity
 from covariant.observers import AbstractObserver, run
+from covariant.runtime import run_log
 from covariant.signals import Result, Run
 
 KEPT = ("innovation", "distance", "result", "nis", "velocity_std", "state_std", "external_force", "external_force_std")
@@ -31,7 +32,7 @@ class Outcome(NamedTuple):
     [µs].
 
     `nis` is the mean normalised innovation squared for each measured number, NaN for an observer without a covariance;
-    1 is expected.
+    1 is expected. `engine` says what computed the run.
     """
 
     run: Run
@@ -39,6 +40,7 @@ class Outcome(NamedTuple):
     nis: float
     score: Score | None
     microseconds: float
+    engine: str = ""
 
     @property
     def counts(self) -> dict[str, int]:
@@ -52,8 +54,11 @@ class Outcome(NamedTuple):
 
 
 def drive(observer: AbstractObserver, loaded: Loaded, timed: bool = False) -> Outcome:
-    """Run an observer on the loaded record; `timed` runs it again, to measure its time without compilation."""
-    done = jax.block_until_ready(run(observer, loaded.record, KEPT))
+    """Run an observer on the loaded record; `timed` runs it again by JAX, to measure its time
+    without compilation; otherwise C runs a long log.
+    """
+    done, engine = run_log(observer, loaded.record, KEPT, "jax" if timed else "auto")
+    done = jax.block_until_ready(done)
     spent = float("inf")
     for _ in range(3 if timed else 0):  # the quickest of three, since other load only lengthens a run
         began = time.perf_counter()
@@ -61,7 +66,9 @@ def drive(observer: AbstractObserver, loaded: Loaded, timed: bool = False) -> Ou
         spent = min(spent, time.perf_counter() - began)
     velocity = np.asarray(loaded.model.sought.of(done.estimate))
     score = None if loaded.reference is None else _score(velocity, done.info, loaded.reference)
-    return Outcome(done, velocity, _nis(done.info, loaded), score, 1e6 * spent / len(done.t) if timed else math.nan)
+    return Outcome(
+        done, velocity, _nis(done.info, loaded), score, 1e6 * spent / len(done.t) if timed else math.nan, engine
+    )
 
 
 def known(info: Any, name: str) -> np.ndarray | None:

@@ -135,6 +135,10 @@ class Graph:
         """The node of an argument of the function."""
         return self._add(("input", position), Node("input", (), position))
 
+    def find(self, op: str, *arguments: int) -> int | None:
+        """The node of an operation as it stands, where the graph has it."""
+        return self._known.get((op, *arguments))
+
     def apply(self, op: str, *arguments: int) -> int:
         """The node of an operation, folded where its arguments are constants, and simplified as for real numbers."""
         nodes = [self.nodes[a] for a in arguments]

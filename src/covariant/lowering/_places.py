@@ -97,10 +97,10 @@ def _added(write: Writer, eqn, arguments: list[np.ndarray]) -> np.ndarray:
     total = operand.ravel().copy()
     for k, node in enumerate(updates.ravel().tolist()):
         # The place of an update is found by applying the primitive to a one in its position, and zeros elsewhere.
-        one = np.zeros(updates.size)
+        one = np.zeros(updates.size, eqn.invars[2].aval.dtype)
         one[k] = 1.0
         with jax.ensure_compile_time_eval():
-            arrays = map(jnp.asarray, (np.zeros(operand.shape), places, one.reshape(updates.shape)))
+            arrays = map(jnp.asarray, (np.zeros(operand.shape, one.dtype), places, one.reshape(updates.shape)))
             goes = np.asarray(eqn.primitive.bind(*arrays, **eqn.params))
         for i in np.flatnonzero(goes.ravel()):
             total[i] = write.graph.apply("add", int(total[i]), node)

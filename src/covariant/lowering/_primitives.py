@@ -100,6 +100,10 @@ def _reduction(op: str) -> Rule:
     return lambda write, eqn, values: [write.reduce(op, values[0].ids, [int(axis) for axis in eqn.params["axes"]])]
 
 
+def _any(write: Writer, eqn, values: list) -> list[Value]:
+    return [write.reduce("or", values[0].ids, range(values[0].ids.ndim))]
+
+
 def _cumulative(op: str) -> Rule:
     def rule(write: Writer, eqn, values: list) -> list[Value]:
         axis = eqn.params["axis"]
@@ -230,6 +234,7 @@ RULES: dict[str, Rule] = {
     "reduce_min": _reduction("min"),
     "reduce_and": _reduction("and"),
     "reduce_or": _reduction("or"),
+    "unvmap_any": _any,  # of `equinox.error_if`
     "cumsum": _cumulative("add"),
     "cumprod": _cumulative("mul"),
     "cummax": _cumulative("max"),

@@ -36,7 +36,8 @@ def lower(function: Callable, *arguments: Any, real: bool = False) -> Lowered:
       function is defined and does not jump, for everything that it computes, whether a result needs it or not. What
       rounds by its nature, such as conversion to a shorter type, is refused.
 
-    Its operations are those of `covariant.lowering.FOLD`. Raises `LoweringError` naming the primitive that has no
+    Its operations are those of `covariant.lowering.FOLD`. Errors at run time (`equinox.error_if`) are left out of it.
+    Raises `LoweringError` naming the primitive that has no
     graph, such as a factorisation by LAPACK, or a loop whose length depends on the arguments.
     """
     closed, shape = jax.make_jaxpr(function, return_shape=True)(*arguments)
@@ -163,9 +164,17 @@ class _Interpreter:
     def cond_loop(self, p: dict, values: list[Value]) -> list[Value]:
         chosen, *rest = values
         if isinstance(chosen, Scalars):
+            sound = [branch for branch in p["branches"] if not _calls_back(branch.jaxpr)]
+            if len(sound) == 1 and not self.graph.real:  # `equinox.error_if`: the other branch raises an error
+                return self.call(sound[0], rest)
             raise LoweringError("a 'cond' chooses by the arguments; compute both ways and take one by jnp.where")
         index = int(np.clip(int(chosen), 0, len(p["branches"]) - 1))
         return self.call(p["branches"][index], rest)
+
+
+def _calls_back(jaxpr) -> bool:
+    """Whether a branch does nothing but call Python, as one does that raises an error."""
+    return any(eqn.primitive.name == "pure_callback" for eqn in jaxpr.eqns)
 
 
 def _need_reals(eqn, real: bool) -> None:

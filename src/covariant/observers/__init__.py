@@ -36,7 +36,7 @@ from covariant.observers._protocol import (
 from covariant.observers._registry import REGISTRY, Entry
 from covariant.observers._riccati import Estimate, InformationEKF, InformationState, Riccati
 from covariant.observers._salcudean import Salcudean, SalcudeanState
-from covariant.observers._sampled import with_fixed_substeps
+from covariant.observers._sampled import chooses_substeps, needed_substeps, with_fixed_substeps
 from covariant.observers._savitzky_golay import SavitzkyGolay, WindowState
 from covariant.observers._state_ekf import StateEKF, StateEKFInfo, StateEKFState
 from covariant.observers._state_registry import STATE_REGISTRY, Noise, StateEntry
@@ -99,10 +99,12 @@ __all__ = [
     "StateEntry",
     "UKFState",
     "WindowState",
+    "chooses_substeps",
     "continuous",
     "craft_observer",
     "lyapunov_gains",
     "lyapunov_rate",
+    "needed_substeps",
     "notch_gains",
     "printed_rate",
     "run",

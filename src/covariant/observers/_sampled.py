@@ -57,6 +57,11 @@ def needed_substeps(model: MechanicalSystem, t: Number, q: Array, v: Vector, u: 
     return steps_for(dt, jnp.maximum(jnp.max(rates), 1 / LONGEST_STEP))
 
 
+def chooses_substeps(observer: Any) -> bool:
+    """Whether an observer chooses its number of substeps in each sample, by the friction of its mechanical model."""
+    return getattr(observer, "substeps", 0) is None and isinstance(observer.model, MechanicalSystem)
+
+
 def with_fixed_substeps(
     observer: Observer, rate: float, q: Inexact[Array, "K *n"], v: Float[Array, "K n"], u: Float[Array, "K m"]
 ) -> Observer:
@@ -68,7 +73,7 @@ def with_fixed_substeps(
     Raises `ValueError` for an observer whose number of substeps is fixed already or that has no mechanical model, and
     for a rate that is not positive.
     """
-    if getattr(observer, "substeps", 0) is not None or not isinstance(observer.model, MechanicalSystem):
+    if not chooses_substeps(observer):
         raise ValueError(f"with_fixed_substeps: {type(observer).__name__} does not choose its substeps by friction")
     if not 0 < rate < math.inf:
         raise ValueError(f"with_fixed_substeps: rate must be a positive, finite number; got {rate}")

@@ -1,0 +1,44 @@
+"""The compiled C of an observer beside its compiled program of JAX: a step from Python, and a log."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from moments import moment
+
+from covariant.runtime import Stream, run_log
+from covariant.signals import Record
+
+ROWS = 100_000
+
+
+@pytest.mark.benchmark(max_time=0.5, group="engine: a step from Python, n = 2")
+@pytest.mark.parametrize("engine", ["jax", "c"])
+def test_step(benchmark, engine):
+    """NumPy in and out, as a controller in Python has them."""
+    case = moment("intrinsic", 2)
+    y, u = np.asarray(case.y), np.asarray(case.u)
+    if engine == "c":
+        stream = Stream(case.observer, y, 500.0, len(u))
+        assert stream.engine == "c"
+        stamps = iter(np.arange(0.0, 1e6, 0.002).tolist())
+        benchmark(lambda: stream.step(next(stamps), y, u))
+    else:
+        step = jax.jit(lambda *moment: case.observer.step(*moment))
+        benchmark(lambda: jax.block_until_ready(step(case.state, jnp.asarray(u), jnp.asarray(y), case.dt)))
+
+
+@pytest.mark.benchmark(group=f"engine: a log of {ROWS} rows, n = 2, compilation included")
+@pytest.mark.parametrize("engine", ["jax", "c"])
+def test_log(benchmark, engine):
+    """From a fresh process, but for what the cache folder keeps."""
+    case = moment("intrinsic", 2)
+    t = np.arange(ROWS) * 0.002
+    y = np.stack([0.3 * np.sin(t), 0.5 * np.cos(2 * t)], axis=1)
+    record = Record(t, np.zeros((ROWS, len(case.u))), y)
+
+    def work():
+        jax.clear_caches()
+        return jax.block_until_ready(run_log(case.observer, record, engine=engine)[0])
+
+    benchmark.pedantic(work, rounds=3)

@@ -1,0 +1,129 @@
+"""The data sheet of an exported observer: what a step costs, what it needs, and what it was made from."""
+
+import hashlib
+import re
+import shutil
+import subprocess
+import tempfile
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from covariant.export._program import Program
+from covariant.export._source import Source
+
+ARITHMETIC = ("add", "sub", "mul", "div", "neg", "abs", "min", "max", "sign", "sqrt")
+LOGIC = ("lt", "le", "eq", "and", "or", "not", "is_finite", "select", "either")
+COMPILERS = ("arm-none-eabi-gcc", "cc")
+ARM = ("-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16")
+
+
+class Facts(NamedTuple):
+    """What the data sheet says besides the source.
+
+    - `rate` [Hz]: the sampling rate it was made for; `substeps`: Runge–Kutta steps of a sample, where there are any.
+    - `certificate`: lines on what is proved; `audit`: a line on the laws measured. Both may be empty.
+    """
+
+    rate: float
+    substeps: int | None
+    certificate: str = ""
+    audit: str = ""
+
+
+class Size(NamedTuple):
+    """Sizes [bytes] of a compiled source: code with constants, and the deepest stack of a step."""
+
+    compiler: str
+    flash: int
+    stack: int | None
+
+
+def data_sheet(program: Program, source: Source, about: str, facts: Facts) -> str:
+    """The data sheet as Markdown; sizes are those of a compiler that is there, and are left out where there is none."""
+    width = {"double": 8, "float": 4}[program.real]
+    state = sum(leaf.size for leaf in (*program.state, *program.reported)) * width
+    numbers = sum(np.size(value) for value in program.numbers.values())
+    step = source.functions["step"]
+    lines = [f"# Data sheet of {source.name}", "", about, "", "## Work of a step", "", "The same in every step.", ""]
+    lines += ["| operations | count |", "|---|---|"]
+    lines += [f"| {label} | {count} |" for label, count in _counts(step.operations)]
+    lines += ["", "## Memory", "", "| what | bytes |", "|---|---|"]
+    lines += [f"| state | {state} |", f"| numbers that may be changed | {numbers * width} |"]
+    lines.append(f"| numbers kept on the stack between parts of a step | {step.scratch * width} |")
+    for found in sizes(source):
+        lines.append(f"| code and constants, {found.compiler} | {found.flash} |")
+        if found.stack is not None:
+            lines.append(f"| deepest stack of a step, {found.compiler} | {found.stack} |")
+    lines += ["", "## Numbers that may be changed", "", "| name | default |", "|---|---|"]
+    lines += [f"| `{key}` | {_shown(value)} |" for key, value in program.numbers.items()] or ["| none | |"]
+    lines += ["", "## Limits", ""]
+    lines.append(f"- Made for samples at {facts.rate:g} Hz{_substeps(facts)}; slower ones are predicted less exactly.")
+    if program.real == "float":
+        lines.append("- Time is counted in single precision: a force that depends on time loses digits after an hour.")
+    lines.append("- NaN marks what is missing, so that `-ffast-math` must not be used.")
+    for title, text in (("Certificate", facts.certificate), ("Audit", facts.audit)):
+        lines += ["", f"## {title}", "", text] if text else []
+    lines += ["", "## Origin", "", f"- SHA-256 of header and source: `{digest(source)}`"]
+    return "\n".join(lines) + "\n"
+
+
+def digest(source: Source) -> str:
+    """The hash of header and source, which hold model, observer and default numbers."""
+    return hashlib.sha256((source.header + source.source).encode()).hexdigest()
+
+
+def _counts(operations) -> list[tuple[str, int]]:
+    names = [(label, (label,)) for label in ("mul", "div", "sqrt")]
+    words = {"mul": "multiplications", "div": "divisions", "sqrt": "square roots"}
+    rest = tuple(op for op in ARITHMETIC if op not in ("mul", "div", "sqrt"))
+    functions = sorted(op for op in operations if op not in (*ARITHMETIC, *LOGIC))
+    rows = [(words[label], sum(operations[op] for op in ops)) for label, ops in names]
+    rows.append(("additions and other arithmetic", sum(operations[op] for op in rest)))
+    rows.append(("comparisons and choices", sum(operations[op] for op in LOGIC)))
+    rows += [(f"calls of {op}", operations[op]) for op in functions]
+    return [*((label, count) for label, count in rows if count), ("all together", sum(operations.values()))]
+
+
+def _shown(value: np.ndarray) -> str:
+    flat = np.ravel(value)
+    return ", ".join(f"{v:.6g}" for v in flat[:9]) + (", …" if flat.size > 9 else "")
+
+
+def _substeps(facts: Facts) -> str:
+    if facts.substeps is None:
+        return ""
+    return f", with {facts.substeps} Runge–Kutta step{'s' if facts.substeps > 1 else ''} each"
+
+
+def sizes(source: Source) -> list[Size]:
+    """The sizes with each compiler of `COMPILERS` that is there."""
+    return [found for name in COMPILERS if (found := _size(source, name)) is not None]
+
+
+def _size(source: Source, compiler: str) -> Size | None:
+    tool = shutil.which(compiler.replace("gcc", "size") if compiler != "cc" else "size")
+    if shutil.which(compiler) is None or tool is None:
+        return None
+    flags = ARM if compiler.startswith("arm") else ()
+    with tempfile.TemporaryDirectory() as folder:
+        (Path(folder) / f"{source.name}.h").write_text(source.header, encoding="utf-8")
+        (Path(folder) / f"{source.name}.c").write_text(source.source, encoding="utf-8")
+        command = [compiler, "-std=c99", "-Os", *flags, "-fstack-usage", "-c", f"{source.name}.c"]
+        if subprocess.run(command, cwd=folder, capture_output=True, check=False).returncode:
+            return None
+        told = subprocess.run([tool, f"{source.name}.o"], cwd=folder, capture_output=True, text=True, check=False)
+        usage = Path(folder) / f"{source.name}.su"
+        stack = _deepest(usage.read_text(encoding="utf-8"), source.name) if usage.exists() else None
+    numbers = re.findall(r"^\s*(\d+)\s+(\d+)\s+(\d+)", told.stdout, re.MULTILINE)
+    label = f"{compiler} -Os{' for Cortex-M4F' if flags else ' of this machine'}"
+    return Size(label, int(numbers[0][0]) + int(numbers[0][1]), stack) if numbers else None
+
+
+def _deepest(usage: str, name: str) -> int:
+    """The stack [bytes] of a step: its function, the core that it calls, and the largest part of that."""
+    found = {line.split("\t")[0].rpartition(":")[2]: int(line.split("\t")[1]) for line in usage.splitlines()}
+    core = f"{name}_core_step"
+    parts = [size for function, size in found.items() if function.startswith(f"{core}_")]
+    return found.get(f"{name}_step", 0) + found.get(core, 0) + max(parts, default=0)

@@ -1,0 +1,270 @@
+"""An observer as graphs of scalars, with its numbers as arguments: what code is made of."""
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from fnmatch import fnmatchcase
+from typing import Any, Literal, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from covariant.lowering import Lowered, lower
+from covariant.models import Family, Motion, input_count
+from covariant.observers import AbstractObserver
+
+Real = Literal["double", "float"]
+DTYPES = {"double": np.float64, "float": np.float32}
+
+REPORTED = ("innovation", "distance", "nis", "velocity_std", "external_force", "external_force_std")
+"""Fields of an info that are kept, beside the result code."""
+
+
+class Recipe(NamedTuple):
+    """An observer some of whose numbers are open.
+
+    - `make`: `numbers -> observer`, which may be traced by JAX.
+    - `numbers`: the open numbers by name, with their values.
+    """
+
+    make: Callable[[Mapping[str, Any]], AbstractObserver]
+    numbers: dict[str, np.ndarray]
+
+
+class Leaf(NamedTuple):
+    """An array of a structure: its name, its shape, and whether it holds real numbers."""
+
+    name: str
+    shape: tuple[int, ...]
+    real: bool = True
+
+    @property
+    def size(self) -> int:
+        """Number of entries."""
+        return int(np.prod(self.shape, dtype=int))
+
+
+class Program(NamedTuple):
+    """An observer as graphs, on real numbers throughout: counts and truth values of its state are held as numbers.
+
+    - `init`: `(numbers, y, t) -> state`; `step`: `(numbers, state, u, y, dt) -> (state, info)`; `estimate`:
+      `(numbers, state) -> x`.
+    - `numbers`: the open numbers that any of the graphs uses, with their values; `given` are all that are arguments,
+      with the values `values`.
+    - `state`, `info`, `x`: what these consist of; `y`: the shape of a measurement; `u`: the number of inputs.
+    - `real`: the type of the numbers.
+    """
+
+    init: Lowered
+    step: Lowered
+    estimate: Lowered
+    numbers: dict[str, np.ndarray]
+    given: tuple[Leaf, ...]
+    values: tuple[np.ndarray, ...]
+    state: tuple[Leaf, ...]
+    info: tuple[Leaf, ...]
+    x: tuple[Leaf, ...]
+    y: tuple[int, ...]
+    u: int
+    real: Real
+
+    @property
+    def reported(self) -> list[Leaf]:
+        """The fields of the info that are kept beside a state."""
+        return [leaf for leaf in self.info if leaf.name in REPORTED and leaf.size]
+
+    @property
+    def told(self) -> list[Leaf]:
+        """Standard deviations and external forces, which belong to an estimate."""
+        return [leaf for leaf in self.reported if leaf.name.endswith(("_std", "external_force"))]
+
+
+def with_open_numbers(observer: AbstractObserver, fixed: Sequence[str] = ()) -> Recipe:
+    """The recipe in which all arrays of an observer and of its model are open.
+
+    - `fixed`: patterns of names, such as `rotation` or `place*`, of arrays that stay as they are. Zeros among them cost
+      nothing in the code.
+
+    An array is called as in the source. Arrays of one name and equal values, such as a mass that the inertia and the
+    potential both use, are one number. Those of one name with different values are told apart by where they are.
+    """
+    dynamic, static = eqx.partition(observer, eqx.is_inexact_array)
+    paths, tree = jax.tree_util.tree_flatten_with_path(dynamic)
+    arrays = [np.asarray(leaf) for _, leaf in paths]
+    names = _named([_words(path) for path, _ in paths], arrays)
+    kept = [any(fnmatchcase(name, pattern) for pattern in fixed) for name in names]
+    numbers = {name: a for name, a, fix in zip(names, arrays, kept, strict=True) if a.size and not fix}
+
+    def make(values):
+        leaves = [values[n] if n in numbers else leaf for n, (_, leaf) in zip(names, paths, strict=True)]
+        return eqx.combine(jax.tree.unflatten(tree, leaves), static)
+
+    return Recipe(make, numbers)
+
+
+def of_family(observer: AbstractObserver, family: Family) -> Recipe:
+    """The recipe in which the open numbers of a family of models, and those of the observer itself, are open.
+
+    The observer is one of `family.file.model`, whose arrays it holds; raises `ValueError` for another.
+    """
+    model = family.file.model
+    own = {id(leaf): k for k, leaf in enumerate(jax.tree.leaves(model))}
+    dynamic, static = eqx.partition(observer, eqx.is_inexact_array)
+    paths, tree = jax.tree_util.tree_flatten_with_path(dynamic)
+    outside = [(path, leaf) for path, leaf in paths if id(leaf) not in own]
+    if len(outside) == len(paths):
+        raise ValueError("of_family: the observer is not one of family.file.model; make it of that model")
+    names = _named([_words(path) for path, _ in outside], [np.asarray(leaf) for _, leaf in outside])
+    groups: dict[str, list[int]] = {}
+    for k, name in enumerate(family.names):
+        groups.setdefault(name.partition("[")[0], []).append(k)
+    groups = {
+        _identifier(name): each
+        for base, ks in groups.items()
+        for name, each in ([(base, ks)] if _whole(base, ks, family) else [(family.names[k], [k]) for k in ks])
+    }
+    clash = sorted(set(names) & set(groups))
+    renamed = {name: f"observer_{name}" for name in clash}
+    names = [renamed.get(name, name) for name in names]
+    first = np.asarray(family.first, float)
+    numbers = {name: first[ks] if len(ks) > 1 else first[ks[0]] for name, ks in groups.items()}
+    numbers |= {name: np.asarray(leaf) for name, (_, leaf) in zip(names, outside, strict=True) if np.size(leaf)}
+
+    def make(values):
+        flat = jnp.zeros(len(first))
+        for name, ks in groups.items():
+            flat = flat.at[jnp.array(ks)].set(jnp.atleast_1d(jnp.asarray(values[name], float)))
+        leaves = jax.tree.leaves(family.make(flat)[0])
+        mine = dict(zip((id(leaf) for _, leaf in outside), names, strict=True))
+        filled = [leaves[own[id(leaf)]] if id(leaf) in own else values.get(mine[id(leaf)], leaf) for _, leaf in paths]
+        return eqx.combine(jax.tree.unflatten(tree, filled), static)
+
+    return Recipe(make, numbers)
+
+
+def _whole(base: str, ks: Sequence[int], family: Family) -> bool:
+    """Whether open numbers are all of a number or of a list in the file, and so are one array."""
+    given = family.document.get("parameters", {}).get(base)
+    return not isinstance(given, list) or (np.ndim(given) == 1 and len(given) == len(ks))
+
+
+def program(recipe: Recipe, y: Array | np.ndarray, inputs: int | None = None, real: Real = "double") -> Program:
+    """The graphs of an observer.
+
+    - `y`: a configuration, of which the shape counts.
+    - `inputs`: number of inputs m; by default that of the observer's model, or 0 where it has none.
+    - `real`: the type in which the graphs compute.
+
+    Raises `LoweringError` where a step has no graph of a fixed size, as where friction decides the number of its
+    substeps (`observers.with_fixed_substeps`).
+    """
+    dtype = DTYPES[real]
+    y = np.asarray(y, dtype)
+    first = recipe.make(recipe.numbers)
+    model: Any = getattr(first, "model", None)
+    # A filter without a model looks at no input.
+    u = inputs if inputs is not None else input_count(model, y.shape[0]) if model is not None else 0
+    given = {name: jax.ShapeDtypeStruct(np.shape(value), dtype) for name, value in recipe.numbers.items()}
+    scalar, measured = jax.ShapeDtypeStruct((), dtype), jax.ShapeDtypeStruct(y.shape, dtype)
+
+    def made(numbers):
+        return jax.tree.map(lambda a: a.astype(dtype) if eqx.is_inexact_array(a) else a, recipe.make(numbers))
+
+    def init(numbers, y, t):
+        return _real(made(numbers).init(y, t), dtype)
+
+    kinds = jax.eval_shape(lambda n, y, t: made(n).init(y, t), given, measured, scalar)
+    state = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape, dtype), kinds)
+
+    def typed(state):
+        return jax.tree.map(lambda a, kind: a.astype(kind.dtype), state, kinds)
+
+    def step(numbers, state, u, y, dt):
+        return _real(made(numbers).step(typed(state), u, y, dt), dtype)
+
+    def estimate(numbers, state):
+        observer = made(numbers)
+        x: Any = observer.estimate(typed(state))
+        if isinstance(x, tuple) or "x" in getattr(state, "_fields", ()):
+            return x
+        return Motion(*jnp.split(x, 2))
+
+    acting = jax.ShapeDtypeStruct((u,), dtype)
+    lowered = lower(init, given, measured, scalar), lower(step, given, state, acting, measured, scalar)
+    read = lower(estimate, given, state)
+    leaves = tuple(Leaf(name, np.shape(recipe.numbers[name])) for name in sorted(recipe.numbers))  # as JAX orders them
+    used = _used((*lowered, read), leaves)
+    _, info = jax.tree.unflatten(lowered[1].tree, lowered[1].results)
+    return Program(
+        *lowered,
+        read,
+        {leaf.name: np.asarray(recipe.numbers[leaf.name], float) for leaf in leaves if leaf.name in used},
+        leaves,
+        tuple(np.asarray(recipe.numbers[leaf.name], float) for leaf in leaves),
+        _leaves(kinds),
+        _leaves(info),
+        _leaves(jax.tree.unflatten(read.tree, read.results)),
+        y.shape,
+        u,
+        real,
+    )
+
+
+def _real(tree: Any, dtype: Any) -> Any:
+    return jax.tree.map(lambda a: jnp.asarray(a).astype(dtype), tree)
+
+
+def _used(graphs: Sequence[Lowered], leaves: Sequence[Leaf]) -> set[str]:
+    """The open numbers that a graph uses."""
+    inputs = {node.value for lowered in graphs for node in _reached(lowered) if node.op == "input"}
+    owners = [leaf.name for leaf in leaves for _ in range(leaf.size)]
+    return {name for k, name in enumerate(owners) if k in inputs}
+
+
+def _reached(lowered: Lowered):
+    return lowered.graph.pruned(lowered.outputs)[0].nodes
+
+
+def _leaves(tree: Any) -> tuple[Leaf, ...]:
+    """The arrays of a pytree, in order; an array alone is called x."""
+    found = []
+    for path, leaf in jax.tree_util.tree_flatten_with_path(tree)[0]:
+        name = "_".join(_words(path)) or "x"
+        found.append(Leaf(name, tuple(leaf.shape), bool(jnp.issubdtype(leaf.dtype, jnp.floating))))
+    return tuple(found)
+
+
+def _words(path: Sequence[Any]) -> list[str]:
+    """The attributes and keys that lead to a leaf, as words."""
+    keys = [str(getattr(key, "name", getattr(key, "key", getattr(key, "idx", "")))) for key in path]
+    return [_identifier(key) for key in keys if key not in ("parameters", "value")]
+
+
+def _identifier(text: str) -> str:
+    """A name as one of C."""
+    plain = re.sub(r"\W+", "_", text, flags=re.ASCII).strip("_")
+    return f"n{plain}" if plain[:1].isdigit() else plain or "n"
+
+
+def _named(words: Sequence[Sequence[str]], arrays: Sequence[np.ndarray]) -> list[str]:
+    """The shortest names by which arrays of different values are told apart."""
+
+    def same(i: int, j: int) -> bool:
+        return arrays[i].shape == arrays[j].shape and np.array_equal(arrays[i], arrays[j])
+
+    names = ["_".join(w[-1:]) for w in words]
+    for length in range(2, max(map(len, words), default=0) + 1):
+        for i in range(len(names)):
+            twins = [j for j in range(len(names)) if names[j] == names[i]]
+            if any(not same(i, j) for j in twins):
+                for j in twins:
+                    names[j] = "_".join(words[j][-length:])
+    first: dict[str, list[int]] = {}  # of the values that a name has, where even the whole path does not tell
+    for i, name in enumerate(names):
+        values = first.setdefault(name, [])
+        k = next((k for k, j in enumerate(values) if same(i, j)), len(values))
+        values += [i] if k == len(values) else []
+        names[i] = name if k == 0 else f"{name}_{k + 1}"
+    return names

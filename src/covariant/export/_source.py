@@ -1,0 +1,317 @@
+"""The header and the source of an exported observer.
+
+All names begin with the name of the export. There is no memory management and no variable but constants; a state is a
+plain structure, so that a copy of it is a snapshot, and every function works on what it is given.
+"""
+
+import re
+from collections.abc import Sequence
+from importlib.metadata import PackageNotFoundError, version
+from typing import NamedTuple
+
+import numpy as np
+
+from covariant.export._program import Leaf, Program, Real
+from covariant.lowering import CText, Lowered, Signature, c_function, c_helpers, c_number
+from covariant.signals import Result
+
+KEYWORDS = frozenset(
+    [
+        "auto",
+        "break",
+        "case",
+        "char",
+        "const",
+        "continue",
+        "default",
+        "do",
+        "double",
+        "else",
+        "enum",
+        "extern",
+        "float",
+        "for",
+        "goto",
+        "if",
+        "inline",
+        "int",
+        "long",
+        "register",
+        "restrict",
+        "return",
+        "short",
+        "signed",
+        "sizeof",
+        "static",
+        "struct",
+        "switch",
+        "typedef",
+        "union",
+        "unsigned",
+        "void",
+        "volatile",
+        "while",
+        "class",
+        "new",
+        "delete",
+        "this",
+        "template",
+        "public",
+        "private",
+        "protected",
+        "operator",
+        "namespace",
+        "using",
+        "try",
+        "catch",
+        "throw",
+        "bool",
+        "true",
+        "false",
+        "and",
+        "or",
+        "not",
+        "xor",
+        "info",
+    ]
+)
+SENTENCE = "This text is yours: use, change and sell it as you like; no licence of its generator extends to it."
+
+
+class Source(NamedTuple):
+    """The C of an observer: its header and source, and its functions by name, with what a call of each does."""
+
+    name: str
+    header: str
+    source: str
+    functions: dict[str, CText]
+
+
+def write_source(program: Program, name: str, about: str) -> Source:
+    """The header and the source.
+
+    - `name`: what all names begin with, an identifier of C.
+    - `about`: a line that says what the observer is.
+
+    Raises `ValueError` where the name is no identifier.
+    """
+    if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name) or name in KEYWORDS:
+        raise ValueError(f"{name!r} is no name in C; take letters, digits and underscores, beginning with a letter")
+    functions = {
+        "init": _init(program, name),
+        "step": _step(program, name),
+        "estimate": _estimate(program, name),
+    }
+    return Source(name, _header(program, name, about), _source(program, name, about, functions), functions)
+
+
+def entries(owner: str, leaf: Leaf) -> list[str]:
+    """The C expressions of the entries of an array of a structure."""
+    return [f"{owner}{field(leaf)}[{i}]" for i in range(leaf.size)] if leaf.shape else [f"{owner}{field(leaf)}"]
+
+
+def field(leaf: Leaf) -> str:
+    """The name of an array in C."""
+    return f"{leaf.name}_" if leaf.name in KEYWORDS else leaf.name
+
+
+def number(value: float, real: Real) -> str:
+    """A number in C."""
+    return c_number(value, real)
+
+
+def _members(leaves: Sequence[Leaf], name: str) -> str:
+    lines = [f"    {name}_real {field(leaf)}{f'[{leaf.size}]' if leaf.shape else ''};" for leaf in leaves if leaf.size]
+    return "\n".join(lines)
+
+
+def _structure(kind: str, name: str, about: str, members: str) -> str:
+    # A structure without members is no C.
+    return f"/* {about} */\ntypedef struct {{\n{members or f'    {name}_real unused;'}\n}} {name}_{kind};\n"
+
+
+def _header(program: Program, name: str, about: str) -> str:
+    upper = name.upper()
+    codes = ",\n".join(f"    {upper}_{result.name} = {int(result)}" for result in Result)
+    y = int(np.prod(program.y))
+    shape = " x ".join(map(str, program.y))
+    given = [Leaf(key, np.shape(value)) for key, value in program.numbers.items()]
+    parts = [
+        f"/* {about}\n *\n * Written by covariant {_version()}. {SENTENCE}\n */",
+        f"#ifndef {upper}_H\n#define {upper}_H\n",
+        '#ifdef __cplusplus\nextern "C" {\n#endif\n',
+        f"typedef {program.real} {name}_real;\n",
+        f"#define {upper}_MEASUREMENTS {y} /* numbers of a measurement, {shape} by rows */\n"
+        f"#define {upper}_INPUTS {program.u}\n",
+        f"/* Outcome of a step; a larger one is worse. */\nenum {{\n{codes}\n}};\n",
+        _structure(
+            "params", name, "Numbers that may be changed at any time, between two steps.", _members(given, name)
+        ),
+        _structure(
+            "state",
+            name,
+            "What is remembered; a copy is a snapshot. Innovation and standard deviations are of the last step.",
+            _members([*program.state, *(_last(leaf) for leaf in program.reported)], name),
+        ),
+        _structure("output", name, "An estimate.", _members([*program.x, *program.told], name)),
+        f"extern const {name}_params {name}_default;\n",
+        f"/* Start at rest at the measurement y, at the time t [s]. Returns {upper}_OK or, where y is not all finite,\n"
+        f" * {upper}_NOT_FINITE, and then leaves the state as it was. */\n"
+        f"int {name}_init({name}_state *state, const {name}_params *params, const {name}_real *y, {name}_real t);\n",
+        "/* Advance by dt [s] under the input u, held over the step, then correct by the measurement y.\n"
+        " *\n"
+        " * missing: for each number of y, 1 where it was not measured; NULL for none. NaN in y says the same.\n"
+        " * u: NULL counts as zero. An input that is not finite is replaced by the last one, and a step dt that is\n"
+        " * not positive leaves the state as it was; the outcome says so. */\n"
+        f"int {name}_step({name}_state *state, const {name}_params *params, const {name}_real *u,\n"
+        f"    const {name}_real *y, const unsigned char *missing, {name}_real dt);\n",
+        "/* The estimate of a state. */\n"
+        f"void {name}_estimate(const {name}_state *state, const {name}_params *params, {name}_output *output);\n",
+        "#ifdef __cplusplus\n}\n#endif\n",
+        "#endif",
+    ]
+    return "\n".join(parts) + "\n"
+
+
+def _last(leaf: Leaf) -> Leaf:
+    return leaf._replace(name=f"last_{leaf.name}")
+
+
+def _init(program: Program, name: str) -> CText:
+    inputs = [*_numbers(program), *(f"y[{i}]" for i in range(int(np.prod(program.y)))), "t"]
+    outputs = [e for leaf in program.state for e in entries("state->", leaf)]
+    declared = (
+        f"const {name}_params *restrict params, const {name}_real *restrict y, {name}_real t,\n"
+        f"    {name}_state *restrict state"
+    )
+    return _function(
+        program.init, program, f"{name}_core_init", declared, ("params", "y", "t", "state"), inputs, outputs
+    )
+
+
+def _step(program: Program, name: str) -> CText:
+    state = [e for leaf in program.state for e in entries("state->", leaf)]
+    u, y = ([f"{n}[{i}]" for i in range(k)] for n, k in (("u", program.u), ("y", int(np.prod(program.y)))))
+    after = [e for leaf in program.state for e in entries("next->", leaf)]
+    lowered, _places, info = _only_reported(program)
+    found = ["*result" if leaf.name == "result" else None for leaf in info]
+    outputs = [*after]
+    for leaf, result in zip(info, found, strict=True):
+        outputs += [result] if result else entries("next->", _last(leaf))
+    declared = (
+        f"const {name}_params *restrict params, const {name}_state *restrict state,\n"
+        f"    const {name}_real *restrict u, const {name}_real *restrict y, {name}_real dt,\n"
+        f"    {name}_state *restrict next, {name}_real *restrict result"
+    )
+    passed = ("params", "state", "u", "y", "dt", "next", "result")
+    return _function(
+        lowered, program, f"{name}_core_step", declared, passed, [*_numbers(program), *state, *u, *y, "dt"], outputs
+    )
+
+
+def _only_reported(program: Program) -> tuple[Lowered, list[int], list[Leaf]]:
+    """The step without the results that nobody reads."""
+    kept = [*program.reported, *(leaf for leaf in program.info if leaf.name == "result")]
+    count = sum(leaf.size for leaf in program.state)
+    places, at, chosen = list(range(count)), count, []
+    for leaf in program.info:
+        if leaf in kept:
+            places += range(at, at + leaf.size)
+            chosen.append(leaf)
+        at += leaf.size
+    lowered = program.step
+    graph, outputs = lowered.graph.pruned([lowered.outputs[i] for i in places])
+    return lowered._replace(graph=graph, outputs=tuple(outputs)), places, chosen
+
+
+def _estimate(program: Program, name: str) -> CText:
+    state = [e for leaf in program.state for e in entries("state->", leaf)]
+    outputs = [e for leaf in program.x for e in entries("output->", leaf)]
+    declared = (
+        f"const {name}_params *restrict params, const {name}_state *restrict state,\n    {name}_output *restrict output"
+    )
+    passed = ("params", "state", "output")
+    return _function(
+        program.estimate, program, f"{name}_core_estimate", declared, passed, [*_numbers(program), *state], outputs
+    )
+
+
+def _numbers(program: Program) -> list[str]:
+    return [e for leaf in program.given for e in entries("params->", leaf)]
+
+
+def _function(
+    lowered: Lowered,
+    program: Program,
+    name: str,
+    declared: str,
+    passed: tuple[str, ...],
+    inputs: Sequence[str],
+    outputs: Sequence[str],
+) -> CText:
+    prefix = name[: -len(name.rpartition("core_")[2]) - len("core_")]
+    signature = Signature(declared, passed, tuple(inputs), tuple(outputs))
+    return c_function(lowered, name, signature, program.real, prefix, static=True)
+
+
+def _source(program: Program, name: str, about: str, functions: dict[str, CText]) -> str:
+    used = frozenset().union(*(text.helpers for text in functions.values()))
+    upper = name.upper()
+    y = int(np.prod(program.y))
+    size = {"double": 8, "float": 4}[program.real]
+    copied = "".join(_copy(leaf, "output->", "state->") for leaf in program.told)
+    unknown = "".join(_unknown(leaf, name) for leaf in program.reported)
+    no_input = f"    const {name}_real none[{program.u}] = {{{number(0.0, program.real)}}};\n" if program.u else ""
+    acting = "u != NULL ? u : none" if program.u else "u"
+    parts = [
+        f"/* {about}\n *\n * Written by covariant {_version()}. {SENTENCE}\n */",
+        f'#include "{name}.h"\n\n#include <math.h>\n#include <stddef.h>\n',
+        "#ifdef __FAST_MATH__\n#error missing measurements are NaN: compile this file without -ffast-math\n#endif\n",
+        "/* Where double has four bytes, as on some microcontrollers, export the observer in float. */\n"
+        f"typedef char {name}_size_of_real[sizeof({name}_real) == {size} ? 1 : -1];\n",
+        f"const {name}_params {name}_default = {{\n{_defaults(program)}\n}};\n",
+        c_helpers(used, program.real, f"{name}_"),
+        *(text.text for text in functions.values()),
+        f"int {name}_init({name}_state *state, const {name}_params *params, const {name}_real *y, {name}_real t)\n{{\n"
+        f"    int i;\n"
+        f"    for (i = 0; i < {upper}_MEASUREMENTS; ++i) {{\n"
+        f"        if (!(y[i] - y[i] == 0))\n            return {upper}_NOT_FINITE;\n    }}\n"
+        f"    {name}_core_init(params, y, t, state);\n"
+        f"{unknown}    return {upper}_OK;\n}}\n",
+        f"int {name}_step({name}_state *state, const {name}_params *params, const {name}_real *u,\n"
+        f"    const {name}_real *y, const unsigned char *missing, {name}_real dt)\n{{\n"
+        f"{no_input}"
+        f"    {name}_state next;\n    {name}_real seen[{y}], result;\n    int i;\n"
+        f"    for (i = 0; i < {upper}_MEASUREMENTS; ++i)\n"
+        f"        seen[i] = missing != NULL && missing[i] ? ({name}_real)NAN : y[i];\n"
+        f"    {name}_core_step(params, state, {acting}, seen, dt, &next, &result);\n"
+        f"    *state = next;\n    return (int)result;\n}}\n",
+        f"void {name}_estimate(const {name}_state *state, const {name}_params *params, {name}_output *output)\n{{\n"
+        f"    {name}_core_estimate(params, state, output);\n{copied}}}",
+    ]
+    return "\n".join(part for part in parts if part) + "\n"
+
+
+def _defaults(program: Program) -> str:
+    lines = []
+    for key, value in program.numbers.items():
+        digits = ", ".join(number(v, program.real) for v in np.ravel(value).tolist())
+        lines.append(f"    {'{' + digits + '}' if np.ndim(value) else digits} /* {key} */")
+    return ",\n".join(lines) or "    0"
+
+
+def _copy(leaf: Leaf, into: str, out_of: str) -> str:
+    pairs = zip(entries(into, leaf), entries(out_of, _last(leaf)), strict=True)
+    return "".join(f"    {a} = {b};\n" for a, b in pairs)
+
+
+def _unknown(leaf: Leaf, name: str) -> str:
+    """What is not known before the first step."""
+    return "".join(f"    {e} = ({name}_real)NAN;\n" for e in entries("state->", _last(leaf)))
+
+
+def _version() -> str:
+    try:
+        return version("covariant")
+    except PackageNotFoundError:
+        return "from its source"

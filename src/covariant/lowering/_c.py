@@ -1,0 +1,310 @@
+"""A graph as C99: a function of scalars without loops, memory management, or variables outside it.
+
+The text depends on the graph alone, so that it is the same on every machine. Numbers are written with as many digits as
+identify them. A long function is written as several of limited length, since compilers take more than linear time;
+values that one of them leaves to another stand in an array on the stack, whose places are used again.
+"""
+
+import re
+from collections import Counter
+from collections.abc import Sequence
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from covariant.lowering._c_operations import HELPERS, TRUTHS, Words, expression, helpers, literal
+from covariant.lowering._graph import Graph
+from covariant.lowering._lowered import Lowered
+from covariant.lowering._peephole import simplified
+
+Real = Literal["double", "float"]
+
+MOST_STATEMENTS = 500
+"""Longest function: gcc takes minutes for one with ten thousand statements, and seconds for the same in parts."""
+LONGEST_EXPRESSION = 60
+"""Longest expression [characters] that is written into the one that uses it."""
+
+
+class Signature(NamedTuple):
+    """How a C function gets its arguments.
+
+    - `declared`: its parameters as declared, such as `const double *x, double *y`; `passed`: their names, `("x", "y")`.
+    - `inputs`, `outputs`: C expressions of all inputs and results, such as `x[0]`; results must not overlap inputs.
+    """
+
+    declared: str
+    passed: tuple[str, ...]
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+
+
+class CText(NamedTuple):
+    """C of a function.
+
+    - `text`: the function with those that it calls, all but the last of them `static`.
+    - `helpers`: names of the `c_helpers` it calls.
+    - `operations`: how many of each kind a call does, the same in every call.
+    - `scratch`: numbers on its stack beside its variables.
+    """
+
+    text: str
+    helpers: frozenset[str]
+    operations: Counter[str]
+    scratch: int
+
+
+def c_function(
+    lowered: Lowered,
+    name: str,
+    signature: Signature | None = None,
+    real: Real = "double",
+    prefix: str = "",
+    static: bool = False,
+    most_statements: int = MOST_STATEMENTS,
+) -> CText:
+    """A lowered function as C.
+
+    - `signature`: by default `void name(const real *x, real *y)`, from all inputs to all results.
+    - `real`: the type of all numbers. For "float" lower the function with arguments of single precision.
+    - `prefix`: of the names of the helpers that it calls, which `c_helpers` writes.
+
+    Raises `ValueError` where the signature has another number of inputs or results.
+    """
+    lowered = simplified(lowered)
+    chosen = signature or _flat(lowered, real)
+    for what, given, needed in (
+        ("inputs", chosen.inputs, lowered.inputs),
+        ("results", chosen.outputs, len(lowered.outputs)),
+    ):
+        if len(given) != needed:
+            raise ValueError(f"{name}: the function has {needed} {what}; the signature names {len(given)}")
+    return _Writer(lowered, name, chosen, Words(real, prefix), static, most_statements).written()
+
+
+def c_helpers(names: Sequence[str] | frozenset[str], real: Real = "double", prefix: str = "") -> str:
+    """The static functions that C of graphs calls, to stand before it; it needs <math.h>."""
+    return helpers(names, Words(real, prefix))
+
+
+def c_number(value: float, real: Real = "double") -> str:
+    """A number in C, in the fewest digits that identify it."""
+    return literal(value, Words(real, ""))
+
+
+def _flat(lowered: Lowered, real: Real) -> Signature:
+    inputs = tuple(f"x[{i}]" for i in range(lowered.inputs))
+    outputs = tuple(f"y[{i}]" for i in range(len(lowered.outputs)))
+    return Signature(f"const {real} *x, {real} *y", ("x", "y"), inputs, outputs)
+
+
+class _Writer:
+    """Writes one function: orders its nodes, cuts the list into parts, and finds places for what goes between them."""
+
+    def __init__(
+        self, lowered: Lowered, name: str, signature: Signature, words: Words, static: bool, most_statements: int
+    ):
+        self.graph, self.outputs = lowered.graph, lowered.outputs
+        self.name, self.signature, self.words, self.static = name, signature, words, static
+        self.truth = truths(self.graph)
+        order = _order(self.graph, self.outputs)
+        self.inside = self._inside(order)
+        statements = [i for i in order if i not in self.inside]
+        self.parts = _parts(self.graph, statements, most_statements)
+        self.part = {i: k for k, part in enumerate(self.parts) for i in part}
+
+    def written(self) -> CText:
+        places, counts = self._places()
+        last = len(self.parts) - 1
+        sizes = (("real", self.words.real, counts[False]), ("truth", "int", counts[True]))
+        arrays = [(f"{kind}s", c, size) for kind, c, size in sizes if size]
+        rest = "".join(f", {c} *restrict {array}" for array, c, _ in arrays)
+        parts = []
+        for k, part in enumerate(self.parts):
+            lines = self._lines(k, part, places)
+            if last == 0:
+                parts.append(self._function(self.name, self.static, "", lines))
+            else:
+                parts.append(self._function(f"{self.name}_{k + 1}", True, rest, lines, [a for a, _, _ in arrays]))
+        if last > 0:
+            calls = ", ".join([*self.signature.passed, *(array for array, _, _ in arrays)])
+            lines = [f"{c} {array}[{size}];" for array, c, size in arrays]
+            parts.append(
+                self._function(
+                    self.name, self.static, "", [*lines, *(f"{self.name}_{k + 1}({calls});" for k in range(last + 1))]
+                )
+            )
+        operations = Counter(node.op for node in self.graph.nodes if node.op not in ("input", "constant"))
+        used = frozenset(h for i in range(len(self.graph.nodes)) for h in self._helpers(i))
+        return CText("\n".join(parts), used, operations, sum(counts.values()))
+
+    def _helpers(self, i: int) -> list[str]:
+        node = self.graph.nodes[i]
+        if node.op == "stumpff":
+            return [f"stumpff{int(self.graph.nodes[node.arguments[0]].value)}"]  # pyright: ignore[reportArgumentType]
+        return [node.op] if node.op in HELPERS else []
+
+    def _function(self, name: str, static: bool, rest: str, lines: list[str], arrays: Sequence[str] = ()) -> str:
+        body = "\n".join(f"    {line}" for line in lines)
+        unused = [p for p in (*self.signature.passed, *arrays) if not _mentions(body, p)]
+        ignored = "".join(f"    (void){p};\n" for p in unused)
+        head = f"{'static ' if static else ''}void {name}({self.signature.declared}{rest})"
+        return f"{head}\n{{\n{ignored}{body}\n}}\n"
+
+    def _inside(self, order: list[int]) -> set[int]:
+        """The nodes that are written into the expression of the one node that uses them."""
+        uses = Counter(a for i in order for a in set(self.graph.nodes[i].arguments))
+        twice = Counter(a for i in order for a in self.graph.nodes[i].arguments)
+        results = set(self.outputs)
+        length: dict[int, int] = {}
+        inside = set()
+        for i in order:
+            node = self.graph.nodes[i]
+            if node.op in ("input", "constant"):
+                inside.add(i)
+                length[i] = 12
+                continue
+            length[i] = 4 + sum(length[a] if a in inside else 5 for a in node.arguments)
+            simple = node.op in _SIMPLE and length[i] <= LONGEST_EXPRESSION
+            if simple and uses[i] == twice[i] == 1 and i not in results:
+                inside.add(i)
+        return inside
+
+    def _needed(self, i: int) -> set[int]:
+        """The statements whose values the statement of a node uses."""
+        found, stack = set(), list(self.graph.nodes[i].arguments)
+        while stack:
+            a = stack.pop()
+            if a in self.inside:
+                stack.extend(self.graph.nodes[a].arguments)
+            else:
+                found.add(a)
+        return found
+
+    def _places(self) -> tuple[dict[int, str], dict[bool, int]]:
+        """The place of each value that another part uses, and the number of places for numbers and for truth values."""
+        until: dict[int, int] = {}
+        for k, part in enumerate(self.parts):
+            for i in part:
+                for a in self._needed(i):
+                    if self.part[a] != k:
+                        until[a] = k
+        for i in self.outputs:  # results are written in the last part, when all inputs have been read
+            for a in [i] if i not in self.inside else self._needed(i):
+                if self.part[a] != len(self.parts) - 1:
+                    until[a] = len(self.parts) - 1
+        places: dict[int, str] = {}
+        free: dict[bool, list[int]] = {False: [], True: []}
+        counts = {False: 0, True: 0}
+        index: dict[int, int] = {}
+        for k, part in enumerate(self.parts):
+            for i in sorted(j for j in index if until[j] == k):  # read here for the last time, before it is overwritten
+                free[self.truth[i]].append(index.pop(i))
+            for i in part:
+                if i in until:
+                    kind = self.truth[i]
+                    slots = free[kind]
+                    if not slots:
+                        slots.append(counts[kind])
+                        counts[kind] += 1
+                    index[i] = slots.pop(0)
+                    places[i] = f"{'truths' if kind else 'reals'}[{index[i]}]"
+        return places, counts
+
+    def _lines(self, k: int, part: list[int], places: dict[int, str]) -> list[str]:
+        lines, stores = [], []
+
+        def name(i: int) -> str:
+            if self.part[i] != k:
+                return places[i]
+            return f"{'p' if self.truth[i] else 'v'}{i}"
+
+        def text(i: int) -> str:
+            node = self.graph.nodes[i]
+            if node.op == "input":
+                return self.signature.inputs[node.value]  # pyright: ignore[reportArgumentType, reportCallIssue]
+            if node.op == "constant":
+                return literal(node.value, self.words)  # pyright: ignore[reportArgumentType]
+            operands = [text(a) if a in self.inside else name(a) for a in node.arguments]
+            return expression(node.op, [_bracketed(o) for o in operands], self.words)
+
+        for i in part:
+            lines.append(f"const {'int' if self.truth[i] else self.words.real} {name(i)} = {text(i)};")
+            if i in places:
+                stores.append(f"{places[i]} = {name(i)};")
+        if k == len(self.parts) - 1:
+            for target, i in zip(self.signature.outputs, self.outputs, strict=True):
+                value = text(i) if i in self.inside else name(i)
+                stores.append(f"{target} = {f'({self.words.real})({value})' if self.truth[i] else value};")
+        return lines + stores
+
+
+_SIMPLE = {"add", "sub", "mul", "neg", "abs", *TRUTHS}
+"""Operations that are written into the expression that uses them."""
+
+
+def _bracketed(text: str) -> str:
+    """An operand in brackets, unless it is one name, one number or one call."""
+    return f"({text})" if " " in _outside(text) or text[0] in "-!" else text
+
+
+def _outside(text: str) -> str:
+    """What of a text is outside all brackets."""
+    depth, kept = 0, []
+    for letter in text:
+        depth -= letter in ")]"
+        if depth == 0:
+            kept.append(letter)
+        depth += letter in "(["
+    return "".join(kept)
+
+
+def _mentions(body: str, name: str) -> bool:
+    return re.search(rf"\b{re.escape(name)}\b", body) is not None
+
+
+def truths(graph: Graph) -> list[bool]:
+    """For each node whether it is a truth value and not a number."""
+    found: list[bool] = []
+    for node in graph.nodes:
+        if node.op == "constant":
+            found.append(isinstance(node.value, bool))
+        elif node.op == "select":
+            found.append(found[node.arguments[1]])
+        else:
+            found.append(node.op in TRUTHS)
+    return found
+
+
+def _order(graph: Graph, outputs: Sequence[int]) -> list[int]:
+    """The nodes that the outputs need, each after its arguments, and soon before what uses it.
+
+    Sine and cosine of one argument stand together, where compilers make one call of them.
+    """
+    partner = {}
+    for i, node in enumerate(graph.nodes):
+        if node.op in ("sin", "cos"):
+            partner.setdefault(node.arguments[0], []).append(i)
+    seen, order = set(), []
+    for output in outputs:
+        stack = [output]
+        while stack:
+            i = stack[-1]
+            missing = [a for a in graph.nodes[i].arguments if a not in seen]
+            if i in seen:
+                stack.pop()
+            elif missing:
+                stack.extend(reversed(missing))
+            else:
+                stack.pop()
+                node = graph.nodes[i]
+                for k in partner[node.arguments[0]] if node.op in ("sin", "cos") else [i]:
+                    if k not in seen:
+                        seen.add(k)
+                        order.append(k)
+    return order
+
+
+def _parts(graph: Graph, statements: list[int], most: int) -> list[list[int]]:
+    """The statements in parts of about equal length, at least one part."""
+    count = max(1, -(-len(statements) // most))
+    return [[int(i) for i in part] for part in np.array_split(np.array(statements, int), count)]

@@ -1,0 +1,173 @@
+"""An observer as a stream: samples in, estimates out, whatever the samples are."""
+
+import math
+from collections import Counter
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from covariant.models import Motion
+from covariant.observers import AbstractObserver
+from covariant.runtime._kernel import chooses, substeps_needed, with_substeps
+from covariant.runtime._works import engine
+from covariant.signals import Result
+
+LONGEST_GAP = 1.0
+"""Longest time [s] without a sample that the model predicts over; after a longer one the estimate starts anew."""
+SET_BACK = 5
+"""After so many samples in a row with stamps before the last one used, the clock was set back."""
+
+CODES = tuple(Result)
+
+
+class Health(NamedTuple):
+    """What a stream has seen.
+
+    - `samples`: calls of `step`; `results`: how many ended with each result, by its name in lower case.
+    - `late`: samples with a stamp before the last one, left out; `unstamped`: those whose stamp is no finite number.
+    - `misshapen`: measurements or inputs that are not the right count of numbers, taken as missing.
+    - `restarts`: how often the estimate started anew from a measurement, after a gap, a clock that was set, or an
+      estimate that was not finite.
+    """
+
+    samples: int
+    results: dict[str, int]
+    late: int
+    unstamped: int
+    misshapen: int
+    restarts: int
+
+
+class Stream:
+    """An observer that is fed sample by sample: `x = stream.step(t, y, u)`.
+
+    - `observer`: any observer.
+    - `y`: a configuration, of which the shape counts.
+    - `rate` [Hz]: the lowest usual sampling rate. An observer that chooses its number of substeps in each sample gets
+      the number for this rate, at rest.
+    - `inputs`: number of inputs m; by default that of the observer's model.
+
+    It is compiled when it is made: in C where a compiler is there, else in JAX; `engine` says which, with the reason.
+    `step` never raises an error. The first complete measurement starts the estimate; until then it is NaN. NaN and
+    infinite entries of y are missing. A sample with the stamp of the one before changes nothing, nor does one with an
+    earlier stamp, unless `SET_BACK` of them come in a row. `health` counts what was wrong.
+
+    Raises `ValueError` for a rate that is not positive.
+    """
+
+    def __init__(self, observer: AbstractObserver, y: Any, rate: float, inputs: int | None = None):
+        if not 0 < rate < math.inf:
+            raise ValueError(f"Stream: rate must be a positive, finite number; got {rate}")
+        y = np.asarray(y, float)
+        model: Any = getattr(observer, "model", None)
+        stated = getattr(model, "inputs", None)
+        m = inputs if inputs is not None else 0 if model is None else len(y) if stated is None else stated
+        self.observer: Any = _of_fixed_length(observer, y, m, 1 / rate)
+        self.engine, self._works = engine(self.observer, y, m)
+        self._shape = y.shape if y.ndim == 2 else None
+        # Compile before the first sample.
+        self._works.y[:], self._works.u[:] = y.ravel(), 0.0
+        self._works.start(0.0)
+        self._works.advance(1 / rate)
+        self.reset()
+
+    @property
+    def health(self) -> Health:
+        """What was seen so far."""
+        named = {Result(code).name.lower(): count for code, count in enumerate(self._results) if count}
+        c = self._counts
+        return Health(self._samples, named, c["late"], c["unstamped"], c["misshapen"], c["restarts"])
+
+    @property
+    def result(self) -> Result:
+        """The result of the last sample."""
+        return self._last
+
+    def reset(self) -> None:
+        """Forget all samples and counts: the next complete measurement starts the estimate."""
+        self._started, self._t, self._back = False, math.nan, 0
+        self._samples, self._counts, self._results = 0, Counter[str](), [0] * len(CODES)
+        self._last = Result.OK
+        self._works.x[:] = math.nan
+
+    def step(self, t: Any, y: Any, u: Any = None) -> Any:
+        """The estimate at the stamp t [s], from the measurement y, with the input u that acted since the last stamp.
+
+        y and u are numbers, lists or arrays; u None counts as unknown. Returns (q, v) (2n,) as an array of its own, or
+        a `Motion` of arrays for a system that is not in coordinates.
+        """
+        self._samples += 1
+        self._read(self._works.y, y)
+        self._read(self._works.u, u)
+        try:
+            t = float(t)
+        except (TypeError, ValueError):
+            t = math.nan
+        if not math.isfinite(t):
+            self._counts["unstamped"] += 1
+            return self._told(Result.STEP_REFUSED)
+        dt = t - self._t
+        if not self._started or self._anew(dt):
+            return self._begin(t)
+        if dt < 0:
+            self._counts["late"] += 1
+            return self._told(Result.STEP_REFUSED)
+        self._t = t
+        code = self._works.advance(dt)
+        if code == Result.NOT_FINITE:
+            self._started = False
+            self._counts["restarts"] += 1
+        return self._told(CODES[code])
+
+    def _anew(self, dt: float) -> bool:
+        """Whether the stamps leave too long a gap, or the clock was set back."""
+        if 0 <= dt <= LONGEST_GAP:
+            self._back = 0
+            return False
+        self._back = self._back + 1 if dt < 0 else 0
+        jumped = dt > LONGEST_GAP or self._back >= SET_BACK
+        self._counts["restarts"] += jumped
+        return jumped
+
+    def _begin(self, t: float) -> Any:
+        """Start at a measurement that is complete; wait for one otherwise."""
+        self._t, self._back = t, 0
+        self._started = bool(np.isfinite(self._works.y).all())
+        if not self._started:
+            self._works.x[:] = math.nan
+            return self._told(Result.COASTED)
+        self._works.start(t)
+        return self._told(Result.OK)
+
+    def _read(self, into: np.ndarray, given: Any) -> None:
+        """Numbers as given, or NaN where they are not the right count of numbers."""
+        if type(given) is np.ndarray and given.shape == into.shape and given.dtype == into.dtype:  # the quick way
+            into[:] = given
+            return
+        try:
+            if given is None:
+                into.fill(math.nan)
+            elif np.size(given) == into.size:
+                into[:] = given if np.ndim(given) < 2 else np.ravel(given)
+            else:
+                raise ValueError
+        except (TypeError, ValueError):
+            into.fill(math.nan)
+            self._counts["misshapen"] += 1
+
+    def _told(self, result: Result) -> Any:
+        self._results[result] += 1
+        self._last = result
+        x: Any = self._works.x.copy()
+        if self._shape is None:
+            return x
+        return Motion(x[: self._works.y.size].reshape(self._shape), x[self._works.y.size :])
+
+
+def _of_fixed_length(observer: Any, y: np.ndarray, m: int, dt: float) -> Any:
+    """The observer with the number of substeps that it would choose at rest."""
+    if not chooses(observer):
+        return observer
+    state = observer.init(jnp.asarray(y))
+    return with_substeps(observer, int(substeps_needed(observer, state, jnp.zeros(m), jnp.asarray(dt))))

@@ -1,0 +1,322 @@
+"""Exported observers compile without a warning and follow Python; they need no memory management and share no names."""
+
+import functools
+import json
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from covariant import models, observers
+from covariant.cli import _export, main
+from covariant.export import (
+    ROWS,
+    Facts,
+    Program,
+    Vectors,
+    _data_sheet,
+    export_texts,
+    of_family,
+    program,
+    vectors,
+    with_open_numbers,
+    write_folder,
+)
+from covariant.geometry import Budget
+from covariant.models import robots
+
+ROOT = Path(__file__).parents[2]
+FLAGS = ["-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wdouble-promotion", "-Werror"]
+RATE = 250.0
+K = np.arange(ROWS + 1.0)
+needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler, `cc`")
+
+
+class Case(NamedTuple):
+    recipe: object
+    measured: np.ndarray
+    inputs: int | None = None
+    real: str = "double"
+
+
+def swing(*centres: float) -> np.ndarray:
+    return np.stack([c + 0.2 * np.sin(K / (4 + i)) for i, c in enumerate(centres)], axis=1)
+
+
+def on_group(group) -> np.ndarray:
+    return np.stack([np.asarray(group.exp(jnp.array([0.1 * np.sin(k / 4), 0.2, 0.05 * k]))) for k in K])
+
+
+@functools.cache
+def family():
+    """The double pendulum with friction, its numbers open."""
+    return models.family(str(ROOT / "examples" / "demo_double_pendulum.toml"), ("mass", "length", "com", "coulomb"))
+
+
+def case(name: str) -> Case:
+    pendulum, one = family().file.model, jnp.eye(2)
+    match name:
+        case "pendulum":  # its second angle goes through π
+            return Case(of_family(observers.Intrinsic(pendulum, 20.0, 200.0, substeps=1), family()), swing(0.0, np.pi))
+        case "pendulum_float":
+            return case("pendulum")._replace(real="float")
+        case "kalman":
+            filter_ = observers.IntrinsicKalman(pendulum, one, 1e-4 * one, one, substeps=1)
+            return Case(with_open_numbers(filter_, ("*[!v]",)), swing(0.0, 0.5))
+        case "exact":  # a fixed budget for its geodesics, behind a gate
+            exact = observers.Geodesic(models.ball_and_beam(), 4.0, 8.0, Budget(1, 2), substeps=1)
+            gated = observers.Gated(exact, exact.model, jnp.asarray(1e-3), jnp.array([1.0, 1.0]))
+            return Case(with_open_numbers(gated), swing(0.3, 0.1), 1)
+        case "top":
+            top = models.heavy_top()
+            return Case(with_open_numbers(observers.Intrinsic(top, 20.0, 200.0, substeps=1)), on_group(top.group))
+        case "ship":
+            ship = models.marine.cybership()
+            observer = observers.craft_observer(ship, jnp.eye(3), jnp.diag(jnp.diag(ship.mass)))
+            return Case(with_open_numbers(observer), swing(0.0, 1.0, np.pi), 3)
+        case "scara":
+            robot = robots.load(ROOT / "examples" / "scara.urdf")
+            recipe = with_open_numbers(observers.Intrinsic(robot, 20.0, 200.0, substeps=1), ("[!abfm]*", "motors"))
+            return Case(recipe, swing(0.3, 0.4, 0.1, 0.0), 4, "float")
+        case "slope":  # one coordinate, no input, no model
+            return Case(with_open_numbers(observers.FilteredDerivative(20.0)), swing(0.4))
+        case _:
+            raise KeyError(name)
+
+
+CASES = ("pendulum", "pendulum_float", "kalman", "exact", "top", "ship", "scara", "slope")
+each = pytest.mark.parametrize("name", CASES)
+
+
+class Export(NamedTuple):
+    case: Case
+    program: Program
+    folder: Path
+
+    @property
+    def vectors(self) -> Vectors:
+        return vectors(self.program, self.case.measured, RATE)
+
+
+@pytest.fixture(scope="session")
+def exported(tmp_path_factory):
+    """Exports by name, each written once."""
+    folder = tmp_path_factory.mktemp("exports")
+
+    @functools.cache
+    def made(name: str) -> Export:
+        chosen = case(name)
+        graphs = program(chosen.recipe, chosen.measured[0], chosen.inputs, chosen.real)
+        patch.setattr(_data_sheet, "COMPILERS", ())  # the command is asked for sizes once, below
+        texts = export_texts(graphs, name, f"The case */ {name}", chosen.measured, Facts(RATE, 1))
+        write_folder(texts, folder / name)
+        patch.undo()
+        return Export(chosen, graphs, folder / name)
+
+    patch = pytest.MonkeyPatch()
+    return made
+
+
+def ran(command: list, folder: Path) -> str:
+    done = subprocess.run([str(part) for part in command], cwd=folder, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+@each
+@needs_compiler
+def test_it_compiles_without_a_warning_and_passes_its_own_test(name, exported):
+    folder = exported(name).folder
+    for compiler in ("gcc", "clang") if name in ("pendulum", "pendulum_float", "slope") else ("cc",):
+        if shutil.which(compiler) is None:
+            continue  # one of them is there: `needs_compiler`
+        ran([compiler, *FLAGS, "-O1", "-I.", f"{name}.c", f"test/{name}_test.c", "-lm", "-o", "self_test"], folder)
+        assert f"{name}: ok, {ROWS} steps" in ran(["./self_test"], folder)
+
+
+@needs_compiler
+@pytest.mark.parametrize("name", ["pendulum", "top"])
+def test_sanitizers_find_nothing(name, exported):
+    folder = exported(name).folder
+    checks = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
+    ran(["cc", *FLAGS, *checks, "-I.", f"{name}.c", f"test/{name}_test.c", "-lm", "-o", "sanitized"], folder)
+    ran(["./sanitized"], folder)
+
+
+@needs_compiler
+def test_a_wrong_sign_fails_the_self_test(exported, tmp_path):
+    """The other half of the law: what it allows is rounding and no more."""
+    folder = exported("pendulum").folder
+    text = (folder / "pendulum.c").read_text()
+    wrong = text.replace("9.81 /* gravity */", "9.810000000001 /* gravity */")
+    wrong = wrong if wrong != text else text.replace("{0.3, 0.25} /* length */", "{0.3000000000001, 0.25} /* length */")
+    assert wrong != text
+    (tmp_path / "pendulum.c").write_text(wrong)
+    ran(["cc", f"-I{folder}", "pendulum.c", folder / "test" / "pendulum_test.c", "-lm", "-o", "spoiled"], tmp_path)
+    done = subprocess.run([str(tmp_path / "spoiled")], capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert "WRONG" in done.stdout
+
+
+@pytest.mark.parametrize("name", ["pendulum", "top"])
+def test_its_vectors_are_what_the_observer_does_in_jax(name, exported):
+    graphs, expected = exported(name).program, exported(name).vectors
+    chosen = exported(name).case
+    observer = chosen.recipe.make({key: jnp.asarray(value) for key, value in chosen.recipe.numbers.items()})
+    start = jnp.asarray(expected.start).reshape(graphs.y)
+    y = jnp.where(expected.missing, jnp.nan, expected.y).reshape(-1, *graphs.y)
+
+    @eqx.filter_jit
+    def followed(observer, start, u, y, dt):
+        def step(state, row):
+            state, info = observer.step(state, *row)
+            return state, (observer.estimate(state), info.result)
+
+        return jax.lax.scan(step, observer.init(start), (u, y, dt))[1]
+
+    x, result = followed(observer, start, jnp.asarray(expected.u), y, jnp.asarray(expected.dt))
+    flat = np.concatenate([np.asarray(leaf).reshape(ROWS, -1) for leaf in jax.tree.leaves(x)], axis=1)
+    assert (np.abs(flat - expected.expected) <= expected.allowed).all()
+    assert set(expected.result) >= {0, 1, 2, 3, 16}, "the faults of the run are told"
+    np.testing.assert_array_equal(result, expected.result)
+
+
+@needs_compiler
+def test_two_exports_and_their_wrappers_link_into_one_program_in_cpp(exported, tmp_path):
+    names = ("pendulum", "slope")
+    folders = [exported(name).folder for name in names]
+    includes = [f"-I{folder}" for folder in folders]
+    (tmp_path / "main.cpp").write_text(
+        '#include "pendulum.hpp"\n#include "slope.hpp"\n#include <cmath>\n'
+        "int main() {\n"
+        "    pendulum::Observer a; slope::Observer b;\n"
+        "    const double y[2] = {0.1, 0.2}, u[2] = {0, 0};\n"
+        "    a.params.mass[0] = 0.7;\n"
+        "    for (int i = 0; i < 5; ++i) { a.step(y, 0.004, u); b.step(y, 0.004); }\n"
+        "    pendulum::Observer copy = a;\n"
+        "    a.step(y, 0.004, u); copy.step(y, 0.004, u);\n"
+        "    const bool same = a.estimate().v[0] == copy.estimate().v[0];\n"
+        "    return same && std::isfinite(a.estimate().v[1]) && b.estimate().q[0] == y[0] ? 0 : 1;\n}\n"
+    )
+    for name, folder in zip(names, folders, strict=True):
+        ran(["cc", *FLAGS, "-c", folder / f"{name}.c", "-o", f"{name}.o"], tmp_path)
+    flags = [flag for flag in FLAGS if flag != "-std=c99"]
+    ran(["c++", "-std=c++11", *flags, *includes, "main.cpp", "pendulum.o", "slope.o", "-lm", "-o", "both"], tmp_path)
+    ran(["./both"], tmp_path)
+    lines = ran(["nm", "pendulum.o", "slope.o"], tmp_path).splitlines()
+    symbols = [line.split()[-2:] for line in lines if len(line.split()) > 1]
+    defined = {name for kind, name in symbols if kind in "TDBR"}
+    assert all(name.startswith(("pendulum_", "slope_")) for name in defined)
+    assert not any(kind in "DBdbC" for kind, _ in symbols), "there is a variable"
+    needed = {name for kind, name in symbols if kind == "U"}
+    assert needed <= {"sin", "cos", "sincos", "sqrt", "exp", "expm1", "atan", "rint", "fabs", "memcpy", "round"}
+
+
+def test_the_wiring_example_of_the_readme_compiles(exported, tmp_path):
+    folder = exported("pendulum").folder
+    readme = (folder / "README.md").read_text()
+    (tmp_path / "use.c").write_text(readme.partition("```c\n")[2].partition("```")[0])
+    if shutil.which("cc") is None:
+        pytest.skip("there is no C compiler, `cc`")
+    ran(["cc", *FLAGS, f"-I{folder}", "-c", "use.c"], tmp_path)
+
+
+def test_numbers_of_one_name_and_value_are_one_and_others_are_told_apart():
+    scara = with_open_numbers(observers.Intrinsic(robots.load(ROOT / "examples" / "scara.urdf"), 20.0, 200.0))
+    assert scara.numbers["mass"].shape == (4,)  # of the inertia and of the potential
+    pendulum = with_open_numbers(observers.Intrinsic(family().file.model, 20.0, 200.0)).numbers
+    assert {"matrix_constant", "constant"} & set(pendulum)
+    assert len(pendulum) == len(set(pendulum))
+
+
+def test_an_observer_of_another_model_has_no_numbers_of_the_family():
+    with pytest.raises(ValueError, match=r"not one of family\.file\.model"):
+        of_family(observers.Intrinsic(models.ball_and_beam(), 1.0, 1.0), family())
+
+
+def test_a_name_that_is_none_in_c_is_refused(exported):
+    graphs = exported("slope").program
+    with pytest.raises(ValueError, match="no name in C"):
+        export_texts(graphs, "for", "", case("slope").measured, Facts(RATE, None))
+
+
+def test_a_folder_with_files_is_left_alone_unless_told(tmp_path):
+    (tmp_path / "mine.txt").write_text("mine")
+    with pytest.raises(ValueError, match="not empty"):
+        write_folder({"a.c": "x"}, tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["mine.txt"]
+    write_folder({"a.c": "x"}, tmp_path, overwrite=True)
+    assert (tmp_path / "mine.txt").read_text() == "mine"
+    assert (tmp_path / "a.c").read_text() == "x"
+    with pytest.raises(ValueError, match="there is no folder"):
+        write_folder({"a.c": "x"}, tmp_path / "not" / "there")
+
+
+def command(monkeypatch, capsys, *words) -> tuple[int, str, str]:
+    monkeypatch.setattr(sys, "argv", ["covariant", "export", *map(str, words)])
+    with pytest.raises(SystemExit) as left:
+        main()
+    told = capsys.readouterr()
+    return int(left.value.code or 0), told.out, told.err
+
+
+@needs_compiler
+def test_the_command_of_the_page_writes_what_passes_its_test(tmp_path, monkeypatch, capsys):
+    [line] = re.findall(r"```bash\ncovariant export (.*?)\n```", (ROOT / "docs" / "firmware.md").read_text())
+    options, out = shlex.split(line), tmp_path / "arm"
+    shutil.copy(ROOT / "examples" / options[0], tmp_path)
+    monkeypatch.chdir(tmp_path)
+    code, told, _ = command(monkeypatch, capsys, *options, "--json")
+    assert code == 0
+    assert {"alpha", "mass", "coulomb"} <= set(json.loads(told)["numbers"])
+    ran(["cc", *FLAGS, "-I.", "arm.c", "test/arm_test.c", "-lm", "-o", "self_test"], out)
+    ran(["./self_test"], out)
+    sheet = (out / "DATASHEET.md").read_text()
+    assert "| calls of sin |" in sheet
+    assert "500 Hz" in sheet
+    assert command(monkeypatch, capsys, *options)[0] == 2, "the folder is not empty"
+
+
+def test_what_is_proved_and_what_is_broken_is_told(tmp_path, monkeypatch, capsys):
+    """The data sheet quotes a certificate of this observer only, and a broken law is a warning."""
+    proved = ROOT / "examples" / "certificates" / "ball_and_beam.json"
+    gains = ("--alpha", "1.4142135623730951", "--beta", 0.5, "--rate", 100, "--certificate", proved)
+    broken = SimpleNamespace(rows=[SimpleNamespace(name="torsion", verdict="fails")], passed=False)
+    monkeypatch.setattr(_export, "audit", lambda observer, points: broken)
+    code, _, told = command(monkeypatch, capsys, "ball_and_beam", *gains, "-o", tmp_path / "out")
+    assert code == 0
+    assert "warning: the observer breaks laws of its audit: torsion" in told
+    sheet = (tmp_path / "out" / "DATASHEET.md").read_text()
+    assert "converges at the rate 0.05 1/s" in sheet
+    assert "breaks laws of its audit: torsion" in sheet
+    code, _, told = command(monkeypatch, capsys, "ball_and_beam", *gains, "--beta", 0.6, "-o", tmp_path / "other")
+    assert code == 2
+    assert "is for alpha = 1.41421, beta = 0.5" in told
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--rate", 0), "--rate must be a positive number"),
+        (("--rate", 100, "--real", "half"), "--real must be one of"),
+        (("--rate", 100, "--observer", "nobody"), "is no observer"),
+        (("--rate", 100, "--alpha", 1), "belong together"),
+        (("--rate", 100, "--parameters", "weight"), "weight"),
+    ],
+)
+def test_bad_options_are_named(words, said, tmp_path, monkeypatch, capsys):
+    model = ROOT / "examples" / "demo_double_pendulum.toml"
+    code, _, told = command(monkeypatch, capsys, model, *words, "--no-audit", "-o", tmp_path / "out")
+    assert code == 2
+    assert said in told
+    assert not (tmp_path / "out").exists()

@@ -1,0 +1,148 @@
+"""Streams and logs through compiled C: what JAX does, whatever the samples are."""
+
+import functools
+import math
+import shutil
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from covariant import models, observers
+from covariant.runtime import Stream, _compile, run_log
+from covariant.signals import Record, Result
+
+RATE = 250.0
+needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler, `cc`")
+
+
+@functools.cache
+def pendulum():
+    """With friction that asks for more than one substep in long steps."""
+    return models.pendulum_chain(viscous=(0.1, 0.1), coulomb=(0.05, 0.02))
+
+
+@functools.cache
+def gated():
+    intrinsic = observers.Intrinsic(pendulum(), 20.0, 200.0)
+    return observers.Gated(intrinsic, pendulum(), jnp.asarray(1e-3), jnp.array([2.0, 2.0]))
+
+
+@functools.cache
+def record() -> Record:
+    t = np.cumsum(np.random.default_rng(0).uniform(0.5, 1.5, 600)) / RATE
+    t[300:] += 0.05  # a gap, which takes more substeps
+    y = np.stack([0.5 * np.sin(3 * t), 3.1 + 0.2 * np.cos(5 * t)], axis=1)
+    y[100:103] = np.nan
+    y[200, 1] += 2.0  # an outlier
+    return Record(t, 0.1 * np.sin(np.stack([t, 2 * t], axis=1)), y)
+
+
+@needs_compiler
+def test_a_log_through_c_is_that_through_jax():
+    through_c, name = run_log(gated(), record(), engine="c")
+    through_jax, other = run_log(gated(), record(), engine="jax")
+    assert (name, other[:3]) == ("c", "jax")
+    assert jax.tree.structure(through_c) == jax.tree.structure(through_jax)
+    for ours, theirs in zip(jax.tree.leaves(through_c), jax.tree.leaves(through_jax), strict=True):
+        np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-9)
+        assert np.asarray(ours).dtype == np.asarray(theirs).dtype
+    assert {Result.OK, Result.COASTED, Result.OUTLIER} <= set(np.asarray(through_c.info.result))
+
+
+def test_a_short_log_stays_with_jax_and_a_fault_of_the_record_is_told():
+    short = Record(*(a[:1] for a in record()[:3]))
+    with pytest.raises(ValueError, match="at least two rows"):
+        run_log(gated(), short)
+
+
+@functools.cache
+def made(engine: str) -> Stream:
+    with pytest.MonkeyPatch.context() as patch:
+        if engine == "jax":
+            patch.setattr(_compile, "compiler", lambda: None)
+            _compile.missing.cache_clear()
+        stream = Stream(gated(), record().y[0], RATE)
+        _compile.missing.cache_clear()
+    assert stream.engine.startswith(engine)
+    return stream
+
+
+@pytest.fixture(params=["c", "jax"])
+def stream(request) -> Stream:
+    """A stream by each engine, as if it were new."""
+    if request.param == "c" and shutil.which("cc") is None:
+        pytest.skip("there is no C compiler, `cc`")
+    stream = made(request.param)
+    stream.reset()
+    return stream
+
+
+def test_a_stream_does_what_the_loop_by_hand_does(stream):
+    observer, (t, u, y, _) = stream.observer, record()
+    stepped = jax.jit(lambda *a: observer.step(*a))
+    state = observer.init(jnp.asarray(y[0]), t[0])
+    assert np.isnan(stream.step(t[0] - 1, [math.nan, 0.0])).all(), "it waits for a complete measurement"
+    x = stream.step(t[0], y[0])
+    for k in range(1, 250):
+        state, info = stepped(state, jnp.asarray(u[k - 1]), jnp.asarray(y[k]), jnp.asarray(t[k] - t[k - 1]))
+        x = stream.step(t[k], y[k], u[k - 1])
+        assert stream.result == info.result
+    np.testing.assert_allclose(x, observer.estimate(state), rtol=1e-9, atol=1e-12)
+    assert stream.health.results["coasted"] == 4
+    assert stream.health.results["outlier"] >= 1
+
+
+def test_no_sample_raises_and_each_fault_is_counted(stream):
+    (t, u, y, _), k = record(), 0
+    for k in range(40):
+        x = stream.step(t[k], y[k], u[k])
+    usual = np.abs(x).max()
+    faults = [
+        (t[k], y[k], u[k]),  # repeated
+        (t[k] - 0.01, y[k], u[k]),  # late
+        (math.nan, y[k], u[k]),
+        ("now", y[k], None),
+        (t[k + 1], [math.inf, y[k][1]], u[k]),
+        (t[k + 2], [0.1], u[k]),  # too few numbers
+        (t[k + 3], "nothing", u[k]),
+        (t[k + 4], None, [math.nan, math.inf]),
+        (t[k + 5], 1e300 * y[k], u[k]),
+    ]
+    for sample in faults:
+        x = stream.step(*sample)
+        assert np.isfinite(x).all()
+        assert np.abs(x).max() < 10 * usual
+    health = stream.health
+    assert health.samples == 40 + len(faults)
+    assert (health.late, health.unstamped, health.misshapen) == (1, 2, 2)
+    assert health.results["repeated"] == 1
+    assert health.results["input_held"] >= 1
+    assert sum(health.results.values()) == health.samples
+
+
+def test_a_long_gap_and_a_clock_that_is_set_back_start_the_estimate_anew(stream):
+    t, u, y, _ = record()
+    for k in range(20):
+        stream.step(t[k], y[k], u[k])
+    x = stream.step(t[19] + 100.0, [0.4, 0.3], u[19])
+    np.testing.assert_array_equal(x, [0.4, 0.3, 0.0, 0.0])
+    for k in range(5):
+        x = stream.step(t[20 + k], y[20 + k], u[20])
+    np.testing.assert_array_equal(x, [*y[24], 0.0, 0.0])
+    assert stream.health.late == 4
+    assert stream.health.restarts == 2
+
+
+def test_estimates_are_arrays_of_their_own(stream):
+    t, u, y, _ = record()
+    first = stream.step(t[0], y[0], u[0])
+    kept = first.copy()
+    stream.step(t[1], y[1], u[1])
+    np.testing.assert_array_equal(first, kept)
+
+
+def test_a_rate_that_is_none_is_refused():
+    with pytest.raises(ValueError, match="rate must be a positive"):
+        Stream(gated(), record().y[0], 0.0)
