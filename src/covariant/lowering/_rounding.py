@@ -40,7 +40,7 @@ def perturbed(unit: float, lanes: int, seed: int = 0) -> Domain:
             if value.dtype == bool or op in EXACT:
                 return value
             off = next(turn)
-            return np.where(value == np.rint(value), value, value + value * off) if op in WHOLE else value + value * off
+            return np.where(value == np.rint(value), value, value * (1.0 + off)) if op in WHOLE else value * (1.0 + off)
 
         return rounded
 
