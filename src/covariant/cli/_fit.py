@@ -78,9 +78,7 @@ def when_true(job: Job) -> Loaded:
     delay, *others = np.unique(np.asarray(file.delay, float))
     if others:
         raise ValueError(f"{job.model}: this takes one [measurement] delay for all positions; got {file.delay}")
-    loaded = load(
-        job._replace(overrides=(*job.overrides, "measurement.delay=0")), why="this command takes"
-    )
+    loaded = load(job._replace(overrides=(*job.overrides, "measurement.delay=0")), why="this command takes")
     between, late = file.input_between, file.input_delay + float(delay)
     raw, lagging = loaded.log.record, lag_inputs(loaded.log.record, file.input_lag)
     log = loaded.log._replace(record=acting_inputs(raw, between, late))

@@ -1,0 +1,204 @@
+"""The commands that read a log, and their options."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from covariant.cli._names import ESTIMATORS, STATE_ESTIMATORS, WRITTEN
+from covariant.cli._options import (
+    Anyway,
+    Every,
+    From,
+    Inputs,
+    Json,
+    LogFile,
+    Model,
+    Override,
+    Positions,
+    Report,
+    Time,
+    Truth,
+    Until,
+    Velocities,
+)
+
+on_logs = typer.Typer()
+
+
+@on_logs.command()
+def estimate(
+    model: Model,
+    log: LogFile,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help=f"Write the estimate here ({', '.join(WRITTEN)}).")
+    ] = None,
+    observer: Annotated[
+        str | None,
+        typer.Option(
+            help=f"One of: {', '.join(ESTIMATORS)}; intrinsic by default. For a state-space model: "
+            f"{', '.join(STATE_ESTIMATORS)}."
+        ),
+    ] = None,
+    alpha: Annotated[float | None, typer.Option(help="Gain α [1/s] in place of the designed one.")] = None,
+    beta: Annotated[float | None, typer.Option(help="Gain β [1/s²] in place of the designed one.")] = None,
+    override: Override = [],  # noqa: B006  typer copies it
+    every: Every = 1,
+    start: From = None,
+    until: Until = None,
+    t: Time = None,
+    q: Positions = None,
+    u: Inputs = None,
+    v: Velocities = None,
+    truth: Truth = None,
+    score: Annotated[
+        bool,
+        typer.Option("--score", help="Score the velocities too, against slopes of the positions."),
+    ] = False,
+    report: Report = None,
+    anyway: Anyway = False,
+    json: Json = False,
+) -> None:
+    """Estimate velocities from the positions or attitudes in a log."""
+    from covariant.cli import _estimate
+    from covariant.cli._job import Job
+
+    job = Job(
+        model, log, tuple(override), every, until, {"t": t, "q": q, "u": u, "v": v, "truth": truth}, anyway, start
+    )
+    _estimate.estimate(job, out, observer, alpha, beta, score, report, json)
+
+
+@on_logs.command()
+def compare(
+    model: Model,
+    log: LogFile,
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="Write the table here (.csv).")] = None,
+    override: Override = [],  # noqa: B006  typer copies it
+    every: Every = 1,
+    start: From = None,
+    until: Until = None,
+    t: Time = None,
+    q: Positions = None,
+    u: Inputs = None,
+    v: Velocities = None,
+    truth: Truth = None,
+    report: Report = None,
+    anyway: Anyway = False,
+    json: Json = False,
+) -> None:
+    """Run all estimators on a log, tuned from the same data sheet, and rank them."""
+    from covariant.cli import _compare
+    from covariant.cli._job import Job
+
+    job = Job(
+        model, log, tuple(override), every, until, {"t": t, "q": q, "u": u, "v": v, "truth": truth}, anyway, start
+    )
+    _compare.compare(job, out, report, json)
+
+
+@on_logs.command()
+def check(
+    model: Model,
+    log: LogFile,
+    override: Override = [],  # noqa: B006  typer copies it
+    every: Every = 1,
+    start: From = None,
+    until: Until = None,
+    t: Time = None,
+    q: Positions = None,
+    u: Inputs = None,
+    json: Json = False,
+) -> None:
+    """Compare a log with a model: units, order, signs, delays, ticks, outliers; exit code 1 where one is wrong."""
+    from covariant.cli import _check
+    from covariant.cli._job import Job
+
+    _check.check(Job(model, log, tuple(override), every, until, {"t": t, "q": q, "u": u}, True, start), json)
+
+
+@on_logs.command()
+def fit(
+    model: Model,
+    log_files: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="LOG...", help="Logs to fit; the last of several, or the last third of one, is held out."
+        ),
+    ],
+    parameters: Annotated[
+        str, typer.Option(help="Numbers to fit, by commas: mass, com[0] of [parameters], or inputs.lag.")
+    ],
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="Write the model file with the fitted numbers here (.toml).")
+    ] = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Let --out replace a file that exists.")] = False,
+    horizon: Annotated[
+        float | None, typer.Option(help="Length of predictions [s]; by default as the motion suggests.")
+    ] = None,
+    override: Override = [],  # noqa: B006  typer copies it
+    every: Every = 1,
+    start: From = None,
+    until: Until = None,
+    t: Time = None,
+    q: Positions = None,
+    u: Inputs = None,
+    anyway: Anyway = False,
+    json: Json = False,
+) -> None:
+    """Fit numbers of a model to logs: with standard errors, and with names for what the logs do not determine.
+
+    Exit code 1 where the fitted model predicts worse than before what is held out; it is not written then.
+    """
+    from covariant.cli import _fit
+    from covariant.cli._job import Job
+
+    columns = {"t": t, "q": q, "u": u, "v": None, "truth": None}
+    jobs = [Job(model, log, tuple(override), every, until, columns, anyway, start) for log in log_files]
+    _fit.fit_model(jobs, parameters, out, overwrite, horizon, json)
+
+
+@on_logs.command()
+def tune(
+    model: Model,
+    log_files: Annotated[
+        list[Path], typer.Argument(metavar="LOG...", help="Logs; the last third of each is held out to judge by.")
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", "--write", help="Write the model file with the tuned numbers here (.toml)."),
+    ] = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Let --out replace a file that exists.")] = False,
+    override: Override = [],  # noqa: B006  typer copies it
+    every: Every = 1,
+    until: Until = None,
+    t: Time = None,
+    q: Positions = None,
+    u: Inputs = None,
+    report: Report = None,
+    anyway: Anyway = False,
+    json: Json = False,
+) -> None:
+    """Tune noise and gains to logs by the likelihood of their innovations, and judge them on what was held out."""
+    from covariant.cli import _tune
+    from covariant.cli._job import Job
+
+    columns = {"t": t, "q": q, "u": u, "v": None, "truth": None}
+    jobs = [Job(model, log, tuple(override), every, until, columns, anyway) for log in log_files]
+    _tune.tune_model(jobs, out, overwrite, report, json)
+
+
+@on_logs.command()
+def init(
+    log: LogFile,
+    out: Annotated[Path, typer.Option("--out", "-o", help="Model file to write (.toml); it must not exist.")],
+    t: Time = None,
+    q: Positions = None,
+    u: Inputs = None,
+    v: Velocities = None,
+    json: Json = False,
+) -> None:
+    """Draft a model file from the header and the content of a log; what is guessed is said in its comments."""
+    from covariant.cli import _init
+
+    _init.init(log, out, {"t": t, "q": q, "u": u, "v": v}, json)

@@ -1,0 +1,247 @@
+"""The commands that need a model alone, and their options."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from covariant.cli._names import CERTIFIED, ESTIMATORS, PAPERS, WRITTEN
+from covariant.cli._options import (
+    Json,
+    Model,
+    Override,
+    Report,
+)
+
+on_models = typer.Typer()
+design = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="Design what an observer needs.")
+
+
+@on_models.command()
+def simulate(
+    model: Model,
+    out: Annotated[Path, typer.Option("--out", "-o", help=f"Log to write ({', '.join(WRITTEN)}).")],
+    duration: Annotated[float, typer.Option(help="Length [s].", min=0.0)] = 10.0,
+    rate: Annotated[float, typer.Option(help="Samples a second [Hz].")] = 500.0,
+    q0: Annotated[
+        str | None,
+        typer.Option(
+            help="Initial positions, by commas, or exponential coordinates of a pose; the whole initial state of a "
+            "state-space model; zeros by default."
+        ),
+    ] = None,
+    v0: Annotated[str | None, typer.Option(help="Initial velocities, separated by commas; zeros by default.")] = None,
+    amplitude: Annotated[str | None, typer.Option(help="Amplitudes of sinusoidal inputs, by commas.")] = None,
+    frequency: Annotated[float, typer.Option(help="Frequency of the inputs [Hz].")] = 0.5,
+    noise: Annotated[float, typer.Option(help="Standard deviation of the position noise.")] = 0.0,
+    quantum: Annotated[float, typer.Option(help="Encoder step.")] = 0.0,
+    jitter: Annotated[float, typer.Option(help="Standard deviation of the sampling instants [s].")] = 0.0,
+    dropout: Annotated[float, typer.Option(help="Probability that a sample is missing.")] = 0.0,
+    seed: Annotated[int, typer.Option(help="Seed of noise, jitter and dropouts.", min=0)] = 0,
+    override: Override = [],  # noqa: B006  typer copies it
+    json: Json = False,
+) -> None:
+    """Simulate a model and its sensors, and write the log with the true state beside the measurements."""
+    from covariant.cli import _simulate
+
+    scenario = _simulate.Scenario(duration, rate, q0, v0, amplitude, frequency, noise, quantum, jitter, dropout, seed)
+    _simulate.simulate(model, tuple(override), out, scenario, json)
+
+
+@on_models.command("model")
+def show_model(
+    model: Model,
+    samples: Annotated[int, typer.Option(help="Number of configurations to measure the geometry at.", min=1)] = 200,
+    seed: Annotated[int, typer.Option(help="Seed of the configurations.", min=0)] = 0,
+    override: Override = [],  # noqa: B006  typer copies it
+    json: Json = False,
+) -> None:
+    """Say what a model is made of: the tree of a robot, what of its file is used, and how curved its metric is."""
+    from covariant.cli import _model
+
+    _model.show(model, tuple(override), samples, seed, json)
+
+
+@on_models.command()
+def reproduce(
+    paper: Annotated[str, typer.Argument(help=f"One of: {', '.join(PAPERS)}.")],
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="Write the paper's figure here (.png).")] = None,
+    report: Report = None,
+    json: Json = False,
+) -> None:
+    """Reproduce a paper's numbers and figures."""
+    from covariant.cli import _reproduce
+
+    _reproduce.reproduce(paper, out, report, json)
+
+
+@on_models.command()
+def audit(
+    model: Model,
+    observer: Annotated[
+        str | None, typer.Option(help="intrinsic, intrinsic2, geodesic or copy; intrinsic by default.")
+    ] = None,
+    alpha: Annotated[float | None, typer.Option(help="Gain α [1/s]; √2 by default.")] = None,
+    beta: Annotated[float | None, typer.Option(help="Gain β [1/s²]; 1 by default.")] = None,
+    box: Annotated[str | None, typer.Option(help="Where to draw positions from, as r=0.1:2,theta=-1:1.")] = None,
+    speed: Annotated[float, typer.Option(help="Largest velocity of each coordinate.")] = 3.0,
+    points: Annotated[int, typer.Option(help="Number of states.", min=1)] = 24,
+    seed: Annotated[int, typer.Option(help="Seed of the states.", min=0)] = 0,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", "--html", help="Write a page (.html) or its figure (.png) here.")
+    ] = None,
+    override: Override = [],  # noqa: B006  typer copies it
+    json: Json = False,
+) -> None:
+    """Measure the laws that an observer's convergence rests on; exit code 1 where one is broken."""
+    from covariant.cli import _audit
+
+    look = _audit.Look(box, speed, points, seed)
+    _audit.audit(model, tuple(override), observer, (alpha, beta), look, out, json)
+
+
+@on_models.command()
+def export(
+    model: Model,
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder to write.")],
+    rate: Annotated[float, typer.Option(help="Sampling rate [Hz] that it is made for.")],
+    observer: Annotated[
+        str | None, typer.Option(help=f"One of: {', '.join(ESTIMATORS)}; intrinsic by default.")
+    ] = None,
+    alpha: Annotated[float | None, typer.Option(help="Gain α [1/s] in place of the designed one.")] = None,
+    beta: Annotated[float | None, typer.Option(help="Gain β [1/s²] in place of the designed one.")] = None,
+    real: Annotated[str, typer.Option(help="Type of all numbers: double or float.")] = "double",
+    name: Annotated[str | None, typer.Option(help="What all names in C begin with; the model's by default.")] = None,
+    parameters: Annotated[
+        str | None,
+        typer.Option(help="Numbers of the model that may be changed at run time, by commas; all by default, or none."),
+    ] = None,
+    certificate: Annotated[
+        Path | None, typer.Option(help="Saved certificate of this observer, for the data sheet (.json).")
+    ] = None,
+    audit: Annotated[bool, typer.Option("--audit/--no-audit", help="Measure the laws of the observer first.")] = True,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace files in the folder.")] = False,
+    override: Override = [],  # noqa: B006  typer copies it
+    json: Json = False,
+) -> None:
+    """Write an observer as C99, with self-test, build files and data sheet, for microcontrollers and controllers."""
+    from covariant.cli import _export
+
+    asked = _export.Asked(observer, (alpha, beta), rate, real, name, parameters, certificate, audit, overwrite)
+    _export.export(model, tuple(override), asked, out, json)
+
+
+@on_models.command()
+def certify(
+    model: Annotated[
+        str | None, typer.Argument(help="Model file (.toml), robot (.urdf or .xml), module:attribute, or a system.")
+    ] = None,
+    velocity: Annotated[
+        str | None, typer.Option(help="Bound of the true velocities, one or one each by commas; required.")
+    ] = None,
+    error: Annotated[
+        str | None, typer.Option(help="How far estimated positions may be off, one bound or one each; required.")
+    ] = None,
+    box: Annotated[
+        str | None, typer.Option(help="Ends of the positions, as r=-0.3:0.3,theta=-1:1; rotations need none.")
+    ] = None,
+    observer: Annotated[str | None, typer.Option(help=f"One of: {', '.join(CERTIFIED)}.")] = None,
+    alpha: Annotated[float | None, typer.Option(help="Gain α [1/s]; designed from the data sheet by default.")] = None,
+    beta: Annotated[float | None, typer.Option(help="Gain β [1/s²].")] = None,
+    sampling: Annotated[float | None, typer.Option(help="Sampling rate that gains are designed for [Hz].")] = None,
+    input: Annotated[str | None, typer.Option(help="Bound of the inputs, one or one each; zero by default.")] = None,
+    rate: Annotated[
+        float | None, typer.Option(help="Rate λ of squared lengths to prove [1/s]; half of Q's by default.")
+    ] = None,
+    q: Annotated[str | None, typer.Option(help="Metric Q as a,c,b; the best conditioned one by default.")] = None,
+    noise: Annotated[
+        str | None, typer.Option(help="Bound of the error of each measured position: one number or one each.")
+    ] = None,
+    disturbance: Annotated[
+        str | None, typer.Option(help="Bound of the force that the model does not know: one number or one each.")
+    ] = None,
+    boxes: Annotated[
+        int, typer.Option(help="Effort: boxes that may be evaluated, the same on every machine.")
+    ] = 200_000,
+    seconds: Annotated[float | None, typer.Option(help="A limit of time besides [s], for each of the proofs.")] = None,
+    processes: Annotated[int | None, typer.Option(help="Processes; as many as processors by default.", min=1)] = None,
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="Write the certificate here (.json).")] = None,
+    figure: Annotated[Path | None, typer.Option(help="Draw region, tube, distances and gains here (.png).")] = None,
+    check: Annotated[Path | None, typer.Option("--check", help="Verify this saved certificate instead.")] = None,
+    given: Annotated[
+        str | None,
+        typer.Option("--model", help="With --check: the module:attribute of a model that is not covariant's own."),
+    ] = None,
+    override: Override = [],  # noqa: B006  typer copies it
+    json: Json = False,
+) -> None:
+    """Prove that an observer converges: on which region, at which rate, from how far. Angles are in radians.
+
+    Exit code 0 proved or verified, 1 wrong, undecided or refused, 2 bad input.
+    """
+    from covariant.cli import _certify
+
+    asked = _certify.Asked(
+        observer,
+        alpha,
+        beta,
+        sampling,
+        box,
+        velocity,
+        error,
+        input,
+        rate,
+        q,
+        noise,
+        disturbance,
+        boxes,
+        seconds,
+        processes,
+    )
+    if given is not None and check is None:
+        raise ValueError("--model goes with --check FILE; the model to certify is the first argument")
+    if check is not None and model is None:
+        _certify.check_file(check, given, processes, json)
+    elif model is not None and check is None:
+        _certify.certify_model(model, tuple(override), asked, out, figure, json)
+    else:
+        raise ValueError("give a model to certify, or --check FILE to verify a saved certificate")
+
+
+@design.command()
+def metric(
+    model: Model,
+    out: Annotated[Path, typer.Option("--out", "-o", help="Store to write, or to go on with (.zarr).")],
+    grid: Annotated[
+        str,
+        typer.Option(help="Points of each axis, one count or one each by commas; four at least to interpolate."),
+    ],
+    box: Annotated[
+        str | None, typer.Option(help="Ends of the axes, as x1=0:1,x2=1:1.5; those not named are the model's own.")
+    ] = None,
+    rate: Annotated[float, typer.Option(help="Rate λ of the equation [1/s].")] = 0.0,
+    window: Annotated[
+        float | None, typer.Option(help="Choose λ from the Gramians of the past, up to this long [s].")
+    ] = None,
+    process_cov: Annotated[str | None, typer.Option(help="Diagonal of Q, one number a state, by commas.")] = None,
+    measurement_cov: Annotated[
+        str | None, typer.Option(help="Diagonal of R, one number an output, by commas; ones by default.")
+    ] = None,
+    start: Annotated[float, typer.Option(help="Metric before the past, as a multiple of the identity.")] = 1.0,
+    tolerance: Annotated[float, typer.Option(help="How much the unknown past may change the metric.")] = 1e-8,
+    domain: Annotated[
+        str | None, typer.Option(help="Where the model holds, as --box; the past is followed no further.")
+    ] = None,
+    input: Annotated[str | None, typer.Option(help="Constant inputs, by commas; zeros by default.")] = None,
+    block: Annotated[int, typer.Option(help="Points that a worker computes at a time.", min=1)] = 4096,
+    workers: Annotated[int | None, typer.Option(help="Threads; as many as processors by default.", min=1)] = None,
+    scheduler: Annotated[str | None, typer.Option(help="Address of a Dask scheduler whose workers compute.")] = None,
+    override: Override = [],  # noqa: B006  typer copies it
+    json: Json = False,
+) -> None:
+    """Compute a contraction metric at every point of a grid of states; a run that was stopped goes on where it was."""
+    from covariant.cli import _design
+
+    task = _design.Task(box, grid, rate, window, process_cov, measurement_cov, start, tolerance, domain, input)
+    crew = _design.Crew(block, workers, scheduler)
+    _design.metric(model, tuple(override), out, task, crew, json)
