@@ -39,7 +39,7 @@ def test_python_examples_run(page):
 def test_model_file_examples_load(page, tmp_path):
     for text in blocks(page, "toml"):
         (tmp_path / "model.toml").write_text(text)
-        assert models.load(str(tmp_path / "model.toml")).model.coordinates in (("q1", "q2"), ("q1",))
+        assert models.load(str(tmp_path / "model.toml")).model.coordinates in (("q1", "q2"), ("q1",), ("q", "q_dot"))
 
 
 def test_the_commands_of_the_page_on_identification_run(tmp_path, monkeypatch):

@@ -135,7 +135,7 @@ def test_a_bad_model(folder, monkeypatch, capsys, spec, named):
         (("simulate", "model.toml", "-o", "out/l.csv", "--rate", "-5"), ["rate", "-5"]),
         (("simulate", "model.toml", "-o", "out/l.csv", "--duration", "inf"), ["inf s"]),
         (("simulate", "model.toml", "-o", "out/l.csv", "--duration", "0"), ["0.0 s", "two samples"]),
-        (("simulate", "model.toml", "-o", "out/l.txt"), ["l.txt", ".csv"]),
+        (("simulate", "model.toml", "-o", "out/l.xlsx"), ["l.xlsx", ".csv"]),
         (("reproduce", "nobody"), ["nobody", "aghannan-rouchon"]),
         (("reproduce", "aghannan-rouchon", "-o", "out/figure.pdf"), ["figure.pdf", ".png"]),
     ],

@@ -85,7 +85,7 @@ def case(name: str) -> Case:
             observer = observers.craft_observer(ship, jnp.eye(3), jnp.diag(jnp.diag(ship.mass)))
             return Case(with_open_numbers(observer), swing(0.0, 1.0, np.pi), 3)
         case "scara":
-            robot = robots.load(ROOT / "examples" / "scara.urdf")
+            robot = robots.load("scara")
             recipe = with_open_numbers(observers.Intrinsic(robot, 20.0, 200.0, substeps=1), ("[!abfm]*", "motors"))
             return Case(recipe, swing(0.3, 0.4, 0.1, 0.0), 4, "float")
         case "slope":  # one coordinate, no input, no model
@@ -232,7 +232,7 @@ def test_the_wiring_example_of_the_readme_compiles(exported, tmp_path):
 
 
 def test_numbers_of_one_name_and_value_are_one_and_others_are_told_apart():
-    scara = with_open_numbers(observers.Intrinsic(robots.load(ROOT / "examples" / "scara.urdf"), 20.0, 200.0))
+    scara = with_open_numbers(observers.Intrinsic(robots.load("scara"), 20.0, 200.0))
     assert scara.numbers["mass"].shape == (4,)  # of the inertia and of the potential
     pendulum = with_open_numbers(observers.Intrinsic(family().file.model, 20.0, 200.0)).numbers
     assert {"matrix_constant", "constant"} & set(pendulum)

@@ -100,13 +100,13 @@ def test_a_file_gives_everything(tmp_path):
     assert file.model.parameters["mass"].value.tolist() == [1.0, 2.0]
     assert file.columns == Columns("time", ("a", "b"), ("ta", "tb"), ("wa", "wb"), ("va", "vb"))
     assert file.measurement_std == pytest.approx(0.12 / math.sqrt(12))
-    assert file[4:] == (3.0, 0.002, 50.0, 0.1, 0.5, 0.01, 0.03, 3, 0.0, 0.0, "held", 0.12, 0.4, None, None, None)
+    assert file[4:] == (3.0, 0.002, 50.0, 0.1, 0.5, 0.01, 0.03, 3, 0.0, 0.0, "held", 0.12, 0.4, *[None] * 4)
 
 
 def test_what_a_file_leaves_out_has_a_default(tmp_path):
     file = load(written(tmp_path, 'system = "ball_and_beam"'))
     assert file.columns == Columns("t", ("r", "theta"), ("u1",))
-    assert file[3:] == (None,) * 5 + (math.sqrt(0.5), 0.0, 0.03, 3, 0.0, 0.0, "held", *(None,) * 5)
+    assert file[3:] == (None,) * 5 + (math.sqrt(0.5), 0.0, 0.03, 3, 0.0, 0.0, "held", *(None,) * 6)
     assert load("ball_and_beam")._replace(name="m", model=file.model) == file
 
 
@@ -128,7 +128,7 @@ def test_examples_load(name, columns):
     file = load(str(EXAMPLES / f"{name}.toml"))
     assert file.name == name
     assert file.columns == columns
-    assert None not in file[:-5]  # what is left is for force, ticks and state-space models
+    assert None not in file[:-6]  # what is left is for force, ticks, gains and state-space models
 
 
 @pytest.mark.parametrize(
@@ -150,7 +150,7 @@ def test_systems_on_groups_name_all_but_the_attitude(system, n, columns):
 def test_examples_on_groups_load_with_the_parameters_they_show(name):
     file, plain = load(str(EXAMPLES / f"{name}.toml")), load(name)
     assert not file.lacks_attitude
-    assert None not in file[:-5]  # what is left is for force, ticks and state-space models
+    assert None not in file[:-6]  # what is left is for force, ticks, gains and state-space models
     shown = {key: value for key, value in file.model.parameters.items() if key != "viscous"}
     assert shown == {key: plain.model.parameters[key] for key in shown}
 

@@ -51,7 +51,7 @@ class Crew(NamedTuple):
 
 def metric(spec: str, overrides: tuple[str, ...], out: Path, task: Task, crew: Crew, as_json: bool) -> None:
     """Solve the equation at every point of the grid, or continue a run that was stopped, and summarise the store."""
-    check_output(out, ".zarr")
+    check_output(out, ".zarr", store=True)
     file = models.load(spec, overrides)
     model = _model(spec, file)
     grid = _grid(spec, model, task)

@@ -225,13 +225,16 @@ def _slopes(file: models.ModelFile, log: logs.Log, full: logs.Log) -> tuple[np.n
     return np.concatenate([*twists, *rates], axis=1), "zero-phase reference"
 
 
-def check_output(path: Path | None, *suffixes: str, log: Path | None = None) -> None:
-    """Refuse an output file of another kind, without a folder, or in place of the log; None, for no file, passes."""
+def check_output(path: Path | None, *suffixes: str, log: Path | None = None, store: bool = False) -> None:
+    """Refuse an output of another kind, without a folder, or in place of the log; None, for no file, passes.
+
+    A folder is refused too, but for a `store`, which goes on where it stopped.
+    """
     if path is None:
         return
     if path.suffix not in suffixes:
         raise ValueError(f"{path}: the file to write must end in {' or '.join(suffixes)}")
-    if path.is_dir():
+    if path.is_dir() and not store:
         raise ValueError(f"{path}: there is a folder of this name, and it is not replaced; give another name")
     if not path.parent.is_dir():
         raise ValueError(f"{path}: there is no folder {path.parent}; make it first")

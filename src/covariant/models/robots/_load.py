@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from covariant.models._mechanical import MechanicalSystem
 from covariant.models.robots._assemble import assemble
@@ -43,7 +44,7 @@ def load(
     floating: bool = False,
     lock: Mapping[str, float] | None = None,
     actuated: Sequence[str] | None = None,
-    payload: Mapping[str, Sequence[float]] | None = None,
+    payload: Mapping[str, Sequence[Any]] | None = None,
 ) -> MechanicalSystem:
     """The mechanical system of a robot, from its URDF or MJCF file, or of one of `ROBOTS` by its name.
 
