@@ -68,6 +68,7 @@ def test_a_log_that_fits_has_no_findings(pendulum, exact, seed):
 
 CHANGES = {
     "milliseconds": (lambda r: r._replace(t=r.t * 1e3), "unit of time", "column t by 0.001"),
+    "seconds taken for milliseconds": (lambda r: r._replace(t=r.t * 1e-3), "unit of time", "column t by 1000"),
     "nanoseconds": (lambda r: r._replace(t=r.t * 1e9), "unit of time", "column t by 1e-09"),
     "degrees": (lambda r: r._replace(y=np.rad2deg(r.y)), "unit of positions", "q1, q2 by 0.0174532925"),
     "turns": (lambda r: r._replace(y=r.y / (2 * np.pi)), "unit of positions", "q1, q2 by 6.28318531"),

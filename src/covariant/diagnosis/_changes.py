@@ -9,7 +9,12 @@ import numpy as np
 from covariant.diagnosis._smooth import Smooth
 from covariant.signals import Record
 
-CLOCKS = {"seconds": 1.0, "milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9}
+CLOCKS = {
+    "seconds": 1.0,
+    **{"milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9},
+    **{f"seconds that were taken for {name}": 1 / size for name, size in (("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9))},
+}
+"""What the stamps of a log may be, and the factor that makes seconds of them as they are read."""
 SHORTEST, LONGEST = 1e-5, 2.0
 """Steps in time [s] that a log of a machine may have."""
 ANGLES = {"radians": 1.0, "degrees": np.pi / 180, "turns": 2 * np.pi}

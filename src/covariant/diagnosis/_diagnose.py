@@ -235,10 +235,16 @@ def _best_change(
         then, fallen = float(asis.misfits()[0, left.told].mean()), int((falls > 0).sum())
         if then < MARGIN * left.misfit or _signed_ranks(falls) < SIGNIFICANT:
             return None
-    evidence = (
-        f"of the squares of the accelerations the model leaves {_percent(then)} as the log is, and "
-        f"{_percent(left.misfit)} with {change.words}, less in {fallen} of {BLOCKS} parts of the log"
-    )
+    if asis is None:
+        evidence = (
+            "as the log is, it lasts too short a time to compare accelerations; of their squares the model leaves "
+        )
+        evidence += f"{_percent(left.misfit)} with {change.words}"
+    else:
+        evidence = (
+            f"of the squares of the accelerations the model leaves {_percent(then)} as the log is, and "
+            f"{_percent(left.misfit)} with {change.words}, less in {fallen} of {BLOCKS} parts of the log"
+        )
     rivals = [other.words for _, other, _ in alike[1:]]
     if rivals:
         evidence += f"; the log cannot tell it from {', or '.join(rivals)}"

@@ -118,7 +118,8 @@ def load(spec: str, overrides: Sequence[str] = ()) -> ModelFile:
     try:
         return finish(spec, document(spec, overrides))
     except ValueError as error:
-        raise ModelError(f"{spec}: {_source.first_line(error)}") from error
+        line = _source.first_line(error)  # of a robot's file it names the path already
+        raise ModelError(line if line.startswith(f"{spec}: ") else f"{spec}: {line}") from error
 
 
 def finish(spec: str, content: dict[str, Any]) -> ModelFile:
