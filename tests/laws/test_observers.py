@@ -15,8 +15,16 @@ from scipy.linalg import expm
 
 from covariant import models
 from covariant._integrate import rk8
-from covariant.geometry import Budget, Pullback, christoffel, curvature, hyperbolic, sphere, transport_along
-from covariant.geometry import shoot as shoot_geodesic
+from covariant.geometry import (
+    Budget,
+    Pullback,
+    christoffel,
+    curvature,
+    hyperbolic,
+    shoot as shoot_geodesic,
+    sphere,
+    transport_along,
+)
 from covariant.models import Lagrangian, acceleration, in_chart, source
 from covariant.observers import REGISTRY, Geodesic, Intrinsic, MechanicalState
 

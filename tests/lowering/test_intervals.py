@@ -11,14 +11,11 @@ import jax.numpy as jnp
 import mpmath
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from test_lowering import FUNCTIONS
 
 from covariant import lowering
-from covariant.lowering import INTERVALS, Interval, Truth, enclose, lower
-from covariant.lowering import _intervals as intervals
-from covariant.lowering import _points as points
+from covariant.lowering import INTERVALS, Interval, Truth, _intervals as intervals, _points as points, enclose, lower
 
 U = 2.0**-53
 BATCH = 400 * max(1, int(os.environ.get("COVARIANT_ATTACKS", "12")) // 12)

@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from covariant.report._axis_range import axis_range
 from covariant.report._condensed import MOST_INTERVALS, condensed

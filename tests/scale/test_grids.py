@@ -17,8 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import zarr
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from covariant.scale import Grid, Variable, map_grid, open_grid
 

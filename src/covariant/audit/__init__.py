@@ -1,5 +1,5 @@
 """Numerical audit of an intrinsic observer: the laws its convergence rests on, measured at random states."""
 
-from covariant.audit._audit import LAWS, Audit, Law, audit
+import lazy_loader
 
-__all__ = ["LAWS", "Audit", "Law", "audit"]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -8,8 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from covariant import models
-from covariant.audit import Audit, Law
-from covariant.audit import audit as measure
+from covariant.audit import Audit, Law, audit as measure
 from covariant.cli._console import working
 from covariant.cli._job import check_output, coordinates, numbered
 from covariant.cli._parse import above_zero, ends

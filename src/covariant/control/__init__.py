@@ -1,6 +1,5 @@
 """Controllers that use the estimate of an observer, and the references they follow."""
 
-from covariant.control._backstepping import Backstepping
-from covariant.control._reference import Reference, follow, lissajous, set_point
+import lazy_loader
 
-__all__ = ["Backstepping", "Reference", "follow", "lissajous", "set_point"]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,7 +1,5 @@
 """Diagnosis of a log: what is wrong with it, or with the model for it, before anybody estimates from it."""
 
-from covariant.diagnosis._diagnose import diagnose, misfit
-from covariant.diagnosis._finding import Diagnosis, Finding
-from covariant.diagnosis._sensor import outliers
+import lazy_loader
 
-__all__ = ["Diagnosis", "Finding", "diagnose", "misfit", "outliers"]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

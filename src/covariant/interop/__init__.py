@@ -1,5 +1,5 @@
 """Models, observers and closed loops as objects of other packages."""
 
-from covariant.interop._python_control import closed_loop, observer_system, plant
+import lazy_loader
 
-__all__ = ["closed_loop", "observer_system", "plant"]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,27 +1,5 @@
 """Logs: text, Parquet and messages of ROS are read into a `Record` in SI units, and columns of numbers are written."""
 
-from covariant.logs._columns import ATTITUDES, Columns, Log, LogError
-from covariant.logs._configuration import Body, bodies, coordinates, matrices, to_columns
-from covariant.logs._read import OPTIONAL, read, survey
-from covariant.logs._units import check_unit, unit_factor
-from covariant.logs._write import MESSAGES, WRITTEN, write
+import lazy_loader
 
-__all__ = [
-    "ATTITUDES",
-    "MESSAGES",
-    "OPTIONAL",
-    "WRITTEN",
-    "Body",
-    "Columns",
-    "Log",
-    "LogError",
-    "bodies",
-    "check_unit",
-    "coordinates",
-    "matrices",
-    "read",
-    "survey",
-    "to_columns",
-    "unit_factor",
-    "write",
-]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -16,7 +16,7 @@ def numbers(where: str, column: Any, needed: bool) -> Float[np.ndarray, "T"]:
     """
     pa = pyarrow()
     try:
-        values = column.cast(pa.float64(), safe=False).to_numpy()
+        values = floats(column.cast(pa.float64(), safe=False))
     except pa.ArrowInvalid:
         values = _texts(where, column, needed)
     except pa.ArrowNotImplementedError as error:
@@ -38,7 +38,19 @@ def _texts(where: str, column: Any, needed: bool) -> np.ndarray:
         raise fault(where, row, column[row].as_py(), needed)
     plain = compute.replace_substring_regex(cells, r"^\+", "")
     filled = compute.if_else(compute.equal(plain, ""), "nan", plain)
-    return filled.cast(pa.float64()).to_numpy()
+    return floats(filled.cast(pa.float64()))
+
+
+def floats(column: Any) -> np.ndarray:
+    """A column of float64 as an array, NaN where a cell is null.
+
+    Not by `to_numpy`: pyarrow would import pandas for that, which takes longer than to read a log.
+    """
+    pa, cells = pyarrow(), column.combine_chunks()
+    if not cells.null_count:
+        return np.from_dlpack(cells)
+    values = pa.Array.from_buffers(cells.type, len(cells), [None, cells.buffers()[1]], offset=cells.offset)
+    return np.where(np.from_dlpack(cells.is_valid().cast(pa.int8())), np.from_dlpack(values), np.nan)
 
 
 def fault(where: str, row: int, cell: str | float | None, needed: bool) -> LogError:

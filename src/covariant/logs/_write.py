@@ -45,7 +45,7 @@ def write(path: str | PathLike[str], columns: Mapping[str, np.ndarray], origin_n
             write_bag(path, checked, origin_ns)
             return
         pa = pyarrow()
-        table = pa.table(checked)
+        table = pa.table({name: _column(pa, array) for name, array in checked.items()})
         save = _write_parquet if path.suffix.lower() == ".parquet" else _write_csv
         write_atomically(path, lambda file: save(pa, table, file, "\t" if path.suffix.lower() == ".tsv" else ","))
     except OSError as error:
@@ -68,6 +68,12 @@ def _checked(path: Path, columns: Mapping[str, np.ndarray]) -> dict[str, np.ndar
                 f"{path}: column {name!r} has {len(array)} rows where {first!r} has {len(arrays[first])}; cut or pad it"
             )
     return arrays
+
+
+def _column(pa: Any, array: np.ndarray) -> Any:
+    """A column of Arrow over the memory of an array; where Arrow converts one itself, it imports pandas first."""
+    numbers = pa.py_buffer(np.ascontiguousarray(array, array.dtype.newbyteorder("=")))
+    return pa.Array.from_buffers(pa.from_numpy_dtype(array.dtype), len(array), [None, numbers])
 
 
 def _write_parquet(pa: Any, table: Any, file: BinaryIO, _: str) -> None:

@@ -12,36 +12,6 @@ Source: Sanfelice & Praly 2015, Solution of a Riccati equation for the design of
 distance.
 """
 
-from covariant.riccati._characteristic import Characteristic, metric_through
-from covariant.riccati._equation import Equation, lie_derivative, right_side
-from covariant.riccati._high_gain import high_gain
-from covariant.riccati._solution import (
-    RiccatiMetric,
-    Solution,
-    gramian,
-    gramians,
-    metric_at,
-    rate_from_gramian,
-    reconstructibility,
-    spd_distance,
-)
-from covariant.riccati._window import Window, window_at
+import lazy_loader
 
-__all__ = [
-    "Characteristic",
-    "Equation",
-    "RiccatiMetric",
-    "Solution",
-    "Window",
-    "gramian",
-    "gramians",
-    "high_gain",
-    "lie_derivative",
-    "metric_at",
-    "metric_through",
-    "rate_from_gramian",
-    "reconstructibility",
-    "right_side",
-    "spd_distance",
-    "window_at",
-]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,6 +1,5 @@
 """Observers as they run: samples one by one as a stream, and whole logs, by compiled C where there is a compiler."""
 
-from covariant.runtime._log import FEWEST_ROWS, run_log
-from covariant.runtime._stream import Health, Stream
+import lazy_loader
 
-__all__ = ["FEWEST_ROWS", "Health", "Stream", "run_log"]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -10,8 +10,6 @@ continues where it stopped. Dask, Zarr and xarray are optional packages, install
     open_grid(path, complete=True).energy.sel(rate=0.0).max()
 """
 
-from covariant.scale._grid import Grid
-from covariant.scale._map import map_grid
-from covariant.scale._store import Variable, open_grid
+import lazy_loader
 
-__all__ = ["Grid", "Variable", "map_grid", "open_grid"]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,7 +1,7 @@
 """Simulation of models, alone or with an observer, and of sensors."""
 
-from covariant.simulation import _simulate_state_space as _simulate_state_space  # teaches both state-space models
-from covariant.simulation._sensors import Sensor, sense, stamps
-from covariant.simulation._simulate import hold, no_input, observe, simulate
+import lazy_loader
 
-__all__ = ["Sensor", "hold", "no_input", "observe", "sense", "simulate", "stamps"]
+from covariant.simulation import _simulate_state_space as _simulate_state_space  # teaches both state-space models
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

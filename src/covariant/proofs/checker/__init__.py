@@ -4,10 +4,6 @@ To be independent it shares nothing with the prover: it reads JAX's programs its
 alone.
 """
 
-from covariant.proofs.checker._definite import show_definite
-from covariant.proofs.checker._enclosure import TaylorEnclosure
-from covariant.proofs.checker._plain import plain
-from covariant.proofs.checker._taylor import ROUND
-from covariant.proofs.checker._tree import halves, leaves
+import lazy_loader
 
-__all__ = ["ROUND", "TaylorEnclosure", "halves", "leaves", "plain", "show_definite"]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,1 @@
+from ._audit import LAWS as LAWS, Audit as Audit, Law as Law, audit as audit

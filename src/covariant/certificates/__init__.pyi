@@ -1,0 +1,63 @@
+from ._assumed import ASSUMED as ASSUMED
+from ._cascade import (
+    CascadeCertificate as CascadeCertificate,
+    Constants as Constants,
+    Growth as Growth,
+    cascade as cascade,
+)
+from ._certificate import Certificate as Certificate
+from ._certify import certify as certify
+from ._check import Checked as Checked, check as check
+from ._contraction import (
+    StateMetric as StateMetric,
+    contraction_matrix as contraction_matrix,
+    contraction_rate as contraction_rate,
+    generalised_jacobian as generalised_jacobian,
+    in_coordinates as in_coordinates,
+    in_frame as in_frame,
+    log_norm as log_norm,
+    rates_along as rates_along,
+)
+from ._contraction_certificate import Claim as Claim, ContractionCertificate as ContractionCertificate
+from ._distance import (
+    Decay as Decay,
+    decay as decay,
+    lower_distance as lower_distance,
+    upper_distance as upper_distance,
+)
+from ._document import Document as Document, parse as parse
+from ._falsify import falsify as falsify
+from ._figures import Projection as Projection, TradeOff as TradeOff, projection as projection, trade_off as trade_off
+from ._force_bounds import force_bounds as force_bounds
+from ._inequalities import contraction as contraction
+from ._intrinsic import subject as subject
+from ._lmi import MetricDesign as MetricDesign, common_metric as common_metric, observer_gain as observer_gain
+from ._marine_cascade import crossed_metric as crossed_metric, feedthrough as feedthrough, tracking as tracking
+from ._noise import (
+    error_bounds as error_bounds,
+    noise_disturbance as noise_disturbance,
+    steady_distance as steady_distance,
+)
+from ._observability import (
+    Observability as Observability,
+    bending as bending,
+    detectability_rate as detectability_rate,
+    observability as observability,
+)
+from ._sample import Sampled as Sampled, check_sample as check_sample
+from ._simulated import (
+    Followed as Followed,
+    Trajectories as Trajectories,
+    follow_estimates as follow_estimates,
+    trajectories as trajectories,
+)
+from ._subject import Subject as Subject
+from ._tangent_metric import (
+    conditioning as conditioning,
+    error_matrix as error_matrix,
+    lyapunov as lyapunov,
+    optimal_lyapunov as optimal_lyapunov,
+    rate_of as rate_of,
+    tangent_metric as tangent_metric,
+)
+from ._virtual import virtual as virtual

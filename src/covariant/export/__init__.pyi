@@ -1,0 +1,12 @@
+from ._data_sheet import Facts as Facts
+from ._program import (
+    Leaf as Leaf,
+    Program as Program,
+    Recipe as Recipe,
+    of_family as of_family,
+    program as program,
+    with_open_numbers as with_open_numbers,
+)
+from ._source import Source as Source, write_source as write_source
+from ._vectors import ROWS as ROWS, Vectors as Vectors, vectors as vectors
+from ._write import export_texts as export_texts, write_folder as write_folder

@@ -1,0 +1,39 @@
+from ._functions import (
+    christoffel as christoffel,
+    connection as connection,
+    curvature as curvature,
+    distance as distance,
+    exp as exp,
+    gradient as gradient,
+    inner as inner,
+    log as log,
+    norm as norm,
+    sectional_curvature as sectional_curvature,
+    shoot as shoot,
+    transport as transport,
+    transport_along as transport_along,
+)
+from ._geodesics import Budget as Budget, Shot as Shot, Transported as Transported
+from ._interpolated import Interpolated as Interpolated
+from ._manifold import (
+    AbstractManifold as AbstractManifold,
+    Coordinates as Coordinates,
+    ProductManifold as ProductManifold,
+    wrap as wrap,
+)
+from ._metric import (
+    AbstractMetric as AbstractMetric,
+    KineticEnergy as KineticEnergy,
+    Metric as Metric,
+    as_space as as_space,
+)
+from ._space import AbstractSpace as AbstractSpace, derivative as derivative, differential as differential
+from ._spaces import (
+    ConstantCurvature as ConstantCurvature,
+    Euclidean as Euclidean,
+    FlatTorus as FlatTorus,
+    Product as Product,
+    Pullback as Pullback,
+    hyperbolic as hyperbolic,
+    sphere as sphere,
+)

@@ -1,0 +1,11 @@
+from ._columns import ATTITUDES as ATTITUDES, Columns as Columns, Log as Log, LogError as LogError
+from ._configuration import (
+    Body as Body,
+    bodies as bodies,
+    coordinates as coordinates,
+    matrices as matrices,
+    to_columns as to_columns,
+)
+from ._read import OPTIONAL as OPTIONAL, read as read, survey as survey
+from ._units import check_unit as check_unit, unit_factor as unit_factor
+from ._write import MESSAGES as MESSAGES, WRITTEN as WRITTEN, write as write

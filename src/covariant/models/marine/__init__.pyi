@@ -1,0 +1,13 @@
+from ._craft import (
+    Craft as Craft,
+    coriolis_matrix as coriolis_matrix,
+    euler_rates as euler_rates,
+    euler_rotation as euler_rotation,
+    euler_transform as euler_transform,
+    positive_definite as positive_definite,
+    yaw_rotation as yaw_rotation,
+)
+from ._dynamic_positioning import Station as Station, Waves as Waves
+from ._manoeuvring import manoeuvring_ship as manoeuvring_ship
+from ._odin import odin as odin, odin_on_group as odin_on_group
+from ._ships import cybership as cybership, supply_vessel as supply_vessel, surface_ship as surface_ship

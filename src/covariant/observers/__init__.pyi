@@ -1,0 +1,55 @@
+from ._contracting import (
+    Contracting as Contracting,
+    ContractingState as ContractingState,
+    craft_observer as craft_observer,
+)
+from ._copy import Copy as Copy
+from ._delayed import Delayed as Delayed, DelayedState as DelayedState
+from ._ekf import EKF as EKF, EKFInfo as EKFInfo, EKFState as EKFState
+from ._filtered_derivative import FilteredDerivative as FilteredDerivative, FilteredState as FilteredState
+from ._gate import Gate as Gate
+from ._gated import Gated as Gated, GatedState as GatedState
+from ._geodesic import Geodesic as Geodesic, GeodesicInfo as GeodesicInfo, GeodesicState as GeodesicState
+from ._high_gain import HighGain as HighGain
+from ._intrinsic import Intrinsic as Intrinsic, second_order as second_order
+from ._intrinsic_kalman import IntrinsicKalman as IntrinsicKalman, KalmanInfo as KalmanInfo, KalmanState as KalmanState
+from ._joint_kalman import JointInfo as JointInfo, JointKalman as JointKalman, JointState as JointState
+from ._levant import Levant as Levant
+from ._model_free import AbstractLinearFilter as AbstractLinearFilter, FilterInfo as FilterInfo
+from ._passive_ship import (
+    PassiveGains as PassiveGains,
+    PassiveShip as PassiveShip,
+    lyapunov_gains as lyapunov_gains,
+    lyapunov_rate as lyapunov_rate,
+    notch_gains as notch_gains,
+    printed_rate as printed_rate,
+)
+from ._pll import PLL as PLL
+from ._protocol import (
+    AbstractFlowObserver as AbstractFlowObserver,
+    AbstractMechanicalObserver as AbstractMechanicalObserver,
+    AbstractObserver as AbstractObserver,
+    HeldState as HeldState,
+    Info as Info,
+    MechanicalState as MechanicalState,
+    continuous as continuous,
+    run as run,
+)
+from ._registry import REGISTRY as REGISTRY, Entry as Entry
+from ._riccati import (
+    Estimate as Estimate,
+    InformationEKF as InformationEKF,
+    InformationState as InformationState,
+    Riccati as Riccati,
+)
+from ._salcudean import Salcudean as Salcudean, SalcudeanState as SalcudeanState
+from ._sampled import (
+    chooses_substeps as chooses_substeps,
+    needed_substeps as needed_substeps,
+    with_fixed_substeps as with_fixed_substeps,
+)
+from ._savitzky_golay import SavitzkyGolay as SavitzkyGolay, WindowState as WindowState
+from ._state_ekf import StateEKF as StateEKF, StateEKFInfo as StateEKFInfo, StateEKFState as StateEKFState
+from ._state_registry import STATE_REGISTRY as STATE_REGISTRY, Noise as Noise, StateEntry as StateEntry
+from ._tracking_loop import LoopState as LoopState
+from ._ukf import UKF as UKF, UKFState as UKFState

@@ -1,0 +1,2 @@
+from ._sensors import Sensor as Sensor, sense as sense, stamps as stamps
+from ._simulate import hold as hold, no_input as no_input, observe as observe, simulate as simulate
