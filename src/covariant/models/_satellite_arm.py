@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from covariant._typing import Scalar, Vector
-from covariant.geometry import Coordinates, KineticEnergy, ProductManifold
+from covariant._typing import Matrix
+from covariant.geometry import Coordinates, Metric, ProductManifold
 from covariant.geometry.lie import SE3
 from covariant.models._mechanical import MechanicalSystem
 from covariant.models._parameters import Parameter, Parametric
@@ -43,10 +43,13 @@ def satellite_arm(
         bodies.append(_spatial_inertia(m, np.array([root + length / 2, 0.0, 0.0]), slender))
     pairs = zip(roots, _AXES, strict=True)
     screws = np.stack([np.concatenate([np.cross([root, 0.0, 0.0], axis), axis]) for root, axis in pairs])
+    columns = np.zeros((len(screws), 6, 6 + len(screws)))
+    for i, screw in enumerate(screws):
+        columns[i, :, 6 + i] = screw
     turns = np.stack([_ad(screw) for screw in screws])
     manifold = ProductManifold((SE3, Coordinates((0, 1), 2)))
     return MechanicalSystem(
-        KineticEnergy(ArmEnergy(*map(jnp.asarray, (np.stack(bodies), screws, turns))), manifold=manifold),
+        Metric(ArmInertia(*map(jnp.asarray, (np.stack(bodies), columns, turns))), manifold=manifold),
         force=_at_the_joints,
         dissipation=Parametric(_joint_friction, bearing=bearing),
         coordinates=("joint1", "joint2"),
@@ -65,29 +68,31 @@ def satellite_arm(
     )
 
 
-class ArmEnergy(eqx.Module):
-    """Kinetic energy of a body with a serial arm, for the velocity v (6 + k,): its twist and the joint rates.
+class ArmInertia(eqx.Module):
+    """Inertia (6 + k, 6 + k) of a body with a serial arm, for its twist and the joint rates.
 
     All constants are given in the body frame with the arm straight: `bodies` (k + 1, 6, 6), the spatial inertias of the
-    body and the links; `screws` S (k, 6) of the joints; and `turns` (k, 6, 6), the matrices ad(S). Link i then has the
-    twist `V_i = Ad(exp(−S_i q_i)) V_{i−1} + S_i q_i'`, with `Ad(exp(−S q)) = 1 − sin q ad(S) + (1 − cos q) ad(S)²` for
-    a joint that turns. Source: Lynch & Park 2017, Modern Robotics, section 8.3.
+    body and the links; `columns` (k, 6, 6 + k), the screw S of each joint in the column of its rate, zero elsewhere;
+    and `turns` (k, 6, 6), the matrices ad(S). The twist of link i is then `J_i` times the velocity, with
+    `J_i = Ad(exp(−S_i q_i)) J_{i−1} + columns[i]` and `Ad(exp(−S q)) = 1 − sin q ad(S) + (1 − cos q) ad(S)²` for a
+    joint that turns. The inertia is the sum of `J_iᵀ bodies[i] J_i`. Source: Lynch & Park 2017, Modern Robotics,
+    section 8.3.
     """
 
     bodies: Float[Array, "links 6 6"]
-    screws: Float[Array, "k 6"]
+    columns: Float[Array, "k 6 n"]
     turns: Float[Array, "k 6 6"]
 
-    def __call__(self, x: Float[Array, "m"], v: Vector) -> Scalar:
-        k, angles = self.screws.shape[0], x[16:]
-        bodies, screws, turns = (a.astype(x.dtype) for a in (self.bodies, self.screws, self.turns))
-        twist, total = v[:6], v[:6] @ bodies[0] @ v[:6]
-        for i in range(k):
-            across = turns[i] @ twist
-            twist = twist - jnp.sin(angles[i]) * across + (1 - jnp.cos(angles[i])) * (turns[i] @ across)
-            twist = twist + screws[i] * v[6 + i]
-            total = total + twist @ bodies[i + 1] @ twist
-        return total / 2
+    def __call__(self, x: Float[Array, "m"]) -> Matrix:
+        bodies, columns, turns = (a.astype(x.dtype) for a in (self.bodies, self.columns, self.turns))
+        k = turns.shape[0]
+        s, c = (a[:, None, None] for a in (jnp.sin(x[-k:]), jnp.cos(x[-k:])))
+        carried = np.eye(6, dtype=x.dtype)[None] - s * turns + (1 - c) * (turns @ turns)
+        jacobians = [jnp.asarray(np.eye(6, 6 + k, dtype=x.dtype))]
+        for carry, column in zip(carried, columns, strict=True):
+            jacobians.append(carry @ jacobians[-1] + column)
+        jacobian = jnp.stack(jacobians)
+        return jnp.sum(jnp.swapaxes(jacobian, 1, 2) @ (bodies @ jacobian), axis=0)
 
 
 def _spatial_inertia(mass: float, centre: np.ndarray, inertia: np.ndarray) -> np.ndarray:
