@@ -4,6 +4,8 @@ LAPACK calls are slow under `vmap` on a CPU and cannot be exported, so the few f
 dozen joints needs are unrolled here over array slices: static shapes, no pivoting, no branching.
 """
 
+from typing import NamedTuple
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -11,41 +13,48 @@ from jaxtyping import Array, Float
 from covariant._typing import Matrix, Vector
 
 
-def ldl(a: Matrix) -> tuple[list[Array], Vector]:
-    """Factor `a = L diag(d) Lᵀ`; column k of the unit lower triangular L is returned from its diagonal down."""
-    columns, pivots, rest = [], [], a
-    for _ in range(a.shape[0]):
-        column = rest[:, 0] / rest[0, 0]
-        columns.append(column)
-        pivots.append(rest[0, 0])
-        rest = rest[1:, 1:] - jnp.outer(column[1:], rest[0, 1:])
-    return columns, jnp.stack(pivots)
+class Pivot(NamedTuple):
+    """A step of the elimination: the pivot d (1, 1), and the column (k, 1) of L below its diagonal."""
+
+    d: Float[Array, "1 1"]
+    below: Float[Array, "k 1"]
+
+
+def ldl(a: Matrix) -> list[Pivot]:
+    """Factor `a = L diag(d) Lᵀ` with a unit lower triangular L."""
+    steps, rest = [], a
+    for k in reversed(range(a.shape[0])):
+        top, low = jax.lax.split(rest, (1, k), 0)
+        d, right = jax.lax.split(top, (1, k), 1)
+        left, block = jax.lax.split(low, (1, k), 1)
+        steps.append(Pivot(d, left / d))
+        rest = block - steps[-1].below @ right
+    return steps
 
 
 def pivots(a: Matrix) -> Vector:
     """Pivots of `ldl`; by Sylvester's law of inertia as many are negative as `a` has negative eigenvalues."""
-    return ldl(a)[1]
+    return jnp.concatenate([step.d for step in ldl(a)])[:, 0]
 
 
 @jax.custom_jvp
 def solve(a: Matrix, b: Float[Array, "n *k"]) -> Float[Array, "n *k"]:
     """Solve `a x = b` for symmetric positive definite `a`; columns of a matrix `b` are solved together."""
-    columns, d = ldl(a)
-    width = (1,) * (b.ndim - 1)
-    x = jnp.zeros_like(b[:0])
-    for column, entry, pivot in zip(columns[::-1], _forward(columns, b)[::-1], d[::-1], strict=True):
-        below = jnp.sum(column[1:].reshape(-1, *width) * x, axis=0)
-        x = jnp.concatenate([(entry / pivot - below)[None], x])
-    return x
+    steps = ldl(a)
+    right = b.reshape(b.shape[0], -1)
+    x = right[:0]
+    for step, row in zip(steps[::-1], _forward(steps, right)[::-1], strict=True):
+        x = jnp.concatenate([row / step.d - step.below.T @ x, x])
+    return x.reshape(b.shape)
 
 
-def _forward(columns: list[Array], b: Float[Array, "n *k"]) -> list[Array]:
-    """Rows of `L⁻¹ b`, L being given by the columns of `ldl`."""
-    width = (1,) * (b.ndim - 1)
+def _forward(steps: list[Pivot], b: Float[Array, "n k"]) -> list[Float[Array, "1 k"]]:
+    """Rows of `L⁻¹ b`."""
     rows = []
-    for column in columns:
-        rows.append(b[0])
-        b = b[1:] - column[1:].reshape(-1, *width) * b[:1]
+    for step in steps:
+        top, low = jax.lax.split(b, (1, b.shape[0] - 1), 0)
+        rows.append(top)
+        b = low - step.below @ top
     return rows
 
 
@@ -64,8 +73,8 @@ def solve_square(a: Matrix, b: Float[Array, "n *k"]) -> Float[Array, "n *k"]:
 
 def half_solve(a: Matrix, b: Float[Array, "n k"]) -> Float[Array, "n k"]:
     """`L⁻¹ b` for symmetric positive definite `a = L Lᵀ`: b in the basis in which a is the identity."""
-    columns, d = ldl(a)
-    return jnp.stack(_forward(columns, b)) / jnp.sqrt(d)[:, None]
+    steps = ldl(a)
+    return jnp.concatenate([row / jnp.sqrt(step.d) for step, row in zip(steps, _forward(steps, b), strict=True)])
 
 
 def whiten(a: Matrix, b: Matrix) -> Matrix:
@@ -75,10 +84,12 @@ def whiten(a: Matrix, b: Matrix) -> Matrix:
 
 def cholesky(a: Matrix) -> Matrix:
     """Lower triangular L with `a = L Lᵀ`, for symmetric positive definite a."""
-    columns, d = ldl(a)
-    n = a.shape[0]
-    full = [jnp.concatenate([jnp.zeros(n - c.shape[0], a.dtype), c]) for c in columns]
-    return jnp.stack(full, axis=1) * jnp.sqrt(d)[None, :]
+    columns = []
+    for k, step in enumerate(ldl(a)):
+        columns.append(
+            jnp.concatenate([jnp.zeros((k, 1), a.dtype), jnp.ones_like(step.d), step.below]) * jnp.sqrt(step.d)
+        )
+    return jnp.concatenate(columns, axis=1)
 
 
 def semidefinite_root(a: Matrix) -> Matrix:

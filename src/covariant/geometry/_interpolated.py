@@ -88,8 +88,8 @@ def _with_border(factors: np.ndarray, n: int) -> np.ndarray:
 @jax.vmap
 def _to_factors(p: Matrix) -> Float[Array, "k"]:
     """Strictly lower entries of L by columns, then log D."""
-    columns, d = ldl(p)
-    return jnp.concatenate([*(column[1:] for column in columns), jnp.log(d)])
+    steps = ldl(p)
+    return jnp.concatenate([*(step.below[:, 0] for step in steps), *(jnp.log(step.d[0]) for step in steps)])
 
 
 def _from_factors(factors: Float[Array, "k"], n: int) -> Matrix:

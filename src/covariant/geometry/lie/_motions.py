@@ -130,8 +130,7 @@ def _dual(formula, x: Vector, y: Vector) -> Vector:
 
 def _affine(linear: Array, shift: Array, corner: float) -> Element:
     upper = jnp.concatenate([linear, shift[:, None]], axis=1)
-    lower = jnp.zeros_like(upper[:1]).at[0, -1].set(corner)
-    return jnp.concatenate([upper, lower])
+    return jnp.concatenate([upper, corner * np.eye(upper.shape[1], dtype=upper.dtype)[-1:]])
 
 
 def _affine_defect(g: Element) -> Array:

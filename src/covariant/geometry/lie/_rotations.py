@@ -4,6 +4,7 @@ Source: Barfoot 2017, State Estimation for Robotics, chapter 7; Shepperd 1978 fo
 """
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from covariant._typing import Element, Flag, Vector
@@ -94,7 +95,7 @@ class SpecialOrthogonal3(AbstractGroup):
     def exp(self, x: Vector) -> Element:
         # Rodrigues' formula; the square of hat(x) is xxᵀ − |x|².
         square = x @ x
-        turned = stumpff(0, square) * jnp.eye(3, dtype=x.dtype) + stumpff(2, square) * jnp.outer(x, x)
+        turned = stumpff(0, square) * np.eye(3, dtype=x.dtype) + stumpff(2, square) * jnp.outer(x, x)
         return turned + stumpff(1, square) * self.hat(x)
 
     def log(self, g: Element) -> Vector:
