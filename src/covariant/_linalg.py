@@ -44,7 +44,8 @@ def solve(a: Matrix, b: Float[Array, "n *k"]) -> Float[Array, "n *k"]:
     right = b.reshape(b.shape[0], -1)
     x = right[:0]
     for step, row in zip(steps[::-1], _forward(steps, right)[::-1], strict=True):
-        x = jnp.concatenate([row / step.d - step.below.T @ x, x])
+        below = step.below.T @ x
+        x = jnp.concatenate([row / step.d - below, x])
     return x.reshape(b.shape)
 
 
