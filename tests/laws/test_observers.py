@@ -192,12 +192,14 @@ def shear(a, b):
     """A random cubic diffeomorphism of the plane with an exact inverse: two shears."""
 
     def forward(z):
-        x = jnp.stack([z[0], z[1] + a[0] * z[0] ** 2 + a[1] * z[0] ** 3])
-        return jnp.stack([x[0] + b[0] * x[1] ** 2 + b[1] * x[1] ** 3, x[1]])
+        x, y = z
+        y = y + x * x * (a[0] + a[1] * x)
+        return jnp.stack([x + y * y * (b[0] + b[1] * y), y])
 
     def inverse(q):
-        x = jnp.stack([q[0] - b[0] * q[1] ** 2 - b[1] * q[1] ** 3, q[1]])
-        return jnp.stack([x[0], x[1] - a[0] * x[0] ** 2 - a[1] * x[0] ** 3])
+        x, y = q
+        x = x - y * y * (b[0] + b[1] * y)
+        return jnp.stack([x, y - x * x * (a[0] + a[1] * x)])
 
     return forward, inverse
 

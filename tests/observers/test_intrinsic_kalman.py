@@ -145,11 +145,11 @@ class Lottery(NamedTuple):
 
 def warped(z, a, b):
     """A diffeomorphism of Rⁿ: one coordinate after the other is sheared by waves of the next."""
-    n = z.shape[0]
-    for i in range(n):
-        next_ = z[(i + 1) % n]
-        z = z.at[i].add(a[i] * jnp.sin(next_) + b[i] * jnp.cos(2 * next_))
-    return z
+    z = list(z)
+    for i in range(len(z)):
+        next_ = z[(i + 1) % len(z)]
+        z[i] = z[i] + a[i] * jnp.sin(next_) + b[i] * jnp.cos(2 * next_)
+    return jnp.stack(z)
 
 
 def body_in_euler_angles() -> Lagrangian:
