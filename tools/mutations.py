@@ -16,7 +16,10 @@ from typing import NamedTuple
 
 ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "covariant"
-ROOMS = ("geometry", "observers", "riccati", "lowering", "proofs", "certificates", "audit")
+ROOMS = (
+    *("geometry", "observers", "riccati", "lowering", "proofs", "certificates", "audit", "models", "logs", "control"),
+    *("simulation", "scale", "diagnosis", "design", "identification", "export", "runtime", "report", "interop", "cli"),
+)
 
 OPERATORS = {ast.Add: ("+", "-"), ast.Sub: ("-", "+"), ast.Mult: ("*", "/"), ast.Div: ("/", "*"), ast.Pow: ("**", "*")}
 OPERATORS |= {ast.FloorDiv: ("//", "/"), ast.BitAnd: ("&", "|"), ast.BitOr: ("|", "&")}
