@@ -144,12 +144,9 @@ class Lottery(NamedTuple):
 
 
 def warped(z, a, b):
-    """A diffeomorphism of Rⁿ: one coordinate after the other is sheared by waves of the next."""
-    z = list(z)
-    for i in range(len(z)):
-        next_ = z[(i + 1) % len(z)]
-        z[i] = z[i] + a[i] * jnp.sin(next_) + b[i] * jnp.cos(2 * next_)
-    return jnp.stack(z)
+    """A map of Rⁿ in which waves of the next coordinate shear each; one to one where |a| + 2|b| < 1."""
+    following = jnp.roll(z, -1)
+    return z + a * jnp.sin(following) + b * jnp.cos(2 * following)
 
 
 def body_in_euler_angles() -> Lagrangian:
