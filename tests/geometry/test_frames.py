@@ -13,7 +13,16 @@ import numpy as np
 import pytest
 
 from covariant import geometry, models
-from covariant.geometry import AbstractManifold, Budget, Coordinates, Metric, ProductManifold, derivative, lie
+from covariant.geometry import (
+    AbstractManifold,
+    Budget,
+    Coordinates,
+    KineticEnergy,
+    Metric,
+    ProductManifold,
+    derivative,
+    lie,
+)
 from covariant.observers import second_order
 from covariant.signals import Result
 
@@ -33,9 +42,14 @@ def uneven(n):
     return matrix
 
 
+def energy(matrix):
+    """The kinetic energy that goes with the matrix of a metric."""
+    return lambda x, v: v @ matrix(x) @ v / 2
+
+
 MIXED = ProductManifold((lie.SE2, Coordinates((0,), 2)))
 SPACES = {
-    "uneven, SO(3)": lambda: Metric(uneven(3), manifold=lie.SO3),
+    "uneven, SO(3), by its energy": lambda: KineticEnergy(energy(uneven(3)), manifold=lie.SO3),
     "uneven, SE(2) x coordinates": lambda: Metric(uneven(5), manifold=MIXED),
     "arm, SE(3) x joints": lambda: models.satellite_arm().space,
     "coordinates": lambda: models.ball_and_beam().space,
@@ -178,6 +192,11 @@ def test_lowering_is_symmetric_and_raising_undoes_it(at):
     assert np.linalg.eigvalsh(g).min() > 0
     close(at.space.lower(at.x, at.a), g @ at.a)
     close(at.space.raise_(at.x, at.space.lower(at.x, at.a)), at.a)
+
+
+def test_an_energy_is_the_metric_of_its_matrix():
+    at = sample("uneven, SO(3), by its energy")
+    close(at.space(at.x), uneven(3)(at.x))
 
 
 def test_the_connection_has_the_frames_torsion(both):
