@@ -251,7 +251,6 @@ NO_COVARIANCES = [
         "initial_velocity_cov must be a number or a square matrix",
     ),
     ({"initial_velocity_cov": np.nan}, "initial_velocity_cov must have finite entries"),
-    ({"force_cov": -jnp.eye(2)}, "force_cov must have variances that are zero or more"),
 ]
 
 

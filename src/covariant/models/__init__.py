@@ -5,11 +5,12 @@ from covariant.models._bioreactor import bioreactor
 from covariant.models._check import check_metric
 from covariant.models._duffing import duffing
 from covariant.models._family import Family, family
-from covariant.models._file import ModelError, ModelFile, document, from_recipe, load, recipe
+from covariant.models._file import ModelError, ModelFile, document, from_recipe
 from covariant.models._heavy_top import free_body, heavy_top
 from covariant.models._hovercraft import hovercraft
 from covariant.models._in_chart import chart_jacobian, chart_velocity, in_chart
 from covariant.models._induction_motor import induction_motor
+from covariant.models._load import load, recipe
 from covariant.models._lorenz import lorenz
 from covariant.models._mechanical import (
     GroupSystem,

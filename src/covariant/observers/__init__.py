@@ -38,6 +38,7 @@ from covariant.observers._riccati import Estimate, InformationEKF, InformationSt
 from covariant.observers._salcudean import Salcudean, SalcudeanState
 from covariant.observers._sampled import chooses_substeps, needed_substeps, with_fixed_substeps
 from covariant.observers._savitzky_golay import SavitzkyGolay, WindowState
+from covariant.observers._slow import Slow, external_force, sensor_bias, uncertain_parameters
 from covariant.observers._state_ekf import StateEKF, StateEKFInfo, StateEKFState
 from covariant.observers._state_registry import STATE_REGISTRY, Noise, StateEntry
 from covariant.observers._tracking_loop import LoopState
@@ -93,6 +94,7 @@ __all__ = [
     "Salcudean",
     "SalcudeanState",
     "SavitzkyGolay",
+    "Slow",
     "StateEKF",
     "StateEKFInfo",
     "StateEKFState",
@@ -102,6 +104,7 @@ __all__ = [
     "chooses_substeps",
     "continuous",
     "craft_observer",
+    "external_force",
     "lyapunov_gains",
     "lyapunov_rate",
     "needed_substeps",
@@ -109,5 +112,7 @@ __all__ = [
     "printed_rate",
     "run",
     "second_order",
+    "sensor_bias",
+    "uncertain_parameters",
     "with_fixed_substeps",
 ]
