@@ -200,8 +200,8 @@ REFUSED = [
     (lambda: kalman(CHAIN, 2, sensor_bias((0.1,))), r"offset of the slow states bias1 must have shape \(2,\)"),
     (lambda: kalman(CHAIN, 2, external_force(jnp.eye(3))), "force of the slow states external_force1, external_force2"),
     (lambda: kalman(CHAIN, 2, *(external_force(jnp.eye(2)),) * 2), "two slow states are called 'external_force1'"),
-    (lambda: kalman(CHAIN, 2, "bias"), "slow must be a tuple of Slow"),
-    (lambda: dataclasses.replace(kalman(CHAIN, 2), slow=sensor_bias((0.1, 0.1))), "slow must be a tuple of Slow"),
+    (lambda: kalman(CHAIN, 2, "bias"), "slow must be one Slow or several"),
+    (lambda: dataclasses.replace(kalman(CHAIN, 2), slow="bias"), "slow must be one Slow or several"),
 ]
 
 

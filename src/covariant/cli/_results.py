@@ -31,8 +31,8 @@ class Outcome(NamedTuple):
     """A run, its velocities or states (T, n), their score where there is a reference, and the compiled time a sample
     [µs].
 
-    `slow_names` are those of the numbers that were estimated along with the motion; `nis` is the mean normalised innovation squared for each measured number, NaN for an observer without a covariance;
-    1 is expected. `engine` says what computed the run.
+    `nis` is the mean normalised innovation squared for each measured number, NaN for an observer without a covariance;
+    1 is expected. `engine` says what computed the run, and `slow_names` what was estimated along with the motion.
     """
 
     run: Run

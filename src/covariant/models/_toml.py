@@ -200,8 +200,8 @@ def _uncertain(document: dict[str, Any], states: int) -> dict[str, dict[str, flo
     given = document.get(table, {}).get(key, {})
     if not isinstance(given, dict):
         raise ValueError(
-            f"{table}.{key} must name numbers of [parameters], each with a standard deviation of its relative error, as "
-            f'in {{"mass[0]" = 0.3}}; got {given!r}'
+            f"{table}.{key} must name numbers of [parameters], each with the standard deviation of its relative error, "
+            f'as in {{"mass[0]" = 0.3}}; got {given!r}'
         )
     if given and states:
         raise ValueError(f"{table}.{key} is for a mechanical model, and this one is a state-space model")

@@ -24,7 +24,7 @@ from covariant.models import MechanicalSystem, Motion, advance
 from covariant.observers._gate import Gate, judged, open_gate
 from covariant.observers._protocol import AbstractObserver, Held, as_gain, at_rest, check_positive, outcome, uniqueness
 from covariant.observers._sampled import needed_substeps
-from covariant.observers._slow import Slow, SlowStates, SlowVector
+from covariant.observers._slow import Slow, SlowStates, SlowVector, as_groups
 from covariant.observers._spread import Spread, check_spread, spread_at
 from covariant.observers._square_root import diagonal, normalised_square, updated, white_acceleration
 from covariant.observers._ticks import Readings, take
@@ -102,8 +102,9 @@ class IntrinsicKalman(AbstractObserver):
     - `initial_velocity_cov`: covariance of the initial velocity, which is assumed zero [(rad/s)² or (m/s)²].
       Each of the three is a matrix (n, n) in the frame, the same everywhere; a function of the configuration; or a
       number, a variance in metric units, the same in every direction.
-    - `slow`: slow states that are estimated along with the motion, each a `Slow`: `external_force`, `sensor_bias`,
-      `uncertain_parameters`, or one of your own. A constant one leaves no bias where the measurements show it.
+    - `slow`: slow states that are estimated along with the motion, a `Slow` or several: `external_force`,
+      `sensor_bias`, `uncertain_parameters`, or one of your own. A constant one leaves no bias where the measurements
+      show it.
     - `quantum` (n,): one tick of each encoder, in coordinates [their unit]. A reading is then an interval, and a change
       of it an edge that was passed; `measurement_cov` is the covariance of the positions of edges. None where every
       sample has independent noise.
@@ -112,8 +113,8 @@ class IntrinsicKalman(AbstractObserver):
     - `substeps`: Runge–Kutta steps in each sample; None takes as many as dt and the friction need (offline).
 
     After a gap so long that an angle may be anywhere the filter starts anew from the measured configuration and the
-    predicted velocity, its slow states as uncertain as at first, and `result` says `RESTARTED`. In other coordinates, with noise that is the same tensor, the
-    estimate is the same to the accuracy of the budget.
+    predicted velocity, its slow states as uncertain as at first, and `result` says `RESTARTED`. In other coordinates,
+    with noise that is the same tensor, the estimate is the same to the accuracy of the budget.
 
     Raises `ValueError` for numbers and matrices that are no covariances, for a singular measurement covariance, and for
     slow states that do not fit the model.
@@ -123,7 +124,7 @@ class IntrinsicKalman(AbstractObserver):
     process_cov: Spread = eqx.field(converter=as_gain)
     measurement_cov: Spread = eqx.field(converter=as_gain)
     initial_velocity_cov: Spread = eqx.field(converter=as_gain)
-    slow: tuple[Slow, ...] = ()
+    slow: tuple[Slow, ...] = eqx.field(default=(), converter=as_groups)
     quantum: Vector | None = eqx.field(default=None, converter=as_quantum)
     gate: Gate | None = Gate()
     budget: Budget = eqx.field(default=Budget(newton=1, steps=2), static=True)
@@ -133,8 +134,6 @@ class IntrinsicKalman(AbstractObserver):
         check_spread("IntrinsicKalman", "measurement_cov", self.measurement_cov, positive=True)
         for name in ("process_cov", "initial_velocity_cov"):
             check_spread("IntrinsicKalman", name, getattr(self, name))
-        if not isinstance(self.slow, tuple):
-            raise ValueError(f"IntrinsicKalman: slow must be a tuple of Slow; got {self.slow!r}")
         self._slow.check("IntrinsicKalman", self.model)
         if self.quantum is not None:
             check_positive("IntrinsicKalman", quantum=self.quantum)

@@ -3,8 +3,9 @@
 An unknown force, the offset of an encoder, a payload, a level of friction: each of them enters the equations of motion
 or the measurement, by functions that a filter differentiates as it computes them. So one mechanism serves all.
 
-Source: Friedland 1969, Treatment of bias in recursive filtering, IEEE TAC 14(4), for states that are constant; Pannocchia
-& Rawlings 2003, Disturbance models for offset-free model-predictive control, AIChE Journal 49(2), for integral action.
+Source: Friedland 1969, Treatment of bias in recursive filtering, IEEE TAC 14(4), for states that are constant;
+Pannocchia & Rawlings 2003, Disturbance models for offset-free model-predictive control, AIChE Journal 49(2), for
+integral action.
 """
 
 import math
@@ -32,7 +33,7 @@ class Slow(Functional):
 
     - `names` (k of them): what they are called where estimates are written.
     - `first` (k,): values at the start; `first_cov` (k, k): how uncertain they are.
-    - `walk_cov` (k, k): spectral density of the random walk, the variance that comes in each second; zero of a constant.
+    - `walk_cov` (k, k): spectral density of the random walk, the variance that is added in a second; 0 for constants.
     - `force`: `(q, v, s) -> (n,)`, a generalised force that acts besides those of the model, a covector in the frame.
     - `model`: `s -> MechanicalSystem`, the model with these numbers in it, in the place of the filter's own.
     - `offset`: `s -> (n,)`, by how much measured configurations are off: `y = retract(q, offset)`. In coordinates it is
@@ -67,6 +68,11 @@ class Slow(Functional):
             raise ValueError("Slow: give a force, a model or an offset that depends on the states")
 
 
+def as_groups(given: Any) -> tuple[Any, ...]:
+    """One group or several as a tuple."""
+    return tuple(given) if isinstance(given, Sequence) and not isinstance(given, str) else (given,)
+
+
 class SlowStates(NamedTuple):
     """All slow states of a filter, one group after the other."""
 
@@ -94,7 +100,7 @@ class SlowStates(NamedTuple):
         """A square root of the density of their random walks."""
         return _blocks([group.walk_cov for group in self.groups])
 
-    def parts(self, s: SlowVector) -> list[SlowVector]:
+    def parts(self, s: SlowVector) -> list[Array]:
         """The states of each group."""
         ends = np.cumsum([len(group.names) for group in self.groups])
         return jnp.split(s, ends[:-1].tolist()) if self.groups else []
@@ -125,7 +131,7 @@ class SlowStates(NamedTuple):
         """Raise `ValueError` for groups that do not go together, or not with a model whose dimension is known."""
         for group in self.groups:
             if not isinstance(group, Slow):
-                raise ValueError(f"{whose}: slow must be a tuple of Slow, such as sensor_bias(0.01); got {group!r}")
+                raise ValueError(f"{whose}: slow must be one Slow or several, such as sensor_bias(0.01); got {group!r}")
         twice = next((name for name in self.names if self.names.count(name) > 1), None)
         if twice is not None:
             raise ValueError(f"{whose}: two slow states are called {twice!r}; give each its own name")
