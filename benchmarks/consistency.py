@@ -20,6 +20,7 @@ if __name__ == "__main__":
         for measurement, speed in (*NOISES, *SPEEDS):
             nees, nis = consistency(name, Sizes(measurement=measurement, speed=speed))
             late = nis[:, STEPS // 2 :]
+            # Of runs that end so far off that no geodesic leads to the truth there is no error.
             marks = [
                 f"{values.mean():.3f}{'' if abs(values.mean() - 1) < bound(count) else ' *'}"
                 for values, count in ((nees, 2 * n * RUNS), (late, n * late.size))

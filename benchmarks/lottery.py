@@ -13,7 +13,7 @@ import numpy as np
 
 sys.path.append("tests/observers")
 
-from test_intrinsic_kalman import DRAWS, LOTTERIES, draws, intrinsic_kalman, player, recorded
+from test_intrinsic_kalman import LOTTERIES, draws, intrinsic_kalman, player, recorded
 
 from covariant.models import Motion
 from covariant.observers import EKF
@@ -43,15 +43,15 @@ def errors(estimates: np.ndarray, true: Motion) -> tuple[np.ndarray, int]:
 
 
 if __name__ == "__main__":
-    print(
-        "| machine | first error, noise | filter | least | median | largest | diverged |\n|---|---|---|--:|--:|--:|--:|"
-    )
+    print("| machine | first error, noise [rad] | intrinsic Kalman | EKF: best, median, worst | diverged |")
+    print("|---|---|--:|--:|--:|")
     for name, case in LOTTERIES.items():
-        played = {"intrinsic-kalman": player(case, intrinsic_kalman), "ekf": player(case, ekf(case.z))}
+        players = player(case, intrinsic_kalman), player(case, ekf(case.z))
         for first, noise in SIZES:
             true, y = recorded(case._replace(first_error=first, noise=noise))
-            for each, play in played.items():
-                estimates = np.stack([play(y, jnp.asarray(noise), draw) for draw in draws(case)])
-                found, lost = errors(estimates, true)
-                three = " | ".join(f"{value:.3g}" for value in (np.min(found), np.median(found), np.max(found)))
-                print(f"| {name} | {first}, {noise} | {each} | {three} | {lost} of {DRAWS} |", flush=True)
+            (own, lost), (other, also_lost) = (
+                errors(np.stack([play(y, jnp.asarray(noise), draw) for draw in draws(case)]), true) for play in players
+            )
+            words = f"{np.min(own):.3g} to {np.max(own):.3g}"
+            three = ", ".join(f"{value:.3g}" for value in (np.min(other), np.median(other), np.max(other)))
+            print(f"| {name} | {first}, {noise} | {words} | {three} | {lost}, {also_lost} |", flush=True)

@@ -99,6 +99,7 @@ def _result(jobs: list[Job], loaded: list[Loaded], found: Tuning, tables: dict[s
         "scored_against": loaded[0].reference.label if loaded[0].reference else None,
         "lines": tables,
         "coordinates": list(names),
+        "velocities": list(loaded[0].model.sought.names or (f"d{name}/dt" for name in names)),
         "units": [unit.removesuffix("/s") for unit in units],
         "held_out": {
             when: None if judged is None else _judged(judged)
@@ -167,8 +168,8 @@ def _rows(result: dict[str, Any]) -> list[dict[str, str | float]]:
         row: dict[str, Any] = {"": when}
         for i, (name, unit) in enumerate(zip(result["coordinates"], result["units"], strict=True)):
             row[f"{name} one step ahead [{unit}]"] = judged["one_step"][i]
-            row[f"d{name}/dt, gains [{unit}/s]"] = judged["gains_error"][i]
-            row[f"d{name}/dt, Kalman [{unit}/s]"] = judged["kalman_error"][i]
+            row[f"{result['velocities'][i]}, gains [{unit}/s]"] = judged["gains_error"][i]
+            row[f"{result['velocities'][i]}, Kalman [{unit}/s]"] = judged["kalman_error"][i]
         rows.append(
             row
             | {
