@@ -89,9 +89,10 @@ PUBLIC = {
     "Estimate FilterInfo FilteredDerivative FilteredState Gate Gated GatedState Geodesic GeodesicInfo GeodesicState "
     "HeldState HighGain Info InformationEKF InformationState Intrinsic IntrinsicKalman JointInfo JointKalman "
     "JointState KalmanInfo KalmanState Levant LoopState MechanicalState Noise PassiveGains PassiveShip "
-    "Riccati Salcudean SalcudeanState SavitzkyGolay StateEKF StateEKFInfo StateEKFState StateEntry UKFState "
-    "WindowState chooses_substeps continuous craft_observer "
-    "lyapunov_gains lyapunov_rate needed_substeps notch_gains printed_rate run second_order with_fixed_substeps",
+    "Riccati Salcudean SalcudeanState SavitzkyGolay Slow StateEKF StateEKFInfo StateEKFState StateEntry UKFState "
+    "WindowState chooses_substeps continuous craft_observer external_force "
+    "lyapunov_gains lyapunov_rate needed_substeps notch_gains printed_rate run second_order sensor_bias "
+    "uncertain_parameters with_fixed_substeps",
     "papers.jouffroy_fossen": "COMPASS COUNTEREXAMPLES CROSS DURATION GAPS GNSS K1 K2 KD KP LAMBDA PRINTED_K2 RATE "
     "SETTLED STAGES STEP Loop Scalar Sea draw draw_odin draw_sea odin_box odin_cascade odin_certificate "
     "odin_controller odin_eigenvalues odin_loop odin_observer odin_path odin_sampled_rate passive_observer reproduce "

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from covariant.signals import Record, Result, acting_inputs, lag_inputs
+from covariant.signals import Record, Result, acting_inputs, lag_inputs, read_together
 
 T = np.array([0.0, 0.1, 0.3, 0.4])
 GOOD = Record(T, np.zeros((4, 1)), np.arange(8.0).reshape(4, 2))
@@ -117,3 +117,23 @@ def test_an_input_acts_by_its_mean_over_each_step():
 def test_an_input_that_acts_in_no_known_way_is_named(arguments, words):
     with pytest.raises(ValueError, match=words):
         acting_inputs(GOOD, *arguments)
+
+
+def test_coordinates_that_are_late_by_different_times_are_read_together():
+    rng = np.random.default_rng(0)
+    t = np.cumsum(rng.uniform(0.008, 0.012, 300))
+    delay = np.array([0.0, 0.025, 0.01])
+
+    def motion(at):
+        return np.stack([np.sin(3 * at), np.cos(2 * at), at**2], axis=-1)
+
+    y = np.stack([motion(t - d)[:, i] for i, d in enumerate(delay)], axis=1)
+    y[100, 0] = np.nan
+    found = read_together(Record(t, t[:, None], y), delay)
+    first = int(np.searchsorted(t, t[0] + 0.025))
+    np.testing.assert_array_equal(found.t, t[first:])
+    np.testing.assert_array_equal(found.u[:, 0], t[first:])
+    known = np.isfinite(found.y)
+    assert 1 <= (~known).sum() <= 5
+    np.testing.assert_allclose(found.y[known], motion(t[first:] - 0.025)[known], rtol=0, atol=2e-6)
+    assert np.nanmax(np.abs(y[first:] - motion(t[first:] - 0.025))[known]) > 0.05

@@ -70,7 +70,7 @@ def test_what_is_wrong_is_printed_with_the_remedy(capsys):
     assert run("check", "model.toml", "ms.csv") == 1
     text = capsys.readouterr().out
     assert "WRONG unit of time" in text
-    assert "-> multiply column t by 0.001: stamps are read as seconds" in text
+    assert '-> [units] t = "ms"' in text
     assert run("check", "model.toml", "ms.csv", "--json") == 1
     result = json.loads(capsys.readouterr().out)
     assert result["wrong"] is True

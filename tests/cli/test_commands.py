@@ -281,6 +281,38 @@ def test_a_torque_that_nobody_told_is_found_and_leaves_no_bias():
     assert "intrinsic-kalman does" in command(*arguments[:3], "--set", "uncertainty.external_force=0.2")["design"]
 
 
+def test_an_encoder_that_is_off_and_a_payload_are_found():
+    """The angle in the log is off by .05 rad, and the model's mass by half; both are told of in the model file."""
+    log = logs.read("log.csv", logs.Columns(q=("angle",), u=("torque",), truth=("true_v1",)))
+    told = {"t": log.record.t, "angle": log.record.y[:, 0] + 0.05, "torque": log.record.u[:, 0]}
+    logs.write("off.csv", told | {"true_v1": log.truth[:, 0]})
+    mass = float(np.asarray(load("model.toml").model.parameters["mass"].value)[0])
+    arguments = ("estimate", "model.toml", "off.csv", "--observer", "intrinsic-kalman")
+    bias, payload = "measurement.bias=0.1", 'uncertainty.parameters={"mass[0]"=0.5}'
+    command(*arguments, "--set", bias, "-o", "bias.csv")
+    assert Path("bias.csv").read_text().splitlines()[0] == "t,q1,v1,v1_std,bias1,bias1_std"
+    found = logs.read("bias.csv", logs.Columns(q=("bias1", "bias1_std"))).record.y[-1]
+    assert abs(found[0] - 0.05) < 3 * found[1] < 0.02
+    command(
+        *arguments,
+        "--set",
+        f"parameters.mass=[{mass / 2}]",
+        "--set",
+        bias,
+        "--set",
+        payload,
+        "-o",
+        "both.csv",
+        "--anyway",
+    )
+    assert Path("both.csv").read_text().splitlines()[0].endswith("v1_std,mass[0],bias1,mass[0]_std,bias1_std")
+    found = logs.read("both.csv", logs.Columns(q=("mass[0]", "mass[0]_std", "bias1"))).record.y
+    assert abs(found[-1, 0] - mass) < 3 * found[-1, 1] < 0.2 * mass
+    assert found[-1, 2] == pytest.approx(0.05, abs=0.01)
+    design = command("estimate", "model.toml", "off.csv", "--set", bias, "--set", payload)["design"]
+    assert "does not estimate the bias of [measurement] and the parameters of [uncertainty]" in design
+
+
 def test_a_run_keeps_what_is_asked_for():
     """What a long log takes in memory: a few numbers a row, and none for what no output shows."""
     model = load("model.toml").model

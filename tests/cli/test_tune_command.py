@@ -3,11 +3,14 @@
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from commands import command
 
-from covariant import models
+from covariant import logs, models
 from covariant.cli import main
+from covariant.cli._fit import when_true
+from covariant.cli._job import Job
 
 MODEL = """system = "oscillator"
 [columns]
@@ -71,3 +74,16 @@ def test_what_is_refused_is_told_in_one_line(arguments, message, capsys):
     assert left.value.code == 2
     assert message in capsys.readouterr().err
     assert Path("other.toml").read_text() == ""
+
+
+def test_joints_that_are_late_by_different_times_are_read_together():
+    t = 0.005 * np.arange(400)
+    q = np.stack([np.sin(3 * (t - 0.012)), np.cos(2 * (t - 0.002))], axis=1)
+    logs.write(Path("late.csv"), {"t": t, "q1": q[:, 0], "q2": q[:, 1], "u1": t, "u2": 0 * t})
+    Path("arm.toml").write_text('system = "pendulum_chain"\n[measurement]\ndelay = [0.012, 0.002]\nstd = 1e-3\n')
+    loaded = when_true(Job("arm.toml", Path("late.csv"), (), 1, None, {}, anyway=True))
+    true = loaded.record.t - 0.012
+    assert len(true) == 398
+    np.testing.assert_allclose(loaded.record.y, np.stack([np.sin(3 * true), np.cos(2 * true)], axis=1), atol=1e-6)
+    np.testing.assert_allclose(loaded.reference.v[20:-20, 1], -2 * np.sin(2 * true)[20:-20], atol=1e-3)
+    np.testing.assert_allclose(loaded.record.u[10:-1, 0], true[10:-1] + 0.0025, atol=0.006)

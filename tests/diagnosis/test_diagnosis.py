@@ -6,7 +6,9 @@ import pytest
 
 from covariant import logs, models
 from covariant.diagnosis import diagnose, misfit, outliers
+from covariant.diagnosis._changes import Names, no_change
 from covariant.diagnosis._smooth import smooth
+from covariant.logs import unit_factor
 from covariant.models import load
 from covariant.signals import Record
 from covariant.simulation import Sensor, sense, simulate, stamps
@@ -67,27 +69,35 @@ def test_a_log_that_fits_has_no_findings(pendulum, exact, seed):
 
 
 CHANGES = {
-    "milliseconds": (lambda r: r._replace(t=r.t * 1e3), "unit of time", "column t by 0.001"),
-    "seconds taken for milliseconds": (lambda r: r._replace(t=r.t * 1e-3), "unit of time", "column t by 1000"),
-    "nanoseconds": (lambda r: r._replace(t=r.t * 1e9), "unit of time", "column t by 1e-09"),
-    "degrees": (lambda r: r._replace(y=np.rad2deg(r.y)), "unit of positions", "q1, q2 by 0.0174532925"),
-    "turns": (lambda r: r._replace(y=r.y / (2 * np.pi)), "unit of positions", "q1, q2 by 6.28318531"),
-    "both": (lambda r: r._replace(t=r.t * 1e3, y=np.rad2deg(r.y)), "unit of time and positions", "0.0174532925"),
+    "milliseconds": (lambda r: r._replace(t=r.t * 1e3), "unit of time", '[units] t = "ms"'),
+    "seconds taken for milliseconds": (lambda r: r._replace(t=r.t * 1e-3), "unit of time", '[units] t = "1e+03 s"'),
+    "nanoseconds": (lambda r: r._replace(t=r.t * 1e9), "unit of time", '[units] t = "ns"'),
+    "degrees": (lambda r: r._replace(y=np.rad2deg(r.y)), "unit of positions", '[units] q = "deg"'),
+    "turns": (lambda r: r._replace(y=r.y / (2 * np.pi)), "unit of positions", '[units] q = "turn"'),
+    "both": (
+        lambda r: r._replace(t=r.t * 1e3, y=np.rad2deg(r.y)),
+        "unit of time and positions",
+        '[units] t = "ms"; [units] q = "deg"',
+    ),
     "counts": (
         lambda r: r._replace(y=np.round(r.y / (2 * np.pi) * 16384)),
         "unit of positions",
-        f"by {2 * np.pi / 16384:.9g}",
+        '[units] q = "turn/16384"',
     ),
     "one joint in degrees": (
         lambda r: r._replace(y=r.y * [1.0, 180 / np.pi]),
         "unit of positions",
-        "multiply q2 by 0.0174532925",
+        '[units] q = ["rad", "deg"]',
     ),
     "swapped joints": (lambda r: r._replace(y=r.y[:, ::-1], u=r.u[:, ::-1]), "swapped joints", 'u = ["tau2", "tau1"]'),
     "swapped positions": (lambda r: r._replace(y=r.y[:, ::-1]), "swapped positions", '[columns] q = ["q2", "q1"]'),
     "swapped torques": (lambda r: r._replace(u=r.u[:, ::-1]), "swapped inputs", '[columns] u = ["tau2", "tau1"]'),
-    "sign of a torque": (lambda r: r._replace(u=r.u * [-1, 1]), "sign of an input", "multiply tau1 by -1"),
-    "sign of a position": (lambda r: r._replace(y=r.y * [1, -1]), "sign of a position", "multiply q2 by -1"),
+    "sign of a torque": (lambda r: r._replace(u=r.u * [-1, 1]), "sign of an input", '[units] u = ["-1", "1"]'),
+    "sign of a position": (
+        lambda r: r._replace(y=r.y * [1, -1]),
+        "sign of a position",
+        '[units] q = ["rad", "-1 rad"]',
+    ),
     "upside down": (lambda r: r._replace(y=r.y + np.array((np.pi, 0.0))), "zero of a position", "add 3.14159265 to q1"),
 }
 
@@ -103,6 +113,37 @@ def test_what_a_column_is_in_truth_is_found(pendulum, clean, name):
         refused = misfit(pendulum, changed)
         assert refused is not None
         assert refused.line == found[0].line
+
+
+LOGGED = Names("t", ("a", "b"), ("x", "y"), ("rad", "m"), np.array([True, False]))
+
+
+@pytest.mark.parametrize(
+    ("stated", "field", "factors", "line"),
+    [
+        ({}, "q", [np.pi / 180, 1.0], '[units] q = ["deg", "m"]'),
+        ({"q": ("deg", "mm")}, "q", [180 / np.pi, 1.0], '[units] q = ["rad", "mm"]'),
+        ({"q": ("deg",)}, "q", [-1.0, -1.0], '[units] q = "-1 deg"'),
+        ({"q": ("turn/4096", "m")}, "q", [0.25, 1.0], '[units] q = ["turn/16384", "m"]'),
+        ({"t": ("ms",)}, "t", [1e3], '[units] t = "s"'),
+        ({"u": ("-1 N m", "N")}, "u", [-1.0, 0.5], '[units] u = ["N m", "0.5 N"]'),
+        ({"u": ("mN m",)}, "u", [0.5, 1.0], '[units] u = ["0.5 mN m", "mN m"]'),
+    ],
+)
+def test_the_line_of_units_counts_from_what_the_file_says(stated, field, factors, line):
+    names = LOGGED._replace(stated=stated)
+    assert names.line(field, factors) == line
+    before = [unit_factor(names.in_units(field, np.ones(len(factors)))[i]) for i in range(len(factors))]
+    after = [unit_factor(text) for text in names.in_units(field, factors)]
+    np.testing.assert_allclose(after, np.array(before) * factors, rtol=1e-12)
+
+
+def test_after_a_change_columns_and_units_are_those_that_it_asks_for():
+    change = no_change(2, 2)._replace(order=np.array([1, 0]), inputs=np.array([-1.0, 1.0]))
+    names = LOGGED._replace(stated={"u": ("N m", "N")}, angles=np.array([True, True])).after(change)
+    assert names.q == ("b", "a")
+    assert names.stated["u"] == ("-1 N m", "N")
+    assert names.line("u", [-1.0, 1.0]) == '[units] u = ["N m", "N"]'
 
 
 @pytest.mark.parametrize(("joint", "time"), [(0, SPACING), (1, SPACING), (1, 30e-3)])

@@ -40,7 +40,6 @@ def test_content_says_it_where_names_do_not():
         (columns(q=SWING, tau1=SWING, tau2=SWING), {}, "2 inputs .* for 1 positions; name them by --u"),
         ({"q": SWING}, {}, "no column of stamps rises"),
         ({"a": T, "b": T, "q": SWING}, {}, "a, b all rise from row to row; name the one of the stamps by --t"),
-        ({"t": 1e3 * T, "q": SWING}, {}, "step by 2, which seems to be ms.*divide the column by 1000"),
         (
             columns(q=SWING),
             {"q": ["angle"]},
@@ -58,3 +57,28 @@ def test_names_that_are_given_are_not_guessed():
     found = draft(columns(q1=SWING, q2=SWING, th1=SWING, th2=SWING), {"q": ["th1", "th2"]})
     assert found.q == ("th1", "th2")
     assert found.left_out == ("q1", "q2")
+
+
+UNITS = [
+    ({"t": 1e3 * T, "q": SWING}, {"t": ("ms",)}, ("t",)),
+    ({"t": T, "q": 60 * SWING}, {"q": ("deg",)}, ("q",)),
+    ({"time [ms]": 1e3 * T, "q1_deg": SWING, "q2_deg": SWING}, {"t": ("ms",), "q": ("deg", "deg")}, ()),
+    ({"time_s": T, "theta [rad]": SWING, "torque [mN m]": SWING}, {"u": ("mN m",)}, ()),
+    ({"t": T, "th1 (turn/4096)": SWING, "th2 (rad)": SWING}, {"q": ("turn/4096", "rad")}, ()),
+    ({"t": T, "q": SWING, "q1 [deg/s]": SWING}, {"v": ("deg/s",)}, ()),
+    ({"t": T, "q (1)": SWING, "q (2)": SWING}, {}, ()),
+    ({"t": 2.0 * np.arange(300), "q [m]": SWING}, {"t": ("ms",)}, ("t",)),
+]
+
+
+@pytest.mark.parametrize(("log", "units", "guessed"), UNITS)
+def test_header_and_numbers_say_the_units(log, units, guessed):
+    found = draft(log)
+    assert (found.units, found.guessed) == (units, guessed)
+    if units.get("t") == ("ms",):
+        assert found.rate == pytest.approx(500)
+
+
+def test_the_tick_is_in_the_unit_of_the_file():
+    y = np.round(SWING * 300) / 300 * 360
+    assert draft({"t": T, "q [deg]": y}).quantum == pytest.approx(2 * np.pi / 300, rel=1e-3)

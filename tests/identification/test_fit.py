@@ -183,3 +183,21 @@ def test_an_observer_with_the_fitted_model_is_as_good_as_with_the_true_one(tmp_p
     np.testing.assert_array_less(error(open_numbers.make(found.values)[0]), 1.05 * best)
     assert found.determined.all()
     assert np.all(np.abs(found.values - [0.6, 0.4, 0.005, 0.0026]) < 5 * found.standard_errors + 0.01 * found.values)
+
+
+def test_what_vanishes_on_the_way_is_not_called_determined(tmp_path):
+    """There is neither lag nor dry friction: the search makes both small, with errors many times as large."""
+    t = np.arange(800) * 0.01
+    u = 0.3 * np.sin(2 * t)[:, None]
+    true = models.pendulum_chain((1.0,), (1.0,), com=(0.4,), viscous=(0.05,))
+    swing = simulate(true, jnp.array([0.5, 0.0]), jnp.asarray(t), hold(jnp.asarray(t), jnp.asarray(u)))
+    record = Record(t, u, np.asarray(swing.y) + 1e-4 * np.random.default_rng(0).normal(size=(800, 1)))
+    text = PENDULUM.replace("[parameters]", "[parameters]\ncoulomb = [0.05]").replace(f"{1.3 * INERTIA}", "0.0")
+    names = ("mass", "viscous", "coulomb", "inputs.lag")
+    given = ["inputs.lag=0.02", "parameters.mass=[1.3]", "parameters.viscous=[0.03]"]
+    v = scoring.zero_phase_velocity(t, record.y, t, half=0.1)
+    found = fit(family(tmp_path, *names, text=text, overrides=given), windows([record], [v], horizon(record, v)))
+    assert (found.standard_errors < found.values)[found.determined].all()
+    assert not found.determined[3]
+    assert any("inputs.lag" in said for said in relations(found))
+    assert abs(found.values[0] - 1.0) < 0.02

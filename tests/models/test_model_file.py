@@ -12,7 +12,8 @@ from covariant import models
 from covariant.logs import Columns
 from covariant.models import Lagrangian
 from covariant.models._check import check_metric
-from covariant.models._file import ModelError, ModelFile, load
+from covariant.models._file import ModelError, ModelFile
+from covariant.models._load import load
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
@@ -100,13 +101,32 @@ def test_a_file_gives_everything(tmp_path):
     assert file.model.parameters["mass"].value.tolist() == [1.0, 2.0]
     assert file.columns == Columns("time", ("a", "b"), ("ta", "tb"), ("wa", "wb"), ("va", "vb"))
     assert file.measurement_std == pytest.approx(0.12 / math.sqrt(12))
-    assert file[4:] == (3.0, 0.002, 50.0, 0.1, 0.5, 0.01, 0.03, 3, 0.0, 0.0, "held", 0.12, 0.4, *[None] * 4)
+    assert file[4:] == (
+        3.0,
+        0.002,
+        50.0,
+        0.1,
+        0.5,
+        0.01,
+        0.03,
+        3,
+        0.0,
+        0.0,
+        "held",
+        0.12,
+        0.4,
+        *[None] * 5,
+        0.0,
+        {},
+        0.0,
+        None,
+    )
 
 
 def test_what_a_file_leaves_out_has_a_default(tmp_path):
     file = load(written(tmp_path, 'system = "ball_and_beam"'))
     assert file.columns == Columns("t", ("r", "theta"), ("u1",))
-    assert file[3:] == (None,) * 5 + (math.sqrt(0.5), 0.0, 0.03, 3, 0.0, 0.0, "held", *(None,) * 6)
+    assert file[3:] == (None,) * 5 + (math.sqrt(0.5), 0.0, 0.03, 3, 0.0, 0.0, "held", *(None,) * 7, 0.0, {}, 0.0, None)
     assert load("ball_and_beam")._replace(name="m", model=file.model) == file
 
 
@@ -128,7 +148,7 @@ def test_examples_load(name, columns):
     file = load(str(EXAMPLES / f"{name}.toml"))
     assert file.name == name
     assert file.columns == columns
-    assert None not in file[:-6]  # what is left is for force, ticks, gains and state-space models
+    assert None not in file[: ModelFile._fields.index("quantum")]  # what is left is for those who need it
 
 
 @pytest.mark.parametrize(
@@ -150,7 +170,7 @@ def test_systems_on_groups_name_all_but_the_attitude(system, n, columns):
 def test_examples_on_groups_load_with_the_parameters_they_show(name):
     file, plain = load(str(EXAMPLES / f"{name}.toml")), load(name)
     assert not file.lacks_attitude
-    assert None not in file[:-6]  # what is left is for force, ticks, gains and state-space models
+    assert None not in file[: ModelFile._fields.index("quantum")]  # what is left is for those who need it
     shown = {key: value for key, value in file.model.parameters.items() if key != "viscous"}
     assert shown == {key: plain.model.parameters[key] for key in shown}
 
@@ -192,7 +212,7 @@ def test_a_file_gives_a_state_space_model(tmp_path):
             'columns.angle=["a"]',
             "columns.angle is for a model on a group; this one has outputs: name them in columns.q",
         ),
-        ("parameters.feed=-1.0", "bioreactor: feed [kg/m^3] must be positive; got -1.0"),
+        ("parameters.feed=-1.0", "feed [kg/m^3] must be positive; got -1.0"),
         ('parameters.feed="much"', "a parameter of bioreactor is of the wrong kind: "),
         ("parameters.fed=1.0", "unknown parameter of bioreactor 'fed'. Did you mean 'feed'? Known: growth, "),
     ],
@@ -436,3 +456,30 @@ def test_a_recipe_imports_nothing_but_what_somebody_gives():
     assert models.from_recipe(recipe, "covariant.models:pendulum_chain").coordinates == ("q1",)
     with pytest.raises(models.ModelError, match=r"'mass'|mass"):
         models.from_recipe(recipe, models.oscillator)
+
+
+def test_what_is_estimated_with_the_motion(tmp_path):
+    text = WHOLE.replace("acceleration = 3", 'acceleration = 3\nparameters = {"mass" = 0.3, "length[1]" = 0.1}')
+    file = load(written(tmp_path, text.replace("quantum = 0.12", "quantum = 0.12\nbias = [0.0, 0.02]")))
+    assert (file.bias, file.bias_drift, file.parameters_drift) == ((0.0, 0.02), 0.0, 0.0)
+    assert file.uncertain == {"mass": 0.3, "length[1]": 0.1}
+    assert file.family.names == ("mass[0]", "mass[1]", "length[1]")
+
+
+@pytest.mark.parametrize(
+    ("override", "words"),
+    [
+        ("measurement.bias=[0.1]", "measurement.bias lists 1 numbers; give 2, or one number without brackets"),
+        ("measurement.bias=-0.1", "measurement.bias must be a number ≥ 0; got -0.1"),
+        ("measurement.bias_drift=nan", "measurement.bias_drift must be a number ≥ 0; got nan"),
+        ("uncertainty.parameters=0.3", "uncertainty.parameters must name numbers of [parameters]"),
+        ('uncertainty.parameters={"mass[0]"=0}', "uncertainty.parameters.mass[0] must be a positive number; got 0"),
+        ('uncertainty.parameters={"mas"=0.1}', "unknown number 'mas'. Did you mean 'mass[1]'?"),
+        ('uncertainty.parameters={"mass"=0.1, "mass[0]"=0.2}', "mass[0] is named twice; name it once"),
+        ("uncertainty.parameters_drift=-1", "uncertainty.parameters_drift must be a number ≥ 0; got -1"),
+    ],
+)
+def test_what_cannot_be_estimated_with_the_motion_is_named(tmp_path, override, words):
+    with pytest.raises(ModelError) as found:
+        load(written(tmp_path, WHOLE), [override])
+    assert words in str(found.value)

@@ -9,7 +9,7 @@ import pytest
 
 from covariant.geometry.lie import SO3
 from covariant.models import GroupSystem, Motion, advance, pendulum_chain
-from covariant.observers import IntrinsicKalman, run
+from covariant.observers import IntrinsicKalman, external_force, run
 from covariant.signals import Record
 
 RATE = 500.0
@@ -54,7 +54,7 @@ def followed(observer, record: Record):
 
     def step(state, sample):
         state, _ = observer.step(state, *sample)
-        return state, (state.v, state.force, observer.velocity_std(state))
+        return state, (state.v, state.slow, observer.velocity_std(state))
 
     u, y, dt = record.u[:-1], record.y[1:], jnp.diff(record.t)
     return jax.lax.scan(step, observer.init(record.y[0]), (u, y, dt))[1]
@@ -62,9 +62,9 @@ def followed(observer, record: Record):
 
 def kalman(force: float | None, **named) -> IntrinsicKalman:
     noise = jnp.eye(2) * QUANTUM**2 / 12
-    walk = None if force is None else force * jnp.eye(2)
+    slow = () if force is None else (external_force(force * jnp.eye(2)),)
     return IntrinsicKalman(
-        pendulum_chain(MASS, LENGTH), 1e-4 * jnp.eye(2), noise, 4.0 * jnp.eye(2), force_cov=walk, substeps=1, **named
+        pendulum_chain(MASS, LENGTH), 1e-4 * jnp.eye(2), noise, 4.0 * jnp.eye(2), slow=slow, substeps=1, **named
     )
 
 
@@ -100,7 +100,7 @@ def test_a_torque_on_a_body_is_found_in_the_body():
 
     start = Motion(jnp.eye(3), jnp.array([0.2, 0.5, -0.3]))
     q = jax.jit(lambda: jax.lax.scan(moved, start, None, steps)[1])()
-    observer = IntrinsicKalman(body, 1e-6, 1e-8, 1.0, force_cov=0.1 * jnp.eye(3), substeps=1)
+    observer = IntrinsicKalman(body, 1e-6, 1e-8, 1.0, slow=(external_force(0.1 * jnp.eye(3)),), substeps=1)
     record = Record(dt * jnp.arange(0.0, steps), jnp.zeros((steps, 3)), q)
     _, force, _ = followed(observer, record)
     np.testing.assert_allclose(force[-1], torque, rtol=0.01)
@@ -111,5 +111,5 @@ def test_its_covariance_is_one_matrix(pushed_swing):
     state = observer.init(jnp.array(pushed_swing[0].y[0]))
     assert observer.cov(state).shape == (6, 6)
     assert kalman(None).cov(kalman(None).init(jnp.zeros(2))).shape == (4, 4)
-    with pytest.raises(ValueError, match="force_cov must have finite entries"):
+    with pytest.raises(ValueError, match="density must have finite entries"):
         kalman(np.nan)

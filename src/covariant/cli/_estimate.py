@@ -107,8 +107,17 @@ def _choose(
     designed = observer_gains(sheet, loaded.rate).summary
     made = tuned_estimators(model, loaded.file.dimension, sheet, loaded.rate, names=(observer,))
     unused = ""
-    if sheet.external_force is not None and getattr(made[observer], "force_cov", None) is None:
-        unused = " It does not estimate the external force of [uncertainty]; intrinsic-kalman does."
+    asked = [
+        what
+        for what, given in (
+            ("the external force of [uncertainty]", sheet.external_force),
+            ("the bias of [measurement]", loaded.file.bias),
+            ("the parameters of [uncertainty]", loaded.file.family),
+        )
+        if given is not None
+    ]
+    if asked and not getattr(made[observer], "slow_names", ()):
+        unused = f" It does not estimate {' and '.join(asked)}; intrinsic-kalman does."
     return as_read(made, loaded)[observer], (f"Designed {designed}.{loaded.note}{unused}",)
 
 
@@ -118,7 +127,7 @@ def columns(loaded: Loaded, outcome: Outcome, out: Path) -> dict[str, np.ndarray
     In messages of ROS coordinates are joints by their names in the log: shoulder/position, shoulder/velocity….
 
     A filter that knows how accurate it is adds the standard deviations of the velocities, v1_std…. One that estimates
-    the external force adds external_force1… and external_force1_std….
+    more than the motion adds what it estimates, as external_force1… and external_force1_std….
     """
     file, x = loaded.file, outcome.run.estimate
     joints = {}
@@ -133,10 +142,9 @@ def columns(loaded: Loaded, outcome: Outcome, out: Path) -> dict[str, np.ndarray
         q = np.split(np.asarray(x), 2, axis=1)[0]
         configuration = dict(zip(joints.get("position") or numbered("q", file.dimension), q.T, strict=True))
     found = {"t": np.asarray(outcome.run.t)} | configuration
-    forces = numbered("external_force", file.dimension)
     for names, values, std in (
         (joints.get("velocity") or sought_columns(file), outcome.velocity, deviations(outcome.run.info)),
-        (forces, *(known(outcome.run.info, name) for name in ("external_force", "external_force_std"))),
+        (outcome.slow_names, *(known(outcome.run.info, name) for name in ("slow", "slow_std"))),
     ):
         for suffix, each in (("", values), ("_std", std)):
             if each is not None and each.size:

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from covariant import models
+from covariant import models, scoring
 from covariant._files import write_atomically
 from covariant.cli._console import stages
-from covariant.cli._job import Job, Loaded, check_output, coordinates, load
+from covariant.cli._job import Job, Loaded, ReferenceVelocity, check_output, coordinates, load
 from covariant.cli._results import rounded
 from covariant.identification import (
     FITTED,
@@ -22,7 +22,7 @@ from covariant.identification import (
     relations,
     split,
 )
-from covariant.signals import acting_inputs, lag_inputs
+from covariant.signals import acting_inputs, lag_inputs, read_together
 
 WORST_GROWTH = 1.01
 """A model whose held-out error is larger than so many times the one before is not written: 1 % is no difference."""
@@ -71,18 +71,29 @@ def fit_model(
 def when_true(job: Job) -> Loaded:
     """Model and log, its rows at the times at which the positions were true, and its inputs as they act between these.
 
-    The inputs of its `log` are without their lag, those of its `record` with it. Raises `ValueError` where one
-    coordinate is later than another.
+    The inputs of its `log` are without their lag, those of its `record` with it. Where one coordinate is later than
+    another they are interpolated to the times of the latest.
     """
     file = models.load(job.model, job.overrides)
-    delay, *others = np.unique(np.asarray(file.delay, float))
-    if others:
-        raise ValueError(f"{job.model}: this takes one [measurement] delay for all positions; got {file.delay}")
+    delay = np.asarray(file.delay, float)
     loaded = load(job._replace(overrides=(*job.overrides, "measurement.delay=0")), why="this command takes")
-    between, late = file.input_between, file.input_delay + float(delay)
+    if np.ptp(delay) > 0:
+        loaded = _together(loaded, delay)
+    between, late = file.input_between, file.input_delay + float(delay.max())
     raw, lagging = loaded.log.record, lag_inputs(loaded.log.record, file.input_lag)
     log = loaded.log._replace(record=acting_inputs(raw, between, late))
     return loaded._replace(log=log, record=acting_inputs(lagging, between, late))
+
+
+def _together(loaded: Loaded, delay: np.ndarray) -> Loaded:
+    """The log with all positions as they were at one time, and reference velocities at these times."""
+    file, log = loaded.file, loaded.log
+    y = scoring.unwrap(np.asarray(log.record.y), loaded.model.circles)
+    record = read_together(log.record._replace(y=y), np.broadcast_to(delay, y.shape[1]))
+    t = np.asarray(record.t)
+    slopes = scoring.zero_phase_velocity(t, record.y, t, file.reference_half, int(file.reference_order))
+    reference = ReferenceVelocity(slopes, "zero-phase reference", scoring.scored_window(t))
+    return loaded._replace(log=log._replace(record=record, v=None, truth=None), reference=reference)
 
 
 def check_out(spec: str, out: Path | None, overwrite: bool) -> str:

@@ -3,15 +3,10 @@
 import json
 from pathlib import Path
 
-import numpy as np
-
 from covariant import logs, models
 from covariant._files import write_atomically
 from covariant.cli._job import check_output
 from covariant.identification import Draft, draft
-
-DEGREES = 50.0
-"""Angles that span more than this [rad] are more likely degrees."""
 
 
 def init(log: Path, out: Path, columns: dict[str, str | None], as_json: bool) -> None:
@@ -30,7 +25,8 @@ def init(log: Path, out: Path, columns: dict[str, str | None], as_json: bool) ->
     write_atomically(out, lambda file: file.write(text.encode()))
     models.load(str(out))
     guessed = {"t": found.t, "q": list(found.q), "u": list(found.u), "v": list(found.v)}
-    result = {"log": str(log), "out": str(out), "columns": guessed, "left_out": list(found.left_out)}
+    units = {field: list(texts) for field, texts in found.units.items()}
+    result = {"log": str(log), "out": str(out), "columns": guessed, "units": units, "left_out": list(found.left_out)}
     print(json.dumps(result) if as_json else _text(result))
 
 
@@ -41,7 +37,7 @@ def template(name: str, found: Draft) -> str:
     lines = [
         f"# Drafted from the log {name}: {found.rows} rows at {found.rate:.4g} Hz. The columns are guessed from their",
         "# names and their content; the numbers in [parameters] are places to put yours, not measurements.",
-        "# Units: s, m, kg, rad, N m.",
+        "# Units: s, m, kg, rad, N m; those of the log are in [units] where they are others.",
         "",
         'system = "pendulum_chain"  # other machines: docs/models.md',
         "",
@@ -65,11 +61,11 @@ def template(name: str, found: Draft) -> str:
         "",
         "[columns]",
         f"t = {_quoted(found.t)}",
-        f"q = {_names(found.q)}  # rad; in this log {spans}",
-        *(["# These angles are so large that they may be degrees: convert them."] if _in_degrees(found) else []),
-        f"u = {_names(found.u)}" + ("  # N m" if found.u else "  # no input was found"),
-        *([f"v = {_names(found.v)}  # rad/s, only compared with, never used"] if found.v else []),
+        f"q = {_names(found.q)}  # in this log {spans}",
+        f"u = {_names(found.u)}" + ("" if found.u else "  # no input was found"),
+        *([f"v = {_names(found.v)}  # only compared with, never used"] if found.v else []),
         *([f"# left out: {', '.join(found.left_out)}"] if found.left_out else []),
+        *_units(found),
         "",
         "[measurement]",
         _sensor(found),
@@ -90,8 +86,20 @@ def _sensor(found: Draft) -> str:
     return f"std = {max(found.noise, 1e-12):.3g}  # rad, at most: from third differences of the positions"
 
 
-def _in_degrees(found: Draft) -> bool:
-    return bool(np.max(np.ptp(found.span, axis=1)) > DEGREES)
+def _units(found: Draft) -> list[str]:
+    """The table of the units of the log, where these are not those of the file."""
+    if not found.units:
+        return []
+    lines = ["", "[units]"]
+    for field, texts in found.units.items():
+        written = _quoted(texts[0]) if len(set(texts)) == 1 else _names(texts)
+        why = (
+            "guessed from the numbers: `covariant check` looks closer"
+            if field in found.guessed
+            else "as its header says"
+        )
+        lines.append(f"{field} = {written}  # {why}")
+    return lines
 
 
 def _list(value: float, n: int) -> str:
@@ -111,6 +119,10 @@ def _text(result) -> str:
     lines = [f"stamps {columns['t']}, positions {', '.join(columns['q'])}"]
     lines[0] += f", inputs {', '.join(columns['u'])}" if columns["u"] else ", no inputs"
     lines[0] += f", velocities {', '.join(columns['v'])} to compare with" if columns["v"] else ""
+    if result["units"]:
+        lines.append(
+            f"units {', '.join(f'{field}: ' + ', '.join(dict.fromkeys(t)) for field, t in result['units'].items())}"
+        )
     if result["left_out"]:
         lines.append(f"left out: {', '.join(result['left_out'])}")
     return "\n".join([*lines, f"wrote {result['out']}; put first values of your machine into its [parameters]"])

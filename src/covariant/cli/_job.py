@@ -10,7 +10,7 @@ import numpy as np
 from covariant import logs, models, scoring
 from covariant.design import DataSheet, usual_speeds
 from covariant.diagnosis import misfit, outliers
-from covariant.observers import REGISTRY, AbstractObserver, Delayed
+from covariant.observers import REGISTRY, AbstractObserver, Delayed, Slow, sensor_bias, uncertain_parameters
 from covariant.signals import Record, acting_inputs, lag_inputs
 
 FEWEST_MOVES = 50
@@ -255,6 +255,7 @@ def data_sheet(file: models.ModelFile) -> DataSheet:
         "coordinate_stds": file.measurement_std if isinstance(file.measurement_std, tuple) else None,
         "quantum": file.quantum,
         "external_force": file.external_force,
+        "slow": _slow(file),
         "acceleration_std": file.acceleration_std,
         "correlation_time": file.correlation_time,
         "motion_std": file.motion_std,
@@ -263,6 +264,25 @@ def data_sheet(file: models.ModelFile) -> DataSheet:
         "natural_frequency": file.natural_frequency,
     }
     return DataSheet(**{name: value for name, value in known.items() if value is not None})
+
+
+def _slow(file: models.ModelFile) -> tuple[Slow, ...]:
+    """What the model file has estimated along with the motion, beside an external force."""
+    found = ()
+    if file.family is not None:
+        stds = [
+            file.uncertain[next(key for key in file.uncertain if _stands_for(key, name))] for name in file.family.names
+        ]
+        found += (uncertain_parameters(file.family, stds, file.parameters_drift),)
+    if file.bias is not None:
+        found += (sensor_bias(np.broadcast_to(file.bias, file.dimension), file.bias_drift),)
+    return found
+
+
+def _stands_for(key: str, name: str) -> bool:
+    """Whether a number, such as `mass[0]`, is meant by a key, such as `mass`."""
+    plain = key.strip().removeprefix("parameters.")
+    return name == plain or name.startswith(f"{plain}[")
 
 
 def log_sheet(loaded: Loaded) -> DataSheet:

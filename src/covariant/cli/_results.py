@@ -13,7 +13,7 @@ from covariant.observers import AbstractObserver, run
 from covariant.runtime import run_log
 from covariant.signals import Result, Run
 
-KEPT = ("innovation", "distance", "result", "nis", "velocity_std", "state_std", "external_force", "external_force_std")
+KEPT = ("innovation", "distance", "result", "nis", "velocity_std", "state_std", "slow", "slow_std")
 """What the commands use of the info of an observer."""
 
 
@@ -32,7 +32,7 @@ class Outcome(NamedTuple):
     [µs].
 
     `nis` is the mean normalised innovation squared for each measured number, NaN for an observer without a covariance;
-    1 is expected. `engine` says what computed the run.
+    1 is expected. `engine` says what computed the run, and `slow_names` what was estimated along with the motion.
     """
 
     run: Run
@@ -41,6 +41,7 @@ class Outcome(NamedTuple):
     score: Score | None
     microseconds: float
     engine: str = ""
+    slow_names: tuple[str, ...] = ()
 
     @property
     def counts(self) -> dict[str, int]:
@@ -66,9 +67,9 @@ def drive(observer: AbstractObserver, loaded: Loaded, timed: bool = False) -> Ou
         spent = min(spent, time.perf_counter() - began)
     velocity = np.asarray(loaded.model.sought.of(done.estimate))
     score = None if loaded.reference is None else _score(velocity, done.info, loaded.reference)
-    return Outcome(
-        done, velocity, _nis(done.info, loaded), score, 1e6 * spent / len(done.t) if timed else math.nan, engine
-    )
+    each = 1e6 * spent / len(done.t) if timed else math.nan
+    named = getattr(getattr(observer, "observer", observer), "slow_names", ())
+    return Outcome(done, velocity, _nis(done.info, loaded), score, each, engine, named)
 
 
 def known(info: Any, name: str) -> np.ndarray | None:

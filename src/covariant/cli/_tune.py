@@ -91,6 +91,7 @@ def _content(job: Job, tables: dict[str, dict[str, Any]]) -> dict[str, Any]:
 
 def _result(jobs: list[Job], loaded: list[Loaded], found: Tuning, tables: dict[str, Any]) -> dict[str, Any]:
     names, units = coordinates(loaded[0].file)
+    delay = models.load(jobs[0].model, jobs[0].overrides).delay
     free = found.model_free
     return {
         "model": jobs[0].model,
@@ -99,13 +100,14 @@ def _result(jobs: list[Job], loaded: list[Loaded], found: Tuning, tables: dict[s
         "scored_against": loaded[0].reference.label if loaded[0].reference else None,
         "lines": tables,
         "coordinates": list(names),
+        "velocities": list(loaded[0].model.sought.names or (f"d{name}/dt" for name in names)),
         "units": [unit.removesuffix("/s") for unit in units],
         "held_out": {
             when: None if judged is None else _judged(judged)
             for when, judged in (("before", found.before), ("after", found.after))
         },
         "model_free": None if free is None else {"estimator": free[0], "relative": rounded(np.array([free[1]]))[0]},
-        "warning": warning(found),
+        "warning": warning(found, np.equal(delay, np.max(delay))),
     }
 
 
@@ -113,8 +115,11 @@ def _judged(judged: HeldOut) -> dict[str, Any]:
     return {name: (rounded(np.atleast_1d(value))) for name, value in judged._asdict().items()}
 
 
-def warning(found: Tuning) -> str | None:
-    """One line where the model is no better than none, or does not explain the innovations."""
+def warning(found: Tuning, as_read: np.ndarray | bool = True) -> str | None:
+    """One line where the model is no better than none, or does not explain the innovations.
+
+    - `as_read` (n,): which positions are as they were read; where they are interpolated neighbours are correlated.
+    """
     gains, kalman = found.after.relative
     remedy = "run `covariant fit`"
     name, free = found.model_free or ("", np.inf)
@@ -131,7 +136,7 @@ def warning(found: Tuning) -> str | None:
             f"the noise is not white: the most likely Kalman filter leaves {kalman:.3g} of the velocity and constant "
             f"gains {gains:.3g}; estimate with --observer intrinsic"
         )
-    worst = float(np.max(np.abs(found.after.correlation)))
+    worst = float(np.max(np.abs(found.after.correlation) * as_read))
     if worst > NOT_WHITE:
         return f"the innovations are not white (correlation {worst:.2f}), so the model is wrong somewhere; {remedy}"
     return None
@@ -167,8 +172,8 @@ def _rows(result: dict[str, Any]) -> list[dict[str, str | float]]:
         row: dict[str, Any] = {"": when}
         for i, (name, unit) in enumerate(zip(result["coordinates"], result["units"], strict=True)):
             row[f"{name} one step ahead [{unit}]"] = judged["one_step"][i]
-            row[f"d{name}/dt, gains [{unit}/s]"] = judged["gains_error"][i]
-            row[f"d{name}/dt, Kalman [{unit}/s]"] = judged["kalman_error"][i]
+            row[f"{result['velocities'][i]}, gains [{unit}/s]"] = judged["gains_error"][i]
+            row[f"{result['velocities'][i]}, Kalman [{unit}/s]"] = judged["kalman_error"][i]
         rows.append(
             row
             | {

@@ -5,6 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from covariant.observers import Slow
+
 
 class DataSheet(NamedTuple):
     """What is known of sensor, model and motion before any log is recorded; in units of the coordinates and seconds.
@@ -22,6 +24,7 @@ class DataSheet(NamedTuple):
     - `quantum`: one tick of the encoders, where that is what makes the noise; `measurement_std` then is this over √12.
     - `external_force`: standard deviation of what a force that the model does not know changes by in a second [N or
       N m]; None where no such force is estimated.
+    - `slow`: further slow states that are estimated along with the motion, as `observers.sensor_bias`.
     - `speed`: usual size of each velocity, as of `usual_speeds`, by which gates judge; None where it is not known.
     """
 
@@ -36,6 +39,7 @@ class DataSheet(NamedTuple):
     external_force: float | None = None
     speed: tuple[float, ...] | None = None
     natural_frequency: float | None = None
+    slow: tuple[Slow, ...] = ()
 
     @property
     def speeds(self) -> Float[np.ndarray, "*n"]:

@@ -11,7 +11,7 @@ from covariant.design._data_sheet import DataSheet, Trial
 from covariant.design._filters import filter_bandwidth, jerk_bound, joint_noise, polynomial
 from covariant.design._gains import Gains, gains
 from covariant.models import MechanicalSystem, StateSpace
-from covariant.observers import REGISTRY, STATE_REGISTRY, AbstractObserver, Entry, Gated, Noise
+from covariant.observers import REGISTRY, STATE_REGISTRY, AbstractObserver, Entry, Gated, Noise, external_force
 
 ESTIMATORS = tuple(entry.name for entry in REGISTRY)
 """Names of all estimators of mechanical systems: those in `covariant.observers.REGISTRY`."""
@@ -120,7 +120,10 @@ def _noise(entry: Entry, known: Known) -> tuple:
 
 
 def _ticks(entry: Entry, known: Known) -> tuple:
-    return *_noise(entry, known), known.sheet.quantum, known.sheet.external_force
+    sheet, slow = known.sheet, known.sheet.slow
+    if sheet.external_force is not None:
+        slow += (external_force(sheet.external_force**2 * jnp.eye(known.n)),)
+    return *_noise(entry, known), sheet.quantum, slow
 
 
 def _bandwidth(entry: Entry, known: Known) -> tuple:

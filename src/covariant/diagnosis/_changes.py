@@ -1,12 +1,16 @@
 """Changes of a log: each hypothesis of what is wrong with it is a change that would put it right."""
 
 import itertools
-from collections.abc import Iterator
+import json
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
 
 from covariant.diagnosis._smooth import Smooth
+from covariant.logs import unit_factor
 from covariant.signals import Record
 
 CLOCKS = {
@@ -18,6 +22,8 @@ CLOCKS = {
 SHORTEST, LONGEST = 1e-5, 2.0
 """Steps in time [s] that a log of a machine may have."""
 ANGLES = {"radians": 1.0, "degrees": np.pi / 180, "turns": 2 * np.pi}
+KNOWN = {"s": ("s", "ms", "us", "ns"), "rad": ("rad", "deg", "turn")}
+"""Units that have a name."""
 COUNTS = (*(2**k for k in range(10, 21)), *(factor * 1000 for factor in (1, 2, 4, 5, 10, 20, 36, 40)))
 """Counts a turn that encoders have."""
 
@@ -63,13 +69,62 @@ def no_change(n: int, m: int) -> Change:
 
 
 class Names(NamedTuple):
-    """Columns of the stamps, positions and inputs of a log, the units of the positions, and which are angles."""
+    """Columns of the stamps, positions and inputs of a log, the units of the positions, and which are angles.
+
+    `stated`: the units that the model file says the log is in, by the field t, q or u.
+    """
 
     t: str
     q: tuple[str, ...]
     u: tuple[str, ...]
     units: tuple[str, ...]
     angles: np.ndarray
+    stated: Mapping[str, tuple[str, ...]] = MappingProxyType({})
+
+    def after(self, change: Change) -> "Names":
+        """The names of a log after a change, and the units that it is in by that."""
+        factors = {"t": np.array([change.time]), "q": change.position, "u": change.inputs}
+        orders = {"t": [0], "q": change.order.tolist(), "u": change.input_order.tolist()}
+        moved = self._replace(q=tuple(self.q[i] for i in change.order), u=tuple(self.u[i] for i in change.input_order))
+        given = {field: [self._stated(field, i) for i in order] for field, order in orders.items()}
+        moved = moved._replace(stated={field: tuple(texts) for field, texts in given.items()})
+        changed = {field: moved.in_units(field, factor) for field, factor in factors.items() if (factor != 1).any()}
+        return moved._replace(stated={**moved.stated, **changed})
+
+    def line(self, field: str, factors: Sequence[float] | np.ndarray) -> str:
+        """The line of the model file by which the columns of a field are multiplied by these factors."""
+        texts = self.in_units(field, factors)
+        one = json.dumps(texts[0], ensure_ascii=False)
+        return f"[units] {field} = {one if len(set(texts)) == 1 else _list(texts)}"
+
+    def in_units(self, field: str, factors: Sequence[float] | np.ndarray) -> tuple[str, ...]:
+        """The units of the columns of a field if they are to be multiplied by these factors."""
+        kinds = [self._kind(field, i) for i in range(len(factors))]
+        return tuple(_unit_text(self._stated(field, i), float(factor), kinds[i]) for i, factor in enumerate(factors))
+
+    def _kind(self, field: str, place: int) -> str:
+        """The unit of the model; 1 where it says none."""
+        return {"t": "s", "u": "1"}.get(field) or ("rad" if self.angles[place] else self.units[place] or "1")
+
+    def _stated(self, field: str, place: int) -> str:
+        given = self.stated.get(field, ())
+        return given[place if len(given) > 1 else 0] if given else self._kind(field, place)
+
+
+def _unit_text(stated: str, factor: float, kind: str) -> str:
+    """The unit of a number that was taken to be in the `stated` one and is to be multiplied by a factor."""
+    if factor == 1:
+        return stated
+    total = factor * unit_factor(stated)
+    found = next((text for text in KNOWN.get(kind, ()) if math.isclose(total, unit_factor(text), rel_tol=1e-9)), None)
+    if found is not None:
+        return found
+    counts = 2 * math.pi / total
+    if kind == "rad" and counts > 1 and math.isclose(counts, round(counts), rel_tol=1e-9):
+        return f"turn/{round(counts)}"
+    if factor == -1 and stated.startswith("-1 "):
+        return stated.removeprefix("-1 ")
+    return f"{factor:.3g}" if stated == "1" else f"{factor:.3g} {stated}"
 
 
 def unit_changes(names: Names, record: Record) -> Iterator[Change]:
@@ -88,10 +143,9 @@ def unit_changes(names: Names, record: Record) -> Iterator[Change]:
         words = " and ".join(name for name, factor in ((clock, time), (angle, size)) if factor != 1)
         lines = []
         if time != 1:
-            lines.append(f"multiply column {names.t} by {time:g}: stamps are read as seconds")
+            lines.append(names.line("t", [time]))
         if size != 1:
-            columns = ", ".join(np.array(names.q)[names.angles])
-            lines.append(f"multiply {columns} by {size:.9g}: angles are read as radians")
+            lines.append(names.line("q", np.where(names.angles, size, 1.0)))
         yield same._replace(
             what="unit of " + " and ".join(wrong),
             words=words,
@@ -110,7 +164,7 @@ def structure_changes(names: Names) -> Iterator[Change]:
             what="sign of an input",
             where=names.u[j],
             words=f"{names.u[j]} with the other sign",
-            line=f"multiply {names.u[j]} by -1",
+            line=names.line("u", np.where(np.arange(m) == j, -1.0, 1.0)),
             inputs=np.where(np.arange(m) == j, -1.0, 1.0),
         )
     for i, j in itertools.combinations(range(n), 2):
@@ -143,7 +197,7 @@ def structure_changes(names: Names) -> Iterator[Change]:
             what="sign of a position",
             where=names.q[i],
             words=f"{names.q[i]} with the other sign",
-            line=f"multiply {names.q[i]} by -1",
+            line=names.line("q", np.where(one, -1.0, 1.0)),
             position=np.where(one, -1.0, 1.0),
         )
         if names.angles[i]:
@@ -159,7 +213,7 @@ def structure_changes(names: Names) -> Iterator[Change]:
                     what="unit of positions",
                     where=names.q[i],
                     words=f"{names.q[i]} in degrees",
-                    line=f"multiply {names.q[i]} by {np.pi / 180:.9g}: angles are read as radians",
+                    line=names.line("q", np.where(one, np.pi / 180, 1.0)),
                     position=np.where(one, np.pi / 180, 1.0),
                 )
 

@@ -210,11 +210,12 @@ def _findings(
         yield Finding("delay against the inputs", "", evidence, line, True, numbers)
     for j in np.flatnonzero(told.off):
         scale, std = float(told.scale[j]), float(told.scale_std[j])
+        line = names.line("u", np.where(np.arange(len(names.u)) == j, scale, 1.0))
         yield Finding(
             "scale of an input",
             names.u[j],
             f"{names.u[j]} acts {scale:.3g} ± {std:.2g} times as strongly as logged{falls}",
-            f"multiply {names.u[j]} by {scale:.3g}, or write the torque constant that makes it so",
+            f"{line}, or [parameters] that make it so",
             True,
             {"scale": scale, "std": std},
         )

@@ -135,7 +135,7 @@ def _names(file: ModelFile) -> Names:
     n = len(file.columns.q)
     units = file.model.units or ("",) * n
     angles = np.array([unit == "rad" or i in file.model.circles for i, unit in enumerate(units)])
-    return Names(file.columns.t, file.columns.q, file.columns.u, units, angles)
+    return Names(file.columns.t, file.columns.q, file.columns.u, units, angles, file.columns.units)
 
 
 def _without_outliers(file: ModelFile, record: Record) -> tuple[_Case, list[Finding]]:
@@ -196,7 +196,7 @@ def _units(case: _Case) -> Iterable[Change]:
 
 
 def _changed(case: _Case, change: Change) -> _Case:
-    return case._replace(record=change.of_record(case.record))
+    return case._replace(record=change.of_record(case.record), names=case.names.after(change))
 
 
 def _put_right(case: _Case) -> tuple[list[Finding], _Case]:

@@ -18,7 +18,7 @@ from covariant.observers import AbstractObserver
 Real = Literal["double", "float"]
 DTYPES = {"double": np.float64, "float": np.float32}
 
-REPORTED = ("innovation", "distance", "nis", "velocity_std", "external_force", "external_force_std")
+REPORTED = ("innovation", "distance", "nis", "velocity_std", "slow", "slow_std")
 """Fields of an info that are kept, beside the result code."""
 
 
@@ -77,8 +77,8 @@ class Program(NamedTuple):
 
     @property
     def told(self) -> list[Leaf]:
-        """Standard deviations and external forces, which belong to an estimate."""
-        return [leaf for leaf in self.reported if leaf.name.endswith(("_std", "external_force"))]
+        """Standard deviations and slow states, which belong to an estimate."""
+        return [leaf for leaf in self.reported if leaf.name == "slow" or leaf.name.endswith("_std")]
 
 
 def with_open_numbers(observer: AbstractObserver, fixed: Sequence[str] = ()) -> Recipe:

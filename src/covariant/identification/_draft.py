@@ -7,6 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from covariant.logs import check_unit, unit_factor
+
 _WORDS = {
     "left out": "true truth ref reference des desired goal target set setpoint raw",
     "v": "v w dq qd dqdt dot qdot dth dtheta om omega vel velocity velocities speed rate gyro",
@@ -15,8 +17,15 @@ _WORDS = {
     "q": "q th theta phi psi angle ang pos position positions enc encoder joint x",
 }
 """Words in the names of columns, by what they are taken for; the first that is found counts."""
-UNITS = ((0.5, "s", 1.0), (500.0, "ms", 1e3), (5e5, "us", 1e6), (np.inf, "ns", 1e9))
+CLOCKS = ((0.5, "s"), (500.0, "ms"), (5e5, "us"), (np.inf, "ns"))
 """Median steps of stamps below which they are taken for seconds, milliseconds and so on."""
+DEGREES = 50.0
+"""Angles that span more than this [rad] are more likely degrees."""
+_MEANT = {"t": "s", "q": "rad", "u": "N m", "v": "rad/s"}
+"""Units in which a model file has the columns where it says nothing."""
+_IN_NAME = re.compile(r"[\[(]\s*([^\[\]()]+?)\s*[\])]\s*$|_(deg|degrees|rad|ms|us|ns|s|turns?|rev|rpm|mNm|Nm)$")
+"""The unit at the end of the name of a column, as in `q1 [deg]`, `time (ms)` or `angle_deg`."""
+_PLAIN = {"degrees": "deg", "deg/sec": "deg/s", "rad/sec": "rad/s", "seconds": "s", "degree": "deg"}
 SAME = 0.95
 """Least correlation of a column with the slope of a position with which it is taken for a velocity."""
 FEWEST_GAPS = 10
@@ -33,7 +42,9 @@ class Draft(NamedTuple):
     - `rate`: samples a second [Hz]; `rows`: their number.
     - `quantum`: one tick of the positions where they are whole ticks apart, otherwise None.
     - `noise`: standard deviation of their noise, from third differences; an upper bound, since motion counts as well.
-    - `span` (n, 2): least and largest value of each position.
+    - `span` (n, 2): least and largest value of each position, as logged.
+    - `units`: by the field t, q, u or v, the units of its columns where they are not those of a model file, s, rad, N m
+      and rad/s; and `guessed`: for which fields it is the content that says so, not the header.
     """
 
     t: str
@@ -46,6 +57,8 @@ class Draft(NamedTuple):
     quantum: float | None
     noise: float
     span: Float[np.ndarray, "n 2"]
+    units: dict[str, tuple[str, ...]]
+    guessed: tuple[str, ...]
 
 
 def draft(columns: Mapping[str, np.ndarray], given: Mapping[str, Sequence[str] | None] | None = None) -> Draft:
@@ -54,7 +67,7 @@ def draft(columns: Mapping[str, np.ndarray], given: Mapping[str, Sequence[str] |
     - `given`: names for t, q, u or v that are known and not guessed.
 
     Raises `ValueError`, one line that says which columns were seen, where it is not clear which are the stamps, the
-    positions or the inputs, and where the stamps are not in seconds.
+    positions or the inputs.
     """
     given = {key: tuple(names) for key, names in (given or {}).items() if names is not None}
     for name in [name for names in given.values() for name in names]:
@@ -63,7 +76,7 @@ def draft(columns: Mapping[str, np.ndarray], given: Mapping[str, Sequence[str] |
     fixed = {name for names in given.values() for name in names}
     kinds = {name: _kind(name) for name in columns if name not in fixed}
     t = given["t"][0] if "t" in given else _stamps(columns, kinds)
-    step = _seconds(t, columns[t])
+    step = _step(t, columns[t])
     q = given.get("q") or tuple(name for name, kind in kinds.items() if kind == "q" and name != t)
     if not q:
         raise ValueError(f"no column is named like a position, as q1 or theta; name them by --q{_seen(columns)}")
@@ -77,21 +90,61 @@ def draft(columns: Mapping[str, np.ndarray], given: Mapping[str, Sequence[str] |
         unknown = [name for name, kind in kinds.items() if kind == "" and name != t]
         v = tuple(name for p in q for name in unknown if _is_slope(columns[t], columns[p], columns[name]))
     v = v if len(v) == len(q) else ()
-    y = np.column_stack([columns[name] for name in q])
-    if np.isnan(y[0]).any():
+    logged = np.column_stack([columns[name] for name in q])
+    if np.isnan(logged[0]).any():
         raise ValueError(f"row 1 lacks a position ({', '.join(q)}); cut the log to begin later")
+    span = np.stack([np.nanmin(logged, axis=0), np.nanmax(logged, axis=0)], axis=1)
+    units, guessed = _units({"t": (t,), "q": q, "u": u, "v": v}, step, span)
+    seconds = unit_factor(units.get("t", ("s",))[0])
+    y = logged * [unit_factor(text) for text in units.get("q", ("rad",) * len(q))]
     return Draft(
         t,
         q,
         u,
         v,
         tuple(name for name in columns if name not in (t, *q, *u, *v)),
-        1 / step,
+        1 / (step * seconds),
         len(y),
         _tick(y),
         float(np.sqrt(np.nanmean(np.diff(y, 3, axis=0) ** 2) / 20)) if len(y) > 4 else 0.0,
-        np.stack([np.nanmin(y, axis=0), np.nanmax(y, axis=0)], axis=1),
+        span,
+        units,
+        guessed,
     )
+
+
+def _units(
+    fields: Mapping[str, tuple[str, ...]], step: float, span: Float[np.ndarray, "n 2"]
+) -> tuple[dict[str, tuple[str, ...]], tuple[str, ...]]:
+    """The units of the columns of each field, where they are not those of a model file; and which are guessed.
+
+    - `step`: the median step of the stamps, `span` (n, 2) of the positions, as logged.
+    """
+    told = {field: [_unit_in(name, _MEANT[field]) for name in names] for field, names in fields.items()}
+    content = {"t": next(unit for most, unit in CLOCKS if step < most)}
+    content["q"] = "deg" if np.max(np.ptp(span, axis=1)) > DEGREES else "rad"
+    found, guessed = {}, []
+    for field, given in told.items():
+        if None in given and field in content:
+            guessed.append(field)
+        texts = tuple(text or content.get(field, _MEANT[field]) for text in given)
+        if any(unit_factor(text) != unit_factor(_MEANT[field]) for text in texts):
+            found[field] = texts
+    return found, tuple(field for field in guessed if field in found)
+
+
+def _unit_in(name: str, meant: str) -> str | None:
+    """The unit that the name of a column ends with, where it is of the kind that is meant."""
+    match = _IN_NAME.search(name)
+    if match is None:
+        return None
+    text = match[1] or match[2]
+    text = _PLAIN.get(text, text)
+    try:
+        check_unit(text, meant)
+    except ValueError:
+        return None
+    return None if re.fullmatch(r"[-+.0-9e]*", text) else text  # q(1) is a name
 
 
 def _seen(columns: Mapping[str, np.ndarray]) -> str:
@@ -100,6 +153,8 @@ def _seen(columns: Mapping[str, np.ndarray]) -> str:
 
 def _kind(name: str) -> str:
     """What a name is taken for, a key of `_WORDS`; empty where it says nothing."""
+    if _unit_in(name, "rad/s"):
+        return "v"
     words = set(re.findall(r"[a-z]+", name.lower()))
     return next((kind for kind, known in _WORDS.items() if words & set(known.split())), "")
 
@@ -114,18 +169,11 @@ def _stamps(columns: Mapping[str, np.ndarray], kinds: Mapping[str, str]) -> str:
     raise ValueError(f"{what}; name the one of the stamps by --t{_seen(columns)}")
 
 
-def _seconds(name: str, t: np.ndarray) -> float:
-    """The median step of the stamps [s]; raises `ValueError` where they do not seem to be seconds."""
+def _step(name: str, t: np.ndarray) -> float:
+    """The median step of the stamps; raises `ValueError` where they do not rise."""
     if len(t) < 2 or not (np.isfinite(t).all() and (np.diff(t) > 0).all()):
         raise ValueError(f"the stamps {name} do not rise from row to row; sort the log, or name others by --t")
-    step = float(np.median(np.diff(t)))
-    unit, factor = next((unit, factor) for most, unit, factor in UNITS if step < most)
-    if unit != "s":
-        raise ValueError(
-            f"the stamps {name} step by {step:g}, which seems to be {unit}, and stamps are read in seconds; divide the "
-            f"column by {factor:g}"
-        )
-    return step
+    return float(np.median(np.diff(t)))
 
 
 def _one_family(key: str, names: Sequence[str], given: Mapping[str, Sequence[str]], columns) -> None:

@@ -58,7 +58,8 @@ class Fit(NamedTuple):
     - `names` (p of them), `first`, `values` (p,): the numbers, before and after.
     - `standard_errors` (p,): robust to errors that are alike within a window; NaN where a number is not determined.
     - `undetermined` (d, p): relative changes of the numbers of which the log shows nothing, as rows; each row has an
-      entry of 1 in a number that is in no other row. Along them the numbers stay where they were.
+      entry of 1 in a number that is in no other row. Along them the numbers stay where they were; but a number that
+      was made smaller until the log could not tell it from zero is as small as it was found.
     - `scale` (n,): robust standard deviation of the errors of the positions over the windows [units of the frame].
     - `steps`: number of steps taken.
     """
@@ -104,7 +105,10 @@ def fit(family: Family, windows: Windows, told: Callable[[int, int], object] = l
     rows = _rows(held, slopes / np.where(values == 0, 1.0, values))
     part = np.sqrt(np.sum(rows**2, axis=0))
     variance = slopes**2 * np.diagonal(covariance) + (values * part * UNKNOWN) ** 2
-    errors = np.where(part < PURE, np.sqrt(np.maximum(variance, 0.0)), np.nan)
+    # The last search may have made a number so small that it has lost its influence on the way.
+    small = np.asarray(problem.positive) & (part < PURE) & (np.diagonal(covariance) > UNKNOWN**2)
+    rows = np.concatenate([rows, np.eye(len(small))[small]])
+    errors = np.where((part < PURE) & ~small, np.sqrt(np.maximum(variance, 0.0)), np.nan)
     return Fit(family.names, family.first, values, errors, rows, np.asarray(now.scale), taken)
 
 

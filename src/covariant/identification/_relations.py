@@ -1,25 +1,30 @@
 """Sentences on what a log does not determine."""
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from covariant.identification._fit import Fit
 
 SHOWN = 0.03
 """Parts of a combination below this fraction of the largest are not told."""
+MOVED = 0.01
+"""A number that is further from its first value, relatively, has left it."""
 ALIKE = 0.05
 """An exponent that is so close to a whole number or a half is written as that."""
 
 
 def relations(fit: Fit) -> tuple[str, ...]:
     """A sentence for each combination of the numbers that the log does not determine, with its weights."""
-    return tuple(_sentence(fit.names, row) for row in fit.undetermined)
+    away = np.abs(fit.values - fit.first) > MOVED * np.abs(fit.first)
+    return tuple(_sentence(fit.names, row, away) for row in fit.undetermined)
 
 
-def _sentence(names: tuple[str, ...], row: Float[np.ndarray, "p"]) -> str:
+def _sentence(names: tuple[str, ...], row: Float[np.ndarray, "p"], away: Bool[np.ndarray, "p"]) -> str:
     row = row / row[np.argmax(np.abs(row))]
     parts = [(name, weight) for name, weight in zip(names, row, strict=True) if abs(weight) > SHOWN]
     parts.sort(key=lambda part: -abs(part[1]))
+    if len(parts) == 1 and away[names.index(parts[0][0])]:
+        return f"{parts[0][0]} cannot be told from zero by this log; leave it out, or log a motion that shows it"
     if len(parts) == 1:
         return f"{parts[0][0]} cannot be told from this log; it keeps its first value"
     if len(parts) == 2:

@@ -8,13 +8,12 @@ from ._file import (
     ModelFile as ModelFile,
     document as document,
     from_recipe as from_recipe,
-    load as load,
-    recipe as recipe,
 )
 from ._heavy_top import free_body as free_body, heavy_top as heavy_top
 from ._hovercraft import hovercraft as hovercraft
 from ._in_chart import chart_jacobian as chart_jacobian, chart_velocity as chart_velocity, in_chart as in_chart
 from ._induction_motor import induction_motor as induction_motor
+from ._load import load as load, recipe as recipe
 from ._lorenz import lorenz as lorenz
 from ._mechanical import (
     GroupSystem as GroupSystem,

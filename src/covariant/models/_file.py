@@ -1,8 +1,9 @@
 """A model with what surrounds it: the columns of its logs, the noise of its sensors, and its own uncertainty."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -48,6 +49,11 @@ class ModelFile(NamedTuple):
       not given, the first estimate is the middle of the model's box, or zero, and as uncertain as the box is wide.
     - `external_force`: standard deviation of what a force that the model does not know changes by in a second [N or
       N m], for a filter that estimates it.
+    - `bias`: standard deviation of a constant offset of a measured position [its unit], or one for each coordinate, for
+      a filter that estimates it; `bias_drift`: of what the offset changes by in a second.
+    - `uncertain`: relative standard deviations of numbers of [parameters], by name, for a filter that estimates them;
+      `parameters_drift`: of their relative change in a second; `family`: the model with these numbers open, in their
+      order.
     """
 
     name: str
@@ -71,6 +77,11 @@ class ModelFile(NamedTuple):
     initial_state: float | tuple[float, ...] | None = None
     initial_std: float | tuple[float, ...] | None = None
     natural_frequency: float | None = None
+    bias: float | tuple[float, ...] | None = None
+    bias_drift: float | tuple[float, ...] = 0.0
+    uncertain: Mapping[str, float] = MappingProxyType({})
+    parameters_drift: float = 0.0
+    family: Any = None
 
     @property
     def typical_std(self) -> float | None:
@@ -103,25 +114,6 @@ class ModelFile(NamedTuple):
         return lacks_attitude(self.model, self.columns)
 
 
-def load(spec: str, overrides: Sequence[str] = ()) -> ModelFile:
-    """Load a model.
-
-    - `spec`: a `.toml` file; the `.urdf` or `.xml` file of a robot, or the name of one that comes with the library (see
-      `models.robots.load`); `module:attribute` (a `Lagrangian`, a `GroupSystem`, a `StateSpace`, a `ModelFile`, or a
-      function that makes one; the module is also looked for in the current folder); or the name of a system with its
-      default parameters.
-    - `overrides`: applied last. Each is `table.key=value`, with the tables of the file and values as in TOML, such as
-      `parameters.mass=[1.0, 2.0]`.
-
-    Raises `ModelError`, one line that names the spec and the first thing wrong.
-    """
-    try:
-        return finish(spec, document(spec, overrides))
-    except ValueError as error:
-        line = _source.first_line(error)  # of a robot's file it names the path already
-        raise ModelError(line if line.startswith(f"{spec}: ") else f"{spec}: {line}") from error
-
-
 def finish(spec: str, content: dict[str, Any]) -> ModelFile:
     """The model file of a document that stands for a spec, checked; raises `ValueError`."""
     loaded = made(spec, content)
@@ -139,18 +131,6 @@ def made(spec: str, content: dict[str, Any]) -> ModelFile:
     """What the system of a document, or the attribute that a spec names, makes of the parameters of the document."""
     what = content.get("system", spec.rpartition(":")[2])
     return _make(what, _find(spec, content), content.get("parameters", {}))
-
-
-def recipe(spec: str, overrides: Sequence[str] = ()) -> dict[str, Any]:
-    """The recipe of the model that `load(spec, overrides)` gives: just what is needed to make it again later.
-
-    It holds a system with its parameters, or `module:attribute` with parameters. Raises `ModelError` as `load` does.
-    """
-    load(spec, overrides)
-    content = document(spec, overrides)
-    kept = {"parameters": content.get("parameters", {})}
-    named = content.get("system", spec)
-    return {"attribute" if ":" in named else "system": named, **kept}
 
 
 def from_recipe(made: dict[str, Any], model: Any = None) -> Model:

@@ -15,12 +15,15 @@ NUMBERS = {
     ("measurement", "std"): ("measurement_std", 1.0),
     ("measurement", "delay"): ("delay", 1.0),
     ("measurement", "quantum"): ("quantum", 1.0),
+    ("measurement", "bias"): ("bias", 1.0),
+    ("measurement", "bias_drift"): ("bias_drift", 1.0),
     ("uncertainty", "acceleration"): ("acceleration_std", 1.0),
     ("uncertainty", "correlation_time"): ("correlation_time", 1.0),
     ("uncertainty", "process"): ("process_std", 1.0),
     ("initial", "state"): ("initial_state", 1.0),
     ("initial", "std"): ("initial_std", 1.0),
     ("uncertainty", "external_force"): ("external_force", 1.0),
+    ("uncertainty", "parameters_drift"): ("parameters_drift", 1.0),
     ("uncertainty", "motion_acceleration"): ("motion_std", 1.0),
     ("uncertainty", "motion_time"): ("motion_time", 1.0),
     ("design", "damping"): ("damping", 1.0),
@@ -33,20 +36,27 @@ NUMBERS = {
 WORDS = {("inputs", "between"): ("input_between", ("held", "linear"))}
 """Table and key of each word, with the field of `ModelFile` it fills and the words that it may be."""
 
+UNCERTAIN = ("uncertainty", "parameters")
+"""Table and key of the numbers of [parameters] that are estimated with the motion, and how uncertain each is."""
+
 _NAMES = tuple(field for field in Columns._fields if field != "units")
 """Keys of [columns], and of [units] but for attitudes, which have none."""
 _KEYS = {"columns": _NAMES, "units": tuple(name for name in _NAMES if name not in ATTITUDES)} | {
-    table: tuple(key for other, key in (*NUMBERS, *WORDS) if other == table)
+    table: tuple(key for other, key in (*NUMBERS, *WORDS, UNCERTAIN) if other == table)
     for table in dict.fromkeys(table for table, _ in NUMBERS)
 }
 _QUOTED = re.compile(r"""\"(?:[^"\\\\]|\\\\.)*\"|'[^']*'""")
 _ODD_NUMBER = re.compile(r"(?<![\w-])[+-]?(?:0[xob]\w|[0-9.]+_)")
 """TOML allows underscores and hexadecimal numbers; on a command line these are more likely typing errors."""
-_MAY_BE_ZERO = {("inputs", "lag"), ("inputs", "delay"), ("measurement", "delay")}
+_MAY_BE_ZERO = {("inputs", "lag"), ("inputs", "delay"), ("measurement", "delay")} | {
+    ("measurement", "bias"),
+    ("measurement", "bias_drift"),
+    ("uncertainty", "parameters_drift"),
+}
 _ANY_SIGN = {("initial", "state")}
 _OF_STATES = {("uncertainty", "process"), ("initial", "state"), ("initial", "std")}
 """Numbers of state-space models, of which there may be one for each state."""
-_MAY_BE_LISTS = {("measurement", "std"), ("measurement", "delay")} | _OF_STATES
+_MAY_BE_LISTS = {("measurement", key) for key in ("std", "delay", "bias", "bias_drift")} | _OF_STATES
 """Numbers of which there may be one for each coordinate or state."""
 _RIVALS = {"measurement.std": ("quantum",), "measurement.quantum": ("std",)} | {
     f"columns.{kind}": tuple(other for other in ATTITUDES if other != kind) for kind in ATTITUDES
@@ -161,7 +171,7 @@ def numbers(document: dict[str, Any], count: int, states: int) -> dict[str, Any]
         found[field] = scaled if isinstance(value, list) else scaled[0]
     if "quantum" in found:
         found["measurement_std"] = found["quantum"] / math.sqrt(12)  # an error uniform over one step
-    return found | _words(document)
+    return found | _words(document) | _uncertain(document, states)
 
 
 def _number(where: tuple[str, str], value: Any) -> float | int:
@@ -182,6 +192,20 @@ def _numbers(where: tuple[str, str], values: list[Any], count: int) -> tuple[flo
     if len(values) != count:
         raise ValueError(f"{'.'.join(where)} lists {len(values)} numbers; give {count}, or one number without brackets")
     return tuple(_number(where, value) for value in values)
+
+
+def _uncertain(document: dict[str, Any], states: int) -> dict[str, dict[str, float]]:
+    """The relative standard deviations of uncertain parameters, by name."""
+    table, key = UNCERTAIN
+    given = document.get(table, {}).get(key, {})
+    if not isinstance(given, dict):
+        raise ValueError(
+            f"{table}.{key} must name numbers of [parameters], each with the standard deviation of its relative error, "
+            f'as in {{"mass[0]" = 0.3}}; got {given!r}'
+        )
+    if given and states:
+        raise ValueError(f"{table}.{key} is for a mechanical model, and this one is a state-space model")
+    return {"uncertain": {name: _number((table, f"{key}.{name}"), value) for name, value in given.items()}}
 
 
 def _words(document: dict[str, Any]) -> dict[str, str]:

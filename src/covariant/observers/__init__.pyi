@@ -49,6 +49,12 @@ from ._sampled import (
     with_fixed_substeps as with_fixed_substeps,
 )
 from ._savitzky_golay import SavitzkyGolay as SavitzkyGolay, WindowState as WindowState
+from ._slow import (
+    Slow as Slow,
+    external_force as external_force,
+    sensor_bias as sensor_bias,
+    uncertain_parameters as uncertain_parameters,
+)
 from ._state_ekf import StateEKF as StateEKF, StateEKFInfo as StateEKFInfo, StateEKFState as StateEKFState
 from ._state_registry import STATE_REGISTRY as STATE_REGISTRY, Noise as Noise, StateEntry as StateEntry
 from ._tracking_loop import LoopState as LoopState

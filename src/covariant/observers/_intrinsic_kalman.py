@@ -20,10 +20,11 @@ from jaxtyping import Array, Float, Inexact, Int
 from covariant._linalg import semidefinite_root, triangular
 from covariant._typing import Code, Matrix, Number, Scalar, Vector
 from covariant.geometry import AbstractManifold, AbstractSpace, Budget
-from covariant.models import MechanicalSystem, Motion, advance, resistance
+from covariant.models import MechanicalSystem, Motion, advance
 from covariant.observers._gate import Gate, judged, open_gate
 from covariant.observers._protocol import AbstractObserver, Held, as_gain, at_rest, check_positive, outcome, uniqueness
 from covariant.observers._sampled import needed_substeps
+from covariant.observers._slow import Slow, SlowStates, SlowVector, as_groups
 from covariant.observers._spread import Spread, check_spread, spread_at
 from covariant.observers._square_root import diagonal, normalised_square, updated, white_acceleration
 from covariant.observers._ticks import Readings, take
@@ -34,9 +35,9 @@ FARTHEST_TURN = 0.5
 
 
 class KalmanState(NamedTuple):
-    """Estimated configuration and velocity at time t [s], and the estimated external `force` (k,), k = n or 0.
+    """Estimated configuration and velocity at time t [s], and the estimated `slow` states (k,).
 
-    - `root`: a square root of the covariance of (ε, ν) in the parallel frame, followed by the force.
+    - `root`: a square root of the covariance of (ε, ν) in the parallel frame, followed by the slow states.
     - `refused` (n,): number of samples in a row that the gate refused.
     - `scale` (n,): averaged ratio of actual to expected squared innovations; see `Gate.judge`.
     - `held`: the last finite input.
@@ -46,7 +47,7 @@ class KalmanState(NamedTuple):
     q: Inexact[Array, "..."]
     v: Vector
     t: Scalar
-    force: Float[Array, "k"]
+    slow: SlowVector
     root: Float[Array, "two_n_k two_n_k"]
     refused: Int[Array, "n"]
     scale: Vector
@@ -59,8 +60,8 @@ class KalmanInfo(NamedTuple):
     deviations `velocity_std` (n,) of the velocity after the correction. Where the model is right, `nis` is
     χ²-distributed with as many degrees of freedom as there are measured components.
 
-    `external_force` (k,) is the estimated external force, and `external_force_std` (k,) its standard deviations; k = n
-    where it is estimated, else 0.
+    `slow` (k,) are the estimated slow states, in the order of the observer's `slow_names`, and `slow_std` (k,) their
+    standard deviations.
     """
 
     innovation: Vector
@@ -68,9 +69,24 @@ class KalmanInfo(NamedTuple):
     innovation_cov: Matrix
     nis: Scalar
     velocity_std: Vector
-    external_force: Float[Array, "k"]
-    external_force_std: Float[Array, "k"]
+    slow: SlowVector
+    slow_std: SlowVector
     result: Code
+
+
+class Seen(NamedTuple):
+    """A measurement `y` without the offset that is believed of it, and its noise (n, n) in the frame at the estimate.
+
+    `slope` (n, k) is its derivative in the slow states; None where there is no offset.
+    """
+
+    y: Array
+    noise: Matrix
+    slope: Float[Array, "n k"] | None
+
+    def shown(self, root: Float[Array, "N N"], n: int) -> Float[Array, "n N"]:
+        """What is measured, as linear functions of the error, times a root of its covariance."""
+        return root[:n] if self.slope is None else root[:n] + self.slope @ root[2 * n :]
 
 
 def as_quantum(value: Any) -> Any:
@@ -86,9 +102,9 @@ class IntrinsicKalman(AbstractObserver):
     - `initial_velocity_cov`: covariance of the initial velocity, which is assumed zero [(rad/s)² or (m/s)²].
       Each of the three is a matrix (n, n) in the frame, the same everywhere; a function of the configuration; or a
       number, a variance in metric units, the same in every direction.
-    - `force_cov` (n, n): spectral density of the random walk of an external force that the model does not contain, a
-      covector in the frame [N²/s or (N m)²/s]: a disturbance, a payload, a wrong friction. The force is estimated too,
-      and a constant one leaves no bias. None assumes no such force.
+    - `slow`: slow states that are estimated along with the motion, a `Slow` or several: `external_force`,
+      `sensor_bias`, `uncertain_parameters`, or one of your own. A constant one leaves no bias where the measurements
+      show it.
     - `quantum` (n,): one tick of each encoder, in coordinates [their unit]. A reading is then an interval, and a change
       of it an edge that was passed; `measurement_cov` is the covariance of the positions of edges. None where every
       sample has independent noise.
@@ -97,17 +113,18 @@ class IntrinsicKalman(AbstractObserver):
     - `substeps`: Runge–Kutta steps in each sample; None takes as many as dt and the friction need (offline).
 
     After a gap so long that an angle may be anywhere the filter starts anew from the measured configuration and the
-    predicted velocity, and `result` says `RESTARTED`. In other coordinates, with noise that is the same tensor, the
-    estimate is the same to the accuracy of the budget.
+    predicted velocity, its slow states as uncertain as at first, and `result` says `RESTARTED`. In other coordinates,
+    with noise that is the same tensor, the estimate is the same to the accuracy of the budget.
 
-    Raises `ValueError` for numbers and matrices that are no covariances, and for a singular measurement covariance.
+    Raises `ValueError` for numbers and matrices that are no covariances, for a singular measurement covariance, and for
+    slow states that do not fit the model.
     """
 
     model: MechanicalSystem
     process_cov: Spread = eqx.field(converter=as_gain)
     measurement_cov: Spread = eqx.field(converter=as_gain)
     initial_velocity_cov: Spread = eqx.field(converter=as_gain)
-    force_cov: Matrix | None = None
+    slow: tuple[Slow, ...] = eqx.field(default=(), converter=as_groups)
     quantum: Vector | None = eqx.field(default=None, converter=as_quantum)
     gate: Gate | None = Gate()
     budget: Budget = eqx.field(default=Budget(newton=1, steps=2), static=True)
@@ -117,8 +134,7 @@ class IntrinsicKalman(AbstractObserver):
         check_spread("IntrinsicKalman", "measurement_cov", self.measurement_cov, positive=True)
         for name in ("process_cov", "initial_velocity_cov"):
             check_spread("IntrinsicKalman", name, getattr(self, name))
-        if self.force_cov is not None:
-            check_spread("IntrinsicKalman", "force_cov", self.force_cov)
+        self._slow.check("IntrinsicKalman", self.model)
         if self.quantum is not None:
             check_positive("IntrinsicKalman", quantum=self.quantum)
             if not self.model.manifold.commuting:
@@ -126,20 +142,26 @@ class IntrinsicKalman(AbstractObserver):
 
     def init(self, y: Array, t: Number = 0.0) -> KalmanState:
         q, v, t, held, _ = at_rest(self.model, y, t)
-        force = v[:0] if self.force_cov is None else jnp.zeros_like(v)
-        return KalmanState(q, v, t, force, self._first_root(q), *open_gate(v), held, self._read(q, jnp.zeros_like(v)))
+        slow, readings = self._slow.first(v), self._read(q, jnp.zeros_like(v))
+        q = self._without_offset(q, v, slow)
+        return KalmanState(q, v, t, slow, self._first_root(q, v, slow), *open_gate(v), held, readings)
 
     def estimate(self, state: KalmanState) -> Any:
         return self.model.state(Motion(state.q, state.v))
 
     def cov(self, state: KalmanState) -> Float[Array, "two_n_k two_n_k"]:
-        """The covariance P of (ε, ν), followed by the external force, in the parallel frame at the estimate."""
+        """The covariance P of (ε, ν), followed by the slow states, in the parallel frame at the estimate."""
         return state.root @ state.root.T
 
     def velocity_std(self, state: KalmanState) -> Vector:
         """Standard deviations of the components of the velocity."""
         n = state.v.shape[0]
         return jnp.sqrt(jnp.sum(state.root[n : 2 * n] ** 2, axis=1))
+
+    @property
+    def slow_names(self) -> tuple[str, ...]:
+        """Names of the slow states."""
+        return self._slow.names
 
     def advance(self, state: KalmanState, u: Float[Array, "m"], y: Array, dt: Scalar) -> tuple[KalmanState, KalmanInfo]:
         return self.correct(self.predict(state, u, dt), y)
@@ -155,47 +177,83 @@ class IntrinsicKalman(AbstractObserver):
     def correct(self, state: KalmanState, y: Array) -> tuple[KalmanState, KalmanInfo]:
         """Correct by the measurement y. Missing entries (NaN) are left out; on a group one NaN makes all missing."""
         space, manifold, n = self.model.space, self.model.manifold, state.v.shape[0]
-        missing, straight = manifold.missing(y), manifold.towards(state.q, y)
-        noise = self._noise(state.q)
-        spread = state.root[:n] @ state.root[:n].T + noise
+        seen = self._seen(state, y)
+        missing, straight = manifold.missing(seen.y), manifold.towards(state.q, seen.y)
+        shown = seen.shown(state.root, n)
+        spread = shown @ shown.T + seen.noise
         found = judged(self.gate, manifold, straight, spread, ~missing, state.refused, state.scale)
-        lost = _too_uncertain(manifold, spread, noise) & ~jnp.any(missing)
+        lost = _too_uncertain(manifold, spread, seen.noise) & ~jnp.any(missing)
         found = found._replace(restart=found.restart | lost)
         used = ~missing & ~found.far
-        error, root = self._believed(state, y, straight, used)
+        error, root = self._believed(state, seen, y, straight, used)
         q, v, root = self._rebased(state, error, root)
-        measured, force = manifold.measured(state.q, y), state.force + error[2 * n :]
+        measured, slow = manifold.measured(state.q, seen.y), state.slow + error[2 * n :]
         readings = None
         if state.readings is not None:
             readings = Readings(jnp.where(used, y, state.readings.y), jnp.where(used, 0.0, state.readings.age))
-        new = KalmanState(q, v, state.t, force, root, found.refused, found.scale, state.held, readings)
-        fresh = new._replace(q=measured, v=state.v, root=self._first_root(measured), refused=0 * found.refused)
-        fresh = fresh._replace(readings=self._read(measured, 0 * v))
+        new = KalmanState(q, v, state.t, slow, root, found.refused, found.scale, state.held, readings)
+        first = self._first_root(measured, v, slow)
+        fresh = new._replace(q=measured, v=state.v, root=first, refused=0 * found.refused)
+        fresh = fresh._replace(readings=self._read(manifold.measured(state.q, y), 0 * v))
         new = jax.tree.map(lambda a, b: jnp.where(found.restart, a, b), fresh, new)
-        result = outcome(new.q, new.v, y, found.result(uniqueness(self.model, state.q, y)))
+        result = outcome(new.q, new.v, y, found.result(uniqueness(self.model, state.q, seen.y)))
         nis = normalised_square(spread, straight, ~missing)
         distance, std = space.norm(state.q, straight), self.velocity_std(new)
-        force_std = jnp.sqrt(jnp.sum(new.root[2 * n :] ** 2, axis=1))
-        return new, KalmanInfo(straight, distance, spread, nis, std, new.force, force_std, result)
+        return new, KalmanInfo(straight, distance, spread, nis, std, *self._told(new), result)
+
+    @property
+    def _slow(self) -> SlowStates:
+        return SlowStates(self.slow)
+
+    def _told(self, state: KalmanState) -> tuple[SlowVector, SlowVector]:
+        """The slow states as they are written, and their standard deviations."""
+        values = self._slow.values(state.slow)
+        slope = jax.jacfwd(self._slow.values)(state.slow)
+        return values, jnp.sqrt(jnp.sum((slope @ state.root[2 * state.v.shape[0] :]) ** 2, axis=1))
 
     def _noise(self, q: Array) -> Matrix:
-        """Covariance of one sample, taken as noise."""
+        """Covariance of one sample, taken as noise, in the frame at what is measured."""
         noise = spread_at(self.measurement_cov, self.model.space, q)
         return noise if self.quantum is None else noise + jnp.diag(self.quantum.astype(noise.dtype) ** 2 / 12)
 
     def _read(self, y: Array, age: Vector) -> Readings | None:
         return None if self.quantum is None else Readings(y, age)
 
-    def _believed(self, state: KalmanState, y: Array, straight: Vector, used: Array) -> tuple[Array, Array]:
+    def _without_offset(self, y: Array, like: Vector, slow: SlowVector) -> Array:
+        """The configuration whose measurement is y."""
+        return self.model.manifold.retract(y, -self._slow.offset(slow, like)) if self._slow.measured else y
+
+    def _seen(self, state: KalmanState, y: Array) -> Seen:
+        bare = self._without_offset(y, state.v, state.slow)
+        return Seen(bare, *self._slopes(state.q, state.v, state.slow))
+
+    def _slopes(self, q: Array, like: Vector, slow: SlowVector) -> tuple[Matrix, Float[Array, "n k"] | None]:
+        """Noise (n, n) in the frame at q of a measurement without its offset, and its slope (n, k) in the slow states.
+
+        It is `y = retract(retract(q, offset), w)`, w being the noise, from which the believed offset is taken away."""
+        if not self._slow.measured:
+            return self._noise(q), None
+        manifold, k = self.model.manifold, slow.shape[0]
+
+        def seen(change):
+            true = manifold.retract(q, self._slow.offset(slow + change[:k], like))
+            return manifold.local(q, self._without_offset(manifold.retract(true, change[k:]), like, slow))
+
+        slopes = jax.jacfwd(seen)(jnp.zeros(k + like.shape[0], like.dtype))
+        there = manifold.retract(q, self._slow.offset(slow, like))
+        return slopes[:, k:] @ self._noise(there) @ slopes[:, k:].T, slopes[:, :k]
+
+    def _believed(self, state: KalmanState, seen: Seen, y: Array, straight: Vector, used: Array) -> tuple[Array, Array]:
         """The error (2n + k,) that the sample makes believe, and the root of its covariance."""
         space, n = self.model.space, state.v.shape[0]
         if self.quantum is None or state.readings is None:
-            gain, root = updated(state.root, self._noise(state.q), used)
-            return gain @ jnp.where(used, self._way(state, y, straight, used), 0.0), root
+            gain, root = updated(state.root, seen.shown(state.root, n), seen.noise, used)
+            return gain @ jnp.where(used, self._way(state, seen.y, straight, used), 0.0), root
         rows = _beside(apart(space, state.q, state.v), state)
+        position = rows[:n] if seen.slope is None else rows[:n].at[:, 2 * n :].set(seen.slope)
         moved = self.model.manifold.towards(state.readings.y, y)
         noise = jnp.diag(spread_at(self.measurement_cov, space, state.q))
-        parts = rows[:n], rows[n : 2 * n]
+        parts = position, rows[n : 2 * n]
         step = self.quantum.astype(noise.dtype)
         return take(state.root, straight, moved, state.readings.age, state.v, parts, step, noise, used)
 
@@ -208,21 +266,20 @@ class IntrinsicKalman(AbstractObserver):
     def _moved(self, state: KalmanState, u: Float[Array, "m"], h: Scalar) -> KalmanState:
         """One Runge–Kutta step of the model and of the covariance."""
         space, manifold, n = self.model.space, self.model.manifold, state.v.shape[0]
-        model = self.model if self.force_cov is None else with_external_force(self.model, u.shape[0])
 
         def ahead(error):
             start = Motion(manifold.retract(state.q, error[:n]), state.v + error[n : 2 * n])
-            external = state.force + error[2 * n :]
-            end = advance(model, state.t, start, jnp.concatenate([u, external]), h, 1)
-            return jnp.concatenate([manifold.local(jax.lax.stop_gradient(end.q), end.q), end.v, external]), end
+            slow = state.slow + error[2 * n :]
+            end = advance(self._slow.in_model(self.model, slow), state.t, start, u, h, 1)
+            return jnp.concatenate([manifold.local(jax.lax.stop_gradient(end.q), end.q), end.v, slow]), end
 
         slope, (q, v) = jax.jacfwd(ahead, has_aux=True)(jnp.zeros(state.root.shape[0], state.v.dtype))
         root = (
             _beside(parallel(space, q, v), state) @ slope @ _beside(apart(space, state.q, state.v), state) @ state.root
         )
         noise = white_acceleration(spread_at(self.process_cov, space, q), h)
-        if self.force_cov is not None:
-            noise = diagonal(noise, jnp.sqrt(h) * semidefinite_root(self.force_cov))
+        if self.slow:
+            noise = diagonal(noise, jnp.sqrt(h) * self._slow.walk_root().astype(noise.dtype))
         readings = state.readings and state.readings._replace(age=state.readings.age + h)
         root = triangular(jnp.concatenate([root, noise], axis=1))
         return state._replace(q=q, v=v, t=state.t + h, root=root, readings=readings)
@@ -241,28 +298,22 @@ class IntrinsicKalman(AbstractObserver):
         slope, (q, v) = jax.jacfwd(corrected, has_aux=True)(error[: 2 * n])
         return q, v, _beside(parallel(space, q, v) @ slope, state) @ root
 
-    def _first_root(self, q: Array) -> Float[Array, "two_n_k two_n_k"]:
+    def _first_root(self, q: Array, like: Vector, slow: SlowVector) -> Float[Array, "two_n_k two_n_k"]:
+        """Root of the covariance where all that is known are one measurement and what is known at first."""
+        noise, slope = self._slopes(q, like, slow)
         velocity = semidefinite_root(spread_at(self.initial_velocity_cov, self.model.space, q))
-        both = diagonal(semidefinite_root(self._noise(q)), velocity)
-        # Nothing is known of the force yet: its covariance is that of a random walk of one second.
-        return both if self.force_cov is None else diagonal(both, semidefinite_root(self.force_cov))
-
-
-def with_external_force(model: MechanicalSystem, inputs: int) -> MechanicalSystem:
-    """The model with a generalised force (n,) in the frame appended to its inputs (m,): `u = (u, force)`."""
-
-    def force(t, q, u):
-        return model.force(t, q, u[:inputs]) + u[inputs:]
-
-    def dissipation(t, q, v, u):
-        return resistance(model, t, q, v, u[:inputs])
-
-    return eqx.tree_at(lambda m: (m.force, m.dissipation), model, (force, dissipation))
+        both = diagonal(semidefinite_root(noise), velocity)
+        if not self.slow:
+            return both
+        own = self._slow.first_root().astype(both.dtype)
+        root = diagonal(both, own)
+        # What the first measurement is off by, the estimate is off by with the other sign.
+        return root if slope is None else root.at[: len(velocity), 2 * len(velocity) :].set(-slope @ own)
 
 
 def _beside(matrix: Array, state: KalmanState) -> Array:
-    """A matrix for (ε, ν), extended to one for (ε, ν, force) that leaves the force unchanged."""
-    return diagonal(matrix, jnp.eye(state.force.shape[0], dtype=matrix.dtype))
+    """A matrix for (ε, ν), extended to one for (ε, ν, slow) that leaves the slow states unchanged."""
+    return diagonal(matrix, jnp.eye(state.slow.shape[0], dtype=matrix.dtype))
 
 
 def parallel(space: AbstractSpace, q: Array, v: Vector, sign: int = 1) -> Float[Array, "two_n two_n"]:

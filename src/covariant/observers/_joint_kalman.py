@@ -98,7 +98,9 @@ class JointKalman(AbstractLinearFilter):
         spread = jnp.diag(jnp.sum(root[:, 0] ** 2, axis=1) + self.noise**2) * unit[0] ** 2 * self.motion_std**2
         found = judged(self.gate, Coordinates(), innovation, spread, present, state.refused, state.scale)
         used = present & ~found.far
-        gain, root = jax.vmap(updated, (0, None, 0))(root, jnp.full((1, 1), self.noise**2), used[:, None])
+        gain, root = jax.vmap(updated, (0, 0, None, 0))(
+            root, root[:, :1], jnp.full((1, 1), self.noise**2), used[:, None]
+        )
         moved = x + (unit / unit[0])[:, None] * gain[..., 0].T * innovation[None]
         new = JointState(moved[0], moved[1], moved[2], root, found.refused, found.scale)
         fresh = new._replace(q=x[0] + innovation, v=x[1], a=x[2], root=self._first_root(y))

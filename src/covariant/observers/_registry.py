@@ -26,6 +26,7 @@ from covariant.observers._pll import PLL
 from covariant.observers._protocol import AbstractObserver
 from covariant.observers._salcudean import Salcudean, of_mean_inertia
 from covariant.observers._savitzky_golay import SavitzkyGolay
+from covariant.observers._slow import Slow
 from covariant.observers._ukf import UKF
 
 EDGE = 0.1
@@ -53,18 +54,14 @@ def intrinsic_kalman(
     measurement: Matrix,
     speed: float,
     quantum: float | None,
-    external_force: float | None = None,
+    slow: tuple[Slow, ...] = (),
 ) -> IntrinsicKalman:
-    """The filter for encoders that count ticks, where there is a quantum in coordinates; else for noise.
-
-    It estimates a force that the model does not know where `external_force` says by how much this changes in a second.
-    """
+    """The filter for encoders that count ticks, where there is a quantum in coordinates; else for noise."""
     axes = jnp.eye(process.shape[0])
-    force = None if external_force is None else external_force**2 * axes
     if quantum is None or not model.manifold.commuting:
-        return IntrinsicKalman(model, process, measurement, speed**2 * axes, force)
+        return IntrinsicKalman(model, process, measurement, speed**2 * axes, slow)
     edges, ticks = (EDGE * quantum) ** 2 * axes, jnp.full(len(axes), quantum)
-    return IntrinsicKalman(model, process, edges, speed**2 * axes, force, ticks)
+    return IntrinsicKalman(model, process, edges, speed**2 * axes, slow, ticks)
 
 
 class Entry(NamedTuple):
@@ -75,8 +72,8 @@ class Entry(NamedTuple):
     - `make`: makes the observer, `make(model, *numbers)`.
     - `tuned_by`: the numbers it is made with, which `design.tuned_estimators` finds: "gains" are α [1/s] and β [1/s²].
       "noise" are the process covariance (n, n), the measurement covariance (n, n) and the standard deviation of the
-      initial velocity; "noise or ticks" are these, one tick of the encoders or None, and the standard deviation of
-      what an external force changes by in a second [N or N m] or None. Of filters that use no model:
+      initial velocity; "noise or ticks" are these, one tick of the encoders or None, and the slow states that are
+      estimated, a tuple of `Slow`. Of filters that use no model:
       "bandwidth" is the bandwidth [rad/s] of a linear filter; "window" are a window [samples] and the degree of a
       polynomial; "motion" are the standard deviation [rad/s²] and the correlation time [s] of the accelerations, and
       the standard deviation of a sample; "jerk" is a bound on the jerk [rad/s³].

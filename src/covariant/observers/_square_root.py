@@ -25,14 +25,17 @@ def white_acceleration(density: Matrix, h: Scalar) -> Float[Array, "two_n two_n"
 
 
 def updated(
-    root: Float[Array, "k k"], noise: Float[Array, "n n"], used: Array
+    root: Float[Array, "k k"], shown: Float[Array, "n k"], noise: Float[Array, "n n"], used: Array
 ) -> tuple[Float[Array, "k n"], Float[Array, "k k"]]:
-    """Gain, and root of the covariance after the correction, where the first n components are measured with this noise
-    (n, n); only those that are `used` (n,)."""
+    """Gain, and root of the covariance after the correction, where n linear functions H of the state are measured with
+    this noise (n, n); only those that are `used` (n,).
+
+    - `shown`: H times the root.
+    """
     n = noise.shape[0]
     both = used[:, None] & used[None, :]
     own = semidefinite_root(jnp.where(both, noise, jnp.eye(n, dtype=noise.dtype)))
-    measured_root = jnp.where(used[:, None], root[:n], 0.0)
+    measured_root = jnp.where(used[:, None], shown, 0.0)
     above = jnp.concatenate([own, measured_root], axis=1)
     below = jnp.concatenate([jnp.zeros((root.shape[0], n), root.dtype), root], axis=1)
     joint = triangular(jnp.concatenate([above, below]))

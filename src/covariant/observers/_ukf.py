@@ -124,7 +124,7 @@ class UKF(AbstractObserver):
         noise = spread_at(self.measurement_cov, self.model.space, state.q)
         spread = state.root[:n] @ state.root[:n].T + noise
         found = judged(self.gate, manifold, innovation, spread, ~missing, state.refused, state.scale)
-        gain, root = updated(state.root, noise, ~missing & ~found.far)
+        gain, root = updated(state.root, state.root[:n], noise, ~missing & ~found.far)
         error = gain @ innovation
         q, v = manifold.retract(state.q, error[:n]), state.v + error[n:]
         new = UKFState(q, v, state.t, root, found.refused, found.scale, state.held)

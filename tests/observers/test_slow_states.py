@@ -1,0 +1,211 @@
+"""Slow states: offsets of sensors, payloads and friction are found where the motion shows them, and not where not."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from covariant import models
+from covariant.geometry.lie import SO3
+from covariant.models import Lagrangian, Motion, Parametric, heavy_top, pendulum_chain
+from covariant.observers import IntrinsicKalman, Slow, external_force, run, sensor_bias, uncertain_parameters
+from covariant.signals import Record
+from covariant.simulation import hold, simulate
+
+STEP, ROWS, NOISE = 0.01, 500, 1e-3
+STAMPS = STEP * np.arange(ROWS)
+LATE = slice(200, None)
+NOTHING = 1e-9
+"""A standard deviation of what is known: the same program then estimates nothing of it."""
+
+
+def swing(model, start, u):
+    return simulate(model, start, jnp.asarray(STAMPS), hold(jnp.asarray(STAMPS), jnp.asarray(u))).x
+
+
+def noise(n: int) -> np.ndarray:
+    return NOISE * np.random.default_rng(0).normal(size=(ROWS, n))
+
+
+def kalman(model, n: int, *slow: Slow, **named) -> IntrinsicKalman:
+    return IntrinsicKalman(model, 1e-4, NOISE**2 * jnp.eye(n), 4 * jnp.eye(n), slow, substeps=1, **named)
+
+
+# A mass on a spring: the textbook's Kalman filter of position, velocity and offset.
+
+
+def mass_on_a_spring(stiffness: float) -> Lagrangian:
+    return Lagrangian(lambda q: jnp.eye(1), Parametric(_spring, stiffness=stiffness), coordinates=("q",))
+
+
+def _spring(q, stiffness):
+    return stiffness * q[0] ** 2 / 2
+
+
+def textbook(y: np.ndarray, stiffness: float, std: float, drift: float) -> tuple[np.ndarray, np.ndarray]:
+    """Means (T, 3) of position, velocity and offset, and covariances, of the plain filter, from the first sample on."""
+    ahead = np.eye(3)
+    w = STEP * np.sqrt(stiffness)
+    ahead[:2, :2] = [[np.cos(w), STEP * np.sinc(w / np.pi)], [-stiffness * STEP * np.sinc(w / np.pi), np.cos(w)]]
+    added = np.zeros((3, 3))
+    added[:2, :2] = 1e-4 * np.array([[STEP**3 / 3, STEP**2 / 2], [STEP**2 / 2, STEP]])
+    added[2, 2] = drift**2 * STEP
+    shown = np.array([1.0, 0.0, 1.0])
+    # Nothing is known of the position before the first sample, which then says q = y − offset.
+    mean, cov = np.array([y[0], 0.0, 0.0]), np.diag([NOISE**2 + std**2, 4.0, std**2])
+    cov[0, 2] = cov[2, 0] = -(std**2)
+    means, covs = [mean], [cov]
+    for value in y[1:]:
+        mean, cov = ahead @ mean, ahead @ cov @ ahead.T + added
+        if np.isfinite(value):
+            gain = cov @ shown / (shown @ cov @ shown + NOISE**2)
+            mean, cov = mean + gain * (value - shown @ mean), cov - np.outer(gain, shown @ cov)
+        means.append(mean)
+        covs.append(cov)
+    return np.array(means), np.array(covs)
+
+
+@pytest.mark.parametrize("stiffness", [0.0, 6.0])
+def test_of_an_offset_it_is_the_kalman_filter_and_where_nothing_shows_it_stays_unknown(stiffness):
+    w, std, drift = np.sqrt(stiffness), 0.1, 0.002
+    y = 0.04 + np.cos(w * STAMPS) + 0.5 * STAMPS * np.sinc(w * STAMPS / np.pi) + noise(1)[:, 0]
+    y[100:130] = np.nan
+    observer = kalman(mass_on_a_spring(stiffness), 1, sensor_bias((std,), drift), gate=None)
+    assert observer.slow_names == ("bias1",)
+    found = run(observer, Record(STAMPS, np.zeros((ROWS, 1)), y[:, None]))
+    means, covs = textbook(y, stiffness, std, drift)
+    np.testing.assert_allclose(found.estimate, means[:, :2], rtol=0, atol=2e-7)
+    np.testing.assert_allclose(found.info.slow[:, 0], means[:, 2], rtol=0, atol=2e-7)
+    stds = np.sqrt(np.diagonal(covs, axis1=1, axis2=2))
+    np.testing.assert_allclose(found.info.velocity_std[1:, 0], stds[1:, 1], rtol=1e-6)
+    np.testing.assert_allclose(found.info.slow_std[1:, 0], stds[1:, 2], rtol=1e-6)
+    if stiffness:
+        assert abs(found.info.slow[-1, 0] - 0.04) < 3 * stds[-1, 2] < 0.02
+    else:
+        assert stds[-1, 2] >= std
+        assert stds[-1, 1] < 0.02  # the velocity needs no offset
+
+
+# Encoders of an arm that are off: gravity shows it.
+
+CHAIN = pendulum_chain((1.0, 0.7), (0.5, 0.4), viscous=(0.05, 0.05))
+TORQUES = np.stack([2 * np.sin(3 * STAMPS), np.cos(5 * STAMPS)], axis=1)
+
+
+@pytest.fixture(scope="module")
+def arm() -> np.ndarray:
+    """Its true states (T, 4)."""
+    return np.asarray(swing(CHAIN, jnp.array([0.6, -0.4, 0.0, 0.0]), TORQUES))
+
+
+def velocity_errors(found, x: np.ndarray) -> np.ndarray:
+    return np.asarray(found.estimate)[LATE, 2:] - x[LATE, 2:]
+
+
+def test_encoders_that_are_off_are_found_and_leave_no_bias(arm):
+    off = np.array([0.06, -0.04])
+    record = Record(STAMPS, TORQUES, arm[:, :2] + off + noise(2))
+    record.y[50:60, 1] = np.nan
+    found, blind = (run(kalman(CHAIN, 2, sensor_bias((std, std))), record) for std in (0.1, NOTHING))
+    std = np.asarray(found.info.slow_std[-1])
+    assert (np.abs(np.asarray(found.info.slow[-1]) - off) < 3 * std).all()
+    assert (std < 0.005).all()
+    errors, worse = velocity_errors(found, arm), velocity_errors(blind, arm)
+    assert np.abs(errors.mean(axis=0)).max() < 0.1 * np.abs(worse.mean(axis=0)).max()
+    assert np.sqrt(np.mean(errors**2)) < 0.4 * np.sqrt(np.mean(worse**2))
+    positions = np.asarray(found.estimate)[LATE, :2] - arm[LATE, :2]
+    assert np.abs(positions.mean(axis=0)).max() < 0.006  # the true ones, not the read ones
+
+
+def test_ticks_of_encoders_that_are_off(arm):
+    tick, off = 0.01, np.array([0.0, 0.052])
+    read = tick * np.round((arm[:, :2] + off) / tick)
+    edges = IntrinsicKalman(
+        CHAIN, 1e-4, (0.1 * tick) ** 2 * jnp.eye(2), 4 * jnp.eye(2), (sensor_bias((0.0, 0.1)),), (tick,) * 2, substeps=1
+    )
+    assert edges.slow_names == ("bias2",)
+    found = run(edges, Record(STAMPS, TORQUES, read))
+    assert abs(found.info.slow[-1, 0] - off[1]) < 3 * float(found.info.slow_std[-1, 0]) < 0.02
+    assert np.abs(velocity_errors(found, arm).mean(axis=0)).max() < 0.02
+
+
+def test_a_payload_and_friction_are_found(arm):
+    given = ["parameters.mass=[1.0, 0.4]", "parameters.length=[0.5, 0.4]", "parameters.viscous=[0.2, 0.05]"]
+    family = models.family("pendulum_chain", ["mass[1]", "viscous[0]"], given)
+    record = Record(STAMPS, TORQUES, arm[:, :2] + noise(2))
+    found, blind = (
+        run(kalman(family.file.model, 2, uncertain_parameters(family, (mass, 1.0))), record) for mass in (0.5, NOTHING)
+    )
+    value, std = (np.asarray(a[-1]) for a in (found.info.slow, found.info.slow_std))
+    assert (np.abs(value - [0.7, 0.05]) < 3 * std).all()
+    assert (std < [0.01, 0.02]).all()
+    assert np.sqrt(np.mean(velocity_errors(found, arm) ** 2)) < 0.2 * np.sqrt(np.mean(velocity_errors(blind, arm) ** 2))
+    np.testing.assert_allclose(blind.info.slow[-1, 0], 0.4, rtol=1e-6)
+
+
+def test_a_sensor_that_is_mounted_askew_on_a_body_is_found():
+    """On a group the offset is in the body: y = q exp(offset). Here it is large, and known to a few degrees."""
+    top, off = heavy_top((0.2, 0.3, 0.1), axis=(0.3, 0.2, 1.0)), jnp.array([0.7, -0.5, 0.4])
+    u = 0.3 * np.stack([np.sin(2 * STAMPS), np.cos(3 * STAMPS), np.sin(4 * STAMPS)], axis=1)
+    true = swing(top, Motion(SO3.exp(jnp.array([2.0, 0.3, 0.0])), jnp.array([0.2, 0.1, -0.1])), u)
+    y = jax.vmap(lambda q, w: q @ SO3.exp(off) @ SO3.exp(w))(true.q, jnp.asarray(noise(3)))
+    measured = sensor_bias((1.0, 1.0, 1.0))
+    known = dataclasses.replace(measured, first=off + jnp.array([0.06, 0.05, -0.04]))
+    found, blind = (
+        run(kalman(top, 3, dataclasses.replace(known, first_cov=std**2 * jnp.eye(3))), Record(STAMPS, u, np.asarray(y)))
+        for std in (0.1, NOTHING)
+    )
+    std = np.asarray(found.info.slow_std[-1])
+    assert (np.abs(np.asarray(found.info.slow[-1] - off)) < 3 * std).all()
+    assert (std < 0.004).all()
+    errors, worse = (np.asarray(each.estimate.v - true.v)[LATE] for each in (found, blind))
+    assert np.sqrt(np.mean(errors**2)) < 0.2 * np.sqrt(np.mean(worse**2))
+
+
+def test_a_force_of_your_own():
+    """A level of friction, written as a force."""
+    one = jnp.eye(1)
+    slow = Slow(("friction",), jnp.zeros(1), one, 0 * one, force=_friction)
+    t = STAMPS
+    y = np.exp(-0.3 * t) * np.cos(2.0 * t)  # q'' + .6 q' + 4.09 q = 0
+    found = run(kalman(mass_on_a_spring(4.09), 1, slow), Record(t, np.zeros((ROWS, 1)), y[:, None] + noise(1)))
+    assert abs(found.info.slow[-1, 0] - 0.6) < 3 * float(found.info.slow_std[-1, 0]) < 0.1
+
+
+def _friction(q, v, s):
+    return -s[0] * v
+
+
+def wrong_shape(s):
+    return jnp.zeros(3)
+
+
+ONE = jnp.eye(1)
+FAMILY_ARGUMENTS = ("pendulum_chain", ["mass"], ["parameters.mass=[1.0]", "parameters.length=[1.0]"])
+REFUSED = [
+    (lambda: sensor_bias((-0.1,)), "sensor_bias: std must be numbers ≥ 0"),
+    (lambda: sensor_bias((0.1, np.nan)), "sensor_bias: std must be numbers ≥ 0"),
+    (lambda: sensor_bias((0.0, 0.0)), "all of std are zero"),
+    (lambda: sensor_bias((0.1,), np.inf), "sensor_bias: drift must be numbers ≥ 0"),
+    (lambda: sensor_bias((0.1, 0.1), (0.1, 0.1, 0.1)), "sensor_bias: drift must be one number, or 2"),
+    (lambda: external_force(-ONE), "external_force: density must have variances that are zero or more"),
+    (lambda: external_force(2.0), r"external_force: density must be a matrix \(n, n\)"),
+    (lambda: uncertain_parameters(models.family(*FAMILY_ARGUMENTS), (0.1, 0.2)), "std must be one number, or 1"),
+    (lambda: Slow((), jnp.zeros(0), ONE, ONE, offset=wrong_shape), "names must be different names"),
+    (lambda: Slow(("a",), jnp.zeros(2), ONE, ONE, offset=wrong_shape), "first must be 1 finite numbers"),
+    (lambda: Slow(("a",), jnp.zeros(1), jnp.eye(2), ONE, offset=wrong_shape), r"first_cov must be a matrix \(1, 1\)"),
+    (lambda: Slow(("a",), jnp.zeros(1), ONE, ONE), "give a force, a model or an offset"),
+    (lambda: kalman(CHAIN, 2, sensor_bias((0.1,))), r"offset of the slow states bias1 must have shape \(2,\)"),
+    (lambda: kalman(CHAIN, 2, external_force(jnp.eye(3))), "force of the slow states external_force1, external_force2"),
+    (lambda: kalman(CHAIN, 2, *(external_force(jnp.eye(2)),) * 2), "two slow states are called 'external_force1'"),
+    (lambda: kalman(CHAIN, 2, "bias"), "slow must be one Slow or several"),
+    (lambda: dataclasses.replace(kalman(CHAIN, 2), slow="bias"), "slow must be one Slow or several"),
+]
+
+
+@pytest.mark.parametrize(("make", "words"), REFUSED)
+def test_what_makes_no_sense_is_named(make, words):
+    with pytest.raises(ValueError, match=words):
+        make()
