@@ -14,7 +14,7 @@ from covariant.design._estimators import (
     with_gains,
 )
 from covariant.design._filters import filter_bandwidth, jerk_bound, joint_noise, window_length
-from covariant.design._gains import Gains, bias, gains, predict_errors
+from covariant.design._gains import Gains, bias, gains, predict_errors, predict_sampled_errors
 from covariant.design._metric import MetricSummary, load_metric, metric, metric_summary
 from covariant.design._speeds import usual_speeds
 from covariant.design._tune import HeldOut, Tuning, given_noise, tune
@@ -43,6 +43,7 @@ __all__ = [
     "metric_summary",
     "observer_gains",
     "predict_errors",
+    "predict_sampled_errors",
     "tune",
     "tuned_estimators",
     "tuned_state_estimators",
