@@ -54,8 +54,8 @@ PUBLIC = {
     "control": "Backstepping Reference follow lissajous set_point",
     "design": "ESTIMATORS STATE_ESTIMATORS DataSheet Gains HeldOut MetricSummary NoiseLevels Trial Tuning bias "
     "contracting_gain estimators filter_bandwidth gains gated given_noise jerk_bound joint_noise load_metric "
-    "metric metric_summary observer_gains predict_errors tune tuned_estimators tuned_state_estimators "
-    "usual_speeds window_length with_gains",
+    "metric metric_summary observer_gains predict_errors predict_sampled_errors tune tuned_estimators "
+    "tuned_state_estimators usual_speeds window_length with_gains",
     "diagnosis": "Diagnosis Finding diagnose misfit outliers",
     "export": "ROWS Facts Leaf Program Recipe Source Vectors export_texts of_family program vectors with_open_numbers "
     "write_folder write_source",

@@ -1,10 +1,14 @@
 """The rule for the gains against the stationary Riccati and Lyapunov equations."""
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy import linalg
 
 from covariant import design
+from covariant.models import Lagrangian
+from covariant.observers import Intrinsic, run
+from covariant.signals import Record
 
 
 def test_gains_are_those_of_the_stationary_kalman_filter():
@@ -24,6 +28,29 @@ def test_predicted_errors_solve_the_lyapunov_equation(alpha, beta):
     cov = linalg.solve_continuous_lyapunov(error, -noise)
     found = design.predict_errors(alpha, beta, 0.3, 0.7)
     assert np.allclose(np.sqrt(np.diag(cov)), [found.position_std, found.velocity_std])
+
+
+def test_predicted_errors_of_a_sampled_observer_are_those_of_its_runs():
+    """A mass pushed by random forces, seen by the observer itself; for fast samples those of the differential law."""
+    alpha, beta, rate, std, density = 8.0, 25.0, 5.0, 0.1, 0.02
+    rng, count, dt = np.random.default_rng(0), 4000, 1 / rate
+    spread = density * np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
+    pushes = rng.normal(size=(count, 2)) @ np.linalg.cholesky(spread).T
+    x = [np.zeros(2)]
+    for push in pushes[1:]:
+        x.append(np.array([x[-1][0] + dt * x[-1][1], x[-1][1]]) + push)
+    x = np.array(x)
+    mass = Lagrangian(lambda q: jnp.eye(1))
+    record = Record(np.arange(count) * dt, np.zeros((count, 1)), x[:, :1] + std * rng.normal(size=(count, 1)))
+    error = (np.asarray(run(Intrinsic(mass, alpha, beta), record).estimate) - x)[100:]
+    found = design.predict_sampled_errors(alpha, beta, rate, std, density)
+    assert np.sqrt(np.mean(error**2, axis=0)) == pytest.approx([found.position_std, found.velocity_std], rel=0.05)
+    continuous = design.predict_errors(alpha, beta, std**2 / rate, density)
+    assert continuous.position_std > 1.2 * found.position_std
+    fast = design.predict_sampled_errors(alpha, beta, 1e5, std * (1e5 / rate) ** 0.5, density)
+    assert fast[2:] == pytest.approx(continuous[2:], rel=1e-3)
+    with pytest.raises(ValueError, match="rate must be a positive number"):
+        design.predict_sampled_errors(alpha, beta, 0.0, std)
 
 
 def test_constant_acceleration_leaves_the_bias_it_should():

@@ -48,12 +48,20 @@ def energy(matrix):
 
 
 MIXED = ProductManifold((lie.SE2, Coordinates((0,), 2)))
+STILL = {f"{leg}_{joint}": 0.3 for leg in ("FL", "FR", "HL", "HR") for joint in ("HAA", "HFE", "KFE")}
+"""Joints of the quadruped that are locked: all but two of one leg."""
+del STILL["FL_HFE"], STILL["FL_KFE"]
 SPACES = {
     "uneven, SO(3), by its energy": lambda: KineticEnergy(energy(uneven(3)), manifold=lie.SO3),
     "uneven, SE(2) x coordinates": lambda: Metric(uneven(5), manifold=MIXED),
     "arm, SE(3) x joints": lambda: models.satellite_arm().space,
     "coordinates": lambda: models.ball_and_beam().space,
+    "robot, joints": lambda: models.robots.load("scara").space,
+    "robot, planar base": lambda: models.robots.load("biped", lock={"left_knee": 0.4, "right_knee": 0.7}).space,
+    "robot, SE(3) x joints": lambda: models.robots.load("quadruped", lock=STILL).space,
 }
+SOUGHT = ("uneven, SO(3), by its energy", "uneven, SE(2) x coordinates", "coordinates", "robot, joints")
+"""Where geodesics are searched for: by what is the same on every space, and takes long to compile on the others."""
 
 
 class Sample(NamedTuple):
@@ -77,7 +85,11 @@ def sample(name) -> Sample:
     return Sample(space, manifold, manifold.retract(manifold.origin(), jnp.asarray(s)), *map(jnp.asarray, vectors))
 
 
-@pytest.fixture(params=SPACES)
+MANIFOLDS = tuple(SPACES)[:4]
+"""Whose manifolds are not those of the others."""
+
+
+@pytest.fixture(params=MANIFOLDS)
 def at(request) -> Sample:
     return sample(request.param)
 
@@ -186,12 +198,19 @@ def both(request, bent):
     return sample(request.param), *bent(request.param)
 
 
-def test_lowering_is_symmetric_and_raising_undoes_it(at):
-    g = np.asarray(at.space(at.x))
-    close(g, g.T)
+def test_lowering_is_symmetric_and_raising_undoes_it(both):
+    at, _, _ = both
+
+    @jax.jit
+    def operations(x, a):
+        lowered = at.space.lower(x, a)
+        return at.space(x), lowered, at.space.raise_(x, lowered)
+
+    g, lowered, raised = operations(at.x, at.a)
+    close(g, np.asarray(g).T)
     assert np.linalg.eigvalsh(g).min() > 0
-    close(at.space.lower(at.x, at.a), g @ at.a)
-    close(at.space.raise_(at.x, at.space.lower(at.x, at.a)), at.a)
+    close(lowered, g @ at.a)
+    close(raised, at.a)
 
 
 def test_an_energy_is_the_metric_of_its_matrix():
@@ -206,42 +225,64 @@ def test_the_connection_has_the_frames_torsion(both):
 
 def test_the_connection_is_metric(both):
     at, b, _ = both
-    change = derivative(at.manifold, lambda y: at.space.inner(y, at.b, at.c), at.x, at.a)
-    turned = at.space.inner(at.x, b(at.x, at.a, at.b), at.c) + at.space.inner(at.x, at.b, b(at.x, at.a, at.c))
-    close(turned, change)
+
+    @jax.jit
+    def changes(x, a, one, two):
+        change = derivative(at.manifold, lambda y: at.space.inner(y, one, two), x, a)
+        return change, at.space.inner(x, b(x, a, one), two) + at.space.inner(x, one, b(x, a, two))
+
+    close(*changes(at.x, at.a, at.b, at.c))
 
 
 def test_free_motion_is_hamels(both):
     """`M B(v, v) = (∂_v M)v − ½∂<v, v> − ad*_v M v`, as the momentum's equation has it."""
     at, b, _ = both
-    change = derivative(at.manifold, lambda y: at.space.lower(y, at.a), at.x, at.a)
-    momentum = at.space.lower(at.x, at.a)
-    turned = jax.linear_transpose(lambda v: at.manifold.bracket(at.x, at.a, v), at.a)(momentum)[0]
-    force = change - at.space.kinetic_force(at.x, at.a) - turned
-    close(at.space.lower(at.x, b(at.x, at.a, at.a)), force)
+
+    @jax.jit
+    def forces(x, v):
+        change = derivative(at.manifold, lambda y: at.space.lower(y, v), x, v)
+        turned = jax.linear_transpose(lambda w: at.manifold.bracket(x, v, w), v)(at.space.lower(x, v))[0]
+        return at.space.lower(x, b(x, v, v)), change - at.space.kinetic_force(x, v) - turned
+
+    close(*forces(at.x, at.a))
 
 
 def test_the_curvature_has_its_symmetries(both):
     at, _, curvature = both
+    abcd = np.stack([at.a, at.b, at.c, at.d])
+    g = np.asarray(jax.jit(at.space)(at.x))
 
-    def r(a, b, c):
-        return curvature(at.x, a, b, c)
+    def r(*places):
+        return curvature(at.x, *(jnp.asarray(abcd[i]) for i in places))
 
-    def full(a, b, c, d):
-        return at.space.inner(at.x, r(a, b, c), d)
+    def full(*places):
+        return r(*places[:3]) @ g @ abcd[places[3]]
 
-    a, b, c, d = at.a, at.b, at.c, at.d
-    close(r(a, b, c), -r(b, a, c), 1e-10)
-    close(full(a, b, c, d), -full(a, b, d, c), 1e-10)
-    close(full(a, b, c, d), full(c, d, a, b), 1e-10)
-    close(r(a, b, c) + r(b, c, a) + r(c, a, b), jnp.zeros_like(a), 1e-10)
+    close(r(0, 1, 2), -r(1, 0, 2), 1e-10)
+    close(full(0, 1, 2, 3), -full(0, 1, 3, 2), 1e-10)
+    close(full(0, 1, 2, 3), full(2, 3, 0, 1), 1e-10)
+    close(r(0, 1, 2) + r(1, 2, 0) + r(2, 0, 1), np.zeros_like(at.a), 1e-10)
 
 
-def test_geodesics_keep_lengths_and_are_found_again(at):
+@cache
+def carried(name):
+    """Two vectors along the geodesic of half the first one: there, and at its end."""
+    at = sample(name)
     w = jnp.stack([at.a, at.b])
-    end = jax.jit(lambda x: at.space.transport_along(x, 0.5 * at.a, w, BUDGET))(at.x)
-    close(at.space.gram(end.q, end.w), at.space.gram(at.x, w), 1e-9)
+    return w, jax.jit(lambda x: at.space.transport_along(x, 0.5 * at.a, w, BUDGET))(at.x)
+
+
+@pytest.mark.parametrize("name", SPACES)
+def test_transport_is_an_isometry(name):
+    at, (w, end) = sample(name), carried(name)
+    gram = jax.jit(at.space.gram)
+    close(gram(end.q, end.w), gram(at.x, w), 1e-9)
     close(end.velocity, 0.5 * end.w[0], 1e-9)
+
+
+@pytest.mark.parametrize("name", SOUGHT)
+def test_geodesics_are_found_again(name):
+    at, (_, end) = sample(name), carried(name)
     shot = jax.jit(lambda x, y: at.space.shoot(x, y, None, Budget(newton=4, steps=12)))(at.x, end.q)
     assert shot.result == Result.OK
     close(shot.velocity, 0.5 * at.a, 1e-6)

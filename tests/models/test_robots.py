@@ -71,11 +71,6 @@ def arm(folder):
 
 
 @pytest.fixture(scope="module")
-def panda():
-    return robots.load("panda")
-
-
-@pytest.fixture(scope="module")
 def floating_arm(folder):
     """In the air, with a base that has a mass and two joints that stand still."""
     (folder / "floating.urdf").write_text(HEAVY)
@@ -307,10 +302,18 @@ def test_motion_is_that_of_the_coordinates(arm):
 
 
 def test_shipped_robots_move_as_in_mujoco():
-    """The others, and random trees, are compared by `tools/compare_robots.py`, with Pinocchio too."""
+    """The others, and more trees, are compared by `tools/compare_robots.py`, with Pinocchio too."""
     for name in ("panda", "quadruped"):
         found = compare_robots.compared(robots.located(name).read_text(encoding="utf-8"), 5)
         assert found["MuJoCo"] < compare_robots.TOLERANCE
+
+
+@pytest.mark.parametrize("seed", [1, 6])
+def test_random_trees_move_as_in_mujoco(seed):
+    """Of 16 joints on the ground and 15 in the air: branched, turning, sliding, following ones."""
+    text = compare_robots.tree(seed)
+    assert all(kind in text for kind in ("prismatic", "continuous", "<mimic", '"floating"' if seed == 6 else '"fixed"'))
+    assert compare_robots.compared(text, 5)["MuJoCo"] < compare_robots.TOLERANCE
 
 
 def test_shipped_robots_are_found_by_their_names_and_say_where_their_numbers_are_from():
@@ -324,9 +327,11 @@ def test_shipped_robots_are_found_by_their_names_and_say_where_their_numbers_are
     assert robots.load("quadruped").space.floating
 
 
-def test_operations_of_an_observer_of_a_panda(panda):
+@pytest.mark.parametrize(("name", "lock", "most"), [("panda", {}, 6500), ("quadruped", {"floating_base": 0.0}, 5750)])
+def test_operations_of_an_observer_of_a_robot(name, lock, most):
     """What a microcontroller computes at every instant: everything but constants and inputs."""
-    observer, zero = Intrinsic(panda, 8.0, 30.0), jnp.zeros(7)
+    model = robots.load(name, lock=lock)
+    observer, zero = Intrinsic(model, 8.0, 30.0), jnp.zeros(len(model.coordinates))
     state = observer.init(zero)
 
     def right_hand_side(q, v, u, y):
@@ -334,7 +339,7 @@ def test_operations_of_an_observer_of_a_panda(panda):
         return rate.q, rate.v
 
     nodes = lowering.lower(right_hand_side, zero, zero, zero, zero).graph.nodes
-    assert sum(node.op not in ("constant", "input") for node in nodes) <= 6500
+    assert sum(node.op not in ("constant", "input") for node in nodes) <= most
 
 
 def test_a_payload_moves_with_its_link_and_can_be_differentiated(folder, arm):

@@ -167,7 +167,11 @@ def _recipe(field: Field) -> dict[str, Any]:
 
 
 def _parameter(field: Field, most: int, deep: int = 2) -> Any:
-    """A number, a truth value, a text, or numbers in a list or a list of lists, of at most `most` entries each."""
+    """A number, a truth value, a text, or numbers in a list, a list of lists or by names, of at most `most` entries."""
+    if deep == 2 and isinstance(field.value, dict):
+        field.need(len(field.value) <= 64, "an object of 64 values at most")
+        names = [Field(field.file, f"a name in {field.key}", key).text(200) for key in field.value]
+        return {name: _parameter(field.at(name), most, 1) for name in names}
     if deep == 2 and isinstance(field.value, bool):
         return field.value
     if deep == 2 and isinstance(field.value, str):

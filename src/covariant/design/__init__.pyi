@@ -17,7 +17,13 @@ from ._filters import (
     joint_noise as joint_noise,
     window_length as window_length,
 )
-from ._gains import Gains as Gains, bias as bias, gains as gains, predict_errors as predict_errors
+from ._gains import (
+    Gains as Gains,
+    bias as bias,
+    gains as gains,
+    predict_errors as predict_errors,
+    predict_sampled_errors as predict_sampled_errors,
+)
 from ._metric import (
     MetricSummary as MetricSummary,
     load_metric as load_metric,

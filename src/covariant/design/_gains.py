@@ -7,6 +7,8 @@ unmodelled acceleration of density S_a, so the best isotropic gains are those of
 import math
 from typing import NamedTuple
 
+import numpy as np
+
 from covariant._typing import Number
 
 
@@ -72,6 +74,33 @@ def predict_errors(alpha: Number, beta: Number, measurement_density: float, acce
     position = both * measurement_density / (2 * alpha) + acceleration_density / (2 * alpha * beta)
     velocity = beta**2 * measurement_density / (2 * alpha) + both * acceleration_density / (2 * alpha * beta)
     return Gains(alpha, beta, math.sqrt(position), math.sqrt(velocity))
+
+
+def predict_sampled_errors(
+    alpha: Number, beta: Number, rate: float, measurement_std: float, acceleration_density: float = 0.0
+) -> Gains:
+    """Stationary errors just after a sample, of an observer that takes `rate` samples a second [Hz].
+
+    Those of the sampled loop with the poles exp(λ/rate), which `predict_errors` has for ever faster samples:
+    `ξ⁺ = ξ + k1 (n − ξ)`, `ζ⁺ = ζ + k2 (n − ξ)`, and in between ξ grows by ζ dt and a density of accelerations acts.
+
+    - `measurement_std`: of one sample; on a curved space the root of the mean of |n|² in its metric.
+
+    Raises `ValueError` for gains or a rate that are not positive.
+    """
+    alpha, beta = float(alpha), float(beta)
+    for name, value in {"alpha": alpha, "beta": beta, "rate": rate}.items():
+        if not (math.isfinite(value) and value > 0):
+            raise ValueError(f"predict_sampled_errors: {name} must be a positive number; got {value}")
+    dt = 1 / rate
+    one, two = np.exp(np.roots([1.0, alpha, beta]) * dt)
+    k1, k2 = float((1 - one * two).real), float(((1 - one) * (1 - two)).real) / dt
+    taken = np.array([[1 - k1, 0.0], [-k2, 1.0]])
+    loop = taken @ np.array([[1.0, dt], [0.0, 1.0]])
+    acting = acceleration_density * np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
+    added = measurement_std**2 * np.outer([k1, k2], [k1, k2]) + taken @ acting @ taken.T
+    cov = np.linalg.solve(np.eye(4) - np.kron(loop, loop), added.ravel()).reshape(2, 2)
+    return Gains(alpha, beta, math.sqrt(cov[0, 0]), math.sqrt(cov[1, 1]))
 
 
 def bias(alpha: Number, beta: Number, acceleration: float) -> tuple[float, float]:

@@ -10,6 +10,8 @@ from covariant.proofs._tree import halves, middle_of
 
 MOST_CONDITIONS, DEEPEST = 4096, 40
 """Largest number of boxes, and of halvings of one, for a proof of conditions; most are proved after three halvings."""
+CENTRES, FINEST = 16, 8
+"""Number of points around which it is tried how often an input alone must be halved, and the most halvings tried."""
 
 
 def show_conditions(conditions: Conditions, domain: Box) -> str:
@@ -22,13 +24,14 @@ def show_conditions(conditions: Conditions, domain: Box) -> str:
     if not count:
         return ""
     reads = _reads(conditions)
+    needs = _needed_halvings(conditions, domain, reads)
     for depth in itertools.count():
         undecided &= ~fulfilled(conditions, low, high)
         left = undecided.any(axis=1)
         if not left.any():
             return ""
         low, high, undecided = low[left], high[left], undecided[left]
-        relative = (high - low) / np.where(width > 0, width, 1.0) * (undecided @ reads > 0)
+        relative = (high - low) / np.where(width > 0, width, 1.0) * (undecided[:, :, None] * needs).max(axis=1)
         middle = middle_of(low, high)
         relative = np.where((middle > low) & (middle < high), relative, 0.0)
         stuck = np.flatnonzero(relative.max(axis=1) <= 0)
@@ -43,6 +46,26 @@ def show_conditions(conditions: Conditions, domain: Box) -> str:
         low, high = halves(low, high, axes)
         undecided = np.repeat(undecided, 2, axis=0)
     raise AssertionError
+
+
+def _needed_halvings(conditions: Conditions, domain: Box, reads: np.ndarray) -> np.ndarray:
+    """How wide each input is for each condition (conditions, inputs): 2ᵏ where it alone must be halved k times.
+
+    All others being points; 0 where it is not read. It only guides the search: inputs that matter are halved first.
+    """
+    points = np.random.default_rng(0).uniform(domain.low, domain.high, (CENTRES, len(domain.low)))
+    needed = reads.copy()
+    for i in np.flatnonzero(reads.any(axis=0)):
+        for k in range(FINEST):
+            half = (domain.high[i] - domain.low[i]) / 2 ** (k + 1)
+            low, high = points.copy(), points.copy()
+            low[:, i] = np.maximum(domain.low[i], points[:, i] - half)
+            high[:, i] = np.minimum(domain.high[i], points[:, i] + half)
+            open_ = ~fulfilled(conditions, low, high).all(axis=0) & (reads[:, i] > 0)
+            if not open_.any():
+                break
+            needed[open_, i] = 2.0 ** (k + 1)
+    return needed
 
 
 def _reads(conditions: Conditions) -> np.ndarray:
