@@ -150,15 +150,22 @@ def _whole(base: str, ks: Sequence[int], family: Family) -> bool:
     return not isinstance(given, list) or (np.ndim(given) == 1 and len(given) == len(ks))
 
 
-def program(recipe: Recipe, y: Array | np.ndarray, inputs: int | None = None, real: Real = "double") -> Program:
+def program(
+    recipe: Recipe,
+    y: Array | np.ndarray,
+    inputs: int | None = None,
+    real: Real = "double",
+    loops: bool = False,
+) -> Program:
     """The graphs of an observer.
 
     - `y`: a configuration, of which the shape counts.
     - `inputs`: number of inputs m; by default that of the observer's model, or 0 where it has none.
     - `real`: the type in which the graphs compute.
+    - `loops`: let a step take as long as its numbers ask for, as where friction decides the number of its substeps.
 
     Raises `LoweringError` where a step has no graph of a fixed size, as where friction decides the number of its
-    substeps (`observers.with_fixed_substeps`).
+    substeps (`observers.with_fixed_substeps`), unless `loops` are allowed.
     """
     dtype = DTYPES[real]
     y = np.asarray(y, dtype)
@@ -192,8 +199,11 @@ def program(recipe: Recipe, y: Array | np.ndarray, inputs: int | None = None, re
         return Motion(*jnp.split(x, 2))
 
     acting = jax.ShapeDtypeStruct((u,), dtype)
-    lowered = lower(init, given, measured, scalar), lower(step, given, state, acting, measured, scalar)
-    read = lower(estimate, given, state)
+    lowered = (
+        lower(init, given, measured, scalar, loops=loops),
+        lower(step, given, state, acting, measured, scalar, loops=loops),
+    )
+    read = lower(estimate, given, state, loops=loops)
     leaves = tuple(Leaf(name, np.shape(recipe.numbers[name])) for name in sorted(recipe.numbers))  # as JAX orders them
     used = _used((*lowered, read), leaves)
     _, info = jax.tree.unflatten(lowered[1].tree, lowered[1].results)

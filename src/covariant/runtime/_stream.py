@@ -4,12 +4,10 @@ import math
 from collections import Counter
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 
 from covariant.models import Motion
 from covariant.observers import AbstractObserver
-from covariant.runtime._kernel import chooses, substeps_needed, with_substeps
 from covariant.runtime._works import engine
 from covariant.signals import Result
 
@@ -44,8 +42,7 @@ class Stream:
 
     - `observer`: any observer.
     - `y`: a configuration, of which the shape counts.
-    - `rate` [Hz]: the lowest usual sampling rate. An observer that chooses its number of substeps in each sample gets
-      the number for this rate, at rest.
+    - `rate` [Hz]: the usual sampling rate, at which it is tried before the first sample.
     - `inputs`: number of inputs m; by default that of the observer's model.
 
     It is compiled when it is made: in C where a compiler is there, else in JAX; `engine` says which, with the reason.
@@ -63,7 +60,7 @@ class Stream:
         model: Any = getattr(observer, "model", None)
         stated = getattr(model, "inputs", None)
         m = inputs if inputs is not None else 0 if model is None else len(y) if stated is None else stated
-        self.observer: Any = _of_fixed_length(observer, y, m, 1 / rate)
+        self.observer: Any = observer
         self.engine, self._works = engine(self.observer, y, m)
         self._shape = y.shape if y.ndim == 2 else None
         # Compile before the first sample.
@@ -163,11 +160,3 @@ class Stream:
         if self._shape is None:
             return x
         return Motion(x[: self._works.y.size].reshape(self._shape), x[self._works.y.size :])
-
-
-def _of_fixed_length(observer: Any, y: np.ndarray, m: int, dt: float) -> Any:
-    """The observer with the number of substeps that it would choose at rest."""
-    if not chooses(observer):
-        return observer
-    state = observer.init(jnp.asarray(y))
-    return with_substeps(observer, int(substeps_needed(observer, state, jnp.zeros(m), jnp.asarray(dt))))

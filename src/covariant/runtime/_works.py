@@ -79,7 +79,7 @@ def _flat(x: Any) -> Any:
 
 
 def engine(observer: Any, y: np.ndarray, inputs: int) -> tuple[str, InC | InJax]:
-    """The name of the engine, with the reason where it is not C, and the engine for an observer of fixed length."""
+    """The name of the engine, with the reason where it is not C, and the engine for an observer."""
     why = missing()
     if why is None:
         try:
