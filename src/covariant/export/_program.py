@@ -54,7 +54,7 @@ class Program(NamedTuple):
     - `numbers`: the open numbers that any of the graphs uses, with their values; `given` are all that are arguments,
       with the values `values`.
     - `state`, `info`, `x`: what these consist of; `y`: the shape of a measurement; `u`: the number of inputs.
-    - `real`: the type of the numbers.
+    - `real`: the type of the numbers; `told_as`: the info with the shapes and types that it has in JAX.
     """
 
     init: Lowered
@@ -69,6 +69,7 @@ class Program(NamedTuple):
     y: tuple[int, ...]
     u: int
     real: Real
+    told_as: Any
 
     @property
     def reported(self) -> list[Leaf]:
@@ -188,8 +189,12 @@ def program(
     def typed(state):
         return jax.tree.map(lambda a, kind: a.astype(kind.dtype), state, kinds)
 
+    types: list[Any] = []  # of the fields of the info, met on the way
+
     def step(numbers, state, u, y, dt):
-        return _real(made(numbers).step(typed(state), u, y, dt), dtype)
+        state, info = made(numbers).step(typed(state), u, y, dt)
+        types[:] = [jax.tree.map(lambda a: jax.ShapeDtypeStruct(jnp.shape(a), jnp.result_type(a)), info)]
+        return _real((state, info), dtype)
 
     def estimate(numbers, state):
         observer = made(numbers)
@@ -219,6 +224,7 @@ def program(
         y.shape,
         u,
         real,
+        types[0],
     )
 
 

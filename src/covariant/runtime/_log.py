@@ -16,6 +16,8 @@ from covariant.signals import Record, Result, Run
 Engine = Literal["auto", "c", "jax"]
 FEWEST_ROWS = 100_000
 """Shortest log for which C is worth its compilation."""
+BLOCK = 10_000
+"""Rows whose infos are held at once."""
 
 
 def run_log(
@@ -46,29 +48,32 @@ def _by_c(observer: Any, record: Record, keep: Collection[str] | None) -> Run:
     t, u, y = (np.ascontiguousarray(a, float) for a in (t, u, y))
     acting = np.concatenate([u[:1], u[:-1]])  # the input that acted since the previous stamp
     dt = np.diff(t, prepend=t[:1])
-    rows, m = len(t), u.shape[1]
-    flat = y.reshape(rows, -1)
-
-    made = kernel(observer, y[0], m)
+    rows, flat = len(t), y.reshape(len(t), -1)
+    made = kernel(observer, y[0], u.shape[1])
     state = made.start(y[0], float(t[0]))
     _, n_x, n_info = made.sizes
-    x, info = np.empty((rows, n_x)), np.empty((rows, n_info))
-    made.library.kernel_run(made.pointer(state), rows, *map(made.pointer, (acting, flat, dt, x, info)))
+    paths, _ = jax.tree_util.tree_flatten_with_path(made.program.told_as)
+    names = [path[0].name for path, leaf in paths for _ in range(leaf.size)]
+    kept = np.flatnonzero([keep is None or name in keep for name in names])
+    x, info, block = np.empty((rows, n_x)), np.empty((rows, len(kept))), np.empty((BLOCK, n_info))
+    for at in range(0, rows, BLOCK):
+        part = slice(at, at + BLOCK)
+        count = len(dt[part])
+        arrays = (acting[part], flat[part], dt[part], x[part], block)
+        made.library.kernel_run(made.pointer(state), count, *map(made.pointer, arrays))
+        info[part] = block[:count, kept]
     return _as_run(observer, made, t, x, info, keep)
 
 
 def _as_run(observer: Any, made: Kernel, t, x: np.ndarray, info: np.ndarray, keep: Collection[str] | None) -> Run:
     """The arrays in the form of a run."""
     measured = jax.ShapeDtypeStruct(made.program.y, float)
-    state = jax.eval_shape(lambda y: observer.init(y), measured)
-    scalar, u = jax.ShapeDtypeStruct((), float), jax.ShapeDtypeStruct((made.program.u,), float)
-    _, kinds = jax.eval_shape(lambda *a: observer.step(*a), state, u, measured, scalar)
-    estimate = _split(x, jax.eval_shape(lambda s: observer.estimate(s), state))
-    told = _split(info, kinds)
-    result = np.asarray(told.result).copy()
-    result[0] = Result.OK if result[0] == Result.REPEATED else result[0]  # the first row is no step
-    dropped = () if keep is None else set(told._fields) - set(keep)
-    return Run(jnp.asarray(t), estimate, told._replace(result=result, **dict.fromkeys(dropped)))
+    estimate = _split(x, jax.eval_shape(lambda y: observer.estimate(observer.init(y)), measured))
+    dropped = () if keep is None else set(made.program.told_as._fields) - set(keep)
+    told = _split(info, made.program.told_as._replace(**dict.fromkeys(dropped)))
+    if told.result is not None and told.result[0] == Result.REPEATED:
+        told.result[0] = Result.OK  # the first row is no step
+    return Run(jnp.asarray(t), estimate, told)
 
 
 def _split(rows: np.ndarray, kinds: Any) -> Any:
