@@ -231,6 +231,83 @@ def test_the_wiring_example_of_the_readme_compiles(exported, tmp_path):
     ran(["cc", *FLAGS, f"-I{folder}", "-c", "use.c"], tmp_path)
 
 
+ROS = {
+    "rclcpp/rclcpp.hpp": """#pragma once
+#include <cstdio>
+#include <functional>
+#include <memory>
+#include <string>
+#include <vector>
+#include <sensor_msgs/msg/joint_state.hpp>
+namespace rclcpp {
+using sensor_msgs::msg::JointState;
+inline std::function<void(const JointState &)> heard;
+struct SensorDataQoS {};
+template <class M> struct Publisher {
+    typedef std::shared_ptr<Publisher<M>> SharedPtr;
+    void publish(const M &m) {
+        for (std::size_t i = 0; i < m.name.size(); ++i)
+            std::printf("%s %.17g %.17g ", m.name[i].c_str(), m.position[i], m.velocity[i]);
+        std::printf("\\n");
+    }
+};
+template <class M> struct Subscription { typedef std::shared_ptr<Subscription<M>> SharedPtr; };
+struct Node {
+    explicit Node(const std::string &) {}
+    template <class T> T declare_parameter(const std::string &, const T &usual) { return usual; }
+    template <class M> typename Publisher<M>::SharedPtr create_publisher(const std::string &, int) {
+        return std::make_shared<Publisher<M>>();
+    }
+    template <class M, class F>
+    typename Subscription<M>::SharedPtr create_subscription(const std::string &, SensorDataQoS, F f) {
+        heard = f;
+        return std::make_shared<Subscription<M>>();
+    }
+};
+inline void init(int, char **) {}
+inline void shutdown() {}
+inline void spin(const std::shared_ptr<Node> &) { /* joints in another order; the second message comes twice */
+    for (int k : {0, 1, 1, 2, 3}) {
+        JointState m;
+        m.header.stamp.nanosec = 4000000u * static_cast<unsigned>(k);
+        m.name = {"elbow", "shoulder"};
+        m.position = {0.2 + 0.01 * k, 0.1};
+        heard(m);
+    }
+}
+}
+""",
+    "sensor_msgs/msg/joint_state.hpp": """#pragma once
+#include <cstdint>
+#include <string>
+#include <vector>
+namespace sensor_msgs::msg {
+struct Stamp { std::int32_t sec = 0; std::uint32_t nanosec = 0; };
+struct Header { Stamp stamp; };
+struct JointState { Header header; std::vector<std::string> name; std::vector<double> position, velocity, effort; };
+}
+""",
+}
+"""What the node of the page needs of ROS 2."""
+
+
+@needs_compiler
+def test_the_node_of_the_page_compiles_against_what_stands_in_for_ros(exported, tmp_path):
+    page = (ROOT / "docs" / "cpp.md").read_text()
+    [node] = re.findall(r'```cpp title="velocity_node.cpp"\n(.*?)```', page, re.DOTALL)
+    folder = exported("pendulum").folder
+    for file, text in {**ROS, "node.cpp": re.sub(r"\b(arm)\b", "pendulum", node).replace("ARM_", "PENDULUM_")}.items():
+        (tmp_path / file).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / file).write_text(text.replace("arm_output", "pendulum_output"))
+    ran(["cc", "-c", folder / "pendulum.c", "-o", "pendulum.o"], tmp_path)
+    flags = ["-std=c++17", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror"]
+    ran(["c++", *flags, "-I.", f"-I{folder}", "node.cpp", "pendulum.o", "-lm", "-o", "node"], tmp_path)
+    lines = ran(["./node"], tmp_path).splitlines()
+    assert len(lines) == 4, "a message that comes twice is told once"
+    assert lines[0].split() == ["shoulder", "0.10000000000000001", "0", "elbow", "0.20000000000000001", "0"]
+    assert 0.2 < float(lines[3].split()[4]) < 0.23, "it follows the elbow, which opens"
+
+
 def test_numbers_of_one_name_and_value_are_one_and_others_are_told_apart():
     scara = with_open_numbers(observers.Intrinsic(robots.load("scara"), 20.0, 200.0))
     assert scara.numbers["mass"].shape == (4,)  # of the inertia and of the potential

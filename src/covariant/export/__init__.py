@@ -1,6 +1,7 @@
-"""Observers as C99 for microcontrollers and controllers: plain source with self-test, build files, data sheet."""
+"""Observers as C99 for microcontrollers and controllers, with self-test and data sheet, and as units for simulators."""
 
 from covariant.export._data_sheet import Facts
+from covariant.export._fmu import Unit, fmu, write_fmu
 from covariant.export._program import Leaf, Program, Recipe, of_family, program, with_open_numbers
 from covariant.export._source import Source, write_source
 from covariant.export._vectors import ROWS, Vectors, vectors
@@ -13,12 +14,15 @@ __all__ = [
     "Program",
     "Recipe",
     "Source",
+    "Unit",
     "Vectors",
     "export_texts",
+    "fmu",
     "of_family",
     "program",
     "vectors",
     "with_open_numbers",
+    "write_fmu",
     "write_folder",
     "write_source",
 ]

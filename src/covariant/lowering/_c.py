@@ -11,8 +11,6 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
-import numpy as np
-
 from covariant.lowering._c_operations import HELPERS, TRUTHS, Words, expression, helpers, literal
 from covariant.lowering._graph import Graph
 from covariant.lowering._loops import Loop
@@ -294,9 +292,8 @@ def _loop(loop: Loop, name: str, words: Words, most_statements: int) -> _LoopTex
         f"    for ({first}{until}) {{\n{stop}        {name}_turn(x, y);\n"
         f"        for (i = 0; i < {carried}; ++i)\n            x[{loop.fixed} + i] = y[i];\n    }}\n}}\n"
     )
-    operations = Counter[str]()
-    for what, text in made.items():
-        times = 1 if loop.count is None else loop.count
+    times, operations = 1 if loop.count is None else loop.count, Counter[str]()
+    for text in made.values():
         operations += Counter({op: times * n for op, n in text.operations.items()})
     helpers = frozenset().union(*(text.helpers for text in made.values()))
     scratch = width + carried + max(text.scratch for text in made.values())
