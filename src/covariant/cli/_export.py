@@ -33,7 +33,7 @@ from covariant.export import (
 from covariant.lowering import LoweringError
 from covariant.observers import REGISTRY, AbstractObserver, Delayed, chooses_substeps, with_fixed_substeps
 
-GEOMETRY = ("rotation", "place", "turn", "slide", "coordinates", "motors", "joints", "base*")
+GEOMETRY = ("*rotation", "*place", "*turn", "*slide", "coordinates", "motors", "joints", "base*")
 """Arrays of a robot that say how it is put together: as constants they save nine tenths of the work."""
 REALS = ("double", "float")
 VERSIONS = ("3.0", "2.0")
