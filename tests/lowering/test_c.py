@@ -250,7 +250,7 @@ def test_a_loop_whose_length_the_arguments_decide_is_one_of_c(tmp_path):
 
     points = np.array([[9.0, 0.3, 0.5], [0.1, 2.0, 0.5], [1e4, -1.0, 1e-3], [math.nan, 1.0, 1.0]])
     expected = np.stack([np.asarray(walk(jnp.asarray(p))) for p in points])
-    lowered = lower(walk, points[0], loops=True)
+    lowered = lower(walk, points[0], loops="any")
     with pytest.raises(LoweringError, match="give it a fixed length"):
         lower(walk, points[0])
     np.testing.assert_allclose(numbers(lowered, points), expected, rtol=1e-12)  # lanes of different lengths

@@ -155,9 +155,8 @@ def _program(
     except LoweringError as error:
         if asked.parameters == "none":
             raise ValueError(f"{spec}: no code can be written: {error}") from error
-    closed = with_open_numbers(observer, GEOMETRY)
     try:
-        return program(closed, y, len(file.columns.u), asked.real, loops)  # pyright: ignore[reportArgumentType]
+        return program(_usual(observer), y, len(file.columns.u), asked.real, loops)  # pyright: ignore[reportArgumentType]
     except LoweringError as error:
         raise ValueError(f"{spec}: no code can be written: {error}; try --parameters none") from error
 
@@ -174,7 +173,7 @@ def _family(spec: str, overrides: Sequence[str], given: str | None) -> models.Fa
 def _recipe(observer: AbstractObserver, given: str | None) -> Recipe:
     """The observer with its arrays open, as far as they are named or, by default, no geometry of a robot."""
     if given is None:
-        return with_open_numbers(observer, GEOMETRY)
+        return _usual(observer)
     if given == "none":
         return with_open_numbers(observer, ("*",))
     everything = with_open_numbers(observer)
@@ -184,6 +183,12 @@ def _recipe(observer: AbstractObserver, given: str | None) -> Recipe:
             raise ValueError(f"--parameters: there is no {pattern!r}; there are: {', '.join(everything.numbers)}")
     closed = [n for n in everything.numbers if not any(fnmatchcase(n, pattern) for pattern in patterns)]
     return with_open_numbers(observer, closed)
+
+
+def _usual(observer: AbstractObserver) -> Recipe:
+    """The recipe that is open but for the geometry of a robot, and arrays of zeros, which cost nothing if closed."""
+    zeros = [name for name, value in with_open_numbers(observer).numbers.items() if not np.any(value)]
+    return with_open_numbers(observer, (*GEOMETRY, *zeros))
 
 
 def _open_numbers(parameters: dict[str, Any]) -> tuple[str, ...]:

@@ -204,11 +204,12 @@ def program(
         return Motion(*jnp.split(x, 2))
 
     acting = jax.ShapeDtypeStruct((u,), dtype)
+    kept = "any" if loops else "long"
     lowered = (
-        lower(init, given, measured, scalar, loops=loops),
-        lower(step, given, state, acting, measured, scalar, loops=loops),
+        lower(init, given, measured, scalar, loops=kept),
+        lower(step, given, state, acting, measured, scalar, loops=kept),
     )
-    read = lower(estimate, given, state, loops=loops)
+    read = lower(estimate, given, state, loops=kept)
     leaves = tuple(Leaf(name, np.shape(recipe.numbers[name])) for name in sorted(recipe.numbers))  # as JAX orders them
     used = _used((*lowered, read), leaves)
     _, info = jax.tree.unflatten(lowered[1].tree, lowered[1].results)

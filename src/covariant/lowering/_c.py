@@ -224,18 +224,19 @@ class _Writer:
         return places, counts
 
     def _lines(self, k: int, part: list[int], places: dict[int, str]) -> list[str]:
-        lines, stores = [], []
+        lines, stores, declared = [], [], []
+        number = {i: n for n, i in enumerate(part)}
 
         def name(i: int) -> str:
             if self.part[i] != k:
                 return places[i]
-            return f"{'p' if self.truth[i] else 'v'}{i}"
+            return f"{'p' if self.truth[i] else 'v'}{number[i]}"
 
         def text(i: int) -> str:
             node = self.graph.nodes[i]
             if node.op == "part":
                 (loop,) = node.arguments
-                return f"l{loop}[{self.graph.nodes[loop].value.fixed + node.value}]"
+                return f"l{number[loop]}[{self.graph.nodes[loop].value.fixed + node.value}]"
             if node.op == "input":
                 return self.signature.inputs[node.value]  # pyright: ignore[reportArgumentType, reportCallIssue]
             if node.op == "constant":
@@ -246,18 +247,30 @@ class _Writer:
         for i in part:
             node = self.graph.nodes[i]
             if node.op == "loop":
+                local = f"l{number[i]}"
                 values = ", ".join(text(a) if a in self.inside else name(a) for a in node.arguments)
-                lines += [f"{self.words.real} l{i}[{len(node.arguments)}] = {{{values}}};"]
-                lines += [f"{self.loops[i].name}(l{i});"]
+                lines += [*_declarations(declared), f"{self.words.real} {local}[{len(node.arguments)}] = {{{values}}};"]
+                lines += [f"{self.loops[i].name}({local});"]
+                declared = []
                 continue
-            lines.append(f"const {'int' if self.truth[i] else self.words.real} {name(i)} = {text(i)};")
+            declared.append(("int" if self.truth[i] else self.words.real, f"{name(i)} = {text(i)}"))
             if i in places:
                 stores.append(f"{places[i]} = {name(i)};")
         if k == len(self.parts) - 1:
             for target, i in zip(self.signature.outputs, self.outputs, strict=True):
                 value = text(i) if i in self.inside else name(i)
                 stores.append(f"{target} = {f'({self.words.real})({value})' if self.truth[i] else value};")
-        return lines + stores
+        return [*lines, *_declarations(declared), *stores]
+
+
+def _declarations(declared: Sequence[tuple[str, str]]) -> list[str]:
+    """Constants of a type and their values as lines, those of one type together."""
+    lines = []
+    for kind, group in itertools.groupby(declared, key=lambda each: each[0]):
+        texts = [text for _, text in group]
+        lines += [f"const {kind} {texts[0]}", *texts[1:]]
+        lines[-len(texts) :] = [f"{line}," for line in lines[-len(texts) : -1]] + [f"{lines[-1]};"]
+    return lines
 
 
 class _LoopText(NamedTuple):

@@ -64,9 +64,14 @@ def part_of(graph: Graph, loop: int, k: int) -> int:
 
 
 def loop_of(
-    graph: Graph, turn: Turn, fixed: Sequence[Value], carry: Sequence[Value], count: int | None = None
-) -> list[Value]:
-    """What is carried in the end of a loop, as values in a graph.
+    graph: Graph,
+    turn: Turn,
+    fixed: Sequence[Value],
+    carry: Sequence[Value],
+    count: int | None = None,
+    least: int = 0,
+) -> list[Value] | None:
+    """What is carried in the end of a loop, as values in a graph; None where a turn is less than `least` operations.
 
     - `turn`: `(graph, [*fixed, *carry]) -> (carry, going)`, which adds one turn to another graph; `going` is a
       statement on what the turn starts with, or None with a `count` of turns.
@@ -103,8 +108,11 @@ def loop_of(
         result = (jax.ShapeDtypeStruct((len(kept),), float),)
         return Lowered(small, ((len(order),),), tuple(kept), result, jax.tree.structure(0))
 
+    body = cut([ends[k] for k in places])
+    if len(body.graph.nodes) < least:
+        return None
     stop = None if going is None else cut(_flat(inner, [going]))
-    loop = Loop(cut([ends[k] for k in places]), stop, count, len(used))
+    loop = Loop(body, stop, count, len(used))
     at = add_loop(graph, loop, [*used, *(starts[k] for k in places)])
     parts = {k: part_of(graph, at, n) for n, k in enumerate(places)}
     return _filled([parts.get(k, start) for k, start in enumerate(starts)], carry, changes)

@@ -9,7 +9,7 @@ import functools
 import itertools
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
@@ -28,16 +28,19 @@ EXACT = 2.0**53
 """All integers up to this one are doubles."""
 MOST_ITERATIONS = 100_000
 """Largest number of iterations of a loop that is unrolled; a longer one is refused."""
+LONG = 400
+"""Operations of a turn from which a loop of known length is not unrolled."""
+Loops = Literal["unrolled", "long", "any"]
 
 
-def lower(function: Callable, *arguments: Any, real: bool = False, loops: bool = False) -> Lowered:
+def lower(function: Callable, *arguments: Any, real: bool = False, loops: Loops = "unrolled") -> Lowered:
     """The graph of a function of arrays of real numbers, at the shapes of the arguments (arrays, or their shapes).
 
     - `real`: all arguments are real numbers, none of them missing (NaN). The result then has `conditions`: where the
       function is defined and does not jump, for everything that it computes, whether a result needs it or not. What
       rounds by its nature, such as conversion to a shorter type, is refused.
-    - `loops`: loops whose length the arguments decide become loops of the graph, for code; else they are refused. So do
-      long ones of known length, in place of being unrolled.
+    - `loops`: which loops stay loops in the graph, for code: none, so that one whose length the arguments decide is
+      refused; "long" ones, whose turns are so much work that they are written once; or "any" of these two kinds.
 
     Its operations are those of `covariant.lowering.FOLD`. Errors at run time (`equinox.error_if`) are left out of it.
     Raises `LoweringError` naming the primitive that has no
@@ -85,7 +88,7 @@ def substitute(graph: Graph, nodes: Sequence[int], into: Graph, inputs: Mapping[
 class _Interpreter:
     """Runs a jaxpr on arrays of nodes: what is known is computed, everything else is added to the graph."""
 
-    def __init__(self, graph: Graph, loops: bool = False):
+    def __init__(self, graph: Graph, loops: Loops = "unrolled"):
         self.graph, self.write, self.loops = graph, Writer(graph), loops
 
     def run(self, jaxpr, consts: Sequence, inputs: Sequence[Value]) -> list[Value]:
@@ -137,6 +140,11 @@ class _Interpreter:
     def scan_loop(self, p: dict, values: list[Value]) -> list[Value]:
         consts, carried = p["num_consts"], p["num_carry"]
         fixed, carry, over = values[:consts], values[consts : consts + carried], values[consts + carried :]
+        alone = not over and len(p["jaxpr"].out_avals) == carried
+        if self.loops != "unrolled" and alone and p["length"] > 1:
+            found = self.counted(p, fixed, carry)
+            if found is not None:
+                return found
         order = range(p["length"])[:: -1 if p["reverse"] else 1]
         collected: dict[int, list[Value]] = {}
         for i in order:
@@ -146,6 +154,17 @@ class _Interpreter:
         empty = [np.zeros(aval.shape) for aval in p["jaxpr"].out_avals[carried:]]
         stacked = [self.write.stack(list(column)) for column in zip(*rows, strict=True)] if rows else empty
         return [*carry, *stacked]
+
+    def counted(self, p: dict, fixed: list[Value], carry: list[Value]) -> list[Value] | None:
+        """A scan over nothing as a loop of the graph, or None where a turn is too little work for that."""
+
+        def turn(graph: Graph, values: list[Value]):
+            return _Interpreter(graph, self.loops).call(p["jaxpr"], values), None
+
+        try:
+            return loop_of(self.graph, turn, fixed, carry, p["length"], LONG)
+        except LoweringError:  # a turn may need its number, to take an entry at a place
+            return None
 
     def turns(self, p: dict, values: list[Value]) -> list[Value]:
         """A while loop as a loop of the graph."""
@@ -158,7 +177,9 @@ class _Interpreter:
             (going,) = inner.call(p["cond_jaxpr"], [*condition, *carry])
             return inner.call(p["body_jaxpr"], [*body, *carry]), going
 
-        return loop_of(self.graph, turn, values[: ends[1]], values[ends[1] :])
+        found = loop_of(self.graph, turn, values[: ends[1]], values[ends[1] :])
+        assert found is not None
+        return found
 
     def while_loop(self, p: dict, values: list[Value]) -> list[Value]:
         of_condition, of_body = p["cond_nconsts"], p["body_nconsts"]
@@ -167,7 +188,7 @@ class _Interpreter:
         for _ in range(MOST_ITERATIONS):
             (go,) = self.call(p["cond_jaxpr"], [*condition, *carry])
             going = self.write.truth(go)  # one for each lane of a batch
-            if going is None and self.loops:
+            if going is None and self.loops == "any":
                 return self.turns(p, [*condition, *body, *carry])
             if going is None:
                 raise LoweringError("a 'while' loop runs until something the arguments decide; give it a fixed length")
