@@ -12,6 +12,7 @@ from covariant.runtime._compile import library
 DECLARED = """
 void kernel_init(const double *y, double t, double *state);
 void kernel_run(double *state, long rows, const double *u, const double *y, const double *dt, double *x, double *info);
+int kernel_step(double *numbers, double dt);
 """
 
 
@@ -20,6 +21,8 @@ class Kernel(NamedTuple):
 
     - `program`: its graphs; `sizes`: numbers of a state, an estimate and an info.
     - `library.kernel_run(state, rows, u, y, dt, x, info)`: advance a state in place over rows, for pointers to doubles.
+    - `library.kernel_step(numbers, dt)`: one step on an array of state, input, measurement, estimate and info, in this
+      order; returns the result code.
     - `pointer`: the pointer to an array.
     """
 
@@ -65,15 +68,26 @@ def kernel(observer: AbstractObserver, y: np.ndarray, inputs: int) -> Kernel:
         c_function(made.estimate, "core_estimate", signature("s", state, "z", n_x), static=True),
     ]
     helpers = c_helpers(frozenset().union(*(text.helpers for text in texts)))
-    sizes = {"STATE": n_state, "INPUTS": m, "MEASURED": k, "ESTIMATE": n_x, "INFO": n_info}
+    result = [leaf.name for leaf in made.info for _ in range(leaf.size)].index("result")
+    sizes = {"RESULT": result, "STATE": n_state, "INPUTS": m, "MEASURED": k, "ESTIMATE": n_x, "INFO": n_info}
     source = _SOURCE.replace("@CORE@", "\n".join([helpers, *(t.text for t in texts)]))
     source = source.replace("@SIZES@", "\n".join(f"#define {name} {size}" for name, size in sizes.items()))
     ffi, lib = library(source, DECLARED)
     return Kernel(made, ffi, lib, (n_state, n_x, n_info))
 
 
+# A velocity at rest decays until its last digits are gone, and numbers so small take processors many times as long:
+# as in compiled JAX they count as zero.
 _SOURCE = """#include <math.h>
 #include <string.h>
+#if defined __SSE2__
+#include <xmmintrin.h>
+#define TINY_IS_ZERO const unsigned mode = _mm_getcsr(); _mm_setcsr(mode | 0x8040u)
+#define AS_BEFORE _mm_setcsr(mode)
+#else
+#define TINY_IS_ZERO (void)0
+#define AS_BEFORE (void)0
+#endif
 
 @SIZES@
 
@@ -88,11 +102,20 @@ void kernel_run(double *state, long rows, const double *u, const double *y, cons
 {
     double next[STATE + INFO];
     long r;
+    TINY_IS_ZERO;
     for (r = 0; r < rows; ++r) {
         core_step(state, u + r * INPUTS, y + r * MEASURED, dt[r], next);
         memcpy(state, next, STATE * sizeof(double));
         memcpy(info + r * INFO, next + STATE, INFO * sizeof(double));
         core_estimate(state, x + r * ESTIMATE);
     }
+    AS_BEFORE;
+}
+
+int kernel_step(double *numbers, double dt)
+{
+    double *u = numbers + STATE, *y = u + INPUTS, *x = y + MEASURED, *info = x + ESTIMATE;
+    kernel_run(numbers, 1, u, y, &dt, x, info);
+    return (int)info[RESULT];
 }
 """
