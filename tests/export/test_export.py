@@ -63,6 +63,17 @@ def family():
     return models.family(str(ROOT / "examples" / "demo_double_pendulum.toml"), ("mass", "length", "com", "coulomb"))
 
 
+def springs(n: int):
+    """A row of masses that no input acts on."""
+
+    def potential(q):
+        return 2.0 * jnp.sum(jnp.sin(q) ** 2) + jnp.sum((q[1:] - q[:-1]) ** 2)
+
+    return models.Lagrangian(
+        lambda q: jnp.eye(n, dtype=q.dtype), potential, force=lambda t, q, u: jnp.zeros_like(q), inputs=0
+    )
+
+
 def case(name: str) -> Case:
     pendulum, one = family().file.model, jnp.eye(2)
     match name:
@@ -88,13 +99,17 @@ def case(name: str) -> Case:
             robot = robots.load("scara")
             recipe = with_open_numbers(observers.Intrinsic(robot, 20.0, 200.0, substeps=1), ("[!abfm]*", "motors"))
             return Case(recipe, swing(0.3, 0.4, 0.1, 0.0), 4, "float")
+        case "one" | "thirty":  # coordinates of springs, without an input
+            n = {"one": 1, "thirty": 30}[name]
+            recipe = with_open_numbers(observers.Intrinsic(springs(n), 8.0, 30.0, substeps=1))
+            return Case(recipe, swing(*np.linspace(-1, 1, n)), real="float" if n > 1 else "double")
         case "slope":  # one coordinate, no input, no model
             return Case(with_open_numbers(observers.FilteredDerivative(20.0)), swing(0.4))
         case _:
             raise KeyError(name)
 
 
-CASES = ("pendulum", "pendulum_float", "kalman", "exact", "top", "ship", "scara", "slope")
+CASES = ("pendulum", "pendulum_float", "kalman", "exact", "top", "ship", "scara", "slope", "one", "thirty")
 each = pytest.mark.parametrize("name", CASES)
 
 
@@ -220,6 +235,34 @@ def test_two_exports_and_their_wrappers_link_into_one_program_in_cpp(exported, t
     assert not any(kind in "DBdbC" for kind, _ in symbols), "there is a variable"
     needed = {name for kind, name in symbols if kind == "U"}
     assert needed <= {"sin", "cos", "sincos", "sqrt", "exp", "expm1", "atan", "rint", "fabs", "memcpy", "round"}
+
+
+CONSUMER = """cmake_minimum_required(VERSION 3.13)
+project(consumer LANGUAGES C CXX)
+find_package(slope REQUIRED)
+add_executable(consumer main.cpp)
+target_link_libraries(consumer PRIVATE slope::slope)
+"""
+
+
+@needs_compiler
+@pytest.mark.skipif(shutil.which("cmake") is None, reason="cmake is not installed")
+def test_cmake_tests_installs_and_finds_an_export(exported, tmp_path):
+    """With a space in the path."""
+    folder, there = exported("slope").folder, tmp_path / "put there"
+    ran(["cmake", "-S", folder, "-B", "built", f"-DCMAKE_INSTALL_PREFIX={there}"], tmp_path)
+    ran(["cmake", "--build", "built"], tmp_path)
+    ran(["ctest", "--test-dir", "built"], tmp_path)
+    ran(["cmake", "--install", "built"], tmp_path)
+    consumer = tmp_path / "consumer"
+    consumer.mkdir()
+    (consumer / "CMakeLists.txt").write_text(CONSUMER)
+    (consumer / "main.cpp").write_text(
+        "#include <slope.hpp>\nint main() { slope::Observer o; const double y = 1; return o.start(&y); }\n"
+    )
+    ran(["cmake", "-S", "consumer", "-B", "used", f"-DCMAKE_PREFIX_PATH={there}"], tmp_path)
+    ran(["cmake", "--build", "used"], tmp_path)
+    ran([tmp_path / "used" / "consumer"], tmp_path)
 
 
 def test_the_wiring_example_of_the_readme_compiles(exported, tmp_path):
