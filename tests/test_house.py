@@ -57,8 +57,8 @@ PUBLIC = {
     "metric metric_summary observer_gains predict_errors predict_sampled_errors tune tuned_estimators "
     "tuned_state_estimators usual_speeds window_length with_gains",
     "diagnosis": "Diagnosis Finding diagnose misfit outliers",
-    "export": "ROWS Facts Leaf Program Recipe Source Vectors export_texts of_family program vectors with_open_numbers "
-    "write_folder write_source",
+    "export": "ROWS Facts Leaf Program Recipe Source Unit Vectors export_texts fmu of_family program vectors "
+    "with_open_numbers write_fmu write_folder write_source",
     "geometry": "AbstractManifold AbstractMetric AbstractSpace Budget ConstantCurvature Coordinates Euclidean "
     "FlatTorus Interpolated KineticEnergy Metric Product ProductManifold Pullback Shot Transported "
     "as_space christoffel connection curvature derivative differential distance exp gradient hyperbolic "

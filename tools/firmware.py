@@ -17,6 +17,7 @@ from pathlib import Path
 
 FLAGS = [
     *("-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16", "-std=c99", "-O2"),
+    "-ffp-contract=fast",  # products and sums in one instruction, as the build file of an export has it
     *("-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wdouble-promotion", "-Werror"),
 ]
 BOARD = ["qemu-system-arm", "-M", "mps2-an386", "-nographic", "-monitor", "none", "-semihosting-config"]

@@ -14,6 +14,9 @@ CHUNK = 1000
 SAME = 10
 """Decimal digits, in units of half a window, to which the stamps of two windows must agree to be taken as equal."""
 
+MOST_CONDITION = 1e6
+"""Largest condition of the normal equations of a window; a worse one is fitted by its singular values."""
+
 FARTHEST_TURN = 1.5
 """A rotation vector is close to a polynomial in time up to this angle [rad]; a fast body gets a shorter window."""
 
@@ -57,14 +60,30 @@ def _coefficients(t, y, at, half, order, wanted: slice):
     together: dict[bytes, list[int]] = {}  # columns that are measured in the same rows share their windows
     for column, rows in enumerate(measured.T):
         together.setdefault(rows.tobytes(), []).append(column)
-    for columns in together.values():
-        rows = measured[:, columns[0]]
-        seen = y[rows].T[columns]
-        for fit in _fits(t[rows], at, half, order):
+    shared = _shared(t, measured, at, half, order) if len(together) > 1 else np.zeros(len(at), bool)
+    every = list(range(y.shape[1]))
+    asked = [(columns, measured[:, columns[0]], ~shared) for columns in together.values()]
+    for columns, rows, stamps in [(every, measured.all(axis=1), shared), *asked]:
+        if not stamps.any():
+            continue
+        seen, part = y[rows].T[columns], np.empty((int(stamps.sum()), *found.shape[1:2], len(columns)))
+        for fit in _fits(t[rows], at[stamps], half, order):
             weights = fit.weights[fit.same, wanted]
-            for column, positions in zip(columns, seen, strict=True):
-                found[fit.at, :, column] = np.einsum("kcw,kw->kc", weights, positions.take(fit.rows))
+            for k, positions in enumerate(seen):
+                part[fit.at, :, k] = np.einsum("kcw,kw->kc", weights, positions.take(fit.rows))
+        found[np.ix_(stamps, range(found.shape[1]), columns)] = part
     return found
+
+
+def _shared(t, measured, at, half, order):
+    """The stamps (K,) whose windows are long enough and lack no measurement, and so are the same for all columns."""
+    reach = half * (1 + 1e-9)
+    whole = measured.all(axis=1)
+    inside, broken = (
+        np.searchsorted(each, at + reach, side="right") - np.searchsorted(each, at - reach)
+        for each in (t[whole], t[~whole])
+    )
+    return (broken == 0) & (inside >= int(order) + 3)
 
 
 def zero_phase_twist(
@@ -170,11 +189,32 @@ def _weights(t, at, rows, last, half, order):
     inside = rows < last[:, None]
     s = np.where(inside, t[np.minimum(rows, len(t) - 1)] - at[:, None], 0.0)
     half_width = np.maximum(half, np.abs(s).max(axis=1))[:, None]
-    weight = inside * ((1 - np.minimum(np.abs(s) / half_width, 1) ** 3) ** 1.5 + 1e-6)
+    s = s / half_width
+    near = np.maximum(1 - np.abs(s) * s * s, 0.0)
+    weight = inside * (near * np.sqrt(near) + 1e-6)
+    square = weight * weight
+    moments = [square]
+    for _ in range(2 * order):
+        moments.append(moments[-1] * s)
     powers = np.arange(order + 1)
-    basis = (s / half_width)[..., None] ** powers * weight[..., None]
-    solved = np.linalg.pinv(basis, rcond=max(basis.shape[1:]) * np.finfo(float).eps)
-    return solved * weight[:, None] / half_width[..., None] ** powers[:, None]
+    sums = np.stack([moment.sum(axis=1) for moment in moments], axis=1)
+    solved = _inverses(sums[:, powers[:, None] + powers]) @ np.stack(moments[: order + 1], axis=1)
+    ill = ~np.isfinite(solved[:, 0, 0])
+    if ill.any():
+        basis = s[ill, :, None] ** powers * weight[ill, :, None]
+        rcond = max(basis.shape[1:]) * np.finfo(float).eps
+        solved[ill] = np.linalg.pinv(basis, rcond=rcond) * weight[ill, None]
+    return solved / half_width[..., None] ** powers[:, None]
+
+
+def _inverses(matrices):
+    """The inverses of matrices (j, c, c); NaN where half of the digits or more would be lost."""
+    try:
+        found = np.linalg.inv(matrices)
+    except np.linalg.LinAlgError:
+        return np.full(matrices.shape, np.nan)
+    condition = np.prod([np.abs(each).sum(axis=1).max(axis=1) for each in (matrices, found)], axis=0)
+    return np.where((condition < MOST_CONDITION)[:, None, None], found, np.nan)
 
 
 def _between(a, b):

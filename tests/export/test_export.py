@@ -63,6 +63,17 @@ def family():
     return models.family(str(ROOT / "examples" / "demo_double_pendulum.toml"), ("mass", "length", "com", "coulomb"))
 
 
+def springs(n: int):
+    """A row of masses that no input acts on."""
+
+    def potential(q):
+        return 2.0 * jnp.sum(jnp.sin(q) ** 2) + jnp.sum((q[1:] - q[:-1]) ** 2)
+
+    return models.Lagrangian(
+        lambda q: jnp.eye(n, dtype=q.dtype), potential, force=lambda t, q, u: jnp.zeros_like(q), inputs=0
+    )
+
+
 def case(name: str) -> Case:
     pendulum, one = family().file.model, jnp.eye(2)
     match name:
@@ -88,13 +99,17 @@ def case(name: str) -> Case:
             robot = robots.load("scara")
             recipe = with_open_numbers(observers.Intrinsic(robot, 20.0, 200.0, substeps=1), ("[!abfm]*", "motors"))
             return Case(recipe, swing(0.3, 0.4, 0.1, 0.0), 4, "float")
+        case "one" | "thirty":  # coordinates of springs, without an input
+            n = {"one": 1, "thirty": 30}[name]
+            recipe = with_open_numbers(observers.Intrinsic(springs(n), 8.0, 30.0, substeps=1))
+            return Case(recipe, swing(*np.linspace(-1, 1, n)), real="float" if n > 1 else "double")
         case "slope":  # one coordinate, no input, no model
             return Case(with_open_numbers(observers.FilteredDerivative(20.0)), swing(0.4))
         case _:
             raise KeyError(name)
 
 
-CASES = ("pendulum", "pendulum_float", "kalman", "exact", "top", "ship", "scara", "slope")
+CASES = ("pendulum", "pendulum_float", "kalman", "exact", "top", "ship", "scara", "slope", "one", "thirty")
 each = pytest.mark.parametrize("name", CASES)
 
 
@@ -222,6 +237,34 @@ def test_two_exports_and_their_wrappers_link_into_one_program_in_cpp(exported, t
     assert needed <= {"sin", "cos", "sincos", "sqrt", "exp", "expm1", "atan", "rint", "fabs", "memcpy", "round"}
 
 
+CONSUMER = """cmake_minimum_required(VERSION 3.13)
+project(consumer LANGUAGES C CXX)
+find_package(slope REQUIRED)
+add_executable(consumer main.cpp)
+target_link_libraries(consumer PRIVATE slope::slope)
+"""
+
+
+@needs_compiler
+@pytest.mark.skipif(shutil.which("cmake") is None, reason="cmake is not installed")
+def test_cmake_tests_installs_and_finds_an_export(exported, tmp_path):
+    """With a space in the path."""
+    folder, there = exported("slope").folder, tmp_path / "put there"
+    ran(["cmake", "-S", folder, "-B", "built", f"-DCMAKE_INSTALL_PREFIX={there}"], tmp_path)
+    ran(["cmake", "--build", "built"], tmp_path)
+    ran(["ctest", "--test-dir", "built"], tmp_path)
+    ran(["cmake", "--install", "built"], tmp_path)
+    consumer = tmp_path / "consumer"
+    consumer.mkdir()
+    (consumer / "CMakeLists.txt").write_text(CONSUMER)
+    (consumer / "main.cpp").write_text(
+        "#include <slope.hpp>\nint main() { slope::Observer o; const double y = 1; return o.start(&y); }\n"
+    )
+    ran(["cmake", "-S", "consumer", "-B", "used", f"-DCMAKE_PREFIX_PATH={there}"], tmp_path)
+    ran(["cmake", "--build", "used"], tmp_path)
+    ran([tmp_path / "used" / "consumer"], tmp_path)
+
+
 def test_the_wiring_example_of_the_readme_compiles(exported, tmp_path):
     folder = exported("pendulum").folder
     readme = (folder / "README.md").read_text()
@@ -229,6 +272,83 @@ def test_the_wiring_example_of_the_readme_compiles(exported, tmp_path):
     if shutil.which("cc") is None:
         pytest.skip("there is no C compiler, `cc`")
     ran(["cc", *FLAGS, f"-I{folder}", "-c", "use.c"], tmp_path)
+
+
+ROS = {
+    "rclcpp/rclcpp.hpp": """#pragma once
+#include <cstdio>
+#include <functional>
+#include <memory>
+#include <string>
+#include <vector>
+#include <sensor_msgs/msg/joint_state.hpp>
+namespace rclcpp {
+using sensor_msgs::msg::JointState;
+inline std::function<void(const JointState &)> heard;
+struct SensorDataQoS {};
+template <class M> struct Publisher {
+    typedef std::shared_ptr<Publisher<M>> SharedPtr;
+    void publish(const M &m) {
+        for (std::size_t i = 0; i < m.name.size(); ++i)
+            std::printf("%s %.17g %.17g ", m.name[i].c_str(), m.position[i], m.velocity[i]);
+        std::printf("\\n");
+    }
+};
+template <class M> struct Subscription { typedef std::shared_ptr<Subscription<M>> SharedPtr; };
+struct Node {
+    explicit Node(const std::string &) {}
+    template <class T> T declare_parameter(const std::string &, const T &usual) { return usual; }
+    template <class M> typename Publisher<M>::SharedPtr create_publisher(const std::string &, int) {
+        return std::make_shared<Publisher<M>>();
+    }
+    template <class M, class F>
+    typename Subscription<M>::SharedPtr create_subscription(const std::string &, SensorDataQoS, F f) {
+        heard = f;
+        return std::make_shared<Subscription<M>>();
+    }
+};
+inline void init(int, char **) {}
+inline void shutdown() {}
+inline void spin(const std::shared_ptr<Node> &) { /* joints in another order; the second message comes twice */
+    for (int k : {0, 1, 1, 2, 3}) {
+        JointState m;
+        m.header.stamp.nanosec = 4000000u * static_cast<unsigned>(k);
+        m.name = {"elbow", "shoulder"};
+        m.position = {0.2 + 0.01 * k, 0.1};
+        heard(m);
+    }
+}
+}
+""",
+    "sensor_msgs/msg/joint_state.hpp": """#pragma once
+#include <cstdint>
+#include <string>
+#include <vector>
+namespace sensor_msgs::msg {
+struct Stamp { std::int32_t sec = 0; std::uint32_t nanosec = 0; };
+struct Header { Stamp stamp; };
+struct JointState { Header header; std::vector<std::string> name; std::vector<double> position, velocity, effort; };
+}
+""",
+}
+"""What the node of the page needs of ROS 2."""
+
+
+@needs_compiler
+def test_the_node_of_the_page_compiles_against_what_stands_in_for_ros(exported, tmp_path):
+    page = (ROOT / "docs" / "cpp.md").read_text()
+    [node] = re.findall(r'```cpp title="velocity_node.cpp"\n(.*?)```', page, re.DOTALL)
+    folder = exported("pendulum").folder
+    for file, text in {**ROS, "node.cpp": re.sub(r"\b(arm)\b", "pendulum", node).replace("ARM_", "PENDULUM_")}.items():
+        (tmp_path / file).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / file).write_text(text.replace("arm_output", "pendulum_output"))
+    ran(["cc", "-c", folder / "pendulum.c", "-o", "pendulum.o"], tmp_path)
+    flags = ["-std=c++17", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror"]
+    ran(["c++", *flags, "-I.", f"-I{folder}", "node.cpp", "pendulum.o", "-lm", "-o", "node"], tmp_path)
+    lines = ran(["./node"], tmp_path).splitlines()
+    assert len(lines) == 4, "a message that comes twice is told once"
+    assert lines[0].split() == ["shoulder", "0.10000000000000001", "0", "elbow", "0.20000000000000001", "0"]
+    assert 0.2 < float(lines[3].split()[4]) < 0.23, "it follows the elbow, which opens"
 
 
 def test_numbers_of_one_name_and_value_are_one_and_others_are_told_apart():

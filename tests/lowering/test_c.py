@@ -11,7 +11,18 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from covariant.lowering import FOLD, Graph, Lowered, c_function, c_helpers, c_number, numbers, simplified
+from covariant.lowering import (
+    FOLD,
+    Graph,
+    Lowered,
+    LoweringError,
+    c_function,
+    c_helpers,
+    c_number,
+    lower,
+    numbers,
+    simplified,
+)
 
 FLAGS = [
     "-std=c99",
@@ -219,3 +230,34 @@ def test_a_signature_of_another_size_is_refused():
     lowered = graph_of(lambda g, x: [g.apply("add", x[0], x[1])], 2)
     with pytest.raises(ValueError, match="has 2 inputs; the signature names 1"):
         c_function(lowered, "f", Signature("double *y", ("y",), ("x",), ("y[0]",)))
+
+
+def test_a_loop_whose_length_the_arguments_decide_is_one_of_c(tmp_path):
+    """Within another loop, and among values that other parts of the function use."""
+    import jax
+    import jax.numpy as jnp
+
+    def walk(x):
+        """Steps of a map until a number is small, weighted by a sum that an inner loop makes; one entry never moves."""
+
+        def turn(carry):
+            k, value, total, still = carry
+            inner = jax.lax.fori_loop(0, k, lambda i, s: s + jnp.sin(value * i) * x[1], 0.0)
+            return k + 1, value * 0.6, total + inner, still
+
+        k, _, total, still = jax.lax.while_loop(lambda c: c[1] > x[2], turn, (0, x[0], x[1], jnp.array([3.0, 0.0])))
+        return jnp.array([1.0 * k, total, *still, jnp.tanh(total) + x[2]])
+
+    points = np.array([[9.0, 0.3, 0.5], [0.1, 2.0, 0.5], [1e4, -1.0, 1e-3], [math.nan, 1.0, 1.0]])
+    expected = np.stack([np.asarray(walk(jnp.asarray(p))) for p in points])
+    lowered = lower(walk, points[0], loops="any")
+    with pytest.raises(LoweringError, match="give it a fixed length"):
+        lower(walk, points[0])
+    np.testing.assert_allclose(numbers(lowered, points), expected, rtol=1e-12)  # lanes of different lengths
+    np.testing.assert_allclose(numbers(simplified(lowered), points), expected, rtol=1e-12)
+    for most in (500, 3):
+        (tmp_path / f"{most}").mkdir()
+        call, text = compiled(lowered, tmp_path / f"{most}", most_statements=most)
+        np.testing.assert_allclose([call(p) for p in points], expected, rtol=1e-12)
+    assert text.count("for (;;)") == 2
+    assert "y[2] = 3.0;" in text, "what never moves is not carried"

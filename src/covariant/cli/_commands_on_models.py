@@ -103,7 +103,7 @@ def audit(
 @on_models.command()
 def export(
     model: Model,
-    out: Annotated[Path, typer.Option("--out", "-o", help="Folder to write.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder to write, or a unit for simulators (.fmu).")],
     rate: Annotated[float, typer.Option(help="Sampling rate [Hz] that it is made for.")],
     observer: Annotated[
         str | None, typer.Option(help=f"One of: {', '.join(ESTIMATORS)}; intrinsic by default.")
@@ -119,15 +119,16 @@ def export(
     certificate: Annotated[
         Path | None, typer.Option(help="Saved certificate of this observer, for the data sheet (.json).")
     ] = None,
+    fmi: Annotated[str | None, typer.Option(help="Version of FMI of a .fmu: 3.0, the default, or 2.0.")] = None,
     audit: Annotated[bool, typer.Option("--audit/--no-audit", help="Measure the laws of the observer first.")] = True,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace files in the folder.")] = False,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace files that are there.")] = False,
     override: Override = [],  # noqa: B006  typer copies it
     json: Json = False,
 ) -> None:
-    """Write an observer as C99, with self-test, build files and data sheet, for microcontrollers and controllers."""
+    """Write an observer as C99 for microcontrollers and controllers, or as a unit (.fmu) for Simulink and Modelica."""
     from covariant.cli import _export
 
-    asked = _export.Asked(observer, (alpha, beta), rate, real, name, parameters, certificate, audit, overwrite)
+    asked = _export.Asked(observer, (alpha, beta), rate, real, name, parameters, certificate, fmi, audit, overwrite)
     _export.export(model, tuple(override), asked, out, json)
 
 

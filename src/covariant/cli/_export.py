@@ -1,4 +1,4 @@
-"""`covariant export`: an observer as C."""
+"""`covariant export`: an observer as C, or as a functional mock-up unit."""
 
 import json
 import re
@@ -23,17 +23,20 @@ from covariant.export import (
     Program,
     Recipe,
     export_texts,
+    fmu,
     of_family,
     program,
     with_open_numbers,
+    write_fmu,
     write_folder,
 )
 from covariant.lowering import LoweringError
 from covariant.observers import REGISTRY, AbstractObserver, Delayed, chooses_substeps, with_fixed_substeps
 
-GEOMETRY = ("rotation", "place", "turn", "slide", "coordinates", "motors", "joints", "base*")
+GEOMETRY = ("*rotation", "*place", "*turn", "*slide", "coordinates", "motors", "joints", "base*")
 """Arrays of a robot that say how it is put together: as constants they save nine tenths of the work."""
 REALS = ("double", "float")
+VERSIONS = ("3.0", "2.0")
 CENTRE, SWING = 0.7, 0.2
 """Where positions of the self-test are, and how far they swing, in units of the coordinates; circles start at π."""
 
@@ -48,15 +51,15 @@ class Asked(NamedTuple):
     name: str | None
     parameters: str | None
     certificate: Path | None
+    fmi: str | None
     audited: bool
     overwrite: bool
 
 
 def export(spec: str, overrides: tuple[str, ...], asked: Asked, out: Path, as_json: bool) -> None:
-    """Write an observer of a model, by default the first that fits it, as C into a folder."""
-    rate = above_zero("--rate", asked.rate)
-    if asked.real not in REALS:
-        raise ValueError(f"--real must be one of {', '.join(REALS)}; got {asked.real!r}")
+    """Write an observer of a model, by default the first that fits it: as C into a folder, or as a unit (.fmu)."""
+    rate, unit = above_zero("--rate", asked.rate), out.suffix == ".fmu"
+    _check(asked, unit)
     family = _family(spec, overrides, asked.parameters)
     file = models.load(spec, overrides) if family is None else family.file
     model = file.need_mechanical(spec, "code is written for observers of")
@@ -65,23 +68,48 @@ def export(spec: str, overrides: tuple[str, ...], asked: Asked, out: Path, as_js
     about = f"{kind} observer of {file.name}. {design}"
     proved = "" if asked.certificate is None else _certificate(asked.certificate, spec, overrides, kind, bare)
     measured = _measured(model, file.dimension)
-    fixed = _of_fixed_length(bare, rate, model, file, measured)
+    # A unit takes steps of any length; firmware does the same work in every step.
+    fixed = bare if unit else _of_fixed_length(bare, rate, model, file, measured)
     late = float(np.max(file.delay)) > 0 and next(e for e in REGISTRY if e.name == kind).knows_model
     observer = Delayed(fixed, file.delay, rate) if late else fixed
     with working(f"writing {name}", quiet=as_json):
-        made = _program(spec, observer, family, file, asked, measured[0])
+        made = _program(spec, observer, family, file, asked, measured[0], unit)
         found = _audited(bare) if asked.audited else ""
-        substeps = getattr(fixed, "substeps", None)
-        texts = export_texts(made, name, about, measured, Facts(rate, substeps, proved, found))
-        paths = write_folder(texts, out, asked.overwrite)
+        if unit:
+            warned, paths = _write_unit(made, name, about, rate, measured[0], asked, out), [out]
+        else:
+            facts = Facts(rate, getattr(fixed, "substeps", None), proved, found)
+            texts = export_texts(made, name, about, measured, facts)
+            warned, paths = "", write_folder(texts, out, asked.overwrite)
     result: dict[str, Any] = {"model": spec, "observer": kind, "out": str(out), "design": design}
     result |= {"files": [str(path) for path in paths], "numbers": list(made.numbers)}
     result["operations"] = sum(node.op not in ("input", "constant") for node in made.step.graph.nodes)
-    if found:
-        result["warning"] = found
-        print(f"covariant: warning: {found}", file=sys.stderr)
+    warnings = [warning for warning in (found, warned) if warning]
+    if warnings:
+        result["warning"] = "; ".join(warnings)
+    for warning in warnings:
+        print(f"covariant: warning: {warning}", file=sys.stderr)
     told = f"wrote {len(paths)} files into {out}; build and test them as its README.md says"
-    print(json.dumps(result) if as_json else f"{about}\n{told}")
+    print(json.dumps(result) if as_json else f"{about}\n{f'wrote {out}' if unit else told}")
+
+
+def _check(asked: Asked, unit: bool) -> None:
+    if asked.real not in REALS:
+        raise ValueError(f"--real must be one of {', '.join(REALS)}; got {asked.real!r}")
+    if asked.fmi is not None and not unit:
+        raise ValueError("--fmi is for a unit: name a file that ends in .fmu by -o")
+    if asked.fmi not in (None, *VERSIONS):
+        raise ValueError(f"--fmi must be one of {', '.join(VERSIONS)}; got {asked.fmi!r}")
+    if unit and asked.certificate is not None:
+        raise ValueError("--certificate is for the data sheet, which a unit does not have; leave it out")
+
+
+def _write_unit(made: Program, name: str, about: str, rate: float, y: np.ndarray, asked: Asked, out: Path) -> str:
+    """Write a unit; returns a warning where it has no binary."""
+    version: Any = asked.fmi or VERSIONS[0]
+    unit = fmu(made, name, about, rate, y, version)
+    write_fmu(unit, out, asked.overwrite)
+    return f"the unit holds sources and no binary: {unit.without_binary}" if unit.without_binary else ""
 
 
 def _observer(
@@ -118,17 +146,17 @@ def _program(
     file: models.ModelFile,
     asked: Asked,
     y: np.ndarray,
+    loops: bool,
 ) -> Program:
     """The graphs of the observer, with the numbers of the model file open or, where there are none, its arrays."""
     recipe = of_family(observer, family) if family is not None else _recipe(observer, asked.parameters)
     try:
-        return program(recipe, y, len(file.columns.u), asked.real)  # pyright: ignore[reportArgumentType]
+        return program(recipe, y, len(file.columns.u), asked.real, loops)  # pyright: ignore[reportArgumentType]
     except LoweringError as error:
         if asked.parameters == "none":
             raise ValueError(f"{spec}: no code can be written: {error}") from error
-    closed = with_open_numbers(observer, GEOMETRY)
     try:
-        return program(closed, y, len(file.columns.u), asked.real)  # pyright: ignore[reportArgumentType]
+        return program(_usual(observer), y, len(file.columns.u), asked.real, loops)  # pyright: ignore[reportArgumentType]
     except LoweringError as error:
         raise ValueError(f"{spec}: no code can be written: {error}; try --parameters none") from error
 
@@ -145,7 +173,7 @@ def _family(spec: str, overrides: Sequence[str], given: str | None) -> models.Fa
 def _recipe(observer: AbstractObserver, given: str | None) -> Recipe:
     """The observer with its arrays open, as far as they are named or, by default, no geometry of a robot."""
     if given is None:
-        return with_open_numbers(observer, GEOMETRY)
+        return _usual(observer)
     if given == "none":
         return with_open_numbers(observer, ("*",))
     everything = with_open_numbers(observer)
@@ -155,6 +183,12 @@ def _recipe(observer: AbstractObserver, given: str | None) -> Recipe:
             raise ValueError(f"--parameters: there is no {pattern!r}; there are: {', '.join(everything.numbers)}")
     closed = [n for n in everything.numbers if not any(fnmatchcase(n, pattern) for pattern in patterns)]
     return with_open_numbers(observer, closed)
+
+
+def _usual(observer: AbstractObserver) -> Recipe:
+    """The recipe that is open but for the geometry of a robot, and arrays of zeros, which cost nothing if closed."""
+    zeros = [name for name, value in with_open_numbers(observer).numbers.items() if not np.any(value)]
+    return with_open_numbers(observer, (*GEOMETRY, *zeros))
 
 
 def _open_numbers(parameters: dict[str, Any]) -> tuple[str, ...]:

@@ -20,6 +20,8 @@ FEW_ROWS = 50
 """Fewest measurements among which outliers are told."""
 FEW_OUTLIERS = 5e-3
 """Fraction of outliers that is not worth a finding."""
+USUAL = 20_000
+"""Rows of a long log from which the usual error is taken."""
 LATTICE = 0.05
 """How far changes may be from whole ticks, as a fraction of one."""
 MOST_TICKS = 1.5
@@ -92,16 +94,18 @@ def outliers(
     y = np.array(y, float)
     wrong, sizes = np.zeros(y.shape, bool), np.zeros(y.shape[1])
     for i in range(y.shape[1]):
-        kept, scale = np.flatnonzero(np.isfinite(y[:, i])), np.zeros(1)
+        kept, error, floor = np.flatnonzero(np.isfinite(y[:, i])), np.zeros(1), np.zeros(1)
         column = unwrap(y[:, i : i + 1], (0,) if i in circles else ())[:, 0]
         for _ in range(ROUNDS):
             if len(kept) < FEW_ROWS:
                 break
             error = prediction_errors(t[kept], column[kept])
-            scale = np.maximum(1.4826 * np.median(np.abs(error)), _around(error))
-            scale = np.maximum(scale, np.maximum(tick(column[kept]), COARSE * _moved(column[kept])))
-            far = np.abs(error) / np.where(scale > 0, scale, np.inf)
-            size = np.where(far > FAR, np.abs(error), 0.0)
+            floor = np.maximum(1.4826 * np.median(np.abs(error)), tick(column[kept]))
+            floor = np.maximum(floor, COARSE * _moved(column[kept]))
+            size = np.zeros(len(kept))
+            far = np.flatnonzero(np.abs(error) > FAR * floor)  # few, of which alone the neighbours are looked at
+            scale = np.maximum(floor[far], _around(error, far))
+            size[far] = np.where(np.abs(error[far]) > FAR * np.where(scale > 0, scale, np.inf), np.abs(error[far]), 0.0)
             bad = (size > 0) & (size == np.max([np.roll(size, k) for k in (-3, -2, -1, 0, 1, 2, 3)], axis=0))
             if not bad.any():
                 break
@@ -109,7 +113,9 @@ def outliers(
             kept = kept[~bad]
         taken_out = np.flatnonzero(wrong[:, i])
         if len(taken_out):
-            wrong[_readmitted(t, column, kept, taken_out, float(np.median(scale))), i] = False
+            some = np.arange(0, len(error), max(1, len(error) // USUAL))
+            scale = float(np.median(np.maximum(floor[some], _around(error, some))))
+            wrong[_readmitted(t, column, kept, taken_out, scale), i] = False
             places = np.flatnonzero(wrong[:, i])
             sizes[i] = (
                 np.median(np.abs(column[places] - np.interp(t[places], t[kept], column[kept]))) if len(places) else 0.0
@@ -142,11 +148,11 @@ def _readmitted(t, y, kept: np.ndarray, taken_out: np.ndarray, scale: float) -> 
     return taken_out[np.abs(error) < FAR * scale]
 
 
-def _around(error: np.ndarray, half: int = 25) -> np.ndarray:
-    """Median size of the errors around each, as a standard deviation."""
+def _around(error: np.ndarray, rows: np.ndarray, half: int = 25) -> np.ndarray:
+    """Median size of the errors around each of some rows, as a standard deviation."""
     padded = np.pad(np.abs(error), half, mode="reflect")
     windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1)
-    return 1.4826 * np.median(windows, axis=1)
+    return 1.4826 * np.median(windows[rows], axis=1)
 
 
 def _moved(y: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Observers as C99 for microcontrollers and controllers: plain source with self-test, build files, data sheet."""
+"""Observers as C99 for microcontrollers and controllers, with self-test and data sheet, and as units for simulators."""
 
 import lazy_loader
 

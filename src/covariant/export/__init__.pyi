@@ -1,4 +1,5 @@
 from ._data_sheet import Facts as Facts
+from ._fmu import Unit as Unit, fmu as fmu, write_fmu as write_fmu
 from ._program import (
     Leaf as Leaf,
     Program as Program,

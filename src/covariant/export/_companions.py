@@ -50,6 +50,9 @@ add_library(@NAME@::@NAME@ ALIAS @NAME@)
 set_target_properties(@NAME@ PROPERTIES C_STANDARD 99 C_STANDARD_REQUIRED ON POSITION_INDEPENDENT_CODE ON)
 target_include_directories(@NAME@ PUBLIC
     $<BUILD_INTERFACE:${CMAKE_CURRENT_SOURCE_DIR}> $<INSTALL_INTERFACE:include>)
+if(CMAKE_C_COMPILER_ID MATCHES "GNU|Clang")
+    target_compile_options(@NAME@ PRIVATE -ffp-contract=fast) # products and sums in one instruction
+endif()
 if(UNIX)
     target_link_libraries(@NAME@ PUBLIC m)
 endif()
@@ -185,5 +188,6 @@ in several threads.
 
     cc -std=c99 -O2 -I. @NAME@.c test/@NAME@_test.c -lm -o @NAME@_test && ./@NAME@_test
 
-Do not compile with `-ffast-math`: missing measurements are NaN.
+Do not compile with `-ffast-math`: missing measurements are NaN. `-ffp-contract=fast` is allowed, and saves a
+tenth of the instructions where a product and a sum are one.
 """

@@ -122,8 +122,16 @@ def _size(source: Source, compiler: str) -> Size | None:
 
 
 def _deepest(usage: str, name: str) -> int:
-    """The stack [bytes] of a step: its function, the core that it calls, and the largest part of that."""
-    found = {line.split("\t")[0].rpartition(":")[2]: int(line.split("\t")[1]) for line in usage.splitlines()}
-    core = f"{name}_core_step"
-    parts = [size for function, size in found.items() if function.startswith(f"{core}_")]
-    return found.get(f"{name}_step", 0) + found.get(core, 0) + max(parts, default=0)
+    """The stack [bytes] of a step, with those of all functions that it calls; where one calls one of several, the
+    largest counts."""
+    cells = [line.split("\t") for line in usage.splitlines()]
+    # Compilers name variants of a function with a dot.
+    own = {cell[0].rpartition(":")[2].partition(".")[0]: int(cell[1]) for cell in cells}
+
+    def below(function: str) -> int:
+        parts = [size for other, size in own.items() if re.fullmatch(rf"{function}_\d+", other)]
+        loops = {m.group(1) for other in own if (m := re.match(rf"({function}_loop\d+)", other))}
+        turns = [below(f"{loop}_turn") + own.get(loop, 0) for loop in loops]
+        return own.get(function, 0) + max(parts, default=0) + max(turns, default=0)
+
+    return own.get(f"{name}_step", 0) + below(f"{name}_core_step")

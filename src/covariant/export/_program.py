@@ -54,7 +54,7 @@ class Program(NamedTuple):
     - `numbers`: the open numbers that any of the graphs uses, with their values; `given` are all that are arguments,
       with the values `values`.
     - `state`, `info`, `x`: what these consist of; `y`: the shape of a measurement; `u`: the number of inputs.
-    - `real`: the type of the numbers.
+    - `real`: the type of the numbers; `told_as`: the info with the shapes and types that it has in JAX.
     """
 
     init: Lowered
@@ -69,6 +69,7 @@ class Program(NamedTuple):
     y: tuple[int, ...]
     u: int
     real: Real
+    told_as: Any
 
     @property
     def reported(self) -> list[Leaf]:
@@ -150,15 +151,22 @@ def _whole(base: str, ks: Sequence[int], family: Family) -> bool:
     return not isinstance(given, list) or (np.ndim(given) == 1 and len(given) == len(ks))
 
 
-def program(recipe: Recipe, y: Array | np.ndarray, inputs: int | None = None, real: Real = "double") -> Program:
+def program(
+    recipe: Recipe,
+    y: Array | np.ndarray,
+    inputs: int | None = None,
+    real: Real = "double",
+    loops: bool = False,
+) -> Program:
     """The graphs of an observer.
 
     - `y`: a configuration, of which the shape counts.
     - `inputs`: number of inputs m; by default that of the observer's model, or 0 where it has none.
     - `real`: the type in which the graphs compute.
+    - `loops`: let a step take as long as its numbers ask for, as where friction decides the number of its substeps.
 
     Raises `LoweringError` where a step has no graph of a fixed size, as where friction decides the number of its
-    substeps (`observers.with_fixed_substeps`).
+    substeps (`observers.with_fixed_substeps`), unless `loops` are allowed.
     """
     dtype = DTYPES[real]
     y = np.asarray(y, dtype)
@@ -181,8 +189,12 @@ def program(recipe: Recipe, y: Array | np.ndarray, inputs: int | None = None, re
     def typed(state):
         return jax.tree.map(lambda a, kind: a.astype(kind.dtype), state, kinds)
 
+    types: list[Any] = []  # of the fields of the info, met on the way
+
     def step(numbers, state, u, y, dt):
-        return _real(made(numbers).step(typed(state), u, y, dt), dtype)
+        state, info = made(numbers).step(typed(state), u, y, dt)
+        types[:] = [jax.tree.map(lambda a: jax.ShapeDtypeStruct(jnp.shape(a), jnp.result_type(a)), info)]
+        return _real((state, info), dtype)
 
     def estimate(numbers, state):
         observer = made(numbers)
@@ -192,8 +204,12 @@ def program(recipe: Recipe, y: Array | np.ndarray, inputs: int | None = None, re
         return Motion(*jnp.split(x, 2))
 
     acting = jax.ShapeDtypeStruct((u,), dtype)
-    lowered = lower(init, given, measured, scalar), lower(step, given, state, acting, measured, scalar)
-    read = lower(estimate, given, state)
+    kept = "any" if loops else "long"
+    lowered = (
+        lower(init, given, measured, scalar, loops=kept),
+        lower(step, given, state, acting, measured, scalar, loops=kept),
+    )
+    read = lower(estimate, given, state, loops=kept)
     leaves = tuple(Leaf(name, np.shape(recipe.numbers[name])) for name in sorted(recipe.numbers))  # as JAX orders them
     used = _used((*lowered, read), leaves)
     _, info = jax.tree.unflatten(lowered[1].tree, lowered[1].results)
@@ -209,6 +225,7 @@ def program(recipe: Recipe, y: Array | np.ndarray, inputs: int | None = None, re
         y.shape,
         u,
         real,
+        types[0],
     )
 
 

@@ -1,19 +1,19 @@
-"""A graph as C99: a function of scalars without loops, memory management, or variables outside it.
+"""A graph as C99: a function of scalars without memory management, or variables outside it.
 
 The text depends on the graph alone, so that it is the same on every machine. Numbers are written with as many digits as
 identify them. A long function is written as several of limited length, since compilers take more than linear time;
 values that one of them leaves to another stand in an array on the stack, whose places are used again.
 """
 
+import itertools
 import re
 from collections import Counter
 from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
-import numpy as np
-
 from covariant.lowering._c_operations import HELPERS, TRUTHS, Words, expression, helpers, literal
 from covariant.lowering._graph import Graph
+from covariant.lowering._loops import Loop
 from covariant.lowering._lowered import Lowered
 from covariant.lowering._peephole import simplified
 
@@ -110,6 +110,7 @@ class _Writer:
         self.inside = self._inside(order)
         statements = [i for i in order if i not in self.inside]
         self.parts = _parts(self.graph, statements, most_statements)
+        self.loops = self._loops([i for i in statements if self.graph.nodes[i].op == "loop"], most_statements)
         self.part = {i: k for k, part in enumerate(self.parts) for i in part}
 
     def written(self) -> CText:
@@ -118,7 +119,7 @@ class _Writer:
         sizes = (("real", self.words.real, counts[False]), ("truth", "int", counts[True]))
         arrays = [(f"{kind}s", c, size) for kind, c, size in sizes if size]
         rest = "".join(f", {c} *restrict {array}" for array, c, _ in arrays)
-        parts = []
+        parts = [text for loop in self.loops.values() for text in loop.texts]
         for k, part in enumerate(self.parts):
             lines = self._lines(k, part, places)
             if last == 0:
@@ -133,9 +134,21 @@ class _Writer:
                     self.name, self.static, "", [*lines, *(f"{self.name}_{k + 1}({calls});" for k in range(last + 1))]
                 )
             )
-        operations = Counter(node.op for node in self.graph.nodes if node.op not in ("input", "constant"))
+        operations = Counter(node.op for node in self.graph.nodes if node.op not in _NO_OPERATIONS)
         used = frozenset(h for i in range(len(self.graph.nodes)) for h in self._helpers(i))
-        return CText("\n".join(parts), used, operations, sum(counts.values()))
+        scratch = sum(counts.values())
+        for loop in self.loops.values():
+            operations += loop.operations
+            used |= loop.helpers
+            scratch += loop.scratch
+        return CText("\n".join(parts), used, operations, scratch)
+
+    def _loops(self, nodes: Sequence[int], most_statements: int) -> dict[int, "_LoopText"]:
+        """The functions of the loops, by their nodes."""
+        return {
+            i: _loop(self.graph.nodes[i].value, f"{self.name}_loop{k + 1}", self.words, most_statements)
+            for k, i in enumerate(nodes)
+        }
 
     def _helpers(self, i: int) -> list[str]:
         node = self.graph.nodes[i]
@@ -211,15 +224,19 @@ class _Writer:
         return places, counts
 
     def _lines(self, k: int, part: list[int], places: dict[int, str]) -> list[str]:
-        lines, stores = [], []
+        lines, stores, declared = [], [], []
+        number = {i: n for n, i in enumerate(part)}
 
         def name(i: int) -> str:
             if self.part[i] != k:
                 return places[i]
-            return f"{'p' if self.truth[i] else 'v'}{i}"
+            return f"{'p' if self.truth[i] else 'v'}{number[i]}"
 
         def text(i: int) -> str:
             node = self.graph.nodes[i]
+            if node.op == "part":
+                (loop,) = node.arguments
+                return f"l{number[loop]}[{self.graph.nodes[loop].value.fixed + node.value}]"
             if node.op == "input":
                 return self.signature.inputs[node.value]  # pyright: ignore[reportArgumentType, reportCallIssue]
             if node.op == "constant":
@@ -228,16 +245,76 @@ class _Writer:
             return expression(node.op, [_bracketed(o) for o in operands], self.words)
 
         for i in part:
-            lines.append(f"const {'int' if self.truth[i] else self.words.real} {name(i)} = {text(i)};")
+            node = self.graph.nodes[i]
+            if node.op == "loop":
+                local = f"l{number[i]}"
+                values = ", ".join(text(a) if a in self.inside else name(a) for a in node.arguments)
+                lines += [*_declarations(declared), f"{self.words.real} {local}[{len(node.arguments)}] = {{{values}}};"]
+                lines += [f"{self.loops[i].name}({local});"]
+                declared = []
+                continue
+            declared.append(("int" if self.truth[i] else self.words.real, f"{name(i)} = {text(i)}"))
             if i in places:
                 stores.append(f"{places[i]} = {name(i)};")
         if k == len(self.parts) - 1:
             for target, i in zip(self.signature.outputs, self.outputs, strict=True):
                 value = text(i) if i in self.inside else name(i)
                 stores.append(f"{target} = {f'({self.words.real})({value})' if self.truth[i] else value};")
-        return lines + stores
+        return [*lines, *_declarations(declared), *stores]
 
 
+def _declarations(declared: Sequence[tuple[str, str]]) -> list[str]:
+    """Constants of a type and their values as lines, those of one type together."""
+    lines = []
+    for kind, group in itertools.groupby(declared, key=lambda each: each[0]):
+        texts = [text for _, text in group]
+        lines += [f"const {kind} {texts[0]}", *texts[1:]]
+        lines[-len(texts) :] = [f"{line}," for line in lines[-len(texts) : -1]] + [f"{lines[-1]};"]
+    return lines
+
+
+class _LoopText(NamedTuple):
+    """The function of a loop, `void name(real *numbers)`, with those that it calls; the rest as in `CText`."""
+
+    name: str
+    texts: tuple[str, ...]
+    helpers: frozenset[str]
+    operations: Counter[str]
+    scratch: int
+
+
+def _loop(loop: Loop, name: str, words: Words, most_statements: int) -> _LoopText:
+    """C of a loop on its fixed and carried numbers, which it changes in place; a turn of unknown count counts once."""
+    real, width, carried = words.real, loop.body.inputs, loop.carried
+    inputs = tuple(f"x[{i}]" for i in range(width))
+    made = {}
+    for what, graph in (("turn", loop.body), ("going", loop.going)):
+        if graph is not None:
+            outputs = tuple(f"y[{i}]" for i in range(len(graph.outputs)))
+            signature = Signature(f"const {real} *restrict x, {real} *restrict y", ("x", "y"), inputs, outputs)
+            made[what] = _Writer(graph, f"{name}_{what}", signature, words, True, most_statements).written()
+    if loop.count is not None:
+        stop, until = "", f"turn < {loop.count}; ++turn"
+        index = "    int turn;\n"
+    else:
+        stop = f"        {name}_going(x, y);\n        if (!(y[0] > {literal(0.0, words)}))\n            return;\n"
+        until, index = ";", ""
+    first = "turn = 0; " if loop.count is not None else ";"
+    driver = (
+        f"static void {name}({real} *x)\n{{\n    {real} y[{max(carried, 1)}];\n    int i;\n{index}"
+        f"    for ({first}{until}) {{\n{stop}        {name}_turn(x, y);\n"
+        f"        for (i = 0; i < {carried}; ++i)\n            x[{loop.fixed} + i] = y[i];\n    }}\n}}\n"
+    )
+    times, operations = 1 if loop.count is None else loop.count, Counter[str]()
+    for text in made.values():
+        operations += Counter({op: times * n for op, n in text.operations.items()})
+    helpers = frozenset().union(*(text.helpers for text in made.values()))
+    scratch = width + carried + max(text.scratch for text in made.values())
+    return _LoopText(name, (*(text.text for text in made.values()), driver), helpers, operations, scratch)
+
+
+_NO_OPERATIONS = ("input", "constant", "loop", "part")
+_TOGETHER = ("sin", "cos", "part")
 _SIMPLE = {"add", "sub", "mul", "neg", "abs", *TRUTHS}
 """Operations that are written into the expression that uses them."""
 
@@ -278,12 +355,13 @@ def truths(graph: Graph) -> list[bool]:
 def _order(graph: Graph, outputs: Sequence[int]) -> list[int]:
     """The nodes that the outputs need, each after its arguments, and soon before what uses it.
 
-    Sine and cosine of one argument stand together, where compilers make one call of them.
+    Sine and cosine of one argument stand together, where compilers make one call of them, and so do the results of a
+    loop, behind it.
     """
-    partner = {}
+    partner: dict[tuple, list[int]] = {}
     for i, node in enumerate(graph.nodes):
-        if node.op in ("sin", "cos"):
-            partner.setdefault(node.arguments[0], []).append(i)
+        if node.op in _TOGETHER:
+            partner.setdefault((node.op == "part", *node.arguments), []).append(i)
     seen, order = set(), []
     for output in outputs:
         stack = [output]
@@ -297,7 +375,8 @@ def _order(graph: Graph, outputs: Sequence[int]) -> list[int]:
             else:
                 stack.pop()
                 node = graph.nodes[i]
-                for k in partner[node.arguments[0]] if node.op in ("sin", "cos") else [i]:
+                together = partner.get((node.op == "part", *node.arguments), [i]) if node.op in _TOGETHER else [i]
+                for k in together:
                     if k not in seen:
                         seen.add(k)
                         order.append(k)
@@ -305,6 +384,12 @@ def _order(graph: Graph, outputs: Sequence[int]) -> list[int]:
 
 
 def _parts(graph: Graph, statements: list[int], most: int) -> list[list[int]]:
-    """The statements in parts of about equal length, at least one part."""
+    """The statements in parts of about equal length, at least one part; a loop and its results stay together."""
     count = max(1, -(-len(statements) // most))
-    return [[int(i) for i in part] for part in np.array_split(np.array(statements, int), count)]
+    cuts = [len(statements) * k // count for k in range(count + 1)]
+    for k, cut in enumerate(cuts[1:-1], start=1):
+        cut = max(cut, cuts[k - 1])
+        while cut < len(statements) and graph.nodes[statements[cut]].op == "part":
+            cut += 1
+        cuts[k] = cut
+    return [statements[a:b] for a, b in itertools.pairwise(cuts)]

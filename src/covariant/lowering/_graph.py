@@ -6,7 +6,7 @@ notes, before anything is simplified, its conditions: what each operation needs 
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -30,11 +30,11 @@ class Condition(NamedTuple):
 
 
 class Node(NamedTuple):
-    """An operation and the indices of its arguments; `value` of a `constant`, or position of an `input`."""
+    """An operation and the indices of its arguments; `value` of a `constant`, position of an `input`, or a loop."""
 
     op: str
     arguments: tuple[int, ...]
-    value: float | bool | int | None = None
+    value: Any = None
 
 
 FOLD: dict[str, Callable] = {
@@ -134,6 +134,10 @@ class Graph:
     def input(self, position: int) -> int:
         """The node of an argument of the function."""
         return self._add(("input", position), Node("input", (), position))
+
+    def block(self, op: str, key: Any, arguments: tuple[int, ...], value: Any) -> int:
+        """The node of what is no operation on numbers, such as a loop; equal keys on equal arguments are one node."""
+        return self._add((op, key, *arguments), Node(op, arguments, value))
 
     def find(self, op: str, *arguments: int) -> int | None:
         """The node of an operation as it stands, where the graph has it."""

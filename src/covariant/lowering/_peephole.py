@@ -10,6 +10,7 @@ from collections import Counter
 from collections.abc import Callable
 
 from covariant.lowering._graph import Graph, Node
+from covariant.lowering._loops import add_loop, part_of
 from covariant.lowering._lowered import Lowered
 
 ODD = {"sin", "tan", "asin", "atan", "sinh", "tanh", "asinh", "atanh", "cbrt", "sign"}
@@ -19,7 +20,7 @@ FEWEST_QUOTIENTS = 2
 
 
 def simplified(lowered: Lowered) -> Lowered:
-    """The same function with fewer operations; its conditions are dropped."""
+    """The same function with fewer operations, within its loops too; its conditions are dropped."""
     outward = _rewritten(lowered, lambda graph, node, x: _outward(graph, node.op, x))
     nodes = outward.graph.nodes
     divisors = Counter(node.arguments[1] for node in nodes if node.op == "div")
@@ -38,9 +39,13 @@ def _rewritten(lowered: Lowered, rule: Callable[[Graph, Node, tuple[int, ...]], 
     graph, place = Graph(), []
     for node in lowered.graph.nodes:
         if node.op == "input":
-            place.append(graph.input(node.value))  # pyright: ignore[reportArgumentType]
+            place.append(graph.input(node.value))
         elif node.op == "constant":
-            place.append(graph.constant(node.value))  # pyright: ignore[reportArgumentType]
+            place.append(graph.constant(node.value))
+        elif node.op == "loop":
+            place.append(add_loop(graph, node.value.over(simplified), [place[a] for a in node.arguments]))
+        elif node.op == "part":
+            place.append(part_of(graph, place[node.arguments[0]], node.value))
         else:
             place.append(rule(graph, node, tuple(place[a] for a in node.arguments)))
     small, outputs = graph.pruned([place[i] for i in lowered.outputs])

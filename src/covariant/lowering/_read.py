@@ -7,6 +7,7 @@ import jax
 import numpy as np
 
 from covariant.lowering._graph import FOLD, Graph
+from covariant.lowering._loops import Loop
 from covariant.lowering._lowered import Lowered
 
 Domain = Mapping[str, Callable[..., Any]]
@@ -42,11 +43,28 @@ def evaluate_nodes(graph: Graph, outputs: Sequence[int], domain: Domain, inputs:
         elif node.op == "constant":
             values[i] = domain["constant"](node.value)
         else:
-            values[i] = domain[node.op](*[values[a] for a in node.arguments])
+            found = [values[a] for a in node.arguments]
+            if node.op == "part":
+                values[i] = found[0][node.value]
+            else:
+                values[i] = _looped(node.value, domain, found) if node.op == "loop" else domain[node.op](*found)
             for a in node.arguments:
                 if last[a] == i:
                     values[a] = None
     return [values[i] for i in outputs]
+
+
+def _looped(loop: Loop, domain: Domain, values: Sequence[Any]) -> list[Any]:
+    """What a loop carries in the end; lanes of a batch that are through wait for the others."""
+    fixed, carried = list(values[: loop.fixed]), list(values[loop.fixed :])
+    if loop.going is None:
+        for _ in range(loop.count or 0):
+            carried = evaluate(loop.body, domain, [*fixed, *carried])
+        return carried
+    while np.any(going := evaluate(loop.going, domain, [*fixed, *carried])[0]):
+        moved = evaluate(loop.body, domain, [*fixed, *carried])
+        carried = [domain["select"](going, new, old) for new, old in zip(moved, carried, strict=True)]
+    return carried
 
 
 def numbers(lowered: Lowered, *arguments: Any) -> Any:

@@ -9,7 +9,7 @@ import functools
 import itertools
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
@@ -20,6 +20,7 @@ from covariant.lowering import _stumpff
 from covariant.lowering._arrays import Scalars, Value, Writer, nodes_of
 from covariant.lowering._constants import compute
 from covariant.lowering._graph import Graph
+from covariant.lowering._loops import loop_of
 from covariant.lowering._lowered import Conditions, Lowered, LoweringError
 from covariant.lowering._primitives import NOT_ON_INTEGERS, RULES
 
@@ -27,14 +28,19 @@ EXACT = 2.0**53
 """All integers up to this one are doubles."""
 MOST_ITERATIONS = 100_000
 """Largest number of iterations of a loop that is unrolled; a longer one is refused."""
+LONG = 400
+"""Operations of a turn from which a loop of known length is not unrolled."""
+Loops = Literal["unrolled", "long", "any"]
 
 
-def lower(function: Callable, *arguments: Any, real: bool = False) -> Lowered:
+def lower(function: Callable, *arguments: Any, real: bool = False, loops: Loops = "unrolled") -> Lowered:
     """The graph of a function of arrays of real numbers, at the shapes of the arguments (arrays, or their shapes).
 
     - `real`: all arguments are real numbers, none of them missing (NaN). The result then has `conditions`: where the
       function is defined and does not jump, for everything that it computes, whether a result needs it or not. What
       rounds by its nature, such as conversion to a shorter type, is refused.
+    - `loops`: which loops stay loops in the graph, for code: none, so that one whose length the arguments decide is
+      refused; "long" ones, whose turns are so much work that they are written once; or "any" of these two kinds.
 
     Its operations are those of `covariant.lowering.FOLD`. Errors at run time (`equinox.error_if`) are left out of it.
     Raises `LoweringError` naming the primitive that has no
@@ -48,7 +54,7 @@ def lower(function: Callable, *arguments: Any, real: bool = False) -> Lowered:
             raise LoweringError(f"an argument of type {aval.dtype} is not a real number; close over it instead")
         ids = [graph.input(next(position)) for _ in range(aval.size)]
         inputs.append(Scalars(np.array(ids, int).reshape(aval.shape)))
-    results = _Interpreter(graph).run(closed.jaxpr, closed.consts, inputs)
+    results = _Interpreter(graph, loops).run(closed.jaxpr, closed.consts, inputs)
     ids = [nodes_of(graph, value) for value in results]
     leaves, tree = jax.tree.flatten(shape)
     small, outputs = graph.pruned([int(i) for array in ids for i in array.ravel()])
@@ -82,8 +88,8 @@ def substitute(graph: Graph, nodes: Sequence[int], into: Graph, inputs: Mapping[
 class _Interpreter:
     """Runs a jaxpr on arrays of nodes: what is known is computed, everything else is added to the graph."""
 
-    def __init__(self, graph: Graph):
-        self.graph, self.write = graph, Writer(graph)
+    def __init__(self, graph: Graph, loops: Loops = "unrolled"):
+        self.graph, self.write, self.loops = graph, Writer(graph), loops
 
     def run(self, jaxpr, consts: Sequence, inputs: Sequence[Value]) -> list[Value]:
         """Values of the outputs of a jaxpr."""
@@ -134,6 +140,11 @@ class _Interpreter:
     def scan_loop(self, p: dict, values: list[Value]) -> list[Value]:
         consts, carried = p["num_consts"], p["num_carry"]
         fixed, carry, over = values[:consts], values[consts : consts + carried], values[consts + carried :]
+        alone = not over and len(p["jaxpr"].out_avals) == carried
+        if self.loops != "unrolled" and alone and p["length"] > 1:
+            found = self.counted(p, fixed, carry)
+            if found is not None:
+                return found
         order = range(p["length"])[:: -1 if p["reverse"] else 1]
         collected: dict[int, list[Value]] = {}
         for i in order:
@@ -144,6 +155,32 @@ class _Interpreter:
         stacked = [self.write.stack(list(column)) for column in zip(*rows, strict=True)] if rows else empty
         return [*carry, *stacked]
 
+    def counted(self, p: dict, fixed: list[Value], carry: list[Value]) -> list[Value] | None:
+        """A scan over nothing as a loop of the graph, or None where a turn is too little work for that."""
+
+        def turn(graph: Graph, values: list[Value]):
+            return _Interpreter(graph, self.loops).call(p["jaxpr"], values), None
+
+        try:
+            return loop_of(self.graph, turn, fixed, carry, p["length"], LONG)
+        except LoweringError:  # a turn may need its number, to take an entry at a place
+            return None
+
+    def turns(self, p: dict, values: list[Value]) -> list[Value]:
+        """A while loop as a loop of the graph."""
+        of_condition, of_body = p["cond_nconsts"], p["body_nconsts"]
+        ends = np.cumsum([of_condition, of_body])
+
+        def turn(graph: Graph, values: list[Value]):
+            inner = _Interpreter(graph, self.loops)
+            condition, body, carry = values[: ends[0]], values[ends[0] : ends[1]], values[ends[1] :]
+            (going,) = inner.call(p["cond_jaxpr"], [*condition, *carry])
+            return inner.call(p["body_jaxpr"], [*body, *carry]), going
+
+        found = loop_of(self.graph, turn, values[: ends[1]], values[ends[1] :])
+        assert found is not None
+        return found
+
     def while_loop(self, p: dict, values: list[Value]) -> list[Value]:
         of_condition, of_body = p["cond_nconsts"], p["body_nconsts"]
         condition, body = values[:of_condition], values[of_condition : of_condition + of_body]
@@ -151,6 +188,8 @@ class _Interpreter:
         for _ in range(MOST_ITERATIONS):
             (go,) = self.call(p["cond_jaxpr"], [*condition, *carry])
             going = self.write.truth(go)  # one for each lane of a batch
+            if going is None and self.loops == "any":
+                return self.turns(p, [*condition, *body, *carry])
             if going is None:
                 raise LoweringError("a 'while' loop runs until something the arguments decide; give it a fixed length")
             if not going.any():

@@ -1,10 +1,8 @@
 """A whole log through an observer by compiled C, where it pays."""
 
-import functools
 from collections.abc import Collection
 from typing import Any, Literal
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -12,14 +10,14 @@ import numpy as np
 from covariant.lowering import LoweringError
 from covariant.observers import AbstractObserver, run
 from covariant.runtime._compile import missing
-from covariant.runtime._kernel import Kernel, chooses, kernel, kernel_of, substeps_needed
+from covariant.runtime._kernel import Kernel, kernel
 from covariant.signals import Record, Result, Run
 
 Engine = Literal["auto", "c", "jax"]
 FEWEST_ROWS = 100_000
 """Shortest log for which C is worth its compilation."""
-MOST_COUNTS = 6
-"""Largest count of different numbers of substeps for which C is made."""
+BLOCK = 10_000
+"""Rows whose infos are held at once."""
 
 
 def run_log(
@@ -30,7 +28,7 @@ def run_log(
     - `engine`: "c" uses C for a short log too, and "jax" never.
 
     The results are those of JAX up to rounding. JAX does the work where there is no compiler, and where the observer
-    has no graph of fixed length. Raises `ValueError` from `Record.check`.
+    has no graph. Raises `ValueError` from `Record.check`.
     """
     if engine == "jax":
         return run(observer, record, keep), "jax: as asked"
@@ -50,60 +48,32 @@ def _by_c(observer: Any, record: Record, keep: Collection[str] | None) -> Run:
     t, u, y = (np.ascontiguousarray(a, float) for a in (t, u, y))
     acting = np.concatenate([u[:1], u[:-1]])  # the input that acted since the previous stamp
     dt = np.diff(t, prepend=t[:1])
-    rows, m = len(t), u.shape[1]
-    flat = y.reshape(rows, -1)
-
-    @functools.cache
-    def made(count: int) -> Kernel:
-        return kernel_of(observer, count, y[0], m) if count else kernel(observer, y[0], m)
-
-    needs = _counter(observer, y[0]) if chooses(observer) else lambda state, u, dt: 0
-    count = 1 if chooses(observer) else 0
-    first = made(count)
-    state = first.start(y[0], float(t[0]))
-    _, n_x, n_info = first.sizes
-    x, info = np.empty((rows, n_x)), np.empty((rows, n_info))
-    at, seen = 0, {count}
-    while at < rows:
-        chosen = made(count)
-        arrays = (acting[at:], flat[at:], dt[at:], x[at:], info[at:])
-        done = chosen.library.kernel_run(chosen.pointer(state), rows - at, *map(chosen.pointer, arrays))
-        at += done
-        if at < rows:
-            count = needs(state, acting[at], float(dt[at]))
-            seen.add(count)
-            if len(seen) > MOST_COUNTS:
-                raise LoweringError("the number of substeps changes too often for C")
-    return _as_run(observer, first, t, x, info, keep)
-
-
-def _counter(observer: Any, y: np.ndarray):
-    """The number of substeps for a state in one array."""
-    shapes = jax.eval_shape(lambda y: observer.init(y), jax.ShapeDtypeStruct(y.shape, float))
-    leaves, tree = jax.tree.flatten(shapes)
-    ends = np.cumsum([leaf.size for leaf in leaves])[:-1]
-    count = eqx.filter_jit(substeps_needed)
-
-    def needs(state: np.ndarray, u: np.ndarray, dt: float) -> int:
-        parts = zip(np.split(state, ends), leaves, strict=True)
-        filled = [jnp.asarray(part.reshape(leaf.shape), leaf.dtype) for part, leaf in parts]
-        return int(count(observer, jax.tree.unflatten(tree, filled), jnp.asarray(u), jnp.asarray(dt)))
-
-    return needs
+    rows, flat = len(t), y.reshape(len(t), -1)
+    made = kernel(observer, y[0], u.shape[1])
+    state = made.start(y[0], float(t[0]))
+    _, n_x, n_info = made.sizes
+    paths, _ = jax.tree_util.tree_flatten_with_path(made.program.told_as)
+    names = [path[0].name for path, leaf in paths for _ in range(leaf.size)]
+    kept = np.flatnonzero([keep is None or name in keep for name in names])
+    x, info, block = np.empty((rows, n_x)), np.empty((rows, len(kept))), np.empty((BLOCK, n_info))
+    for at in range(0, rows, BLOCK):
+        part = slice(at, at + BLOCK)
+        count = len(dt[part])
+        arrays = (acting[part], flat[part], dt[part], x[part], block)
+        made.library.kernel_run(made.pointer(state), count, *map(made.pointer, arrays))
+        info[part] = block[:count, kept]
+    return _as_run(observer, made, t, x, info, keep)
 
 
 def _as_run(observer: Any, made: Kernel, t, x: np.ndarray, info: np.ndarray, keep: Collection[str] | None) -> Run:
     """The arrays in the form of a run."""
     measured = jax.ShapeDtypeStruct(made.program.y, float)
-    state = jax.eval_shape(lambda y: observer.init(y), measured)
-    scalar, u = jax.ShapeDtypeStruct((), float), jax.ShapeDtypeStruct((made.program.u,), float)
-    _, kinds = jax.eval_shape(lambda *a: observer.step(*a), state, u, measured, scalar)
-    estimate = _split(x, jax.eval_shape(lambda s: observer.estimate(s), state))
-    told = _split(info, kinds)
-    result = np.asarray(told.result).copy()
-    result[0] = Result.OK if result[0] == Result.REPEATED else result[0]  # the first row is no step
-    dropped = () if keep is None else set(told._fields) - set(keep)
-    return Run(jnp.asarray(t), estimate, told._replace(result=result, **dict.fromkeys(dropped)))
+    estimate = _split(x, jax.eval_shape(lambda y: observer.estimate(observer.init(y)), measured))
+    dropped = () if keep is None else set(made.program.told_as._fields) - set(keep)
+    told = _split(info, made.program.told_as._replace(**dict.fromkeys(dropped)))
+    if told.result is not None and told.result[0] == Result.REPEATED:
+        told.result[0] = Result.OK  # the first row is no step
+    return Run(jnp.asarray(t), estimate, told)
 
 
 def _split(rows: np.ndarray, kinds: Any) -> Any:

@@ -4,12 +4,10 @@ import math
 from collections import Counter
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 
 from covariant.models import Motion
 from covariant.observers import AbstractObserver
-from covariant.runtime._kernel import chooses, substeps_needed, with_substeps
 from covariant.runtime._works import engine
 from covariant.signals import Result
 
@@ -19,6 +17,8 @@ SET_BACK = 5
 """After so many samples in a row with stamps before the last one used, the clock was set back."""
 
 CODES = tuple(Result)
+NOT_FINITE = int(Result.NOT_FINITE)
+DOUBLE = np.dtype(float)
 
 
 class Health(NamedTuple):
@@ -44,8 +44,7 @@ class Stream:
 
     - `observer`: any observer.
     - `y`: a configuration, of which the shape counts.
-    - `rate` [Hz]: the lowest usual sampling rate. An observer that chooses its number of substeps in each sample gets
-      the number for this rate, at rest.
+    - `rate` [Hz]: the usual sampling rate, at which it is tried before the first sample.
     - `inputs`: number of inputs m; by default that of the observer's model.
 
     It is compiled when it is made: in C where a compiler is there, else in JAX; `engine` says which, with the reason.
@@ -63,8 +62,15 @@ class Stream:
         model: Any = getattr(observer, "model", None)
         stated = getattr(model, "inputs", None)
         m = inputs if inputs is not None else 0 if model is None else len(y) if stated is None else stated
-        self.observer: Any = _of_fixed_length(observer, y, m, 1 / rate)
+        self.observer: Any = observer
         self.engine, self._works = engine(self.observer, y, m)
+        self._y, self._u, self._advance, self._copy = (
+            self._works.y,
+            self._works.u,
+            self._works.advance,
+            self._works.x.copy,
+        )
+        self._y_shape, self._u_shape = self._y.shape, self._u.shape
         self._shape = y.shape if y.ndim == 2 else None
         # Compile before the first sample.
         self._works.y[:], self._works.u[:] = y.ravel(), 0.0
@@ -77,17 +83,17 @@ class Stream:
         """What was seen so far."""
         named = {Result(code).name.lower(): count for code, count in enumerate(self._results) if count}
         c = self._counts
-        return Health(self._samples, named, c["late"], c["unstamped"], c["misshapen"], c["restarts"])
+        return Health(sum(self._results), named, c["late"], c["unstamped"], c["misshapen"], c["restarts"])
 
     @property
     def result(self) -> Result:
         """The result of the last sample."""
-        return self._last
+        return CODES[self._last]
 
     def reset(self) -> None:
         """Forget all samples and counts: the next complete measurement starts the estimate."""
         self._started, self._t, self._back = False, math.nan, 0
-        self._samples, self._counts, self._results = 0, Counter[str](), [0] * len(CODES)
+        self._counts, self._results = Counter[str](), [0] * len(CODES)
         self._last = Result.OK
         self._works.x[:] = math.nan
 
@@ -97,34 +103,41 @@ class Stream:
         y and u are numbers, lists or arrays; u None counts as unknown. Returns (q, v) (2n,) as an array of its own, or
         a `Motion` of arrays for a system that is not in coordinates.
         """
-        self._samples += 1
-        self._read(self._works.y, y)
-        self._read(self._works.u, u)
-        try:
-            t = float(t)
-        except (TypeError, ValueError):
-            t = math.nan
+        # The quick way is written out, since a call takes as long as the observer's own work.
+        if type(y) is np.ndarray and y.dtype is DOUBLE and y.shape == self._y_shape:
+            self._y[:] = y
+        else:
+            self._read(self._y, y)
+        if type(u) is np.ndarray and u.dtype is DOUBLE and u.shape == self._u_shape:
+            self._u[:] = u
+        else:
+            self._read(self._u, u)
+        if type(t) is not float:
+            t = _stamp(t)
+        dt = t - self._t
+        if not (self._started and 0.0 <= dt <= LONGEST_GAP):
+            return self._out_of_turn(t, dt)
+        self._t, self._back = t, 0
+        code = self._advance(dt)
+        if code == NOT_FINITE:
+            self._started = False
+            self._counts["restarts"] += 1
+        self._results[code] += 1
+        self._last = code
+        return self._copy() if self._shape is None else self._motion()
+
+    def _out_of_turn(self, t: float, dt: float) -> Any:
+        """What is done with the first sample, one without a stamp, a late one, and one after a gap."""
         if not math.isfinite(t):
             self._counts["unstamped"] += 1
             return self._told(Result.STEP_REFUSED)
-        dt = t - self._t
         if not self._started or self._anew(dt):
             return self._begin(t)
-        if dt < 0:
-            self._counts["late"] += 1
-            return self._told(Result.STEP_REFUSED)
-        self._t = t
-        code = self._works.advance(dt)
-        if code == Result.NOT_FINITE:
-            self._started = False
-            self._counts["restarts"] += 1
-        return self._told(CODES[code])
+        self._counts["late"] += 1
+        return self._told(Result.STEP_REFUSED)
 
     def _anew(self, dt: float) -> bool:
-        """Whether the stamps leave too long a gap, or the clock was set back."""
-        if 0 <= dt <= LONGEST_GAP:
-            self._back = 0
-            return False
+        """Whether the stamps leave too long a gap, or the clock was set back; one of both is so, or the sample late."""
         self._back = self._back + 1 if dt < 0 else 0
         jumped = dt > LONGEST_GAP or self._back >= SET_BACK
         self._counts["restarts"] += jumped
@@ -142,12 +155,11 @@ class Stream:
 
     def _read(self, into: np.ndarray, given: Any) -> None:
         """Numbers as given, or NaN where they are not the right count of numbers."""
-        if type(given) is np.ndarray and given.shape == into.shape and given.dtype == into.dtype:  # the quick way
-            into[:] = given
-            return
         try:
             if given is None:
                 into.fill(math.nan)
+            elif type(given) in (list, tuple) and len(given) == into.size:
+                into[:] = given
             elif np.size(given) == into.size:
                 into[:] = given if np.ndim(given) < 2 else np.ravel(given)
             else:
@@ -156,18 +168,19 @@ class Stream:
             into.fill(math.nan)
             self._counts["misshapen"] += 1
 
-    def _told(self, result: Result) -> Any:
+    def _told(self, result: int) -> Any:
         self._results[result] += 1
         self._last = result
-        x: Any = self._works.x.copy()
-        if self._shape is None:
-            return x
-        return Motion(x[: self._works.y.size].reshape(self._shape), x[self._works.y.size :])
+        return self._copy() if self._shape is None else self._motion()
+
+    def _motion(self) -> Motion:
+        x: Any = self._copy()
+        return Motion(x[: self._y.size].reshape(self._shape), x[self._y.size :])
 
 
-def _of_fixed_length(observer: Any, y: np.ndarray, m: int, dt: float) -> Any:
-    """The observer with the number of substeps that it would choose at rest."""
-    if not chooses(observer):
-        return observer
-    state = observer.init(jnp.asarray(y))
-    return with_substeps(observer, int(substeps_needed(observer, state, jnp.zeros(m), jnp.asarray(dt))))
+def _stamp(t: Any) -> float:
+    """A stamp as a number, NaN where it is none."""
+    try:
+        return float(t)
+    except (TypeError, ValueError):
+        return math.nan

@@ -1,5 +1,6 @@
 """What works behind a stream: compiled C on buffers of its own, or a compiled program of JAX."""
 
+import functools
 from typing import Any
 
 import equinox as eqx
@@ -17,31 +18,22 @@ class InC:
 
     def __init__(self, made: Kernel):
         states, estimates, infos = made.sizes
-        names = [leaf.name for leaf in made.program.info for _ in range(leaf.size)]
-        self.y, self.u = np.zeros(int(np.prod(made.program.y))), np.zeros(made.program.u)
-        self.x, self.info, self.state = (np.zeros(size) for size in (estimates, infos, states))
-        self._result = names.index("result")
+        sizes = (states, made.program.u, int(np.prod(made.program.y)), estimates, infos)
+        self._numbers = np.zeros(sum(sizes))  # one array, so that a call passes one pointer
+        self.state, self.u, self.y, self.x, self.info = np.split(self._numbers, np.cumsum(sizes)[:-1])
         self._made = made  # it keeps the library loaded
-        self._run, self._init = made.library.kernel_run, made.library.kernel_init
-        point = made.pointer
-        self._dt, self._told = made.ffi.new("double[1]"), point(self.info)
-        self._pointers = point(self.state), 1, point(self.u), point(self.y), self._dt, point(self.x), self._told
-        self._starts = self._pointers[3], self._pointers[0]
+        self._starts = made.pointer(self.y), made.pointer(self.state)
+        self.advance = functools.partial(made.library.kernel_step, made.pointer(self._numbers))
+        """One step of dt, in place; returns its result code."""
 
     def start(self, t: float) -> None:
         """Start at y, at the time t."""
         y, state = self._starts
-        self._init(y, t, state)
+        self._made.library.kernel_init(y, t, state)
         before = self.u.copy()
         self.u.fill(0.0)
         self.advance(0.0)  # a step of no length leaves the state as it is, and tells its estimate
         self.u[:] = before
-
-    def advance(self, dt: float) -> int:
-        """One step, in place; returns its result code."""
-        self._dt[0] = dt
-        self._run(*self._pointers)
-        return int(self._told[self._result])
 
 
 class InJax:
@@ -79,7 +71,7 @@ def _flat(x: Any) -> Any:
 
 
 def engine(observer: Any, y: np.ndarray, inputs: int) -> tuple[str, InC | InJax]:
-    """The name of the engine, with the reason where it is not C, and the engine for an observer of fixed length."""
+    """The name of the engine, with the reason where it is not C, and the engine for an observer."""
     why = missing()
     if why is None:
         try:

@@ -1,0 +1,176 @@
+"""C of the functions of FMI 2.0 for co-simulation, around an instance of `_fmu_c`."""
+
+FUNCTIONS = """/* References of real variables are places in the numbers; the whole number 0 is the outcome. */
+
+EXPORT const char *fmi2GetVersion(void)
+{
+    return "2.0";
+}
+
+EXPORT const char *fmi2GetTypesPlatform(void)
+{
+    return "default";
+}
+
+EXPORT void *fmi2Instantiate(const char *name, int type, const char *token, const char *resources,
+    const void *functions, int visible, int logging)
+{
+    (void)name, (void)resources, (void)functions, (void)visible, (void)logging;
+    return type == 1 ? instance(token) : NULL; /* 1 is co-simulation */
+}
+
+EXPORT void fmi2FreeInstance(void *m)
+{
+    free(m);
+}
+
+EXPORT int fmi2SetDebugLogging(void *m, int on, size_t categories, const char *const *names)
+{
+    (void)on, (void)categories, (void)names;
+    return m != NULL ? OK : ERROR;
+}
+
+EXPORT int fmi2SetupExperiment(void *m, int defined, double tolerance, double start, int stops, double stop)
+{
+    (void)defined, (void)tolerance, (void)stops, (void)stop;
+    if (m == NULL)
+        return ERROR;
+    ((memory *)m)->now = start;
+    return OK;
+}
+
+EXPORT int fmi2EnterInitializationMode(void *m)
+{
+    return m != NULL ? OK : ERROR;
+}
+
+EXPORT int fmi2ExitInitializationMode(void *m)
+{
+    if (m == NULL)
+        return ERROR;
+    begin(m, ((memory *)m)->now);
+    return OK;
+}
+
+EXPORT int fmi2Terminate(void *m)
+{
+    return m != NULL ? OK : ERROR;
+}
+
+EXPORT int fmi2Reset(void *m)
+{
+    if (m == NULL)
+        return ERROR;
+    forget(m);
+    return OK;
+}
+
+EXPORT int fmi2GetReal(void *m, const uint32_t *references, size_t n, double *values)
+{
+    size_t i;
+    for (i = 0; m != NULL && i < n; ++i) {
+        if (references[i] >= NUMBERS)
+            return ERROR;
+        values[i] = ((const memory *)m)->numbers[references[i]];
+    }
+    return m != NULL ? OK : ERROR;
+}
+
+EXPORT int fmi2SetReal(void *m, const uint32_t *references, size_t n, const double *values)
+{
+    size_t i;
+    for (i = 0; m != NULL && i < n; ++i) {
+        if (references[i] >= OUTPUTS)
+            return ERROR;
+        ((memory *)m)->numbers[references[i]] = values[i];
+    }
+    return m != NULL ? OK : ERROR;
+}
+
+EXPORT int fmi2GetInteger(void *m, const uint32_t *references, size_t n, int *values)
+{
+    size_t i;
+    for (i = 0; m != NULL && i < n; ++i) {
+        if (references[i] != 0)
+            return ERROR;
+        values[i] = ((const memory *)m)->outcome;
+    }
+    return m != NULL ? OK : ERROR;
+}
+
+EXPORT int fmi2GetFMUstate(void *m, void **state)
+{
+    if (m == NULL || state == NULL)
+        return ERROR;
+    *state = snapshot(m, *state);
+    return *state != NULL ? OK : ERROR;
+}
+
+EXPORT int fmi2SetFMUstate(void *m, void *state)
+{
+    return m != NULL && state != NULL && snapshot(state, m) != NULL ? OK : ERROR;
+}
+
+EXPORT int fmi2FreeFMUstate(void *m, void **state)
+{
+    (void)m;
+    if (state == NULL)
+        return OK;
+    free(*state);
+    *state = NULL;
+    return OK;
+}
+
+EXPORT int fmi2SerializedFMUstateSize(void *m, void *state, size_t *size)
+{
+    (void)m, (void)state;
+    *size = sizeof(memory);
+    return OK;
+}
+
+EXPORT int fmi2SerializeFMUstate(void *m, void *state, char *bytes, size_t size)
+{
+    (void)m;
+    if (state == NULL || size != sizeof(memory))
+        return ERROR;
+    memcpy(bytes, state, size);
+    return OK;
+}
+
+EXPORT int fmi2DeSerializeFMUstate(void *m, const char *bytes, size_t size, void **state)
+{
+    (void)m;
+    if (size != sizeof(memory) || state == NULL || (*state == NULL && (*state = malloc(size)) == NULL))
+        return ERROR;
+    memcpy(*state, bytes, size);
+    return OK;
+}
+
+EXPORT int fmi2DoStep(void *m, double t, double h, int forward)
+{
+    (void)forward;
+    if (m == NULL || !(h >= 0))
+        return ERROR;
+    advance(m, t, h);
+    return OK;
+}
+
+"""
+
+REFUSED = [
+    "SetInteger void *,const uint32_t *,size_t,const int *",
+    "GetBoolean void *,const uint32_t *,size_t,int *",
+    "SetBoolean void *,const uint32_t *,size_t,const int *",
+    "GetString void *,const uint32_t *,size_t,const char **",
+    "SetString void *,const uint32_t *,size_t,const char *const *",
+    "GetDirectionalDerivative void *,const uint32_t *,size_t,const uint32_t *,size_t,const double *,double *",
+    "SetRealInputDerivatives void *,const uint32_t *,size_t,const int *,const double *",
+    "GetRealOutputDerivatives void *,const uint32_t *,size_t,const int *,double *",
+    "CancelStep",
+    "GetStatus void *,int,int *",
+    "GetRealStatus void *,int,double *",
+    "GetIntegerStatus void *,int,int *",
+    "GetBooleanStatus void *,int,int *",
+    "GetStringStatus void *,int,const char **",
+]
+"""Functions of FMI 2.0 that a unit must offer and this one refuses, with the types of their parameters."""

@@ -1,0 +1,222 @@
+"""C of the functions of FMI 3.0 for co-simulation, around an instance of `_fmu_c`."""
+
+FUNCTIONS = """/* References: 0 is time, 1 the outcome; those of arrays of numbers follow. */
+#define VARIABLES @VARIABLES@
+static const size_t first[VARIABLES] = {@FIRSTS@}, count[VARIABLES] = {@SIZES@};
+
+EXPORT const char *fmi3GetVersion(void)
+{
+    return "3.0";
+}
+
+EXPORT void *fmi3InstantiateCoSimulation(const char *name, const char *token, const char *resources, bool visible,
+    bool logging, bool events, bool early, const uint32_t *intermediate, size_t intermediates, void *environment,
+    void (*log)(void *, int, const char *, const char *), void (*update)(void))
+{
+    (void)name, (void)resources, (void)visible, (void)logging, (void)events, (void)early, (void)intermediate;
+    (void)intermediates, (void)environment, (void)log, (void)update;
+    return instance(token);
+}
+
+EXPORT void fmi3FreeInstance(void *m)
+{
+    free(m);
+}
+
+EXPORT int fmi3SetDebugLogging(void *m, bool on, size_t categories, const char *const *names)
+{
+    (void)on, (void)categories, (void)names;
+    return m != NULL ? OK : ERROR;
+}
+
+EXPORT int fmi3EnterInitializationMode(void *m, bool defined, double tolerance, double start, bool stops, double stop)
+{
+    (void)defined, (void)tolerance, (void)stops, (void)stop;
+    if (m == NULL)
+        return ERROR;
+    ((memory *)m)->now = start;
+    return OK;
+}
+
+EXPORT int fmi3ExitInitializationMode(void *m)
+{
+    if (m == NULL)
+        return ERROR;
+    begin(m, ((memory *)m)->now);
+    return OK;
+}
+
+EXPORT int fmi3Terminate(void *m)
+{
+    return m != NULL ? OK : ERROR;
+}
+
+EXPORT int fmi3Reset(void *m)
+{
+    if (m == NULL)
+        return ERROR;
+    forget(m);
+    return OK;
+}
+
+static bool known(uint32_t reference)
+{
+    return reference >= 2 && reference < VARIABLES + 2;
+}
+
+EXPORT int fmi3GetFloat64(void *instance, const uint32_t *references, size_t n, double *values, size_t size)
+{
+    const memory *m = instance;
+    size_t i, k, at = 0;
+    for (i = 0; m != NULL && i < n; ++i) {
+        const uint32_t r = references[i];
+        if ((r != 0 && !known(r)) || at + (r == 0 ? 1 : count[r - 2]) > size)
+            return ERROR;
+        for (k = 0; k < (r == 0 ? 1 : count[r - 2]); ++k)
+            values[at++] = r == 0 ? m->now : m->numbers[first[r - 2] + k];
+    }
+    return m != NULL && at == size ? OK : ERROR;
+}
+
+EXPORT int fmi3SetFloat64(void *instance, const uint32_t *references, size_t n, const double *values, size_t size)
+{
+    memory *m = instance;
+    size_t i, k, at = 0;
+    for (i = 0; m != NULL && i < n; ++i) {
+        const uint32_t r = references[i];
+        if (!known(r) || first[r - 2] >= OUTPUTS || at + count[r - 2] > size)
+            return ERROR;
+        for (k = 0; k < count[r - 2]; ++k)
+            m->numbers[first[r - 2] + k] = values[at++];
+    }
+    return m != NULL && at == size ? OK : ERROR;
+}
+
+EXPORT int fmi3GetInt32(void *instance, const uint32_t *references, size_t n, int32_t *values, size_t size)
+{
+    size_t i;
+    if (instance == NULL || size != n)
+        return ERROR;
+    for (i = 0; i < n; ++i) {
+        if (references[i] != 1)
+            return ERROR;
+        values[i] = ((const memory *)instance)->outcome;
+    }
+    return OK;
+}
+
+EXPORT int fmi3GetFMUState(void *m, void **state)
+{
+    if (m == NULL || state == NULL)
+        return ERROR;
+    *state = snapshot(m, *state);
+    return *state != NULL ? OK : ERROR;
+}
+
+EXPORT int fmi3SetFMUState(void *m, void *state)
+{
+    return m != NULL && state != NULL && snapshot(state, m) != NULL ? OK : ERROR;
+}
+
+EXPORT int fmi3FreeFMUState(void *m, void **state)
+{
+    (void)m;
+    if (state == NULL)
+        return OK;
+    free(*state);
+    *state = NULL;
+    return OK;
+}
+
+EXPORT int fmi3SerializedFMUStateSize(void *m, void *state, size_t *size)
+{
+    (void)m, (void)state;
+    *size = sizeof(memory);
+    return OK;
+}
+
+EXPORT int fmi3SerializeFMUState(void *m, void *state, uint8_t *bytes, size_t size)
+{
+    (void)m;
+    if (state == NULL || size != sizeof(memory))
+        return ERROR;
+    memcpy(bytes, state, size);
+    return OK;
+}
+
+EXPORT int fmi3DeserializeFMUState(void *m, const uint8_t *bytes, size_t size, void **state)
+{
+    (void)m;
+    if (size != sizeof(memory) || state == NULL || (*state == NULL && (*state = malloc(size)) == NULL))
+        return ERROR;
+    memcpy(*state, bytes, size);
+    return OK;
+}
+
+EXPORT int fmi3EnterStepMode(void *m)
+{
+    return m != NULL ? OK : ERROR;
+}
+
+EXPORT int fmi3DoStep(void *m, double t, double h, bool forward, bool *events, bool *terminate, bool *early,
+    double *reached)
+{
+    (void)forward;
+    if (m == NULL || !(h >= 0))
+        return ERROR;
+    advance(m, t, h);
+    *events = *terminate = *early = false;
+    *reached = t + h;
+    return OK;
+}
+
+"""
+
+_VALUES = [
+    *("Float32 float", "Int8 int8_t", "UInt8 uint8_t", "Int16 int16_t", "UInt16 uint16_t", "UInt32 uint32_t"),
+    *("Int64 int64_t", "UInt64 uint64_t", "Boolean bool", "String char *"),
+]
+REFUSED = [
+    "InstantiateModelExchange const char *,const char *,const char *,bool,bool,void *,void *",
+    "InstantiateScheduledExecution const char *,const char *,const char *,bool,bool,void *,void *,void *,void *,void *",
+    *(f"Get{v.split()[0]} void *,const uint32_t *,size_t,const {v.partition(' ')[2]} *,size_t" for v in _VALUES),
+    *(f"Set{v.split()[0]} void *,const uint32_t *,size_t,const {v.partition(' ')[2]} *,size_t" for v in _VALUES),
+    "SetInt32 void *,const uint32_t *,size_t,const int32_t *,size_t",
+    "GetBinary void *,const uint32_t *,size_t,size_t *,const uint8_t **,size_t",
+    "SetBinary void *,const uint32_t *,size_t,const size_t *,const uint8_t *const *,size_t",
+    "GetClock void *,const uint32_t *,size_t,bool *",
+    "SetClock void *,const uint32_t *,size_t,const bool *",
+    "GetNumberOfVariableDependencies void *,uint32_t,size_t *",
+    "GetVariableDependencies void *,uint32_t,size_t *,uint32_t *,size_t *,int *,size_t",
+    *(
+        f"Get{which}Derivative void *,const uint32_t *,size_t,const uint32_t *,size_t,const double *,size_t,"
+        "double *,size_t"
+        for which in ("Directional", "Adjoint")
+    ),
+    "EnterConfigurationMode",
+    "ExitConfigurationMode",
+    "EnterEventMode",
+    "GetIntervalDecimal void *,const uint32_t *,size_t,double *,int *",
+    "GetIntervalFraction void *,const uint32_t *,size_t,uint64_t *,uint64_t *,int *",
+    "GetShiftDecimal void *,const uint32_t *,size_t,double *",
+    "GetShiftFraction void *,const uint32_t *,size_t,uint64_t *,uint64_t *",
+    "SetIntervalDecimal void *,const uint32_t *,size_t,const double *",
+    "SetIntervalFraction void *,const uint32_t *,size_t,const uint64_t *,const uint64_t *",
+    "SetShiftDecimal void *,const uint32_t *,size_t,const double *",
+    "SetShiftFraction void *,const uint32_t *,size_t,const uint64_t *,const uint64_t *",
+    "EvaluateDiscreteStates",
+    "UpdateDiscreteStates void *,bool *,bool *,bool *,bool *,bool *,double *",
+    "GetOutputDerivatives void *,const uint32_t *,size_t,const int32_t *,double *,size_t",
+    "EnterContinuousTimeMode",
+    "CompletedIntegratorStep void *,bool,bool *,bool *",
+    "SetTime void *,double",
+    "SetContinuousStates void *,const double *,size_t",
+    "GetContinuousStateDerivatives void *,double *,size_t",
+    "GetEventIndicators void *,double *,size_t",
+    "GetContinuousStates void *,double *,size_t",
+    "GetNominalsOfContinuousStates void *,double *,size_t",
+    "GetNumberOfEventIndicators void *,size_t *",
+    "GetNumberOfContinuousStates void *,size_t *",
+    "ActivateModelPartition void *,uint32_t,double",
+]
+"""Functions of FMI 3.0 that a unit must offer and this one refuses, with the types of their parameters."""

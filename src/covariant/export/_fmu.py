@@ -1,0 +1,227 @@
+"""An observer as a functional mock-up unit (FMU) for co-simulation, in FMI 3.0 or 2.0: description, sources, binary.
+
+The measurement that a step from t to t + h gets is of the time t, as simulators set inputs: it corrects the estimate
+there. The outputs are the estimate predicted to t + h.
+
+Source: Modelica Association 2022, Functional Mock-up Interface Specification 3.0, and 2.0.4 of the same year.
+"""
+
+import hashlib
+import io
+import platform
+import shutil
+import subprocess
+import tempfile
+import uuid
+import zipfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Literal, NamedTuple
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+
+from covariant._files import write_atomically
+from covariant.export._fmu_c import unit_source
+from covariant.export._program import Program
+from covariant.export._source import write_source
+
+Version = Literal["3.0", "2.0"]
+FLAGS = ("-std=c99", "-O2", "-fPIC", "-shared", "-fvisibility=hidden")
+PLACES = {
+    ("3.0", "Linux", "x86_64"): "x86_64-linux",
+    ("3.0", "Linux", "aarch64"): "aarch64-linux",
+    ("3.0", "Darwin", "x86_64"): "x86_64-darwin",
+    ("3.0", "Darwin", "arm64"): "aarch64-darwin",
+    ("2.0", "Linux", "x86_64"): "linux64",
+    ("2.0", "Darwin", "x86_64"): "darwin64",
+}
+"""Folders of binaries, by version, system and machine."""
+BEGINNING = (1980, 1, 1, 0, 0, 0)
+"""The date of all files, so that equal units are equal files."""
+
+
+class Variable(NamedTuple):
+    """A variable of a unit: its name, what it is for, its shape, and its first values where it has some."""
+
+    name: str
+    causality: str
+    shape: tuple[int, ...]
+    start: tuple[float, ...] = ()
+    about: str = ""
+
+    @property
+    def size(self) -> int:
+        """Number of entries."""
+        return int(np.prod(self.shape, dtype=int))
+
+
+class Unit(NamedTuple):
+    """The files of a unit by their path, and why there is no binary among them, where there is none."""
+
+    files: dict[str, bytes]
+    without_binary: str
+
+
+def fmu(program: Program, name: str, about: str, rate: float, y: np.ndarray, version: Version = "3.0") -> Unit:
+    """An observer as a unit, whose inputs are the measurement `y` and the input `u`, and whose parameters are tunable.
+
+    - `name`: what all names in C begin with; `about`: a line that says what the observer is.
+    - `rate` [Hz]: the rate that the unit suggests; any other will do.
+    - `y`: the measurement it starts from where none is given.
+    - `version`: of FMI. 3.0 has arrays; in 2.0 each entry is a variable of its own, such as `y[1]`.
+
+    The binary is made by the C compiler `cc` for the machine at hand. Raises `ValueError` where the name is none in C,
+    and `OSError` where the compiler refuses the sources.
+    """
+    about = " ".join(about.replace("*/", "").split())
+    source = write_source(program, name, about)
+    variables = list(_variables(program, y))
+    sizes, starts = [v.size for v in variables], [value for v in variables for value in v.start]
+    token = "@TOKEN@"
+    drafts = {
+        f"sources/{name}.h": source.header,
+        f"sources/{name}.c": source.source,
+        f"sources/{name}_fmu.c": unit_source(program, name, version, token, sizes, starts),
+        "modelDescription.xml": _describe(name, about, rate, variables, version, token),
+    }
+    if version == "3.0":
+        drafts["sources/buildDescription.xml"] = _BUILD.replace("@NAME@", name)
+    found = uuid.uuid5(uuid.NAMESPACE_OID, hashlib.sha256("".join(drafts.values()).encode()).hexdigest())
+    files = {path: text.replace(token, f"{{{found}}}").encode() for path, text in drafts.items()}
+    place = PLACES.get((version, platform.system(), platform.machine()))
+    if place is None:
+        return Unit(files, f"FMI {version} names no binary of {platform.system()} on {platform.machine()}")
+    if shutil.which("cc") is None:
+        return Unit(files, "there is no C compiler `cc`")
+    suffix = "dylib" if platform.system() == "Darwin" else "so"
+    return Unit(files | {f"binaries/{place}/{name}.{suffix}": _compiled(files, name)}, "")
+
+
+def write_fmu(unit: Unit, path: Path, overwrite: bool = False) -> None:
+    """Write a unit as a file `path`, whole or not at all.
+
+    Raises `ValueError` for a file that is there, unless `overwrite` is set, and for a folder that is not.
+    """
+    if path.is_dir() or (path.exists() and not overwrite):
+        raise ValueError(f"{path}: there is one already; name a new one, or replace a file by --overwrite")
+    if not path.resolve().parent.is_dir():
+        raise ValueError(f"{path}: there is no folder {path.resolve().parent}; make it first")
+    held = io.BytesIO()
+    with zipfile.ZipFile(held, "w", zipfile.ZIP_DEFLATED) as packed:
+        for name, content in unit.files.items():
+            entry = zipfile.ZipInfo(name, BEGINNING)
+            entry.compress_type, entry.external_attr = zipfile.ZIP_DEFLATED, 0o644 << 16
+            packed.writestr(entry, content)
+    write_atomically(path, lambda file: file.write(held.getvalue()))
+
+
+def _compiled(files: dict[str, bytes], name: str) -> bytes:
+    with tempfile.TemporaryDirectory() as folder:
+        for path, content in files.items():
+            (Path(folder) / path).parent.mkdir(exist_ok=True)
+            (Path(folder) / path).write_bytes(content)
+        sources = [f"sources/{name}.c", f"sources/{name}_fmu.c"]
+        command = ["cc", *FLAGS, *sources, "-lm", "-o", "made"]
+        done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+        if done.returncode:
+            raise OSError(f"cc does not compile the unit: {done.stderr.strip()[:200]}")
+        return (Path(folder) / "made").read_bytes()
+
+
+def _variables(program: Program, y: np.ndarray) -> Iterator[Variable]:
+    """The variables in the order of their numbers in C."""
+    yield Variable("y", "input", program.y, tuple(np.ravel(y).tolist()), "measured configuration; NaN where missing")
+    if program.u:
+        yield Variable("u", "input", (program.u,), (0.0,) * program.u, "input of the model, held over a step")
+    for key, value in program.numbers.items():
+        yield Variable(f"parameters.{key}", "parameter", np.shape(value), tuple(np.ravel(value).tolist()))
+    for leaf in (*program.x, *program.told):
+        if leaf.size:
+            yield Variable(leaf.name, "output", leaf.shape)
+
+
+def _describe(name: str, about: str, rate: float, variables: list[Variable], version: Version, token: str) -> str:
+    """The description of the model as XML."""
+    body = _variables_3(variables) if version == "3.0" else _variables_2(variables)
+    token_name = "instantiationToken" if version == "3.0" else "guid"
+    state = "FMUState" if version == "3.0" else "FMUstate"
+    files = ""
+    if version == "2.0":
+        listed = "".join(f'<File name="{file}"/>' for file in (f"{name}.c", f"{name}_fmu.c"))
+        files = f"<SourceFiles>{listed}</SourceFiles>"
+    return (
+        '<?xml version="1.0" encoding="UTF-8"?>\n'
+        f'<fmiModelDescription fmiVersion="{version}" modelName="{name}" {token_name}="{token}"'
+        f' description={quoteattr(about)} generationTool="covariant" variableNamingConvention="structured">\n'
+        f'  <CoSimulation modelIdentifier="{name}" canHandleVariableCommunicationStepSize="true"'
+        f' canGetAndSet{state}="true" canSerialize{state}="true"{f">{files}</CoSimulation>" if files else "/>"}\n'
+        f'  <DefaultExperiment startTime="0" stepSize="{1 / rate!r}"/>\n'
+        f"{body}</fmiModelDescription>\n"
+    )
+
+
+def _variability(variable: Variable) -> str:
+    return "tunable" if variable.causality == "parameter" else "continuous"
+
+
+def _told(value: float) -> str:
+    return "NaN" if np.isnan(value) else repr(float(value))
+
+
+def _variables_3(variables: list[Variable]) -> str:
+    lines = ['    <Float64 name="time" valueReference="0" causality="independent" variability="continuous"/>']
+    lines.append('    <Int32 name="outcome" valueReference="1" causality="output" variability="discrete"/>')
+    for reference, v in enumerate(variables, start=2):
+        sides = "".join(f'<Dimension start="{side}"/>' for side in v.shape)
+        start = f' start="{" ".join(map(_told, v.start))}"' if v.start else ""
+        about = f" description={quoteattr(v.about)}" if v.about else ""
+        head = f'    <Float64 name="{v.name}" valueReference="{reference}"{about} causality="{v.causality}"'
+        lines.append(f'{head} variability="{_variability(v)}"{start}' + (f">{sides}</Float64>" if sides else "/>"))
+    outputs = [1, *(k for k, v in enumerate(variables, start=2) if v.causality == "output")]
+    ends = [f'    <{tag} valueReference="{k}"/>' for tag in ("Output", "InitialUnknown") for k in outputs]
+    return "\n".join(
+        ["  <ModelVariables>", *lines, "  </ModelVariables>", "  <ModelStructure>", *ends, "  </ModelStructure>", ""]
+    )
+
+
+def _variables_2(variables: list[Variable]) -> str:
+    lines, outputs, reference = [], [], 0
+    for v in variables:
+        for k in range(v.size):
+            place = f"[{','.join(str(i + 1) for i in np.unravel_index(k, v.shape))}]" if v.shape else ""
+            start = f' start="{_told(v.start[k])}"' if v.start else ""
+            about = f" description={quoteattr(v.about)}" if v.about else ""
+            lines.append(
+                f'    <ScalarVariable name="{v.name}{place}" valueReference="{reference}"{about}'
+                f' causality="{v.causality}" variability="{_variability(v)}"><Real{start}/></ScalarVariable>'
+            )
+            reference += 1
+            if v.causality == "output":
+                outputs.append(len(lines))
+    lines.append(
+        '    <ScalarVariable name="outcome" valueReference="0" causality="output" variability="discrete">'
+        "<Integer/></ScalarVariable>"
+    )
+    outputs.append(len(lines))
+    unknowns = "".join(f'<Unknown index="{k}"/>' for k in outputs)
+    return "\n".join(
+        [
+            *("  <ModelVariables>", *lines, "  </ModelVariables>", "  <ModelStructure>"),
+            f"    <Outputs>{unknowns}</Outputs>",
+            f"    <InitialUnknowns>{unknowns}</InitialUnknowns>",
+            *("  </ModelStructure>", ""),
+        ]
+    )
+
+
+_BUILD = """<?xml version="1.0" encoding="UTF-8"?>
+<fmiBuildDescription fmiVersion="3.0">
+  <BuildConfiguration modelIdentifier="@NAME@">
+    <SourceFileSet language="C99">
+      <SourceFile name="@NAME@.c"/>
+      <SourceFile name="@NAME@_fmu.c"/>
+    </SourceFileSet>
+  </BuildConfiguration>
+</fmiBuildDescription>
+"""
