@@ -91,7 +91,7 @@ def _together(loaded: Loaded, delay: np.ndarray) -> Loaded:
     y = scoring.unwrap(np.asarray(log.record.y), loaded.model.circles)
     record = read_together(log.record._replace(y=y), np.broadcast_to(delay, y.shape[1]))
     t = np.asarray(record.t)
-    slopes = scoring.zero_phase_velocity(t, record.y, t, file.reference_half, int(file.reference_order))
+    slopes = scoring.zero_phase_velocity(t, np.asarray(record.y), t, file.reference_half, int(file.reference_order))
     reference = ReferenceVelocity(slopes, "zero-phase reference", scoring.scored_window(t))
     return loaded._replace(log=log._replace(record=record, v=None, truth=None), reference=reference)
 

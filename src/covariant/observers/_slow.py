@@ -217,7 +217,7 @@ def _relative(positive: tuple[bool, ...]) -> Callable[..., Array]:
 
     def numbers(z, first):
         size = jnp.where(first == 0, 1.0, jnp.abs(first)).astype(first.dtype)
-        return jnp.where(logarithmic, first * jnp.exp(jnp.where(logarithmic, z, 0.0)), first + size * z)
+        return jnp.where(logarithmic, first * jnp.exp(jnp.asarray(jnp.where(logarithmic, z, 0.0))), first + size * z)
 
     return numbers
 
