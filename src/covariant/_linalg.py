@@ -6,7 +6,6 @@ dozen joints needs are unrolled here over array slices: static shapes, no pivoti
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from covariant._typing import Matrix, Vector
@@ -19,10 +18,7 @@ def ldl(a: Matrix) -> tuple[list[Array], Vector]:
         column = rest[:, 0] / rest[0, 0]
         columns.append(column)
         pivots.append(rest[0, 0])
-        change = jnp.outer(column[1:], rest[0, 1:])
-        if change.shape[0] > 1:  # symmetric to the last bit: when lowered, half the work
-            change = jnp.where(np.triu(np.ones(change.shape, bool)), change, change.T)
-        rest = rest[1:, 1:] - change
+        rest = rest[1:, 1:] - jnp.outer(column[1:], rest[0, 1:])
     return columns, jnp.stack(pivots)
 
 
