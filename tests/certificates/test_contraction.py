@@ -161,9 +161,6 @@ def test_gains_that_are_no_numbers_are_refused_in_one_line():
     spoiled = eqx.tree_at(lambda o: o.alpha, Intrinsic(models.ball_and_beam(), ALPHA, BETA), np.nan)
     with pytest.raises(ValueError, match=r"^certify: alpha of the observer must be a finite number; got nan$"):
         certify(spoiled, velocity=1.0, error=0.01, position=(-0.1, 0.1))
-    fine = Intrinsic(models.ball_and_beam(), ALPHA, BETA)
-    with pytest.raises(ValueError, match="a tuple of input is a pair, least and largest; got 3 entries"):
-        certify(fine, velocity=1.0, error=0.01, position=(-0.1, 0.1), input=(1.0, 2.0, 3.0))
 
 
 @settings(deadline=None, max_examples=30)
