@@ -379,7 +379,12 @@ NAMED = {
     "parameter in words": (parameters(mass="1.0"), "recipe: parameter mass of ball_and_beam must be float"),
     "parameter in a list": (parameters(mass=[1.0]), "recipe: parameter mass of ball_and_beam must be float"),
     "parameter null": (parameters(mass=None), r"recipe\.parameters\.mass must be a finite number"),
-    "parameter an object": (parameters(mass={"value": 1}), r"recipe\.parameters\.mass must be a finite number"),
+    "parameter an object": (parameters(mass={"value": 1}), "recipe: parameter mass of ball_and_beam must be float"),
+    "words in an object": (parameters(mass={"a": "1"}), r"recipe\.parameters\.mass\.a must be a finite number"),
+    "an object in an object": (
+        parameters(mass={"a": {"b": 1}}),
+        r"recipe\.parameters\.mass\.a must be a finite number",
+    ),
     "truth in a parameter's list": (parameters(mass=[True]), r"recipe\.parameters\.mass\[0\] must be a finite number"),
     "too many parameters": (
         put("recipe", "parameters", {f"a{k}": 1 for k in range(65)}),

@@ -31,7 +31,7 @@ def test_predicted_errors_solve_the_lyapunov_equation(alpha, beta):
 
 
 def test_predicted_errors_of_a_sampled_observer_are_those_of_its_runs():
-    """A mass pushed by random forces, seen by the observer itself; for fast samples those of the differential law."""
+    """A mass that random forces push, seen by the observer; and fast samples as in the differential law."""
     alpha, beta, rate, std, density = 8.0, 25.0, 5.0, 0.1, 0.02
     rng, count, dt = np.random.default_rng(0), 4000, 1 / rate
     spread = density * np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])

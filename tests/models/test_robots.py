@@ -327,7 +327,7 @@ def test_shipped_robots_are_found_by_their_names_and_say_where_their_numbers_are
     assert robots.load("quadruped").space.floating
 
 
-@pytest.mark.parametrize(("name", "lock", "most"), [("panda", {}, 6500), ("quadruped", {"floating_base": 0.0}, 5750)])
+@pytest.mark.parametrize(("name", "lock", "most"), [("panda", {}, 6500), ("quadruped", {"floating_base": 0.0}, 11_500)])
 def test_operations_of_an_observer_of_a_robot(name, lock, most):
     """What a microcontroller computes at every instant: everything but constants and inputs."""
     model = robots.load(name, lock=lock)

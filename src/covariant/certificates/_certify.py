@@ -240,11 +240,6 @@ def _elements(model: MechanicalSystem, position: Bounds | None) -> Box:
 def _inputs(model, given, n: int) -> Float[np.ndarray, "2 m"]:
     m = input_count(model, n)
     sides = given if isinstance(given, tuple) else (-np.asarray(given, float), np.asarray(given, float))
-    if len(sides) != 2:
-        raise ValueError(
-            f"certify: a tuple of input is a pair, least and largest; got {len(sides)} entries: bounds of each input "
-            "are a list or an array"
-        )
     try:
         found = np.stack([np.broadcast_to(np.asarray(side, float), (m,)) for side in sides])
     except ValueError:

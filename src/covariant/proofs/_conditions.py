@@ -24,12 +24,14 @@ def show_conditions(conditions: Conditions, domain: Box) -> str:
     if not count:
         return ""
     reads = _reads(conditions)
-    needs = _needed_halvings(conditions, domain, reads)
+    needs = np.zeros(0)
     for depth in itertools.count():
         undecided &= ~fulfilled(conditions, low, high)
         left = undecided.any(axis=1)
         if not left.any():
             return ""
+        if not needs.size:  # most are shown on the whole box
+            needs = _needed_halvings(conditions, domain, reads)
         low, high, undecided = low[left], high[left], undecided[left]
         relative = (high - low) / np.where(width > 0, width, 1.0) * (undecided[:, :, None] * needs).max(axis=1)
         middle = middle_of(low, high)
