@@ -242,8 +242,9 @@ def test_a_loop_whose_length_the_arguments_decide_is_one_of_c(tmp_path):
 
         def turn(carry):
             k, value, total, still = carry
-            inner = jax.lax.fori_loop(0, k, lambda i, s: s + jnp.sin(value * i) * x[1], 0.0)
-            return k + 1, value * 0.6, total + inner, still
+            both = (0.0, value)
+            inner, more = jax.lax.fori_loop(0, k, lambda i, s: (s[0] + jnp.sin(value * i) * x[1], s[1] * 0.5), both)
+            return k + 1, value * 0.6, total + inner - more, still
 
         k, _, total, still = jax.lax.while_loop(lambda c: c[1] > x[2], turn, (0, x[0], x[1], jnp.array([3.0, 0.0])))
         return jnp.array([1.0 * k, total, *still, jnp.tanh(total) + x[2]])

@@ -41,7 +41,7 @@ BEGINNING = (1980, 1, 1, 0, 0, 0)
 """The date of all files, so that equal units are equal files."""
 
 
-class Variable(NamedTuple):
+class UnitVariable(NamedTuple):
     """A variable of a unit: its name, what it is for, its shape, and its first values where it has some."""
 
     name: str
@@ -129,19 +129,21 @@ def _compiled(files: dict[str, bytes], name: str) -> bytes:
         return (Path(folder) / "made").read_bytes()
 
 
-def _variables(program: Program, y: np.ndarray) -> Iterator[Variable]:
+def _variables(program: Program, y: np.ndarray) -> Iterator[UnitVariable]:
     """The variables in the order of their numbers in C."""
-    yield Variable("y", "input", program.y, tuple(np.ravel(y).tolist()), "measured configuration; NaN where missing")
+    yield UnitVariable(
+        "y", "input", program.y, tuple(np.ravel(y).tolist()), "measured configuration; NaN where missing"
+    )
     if program.u:
-        yield Variable("u", "input", (program.u,), (0.0,) * program.u, "input of the model, held over a step")
+        yield UnitVariable("u", "input", (program.u,), (0.0,) * program.u, "input of the model, held over a step")
     for key, value in program.numbers.items():
-        yield Variable(f"parameters.{key}", "parameter", np.shape(value), tuple(np.ravel(value).tolist()))
+        yield UnitVariable(f"parameters.{key}", "parameter", np.shape(value), tuple(np.ravel(value).tolist()))
     for leaf in (*program.x, *program.told):
         if leaf.size:
-            yield Variable(leaf.name, "output", leaf.shape)
+            yield UnitVariable(leaf.name, "output", leaf.shape)
 
 
-def _describe(name: str, about: str, rate: float, variables: list[Variable], version: Version, token: str) -> str:
+def _describe(name: str, about: str, rate: float, variables: list[UnitVariable], version: Version, token: str) -> str:
     """The description of the model as XML."""
     body = _variables_3(variables) if version == "3.0" else _variables_2(variables)
     token_name = "instantiationToken" if version == "3.0" else "guid"
@@ -161,7 +163,7 @@ def _describe(name: str, about: str, rate: float, variables: list[Variable], ver
     )
 
 
-def _variability(variable: Variable) -> str:
+def _variability(variable: UnitVariable) -> str:
     return "tunable" if variable.causality == "parameter" else "continuous"
 
 
@@ -169,7 +171,7 @@ def _told(value: float) -> str:
     return "NaN" if np.isnan(value) else repr(float(value))
 
 
-def _variables_3(variables: list[Variable]) -> str:
+def _variables_3(variables: list[UnitVariable]) -> str:
     lines = ['    <Float64 name="time" valueReference="0" causality="independent" variability="continuous"/>']
     lines.append('    <Int32 name="outcome" valueReference="1" causality="output" variability="discrete"/>')
     for reference, v in enumerate(variables, start=2):
@@ -185,7 +187,7 @@ def _variables_3(variables: list[Variable]) -> str:
     )
 
 
-def _variables_2(variables: list[Variable]) -> str:
+def _variables_2(variables: list[UnitVariable]) -> str:
     lines, outputs, reference = [], [], 0
     for v in variables:
         for k in range(v.size):

@@ -293,19 +293,19 @@ def _loop(loop: Loop, name: str, words: Words, most_statements: int) -> _LoopTex
             outputs = tuple(f"y[{i}]" for i in range(len(graph.outputs)))
             signature = Signature(f"const {real} *restrict x, {real} *restrict y", ("x", "y"), inputs, outputs)
             made[what] = _Writer(graph, f"{name}_{what}", signature, words, True, most_statements).written()
-    if loop.count is not None:
-        stop, until = "", f"turn < {loop.count}; ++turn"
+    if loop.turns is not None:
+        stop, until = "", f"turn < {loop.turns}; ++turn"
         index = "    int turn;\n"
     else:
         stop = f"        {name}_going(x, y);\n        if (!(y[0] > {literal(0.0, words)}))\n            return;\n"
         until, index = ";", ""
-    first = "turn = 0; " if loop.count is not None else ";"
+    first = "turn = 0; " if loop.turns is not None else ";"
     driver = (
         f"static void {name}({real} *x)\n{{\n    {real} y[{max(carried, 1)}];\n    int i;\n{index}"
         f"    for ({first}{until}) {{\n{stop}        {name}_turn(x, y);\n"
         f"        for (i = 0; i < {carried}; ++i)\n            x[{loop.fixed} + i] = y[i];\n    }}\n}}\n"
     )
-    times, operations = 1 if loop.count is None else loop.count, Counter[str]()
+    times, operations = 1 if loop.turns is None else loop.turns, Counter[str]()
     for text in made.values():
         operations += Counter({op: times * n for op, n in text.operations.items()})
     helpers = frozenset().union(*(text.helpers for text in made.values()))

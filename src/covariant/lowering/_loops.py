@@ -18,15 +18,15 @@ Turn = Callable[[Graph, list[Value]], tuple[list[Value], Value | None]]
 
 
 class Loop(NamedTuple):
-    """Numbers carried on by `body` as long as `going` holds, or so many times as `count` says.
+    """Numbers carried on by `body` as long as `going` holds, or so many times as `turns` says.
 
-    - `body`: `(fixed, carried) -> carried`; `going`: `(fixed, carried) -> [truth]`, or None where the count is known.
+    - `body`: `(fixed, carried) -> carried`; `going`: `(fixed, carried) -> [truth]`, or None where that number is known.
     - `fixed`: how many of the inputs of both are fixed.
     """
 
     body: Lowered
     going: Lowered | None
-    count: int | None
+    turns: int | None
     fixed: int
 
     @property
@@ -46,7 +46,7 @@ class Loop(NamedTuple):
     def key(self) -> tuple:
         """What two loops that do the same have in common."""
         graphs = ((tuple(map(_keyed, each.graph.nodes)), each.outputs) for each in self.graphs)
-        return self.count, self.fixed, *graphs
+        return self.turns, self.fixed, *graphs
 
 
 def _keyed(node: Node) -> tuple:
@@ -104,7 +104,7 @@ def loop_of(
 
     def cut(outputs: Sequence[int]) -> Lowered:
         small, kept = inner.pruned(outputs)
-        small = Graph.of([n._replace(value=order[n.value]) if n.op == "input" else n for n in small.nodes])  # pyright: ignore
+        small.nodes[:] = [n._replace(value=order[n.value]) if n.op == "input" else n for n in small.nodes]
         result = (jax.ShapeDtypeStruct((len(kept),), float),)
         return Lowered(small, ((len(order),),), tuple(kept), result, jax.tree.structure(0))
 

@@ -58,7 +58,7 @@ def _looped(loop: Loop, domain: Domain, values: Sequence[Any]) -> list[Any]:
     """What a loop carries in the end; lanes of a batch that are through wait for the others."""
     fixed, carried = list(values[: loop.fixed]), list(values[loop.fixed :])
     if loop.going is None:
-        for _ in range(loop.count or 0):
+        for _ in range(loop.turns or 0):
             carried = evaluate(loop.body, domain, [*fixed, *carried])
         return carried
     while np.any(going := evaluate(loop.going, domain, [*fixed, *carried])[0]):

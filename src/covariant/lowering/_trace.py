@@ -89,7 +89,8 @@ class _Interpreter:
     """Runs a jaxpr on arrays of nodes: what is known is computed, everything else is added to the graph."""
 
     def __init__(self, graph: Graph, loops: Loops = "unrolled"):
-        self.graph, self.write, self.loops = graph, Writer(graph), loops
+        self.graph, self.write = graph, Writer(graph)
+        self.loops: Loops = loops
 
     def run(self, jaxpr, consts: Sequence, inputs: Sequence[Value]) -> list[Value]:
         """Values of the outputs of a jaxpr."""
