@@ -107,7 +107,7 @@ def _result(jobs: list[Job], loaded: list[Loaded], found: Tuning, tables: dict[s
             for when, judged in (("before", found.before), ("after", found.after))
         },
         "model_free": None if free is None else {"estimator": free[0], "relative": rounded(np.array([free[1]]))[0]},
-        "warning": warning(found, np.equal(delay, np.max(delay))),
+        "warning": warning(found, np.atleast_1d(np.equal(delay, np.max(delay)))),
     }
 
 
