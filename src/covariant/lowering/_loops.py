@@ -1,7 +1,8 @@
 """Loops of a graph: what is done again and again is a graph of its own.
 
-A node `loop` holds a `Repetition` and gets the numbers that stay fixed, then those that are carried; nodes `part` are what
-each carried number is in the end. Loops are for code, and not for proofs: neither derivatives nor intervals know them.
+A node `loop` holds a `Repetition` and gets the numbers that stay fixed, then those that are carried; nodes `part` are
+what each carried number is in the end. Loops are for code, and not for proofs: neither derivatives nor intervals know
+them.
 """
 
 from collections.abc import Callable, Sequence
