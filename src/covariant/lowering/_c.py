@@ -13,7 +13,7 @@ from typing import Literal, NamedTuple
 
 from covariant.lowering._c_operations import HELPERS, TRUTHS, Words, expression, helpers, literal
 from covariant.lowering._graph import Graph
-from covariant.lowering._loops import Loop
+from covariant.lowering._loops import Repetition
 from covariant.lowering._lowered import Lowered
 from covariant.lowering._peephole import simplified
 
@@ -283,7 +283,7 @@ class _LoopText(NamedTuple):
     scratch: int
 
 
-def _loop(loop: Loop, name: str, words: Words, most_statements: int) -> _LoopText:
+def _loop(loop: Repetition, name: str, words: Words, most_statements: int) -> _LoopText:
     """C of a loop on its fixed and carried numbers, which it changes in place; a turn of unknown count counts once."""
     real, width, carried = words.real, loop.body.inputs, loop.carried
     inputs = tuple(f"x[{i}]" for i in range(width))

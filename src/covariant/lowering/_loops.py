@@ -1,7 +1,8 @@
 """Loops of a graph: what is done again and again is a graph of its own.
 
-A node `loop` holds a `Loop` and gets the numbers that stay fixed, then those that are carried; nodes `part` are what
-each carried number is in the end. Loops are for code, and not for proofs: neither derivatives nor intervals know them.
+A node `loop` holds a `Repetition` and gets the numbers that stay fixed, then those that are carried; nodes `part` are
+what each carried number is in the end. Loops are for code, and not for proofs: neither derivatives nor intervals know
+them.
 """
 
 from collections.abc import Callable, Sequence
@@ -17,7 +18,7 @@ from covariant.lowering._lowered import Lowered
 Turn = Callable[[Graph, list[Value]], tuple[list[Value], Value | None]]
 
 
-class Loop(NamedTuple):
+class Repetition(NamedTuple):
     """Numbers carried on by `body` as long as `going` holds, or so many times as `turns` says.
 
     - `body`: `(fixed, carried) -> carried`; `going`: `(fixed, carried) -> [truth]`, or None where that number is known.
@@ -39,7 +40,7 @@ class Loop(NamedTuple):
         """The graphs of a turn."""
         return (self.body,) if self.going is None else (self.body, self.going)
 
-    def over(self, change: Callable[[Lowered], Lowered]) -> "Loop":
+    def over(self, change: Callable[[Lowered], Lowered]) -> "Repetition":
         """The loop with its graphs changed."""
         return self._replace(body=change(self.body), going=None if self.going is None else change(self.going))
 
@@ -50,10 +51,10 @@ class Loop(NamedTuple):
 
 
 def _keyed(node: Node) -> tuple:
-    return node.op, node.arguments, node.value.key() if isinstance(node.value, Loop) else node.value
+    return node.op, node.arguments, node.value.key() if isinstance(node.value, Repetition) else node.value
 
 
-def add_loop(graph: Graph, loop: Loop, arguments: Sequence[int]) -> int:
+def add_loop(graph: Graph, loop: Repetition, arguments: Sequence[int]) -> int:
     """The node of a loop added to a graph, or of one that is there and does the same."""
     return graph.block("loop", loop.key(), tuple(arguments), loop)
 
@@ -112,7 +113,7 @@ def loop_of(
     if len(body.graph.nodes) < least:
         return None
     stop = None if going is None else cut(_flat(inner, [going]))
-    loop = Loop(body, stop, count, len(used))
+    loop = Repetition(body, stop, count, len(used))
     at = add_loop(graph, loop, [*used, *(starts[k] for k in places)])
     parts = {k: part_of(graph, at, n) for n, k in enumerate(places)}
     return _filled([parts.get(k, start) for k, start in enumerate(starts)], carry, changes)

@@ -7,7 +7,7 @@ import jax
 import numpy as np
 
 from covariant.lowering._graph import FOLD, Graph
-from covariant.lowering._loops import Loop
+from covariant.lowering._loops import Repetition
 from covariant.lowering._lowered import Lowered
 
 Domain = Mapping[str, Callable[..., Any]]
@@ -54,7 +54,7 @@ def evaluate_nodes(graph: Graph, outputs: Sequence[int], domain: Domain, inputs:
     return [values[i] for i in outputs]
 
 
-def _looped(loop: Loop, domain: Domain, values: Sequence[Any]) -> list[Any]:
+def _looped(loop: Repetition, domain: Domain, values: Sequence[Any]) -> list[Any]:
     """What a loop carries in the end; lanes of a batch that are through wait for the others."""
     fixed, carried = list(values[: loop.fixed]), list(values[loop.fixed :])
     if loop.going is None:
