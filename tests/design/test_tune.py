@@ -7,7 +7,7 @@ import pytest
 from covariant.design import NoiseLevels, gains, tune
 from covariant.design._error_model import error_model, kalman
 from covariant.models import Lagrangian, Parametric
-from covariant.observers import Intrinsic, IntrinsicKalman, run
+from covariant.observers import Intrinsic, IntrinsicKalman, external_force, run
 from covariant.signals import Record
 
 RATE, STD, ACCELERATION = 100.0, 1e-3, 0.3
@@ -88,7 +88,9 @@ def test_the_filter_of_the_errors_is_the_kalman_filter(log):
     along = run(Intrinsic(MODEL, 3.0, 5.0), record).estimate
     found = kalman(error_model(MODEL, along[:, :1], along[:, 1:], t, u, y, 4), noise, 2.0)
     axes = jnp.eye(1)
-    filtered = IntrinsicKalman(MODEL, 0.16 * axes, 4e-6 * axes, 4.0 * axes, 0.49 * axes, gate=None, substeps=4)
+    filtered = IntrinsicKalman(
+        MODEL, 0.16 * axes, 4e-6 * axes, 4.0 * axes, external_force(0.49 * axes), gate=None, substeps=4
+    )
     done = run(filtered, record)
     later = slice(20, None)  # the first innovations are taken for outliers here
     np.testing.assert_allclose((along + found.error)[later, 1], done.estimate[later, 1], atol=2e-3)
