@@ -46,6 +46,7 @@ def test_the_version_is_that_of_the_package():
 
 def test_rooms_are_there_without_being_imported():
     assert python("import covariant; print(covariant.models.ball_and_beam().coordinates)") == "('r', 'theta')"
+    assert python("from covariant import models; print(models.robots.ROBOTS[0] in models.robots.ROBOTS)") == "True"
 
 
 @pytest.mark.parametrize("before", ["", "import jax; "])

@@ -31,8 +31,8 @@ def names(path: Path) -> list[str]:
     """What a room's stub imports, or a file lists in `__all__`."""
     stub = path.with_suffix(".pyi")
     if stub.exists():
-        nodes = ast.parse(stub.read_text(encoding="utf-8")).body
-        return sorted(alias.name for node in nodes if isinstance(node, ast.ImportFrom) for alias in node.names)
+        nodes = (node for node in ast.parse(stub.read_text(encoding="utf-8")).body if isinstance(node, ast.ImportFrom))
+        return sorted(alias.name for node in nodes if node.module for alias in node.names)  # rooms have their own page
     for node in ast.parse(path.read_text(encoding="utf-8")).body:
         if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "__all__":
             return ast.literal_eval(node.value)

@@ -1,3 +1,4 @@
+from . import lie as lie
 from ._functions import (
     christoffel as christoffel,
     connection as connection,

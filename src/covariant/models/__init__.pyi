@@ -1,3 +1,4 @@
+from . import fluid as fluid, marine as marine, robots as robots
 from ._ball_and_beam import ball_and_beam as ball_and_beam
 from ._bioreactor import bioreactor as bioreactor
 from ._check import check_metric as check_metric
