@@ -105,6 +105,7 @@ RELEVANT = {
     "report/_certificate.py": "report/test_certificate_figure",
     "report/*": "report/test_report_html report/test_report_panels report/test_report_png report/test_report_table",
     "interop/*": "interop/test_python_control",
+    "cli/_parse.py": "cli/test_bad_input cli/test_certify_command",
     "cli/_tune.py": "cli/test_tune_command",
     "cli/_fit.py": "cli/test_fit_command",
     "cli/_check.py": "cli/test_check_command",
