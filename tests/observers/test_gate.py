@@ -8,8 +8,8 @@ from scipy import stats
 
 from covariant.geometry import Coordinates, ProductManifold
 from covariant.geometry.lie import SE3, SO3
-from covariant.models import Motion, advance, free_body, pendulum_chain
-from covariant.observers import Gate, IntrinsicKalman, run
+from covariant.models import Lagrangian, Motion, advance, free_body, pendulum_chain
+from covariant.observers import Gate, Gated, Intrinsic, IntrinsicKalman, run
 from covariant.signals import Record, Result
 
 NOISE = 1e-3
@@ -134,3 +134,15 @@ def test_an_attitude_is_refused_as_a_whole():
 def test_gates_that_make_no_sense_are_refused(wrong, words):
     with pytest.raises(ValueError, match=words):
         Gate(**wrong)
+
+
+@pytest.mark.parametrize(("speed", "astray"), [(1.5, False), (3.0, True)])
+def test_a_velocity_that_is_off_by_more_than_twice_the_usual_one_is_said(speed, astray):
+    """Of a mass that moves on steadily, by gains so low that its velocity is hardly believed."""
+    dt = 0.01
+    mass = Lagrangian(lambda q: jnp.eye(1))
+    record = Record(dt * np.arange(100), np.zeros((100, 1)), speed * dt * np.arange(100)[:, None])
+    observer = Gated(Intrinsic(mass, 0.02, 1e-4, substeps=1), mass, noise=1e-4, speed=1.0)
+    found = np.asarray(run(observer, record).info.result)
+    assert (found[-20:] == (Result.ASTRAY if astray else Result.OK)).all()
+    assert (found[:5] == Result.OK).all()
