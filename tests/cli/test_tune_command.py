@@ -3,6 +3,7 @@
 import sys
 from pathlib import Path
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from commands import command
@@ -11,6 +12,8 @@ from covariant import logs, models
 from covariant.cli import main
 from covariant.cli._fit import when_true
 from covariant.cli._job import Job
+from covariant.cli._tune import _tables
+from covariant.design import HeldOut, NoiseLevels, Tuning
 
 MODEL = """system = "oscillator"
 [columns]
@@ -87,3 +90,13 @@ def test_joints_that_are_late_by_different_times_are_read_together():
     np.testing.assert_allclose(loaded.record.y, np.stack([np.sin(3 * true), np.cos(2 * true)], axis=1), atol=1e-6)
     np.testing.assert_allclose(loaded.reference.v[20:-20, 1], -2 * np.sin(2 * true)[20:-20], atol=1e-3)
     np.testing.assert_allclose(loaded.record.u[10:-1, 0], true[10:-1] + 0.0025, atol=0.006)
+
+
+def test_every_joint_gets_the_noise_that_was_found(tmp_path):
+    """Of two joints the file tells two numbers."""
+    (tmp_path / "two.toml").write_text('system = "pendulum_chain"\n[columns]\nq = ["q1", "q2"]\n')
+    noise = NoiseLevels(jnp.array(2.0), jnp.array([1e-3, 3e-3]), jnp.array(0.0))
+    held_out = HeldOut(*[1.0] * len(HeldOut._fields))
+    found = Tuning(20.0, 0.7, noise, None, held_out, None, 100)
+    file = models.load(str(tmp_path / "two.toml"))
+    assert _tables(file, found, 200.0)["measurement"] == {"std": [0.001, 0.003]}
