@@ -48,7 +48,7 @@ def floats(column: Any) -> np.ndarray:
     """
     pa, cells = pyarrow(), column.combine_chunks()
     if not cells.null_count:
-        return np.from_dlpack(cells)
+        return np.array(np.from_dlpack(cells))  # of its own, which may be changed
     values = pa.Array.from_buffers(cells.type, len(cells), [None, cells.buffers()[1]], offset=cells.offset)
     return np.where(np.from_dlpack(cells.is_valid().cast(pa.int8())), np.from_dlpack(values), np.nan)
 

@@ -8,6 +8,7 @@ Pannocchia & Rawlings 2003, Disturbance models for offset-free model-predictive 
 integral action.
 """
 
+import functools
 import math
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
@@ -24,6 +25,7 @@ from covariant._linalg import semidefinite_root
 from covariant._typing import Matrix, Numbers, Vector
 from covariant.models import Family, MechanicalSystem, Motion, Parametric, acceleration, input_count, resistance
 from covariant.observers._spread import check_spread
+from covariant.observers._square_root import diagonal
 
 SlowVector = Float[Array, "k"]
 
@@ -94,11 +96,11 @@ class SlowStates(NamedTuple):
 
     def first_root(self) -> Float[Array, "k k"]:
         """A square root of their covariance at the start."""
-        return _blocks([group.first_cov for group in self.groups])
+        return functools.reduce(diagonal, [semidefinite_root(group.first_cov) for group in self.groups])
 
     def walk_root(self) -> Float[Array, "k k"]:
         """A square root of the density of their random walks."""
-        return _blocks([group.walk_cov for group in self.groups])
+        return functools.reduce(diagonal, [semidefinite_root(group.walk_cov) for group in self.groups])
 
     def parts(self, s: SlowVector) -> list[Array]:
         """The states of each group."""
@@ -220,17 +222,6 @@ def _relative(positive: tuple[bool, ...]) -> Callable[..., Array]:
         return jnp.where(logarithmic, first * jnp.exp(jnp.asarray(jnp.where(logarithmic, z, 0.0))), first + size * z)
 
     return numbers
-
-
-def _blocks(covs: Sequence[Matrix]) -> Float[Array, "k k"]:
-    """Block-diagonal square root of covariances."""
-    k = sum(cov.shape[0] for cov in covs)
-    root, start = jnp.zeros((k, k)), 0
-    for cov in covs:
-        end = start + cov.shape[0]
-        root = root.at[start:end, start:end].set(semidefinite_root(cov))
-        start = end
-    return root
 
 
 def _numbered(name: str, n: int) -> tuple[str, ...]:
