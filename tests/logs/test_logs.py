@@ -237,3 +237,11 @@ def test_a_failed_write_leaves_the_old_file(tmp_path, monkeypatch, ending):
         logs.write(path, {"t": np.arange(5)})
     assert path.read_bytes() == before
     assert [each.name for each in tmp_path.iterdir()] == [path.name]
+
+
+def test_what_was_read_may_be_changed(tmp_path):
+    (tmp_path / "log.csv").write_text("t,q1\n0,1\n1,2\n2,3\n")
+    record = logs.read(tmp_path / "log.csv", logs.Columns(q=("q1",))).record
+    for array in record[:3]:
+        array += 1
+    assert np.asarray(record.t).tolist() == [1, 2, 3]

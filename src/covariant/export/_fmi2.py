@@ -19,11 +19,6 @@ EXPORT void *fmi2Instantiate(const char *name, int type, const char *token, cons
     return type == 1 ? instance(token) : NULL; /* 1 is co-simulation */
 }
 
-EXPORT void fmi2FreeInstance(void *m)
-{
-    free(m);
-}
-
 EXPORT int fmi2SetDebugLogging(void *m, int on, size_t categories, const char *const *names)
 {
     (void)on, (void)categories, (void)names;
@@ -42,27 +37,6 @@ EXPORT int fmi2SetupExperiment(void *m, int defined, double tolerance, double st
 EXPORT int fmi2EnterInitializationMode(void *m)
 {
     return m != NULL ? OK : ERROR;
-}
-
-EXPORT int fmi2ExitInitializationMode(void *m)
-{
-    if (m == NULL)
-        return ERROR;
-    begin(m, ((memory *)m)->now);
-    return OK;
-}
-
-EXPORT int fmi2Terminate(void *m)
-{
-    return m != NULL ? OK : ERROR;
-}
-
-EXPORT int fmi2Reset(void *m)
-{
-    if (m == NULL)
-        return ERROR;
-    forget(m);
-    return OK;
 }
 
 EXPORT int fmi2GetReal(void *m, const uint32_t *references, size_t n, double *values)
@@ -98,54 +72,6 @@ EXPORT int fmi2GetInteger(void *m, const uint32_t *references, size_t n, int *va
     return m != NULL ? OK : ERROR;
 }
 
-EXPORT int fmi2GetFMUstate(void *m, void **state)
-{
-    if (m == NULL || state == NULL)
-        return ERROR;
-    *state = snapshot(m, *state);
-    return *state != NULL ? OK : ERROR;
-}
-
-EXPORT int fmi2SetFMUstate(void *m, void *state)
-{
-    return m != NULL && state != NULL && snapshot(state, m) != NULL ? OK : ERROR;
-}
-
-EXPORT int fmi2FreeFMUstate(void *m, void **state)
-{
-    (void)m;
-    if (state == NULL)
-        return OK;
-    free(*state);
-    *state = NULL;
-    return OK;
-}
-
-EXPORT int fmi2SerializedFMUstateSize(void *m, void *state, size_t *size)
-{
-    (void)m, (void)state;
-    *size = sizeof(memory);
-    return OK;
-}
-
-EXPORT int fmi2SerializeFMUstate(void *m, void *state, char *bytes, size_t size)
-{
-    (void)m;
-    if (state == NULL || size != sizeof(memory))
-        return ERROR;
-    memcpy(bytes, state, size);
-    return OK;
-}
-
-EXPORT int fmi2DeSerializeFMUstate(void *m, const char *bytes, size_t size, void **state)
-{
-    (void)m;
-    if (size != sizeof(memory) || state == NULL || (*state == NULL && (*state = malloc(size)) == NULL))
-        return ERROR;
-    memcpy(*state, bytes, size);
-    return OK;
-}
-
 EXPORT int fmi2DoStep(void *m, double t, double h, int forward)
 {
     (void)forward;
@@ -174,3 +100,6 @@ REFUSED = [
     "GetStringStatus void *,int,const char **",
 ]
 """Functions of FMI 2.0 that a unit must offer and this one refuses, with the types of their parameters."""
+
+WORDS = {"@FMI@": "fmi2", "@STATE@": "state", "@DE@": "DeSerialize", "@BYTE@": "char"}
+"""How the functions that both versions have are called here."""

@@ -18,11 +18,6 @@ EXPORT void *fmi3InstantiateCoSimulation(const char *name, const char *token, co
     return instance(token);
 }
 
-EXPORT void fmi3FreeInstance(void *m)
-{
-    free(m);
-}
-
 EXPORT int fmi3SetDebugLogging(void *m, bool on, size_t categories, const char *const *names)
 {
     (void)on, (void)categories, (void)names;
@@ -35,27 +30,6 @@ EXPORT int fmi3EnterInitializationMode(void *m, bool defined, double tolerance, 
     if (m == NULL)
         return ERROR;
     ((memory *)m)->now = start;
-    return OK;
-}
-
-EXPORT int fmi3ExitInitializationMode(void *m)
-{
-    if (m == NULL)
-        return ERROR;
-    begin(m, ((memory *)m)->now);
-    return OK;
-}
-
-EXPORT int fmi3Terminate(void *m)
-{
-    return m != NULL ? OK : ERROR;
-}
-
-EXPORT int fmi3Reset(void *m)
-{
-    if (m == NULL)
-        return ERROR;
-    forget(m);
     return OK;
 }
 
@@ -102,54 +76,6 @@ EXPORT int fmi3GetInt32(void *instance, const uint32_t *references, size_t n, in
             return ERROR;
         values[i] = ((const memory *)instance)->outcome;
     }
-    return OK;
-}
-
-EXPORT int fmi3GetFMUState(void *m, void **state)
-{
-    if (m == NULL || state == NULL)
-        return ERROR;
-    *state = snapshot(m, *state);
-    return *state != NULL ? OK : ERROR;
-}
-
-EXPORT int fmi3SetFMUState(void *m, void *state)
-{
-    return m != NULL && state != NULL && snapshot(state, m) != NULL ? OK : ERROR;
-}
-
-EXPORT int fmi3FreeFMUState(void *m, void **state)
-{
-    (void)m;
-    if (state == NULL)
-        return OK;
-    free(*state);
-    *state = NULL;
-    return OK;
-}
-
-EXPORT int fmi3SerializedFMUStateSize(void *m, void *state, size_t *size)
-{
-    (void)m, (void)state;
-    *size = sizeof(memory);
-    return OK;
-}
-
-EXPORT int fmi3SerializeFMUState(void *m, void *state, uint8_t *bytes, size_t size)
-{
-    (void)m;
-    if (state == NULL || size != sizeof(memory))
-        return ERROR;
-    memcpy(bytes, state, size);
-    return OK;
-}
-
-EXPORT int fmi3DeserializeFMUState(void *m, const uint8_t *bytes, size_t size, void **state)
-{
-    (void)m;
-    if (size != sizeof(memory) || state == NULL || (*state == NULL && (*state = malloc(size)) == NULL))
-        return ERROR;
-    memcpy(*state, bytes, size);
     return OK;
 }
 
@@ -220,3 +146,6 @@ REFUSED = [
     "ActivateModelPartition void *,uint32_t,double",
 ]
 """Functions of FMI 3.0 that a unit must offer and this one refuses, with the types of their parameters."""
+
+WORDS = {"@FMI@": "fmi3", "@STATE@": "State", "@DE@": "Deserialize", "@BYTE@": "uint8_t"}
+"""How the functions that both versions have are called here."""

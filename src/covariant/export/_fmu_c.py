@@ -50,8 +50,8 @@ def unit_source(
         "@START@": "\n".join(start),
     }
     kind = _fmi3 if version == "3.0" else _fmi2
-    text = _CORE + kind.FUNCTIONS + "\n".join(_refused(line, version) for line in kind.REFUSED)
-    for mark, word in words.items():
+    text = _CORE + _SHARED + kind.FUNCTIONS + "\n".join(_refused(line, version) for line in kind.REFUSED)
+    for mark, word in (words | kind.WORDS).items():
         text = text.replace(mark, word)
     return text
 
@@ -197,3 +197,80 @@ static memory *instance(const char *token)
 }
 
 """
+
+_SHARED = """EXPORT void @FMI@FreeInstance(void *m)
+{
+    free(m);
+}
+
+EXPORT int @FMI@ExitInitializationMode(void *m)
+{
+    if (m == NULL)
+        return ERROR;
+    begin(m, ((memory *)m)->now);
+    return OK;
+}
+
+EXPORT int @FMI@Terminate(void *m)
+{
+    return m != NULL ? OK : ERROR;
+}
+
+EXPORT int @FMI@Reset(void *m)
+{
+    if (m == NULL)
+        return ERROR;
+    forget(m);
+    return OK;
+}
+
+EXPORT int @FMI@GetFMU@STATE@(void *m, void **state)
+{
+    if (m == NULL || state == NULL)
+        return ERROR;
+    *state = snapshot(m, *state);
+    return *state != NULL ? OK : ERROR;
+}
+
+EXPORT int @FMI@SetFMU@STATE@(void *m, void *state)
+{
+    return m != NULL && state != NULL && snapshot(state, m) != NULL ? OK : ERROR;
+}
+
+EXPORT int @FMI@FreeFMU@STATE@(void *m, void **state)
+{
+    (void)m;
+    if (state == NULL)
+        return OK;
+    free(*state);
+    *state = NULL;
+    return OK;
+}
+
+EXPORT int @FMI@SerializedFMU@STATE@Size(void *m, void *state, size_t *size)
+{
+    (void)m, (void)state;
+    *size = sizeof(memory);
+    return OK;
+}
+
+EXPORT int @FMI@SerializeFMU@STATE@(void *m, void *state, @BYTE@ *bytes, size_t size)
+{
+    (void)m;
+    if (state == NULL || size != sizeof(memory))
+        return ERROR;
+    memcpy(bytes, state, size);
+    return OK;
+}
+
+EXPORT int @FMI@@DE@FMU@STATE@(void *m, const @BYTE@ *bytes, size_t size, void **state)
+{
+    (void)m;
+    if (size != sizeof(memory) || state == NULL || (*state == NULL && (*state = malloc(size)) == NULL))
+        return ERROR;
+    memcpy(*state, bytes, size);
+    return OK;
+}
+
+"""
+"""Functions that are the same in both versions but for names and types."""
