@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from moments import moment
 
-from covariant.runtime import Stream, run_log
+from covariant.observers import Intrinsic
+from covariant.runtime import Stream, _kernel, run_log, run_logs
 from covariant.signals import Record
 
 ROWS = 100_000
@@ -39,6 +40,23 @@ def test_log(benchmark, engine):
 
     def work():
         jax.clear_caches()
+        _kernel._kept.cache_clear()
         return jax.block_until_ready(run_log(case.observer, record, engine=engine)[0])
 
     benchmark.pedantic(work, rounds=3)
+
+
+@pytest.mark.benchmark(group="engine: 100 runs of 10 s at 200 Hz, n = 2, with the gains of each")
+@pytest.mark.parametrize("engine", ["jax", "c"])
+def test_many_runs(benchmark, engine):
+    """Beside a loop over the compiled program of JAX; the programs are made before."""
+    case = moment("intrinsic", 2)
+    t = np.arange(2000) * 0.005
+    y = np.stack([0.3 * np.sin(t), 0.5 * np.cos(2 * t)], axis=1)
+    record = Record(t, np.zeros((2000, len(case.u))), y)
+    gains = [Intrinsic(case.observer.model, a, a**2) for a in np.linspace(5.0, 30.0, 100)]
+
+    def work():
+        return jax.block_until_ready(run_logs(gains, record, ("result",), engine)[0])
+
+    benchmark.pedantic(work, rounds=3, warmup_rounds=1)

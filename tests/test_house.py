@@ -106,7 +106,7 @@ PUBLIC = {
     "write_audit write_html write_png",
     "riccati": "Characteristic Equation RiccatiMetric Solution Window gramian gramians high_gain lie_derivative "
     "metric_at metric_through rate_from_gramian reconstructibility right_side spd_distance window_at",
-    "runtime": "FEWEST_ROWS Health Stream run_log",
+    "runtime": "FEWEST_ROWS Health Stream run_log run_logs",
     "scale": "Grid Variable map_grid open_grid",
     "simulation": "Sensor hold no_input observe sense simulate stamps",
 }

@@ -1,5 +1,6 @@
 """The commands on good input: what they print and write."""
 
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -187,6 +188,13 @@ def test_logged_velocities_are_compared_with_and_never_used(estimated):
     assert result["logged_velocity_rmse"] == [0.0]
     assert result["difference_to_logged_velocity"] == pytest.approx(result["velocity_rmse"], rel=1e-5)
     assert Path("with_v.csv").read_bytes() == Path("v.csv").read_bytes()
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler, `cc`")
+def test_the_engine_that_is_asked_for_does_the_work_and_is_named(estimated):
+    result = command("estimate", "model.toml", "log.csv", "--truth", "true_v1", "-o", "c.csv", "--engine", "c")
+    assert (result["engine"], estimated["engine"]) == ("c", "jax: fewer than 100000 rows")
+    np.testing.assert_allclose(logs.read("c.csv", READ).truth, logs.read("v.csv", READ).truth, atol=1e-9)
 
 
 def test_some_rows_of_a_log():

@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 
 from covariant import models, observers
-from covariant.runtime import Stream, _compile, run_log
+from covariant.observers import run
+from covariant.runtime import Stream, _compile, run_log, run_logs
+from covariant.runtime._kernel import kernel
 from covariant.signals import Record, Result
 
 RATE = 250.0
@@ -49,6 +51,57 @@ def test_a_log_through_c_is_that_through_jax():
         np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-9)
         assert np.asarray(ours).dtype == np.asarray(theirs).dtype
     assert {Result.OK, Result.COASTED, Result.OUTLIER} <= set(np.asarray(through_c.info.result))
+
+
+def parts(lengths) -> list[Record]:
+    """The first rows of the log, as logs of their own."""
+    return [Record(*(a[:count] for a in record()[:3])) for count in lengths]
+
+
+def same(through_c, through_jax):
+    for ours, theirs in zip(through_c, through_jax, strict=True):
+        for a, b in zip(jax.tree.leaves(ours), jax.tree.leaves(theirs), strict=True):
+            np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-9)
+
+
+@needs_compiler
+def test_many_logs_and_many_gains_are_each_that_through_jax():
+    logs = parts((150, 600, 320))
+    told, engine = run_logs(gated(), logs, engine="c")
+    assert engine == "c"
+    same(told, [run(gated(), log) for log in logs])
+    gains = [observers.Intrinsic(pendulum(), alpha, alpha**2) for alpha in (10.0, 20.0, 5.0)]
+    for given in (logs[1], logs):
+        told, engine = run_logs(gains, given, ("result",), engine="c")
+        assert engine == "c"
+        each = given if isinstance(given, list) else [given] * 3
+        same(told, [run(observer, log, ("result",)) for observer, log in zip(gains, each, strict=True)])
+    assert run_logs(gains[:1], logs[:1])[1].startswith("jax: fewer than")
+    heavier = models.pendulum_chain((1.0, 3.0), viscous=(0.1, 0.1), coulomb=(0.05, 0.02))
+    told, _ = run_logs([gains[0], observers.Intrinsic(heavier, 10.0, 100.0)], logs[0], ("result",), engine="c")
+    same(told[1:], [run(observers.Intrinsic(heavier, 10.0, 100.0), logs[0], ("result",))])
+
+
+@needs_compiler
+def test_an_equal_observer_is_compiled_once():
+    made = [kernel(observers.Intrinsic(pendulum(), a, 100.0), np.zeros(2), 2) for a in (10.0, 10.0, 11.0)]
+    assert made[0] is made[1]
+    assert made[0] is not made[2]
+
+
+def test_runs_that_do_not_belong_together_are_refused():
+    intrinsic, logs = observers.Intrinsic(pendulum(), 10.0, 100.0), parts((100, 100, 100))
+    for given, fault in (
+        (([intrinsic] * 2, logs), "2 observers and 3 records"),
+        (([], logs), "0 observers"),
+        (
+            ([intrinsic, observers.Intrinsic(pendulum(), 10.0, 100.0, order=2)], logs[0]),
+            "observer 1 is of another kind",
+        ),
+        ((intrinsic, [logs[0], logs[1]._replace(u=logs[1].u[:, :1])]), "measurements and inputs must have one shape"),
+    ):
+        with pytest.raises(ValueError, match=fault):
+            run_logs(*given)
 
 
 def test_a_short_log_stays_with_jax_and_a_fault_of_the_record_is_told():

@@ -8,6 +8,7 @@ import typer
 from covariant.cli._names import ESTIMATORS, STATE_ESTIMATORS, WRITTEN
 from covariant.cli._options import (
     Anyway,
+    By,
     Every,
     From,
     Inputs,
@@ -57,6 +58,7 @@ def estimate(
     ] = False,
     report: Report = None,
     anyway: Anyway = False,
+    engine: By = "auto",
     json: Json = False,
 ) -> None:
     """Estimate velocities from the positions or attitudes in a log."""
@@ -66,7 +68,7 @@ def estimate(
     job = Job(
         model, log, tuple(override), every, until, {"t": t, "q": q, "u": u, "v": v, "truth": truth}, anyway, start
     )
-    _estimate.estimate(job, out, observer, alpha, beta, score, report, json)
+    _estimate.estimate(job, out, observer, alpha, beta, score, report, engine, json)
 
 
 @on_logs.command()
@@ -85,6 +87,7 @@ def compare(
     truth: Truth = None,
     report: Report = None,
     anyway: Anyway = False,
+    engine: By = "auto",
     json: Json = False,
 ) -> None:
     """Run all estimators on a log, tuned from the same data sheet, and rank them."""
@@ -94,7 +97,7 @@ def compare(
     job = Job(
         model, log, tuple(override), every, until, {"t": t, "q": q, "u": u, "v": v, "truth": truth}, anyway, start
     )
-    _compare.compare(job, out, report, json)
+    _compare.compare(job, out, report, engine, json)
 
 
 @on_logs.command()

@@ -23,11 +23,13 @@ from covariant.cli._job import (
     log_sheet,
     sought_columns,
 )
+from covariant.cli._names import Engine
 from covariant.cli._pages import write_report
 from covariant.cli._results import Outcome, drive, report_arrays, summary
 from covariant.cli._states import said_of_states, tuned_states
 from covariant.design import Trial, observer_gains, tuned_estimators
 from covariant.observers import AbstractObserver
+from covariant.runtime import FEWEST_ROWS
 from covariant.scoring import unwrap
 
 SHORTEST_TRIAL = 200
@@ -38,7 +40,7 @@ LONGEST_TRIAL = 20_000
 """Largest number of these rows that are used: the search takes seconds on them, and minutes on a million."""
 
 
-def compare(job: Job, out: Path | None, report: Path | None, as_json: bool) -> None:
+def compare(job: Job, out: Path | None, report: Path | None, engine: Engine, as_json: bool) -> None:
     """Run all estimators that fit the model, and write, print and draw the ranking."""
     check_output(out, ".csv", log=job.log)
     check_output(report, ".html")
@@ -48,7 +50,7 @@ def compare(job: Job, out: Path | None, report: Path | None, as_json: bool) -> N
     with stages("comparing", len(observers), quiet=as_json) as begin:
         for name, observer in observers.items():
             begin(name)
-            outcomes[name] = drive(observer, loaded, timed=True)
+            outcomes[name] = drive(observer, loaded, engine, timed=True)
     ranked = rank(outcomes, loaded)
     rows = tuple(_row(name, outcomes[name], loaded) for name in ranked)
     what = loaded.model.sought.what
@@ -57,7 +59,9 @@ def compare(job: Job, out: Path | None, report: Path | None, as_json: bool) -> N
         "log": str(job.log),
         "scored_against": scored_against(loaded),
         "design": note,
-        "ranking": [{"estimator": name, **summary(outcomes[name], what)} for name in ranked],
+        "ranking": [
+            {"estimator": name, "engine": outcomes[name].engine, **summary(outcomes[name], what)} for name in ranked
+        ],
     }
     if report is not None:
         curves = report_arrays({name: outcomes[name] for name in ranked})
@@ -66,7 +70,8 @@ def compare(job: Job, out: Path | None, report: Path | None, as_json: bool) -> N
     if out is not None:
         write_atomically(out, lambda file: file.write(_table(ranked, outcomes, loaded)))
         result["out"] = str(out)
-    print(json.dumps(result) if as_json else _text(result, rows, what if loaded.reference else "prediction"))
+    told = engines(outcomes) if engine != "auto" or len(loaded.record.t) >= FEWEST_ROWS else []
+    print(json.dumps(result) if as_json else _text(result, rows, what if loaded.reference else "prediction", told))
 
 
 def line_up(loaded: Loaded) -> tuple[dict[str, AbstractObserver], str]:
@@ -159,7 +164,15 @@ def _table(ranked: list[str], outcomes: dict[str, Outcome], loaded: Loaded) -> b
     return text.getvalue().encode()
 
 
-def _text(result: dict[str, Any], rows: tuple[dict[str, str | float], ...], what: str) -> str:
+def engines(outcomes: dict[str, Outcome]) -> list[str]:
+    """Which engine computed what, a line for each."""
+    by: dict[str, list[str]] = {}
+    for name, outcome in outcomes.items():
+        by.setdefault(outcome.engine, []).append(name)
+    return [f"engine of {', '.join(names)}: {engine}" for engine, names in by.items()]
+
+
+def _text(result: dict[str, Any], rows: tuple[dict[str, str | float], ...], what: str, engines: list[str]) -> str:
     from covariant.report import table
 
     lines = [
@@ -167,5 +180,6 @@ def _text(result: dict[str, Any], rows: tuple[dict[str, str | float], ...], what
         result["design"],
         "",
         table(rows),
+        *engines,
     ]
     return "\n".join([*lines, *(f"wrote {path}" for path in [result.get("out"), *result.get("report", [])] if path)])

@@ -21,6 +21,7 @@ from covariant.cli._job import (
     sought_columns,
     sought_units,
 )
+from covariant.cli._names import Engine
 from covariant.cli._pages import write_report
 from covariant.cli._results import Outcome, deviations, drive, known, report_arrays, rounded, summary
 from covariant.cli._states import said_of_states, tuned_states
@@ -46,6 +47,7 @@ def estimate(
     beta: float | None,
     score: bool,
     report: Path | None,
+    engine: Engine,
     as_json: bool,
 ) -> None:
     """Run one observer on a log, by default the first that fits the model, and write, print and draw its estimates.
@@ -60,7 +62,7 @@ def estimate(
     observer = observer or estimators(loaded.model)[0]
     chosen, notes = _choose(job, loaded, observer, alpha, beta)
     with working(f"estimating with {observer}", quiet=as_json):
-        outcome = drive(chosen, loaded)
+        outcome = drive(chosen, loaded, engine)
     result = _result(job, loaded, observer, outcome, notes)
     if outcome.failed:
         raise ValueError(f"{job.log}: the estimate left the finite numbers; lower the gains or check model and units")
@@ -71,7 +73,7 @@ def estimate(
     if out is not None:
         logs.write(out, columns(loaded, outcome, out), loaded.log.origin_ns)
         result["out"] = str(out)
-    print(json.dumps(result) if as_json else _text(result, loaded))
+    print(json.dumps(result) if as_json else _text(result, loaded, engine))
 
 
 def _check(observer: str | None, alpha: float | None, beta: float | None) -> None:
@@ -172,7 +174,7 @@ def _result(job: Job, loaded: Loaded, observer: str, outcome: Outcome, notes: tu
     return result
 
 
-def _text(result: dict[str, Any], loaded: Loaded) -> str:
+def _text(result: dict[str, Any], loaded: Loaded, engine: Engine) -> str:
     lines = [
         f"{result['log']}: {result['rows']} rows, {result['observer']} observer",
         *([f"t counts from {result['t_counts_from']}"] if "t_counts_from" in result else []),
@@ -182,7 +184,7 @@ def _text(result: dict[str, Any], loaded: Loaded) -> str:
     if "logged_velocity_rmse" in result:
         speeds = _with_units(result["logged_velocity_rmse"], sought_units(loaded.file))
         lines.append(f"the same for the velocity in the log: {speeds}")
-    if result["rows"] >= FEWEST_ROWS:
+    if result["rows"] >= FEWEST_ROWS or engine != "auto":
         lines.append(f"engine: {result['engine']}")
     for name, count in result["results"].items():
         if name != "ok":

@@ -2,6 +2,7 @@
 
 import ast
 from importlib.resources import files
+from typing import Literal
 
 
 def _registered(file: str) -> tuple[str, ...]:
@@ -16,5 +17,7 @@ CERTIFIED = ("intrinsic", "geodesic")
 """The observers of `covariant.cli._certify`."""
 PAPERS = ("aghannan-rouchon", "maithripala", "sanfelice-praly", "jouffroy-fossen")
 """The papers of `covariant.cli._reproduce`."""
+Engine = Literal["auto", "c", "jax"]
+"""Those of `covariant.runtime`."""
 WRITTEN = (".csv", ".txt", ".tsv", ".parquet", ".mcap", ".rosbag2")
 """Those of `covariant.logs`."""

@@ -5,6 +5,8 @@ from typing import Annotated
 
 import typer
 
+from covariant.cli._names import Engine
+
 Model = Annotated[
     str,
     typer.Argument(
@@ -24,6 +26,10 @@ Positions = Annotated[str | None, typer.Option("--q", help="Columns of the coord
 Inputs = Annotated[str | None, typer.Option("--u", help="Columns of the inputs, separated by commas.")]
 Velocities = Annotated[str | None, typer.Option("--v", help="Columns of logged velocities, only compared with.")]
 Truth = Annotated[str | None, typer.Option("--truth", help="Columns of true velocities, to score against.")]
+By = Annotated[
+    Engine,
+    typer.Option("--engine", help="What computes: compiled C, JAX, or C for long logs only (auto)."),
+]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object for machines.")]
 Anyway = Annotated[bool, typer.Option("--anyway", help="Go on although the log does not fit the model at all.")]
 Report = Annotated[Path | None, typer.Option(help="Write an interactive page (.html) and PNG figures beside it.")]

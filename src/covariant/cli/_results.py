@@ -9,7 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from covariant.cli._job import Loaded, ReferenceVelocity
-from covariant.observers import AbstractObserver, run
+from covariant.cli._names import Engine
+from covariant.observers import AbstractObserver
 from covariant.runtime import run_log
 from covariant.signals import Result, Run
 
@@ -54,22 +55,20 @@ class Outcome(NamedTuple):
         return "not_finite" in self.counts
 
 
-def drive(observer: AbstractObserver, loaded: Loaded, timed: bool = False) -> Outcome:
-    """Run an observer on the loaded record; `timed` runs it again by JAX, to measure its time
-    without compilation; otherwise C runs a long log.
-    """
-    done, engine = run_log(observer, loaded.record, KEPT, "jax" if timed else "auto")
+def drive(observer: AbstractObserver, loaded: Loaded, engine: Engine = "auto", timed: bool = False) -> Outcome:
+    """Run an observer on the loaded record; `timed` runs it again, to measure its time without compilation."""
+    done, by = run_log(observer, loaded.record, KEPT, engine)
     done = jax.block_until_ready(done)
     spent = float("inf")
     for _ in range(3 if timed else 0):  # the quickest of three, since other load only lengthens a run
         began = time.perf_counter()
-        jax.block_until_ready(run(observer, loaded.record, KEPT))
+        jax.block_until_ready(run_log(observer, loaded.record, KEPT, "c" if by == "c" else "jax")[0])
         spent = min(spent, time.perf_counter() - began)
     velocity = np.asarray(loaded.model.sought.of(done.estimate))
     score = None if loaded.reference is None else _score(velocity, done.info, loaded.reference)
     each = 1e6 * spent / len(done.t) if timed else math.nan
     named = getattr(getattr(observer, "observer", observer), "slow_names", ())
-    return Outcome(done, velocity, _nis(done.info, loaded), score, each, engine, named)
+    return Outcome(done, velocity, _nis(done.info, loaded), score, each, by, named)
 
 
 def known(info: Any, name: str) -> np.ndarray | None:

@@ -1,2 +1,2 @@
-from ._log import FEWEST_ROWS as FEWEST_ROWS, run_log as run_log
+from ._log import FEWEST_ROWS as FEWEST_ROWS, run_log as run_log, run_logs as run_logs
 from ._stream import Health as Health, Stream as Stream

@@ -11,7 +11,7 @@ from typing import Any
 
 from covariant._programs import cache_folder
 
-FLAGS = ("-std=c99", "-O2", "-fPIC", "-shared")
+FLAGS = ("-std=c99", "-O2", "-fno-math-errno", "-fPIC", "-shared")
 
 
 @functools.cache

@@ -29,7 +29,7 @@ class InC:
     def start(self, t: float) -> None:
         """Start at y, at the time t."""
         y, state = self._starts
-        self._made.library.kernel_init(y, t, state)
+        self._made.library.kernel_init(self._made.ffi.NULL, y, t, state)
         before = self.u.copy()
         self.u.fill(0.0)
         self.advance(0.0)  # a step of no length leaves the state as it is, and tells its estimate
