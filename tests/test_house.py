@@ -54,7 +54,7 @@ PUBLIC = {
     "control": "Backstepping Reference follow lissajous set_point",
     "design": "ESTIMATORS STATE_ESTIMATORS DataSheet Gains HeldOut MetricSummary NoiseLevels Trial Tuning bias "
     "contracting_gain estimators filter_bandwidth gains gated given_noise jerk_bound joint_noise load_metric "
-    "metric metric_summary observer_gains predict_errors predict_sampled_errors tune tuned_estimators "
+    "metric metric_summary observer_gains predict_errors predict_sampled_errors stored_observer tune tuned_estimators "
     "tuned_state_estimators usual_speeds window_length with_gains",
     "diagnosis": "Diagnosis Finding diagnose misfit outliers",
     "export": "ROWS Facts Leaf Program Recipe Source Unit Vectors export_texts fmu of_family program vectors "

@@ -1,5 +1,6 @@
 """Metrics over a grid: a store holds what the solver gives at each point, and says where it comes from."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -95,6 +96,20 @@ def test_the_field_of_a_store_has_its_values_at_the_points(path, store):
     between = jnp.array([0.4, 0.1])
     exact = riccati.metric_at(MODEL, EQUATION, between, start=2.0, tolerance=1e-6, domain=DOMAIN, u=U).metric
     np.testing.assert_allclose(field(between), exact, rtol=0.02)
+
+
+def test_the_observer_of_a_store_has_its_field_its_noise_and_the_gain_of_its_equation(path):
+    start = jnp.array([0.4, 0.1])
+    observer = design.stored_observer(MODEL, path, start)
+    np.testing.assert_array_equal(observer.metric(start), design.load_metric(path)(start))
+    np.testing.assert_array_equal(observer.measurement_cov, EQUATION.measurement_cov)
+    assert observer.gain == 0.25  # of an equation with a rate
+    key = next(iter(MODEL.parameters))
+    other = eqx.tree_at(lambda m: m.parameters[key].value, MODEL, MODEL.parameters[key].value + 1)
+    with pytest.raises(ValueError, match=rf"the metric is for {key} = .*; the model has .*; compute it anew"):
+        design.stored_observer(other, path, start)
+    with pytest.raises(ValueError, match="a metric of 2 states; the model has 3"):
+        design.stored_observer(models.unknown_frequency(), path, jnp.zeros(3))
 
 
 def test_a_field_of_process_noise_is_recorded_by_name(tmp_path):

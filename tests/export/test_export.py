@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from covariant import models, observers
+from covariant import design, models, observers, riccati, scale
 from covariant.cli import _export, main
 from covariant.export import (
     ROWS,
@@ -32,7 +32,7 @@ from covariant.export import (
     with_open_numbers,
     write_folder,
 )
-from covariant.geometry import Budget
+from covariant.geometry import Budget, Interpolated
 from covariant.models import robots
 
 ROOT = Path(__file__).parents[2]
@@ -99,6 +99,15 @@ def case(name: str) -> Case:
             robot = robots.load("scara")
             recipe = with_open_numbers(observers.Intrinsic(robot, 20.0, 200.0, substeps=1), ("[!abfm]*", "motors"))
             return Case(recipe, swing(0.3, 0.4, 0.1, 0.0), 4, "float")
+        case "frequency":  # its metric is a table, which the estimate leaves
+            axes = [np.linspace(low, high, 5) for low, high in ((-1.0, 1.0), (-0.5, 1.5), (0.5, 2.0))]
+            spread = np.random.default_rng(0).normal(size=(5, 5, 5, 3, 3))
+            field = Interpolated(tuple(axes), np.eye(3) + 0.1 * np.einsum("...ij,...kj->...ik", spread, spread))
+            observer = observers.Riccati(models.unknown_frequency(), field, jnp.array([0.5, 0.5, 1.0]), 0.5)
+            return Case(with_open_numbers(observer, ("low", "high", "spacing", "factors")), swing(0.8), 0)
+        case "duffing":
+            filter_ = observers.StateEKF(models.duffing(), one, 1e-4 * jnp.eye(1), jnp.array([0.3, 0.1]), one, 2)
+            return Case(with_open_numbers(filter_), swing(0.3), 1, "float")
         case "one" | "thirty":  # coordinates of springs, without an input
             n = {"one": 1, "thirty": 30}[name]
             recipe = with_open_numbers(observers.Intrinsic(springs(n), 8.0, 30.0, substeps=1))
@@ -109,7 +118,20 @@ def case(name: str) -> Case:
             raise KeyError(name)
 
 
-CASES = ("pendulum", "pendulum_float", "kalman", "exact", "top", "ship", "scara", "slope", "one", "thirty")
+CASES = (
+    "pendulum",
+    "pendulum_float",
+    "kalman",
+    "exact",
+    "top",
+    "ship",
+    "scara",
+    "slope",
+    "one",
+    "thirty",
+    "frequency",
+    "duffing",
+)
 each = pytest.mark.parametrize("name", CASES)
 
 
@@ -439,4 +461,45 @@ def test_bad_options_are_named(words, said, tmp_path, monkeypatch, capsys):
     code, _, told = command(monkeypatch, capsys, model, *words, "--no-audit", "-o", tmp_path / "out")
     assert code == 2
     assert said in told
+    assert not (tmp_path / "out").exists()
+
+
+STATES = ("unknown_frequency", "--rate", "200", "--set", "measurement.std=0.05", "--set", "uncertainty.process=0.01")
+
+
+@needs_compiler
+def test_observers_of_state_space_models_are_written_too(tmp_path, monkeypatch, capsys):
+    grid = scale.Grid(["x1", "x2", "x3"], ["m", "m/s", "1/s^2"], (0, 1, 0.5), (1, 1.5, 1.5), (4, 4, 4))
+    design.metric(models.unknown_frequency(), riccati.Equation(rate=8.0), grid, tmp_path / "m.zarr")
+    stored = ("unknown_frequency", "--rate", "200", "--observer", "riccati", "--metric", tmp_path / "m.zarr")
+    for name, options in (("filter", STATES), ("table", stored)):
+        code, _, fault = command(monkeypatch, capsys, *options, "--name", "f", "-o", tmp_path / name)
+        assert code == 0, fault
+        ran(["cc", *FLAGS, "-I.", "f.c", "test/f_test.c", "-lm", "-o", "self_test"], tmp_path / name)
+        ran(["./self_test"], tmp_path / name)
+    assert "x_std" not in (tmp_path / "table" / "f.h").read_text()
+    assert "state_std[3]" in (tmp_path / "filter" / "f.h").read_text()
+    assert "look-ups in tables | 384" in (tmp_path / "table" / "DATASHEET.md").read_text()
+
+
+@pytest.mark.parametrize(
+    ("options", "fault"),
+    [
+        (
+            (*STATES, "--observer", "intrinsic"),
+            "--observer intrinsic does not fit unknown_frequency; these do: covariance",
+        ),
+        ((*STATES, "--alpha", "1", "--beta", "1"), "--alpha and --beta are for mechanical models"),
+        ((*STATES, "--certificate", "c.json"), "--certificate is for mechanical models"),
+        ((*STATES, "--metric", "m.zarr"), "--metric is for --observer riccati; covariance-ekf has no metric"),
+        ((*STATES, "--observer", "riccati", "--metric", "m.zarr"), "m.zarr is not a map made by map_grid"),
+        (STATES[:3], "its observers need measurement.std"),
+        (("ball_and_beam", "--rate", "200", "--metric", "m.zarr"), "--metric is for the observer riccati"),
+    ],
+)
+def test_what_does_not_fit_a_state_space_model_is_said(options, fault, tmp_path, monkeypatch, capsys):
+    code, _, told = command(monkeypatch, capsys, *options, "-o", tmp_path / "out")
+    assert code == 2
+    assert fault in told
+    assert len(told.strip().splitlines()) == 1
     assert not (tmp_path / "out").exists()

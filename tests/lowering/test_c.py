@@ -86,6 +86,31 @@ def compiled(lowered: Lowered, folder, real="double", **options):
     return call, source
 
 
+GRID = np.random.default_rng(3).normal(size=(9, 12, 2))
+
+
+def test_known_numbers_are_looked_up_at_any_place_and_clipped_to_where_they_are(tmp_path):
+    import jax
+    import jax.numpy as jnp
+
+    def corner(x):
+        start = (jnp.floor(x[0]).astype(int), jnp.round(x[1]).astype(int), jnp.zeros((), int))
+        return jax.lax.dynamic_slice(jnp.asarray(GRID), start, (2, 3, 2)) * x[0]
+
+    with pytest.raises(LoweringError, match="at one of 80 places"):
+        lower(corner, jnp.zeros(2))
+    lowered = lower(corner, jnp.zeros(2), loops="long")
+    assert sum(node.op == "table" for node in lowered.graph.nodes) == 12
+    points = np.random.default_rng(4).uniform(-3, 14, (200, 2))
+    expected = jax.vmap(corner)(points)
+    np.testing.assert_array_equal(numbers(lowered, points), expected)
+    function, text = compiled(lowered, tmp_path)
+    assert text.count("static const double") == 1
+    np.testing.assert_array_equal([function(point) for point in points], np.reshape(expected, (200, -1)))
+    known = lower(lambda x: corner(jnp.array([2.5, 7.0])) * x, jnp.zeros(()), loops="long")
+    assert all(node.op != "table" for node in known.graph.nodes)
+
+
 def every_operation(graph, x):
     """Each operation of `FOLD` on the inputs."""
     a, b, c, d = x

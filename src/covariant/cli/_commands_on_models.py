@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from covariant.cli._names import CERTIFIED, ESTIMATORS, PAPERS, WRITTEN
+from covariant.cli._names import CERTIFIED, ESTIMATORS, PAPERS, STATE_ESTIMATORS, WRITTEN
 from covariant.cli._options import (
     Json,
     Model,
@@ -106,7 +106,11 @@ def export(
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder to write, or a unit for simulators (.fmu).")],
     rate: Annotated[float, typer.Option(help="Sampling rate [Hz] that it is made for.")],
     observer: Annotated[
-        str | None, typer.Option(help=f"One of: {', '.join(ESTIMATORS)}; intrinsic by default.")
+        str | None,
+        typer.Option(
+            help=f"One of: {', '.join(ESTIMATORS)}; intrinsic by default. For a state-space model: "
+            f"{', '.join(STATE_ESTIMATORS)}."
+        ),
     ] = None,
     alpha: Annotated[float | None, typer.Option(help="Gain α [1/s] in place of the designed one.")] = None,
     beta: Annotated[float | None, typer.Option(help="Gain β [1/s²] in place of the designed one.")] = None,
@@ -119,6 +123,9 @@ def export(
     certificate: Annotated[
         Path | None, typer.Option(help="Saved certificate of this observer, for the data sheet (.json).")
     ] = None,
+    metric: Annotated[
+        Path | None, typer.Option(help="Metric on a grid for riccati, as `design metric` stores it (.zarr).")
+    ] = None,
     fmi: Annotated[str | None, typer.Option(help="Version of FMI of a .fmu: 3.0, the default, or 2.0.")] = None,
     audit: Annotated[bool, typer.Option("--audit/--no-audit", help="Measure the laws of the observer first.")] = True,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace files that are there.")] = False,
@@ -128,7 +135,8 @@ def export(
     """Write an observer as C99 for microcontrollers and controllers, or as a unit (.fmu) for Simulink and Modelica."""
     from covariant.cli import _export
 
-    asked = _export.Asked(observer, (alpha, beta), rate, real, name, parameters, certificate, fmi, audit, overwrite)
+    gains = (alpha, beta)
+    asked = _export.Asked(observer, gains, rate, real, name, parameters, certificate, metric, fmi, audit, overwrite)
     _export.export(model, tuple(override), asked, out, json)
 
 

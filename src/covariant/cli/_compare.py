@@ -77,7 +77,7 @@ def compare(job: Job, out: Path | None, report: Path | None, engine: Engine, as_
 def line_up(loaded: Loaded) -> tuple[dict[str, AbstractObserver], str]:
     """The observers that are compared by name, and sentences on how they are tuned."""
     if not loaded.file.mechanical:
-        return as_read(tuned_states(loaded), loaded), said_of_states(loaded)
+        return as_read(tuned_states(loaded), loaded), said_of_states(loaded.file) + loaded.note
     reference = loaded.reference
     assert reference is not None  # it was asked for
     sheet = log_sheet(loaded)

@@ -104,7 +104,9 @@ def _choose(
         behind = {observer: gated(made[observer], model, log_sheet(loaded))}
         return as_read(behind, loaded)[observer], (given,)
     if not loaded.file.mechanical:
-        return as_read(tuned_states(loaded, (observer,)), loaded)[observer], (said_of_states(loaded),)
+        return as_read(tuned_states(loaded, (observer,)), loaded)[observer], (
+            said_of_states(loaded.file) + loaded.note,
+        )
     sheet = log_sheet(loaded)
     designed = observer_gains(sheet, loaded.rate).summary
     made = tuned_estimators(model, loaded.file.dimension, sheet, loaded.rate, names=(observer,))

@@ -6,7 +6,7 @@ import sys
 from collections.abc import Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -14,8 +14,10 @@ import numpy as np
 from covariant import certificates, models
 from covariant.audit import audit
 from covariant.cli._console import working
+from covariant.cli._export_states import of_states, with_fixed_steps
 from covariant.cli._job import data_sheet
 from covariant.cli._parse import above_zero
+from covariant.cli._planned import Asked, Planned
 from covariant.design import ESTIMATORS, estimators, observer_gains, tuned_estimators, with_gains
 from covariant.export import (
     ROWS,
@@ -35,25 +37,12 @@ from covariant.observers import REGISTRY, AbstractObserver, Delayed, chooses_sub
 
 GEOMETRY = ("*rotation", "*place", "*turn", "*slide", "coordinates", "motors", "joints", "base*")
 """Arrays of a robot that say how it is put together: as constants they save nine tenths of the work."""
+STORED = ("low", "high", "spacing", "factors")
+"""Arrays of a metric on a grid, a table that the code looks up."""
 REALS = ("double", "float")
 VERSIONS = ("3.0", "2.0")
 CENTRE, SWING = 0.7, 0.2
 """Where positions of the self-test are, and how far they swing, in units of the coordinates; circles start at π."""
-
-
-class Asked(NamedTuple):
-    """The options of the command as the user gave them."""
-
-    observer: str | None
-    gains: tuple[float | None, float | None]
-    rate: float
-    real: str
-    name: str | None
-    parameters: str | None
-    certificate: Path | None
-    fmi: str | None
-    audited: bool
-    overwrite: bool
 
 
 def export(spec: str, overrides: tuple[str, ...], asked: Asked, out: Path, as_json: bool) -> None:
@@ -62,14 +51,13 @@ def export(spec: str, overrides: tuple[str, ...], asked: Asked, out: Path, as_js
     _check(asked, unit)
     family = _family(spec, overrides, asked.parameters)
     file = models.load(spec, overrides) if family is None else family.file
-    model = file.need_mechanical(spec, "code is written for observers of")
-    kind, bare, design = _observer(spec, file, model, asked)
+    planned = (_mechanical if file.mechanical else of_states)(spec, file, asked)
+    kind, bare, design, measured = planned
     name = asked.name or _identifier(file.name)
     about = f"{kind} observer of {file.name}. {design}"
     proved = "" if asked.certificate is None else _certificate(asked.certificate, spec, overrides, kind, bare)
-    measured = _measured(model, file.dimension)
     # A unit takes steps of any length; firmware does the same work in every step.
-    fixed = bare if unit else _of_fixed_length(bare, rate, model, file, measured)
+    fixed = bare if unit else _of_fixed_length(planned, rate, file)
     late = float(np.max(file.delay)) > 0 and next(e for e in REGISTRY if e.name == kind).knows_model
     observer = Delayed(fixed, file.delay, rate) if late else fixed
     with working(f"writing {name}", quiet=as_json):
@@ -110,6 +98,14 @@ def _write_unit(made: Program, name: str, about: str, rate: float, y: np.ndarray
     unit = fmu(made, name, about, rate, y, version)
     write_fmu(unit, out, asked.overwrite)
     return f"the unit holds sources and no binary: {unit.without_binary}" if unit.without_binary else ""
+
+
+def _mechanical(spec: str, file: models.ModelFile, asked: Asked) -> Planned:
+    """An observer of a mechanical model, by default the first that fits it."""
+    if asked.metric is not None:
+        raise ValueError(f"--metric is for the observer riccati of a state-space model; {spec} is a mechanical one")
+    model: Any = file.model
+    return Planned(*_observer(spec, file, model, asked), _measured(model, file.dimension))
 
 
 def _observer(
@@ -188,7 +184,7 @@ def _recipe(observer: AbstractObserver, given: str | None) -> Recipe:
 def _usual(observer: AbstractObserver) -> Recipe:
     """The recipe that is open but for the geometry of a robot, and arrays of zeros, which cost nothing if closed."""
     zeros = [name for name, value in with_open_numbers(observer).numbers.items() if not np.any(value)]
-    return with_open_numbers(observer, (*GEOMETRY, *zeros))
+    return with_open_numbers(observer, (*GEOMETRY, *STORED, *zeros))
 
 
 def _open_numbers(parameters: dict[str, Any]) -> tuple[str, ...]:
@@ -206,10 +202,11 @@ def _open_numbers(parameters: dict[str, Any]) -> tuple[str, ...]:
     return tuple(found for key, value in parameters.items() for found in places(key, value))
 
 
-def _of_fixed_length(
-    observer: AbstractObserver, rate: float, model: models.MechanicalSystem, file: models.ModelFile, q: np.ndarray
-) -> AbstractObserver:
-    """The observer with as many substeps as friction needs at the usual speed of the model file."""
+def _of_fixed_length(planned: Planned, rate: float, file: models.ModelFile) -> AbstractObserver:
+    """The observer with as many substeps as it needs: for friction, at the usual speed of the model file."""
+    observer, q = planned.observer, planned.measured
+    if not file.mechanical:
+        return with_fixed_steps(observer, q, rate)
     if not chooses_substeps(observer):
         return observer
     sheet = data_sheet(file) if file.acceleration_std is not None and file.measurement_std is not None else None

@@ -49,12 +49,13 @@ def first_estimate(file: ModelFile) -> tuple[jnp.ndarray, jnp.ndarray]:
     return _each(start, file.dimension), _each(spread, file.dimension)
 
 
-def said_of_states(loaded: Loaded) -> str:
+def said_of_states(file: ModelFile) -> str:
     """A sentence on what the observers are designed from."""
-    start, spread = first_estimate(loaded.file)
-    named = zip(loaded.model.sought.names, start, spread, loaded.model.sought.units, strict=True)
+    start, spread = first_estimate(file)
+    sought = file.model.sought
+    named = zip(sought.names, start, spread, sought.units, strict=True)
     first = ", ".join(f"{name} {x:.4g} ± {std:.3g} {unit}".rstrip() for name, x, std, unit in named)
-    return f"Designed from the noise in the model file; first estimate {first}.{loaded.note}"
+    return f"Designed from the noise in the model file; first estimate {first}."
 
 
 def _each(value, count: int) -> jnp.ndarray:

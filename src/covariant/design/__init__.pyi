@@ -29,6 +29,7 @@ from ._metric import (
     load_metric as load_metric,
     metric as metric,
     metric_summary as metric_summary,
+    stored_observer as stored_observer,
 )
 from ._speeds import usual_speeds as usual_speeds
 from ._tune import HeldOut as HeldOut, Tuning as Tuning, given_noise as given_noise, tune as tune

@@ -17,6 +17,7 @@ from jaxtyping import Array, Float
 from covariant._typing import Bounds
 from covariant.geometry import Interpolated
 from covariant.models import StateSpace
+from covariant.observers import Riccati
 from covariant.riccati import Equation, metric_at
 from covariant.scale import Grid, Variable, map_grid, open_grid
 from covariant.signals import Result
@@ -99,6 +100,29 @@ def load_metric(path: str | os.PathLike[str]) -> Interpolated:
     values = store["metric"]
     axes = tuple(np.asarray(store[axis]) for axis in values.dims[:-2])
     return Interpolated(axes, np.asarray(values))
+
+
+def stored_observer(model: StateSpace, path: str | os.PathLike[str], start: Float[Array, "n"]) -> Riccati:
+    """The observer that looks its metric up in a finished store, with R as in the equation of the metric.
+
+    - `start` (n,): first estimate.
+
+    Its gain is ¼ for a metric of an equation with rate λ, whose distance then decays at the rate λ/2, and ½ for one
+    without, the stationary Kalman filter (Sanfelice & Praly 2015, (11)). Raises `ValueError` where the store is not one
+    of `metric`, not finished, of other states than the model's, or of other parameters.
+    """
+    told = _open(path).attrs["provenance"]
+    field = load_metric(path)
+    if field.low.shape != start.shape:
+        raise ValueError(f"{path}: a metric of {field.low.shape[0]} states; the model has {start.shape[0]}")
+    parameters = {key: np.asarray(parameter.value) for key, parameter in model.parameters.items()}
+    for key in sorted({*told["parameters"], *parameters}):
+        stored, own = told["parameters"].get(key), parameters.get(key)
+        if stored is None or own is None or not np.array_equal(np.asarray(stored), own):
+            raise ValueError(f"{path}: the metric is for {key} = {stored}; the model has {own}; compute it anew")
+    equation = told["equation"]
+    noise = None if equation["measurement_cov"] is None else jnp.asarray(equation["measurement_cov"])
+    return Riccati(model, field, start, 0.25 if equation["rate"] > 0 else 0.5, noise)
 
 
 class MetricSummary(NamedTuple):

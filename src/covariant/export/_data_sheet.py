@@ -82,7 +82,7 @@ def _counts(operations) -> list[tuple[str, int]]:
     rows = [(words[label], sum(operations[op] for op in ops)) for label, ops in names]
     rows.append(("additions and other arithmetic", sum(operations[op] for op in rest)))
     rows.append(("comparisons and choices", sum(operations[op] for op in LOGIC)))
-    rows += [(f"calls of {op}", operations[op]) for op in functions]
+    rows += [("look-ups in tables" if op == "table" else f"calls of {op}", operations[op]) for op in functions]
     return [*((label, count) for label, count in rows if count), ("all together", sum(operations.values()))]
 
 

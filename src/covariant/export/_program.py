@@ -18,7 +18,7 @@ from covariant.observers import AbstractObserver
 Real = Literal["double", "float"]
 DTYPES = {"double": np.float64, "float": np.float32}
 
-REPORTED = ("innovation", "distance", "nis", "velocity_std", "slow", "slow_std")
+REPORTED = ("innovation", "distance", "nis", "velocity_std", "state_std", "slow", "slow_std")
 """Fields of an info that are kept, beside the result code."""
 
 

@@ -28,10 +28,10 @@ def nodes_of(graph: Graph, value: Value) -> np.ndarray:
 
 
 class Writer:
-    """Writes operations on arrays into a graph, entry by entry."""
+    """Writes operations on arrays into a graph, entry by entry; `tables`: known numbers may be looked up there."""
 
-    def __init__(self, graph: Graph):
-        self.graph = graph
+    def __init__(self, graph: Graph, tables: bool = False):
+        self.graph, self.tables = graph, tables
 
     def map(self, op: str, *values: Value) -> Scalars:
         """Apply an operation to arrays of one shape, entry by entry."""

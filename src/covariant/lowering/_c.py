@@ -7,9 +7,10 @@ values that one of them leaves to another stand in an array on the stack, whose 
 
 import itertools
 import re
+import textwrap
 from collections import Counter
 from collections.abc import Sequence
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from covariant.lowering._c_operations import HELPERS, TRUTHS, Words, expression, helpers, literal
 from covariant.lowering._graph import Graph
@@ -112,6 +113,8 @@ class _Writer:
         self.parts = _parts(self.graph, statements, most_statements)
         self.loops = self._loops([i for i in statements if self.graph.nodes[i].op == "loop"], most_statements)
         self.part = {i: k for k, part in enumerate(self.parts) for i in part}
+        looked_up = dict.fromkeys(self.graph.nodes[i].value for i in statements if self.graph.nodes[i].op == "table")
+        self.tables: dict[Any, str] = {table: f"{name}_table{k + 1}" for k, table in enumerate(looked_up)}
 
     def written(self) -> CText:
         places, counts = self._places()
@@ -119,7 +122,8 @@ class _Writer:
         sizes = (("real", self.words.real, counts[False]), ("truth", "int", counts[True]))
         arrays = [(f"{kind}s", c, size) for kind, c, size in sizes if size]
         rest = "".join(f", {c} *restrict {array}" for array, c, _ in arrays)
-        parts = [text for loop in self.loops.values() for text in loop.texts]
+        parts = [_array(name, table.numbers, self.words) for table, name in self.tables.items()]
+        parts += [text for loop in self.loops.values() for text in loop.texts]
         for k, part in enumerate(self.parts):
             lines = self._lines(k, part, places)
             if last == 0:
@@ -242,6 +246,9 @@ class _Writer:
             if node.op == "constant":
                 return literal(node.value, self.words)  # pyright: ignore[reportArgumentType]
             operands = [text(a) if a in self.inside else name(a) for a in node.arguments]
+            if node.op == "table":
+                last = len(node.value.numbers) - 1  # pyright: ignore[reportOptionalMemberAccess]
+                return f"{self.tables[node.value]}[{self.words.prefix}table({operands[0]}, {last})]"
             return expression(node.op, [_bracketed(o) for o in operands], self.words)
 
         for i in part:
@@ -261,6 +268,12 @@ class _Writer:
                 value = text(i) if i in self.inside else name(i)
                 stores.append(f"{target} = {f'({self.words.real})({value})' if self.truth[i] else value};")
         return [*lines, *_declarations(declared), *stores]
+
+
+def _array(name: str, numbers: Sequence[float], words: Words) -> str:
+    """A table as a constant array."""
+    text = textwrap.fill(", ".join(literal(float(x), words) for x in numbers), 116, break_long_words=False)
+    return f"static const {words.real} {name}[{len(numbers)}] = {{\n{textwrap.indent(text, '    ')}\n}};\n"
 
 
 def _declarations(declared: Sequence[tuple[str, str]]) -> list[str]:

@@ -58,6 +58,8 @@ HELPERS = {
     "min": "static {real} {prefix}min({real} a, {real} b)\n{{\n    return a < b || a != a ? a : b;\n}}\n",
     "max": "static {real} {prefix}max({real} a, {real} b)\n{{\n    return a > b || a != a ? a : b;\n}}\n",
     "is_finite": "static int {prefix}is_finite({real} a)\n{{\n    return a - a == {zero};\n}}\n",
+    "table": "static int {prefix}table({real} place, int last)\n{{\n"
+    "    return place > {zero} ? place < ({real})last ? (int)place : last : 0;\n}}\n",
     "sign": "static {real} {prefix}sign({real} a)\n{{\n    return a > {zero} ? {one} : a < {zero} ? -{one} : a;\n}}\n",
 }
 """Operations that are functions of a few lines."""

@@ -29,8 +29,30 @@ class Condition(NamedTuple):
     because: str
 
 
+class Table:
+    """Numbers that are looked up by their place; two tables of the same numbers are equal."""
+
+    def __init__(self, numbers: np.ndarray):
+        self.numbers = np.ascontiguousarray(numbers, float)
+        self._bits = self.numbers.tobytes()
+        self._hash = hash(self._bits)
+
+    def __hash__(self) -> int:
+        return self._hash
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Table) and self._bits == other._bits
+
+    def at(self, place: Any) -> Any:
+        """The number at a place, which is a whole number up to roundings; beyond the ends that at the end."""
+        with np.errstate(all="ignore"):
+            whole = np.clip(np.nan_to_num(np.rint(place)), 0, len(self.numbers) - 1)
+        return self.numbers[whole.astype(int)]
+
+
 class Node(NamedTuple):
-    """An operation and the indices of its arguments; `value` of a `constant`, position of an `input`, or a loop."""
+    """An operation and the indices of its arguments; `value` of a `constant`, position of an `input`, a loop or a
+    table."""
 
     op: str
     arguments: tuple[int, ...]
@@ -120,7 +142,8 @@ class Graph:
             if node.op == "constant":
                 graph.constant(node.value)  # pyright: ignore[reportArgumentType]
             else:
-                graph._add((node.op, *(node.arguments or (node.value,))), node)
+                told = (node.value,) if node.op == "table" or not node.arguments else ()
+                graph._add((node.op, *told, *node.arguments), node)
         return graph
 
     def constant(self, value: float | bool | int) -> int:
@@ -138,6 +161,12 @@ class Graph:
     def block(self, op: str, key: Any, arguments: tuple[int, ...], value: Any) -> int:
         """The node of what is no operation on numbers, such as a loop; equal keys on equal arguments are one node."""
         return self._add((op, key, *arguments), Node(op, arguments, value))
+
+    def look_up(self, table: Table, place: int) -> int:
+        """The node of a number of a table, which is for code and not for proofs: it jumps from place to place."""
+        if self.nodes[place].op == "constant":
+            return self.constant(table.at(self.nodes[place].value).item())
+        return self.block("table", table, (place,), table)
 
     def find(self, op: str, *arguments: int) -> int | None:
         """The node of an operation as it stands, where the graph has it."""

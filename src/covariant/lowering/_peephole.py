@@ -46,6 +46,8 @@ def _rewritten(lowered: Lowered, rule: Callable[[Graph, Node, tuple[int, ...]], 
             place.append(add_loop(graph, node.value.over(simplified), [place[a] for a in node.arguments]))
         elif node.op == "part":
             place.append(part_of(graph, place[node.arguments[0]], node.value))
+        elif node.op == "table":
+            place.append(graph.look_up(node.value, place[node.arguments[0]]))
         else:
             place.append(rule(graph, node, tuple(place[a] for a in node.arguments)))
     small, outputs = graph.pruned([place[i] for i in lowered.outputs])

@@ -1,7 +1,8 @@
 """Slices, gathers and scatters of arrays of nodes: entries moved to or taken from given places.
 
 Where the places are known numbers, the primitive itself is applied to the indices of the nodes. Where they depend on
-the arguments, the result is a choice between all possible places, if these are few.
+the arguments, the result is a choice between all possible places, if these are few, or is looked up, if the entries are
+known numbers.
 """
 
 import itertools
@@ -13,10 +14,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from covariant.lowering._arrays import Scalars, Value, Writer, nodes_of
+from covariant.lowering._graph import Table
 from covariant.lowering._lowered import LoweringError
 
 MOST_PLACES = 64
-"""Largest number of possible places for an index that depends on the arguments."""
+"""Largest number of possible places for an index that depends on the arguments, unless it is one of a table."""
+MOST_ENTRIES = 200_000
+"""Largest table of known numbers."""
 
 
 def at_places(write: Writer, eqn, values: list) -> list[Value]:
@@ -45,6 +49,10 @@ def at_places(write: Writer, eqn, values: list) -> list[Value]:
     largest = [ends[k % len(ends)] for k in range(len(flat))]
     choices = [range(end + 1) if value is None else (value,) for end, value in zip(largest, known, strict=True)]
     count = math.prod(len(choice) for choice in choices)
+    if count > MOST_PLACES and name == "dynamic_slice" and write.tables:
+        table = _table(write, nodes_of(write.graph, values[0]))
+        if table is not None:
+            return [Scalars(_looked_up(write, table, eqn, flat, largest))]
     if not 0 < count <= MOST_PLACES:
         raise LoweringError(f"'{name}' at one of {count} places that the arguments decide has no graph of scalars")
     if not (fills or drops):  # places out of bounds are clipped
@@ -66,6 +74,29 @@ def at_places(write: Writer, eqn, values: list) -> list[Value]:
         )
     assert result is not None
     return [Scalars(result)]
+
+
+def _table(write: Writer, operand: np.ndarray) -> Table | None:
+    """The entries of an array as a table, where they are known numbers and not too many."""
+    nodes = [write.graph.nodes[i] for i in operand.ravel().tolist()]
+    if len(nodes) > MOST_ENTRIES or any(node.op != "constant" for node in nodes):
+        return None
+    return Table(np.array([node.value for node in nodes], float))
+
+
+def _looked_up(write: Writer, table: Table, eqn, starts: Sequence[int], ends: Sequence[int]) -> np.ndarray:
+    """A slice of a table that starts where the arguments say, clipped to where it fits."""
+    graph, shape, sizes = write.graph, eqn.invars[0].aval.shape, eqn.params["slice_sizes"]
+    strides = [math.prod(shape[k + 1 :]) for k in range(len(shape))]
+    first = graph.constant(0.0)
+    for start, end, stride in zip(starts, ends, strides, strict=True):
+        inside = graph.apply("min", graph.apply("max", start, graph.constant(0.0)), graph.constant(float(end)))
+        first = graph.apply("add", first, graph.apply("mul", inside, graph.constant(float(stride))))
+    ids = np.empty(sizes, int)
+    for offsets in np.ndindex(*sizes):
+        ahead = graph.constant(float(np.dot(offsets, strides)))
+        ids[offsets] = graph.look_up(table, graph.apply("add", first, ahead))
+    return ids
 
 
 def _places(name: str, p: dict, shapes: Sequence[tuple[int, ...]]) -> tuple[range, list[int]]:

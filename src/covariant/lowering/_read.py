@@ -46,6 +46,8 @@ def evaluate_nodes(graph: Graph, outputs: Sequence[int], domain: Domain, inputs:
             found = [values[a] for a in node.arguments]
             if node.op == "part":
                 values[i] = found[0][node.value]
+            elif node.op == "table":
+                values[i] = node.value.at(found[0])  # pyright: ignore[reportOptionalMemberAccess]
             else:
                 values[i] = _looped(node.value, domain, found) if node.op == "loop" else domain[node.op](*found)
             for a in node.arguments:

@@ -40,7 +40,8 @@ def lower(function: Callable, *arguments: Any, real: bool = False, loops: Loops 
       function is defined and does not jump, for everything that it computes, whether a result needs it or not. What
       rounds by its nature, such as conversion to a shorter type, is refused.
     - `loops`: which loops stay loops in the graph, for code: none, so that one whose length the arguments decide is
-      refused; "long" ones, whose turns are so much work that they are written once; or "any" of these two kinds.
+      refused; "long" ones, whose turns are so much work that they are written once; or "any" of these two kinds. Code
+      also looks up slices of known numbers, such as a metric on a grid, in a table.
 
     Its operations are those of `covariant.lowering.FOLD`. Errors at run time (`equinox.error_if`) are left out of it.
     Raises `LoweringError` naming the primitive that has no
@@ -89,7 +90,7 @@ class _Interpreter:
     """Runs a jaxpr on arrays of nodes: what is known is computed, everything else is added to the graph."""
 
     def __init__(self, graph: Graph, loops: Loops = "unrolled"):
-        self.graph, self.write = graph, Writer(graph)
+        self.graph, self.write = graph, Writer(graph, loops != "unrolled")
         self.loops: Loops = loops
 
     def run(self, jaxpr, consts: Sequence, inputs: Sequence[Value]) -> list[Value]:

@@ -140,13 +140,13 @@ class InformationEKF(AbstractFlowObserver):
             return self.model.f(s, x, u), self._unmeasured_rate(s, x, p, u)
 
         now = state.t + dt
-        count = self._needed_substeps(state, u, dt) if self.substeps is None else self.substeps
+        count = self.needed_substeps(state, u, dt) if self.substeps is None else self.substeps
         x, p = rk4(flow, state.t, (state.x, state.information), dt, count)
         moved, info = _correct(self.model, self.equation.measurement_cov, now, x, p, dt, u, y)
         output_jacobian, _ = _whitened_output(self.model, self.equation.measurement_cov, now, x, u, y)
         return InformationState(moved, p + dt * output_jacobian.T @ output_jacobian, now), info
 
-    def _needed_substeps(self, state: InformationState, u: Array, dt: Scalar) -> Code:
+    def needed_substeps(self, state: InformationState, u: Array, dt: Scalar) -> Code:
         """Steps that keep h·rate ≤ 1: to first order changes of P decay at sums of two eigenvalues of `A + QP`."""
         power = jax.jacfwd(self.model.f, 1)(state.t, state.x, u)
         q = self.equation.noise(state.x)

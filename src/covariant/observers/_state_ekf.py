@@ -85,7 +85,7 @@ class StateEKF(AbstractObserver):
 
     def predict(self, state: StateEKFState, u: Float[Array, "m"], dt: Scalar) -> StateEKFState:
         """Estimate and covariance dt [s] later, with u held constant."""
-        count = self._needed_substeps(state, u, dt) if self.substeps is None else self.substeps
+        count = self.needed_substeps(state, u, dt) if self.substeps is None else self.substeps
 
         def ahead(x):
             moved = rk4(lambda s, x: self.model.f(s, x, u), state.t, x, dt, count)
@@ -133,7 +133,7 @@ class StateEKF(AbstractObserver):
         kept = jnp.sqrt(jnp.diag(state.cov))  # a stamp that is repeated changes nothing
         return new, info._replace(state_std=jnp.where(dt > 0, info.state_std, kept))
 
-    def _needed_substeps(self, state: StateEKFState, u: Array, dt: Scalar) -> Code:
+    def needed_substeps(self, state: StateEKFState, u: Array, dt: Scalar) -> Code:
         """Steps that keep h·rate ≤ 1, with a bound on the largest eigenvalue of ∂f/∂x."""
         power = jax.jacfwd(self.model.f, 1)(state.t, state.x, u)
         for _ in range(3):

@@ -1,0 +1,64 @@
+"""`covariant export` for state-space models: their observers, as the model file tells their noise."""
+
+import dataclasses
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from covariant._integrate import rk4
+from covariant.cli._planned import Asked, Planned
+from covariant.cli._states import first_estimate, noise, said_of_states
+from covariant.design import STATE_ESTIMATORS, stored_observer, tuned_state_estimators
+from covariant.export import ROWS
+from covariant.models import ModelFile
+from covariant.observers import AbstractObserver
+
+
+def of_states(spec: str, file: ModelFile, asked: Asked) -> Planned:
+    """An observer of a state-space model, by default the first; `riccati` with its metric computed or looked up."""
+    kind = asked.observer or STATE_ESTIMATORS[0]
+    if kind not in STATE_ESTIMATORS:
+        raise ValueError(f"--observer {kind} does not fit {spec}; these do: {', '.join(STATE_ESTIMATORS)}")
+    if asked.gains != (None, None):
+        raise ValueError(f"--alpha and --beta are for mechanical models; {spec} is a state-space model")
+    if asked.certificate is not None:
+        raise ValueError(f"--certificate is for mechanical models; {spec} is a state-space model")
+    if asked.metric is not None and kind != "riccati":
+        raise ValueError(f"--metric is for --observer riccati; {kind} has no metric")
+    if float(np.max(file.delay)) > 0:
+        raise ValueError(f"{spec}: code for a state-space model takes no measurement.delay; leave it out")
+    model: Any = file.model
+    start, _ = first_estimate(file)
+    if asked.metric is None:
+        observer = tuned_state_estimators(model, noise(file, asked.rate), (kind,))[kind]
+        design = said_of_states(file).replace("±", "+-")
+    else:
+        observer = stored_observer(model, asked.metric, start)
+        design = f"Its metric is that of {asked.metric.name}; none is outside its grid."
+    return Planned(kind, observer, design, _outputs(model, start, asked.rate))
+
+
+def _outputs(model: Any, start: jnp.ndarray, rate: float) -> np.ndarray:
+    """Outputs (ROWS + 1, p) of the model that starts at the first estimate, without inputs."""
+    u, dt = jnp.zeros(model.inputs), 1 / rate
+
+    def step(x, t):
+        return rk4(lambda s, x: model.f(s, x, u), t, x, dt, 1), model.h(t, x, u)
+
+    return np.asarray(jax.lax.scan(step, start, jnp.arange(ROWS + 1.0) * dt)[1])
+
+
+def with_fixed_steps(observer: AbstractObserver, y: np.ndarray, rate: float) -> AbstractObserver:
+    """The observer with the most substeps that it takes over measurements (T, p); as it is where these are fixed."""
+    chosen: Any = observer
+    if chosen.substeps is not None:
+        return observer
+    u, dt = jnp.zeros(chosen.model.inputs), jnp.asarray(1 / rate)
+
+    def step(state, measured):
+        return chosen.step(state, u, measured, dt)[0], chosen.needed_substeps(state, u, dt)
+
+    counts = jax.lax.scan(step, chosen.init(jnp.asarray(y[0]), 0.0), jnp.asarray(y[1:]))[1]
+    return dataclasses.replace(chosen, substeps=int(counts.max()))
