@@ -19,6 +19,8 @@ from covariant.lowering._lowered import LoweringError
 
 MOST_PLACES = 64
 """Largest number of possible places for an index that depends on the arguments, unless it is one of a table."""
+FEW_PLACES = 8
+"""Up to so many places a choice costs no more than a table."""
 MOST_ENTRIES = 200_000
 """Largest table of known numbers."""
 
@@ -49,7 +51,7 @@ def at_places(write: Writer, eqn, values: list) -> list[Value]:
     largest = [ends[k % len(ends)] for k in range(len(flat))]
     choices = [range(end + 1) if value is None else (value,) for end, value in zip(largest, known, strict=True)]
     count = math.prod(len(choice) for choice in choices)
-    if count > MOST_PLACES and name == "dynamic_slice" and write.tables:
+    if count > FEW_PLACES and name == "dynamic_slice" and write.tables:
         table = _table(write, nodes_of(write.graph, values[0]))
         if table is not None:
             return [Scalars(_looked_up(write, table, eqn, flat, largest))]
