@@ -412,9 +412,13 @@ def command(monkeypatch, capsys, *words) -> tuple[int, str, str]:
     return int(left.value.code or 0), told.out, told.err
 
 
+def commands_of_the_page() -> list[str]:
+    return re.findall(r"```bash\ncovariant export (.*?)\n```", (ROOT / "docs" / "firmware.md").read_text())
+
+
 @needs_compiler
 def test_the_command_of_the_page_writes_what_passes_its_test(tmp_path, monkeypatch, capsys):
-    [line] = re.findall(r"```bash\ncovariant export (.*?)\n```", (ROOT / "docs" / "firmware.md").read_text())
+    line, _ = commands_of_the_page()
     options, out = shlex.split(line), tmp_path / "arm"
     shutil.copy(ROOT / "examples" / options[0], tmp_path)
     monkeypatch.chdir(tmp_path)
@@ -464,7 +468,7 @@ def test_bad_options_are_named(words, said, tmp_path, monkeypatch, capsys):
     assert not (tmp_path / "out").exists()
 
 
-STATES = ("unknown_frequency", "--rate", "200", "--set", "measurement.std=0.05", "--set", "uncertainty.process=0.01")
+STATES = tuple(shlex.split(commands_of_the_page()[1])[:-2])
 
 
 @needs_compiler
