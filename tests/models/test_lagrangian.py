@@ -163,6 +163,14 @@ def test_wrong_shape_is_named(name, given):
         Lagrangian(**functions, **NAMES)
 
 
+@pytest.mark.parametrize("inputs", [0, 1, 3])
+def test_inputs_that_are_no_force_are_refused_where_a_force_is_first_asked_for(inputs):
+    """One input would act on both coordinates."""
+    model = Lagrangian(flat, free, inputs=inputs)
+    with pytest.raises(ValueError, match=f"{inputs} inputs are no force on 2 coordinates; give the model a force"):
+        acceleration(model, TIME, jnp.zeros(2), jnp.zeros(2), jnp.zeros(inputs))
+
+
 @pytest.mark.parametrize("matrix", [lambda q: jnp.eye(3), lambda q: q, lambda q: q[0]])
 def test_wrong_shape_of_the_metric_is_named(matrix):
     with pytest.raises(ValueError, match=r"^metric "):
@@ -187,7 +195,7 @@ def test_function_that_cannot_be_evaluated_is_named(name, given):
 
 def test_input_of_the_wrong_size_is_named():
     """Without a force of its own a model takes the input for the force, which must then have n entries."""
-    with pytest.raises(ValueError, match="force must return shape"):
+    with pytest.raises(ValueError, match="1 inputs are no force on 2 coordinates"):
         Lagrangian(flat, free, inputs=1, **NAMES)
 
 

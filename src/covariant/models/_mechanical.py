@@ -221,6 +221,10 @@ class GroupSystem(MechanicalSystem):
 
 
 def input_itself(t, q, u):
+    if q.ndim == 1 and u.shape != q.shape:  # one input would act on all coordinates without a word
+        raise ValueError(
+            f"{u.shape[0]} inputs are no force on {q.shape[0]} coordinates; give the model a force (t, q, u)"
+        )
     return u
 
 
