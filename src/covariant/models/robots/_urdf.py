@@ -1,4 +1,7 @@
-"""URDF: the robot descriptions of ROS. Source: the specification of the ROS package `urdfdom`."""
+"""URDF: the robot descriptions of ROS. Source: the specification of the ROS package `urdfdom`.
+
+Ball joints, which that does not have, are called `spherical`, as in Bullet and MuJoCo, or `ball`, as in Drake.
+"""
 
 import math
 from collections import Counter
@@ -18,7 +21,8 @@ from covariant.models.robots._description import (
     limits_in_doubt,
 )
 
-KINDS = ("revolute", "continuous", "prismatic", "fixed", "planar", "floating")
+KINDS = ("revolute", "continuous", "prismatic", "fixed", "planar", "floating", "ball", "spherical")
+WITHOUT_AXIS = ("fixed", "floating", "ball")
 OF_LINK = {"inertial"}
 OF_JOINT = {"origin", "parent", "child", "axis", "limit", "dynamics", "mimic"}
 GRAVITY = np.array([0.0, 0.0, -9.81])
@@ -76,6 +80,7 @@ def _joint(entry: Element, name: str) -> Joint:
     where, kind = f"joint {name!r}", entry.get("type", "")
     if kind not in KINDS:
         raise ValueError(f"{where}: unknown type {kind!r}; there are {', '.join(KINDS)}")
+    kind = "ball" if kind == "spherical" else kind
     ends = {}
     for end in ("parent", "child"):
         tag = entry.find(end)
@@ -85,12 +90,12 @@ def _joint(entry: Element, name: str) -> Joint:
     rotation, place = _origin(entry, where)
     axis = _vector(entry.find("axis"), "xyz", where, (1.0, 0.0, 0.0))
     length = np.linalg.norm(axis)
-    if kind not in ("fixed", "floating") and not length > 1e-9:
+    if kind not in WITHOUT_AXIS and not length > 1e-9:
         raise ValueError(f"{where}: the axis must have a direction; got {axis.tolist()}")
     dynamics, limit, mimic = entry.find("dynamics"), entry.find("limit"), entry.find("mimic")
     lower, upper = (
         (-np.inf, np.inf)
-        if limit is None or kind == "continuous"
+        if limit is None or kind in ("continuous", *WITHOUT_AXIS)
         else (_number(limit, key, where, 0.0) for key in ("lower", "upper"))
     )
     if lower > upper:
@@ -100,6 +105,8 @@ def _joint(entry: Element, name: str) -> Joint:
         if value < 0:
             raise ValueError(f"{where}: {key} must not be negative; got {value:g}")
     follows = None
+    if mimic is not None and kind == "ball":
+        raise ValueError(f"{where}: a ball joint cannot follow another one; remove <mimic>")
     if mimic is not None:
         numbers = (_number(mimic, key, where, default) for key, default in (("multiplier", 1.0), ("offset", 0.0)))
         follows = Follows(_attribute(mimic, "joint", where), *numbers)
