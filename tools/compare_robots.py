@@ -128,7 +128,7 @@ def states(model, joints: list, count: int, seed: int = 0) -> dict:
     q = rng.uniform(-2, 2, (count, n))
     pose = [np.asarray(SE3.exp(jnp.asarray(s))) for s in rng.normal(size=(count, 6))] if loose else []
     spins = rng.normal(size=(count, balls, 3))
-    turned = np.array([[np.asarray(SO3.exp(jnp.asarray(s))) for s in each] for each in spins])
+    turned = np.array([SO3.exp(jnp.asarray(s)) for s in spins.reshape(-1, 3)]).reshape(count, balls, 3, 3)
     parts = [np.reshape(part, (count, -1)) for part in (pose, turned, q) if np.size(part)]
     v, u = rng.normal(size=(2, count, 6 * loose + 3 * balls + n))
     u[:, : 6 * loose] = 0  # nothing drives a base
@@ -180,8 +180,9 @@ def coupled(theirs: dict, at: dict) -> dict:
     matrix = whole.T @ matrix @ whole
     bias, weight = (np.array(theirs[key]) @ whole for key in ("bias", "weight"))
     rate = np.linalg.solve(matrix, (at["u"] - bias)[..., None])[..., 0]
-    direct = np.array(theirs["rate"]) if whole.shape[0] == whole.shape[1] and len(theirs["rate"]) else rate
-    return {"matrix": matrix, "bias": bias, "weight": weight, "rate": direct}
+    if whole.shape[0] == whole.shape[1] and len(theirs["rate"]):  # the same joints, maybe in another order
+        rate = np.array(theirs["rate"]) @ whole
+    return {"matrix": matrix, "bias": bias, "weight": weight, "rate": rate}
 
 
 def by_mujoco(text: str, at: dict) -> dict:
@@ -219,7 +220,7 @@ def by_mujoco(text: str, at: dict) -> dict:
         rows["matrix"].append(world.T @ full @ world)
         rows["bias"].append(world.T @ (data.qfrc_bias[place] + full @ moved))
         if len(w) == len(v):
-            data.qfrc_applied[place] = world @ u
+            data.qfrc_applied[place] = world @ at["whole"] @ u
             mujoco.mj_forward(model, data)
             rows["rate"].append(world.T @ (data.qacc_smooth[place] - moved))
         data.qvel[:], data.qfrc_applied[:] = 0, 0
