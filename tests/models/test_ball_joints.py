@@ -1,4 +1,4 @@
-"""Ball joints of robots: MuJoCo's mechanics, attitudes in logs, and what is refused. Laws of spaces hold for one, too."""
+"""Ball joints of robots: MuJoCo's mechanics, attitudes in logs, what is refused. Laws of spaces hold for one too."""
 
 from pathlib import Path
 
@@ -31,9 +31,7 @@ def test_a_ball_joint_moves_as_in_mujoco(arm):
     assert arm.velocities == ("w1_shoulder", "w2_shoulder", "w3_shoulder", "rate_turn", "rate_rod")
     assert arm.inputs == 3
     order = np.array([1, 2, 3, 0, 4])  # of their velocities
-    found = jax.jit(
-        lambda q, v, u: (arm.space(q), acceleration(arm, jnp.zeros(()), q, v, u), arm.space.pose(q, "rod"))
-    )
+    found = jax.jit(lambda q, v, u: (arm.space(q), acceleration(arm, jnp.zeros(()), q, v, u), arm.space.pose(q, "rod")))
     rng = np.random.default_rng(0)
     for _ in range(4):
         turn, angles, v, u = SO3.exp(jnp.asarray(rng.normal(size=3))), rng.normal(size=2), *rng.normal(size=(2, 5))
@@ -87,7 +85,7 @@ def test_logs_hold_an_attitude_for_the_base_and_one_for_each_ball_joint(tmp_path
     assert file.dimension == 6 + 3 + 1
     assert file.columns.quaternion_wxyz == tuple(names)
     assert load(str(path), ["columns.quaternion_wxyz=[]"]).unnamed_attitudes == 2
-    with pytest.raises(ValueError, match="names 4 columns.*so written 2 attitudes has 8 entries"):
+    with pytest.raises(ValueError, match=r"names 4 columns.*so written 2 attitudes has 8 entries"):
         load(str(path), ['columns.quaternion_wxyz=["a", "b", "c", "d"]'])
 
 
