@@ -118,6 +118,9 @@ class RobotSpace(AbstractSpace):
         corner = jnp.concatenate(_momentum(base, *unit), axis=1)
         return jnp.block([[corner, side.T], [side, matrix]])
 
+    def raise_(self, x: Configuration, mu: Vector) -> Vector:
+        return _leaves_first(self(x), mu)
+
     def connection_force(self, x: Configuration, a: Vector, b: Vector) -> Vector:
         """`<∇_a b, ·>`: what the mass points resist the change of b along a with, summed up along the joints."""
         joints = self.joints(x)
@@ -138,7 +141,7 @@ class RobotSpace(AbstractSpace):
         def normal(along, spin, felt):
             """What mass points with these moments resist `II(along, c)` with."""
             field = self._accelerations(joints, along, c, spin, spin_c, twists[0, :3])
-            within = solve(matrix, gathered(_wrench(_resistance(moments, field)))[0])
+            within = _leaves_first(matrix, gathered(_wrench(_resistance(moments, field)))[0])
             speed, twist = _split(self._moved(joints, within))
             return _resistance(felt, PointField(field.push - speed, _spun(field.turn, -1, twist)))
 
@@ -150,7 +153,7 @@ class RobotSpace(AbstractSpace):
                 self._accelerations(joints, e, w, turn, spin, speed[0]) for e, turn in ((a, spin_a), (b, spin_b))
             )
 
-        return solve(matrix, jax.vjp(moved, jnp.zeros_like(a))[1](onto)[0])
+        return _leaves_first(matrix, jax.vjp(moved, jnp.zeros_like(a))[1](onto)[0])
 
     def joints(self, x: Configuration) -> Joints:
         """Where each body stands on its parent at x."""
@@ -337,6 +340,14 @@ class RobotSpace(AbstractSpace):
         second = felt[:, None, None] / 2 * jnp.eye(3, dtype=x.dtype)[None]
         rotors = Moments(0 * felt, jnp.zeros((balls, 3), x.dtype), second)
         return jax.tree.map(lambda one, other: jnp.concatenate([one, other]), bodies, rotors)
+
+
+def _leaves_first(matrix: Matrix, mu: Vector) -> Vector:
+    """`matrix⁻¹ mu`, without the joints that carry others before these: branches do not mix then, and zeros stay.
+
+    Source: Featherstone 2008, section 6.5.
+    """
+    return solve(matrix[::-1, ::-1], mu[::-1])[::-1]
 
 
 def _momentum(moments: Moments, speed: Array, spin: Array) -> tuple[Array, Array]:
