@@ -156,7 +156,7 @@ def _assemble(
 
 def _product(floating: bool, balls: int, joints: Coordinates) -> AbstractManifold:
     """The manifold of a base, ball joints and coordinates; one of them alone is no product."""
-    factors = (*(SE3,) * floating, *(SO3,) * balls, *(joints,) * bool(joints.dimension))
+    factors: tuple[AbstractManifold, ...] = (*(SE3,) * floating, *(SO3,) * balls, *(joints,) * bool(joints.dimension))
     return ProductManifold(factors) if len(factors) > 1 else factors[0]
 
 
