@@ -156,8 +156,8 @@ def _assemble(
 
 def _product(floating: bool, balls: int, joints: Coordinates) -> AbstractManifold:
     """The manifold of a base, ball joints and coordinates; one of them alone is no product."""
-    factors: tuple[AbstractManifold, ...] = (*(SE3,) * floating, *(SO3,) * balls, *(joints,) * bool(joints.dimension))
-    return ProductManifold(factors) if len(factors) > 1 else factors[0]
+    factors = [SE3] * floating + [SO3] * balls + [joints] * bool(joints.dimension)
+    return ProductManifold(tuple(factors)) if len(factors) > 1 else factors[0]
 
 
 def _checked_payload(payload: Mapping[str, Any]) -> dict[str, Any]:
