@@ -30,7 +30,9 @@ def ldl(a: Matrix) -> list[Pivot]:
         left, block = jax.lax.split(low, (1, k), 1)
         steps.append(Pivot(d, left / d))
         rest = block - steps[-1].below @ right
-        rest = jnp.where(np.triu(np.ones((k, k), bool)), rest, rest.T)  # when lowered, half the work
+        # Symmetric to the last bit: when lowered, half the work. Numbers, as a mask of truths has no derivative there.
+        upper = np.triu(np.ones((k, k), a.dtype))
+        rest = upper * rest + (1 - upper) * rest.T
     return steps
 
 
