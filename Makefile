@@ -10,7 +10,7 @@ QUICK := tests/laws/test_every_observer.py tests/design/test_estimators.py tests
 	tests/geometry/test_tensors.py tests/test_integrate.py tests/test_scoring.py tests/test_signals.py \
 	tests/test_house.py tests/test_pages.py
 
-.PHONY: env demo test quick format lint types tests gallery bench firmware mutants docs lock clean
+.PHONY: env demo test quick format lint types tests gallery bench firmware mutants geomstats docs lock clean
 
 env: .venv/ready
 
@@ -55,6 +55,16 @@ firmware: env
 mutants: env
 	$(BIN)/python tools/mutants.py --seed 1 --count 200 --out mutants.json
 
+# The tests that geomstats has for Riemannian metrics, on metrics of this library; six minutes. It needs an older NumPy.
+geomstats: .venv-geomstats/ready
+	GEOMSTATS_BACKEND=autograd .venv-geomstats/bin/python tools/geomstats_cases.py
+
+.venv-geomstats/ready: pyproject.toml constraints.txt
+	$(PYTHON) -m venv .venv-geomstats
+	grep -v '^numpy==' constraints.txt > .venv-geomstats/constraints.txt
+	.venv-geomstats/bin/python -m pip install --quiet --disable-pip-version-check -c .venv-geomstats/constraints.txt -e . pytest geomstats==2.8.0 autograd==1.9.1 numpy==2.3.5
+	@touch $@
+
 # The site, in the folder site. Its generators are not needed for anything else: they are installed when first asked for.
 docs: .venv/docs
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build
@@ -70,4 +80,4 @@ lock:
 	rm -rf .venv-lock
 
 clean:
-	rm -rf .venv demo build dist site mutants.json
+	rm -rf .venv .venv-geomstats demo build dist site mutants.json

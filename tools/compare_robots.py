@@ -22,18 +22,24 @@ PINOCCHIO = """
 import json, sys
 import numpy as np, pinocchio as pin
 path, states, out = sys.argv[1:]
-model = pin.buildModelFromUrdf(path)
+# It has no ball joints in URDF: those are floating ones here, whose places stay at 0.
+text = open(path, encoding="utf-8").read().replace('type="spherical"', 'type="floating"')
+model = pin.buildModelFromXML(text)
 data, given = model.createData(), np.load(states)
 names, rows = json.loads(str(given["names"])), {k: [] for k in ("matrix", "bias", "weight", "rate")}
 loose = int(given["floating"])
 joints = [model.joints[model.getJointId(n)] for n in names]
-place = np.array([*range(6)] * loose + [j.idx_v for j in joints], int)
-for pose, angles, v, force in zip(*(given[k] for k in ("pose", "angles", "v", "force"))):
+turning = [range(j.idx_v + 3, j.idx_v + 6) if j.nv == 6 else [j.idx_v] for j in joints]
+place = np.array([*range(6)] * loose + [i for each in turning for i in each], int)
+for pose, turns, angles, v, force in zip(*(given[k] for k in ("pose", "turns", "angles", "v", "force"))):
     q = pin.neutral(model)
     if loose:
         q[:3], q[3:7] = pose[:3, 3], pin.Quaternion(pose[:3, :3]).coeffs()
-    for j, angle in zip(joints, angles):
-        q[j.idx_q : j.idx_q + j.nq] = angle if j.nq == 1 else [np.cos(angle), np.sin(angle)]
+    for j, turn, angle in zip(joints, turns, angles):
+        if j.nv == 6:
+            q[j.idx_q + 3 : j.idx_q + 7] = pin.Quaternion(turn).coeffs()
+        else:
+            q[j.idx_q : j.idx_q + j.nq] = angle if j.nq == 1 else [np.cos(angle), np.sin(angle)]
     w, u = np.zeros(model.nv), np.zeros(model.nv)
     w[place], u[place] = v, force
     m = pin.crba(model, data, q)
@@ -41,13 +47,14 @@ for pose, angles, v, force in zip(*(given[k] for k in ("pose", "angles", "v", "f
     rows["matrix"].append(m[np.ix_(place, place)])
     rows["bias"].append(pin.nonLinearEffects(model, data, q, w)[place])
     rows["weight"].append(pin.computeGeneralizedGravity(model, data, q)[place])
-    rows["rate"].append(pin.aba(model, data, q, w, u)[place])
+    if len(place) == model.nv:
+        rows["rate"].append(pin.aba(model, data, q, w, u)[place])
 np.savez(out, **rows)
 """
 
 
 def tree(seed: int) -> str:
-    """A random tree as URDF: branches, all kinds of joints of one axis, some that follow, some fixed; some floating."""
+    """A random tree as URDF: branches, joints of all kinds, some that follow, some trees that float."""
     rng = np.random.default_rng(seed)
     n, floating = int(rng.integers(2, 31)), seed % 3 == 0
 
@@ -68,20 +75,21 @@ def tree(seed: int) -> str:
     kind = "floating" if floating else "fixed"
     rows.append(f'<joint name="base" type="{kind}"><parent link="world"/><child link="l0"/></joint>')
     for i in range(1, n + 1):
-        kind = str(rng.choice(["revolute", "continuous", "prismatic", "fixed"], p=[0.45, 0.2, 0.25, 0.1]))
+        kinds = ["revolute", "continuous", "prismatic", "fixed", "spherical"]
+        kind = str(rng.choice(kinds, p=[0.4, 0.18, 0.22, 0.1, 0.1]))
         parent = int(rng.integers(max(0, i - 4), i))
         rows.append(link(f"l{i}"))
         quarter = rng.integers(-1, 3, 3) * np.pi / 2 if rng.random() < 0.5 else rng.uniform(-2, 2, 3)
         axis = np.eye(3)[rng.integers(3)] if rng.random() < 0.5 else rng.normal(size=3)
-        mimic = ""
+        mimic, limit = "", '<limit lower="-9" upper="9" effort="1" velocity="1"/>' * (kind != "spherical")
         if kind == "revolute" and led and rng.random() < 0.25:
             mimic = f'<mimic joint="{led}" multiplier="{rng.uniform(-2, 2):.4f}" offset="{rng.uniform(-1, 1):.4f}"/>'
-        elif kind != "fixed":
+        elif kind not in ("fixed", "spherical"):
             led = f"j{i}"
         rows.append(
             f'<joint name="j{i}" type="{kind}"><parent link="l{parent}"/><child link="l{i}"/>'
             f'<origin xyz="{numbers(rng.uniform(-0.3, 0.3, 3))}" rpy="{" ".join(repr(float(a)) for a in quarter)}"/>'
-            f'<axis xyz="{numbers(axis)}"/><limit lower="-9" upper="9" effort="1" velocity="1"/>{mimic}</joint>'
+            f'<axis xyz="{numbers(axis)}"/>{limit}{mimic}</joint>'
         )
     return f'<robot name="tree{seed}">' + "\n".join(rows) + "</robot>"
 
@@ -105,29 +113,41 @@ def plain(text: str) -> str:
     return text.replace(planar[0], links + "".join(joints))
 
 
-def states(model, names: list[str], count: int, seed: int = 0) -> dict:
-    """Random configurations and velocities of a robot, as poses, coordinates and angles of all its joints."""
+def states(model, joints: list, count: int, seed: int = 0) -> dict:
+    """Random configurations and velocities of a robot with these moving joints.
+
+    As they are here, and for the engines: pose of the base, and of each joint its angle, or its rotation where it is
+    a ball; `whole` takes velocities here to those of the engines.
+    """
     import jax.numpy as jnp
 
-    from covariant.geometry.lie import SE3
+    from covariant.geometry.lie import SE3, SO3
 
-    rng, space = np.random.default_rng(seed), model.space
-    n, loose = len(model.coordinates), space.floating
+    rng, tree, loose = np.random.default_rng(seed), model.space.tree, model.space.floating
+    n, balls = len(model.coordinates), len(tree.balls)
     q = rng.uniform(-2, 2, (count, n))
-    pose = np.stack([np.asarray(SE3.exp(jnp.asarray(s))) for s in rng.normal(size=(count, 6))]) if loose else None
-    at = np.concatenate([pose.reshape(count, 16), q], axis=1) if loose else q
-    v, u = rng.normal(size=(2, count, 6 * loose + n))
+    pose = [np.asarray(SE3.exp(jnp.asarray(s))) for s in rng.normal(size=(count, 6))] if loose else []
+    spins = rng.normal(size=(count, balls, 3))
+    turned = np.array([SO3.exp(jnp.asarray(s)) for s in spins.reshape(-1, 3)]).reshape(count, balls, 3, 3)
+    parts = [np.reshape(part, (count, -1)) for part in (pose, turned, q) if np.size(part)]
+    v, u = rng.normal(size=(2, count, 6 * loose + 3 * balls + n))
     u[:, : 6 * loose] = 0  # nothing drives a base
-    spread = np.asarray(space.tree.coordinates)
-    whole = np.block([[np.eye(6 * loose), np.zeros((6 * loose, n))], [np.zeros((len(spread), 6 * loose)), spread]])
+    spread = np.asarray(tree.coordinates)
+    within = np.zeros((6 * loose, spread.shape[1]))
+    whole = np.block([[np.eye(6 * loose), within], [np.zeros((len(spread), 6 * loose)), spread]])
+    angles = q @ spread[:, 3 * balls :].T + np.asarray(tree.offset)
+    first = np.cumsum([0] + [3 if joint.kind == "ball" else 1 for joint in joints])[:-1]
+    turns = np.tile(np.eye(3), (count, len(joints), 1, 1))
+    turns[:, [joint.kind == "ball" for joint in joints]] = turned
     return {
-        "q": at,
+        "q": np.concatenate(parts, axis=1).reshape(count, *model.manifold.shape),
         "v": v,
         "u": u,
-        "angles": q @ spread.T + np.asarray(space.tree.offset),
-        "pose": np.zeros((count, 4, 4)) if pose is None else pose,
+        "angles": angles[:, first],
+        "turns": turns,
+        "pose": np.array(pose) if loose else np.zeros((count, 4, 4)),
         "whole": whole,
-        "names": names,
+        "names": [joint.name for joint in joints],
         "floating": loose,
     }
 
@@ -155,13 +175,14 @@ def ours(model, at: dict) -> dict:
 
 
 def coupled(theirs: dict, at: dict) -> dict:
-    """What the engines say of joints that move freely, for joints that follow others."""
+    """What the engines say of joints that move freely, for joints that follow others or hold what an engine frees."""
     whole, matrix = at["whole"], np.array(theirs["matrix"])
     matrix = whole.T @ matrix @ whole
     bias, weight = (np.array(theirs[key]) @ whole for key in ("bias", "weight"))
     rate = np.linalg.solve(matrix, (at["u"] - bias)[..., None])[..., 0]
-    direct = np.array(theirs["rate"]) if whole.shape[0] == whole.shape[1] else rate
-    return {"matrix": matrix, "bias": bias, "weight": weight, "rate": direct}
+    if whole.shape[0] == whole.shape[1] and len(theirs["rate"]):  # the same joints, maybe in another order
+        rate = np.array(theirs["rate"]) @ whole
+    return {"matrix": matrix, "bias": bias, "weight": weight, "rate": rate}
 
 
 def by_mujoco(text: str, at: dict) -> dict:
@@ -173,9 +194,12 @@ def by_mujoco(text: str, at: dict) -> dict:
     data = mujoco.MjData(model)
     joints = [mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name) for name in at["names"]]
     loose = 6 * at["floating"]
-    place = np.array([*range(loose), *(model.jnt_dofadr[j] for j in joints)], int)
+    balls = [model.jnt_type[j] == int(mujoco.mjtJoint.mjJNT_BALL) for j in joints]
+    turning = [range(d, d + 1 + 2 * b) for d, b in zip(model.jnt_dofadr[joints], balls, strict=True)]
+    place = np.array([*range(loose), *(i for each in turning for i in each)], int)
     rows = {name: [] for name in ("matrix", "bias", "weight", "rate")}
-    for pose, angles, v, u in zip(at["pose"], at["angles"], at["v"], at["u"], strict=True):
+    given = (at[key] for key in ("pose", "turns", "angles", "v", "u"))
+    for pose, turns, angles, v, u in zip(*given, strict=True):
         world, moved = np.eye(len(place)), np.zeros(len(place))
         w = at["whole"] @ v
         if loose:
@@ -183,7 +207,11 @@ def by_mujoco(text: str, at: dict) -> dict:
             mujoco.mju_mat2Quat(data.qpos[3:7], pose[:3, :3].ravel())
             world[:3, :3] = pose[:3, :3]
             moved[:3] = pose[:3, :3] @ np.cross(w[3:6], w[:3])
-        data.qpos[[model.jnt_qposadr[j] for j in joints]] = angles
+        for ball, i, turn, angle in zip(balls, model.jnt_qposadr[joints], turns, angles, strict=True):
+            if ball:
+                mujoco.mju_mat2Quat(data.qpos[i : i + 4], turn.ravel())
+            else:
+                data.qpos[i] = angle
         data.qvel[place] = world @ w
         mujoco.mj_forward(model, data)
         full = np.zeros((model.nv, model.nv))
@@ -192,7 +220,7 @@ def by_mujoco(text: str, at: dict) -> dict:
         rows["matrix"].append(world.T @ full @ world)
         rows["bias"].append(world.T @ (data.qfrc_bias[place] + full @ moved))
         if len(w) == len(v):
-            data.qfrc_applied[place] = world @ u
+            data.qfrc_applied[place] = world @ at["whole"] @ u
             mujoco.mj_forward(model, data)
             rows["rate"].append(world.T @ (data.qacc_smooth[place] - moved))
         data.qvel[:], data.qfrc_applied[:] = 0, 0
@@ -211,6 +239,7 @@ def by_pinocchio(python: str, path: Path, at: dict) -> dict:
             names=json.dumps(at["names"]),
             floating=at["floating"],
             pose=at["pose"],
+            turns=at["turns"],
             angles=at["angles"],
             v=at["v"] @ at["whole"].T,
             force=force,
@@ -233,7 +262,7 @@ def compared(text: str, count: int, python: str | None = None) -> dict[str, floa
         path = Path(folder, "robot.urdf")
         path.write_text(text, encoding="utf-8")
         robot, model = robots.read(path), robots.load(path)
-        moving = [joint.name for joint in robot.joints if joint.kind not in ("fixed", "floating")]
+        moving = [joint for joint in robot.joints if joint.kind not in ("fixed", "floating")]
         at = states(model, moving, count)
         mine = ours(model, at)
         found = {"MuJoCo": difference(mine, by_mujoco(text, at))}

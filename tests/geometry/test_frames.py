@@ -4,6 +4,7 @@ The laws are those of every space; what they are held against is derivatives alo
 """
 
 from functools import cache
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -59,6 +60,7 @@ SPACES = {
     "robot, joints": lambda: models.robots.load("scara").space,
     "robot, planar base": lambda: models.robots.load("biped", lock={"left_knee": 0.4, "right_knee": 0.7}).space,
     "robot, SE(3) x joints": lambda: models.robots.load("quadruped", lock=STILL).space,
+    "robot, ball joint x joints": lambda: models.robots.load(Path(__file__).parents[1] / "models/ball_arm.xml").space,
 }
 SOUGHT = ("uneven, SO(3), by its energy", "uneven, SE(2) x coordinates", "coordinates", "robot, joints")
 """Where geodesics are searched for: by what is the same on every space, and takes long to compile on the others."""

@@ -4,6 +4,7 @@ Each law is tested on several groups; every slip of the printed equations, put b
 """
 
 from functools import partial
+from pathlib import Path
 
 import equinox as eqx
 import jax
@@ -61,6 +62,7 @@ SYSTEMS = {
     "robot, joints": robot("scara"),
     "robot, planar base": robot("biped", lock={"left_knee": 0.4, "right_knee": 0.7}),
     "robot, SE(3) x joints": robot("quadruped", lock=STILL),
+    "robot, ball joint x joints": robot(Path(__file__).parents[1] / "models/ball_arm.xml"),
 }
 SPEEDS = (0.0, 0.5, 3.0)
 PROMISED = {entry.name: entry.make for entry in REGISTRY if "error law" in entry.promises}

@@ -61,6 +61,28 @@ def test_angles_are_turns_of_the_plane(read):
     assert not y[:, 3:5, 5:].any()
 
 
+def test_attitudes_after_the_first_are_matrices_of_their_own(read):
+    """A pose, a ball joint and a coordinate: each missing by itself."""
+    second = Rotation.random(8, rng=5)
+    names = ("bw", "bx", "by", "bz")
+    cells = dict(zip(names[1:] + names[:1], second.as_quat().T, strict=True))
+    cells["by"] = np.where(T == 3, np.nan, cells["by"])
+    columns = Columns(q=("wheel",), position=POSITION, quaternion_wxyz=WXYZ + names)
+    y = read(columns, **cells)
+    assert y.shape == (8, 16 + 9 + 1)
+    pose, ball = logs.matrices(columns, y)
+    np.testing.assert_allclose(pose[:, :3, :3], TURNS.as_matrix(), atol=1e-14)
+    np.testing.assert_array_equal(pose[:, :3, 3], PLACES)
+    np.testing.assert_allclose(ball, np.where((T == 3)[:, None, None], np.nan, second.as_matrix()), atol=1e-14)
+    np.testing.assert_array_equal(logs.coordinates(columns, y)[:, 0], CELLS["wheel"])
+    again = logs.to_columns(columns, y)
+    assert list(again) == list(columns.measured)
+    sign = again["bx"] / cells["bx"]
+    np.testing.assert_allclose(again["by"], sign * cells["by"], atol=1e-14)
+    with pytest.raises(LogError, match=r"quaternion_wxyz .* make no pose"):
+        read(columns._replace(quaternion_wxyz=(*WXYZ, "bw")))
+
+
 def test_the_sign_and_a_small_error_of_length_of_a_quaternion_do_not_matter(read):
     sign = np.where(T % 2, -1.01, 0.99)
     np.testing.assert_allclose(

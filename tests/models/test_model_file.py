@@ -163,13 +163,13 @@ def test_examples_load(name, columns):
 )
 def test_systems_on_groups_name_all_but_the_attitude(system, n, columns):
     file = load(system)
-    assert (file.dimension, file.columns, file.lacks_attitude) == (n, columns, system != "hovercraft")
+    assert (file.dimension, file.columns, file.unnamed_attitudes) == (n, columns, system != "hovercraft")
 
 
 @pytest.mark.parametrize("name", ["heavy_top", "underwater_vehicle"])
 def test_examples_on_groups_load_with_the_parameters_they_show(name):
     file, plain = load(str(EXAMPLES / f"{name}.toml")), load(name)
-    assert not file.lacks_attitude
+    assert not file.unnamed_attitudes
     assert None not in file[: ModelFile._fields.index("quantum")]  # what is left is for those who need it
     shown = {key: value for key, value in file.model.parameters.items() if key != "viscous"}
     assert shown == {key: plain.model.parameters[key] for key in shown}
@@ -190,7 +190,7 @@ def test_examples_on_groups_load_with_the_parameters_they_show(name):
 )
 def test_state_space_models_name_their_outputs(folder, system, n, columns):
     file = load(system)
-    assert (file.dimension, file.columns, file.lacks_attitude) == (n, columns, False)
+    assert (file.dimension, file.columns, file.unnamed_attitudes) == (n, columns, False)
 
 
 def test_a_file_gives_a_state_space_model(tmp_path):
@@ -231,7 +231,7 @@ def test_a_later_way_to_write_an_attitude_replaces_the_earlier(folder):
 
 
 def test_a_group_that_no_log_can_hold_is_named(folder):
-    assert "one attitude or pose, and angles or coordinates after it" in fault("my_models:spins")
+    assert "one attitude or pose, and ball joints, angles or coordinates after it" in fault("my_models:spins")
 
 
 def test_geared_rotors_of_the_double_pendulum_count_as_its_authors_count_them():

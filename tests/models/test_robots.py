@@ -1,6 +1,7 @@
 """Robots from files: the same mechanics as MuJoCo's, the same geometry as the space derived from the metric alone."""
 
 import re
+from pathlib import Path
 
 import compare_robots
 import jax
@@ -83,7 +84,8 @@ def state(model, seed: int):
     n = len(model.coordinates)
     q = jnp.asarray(rng.uniform(-1, 1, n))
     if not model.manifold.commuting:
-        q = jnp.concatenate([SE3.exp(jnp.asarray(rng.normal(size=6))).reshape(-1), q])
+        rest = jnp.asarray(rng.normal(size=len(model.velocities) - n))
+        q = model.manifold.retract(model.manifold.origin(), jnp.concatenate([rest, q]))
     return q, jnp.asarray(rng.normal(size=(6, model.manifold.zero(q).shape[0])))
 
 
@@ -116,7 +118,12 @@ def around(model, q, a):
     return jnp.stack([model.manifold.retract(q, k * H * a) for k in (3, 2, 1, -1, -2, -3)])
 
 
-@pytest.mark.parametrize("name", ["arm", "floating_arm"])
+@pytest.fixture(scope="module")
+def ball_arm():
+    return robots.load(Path(__file__).with_name("ball_arm.xml"))
+
+
+@pytest.mark.parametrize("name", ["arm", "floating_arm", "ball_arm"])
 def test_sweeps_are_what_follows_from_the_metric(name, request):
     """Koszul's formula with differences of the inertia matrix; curvature with differences of the connection."""
     model = request.getfixturevalue(name)
@@ -310,9 +317,10 @@ def test_shipped_robots_move_as_in_mujoco():
 
 @pytest.mark.parametrize("seed", [1, 6])
 def test_random_trees_move_as_in_mujoco(seed):
-    """Of 16 joints on the ground and 15 in the air: branched, turning, sliding, following ones."""
+    """Of 16 joints on the ground and 15 in the air: branched, turning, sliding, following ones, and balls."""
     text = compare_robots.tree(seed)
-    assert all(kind in text for kind in ("prismatic", "continuous", "<mimic", '"floating"' if seed == 6 else '"fixed"'))
+    kinds = ("prismatic", "continuous", "spherical", "<mimic")
+    assert all(kind in text for kind in (*kinds, '"floating"' if seed == 6 else '"fixed"'))
     assert compare_robots.compared(text, 5)["MuJoCo"] < compare_robots.TOLERANCE
 
 

@@ -186,7 +186,7 @@ def _check_columns(job: Job, file: models.ModelFile, columns: logs.Columns) -> N
         )
     if file.model.manifold.commuting:
         return
-    if file.lacks_attitude:
+    if file.unnamed_attitudes:
         raise ValueError(
             f"{job.model}: no columns of the attitude are named, and their order is never guessed; give one of "
             f"{', '.join(logs.ATTITUDES)} in [columns], or --set "

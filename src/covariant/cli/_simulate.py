@@ -75,8 +75,11 @@ def simulate(model: str, overrides: tuple[str, ...], out: Path, scenario: Scenar
 
 
 def _columns(file: models.ModelFile) -> logs.Columns:
-    """The columns to write; an attitude is written as qw, qx, qy, qz unless the model file names other columns."""
-    return file.columns._replace(quaternion_wxyz=("qw", "qx", "qy", "qz")) if file.lacks_attitude else file.columns
+    """The columns to write; an attitude is written as qw, qx, qy, qz unless the model file names other columns, the
+    second one as qw2, qx2, qy2, qz2."""
+    count = file.unnamed_attitudes
+    names = tuple(f"q{part}{k or ''}" for k in (0, *range(2, count + 1)) for part in "wxyz")
+    return file.columns._replace(quaternion_wxyz=names) if count else file.columns
 
 
 def _start(file: models.ModelFile, scenario: Scenario) -> jax.Array | Motion:

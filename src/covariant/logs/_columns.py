@@ -32,7 +32,8 @@ class Columns(NamedTuple):
       `unit_factor`.
 
     On a group the fields below give the measured configuration, in place of `q`, or before it where there are joints as
-    well. One empty cell makes all of it missing in that row.
+    well. One empty cell makes all of it missing in that row. Attitudes after the first, such as the other four names of
+    eight in `quaternion_wxyz`, are those of ball joints; each is missing by itself.
 
     - `position`: position of the body in the world [m]: three names, or two in the plane.
     - `quaternion_wxyz`, `quaternion_xyzw`: its attitude, R_world_body, as a unit quaternion, scalar first or last.

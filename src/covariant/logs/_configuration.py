@@ -1,7 +1,7 @@
 """Measured configurations as columns and as arrays: coordinates unchanged, attitudes and poses as matrices.
 
-For a configuration of bodies and coordinates, each row (m,) of `y` is the block-diagonal matrix of the bodies,
-flattened row by row, followed by the coordinates.
+For a configuration of several kinds, each row (m,) of `y` is the block-diagonal matrix of a body and its wheels,
+flattened row by row, followed by the matrices of ball joints and by the coordinates.
 """
 
 from pathlib import Path
@@ -36,43 +36,57 @@ class Body(NamedTuple):
 
 
 def bodies(columns: Columns) -> tuple[Body, ...]:
-    """The bodies of a configuration: first one with an attitude or a position, then a wheel for each angle.
+    """The bodies of a configuration: first one with an attitude or a position, then a wheel for each angle, then a ball
+    joint for each further attitude.
 
     Empty where the configuration has coordinates only. Raises `LogError` when the columns make no configuration.
     """
+    together, balls = _bodies(columns)
+    return together + balls
+
+
+def _bodies(columns: Columns) -> tuple[tuple[Body, ...], tuple[Body, ...]]:
+    """Those of one block-diagonal matrix, and ball joints, each with a matrix of its own."""
     attitudes = [kind for kind in ATTITUDES if getattr(columns, kind)]
     if len(attitudes) > 1:
         raise LogError(f"{' and '.join(attitudes)} both give the attitude; keep one")
     kind = attitudes[0] if attitudes else "angle"
     names = getattr(columns, kind) if attitudes else columns.angle[:1]
     needed = ATTITUDES.get(kind, 1)
-    first = (Body(kind, names, columns.position),) if attitudes or columns.position else ()
-    if any(len(body.rotation) != needed or len(body.position) not in (0, body.space) for body in first):
+    each = [names[i : i + needed] for i in range(0, len(names), needed)] or [()]
+    first = (Body(kind, each[0], columns.position),) if attitudes or columns.position else ()
+    balls = tuple(Body(kind, rotation) for rotation in each[1:])
+    if any(len(body.rotation) != needed or len(body.position) not in (0, body.space) for body in first + balls):
         raise LogError(
             f"position ({', '.join(columns.position) or 'none'}) and {kind} ({', '.join(names) or 'none'}) make no "
             "pose; three names go with a quaternion of 4 or a matrix of 9 columns, two with an angle"
         )
     wheels = columns.angle[1:] if first and not attitudes else columns.angle
-    return (*first, *(Body("angle", (name,)) for name in wheels))
+    return (*first, *(Body("angle", (name,)) for name in wheels)), balls
 
 
 def from_cells(path: Path, columns: Columns, cells: Float[np.ndarray, "T k"]) -> np.ndarray:
     """Configurations (T, n), (T, N, N) or (T, m) from the cells of `columns.measured`.
 
-    Where a cell of a body is NaN, all bodies are NaN in that row."""
-    if not bodies(columns):
+    Where a cell of a body or a wheel is NaN, all of these are NaN in that row; a ball joint is missing by itself."""
+    together, balls = _bodies(columns)
+    if not together:
         return cells
-    coordinates, rest = np.split(cells, [len(columns.q)], axis=1)
-    y = _bodies_from_cells(path, columns._replace(q=()), rest)
-    return np.concatenate([y.reshape(len(y), -1), coordinates], axis=1) if columns.q else y
+    named = dict(zip(columns.measured, cells.T, strict=True))
+    groups = [together, *((ball,) for ball in balls)]
+    parts = [_from_named(path, group, named) for group in groups]
+    if len(parts) == 1 and not columns.q:
+        return parts[0]
+    return np.concatenate([*(part.reshape(len(cells), -1) for part in parts), cells[:, : len(columns.q)]], axis=1)
 
 
-def _bodies_from_cells(path: Path, columns: Columns, cells: Float[np.ndarray, "T k"]) -> np.ndarray:
-    parts = bodies(columns)
+def _from_named(path: Path, parts: tuple[Body, ...], named: dict[str, np.ndarray]) -> Float[np.ndarray, "T N N"]:
+    """The block-diagonal matrices of these bodies."""
     order = sum(body.order for body in parts)
+    cells = np.stack([named[name] for body in parts for name in (*body.rotation, *body.position)], axis=1)
     y = np.full((len(cells), order, order), np.nan)
     present = np.isfinite(cells).all(axis=1)
-    named = dict(zip(columns.measured, cells[present].T, strict=True))
+    named = {name: column[present] for name, column in named.items()}
     y[present] = 0.0
     for body, corner in zip(parts, _corners(parts), strict=True):
         rotation = np.stack([named[name] for name in body.rotation], axis=1)
@@ -105,11 +119,13 @@ def to_columns(columns: Columns, y: np.ndarray) -> dict[str, np.ndarray]:
 
 def matrices(columns: Columns, y: np.ndarray) -> list[np.ndarray]:
     """The matrices (T, order, order) of each of the `bodies` in the configurations."""
-    parts = bodies(columns)
-    order = sum(body.order for body in parts)
-    together = np.asarray(y)[:, : order**2].reshape(-1, order, order) if columns.q else np.asarray(y)
+    parts, balls = _bodies(columns)
+    order, y = sum(body.order for body in parts), np.asarray(y)
+    flat = y.reshape(len(y), -1)
+    together = flat[:, : order**2].reshape(-1, order, order)
     spans = [slice(corner, corner + body.order) for body, corner in zip(parts, _corners(parts), strict=True)]
-    return [together[:, span, span] for span in spans]
+    after = [flat[:, order**2 + 9 * i : order**2 + 9 * (i + 1)].reshape(-1, 3, 3) for i in range(len(balls))]
+    return [together[:, span, span] for span in spans] + after
 
 
 def coordinates(columns: Columns, y: np.ndarray) -> Float[np.ndarray, "T n"]:

@@ -3,7 +3,7 @@
 from typing import Any, NamedTuple
 
 from covariant.geometry import AbstractManifold, Coordinates
-from covariant.geometry.lie import SE2, SE3, SO2, SO3
+from covariant.geometry.lie import SE2, SE3, SO2, SO3, AbstractGroup
 from covariant.logs import ATTITUDES, Columns, check_unit
 from covariant.models._mechanical import MechanicalSystem, check_model, input_count
 from covariant.models._source import Model
@@ -14,18 +14,18 @@ class _Needs(NamedTuple):
     """Number of columns of each kind that a configuration needs."""
 
     position: int = 0
-    attitude: bool = False
+    attitudes: int = 0
     angle: int = 0
     q: int = 0
 
     @property
     def remedy(self) -> str:
         keys = [key for key in ("position", "angle", "q") if getattr(self, key)]
-        keys += [f"one of {', '.join(ATTITUDES)}"] if self.attitude else []
+        keys += [f"one of {', '.join(ATTITUDES)}"] if self.attitudes else []
         return f"name {' and '.join(keys)} instead"
 
 
-_NEEDS = ((SO3, _Needs(0, True, 0)), (SE3, _Needs(3, True, 0)), (SE2, _Needs(2, False, 1)), (SO2, _Needs(0, False, 1)))
+_NEEDS = ((SO3, _Needs(0, 1, 0)), (SE3, _Needs(3, 1, 0)), (SE2, _Needs(2, 0, 1)), (SO2, _Needs(0, 0, 1)))
 
 
 def model_columns(model: Any, loaded: Columns, given: dict[str, Any]) -> Columns:
@@ -55,9 +55,9 @@ def _named(model: Any, given: dict[str, Any]) -> Columns:
     return columns(model, given)
 
 
-def lacks_attitude(model: Model, columns: Columns) -> bool:
-    """Whether a log of the model holds an attitude whose representation is not given."""
-    return _needs(model.manifold).attitude and not any(getattr(columns, kind) for kind in ATTITUDES)
+def unnamed_attitudes(model: Model, columns: Columns) -> int:
+    """How many attitudes a log of the model holds whose representation is not given."""
+    return 0 if any(getattr(columns, kind) for kind in ATTITUDES) else _needs(model.manifold).attitudes
 
 
 def _in_coordinates(model: MechanicalSystem, given: dict[str, Any]) -> Columns:
@@ -94,7 +94,7 @@ def _off_coordinates(model: MechanicalSystem, given: dict[str, Any]) -> Columns:
         raise ValueError(f"columns.q: the model is on a group and has no coordinates; {needs.remedy}")
     if len(written) > 1:
         raise ValueError(f"columns.{written[0]} and columns.{written[1]} both give the attitude; keep one")
-    if written and not needs.attitude:
+    if written and not needs.attitudes:
         raise ValueError(f"columns.{written[0]}: the model has no attitude in space; {needs.remedy}")
     columns = Columns(
         q=model.coordinates if needs.q else (),
@@ -103,7 +103,8 @@ def _off_coordinates(model: MechanicalSystem, given: dict[str, Any]) -> Columns:
         angle=_numbered("angle", needs.angle) if needs.angle != 1 else ("angle",),
     )._replace(**given)
     for kind in written:
-        _check_count(kind, getattr(columns, kind), ATTITUDES[kind], "entries", whole="this way to write an attitude")
+        whole = "this way to write an attitude" if needs.attitudes == 1 else f"so written {needs.attitudes} attitudes"
+        _check_count(kind, getattr(columns, kind), needs.attitudes * ATTITUDES[kind], "entries", whole)
     _check_count("position", columns.position, needs.position, "coordinates of a position")
     _check_count("angle", columns.angle, needs.angle, "angles")
     _check_count("q", columns.q, needs.q, "coordinates")
@@ -121,12 +122,17 @@ def _needs(manifold: AbstractManifold) -> _Needs:
     needs = next((needs for group, needs in _NEEDS if group == first), None)
     joints = [part.dimension or 0 for part in rest if isinstance(part, Coordinates)]
     wheels = [part for part in rest if part == SO2]
-    if needs is None or len(joints) > 1 or len(joints) + len(wheels) < len(rest):
+    # Ball joints: attitudes in arrays of their own, not blocks of one matrix.
+    balls = [part for part in manifold.factors[1:] if part == SO3 and first in (SO3, SE3) and not wheels]
+    if isinstance(manifold, AbstractGroup):
+        balls = []
+    if needs is None or len(joints) > 1 or len(joints) + len(wheels) + len(balls) < len(rest):
         raise ValueError(
-            f"logs hold one attitude or pose, and angles or coordinates after it: SO3, SE3, SE2, SO2, or one of them "
-            f"times SO2s or Coordinates; the model is on {manifold}, so use it from Python"
+            f"logs hold one attitude or pose, and ball joints, angles or coordinates after it: SO3, SE3, SE2, SO2, or "
+            f"one of them times SO3s, SO2s or Coordinates; the model is on {manifold}, so use it from Python"
         )
-    return needs._replace(angle=needs.angle + len(wheels), q=sum(joints))
+    attitudes = needs.attitudes + len(balls)
+    return needs._replace(attitudes=attitudes, angle=needs.angle + len(wheels), q=sum(joints))
 
 
 def _factors(manifold: AbstractManifold) -> list[AbstractManifold]:

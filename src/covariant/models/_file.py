@@ -11,7 +11,7 @@ import numpy as np
 from covariant.logs import Columns
 from covariant.models import _source, _toml
 from covariant.models._check import check_metric
-from covariant.models._columns import lacks_attitude, model_columns
+from covariant.models._columns import model_columns, unnamed_attitudes
 from covariant.models._mechanical import MechanicalSystem
 from covariant.models._source import Model
 from covariant.models.robots import ROBOTS
@@ -109,9 +109,9 @@ class ModelFile(NamedTuple):
         return self.model
 
     @property
-    def lacks_attitude(self) -> bool:
-        """Whether a log of the model holds an attitude whose representation no column states."""
-        return lacks_attitude(self.model, self.columns)
+    def unnamed_attitudes(self) -> int:
+        """How many attitudes a log of the model holds whose representation no column states."""
+        return unnamed_attitudes(self.model, self.columns)
 
 
 def finish(spec: str, content: dict[str, Any]) -> ModelFile:

@@ -31,8 +31,8 @@ def survey(
 ) -> Survey:
     """Survey the metric of a model at random configurations.
 
-    - `box` (k, 2): bounds of the coordinates; by default ±π. Beside the coordinates a configuration is the base one: a
-      metric does not depend on where a free body is.
+    - `box` (k, 2): bounds of the coordinates; by default ±π. All else, such as ball joints, is turned and moved at
+      random.
 
     Raises `ValueError` for a box that does not fit the coordinates.
     """
@@ -41,13 +41,14 @@ def survey(
     if box.shape != (count, 2) or not np.isfinite(box).all():
         raise ValueError(f"the box must be {count} pairs of finite numbers; got shape {box.shape}")
     rng = np.random.default_rng(seed)
-    origin = np.asarray(model.manifold.origin())
-    at = np.tile(origin.reshape(-1), (samples, 1))
-    if count:
-        at[:, -count:] = rng.uniform(box[:, 0], box[:, 1], (samples, count))
-    n = model.manifold.zero(jnp.asarray(origin)).shape[0]
+    origin = model.manifold.origin()
+    n = model.manifold.zero(origin).shape[0]
+    steps = np.zeros((samples, n))
+    steps[:, n - count :] = rng.uniform(box[:, 0], box[:, 1], (samples, count))
     planes = rng.normal(size=(samples, 2, n))
-    eigenvalues, curvature = jax.jit(jax.vmap(lambda x, w: _at(model, x.reshape(origin.shape), w)))(at, planes)
+    steps[:, : n - count] = rng.normal(size=(samples, n - count), scale=np.pi / 2)
+    each = jax.vmap(lambda s, w: _at(model, model.manifold.retract(origin, s), w))
+    eigenvalues, curvature = jax.jit(each)(steps, planes)
     ratios = np.asarray(eigenvalues[:, -1] / eigenvalues[:, 0])
     bent = np.asarray(curvature)
     return Survey(

@@ -8,4 +8,5 @@ from ._description import (
 )
 from ._library import ROBOTS as ROBOTS, located as located
 from ._load import load as load, read as read
-from ._space import KinematicTree as KinematicTree, Links as Links, RobotSpace as RobotSpace
+from ._space import RobotSpace as RobotSpace
+from ._tree import KinematicTree as KinematicTree, Links as Links

@@ -7,27 +7,26 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
-from covariant._functional import Functional
-from covariant._typing import Scalar
 from covariant.geometry import AbstractManifold, Coordinates, ProductManifold
-from covariant.geometry.lie import SE3
+from covariant.geometry.lie import SE3, SO3
 from covariant.models._mechanical import MechanicalSystem
 from covariant.models._parameters import Parametric, known, namespace
 from covariant.models.robots._description import NO_INERTIA, BodyInertia, Description, Joint, Motor, turn_about
-from covariant.models.robots._space import KinematicTree, Links, RobotSpace
+from covariant.models.robots._forces import Potential, force, resistance
+from covariant.models.robots._space import RobotSpace
+from covariant.models.robots._tree import KinematicTree, Links
 
-COULOMB_STEEPNESS = 100.0
-"""Slope at rest of the smoothed Coulomb friction `friction (2/π) atan(100 v)` [s/rad or s/m]."""
 TWIST = ("v1", "v2", "v3", "w1", "w2", "w3")
 """Names of the components of the twist of the base."""
+TWIST_UNITS = ("m/s", "m/s", "m/s", "rad/s", "rad/s", "rad/s")
 SMALLEST_INERTIA = 1e-12
 """Smallest eigenvalue of the inertia matrix, relative to the largest, with which it counts as positive definite."""
 
 
 class _Axis(NamedTuple):
-    """A joint of one axis, one of the three of a planar joint, or a frame that one moves."""
+    """A joint of one axis, one of the three of a planar or ball joint, or a frame that one moves."""
 
     name: str
     joint: Joint
@@ -37,6 +36,10 @@ class _Axis(NamedTuple):
     turn: np.ndarray
     slide: np.ndarray
     circle: bool
+
+    @property
+    def ball(self) -> bool:
+        return self.joint.kind == "ball"
 
 
 def assemble(
@@ -80,8 +83,9 @@ def _assemble(
     if not axes and not floating:
         raise ValueError("no joint moves; a robot needs one that is not fixed or locked")
     names = [axis.name for axis in axes]
-    free = [i for i, axis in enumerate(axes) if axis.joint.follows is None]
-    coordinates, offset = _follow(axes, names, free)
+    in_balls = [i for i, axis in enumerate(axes) if axis.ball]
+    free = [i for i, axis in enumerate(axes) if axis.joint.follows is None and not axis.ball]
+    coordinates, offset = _follow(axes, names, in_balls + free)
     motors = robot.motors if actuated is None else ()
     springs = [_with_motors(axis.joint, motors) for axis in axes]
     bodies, base = _regrouped(axes, bodies, base)
@@ -105,10 +109,10 @@ def _assemble(
         jnp.asarray(coordinates),
         jnp.asarray(offset),
         jnp.asarray(coordinates.T**2 @ np.array([axis.joint.armature for axis in axes])),
+        tuple(in_balls[::3]),
     )
-    circles, n = tuple(k for k, i in enumerate(free) if axes[i].circle), len(free)
-    of_joints = Coordinates(circles, n)
-    manifold: AbstractManifold = ProductManifold((SE3, of_joints)) if floating else of_joints
+    of_joints = Coordinates(tuple(k for k, i in enumerate(free) if axes[i].circle), len(free))
+    manifold = _product(floating, len(tree.balls), of_joints)
     where = list(at.values())
     links = Links(
         tuple(at),
@@ -117,8 +121,11 @@ def _assemble(
         jnp.asarray(np.array([place for _, _, place in where])),
     )
     space = RobotSpace(tree, links, manifold=manifold, floating=floating)
-    inputs = _inputs(axes, coordinates, free, motors, actuated)
+    inputs = _inputs(axes, coordinates, in_balls + free, motors, actuated)
     units = tuple("rad" if axes[i].turn.any() else "m" for i in free)
+    spins = tuple(f"w{k + 1}_{axes[i].joint.name}" for i in tree.balls for k in range(3))
+    velocities = (*TWIST * floating, *spins, *(f"rate_{names[i]}" for i in free))
+    velocity_units = (*TWIST_UNITS * floating, *("rad/s" for _ in spins), *(f"{unit}/s" for unit in units))
     made = MechanicalSystem(
         space,
         potential=Potential(
@@ -126,10 +133,11 @@ def _assemble(
             jnp.asarray(robot.gravity),
             jnp.array([spring.stiffness for spring in springs], float),
             jnp.array([spring.rest for spring in springs], float),
+            tuple(ball for ball, i in enumerate(tree.balls) if springs[i].stiffness),
         ),
-        force=Parametric(_force, motors=inputs, base=np.zeros(6 * floating)),
+        force=Parametric(force, motors=inputs, base=np.zeros(6 * floating)),
         dissipation=Parametric(
-            _friction,
+            resistance,
             coordinates=coordinates,
             damping=np.array([spring.damping for spring in springs]),
             friction=np.array([spring.friction for spring in springs]),
@@ -137,13 +145,19 @@ def _assemble(
         ),
         coordinates=tuple(names[i] for i in free),
         units=units,
-        velocities=(*TWIST, *(f"rate_{names[i]}" for i in free)) if floating else (),
-        velocity_units=(*("m/s",) * 3, *("rad/s",) * 3, *(f"{unit}/s" for unit in units)) if floating else (),
+        velocities=velocities if floating or in_balls else (),
+        velocity_units=velocity_units if floating or in_balls else (),
         inputs=inputs.shape[1],
     )
     if known(loads):
-        _check_inertia(made, names, free)
+        _check_inertia(made, [axes[i].joint.name for i in in_balls + free])
     return made
+
+
+def _product(floating: bool, balls: int, joints: Coordinates) -> AbstractManifold:
+    """The manifold of a base, ball joints and coordinates; one of them alone is no product."""
+    factors = [SE3] * floating + [SO3] * balls + [joints] * bool(joints.dimension)
+    return ProductManifold(tuple(factors)) if len(factors) > 1 else factors[0]
 
 
 def _checked_payload(payload: Mapping[str, Any]) -> dict[str, Any]:
@@ -213,7 +227,9 @@ def _inputs(
                 f"actuator {motor.name!r} {motor.unsupported}, which is not supported; give actuated=[...], the joints "
                 "whose torques are logged, or remove it"
             )
-        columns += [motor.gain * coordinates[i] for i, axis in enumerate(axes) if axis.joint.name == motor.joint]
+        driven = [coordinates[i] for i, axis in enumerate(axes) if axis.joint.name == motor.joint]
+        if driven:
+            columns.append(motor.gain * (np.array(motor.direction) @ np.array(driven)))
     return np.array(columns).reshape(len(columns), coordinates.shape[1]).T
 
 
@@ -260,13 +276,10 @@ def _bodies(
             at[joint.child] = body, rotation, place
             add(body, robot.links[joint.child].moved(rotation, place))
             continue
-        if joint.kind == "ball":
-            raise ValueError(
-                f"joint {joint.name!r}: ball joints are not supported; write three hinges in its place, or lock it at 0"
-            )
         # Where the frame of the link is that of its carrier but for quarter turns, that of the body makes none: they
         # would cost an observer a change of sign at every joint in every sweep.
-        turned = rotation if np.isin(rotation, (-1.0, 0.0, 1.0)).all() else np.eye(3)
+        quarters = np.isin(rotation, (-1.0, 0.0, 1.0)).all() and joint.kind != "ball"
+        turned = rotation if quarters else np.eye(3)
         for name, turn, slide, circle in _motions(joint):
             axes.append(_Axis(name, joint, body, rotation @ turned.T, place, turned @ turn, turned @ slide, circle))
             bodies.append(NO_INERTIA)
@@ -282,13 +295,16 @@ def _regrouped(
     """The same mechanics with fewer numbers: what a joint does not move differently is made part of what carries it.
 
     A mass on the axis of a turning joint moves with the carrier, and a sliding joint turns its body as the carrier. So
-    bodies keep no mass, no first and no second moment along an axis that they turn about, and no second moment where
-    they slide. Source: Khalil & Dombre 2002, Modeling, Identification and Control of Robots, section 9.4.
+    bodies keep no mass, no first and no second moment along an axis that they turn about, no second moment where they
+    slide, and behind a ball joint no mass, since its centre moves with the carrier. Source: Khalil & Dombre 2002,
+    Modeling, Identification and Control of Robots, section 9.4.
     """
     kept, carried = list(bodies), [*bodies, base]
     for i in reversed(range(len(axes))):
         turn, body = axes[i].turn, carried[i]
-        if turn.any():
+        if axes[i].ball:
+            moved = BodyInertia(body.mass, np.zeros(3), np.zeros((3, 3)))
+        elif turn.any():
             along = np.outer(turn, turn)
             moved = BodyInertia(body.mass, along @ body.first, along @ body.second @ along)
         else:
@@ -305,6 +321,8 @@ def _motions(joint: Joint) -> list[tuple[str, np.ndarray, np.ndarray, bool]]:
         return [(joint.name, none, joint.axis, False)]
     if joint.kind in ("revolute", "continuous"):
         return [(joint.name, joint.axis, none, joint.kind == "continuous")]
+    if joint.kind == "ball":
+        return [(f"{joint.name}_{x}", axis, none, False) for x, axis in zip("xyz", np.eye(3), strict=True)]
     first = np.eye(3)[np.argmin(np.abs(joint.axis))]
     first = first - joint.axis * (first @ joint.axis)
     first = first / np.linalg.norm(first)
@@ -323,6 +341,8 @@ def _locked(joint: Joint, value: float) -> tuple[np.ndarray, np.ndarray]:
     if joint.kind == "prismatic":
         return np.eye(3), joint.axis * value
     if joint.kind in ("fixed", "planar", "floating", "ball"):
+        if value:
+            raise ValueError(f"joint {joint.name!r}: a {joint.kind} joint is locked at 0; got {value}")
         return np.eye(3), np.zeros(3)
     return turn_about(joint.axis, value), np.zeros(3)
 
@@ -354,48 +374,14 @@ def _leader(axis: _Axis, names: list[str]) -> int:
     return names.index(axis.joint.follows.joint)
 
 
-def _check_inertia(model: MechanicalSystem, names: list[str], free: list[int]) -> None:
-    """Raise `ValueError` where a velocity has no kinetic energy."""
+def _check_inertia(model: MechanicalSystem, names: list[str]) -> None:
+    """Raise `ValueError` where a velocity has no kinetic energy; `names` are those of the joints of its last ones."""
     x = model.manifold.origin()
     values, vectors = np.linalg.eigh(np.asarray(model.space(x)))
     if values[0] <= SMALLEST_INERTIA * values[-1]:
-        part = np.abs(vectors[:, 0])[-len(free) :]
-        worst = names[free[int(np.argmax(part))]] if free else "of the base"
+        part = np.abs(vectors[:, 0])[-len(names) :]
+        worst = names[int(np.argmax(part))] if names else "of the base"
         raise ValueError(
             f"joint {worst!r} moves no mass: the inertia matrix has the eigenvalue {values[0]:.2g} beside "
             f"{values[-1]:.2g}; give the links beyond it an <inertial>, or lock it"
         )
-
-
-class Potential(Functional):
-    """Potential energy `q -> ()` [J] of the weight and of the springs of the joints.
-
-    - `gravity` (3,) [m/s²]; `stiffness` (k,) [N m/rad or N/m] and `rest` (k,) [rad or m] of the springs.
-    """
-
-    space: RobotSpace
-    gravity: Float[Array, "3"]
-    stiffness: Float[Array, "k"]
-    rest: Float[Array, "k"]
-
-    def __call__(self, q: Array) -> Scalar:
-        gravity, stiffness, rest = (part.astype(q.dtype) for part in (self.gravity, self.stiffness, self.rest))
-        stretched = self.space.joint_angles(q) - rest
-        return jnp.sum(stiffness * stretched**2) / 2 - gravity @ self.space.first_moment(q, self.space.joints(q))
-
-
-def _force(t, q, u, motors: Float[Array, "n m"], base: Float[Array, "b"]):
-    return jnp.concatenate([base, motors @ u])
-
-
-def _friction(
-    q,
-    v,
-    coordinates: Float[Array, "k n"],
-    damping: Float[Array, "k"],
-    friction: Float[Array, "k"],
-    base: Float[Array, "b"],
-):
-    rates = coordinates @ v[base.shape[0] :]
-    torque = damping * rates + friction * (2 / jnp.pi) * jnp.arctan(COULOMB_STEEPNESS * rates)
-    return jnp.concatenate([base, -coordinates.T @ torque])

@@ -90,7 +90,8 @@ class Joint(NamedTuple):
 class Motor(NamedTuple):
     """A motor of a joint: `gain u − stiffness θ − damping θ' + constant` [N m or N], the input being u.
 
-    - `name`: of the motor; `joint`: of the joint that it drives.
+    - `name`: of the motor; `joint`: of the joint that it drives; `direction`: of its torque among the axes of that,
+      for a ball joint a vector in the frame of the child.
     - `unsupported`: why it cannot be an input here, empty where it can.
     """
 
@@ -101,6 +102,7 @@ class Motor(NamedTuple):
     damping: float
     constant: float
     unsupported: str
+    direction: tuple[float, ...] = (1.0,)
 
 
 class Description(NamedTuple):

@@ -169,14 +169,15 @@ def _joint(read: _Reader, k: int, parent: str, child: str, rotation: np.ndarray,
                 f"{where}: damping, armature and stiffness of a free joint are not supported; set them to 0"
             )
         return Joint(read.names[k], "floating", parent, child, exact(rotation), place, axis)
-    if kind == "ball":
-        return Joint(read.names[k], "ball", parent, child, exact(rotation), place, axis)
     if model.jnt_stiffnesspoly[k].any() or model.dof_dampingpoly[d].any() or model.jnt_springyield[k].any():
         raise ValueError(f"{where}: springs and dampers that are not linear are not supported; give one number each")
-    address = int(model.jnt_qposadr[k])
-    start, slide = float(model.qpos0[address]), kind == "slide"
-    limited = bool(model.jnt_limited[k])
+    address, ball, slide = int(model.jnt_qposadr[k]), kind == "ball", kind == "slide"
+    # The configuration of a ball joint is a quaternion, and its spring rests where the file poses it.
+    start, rest = (0.0, 0.0) if ball else (float(model.qpos0[address]), float(model.qpos_spring[address]))
+    limited = bool(model.jnt_limited[k]) and not ball
     lower, upper = model.jnt_range[k] if limited else (-np.inf, np.inf)
+    if ball and model.jnt_limited[k]:
+        read.ignored["joint/range of a ball"] += 1
     of = {
         "damping": 0.0 if read.off("DAMPER") else float(model.dof_damping[d]),
         "friction": 0.0 if read.off("FRICTIONLOSS") else float(model.dof_frictionloss[d]),
@@ -193,7 +194,7 @@ def _joint(read: _Reader, k: int, parent: str, child: str, rotation: np.ndarray,
         rotation = rotation @ turn_about(axis, -start)
     joint = Joint(
         read.names[k],
-        "prismatic" if slide else "revolute" if limited else "continuous",
+        "ball" if ball else "prismatic" if slide else "revolute" if limited else "continuous",
         parent,
         child,
         exact(rotation),
@@ -203,7 +204,7 @@ def _joint(read: _Reader, k: int, parent: str, child: str, rotation: np.ndarray,
         of["friction"],
         of["armature"],
         of["stiffness"],
-        float(model.qpos_spring[address]),
+        rest,
         float(lower),
         float(upper),
     )
@@ -245,39 +246,35 @@ def _motors(read: _Reader) -> tuple[Motor, ...]:
         return ()
     for i in range(model.nu):
         name, why = read.name("ACTUATOR", i), ""
-        gain, bias, gear = (
-            model.actuator_gainprm[i],
-            np.array(model.actuator_biasprm[i]),
-            float(model.actuator_gear[i, 0]),
-        )
+        gain, bias = float(model.actuator_gainprm[i, 0]), np.array(model.actuator_biasprm[i])
         linear = (int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE))
         joint = int(model.actuator_trnid[i, 0])
         hinged = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
-        if int(model.actuator_trntype[i]) not in hinged:
+        if int(model.actuator_biastype[i]) == linear[0]:
+            bias = bias * 0
+        kind = int(model.jnt_type[joint]) if int(model.actuator_trntype[i]) in hinged else None
+        ball = kind == int(mujoco.mjtJoint.mjJNT_BALL)
+        if kind is None:
             why = "acts on no joint"
-        elif int(model.jnt_type[joint]) not in (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)):
-            why = f"acts on {read.names[joint]!r}, a joint of more than one axis"
+        elif kind == int(mujoco.mjtJoint.mjJNT_FREE):
+            why = f"acts on {read.names[joint]!r}, a free joint"
+        elif ball and int(model.actuator_trntype[i]) == hinged[1]:
+            why = f"acts on the ball joint {read.names[joint]!r} along an axis of its parent"
+        elif ball and bias[:3].any():
+            why = f"is a servo on the ball joint {read.names[joint]!r}"
         elif int(model.actuator_dyntype[i]) != int(mujoco.mjtDyn.mjDYN_NONE):
             why = "has a state of its own"
         elif int(model.actuator_gaintype[i]) != int(mujoco.mjtGain.mjGAIN_FIXED) or (
             int(model.actuator_biastype[i]) not in linear
         ):
             why = "is neither a motor nor a linear servo"
-        if int(model.actuator_biastype[i]) == linear[0]:
-            bias = bias * 0
         constant, spring, damper = (float(number) for number in bias[:3])
         read.used["actuator"] += 1
-        found.append(
-            Motor(
-                name,
-                "" if why else read.names[joint],
-                gear * float(gain[0]),
-                -(gear**2) * spring,
-                -(gear**2) * damper,
-                gear * constant,
-                why,
-            )
-        )
+        direction = tuple(float(number) for number in model.actuator_gear[i, :3]) if ball else (1.0,)
+        gear = 1.0 if ball else float(model.actuator_gear[i, 0])
+        of_joint = "" if why else read.names[joint]
+        numbers = gear * gain, -(gear**2) * spring, -(gear**2) * damper, gear * constant
+        found.append(Motor(name, of_joint, *numbers, why, direction))
     return tuple(found)
 
 

@@ -20,70 +20,10 @@ from jaxtyping import Array, Float, Inexact
 from covariant._linalg import solve
 from covariant._typing import Matrix, Vector
 from covariant.geometry import AbstractManifold, AbstractSpace
+from covariant.models.robots._tree import KinematicTree, Links
 
 Configuration = Inexact[Array, "..."]
 UPPER = np.triu(np.ones((3, 3), bool))
-
-
-class KinematicTree(eqx.Module):
-    """Rigid bodies that hang on each other by joints of one axis, the parents first.
-
-    Body i turns about, or slides along, an axis through its own origin. It stands on body `parents[i]`, or on the base
-    where this is −1. The joints stand at `θ = coordinates q + offset`, linear functions of the n coordinates q: so one
-    may follow another.
-
-    - `turn`, `slide` (k, 3): the axis, in the frame of the body; zero in the one that the joint does not do.
-    - `rotation` (k, 3, 3), `place` (k, 3): of the frame of the body in that of its parent, at θ = 0.
-    - `mass` (k,) [kg], `first` (k, 3) [kg m] and `second` (k, 3, 3) [kg m²]: moments `∫ρ`, `∫ρ r`, `∫ρ r rᵀ` about the
-      origin of the body.
-    - `base_mass` (), `base_first` (3,), `base_second` (3, 3): of the base, where it floats.
-    - `coordinates` (k, n), `offset` (k,).
-    - `armature` (n,): inertia of the rotors, as felt at the coordinates [kg m² or kg].
-    """
-
-    parents: tuple[int, ...] = eqx.field(static=True)
-    turn: Float[Array, "k 3"]
-    slide: Float[Array, "k 3"]
-    rotation: Float[Array, "k 3 3"]
-    place: Float[Array, "k 3"]
-    mass: Float[Array, "k"]
-    first: Float[Array, "k 3"]
-    second: Float[Array, "k 3 3"]
-    base_mass: Float[Array, ""]
-    base_first: Float[Array, "3"]
-    base_second: Float[Array, "3 3"]
-    coordinates: Float[Array, "k n"]
-    offset: Float[Array, "k"]
-    armature: Float[Array, "n"]
-
-    def carried(self) -> np.ndarray:
-        """Which bodies (k, k) each body carries, itself included."""
-        k = len(self.parents)
-        found = np.eye(k, dtype=bool)
-        for i in reversed(range(k)):
-            if self.parents[i] >= 0:
-                found[self.parents[i]] |= found[i]
-        return found
-
-
-class Links(eqx.Module):
-    """Where the frames of a robot's links are.
-
-    - `names`, `bodies` (l of them): of each link, its name and the body it is part of, −1 for the base.
-    - `rotation` (l, 3, 3), `place` (l, 3): of its frame in that of the body.
-    """
-
-    names: tuple[str, ...] = eqx.field(static=True)
-    bodies: tuple[int, ...] = eqx.field(static=True)
-    rotation: Float[Array, "l 3 3"]
-    place: Float[Array, "l 3"]
-
-    def of(self, link: str) -> tuple[int, Float[Array, "3 3"], Float[Array, "3"]]:
-        """Body, rotation and place of a link. Raises `ValueError` for a name that is none."""
-        if link not in self.names:
-            raise ValueError(f"there is no link {link!r}; there are {', '.join(self.names)}")
-        i = self.names.index(link)
-        return self.bodies[i], self.rotation[i], self.place[i]
 
 
 class Joints(NamedTuple):
@@ -111,7 +51,11 @@ class PointField(NamedTuple):
 
 
 class RobotSpace(AbstractSpace):
-    """The space of a tree of bodies. A velocity is q', after the twist (v, ω) of a floating base in its own frame."""
+    """The space of a tree of bodies, on SE(3) × SO(3)ᵇ × coordinates, less the factors that it does not have.
+
+    A velocity is the twist (v, ω) of a floating base in its own frame, then the spin of each ball joint in the frame of
+    the body that it carries, then q'.
+    """
 
     tree: KinematicTree
     links: Links
@@ -121,7 +65,7 @@ class RobotSpace(AbstractSpace):
     def lower(self, x: Configuration, a: Vector) -> Vector:
         joints = self.joints(x)
         twists, gathered = jax.vjp(lambda b: self.twists(joints, b), a)
-        momenta = jnp.concatenate(_momentum(self._moments(x), *_split(twists)), axis=1)
+        momenta = jnp.concatenate(_momentum(self._bodies(x), *_split(twists)), axis=1)
         return gathered(momenta)[0] + self._rotors(a)
 
     def __call__(self, x: Configuration) -> Matrix:
@@ -144,7 +88,7 @@ class RobotSpace(AbstractSpace):
             ), None
 
         bodies = (order, parents, *joints)
-        whole = jax.lax.scan(collect, self._moments(x), bodies, reverse=True)[0]
+        whole = jax.lax.scan(collect, self._bodies(x), bodies, reverse=True)[0]
         turn, slide = (axis.astype(x.dtype) for axis in (tree.turn, tree.slide))
         each = Moments(*(part[1:] for part in whole))
         own = jnp.concatenate(_momentum(each, slide, turn), axis=1)  # of each composite body, for its joint's unit rate
@@ -174,11 +118,14 @@ class RobotSpace(AbstractSpace):
         corner = jnp.concatenate(_momentum(base, *unit), axis=1)
         return jnp.block([[corner, side.T], [side, matrix]])
 
+    def raise_(self, x: Configuration, mu: Vector) -> Vector:
+        return _leaves_first(self(x), mu)
+
     def connection_force(self, x: Configuration, a: Vector, b: Vector) -> Vector:
         """`<∇_a b, ·>`: what the mass points resist the change of b along a with, summed up along the joints."""
         joints = self.joints(x)
-        twists, gathered = jax.vjp(lambda w: self.twists(joints, w), b)
-        spins = self.twists(joints, a)[:, 3:], twists[:, 3:]
+        twists, gathered = jax.vjp(lambda w: self._moved(joints, w), b)
+        spins = self._moved(joints, a)[:, 3:], twists[:, 3:]
         field = self._accelerations(joints, a, b, *spins, twists[0, :3])
         return gathered(_wrench(_resistance(self._moments(x), field)))[0]
 
@@ -188,25 +135,25 @@ class RobotSpace(AbstractSpace):
         In `<II(a, w), II(b, c)>` the first may be the whole `∂_a ∂_w` of the places: the second is normal to the rest.
         """
         joints, moments, matrix = self.joints(x), self._moments(x), self(x)
-        twists, gathered = jax.vjp(lambda w: self.twists(joints, w), c)
-        spin_a, spin_b, spin_c = self.twists(joints, a)[:, 3:], self.twists(joints, b)[:, 3:], twists[:, 3:]
+        twists, gathered = jax.vjp(lambda w: self._moved(joints, w), c)
+        spin_a, spin_b, spin_c = self._moved(joints, a)[:, 3:], self._moved(joints, b)[:, 3:], twists[:, 3:]
 
         def normal(along, spin, felt):
             """What mass points with these moments resist `II(along, c)` with."""
             field = self._accelerations(joints, along, c, spin, spin_c, twists[0, :3])
-            within = solve(matrix, gathered(_wrench(_resistance(moments, field)))[0])
-            speed, twist = _split(self.twists(joints, within))
+            within = _leaves_first(matrix, gathered(_wrench(_resistance(moments, field)))[0])
+            speed, twist = _split(self._moved(joints, within))
             return _resistance(felt, PointField(field.push - speed, _spun(field.turn, -1, twist)))
 
         onto = normal(b, spin_b, moments), normal(a, spin_a, jax.tree.map(jnp.negative, moments))
 
         def moved(w):
-            speed, spin = _split(self.twists(joints, w))
+            speed, spin = _split(self._moved(joints, w))
             return tuple(
                 self._accelerations(joints, e, w, turn, spin, speed[0]) for e, turn in ((a, spin_a), (b, spin_b))
             )
 
-        return solve(matrix, jax.vjp(moved, jnp.zeros_like(a))[1](onto)[0])
+        return _leaves_first(matrix, jax.vjp(moved, jnp.zeros_like(a))[1](onto)[0])
 
     def joints(self, x: Configuration) -> Joints:
         """Where each body stands on its parent at x."""
@@ -222,16 +169,24 @@ class RobotSpace(AbstractSpace):
         flat = jnp.where(turns[:, None, None], eye - along, 0.0)
         still = eye - flat
         turned = still + jnp.cos(angle) * flat + jnp.sin(angle) * _hat(turn)
+        if tree.balls:
+            turned = turned.at[np.array(tree.balls)].set(self.ball_rotations(x))
         slid = jnp.sum(rotation * (slide * angles[:, None])[:, None, :], axis=2)
         return Joints(_product(rotation, turned), place + slid)
 
     def joint_angles(self, x: Configuration) -> Float[Array, "k"]:
-        """Where the joints are [rad or m]."""
+        """Where the joints are [rad or m]; 0 for the axes of ball joints."""
         coordinates, offset = (part.astype(x.dtype) for part in (self.tree.coordinates, self.tree.offset))
-        return coordinates @ (x[16:] if self.floating else x) + offset
+        balls = len(self.tree.balls)
+        return coordinates[:, 3 * balls :] @ x.reshape(-1)[16 * self.floating + 9 * balls :] + offset
+
+    def ball_rotations(self, x: Configuration) -> Float[Array, "b 3 3"]:
+        """The rotation of each ball joint: of the frame that it carries, in that in which it stands at the identity."""
+        start = 16 * self.floating
+        return x.reshape(-1)[start : start + 9 * len(self.tree.balls)].reshape(-1, 3, 3)
 
     def joint_rates(self, a: Vector) -> Float[Array, "k"]:
-        """The rates of the joints [rad/s or m/s] at the velocity a."""
+        """The rates of the joints [rad/s or m/s] at the velocity a; for a ball joint the components of its spin."""
         return self.tree.coordinates.astype(a.dtype) @ (a[6:] if self.floating else a)
 
     def pose(self, x: Configuration, link: str) -> Float[Array, "4 4"]:
@@ -247,7 +202,7 @@ class RobotSpace(AbstractSpace):
             body = self.tree.parents[body]
         last = jnp.array([[0.0, 0.0, 0.0, 1.0]], x.dtype)
         pose = jnp.concatenate([jnp.concatenate([rotation, place[:, None]], axis=1), last])
-        return x[:16].reshape(4, 4) @ pose if self.floating else pose
+        return x.reshape(-1)[:16].reshape(4, 4) @ pose if self.floating else pose
 
     def jacobian(self, x: Configuration, link: str) -> Float[Array, "6 n"]:
         """The twist (v, ω) of a link, in its own frame, for each component of the velocity.
@@ -271,7 +226,7 @@ class RobotSpace(AbstractSpace):
 
     def first_moment(self, x: Configuration, joints: Joints) -> Float[Array, "3"]:
         """`∫ρ r` of the whole robot in the world [kg m]."""
-        mass, first, _ = self._moments(x)
+        mass, first, _ = self._bodies(x)
 
         def collect(total, body):
             i, parent, rotation, place = body
@@ -284,7 +239,7 @@ class RobotSpace(AbstractSpace):
         (mass, first), _ = jax.lax.scan(collect, (mass, first), bodies, reverse=True)
         if not self.floating:
             return first[0]
-        pose = x[:16].reshape(4, 4)
+        pose = x.reshape(-1)[:16].reshape(4, 4)
         return pose[:3, :3] @ first[0] + mass[0] * pose[:3, 3]
 
     def twists(self, joints: Joints, a: Vector) -> Float[Array, "k1 6"]:
@@ -296,6 +251,15 @@ class RobotSpace(AbstractSpace):
         own = jnp.concatenate([tree.slide.astype(a.dtype) * rates, tree.turn.astype(a.dtype) * rates], axis=1)
         return self._swept(joints, first, own)
 
+    def _moved(self, joints: Joints, a: Vector) -> Float[Array, "k1 6"]:
+        """`twists`, and those of the rotors of ball joints."""
+        balls = len(self.tree.balls)
+        if not balls:
+            return self.twists(joints, a)
+        start = 6 * self.floating
+        spins = a[start : start + 3 * balls].reshape(balls, 3)
+        return jnp.concatenate([self.twists(joints, a), jnp.concatenate([jnp.zeros_like(spins), spins], axis=1)])
+
     def _accelerations(
         self, joints: Joints, a: Vector, b: Vector, spin_a: Array, spin_b: Array, speed: Float[Array, "3"]
     ) -> "PointField":
@@ -305,8 +269,10 @@ class RobotSpace(AbstractSpace):
         """
         tree, rates_a, rates_b = self.tree, self.joint_rates(a)[:, None], self.joint_rates(b)[:, None]
         turn, slide = tree.turn.astype(b.dtype), tree.slide.astype(b.dtype)
-        push = jnp.cross(spin_b[1:], slide * rates_a) + jnp.cross(spin_a[1:], slide * rates_b)
-        spun = jnp.cross(spin_a[1:], turn * rates_b)
+        k1 = len(tree.parents) + 1
+        push = jnp.cross(spin_b[1:k1], slide * rates_a) + jnp.cross(spin_a[1:k1], slide * rates_b)
+        frame_spin = spin_a[1 + tree.frames()] if tree.balls else spin_a[1:k1]
+        spun = jnp.cross(frame_spin, turn * rates_b)
 
         def points(angular, spin_a, spin_b):
             """The matrix of `r ↦ α × r + ω_b × (ω_a × r)`."""
@@ -325,13 +291,17 @@ class RobotSpace(AbstractSpace):
 
         parents = jnp.asarray([p + 1 for p in tree.parents])
         angular = jnp.cross(spin_a[0], spin_b[0])
-        none = jnp.zeros((len(parents) + 1, 3), b.dtype)
+        none = jnp.zeros((k1, 3), b.dtype)
         start = PointField(
             none.at[0].set(jnp.cross(spin_a[0], speed)),
             jnp.zeros((*none.shape, 3), b.dtype).at[0].set(points(angular, spin_a[0], spin_b[0])),
         )
         bodies = (jnp.arange(len(parents)), parents, *joints, push, spun)
-        return jax.lax.scan(step, (start, none.at[0].set(angular)), bodies)[0][0]
+        field = jax.lax.scan(step, (start, none.at[0].set(angular)), bodies)[0][0]
+        if not tree.balls:
+            return field
+        rotors = jax.vmap(lambda one, other: points(jnp.cross(one, other), one, other))(spin_a[k1:], spin_b[k1:])
+        return PointField(jnp.concatenate([field.push, 0 * spin_b[k1:]]), jnp.concatenate([field.turn, rotors]))
 
     def _swept(self, joints: Joints, first: Float[Array, "k1 6"], own: Float[Array, "k 6"]) -> Float[Array, "k1 6"]:
         """Twists passed on along the tree from `first`, that of the base, each body adding its `own`."""
@@ -349,12 +319,35 @@ class RobotSpace(AbstractSpace):
         felt = self.tree.armature.astype(a.dtype)
         return jnp.concatenate([jnp.zeros(6, a.dtype), felt * a[6:]]) if self.floating else felt * a
 
-    def _moments(self, x: Configuration) -> Moments:
+    def _bodies(self, x: Configuration) -> Moments:
+        """Moments of the base and of the bodies."""
         tree = self.tree
         first = jnp.concatenate([tree.base_first[None], tree.first])
         second = jnp.concatenate([tree.base_second[None], tree.second])
         mass = jnp.concatenate([tree.base_mass[None], tree.mass])
         return Moments(*(part.astype(x.dtype) for part in (mass, first, second)))
+
+    def _moments(self, x: Configuration) -> Moments:
+        """Those of `_bodies`, and of the rotors of ball joints.
+
+        A rotor that is felt as an inertia J about every axis of a joint is a body with the second moment J/2, without
+        mass, which turns as the joint does, whatever carries it. One of a single axis bends nothing.
+        """
+        bodies, balls = self._bodies(x), len(self.tree.balls)
+        if not balls:
+            return bodies
+        felt = self.tree.armature[: 3 * balls : 3].astype(x.dtype)
+        second = felt[:, None, None] / 2 * jnp.eye(3, dtype=x.dtype)[None]
+        rotors = Moments(0 * felt, jnp.zeros((balls, 3), x.dtype), second)
+        return jax.tree.map(lambda one, other: jnp.concatenate([one, other]), bodies, rotors)
+
+
+def _leaves_first(matrix: Matrix, mu: Vector) -> Vector:
+    """`matrix⁻¹ mu`, without the joints that carry others before these: branches do not mix then, and zeros stay.
+
+    Source: Featherstone 2008, section 6.5.
+    """
+    return solve(matrix[::-1, ::-1], mu[::-1])[::-1]
 
 
 def _momentum(moments: Moments, speed: Array, spin: Array) -> tuple[Array, Array]:

@@ -1,4 +1,7 @@
-"""URDF: the robot descriptions of ROS. Source: the specification of the ROS package `urdfdom`."""
+"""URDF: the robot descriptions of ROS. Source: the specification of the ROS package `urdfdom`.
+
+Ball joints, which that does not have, are called `spherical`, as in Bullet and MuJoCo, or `ball`, as in Drake.
+"""
 
 import math
 from collections import Counter
@@ -17,8 +20,11 @@ from covariant.models.robots._description import (
     in_order,
     limits_in_doubt,
 )
+from covariant.models.robots._transmission import with_rotors
+from covariant.models.robots._xml import attribute, name_of, number, vector
 
-KINDS = ("revolute", "continuous", "prismatic", "fixed", "planar", "floating")
+KINDS = ("revolute", "continuous", "prismatic", "fixed", "planar", "floating", "ball", "spherical")
+WITHOUT_AXIS = ("fixed", "floating", "ball")
 OF_LINK = {"inertial"}
 OF_JOINT = {"origin", "parent", "child", "axis", "limit", "dynamics", "mimic"}
 GRAVITY = np.array([0.0, 0.0, -9.81])
@@ -33,17 +39,20 @@ def read_urdf(robot: Element, name: str) -> Description:
     links: dict[str, BodyInertia] = {}
     joints: list[Joint] = []
     for entry in robot:
-        if entry.tag not in ("link", "joint") or (entry.tag == "joint" and "type" not in entry.attrib):
-            ignored[_tag(entry)] += 1
+        tag = name_of(entry)  # without a namespace: Drake has joints in one
+        if tag == "transmission":
             continue
-        used[entry.tag] += 1
+        if tag not in ("link", "joint") or (tag == "joint" and "type" not in entry.attrib):
+            ignored[tag] += 1
+            continue
+        used[tag] += 1
         for part in entry:
-            known = part.tag in (OF_LINK if entry.tag == "link" else OF_JOINT)
-            (used if known else ignored)[f"{entry.tag}/{_tag(part)}"] += 1
-        given = _attribute(entry, "name", entry.tag)
-        if given in (links if entry.tag == "link" else {joint.name for joint in joints}):
-            raise ValueError(f"two {entry.tag}s are called {given!r}")
-        if entry.tag == "link":
+            known = part.tag in (OF_LINK if tag == "link" else OF_JOINT)
+            (used if known else ignored)[f"{tag}/{name_of(part)}"] += 1
+        given = attribute(entry, "name", tag)
+        if given in (links if tag == "link" else {joint.name for joint in joints}):
+            raise ValueError(f"two {tag}s are called {given!r}")
+        if tag == "link":
             links[given] = _inertia(entry, given)
             doubts += doubts_on(given, links[given])
         else:
@@ -51,6 +60,7 @@ def read_urdf(robot: Element, name: str) -> Description:
             doubts += limits_in_doubt(joints[-1])
     if not links:
         raise ValueError("has no <link>")
+    joints = with_rotors(robot.findall("transmission"), joints, used, ignored)
     root, ordered = in_order(links, joints)
     return Description(robot.get("name", name), links, ordered, root, GRAVITY, dict(used), dict(ignored), tuple(doubts))
 
@@ -65,44 +75,47 @@ def _inertia(link: Element, name: str) -> BodyInertia:
     if mass is None or moments is None:
         raise ValueError(f"{where}: <inertial> needs <mass> and <inertia>")
     xx, xy, xz, yy, yz, zz = (
-        _number(moments, key, where, 0.0 if key in ("ixy", "ixz", "iyz") else None)
+        number(moments, key, where, 0.0 if key in ("ixy", "ixz", "iyz") else None)
         for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
     )
     tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    return BodyInertia.of(_number(mass, "value", where), centre, rotation @ tensor @ rotation.T)
+    return BodyInertia.of(number(mass, "value", where), centre, rotation @ tensor @ rotation.T)
 
 
 def _joint(entry: Element, name: str) -> Joint:
     where, kind = f"joint {name!r}", entry.get("type", "")
     if kind not in KINDS:
         raise ValueError(f"{where}: unknown type {kind!r}; there are {', '.join(KINDS)}")
+    kind = "ball" if kind == "spherical" else kind
     ends = {}
     for end in ("parent", "child"):
         tag = entry.find(end)
         if tag is None:
             raise ValueError(f"{where}: <{end} link=…/> is missing")
-        ends[end] = _attribute(tag, "link", where)
+        ends[end] = attribute(tag, "link", where)
     rotation, place = _origin(entry, where)
-    axis = _vector(entry.find("axis"), "xyz", where, (1.0, 0.0, 0.0))
+    axis = vector(entry.find("axis"), "xyz", where, (1.0, 0.0, 0.0))
     length = np.linalg.norm(axis)
-    if kind not in ("fixed", "floating") and not length > 1e-9:
+    if kind not in WITHOUT_AXIS and not length > 1e-9:
         raise ValueError(f"{where}: the axis must have a direction; got {axis.tolist()}")
     dynamics, limit, mimic = entry.find("dynamics"), entry.find("limit"), entry.find("mimic")
     lower, upper = (
         (-np.inf, np.inf)
-        if limit is None or kind == "continuous"
-        else (_number(limit, key, where, 0.0) for key in ("lower", "upper"))
+        if limit is None or kind in ("continuous", *WITHOUT_AXIS)
+        else (number(limit, key, where, 0.0) for key in ("lower", "upper"))
     )
     if lower > upper:
         raise ValueError(f"{where}: the lower limit {lower:g} is above the upper one {upper:g}")
-    of = {key: 0.0 if dynamics is None else _number(dynamics, key, where, 0.0) for key in ("damping", "friction")}
+    of = {key: 0.0 if dynamics is None else number(dynamics, key, where, 0.0) for key in ("damping", "friction")}
     for key, value in of.items():
         if value < 0:
             raise ValueError(f"{where}: {key} must not be negative; got {value:g}")
     follows = None
+    if mimic is not None and kind == "ball":
+        raise ValueError(f"{where}: a ball joint cannot follow another one; remove <mimic>")
     if mimic is not None:
-        numbers = (_number(mimic, key, where, default) for key, default in (("multiplier", 1.0), ("offset", 0.0)))
-        follows = Follows(_attribute(mimic, "joint", where), *numbers)
+        numbers = (number(mimic, key, where, default) for key, default in (("multiplier", 1.0), ("offset", 0.0)))
+        follows = Follows(attribute(mimic, "joint", where), *numbers)
     return Joint(
         name,
         kind,
@@ -114,57 +127,18 @@ def _joint(entry: Element, name: str) -> Joint:
         **of,
         lower=lower,
         upper=upper,
-        velocity=np.inf if limit is None else _number(limit, "velocity", where, np.inf),
-        effort=np.inf if limit is None else _number(limit, "effort", where, np.inf),
+        velocity=np.inf if limit is None else number(limit, "velocity", where, np.inf),
+        effort=np.inf if limit is None else number(limit, "effort", where, np.inf),
         follows=follows,
     )
 
 
 def _origin(entry: Element, where: str) -> tuple[np.ndarray, np.ndarray]:
     origin = entry.find("origin")
-    place = _vector(origin, "xyz", where, (0.0, 0.0, 0.0))
-    roll, pitch, yaw = _vector(origin, "rpy", where, (0.0, 0.0, 0.0))
+    place = vector(origin, "xyz", where, (0.0, 0.0, 0.0))
+    roll, pitch, yaw = vector(origin, "rpy", where, (0.0, 0.0, 0.0))
     (cr, sr), (cp, sp), (cy, sy) = ((math.cos(a), math.sin(a)) for a in (roll, pitch, yaw))
     about_x = np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
     about_y = np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
     about_z = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]])
     return exact(about_z @ about_y @ about_x), place
-
-
-def _vector(entry: Element | None, key: str, where: str, default: tuple[float, float, float]) -> np.ndarray:
-    written = None if entry is None else entry.get(key)
-    if written is None:
-        return np.array(default)
-    try:
-        found = np.array([float(part) for part in written.split()])
-    except ValueError:
-        found = np.zeros(0)
-    if found.shape != (3,) or not np.isfinite(found).all():
-        raise ValueError(f"{where}: {key} must be three finite numbers; got {written!r}")
-    return found
-
-
-def _number(entry: Element, key: str, where: str, default: float | None = None) -> float:
-    written = entry.get(key)
-    if written is None:
-        if default is None:
-            raise ValueError(f"{where}: <{entry.tag}> lacks {key!r}")
-        return default
-    try:
-        found = float(written)
-    except ValueError:
-        found = math.nan
-    if not math.isfinite(found):
-        raise ValueError(f"{where}: {key} of <{entry.tag}> must be a finite number; got {written!r}")
-    return found
-
-
-def _attribute(entry: Element, key: str, where: str) -> str:
-    found = entry.get(key)
-    if not found:
-        raise ValueError(f"{where}: a <{entry.tag}> lacks {key!r}")
-    return found
-
-
-def _tag(entry: Element) -> str:
-    return entry.tag if isinstance(entry.tag, str) else "comment"

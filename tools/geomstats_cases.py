@@ -1,0 +1,209 @@
+"""geomstats' own tests of Riemannian metrics, unmodified, on metrics of this library: `make geomstats`.
+
+Its `RiemannianMetricTestCase` asks of a metric what is true of every one: distances, geodesics there and back, parallel
+transport, symmetries of the curvature, and that all of it takes batches. The metrics are those of closed forms and of
+two robots. Hyperbolic space has the chart of geomstats' own Poincaré ball, so the two are compared besides, by its
+`RiemannianMetricComparisonTestCase`. Tests that need a table of expected numbers are left out: such tables are not part
+of the package.
+
+Source: Miolane et al. 2020, Geomstats, Journal of Machine Learning Research 21(223).
+"""
+
+import inspect
+import sys
+
+import geomstats.backend as gs
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from geomstats.geometry.base import VectorSpace
+from geomstats.geometry.euclidean import Euclidean
+from geomstats.geometry.poincare_ball import PoincareBall
+from geomstats.geometry.riemannian_metric import RiemannianMetric
+from geomstats.test_cases.geometry.riemannian_metric import (
+    RiemannianMetricComparisonTestCase,
+    RiemannianMetricTestCase,
+)
+
+from covariant import geometry, models
+from covariant.geometry import Budget
+from covariant.signals import Result
+
+SIZES = {"n_points": (1, 3), "n_times": (1, 4), "n_reps": (2,), "atol": (1e-6,)}
+"""What the tests are asked with: numbers of points, times and repetitions, and its usual tolerance."""
+BUDGET = Budget(newton=10, steps=32)
+POSTURE = {f"panda_joint{i}": angle for i, angle in ((1, 0.0), (3, 0.3), (5, 0.0), (7, 0.8))}
+"""Joints of the Panda that stand still [rad]."""
+
+
+class Chart(VectorSpace):
+    """The coordinates (n,) in which a metric of this library is written; random points lie within `size` of 0."""
+
+    def __init__(self, metric, dim, size):
+        super().__init__(shape=(dim,), dim=dim, equip=False)
+        self.size = size
+        self.metric = Adapter(self, metric)
+
+    def random_point(self, n_samples=1, bound=1.0):
+        return self._random(n_samples)
+
+    def random_tangent_vec(self, base_point=None, n_samples=1):
+        count = len(base_point) if base_point is not None and base_point.ndim > 1 else n_samples
+        return self._random(count)
+
+    def _create_basis(self):
+        return gs.eye(self.dim)
+
+    def _random(self, count):
+        found = self.size * gs.random.uniform(-1, 1, (count, self.dim)) / np.sqrt(self.dim)
+        return found if count > 1 else found[0]
+
+
+class Adapter(RiemannianMetric):
+    """A metric of this library under the names, and with the batches, of geomstats."""
+
+    def __init__(self, space, metric):
+        super().__init__(space)
+        eye = jnp.eye(space.dim)
+
+        def on_axes(f, count):
+            """A multilinear map (x, a, b, …) on all axes of its vectors, the index of the first vector first."""
+            return lambda x: nested(f, count)(x, *(eye,) * count)
+
+        def transport(x, velocity, w):
+            return metric.transport_along(x, velocity, w[None], BUDGET).w[0]
+
+        self._matrix = batched(metric)
+        # The contravariant index comes first in a Christoffel symbol, and last in a Riemann tensor.
+        self._slopes = batched(jax.jacfwd(metric))
+        self._christoffels = batched(lambda x: jnp.moveaxis(on_axes(metric.connection, 2)(x), -1, 0))
+        self._riemann = batched(lambda x: jnp.moveaxis(on_axes(metric.curvature, 3)(x), 2, 0))
+        self._exp = batched(lambda x, a: metric.transport_along(x, a, a[None], BUDGET).q)
+        self._shoot = batched(lambda x, y: metric.shoot(x, y, None, BUDGET))
+        self._transport = batched(transport)
+
+    def metric_matrix(self, base_point=None):
+        return self._matrix(base_point)
+
+    def inner_product_derivative_matrix(self, base_point=None):
+        return self._slopes(base_point)
+
+    def christoffels(self, base_point=None):
+        return self._christoffels(base_point)
+
+    def riemann_tensor(self, base_point=None):
+        return self._riemann(base_point)
+
+    def exp(self, tangent_vec, base_point):
+        return self._exp(base_point, tangent_vec)
+
+    def log(self, point, base_point):
+        shot = self._shoot(base_point, point)
+        if not np.all(shot.result == int(Result.OK)):
+            raise ValueError("no geodesic was found between two of the points")
+        return shot.velocity
+
+    def parallel_transport(self, tangent_vec, base_point, direction=None, end_point=None):
+        along = self.log(end_point, base_point) if direction is None else direction
+        return self._transport(base_point, along, tangent_vec)
+
+
+def nested(f, count):
+    """f(x, a, b, …) for all combinations of the rows of its vectors, an axis of the result for each vector."""
+    for k in range(count, 0, -1):
+        f = jax.vmap(f, in_axes=tuple(0 if i == k else None for i in range(count + 1)))
+    return f
+
+
+def batched(f):
+    """A function of vectors for any batch of them that broadcasts, compiled; in and out NumPy."""
+    compiled = jax.jit(jax.vmap(f))
+
+    def call(*vectors):
+        shape = np.broadcast_shapes(*(np.shape(a)[:-1] for a in vectors))
+        rows = [np.broadcast_to(a, (*shape, np.shape(a)[-1])).reshape(-1, np.shape(a)[-1]) for a in vectors]
+        return jax.tree.map(lambda part: np.asarray(part).reshape((*shape, *part.shape[1:])), compiled(*rows))
+
+    return call
+
+
+def robot(name, **given):
+    return models.robots.load(name, **given).space
+
+
+SPACES = {
+    "euclidean": lambda: Chart(geometry.Euclidean(), 3, 1.0),
+    "torus": lambda: Chart(geometry.FlatTorus(jnp.full(2, 2 * jnp.pi)), 2, 0.7),
+    "sphere": lambda: Chart(geometry.sphere(), 3, 0.6),
+    "hyperbolic": lambda: Chart(geometry.hyperbolic(), 3, 0.6),
+    "product": lambda: Chart(
+        geometry.Product((geometry.sphere(), geometry.hyperbolic(0.5), geometry.Euclidean()), (2, 2, 1)), 5, 0.6
+    ),
+    "scara": lambda: Chart(robot("scara"), 4, 0.6),
+    "panda": lambda: Chart(robot("panda", lock=POSTURE), 3, 0.5),
+}
+
+
+def pytest_generate_tests(metafunc):
+    for name, sizes in SIZES.items():
+        if name in metafunc.fixturenames:
+            metafunc.parametrize(name, sizes)
+
+
+@pytest.mark.usefixtures("each_space")
+class TestMetric(RiemannianMetricTestCase):
+    """Every test that needs no table, on each of `SPACES`."""
+
+
+@pytest.mark.usefixtures("each_pair")
+class TestComparison(RiemannianMetricComparisonTestCase):
+    """The same on each of `PAIRS`, one of ours and one of theirs."""
+
+
+@pytest.fixture(scope="class", params=SPACES)
+def each_space(request):
+    gs.random.seed(1)
+    request.cls.space = SPACES[request.param]()
+
+
+PAIRS = {
+    "euclidean": (lambda: Chart(geometry.Euclidean(), 3, 1.0), lambda: Euclidean(3)),
+    "poincare ball": (lambda: Chart(geometry.hyperbolic(), 3, 0.6), lambda: PoincareBall(3)),
+}
+
+
+@pytest.fixture(scope="class", params=PAIRS)
+def each_pair(request):
+    gs.random.seed(1)
+    request.cls.space, request.cls.other_space = (make() for make in PAIRS[request.param])
+
+
+LACKING = ("curvature_derivative", "injectivity_radius", "parallel_transport")
+"""What geomstats does not have for its own spaces, and so cannot compare."""
+
+
+class Selection:
+    """Leaves out the tests that need a table of expected numbers, and comparisons with what is `LACKING`."""
+
+    @pytest.hookimpl(trylast=True)
+    def pytest_collection_modifyitems(self, config, items):
+        asked = [
+            item
+            for item in items
+            if set(inspect.signature(item.function).parameters) <= {"self", *SIZES}
+            and not (item.cls.__name__ == "TestComparison" and any(name in item.name for name in LACKING))
+        ]
+        config.hook.pytest_deselected(items=[item for item in items if item not in asked])
+        items[:] = asked
+
+
+def main() -> int:
+    """Run all of them; the exit code."""
+    jax.config.update("jax_enable_x64", True)
+    options = ["-q", "-p", "no:cacheprovider", "-c", "/dev/null", "--rootdir", ".", "-o", "markers=random\nvec"]
+    return pytest.main([*options, *sys.argv[1:], __file__], plugins=[Selection()])
+
+
+if __name__ == "__main__":
+    sys.exit(main())
