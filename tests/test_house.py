@@ -16,7 +16,7 @@ ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "covariant"
 
 PLAN = (
-    "_programs _typing _functional _files _optional _numbers signals scoring _linalg _dormand_prince _integrate "
+    "_programs _compile _typing _functional _files _optional _numbers signals scoring _linalg _dormand_prince _integrate "
     "lowering logs geometry models riccati observers control simulation interop scale proofs certificates audit "
     "diagnosis design identification export runtime report papers cli"
 )

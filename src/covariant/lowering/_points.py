@@ -168,7 +168,7 @@ def log_tail(f: Any) -> Any:
 def _mantissa(x: Any) -> tuple[Any, Any]:
     """k and m - 1 of a positive number x = 2ᵏ m, both exact."""
     low = x < 2.0**-1022
-    if low.any():
+    if np.any(low):
         x = np.where(low, x * 2.0**54, x)
     bits = x.view(np.int64) + (0x3FF0000000000000 - 0x3FE6A09E00000000)
     m = ((bits & 0x000FFFFFFFFFFFFF) + 0x3FE6A09E00000000).view(float)
@@ -200,7 +200,7 @@ def _rounding_error(a: Any, b: Any, total: Any) -> Any:
 
 def _at_ends(x: Any, value: Any) -> Any:
     usual = (x > 0) & (x < np.inf)
-    return value if usual.all() else np.where(usual, value, np.where(x == 0, -np.inf, np.where(x > 0, x, np.nan)))
+    return value if np.all(usual) else np.where(usual, value, np.where(x == 0, -np.inf, np.where(x > 0, x, np.nan)))
 
 
 def log_parts(x: Any) -> tuple[Any, Any, Any]:
@@ -282,7 +282,7 @@ def angle(y: Any, x: Any) -> Any:
     t = np.minimum(y, size) / np.where(largest == 0, 1.0, largest)
     j, bits = whole(4.0 * t - 0.25)
     index = bits & 7
-    theta = atan_reduced(t, 0.25 * j, ATAN_HIGH[index], ATAN_LOW[index])
+    theta = atan_reduced(t, 0.25 * j, np.choose(index, ATAN_HIGH), np.choose(index, ATAN_LOW))
     theta = np.where(y > size, from_axis(theta, 1), theta)
     return np.where(x < 0, from_axis(theta, 2), theta)
 
