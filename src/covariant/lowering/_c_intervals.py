@@ -110,10 +110,12 @@ void enclose(const int32_t *steps, int64_t count, double *w, const int32_t *inpu
 class Library:
     """The compiled kernels; `enclose` does the steps of a program. `text` is their C, by default that of the formulas.
 
-    Raises `OSError` where it cannot be compiled, or where an operation differs from NumPy's.
+    Raises `OSError` where there is no compiler, or it fails, or where an operation differs from NumPy's.
     """
 
     def __init__(self, text: str | None = None):
+        if compiler() is None:
+            raise OSError("there is no C compiler `cc`, so NumPy does the work")
         self._enclose = compiled(text or source(), FLAGS, ctypes.CDLL).enclose
         self._enclose.restype = None
         wrong = self._differs()
@@ -123,7 +125,8 @@ class Library:
     def run(self, made: "Steps", ends: np.ndarray) -> np.ndarray:
         """The numbers at the places of the outputs (K, B), from those at the places of the inputs (N, B)."""
         found = np.empty((len(made.outputs), ends.shape[1]))
-        arrays = (made.steps, made.count, made.work, made.inputs, len(made.inputs), made.outputs, len(made.outputs))
+        work = made.work.copy()  # another thread may use the same steps
+        arrays = (made.steps, made.count, work, made.inputs, len(made.inputs), made.outputs, len(made.outputs))
         self._enclose(*map(_passed, (*arrays, ends.shape[1], np.ascontiguousarray(ends), found)))
         return found
 
@@ -178,6 +181,11 @@ def _trials(kernel: Kernel, rng: np.random.Generator) -> np.ndarray:
     return np.concatenate(rows)
 
 
+def at_hand() -> bool:
+    """Whether the kernels have been compiled before."""
+    return compiler() is not None and is_kept(source(), FLAGS)
+
+
 class Steps(NamedTuple):
     """A program for compiled kernels: the numbers of the kernels with the places of their results and arguments.
 
@@ -222,10 +230,10 @@ class CompiledBounds:
         values, smooth = bounds(lowered, inputs)
         outputs = [program.number_of(end) for end in (*itertools.chain(*values), smooth.must)]
         places = [end.number for end in itertools.chain(*inputs)]
-        self.library, self.steps = library, Steps.of(program, places, outputs)
+        self._library, self._steps = library, Steps.of(program, places, outputs)
 
     def __call__(self, low: np.ndarray, high: np.ndarray) -> Enclosure:
         """As `enclose`."""
         ends = np.stack([low.T, high.T], axis=1).reshape(-1, len(low))
-        found = self.library.run(self.steps, ends)
+        found = self._library.run(self._steps, ends)
         return Enclosure(found[:-1:2].T, found[1:-1:2].T, found[-1] != 0)

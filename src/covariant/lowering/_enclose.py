@@ -5,7 +5,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from covariant.lowering._graph import Graph
 from covariant.lowering._intervals import INTERVALS, as_number, both, constant, eq, le, lt
 from covariant.lowering._lowered import Conditions, Lowered
 from covariant.lowering._program import Interval, Truth, kernel
@@ -78,23 +77,15 @@ def _no_jump(op: str, arguments: tuple, found: Any) -> Truth:
     return one_value(found)
 
 
-def enclose(lowered: Lowered, low: np.ndarray, high: np.ndarray) -> Enclosure:
-    """Bounds on the values of a graph over boxes with corners `low` and `high`, both (B, inputs).
-
-    Statements among the outputs are bounded as the numbers 0 and 1. Raises `ValueError` for corners of another shape,
-    that are not numbers, or where low exceeds high.
-    """
-    low, high = corners(low, high, lowered.inputs)
-    if not len(low):
-        nothing = np.empty((0, len(lowered.outputs)))
-        return Enclosure(nothing, nothing, np.ones(0, bool))
+def by_numpy(lowered: Lowered, low: np.ndarray, high: np.ndarray) -> Enclosure:
+    """Bounds on the values of a graph over boxes with `corners`, by NumPy."""
     inputs = [Interval(a, b) for a, b in zip(low.T.copy(), high.T.copy(), strict=True)]
     with np.errstate(all="ignore"):
         values, smooth = bounds(lowered, inputs)
-    found = np.empty((2, len(low), len(values)))
+    found = np.empty((2, len(values), len(low)))
     for k, value in enumerate(values):
-        found[0, :, k], found[1, :, k] = value
-    return Enclosure(found[0], found[1], np.broadcast_to(smooth.must, len(low)).copy())
+        found[0, k], found[1, k] = value
+    return Enclosure(found[0].T, found[1].T, np.broadcast_to(smooth.must, len(low)).copy())
 
 
 def bounds(lowered: Lowered, inputs: Sequence[Interval]) -> tuple[list[Interval], Truth]:
@@ -119,6 +110,7 @@ def bounds(lowered: Lowered, inputs: Sequence[Interval]) -> tuple[list[Interval]
 
 
 def corners(low: np.ndarray, high: np.ndarray, inputs: int) -> tuple[np.ndarray, np.ndarray]:
+    """Corners of boxes as arrays of doubles (B, inputs). Raises `ValueError` where they are none."""
     low, high = np.asarray(low, float), np.asarray(high, float)
     if low.ndim != 2 or low.shape != high.shape or low.shape[1] != inputs:
         raise ValueError(f"boxes of this graph have corners (B, {inputs}); got {low.shape} and {high.shape}")
@@ -129,12 +121,6 @@ def corners(low: np.ndarray, high: np.ndarray, inputs: int) -> tuple[np.ndarray,
             f"a box has low <= high; box {box} has low {low[box, entry]} and high {high[box, entry]} in input {entry}"
         )
     return low, high
-
-
-def _values(graph: Graph, outputs: Sequence[int], domain: Domain, low: np.ndarray, high: np.ndarray) -> list[Any]:
-    inputs = [Interval(a, b) for a, b in zip(low.T.copy(), high.T.copy(), strict=True)]
-    with np.errstate(all="ignore"):
-        return evaluate_nodes(graph, outputs, domain, inputs)
 
 
 # Where a function is defined and does not jump. Here a comparison is decided only strictly: where both sides may be
@@ -188,7 +174,9 @@ def fulfilled(conditions: Conditions, low: np.ndarray, high: np.ndarray) -> np.n
     found = np.zeros((len(low), len(conditions.conditions)), bool)
     if not found.size:
         return found
-    values = _values(conditions.graph, [c.node for c in conditions.conditions], STRICT, low, high)
+    inputs = [Interval(a, b) for a, b in zip(low.T.copy(), high.T.copy(), strict=True)]
+    with np.errstate(all="ignore"):
+        values = evaluate_nodes(conditions.graph, [c.node for c in conditions.conditions], STRICT, inputs)
     for k, (condition, value) in enumerate(zip(conditions.conditions, values, strict=True)):
         if condition.kind == "whole":
             below = np.floor(value.low)

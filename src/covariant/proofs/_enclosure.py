@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from covariant.lowering import Enclosure, Graph, Lowered, enclose, expand, graft, pairs
+from covariant.lowering import Enclosure, Graph, Lowered, expand, graft, pairs
 from covariant.proofs._box import Box
 from covariant.proofs._definite import ROUND, TINY
 from covariant.proofs._tree import middle_of
@@ -50,12 +50,12 @@ class Expansions(NamedTuple):
 
 
 class EnclosedMatrices(NamedTuple):
-    """Enclosures of symmetric matrices (n, n) on boxes, in two forms.
+    """Enclosures of symmetric matrices on boxes, by their K entries on and below the diagonal, in two forms.
 
-    - `centre + Σ wₘ terms[m]` within `rest`, |wₘ| ≤ 1, terms (B, f + p, n, n): Taylor's form, with one term for each
-      free variable and one for each pair of them. `rest` is infinite where the matrix is not `smooth`.
-    - `middle` within `radius` (B, n, n): bounds of the entries.
-    - `shares` (B, f + p, n, n): contribution of each variable or pair to `rest`.
+    - `centre + Σ wₘ terms[m]` within `rest` (K, B), |wₘ| ≤ 1, terms (f + p, K, B): Taylor's form, with one term for
+      each free variable and one for each pair of them. `rest` is infinite where the matrix is not `smooth`.
+    - `middle` within `radius` (K, B): bounds of the entries.
+    - `shares` (f + p, K, B): contribution of each variable or pair to `rest`.
     """
 
     centre: np.ndarray
@@ -67,40 +67,31 @@ class EnclosedMatrices(NamedTuple):
     smooth: Bool[np.ndarray, "B"]
 
 
-def symmetric(entries: np.ndarray, n: int) -> np.ndarray:
-    """Symmetric matrices (..., n, n) from their entries on and below the diagonal (..., K)."""
-    rows, columns = np.tril_indices(n)
-    full = np.empty((*entries.shape[:-1], n, n))
-    full[..., rows, columns] = entries
-    full[..., columns, rows] = entries
-    return full
+def enclosed(matrix: Expansions, at: Enclosure, on: Enclosure, low: np.ndarray, high: np.ndarray) -> EnclosedMatrices:
+    """Enclosures of the matrix on boxes with corners (B, d).
 
-
-def enclosed(matrix: Expansions, low: np.ndarray, high: np.ndarray) -> EnclosedMatrices:
-    """Enclosures of the matrix on boxes with corners (B, d)."""
+    `at` encloses `matrix.first` at their centres, and `on` encloses `matrix.second` on the boxes.
+    """
     centre = middle_of(low, high)
-    at, on = enclose(matrix.first, centre, centre), enclose(matrix.second, low, high)
     k, f = matrix.size * (matrix.size + 1) // 2, len(matrix.free)
-    half = np.maximum(high - centre, centre - low)[:, matrix.free] * (1 + ROUND)
-    smooth = on.smooth[:, None]
+    half = (np.maximum(high - centre, centre - low)[:, matrix.free] * (1 + ROUND)).T.copy()
     with np.errstate(invalid="ignore", over="ignore"):  # the middle of bounds −∞ and ∞ is NaN
-        value, slopes, terms, shares = taylor_form(at, on, half, k)
+        value, terms, shares = taylor_form(at, on, half, k)
         # A form with derivatives holds where these exist everywhere in the box.
-        rest = np.where(smooth, (value.radius + shares.sum(axis=1)) * (1 + ROUND) + TINY, np.inf)
-        size = np.maximum(np.abs(on.low), np.abs(on.high))[:, k : k + f * k].reshape(slopes.middle.shape)
-        radius = rest + np.abs(terms).sum(axis=1) * (1 + ROUND)
-        lower_bound = np.fmax(_outward(value.middle - radius, -1), on.low[:, :k])
-        upper_bound = np.fmin(_outward(value.middle + radius, 1), on.high[:, :k])
+        rest = np.where(on.smooth, (value.radius + shares.sum(axis=0)) * (1 + ROUND) + TINY, np.inf)
+        radius = rest + np.abs(terms).sum(axis=0) * (1 + ROUND)
+        low_on, high_on = on.low.T[: k + f * k], on.high.T[: k + f * k]
+        lower_bound = np.fmax(_outward(value.middle - radius, -1), low_on[:k])
+        upper_bound = np.fmin(_outward(value.middle + radius, 1), high_on[:k])
         # The mean-value form is around the value at the centre, which Taylor's form has shifted.
-        here = Ball.of(at.low[:, :k], at.high[:, :k])
-        spread = np.where(smooth, here.radius + (size * half[:, :, None]).sum(axis=1) * (1 + ROUND), np.inf)
+        here, size = Ball.of(at.low.T[:k], at.high.T[:k]), np.maximum(np.abs(low_on[k:]), np.abs(high_on[k:]))
+        wide = (size.reshape(f, k, len(low)) * half[:, None]).sum(axis=0)
+        spread = np.where(on.smooth, here.radius + wide * (1 + ROUND), np.inf)
         lower_bound = np.fmax(lower_bound, _outward(here.middle - spread, -1))
         upper_bound = np.fmin(upper_bound, _outward(here.middle + spread, 1))
         middle = middle_of(lower_bound, upper_bound)
         radius = np.maximum(upper_bound - middle, middle - lower_bound) * (1 + ROUND) + TINY
-    parts = (value.middle, terms, rest, middle, radius, shares)
-    full = [symmetric(part, matrix.size) for part in parts]
-    return EnclosedMatrices(*full, smooth=on.smooth)
+    return EnclosedMatrices(value.middle, terms, rest, middle, radius, shares, on.smooth)
 
 
 class Ball(NamedTuple):
@@ -115,24 +106,26 @@ class Ball(NamedTuple):
         return cls(middle, np.maximum(high - middle, middle - low) * (1 + ROUND) + TINY)
 
 
-def taylor_form(at: Enclosure, on: Enclosure, half: np.ndarray, k: int) -> tuple[Ball, Ball, np.ndarray, np.ndarray]:
-    """`S(c) + Σ Sᵢ(c) δᵢ + ½ Σ Sᵢⱼ δᵢδⱼ` over δ within ± half (B, f): shifted value, slopes, terms and contributions.
+def taylor_form(at: Enclosure, on: Enclosure, half: np.ndarray, k: int) -> tuple[Ball, np.ndarray, np.ndarray]:
+    """`S(c) + Σ Sᵢ(c) δᵢ + ½ Σ Sᵢⱼ δᵢδⱼ` over δ within ± half (f, B): shifted value (K, B), terms and contributions.
 
     Since δᵢ² is never negative, half of its largest contribution shifts the value, and bounds the deviation from it.
     """
-    boxes, f = half.shape
-    value, slopes = Ball.of(at.low[:, :k], at.high[:, :k]), Ball.of(at.low[:, k:], at.high[:, k:])
-    slopes = Ball(*(part.reshape(boxes, f, k) for part in slopes))
-    bends = Ball(*(part.reshape(boxes, -1, k) for part in Ball.of(on.low[:, k + f * k :], on.high[:, k + f * k :])))
+    f, boxes = half.shape
+    first = k + f * k
+    value, slopes = (Ball.of(at.low.T[part], at.high.T[part]) for part in (slice(k), slice(k, first)))
+    bends = Ball.of(on.low.T[first:], on.high.T[first:])
     chosen = pairs(f)
-    size = np.stack([half[:, i] * half[:, j] / (2 if i == j else 1) for i, j in chosen], axis=1)[:, :, None]
-    square = np.array([i == j for i, j in chosen])[:, None]
-    bent = bends.middle * size * np.where(square, 0.5, 1.0)
-    moved = value.middle + np.where(square, bent, 0.0).sum(axis=1)
-    rounding = ROUND * (np.abs(value.middle) + np.abs(bent).sum(axis=1))
-    terms = np.concatenate([slopes.middle * half[:, :, None], bent], axis=1)
-    shares = np.concatenate([slopes.radius * half[:, :, None], bends.radius * size * (1 + ROUND)], axis=1)
-    return Ball(moved, value.radius + rounding), slopes, terms, shares
+    terms, shares = np.empty((2, f + len(chosen), k, boxes))
+    np.multiply(slopes.middle.reshape(f, k, boxes), half[:, None], out=terms[:f])
+    np.multiply(slopes.radius.reshape(f, k, boxes), half[:, None], out=shares[:f])
+    size = np.stack([half[i] * half[j] / (2 if i == j else 1) for i, j in chosen])[:, None]
+    square = np.array([i == j for i, j in chosen])
+    np.multiply(bends.middle.reshape(-1, k, boxes), size * np.where(square, 0.5, 1.0)[:, None, None], out=terms[f:])
+    np.multiply(bends.radius.reshape(-1, k, boxes), size * (1 + ROUND), out=shares[f:])
+    moved = value.middle + terms[f:][square].sum(axis=0)
+    rounding = ROUND * (np.abs(value.middle) + np.abs(terms[f:]).sum(axis=0))
+    return Ball(moved, value.radius + rounding), terms, shares
 
 
 def _outward(x: np.ndarray, sign: int) -> np.ndarray:

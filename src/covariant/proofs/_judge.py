@@ -4,41 +4,65 @@ A box that is not decided is halved across the variable that widens the enclosur
 """
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Bool, Float, Int
 
 from covariant.lowering import Enclosure, enclose, pairs
 from covariant.proofs._box import Box
-from covariant.proofs._definite import definite, factors, indefinite
-from covariant.proofs._enclosure import Ball, Expansions, enclosed, symmetric, taylor_form
+from covariant.proofs._definite import congruent, definite, factors, indefinite
+from covariant.proofs._enclosure import Ball, Expansions, enclosed, taylor_form
 from covariant.proofs._tree import OPEN, PROVED, middle_of
 
 
 def judge(matrix: Expansions, low: np.ndarray, high: np.ndarray) -> tuple[Int[np.ndarray, "B"], np.ndarray | None]:
     """A code for each box: proved, the variable to halve, or open if it cannot be halved; and a counter-example."""
-    found = enclosed(matrix, low, high)
-    proved, c = definite(found.centre, found.rest, found.terms)
-    rest = np.flatnonzero(~proved)
-    proved[rest] = definite(found.middle[rest], found.radius[rest])[0]
+    centre = middle_of(low, high)
+    at, on = enclose(matrix.first, centre, centre), enclose(matrix.second, low, high)
+    block = max(SMALLEST_BLOCK, BLOCK_NUMBERS // max(1, len(matrix.second.outputs)))
+    parts = [slice(k, k + block) for k in range(0, len(low), block)]
+    found = [_tested(matrix, _rows(at, part), _rows(on, part), low[part], high[part]) for part in parts]
+    proved, weight, smooth = (np.concatenate(row) for row in zip(*found, strict=True))
     codes = np.full(len(low), PROVED)
     rest = np.flatnonzero(~proved)
     if not len(rest):
         return codes, None
-    wrong = counterexample_at(matrix, middle_of(low[rest], high[rest]))
+    wrong = counterexample_at(matrix, centre[rest])
     if wrong is not None:
         return codes, wrong
-    weight = _weight(c[rest], found.terms[rest], found.shares[rest], len(matrix.free))
-    blind = np.flatnonzero(~(np.isfinite(weight).all(axis=1) & found.smooth[rest]))
+    weight = weight[rest]
+    blind = np.flatnonzero(~(np.isfinite(weight).all(axis=1) & smooth[rest]))
     if len(blind):
         weight[blind] = _weight_at_centre(matrix, low[rest][blind], high[rest][blind])
     relative = ((high - low)[rest] / np.where(matrix.width > 0, matrix.width, 1.0))[:, matrix.free]
     lost = ~np.isfinite(weight).all(axis=1)
     weight[lost] = relative[lost]
     # Where every variable has no effect, or cannot be halved any more, the widest one is halved.
-    middle = middle_of(low[rest], high[rest])[:, matrix.free]
+    middle = centre[rest][:, matrix.free]
     possible = (middle > low[rest][:, matrix.free]) & (middle < high[rest][:, matrix.free])
     weight = np.where(possible, weight + 1e-9 * relative * weight.max(axis=1, keepdims=True, initial=0.0), -1.0)
     codes[rest] = np.where(possible.any(axis=1), matrix.free[weight.argmax(axis=1)] if len(matrix.free) else OPEN, OPEN)
     return codes, None
+
+
+BLOCK_NUMBERS, SMALLEST_BLOCK = 2**17, 64
+"""Of so many numbers enclosures are tested at once, which then stay in the cache, and of at least so many boxes."""
+
+
+def _rows(found: Enclosure, part: slice) -> Enclosure:
+    return Enclosure(found.low[part], found.high[part], found.smooth[part])
+
+
+def _tested(
+    matrix: Expansions, at: Enclosure, on: Enclosure, low: np.ndarray, high: np.ndarray
+) -> tuple[Bool[np.ndarray, "B"], Float[np.ndarray, "B f"], Bool[np.ndarray, "B"]]:
+    """Which boxes are proved, how much each variable widens the enclosures of the others, and which are smooth."""
+    found = enclosed(matrix, at, on, low, high)
+    proved, c = definite(found.centre, found.rest, found.terms)
+    rest = np.flatnonzero(~proved)
+    proved[rest] = definite(found.middle[:, rest], found.radius[:, rest])[0]
+    rest = np.flatnonzero(~proved)
+    weight = np.zeros((len(low), len(matrix.free)))
+    weight[rest] = _weight(c[..., rest], found.terms[..., rest], found.shares[..., rest], len(matrix.free))
+    return proved, weight, found.smooth
 
 
 def look_around(matrix: Expansions, domain: Box, count: int = 4096) -> np.ndarray | None:
@@ -53,34 +77,36 @@ def look_around(matrix: Expansions, domain: Box, count: int = 4096) -> np.ndarra
 def counterexample_at(matrix: Expansions, points: np.ndarray) -> np.ndarray | None:
     """The first of some points (k, d), as a box (2, d), at which the matrix is shown not to be positive definite."""
     at = enclose(matrix.value, points, points)
-    middle, radius = (symmetric(part, matrix.size) for part in Ball.of(at.low, at.high))
-    wrong = np.flatnonzero(indefinite(middle, radius))
+    wrong = np.flatnonzero(indefinite(*Ball.of(at.low.T, at.high.T)))
     return np.stack([points[wrong[0]]] * 2) if len(wrong) else None
 
 
-def _weight(c: np.ndarray, terms: np.ndarray, shares: np.ndarray, f: int) -> np.ndarray:
-    """How much each variable (B, f) widens the enclosures, after the factors c bring the matrices near the identity.
+def _weight(c: np.ndarray, terms: np.ndarray, shares: np.ndarray, f: int) -> Float[np.ndarray, "B f"]:
+    """How much each variable widens the enclosures, after the factors c bring the matrices near the identity.
 
     The contribution of a pair counts for both of its variables.
     """
-    c, size = c[:, None], np.abs(c)[:, None]
+    n = len(c)
+    rows, columns = np.tril_indices(n)
     with np.errstate(all="ignore"):
-        sizes = np.abs(np.swapaxes(c, 2, 3) @ terms @ c) + np.swapaxes(size, 2, 3) @ shares @ size
-    parts = sizes.sum(axis=(2, 3))
-    weight = parts[:, :f].copy()
+        # The sum of all entries: those below the diagonal stand for those above it too.
+        size = np.abs(c).sum(axis=1)
+        parts = np.abs(congruent(c, terms))
+        parts += shares * (size[rows] * size[columns])
+        parts *= np.where(rows == columns, 1.0, 2.0)[:, None]
+        parts = parts.sum(axis=1)
+    weight = parts[:f].copy()
     for number, (i, j) in enumerate(pairs(f), start=f):
-        weight[:, i] += parts[:, number]
+        weight[i] += parts[number]
         if i != j:
-            weight[:, j] += parts[:, number]
-    return weight
+            weight[j] += parts[number]
+    return weight.T
 
 
 def _weight_at_centre(matrix: Expansions, low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """The weights from derivatives at the centre alone, for boxes on which nothing is bounded."""
     centre = middle_of(low, high)
     at, k = enclose(matrix.second, centre, centre), matrix.size * (matrix.size + 1) // 2
-    count = k + len(matrix.free) * k
-    near = Enclosure(at.low[:, :count], at.high[:, :count], at.smooth)
-    value, _, terms, shares = taylor_form(near, at, (high - low)[:, matrix.free] / 2, k)
-    c = factors(symmetric(value.middle, matrix.size))[0]
-    return _weight(c, symmetric(terms, matrix.size), symmetric(shares, matrix.size), len(matrix.free))
+    with np.errstate(invalid="ignore", over="ignore"):
+        value, terms, shares = taylor_form(at, at, ((high - low)[:, matrix.free] / 2).T.copy(), k)
+    return _weight(factors(value.middle)[0], terms, shares, len(matrix.free))
