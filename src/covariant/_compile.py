@@ -14,6 +14,23 @@ from covariant._programs import cache_folder
 
 Library = TypeVar("Library")
 
+EXACT = (
+    "-std=c99",
+    "-O3",
+    "-march=native",
+    "-ffp-contract=off",
+    "-fno-fast-math",
+    "-fno-math-errno",
+    "-fno-trapping-math",
+    "-fwrapv",
+    "-fPIC",
+    "-shared",
+)
+"""Flags for C whose results are those of IEEE 754, operation by operation: none of them permits the compiler another one.
+
+Products and sums are not contracted; those for errno, traps and whole numbers that wrap change no value of a double.
+"""
+
 
 @functools.cache
 def compiler() -> str | None:

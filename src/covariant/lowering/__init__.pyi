@@ -7,7 +7,7 @@ from ._c import (
 )
 from ._differentiate import Derivative as Derivative, expand as expand, pairs as pairs
 from ._enclose import Enclosure as Enclosure, fulfilled as fulfilled
-from ._engine import Engine as Engine, enclose as enclose
+from ._engine import Engine as Engine, enclose as enclose, in_c as in_c
 from ._graph import FOLD as FOLD, Condition as Condition, Graph as Graph, Node as Node
 from ._intervals import INTERVALS as INTERVALS
 from ._lowered import Conditions as Conditions, Lowered as Lowered, LoweringError as LoweringError

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from covariant._compile import compiled, compiler, is_kept
+from covariant._compile import EXACT, compiled, compiler, is_kept
 from covariant.lowering._enclose import Enclosure, bounds, corners
 from covariant.lowering._lowered import Lowered
 from covariant.lowering._program import KERNELS, Interval, Kernel, Place, Program, Truth
@@ -24,18 +24,6 @@ from covariant.lowering._traced import HEAD, REAL, TRUTH, Text, Traced
 
 LANES = 64
 """Number of boxes for which a step is done at once: what a graph has in use then stays in the cache."""
-FLAGS = (
-    "-std=c99",
-    "-O3",
-    "-march=native",
-    "-ffp-contract=off",
-    "-fno-fast-math",
-    "-fno-math-errno",
-    "-fno-trapping-math",
-    "-fwrapv",
-    "-fPIC",
-    "-shared",
-)
 
 
 def kernel_text(text: Text, kernel: Kernel, name: str) -> str:
@@ -116,7 +104,7 @@ class Library:
     def __init__(self, text: str | None = None):
         if compiler() is None:
             raise OSError("there is no C compiler `cc`, so NumPy does the work")
-        self._enclose = compiled(text or source(), FLAGS, ctypes.CDLL).enclose
+        self._enclose = compiled(text or source(), EXACT, ctypes.CDLL).enclose
         self._enclose.restype = None
         wrong = self._differs()
         if wrong:
@@ -183,7 +171,7 @@ def _trials(kernel: Kernel, rng: np.random.Generator) -> np.ndarray:
 
 def at_hand() -> bool:
     """Whether the kernels have been compiled before."""
-    return compiler() is not None and is_kept(source(), FLAGS)
+    return compiler() is not None and is_kept(source(), EXACT)
 
 
 class Steps(NamedTuple):

@@ -13,20 +13,12 @@ from covariant.lowering._lowered import Lowered
 
 Engine = Literal["auto", "numpy", "c"]
 A_CALL = 1500
-"""What a call costs NumPy beside the boxes it is for, in boxes. To write a graph down for C costs as much."""
+"""What a call costs NumPy beside the boxes it is for, in boxes. To write the graph down for C costs less."""
 COMPILATION = 2e8
 """What the compilation costs, in boxes times nodes by NumPy."""
 
 
-class _Work:
-    """What was done for a graph: by NumPy, in boxes; and the graph for C, where it has been written down."""
-
-    def __init__(self) -> None:
-        self.boxes = 0
-        self.compiled: CompiledBounds | None = None
-
-
-_DONE: weakref.WeakKeyDictionary[Graph, dict[tuple[int, ...], _Work]] = weakref.WeakKeyDictionary()
+_WRITTEN: weakref.WeakKeyDictionary[Graph, dict[tuple[int, ...], CompiledBounds]] = weakref.WeakKeyDictionary()
 _effort = 0.0
 
 
@@ -45,23 +37,24 @@ def enclose(lowered: Lowered, low: np.ndarray, high: np.ndarray, engine: Engine 
         return Enclosure(nothing, nothing, np.ones(0, bool))
     if engine == "numpy":
         return by_numpy(lowered, low, high)
-    work = _DONE.setdefault(lowered.graph, {}).setdefault(lowered.outputs, _Work())
-    if work.compiled is None and (engine == "c" or _pays(work)):
-        made = _library()
-        if isinstance(made, Library):
-            work.compiled = CompiledBounds(lowered, made)
-        elif engine == "c":
-            raise OSError(made)
-    return work.compiled(low, high) if work.compiled is not None else _counted(work, lowered, low, high)
+    written = _WRITTEN.setdefault(lowered.graph, {})
+    if lowered.outputs not in written:
+        made = _library() if in_c(engine) else ""
+        if not isinstance(made, Library):
+            if engine == "c":
+                raise OSError(made)
+            return _counted(lowered, low, high)
+        written[lowered.outputs] = CompiledBounds(lowered, made)
+    return written[lowered.outputs](low, high)
 
 
-def _pays(work: _Work) -> bool:
-    return work.boxes >= 2 * A_CALL and (_at_hand() or _effort >= COMPILATION)
+def in_c(engine: Engine) -> bool:
+    """Whether compiled C is to do the work from now on, if there is a compiler."""
+    return engine == "c" or (engine == "auto" and (_at_hand() or _effort >= COMPILATION))
 
 
-def _counted(work: _Work, lowered: Lowered, low: np.ndarray, high: np.ndarray) -> Enclosure:
+def _counted(lowered: Lowered, low: np.ndarray, high: np.ndarray) -> Enclosure:
     global _effort
-    work.boxes += len(low) + A_CALL
     _effort += (len(low) + A_CALL) * len(lowered.graph.nodes)
     return by_numpy(lowered, low, high)
 

@@ -58,6 +58,14 @@ def sum_of(arrays: Iterable[np.ndarray]) -> np.ndarray:
     return total
 
 
+def sum_over(rows: np.ndarray) -> np.ndarray:
+    """The sum over the first axis, one row after the other, from zero."""
+    total = np.zeros(rows.shape[1:])
+    for row in rows:
+        total += row
+    return total
+
+
 def definite(
     middle: np.ndarray, radius: np.ndarray, terms: np.ndarray | None = None
 ) -> tuple[Bool[np.ndarray, "B"], np.ndarray]:
@@ -71,16 +79,29 @@ def definite(
     with np.errstate(all="ignore"):
         error, size = np.abs(np.eye(n)[np.tril_indices(n)][:, None] - congruent(c, middle)), np.abs(middle)
         if terms is not None:
-            error += np.abs(congruent(c, terms)).sum(axis=0)
-            size += np.abs(terms).sum(axis=0)
+            error += sum_over(np.abs(congruent(c, terms)))
+            size += sum_over(np.abs(terms))
         error += congruent(np.abs(c), radius + ROUND * size)
         e = (error * (1 + ROUND) + ROUND)[at]
         x = np.ones((n, e.shape[2]))
         for _ in range(4):
-            x = (e * x).sum(axis=1) + 1e-6
+            x = sum_over(e * x[:, None]) + 1e-6
             x /= x.max(axis=0)
-        below = ((e * x).sum(axis=1) * (1 + ROUND) + TINY <= (1 - SLACK) * x).all(axis=0)
+        below = (sum_over(e * x[:, None]) * (1 + ROUND) + TINY <= (1 - SLACK) * x).all(axis=0)
     return below & positive, c
+
+
+def weights(c: np.ndarray, terms: np.ndarray, shares: np.ndarray) -> Float[np.ndarray, "m B"]:
+    """How much each of some terms (m, K, B) and its share widen enclosures, after the factors C made them congruent."""
+    n = len(c)
+    rows, columns = np.tril_indices(n)
+    with np.errstate(all="ignore"):
+        # The sum of all entries: those below the diagonal stand for those above it too.
+        size = sum_over(np.swapaxes(np.abs(c), 0, 1))
+        parts = np.abs(congruent(c, terms))
+        parts += shares * (size[rows] * size[columns])
+        parts *= np.where(rows == columns, 1.0, 2.0)[:, None]
+        return sum_over(np.swapaxes(parts, 0, 1))
 
 
 def indefinite(middle: np.ndarray, radius: np.ndarray) -> Bool[np.ndarray, "B"]:

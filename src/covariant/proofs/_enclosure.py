@@ -12,9 +12,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from covariant.lowering import Enclosure, Graph, Lowered, expand, graft, pairs
+from covariant.lowering import Enclosure, Engine, Graph, Lowered, expand, graft, pairs
 from covariant.proofs._box import Box
-from covariant.proofs._definite import ROUND, TINY
+from covariant.proofs._definite import ROUND, TINY, sum_over
 from covariant.proofs._tree import middle_of
 
 
@@ -22,6 +22,7 @@ class Expansions(NamedTuple):
     """A symmetric matrix (n, n) as graphs of its K entries on and below the diagonal, and of their derivatives.
 
     - `value`, `first`, `second`: the entries, with first derivatives, and with first and second derivatives.
+    - `engine`: who bounds them, as for `enclose`.
     - `size`: n; `free` (f,): the variables that are not held fixed; `width` (d,): widths of the whole domain.
     """
 
@@ -31,9 +32,10 @@ class Expansions(NamedTuple):
     size: int
     free: Int[np.ndarray, "f"]
     width: Float[np.ndarray, "d"]
+    engine: Engine = "auto"
 
     @classmethod
-    def of(cls, entries: Lowered, domain: Box) -> "Expansions":
+    def of(cls, entries: Lowered, domain: Box, engine: Engine = "auto") -> "Expansions":
         """The expansions of the graph of all entries. Raises `ValueError` where the matrix is not square."""
         shape = entries.results[0].shape
         if len(shape) != 2 or shape[0] != shape[1] or not shape[0]:
@@ -46,7 +48,7 @@ class Expansions(NamedTuple):
         first, second = (expand(value, free.tolist(), order) for order in (1, 2))
         small, outputs = graph.pruned(value.outputs)
         value = value._replace(graph=small, outputs=tuple(outputs))
-        return cls(value, first, second, shape[0], free, domain.high - domain.low)
+        return cls(value, first, second, shape[0], free, domain.high - domain.low, engine)
 
 
 class EnclosedMatrices(NamedTuple):
@@ -67,25 +69,29 @@ class EnclosedMatrices(NamedTuple):
     smooth: Bool[np.ndarray, "B"]
 
 
-def enclosed(matrix: Expansions, at: Enclosure, on: Enclosure, low: np.ndarray, high: np.ndarray) -> EnclosedMatrices:
-    """Enclosures of the matrix on boxes with corners (B, d).
-
-    `at` encloses `matrix.first` at their centres, and `on` encloses `matrix.second` on the boxes.
-    """
+def half_widths(matrix: Expansions, low: np.ndarray, high: np.ndarray) -> Float[np.ndarray, "f B"]:
+    """Half widths of boxes with corners (B, d) in the free variables, rounded up."""
     centre = middle_of(low, high)
-    k, f = matrix.size * (matrix.size + 1) // 2, len(matrix.free)
-    half = (np.maximum(high - centre, centre - low)[:, matrix.free] * (1 + ROUND)).T.copy()
+    return np.ascontiguousarray((np.maximum(high - centre, centre - low)[:, matrix.free] * (1 + ROUND)).T)
+
+
+def enclosed_by(at: Enclosure, on: Enclosure, half: np.ndarray, k: int) -> EnclosedMatrices:
+    """Enclosures of matrices with k entries on boxes of half widths (f, B).
+
+    `at` encloses the entries and their first derivatives at the centres, and `on` those and the second on the boxes.
+    """
+    f, boxes = half.shape
     with np.errstate(invalid="ignore", over="ignore"):  # the middle of bounds −∞ and ∞ is NaN
         value, terms, shares = taylor_form(at, on, half, k)
         # A form with derivatives holds where these exist everywhere in the box.
-        rest = np.where(on.smooth, (value.radius + shares.sum(axis=0)) * (1 + ROUND) + TINY, np.inf)
-        radius = rest + np.abs(terms).sum(axis=0) * (1 + ROUND)
-        low_on, high_on = on.low.T[: k + f * k], on.high.T[: k + f * k]
-        lower_bound = np.fmax(_outward(value.middle - radius, -1), low_on[:k])
-        upper_bound = np.fmin(_outward(value.middle + radius, 1), high_on[:k])
+        rest = np.where(on.smooth, (value.radius + sum_over(shares)) * (1 + ROUND) + TINY, np.inf)
+        radius = rest + sum_over(np.abs(terms)) * (1 + ROUND)
+        low, high = on.low.T[: k + f * k], on.high.T[: k + f * k]
+        lower_bound = np.fmax(_outward(value.middle - radius, -1), low[:k])
+        upper_bound = np.fmin(_outward(value.middle + radius, 1), high[:k])
         # The mean-value form is around the value at the centre, which Taylor's form has shifted.
-        here, size = Ball.of(at.low.T[:k], at.high.T[:k]), np.maximum(np.abs(low_on[k:]), np.abs(high_on[k:]))
-        wide = (size.reshape(f, k, len(low)) * half[:, None]).sum(axis=0)
+        here, size = Ball.of(at.low.T[:k], at.high.T[:k]), np.maximum(np.abs(low[k:]), np.abs(high[k:]))
+        wide = sum_over(size.reshape(f, k, boxes) * half[:, None])
         spread = np.where(on.smooth, here.radius + wide * (1 + ROUND), np.inf)
         lower_bound = np.fmax(lower_bound, _outward(here.middle - spread, -1))
         upper_bound = np.fmin(upper_bound, _outward(here.middle + spread, 1))
@@ -116,6 +122,9 @@ def taylor_form(at: Enclosure, on: Enclosure, half: np.ndarray, k: int) -> tuple
     value, slopes = (Ball.of(at.low.T[part], at.high.T[part]) for part in (slice(k), slice(k, first)))
     bends = Ball.of(on.low.T[first:], on.high.T[first:])
     chosen = pairs(f)
+    if not f:
+        nothing = np.empty((0, k, boxes))
+        return Ball(value.middle, value.radius + ROUND * np.abs(value.middle)), nothing, nothing
     terms, shares = np.empty((2, f + len(chosen), k, boxes))
     np.multiply(slopes.middle.reshape(f, k, boxes), half[:, None], out=terms[:f])
     np.multiply(slopes.radius.reshape(f, k, boxes), half[:, None], out=shares[:f])
@@ -123,8 +132,8 @@ def taylor_form(at: Enclosure, on: Enclosure, half: np.ndarray, k: int) -> tuple
     square = np.array([i == j for i, j in chosen])
     np.multiply(bends.middle.reshape(-1, k, boxes), size * np.where(square, 0.5, 1.0)[:, None, None], out=terms[f:])
     np.multiply(bends.radius.reshape(-1, k, boxes), size * (1 + ROUND), out=shares[f:])
-    moved = value.middle + terms[f:][square].sum(axis=0)
-    rounding = ROUND * (np.abs(value.middle) + np.abs(terms[f:]).sum(axis=0))
+    moved = value.middle + sum_over(terms[f:][square])
+    rounding = ROUND * (np.abs(value.middle) + sum_over(np.abs(terms[f:])))
     return Ball(moved, value.radius + rounding), terms, shares
 
 

@@ -8,15 +8,16 @@ from jaxtyping import Bool, Float, Int
 
 from covariant.lowering import Enclosure, enclose, pairs
 from covariant.proofs._box import Box
-from covariant.proofs._definite import congruent, definite, factors, indefinite
-from covariant.proofs._enclosure import Ball, Expansions, enclosed, taylor_form
+from covariant.proofs._definite import definite, factors, indefinite, weights
+from covariant.proofs._enclosure import Ball, Expansions, enclosed_by, half_widths, taylor_form
+from covariant.proofs._tests_in_c import tests_in_c
 from covariant.proofs._tree import OPEN, PROVED, middle_of
 
 
 def judge(matrix: Expansions, low: np.ndarray, high: np.ndarray) -> tuple[Int[np.ndarray, "B"], np.ndarray | None]:
     """A code for each box: proved, the variable to halve, or open if it cannot be halved; and a counter-example."""
     centre = middle_of(low, high)
-    at, on = enclose(matrix.first, centre, centre), enclose(matrix.second, low, high)
+    at, on = enclose(matrix.first, centre, centre, matrix.engine), enclose(matrix.second, low, high, matrix.engine)
     block = max(SMALLEST_BLOCK, BLOCK_NUMBERS // max(1, len(matrix.second.outputs)))
     parts = [slice(k, k + block) for k in range(0, len(low), block)]
     found = [_tested(matrix, _rows(at, part), _rows(on, part), low[part], high[part]) for part in parts]
@@ -55,14 +56,23 @@ def _tested(
     matrix: Expansions, at: Enclosure, on: Enclosure, low: np.ndarray, high: np.ndarray
 ) -> tuple[Bool[np.ndarray, "B"], Float[np.ndarray, "B f"], Bool[np.ndarray, "B"]]:
     """Which boxes are proved, how much each variable widens the enclosures of the others, and which are smooth."""
-    found = enclosed(matrix, at, on, low, high)
-    proved, c = definite(found.centre, found.rest, found.terms)
+    k, half, f = matrix.size * (matrix.size + 1) // 2, half_widths(matrix, low, high), len(matrix.free)
+    tests = tests_in_c(matrix.engine)
+    if tests is None:
+        found = enclosed_by(at, on, half, k)
+        proved, c = definite(found.centre, found.rest, found.terms)
+    else:
+        found = tests.enclosed(at, on, half, k)
+        c, positive = factors(found.centre)
+        proved, parts = tests.tested(c, found.centre, found.rest, found.terms, found.shares)
+        proved &= positive
     rest = np.flatnonzero(~proved)
     proved[rest] = definite(found.middle[:, rest], found.radius[:, rest])[0]
     rest = np.flatnonzero(~proved)
-    weight = np.zeros((len(low), len(matrix.free)))
-    weight[rest] = _weight(c[..., rest], found.terms[..., rest], found.shares[..., rest], len(matrix.free))
-    return proved, weight, found.smooth
+    if tests is None:
+        parts = np.zeros((len(found.terms), len(low)))
+        parts[:, rest] = weights(c[..., rest], found.terms[..., rest], found.shares[..., rest])
+    return proved, _weight(parts, f), found.smooth
 
 
 def look_around(matrix: Expansions, domain: Box, count: int = 4096) -> np.ndarray | None:
@@ -76,25 +86,13 @@ def look_around(matrix: Expansions, domain: Box, count: int = 4096) -> np.ndarra
 
 def counterexample_at(matrix: Expansions, points: np.ndarray) -> np.ndarray | None:
     """The first of some points (k, d), as a box (2, d), at which the matrix is shown not to be positive definite."""
-    at = enclose(matrix.value, points, points)
+    at = enclose(matrix.value, points, points, matrix.engine)
     wrong = np.flatnonzero(indefinite(*Ball.of(at.low.T, at.high.T)))
     return np.stack([points[wrong[0]]] * 2) if len(wrong) else None
 
 
-def _weight(c: np.ndarray, terms: np.ndarray, shares: np.ndarray, f: int) -> Float[np.ndarray, "B f"]:
-    """How much each variable widens the enclosures, after the factors c bring the matrices near the identity.
-
-    The contribution of a pair counts for both of its variables.
-    """
-    n = len(c)
-    rows, columns = np.tril_indices(n)
-    with np.errstate(all="ignore"):
-        # The sum of all entries: those below the diagonal stand for those above it too.
-        size = np.abs(c).sum(axis=1)
-        parts = np.abs(congruent(c, terms))
-        parts += shares * (size[rows] * size[columns])
-        parts *= np.where(rows == columns, 1.0, 2.0)[:, None]
-        parts = parts.sum(axis=1)
+def _weight(parts: np.ndarray, f: int) -> Float[np.ndarray, "B f"]:
+    """How much each variable widens the enclosures, from each of their terms (m, B): a pair counts for both of its."""
     weight = parts[:f].copy()
     for number, (i, j) in enumerate(pairs(f), start=f):
         weight[i] += parts[number]
@@ -106,7 +104,7 @@ def _weight(c: np.ndarray, terms: np.ndarray, shares: np.ndarray, f: int) -> Flo
 def _weight_at_centre(matrix: Expansions, low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """The weights from derivatives at the centre alone, for boxes on which nothing is bounded."""
     centre = middle_of(low, high)
-    at, k = enclose(matrix.second, centre, centre), matrix.size * (matrix.size + 1) // 2
+    at, k = enclose(matrix.second, centre, centre, matrix.engine), matrix.size * (matrix.size + 1) // 2
     with np.errstate(invalid="ignore", over="ignore"):
         value, terms, shares = taylor_form(at, at, ((high - low)[:, matrix.free] / 2).T.copy(), k)
-    return _weight(factors(value.middle)[0], terms, shares, len(matrix.free))
+    return _weight(weights(factors(value.middle)[0], terms, shares), len(matrix.free))
