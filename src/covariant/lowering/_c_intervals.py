@@ -18,11 +18,12 @@ import numpy as np
 
 from covariant._compile import EXACT, compiled, compiler, is_kept
 from covariant.lowering._enclose import Enclosure, bounds, corners
+from covariant.lowering._fuse import fused
 from covariant.lowering._lowered import Lowered
 from covariant.lowering._program import KERNELS, Interval, Kernel, Place, Program, Truth
 from covariant.lowering._traced import HEAD, REAL, TRUTH, Text, Traced
 
-LANES = 64
+LANES = 128
 """Number of boxes for which a step is done at once: what a graph has in use then stays in the cache."""
 
 
@@ -190,12 +191,13 @@ class Steps(NamedTuple):
     @classmethod
     def of(cls, program: Program, inputs: Sequence[int], outputs: Sequence[int]) -> "Steps":
         """The steps of a program, in which places are used again after what they held was last read."""
-        last = {place: k for k, step in enumerate(program.steps) for place in (*step.results, *step.arguments)}
-        last.update(dict.fromkeys([*outputs, *program.constants.values()], len(program.steps)))
+        done = fused(program, outputs)
+        last = {place: k for k, step in enumerate(done) for place in (*step.results, *step.arguments)}
+        last.update(dict.fromkeys([*outputs, *program.constants.values()], len(done)))
         place = {number: k for k, number in enumerate([*program.constants.values(), *inputs])}
         free, count, rows = [], len(place), []
         kernels = {name: k for k, name in enumerate(KERNELS)}
-        for k, step in enumerate(program.steps):
+        for k, step in enumerate(done):
             for result in step.results:
                 if free:
                     place[result] = free.pop()
@@ -206,7 +208,7 @@ class Steps(NamedTuple):
         work = np.zeros((count, LANES))
         work[: len(program.constants)] = np.array([np.frombuffer(bits)[0] for bits in program.constants])[:, None]
         ends = (np.array([LANES * place[number] for number in numbers], np.int32) for numbers in (inputs, outputs))
-        return cls(np.array(rows, np.int32), len(program.steps), work, *ends)
+        return cls(np.array(rows, np.int32), len(done), work, *ends)
 
 
 class CompiledBounds:

@@ -58,20 +58,14 @@ def _tested(
     """Which boxes are proved, how much each variable widens the enclosures of the others, and which are smooth."""
     k, half, f = matrix.size * (matrix.size + 1) // 2, half_widths(matrix, low, high), len(matrix.free)
     tests = tests_in_c(matrix.engine)
-    if tests is None:
-        found = enclosed_by(at, on, half, k)
-        proved, c = definite(found.centre, found.rest, found.terms)
-    else:
-        found = tests.enclosed(at, on, half, k)
-        c, positive = factors(found.centre)
-        proved, parts = tests.tested(c, found.centre, found.rest, found.terms, found.shares)
-        proved &= positive
+    found = (tests.enclosed if tests else enclosed_by)(at, on, half, k)
+    test = tests.definite if tests else definite
+    proved, c = test(found.centre, found.rest, found.terms)
     rest = np.flatnonzero(~proved)
-    proved[rest] = definite(found.middle[:, rest], found.radius[:, rest])[0]
+    proved[rest] = test(found.middle[:, rest], found.radius[:, rest])[0]
     rest = np.flatnonzero(~proved)
-    if tests is None:
-        parts = np.zeros((len(found.terms), len(low)))
-        parts[:, rest] = weights(c[..., rest], found.terms[..., rest], found.shares[..., rest])
+    parts = np.zeros((len(found.terms), len(low)))
+    parts[:, rest] = (tests.weights if tests else weights)(c[..., rest], found.terms[..., rest], found.shares[..., rest])
     return proved, _weight(parts, f), found.smooth
 
 

@@ -1,4 +1,4 @@
-"""The prover's tests on boxes as compiled C: `enclosed`, `definite` and `weights` do the same operations in NumPy.
+"""The prover's tests on boxes as compiled C: `enclosed_by`, `definite` and `weights` do the same operations in NumPy.
 
 Each sum is taken in the same order, so that all numbers are the same to the last bit; where the library is loaded this
 is tried, and a compiler that rounds in another way is refused. The factors C are computed by LAPACK for both.
@@ -21,7 +21,7 @@ LANES = 64
 
 
 class CompiledTests:
-    """`enclosed` and `tested` by a library. `text` is its C. Raises `OSError` where there is none that rounds alike."""
+    """The tests by a library. `text` is its C. Raises `OSError` where there is none that rounds alike."""
 
     def __init__(self, text: str = ""):
         if compiler() is None:
@@ -39,26 +39,32 @@ class CompiledTests:
         _call(self._library.taylor, k, f, boxes, *bounds, half, on.smooth.astype(float), *found)
         return EnclosedMatrices(*found, smooth=on.smooth)
 
-    def tested(
-        self, c: np.ndarray, middle: np.ndarray, radius: np.ndarray, terms: np.ndarray, shares: np.ndarray
+    def definite(
+        self, middle: np.ndarray, radius: np.ndarray, terms: np.ndarray | None = None
     ) -> tuple[Bool[np.ndarray, "B"], np.ndarray]:
-        """Whether all matrices are positive definite, given that the middle is, and the sizes of the terms (m, B)."""
+        """As the function of this name."""
+        c, positive = factors(middle)
+        n, boxes, below = len(c), c.shape[2], np.empty(c.shape[2])
+        terms = np.empty((0, *middle.shape)) if terms is None else terms
+        _call(self._library.definite, n, len(terms), boxes, c, middle, radius, terms, below)
+        return (below != 0) & positive, c
+
+    def weights(self, c: np.ndarray, terms: np.ndarray, shares: np.ndarray) -> np.ndarray:
+        """As the function of this name."""
         n, boxes, m = len(c), c.shape[2], len(terms)
-        below, sizes = np.empty(boxes), np.empty((m, boxes))
-        _call(self._library.definite, n, m, boxes, c, middle, radius, terms, shares, below, sizes)
-        return below != 0, sizes
+        found = np.empty((m, boxes))
+        _call(self._library.weights, n, m, boxes, c, terms, shares, found)
+        return found
 
     def _agrees(self) -> bool:
         """Whether random matrices give the same bits as in NumPy."""
         for n, f, boxes in ((1, 1, 3), (2, 3, 70), (4, 2, 64), (3, 0, 5)):
             at, on, half, k = _trial(n, f, boxes)
             right, found = enclosed_by(at, on, half, k), self.enclosed(at, on, half, k)
-            c = factors(right.centre)[0]
-            expected = definite(right.centre, right.rest, right.terms)[0] | ~factors(right.centre)[1]
-            below, sizes = self.tested(c, right.centre, right.rest, right.terms, right.shares)
-            pairs = zip((*right, weights(c, right.terms, right.shares)), (*found, sizes), strict=True)
-            same = all(np.array_equal(a, b, equal_nan=True) for a, b in pairs)
-            if not (same and ((below | ~factors(right.centre)[1]) == expected).all()):
+            tested, c = definite(right.centre, right.rest, right.terms)
+            right = (*right, tested, weights(c, right.terms, right.shares))
+            found = (*found, self.definite(found.centre, found.rest, found.terms)[0], self.weights(c, found.terms, found.shares))
+            if not all(np.array_equal(a, b, equal_nan=True) for a, b in zip(right, found, strict=True)):
                 return False
         return True
 
@@ -256,10 +262,10 @@ static void times(int lanes, int64_t n, lane *e, lane *x, lane *found)
 }
 
 void definite(int64_t n, int64_t m, int64_t boxes, const double *factors, const double *middle, const double *radius,
-              const double *terms, const double *shares, double *below, double *sizes)
+              const double *terms, double *below)
 {
     const int64_t k = n * (n + 1) / 2;
-    lane c[n * n], absolute[n * n], width[n], s[k], e[k], turned[k], sum[k], size[k], column[n], x[n], y[n], good, top;
+    lane c[n * n], absolute[n * n], s[k], e[k], turned[k], sum[k], size[k], column[n], x[n], y[n], good, top;
     int64_t box, j, a, b, t;
     int i;
     for (box = 0; box < boxes; box += LANES) {
@@ -269,9 +275,6 @@ void definite(int64_t n, int64_t m, int64_t boxes, const double *factors, const 
                 c[j][i] = factors[j * boxes + box + i];
                 absolute[j][i] = fabs(c[j][i]);
             }
-        for (a = 0; a < n; ++a)
-            for (b = 0; b < n; ++b)
-                EACH width[a][i] = b ? width[a][i] + absolute[a * n + b][i] : absolute[a * n + b][i];
         for (j = 0; j < k; ++j)
             EACH {
                 s[j][i] = middle[j * boxes + box + i];
@@ -282,22 +285,13 @@ void definite(int64_t n, int64_t m, int64_t boxes, const double *factors, const 
             for (b = 0; b <= a; ++b)
                 EACH e[place(a, b)][i] = fabs((a == b ? 1.0 : 0.0) - e[place(a, b)][i]);
         for (t = 0; t < m; ++t) {
-            const double *from = terms + t * k * boxes + box, *share = shares + t * k * boxes + box;
-            double *to = sizes + t * boxes + box;
             for (j = 0; j < k; ++j)
-                EACH s[j][i] = from[j * boxes + i];
+                EACH s[j][i] = terms[(t * k + j) * boxes + box + i];
             congruent(lanes, n, c, s, column, turned);
-            for (a = 0; a < n; ++a)
-                for (b = 0; b <= a; ++b) {
-                    const int64_t p = place(a, b);
-                    const double times = a == b ? 1.0 : 2.0;
-                    EACH {
-                        const double size_here = fabs(turned[p][i]);
-                        const double part = (size_here + share[p * boxes + i] * (width[a][i] * width[b][i])) * times;
-                        sum[p][i] += size_here;
-                        size[p][i] += fabs(s[p][i]);
-                        to[i] = p ? to[i] + part : part;
-                    }
+            for (j = 0; j < k; ++j)
+                EACH {
+                    sum[j][i] += fabs(turned[j][i]);
+                    size[j][i] += fabs(s[j][i]);
                 }
         }
         for (j = 0; j < k; ++j)
@@ -326,6 +320,37 @@ void definite(int64_t n, int64_t m, int64_t boxes, const double *factors, const 
         for (a = 0; a < n; ++a)
             EACH good[i] = y[a][i] * (1.0 + ROUND) + TINY <= MOST * x[a][i] ? good[i] : 0.0;
         EACH below[box + i] = good[i];
+    }
+}
+
+void weights(int64_t n, int64_t m, int64_t boxes, const double *factors, const double *terms, const double *shares,
+             double *found)
+{
+    const int64_t k = n * (n + 1) / 2;
+    lane c[n * n], width[n], s[k], turned[k], column[n];
+    int64_t box, j, a, b, t;
+    int i;
+    for (box = 0; box < boxes; box += LANES) {
+        const int lanes = boxes - box < LANES ? (int)(boxes - box) : LANES;
+        for (j = 0; j < n * n; ++j)
+            EACH c[j][i] = factors[j * boxes + box + i];
+        for (a = 0; a < n; ++a)
+            for (b = 0; b < n; ++b)
+                EACH width[a][i] = fabs(c[a * n + b][i]) + (b ? width[a][i] : 0.0);
+        for (t = 0; t < m; ++t) {
+            double *to = found + t * boxes + box;
+            for (j = 0; j < k; ++j)
+                EACH s[j][i] = terms[(t * k + j) * boxes + box + i];
+            congruent(lanes, n, c, s, column, turned);
+            EACH to[i] = 0.0;
+            for (a = 0; a < n; ++a)
+                for (b = 0; b <= a; ++b) {
+                    const int64_t p = place(a, b);
+                    const double *share = shares + (t * k + p) * boxes + box;
+                    const double times = a == b ? 1.0 : 2.0;
+                    EACH to[i] += (fabs(turned[p][i]) + share[i] * (width[a][i] * width[b][i])) * times;
+                }
+        }
     }
 }
 """
