@@ -114,9 +114,10 @@ class Library:
     def run(self, made: "Steps", ends: np.ndarray) -> np.ndarray:
         """The numbers at the places of the outputs (K, B), from those at the places of the inputs (N, B)."""
         found = np.empty((len(made.outputs), ends.shape[1]))
-        work = made.work.copy()  # another thread may use the same steps
+        work = made.idle.pop() if made.idle else made.work.copy()  # another thread may be at the same steps
         arrays = (made.steps, made.count, work, made.inputs, len(made.inputs), made.outputs, len(made.outputs))
         self._enclose(*map(_passed, (*arrays, ends.shape[1], np.ascontiguousarray(ends), found)))
+        made.idle.append(work)
         return found
 
     def _differs(self) -> str:
@@ -178,13 +179,14 @@ def at_hand() -> bool:
 class Steps(NamedTuple):
     """A program for compiled kernels: the numbers of the kernels with the places of their results and arguments.
 
-    - `count`: how many steps; `work`: the work array, in which constants stand already.
+    - `count`: how many steps; `work`: the work array, in which constants stand already; `idle`: copies not in use.
     - `inputs`, `outputs`: places.
     """
 
     steps: np.ndarray
     count: int
     work: np.ndarray
+    idle: list[np.ndarray]
     inputs: np.ndarray
     outputs: np.ndarray
 
@@ -208,7 +210,7 @@ class Steps(NamedTuple):
         work = np.zeros((count, LANES))
         work[: len(program.constants)] = np.array([np.frombuffer(bits)[0] for bits in program.constants])[:, None]
         ends = (np.array([LANES * place[number] for number in numbers], np.int32) for numbers in (inputs, outputs))
-        return cls(np.array(rows, np.int32), len(done), work, *ends)
+        return cls(np.array(rows, np.int32), len(done), work, [], *ends)
 
 
 class CompiledBounds:

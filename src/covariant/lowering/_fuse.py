@@ -4,9 +4,10 @@ The operations are the same, so the results are. What is saved is the way of int
 choice of a step, which together cost as much as a sum of intervals.
 """
 
+import itertools
 from collections import Counter
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 from covariant.lowering._program import KERNELS, Interval, Kernel, Program, Step
 
@@ -57,39 +58,51 @@ def _joined(outer: str, inner: Sequence[str]) -> Kernel:
 KERNELS.update({_name(outer, inner): _joined(outer, inner) for outer, inner in PAIRS})
 
 
+class _Way(NamedTuple):
+    """A way to join steps: the kernel, the inner kernels by the place of their argument, and whether both are turned."""
+
+    kernel: str
+    inner: tuple[tuple[int, str], ...]
+    turned: bool
+
+
+def _ways(outer: str) -> list[_Way]:
+    found = []
+    for name, inner in PAIRS:
+        for turned in (False, True) if outer in SYMMETRIC else (False,):
+            if name == outer:
+                places = ((1 - k if turned else k, one) for k, one in enumerate(inner) if one)
+                found.append(_Way(_name(outer, inner), tuple(places), turned))
+    return found
+
+
+WAYS = {outer: _ways(outer) for outer, _ in PAIRS}
+
+
 def fused(program: Program, outputs: Sequence[int]) -> list[Step]:
     """The steps of a program that finds the numbers at the places `outputs`, with some of them joined."""
-    uses = Counter(place for step in program.steps for place in step.arguments)
-    uses.update(outputs)
-    made = {step.results: step for step in program.steps if all(uses[place] <= 1 for place in step.results)}
-    done: set[tuple[int, int]] = set()
+    uses = Counter(itertools.chain(outputs, *(step.arguments for step in program.steps)))
+    made = {step.results: step for step in program.steps if uses[step.results[0]] <= 1 >= uses[step.results[1]]}
+    done: set[tuple[int, ...]] = set()
     steps = []
     for step in reversed(program.steps):
         if step.results in done:
             continue
-        found = [made.get(pair) for pair in zip(step.arguments[::2], step.arguments[1::2], strict=True)]
-        for inner, turned in _options(step.kernel):
-            order = found[::-1] if turned else found
-            if all(not name or (one and one.kernel == name) for name, one in zip(inner, order, strict=True)):
-                joined = [one if name else None for name, one in zip(inner, order, strict=True)]
-                done.update(one.results for one in joined if one)
-                step = _with_inner(step, inner, joined, turned)
-                break
+        if step.kernel in WAYS:
+            read = step.arguments
+            found = [made.get(read[k : k + 2]) for k in range(0, len(read), 2)]
+            kinds = [one.kernel if one else "" for one in found]
+            for way in WAYS[step.kernel]:
+                if all(kinds[k] == name for k, name in way.inner):
+                    done.update(found[k].results for k, _ in way.inner)  # pyright: ignore[reportOptionalMemberAccess]
+                    step = _joined_step(step, way, found)
+                    break
         steps.append(step)
     return steps[::-1]
 
 
-def _options(outer: str) -> list[tuple[tuple[str, ...], bool]]:
-    return [
-        (inner, turned)
-        for name, inner in PAIRS
-        if name == outer
-        for turned in ((False, True) if outer in SYMMETRIC else (False,))
-    ]
-
-
-def _with_inner(step: Step, inner: Sequence[str], joined: Sequence[Step | None], turned: bool) -> Step:
-    own = [step.arguments[k : k + 2] for k in range(0, len(step.arguments), 2)]
-    ends = zip(own[::-1] if turned else own, joined, strict=True)
-    arguments = tuple(place for pair, one in ends for place in (one.arguments if one else pair))
-    return Step(_name(step.kernel, inner), step.results, arguments)
+def _joined_step(step: Step, way: _Way, found: Sequence[Step | None]) -> Step:
+    parts = [step.arguments[k : k + 2] for k in range(0, len(step.arguments), 2)]
+    for k, _ in way.inner:
+        parts[k] = found[k].arguments  # pyright: ignore[reportOptionalMemberAccess]
+    return Step(way.kernel, step.results, tuple(itertools.chain(*(parts[::-1] if way.turned else parts))))

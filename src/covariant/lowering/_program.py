@@ -51,6 +51,7 @@ KERNELS: dict[str, Kernel] = {}
 class Place:
     """A place of a program that holds one number or truth value for each box."""
 
+    __slots__ = ("number", "program")
     ndim = 1
 
     def __init__(self, program: "Program", number: int):
@@ -80,7 +81,7 @@ class Program:
 
     def number_of(self, value: Any) -> int:
         """The place of a value, which is one already or a number that all boxes share."""
-        if isinstance(value, Place):
+        if type(value) is Place:
             return value.number
         bits = np.float64(value).tobytes()
         if bits not in self.constants:
@@ -103,7 +104,7 @@ def as_kernel(name: str, kernel: Kernel, compute: Callable[..., Any]) -> Callabl
     def apply(*arguments: Any) -> Any:
         for ends in arguments:
             for end in ends:
-                if isinstance(end, Place):
+                if type(end) is Place:
                     return end.program.step(name, arguments)
         return compute(*arguments)
 

@@ -45,9 +45,8 @@ class Expansions(NamedTuple):
         graph = Graph.of(entries.graph.nodes)
         lower = graft(graph, lambda full: ((full + full.T) / 2)[rows, columns], entries.nodes())
         value = entries._replace(outputs=tuple(lower.tolist()))._replace(graph=graph)
-        first, second = (expand(value, free.tolist(), order) for order in (1, 2))
-        small, outputs = graph.pruned(value.outputs)
-        value = value._replace(graph=small, outputs=tuple(outputs))
+        second = expand(value, free.tolist(), 2)
+        first, value = (second.leading(count) for count in (2, 1))
         return cls(value, first, second, shape[0], free, domain.high - domain.low, engine)
 
 

@@ -6,7 +6,7 @@ A box that is not decided is halved across the variable that widens the enclosur
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from covariant.lowering import Enclosure, enclose, pairs
+from covariant.lowering import enclose, in_c, pairs
 from covariant.proofs._box import Box
 from covariant.proofs._definite import definite, factors, indefinite, weights
 from covariant.proofs._enclosure import Ball, Expansions, enclosed_by, half_widths, taylor_form
@@ -17,16 +17,15 @@ from covariant.proofs._tree import OPEN, PROVED, middle_of
 def judge(matrix: Expansions, low: np.ndarray, high: np.ndarray) -> tuple[Int[np.ndarray, "B"], np.ndarray | None]:
     """A code for each box: proved, the variable to halve, or open if it cannot be halved; and a counter-example."""
     centre = middle_of(low, high)
-    at, on = enclose(matrix.first, centre, centre, matrix.engine), enclose(matrix.second, low, high, matrix.engine)
-    block = max(SMALLEST_BLOCK, BLOCK_NUMBERS // max(1, len(matrix.second.outputs)))
+    block = BLOCK if in_c(matrix.engine) else len(low)
     parts = [slice(k, k + block) for k in range(0, len(low), block)]
-    found = [_tested(matrix, _rows(at, part), _rows(on, part), low[part], high[part]) for part in parts]
+    found = [_tested(matrix, low[part], high[part]) for part in parts]
     proved, weight, smooth = (np.concatenate(row) for row in zip(*found, strict=True))
     codes = np.full(len(low), PROVED)
     rest = np.flatnonzero(~proved)
     if not len(rest):
         return codes, None
-    wrong = counterexample_at(matrix, centre[rest])
+    wrong = counterexample_at(matrix, middle_of(low[rest], high[rest]))
     if wrong is not None:
         return codes, wrong
     weight = weight[rest]
@@ -37,25 +36,24 @@ def judge(matrix: Expansions, low: np.ndarray, high: np.ndarray) -> tuple[Int[np
     lost = ~np.isfinite(weight).all(axis=1)
     weight[lost] = relative[lost]
     # Where every variable has no effect, or cannot be halved any more, the widest one is halved.
-    middle = centre[rest][:, matrix.free]
+    middle = middle_of(low[rest], high[rest])[:, matrix.free]
     possible = (middle > low[rest][:, matrix.free]) & (middle < high[rest][:, matrix.free])
     weight = np.where(possible, weight + 1e-9 * relative * weight.max(axis=1, keepdims=True, initial=0.0), -1.0)
     codes[rest] = np.where(possible.any(axis=1), matrix.free[weight.argmax(axis=1)] if len(matrix.free) else OPEN, OPEN)
     return codes, None
 
 
-BLOCK_NUMBERS, SMALLEST_BLOCK = 2**17, 64
-"""Of so many numbers enclosures are tested at once, which then stay in the cache, and of at least so many boxes."""
-
-
-def _rows(found: Enclosure, part: slice) -> Enclosure:
-    return Enclosure(found.low[part], found.high[part], found.smooth[part])
+BLOCK = 2048
+"""Number of boxes that are tested at once: what is known of them then stays in the cache. NumPy's calls cost too much."""
 
 
 def _tested(
-    matrix: Expansions, at: Enclosure, on: Enclosure, low: np.ndarray, high: np.ndarray
+    matrix: Expansions, low: np.ndarray, high: np.ndarray
 ) -> tuple[Bool[np.ndarray, "B"], Float[np.ndarray, "B f"], Bool[np.ndarray, "B"]]:
     """Which boxes are proved, how much each variable widens the enclosures of the others, and which are smooth."""
+    centre = middle_of(low, high)
+    at = enclose(matrix.first, centre, centre, matrix.engine)
+    on = enclose(matrix.second, low, high, matrix.engine)
     k, half, f = matrix.size * (matrix.size + 1) // 2, half_widths(matrix, low, high), len(matrix.free)
     tests = tests_in_c(matrix.engine)
     found = (tests.enclosed if tests else enclosed_by)(at, on, half, k)
