@@ -10,6 +10,7 @@ A bound that is NaN gives no information. Where a function is not defined on all
 negative number, both bounds are NaN and remain so through every operation; comparisons with them are undecided.
 """
 
+import functools
 import inspect
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -115,11 +116,6 @@ def mul(a: Interval, b: Interval) -> Interval:
     return products(a, b)
 
 
-@kernel
-def products(a: Interval, b: Interval) -> Interval:
-    return _extremes(np.multiply, a, b)
-
-
 def _extremes(operation: np.ufunc, a: Interval, b: Interval) -> Interval:
     """Bounds of products or quotients: their extremes are at the ends of a and b."""
     low, other = operation(a.low, b.low), operation(a.low, b.high)
@@ -131,6 +127,16 @@ def _extremes(operation: np.ufunc, a: Interval, b: Interval) -> Interval:
         low = np.minimum(low, value, out=low if own else None)
         high = np.maximum(high, value, out=high if own else None)
     return _product(low, high, a, b)
+
+
+def _extremes_apart(operation: np.ufunc, a: Interval, b: Interval) -> Interval:
+    """The same with the question whether a number is none apart, for processors whose comparisons do not ask it."""
+    (p, q), (r, s) = ((operation(end, b.low), operation(end, b.high)) for end in a)
+    known = (p == p) & (q == q) & (r == r) & (s == s)
+    low, other = np.where(q < p, q, p), np.where(s < r, s, r)
+    high, another = np.where(q > p, q, p), np.where(s > r, s, r)
+    low, high = np.where(other < low, other, low), np.where(another > high, another, high)
+    return _product(np.where(known, low, np.nan), np.where(known, high, np.nan), a, b)
 
 
 def _turned(a: Interval, k: Any) -> Interval:
@@ -172,9 +178,16 @@ def div(a: Interval, b: Interval) -> Interval:
     return quotients(a, b)
 
 
-@kernel
-def quotients(a: Interval, b: Interval) -> Interval:
-    return where((b.low > 0) | (b.high < 0), _extremes(np.divide, a, b))
+def _pair(name: str, rule: Callable[..., Interval]) -> Callable[[Interval, Interval], Interval]:
+    """A kernel of two intervals from a rule that gets their extremes."""
+    kernel = Kernel(functools.partial(rule, _extremes_apart), (Interval, Interval), Interval)
+    return as_kernel(name, kernel, functools.partial(rule, _extremes))
+
+
+products = _pair("products", lambda extremes, a, b: extremes(np.multiply, a, b))
+quotients = _pair(
+    "quotients", lambda extremes, a, b: where((b.low > 0) | (b.high < 0), extremes(np.divide, a, b))
+)
 
 
 @kernel

@@ -5,7 +5,6 @@ a program it becomes a step of it. The bounds of a graph are then a list of step
 operations that NumPy makes, for whoever can do these steps faster.
 """
 
-import functools
 import inspect
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
@@ -100,7 +99,6 @@ def as_kernel(name: str, kernel: Kernel, compute: Callable[..., Any]) -> Callabl
     """A kernel under a name: on arrays `compute`, which gives the values of its formula, and on places a step."""
     KERNELS[name] = kernel
 
-    @functools.wraps(compute)
     def apply(*arguments: Any) -> Any:
         for ends in arguments:
             for end in ends:
