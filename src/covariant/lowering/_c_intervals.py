@@ -19,6 +19,7 @@ import numpy as np
 from covariant._compile import EXACT, compiled, compiler, is_kept
 from covariant.lowering._enclose import Enclosure, bounds, corners
 from covariant.lowering._fuse import fused
+from covariant.lowering._graph import no_collection
 from covariant.lowering._lowered import Lowered
 from covariant.lowering._program import KERNELS, Interval, Kernel, Place, Program, Truth
 from covariant.lowering._traced import HEAD, REAL, TRUTH, Text, Traced
@@ -216,11 +217,12 @@ class Steps(NamedTuple):
 class CompiledBounds:
     """Bounds of a graph by a library."""
 
+    @no_collection()
     def __init__(self, lowered: Lowered, library: Library):
         program = Program()
         inputs = [Interval(program.place(), program.place()) for _ in range(lowered.inputs)]
         values, smooth = bounds(lowered, inputs)
-        outputs = [program.number_of(end) for end in (*itertools.chain(*values), smooth.must)]
+        outputs = [program.number_of(end) for end in (*(v.low for v in values), *(v.high for v in values), smooth.must)]
         places = [end.number for end in itertools.chain(*inputs)]
         self._library, self._steps = library, Steps.of(program, places, outputs)
 
@@ -228,4 +230,5 @@ class CompiledBounds:
         """As `enclose`."""
         ends = np.stack([low.T, high.T], axis=1).reshape(-1, len(low))
         found = self._library.run(self._steps, ends)
-        return Enclosure(found[:-1:2].T, found[1:-1:2].T, found[-1] != 0)
+        count = len(found) // 2
+        return Enclosure(found[:count].T, found[count:-1].T, found[-1] != 0)
