@@ -26,7 +26,7 @@ EXACT = (
     "-fPIC",
     "-shared",
 )
-"""Flags for C whose results are those of IEEE 754, operation by operation: none of them permits the compiler another one.
+"""Flags for C whose results are those of IEEE 754, operation by operation: none permits the compiler to change one.
 
 Products and sums are not contracted; those for errno, traps and whole numbers that wrap change no value of a double.
 """

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from covariant._compile import EXACT, compiled, compiler, is_kept
-from covariant.lowering._enclose import Enclosure, bounds, corners
+from covariant.lowering._enclose import Enclosure, bounds
 from covariant.lowering._fuse import fused
 from covariant.lowering._graph import no_collection
 from covariant.lowering._lowered import Lowered
@@ -114,10 +114,10 @@ class Library:
 
     def run(self, made: "Steps", ends: np.ndarray) -> np.ndarray:
         """The numbers at the places of the outputs (K, B), from those at the places of the inputs (N, B)."""
-        found = np.empty((len(made.outputs), ends.shape[1]))
+        ends, found = np.ascontiguousarray(ends), np.empty((len(made.outputs), ends.shape[1]))
         work = made.idle.pop() if made.idle else made.work.copy()  # another thread may be at the same steps
         arrays = (made.steps, made.count, work, made.inputs, len(made.inputs), made.outputs, len(made.outputs))
-        self._enclose(*map(_passed, (*arrays, ends.shape[1], np.ascontiguousarray(ends), found)))
+        self._enclose(*map(_passed, (*arrays, ends.shape[1], ends, found)))
         made.idle.append(work)
         return found
 

@@ -25,8 +25,8 @@ _effort = 0.0
 def enclose(lowered: Lowered, low: np.ndarray, high: np.ndarray, engine: Engine = "auto") -> Enclosure:
     """Bounds on the values of a graph over boxes with corners `low` and `high`, both (B, inputs).
 
-    - `engine`: NumPy begins; compiled C goes on with a graph that is used again, once it is compiled or so much has been
-      done that the compilation pays. "numpy" and "c" leave no choice. The bounds are the same, but for the sign of zeros.
+    - `engine`: "auto" is compiled C where it was compiled before, or so much has been done by NumPy that compiling it
+      pays; "numpy" and "c" leave no choice. The bounds are the same, but for the sign of zeros.
 
     Statements among the outputs are bounded as the numbers 0 and 1. Raises `ValueError` for corners of another shape,
     that are not numbers, or where low exceeds high; `OSError` for the engine "c" where there is none.

@@ -59,7 +59,7 @@ KERNELS.update({_name(outer, inner): _joined(outer, inner) for outer, inner in P
 
 
 class _Way(NamedTuple):
-    """A way to join steps: the kernel, the inner kernels by the place of their argument, and whether both are turned."""
+    """A way to join steps: the kernel, the inner kernels by the place of their argument, and if the outer is turned."""
 
     kernel: str
     inner: tuple[tuple[int, str], ...]

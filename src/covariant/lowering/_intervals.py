@@ -185,9 +185,7 @@ def _pair(name: str, rule: Callable[..., Interval]) -> Callable[[Interval, Inter
 
 
 products = _pair("products", lambda extremes, a, b: extremes(np.multiply, a, b))
-quotients = _pair(
-    "quotients", lambda extremes, a, b: where((b.low > 0) | (b.high < 0), extremes(np.divide, a, b))
-)
+quotients = _pair("quotients", lambda extremes, a, b: where((b.low > 0) | (b.high < 0), extremes(np.divide, a, b)))
 
 
 @kernel
@@ -402,9 +400,7 @@ def _stumpff_series(x: Interval, series: Sequence[Any]) -> Interval:
     return Interval(*_stumpff.bounds(series, x.low, x.high))
 
 
-stumpff_series = as_kernel(
-    "stumpff", Kernel(_stumpff_series, (Interval, _stumpff.TERMS), Interval), _stumpff_series
-)
+stumpff_series = as_kernel("stumpff", Kernel(_stumpff_series, (Interval, _stumpff.TERMS), Interval), _stumpff_series)
 
 
 INTERVALS: Domain = {

@@ -37,7 +37,7 @@ class Lowered(NamedTuple):
         return sum(math.prod(shape) for shape in self.arguments)
 
     def leading(self, count: int) -> "Lowered":
-        """The function of the first leaves of the results alone, as a tuple, with the part of the graph that it needs."""
+        """The function of the first leaves of the results alone, as a tuple, with what it needs of the graph."""
         results = self.results[:count]
         small, outputs = self.graph.pruned(self.outputs[: sum(leaf.size for leaf in results)])
         return Lowered(small, self.arguments, tuple(outputs), results, jax.tree.structure(results))

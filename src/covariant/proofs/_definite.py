@@ -19,6 +19,8 @@ ROUND = 1e-12
 """A generous bound of the relative rounding error of a sum of a few hundred terms."""
 TINY = 1e-290
 """Larger than all underflows of such a sum together."""
+HUGE = 1e100
+"""LAPACK need not converge for matrices with larger entries; nothing is shown of them."""
 
 
 def places(n: int) -> Int[np.ndarray, "n n"]:
@@ -110,7 +112,7 @@ def indefinite(middle: np.ndarray, radius: np.ndarray) -> Bool[np.ndarray, "B"]:
     Matrices are given by their entries (K, B) on and below the diagonal.
     """
     middle, radius = symmetric(middle), symmetric(radius)
-    finite = np.asarray((np.isfinite(middle) & np.isfinite(radius)).all(axis=(1, 2)))
+    finite = np.asarray(((np.abs(middle) < HUGE) & np.isfinite(radius)).all(axis=(1, 2)))
     safe = np.where(finite[:, None, None], middle, 0.0)
     x = np.linalg.eigh(safe)[1][:, :, :1]
     xt = np.swapaxes(x, 1, 2)
@@ -129,7 +131,7 @@ def factors(middle: np.ndarray) -> tuple[Float[np.ndarray, "n n B"], Bool[np.nda
     units = 1 / np.sqrt(np.where(np.isfinite(diagonal) & (diagonal > TINY), diagonal, 1.0))
     with np.errstate(all="ignore"):
         scaled = full * units[:, :, None] * units[:, None, :]
-    finite = np.asarray(np.isfinite(scaled).all(axis=(1, 2)))
+    finite = np.asarray((np.abs(scaled) < HUGE).all(axis=(1, 2)))
     values, vectors = np.linalg.eigh(np.where(finite[:, None, None], scaled, np.eye(n)))
     sizes = np.maximum(np.abs(values), np.abs(values).max(axis=1, keepdims=True) * 1e-12 + TINY)
     root = (vectors / np.sqrt(sizes)[:, None, :]) @ np.swapaxes(vectors, 1, 2)

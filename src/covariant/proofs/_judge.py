@@ -6,7 +6,7 @@ A box that is not decided is halved across the variable that widens the enclosur
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from covariant.lowering import enclose, in_c, pairs
+from covariant.lowering import enclose, pairs
 from covariant.proofs._box import Box
 from covariant.proofs._definite import definite, factors, indefinite, weights
 from covariant.proofs._enclosure import Ball, Expansions, enclosed_by, half_widths, taylor_form
@@ -16,11 +16,7 @@ from covariant.proofs._tree import OPEN, PROVED, middle_of
 
 def judge(matrix: Expansions, low: np.ndarray, high: np.ndarray) -> tuple[Int[np.ndarray, "B"], np.ndarray | None]:
     """A code for each box: proved, the variable to halve, or open if it cannot be halved; and a counter-example."""
-    centre = middle_of(low, high)
-    block = BLOCK if in_c(matrix.engine) else len(low)
-    parts = [slice(k, k + block) for k in range(0, len(low), block)]
-    found = [_tested(matrix, low[part], high[part]) for part in parts]
-    proved, weight, smooth = (np.concatenate(row) for row in zip(*found, strict=True))
+    proved, weight, smooth = _tested(matrix, low, high)
     codes = np.full(len(low), PROVED)
     rest = np.flatnonzero(~proved)
     if not len(rest):
@@ -43,10 +39,6 @@ def judge(matrix: Expansions, low: np.ndarray, high: np.ndarray) -> tuple[Int[np
     return codes, None
 
 
-BLOCK = 2048
-"""Number of boxes that are tested at once: what is known of them then stays in the cache. NumPy's calls cost too much."""
-
-
 def _tested(
     matrix: Expansions, low: np.ndarray, high: np.ndarray
 ) -> tuple[Bool[np.ndarray, "B"], Float[np.ndarray, "B f"], Bool[np.ndarray, "B"]]:
@@ -63,7 +55,9 @@ def _tested(
     proved[rest] = test(found.middle[:, rest], found.radius[:, rest])[0]
     rest = np.flatnonzero(~proved)
     parts = np.zeros((len(found.terms), len(low)))
-    parts[:, rest] = (tests.weights if tests else weights)(c[..., rest], found.terms[..., rest], found.shares[..., rest])
+    parts[:, rest] = (tests.weights if tests else weights)(
+        c[..., rest], found.terms[..., rest], found.shares[..., rest]
+    )
     return proved, _weight(parts, f), found.smooth
 
 

@@ -63,7 +63,11 @@ class CompiledTests:
             right, found = enclosed_by(at, on, half, k), self.enclosed(at, on, half, k)
             tested, c = definite(right.centre, right.rest, right.terms)
             right = (*right, tested, weights(c, right.terms, right.shares))
-            found = (*found, self.definite(found.centre, found.rest, found.terms)[0], self.weights(c, found.terms, found.shares))
+            found = (
+                *found,
+                self.definite(found.centre, found.rest, found.terms)[0],
+                self.weights(c, found.terms, found.shares),
+            )
             if not all(np.array_equal(a, b, equal_nan=True) for a, b in zip(right, found, strict=True)):
                 return False
         return True
