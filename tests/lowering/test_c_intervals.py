@@ -25,7 +25,23 @@ ENDS = st.one_of(
 INPUTS = 3
 BOXES = st.lists(st.lists(st.tuples(ENDS, ENDS), min_size=INPUTS, max_size=INPUTS), min_size=1, max_size=70)
 STATEMENTS = {"lt", "le", "eq", "and", "or", "not", "is_finite"}
-ONE = ["neg", "abs", "sqrt", "sin", "cos", "tan", "asin", "acos", "atan", "exp", "expm1", "log", "log1p", "sinh", "cosh"]
+ONE = [
+    "neg",
+    "abs",
+    "sqrt",
+    "sin",
+    "cos",
+    "tan",
+    "asin",
+    "acos",
+    "atan",
+    "exp",
+    "expm1",
+    "log",
+    "log1p",
+    "sinh",
+    "cosh",
+]
 ONE += ["tanh", "asinh", "acosh", "atanh", "cbrt", "sign", "floor", "ceil", "round"]
 TWO = ["add", "sub", "mul", "div", "min", "max", "pow", "atan2"]
 # Sums and products are what derivatives are made of, so they come often.
@@ -52,9 +68,7 @@ def graph_of(numbers, steps):
             elif name in ("lt", "le", "eq"):
                 true.append(graph.apply(name, a, b))
             else:
-                true.append(
-                    graph.apply(name, *{"not": (p,), "is_finite": (a,)}.get(name, (p, q)))
-                )
+                true.append(graph.apply(name, *{"not": (p,), "is_finite": (a,)}.get(name, (p, q))))
         else:
             real.append(graph.apply(op, a) if op in ONE else graph.apply(op, a, b))
     outputs = [*real[-6:], *true[-2:]]

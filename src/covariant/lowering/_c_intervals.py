@@ -25,7 +25,7 @@ from covariant.lowering._program import KERNELS, Interval, Kernel, Place, Progra
 from covariant.lowering._traced import HEAD, REAL, TRUTH, Text, Traced
 
 LANES = 128
-"""Number of boxes for which a step is done at once: what a graph has in use then stays in the cache."""
+"""Number of boxes for which a step is done at once: enough that the choice of the next step does not count."""
 
 
 def kernel_text(text: Text, kernel: Kernel, name: str) -> str:
