@@ -116,7 +116,7 @@ class Library:
         """The numbers at the places of the outputs (K, B), from those at the places of the inputs (N, B)."""
         ends, found = np.ascontiguousarray(ends), np.empty((len(made.outputs), ends.shape[1]))
         work = made.idle.pop() if made.idle else made.work.copy()  # another thread may be at the same steps
-        arrays = (made.steps, made.count, work, made.inputs, len(made.inputs), made.outputs, len(made.outputs))
+        arrays = (made.steps, made.length, work, made.inputs, len(made.inputs), made.outputs, len(made.outputs))
         self._enclose(*map(_passed, (*arrays, ends.shape[1], ends, found)))
         made.idle.append(work)
         return found
@@ -180,12 +180,12 @@ def at_hand() -> bool:
 class Steps(NamedTuple):
     """A program for compiled kernels: the numbers of the kernels with the places of their results and arguments.
 
-    - `count`: how many steps; `work`: the work array, in which constants stand already; `idle`: copies not in use.
+    - `length`: how many steps; `work`: the work array, in which constants stand already; `idle`: copies not in use.
     - `inputs`, `outputs`: places.
     """
 
     steps: np.ndarray
-    count: int
+    length: int
     work: np.ndarray
     idle: list[np.ndarray]
     inputs: np.ndarray

@@ -33,7 +33,7 @@ def _relative(op: str) -> float:
 
 def _known(defined: Any, bounds: Bounds) -> Bounds:
     """The bounds where the function is defined, NaN elsewhere."""
-    if np.all(defined):
+    if defined.all():
         return bounds
     return np.where(defined, bounds[0], np.nan), np.where(defined, bounds[1], np.nan)
 
@@ -96,7 +96,7 @@ def _wave(op: str) -> Rule:
         lowest = np.where(_within(first, last, 3 - ahead, 4), -1.0, np.maximum(lowest, -1.0))
         highest = np.where(_within(first, last, 1 - ahead, 4), 1.0, np.minimum(highest, 1.0))
         far = largest > points.MOST_QUARTERS
-        if np.any(far):
+        if far.any():
             lowest, highest = np.where(far, -1.0, lowest), np.where(far, 1.0, highest)
         return lowest, highest
 

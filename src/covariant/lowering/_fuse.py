@@ -89,8 +89,8 @@ def fused(program: Program, outputs: Sequence[int]) -> list[Step]:
         if step.results in done:
             continue
         if step.kernel in WAYS:
-            read = step.arguments
-            found = [made.get(read[k : k + 2]) for k in range(0, len(read), 2)]
+            read = iter(step.arguments)
+            found = [made.get(pair) for pair in zip(read, read, strict=True)]
             kinds = [one.kernel if one else "" for one in found]
             for way in WAYS[step.kernel]:
                 if all(kinds[k] == name for k, name in way.inner):

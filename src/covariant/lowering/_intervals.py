@@ -65,10 +65,10 @@ def _product_step(c: Any, inexact: Callable[[], Any]) -> Any:
     Where a result may have underflowed, `inexact` tells whether it differs from the exact one because of that.
     """
     step = np.abs(c)
-    underflows = ~(step >= SMALL)
+    underflows = step < SMALL
     step *= STEP
-    if np.any(underflows):
-        step += np.where(underflows & inexact(), TINY, 0.0)
+    if underflows.any():
+        step += TINY * (underflows & inexact())
     return step
 
 
@@ -197,7 +197,7 @@ def number_over(k: Interval, b: Interval, ends: Interval) -> Interval:
 
 def where(defined: Any, a: Interval) -> Interval:
     """The interval where the function is defined, NaN bounds elsewhere."""
-    if np.all(defined):
+    if defined.all():
         return a
     return Interval(np.where(defined, a.low, np.nan), np.where(defined, a.high, np.nan))
 
@@ -380,7 +380,7 @@ def select(p: Truth, a: Any, b: Any) -> Any:
 def chosen(p: Truth, a: Interval, b: Interval) -> Interval:
     found = Interval(np.where(p.must, a.low, b.low), np.where(p.must, a.high, b.high))
     undecided = p.may & ~p.must
-    if not np.any(undecided):
+    if not undecided.any():
         return found
     low, high = np.minimum(a.low, b.low), np.maximum(a.high, b.high)
     return Interval(np.where(undecided, low, found.low), np.where(undecided, high, found.high))

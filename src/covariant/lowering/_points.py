@@ -168,7 +168,7 @@ def log_tail(f: Any) -> Any:
 def _mantissa(x: Any) -> tuple[Any, Any]:
     """k and m - 1 of a positive number x = 2ᵏ m, both exact."""
     low = x < 2.0**-1022
-    if np.any(low):
+    if low.any():
         x = np.where(low, x * 2.0**54, x)
     bits = x.view(np.int64) + (0x3FF0000000000000 - 0x3FE6A09E00000000)
     m = ((bits & 0x000FFFFFFFFFFFFF) + 0x3FE6A09E00000000).view(float)
@@ -200,7 +200,7 @@ def _rounding_error(a: Any, b: Any, total: Any) -> Any:
 
 def _at_ends(x: Any, value: Any) -> Any:
     usual = (x > 0) & (x < np.inf)
-    return value if np.all(usual) else np.where(usual, value, np.where(x == 0, -np.inf, np.where(x > 0, x, np.nan)))
+    return value if usual.all() else np.where(usual, value, np.where(x == 0, -np.inf, np.where(x > 0, x, np.nan)))
 
 
 def log_parts(x: Any) -> tuple[Any, Any, Any]:

@@ -2,7 +2,7 @@
 
 So a formula has one text, for NumPy and for C, and both do the same operations in the same order. Only what IEEE 754
 determines has a counterpart in C: sums, products, quotients, roots, comparisons, whole numbers and operations on bits.
-Questions about a whole array, such as `np.all`, only save work; they are answered so that nothing is left out.
+Questions about a whole array, by `any()` and `all()`, only save work; they are answered so that nothing is left out.
 """
 
 import math
@@ -110,6 +110,8 @@ class Traced:
             raise TypeError(f"{function.__name__}.{method} has no C for each entry")
         if function is np.logical_and:
             function = np.bitwise_and
+        if function is np.multiply and isinstance(arguments[0], float) and arguments[1].kind == TRUTH:
+            return _where(arguments[1], arguments[0], 0.0)
         expression, result = OPERATORS[function]
         kinds = [a.kind if isinstance(a, Traced) else kind_of(a) for a in arguments]
         common = next(kind for kind in (REAL, BITS, TRUTH) if kind in kinds)
@@ -143,11 +145,14 @@ class Traced:
     def min(self, axis: int) -> "Traced":
         return self._ends(np.minimum)
 
-    def max(self, axis: int | None = None) -> "Traced":
-        return self._ends(np.maximum) if axis == 0 else self
+    def max(self, axis: int) -> "Traced":
+        return self._ends(np.maximum)
 
-    def all(self, axis: int) -> "Traced":
-        return self._ends(np.bitwise_and)
+    def all(self, axis: int | None = None) -> "Traced | bool":
+        return False if axis is None else self._ends(np.bitwise_and)
+
+    def any(self) -> bool:
+        return True
 
     def view(self, kind: type) -> "Traced":
         return self.each(BITS, "bits_of({})", self) if kind is np.int64 else self.each(REAL, "double_of({})", self)
@@ -225,8 +230,6 @@ FUNCTIONS: dict[Any, Callable] = {
     np.where: _where,
     np.stack: _stack,
     np.choose: _choose,
-    np.any: lambda found: True,
-    np.all: lambda found: False,
     np.array_equal: lambda a, b: False,
     np.zeros_like: lambda x: x.of(0.0, x.kind),
     np.ones_like: lambda x: x.of(True, x.kind) if x.kind == TRUTH else x.of(1.0, x.kind),
