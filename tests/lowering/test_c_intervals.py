@@ -1,6 +1,8 @@
 """Bounds by compiled C are those by NumPy, bit by bit; and C that rounds in another way is found out."""
 
 import shutil
+import subprocess
+import sys
 
 import jax.numpy as jnp
 import numpy as np
@@ -12,7 +14,7 @@ from covariant.lowering import FOLD, Graph, Lowered, enclose, lower
 from covariant.lowering._c_intervals import Library, source
 from covariant.lowering._fuse import PAIRS, fused
 from covariant.lowering._intervals import INTERVALS
-from covariant.lowering._program import KERNELS, Interval, Program
+from covariant.lowering._tape import KERNELS, Interval, Tape
 
 pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler, `cc`")
 
@@ -104,10 +106,10 @@ def test_functions_have_the_same_bounds(name):
 
 def test_each_operation_has_a_kernel_that_the_comparison_tries():
     """Where a library is loaded all kernels are compared; random graphs reach all of them."""
-    program = Program()
+    tape = Tape()
 
     def place():
-        return Interval(program.place(), program.place())
+        return Interval(tape.place(), tape.place())
 
     p = INTERVALS["lt"](place(), place())
     for op in FOLD:
@@ -117,7 +119,7 @@ def test_each_operation_has_a_kernel_that_the_comparison_tries():
         elif op != "stumpff":
             INTERVALS[op](*([p, place(), place()] if op == "select" else [place() for _ in range(counts.get(op, 1))]))
     INTERVALS["stumpff"](INTERVALS["constant"](2.0), place())
-    used = {step.kernel for step in program.steps}
+    used = {step.kernel for step in tape.steps}
     joined = {name for name in KERNELS if "_of_" in name and name != "number_of"}
     special = {"square", "times_number", "over_number", "number_over", "one", "number_of", "equal_to_itself"}
     no_jump = {"decided", "unequal", "not_zero", "off_the_cut", "one_value"}
@@ -133,13 +135,13 @@ def test_no_boxes_and_wrong_ones_are_as_for_numpy():
 
 
 def test_steps_are_joined_where_one_alone_reads_the_other():
-    program = Program()
-    a, b, c = (Interval(program.place(), program.place()) for _ in range(3))
+    tape = Tape()
+    a, b, c = (Interval(tape.place(), tape.place()) for _ in range(3))
     first, second = INTERVALS["mul"](a, b), INTERVALS["mul"](b, c)
     alone = INTERVALS["add"](first, second)
     twice = INTERVALS["mul"](a, c)
     results = [alone, INTERVALS["add"](twice, twice), INTERVALS["add"](twice, b)]
-    found = fused(program, [end.number for result in results for end in result])
+    found = fused(tape, [end.number for result in results for end in result])
     assert [step.kernel for step in found] == ["add_of_products_and_products", "products", "add", "add"]
     assert found[0].arguments == tuple(end.number for x in (a, b, b, c) for end in x)
 
@@ -175,9 +177,9 @@ def test_a_library_that_rounds_in_another_way_is_refused(monkeypatch, kernel, ol
 
 
 def test_a_compiler_that_contracts_is_refused(monkeypatch):
-    """A product and a sum rounded together, as with the flags of fast arithmetic."""
+    """A product and a sum that are rounded together, where the processor can."""
     monkeypatch.setenv("COVARIANT_CACHE", "off")
-    fast = ("-std=gnu99", "-O1", "-march=native", "-ffast-math", "-fPIC", "-shared")
+    fast = ("-std=gnu99", "-O2", "-march=native", "-ffp-contract=fast", "-fPIC", "-shared")
     monkeypatch.setattr("covariant.lowering._c_intervals.EXACT", fast)
     with pytest.raises(OSError, match="in another way than NumPy"):
         Library()
@@ -187,3 +189,17 @@ def test_without_a_compiler_numpy_does_the_work(monkeypatch):
     monkeypatch.setattr("covariant.lowering._c_intervals.compiler", lambda: None)
     with pytest.raises(OSError, match="there is no C compiler `cc`, so NumPy does the work"):
         Library()
+
+
+def test_a_process_without_subnormal_numbers_is_found_out():
+    """A library linked with -ffast-math switches them off for all that the process does, NumPy included."""
+    script = """
+import covariant.lowering._c_intervals as c
+c.EXACT = ("-std=c99", "-O0", "-ffast-math", "-fno-finite-math-only", "-fPIC", "-shared")
+try:
+    c.Library()
+except OSError as error:
+    print(error)
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert "in another way than NumPy" in done.stdout or "count as zero in this process" in done.stdout

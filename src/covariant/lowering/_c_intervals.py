@@ -1,4 +1,4 @@
-"""Bounds of graphs by compiled C: the steps of a program, each a loop over a few boxes.
+"""Bounds of graphs by compiled C: the steps of a tape, each a loop over a few boxes.
 
 The C is written from the formulas of the operations in NumPy, so that it does the same in the same order. It holds all
 operations and no graph, so that it is compiled once, whatever is proved afterwards; a graph is a list of steps for it.
@@ -21,7 +21,7 @@ from covariant.lowering._enclose import Enclosure, bounds
 from covariant.lowering._fuse import fused
 from covariant.lowering._graph import no_collection
 from covariant.lowering._lowered import Lowered
-from covariant.lowering._program import KERNELS, Interval, Kernel, Place, Program, Truth
+from covariant.lowering._tape import KERNELS, Interval, Kernel, Place, Tape, Truth
 from covariant.lowering._traced import HEAD, REAL, TRUTH, Text, Traced
 
 LANES = 128
@@ -54,7 +54,7 @@ def kernel_text(text: Text, kernel: Kernel, name: str) -> str:
 
 @functools.cache
 def source() -> str:
-    """The C of all kernels, and of a program of them over boxes."""
+    """The C of all kernels, and of a tape of them over boxes."""
     kernels, tables = [], dict[str, str]()
     for name, kernel in KERNELS.items():
         text = Text(tables)
@@ -98,7 +98,7 @@ void enclose(const int32_t *steps, int64_t count, double *w, const int32_t *inpu
 
 
 class Library:
-    """The compiled kernels; `enclose` does the steps of a program. `text` is their C, by default that of the formulas.
+    """The compiled kernels; `enclose` does the steps of a tape. `text` is their C, by default that of the formulas.
 
     Raises `OSError` where there is no compiler, or it fails, or where an operation differs from NumPy's.
     """
@@ -111,6 +111,8 @@ class Library:
         wrong = self._differs()
         if wrong:
             raise OSError(f"{compiler()} rounds {wrong} in another way than NumPy, so NumPy does the work")
+        if not np.float64(SMALLEST) * 0.5 + np.float64(SMALLEST) * 0.5 == SMALLEST:
+            raise OSError(f"numbers below {SMALLEST:.0e} count as zero in this process, so NumPy does the work")
 
     def run(self, made: "Steps", ends: np.ndarray) -> np.ndarray:
         """The numbers at the places of the outputs (K, B), from those at the places of the inputs (N, B)."""
@@ -126,11 +128,11 @@ class Library:
         rng = np.random.default_rng(0)
         for name, kernel in KERNELS.items():
             ends = _trials(kernel, rng)
-            program = Program()
-            places = [[program.place() for _ in range(width)] for width in kernel.widths]
-            made = program.step(name, [_of(kind, row) for kind, row in zip(kernel.arguments, places, strict=True)])
+            tape = Tape()
+            places = [[tape.place() for _ in range(width)] for width in kernel.widths]
+            made = tape.step(name, [_of(kind, row) for kind, row in zip(kernel.arguments, places, strict=True)])
             numbers = [place.number for row in places for place in row]
-            steps = Steps.of(program, numbers, [end.number for end in made])
+            steps = Steps.of(tape, numbers, [end.number for end in made])
             cut = np.cumsum(kernel.widths)[:-1]
             arguments = [_of(kind, rows) for kind, rows in zip(kernel.arguments, np.split(ends, cut), strict=True)]
             with np.errstate(all="ignore"):
@@ -138,6 +140,10 @@ class Library:
             if not np.array_equal(self.run(steps, ends), right, equal_nan=True):
                 return name
         return ""
+
+
+SMALLEST = 2.0**-1022
+"""The smallest number that is not subnormal. Libraries for fast arithmetic make a process lose those below."""
 
 
 def _passed(value: Any) -> Any:
@@ -178,7 +184,7 @@ def at_hand() -> bool:
 
 
 class Steps(NamedTuple):
-    """A program for compiled kernels: the numbers of the kernels with the places of their results and arguments.
+    """A tape for compiled kernels: the numbers of the kernels with the places of their results and arguments.
 
     - `length`: how many steps; `work`: the work array, in which constants stand already; `idle`: copies not in use.
     - `inputs`, `outputs`: places.
@@ -192,12 +198,12 @@ class Steps(NamedTuple):
     outputs: np.ndarray
 
     @classmethod
-    def of(cls, program: Program, inputs: Sequence[int], outputs: Sequence[int]) -> "Steps":
-        """The steps of a program, in which places are used again after what they held was last read."""
-        done = fused(program, outputs)
+    def of(cls, tape: Tape, inputs: Sequence[int], outputs: Sequence[int]) -> "Steps":
+        """The steps of a tape, in which places are used again after what they held was last read."""
+        done = fused(tape, outputs)
         last = {place: k for k, step in enumerate(done) for place in (*step.results, *step.arguments)}
-        last.update(dict.fromkeys([*outputs, *program.constants.values()], len(done)))
-        place = {number: k for k, number in enumerate([*program.constants.values(), *inputs])}
+        last.update(dict.fromkeys([*outputs, *tape.constants.values()], len(done)))
+        place = {number: k for k, number in enumerate([*tape.constants.values(), *inputs])}
         free, count, rows = [], len(place), []
         kernels = {name: k for k, name in enumerate(KERNELS)}
         for k, step in enumerate(done):
@@ -209,7 +215,7 @@ class Steps(NamedTuple):
             rows += [kernels[step.kernel], *(LANES * place[number] for number in (*step.results, *step.arguments))]
             free += [place[number] for number in {*step.results, *step.arguments} if last[number] == k]
         work = np.zeros((count, LANES))
-        work[: len(program.constants)] = np.array([np.frombuffer(bits)[0] for bits in program.constants])[:, None]
+        work[: len(tape.constants)] = np.array([np.frombuffer(bits)[0] for bits in tape.constants])[:, None]
         ends = (np.array([LANES * place[number] for number in numbers], np.int32) for numbers in (inputs, outputs))
         return cls(np.array(rows, np.int32), len(done), work, [], *ends)
 
@@ -219,12 +225,12 @@ class CompiledBounds:
 
     @no_collection()
     def __init__(self, lowered: Lowered, library: Library):
-        program = Program()
-        inputs = [Interval(program.place(), program.place()) for _ in range(lowered.inputs)]
+        tape = Tape()
+        inputs = [Interval(tape.place(), tape.place()) for _ in range(lowered.inputs)]
         values, smooth = bounds(lowered, inputs)
-        outputs = [program.number_of(end) for end in (*(v.low for v in values), *(v.high for v in values), smooth.must)]
+        outputs = [tape.number_of(end) for end in (*(v.low for v in values), *(v.high for v in values), smooth.must)]
         places = [end.number for end in itertools.chain(*inputs)]
-        self._library, self._steps = library, Steps.of(program, places, outputs)
+        self._library, self._steps = library, Steps.of(tape, places, outputs)
 
     def __call__(self, low: np.ndarray, high: np.ndarray) -> Enclosure:
         """As `enclose`."""

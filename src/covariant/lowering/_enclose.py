@@ -7,8 +7,8 @@ import numpy as np
 
 from covariant.lowering._intervals import INTERVALS, as_number, both, constant, eq, le, lt
 from covariant.lowering._lowered import Conditions, Lowered
-from covariant.lowering._program import Interval, Truth, kernel
 from covariant.lowering._read import Domain, evaluate_nodes
+from covariant.lowering._tape import Interval, Truth, kernel
 
 
 class Enclosure(NamedTuple):

@@ -2,16 +2,15 @@
 
 import functools
 import weakref
-from typing import Literal
 
 import numpy as np
 
+from covariant._typing import Arithmetic
 from covariant.lowering._c_intervals import CompiledBounds, Library, at_hand
 from covariant.lowering._enclose import Enclosure, by_numpy, corners
 from covariant.lowering._graph import Graph
 from covariant.lowering._lowered import Lowered
 
-Engine = Literal["auto", "numpy", "c"]
 A_CALL = 1500
 """What a call costs NumPy beside the boxes it is for, in boxes. To write the graph down for C costs less."""
 COMPILATION = 2e8
@@ -22,7 +21,7 @@ _WRITTEN: weakref.WeakKeyDictionary[Graph, dict[tuple[int, ...], CompiledBounds]
 _effort = 0.0
 
 
-def enclose(lowered: Lowered, low: np.ndarray, high: np.ndarray, engine: Engine = "auto") -> Enclosure:
+def enclose(lowered: Lowered, low: np.ndarray, high: np.ndarray, engine: Arithmetic = "auto") -> Enclosure:
     """Bounds on the values of a graph over boxes with corners `low` and `high`, both (B, inputs).
 
     - `engine`: "auto" is compiled C where it was compiled before, or so much has been done by NumPy that compiling it
@@ -48,7 +47,7 @@ def enclose(lowered: Lowered, low: np.ndarray, high: np.ndarray, engine: Engine 
     return written[lowered.outputs](low, high)
 
 
-def in_c(engine: Engine) -> bool:
+def in_c(engine: Arithmetic) -> bool:
     """Whether compiled C is to do the work from now on, if there is a compiler."""
     return engine == "c" or (engine == "auto" and (_at_hand() or _effort >= COMPILATION))
 

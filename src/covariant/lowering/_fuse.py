@@ -1,4 +1,4 @@
-"""Two or three steps of a program as one, where the outer one alone reads what the inner ones find.
+"""Two or three steps of a tape as one, where the outer one alone reads what the inner ones find.
 
 The operations are the same, so the results are. What is saved is the way of intermediate bounds through memory, and the
 choice of a step, which together cost as much as a sum of intervals.
@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-from covariant.lowering._program import KERNELS, Interval, Kernel, Program, Step
+from covariant.lowering._tape import KERNELS, Interval, Kernel, Step, Tape
 
 PAIRS = (
     ("add", ("products", "products")),
@@ -79,13 +79,13 @@ def _ways(outer: str) -> list[_Way]:
 WAYS = {outer: _ways(outer) for outer, _ in PAIRS}
 
 
-def fused(program: Program, outputs: Sequence[int]) -> list[Step]:
-    """The steps of a program that finds the numbers at the places `outputs`, with some of them joined."""
-    uses = Counter(itertools.chain(outputs, *(step.arguments for step in program.steps)))
-    made = {step.results: step for step in program.steps if uses[step.results[0]] <= 1 >= uses[step.results[1]]}
+def fused(tape: Tape, outputs: Sequence[int]) -> list[Step]:
+    """The steps of a tape that finds the numbers at the places `outputs`, with some of them joined."""
+    uses = Counter(itertools.chain(outputs, *(step.arguments for step in tape.steps)))
+    made = {step.results: step for step in tape.steps if uses[step.results[0]] <= 1 >= uses[step.results[1]]}
     done: set[tuple[int, ...]] = set()
     steps = []
-    for step in reversed(program.steps):
+    for step in reversed(tape.steps):
         if step.results in done:
             continue
         if step.kernel in WAYS:

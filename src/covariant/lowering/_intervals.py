@@ -19,8 +19,8 @@ import numpy as np
 
 from covariant.lowering import _stumpff
 from covariant.lowering._elementary import ELEMENTARY, TINY
-from covariant.lowering._program import Interval, Kernel, Truth, as_kernel, kernel
 from covariant.lowering._read import Domain
+from covariant.lowering._tape import Interval, Kernel, Truth, as_kernel, kernel
 
 STEP = 3 * 2.0**-54
 """A relative step outward: c ± STEP·|c|, in doubles, is a neighbour of c or beyond it.

@@ -12,7 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from covariant.lowering import Enclosure, Engine, Graph, Lowered, expand, graft, pairs
+from covariant._typing import Arithmetic
+from covariant.lowering import Enclosure, Graph, Lowered, expand, graft, pairs
 from covariant.proofs._box import Box
 from covariant.proofs._definite import ROUND, TINY, sum_over
 from covariant.proofs._tree import middle_of
@@ -32,10 +33,10 @@ class Expansions(NamedTuple):
     size: int
     free: Int[np.ndarray, "f"]
     width: Float[np.ndarray, "d"]
-    engine: Engine = "auto"
+    engine: Arithmetic = "auto"
 
     @classmethod
-    def of(cls, entries: Lowered, domain: Box, engine: Engine = "auto") -> "Expansions":
+    def of(cls, entries: Lowered, domain: Box, engine: Arithmetic = "auto") -> "Expansions":
         """The expansions of the graph of all entries. Raises `ValueError` where the matrix is not square."""
         shape = entries.results[0].shape
         if len(shape) != 2 or shape[0] != shape[1] or not shape[0]:

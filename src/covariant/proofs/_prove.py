@@ -20,7 +20,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from covariant.lowering import Engine, expand
+from covariant._typing import Arithmetic
+from covariant.lowering import expand
 from covariant.proofs._box import Box, check_box
 from covariant.proofs._conditions import show_conditions
 from covariant.proofs._enclosure import Expansions
@@ -84,7 +85,7 @@ def prove(
     seconds: float | None = None,
     processes: int = 1,
     progress: Callable[[float, int], None] | None = None,
-    engine: Engine = "auto",
+    engine: Arithmetic = "auto",
 ) -> Proof:
     """Prove that a symmetric matrix is positive definite for every z in the domain.
 

@@ -12,7 +12,8 @@ import numpy as np
 from jaxtyping import Bool
 
 from covariant._compile import EXACT, compiled, compiler
-from covariant.lowering import Enclosure, Engine, in_c
+from covariant._typing import Arithmetic
+from covariant.lowering import Enclosure, in_c
 from covariant.proofs._definite import ROUND, SLACK, TINY, definite, factors, weights
 from covariant.proofs._enclosure import EnclosedMatrices, enclosed_by
 
@@ -97,7 +98,7 @@ def _call(function: Any, *arguments: Any) -> None:
     function(*(ctypes.c_int64(a) if isinstance(a, int) else ctypes.c_void_p(a.ctypes.data) for a in passed))
 
 
-def tests_in_c(engine: Engine) -> CompiledTests | None:
+def tests_in_c(engine: Arithmetic) -> CompiledTests | None:
     """The compiled tests, where compiled C bounds the graphs too; else None."""
     return _loaded() if engine != "numpy" and in_c(engine) else None
 

@@ -1,7 +1,7 @@
-"""Operations on intervals as steps of a program: each works on bounds that are kept at numbered places.
+"""Operations on intervals as steps of a tape: each works on bounds that are kept at numbered places.
 
 An operation, a `kernel`, is a formula in NumPy that works box by box. Called on arrays it computes; called on places of
-a program it becomes a step of it. The bounds of a graph are then a list of steps, in the order and with the choices of
+a tape it becomes a step of it. The bounds of a graph are then a list of steps, in the order and with the choices of
 operations that NumPy makes, for whoever can do these steps faster.
 """
 
@@ -48,13 +48,13 @@ KERNELS: dict[str, Kernel] = {}
 
 
 class Place:
-    """A place of a program that holds one number or truth value for each box."""
+    """A place of a tape that holds one number or truth value for each box."""
 
-    __slots__ = ("number", "program")
+    __slots__ = ("number", "tape")
     ndim = 1
 
-    def __init__(self, program: "Program", number: int):
-        self.program, self.number = program, number
+    def __init__(self, tape: "Tape", number: int):
+        self.tape, self.number = tape, number
 
 
 class Step(NamedTuple):
@@ -65,7 +65,7 @@ class Step(NamedTuple):
     arguments: tuple[int, ...]
 
 
-class Program:
+class Tape:
     """Steps on places; `constants` are places that hold one number for all boxes."""
 
     def __init__(self) -> None:
@@ -103,7 +103,7 @@ def as_kernel(name: str, kernel: Kernel, compute: Callable[..., Any]) -> Callabl
         for ends in arguments:
             for end in ends:
                 if type(end) is Place:
-                    return end.program.step(name, arguments)
+                    return end.tape.step(name, arguments)
         return compute(*arguments)
 
     return apply
