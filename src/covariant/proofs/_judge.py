@@ -47,7 +47,7 @@ def _tested(
     at = enclose(matrix.first, centre, centre, matrix.engine)
     on = enclose(matrix.second, low, high, matrix.engine)
     k, half, f = matrix.size * (matrix.size + 1) // 2, half_widths(matrix, low, high), len(matrix.free)
-    tests = tests_in_c(matrix.engine)
+    tests = tests_in_c(matrix.engine, matrix.size)
     found = (tests.enclosed if tests else enclosed_by)(at, on, half, k)
     test = tests.definite if tests else definite
     proved, c = test(found.centre, found.rest, found.terms)

@@ -98,9 +98,13 @@ def _call(function: Any, *arguments: Any) -> None:
     function(*(ctypes.c_int64(a) if isinstance(a, int) else ctypes.c_void_p(a.ctypes.data) for a in passed))
 
 
-def tests_in_c(engine: Arithmetic) -> CompiledTests | None:
-    """The compiled tests, where compiled C bounds the graphs too; else None."""
-    return _loaded() if engine != "numpy" and in_c(engine) else None
+LARGEST = 16
+"""Largest matrices that are tested by C: their numbers stand on the stack."""
+
+
+def tests_in_c(engine: Arithmetic, n: int) -> CompiledTests | None:
+    """The compiled tests of matrices (n, n), where compiled C bounds the graphs too; else None."""
+    return _loaded() if n <= LARGEST and in_c(engine) else None
 
 
 @functools.cache
