@@ -16,9 +16,9 @@ ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "covariant"
 
 PLAN = (
-    "_programs _typing _functional _files _optional _numbers signals scoring _linalg _dormand_prince _integrate "
-    "lowering logs geometry models riccati observers control simulation interop scale proofs certificates audit "
-    "diagnosis design identification export runtime report papers cli"
+    "_programs _compile _typing _functional _files _optional _numbers signals scoring _linalg _dormand_prince "
+    "_integrate lowering logs geometry models riccati observers control simulation interop scale proofs certificates "
+    "audit diagnosis design identification export runtime report papers cli"
 )
 """A room may import from itself and from any room to its left, never to its right."""
 
@@ -68,9 +68,9 @@ PUBLIC = {
     "identification": "FITTED Draft Fit PredictionErrors Windows draft fit growth horizon prediction_errors relations "
     "split windows",
     "interop": "closed_loop observer_system plant",
-    "lowering": "FOLD INTERVALS NUMBERS STUMPFF CText Condition Conditions Derivative Domain Enclosure Graph Interval "
-    "Lowered LoweringError Node Signature Truth c_function c_helpers c_number enclose evaluate expand fulfilled graft "
-    "lower numbers pairs perturbed simplified stumpff substitute",
+    "lowering": "FOLD INTERVALS NUMBERS STUMPFF CText Condition Conditions Derivative Domain Enclosure Graph "
+    "Interval Lowered LoweringError Node Signature Truth c_function c_helpers c_number enclose evaluate expand "
+    "fulfilled graft in_c lower numbers pairs perturbed simplified stumpff substitute",
     "logs": "ATTITUDES MESSAGES OPTIONAL WRITTEN Body Columns Log LogError bodies check_unit coordinates matrices read "
     "survey to_columns unit_factor write",
     "models": "Family GroupSystem Lagrangian MechanicalSystem ModelError ModelFile MomentumChart Motion Parameter "
@@ -150,7 +150,7 @@ def test_rooms_import_only_from_their_left(path):
 
 def test_proofs_know_functions_and_boxes_and_no_model():
     rooms = set().union(*(imported_rooms(path) for path in (SOURCE / "proofs").rglob("*.py")))
-    assert rooms == {"_typing", "lowering", "proofs"}
+    assert rooms == {"_compile", "_typing", "lowering", "proofs"}
 
 
 @pytest.mark.parametrize("path", sorted(SOURCE.rglob("*.py")), ids=lambda p: str(p.relative_to(SOURCE)))

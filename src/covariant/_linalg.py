@@ -8,7 +8,6 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from covariant._typing import Matrix, Vector
@@ -30,9 +29,6 @@ def ldl(a: Matrix) -> list[Pivot]:
         left, block = jax.lax.split(low, (1, k), 1)
         steps.append(Pivot(d, left / d))
         rest = block - steps[-1].below @ right
-        # Symmetric to the last bit: when lowered, half the work. Numbers, as a mask of truths has no derivative there.
-        upper = np.triu(np.ones((k, k), a.dtype))
-        rest = upper * rest + (1 - upper) * rest.T
     return steps
 
 

@@ -6,12 +6,14 @@ from ._c import (
     c_number as c_number,
 )
 from ._differentiate import Derivative as Derivative, expand as expand, pairs as pairs
-from ._enclose import Enclosure as Enclosure, enclose as enclose, fulfilled as fulfilled
+from ._enclose import Enclosure as Enclosure, fulfilled as fulfilled
+from ._engine import enclose as enclose, in_c as in_c
 from ._graph import FOLD as FOLD, Condition as Condition, Graph as Graph, Node as Node
-from ._intervals import INTERVALS as INTERVALS, Interval as Interval, Truth as Truth
+from ._intervals import INTERVALS as INTERVALS
 from ._lowered import Conditions as Conditions, Lowered as Lowered, LoweringError as LoweringError
 from ._peephole import simplified as simplified
 from ._read import NUMBERS as NUMBERS, Domain as Domain, evaluate as evaluate, numbers as numbers
 from ._rounding import perturbed as perturbed
 from ._stumpff import STUMPFF as STUMPFF, stumpff as stumpff
+from ._tape import Interval as Interval, Truth as Truth
 from ._trace import graft as graft, lower as lower, substitute as substitute

@@ -10,13 +10,14 @@ from collections.abc import Callable, Mapping, Sequence
 import jax
 import jax.numpy as jnp
 
-from covariant.lowering._graph import Graph
+from covariant.lowering._graph import Graph, no_collection
 from covariant.lowering._lowered import Lowered
 
 Rule = Callable[[Graph, int, tuple[int, ...], tuple[int, ...]], int]
 """`(graph, node, its arguments, their derivatives) -> derivative`."""
 
 
+@no_collection()
 def expand(lowered: Lowered, inputs: Sequence[int], order: int) -> Lowered:
     """The graph of the values (K,) of all outputs and of their derivatives in the given inputs (F,).
 

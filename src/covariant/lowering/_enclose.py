@@ -5,10 +5,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from covariant.lowering._graph import Graph
-from covariant.lowering._intervals import INTERVALS, Interval, Truth, as_number, constant, eq, le, lt
+from covariant.lowering._intervals import INTERVALS, as_number, both, constant, eq, le, lt
 from covariant.lowering._lowered import Conditions, Lowered
 from covariant.lowering._read import Domain, evaluate_nodes
+from covariant.lowering._tape import Interval, Truth, kernel
 
 
 class Enclosure(NamedTuple):
@@ -27,54 +27,90 @@ JUMPS = ("select", "either", "sign", "floor", "ceil", "round", "atan2")
 """Operations whose values may jump."""
 
 
-def _no_jump(op: str, arguments: tuple, found: Any) -> Any:
-    """Boxes on which an operation of `JUMPS` does not jump."""
-    if op == "select":
-        return arguments[0].must | ~arguments[0].may
-    if op == "either":
-        a, b = arguments[:2]
-        return (a.high < b.low) | (a.low > b.high)
-    if op == "sign":  # zero has a sign of its own, 0
-        return (arguments[0].low > 0) | (arguments[0].high < 0)
-    if op == "atan2":
-        (y_low, y_high), (x_low, x_high) = arguments
-        # The cut is the negative half-axis with the origin; values on it belong to the upper side.
-        return ~((y_low <= 0) & (y_high >= 0) & (x_low <= 0)) | (y_low >= 0) & (x_high < 0)
-    return found.low == found.high
+@kernel
+def decided(p: Truth) -> Truth:
+    """Boxes on which a choice by a statement does not jump."""
+    known = p.must | ~p.may
+    return Truth(known, known)
 
 
-def enclose(lowered: Lowered, low: np.ndarray, high: np.ndarray) -> Enclosure:
-    """Bounds on the values of a graph over boxes with corners `low` and `high`, both (B, inputs).
+@kernel
+def unequal(a: Interval, b: Interval) -> Truth:
+    known = (a.high < b.low) | (a.low > b.high)
+    return Truth(known, known)
 
-    Statements among the outputs are bounded as the numbers 0 and 1. Raises `ValueError` for corners of another shape,
-    that are not numbers, or where low exceeds high.
+
+@kernel
+def not_zero(a: Interval) -> Truth:
+    """Boxes on which a sign does not jump: zero has a sign of its own, 0."""
+    known = (a.low > 0) | (a.high < 0)
+    return Truth(known, known)
+
+
+@kernel
+def off_the_cut(y: Interval, x: Interval) -> Truth:
+    """Boxes on which an angle does not jump.
+
+    The cut is the negative half-axis with the origin; values on it belong to the upper side.
     """
-    low, high = _corners(low, high, lowered.inputs)
-    if not len(low):
-        nothing = np.empty((0, len(lowered.outputs)))
-        return Enclosure(nothing, nothing, np.ones(0, bool))
-    batch, smooth = low.shape[0], np.ones(low.shape[0], bool)
+    known = ~((y.low <= 0) & (y.high >= 0) & (x.low <= 0)) | (y.low >= 0) & (x.high < 0)
+    return Truth(known, known)
+
+
+@kernel
+def one_value(found: Interval) -> Truth:
+    known = found.low == found.high
+    return Truth(known, known)
+
+
+def _no_jump(op: str, arguments: tuple, found: Any) -> Truth:
+    """Boxes on which an operation of `JUMPS` does not jump."""
+    match op:
+        case "select":
+            return decided(arguments[0])
+        case "either":
+            return unequal(*arguments[:2])
+        case "sign":
+            return not_zero(*arguments)
+        case "atan2":
+            return off_the_cut(*arguments)
+    return one_value(found)
+
+
+def by_numpy(lowered: Lowered, low: np.ndarray, high: np.ndarray) -> Enclosure:
+    """Bounds on the values of a graph over boxes with `corners`, by NumPy."""
+    inputs = [Interval(a, b) for a, b in zip(low.T.copy(), high.T.copy(), strict=True)]
+    with np.errstate(all="ignore"):
+        values, smooth = bounds(lowered, inputs)
+    found = np.empty((2, len(values), len(low)))
+    for k, value in enumerate(values):
+        found[0, k], found[1, k] = value
+    return Enclosure(found[0].T, found[1].T, np.broadcast_to(smooth.must, len(low)).copy())
+
+
+def bounds(lowered: Lowered, inputs: Sequence[Interval]) -> tuple[list[Interval], Truth]:
+    """Bounds on the values, and where the function does not jump, from those of its inputs."""
+    smooth: Truth = constant(True)  # pyright: ignore[reportAssignmentType]
 
     def watched(op: str) -> Callable:
         def apply(*arguments: Any) -> Any:
+            nonlocal smooth
             found = INTERVALS[op](*arguments)
-            np.logical_and(smooth, _no_jump(op, arguments, found), out=smooth)
+            smooth = both(smooth, _no_jump(op, arguments, found))
             return found
 
         return apply
 
     domain = {**INTERVALS, **{op: watched(op) for op in JUMPS}}
-    values = _values(lowered.graph, lowered.outputs, domain, low, high)
+    values = evaluate_nodes(lowered.graph, lowered.outputs, domain, inputs)
     for value in values:
         if isinstance(value, Truth):
-            np.logical_and(smooth, value.must | ~value.may, out=smooth)
-    found = np.empty((2, batch, len(values)))
-    for k, value in enumerate(map(as_number, values)):
-        found[0, :, k], found[1, :, k] = value
-    return Enclosure(found[0], found[1], smooth)
+            smooth = both(smooth, decided(value))
+    return [as_number(value) for value in values], smooth
 
 
-def _corners(low: np.ndarray, high: np.ndarray, inputs: int) -> tuple[np.ndarray, np.ndarray]:
+def corners(low: np.ndarray, high: np.ndarray, inputs: int) -> tuple[np.ndarray, np.ndarray]:
+    """Corners of boxes as arrays of doubles (B, inputs). Raises `ValueError` where they are none."""
     low, high = np.asarray(low, float), np.asarray(high, float)
     if low.ndim != 2 or low.shape != high.shape or low.shape[1] != inputs:
         raise ValueError(f"boxes of this graph have corners (B, {inputs}); got {low.shape} and {high.shape}")
@@ -85,12 +121,6 @@ def _corners(low: np.ndarray, high: np.ndarray, inputs: int) -> tuple[np.ndarray
             f"a box has low <= high; box {box} has low {low[box, entry]} and high {high[box, entry]} in input {entry}"
         )
     return low, high
-
-
-def _values(graph: Graph, outputs: Sequence[int], domain: Domain, low: np.ndarray, high: np.ndarray) -> list[Any]:
-    inputs = [Interval(a, b) for a, b in zip(low.T.copy(), high.T.copy(), strict=True)]
-    with np.errstate(all="ignore"):
-        return evaluate_nodes(graph, outputs, domain, inputs)
 
 
 # Where a function is defined and does not jump. Here a comparison is decided only strictly: where both sides may be
@@ -140,11 +170,13 @@ STRICT: Domain = {
 
 def fulfilled(conditions: Conditions, low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """Which conditions hold on all of which boxes (B, conditions), with corners (B, inputs): True only where proved."""
-    low, high = _corners(low, high, conditions.inputs)
+    low, high = corners(low, high, conditions.inputs)
     found = np.zeros((len(low), len(conditions.conditions)), bool)
     if not found.size:
         return found
-    values = _values(conditions.graph, [c.node for c in conditions.conditions], STRICT, low, high)
+    inputs = [Interval(a, b) for a, b in zip(low.T.copy(), high.T.copy(), strict=True)]
+    with np.errstate(all="ignore"):
+        values = evaluate_nodes(conditions.graph, [c.node for c in conditions.conditions], STRICT, inputs)
     for k, (condition, value) in enumerate(zip(conditions.conditions, values, strict=True)):
         if condition.kind == "whole":
             below = np.floor(value.low)

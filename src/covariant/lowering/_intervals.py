@@ -10,14 +10,17 @@ A bound that is NaN gives no information. Where a function is not defined on all
 negative number, both bounds are NaN and remain so through every operation; comparisons with them are undecided.
 """
 
-from collections.abc import Callable
-from typing import Any, NamedTuple
+import functools
+import inspect
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 
 from covariant.lowering import _stumpff
 from covariant.lowering._elementary import ELEMENTARY, TINY
 from covariant.lowering._read import Domain
+from covariant.lowering._tape import Interval, Kernel, Truth, as_kernel, kernel
 
 STEP = 3 * 2.0**-54
 """A relative step outward: c ± STEP·|c|, in doubles, is a neighbour of c or beyond it.
@@ -31,20 +34,6 @@ BLOCK = 4096
 """Number of boxes for which an elementary function is computed at once: its working arrays then stay in the cache."""
 MOST_PRODUCTS = 32
 """Largest exponent of a power that is computed as a product."""
-
-
-class Interval(NamedTuple):
-    """Real numbers between two bounds, for each box: arrays of shape (B,), or scalars where all boxes share them."""
-
-    low: Any
-    high: Any
-
-
-class Truth(NamedTuple):
-    """What is known of a statement, for each box (B,): `must` if it holds everywhere on it, `may` if it may hold."""
-
-    must: Any
-    may: Any
 
 
 def constant(value: float | bool | int) -> Interval | Truth:
@@ -73,13 +62,13 @@ def _up(c: Any) -> Any:
 def _product_step(c: Any, inexact: Callable[[], Any]) -> Any:
     """Outward step of a bound c that is a product or a quotient.
 
-    Where results may have underflowed, `inexact` tells which values of c differ from the exact ones because of that.
+    Where a result may have underflowed, `inexact` tells whether it differs from the exact one because of that.
     """
     step = np.abs(c)
-    underflows = not step.min() >= SMALL
+    underflows = step < SMALL
     step *= STEP
-    if underflows:
-        step += TINY * inexact()
+    if underflows.any():
+        step += TINY * (underflows & inexact())
     return step
 
 
@@ -99,17 +88,20 @@ def _is_number(a: Interval) -> bool:
     return bool(np.ndim(a.low) == 0 and a.low == a.high)
 
 
-# The operations.
+# The operations, and the kernels of which they are made.
 
 
+@kernel
 def neg(a: Interval) -> Interval:
     return Interval(-a.high, -a.low)
 
 
+@kernel
 def add(a: Interval, b: Interval) -> Interval:
     return Interval(_down(a.low + b.low), _up(a.high + b.high))
 
 
+@kernel
 def sub(a: Interval, b: Interval) -> Interval:
     return Interval(_down(a.low - b.high), _up(a.high - b.low))
 
@@ -118,10 +110,10 @@ def mul(a: Interval, b: Interval) -> Interval:
     if a is b:
         return square(a)
     if _is_number(a):
-        return _scaled(np.multiply, b, a.low)
+        return times_number(_turned(b, a.low), a)
     if _is_number(b):
-        return _scaled(np.multiply, a, b.low)
-    return _extremes(np.multiply, a, b)
+        return times_number(_turned(a, b.low), b)
+    return products(a, b)
 
 
 def _extremes(operation: np.ufunc, a: Interval, b: Interval) -> Interval:
@@ -137,65 +129,115 @@ def _extremes(operation: np.ufunc, a: Interval, b: Interval) -> Interval:
     return _product(low, high, a, b)
 
 
-def _scaled(operation: np.ufunc, a: Interval, k: Any) -> Interval:
-    """a·k or a/k for a number k."""
-    first, last = a if k >= 0 else a[::-1]
+def _extremes_apart(operation: np.ufunc, a: Interval, b: Interval) -> Interval:
+    """The same with the question whether a number is none apart, for processors whose comparisons do not ask it."""
+    (p, q), (r, s) = ((operation(end, b.low), operation(end, b.high)) for end in a)
+    known = (p == p) & (q == q) & (r == r) & (s == s)
+    low, other = np.where(q < p, q, p), np.where(s < r, s, r)
+    high, another = np.where(q > p, q, p), np.where(s > r, s, r)
+    low, high = np.where(other < low, other, low), np.where(another > high, another, high)
+    return _product(np.where(known, low, np.nan), np.where(known, high, np.nan), a, b)
+
+
+def _turned(a: Interval, k: Any) -> Interval:
+    """The ends of which a·k and a/k have their least and their largest value."""
+    return a if k >= 0 else Interval(a.high, a.low)
+
+
+@kernel
+def times_number(ends: Interval, k: Interval) -> Interval:
+    return _scaled(np.multiply, ends, k.low)
+
+
+@kernel
+def over_number(ends: Interval, k: Interval) -> Interval:
+    return _scaled(np.divide, ends, k.low)
+
+
+def _scaled(operation: np.ufunc, ends: Interval, k: Any) -> Interval:
+    """a·k or a/k for a number k and the ends of a turned to its sign."""
+    first, last = ends
     low, high = operation(first, k), operation(last, k)
     below, above = _product_step(low, lambda: first != 0), _product_step(high, lambda: last != 0)
     return Interval(low - below, high + above)
 
 
+@kernel
 def square(a: Interval) -> Interval:
     size = absolute(a)
     low, high = size.low * size.low, size.high * size.high
     below, above = _product_step(low, lambda: size.low != 0), _product_step(high, lambda: size.high != 0)
-    low = low - below
-    return Interval(low if low.min() >= 0 else np.maximum(low, 0.0), high + above)
+    return Interval(np.maximum(low - below, 0.0), high + above)
 
 
 def div(a: Interval, b: Interval) -> Interval:
     if _is_number(b) and b.low != 0:
-        return _scaled(np.divide, a, b.low)
+        return over_number(_turned(a, b.low), b)
     if _is_number(a):
-        first, last = b[::-1] if a.low >= 0 else b
-        found = _product(a.low / first, a.low / last, a, b)
-    else:
-        found = _extremes(np.divide, a, b)
+        return number_over(a, b, _turned(b, -1.0 if a.low >= 0 else 1.0))
+    return quotients(a, b)
+
+
+def _pair(name: str, rule: Callable[..., Interval]) -> Callable[[Interval, Interval], Interval]:
+    """A kernel of two intervals from a rule that gets their extremes."""
+    kernel = Kernel(functools.partial(rule, _extremes_apart), (Interval, Interval), Interval)
+    return as_kernel(name, kernel, functools.partial(rule, _extremes))
+
+
+products = _pair("products", lambda extremes, a, b: extremes(np.multiply, a, b))
+quotients = _pair("quotients", lambda extremes, a, b: where((b.low > 0) | (b.high < 0), extremes(np.divide, a, b)))
+
+
+@kernel
+def number_over(k: Interval, b: Interval, ends: Interval) -> Interval:
+    """k/b for a number k and the ends of b turned to its sign."""
+    found = _product(k.low / ends.low, k.low / ends.high, k, b)
     return where((b.low > 0) | (b.high < 0), found)
 
 
 def where(defined: Any, a: Interval) -> Interval:
     """The interval where the function is defined, NaN bounds elsewhere."""
-    if np.all(defined):
+    if defined.all():
         return a
     return Interval(np.where(defined, a.low, np.nan), np.where(defined, a.high, np.nan))
 
 
+@kernel
 def absolute(a: Interval) -> Interval:
     nearest = np.maximum(a.low, -a.high)
     return Interval(np.maximum(nearest, 0.0), np.maximum(-a.low, a.high))
 
 
 def minimum(a: Any, b: Any) -> Any:
-    if isinstance(a, Truth):
-        return both(a, b)
+    return both(a, b) if isinstance(a, Truth) else smaller(a, b)
+
+
+@kernel
+def smaller(a: Interval, b: Interval) -> Interval:
     return Interval(np.minimum(a.low, b.low), np.minimum(a.high, b.high))
 
 
 def maximum(a: Any, b: Any) -> Any:
-    if isinstance(a, Truth):
-        return either(a, b)
+    return either(a, b) if isinstance(a, Truth) else larger(a, b)
+
+
+@kernel
+def larger(a: Interval, b: Interval) -> Interval:
     return Interval(np.maximum(a.low, b.low), np.maximum(a.high, b.high))
 
 
+@kernel
 def sqrt(a: Interval) -> Interval:
     return where(a.low >= 0, Interval(_down(np.sqrt(a.low)), _up(np.sqrt(a.high))))
 
 
-def _elementary_of(bounds: Callable) -> Callable:
+def _elementary_of(op: str, bounds: Callable) -> Callable:
     """An operation on intervals from one on bounds, applied block by block, so that its arrays stay in the cache."""
 
-    def apply(*arguments: Interval) -> Interval:
+    def formula(*arguments: Interval) -> Interval:
+        return Interval(*bounds(*(end for a in arguments for end in a)))
+
+    def compute(*arguments: Interval) -> Interval:
         ends = np.broadcast_arrays(*(end for a in arguments for end in a))
         if ends[0].size <= BLOCK:
             return Interval(*bounds(*ends))
@@ -203,10 +245,11 @@ def _elementary_of(bounds: Callable) -> Callable:
         low, high = map(np.concatenate, zip(*parts, strict=True))
         return Interval(low, high)
 
-    return apply
+    count = len(inspect.signature(bounds).parameters) // 2
+    return as_kernel(op, Kernel(formula, (Interval,) * count, Interval), compute)
 
 
-_ELEMENTARY = {op: _elementary_of(bounds) for op, bounds in ELEMENTARY.items()}
+_ELEMENTARY = {op: _elementary_of(op, bounds) for op, bounds in ELEMENTARY.items()}
 
 
 def power(a: Interval, b: Interval) -> Interval:
@@ -220,7 +263,7 @@ def power(a: Interval, b: Interval) -> Interval:
 
 def _product_of_many(a: Interval, count: int) -> Interval:
     """aᶜᵒᵘⁿᵗ, by repeated squaring."""
-    result = Interval(1.0 + 0.0 * a.low, 1.0 + 0.0 * a.high)
+    result = one(a)
     while count:
         result = mul(result, a) if count % 2 else result
         count //= 2
@@ -228,9 +271,33 @@ def _product_of_many(a: Interval, count: int) -> Interval:
     return result
 
 
-def _stepwise(function: Callable) -> Callable:
-    """A non-decreasing function that is constant between its jumps."""
-    return lambda a: Interval(function(a.low), function(a.high))
+@kernel
+def one(a: Interval) -> Interval:
+    """1 where a is known."""
+    return Interval(1.0 + 0.0 * a.low, 1.0 + 0.0 * a.high)
+
+
+# Non-decreasing functions that are constant between their jumps.
+
+
+@kernel
+def sign(a: Interval) -> Interval:
+    return Interval(np.sign(a.low), np.sign(a.high))
+
+
+@kernel
+def floor(a: Interval) -> Interval:
+    return Interval(np.floor(a.low), np.floor(a.high))
+
+
+@kernel
+def ceil(a: Interval) -> Interval:
+    return Interval(np.ceil(a.low), np.ceil(a.high))
+
+
+@kernel
+def nearest(a: Interval) -> Interval:
+    return Interval(np.rint(a.low), np.rint(a.high))
 
 
 # Statements, and choices by them.
@@ -238,39 +305,65 @@ def _stepwise(function: Callable) -> Callable:
 
 def as_number(a: Interval | Truth) -> Interval:
     """A truth value as a number, 0 or 1."""
-    return Interval(np.float64(a.must), np.float64(a.may)) if isinstance(a, Truth) else a
+    return number_of(a) if isinstance(a, Truth) else a
+
+
+@kernel
+def number_of(a: Truth) -> Interval:
+    return Interval(np.where(a.must, 1.0, 0.0), np.where(a.may, 1.0, 0.0))
 
 
 def lt(a: Interval | Truth, b: Interval | Truth) -> Truth:
-    a, b = as_number(a), as_number(b)
+    return less(as_number(a), as_number(b))
+
+
+@kernel
+def less(a: Interval, b: Interval) -> Truth:
     return Truth(a.high < b.low, ~(a.low >= b.high))
 
 
 def le(a: Interval | Truth, b: Interval | Truth) -> Truth:
-    a, b = as_number(a), as_number(b)
+    return at_most(as_number(a), as_number(b))
+
+
+@kernel
+def at_most(a: Interval, b: Interval) -> Truth:
     return Truth(a.high <= b.low, ~(a.low > b.high))
 
 
 def eq(a: Interval | Truth, b: Interval | Truth) -> Truth:
     a, b = as_number(a), as_number(b)
-    if a is b:  # the usual test for a missing (NaN) measurement: a number equals itself where it is defined
-        defined = ~(np.isnan(a.low) & np.isnan(a.high))
-        return Truth(defined, np.ones_like(defined))
+    return equal_to_itself(a) if a is b else equal(a, b)
+
+
+@kernel
+def equal_to_itself(a: Interval) -> Truth:
+    """The usual test for a missing (NaN) measurement: a number equals itself where it is defined."""
+    defined = ~(np.isnan(a.low) & np.isnan(a.high))
+    return Truth(defined, np.ones_like(defined))
+
+
+@kernel
+def equal(a: Interval, b: Interval) -> Truth:
     return Truth((a.high <= b.low) & (b.high <= a.low), ~((a.high < b.low) | (b.high < a.low)))
 
 
+@kernel
 def both(a: Truth, b: Truth) -> Truth:
     return Truth(a.must & b.must, a.may & b.may)
 
 
+@kernel
 def either(a: Truth, b: Truth) -> Truth:
     return Truth(a.must | b.must, a.may | b.may)
 
 
+@kernel
 def opposite(a: Truth) -> Truth:
     return Truth(~a.may, ~a.must)
 
 
+@kernel
 def is_finite(a: Interval) -> Truth:
     known = np.isfinite(a.low) & np.isfinite(a.high)
     return Truth(known, np.ones_like(known))
@@ -280,21 +373,34 @@ def select(p: Truth, a: Any, b: Any) -> Any:
     """Values of a where p must hold, of b where it cannot, and the hull of both where it is undecided."""
     if isinstance(a, Truth):
         return either(both(a, b), either(both(p, a), both(opposite(p), b)))
-    chosen = Interval(np.where(p.must, a.low, b.low), np.where(p.must, a.high, b.high))
+    return chosen(p, a, b)
+
+
+@kernel
+def chosen(p: Truth, a: Interval, b: Interval) -> Interval:
+    found = Interval(np.where(p.must, a.low, b.low), np.where(p.must, a.high, b.high))
     undecided = p.may & ~p.must
-    if not np.any(undecided):
-        return chosen
+    if not undecided.any():
+        return found
     low, high = np.minimum(a.low, b.low), np.maximum(a.high, b.high)
-    return Interval(np.where(undecided, low, chosen.low), np.where(undecided, high, chosen.high))
+    return Interval(np.where(undecided, low, found.low), np.where(undecided, high, found.high))
 
 
+@kernel
 def kinked(a: Interval, b: Interval, x: Interval, y: Interval) -> Interval:
     """A derivative at a kink: x where a < b, y where b < a, and the hull of both where a and b may be equal."""
-    return select(Truth(a.high < b.low, ~(a.low > b.high)), x, y)
+    return chosen(Truth(a.high < b.low, ~(a.low > b.high)), x, y)
 
 
 def stumpff(k: Interval, x: Interval) -> Interval:
-    return Interval(*_stumpff.bounds(int(k.low), np.asarray(x.low), np.asarray(x.high)))
+    return stumpff_series(x, _stumpff.coefficients(int(k.low)))
+
+
+def _stumpff_series(x: Interval, series: Sequence[Any]) -> Interval:
+    return Interval(*_stumpff.bounds(series, x.low, x.high))
+
+
+stumpff_series = as_kernel("stumpff", Kernel(_stumpff_series, (Interval, _stumpff.TERMS), Interval), _stumpff_series)
 
 
 INTERVALS: Domain = {
@@ -305,10 +411,10 @@ INTERVALS: Domain = {
     "div": div,
     "neg": neg,
     "abs": absolute,
-    "sign": _stepwise(np.sign),
-    "floor": _stepwise(np.floor),
-    "ceil": _stepwise(np.ceil),
-    "round": _stepwise(np.rint),
+    "sign": sign,
+    "floor": floor,
+    "ceil": ceil,
+    "round": nearest,
     "min": minimum,
     "max": maximum,
     "sqrt": sqrt,

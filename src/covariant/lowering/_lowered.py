@@ -36,6 +36,12 @@ class Lowered(NamedTuple):
         """Number of inputs."""
         return sum(math.prod(shape) for shape in self.arguments)
 
+    def leading(self, count: int) -> "Lowered":
+        """The function of the first leaves of the results alone, as a tuple, with what it needs of the graph."""
+        results = self.results[:count]
+        small, outputs = self.graph.pruned(self.outputs[: sum(leaf.size for leaf in results)])
+        return Lowered(small, self.arguments, tuple(outputs), results, jax.tree.structure(results))
+
     def nodes(self) -> Any:
         """The result of the function, with nodes in place of values."""
         left = iter(self.outputs)

@@ -282,7 +282,7 @@ def angle(y: Any, x: Any) -> Any:
     t = np.minimum(y, size) / np.where(largest == 0, 1.0, largest)
     j, bits = whole(4.0 * t - 0.25)
     index = bits & 7
-    theta = atan_reduced(t, 0.25 * j, ATAN_HIGH[index], ATAN_LOW[index])
+    theta = atan_reduced(t, 0.25 * j, np.choose(index, ATAN_HIGH), np.choose(index, ATAN_LOW))
     theta = np.where(y > size, from_axis(theta, 1), theta)
     return np.where(x < 0, from_axis(theta, 2), theta)
 

@@ -10,6 +10,7 @@ Source: Stiefel & Scheifele 1971, Linear and Regular Celestial Mechanics, sectio
 
 import functools
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import jax
@@ -80,7 +81,7 @@ def _closed(k: int, x: Scalar) -> Scalar:
 def values(k: Any, x: Any) -> Any:
     """Values of c_k at numbers, by NumPy."""
     x = np.asarray(x, float)
-    near = _horner(int(k), np.clip(x, 0.0, FALLS_UNTIL), -1.0)
+    near = _horner(coefficients(int(k)), np.clip(x, 0.0, FALLS_UNTIL), -1.0)
     safe = np.maximum(x, FALLS_UNTIL)
     theta = np.sqrt(safe)
     far = np.cos(theta) if int(k) % 2 == 0 else np.sin(theta) / theta
@@ -89,17 +90,22 @@ def values(k: Any, x: Any) -> Any:
     return np.where(x < FALLS_UNTIL, near, far)
 
 
-def bounds(k: int, low: Any, high: Any) -> tuple[Any, Any]:
-    """Bounds of c_k from bounds of x (B,), or NaN where x may be negative.
+def coefficients(k: int) -> list[float]:
+    """Coefficients of the series of c_k, without their signs."""
+    return [1 / math.factorial(2 * j + k) for j in range(TERMS)]
+
+
+def bounds(series: Sequence[Any], low: Any, high: Any) -> tuple[Any, Any]:
+    """Bounds of c_k from its `coefficients` and bounds of x (B,), or NaN where x may be negative.
 
     It decreases until π², and is nowhere beyond ±1/k!. The relative error of the sum is at most 3·TERMS·u of the sum of
     the absolute terms (N. J. Higham, Accuracy and Stability of Numerical Algorithms, 2002, section 5.1); the last term
     is added for those left out.
     """
-    most = (1 / math.factorial(k)) * (1 + 4 * U)
+    most = series[0] * (1 + 4 * U)
     inside = (low >= 0) & (high <= FALLS_UNTIL)
     x = np.where(inside, np.stack([high, low]), 0.0)
-    value, size = _horner(k, x, -1.0), _horner(k, x, 1.0)
+    value, size = _horner(series, x, -1.0), _horner(series, x, 1.0)
     off = (4 * TERMS * U + 1e-30) * size
     lowest, highest = np.maximum(value[0] - off[0], -most), np.minimum(value[1] + off[1], most)
     known = low >= 0
@@ -109,8 +115,8 @@ def bounds(k: int, low: Any, high: Any) -> tuple[Any, Any]:
     )
 
 
-def _horner(k: int, x: Any, sign: float) -> Any:
+def _horner(series: Sequence[Any], x: Any, sign: float) -> Any:
     total = np.zeros_like(x)
-    for j in reversed(range(TERMS)):
-        total = 1 / math.factorial(2 * j + k) + sign * x * total
+    for coefficient in reversed(series):
+        total = coefficient + sign * x * total
     return total

@@ -7,8 +7,11 @@ rounding of this test is bounded as well.
 Source: Rump 2010, Verification methods, Acta Numerica 19, section 10.8.
 """
 
+import math
+from collections.abc import Iterable
+
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Float, Int
 
 SLACK = 1e-3
 """Relative margin by which |E| x must stay below x, so that another implementation of the test agrees on every box."""
@@ -16,34 +19,100 @@ ROUND = 1e-12
 """A generous bound of the relative rounding error of a sum of a few hundred terms."""
 TINY = 1e-290
 """Larger than all underflows of such a sum together."""
+HUGE = 1e100
+"""LAPACK need not converge for matrices with larger entries; nothing is shown of them."""
+
+
+def places(n: int) -> Int[np.ndarray, "n n"]:
+    """Where each entry of a symmetric matrix (n, n) is among those on and below its diagonal (K)."""
+    rows, columns = np.tril_indices(n)
+    found = np.empty((n, n), int)
+    found[rows, columns] = found[columns, rows] = np.arange(len(rows))
+    return found
+
+
+def size_of(entries: np.ndarray) -> int:
+    """n of symmetric matrices from their entries (..., K, B) on and below the diagonal."""
+    return (math.isqrt(8 * entries.shape[-2] + 1) - 1) // 2
+
+
+def symmetric(entries: np.ndarray) -> Float[np.ndarray, "B n n"]:
+    """Symmetric matrices from their entries (K, B) on and below the diagonal."""
+    return entries.T[:, places(size_of(entries))]
+
+
+def congruent(c: np.ndarray, entries: np.ndarray) -> np.ndarray:
+    """The entries of CᵀSC on and below the diagonal, for C (n, n, B) and symmetric S with the entries (..., K, B)."""
+    n, found = len(c), np.empty_like(entries)
+    at = places(n)
+    for b in range(n):
+        column = [sum_of(entries[..., at[i, j], :] * c[j, b] for j in range(n)) for i in range(n)]
+        for a in range(b, n):
+            found[..., at[a, b], :] = sum_of(column[i] * c[i, a] for i in range(n))
+    return found
+
+
+def sum_of(arrays: Iterable[np.ndarray]) -> np.ndarray:
+    """The sum of new arrays, one after the other."""
+    total, *rest = arrays
+    for array in rest:
+        total += array
+    return total
+
+
+def sum_over(rows: np.ndarray) -> np.ndarray:
+    """The sum over the first axis, one row after the other, from zero."""
+    total = np.zeros(rows.shape[1:])
+    for row in rows:
+        total += row
+    return total
 
 
 def definite(
     middle: np.ndarray, radius: np.ndarray, terms: np.ndarray | None = None
 ) -> tuple[Bool[np.ndarray, "B"], np.ndarray]:
-    """Whether all symmetric matrices within `middle ± radius` (B, n, n) are positive definite; and the factors C used.
+    """Whether all symmetric matrices within `middle ± radius` are positive definite; and the factors C (n, n, B) used.
 
-    With `terms` (B, m, n, n): all those within `middle + Σ wₘ terms[m] ± radius`, |wₘ| ≤ 1.
+    Matrices are given by their entries (K, B) on and below the diagonal. With `terms` (m, K, B): all those within
+    `middle + Σ wₘ terms[m] ± radius`, |wₘ| ≤ 1.
     """
     c, positive = factors(middle)
-    ct, n = np.swapaxes(c, 1, 2), middle.shape[1]
-    terms = np.zeros((len(middle), 0, n, n)) if terms is None else terms
+    n, at = len(c), places(len(c))
     with np.errstate(all="ignore"):
-        error = np.abs(np.eye(n) - ct @ middle @ c) + np.abs(ct[:, None] @ terms @ c[:, None]).sum(axis=1)
-        rounded = ROUND * (np.abs(middle) + np.abs(terms).sum(axis=1))
-        size = np.abs(ct) @ (radius + rounded) @ np.abs(c)
-        e = (error + size) * (1 + ROUND) + ROUND
-        x = np.ones((len(e), n, 1))
+        error, size = np.abs(np.eye(n)[np.tril_indices(n)][:, None] - congruent(c, middle)), np.abs(middle)
+        if terms is not None:
+            error += sum_over(np.abs(congruent(c, terms)))
+            size += sum_over(np.abs(terms))
+        error += congruent(np.abs(c), radius + ROUND * size)
+        e = (error * (1 + ROUND) + ROUND)[at]
+        x = np.ones((n, e.shape[2]))
         for _ in range(4):
-            x = e @ x + 1e-6
-            x = x / x.max(axis=1, keepdims=True)
-        below = (e @ x * (1 + ROUND) + TINY <= (1 - SLACK) * x).all(axis=(1, 2))
+            x = sum_over(e * x[:, None]) + 1e-6
+            x /= x.max(axis=0)
+        below = (sum_over(e * x[:, None]) * (1 + ROUND) + TINY <= (1 - SLACK) * x).all(axis=0)
     return below & positive, c
 
 
+def weights(c: np.ndarray, terms: np.ndarray, shares: np.ndarray) -> Float[np.ndarray, "m B"]:
+    """How much each of some terms (m, K, B) and its share widen enclosures, after the factors C made them congruent."""
+    n = len(c)
+    rows, columns = np.tril_indices(n)
+    with np.errstate(all="ignore"):
+        # The sum of all entries: those below the diagonal stand for those above it too.
+        size = sum_over(np.swapaxes(np.abs(c), 0, 1))
+        parts = np.abs(congruent(c, terms))
+        parts += shares * (size[rows] * size[columns])
+        parts *= np.where(rows == columns, 1.0, 2.0)[:, None]
+        return sum_over(np.swapaxes(parts, 0, 1))
+
+
 def indefinite(middle: np.ndarray, radius: np.ndarray) -> Bool[np.ndarray, "B"]:
-    """Whether no symmetric matrix within `middle ± radius` (B, n, n) is positive definite: xᵀSx < 0 for some x."""
-    finite = np.asarray((np.isfinite(middle) & np.isfinite(radius)).all(axis=(1, 2)))
+    """Whether no symmetric matrix within `middle ± radius` is positive definite: xᵀSx < 0 for some x.
+
+    Matrices are given by their entries (K, B) on and below the diagonal.
+    """
+    middle, radius = symmetric(middle), symmetric(radius)
+    finite = np.asarray(((np.abs(middle) < HUGE) & np.isfinite(radius)).all(axis=(1, 2)))
     safe = np.where(finite[:, None, None], middle, 0.0)
     x = np.linalg.eigh(safe)[1][:, :, :1]
     xt = np.swapaxes(x, 1, 2)
@@ -52,18 +121,18 @@ def indefinite(middle: np.ndarray, radius: np.ndarray) -> Bool[np.ndarray, "B"]:
     return finite & (most[:, 0, 0] < 0)
 
 
-def factors(middle: np.ndarray) -> tuple[np.ndarray, Bool[np.ndarray, "B"]]:
-    """C (B, n, n) with `Cᵀ middle C` near the identity, whatever the units of the entries; and whether there is one.
+def factors(middle: np.ndarray) -> tuple[Float[np.ndarray, "n n B"], Bool[np.ndarray, "B"]]:
+    """C with `CᵀSC` near the identity, whatever the units of the entries (K, B) of S; and whether there is one.
 
     Of all such factors it is the inverse square root: it rotates least, and rotation increases sums of absolute values.
     """
-    n = middle.shape[1]
-    diagonal = np.abs(np.diagonal(middle, axis1=1, axis2=2))
+    n, full = size_of(middle), symmetric(middle)
+    diagonal = np.abs(np.diagonal(full, axis1=1, axis2=2))
     units = 1 / np.sqrt(np.where(np.isfinite(diagonal) & (diagonal > TINY), diagonal, 1.0))
     with np.errstate(all="ignore"):
-        scaled = middle * units[:, :, None] * units[:, None, :]
-    finite = np.asarray(np.isfinite(scaled).all(axis=(1, 2)))
+        scaled = full * units[:, :, None] * units[:, None, :]
+    finite = np.asarray((np.abs(scaled) < HUGE).all(axis=(1, 2)))
     values, vectors = np.linalg.eigh(np.where(finite[:, None, None], scaled, np.eye(n)))
     sizes = np.maximum(np.abs(values), np.abs(values).max(axis=1, keepdims=True) * 1e-12 + TINY)
     root = (vectors / np.sqrt(sizes)[:, None, :]) @ np.swapaxes(vectors, 1, 2)
-    return units[:, :, None] * root, finite & (values[:, 0] > 0)
+    return np.ascontiguousarray((units[:, :, None] * root).transpose(1, 2, 0)), finite & (values[:, 0] > 0)

@@ -12,9 +12,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from covariant.lowering import Enclosure, Graph, Lowered, enclose, expand, graft, pairs
+from covariant._typing import Arithmetic
+from covariant.lowering import Enclosure, Graph, Lowered, expand, graft, pairs
 from covariant.proofs._box import Box
-from covariant.proofs._definite import ROUND, TINY
+from covariant.proofs._definite import ROUND, TINY, sum_over
 from covariant.proofs._tree import middle_of
 
 
@@ -22,6 +23,7 @@ class Expansions(NamedTuple):
     """A symmetric matrix (n, n) as graphs of its K entries on and below the diagonal, and of their derivatives.
 
     - `value`, `first`, `second`: the entries, with first derivatives, and with first and second derivatives.
+    - `engine`: who bounds them, as for `enclose`.
     - `size`: n; `free` (f,): the variables that are not held fixed; `width` (d,): widths of the whole domain.
     """
 
@@ -31,9 +33,10 @@ class Expansions(NamedTuple):
     size: int
     free: Int[np.ndarray, "f"]
     width: Float[np.ndarray, "d"]
+    engine: Arithmetic = "auto"
 
     @classmethod
-    def of(cls, entries: Lowered, domain: Box) -> "Expansions":
+    def of(cls, entries: Lowered, domain: Box, engine: Arithmetic = "auto") -> "Expansions":
         """The expansions of the graph of all entries. Raises `ValueError` where the matrix is not square."""
         shape = entries.results[0].shape
         if len(shape) != 2 or shape[0] != shape[1] or not shape[0]:
@@ -43,19 +46,18 @@ class Expansions(NamedTuple):
         graph = Graph.of(entries.graph.nodes)
         lower = graft(graph, lambda full: ((full + full.T) / 2)[rows, columns], entries.nodes())
         value = entries._replace(outputs=tuple(lower.tolist()))._replace(graph=graph)
-        first, second = (expand(value, free.tolist(), order) for order in (1, 2))
-        small, outputs = graph.pruned(value.outputs)
-        value = value._replace(graph=small, outputs=tuple(outputs))
-        return cls(value, first, second, shape[0], free, domain.high - domain.low)
+        second = expand(value, free.tolist(), 2)
+        first, value = (second.leading(count) for count in (2, 1))
+        return cls(value, first, second, shape[0], free, domain.high - domain.low, engine)
 
 
 class EnclosedMatrices(NamedTuple):
-    """Enclosures of symmetric matrices (n, n) on boxes, in two forms.
+    """Enclosures of symmetric matrices on boxes, by their K entries on and below the diagonal, in two forms.
 
-    - `centre + Σ wₘ terms[m]` within `rest`, |wₘ| ≤ 1, terms (B, f + p, n, n): Taylor's form, with one term for each
-      free variable and one for each pair of them. `rest` is infinite where the matrix is not `smooth`.
-    - `middle` within `radius` (B, n, n): bounds of the entries.
-    - `shares` (B, f + p, n, n): contribution of each variable or pair to `rest`.
+    - `centre + Σ wₘ terms[m]` within `rest` (K, B), |wₘ| ≤ 1, terms (f + p, K, B): Taylor's form, with one term for
+      each free variable and one for each pair of them. `rest` is infinite where the matrix is not `smooth`.
+    - `middle` within `radius` (K, B): bounds of the entries.
+    - `shares` (f + p, K, B): contribution of each variable or pair to `rest`.
     """
 
     centre: np.ndarray
@@ -67,40 +69,35 @@ class EnclosedMatrices(NamedTuple):
     smooth: Bool[np.ndarray, "B"]
 
 
-def symmetric(entries: np.ndarray, n: int) -> np.ndarray:
-    """Symmetric matrices (..., n, n) from their entries on and below the diagonal (..., K)."""
-    rows, columns = np.tril_indices(n)
-    full = np.empty((*entries.shape[:-1], n, n))
-    full[..., rows, columns] = entries
-    full[..., columns, rows] = entries
-    return full
-
-
-def enclosed(matrix: Expansions, low: np.ndarray, high: np.ndarray) -> EnclosedMatrices:
-    """Enclosures of the matrix on boxes with corners (B, d)."""
+def half_widths(matrix: Expansions, low: np.ndarray, high: np.ndarray) -> Float[np.ndarray, "f B"]:
+    """Half widths of boxes with corners (B, d) in the free variables, rounded up."""
     centre = middle_of(low, high)
-    at, on = enclose(matrix.first, centre, centre), enclose(matrix.second, low, high)
-    k, f = matrix.size * (matrix.size + 1) // 2, len(matrix.free)
-    half = np.maximum(high - centre, centre - low)[:, matrix.free] * (1 + ROUND)
-    smooth = on.smooth[:, None]
+    return np.ascontiguousarray((np.maximum(high - centre, centre - low)[:, matrix.free] * (1 + ROUND)).T)
+
+
+def enclosed_by(at: Enclosure, on: Enclosure, half: np.ndarray, k: int) -> EnclosedMatrices:
+    """Enclosures of matrices with k entries on boxes of half widths (f, B).
+
+    `at` encloses the entries and their first derivatives at the centres, and `on` those and the second on the boxes.
+    """
+    f, boxes = half.shape
     with np.errstate(invalid="ignore", over="ignore"):  # the middle of bounds −∞ and ∞ is NaN
-        value, slopes, terms, shares = taylor_form(at, on, half, k)
+        value, terms, shares = taylor_form(at, on, half, k)
         # A form with derivatives holds where these exist everywhere in the box.
-        rest = np.where(smooth, (value.radius + shares.sum(axis=1)) * (1 + ROUND) + TINY, np.inf)
-        size = np.maximum(np.abs(on.low), np.abs(on.high))[:, k : k + f * k].reshape(slopes.middle.shape)
-        radius = rest + np.abs(terms).sum(axis=1) * (1 + ROUND)
-        lower_bound = np.fmax(_outward(value.middle - radius, -1), on.low[:, :k])
-        upper_bound = np.fmin(_outward(value.middle + radius, 1), on.high[:, :k])
+        rest = np.where(on.smooth, (value.radius + sum_over(shares)) * (1 + ROUND) + TINY, np.inf)
+        radius = rest + sum_over(np.abs(terms)) * (1 + ROUND)
+        low, high = on.low.T[: k + f * k], on.high.T[: k + f * k]
+        lower_bound = np.fmax(_outward(value.middle - radius, -1), low[:k])
+        upper_bound = np.fmin(_outward(value.middle + radius, 1), high[:k])
         # The mean-value form is around the value at the centre, which Taylor's form has shifted.
-        here = Ball.of(at.low[:, :k], at.high[:, :k])
-        spread = np.where(smooth, here.radius + (size * half[:, :, None]).sum(axis=1) * (1 + ROUND), np.inf)
+        here, size = Ball.of(at.low.T[:k], at.high.T[:k]), np.maximum(np.abs(low[k:]), np.abs(high[k:]))
+        wide = sum_over(size.reshape(f, k, boxes) * half[:, None])
+        spread = np.where(on.smooth, here.radius + wide * (1 + ROUND), np.inf)
         lower_bound = np.fmax(lower_bound, _outward(here.middle - spread, -1))
         upper_bound = np.fmin(upper_bound, _outward(here.middle + spread, 1))
         middle = middle_of(lower_bound, upper_bound)
         radius = np.maximum(upper_bound - middle, middle - lower_bound) * (1 + ROUND) + TINY
-    parts = (value.middle, terms, rest, middle, radius, shares)
-    full = [symmetric(part, matrix.size) for part in parts]
-    return EnclosedMatrices(*full, smooth=on.smooth)
+    return EnclosedMatrices(value.middle, terms, rest, middle, radius, shares, on.smooth)
 
 
 class Ball(NamedTuple):
@@ -115,24 +112,29 @@ class Ball(NamedTuple):
         return cls(middle, np.maximum(high - middle, middle - low) * (1 + ROUND) + TINY)
 
 
-def taylor_form(at: Enclosure, on: Enclosure, half: np.ndarray, k: int) -> tuple[Ball, Ball, np.ndarray, np.ndarray]:
-    """`S(c) + Σ Sᵢ(c) δᵢ + ½ Σ Sᵢⱼ δᵢδⱼ` over δ within ± half (B, f): shifted value, slopes, terms and contributions.
+def taylor_form(at: Enclosure, on: Enclosure, half: np.ndarray, k: int) -> tuple[Ball, np.ndarray, np.ndarray]:
+    """`S(c) + Σ Sᵢ(c) δᵢ + ½ Σ Sᵢⱼ δᵢδⱼ` over δ within ± half (f, B): shifted value (K, B), terms and contributions.
 
     Since δᵢ² is never negative, half of its largest contribution shifts the value, and bounds the deviation from it.
     """
-    boxes, f = half.shape
-    value, slopes = Ball.of(at.low[:, :k], at.high[:, :k]), Ball.of(at.low[:, k:], at.high[:, k:])
-    slopes = Ball(*(part.reshape(boxes, f, k) for part in slopes))
-    bends = Ball(*(part.reshape(boxes, -1, k) for part in Ball.of(on.low[:, k + f * k :], on.high[:, k + f * k :])))
+    f, boxes = half.shape
+    first = k + f * k
+    value, slopes = (Ball.of(at.low.T[part], at.high.T[part]) for part in (slice(k), slice(k, first)))
+    bends = Ball.of(on.low.T[first:], on.high.T[first:])
     chosen = pairs(f)
-    size = np.stack([half[:, i] * half[:, j] / (2 if i == j else 1) for i, j in chosen], axis=1)[:, :, None]
-    square = np.array([i == j for i, j in chosen])[:, None]
-    bent = bends.middle * size * np.where(square, 0.5, 1.0)
-    moved = value.middle + np.where(square, bent, 0.0).sum(axis=1)
-    rounding = ROUND * (np.abs(value.middle) + np.abs(bent).sum(axis=1))
-    terms = np.concatenate([slopes.middle * half[:, :, None], bent], axis=1)
-    shares = np.concatenate([slopes.radius * half[:, :, None], bends.radius * size * (1 + ROUND)], axis=1)
-    return Ball(moved, value.radius + rounding), slopes, terms, shares
+    if not f:
+        nothing = np.empty((0, k, boxes))
+        return Ball(value.middle, value.radius + ROUND * np.abs(value.middle)), nothing, nothing
+    terms, shares = np.empty((2, f + len(chosen), k, boxes))
+    np.multiply(slopes.middle.reshape(f, k, boxes), half[:, None], out=terms[:f])
+    np.multiply(slopes.radius.reshape(f, k, boxes), half[:, None], out=shares[:f])
+    size = np.stack([half[i] * half[j] / (2 if i == j else 1) for i, j in chosen])[:, None]
+    square = np.array([i == j for i, j in chosen])
+    np.multiply(bends.middle.reshape(-1, k, boxes), size * np.where(square, 0.5, 1.0)[:, None, None], out=terms[f:])
+    np.multiply(bends.radius.reshape(-1, k, boxes), size * (1 + ROUND), out=shares[f:])
+    moved = value.middle + sum_over(terms[f:][square])
+    rounding = ROUND * (np.abs(value.middle) + sum_over(np.abs(terms[f:])))
+    return Ball(moved, value.radius + rounding), terms, shares
 
 
 def _outward(x: np.ndarray, sign: int) -> np.ndarray:

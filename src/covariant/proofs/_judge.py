@@ -4,21 +4,19 @@ A box that is not decided is halved across the variable that widens the enclosur
 """
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Bool, Float, Int
 
-from covariant.lowering import Enclosure, enclose, pairs
+from covariant.lowering import enclose, pairs
 from covariant.proofs._box import Box
-from covariant.proofs._definite import definite, factors, indefinite
-from covariant.proofs._enclosure import Ball, Expansions, enclosed, symmetric, taylor_form
+from covariant.proofs._definite import definite, factors, indefinite, weights
+from covariant.proofs._enclosure import Ball, Expansions, enclosed_by, half_widths, taylor_form
+from covariant.proofs._tests_in_c import tests_in_c
 from covariant.proofs._tree import OPEN, PROVED, middle_of
 
 
 def judge(matrix: Expansions, low: np.ndarray, high: np.ndarray) -> tuple[Int[np.ndarray, "B"], np.ndarray | None]:
     """A code for each box: proved, the variable to halve, or open if it cannot be halved; and a counter-example."""
-    found = enclosed(matrix, low, high)
-    proved, c = definite(found.centre, found.rest, found.terms)
-    rest = np.flatnonzero(~proved)
-    proved[rest] = definite(found.middle[rest], found.radius[rest])[0]
+    proved, weight, smooth = _tested(matrix, low, high)
     codes = np.full(len(low), PROVED)
     rest = np.flatnonzero(~proved)
     if not len(rest):
@@ -26,8 +24,8 @@ def judge(matrix: Expansions, low: np.ndarray, high: np.ndarray) -> tuple[Int[np
     wrong = counterexample_at(matrix, middle_of(low[rest], high[rest]))
     if wrong is not None:
         return codes, wrong
-    weight = _weight(c[rest], found.terms[rest], found.shares[rest], len(matrix.free))
-    blind = np.flatnonzero(~(np.isfinite(weight).all(axis=1) & found.smooth[rest]))
+    weight = weight[rest]
+    blind = np.flatnonzero(~(np.isfinite(weight).all(axis=1) & smooth[rest]))
     if len(blind):
         weight[blind] = _weight_at_centre(matrix, low[rest][blind], high[rest][blind])
     relative = ((high - low)[rest] / np.where(matrix.width > 0, matrix.width, 1.0))[:, matrix.free]
@@ -41,6 +39,28 @@ def judge(matrix: Expansions, low: np.ndarray, high: np.ndarray) -> tuple[Int[np
     return codes, None
 
 
+def _tested(
+    matrix: Expansions, low: np.ndarray, high: np.ndarray
+) -> tuple[Bool[np.ndarray, "B"], Float[np.ndarray, "B f"], Bool[np.ndarray, "B"]]:
+    """Which boxes are proved, how much each variable widens the enclosures of the others, and which are smooth."""
+    centre = middle_of(low, high)
+    at = enclose(matrix.first, centre, centre, matrix.engine)
+    on = enclose(matrix.second, low, high, matrix.engine)
+    k, half, f = matrix.size * (matrix.size + 1) // 2, half_widths(matrix, low, high), len(matrix.free)
+    tests = tests_in_c(matrix.engine, matrix.size)
+    found = (tests.enclosed if tests else enclosed_by)(at, on, half, k)
+    test = tests.definite if tests else definite
+    proved, c = test(found.centre, found.rest, found.terms)
+    rest = np.flatnonzero(~proved)
+    proved[rest] = test(found.middle[:, rest], found.radius[:, rest])[0]
+    rest = np.flatnonzero(~proved)
+    parts = np.zeros((len(found.terms), len(low)))
+    parts[:, rest] = (tests.weights if tests else weights)(
+        c[..., rest], found.terms[..., rest], found.shares[..., rest]
+    )
+    return proved, _weight(parts, f), found.smooth
+
+
 def look_around(matrix: Expansions, domain: Box, count: int = 4096) -> np.ndarray | None:
     """A point of the domain, as a box (2, d), at which the matrix is not positive definite, from random points."""
     rng = np.random.default_rng(0)
@@ -52,35 +72,25 @@ def look_around(matrix: Expansions, domain: Box, count: int = 4096) -> np.ndarra
 
 def counterexample_at(matrix: Expansions, points: np.ndarray) -> np.ndarray | None:
     """The first of some points (k, d), as a box (2, d), at which the matrix is shown not to be positive definite."""
-    at = enclose(matrix.value, points, points)
-    middle, radius = (symmetric(part, matrix.size) for part in Ball.of(at.low, at.high))
-    wrong = np.flatnonzero(indefinite(middle, radius))
+    at = enclose(matrix.value, points, points, matrix.engine)
+    wrong = np.flatnonzero(indefinite(*Ball.of(at.low.T, at.high.T)))
     return np.stack([points[wrong[0]]] * 2) if len(wrong) else None
 
 
-def _weight(c: np.ndarray, terms: np.ndarray, shares: np.ndarray, f: int) -> np.ndarray:
-    """How much each variable (B, f) widens the enclosures, after the factors c bring the matrices near the identity.
-
-    The contribution of a pair counts for both of its variables.
-    """
-    c, size = c[:, None], np.abs(c)[:, None]
-    with np.errstate(all="ignore"):
-        sizes = np.abs(np.swapaxes(c, 2, 3) @ terms @ c) + np.swapaxes(size, 2, 3) @ shares @ size
-    parts = sizes.sum(axis=(2, 3))
-    weight = parts[:, :f].copy()
+def _weight(parts: np.ndarray, f: int) -> Float[np.ndarray, "B f"]:
+    """How much each variable widens the enclosures, from each of their terms (m, B): a pair counts for both of its."""
+    weight = parts[:f].copy()
     for number, (i, j) in enumerate(pairs(f), start=f):
-        weight[:, i] += parts[:, number]
+        weight[i] += parts[number]
         if i != j:
-            weight[:, j] += parts[:, number]
-    return weight
+            weight[j] += parts[number]
+    return weight.T
 
 
 def _weight_at_centre(matrix: Expansions, low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """The weights from derivatives at the centre alone, for boxes on which nothing is bounded."""
     centre = middle_of(low, high)
-    at, k = enclose(matrix.second, centre, centre), matrix.size * (matrix.size + 1) // 2
-    count = k + len(matrix.free) * k
-    near = Enclosure(at.low[:, :count], at.high[:, :count], at.smooth)
-    value, _, terms, shares = taylor_form(near, at, (high - low)[:, matrix.free] / 2, k)
-    c = factors(symmetric(value.middle, matrix.size))[0]
-    return _weight(c, symmetric(terms, matrix.size), symmetric(shares, matrix.size), len(matrix.free))
+    at, k = enclose(matrix.second, centre, centre, matrix.engine), matrix.size * (matrix.size + 1) // 2
+    with np.errstate(invalid="ignore", over="ignore"):
+        value, terms, shares = taylor_form(at, at, ((high - low)[:, matrix.free] / 2).T.copy(), k)
+    return _weight(weights(factors(value.middle)[0], terms, shares), len(matrix.free))

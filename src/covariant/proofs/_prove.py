@@ -20,6 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from covariant._typing import Arithmetic
 from covariant.lowering import expand
 from covariant.proofs._box import Box, check_box
 from covariant.proofs._conditions import show_conditions
@@ -84,6 +85,7 @@ def prove(
     seconds: float | None = None,
     processes: int = 1,
     progress: Callable[[float, int], None] | None = None,
+    engine: Arithmetic = "auto",
 ) -> Proof:
     """Prove that a symmetric matrix is positive definite for every z in the domain.
 
@@ -94,12 +96,13 @@ def prove(
     - `processes`: above 1 they share the boxes (a script then needs the `if __name__ == "__main__"` guard); the tree
       found does not depend on their number.
     - `progress`: called now and then with the decided fraction of the domain and the number of boxes evaluated.
+    - `engine`: "numpy" and "c" leave no choice to `lowering.enclose`; tree and verdict are the same.
 
     Raises `LoweringError` where the matrix has no graph of scalars, `ValueError` where it is not square.
     """
     check_box(domain)
     formed = as_form(matrix).graph(jnp.asarray(domain.low))
-    expansions = Expansions.of(formed.entries, domain)
+    expansions = Expansions.of(formed.entries, domain, engine)
     return _decide(expansions, domain, _Effort.of(boxes, seconds), processes, progress, _reason(formed, domain))
 
 

@@ -1,0 +1,93 @@
+"""Shared libraries of C, compiled once by the system's compiler and kept in the user's cache folder."""
+
+import functools
+import hashlib
+import os
+import platform
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TypeVar
+
+from covariant._programs import cache_folder
+
+Library = TypeVar("Library")
+
+EXACT = (
+    "-std=c99",
+    "-O3",
+    "-march=native",
+    "-ffp-contract=off",
+    "-fno-fast-math",
+    "-fno-math-errno",
+    "-fno-trapping-math",
+    "-fwrapv",
+    "-fPIC",
+    "-shared",
+)
+"""Flags for C whose results are those of IEEE 754, operation by operation: none permits the compiler to change one.
+
+Products and sums are not contracted; those for errno, traps and whole numbers that wrap change no value of a double.
+"""
+
+
+@functools.cache
+def compiler() -> str | None:
+    """The compiler named by the environment variable CC, or `cc`; None where it is not there."""
+    return shutil.which(os.environ.get("CC") or "cc")
+
+
+def compiled(source: str, flags: Sequence[str], load: Callable[[str], Library]) -> Library:
+    """What `load` makes of the path of a compiled source.
+
+    It is kept by the hash of the source, the flags, the compiler and, for code of this very processor, the processor.
+    With `COVARIANT_CACHE=off` it is compiled anew.
+    Raises `OSError` where it cannot be compiled.
+    """
+    path = _kept(source, flags)
+    if path is None:
+        # The file may go once it is loaded.
+        with tempfile.TemporaryDirectory() as place:
+            return load(str(_made(source, flags, Path(place) / "made.so")))
+    return load(str(path if path.exists() else _made(source, flags, path)))
+
+
+def is_kept(source: str, flags: Sequence[str]) -> bool:
+    """Whether a source has been compiled before, so that it is only loaded."""
+    path = _kept(source, flags)
+    return path is not None and path.exists()
+
+
+def _kept(source: str, flags: Sequence[str]) -> Path | None:
+    machine = _processor() if "-march=native" in flags else ""
+    key = hashlib.sha256("\n".join([source, *flags, _version(), machine]).encode()).hexdigest()[:32]
+    folder = cache_folder()
+    return None if folder is None else folder / f"{key}.so"
+
+
+def _made(source: str, flags: Sequence[str], path: Path) -> Path:
+    with tempfile.TemporaryDirectory(dir=path.parent) as place:
+        text, made = Path(place) / "source.c", Path(place) / "made.so"
+        text.write_text(source, encoding="utf-8")
+        command = [str(compiler()), *flags, str(text), "-o", str(made), "-lm"]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        if done.returncode:
+            raise OSError(f"{compiler()} does not compile a source of C: {done.stderr.strip()[:200]}")
+        os.replace(made, path)  # whole or not at all, whoever else makes it at the same time
+    return path
+
+
+@functools.cache
+def _processor() -> str:
+    """What the processor can do, since a home may be shared by machines that differ."""
+    known = Path("/proc/cpuinfo")
+    lines = known.read_text(encoding="utf-8").splitlines() if known.exists() else []
+    return next((line for line in lines if line.lower().startswith(("flags", "features"))), platform.processor())
+
+
+@functools.cache
+def _version() -> str:
+    done = subprocess.run([str(compiler()), "--version"], capture_output=True, text=True, check=False)
+    return f"{compiler()}\n{done.stdout}"

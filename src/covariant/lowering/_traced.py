@@ -1,0 +1,237 @@
+"""C of a formula in NumPy that works entry by entry: the formula is called on symbols, which write down what it does.
+
+So a formula has one text, for NumPy and for C, and both do the same operations in the same order. Only what IEEE 754
+determines has a counterpart in C: sums, products, quotients, roots, comparisons, whole numbers and operations on bits.
+Questions about a whole array, by `any()` and `all()`, only save work; they are answered so that nothing is left out.
+"""
+
+import math
+import re
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
+
+import numpy as np
+
+REAL, TRUTH, BITS = "double", "int", "int64_t"
+
+HEAD = """#include <float.h>
+#include <math.h>
+#include <stdint.h>
+#include <string.h>
+
+static inline int64_t bits_of(double x)
+{
+    int64_t bits;
+    memcpy(&bits, &x, sizeof bits);
+    return bits;
+}
+
+static inline double double_of(int64_t bits)
+{
+    double x;
+    memcpy(&x, &bits, sizeof x);
+    return x;
+}
+
+"""
+"""What the C of formulas needs before it."""
+
+OPERATORS: dict[Any, tuple[str, str | None]] = {
+    np.add: ("{} + {}", None),
+    np.subtract: ("{} - {}", None),
+    np.multiply: ("{} * {}", None),
+    np.divide: ("{} / {}", REAL),
+    np.floor_divide: ("{} / {}", BITS),  # of numbers that are not negative
+    np.negative: ("-{}", None),
+    np.absolute: ("fabs({})", REAL),
+    np.sqrt: ("sqrt({})", REAL),
+    np.floor: ("floor({})", REAL),
+    np.ceil: ("ceil({})", REAL),
+    np.rint: ("rint({})", REAL),
+    np.copysign: ("copysign({}, {})", REAL),
+    np.sign: ("{0} > 0 ? 1.0 : {0} < 0 ? -1.0 : {0}", REAL),
+    # NaN goes through both.
+    np.minimum: ("{1} != {1} ? {1} : {1} < {0} ? {1} : {0}", REAL),
+    np.maximum: ("{1} != {1} ? {1} : {1} > {0} ? {1} : {0}", REAL),
+    np.less: ("{} < {}", TRUTH),
+    np.less_equal: ("{} <= {}", TRUTH),
+    np.greater: ("{} > {}", TRUTH),
+    np.greater_equal: ("{} >= {}", TRUTH),
+    np.equal: ("{} == {}", TRUTH),
+    np.not_equal: ("{} != {}", TRUTH),
+    np.isnan: ("{0} != {0}", TRUTH),
+    np.isfinite: ("fabs({}) <= DBL_MAX", TRUTH),
+    np.bitwise_and: ("{} & {}", None),
+    np.bitwise_or: ("{} | {}", None),
+    np.bitwise_xor: ("{} ^ {}", None),
+    np.invert: ("!{}", TRUTH),
+    np.left_shift: ("(int64_t)((uint64_t){} << {})", BITS),
+    np.right_shift: ("{} >> {}", BITS),
+}
+"""C of each function of NumPy on entries, and the type of its result, by default that of its arguments."""
+
+
+class Text:
+    """C in single assignments; equal expressions are written once. `tables` of numbers are shared with other texts."""
+
+    def __init__(self, tables: dict[str, str]) -> None:
+        self.tables = tables
+        self._known: dict[tuple[str, str], str] = {}
+
+    def name(self, kind: str, expression: str) -> str:
+        """The variable that holds an expression."""
+        return self._known.setdefault((kind, expression), f"{kind[0]}{len(self._known)}")
+
+    def table(self, values: Sequence[float]) -> str:
+        """The name of a table of numbers."""
+        return self.tables.setdefault(", ".join(map(literal, values)), f"table{len(self.tables)}")
+
+    def lines(self, results: Iterable[str]) -> list[str]:
+        """The assignments that these expressions need."""
+        needed, lines = set(NAMES.findall(" ".join(results))), []
+        for (kind, expression), name in reversed(self._known.items()):
+            if name in needed:
+                needed.update(NAMES.findall(expression))
+                lines.append(f"const {kind} {name} = {expression};")
+        return lines[::-1]
+
+
+NAMES = re.compile(r"\b\w+\b")
+
+
+class Traced:
+    """An entry of an array, or several stacked, in C: names of variables of one type."""
+
+    def __init__(self, text: Text, kind: str, parts: tuple[str, ...]):
+        self.text, self.kind, self.parts = text, kind, parts
+
+    def __array_ufunc__(self, function: np.ufunc, method: str, *arguments: Any, **options: Any) -> "Traced":
+        if method != "__call__" or options:
+            raise TypeError(f"{function.__name__}.{method} has no C for each entry")
+        if function is np.logical_and:
+            function = np.bitwise_and
+        if function is np.multiply and isinstance(arguments[0], float) and arguments[1].kind == TRUTH:
+            return _where(arguments[1], arguments[0], 0.0)
+        expression, result = OPERATORS[function]
+        kinds = [a.kind if isinstance(a, Traced) else kind_of(a) for a in arguments]
+        common = next(kind for kind in (REAL, BITS, TRUTH) if kind in kinds)
+        return self.each(result or common, expression, *(self.of(a, common) for a in arguments))
+
+    def __array_function__(self, function: Callable, types: Any, arguments: tuple, options: dict) -> Any:
+        return FUNCTIONS[function](*arguments, **options)
+
+    def of(self, value: Any, kind: str) -> "Traced":
+        """A symbol, or a known number as one of its type."""
+        if isinstance(value, Traced):
+            return value
+        return Traced(self.text, kind, (literal(float(value) if kind == REAL else value),))
+
+    def each(self, kind: str, expression: str, *arguments: "Traced") -> "Traced":
+        """An expression of the parts of several symbols, of which single ones serve for all."""
+        count = max(len(a.parts) for a in arguments)
+        rows = zip(*(a.parts * (count if len(a.parts) == 1 else 1) for a in arguments), strict=True)
+        return Traced(self.text, kind, tuple(self.text.name(kind, expression.format(*row)) for row in rows))
+
+    def __getitem__(self, index: int) -> "Traced":
+        return Traced(self.text, self.kind, (self.parts[index],))
+
+    def __iter__(self):
+        return (self[i] for i in range(len(self.parts)))
+
+    def _ends(self, function: np.ufunc) -> "Traced":
+        first, second = self
+        return function(first, second)
+
+    def min(self, axis: int) -> "Traced":
+        return self._ends(np.minimum)
+
+    def max(self, axis: int) -> "Traced":
+        return self._ends(np.maximum)
+
+    def all(self, axis: int | None = None) -> "Traced | bool":
+        return False if axis is None else self._ends(np.bitwise_and)
+
+    def any(self) -> bool:
+        return True
+
+    def view(self, kind: type) -> "Traced":
+        return self.each(BITS, "bits_of({})", self) if kind is np.int64 else self.each(REAL, "double_of({})", self)
+
+    def astype(self, kind: type) -> "Traced":
+        return self.each(TRUTH, "{} != 0", self) if kind is bool else self.each(REAL, "(double){}", self)
+
+
+def _operator(function: np.ufunc, turned: bool = False) -> Callable:
+    return (lambda a, b: function(b, a)) if turned else (lambda a, *b: function(a, *b))
+
+
+for _name, _function in {
+    "add": np.add,
+    "sub": np.subtract,
+    "mul": np.multiply,
+    "truediv": np.divide,
+    "floordiv": np.floor_divide,
+    "and": np.bitwise_and,
+    "or": np.bitwise_or,
+    "xor": np.bitwise_xor,
+    "lshift": np.left_shift,
+    "rshift": np.right_shift,
+}.items():
+    setattr(Traced, f"__{_name}__", _operator(_function))
+    setattr(Traced, f"__r{_name}__", _operator(_function, turned=True))
+for _name, _function in {
+    "lt": np.less,
+    "le": np.less_equal,
+    "gt": np.greater,
+    "ge": np.greater_equal,
+    "eq": np.equal,
+    "ne": np.not_equal,
+    "neg": np.negative,
+    "abs": np.absolute,
+    "invert": np.invert,
+}.items():
+    setattr(Traced, f"__{_name}__", _operator(_function))
+
+
+def kind_of(value: Any) -> str:
+    """The type of a known number."""
+    return TRUTH if isinstance(value, bool | np.bool_) else BITS if isinstance(value, int | np.integer) else REAL
+
+
+def literal(value: Any) -> str:
+    """A known number in C."""
+    if kind_of(value) != REAL:
+        return f"{int(value)}" if kind_of(value) == TRUTH else f"INT64_C({int(value)})"
+    number = float(value)
+    if math.isnan(number):
+        return "(double)NAN"
+    if math.isinf(number):
+        return f"({'-' if number < 0 else ''}(double)INFINITY)"
+    return f"({number.hex()})" if math.copysign(1.0, number) < 0 else number.hex()
+
+
+def _where(condition: Any, a: Any, b: Any) -> Traced:
+    symbol = next(x for x in (condition, a, b) if isinstance(x, Traced))
+    kind = next((x.kind for x in (a, b) if isinstance(x, Traced)), REAL)
+    return symbol.each(kind, "{} ? {} : {}", symbol.of(condition, TRUTH), symbol.of(a, kind), symbol.of(b, kind))
+
+
+def _stack(arrays: Sequence[Any]) -> Traced:
+    symbol = next(x for x in arrays if isinstance(x, Traced))
+    (parts,) = zip(*(symbol.of(a, symbol.kind).parts for a in arrays), strict=True)
+    return Traced(symbol.text, symbol.kind, parts)
+
+
+def _choose(index: Traced, choices: Any) -> Traced:
+    return index.each(REAL, f"{index.text.table(choices.tolist())}[{{}}]", index)
+
+
+FUNCTIONS: dict[Any, Callable] = {
+    np.where: _where,
+    np.stack: _stack,
+    np.choose: _choose,
+    np.array_equal: lambda a, b: False,
+    np.zeros_like: lambda x: x.of(0.0, x.kind),
+    np.ones_like: lambda x: x.of(True, x.kind) if x.kind == TRUTH else x.of(1.0, x.kind),
+}
+"""Functions of arrays that are not entry by entry for NumPy, and here are."""
