@@ -10,7 +10,16 @@ from hypothesis import given, strategies as st
 from covariant import geometry, models
 from covariant._integrate import rk8
 from covariant.geometry.lie import SO3, LeftInvariant
-from covariant.models import Lagrangian, acceleration, check_model, energy, friction, source
+from covariant.models import (
+    Lagrangian,
+    MechanicalSystem,
+    acceleration,
+    check_model,
+    energy,
+    friction,
+    robots,
+    source,
+)
 
 TIME = jnp.zeros(())
 
@@ -167,8 +176,20 @@ def test_wrong_shape_is_named(name, given):
 def test_inputs_that_are_no_force_are_refused_where_a_force_is_first_asked_for(inputs):
     """One input would act on both coordinates."""
     model = Lagrangian(flat, free, inputs=inputs)
-    with pytest.raises(ValueError, match=f"{inputs} inputs are no force on 2 coordinates; give the model a force"):
+    with pytest.raises(
+        ValueError, match=rf"force must return shape \(2,\); with {inputs} inputs it returned \({inputs},\)"
+    ):
         acceleration(model, TIME, jnp.zeros(2), jnp.zeros(2), jnp.zeros(inputs))
+
+
+def test_an_input_for_each_velocity_is_a_force_where_a_configuration_has_more_numbers():
+    """A floating robot: its pose is sixteen numbers and six velocities."""
+    space = robots.load("quadruped").space
+    model = MechanicalSystem(space)
+    x = model.manifold.origin()
+    assert x.ndim == 1
+    v = model.manifold.zero(x)
+    np.testing.assert_allclose(space.lower(x, acceleration(model, TIME, x, v, v + 1.0)), v + 1.0, atol=1e-9)
 
 
 @pytest.mark.parametrize("matrix", [lambda q: jnp.eye(3), lambda q: q, lambda q: q[0]])
@@ -195,7 +216,7 @@ def test_function_that_cannot_be_evaluated_is_named(name, given):
 
 def test_input_of_the_wrong_size_is_named():
     """Without a force of its own a model takes the input for the force, which must then have n entries."""
-    with pytest.raises(ValueError, match="1 inputs are no force on 2 coordinates"):
+    with pytest.raises(ValueError, match="force must return shape"):
         Lagrangian(flat, free, inputs=1, **NAMES)
 
 

@@ -221,10 +221,6 @@ class GroupSystem(MechanicalSystem):
 
 
 def input_itself(t, q, u):
-    if q.ndim == 1 and u.shape != q.shape:  # one input would act on all coordinates without a word
-        raise ValueError(
-            f"{u.shape[0]} inputs are no force on {q.shape[0]} coordinates; give the model a force (t, q, u)"
-        )
     return u
 
 
@@ -273,8 +269,14 @@ def check_shapes(functions, given: str, whom: str) -> None:
 
 
 def applied_force(model: MechanicalSystem, t: Scalar, q: Array, u: Float[Array, "m"]) -> Vector:
-    """`−∂U + force`: the generalised force on the system apart from dissipation, in the frame."""
-    return model.force(t, q, u) - differential(model.manifold, model.potential, q)
+    """`−∂U + force`: the generalised force on the system apart from dissipation, in the frame.
+
+    Raises `ValueError` for a force of another shape, such as one input that would act on all coordinates.
+    """
+    force, slope = model.force(t, q, u), differential(model.manifold, model.potential, q)
+    if force.shape != slope.shape:
+        raise ValueError(f"force must return shape {slope.shape}; with {u.shape[0]} inputs it returned {force.shape}")
+    return force - slope
 
 
 def source(model: MechanicalSystem, t: Scalar, q: Array, u: Float[Array, "m"]) -> Vector:
