@@ -96,7 +96,10 @@ def load_metric(path: str | os.PathLike[str]) -> Interpolated:
 
     Raises `ValueError` where the store is not one of `metric`, or not finished.
     """
-    store = _open(path)
+    return _field(_open(path))
+
+
+def _field(store: Any) -> Interpolated:
     values = store["metric"]
     axes = tuple(np.asarray(store[axis]) for axis in values.dims[:-2])
     return Interpolated(axes, np.asarray(values))
@@ -111,8 +114,8 @@ def stored_observer(model: StateSpace, path: str | os.PathLike[str], start: Floa
     without, the stationary Kalman filter (Sanfelice & Praly 2015, (11)). Raises `ValueError` where the store is not one
     of `metric`, not finished, of other states than the model's, or of other parameters.
     """
-    told = _open(path).attrs["provenance"]
-    field = load_metric(path)
+    store = _open(path)
+    told, field = store.attrs["provenance"], _field(store)
     if field.low.shape != start.shape:
         raise ValueError(f"{path}: a metric of {field.low.shape[0]} states; the model has {start.shape[0]}")
     parameters = {key: np.asarray(parameter.value) for key, parameter in model.parameters.items()}

@@ -108,13 +108,8 @@ def _by_c(
 ) -> list[Run]:
     made = kernel(observers[0], np.asarray(logs[0].y[0]), np.shape(logs[0].u)[1], differ)
     form = _Form.of(observers[0], made, keep)
-    with ThreadPoolExecutor(min(len(logs), _cores())) as pool:  # C lets go of Python's lock while it runs
+    with ThreadPoolExecutor(min(len(logs), os.cpu_count() or 1)) as pool:  # C lets go of Python's lock while it runs
         return list(pool.map(functools.partial(_through, made, form), numbers, logs))
-
-
-def _cores() -> int:
-    """Processor cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 class _Form(NamedTuple):
