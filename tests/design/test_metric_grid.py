@@ -108,6 +108,8 @@ def test_the_observer_of_a_store_has_its_field_its_noise_and_the_gain_of_its_equ
     other = eqx.tree_at(lambda m: m.parameters[key].value, MODEL, MODEL.parameters[key].value + 1)
     with pytest.raises(ValueError, match=rf"the metric is for {key} = .*; the model has .*; compute it anew"):
         design.stored_observer(other, path, start)
+    with pytest.raises(ValueError, match="a metric of q, q_dot; the states are biomass, substrate"):
+        design.stored_observer(models.bioreactor(), path, start)
     with pytest.raises(ValueError, match="a metric of 2 states; the model has 3"):
         design.stored_observer(models.unknown_frequency(), path, jnp.zeros(3))
 

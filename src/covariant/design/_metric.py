@@ -118,6 +118,9 @@ def stored_observer(model: StateSpace, path: str | os.PathLike[str], start: Floa
     told, field = store.attrs["provenance"], _field(store)
     if field.low.shape != start.shape:
         raise ValueError(f"{path}: a metric of {field.low.shape[0]} states; the model has {start.shape[0]}")
+    names = store["metric"].dims[:-2]
+    if model.coordinates and names != model.coordinates:
+        raise ValueError(f"{path}: a metric of {', '.join(names)}; the states are {', '.join(model.coordinates)}")
     parameters = {key: np.asarray(parameter.value) for key, parameter in model.parameters.items()}
     for key in sorted({*told["parameters"], *parameters}):
         stored, own = told["parameters"].get(key), parameters.get(key)
