@@ -142,6 +142,7 @@ def test_known_systems_load_by_name(system, n):
         ("dfki_double_pendulum", Columns("t", ("q1", "q2"), ("tau1", "tau2"), ("v1_log", "v2_log"))),
         ("dfki_simple_pendulum", Columns("t", ("q",), ("tau",), ("v_log",))),
         ("multiarm_double", Columns("t", ("th1", "th2"), (), ("w1_denoised", "w2_denoised"))),
+        ("multiarm_single", Columns("t", ("th1",), (), ("w1_denoised",))),
     ],
 )
 def test_examples_load(name, columns):
