@@ -120,7 +120,7 @@ def test_no_edge_leaves_the_uniform_variance_to_one_who_knows_less():
 
 @eqx.filter_jit
 def squares(model, observer, starts, keys, steps):
-    """NEES, NIS and squared errors of the velocities (runs, T); every line of an encoder is a hundredth of a tick off."""
+    """NEES, NIS and squared errors of velocities (runs, T); every line of an encoder is a hundredth of a tick off."""
     n = starts.shape[1]
 
     def one(start, key):
