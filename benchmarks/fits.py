@@ -37,15 +37,20 @@ CASES = {
         SIMPLE,
         (*SIMPLE, "inputs.lag"),
     ),
-    "DFKI A0, 00 and 12 -> 05": (
-        (
-            "dfki_double_pendulum",
-            ["dfki_double_pendulum/A0_sysid_00.csv", "dfki_double_pendulum/A0_sysid_12.csv"],
-            "dfki_double_pendulum/A0_sysid_05.csv",
-        ),
-        DRAWN,
-        ("mass", "length[0]", "com", "inertia", "viscous", "coulomb", "inputs.lag"),
-    ),
+    **{
+        f"DFKI A0, {' and '.join(logs)} -> {judged}": (
+            (
+                "dfki_double_pendulum",
+                [f"dfki_double_pendulum/A0_sysid_{log}.csv" for log in logs],
+                f"dfki_double_pendulum/A0_sysid_{judged}.csv",
+            ),
+            DRAWN,
+            ("mass", "length[0]", "com", "inertia", "viscous", "coulomb", "inputs.lag"),
+        )
+        for logs in (("05",), ("12",), ("00",), ("00", "12"))
+        for judged in ("00", "05", "12")
+        if judged not in logs
+    },
 }
 
 if __name__ == "__main__":

@@ -21,7 +21,7 @@ CASES = {
         ("dfki_simple_pendulum.toml", "dfki_simple_pendulum/ddp.csv", "dfki_simple_pendulum/dircol.csv"),
         {"mass": [0.6], "inertia": [0.25], "coulomb": [0.05], "offset": [0.0]},
         ("mass", "inertia", "coulomb", "offset", "inputs.lag"),
-        (2, None, None),
+        (1, None, None),
     ),
     "free double pendulum, fitted on its first 10 s": (
         ("multiarm_double.toml", "multiarm_pendulum/double.csv", "multiarm_pendulum/double.csv"),

@@ -1,9 +1,10 @@
 """Numbers of a model for which it predicts a log best: multiple shooting with free initial states, robust to outliers.
 
-Over each window of the log the model predicts from an initial state that is free, and the errors of the positions
-decide. They are weighed by the pseudo-Huber loss in units of their own scale, which is estimated along with the
-numbers. In each step of Levenberg and Marquardt the initial states are eliminated window by window, so that the system
-to be solved is as small as the numbers are few; and one program is compiled, for errors and derivatives together.
+Over each window of the log the model predicts from an initial state that is free, and what is new in the errors of the
+positions decides: the innovations of a filter that follows them, as fast as makes these least. They are weighed by the
+pseudo-Huber loss in units of their own scale, which is estimated along with the numbers. In each step of Levenberg and
+Marquardt the initial states are eliminated window by window, so that the system to be solved is as small as the numbers
+are few; and one program is compiled, for errors and derivatives together.
 
 Source: Bock 1983 for multiple shooting; Marquardt 1963, and Madsen, Nielsen & Tingleff 2004, section 3.2, for steps;
 Huber 1981, Robust Statistics, sections 6.3 and 7.6, for scale and covariance; White 1982 for the sandwich by windows.
@@ -19,12 +20,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from covariant.identification._innovations import Weighing, frequencies, innovations, weighing
 from covariant.identification._predict import differences, follow, lagged, needed_substeps
 from covariant.identification._windows import Windows
 from covariant.models import Family, Motion
 
-ROUNDS = 3
-"""How often scales of the errors and undetermined combinations are found anew, after a search each."""
+ROUNDS = 4
+"""Searches: without a filter, with one, and twice with what is undetermined then held; scales are found after each."""
 MOST_STEPS = 25
 """Largest number of Levenberg–Marquardt steps in a round."""
 TOLERANCE = 3e-3
@@ -42,10 +44,12 @@ HELD = 1e3
 PURE = 0.2
 """A number is determined by itself where all undetermined combinations, changed by all of their size, change it by a
 smaller fraction; its standard error grows by that change."""
+ROUGH = 0.2
+"""A number with a larger relative standard error may be zero: its influence need not be linear down to there."""
+CONFIDENCE = 2.0
+"""Standard errors within which a number is not told from zero."""
 SMALL = 0.01
 """Parts of an undetermined combination below this fraction of the largest are taken for none."""
-FINEST = 1e-6
-"""Least scale of the errors, as a fraction of how far the positions move in a window: below it is rounding."""
 ROUNDING = 1e-11
 """Information about a combination, relative to the greatest, that is nothing but rounding."""
 
@@ -60,7 +64,8 @@ class Fit(NamedTuple):
     - `undetermined` (d, p): relative changes of the numbers of which the log shows nothing, as rows; each row has an
       entry of 1 in a number that is in no other row. Along them the numbers stay where they were; but a number that
       was made smaller until the log could not tell it from zero is as small as it was found.
-    - `scale` (n,): robust standard deviation of the errors of the positions over the windows [units of the frame].
+    - `scale` (n,): robust standard deviation of what is new in the errors of the positions [units of the frame].
+    - `frequency` [rad/s]: of the filter that follows these errors; far below one in a window where they are white.
     - `steps`: number of steps taken.
     """
 
@@ -70,6 +75,7 @@ class Fit(NamedTuple):
     standard_errors: Float[NumpyArray, "p"]
     undetermined: Float[NumpyArray, "d p"]
     scale: Float[NumpyArray, "n"]
+    frequency: float
     steps: int
 
     @property
@@ -90,26 +96,30 @@ def fit(family: Family, windows: Windows, told: Callable[[int, int], object] = l
     windows = jax.tree.map(jnp.asarray, windows)
     model = family.file.need_mechanical(family.file.name, "numbers are fitted for")
     problem = _Problem(family.make, jnp.asarray(family.first), family.positive, needed_substeps(model, windows))
-    now = _begin(problem, windows)
-    held, taken = np.zeros((len(family.first),) * 2), 0
+    offered = frequencies(windows)
+    now = _begin(problem, windows, offered[:1])
+    held, taken = _Held(np.zeros((len(family.first),) * 2), now.z), 0
     for k in range(ROUNDS):
         now, steps = _descend(problem, windows, now, held, functools.partial(told, k))
-        now = _at(problem, windows, now.z, now.s, np.asarray(now.blocks.scale))
         taken += steps
-        if k < ROUNDS - 1:
-            held = _silent(now.blocks)
-    covariance = _sandwich(now.blocks, held)
-    z = now.z - held @ now.z  # what is held is held by a large weight, which leaves a trace
+        now = _weighed(problem, windows, now, offered if k == 0 else np.atleast_1d(now.weighing.frequency))
+        if 0 < k < ROUNDS - 1:  # where the filter is new the numbers are not yet those that it finds
+            held = _Held(_silent(now.blocks), problem.kept(now.z))
+    covariance = _sandwich(now.blocks, held.directions)
+    z = now.z - held.directions @ (now.z - held.at)  # what is held is held by a large weight, which leaves a trace
     slopes = np.asarray(problem.slopes(z))
     values = np.asarray(problem.values(z))
-    rows = _rows(held, slopes / np.where(values == 0, 1.0, values))
+    rows = _rows(held.directions, slopes / np.where(values == 0, 1.0, values))
     part = np.sqrt(np.sum(rows**2, axis=0))
     variance = slopes**2 * np.diagonal(covariance) + (values * part * UNKNOWN) ** 2
     # The last search may have made a number so small that it has lost its influence on the way.
-    small = np.asarray(problem.positive) & (part < PURE) & (np.diagonal(covariance) > UNKNOWN**2)
+    own = np.asarray(problem.positive) & (part < PURE)
+    small = own & (np.diagonal(covariance) > UNKNOWN**2)
+    small |= own & ~small & _perhaps_zero(problem, windows, now, held, covariance)
     rows = np.concatenate([rows, np.eye(len(small))[small]])
     errors = np.where((part < PURE) & ~small, np.sqrt(np.maximum(variance, 0.0)), np.nan)
-    return Fit(family.names, family.first, values, errors, rows, np.asarray(now.scale), taken)
+    frequency, scale = now.weighing
+    return Fit(family.names, family.first, values, errors, rows, np.asarray(scale), float(frequency), taken)
 
 
 class _Problem(NamedTuple):
@@ -130,15 +140,27 @@ class _Problem(NamedTuple):
         ratio = jnp.asarray(self.first * jnp.exp(z))
         return jnp.where(jnp.asarray(self.positive), ratio, jnp.asarray(self.first + self.size * z))
 
+    def kept(self, z: NumpyArray) -> NumpyArray:
+        """Where what is undetermined is held (p,): at first values, or what a number is that all but vanished."""
+        return np.where(np.asarray(self.positive) & (z < -BROAD), z, 0.0)
+
     def slopes(self, z) -> Float[Array, "p"]:
         """The derivative of each number in its own relative change."""
         return jnp.where(jnp.asarray(self.positive), self.first * jnp.exp(z), self.size)
 
 
+class _Held(NamedTuple):
+    """Undetermined combinations as a projection `directions` (p, p) of z, which are held where z is `at` (p,)."""
+
+    directions: Float[NumpyArray, "p p"]
+    at: Float[NumpyArray, "p"]
+
+
 class _Blocks(NamedTuple):
-    """The loss of each window, its derivatives in the initial state s (2n,) and in z (p,), and the errors' scale.
+    """The loss of each window, its derivatives in the initial state s (2n,) and in z (p,), and the errors.
 
     `ss`, `sz`, `zz` majorise the second derivatives, and are used for steps; `curved` are those of the loss itself.
+    `errors` are those of the positions, where they are `seen`.
     """
 
     loss: Float[Array, "W"]
@@ -148,40 +170,53 @@ class _Blocks(NamedTuple):
     sz: Float[Array, "W k p"]
     zz: Float[Array, "W p p"]
     curved: tuple[Float[Array, "W k k"], Float[Array, "W k p"], Float[Array, "W p p"]]
-    scale: Float[Array, "n"]
+    errors: Float[Array, "W L1 n"]
+    seen: Bool[Array, "W L1 n"]
 
 
 class _Point(NamedTuple):
-    """Where a search is: z (p,), s (W, 2n), and the loss there with its derivatives at a scale of the errors."""
+    """Where a search is: z (p,), s (W, 2n), and the loss there with its derivatives, the errors weighed in some way."""
 
     z: Float[NumpyArray, "p"]
     s: Float[NumpyArray, "W k"]
-    scale: Float[NumpyArray, "n"]
+    weighing: Weighing
     blocks: _Blocks
 
-    def loss(self, held: NumpyArray) -> float:
-        """Loss with the prior, and with what holds undetermined combinations at their first values."""
-        prior = np.sum(self.z**2) / (2 * BROAD**2) + HELD**2 * self.z @ held @ self.z / 2
+    def loss(self, held: _Held) -> float:
+        """Loss with the prior, and with what holds undetermined combinations."""
+        away = self.z - held.at
+        prior = np.sum(self.z**2) / (2 * BROAD**2) + HELD**2 * away @ held.directions @ away / 2
         return float(np.sum(self.blocks.loss) + prior)
 
 
-def _at(problem: _Problem, windows: Windows, z: NumpyArray, s: NumpyArray, scale: NumpyArray) -> _Point:
-    blocks = _evaluate(problem, windows, jnp.asarray(z), jnp.asarray(s), jnp.asarray(scale))
-    return _Point(z, s, scale, jax.tree.map(np.asarray, blocks))
+def _at(problem: _Problem, windows: Windows, z: NumpyArray, s: NumpyArray, weighed: Weighing) -> _Point:
+    blocks = _evaluate(problem, windows, jnp.asarray(z), jnp.asarray(s), jax.tree.map(jnp.asarray, weighed))
+    return _Point(z, s, weighed, jax.tree.map(np.asarray, blocks))
 
 
-def _begin(problem: _Problem, windows: Windows) -> _Point:
+def _weighed(problem: _Problem, windows: Windows, now: _Point, among: NumpyArray) -> _Point:
+    """The same point, its errors weighed as they are there, by a filter of one of some frequencies [rad/s]."""
+    return _at(
+        problem,
+        windows,
+        now.z,
+        now.s,
+        weighing(windows, np.asarray(now.blocks.errors), np.asarray(now.blocks.seen), among),
+    )
+
+
+def _begin(problem: _Problem, windows: Windows, frequency: Float[NumpyArray, "1"]) -> _Point:
     """Where a search begins: the first values, and measured positions with reference velocities."""
     count, n = windows.v.shape[0], windows.v.shape[-1]
     z, s = np.zeros(len(problem.first)), np.zeros((count, 2 * n))
-    scale = _at(problem, windows, z, s, np.ones(n)).blocks.scale
-    if not np.isfinite(scale).all():
+    now = _at(problem, windows, z, s, Weighing(frequency[0], np.ones(n)))
+    if not np.isfinite(now.blocks.errors[now.blocks.seen]).all():
         raise ValueError("the model predicts no finite motion with its first values; mend these")
-    return _at(problem, windows, z, s, np.asarray(scale))
+    return _weighed(problem, windows, now, frequency)
 
 
 @eqx.filter_jit
-def _evaluate(problem: _Problem, windows: Windows, z: Array, s: Array, scale: Array) -> _Blocks:
+def _evaluate(problem: _Problem, windows: Windows, z: Array, s: Array, weighed: Weighing) -> _Blocks:
     p = z.shape[0]
 
     def window(s, rows, t, y, v):
@@ -190,26 +225,22 @@ def _evaluate(problem: _Problem, windows: Windows, z: Array, s: Array, scale: Ar
             model, inputs = _made(problem, x[:p], windows)
             start = Motion(model.manifold.retract(y[0], x[p : p + n]), v[0] + x[p + n :])
             found, seen = differences(model, follow(model, t, inputs[rows], start, problem.substeps).q, y)
-            found = found / scale[None]
-            return found, (found, seen)
+            new = innovations(found, seen, t, jnp.asarray(weighed.frequency)) / weighed.scale[None]
+            return new, (new, found, seen)
 
-        slope, (found, seen) = jax.jacfwd(errors, has_aux=True)(jnp.concatenate([z, s]))
-        slope, e = slope.reshape(-1, p + s.shape[0]), found.ravel()
+        slope, (new, found, seen) = jax.jacfwd(errors, has_aux=True)(jnp.concatenate([z, s]))
+        slope, e = slope.reshape(-1, p + s.shape[0]), new.ravel()
         weight = 1 / jnp.sqrt(1 + (e / HUBER) ** 2)
         loss = jnp.sum(e**2 / (1 + 1 / weight))  # δ² (√(1 + (e/δ)²) − 1)
         second, curved = (slope.T @ (w[:, None] * slope) for w in (weight, weight**3))
-        return loss, slope.T @ (weight * e), second, curved, found * scale[None], seen
+        return loss, slope.T @ (weight * e), second, curved, found, seen
 
     loss, gradient, second, curved, errors, seen = jax.vmap(window)(s, windows.rows, windows.t, windows.y, windows.v)
-    # The median of the sizes is that of noise even where some errors are outliers.
-    typical = 1.4826 * jnp.nanmedian(jnp.where(seen, jnp.abs(errors), jnp.nan), axis=(0, 1))
-    moved = jnp.sqrt(jnp.mean((windows.v * (windows.t - windows.t[:, :1])[..., None]) ** 2, axis=(0, 1)))
 
     def parts(full):
         return full[:, p:, p:], full[:, p:, :p], full[:, :p, :p]
 
-    scale = jnp.maximum(typical, FINEST * moved + 1e-300)
-    return _Blocks(loss, gradient[:, p:], gradient[:, :p], *parts(second), parts(curved), scale)
+    return _Blocks(loss, gradient[:, p:], gradient[:, :p], *parts(second), parts(curved), errors, seen)
 
 
 def _made(problem: _Problem, z: Array, windows: Windows) -> tuple[Any, Float[Array, "S m"]]:
@@ -219,17 +250,17 @@ def _made(problem: _Problem, z: Array, windows: Windows) -> tuple[Any, Float[Arr
 
 
 def _descend(
-    problem: _Problem, windows: Windows, now: _Point, held: NumpyArray, told: Callable[[int], object]
+    problem: _Problem, windows: Windows, now: _Point, held: _Held, told: Callable[[int], object]
 ) -> tuple[_Point, int]:
     """The least loss from a point on, by steps of Levenberg and Marquardt, and their number."""
-    now = _at(problem, windows, now.z, now.s, now.scale)
+    now = _at(problem, windows, now.z, now.s, now.weighing)
     damping, growth = 1e-3, 2.0
     for k in range(MOST_STEPS):
         told(k)
         dz, ds, promised = _step(now, held, damping)
         if promised < TOLERANCE:
             return now, k
-        tried = _at(problem, windows, now.z + dz, now.s + ds, now.scale)
+        tried = _at(problem, windows, now.z + dz, now.s + ds, now.weighing)
         gain = (now.loss(held) - tried.loss(held)) / promised
         if gain > 0:  # False where the trial is not finite
             now, growth = tried, 2.0
@@ -239,7 +270,26 @@ def _descend(
     return now, MOST_STEPS
 
 
-def _step(now: _Point, held: NumpyArray, damping: float) -> tuple[NumpyArray, NumpyArray, float]:
+def _perhaps_zero(
+    problem: _Problem, windows: Windows, now: _Point, held: _Held, covariance: Float[NumpyArray, "p p"]
+) -> Bool[NumpyArray, "p"]:
+    """Numbers of which all but nothing may be left: all others searched anew, the loss rises by no more than chance."""
+    possible = np.asarray(problem.positive) & (now.z < 0) & (np.diagonal(covariance) > ROUGH**2)
+    alone = np.diagonal(_inverse_information(now.blocks, held.directions))
+    for j in np.flatnonzero(possible):
+        one = np.zeros(len(now.z))
+        one[j] = 1.0
+        directions = held.directions + np.outer(one, one)
+        goal = held.directions @ held.at + one * (now.z[j] - BROAD)
+        without, _ = _descend(
+            problem, windows, now, _Held(directions, np.linalg.pinv(directions) @ goal), lambda _: None
+        )
+        rise = float(np.sum(without.blocks.loss) - np.sum(now.blocks.loss))
+        possible[j] = rise < CONFIDENCE**2 / 2 * covariance[j, j] / alone[j]
+    return possible
+
+
+def _step(now: _Point, held: _Held, damping: float) -> tuple[NumpyArray, NumpyArray, float]:
     """A damped Gauss–Newton step of z and of all initial states, and by how much it should lower the loss."""
     b = now.blocks
     k, p = b.s.shape[1], len(now.z)
@@ -247,9 +297,10 @@ def _step(now: _Point, held: NumpyArray, damping: float) -> tuple[NumpyArray, Nu
     ss = b.ss * np.where(np.eye(k, dtype=bool), stretched, 1.0) + _ridge(b.ss)
     back = np.linalg.solve(ss, np.concatenate([b.sz, b.s[:, :, None]], axis=2))
     zz = np.sum(b.zz, axis=0)
-    prior = np.eye(p) / BROAD**2 + HELD**2 * held
+    held_back = HELD**2 * held.directions
+    prior = np.eye(p) / BROAD**2 + held_back
     reduced = zz + damping * np.diag(np.diagonal(zz)) + prior - np.einsum("wkp,wkq->pq", b.sz, back[:, :, :p])
-    slope = np.sum(b.z, axis=0) + prior @ now.z
+    slope = np.sum(b.z, axis=0) + prior @ now.z - held_back @ held.at
     size = np.sqrt(np.diagonal(reduced))
     right = slope - np.einsum("wkp,wk->p", b.sz, back[:, :, p])
     dz = -np.linalg.solve(reduced / np.outer(size, size), right / size) / size
@@ -287,15 +338,20 @@ def _silent(b: _Blocks) -> Float[NumpyArray, "p p"]:
 def _sandwich(b: _Blocks, held: NumpyArray) -> Float[NumpyArray, "p p"]:
     """Covariance `H⁻¹ (Σ g gᵀ) H⁻¹` of z, where combinations are held; g is the score of a window."""
     count, p = b.z.shape
+    half = np.asarray(b.z) @ _inverse_information(b, held)
+    free = p - round(float(np.trace(held)))
+    return half.T @ half * count / max(count - free, 1)
+
+
+def _inverse_information(b: _Blocks, held: NumpyArray) -> Float[NumpyArray, "p p"]:
+    """Covariance of z if all errors were independent, where combinations are held; zero along these."""
     values, vectors = np.linalg.eigh(held)
     free = vectors[:, values < 0.5]
     if not free.shape[1]:
-        return np.zeros((p, p))
+        return np.zeros_like(held)
     information = free.T @ _information(b) @ free
     size = np.sqrt(np.diagonal(information))
-    inverse = np.linalg.inv(information / np.outer(size, size)) / np.outer(size, size)
-    half = b.z @ free @ inverse @ free.T
-    return half.T @ half * count / max(count - free.shape[1], 1)
+    return free @ (np.linalg.inv(information / np.outer(size, size)) / np.outer(size, size)) @ free.T
 
 
 def _rows(held: NumpyArray, ratio: NumpyArray) -> Float[NumpyArray, "d p"]:
