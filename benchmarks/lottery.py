@@ -13,8 +13,9 @@ import numpy as np
 
 sys.path.append("tests/observers")
 
-from test_intrinsic_kalman import LOTTERIES, draws, intrinsic_kalman, player, recorded
+from test_intrinsic_kalman import LOTTERIES, draws, isotropic, player, recorded
 
+from covariant.geometry import Budget
 from covariant.models import Motion
 from covariant.observers import EKF
 
@@ -22,6 +23,12 @@ SIZES = [(0.3, 0.02), (0.3, 0.1), (1.0, 0.1), (1.0, 0.3), (2.0, 0.3)]
 """First error and noise of a sample [rad, in metric units of the frame]."""
 PROCESS, SPEED = 0.5, 3.0
 SETTLED, END = 20, 5
+
+
+def intrinsic_kalman(model, noise):
+    """With a budget that finds geodesics of a radian and more to four digits, whatever the chart."""
+    budget = Budget(newton=4, steps=6)
+    return isotropic(model, PROCESS, noise, SPEED, gate=None, budget=budget, substeps=4)
 
 
 def ekf(z):
