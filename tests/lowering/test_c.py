@@ -86,6 +86,39 @@ def compiled(lowered: Lowered, folder, real="double", **options):
     return call, source
 
 
+def in_lanes(lowered: Lowered, folder, real="double", lanes=8, **options):
+    """The C function of a whole number of points at once, as one of rows in NumPy arrays."""
+    text = c_function(lowered, "f", real=real, lanes=lanes, static=True, **options)
+    n, k = lowered.inputs, len(lowered.outputs)
+    source = f"""#include <math.h>
+{c_helpers(text.helpers, real, lanes=lanes)}
+{text.text}
+void batch(const {real} *x, {real} *y, long count);
+void batch(const {real} *x, {real} *y, long count)
+{{
+    long row; int i, j;
+    for (row = 0; row < count; row += {lanes}) {{
+        lanes in[{n}], out[{k}];
+        for (i = 0; i < {n}; ++i) for (j = 0; j < {lanes}; ++j) in[i][j] = x[(row + j) * {n} + i];
+        f(in, out);
+        for (i = 0; i < {k}; ++i) for (j = 0; j < {lanes}; ++j) y[(row + j) * {k} + i] = out[i][j];
+    }}
+}}
+"""
+    (folder / "lanes.c").write_text(source)
+    flags = [*FLAGS, "-Wno-psabi", "-fPIC", "-shared"]
+    subprocess.run([COMPILER, *flags, "lanes.c", "-o", "lanes.so", "-lm"], cwd=folder, check=True)
+    library, dtype = ctypes.CDLL(str(folder / "lanes.so")), {"double": np.float64, "float": np.float32}[real]
+
+    def call(rows):
+        x, y = np.array(rows, dtype), np.empty((len(rows), k), dtype)
+        assert len(x) % lanes == 0
+        library.batch(*(a.ctypes.data_as(ctypes.c_void_p) for a in (x, y)), ctypes.c_long(len(x)))
+        return y
+
+    return call
+
+
 GRID = np.random.default_rng(3).normal(size=(9, 12, 2))
 
 
@@ -107,6 +140,7 @@ def test_known_numbers_are_looked_up_at_any_place_and_clipped_to_where_they_are(
     function, text = compiled(lowered, tmp_path)
     assert text.count("static const double") == 1
     np.testing.assert_array_equal([function(point) for point in points], np.reshape(expected, (200, -1)))
+    np.testing.assert_array_equal(in_lanes(lowered, tmp_path)(points), np.reshape(expected, (200, -1)))
     known = lower(lambda x: corner(jnp.array([2.5, 7.0])) * x, jnp.zeros(()), loops="long")
     assert all(node.op != "table" for node in known.graph.nodes)
 
@@ -135,6 +169,35 @@ def test_every_operation_is_that_of_numpy_at_its_edges_too(real, tmp_path):
             expected = numbers(lowered, x.astype(float)).astype(dtype)
         eps = np.finfo(dtype).eps
         np.testing.assert_allclose(call(x), expected, rtol=8 * eps, atol=2 * eps)
+
+
+@pytest.mark.parametrize(("real", "lanes"), [("double", 8), ("float", 4)])
+def test_every_operation_in_lanes_is_that_of_numpy_in_each(real, lanes, tmp_path):
+    """Neighbours are of all kinds: what is no number in one lane stays there."""
+    lowered = graph_of(every_operation, 4)
+    call = in_lanes(lowered, tmp_path, real, lanes, most_statements=20)
+    rng = np.random.default_rng(0)
+    points = [*rng.normal(size=(40, 4)), *([a, b, 1.0, a] for a in EDGES for b in (0.0, 1.0, math.nan, -math.pi))]
+    points = rng.permutation(np.array([*points, *([9.0 * a, a, a, a] for a in range(4))]))
+    dtype = {"double": np.float64, "float": np.float32}[real]
+    with np.errstate(all="ignore"):
+        x = points.astype(dtype)
+        expected = np.stack(numbers(lowered, x.astype(float)).T, axis=-1).astype(dtype)
+    eps = np.finfo(dtype).eps
+    np.testing.assert_allclose(call(x), expected, rtol=8 * eps, atol=2 * eps)
+
+
+def test_sine_and_cosine_in_lanes_are_those_of_libm_to_two_units_in_the_last_place(tmp_path):
+    lowered = graph_of(lambda g, x: [g.apply("sin", x[0]), g.apply("cos", x[0])], 1)
+    rng = np.random.default_rng(1)
+    turns = np.arange(-6000, 6000) * (math.pi / 2)
+    x = np.concatenate([rng.uniform(-1e5, 1e5, 20_000), rng.uniform(-4, 4, 12_000), turns, np.nextafter(turns, 1e6)])
+    found, exact = in_lanes(lowered, tmp_path)(x[:, None]), np.stack([np.sin(x), np.cos(x)], axis=1)
+    assert (np.abs(found - exact) / np.spacing(np.abs(exact))).max() <= 2.0
+    far = np.array([1e5, -1.1e5, 1e9, 1e22, -1e300, math.inf, -math.inf, math.nan])
+    with np.errstate(invalid="ignore"):
+        exact = np.stack([np.sin(far), np.cos(far)], axis=1)
+    np.testing.assert_allclose(in_lanes(lowered, tmp_path)(far[:, None]), exact, rtol=4e-16)
 
 
 def test_in_parts_it_is_the_same_to_the_bit(tmp_path):
@@ -285,5 +348,7 @@ def test_a_loop_whose_length_the_arguments_decide_is_one_of_c(tmp_path):
         (tmp_path / f"{most}").mkdir()
         call, text = compiled(lowered, tmp_path / f"{most}", most_statements=most)
         np.testing.assert_allclose([call(p) for p in points], expected, rtol=1e-12)
+    lanes = in_lanes(lowered, tmp_path, most_statements=3)
+    np.testing.assert_allclose(lanes([*points, *points[::-1]]), [*expected, *expected[::-1]], rtol=1e-12)
     assert text.count("for (;;)") == 2
     assert "y[2] = 3.0;" in text, "what never moves is not carried"
