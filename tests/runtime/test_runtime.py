@@ -11,7 +11,7 @@ import pytest
 
 from covariant import models, observers
 from covariant.observers import run
-from covariant.runtime import Stream, _compile, run_log, run_logs
+from covariant.runtime import Stream, _compile, _log, run_log, run_logs
 from covariant.runtime._kernel import kernel
 from covariant.signals import Record, Result
 
@@ -80,6 +80,21 @@ def test_many_logs_and_many_gains_are_each_that_through_jax():
     heavier = models.pendulum_chain((1.0, 3.0), viscous=(0.1, 0.1), coulomb=(0.05, 0.02))
     told, _ = run_logs([gains[0], observers.Intrinsic(heavier, 10.0, 100.0)], logs[0], ("result",), engine="c")
     same(told[1:], [run(observers.Intrinsic(heavier, 10.0, 100.0), logs[0], ("result",))])
+
+
+@needs_compiler
+def test_runs_in_lanes_are_those_of_jax_each(monkeypatch):
+    """Of different lengths and numbers of substeps, more than the lanes; one that is lost stays alone with it."""
+    monkeypatch.setattr(_log, "RUNS_A_CORE", 0)
+    cuts = [slice(k, k + 150) for k in range(10, 450, 50)]
+    logs = [record(), *(Record(*(a[cut] for a in record()[:3])) for cut in cuts)]
+    logs[3] = logs[3]._replace(y=np.where(np.arange(150)[:, None] < 1, logs[3].y, np.nan))
+    logs[5] = logs[5]._replace(u=np.where(np.arange(150)[:, None] < 75, logs[5].u, 1e300))
+    told, engine = run_logs(gated(), logs, engine="c")
+    assert engine == "c"
+    same(told, [run(gated(), log) for log in logs])
+    results = [set(np.asarray(one.info.result).tolist()) for one in told]
+    assert [Result.NOT_FINITE in each for each in results] == [k == 5 for k in range(10)]
 
 
 @needs_compiler
