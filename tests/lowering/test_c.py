@@ -19,6 +19,7 @@ from covariant.lowering import (
     c_function,
     c_helpers,
     c_number,
+    c_rows,
     lower,
     numbers,
     simplified,
@@ -87,33 +88,15 @@ def compiled(lowered: Lowered, folder, real="double", **options):
 
 
 def in_lanes(lowered: Lowered, folder, real="double", lanes=8, **options):
-    """The C function of a whole number of points at once, as one of rows in NumPy arrays."""
-    text = c_function(lowered, "f", real=real, lanes=lanes, static=True, **options)
-    n, k = lowered.inputs, len(lowered.outputs)
-    source = f"""#include <math.h>
-{c_helpers(text.helpers, real, lanes=lanes)}
-{text.text}
-void batch(const {real} *x, {real} *y, long count);
-void batch(const {real} *x, {real} *y, long count)
-{{
-    long row; int i, j;
-    for (row = 0; row < count; row += {lanes}) {{
-        lanes in[{n}], out[{k}];
-        for (i = 0; i < {n}; ++i) for (j = 0; j < {lanes}; ++j) in[i][j] = x[(row + j) * {n} + i];
-        f(in, out);
-        for (i = 0; i < {k}; ++i) for (j = 0; j < {lanes}; ++j) y[(row + j) * {k} + i] = out[i][j];
-    }}
-}}
-"""
-    (folder / "lanes.c").write_text(source)
+    """The C function in lanes, as one of rows in NumPy arrays."""
+    (folder / "lanes.c").write_text(c_rows(lowered, "rows", lanes, real, **options))
     flags = [*FLAGS, "-Wno-psabi", "-fPIC", "-shared"]
     subprocess.run([COMPILER, *flags, "lanes.c", "-o", "lanes.so", "-lm"], cwd=folder, check=True)
     library, dtype = ctypes.CDLL(str(folder / "lanes.so")), {"double": np.float64, "float": np.float32}[real]
 
     def call(rows):
-        x, y = np.array(rows, dtype), np.empty((len(rows), k), dtype)
-        assert len(x) % lanes == 0
-        library.batch(*(a.ctypes.data_as(ctypes.c_void_p) for a in (x, y)), ctypes.c_long(len(x)))
+        x, y = np.array(rows, dtype), np.empty((len(rows), len(lowered.outputs)), dtype)
+        library.rows(*(a.ctypes.data_as(ctypes.c_void_p) for a in (x, y)), ctypes.c_longlong(len(x)))
         return y
 
     return call
@@ -198,6 +181,30 @@ def test_sine_and_cosine_in_lanes_are_those_of_libm_to_two_units_in_the_last_pla
     with np.errstate(invalid="ignore"):
         exact = np.stack([np.sin(far), np.cos(far)], axis=1)
     np.testing.assert_allclose(in_lanes(lowered, tmp_path)(far[:, None]), exact, rtol=4e-16)
+
+
+def test_rows_that_do_not_fill_the_lanes_are_padded_and_nothing_beyond_them_is_touched(tmp_path):
+    lowered = graph_of(lambda g, x: [g.apply("sin", x[0]), g.apply("lt", x[1], x[0]), x[1]], 2)
+    main = """#include <stdlib.h>
+int main(void)
+{
+    int count, i;
+    for (count = 1; count < 20; ++count) {
+        double *x = calloc((size_t)count, 2 * sizeof *x), *y = malloc((size_t)count * 3 * sizeof *y);
+        for (i = 0; i < 2 * count; ++i) x[i] = i;
+        rows(x, y, count);
+        for (i = 0; i < count; ++i)
+            if (fabs(y[3 * i] - sin(2.0 * i)) > 1e-15 || y[3 * i + 1] != 0 || y[3 * i + 2] != 2 * i + 1) return 1;
+        free(x);
+        free(y);
+    }
+    return 0;
+}
+"""
+    (tmp_path / "main.c").write_text(c_rows(lowered, "rows", 4) + main)
+    flags = ["-std=c99", "-g", "-Wno-psabi", "-fsanitize=address,undefined", "-fno-sanitize-recover"]
+    subprocess.run([COMPILER, *flags, "main.c", "-o", "main", "-lm"], cwd=tmp_path, check=True)
+    subprocess.run([tmp_path / "main"], check=True)
 
 
 def test_in_parts_it_is_the_same_to_the_bit(tmp_path):
@@ -293,7 +300,8 @@ def test_the_text_does_not_depend_on_the_order_of_sets():
     script = (
         "import sys; sys.path.insert(0, sys.argv[1])\n"
         "from test_c import every_operation, graph_of\n"
-        "from covariant.lowering import c_function, c_helpers\n"
+        "from covariant.lowering import c_function, c_helpers, c_rows\n"
+        "print(c_rows(graph_of(every_operation, 4), 'g', 8))\n"
         "text = c_function(graph_of(every_operation, 4), 'f', most_statements=20)\n"
         "print(c_helpers(text.helpers), text.text)"
     )
@@ -348,7 +356,6 @@ def test_a_loop_whose_length_the_arguments_decide_is_one_of_c(tmp_path):
         (tmp_path / f"{most}").mkdir()
         call, text = compiled(lowered, tmp_path / f"{most}", most_statements=most)
         np.testing.assert_allclose([call(p) for p in points], expected, rtol=1e-12)
-    lanes = in_lanes(lowered, tmp_path, most_statements=3)
-    np.testing.assert_allclose(lanes([*points, *points[::-1]]), [*expected, *expected[::-1]], rtol=1e-12)
+    np.testing.assert_allclose(in_lanes(lowered, tmp_path, most_statements=3)(points), expected, rtol=1e-12)
     assert text.count("for (;;)") == 2
     assert "y[2] = 3.0;" in text, "what never moves is not carried"

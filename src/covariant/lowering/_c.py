@@ -12,7 +12,17 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import Any, Literal, NamedTuple
 
-from covariant.lowering._c_operations import HELPERS, LIBRARY, TRUTHS, Words, expression, helpers, literal, looked_up, of_truth
+from covariant.lowering._c_operations import (
+    HELPERS,
+    LIBRARY,
+    TRUTHS,
+    Words,
+    expression,
+    helpers,
+    literal,
+    looked_up,
+    of_truth,
+)
 from covariant.lowering._graph import Graph
 from covariant.lowering._loops import Repetition
 from covariant.lowering._lowered import Lowered
@@ -22,6 +32,8 @@ Real = Literal["double", "float"]
 
 MOST_STATEMENTS = 500
 """Longest function: gcc takes minutes for one with ten thousand statements, and seconds for the same in parts."""
+MOST_IN_LANES = 2000
+"""The same in lanes, where what one function leaves to another takes so many times the memory."""
 LONGEST_EXPRESSION = 60
 """Longest expression [characters] that is written into the one that uses it."""
 
@@ -61,7 +73,7 @@ def c_function(
     real: Real = "double",
     prefix: str = "",
     static: bool = False,
-    most_statements: int = MOST_STATEMENTS,
+    most_statements: int | None = None,
     lanes: int = 1,
 ) -> CText:
     """A lowered function as C.
@@ -82,7 +94,8 @@ def c_function(
     ):
         if len(given) != needed:
             raise ValueError(f"{name}: the function has {needed} {what}; the signature names {len(given)}")
-    return _Writer(lowered, name, chosen, Words(real, prefix, lanes), static, most_statements).written()
+    most = most_statements or (MOST_STATEMENTS if lanes == 1 else MOST_IN_LANES)
+    return _Writer(lowered, name, chosen, Words(real, prefix, lanes), static, most).written()
 
 
 def c_helpers(names: Sequence[str] | frozenset[str], real: Real = "double", prefix: str = "", lanes: int = 1) -> str:
@@ -275,7 +288,9 @@ class _Writer:
 
 def _array(name: str, numbers: Sequence[float], words: Words) -> str:
     """A table as a constant array."""
-    text = textwrap.fill(", ".join(literal(float(x), words._replace(lanes=1)) for x in numbers), 116, break_long_words=False)
+    text = textwrap.fill(
+        ", ".join(literal(float(x), words._replace(lanes=1)) for x in numbers), 116, break_long_words=False
+    )
     return f"static const {words.scalar} {name}[{len(numbers)}] = {{\n{textwrap.indent(text, '    ')}\n}};\n"
 
 

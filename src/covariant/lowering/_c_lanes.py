@@ -53,6 +53,7 @@ EACH = """static inline __attribute__((unused)) $type ${type}_$op($type a)
     return y;
 }
 """
+"""A function of <math.h>, lane by lane; compilers make one instruction of a square root or a rounding."""
 EACH_OF_TWO = """static inline __attribute__((unused)) $type ${type}_$op($type a, $type b)
 {
     $type y;
@@ -62,7 +63,7 @@ EACH_OF_TWO = """static inline __attribute__((unused)) $type ${type}_$op($type a
     return y;
 }
 """
-"""A function of <math.h>, lane by lane; compilers make one instruction of a square root or a rounding."""
+"""The same of two numbers."""
 
 CIRCULAR = """static __attribute__((noinline, unused)) $type ${type}_far_$op($type a, $type near)
 {
@@ -105,8 +106,8 @@ OTHERS = {
     "    return a - a == $zero;\n}\n",
     "sign": "static inline __attribute__((unused)) $type ${type}_sign($type a)\n{\n"
     "    return ${type}_choose(a > $zero, ${type}_all($one), ${type}_choose(a < $zero, ${type}_all(-$one), a));\n}\n",
-    "table": "static inline __attribute__((unused)) $type ${type}_table(const $scalar *numbers, $type place, int last)\n"
-    "{\n    $type y;\n    int i;\n    for (i = 0; i < $lanes; ++i) {\n        const $scalar at = place[i];\n"
+    "table": "static inline __attribute__((unused)) $type\n${type}_table(const $scalar *numbers, $type place, int last)\n{\n"
+    "    $type y;\n    int i;\n    for (i = 0; i < $lanes; ++i) {\n        const $scalar at = place[i];\n"
     "        y[i] = numbers[at > $zero ? at < ($scalar)last ? (int)at : last : 0];\n    }\n    return y;\n}\n",
 }
 """Operations that are written out for lanes; those that are for plain numbers too do the same."""
