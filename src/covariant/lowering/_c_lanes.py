@@ -106,9 +106,9 @@ OTHERS = {
     "    return a - a == $zero;\n}\n",
     "sign": "static inline __attribute__((unused)) $type ${type}_sign($type a)\n{\n"
     "    return ${type}_choose(a > $zero, ${type}_all($one), ${type}_choose(a < $zero, ${type}_all(-$one), a));\n}\n",
-    "table": "static inline __attribute__((unused)) $type\n${type}_table(const $scalar *numbers, $type place, int last)\n{\n"
+    "table": "static inline __attribute__((unused)) $type ${type}_table(const $scalar *row, $type place, int last)\n{\n"
     "    $type y;\n    int i;\n    for (i = 0; i < $lanes; ++i) {\n        const $scalar at = place[i];\n"
-    "        y[i] = numbers[at > $zero ? at < ($scalar)last ? (int)at : last : 0];\n    }\n    return y;\n}\n",
+    "        y[i] = row[at > $zero ? at < ($scalar)last ? (int)at : last : 0];\n    }\n    return y;\n}\n",
 }
 """Operations that are written out for lanes; those that are for plain numbers too do the same."""
 
