@@ -12,7 +12,7 @@ import pytest
 from covariant import models, observers
 from covariant.observers import run
 from covariant.runtime import Stream, _compile, _log, run_log, run_logs
-from covariant.runtime._kernel import kernel
+from covariant.runtime._kernel import _kept, kernel
 from covariant.signals import Record, Result
 
 RATE = 250.0
@@ -102,6 +102,13 @@ def test_an_equal_observer_is_compiled_once():
     made = [kernel(observers.Intrinsic(pendulum(), a, 100.0), np.zeros(2), 2) for a in (10.0, 10.0, 11.0)]
     assert made[0] is made[1]
     assert made[0] is not made[2]
+    first, *rest = (observers.Intrinsic(pendulum(), a, 10 * a) for a in (10.0, 10.0, 11.0, 12.0))
+    run_logs([first, rest[1]], parts((100,)), ("result",), engine="c")
+    count = _kept.cache_info().misses
+    for each in rest:
+        found, _ = run_logs(each, parts((100,)), ("result",), engine="c", others=[first, rest[1]])
+    assert _kept.cache_info().misses == count
+    same(found, [run(rest[-1], parts((100,))[0], ("result",))])
 
 
 def test_runs_that_do_not_belong_together_are_refused():

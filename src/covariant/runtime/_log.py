@@ -44,12 +44,15 @@ def run_logs(
     records: Record | Sequence[Record],
     keep: Collection[str] | None = None,
     engine: Engine = "auto",
+    others: Sequence[AbstractObserver] = (),
 ) -> tuple[list[Run], str]:
     """Many runs: one observer over many logs, many observers over one log, or as many observers as logs in pairs.
 
     - `observers`: of one kind, told apart by their numbers, such as gains or masses; all are one compiled program.
     - `records`: logs of any lengths, with measurements and inputs of one shape.
     - `keep`, `engine`: as for `run_log`; C pays if all logs together are long. It uses every core.
+    - `others`: observers of other calls: what tells any of them apart stays open in the compiled program, so that a
+      search for the best numbers compiles one.
 
     Returns the runs in order, and the engine that made them. Raises `ValueError` from `Record.check`, for counts that
     do not fit, and for observers or records of different forms.
@@ -68,7 +71,7 @@ def run_logs(
         told = ", ".join(f"y {y} and {u} inputs" for y, u in sorted(forms, key=str))
         raise ValueError(f"run_logs: measurements and inputs must have one shape in all records; got {told}")
     count = max(len(many), len(logs))
-    differ, numbers = _told_apart(many)
+    differ, numbers = _told_apart([*many, *others])
     each, logs = many * (count // len(many)), logs * (count // len(logs))
     rows = sum(len(r.t) for r in logs)
     why = "as asked" if engine == "jax" else missing()
@@ -76,7 +79,7 @@ def run_logs(
         why = f"fewer than {FEWEST_ROWS} rows"
     if why is None:
         try:
-            return _by_c(each, differ, np.resize(numbers, (count, numbers.shape[1])), logs, keep), "c"
+            return _by_c(each, differ, np.resize(numbers[: len(many)], (count, numbers.shape[1])), logs, keep), "c"
         except (LoweringError, OSError) as error:
             why = f"{error}"
     return [run(observer, record, keep) for observer, record in zip(each, logs, strict=True)], f"jax: {why}"
