@@ -135,6 +135,7 @@ def every_operation(graph, x):
     less, same = graph.apply("lt", a, b), graph.apply("eq", c, d)
     found += [graph.apply("and", less, same), graph.apply("or", less, same), graph.apply("not", less)]
     found += [graph.apply("select", less, c, d), graph.apply("either", a, b, c, d)]
+    found += [graph.apply("select", less, same, graph.apply("le", c, d))]
     return found + [graph.apply("stumpff", graph.constant(float(k)), graph.apply("abs", a)) for k in range(6)]
 
 

@@ -330,9 +330,9 @@ def _loop(loop: Repetition, name: str, words: Words, most_statements: int) -> _L
         stop = f"        {name}_going(x, y);\n        if (!(y[0] > {literal(0.0, words)}))\n            return;\n"
         index, first = "", ";;"
         if words.lanes > 1:  # a lane that has come to its end waits there for the others
-            index = f"    {words.truth} on = {literal(True, words)};\n"
+            index = f"    {words.truth} on;\n"
             stop = (
-                f"        {name}_going(x, y);\n        on &= y[0] > {literal(0.0, words)};\n"
+                f"        {name}_going(x, y);\n        on = y[0] > {literal(0.0, words)};\n"
                 f"        if (!{words.real}_any(on))\n            return;\n"
             )
             carry = f"{words.real}_choose(on, y[i], x[{loop.fixed} + i])"
