@@ -24,7 +24,7 @@ class InC:
         self._made = made  # it keeps the library loaded
         self._t = np.zeros(1)
         self._starts = tuple(map(made.pointer, (self.y, self._t, self.state)))
-        self.places = tuple(made.ffi.buffer(made.pointer(a), a.nbytes) for a in (self.y, self.u))
+        self.places: Any = tuple(made.ffi.buffer(made.pointer(a), a.nbytes) for a in (self.y, self.u))
         """Where the bytes of a measurement and an input go: sooner written than arrays of NumPy."""
         self.advance = functools.partial(made.library.kernel_step, made.pointer(self._numbers))
         """One step of dt, in place; returns its result code."""
@@ -45,7 +45,7 @@ class InJax:
     def __init__(self, observer: Any, y: np.ndarray, inputs: int):
         self._shape, self._observer = y.shape, observer
         self.y, self.u = np.zeros(y.size), np.zeros(inputs)
-        self.places = memoryview(self.y), memoryview(self.u)
+        self.places: Any = tuple(map(memoryview, (self.y, self.u)))  # pyright: ignore[reportArgumentType]
         self._step = eqx.filter_jit(_stepped)
         self._begin = eqx.filter_jit(lambda observer, y, t: observer.init(y, t))
         self._state = self._begin(observer, jnp.asarray(y), jnp.asarray(0.0))
