@@ -4,12 +4,12 @@ import ctypes
 import functools
 import hashlib
 from collections.abc import Callable
+from importlib.metadata import version
 from string import Template
 from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
-import jaxlib
 import numpy as np
 
 from covariant._compile import FAST, compiled as load, compiler, vector_bytes
@@ -80,7 +80,7 @@ def _rows(target: str, width: int, name: str) -> Callable:
 def _registered(lowered: Lowered, real: Literal["double", "float"]) -> str:
     """The name under which XLA finds the compiled function."""
     lanes = vector_bytes() // {"double": 8, "float": 4}[real]
-    given = {"rows": c_rows(lowered, "rows", lanes, real), "real": real, "version": jaxlib.__version__}
+    given = {"rows": c_rows(lowered, "rows", lanes, real), "real": real, "version": version("jaxlib")}
     return _loaded(Template(_SOURCE).substitute(given))
 
 
