@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from moments import moment
 
+from covariant import models
 from covariant.observers import Intrinsic
-from covariant.runtime import Stream, _kernel, run_log, run_logs
+from covariant.runtime import Stream, _kernel, _log, compiled, run_log, run_logs
 from covariant.signals import Record
 
 ROWS = 100_000
@@ -47,9 +48,10 @@ def test_log(benchmark, engine):
 
 
 @pytest.mark.benchmark(group="engine: 100 runs of 10 s at 200 Hz, n = 2, with the gains of each")
-@pytest.mark.parametrize("engine", ["jax", "c"])
-def test_many_runs(benchmark, engine):
+@pytest.mark.parametrize("engine", ["jax", "c, one by one", "c, in lanes"])
+def test_many_runs(benchmark, engine, monkeypatch):
     """Beside a loop over the compiled program of JAX; the programs are made before."""
+    monkeypatch.setattr(_log, "RUNS_A_CORE", 0 if "lanes" in engine else ROWS)
     case = moment("intrinsic", 2)
     t = np.arange(2000) * 0.005
     y = np.stack([0.3 * np.sin(t), 0.5 * np.cos(2 * t)], axis=1)
@@ -57,6 +59,20 @@ def test_many_runs(benchmark, engine):
     gains = [Intrinsic(case.observer.model, a, a**2) for a in np.linspace(5.0, 30.0, 100)]
 
     def work():
-        return jax.block_until_ready(run_logs(gains, record, ("result",), engine)[0])
+        return jax.block_until_ready(run_logs(gains, record, ("result",), engine.partition(",")[0])[0])
 
     benchmark.pedantic(work, rounds=3, warmup_rounds=1)
+
+
+@pytest.mark.benchmark(max_time=0.5, group="engine: 1000 forward dynamics of the Panda, under jit(vmap(...))")
+@pytest.mark.parametrize("engine", ["jax", "c"])
+def test_batch(benchmark, engine):
+    panda = models.robots.load("panda")
+    states = [jnp.asarray(a) for a in np.random.default_rng(0).uniform(-2, 2, (3, 1000, 7))]
+
+    def rates(q, v, u):
+        return models.acceleration(panda, jnp.zeros(()), q, v, u)
+
+    batch = jax.jit(jax.vmap(compiled(rates, *(a[0] for a in states)) if engine == "c" else rates))
+    jax.block_until_ready(batch(*states))
+    benchmark(lambda: jax.block_until_ready(batch(*states)))

@@ -69,7 +69,7 @@ PUBLIC = {
     "split windows",
     "interop": "closed_loop observer_system plant",
     "lowering": "FOLD INTERVALS NUMBERS STUMPFF CText Condition Conditions Derivative Domain Enclosure Graph "
-    "Interval Lowered LoweringError Node Signature Truth c_function c_helpers c_number enclose evaluate expand "
+    "Interval Lowered LoweringError Node Signature Truth c_function c_helpers c_number c_rows enclose evaluate expand "
     "fulfilled graft in_c lower numbers pairs perturbed simplified stumpff substitute",
     "logs": "ATTITUDES MESSAGES OPTIONAL WRITTEN Body Columns Log LogError bodies check_unit coordinates matrices read "
     "survey to_columns unit_factor write",
@@ -106,7 +106,7 @@ PUBLIC = {
     "write_audit write_html write_png",
     "riccati": "Characteristic Equation RiccatiMetric Solution Window gramian gramians high_gain lie_derivative "
     "metric_at metric_through rate_from_gramian reconstructibility right_side spd_distance window_at",
-    "runtime": "FEWEST_ROWS Health Stream run_log run_logs",
+    "runtime": "FEWEST_ROWS Health Stream compiled run_log run_logs",
     "scale": "Grid Variable map_grid open_grid",
     "simulation": "Sensor hold no_input observe sense simulate stamps",
 }

@@ -1,6 +1,6 @@
 """Compare one step of observers in C with JAX, from a thousand random and edge states each.
 
-    python tools/compare_c.py [NAME ...] [--states 1000] [--real float]
+    python tools/compare_c.py [NAME ...] [--states 1000] [--real float] [--lanes 8]
 
 Prints for each observer the largest difference of any number of the new state, as a part of what is allowed: ten times
 what roundings at random make of it (`covariant.lowering.perturbed`), in the same precision. Exits with 1 where one is
@@ -20,7 +20,7 @@ import numpy as np
 from covariant import models
 from covariant.export import Program, program, with_open_numbers
 from covariant.geometry import Budget, Interpolated
-from covariant.lowering import c_function, c_helpers, evaluate, perturbed
+from covariant.lowering import c_function, c_helpers, c_rows, evaluate, perturbed
 from covariant.models import marine
 from covariant.observers import Geodesic, Intrinsic, IntrinsicKalman, Riccati, StateEKF, craft_observer
 from covariant.runtime._compile import library
@@ -98,18 +98,30 @@ def allowed(made: Program, rows: np.ndarray, expected: np.ndarray) -> np.ndarray
     return ALLOWED * (size + unit * np.abs(expected)) + 64 * np.finfo(dtype).tiny
 
 
-def in_c(made: Program, rows: np.ndarray) -> np.ndarray:
+def in_c(made: Program, rows: np.ndarray, lanes: int) -> np.ndarray:
     """Results (count, …) of a step of C for arguments (count, …)."""
-    text = c_function(made.step, "step", real=made.real)
-    source = f"#include <math.h>\n{c_helpers(text.helpers, made.real)}\n{text.text}"
-    ffi, compiled = library(source, f"void step(const {made.real} *x, {made.real} *y);")
+    if lanes > 1:
+        source = c_rows(made.step, "rows", lanes, made.real)
+    else:
+        text = c_function(made.step, "step", real=made.real)
+        source = f"#include <math.h>\n{c_helpers(text.helpers, made.real)}\n{text.text}"
+    declared = {"rows": f"void rows(const {made.real} *x, {made.real} *y, long long count);"}
+    declared["step"] = f"void step(const {made.real} *x, {made.real} *y);"
+    ffi, compiled = library(source, declared["rows" if lanes > 1 else "step"])
     rows, found = np.ascontiguousarray(rows), np.empty((len(rows), len(made.step.outputs)), rows.dtype)
-    for before, after in zip(rows, found, strict=True):
-        compiled.step(*(ffi.cast(f"{made.real} *", each.ctypes.data) for each in (before, after)))
+
+    def places(*arrays):
+        return (ffi.cast(f"{made.real} *", array.ctypes.data) for array in arrays)
+
+    if lanes > 1:
+        compiled.rows(*places(rows, found), len(rows))
+    else:
+        for before, after in zip(rows, found, strict=True):
+            compiled.step(*places(before, after))
     return found
 
 
-def worst(observer, count: int, real: Literal["double", "float"]) -> float:
+def worst(observer, count: int, real: Literal["double", "float"], lanes: int) -> float:
     """The largest difference between C and JAX as a part of what is allowed."""
     rng, dtype, model = np.random.default_rng(0), DTYPES[real], observer.model
     if isinstance(model, models.StateSpace):
@@ -133,7 +145,7 @@ def worst(observer, count: int, real: Literal["double", "float"]) -> float:
     parts = [flat(state, count), np.asarray(u), np.asarray(near).reshape(count, -1), np.asarray(dt)[:, None]]
     rows = np.concatenate(parts, axis=1).astype(dtype)
     expected = flat(new, count)
-    moved = in_c(made, rows)[:, : expected.shape[1]].astype(float)
+    moved = in_c(made, rows, lanes)[:, : expected.shape[1]].astype(float)
     found = np.where(np.isnan(expected) & np.isnan(moved), 0.0, np.abs(moved - expected))
     return float((found / allowed(made, rows, expected)).max())
 
@@ -143,11 +155,12 @@ def main() -> int:
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(OBSERVERS)}; all by default")
     parser.add_argument("--states", type=int, default=1000)
     parser.add_argument("--real", choices=("double", "float"), default="double")
+    parser.add_argument("--lanes", type=int, default=1, help="so many states at once; 1 is plain C")
     options = parser.parse_args()
     failed = False
     for name in options.names or OBSERVERS:
         start = time.process_time()
-        found = worst(OBSERVERS[name](), options.states, options.real)
+        found = worst(OBSERVERS[name](), options.states, options.real, options.lanes)
         failed |= not found <= 1.0
         print(f"{name:28} {found:8.3f} of what is allowed   {time.process_time() - start:6.1f} s", flush=True)
     return int(failed)

@@ -33,6 +33,23 @@ Products and sums are not contracted; those for errno, traps and whole numbers t
 """
 
 
+FAST = (
+    "-std=c99",
+    "-O2",
+    "-march=native",
+    "-ffp-contract=fast",
+    "-fno-math-errno",
+    "-fno-trapping-math",
+    "-Wno-psabi",
+    "-fPIC",
+    "-shared",
+)
+"""Flags for C of this very processor whose results may differ by roundings: a product and a sum may be one operation.
+
+The warning that is switched off tells of vectors as arguments of functions that other libraries call; there are none.
+"""
+
+
 @functools.cache
 def compiler() -> str | None:
     """The compiler named by the environment variable CC, or `cc`; None where it is not there."""
@@ -85,6 +102,13 @@ def _processor() -> str:
     known = Path("/proc/cpuinfo")
     lines = known.read_text(encoding="utf-8").splitlines() if known.exists() else []
     return next((line for line in lines if line.lower().startswith(("flags", "features"))), platform.processor())
+
+
+@functools.cache
+def vector_bytes() -> int:
+    """The size of the vectors that the processor adds and multiplies at once."""
+    told = _processor().split()
+    return 64 if "avx512f" in told else 32 if "avx2" in told else 16
 
 
 @functools.cache

@@ -1,5 +1,6 @@
 """`covariant tune`: what it prints, writes and refuses."""
 
+import shutil
 import sys
 from pathlib import Path
 
@@ -12,8 +13,9 @@ from covariant import logs, models
 from covariant.cli import main
 from covariant.cli._fit import when_true
 from covariant.cli._job import Job
-from covariant.cli._tune import _tables
+from covariant.cli._tune import _Runs, _tables
 from covariant.design import HeldOut, NoiseLevels, Tuning
+from covariant.observers import Intrinsic
 
 MODEL = """system = "oscillator"
 [columns]
@@ -43,8 +45,21 @@ def inside(folder, monkeypatch):
     monkeypatch.chdir(folder)
 
 
+def test_runs_by_both_engines_are_the_same():
+    loaded = when_true(Job("model.toml", Path("log.csv"), (), 1, None, dict.fromkeys(("t", "q", "u", "v", "truth"))))
+    some = [Intrinsic(loaded.model, a, a**2) for a in (5.0, 10.0, 20.0)]
+    by = {engine: _Runs(engine) for engine in ("c", "jax")}
+    for observers in (some, some[2:]):
+        pairs = [runs(observers, [loaded.record]) for runs in by.values()]
+        for ours, theirs in zip(*pairs, strict=True):
+            np.testing.assert_allclose(ours.info.innovation, theirs.info.innovation, rtol=1e-9, atol=1e-12)
+    assert by["jax"].told == "jax: as asked"
+    assert by["c"].told == "c" or shutil.which("cc") is None
+
+
 def test_the_file_that_is_written_has_the_noise_of_the_log_and_its_comments():
-    result = command("tune", "model.toml", "log.csv", "-o", "tuned.toml")
+    result = command("tune", "model.toml", "log.csv", "-o", "tuned.toml", "--engine", "c")
+    assert result["engine"] == "c" or shutil.which("cc") is None
     before, after = result["held_out"]["before"], result["held_out"]["after"]
     assert after["likelihood"][0] > before["likelihood"][0] + 2
     assert after["gains_error"][0] < before["gains_error"][0]

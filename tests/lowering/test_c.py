@@ -19,6 +19,7 @@ from covariant.lowering import (
     c_function,
     c_helpers,
     c_number,
+    c_rows,
     lower,
     numbers,
     simplified,
@@ -86,6 +87,21 @@ def compiled(lowered: Lowered, folder, real="double", **options):
     return call, source
 
 
+def in_lanes(lowered: Lowered, folder, real="double", lanes=8, **options):
+    """The C function in lanes, as one of rows in NumPy arrays."""
+    (folder / "lanes.c").write_text(c_rows(lowered, "rows", lanes, real, **options))
+    flags = [*FLAGS, "-Wno-psabi", "-fPIC", "-shared"]
+    subprocess.run([COMPILER, *flags, "lanes.c", "-o", "lanes.so", "-lm"], cwd=folder, check=True)
+    library, dtype = ctypes.CDLL(str(folder / "lanes.so")), {"double": np.float64, "float": np.float32}[real]
+
+    def call(rows):
+        x, y = np.array(rows, dtype), np.empty((len(rows), len(lowered.outputs)), dtype)
+        library.rows(*(a.ctypes.data_as(ctypes.c_void_p) for a in (x, y)), ctypes.c_longlong(len(x)))
+        return y
+
+    return call
+
+
 GRID = np.random.default_rng(3).normal(size=(9, 12, 2))
 
 
@@ -107,6 +123,7 @@ def test_known_numbers_are_looked_up_at_any_place_and_clipped_to_where_they_are(
     function, text = compiled(lowered, tmp_path)
     assert text.count("static const double") == 1
     np.testing.assert_array_equal([function(point) for point in points], np.reshape(expected, (200, -1)))
+    np.testing.assert_array_equal(in_lanes(lowered, tmp_path)(points), np.reshape(expected, (200, -1)))
     known = lower(lambda x: corner(jnp.array([2.5, 7.0])) * x, jnp.zeros(()), loops="long")
     assert all(node.op != "table" for node in known.graph.nodes)
 
@@ -118,6 +135,7 @@ def every_operation(graph, x):
     less, same = graph.apply("lt", a, b), graph.apply("eq", c, d)
     found += [graph.apply("and", less, same), graph.apply("or", less, same), graph.apply("not", less)]
     found += [graph.apply("select", less, c, d), graph.apply("either", a, b, c, d)]
+    found += [graph.apply("select", less, same, graph.apply("le", c, d))]
     return found + [graph.apply("stumpff", graph.constant(float(k)), graph.apply("abs", a)) for k in range(6)]
 
 
@@ -135,6 +153,59 @@ def test_every_operation_is_that_of_numpy_at_its_edges_too(real, tmp_path):
             expected = numbers(lowered, x.astype(float)).astype(dtype)
         eps = np.finfo(dtype).eps
         np.testing.assert_allclose(call(x), expected, rtol=8 * eps, atol=2 * eps)
+
+
+@pytest.mark.parametrize(("real", "lanes"), [("double", 8), ("float", 4)])
+def test_every_operation_in_lanes_is_that_of_numpy_in_each(real, lanes, tmp_path):
+    """Neighbours are of all kinds: what is no number in one lane stays there."""
+    lowered = graph_of(every_operation, 4)
+    call = in_lanes(lowered, tmp_path, real, lanes, most_statements=20)
+    rng = np.random.default_rng(0)
+    points = [*rng.normal(size=(40, 4)), *([a, b, 1.0, a] for a in EDGES for b in (0.0, 1.0, math.nan, -math.pi))]
+    points = rng.permutation(np.array([*points, *([9.0 * a, a, a, a] for a in range(4))]))
+    dtype = {"double": np.float64, "float": np.float32}[real]
+    with np.errstate(all="ignore"):
+        x = points.astype(dtype)
+        expected = np.stack(numbers(lowered, x.astype(float)).T, axis=-1).astype(dtype)
+    eps = np.finfo(dtype).eps
+    np.testing.assert_allclose(call(x), expected, rtol=8 * eps, atol=2 * eps)
+
+
+def test_sine_and_cosine_in_lanes_are_those_of_libm_to_two_units_in_the_last_place(tmp_path):
+    lowered = graph_of(lambda g, x: [g.apply("sin", x[0]), g.apply("cos", x[0])], 1)
+    rng = np.random.default_rng(1)
+    turns = np.arange(-6000, 6000) * (math.pi / 2)
+    x = np.concatenate([rng.uniform(-1e5, 1e5, 20_000), rng.uniform(-4, 4, 12_000), turns, np.nextafter(turns, 1e6)])
+    found, exact = in_lanes(lowered, tmp_path)(x[:, None]), np.stack([np.sin(x), np.cos(x)], axis=1)
+    assert (np.abs(found - exact) / np.spacing(np.abs(exact))).max() <= 2.0
+    far = np.array([1e5, -1.1e5, 1e9, 1e22, -1e300, math.inf, -math.inf, math.nan])
+    with np.errstate(invalid="ignore"):
+        exact = np.stack([np.sin(far), np.cos(far)], axis=1)
+    np.testing.assert_allclose(in_lanes(lowered, tmp_path)(far[:, None]), exact, rtol=4e-16)
+
+
+def test_rows_that_do_not_fill_the_lanes_are_padded_and_nothing_beyond_them_is_touched(tmp_path):
+    lowered = graph_of(lambda g, x: [g.apply("sin", x[0]), g.apply("lt", x[1], x[0]), x[1]], 2)
+    main = """#include <stdlib.h>
+int main(void)
+{
+    int count, i;
+    for (count = 1; count < 20; ++count) {
+        double *x = calloc((size_t)count, 2 * sizeof *x), *y = malloc((size_t)count * 3 * sizeof *y);
+        for (i = 0; i < 2 * count; ++i) x[i] = i;
+        rows(x, y, count);
+        for (i = 0; i < count; ++i)
+            if (fabs(y[3 * i] - sin(2.0 * i)) > 1e-15 || y[3 * i + 1] != 0 || y[3 * i + 2] != 2 * i + 1) return 1;
+        free(x);
+        free(y);
+    }
+    return 0;
+}
+"""
+    (tmp_path / "main.c").write_text(c_rows(lowered, "rows", 4) + main)
+    flags = ["-std=c99", "-g", "-Wno-psabi", "-fsanitize=address,undefined", "-fno-sanitize-recover"]
+    subprocess.run([COMPILER, *flags, "main.c", "-o", "main", "-lm"], cwd=tmp_path, check=True)
+    subprocess.run([tmp_path / "main"], check=True)
 
 
 def test_in_parts_it_is_the_same_to_the_bit(tmp_path):
@@ -230,7 +301,8 @@ def test_the_text_does_not_depend_on_the_order_of_sets():
     script = (
         "import sys; sys.path.insert(0, sys.argv[1])\n"
         "from test_c import every_operation, graph_of\n"
-        "from covariant.lowering import c_function, c_helpers\n"
+        "from covariant.lowering import c_function, c_helpers, c_rows\n"
+        "print(c_rows(graph_of(every_operation, 4), 'g', 8))\n"
         "text = c_function(graph_of(every_operation, 4), 'f', most_statements=20)\n"
         "print(c_helpers(text.helpers), text.text)"
     )
@@ -285,5 +357,6 @@ def test_a_loop_whose_length_the_arguments_decide_is_one_of_c(tmp_path):
         (tmp_path / f"{most}").mkdir()
         call, text = compiled(lowered, tmp_path / f"{most}", most_statements=most)
         np.testing.assert_allclose([call(p) for p in points], expected, rtol=1e-12)
+    np.testing.assert_allclose(in_lanes(lowered, tmp_path, most_statements=3)(points), expected, rtol=1e-12)
     assert text.count("for (;;)") == 2
     assert "y[2] = 3.0;" in text, "what never moves is not carried"

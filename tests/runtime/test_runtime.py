@@ -1,8 +1,11 @@
 """Streams and logs through compiled C: what JAX does, whatever the samples are."""
 
+import ctypes
 import functools
 import math
+import mmap
 import shutil
+import sys
 
 import jax
 import jax.numpy as jnp
@@ -11,8 +14,8 @@ import pytest
 
 from covariant import models, observers
 from covariant.observers import run
-from covariant.runtime import Stream, _compile, run_log, run_logs
-from covariant.runtime._kernel import kernel
+from covariant.runtime import Stream, _compile, _log, run_log, run_logs
+from covariant.runtime._kernel import _kept, kernel
 from covariant.signals import Record, Result
 
 RATE = 250.0
@@ -82,11 +85,47 @@ def test_many_logs_and_many_gains_are_each_that_through_jax():
     same(told[1:], [run(observers.Intrinsic(heavier, 10.0, 100.0), logs[0], ("result",))])
 
 
+def before_a_wall(array: np.ndarray) -> np.ndarray:
+    """A copy that ends where memory does: who reads beyond it is stopped by the processor."""
+    size = mmap.PAGESIZE
+    assert array.nbytes <= size
+    pages = mmap.mmap(-1, 2 * size)
+    start = ctypes.addressof(ctypes.c_char.from_buffer(pages))
+    assert ctypes.CDLL(None).mprotect(ctypes.c_void_p(start + size), ctypes.c_size_t(size), 0) == 0
+    copy = np.frombuffer(pages, array.dtype, array.size, size - array.nbytes).reshape(array.shape)
+    copy[:] = array
+    return copy
+
+
+@needs_compiler
+def test_runs_in_lanes_are_those_of_jax_each(monkeypatch):
+    """Of different lengths and numbers of substeps, more than the lanes; one that is lost stays alone with it."""
+    monkeypatch.setattr(_log, "RUNS_A_CORE", 0)
+    cuts = [slice(k, k + 150) for k in range(10, 450, 50)]
+    logs = [record(), *(Record(*(a[cut] for a in record()[:3])) for cut in cuts)]
+    logs[3] = logs[3]._replace(y=np.where(np.arange(150)[:, None] < 1, logs[3].y, np.nan))
+    logs[5] = logs[5]._replace(u=np.where(np.arange(150)[:, None] < 75, logs[5].u, 1e300))
+    if sys.platform == "linux":
+        logs[9] = logs[9]._replace(y=before_a_wall(logs[9].y))  # done beside the longest
+    told, engine = run_logs(gated(), logs, engine="c")
+    assert engine == "c"
+    same(told, [run(gated(), log) for log in logs])
+    results = [set(np.asarray(one.info.result).tolist()) for one in told]
+    assert [Result.NOT_FINITE in each for each in results] == [k == 5 for k in range(10)]
+
+
 @needs_compiler
 def test_an_equal_observer_is_compiled_once():
     made = [kernel(observers.Intrinsic(pendulum(), a, 100.0), np.zeros(2), 2) for a in (10.0, 10.0, 11.0)]
     assert made[0] is made[1]
     assert made[0] is not made[2]
+    first, *rest = (observers.Intrinsic(pendulum(), a, 10 * a) for a in (10.0, 10.0, 11.0, 12.0))
+    run_logs([first, rest[1]], parts((100,)), ("result",), engine="c")
+    count = _kept.cache_info().misses
+    for each in rest:
+        found, _ = run_logs(each, parts((100,)), ("result",), engine="c", others=[first, rest[1]])
+    assert _kept.cache_info().misses == count
+    same(found, [run(rest[-1], parts((100,))[0], ("result",))])
 
 
 def test_runs_that_do_not_belong_together_are_refused():
@@ -140,7 +179,7 @@ def test_a_stream_does_what_the_loop_by_hand_does(stream):
     x = stream.step(t[0], y[0])
     for k in range(1, 250):
         state, info = stepped(state, jnp.asarray(u[k - 1]), jnp.asarray(y[k]), jnp.asarray(t[k] - t[k - 1]))
-        x = stream.step(t[k], y[k], u[k - 1])
+        x = stream.step(t[k], y[k], np.repeat(u[k - 1], 2)[::2] if k % 2 else u[k - 1])  # in one piece, or not
         assert stream.result == info.result
     np.testing.assert_allclose(x, observer.estimate(state), rtol=1e-9, atol=1e-12)
     assert stream.health.results["coasted"] == 4
@@ -159,6 +198,7 @@ def test_no_sample_raises_and_each_fault_is_counted(stream):
         ("now", y[k], None),
         (t[k + 1], [math.inf, y[k][1]], u[k]),
         (t[k + 2], [0.1], u[k]),  # too few numbers
+        (t[k + 2] + 1e-4, np.array([0.1]), u[k]),
         (t[k + 3], "nothing", u[k]),
         (t[k + 4], None, [math.nan, math.inf]),
         (t[k + 5], 1e300 * y[k], u[k]),
@@ -169,7 +209,7 @@ def test_no_sample_raises_and_each_fault_is_counted(stream):
         assert np.abs(x).max() < 10 * usual
     health = stream.health
     assert health.samples == 40 + len(faults)
-    assert (health.late, health.unstamped, health.misshapen) == (1, 2, 2)
+    assert (health.late, health.unstamped, health.misshapen) == (1, 2, 3)
     assert health.results["repeated"] == 1
     assert health.results["input_held"] >= 1
     assert sum(health.results.values()) == health.samples

@@ -179,6 +179,7 @@ def tune(
     q: Positions = None,
     u: Inputs = None,
     report: Report = None,
+    engine: By = "auto",
     anyway: Anyway = False,
     json: Json = False,
 ) -> None:
@@ -188,7 +189,7 @@ def tune(
 
     columns = {"t": t, "q": q, "u": u, "v": None, "truth": None}
     jobs = [Job(model, log, tuple(override), every, until, columns, anyway) for log in log_files]
-    _tune.tune_model(jobs, out, overwrite, report, json)
+    _tune.tune_model(jobs, out, overwrite, report, engine, json)
 
 
 @on_logs.command()

@@ -1,6 +1,7 @@
 """`covariant tune`: noise and gains from logs, judged on rows that were not used, as lines for the model file."""
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,10 +12,13 @@ from covariant._files import write_atomically
 from covariant.cli._console import stages
 from covariant.cli._fit import check_out, when_true
 from covariant.cli._job import Job, Loaded, as_read, coordinates, data_sheet
+from covariant.cli._names import Engine
 from covariant.cli._pages import write_report
 from covariant.cli._results import drive, report_arrays, rounded
 from covariant.design import DataSheet, HeldOut, Tuning, observer_gains, tune
-from covariant.observers import Intrinsic
+from covariant.observers import AbstractObserver, Intrinsic
+from covariant.runtime import FEWEST_ROWS, run_logs
+from covariant.signals import Record, Run
 
 DIGITS = 4
 """Significant digits of tuned numbers in a model file."""
@@ -22,11 +26,15 @@ WORSE = 1.2
 """Ratio of the velocity errors of Kalman filter and constant gains from which it is said that the filter is worse."""
 COARSER = 1.5
 """Readings whose noise is more than so many times that of their ticks are taken as noisy, not as ticks."""
+SEARCHED = 60
+"""So many runs a search for gains makes about."""
 NOT_WHITE = 0.3
 """Correlation of neighbouring innovations from which it is said that the model does not explain them."""
 
 
-def tune_model(jobs: list[Job], out: Path | None, overwrite: bool, report: Path | None, as_json: bool) -> None:
+def tune_model(
+    jobs: list[Job], out: Path | None, overwrite: bool, report: Path | None, engine: Engine, as_json: bool
+) -> None:
     """Tune on the first two thirds of each log, judge on the rest, print the lines for the model file and write it."""
     spec = jobs[0].model
     text = check_out(spec, out, overwrite)
@@ -39,13 +47,14 @@ def tune_model(jobs: list[Job], out: Path | None, overwrite: bool, report: Path 
             before = data_sheet(file)
         known = None if file.quantum is None else np.full(file.dimension, file.typical_std)
         records, velocities = [one.record for one in loaded], [one.reference.v for one in loaded if one.reference]
+        runs = _Runs(engine)
         try:
-            found = tune(loaded[0].model, records, velocities, std=known, before=before, told=begin)
+            found = tune(loaded[0].model, records, velocities, std=known, before=before, told=begin, runs=runs)
         except ValueError as error:
             raise ValueError(f"{', '.join(str(job.log) for job in jobs)}: {error}") from error
         begin("writing")
         tables = _tables(file, found, loaded[0].rate)
-        result = _result(jobs, loaded, found, tables)
+        result = _result(jobs, loaded, found, tables) | {"engine": runs.told}
         if out is not None:
             written = models.rewrite(text, _content(jobs[0], tables))
             head = f"# Tuned by covariant tune to {', '.join(job.log.name for job in jobs)}.\n\n"
@@ -53,7 +62,28 @@ def tune_model(jobs: list[Job], out: Path | None, overwrite: bool, report: Path 
             result["out"] = str(out)
         if report is not None:
             result["report"] = _page(report, loaded[-1], found, before, result)
-    print(json.dumps(result) if as_json else _text(result))
+    shown = _text(result) if engine == "auto" else f"{_text(result)}\nengine: {runs.told}"
+    print(json.dumps(result) if as_json else shown)
+
+
+class _Runs:
+    """Runs of observers with constant gains; once JAX had to do one it does the others, since its reason stays.
+
+    `told` is the engine, with the reason where it is JAX.
+    """
+
+    def __init__(self, engine: Engine):
+        self.engine: Engine = engine
+        self.told = ""
+        self._first: Sequence[AbstractObserver] = ()
+
+    def __call__(self, observers: Sequence[AbstractObserver], records: Sequence[Record]) -> list[Run]:
+        self._first = self._first or observers
+        many = SEARCHED * sum(len(record.t) for record in records) >= FEWEST_ROWS
+        engine = "c" if self.engine == "auto" and many else self.engine
+        done, by = run_logs(observers, records, ("innovation",), engine, self._first)
+        self.engine, self.told = (self.engine, by) if by == "c" else ("jax", self.told or by)
+        return done
 
 
 def _tables(file: models.ModelFile, found: Tuning, rate: float) -> dict[str, dict[str, Any]]:

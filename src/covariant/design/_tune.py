@@ -25,7 +25,7 @@ from covariant.diagnosis import outliers
 from covariant.models import MechanicalSystem
 from covariant.observers import REGISTRY, Intrinsic, run, with_fixed_substeps
 from covariant.scoring import scored_window, unwrap
-from covariant.signals import Record
+from covariant.signals import Record, Run
 
 TUNED = 2 / 3
 """Fraction of each log, its first part, that is tuned on."""
@@ -41,6 +41,8 @@ LEAST = 0.01
 FAR = 16.0
 """Squares of innovations count up to so many times that of the 90 % quantile: an outlier decides nothing."""
 NumpyArray = np.ndarray
+Runs = Callable[[Sequence[Intrinsic], Sequence[Record]], Sequence[Run]]
+"""What runs one observer over several records, or several over one, and keeps estimates and innovations."""
 
 
 class HeldOut(NamedTuple):
@@ -115,6 +117,7 @@ def tune(
     std: Float[np.ndarray, "n"] | None = None,
     before: DataSheet | None = None,
     told: Callable[[str], object] = lambda stage: None,
+    runs: Runs | None = None,
 ) -> Tuning:
     """Gains and noise for a model, from the first two thirds of each record and confirmed on the rest.
 
@@ -123,24 +126,26 @@ def tune(
     - `std` (n,): least standard deviation of a reading, such as that of one tick of an encoder.
     - `before`: a data sheet whose gains and noise are judged beside those that are found.
     - `told`: called with the name of each of the four stages when it begins.
+    - `runs`: what runs the observers with constant gains, of which there are dozens; by default JAX, one by one.
 
     Raises `ValueError` where a record is too short, and where no gains give a finite estimate.
     """
     logs = [_prepared(model, record, velocity) for record, velocity in zip(records, velocities, strict=True)]
     told("gains")
-    frequency, damping, size = _best_gains(model, logs)
+    by = runs or _by_jax
+    frequency, damping, size = _best_gains(model, logs, by)
     told("noise")
-    runs = [_followed(model, log, frequency, damping) for log in logs]
-    systems = [_system(model, log, estimate) for log, estimate in zip(logs, runs, strict=True)]
+    found = _followed(model, logs, frequency, damping, by)
+    systems = [_system(model, log, estimate) for log, estimate in zip(logs, found, strict=True)]
     noise = _best_noise(logs, systems, frequency, size, std)
     told("held-out rows")
     was = None
     if before is not None:
         gains = observer_gains(before, logs[0].rate)
         ratio = gains.alpha / (2 * gains.beta**0.5)
-        earlier = [_followed(model, log, gains.beta**0.5, ratio) for log in logs]
-        was = _judged(logs, systems, runs, earlier, given_noise(before, logs[0].rate, size.shape[0]))
-    after = _judged(logs, systems, runs, runs, noise)
+        earlier = _followed(model, logs, gains.beta**0.5, ratio, by)
+        was = _judged(logs, systems, found, earlier, given_noise(before, logs[0].rate, size.shape[0]))
+    after = _judged(logs, systems, found, found, noise)
     told("filters without a model")
     free = _best_model_free(model, logs, noise, before)
     return Tuning(frequency, damping, noise, was, after, free, sum(int(log.tuned.sum()) for log in logs))
@@ -176,7 +181,12 @@ def _intrinsic(model: MechanicalSystem, frequency: float, damping: float) -> Int
     return Intrinsic(model, 2 * damping * frequency, frequency**2)
 
 
-def _best_gains(model: MechanicalSystem, logs: list[_Log]) -> tuple[float, float, Float[np.ndarray, "n"]]:
+def _by_jax(observers: Sequence[Intrinsic], records: Sequence[Record]) -> list[Run]:
+    pairs = [(observer, record) for observer in observers for record in records]
+    return [run(observer, record, ("innovation",)) for observer, record in pairs]
+
+
+def _best_gains(model: MechanicalSystem, logs: list[_Log], runs: Runs) -> tuple[float, float, Float[np.ndarray, "n"]]:
     """Natural frequency [rad/s] and damping ratio with the least innovations, and these (n,)."""
     from scipy.optimize import minimize
 
@@ -186,13 +196,17 @@ def _best_gains(model: MechanicalSystem, logs: list[_Log]) -> tuple[float, float
         [_usable(model, log)[: len(part.t)][log.tuned[: len(part.t)]] for log, part in zip(logs, parts, strict=True)]
     )
 
-    def innovations(z):
-        observer = _intrinsic(model, float(np.exp(z[0])) * rate, float(np.exp(z[1])))
-        found = [np.asarray(run(observer, part, ("innovation",)).info.innovation) for part in parts]
-        return np.concatenate([r[log.tuned[: len(r)]] for r, log in zip(found, logs, strict=True)])
+    def observer(z):
+        return _intrinsic(model, float(np.exp(z[0])) * rate, float(np.exp(z[1])))
 
-    def size(z):
-        r = innovations(z)
+    def usable(found):
+        told = [np.asarray(done.info.innovation) for done in found]
+        return np.concatenate([r[log.tuned[: len(r)]] for r, log in zip(told, logs, strict=True)])
+
+    def innovations(z):
+        return usable(runs([observer(z)], parts))
+
+    def size(r):
         with np.errstate(all="ignore"):
             mean = [_mean_square(column[here]) for column, here in zip(r.T, seen.T, strict=True)]
             total = float(np.sum(np.log(mean)))
@@ -200,10 +214,11 @@ def _best_gains(model: MechanicalSystem, logs: list[_Log]) -> tuple[float, float
 
     bounds = [np.log(FREQUENCIES), np.log(DAMPINGS)]
     starts = [np.array([w, np.log(DAMPINGS[0])]) for w in np.linspace(np.log(0.02), np.log(2.0), 8)]
-    start = min(starts, key=size)
+    tried = [runs([observer(z) for z in starts], [part]) for part in parts]  # by part, then by start
+    start = starts[int(np.argmin([size(usable(found)) for found in zip(*tried, strict=True)]))]
     simplex = start + np.array([[0.0, 0.0], [0.4, 0.0], [0.0, 0.4]])
     options = {"initial_simplex": simplex, "xatol": 0.02, "fatol": 1e-4, "maxfev": 60}
-    best = minimize(size, start, method="Nelder-Mead", bounds=bounds, options=options)
+    best = minimize(lambda z: size(innovations(z)), start, method="Nelder-Mead", bounds=bounds, options=options)
     if best.fun >= 1e6:
         raise ValueError("no gains give a finite estimate; check units and signs by `covariant check`")
     r = innovations(best.x)
@@ -221,11 +236,13 @@ def _mean_square(r: np.ndarray) -> float:
     return float(np.mean(np.minimum(square, FAR * np.quantile(square, 0.9))))
 
 
-def _followed(model: MechanicalSystem, log: _Log, frequency: float, damping: float) -> Any:
-    """Configurations, velocities (T, n) and innovations (T, n) of the observer over the whole log."""
-    done = run(_intrinsic(model, frequency, damping), log.record, ("innovation",))
-    motion = model.motion(done.estimate)
-    return motion.q, motion.v, np.asarray(done.info.innovation)
+def _followed(model: MechanicalSystem, logs: list[_Log], frequency: float, damping: float, runs: Runs) -> list[Any]:
+    """Configurations, velocities (T, n) and innovations (T, n) of the observer over each of the whole logs."""
+    told = []
+    for done in runs([_intrinsic(model, frequency, damping)], [log.record for log in logs]):
+        motion = model.motion(done.estimate)
+        told.append((motion.q, motion.v, np.asarray(done.info.innovation)))
+    return told
 
 
 def _system(model: MechanicalSystem, log: _Log, estimate) -> ErrorModel:

@@ -5,6 +5,7 @@ from ._c import (
     c_helpers as c_helpers,
     c_number as c_number,
 )
+from ._c_rows import c_rows as c_rows
 from ._differentiate import Derivative as Derivative, expand as expand, pairs as pairs
 from ._enclose import Enclosure as Enclosure, fulfilled as fulfilled
 from ._engine import enclose as enclose, in_c as in_c

@@ -12,7 +12,17 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import Any, Literal, NamedTuple
 
-from covariant.lowering._c_operations import HELPERS, TRUTHS, Words, expression, helpers, literal
+from covariant.lowering._c_operations import (
+    HELPERS,
+    LIBRARY,
+    TRUTHS,
+    Words,
+    expression,
+    helpers,
+    literal,
+    looked_up,
+    of_truth,
+)
 from covariant.lowering._graph import Graph
 from covariant.lowering._loops import Repetition
 from covariant.lowering._lowered import Lowered
@@ -22,6 +32,8 @@ Real = Literal["double", "float"]
 
 MOST_STATEMENTS = 500
 """Longest function: gcc takes minutes for one with ten thousand statements, and seconds for the same in parts."""
+MOST_IN_LANES = 2000
+"""The same in lanes, where what one function leaves to another takes so many times the memory."""
 LONGEST_EXPRESSION = 60
 """Longest expression [characters] that is written into the one that uses it."""
 
@@ -61,30 +73,34 @@ def c_function(
     real: Real = "double",
     prefix: str = "",
     static: bool = False,
-    most_statements: int = MOST_STATEMENTS,
+    most_statements: int | None = None,
+    lanes: int = 1,
 ) -> CText:
     """A lowered function as C.
 
     - `signature`: by default `void name(const real *x, real *y)`, from all inputs to all results.
     - `real`: the type of all numbers. For "float" lower the function with arguments of single precision.
     - `prefix`: of the names of the helpers that it calls, which `c_helpers` writes.
+    - `lanes`: how many arguments it is evaluated for at once, a power of 2. Above 1 a number is a vector of the
+      compilers gcc and clang, of the type `{prefix}lanes`, with one entry for each argument.
 
     Raises `ValueError` where the signature has another number of inputs or results.
     """
     lowered = simplified(lowered)
-    chosen = signature or _flat(lowered, real)
+    chosen = signature or _flat(lowered, Words(real, prefix, lanes).real)
     for what, given, needed in (
         ("inputs", chosen.inputs, lowered.inputs),
         ("results", chosen.outputs, len(lowered.outputs)),
     ):
         if len(given) != needed:
             raise ValueError(f"{name}: the function has {needed} {what}; the signature names {len(given)}")
-    return _Writer(lowered, name, chosen, Words(real, prefix), static, most_statements).written()
+    most = most_statements or (MOST_STATEMENTS if lanes == 1 else MOST_IN_LANES)
+    return _Writer(lowered, name, chosen, Words(real, prefix, lanes), static, most).written()
 
 
-def c_helpers(names: Sequence[str] | frozenset[str], real: Real = "double", prefix: str = "") -> str:
-    """The static functions that C of graphs calls, to stand before it; it needs <math.h>."""
-    return helpers(names, Words(real, prefix))
+def c_helpers(names: Sequence[str] | frozenset[str], real: Real = "double", prefix: str = "", lanes: int = 1) -> str:
+    """The static functions, and for lanes the types, of C of graphs, to stand before it; it needs <math.h>."""
+    return helpers(names, Words(real, prefix, lanes))
 
 
 def c_number(value: float, real: Real = "double") -> str:
@@ -92,7 +108,7 @@ def c_number(value: float, real: Real = "double") -> str:
     return literal(value, Words(real, ""))
 
 
-def _flat(lowered: Lowered, real: Real) -> Signature:
+def _flat(lowered: Lowered, real: str) -> Signature:
     inputs = tuple(f"x[{i}]" for i in range(lowered.inputs))
     outputs = tuple(f"y[{i}]" for i in range(len(lowered.outputs)))
     return Signature(f"const {real} *x, {real} *y", ("x", "y"), inputs, outputs)
@@ -119,7 +135,7 @@ class _Writer:
     def written(self) -> CText:
         places, counts = self._places()
         last = len(self.parts) - 1
-        sizes = (("real", self.words.real, counts[False]), ("truth", "int", counts[True]))
+        sizes = (("real", self.words.real, counts[False]), ("truth", self.words.truth, counts[True]))
         arrays = [(f"{kind}s", c, size) for kind, c, size in sizes if size]
         rest = "".join(f", {c} *restrict {array}" for array, c, _ in arrays)
         parts = [_array(name, table.numbers, self.words) for table, name in self.tables.items()]
@@ -158,7 +174,7 @@ class _Writer:
         node = self.graph.nodes[i]
         if node.op == "stumpff":
             return [f"stumpff{int(self.graph.nodes[node.arguments[0]].value)}"]  # pyright: ignore[reportArgumentType]
-        return [node.op] if node.op in HELPERS else []
+        return [node.op] if node.op in HELPERS or (node.op in LIBRARY and self.words.lanes > 1) else []
 
     def _function(self, name: str, static: bool, rest: str, lines: list[str], arrays: Sequence[str] = ()) -> str:
         body = "\n".join(f"    {line}" for line in lines)
@@ -248,8 +264,8 @@ class _Writer:
             operands = [text(a) if a in self.inside else name(a) for a in node.arguments]
             if node.op == "table":
                 last = len(node.value.numbers) - 1  # pyright: ignore[reportOptionalMemberAccess]
-                return f"{self.tables[node.value]}[{self.words.prefix}table({operands[0]}, {last})]"
-            return expression(node.op, [_bracketed(o) for o in operands], self.words)
+                return looked_up(self.tables[node.value], operands[0], last, self.words)
+            return expression(node.op, [_bracketed(o) for o in operands], self.words, self.truth[i])
 
         for i in part:
             node = self.graph.nodes[i]
@@ -260,20 +276,22 @@ class _Writer:
                 lines += [f"{self.loops[i].name}({local});"]
                 declared = []
                 continue
-            declared.append(("int" if self.truth[i] else self.words.real, f"{name(i)} = {text(i)}"))
+            declared.append((self.words.truth if self.truth[i] else self.words.real, f"{name(i)} = {text(i)}"))
             if i in places:
                 stores.append(f"{places[i]} = {name(i)};")
         if k == len(self.parts) - 1:
             for target, i in zip(self.signature.outputs, self.outputs, strict=True):
                 value = text(i) if i in self.inside else name(i)
-                stores.append(f"{target} = {f'({self.words.real})({value})' if self.truth[i] else value};")
+                stores.append(f"{target} = {of_truth(value, self.words) if self.truth[i] else value};")
         return [*lines, *_declarations(declared), *stores]
 
 
 def _array(name: str, numbers: Sequence[float], words: Words) -> str:
     """A table as a constant array."""
-    text = textwrap.fill(", ".join(literal(float(x), words) for x in numbers), 116, break_long_words=False)
-    return f"static const {words.real} {name}[{len(numbers)}] = {{\n{textwrap.indent(text, '    ')}\n}};\n"
+    text = textwrap.fill(
+        ", ".join(literal(float(x), words._replace(lanes=1)) for x in numbers), 116, break_long_words=False
+    )
+    return f"static const {words.scalar} {name}[{len(numbers)}] = {{\n{textwrap.indent(text, '    ')}\n}};\n"
 
 
 def _declarations(declared: Sequence[tuple[str, str]]) -> list[str]:
@@ -306,17 +324,22 @@ def _loop(loop: Repetition, name: str, words: Words, most_statements: int) -> _L
             outputs = tuple(f"y[{i}]" for i in range(len(graph.outputs)))
             signature = Signature(f"const {real} *restrict x, {real} *restrict y", ("x", "y"), inputs, outputs)
             made[what] = _Writer(graph, f"{name}_{what}", signature, words, True, most_statements).written()
-    if loop.turns is not None:
-        stop, until = "", f"turn < {loop.turns}; ++turn"
-        index = "    int turn;\n"
-    else:
+    stop, first = "", f"turn = 0; turn < {loop.turns}; ++turn"
+    index, carry = "    int turn;\n", "y[i]"
+    if loop.turns is None:
         stop = f"        {name}_going(x, y);\n        if (!(y[0] > {literal(0.0, words)}))\n            return;\n"
-        until, index = ";", ""
-    first = "turn = 0; " if loop.turns is not None else ";"
+        index, first = "", ";;"
+        if words.lanes > 1:  # a lane that has come to its end waits there for the others
+            index = f"    {words.truth} on;\n"
+            stop = (
+                f"        {name}_going(x, y);\n        on = y[0] > {literal(0.0, words)};\n"
+                f"        if (!{words.real}_any(on))\n            return;\n"
+            )
+            carry = f"{words.real}_choose(on, y[i], x[{loop.fixed} + i])"
     driver = (
         f"static void {name}({real} *x)\n{{\n    {real} y[{max(carried, 1)}];\n    int i;\n{index}"
-        f"    for ({first}{until}) {{\n{stop}        {name}_turn(x, y);\n"
-        f"        for (i = 0; i < {carried}; ++i)\n            x[{loop.fixed} + i] = y[i];\n    }}\n}}\n"
+        f"    for ({first}) {{\n{stop}        {name}_turn(x, y);\n"
+        f"        for (i = 0; i < {carried}; ++i)\n            x[{loop.fixed} + i] = {carry};\n    }}\n}}\n"
     )
     times, operations = 1 if loop.turns is None else loop.turns, Counter[str]()
     for text in made.values():
@@ -334,7 +357,7 @@ _SIMPLE = {"add", "sub", "mul", "neg", "abs", *TRUTHS}
 
 def _bracketed(text: str) -> str:
     """An operand in brackets, unless it is one name, one number or one call."""
-    return f"({text})" if " " in _outside(text) or text[0] in "-!" else text
+    return f"({text})" if " " in _outside(text) or text[0] in "-!~" else text
 
 
 def _outside(text: str) -> str:

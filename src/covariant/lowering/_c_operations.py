@@ -6,17 +6,35 @@ from typing import NamedTuple
 
 import numpy as np
 
+from covariant.lowering import _c_lanes
+
 
 class Words(NamedTuple):
-    """How numbers are written: their type, and the prefix of the names of the functions written out."""
+    """How numbers are written: the type of one, the prefix of the names of functions written out, and the lanes."""
 
-    real: str
+    scalar: str
     prefix: str
+    lanes: int = 1
+
+    @property
+    def real(self) -> str:
+        """The type of the numbers of the function: one, or one for each lane."""
+        return self.scalar if self.lanes == 1 else f"{self.prefix}lanes"
+
+    @property
+    def truth(self) -> str:
+        """The type of truth values."""
+        return "int" if self.lanes == 1 else f"{self.real}_truth"
 
     @property
     def suffix(self) -> str:
         """What the names of functions of <math.h> end in, and numbers."""
-        return "f" if self.real == "float" else ""
+        return "f" if self.scalar == "float" else ""
+
+    @property
+    def owner(self) -> str:
+        """What the names of functions written out begin with."""
+        return self.prefix if self.lanes == 1 else f"{self.real}_"
 
 
 OPERATORS = {
@@ -65,15 +83,38 @@ HELPERS = {
 """Operations that are functions of a few lines."""
 
 
-def expression(op: str, operands: Sequence[str], words: Words) -> str:
-    """An operation on operands, each of them one name, one number, one call, or in brackets."""
+def expression(op: str, operands: Sequence[str], words: Words, truth: bool = False) -> str:
+    """An operation on operands, each of them one name, one number, one call, or in brackets; a `truth`, or a number."""
     if op == "stumpff":
-        return f"{words.prefix}stumpff{round(float(operands[0].strip('()').removesuffix('f')))}({operands[1]})"
-    if op in HELPERS:
-        return f"{words.prefix}{op}({', '.join(map(_unwrapped, operands))})"
+        order = round(float(_plain(operands[0])))
+        return f"{words.owner}stumpff{order}({_unwrapped(operands[1])})"
+    if op in HELPERS or (op in LIBRARY and words.lanes > 1):
+        return f"{words.owner}{op}({', '.join(map(_unwrapped, operands))})"
     if op in LIBRARY:
         return f"{LIBRARY[op]}{words.suffix}({', '.join(map(_unwrapped, operands))})"
+    if words.lanes > 1:
+        chosen = "choose_truth" if op == "select" and truth else op
+        return _c_lanes.OPERATORS.get(chosen, OPERATORS[op]).format(*operands, type=words.real)
     return OPERATORS[op].format(*operands)
+
+
+def looked_up(table: str, place: str, last: int, words: Words) -> str:
+    """The number of an array at a place."""
+    if words.lanes > 1:
+        return f"{words.owner}table({table}, {place}, {last})"
+    return f"{table}[{words.owner}table({place}, {last})]"
+
+
+def of_truth(value: str, words: Words) -> str:
+    """A truth value as a number, 0 or 1."""
+    if words.lanes > 1:
+        return f"{words.real}_choose({value}, {literal(1.0, words)}, {literal(0.0, words)})"
+    return f"({words.real})({value})"
+
+
+def _plain(text: str) -> str:
+    """The digits of a number that was written by `literal`."""
+    return text.rpartition("(")[2].rstrip(")").removesuffix("f")
 
 
 def _unwrapped(operand: str) -> str:
@@ -87,67 +128,86 @@ def _unwrapped(operand: str) -> str:
 
 
 def literal(value: float | bool, words: Words) -> str:
-    """A number in C, in the fewest digits that identify it; a truth value as 0 or 1."""
+    """A number in C, in the fewest digits that identify it, in every lane; a truth value as 0 or 1."""
+    if words.lanes > 1 and isinstance(value, bool):
+        return f"{'~' if value else ''}({words.truth}){{0}}"
+    if words.lanes > 1:
+        return f"{words.real}_all({literal(value, words._replace(lanes=1))})"
     if isinstance(value, bool):
         return str(int(value))
-    number = np.float32(value) if words.real == "float" else np.float64(value)
+    number = np.float32(value) if words.scalar == "float" else np.float64(value)
     if math.isnan(number):
-        return f"({words.real})NAN"
+        return f"({words.scalar})NAN"
     if math.isinf(number):
-        return f"{'-' if number < 0 else ''}({words.real})INFINITY"
-    digits = repr(float(str(number))) if words.real == "float" else repr(float(number))
+        return f"{'-' if number < 0 else ''}({words.scalar})INFINITY"
+    digits = repr(float(str(number))) if words.scalar == "float" else repr(float(number))
     return digits + words.suffix
 
 
 def helpers(names: Iterable[str], words: Words) -> str:
-    """The functions written out, each once, those that others call first."""
+    """The types and functions written out, each once, those that others call first."""
     needed = set(names)
-    for name in sorted(needed):
-        if name.startswith("stumpff"):
-            needed |= _below(int(name.removeprefix("stumpff")))
-    fill = {"real": words.real, "prefix": words.prefix, "zero": literal(0.0, words), "one": literal(1.0, words)}
-    written = [HELPERS[name].format(**fill) for name in HELPERS if name in needed]
-    orders = sorted(int(name.removeprefix("stumpff")) for name in needed if name.startswith("stumpff"))
+    orders = {int(name.removeprefix("stumpff")) for name in needed if name.startswith("stumpff")}
+    orders = sorted(orders.union(*(_below(k) for k in orders)))
+    if words.lanes > 1:
+        if orders:
+            needed |= {"sqrt", "sin", "cos"}
+        written = [_c_lanes.head(words.scalar, words.real, words.lanes)]
+        for op in (*LIBRARY, *HELPERS):
+            if op in needed:
+                function = f"{LIBRARY.get(op, '')}{words.suffix}"
+                written.append(_c_lanes.helper(op, function, words.scalar, words.real, words.lanes))
+    else:
+        fill = {"real": words.real, "prefix": words.prefix, "zero": literal(0.0, words), "one": literal(1.0, words)}
+        written = [HELPERS[name].format(**fill) for name in HELPERS if name in needed]
     return "\n".join([*written, *(_stumpff(k, words) for k in orders)])
 
 
-def _below(k: int) -> set[str]:
-    """The functions that the closed form of Stumpff's c_k calls."""
+def _below(k: int) -> set[int]:
+    """The orders of the functions that the closed form of Stumpff's c_k calls."""
     if k < 2:
         return set()
-    return {"stumpff1"} if k == 2 else {f"stumpff{k - 2}"} | _below(k - 2)
+    return {1} if k == 2 else {k - 2} | _below(k - 2)
 
 
 def _stumpff(k: int, words: Words) -> str:
     """Stumpff's function c_k: a series where the closed form loses digits, as in JAX."""
     threshold = max(1.0, k * (k - 1.0))
-    smallest = np.finfo(np.float32 if words.real == "float" else np.float64).eps / 256
+    smallest = np.finfo(np.float32 if words.scalar == "float" else np.float64).eps / 256
     coefficients = [1 / math.factorial(k)]
     while coefficients[-1] * threshold ** (len(coefficients) - 1) > smallest * coefficients[0]:
         coefficients.append(1 / math.factorial(2 * len(coefficients) + k))
     series = literal(coefficients[-1], words)
     for coefficient in reversed(coefficients[:-1]):
         series = f"{literal(coefficient, words)} - x * ({series})"
-    root = f"sqrt{words.suffix}(x)"
-    quarter, half = literal(0.25, words), literal(0.5, words)
-    if k == 0:
-        closed = [f"return cos{words.suffix}({root});"]
-    elif k == 1:
-        closed = [f"const {words.real} angle = {root};", f"return sin{words.suffix}(angle) / angle;"]
-    elif k == 2:
-        closed = [
-            f"const {words.real} part = {words.prefix}stumpff1({quarter} * x);",
-            f"return {half} * part * part;",
-        ]
+    given, closed = _closed_form(k, words)
+    if words.lanes == 1:
+        lines = [f"if (x < {literal(threshold, words)})", f"    return {series};", *given, f"return {closed};"]
     else:
-        first = literal(1 / math.factorial(k - 2), words)
-        closed = [f"return ({first} - {words.prefix}stumpff{k - 2}(x)) / x;"]
-    lines = [
-        f"static {words.real} {words.prefix}stumpff{k}({words.real} x)",
-        "{",
-        f"    if (x < {literal(threshold, words)})",
-        f"        return {series};",
-        *(f"    {line}" for line in closed),
-        "}",
-    ]
-    return "\n".join(lines) + "\n"
+        lines = [
+            f"const {words.truth} near = x < {literal(threshold, words)};",
+            f"const {words.real} series = {series};",
+            f"if (!{words.real}_any(~near))",
+            "    return series;",
+            *given,
+            f"return {words.real}_choose(near, series, {closed});",
+        ]
+    body = "\n".join(f"    {line}" for line in lines)
+    return f"static {words.real} {words.owner}stumpff{k}({words.real} x)\n{{\n{body}\n}}\n"
+
+
+def _closed_form(k: int, words: Words) -> tuple[list[str], str]:
+    """Stumpff's function c_k away from zero: what is declared first, and the expression."""
+
+    def call(op: str, text: str) -> str:
+        return expression(op, [text], words)
+
+    root = call("sqrt", "x")
+    if k == 0:
+        return [], call("cos", root)
+    if k == 1:
+        return [f"const {words.real} angle = {root};"], f"{call('sin', 'angle')} / angle"
+    if k == 2:
+        part = f"{words.owner}stumpff1({literal(0.25, words)} * x)"
+        return [f"const {words.real} part = {part};"], f"{literal(0.5, words)} * part * part"
+    return [], f"({literal(1 / math.factorial(k - 2), words)} - {words.owner}stumpff{k - 2}(x)) / x"

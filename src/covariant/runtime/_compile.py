@@ -3,9 +3,7 @@
 import functools
 from typing import Any
 
-from covariant._compile import compiled, compiler
-
-FLAGS = ("-std=c99", "-O2", "-fno-math-errno", "-fPIC", "-shared")
+from covariant._compile import FAST, compiled, compiler
 
 
 @functools.cache
@@ -26,4 +24,4 @@ def library(source: str, declarations: str) -> tuple[Any, Any]:
 
     ffi = cffi.FFI()
     ffi.cdef(declarations)
-    return ffi, compiled(source, FLAGS, ffi.dlopen)
+    return ffi, compiled(source, FAST, ffi.dlopen)

@@ -1,6 +1,7 @@
 """An observer as a function of plain arrays of numbers, compiled from C."""
 
 import functools
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -13,21 +14,24 @@ from covariant.observers import AbstractObserver
 from covariant.runtime._compile import library
 
 DECLARED = """
-void kernel_init(const double *open, const double *y, double t, double *state);
-void kernel_run(const double *open, double *state, long rows, const double *u, const double *y, const double *dt,
-                double *x, double *info);
-int kernel_step(double *numbers, double dt);
+void kernel_init(const double *open, const double *y, const double *t, double *state);
+void kernel_run(const double *open, double *state, const long *rows, const double *const *logs,
+                const int *kept, int count, double *const *found);
 """
+DECLARED_STEP = "int kernel_step(double *numbers, double dt);"
 
 
 class Kernel(NamedTuple):
-    """A compiled observer.
+    """A compiled observer, for so many runs at once as it has lanes.
 
     - `program`: its graphs; `sizes`: numbers of a state, an estimate and an info.
-    - `library.kernel_run(open, state, rows, u, y, dt, x, info)`: advance a state in place over rows, for pointers to
-      doubles; `open` holds the open numbers one after another.
+    - `library.kernel_init(open, y, t, state)`: the states at rest at a measurement; `open` are the open numbers one
+      after another. Of several lanes each number is a row, with an entry for each lane.
+    - `library.kernel_run(open, state, rows, logs, kept, count, found)`: advance the states in place, over as many rows
+      as each lane has. For each lane `logs` holds the pointers to its inputs, measurements and time steps, and `found`
+      those to its estimates and to the `count` columns `kept` of its infos.
     - `library.kernel_step(numbers, dt)`: one step on an array of state, input, measurement, estimate and info, in this
-      order, for an observer without open numbers; returns the result code.
+      order, for an observer without open numbers and with one lane; returns the result code.
     - `pointer`: the pointer to an array.
     """
 
@@ -35,28 +39,29 @@ class Kernel(NamedTuple):
     ffi: Any
     library: Any
     sizes: tuple[int, int, int]
+    lanes: int
 
     def pointer(self, array: np.ndarray) -> Any:
         """The pointer to a contiguous array of doubles, which must live as long as the pointer is used."""
         return self.ffi.cast("double *", array.ctypes.data)
 
-    def start(self, y: np.ndarray, t: float, numbers: np.ndarray | None = None) -> np.ndarray:
-        """The state at rest at a measurement; `numbers` are those that are open."""
-        state, y = np.empty(self.sizes[0]), np.ascontiguousarray(y, float)
-        opened = self.ffi.NULL if numbers is None else self.pointer(numbers)
-        self.library.kernel_init(opened, self.pointer(y), t, self.pointer(state))
-        return state
+    def pointers(self, arrays: Sequence[np.ndarray]) -> Any:
+        """The pointers to several such arrays, one after another."""
+        return self.ffi.new("double *[]", [self.pointer(array) for array in arrays])
 
 
-def kernel(observer: AbstractObserver, y: np.ndarray, inputs: int, opened: tuple[int, ...] = ()) -> Kernel:
+def kernel(
+    observer: AbstractObserver, y: np.ndarray, inputs: int, opened: tuple[int, ...] = (), lanes: int = 1
+) -> Kernel:
     """The kernel of an observer, its numbers written into the code.
 
     - `opened`: which of its arrays of real numbers, counted as leaves of its pytree, are arguments instead.
+    - `lanes`: how many runs it does at once.
 
     One that was made before in this process for an equal observer is given again. Raises `LoweringError` where the
     observer has no graph, and `OSError` where it cannot be compiled.
     """
-    asked = _Asked(observer, np.zeros(np.shape(y)), inputs, opened)
+    asked = _Asked(observer, np.zeros(np.shape(y)), inputs, opened, lanes)
     try:
         return _kept(asked)
     except TypeError:  # something in it has no hash
@@ -66,15 +71,15 @@ def kernel(observer: AbstractObserver, y: np.ndarray, inputs: int, opened: tuple
 class _Asked:
     """What a kernel is made of; equal where the kernels would be."""
 
-    def __init__(self, observer: AbstractObserver, y: np.ndarray, inputs: int, opened: tuple[int, ...]):
+    def __init__(self, observer: AbstractObserver, y: np.ndarray, inputs: int, opened: tuple[int, ...], lanes: int):
         arrays, self.rest = eqx.partition(observer, eqx.is_inexact_array)
         self.leaves, self.tree = jax.tree.flatten(arrays)
-        self.y, self.inputs, self.opened = y, inputs, opened
+        self.y, self.inputs, self.opened, self.lanes = y, inputs, opened, lanes
         told = [np.asarray(leaf) for leaf in self.leaves]
         written = tuple(b"" if i in opened else a.tobytes() for i, a in enumerate(told))
         kinds = tuple((a.shape, a.dtype.str) for a in told)
         functions, form = jax.tree.flatten(self.rest)
-        self._key = (self.tree, form, tuple(functions), written, kinds, opened, y.shape, inputs)
+        self._key = (self.tree, form, tuple(functions), written, kinds, opened, y.shape, inputs, lanes)
 
     def __hash__(self) -> int:
         return hash(self._key)
@@ -110,24 +115,33 @@ def _compiled(asked: _Asked) -> Kernel:
 
     def function(graph: Lowered, name: str, arguments: str, results: int) -> CText:
         names = arguments.split()
-        declared = ", ".join(f"double {n}" if n in ("dt", "t") else f"const double *restrict {n}" for n in names)
+        declared = ", ".join(f"real {n}" if n in ("dt", "t") else f"const real *restrict {n}" for n in names)
         given = tuple(entry for n in names for entry in entries[n])
         outputs = tuple(f"z[{i}]" for i in range(results))
-        signature = Signature(f"{declared}, double *restrict z", (*names, "z"), given, outputs)
-        return c_function(graph, name, signature, static=True)
+        signature = Signature(f"{declared}, real *restrict z", (*names, "z"), given, outputs)
+        return c_function(graph, name, signature, static=True, lanes=asked.lanes)
 
     texts = [
         function(made.init, "core_init", "o y t", n_state),
         function(made.step, "core_step", "o s u y dt", n_state + n_info),
         function(made.estimate, "core_estimate", "o s", n_x),
     ]
-    helpers = c_helpers(frozenset().union(*(text.helpers for text in texts)))
+    helpers = c_helpers(frozenset().union(*(text.helpers for text in texts)), lanes=asked.lanes)
     result = [leaf.name for leaf in made.info for _ in range(leaf.size)].index("result")
     named = {"RESULT": result, "STATE": n_state, "INPUTS": made.u, "MEASURED": sizes["y"], "ESTIMATE": n_x}
-    source = _SOURCE.replace("@CORE@", "\n".join([helpers, *(t.text for t in texts)]))
-    source = source.replace("@SIZES@", "\n".join(f"#define {k} {v}" for k, v in (named | {"INFO": n_info}).items()))
-    ffi, lib = library(source, DECLARED)
-    return Kernel(made, ffi, lib, (n_state, n_x, n_info))
+    named |= {"INFO": n_info, "OPEN": sizes["o"], "LANES": asked.lanes}
+    alone = asked.lanes == 1
+    parts = {
+        "SIZES": "\n".join(f"#define {k} {v}" for k, v in named.items()),
+        "HELPERS": helpers,
+        "REAL": f"typedef {'double' if alone else 'lanes'} real;",
+        "CORE": "\n".join(text.text for text in texts),
+    }
+    source = _SOURCE + (_STEP if alone else "")
+    for key, text in parts.items():
+        source = source.replace(f"@{key}@", text)
+    ffi, lib = library(source, DECLARED + (DECLARED_STEP if alone else ""))
+    return Kernel(made, ffi, lib, (n_state, n_x, n_info), asked.lanes)
 
 
 # A velocity at rest decays until its last digits are gone, and numbers so small take processors many times as long:
@@ -145,32 +159,90 @@ _SOURCE = """#include <math.h>
 
 @SIZES@
 
+@HELPERS@
+@REAL@
+#if LANES > 1
+#define LANE(array, k, i) array[k][i]
+#else
+#define LANE(array, k, i) array[(k) + (i)]
+#endif
+#define SOME(count) ((count) > 0 ? (count) : 1)
+
 @CORE@
 
-void kernel_init(const double *open, const double *y, double t, double *state)
+static void load(real *into, const double *from, int count)
 {
-    core_init(open, y, t, state);
+    int i, k;
+    for (k = 0; k < count; ++k)
+        for (i = 0; i < LANES; ++i)
+            LANE(into, k, i) = from[k * LANES + i];
 }
 
-void kernel_run(const double *open, double *state, long rows, const double *u, const double *y, const double *dt,
-                double *x, double *info)
+static void store(double *into, const real *from, int count)
 {
-    double next[STATE + INFO];
-    long r;
+    int i, k;
+    for (k = 0; k < count; ++k)
+        for (i = 0; i < LANES; ++i)
+            into[k * LANES + i] = LANE(from, k, i);
+}
+
+void kernel_init(const double *open, const double *y, const double *t, double *state)
+{
+    real o[SOME(OPEN)], measured[SOME(MEASURED)], at[1], s[STATE];
+    load(o, open, OPEN);
+    load(measured, y, MEASURED);
+    load(at, t, 1);
+    core_init(o, measured, at[0], s);
+    store(state, s, STATE);
+}
+
+void kernel_run(const double *open, double *state, const long *rows, const double *const *logs,
+                const int *kept, int count, double *const *found)
+{
+    real o[SOME(OPEN)], s[STATE], u[SOME(INPUTS)], y[SOME(MEASURED)], dt[1], next[STATE + INFO], x[SOME(ESTIMATE)];
+    long r, longest = 0;
+    int i, k;
     TINY_IS_ZERO;
-    for (r = 0; r < rows; ++r) {
-        core_step(open, state, u + r * INPUTS, y + r * MEASURED, dt[r], next);
-        memcpy(state, next, STATE * sizeof(double));
-        memcpy(info + r * INFO, next + STATE, INFO * sizeof(double));
-        core_estimate(open, state, x + r * ESTIMATE);
+    load(o, open, OPEN);
+    load(s, state, STATE);
+    for (i = 0; i < LANES; ++i)
+        longest = rows[i] > longest ? rows[i] : longest;
+    for (r = 0; r < longest; ++r) {
+        for (i = 0; i < LANES; ++i) {
+            const long at = r < rows[i] ? r : rows[i] - 1; /* a lane at its end does the last row again, for nobody */
+            for (k = 0; k < INPUTS; ++k)
+                LANE(u, k, i) = logs[3 * i][at * INPUTS + k];
+            for (k = 0; k < MEASURED; ++k)
+                LANE(y, k, i) = logs[3 * i + 1][at * MEASURED + k];
+            LANE(dt, 0, i) = logs[3 * i + 2][at];
+        }
+        core_step(o, s, u, y, dt[0], next);
+        memcpy(s, next, sizeof s);
+        core_estimate(o, s, x);
+        for (i = 0; i < LANES; ++i)
+            if (r < rows[i]) {
+                for (k = 0; k < ESTIMATE; ++k)
+                    found[2 * i][r * ESTIMATE + k] = LANE(x, k, i);
+                for (k = 0; k < count; ++k)
+                    found[2 * i + 1][r * count + k] = LANE(next, STATE + kept[k], i);
+            }
     }
+    store(state, s, STATE);
     AS_BEFORE;
 }
+"""
 
+_STEP = """
 int kernel_step(double *numbers, double dt)
 {
     double *u = numbers + STATE, *y = u + INPUTS, *x = y + MEASURED, *info = x + ESTIMATE;
-    kernel_run(0, numbers, 1, u, y, &dt, x, info);
+    double next[STATE + INFO];
+    TINY_IS_ZERO;
+    core_step(0, numbers, u, y, dt, next);
+    memcpy(numbers, next, STATE * sizeof(double));
+    memcpy(info, next + STATE, INFO * sizeof(double));
+    core_estimate(0, numbers, x);
+    AS_BEFORE;
     return (int)info[RESULT];
 }
 """

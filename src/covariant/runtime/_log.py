@@ -1,6 +1,6 @@
 """Whole logs through an observer by compiled C, where it pays."""
 
-import functools
+import itertools
 import os
 from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from covariant._compile import vector_bytes
 from covariant.lowering import LoweringError
 from covariant.observers import AbstractObserver, run
 from covariant.runtime._compile import missing
@@ -20,8 +21,8 @@ from covariant.signals import Record, Result, Run
 Engine = Literal["auto", "c", "jax"]
 FEWEST_ROWS = 100_000
 """Fewest rows, of all logs together, for which C is worth its compilation."""
-BLOCK = 10_000
-"""Rows whose infos are held at once."""
+RUNS_A_CORE = 4
+"""More runs than this for each core go through lanes: a step in all lanes takes about as long as four of one run."""
 
 
 def run_log(
@@ -43,12 +44,15 @@ def run_logs(
     records: Record | Sequence[Record],
     keep: Collection[str] | None = None,
     engine: Engine = "auto",
+    others: Sequence[AbstractObserver] = (),
 ) -> tuple[list[Run], str]:
     """Many runs: one observer over many logs, many observers over one log, or as many observers as logs in pairs.
 
     - `observers`: of one kind, told apart by their numbers, such as gains or masses; all are one compiled program.
     - `records`: logs of any lengths, with measurements and inputs of one shape.
     - `keep`, `engine`: as for `run_log`; C pays if all logs together are long. It uses every core.
+    - `others`: observers of other calls: what tells any of them apart stays open in the compiled program, so that a
+      search for the best numbers compiles one.
 
     Returns the runs in order, and the engine that made them. Raises `ValueError` from `Record.check`, for counts that
     do not fit, and for observers or records of different forms.
@@ -67,7 +71,7 @@ def run_logs(
         told = ", ".join(f"y {y} and {u} inputs" for y, u in sorted(forms, key=str))
         raise ValueError(f"run_logs: measurements and inputs must have one shape in all records; got {told}")
     count = max(len(many), len(logs))
-    differ, numbers = _told_apart(many)
+    differ, numbers = _told_apart([*many, *others])
     each, logs = many * (count // len(many)), logs * (count // len(logs))
     rows = sum(len(r.t) for r in logs)
     why = "as asked" if engine == "jax" else missing()
@@ -75,7 +79,7 @@ def run_logs(
         why = f"fewer than {FEWEST_ROWS} rows"
     if why is None:
         try:
-            return _by_c(each, differ, np.resize(numbers, (count, numbers.shape[1])), logs, keep), "c"
+            return _by_c(each, differ, np.resize(numbers[: len(many)], (count, numbers.shape[1])), logs, keep), "c"
         except (LoweringError, OSError) as error:
             why = f"{error}"
     return [run(observer, record, keep) for observer, record in zip(each, logs, strict=True)], f"jax: {why}"
@@ -86,17 +90,26 @@ def _told_apart(observers: Sequence[AbstractObserver]) -> tuple[tuple[int, ...],
 
     Raises `ValueError` where the observers differ in more than the values of their arrays.
     """
-    parts = [eqx.partition(observer, eqx.is_inexact_array) for observer in observers]
-    leaves, trees = zip(*(jax.tree.flatten(arrays) for arrays, _ in parts), strict=True)
-    shapes = [[np.shape(a) for a in arrays] for arrays in leaves]
-    for k, (_, rest) in enumerate(parts):
-        if trees[k] != trees[0] or shapes[k] != shapes[0] or not eqx.tree_equal(rest, parts[0][1]):
+    leaves, trees = zip(*map(jax.tree.flatten, observers), strict=True)
+    real = [eqx.is_inexact_array(leaf) for leaf in leaves[0]]
+    for k, (tree, own) in enumerate(zip(trees, leaves, strict=True)):
+        if tree != trees[0] or not all(map(_alike, real, own, leaves[0])):
             raise ValueError(
                 f"run_logs: observer {k} is of another kind than the first, not only of other numbers; run it alone"
             )
-    columns = [np.stack([np.ravel(arrays[i]) for arrays in leaves]).astype(float) for i in range(len(leaves[0]))]
+    arrays = [i for i, is_real in enumerate(real) if is_real]
+    columns = [np.stack([np.ravel(own[i]) for own in leaves]).astype(float) for i in arrays]
     differ = tuple(i for i, column in enumerate(columns) if (column != column[0]).any())
-    return differ, np.concatenate([np.empty((len(parts), 0)), *(columns[i] for i in differ)], axis=1)
+    return differ, np.concatenate([np.empty((len(observers), 0)), *(columns[i] for i in differ)], axis=1)
+
+
+def _alike(real: bool, leaf: Any, first: Any) -> bool:
+    """Whether leaves of two observers differ at most in the values of an array of real numbers."""
+    if leaf is first:
+        return True
+    if real:
+        return eqx.is_inexact_array(leaf) and np.shape(leaf) == np.shape(first)
+    return not eqx.is_inexact_array(leaf) and bool(eqx.tree_equal(leaf, first))
 
 
 def _by_c(
@@ -106,10 +119,18 @@ def _by_c(
     logs: Sequence[Record],
     keep: Collection[str] | None,
 ) -> list[Run]:
-    made = kernel(observers[0], np.asarray(logs[0].y[0]), np.shape(logs[0].u)[1], differ)
+    cores = os.cpu_count() or 1
+    lanes = vector_bytes() // np.dtype(float).itemsize if len(logs) > RUNS_A_CORE * cores else 1
+    made = kernel(observers[0], np.asarray(logs[0].y[0]), np.shape(logs[0].u)[1], differ, lanes)
     form = _Form.of(observers[0], made, keep)
-    with ThreadPoolExecutor(min(len(logs), os.cpu_count() or 1)) as pool:  # C lets go of Python's lock while it runs
-        return list(pool.map(functools.partial(_through, made, form), numbers, logs))
+    # Runs of like lengths go together, since lanes wait for the longest.
+    order = sorted(range(len(logs)), key=lambda k: len(logs[k].t))
+    blocks = [order[k : k + lanes] for k in range(0, len(order), lanes)]
+    read = {id(log): _Columns.of(log) for log in logs}
+    with ThreadPoolExecutor(min(len(blocks), cores)) as pool:  # C lets go of Python's lock while it runs
+        found = pool.map(lambda block: _through(made, form, numbers[block], [read[id(logs[k])] for k in block]), blocks)
+        runs = dict(zip(order, itertools.chain(*found), strict=True))
+    return [runs[k] for k in range(len(logs))]
 
 
 class _Form(NamedTuple):
@@ -134,25 +155,49 @@ class _Form(NamedTuple):
         return cls(kept, _split(estimate), _split(made.program.told_as._replace(**dict.fromkeys(dropped))))
 
 
-def _through(made: Kernel, form: _Form, numbers: np.ndarray, record: Record) -> Run:
-    """One log through a kernel with the open numbers given."""
-    t, u, y = (np.ascontiguousarray(a, float) for a in record[:3])
-    acting = np.concatenate([u[:1], u[:-1]])  # the input that acted since the previous stamp
-    dt = np.diff(t, prepend=t[:1])
-    rows, flat = len(t), y.reshape(len(t), -1)
-    state = made.start(y[0], float(t[0]), numbers)
-    _, n_x, n_info = made.sizes
-    x, info, block = np.empty((rows, n_x)), np.empty((rows, len(form.kept))), np.empty((min(rows, BLOCK), n_info))
-    for at in range(0, rows, BLOCK):
-        part = slice(at, at + BLOCK)
-        count = len(dt[part])
-        arrays = (acting[part], flat[part], dt[part], x[part], block)
-        made.library.kernel_run(made.pointer(numbers), made.pointer(state), count, *map(made.pointer, arrays))
-        info[part] = block[:count, form.kept]
+class _Columns(NamedTuple):
+    """A log as C reads it: stamps, and input, measurement and time step of each row."""
+
+    t: jax.Array
+    start: float
+    u: np.ndarray
+    y: np.ndarray
+    dt: np.ndarray
+
+    @classmethod
+    def of(cls, record: Record) -> "_Columns":
+        """The columns of a log."""
+        t, u, y = (np.ascontiguousarray(a, float) for a in record[:3])
+        acting = np.concatenate([u[:1], u[:-1]])  # the input that acted since the previous stamp
+        return cls(jnp.asarray(t), float(t[0]), acting, y.reshape(len(t), -1), np.diff(t, prepend=t[:1]))
+
+
+def _through(made: Kernel, form: _Form, numbers: np.ndarray, logs: Sequence[_Columns]) -> list[Run]:
+    """Logs through a kernel, as many as it has lanes or fewer, with the open numbers of each."""
+    kept = form.kept.tolist()
+    found = [(np.empty((len(log.y), made.sizes[1])), np.empty((len(log.y), len(kept)))) for log in logs]
+    lanes = np.minimum(np.arange(made.lanes), len(logs) - 1).tolist()  # those left over do the last log as well
+    opened = np.ascontiguousarray(numbers[lanes].T)
+    first, t = np.stack([logs[k].y[0] for k in lanes], axis=1), np.array([logs[k].start for k in lanes])
+    state = np.empty((made.sizes[0], made.lanes))
+    made.library.kernel_init(*map(made.pointer, (opened, first, t, state)))
+    made.library.kernel_run(
+        made.pointer(opened),
+        made.pointer(state),
+        made.ffi.new("long[]", [len(logs[k].y) for k in lanes]),
+        made.pointers([a for k in lanes for a in logs[k][2:]]),
+        made.ffi.new("int[]", kept),
+        len(kept),
+        made.pointers([a for k in lanes for a in found[k]]),
+    )
+    return [_run(form, log.t, x, info) for log, (x, info) in zip(logs, found, strict=True)]
+
+
+def _run(form: _Form, t: jax.Array, x: np.ndarray, info: np.ndarray) -> Run:
     told = form.told(info)
     if told.result is not None and told.result[0] == Result.REPEATED:
         told.result[0] = Result.OK  # the first row is no step
-    return Run(jnp.asarray(t), form.estimate(x), told)
+    return Run(t, form.estimate(x), told)
 
 
 def _split(kinds: Any) -> Callable[[np.ndarray], Any]:

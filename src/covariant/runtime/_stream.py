@@ -18,7 +18,7 @@ SET_BACK = 5
 
 CODES = tuple(Result)
 NOT_FINITE = int(Result.NOT_FINITE)
-DOUBLE = np.dtype(float)
+DOUBLE, ndarray = np.dtype(float), np.ndarray
 
 
 class Health(NamedTuple):
@@ -64,13 +64,9 @@ class Stream:
         m = inputs if inputs is not None else 0 if model is None else len(y) if stated is None else stated
         self.observer: Any = observer
         self.engine, self._works = engine(self.observer, y, m)
-        self._y, self._u, self._advance, self._copy = (
-            self._works.y,
-            self._works.u,
-            self._works.advance,
-            self._works.x.copy,
-        )
-        self._y_shape, self._u_shape = self._y.shape, self._u.shape
+        self._y, self._u = self._works.y, self._works.u
+        self._y_place, self._u_place = self._works.places
+        self._advance, self._copy = self._works.advance, self._works.x.copy
         self._shape = y.shape if y.ndim == 2 else None
         # Compile before the first sample.
         self._works.y[:], self._works.u[:] = y.ravel(), 0.0
@@ -104,13 +100,17 @@ class Stream:
         a `Motion` of arrays for a system that is not in coordinates.
         """
         # The quick way is written out, since a call takes as long as the observer's own work.
-        if type(y) is np.ndarray and y.dtype is DOUBLE and y.shape == self._y_shape:
-            self._y[:] = y
-        else:
+        try:
+            if type(y) is not ndarray or y.dtype is not DOUBLE:
+                raise ValueError
+            self._y_place[:] = y
+        except ValueError:  # of another size, or not in one piece
             self._read(self._y, y)
-        if type(u) is np.ndarray and u.dtype is DOUBLE and u.shape == self._u_shape:
-            self._u[:] = u
-        else:
+        try:
+            if type(u) is not ndarray or u.dtype is not DOUBLE:
+                raise ValueError
+            self._u_place[:] = u
+        except ValueError:
             self._read(self._u, u)
         if type(t) is not float:
             t = _stamp(t)

@@ -22,14 +22,17 @@ class InC:
         self._numbers = np.zeros(sum(sizes))  # one array, so that a call passes one pointer
         self.state, self.u, self.y, self.x, self.info = np.split(self._numbers, np.cumsum(sizes)[:-1])
         self._made = made  # it keeps the library loaded
-        self._starts = made.pointer(self.y), made.pointer(self.state)
+        self._t = np.zeros(1)
+        self._starts = tuple(map(made.pointer, (self.y, self._t, self.state)))
+        self.places: Any = tuple(made.ffi.buffer(made.pointer(a), a.nbytes) for a in (self.y, self.u))
+        """Where the bytes of a measurement and an input go: sooner written than arrays of NumPy."""
         self.advance = functools.partial(made.library.kernel_step, made.pointer(self._numbers))
         """One step of dt, in place; returns its result code."""
 
     def start(self, t: float) -> None:
         """Start at y, at the time t."""
-        y, state = self._starts
-        self._made.library.kernel_init(self._made.ffi.NULL, y, t, state)
+        self._t[0] = t
+        self._made.library.kernel_init(self._made.ffi.NULL, *self._starts)
         before = self.u.copy()
         self.u.fill(0.0)
         self.advance(0.0)  # a step of no length leaves the state as it is, and tells its estimate
@@ -42,6 +45,7 @@ class InJax:
     def __init__(self, observer: Any, y: np.ndarray, inputs: int):
         self._shape, self._observer = y.shape, observer
         self.y, self.u = np.zeros(y.size), np.zeros(inputs)
+        self.places: Any = tuple(map(memoryview, (self.y, self.u)))  # pyright: ignore[reportArgumentType]
         self._step = eqx.filter_jit(_stepped)
         self._begin = eqx.filter_jit(lambda observer, y, t: observer.init(y, t))
         self._state = self._begin(observer, jnp.asarray(y), jnp.asarray(0.0))
