@@ -136,10 +136,10 @@ def test_sweeps_are_what_follows_from_the_metric(name, request):
     def near():
         along = jax.vmap(lambda e: jnp.tensordot(WEIGHTS, jax.vmap(space)(around(model, q, e)), 1))(axes)
         brackets = jax.vmap(lambda e: jax.vmap(lambda f: manifold.bracket(q, e, f))(axes))(axes)
-        pairs = ((a, b), (b, c), (a, c))
-        forces = jnp.stack([space.connection_force(q, *pair) for pair in pairs])
+        forces = jax.vmap(lambda one, two: space.connection_force(q, one, two))(jnp.stack([a, b, a]), jnp.stack([b, c, c]))
         force = lambda at, e: jax.vmap(lambda x: space.connection(x, e, c))(around(model, q, at))  # noqa: E731
-        turned = jnp.stack([jnp.tensordot(WEIGHTS, force(one, two), 1) for one, two in ((a, b), (b, a))])
+        change = lambda one, two: jnp.tensordot(WEIGHTS, force(one, two), 1)  # noqa: E731
+        turned = jax.vmap(change)(jnp.stack([a, b]), jnp.stack([b, a]))
         return along, brackets, forces, turned, space.curvature(q, a, b, c), space(q)
 
     slopes, brackets, forces, turned, curvature, matrix = (np.asarray(part) for part in near())
