@@ -137,7 +137,9 @@ def test_sweeps_are_what_follows_from_the_metric(name, request):
     def near():
         along = jax.vmap(lambda e: jnp.tensordot(WEIGHTS, jax.vmap(space)(around(model, q, e)), 1))(axes)
         brackets = jax.vmap(lambda e: jax.vmap(lambda f: manifold.bracket(q, e, f))(axes))(axes)
-        forces = jax.vmap(lambda one, two: space.connection_force(q, one, two))(jnp.stack([a, b, a]), jnp.stack([b, c, c]))
+        forces = jax.vmap(lambda one, two: space.connection_force(q, one, two))(
+            jnp.stack([a, b, a]), jnp.stack([b, c, c])
+        )
         force = lambda at, e: jax.vmap(lambda x: space.connection(x, e, c))(around(model, q, at))  # noqa: E731
         change = lambda one, two: jnp.tensordot(WEIGHTS, force(one, two), 1)  # noqa: E731
         turned = jax.vmap(change)(jnp.stack([a, b]), jnp.stack([b, a]))

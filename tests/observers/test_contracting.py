@@ -244,7 +244,9 @@ def test_passive_observer_does_not_mind_whole_turns_and_needs_a_first_position()
     observer = PassiveShip(noisy, notch_gains(noisy, (0.1, 0.1, 0.2)))
     y = jnp.array([1.0, 2.0, 3.1])
     state = observer.init(y)
-    states = [step(observer, state, jnp.zeros(3), y.at[2].add(2 * np.pi * k), jnp.asarray(1.0))[0].x for k in (-1, 0, 1)]
+    states = [
+        step(observer, state, jnp.zeros(3), y.at[2].add(2 * np.pi * k), jnp.asarray(1.0))[0].x for k in (-1, 0, 1)
+    ]
     np.testing.assert_allclose(states[0], states[1], atol=1e-6)
     np.testing.assert_allclose(states[2], states[1], atol=1e-6)
     with pytest.raises(Exception, match="the first row must hold north, east and heading"):
