@@ -163,7 +163,7 @@ def test_lyapunov_function_of_the_ship_falls_as_designed(own):
     mass = np.asarray(plain.ship.mass)
     q1, q2 = mass * 1e-3, np.diag(np.diag(mass)) * 1e-2 if own else None
     gains = lyapunov_gains(plain, mass * 1e-2, q1, q2)
-    slope = eqx.filter_jit(jax.jacfwd(PassiveShip(plain, gains).contracting().virtual, 1))
+    slope = jax.jit(jax.jacfwd(PassiveShip(plain, gains).contracting().virtual, 1))
     p = np.asarray(jax.scipy.linalg.block_diag(gains.stiffness, gains.inertia))
     for psi in (0.0, 1.0, -2.5):
         z = jnp.array([1.0, 2.0, psi])
@@ -261,7 +261,7 @@ def test_notch_holds_back_waves_and_follows_the_bias():
         marine.supply_vessel(), marine.Waves((0.8,) * 3, (0.1,) * 3, (0.5, 0.5, 0.01)), bias_time=1e6
     )
     observer = PassiveShip(noisy, notch_gains(noisy, (0.1, 0.1, 0.2)))
-    slope = eqx.filter_jit(jax.jacfwd(observer.contracting().virtual, 1))
+    slope = jax.jit(jax.jacfwd(observer.contracting().virtual, 1))
     f = np.asarray(slope(ZERO, jnp.zeros(15), jnp.zeros(3), jnp.zeros(3)))
     gain = np.asarray(observer.gain(ZERO))
     assert np.linalg.eigvals(f).real.max() < 0
@@ -302,7 +302,7 @@ def test_craft_observer_is_the_printed_one():
     observer = craft_observer(craft, k1, k2)
     random = np.random.default_rng(0)
     z, x, tau = (jnp.asarray(random.normal(size=n)) for n in (6, 12, 6))
-    flow = eqx.filter_jit(observer.virtual)(ZERO, x, tau, z)
+    flow = jax.jit(observer.virtual)(ZERO, x, tau, z)
     j = jax.jit(craft.transform)(z)
     np.testing.assert_allclose(flow[:6], j @ x[6:] + k1 @ (z - x[:6]), rtol=1e-12)  # (101)
     right = tau + j.T @ k2 @ (z - x[:6]) - craft.damping(x[6:]) @ x[6:] - craft.restoring(z)

@@ -96,15 +96,14 @@ class AbstractSpace(Functional):
         """`R(a, b)c = (∂_a B)(b, c) − (∂_b B)(a, c) + B(a, B(b, c)) − B(b, B(a, c)) − B([a, b], c)` at x.
 
         The covector is computed first and raised once, with `M (∂_a B)(b, c) = (∂_a (M B))(b, c) − (∂_a M) B(b, c)`:
-        no solution of a linear system is differentiated. What is alike is computed together, in a smaller program.
+        no solution of a linear system is differentiated.
         """
-        directions, fields = jnp.stack([a, b]), jnp.stack([b, a])
-        turned, changes = jax.vmap(lambda along, field: self._bent(x, along, field, c))(directions, fields)
+        bc, force_a = self._bent(x, a, b, c)
+        ac, force_b = self._bent(x, b, a, c)
+        total = force_a - force_b + self.connection_force(x, a, bc) - self.connection_force(x, b, ac)
         if not self.manifold.commuting:
-            directions = jnp.concatenate([directions, self.manifold.bracket(x, a, b)[None]])
-            turned = jnp.concatenate([turned, c[None]])
-        forces = jax.vmap(lambda along, field: self.connection_force(x, along, field))(directions, turned)
-        return self.raise_(x, changes[0] - changes[1] + forces[0] - jnp.sum(forces[1:], axis=0))
+            total = total - self.connection_force(x, self.manifold.bracket(x, a, b), c)
+        return self.raise_(x, total)
 
     def transport_along(self, p: Configuration, velocity: Vector, w: Vectors, budget: Budget = Budget()) -> Transported:
         """Follow the geodesic of that velocity for unit time, with parallel transport of the vectors w (..., n)."""

@@ -111,10 +111,8 @@ class LeftInvariant(AbstractSpace):
 
     def curvature(self, x: Element, a: Vector, b: Vector, c: Vector) -> Vector:
         """`R(a, b)c = B(a, B(b, c)) − B(b, B(a, c)) − B([a, b], c)`."""
-        along = jax.vmap(lambda d, e: self.connection(x, d, e))  # in two batches: a program of less than half the size
-        bc, ac = along(jnp.stack([b, a]), jnp.stack([c, c]))
-        one, two, three = along(jnp.stack([a, b, self.group.lie_bracket(a, b)]), jnp.stack([bc, ac, c]))
-        return one - two - three
+        along = jax.jit(lambda d, e: self.connection(x, d, e))  # traced once, not at each of the five places
+        return along(a, along(b, c)) - along(b, along(a, c)) - along(self.group.lie_bracket(a, b), c)
 
     def _coadjoint_sum(self, a: Vector, b: Vector) -> Vector:
         return self.group.coadjoint(a, self.inertia(b)) + self.group.coadjoint(b, self.inertia(a))

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from covariant.geometry import AbstractManifold, Coordinates, ProductManifold
+from covariant.geometry import AbstractManifold, AbstractSpace, Coordinates, ProductManifold
 from covariant.geometry.lie import SE3, SO3
 from covariant.models._mechanical import MechanicalSystem
 from covariant.models._parameters import Parametric, known, namespace
@@ -376,7 +376,7 @@ def _leader(axis: _Axis, names: list[str]) -> int:
 
 
 @eqx.filter_jit  # operation by operation a first robot would take several times as long
-def _matrix(space: RobotSpace, x: Array) -> Array:
+def _matrix(space: AbstractSpace, x: Array) -> Array:
     return space(x)
 
 
