@@ -4,6 +4,7 @@ import re
 from pathlib import Path
 
 import compare_robots
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import mujoco
@@ -136,10 +137,12 @@ def test_sweeps_are_what_follows_from_the_metric(name, request):
     def near():
         along = jax.vmap(lambda e: jnp.tensordot(WEIGHTS, jax.vmap(space)(around(model, q, e)), 1))(axes)
         brackets = jax.vmap(lambda e: jax.vmap(lambda f: manifold.bracket(q, e, f))(axes))(axes)
-        pairs = ((a, b), (b, c), (a, c))
-        forces = jnp.stack([space.connection_force(q, *pair) for pair in pairs])
+        forces = jax.vmap(lambda one, two: space.connection_force(q, one, two))(
+            jnp.stack([a, b, a]), jnp.stack([b, c, c])
+        )
         force = lambda at, e: jax.vmap(lambda x: space.connection(x, e, c))(around(model, q, at))  # noqa: E731
-        turned = jnp.stack([jnp.tensordot(WEIGHTS, force(one, two), 1) for one, two in ((a, b), (b, a))])
+        change = lambda one, two: jnp.tensordot(WEIGHTS, force(one, two), 1)  # noqa: E731
+        turned = jax.vmap(change)(jnp.stack([a, b]), jnp.stack([b, a]))
         return along, brackets, forces, turned, space.curvature(q, a, b, c), space(q)
 
     slopes, brackets, forces, turned, curvature, matrix = (np.asarray(part) for part in near())
@@ -182,6 +185,12 @@ def test_a_free_fall_keeps_the_momentum_that_weight_leaves(floating_arm):
     np.testing.assert_allclose(jax.jit(fall)(q, v), [0, 0, -9.81], atol=1e-10)
 
 
+@eqx.filter_jit
+def energies(model, q, v):
+    """Twice the kinetic energy, and the potential one."""
+    return jnp.stack([model.space.inner(q, v, v), model.potential(q)])
+
+
 def test_a_joint_that_follows_moves_with_the_other(folder, arm):
     """`roll = −0.5 bend + 0.2`: energies are those of the whole arm moving so."""
     follows = ARM.replace(
@@ -192,8 +201,7 @@ def test_a_joint_that_follows_moves_with_the_other(folder, arm):
     assert coupled.coordinates == ("turn", "slide", "bend")
     q, v = jnp.array([0.3, -0.2, 0.7]), jnp.array([1.0, 0.5, -2.0])
     whole = jnp.array([0.3, -0.2, -0.5 * 0.7 + 0.2, 0.7]), jnp.array([1.0, 0.5, 1.0, -2.0])
-    assert coupled.space.inner(q, v, v) == pytest.approx(float(arm.space.inner(*whole, whole[1])), rel=1e-12)
-    assert coupled.potential(q) == pytest.approx(float(arm.potential(whole[0])), rel=1e-12)
+    np.testing.assert_allclose(energies(coupled, q, v), energies(arm, *whole), rtol=1e-12)
 
 
 def test_ten_turns_of_a_continuous_joint_are_none(arm):
@@ -355,13 +363,14 @@ def test_a_payload_moves_with_its_link_and_can_be_differentiated(folder, arm):
     load_ = (0.7, 0.1, -0.2, 0.3)
     loaded = robots.load(folder / "arm.urdf", payload={"flange": load_})
     q, (v, *_) = state(arm, 5)
-    at = arm.space.pose(q, "flange")
-    place = at[:3, 3] + at[:3, :3] @ jnp.array(load_[1:])
-    twist = arm.space.jacobian(q, "flange") @ v
-    speed = twist[:3] + jnp.cross(twist[3:], jnp.array(load_[1:]))
-    more = loaded.space.inner(q, v, v) - arm.space.inner(q, v, v)
-    assert float(more) == pytest.approx(0.7 * float(speed @ speed), rel=1e-10)
-    assert float(loaded.potential(q) - arm.potential(q)) == pytest.approx(0.7 * 9.81 * float(place[2]), rel=1e-10)
+    flange = jax.jit(lambda q: (arm.space.pose(q, "flange"), arm.space.jacobian(q, "flange")))
+    at, jacobian = map(np.asarray, flange(q))
+    place = at[:3, 3] + at[:3, :3] @ np.array(load_[1:])
+    twist = jacobian @ np.asarray(v)
+    speed = twist[:3] + np.cross(twist[3:], np.array(load_[1:]))
+    more = energies(loaded, q, v) - energies(arm, q, v)
+    assert float(more[0]) == pytest.approx(0.7 * float(speed @ speed), rel=1e-10)
+    assert float(more[1]) == pytest.approx(0.7 * 9.81 * float(place[2]), rel=1e-10)
     weight = jax.grad(lambda m: robots.load(folder / "arm.urdf", payload={"flange": (m, *load_[1:])}).potential(q))
     assert float(weight(0.7)) == pytest.approx(9.81 * float(place[2]), rel=1e-10)
     for wrong, words in (({"hand": load_}, "there is no link 'hand'"), ({"flange": (1.0,)}, "give mass, x, y, z")):

@@ -1,5 +1,6 @@
 """Observers that copy the plant: the virtual system, samples, gaps, and the passive observer of ships."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -24,6 +25,16 @@ from covariant.simulation import observe, simulate
 ZERO = jnp.zeros(())
 
 
+@eqx.filter_jit
+def step(observer, state, u, y, dt):
+    return observer.step(state, u, y, dt)
+
+
+@eqx.filter_jit
+def flow_of(observer, state, u, y):
+    return observer.flow(ZERO, state, u, y).x
+
+
 @pytest.fixture(scope="module")
 def oscillator():
     return models.duffing()
@@ -45,10 +56,10 @@ def test_step_tends_to_the_flow():
     observer = Contracting(mass_on_a_spring(), jnp.array([[3.0], [2.0]]), jnp.array([0.2, -0.3]))
     u, y = jnp.array([0.4]), jnp.array([0.7])
     state = observer.init(y)
-    slope = observer.flow(ZERO, state, u, y).x
+    slope = flow_of(observer, state, u, y)
     errors = []
     for dt in (1e-2, 5e-3, 2.5e-3):
-        moved, _ = observer.step(state, u, y, jnp.asarray(dt))
+        moved, _ = step(observer, state, u, y, jnp.asarray(dt))
         errors.append(float(jnp.linalg.norm((moved.x - state.x) / dt - slope)))
     orders = np.log2(np.divide(errors[:-1], errors[1:]))
     np.testing.assert_allclose(orders, 1.0, atol=0.1)
@@ -72,13 +83,13 @@ def test_missing_samples_are_coasted_and_gains_of_any_size_are_stable():
     model = mass_on_a_spring()
     observer = Contracting(model, jnp.array([[1e4], [1e4]]), jnp.array([0.3, 0.1]))
     state = observer.init(jnp.array([1.0]))
-    moved, info = observer.step(state, jnp.zeros(1), jnp.array([jnp.nan]), jnp.asarray(0.1))
+    moved, info = step(observer, state, jnp.zeros(1), jnp.array([jnp.nan]), jnp.asarray(0.1))
     assert int(info.result) == Result.COASTED
     np.testing.assert_allclose(moved.unmeasured, 0.1)
     alone = simulate(model, state.x, jnp.array([0.0, 0.1])).x[-1]
     np.testing.assert_allclose(moved.x, alone, atol=1e-6)
     for _ in range(200):
-        state, info = observer.step(state, jnp.ones(1), jnp.array([1.0]), jnp.asarray(0.1))  # the spring at rest
+        state, info = step(observer, state, jnp.ones(1), jnp.array([1.0]), jnp.asarray(0.1))  # the spring at rest
     np.testing.assert_allclose(state.x, [1.0, 0.0], atol=1e-9)
     np.testing.assert_allclose(info.innovation, 0.0, atol=1e-9)
 
@@ -97,7 +108,7 @@ def test_angles_are_wrapped():
 def test_single_precision_stays_single():
     observer = Contracting(mass_on_a_spring(), jnp.array([[3.0], [2.0]]), jnp.zeros(2))
     y = jnp.ones(1, jnp.float32)
-    state, _ = observer.step(observer.init(y), jnp.zeros(1, jnp.float32), y, jnp.asarray(0.1, jnp.float32))
+    state, _ = step(observer, observer.init(y), jnp.zeros(1, jnp.float32), y, jnp.asarray(0.1, jnp.float32))
     assert state.x.dtype == jnp.float32
 
 
@@ -126,7 +137,7 @@ def test_passive_observer_is_the_printed_one():
     observer = PassiveShip(plain, gains)
     z, x = jnp.array([3.0, -2.0, 1.1]), jnp.array([2.5, -1.0, 0.8, 0.3, -0.1, 0.01])
     tau = jnp.array([1e5, 2e4, -3e6])
-    flow = observer.flow(ZERO, observer.init(z)._replace(x=x), tau, z).x
+    flow = flow_of(observer, observer.init(z)._replace(x=x), tau, z)
     turn = np.asarray(marine.yaw_rotation(z[2]))
     error, eta, nu = np.asarray(z - x[:3]), np.asarray(x[:3]), np.asarray(x[3:])
     held = np.array([eta[0], eta[1], eta[2]])
@@ -152,11 +163,11 @@ def test_lyapunov_function_of_the_ship_falls_as_designed(own):
     mass = np.asarray(plain.ship.mass)
     q1, q2 = mass * 1e-3, np.diag(np.diag(mass)) * 1e-2 if own else None
     gains = lyapunov_gains(plain, mass * 1e-2, q1, q2)
-    virtual = PassiveShip(plain, gains).contracting().virtual
+    slope = jax.jit(jax.jacfwd(PassiveShip(plain, gains).contracting().virtual, 1))
     p = np.asarray(jax.scipy.linalg.block_diag(gains.stiffness, gains.inertia))
     for psi in (0.0, 1.0, -2.5):
         z = jnp.array([1.0, 2.0, psi])
-        f = np.asarray(jax.jacfwd(virtual, 1)(ZERO, jnp.zeros(6), jnp.zeros(3), z))
+        f = np.asarray(slope(ZERO, jnp.zeros(6), jnp.zeros(3), z))
         fall = -(p @ f + f.T @ p) / 2
         damping = np.asarray(plain.ship.damping(jnp.zeros(3)))
         expected = np.asarray(jax.scipy.linalg.block_diag(q1, (damping + damping.T) / 2 if q2 is None else q2))
@@ -221,10 +232,10 @@ def test_a_thruster_that_lags_is_modelled_and_not_corrected():
     tau, z = jnp.array([1e5, 2e4, -3e6]), jnp.array([3.0, -2.0, 1.1])
     state = observer.init(z)
     assert state.t == 0.0
-    flow = observer.flow(ZERO, state._replace(x=x), tau, z).x
+    flow = flow_of(observer, state._replace(x=x), tau, z)
     np.testing.assert_allclose(flow[6:], (tau - x[6:]) / 5.0, rtol=1e-14)
     still = PassiveShip(station(), observer.gains)
-    alone = still.flow(ZERO, still.init(z)._replace(x=x[:6]), x[6:], z).x
+    alone = flow_of(still, still.init(z)._replace(x=x[:6]), x[6:], z)
     np.testing.assert_allclose(flow[:6], alone, rtol=1e-12)
 
 
@@ -233,7 +244,9 @@ def test_passive_observer_does_not_mind_whole_turns_and_needs_a_first_position()
     observer = PassiveShip(noisy, notch_gains(noisy, (0.1, 0.1, 0.2)))
     y = jnp.array([1.0, 2.0, 3.1])
     state = observer.init(y)
-    states = [observer.step(state, jnp.zeros(3), y.at[2].add(2 * np.pi * k), jnp.asarray(1.0))[0].x for k in (-1, 0, 1)]
+    states = [
+        step(observer, state, jnp.zeros(3), y.at[2].add(2 * np.pi * k), jnp.asarray(1.0))[0].x for k in (-1, 0, 1)
+    ]
     np.testing.assert_allclose(states[0], states[1], atol=1e-6)
     np.testing.assert_allclose(states[2], states[1], atol=1e-6)
     with pytest.raises(Exception, match="the first row must hold north, east and heading"):
@@ -248,7 +261,8 @@ def test_notch_holds_back_waves_and_follows_the_bias():
         marine.supply_vessel(), marine.Waves((0.8,) * 3, (0.1,) * 3, (0.5, 0.5, 0.01)), bias_time=1e6
     )
     observer = PassiveShip(noisy, notch_gains(noisy, (0.1, 0.1, 0.2)))
-    f = np.asarray(jax.jacfwd(observer.contracting().virtual, 1)(ZERO, jnp.zeros(15), jnp.zeros(3), jnp.zeros(3)))
+    slope = jax.jit(jax.jacfwd(observer.contracting().virtual, 1))
+    f = np.asarray(slope(ZERO, jnp.zeros(15), jnp.zeros(3), jnp.zeros(3)))
     gain = np.asarray(observer.gain(ZERO))
     assert np.linalg.eigvals(f).real.max() < 0
 
@@ -288,11 +302,11 @@ def test_craft_observer_is_the_printed_one():
     observer = craft_observer(craft, k1, k2)
     random = np.random.default_rng(0)
     z, x, tau = (jnp.asarray(random.normal(size=n)) for n in (6, 12, 6))
-    flow = observer.virtual(ZERO, x, tau, z)
-    j = craft.transform(z)
+    flow = jax.jit(observer.virtual)(ZERO, x, tau, z)
+    j = jax.jit(craft.transform)(z)
     np.testing.assert_allclose(flow[:6], j @ x[6:] + k1 @ (z - x[:6]), rtol=1e-12)  # (101)
     right = tau + j.T @ k2 @ (z - x[:6]) - craft.damping(x[6:]) @ x[6:] - craft.restoring(z)
     np.testing.assert_allclose(craft.mass @ flow[6:], right, rtol=1e-12)  # (102)
-    drag = jax.jacfwd(lambda nu: craft.damping(nu) @ nu)(x[6:])
+    drag = jax.jit(jax.jacfwd(lambda nu: craft.damping(nu) @ nu))(x[6:])
     np.testing.assert_allclose(drag, 2 * craft.damping(x[6:]), rtol=1e-12)  # the factor that F_obs lacks
     assert state_space(craft).outputs == craft.coordinates

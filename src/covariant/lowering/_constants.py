@@ -22,8 +22,8 @@ def compute(eqn, values: Sequence[Any]) -> list[Any]:
         with np.errstate(all="ignore"):
             found = rule(eqn.params, *given)
         if found is not NotImplemented:
-            (aval,) = outputs
-            return [np.asarray(found, aval.dtype).reshape(aval.shape)]
+            parts = found if eqn.primitive.multiple_results else [found]
+            return [np.asarray(part, aval.dtype).reshape(aval.shape) for part, aval in zip(parts, outputs, strict=True)]
     with jax.ensure_compile_time_eval():
         found = eqn.primitive.bind(*(jnp.asarray(v) for v in values), **eqn.params)
     return [np.asarray(f) for f in (found if eqn.primitive.multiple_results else [found])]
@@ -57,6 +57,10 @@ def _slice(parameters: dict, value: np.ndarray) -> np.ndarray:
     strides = parameters["strides"] or (1,) * value.ndim
     ends = zip(parameters["start_indices"], parameters["limit_indices"], strides, strict=True)
     return value[tuple(slice(*end) for end in ends)]
+
+
+def _split(parameters: dict, value: np.ndarray) -> list[np.ndarray]:
+    return np.split(value, np.cumsum(parameters["sizes"])[:-1], axis=parameters["axis"])
 
 
 def _iota(parameters: dict) -> np.ndarray:
@@ -110,6 +114,7 @@ _RULES: dict[str, Rule] = {
     "concatenate": lambda parameters, *values: np.concatenate(values, axis=parameters["dimension"]),
     "rev": lambda parameters, value: np.flip(value, tuple(parameters["dimensions"])),
     "slice": _slice,
+    "split": _split,
     "iota": lambda parameters, *_: _iota(parameters),
     "convert_element_type": _convert,
     "copy": _each(np.copy),

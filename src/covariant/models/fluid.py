@@ -206,14 +206,19 @@ def _times(factors: np.ndarray | Array, coefficients: Modes) -> Modes:
 def _matrix(n: int, coefficients: Modes) -> Element:
     """The matrix `Σ f_m T_m`: entry (j, k) is `Σ f_m exp(2πi m₁(j + k)/n)` over the modes with m₂ = k − j."""
     j, k = np.ogrid[:n, :n]
-    return jnp.fft.ifft(coefficients, axis=0, norm="forward")[(j + k) % n, (k - j) % n]
+    return _entries(jnp.fft.ifft(coefficients, axis=0, norm="forward"), (j + k) % n * n + (k - j) % n)
 
 
 def _coefficients(n: int, matrix: Element) -> Modes:
     """The inverse of `_matrix`; (n + 1)/2 is one half modulo n."""
     j, m2 = np.ogrid[:n, :n]
     k = (j - m2) * (n + 1) // 2 % n
-    return jnp.fft.fft(matrix[k, (k + m2) % n], axis=0, norm="forward")
+    return jnp.fft.fft(_entries(matrix, k * n + (k + m2) % n), axis=0, norm="forward")
+
+
+def _entries(matrix: Element, places: np.ndarray) -> Element:
+    """Entries at places that are known, the matrix being counted as one axis: a single operation."""
+    return matrix.reshape(-1).at[places].get(mode="promise_in_bounds", wrap_negative_indices=False)
 
 
 @eqx.filter_custom_jvp

@@ -9,6 +9,7 @@ term up to four times; the gradient of the squared distance is the Riemannian lo
 import abc
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
@@ -110,10 +111,7 @@ class LeftInvariant(AbstractSpace):
 
     def curvature(self, x: Element, a: Vector, b: Vector, c: Vector) -> Vector:
         """`R(a, b)c = B(a, B(b, c)) − B(b, B(a, c)) − B([a, b], c)`."""
-
-        def along(d, e):
-            return self.connection(x, d, e)
-
+        along = jax.jit(lambda d, e: self.connection(x, d, e))  # traced once, not at each of the five places
         return along(a, along(b, c)) - along(b, along(a, c)) - along(self.group.lie_bracket(a, b), c)
 
     def _coadjoint_sum(self, a: Vector, b: Vector) -> Vector:

@@ -48,17 +48,18 @@ class SU(AbstractGroup):
         return self.n
 
     def hat(self, x: Vector) -> Element:
-        rows, columns, diagonal = _su_layout(self.n)
-        pairs = len(rows)
+        above, below, diagonal = _su_layout(self.n)
+        pairs = len(above)
         upper = jax.lax.complex(-x[pairs : 2 * pairs], -x[:pairs]) / 2
-        matrix = jnp.zeros((self.n, self.n), upper.dtype).at[rows, columns].set(upper, unique_indices=True)
         middle = -0.5 * (jnp.asarray(diagonal, x.dtype) @ x[2 * pairs :])
-        return matrix - matrix.conj().T + jnp.diag(jax.lax.complex(jnp.zeros_like(middle), middle))
+        entries = jnp.concatenate([upper, -upper.conj(), jax.lax.complex(jnp.zeros_like(middle), middle)])
+        places = np.argsort(np.concatenate([above, below, np.arange(self.n) * (self.n + 1)]))
+        return entry(entries, places).reshape(self.n, self.n)
 
     def vee(self, matrix: Element) -> Vector:
-        rows, columns, diagonal = _su_layout(self.n)
-        upper = matrix[rows, columns] - matrix[columns, rows].conj()
-        middle = -jnp.diagonal(matrix).imag @ jnp.asarray(diagonal, matrix.real.dtype)
+        above, below, diagonal = _su_layout(self.n)
+        upper = entry(matrix, above) - entry(matrix, below).conj()
+        middle = -matrix.reshape(-1)[:: self.n + 1].imag @ jnp.asarray(diagonal, matrix.real.dtype)
         return jnp.concatenate([-upper.imag, -upper.real, middle])
 
     def lie_bracket(self, x: Vector, y: Vector) -> Vector:
@@ -184,13 +185,19 @@ def _in_precision(constants: Array, dtype) -> Array:
     return constants.astype(np.result_type(real, np.complex64) if jnp.iscomplexobj(constants) else real)
 
 
+def entry(array: Array, places: np.ndarray) -> Array:
+    """Entries of an array whose axes are counted as one, at places that are known and within it: a single operation."""
+    return array.reshape(-1).at[places].get(mode="promise_in_bounds", wrap_negative_indices=False)
+
+
 def _su_layout(n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Where the pairs j < k are in the matrix counted as one axis, where k > j, and the basis of the diagonals."""
     rows, columns = np.triu_indices(n, 1)
     diagonal = np.zeros((n, n - 1))
     for k in range(1, n):
         diagonal[:k, k - 1] = np.sqrt(2 / (k * (k + 1)))
         diagonal[k, k - 1] = -k * np.sqrt(2 / (k * (k + 1)))
-    return rows, columns, diagonal
+    return rows * n + columns, columns * n + rows, diagonal
 
 
 def matrix_bracket(group: AbstractGroup, x: Vector, y: Vector) -> Vector:

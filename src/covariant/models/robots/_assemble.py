@@ -4,12 +4,13 @@ import contextlib
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from covariant.geometry import AbstractManifold, Coordinates, ProductManifold
+from covariant.geometry import AbstractManifold, AbstractSpace, Coordinates, ProductManifold
 from covariant.geometry.lie import SE3, SO3
 from covariant.models._mechanical import MechanicalSystem
 from covariant.models._parameters import Parametric, known, namespace
@@ -374,10 +375,15 @@ def _leader(axis: _Axis, names: list[str]) -> int:
     return names.index(axis.joint.follows.joint)
 
 
+@eqx.filter_jit  # operation by operation a first robot would take several times as long
+def _matrix(space: AbstractSpace, x: Array) -> Array:
+    return space(x)
+
+
 def _check_inertia(model: MechanicalSystem, names: list[str]) -> None:
     """Raise `ValueError` where a velocity has no kinetic energy; `names` are those of the joints of its last ones."""
     x = model.manifold.origin()
-    values, vectors = np.linalg.eigh(np.asarray(model.space(x)))
+    values, vectors = np.linalg.eigh(np.asarray(_matrix(model.space, x)))
     if values[0] <= SMALLEST_INERTIA * values[-1]:
         part = np.abs(vectors[:, 0])[-len(names) :]
         worst = names[int(np.argmax(part))] if names else "of the base"

@@ -9,9 +9,12 @@ from covariant.proofs import Box, box
 
 
 def odin_cascade(
-    pitch: float = 0.5, attempts: int = 20_000, starts: int = 64, proved: bool = False
+    pitch: float = 0.5, attempts: int = 20_000, starts: int = 64, proved: bool = False, units: bool = True
 ) -> CascadeCertificate:
-    """Theorem 3 for ODIN over attitudes up to `pitch` in roll and pitch and the velocities of `odin_box`."""
+    """Theorem 3 for ODIN over attitudes up to `pitch` in roll and pitch and the velocities of `odin_box`.
+
+    `units`: whether condition (72) is also tried in other units.
+    """
     controller = odin_controller()
     plant = tracking(controller)
     high = [0.0, 0.0, 0.0, pitch, pitch, 0.0] + [0.0] * 6 + [0.5] * 3 + [0.3] * 3
@@ -28,7 +31,7 @@ def odin_cascade(
         (plant, plant_box),
         (subject, odin_box(pitch=pitch, roll=pitch)),
         (feedthrough(controller), coupling_box),
-        units=(both, both),
+        units=(both, both) if units else None,
         attempts=attempts,
         starts=starts,
         proved=proved,
