@@ -10,8 +10,14 @@ from covariant.lowering import enclose, pairs
 from covariant.proofs._box import Box
 from covariant.proofs._definite import definite, factors, indefinite, weights
 from covariant.proofs._enclosure import Ball, Expansions, enclosed_by, half_widths, taylor_form
+from covariant.proofs._models import polynomials
 from covariant.proofs._tests_in_c import tests_in_c
 from covariant.proofs._tree import OPEN, PROVED, middle_of
+
+MODELLED = 128
+"""Number of boxes whose Taylor models are made at once."""
+SHRUNK = (2, 4, 6)
+"""How often boxes are halved in all directions, on which no Taylor models are known, to see which variable matters."""
 
 
 def judge(matrix: Expansions, low: np.ndarray, high: np.ndarray) -> tuple[Int[np.ndarray, "B"], np.ndarray | None]:
@@ -43,6 +49,8 @@ def _tested(
     matrix: Expansions, low: np.ndarray, high: np.ndarray
 ) -> tuple[Bool[np.ndarray, "B"], Float[np.ndarray, "B f"], Bool[np.ndarray, "B"]]:
     """Which boxes are proved, how much each variable widens the enclosures of the others, and which are smooth."""
+    if matrix.first is None or matrix.second is None:
+        return _tested_by_models(matrix, low, high)
     centre = middle_of(low, high)
     at = enclose(matrix.first, centre, centre, matrix.engine)
     on = enclose(matrix.second, low, high, matrix.engine)
@@ -59,6 +67,23 @@ def _tested(
         c[..., rest], found.terms[..., rest], found.shares[..., rest]
     )
     return proved, _weight(parts, f), found.smooth
+
+
+def _tested_by_models(
+    matrix: Expansions, low: np.ndarray, high: np.ndarray
+) -> tuple[Bool[np.ndarray, "B"], Float[np.ndarray, "B f"], Bool[np.ndarray, "B"]]:
+    """The same by Taylor models, some boxes after the other. They hold at kinks too, where they are the hulls."""
+    tests, f = tests_in_c(matrix.engine, matrix.size), len(matrix.free)
+    proved, weight = np.empty(len(low), bool), np.empty((len(low), f))
+    for start in range(0, len(low), MODELLED):
+        some = slice(start, start + MODELLED)
+        found = polynomials(matrix.value, low[some], high[some], matrix.free)
+        proved[some], c = (tests.definite if tests else definite)(found.centre, found.rest, found.terms)
+        rest = np.flatnonzero(~proved[some])
+        parts = np.zeros((len(found.terms), len(c.T)))
+        parts[:, rest] = weights(c[..., rest], found.terms[..., rest], np.zeros((1, 1, 1)))
+        weight[some] = _weight(parts, f)
+    return proved, weight, np.ones(len(low), bool)
 
 
 def look_around(matrix: Expansions, domain: Box, count: int = 4096) -> np.ndarray | None:
@@ -89,8 +114,22 @@ def _weight(parts: np.ndarray, f: int) -> Float[np.ndarray, "B f"]:
 
 def _weight_at_centre(matrix: Expansions, low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """The weights from derivatives at the centre alone, for boxes on which nothing is bounded."""
+    if matrix.second is None:
+        return _weight_around_centre(matrix, low, high)
     centre = middle_of(low, high)
     at, k = enclose(matrix.second, centre, centre, matrix.engine), matrix.size * (matrix.size + 1) // 2
     with np.errstate(invalid="ignore", over="ignore"):
         value, terms, shares = taylor_form(at, at, ((high - low)[:, matrix.free] / 2).T.copy(), k)
     return _weight(weights(factors(value.middle)[0], terms, shares), len(matrix.free))
+
+
+def _weight_around_centre(matrix: Expansions, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """The weights of smaller boxes of the same shape, the largest on which something is known; NaN if there is none."""
+    centre, weight = middle_of(low, high), np.full((len(low), len(matrix.free)), np.nan)
+    for halvings in SHRUNK:
+        blind = np.flatnonzero(~np.isfinite(weight).all(axis=1))
+        if not len(blind):
+            break
+        ends = ((end + centre * (2**halvings - 1)) / 2**halvings for end in (low, high))
+        weight[blind] = _tested_by_models(matrix, *(end[blind] for end in ends))[1]
+    return weight

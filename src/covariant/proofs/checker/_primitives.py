@@ -160,9 +160,9 @@ def _scatter_add(p: dict, x: np.ndarray, indices: np.ndarray, updates: np.ndarra
     if placed(np.ones(updates.size, int)).max(initial=0) > 1:
         raise ValueError("'scatter-add' with several terms for one place is not known to the check")
     found, terms = x.ravel().copy(), updates.ravel()
-    for place, number in enumerate(placed(np.arange(1, updates.size + 1))):
-        if number:
-            found[place] = found[place] + terms[number - 1]
+    for place, term in enumerate(placed(np.arange(1, updates.size + 1))):
+        if term:
+            found[place] = found[place] + terms[term - 1]
     return found.reshape(x.shape)
 
 
