@@ -16,8 +16,6 @@ from covariant.proofs._tree import OPEN, PROVED, middle_of
 
 MODELLED = 128
 """Number of boxes whose Taylor models are made at once."""
-SHRUNK = (2, 4, 6)
-"""How often boxes are halved in all directions, on which no Taylor models are known, to see which variable matters."""
 
 
 def judge(matrix: Expansions, low: np.ndarray, high: np.ndarray) -> tuple[Int[np.ndarray, "B"], np.ndarray | None]:
@@ -80,9 +78,12 @@ def _tested_by_models(
         found = polynomials(matrix.value, low[some], high[some], matrix.free)
         proved[some], c = (tests.definite if tests else definite)(found.centre, found.rest, found.terms)
         rest = np.flatnonzero(~proved[some])
+        shares = np.zeros_like(found.terms[..., rest])
+        shares[:f] = found.shares[..., rest]
         parts = np.zeros((len(found.terms), len(c.T)))
-        parts[:, rest] = weights(c[..., rest], found.terms[..., rest], np.zeros((1, 1, 1)))
-        weight[some] = _weight(parts, f)
+        parts[:, rest] = weights(c[..., rest], found.terms[..., rest], shares)
+        blind = found.blame.any(axis=0)
+        weight[some] = np.where(blind[:, None], found.blame.T, _weight(parts, f))
     return proved, weight, np.ones(len(low), bool)
 
 
@@ -113,23 +114,11 @@ def _weight(parts: np.ndarray, f: int) -> Float[np.ndarray, "B f"]:
 
 
 def _weight_at_centre(matrix: Expansions, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """The weights from derivatives at the centre alone, for boxes on which nothing is bounded."""
+    """The weights from derivatives at the centre alone, for boxes on which nothing is bounded; NaN without them."""
     if matrix.second is None:
-        return _weight_around_centre(matrix, low, high)
+        return np.full((len(low), len(matrix.free)), np.nan)
     centre = middle_of(low, high)
     at, k = enclose(matrix.second, centre, centre, matrix.engine), matrix.size * (matrix.size + 1) // 2
     with np.errstate(invalid="ignore", over="ignore"):
         value, terms, shares = taylor_form(at, at, ((high - low)[:, matrix.free] / 2).T.copy(), k)
     return _weight(weights(factors(value.middle)[0], terms, shares), len(matrix.free))
-
-
-def _weight_around_centre(matrix: Expansions, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """The weights of smaller boxes of the same shape, the largest on which something is known; NaN if there is none."""
-    centre, weight = middle_of(low, high), np.full((len(low), len(matrix.free)), np.nan)
-    for halvings in SHRUNK:
-        blind = np.flatnonzero(~np.isfinite(weight).all(axis=1))
-        if not len(blind):
-            break
-        ends = ((end + centre * (2**halvings - 1)) / 2**halvings for end in (low, high))
-        weight[blind] = _tested_by_models(matrix, *(end[blind] for end in ends))[1]
-    return weight

@@ -31,14 +31,17 @@ class Model:
 
     - `on`: the s variables that it depends on.
     - `at`, `rest` (B,); `line` (s, B); `bend` (p, B), for the pairs `pairs(s)`. Where B is 1 all boxes share it.
+    - `shares` (s, B): how much of `rest` is due to each variable. Nothing is shown by them; they guide the search.
 
     The sums of absolute values are kept too: those of `line`, of `bend`, and the largest distance from `at`, `away`.
     """
 
-    __slots__ = ("at", "away", "bend", "bent", "line", "on", "rest", "sloped")
+    __slots__ = ("at", "away", "bend", "bent", "line", "on", "rest", "shares", "sloped")
 
-    def __init__(self, on: Support, at: np.ndarray, line: np.ndarray, bend: np.ndarray, rest: np.ndarray):
-        self.on, self.at, self.line, self.bend, self.rest = on, at, line, bend, rest + TINY
+    def __init__(
+        self, on: Support, at: np.ndarray, line: np.ndarray, bend: np.ndarray, rest: np.ndarray, shares: np.ndarray
+    ):
+        self.on, self.at, self.line, self.bend, self.rest, self.shares = on, at, line, bend, rest + TINY, shares
         self.sloped, self.bent = np.abs(line).sum(0), np.abs(bend).sum(0)
         self.away = (self.sloped + self.bent + self.rest) * (1 + ROUND)
 
@@ -46,7 +49,8 @@ class Model:
     def number(cls, at: Any, rest: Any = 0.0) -> "Model":
         """A number within `rest` of `at`, of which no more is known."""
         at = np.atleast_1d(np.asarray(at, float))
-        return cls((), at, np.empty((0, 1)), np.empty((0, 1)), np.broadcast_to(rest, at.shape))
+        none = np.empty((0, 1))
+        return cls((), at, none, none, np.broadcast_to(rest, at.shape), none)
 
     @classmethod
     def within(cls, found: Interval) -> "Model":
@@ -57,57 +61,70 @@ class Model:
 
     @property
     def bounds(self) -> Interval:
-        """The least interval around `at` that holds the number, rounded outward."""
+        """An interval around `at` that holds the number, rounded outward."""
         step = ROUND * (np.abs(self.at) + self.away) + TINY
         return Interval(self.at - self.away - step, self.at + self.away + step)
 
-    def over(self, on: Support) -> tuple[np.ndarray, np.ndarray]:
-        """`line` and `bend` over more variables."""
+    @property
+    def size(self) -> np.ndarray:
+        """A bound (B,) of the polynomial."""
+        return np.abs(self.at) + self.sloped + self.bent
+
+    @property
+    def dues(self) -> np.ndarray:
+        """How much of the distance from `at` is due to each variable (s, B)."""
+        return np.abs(self.line) + _each(self.bend, len(self.on)) + self.shares
+
+    def over(self, on: Support) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """`line`, `bend` and `shares` over more variables."""
         if on == self.on:
-            return self.line, self.bend
+            return self.line, self.bend, self.shares
         places, paired = _places(self.on, on)
-        line, bend = (np.zeros((n, part.shape[1])) for n, part in ((len(on), self.line), (_count(on), self.bend)))
-        line[places], bend[paired] = self.line, self.bend
-        return line, bend
+        given = (self.line, len(on), places), (self.bend, _count(on), paired), (self.shares, len(on), places)
+        found = []
+        for part, count, put in given:
+            wide = np.zeros((count, part.shape[1]))
+            wide[put] = part
+            found.append(wide)
+        return tuple(found)
 
     def times(self, k: np.ndarray) -> "Model":
         """The number times one that is known, (B,) or (1,)."""
         size = np.abs(k)
-        lost = ROUND * size * (np.abs(self.at) + self.sloped + self.bent)
-        return Model(self.on, self.at * k, self.line * k, self.bend * k, (size * self.rest + lost) * (1 + ROUND))
+        rest = (size * (self.rest + ROUND * self.size)) * (1 + ROUND)
+        return Model(self.on, self.at * k, self.line * k, self.bend * k, rest, self.shares * size)
 
     def __neg__(self) -> "Model":
-        return Model(self.on, -self.at, -self.line, -self.bend, self.rest)
+        return Model(self.on, -self.at, -self.line, -self.bend, self.rest, self.shares)
 
     def __add__(self, other: "Model") -> "Model":
         on = _union(self.on, other.on)
-        (line, bend), (more, turned) = self.over(on), other.over(on)
-        lost = ROUND * sum(np.abs(x.at) + x.sloped + x.bent for x in (self, other))
-        rest = (self.rest + other.rest + lost) * (1 + ROUND)
-        return Model(on, self.at + other.at, line + more, bend + turned, rest)
+        (line, bend, due), (more, turned, owed) = self.over(on), other.over(on)
+        rest = (self.rest + other.rest + ROUND * (self.size + other.size)) * (1 + ROUND)
+        return Model(on, self.at + other.at, line + more, bend + turned, rest, due + owed)
 
     def __mul__(self, other: "Model") -> "Model":
-        for known, number in ((self, other), (other, self)):
-            if not known.on and not known.rest.max() > 2 * TINY:
-                return number.times(known.at)
         on = _union(self.on, other.on)
-        (line, bend), (slope, turn) = self.over(on), other.over(on)
+        (line, bend, due), (slope, turn, owed) = self.over(on), other.over(on)
         product = self.at * turn + other.at * bend
         if len(on):
             i, j = _pairs(len(on))
+            apart = np.flatnonzero(i != j)
             product = product + line[i] * slope[j]
-            apart = i != j
             product[apart] += line[j[apart]] * slope[i[apart]]
         # What the polynomials make of third and fourth order, and what the remainders add.
-        one, two = (np.abs(x.at) + x.sloped + x.bent for x in (self, other))
-        cut = self.sloped * other.bent + self.bent * (other.sloped + other.bent)
+        one, two, all_ = self.size, other.size, other.sloped + other.bent
+        cut = self.sloped * other.bent + self.bent * all_
         rest = cut + self.rest * (two + other.rest) + one * other.rest + ROUND * one * two
-        return Model(on, self.at * other.at, self.at * slope + other.at * line, product, rest * (1 + ROUND))
+        shares = due * (two + other.rest) + owed * one + np.abs(line) * other.bent + np.abs(slope) * self.bent
+        shares = shares + _each(bend, len(on)) * all_ + _each(turn, len(on)) * (self.sloped + self.bent)
+        return Model(on, self.at * other.at, self.at * slope + other.at * line, product, rest * (1 + ROUND), shares)
 
     def where(self, chosen: np.ndarray, other: "Model") -> "Model":
         """The number on the chosen boxes (B,), another one on the others."""
         on = _union(self.on, other.on)
-        parts = zip((self.at, *self.over(on), self.rest), (other.at, *other.over(on), other.rest), strict=True)
+        (line, bend, due), (slope, turn, owed) = self.over(on), other.over(on)
+        parts = (self.at, other.at), (line, slope), (bend, turn), (self.rest, other.rest), (due, owed)
         return Model(on, *(np.where(chosen, a, b) for a, b in parts))
 
 
@@ -124,6 +141,17 @@ def _union(a: Support, b: Support) -> Support:
 def _pairs(count: int) -> tuple[Int[np.ndarray, "p"], Int[np.ndarray, "p"]]:
     i, j = np.array(pairs(count), int).reshape(-1, 2).T
     return i, j
+
+
+def _each(bend: np.ndarray, count: int) -> np.ndarray:
+    """How much each of some variables adds to the sum of absolute values of `bend`."""
+    return _incidence(count) @ np.abs(bend)
+
+
+@functools.cache
+def _incidence(count: int) -> Float[np.ndarray, "s p"]:
+    i, j = _pairs(count)
+    return (np.arange(count)[:, None] == i) / 2 + (np.arange(count)[:, None] == j) / 2
 
 
 @functools.cache
@@ -174,12 +202,13 @@ def curve(op: str, x: Model, *given: float) -> Model:
         return whole
     value, slope, bend = (Model.within(found) for found in _enclosed(graph, outputs[:3], Interval(x.at, x.at)))
     third = Model.within(_enclosed(graph, outputs[3:], x.bounds)[0])
-    left = Model(x.on, np.zeros_like(x.at), x.line, x.bend, x.rest)
-    half = Model.number(bend.at / 2, bend.rest)
-    found = value + slope * left + half * (left * left)
+    left = Model(x.on, np.zeros_like(x.at), x.line, x.bend, x.rest, x.shares)
+    found = value + left * slope + left * left * Model.number(bend.at / 2, bend.rest)
     most = (np.abs(third.at) + third.rest) * left.away**3 / 6 * (1 + ROUND)
-    found = Model(found.on, found.at, found.line, found.bend, found.rest + most)
-    return found.where(found.rest <= whole.rest, whole)
+    part = x.dues / np.where(x.away > 0, x.away, 1.0)
+    found = Model(x.on, found.at, found.line, found.bend, found.rest + most, found.shares + most * part)
+    alone = Model(x.on, whole.at, 0 * x.line, 0 * x.bend, whole.rest, whole.rest * part)
+    return found.where(found.rest <= whole.rest, alone)
 
 
 def _divided(a: Model, b: Model) -> Model:
@@ -248,12 +277,16 @@ def _apply(node: Node, nodes: Sequence[Node], x: Sequence[Any]) -> Any:
 class Polynomials(NamedTuple):
     """Numbers on boxes: `centre + Σ wₘ terms[m]` within `rest` (K, B), |wₘ| ≤ 1, terms (f + p, K, B).
 
-    There is a term for each variable and, after these, one for each pair of them, `pairs(f)`.
+    There is a term for each variable and, after these, one for each pair of them, `pairs(f)`; `shares` (f, K, B) is how
+    much of `rest` is due to each variable, and `blame` (f, B) how much each widens the first numbers that are not
+    defined.
     """
 
     centre: Float[np.ndarray, "K B"]
     terms: Float[np.ndarray, "m K B"]
     rest: Float[np.ndarray, "K B"]
+    shares: Float[np.ndarray, "f K B"]
+    blame: Float[np.ndarray, "f B"]
 
 
 def polynomials(
@@ -268,37 +301,55 @@ def polynomials(
     uses.update(a for node in lowered.graph.nodes for a in node.arguments)
     variable = {int(i): k for k, i in enumerate(free)}
     values: dict[int, Any] = {}
+    blame = np.zeros((f, boxes))
     with np.errstate(all="ignore"):
         for number, node in enumerate(nodes):
             if node.op == "input":
                 i = int(node.value or 0)
-                centre = middle_of(low[:, i], high[:, i])
-                half = np.maximum(high[:, i] - centre, centre - low[:, i]) * (1 + ROUND)
-                on = (variable[i],) if i in variable else ()
-                line = half[None] if on else np.empty((0, 1))
-                values[number] = Model(on, centre, line, np.zeros((_count(on), 1)), np.zeros(1) if on else half)
+                values[number] = _variable(low[:, i], high[:, i], variable.get(i))
             elif node.op == "constant":
                 truth = isinstance(node.value, bool)
                 values[number] = INTERVALS["constant"](node.value) if truth else Model.number(node.value)
             else:
-                values[number] = _apply(node, nodes, [values[a] for a in node.arguments])
+                given = [values[a] for a in node.arguments]
+                values[number] = _apply(node, nodes, given)
+                _blame(blame, values[number], given)
             for a in node.arguments:  # what no later operation reads is given up, so that the rest stays in the cache
                 uses[a] -= 1
                 if not uses[a]:
                     del values[a]
-        found = [values[i] for i in lowered.outputs]
-        count = len(found)
-        centre, rest, terms = (
-            np.empty((count, boxes)),
-            np.empty((count, boxes)),
-            np.empty((f + f * (f + 1) // 2, count, boxes)),
-        )
-        square = np.array([i == j for i, j in pairs(f)], bool)
-        for k, value in enumerate(found):
-            line, bend = value.over(tuple(range(f)))
-            terms[:f, k], terms[f:, k] = line, bend
-            terms[f:, k][square] /= 2
-            shift = sum_over(np.broadcast_to(bend[square] / 2, (f, boxes)))
-            centre[k] = value.at + shift  # the square of a variable is ½ ± ½
-            rest[k] = (value.rest + ROUND * (np.abs(value.at) + value.bent)) * (1 + ROUND)
-    return Polynomials(centre, terms, rest)
+        return _gathered([values[i] for i in lowered.outputs], blame, boxes)
+
+
+def _blame(blame: np.ndarray, found: Any, given: Sequence[Any]) -> None:
+    """Note what widens the last argument of an operation on boxes where its result is the first without a bound."""
+    if isinstance(found, Model) and not np.isfinite(found.rest).all():
+        lost, last = ~np.isfinite(found.rest), given[-1]
+        for x in given:
+            lost = lost & (np.isfinite(x.rest) if isinstance(x, Model) else True)
+        if isinstance(last, Model) and lost.any():
+            blame[list(last.on)] += np.where(lost, last.dues / last.away, 0.0)
+
+
+def _variable(low: np.ndarray, high: np.ndarray, number: int | None) -> Model:
+    """A variable on boxes; without a number it is held fixed."""
+    centre = middle_of(low, high)
+    half = np.maximum(high - centre, centre - low) * (1 + ROUND)
+    if number is None:
+        return Model.number(centre, half)
+    return Model((number,), centre, half[None], np.zeros((1, 1)), np.zeros(1), np.zeros((1, 1)))
+
+
+def _gathered(found: Sequence[Model], blame: np.ndarray, boxes: int) -> Polynomials:
+    f = len(blame)
+    square = np.array([i == j for i, j in pairs(f)], bool)
+    count = len(found)
+    centre, rest = np.empty((2, count, boxes))
+    terms, shares = np.empty((f + len(square), count, boxes)), np.empty((f, count, boxes))
+    for k, value in enumerate(found):
+        terms[:f, k], terms[f:, k], shares[:, k] = value.over(tuple(range(f)))
+        terms[f:, k][square] /= 2
+        # The square of a variable is ½ ± ½.
+        centre[k] = value.at + sum_over(terms[f:, k][square])
+        rest[k] = (value.rest + ROUND * (np.abs(value.at) + value.bent)) * (1 + ROUND)
+    return Polynomials(centre, terms, rest, shares, blame)
