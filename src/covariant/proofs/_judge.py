@@ -64,7 +64,7 @@ def _tested(
     parts[:, rest] = (tests.weights if tests else weights)(
         c[..., rest], found.terms[..., rest], found.shares[..., rest]
     )
-    return proved, _weight(parts, f), found.smooth
+    return proved, _weight(parts, np.arange(f), f), found.smooth
 
 
 def _tested_by_models(
@@ -83,7 +83,7 @@ def _tested_by_models(
         parts = np.zeros((len(found.terms), len(c.T)))
         parts[:, rest] = weights(c[..., rest], found.terms[..., rest], shares)
         blind = found.blame.any(axis=0)
-        weight[some] = np.where(blind[:, None], found.blame.T, _weight(parts, f))
+        weight[some] = np.where(blind[:, None], found.blame.T, _weight(parts, found.owners, f))
     return proved, weight, np.ones(len(low), bool)
 
 
@@ -103,13 +103,18 @@ def counterexample_at(matrix: Expansions, points: np.ndarray) -> np.ndarray | No
     return np.stack([points[wrong[0]]] * 2) if len(wrong) else None
 
 
-def _weight(parts: np.ndarray, f: int) -> Float[np.ndarray, "B f"]:
-    """How much each variable widens the enclosures, from each of their terms (m, B): a pair counts for both of its."""
-    weight = parts[:f].copy()
-    for number, (i, j) in enumerate(pairs(f), start=f):
-        weight[i] += parts[number]
-        if i != j:
-            weight[j] += parts[number]
+def _weight(parts: np.ndarray, owners: np.ndarray, f: int) -> Float[np.ndarray, "B f"]:
+    """How much each variable widens the enclosures, from each of their terms (m, B): a pair counts for both of its.
+
+    `owners`: the variable to which each symbol of the terms belongs.
+    """
+    weight = np.zeros((f, parts.shape[1]))
+    for number, owner in enumerate(owners):
+        weight[owner] += parts[number]
+    for number, (i, j) in enumerate(pairs(len(owners)), start=len(owners)):
+        weight[owners[i]] += parts[number]
+        if owners[i] != owners[j]:
+            weight[owners[j]] += parts[number]
     return weight.T
 
 
@@ -121,4 +126,5 @@ def _weight_at_centre(matrix: Expansions, low: np.ndarray, high: np.ndarray) -> 
     at, k = enclose(matrix.second, centre, centre, matrix.engine), matrix.size * (matrix.size + 1) // 2
     with np.errstate(invalid="ignore", over="ignore"):
         value, terms, shares = taylor_form(at, at, ((high - low)[:, matrix.free] / 2).T.copy(), k)
-    return _weight(weights(factors(value.middle)[0], terms, shares), len(matrix.free))
+    f = len(matrix.free)
+    return _weight(weights(factors(value.middle)[0], terms, shares), np.arange(f), f)

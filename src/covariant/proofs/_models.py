@@ -275,16 +275,19 @@ def _apply(node: Node, nodes: Sequence[Node], x: Sequence[Any]) -> Any:
 
 
 class Polynomials(NamedTuple):
-    """Numbers on boxes: `centre + Σ wₘ terms[m]` within `rest` (K, B), |wₘ| ≤ 1, terms (f + p, K, B).
+    """Numbers on boxes: `centre + Σ wₘ terms[m]` within `rest` (K, B), |wₘ| ≤ 1, terms (s + p, K, B).
 
-    There is a term for each variable and, after these, one for each pair of them, `pairs(f)`; `shares` (f, K, B) is how
-    much of `rest` is due to each variable, and `blame` (f, B) how much each widens the first numbers that are not
-    defined.
+    There is a term for each of s symbols and, after these, one for each pair of them, `pairs(s)`. The first symbols are
+    the f free variables; `owners` (s,) are the variables that they belong to.
+
+    Two more guide the search: `shares` (f, K, B) is how much of `rest` is due to each variable, and `blame` (f, B) how
+    much each widens the first numbers that are not defined.
     """
 
     centre: Float[np.ndarray, "K B"]
     terms: Float[np.ndarray, "m K B"]
     rest: Float[np.ndarray, "K B"]
+    owners: Int[np.ndarray, "s"]
     shares: Float[np.ndarray, "f K B"]
     blame: Float[np.ndarray, "f B"]
 
@@ -296,12 +299,11 @@ def polynomials(
 
     Where nothing is known of a value its `rest` is NaN or infinite.
     """
-    boxes, f = len(low), len(free)
     nodes, uses = lowered.graph.nodes, Counter(lowered.outputs)
     uses.update(a for node in lowered.graph.nodes for a in node.arguments)
     variable = {int(i): k for k, i in enumerate(free)}
     values: dict[int, Any] = {}
-    blame = np.zeros((f, boxes))
+    owners, blame = list(range(len(free))), np.zeros((len(free), len(low)))
     with np.errstate(all="ignore"):
         for number, node in enumerate(nodes):
             if node.op == "input":
@@ -312,23 +314,46 @@ def polynomials(
                 values[number] = INTERVALS["constant"](node.value) if truth else Model.number(node.value)
             else:
                 given = [values[a] for a in node.arguments]
-                values[number] = _apply(node, nodes, given)
-                _blame(blame, values[number], given)
+                found = _apply(node, nodes, given)
+                _blame(blame, owners, found, given)
+                values[number] = _with_symbol(found, owners) if _steep(found) else found
             for a in node.arguments:  # what no later operation reads is given up, so that the rest stays in the cache
                 uses[a] -= 1
                 if not uses[a]:
                     del values[a]
-        return _gathered([values[i] for i in lowered.outputs], blame, boxes)
+        return _gathered([values[i] for i in lowered.outputs], owners, blame)
 
 
-def _blame(blame: np.ndarray, found: Any, given: Sequence[Any]) -> None:
+def _blame(blame: np.ndarray, owners: Sequence[int], found: Any, given: Sequence[Any]) -> None:
     """Note what widens the last argument of an operation on boxes where its result is the first without a bound."""
     if isinstance(found, Model) and not np.isfinite(found.rest).all():
         lost, last = ~np.isfinite(found.rest), given[-1]
         for x in given:
             lost = lost & (np.isfinite(x.rest) if isinstance(x, Model) else True)
         if isinstance(last, Model) and lost.any():
-            blame[list(last.on)] += np.where(lost, last.dues / last.away, 0.0)
+            for symbol, due in zip(last.on, last.dues / last.away, strict=True):
+                blame[owners[symbol]] += np.where(lost, due, 0.0)
+
+
+def _steep(found: Any) -> bool:
+    """Whether a number depends on one variable alone, by more than its polynomial knows on some box."""
+    if not (isinstance(found, Model) and len(found.on) == 1):
+        return False
+    return bool((np.isfinite(found.rest) & (found.rest > found.sloped + found.bent)).any())
+
+
+def _with_symbol(found: Model, owners: list[int]) -> Model:
+    """A number of one variable with its remainder as a symbol of its own, |η| ≤ 1, so that what it adds cancels too.
+
+    A steep function, as that of dry friction, is then known to be the same number wherever it enters the matrix: the
+    test of definiteness sees a slope between two values, in place of many errors that know nothing of each other.
+    """
+    finite = np.isfinite(found.rest)
+    owners.append(owners[found.on[0]])
+    line = np.concatenate(np.broadcast_arrays(found.line, np.where(finite, found.rest, 0.0)[None]))
+    on = (*found.on, len(owners) - 1)
+    _, bend, shares = Model(found.on, found.at, found.line, found.bend, found.rest, found.shares).over(on)
+    return Model(on, found.at, line, bend, np.where(finite, 0.0, found.rest), np.where(finite, 0.0, shares))
 
 
 def _variable(low: np.ndarray, high: np.ndarray, number: int | None) -> Model:
@@ -340,16 +365,17 @@ def _variable(low: np.ndarray, high: np.ndarray, number: int | None) -> Model:
     return Model((number,), centre, half[None], np.zeros((1, 1)), np.zeros(1), np.zeros((1, 1)))
 
 
-def _gathered(found: Sequence[Model], blame: np.ndarray, boxes: int) -> Polynomials:
-    f = len(blame)
-    square = np.array([i == j for i, j in pairs(f)], bool)
-    count = len(found)
+def _gathered(found: Sequence[Model], owners: Sequence[int], blame: np.ndarray) -> Polynomials:
+    s, (f, boxes), count = len(owners), blame.shape, len(found)
+    square = np.array([i == j for i, j in pairs(s)], bool)
     centre, rest = np.empty((2, count, boxes))
-    terms, shares = np.empty((f + len(square), count, boxes)), np.empty((f, count, boxes))
+    terms, shares = np.empty((s + len(square), count, boxes)), np.zeros((f, count, boxes))
     for k, value in enumerate(found):
-        terms[:f, k], terms[f:, k], shares[:, k] = value.over(tuple(range(f)))
-        terms[f:, k][square] /= 2
+        terms[:s, k], terms[s:, k], _ = value.over(tuple(range(s)))
+        terms[s:, k][square] /= 2
         # The square of a variable is ½ ± ½.
-        centre[k] = value.at + sum_over(terms[f:, k][square])
+        centre[k] = value.at + sum_over(terms[s:, k][square])
         rest[k] = (value.rest + ROUND * (np.abs(value.at) + value.bent)) * (1 + ROUND)
-    return Polynomials(centre, terms, rest, shares, blame)
+        for symbol, due in zip(value.on, value.shares, strict=True):
+            shares[owners[symbol], k] += due
+    return Polynomials(centre, terms, rest, np.array(owners, int), shares, blame)
