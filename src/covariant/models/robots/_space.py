@@ -101,7 +101,7 @@ class RobotSpace(AbstractSpace):
             row = carries * (force @ slide + moment @ turn)
             force = force @ rotation.T
             moved = jnp.concatenate([force, moment @ rotation.T + jnp.cross(place[None], force)], axis=1)
-            return jnp.where(carries[:, None] > 0, moved, columns), row
+            return jnp.where(carries[:, None] > 0.5, moved, columns), row
 
         bodies = (order, *joints, turn, slide, own, carried)
         at_base, rows = jax.lax.scan(lower_down, jnp.zeros_like(own), bodies, reverse=True)
