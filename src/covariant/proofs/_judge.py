@@ -82,7 +82,7 @@ def _tested_by_models(
         shares[:f] = found.shares[..., rest]
         parts = np.zeros((len(found.terms), len(c.T)))
         parts[:, rest] = weights(c[..., rest], found.terms[..., rest], shares)
-        blind = found.blame.any(axis=0)
+        blind = np.asarray(found.blame.any(axis=0))
         weight[some] = np.where(blind[:, None], found.blame.T, _weight(parts, found.owners, f))
     return proved, weight, np.ones(len(low), bool)
 
