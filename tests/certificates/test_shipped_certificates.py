@@ -25,13 +25,13 @@ def test_some_leaves_are_looked_at_in_balls(name):
     assert check_sample(FOLDER / f"{name}.json", 4).leaves == 4
 
 
-@pytest.mark.parametrize("name", ["heavy_top", "dfki_double_pendulum", "scara"])
+@pytest.mark.parametrize("name", ["heavy_top", "dfki_double_pendulum", "scara", "ur5e_three_joints"])
 def test_large_ones_are_as_they_were_written(name):
     """Their leaves take longer (`covariant certify --check`); here their form and digest, and that no leaf is open."""
     assert not parse(FOLDER / f"{name}.json").open
 
 
-@pytest.mark.parametrize("name", ["ball_and_beam", "heavy_top", "dfki_double_pendulum", "scara"])
+@pytest.mark.parametrize("name", ["ball_and_beam", "heavy_top", "dfki_double_pendulum", "scara", "ur5e_three_joints"])
 def test_a_certificate_is_read_as_it_was_written(name):
     document = json.loads((FOLDER / f"{name}.json").read_text(encoding="utf-8"))
     found = ContractionCertificate.load(FOLDER / f"{name}.json")
