@@ -98,8 +98,8 @@ PUBLIC = {
     "odin_controller odin_eigenvalues odin_loop odin_observer odin_path odin_sampled_rate passive_observer reproduce "
     "sea sea_cost sea_errors sea_filter sea_rows sea_table ship_decay ship_eigenvalues somersault summary tail_rate "
     "write_page",
-    "proofs": "BITS LETTERS MOST_BOXES MOST_LETTERS OPEN PROVED BallMatrix Box Field Form Proof as_form blocks box "
-    "check_box derivative_form digest from_letters graph_rows leaves parse_file prove prove_at_corners "
+    "proofs": "BITS LETTERS MOST_BOXES MOST_DERIVED MOST_LETTERS OPEN PROVED BallMatrix Box Field Form Proof as_form "
+    "blocks box check_box derivative_form digest from_letters graph_rows leaves parse_file prove prove_at_corners "
     "read_file saved_graph saved_levels show_conditions to_letters",
     "proofs.checker": "ROUND TaylorEnclosure halves leaves plain show_definite",
     "report": "PALETTE EstimateReport draw_audit draw_certificate new_figure save_figure table write_article "

@@ -7,6 +7,10 @@ import numpy as np
 import pytest
 
 from covariant.certificates import ContractionCertificate, check, check_sample, follow_estimates, parse
+from covariant.certificates._inequalities import contraction
+from covariant.proofs import PROVED, leaves
+from covariant.proofs._enclosure import Expansions
+from covariant.proofs._judge import judge
 
 FOLDER = Path(__file__).parents[2] / "examples/certificates"
 
@@ -21,13 +25,13 @@ def test_some_leaves_are_looked_at_in_balls(name):
     assert check_sample(FOLDER / f"{name}.json", 4).leaves == 4
 
 
-@pytest.mark.parametrize("name", ["heavy_top", "dfki_double_pendulum"])
+@pytest.mark.parametrize("name", ["heavy_top", "dfki_double_pendulum", "scara", "ur5e_three_joints"])
 def test_large_ones_are_as_they_were_written(name):
     """Their leaves take longer (`covariant certify --check`); here their form and digest, and that no leaf is open."""
     assert not parse(FOLDER / f"{name}.json").open
 
 
-@pytest.mark.parametrize("name", ["ball_and_beam", "heavy_top", "dfki_double_pendulum"])
+@pytest.mark.parametrize("name", ["ball_and_beam", "heavy_top", "dfki_double_pendulum", "scara", "ur5e_three_joints"])
 def test_a_certificate_is_read_as_it_was_written(name):
     document = json.loads((FOLDER / f"{name}.json").read_text(encoding="utf-8"))
     found = ContractionCertificate.load(FOLDER / f"{name}.json")
@@ -55,3 +59,17 @@ def test_estimates_from_the_border_of_the_ball_converge_as_certified(name, slowe
     # Had the certificate promised what most estimates do, it would have been found wrong.
     faster = certificate.radius * np.exp(-np.median(seen.rates) / 2 * seen.t)
     assert not seen._replace(bound=faster).holds
+
+
+def test_leaves_of_a_robot_are_proved_by_the_prover_again():
+    """By its Taylor models, on some of the leaves; and where shoulder and lift are does not enter."""
+    certificate = ContractionCertificate.load(FOLDER / "scara.json")
+    domain, levels = certificate.domain, certificate.claims[0].proof.levels
+    formed = contraction(certificate.subject, certificate.rate).graph(domain.low)
+    matrix = Expansions.of(formed.entries, domain, "numpy")
+    assert [domain.names[i] for i in matrix.free if i < 4] == ["elbow", "twist"]
+    low, high = (np.concatenate(ends)[::100] for ends in list(zip(*leaves(domain, levels), strict=True))[1:])
+    assert (judge(matrix, low, high)[0] == PROVED).all()
+    # A rate beyond that of the gains is found wrong.
+    wrong = contraction(certificate.subject, 30 * certificate.rate).graph(domain.low)
+    assert judge(Expansions.of(wrong.entries, domain, "numpy"), low, high)[1] is not None

@@ -125,6 +125,10 @@ def certify(
         for row in range(2 * n):
             square, limit = float(SLACK * sampled[row]), float(limits[row])
             proof = run(f"reach {row + 1} of {2 * n}", width_bound(about, row, square))
+            while proof.counterexample is not None:  # no sampled point was as wide as this one
+                wider = squared_widths(about, jnp.asarray(proof.counterexample.mean(axis=0)))[row]
+                square = SLACK * max(square, float(wider))
+                proof = run(f"reach {row + 1} of {2 * n}", width_bound(about, row, square))
             claims.append(Claim("reach", proof, row, square, limit))
         sizes = disturbance_sizes(given)
         if sizes.any():

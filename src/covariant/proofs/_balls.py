@@ -29,12 +29,16 @@ class BallMatrix:
 
     - `flint`: the package python-flint, whose precision in bits the caller sets, such as to `BITS`.
     - `form`: the matrix; `low`, `high` (d,): a box that contains all others.
+
+    `reads` is the number of variables that it depends on.
     """
 
     def __init__(self, flint: Any, form: Form, low: np.ndarray, high: np.ndarray):
         entries = form.then(lambda m: (m + m.T) / 2).graph(jnp.asarray(low)).entries
         self.n = entries.results[0].shape[0]
-        self.free = np.flatnonzero(high > low).tolist()
+        read = {int(node.value or 0) for node in entries.graph.nodes if node.op == "input"}
+        self.free = [i for i in np.flatnonzero(high > low).tolist() if i in read]
+        self.reads = len(self.free)
         value = entries._replace(outputs=tuple(entries.nodes()[np.tril_indices(self.n)].tolist()))
         self.first, self.second = expand(value, self.free, 1), expand(value, self.free, 2)
         self.arb, self.matrix, self.domain = flint.arb, flint.arb_mat, _balls(flint.arb)

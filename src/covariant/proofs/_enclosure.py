@@ -7,8 +7,10 @@ which needs about ten times fewer boxes for each variable.
 Source: Neumaier 1990, Interval Methods for Systems of Equations, section 2.3.
 """
 
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
@@ -18,37 +20,57 @@ from covariant.proofs._box import Box
 from covariant.proofs._definite import ROUND, TINY, sum_over
 from covariant.proofs._tree import middle_of
 
+MOST_DERIVED = 8
+"""Most variables for which derivatives are bounded; there are half as many second ones as the square of that number."""
+
 
 class Expansions(NamedTuple):
     """A symmetric matrix (n, n) as graphs of its K entries on and below the diagonal, and of their derivatives.
 
-    - `value`, `first`, `second`: the entries, with first derivatives, and with first and second derivatives.
+    - `value`, `first`, `second`: the entries, with first derivatives, and with first and second derivatives. These are
+      None where Taylor models of the entries take their place.
     - `engine`: who bounds them, as for `enclose`.
-    - `size`: n; `free` (f,): the variables that are not held fixed; `width` (d,): widths of the whole domain.
+    - `size`: n; `free` (f,): the variables that are read and not held fixed; `width` (d,): widths of the whole domain.
     """
 
     value: Lowered
-    first: Lowered
-    second: Lowered
+    first: Lowered | None
+    second: Lowered | None
     size: int
     free: Int[np.ndarray, "f"]
     width: Float[np.ndarray, "d"]
     engine: Arithmetic = "auto"
 
     @classmethod
-    def of(cls, entries: Lowered, domain: Box, engine: Arithmetic = "auto") -> "Expansions":
-        """The expansions of the graph of all entries. Raises `ValueError` where the matrix is not square."""
+    def of(
+        cls,
+        entries: Lowered,
+        domain: Box,
+        engine: Arithmetic = "auto",
+        form: Literal["auto", "derivatives", "models"] = "auto",
+    ) -> "Expansions":
+        """The expansions of the graph of all entries. Raises `ValueError` where the matrix is not square.
+
+        `form`: "derivatives" or "models" leave no choice; "auto" takes models of more than `MOST_DERIVED` variables.
+        """
         shape = entries.results[0].shape
         if len(shape) != 2 or shape[0] != shape[1] or not shape[0]:
             raise ValueError(f"the matrix must be square; it has shape {shape}")
         rows, columns = np.tril_indices(shape[0])
-        free = np.flatnonzero(domain.high > domain.low)
         graph = Graph.of(entries.graph.nodes)
         lower = graft(graph, lambda full: ((full + full.T) / 2)[rows, columns], entries.nodes())
         value = entries._replace(outputs=tuple(lower.tolist()))._replace(graph=graph)
+        small, outputs = graph.pruned(value.outputs)
+        result = jax.ShapeDtypeStruct((len(outputs),), jnp.float64)
+        value = value._replace(graph=small, outputs=tuple(outputs), results=(result,), tree=jax.tree.structure(result))
+        read = {int(node.value or 0) for node in small.nodes if node.op == "input"}
+        free = np.array([i for i in np.flatnonzero(domain.high > domain.low) if i in read], int)
+        width = domain.high - domain.low
+        if form == "models" or (form == "auto" and len(free) > MOST_DERIVED):
+            return cls(value, None, None, shape[0], free, width, engine)
         second = expand(value, free.tolist(), 2)
         first, value = (second.leading(count) for count in (2, 1))
-        return cls(value, first, second, shape[0], free, domain.high - domain.low, engine)
+        return cls(value, first, second, shape[0], free, width, engine)
 
 
 class EnclosedMatrices(NamedTuple):

@@ -10,8 +10,12 @@ from covariant.lowering import enclose, pairs
 from covariant.proofs._box import Box
 from covariant.proofs._definite import definite, factors, indefinite, weights
 from covariant.proofs._enclosure import Ball, Expansions, enclosed_by, half_widths, taylor_form
+from covariant.proofs._models import polynomials
 from covariant.proofs._tests_in_c import tests_in_c
 from covariant.proofs._tree import OPEN, PROVED, middle_of
+
+MODELLED = 128
+"""Number of boxes whose Taylor models are made at once."""
 
 
 def judge(matrix: Expansions, low: np.ndarray, high: np.ndarray) -> tuple[Int[np.ndarray, "B"], np.ndarray | None]:
@@ -43,6 +47,8 @@ def _tested(
     matrix: Expansions, low: np.ndarray, high: np.ndarray
 ) -> tuple[Bool[np.ndarray, "B"], Float[np.ndarray, "B f"], Bool[np.ndarray, "B"]]:
     """Which boxes are proved, how much each variable widens the enclosures of the others, and which are smooth."""
+    if matrix.first is None or matrix.second is None:
+        return _tested_by_models(matrix, low, high)
     centre = middle_of(low, high)
     at = enclose(matrix.first, centre, centre, matrix.engine)
     on = enclose(matrix.second, low, high, matrix.engine)
@@ -58,7 +64,27 @@ def _tested(
     parts[:, rest] = (tests.weights if tests else weights)(
         c[..., rest], found.terms[..., rest], found.shares[..., rest]
     )
-    return proved, _weight(parts, f), found.smooth
+    return proved, _weight(parts, np.arange(f), f), found.smooth
+
+
+def _tested_by_models(
+    matrix: Expansions, low: np.ndarray, high: np.ndarray
+) -> tuple[Bool[np.ndarray, "B"], Float[np.ndarray, "B f"], Bool[np.ndarray, "B"]]:
+    """The same by Taylor models, some boxes after the other. They hold at kinks too, where they are the hulls."""
+    tests, f = tests_in_c(matrix.engine, matrix.size), len(matrix.free)
+    proved, weight = np.empty(len(low), bool), np.empty((len(low), f))
+    for start in range(0, len(low), MODELLED):
+        some = slice(start, start + MODELLED)
+        found = polynomials(matrix.value, low[some], high[some], matrix.free)
+        proved[some], c = (tests.definite if tests else definite)(found.centre, found.rest, found.terms)
+        rest = np.flatnonzero(~proved[some])
+        shares = np.zeros_like(found.terms[..., rest])
+        shares[:f] = found.shares[..., rest]
+        parts = np.zeros((len(found.terms), len(c.T)))
+        parts[:, rest] = weights(c[..., rest], found.terms[..., rest], shares)
+        blind = np.asarray(found.blame.any(axis=0))
+        weight[some] = np.where(blind[:, None], found.blame.T, _weight(parts, found.owners, f))
+    return proved, weight, np.ones(len(low), bool)
 
 
 def look_around(matrix: Expansions, domain: Box, count: int = 4096) -> np.ndarray | None:
@@ -77,20 +103,28 @@ def counterexample_at(matrix: Expansions, points: np.ndarray) -> np.ndarray | No
     return np.stack([points[wrong[0]]] * 2) if len(wrong) else None
 
 
-def _weight(parts: np.ndarray, f: int) -> Float[np.ndarray, "B f"]:
-    """How much each variable widens the enclosures, from each of their terms (m, B): a pair counts for both of its."""
-    weight = parts[:f].copy()
-    for number, (i, j) in enumerate(pairs(f), start=f):
-        weight[i] += parts[number]
-        if i != j:
-            weight[j] += parts[number]
+def _weight(parts: np.ndarray, owners: np.ndarray, f: int) -> Float[np.ndarray, "B f"]:
+    """How much each variable widens the enclosures, from each of their terms (m, B): a pair counts for both of its.
+
+    `owners`: the variable to which each symbol of the terms belongs.
+    """
+    weight = np.zeros((f, parts.shape[1]))
+    for number, owner in enumerate(owners):
+        weight[owner] += parts[number]
+    for number, (i, j) in enumerate(pairs(len(owners)), start=len(owners)):
+        weight[owners[i]] += parts[number]
+        if owners[i] != owners[j]:
+            weight[owners[j]] += parts[number]
     return weight.T
 
 
 def _weight_at_centre(matrix: Expansions, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """The weights from derivatives at the centre alone, for boxes on which nothing is bounded."""
+    """The weights from derivatives at the centre alone, for boxes on which nothing is bounded; NaN without them."""
+    if matrix.second is None:
+        return np.full((len(low), len(matrix.free)), np.nan)
     centre = middle_of(low, high)
     at, k = enclose(matrix.second, centre, centre, matrix.engine), matrix.size * (matrix.size + 1) // 2
     with np.errstate(invalid="ignore", over="ignore"):
         value, terms, shares = taylor_form(at, at, ((high - low)[:, matrix.free] / 2).T.copy(), k)
-    return _weight(weights(factors(value.middle)[0], terms, shares), len(matrix.free))
+    f = len(matrix.free)
+    return _weight(weights(factors(value.middle)[0], terms, shares), np.arange(f), f)

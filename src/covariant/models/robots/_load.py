@@ -45,6 +45,7 @@ def load(
     lock: Mapping[str, float] | None = None,
     actuated: Sequence[str] | None = None,
     payload: Mapping[str, Sequence[Any]] | None = None,
+    dry_friction: bool = True,
 ) -> MechanicalSystem:
     """The mechanical system of a robot, from its URDF or MJCF file, or of one of `ROBOTS` by its name.
 
@@ -59,6 +60,8 @@ def load(
     - `actuated`: names of the joints with an input, in the order of the joints; motors of the file are then left out.
     - `payload`: point masses, `{link: (mass, x, y, z)}` [kg, m in the frame of the link]. They may be traced and
       differentiated by JAX.
+    - `dry_friction`: False leaves out the part of the friction that does not grow with the speed, as where it is
+      compensated.
 
     Gravity is 9.81 m/s² along −z of the root, or of the world, or as an MJCF file says. Friction of a joint is
     `damping v + friction (2/π) atan(100 v)`.
@@ -66,6 +69,8 @@ def load(
     Raises `ValueError`, one line with the path, for what is wrong in the file, and for names it does not have.
     """
     robot = read(path)
+    if not dry_friction:
+        robot = robot._replace(joints=tuple(joint._replace(friction=0.0) for joint in robot.joints))
     try:
         return assemble(robot, floating=floating, lock=lock, actuated=actuated, payload=payload)
     except ValueError as error:

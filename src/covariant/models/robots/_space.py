@@ -101,11 +101,11 @@ class RobotSpace(AbstractSpace):
             row = carries * (force @ slide + moment @ turn)
             force = force @ rotation.T
             moved = jnp.concatenate([force, moment @ rotation.T + jnp.cross(place[None], force)], axis=1)
-            return jnp.where(carries[:, None] > 0, moved, columns), row
+            return jnp.where(carries[:, None] > 0.5, moved, columns), row
 
         bodies = (order, *joints, turn, slide, own, carried)
         at_base, rows = jax.lax.scan(lower_down, jnp.zeros_like(own), bodies, reverse=True)
-        matrix = rows + rows.T - jnp.diag(jnp.diag(rows))
+        matrix = rows + rows.T - rows * jnp.eye(len(tree.parents), dtype=x.dtype)
         coordinates = tree.coordinates.astype(x.dtype)
         matrix = coordinates.T @ matrix @ coordinates + jnp.diag(tree.armature.astype(x.dtype))
         if not self.floating:
@@ -353,9 +353,21 @@ def _leaves_first(matrix: Matrix, mu: Vector) -> Vector:
 def _momentum(moments: Moments, speed: Array, spin: Array) -> tuple[Array, Array]:
     """Momentum and angular momentum about the origin of each body."""
     mass, first, second = moments
-    inertia = jnp.trace(second, axis1=1, axis2=2)[:, None, None] * jnp.eye(3, dtype=second.dtype)[None] - second
+    inertia = _about_axes(second)
     linear = mass[:, None] * speed + jnp.cross(spin, first)
     return linear, jnp.cross(first, speed) + jnp.sum(inertia * spin[:, None, :], axis=2)
+
+
+def _about_axes(second: Float[Array, "k1 3 3"]) -> Float[Array, "k1 3 3"]:
+    """The matrices of inertia `tr(S) − S` of second moments S, entry by entry.
+
+    What a body has along an axis never enters its inertia about that axis, where a trace would add it and take it away.
+    """
+    others = [
+        [second[:, j, j] + second[:, k, k] if i == m else -second[:, i, m] for m in range(3)]
+        for i, (j, k) in enumerate(((1, 2), (2, 0), (0, 1)))
+    ]
+    return jnp.stack([jnp.stack(row, -1) for row in others], -2)
 
 
 def _resistance(moments: Moments, field: PointField) -> PointField:

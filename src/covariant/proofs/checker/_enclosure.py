@@ -24,7 +24,7 @@ from covariant.proofs.checker._primitives import (
     nonzero,
     unrolled,
 )
-from covariant.proofs.checker._taylor import ROUND, Taylor, UndecidedError, curve, exact, forget, number
+from covariant.proofs.checker._taylor import ROUND, Taylor, UndecidedError, curve, exact, forget
 
 
 def _refuse_shortened(eqn: Any) -> None:
@@ -60,7 +60,8 @@ class TaylorEnclosure:
     - `low`, `high` (d,): a box that contains all others; variables of zero width are fixed.
     - `slack` (d,): how far beyond its box z may be.
     - `watch`: "" for the function itself. "defined" or "smooth" for a matrix (1, 1) instead, which is 1 on boxes where
-      everything that the function computes is defined, or defined without jumps, and −1 on others.
+      everything that the function computes is defined, or defined without jumps, and not positive on others. There its
+      terms tell which variables widen the first number that is in question.
     """
 
     def __init__(
@@ -88,10 +89,29 @@ class TaylorEnclosure:
         z = np.array([Taylor([{(): c}, {}, {}], slack) for c, slack in zip(middle.T, self.slack, strict=True)], object)
         for k in np.flatnonzero(self.free):
             z[k] = Taylor([z[k].terms[0], {(int(k),): half[:, k]}, {}], self.slack[k])
-        self._good = np.ones(len(low), bool)
+        self._good, self._blame = np.ones(len(low), bool), np.zeros(low.T.shape)
         with np.errstate(all="ignore"):
             found = self._run(self.jaxpr, self.consts, [z])[0]
-        return found if self.needs is None else np.array([[number(np.where(self._good, 1.0, -1.0))]], object)
+        return found if self.needs is None else np.array([[self._watched()]], object)
+
+    def _watched(self) -> Taylor:
+        """1 on good boxes; on others 1 ± 2, by the variables to blame, or −1 where there are none."""
+        total = self._blame.sum(0)
+        shares = 2 * self._blame / np.where(total > 0, total, 1.0) * ~self._good
+        middle = np.where(self._good | (total > 0), 1.0, -1.0)
+        return Taylor([{(): middle}, {(k,): shares[k] for k in np.flatnonzero(self.free).tolist()}, {}], 0.0)
+
+    def _judge(self, holds: Any, *entries: Taylor) -> None:
+        """Note boxes on which a condition on some numbers does not hold, and of the first one what widens these."""
+        lost = self._good & ~np.asarray(holds)
+        if not lost.any():
+            return
+        self._good = self._good & ~lost
+        for entry in entries:
+            for part in entry.terms[1:]:
+                for m, t in part.items():
+                    for k in m:
+                        self._blame[k] += np.where(lost & np.isfinite(t), abs(t), 0.0)
 
     def _run(self, jaxpr: Any, consts: Sequence, args: Sequence) -> list:
         known = dict(zip([*jaxpr.constvars, *jaxpr.invars], [*consts, *args], strict=True))
@@ -131,11 +151,11 @@ class TaylorEnclosure:
         for a, atom in zip(x, eqn.invars, strict=True):
             if is_real(atom) and name != "select_n" and name not in MOVES:
                 for entry in set((a if a.dtype == object else each(exact, a)).flat):
-                    self._good &= np.isfinite(entry.middle) & np.isfinite(entry.away)
+                    self._judge(np.isfinite(entry.middle) & np.isfinite(entry.away), entry)
         if need is not None:
             pairs = (a if a.dtype == object or a.dtype == bool else each(exact, a.astype(float)) for a in x)
             for entries in zip(*(a.flat for a in np.broadcast_arrays(*pairs)), strict=True):
-                self._good &= need(*entries)
+                self._judge(need(*entries), *(entry for entry in entries[-1:] if isinstance(entry, Taylor)))
 
     def _work(self, eqn: Any, x: list) -> list:
         """Apply a primitive to numbers; `x` may also hold known indices and truth values."""

@@ -5,6 +5,7 @@ import math
 from collections.abc import Callable
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -148,12 +149,30 @@ def _broadcast(p: dict, x: np.ndarray) -> np.ndarray:
     return np.broadcast_to(x.reshape([sides.get(k, 1) for k in range(len(p["shape"]))]), p["shape"])
 
 
+def _scatter_add(p: dict, x: np.ndarray, indices: np.ndarray, updates: np.ndarray) -> np.ndarray:
+    """Entries of `updates` added to those of x at known places, to each place at most one."""
+
+    def placed(numbers: np.ndarray) -> np.ndarray:
+        with jax.ensure_compile_time_eval():
+            given = jnp.zeros(x.shape), jnp.asarray(indices), jnp.asarray(numbers.reshape(updates.shape), float)
+            return np.asarray(jax.lax.scatter_add_p.bind(*given, **p)).ravel().astype(int)
+
+    if placed(np.ones(updates.size, int)).max(initial=0) > 1:
+        raise ValueError("'scatter-add' with several terms for one place is not known to the check")
+    found, terms = x.ravel().copy(), updates.ravel()
+    for place, term in enumerate(placed(np.arange(1, updates.size + 1))):
+        if term:
+            found[place] = found[place] + terms[term - 1]
+    return found.reshape(x.shape)
+
+
 ARRAYS: dict[str, Callable] = {
     "dot_general": _dot,
     "integer_pow": _power,
     "reduce_sum": lambda p, x: _total(x, tuple(p["axes"])),
     **{f"reduce_{name}": _fold(name) for name in ("max", "min", "and", "or")},
     "argmax": lambda p, x: max(range(len(x)), key=functools.cmp_to_key(lambda i, j: 1 - 2 * decided(less(x[i], x[j])))),
+    "scatter-add": _scatter_add,
     "broadcast_in_dim": _broadcast,
     "reshape": lambda p, x: x.reshape(p["new_sizes"]),
     "squeeze": lambda p, x: np.squeeze(x, p["dimensions"]),

@@ -1,0 +1,381 @@
+"""Taylor models on boxes: each number of a graph as a polynomial of second order in the variables, with a remainder.
+
+An entry of a matrix is computed from numbers that cancel in part. Bounds of its derivatives, one operation after the
+other, do not see that; polynomials do, since their terms cancel as those of the entry do. What is left is of third
+order. It takes about as long as bounds of all second derivatives, where there are ten variables, and the boxes that it
+decides are many times as wide.
+
+Variables of a box are `c + h ε`, |ε| ≤ 1. All roundings of a step go into its remainder.
+Source: Makino & Berz 2003, Taylor models and other validated functional inclusion methods, International Journal of
+Pure and Applied Mathematics 4(4).
+"""
+
+import functools
+from collections import Counter
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from covariant.lowering import INTERVALS, Derivative, Graph, Interval, Lowered, Node, Truth, pairs
+from covariant.proofs._definite import ROUND, TINY, sum_over
+from covariant.proofs._tree import middle_of
+
+Support = tuple[int, ...]
+"""The variables that a number depends on, in ascending order."""
+
+
+class Model:
+    """A number on each of B boxes: within `rest` of `at + Σ line ε + Σ bend εε`, |ε| ≤ 1.
+
+    - `on`: the s variables that it depends on.
+    - `at`, `rest` (B,); `line` (s, B); `bend` (p, B), for the pairs `pairs(s)`. Where B is 1 all boxes share it.
+    - `shares` (s, B): how much of `rest` is due to each variable. Nothing is shown by them; they guide the search.
+
+    The sums of absolute values are kept too: those of `line`, of `bend`, and the largest distance from `at`, `away`.
+    """
+
+    __slots__ = ("at", "away", "bend", "bent", "line", "on", "rest", "shares", "sloped")
+
+    def __init__(
+        self, on: Support, at: np.ndarray, line: np.ndarray, bend: np.ndarray, rest: np.ndarray, shares: np.ndarray
+    ):
+        self.on, self.at, self.line, self.bend, self.rest, self.shares = on, at, line, bend, rest + TINY, shares
+        self.sloped, self.bent = np.abs(line).sum(0), np.abs(bend).sum(0)
+        self.away = (self.sloped + self.bent + self.rest) * (1 + ROUND)
+
+    @classmethod
+    def number(cls, at: Any, rest: Any = 0.0) -> "Model":
+        """A number within `rest` of `at`, of which no more is known."""
+        at = np.atleast_1d(np.asarray(at, float))
+        none = np.empty((0, 1))
+        return cls((), at, none, none, np.broadcast_to(rest, at.shape), none)
+
+    @classmethod
+    def within(cls, found: Interval) -> "Model":
+        """A number between two bounds."""
+        low, high = (np.atleast_1d(np.asarray(end, float)) for end in found)
+        at = middle_of(low, high)
+        return cls.number(at, np.maximum(high - at, at - low) * (1 + ROUND) + TINY)
+
+    @property
+    def bounds(self) -> Interval:
+        """An interval around `at` that holds the number, rounded outward."""
+        step = ROUND * (np.abs(self.at) + self.away) + TINY
+        return Interval(self.at - self.away - step, self.at + self.away + step)
+
+    @property
+    def size(self) -> np.ndarray:
+        """A bound (B,) of the polynomial."""
+        return np.abs(self.at) + self.sloped + self.bent
+
+    @property
+    def dues(self) -> np.ndarray:
+        """How much of the distance from `at` is due to each variable (s, B)."""
+        return np.abs(self.line) + _each(self.bend, len(self.on)) + self.shares
+
+    def over(self, on: Support) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """`line`, `bend` and `shares` over more variables."""
+        if on == self.on:
+            return self.line, self.bend, self.shares
+        places, paired = _places(self.on, on)
+        given = (self.line, len(on), places), (self.bend, _count(on), paired), (self.shares, len(on), places)
+        found = []
+        for part, count, put in given:
+            wide = np.zeros((count, part.shape[1]))
+            wide[put] = part
+            found.append(wide)
+        return tuple(found)
+
+    def times(self, k: np.ndarray) -> "Model":
+        """The number times one that is known, (B,) or (1,)."""
+        size = np.abs(k)
+        rest = (size * (self.rest + ROUND * self.size)) * (1 + ROUND)
+        return Model(self.on, self.at * k, self.line * k, self.bend * k, rest, self.shares * size)
+
+    def __neg__(self) -> "Model":
+        return Model(self.on, -self.at, -self.line, -self.bend, self.rest, self.shares)
+
+    def __add__(self, other: "Model") -> "Model":
+        on = _union(self.on, other.on)
+        (line, bend, due), (more, turned, owed) = self.over(on), other.over(on)
+        rest = (self.rest + other.rest + ROUND * (self.size + other.size)) * (1 + ROUND)
+        return Model(on, self.at + other.at, line + more, bend + turned, rest, due + owed)
+
+    def __mul__(self, other: "Model") -> "Model":
+        on = _union(self.on, other.on)
+        (line, bend, due), (slope, turn, owed) = self.over(on), other.over(on)
+        product = self.at * turn + other.at * bend
+        if len(on):
+            i, j = _pairs(len(on))
+            apart = np.flatnonzero(i != j)
+            product = product + line[i] * slope[j]
+            product[apart] += line[j[apart]] * slope[i[apart]]
+        # What the polynomials make of third and fourth order, and what the remainders add.
+        one, two, all_ = self.size, other.size, other.sloped + other.bent
+        cut = self.sloped * other.bent + self.bent * all_
+        rest = cut + self.rest * (two + other.rest) + one * other.rest + ROUND * one * two
+        shares = due * (two + other.rest) + owed * one + np.abs(line) * other.bent + np.abs(slope) * self.bent
+        shares = shares + _each(bend, len(on)) * all_ + _each(turn, len(on)) * (self.sloped + self.bent)
+        return Model(on, self.at * other.at, self.at * slope + other.at * line, product, rest * (1 + ROUND), shares)
+
+    def where(self, chosen: np.ndarray, other: "Model") -> "Model":
+        """The number on the chosen boxes (B,), another one on the others."""
+        on = _union(self.on, other.on)
+        (line, bend, due), (slope, turn, owed) = self.over(on), other.over(on)
+        parts = (self.at, other.at), (line, slope), (bend, turn), (self.rest, other.rest), (due, owed)
+        return Model(on, *(np.where(chosen, a, b) for a, b in parts))
+
+
+def _count(on: Support) -> int:
+    return len(on) * (len(on) + 1) // 2
+
+
+@functools.cache
+def _union(a: Support, b: Support) -> Support:
+    return a if a == b else tuple(sorted({*a, *b}))
+
+
+@functools.cache
+def _pairs(count: int) -> tuple[Int[np.ndarray, "p"], Int[np.ndarray, "p"]]:
+    i, j = np.array(pairs(count), int).reshape(-1, 2).T
+    return i, j
+
+
+def _each(bend: np.ndarray, count: int) -> np.ndarray:
+    """How much each of some variables adds to the sum of absolute values of `bend`."""
+    return _incidence(count) @ np.abs(bend)
+
+
+@functools.cache
+def _incidence(count: int) -> Float[np.ndarray, "s p"]:
+    i, j = _pairs(count)
+    return (np.arange(count)[:, None] == i) / 2 + (np.arange(count)[:, None] == j) / 2
+
+
+@functools.cache
+def _places(few: Support, many: Support) -> tuple[Int[np.ndarray, "s"], Int[np.ndarray, "p"]]:
+    """Where variables, and pairs of them, are among more variables, and pairs of those."""
+    at = [many.index(variable) for variable in few]
+    number = {pair: k for k, pair in enumerate(pairs(len(many)))}
+    return np.array(at, int), np.array([number[at[i], at[j]] for i, j in pairs(len(few))], int)
+
+
+# Functions of one number: Taylor's formula of second order around the middle, with the third derivative on its range.
+
+
+@functools.cache
+def _with_derivatives(op: str, given: tuple[float, ...]) -> tuple[Graph, tuple[int, ...]]:
+    """A function of one input, after or before given numbers, and its first three derivatives."""
+    graph = Graph()
+    x = graph.input(0)
+    numbers = [graph.constant(number) for number in given]
+    first = [*numbers, x] if op in ("stumpff", "div") else [x, *numbers]
+    found, slope = [graph.apply(op, *first)], Derivative(graph, {0: graph.constant(1.0)})
+    for _ in range(3):
+        found.append(slope(found[-1]))
+    small, outputs = graph.pruned(found)
+    return small, tuple(outputs)
+
+
+def _enclosed(graph: Graph, outputs: Sequence[int], x: Interval) -> list[Interval]:
+    values: list[Any] = []
+    for node in graph.nodes:
+        if node.op == "input":
+            values.append(x)
+        elif node.op == "constant":
+            values.append(INTERVALS["constant"](node.value))
+        else:
+            values.append(INTERVALS[node.op](*(values[a] for a in node.arguments)))
+    return [Interval(*np.broadcast_arrays(*values[i], x.low)[:2]) for i in outputs]
+
+
+def curve(op: str, x: Model, *given: float) -> Model:
+    """A function of one number: `f(c) + f'(c) d + ½ f''(c) d² + ⅙ f'''(ξ) d³`, with d the distance from c.
+
+    Where that tells less than the bounds of f over the range, or derivatives do not exist, it is these bounds.
+    """
+    graph, outputs = _with_derivatives(op, given)
+    whole = Model.within(_enclosed(graph, outputs[:1], x.bounds)[0])
+    if not x.on:
+        return whole
+    value, slope, bend = (Model.within(found) for found in _enclosed(graph, outputs[:3], Interval(x.at, x.at)))
+    third = Model.within(_enclosed(graph, outputs[3:], x.bounds)[0])
+    left = Model(x.on, np.zeros_like(x.at), x.line, x.bend, x.rest, x.shares)
+    found = value + left * slope + left * left * Model.number(bend.at / 2, bend.rest)
+    most = (np.abs(third.at) + third.rest) * left.away**3 / 6 * (1 + ROUND)
+    part = x.dues / np.where(x.away > 0, x.away, 1.0)
+    found = Model(x.on, found.at, found.line, found.bend, found.rest + most, found.shares + most * part)
+    alone = Model(x.on, whole.at, 0 * x.line, 0 * x.bend, whole.rest, whole.rest * part)
+    return found.where(found.rest <= whole.rest, alone)
+
+
+def _divided(a: Model, b: Model) -> Model:
+    return a * curve("div", b, 1.0)
+
+
+def _size(a: Model) -> Model:
+    ends = a.bounds
+    hull = Model.within(INTERVALS["abs"](ends))
+    return a.where(ends.low >= 0, (-a).where(ends.high <= 0, hull))
+
+
+def _smaller(a: Model, b: Model) -> Model:
+    gap = (a + -b).bounds
+    hull = Model.within(INTERVALS["min"](a.bounds, b.bounds))
+    return a.where(gap.high <= 0, b.where(gap.low >= 0, hull))
+
+
+def _chosen(which: Truth, a: Model, b: Model) -> Model:
+    """a where a statement must hold, b where it cannot, and the hull of both where it is undecided."""
+    hull = Model.within(INTERVALS["select"](which, a.bounds, b.bounds))
+    return a.where(np.atleast_1d(which.must), b.where(np.atleast_1d(~which.may), hull))
+
+
+def _kinked(a: Model, b: Model, x: Model, y: Model) -> Model:
+    """The derivative at a kink: x where a < b, y where b < a, and the hull of both where they may be equal."""
+    gap = (a + -b).bounds
+    return _chosen(Truth(gap.high < 0, ~(gap.low > 0)), x, y)
+
+
+OPERATIONS: dict[str, Callable[..., Any]] = {
+    "add": lambda a, b: a + b,
+    "sub": lambda a, b: a + -b,
+    "neg": lambda a: -a,
+    "mul": lambda a, b: a * b,
+    "div": _divided,
+    "abs": _size,
+    "min": _smaller,
+    "max": lambda a, b: -_smaller(-a, -b),
+    "select": _chosen,
+    "either": _kinked,
+    **{
+        op: functools.partial(curve, op)
+        for op in (
+            *("sqrt", "exp", "expm1", "log", "log1p", "sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh"),
+            *("tanh", "asinh", "acosh", "atanh"),
+        )
+    },
+}
+"""Operations that keep the polynomials; of all others the bounds of the arguments give bounds of the result."""
+
+
+def _apply(node: Node, nodes: Sequence[Node], x: Sequence[Any]) -> Any:
+    """The result of an operation on models and truth values."""
+    numbers = [nodes[a].value if nodes[a].op == "constant" else None for a in node.arguments]
+    if node.op in OPERATIONS and all(isinstance(a, Model) for a in x[node.op == "select" :]):
+        return OPERATIONS[node.op](*x)
+    if node.op == "pow" and numbers[1] is not None:
+        return curve("pow", x[0], float(numbers[1]))
+    if node.op == "stumpff":
+        return curve("stumpff", x[1], float(numbers[0] or 0.0))
+    found = INTERVALS[node.op](*(a.bounds if isinstance(a, Model) else a for a in x))
+    return found if isinstance(found, Truth) else Model.within(found)
+
+
+class Polynomials(NamedTuple):
+    """Numbers on boxes: `centre + Σ wₘ terms[m]` within `rest` (K, B), |wₘ| ≤ 1, terms (s + p, K, B).
+
+    There is a term for each of s symbols and, after these, one for each pair of them, `pairs(s)`. The first symbols are
+    the f free variables; `owners` (s,) are the variables that they belong to.
+
+    Two more guide the search: `shares` (f, K, B) is how much of `rest` is due to each variable, and `blame` (f, B) how
+    much each widens the first numbers that are not defined.
+    """
+
+    centre: Float[np.ndarray, "K B"]
+    terms: Float[np.ndarray, "m K B"]
+    rest: Float[np.ndarray, "K B"]
+    owners: Int[np.ndarray, "s"]
+    shares: Float[np.ndarray, "f K B"]
+    blame: Float[np.ndarray, "f B"]
+
+
+def polynomials(
+    lowered: Lowered, low: Float[np.ndarray, "B d"], high: Float[np.ndarray, "B d"], free: Int[np.ndarray, "f"]
+) -> Polynomials:
+    """The values of a graph on boxes, as polynomials in the variables `free`; all others are held fixed.
+
+    Where nothing is known of a value its `rest` is NaN or infinite.
+    """
+    nodes, uses = lowered.graph.nodes, Counter(lowered.outputs)
+    uses.update(a for node in lowered.graph.nodes for a in node.arguments)
+    variable = {int(i): k for k, i in enumerate(free)}
+    values: dict[int, Any] = {}
+    owners, blame = list(range(len(free))), np.zeros((len(free), len(low)))
+    with np.errstate(all="ignore"):
+        for number, node in enumerate(nodes):
+            if node.op == "input":
+                i = int(node.value or 0)
+                values[number] = _variable(low[:, i], high[:, i], variable.get(i))
+            elif node.op == "constant":
+                truth = isinstance(node.value, bool)
+                values[number] = INTERVALS["constant"](node.value) if truth else Model.number(node.value)
+            else:
+                given = [values[a] for a in node.arguments]
+                found = _apply(node, nodes, given)
+                _blame(blame, owners, found, given)
+                values[number] = _with_symbol(found, owners) if _steep(found) else found
+            for a in node.arguments:  # what no later operation reads is given up, so that the rest stays in the cache
+                uses[a] -= 1
+                if not uses[a]:
+                    del values[a]
+        return _gathered([values[i] for i in lowered.outputs], owners, blame)
+
+
+def _blame(blame: np.ndarray, owners: Sequence[int], found: Any, given: Sequence[Any]) -> None:
+    """Note what widens the last argument of an operation on boxes where its result is the first without a bound."""
+    if isinstance(found, Model) and not np.isfinite(found.rest).all():
+        lost, last = ~np.isfinite(found.rest), given[-1]
+        for x in given:
+            lost = lost & (np.isfinite(x.rest) if isinstance(x, Model) else True)
+        if isinstance(last, Model) and lost.any():
+            for symbol, due in zip(last.on, last.dues / last.away, strict=True):
+                blame[owners[symbol]] += np.where(lost, due, 0.0)
+
+
+def _steep(found: Any) -> bool:
+    """Whether a number depends on one variable alone, by more than its polynomial knows on some box."""
+    if not (isinstance(found, Model) and len(found.on) == 1):
+        return False
+    return bool((np.isfinite(found.rest) & (found.rest > found.sloped + found.bent)).any())
+
+
+def _with_symbol(found: Model, owners: list[int]) -> Model:
+    """A number of one variable with its remainder as a symbol of its own, |η| ≤ 1, so that what it adds cancels too.
+
+    A steep function, as that of dry friction, is then known to be the same number wherever it enters the matrix: the
+    test of definiteness sees a slope between two values, in place of many errors that know nothing of each other.
+    """
+    finite = np.isfinite(found.rest)
+    owners.append(owners[found.on[0]])
+    line = np.concatenate(np.broadcast_arrays(found.line, np.where(finite, found.rest, 0.0)[None]))
+    on = (*found.on, len(owners) - 1)
+    _, bend, shares = Model(found.on, found.at, found.line, found.bend, found.rest, found.shares).over(on)
+    return Model(on, found.at, line, bend, np.where(finite, 0.0, found.rest), np.where(finite, 0.0, shares))
+
+
+def _variable(low: np.ndarray, high: np.ndarray, number: int | None) -> Model:
+    """A variable on boxes; without a number it is held fixed."""
+    centre = middle_of(low, high)
+    half = np.maximum(high - centre, centre - low) * (1 + ROUND)
+    if number is None:
+        return Model.number(centre, half)
+    return Model((number,), centre, half[None], np.zeros((1, 1)), np.zeros(1), np.zeros((1, 1)))
+
+
+def _gathered(found: Sequence[Model], owners: Sequence[int], blame: np.ndarray) -> Polynomials:
+    s, (f, boxes), count = len(owners), blame.shape, len(found)
+    square = np.array([i == j for i, j in pairs(s)], bool)
+    centre, rest = np.empty((2, count, boxes))
+    terms, shares = np.empty((s + len(square), count, boxes)), np.zeros((f, count, boxes))
+    for k, value in enumerate(found):
+        terms[:s, k], terms[s:, k], _ = value.over(tuple(range(s)))
+        terms[s:, k][square] /= 2
+        # The square of a variable is ½ ± ½.
+        centre[k] = value.at + sum_over(terms[s:, k][square])
+        rest[k] = (value.rest + ROUND * (np.abs(value.at) + value.bent)) * (1 + ROUND)
+        for symbol, due in zip(value.on, value.shares, strict=True):
+            shares[owners[symbol], k] += due
+    return Polynomials(centre, terms, rest, np.array(owners, int), shares, blame)
