@@ -13,7 +13,7 @@ import pytest
 
 from covariant import lowering
 from covariant.geometry.lie import SE3
-from covariant.models import ModelError, Motion, acceleration, load, robots
+from covariant.models import ModelError, Motion, acceleration, friction, load, robots
 from covariant.observers import Intrinsic
 
 QUARTER = "1.5707963267948966"
@@ -414,3 +414,12 @@ def test_a_floating_joint_carries_the_robot_and_nothing_stands_beside(tmp_path):
     (tmp_path / "b.urdf").write_text(HEAVY.replace('<link name="base">', loose + beside + '<link name="base">'))
     with pytest.raises(ValueError, match="joint 'beside': one floating joint is supported"):
         robots.load(tmp_path / "b.urdf")
+
+
+def test_dry_friction_is_left_out_where_it_is_compensated():
+    t, q, v, u = jnp.array(0.0), jnp.zeros(4), jnp.array([0.5, -0.3, 0.1, 1.0]), jnp.zeros(4)
+    with_it, without = (robots.load("scara", dry_friction=dry) for dry in (True, False))
+    np.testing.assert_allclose(friction(without, t, q, 2 * v, u), 2 * friction(without, t, q, v, u), rtol=1e-12)
+    left_out = with_it.space(q) @ (friction(with_it, t, q, v, u) - friction(without, t, q, v, u))
+    dry = np.array([joint.friction for joint in robots.read("scara").joints if joint.friction])
+    np.testing.assert_allclose(left_out, -dry * 2 / np.pi * np.arctan(100 * v), rtol=1e-9)

@@ -299,3 +299,30 @@ def test_the_checker_shares_nothing_with_the_prover(file):
             imported |= {f"{node.module}.{alias.name}" for alias in node.names}
     own = {name for name in imported if name.startswith("covariant")}
     assert {name for name in own if not name.startswith("covariant.proofs.checker.")} <= {"covariant.lowering.STUMPFF"}
+
+
+def test_terms_are_added_at_known_places_one_at_each():
+    def matrix(places):
+        return lambda z: jnp.eye(3) * jnp.array([1.0, 2.0, 3.0]).at[jnp.array(places)].add(z)[None]
+
+    low, high = np.array([[-0.5, -0.9]]), np.array([[0.5, 0.9]])
+    wide = -2 * np.ones(2), 2 * np.ones(2), np.zeros(2)
+    show_definite(TaylorEnclosure(matrix([0, 1]), *wide), low, high, 0, "it")  # 1 − .5 and 2 − .9
+    with pytest.raises(ValueError, match="it is not shown to hold"):
+        show_definite(TaylorEnclosure(matrix([2, 0]), *wide), 2 * low, 2 * high, 0, "it")  # 1 − 1.8
+    with pytest.raises(ValueError, match="several terms for one place"):
+        show_definite(TaylorEnclosure(matrix([1, 1]), *wide), low, high, 0, "it")
+
+
+def test_what_is_not_defined_blames_what_widens_it():
+    """And without anything to blame it is refused, however wide the numbers."""
+    around = np.array([[-1.0, -1.0]]), np.array([[1.0, 1.0]])
+    rooted = TaylorEnclosure(lambda z: jnp.sqrt(z[1]) + z[0], -np.ones(2), np.ones(2), np.zeros(2), "defined")
+    found = rooted(*around)[0, 0]
+    assert found.middle - found.away < 0
+    assert {k for part in found.terms[1:] for m in part for k in m if np.any(part[m])} == {1}
+    huge = TaylorEnclosure(
+        lambda z: jnp.sqrt(1e308 * (z[0] + z[1]) * 3), -np.ones(2), np.ones(2), np.zeros(2), "defined"
+    )
+    found = huge(*around)[0, 0]
+    assert found.middle - found.away < 0

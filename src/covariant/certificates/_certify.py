@@ -43,6 +43,8 @@ from covariant.proofs import MOST_BOXES, Box, Proof, check_box, prove
 Bounds = tuple[ArrayLike, ArrayLike]
 SLACK = 1.05
 """Factor of margin on the square of a sampled width, so that the bound can be proved quickly."""
+WIDENINGS = 8
+"""How often a bound that a counterexample refutes is tried again with a larger square."""
 
 
 def certify(
@@ -125,7 +127,9 @@ def certify(
         for row in range(2 * n):
             square, limit = float(SLACK * sampled[row]), float(limits[row])
             proof = run(f"reach {row + 1} of {2 * n}", width_bound(about, row, square))
-            while proof.counterexample is not None:  # no sampled point was as wide as this one
+            for _ in range(WIDENINGS):  # where a point is wider than all that were sampled
+                if proof.counterexample is None:
+                    break
                 wider = squared_widths(about, jnp.asarray(proof.counterexample.mean(axis=0)))[row]
                 square = SLACK * max(square, float(wider))
                 proof = run(f"reach {row + 1} of {2 * n}", width_bound(about, row, square))

@@ -92,14 +92,14 @@ class TaylorEnclosure:
         self._good, self._blame = np.ones(len(low), bool), np.zeros(low.T.shape)
         with np.errstate(all="ignore"):
             found = self._run(self.jaxpr, self.consts, [z])[0]
-        return found if self.needs is None else np.array([[self._watched()]], object)
+            return found if self.needs is None else np.array([[self._watched()]], object)
 
     def _watched(self) -> Taylor:
-        """1 on good boxes; on others 1 ± 2, by the variables to blame, or −1 where there are none."""
-        total = self._blame.sum(0)
-        shares = 2 * self._blame / np.where(total > 0, total, 1.0) * ~self._good
-        middle = np.where(self._good | (total > 0), 1.0, -1.0)
-        return Taylor([{(): middle}, {(k,): shares[k] for k in np.flatnonzero(self.free).tolist()}, {}], 0.0)
+        """1 on good boxes; on others 1 ± 2, by the variables to blame, or −1 where there are none to be told."""
+        free = np.flatnonzero(self.free).tolist()
+        shares = 2 * self._blame / np.where(self._good, 1.0, self._blame[free].sum(0)) * ~self._good
+        told = self._good | (shares[free].sum(0) > 1.5)  # False where sums overflow or nothing is to blame
+        return Taylor([{(): np.where(told, 1.0, -1.0)}, {(k,): np.where(told, shares[k], 0.0) for k in free}, {}], 0.0)
 
     def _judge(self, holds: Any, *entries: Taylor) -> None:
         """Note boxes on which a condition on some numbers does not hold, and of the first one what widens these."""
