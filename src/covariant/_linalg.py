@@ -8,7 +8,8 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+import numpy as np
+from jaxtyping import Array, Float, Inexact, Int
 
 from covariant._typing import Matrix, Vector
 
@@ -117,3 +118,8 @@ def triangular(a: Float[Array, "n k"]) -> Matrix:
         columns.append(jnp.concatenate([jnp.zeros(k, a.dtype), below]))
         rest = rest[1:] - jnp.outer(below[1:], axis)
     return jnp.stack(columns, axis=1)
+
+
+def at_places(array: Inexact[Array, "..."], places: Int[np.ndarray, "*k"]) -> Inexact[Array, "*k"]:
+    """Entries of an array whose axes are counted as one, at places that are known and within it: a single operation."""
+    return array.reshape(-1).at[places].get(mode="promise_in_bounds", wrap_negative_indices=False)

@@ -21,6 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float
 
+from covariant._linalg import at_places
 from covariant._typing import Element, Scalar, Vector
 from covariant.geometry.lie import SU, AbstractInertia
 from covariant.models._mechanical import GroupSystem
@@ -206,19 +207,14 @@ def _times(factors: np.ndarray | Array, coefficients: Modes) -> Modes:
 def _matrix(n: int, coefficients: Modes) -> Element:
     """The matrix `Σ f_m T_m`: entry (j, k) is `Σ f_m exp(2πi m₁(j + k)/n)` over the modes with m₂ = k − j."""
     j, k = np.ogrid[:n, :n]
-    return _entries(jnp.fft.ifft(coefficients, axis=0, norm="forward"), (j + k) % n * n + (k - j) % n)
+    return at_places(jnp.fft.ifft(coefficients, axis=0, norm="forward"), (j + k) % n * n + (k - j) % n)
 
 
 def _coefficients(n: int, matrix: Element) -> Modes:
     """The inverse of `_matrix`; (n + 1)/2 is one half modulo n."""
     j, m2 = np.ogrid[:n, :n]
     k = (j - m2) * (n + 1) // 2 % n
-    return jnp.fft.fft(_entries(matrix, k * n + (k + m2) % n), axis=0, norm="forward")
-
-
-def _entries(matrix: Element, places: np.ndarray) -> Element:
-    """Entries at places that are known, the matrix being counted as one axis: a single operation."""
-    return matrix.reshape(-1).at[places].get(mode="promise_in_bounds", wrap_negative_indices=False)
+    return jnp.fft.fft(at_places(matrix, k * n + (k + m2) % n), axis=0, norm="forward")
 
 
 @eqx.filter_custom_jvp

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Inexact
 
+from covariant._linalg import at_places
 from covariant._typing import Element, Flag, Vector
 from covariant.geometry.lie._group import AbstractGroup
 
@@ -54,11 +55,11 @@ class SU(AbstractGroup):
         middle = -0.5 * (jnp.asarray(diagonal, x.dtype) @ x[2 * pairs :])
         entries = jnp.concatenate([upper, -upper.conj(), jax.lax.complex(jnp.zeros_like(middle), middle)])
         places = np.argsort(np.concatenate([above, below, np.arange(self.n) * (self.n + 1)]))
-        return entry(entries, places).reshape(self.n, self.n)
+        return at_places(entries, places).reshape(self.n, self.n)
 
     def vee(self, matrix: Element) -> Vector:
         above, below, diagonal = _su_layout(self.n)
-        upper = entry(matrix, above) - entry(matrix, below).conj()
+        upper = at_places(matrix, above) - at_places(matrix, below).conj()
         middle = -matrix.reshape(-1)[:: self.n + 1].imag @ jnp.asarray(diagonal, matrix.real.dtype)
         return jnp.concatenate([-upper.imag, -upper.real, middle])
 
@@ -183,11 +184,6 @@ def _in_precision(constants: Array, dtype) -> Array:
     """Constants, real or complex, in the precision of `dtype`."""
     real = np.finfo(dtype).dtype
     return constants.astype(np.result_type(real, np.complex64) if jnp.iscomplexobj(constants) else real)
-
-
-def entry(array: Array, places: np.ndarray) -> Array:
-    """Entries of an array whose axes are counted as one, at places that are known and within it: a single operation."""
-    return array.reshape(-1).at[places].get(mode="promise_in_bounds", wrap_negative_indices=False)
 
 
 def _su_layout(n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
