@@ -343,3 +343,15 @@ def test_the_installed_command_runs():
     assert done.returncode == 2
     assert done.stderr.count("\n") == 1
     assert "absent.csv" in done.stderr
+
+
+def test_a_simulated_drive_lags_as_the_model_file_says(tmp_path, monkeypatch):
+    """The log holds what is commanded; the machine feels it later, by `[inputs] delay` and behind `[inputs] lag`."""
+    monkeypatch.chdir(tmp_path)
+    Path("model.toml").write_text(MODEL + "[inputs]\nlag = 0.05\ndelay = 0.02\n")
+    command("simulate", "model.toml", "-o", "log.csv", "--duration", "4", "--rate", "500", "--amplitude", "2")
+    errors = {}
+    for name, told in (("told", ()), ("untold", ("--set", "inputs.lag=0.0", "--set", "inputs.delay=0.0"))):
+        arguments = "estimate", "model.toml", "log.csv", "-o", f"{name}.csv", "--truth", "true_v1", *told
+        errors[name] = command(*arguments)["velocity_rmse"][0]
+    assert errors["told"] < 0.05 * errors["untold"]

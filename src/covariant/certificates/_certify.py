@@ -248,6 +248,11 @@ def _elements(model: MechanicalSystem, position: Bounds | None) -> Box:
 def _inputs(model, given, n: int) -> Float[np.ndarray, "2 m"]:
     m = input_count(model, n)
     sides = given if isinstance(given, tuple) else (-np.asarray(given, float), np.asarray(given, float))
+    if len(sides) != 2:
+        raise ValueError(
+            f"certify: input as a tuple is a pair of bounds, lower and upper; got {len(sides)} entries; "
+            "write a list for one bound of each input"
+        )
     try:
         found = np.stack([np.broadcast_to(np.asarray(side, float), (m,)) for side in sides])
     except ValueError:

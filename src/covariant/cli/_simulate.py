@@ -51,20 +51,20 @@ def simulate(model: str, overrides: tuple[str, ...], out: Path, scenario: Scenar
     told_of = np.round([t, *(t - delay for delay in delays)], DIGITS)
     times, rows = np.unique(told_of, return_inverse=True)
     rows = rows.reshape(told_of.shape)
-    pace = 2 * jnp.pi * scenario.frequency * (1 + 0.37 * jnp.arange(m, dtype=float))  # no two inputs in step
+    pace = 2 * np.pi * scenario.frequency * (1 + 0.37 * np.arange(m))  # no two inputs in step
 
-    def input_at(s, x):
-        return amplitude * jnp.sin(pace * s)
+    def acting(s, x):
+        return amplitude * _behind(pace, s - file.input_delay, file.input_lag)
 
     with working("simulating", quiet=as_json):
-        record = simulation.simulate(file.model, x0, jnp.asarray(times), input_at)
+        record = simulation.simulate(file.model, x0, jnp.asarray(times), acting)
     if not all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(record.x)):
         raise ValueError(f"{model}: the motion leaves the finite numbers; check initial state and inputs")
     y = np.asarray(record.y)
     read = y[rows[1]] if len(delays) == 1 else np.stack([y[row, i] for i, row in enumerate(rows[1:])], axis=1)
     columns = {names.t: t} | logs.to_columns(names, _sense(file.model, sensor, read, scenario.seed))
     record = jax.tree.map(lambda leaf: leaf[rows[0]], record)
-    columns |= dict(zip(names.u, np.asarray(record.u).T, strict=True))
+    columns |= dict(zip(names.u, (np.asarray(amplitude) * np.sin(pace * t[:, None])).T, strict=True))
     configuration, hidden = _truth(file, names, record)
     columns |= {f"true_{name}": column for name, column in (configuration | hidden).items()}
     logs.write(out, _in_units(names, columns, tuple(hidden), out.suffix in logs.MESSAGES))
@@ -72,6 +72,15 @@ def simulate(model: str, overrides: tuple[str, ...], out: Path, scenario: Scenar
     result = {"model": model, "rows": len(t), "out": str(out), "truth_columns": truth}
     use = "the true state is in" if not file.mechanical else "score against --truth"
     print(json.dumps(result) if as_json else f"wrote {out}: {len(t)} rows; {use} {truth}")
+
+
+def _behind(pace: np.ndarray, s: jax.Array, lag: float) -> jax.Array:
+    """What acts at a time s [s] of sin(pace s), 0 before s = 0, behind a first-order lag [s]."""
+    s = jnp.maximum(s, 0.0)
+    if lag == 0:
+        return jnp.sin(pace * s)
+    a = pace * lag
+    return (jnp.sin(pace * s) - a * jnp.cos(pace * s) + a * jnp.exp(-s / lag)) / (1 + a**2)
 
 
 def _columns(file: models.ModelFile) -> logs.Columns:
