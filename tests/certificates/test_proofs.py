@@ -23,6 +23,7 @@ from covariant.certificates import (
     subject,
     tangent_metric,
 )
+from covariant.certificates._certify import _inputs
 from covariant.certificates._subject import Point
 from covariant.geometry import hyperbolic
 from covariant.lowering import Enclosure
@@ -230,7 +231,7 @@ def test_a_certificate_needs_its_bounds():
     with pytest.raises(ValueError, match="input needs one bound, or 1"):
         certify(observer, velocity=1.0, error=0.01, position=(-0.1, 0.1), input=np.array([1.0, 2.0]))
     with pytest.raises(ValueError, match="a pair of bounds, lower and upper; got 3 entries"):
-        certify(observer, velocity=1.0, error=0.01, position=(-0.1, 0.1), input=(1.0, 2.0, 3.0))  # pyright: ignore[reportArgumentType]
+        _inputs(observer.model, (1.0, 2.0, 3.0), 2)
     with pytest.raises(ValueError, match="error needs one number, or 2"):
         certify(observer, velocity=1.0, error=np.full(3, 0.1), position=(-0.1, 0.1))
     with pytest.raises(ValueError, match="must be finite, the lower one first"):
