@@ -20,7 +20,7 @@ from covariant.proofs._box import Box
 from covariant.proofs._definite import ROUND, TINY, sum_over
 from covariant.proofs._tree import middle_of
 
-MOST_DERIVED = 8
+MOST_DERIVED = 10
 """Most variables for which derivatives are bounded; there are half as many second ones as the square of that number."""
 
 
