@@ -295,10 +295,19 @@ def test_a_prover_that_forgets_the_border_would_be_seen(sectors, tmp_path, monke
 
 
 def test_a_prover_that_takes_reaches_for_shorter_than_they_are_proves_nothing(monkeypatch):
+    honest = _certify.squared_widths
+    monkeypatch.setattr(_certify, "squared_widths", lambda about, state: honest(about, state) / 4)
+    monkeypatch.setattr(_certify, "sampled_widths", lambda about, domain: jnp.full(4, 1e-9))
+    found = sector()
+    assert (found.summary.verdict, found.radius) == ("fails", 0.0)
+
+
+def test_reaches_that_no_sampled_point_had_are_found_by_their_counterexamples(sectors, monkeypatch):
     honest = _certify.sampled_widths
     monkeypatch.setattr(_certify, "sampled_widths", lambda about, domain: honest(about, domain) / 4)
     found = sector()
-    assert (found.summary.verdict, found.radius) == ("fails", 0.0)
+    assert found.summary.verdict == "holds"
+    assert found.radius == pytest.approx(sectors.radius, rel=0.05)
 
 
 @pytest.mark.parametrize("more", [1 + 1e-6, 1.5, 100.0])
