@@ -4,7 +4,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from covariant.models import robots
+from covariant.cli._model import show
+from covariant.models import acceleration, robots
 
 INERTIA = '<inertia ixx="0.02" ixy="0" ixz="0" iyy="0.03" iyz="0" izz="0.025"/>'
 LINK = f'<inertial><origin xyz="0.1 0.05 -0.2"/><mass value="2"/>{INERTIA}</inertial>'
@@ -50,7 +51,7 @@ def test_the_inertia_matrix_has_it_on_the_diagonal(read):
 
 
 WRONG = {
-    "joint 'tip' is ball, and a rotor needs one axis": ('name="hand"/>', 'name="tip"/>'),
+    "joint 'tip' is ball, and a motor needs one axis": ('name="hand"/>', 'name="tip"/>'),
     "there is no joint 'leg'": ('name="hand"/>', 'name="leg"/>'),
     "1 rotors on 2 joints are not supported": ('<joint name="hand"/>', '<joint name="hand"/><joint name="arm"/>'),
     "rotor_inertia must not be negative; got -2e-05 kg m²": ('"2e-5"', '"-2e-5"'),
@@ -73,3 +74,84 @@ def test_what_no_gear_has_is_one_clear_line(words, read):
     with pytest.raises(ValueError, match=r"geared\.urdf: transmission 'r': [^\n]*$") as error:
         read(ROTOR.replace(old, new))
     assert words in str(error.value)
+
+
+EACH = PLAIN + ROTOR.replace("<limit/>", "<mechanicalReduction>100</mechanicalReduction>")
+
+
+@pytest.fixture
+def load(read, tmp_path):
+    def load(transmissions: str, **options):
+        read(transmissions)
+        return robots.load(tmp_path / "geared.urdf", lock={"tip": 0.0}, **options)
+
+    return load
+
+
+def test_torques_of_motors_are_felt_behind_their_gears(load):
+    """n times as large, the sign of the reduction included; what a rotor is felt as does not change."""
+    at_joints, at_motors = load(EACH), load(EACH, motor_torques=True)
+    q, v, t = jnp.array([0.3, -0.7]), jnp.array([1.0, 2.0]), jnp.zeros(())
+    felt = acceleration(at_joints, t, q, v, jnp.array([-50 * 0.02, 100 * 0.03]))
+    np.testing.assert_allclose(acceleration(at_motors, t, q, v, jnp.array([0.02, 0.03])), felt, rtol=1e-12)
+    np.testing.assert_array_equal(at_motors.space(q), at_joints.space(q))
+    only = load(EACH, motor_torques=True, actuated=["hand"])
+    felt = acceleration(at_joints, t, q, v, jnp.array([0.0, 3.0]))
+    np.testing.assert_allclose(acceleration(only, t, q, v, jnp.array([0.03])), felt, rtol=1e-12)
+
+
+def test_a_joint_that_follows_adds_to_the_load_of_the_motor(read, tmp_path):
+    """The motor's torque acts on the joint that leads, and needs no gear at the one that follows."""
+    read(PLAIN)
+    path = tmp_path / "geared.urdf"
+    axis = '<axis xyz="0 1 0"/></joint>'
+    first, second, *rest = path.read_text().split(axis)
+    path.write_text(axis.join([first, second]) + '<axis xyz="0 1 0"/><mimic joint="arm"/></joint>' + axis.join(rest))
+    model = robots.load(path, lock={"tip": 0.0}, motor_torques=True)
+    assert model.coordinates == ("arm",)
+    np.testing.assert_array_equal(model.force(0.0, jnp.zeros(1), jnp.array([0.02])), [-1.0])
+
+
+def test_the_report_says_that_reductions_were_used(read, tmp_path):
+    read(EACH)
+    robot = robots.read(tmp_path / "geared.urdf", motor_torques=True)
+    assert robot.used["transmission/actuator/mechanicalReduction"] == robot.used["transmission"] == 2
+    assert not robot.ignored.get("transmission/actuator/mechanicalReduction")
+
+
+def test_the_command_takes_torques_of_motors(read, tmp_path, capsys):
+    read(EACH)
+    said = {}
+    for sure in ("true", "false"):
+        show(
+            str(tmp_path / "geared.urdf"),
+            ("parameters.lock={tip=0.0}", f"parameters.motor_torques={sure}"),
+            5,
+            0,
+            False,
+        )
+        said[sure] = capsys.readouterr().out
+    assert "2 transmission/actuator/mechanicalReduction" in said["true"].split("used: ")[1].split("\n")[0]
+    assert "2 transmission/actuator/mechanicalReduction" not in said["false"].split("used: ")[1].split("\n")[0]
+
+
+@pytest.mark.parametrize(
+    ("transmissions", "words"),
+    [
+        ("", "motor_torques: joint 'arm' has no reduction; give it one <transmission>"),
+        (PLAIN, "motor_torques: joint 'hand' has no reduction"),
+        (PLAIN + EACH, "joint 'arm' has 2 transmissions with a reduction"),
+        (EACH.replace("-50", "0"), "transmission 't': mechanicalReduction must not be 0"),
+        (EACH.replace('"arm"/>', '"arm"/><joint name="hand"/>'), "transmission 't': a reduction of 2 joints"),
+    ],
+)
+def test_a_motor_without_one_gear_is_one_clear_line(transmissions, words, load):
+    with pytest.raises(ValueError, match=r"geared\.urdf: [^\n]*$") as error:
+        load(transmissions, motor_torques=True)
+    assert words in str(error.value)
+
+
+def test_motors_of_mjcf_have_their_gears_already(tmp_path):
+    (tmp_path / "arm.xml").write_text("<mujoco/>")
+    with pytest.raises(ValueError, match=r"arm\.xml: motor_torques is for URDF; [^\n]*$"):
+        robots.load(tmp_path / "arm.xml", motor_torques=True)

@@ -33,7 +33,10 @@ def _robot(spec: str, overrides: tuple[str, ...]) -> robots.Description | None:
     if ":" in spec:
         return None
     made = models.recipe(spec, overrides)
-    return robots.read(made["parameters"]["path"]) if made.get("system") == "robot" else None
+    if made.get("system") != "robot":
+        return None
+    given = made["parameters"]
+    return robots.read(given["path"], motor_torques=given.get("motor_torques", False))
 
 
 def _of_robot(robot: robots.Description) -> dict[str, Any]:

@@ -122,7 +122,7 @@ def _assemble(
         jnp.asarray(np.array([place for _, _, place in where])),
     )
     space = RobotSpace(tree, links, manifold=manifold, floating=floating)
-    inputs = _inputs(axes, coordinates, in_balls + free, motors, actuated)
+    inputs = _inputs(robot, axes, coordinates, in_balls + free, motors, actuated)
     units = tuple("rad" if axes[i].turn.any() else "m" for i in free)
     spins = tuple(f"w{k + 1}_{axes[i].joint.name}" for i in tree.balls for k in range(3))
     velocities = (*TWIST * floating, *spins, *(f"rate_{names[i]}" for i in free))
@@ -211,6 +211,7 @@ def _with_motors(joint: Joint, motors: Sequence[Motor]) -> Joint:
 
 
 def _inputs(
+    robot: Description,
     axes: list[_Axis],
     coordinates: np.ndarray,
     free: list[int],
@@ -220,7 +221,7 @@ def _inputs(
     """Generalised force (n, m) of each input."""
     if not motors:
         driven = [i for i in free if actuated is None or axes[i].joint.name in actuated]
-        return coordinates[driven].T
+        return coordinates[driven].T * ([_reduction(axes[i].joint) for i in driven] if robot.motor_torques else 1.0)
     columns = []
     for motor in motors:
         if motor.unsupported:
@@ -232,6 +233,16 @@ def _inputs(
         if driven:
             columns.append(motor.gain * (np.array(motor.direction) @ np.array(driven)))
     return np.array(columns).reshape(len(columns), coordinates.shape[1]).T
+
+
+def _reduction(joint: Joint) -> float:
+    if len(joint.reductions) != 1:
+        found = f"{len(joint.reductions)} transmissions with a reduction" if joint.reductions else "no reduction"
+        raise ValueError(
+            f"motor_torques: joint {joint.name!r} has {found}; give it one <transmission> with a "
+            "<mechanicalReduction>, 1 where the motor turns as the joint does, or leave the joint out by actuated=[...]"
+        )
+    return joint.reductions[0]
 
 
 def _with_followers(robot: Description, locked: dict[str, float]) -> dict[str, float]:

@@ -65,6 +65,7 @@ class Joint(NamedTuple):
       where the joint is at 0. `axis` (3,): in that frame, of unit length.
     - `damping` [N m s/rad or N s/m], `friction` [N m or N], `armature` [kg m² or kg], `stiffness` [N m/rad or N/m] of a
       spring that rests at `rest` [rad or m].
+    - `reductions`: turns of each motor for one of the joint, or for 1 m, where they matter.
     - `lower`, `upper` [rad or m], `velocity` [rad/s or m/s], `effort` [N m or N]: limits, infinite where none is given.
     """
 
@@ -85,6 +86,7 @@ class Joint(NamedTuple):
     velocity: float = np.inf
     effort: float = np.inf
     follows: Follows | None = None
+    reductions: tuple[float, ...] = ()
 
 
 class Motor(NamedTuple):
@@ -114,6 +116,7 @@ class Description(NamedTuple):
     - `used`, `ignored`: how often each kind of entry of the file was used, or has no meaning here.
     - `doubts`: sentences on what looks wrong in the file but does not keep it from being used.
     - `motors`: those that the file names; where there are none, every joint has an input.
+    - `motor_torques`: the inputs are torques of the motors, before the reductions of their joints.
     """
 
     name: str
@@ -125,6 +128,7 @@ class Description(NamedTuple):
     ignored: dict[str, int]
     doubts: tuple[str, ...]
     motors: tuple[Motor, ...] = ()
+    motor_torques: bool = False
 
 
 def exact(rotation: np.ndarray) -> np.ndarray:

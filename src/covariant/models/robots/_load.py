@@ -13,14 +13,16 @@ from covariant.models.robots._urdf import read_urdf
 from covariant.models.robots._xml import parse
 
 
-def read(path: str | Path) -> Description:
+def read(path: str | Path, *, motor_torques: bool = False) -> Description:
     """What a URDF or MJCF file says of a robot, or the file of one of `ROBOTS` by its name.
+
+    With `motor_torques` the reductions of a URDF file's transmissions are read too.
 
     Raises `ValueError`, one line with the path, for what is wrong in it, and `ImportError` for an MJCF file where
     MuJoCo is not installed.
     """
     try:
-        return _read(located(path))
+        return _read(located(path), motor_torques)
     except OSError as error:
         raise ValueError(
             f"{path}: {error.strerror or error}; give the path of a URDF or MJCF file, or one of {', '.join(ROBOTS)}"
@@ -29,13 +31,17 @@ def read(path: str | Path) -> Description:
         raise ValueError(f"{path}: {error}") from error
 
 
-def _read(path: Path) -> Description:
+def _read(path: Path, motor_torques: bool) -> Description:
     outermost = parse(path)
     if outermost.tag == "mujoco":
+        if motor_torques:
+            raise ValueError(
+                "motor_torques is for URDF; an MJCF file's motors have their gear: leave motor_torques out"
+            )
         return read_mjcf(path)
     if outermost.tag != "robot":
         raise ValueError(f"a robot's file begins with <robot> (URDF) or <mujoco> (MJCF); found <{outermost.tag}>")
-    return read_urdf(outermost, path.stem)
+    return read_urdf(outermost, path.stem, motor_torques)
 
 
 def load(
@@ -46,6 +52,7 @@ def load(
     actuated: Sequence[str] | None = None,
     payload: Mapping[str, Sequence[Any]] | None = None,
     dry_friction: bool = True,
+    motor_torques: bool = False,
 ) -> MechanicalSystem:
     """The mechanical system of a robot, from its URDF or MJCF file, or of one of `ROBOTS` by its name.
 
@@ -62,13 +69,15 @@ def load(
       differentiated by JAX.
     - `dry_friction`: False leaves out the part of the friction that does not grow with the speed, as where it is
       compensated.
+    - `motor_torques`: True where logs hold the torques [N m] of motors, before the reductions that the `transmission`s
+      of a URDF file state. Every joint with an input needs one; losses in the gear count as friction.
 
     Gravity is 9.81 m/s² along −z of the root, or of the world, or as an MJCF file says. Friction of a joint is
     `damping v + friction (2/π) atan(100 v)`.
 
     Raises `ValueError`, one line with the path, for what is wrong in the file, and for names it does not have.
     """
-    robot = read(path)
+    robot = read(path, motor_torques=motor_torques)
     if not dry_friction:
         robot = robot._replace(joints=tuple(joint._replace(friction=0.0) for joint in robot.joints))
     try:

@@ -1,8 +1,9 @@
-"""Transmissions of URDF: what the rotor of a motor is felt as at its joint.
+"""Transmissions of URDF: what the motor of a joint is felt as there.
 
-An inertia J that turns n times as fast as the joint is felt there as n² J. Logged torques are those at the joints, so
-that a reduction alone changes nothing. Source: `transmission_interface` of ROS for `mechanicalReduction`; the
-documentation of Drake, reflected inertia, for `rotor_inertia` and `gear_ratio`.
+An inertia J that turns n times as fast as the joint is felt there as n² J, and a torque τ of the motor as n τ. Logged
+torques are those at the joints, so that a reduction alone changes nothing, unless a user says they are the motors'.
+Source: `transmission_interface` of ROS for `mechanicalReduction`; the documentation of Drake, reflected inertia, for
+`rotor_inertia` and `gear_ratio`.
 """
 
 import math
@@ -19,34 +20,44 @@ ONE_AXIS = ("revolute", "continuous", "prismatic")
 
 
 def with_rotors(
-    transmissions: Sequence[Element], joints: Sequence[Joint], used: Counter[str], ignored: Counter[str]
+    transmissions: Sequence[Element],
+    joints: Sequence[Joint],
+    motor_torques: bool,
+    used: Counter[str],
+    ignored: Counter[str],
 ) -> list[Joint]:
-    """The joints with the rotors that transmissions state; counts what was `used` of them, and `ignored`.
+    """The joints with the rotors that transmissions state, and with `motor_torques` the reductions.
 
-    Raises `ValueError` for a rotor whose joint is not one of one axis, or numbers that no gear has.
+    Counts what was `used` of them, and `ignored`. Raises `ValueError` for a rotor whose joint is not one of one axis,
+    or numbers that no gear has.
     """
     found = {joint.name: joint for joint in joints}
     for entry in transmissions:
         rotors = [part for part in entry.iter() if name_of(part) == ROTOR]
-        _count(entry, bool(rotors), used, ignored)
-        if not rotors:
+        geared = motor_torques and any(name_of(part) in REDUCTIONS for part in entry.iter())
+        _count(entry, geared or bool(rotors), used, ignored)
+        if not (geared or rotors):
             continue
         where = f"transmission {entry.get('name', '')!r}"
         driven = [attribute(part, "name", where) for part in entry.findall("joint")]
-        if len(driven) != 1 or len(rotors) != 1:
+        if len(driven) != 1 or len(rotors) > 1:
+            what = f"{len(rotors)} rotors on" if rotors else "a reduction of"
+            remedy = f"remove <{ROTOR}>" if rotors else "log the torques of the joints"
             raise ValueError(
-                f"{where}: {len(rotors)} rotors on {len(driven)} joints are not supported; one rotor drives one joint, "
-                f"remove <{ROTOR}>"
+                f"{where}: {what} {len(driven)} joints are not supported; one motor drives one joint, {remedy}"
             )
         joint = found.get(driven[0])
         if joint is None:
             raise ValueError(f"{where}: there is no joint {driven[0]!r}")
         if joint.kind not in ONE_AXIS:
-            raise ValueError(f"{where}: joint {joint.name!r} is {joint.kind}, and a rotor needs one axis")
-        inertia, reduction = _value(rotors[0], where), _reduction(entry, where)
+            raise ValueError(f"{where}: joint {joint.name!r} is {joint.kind}, and a motor needs one axis")
+        inertia, reduction = sum(_value(rotor, where) for rotor in rotors), _reduction(entry, where)
         if inertia < 0:
             raise ValueError(f"{where}: {ROTOR} must not be negative; got {inertia:g} kg m²")
-        found[joint.name] = joint._replace(armature=joint.armature + reduction**2 * inertia)
+        found[joint.name] = joint._replace(
+            armature=joint.armature + reduction**2 * inertia,
+            reductions=(*joint.reductions, reduction) if geared else joint.reductions,
+        )
     return list(found.values())
 
 
@@ -74,11 +85,11 @@ def _value(entry: Element, where: str) -> float:
     return found
 
 
-def _count(entry: Element, with_rotor: bool, used: Counter[str], ignored: Counter[str], path: str = "") -> None:
-    """Count a transmission and its tags: those that lead to an armature are used."""
+def _count(entry: Element, needed_here: bool, used: Counter[str], ignored: Counter[str], path: str = "") -> None:
+    """Count a transmission and its tags: those that lead to an armature or a reduction are used."""
     name = name_of(entry)
     path = f"{path}/{name}" if path else name
-    needed = with_rotor and name in ("transmission", "joint", "actuator", ROTOR, *REDUCTIONS)
+    needed = needed_here and name in ("transmission", "joint", "actuator", ROTOR, *REDUCTIONS)
     (used if needed else ignored)[path] += 1
     for part in entry:
-        _count(part, with_rotor, used, ignored, path)
+        _count(part, needed_here, used, ignored, path)

@@ -30,8 +30,10 @@ OF_JOINT = {"origin", "parent", "child", "axis", "limit", "dynamics", "mimic"}
 GRAVITY = np.array([0.0, 0.0, -9.81])
 
 
-def read_urdf(robot: Element, name: str) -> Description:
+def read_urdf(robot: Element, name: str, motor_torques: bool = False) -> Description:
     """The robot that a URDF file describes, from its outermost tag; `name` where it has none.
+
+    With `motor_torques` the reductions of its transmissions are read too.
 
     Raises `ValueError`, one line, for what is wrong in it.
     """
@@ -60,9 +62,19 @@ def read_urdf(robot: Element, name: str) -> Description:
             doubts += limits_in_doubt(joints[-1])
     if not links:
         raise ValueError("has no <link>")
-    joints = with_rotors(robot.findall("transmission"), joints, used, ignored)
+    joints = with_rotors(robot.findall("transmission"), joints, motor_torques, used, ignored)
     root, ordered = in_order(links, joints)
-    return Description(robot.get("name", name), links, ordered, root, GRAVITY, dict(used), dict(ignored), tuple(doubts))
+    return Description(
+        robot.get("name", name),
+        links,
+        ordered,
+        root,
+        GRAVITY,
+        dict(used),
+        dict(ignored),
+        tuple(doubts),
+        motor_torques=motor_torques,
+    )
 
 
 def _inertia(link: Element, name: str) -> BodyInertia:
@@ -124,7 +136,8 @@ def _joint(entry: Element, name: str) -> Joint:
         rotation,
         place,
         exact(axis / length) if length > 0 else axis,
-        **of,
+        damping=of["damping"],
+        friction=of["friction"],
         lower=lower,
         upper=upper,
         velocity=np.inf if limit is None else number(limit, "velocity", where, np.inf),
