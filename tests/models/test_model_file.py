@@ -214,7 +214,7 @@ def test_a_file_gives_a_state_space_model(tmp_path):
             "columns.angle is for a model on a group; this one has outputs: name them in columns.q",
         ),
         ("parameters.feed=-1.0", "feed [kg/m^3] must be positive; got -1.0"),
-        ('parameters.feed="much"', "a parameter of bioreactor is of the wrong kind: "),
+        ('parameters.feed="much"', "parameter feed of bioreactor must be float; got 'much'"),
         ("parameters.fed=1.0", "unknown parameter of bioreactor 'fed'. Did you mean 'feed'? Known: growth, "),
     ],
 )
@@ -356,7 +356,7 @@ def test_refuses_text_that_is_not_utf8(tmp_path):
     [
         ("parameters.masses=[1.0]", "unknown parameter of pendulum_chain 'masses'. Did you mean 'mass'? Known: mass, "),
         ("parameters.mass=[1.0]", "pendulum_chain: length needs one number a link, 1 as in mass; got 2"),
-        ("parameters.mass=3.0", "a parameter of pendulum_chain is of the wrong kind: "),
+        ("parameters.mass=3.0", "parameter mass of pendulum_chain must be Sequence[float]; got 3.0"),
         ("parameters.angles='left'", "pendulum_chain: angles must be one of relative, absolute; got 'left'"),
         ("parameters.mass=[0.0, 0.0]", "metric is singular or not finite at all 6 points tried, such as q = (0, 0)"),
         (

@@ -4,6 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from covariant import models
 from covariant.cli._model import show
 from covariant.models import acceleration, robots
 
@@ -155,3 +156,25 @@ def test_motors_of_mjcf_have_their_gears_already(tmp_path):
     (tmp_path / "arm.xml").write_text("<mujoco/>")
     with pytest.raises(ValueError, match=r"arm\.xml: motor_torques is for URDF; [^\n]*$"):
         robots.load(tmp_path / "arm.xml", motor_torques=True)
+
+
+@pytest.mark.parametrize(
+    ("override", "words"),
+    [
+        ('motor_torques="yes"', "parameter motor_torques of robot must be bool; got 'yes'"),
+        ("dry_friction=1", "parameter dry_friction of robot must be bool; got 1"),
+        ("lock=3", r"parameter lock of robot must be Mapping\[str, float\] \| None; got 3"),
+        ("payload={hand='x'}", r"parameter payload of robot must be .*; got {'hand': 'x'}"),
+    ],
+)
+def test_parameters_of_another_type_are_one_clear_line(override, words, read, tmp_path):
+    read(EACH)
+    with pytest.raises(ValueError, match=f"{words}$"):
+        models.load(str(tmp_path / "geared.urdf"), (f"parameters.{override}",))
+
+
+def test_a_payload_in_a_model_file_may_hold_whole_numbers(read, tmp_path):
+    read(EACH)
+    file = models.load(str(tmp_path / "geared.urdf"), ("parameters.payload={hand=[1, 0, 0.5, 0]}",))
+    plain = robots.load(tmp_path / "geared.urdf")
+    assert float(file.need_mechanical("", "").space.mass - plain.space.mass) == pytest.approx(1.0)

@@ -171,9 +171,13 @@ def is_file(spec: str) -> bool:
 
 
 def document(spec: str, overrides: Sequence[str] = ()) -> dict[str, Any]:
-    """The document that a spec stands for, with overrides and a known layout; raises `ValueError`."""
+    """The document that a spec stands for, with overrides, a known layout and parameters of the types that a system of
+    this library declares; raises `ValueError`."""
     content = _toml.override(_document(spec), overrides)
     _toml.check_layout(content)
+    name = content.get("system")
+    if isinstance(name, str) and name in _source.SYSTEMS:
+        _source.typed(name, _source.SYSTEMS[name], content.get("parameters", {}))
     return content
 
 

@@ -2,8 +2,8 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
+from covariant._typing import Number
 from covariant.models._mechanical import MechanicalSystem
 from covariant.models.robots._assemble import assemble
 from covariant.models.robots._description import Description
@@ -50,7 +50,7 @@ def load(
     floating: bool = False,
     lock: Mapping[str, float] | None = None,
     actuated: Sequence[str] | None = None,
-    payload: Mapping[str, Sequence[Any]] | None = None,
+    payload: Mapping[str, Sequence[Number]] | None = None,
     dry_friction: bool = True,
     motor_torques: bool = False,
 ) -> MechanicalSystem:
