@@ -176,6 +176,15 @@ def test_the_scale_of_an_input_is_found(pendulum, clean):
     assert abs(found.numbers["scale"] - 0.5) < 0.01 + 3 * found.numbers["std"]
 
 
+@pytest.mark.parametrize("scales", [(0.02, -0.05), (1.6, 0.5)])
+def test_wrong_scales_of_all_inputs_do_not_hide_each_other(pendulum, clean, scales):
+    """As where torques of motors are taken for those of the joints."""
+    first, second = diagnose(pendulum, clean._replace(u=clean.u * scales)).findings
+    for found, name, scale in ((first, "tau1", scales[0]), (second, "tau2", scales[1])):
+        assert (found.what, found.where) == ("scale of an input", name)
+        assert abs(found.numbers["scale"] * scale - 1) < 0.02 + 3 * found.numbers["std"] * abs(scale)
+
+
 def test_two_faults_are_found_one_after_the_other(pendulum, clean):
     changed = one_late(clean, 1, 6e-3)._replace(t=clean.t * 1e3)
     done = diagnose(pendulum, changed._replace(u=clean.u * [1.0, 1.6]))

@@ -25,7 +25,7 @@ class Fitted(NamedTuple):
     """Delays (n,) [s] still in the log and scales (m,) of its inputs, with the covariance (n + m, n + m) of both.
 
     Of a machine without inputs only differences of delays are known: their mean is zero then. `gain` (m,) says by which
-    fraction the sum of squares of what is left falls if only that input is scaled.
+    fraction the sum of squares of what is left falls if that input is scaled besides the others.
     """
 
     delay: Float[np.ndarray, "n"]
@@ -53,7 +53,7 @@ def fit(model: MechanicalSystem, log: Smooth, now: Residual) -> Fitted:
         return Fitted(np.zeros(n), np.ones(m), np.full((n + m, n + m), np.inf), np.zeros(m))
     theta, cov, weight = _least_squares(left, columns @ free)
     theta, cov = free @ theta, free @ cov @ free.T
-    gain = [_gain(left, columns[..., n + j], weight) for j in range(m)]
+    gain = [_gain(left, columns[..., n:], j, weight) for j in range(m)]
     return Fitted(theta[:n], 1 + theta[n:], cov, np.array(gain))
 
 
@@ -91,8 +91,16 @@ def _solved(left, columns, weight):
     return -inverse @ np.einsum("kjp,kj->p", weighted, left), inverse, weighted
 
 
-def _gain(left, column, weight):
-    """Fraction of the weighted squares of `left` (K, n) that a multiple of one column (K, n) explains."""
-    product = np.einsum("ki,ij,kj->", left, weight, column)
-    square, total = np.einsum("ki,ij,kj->", column, weight, column), np.einsum("ki,ij,kj->", left, weight, left)
-    return float(product**2 / (square * total)) if square > 0 else 0.0
+def _gain(left, scales, j, weight):
+    """By which fraction the weighted squares of `left` (K, n), with multiples of all columns (K, n, m), rise without j.
+
+    So that several wrong inputs do not hide each other.
+    """
+    rest = _squares(left, np.delete(scales, j, axis=2), weight)
+    return float(1 - _squares(left, scales, weight) / rest) if rest > 0 else 0.0
+
+
+def _squares(left, columns, weight):
+    """The weighted squares that are left with multiples of the columns."""
+    rest = left + columns @ _solved(left, columns, weight)[0] if columns.shape[2] else left
+    return np.einsum("ki,ij,kj->", rest, weight, rest)
