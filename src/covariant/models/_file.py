@@ -128,9 +128,15 @@ def finish(spec: str, content: dict[str, Any]) -> ModelFile:
 
 
 def made(spec: str, content: dict[str, Any]) -> ModelFile:
-    """What the system of a document, or the attribute that a spec names, makes of the parameters of the document."""
-    what = content.get("system", spec.rpartition(":")[2])
-    return _make(what, _find(spec, content), content.get("parameters", {}))
+    """What the system of a document, or the attribute that a spec names, makes of the parameters of the document.
+
+    Those of a system of this library are of the types that it declares; raises `ValueError`.
+    """
+    what, found = content.get("system", spec.rpartition(":")[2]), _find(spec, content)
+    parameters = content.get("parameters", {})
+    if _source.SYSTEMS.get(what) is found:
+        parameters = _source.typed(what, found, parameters)
+    return _make(what, found, parameters)
 
 
 def from_recipe(made: dict[str, Any], model: Any = None) -> Model:
@@ -171,13 +177,9 @@ def is_file(spec: str) -> bool:
 
 
 def document(spec: str, overrides: Sequence[str] = ()) -> dict[str, Any]:
-    """The document that a spec stands for, with overrides, a known layout and parameters of the types that a system of
-    this library declares; raises `ValueError`."""
+    """The document that a spec stands for, with overrides and a known layout; raises `ValueError`."""
     content = _toml.override(_document(spec), overrides)
     _toml.check_layout(content)
-    name = content.get("system")
-    if isinstance(name, str) and name in _source.SYSTEMS:
-        _source.typed(name, _source.SYSTEMS[name], content.get("parameters", {}))
     return content
 
 

@@ -13,6 +13,9 @@ from pathlib import Path
 from types import UnionType
 from typing import Any, Union, get_args, get_origin
 
+import jax
+import numpy as np
+
 from covariant._typing import Number
 from covariant.models._ball_and_beam import ball_and_beam
 from covariant.models._bioreactor import bioreactor
@@ -104,7 +107,8 @@ def attribute(spec: str, folder: Path | None = None) -> Any:
 def typed(name: str, factory: Callable[..., Any], parameters: dict[str, Any]) -> dict[str, Any]:
     """Parameters converted to the types that the function declares: an int serves as a `float`, a bool does not.
 
-    Raises `ValueError` for one of another type; parameters that the function does not take are left as they are.
+    Numbers of arrays, such as those being fitted, and parameters that the function does not take are left as they are.
+    Raises `ValueError` for one of another type.
     """
     declared, found = inspect.signature(factory).parameters, dict(parameters)
     for key in found.keys() & declared.keys():
@@ -121,6 +125,8 @@ def typed(name: str, factory: Callable[..., Any], parameters: dict[str, Any]) ->
 
 def _typed(value: Any, declared: Any) -> Any:
     choices = get_args(declared)
+    if isinstance(value, jax.Array | np.floating):
+        return value
     if get_origin(declared) in (Union, UnionType):
         for choice in choices:
             with contextlib.suppress(TypeError):
