@@ -120,6 +120,13 @@ def export(
         str | None,
         typer.Option(help="Numbers of the model that may be changed at run time, by commas; all by default, or none."),
     ] = None,
+    flash: Annotated[
+        str | None,
+        typer.Option(
+            help="Most bytes of code and constants, such as 64k: where straight C is estimated to take more, like "
+            "statements become loops over tables, which take more time."
+        ),
+    ] = None,
     certificate: Annotated[
         Path | None, typer.Option(help="Saved certificate of this observer, for the data sheet (.json).")
     ] = None,
@@ -136,7 +143,9 @@ def export(
     from covariant.cli import _export
 
     gains = (alpha, beta)
-    asked = _export.Asked(observer, gains, rate, real, name, parameters, certificate, metric, fmi, audit, overwrite)
+    asked = _export.Asked(
+        observer, gains, rate, real, name, parameters, certificate, metric, fmi, audit, overwrite, flash
+    )
     _export.export(model, tuple(override), asked, out, json)
 
 

@@ -16,7 +16,7 @@ from covariant.audit import audit
 from covariant.cli._console import working
 from covariant.cli._export_states import of_states, with_fixed_steps
 from covariant.cli._job import data_sheet
-from covariant.cli._parse import above_zero
+from covariant.cli._parse import above_zero, bytes_of
 from covariant.cli._planned import Asked, Planned
 from covariant.design import ESTIMATORS, estimators, observer_gains, tuned_estimators, with_gains
 from covariant.export import (
@@ -48,6 +48,7 @@ CENTRE, SWING = 0.7, 0.2
 def export(spec: str, overrides: tuple[str, ...], asked: Asked, out: Path, as_json: bool) -> None:
     """Write an observer of a model, by default the first that fits it: as C into a folder, or as a unit (.fmu)."""
     rate, unit = above_zero("--rate", asked.rate), out.suffix == ".fmu"
+    flash = bytes_of("--flash", asked.flash)
     _check(asked, unit)
     family = _family(spec, overrides, asked.parameters)
     file = models.load(spec, overrides) if family is None else family.file
@@ -67,7 +68,7 @@ def export(spec: str, overrides: tuple[str, ...], asked: Asked, out: Path, as_js
             warned, paths = _write_unit(made, name, about, rate, measured[0], asked, out), [out]
         else:
             facts = Facts(rate, getattr(fixed, "substeps", None), proved, found)
-            texts = export_texts(made, name, about, measured, facts)
+            texts = export_texts(made, name, about, measured, facts, flash)
             warned, paths = "", write_folder(texts, out, asked.overwrite)
     result: dict[str, Any] = {"model": spec, "observer": kind, "out": str(out), "design": design}
     result |= {"files": [str(path) for path in paths], "numbers": list(made.numbers)}
@@ -88,6 +89,8 @@ def _check(asked: Asked, unit: bool) -> None:
         raise ValueError("--fmi is for a unit: name a file that ends in .fmu by -o")
     if asked.fmi not in (None, *VERSIONS):
         raise ValueError(f"--fmi must be one of {', '.join(VERSIONS)}; got {asked.fmi!r}")
+    if unit and asked.flash is not None:
+        raise ValueError("--flash is for a microcontroller, and a unit is not for one; leave it out")
     if unit and asked.certificate is not None:
         raise ValueError("--certificate is for the data sheet, which a unit does not have; leave it out")
 

@@ -8,6 +8,7 @@ from jaxtyping import Float
 
 from covariant._numbers import number
 
+UNITS = {"k": 1024, "m": 1024**2}
 Ends = dict[str, tuple[float, float]]
 
 
@@ -53,6 +54,20 @@ def numbers(
         needed = "one number, or " if one and len(names) > 1 else ""
         raise ValueError(f"{option} needs {needed}{len(names)} {kind} numbers separated by commas{whose}; got {text!r}")
     return np.full(len(names), values[0]) if len(values) < len(names) else values
+
+
+def bytes_of(option: str, text: str | None) -> float:
+    """The number of bytes that a text such as `64k`, `1M` or `65536` says, where k is 1024; without one, infinity.
+
+    Raises `ValueError` where it says none.
+    """
+    if text is None:
+        return math.inf
+    digits, unit = (text[:-1], text[-1].lower()) if text[-1:].lower() in UNITS else (text, "")
+    try:
+        return above_zero(option, number(digits) * UNITS.get(unit, 1))
+    except ValueError:
+        raise ValueError(f"{option} must be a number of bytes, such as 64k, 1M or 65536; got {text!r}") from None
 
 
 def above_zero(option: str, value: float) -> float:

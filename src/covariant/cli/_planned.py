@@ -22,6 +22,7 @@ class Asked(NamedTuple):
     fmi: str | None
     audited: bool
     overwrite: bool
+    flash: str | None
 
 
 class Planned(NamedTuple):

@@ -63,6 +63,9 @@ def data_sheet(program: Program, source: Source, about: str, facts: Facts) -> st
     if program.real == "float":
         lines.append("- Time is counted in single precision: a force that depends on time loses digits after an hour.")
     lines.append("- NaN marks what is missing, so that `-ffast-math` must not be used.")
+    if source.tables != "none":
+        where = ", those in loops too" if source.tables == "all" else ""
+        lines.append(f"- Like statements{where} are done by loops over tables: less memory, more time.")
     for title, text in (("Certificate", facts.certificate), ("Audit", facts.audit)):
         lines += ["", f"## {title}", "", text] if text else []
     lines += ["", "## Origin", "", f"- SHA-256 of header and source: `{digest(source)}`"]
@@ -129,7 +132,7 @@ def _deepest(usage: str, name: str) -> int:
     own = {cell[0].rpartition(":")[2].partition(".")[0]: int(cell[1]) for cell in cells}
 
     def below(function: str) -> int:
-        parts = [size for other, size in own.items() if re.fullmatch(rf"{function}_\d+", other)]
+        parts = [size for other, size in own.items() if re.fullmatch(rf"{function}_(\d+|run)", other)]
         loops = {m.group(1) for other in own if (m := re.match(rf"({function}_loop\d+)", other))}
         turns = [below(f"{loop}_turn") + own.get(loop, 0) for loop in loops]
         return own.get(function, 0) + max(parts, default=0) + max(turns, default=0)

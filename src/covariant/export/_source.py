@@ -4,10 +4,11 @@ All names begin with the name of the export. There is no memory management and n
 plain structure, so that a copy of it is a snapshot, and every function works on what it is given.
 """
 
+import math
 import re
 from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, version
-from typing import NamedTuple
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
@@ -78,31 +79,71 @@ KEYWORDS = frozenset(
 SENTENCE = "This text is yours: use, change and sell it as you like; no licence of its generator extends to it."
 
 
+Tables = Literal["none", "once", "all"]
+
+CODE = {
+    "none": {"float": 0.41, "double": 0.85},
+    "once": {"float": 0.33, "double": 0.68},
+    "all": {"float": 0.30, "double": 0.38},
+}
+"""Bytes that a character of C becomes on a Cortex-M4F by gcc -Os, at most, for each use of tables: in single precision,
+and in double, which that processor does by functions."""
+IN_ARRAYS = 0.42
+"""Bytes that a character of a table or another constant array becomes."""
+
+
 class Source(NamedTuple):
-    """The C of an observer: its header and source, and its functions by name, with what a call of each does."""
+    """The C of an observer: its header and source, and its functions by name, with what a call of each does.
+
+    `tables`: which like statements are done by loops over tables.
+    """
 
     name: str
     header: str
     source: str
     functions: dict[str, CText]
+    tables: Tables = "none"
 
 
-def write_source(program: Program, name: str, about: str) -> Source:
+def write_source(program: Program, name: str, about: str, flash: int | float = math.inf) -> Source:
     """The header and the source.
 
     - `name`: what all names begin with, an identifier of C.
     - `about`: a line that says what the observer is.
+    - `flash` [bytes]: how much code and constants may take. Where straight C is estimated to take more, like statements
+      are done by loops over tables. The estimate is one by the length of the text, the same on every machine.
 
-    Raises `ValueError` where the name is no identifier.
+    Raises `ValueError` where the name is no identifier, and where the tables are estimated to take more too.
     """
     if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name) or name in KEYWORDS:
         raise ValueError(f"{name!r} is no name in C; take letters, digits and underscores, beginning with a letter")
+    least = math.inf
+    for tables in get_args(Tables):
+        source = _written(program, name, about, tables)
+        size = _estimated(source, program.real)
+        if size <= flash:
+            return source
+        least = min(least, math.ceil(size / 1024))
+    closed = ", close numbers by --parameters none" if program.numbers else ""
+    raise ValueError(
+        f"{name} takes about {least} kB of flash, with loops over tables too, and may take {flash / 1024:g}; give it "
+        f"{least}k or more{closed}, or choose a cheaper observer"
+    )
+
+
+def _estimated(source: Source, real: Real) -> float:
+    """Bytes of code and constants on a Cortex-M4F, a little more than what compilers make of it."""
+    arrays = sum(map(len, re.findall(r"^static const .*?};$", source.source, re.DOTALL | re.MULTILINE)))
+    return IN_ARRAYS * arrays + CODE[source.tables][real] * (len(source.source) - arrays)
+
+
+def _written(program: Program, name: str, about: str, tables: Tables) -> Source:
     functions = {
-        "init": _init(program, name),
-        "step": _step(program, name),
-        "estimate": _estimate(program, name),
+        "init": _init(program, name, tables),
+        "step": _step(program, name, tables),
+        "estimate": _estimate(program, name, tables),
     }
-    return Source(name, _header(program, name, about), _source(program, name, about, functions), functions)
+    return Source(name, _header(program, name, about), _source(program, name, about, functions), functions, tables)
 
 
 def entries(owner: str, leaf: Leaf) -> list[str]:
@@ -177,7 +218,7 @@ def _last(leaf: Leaf) -> Leaf:
     return leaf._replace(name=f"last_{leaf.name}")
 
 
-def _init(program: Program, name: str) -> CText:
+def _init(program: Program, name: str, tables: Tables) -> CText:
     inputs = [*_numbers(program), *(f"y[{i}]" for i in range(int(np.prod(program.y)))), "t"]
     outputs = [e for leaf in program.state for e in entries("state->", leaf)]
     declared = (
@@ -185,11 +226,11 @@ def _init(program: Program, name: str) -> CText:
         f"    {name}_state *restrict state"
     )
     return _function(
-        program.init, program, f"{name}_core_init", declared, ("params", "y", "t", "state"), inputs, outputs
+        program.init, program, f"{name}_core_init", declared, ("params", "y", "t", "state"), inputs, outputs, tables
     )
 
 
-def _step(program: Program, name: str) -> CText:
+def _step(program: Program, name: str, tables: Tables) -> CText:
     state = [e for leaf in program.state for e in entries("state->", leaf)]
     u, y = ([f"{n}[{i}]" for i in range(k)] for n, k in (("u", program.u), ("y", int(np.prod(program.y)))))
     after = [e for leaf in program.state for e in entries("next->", leaf)]
@@ -204,9 +245,8 @@ def _step(program: Program, name: str) -> CText:
         f"    {name}_state *restrict next, {name}_real *restrict result"
     )
     passed = ("params", "state", "u", "y", "dt", "next", "result")
-    return _function(
-        lowered, program, f"{name}_core_step", declared, passed, [*_numbers(program), *state, *u, *y, "dt"], outputs
-    )
+    inputs = [*_numbers(program), *state, *u, *y, "dt"]
+    return _function(lowered, program, f"{name}_core_step", declared, passed, inputs, outputs, tables)
 
 
 def _only_reported(program: Program) -> tuple[Lowered, list[int], list[Leaf]]:
@@ -224,16 +264,15 @@ def _only_reported(program: Program) -> tuple[Lowered, list[int], list[Leaf]]:
     return lowered._replace(graph=graph, outputs=tuple(outputs)), places, chosen
 
 
-def _estimate(program: Program, name: str) -> CText:
+def _estimate(program: Program, name: str, tables: Tables) -> CText:
     state = [e for leaf in program.state for e in entries("state->", leaf)]
     outputs = [e for leaf in program.x for e in entries("output->", leaf)]
     declared = (
         f"const {name}_params *restrict params, const {name}_state *restrict state,\n    {name}_output *restrict output"
     )
     passed = ("params", "state", "output")
-    return _function(
-        program.estimate, program, f"{name}_core_estimate", declared, passed, [*_numbers(program), *state], outputs
-    )
+    inputs = [*_numbers(program), *state]
+    return _function(program.estimate, program, f"{name}_core_estimate", declared, passed, inputs, outputs, tables)
 
 
 def _numbers(program: Program) -> list[str]:
@@ -248,10 +287,11 @@ def _function(
     passed: tuple[str, ...],
     inputs: Sequence[str],
     outputs: Sequence[str],
+    tables: Tables,
 ) -> CText:
     prefix = name[: -len(name.rpartition("core_")[2]) - len("core_")]
     signature = Signature(declared, passed, tuple(inputs), tuple(outputs))
-    return c_function(lowered, name, signature, program.real, prefix, static=True)
+    return c_function(lowered, name, signature, program.real, prefix, static=True, tables=tables)
 
 
 def _source(program: Program, name: str, about: str, functions: dict[str, CText]) -> str:

@@ -1,5 +1,6 @@
 """An export as files in a folder."""
 
+import math
 import os
 from collections.abc import Mapping
 from pathlib import Path
@@ -15,16 +16,20 @@ from covariant.export._source import write_source
 from covariant.export._vectors import vectors
 
 
-def export_texts(program: Program, name: str, about: str, measured: np.ndarray, facts: Facts) -> dict[str, str]:
+def export_texts(
+    program: Program, name: str, about: str, measured: np.ndarray, facts: Facts, flash: int | float = math.inf
+) -> dict[str, str]:
     """All files of an export by their path in its folder.
 
     - `name`: what all names in C begin with; `about`: a line that says what the observer is.
     - `measured` (T, *n): measurements of the self-test, the first of which starts it.
+    - `flash` [bytes]: how much code and constants may take, see `write_source`.
 
     The texts of source and self-test are the same on every machine; the data sheet names the sizes of its compilers.
+    Raises `ValueError` where the observer is estimated to take more flash.
     """
     about = " ".join(about.replace("*/", "").split())
-    source = write_source(program, name, about)
+    source = write_source(program, name, about, flash)
     return {
         f"{name}.h": source.header,
         f"{name}.c": source.source,

@@ -1,11 +1,6 @@
-from ._c import (
-    CText as CText,
-    Signature as Signature,
-    c_function as c_function,
-    c_helpers as c_helpers,
-    c_number as c_number,
-)
+from ._c import c_function as c_function, c_helpers as c_helpers, c_number as c_number
 from ._c_rows import c_rows as c_rows
+from ._c_writer import CText as CText, Signature as Signature
 from ._differentiate import Derivative as Derivative, expand as expand, pairs as pairs
 from ._enclose import Enclosure as Enclosure, fulfilled as fulfilled
 from ._engine import enclose as enclose, in_c as in_c
