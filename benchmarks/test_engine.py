@@ -1,5 +1,7 @@
 """The compiled C of an observer beside its compiled program of JAX: a step from Python, and a log."""
 
+import itertools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,7 +9,8 @@ import pytest
 from moments import moment
 
 from covariant import models
-from covariant.observers import Intrinsic
+from covariant.geometry import Budget
+from covariant.observers import Geodesic, Intrinsic
 from covariant.runtime import Stream, _kernel, _log, compiled, run_log, run_logs
 from covariant.signals import Record
 
@@ -23,11 +26,26 @@ def test_step(benchmark, engine):
     if engine == "c":
         stream = Stream(case.observer, y, 500.0, len(u))
         assert stream.engine == "c"
-        stamps = iter(np.arange(0.0, 1e6, 0.002).tolist())
+        stamps = itertools.count(0.0, 0.002)
         benchmark(lambda: stream.step(next(stamps), y, u))
     else:
         step = jax.jit(lambda *moment: case.observer.step(*moment))
         benchmark(lambda: jax.block_until_ready(step(case.state, jnp.asarray(u), jnp.asarray(y), case.dt)))
+
+
+@pytest.mark.benchmark(max_time=0.5, group="engine: a step of an observer of the Panda in C")
+@pytest.mark.parametrize(
+    "budget", [None, Budget(0, 1, near=True), Budget(1, 1, near=True)], ids=["first order", "0", "1"]
+)
+def test_exact_step(benchmark, budget):
+    """The observer of first order, and the exact one with so many corrections of its geodesic."""
+    panda, y, u = models.robots.load("panda"), np.full(7, 0.1), np.zeros(7)
+    gains = (panda, 20.0, 100.0)
+    observer = Intrinsic(*gains, substeps=1) if budget is None else Geodesic(*gains, budget, substeps=1)
+    stream = Stream(observer, y, 1000.0, 7)
+    assert stream.engine == "c"
+    stamps = itertools.count(0.0, 0.001)
+    benchmark(lambda: stream.step(next(stamps), y, u))
 
 
 @pytest.mark.benchmark(group=f"engine: a log of {ROWS} rows, n = 2, compilation included")

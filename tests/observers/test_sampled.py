@@ -8,6 +8,7 @@ import pytest
 
 from covariant import geometry
 from covariant._integrate import rk8
+from covariant.geometry import Budget
 from covariant.models import Lagrangian, pendulum_chain
 from covariant.observers import EKF, Copy, FilteredDerivative, Geodesic, Intrinsic, SavitzkyGolay, run
 from covariant.observers._protocol import outcome
@@ -227,14 +228,36 @@ def test_fine_samples_follow_the_flow_to_first_order(kind):
     assert error[-1] < 0.01
 
 
-def test_what_a_step_leaves_of_the_geodesic_leads_from_the_new_estimate_to_the_measurement():
+def test_what_a_step_leaves_of_the_geodesic_leads_from_the_measurement_to_the_new_estimate():
     """It is what the next search starts from, and exact: the rest of a geodesic is a geodesic."""
     observer, u, y = Geodesic(CURVED, 3.0, 4.0), jnp.zeros(2), jnp.array([0.3, -0.2])
     state = observer.init(jnp.array([-0.1, 0.4]))._replace(v=jnp.array([0.5, 0.4]))
     after, info = jax.jit(observer.step)(state, u, y, jnp.array(0.1))
-    left = geometry.log(CURVED.metric, after.q, y)
+    left = geometry.log(CURVED.metric, y, after.q)
     np.testing.assert_allclose(after.log, left, rtol=0, atol=1e-13)
-    assert 0.5 < geometry.norm(CURVED.metric, after.q, left) / info.distance < 0.9
+    assert 0.5 < geometry.norm(CURVED.metric, y, left) / info.distance < 0.9
+
+
+@pytest.mark.parametrize(("corrections", "order"), [(0, 3), (1, 5)])
+def test_a_budget_for_near_ends_gives_the_exact_observer_near_the_measurement(corrections, order):
+    """What it leaves falls at least as fast as what its search leaves; for the first-order observer it is r²."""
+    model = Lagrangian(geometry.Metric(geometry.hyperbolic()), CURVED.potential, dissipation=CURVED.dissipation)
+    budgets = Budget(steps=12, conjugate=False), Budget(corrections, 16, near=True)
+    exact, near = (Geodesic(model, 3.0, 4.0, budget) for budget in budgets)
+    first = Intrinsic(model, 3.0, 4.0)
+    q, v, u = jnp.array([0.1, -0.3]), jnp.array([0.5, 0.4]), jnp.zeros(2)
+    scales = jnp.asarray(np.geomspace(0.03, 0.12, 5))
+
+    @jax.jit
+    @jax.vmap
+    def left(scale):
+        y = q + scale * jnp.array([1.0, -0.7])
+        rates = [o.flow(jnp.zeros(()), o.init(q)._replace(v=v), u, y)[:2] for o in (exact, near, first)]
+        return [jnp.linalg.norm(jnp.concatenate(r) - jnp.concatenate(rates[0])) for r in rates[1:]]
+
+    slope, slope_of_first = (np.polyfit(np.log(scales), np.log(errors), 1)[0] for errors in left(scales))
+    assert slope > order - 0.2
+    assert slope_of_first == pytest.approx(2, abs=0.3)
 
 
 # The loop

@@ -30,8 +30,8 @@ from covariant.signals import Result
 
 
 class GeodesicState(NamedTuple):
-    """Estimate (q, v) at time t [s], the last solution `log` = log_q̂(q), from which the next search starts, and what
-    `HeldState` remembers between samples."""
+    """Estimate (q, v) at time t [s], the last solution `log` = log_q(q̂), a velocity at the measurement q from which the
+    next search starts, and what `HeldState` remembers between samples."""
 
     q: Inexact[Array, "..."]
     v: Vector
@@ -53,6 +53,7 @@ class GeodesicInfo(NamedTuple):
 
 class _Correction(NamedTuple):
     log: Vector  # velocity at the estimate that leads to the measurement in unit time
+    back: Vector  # and one at the measurement that leads to the estimate
     drive: Vector
     residual: Scalar
     result: Code
@@ -67,7 +68,8 @@ class Geodesic(AbstractMechanicalObserver):
 
     - `alpha` [1/s], `beta` [1/s²]: gains; the error obeys s² + αs + β whatever the velocity.
     - `budget`: work spent on the geodesic. `Budget()` converges and flags conjugate points; `Budget(newton=1, steps=4)`
-      is a fixed amount for real time. Metrics with closed forms need neither.
+      is a fixed amount for real time, and `Budget(newton=1, steps=1, near=True)` a small one for small errors. Metrics
+      with closed forms need none.
     - `curvature`: False leaves the curvature term out, to show its effect.
     - `substeps`: Runge–Kutta steps in each sample; None takes as many as dt and the friction need (offline).
 
@@ -96,7 +98,7 @@ class Geodesic(AbstractMechanicalObserver):
         v_dot = found.drive + self.beta * found.log + friction(self.model, t, state.q, state.v, u)
         v_dot = v_dot - self.model.space.connection(state.q, w, state.v)
         # This is only a warm start: it tracks the geodesic found, and the estimate does not depend on how closely.
-        log_dot = 10 * self.alpha * (found.log - state.log)
+        log_dot = 10 * self.alpha * (found.back - state.log)
         return GeodesicState(w, v_dot, jnp.ones_like(state.t), log_dot, still(state.held), still(state.age))
 
     def advance(
@@ -108,32 +110,34 @@ class Geodesic(AbstractMechanicalObserver):
         found = self._correction(t, GeodesicState(q, v, t, state.log), u, y, self.budget)
         missing = found.drive - source(self.model, t, q, u)  # acceleration missing in the prediction, which used S(q̂)
         taken = sampled_correction(space, Motion(q, v), self.alpha, self.beta, since(state, dt), -found.log, missing)
-        corrected, left = v + taken.velocity, (1 - taken.part) * found.log
-        # Move along the geodesic by the given part; transport the velocity and the rest of the geodesic with it.
-        way = taken.part * found.log
-        end = space.transport_along(q, way, jnp.stack([corrected, left]), self.budget)
-        straight = corrected - space.connection(q, way, v)
+        # Move along the geodesic by the given part, and transport the velocity with it.
+        corrected, way = v + taken.velocity, taken.part * found.log
+        end = space.transport_along(q, way, corrected, self.budget)
         new_q = jnp.where(found.exact, end.q, space.manifold.retract(q, way))
-        new_v, log = jnp.where(found.exact, end.w, jnp.stack([straight, left]))
+        new_v = jnp.where(found.exact, end.w, corrected - space.connection(q, way, v))
         innovation = space.manifold.towards(q, y)
         info = GeodesicInfo(
             innovation, space.norm(q, found.log), found.residual, outcome(new_q, new_v, y, worth(taken, found.result))
         )
+        log = (1 - taken.part) * found.back
         return GeodesicState(new_q, new_v, t, log, age=aged(self.model, state, y, dt)), info
 
     def _correction(
         self, t: Scalar, state: GeodesicState, u: Float[Array, "m"], y: Array, budget: Budget
     ) -> _Correction:
-        """The geodesic to the measurement, and the acceleration `T S(q) + R(ξ, v̂)v̂` computed from it."""
+        """The geodesic to the measurement, and the acceleration `T S(q) + R(ξ, v̂)v̂` computed from it.
+
+        The search starts at the measurement, so that its geodesic is the one along which S(q) comes to the estimate.
+        """
         space, q, v = self.model.space, state.q, state.v
         measured = space.manifold.measured(q, y)
-        shot = space.shoot(q, measured, state.log, budget)
+        shot = space.shoot(measured, q, state.log, budget)
         exact = (shot.result != Result.NOT_CONVERGED) & jnp.all(jnp.isfinite(shot.velocity))
         straight = space.manifold.towards(q, y)
-        log = jnp.where(exact, shot.velocity, straight)
+        log, back = jnp.where(exact, jnp.stack([-shot.arrival, shot.velocity]), jnp.stack([straight, -straight]))
         s = source(self.model, t, measured, u)
-        transported = space.transport_along(measured, -jnp.where(exact, shot.arrival, 0.0), s, budget).w
+        transported = space.transport_along(measured, shot.velocity, s, budget).w
         drive = jnp.where(exact, transported, s + space.connection(q, straight, s))
         drive = drive - space.curvature(q, log, v, v) if self.curvature else drive
         residual = jnp.where(exact, shot.residual, jnp.inf)
-        return _Correction(log, drive, residual, jnp.maximum(uniqueness(self.model, q, y), shot.result), exact)
+        return _Correction(log, back, drive, residual, jnp.maximum(uniqueness(self.model, q, y), shot.result), exact)
