@@ -53,8 +53,7 @@ def fit(model: MechanicalSystem, log: Smooth, now: Residual) -> Fitted:
         return Fitted(np.zeros(n), np.ones(m), np.full((n + m, n + m), np.inf), np.zeros(m))
     theta, cov, weight = _least_squares(left, columns @ free)
     theta, cov = free @ theta, free @ cov @ free.T
-    gain = [_gain(left, columns[..., n:], j, weight) for j in range(m)]
-    return Fitted(theta[:n], 1 + theta[n:], cov, np.array(gain))
+    return Fitted(theta[:n], 1 + theta[n:], cov, _gains(left, columns[..., n:], weight))
 
 
 def shifted(log: Smooth, i: int, shift: float) -> Smooth:
@@ -91,13 +90,14 @@ def _solved(left, columns, weight):
     return -inverse @ np.einsum("kjp,kj->p", weighted, left), inverse, weighted
 
 
-def _gain(left, scales, j, weight):
-    """By which fraction the weighted squares of `left` (K, n), with multiples of all columns (K, n, m), rise without j.
+def _gains(left, scales, weight):
+    """By which fraction the weighted squares of `left` (K, n) fall by each of the columns (K, n, m) besides the others.
 
     So that several wrong inputs do not hide each other.
     """
-    rest = _squares(left, np.delete(scales, j, axis=2), weight)
-    return float(1 - _squares(left, scales, weight) / rest) if rest > 0 else 0.0
+    least = _squares(left, scales, weight)
+    without = [_squares(left, np.delete(scales, j, axis=2), weight) for j in range(scales.shape[2])]
+    return np.array([1 - least / rest if rest > 0 else 0.0 for rest in without])
 
 
 def _squares(left, columns, weight):

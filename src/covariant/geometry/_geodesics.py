@@ -47,10 +47,10 @@ class Budget(NamedTuple):
       fourth-order steps: the amount of work is fixed, so that it can be exported.
     - `steps`: number of integration steps along the geodesic.
     - `conjugate`: whether a search that iterates until it converges counts the conjugate points too.
-    - `near`: of a fixed number of corrections: the end is near, as for an observer that has converged. The search
-      starts from the second-order expansion alone, and its derivative serves for that of the geodesic's end, so that a
-      correction costs one geodesic and not n + 1. Each takes the error two orders further: over a distance r a search
-      misses by O(r³) without corrections, by O(r⁵) with one.
+    - `near`: with a fixed number of corrections only: the end is near, as for an observer that has converged. The
+      search starts from the second-order expansion alone, and its derivative serves for that of the geodesic's end, so
+      that a correction costs one geodesic and not n + 1. Each takes the error two orders further: over a distance r a
+      search misses by O(r³) without corrections, by O(r⁵) with one.
     """
 
     newton: int | None = None
@@ -154,8 +154,8 @@ def shoot(space: Curved, p: Configuration, q: Configuration, guess: Vector | Non
     is undamped and can be exported; otherwise it is damped, checked for conjugate points, and differentiated
     implicitly.
     """
-    if budget.newton is not None and budget.near:
-        return shoot_near(space, p, q, budget.newton, budget)
+    if budget.near:
+        return shoot_near(space, p, q, budget)
     target = aim(space, p, space.manifold.local(p, q))
     start = first_guess(space, p, target, guess, budget)
     if budget.newton is None:
@@ -173,15 +173,20 @@ def shoot(space: Curved, p: Configuration, q: Configuration, guess: Vector | Non
     return Shot(velocity, end.velocity, residual, result)
 
 
-def shoot_near(space: Curved, p: Configuration, q: Configuration, corrections: int, budget: Budget) -> Shot:
-    """The same for a q near p: corrections by the derivative of the second-order expansion of the geodesic's end."""
+def shoot_near(space: Curved, p: Configuration, q: Configuration, budget: Budget) -> Shot:
+    """The same for a q near p: corrections by the derivative of the second-order expansion of the geodesic's end.
+
+    Raises `ValueError` where the budget names no number of them.
+    """
+    if budget.newton is None:
+        raise ValueError("Budget: near=True makes a fixed number of corrections; name it, as in newton=1")
     d = space.manifold.local(p, q)
 
     def bend(v: Vector) -> Vector:
         return (space.connection(p, v, v) + space.manifold.retraction_acceleration(p, v)) / 2
 
     velocity = d + bend(d)
-    for _ in range(corrections):
+    for _ in range(budget.newton):
         miss = d - arrive(space, p, velocity, budget).s
         velocity = velocity + miss + jax.jvp(bend, (velocity,), (miss,))[1]
     end = arrive(space, p, velocity, budget)

@@ -44,7 +44,7 @@ def c_function(
       compilers gcc and clang, of the type `{prefix}lanes`, with one entry for each argument.
     - `tables`: which statements that are alike are done by loops over tables of the places of their numbers: none,
       those that a call does once, or all, those in loops too. For small memories: they take less of it, and five times
-      the instructions. The results are the same.
+      the instructions. The operations are the same.
 
     Raises `ValueError` for lanes with tables, and where the signature has another number of inputs or results.
     """

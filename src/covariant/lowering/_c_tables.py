@@ -12,7 +12,7 @@ from collections.abc import Collection, Sequence
 from itertools import groupby
 
 from covariant.lowering._c_operations import expression
-from covariant.lowering._c_writer import Writer, bracketed, in_parts, number_array
+from covariant.lowering._c_writer import Writer, bracketed, declared, in_parts, number_array
 from covariant.lowering._graph import COMMUTATIVE
 
 ALIKE = frozenset({"add", "sub", "mul", "div", "neg", "abs", "sqrt"})
@@ -43,11 +43,8 @@ def _gap(taken: list[bool], length: int) -> int:
     return first
 
 
-class TablesOnce(Writer):
-    """Writes one function with tables: finds what is alike, and an order in which it makes long runs. Its loops are
-    straight."""
-
-    loops_by = Writer
+class TablesThroughout(Writer):
+    """Writes one function with tables, its loops too: finds what is alike, and an order in which it makes long runs."""
 
     def _inside(self, order: list[int]) -> set[int]:
         """The nodes that are written into the statement that uses them, so that there are few shapes of statements."""
@@ -72,9 +69,9 @@ class TablesOnce(Writer):
             self.shapes |= {i: self._shape(i, inside) for i in new}
             often = Counter(shape for shape, _ in self.shapes.values())
             new = []
-            for i, (shape, _) in list(self.shapes.items()):
+            for i in [i for i, (shape, _) in self.shapes.items() if often[shape] < FEWEST]:
                 largest = max(self._operands(i, inside), key=lambda a: len(self._shape(a, inside)[1]), default=None)
-                if often[shape] < FEWEST and largest is not None:
+                if largest is not None:
                     inside.remove(largest)
                     new += [i, largest]
         return inside
@@ -182,7 +179,7 @@ class TablesOnce(Writer):
         """The functions of the straight parts, the tables with the loops over them, and the function that calls all."""
         used = dict.fromkeys(shape for shape, _ in self.shapes.values())
         number = {shape: n for n, shape in enumerate(used)}
-        texts, lines, table = [], [f"{c} {array}[{size}];" for array, c, size in arrays], []
+        texts, lines, table = [], declared(arrays), []
         if self.constants:
             name, count = f"{self.name}_constants", len(self.constants)
             texts.append(number_array(name, [float(self.graph.nodes[a].value) for a in self.constants], self.words))  # pyright: ignore[reportArgumentType]
@@ -250,7 +247,7 @@ class TablesOnce(Writer):
         return expression(op, operands, self.words), first
 
 
-class TablesThroughout(TablesOnce):
-    """Writes one function with tables, and its loops."""
+class TablesOnce(TablesThroughout):
+    """Writes one function with tables and straight loops, whose statements are done many times."""
 
-    loops_by = None
+    loops_by = Writer

@@ -107,7 +107,7 @@ class Writer:
         calls = [self._call(f"{self.name}_{k + 1}", arrays) for k in range(len(self.parts))]
         return [
             *(self._part(f"{self.name}_{k + 1}", k, part, arrays) for k, part in enumerate(self.parts)),
-            self._function(self.name, self.static, "", [*_declared(arrays), *calls]),
+            self._function(self.name, self.static, "", [*declared(arrays), *calls]),
         ]
 
     def _part(self, name: str, k: int, part: list[int], arrays: list[tuple[str, str, int]]) -> str:
@@ -186,7 +186,7 @@ class Writer:
         """Give a place to each value that another part uses; the number of places for numbers and for truth values."""
         until = self._until()
         free: dict[bool, list[int]] = {False: [], True: []}
-        counts = {False: len(self.places), True: 0}
+        counts = {False: 0, True: 0}
         used: set[int] = set()
         for k, part in enumerate(self.parts):
             for i in sorted(j for j in used if until[j] == k):  # read here for the last time, before it is overwritten
@@ -267,7 +267,8 @@ def _declarations(declared: Sequence[tuple[str, str]]) -> list[str]:
     return lines
 
 
-def _declared(arrays: list[tuple[str, str, int]]) -> list[str]:
+def declared(arrays: list[tuple[str, str, int]]) -> list[str]:
+    """The lines that declare the arrays between parts."""
     return [f"{c} {array}[{size}];" for array, c, size in arrays]
 
 

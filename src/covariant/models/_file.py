@@ -128,15 +128,9 @@ def finish(spec: str, content: dict[str, Any]) -> ModelFile:
 
 
 def made(spec: str, content: dict[str, Any]) -> ModelFile:
-    """What the system of a document, or the attribute that a spec names, makes of the parameters of the document.
-
-    Those of a system of this library are of the types that it declares; raises `ValueError`.
-    """
-    what, found = content.get("system", spec.rpartition(":")[2]), _find(spec, content)
-    parameters = content.get("parameters", {})
-    if _source.SYSTEMS.get(what) is found:
-        parameters = _source.typed(what, found, parameters)
-    return _make(what, found, parameters)
+    """What the system of a document, or the attribute that a spec names, makes of the parameters of the document."""
+    what = content.get("system", spec.rpartition(":")[2])
+    return _make(what, _find(spec, content), content.get("parameters", {}))
 
 
 def from_recipe(made: dict[str, Any], model: Any = None) -> Model:
@@ -157,7 +151,7 @@ def from_recipe(made: dict[str, Any], model: Any = None) -> Model:
             )
         factory, name = _source.system(made.get("system")), str(made.get("system"))
         with np.errstate(all="ignore"):  # parameters may make numbers infinite, which later checks find
-            return _make(name, factory, _source.typed(name, factory, parameters)).model
+            return _make(name, factory, parameters).model
     except Exception as error:  # parameters from a file may make a system fail in any way
         kind = "" if isinstance(error, ValueError) else f"{type(error).__name__}: "
         raise ModelError(kind + _source.first_line(error)) from error
@@ -226,10 +220,13 @@ def _find(spec: str, content: dict[str, Any]) -> Any:
 
 
 def _make(name: str, found: Any, parameters: dict[str, Any]) -> ModelFile:
-    """The model itself, or what the function makes of the parameters."""
+    """The model itself, or what the function makes of the parameters; a system of this library, of its types."""
     finished = isinstance(found, Model | ModelFile)
     if finished and parameters:
         raise ValueError(f"{name} is a finished model; only a function that makes one takes parameters")
+    system = _source.SYSTEMS.get(name)
+    if system is not None and system is found:
+        parameters = _source.typed(name, system, parameters)
     made = found if finished or not callable(found) else _source.call(name, found, parameters)
     if isinstance(made, Model):
         return ModelFile(name, made)
