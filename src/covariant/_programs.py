@@ -8,8 +8,11 @@ import hashlib
 import os
 import platform
 import sys
+import time
 from pathlib import Path
 
+IMPORTED = time.time()
+"""When this package was imported: a text that is younger is not what runs."""
 FATAL = "3"
 """Lowest severity of the compiler's messages that are shown; errors in compilation raise exceptions as well."""
 WORTH_KEEPING = "0.1"

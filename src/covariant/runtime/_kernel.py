@@ -1,6 +1,7 @@
 """An observer as a function of plain arrays of numbers, compiled from C."""
 
 import functools
+import itertools
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -8,10 +9,11 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from covariant.export import Program, Recipe, program
+from covariant.export import Recipe, program
 from covariant.lowering import CText, Lowered, Signature, c_function, c_helpers
 from covariant.observers import AbstractObserver
 from covariant.runtime._compile import library
+from covariant.runtime._recall import recalled
 
 DECLARED = """
 void kernel_init(const double *open, const double *y, const double *t, double *state);
@@ -24,7 +26,7 @@ DECLARED_STEP = "int kernel_step(double *numbers, double dt);"
 class Kernel(NamedTuple):
     """A compiled observer, for so many runs at once as it has lanes.
 
-    - `program`: its graphs; `sizes`: numbers of a state, an estimate and an info.
+    - `text`: what was compiled.
     - `library.kernel_init(open, y, t, state)`: the states at rest at a measurement; `open` are the open numbers one
       after another. Of several lanes each number is a row, with an entry for each lane.
     - `library.kernel_run(open, state, rows, logs, kept, count, found)`: advance the states in place, over as many rows
@@ -35,11 +37,15 @@ class Kernel(NamedTuple):
     - `pointer`: the pointer to an array.
     """
 
-    program: Program
+    text: "Text"
     ffi: Any
     library: Any
-    sizes: tuple[int, int, int]
     lanes: int
+
+    @property
+    def sizes(self) -> tuple[int, int, int]:
+        """Numbers of a state, an estimate and an info."""
+        return self.text.sizes
 
     def pointer(self, array: np.ndarray) -> Any:
         """The pointer to a contiguous array of doubles, which must live as long as the pointer is used."""
@@ -68,10 +74,28 @@ def kernel(
         return _compiled(asked)
 
 
+class Text(NamedTuple):
+    """An observer as C, and the shapes of what it takes and gives.
+
+    - `source`, `declared`: the text, and the functions in it; `sizes`: numbers of a state, an estimate and an info.
+    - `y`: the shape of a measurement; `u`: the number of inputs.
+    - `info`, `estimate`: these, as arrays' shapes and types.
+    """
+
+    source: str
+    declared: str
+    sizes: tuple[int, int, int]
+    y: tuple[int, ...]
+    u: int
+    info: Any
+    estimate: Any
+
+
 class _Asked:
     """What a kernel is made of; equal where the kernels would be."""
 
     def __init__(self, observer: AbstractObserver, y: np.ndarray, inputs: int, opened: tuple[int, ...], lanes: int):
+        self.observer = observer
         arrays, self.rest = eqx.partition(observer, eqx.is_inexact_array)
         self.leaves, self.tree = jax.tree.flatten(arrays)
         self.y, self.inputs, self.opened, self.lanes = y, inputs, opened, lanes
@@ -86,6 +110,18 @@ class _Asked:
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, _Asked) and self._key == other._key
+
+    def told(self) -> Any:
+        """The same in plain words: the observer, with the bytes of its arrays but for those that are open."""
+        counted = itertools.count()
+
+        def told(leaf: Any) -> Any:
+            if not eqx.is_inexact_array(leaf):
+                return leaf
+            a = np.asarray(leaf)
+            return ("array", a.shape, a.dtype.str, None if next(counted) in self.opened else a.tobytes())
+
+        return jax.tree.map(told, self.observer), self.y.shape, self.inputs, self.lanes
 
     def recipe(self) -> Recipe:
         """The observer with its open arrays as arguments, by names that sort as they are counted."""
@@ -104,6 +140,11 @@ def _kept(asked: _Asked) -> Kernel:
 
 
 def _compiled(asked: _Asked) -> Kernel:
+    text = recalled(asked.told(), Text, functools.partial(_written, asked))
+    return Kernel(text, *library(text.source, text.declared), asked.lanes)
+
+
+def _written(asked: _Asked) -> Text:
     made = program(asked.recipe(), asked.y, asked.inputs, loops=True)
     n_state = sum(leaf.size for leaf in made.state)
     n_x, n_info = sum(leaf.size for leaf in made.x), sum(leaf.size for leaf in made.info)
@@ -140,8 +181,11 @@ def _compiled(asked: _Asked) -> Kernel:
     source = _SOURCE + (_STEP if alone else "")
     for key, text in parts.items():
         source = source.replace(f"@{key}@", text)
-    ffi, lib = library(source, DECLARED + (DECLARED_STEP if alone else ""))
-    return Kernel(made, ffi, lib, (n_state, n_x, n_info), asked.lanes)
+    declared = DECLARED + (DECLARED_STEP if alone else "")
+    observer: Any = asked.recipe().make(asked.recipe().numbers)
+    shape = jax.ShapeDtypeStruct(made.y, float)
+    estimate = jax.eval_shape(lambda y: observer.estimate(observer.init(y)), shape)
+    return Text(source, declared, (n_state, n_x, n_info), made.y, made.u, made.told_as, estimate)
 
 
 # A velocity at rest decays until its last digits are gone, and numbers so small take processors many times as long:

@@ -122,7 +122,7 @@ def _by_c(
     cores = os.cpu_count() or 1
     lanes = vector_bytes() // np.dtype(float).itemsize if len(logs) > RUNS_A_CORE * cores else 1
     made = kernel(observers[0], np.asarray(logs[0].y[0]), np.shape(logs[0].u)[1], differ, lanes)
-    form = _Form.of(observers[0], made, keep)
+    form = _Form.of(made, keep)
     # Runs of like lengths go together, since lanes wait for the longest.
     order = sorted(range(len(logs)), key=lambda k: len(logs[k].t))
     blocks = [order[k : k + lanes] for k in range(0, len(order), lanes)]
@@ -144,15 +144,13 @@ class _Form(NamedTuple):
     told: Callable[[np.ndarray], Any]
 
     @classmethod
-    def of(cls, observer: Any, made: Kernel, keep: Collection[str] | None) -> "_Form":
+    def of(cls, made: Kernel, keep: Collection[str] | None) -> "_Form":
         """The form of the runs of an observer."""
-        paths, _ = jax.tree_util.tree_flatten_with_path(made.program.told_as)
+        paths, _ = jax.tree_util.tree_flatten_with_path(made.text.info)
         names = [path[0].name for path, leaf in paths for _ in range(leaf.size)]
         kept = np.flatnonzero([keep is None or name in keep for name in names])
-        dropped = () if keep is None else set(made.program.told_as._fields) - set(keep)
-        measured = jax.ShapeDtypeStruct(made.program.y, float)
-        estimate = jax.eval_shape(lambda y: observer.estimate(observer.init(y)), measured)
-        return cls(kept, _split(estimate), _split(made.program.told_as._replace(**dict.fromkeys(dropped))))
+        dropped = () if keep is None else set(made.text.info._fields) - set(keep)
+        return cls(kept, _split(made.text.estimate), _split(made.text.info._replace(**dict.fromkeys(dropped))))
 
 
 class _Columns(NamedTuple):

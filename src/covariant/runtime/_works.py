@@ -18,7 +18,7 @@ class InC:
 
     def __init__(self, made: Kernel):
         states, estimates, infos = made.sizes
-        sizes = (states, made.program.u, int(np.prod(made.program.y)), estimates, infos)
+        sizes = (states, made.text.u, int(np.prod(made.text.y)), estimates, infos)
         self._numbers = np.zeros(sum(sizes))  # one array, so that a call passes one pointer
         self.state, self.u, self.y, self.x, self.info = np.split(self._numbers, np.cumsum(sizes)[:-1])
         self._made = made  # it keeps the library loaded

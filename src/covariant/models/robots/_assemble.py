@@ -53,8 +53,9 @@ def assemble(
 ) -> MechanicalSystem:
     """The mechanical system of a robot; see `load`."""
     loads = _checked_payload(payload or {})
-    # The inertia is looked at, also inside a compiled function.
-    with jax.ensure_compile_time_eval() if known(loads) else contextlib.nullcontext():
+    # The inertia is looked at, also inside a compiled function; outside of one, shapes are found without numbers.
+    traced = not known(jnp.zeros(()))
+    with jax.ensure_compile_time_eval() if traced and known(loads) else contextlib.nullcontext():
         return _assemble(robot, floating, dict(lock or {}), actuated, loads)
 
 
