@@ -4,6 +4,9 @@ BIN := .venv/bin
 export OPENBLAS_NUM_THREADS := 1
 export OMP_NUM_THREADS := 1
 export JAX_PLATFORMS ?= cpu
+# Python keeps what it compiles, beside the environment and not in the source.
+export PYTHONDONTWRITEBYTECODE :=
+export PYTHONPYCACHEPREFIX := $(CURDIR)/.venv/pycache
 
 # What a developer runs after every change: laws, the mathematics under them, and the house. About a minute.
 QUICK := tests/laws/test_every_observer.py tests/design/test_estimators.py tests/design/test_gain_rule.py \

@@ -3,6 +3,8 @@
 import gc
 import itertools
 import os
+import shutil
+import sys
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
@@ -42,8 +44,27 @@ hypothesis.settings.load_profile("laws")
 REPOSITORY = Path(__file__).parents[1]
 
 
-MOST_MAPPINGS = 30_000  # Linux allows a process 65 530, and kills it in the compiler beyond
+MOST_MAPPINGS = 40_000  # Linux allows a process 65 530, and kills it in the compiler beyond
 _tests = itertools.count(1)
+
+MOST_KEPT = 2**30
+"""Bytes of compiled programs beyond which all of them are let go."""
+
+
+def pytest_configure(config):
+    """Programs that take a while to compile are kept in the environment's own folder, from one run to the next.
+
+    They are found again by what they compute, with which compiler and flags, so that a change compiles anew.
+    """
+    if sys.prefix == sys.base_prefix or os.environ.get("CI"):  # no environment, or one that is used once
+        return
+    folder = Path(sys.prefix, "programs")
+    controls = not hasattr(config, "workerinput")
+    if controls and sum(file.stat().st_size for file in folder.glob("*")) > MOST_KEPT:
+        shutil.rmtree(folder)
+    jax.config.update("jax_compilation_cache_dir", str(folder))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.05)
+    jax.config.update("jax_persistent_cache_min_entry_size_bytes", 0)
 
 
 def pytest_collection_finish():
@@ -58,7 +79,7 @@ def few_mappings():
     """Every compiled program holds some six memory mappings: the programs are let go before a process runs out."""
     yield
     mappings = Path("/proc/self/maps")
-    if next(_tests) % 5 == 0 and mappings.exists() and mappings.read_bytes().count(b"\n") > MOST_MAPPINGS:
+    if next(_tests) % 10 == 0 and mappings.exists() and mappings.read_bytes().count(b"\n") > MOST_MAPPINGS:
         jax.clear_caches()
         gc.collect()
 

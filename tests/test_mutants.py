@@ -1,6 +1,7 @@
 """The mutation run changes one token at a time, draws the same every time, and sees a wrong sign."""
 
 import ast
+import functools
 import io
 import subprocess
 import sys
@@ -11,7 +12,10 @@ import mutants
 import mutations
 from mutations import ROOMS, ROOT, SOURCE, draw, mutants_of
 
-DRAWN = draw(7, 150)
+
+@functools.cache
+def drawn():
+    return draw(7, 150)
 
 
 def tokens(source: bytes) -> list[str]:
@@ -24,7 +28,7 @@ def equal_at_the_front(a: list[str], b: list[str]) -> int:
 
 
 def test_a_mutant_is_another_program_and_differs_in_one_place():
-    for mutant in DRAWN[::3]:
+    for mutant in drawn()[::3]:
         source = (SOURCE / mutant.file).read_bytes()
         changed = mutant.apply(source)
         assert ast.dump(ast.parse(changed)) != ast.dump(ast.parse(source)), mutant.id
@@ -38,9 +42,9 @@ def test_a_mutant_is_another_program_and_differs_in_one_place():
 
 
 def test_the_draw_is_reproducible_and_gives_every_room_its_share():
-    assert draw(7, 150) == DRAWN != draw(8, 150)
-    assert len(set(DRAWN)) == 150
-    counts = Counter(mutant.file.split("/")[0] for mutant in DRAWN)
+    assert draw(7, 150) == drawn() != draw(8, 150)
+    assert len(set(drawn())) == 150
+    counts = Counter(mutant.file.split("/")[0] for mutant in drawn())
     sizes = {
         room: sum(len(mutants_of(str(p.relative_to(SOURCE)))) for p in (SOURCE / room).rglob("*.py")) for room in ROOMS
     }

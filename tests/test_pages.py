@@ -5,7 +5,7 @@ import re
 from pathlib import Path
 
 import pytest
-from pages import written
+from pages import WRITTEN
 
 from covariant import observers
 
@@ -45,9 +45,9 @@ def test_the_site_names_every_page():
     assert sorted(named) == sorted(["index.md", *(page.name for page in PAGES[1:])])
 
 
-@pytest.mark.parametrize("path", written(), ids=lambda p: p.name)
+@pytest.mark.parametrize("path", WRITTEN, ids=lambda p: p.name)
 def test_what_is_written_from_the_code_is_up_to_date(path):
-    assert path.read_text(encoding="utf-8") == written()[path], "run: python tools/pages.py"
+    assert path.read_text(encoding="utf-8") == WRITTEN[path](), "run: python tools/pages.py"
 
 
 def test_every_observer_is_on_the_page_of_observers():

@@ -6,6 +6,7 @@ writes them into `docs`, and the tests fail where they are not up to date.
 """
 
 import re
+from collections.abc import Callable
 from pathlib import Path
 
 from house import drawing
@@ -44,16 +45,18 @@ def with_table(page: str, name: str, table: str) -> str:
     return re.sub(f"{begin}.*?{end}", lambda _: f"{begin}\n\n{table}\n\n{end}", page, flags=re.DOTALL)
 
 
-def written() -> dict[Path, str]:
-    """Every file that is written from the code, with the text it should have."""
-    page = DOCS / "observers.md"
-    return {
-        page: with_table(page.read_text(encoding="utf-8"), "observers", observers_table()),
-        DOCS / "images" / "house.svg": drawing(ROOT / "src" / "covariant"),
-    }
+def _observers_page() -> str:
+    return with_table((DOCS / "observers.md").read_text(encoding="utf-8"), "observers", observers_table())
+
+
+WRITTEN: dict[Path, Callable[[], str]] = {
+    DOCS / "observers.md": _observers_page,
+    DOCS / "images" / "house.svg": lambda: drawing(ROOT / "src" / "covariant"),
+}
+"""Every file that is written from the code, with what makes the text it should have."""
 
 
 if __name__ == "__main__":
-    for path, text in written().items():
-        path.write_text(text, encoding="utf-8")
+    for path, text in WRITTEN.items():
+        path.write_text(text(), encoding="utf-8")
         print(f"wrote {path.relative_to(ROOT)}")

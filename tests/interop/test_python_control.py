@@ -10,10 +10,13 @@ from covariant.models import marine, state_space
 from covariant.observers import Contracting, craft_observer
 from covariant.simulation import observe, simulate
 
-control = pytest.importorskip("control", reason="python-control is an optional package")
+
+@pytest.fixture(scope="module")
+def control():
+    return pytest.importorskip("control", reason="python-control is an optional package")
 
 
-def test_plant_and_observer_interconnected_follow_the_librarys_own():
+def test_plant_and_observer_interconnected_follow_the_librarys_own(control):
     model = models.StateSpace(
         lambda t, x, u: jnp.stack([x[1], u[0] - jnp.sin(x[0])]), lambda t, x, u: x[:1], coordinates=("q", "v"), inputs=1
     )
@@ -35,7 +38,7 @@ def test_plant_and_observer_interconnected_follow_the_librarys_own():
     np.testing.assert_allclose(response.outputs[1], state.x[:, 1], atol=1e-6)
 
 
-def test_closed_loop_is_the_librarys_own():
+def test_closed_loop_is_the_librarys_own(control):
     ship = marine.cybership()
     model = state_space(ship)
     controller = Backstepping(ship, set_point([0.0, 0.0, 0.0], [1.0, 0.5, 0.4], 0.8), 20.0, 40.0, 0.5)
@@ -53,7 +56,7 @@ def test_closed_loop_is_the_librarys_own():
     assert list(response.output_labels)[-3:] == ["u1", "u2", "u3"]
 
 
-def test_linearisation_is_the_models_own():
+def test_linearisation_is_the_models_own(control):
     model = marine.Station(marine.supply_vessel()).model()
     linear = control.linearize(interop.plant(model), np.zeros(6), np.zeros(3))
     a, c = model.jacobians(jnp.zeros(()), jnp.zeros(6), jnp.zeros(3))
