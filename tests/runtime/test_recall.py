@@ -86,9 +86,11 @@ def traced(*words, **more):
 
 if "warm" in {words}:
     _kernel.program = traced
+usual = "c" if {kept} else "jax: fewer than 100000 rows, and compiled C would not be kept"
 observer = Intrinsic(models.pendulum_chain(viscous=(0.1, 0.2)), 5.0, 8.0)
 t = np.linspace(0, 1, 50)
 record = Record(t, np.ones((50, 2)), np.stack([np.sin(t), np.cos(t)], axis=1))
+assert run_log(observer, record)[1] == usual
 done, engine = run_log(observer, record, None, "c")
 assert engine == "c"
 print(np.asarray(done.estimate)[-1].tolist(), type(done.info).__name__, np.asarray(done.info.result).tolist())
@@ -99,16 +101,38 @@ print([stream.step(0.02 * k, np.array([0.1 * k, 0.2]), np.ones(2)).tolist() for 
 
 
 def test_a_second_process_traces_nothing_and_finds_the_same_to_the_bit(tmp_path):
-    first = python(RUN.format(words=[]), tmp_path)
+    first = python(RUN.format(words=[], kept=True), tmp_path)
     [made] = tmp_path.glob("*/*.made")
-    assert python(RUN.format(words=["warm"]), tmp_path) == first
+    assert python(RUN.format(words=["warm"], kept=True), tmp_path) == first
     # One that was cut short is made again, and is whole afterwards.
     whole = made.read_bytes()
     made.write_bytes(whole[:1000])
-    assert python(RUN.format(words=[]), tmp_path) == first
+    assert python(RUN.format(words=[], kept=True), tmp_path) == first
     assert made.read_bytes() == whole
     assert not list(tmp_path.glob("*/tmp*"))
-    assert python(RUN.format(words=[]), "off") == first
+    assert python(RUN.format(words=[], kept=False), "off") == first
+
+
+REFUSED = """
+from covariant.lowering import LoweringError
+from covariant.models import Lagrangian
+
+def program(*words, **more):
+    print("traced")
+    raise LoweringError("no graph")
+
+_kernel.program = program
+record = Record(np.linspace(0, 1, 50), np.zeros((50, 2)), np.zeros((50, 2)))
+print(run_log(Intrinsic(models.pendulum_chain(), 5.0, 8.0), record)[1])
+mine = Lagrangian(lambda q: np.eye(2) * (2 + q[0] * 0), lambda q: q[0] * 0)
+print(run_log(Intrinsic(mine, 5.0, 8.0), record)[1])
+"""
+
+
+def test_an_observer_without_a_graph_is_tried_once(tmp_path):
+    said = "jax: no graph\njax: fewer than 100000 rows, and compiled C would not be kept\n"
+    assert python(REFUSED, tmp_path) == f"traced\n{said}"
+    assert python(REFUSED, tmp_path) == said
 
 
 class Pair(NamedTuple):
@@ -181,17 +205,17 @@ def test_another_source_or_setting_has_another_key(monkeypatch):
 
 def test_only_what_was_asked_for_is_found(tmp_path, monkeypatch):
     monkeypatch.setenv("COVARIANT_CACHE", str(tmp_path))
-    assert recalled("this", int, lambda: 1) == 1
-    assert recalled("this", int, lambda: 2) == 1
-    assert recalled("that", int, lambda: 3) == 3
+    assert recalled("this", (int,), lambda: 1) == 1
+    assert recalled("this", (int,), lambda: 2) == 1
+    assert recalled("that", (int,), lambda: 3) == 3
     [place] = [p for p in tmp_path.glob("*/*.made") if pickle.loads(p.read_bytes()) == 1]
     place.write_bytes(pickle.dumps("a word"))
-    assert recalled("this", int, lambda: 4) == 4
+    assert recalled("this", (int,), lambda: 4) == 4
     monkeypatch.setenv("COVARIANT_CACHE", "off")
-    assert recalled("this", int, lambda: 5) == 5
+    assert recalled("this", (int,), lambda: 5) == 5
 
 
 @pytest.mark.parametrize("folder", ["/dev/null/nowhere", "off"])
 def test_without_a_folder_everything_is_made(folder, monkeypatch):
     monkeypatch.setenv("COVARIANT_CACHE", folder)
-    assert recalled("this", int, lambda: 6) == 6
+    assert recalled("this", (int,), lambda: 6) == 6

@@ -29,7 +29,6 @@ from covariant.cli._results import Outcome, drive, report_arrays, summary
 from covariant.cli._states import said_of_states, tuned_states
 from covariant.design import Trial, observer_gains, tuned_estimators
 from covariant.observers import AbstractObserver
-from covariant.runtime import FEWEST_ROWS
 from covariant.scoring import unwrap
 
 SHORTEST_TRIAL = 200
@@ -70,7 +69,7 @@ def compare(job: Job, out: Path | None, report: Path | None, engine: Engine, as_
     if out is not None:
         write_atomically(out, lambda file: file.write(_table(ranked, outcomes, loaded)))
         result["out"] = str(out)
-    told = engines(outcomes) if engine != "auto" or len(loaded.record.t) >= FEWEST_ROWS else []
+    told = [] if engine == "auto" and all(each.engine != "c" for each in outcomes.values()) else engines(outcomes)
     print(json.dumps(result) if as_json else _text(result, rows, what if loaded.reference else "prediction", told))
 
 

@@ -35,7 +35,6 @@ from covariant.design import (
     with_gains,
 )
 from covariant.observers import AbstractObserver
-from covariant.runtime import FEWEST_ROWS
 from covariant.scoring import rmse
 
 
@@ -186,7 +185,7 @@ def _text(result: dict[str, Any], loaded: Loaded, engine: Engine) -> str:
     if "logged_velocity_rmse" in result:
         speeds = _with_units(result["logged_velocity_rmse"], sought_units(loaded.file))
         lines.append(f"the same for the velocity in the log: {speeds}")
-    if result["rows"] >= FEWEST_ROWS or engine != "auto":
+    if result["engine"] == "c" or engine != "auto":
         lines.append(f"engine: {result['engine']}")
     for name, count in result["results"].items():
         if name != "ok":

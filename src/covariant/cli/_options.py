@@ -28,7 +28,7 @@ Velocities = Annotated[str | None, typer.Option("--v", help="Columns of logged v
 Truth = Annotated[str | None, typer.Option("--truth", help="Columns of true velocities, to score against.")]
 By = Annotated[
     Engine,
-    typer.Option("--engine", help="What computes: compiled C, JAX, or C for long logs only (auto)."),
+    typer.Option("--engine", help="What computes: compiled C, JAX, or C where it pays (auto)."),
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object for machines.")]
 Anyway = Annotated[bool, typer.Option("--anyway", help="Go on although the log does not fit the model at all.")]

@@ -10,10 +10,10 @@ import jax
 import numpy as np
 
 from covariant.export import Recipe, program
-from covariant.lowering import CText, Lowered, Signature, c_function, c_helpers
+from covariant.lowering import CText, Lowered, LoweringError, Signature, c_function, c_helpers
 from covariant.observers import AbstractObserver
 from covariant.runtime._compile import library
-from covariant.runtime._recall import recalled
+from covariant.runtime._recall import lasts, recalled
 
 DECLARED = """
 void kernel_init(const double *open, const double *y, const double *t, double *state);
@@ -72,6 +72,11 @@ def kernel(
         return _kept(asked)
     except TypeError:  # something in it has no hash
         return _compiled(asked)
+
+
+def outlasts(observer: AbstractObserver, y: np.ndarray, inputs: int) -> bool:
+    """Whether the kernel of an observer, once made, is there in later processes, so that it is only loaded."""
+    return lasts(_Asked(observer, np.zeros(np.shape(y)), inputs, (), 1).told())
 
 
 class Text(NamedTuple):
@@ -140,8 +145,18 @@ def _kept(asked: _Asked) -> Kernel:
 
 
 def _compiled(asked: _Asked) -> Kernel:
-    text = recalled(asked.told(), Text, functools.partial(_written, asked))
+    text = recalled(asked.told(), (Text, str), functools.partial(_written_or_why, asked))
+    if isinstance(text, str):
+        raise LoweringError(text)
     return Kernel(text, *library(text.source, text.declared), asked.lanes)
+
+
+def _written_or_why(asked: _Asked) -> Text | str:
+    """The text, or why there is none, which takes as long to find out."""
+    try:
+        return _written(asked)
+    except LoweringError as error:
+        return str(error)
 
 
 def _written(asked: _Asked) -> Text:

@@ -15,12 +15,12 @@ from covariant._compile import vector_bytes
 from covariant.lowering import LoweringError
 from covariant.observers import AbstractObserver, run
 from covariant.runtime._compile import missing
-from covariant.runtime._kernel import Kernel, kernel
+from covariant.runtime._kernel import Kernel, kernel, outlasts
 from covariant.signals import Record, Result, Run
 
 Engine = Literal["auto", "c", "jax"]
 FEWEST_ROWS = 100_000
-"""Fewest rows, of all logs together, for which C is worth its compilation."""
+"""Fewest rows, of all logs together, for which C is worth its compilation although nothing is kept of it."""
 RUNS_A_CORE = 4
 """More runs than this for each core go through lanes: a step in all lanes takes about as long as four of one run."""
 
@@ -28,9 +28,10 @@ RUNS_A_CORE = 4
 def run_log(
     observer: AbstractObserver, record: Record, keep: Collection[str] | None = None, engine: Engine = "auto"
 ) -> tuple[Run, str]:
-    """As `observers.run`, by C for a long log, and the engine that did it: "c", or "jax" with the reason.
+    """As `observers.run`, by C where it pays, and the engine that did it: "c", or "jax" with the reason.
 
-    - `engine`: "c" uses C for a short log too, and "jax" never.
+    - `engine`: "auto" uses C where the compiled observer is kept for later processes, and for a log of `FEWEST_ROWS`
+      rows; "c" uses it for any, and "jax" never.
 
     The results are those of JAX up to rounding. JAX does the work where there is no compiler, and where the observer
     has no graph. Raises `ValueError` from `Record.check` and for an unknown engine.
@@ -50,7 +51,7 @@ def run_logs(
 
     - `observers`: of one kind, told apart by their numbers, such as gains or masses; all are one compiled program.
     - `records`: logs of any lengths, with measurements and inputs of one shape.
-    - `keep`, `engine`: as for `run_log`; C pays if all logs together are long. It uses every core.
+    - `keep`, `engine`: as for `run_log`; the rows of all logs count together. C uses every core.
     - `others`: observers of other calls: what tells any of them apart stays open in the compiled program, so that a
       search for the best numbers compiles one.
 
@@ -75,8 +76,9 @@ def run_logs(
     each, logs = many * (count // len(many)), logs * (count // len(logs))
     rows = sum(len(r.t) for r in logs)
     why = "as asked" if engine == "jax" else missing()
-    if engine == "auto" and rows < FEWEST_ROWS:
-        why = f"fewer than {FEWEST_ROWS} rows"
+    if why is None and engine == "auto" and rows < FEWEST_ROWS:
+        lasting = outlasts(many[0], np.asarray(logs[0].y[0]), np.shape(logs[0].u)[1])
+        why = None if lasting else f"fewer than {FEWEST_ROWS} rows, and compiled C would not be kept"
     if why is None:
         try:
             return _by_c(each, differ, np.resize(numbers[: len(many)], (count, numbers.shape[1])), logs, keep), "c"

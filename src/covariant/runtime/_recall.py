@@ -5,6 +5,7 @@ package and those below it are, so the text is kept in the cache folder under a 
 making cannot be told from outside, such as a function of a user's own, has no digest: it is traced every time.
 """
 
+import contextlib
 import dataclasses
 import enum
 import functools
@@ -42,28 +43,37 @@ class _UntoldError(Exception):
     """Something cannot be told apart from something else."""
 
 
-def recalled(what: Any, kind: type[Made], make: Callable[[], Made]) -> Made:
+def recalled(what: Any, kinds: tuple[type, ...], make: Callable[[], Made]) -> Made:
     """What `make` made of `what` before, in this process or an earlier one, or what it makes now.
 
-    - `kind`: the type of what is made, which must be made of plain data; what is found of another type does not count.
+    - `kinds`: the types of what is made, which must be plain data; what is found of another type does not count.
     """
-    folder = cache_folder()
-    key = None if folder is None else digest(what)
-    if folder is None or key is None:
+    place = _place(what)
+    if place is None:
         return make()
-    place = folder / f"{key}.made"
-    try:
-        # Whoever can write here can write the libraries beside it, which are loaded as well.
+    found: Any = None
+    # There is none, or it was cut short, or is of another version of a class. Whoever can write here can write the
+    # libraries beside it, which are loaded as well.
+    with contextlib.suppress(Exception):
         found = pickle.loads(place.read_bytes())
-    except Exception:  # there is none, or it was cut short, or made by another version of a class
-        found = None
-    if isinstance(found, kind):
+    if isinstance(found, kinds):
         return found
     made = make()
-    with tempfile.NamedTemporaryFile(dir=folder, delete=False) as written:
+    with tempfile.NamedTemporaryFile(dir=place.parent, delete=False) as written:
         written.write(pickle.dumps(made))
     os.replace(written.name, place)  # whole or not at all, whoever else makes it at the same time
     return made
+
+
+def lasts(what: Any) -> bool:
+    """Whether what is made of `what` is found again by later processes."""
+    return _place(what) is not None
+
+
+def _place(what: Any) -> Path | None:
+    folder = cache_folder()
+    key = None if folder is None else digest(what)
+    return None if folder is None or key is None else folder / f"{key}.made"
 
 
 def digest(what: Any) -> str | None:
