@@ -8,6 +8,7 @@ from hypothesis import assume, given, strategies as st
 from jax.test_util import check_grads
 
 from covariant._linalg import ldl, pivots, solve
+from covariant.lowering import lower, numbers
 
 SIZES = range(1, 8)
 BATCH = 16
@@ -26,6 +27,32 @@ def test_solve_is_that_of_lapack(n, columns):
     b = np.random.default_rng(n).normal(size=(BATCH, n, *columns))
     expected = np.linalg.solve(a, b.reshape(BATCH, n, -1)).reshape(b.shape)
     np.testing.assert_allclose(jax.jit(jax.vmap(solve))(a, b), expected, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("n", SIZES)
+@pytest.mark.parametrize("batched", [False, True], ids=["alone", "side by side"])
+def test_half_of_an_elimination_is_done_when_it_is_lowered(n, batched):
+    """But all of it for a matrix that is not known to be symmetric, which has the solution that it has in JAX."""
+    upper, b = np.triu_indices(n), np.random.default_rng(n).normal(size=n)
+
+    def symmetric(entries):
+        matrix = jnp.zeros((n, n)).at[upper].set(entries)
+        return solve(jnp.where(np.tri(n, dtype=bool).T, matrix, matrix.T), jnp.asarray(b))
+
+    def any_matrix(entries):
+        return solve(entries.reshape(n, n), jnp.asarray(b))
+
+    whole = positive(n)[0] + 0.1 * np.triu(np.ones((n, n)), 1)  # the solution is none of linear equations
+    for function, x, products in (
+        (symmetric, whole[upper], sum(k * (k + 1) // 2 for k in range(n))),
+        (any_matrix, whole.ravel(), sum(k * k for k in range(n))),
+    ):
+        formed = jax.vmap(function, 1, 1) if batched else function
+        given = np.stack([x, 2 * x], axis=1) if batched else x
+        graph = lower(formed, jnp.asarray(given))
+        np.testing.assert_allclose(numbers(graph, given), jax.jit(formed)(given), rtol=1e-12, atol=1e-13)
+        count = sum(node.op == "mul" for node in graph.graph.nodes)
+        assert count <= (1 + batched) * (products + n * (n - 1))
 
 
 @pytest.mark.parametrize("n", [1, 2, 5])

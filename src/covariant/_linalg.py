@@ -9,6 +9,9 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import ShapedArray
+from jax.extend import core
+from jax.interpreters import ad, batching, mlir
 from jaxtyping import Array, Float, Inexact, Int
 
 from covariant._typing import Matrix, Vector
@@ -29,8 +32,31 @@ def ldl(a: Matrix) -> list[Pivot]:
         d, right = jax.lax.split(top, (1, k), 1)
         left, block = jax.lax.split(low, (1, k), 1)
         steps.append(Pivot(d, left / d))
-        rest = block - steps[-1].below @ right
+        rest = MIRRORED.bind(block - steps[-1].below @ right, rest)
     return steps
+
+
+MIRRORED = core.Primitive("mirrored")
+"""The first matrix, which is symmetric if the second is, as it stands.
+
+In a graph of scalars, which shows entry by entry whether the second is, its lower triangle is the upper one: half of an
+elimination is not done.
+"""
+MIRRORED.def_impl(lambda matrix, _: matrix)
+MIRRORED.def_abstract_eval(lambda matrix, _: ShapedArray(matrix.shape, matrix.dtype))
+mlir.register_lowering(MIRRORED, mlir.lower_fun(lambda matrix, _: matrix, multiple_results=False))
+ad.primitive_jvps[MIRRORED] = lambda primals, tangents: (MIRRORED.bind(*primals), tangents[0])
+
+
+def _mirrored_side_by_side(values, axes):
+    (matrix, source), (axis, other) = values, axes
+    if axis is None:
+        return MIRRORED.bind(matrix, source), None
+    source = source if other is None else jnp.moveaxis(source, other, 0)
+    return MIRRORED.bind(jnp.moveaxis(matrix, axis, 0), source), 0
+
+
+batching.primitive_batchers[MIRRORED] = _mirrored_side_by_side
 
 
 def pivots(a: Matrix) -> Vector:

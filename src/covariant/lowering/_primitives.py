@@ -184,6 +184,15 @@ def _logistic(write: Writer, eqn, values: list) -> list[Value]:
     return [write.map("div", np.array(1.0), below)]
 
 
+def _mirrored(write: Writer, eqn, values: list) -> list[Value]:
+    """The first matrix, or its upper triangle twice, where the second has the same node on both sides everywhere."""
+    matrix, source = (nodes_of(write.graph, value) for value in values)
+    if not np.array_equal(source, source.swapaxes(-1, -2)):
+        return [values[0]]
+    upper = np.triu(np.ones(matrix.shape[-2:], bool))
+    return [Scalars(np.where(upper, matrix, matrix.swapaxes(-1, -2)))]
+
+
 _ENTRYWISE = (
     "add sub mul div neg abs sign floor ceil min max pow sqrt cbrt log log1p exp expm1 sin cos tan asin acos atan "
     "atan2 sinh cosh tanh asinh acosh atanh lt le eq and or not is_finite"
@@ -205,6 +214,7 @@ RULES: dict[str, Rule] = {
     "select_n": _select,
     "clamp": _clamp,
     "convert_element_type": _convert,
+    "mirrored": _mirrored,
     "copy": _same,
     "copy_p": _same,
     "stop_gradient": _same,

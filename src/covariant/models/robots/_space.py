@@ -105,7 +105,7 @@ class RobotSpace(AbstractSpace):
 
         bodies = (order, *joints, turn, slide, own, carried)
         at_base, rows = jax.lax.scan(lower_down, jnp.zeros_like(own), bodies, reverse=True)
-        matrix = rows + rows.T - rows * jnp.eye(len(tree.parents), dtype=x.dtype)
+        matrix = jnp.where(np.tri(len(tree.parents), dtype=bool).T, rows, rows.T)
         coordinates = tree.coordinates.astype(x.dtype)
         matrix = coordinates.T @ matrix @ coordinates + jnp.diag(tree.armature.astype(x.dtype))
         if not self.floating:

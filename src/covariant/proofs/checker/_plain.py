@@ -29,6 +29,7 @@ CHOICES: dict[str, Callable] = {
     "min": lambda a, b: jnp.where(a < b, a, b),
     "clamp": lambda low, a, high: CHOICES["min"](CHOICES["max"](a, low), high),
     "stop_gradient": lambda a: a,
+    "mirrored": lambda a, _: a,
 }
 
 

@@ -179,6 +179,7 @@ ARRAYS: dict[str, Callable] = {
     "transpose": lambda p, x: x.transpose(p["permutation"]),
     "concatenate": lambda p, *x: np.concatenate(x, p["dimension"]),
     "rev": lambda p, x: np.flip(x, p["dimensions"]),
+    "mirrored": lambda p, x, _: x,
     "slice": lambda p, x: x[
         tuple(map(slice, p["start_indices"], p["limit_indices"], p["strides"] or (None,) * x.ndim))
     ],
