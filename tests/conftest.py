@@ -56,7 +56,7 @@ def pytest_configure(config):
 
     They are found again by what they compute, with which compiler and flags, so that a change compiles anew.
     """
-    if sys.prefix == sys.base_prefix or os.environ.get("CI"):  # no environment, or one that is used once
+    if sys.prefix == sys.base_prefix:  # there is no environment
         return
     folder = Path(sys.prefix, "programs")
     controls = not hasattr(config, "workerinput")
