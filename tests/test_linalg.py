@@ -7,10 +7,11 @@ import pytest
 from hypothesis import assume, given, strategies as st
 from jax.test_util import check_grads
 
-from covariant._linalg import ldl, pivots, solve
+from covariant import _linalg
+from covariant._linalg import BLOCK, WHOLE, ldl, pivots, solve
 from covariant.lowering import lower, numbers
 
-SIZES = range(1, 8)
+SIZES = (*range(1, 8), WHOLE + 1, 2 * BLOCK, 2 * BLOCK + 1)
 BATCH = 16
 
 
@@ -63,7 +64,19 @@ def test_solve_is_the_same_alone_and_side_by_side(n):
     np.testing.assert_allclose(jax.vmap(solve, (None, 0))(jnp.asarray(a[3]), b)[3], alone, rtol=1e-12)
 
 
-@pytest.mark.parametrize(("n", "columns"), [(1, ()), (2, (2,))], ids=["number", "matrix"])
+@pytest.mark.parametrize("n", [1, 2, BLOCK, BLOCK + 1, 23])
+@pytest.mark.parametrize("real", [float, np.float32])
+def test_loops_take_the_steps_that_are_written_out(n, real, monkeypatch):
+    a, b = positive(n)[0].astype(real), np.random.default_rng(n).normal(size=(n, 2)).astype(real)
+    found = []
+    for whole in (n, 0):
+        monkeypatch.setattr(_linalg, "WHOLE", whole)
+        found.append(np.asarray(jax.jit(lambda a, b: solve.fun(a, b))(a, b)))
+    assert found[0].dtype == found[1].dtype == real
+    np.testing.assert_allclose(*found, rtol=0, atol=20 * np.finfo(real).eps * np.abs(found[0]).max())
+
+
+@pytest.mark.parametrize(("n", "columns"), [(1, ()), (2, (2,)), (WHOLE + 1, ())], ids=["number", "matrix", "loops"])
 def test_solve_has_the_derivatives_that_differences_show(n, columns):
     """First and second, forward and reverse, along symmetric changes of the matrix."""
     rng = np.random.default_rng(n)

@@ -1,7 +1,8 @@
 """Dense linear algebra for small symmetric matrices, written out.
 
 LAPACK calls are slow under `vmap` on a CPU and cannot be exported, so the few factorisations a mechanical system of a
-dozen joints needs are unrolled here over array slices: static shapes, no pivoting, no branching.
+dozen joints needs are written here over array slices, unrolled where they are short: static shapes, no pivoting, no
+branching.
 """
 
 from typing import NamedTuple
@@ -24,16 +25,29 @@ class Pivot(NamedTuple):
     below: Float[Array, "k 1"]
 
 
+WHOLE = 6
+"""The largest matrix whose elimination is written out for `solve`: somewhat faster, and far longer to compile."""
+BLOCK = 10
+"""Steps of the elimination of a larger one that are a loop over a matrix of one size."""
+
+
 def ldl(a: Matrix) -> list[Pivot]:
     """Factor `a = L diag(d) Lᵀ` with a unit lower triangular L."""
     steps, rest = [], a
-    for k in reversed(range(a.shape[0])):
-        top, low = jax.lax.split(rest, (1, k), 0)
-        d, right = jax.lax.split(top, (1, k), 1)
-        left, block = jax.lax.split(low, (1, k), 1)
-        steps.append(Pivot(d, left / d))
-        rest = MIRRORED.bind(block - steps[-1].below @ right, rest)
+    for _ in range(a.shape[0]):
+        step, rest = _eliminated(rest)
+        steps.append(step)
     return steps
+
+
+def _eliminated(a: Matrix) -> tuple[Pivot, Float[Array, "k k"]]:
+    """The first step of the elimination of a, and what is left: a matrix smaller by one."""
+    k = a.shape[0] - 1
+    top, low = jax.lax.split(a, (1, k), 0)
+    d, right = jax.lax.split(top, (1, k), 1)
+    left, block = jax.lax.split(low, (1, k), 1)
+    step = Pivot(d, left / d)
+    return step, MIRRORED.bind(block - step.below @ right, a)
 
 
 MIRRORED = core.Primitive("mirrored")
@@ -67,23 +81,69 @@ def pivots(a: Matrix) -> Vector:
 @jax.custom_jvp
 def solve(a: Matrix, b: Float[Array, "n *k"]) -> Float[Array, "n *k"]:
     """Solve `a x = b` for symmetric positive definite `a`; columns of a matrix `b` are solved together."""
-    steps = ldl(a)
     right = b.reshape(b.shape[0], -1)
-    x = right[:0]
-    for step, row in zip(steps[::-1], _forward(steps, right)[::-1], strict=True):
-        below = step.below.T @ x
-        x = jnp.concatenate([row / step.d - below, x])
-    return x.reshape(b.shape)
+    return (_written_out if b.shape[0] <= WHOLE else _in_loops)(a, right).reshape(b.shape)
+
+
+def _written_out(a: Matrix, b: Float[Array, "n k"]) -> Float[Array, "n k"]:
+    steps, x = ldl(a), b[:0]
+    for step, row in zip(steps[::-1], _forward(steps, b)[::-1], strict=True):
+        x = jnp.concatenate([_back(step, row, x), x])
+    return x
+
+
+def _in_loops(a: Matrix, b: Float[Array, "n k"]) -> Float[Array, "n k"]:
+    """The same steps in loops over blocks of them.
+
+    What grows smaller is filled up with zeros at the end. Rows of `b` that are done are put behind those that are not,
+    where these zeros meet them. Loops that are linear in `b` are apart from the others, and carry it: JAX transposes
+    no others.
+    """
+
+    def shrink(rest, _):
+        step, rest = _eliminated(rest)
+        return jnp.pad(rest, ((0, 1), (0, 1))), step
+
+    def down(rows, step):
+        row, left = _down(step, rows)
+        return jnp.concatenate([left, row]), None
+
+    def back(rows, step):
+        return jnp.concatenate([_back(step, rows[-1:], rows[:-1]), rows[:-1]]), None
+
+    done, rest = [], a
+    while rest.shape[0]:
+        count = min(BLOCK, rest.shape[0])
+        rest, steps = jax.lax.scan(shrink, rest, None, count)
+        rest = rest[:-count, :-count]
+        b, _ = jax.lax.scan(down, b, steps)
+        done.append((steps, b[-count:]))
+        b = b[:-count]
+    x = b
+    for steps, rows in done[::-1]:
+        x, _ = jax.lax.scan(back, jnp.concatenate([x, rows]), steps, reverse=True)
+    return x
+
+
+def _down(step: Pivot, b: Float[Array, "m k"]) -> tuple[Float[Array, "1 k"], Float[Array, "_ k"]]:
+    """A row of `L⁻¹ b`, and what the rows after it follow from."""
+    top, low = jax.lax.split(b, (1, b.shape[0] - 1), 0)
+    return top, low - step.below @ top
 
 
 def _forward(steps: list[Pivot], b: Float[Array, "n k"]) -> list[Float[Array, "1 k"]]:
     """Rows of `L⁻¹ b`."""
     rows = []
     for step in steps:
-        top, low = jax.lax.split(b, (1, b.shape[0] - 1), 0)
-        rows.append(top)
-        b = low - step.below @ top
+        row, b = _down(step, b)
+        rows.append(row)
     return rows
+
+
+def _back(step: Pivot, row: Float[Array, "1 k"], x: Float[Array, "m k"]) -> Float[Array, "1 k"]:
+    """A row of the solution, from those after it."""
+    known = step.below.T @ x
+    return row / step.d - known
 
 
 @solve.defjvp
