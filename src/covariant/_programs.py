@@ -4,6 +4,7 @@ JAX compiles a program in seconds and loads a stored one in milliseconds. `COVAR
 `COVARIANT_CACHE=FOLDER` stores them in that folder. Where `JAX_COMPILATION_CACHE_DIR` is set, it is respected.
 """
 
+import contextlib
 import hashlib
 import os
 import platform
@@ -17,6 +18,8 @@ FATAL = "3"
 """Lowest severity of the compiler's messages that are shown; errors in compilation raise exceptions as well."""
 WORTH_KEEPING = "0.1"
 """Shortest compilation time [s] of a program that is stored."""
+UNUSED = 180 * 24 * 3600.0
+"""Time [s] after which what nobody has loaded is let go: each version of a library leaves programs behind."""
 
 
 def keep_programs() -> None:
@@ -47,6 +50,16 @@ def cache_folder() -> Path | None:
     except (OSError, RuntimeError):  # there is no home folder, or it cannot be written to
         return None
     return folder if os.access(folder, os.W_OK | os.X_OK) else None
+
+
+def let_go_of_unused(folder: Path) -> None:
+    """Remove the programs, of JAX and of ours, in a `cache_folder` that have been neither made nor read for long."""
+    for file in folder.glob("*"):
+        if file.name.endswith((".so", ".made", "-cache")):
+            with contextlib.suppress(OSError):  # somebody else was faster, or may
+                found = file.stat()
+                if max(found.st_atime, found.st_mtime) < time.time() - UNUSED:
+                    file.unlink()
 
 
 def _users_caches() -> Path:

@@ -6,6 +6,7 @@ import pickle
 import re
 import subprocess
 import sys
+import time
 from functools import partial
 from typing import NamedTuple
 
@@ -15,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from covariant._programs import UNUSED, cache_folder
 from covariant.lowering import _constants
 from covariant.runtime import _recall
 from covariant.runtime._recall import digest, recalled
@@ -26,7 +28,7 @@ import covariant
 import numpy as np
 from covariant import models
 from covariant.observers import REGISTRY, Intrinsic
-from covariant.runtime import Stream, _kernel, run_log
+from covariant.runtime import Stream, _kernel, _recall, run_log
 from covariant.runtime._recall import digest
 from covariant.signals import Record
 
@@ -81,11 +83,13 @@ def test_keys_are_those_of_another_process_and_tell_observers_apart(tmp_path):
 
 
 RUN = """
+import jax
+
 def traced(*words, **more):
     raise SystemExit("traced")
 
 if "warm" in {words}:
-    _kernel.program = traced
+    jax.make_jaxpr = traced
 usual = "c" if {kept} else "jax: fewer than 100000 rows, and compiled C would not be kept"
 observer = Intrinsic(models.pendulum_chain(viscous=(0.1, 0.2)), 5.0, 8.0)
 t = np.linspace(0, 1, 50)
@@ -102,7 +106,7 @@ print([stream.step(0.02 * k, np.array([0.1 * k, 0.2]), np.ones(2)).tolist() for 
 
 def test_a_second_process_traces_nothing_and_finds_the_same_to_the_bit(tmp_path):
     first = python(RUN.format(words=[], kept=True), tmp_path)
-    [made] = tmp_path.glob("*/*.made")
+    made, _ = tmp_path.glob("*/*.made")  # for logs, with gains as arguments, and for streams
     assert python(RUN.format(words=["warm"], kept=True), tmp_path) == first
     # One that was cut short is made again, and is whole afterwards.
     whole = made.read_bytes()
@@ -114,17 +118,17 @@ def test_a_second_process_traces_nothing_and_finds_the_same_to_the_bit(tmp_path)
 
 
 REFUSED = """
+import jax
 from covariant.lowering import LoweringError
-from covariant.models import Lagrangian
 
-def program(*words, **more):
+def refused(*words, **more):
     print("traced")
     raise LoweringError("no graph")
 
-_kernel.program = program
+jax.make_jaxpr = refused
 record = Record(np.linspace(0, 1, 50), np.zeros((50, 2)), np.zeros((50, 2)))
 print(run_log(Intrinsic(models.pendulum_chain(), 5.0, 8.0), record)[1])
-mine = Lagrangian(lambda q: np.eye(2) * (2 + q[0] * 0), lambda q: q[0] * 0)
+mine = models.Lagrangian(lambda q: np.eye(2) * (2 + q[0] * 0), lambda q: q[0] * 0)
 print(run_log(Intrinsic(mine, 5.0, 8.0), record)[1])
 """
 
@@ -133,6 +137,49 @@ def test_an_observer_without_a_graph_is_tried_once(tmp_path):
     said = "jax: no graph\njax: fewer than 100000 rows, and compiled C would not be kept\n"
     assert python(REFUSED, tmp_path) == f"traced\n{said}"
     assert python(REFUSED, tmp_path) == said
+
+
+CHANGED = """
+from covariant.observers import Copy, _intrinsic
+
+observer = Intrinsic(models.pendulum_chain(), 5.0, 8.0)
+changes = (
+    (Intrinsic, "bend", lambda self, at, drive, xi, v: drive - self.model.space.curvature(at, xi, v, v)),
+    (Intrinsic, "bend", Copy.init),
+    (_intrinsic, "second_order", lambda space, q, e: e),
+    (_intrinsic, "second_order", np.linalg.norm),
+    (_intrinsic, "Intrinsic", type("Intrinsic", (Intrinsic,), {})),
+    (_recall, "PACKAGES", ("covariant", "jax")),
+)
+for owner, name, change in changes:
+    usual = getattr(owner, name)
+    setattr(owner, name, change)
+    print(key(observer))
+    setattr(owner, name, usual)
+    print(key(observer))
+"""
+
+
+def test_who_changes_the_library_is_not_given_what_it_would_have_made(tmp_path):
+    said = python(CHANGED, tmp_path).split()
+    assert said[::2] == ["None"] * 6
+    assert len(set(said[1::2])) == 1
+    assert len(said[1]) == 32
+
+
+SINGLE = """
+t = np.linspace(0, 1, 50, dtype=np.float32)
+record = Record(t, np.ones((50, 2), np.float32), np.stack([np.sin(t), np.cos(t)], axis=1))
+observer = Intrinsic(models.pendulum_chain(), 5.0, 8.0)
+run_log(observer, Record(record.t.astype(float), record.u.astype(float), record.y.astype(float)))
+done, engine = run_log(observer, record)
+print(engine, done.estimate.dtype)
+"""
+
+
+def test_the_type_of_a_result_does_not_depend_on_what_is_kept(tmp_path):
+    said = "jax: fewer than 100000 rows, in single precision float32\n"
+    assert [python(SINGLE, folder) for folder in (tmp_path, tmp_path, "off")] == [said] * 3
 
 
 class Pair(NamedTuple):
@@ -146,6 +193,13 @@ def outer(x):
     return lambda y: x + y
 
 
+@pytest.fixture
+def as_written(monkeypatch):
+    """The type checks of the tests wrap the functions of the package, which is then not as its text says."""
+    monkeypatch.setattr(_recall, "intact", lambda texts: True)
+
+
+@pytest.mark.usefixtures("as_written")
 def test_things_are_told_apart():
     """Each has a key, and it is its own."""
     one, two = np.array([1.0, 2.0]), np.array([1.0, 2.0], np.float32)
@@ -162,6 +216,7 @@ def test_things_are_told_apart():
     assert keys == [digest(thing) for thing in things]
 
 
+@pytest.mark.usefixtures("as_written")
 def test_what_cannot_be_told_has_no_key():
     class Local(eqx.Module):
         x: float
@@ -176,6 +231,7 @@ def test_what_cannot_be_told_has_no_key():
     endless.append(endless)
     made = {"__name__": "covariant.runtime._recall"}
     exec("def f(x): return x", made)
+    assert digest(1) is not None
     for thing in (
         made["f"],
         Word("a"),
@@ -188,6 +244,7 @@ def test_what_cannot_be_told_has_no_key():
         Hidden(),
         {1, 2},
         np.array([None]),
+        jax.random.key(0),
         endless,
         object(),
     ):
@@ -195,6 +252,7 @@ def test_what_cannot_be_told_has_no_key():
         assert digest((1, [thing])) is None
 
 
+@pytest.mark.usefixtures("as_written")
 def test_another_source_or_setting_has_another_key(monkeypatch):
     key = digest(1)
     with jax.enable_x64(False):
@@ -219,3 +277,26 @@ def test_only_what_was_asked_for_is_found(tmp_path, monkeypatch):
 def test_without_a_folder_everything_is_made(folder, monkeypatch):
     monkeypatch.setenv("COVARIANT_CACHE", folder)
     assert recalled("this", (int,), lambda: 6) == 6
+
+
+def test_what_cannot_be_written_is_made_all_the_same(tmp_path, monkeypatch):
+    def full(*words):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setenv("COVARIANT_CACHE", str(tmp_path))
+    monkeypatch.setattr(_recall, "write_atomically", full)
+    assert recalled("this", (int,), lambda: 7) == 7
+    assert not list(tmp_path.glob("*/*.made"))
+
+
+def test_what_nobody_has_loaded_for_long_is_let_go(tmp_path, monkeypatch):
+    monkeypatch.setenv("COVARIANT_CACHE", str(tmp_path))
+    folder = cache_folder()
+    now, old = time.time(), time.time() - 1.1 * UNUSED
+    ages = {"old.so": (old, old), "old.made": (old, old), "jit-cache": (old, old), "notes.txt": (old, old)}
+    ages |= {"read.so": (now, old), "made.so": (old, now)}
+    for name, times in ages.items():
+        (folder / name).write_text("")
+        os.utime(folder / name, times)
+    assert recalled("this", (int,), lambda: 8) == 8
+    assert {file.name for file in folder.iterdir()} == {"this.made", "read.so", "made.so", "notes.txt"}

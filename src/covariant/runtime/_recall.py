@@ -10,21 +10,21 @@ import dataclasses
 import enum
 import functools
 import hashlib
-import os
 import pickle
 import platform
 import sys
-import tempfile
 import types
 from collections.abc import Callable
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, TypeVar
 
 import jax
 import numpy as np
 
-from covariant._programs import IMPORTED, cache_folder
+from covariant._files import write_atomically
+from covariant._programs import IMPORTED, cache_folder, let_go_of_unused
+from covariant.runtime._intact import ROOT, intact
 
 Made = TypeVar("Made")
 
@@ -43,14 +43,16 @@ class _UntoldError(Exception):
     """Something cannot be told apart from something else."""
 
 
-def recalled(what: Any, kinds: tuple[type, ...], make: Callable[[], Made]) -> Made:
-    """What `make` made of `what` before, in this process or an earlier one, or what it makes now.
+def recalled(key: str | None, kinds: tuple[type, ...], make: Callable[[], Made]) -> Made:
+    """What `make` made under a key before, in this process or an earlier one, or what it makes now.
 
+    - `key`: the `digest` of all that it is made of.
     - `kinds`: the types of what is made, which must be plain data; what is found of another type does not count.
     """
-    place = _place(what)
-    if place is None:
+    folder = cache_folder()
+    if folder is None or key is None:
         return make()
+    place = folder / f"{key}.made"
     found: Any = None
     # There is none, or it was cut short, or is of another version of a class. Whoever can write here can write the
     # libraries beside it, which are loaded as well.
@@ -59,21 +61,10 @@ def recalled(what: Any, kinds: tuple[type, ...], make: Callable[[], Made]) -> Ma
     if isinstance(found, kinds):
         return found
     made = make()
-    with tempfile.NamedTemporaryFile(dir=place.parent, delete=False) as written:
-        written.write(pickle.dumps(made))
-    os.replace(written.name, place)  # whole or not at all, whoever else makes it at the same time
+    with contextlib.suppress(OSError):  # such as a full disk: it is made all the same
+        write_atomically(place, lambda file: file.write(pickle.dumps(made)))
+        let_go_of_unused(folder)
     return made
-
-
-def lasts(what: Any) -> bool:
-    """Whether what is made of `what` is found again by later processes."""
-    return _place(what) is not None
-
-
-def _place(what: Any) -> Path | None:
-    folder = cache_folder()
-    key = None if folder is None else digest(what)
-    return None if folder is None or key is None else folder / f"{key}.made"
 
 
 def digest(what: Any) -> str | None:
@@ -86,20 +77,29 @@ def digest(what: Any) -> str | None:
         told.add(what)
         told.add((_source(), platform.python_version(), jax.dtypes.canonicalize_dtype(float)))
         told.add(sorted((name, version(name)) for name in PACKAGES[1:]))
-    except (_UntoldError, RecursionError, OSError, PackageNotFoundError):
+    except Exception:  # what others made may fail in any way when it is looked at; then it cannot be told
         return None
     return told.hash.hexdigest()[:32]
 
 
-@functools.cache
 def _source() -> str:
-    """A digest of the text of this package."""
-    root, found = Path(__file__).parents[1], hashlib.sha256()
-    for path in sorted(root.rglob("*.py")):
-        if path.stat().st_mtime > IMPORTED:  # what runs here is an earlier text
-            raise _UntoldError
-        found.update(f"{path.relative_to(root).as_posix()}\n".encode() + path.read_bytes())
-    return found.hexdigest()
+    """A digest of the text of this package, if that is what runs."""
+    texts, found = _texts()
+    if not intact(texts):
+        raise _UntoldError
+    return found
+
+
+@functools.cache
+def _texts() -> tuple[dict[str, str], str]:
+    """The text of each file of this package, and a digest of all."""
+    paths, found = sorted(ROOT.rglob("*.py")), hashlib.sha256()
+    if any(path.stat().st_mtime > IMPORTED for path in paths):  # what runs here is an earlier text
+        raise _UntoldError
+    texts = {str(path): path.read_text(encoding="utf-8") for path in paths}
+    for path, text in texts.items():
+        found.update(f"{Path(path).relative_to(ROOT).as_posix()}\n{text}".encode())
+    return texts, found.hexdigest()
 
 
 class _Telling:
