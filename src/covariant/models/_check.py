@@ -1,9 +1,11 @@
 """A numerical check of the metric of a model, beyond the types and shapes of its functions."""
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
+from covariant._typing import Matrix
 from covariant.models._mechanical import MechanicalSystem
 
 
@@ -13,11 +15,16 @@ def check_metric(model: MechanicalSystem, points: Float[np.ndarray, "k n"]) -> N
     A chart may be singular at some of the points, as polar coordinates are at r = 0: points where the metric is
     singular or not finite are passed over, unless all of them are.
     """
-    usable = [_is_usable(np.asarray(model.space(jnp.asarray(q))), q) for q in points]
+    usable = [_is_usable(np.asarray(_metric(model, jnp.asarray(q))), q) for q in points]
     if not any(usable):
         raise ValueError(
             f"metric is singular or not finite at all {len(points)} points tried, such as q = {_text(points[0])}"
         )
+
+
+@eqx.filter_jit
+def _metric(model: MechanicalSystem, q: Array) -> Matrix:
+    return model.space(q)
 
 
 def _is_usable(g: np.ndarray, q: np.ndarray) -> bool:
