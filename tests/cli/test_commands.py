@@ -216,6 +216,18 @@ def test_people_get_the_same_in_words(capsys, monkeypatch, estimated):
     assert f"{estimated['velocity_rmse'][0]:.4g} rad/s" in out
     assert f"innovation RMS: {estimated['innovation_rms'][0]:.4g} rad" in out
     assert f"{estimated['results']['coasted']} of 801 samples: no measurement" in out
+    assert "engine" not in out
+
+
+@pytest.mark.parametrize("arguments", [("estimate",), ("compare", "--truth", "true_v1")])
+def test_people_are_told_why_compiled_c_did_not_do_the_work(arguments, capsys, monkeypatch):
+    monkeypatch.setattr("covariant.runtime._log.missing", lambda: "there is no C compiler here")
+    monkeypatch.setattr(sys, "argv", ["covariant", arguments[0], "model.toml", "log.csv", *arguments[1:]])
+    with pytest.raises(SystemExit) as left:
+        main()
+    assert left.value.code == 0
+    [line] = [line for line in capsys.readouterr().out.splitlines() if line.startswith("engine")]
+    assert line.endswith(": jax: there is no C compiler here")
 
 
 def test_given_gains_replace_the_designed_ones():

@@ -128,6 +128,26 @@ def test_an_equal_observer_is_compiled_once():
     same(found, [run(rest[-1], parts((100,))[0], ("result",))])
 
 
+@needs_compiler
+def test_another_gain_compiles_nothing_and_another_model_something():
+    """One call after another, as in a loop over gains."""
+    [log] = parts((100,))
+    masses = [pendulum(), models.pendulum_chain((1.0, 2.0), viscous=(0.1, 0.1), coulomb=(0.05, 0.02))]
+    makers = [
+        lambda model, k: observers.Intrinsic(model, 10.0 + k, 100.0),
+        lambda model, k: observers.EKF(model, (1.0 + k) * jnp.eye(2), 1e-4 * jnp.eye(2)),
+    ]
+    for make in makers:
+        counts = []
+        for model, k in ((masses[0], 0.0), (masses[0], 1.0), (masses[1], 1.0)):
+            observer = make(model, k)
+            done, engine = run_log(observer, log, engine="c")
+            assert engine == "c"
+            same([done], [run(observer, log)])
+            counts.append(_kept.cache_info().misses)
+        assert counts[0] == counts[1] == counts[2] - 1
+
+
 def test_runs_that_do_not_belong_together_are_refused():
     intrinsic, logs = observers.Intrinsic(pendulum(), 10.0, 100.0), parts((100, 100, 100))
     for given, fault in (

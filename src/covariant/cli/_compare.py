@@ -25,7 +25,7 @@ from covariant.cli._job import (
 )
 from covariant.cli._names import Engine
 from covariant.cli._pages import write_report
-from covariant.cli._results import Outcome, drive, report_arrays, summary
+from covariant.cli._results import Outcome, drive, report_arrays, summary, worth_telling
 from covariant.cli._states import said_of_states, tuned_states
 from covariant.design import Trial, observer_gains, tuned_estimators
 from covariant.observers import AbstractObserver
@@ -69,7 +69,7 @@ def compare(job: Job, out: Path | None, report: Path | None, engine: Engine, as_
     if out is not None:
         write_atomically(out, lambda file: file.write(_table(ranked, outcomes, loaded)))
         result["out"] = str(out)
-    told = [] if engine == "auto" and all(each.engine != "c" for each in outcomes.values()) else engines(outcomes)
+    told = engines(outcomes) if any(worth_telling(each.engine, engine) for each in outcomes.values()) else []
     print(json.dumps(result) if as_json else _text(result, rows, what if loaded.reference else "prediction", told))
 
 

@@ -23,7 +23,16 @@ from covariant.cli._job import (
 )
 from covariant.cli._names import Engine
 from covariant.cli._pages import write_report
-from covariant.cli._results import Outcome, deviations, drive, known, report_arrays, rounded, summary
+from covariant.cli._results import (
+    Outcome,
+    deviations,
+    drive,
+    known,
+    report_arrays,
+    rounded,
+    summary,
+    worth_telling,
+)
 from covariant.cli._states import said_of_states, tuned_states
 from covariant.design import (
     ESTIMATORS,
@@ -185,7 +194,7 @@ def _text(result: dict[str, Any], loaded: Loaded, engine: Engine) -> str:
     if "logged_velocity_rmse" in result:
         speeds = _with_units(result["logged_velocity_rmse"], sought_units(loaded.file))
         lines.append(f"the same for the velocity in the log: {speeds}")
-    if result["engine"] == "c" or engine != "auto":
+    if worth_telling(result["engine"], engine):
         lines.append(f"engine: {result['engine']}")
     for name, count in result["results"].items():
         if name != "ok":

@@ -71,6 +71,11 @@ def drive(observer: AbstractObserver, loaded: Loaded, engine: Engine = "auto", t
     return Outcome(done, velocity, _nis(done.info, loaded), score, each, by, named)
 
 
+def worth_telling(by: str, asked: Engine) -> bool:
+    """Whether a person is told which engine worked: not where none was asked for and a short log went through JAX."""
+    return asked != "auto" or not by.startswith("jax: fewer than")
+
+
 def known(info: Any, name: str) -> np.ndarray | None:
     """A field of an observer's info, or None where it has no such field."""
     return np.asarray(getattr(info, name)) if name in info._fields else None

@@ -9,11 +9,12 @@ import equinox as eqx
 import jax
 import numpy as np
 
+from covariant._programs import cache_folder
 from covariant.export import Recipe, program
 from covariant.lowering import CText, Lowered, LoweringError, Signature, c_function, c_helpers
 from covariant.observers import AbstractObserver
 from covariant.runtime._compile import library
-from covariant.runtime._recall import lasts, recalled
+from covariant.runtime._recall import digest, recalled
 
 DECLARED = """
 void kernel_init(const double *open, const double *y, const double *t, double *state);
@@ -74,9 +75,9 @@ def kernel(
         return _compiled(asked)
 
 
-def outlasts(observer: AbstractObserver, y: np.ndarray, inputs: int) -> bool:
+def outlasts(observer: AbstractObserver, y: np.ndarray, inputs: int, opened: tuple[int, ...] = ()) -> bool:
     """Whether the kernel of an observer, once made, is there in later processes, so that it is only loaded."""
-    return lasts(_Asked(observer, np.zeros(np.shape(y)), inputs, (), 1).told())
+    return cache_folder() is not None and _key(_Asked(observer, np.zeros(np.shape(y)), inputs, opened, 1)) is not None
 
 
 class Text(NamedTuple):
@@ -144,8 +145,21 @@ def _kept(asked: _Asked) -> Kernel:
     return _compiled(asked)
 
 
+def _key(asked: _Asked) -> str | None:
+    """What later processes find the text of a kernel by, if they do."""
+    try:
+        return _told(asked)
+    except TypeError:  # as above
+        return digest(asked.told())
+
+
+@functools.lru_cache(maxsize=64)
+def _told(asked: _Asked) -> str | None:
+    return digest(asked.told())
+
+
 def _compiled(asked: _Asked) -> Kernel:
-    text = recalled(asked.told(), (Text, str), functools.partial(_written_or_why, asked))
+    text = recalled(_key(asked), (Text, str), functools.partial(_written_or_why, asked))
     if isinstance(text, str):
         raise LoweringError(text)
     return Kernel(text, *library(text.source, text.declared), asked.lanes)
@@ -197,7 +211,7 @@ def _written(asked: _Asked) -> Text:
     for key, text in parts.items():
         source = source.replace(f"@{key}@", text)
     declared = DECLARED + (DECLARED_STEP if alone else "")
-    observer: Any = asked.recipe().make(asked.recipe().numbers)
+    observer: Any = asked.observer
     shape = jax.ShapeDtypeStruct(made.y, float)
     estimate = jax.eval_shape(lambda y: observer.estimate(observer.init(y)), shape)
     return Text(source, declared, (n_state, n_x, n_info), made.y, made.u, made.told_as, estimate)

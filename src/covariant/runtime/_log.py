@@ -23,6 +23,10 @@ FEWEST_ROWS = 100_000
 """Fewest rows, of all logs together, for which C is worth its compilation although nothing is kept of it."""
 RUNS_A_CORE = 4
 """More runs than this for each core go through lanes: a step in all lanes takes about as long as four of one run."""
+WRITTEN_IN = {"model", "metric"}
+"""Fields of observers whose numbers are written into the code, where zeros and ones save work; gains are arguments."""
+MOST_OPEN = 100
+"""Numbers of the largest array that is an argument, the covariance of ten joints: tables of numbers are written in."""
 
 
 def run_log(
@@ -49,11 +53,12 @@ def run_logs(
 ) -> tuple[list[Run], str]:
     """Many runs: one observer over many logs, many observers over one log, or as many observers as logs in pairs.
 
-    - `observers`: of one kind, told apart by their numbers, such as gains or masses; all are one compiled program.
+    - `observers`: of one kind, told apart by their numbers, such as gains or masses; all are one compiled program, and
+      so are observers of other calls and processes that have other gains or covariances.
     - `records`: logs of any lengths, with measurements and inputs of one shape.
     - `keep`, `engine`: as for `run_log`; the rows of all logs count together. C uses every core.
-    - `others`: observers of other calls: what tells any of them apart stays open in the compiled program, so that a
-      search for the best numbers compiles one.
+    - `others`: observers of other calls: numbers of models that tell any of them apart stay open in the compiled
+      program too, so that a search for the best ones compiles one.
 
     Returns the runs in order, and the engine that made them. Raises `ValueError` from `Record.check`, for counts that
     do not fit, and for observers or records of different forms.
@@ -72,23 +77,26 @@ def run_logs(
         told = ", ".join(f"y {y} and {u} inputs" for y, u in sorted(forms, key=str))
         raise ValueError(f"run_logs: measurements and inputs must have one shape in all records; got {told}")
     count = max(len(many), len(logs))
-    differ, numbers = _told_apart([*many, *others])
+    opened, numbers = _open([*many, *others])
     each, logs = many * (count // len(many)), logs * (count // len(logs))
     rows = sum(len(r.t) for r in logs)
     why = "as asked" if engine == "jax" else missing()
     if why is None and engine == "auto" and rows < FEWEST_ROWS:
-        lasting = outlasts(many[0], np.asarray(logs[0].y[0]), np.shape(logs[0].u)[1])
-        why = None if lasting else f"fewer than {FEWEST_ROWS} rows, and compiled C would not be kept"
+        # C computes in double precision: the type of a result must not depend on what is kept.
+        if any(np.result_type(log.y) != np.float64 for log in logs):
+            why = f"fewer than {FEWEST_ROWS} rows, in single precision"
+        elif not outlasts(many[0], np.asarray(logs[0].y[0]), np.shape(logs[0].u)[1], opened):
+            why = f"fewer than {FEWEST_ROWS} rows, and compiled C would not be kept"
     if why is None:
         try:
-            return _by_c(each, differ, np.resize(numbers[: len(many)], (count, numbers.shape[1])), logs, keep), "c"
+            return _by_c(each, opened, np.resize(numbers[: len(many)], (count, numbers.shape[1])), logs, keep), "c"
         except (LoweringError, OSError) as error:
             why = f"{error}"
     return [run(observer, record, keep) for observer, record in zip(each, logs, strict=True)], f"jax: {why}"
 
 
-def _told_apart(observers: Sequence[AbstractObserver]) -> tuple[tuple[int, ...], np.ndarray]:
-    """Which arrays of observers differ, and their numbers, a row for each observer.
+def _open(observers: Sequence[AbstractObserver]) -> tuple[tuple[int, ...], np.ndarray]:
+    """Which arrays of observers are no part of the code, and their numbers, a row for each observer.
 
     Raises `ValueError` where the observers differ in more than the values of their arrays.
     """
@@ -99,10 +107,16 @@ def _told_apart(observers: Sequence[AbstractObserver]) -> tuple[tuple[int, ...],
             raise ValueError(
                 f"run_logs: observer {k} is of another kind than the first, not only of other numbers; run it alone"
             )
+    paths = [path for path, _ in jax.tree_util.tree_flatten_with_path(observers[0])[0]]
     arrays = [i for i, is_real in enumerate(real) if is_real]
     columns = [np.stack([np.ravel(own[i]) for own in leaves]).astype(float) for i in arrays]
-    differ = tuple(i for i, column in enumerate(columns) if (column != column[0]).any())
-    return differ, np.concatenate([np.empty((len(observers), 0)), *(columns[i] for i in differ)], axis=1)
+    gains = [_is_gain(paths[i]) and column.shape[1] <= MOST_OPEN for i, column in zip(arrays, columns, strict=True)]
+    opened = tuple(k for k, column in enumerate(columns) if gains[k] or (column != column[0]).any())
+    return opened, np.concatenate([np.empty((len(observers), 0)), *(columns[k] for k in opened)], axis=1)
+
+
+def _is_gain(path: Sequence[Any]) -> bool:
+    return WRITTEN_IN.isdisjoint(getattr(key, "name", None) for key in path)
 
 
 def _alike(real: bool, leaf: Any, first: Any) -> bool:
@@ -116,14 +130,14 @@ def _alike(real: bool, leaf: Any, first: Any) -> bool:
 
 def _by_c(
     observers: Sequence[AbstractObserver],
-    differ: tuple[int, ...],
+    opened: tuple[int, ...],
     numbers: np.ndarray,
     logs: Sequence[Record],
     keep: Collection[str] | None,
 ) -> list[Run]:
     cores = os.cpu_count() or 1
     lanes = vector_bytes() // np.dtype(float).itemsize if len(logs) > RUNS_A_CORE * cores else 1
-    made = kernel(observers[0], np.asarray(logs[0].y[0]), np.shape(logs[0].u)[1], differ, lanes)
+    made = kernel(observers[0], np.asarray(logs[0].y[0]), np.shape(logs[0].u)[1], opened, lanes)
     form = _Form.of(made, keep)
     # Runs of like lengths go together, since lanes wait for the longest.
     order = sorted(range(len(logs)), key=lambda k: len(logs[k].t))
