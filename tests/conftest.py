@@ -79,7 +79,7 @@ def few_mappings():
     """Every compiled program holds some six memory mappings: the programs are let go before a process runs out."""
     yield
     mappings = Path("/proc/self/maps")
-    if next(_tests) % 10 == 0 and mappings.exists() and mappings.read_bytes().count(b"\n") > MOST_MAPPINGS:
+    if next(_tests) % 20 == 0 and mappings.exists() and mappings.read_bytes().count(b"\n") > MOST_MAPPINGS:
         jax.clear_caches()
         gc.collect()
 

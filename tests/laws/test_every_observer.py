@@ -4,6 +4,7 @@ What an observer promises beyond them is put to it in `test_observers` and `test
 """
 
 import functools
+import shutil
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -16,7 +17,8 @@ import pytest
 from covariant.design import DataSheet, tuned_estimators
 from covariant.models import MechanicalSystem, Motion, ball_and_beam, free_body
 from covariant.observers import REGISTRY, AbstractObserver
-from covariant.signals import Result
+from covariant.runtime import run_log
+from covariant.signals import Record, Result
 from covariant.simulation import hold, simulate
 
 ROWS, RATE = 240, 100.0
@@ -170,3 +172,22 @@ def test_names_are_unique_and_every_entry_fits_something():
     names = [entry.name for entry in REGISTRY]
     assert len(set(names)) == len(names)
     assert {entry.name for entry, _ in CASES} == set(names), "put a system that it fits into MODELS"
+
+
+# What takes longest to compile on SO(3) is of the same parts as the others.
+IN_C = [(entry, name) for entry, name in CASES if name != "body on SO(3)" or entry.name in ("intrinsic", "copy", "ekf")]
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler, `cc`")
+@pytest.mark.parametrize(("entry", "name"), IN_C, ids=[f"{entry.name}-{name}" for entry, name in IN_C])
+def test_compiled_c_does_the_same(entry, name):
+    """With its gains as arguments, over a gap."""
+    watched = seen(name)
+    y = watched.y.copy()
+    y[GAP] = np.nan
+    done, engine = run_log(loops(name)[entry.name].observer, Record(watched.t, watched.u, y), None, "c")
+    assert engine == "c"
+    v, innovation, codes = followed(entry, name, y)
+    np.testing.assert_allclose(velocities(done.estimate)[1:], v, rtol=0, atol=1e-7 * np.abs(v).max())
+    np.testing.assert_allclose(done.info.innovation[1:], innovation, rtol=0, atol=1e-8)
+    np.testing.assert_array_equal(done.info.result[1:], codes)
