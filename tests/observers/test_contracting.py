@@ -249,7 +249,7 @@ def test_passive_observer_does_not_mind_whole_turns_and_needs_a_first_position()
     ]
     np.testing.assert_allclose(states[0], states[1], atol=1e-6)
     np.testing.assert_allclose(states[2], states[1], atol=1e-6)
-    with pytest.raises(Exception, match="the first row must hold north, east and heading"):
+    with pytest.raises(ValueError, match="the first row must hold north, east and heading"):
         observer.init(jnp.array([1.0, 2.0, jnp.nan]))
     with pytest.raises(ValueError, match="north, east and heading; this one has shape"):
         observer.init(jnp.array([1.0, 2.0]))

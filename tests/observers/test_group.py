@@ -10,6 +10,7 @@ from covariant.geometry import Budget
 from covariant.geometry.lie import SE3, SO3, quaternion_from_rotation, rotation_from_quaternion
 from covariant.models import Motion, free_body, heavy_top, underwater_vehicle
 from covariant.observers import EKF, Geodesic, Intrinsic, Salcudean, run
+from covariant.runtime import Stream, _works, run_log
 from covariant.signals import Record, Result
 from covariant.simulation import simulate
 
@@ -201,9 +202,31 @@ def test_friction_of_a_top_is_taken_at_the_estimate():
 
 @pytest.mark.parametrize("name", OBSERVERS)
 def test_a_first_measurement_that_is_no_rotation_is_refused(name):
+    start = jax.jit(OBSERVERS[name].init)
+    assert np.isfinite(start(jnp.eye(3)).q).all()
     for wrong in (2 * jnp.eye(3), -jnp.eye(3), jnp.full((3, 3), jnp.nan)):
-        with pytest.raises(Exception, match="not an element of the group"):
+        with pytest.raises(ValueError, match="not an element of the group"):
             OBSERVERS[name].init(wrong)
+        assert np.isnan(start(wrong).q).all()
+    # A program that calls Python is not kept.
+    assert "callback" not in start.lower(jnp.eye(3)).as_text()
+
+
+@pytest.mark.parametrize("engine", ["c", "jax"])
+def test_a_log_or_a_stream_that_starts_with_no_rotation(log, engine, monkeypatch):
+    observer = OBSERVERS["group"]
+    wrong = np.array(log.y[:5])
+    wrong[0] *= 2
+    with pytest.raises(ValueError, match="not an element of the group"):
+        run_log(observer, Record(log.t[:5], log.u[:5], wrong), engine=engine)
+    if engine == "jax":
+        monkeypatch.setattr(_works, "missing", lambda: "not asked for")
+    stream = Stream(observer, wrong[0], 50.0)
+    assert stream.engine.startswith(engine)
+    found = [stream.step(float(t), y, u) for t, u, y in zip(log.t, log.u, wrong, strict=False)]
+    assert np.isnan([*np.ravel(found[0].q), *found[0].v]).all()
+    assert stream.health.results == {"not_finite": 1, "ok": 4}
+    np.testing.assert_allclose(found[1].q, wrong[1], atol=1e-12)
 
 
 def test_salcudean_is_for_rotations_only():

@@ -129,7 +129,11 @@ class AbstractManifold(eqx.Module):
         return jnp.ones((), bool)
 
     def checked(self, y: Configuration) -> Configuration:
-        """The configuration y, with an error at run time where it is none. Raises `ValueError` for a wrong shape."""
+        """The configuration y. Raises `ValueError` for a wrong shape, and where it is no configuration.
+
+        Inside a compiled function its numbers are not known: there NaN stands in the place of what is none, so that a
+        program calls nothing outside of it and can be kept.
+        """
         if len(y.shape) != len(self.shape) or any(w not in (None, n) for n, w in zip(y.shape, self.shape, strict=True)):
             wanted = ", ".join("n" if size is None else str(size) for size in self.shape)
             raise ValueError(f"a configuration must have shape ({wanted}); got {y.shape}")

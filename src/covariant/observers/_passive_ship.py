@@ -11,6 +11,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from covariant._linalg import solve, whiten
@@ -53,14 +54,11 @@ class PassiveShip(AbstractFlowObserver):
     memory: Scalar = eqx.field(default=jnp.inf, converter=as_gain)
 
     def init(self, y: Float[Array, "p"], t: Number = 0.0) -> ContractingState:
-        """State at rest at the measured position. Raises `ValueError`, or an error under jit, where it is missing."""
+        """State at rest at the measured position. Raises `ValueError` where it is missing, as far as it is known."""
         if y.shape != (3,):
             raise ValueError(f"a ship's measurement is north, east and heading; this one has shape {y.shape}")
-        y = eqx.error_if(
-            y,
-            jnp.isnan(y).any(),
-            "the first row must hold north, east and heading; one is missing: start at a row with all",
-        )
+        if not isinstance(y, Tracer) and np.isnan(y).any():
+            raise ValueError("the first row must hold north, east and heading; one is missing: start at a row with all")
         start = jnp.zeros(self.station.order, y.dtype).at[:3].set(y)
         return ContractingState(start, jnp.asarray(t, y.dtype), jnp.zeros_like(y), jnp.zeros_like(y))
 

@@ -75,7 +75,10 @@ class AbstractObserver(Functional):
 
     @abc.abstractmethod
     def init(self, y: Inexact[Array, "*n"], t: Number = 0.0) -> Any:
-        """State at rest at the measured configuration y, at time t [s]."""
+        """State at rest at the measured configuration y, at time t [s].
+
+        Raises `ValueError` where y is no configuration. In a compiled function, the state is not finite there.
+        """
 
     @final
     def step(self, state: Any, u: Float[Array, "m"], y: Inexact[Array, "*n"], dt: Scalar) -> tuple[Any, Any]:
@@ -125,7 +128,7 @@ class AbstractMechanicalObserver(AbstractFlowObserver):
 
 
 def at_rest(model: MechanicalSystem, y: Array, t: Number) -> HeldState:
-    """The state at rest at the first measurement; raises an error at run time where y is no configuration."""
+    """The state at rest at the first measurement; as `AbstractManifold.checked` says where y is no configuration."""
     q = model.manifold.checked(y)
     rest = model.manifold.zero(q)
     t = jnp.asarray(t, rest.dtype)
@@ -267,9 +270,17 @@ def run(observer: AbstractObserver, record: Record, keep: Collection[str] | None
     - `keep`: names of the fields of the info that are kept; those left out are None, and take no memory on a long log.
       By default all are kept. Names that an observer's info does not have are ignored.
 
-    Returns a `Run` with the stamps, the estimates and the info of every row. Raises `ValueError` from `Record.check`.
+    Returns a `Run` with the stamps, the estimates and the info of every row. Raises `ValueError` from `Record.check`,
+    and where the first measurement is no configuration.
     """
     t, u, y, _ = record.check()
     kept = None if keep is None else frozenset(keep)
     estimate, info = _scan(observer, jnp.asarray(t), jnp.asarray(u), jnp.asarray(y), kept)
+    if not _starts(estimate):
+        observer.init(jnp.asarray(y[0]))  # it says why
     return Run(jnp.asarray(t), estimate, info)
+
+
+def _starts(estimate: Any) -> bool:
+    """Whether the first of the estimates is finite, which is not known of traced ones."""
+    return all(isinstance(leaf, Tracer) or np.isfinite(np.asarray(leaf)[0]).all() for leaf in jax.tree.leaves(estimate))

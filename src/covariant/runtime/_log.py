@@ -89,7 +89,11 @@ def run_logs(
             why = f"fewer than {FEWEST_ROWS} rows, and compiled C would not be kept"
     if why is None:
         try:
-            return _by_c(each, opened, np.resize(numbers[: len(many)], (count, numbers.shape[1])), logs, keep), "c"
+            runs = _by_c(each, opened, np.resize(numbers[: len(many)], (count, numbers.shape[1])), logs, keep)
+            for observer, log, done in zip(each, logs, runs, strict=True):
+                if not all(np.isfinite(leaf[0]).all() for leaf in jax.tree.leaves(done.estimate)):
+                    run(observer, Record(*(column[:2] for column in log[:3])))  # it says why
+            return runs, "c"
         except (LoweringError, OSError) as error:
             why = f"{error}"
     return [run(observer, record, keep) for observer, record in zip(each, logs, strict=True)], f"jax: {why}"

@@ -48,9 +48,9 @@ class Stream:
     - `inputs`: number of inputs m; by default that of the observer's model.
 
     It is compiled when it is made: in C where a compiler is there, else in JAX; `engine` says which, with the reason.
-    `step` never raises an error. The first complete measurement starts the estimate; until then it is NaN. NaN and
-    infinite entries of y are missing. A sample with the stamp of the one before changes nothing, nor does one with an
-    earlier stamp, unless `SET_BACK` of them come in a row. `health` counts what was wrong.
+    `step` never raises an error. The first complete measurement that is a configuration starts the estimate; until then
+    it is NaN. NaN and infinite entries of y are missing. A sample with the stamp of the one before changes nothing, nor
+    does one with an earlier stamp, unless `SET_BACK` of them come in a row. `health` counts what was wrong.
 
     Raises `ValueError` for a rate that is not positive.
     """
@@ -144,14 +144,16 @@ class Stream:
         return jumped
 
     def _begin(self, t: float) -> Any:
-        """Start at a measurement that is complete; wait for one otherwise."""
+        """Start at a measurement that is complete, and a configuration; wait for one otherwise."""
         self._t, self._back = t, 0
-        self._started = bool(np.isfinite(self._works.y).all())
+        result = Result.COASTED
+        if np.isfinite(self._works.y).all():
+            self._works.start(t)
+            result = Result.OK if np.isfinite(self._works.x).all() else Result.NOT_FINITE
+        self._started = result == Result.OK
         if not self._started:
             self._works.x[:] = math.nan
-            return self._told(Result.COASTED)
-        self._works.start(t)
-        return self._told(Result.OK)
+        return self._told(result)
 
     def _read(self, into: np.ndarray, given: Any) -> None:
         """Numbers as given, or NaN where they are not the right count of numbers."""

@@ -11,9 +11,9 @@ Groups, chapter 10, for the Jacobians.
 import abc
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax.core import Tracer
 from jaxtyping import Array, Bool, Inexact
 
 from covariant._typing import Element, Flag, Vector
@@ -171,5 +171,9 @@ class AbstractGroup(AbstractManifold):
 
     def checked(self, y: Array) -> Array:
         tolerance = 100 * float(jnp.finfo(y.dtype).eps) ** 0.5
-        outside = ~self.contains(super().checked(y), tolerance)
-        return eqx.error_if(y, outside, "the configuration is not an element of the group; pass rotations as matrices")
+        inside = self.contains(super().checked(y), tolerance)
+        if isinstance(inside, Tracer):
+            return jnp.where(inside, y, jnp.nan)
+        if not inside:
+            raise ValueError("the configuration is not an element of the group; pass rotations as matrices")
+        return y
