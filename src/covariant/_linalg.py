@@ -78,6 +78,7 @@ def pivots(a: Matrix) -> Vector:
     return jnp.concatenate([step.d for step in ldl(a)])[:, 0]
 
 
+@jax.jit  # traced once for each shape, wherever it stands
 @jax.custom_jvp
 def solve(a: Matrix, b: Float[Array, "n *k"]) -> Float[Array, "n *k"]:
     """Solve `a x = b` for symmetric positive definite `a`; columns of a matrix `b` are solved together."""
@@ -146,7 +147,7 @@ def _back(step: Pivot, row: Float[Array, "1 k"], x: Float[Array, "m k"]) -> Floa
     return row / step.d - known
 
 
-@solve.defjvp
+@solve.__wrapped__.defjvp
 def _(primals, tangents):
     # The derivative of the solution is another solve with the same factor, which the compiler reuses.
     (a, b), (da, db) = primals, tangents
