@@ -73,6 +73,7 @@ def _mirrored_side_by_side(values, axes):
 batching.primitive_batchers[MIRRORED] = _mirrored_side_by_side
 
 
+@jax.jit
 def pivots(a: Matrix) -> Vector:
     """Pivots of `ldl`; by Sylvester's law of inertia as many are negative as `a` has negative eigenvalues."""
     return jnp.concatenate([step.d for step in ldl(a)])[:, 0]
@@ -160,17 +161,20 @@ def solve_square(a: Matrix, b: Float[Array, "n *k"]) -> Float[Array, "n *k"]:
     return solve(a.T @ a, a.T @ b)
 
 
+@jax.jit
 def half_solve(a: Matrix, b: Float[Array, "n k"]) -> Float[Array, "n k"]:
     """`L⁻¹ b` for symmetric positive definite `a = L Lᵀ`: b in the basis in which a is the identity."""
     steps = ldl(a)
     return jnp.concatenate([row / jnp.sqrt(step.d) for step, row in zip(steps, _forward(steps, b), strict=True)])
 
 
+@jax.jit
 def whiten(a: Matrix, b: Matrix) -> Matrix:
     """`L⁻¹ b L⁻ᵀ` for symmetric b and symmetric positive definite `a = L Lᵀ`: it has the eigenvalues of `a⁻¹ b`."""
     return half_solve(a, half_solve(a, b).T)
 
 
+@jax.jit
 def cholesky(a: Matrix) -> Matrix:
     """Lower triangular L with `a = L Lᵀ`, for symmetric positive definite a."""
     columns = []
@@ -181,6 +185,7 @@ def cholesky(a: Matrix) -> Matrix:
     return jnp.concatenate(columns, axis=1)
 
 
+@jax.jit
 def semidefinite_root(a: Matrix) -> Matrix:
     """Lower triangular L with `a = L Lᵀ`, for symmetric a ≥ 0 that may be singular."""
     columns, rest = [], a
@@ -192,6 +197,7 @@ def semidefinite_root(a: Matrix) -> Matrix:
     return jnp.stack(columns, axis=1)
 
 
+@jax.jit
 def triangular(a: Float[Array, "n k"]) -> Matrix:
     """Lower triangular L with `L Lᵀ = a aᵀ`: a square root of a covariance from a wide one, without squaring it.
 
