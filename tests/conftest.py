@@ -63,7 +63,7 @@ def pytest_configure(config):
     if controls and sum(file.stat().st_size for file in folder.glob("*")) > MOST_KEPT:
         shutil.rmtree(folder)
     jax.config.update("jax_compilation_cache_dir", str(folder))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.05)
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.02)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", 0)
 
 

@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from compiling import optimised
 
 from covariant import logs, models, scoring
 from covariant.design import DataSheet, gated, observer_gains, tuned_estimators, with_gains
@@ -57,7 +58,7 @@ def spoiled(kind: str, y: np.ndarray, settled: int) -> np.ndarray:
     return y
 
 
-@eqx.filter_jit
+@optimised
 def followed(observer, t, u, y):
     """Velocities and codes of many pieces: one program for every fault."""
 

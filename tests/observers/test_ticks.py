@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from compiling import optimised
 
 from covariant.cli._job import Job, data_sheet, load
 from covariant.design import DataSheet, Trial, tuned_estimators
@@ -118,7 +119,7 @@ def test_no_edge_leaves_the_uniform_variance_to_one_who_knows_less():
     np.testing.assert_allclose(cov[0, 0], 0.1**2 / 12 + 1e-6, rtol=1e-3)
 
 
-@eqx.filter_jit
+@optimised
 def squares(model, observer, starts, keys, steps):
     """NEES, NIS and squared errors of velocities (runs, T); every line of an encoder is a hundredth of a tick off."""
     n = starts.shape[1]

@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 
+import jax
 import numpy as np
 import pytest
 
@@ -26,8 +27,9 @@ def last_digit(text: str) -> float:
 @pytest.fixture(scope="module")
 def reproduced():
     """What the command prints."""
-    # It computes far longer than it compiles: in a process whose programs are made fast, not quickly.
+    # It computes far longer than it compiles: in a process whose programs are made fast, not quickly, and kept with ours.
     environment = {name: value for name, value in os.environ.items() if name != "XLA_FLAGS"}
+    environment["JAX_COMPILATION_CACHE_DIR"] = jax.config.jax_compilation_cache_dir or ""
     words = [sys.executable, "-c", "from covariant.cli import main; main()", "reproduce", "aghannan-rouchon", "--json"]
     done = subprocess.run(words, env=environment, capture_output=True, text=True, check=True)
     return json.loads(done.stdout.splitlines()[-1])
