@@ -27,7 +27,7 @@ def last_digit(text: str) -> float:
 @pytest.fixture(scope="module")
 def reproduced():
     """What the command prints."""
-    # It computes far longer than it compiles: its programs are made fast, not quickly, in a process of its own, and kept.
+    # It computes longer than it compiles: a process of its own makes its programs fast, not quickly, and keeps them.
     environment = {name: value for name, value in os.environ.items() if name != "XLA_FLAGS"}
     environment["JAX_COMPILATION_CACHE_DIR"] = jax.config.jax_compilation_cache_dir or ""
     words = [sys.executable, "-c", "from covariant.cli import main; main()", "reproduce", "aghannan-rouchon", "--json"]
