@@ -5,7 +5,8 @@ dozen joints needs are written here over array slices, unrolled where they are s
 branching.
 """
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple, TypeVar, cast
 
 import jax
 import jax.numpy as jnp
@@ -16,6 +17,13 @@ from jax.interpreters import ad, batching, mlir
 from jaxtyping import Array, Float, Inexact, Int
 
 from covariant._typing import Matrix, Vector
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+
+def traced_once(function: Function) -> Function:
+    """The function, traced once for each shape wherever it stands, and one program where it is called by itself."""
+    return cast(Function, jax.jit(function))
 
 
 class Pivot(NamedTuple):
@@ -73,16 +81,20 @@ def _mirrored_side_by_side(values, axes):
 batching.primitive_batchers[MIRRORED] = _mirrored_side_by_side
 
 
-@jax.jit
+@traced_once
 def pivots(a: Matrix) -> Vector:
     """Pivots of `ldl`; by Sylvester's law of inertia as many are negative as `a` has negative eigenvalues."""
     return jnp.concatenate([step.d for step in ldl(a)])[:, 0]
 
 
-@jax.jit  # traced once for each shape, wherever it stands
-@jax.custom_jvp
+@traced_once
 def solve(a: Matrix, b: Float[Array, "n *k"]) -> Float[Array, "n *k"]:
     """Solve `a x = b` for symmetric positive definite `a`; columns of a matrix `b` are solved together."""
+    return _solve(a, b)
+
+
+@jax.custom_jvp
+def _solve(a: Matrix, b: Float[Array, "n *k"]) -> Float[Array, "n *k"]:
     right = b.reshape(b.shape[0], -1)
     return (_written_out if b.shape[0] <= WHOLE else _in_loops)(a, right).reshape(b.shape)
 
@@ -148,7 +160,7 @@ def _back(step: Pivot, row: Float[Array, "1 k"], x: Float[Array, "m k"]) -> Floa
     return row / step.d - known
 
 
-@solve.__wrapped__.defjvp
+@_solve.defjvp
 def _(primals, tangents):
     # The derivative of the solution is another solve with the same factor, which the compiler reuses.
     (a, b), (da, db) = primals, tangents
@@ -161,20 +173,20 @@ def solve_square(a: Matrix, b: Float[Array, "n *k"]) -> Float[Array, "n *k"]:
     return solve(a.T @ a, a.T @ b)
 
 
-@jax.jit
+@traced_once
 def half_solve(a: Matrix, b: Float[Array, "n k"]) -> Float[Array, "n k"]:
     """`L⁻¹ b` for symmetric positive definite `a = L Lᵀ`: b in the basis in which a is the identity."""
     steps = ldl(a)
     return jnp.concatenate([row / jnp.sqrt(step.d) for step, row in zip(steps, _forward(steps, b), strict=True)])
 
 
-@jax.jit
+@traced_once
 def whiten(a: Matrix, b: Matrix) -> Matrix:
     """`L⁻¹ b L⁻ᵀ` for symmetric b and symmetric positive definite `a = L Lᵀ`: it has the eigenvalues of `a⁻¹ b`."""
     return half_solve(a, half_solve(a, b).T)
 
 
-@jax.jit
+@traced_once
 def cholesky(a: Matrix) -> Matrix:
     """Lower triangular L with `a = L Lᵀ`, for symmetric positive definite a."""
     columns = []
@@ -185,7 +197,7 @@ def cholesky(a: Matrix) -> Matrix:
     return jnp.concatenate(columns, axis=1)
 
 
-@jax.jit
+@traced_once
 def semidefinite_root(a: Matrix) -> Matrix:
     """Lower triangular L with `a = L Lᵀ`, for symmetric a ≥ 0 that may be singular."""
     columns, rest = [], a
@@ -197,7 +209,7 @@ def semidefinite_root(a: Matrix) -> Matrix:
     return jnp.stack(columns, axis=1)
 
 
-@jax.jit
+@traced_once
 def triangular(a: Float[Array, "n k"]) -> Matrix:
     """Lower triangular L with `L Lᵀ = a aᵀ`: a square root of a covariance from a wide one, without squaring it.
 
