@@ -92,7 +92,7 @@ def run_logs(
             runs = _by_c(each, opened, np.resize(numbers[: len(many)], (count, numbers.shape[1])), logs, keep)
             for observer, log, done in zip(each, logs, runs, strict=True):
                 if not all(np.isfinite(leaf[0]).all() for leaf in jax.tree.leaves(done.estimate)):
-                    run(observer, Record(*(column[:2] for column in log[:3])))  # it says why
+                    observer.init(jnp.asarray(log.y[0]))  # it says why
             return runs, "c"
         except (LoweringError, OSError) as error:
             why = f"{error}"
