@@ -63,7 +63,7 @@ def pytest_configure(config):
     if controls and sum(file.stat().st_size for file in folder.glob("*")) > MOST_KEPT:
         shutil.rmtree(folder)
     jax.config.update("jax_compilation_cache_dir", str(folder))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.02)
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", 0)
 
 
@@ -71,7 +71,7 @@ def pytest_collection_finish():
     """Tracing makes objects by the million, few of them in cycles: the collector looks at them less often."""
     gc.collect()
     gc.freeze()
-    gc.set_threshold(100_000, 20, 100)
+    gc.set_threshold(1_000_000, 20, 100)
 
 
 @pytest.fixture(autouse=True)
