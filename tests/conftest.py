@@ -52,7 +52,7 @@ MOST_KEPT = 2**30
 
 
 def pytest_configure(config):
-    """Programs that take a while to compile are kept in the environment's own folder, from one run to the next.
+    """Compiled programs are kept in the environment's own folder, from one run to the next.
 
     They are found again by what they compute, with which compiler and flags, so that a change compiles anew.
     """

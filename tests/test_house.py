@@ -90,7 +90,7 @@ PUBLIC = {
     "HeldState HighGain Info InformationEKF InformationState Intrinsic IntrinsicKalman JointInfo JointKalman "
     "JointState KalmanInfo KalmanState Levant LoopState MechanicalState Noise PassiveGains PassiveShip "
     "Riccati Salcudean SalcudeanState SavitzkyGolay Slow StateEKF StateEKFInfo StateEKFState StateEntry UKFState "
-    "WindowState chooses_substeps continuous craft_observer external_force "
+    "WindowState checked chooses_substeps continuous craft_observer external_force "
     "lyapunov_gains lyapunov_rate needed_substeps notch_gains printed_rate run second_order sensor_bias "
     "uncertain_parameters with_fixed_substeps",
     "papers.jouffroy_fossen": "COMPASS COUNTEREXAMPLES CROSS DURATION GAPS GNSS K1 K2 KD KP LAMBDA PRINTED_K2 RATE "

@@ -8,8 +8,8 @@ import pytest
 
 from covariant.geometry import Budget
 from covariant.geometry.lie import SE3, SO3, quaternion_from_rotation, rotation_from_quaternion
-from covariant.models import Motion, free_body, heavy_top, underwater_vehicle
-from covariant.observers import EKF, Geodesic, Intrinsic, Salcudean, run
+from covariant.models import Motion, free_body, heavy_top, satellite_arm, underwater_vehicle
+from covariant.observers import EKF, Delayed, Geodesic, Intrinsic, Salcudean, run
 from covariant.runtime import Stream, _works, run_log
 from covariant.signals import Record, Result
 from covariant.simulation import simulate
@@ -217,7 +217,7 @@ def test_a_log_or_a_stream_that_starts_with_no_rotation(log, engine, monkeypatch
     observer = OBSERVERS["group"]
     wrong = np.array(log.y[:5])
     wrong[0] *= 2
-    with pytest.raises(ValueError, match="not an element of the group"):
+    with pytest.raises(ValueError, match="row 1: the measurement is no configuration"):
         run_log(observer, Record(log.t[:5], log.u[:5], wrong), engine=engine)
     if engine == "jax":
         monkeypatch.setattr(_works, "missing", lambda: "not asked for")
@@ -227,6 +227,39 @@ def test_a_log_or_a_stream_that_starts_with_no_rotation(log, engine, monkeypatch
     assert np.isnan([*np.ravel(found[0].q), *found[0].v]).all()
     assert stream.health.results == {"not_finite": 1, "ok": 4}
     np.testing.assert_allclose(found[1].q, wrong[1], atol=1e-12)
+
+
+@pytest.mark.parametrize("wrong", [2 * np.eye(3), np.diag([1.0, 1.0, -1.0]), np.eye(3) + 1e-4], ids=str)
+@pytest.mark.parametrize("name", ["group", "late"])
+def test_a_later_measurement_that_is_no_rotation(name, wrong, log):
+    observer = OBSERVERS["group"] if name == "group" else Delayed(OBSERVERS["group"], 0.02, 50.0)
+    t, u, y = (np.array(each[:12]) for each in log[:3])
+    y[3] = np.nan
+    y[5, 0, 1] = np.nan  # the whole is missing
+    record = Record(t, u, y.copy())
+    expected = run(observer, record)
+    y[3] = wrong
+    for engine in ("c", "jax"):
+        assert run_log(observer, record, engine=engine)[0].info.result.tolist() == expected.info.result.tolist()
+        with pytest.raises(ValueError, match="row 4: the measurement is no configuration"):
+            run_log(observer, record._replace(y=y), engine=engine)
+    # Fed sample by sample it is left out, as if it were missing, and said to be.
+    stream = Stream(observer, y[0], 50.0)
+    found = [stream.step(float(t), y, u) for t, u, y in zip(t, u, y, strict=True)]
+    assert stream.health.results == {"ok": 10, "coasted": 2}
+    np.testing.assert_allclose(found[-1].q, expected.estimate.q[-1], atol=1e-12)
+    np.testing.assert_allclose(found[-1].v, expected.estimate.v[-1], atol=1e-12)
+
+
+def test_a_pose_that_is_none_leaves_the_joints_measured():
+    arm = satellite_arm()
+    y = np.array(jnp.broadcast_to(arm.manifold.origin(), (4, *arm.manifold.shape)))
+    y[2, :9] *= 2  # the rotation
+    found = jax.vmap(arm.manifold.admitted)(jnp.asarray(y))
+    assert np.isnan(found[2]).sum() == 16
+    np.testing.assert_array_equal(found[2, 16:], y[2, 16:])
+    with pytest.raises(ValueError, match="row 3: the measurement is no configuration"):
+        run(Intrinsic(arm, 4.0, 8.0, substeps=1), Record(0.02 * np.arange(4.0), np.zeros((4, 8)), y))
 
 
 def test_salcudean_is_for_rotations_only():

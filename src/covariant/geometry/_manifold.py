@@ -128,6 +128,10 @@ class AbstractManifold(eqx.Module):
         """False, to within rounding, where a second s of the length of `local(x, y)` also leads to y."""
         return jnp.ones((), bool)
 
+    def admitted(self, y: Configuration) -> Configuration:
+        """The measurement y, with NaN in the place of what is no configuration; what is `missing` stays as it is."""
+        return y
+
     def checked(self, y: Configuration) -> Configuration:
         """The configuration y. Raises `ValueError` for a wrong shape, and where it is no configuration.
 
@@ -321,6 +325,9 @@ class ProductManifold(AbstractManifold):
     def unique(self, x: Configuration, y: Configuration) -> Flag:
         each = zip(self.factors, self.parts(x), self.parts(y), strict=True)
         return jnp.all(jnp.stack([factor.unique(a, b) for factor, a, b in each]))
+
+    def admitted(self, y: Configuration) -> Configuration:
+        return self._each("admitted", self.parts(y))
 
     def checked(self, y: Configuration) -> Configuration:
         return self._each("checked", self.parts(super().checked(y)))

@@ -32,6 +32,7 @@ from ._protocol import (
     HeldState as HeldState,
     Info as Info,
     MechanicalState as MechanicalState,
+    checked as checked,
     continuous as continuous,
     run as run,
 )

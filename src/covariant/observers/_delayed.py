@@ -110,6 +110,9 @@ class Delayed(AbstractObserver):
             held,
         )
 
+    def admitted(self, y: Inexact[Array, "*n"]) -> Inexact[Array, "*n"]:
+        return self.observer.admitted(y)
+
     def estimate(self, state: DelayedState) -> Any:
         return self.observer.estimate(state.now)
 
@@ -119,13 +122,15 @@ class Delayed(AbstractObserver):
         if self.length == 1:  # nothing ever waits: it is the observer itself, to the last bit
             now, info = self.observer.step(state.now, u, y, dt)
             return state._replace(now=now, known=now, t=state.t + dt), info
+        # An observer that holds no input knows no model, and makes no use of one; a log need not have any.
+        held = state.u.shape[1]
+        acting = u[:held].astype(state.u.dtype) if u.size else jnp.zeros(held, state.u.dtype)
         older = state._replace(
             t=state.t + dt,
             known_age=state.known_age + dt,
             age=state.age + dt,
             stamp=jnp.append(state.stamp[1:] + dt, 0.0),
-            # An observer that holds no input knows no model, and makes no use of one.
-            u=jnp.concatenate([state.u[1:], u[None, : state.u.shape[1]].astype(state.u.dtype)]),
+            u=jnp.concatenate([state.u[1:], acting[None]]),
         )
         return self._replayed(older, y, jnp.zeros_like(state.t))
 

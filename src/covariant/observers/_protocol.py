@@ -85,14 +85,14 @@ class AbstractObserver(Functional):
         """Advance by dt [s] under the input u (m,), held constant over the step, then correct by the measurement y.
 
         NaN in y marks a missing measurement, over which the model predicts alone. Invalid numbers never spoil the
-        state. An infinite entry of y counts as missing, as NaN does. An entry of u that is not finite is replaced by
-        the last finite one, or by 0 before there is any. Where dt is zero, negative or not finite, the state is left
-        as it was. `info.result` reports this: `COASTED`, `INPUT_HELD`, `REPEATED` (dt = 0) or `STEP_REFUSED`, the
-        worst one where several apply. Returns the new state and the info.
+        state. An infinite entry of y counts as missing, as NaN does, and so does a matrix that is no rotation. An entry
+        of u that is not finite is replaced by the last finite one, or by 0 before there is any. Where dt is zero,
+        negative or not finite, the state is left as it was. `info.result` reports this: `COASTED`, `INPUT_HELD`,
+        `REPEATED` (dt = 0) or `STEP_REFUSED`, the worst one where several apply. Returns the new state and the info.
         """
         moves = jnp.isfinite(dt) & (dt > 0)
         sound = jnp.where(jnp.isfinite(u), u, _held(state, u))
-        measured = jnp.where(jnp.isfinite(y), y, jnp.nan)
+        measured = self.admitted(jnp.where(jnp.isfinite(y), y, jnp.nan))
         moved, info = self.advance(state, sound, measured, jnp.where(moves, dt, 0.0))
         kept = jax.tree.map(lambda new, old: jnp.where(moves, new, old), _holding(moved, state, sound), state)
         result = jnp.maximum(info.result, _fault(u, y, dt).astype(info.result.dtype))
@@ -101,6 +101,11 @@ class AbstractObserver(Functional):
     @abc.abstractmethod
     def advance(self, state: Any, u: Float[Array, "m"], y: Inexact[Array, "*n"], dt: Scalar) -> tuple[Any, Any]:
         """The algorithm of `step` for valid numbers: u is finite, y finite or NaN where missing, dt finite and ≥ 0."""
+
+    def admitted(self, y: Inexact[Array, "*n"]) -> Inexact[Array, "*n"]:
+        """The measurement y, with NaN in the place of what is no configuration of the observer's model."""
+        manifold = getattr(getattr(self, "model", None), "manifold", None)
+        return y if manifold is None else manifold.admitted(y)
 
     @abc.abstractmethod
     def estimate(self, state: Any) -> Any:
@@ -264,6 +269,25 @@ def _scan(observer: AbstractObserver, t: Array, u: Array, y: Array, keep: frozen
     return jax.lax.scan(step, observer.init(y[0], t[0]), (before, y, dt))[1]
 
 
+def checked(observer: AbstractObserver, record: Record) -> Record:
+    """The record, fit for the observer.
+
+    Raises `ValueError` from `Record.check`, and for the first row with a measurement that is no configuration of the
+    observer's model; traced measurements have no values to check.
+    """
+    y = record.check().y
+    if isinstance(y, Tracer):
+        return record
+    admitted = np.asarray(jax.vmap(observer.admitted)(jnp.asarray(y)))
+    none = (np.isnan(admitted) & ~np.isnan(y)).reshape(len(y), -1).any(1)
+    if none.any():
+        raise ValueError(
+            f"row {none.argmax() + 1}: the measurement is no configuration of the model; pass rotations as matrices, "
+            "and NaN in all entries of one that is missing"
+        )
+    return record
+
+
 def run(observer: AbstractObserver, record: Record, keep: Collection[str] | None = None) -> Run:
     """Run an observer over a record. Row k of the run depends on the measurements up to row k only.
 
@@ -271,16 +295,9 @@ def run(observer: AbstractObserver, record: Record, keep: Collection[str] | None
       By default all are kept. Names that an observer's info does not have are ignored.
 
     Returns a `Run` with the stamps, the estimates and the info of every row. Raises `ValueError` from `Record.check`,
-    and where the first measurement is no configuration.
+    and for a measurement that is no configuration.
     """
-    t, u, y, _ = record.check()
+    t, u, y, _ = checked(observer, record)
     kept = None if keep is None else frozenset(keep)
     estimate, info = _scan(observer, jnp.asarray(t), jnp.asarray(u), jnp.asarray(y), kept)
-    if not _starts(estimate):
-        observer.init(jnp.asarray(y[0]))  # it says why
     return Run(jnp.asarray(t), estimate, info)
-
-
-def _starts(estimate: Any) -> bool:
-    """Whether the first of the estimates is finite, which is not known of traced ones."""
-    return all(isinstance(leaf, Tracer) or np.isfinite(np.asarray(leaf)[0]).all() for leaf in jax.tree.leaves(estimate))

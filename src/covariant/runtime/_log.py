@@ -13,7 +13,7 @@ import numpy as np
 
 from covariant._compile import vector_bytes
 from covariant.lowering import LoweringError
-from covariant.observers import AbstractObserver, run
+from covariant.observers import AbstractObserver, checked, run
 from covariant.runtime._compile import missing
 from covariant.runtime._kernel import Kernel, kernel, outlasts
 from covariant.signals import Record, Result, Run
@@ -38,7 +38,7 @@ def run_log(
       rows; "c" uses it for any, and "jax" never.
 
     The results are those of JAX up to rounding. JAX does the work where there is no compiler, and where the observer
-    has no graph. Raises `ValueError` from `Record.check` and for an unknown engine.
+    has no graph. Raises `ValueError` as `observers.run` does, and for an unknown engine.
     """
     (done,), name = run_logs(observer, record, keep, engine)
     return done, name
@@ -60,18 +60,20 @@ def run_logs(
     - `others`: observers of other calls: numbers of models that tell any of them apart stay open in the compiled
       program too, so that a search for the best ones compiles one.
 
-    Returns the runs in order, and the engine that made them. Raises `ValueError` from `Record.check`, for counts that
-    do not fit, and for observers or records of different forms.
+    Returns the runs in order, and the engine that made them. Raises `ValueError` as `observers.run` does, for counts
+    that do not fit, and for observers or records of different forms.
     """
     if engine not in get_args(Engine):
         raise ValueError(f"engine must be one of {', '.join(get_args(Engine))}; got {engine!r}")
     many = [observers] if isinstance(observers, AbstractObserver) else list(observers)
-    logs = [r.check() for r in ([records] if isinstance(records, Record) else records)]
+    logs = [records] if isinstance(records, Record) else list(records)
     if not many or not logs or (1 not in (len(many), len(logs)) and len(many) != len(logs)):
         raise ValueError(
             f"run_logs needs one observer, one record, or as many of both; got {len(many)} observers "
             f"and {len(logs)} records"
         )
+    for record in logs:
+        checked(many[0], record)
     forms = {(np.shape(r.y)[1:], np.shape(r.u)[1]) for r in logs}
     if len(forms) > 1:
         told = ", ".join(f"y {y} and {u} inputs" for y, u in sorted(forms, key=str))
@@ -89,11 +91,7 @@ def run_logs(
             why = f"fewer than {FEWEST_ROWS} rows, and compiled C would not be kept"
     if why is None:
         try:
-            runs = _by_c(each, opened, np.resize(numbers[: len(many)], (count, numbers.shape[1])), logs, keep)
-            for observer, log, done in zip(each, logs, runs, strict=True):
-                if not all(np.isfinite(leaf[0]).all() for leaf in jax.tree.leaves(done.estimate)):
-                    observer.init(jnp.asarray(log.y[0]))  # it says why
-            return runs, "c"
+            return _by_c(each, opened, np.resize(numbers[: len(many)], (count, numbers.shape[1])), logs, keep), "c"
         except (LoweringError, OSError) as error:
             why = f"{error}"
     return [run(observer, record, keep) for observer, record in zip(each, logs, strict=True)], f"jax: {why}"

@@ -13,9 +13,11 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Inexact
 
+from covariant._linalg import traced_once
 from covariant._typing import Element, Flag, Vector
 from covariant.geometry._manifold import AbstractManifold
 
@@ -169,11 +171,13 @@ class AbstractGroup(AbstractManifold):
     def unique(self, x: Element, y: Element) -> Flag:
         return self.unique_log(self.inverse(x) @ y)
 
-    def checked(self, y: Array) -> Array:
+    @traced_once
+    def admitted(self, y: Array) -> Array:
         tolerance = 100 * float(jnp.finfo(y.dtype).eps) ** 0.5
-        inside = self.contains(super().checked(y), tolerance)
-        if isinstance(inside, Tracer):
-            return jnp.where(inside, y, jnp.nan)
-        if not inside:
+        return jnp.where(self.contains(y, tolerance) | jnp.any(jnp.isnan(y)), y, jnp.nan)
+
+    def checked(self, y: Array) -> Array:
+        found = self.admitted(super().checked(y))
+        if not isinstance(found, Tracer) and np.isnan(found).any():
             raise ValueError("the configuration is not an element of the group; pass rotations as matrices")
-        return y
+        return found
