@@ -1,13 +1,16 @@
 """Strict numerics for every test, the recorded logs, and the spaces over which the laws of geometry are checked."""
 
+import functools
 import gc
 import itertools
 import os
 import shutil
 import sys
+import threading
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
+os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")  # else each program that is found again is reported at length
 os.environ.setdefault("COVARIANT_CACHE", "off")  # every run makes its own programs, so do processes it starts
 # The tests compile far longer than they compute: programs are made quickly, not fast. Processes they start do the same.
 os.environ.setdefault(
@@ -26,6 +29,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from beartype.claw import beartype_packages
+from jax._src.interpreters import mlir
 
 from covariant import geometry, models
 from covariant.geometry import Budget, Metric
@@ -38,13 +42,28 @@ jax.config.update("jax_numpy_dtype_promotion", "strict")
 # Where in the source every operation of a program came from: nobody reads it, and writing it takes a while.
 jax.config.update("jax_traceback_in_locations_limit", 0)
 
+
+new_context = mlir.make_ir_context
+context_of = functools.cache(lambda thread: new_context())
+
+
+def compiler_context():
+    """JAX makes a new one for every program, which takes longer than most programs of tests; here each thread has one.
+
+    A program that is compiled while another one is being written needs a context of its own.
+    """
+    return context_of(threading.get_ident()) if mlir.ir.Context.current is None else new_context()
+
+
+mlir.make_ir_context = compiler_context
+
 hypothesis.settings.register_profile("laws", derandomize=True, deadline=None, database=None, max_examples=60)
 hypothesis.settings.load_profile("laws")
 
 REPOSITORY = Path(__file__).parents[1]
 
 
-MOST_MAPPINGS = 40_000  # Linux allows a process 65 530, and kills it in the compiler beyond
+MOST_MAPPINGS = 50_000  # Linux allows a process 65 530, and kills it in the compiler beyond
 _tests = itertools.count(1)
 
 MOST_KEPT = 2**30
@@ -79,8 +98,9 @@ def few_mappings():
     """Every compiled program holds some six memory mappings: the programs are let go before a process runs out."""
     yield
     mappings = Path("/proc/self/maps")
-    if next(_tests) % 20 == 0 and mappings.exists() and mappings.read_bytes().count(b"\n") > MOST_MAPPINGS:
+    if next(_tests) % 50 == 0 and mappings.exists() and mappings.read_bytes().count(b"\n") > MOST_MAPPINGS:
         jax.clear_caches()
+        context_of.cache_clear()
         gc.collect()
 
 

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from compiling import optimised
 
 from covariant.geometry import Budget
 from covariant.geometry.lie import SE2, SO3
@@ -64,7 +65,7 @@ def seen(space, motion, state):
     return jnp.concatenate([shot.velocity, back.w - state.v])
 
 
-@eqx.filter_jit
+@optimised
 def squares(model, observer, q0, sizes, key):
     """NEES at the end and the mean NIS of one run, the truth being drawn as the filter believes it is."""
     space, n = model.space, observer.init(q0).v.shape[0]
