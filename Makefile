@@ -14,6 +14,9 @@ QUICK := tests/laws/test_every_observer.py tests/design/test_estimators.py tests
 	tests/geometry/test_tensors.py tests/test_integrate.py tests/test_scoring.py tests/test_signals.py \
 	tests/test_house.py tests/test_pages.py
 
+# A process that dies ends the run, which would else wait for its tests for ever.
+PARALLEL := -n 2 --dist loadfile --no-loadscope-reorder --max-worker-restart 0
+
 .PHONY: env demo test quick format lint types tests gallery bench firmware mutants geomstats docs lock clean
 
 env: .venv/ready
@@ -39,10 +42,10 @@ types: env
 	$(BIN)/basedpyright
 
 tests: env
-	$(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder
+	$(BIN)/pytest $(PARALLEL)
 
 quick: env
-	$(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder -k "not compiled_c" $(QUICK)
+	$(BIN)/pytest $(PARALLEL) -k "not compiled_c" $(QUICK)
 
 gallery: env
 	$(BIN)/python gallery/run_all.py

@@ -1,12 +1,9 @@
 """Strict numerics for every test, the recorded logs, and the spaces over which the laws of geometry are checked."""
 
-import functools
 import gc
-import itertools
 import os
 import shutil
 import sys
-import threading
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
@@ -21,6 +18,7 @@ os.environ.setdefault(
 
 from collections.abc import Callable
 from pathlib import Path
+from time import process_time
 from typing import NamedTuple
 
 import hypothesis
@@ -28,10 +26,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from _pytest import runner
 from beartype.claw import beartype_packages
-from jax._src.interpreters import mlir
 
 from covariant import geometry, models
+from covariant._deep_calls import call_deep
 from covariant.geometry import Budget, Metric
 
 # The types of what the checker computes with, which says no shapes: a tenth of the time of checks that look for them.
@@ -42,29 +41,15 @@ jax.config.update("jax_numpy_dtype_promotion", "strict")
 # Where in the source every operation of a program came from: nobody reads it, and writing it takes a while.
 jax.config.update("jax_traceback_in_locations_limit", 0)
 
-
-new_context = mlir.make_ir_context
-context_of = functools.cache(lambda thread: new_context())
-
-
-def compiler_context():
-    """JAX makes a new one for every program, which takes longer than most programs of tests; here each thread has one.
-
-    A program that is compiled while another one is being written needs a context of its own.
-    """
-    return context_of(threading.get_ident()) if mlir.ir.Context.current is None else new_context()
-
-
-mlir.make_ir_context = compiler_context
-
 hypothesis.settings.register_profile("laws", derandomize=True, deadline=None, database=None, max_examples=60)
 hypothesis.settings.load_profile("laws")
 
 REPOSITORY = Path(__file__).parents[1]
 
 
-MOST_MAPPINGS = 50_000  # Linux allows a process 65 530, and kills it in the compiler beyond
-_tests = itertools.count(1)
+MOST_MAPPINGS = 45_000  # Linux allows a process 65 530, and and the next one kills it
+BETWEEN_LOOKS = 5.0  # [s] of processor time: to count mappings takes a while, and a large program holds some 3 000
+looked = [0.0]
 
 MOST_KEPT = 2**30
 """Bytes of compiled programs beyond which all of them are let go."""
@@ -93,14 +78,21 @@ def pytest_collection_finish():
     gc.set_threshold(1_000_000, 20, 100)
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_protocol(item, nextitem):
+    return call_deep(runner.pytest_runtest_protocol, item, nextitem)
+
+
 @pytest.fixture(autouse=True)
 def few_mappings():
-    """Every compiled program holds some six memory mappings: the programs are let go before a process runs out."""
+    """Compiled programs hold memory mappings, six or thousands each: they are let go before a process runs out."""
     yield
+    if process_time() - looked[0] < BETWEEN_LOOKS:
+        return
+    looked[0] = process_time()
     mappings = Path("/proc/self/maps")
-    if next(_tests) % 50 == 0 and mappings.exists() and mappings.read_bytes().count(b"\n") > MOST_MAPPINGS:
+    if mappings.exists() and mappings.read_bytes().count(b"\n") > MOST_MAPPINGS:
         jax.clear_caches()
-        context_of.cache_clear()
         gc.collect()
 
 

@@ -16,9 +16,9 @@ ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "covariant"
 
 PLAN = (
-    "_programs _compile _typing _functional _files _optional _numbers signals scoring _linalg _dormand_prince "
-    "_integrate lowering logs geometry models riccati observers control simulation interop scale proofs certificates "
-    "audit diagnosis design identification export runtime report papers cli"
+    "_deep_calls _programs _compile _typing _functional _files _optional _numbers signals scoring _linalg "
+    "_dormand_prince _integrate lowering logs geometry models riccati observers control simulation interop scale "
+    "proofs certificates audit diagnosis design identification export runtime report papers cli"
 )
 """A room may import from itself and from any room to its left, never to its right."""
 
