@@ -75,7 +75,7 @@ def pytest_collection_finish():
     """Tracing makes objects by the million, few of them in cycles: the collector looks at them less often."""
     gc.collect()
     gc.freeze()
-    gc.set_threshold(1_000_000, 20, 100)
+    gc.set_threshold(100_000, 20, 100)
 
 
 @pytest.hookimpl(tryfirst=True)

@@ -46,15 +46,15 @@ class NoiseLevels(NamedTuple):
 class ErrorModel(NamedTuple):
     """The system of errors along a run of T rows.
 
-    - `transition` (T, 2n, 2n), `defect` (T, 2n): F and c of the step to each row; `push` (T, n, n): the acceleration
-      that a force makes.
+    - `transition` (T, 2n, 2n), `defect` (T, 2n): F and c of the step to each row.
+    - `input_matrix` (T, n, n): the acceleration that a force makes.
     - `residual` (T, n): r, zero where `present` (T, n) says that nothing was measured.
     - `dt` (T,): length of the step to each row [s]; `fresh` (T,): rows at which the filter begins anew.
     """
 
     transition: Float[Array, "T n2 n2"]
     defect: Float[Array, "T n2"]
-    push: Float[Array, "T n n"]
+    input_matrix: Float[Array, "T n n"]
     residual: Float[Array, "T n"]
     present: Bool[Array, "T n"]
     dt: Float[Array, "T"]
@@ -92,18 +92,24 @@ def error_model(
 
         nothing = jnp.zeros(2 * n, v.dtype)
         slope, defect = jax.jacfwd(lambda error: (ahead(error),) * 2, has_aux=True)(nothing)
-        push = jax.vmap(model.space.raise_, (None, 0))(q, jnp.eye(n, dtype=v.dtype)).T
-        return slope, defect, push
+        input_matrix = jax.vmap(model.space.raise_, (None, 0))(q, jnp.eye(n, dtype=v.dtype)).T
+        return slope, defect, input_matrix
 
     moved = jax.vmap(step)(t[:-1], q[:-1], v[:-1], u[:-1], dt, q[1:], v[1:])
     sound = jnp.all(jnp.isfinite(moved[0]), axis=(1, 2)) & (dt <= LONGEST_GAP * jnp.median(dt))
     moved = [jnp.where(sound.reshape(-1, *[1] * (each.ndim - 1)), each, 0.0) for each in moved]
-    transition, defect, push = (jnp.concatenate([jnp.zeros_like(each[:1]), each]) for each in moved)
+    transition, defect, input_matrix = (jnp.concatenate([jnp.zeros_like(each[:1]), each]) for each in moved)
     present = ~jax.vmap(manifold.missing)(y)
     residual = jnp.where(present, jax.vmap(manifold.towards)(q, y), 0.0)
     zero, fresh = jnp.zeros_like(dt[:1]), jnp.ones(1, bool)
     return ErrorModel(
-        transition, defect, push, residual, present, jnp.concatenate([zero, dt]), jnp.concatenate([fresh, ~sound])
+        transition,
+        defect,
+        input_matrix,
+        residual,
+        present,
+        jnp.concatenate([zero, dt]),
+        jnp.concatenate([fresh, ~sound]),
     )
 
 
@@ -117,8 +123,8 @@ def kalman(errors: ErrorModel, noise: NoiseLevels, speed: Scalar | float) -> Fil
 
     def step(state, row):
         x, cov = state
-        push = jnp.concatenate([row.dt**2 / 2 * row.push, row.dt * row.push])
-        whole = jnp.block([[row.transition, push], [jnp.zeros((n, 2 * n)), jnp.eye(n)]])
+        input_matrix = jnp.concatenate([row.dt**2 / 2 * row.input_matrix, row.dt * row.input_matrix])
+        whole = jnp.block([[row.transition, input_matrix], [jnp.zeros((n, 2 * n)), jnp.eye(n)]])
         x = whole @ x + jnp.concatenate([row.defect, jnp.zeros(n)])
         cov = whole @ cov @ whole.T + row.dt * walk + _white(noise.acceleration, row.dt, n)
         now: Any = jnp.where(row.fresh, 0.0, x), jnp.where(row.fresh, first, cov)

@@ -192,7 +192,7 @@ def _best_gains(model: MechanicalSystem, logs: list[_Log], runs: Runs) -> tuple[
 
     rate = logs[0].rate
     parts = [log.first_part for log in logs]
-    seen = np.concatenate(
+    measured = np.concatenate(
         [_usable(model, log)[: len(part.t)][log.tuned[: len(part.t)]] for log, part in zip(logs, parts, strict=True)]
     )
 
@@ -208,7 +208,7 @@ def _best_gains(model: MechanicalSystem, logs: list[_Log], runs: Runs) -> tuple[
 
     def size(r):
         with np.errstate(all="ignore"):
-            mean = [_mean_square(column[here]) for column, here in zip(r.T, seen.T, strict=True)]
+            mean = [_mean_square(column[here]) for column, here in zip(r.T, measured.T, strict=True)]
             total = float(np.sum(np.log(mean)))
         return total if np.isfinite(total) else 1e6
 
@@ -222,7 +222,7 @@ def _best_gains(model: MechanicalSystem, logs: list[_Log], runs: Runs) -> tuple[
     if best.fun >= 1e6:
         raise ValueError("no gains give a finite estimate; check units and signs by `covariant check`")
     r = innovations(best.x)
-    sizes = [np.sqrt(_mean_square(column[here])) for column, here in zip(r.T, seen.T, strict=True)]
+    sizes = [np.sqrt(_mean_square(column[here])) for column, here in zip(r.T, measured.T, strict=True)]
     return float(np.exp(best.x[0])) * rate, float(np.exp(best.x[1])), np.array(sizes)
 
 
@@ -260,7 +260,9 @@ def _best_noise(
     least = LEAST * size if std is None else np.asarray(std, float)
     first = np.maximum(size / np.sqrt(2), least)
     acceleration = frequency**2 * float(np.sqrt(np.mean(first**2))) / np.sqrt(logs[0].rate)
-    force = acceleration * np.sqrt(frequency) / float(np.mean([np.abs(np.asarray(s.push)).max() for s in systems]))
+    force = (
+        acceleration * np.sqrt(frequency) / float(np.mean([np.abs(np.asarray(s.input_matrix)).max() for s in systems]))
+    )
     ends = [len(log.first_part.t) for log in logs]
     parts = [jax.tree.map(lambda a, end=end: a[:end], system) for system, end in zip(systems, ends, strict=True)]
     masks = [np.asarray(part.present) & log.tuned[:end, None] for log, part, end in zip(logs, parts, ends, strict=True)]

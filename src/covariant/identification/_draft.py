@@ -72,19 +72,23 @@ def draft(columns: Mapping[str, np.ndarray], given: Mapping[str, Sequence[str] |
     given = {key: tuple(names) for key, names in (given or {}).items() if names is not None}
     for name in [name for names in given.values() for name in names]:
         if name not in columns:
-            raise ValueError(f"there is no column {name!r} of numbers{_seen(columns)}")
+            raise ValueError(f"there is no column {name!r} of numbers{_columns_there(columns)}")
     fixed = {name for names in given.values() for name in names}
     kinds = {name: _kind(name) for name in columns if name not in fixed}
     t = given["t"][0] if "t" in given else _stamps(columns, kinds)
     step = _step(t, columns[t])
     q = given.get("q") or tuple(name for name, kind in kinds.items() if kind == "q" and name != t)
     if not q:
-        raise ValueError(f"no column is named like a position, as q1 or theta; name them by --q{_seen(columns)}")
+        raise ValueError(
+            f"no column is named like a position, as q1 or theta; name them by --q{_columns_there(columns)}"
+        )
     _one_family("q", q, given, columns)
     u = given.get("u") or tuple(name for name, kind in kinds.items() if kind == "u")
     _one_family("u", u, given, columns)
     if len(u) > len(q):
-        raise ValueError(f"{len(u)} inputs ({', '.join(u)}) for {len(q)} positions; name them by --u{_seen(columns)}")
+        raise ValueError(
+            f"{len(u)} inputs ({', '.join(u)}) for {len(q)} positions; name them by --u{_columns_there(columns)}"
+        )
     v = given.get("v") or tuple(name for name, kind in kinds.items() if kind == "v")
     if not v:
         unknown = [name for name, kind in kinds.items() if kind == "" and name != t]
@@ -147,7 +151,7 @@ def _unit_in(name: str, meant: str) -> str | None:
     return None if re.fullmatch(r"[-+.0-9e]*", text) else text  # q(1) is a name
 
 
-def _seen(columns: Mapping[str, np.ndarray]) -> str:
+def _columns_there(columns: Mapping[str, np.ndarray]) -> str:
     return f"; the columns of numbers are {', '.join(columns) or 'none'}"
 
 
@@ -166,7 +170,7 @@ def _stamps(columns: Mapping[str, np.ndarray], kinds: Mapping[str, str]) -> str:
     if len(found) == 1:
         return found[0]
     what = f"{', '.join(found)} all rise from row to row" if found else "no column of stamps rises from row to row"
-    raise ValueError(f"{what}; name the one of the stamps by --t{_seen(columns)}")
+    raise ValueError(f"{what}; name the one of the stamps by --t{_columns_there(columns)}")
 
 
 def _step(name: str, t: np.ndarray) -> float:
@@ -180,7 +184,9 @@ def _one_family(key: str, names: Sequence[str], given: Mapping[str, Sequence[str
     """Raise `ValueError` where names such as q1, q2 and th1, th2 say that there are several kinds of them."""
     stems = {re.sub(r"[0-9]+", "#", name) for name in names}
     if key not in given and 1 < len(stems) < len(names):
-        raise ValueError(f"{', '.join(names)} may all be {key}; name those that are by --{key}{_seen(columns)}")
+        raise ValueError(
+            f"{', '.join(names)} may all be {key}; name those that are by --{key}{_columns_there(columns)}"
+        )
 
 
 def _is_slope(t: np.ndarray, y: np.ndarray, v: np.ndarray) -> bool:

@@ -74,7 +74,7 @@ class KalmanInfo(NamedTuple):
     result: Code
 
 
-class Seen(NamedTuple):
+class MeasuredOutput(NamedTuple):
     """A measurement `y` without the offset that is believed of it, and its noise (n, n) in the frame at the estimate.
 
     `slope` (n, k) is its derivative in the slow states; None where there is no offset.
@@ -84,8 +84,8 @@ class Seen(NamedTuple):
     noise: Matrix
     slope: Float[Array, "n k"] | None
 
-    def shown(self, root: Float[Array, "N N"], n: int) -> Float[Array, "n N"]:
-        """What is measured, as linear functions of the error, times a root of its covariance."""
+    def projected(self, root: Float[Array, "N N"], n: int) -> Float[Array, "n N"]:
+        """The output matrix H (n, N), by which the error shows in the measurement, times a root of its covariance."""
         return root[:n] if self.slope is None else root[:n] + self.slope @ root[2 * n :]
 
 
@@ -177,17 +177,17 @@ class IntrinsicKalman(AbstractObserver):
     def correct(self, state: KalmanState, y: Array) -> tuple[KalmanState, KalmanInfo]:
         """Correct by the measurement y. Missing entries (NaN) are left out; on a group one NaN makes all missing."""
         space, manifold, n = self.model.space, self.model.manifold, state.v.shape[0]
-        seen = self._seen(state, y)
-        missing, straight = manifold.missing(seen.y), manifold.towards(state.q, seen.y)
-        shown = seen.shown(state.root, n)
-        spread = shown @ shown.T + seen.noise
+        output = self._output(state, y)
+        missing, straight = manifold.missing(output.y), manifold.towards(state.q, output.y)
+        projected = output.projected(state.root, n)
+        spread = projected @ projected.T + output.noise
         found = judged(self.gate, manifold, straight, spread, ~missing, state.refused, state.scale)
-        lost = _too_uncertain(manifold, spread, seen.noise) & ~jnp.any(missing)
+        lost = _too_uncertain(manifold, spread, output.noise) & ~jnp.any(missing)
         found = found._replace(restart=found.restart | lost)
         used = ~missing & ~found.far
-        error, root = self._believed(state, seen, y, straight, used)
+        error, root = self._believed(state, output, y, straight, used)
         q, v, root = self._rebased(state, error, root)
-        measured, slow = manifold.measured(state.q, seen.y), state.slow + error[2 * n :]
+        measured, slow = manifold.measured(state.q, output.y), state.slow + error[2 * n :]
         readings = None
         if state.readings is not None:
             readings = Readings(jnp.where(used, y, state.readings.y), jnp.where(used, 0.0, state.readings.age))
@@ -196,7 +196,7 @@ class IntrinsicKalman(AbstractObserver):
         fresh = new._replace(q=measured, v=state.v, root=first, refused=0 * found.refused)
         fresh = fresh._replace(readings=self._read(manifold.measured(state.q, y), 0 * v))
         new = jax.tree.map(lambda a, b: jnp.where(found.restart, a, b), fresh, new)
-        result = outcome(new.q, new.v, y, found.result(uniqueness(self.model, state.q, seen.y)))
+        result = outcome(new.q, new.v, y, found.result(uniqueness(self.model, state.q, output.y)))
         nis = normalised_square(spread, straight, ~missing)
         distance, std = space.norm(state.q, straight), self.velocity_std(new)
         return new, KalmanInfo(straight, distance, spread, nis, std, *self._told(new), result)
@@ -223,9 +223,9 @@ class IntrinsicKalman(AbstractObserver):
         """The configuration whose measurement is y."""
         return self.model.manifold.retract(y, -self._slow.offset(slow, like)) if self._slow.measured else y
 
-    def _seen(self, state: KalmanState, y: Array) -> Seen:
+    def _output(self, state: KalmanState, y: Array) -> MeasuredOutput:
         bare = self._without_offset(y, state.v, state.slow)
-        return Seen(bare, *self._slopes(state.q, state.v, state.slow))
+        return MeasuredOutput(bare, *self._slopes(state.q, state.v, state.slow))
 
     def _slopes(self, q: Array, like: Vector, slow: SlowVector) -> tuple[Matrix, Float[Array, "n k"] | None]:
         """Noise (n, n) in the frame at q of a measurement without its offset, and its slope (n, k) in the slow states.
@@ -235,22 +235,24 @@ class IntrinsicKalman(AbstractObserver):
             return self._noise(q), None
         manifold, k = self.model.manifold, slow.shape[0]
 
-        def seen(change):
+        def innovation(change):
             true = manifold.retract(q, self._slow.offset(slow + change[:k], like))
             return manifold.local(q, self._without_offset(manifold.retract(true, change[k:]), like, slow))
 
-        slopes = jax.jacfwd(seen)(jnp.zeros(k + like.shape[0], like.dtype))
+        slopes = jax.jacfwd(innovation)(jnp.zeros(k + like.shape[0], like.dtype))
         there = manifold.retract(q, self._slow.offset(slow, like))
         return slopes[:, k:] @ self._noise(there) @ slopes[:, k:].T, slopes[:, :k]
 
-    def _believed(self, state: KalmanState, seen: Seen, y: Array, straight: Vector, used: Array) -> tuple[Array, Array]:
+    def _believed(
+        self, state: KalmanState, output: MeasuredOutput, y: Array, straight: Vector, used: Array
+    ) -> tuple[Array, Array]:
         """The error (2n + k,) that the sample makes believe, and the root of its covariance."""
         space, n = self.model.space, state.v.shape[0]
         if self.quantum is None or state.readings is None:
-            gain, root = updated(state.root, seen.shown(state.root, n), seen.noise, used)
-            return gain @ jnp.where(used, self._way(state, seen.y, straight, used), 0.0), root
+            gain, root = updated(state.root, output.projected(state.root, n), output.noise, used)
+            return gain @ jnp.where(used, self._way(state, output.y, straight, used), 0.0), root
         rows = _beside(apart(space, state.q, state.v), state)
-        position = rows[:n] if seen.slope is None else rows[:n].at[:, 2 * n :].set(seen.slope)
+        position = rows[:n] if output.slope is None else rows[:n].at[:, 2 * n :].set(output.slope)
         moved = self.model.manifold.towards(state.readings.y, y)
         noise = jnp.diag(spread_at(self.measurement_cov, space, state.q))
         parts = position, rows[n : 2 * n]

@@ -89,8 +89,8 @@ def loop_weights(gains: Gains, rate: float) -> Float[np.ndarray, "k"]:
     return response(*map(np.asarray, sampled(gains, jnp.asarray(1 / rate))))
 
 
-def triple_pole(reach: Vector, dt: Vector) -> Float[Array, "3 n"]:
+def triple_pole(decay: Vector, dt: Vector) -> Float[Array, "3 n"]:
     """Gains on position, velocity and acceleration that give a loop of three integrators three sampled poles
-    `p = exp(−reach)`: `1 − p³`, `3(1 − p)²(1 + p)/2dt`, `(1 − p)³/dt²`."""
-    p, gone = jnp.exp(-reach), -jnp.expm1(-reach)
+    `p = exp(−decay)`: `1 − p³`, `3(1 − p)²(1 + p)/2dt`, `(1 − p)³/dt²`."""
+    p, gone = jnp.exp(-decay), -jnp.expm1(-decay)
     return jnp.stack([gone * (1 + p + p**2), 1.5 * gone**2 * (1 + p) / dt, gone**3 / dt**2])

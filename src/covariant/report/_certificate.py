@@ -95,10 +95,11 @@ def _legend(ax: "matplotlib.axes.Axes", **options) -> None:
     ax.legend(**{"fontsize": 8, "labelcolor": INK, "framealpha": 0.85, "edgecolor": "none"} | options)
 
 
-def _draw_region(ax: "matplotlib.axes.Axes", seen: Projection, certificate: ContractionCertificate) -> None:
+def _draw_region(ax: "matplotlib.axes.Axes", projected: Projection, certificate: ContractionCertificate) -> None:
     collection = optional("matplotlib.collections").PolyCollection
     for order, (boxes, colour, fill, label) in enumerate(
-        ((seen.proved, _PROVED, 0.18, "boxes proved"), (seen.open, _OPEN, 0.55, "boxes not decided")), start=1
+        ((projected.proved, _PROVED, 0.18, "boxes proved"), (projected.open, _OPEN, 0.55, "boxes not decided")),
+        start=1,
     ):
         if len(boxes):
             shown = boxes[:_MOST_RECTANGLES]
@@ -109,23 +110,29 @@ def _draw_region(ax: "matplotlib.axes.Axes", seen: Projection, certificate: Cont
             ax.add_collection(collection(list(corners), facecolor=thinned, edgecolor="none", zorder=order))
             ax.add_collection(collection(list(corners), facecolor="none", edgecolor=colour, linewidth=0.6, zorder=3))
             ax.plot([], [], "s", color=thinned, markeredgecolor=colour, markersize=8, label=label)
-    if seen.counterexample is not None:
+    if projected.counterexample is not None:
         ax.plot(
-            *seen.counterexample, "X", color=_WRONG, markersize=10, zorder=4, label="counter-example", clip_on=False
+            *projected.counterexample,
+            "X",
+            color=_WRONG,
+            markersize=10,
+            zorder=4,
+            label="counter-example",
+            clip_on=False,
         )
-    low, high = seen.domain
+    low, high = projected.domain
     margin = 0.03 * (high - low)
     ax.set_xlim(low[0] - margin[0], high[0] + margin[0])
     ax.set_ylim(low[1] - margin[1], high[1] + 5 * margin[1])  # the legend stands above the region
-    ax.set_xlabel(_label(seen.kind[0], seen.names[0], seen.units[0]))
-    ax.set_ylabel(_label(seen.kind[1], seen.names[1], seen.units[1]))
+    ax.set_xlabel(_label(projected.kind[0], projected.names[0], projected.units[0]))
+    ax.set_ylabel(_label(projected.kind[1], projected.names[1], projected.units[1]))
     ax.grid(visible=False)
     claim = next((c for c in certificate.claims if c.proof.verdict != "holds"), certificate.claims[0])
     share = claim.proof.open_share if claim.proof.verdict == "undecided" else 0.0
     others = len(claim.proof.box.low) - 2
-    said = f"{seen.claim}, {claim.proof.boxes} boxes, seen along {others} more variables"
+    said = f"{projected.claim}, {claim.proof.boxes} boxes, seen along {others} more variables"
     ax.set_title(said + (f"; {share:.1%} open" if share else ""), loc="right", fontsize=7, color=MUTED)
-    if len(seen.proved) or len(seen.open):
+    if len(projected.proved) or len(projected.open):
         _legend(ax, loc="upper right", ncols=3)
 
 
@@ -191,14 +198,14 @@ def _draw_velocity(ax: "matplotlib.axes.Axes", found: Trajectories, certificate:
 
 
 def _draw_distances(ax: "matplotlib.axes.Axes", found: Trajectories, certificate: ContractionCertificate) -> None:
-    seen = found.distances
-    least = seen.high[:, 0].max() * 1e-4
-    for k, curves in enumerate(zip(seen.high, seen.low, strict=True)):
+    distances = found.distances
+    least = distances.high[:, 0].max() * 1e-4
+    for k, curves in enumerate(zip(distances.high, distances.low, strict=True)):
         for distance, colour, dash, where in zip(
             curves, (_ESTIMATE, INK), ("-", (0, (2, 5))), ("above", "below"), strict=True
         ):
             ax.plot(
-                seen.t,
+                distances.t,
                 np.where(distance > least, distance, np.nan),
                 color=colour,
                 linestyle=dash,
@@ -207,8 +214,8 @@ def _draw_distances(ax: "matplotlib.axes.Axes", found: Trajectories, certificate
                 label=None if k else f"estimates, bounded from {where}",
             )
     ax.plot(
-        seen.t,
-        seen.bound[0],
+        distances.t,
+        distances.bound[0],
         color=_WRONG,
         linewidth=2,
         zorder=4,

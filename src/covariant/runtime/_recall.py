@@ -107,7 +107,7 @@ class _Telling:
 
     def __init__(self):
         self.hash = hashlib.sha256()
-        self._seen: dict[int, int] = {}
+        self._order: dict[int, int] = {}
         self._alive: list[Any] = []  # an id is that of one thing as long as the thing lives
 
     def add(self, x: Any) -> None:
@@ -131,10 +131,10 @@ class _Telling:
             self._words(self._known(type(x)), x.name)
         elif isinstance(x, type):
             self._words("type", self._known(x))
-        elif id(x) in self._seen:
-            self._words("again", self._seen[id(x)])
+        elif id(x) in self._order:
+            self._words("again", self._order[id(x)])
         else:
-            self._seen[id(x)] = len(self._seen)
+            self._order[id(x)] = len(self._order)
             self._alive.append(x)
             self._compound(x)
 

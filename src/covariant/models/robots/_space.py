@@ -42,12 +42,12 @@ class Moments(NamedTuple):
 
 
 class PointField(NamedTuple):
-    """A vector at each mass point r of each body, `push + turn r`: (k + 1, 3) and (k + 1, 3, 3), the base first.
+    """A vector at each mass point r of each body, `offset + gradient r`: (k + 1, 3) and (k + 1, 3, 3), the base first.
 
     Or what belongs to such fields by duality, forces on the mass points summed up: `∫ρ N` and `∫ρ N rᵀ`."""
 
-    push: Float[Array, "k1 3"]
-    turn: Float[Array, "k1 3 3"]
+    offset: Float[Array, "k1 3"]
+    gradient: Float[Array, "k1 3 3"]
 
 
 class RobotSpace(AbstractSpace):
@@ -143,7 +143,7 @@ class RobotSpace(AbstractSpace):
             field = self._accelerations(joints, along, c, spin, spin_c, twists[0, :3])
             within = _leaves_first(matrix, gathered(_wrench(_resistance(moments, field)))[0])
             speed, twist = _split(self._moved(joints, within))
-            return _resistance(felt, PointField(field.push - speed, _spun(field.turn, -1, twist)))
+            return _resistance(felt, PointField(field.offset - speed, _spun(field.gradient, -1, twist)))
 
         onto = normal(b, spin_b, moments), normal(a, spin_a, jax.tree.map(jnp.negative, moments))
 
@@ -270,7 +270,7 @@ class RobotSpace(AbstractSpace):
         tree, rates_a, rates_b = self.tree, self.joint_rates(a)[:, None], self.joint_rates(b)[:, None]
         turn, slide = tree.turn.astype(b.dtype), tree.slide.astype(b.dtype)
         k1 = len(tree.parents) + 1
-        push = jnp.cross(spin_b[1:k1], slide * rates_a) + jnp.cross(spin_a[1:k1], slide * rates_b)
+        sliding = jnp.cross(spin_b[1:k1], slide * rates_a) + jnp.cross(spin_a[1:k1], slide * rates_b)
         frame_spin = spin_a[1 + tree.frames()] if tree.balls else spin_a[1:k1]
         spun = jnp.cross(frame_spin, turn * rates_b)
 
@@ -281,11 +281,11 @@ class RobotSpace(AbstractSpace):
 
         def step(bent, body):
             (field, angular), (i, parent, rotation, place, more, more_angular) = bent, body
-            moved = (field.push[parent] + field.turn[parent] @ place) @ rotation + more
+            moved = (field.offset[parent] + field.gradient[parent] @ place) @ rotation + more
             turned = angular[parent] @ rotation + more_angular
             now = PointField(
-                field.push.at[i + 1].set(moved),
-                field.turn.at[i + 1].set(points(turned, spin_a[i + 1], spin_b[i + 1])),
+                field.offset.at[i + 1].set(moved),
+                field.gradient.at[i + 1].set(points(turned, spin_a[i + 1], spin_b[i + 1])),
             )
             return (now, angular.at[i + 1].set(turned)), None
 
@@ -296,12 +296,12 @@ class RobotSpace(AbstractSpace):
             none.at[0].set(jnp.cross(spin_a[0], speed)),
             jnp.zeros((*none.shape, 3), b.dtype).at[0].set(points(angular, spin_a[0], spin_b[0])),
         )
-        bodies = (jnp.arange(len(parents)), parents, *joints, push, spun)
+        bodies = (jnp.arange(len(parents)), parents, *joints, sliding, spun)
         field = jax.lax.scan(step, (start, none.at[0].set(angular)), bodies)[0][0]
         if not tree.balls:
             return field
         rotors = jax.vmap(lambda one, other: points(jnp.cross(one, other), one, other))(spin_a[k1:], spin_b[k1:])
-        return PointField(jnp.concatenate([field.push, 0 * spin_b[k1:]]), jnp.concatenate([field.turn, rotors]))
+        return PointField(jnp.concatenate([field.offset, 0 * spin_b[k1:]]), jnp.concatenate([field.gradient, rotors]))
 
     def _swept(self, joints: Joints, first: Float[Array, "k1 6"], own: Float[Array, "k 6"]) -> Float[Array, "k1 6"]:
         """Twists passed on along the tree from `first`, that of the base, each body adding its `own`."""
@@ -371,10 +371,10 @@ def _about_axes(second: Float[Array, "k1 3 3"]) -> Float[Array, "k1 3 3"]:
 
 
 def _resistance(moments: Moments, field: PointField) -> PointField:
-    """`∫ρ N` and `∫ρ N rᵀ` of each body, for the field `N = push + turn r`."""
+    """`∫ρ N` and `∫ρ N rᵀ` of each body, for the field `N = offset + gradient r`."""
     mass, first, second = moments
-    force = mass[:, None] * field.push + jnp.sum(field.turn * first[:, None, :], axis=2)
-    return PointField(force, field.push[:, :, None] * first[:, None, :] + _product(field.turn, second))
+    force = mass[:, None] * field.offset + jnp.sum(field.gradient * first[:, None, :], axis=2)
+    return PointField(force, field.offset[:, :, None] * first[:, None, :] + _product(field.gradient, second))
 
 
 def _wrench(resisted: PointField) -> Float[Array, "k1 6"]:
