@@ -48,7 +48,7 @@ REPOSITORY = Path(__file__).parents[1]
 
 
 MOST_MAPPINGS = 45_000  # Linux allows a process 65 530, and and the next one kills it
-BETWEEN_LOOKS = 5.0  # [s] of processor time: to count mappings takes a while, and a large program holds some 3 000
+BETWEEN_LOOKS = 10.0  # [s] of processor time: to count mappings takes a while, and a large program holds some 3 000
 looked = [0.0]
 
 MOST_KEPT = 2**30
