@@ -1,5 +1,6 @@
 """The certificates that come along still hold, and simulated estimates do as they say."""
 
+import functools
 import json
 from pathlib import Path
 
@@ -13,6 +14,12 @@ from covariant.proofs._enclosure import Expansions
 from covariant.proofs._judge import judge
 
 FOLDER = Path(__file__).parents[2] / "examples/certificates"
+
+
+@functools.cache
+def loaded(name: str) -> ContractionCertificate:
+    """A certificate that comes along; to read one, its observer is traced, which takes seconds for a robot."""
+    return ContractionCertificate.load(FOLDER / f"{name}.json")
 
 
 def test_a_small_one_is_verified_whole():
@@ -34,7 +41,7 @@ def test_large_ones_are_as_they_were_written(name):
 @pytest.mark.parametrize("name", ["ball_and_beam", "heavy_top", "dfki_double_pendulum", "scara", "ur5e_three_joints"])
 def test_a_certificate_is_read_as_it_was_written(name):
     document = json.loads((FOLDER / f"{name}.json").read_text(encoding="utf-8"))
-    found = ContractionCertificate.load(FOLDER / f"{name}.json")
+    found = loaded(name)
     assert found.document() == document
     assert (found.summary.verdict, found.summary.evidence, found.verified) == ("holds", "claimed", False)
     assert found.summary.statement.endswith("(read from a file, not verified again)")
@@ -49,7 +56,7 @@ def test_a_certificate_that_was_changed_is_not_read(tmp_path):
 
 @pytest.mark.parametrize(("name", "slowest"), [("heavy_top", 7.0), ("dfki_double_pendulum", 25.0)])
 def test_estimates_from_the_border_of_the_ball_converge_as_certified(name, slowest):
-    certificate = ContractionCertificate.load(FOLDER / f"{name}.json")
+    certificate = loaded(name)
     seen = follow_estimates(certificate, 60)
     np.testing.assert_allclose(seen.high[:, 0], certificate.radius, rtol=1e-9)
     assert seen.holds
@@ -63,7 +70,7 @@ def test_estimates_from_the_border_of_the_ball_converge_as_certified(name, slowe
 
 def test_leaves_of_a_robot_are_proved_by_the_prover_again():
     """By its Taylor models, on some of the leaves; and where shoulder and lift are does not enter."""
-    certificate = ContractionCertificate.load(FOLDER / "scara.json")
+    certificate = loaded("scara")
     domain, levels = certificate.domain, certificate.claims[0].proof.levels
     formed = contraction(certificate.subject, certificate.rate).graph(domain.low)
     matrix = Expansions.of(formed.entries, domain, "numpy")

@@ -24,14 +24,14 @@ def contraction(about: Subject, rate: float) -> Matrix:
     def matrix(z):
         point, t = about.at(z), jnp.zeros(())
         x, flow = point.x, plain(point.flow)
-        frame, velocity = point.metric.frame(t, x), flow(t, x)
+        slope, velocity = jax.jacfwd(lambda y: (flow(t, y),) * 2, has_aux=True)(x)
 
         def both(s):
             at = x + s * velocity
             return plain(point.metric.coframe)(s, at), plain(point.metric.gram)(s, at)
 
         (coframe, gram), (turn, change) = jax.jvp(both, (t,), (t + 1,))
-        moved = gram @ (turn + coframe @ jax.jacfwd(lambda y: flow(t, y))(x)) @ frame
+        moved = gram @ (turn + coframe @ slope) @ point.metric.frame(t, x)
         return -(moved + moved.T + change) - rate * gram
 
     return matrix

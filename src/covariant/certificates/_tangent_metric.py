@@ -37,6 +37,11 @@ def lyapunov(alpha: Number, beta: Number, rate: float = 0.0, weight: float = 1.0
     _check_finite("lyapunov", alpha=alpha, beta=beta, rate=rate, weight=weight)
     if weight <= 0:
         raise ValueError(f"lyapunov: weight must be a positive number; got {weight:g}")
+    return _solutions(alpha, beta, rate, np.array([weight]))[0]
+
+
+def _solutions(alpha: Number, beta: Number, rate: Number, weights: np.ndarray) -> np.ndarray:
+    """The matrices (k, 2, 2) of `lyapunov` for weights (k,)."""
     shifted = error_matrix(alpha, beta) + rate / 2 * np.eye(2)
     if not (np.linalg.eigvals(shifted).real < 0).all():
         slowest = -2 * np.linalg.eigvals(error_matrix(alpha, beta)).real.max()
@@ -45,8 +50,10 @@ def lyapunov(alpha: Number, beta: Number, rate: float = 0.0, weight: float = 1.0
             f"ask for a rate below that; got {rate:g}"
         )
     operator = np.kron(shifted.T, np.eye(2)) + np.kron(np.eye(2), shifted.T)
-    q = np.linalg.solve(operator, -np.diag([1.0, weight]).ravel()).reshape(2, 2)
-    return (q + q.T) / 2
+    zero = np.zeros_like(weights)
+    right = np.stack([np.ones_like(weights), zero, zero, weights], axis=1)
+    q = np.linalg.solve(operator, -right[..., None]).reshape(-1, 2, 2)
+    return (q + q.transpose(0, 2, 1)) / 2
 
 
 def rate_of(alpha: Number, beta: Number, q: Numbers) -> float:
@@ -68,9 +75,13 @@ def conditioning(beta: Number, q: Numbers) -> float:
     """
     if not 0 < beta < math.inf:
         raise ValueError(f"conditioning: beta must be a positive number; got {beta:g}")
-    q = check_q("conditioning", q)
+    return float(_conditions(beta, check_q("conditioning", q)[None])[0])
+
+
+def _conditions(beta: Number, q: np.ndarray) -> np.ndarray:
+    """`conditioning` of matrices (k, 2, 2)."""
     scale = np.diag([1.0, math.sqrt(beta)])
-    return float(np.linalg.cond(scale @ q @ scale))
+    return np.linalg.cond(scale @ q @ scale)
 
 
 def check_q(whose: str, q: Any) -> TwoByTwo:
@@ -96,10 +107,14 @@ def _check_finite(whose: str, **given: Number) -> None:
 
 
 def optimal_lyapunov(alpha: Number, beta: Number, rate: float) -> TwoByTwo:
-    """Among the matrices of `lyapunov` for a rate, the one with the smallest condition number."""
-    weights = np.logspace(-6, 6, 241) / float(beta)
-    found = [lyapunov(float(alpha), float(beta), rate, weight) for weight in weights]
-    return min(found, key=lambda q: conditioning(beta, q))
+    """Among the matrices of `lyapunov` for a rate, the one with the smallest condition number.
+
+    Raises `ValueError` as `lyapunov` does.
+    """
+    alpha, beta = float(alpha), float(beta)
+    lyapunov(alpha, beta, rate)
+    matrices = _solutions(alpha, beta, rate, np.logspace(-6, 6, 241) / beta)
+    return matrices[np.argmin(_conditions(beta, matrices))]
 
 
 def tangent_metric(metric: MatrixField, q: TwoByTwo) -> StateMetric:
