@@ -171,6 +171,15 @@ def test_a_metric_for_a_rate_has_it(alpha, beta, share):
     assert conditioning(beta, best) <= conditioning(beta, lyapunov(alpha, beta, wanted, 1 / beta)) * (1 + 1e-9)
 
 
+@settings(deadline=None, max_examples=30)
+@given(st.floats(0.1, 100), st.floats(0.01, 1e4), st.floats(0.0, 0.95), st.floats(0.01, 100))
+def test_it_solves_lyapunovs_equation(alpha, beta, share, weight):
+    rate = -2 * np.linalg.eigvals(error_matrix(alpha, beta)).real.max() * share
+    half = lyapunov(alpha, beta, rate, weight) @ error_matrix(alpha, beta)
+    terms = np.array([half, half.T, rate * lyapunov(alpha, beta, rate, weight), np.diag([1.0, weight])])
+    np.testing.assert_array_less(np.abs(terms.sum(0)), 1e-12 * np.abs(terms).max())
+
+
 @functools.cache
 def paper_observer():
     return subject(Intrinsic(models.ball_and_beam(), ALPHA, BETA), PAPER)
