@@ -166,9 +166,9 @@ def _fits(t, at, half, order) -> Iterator[_Fit]:
         part = slice(start, start + CHUNK)
         rows = first[part, None] + np.arange((last - first)[part].max())
         # Windows of a log with evenly spaced stamps are equal up to the rounding of the stamps, and are fitted once.
-        new = np.append(True, (kind[part][1:] != kind[part][:-1]).any(axis=1))
+        _, new, same = np.unique(kind[part], axis=0, return_index=True, return_inverse=True)
         weights = _weights(t, at[part][new], rows[new], last[part][new], half, order)
-        yield _Fit(part, np.minimum(rows, len(t) - 1), nearest[part], weights, np.cumsum(new) - 1)
+        yield _Fit(part, np.minimum(rows, len(t) - 1), nearest[part], weights, same.reshape(-1))
 
 
 def _kinds(t, at, first, last, half):

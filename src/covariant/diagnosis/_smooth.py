@@ -1,5 +1,6 @@
 """A log smoothed without phase on a grid of even times: positions, velocities and accelerations."""
 
+import functools
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -93,12 +94,14 @@ def _second_derivative(offsets, half):
     return 2 * scoring.local_polynomials(offsets, np.eye(len(offsets)), np.zeros(1), half, ORDER)[0, 2]
 
 
+@functools.lru_cache  # the search for delays smooths a log a dozen times over windows of the same width
 def _acceleration_weights(half: float, spacing: float) -> float:
     """Ratio of the standard deviation of an acceleration to that of a measurement [1/s²]."""
     count = int(half / spacing)
     return float(np.linalg.norm(_second_derivative(spacing * np.arange(-count, count + 1), half)))
 
 
+@functools.lru_cache
 def _kernel(half: float) -> np.ndarray:
     """Weights of accelerations at points of the grid.
 
