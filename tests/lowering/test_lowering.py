@@ -1,5 +1,8 @@
 """A graph of scalars gives what JAX gives, with first and second derivatives, or is refused: never a wrong value."""
 
+import itertools
+import math
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -12,6 +15,7 @@ from covariant._linalg import solve
 from covariant.geometry import Budget, christoffel, curvature, hyperbolic, sphere
 from covariant.geometry.lie import SE3, SO3
 from covariant.lowering import LoweringError, expand, lower, numbers, pairs
+from covariant.lowering._constants import padded, part_at, updated_at
 from covariant.observers import Geodesic, Intrinsic, with_fixed_substeps
 
 PENDULUM = models.pendulum_chain((1.0, 0.7), (0.5, 0.4), viscous=(0.1, 0.2))
@@ -283,3 +287,22 @@ def test_a_batch_goes_through_at_once_and_a_wrong_number_of_inputs_does_not():
     assert found["b"].shape == (2, 3)
     with pytest.raises(ValueError, match="4 inputs; got 3"):
         lowering.evaluate(graph, lowering.NUMBERS, [1.0, 2.0, 3.0])
+
+
+PADDINGS = (((1, 2, 0), (0, 0, 1)), ((-1, 1, 2), (0, -1, 0)), ((2, -2, 1), (-1, 2, 2)))
+
+
+@pytest.mark.parametrize("shape", [(3, 2), (1, 4), (0, 2)])
+def test_known_numbers_are_padded_and_cut_as_by_jax(shape):
+    """Windows that would leave the array are moved to where they fit."""
+    value = np.arange(1.0, 1.0 + math.prod(shape)).reshape(shape)
+    for config in PADDINGS:
+        expected = np.asarray(jax.lax.pad(value, -7.0, config))
+        np.testing.assert_array_equal(padded({"padding_config": config}, value, np.array(-7.0)), expected)
+    sizes = (min(shape[0], 2), 1)
+    for starts in itertools.product(range(-2, 5), repeat=2):
+        at = [np.asarray(start) for start in starts]
+        expected = np.asarray(jax.lax.dynamic_slice_p.bind(value, *at, slice_sizes=sizes))
+        np.testing.assert_array_equal(part_at({"slice_sizes": sizes}, value, *at), expected)
+        expected = np.asarray(jax.lax.dynamic_update_slice_p.bind(value, -np.ones(sizes), *at))
+        np.testing.assert_array_equal(updated_at({}, value, -np.ones(sizes), *at), expected)

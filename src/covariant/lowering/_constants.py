@@ -70,6 +70,35 @@ def _iota(parameters: dict) -> np.ndarray:
     return np.broadcast_to(np.arange(shape[axis]).reshape(lifted), shape)
 
 
+def padded(parameters: dict, value: np.ndarray, fill: np.ndarray) -> np.ndarray:
+    """Entries with others between and around them; below zero, so many are cut off."""
+    config = parameters["padding_config"]
+    spread = [slice(max(low, 0), None, inside + 1) for low, _, inside in config]
+    sizes = [max(n + (n - 1) * inside, 0) for n, (_, _, inside) in zip(value.shape, config, strict=True)]
+    whole = np.full([n + max(low, 0) + max(high, 0) for n, (low, high, _) in zip(sizes, config, strict=True)], fill)
+    whole[tuple(slice(at.start, at.start + n, at.step) for at, n in zip(spread, sizes, strict=True))] = value
+    ends = zip(whole.shape, config, strict=True)
+    return whole[tuple(slice(max(-low, 0), n - max(-high, 0)) for n, (low, high, _) in ends)]
+
+
+def _window(value: np.ndarray, starts: Sequence[np.ndarray], sizes: Sequence[int]) -> tuple[slice, ...]:
+    """Where a part begins, moved to where it fits."""
+    first = [min(max(int(s), 0), n - size) for s, n, size in zip(starts, value.shape, sizes, strict=True)]
+    return tuple(slice(s, s + size) for s, size in zip(first, sizes, strict=True))
+
+
+def part_at(parameters: dict, value: np.ndarray, *starts: np.ndarray) -> np.ndarray:
+    """The entries from a place on."""
+    return value[_window(value, starts, parameters["slice_sizes"])]
+
+
+def updated_at(parameters: dict, value: np.ndarray, update: np.ndarray, *starts: np.ndarray) -> np.ndarray:
+    """An array with other entries from a place on."""
+    changed = value.copy()
+    changed[_window(value, starts, update.shape)] = update
+    return changed
+
+
 def _divide(parameters: dict, a: np.ndarray, b: np.ndarray) -> np.ndarray:
     if not np.issubdtype(a.dtype, np.floating):
         quotient = np.abs(a) // np.where(b == 0, 1, np.abs(b)) * np.sign(a) * np.sign(b)
@@ -114,6 +143,9 @@ _RULES: dict[str, Rule] = {
     "concatenate": lambda parameters, *values: np.concatenate(values, axis=parameters["dimension"]),
     "rev": lambda parameters, value: np.flip(value, tuple(parameters["dimensions"])),
     "slice": _slice,
+    "pad": padded,
+    "dynamic_slice": part_at,
+    "dynamic_update_slice": updated_at,
     "split": _split,
     "iota": lambda parameters, *_: _iota(parameters),
     "convert_element_type": _convert,

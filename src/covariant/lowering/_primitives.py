@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from covariant.lowering._arrays import Scalars, Value, Writer, nodes_of
+from covariant.lowering._constants import padded
 from covariant.lowering._graph import Graph
 from covariant.lowering._lowered import LoweringError
 from covariant.lowering._places import at_places
@@ -67,12 +68,6 @@ def _extreme(comparison: Callable[[Graph, int, int], int]) -> Rule:
         return [Scalars(np.array(found, int).reshape(rows.shape[:-1]))]
 
     return rule
-
-
-def _pad(write: Writer, eqn, values: list) -> list[Value]:
-    ids, fill = (nodes_of(write.graph, value) for value in values)
-    with jax.ensure_compile_time_eval():
-        return [Scalars(np.asarray(eqn.primitive.bind(jnp.asarray(ids), jnp.asarray(fill), **eqn.params)))]
 
 
 def _split(write: Writer, eqn, values: list) -> list[Value]:
@@ -229,7 +224,7 @@ RULES: dict[str, Rule] = {
     "slice": _moves(_slice),
     "concatenate": _moves(lambda p, *ids: np.concatenate(ids, p["dimension"])),
     "split": _split,
-    "pad": _pad,
+    "pad": _moves(padded),
     "dynamic_slice": at_places,
     "dynamic_update_slice": at_places,
     "gather": at_places,

@@ -15,7 +15,9 @@ from covariant.lowering._graph import FOLD
 from covariant.lowering._read import Domain
 
 EXACT = {"neg", "abs", "sign", "floor", "ceil", "round", "min", "max", "select", "either"}
-"""Operations on numbers that do not round; those that give truth values do not either."""
+"""Operations on numbers that do not round."""
+TRUTHS = {"lt", "le", "eq", "and", "or", "not", "is_finite"}
+"""Operations that give truth values, which do not round either."""
 WHOLE = {"add", "sub", "mul"}
 """Operations that do not round where their result is a whole number, such as a count."""
 
@@ -30,25 +32,25 @@ def perturbed(unit: float, lanes: int, seed: int = 0) -> Domain:
     """
     away = np.arange(lanes) > 0
     pool = unit * np.random.default_rng(seed).uniform(-1.0, 1.0, (POOL, lanes)) * away
-    turn = itertools.cycle(pool)
+    turn = itertools.cycle(1.0 + pool)
 
     def rough(op: str):
         plain = FOLD[op]
 
-        def rounded(*arguments):
-            value = np.asarray(plain(*arguments))
-            if value.dtype == bool or op in EXACT:
-                return value
-            off = next(turn)
-            return np.where(value == np.rint(value), value, value * (1.0 + off)) if op in WHOLE else value * (1.0 + off)
+        def whole_or_rounded(*arguments):
+            value = plain(*arguments)
+            return np.where(value == np.rint(value), value, value * next(turn))
 
-        return rounded
+        def rounded(*arguments):
+            return plain(*arguments) * next(turn)
+
+        return plain if op in EXACT | TRUTHS else whole_or_rounded if op in WHOLE else rounded
 
     short = unit > 2.0**-50
 
     def constant(value):
         """A number as it is or, where single precision cannot hold it, off as a result is."""
         exact = isinstance(value, bool) or not short or not np.isfinite(value) or np.float32(value) == value
-        return np.asarray(value) if exact else value * (1.0 + next(turn))
+        return np.asarray(value) if exact else value * next(turn)
 
     return {"constant": constant, **{op: rough(op) for op in FOLD}}

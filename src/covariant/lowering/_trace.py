@@ -223,11 +223,22 @@ def _need_reals(eqn, real: bool) -> None:
     name, given = eqn.primitive.name, [atom.aval.dtype for atom in eqn.invars if hasattr(atom.aval, "dtype")]
     made = [atom.aval.dtype for atom in eqn.outvars if hasattr(atom.aval, "dtype")]
     for dtype in made:
-        if not any(jnp.issubdtype(dtype, kind) for kind in (jnp.bool_, jnp.integer, jnp.floating)):
+        if not _is_real(dtype):
             raise LoweringError(f"'{name}' makes {dtype}, which is no real number")
-    digits = [[jnp.finfo(t).nmant for t in types if jnp.issubdtype(t, jnp.floating)] for types in (given, made)]
+    digits = [[d for t in types if (d := _digits(t)) is not None] for types in (given, made)]
     if real and all(digits) and min(digits[1]) < max(digits[0]):
         raise LoweringError(f"'{name}' makes numbers shorter, to {made[0]}, and is no function of real numbers")
+
+
+@functools.cache
+def _is_real(dtype) -> bool:
+    return any(jnp.issubdtype(dtype, kind) for kind in (jnp.bool_, jnp.integer, jnp.floating))
+
+
+@functools.cache
+def _digits(dtype) -> int | None:
+    """Binary digits behind the point of a floating-point type."""
+    return jnp.finfo(dtype).nmant if jnp.issubdtype(dtype, jnp.floating) else None
 
 
 def _line(eqn, outer: Callable[[], str]) -> str:
