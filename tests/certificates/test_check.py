@@ -43,7 +43,7 @@ def beam(tmp_path_factory):
 def forged(path, folder, change, anew=False):
     """The certificate changed, and its digest; with it the graph where the observer or metric are others, or `anew`."""
     document, made = json.loads(path.read_text(encoding="utf-8")), folder / "forged.json"
-    before = {key: json.dumps(document[key]) for key in ("observer", "q")}
+    before = {key: json.dumps(document[key]) for key in ("recipe", "observer", "q")}
     change(document)
     made.write_text(json.dumps(document | {"digest": digest(document)}), encoding="utf-8")
     if "system" in document["recipe"] and (anew or before != {key: json.dumps(document[key]) for key in before}):

@@ -171,6 +171,15 @@ def test_a_metric_for_a_rate_has_it(alpha, beta, share):
     assert conditioning(beta, best) <= conditioning(beta, lyapunov(alpha, beta, wanted, 1 / beta)) * (1 + 1e-9)
 
 
+def test_a_matrix_that_rounding_spoils_is_refused():
+    for rate in (1.9999999999, 1.999999999999998):  # just below what both equal poles allow
+        for use in (lyapunov, optimal_lyapunov):
+            with pytest.raises(ValueError, match="rounding leaves no positive definite matrix"):
+                use(2.0, 1.0, rate)
+    with pytest.raises(ValueError, match="rounding leaves no positive definite matrix"):
+        optimal_lyapunov(1e160, 1e300, 1.0)
+
+
 @settings(deadline=None, max_examples=30)
 @given(st.floats(0.1, 100), st.floats(0.01, 1e4), st.floats(0.0, 0.95), st.floats(0.01, 100))
 def test_it_solves_lyapunovs_equation(alpha, beta, share, weight):

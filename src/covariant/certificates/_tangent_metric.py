@@ -31,8 +31,8 @@ def lyapunov(alpha: Number, beta: Number, rate: float = 0.0, weight: float = 1.0
     """Q (2, 2) with `AᵀQ + QA + rate Q = −diag(1, weight)`, A being `error_matrix(alpha, beta)`.
 
     `rate` [1/s] must be below twice the decay rate of the slower pole; with rate 0 and weight 1 it is the metric of the
-    paper. Raises `ValueError` for gains that do not converge, or converge no faster than `e^(−rate t/2)`, and for a
-    weight that is not positive.
+    paper. Raises `ValueError` for gains that do not converge, or converge no faster than `e^(−rate t/2)`, for a weight
+    that is not positive, and where rounding leaves no positive definite matrix.
     """
     _check_finite("lyapunov", alpha=alpha, beta=beta, rate=rate, weight=weight)
     if weight <= 0:
@@ -52,8 +52,16 @@ def _solutions(alpha: Number, beta: Number, rate: Number, weights: np.ndarray) -
     operator = np.kron(shifted.T, np.eye(2)) + np.kron(np.eye(2), shifted.T)
     zero = np.zeros_like(weights)
     right = np.stack([np.ones_like(weights), zero, zero, weights], axis=1)
-    q = np.linalg.solve(operator, -right[..., None]).reshape(-1, 2, 2)
-    return (q + q.transpose(0, 2, 1)) / 2
+    with contextlib.suppress(np.linalg.LinAlgError):
+        q = np.linalg.solve(operator, -right[..., None]).reshape(-1, 2, 2)
+        q = (q + q.transpose(0, 2, 1)) / 2
+        np.linalg.cholesky(q)
+        if np.isfinite(q).all():
+            return q
+    raise ValueError(
+        f"gains alpha {alpha:g}, beta {beta:g} at rate {rate:g} 1/s: rounding leaves no positive definite matrix; "
+        "ask for a lower rate, or for gains of less different size"
+    )
 
 
 def rate_of(alpha: Number, beta: Number, q: Numbers) -> float:

@@ -109,4 +109,6 @@ def _kernel(half: float) -> np.ndarray:
     are the double sums of those of the positions.
     """
     weights = _second_derivative(half / HALF * np.arange(-HALF, HALF + 1), half)
-    return (half / HALF) ** 2 * np.concatenate([[0.0], np.cumsum(np.cumsum(weights))[:-1]])
+    kernel = (half / HALF) ** 2 * np.concatenate([[0.0], np.cumsum(np.cumsum(weights))[:-1]])
+    kernel.flags.writeable = False  # it is kept, and the same for everybody
+    return kernel

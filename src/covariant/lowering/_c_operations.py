@@ -53,8 +53,6 @@ OPERATORS = {
     "either": "{} < {} ? {} : {}",
 }
 """Operations that are operators of C."""
-TRUTHS = {"lt", "le", "eq", "and", "or", "not", "is_finite"}
-"""Operations whose result is a truth value."""
 LIBRARY = {
     "abs": "fabs",
     "floor": "floor",

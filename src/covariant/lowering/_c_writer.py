@@ -14,14 +14,13 @@ from typing import Any, NamedTuple
 from covariant.lowering._c_operations import (
     HELPERS,
     LIBRARY,
-    TRUTHS,
     Words,
     expression,
     literal,
     looked_up,
     of_truth,
 )
-from covariant.lowering._graph import Graph
+from covariant.lowering._graph import TRUTHS, Graph
 from covariant.lowering._loops import Repetition
 from covariant.lowering._lowered import Lowered
 

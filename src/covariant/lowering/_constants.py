@@ -99,6 +99,9 @@ def updated_at(parameters: dict, value: np.ndarray, update: np.ndarray, *starts:
     return changed
 
 
+SLICES = {"dynamic_slice": part_at, "dynamic_update_slice": updated_at}
+
+
 def _divide(parameters: dict, a: np.ndarray, b: np.ndarray) -> np.ndarray:
     if not np.issubdtype(a.dtype, np.floating):
         quotient = np.abs(a) // np.where(b == 0, 1, np.abs(b)) * np.sign(a) * np.sign(b)
@@ -144,8 +147,7 @@ _RULES: dict[str, Rule] = {
     "rev": lambda parameters, value: np.flip(value, tuple(parameters["dimensions"])),
     "slice": _slice,
     "pad": padded,
-    "dynamic_slice": part_at,
-    "dynamic_update_slice": updated_at,
+    **SLICES,
     "split": _split,
     "iota": lambda parameters, *_: _iota(parameters),
     "convert_element_type": _convert,

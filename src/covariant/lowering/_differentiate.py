@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 import jax
 import jax.numpy as jnp
 
-from covariant.lowering._graph import Graph, no_collection
+from covariant.lowering._graph import TRUTHS, Graph, no_collection
 from covariant.lowering._lowered import Lowered
 
 Rule = Callable[[Graph, int, tuple[int, ...], tuple[int, ...]], int]
@@ -180,6 +180,6 @@ RULES: dict[str, Rule] = {
     "atanh": _over(lambda g, f, x: _minus(g, 1.0, _square(g, x))),
     **{op: lambda g, node, x, d: g.constant(0.0) for op in ("sign", "floor", "ceil", "round")},
     # The derivative of a statement is zero.
-    **{op: lambda g, node, x, d: g.constant(0.0) for op in ("lt", "le", "eq", "and", "or", "not", "is_finite")},
+    **{op: lambda g, node, x, d: g.constant(0.0) for op in TRUTHS},
 }
 """The derivative of each operation."""

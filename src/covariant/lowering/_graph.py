@@ -115,7 +115,9 @@ COMMUTATIVE = {"add", "mul", "min", "max", "eq", "and", "or"}
 """Operations whose arguments are sorted, so that a + b and b + a are one node; IEEE arithmetic gives both one value."""
 
 
-ANYTHING = {"lt", "le", "eq", "and", "or", "not", "is_finite", "select", "min", "max"}
+TRUTHS = {"lt", "le", "eq", "and", "or", "not", "is_finite"}
+"""Operations whose result is a truth value."""
+ANYTHING = {*TRUTHS, "select", "min", "max"}
 """Operations that accept infinite arguments."""
 CHOICES = {"select", "min", "max", "either"}
 """Operations that may return an infinite argument."""

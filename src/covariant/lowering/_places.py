@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from covariant.lowering._arrays import Scalars, Value, Writer, nodes_of
-from covariant.lowering._constants import part_at, updated_at
+from covariant.lowering._constants import SLICES
 from covariant.lowering._graph import Table
 from covariant.lowering._lowered import LoweringError
 
@@ -119,9 +119,8 @@ def _places(name: str, p: dict, shapes: Sequence[tuple[int, ...]]) -> tuple[rang
 
 def _moved(write: Writer, eqn, arguments: list[np.ndarray]) -> np.ndarray:
     """Nodes moved by the primitive itself, applied to their indices."""
-    slices = {"dynamic_slice": part_at, "dynamic_update_slice": updated_at}
-    if eqn.primitive.name in slices:
-        return slices[eqn.primitive.name](eqn.params, *arguments)
+    if eqn.primitive.name in SLICES:
+        return SLICES[eqn.primitive.name](eqn.params, *arguments)
     parameters = dict(eqn.params) | ({"fill_value": -1} if eqn.primitive.name == "gather" else {})
     with jax.ensure_compile_time_eval():
         ids = np.array(eqn.primitive.bind(*map(jnp.asarray, arguments), **parameters))

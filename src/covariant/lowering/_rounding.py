@@ -11,13 +11,11 @@ import itertools
 
 import numpy as np
 
-from covariant.lowering._graph import FOLD
+from covariant.lowering._graph import FOLD, TRUTHS
 from covariant.lowering._read import Domain
 
 EXACT = {"neg", "abs", "sign", "floor", "ceil", "round", "min", "max", "select", "either"}
-"""Operations on numbers that do not round."""
-TRUTHS = {"lt", "le", "eq", "and", "or", "not", "is_finite"}
-"""Operations that give truth values, which do not round either."""
+"""Operations on numbers that do not round; those that give truth values do not either."""
 WHOLE = {"add", "sub", "mul"}
 """Operations that do not round where their result is a whole number, such as a count."""
 
