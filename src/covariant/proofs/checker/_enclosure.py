@@ -45,7 +45,7 @@ def is_whole(atom: Any) -> bool:
 def _settled(value: Any, atom: Any) -> np.ndarray:
     """A result as an array: of Taylor models, or of known truth values or integers."""
     value = np.asarray(value, getattr(value, "dtype", object))
-    if is_real(atom) or value.dtype != object:
+    if value.dtype != object or is_real(atom):
         return value
     if not any(isinstance(entry, Taylor) for entry in value.flat):
         return value.astype(atom.aval.dtype)
@@ -89,7 +89,7 @@ class TaylorEnclosure:
         z = np.array([Taylor([{(): c}, {}, {}], slack) for c, slack in zip(middle.T, self.slack, strict=True)], object)
         for k in np.flatnonzero(self.free):
             z[k] = Taylor([z[k].terms[0], {(int(k),): half[:, k]}, {}], self.slack[k])
-        self._good, self._blame = np.ones(len(low), bool), np.zeros(low.T.shape)
+        self._good, self._blame, self._judged = np.ones(len(low), bool), np.zeros(low.T.shape), set[Taylor]()
         with np.errstate(all="ignore"):
             found = self._run(self.jaxpr, self.consts, [z])[0]
             return found if self.needs is None else np.array([[self._watched()]], object)
@@ -118,7 +118,7 @@ class TaylorEnclosure:
 
         def read(atom) -> np.ndarray:
             x = np.asarray(atom.val if hasattr(atom, "val") else known[atom])
-            return each(exact, x.astype(float)) if is_real(atom) and x.dtype != object else x
+            return each(exact, x.astype(float)) if x.dtype != object and is_real(atom) else x
 
         for eqn in jaxpr.eqns:
             name, p, x = eqn.primitive.name, eqn.params, list(map(read, eqn.invars))
@@ -150,7 +150,9 @@ class TaylorEnclosure:
             return
         for a, atom in zip(x, eqn.invars, strict=True):
             if is_real(atom) and name != "select_n" and name not in MOVES:
-                for entry in set((a if a.dtype == object else each(exact, a)).flat):
+                fresh = {*(a if a.dtype == object else each(exact, a)).flat} - self._judged
+                self._judged |= fresh
+                for entry in fresh:
                     self._judge(np.isfinite(entry.middle) & np.isfinite(entry.away), entry)
         if need is not None:
             pairs = (a if a.dtype == object or a.dtype == bool else each(exact, a.astype(float)) for a in x)

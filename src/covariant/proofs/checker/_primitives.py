@@ -111,7 +111,12 @@ STAYS: dict[str, Callable] = {
 
 def each(function: Callable, *x: Any) -> np.ndarray:
     """Apply a function entry by entry."""
-    return np.asarray(np.frompyfunc(function, len(x), 1)(*x), object)
+    return np.asarray(_by_entry(function, len(x))(*x), object)
+
+
+@functools.lru_cache(256)
+def _by_entry(function: Callable, count: int) -> np.ufunc:
+    return np.frompyfunc(function, count, 1)
 
 
 def _total(x: np.ndarray, axes: Any) -> Any:
@@ -195,7 +200,12 @@ LEAVES = {*CALLS, "cond", "scan"}
 
 
 def is_real(atom: Any) -> bool:
-    return jnp.issubdtype(atom.aval.dtype, jnp.floating)
+    return _is_floating(atom.aval.dtype)
+
+
+@functools.cache
+def _is_floating(dtype: Any) -> bool:
+    return jnp.issubdtype(dtype, jnp.floating)
 
 
 def unrolled(p: dict, x: list, run: Callable[[Any, Any, list], list], stack: Callable) -> list:

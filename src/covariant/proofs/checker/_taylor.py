@@ -74,12 +74,13 @@ def _product(a: Taylor, b: Taylor) -> Taylor:
         return ZERO if ZERO in (a, b) else b if a is ONE else a
     terms, (_, line, bend), (_, slope, curved) = [{}, {}, {}], a.sizes, b.sizes
     for i, j in ((0, 0), (0, 1), (1, 0), (0, 2), (1, 1), (2, 0)):
+        into = terms[i + j]
         for (m, s), (n, t) in itertools.product(a.terms[i].items(), b.terms[j].items()):
-            key, part = tuple(sorted(m + n)), s * t
+            key, part = m + n if m < n else n + m, s * t
             if m == n and m:  # the square of a variable is ½ ± ½
                 part = part / 2
                 terms[0][()] = terms[0][()] + part
-            terms[i + j][key] = terms[i + j].get(key, 0.0) + part
+            into[key] = into[key] + part if key in into else part
     one, two = sum(a.sizes), sum(b.sizes)
     cut = line * curved + bend * (slope + curved)  # of third and fourth order
     return Taylor(terms, (cut + a.radius * (two + b.radius) + one * b.radius + ROUND * one * two) * (1 + ROUND))
