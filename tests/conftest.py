@@ -27,14 +27,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from _pytest import runner
-from beartype.claw import beartype_packages
+from types_at_run_time import check_types
+
+# In lowering, whose inner loops run millions of times, types are not looked at.
+check_types("covariant", but=("covariant.lowering",))
 
 from covariant import geometry, models
 from covariant._deep_calls import call_deep
 from covariant.geometry import Budget, Metric
-
-# The types of what the checker computes with, which says no shapes: a tenth of the time of checks that look for them.
-beartype_packages(("covariant.proofs.checker", "covariant.proofs._file"))
 
 jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_numpy_dtype_promotion", "strict")
@@ -58,7 +58,8 @@ MOST_KEPT = 2**30
 def pytest_configure(config):
     """Compiled programs are kept in the environment's own folder, from one run to the next.
 
-    They are found again by what they compute, with which compiler and flags, so that a change compiles anew.
+    They are found again by what they compute, with which compiler and flags, so that a change compiles anew. Processes
+    that tests start find them too.
     """
     if sys.prefix == sys.base_prefix:  # there is no environment
         return
@@ -66,9 +67,10 @@ def pytest_configure(config):
     controls = not hasattr(config, "workerinput")
     if controls and sum(file.stat().st_size for file in folder.glob("*")) > MOST_KEPT:
         shutil.rmtree(folder)
-    jax.config.update("jax_compilation_cache_dir", str(folder))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
-    jax.config.update("jax_persistent_cache_min_entry_size_bytes", 0)
+    shortest, smallest = "jax_persistent_cache_min_compile_time_secs", "jax_persistent_cache_min_entry_size_bytes"
+    for name, value in {"jax_compilation_cache_dir": str(folder), shortest: 0, smallest: 0}.items():
+        jax.config.update(name, value)
+        os.environ[name.upper()] = str(value)
 
 
 def pytest_collection_finish():

@@ -11,7 +11,7 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "contributing.md").read_text(encoding="utf-8")
-COPIED = ("src", "tests/conftest.py", "tests/laws", "tools", "docs", "pyproject.toml")
+COPIED = ("src", "tests/conftest.py", "tests/types_at_run_time.py", "tests/laws", "tools", "docs", "pyproject.toml")
 
 
 def follow_the_page(house: Path) -> None:

@@ -15,7 +15,8 @@ from covariant.design import ESTIMATORS
 
 
 def python(script: str, **variables: str) -> str:
-    surroundings = os.environ | variables
+    kept = ("JAX_COMPILATION", "JAX_PERSISTENT")
+    surroundings = {name: value for name, value in os.environ.items() if not name.startswith(kept)} | variables
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False, env=surroundings)
     assert done.returncode == 0, done.stderr
     assert not done.stderr

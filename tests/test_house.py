@@ -305,18 +305,6 @@ def test_no_file_names_a_package_host_or_a_path_of_one_machine():
     assert "://" not in (ROOT / "constraints.txt").read_text(encoding="utf-8")
 
 
-def test_types_are_looked_at_in_every_room():
-    """While tests run; in lowering, whose inner loops run millions of times, they are not."""
-    options = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
-    [shapes] = re.findall(r"--jaxtyping-packages=([^\"]*)", options)
-    [types] = re.findall(r"beartype_packages\(\((.*)\)\)", (ROOT / "tests/conftest.py").read_text(encoding="utf-8"))
-    watched = [*shapes.split(","), *re.findall(r'"(.*?)"', types), "covariant.lowering"]
-    for path in SOURCE.glob("*/**/[a-z_]*.py"):
-        name = ".".join(path.relative_to(SOURCE.parent).with_suffix("").parts)
-        if path.name != "__init__.py":
-            assert any(f"{name}.".startswith(f"{room}.") for room in watched), name
-
-
 def test_what_make_quick_runs_is_there():
     text = (ROOT / "Makefile").read_text(encoding="utf-8").replace("\\\n", " ")
     chosen = re.findall(r"^QUICK := (.*)$", text, re.MULTILINE)[0].split()

@@ -5,7 +5,6 @@ import os
 import subprocess
 import sys
 
-import jax
 import numpy as np
 import pytest
 
@@ -29,7 +28,6 @@ def reproduced():
     """What the command prints."""
     # It computes longer than it compiles: a process of its own makes its programs fast, not quickly, and keeps them.
     environment = {name: value for name, value in os.environ.items() if name != "XLA_FLAGS"}
-    environment["JAX_COMPILATION_CACHE_DIR"] = jax.config.jax_compilation_cache_dir or ""
     words = [sys.executable, "-c", "from covariant.cli import main; main()", "reproduce", "aghannan-rouchon", "--json"]
     done = subprocess.run(words, env=environment, capture_output=True, text=True, check=True)
     return json.loads(done.stdout.splitlines()[-1])
