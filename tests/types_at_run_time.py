@@ -15,10 +15,16 @@ from pathlib import Path
 from typing import Any
 
 import jaxtyping
-from beartype import beartype
+from beartype import BeartypeConf, beartype
 
 SUFFIX = f".typed-{Path(__file__).stat().st_mtime_ns}.pyc"
 """Of compiled modules whose types are checked; they lie beside those as written, and another hook makes its own."""
+
+
+_checked = beartype(conf=BeartypeConf(violation_type=TypeError))
+
+ANEW = jaxtyping.jaxtyped("context")
+"""Within it, names of dimensions mean nothing that they meant outside; it may be entered again within itself."""
 
 
 def typed(this: Any) -> Any:
@@ -31,16 +37,16 @@ def typed(this: Any) -> Any:
         return type(this)(typed(this.__func__))
     if isinstance(this, property):
         return property(typed(this.fget))
-    checked = beartype(this)
+    checked = _checked(this)
     return _in_one_call(checked) if any(map(_says_shapes, this.__annotations__.values())) else checked
 
 
 def _in_one_call(function: Callable) -> Callable:
-    """The function with dimensions of its own: those of who calls it mean nothing in it."""
+    """The function with dimensions of its own."""
 
     @functools.wraps(function)
     def call(*arguments: Any, **named: Any) -> Any:
-        with jaxtyping.jaxtyped("context"):
+        with ANEW:
             return function(*arguments, **named)
 
     return call
