@@ -67,10 +67,12 @@ class Both(eqx.Module):
         return product(jnp.ones((2, 3)), jnp.ones(3))[:1] if z.shape == (4,) else z
 
     @classmethod
+    @typed
     def of(cls, x: int) -> "Both":
         return cls(jnp.ones(x), jnp.ones(x))
 
     @property
+    @typed
     def number(self) -> int:
         return float(self.x[0])
 
@@ -86,9 +88,8 @@ class Both(eqx.Module):
         lambda: named(jnp.ones((2, 2)), 1.0),
         lambda: typed(Both)(jnp.ones(2), jnp.ones(3)),
         lambda: Both(jnp.ones(2), jnp.ones(2))(jnp.ones(4)),
-        lambda: typed(vars(Both)["of"]).__get__(None, Both)(2.0),
-        lambda: typed(vars(Both)["number"]).fget(Both(jnp.ones(2), jnp.ones(2))),
-        lambda: typed(staticmethod(named.__wrapped__)).__func__(jnp.ones(2)),
+        lambda: Both.of(2.0),
+        lambda: Both.of(2).number,
         lambda: list(typed(words)(2)),
     ],
 )
@@ -105,6 +106,7 @@ def test_what_is_of_its_type_passes():
     assert product(jnp.ones((2, 3)), jnp.ones(3)).shape == (2,)
     assert named(jnp.ones((2, 2)), 3) == 3
     assert list(typed(words)("ab")) == ["a", "b"]
+    assert Both.of(2).y.shape == (2,)
     # Each call has dimensions of its own.
     assert around(jnp.ones(2)).shape == (2,)
     both = typed(Both)(jnp.ones(2), jnp.ones(2))

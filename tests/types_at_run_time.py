@@ -8,7 +8,6 @@ import ast
 import dataclasses
 import functools
 import importlib.machinery
-import importlib.util
 import sys
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -19,12 +18,10 @@ from beartype import BeartypeConf, beartype
 
 SUFFIX = f".typed-{Path(__file__).stat().st_mtime_ns}.pyc"
 """Of compiled modules whose types are checked; they lie beside those as written, and another hook makes its own."""
-
-
-_checked = beartype(conf=BeartypeConf(violation_type=TypeError))
-
 ANEW = jaxtyping.jaxtyped("context")
 """Within it, names of dimensions mean nothing that they meant outside; it may be entered again within itself."""
+
+_checked = beartype(conf=BeartypeConf(violation_type=TypeError))
 
 
 def typed(this: Any) -> Any:
@@ -33,10 +30,6 @@ def typed(this: Any) -> Any:
         if dataclasses.is_dataclass(this) and not hasattr(this.__init__, "__wrapped__"):  # not one that is typed
             this.__init__ = typed(this.__init__)
         return this
-    if isinstance(this, classmethod | staticmethod):
-        return type(this)(typed(this.__func__))
-    if isinstance(this, property):
-        return property(typed(this.fget))
     checked = _checked(this)
     return _in_one_call(checked) if any(map(_says_shapes, this.__annotations__.values())) else checked
 
