@@ -49,6 +49,11 @@ def named(x: "Float[Array, 'n n']", k: int = 0) -> int:
 
 
 @typed
+def quoted(x: "Float[Array, 'n']", y: "Float[Array, 'n']") -> int:
+    return len(x)
+
+
+@typed
 def around(a: Float[Array, "n"]) -> Float[Array, "n"]:
     product(jnp.ones((len(a) + 1, len(a) + 2)), jnp.ones(len(a) + 2))
     return a
@@ -86,6 +91,7 @@ class Both(eqx.Module):
         lambda: product(jnp.ones((5, 4)), jnp.ones(4)),
         lambda: named(jnp.ones((2, 3))),
         lambda: named(jnp.ones((2, 2)), 1.0),
+        lambda: quoted(jnp.ones(2), jnp.ones(3)),
         lambda: typed(Both)(jnp.ones(2), jnp.ones(3)),
         lambda: Both(jnp.ones(2), jnp.ones(2))(jnp.ones(4)),
         lambda: Both.of(2.0),
@@ -105,6 +111,7 @@ def words(count: str) -> Iterator[str]:
 def test_what_is_of_its_type_passes():
     assert product(jnp.ones((2, 3)), jnp.ones(3)).shape == (2,)
     assert named(jnp.ones((2, 2)), 3) == 3
+    assert quoted(jnp.ones(2), jnp.ones(2)) == 2
     assert list(typed(words)("ab")) == ["a", "b"]
     assert Both.of(2).y.shape == (2,)
     # Each call has dimensions of its own.
