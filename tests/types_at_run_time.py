@@ -30,8 +30,8 @@ def typed(this: Any) -> Any:
         if dataclasses.is_dataclass(this) and not hasattr(this.__init__, "__wrapped__"):  # not one that is typed
             this.__init__ = typed(this.__init__)
         return this
-    checked = _checked(this)
-    return _in_one_call(checked) if any(map(_says_shapes, this.__annotations__.values())) else checked
+    checked = _checked(this)  # which also resolves annotations that are quoted
+    return _in_one_call(checked) if "jaxtyping" in repr(this.__annotations__) else checked
 
 
 def _in_one_call(function: Callable) -> Callable:
@@ -43,10 +43,6 @@ def _in_one_call(function: Callable) -> Callable:
             return function(*arguments, **named)
 
     return call
-
-
-def _says_shapes(hint: Any) -> bool:
-    return isinstance(hint, str) or "jaxtyping" in repr(hint)
 
 
 def _says_types(node: ast.FunctionDef) -> bool:
