@@ -10,10 +10,13 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from beartype.roar import BeartypeCallHintViolation
 from jaxtyping import Array, Float
 from types_at_run_time import check_types, typed
 
 import covariant
+from covariant.proofs._file import Field
+from covariant.proofs.checker import show_definite
 
 SOURCE = Path(covariant.__file__).parent
 
@@ -25,12 +28,21 @@ def modules():
 
 
 def test_every_room_is_looked_at_but_one():
-    """In lowering, inner loops run millions of times."""
+    """In lowering, inner loops run millions of times; the checker and its files have beartype's own hook."""
     looked = {name: hasattr(importlib.import_module(name), "__typed__") for name in modules()}
-    assert {name for name, seen in looked.items() if not seen} == {
-        name for name in looked if name.startswith("covariant.lowering.")
-    }
+    others = ("covariant.lowering.", "covariant.proofs.checker.", "covariant.proofs._file")
+    assert {name for name, seen in looked.items() if not seen} == {name for name in looked if name.startswith(others)}
     assert len(looked) > 150
+
+
+@pytest.mark.parametrize(
+    "wrong", [lambda: show_definite("matrix", np.zeros((0, 1)), np.zeros((0, 1)), 1, "it"), lambda: Field(1, "", "")]
+)
+def test_a_wrong_type_in_the_checker_is_no_refusal(wrong):
+    """Those are made of `ValueError` and its like, `TypeError` too."""
+    with pytest.raises(BeartypeCallHintViolation) as caught:
+        wrong()
+    assert not isinstance(caught.value, ValueError | TypeError | LookupError | ArithmeticError | AttributeError)
 
 
 def test_a_package_that_was_imported_before_is_refused():
@@ -129,20 +141,61 @@ def test_what_says_no_types_is_left_alone():
     assert typed(Pair) is Pair
 
 
+TEXT = """'A text.'
+import dataclasses, functools
+
+def f(x: int):
+    return x
+
+@dataclasses.dataclass(frozen=True)
+class Made:
+    x: int
+
+    @functools.lru_cache
+    def kept(self, y: int): return y
+
+    @classmethod
+    def of(cls, x: int): return x
+
+    @staticmethod
+    def near(x: int): return x
+
+    @property
+    def told(self) -> str: return self.x
+
+    def __call__(self):
+        def within(x: int): return x
+        return within("1")
+"""
+
+
 def test_only_the_packages_that_are_named_are_changed(tmp_path, monkeypatch):
     """And compiled modules of theirs lie beside those of who imports them without."""
     (tmp_path / "some").mkdir()
     for name in ("__init__", "one", "two"):
-        (tmp_path / f"some/{name}.py").write_text("'''A text.'''\ndef f(x: int):\n    return x\n")
+        (tmp_path / f"some/{name}.py").write_text(TEXT)
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setattr(sys, "meta_path", list(sys.meta_path))
     monkeypatch.setattr(sys, "dont_write_bytecode", False)
     monkeypatch.setattr(sys, "pycache_prefix", None)
     check_types("some", but=("some.two",))
     one, two = importlib.import_module("some.one"), importlib.import_module("some.two")
-    with pytest.raises(TypeError, match="violates type hint"):
-        one.f("1")
-    assert two.f("1") == "1"
+    made = one.Made(1)
+    wrong = (
+        lambda: one.f("1"),
+        lambda: one.Made("1"),
+        lambda: one.Made.of("1"),
+        lambda: one.Made.near("1"),
+        lambda: made.told,
+        lambda: made(),
+        lambda: made.kept("1"),
+    )
+    for call in wrong:
+        with pytest.raises(TypeError, match="violates type hint"):
+            call()
+    assert two.f("1") == two.Made("1").x == two.Made.of("1") == two.Made("1")() == "1"
+    assert made.kept(2) == one.f(2) == one.Made.of(2) == one.Made.near(2) == 2
+    assert hasattr(one.Made.kept, "cache_info")  # typed within other decorators, which take annotations away
     assert one.__doc__ == "A text."
     kept = {file.name.partition(".")[0]: ".typed-" in file.name for file in (tmp_path / "some/__pycache__").iterdir()}
     assert kept == {"__init__": True, "one": True, "two": False}

@@ -48,8 +48,8 @@ REACHES = (
     "pickle.find_class",
 )
 WATCHED = {"import", "open", *DOES, *TOUCHES, *REACHES}
-WRITERS = {"jaxtyping", "beartype"}
-"""They write the checks of types that the tests switch on, and run those."""
+WRITERS = {"beartype"}
+"""It writes the checks of types that the tests switch on, and runs those."""
 seen: list[tuple] | None = None
 
 

@@ -89,7 +89,7 @@ class TaylorEnclosure:
         z = np.array([Taylor([{(): c}, {}, {}], slack) for c, slack in zip(middle.T, self.slack, strict=True)], object)
         for k in np.flatnonzero(self.free):
             z[k] = Taylor([z[k].terms[0], {(int(k),): half[:, k]}, {}], self.slack[k])
-        self._good, self._blame, self._judged = np.ones(len(low), bool), np.zeros(low.T.shape), set[Taylor]()
+        self._good, self._blame = np.ones(len(low), bool), np.zeros(low.T.shape)
         with np.errstate(all="ignore"):
             found = self._run(self.jaxpr, self.consts, [z])[0]
             return found if self.needs is None else np.array([[self._watched()]], object)
@@ -150,9 +150,7 @@ class TaylorEnclosure:
             return
         for a, atom in zip(x, eqn.invars, strict=True):
             if is_real(atom) and name != "select_n" and name not in MOVES:
-                fresh = {*(a if a.dtype == object else each(exact, a)).flat} - self._judged
-                self._judged |= fresh
-                for entry in fresh:
+                for entry in set((a if a.dtype == object else each(exact, a)).flat):
                     self._judge(np.isfinite(entry.middle) & np.isfinite(entry.away), entry)
         if need is not None:
             pairs = (a if a.dtype == object or a.dtype == bool else each(exact, a.astype(float)) for a in x)

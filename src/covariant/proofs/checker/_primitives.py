@@ -111,12 +111,7 @@ STAYS: dict[str, Callable] = {
 
 def each(function: Callable, *x: Any) -> np.ndarray:
     """Apply a function entry by entry."""
-    return np.asarray(_by_entry(function, len(x))(*x), object)
-
-
-@functools.lru_cache(256)
-def _by_entry(function: Callable, count: int) -> np.ufunc:
-    return np.frompyfunc(function, count, 1)
+    return np.asarray(np.frompyfunc(function, len(x), 1)(*x), object)
 
 
 def _total(x: np.ndarray, axes: Any) -> Any:

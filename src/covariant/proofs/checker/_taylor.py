@@ -76,7 +76,7 @@ def _product(a: Taylor, b: Taylor) -> Taylor:
     for i, j in ((0, 0), (0, 1), (1, 0), (0, 2), (1, 1), (2, 0)):
         into = terms[i + j]
         for (m, s), (n, t) in itertools.product(a.terms[i].items(), b.terms[j].items()):
-            key, part = m + n if m < n else n + m, s * t
+            key, part = m + n if m < n else n + m, s * t  # in order: each is of one variable, or one of none
             if m == n and m:  # the square of a variable is ½ ± ½
                 part = part / 2
                 terms[0][()] = terms[0][()] + part
