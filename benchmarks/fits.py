@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from covariant import models
-from covariant.cli._job import Job, data_sheet, load
-from covariant.cli._results import drive
 from covariant.design import observer_gains
 from covariant.identification import fit, horizon, relations, windows
 from covariant.observers import Intrinsic
+from covariant.workflow._inputs import Job, data_sheet, load
+from covariant.workflow._outcome import drive
 
 DATA = Path(os.environ["COVARIANT_DATA"])
 COLUMNS = dict.fromkeys(("t", "q", "u", "v", "truth"))

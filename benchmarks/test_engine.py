@@ -9,9 +9,9 @@ import pytest
 from moments import moment
 
 from covariant import models
+from covariant.engine import Stream, _kernel, _log, compiled, run_log, run_logs
 from covariant.geometry import Budget
 from covariant.observers import Geodesic, Intrinsic
-from covariant.runtime import Stream, _kernel, _log, compiled, run_log, run_logs
 from covariant.signals import Record
 
 ROWS = 100_000

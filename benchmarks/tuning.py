@@ -12,12 +12,12 @@ import numpy as np
 from scipy.optimize import minimize
 
 from covariant.cli._fit import when_true
-from covariant.cli._job import Job, data_sheet
 from covariant.cli._tune import warning
 from covariant.design import observer_gains, tune
 from covariant.design._filters import relative_error
 from covariant.observers import Intrinsic, run
 from covariant.scoring import scored_window
+from covariant.workflow._inputs import Job, data_sheet
 
 DATA = Path(os.environ["COVARIANT_DATA"])
 DOUBLE = ("multiarm_double", ["multiarm_pendulum/double.csv"], 20.0)

@@ -18,7 +18,7 @@ SOURCE = ROOT / "src" / "covariant"
 PLAN = (
     "_deep_calls _programs _compile _typing _functional _files _optional _numbers signals scoring _linalg "
     "_dormand_prince _integrate lowering logs geometry models riccati observers control simulation interop scale "
-    "proofs certificates audit diagnosis design identification export runtime report papers cli"
+    "proofs certificates audit diagnosis design identification codegen engine report workflow papers cli"
 )
 """A room may import from itself and from any room to its left, never to its right."""
 
@@ -57,7 +57,7 @@ PUBLIC = {
     "metric metric_summary observer_gains predict_errors predict_sampled_errors stored_observer tune tuned_estimators "
     "tuned_state_estimators usual_speeds window_length with_gains",
     "diagnosis": "Diagnosis Finding diagnose misfit outliers",
-    "export": "ROWS Facts Leaf Program Recipe Source Unit Vectors export_texts fmu of_family program vectors "
+    "codegen": "ROWS Facts Leaf Program Recipe Source Unit Vectors export_texts fmu of_family program vectors "
     "with_open_numbers write_fmu write_folder write_source",
     "geometry": "AbstractManifold AbstractMetric AbstractSpace Budget ConstantCurvature Coordinates Euclidean "
     "FlatTorus Interpolated KineticEnergy Metric Product ProductManifold Pullback Shot Transported "
@@ -106,8 +106,9 @@ PUBLIC = {
     "write_audit write_html write_png",
     "riccati": "Characteristic Equation RiccatiMetric Solution Window gramian gramians high_gain lie_derivative "
     "metric_at metric_through rate_from_gramian reconstructibility right_side spd_distance window_at",
-    "runtime": "FEWEST_ROWS Health Stream compiled run_log run_logs",
+    "engine": "EngineName FEWEST_ROWS Health Stream compiled run_log run_logs",
     "scale": "Grid Variable map_grid open_grid",
+    "workflow": "AbstractResult Progress",
     "simulation": "Sensor hold no_input observe sense simulate stamps",
 }
 
@@ -247,8 +248,8 @@ def aliases(path: Path) -> Iterator[str]:
                 "diagnosis",
                 "design",
                 "identification",
-                "export",
-                "runtime",
+                "codegen",
+                "engine",
             )
         ),
     ],

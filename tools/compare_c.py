@@ -18,12 +18,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from covariant import models
-from covariant.export import Program, program, with_open_numbers
+from covariant.codegen import Program, program, with_open_numbers
+from covariant.engine._compile import library
 from covariant.geometry import Budget, Interpolated
 from covariant.lowering import c_function, c_helpers, c_rows, evaluate, perturbed
 from covariant.models import marine
 from covariant.observers import Geodesic, Intrinsic, IntrinsicKalman, Riccati, StateEKF, craft_observer
-from covariant.runtime._compile import library
 
 LANES, ALLOWED = 12, 10.0
 DTYPES = {"double": np.float64, "float": np.float32}

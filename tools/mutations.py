@@ -18,7 +18,7 @@ ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "covariant"
 ROOMS = (
     *("geometry", "observers", "riccati", "lowering", "proofs", "certificates", "audit", "models", "logs", "control"),
-    *("simulation", "scale", "diagnosis", "design", "identification", "export", "runtime", "report", "interop", "cli"),
+    *("simulation", "scale", "diagnosis", "design", "identification", "codegen", "engine", "report", "interop", "cli"),
 )
 
 OPERATORS = {ast.Add: ("+", "-"), ast.Sub: ("-", "+"), ast.Mult: ("*", "/"), ast.Div: ("/", "*"), ast.Pow: ("**", "*")}

@@ -15,10 +15,11 @@ if TYPE_CHECKING:
     from covariant import (
         audit,
         certificates,
+        codegen,
         control,
         design,
         diagnosis,
-        export,
+        engine,
         geometry,
         interop,
         logs,
@@ -29,11 +30,11 @@ if TYPE_CHECKING:
         proofs,
         report,
         riccati,
-        runtime,
         scale,
         scoring,
         signals,
         simulation,
+        workflow,
     )
     from covariant.signals import Record, Result, Run
 
@@ -52,10 +53,11 @@ __all__ = [
     "__version__",
     "audit",
     "certificates",
+    "codegen",
     "control",
     "design",
     "diagnosis",
-    "export",
+    "engine",
     "geometry",
     "interop",
     "logs",
@@ -66,11 +68,11 @@ __all__ = [
     "proofs",
     "report",
     "riccati",
-    "runtime",
     "scale",
     "scoring",
     "signals",
     "simulation",
+    "workflow",
 ]
 
 

@@ -9,8 +9,8 @@ from commands import command, unpacked
 from scipy.spatial.transform import Rotation
 
 from covariant import logs
-from covariant.cli._job import Job, load
 from covariant.design import tuned_estimators
+from covariant.workflow._inputs import Job, load
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 TOP, VEHICLE = str(EXAMPLES / "heavy_top.toml"), str(EXAMPLES / "underwater_vehicle.toml")

@@ -12,10 +12,10 @@ from commands import command
 from covariant import logs, models
 from covariant.cli import main
 from covariant.cli._fit import when_true
-from covariant.cli._job import Job
 from covariant.cli._tune import _Runs, _tables
 from covariant.design import HeldOut, NoiseLevels, Tuning
 from covariant.observers import Intrinsic
+from covariant.workflow._inputs import Job
 
 MODEL = """system = "oscillator"
 [columns]

@@ -15,9 +15,9 @@ import numpy as np
 import pytest
 
 from covariant.design import DataSheet, tuned_estimators
+from covariant.engine import run_log
 from covariant.models import MechanicalSystem, Motion, ball_and_beam, free_body
 from covariant.observers import REGISTRY, AbstractObserver
-from covariant.runtime import run_log
 from covariant.signals import Record, Result
 from covariant.simulation import hold, simulate
 

@@ -8,13 +8,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from covariant.cli._job import Job, Loaded, as_read, data_sheet, load
 from covariant.design import tuned_estimators
 from covariant.models import MechanicalSystem, Motion, free_body, pendulum_chain
 from covariant.observers import EKF, Delayed, Intrinsic, IntrinsicKalman, run
 from covariant.scoring import rmse
 from covariant.signals import Record, Result
 from covariant.simulation import hold, simulate
+from covariant.workflow._inputs import Job, Loaded, as_read, data_sheet, load
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 CHAIN = pendulum_chain((0.6, 0.4), (0.3, 0.25), com=(0.16, 0.14), inertia=(0.005, 0.0026), viscous=(0.012, 0.008))

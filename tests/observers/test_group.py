@@ -6,11 +6,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from covariant.engine import Stream, _works, run_log
 from covariant.geometry import Budget
 from covariant.geometry.lie import SE3, SO3, quaternion_from_rotation, rotation_from_quaternion
 from covariant.models import Motion, free_body, heavy_top, satellite_arm, underwater_vehicle
 from covariant.observers import EKF, Delayed, Geodesic, Intrinsic, Salcudean, run
-from covariant.runtime import Stream, _works, run_log
 from covariant.signals import Record, Result
 from covariant.simulation import simulate
 

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from compiling import optimised
 
-from covariant.cli._job import Job, data_sheet, load
 from covariant.design import DataSheet, Trial, tuned_estimators
 from covariant.models import Lagrangian, Motion, advance, free_body, pendulum_chain
 from covariant.observers import IntrinsicKalman, run
 from covariant.observers._ticks import take
 from covariant.signals import Record
+from covariant.workflow._inputs import Job, data_sheet, load
 
 DT, TICK, PROCESS = 1e-3, 0.02, 0.05
 NONE = jnp.zeros(1)

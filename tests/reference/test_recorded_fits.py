@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from covariant import models
-from covariant.cli._job import Job, data_sheet, load
-from covariant.cli._results import drive
 from covariant.design import observer_gains
 from covariant.identification import fit, horizon, windows
 from covariant.observers import Intrinsic
+from covariant.workflow._inputs import Job, data_sheet, load
+from covariant.workflow._outcome import drive
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 

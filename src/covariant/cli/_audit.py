@@ -10,11 +10,11 @@ import numpy as np
 from covariant import models
 from covariant.audit import Audit, Law, audit as measure
 from covariant.cli._console import working
-from covariant.cli._job import check_output, coordinates, numbered
 from covariant.cli._parse import above_zero, ends
 from covariant.design import estimators, with_gains
 from covariant.observers import AbstractObserver
 from covariant.proofs import Box
+from covariant.workflow._inputs import check_output, coordinates, numbered
 
 GAINS = math.sqrt(2), 1.0
 """Default α [1/s] and β [1/s²]: the laws hold with any gains."""

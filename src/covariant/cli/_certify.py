@@ -23,11 +23,11 @@ from covariant.certificates import (
 )
 from covariant.cli import _parse
 from covariant.cli._console import working
-from covariant.cli._job import check_output, data_sheet, numbered
 from covariant.design import observer_gains
 from covariant.models import MechanicalSystem, input_count
 from covariant.observers import Geodesic, Intrinsic
 from covariant.proofs import read_file
+from covariant.workflow._inputs import check_output, data_sheet, numbered
 
 OBSERVERS = {"intrinsic": Intrinsic, "geodesic": Geodesic}
 _KINDS = {"estimate": "estimate of", "velocity": "estimated velocity", "error": "position error", "force": "force"}

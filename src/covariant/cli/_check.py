@@ -5,8 +5,8 @@ from typing import Any
 
 from covariant import models
 from covariant.cli._console import working
-from covariant.cli._job import Job, load
 from covariant.diagnosis import Diagnosis, Finding, diagnose
+from covariant.workflow._inputs import Job, load
 
 
 def check(job: Job, as_json: bool) -> None:

@@ -63,7 +63,7 @@ def estimate(
 ) -> None:
     """Estimate velocities from the positions or attitudes in a log."""
     from covariant.cli import _estimate
-    from covariant.cli._job import Job
+    from covariant.workflow._inputs import Job
 
     job = Job(
         model, log, tuple(override), every, until, {"t": t, "q": q, "u": u, "v": v, "truth": truth}, anyway, start
@@ -92,7 +92,7 @@ def compare(
 ) -> None:
     """Run all estimators on a log, tuned from the same data sheet, and rank them."""
     from covariant.cli import _compare
-    from covariant.cli._job import Job
+    from covariant.workflow._inputs import Job
 
     job = Job(
         model, log, tuple(override), every, until, {"t": t, "q": q, "u": u, "v": v, "truth": truth}, anyway, start
@@ -115,7 +115,7 @@ def check(
 ) -> None:
     """Compare a log with a model: units, order, signs, delays, ticks, outliers; exit code 1 where one is wrong."""
     from covariant.cli import _check
-    from covariant.cli._job import Job
+    from covariant.workflow._inputs import Job
 
     _check.check(Job(model, log, tuple(override), every, until, {"t": t, "q": q, "u": u}, True, start), json)
 
@@ -154,7 +154,7 @@ def fit(
     Exit code 1 where the fitted model predicts worse than before what is held out; it is not written then.
     """
     from covariant.cli import _fit
-    from covariant.cli._job import Job
+    from covariant.workflow._inputs import Job
 
     columns = {"t": t, "q": q, "u": u, "v": None, "truth": None}
     jobs = [Job(model, log, tuple(override), every, until, columns, anyway, start) for log in log_files]
@@ -185,7 +185,7 @@ def tune(
 ) -> None:
     """Tune noise and gains to logs by the likelihood of their innovations, and judge them on what was held out."""
     from covariant.cli import _tune
-    from covariant.cli._job import Job
+    from covariant.workflow._inputs import Job
 
     columns = {"t": t, "q": q, "u": u, "v": None, "truth": None}
     jobs = [Job(model, log, tuple(override), every, until, columns, anyway) for log in log_files]

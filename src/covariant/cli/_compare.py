@@ -11,7 +11,11 @@ import numpy as np
 
 from covariant._files import write_atomically
 from covariant.cli._console import stages
-from covariant.cli._job import (
+from covariant.cli._names import Engine
+from covariant.design import Trial, observer_gains, tuned_estimators
+from covariant.observers import AbstractObserver
+from covariant.scoring import unwrap
+from covariant.workflow._inputs import (
     Job,
     Loaded,
     ReferenceVelocity,
@@ -23,13 +27,9 @@ from covariant.cli._job import (
     log_sheet,
     sought_columns,
 )
-from covariant.cli._names import Engine
-from covariant.cli._pages import write_report
-from covariant.cli._results import Outcome, drive, report_arrays, summary, worth_telling
-from covariant.cli._states import said_of_states, tuned_states
-from covariant.design import Trial, observer_gains, tuned_estimators
-from covariant.observers import AbstractObserver
-from covariant.scoring import unwrap
+from covariant.workflow._outcome import Outcome, drive, report_arrays, summary, worth_telling
+from covariant.workflow._pages import write_report
+from covariant.workflow._states import said_of_states, tuned_states
 
 SHORTEST_TRIAL = 200
 """Rows that the first third of a log must have, so that filters can be tuned on it."""

@@ -9,31 +9,7 @@ import numpy as np
 
 from covariant import logs
 from covariant.cli._console import note, working
-from covariant.cli._job import (
-    Job,
-    Loaded,
-    as_read,
-    check_output,
-    innovation_units,
-    load,
-    log_sheet,
-    numbered,
-    sought_columns,
-    sought_units,
-)
 from covariant.cli._names import Engine
-from covariant.cli._pages import write_report
-from covariant.cli._results import (
-    Outcome,
-    deviations,
-    drive,
-    known,
-    report_arrays,
-    rounded,
-    summary,
-    worth_telling,
-)
-from covariant.cli._states import said_of_states, tuned_states
 from covariant.design import (
     ESTIMATORS,
     STATE_ESTIMATORS,
@@ -45,6 +21,30 @@ from covariant.design import (
 )
 from covariant.observers import AbstractObserver
 from covariant.scoring import rmse
+from covariant.workflow._inputs import (
+    Job,
+    Loaded,
+    as_read,
+    check_output,
+    innovation_units,
+    load,
+    log_sheet,
+    numbered,
+    sought_columns,
+    sought_units,
+)
+from covariant.workflow._outcome import (
+    Outcome,
+    deviations,
+    drive,
+    known,
+    report_arrays,
+    rounded,
+    summary,
+    worth_telling,
+)
+from covariant.workflow._pages import write_report
+from covariant.workflow._states import said_of_states, tuned_states
 
 
 def estimate(

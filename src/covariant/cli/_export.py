@@ -15,11 +15,9 @@ from covariant import certificates, models
 from covariant.audit import audit
 from covariant.cli._console import working
 from covariant.cli._export_states import of_states, with_fixed_steps
-from covariant.cli._job import data_sheet
 from covariant.cli._parse import above_zero, bytes_of
 from covariant.cli._planned import Asked, Planned
-from covariant.design import ESTIMATORS, estimators, observer_gains, tuned_estimators, with_gains
-from covariant.export import (
+from covariant.codegen import (
     ROWS,
     Facts,
     Program,
@@ -32,8 +30,10 @@ from covariant.export import (
     write_fmu,
     write_folder,
 )
+from covariant.design import ESTIMATORS, estimators, observer_gains, tuned_estimators, with_gains
 from covariant.lowering import LoweringError
 from covariant.observers import REGISTRY, AbstractObserver, Delayed, chooses_substeps, with_fixed_substeps
+from covariant.workflow._inputs import data_sheet
 
 GEOMETRY = ("*rotation", "*place", "*turn", "*slide", "coordinates", "motors", "joints", "base*")
 """Arrays of a robot that say how it is put together: as constants they save nine tenths of the work."""

@@ -9,11 +9,11 @@ import numpy as np
 
 from covariant._integrate import rk4
 from covariant.cli._planned import Asked, Planned
-from covariant.cli._states import first_estimate, noise, said_of_states
+from covariant.codegen import ROWS
 from covariant.design import STATE_ESTIMATORS, stored_observer, tuned_state_estimators
-from covariant.export import ROWS
 from covariant.models import ModelFile
 from covariant.observers import AbstractObserver
+from covariant.workflow._states import first_estimate, noise, said_of_states
 
 
 def of_states(spec: str, file: ModelFile, asked: Asked) -> Planned:

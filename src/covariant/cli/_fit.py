@@ -9,8 +9,6 @@ import numpy as np
 from covariant import models, scoring
 from covariant._files import write_atomically
 from covariant.cli._console import stages
-from covariant.cli._job import Job, Loaded, ReferenceVelocity, check_output, coordinates, load
-from covariant.cli._results import rounded
 from covariant.identification import (
     FITTED,
     Fit,
@@ -23,6 +21,8 @@ from covariant.identification import (
     split,
 )
 from covariant.signals import acting_inputs, lag_inputs, read_together
+from covariant.workflow._inputs import Job, Loaded, ReferenceVelocity, check_output, coordinates, load
+from covariant.workflow._outcome import rounded
 
 WORST_GROWTH = 1.01
 """A model whose held-out error is larger than so many times the one before is not written: 1 % is no difference."""

@@ -5,8 +5,8 @@ from pathlib import Path
 
 from covariant import logs, models
 from covariant._files import write_atomically
-from covariant.cli._job import check_output
 from covariant.identification import Draft, draft
+from covariant.workflow._inputs import check_output
 
 
 def init(log: Path, out: Path, columns: dict[str, str | None], as_json: bool) -> None:

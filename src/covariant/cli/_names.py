@@ -18,6 +18,6 @@ CERTIFIED = ("intrinsic", "geodesic")
 PAPERS = ("aghannan-rouchon", "maithripala", "sanfelice-praly", "jouffroy-fossen")
 """The papers of `covariant.cli._reproduce`."""
 Engine = Literal["auto", "c", "jax"]
-"""Those of `covariant.runtime`."""
+"""Those of `covariant.engine`."""
 WRITTEN = (".csv", ".txt", ".tsv", ".parquet", ".mcap", ".rosbag2")
 """Those of `covariant.logs`."""

@@ -11,9 +11,9 @@ import numpy as np
 from covariant import logs, models, simulation
 from covariant._numbers import number
 from covariant.cli._console import working
-from covariant.cli._job import check_output, sought_columns
 from covariant.models import Motion
 from covariant.signals import Record
+from covariant.workflow._inputs import check_output, sought_columns
 
 DIGITS = 12
 """Decimals of a time [s] in a log: times that agree in all of them are one, whatever they were computed from."""

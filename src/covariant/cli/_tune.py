@@ -11,14 +11,14 @@ from covariant import models
 from covariant._files import write_atomically
 from covariant.cli._console import stages
 from covariant.cli._fit import check_out, when_true
-from covariant.cli._job import Job, Loaded, as_read, coordinates, data_sheet
 from covariant.cli._names import Engine
-from covariant.cli._pages import write_report
-from covariant.cli._results import drive, report_arrays, rounded
 from covariant.design import DataSheet, HeldOut, Tuning, observer_gains, tune
+from covariant.engine import FEWEST_ROWS, run_logs
 from covariant.observers import AbstractObserver, Intrinsic
-from covariant.runtime import FEWEST_ROWS, run_logs
 from covariant.signals import Record, Run
+from covariant.workflow._inputs import Job, Loaded, as_read, coordinates, data_sheet
+from covariant.workflow._outcome import drive, report_arrays, rounded
+from covariant.workflow._pages import write_report
 
 DIGITS = 4
 """Significant digits of tuned numbers in a model file."""

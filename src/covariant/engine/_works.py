@@ -8,9 +8,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from covariant.engine._compile import missing
+from covariant.engine._kernel import Kernel, kernel
 from covariant.lowering import LoweringError
-from covariant.runtime._compile import missing
-from covariant.runtime._kernel import Kernel, kernel
 
 
 class InC:

@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from covariant.export._program import Program
-from covariant.export._source import Source
+from covariant.codegen._program import Program
+from covariant.codegen._source import Source
 
 ARITHMETIC = ("add", "sub", "mul", "div", "neg", "abs", "min", "max", "sign", "sqrt")
 LOGIC = ("lt", "le", "eq", "and", "or", "not", "is_finite", "select", "either")

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from covariant.export._program import DTYPES, Program
+from covariant.codegen._program import DTYPES, Program
 from covariant.lowering import Lowered, evaluate, perturbed
 
 UNITS = {"double": 2.0**-53, "float": 2.0**-24}

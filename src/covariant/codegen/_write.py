@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 
 from covariant._files import temporary, write_atomically
-from covariant.export._companions import companions
-from covariant.export._data_sheet import Facts, data_sheet
-from covariant.export._program import Program
-from covariant.export._self_test import write_test
-from covariant.export._source import write_source
-from covariant.export._vectors import vectors
+from covariant.codegen._companions import companions
+from covariant.codegen._data_sheet import Facts, data_sheet
+from covariant.codegen._program import Program
+from covariant.codegen._self_test import write_test
+from covariant.codegen._source import write_source
+from covariant.codegen._vectors import vectors
 
 
 def export_texts(

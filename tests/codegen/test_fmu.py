@@ -17,7 +17,7 @@ import pytest
 
 from covariant import models, observers
 from covariant.cli import main
-from covariant.export import _fmu, fmu, of_family, program, write_fmu
+from covariant.codegen import _fmu, fmu, of_family, program, write_fmu
 
 ROOT = Path(__file__).parents[2]
 MODEL = ROOT / "examples" / "demo_double_pendulum.toml"

@@ -6,9 +6,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from covariant.engine._works import engine
 from covariant.models import Motion
 from covariant.observers import AbstractObserver
-from covariant.runtime._works import engine
 from covariant.signals import Result
 
 LONGEST_GAP = 1.0

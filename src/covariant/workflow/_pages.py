@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from covariant import scoring
-from covariant.cli._job import Loaded, coordinates
+from covariant.workflow._inputs import Loaded, coordinates
 
 
 def write_report(

@@ -20,7 +20,7 @@ import pytest
 
 from covariant import design, models, observers, riccati, scale
 from covariant.cli import _export, main
-from covariant.export import (
+from covariant.codegen import (
     ROWS,
     Facts,
     Program,

@@ -8,11 +8,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from covariant.cli._job import Loaded, ReferenceVelocity
-from covariant.cli._names import Engine
+from covariant.engine import EngineName as Engine, run_log
 from covariant.observers import AbstractObserver
-from covariant.runtime import run_log
 from covariant.signals import Result, Run
+from covariant.workflow._inputs import Loaded, ReferenceVelocity
 
 KEPT = ("innovation", "distance", "result", "nis", "velocity_std", "state_std", "slow", "slow_std")
 """What the commands use of the info of an observer."""

@@ -17,9 +17,9 @@ import numpy as np
 import pytest
 
 from covariant._programs import UNUSED, cache_folder
+from covariant.engine import _recall
+from covariant.engine._recall import digest, recalled
 from covariant.lowering import _constants
-from covariant.runtime import _recall
-from covariant.runtime._recall import digest, recalled
 
 # Without the type checks of the tests, which wrap the functions of the package.
 PROCESS = """
@@ -28,8 +28,8 @@ import covariant
 import numpy as np
 from covariant import models
 from covariant.observers import REGISTRY, Intrinsic
-from covariant.runtime import Stream, _kernel, _recall, run_log
-from covariant.runtime._recall import digest
+from covariant.engine import Stream, _kernel, _recall, run_log
+from covariant.engine._recall import digest
 from covariant.signals import Record
 
 def key(observer, inputs=2):
@@ -229,7 +229,7 @@ def test_what_cannot_be_told_has_no_key():
 
     endless: list = []
     endless.append(endless)
-    made = {"__name__": "covariant.runtime._recall"}
+    made = {"__name__": "covariant.engine._recall"}
     exec("def f(x): return x", made)
     assert digest(1) is not None
     for thing in (

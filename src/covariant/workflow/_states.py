@@ -6,10 +6,10 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from covariant.cli._job import Loaded
 from covariant.design import STATE_ESTIMATORS, tuned_state_estimators
 from covariant.models import ModelFile
 from covariant.observers import AbstractObserver, Noise
+from covariant.workflow._inputs import Loaded
 
 
 def tuned_states(loaded: Loaded, names: Collection[str] = STATE_ESTIMATORS) -> dict[str, AbstractObserver]:

@@ -12,7 +12,7 @@ from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
-from covariant.export._program import Leaf, Program, Real
+from covariant.codegen._program import Leaf, Program, Real
 from covariant.lowering import CText, Lowered, Signature, c_function, c_helpers, c_number
 from covariant.signals import Result
 

@@ -10,11 +10,11 @@ import jax
 import numpy as np
 
 from covariant._programs import cache_folder
-from covariant.export import Recipe, program
+from covariant.codegen import Recipe, program
+from covariant.engine._compile import library
+from covariant.engine._recall import digest, recalled
 from covariant.lowering import CText, Lowered, LoweringError, Signature, c_function, c_helpers
 from covariant.observers import AbstractObserver
-from covariant.runtime._compile import library
-from covariant.runtime._recall import digest, recalled
 
 DECLARED = """
 void kernel_init(const double *open, const double *y, const double *t, double *state);

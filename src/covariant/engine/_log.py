@@ -12,13 +12,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from covariant._compile import vector_bytes
+from covariant.engine._compile import missing
+from covariant.engine._kernel import Kernel, kernel, outlasts
 from covariant.lowering import LoweringError
 from covariant.observers import AbstractObserver, checked, run
-from covariant.runtime._compile import missing
-from covariant.runtime._kernel import Kernel, kernel, outlasts
 from covariant.signals import Record, Result, Run
 
-Engine = Literal["auto", "c", "jax"]
+EngineName = Literal["auto", "c", "jax"]
 FEWEST_ROWS = 100_000
 """Fewest rows, of all logs together, for which C is worth its compilation although nothing is kept of it."""
 RUNS_A_CORE = 4
@@ -30,7 +30,7 @@ MOST_OPEN = 100
 
 
 def run_log(
-    observer: AbstractObserver, record: Record, keep: Collection[str] | None = None, engine: Engine = "auto"
+    observer: AbstractObserver, record: Record, keep: Collection[str] | None = None, engine: EngineName = "auto"
 ) -> tuple[Run, str]:
     """As `observers.run`, by C where it pays, and the engine that did it: "c", or "jax" with the reason.
 
@@ -48,7 +48,7 @@ def run_logs(
     observers: AbstractObserver | Sequence[AbstractObserver],
     records: Record | Sequence[Record],
     keep: Collection[str] | None = None,
-    engine: Engine = "auto",
+    engine: EngineName = "auto",
     others: Sequence[AbstractObserver] = (),
 ) -> tuple[list[Run], str]:
     """Many runs: one observer over many logs, many observers over one log, or as many observers as logs in pairs.
@@ -63,8 +63,8 @@ def run_logs(
     Returns the runs in order, and the engine that made them. Raises `ValueError` as `observers.run` does, for counts
     that do not fit, and for observers or records of different forms.
     """
-    if engine not in get_args(Engine):
-        raise ValueError(f"engine must be one of {', '.join(get_args(Engine))}; got {engine!r}")
+    if engine not in get_args(EngineName):
+        raise ValueError(f"engine must be one of {', '.join(get_args(EngineName))}; got {engine!r}")
     many = [observers] if isinstance(observers, AbstractObserver) else list(observers)
     logs = [records] if isinstance(records, Record) else list(records)
     if not many or not logs or (1 not in (len(many), len(logs)) and len(many) != len(logs)):

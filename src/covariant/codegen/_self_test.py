@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from covariant.export._program import Program
-from covariant.export._source import SENTENCE, entries, number
-from covariant.export._vectors import Vectors
+from covariant.codegen._program import Program
+from covariant.codegen._source import SENTENCE, entries, number
+from covariant.codegen._vectors import Vectors
 
 
 def write_test(program: Program, name: str, vectors: Vectors) -> str:

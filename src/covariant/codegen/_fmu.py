@@ -22,9 +22,9 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from covariant._files import write_atomically
-from covariant.export._fmu_c import unit_source
-from covariant.export._program import Program
-from covariant.export._source import write_source
+from covariant.codegen._fmu_c import unit_source
+from covariant.codegen._program import Program
+from covariant.codegen._source import write_source
 
 Version = Literal["3.0", "2.0"]
 FLAGS = ("-std=c99", "-O2", "-fPIC", "-shared", "-fvisibility=hidden")

@@ -2,8 +2,8 @@
 
 from collections.abc import Mapping
 
-from covariant.export._program import Program
-from covariant.export._source import SENTENCE, field
+from covariant.codegen._program import Program
+from covariant.codegen._source import SENTENCE, field
 
 
 def companions(program: Program, name: str, about: str, rate: float) -> dict[str, str]:

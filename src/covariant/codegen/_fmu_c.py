@@ -7,9 +7,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from covariant.export import _fmi2, _fmi3
-from covariant.export._program import Leaf, Program
-from covariant.export._source import entries
+from covariant.codegen import _fmi2, _fmi3
+from covariant.codegen._program import Leaf, Program
+from covariant.codegen._source import entries
 from covariant.lowering import c_number
 
 

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 from covariant import models, observers
+from covariant.engine import Stream, _compile, _log, run_log, run_logs
+from covariant.engine._kernel import _kept, kernel
 from covariant.observers import run
-from covariant.runtime import Stream, _compile, _log, run_log, run_logs
-from covariant.runtime._kernel import _kept, kernel
 from covariant.signals import Record, Result
 
 RATE = 250.0

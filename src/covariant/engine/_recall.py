@@ -24,7 +24,7 @@ import numpy as np
 
 from covariant._files import write_atomically
 from covariant._programs import IMPORTED, cache_folder, let_go_of_unused
-from covariant.runtime._intact import ROOT, intact
+from covariant.engine._intact import ROOT, intact
 
 Made = TypeVar("Made")
 
