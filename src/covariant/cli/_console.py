@@ -1,9 +1,58 @@
-"""Progress on standard error, so that standard output holds only results."""
+"""Progress on standard error, and results on standard output."""
 
+import json
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
-from covariant.signals import Result
+from covariant.workflow import AbstractResult, Progress
+
+
+@contextmanager
+def progress_bar(quiet: bool = False) -> Iterator[Progress]:
+    """Show a progress bar on standard error; yields the function that a verb reports its progress to."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress as Bar, TaskProgressColumn, TextColumn, TimeElapsedColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
+    with Bar(*columns, console=Console(stderr=True, quiet=quiet), transient=True) as bar:
+        task = bar.add_task("reading", total=None)
+
+        def report(description: str, fraction: float | None = None) -> None:
+            total = None if fraction is None else 1.0
+            bar.update(task, description=description, total=total, completed=fraction or 0.0)
+
+        yield report
+
+
+def show(
+    result: AbstractResult, as_json: bool = False, out: Path | None = None, report: Path | None = None, **save: bool
+) -> None:
+    """Save a result, print it, and then draw its page: a page that cannot be drawn loses nothing.
+
+    Args:
+        result: What a verb returned.
+        as_json: Whether to print one JSON object instead of text.
+        out: Where `result.save` writes, or None.
+        report: Where `result.report` writes its page, or None.
+        save: Further arguments of `result.save`.
+    """
+    written = [] if out is None else [str(result.save(out, **save))]
+    if not as_json:
+        print(result, *(f"wrote {path}" for path in written), sep="\n", flush=True)
+    pages: list[str] = []
+    try:
+        if report is not None:
+            with progress_bar(quiet=as_json) as progress:
+                progress("drawing")
+                pages = [str(path) for path in result.report(report)]
+    finally:
+        if as_json:
+            places = {"out": written[0]} if written else {}
+            print(json.dumps(result.summary | places | ({"report": pages} if report is not None else {})), flush=True)
+    if pages and not as_json:
+        print(*(f"wrote {path}" for path in pages), sep="\n", file=sys.stdout)
 
 
 @contextmanager
@@ -33,8 +82,3 @@ def stages(what: str, total: int, quiet: bool = False):
             begun += 1
 
         yield begin
-
-
-def note(result: str) -> str:
-    """The sentence for a result code, given by its name."""
-    return Result[result.upper()].message

@@ -20,7 +20,7 @@ from covariant.design import MetricSummary, metric_summary
 from covariant.models import StateSpace
 from covariant.riccati import Equation, rate_from_gramian
 from covariant.scale import Grid
-from covariant.workflow._inputs import check_output
+from covariant.workflow._outputs import check_output
 
 PATIENCE = 4.0
 """Seconds after which a scheduler that does not answer counts as absent."""

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from covariant import logs
-from covariant.cli._console import note, working
+from covariant.cli._console import working
 from covariant.cli._names import Engine
 from covariant.design import (
     ESTIMATORS,
@@ -21,6 +21,7 @@ from covariant.design import (
 )
 from covariant.observers import AbstractObserver
 from covariant.scoring import rmse
+from covariant.signals import Result
 from covariant.workflow._inputs import (
     Job,
     Loaded,
@@ -198,7 +199,7 @@ def _text(result: dict[str, Any], loaded: Loaded, engine: Engine) -> str:
         lines.append(f"engine: {result['engine']}")
     for name, count in result["results"].items():
         if name != "ok":
-            lines.append(f"{count} of {result['rows']} samples: {note(name)}")
+            lines.append(f"{count} of {result['rows']} samples: {Result[name.upper()].message}")
     lines += [f"wrote {path}" for path in [result.get("out"), *result.get("report", [])] if path]
     return "\n".join(lines)
 

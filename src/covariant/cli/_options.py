@@ -1,7 +1,10 @@
 """Arguments and options that several commands share."""
 
+import functools
+import inspect
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, NamedTuple, get_type_hints
 
 import typer
 
@@ -33,3 +36,58 @@ By = Annotated[
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object for machines.")]
 Anyway = Annotated[bool, typer.Option("--anyway", help="Go on although the log does not fit the model at all.")]
 Report = Annotated[Path | None, typer.Option(help="Write an interactive page (.html) and PNG figures beside it.")]
+
+
+class Rows(NamedTuple):
+    """Which rows of a log are used."""
+
+    every: Every = 1
+    start: From = None
+    until: Until = None
+
+
+class ColumnNames(NamedTuple):
+    """Which columns of a log hold what."""
+
+    t: Time = None
+    q: Positions = None
+    u: Inputs = None
+
+
+class Compared(NamedTuple):
+    """Columns of a log that results are only compared with."""
+
+    v: Velocities = None
+    truth: Truth = None
+
+
+def with_shared_options(command: Callable[..., None]) -> Callable[..., None]:
+    """A command whose parameters of the types `Rows`, `ColumnNames` and `Compared` are options, one for each field.
+
+    Typer reads the options of a command from its signature, so this writes each group out there.
+    """
+    signature = inspect.signature(command, eval_str=True)
+    groups = {p.name: p.annotation for p in signature.parameters.values() if p.annotation in SHARED}
+    options: list[inspect.Parameter] = []
+    for parameter in signature.parameters.values():
+        group = groups.get(parameter.name)
+        if group is None:
+            options.append(parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY))
+            continue
+        for name, kind in get_type_hints(group, include_extras=True).items():
+            default = group._field_defaults[name]
+            options.append(inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=kind))
+
+    @functools.wraps(command)
+    def call(**given: Any) -> None:
+        for name, group in groups.items():
+            given[name] = group(**{field: given.pop(field) for field in group._fields})
+        command(**given)
+
+    call.__signature__ = signature.replace(parameters=options)  # pyright: ignore[reportAttributeAccessIssue]
+    call.__annotations__ = {option.name: option.annotation for option in options}
+    return call
+
+
+SHARED = (Rows, ColumnNames, Compared)
+"""Groups of options that several commands share."""

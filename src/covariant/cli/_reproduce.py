@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from covariant.cli._console import stages
-from covariant.workflow._inputs import check_output
+from covariant.workflow._outputs import check_output
 
 PAPERS = {
     "aghannan-rouchon": "aghannan_rouchon",

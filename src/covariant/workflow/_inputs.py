@@ -12,6 +12,7 @@ from covariant.design import DataSheet, usual_speeds
 from covariant.diagnosis import misfit, outliers
 from covariant.observers import REGISTRY, AbstractObserver, Delayed, Slow, sensor_bias, uncertain_parameters
 from covariant.signals import Record, acting_inputs, lag_inputs
+from covariant.workflow._outputs import check_output as check_output
 
 FEWEST_MOVES = 50
 """Changes of positions from which it is told whether the log's ticks are coarser than those of the model file."""
@@ -223,23 +224,6 @@ def _slopes(file: models.ModelFile, log: logs.Log, full: logs.Log) -> tuple[np.n
     circles = tuple(i - (y.shape[1] - joints.shape[1]) for i in file.model.circles)
     rates = [scoring.zero_phase_velocity(t, scoring.unwrap(joints, circles), at, half, order)] if joints.size else []
     return np.concatenate([*twists, *rates], axis=1), "zero-phase reference"
-
-
-def check_output(path: Path | None, *suffixes: str, log: Path | None = None, store: bool = False) -> None:
-    """Refuse an output of another kind, without a folder, or in place of the log; None, for no file, passes.
-
-    A folder is refused too, but for a `store`, which goes on where it stopped.
-    """
-    if path is None:
-        return
-    if path.suffix not in suffixes:
-        raise ValueError(f"{path}: the file to write must end in {' or '.join(suffixes)}")
-    if path.is_dir() and not store:
-        raise ValueError(f"{path}: there is a folder of this name, and it is not replaced; give another name")
-    if not path.parent.is_dir():
-        raise ValueError(f"{path}: there is no folder {path.parent}; make it first")
-    if log is not None and path.exists() and log.exists() and path.samefile(log):
-        raise ValueError(f"{path}: this is the log itself; write to another file")
 
 
 def data_sheet(file: models.ModelFile) -> DataSheet:

@@ -1,0 +1,27 @@
+"""What may be written where, checked before anything is computed. Loads nothing heavy."""
+
+from pathlib import Path
+
+
+def check_output(path: Path | None, *suffixes: str, log: object = None, store: bool = False) -> None:
+    """Refuse an output file of another kind, without a folder, or in place of the log.
+
+    Args:
+        path: The file to write; None, for no file, passes.
+        suffixes: The endings that are allowed.
+        log: The log that is read; a path is never overwritten by the output.
+        store: Whether `path` is a store, a folder to which a later run adds.
+
+    Raises:
+        ValueError: One line that names the path and what is wrong.
+    """
+    if path is None:
+        return
+    if path.suffix not in suffixes:
+        raise ValueError(f"{path}: the file to write must end in {' or '.join(suffixes)}")
+    if path.is_dir() and not store:
+        raise ValueError(f"{path}: there is a folder of this name, and it is not replaced; give another name")
+    if not path.parent.is_dir():
+        raise ValueError(f"{path}: there is no folder {path.parent}; make it first")
+    if isinstance(log, str | Path) and path.exists() and Path(log).exists() and path.samefile(log):
+        raise ValueError(f"{path}: this is the log itself; write to another file")
