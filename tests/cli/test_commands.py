@@ -230,6 +230,14 @@ def test_people_are_told_why_compiled_c_did_not_do_the_work(arguments, capsys, m
     assert line.endswith(": jax: there is no C compiler here")
 
 
+@pytest.mark.parametrize("engine", ["c", "jax"])
+def test_a_report_is_drawn_whichever_engine_did_the_work(engine):
+    if engine == "c" and shutil.which("cc") is None:
+        pytest.skip("there is no C compiler, `cc`")
+    done = command("estimate", "model.toml", "log.csv", "--engine", engine, "--report", f"{engine}.html")
+    assert all(Path(page).stat().st_size > 10_000 for page in done["report"])
+
+
 def test_given_gains_replace_the_designed_ones():
     low = command("estimate", "model.toml", "log.csv", "--alpha", "2", "--beta", "1", "--truth", "true_v1")
     assert "alpha = 2" in low["design"]

@@ -1,5 +1,6 @@
 """The commands on state-space models: a log of outputs, with the true states beside them."""
 
+import shutil
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -68,8 +69,12 @@ def log(simulated):
     return "log.csv"
 
 
-def test_estimate_writes_states_and_how_certain_they_are(log):
-    done = command("estimate", "model.toml", log, "-o", "states.csv", "--report", "page.html", *TRUTH)
+@pytest.mark.parametrize("engine", ["c", "jax"])
+def test_estimate_writes_states_and_how_certain_they_are(log, engine):
+    if engine == "c" and shutil.which("cc") is None:
+        pytest.skip("there is no C compiler, `cc`")
+    words = ("-o", "states.csv", "--report", "page.html", "--engine", engine)
+    done = command("estimate", "model.toml", log, *words, *TRUTH)
     assert done["observer"] == "covariance-ekf"
     assert done["scored_against"] == "true state"
     assert Path("states.csv").read_text().splitlines()[0] == "t,q,q_dot,q_std,q_dot_std"

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from covariant.engine import EngineName as Engine, run_log
+from covariant.models import Motion
 from covariant.observers import AbstractObserver
 from covariant.signals import Result, Run
 from covariant.workflow._inputs import Loaded, ReferenceVelocity
@@ -133,6 +134,6 @@ def report_arrays(outcomes: dict[str, Outcome]) -> dict[str, Any]:
 
 
 def _drawn(outcome: Outcome) -> np.ndarray:
-    """The curves to draw: states in coordinates, otherwise velocities."""
+    """The curves to draw: states in coordinates (T, 2n), velocities (T, n) where the estimate is on a group."""
     x = outcome.run.estimate
-    return np.asarray(x) if isinstance(x, jax.Array) else outcome.velocity
+    return outcome.velocity if isinstance(x, Motion) else np.asarray(x)
