@@ -22,7 +22,7 @@ MOST_PLACES = 64
 """Largest number of possible places for an index that depends on the arguments, unless it is one of a table."""
 FEW_PLACES = 8
 """Up to so many places a choice costs no more than a table."""
-MOST_ENTRIES = 200_000
+MOST_ENTRIES = 2_000_000
 """Largest table of known numbers."""
 
 

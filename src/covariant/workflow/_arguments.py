@@ -1,0 +1,103 @@
+"""Checks of the numbers that verbs take: how many, of which sign, for which names. One line names what is wrong."""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+Region = Mapping[str, Sequence[float]]
+"""Low and high ends of coordinates by name, such as `{"theta": (-1.0, 1.0)}`."""
+Amounts = float | Sequence[Any] | np.ndarray
+"""A number, or numbers."""
+
+
+def numbers(
+    argument: str, given: Amounts, names: Sequence[str], *, positive: bool = False, one: bool = False
+) -> Float[np.ndarray, "n"]:
+    """One number for each name.
+
+    Args:
+        argument: The argument that holds the numbers, for messages.
+        given: A number or numbers.
+        names: What the numbers are for, n names.
+        positive: Whether the numbers must be positive; otherwise they must be finite.
+        one: Whether one number also stands for all names.
+
+    Raises:
+        ValueError: One line that names the argument, and what is needed.
+
+    Example:
+        >>> numbers("velocity", 2.0, ("shoulder", "elbow"), positive=True, one=True)
+        array([2., 2.])
+    """
+    try:
+        values = np.atleast_1d(np.asarray(given, float))
+    except (TypeError, ValueError):
+        raise ValueError(f"{argument}: {given!r} is not a list of numbers") from None
+    counts = (1, len(names)) if one else (len(names),)
+    fits = values.ndim == 1 and len(values) in counts
+    if not fits or not np.isfinite(values).all() or (positive and values.min(initial=1.0) <= 0):
+        whose = f", for {', '.join(names)}" if names else ""
+        needed = "one number, or " if one and len(names) > 1 else ""
+        kind = "positive" if positive else "finite"
+        raise ValueError(f"{argument} needs {needed}{len(names)} {kind} numbers{whose}; got {_shown(values)}")
+    return np.full(len(names), values[0]) if len(values) < len(names) else values
+
+
+def amounts(argument: str, given: Amounts, names: Sequence[str]) -> Float[np.ndarray, "n"]:
+    """Bounds that may be zero, one for all names or one each; raises `ValueError` where one is negative."""
+    found = numbers(argument, given, names, one=True)
+    if found.min(initial=0.0) < 0:
+        raise ValueError(f"{argument}: bounds must not be negative; got {_shown(found)}")
+    return found
+
+
+def bounds(
+    argument: str, given: Region, names: Sequence[str], what: str = "state", *, equal: bool = False
+) -> dict[str, tuple[float, float]]:
+    """Low and high ends by name.
+
+    Args:
+        argument: The argument that holds the ends, for messages.
+        given: Low and high end by name; not all names need be there.
+        names: The names that there are.
+        what: What the names are of, for messages.
+        equal: Whether both ends may be the same.
+
+    Raises:
+        ValueError: One line that names the argument, and an unknown name or a pair of ends that is none.
+    """
+    found = {}
+    for name, pair in given.items():
+        if name not in names:
+            raise ValueError(f"{argument}: there is no {what} {name!r}; the {what}s are {', '.join(names)}")
+        ends = numbers(f"{argument} {name}", pair, ("the low end", "the high end"))
+        low, high = float(ends[0]), float(ends[1])
+        if not (low < high or (equal and low == high)):
+            raise ValueError(f"{argument}: the low end of {name} must be below the high one; got {low:g} and {high:g}")
+        found[name] = low, high
+    return found
+
+
+def above_zero(argument: str, value: float) -> float:
+    """The value as a number; raises `ValueError` unless it is positive and finite."""
+    if not 0 < value < math.inf:
+        raise ValueError(f"{argument} must be a positive number; got {value:g}")
+    return float(value)
+
+
+def gain_pair(alpha: float | None, beta: float | None) -> tuple[float, float] | None:
+    """Gains α [1/s] and β [1/s²], or None where neither is given; raises `ValueError` for one without the other."""
+    if (alpha is None) != (beta is None):
+        raise ValueError("alpha and beta belong together: give both or neither")
+    if alpha is None or beta is None:
+        return None
+    if not (0 < alpha < math.inf and 0 < beta < math.inf):
+        raise ValueError(f"alpha and beta must be positive numbers; got {alpha:g} and {beta:g}")
+    return float(alpha), float(beta)
+
+
+def _shown(values: Float[np.ndarray, "..."]) -> str:
+    return ", ".join(f"{value:g}" for value in values.ravel()) or "none"
