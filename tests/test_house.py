@@ -102,7 +102,7 @@ PUBLIC = {
     "blocks box check_box derivative_form digest from_letters graph_rows leaves parse_file prove prove_at_corners "
     "read_file saved_graph saved_levels show_conditions to_letters",
     "proofs.checker": "ROUND TaylorEnclosure halves leaves plain show_definite",
-    "report": "PALETTE EstimateReport draw_audit draw_certificate new_figure save_figure table write_article "
+    "report": "PALETTE EstimateReport draw_audit draw_certificate figure new_figure save_figure table write_article "
     "write_audit write_html write_png",
     "riccati": "Characteristic Equation RiccatiMetric Solution Window gramian gramians high_gain lie_derivative "
     "metric_at metric_through rate_from_gramian reconstructibility right_side spd_distance window_at",

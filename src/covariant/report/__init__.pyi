@@ -3,6 +3,6 @@ from ._audit import draw_audit as draw_audit, write_audit as write_audit
 from ._certificate import draw_certificate as draw_certificate
 from ._estimate import EstimateReport as EstimateReport
 from ._html import write_html as write_html
-from ._png import write_png as write_png
+from ._png import figure as figure, write_png as write_png
 from ._style import PALETTE as PALETTE, new_figure as new_figure, save_figure as save_figure
 from ._table import table as table

@@ -1,8 +1,8 @@
 """The content of a report: the arrays of several observers on one log."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Array, Float
@@ -14,23 +14,47 @@ Samples = Float[np.ndarray | Array, "T n"]
 
 
 class EstimateReport(NamedTuple):
-    """Estimates of one log, time first; NaN marks a missing value and is drawn as a gap. `check` tests the shapes.
+    """Estimates of one log, time first: what `figure`, `write_png` and `write_html` draw.
 
-    - `title`: headline, plain text.
-    - `coordinates`, `units`: name and unit of each of the n coordinates, such as "θ" and "rad"; velocities are per
-      second.
-    - `t` (T,): stamps [s]. `q_measured` (T, n): measured positions [units].
-    - `estimates`: label -> (T, 2n), position [units] then velocity [units/s]. The first is the observer reported on.
-    - `innovation`: label -> (T, n), measurement minus estimate before correction [units].
-    - `distance`: label -> (T,), the length of the innovation in the metric, for observers that compute it.
-    - `v_reference` (T, n) [units/s]: reference for the velocities, or None; `v_reference_label` is its label.
-    - `rows`: rows of a comparison, best first; columns are the keys. May be empty.
-    - `estimated`: what the estimates are scored by, "velocity" or "state".
-    - `notes`: plain sentences under the title, such as gains, predicted errors, and samples without measurement.
+    NaN marks a missing value and is drawn as a gap. `check` tests the shapes. Arrays may be NumPy's or JAX's.
 
-    On a group a configuration cannot be drawn as a curve. There `q_measured` is None, `coordinates` and `units` are
-    those of the n velocities, `estimates` hold the velocities alone (T, n), and the innovation is the error in the body
-    frame, along each of them.
+    Args:
+        title: Title, plain text.
+        coordinates: Names of the n coordinates, such as "θ". Without `q_measured`, names of what is estimated.
+        units: Unit of each, such as "rad", or "" for none; velocities are in these units per second. Without
+            `q_measured`, units of what is estimated.
+        t: (T,), stamps [s].
+        q_measured: (T, n), measured positions [units]. None for states, and for systems on a group, whose
+            configuration is no curve.
+        estimates: By label. What is estimated, as `estimated` says: velocities (T, n) or states (T, n). Beside measured
+            positions also (T, 2n), estimated positions and then velocities. The first is the observer reported on.
+        innovation: By label, (T, n): measurement minus estimate before the correction [units]; on a group the error in
+            the body frame along each velocity.
+        distance: By label, (T,): length of the innovation in the metric, of the observers that compute it.
+        v_reference: (T, n), what the estimates are compared with, in the same units; None where there is nothing.
+        v_reference_label: Its label in the legend.
+        rows: Rows of a comparison, best first; columns are the keys. May be empty.
+        notes: Plain sentences under the title, such as gains, predicted errors, and samples without measurement.
+        estimated: "velocity" or "state".
+
+    Example:
+        ```python
+        import numpy as np
+        from covariant.report import EstimateReport, figure
+
+        t = np.linspace(0.0, 5.0, 501)
+        truth = np.cos(t)[:, None]
+        report = EstimateReport(
+            title="Pendulum",
+            coordinates=("θ",),
+            units=("rad",),
+            t=t,
+            q_measured=np.sin(t)[:, None],
+            estimates={"intrinsic": truth + 0.01},
+            v_reference=truth,
+        )
+        figure(report).savefig("pendulum.png")
+        ```
     """
 
     title: str
@@ -45,7 +69,7 @@ class EstimateReport(NamedTuple):
     v_reference_label: str = "reference"
     rows: Sequence[Mapping[str, str | float]] = ()
     notes: tuple[str, ...] = ()
-    estimated: str = "velocity"
+    estimated: Literal["velocity", "state"] = "velocity"
 
     def check(self) -> "EstimateReport":
         """Return the report, or raise `ValueError` naming the first thing wrong with it."""
@@ -54,6 +78,14 @@ class EstimateReport(NamedTuple):
             raise ValueError("a report needs at least one sample, one coordinate and one estimate")
         if len(self.units) != n:
             raise ValueError(f"a report needs one unit a coordinate; got {n} coordinates and {len(self.units)} units")
+        if self.estimated not in _PLURAL:
+            raise ValueError(f"estimated must be one of {', '.join(_PLURAL)}; got {self.estimated!r}")
+        if self.estimated == "state" and self.q_measured is not None:
+            raise ValueError("q_measured belongs to velocities; a report of states has none, and it must be None")
+        for label, x in self.estimates.items():
+            if np.shape(x) not in self._accepted(samples, n):
+                accepted = " or ".join(f"{shape} ({what})" for shape, what in self._accepted(samples, n).items())
+                raise ValueError(f"estimates[{label!r}] must have the shape {accepted}; got {np.shape(x)}")
         for name, array, shape in self._shapes(samples, n):
             if np.shape(array) != shape:
                 raise ValueError(f"{name} must have the shape {shape}; got {np.shape(array)}")
@@ -74,15 +106,24 @@ class EstimateReport(NamedTuple):
         measured = [] if self.q_measured is None else [MEASURED]
         return measured if self.v_reference is None else [*measured, self.v_reference_label]
 
-    def _shapes(self, samples: int, n: int):
+    def _accepted(self, samples: int, n: int) -> dict[tuple[int, int], str]:
+        """The shapes that an estimate may have, and what its columns then are."""
+        accepted = {(samples, n): _PLURAL[self.estimated]}
+        if self.q_measured is not None:
+            accepted[samples, 2 * n] = "positions and then velocities"
+        return accepted
+
+    def _shapes(self, samples: int, n: int) -> Iterator[tuple[str, Samples, tuple[int, ...]]]:
         yield "t", self.t, (samples,)
         if self.q_measured is not None:
             yield "q_measured", self.q_measured, (samples, n)
         if self.v_reference is not None:
             yield "v_reference", self.v_reference, (samples, n)
-        for label, x in self.estimates.items():
-            yield f"estimates[{label!r}]", x, (samples, n if self.q_measured is None else 2 * n)
         for label, e in self.innovation.items():
             yield f"innovation[{label!r}]", e, (samples, n)
         for label, d in self.distance.items():
             yield f"distance[{label!r}]", d, (samples,)
+
+
+_PLURAL = {"velocity": "velocities", "state": "states"}
+"""What may be estimated, and how many of it are called."""

@@ -52,7 +52,9 @@ def quantities(report: EstimateReport) -> dict[str, Quantity]:
     if report.q_measured is not None:
         measured = np.asarray(report.q_measured, float)
         travel = span(measured)
-        positions = (Curve(t, measured, MEASURED, backdrop=True), *estimated({k: x[:, :n] for k, x in states.items()}))
+        # Estimates of n columns are velocities alone: then there is no estimated position to draw.
+        configurations = {label: x[:, :n] for label, x in states.items() if x.shape[1] == 2 * n}
+        positions = (Curve(t, measured, MEASURED, backdrop=True), *estimated(configurations))
     velocities = {label: x[:, -n:] for label, x in states.items()}
     reference, errors, speed = (), (), np.zeros(n)
     if report.v_reference is not None:

@@ -38,6 +38,35 @@ def write_png(report: EstimateReport, path: str | os.PathLike[str]) -> list[Path
     return written
 
 
+def figure(report: EstimateReport) -> "matplotlib.figure.Figure":
+    """Draw velocities or states, and their errors where there is a reference: a row for each coordinate.
+
+    Args:
+        report: The curves; the figure is that of `write_png` in `<path>_velocity.png`.
+
+    Returns:
+        A `matplotlib.figure.Figure` that belongs to no window; a notebook shows it, and `save_figure` writes it.
+
+    Raises:
+        ValueError: The report is not consistent: see `EstimateReport.check`.
+        ImportError: matplotlib is not installed.
+
+    Example:
+        ```python
+        import numpy as np
+        from covariant.report import EstimateReport, figure, save_figure
+
+        t = np.linspace(0.0, 5.0, 501)
+        velocity = np.cos(t)[:, None]
+        report = EstimateReport("Pendulum", ("dθ/dt",), ("rad/s",), t, None, {"intrinsic": velocity})
+        save_figure(figure(report), "pendulum.svg")
+        ```
+    """
+    found = condensed(quantities(report.check()))
+    shown = [found[member] for member in _FIGURES["velocity"] if member in found]
+    return _figure(report.title, shown, styles(report))
+
+
 def _figure(title: str, shown: list[Quantity], styled: dict[str, Style]) -> "matplotlib.figure.Figure":
     rows = len(shown[0].labels)
     panel = (4.8, 2.3) if len(shown) > 1 else (7.2, 3.0 if rows == 1 else 2.3)
