@@ -73,12 +73,12 @@ PUBLIC = {
     "fulfilled graft in_c lower numbers pairs perturbed simplified stumpff substitute",
     "logs": "ATTITUDES MESSAGES OPTIONAL WRITTEN Body Columns Log LogError bodies check_unit coordinates matrices read "
     "survey to_columns unit_factor write",
-    "models": "Family GroupSystem Lagrangian MechanicalSystem ModelError ModelFile MomentumChart Motion Parameter "
-    "Parametric StateSpace Survey acceleration advance applied_force ball_and_beam bioreactor body_velocity "
+    "models": "Family GroupSystem Lagrangian MechanicalSystem ModelError ModelFile MomentumChart Motion Overrides "
+    "Parameter Parametric StateSpace Survey acceleration advance applied_force ball_and_beam bioreactor body_velocity "
     "chart_jacobian chart_velocity check_metric check_model document duffing energy family free_body friction "
     "from_recipe heavy_top hovercraft in_chart induction_motor input_count load "
     "lorenz oscillator pendulum_chain recipe resistance rewrite satellite satellite_arm source spatial_momentum "
-    "state_space survey underwater_vehicle unknown_frequency van_der_pol",
+    "state_space spec_name survey underwater_vehicle unknown_frequency van_der_pol",
     "models.robots": "ROBOTS BodyInertia Description Follows Joint KinematicTree Links Motor RobotSpace assemble load "
     "located read",
     "models.marine": "Craft Station Waves coriolis_matrix cybership euler_rates euler_rotation euler_transform "
@@ -108,7 +108,8 @@ PUBLIC = {
     "metric_at metric_through rate_from_gramian reconstructibility right_side spd_distance window_at",
     "engine": "EngineName FEWEST_ROWS Health Stream compiled run_log run_logs",
     "scale": "Grid Variable map_grid open_grid",
-    "workflow": "AbstractResult Progress",
+    "workflow": "AbstractResult AbstractTable CompareResult EstimateResult MisfitError Progress check_output compare "
+    "estimate",
     "simulation": "Sensor hold no_input observe sense simulate stamps",
 }
 

@@ -37,6 +37,7 @@ if TYPE_CHECKING:
         workflow,
     )
     from covariant.signals import Record, Result, Run
+    from covariant.workflow import compare, estimate
 
     __version__: str
 
@@ -46,6 +47,9 @@ if "jax" in sys.modules:
     sys.modules["jax"].config.update("jax_enable_x64", True)
 keep_programs()
 
+VERBS = ("check", "certify", "compare", "estimate", "export", "fit", "simulate", "tune")
+"""Functions of `covariant.workflow` that are offered here too: from a model and a log to an answer."""
+
 __all__ = [
     "Record",
     "Result",
@@ -54,10 +58,12 @@ __all__ = [
     "audit",
     "certificates",
     "codegen",
+    "compare",
     "control",
     "design",
     "diagnosis",
     "engine",
+    "estimate",
     "geometry",
     "interop",
     "logs",
@@ -81,6 +87,8 @@ def __getattr__(name: str) -> Any:
         return importlib.import_module("importlib.metadata").version("covariant")
     if name in ("Record", "Result", "Run"):
         return getattr(importlib.import_module("covariant.signals"), name)
+    if name in __all__ and name in VERBS:
+        return getattr(importlib.import_module("covariant.workflow"), name)
     if name in __all__:
         return importlib.import_module(f"covariant.{name}")
     raise AttributeError(f"module 'covariant' has no attribute {name!r}; it has {', '.join(__all__)}")

@@ -14,7 +14,7 @@ from covariant.observers import EKF, Delayed, Intrinsic, IntrinsicKalman, run
 from covariant.scoring import rmse
 from covariant.signals import Record, Result
 from covariant.simulation import hold, simulate
-from covariant.workflow._inputs import Job, Loaded, as_read, data_sheet, load
+from covariant.workflow._inputs import Job, Loaded, data_sheet, load, with_sensor_delays
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 CHAIN = pendulum_chain((0.6, 0.4), (0.3, 0.25), com=(0.16, 0.14), inertia=(0.005, 0.0026), viscous=(0.012, 0.008))
@@ -211,7 +211,7 @@ def velocity_error(loaded: Loaded, name: str, rows: np.ndarray, y: np.ndarray, d
     t, u = (np.asarray(a)[rows] for a in loaded.record[:2])
     told = loaded._replace(file=loaded.file._replace(delay=delay), record=Record(t, u, y[rows]))
     made = tuned_estimators(loaded.model, 2, data_sheet(loaded.file), 1 / np.median(np.diff(t)), names=(name,))
-    v = np.asarray(loaded.model.motion(run(as_read(made, told)[name], told.record).estimate).v)
+    v = np.asarray(loaded.model.motion(run(with_sensor_delays(made, told)[name], told.record).estimate).v)
     scored, truth = loaded.reference.scored[rows], loaded.reference.v[rows]
     return float(np.linalg.norm(rmse(v[scored], truth[scored]) / np.sqrt(np.mean(truth[scored] ** 2, axis=0))))
 

@@ -10,7 +10,10 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 
 def main() -> None:
-    """Entry point; bad input gives one line on standard error and exit code 2."""
+    """Entry point; bad input gives one line on standard error and exit code 2.
+
+    A log that does not fit its model at all gives exit code 1.
+    """
     from covariant.cli._app import app
 
     try:
@@ -19,4 +22,4 @@ def main() -> None:
         if os.environ.get("COVARIANT_DEBUG"):
             raise
         print(f"covariant: {' '.join(str(error).split())}", file=sys.stderr)
-        sys.exit(2)
+        sys.exit(getattr(error, "exit_code", 2))

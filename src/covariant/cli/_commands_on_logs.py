@@ -5,10 +5,14 @@ from typing import Annotated
 
 import typer
 
+from covariant import workflow
+from covariant.cli._console import progress_bar, show
 from covariant.cli._names import ESTIMATORS, STATE_ESTIMATORS, WRITTEN
 from covariant.cli._options import (
     Anyway,
     By,
+    ColumnNames,
+    Compared,
     Every,
     From,
     Inputs,
@@ -18,19 +22,25 @@ from covariant.cli._options import (
     Override,
     Positions,
     Report,
+    Rows,
     Time,
-    Truth,
     Until,
     Velocities,
+    with_shared_options,
 )
+from covariant.workflow import check_output
 
 on_logs = typer.Typer()
 
 
 @on_logs.command()
+@with_shared_options
 def estimate(
     model: Model,
     log: LogFile,
+    rows: Rows,
+    names: ColumnNames,
+    compared: Compared,
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help=f"Write the estimate here ({', '.join(WRITTEN)}).")
     ] = None,
@@ -44,14 +54,6 @@ def estimate(
     alpha: Annotated[float | None, typer.Option(help="Gain α [1/s] in place of the designed one.")] = None,
     beta: Annotated[float | None, typer.Option(help="Gain β [1/s²] in place of the designed one.")] = None,
     override: Override = [],  # noqa: B006  typer copies it
-    every: Every = 1,
-    start: From = None,
-    until: Until = None,
-    t: Time = None,
-    q: Positions = None,
-    u: Inputs = None,
-    v: Velocities = None,
-    truth: Truth = None,
     score: Annotated[
         bool,
         typer.Option("--score", help="Score the velocities too, against slopes of the positions."),
@@ -62,42 +64,56 @@ def estimate(
     json: Json = False,
 ) -> None:
     """Estimate velocities from the positions or attitudes in a log."""
-    from covariant.cli import _estimate
-    from covariant.workflow._inputs import Job
-
-    job = Job(
-        model, log, tuple(override), every, until, {"t": t, "q": q, "u": u, "v": v, "truth": truth}, anyway, start
-    )
-    _estimate.estimate(job, out, observer, alpha, beta, score, report, engine, json)
+    check_output(out, *WRITTEN, log=log)
+    check_output(report, ".html")
+    with progress_bar(quiet=json) as progress:
+        result = workflow.estimate(
+            model,
+            log,
+            observer=observer,
+            alpha=alpha,
+            beta=beta,
+            score=score,
+            overrides=override,
+            columns=names._asdict() | compared._asdict(),
+            anyway=anyway,
+            engine=engine,
+            progress=progress,
+            **rows._asdict(),
+        )
+    show(result, json, out, report)
 
 
 @on_logs.command()
+@with_shared_options
 def compare(
     model: Model,
     log: LogFile,
+    rows: Rows,
+    names: ColumnNames,
+    compared: Compared,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="Write the table here (.csv).")] = None,
     override: Override = [],  # noqa: B006  typer copies it
-    every: Every = 1,
-    start: From = None,
-    until: Until = None,
-    t: Time = None,
-    q: Positions = None,
-    u: Inputs = None,
-    v: Velocities = None,
-    truth: Truth = None,
     report: Report = None,
     anyway: Anyway = False,
     engine: By = "auto",
     json: Json = False,
 ) -> None:
     """Run all estimators on a log, tuned from the same data sheet, and rank them."""
-    from covariant.cli import _compare
-    from covariant.workflow._inputs import Job
-
-    job = Job(
-        model, log, tuple(override), every, until, {"t": t, "q": q, "u": u, "v": v, "truth": truth}, anyway, start
-    )
-    _compare.compare(job, out, report, engine, json)
+    check_output(out, ".csv", log=log)
+    check_output(report, ".html")
+    with progress_bar(quiet=json) as progress:
+        result = workflow.compare(
+            model,
+            log,
+            overrides=override,
+            columns=names._asdict() | compared._asdict(),
+            anyway=anyway,
+            engine=engine,
+            progress=progress,
+            **rows._asdict(),
+        )
+    show(result, json, out, report)
 
 
 @on_logs.command()

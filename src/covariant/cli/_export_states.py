@@ -13,7 +13,7 @@ from covariant.codegen import ROWS
 from covariant.design import STATE_ESTIMATORS, stored_observer, tuned_state_estimators
 from covariant.models import ModelFile
 from covariant.observers import AbstractObserver
-from covariant.workflow._states import first_estimate, noise, said_of_states
+from covariant.workflow._states import first_estimate, noise, state_design_note
 
 
 def of_states(spec: str, file: ModelFile, asked: Asked) -> Planned:
@@ -33,7 +33,7 @@ def of_states(spec: str, file: ModelFile, asked: Asked) -> Planned:
     start, _ = first_estimate(file)
     if asked.metric is None:
         observer = tuned_state_estimators(model, noise(file, asked.rate), (kind,))[kind]
-        design = said_of_states(file).replace("±", "+-")
+        design = state_design_note(file).replace("±", "+-")
     else:
         observer = stored_observer(model, asked.metric, start)
         design = f"Its metric is that of {asked.metric.name}; none is outside its grid."

@@ -16,9 +16,9 @@ from covariant.design import DataSheet, HeldOut, Tuning, observer_gains, tune
 from covariant.engine import FEWEST_ROWS, run_logs
 from covariant.observers import AbstractObserver, Intrinsic
 from covariant.signals import Record, Run
-from covariant.workflow._inputs import Job, Loaded, as_read, coordinates, data_sheet
-from covariant.workflow._outcome import drive, report_arrays, rounded
-from covariant.workflow._pages import write_report
+from covariant.workflow._inputs import Job, Loaded, coordinates, data_sheet, with_sensor_delays
+from covariant.workflow._outcome import drive, report_curves, rounded
+from covariant.workflow._pages import estimate_report, write_report
 
 DIGITS = 4
 """Significant digits of tuned numbers in a model file."""
@@ -145,10 +145,10 @@ def _judged(judged: HeldOut) -> dict[str, Any]:
     return {name: (rounded(np.atleast_1d(value))) for name, value in judged._asdict().items()}
 
 
-def warning(found: Tuning, as_read: np.ndarray | bool = True) -> str | None:
+def warning(found: Tuning, as_logged: np.ndarray | bool = True) -> str | None:
     """One line where the model is no better than none, or does not explain the innovations.
 
-    - `as_read` (n,): which positions are as they were read; where they are interpolated neighbours are correlated.
+    - `as_logged` (n,): which positions are as they were read; where they are interpolated neighbours are correlated.
     """
     gains, kalman = found.after.relative
     remedy = "run `covariant fit`"
@@ -166,7 +166,7 @@ def warning(found: Tuning, as_read: np.ndarray | bool = True) -> str | None:
             f"the noise is not white: the most likely Kalman filter leaves {kalman:.3g} of the velocity and constant "
             f"gains {gains:.3g}; estimate with --observer intrinsic"
         )
-    worst = float(np.max(np.abs(found.after.correlation) * as_read))
+    worst = float(np.max(np.abs(found.after.correlation) * as_logged))
     if worst > NOT_WHITE:
         return f"the innovations are not white (correlation {worst:.2f}), so the model is wrong somewhere; {remedy}"
     return None
@@ -179,11 +179,12 @@ def _page(path: Path, loaded: Loaded, found: Tuning, before: DataSheet | None, r
     if before is not None:
         old = observer_gains(before, loaded.rate)
         gains = {"before": (old.alpha, old.beta), **gains}
-    observers = as_read({when: Intrinsic(loaded.model, *numbers) for when, numbers in gains.items()}, loaded)
-    curves = report_arrays({when: drive(observer, loaded) for when, observer in observers.items()})
+    observers = with_sensor_delays({when: Intrinsic(loaded.model, *numbers) for when, numbers in gains.items()}, loaded)
+    curves = report_curves({when: drive(observer, loaded) for when, observer in observers.items()})
     title = f"Gains of {Path(result['model']).stem} tuned on {', '.join(Path(log).name for log in result['logs'])}"
     notes = tuple(line for line in (result["warning"], *_lines(result)) if line)
-    return [str(written) for written in write_report(path, title, loaded, curves, notes, tuple(_rows(result)))]
+    page = estimate_report(title, loaded, curves, notes, tuple(_rows(result)))
+    return [str(written) for written in write_report(path, page)]
 
 
 def _lines(result: dict[str, Any]) -> list[str]:

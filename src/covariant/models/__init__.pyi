@@ -14,7 +14,7 @@ from ._heavy_top import free_body as free_body, heavy_top as heavy_top
 from ._hovercraft import hovercraft as hovercraft
 from ._in_chart import chart_jacobian as chart_jacobian, chart_velocity as chart_velocity, in_chart as in_chart
 from ._induction_motor import induction_motor as induction_motor
-from ._load import load as load, recipe as recipe
+from ._load import load as load, recipe as recipe, spec_name as spec_name
 from ._lorenz import lorenz as lorenz
 from ._mechanical import (
     GroupSystem as GroupSystem,
@@ -42,6 +42,7 @@ from ._satellite import satellite as satellite
 from ._satellite_arm import satellite_arm as satellite_arm
 from ._state_space import StateSpace as StateSpace, state_space as state_space
 from ._survey import Survey as Survey, survey as survey
+from ._toml import Overrides as Overrides
 from ._underwater_vehicle import underwater_vehicle as underwater_vehicle
 from ._unknown_frequency import unknown_frequency as unknown_frequency
 from ._van_der_pol import van_der_pol as van_der_pol

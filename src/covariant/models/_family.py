@@ -45,7 +45,7 @@ class Family(NamedTuple):
         return _with(self.document, self.places, np.asarray(values).tolist())
 
 
-def family(spec: str, names: Sequence[str], overrides: Sequence[str] = ()) -> Family:
+def family(spec: str, names: Sequence[str], overrides: _toml.Overrides = ()) -> Family:
     """The family of a mechanical model with the named numbers open.
 
     - `spec`, `overrides`: as for `load`; the overrides may give first values.

@@ -1,7 +1,7 @@
 """A model with what surrounds it: the columns of its logs, the noise of its sensors, and its own uncertainty."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -14,6 +14,7 @@ from covariant.models._check import check_metric
 from covariant.models._columns import model_columns, unnamed_attitudes
 from covariant.models._mechanical import MechanicalSystem
 from covariant.models._source import Model
+from covariant.models._toml import Overrides
 from covariant.models.robots import ROBOTS
 
 ROBOT_FILES = (".urdf", ".xml")
@@ -117,11 +118,23 @@ class ModelFile(NamedTuple):
 def finish(spec: str, content: dict[str, Any]) -> ModelFile:
     """The model file of a document that stands for a spec, checked; raises `ValueError`."""
     loaded = made(spec, content)
+    return _finished(loaded, Path(spec).stem if is_file(spec) else loaded.name, content)
+
+
+def finish_object(given: Any, content: dict[str, Any]) -> ModelFile:
+    """The model file of a system, or of a model file with the tables of a document on top; raises `ValueError`."""
+    for table in ("system", "parameters"):
+        if table in content:
+            raise ValueError(f"{table} is for models that are made from a file or by name; this one is made already")
+    loaded = _make(type(given).__name__, given, {})
+    return _finished(loaded, loaded.name, content)
+
+
+def _finished(loaded: ModelFile, name: str, content: dict[str, Any]) -> ModelFile:
     columns = model_columns(loaded.model, loaded.columns, _toml.columns(content))
     model: Any = loaded.model
     if loaded.mechanical and model.manifold.commuting:
         check_metric(model, _points(len(columns.q)))
-    name = Path(spec).stem if is_file(spec) else loaded.name
     count = len(columns.q) if model.manifold.commuting else 1
     states = 0 if loaded.mechanical else len(model.coordinates)
     return loaded._replace(name=name, columns=columns, **_toml.numbers(content, count, states))
@@ -170,7 +183,7 @@ def is_file(spec: str) -> bool:
     return spec.endswith((".toml", *ROBOT_FILES)) or spec in ROBOTS
 
 
-def document(spec: str, overrides: Sequence[str] = ()) -> dict[str, Any]:
+def document(spec: str, overrides: Overrides = ()) -> dict[str, Any]:
     """The document that a spec stands for, with overrides and a known layout; raises `ValueError`."""
     content = _toml.override(_document(spec), overrides)
     _toml.check_layout(content)

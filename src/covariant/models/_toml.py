@@ -4,10 +4,13 @@ import difflib
 import math
 import re
 import tomllib
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any
 
 from covariant.logs import ATTITUDES, Columns, unit_factor
+
+Overrides = Sequence[str] | Mapping[str, Any]
+"""Values that replace those of a model file: `table.key=value` each, or a mapping from `table.key` to values."""
 
 NUMBERS = {
     ("inputs", "lag"): ("input_lag", 1.0),
@@ -71,12 +74,19 @@ def parse(text: str) -> dict[str, Any]:
         raise ValueError(f"not a TOML document: {error}") from error
 
 
-def override(document: dict[str, Any], overrides: Sequence[str]) -> dict[str, Any]:
-    """The document with every `table.key=value` set, values written as in TOML; raises `ValueError`."""
-    for text in overrides:
-        key, equals, value = (part.strip() for part in text.partition("="))
+def override(document: dict[str, Any], overrides: Overrides) -> dict[str, Any]:
+    """The document with values replaced.
+
+    Args:
+        document: Tables and keys of a model file; it is changed.
+        overrides: `table.key=value` each, with values as in TOML, or a mapping from `table.key` to Python values.
+
+    Raises:
+        ValueError: For an override that is not so written, or that does not name a key of a table.
+    """
+    for text, key, value in _pairs(overrides):
         *tables, last = key.split(".")
-        if not equals or not last or not all(tables):
+        if not last or not all(tables):
             raise ValueError(f"override {text!r} must be written table.key=value, as in design.damping=0.5")
         table = document
         for name in tables:
@@ -85,8 +95,26 @@ def override(document: dict[str, Any], overrides: Sequence[str]) -> dict[str, An
                 raise ValueError(f"override {text!r}: {name!r} is not a table")
         for rival in _RIVALS.get(key, ()):  # of two keys for the same number the new one replaces the old
             table.pop(rival, None)
-        table[last] = _value(text, value)
+        table[last] = value
     return document
+
+
+def _pairs(overrides: Overrides) -> Iterator[tuple[str, str, Any]]:
+    """Each override as it was given, its key, and its value."""
+    if isinstance(overrides, Mapping):
+        yield from ((key, key, _plain(value)) for key, value in overrides.items())
+        return
+    for text in overrides:
+        key, equals, value = (part.strip() for part in text.partition("="))
+        if not equals:
+            raise ValueError(f"override {text!r} must be written table.key=value, as in design.damping=0.5")
+        yield text, key, _value(text, value)
+
+
+def _plain(value: Any) -> Any:
+    """A value as TOML would hold it: tuples and arrays become lists, NumPy's numbers become Python's."""
+    value = value.tolist() if hasattr(value, "tolist") else value
+    return [_plain(entry) for entry in value] if isinstance(value, list | tuple) else value
 
 
 def _value(text: str, value: str) -> Any:

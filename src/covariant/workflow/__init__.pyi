@@ -1,2 +1,6 @@
+from ._compare import CompareResult as CompareResult, compare as compare
+from ._estimate import EstimateResult as EstimateResult, estimate as estimate
+from ._inputs import MisfitError as MisfitError
+from ._outputs import check_output as check_output
 from ._progress import Progress as Progress
-from ._result import AbstractResult as AbstractResult
+from ._result import AbstractResult as AbstractResult, AbstractTable as AbstractTable

@@ -1,8 +1,9 @@
-"""Common parts of `estimate` and `compare`: the model file, the log, and the reference for scoring."""
+"""The model and the log of a verb, read together: units, lags, delays, encoder ticks, and the reference for scoring."""
 
-import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from os import PathLike
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,6 +11,7 @@ import numpy as np
 from covariant import logs, models, scoring
 from covariant.design import DataSheet, usual_speeds
 from covariant.diagnosis import misfit, outliers
+from covariant.models import Overrides
 from covariant.observers import REGISTRY, AbstractObserver, Delayed, Slow, sensor_bias, uncertain_parameters
 from covariant.signals import Record, acting_inputs, lag_inputs
 from covariant.workflow._outputs import check_output as check_output
@@ -22,20 +24,54 @@ OFF_TICK = 0.1
 """How far differences of positions may be from whole ticks, as a fraction of one: logs hold few digits."""
 
 
-class Job(NamedTuple):
-    """The arguments of a command; `columns` maps t, q, u, v, truth to names separated by commas, or None.
+ColumnNames = Mapping[str, str | Sequence[str] | None]
+"""Columns of a log for the fields t, q, u, v and truth: names, or one text with names separated by commas."""
 
-    `anyway`: go on with a log that does not fit the model at all. `start`, `until` [s]: since the log's first row.
+
+class Job(NamedTuple):
+    """What a verb reads, and which part of it.
+
+    Args:
+        model: What `models.load` takes: a path, a name, `module:attribute`, a `ModelFile` or a system.
+        log: What `logs.read` takes: a path, a `Record`, a DataFrame or an xarray Dataset.
+        overrides: Values that replace those of the model file, as for `models.load`.
+        every: Use each k-th row.
+        until: Use the log up to this time [s], counted from its first row.
+        columns: Names of columns that replace those of the model file.
+        anyway: Go on with a log that does not fit the model at all.
+        start: Use the log from this time [s] on, counted from its first row.
     """
 
-    model: str
-    log: Path
-    overrides: tuple[str, ...]
-    every: int
-    until: float | None
-    columns: dict[str, str | None]
+    model: Any
+    log: Any
+    overrides: Overrides = ()
+    every: int = 1
+    until: float | None = None
+    columns: ColumnNames = MappingProxyType({})
     anyway: bool = False
     start: float | None = None
+
+    @property
+    def model_name(self) -> str:
+        """What messages and titles call the model."""
+        return models.spec_name(self.model)
+
+    @property
+    def log_name(self) -> str:
+        """What messages call the log: its path, or the kind of the table."""
+        return str(self.log) if isinstance(self.log, str | PathLike) else type(self.log).__name__
+
+    @property
+    def title(self) -> str:
+        """The model and the log in a headline."""
+        return f"{Path(self.model_name).stem} from {Path(self.log_name).name}"
+
+
+class MisfitError(ValueError):
+    """A log that its model does not explain at all. The message is one line: the log, the evidence, and what to do."""
+
+    exit_code = 1
+    """Exit code of a command: the input is well formed, and its answer would be wrong."""
 
 
 class ReferenceVelocity(NamedTuple):
@@ -65,20 +101,22 @@ class Loaded(NamedTuple):
 
 
 def load(job: Job, score: bool = True, why: str = "") -> Loaded:
-    """Read model and log, with a reference where `score` asks for one or the log has the true velocities.
+    """Read a model and a log.
 
-    `why`: what mechanical models are needed for, where they are. A log that does not fit the model at all is refused
-    with a line on standard error and exit code 1. Raises `ValueError` or `OSError` with one line for the user.
+    Args:
+        job: What to read.
+        score: Whether a reference for the velocities is made from the positions where the log has no true ones.
+        why: What mechanical models are needed for, where they are.
+
+    Raises:
+        MisfitError: Where the log does not fit the model at all.
+        ValueError: With one line for whoever gave the model or the log; `OSError` where one cannot be read.
     """
     file = models.load(job.model, job.overrides)
-    model: Any = file.need_mechanical(job.model, why) if why else file.model
-    given = {key: names.strip() for key, names in job.columns.items() if names is not None}
-    columns = file.columns._replace(
-        **{
-            key: names if key == "t" else tuple(n.strip() for n in names.split(",") if names)
-            for key, names in given.items()
-        }
-    )
+    model: Any = file.need_mechanical(job.model_name, why) if why else file.model
+    given: dict[str, Any] = {key: names for key, names in job.columns.items() if names is not None}
+    given = {key: str(names).strip() if key == "t" else _names(names) for key, names in given.items()}
+    columns = file.columns._replace(**given)
     _check_columns(job, file, columns)
     file = file._replace(columns=columns)
     optional = [field for field in logs.OPTIONAL if not given.get(field)]
@@ -92,7 +130,7 @@ def load(job: Job, score: bool = True, why: str = "") -> Loaded:
         try:
             models.check_metric(model, measured[:: max(1, len(measured) // 20)])
         except ValueError as error:
-            raise ValueError(f"{job.model} on {job.log}: {error}") from error
+            raise ValueError(f"{job.model_name} on {job.log_name}: {error}") from error
     file, note = _in_ticks(file, y)
     reference = None
     if log.truth is not None:
@@ -104,7 +142,12 @@ def load(job: Job, score: bool = True, why: str = "") -> Loaded:
     return Loaded(file, model, log, record, 1 / float(np.median(np.diff(t))), reference, note + _told(file))
 
 
-def as_read(observers: Mapping[str, AbstractObserver], loaded: Loaded) -> dict[str, AbstractObserver]:
+def _names(columns: str | Sequence[str]) -> tuple[str, ...]:
+    """The names of columns; of a text, those that commas separate."""
+    return tuple(name.strip() for name in columns.split(",") if name) if isinstance(columns, str) else tuple(columns)
+
+
+def with_sensor_delays(observers: Mapping[str, AbstractObserver], loaded: Loaded) -> dict[str, AbstractObserver]:
     """The observers by name, those that know the model told how late the log's positions are.
 
     Filters without a model take what they read for now: as in a drive, their velocities are late by the same time.
@@ -133,12 +176,11 @@ def _told(file: models.ModelFile) -> str:
 
 
 def _refuse_misfit(job: Job, file: models.ModelFile, record: Record) -> None:
-    """Leave with exit code 1 where the model explains nothing of the motion, or another unit of the log explains it."""
+    """Raise `MisfitError` where the model explains nothing of the motion, or another unit of the log explains it."""
     finding = misfit(file, record)
     if finding is not None:
-        how = f"`covariant check {job.model} {job.log}` looks closer, and --anyway goes on"
-        print(f"covariant: {job.log}: {finding.evidence}. {finding.line}; {how}", file=sys.stderr)
-        raise SystemExit(1)
+        how = f"`covariant check {job.model_name} {job.log_name}` looks closer, and --anyway goes on"
+        raise MisfitError(f"{job.log_name}: {finding.evidence}. {finding.line}; {how}")
 
 
 def _in_ticks(file: models.ModelFile, y: np.ndarray) -> tuple[models.ModelFile, str]:
@@ -178,25 +220,25 @@ def _check_columns(job: Job, file: models.ModelFile, columns: logs.Columns) -> N
     """Check the number of columns, that the representation of an attitude is given, and that names are unique."""
     if columns.q and not file.columns.q:
         raise ValueError(
-            f"--q names coordinates, and {job.model} is on a group; name its columns in [columns] or by --set"
+            f"--q names coordinates, and {job.model_name} is on a group; name its columns in [columns] or by --set"
         )
     if len(columns.q) != len(file.columns.q) or len(columns.u) != len(file.columns.u):
         raise ValueError(
-            f"{job.model} has {len(file.columns.q)} positions and {len(file.columns.u)} inputs; "
+            f"{job.model_name} has {len(file.columns.q)} positions and {len(file.columns.u)} inputs; "
             f"the options name {len(columns.q)} and {len(columns.u)}"
         )
     if file.model.manifold.commuting:
         return
     if file.unnamed_attitudes:
         raise ValueError(
-            f"{job.model}: no columns of the attitude are named, and their order is never guessed; give one of "
+            f"{job.model_name}: no columns of the attitude are named, and their order is never guessed; give one of "
             f"{', '.join(logs.ATTITUDES)} in [columns], or --set "
             """'columns.quaternion_wxyz=["qw","qx","qy","qz"]'"""
         )
     twice = {"t", *file.model.velocities} & set(columns.measured)
     if twice:
         raise ValueError(
-            f"{job.model}: the estimate would have two columns named {min(twice)!r}; rename the one in the log"
+            f"{job.model_name}: the estimate would have two columns named {min(twice)!r}; rename the one in the log"
         )
 
 
@@ -227,13 +269,18 @@ def _slopes(file: models.ModelFile, log: logs.Log, full: logs.Log) -> tuple[np.n
 
 
 def data_sheet(file: models.ModelFile) -> DataSheet:
-    """The data sheet for a design; raises `ValueError` naming a number that is missing."""
-    for value, key in ((file.typical_std, "measurement.std"), (file.acceleration_std, "uncertainty.acceleration")):
-        if value is None:
-            raise ValueError(
-                f"{file.name}: gains need {key}; put it in the model file, or give --set {key}=NUMBER"
-                " (or, for estimate, --alpha and --beta)"
-            )
+    """The data sheet for a design; raises `ValueError` naming every number that is missing."""
+    missing = [
+        key
+        for value, key in ((file.typical_std, "measurement.std"), (file.acceleration_std, "uncertainty.acceleration"))
+        if value is None
+    ]
+    if missing:
+        options = " ".join(f"--set {key}=NUMBER" for key in missing)
+        raise ValueError(
+            f"{file.name}: gains need {' and '.join(missing)}; put {'it' if len(missing) == 1 else 'them'} in the "
+            f"model file, or give {options} (or, for estimate, --alpha and --beta)"
+        )
     known = {
         "measurement_std": file.typical_std,
         "coordinate_stds": file.measurement_std if isinstance(file.measurement_std, tuple) else None,

@@ -71,7 +71,7 @@ def drive(observer: AbstractObserver, loaded: Loaded, engine: Engine = "auto", t
     return Outcome(done, velocity, _nis(done.info, loaded), score, each, by, named)
 
 
-def worth_telling(by: str, asked: Engine) -> bool:
+def engine_is_notable(by: str, asked: Engine) -> bool:
     """Whether a person is told which engine worked: not where none was asked for and a short log went through JAX."""
     return asked != "auto" or not by.startswith("jax: fewer than")
 
@@ -123,7 +123,7 @@ def rounded(values: np.ndarray) -> list[float | None]:
     return [float(f"{v:.6g}") if np.isfinite(v) else None for v in np.asarray(values)]
 
 
-def report_arrays(outcomes: dict[str, Outcome]) -> dict[str, Any]:
+def report_curves(outcomes: dict[str, Outcome]) -> dict[str, Any]:
     """The curves of several outcomes, as fields of `report.EstimateReport`."""
     infos = {name: outcome.run.info for name, outcome in outcomes.items()}
     return {

@@ -49,7 +49,7 @@ def first_estimate(file: ModelFile) -> tuple[jnp.ndarray, jnp.ndarray]:
     return _each(start, file.dimension), _each(spread, file.dimension)
 
 
-def said_of_states(file: ModelFile) -> str:
+def state_design_note(file: ModelFile) -> str:
     """A sentence on what the observers are designed from."""
     start, spread = first_estimate(file)
     sought = file.model.sought

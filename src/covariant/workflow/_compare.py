@@ -1,0 +1,264 @@
+"""`compare`: all estimators on the same log, tuned from the same data sheet, and ranked."""
+
+import csv
+import io
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from covariant._files import write_atomically
+from covariant.design import Trial, observer_gains, tuned_estimators
+from covariant.engine import EngineName
+from covariant.models import Overrides
+from covariant.observers import AbstractObserver
+from covariant.scoring import unwrap
+from covariant.workflow._inputs import (
+    ColumnNames,
+    Job,
+    Loaded,
+    ReferenceVelocity,
+    coordinates,
+    innovation_units,
+    load,
+    log_sheet,
+    sought_columns,
+    with_sensor_delays,
+)
+from covariant.workflow._outcome import Outcome, drive, engine_is_notable, report_curves, summary
+from covariant.workflow._outputs import check_output
+from covariant.workflow._pages import estimate_report, write_report
+from covariant.workflow._progress import Progress, silent
+from covariant.workflow._result import AbstractTable
+from covariant.workflow._states import state_design_note, tuned_states
+
+SHORTEST_TRIAL = 200
+"""Rows that the first third of a log must have, so that filters can be tuned on it."""
+
+LONGEST_TRIAL = 20_000
+"""Largest number of these rows that are used: the search takes seconds on them, and minutes on a million."""
+
+
+def compare(
+    model: Any,
+    log: Any,
+    *,
+    overrides: Overrides = (),
+    every: int = 1,
+    start: float | None = None,
+    until: float | None = None,
+    columns: ColumnNames | None = None,
+    anyway: bool = False,
+    engine: EngineName = "auto",
+    progress: Progress = silent,
+) -> "CompareResult":
+    """Run all estimators that fit a model on a log, tuned from the same data sheet, and rank them.
+
+    Args:
+        model, log, overrides, every, start, until, columns, anyway, engine, progress: As for `estimate`.
+
+    Returns:
+        The estimators in order of their errors, against the true velocities where the log has them, else against
+        slopes of the positions, else by the prediction of the outputs.
+
+    Raises:
+        MisfitError: Where the model explains nothing of the motion in the log.
+        ValueError: For a model or a log that cannot be used.
+
+    Example:
+        >>> import covariant
+        >>> log = covariant.simulate("oscillator", duration=2.0, noise=1e-4, q0=[1.0]).record
+        >>> noise = {"measurement.std": 1e-4, "uncertainty.acceleration": 1.0}
+        >>> covariant.compare("oscillator", log, overrides=noise).to_pandas()["estimator"].size > 5
+        True
+    """
+    job = Job(model, log, overrides, every, until, columns or {}, anyway, start)
+    progress("reading the log")
+    loaded = load(job)
+    progress("tuning")
+    observers, note = line_up(loaded)
+    outcomes: dict[str, Outcome] = {}
+    for place, (name, observer) in enumerate(observers.items()):
+        progress(name, place / len(observers))
+        outcomes[name] = drive(observer, loaded, engine, timed=True)
+    ranked = {name: outcomes[name] for name in rank(outcomes, loaded)}
+    return CompareResult(job, loaded, note, ranked, engine)
+
+
+@dataclass(frozen=True, repr=False)
+class CompareResult(AbstractTable):
+    """Estimators ranked on a log, best first.
+
+    Attributes:
+        design: Sentences on how all of them are tuned.
+        outcomes: Run and score of each estimator by name, in order of error.
+    """
+
+    job: Job
+    loaded: Loaded
+    design: str
+    outcomes: dict[str, Outcome]
+    asked_engine: EngineName
+
+    @property
+    def ranking(self) -> tuple[str, ...]:
+        """Names of the estimators, best first."""
+        return tuple(self.outcomes)
+
+    @property
+    def columns(self) -> dict[str, np.ndarray]:
+        loaded, outcomes = self.loaded, self.outcomes.values()
+        scored = sought_columns(loaded.file) if loaded.reference else loaded.file.columns.q
+        errors = np.array([rmse(outcome) for outcome in outcomes])
+        known = [consistency(outcome) for outcome in outcomes]
+        return {
+            "rank": np.arange(1, len(outcomes) + 1),
+            "estimator": np.array(self.ranking),
+            **{f"{name}_rmse": errors[:, i] for i, name in enumerate(scored)},
+            **{key.lower(): np.array([row[key] for row in known]) for key in ("NIS", "NEES")},
+            "microseconds": np.array([outcome.microseconds for outcome in outcomes]),
+        }
+
+    def save(self, path: str | Path, overwrite: bool = True) -> Path:
+        """Write the ranking as a table (.csv)."""
+        path = Path(path)
+        check_output(path, ".csv", log=self.job.log)
+        text = io.StringIO()
+        rows = csv.writer(text, lineterminator="\n")
+        rows.writerow(self.columns)
+        for row in zip(*(column.tolist() for column in self.columns.values()), strict=True):
+            rows.writerow("" if isinstance(value, float) and math.isnan(value) else value for value in row)
+        return write_atomically(path, lambda file: file.write(text.getvalue().encode()))
+
+    @property
+    def summary(self) -> dict[str, Any]:
+        what = self.loaded.model.sought.what
+        return {
+            "model": self.job.model_name,
+            "log": self.job.log_name,
+            "scored_against": scored_against(self.loaded),
+            "design": self.design,
+            "ranking": [
+                {"estimator": name, "engine": outcome.engine, **summary(outcome, what)}
+                for name, outcome in self.outcomes.items()
+            ],
+        }
+
+    @property
+    def headline(self) -> str:
+        return f"{len(self.outcomes)} estimators on {len(self.loaded.record.t)} rows; best: {self.ranking[0]}"
+
+    def __str__(self) -> str:
+        from covariant.report import table
+
+        what = self.loaded.model.sought.what if self.loaded.reference else "prediction"
+        notable = any(engine_is_notable(each.engine, self.asked_engine) for each in self.outcomes.values())
+        lines = [
+            f"{self.job.log_name}, {what} errors against the {scored_against(self.loaded)}",
+            self.design,
+            "",
+            table(self._rows()),
+            *(_engines(self.outcomes) if notable else []),
+        ]
+        return "\n".join(lines)
+
+    def report(self, path: str | Path) -> list[Path]:
+        """Write an interactive page (.html), and figures (.png) beside it; returns all paths."""
+        title = f"Estimators compared: {Path(self.job.model_name).stem}, {Path(self.job.log_name).name}"
+        curves = report_curves(self.outcomes)
+        return write_report(Path(path), estimate_report(title, self.loaded, curves, (self.design,), self._rows()))
+
+    def _rows(self) -> tuple[dict[str, str | float], ...]:
+        """The rows of the printed table, with units in their headings."""
+        loaded = self.loaded
+        form = "RMSE {} [{}]" if loaded.model.sought.names else "RMSE d{}/dt [{}/s]"
+        labels, units = coordinates(loaded.file)
+        if loaded.reference is None:
+            labels, units = loaded.file.columns.q, innovation_units(loaded.file)
+        headings = [form.format(label, unit).removesuffix(" []") for label, unit in zip(labels, units, strict=True)]
+        return tuple(
+            {
+                "estimator": name,
+                **dict(zip(headings, map(float, rmse(outcome)), strict=True)),
+                **consistency(outcome),
+                "µs a sample": round(outcome.microseconds, 1),
+            }
+            for name, outcome in self.outcomes.items()
+        )
+
+
+def line_up(loaded: Loaded) -> tuple[dict[str, AbstractObserver], str]:
+    """The observers that are compared by name, and sentences on how they are tuned."""
+    if not loaded.file.mechanical:
+        return with_sensor_delays(tuned_states(loaded), loaded), state_design_note(loaded.file) + loaded.note
+    reference = loaded.reference
+    assert reference is not None  # it was asked for
+    sheet = log_sheet(loaded)
+    trial = first_part(loaded, reference)
+    note = f"All tuned from one data sheet; the observers have {observer_gains(sheet, loaded.rate).summary}."
+    note += loaded.note
+    if trial is not None:
+        end = trial.t[-1] - np.asarray(loaded.record.t)[0]
+        note += f" Filters that know no model are those that are best on the first {end:.3g} s of this very log."
+    tuned = tuned_estimators(loaded.model, loaded.file.dimension, sheet, loaded.rate, trial)
+    return with_sensor_delays(tuned, loaded), note
+
+
+def scored_against(loaded: Loaded) -> str:
+    """What errors are errors against: without a reference, the measured outputs, predicted one sample ahead."""
+    return "outputs, one sample ahead" if loaded.reference is None else loaded.reference.label
+
+
+def first_part(loaded: Loaded, reference: ReferenceVelocity) -> Trial | None:
+    """The first third of the log, at most `LONGEST_TRIAL` rows, with its velocities.
+
+    None for a model that is not in coordinates, and for a log too short to tune on.
+    """
+    if not loaded.model.manifold.commuting:
+        return None
+    t = np.asarray(loaded.record.t)
+    part = (t <= t[0] + (t[-1] - t[0]) / 3) & np.isfinite(reference.v).all(axis=1)
+    part[np.flatnonzero(part)[LONGEST_TRIAL:]] = False
+    y = unwrap(np.asarray(loaded.record.y), loaded.model.circles)[part]
+    if part.sum() < SHORTEST_TRIAL or np.isfinite(y).sum(axis=0).min() < SHORTEST_TRIAL // 2:
+        return None
+    return Trial(t[part], y, reference.v[part])
+
+
+def rank(outcomes: dict[str, Outcome], loaded: Loaded) -> list[str]:
+    """Names in order of error, each column relative to the size of what it is an error of; diverged ones last."""
+    reference = loaded.reference
+    if reference is None:
+        scale = np.nanstd(np.asarray(loaded.record.y), axis=0)
+    else:
+        scale = np.sqrt(np.mean(reference.v[reference.scored] ** 2, axis=0))
+
+    def badness(name: str) -> float:
+        relative = rmse(outcomes[name]) / np.where(scale > 0, scale, 1.0)
+        total = float(np.sqrt(np.mean(relative**2)))
+        return total if np.isfinite(total) else float("inf")
+
+    return sorted(outcomes, key=badness)
+
+
+def rmse(outcome: Outcome) -> np.ndarray:
+    """Errors of what is scored: of the velocities or states, and without a reference of the predicted outputs."""
+    if outcome.score is not None:
+        return outcome.score.rmse
+    innovation = np.asarray(outcome.run.info.innovation)
+    return np.sqrt(np.mean(innovation[len(innovation) // 10 :] ** 2, axis=0))
+
+
+def consistency(outcome: Outcome) -> dict[str, float]:
+    """Normalised squares of innovations and of velocity errors, where 1 is expected; NaN for an estimator without."""
+    return {"NIS": outcome.nis, "NEES": math.nan if outcome.score is None else outcome.score.nees}
+
+
+def _engines(outcomes: dict[str, Outcome]) -> list[str]:
+    """Which engine computed what, a line for each."""
+    by: dict[str, list[str]] = {}
+    for name, outcome in outcomes.items():
+        by.setdefault(outcome.engine, []).append(name)
+    return [f"engine of {', '.join(names)}: {engine}" for engine, names in by.items()]

@@ -1,0 +1,375 @@
+"""`estimate`: velocities or states from a log, by one observer."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from covariant import logs
+from covariant.design import (
+    ESTIMATORS,
+    STATE_ESTIMATORS,
+    estimators,
+    gated,
+    observer_gains,
+    tuned_estimators,
+    with_gains,
+)
+from covariant.engine import EngineName
+from covariant.models import Overrides
+from covariant.observers import AbstractObserver
+from covariant.scoring import rmse
+from covariant.signals import Result, Run
+from covariant.workflow._inputs import (
+    ColumnNames,
+    Job,
+    Loaded,
+    innovation_units,
+    load,
+    log_sheet,
+    numbered,
+    sought_columns,
+    sought_units,
+    with_sensor_delays,
+)
+from covariant.workflow._outcome import (
+    Outcome,
+    deviations,
+    drive,
+    engine_is_notable,
+    known,
+    report_curves,
+    rounded,
+    summary,
+)
+from covariant.workflow._outputs import check_output
+from covariant.workflow._pages import estimate_report, write_report
+from covariant.workflow._progress import Progress, silent
+from covariant.workflow._result import AbstractTable
+from covariant.workflow._states import state_design_note, tuned_states
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+LONGEST_SHOWN = 3
+"""How many stretches without a measurement are named, the longest ones."""
+
+
+def estimate(
+    model: Any,
+    log: Any,
+    *,
+    observer: str | None = None,
+    alpha: float | None = None,
+    beta: float | None = None,
+    score: bool = False,
+    overrides: Overrides = (),
+    every: int = 1,
+    start: float | None = None,
+    until: float | None = None,
+    columns: ColumnNames | None = None,
+    anyway: bool = False,
+    engine: EngineName = "auto",
+    progress: Progress = silent,
+) -> "EstimateResult":
+    """Estimate velocities, or states of a state-space model, from the positions or outputs in a log.
+
+    Args:
+        model: A model file (.toml), a robot (.urdf, .xml), `module:attribute`, the name of a system or a robot of the
+            library, a `ModelFile`, or a system.
+        log: A path (.csv, .txt, .tsv, .parquet, .mcap, a rosbag2), a `Record`, a DataFrame, or an xarray Dataset.
+        observer: Name of the observer; by default the first that fits the model, `intrinsic` for a mechanical one.
+        alpha, beta: Gains [1/s], [1/s²] in place of the designed ones; both or neither.
+        score: Whether velocities are scored against slopes of the positions where the log has no true velocities.
+        overrides: Values that replace those of the model file: `{"measurement.std": 1e-4}`, or
+            `["measurement.std=1e-4"]`.
+        every: Use each k-th row.
+        start, until: Use the log from and up to this time [s] since its first row.
+        columns: Names of columns by field (t, q, u, v, truth) that replace those of the model file.
+        anyway: Go on with a log that does not fit the model at all.
+        engine: What computes: "c", "jax", or "auto" for C where it pays.
+        progress: Called with a description and a fraction as the work goes on.
+
+    Returns:
+        The estimates with their standard deviations where the observer knows them, units, score and warnings.
+
+    Raises:
+        MisfitError: Where the model explains nothing of the motion in the log.
+        ValueError: For bad arguments, a model or log that cannot be used, or an estimate that diverged.
+
+    Example:
+        >>> import covariant
+        >>> log = covariant.simulate("oscillator", duration=2.0, noise=1e-4, q0=[1.0]).record
+        >>> result = covariant.estimate("oscillator", log, alpha=40.0, beta=800.0)
+        >>> result.velocity.shape
+        (1001, 1)
+    """
+    _check_arguments(observer, alpha, beta)
+    job = Job(model, log, overrides, every, until, columns or {}, anyway, start)
+    progress("reading the log")
+    loaded = load(job, score)
+    observer = observer or estimators(loaded.model)[0]
+    chosen, notes = _choose(job, loaded, observer, alpha, beta)
+    progress(f"estimating with {observer}")
+    outcome = drive(chosen, loaded, engine)
+    if outcome.failed:
+        raise ValueError(
+            f"{job.log_name}: the estimate left the finite numbers; lower the gains or check model and units"
+        )
+    return EstimateResult(job, loaded, observer, notes, outcome, engine)
+
+
+@dataclass(frozen=True, repr=False)
+class EstimateResult(AbstractTable):
+    """Estimates from a log: a table of time, configuration and velocities, with what is known of their accuracy.
+
+    Attributes:
+        observer_name: Name of the observer that made them.
+        design: Sentences on gains and noise.
+        run: Stamps, estimates and diagnostics of every sample, as arrays of NumPy.
+    """
+
+    job: Job
+    loaded: Loaded
+    observer_name: str
+    design: tuple[str, ...]
+    outcome: Outcome
+    asked_engine: EngineName
+
+    @property
+    def run(self) -> Run:
+        """Stamps, estimates and diagnostics of every sample."""
+        return self.outcome.run
+
+    @property
+    def t(self) -> np.ndarray:
+        """Stamps (T,) [s]."""
+        return np.asarray(self.outcome.run.t)
+
+    @property
+    def velocity(self) -> np.ndarray:
+        """Estimated velocities (T, n), or states of a state-space model, in the units of the model."""
+        return self.outcome.velocity
+
+    @property
+    def velocity_std(self) -> np.ndarray | None:
+        """Standard deviations (T, n) of the velocities; None for an observer that does not know them."""
+        return deviations(self.outcome.run.info)
+
+    @property
+    def codes(self) -> np.ndarray:
+        """Result code (T,) of every sample, a `covariant.Result`."""
+        return np.asarray(self.outcome.run.info.result)
+
+    @property
+    def columns(self) -> dict[str, np.ndarray]:
+        return self._columns(numbered("q", self.loaded.file.dimension), sought_columns(self.loaded.file))
+
+    @property
+    def units(self) -> dict[str, str]:
+        file = self.loaded.file
+        found = dict(zip(sought_columns(file), sought_units(file), strict=True))
+        if file.mechanical and file.model.manifold.commuting and file.model.units:
+            found |= dict(zip(numbered("q", file.dimension), file.model.units, strict=True))
+        return {"t": "s"} | found | {f"{name}_std": unit for name, unit in found.items()}
+
+    def _columns(self, positions: tuple[str, ...], velocities: tuple[str, ...]) -> dict[str, np.ndarray]:
+        """The columns: t, the configuration as the log has it, the velocities, and what else is estimated.
+
+        An observer that knows how accurate it is adds standard deviations, v1_std…; one that estimates more than the
+        motion adds that, as external_force1… and external_force1_std….
+        """
+        file, outcome = self.loaded.file, self.outcome
+        x, info = outcome.run.estimate, outcome.run.info
+        if not file.mechanical:
+            configuration = {}
+        elif not file.model.manifold.commuting:
+            configuration = logs.to_columns(file.columns, np.asarray(x.q))
+        else:
+            configuration = dict(zip(positions, np.split(np.asarray(x), 2, axis=1)[0].T, strict=True))
+        found = {"t": self.t} | configuration
+        for names, values, std in (
+            (velocities, outcome.velocity, deviations(info)),
+            (outcome.slow_names, *(known(info, name) for name in ("slow", "slow_std"))),
+        ):
+            for suffix, each in (("", values), ("_std", std)):
+                if each is not None and each.size:
+                    found |= {f"{name}{suffix}": column for name, column in zip(names, each.T, strict=True)}
+        return found
+
+    def save(self, path: str | Path, overwrite: bool = True) -> Path:
+        """Write the table to a log (.csv, .txt, .tsv, .parquet, .mcap, .rosbag2).
+
+        In messages of ROS coordinates are joints by their names in the log: shoulder/position, shoulder/velocity….
+        """
+        path = Path(path)
+        check_output(path, *logs.WRITTEN, log=self.job.log)
+        file, columns = self.loaded.file, self.columns
+        if path.suffix in logs.MESSAGES and file.mechanical and file.model.manifold.commuting:
+            joints = [name.removesuffix("/position") for name in file.columns.q]
+            columns = self._columns(*(tuple(f"{name}/{of}" for name in joints) for of in ("position", "velocity")))
+        logs.write(path, columns, self.loaded.log.origin_ns)
+        return path
+
+    @property
+    def summary(self) -> dict[str, Any]:
+        loaded, outcome = self.loaded, self.outcome
+        reference, logged = loaded.reference, loaded.log.v
+        result = {
+            "model": self.job.model_name,
+            "log": self.job.log_name,
+            "observer": self.observer_name,
+            "rows": len(outcome.run.t),
+            **({} if loaded.origin is None else {"t_counts_from": loaded.origin}),
+            "engine": outcome.engine,
+            **({} if reference is None else {"scored_against": reference.label}),
+            "design": self.design[0],
+            **summary(outcome, loaded.model.sought.what),
+        }
+        if reference is not None and logged is not None:
+            both = reference.scored & np.isfinite(logged).all(1)
+            result["difference_to_logged_velocity"] = rounded(rmse(outcome.velocity[both], logged[both]))
+            result["logged_velocity_rmse"] = rounded(rmse(logged[both], reference.v[both]))
+        return result
+
+    @property
+    def headline(self) -> str:
+        what = self.loaded.model.sought.what
+        text = f"{what} from {len(self.t)} rows by {self.observer_name}"
+        if self.outcome.score is not None:
+            text += f", RMSE {_with_units(rounded(self.outcome.score.rmse), sought_units(self.loaded.file))}"
+        odd = sum(count for name, count in self.outcome.counts.items() if name != "ok")
+        return f"{text}; {odd} samples were not ordinary" if odd else text
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What was odd: how many samples had each result other than ok, and the longest stretches without a reading."""
+        counts, rows = self.outcome.counts, len(self.t)
+        return tuple(
+            f"{count} of {rows} samples: {Result[name.upper()].message}"
+            + (f" ({_longest(self.t, self.codes == Result.COASTED)})" if name == "coasted" else "")
+            for name, count in counts.items()
+            if name != "ok"
+        )
+
+    def __str__(self) -> str:
+        result = self.summary
+        lines = [
+            f"{result['log']}: {result['rows']} rows, {result['observer']} observer",
+            *([f"t counts from {result['t_counts_from']}"] if "t_counts_from" in result else []),
+            result["design"],
+            *_errors(result, self.loaded),
+        ]
+        if "logged_velocity_rmse" in result:
+            speeds = _with_units(result["logged_velocity_rmse"], sought_units(self.loaded.file))
+            lines.append(f"the same for the velocity in the log: {speeds}")
+        if engine_is_notable(result["engine"], self.asked_engine):
+            lines.append(f"engine: {result['engine']}")
+        return "\n".join([*lines, *self.warnings])
+
+    def report(self, path: str | Path) -> list[Path]:
+        """Write an interactive page (.html), and figures (.png) beside it; returns all paths."""
+        return write_report(Path(path), self._page())
+
+    def plot(self, path: str | Path | None = None) -> "Figure":
+        """The figure of the estimates beside what was measured; it is also written where a path is given."""
+        from covariant.report import figure, save_figure
+
+        drawn = figure(self._page())
+        if path is not None:
+            save_figure(drawn, Path(path))
+        return drawn
+
+    def _page(self) -> Any:
+        what = "States" if self.loaded.model.sought.what == "state" else "Velocities"
+        curves = report_curves({self.observer_name: self.outcome})
+        notes = (*self.design, *_errors(self.summary, self.loaded), *self.warnings)
+        return estimate_report(f"{what} of {self.job.title}", self.loaded, curves, notes)
+
+
+def _check_arguments(observer: str | None, alpha: float | None, beta: float | None) -> None:
+    names = (*ESTIMATORS, *STATE_ESTIMATORS)
+    if observer is not None and observer not in names:
+        raise ValueError(f"unknown observer {observer!r}; choose one of {', '.join(names)}")
+    if (alpha is None) != (beta is None):
+        raise ValueError("--alpha and --beta belong together: give both or neither")
+    if alpha is not None and beta is not None and not (0 < alpha < math.inf and 0 < beta < math.inf):
+        raise ValueError(f"--alpha and --beta must be positive numbers; got {alpha} and {beta}")
+
+
+def _choose(
+    job: Job, loaded: Loaded, observer: str, alpha: float | None, beta: float | None
+) -> tuple[AbstractObserver, tuple[str, ...]]:
+    """The observer of a name with its gains, and sentences on its design."""
+    model = loaded.model
+    if observer not in estimators(model):
+        raise ValueError(
+            f"--observer {observer} does not fit {job.model_name}; these do: {', '.join(estimators(model))}"
+        )
+    if alpha is not None and beta is not None:
+        available = with_gains(model, alpha, beta)
+        if observer not in available:
+            raise ValueError(
+                f"--alpha and --beta do not apply to {observer}; they do to {', '.join(available) or 'none'}"
+            )
+        given = f"Given gains: alpha = {alpha:g} 1/s, beta = {beta:g} 1/s²."
+        if loaded.file.measurement_std is None or loaded.file.acceleration_std is None:
+            return with_sensor_delays(available, loaded)[observer], (
+                f"{given} No measurement is refused: the model file tells no noise.",
+            )
+        behind = {observer: gated(available[observer], model, log_sheet(loaded))}
+        return with_sensor_delays(behind, loaded)[observer], (given,)
+    if not loaded.file.mechanical:
+        return with_sensor_delays(tuned_states(loaded, (observer,)), loaded)[observer], (
+            state_design_note(loaded.file) + loaded.note,
+        )
+    sheet = log_sheet(loaded)
+    designed = observer_gains(sheet, loaded.rate).summary
+    tuned = tuned_estimators(model, loaded.file.dimension, sheet, loaded.rate, names=(observer,))
+    unused = ""
+    asked = [
+        what
+        for what, given in (
+            ("the external force of [uncertainty]", sheet.external_force),
+            ("the bias of [measurement]", loaded.file.bias),
+            ("the parameters of [uncertainty]", loaded.file.family),
+        )
+        if given is not None
+    ]
+    if asked and not getattr(tuned[observer], "slow_names", ()):
+        unused = f" It does not estimate {' and '.join(asked)}; intrinsic-kalman does."
+    return with_sensor_delays(tuned, loaded)[observer], (f"Designed {designed}.{loaded.note}{unused}",)
+
+
+def _errors(result: Mapping[str, Any], loaded: Loaded) -> list[str]:
+    """Sentences on the errors, and on the innovations, which need no reference."""
+    lines = []
+    what = loaded.model.sought.what
+    if f"{what}_rmse" in result:
+        errors = _with_units(result[f"{what}_rmse"], sought_units(loaded.file))
+        lines.append(f"{what} RMSE against the {result['scored_against']}: {errors}")
+    lines.append(f"innovation RMS: {_with_units(result['innovation_rms'], innovation_units(loaded.file))}")
+    told = [f"{name.upper()} {result[name]:.3g}" for name in ("nis", "nees") if result.get(name) is not None]
+    if told:
+        lines.append(f"{' and '.join(told)} a number; 1 is expected where model and noise are as told")
+    return lines
+
+
+def _with_units(values: list[float | None], units: tuple[str, ...]) -> str:
+    written = ("—" if v is None else f"{v:.4g} {unit}".rstrip() for v, unit in zip(values, units, strict=True))
+    return ", ".join(written)
+
+
+def _longest(t: np.ndarray, coasted: np.ndarray) -> str:
+    """The longest stretches of samples without a measurement, in words."""
+    edges = np.diff(np.concatenate([[0], coasted.astype(int), [0]]))
+    first, last = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1) - 1
+    order = np.argsort(t[first] - t[last], kind="stable")[:LONGEST_SHOWN]
+    spans = [
+        f"{t[k]:.4g} s" if k == m else f"{t[k]:.4g} to {t[m]:.4g} s"
+        for k, m in zip(first[order], last[order], strict=True)
+    ]
+    return f"{'longest: ' if len(first) > LONGEST_SHOWN else 'at '}{', '.join(spans)}"
