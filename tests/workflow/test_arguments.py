@@ -52,7 +52,7 @@ def test_negative_bounds_and_single_gains_are_refused():
     with pytest.raises(ValueError, match="noise: bounds must not be negative; got 0, -1"):
         arguments.amounts("noise", [0.0, -1.0], NAMES)
     assert arguments.gain_pair(None, None) is None
-    assert arguments.gain_pair(2, 3) == (2.0, 3.0)
+    assert arguments.gain_pair(2.0, 3.0) == (2.0, 3.0)
     for pair, message in (((1.0, None), "belong together"), ((-1.0, 1.0), "positive"), ((1.0, math.inf), "positive")):
         with pytest.raises(ValueError, match=message):
             arguments.gain_pair(*pair)

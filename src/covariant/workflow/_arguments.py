@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-Region = Mapping[str, Sequence[float]]
+Region = Mapping[str, Sequence[float | int]]
 """Low and high ends of coordinates by name, such as `{"theta": (-1.0, 1.0)}`."""
 Amounts = float | Sequence[Any] | np.ndarray
 """A number, or numbers."""
