@@ -13,7 +13,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import get_origin
 
-
 ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "covariant"
 
@@ -296,12 +295,9 @@ def disagreements(room: str) -> Iterator[str]:
         yield f"{room} has no docstring"
     for name in {*PUBLIC[room].split()} & {*module.__all__}:
         value = getattr(module, name)
-        # An alias of a type cannot have a docstring; one that opens with the call is what Python writes for dataclasses.
-        if (
-            callable(value)
-            and get_origin(value) is None
-            and (not value.__doc__ or value.__doc__.startswith(f"{name}("))
-        ):
+        alias = get_origin(value) is not None  # which cannot have a docstring
+        # Python writes a docstring that opens with the call where a dataclass has none.
+        if callable(value) and not alias and (not value.__doc__ or value.__doc__.startswith(f"{name}(")):
             yield f"{room}.{name} has no docstring"
 
 
