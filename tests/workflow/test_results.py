@@ -1,0 +1,135 @@
+"""Results of `estimate` and `compare`: the same numbers by function and by command, complete before they are drawn."""
+
+import json
+import sys
+
+import numpy as np
+import pytest
+
+import covariant
+from covariant import report
+from covariant.cli import main
+
+MODEL = "pendulum_chain"
+NOISE = {"measurement.std": 1e-3, "uncertainty.acceleration": 2.0}
+SET = [word for key, value in NOISE.items() for word in ("--set", f"{key}={value}")]
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory):
+    path = tmp_path_factory.mktemp("logs") / "log.csv"
+    run(
+        "simulate",
+        MODEL,
+        "-o",
+        str(path),
+        "--duration",
+        "1.2",
+        "--noise",
+        "1e-3",
+        "--q0",
+        "0.5,-0.3",
+        "--dropout",
+        ".02",
+    )
+    return path
+
+
+def run(*words):
+    """Leave the command by its exit code, 0 where it succeeds."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "argv", ["covariant", *words])
+        with pytest.raises(SystemExit) as left:
+            main()
+    return left.value.code or 0
+
+
+@pytest.fixture(scope="module")
+def estimate(log):
+    return covariant.estimate(MODEL, log, overrides=NOISE, score=True)
+
+
+def test_a_function_and_its_command_give_the_same_text_and_numbers(estimate, log, tmp_path, capsys):
+    assert run("estimate", MODEL, str(log), *SET, "--score", "-o", str(tmp_path / "a.csv")) == 0
+    assert capsys.readouterr().out == f"{estimate}\nwrote {tmp_path / 'a.csv'}\n"
+    assert run("estimate", MODEL, str(log), *SET, "--score", "--json") == 0
+    assert json.loads(capsys.readouterr().out) == json.loads(json.dumps(estimate.summary))
+    estimate.save(tmp_path / "b.csv")
+    assert (tmp_path / "a.csv").read_bytes() == (tmp_path / "b.csv").read_bytes()
+
+
+def test_an_estimate_is_a_table_with_units(estimate):
+    table, dataset = estimate.to_pandas(), estimate.to_xarray()
+    assert [*table] == ["t", "q1", "q2", "v1", "v2"]
+    np.testing.assert_array_equal(table[["v1", "v2"]].to_numpy(), estimate.velocity)
+    np.testing.assert_array_equal(dataset["v2"].to_numpy(), estimate.velocity[:, 1])
+    assert dataset["v1"].attrs["units"] == "rad/s"
+    assert estimate.units["t"] == "s"
+    assert all(type(column) is np.ndarray for column in estimate.columns.values())
+
+
+def test_a_result_is_short_where_it_is_looked_at(estimate, log):
+    assert repr(estimate).startswith("<EstimateResult: velocity from 601 rows by intrinsic, RMSE ")
+    assert len(repr(estimate)) < 200
+    assert "<pre>" in estimate._repr_html_()
+
+
+def test_it_is_said_where_an_estimate_had_no_measurement(estimate):
+    missing = np.isnan(np.asarray(estimate.loaded.record.y)).any(axis=1)
+    assert estimate.warnings[0].startswith(f"{missing.sum()} of 601 samples: no measurement")
+    assert "longest: " in estimate.warnings[0]
+    begin = float(estimate.warnings[0].partition("longest: ")[2].split()[0].rstrip(","))
+    assert missing[np.argmin(np.abs(estimate.t - begin))]
+
+
+def test_a_comparison_is_a_table_in_order_of_error(log, tmp_path):
+    result = covariant.compare(MODEL, log, overrides=NOISE, until=1.0)
+    table = result.to_pandas()
+    assert [*table["estimator"]] == [*result.ranking]
+    scale = np.sqrt(np.mean(result.loaded.reference.v[result.loaded.reference.scored] ** 2, axis=0))
+    relative = np.linalg.norm(table[["v1_rmse", "v2_rmse"]].to_numpy() / scale, axis=1)
+    assert (np.diff(relative) >= 0).all()
+    result.save(tmp_path / "table.csv")
+    assert (tmp_path / "table.csv").read_text().startswith("rank,estimator,v1_rmse,v2_rmse,nis,nees,microseconds\n1,")
+    assert set(result.outcomes) == {row["estimator"] for row in result.summary["ranking"]}
+
+
+@pytest.mark.parametrize("form", ["text", "json"])
+def test_what_is_computed_is_saved_and_printed_although_the_page_cannot_be_drawn(
+    form, log, tmp_path, capsys, monkeypatch
+):
+    def fail(*_):
+        raise ValueError("no ink")
+
+    monkeypatch.setattr(report, "write_html", fail)
+    words = ["estimate", MODEL, str(log), *SET, "-o", str(tmp_path / "a.csv"), "--report", str(tmp_path / "page.html")]
+    assert run(*words, *(["--json"] if form == "json" else [])) == 2
+    printed = capsys.readouterr()
+    assert "no ink" in printed.err
+    assert (tmp_path / "a.csv").exists()
+    assert "innovation" in printed.out
+    if form == "json":
+        assert json.loads(printed.out)["report"] == []
+
+
+def test_a_model_may_be_an_object(log):
+    by_name = covariant.estimate(MODEL, log, alpha=20.0, beta=300.0)
+    model = covariant.models.load(MODEL).model
+    by_object = covariant.estimate(model, log, alpha=20.0, beta=300.0)
+    by_file = covariant.estimate(covariant.models.load(MODEL, NOISE), log, alpha=20.0, beta=300.0)
+    np.testing.assert_array_equal(by_name.velocity, by_object.velocity)
+    assert by_object.summary["model"] == "Lagrangian"
+    assert by_file.loaded.file.measurement_std == NOISE["measurement.std"]
+    with pytest.raises(ValueError, match="Lagrangian: parameters is for models that are made from a file or by name"):
+        covariant.estimate(model, log, overrides={"parameters.mass": [1.0, 2.0]})
+
+
+def test_every_missing_number_is_named_at_once(log):
+    with pytest.raises(ValueError, match=r"measurement\.std and uncertainty\.acceleration"):
+        covariant.estimate(MODEL, log)
+
+
+def test_columns_may_be_lists_or_a_text(log):
+    one = covariant.estimate(MODEL, log, alpha=9.0, beta=40.0, columns={"q": ["q1", "q2"]})
+    two = covariant.estimate(MODEL, log, alpha=9.0, beta=40.0, columns={"q": "q1, q2"})
+    np.testing.assert_array_equal(one.velocity, two.velocity)
