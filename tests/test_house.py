@@ -73,7 +73,7 @@ PUBLIC = {
     "Interval Lowered LoweringError Node Signature Truth c_function c_helpers c_number c_rows enclose evaluate expand "
     "fulfilled graft in_c lower numbers pairs perturbed simplified stumpff substitute",
     "logs": "ATTITUDES MESSAGES OPTIONAL WRITTEN Body Columns Log LogError bodies check_unit coordinates matrices read "
-    "survey to_columns unit_factor write",
+    "record source_name survey to_columns unit_factor write",
     "models": "Family GroupSystem Lagrangian MechanicalSystem ModelError ModelFile MomentumChart Motion Overrides "
     "Parameter Parametric StateSpace Survey acceleration advance applied_force ball_and_beam bioreactor body_velocity "
     "chart_jacobian chart_velocity check_metric check_model document duffing energy family free_body friction "

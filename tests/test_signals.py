@@ -1,10 +1,13 @@
 """Records: the one line that names what is wrong with one, and inputs passed through a lag."""
 
+from typing import NamedTuple
+
+import jax
 import numpy as np
 import pytest
 from scipy import signal
 
-from covariant.signals import Record, Result, acting_inputs, lag_inputs, read_together
+from covariant.signals import Record, Result, Run, acting_inputs, lag_inputs, read_together
 
 T = np.array([0.0, 0.1, 0.3, 0.4])
 GOOD = Record(T, np.zeros((4, 1)), np.arange(8.0).reshape(4, 2))
@@ -137,3 +140,36 @@ def test_coordinates_that_are_late_by_different_times_are_read_together():
     assert 1 <= (~known).sum() <= 5
     np.testing.assert_allclose(found.y[known], motion(t[first:] - 0.025)[known], rtol=0, atol=2e-6)
     assert np.nanmax(np.abs(y[first:] - motion(t[first:] - 0.025))[known]) > 0.05
+
+
+def test_a_record_without_inputs_has_none():
+    alone = Record(T, y=GOOD.y)
+    assert np.shape(alone.u) == (4, 0)
+    assert Record(T, None, GOOD.y).check().y is GOOD.y
+    axes = Record(0, None, 0)  # of a vmap: no arrays
+    assert axes.u is None
+    assert jax.tree.map(lambda rows: 2 * rows, alone).check().t[-1] == 0.8
+
+
+def test_positions_must_be_there_and_real():
+    with pytest.raises(ValueError, match="a record needs positions y"):
+        Record(T, GOOD.u).check()
+    with pytest.raises(ValueError, match=r"positions y .* are complex; coordinates must be real"):
+        GOOD._replace(y=GOOD.y * 1j).check()
+    unitary = np.broadcast_to(1j * np.eye(2), (4, 2, 2))
+    assert GOOD._replace(y=unitary).check().y is unitary
+
+
+def test_records_and_runs_are_printed_in_one_line():
+    assert repr(GOOD) == "<Record: 4 rows over 0.4 s, 2 positions, 1 input>"
+    assert repr(GOOD._replace(y=np.zeros((4, 3, 3)))) == "<Record: 4 rows over 0.4 s, positions 3 × 3, 1 input>"
+    seen = []
+    jax.jit(lambda record: seen.append(repr(record)))(GOOD)
+    assert seen == ["<Record: 4 rows, 2 positions, 1 input>"]
+
+    class Info(NamedTuple):
+        result: np.ndarray
+
+    run = Run(T, np.zeros((4, 2)), Info(np.array([0, 0, 1, 0])))
+    assert repr(run) == "<Run: 4 rows over 0.4 s, 3 ok, 1 coasted>"
+    assert repr(Run(T, np.zeros((4, 2)), None)) == "<Run: 4 rows over 0.4 s>"

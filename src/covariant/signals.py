@@ -60,21 +60,53 @@ _MESSAGES = {
 AnyArray = Array | np.ndarray
 
 
-class Record(NamedTuple):
-    """A log, time first: stamps t (T,) [s], inputs u (T, m), measured positions y, and the true state x where known.
-
-    Positions are coordinates (T, n), or group elements (T, N, N). The state is (T, 2n), or a `Motion` of the group.
-    NaN in y marks a missing measurement. `check` tests what a record must satisfy.
-    """
-
+class _Fields(NamedTuple):
     t: Float[AnyArray, "T"]
     u: Float[AnyArray, "T m"]
     y: Inexact[AnyArray, "T *n"]
     x: Any = None
 
+
+class Record(_Fields):
+    """A log, time first: stamps, inputs, measured positions, and the true state where it is known.
+
+    `covariant.logs.record` makes one of a file, a data frame or a dataset of xarray; `check` tests what a record must
+    satisfy.
+
+    Args:
+        t: Stamps (T,) [s].
+        u: Inputs (T, m); None for a system without inputs, which is completed to (T, 0).
+        y: Measured positions: coordinates (T, n), or group elements (T, N, N). NaN marks a missing measurement.
+        x: True state (T, 2n), or a `Motion` of the group.
+
+    >>> import numpy as np
+    >>> from covariant.signals import Record
+    >>> t = np.linspace(0.0, 2.0, 201)
+    >>> Record(t, y=np.sin(t)[:, None])
+    <Record: 201 rows over 2 s, 1 position, no input>
+    """
+
+    __slots__ = ()
+
+    def __new__(cls, t: Any, u: Any = None, y: Any = None, x: Any = None) -> "Record":
+        # Trees of other things than arrays, such as the axes of a vmap, have records with None as well.
+        inputs: Any = np.zeros((*np.shape(t), 0)) if u is None and np.ndim(t) > 0 else u
+        return super().__new__(cls, t, inputs, y, x)
+
+    def __repr__(self) -> str:
+        rows, shape = np.shape(self.t), np.shape(self.y)
+        if len(rows) != 1 or len(shape) not in (2, 3) or np.ndim(self.u) != 2:
+            return super().__repr__()
+        positions = _count(shape[1], "position") if len(shape) == 2 else f"positions {shape[1]} × {shape[2]}"
+        return f"<Record: {_span(self.t)}, {positions}, {_count(np.shape(self.u)[1], 'input')}>"
+
     def check(self) -> "Record":
         """Return the record, or raise `ValueError` naming the first thing wrong with it."""
         t, u, y = (np.asarray(a) for a in (self.t, self.u, self.y))
+        if self.y is None:
+            raise ValueError("a record needs positions y (T, n) or (T, N, N); got none")
+        if y.ndim == 2 and np.iscomplexobj(y):
+            raise ValueError("positions y (T, n) are complex; coordinates must be real numbers")
         if t.ndim != 1 or u.ndim != 2 or y.ndim not in (2, 3) or not len(t) == len(u) == len(y):
             raise ValueError(
                 f"a record needs t (T,), u (T, m), y (T, n) or (T, N, N); got {t.shape}, {u.shape}, {y.shape}"
@@ -111,6 +143,35 @@ class Run(NamedTuple):
     t: Float[Array, "T"]
     estimate: Any
     info: Any
+
+    def __repr__(self) -> str:
+        result = getattr(self.info, "result", None)
+        codes = _codes(result) if isinstance(result, np.ndarray | Array) else ""
+        return f"<Run: {_span(self.t)}{codes}>"
+
+
+def _span(t: Any) -> str:
+    """How many rows stamps (T,) have, and over which time where they are numbers."""
+    rows = np.shape(t)
+    text = _count(rows[0], "row") if len(rows) == 1 else f"rows {rows}"
+    try:
+        return f"{text} over {float(t[-1]) - float(t[0]):.4g} s" if len(rows) == 1 and rows[0] > 1 else text
+    except TypeError:  # within a function that JAX traces there are no numbers
+        return text
+
+
+def _codes(result: Any) -> str:
+    """How often each code of a pass is found, the most frequent first."""
+    try:
+        codes, counts = np.unique(np.asarray(result), return_counts=True)
+    except TypeError:
+        return ""
+    order = np.argsort(-counts, kind="stable")
+    return ", " + ", ".join(f"{counts[k]} {Result(int(codes[k])).name.lower()}" for k in order)
+
+
+def _count(number: int, word: str) -> str:
+    return f"{number or 'no'} {word}{'s' if number > 1 else ''}"
 
 
 def lag_inputs(record: Record, time_constant: float) -> Record:

@@ -6,6 +6,7 @@ from ._configuration import (
     matrices as matrices,
     to_columns as to_columns,
 )
-from ._read import OPTIONAL as OPTIONAL, read as read, survey as survey
+from ._read import OPTIONAL as OPTIONAL, read as read, record as record, survey as survey
+from ._tables import source_name as source_name
 from ._units import check_unit as check_unit, unit_factor as unit_factor
 from ._write import MESSAGES as MESSAGES, WRITTEN as WRITTEN, write as write

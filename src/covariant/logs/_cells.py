@@ -15,6 +15,8 @@ def numbers(where: str, column: Any, needed: bool) -> Float[np.ndarray, "T"]:
     Raises `LogError` that begins with `where` and names the first row that holds anything else.
     """
     pa = pyarrow()
+    if pa.types.is_boolean(column.type):
+        raise LogError(f"{where} holds true and false, which are no numbers; name another column")
     try:
         values = floats(column.cast(pa.float64(), safe=False))
     except pa.ArrowInvalid:

@@ -76,6 +76,11 @@ class Log(NamedTuple):
     truth: Float[np.ndarray, "T n"] | None = None
     origin_ns: int | None = None
 
+    def __repr__(self) -> str:
+        beside = ["velocities"] * (self.v is not None) + ["true velocities"] * (self.truth is not None)
+        since = "" if self.origin_ns is None else f" since {np.datetime64(self.origin_ns, 'ns')}Z"
+        return f"<Log: {repr(self.record)[9:-1]}{since}{', with ' + ' and '.join(beside) if beside else ''}>"
+
 
 TEXTS = (".csv", ".txt", ".tsv")
 """Endings of logs as text."""

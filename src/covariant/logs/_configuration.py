@@ -4,7 +4,6 @@ For a configuration of several kinds, each row (m,) of `y` is the block-diagonal
 flattened row by row, followed by the matrices of ball joints and by the coordinates.
 """
 
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -65,7 +64,7 @@ def _bodies(columns: Columns) -> tuple[tuple[Body, ...], tuple[Body, ...]]:
     return (*first, *(Body("angle", (name,)) for name in wheels)), balls
 
 
-def from_cells(path: Path, columns: Columns, cells: Float[np.ndarray, "T k"]) -> np.ndarray:
+def from_cells(name: str, columns: Columns, cells: Float[np.ndarray, "T k"]) -> np.ndarray:
     """Configurations (T, n), (T, N, N) or (T, m) from the cells of `columns.measured`.
 
     Where a cell of a body or a wheel is NaN, all of these are NaN in that row; a ball joint is missing by itself."""
@@ -74,13 +73,13 @@ def from_cells(path: Path, columns: Columns, cells: Float[np.ndarray, "T k"]) ->
         return cells
     named = dict(zip(columns.measured, cells.T, strict=True))
     groups = [together, *((ball,) for ball in balls)]
-    parts = [_from_named(path, group, named) for group in groups]
+    parts = [_from_named(name, group, named) for group in groups]
     if len(parts) == 1 and not columns.q:
         return parts[0]
     return np.concatenate([*(part.reshape(len(cells), -1) for part in parts), cells[:, : len(columns.q)]], axis=1)
 
 
-def _from_named(path: Path, parts: tuple[Body, ...], named: dict[str, np.ndarray]) -> Float[np.ndarray, "T N N"]:
+def _from_named(name: str, parts: tuple[Body, ...], named: dict[str, np.ndarray]) -> Float[np.ndarray, "T N N"]:
     """The block-diagonal matrices of these bodies."""
     order = sum(body.order for body in parts)
     cells = np.stack([named[name] for body in parts for name in (*body.rotation, *body.position)], axis=1)
@@ -90,7 +89,7 @@ def _from_named(path: Path, parts: tuple[Body, ...], named: dict[str, np.ndarray
     y[present] = 0.0
     for body, corner in zip(parts, _corners(parts), strict=True):
         rotation = np.stack([named[name] for name in body.rotation], axis=1)
-        _check(path, body, rotation, np.flatnonzero(present) + 1)
+        _check(name, body, rotation, np.flatnonzero(present) + 1)
         turn, end = slice(corner, corner + body.space), corner + body.space
         y[present, turn, turn] = KINDS[body.kind].matrices(rotation)
         if body.position:
@@ -138,9 +137,9 @@ def _corners(parts: tuple[Body, ...]) -> list[int]:
     return [sum(body.order for body in parts[:i]) for i in range(len(parts))]
 
 
-def _check(path: Path, body: Body, cells: np.ndarray, rows: np.ndarray) -> None:
+def _check(name: str, body: Body, cells: np.ndarray, rows: np.ndarray) -> None:
     bad, words = KINDS[body.kind].fault(cells)
     if bad.any():
         k = int(bad.argmax())
-        where = f"{path}: columns {', '.join(map(repr, body.rotation))}, row {rows[k]}"
+        where = f"{name}: columns {', '.join(map(repr, body.rotation))}, row {rows[k]}"
         raise LogError(f"{where}: {words(k)}, or leave the row empty if its measurement is missing")

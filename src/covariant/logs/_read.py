@@ -3,10 +3,10 @@
 import contextlib
 import difflib
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from os import PathLike
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -16,6 +16,7 @@ from covariant.logs._cells import numbers
 from covariant.logs._columns import ATTITUDES, Columns, Log, LogError, kind, pyarrow
 from covariant.logs._configuration import bodies, from_cells
 from covariant.logs._stamps import stamps, timed
+from covariant.logs._tables import LogSource, source_name, table_source
 from covariant.logs._text import is_number, read_text, sheet, with_points
 from covariant.logs._units import unit_factor
 from covariant.signals import Record
@@ -27,7 +28,7 @@ MEASURED = ("q", "position", *ATTITUDES, "angle")
 
 
 def read(
-    path: str | PathLike[str],
+    log: str | PathLike[str] | Record | Any,
     columns: Columns,
     every: int = 1,
     until: float | None = None,
@@ -36,74 +37,171 @@ def read(
 ) -> Log:
     """Read a log; an empty cell or `nan` is a missing measurement, and an error in t and u.
 
-    - `path`: a `.csv`, `.txt` or `.tsv` file, whose delimiter and decimal mark are found, and whose comments, lines
-      that begin with `#` or `%`, are left out; a `.parquet` file; a `.mcap` file or the folder of a rosbag2.
-    - `columns`: names and units of the columns.
-    - `every`: keeps each k-th row; `start`, `until` [s]: keep the rows from and to so long after the first one. The
-      whole log must be valid even so.
-    - `optional`: fields of `columns` that count as not named where the log has none of their columns.
-
     Rows are counted from 1, without header, comments and empty lines. Attitudes become rotation matrices: a quaternion
     or matrix that is off by less than 5 % is replaced by the nearest rotation. Dates, and times since 1970, count from
     the first of them, `Log.origin_ns`.
 
-    Raises `LogError` naming the file, column and row of the first thing wrong; `FileNotFoundError` where there is no
-    file; `ImportError` without pyarrow, or without rosbags for ROS messages.
+    Args:
+        log: One of
+
+            - a path: a `.csv`, `.txt` or `.tsv` file, whose delimiter and decimal mark are found, and whose comments,
+              lines that begin with `#` or `%`, are left out; a `.parquet` file; a `.mcap` file or the folder of a
+              rosbag2;
+            - a data frame of any library that narwhals knows (pandas, polars, a table of pyarrow and others), or a
+              dataset of xarray, whose variables along one dimension are the columns;
+            - a `Record`, which is in SI units already: only the numbers of its positions and inputs are compared with
+              `columns`, and its true state stays in `Log.record.x`.
+        columns: Names and units of the columns.
+        every: Keeps each k-th row.
+        until: Keeps the rows up to so long [s] after the first one.
+        start: Keeps the rows from so long [s] after the first one. The whole log must be valid even so.
+        optional: Fields of `columns` that count as not named where the log has none of their columns.
+
+    Returns:
+        The rows that are kept, in SI units and radians.
+
+    Raises:
+        LogError: Names the file (or "table", "dataset", "record"), column and row of the first thing wrong.
+        FileNotFoundError: There is no such file.
+        ImportError: A package is missing: pyarrow, narwhals for data frames, or rosbags for ROS messages.
+
+    >>> import numpy as np
+    >>> import pandas
+    >>> from covariant import logs
+    >>> frame = pandas.DataFrame({"time": [0, 10, 20], "arm": [0.0, 9.0, 18.0]})
+    >>> columns = logs.Columns(t="time", q=("arm",), units={"t": ("ms",), "q": ("deg",)})
+    >>> np.round(logs.read(frame, columns).record.y, 3)
+    array([[0.   ],
+           [0.157],
+           [0.314]])
     """
-    path = Path(path)
+    name = source_name(log)
     if not columns.measured:
-        raise LogError(f"{path}: no position column was named; say which columns hold q")
+        raise LogError(f"{name}: no position column was named; say which columns hold q")
     try:
         bodies(columns)
     except LogError as error:
-        raise LogError(f"{path}: {error}") from error
+        raise LogError(f"{name}: {error}") from error
     if every < 1:
-        raise LogError(f"{path}: every must be 1 or more rows; got {every}")
-    columns, table = _table(path, columns, optional)
+        raise LogError(f"{name}: every must be 1 or more rows; got {every}")
+    whole = _of_record(log, columns) if isinstance(log, Record) else _of_columns(name, log, columns, optional)
+    return _cut(name, whole, every, until, start)
+
+
+def record(
+    log: str | PathLike[str] | Any,
+    t: str = "t",
+    q: str | Sequence[str] = (),
+    u: str | Sequence[str] = (),
+    units: Mapping[str, str | Sequence[str]] | None = None,
+) -> Record:
+    """Make a `Record` of a file, a data frame or a dataset, without a model file.
+
+    Args:
+        log: A path, data frame or dataset, as for `read`.
+        t: Name of the column of stamps [s], or dates.
+        q: Name or names of the columns of positions [rad or m].
+        u: Name or names of the columns of inputs [SI units]; none by default.
+        units: Units of the columns of t, q or u where they are others, as `{"t": "ms", "q": ["deg", "mm"]}`.
+
+    Returns:
+        Stamps (T,), inputs (T, m) and positions (T, n) in SI units and radians.
+
+    Raises:
+        LogError: Names the first thing wrong, as in `read`.
+
+    >>> import pandas
+    >>> from covariant import logs
+    >>> logs.record(pandas.DataFrame({"t": [0.0, 0.1, 0.2], "q1": [0.0, 0.3, 0.4]}), q="q1")
+    <Record: 3 rows over 0.2 s, 1 position, no input>
+    """
+    named = {field: _names(texts) for field, texts in (units or {}).items()}
+    return read(log, Columns(t=t, q=_names(q), u=_names(u), units=named)).record
+
+
+def _names(names: str | Sequence[str]) -> tuple[str, ...]:
+    return (names,) if isinstance(names, str) else tuple(names)
+
+
+def _of_columns(name: str, log: Any, columns: Columns, optional: Collection[str]) -> Log:
+    """All rows of a log that has columns."""
+    columns, table = _table(name, log, columns, optional)
 
     def stack(*fields: str, needed: bool = False) -> np.ndarray:
         found = []
         for field in fields:
-            for place, name in enumerate(getattr(columns, field)):
+            for place, column in enumerate(getattr(columns, field)):
                 given = columns.unit_of(field, place)
-                values = numbers(_where(path, name, given), table.column(name), needed)
+                values = numbers(_where(name, column, given), table.column(column), needed)
+                if field in MEASURED and len(values) and np.isnan(values).all():
+                    raise LogError(f"{_where(name, column, given)} holds no number in any row; name another column")
                 found.append(values if given is None else values * unit_factor(given))
         return np.column_stack(found) if found else np.empty((len(table), 0))
 
     given = columns.unit_of("t", 0)
-    t, origin = stamps(_where(path, columns.t, given), table.column(columns.t), given)
-    u, y = stack("u", needed=True), from_cells(path, columns, stack(*MEASURED))
+    t, origin = stamps(_where(name, columns.t, given), table.column(columns.t), given)
+    u, y = stack("u", needed=True), from_cells(name, columns, stack(*MEASURED))
     v, truth = (stack(field) if getattr(columns, field) else None for field in OPTIONAL)
-    _sound(path, t, u, y)
+    return Log(_checked(name, Record(t, u, y)), v, truth, origin)
+
+
+def _of_record(log: Record, columns: Columns) -> Log:
+    """A log that is a record already, with as many positions and inputs as there are columns of them."""
+    log = _checked("record", log)
+    log = log._replace(t=np.asarray(log.t), u=np.asarray(log.u), y=np.asarray(log.y))
+    if not bodies(columns) and log.y.shape[1:] != (len(columns.q),):
+        raise LogError(f"record: it has positions of shape {log.y.shape[1:]}, needs {len(columns.q)} of them")
+    if log.u.shape[1] != len(columns.u):
+        raise LogError(f"record: it has {log.u.shape[1]} inputs, needs {len(columns.u)}")
+    return Log(log)
+
+
+def _cut(name: str, log: Log, every: int, until: float | None, start: float | None) -> Log:
+    """Every so-many-th row of a log between two times since its first row."""
+    t = log.record.t
     since = t - t[0]
     low = 0 if start is None else int(np.searchsorted(since, start, side="left"))
     kept = slice(low, len(t) if until is None else int(np.searchsorted(since, until, side="right")), every)
     if len(t[kept]) < 2:
         asked = (("every", every), ("from", start), ("until", until))
-        given = ", ".join(f"{name}={value:g}" for name, value in asked if value is not None)
-        raise LogError(f"{path}: {given} keep {len(t[kept])} of {len(t)} rows, and two are needed")
-    if np.isnan(y[kept][0]).any():
+        given = ", ".join(f"{word}={value:g}" for word, value in asked if value is not None)
+        raise LogError(f"{name}: {given} keep {len(t[kept])} of {len(t)} rows, and two are needed")
+    if np.isnan(log.record.y[kept][0]).any():
         row = low + 1
-        raise LogError(f"{path}: row {row}, the first one kept, lacks a measurement; begin a little later or earlier")
-    return Log(
-        Record(t[kept], u[kept], y[kept]),
-        None if v is None else v[kept],
-        None if truth is None else truth[kept],
-        origin,
-    )
+        raise LogError(f"{name}: row {row}, the first one kept, lacks a measurement; begin a little later or earlier")
+    return Log(_rows(log.record, kept), _rows(log.v, kept), _rows(log.truth, kept), log.origin_ns)
 
 
-def survey(path: str | PathLike[str]) -> dict[str, Float[np.ndarray, "T"]]:
+def _rows(part: Any, kept: slice) -> Any:
+    """Some rows of an array, or of all arrays of a named tuple, such as a record or the motion of a group."""
+    if part is None:
+        return None
+    if isinstance(part, tuple):
+        return type(part)(*(_rows(each, kept) for each in part))
+    return part[kept]
+
+
+def survey(log: str | PathLike[str] | Any) -> dict[str, Float[np.ndarray, "T"]]:
     """All columns of numbers of a log by their names, in its order; NaN where a cell is empty.
 
-    Columns that hold anything else are left out, but dates are seconds since the first of them. Raises as `read` does
-    for a file that is no log.
+    Columns that hold anything else are left out, but dates are seconds since the first of them.
+
+    Args:
+        log: A path, data frame or dataset, as for `read`.
+
+    Raises:
+        LogError: The file is no log; as for `read`.
+
+    >>> import pandas
+    >>> from covariant import logs
+    >>> list(logs.survey(pandas.DataFrame({"t": [0.0, 0.1], "q1": [0.0, 0.3], "remark": ["on", "off"]})))
+    ['t', 'q1']
     """
-    path = Path(path)
-    with _legible(path):
-        _, shown, load = _opened(path)
-        alone = [name for name, count in Counter(shown).items() if name and count == 1]
-        table = with_points(pyarrow(), path, load(alone, ()))
+    name = source_name(log)
+    with _legible(name, log):
+        _, shown, load = _opened(name, log)
+        alone = [column for column, count in Counter(shown).items() if column and count == 1]
+        table = with_points(pyarrow(), name, load(alone, ()))
     found: dict[str, np.ndarray] = {}
     for name in alone:
         column = table.column(name)
@@ -112,70 +210,62 @@ def survey(path: str | PathLike[str]) -> dict[str, Float[np.ndarray, "T"]]:
     return found
 
 
-def _where(path: Path, name: str, given: str | None) -> str:
-    return f"{path}: column {name!r}" + (f" [{given}]" if given else "")
+def _where(name: str, column: str, given: str | None) -> str:
+    return f"{name}: column {column!r}" + (f" [{given}]" if given else "")
 
 
-def _sound(path: Path, t: np.ndarray, u: np.ndarray, y: np.ndarray) -> None:
-    """Apply `Record.check` before rows are dropped, so that rows are counted as in the file."""
+def _checked(name: str, record: Record) -> Record:
+    """The record after `Record.check`, before rows are dropped, so that rows are counted as in the log."""
     try:
-        Record(t, u, y).check()
+        return record.check()
     except ValueError as error:
-        raise LogError(f"{path}: {error}") from error
+        raise LogError(f"{name}: {error}") from error
 
 
-class _Source(NamedTuple):
-    """The names of the columns of a file, and `load(wanted, held)`: some of them as a table of Arrow.
-
-    - `shown`: one name for each column; a log of messages knows longer ones as well.
-
-    Of columns that are `held`, cells that are not logged with the others hold what was logged last.
-    """
-
-    names: Sequence[str]
-    shown: Sequence[str]
-    load: Callable[[Sequence[str], Sequence[str]], Any]
-
-
-def _table(path: Path, columns: Columns, optional: Collection[str]) -> tuple[Columns, Any]:
-    """The columns without those optional ones that the file does not have, and a table of them."""
-    with _legible(path):
-        names, shown, load = _opened(path)
+def _table(name: str, log: Any, columns: Columns, optional: Collection[str]) -> tuple[Columns, Any]:
+    """The columns without those optional ones that the log does not have, and a table of them."""
+    with _legible(name, log):
+        names, shown, load = _opened(name, log)
         absent = [field for field in optional if not set(getattr(columns, field)) & set(names)]
         columns = columns._replace(**dict.fromkeys(absent, ()))
         wanted = list(dict.fromkeys((columns.t, *columns.measured, *columns.u, *columns.v, *columns.truth)))
-        _find(path, wanted, names, shown)
-        return columns, with_points(pyarrow(), path, load(wanted, columns.u))
+        _find(name, wanted, names, shown)
+        return columns, with_points(pyarrow(), name, load(wanted, columns.u))
 
 
 @contextlib.contextmanager
-def _legible(path: Path) -> Iterator[None]:
+def _legible(name: str, log: Any) -> Iterator[None]:
     pa = pyarrow()
     try:
         yield
     except LogError:
         raise
     except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
-        if not path.exists():
-            raise FileNotFoundError(f"{path}: no such file") from None
-        what = "a rosbag" if kind(path) == "bag" else kind(path)
-        raise LogError(f"{path}: cannot be read as {what}: {str(error).splitlines()[0]}") from error
+        what = "a table"
+        if isinstance(log, (str, PathLike)):
+            if not Path(log).exists():
+                raise FileNotFoundError(f"{name}: no such file") from None
+            what = "a rosbag" if kind(Path(log)) == "bag" else kind(Path(log))
+        raise LogError(f"{name}: cannot be read as {what}: {str(error).splitlines()[0]}") from error
 
 
-def _opened(path: Path) -> _Source:
+def _opened(name: str, log: Any) -> LogSource:
+    if not isinstance(log, (str, PathLike)):
+        return table_source(name, log)
+    path = Path(log)
     ending = kind(path)
     if not path.exists():
         raise FileNotFoundError(f"{path}: no such file")
     if ending == "bag":
         names = bag_columns(path)
         shown = [name for name, shortest in names.items() if shortest]
-        return _Source(list(names), shown, lambda wanted, held: pyarrow().table(read_bag(path, wanted, held)))
+        return LogSource(list(names), shown, lambda wanted, held: pyarrow().table(read_bag(path, wanted, held)))
     if ending == ".parquet":
         with pyarrow().parquet.ParquetFile(path) as file:
             names = list(file.schema_arrow.names)
-            return _Source(names, names, lambda wanted, held: _parquet(path, wanted))
+            return LogSource(names, names, lambda wanted, held: _parquet(path, wanted))
     found = sheet(path)
-    return _Source(found.header, found.header, lambda wanted, held: read_text(pyarrow(), path, found, wanted))
+    return LogSource(found.header, found.header, lambda wanted, held: read_text(pyarrow(), path, found, wanted))
 
 
 def _parquet(path: Path, wanted: Sequence[str]) -> Any:
@@ -183,16 +273,16 @@ def _parquet(path: Path, wanted: Sequence[str]) -> Any:
         return file.read(columns=wanted)
 
 
-def _find(path: Path, wanted: Sequence[str], found: Sequence[str], shown: Sequence[str]) -> None:
+def _find(log: str, wanted: Sequence[str], found: Sequence[str], shown: Sequence[str]) -> None:
     """Check that each wanted column exists exactly once."""
     count = Counter(found)
     for name in wanted:
         if count[name] > 1:
-            raise LogError(f"{path}: {count[name]} columns are named {name!r}; rename all but one")
+            raise LogError(f"{log}: {count[name]} columns are named {name!r}; rename all but one")
         if not count[name] and all(map(is_number, found)):
             line = ", ".join(found)[:60]
-            raise LogError(f"{path}: its first line, {line!r}, names no columns; put a header above it")
+            raise LogError(f"{log}: its first line, {line!r}, names no columns; put a header above it")
         if not count[name]:
             near = difflib.get_close_matches(name, found, 1)
             meant = f" Did you mean {near[0]!r}?" if near else ""
-            raise LogError(f"{path}: no column {name!r}.{meant} There are: {', '.join(shown)}")
+            raise LogError(f"{log}: no column {name!r}.{meant} There are: {', '.join(shown)}")

@@ -78,7 +78,7 @@ def read_text(pa: Any, path: Path, found: Sheet, wanted: Sequence[str]) -> Any:
     return table
 
 
-def with_points(pa: Any, path: Path, table: Any) -> Any:
+def with_points(pa: Any, log: str, table: Any) -> Any:
     """The table with decimal points in place of decimal commas; raises `LogError` where it has both."""
     texts = [name for name in table.column_names if pa.types.is_string(table.schema.field(name).type)]
     commas = {name: _matching(pa, table.column(name), _COMMA) for name in texts}
@@ -88,7 +88,7 @@ def with_points(pa: Any, path: Path, table: Any) -> Any:
         if row is not None:
             other, its = next(iter(commas.items()))
             raise LogError(
-                f"{path}: column {other!r}, row {its + 1}: found {table.column(other)[its].as_py()!r}, and column "
+                f"{log}: column {other!r}, row {its + 1}: found {table.column(other)[its].as_py()!r}, and column "
                 f"{name!r}, row {row + 1}, has {table.column(name)[row].as_py()!r}; use one decimal mark, and no "
                 "commas between thousands"
             )

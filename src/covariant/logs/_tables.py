@@ -1,0 +1,109 @@
+"""Logs in memory: data frames of any library that narwhals knows, and datasets of xarray, as tables of Arrow."""
+
+import sys
+from collections.abc import Callable, Sequence
+from os import PathLike
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from covariant._optional import load_optional
+from covariant.logs._columns import LogError, pyarrow
+from covariant.signals import Record
+
+
+class LogSource(NamedTuple):
+    """The names of the columns of a log, and `load(wanted, held)`: some of them as a table of Arrow.
+
+    - `shown`: one name for each column; a log of messages knows longer ones as well.
+
+    Of columns that are `held`, cells that are not logged with the others hold what was logged last.
+    """
+
+    names: Sequence[str]
+    shown: Sequence[str]
+    load: Callable[[Sequence[str], Sequence[str]], Any]
+
+
+def source_name(log: Any) -> str:
+    """What messages call a log: its path, or "table", "dataset" or "record" for one in memory.
+
+    >>> from covariant import logs
+    >>> logs.source_name("run7.csv")
+    'run7.csv'
+    """
+    if isinstance(log, (str, PathLike)):
+        return str(Path(log))
+    if isinstance(log, Record):
+        return "record"
+    return "dataset" if _is_dataset(log) else "table"
+
+
+def table_source(name: str, log: Any) -> LogSource:
+    """The columns of a data frame or dataset; raises `LogError` for an object that is neither."""
+    if _is_dataset(log):
+        return _dataset_source(name, log)
+    narwhals = load_optional("narwhals", use="reading data frames needs", extra="logs")
+    try:
+        frame = narwhals.from_native(_with_index(log))
+    except TypeError:
+        raise LogError(
+            f"{name}: a log is a path, a data frame, a dataset of xarray or a Record; got {type(log).__name__}"
+        ) from None
+    except narwhals.exceptions.NarwhalsError as error:
+        raise LogError(f"{name}: {' '.join(str(error).split())}") from error
+    if isinstance(frame, narwhals.LazyFrame):
+        frame = frame.collect()
+    names = [str(column) for column in frame.columns]
+    places = dict(zip(names, frame.columns, strict=True))
+
+    def load(wanted: Sequence[str], held: Sequence[str]) -> Any:
+        return pyarrow().table({column: _arrow(name, column, frame[places[column]].to_arrow) for column in wanted})
+
+    return LogSource(names, names, load)
+
+
+def _is_dataset(log: Any) -> bool:
+    """Whether a log is a dataset of xarray, which is looked for only where xarray is imported."""
+    xarray = sys.modules.get("xarray")
+    return xarray is not None and isinstance(log, xarray.Dataset)
+
+
+def _with_index(log: Any) -> Any:
+    """A data frame of pandas with its index as a column where the index has a name, as a clock often has."""
+    pandas = sys.modules.get("pandas")
+    if pandas is None or not isinstance(log, pandas.DataFrame):
+        return log
+    named = [index for index in log.index.names if index is not None and index not in log.columns]
+    return log.reset_index(level=named) if named else log
+
+
+def _dataset_source(name: str, log: Any) -> LogSource:
+    """The one-dimensional variables and coordinates along the dimension that most of them share."""
+    lines = {str(key): variable for key, variable in log.variables.items() if len(variable.dims) == 1}
+    along = [variable.dims[0] for variable in lines.values()]
+    if not along:
+        raise LogError(f"{name}: it has no variable along one dimension, such as time")
+    time = max(dict.fromkeys(along), key=along.count)
+    columns = {key: variable for key, variable in lines.items() if variable.dims[0] == time}
+
+    def load(wanted: Sequence[str], held: Sequence[str]) -> Any:
+        return pyarrow().table(
+            {key: _arrow(name, key, lambda v=columns[key]: pyarrow().array(np.asarray(v.values))) for key in wanted}
+        )
+
+    return LogSource(list(columns), list(columns), load)
+
+
+def _arrow(name: str, column: str, convert: Callable[[], Any]) -> Any:
+    """A column as Arrow has it; raises `LogError` for cells of several kinds."""
+    pa = pyarrow()
+    try:
+        found = convert()
+    except (pa.ArrowException, TypeError, ValueError) as error:
+        raise LogError(f"{name}: column {column!r} is no column of numbers: {str(error).splitlines()[0]}") from error
+    found = found if isinstance(found, pa.ChunkedArray) else pa.chunked_array([found])
+    if pa.types.is_dictionary(found.type) or pa.types.is_large_string(found.type):
+        found = found.cast(pa.string())
+    return found
