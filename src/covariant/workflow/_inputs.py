@@ -1,7 +1,6 @@
 """The model and the log of a verb, read together: units, lags, delays, encoder ticks, and the reference for scoring."""
 
 from collections.abc import Mapping, Sequence
-from os import PathLike
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -58,8 +57,8 @@ class Job(NamedTuple):
 
     @property
     def log_name(self) -> str:
-        """What messages call the log: its path, or the kind of the table."""
-        return str(self.log) if isinstance(self.log, str | PathLike) else type(self.log).__name__
+        """What messages call the log: its path, or "table", "dataset" or "record"."""
+        return logs.source_name(self.log)
 
     @property
     def title(self) -> str:
