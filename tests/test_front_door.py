@@ -10,8 +10,9 @@ import pytest
 
 import covariant
 from covariant import logs
-from covariant.cli import _certify, _names, _reproduce
+from covariant.cli import _names, _reproduce
 from covariant.design import ESTIMATORS
+from covariant.workflow._certify import OBSERVERS as CERTIFIED
 
 
 def python(script: str, **variables: str) -> str:
@@ -67,7 +68,7 @@ def test_every_name_is_offered():
 def test_what_help_names_is_what_there_is():
     assert _names.ESTIMATORS == ESTIMATORS
     assert _names.WRITTEN == logs.WRITTEN
-    assert tuple(_certify.OBSERVERS) == _names.CERTIFIED
+    assert tuple(CERTIFIED) == _names.CERTIFIED
     assert tuple(_reproduce.PAPERS) == _names.PAPERS
 
 

@@ -103,14 +103,14 @@ PUBLIC = {
     "blocks box check_box derivative_form digest from_letters graph_rows leaves parse_file prove prove_at_corners "
     "read_file saved_graph saved_levels show_conditions to_letters",
     "proofs.checker": "ROUND TaylorEnclosure halves leaves plain show_definite",
-    "report": "PALETTE EstimateReport draw_audit draw_certificate figure new_figure save_figure table write_article "
-    "write_audit write_html write_png",
+    "report": "PALETTE EstimateReport audit_figure certificate_figure draw_audit draw_certificate figure new_figure "
+    "save_figure table write_article write_audit write_html write_png",
     "riccati": "Characteristic Equation RiccatiMetric Solution Window gramian gramians high_gain lie_derivative "
     "metric_at metric_through rate_from_gramian reconstructibility right_side spd_distance window_at",
     "engine": "EngineName FEWEST_ROWS Health Stream compiled run_log run_logs",
     "scale": "Grid Variable map_grid open_grid",
-    "workflow": "AbstractResult AbstractTable CompareResult EstimateResult MisfitError Progress check_output compare "
-    "estimate",
+    "workflow": "AbstractResult AbstractTable CertificateCheckResult CertifyResult CompareResult EstimateResult "
+    "MisfitError Progress certify check_certificate check_output compare estimate",
     "simulation": "Sensor hold no_input observe sense simulate stamps",
 }
 

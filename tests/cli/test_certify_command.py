@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 import shutil
 import sys
 from pathlib import Path
@@ -10,8 +11,8 @@ import numpy as np
 import pytest
 from commands import command
 
-from covariant import certificates, models, proofs
-from covariant.cli import _certify, main
+from covariant import certificates, models, proofs, workflow
+from covariant.cli import main
 from covariant.observers import Intrinsic
 from covariant.proofs import digest
 
@@ -124,18 +125,18 @@ def test_for_a_person_angles_are_in_degrees_too(proved, monkeypatch):
         ),
         None,
     )
-    text = _certify._text(proved, found, "Given gains.")
+    text = str(workflow.CertifyResult("pendulum.toml", found, "Given gains."))
     assert text.startswith(f"proved: {proved['statement']}\nGiven gains.\n")
     assert f"λ = {proved['rate']:.4g} 1/s" in text
     assert f"ε = {proved['radius']:.4g}" in text
     assert "-1.1 ≤ estimate of q1 ≤ 1.1 rad (-63.03 to 63.03°)" in text
     assert f"({math.degrees(proved['half_widths'][0]):.4g}°)" in text
-    assert text.endswith("wrote proved.json")
+    assert re.fullmatch(rf"{found.boxes} boxes, \d+\.\d s", text.splitlines()[-1])
 
 
 def test_undecided_names_what_remains_and_leaves_with_1(capsys, monkeypatch):
     stand_in, asked = unproved("undecided")
-    monkeypatch.setattr(_certify, "certify", stand_in)
+    monkeypatch.setattr(certificates, "certify", stand_in)
     more = ("--q", "3,-1,2", "--rate", "0.5", "--seconds", "7", "--processes", "2")
     code, out, _ = leave(capsys, monkeypatch, "pendulum.toml", *GAINS, *REGION, *more)
     assert code == 1
@@ -148,7 +149,7 @@ def test_undecided_names_what_remains_and_leaves_with_1(capsys, monkeypatch):
 
 
 def test_wrong_names_the_point_and_leaves_with_1(capsys, monkeypatch):
-    monkeypatch.setattr(_certify, "certify", unproved("fails")[0])
+    monkeypatch.setattr(certificates, "certify", unproved("fails")[0])
     code, out, _ = leave(capsys, monkeypatch, "pendulum.toml", *GAINS, *REGION)
     assert code == 1
     assert "it is wrong at\n  q1 = 0.5 rad (28.65°)\n  v_q1 = 0.5 rad/s (28.65°/s)\n" in out
@@ -157,7 +158,7 @@ def test_wrong_names_the_point_and_leaves_with_1(capsys, monkeypatch):
 
 
 def test_a_statement_that_is_wrong_is_not_written(capsys, monkeypatch):
-    monkeypatch.setattr(_certify, "certify", unproved("fails")[0])
+    monkeypatch.setattr(certificates, "certify", unproved("fails")[0])
     code, out, _ = leave(capsys, monkeypatch, "pendulum.toml", *GAINS, *REGION, "--out", "wrong.json")
     assert (code, Path("wrong.json").exists()) == (1, False)
     assert out.endswith("no certificate is written of a statement that is wrong\n")
@@ -165,26 +166,26 @@ def test_a_statement_that_is_wrong_is_not_written(capsys, monkeypatch):
 
 def test_gains_are_designed_from_the_data_sheet(capsys, monkeypatch):
     stand_in, asked = unproved("undecided")
-    monkeypatch.setattr(_certify, "certify", stand_in)
+    monkeypatch.setattr(certificates, "certify", stand_in)
     _, out, _ = leave(capsys, monkeypatch, "sheet.toml", *REGION, "--sampling", "500", "--observer", "geodesic")
     assert type(asked["observer"]).__name__ == "Geodesic"
     assert f"Designed alpha = {asked['observer'].alpha:.4g} 1/s" in out
 
 
 REFUSED = {
-    "no velocity": (("pendulum.toml", *GAINS, "--box", "q1=-1:1", "--error", "0.1"), ["--velocity", "no certificate"]),
-    "no error": (("pendulum.toml", *GAINS, "--box", "q1=-1:1", "--velocity", "2"), ["--error"]),
-    "negative error": (("pendulum.toml", *GAINS, *REGION, "--error", "-0.1"), ["--error", "positive", "-0.1"]),
-    "too many": (("pendulum.toml", *GAINS, *REGION, "--velocity", "1,2"), ["--velocity", "dq1/dt", "1,2"]),
-    "unknown coordinate": (("pendulum.toml", *GAINS, *REGION, "--box", "x=0:1"), ["--box", "'x'", "q1"]),
-    "missing box": (("pendulum.toml", *GAINS, "--velocity", "2", "--error", "1"), ["--box lacks q1", "q1=LOW:HIGH"]),
-    "box the wrong way round": (("pendulum.toml", *GAINS, *REGION, "--box", "q1=1:-1"), ["--box", "below"]),
-    "negative input": (("pendulum.toml", *GAINS, *REGION, "--input", "-1"), ["--input", "negative"]),
-    "indefinite Q": (("pendulum.toml", *GAINS, *REGION, "--q", "1,2,1"), ["--q", "positive definite"]),
-    "rate zero": (("pendulum.toml", *GAINS, *REGION, "--rate", "0"), ["--rate", "positive"]),
-    "one gain": (("pendulum.toml", "--alpha", "1", *REGION), ["--alpha and --beta"]),
-    "no data sheet": (("pendulum.toml", *REGION), ["data sheet", "--alpha and --beta"]),
-    "no sampling rate": (("sheet.toml", *REGION), ["--sampling"]),
+    "no velocity": (("pendulum.toml", *GAINS, "--box", "q1=-1:1", "--error", "0.1"), ["velocity", "no certificate"]),
+    "no error": (("pendulum.toml", *GAINS, "--box", "q1=-1:1", "--velocity", "2"), ["error"]),
+    "negative error": (("pendulum.toml", *GAINS, *REGION, "--error", "-0.1"), ["error", "positive", "-0.1"]),
+    "too many": (("pendulum.toml", *GAINS, *REGION, "--velocity", "1,2"), ["velocity", "dq1/dt", "1, 2"]),
+    "unknown coordinate": (("pendulum.toml", *GAINS, *REGION, "--box", "x=0:1"), ["region", "'x'", "q1"]),
+    "missing box": (("pendulum.toml", *GAINS, "--velocity", "2", "--error", "1"), ["region lacks q1", "q1=LOW:HIGH"]),
+    "box the wrong way round": (("pendulum.toml", *GAINS, *REGION, "--box", "q1=1:-1"), ["region", "below"]),
+    "negative input": (("pendulum.toml", *GAINS, *REGION, "--input", "-1"), ["input", "negative"]),
+    "indefinite Q": (("pendulum.toml", *GAINS, *REGION, "--q", "1,2,1"), ["q", "positive definite"]),
+    "rate zero": (("pendulum.toml", *GAINS, *REGION, "--rate", "0"), ["rate", "positive"]),
+    "one gain": (("pendulum.toml", "--alpha", "1", *REGION), ["alpha and beta"]),
+    "no data sheet": (("pendulum.toml", *REGION), ["data sheet", "alpha and beta"]),
+    "no sampling rate": (("sheet.toml", *REGION), ["sampling"]),
     "unknown observer": (("pendulum.toml", *GAINS, *REGION, "--observer", "ekf"), ["'ekf'", "geodesic"]),
     "state space": (("lorenz", *GAINS, *REGION), ["lorenz", "state-space"]),
     "out of another kind": (("pendulum.toml", *GAINS, *REGION, "--out", "proof.csv"), ["proof.csv", ".json"]),

@@ -5,6 +5,8 @@ from typing import Annotated
 
 import typer
 
+from covariant import workflow
+from covariant.cli._console import progress_bar, show
 from covariant.cli._names import CERTIFIED, ESTIMATORS, PAPERS, STATE_ESTIMATORS, WRITTEN
 from covariant.cli._options import (
     Json,
@@ -12,6 +14,8 @@ from covariant.cli._options import (
     Override,
     Report,
 )
+from covariant.cli._parse import interval_map, number_list
+from covariant.workflow import check_output
 
 on_models = typer.Typer()
 design = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="Design what an observer needs.")
@@ -160,10 +164,11 @@ def certify(
     error: Annotated[
         str | None, typer.Option(help="How far estimated positions may be off, one bound or one each; required.")
     ] = None,
-    box: Annotated[
-        str | None, typer.Option(help="Ends of the positions, as r=-0.3:0.3,theta=-1:1; rotations need none.")
+    region: Annotated[
+        str | None,
+        typer.Option("--region", "--box", help="Ends of the positions, as r=-0.3:0.3,theta=-1:1; rotations need none."),
     ] = None,
-    observer: Annotated[str | None, typer.Option(help=f"One of: {', '.join(CERTIFIED)}.")] = None,
+    observer: Annotated[str, typer.Option(help=f"One of: {', '.join(CERTIFIED)}.")] = CERTIFIED[0],
     alpha: Annotated[float | None, typer.Option(help="Gain α [1/s]; designed from the data sheet by default.")] = None,
     beta: Annotated[float | None, typer.Option(help="Gain β [1/s²].")] = None,
     sampling: Annotated[float | None, typer.Option(help="Sampling rate that gains are designed for [Hz].")] = None,
@@ -197,33 +202,40 @@ def certify(
 
     Exit code 0 proved or verified, 1 wrong, undecided or refused, 2 bad input.
     """
-    from covariant.cli import _certify
-
-    asked = _certify.Asked(
-        observer,
-        alpha,
-        beta,
-        sampling,
-        box,
-        velocity,
-        error,
-        input,
-        rate,
-        q,
-        noise,
-        disturbance,
-        boxes,
-        seconds,
-        processes,
-    )
     if given is not None and check is None:
         raise ValueError("--model goes with --check FILE; the model to certify is the first argument")
-    if check is not None and model is None:
-        _certify.check_file(check, given, processes, json)
-    elif model is not None and check is None:
-        _certify.certify_model(model, tuple(override), asked, out, figure, json)
-    else:
+    if (model is None) == (check is None):
         raise ValueError("give a model to certify, or --check FILE to verify a saved certificate")
+    if check is not None:
+        with progress_bar(json) as progress:
+            checked = workflow.check_certificate(check, model=given, processes=processes, progress=progress)
+        show(checked, json)
+        raise SystemExit(0 if checked.verified else 1)
+    check_output(out, ".json")
+    check_output(figure, ".png", ".pdf", ".svg")
+    with progress_bar(json) as progress:
+        result = workflow.certify(
+            model,
+            velocity=number_list("velocity", velocity),
+            error=number_list("error", error),
+            region=interval_map("region", region),
+            observer=observer,
+            alpha=alpha,
+            beta=beta,
+            sampling=sampling,
+            input=number_list("input", input) or 0.0,
+            rate=rate,
+            q=number_list("q", q),
+            noise=number_list("noise", noise) or 0.0,
+            disturbance=number_list("disturbance", disturbance) or 0.0,
+            boxes=boxes,
+            seconds=seconds,
+            processes=processes,
+            overrides=tuple(override),
+            progress=progress,
+        )
+    show(result, json, None if result.wrong else out, figure=figure)
+    raise SystemExit(0 if result.holds else 1)
 
 
 @design.command()

@@ -1,10 +1,10 @@
 """Progress on standard error, and results on standard output."""
 
 import json
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from covariant.workflow import AbstractResult, Progress
 
@@ -27,32 +27,42 @@ def progress_bar(quiet: bool = False) -> Iterator[Progress]:
 
 
 def show(
-    result: AbstractResult, as_json: bool = False, out: Path | None = None, report: Path | None = None, **save: bool
+    result: AbstractResult,
+    as_json: bool = False,
+    out: Path | None = None,
+    report: Path | None = None,
+    figure: Path | None = None,
+    **save: bool,
 ) -> None:
-    """Save a result, print it, and then draw its page: a page that cannot be drawn loses nothing.
+    """Save a result, print it, and then draw its page or figure: what cannot be drawn loses nothing.
 
     Args:
         result: What a verb returned.
         as_json: Whether to print one JSON object instead of text.
         out: Where `result.save` writes, or None.
         report: Where `result.report` writes its page, or None.
+        figure: Where `result.plot` draws its figure, or None.
         save: Further arguments of `result.save`.
     """
     written = [] if out is None else [str(result.save(out, **save))]
     if not as_json:
         print(result, *(f"wrote {path}" for path in written), sep="\n", flush=True)
-    pages: list[str] = []
+    drawn: dict[str, Any] = {}
     try:
-        if report is not None:
+        if report is not None or figure is not None:
             with progress_bar(quiet=as_json) as progress:
                 progress("drawing")
-                pages = [str(path) for path in result.report(report)]
+                if report is not None:
+                    drawn["report"] = [str(path) for path in result.report(report)]
+                if figure is not None:
+                    result.plot(figure)
+                    drawn["figure"] = str(figure)
     finally:
         if as_json:
-            places = {"out": written[0]} if written else {}
-            print(json.dumps(result.summary | places | ({"report": pages} if report is not None else {})), flush=True)
-    if pages and not as_json:
-        print(*(f"wrote {path}" for path in pages), sep="\n", file=sys.stdout)
+            print(json.dumps(result.summary | ({"out": written[0]} if written else {}) | drawn), flush=True)
+    if drawn and not as_json:
+        paths = [*drawn.get("report", []), *([drawn["figure"]] if "figure" in drawn else [])]
+        print(*(f"wrote {path}" for path in paths), sep="\n", flush=True)
 
 
 @contextmanager

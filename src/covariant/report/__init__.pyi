@@ -1,6 +1,6 @@
 from ._article import write_article as write_article
-from ._audit import draw_audit as draw_audit, write_audit as write_audit
-from ._certificate import draw_certificate as draw_certificate
+from ._audit import audit_figure as audit_figure, draw_audit as draw_audit, write_audit as write_audit
+from ._certificate import certificate_figure as certificate_figure, draw_certificate as draw_certificate
 from ._estimate import EstimateReport as EstimateReport
 from ._html import write_html as write_html
 from ._png import figure as figure, write_png as write_png

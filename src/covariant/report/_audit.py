@@ -27,10 +27,15 @@ _INTRODUCTION = (
 
 
 def draw_audit(audit: Audit, path: str | os.PathLike[str]) -> Path:
-    """Draw the deviations of an audit against their tolerances, in the format the suffix names; returns the path.
+    """Draw the figure of an audit, in the format the suffix names; returns the path.
 
     Raises `ValueError` for a suffix that names no format, `ImportError` without matplotlib.
     """
+    return save_figure(audit_figure(audit), path)
+
+
+def audit_figure(audit: Audit) -> "matplotlib.figure.Figure":
+    """The deviations of an audit against their tolerances; raises `ImportError` without matplotlib."""
     figure, axes = new_figure(panel=(10.8, 0.36 * len(audit.rows) + 0.5))
     ax = axes[0, 0]
     ax.set_xscale("log")
@@ -46,7 +51,7 @@ def draw_audit(audit: Audit, path: str | os.PathLike[str]) -> Path:
     color = _HOLDS if audit.passed else _FAILS
     title = f"{audit.observer}: {audit.verdict}"
     figure.suptitle(title, x=0.012, ha="left", fontsize=11, fontweight="bold", color=color)
-    return save_figure(figure, path)
+    return figure
 
 
 def _draw(ax: "matplotlib.axes.Axes", line: int, row: Law) -> None:

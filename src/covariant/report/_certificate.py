@@ -34,12 +34,19 @@ _MOST_RECTANGLES = 20_000
 
 
 def draw_certificate(certificate: ContractionCertificate, path: str | os.PathLike[str]) -> Path:
-    """Draw a certificate, in the format the suffix names; returns the path.
+    """Draw the figure of a certificate, in the format the suffix names; returns the path.
+
+    Raises `ValueError` for a suffix that names no format, `ImportError` without matplotlib.
+    """
+    return save_figure(certificate_figure(certificate), path)
+
+
+def certificate_figure(certificate: ContractionCertificate) -> "matplotlib.figure.Figure":
+    """The figure of a certificate.
 
     It has four panels: the region by boxes; a motion with the proved tube and estimates that begin on its border; their
     distances below the certified line; and the rates that the gains permit, against the condition number of the
-    metric. Without a proof the second and third panel say so. Raises `ValueError` for a suffix that names no format,
-    `ImportError` without matplotlib.
+    metric. Without a proof the second and third panel say so. Raises `ImportError` without matplotlib.
     """
     titles = (
         "Where it is proved",
@@ -61,7 +68,7 @@ def draw_certificate(certificate: ContractionCertificate, path: str | os.PathLik
     lines = textwrap.wrap(_title(certificate), 105)
     figure.suptitle("\n".join(lines), x=0.012, ha="left", fontsize=11, fontweight="bold", color=INK)
     figure.set_figheight(figure.get_figheight() + 0.19 * len(lines))
-    return save_figure(figure, path)
+    return figure
 
 
 def _title(certificate: ContractionCertificate) -> str:

@@ -1,3 +1,9 @@
+from ._certify import (
+    CertificateCheckResult as CertificateCheckResult,
+    CertifyResult as CertifyResult,
+    certify as certify,
+    check_certificate as check_certificate,
+)
 from ._compare import CompareResult as CompareResult, compare as compare
 from ._estimate import EstimateResult as EstimateResult, estimate as estimate
 from ._inputs import MisfitError as MisfitError

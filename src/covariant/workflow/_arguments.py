@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 Region = Mapping[str, Sequence[float | int]]
 """Low and high ends of coordinates by name, such as `{"theta": (-1.0, 1.0)}`."""
-Amounts = float | Sequence[Any] | np.ndarray
+Amounts = float | int | Sequence[Any] | np.ndarray
 """A number, or numbers."""
 
 
@@ -88,7 +88,7 @@ def above_zero(argument: str, value: float) -> float:
     return float(value)
 
 
-def gain_pair(alpha: float | None, beta: float | None) -> tuple[float, float] | None:
+def gain_pair(alpha: float | int | None, beta: float | int | None) -> tuple[float, float] | None:
     """Gains α [1/s] and β [1/s²], or None where neither is given; raises `ValueError` for one without the other."""
     if (alpha is None) != (beta is None):
         raise ValueError("alpha and beta belong together: give both or neither")

@@ -54,6 +54,10 @@ class AbstractResult(abc.ABC):
         """
         raise ValueError(f"{path}: a {type(self).__name__} has no page")
 
+    def plot(self, path: str | Path | None = None) -> Any:
+        """Draw the result; the figure is written where a path is given. Raises `ValueError` where a result has none."""
+        raise ValueError(f"a {type(self).__name__} has no figure")
+
 
 class AbstractTable(AbstractResult):
     """A result whose numbers are a table: columns by name, all of one length."""

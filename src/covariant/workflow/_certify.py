@@ -1,0 +1,431 @@
+"""`certify` proves that an observer converges; `check_certificate` verifies a saved proof."""
+
+import math
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from jaxtyping import Float
+
+from covariant import certificates, models
+from covariant.certificates import ASSUMED, Checked, Claim, ContractionCertificate, Document
+from covariant.design import observer_gains
+from covariant.models import MechanicalSystem, ModelFile, Overrides, input_count
+from covariant.observers import Geodesic, Intrinsic
+from covariant.proofs import MOST_BOXES, read_file
+from covariant.workflow._arguments import Amounts, Region, above_zero, amounts, bounds, gain_pair, numbers
+from covariant.workflow._inputs import data_sheet, numbered
+from covariant.workflow._outputs import check_output
+from covariant.workflow._progress import Progress, silent
+from covariant.workflow._result import AbstractResult
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+OBSERVERS = {"intrinsic": Intrinsic, "geodesic": Geodesic}
+"""The observers that there are certificates for."""
+FIGURES = (".png", ".pdf", ".svg")
+VERDICTS = {"holds": "proved", "fails": "wrong", "undecided": "not decided"}
+"""What people call the verdicts."""
+_KINDS = {"estimate": "estimate of", "velocity": "estimated velocity", "error": "position error", "force": "force"}
+
+
+def certify(
+    model: Any,
+    *,
+    velocity: Amounts | None = None,
+    error: Amounts | None = None,
+    region: Region | None = None,
+    observer: str = "intrinsic",
+    alpha: float | None = None,
+    beta: float | None = None,
+    sampling: float | None = None,
+    input: Amounts = 0.0,
+    rate: float | None = None,
+    q: Sequence[float | int] | None = None,
+    noise: Amounts = 0.0,
+    disturbance: Amounts = 0.0,
+    boxes: int = MOST_BOXES,
+    seconds: float | None = None,
+    processes: int | None = None,
+    overrides: Overrides = (),
+    progress: Progress = silent,
+) -> "CertifyResult":
+    """Prove that an intrinsic observer converges: on which region, at which rate, from how far.
+
+    Args:
+        model: A model file (.toml), a robot, `module:attribute`, the name of a system, a `ModelFile`, or a system.
+        velocity: Bound of the true velocities [unit/s], one for all or one each. There is no certificate without it.
+        error: How far estimated positions may be off [unit], one bound for all or one each; also needed.
+        region: Ends of the positions by coordinate; rotations need none. On another group the entries of its
+            matrices, named g11, g12, ….
+        observer: "intrinsic" or "geodesic".
+        alpha, beta: Gains [1/s], [1/s²]; by default designed from the numbers of the model file.
+        sampling: Sampling rate [Hz] that gains are designed for.
+        input: Bound of the inputs, one for all or one each.
+        rate: λ [1/s] of squared lengths to prove; by default half of what the metric Q allows.
+        q: Entries a, c, b of the metric Q = [[a, c], [c, b]]; by default the best conditioned one.
+        noise: Bound of the error of each measured position [unit].
+        disturbance: Bound of the force that the model does not know.
+        boxes: Effort: boxes that may be evaluated, the same on every machine.
+        seconds: A limit of time [s] besides, for each of the proofs.
+        processes: Processes to prove with; as many as processors by default.
+        overrides: Values that replace those of the model file.
+        progress: Called with the current proof and the fraction of its region that is decided.
+
+    Returns:
+        The verdict with the whole statement; `result.holds` says whether it is proved.
+
+    Raises:
+        ValueError: For a bound that is missing, or that does not fit the model.
+
+    Example:
+        >>> import covariant
+        >>> gains = {"alpha": 10.0, "beta": 50.0}
+        >>> result = covariant.certify("heavy_top", velocity=1.0, error=0.05, rate=2.0, **gains)
+        >>> result.holds
+        True
+    """
+    if velocity is None:
+        raise ValueError(
+            "velocity is missing: no certificate exists without a bound of the velocity, because the tube in which "
+            "estimates converge shrinks as the velocity grows; give one bound, or one for each velocity"
+        )
+    if error is None:
+        raise ValueError("error is missing: give how far an estimated position may be off, one bound or one each")
+    if observer not in OBSERVERS:
+        raise ValueError(f"unknown observer {observer!r}; choose one of {', '.join(OBSERVERS)}")
+    pair = gain_pair(alpha, beta)
+    name = models.spec_name(model)
+    progress("reading the model")
+    file = models.load(model, overrides)
+    system = file.need_mechanical(name, "certificates are about intrinsic observers of")
+    n, on_group = file.dimension, not system.manifold.commuting
+    names = system.velocities if on_group else system.coordinates or numbered("q", n)
+    gains, design = _gains(file, pair, sampling)
+    settings: dict[str, Any] = {
+        "velocity": numbers("velocity", velocity, [f"d{k}/dt" for k in names], positive=True, one=True),
+        "error": numbers("error", error, names, positive=True, one=True),
+        "position": _matrix_region(system, region) if on_group else _region(name, names, region),
+        "input": amounts("input", input, numbered("u", input_count(system, n))),
+        "rate": None if rate is None else above_zero("rate", rate),
+        "q": _metric(q),
+        "noise": amounts("noise", noise, names),
+        "disturbance": amounts("disturbance", disturbance, names),
+        "boxes": int(above_zero("boxes", boxes)),
+        "seconds": None if seconds is None else above_zero("seconds", seconds),
+        "processes": processes or os.cpu_count() or 1,
+    }
+    recipe = models.recipe(name, overrides) if isinstance(model, str | os.PathLike) else None
+    certificate = certificates.certify(
+        OBSERVERS[observer](system, *gains),
+        recipe=recipe,
+        progress=lambda what, share, count: progress(f"proving {what}, {count} boxes", share),
+        **settings,
+    )
+    return CertifyResult(name, certificate, design)
+
+
+@dataclass(frozen=True, repr=False)
+class CertifyResult(AbstractResult):
+    """The verdict on a statement about an observer, with the numbers of its proof.
+
+    Attributes:
+        model_name: What the model was called.
+        certificate: The statement with its proofs.
+        design: A sentence on where the gains come from.
+    """
+
+    model_name: str
+    certificate: ContractionCertificate
+    design: str
+
+    @property
+    def holds(self) -> bool:
+        """Whether the statement is proved."""
+        return self.certificate.summary.verdict == "holds"
+
+    @property
+    def wrong(self) -> bool:
+        """Whether there is a counter-example to the statement, of which no certificate can be saved."""
+        return self.certificate.counterexample is not None
+
+    @property
+    def headline(self) -> str:
+        certificate = self.certificate
+        verdict = VERDICTS[certificate.summary.verdict]
+        tube = f", radius ε = {certificate.radius:.4g}" if self.holds else ""
+        return f"{self.model_name}, {verdict}: rate λ = {certificate.rate:.4g} 1/s{tube}"
+
+    @property
+    def summary(self) -> dict[str, Any]:
+        found, domain = self.certificate, self.certificate.domain
+        ends = zip(domain.names, domain.low.tolist(), domain.high.tolist(), strict=True)
+        wrong = None
+        if found.counterexample is not None:
+            wrong = dict(zip(domain.names, found.counterexample.mean(axis=0).tolist(), strict=True))
+        return {
+            "model": self.model_name,
+            "observer": type(found.observer).__name__,
+            "verdict": found.summary.verdict,
+            "evidence": found.summary.evidence,
+            "statement": found.summary.statement,
+            "alpha": float(found.observer.alpha),
+            "beta": float(found.observer.beta),
+            "q": found.q.tolist(),
+            "rate": found.rate,
+            "decay": found.decay,
+            "radius": found.radius,
+            "steady": found.steady if math.isfinite(found.steady) else None,
+            "half_widths": found.half_widths.tolist() if self.holds else None,
+            "velocity": found.velocity.tolist(),
+            "domain": {name: [low, high] for name, low, high in ends},
+            "boxes": found.boxes,
+            "seconds": found.seconds,
+            "open": len(found.open),
+            "open_share": {claim.kind: claim.proof.open_share for claim in _undecided(found)},
+            "counterexample": wrong,
+        }
+
+    def __str__(self) -> str:
+        found, domain = self.certificate, self.certificate.domain
+        (a, c), (_, b) = found.q
+        lines = [
+            f"{VERDICTS[found.summary.verdict]}: {found.summary.statement}",
+            self.design,
+            f"rate λ = {found.rate:.4g} 1/s of squared lengths, μ = {found.decay:.4g} 1/s of lengths, in the metric "
+            f"Q = [[{a:.4g}, {c:.4g}], [{c:.4g}, {b:.4g}]]",
+            *(self._tube() if self.holds else ["no tube is proved"]),
+            f"for true velocities up to {', '.join(f'{v:.4g}' for v in found.velocity)}, and everywhere in the domain",
+        ]
+        for kind, name, unit, low, high in zip(
+            found.kinds, domain.names, domain.units, domain.low, domain.high, strict=True
+        ):
+            ends = f"  {low:.4g} ≤ {_KINDS[kind]} {name} ≤ {high:.4g} {unit}".rstrip()
+            lines.append(ends + _in_degrees(high, unit, low))
+        if found.counterexample is not None:
+            point = found.counterexample.mean(axis=0)
+            lines.append("it is wrong at")
+            lines += [
+                f"  {name} = {x:.6g} {unit}".rstrip() + _in_degrees(x, unit)
+                for name, unit, x in zip(domain.names, domain.units, point, strict=True)
+            ]
+        lines += [
+            f"{claim.kind}: {len(claim.proof.open)} boxes remain, {claim.proof.open_share:.2%} of the domain; more "
+            "boxes, smaller bounds or a lower rate may decide it"
+            for claim in _undecided(found)
+        ]
+        lines.append(f"{found.boxes} boxes, {found.seconds:.1f} s")
+        if self.wrong:
+            lines.append("no certificate is written of a statement that is wrong")
+        return "\n".join(lines)
+
+    def _tube(self) -> list[str]:
+        """Lines on the half widths of the tube."""
+        found = self.certificate
+        names, units, n = found.domain.names, found.domain.units, len(found.velocity)
+        rates = [f"{unit}/s" if unit and not unit.endswith("/s") else unit for unit in units[:n]]
+        turns = [unit.removesuffix("/s") for unit in units[:n]]
+        return [
+            f"tube of the radius ε = {found.radius:.4g}: every estimate in it stays within",
+            *(
+                f"  {w:.4g} {unit} of {what} {name}{_in_degrees(w, unit)}"
+                for what, widths, each in (
+                    ("position", found.half_widths[:n], turns),
+                    ("velocity", found.half_widths[n:], rates),
+                )
+                for name, w, unit in zip(names[:n], widths, each, strict=True)
+            ),
+        ]
+
+    def save(self, path: str | Path, overwrite: bool = True) -> Path:
+        """Write the certificate (.json).
+
+        Raises `ValueError` for a statement that is wrong, and for a model that was given as an object.
+        """
+        path = Path(path)
+        check_output(path, ".json")
+        if self.wrong:
+            raise ValueError(f"{path}: no certificate is written of a statement that is wrong")
+        return self.certificate.save(path)
+
+    def plot(self, path: str | Path | None = None) -> "Figure":
+        """The figure of region, tube, distances and gains; also written (.png, .pdf, .svg) where a path is given."""
+        from covariant.report import certificate_figure, save_figure
+
+        if path is not None:
+            check_output(Path(path), *FIGURES)
+        figure = certificate_figure(self.certificate)
+        if path is not None:
+            save_figure(figure, path)
+        return figure
+
+
+def check_certificate(
+    path: str | Path, *, model: str | None = None, processes: int | None = None, progress: Progress = silent
+) -> "CertificateCheckResult":
+    """Verify a saved certificate: all leaves of its proofs, and some of them again in ball arithmetic.
+
+    Args:
+        path: The certificate (.json), as `certify` saves it.
+        model: The `module:attribute` of a model that is not of this library, given by the person who checks.
+        processes: Processes to check with; as many as processors by default.
+        progress: Called with the fraction of the leaves that are checked.
+
+    Returns:
+        Whether the certificate is verified, and otherwise why not.
+
+    Raises:
+        ValueError: Where there is no such file.
+
+    Example:
+        >>> import covariant, tempfile
+        >>> path = f"{tempfile.mkdtemp()}/top.json"
+        >>> gains = {"alpha": 10.0, "beta": 50.0}
+        >>> proved = covariant.certify("heavy_top", velocity=1.0, error=0.05, rate=2.0, **gains)
+        >>> covariant.workflow.check_certificate(proved.save(path)).verified
+        True
+    """
+    path = Path(path)
+    content = read_file(path)  # only once, so that both checks examine the same content
+    try:
+        document = certificates.parse(path, content)
+        checked = certificates.check(
+            document,
+            model=model,
+            processes=processes or os.cpu_count() or 1,
+            progress=lambda done, total: progress(f"checking leaves, {done} of {total}", done / max(total, 1)),
+        )
+        return CertificateCheckResult(path, model, checked, *_in_balls(document, model))
+    except ValueError as refusal:
+        return CertificateCheckResult(path, model, None, 0, str(refusal))
+
+
+@dataclass(frozen=True, repr=False)
+class CertificateCheckResult(AbstractResult):
+    """Whether a saved certificate is verified.
+
+    Attributes:
+        path: The file.
+        model: The `module:attribute` that was given for its model, or None.
+        checked: What was verified; None where the certificate is refused.
+        balls: Number of leaves that were verified again in ball arithmetic.
+        note: A remark on the balls, or why the certificate is refused.
+    """
+
+    path: Path
+    model: str | None
+    checked: Checked | None
+    balls: int
+    note: str
+
+    @property
+    def verified(self) -> bool:
+        """Whether the certificate is right."""
+        return self.checked is not None
+
+    @property
+    def headline(self) -> str:
+        return f"{self.path}: {'refused' if self.checked is None else f'verified, {self.checked.leaves} leaves'}"
+
+    @property
+    def summary(self) -> dict[str, Any]:
+        if self.checked is None:
+            return {"verified": False, "reason": self.note}
+        found = {"model": self.model, "balls": self.balls, "assumed": list(ASSUMED)}
+        return {"verified": True, **self.checked._asdict(), **found}
+
+    def __str__(self) -> str:
+        found = self.checked
+        if found is None:
+            return f"Refused: {self.note}"
+        given = (
+            f"The model is {self.model}, given by the person who checks; that the file means this one is not verified."
+        )
+        return "\n".join(
+            [
+                f"Verified: rate λ = {found.rate:.4g} 1/s, radius ε = {found.radius:.4g}; {found.leaves} leaves in "
+                f"{found.seconds:.1f} s, {self.note}.",
+                *([given] if found.model_given else []),
+                "What remains assumed:",
+                *(f"- {line}" for line in ASSUMED),
+            ]
+        )
+
+
+def _in_balls(document: Document, model: str | None) -> tuple[int, str]:
+    """The number of leaves verified in ball arithmetic, also in words."""
+    try:
+        balls = certificates.check_sample(document, model=model).leaves
+    except ImportError as missing:
+        return 0, f"none in ball arithmetic: {missing}"
+    return balls, f"{balls} of them again in ball arithmetic"
+
+
+def _gains(
+    file: ModelFile, given: tuple[float, float] | None, sampling: float | None
+) -> tuple[tuple[float, float], str]:
+    """The gains α and β, and a sentence on their origin."""
+    if given is not None:
+        return given, f"Given gains: alpha = {given[0]:g} 1/s, beta = {given[1]:g} 1/s²."
+    if file.measurement_std is None or file.acceleration_std is None:
+        raise ValueError(f"{file.name} has no data sheet to design gains from; give alpha and beta")
+    if sampling is None:
+        raise ValueError("gains are designed for a sampling rate; give sampling [Hz], or alpha and beta")
+    gains = observer_gains(data_sheet(file), above_zero("sampling", sampling))
+    return (float(gains.alpha), float(gains.beta)), f"Designed {gains.summary}."
+
+
+def _region(
+    name: str, names: Sequence[str], region: Region | None
+) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+    """Least and largest positions; every coordinate must be named."""
+    ends = bounds("region", region or {}, names, "coordinate", equal=True)
+    missing = [each for each in names if each not in ends]
+    if missing:
+        example = ",".join(f"{each}=LOW:HIGH" for each in names)
+        raise ValueError(f"region lacks {', '.join(missing)}; {name} needs the ends of all: {example}")
+    low, high = zip(*(ends[each] for each in names), strict=True)
+    return np.array(low), np.array(high)
+
+
+def _matrix_region(
+    model: MechanicalSystem, region: Region | None
+) -> tuple[Float[np.ndarray, "k k"], Float[np.ndarray, "k k"]] | None:
+    """Least and largest entries of the matrices; None where nothing is given, as for rotations."""
+    if region is None:
+        return None
+    order = model.manifold.origin().shape[0]
+    names = [f"g{i + 1}{j + 1}" for i in range(order) for j in range(order)]
+    ends = bounds("region", region, names, "matrix entry", equal=True)
+    missing = [name for name in names if name not in ends]
+    if missing:
+        raise ValueError(f"region lacks {', '.join(missing)}: on a group all entries of its matrices need bounds")
+    low, high = zip(*(ends[name] for name in names), strict=True)
+    return np.reshape(low, (order, order)), np.reshape(high, (order, order))
+
+
+def _metric(entries: Sequence[float | int] | None) -> Float[np.ndarray, "2 2"] | None:
+    """Q from its entries a, c, b."""
+    if entries is None:
+        return None
+    a, c, b = numbers("q", entries, ("a", "c", "b"))
+    if not (a > 0 and a * b > c * c):
+        raise ValueError(f"q: [[a, c], [c, b]] must be positive definite, a > 0 and ab > c²; got {a:g}, {c:g}, {b:g}")
+    return np.array([[a, c], [c, b]])
+
+
+def _undecided(found: ContractionCertificate) -> list[Claim]:
+    return [claim for claim in found.claims if claim.proof.verdict == "undecided"]
+
+
+def _in_degrees(value: float, unit: str, low: float | None = None) -> str:
+    """An angle also in degrees, in brackets; empty for other units."""
+    if unit not in ("rad", "rad/s"):
+        return ""
+    each = unit.removeprefix("rad")
+    start = "" if low is None else f"{math.degrees(low):.4g} to "
+    return f" ({start}{math.degrees(value):.4g}°{each})"
