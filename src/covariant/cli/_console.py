@@ -16,7 +16,8 @@ def progress_bar(quiet: bool = False) -> Iterator[Progress]:
     from rich.progress import BarColumn, Progress as Bar, TaskProgressColumn, TextColumn, TimeElapsedColumn
 
     columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
-    with Bar(*columns, console=Console(stderr=True, quiet=quiet), transient=True) as bar:
+    console = Console(stderr=True)
+    with Bar(*columns, console=console, transient=True, disable=quiet or not console.is_interactive) as bar:
         task = bar.add_task("reading", total=None)
 
         def report(description: str, fraction: float | None = None) -> None:
@@ -47,22 +48,23 @@ def show(
     written = [] if out is None else [str(result.save(out, **save))]
     if not as_json:
         print(result, *(f"wrote {path}" for path in written), sep="\n", flush=True)
-    drawn: dict[str, Any] = {}
+    pages: dict[str, Any] = {} if report is None else {"report": []}
+    drawn: list[Path] = []
     try:
-        if report is not None or figure is not None:
-            with progress_bar(quiet=as_json) as progress:
-                progress("drawing")
-                if report is not None:
-                    drawn["report"] = [str(path) for path in result.report(report)]
-                if figure is not None:
-                    result.plot(figure)
-                    drawn["figure"] = str(figure)
+        with progress_bar(quiet=as_json or report is figure is None) as progress:
+            progress("drawing")
+            if report is not None:
+                drawn += result.report(report)
+                pages["report"] = [str(path) for path in drawn]
+            if figure is not None:
+                result.plot(figure)
+                drawn.append(figure)
+                pages["figure"] = str(figure)
     finally:
         if as_json:
-            print(json.dumps(result.summary | ({"out": written[0]} if written else {}) | drawn), flush=True)
+            print(json.dumps(result.summary | ({"out": written[0]} if written else {}) | pages), flush=True)
     if drawn and not as_json:
-        paths = [*drawn.get("report", []), *([drawn["figure"]] if "figure" in drawn else [])]
-        print(*(f"wrote {path}" for path in paths), sep="\n", flush=True)
+        print(*(f"wrote {path}" for path in drawn), sep="\n", flush=True)
 
 
 @contextmanager

@@ -14,6 +14,7 @@ from covariant.report._style import GRID, INK, MUTED, PALETTE, new_figure, save_
 
 if TYPE_CHECKING:
     import matplotlib.axes
+    import matplotlib.figure
 
 _HOLDS, _FAILS = PALETTE[:2]
 _LOW, _LEAST, _MOST, _HIGH = 1e-19, 1e-18, 1e2, 1e3

@@ -21,6 +21,7 @@ from covariant.report._style import BACKDROP, INK, MUTED, PALETTE, new_figure, s
 
 if TYPE_CHECKING:
     import matplotlib.axes
+    import matplotlib.figure
 
 _PROVED, _WRONG, _TUBE, _ESTIMATE, _BEST = PALETTE[0], PALETTE[1], PALETTE[5], PALETTE[2], PALETTE[3]
 _OPEN = PALETTE[4]

@@ -81,7 +81,7 @@ def bounds(
     return found
 
 
-def above_zero(argument: str, value: float) -> float:
+def above_zero(argument: str, value: float | int) -> float:
     """The value as a number; raises `ValueError` unless it is positive and finite."""
     if not 0 < value < math.inf:
         raise ValueError(f"{argument} must be a positive number; got {value:g}")
