@@ -69,7 +69,7 @@ PUBLIC = {
     "identification": "FITTED Draft Fit PredictionErrors Windows draft fit growth horizon prediction_errors relations "
     "split windows",
     "interop": "closed_loop observer_system plant",
-    "lowering": "FOLD INTERVALS NUMBERS STUMPFF CText Condition Conditions Derivative Domain Enclosure Graph "
+    "lowering": "FOLD INTERVALS NUMBERS STUMPFF TRUTHS CText Condition Conditions Derivative Domain Enclosure Graph "
     "Interval Lowered LoweringError Node Signature Truth c_function c_helpers c_number c_rows enclose evaluate expand "
     "fulfilled graft in_c lower numbers pairs perturbed simplified stumpff substitute",
     "logs": "ATTITUDES MESSAGES OPTIONAL WRITTEN Body Columns Log LogError bodies check_unit coordinates matrices read "

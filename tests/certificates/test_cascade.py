@@ -217,7 +217,7 @@ def test_lyapunov_function_with_kappa_decreases_and_with_less_does_not():
 def test_printed_condition_is_that_of_the_matrix_in_79():
     random = np.random.default_rng(3)
     for c1, c3, c4, q, g1, g2 in random.uniform(0.1, 2.0, size=(200, 6)):
-        c = Constants(c1, 2 * c1, c3, c4, q, g1, 0.3 * g2)
+        c = Constants(c1, 2 * c1, c3, c4, q, g1, 0.3 * g2, 1.0)
         m = np.array([[c3 - c4 * c.gamma2, -c4 * g1 / 2], [-c4 * g1 / 2, q]])
         assert c.printed == bool(np.linalg.eigvalsh(m)[0] > 0)
 
@@ -251,7 +251,7 @@ def test_constants_in_other_units_are_those_of_the_problem_written_in_them():
     ones = np.ones(2), np.ones(2)
     inside, _ = _constants(_forms(*problem(*ones)), scales, search)
     outside, _ = _constants(_forms(*problem(*scales)), ones, search)
-    mass = np.array([1e-3, 1e-3, 1e-3, 1e-3, 1.0, 1.0, 1.0])  # V_con is an energy
+    mass = np.array([1e-3, 1e-3, 1e-3, 1e-3, 1.0, 1.0, 1.0, 1.0])  # V_con is an energy
     np.testing.assert_allclose(inside.with_mass(1e-3), mass * np.array(outside), rtol=1e-6)
 
 
@@ -284,9 +284,9 @@ def test_proved_constants_are_on_the_safe_side():
 
 
 def test_a_constant_that_is_not_proved_in_time_decides_nothing():
-    assert Constants(1.0, 1.0, 1.0, 1.0, 1.0, 0.5, 0.0).weighted
+    assert Constants(1.0, 1.0, 1.0, 1.0, 1.0, 0.5, 0.0, 1.0).weighted
     for name, value in (("gamma1", math.inf), ("c4", math.inf), ("c3", -math.inf), ("lambda_q", -math.inf)):
-        broken = Constants(1.0, 1.0, 1.0, 1.0, 1.0, 0.5, 0.0)._replace(**{name: value})
+        broken = Constants(1.0, 1.0, 1.0, 1.0, 1.0, 0.5, 0.0, 1.0)._replace(**{name: value})
         assert not broken.weighted
         assert not broken.printed
         assert math.isinf(broken.kappa)

@@ -159,7 +159,7 @@ def test_a_linear_output_in_flat_space_is_good_from_any_distance():
     assert (found.condition_1.verdict, found.condition_2.verdict) == ("holds", "holds")
     assert found.condition_2.margin < 1e-12
     assert found.witness is None
-    assert found.verdict == "local, and from any distance for a large enough gain"
+    assert found.verdict.startswith("local, and from any distance for a large enough gain, as sampled at 20 states")
 
 
 @pytest.fixture(scope="module")

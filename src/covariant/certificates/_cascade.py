@@ -37,7 +37,12 @@ UNITS: Mapping[str, tuple[tuple[str, float], ...]] = {
 
 
 class Constants(NamedTuple):
-    """The constants of Theorem 3 over a set: `c1`, `c2`, `c4` of V_con; `c3` and `lambda_q` are decay [1/s times V]."""
+    """The constants of Theorem 3 over a set.
+
+    - `c1`, `c2`, `c4`: of V_con; `c3` and `lambda_q` are decay [1/s times V].
+    - `gamma1`, `gamma2`: growth of the coupling with x̃ and with e.
+    - `m1`: the least eigenvalue of M in `V_obs = x̃ᵀMx̃`.
+    """
 
     c1: float
     c2: float
@@ -46,6 +51,12 @@ class Constants(NamedTuple):
     lambda_q: float
     gamma1: float
     gamma2: float
+    m1: float
+
+    @property
+    def positive(self) -> bool:
+        """Whether V_con and V_obs are positive definite; otherwise their decay says nothing of the errors."""
+        return self.c1 > 0 and self.m1 > 0
 
     def with_mass(self, factor: float) -> "Constants":
         """The constants in a unit of mass in which V_con, an energy, has `factor` times its numerical value."""
@@ -54,18 +65,21 @@ class Constants(NamedTuple):
 
     @property
     def bound(self) -> float:
-        """The upper bound of γ1² as printed, `4(c3 − c4γ2)λ_q/c4²`."""
+        """The upper bound of γ1² as printed, `4(c3 − c4γ2)λ_q/c4²`; −∞ where V_con has no gradient."""
+        if not self.c4 > 0:
+            return -math.inf
         return 4 * (self.c3 - self.c4 * self.gamma2) * self.lambda_q / self.c4**2
 
     @property
     def printed(self) -> bool:
         """Whether condition (72) holds as printed."""
-        return bool(self.lambda_q > 0 and self.gamma2 < self.c3 / self.c4 and self.gamma1**2 < self.bound)
+        small = self.positive and self.lambda_q > 0 and self.gamma2 < self.c3 / self.c4 and self.gamma1**2 < self.bound
+        return bool(small)
 
     @property
     def weighted(self) -> bool:
         """Whether the weaker condition for `V_con + κV_obs` holds."""
-        decay = self.lambda_q > 0 and self.c3 > 0 and self.gamma2 < self.c3 / self.c4
+        decay = self.positive and self.lambda_q > 0 and self.c3 > 0 and self.gamma2 < self.c3 / self.c4
         return bool(decay and math.isfinite(self.gamma1))
 
     @property
@@ -123,9 +137,12 @@ class CascadeCertificate(NamedTuple):
         lines = [
             f"cascade: {self.verdict} ({self.evidence}), with weight κ > {c.kappa:.4g} on V_obs",
             f"c1 = {c.c1:.5g}, c2 = {c.c2:.5g}, c3 = {c.c3:.5g}, c4 = {c.c4:.5g}, λ_q = {c.lambda_q:.5g}, "
-            f"γ1 = {c.gamma1:.5g}, γ2 = {c.gamma2:.5g}",
+            f"γ1 = {c.gamma1:.5g}, γ2 = {c.gamma2:.5g}, m1 = {c.m1:.5g}",
             f"(72) as printed: γ1² = {c.gamma1**2:.5g} {'<' if c.printed else 'is not below'} {c.bound:.5g}",
         ]
+        if not c.positive:
+            which = " and ".join(name for name, least in (("V_con", c.c1), ("V_obs", c.m1)) if not least > 0)
+            lines.append(f"{which} is not shown to be positive definite, so its decay proves nothing")
         if self.depends_on_units:
             held = ", ".join(f"{name}: {'holds' if ok else 'fails'}" for name, ok in self.units.items())
             lines.append(f"warning: (72) as printed depends on units; {held}")
@@ -159,8 +176,9 @@ def cascade(
       worst of these.
 
     All constants come from Jacobians, so they hold for finite errors within the boxes, by the mean-value theorem.
-    Raises `ValueError` for bounds that are not in order.
+    Raises `ValueError` for bounds that are not in order, and for boxes that give one variable different bounds.
     """
+    _check_same_bounds(controller[1], observer[1], coupling[1])
     search = _Search(attempts, starts, seed, proved, boxes)
     forms = _forms(controller, observer, coupling)
     ones = tuple(np.ones(size) for size in _sizes(coupling))
@@ -179,6 +197,19 @@ def cascade(
         growth,
         "; ".join(str(box.free) for box in (controller[1], observer[1], coupling[1])),
     )
+
+
+def _check_same_bounds(*boxes: Box) -> None:
+    """Raise `ValueError` where a variable has other bounds in one box than in another: the sets must be one."""
+    known: dict[str, tuple[float, float]] = {}
+    for box in boxes:
+        for name, low, high in zip(box.names, box.low.tolist(), box.high.tolist(), strict=True):
+            if known.setdefault(name, (low, high)) != (low, high):
+                first = known[name]
+                raise ValueError(
+                    f"cascade: {name} is in [{first[0]:g}, {first[1]:g}] in one box and in [{low:g}, {high:g}] in "
+                    "another; give it the same bounds in all of them"
+                )
 
 
 class _Search(NamedTuple):
@@ -216,9 +247,9 @@ def _forms(controller, observer, coupling) -> dict[str, _Form]:
     def split(whole, d):
         return jnp.split(whole, (d, d + sizes[0]))
 
-    def metric(sign):
+    def metric(subject, box, sign):
         def form(whole):
-            point = plant.at(split(whole, len(plant_box.low))[0])
+            point = subject.at(split(whole, len(box.low))[0])
             return sign * point.metric(jnp.zeros((), whole.dtype), point.x)
 
         return as_form(form)
@@ -243,10 +274,11 @@ def _forms(controller, observer, coupling) -> dict[str, _Form]:
         return _Form(matrix, into, pencil(graph, _scaled(box, np.ones(sum(sizes)))), box)
 
     return {
-        "small": made(metric(1.0), "e", plant_box),
-        "large": made(metric(-1.0), "e", plant_box),
+        "small": made(metric(plant, plant_box, 1.0), "e", plant_box),
+        "large": made(metric(plant, plant_box, -1.0), "e", plant_box),
         "fall": made(_change(plant, len(plant_box.low), -0.5), "e", plant_box),
         "error": made(_change(error, len(error_box.low), -1.0), "x", error_box),
+        "weight": made(metric(error, error_box, 1.0), "x", error_box),
         "from_error": made(squared(0), "x", coupling_box),
         "from_itself": made(squared(1), "e", coupling_box),
     }
@@ -255,7 +287,7 @@ def _forms(controller, observer, coupling) -> dict[str, _Form]:
 def _constants(forms: dict[str, _Form], scales, search: _Search) -> tuple[Constants, np.ndarray]:
     """The constants with e and x̃ multiplied by `scales`, and the point at which λ_q is attained."""
     found = {name: _least(form, scales, search) for name, form in forms.items()}
-    small, large, c3, lambda_q, gamma1, gamma2 = (value for value, _ in found.values())
+    small, large, c3, lambda_q, m1, gamma1, gamma2 = (value for value, _ in found.values())
     return (
         Constants(
             small / 2,
@@ -265,6 +297,7 @@ def _constants(forms: dict[str, _Form], scales, search: _Search) -> tuple[Consta
             lambda_q,
             math.sqrt(max(-gamma1, 0.0)),
             math.sqrt(max(-gamma2, 0.0)),
+            m1,
         ),
         found["error"][1],
     )

@@ -29,7 +29,7 @@ from covariant.certificates._contraction_certificate import (
     disturbance_sizes,
     summary_of,
 )
-from covariant.certificates._force_bounds import force_bounds, force_slopes
+from covariant.certificates._force_bounds import force_bounds, force_reads_time, force_slopes
 from covariant.certificates._inequalities import contraction, disturbance_bound, squared_widths, width_bound
 from covariant.certificates._intrinsic import Intrinsics, check_unique, subject
 from covariant.certificates._noise import steady_distance
@@ -54,7 +54,7 @@ def certify(
     error: ArrayLike,
     position: Bounds | None = None,
     input: Bounds | ArrayLike = 0.0,
-    times: tuple[float, float] = (0.0, 0.0),
+    times: tuple[float, float] | None = None,
     rate: float | None = None,
     q: Numbers | None = None,
     noise: ArrayLike = 0.0,
@@ -72,7 +72,8 @@ def certify(
     - `error`: bound of the error of the estimated position, in coordinates or as `log(g⁻¹ g̃)` [unit], a number or (n,).
     - `position`: least and largest true positions, (n,) each; on a group the entries of its matrices (N, N), where
       rotations need no bounds.
-    - `input`: bound of each input, a number or (m,), or a pair of bounds; `times` [s]: where the force depends on time.
+    - `input`: bound of each input, a number or (m,), or a pair of bounds.
+    - `times`: first and last time [s] of the statement; needed where the force depends on time.
     - `rate`: λ [1/s] to prove, of squared lengths; by default half of the rate that Q allows at q̂ = q.
     - `q` (2, 2): the matrix of the metric; by default the best conditioned one for two thirds of the rate of the gains.
     - `noise`: bound of the error of each measured position [unit], a number or (n,), in coordinates or as `log(q⁻¹ y)`
@@ -202,7 +203,7 @@ def _domain(
         low, high = np.zeros(0), np.zeros(0)
         measured = true = check_box(_elements(model, position))
     inputs = _inputs(model, given_input, n)
-    first, last = _times(times)
+    first, last = _times(model, n, times)
     # The true force and the one that the observer uses may differ by the whole disturbance.
     force = force_bounds(model, measured, inputs, (first, last))
     if disturbance.any():
@@ -262,7 +263,15 @@ def _inputs(model, given, n: int) -> Float[np.ndarray, "2 m"]:
     return found
 
 
-def _times(times: tuple[float, float]) -> tuple[float, float]:
+def _times(model: MechanicalSystem, n: int, times: tuple[float, float] | None) -> tuple[float, float]:
+    """First and last time; where the force does not depend on it, any one instant stands for all."""
+    if times is None:
+        if force_reads_time(model, n):
+            raise ValueError(
+                "certify: the force of this model depends on time; give times=(first, last) [s], between which the "
+                "statement is to hold"
+            )
+        return 0.0, 0.0
     try:
         first, last = (float(t) for t in times)
     except (TypeError, ValueError):

@@ -108,11 +108,22 @@ def decay(
 
     - `rate` [1/s]: λ of squared lengths, from which the bound follows.
 
-    Source: Aghannan & Rouchon 2003, Theorem 2. Raises `ValueError` where a solution cannot be followed.
+    Source: Aghannan & Rouchon 2003, Theorem 2. Raises `ValueError` where there are no pairs, where stamps do not rise,
+    where a pair is no pair or the metric gives it no positive length, and where a solution cannot be followed.
     """
+    stamps = np.asarray(t, float)
+    if np.ndim(x0) != 2 or np.shape(x0) != np.shape(x1) or not len(x0):
+        raise ValueError(f"decay needs pairs x0 and x1 (k, n), at least one; got {np.shape(x0)} and {np.shape(x1)}")
+    if stamps.ndim != 1 or len(stamps) < 2 or not (np.diff(stamps) > 0).all():
+        raise ValueError("decay needs at least two stamps t [s], each later than the one before")
+    if not np.isfinite(rate):
+        raise ValueError(f"decay: the rate must be a finite number; got {rate}")
     low, high = (np.asarray(a) for a in _followed(flow, metric, x0, x1, t))
     if not np.isfinite(high).all():
         raise ValueError("a solution leaves every bound before the last stamp; there is no distance to measure")
+    if not (high[:, 0] > 0).all():
+        k = int((~(high[:, 0] > 0)).argmax())
+        raise ValueError(f"decay: pair {k + 1} has no positive distance at first; its states must differ")
     shrink = np.exp(-rate / 2 * (np.asarray(t) - float(t[0])))
     return Decay(np.asarray(t), low, high, high[:, :1] * shrink)
 

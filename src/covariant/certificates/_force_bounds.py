@@ -6,9 +6,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from covariant.certificates._intrinsic import configuration_shape
+from covariant.certificates._intrinsic import configuration_shape, entries_read
 from covariant.lowering import Conditions, enclose, expand, lower
-from covariant.models import MechanicalSystem, applied_force
+from covariant.models import MechanicalSystem, applied_force, input_count
 from covariant.proofs import Box, check_box, show_conditions
 
 
@@ -58,6 +58,13 @@ def force_slopes(
     if not np.isfinite(bounds).all():
         raise ValueError(f"the slope of the model's force has no bound over {places}; make the box smaller")
     return bounds
+
+
+def force_reads_time(model: MechanicalSystem, n: int) -> bool:
+    """Whether `force − grad U`, or where it is defined, depends on time."""
+    q = jnp.zeros(configuration_shape(model, n))
+    read = entries_read(functools.partial(applied_force, model), jnp.zeros(()), q, jnp.zeros(input_count(model, n)))
+    return 0 in read
 
 
 def _given_box(places: Box, inputs: Float[np.ndarray, "2 m"], times: tuple[float, float]) -> Box:

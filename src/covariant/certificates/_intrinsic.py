@@ -30,8 +30,12 @@ def subject(observer: Intrinsics, q: TwoByTwo) -> Subject:
 
     Raises `TypeError` for another kind of observer, `ValueError` for a space that is not covered.
     """
-    if not isinstance(observer, Intrinsics):
-        raise TypeError(f"only intrinsic observers have this metric, Intrinsic and Geodesic; got {observer!r}")
+    # The flow is written anew for the proof, from the equations of these two classes. A subclass may run another one.
+    if type(observer) not in (Intrinsic, Geodesic):
+        raise TypeError(
+            f"certificates are about the flows of Intrinsic and Geodesic themselves; got {type(observer).__name__}, "
+            "whose flow may be another one"
+        )
     _need_steady_friction(observer.model)
     space = observer.model.space
     if space.manifold.commuting:
@@ -169,7 +173,7 @@ def _need_steady_friction(model: MechanicalSystem) -> None:
     q = jnp.zeros(_dimension(model)) if model.manifold.commuting else model.manifold.origin()
     v = model.manifold.zero(q)
     u = jnp.zeros(input_count(model, v.size))
-    read = _entries_read(functools.partial(resistance, model), jnp.zeros(()), q, v, u)
+    read = entries_read(functools.partial(resistance, model), jnp.zeros(()), q, v, u)
     first = 1 + q.size + v.size
     found = ["time"] * (0 in read) + [f"u{i + 1}" for i in range(u.size) if first + i in read]
     if found:
@@ -179,7 +183,7 @@ def _need_steady_friction(model: MechanicalSystem) -> None:
         )
 
 
-def _entries_read(function, *arguments: Array) -> set[int]:
+def entries_read(function, *arguments: Array) -> set[int]:
     """The entries of its arguments, numbered consecutively, on which a function or its domain depends."""
     lowered = lower(function, *arguments, real=True)
     assert lowered.conditions is not None
@@ -191,7 +195,7 @@ def _need_symmetry(model: MechanicalSystem) -> None:
     """Raise `ValueError` where friction or inertia depend on the estimated configuration."""
     origin = model.manifold.origin()
     entries, rest = origin.size, model.manifold.zero(origin)
-    read = _entries_read(functools.partial(_friction, model), origin, rest)
+    read = entries_read(functools.partial(_friction, model), origin, rest)
     indices = [np.unravel_index(k, origin.shape) for k in range(entries) if k in read]
     places = ["g" + "".join(str(i + 1) for i in index) for index in indices]
     if places:

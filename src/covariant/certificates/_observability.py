@@ -24,6 +24,8 @@ from covariant.geometry import Budget, christoffel, exp
 from covariant.models import StateSpace
 from covariant.riccati import lie_derivative
 
+DEPENDENT = 1e-9
+"""Least ratio of the singular values of dh from which its rows count as independent."""
 ROUNDING = 1e-7
 """Bending below this fraction of the terms whose difference it is counts as zero."""
 
@@ -49,22 +51,27 @@ class Observability(NamedTuple):
         if self.condition_2.verdict == "fails":
             at = ", ".join(f"{entry:.3g}" for entry in self.condition_2.point)
             return f"local only: the output's level sets bend by {self.condition_2.margin:.3g} at ({at})"
+        where = f"as sampled at {self.condition_1.domain}"
         if self.condition_2.verdict == "undecided":
-            return "at least local: the second condition was not decided"
-        return "local, and from any distance for a large enough gain"
+            return f"at least local, {where}: the second condition was not decided"
+        return f"local, and from any distance for a large enough gain, {where}"
 
 
 def detectability_rate(model: StateSpace, metric: MatrixField, x: Vector, u: Float[Array, "m"] | None = None) -> Scalar:
     """The largest q at x (n,) with which inequality (2), `L_f P ≤ ρ dh⊗dh − q P`, holds for some ρ [1/s].
 
     This is differential detectability: q is the least rate at which f contracts the squared length of vectors in the
-    kernel of dh (Finsler's lemma). It is infinite where the output determines every direction.
+    kernel of dh (Finsler's lemma). It is infinite where the output determines every direction, and −∞ where the rows of
+    dh are dependent: then fewer directions are seen than there are outputs, and the kernel is larger than it seems.
     """
-    hidden, _ = _directions(model, x, u)
+    hidden, dh = _directions(model, x, u)
+    sizes = jnp.linalg.svd(dh, compute_uv=False)
+    independent = (sizes[-1] > DEPENDENT * sizes[0]) & (dh.shape[0] <= dh.shape[1])
     if not hidden.shape[1]:
-        return jnp.full((), jnp.inf, x.dtype)
+        return jnp.where(independent, jnp.inf, -jnp.inf).astype(x.dtype)
     change = hidden.T @ lie_derivative(model, metric, x, u) @ hidden
-    return -jnp.linalg.eigvalsh(whiten(hidden.T @ metric(x) @ hidden, change))[-1]
+    rate = -jnp.linalg.eigvalsh(whiten(hidden.T @ metric(x) @ hidden, change))[-1]
+    return jnp.where(independent, rate, -jnp.inf)
 
 
 def bending(
@@ -121,9 +128,13 @@ def observability(
     - `budget`: work spent on the geodesic of the witness.
 
     The second condition fails where `bending` does not vanish; then a geodesic shows it. With several outputs a
-    vanishing bending decides nothing. Raises `ValueError` where the metric is not finite at a point.
+    vanishing bending decides nothing. Raises `ValueError` where the metric is not finite or not positive definite at a
+    point, where the outputs are dependent, and without points.
     """
-    points = np.asarray(points)
+    points = np.asarray(points, float)
+    if points.ndim != 2 or not len(points):
+        raise ValueError(f"observability needs states `points` (k, n), at least one; got {points.shape}")
+    _check_premises(model, metric, points, u)
 
     @eqx.filter_jit
     def both(x):
@@ -159,6 +170,27 @@ def observability(
     states = _witness(metric, jnp.asarray(points[bent]), jnp.asarray(0.1 / bends[bent] * directions[bent]), budget)
     outputs = jax.vmap(lambda x: model.h(*_arguments(model, x, u)))(states)
     return Observability(first, second, np.asarray(states), np.asarray(outputs))
+
+
+def _check_premises(model: StateSpace, metric: MatrixField, points: np.ndarray, u: Array | None) -> None:
+    """Raise `ValueError` where outputs are dependent, or the metric is none, at one of the points."""
+
+    @eqx.filter_jit
+    def at(x):
+        dh = jax.jacfwd(model.h, 1)(*_arguments(model, x, u))
+        return jnp.linalg.svd(dh, compute_uv=False), jnp.linalg.eigvalsh(metric(x))[0]
+
+    sizes, least = (np.asarray(a) for a in jax.lax.map(at, jnp.asarray(points), batch_size=64))
+    dependent = ~(sizes[:, -1] > DEPENDENT * sizes[:, 0])
+    if dependent.any() and np.isfinite(sizes).all():
+        k = int(dependent.argmax())
+        rank = int((sizes[k] > DEPENDENT * sizes[k, 0]).sum())
+        raise ValueError(
+            f"observability: the {sizes.shape[1]} outputs see only {rank} directions at {_text(points[k])}; leave out "
+            "outputs that follow from others"
+        )
+    if (least <= 0).any():
+        raise ValueError(f"the metric is not positive definite at {_text(points[int((least <= 0).argmax())])}")
 
 
 @eqx.filter_jit

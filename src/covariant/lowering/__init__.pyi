@@ -4,7 +4,7 @@ from ._c_writer import CText as CText, Signature as Signature
 from ._differentiate import Derivative as Derivative, expand as expand, pairs as pairs
 from ._enclose import Enclosure as Enclosure, fulfilled as fulfilled
 from ._engine import enclose as enclose, in_c as in_c
-from ._graph import FOLD as FOLD, Condition as Condition, Graph as Graph, Node as Node
+from ._graph import FOLD as FOLD, TRUTHS as TRUTHS, Condition as Condition, Graph as Graph, Node as Node
 from ._intervals import INTERVALS as INTERVALS
 from ._lowered import Conditions as Conditions, Lowered as Lowered, LoweringError as LoweringError
 from ._peephole import simplified as simplified

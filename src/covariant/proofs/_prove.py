@@ -21,7 +21,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from covariant._typing import Arithmetic
-from covariant.lowering import expand
+from covariant.lowering import TRUTHS, Lowered, expand
 from covariant.proofs._box import Box, check_box
 from covariant.proofs._conditions import show_conditions
 from covariant.proofs._enclosure import Expansions
@@ -123,7 +123,8 @@ def prove_at_corners(
     The smallest eigenvalue is a concave function of these variables, so it is least at a corner of their box. They need
     not be halved: 2^k proofs over the other variables replace one over all. It stops at the first that does not hold.
 
-    Raises `ValueError` where the matrix is not affine in them, as its second derivatives show, or a name is not known.
+    Raises `ValueError` where the matrix is not affine in them, as its second derivatives and its kinks show, or a name
+    is not known.
     """
     check_box(domain)
     unknown = set(affine) - set(domain.names)
@@ -131,6 +132,10 @@ def prove_at_corners(
         raise ValueError(f"prove_at_corners: no variable {sorted(unknown)[0]!r}; the box has {', '.join(domain.names)}")
     formed = as_form(matrix).graph(jnp.asarray(domain.low))
     kept = np.array([domain.names.index(name) for name in affine], int)
+    kink = _kink(formed.entries, kept.tolist())
+    if kink is not None:
+        # Its second derivatives vanish on either side of the kink, so they do not show that it is not affine.
+        raise ValueError(f"prove_at_corners: the matrix is not affine in {', '.join(affine)}: it has a kink, by {kink}")
     bent = expand(formed.entries, kept.tolist(), 2)
     entries = np.array([not bent.graph.is_zero(i) for i in bent.outputs]).reshape(-1, len(formed.entries.outputs))
     moves = [bool(row.any()) for row in entries]
@@ -161,6 +166,22 @@ def prove_at_corners(
     found = [_concluded(tree, effort, reason) for tree in trees] + failed
     holding = next((k for k, proof in enumerate(found) if proof.verdict != "holds"), len(found))
     return found[: holding + 1]
+
+
+KINKS = {"abs", "sign", "floor", "ceil", "round", "min", "max", "select", "either", "cbrt", *TRUTHS}
+"""Operations whose second derivatives, as graphs of them say, vanish on either side of a place where they bend."""
+
+
+def _kink(entries: Lowered, variables: Sequence[int]) -> str | None:
+    """The first operation with a kink that depends on one of the inputs, or None."""
+    depends: list[bool] = []
+    graph, _ = entries.graph.pruned(entries.outputs)
+    for node in graph.nodes:
+        moves = node.value in variables if node.op == "input" else any(depends[k] for k in node.arguments)
+        if moves and node.op in KINKS:
+            return node.op
+        depends.append(moves)
+    return None
 
 
 def blocks(matrix: Callable[[Array], Array], domain: Box) -> list[Int[np.ndarray, "k"]]:

@@ -1,0 +1,235 @@
+"""A verdict is never better than its premises: each test takes one premise away from a statement that held."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from systems import line
+
+from covariant import models
+from covariant.certificates import (
+    StateMetric,
+    Subject,
+    cascade,
+    certify,
+    decay,
+    detectability_rate,
+    in_coordinates,
+    observability,
+)
+from covariant.certificates._subject import Point
+from covariant.models import StateSpace
+from covariant.observers import Intrinsic
+from covariant.proofs import Box, prove_at_corners
+
+REGION = {"velocity": 1.0, "error": 0.1, "position": (-0.5, 0.5), "rate": 1.0}
+
+
+def box(**ends) -> Box:
+    low, high = np.array(list(ends.values()), float).T
+    return Box(tuple(ends), ("",) * len(ends), low, high)
+
+
+# The flow that runs is the flow that is certified.
+
+
+class Backwards(Intrinsic):
+    """Corrects away from the measurement."""
+
+    def _correction(self, *arguments):
+        return -super()._correction(*arguments)
+
+
+class Renamed(Intrinsic):
+    """The same observer under another name: what a subclass runs is not read."""
+
+
+@pytest.mark.parametrize("kind", [Backwards, Renamed])
+@pytest.mark.parametrize("model", [models.free_body(), models.ball_and_beam()])
+def test_a_subclass_may_run_another_flow_and_is_refused(kind, model):
+    n = len(model.coordinates or model.velocities)
+    bounds = {} if not model.coordinates else {"position": (-0.1 * np.ones(n), 0.1 * np.ones(n))}
+    with pytest.raises(TypeError, match=f"flows of Intrinsic and Geodesic themselves; got {kind.__name__}"):
+        certify(kind(model, 10.0, 50.0), velocity=0.1, error=0.01, **bounds)
+
+
+# Time.
+
+
+def pushed(force):
+    return Intrinsic(
+        models.Lagrangian(lambda q: jnp.eye(1), lambda q: 0.0, force=force, coordinates=("q",)), 10.0, 50.0
+    )
+
+
+@pytest.mark.parametrize(
+    "force",
+    [
+        lambda t, q, u: u + t,
+        lambda t, q, u: u * jnp.sin(t),
+        lambda t, q, u: jnp.where(t > 1.0, u + 1e3, u),
+        lambda t, q, u: u + 0.0 * jnp.sqrt(t - 1.0),
+    ],
+)
+def test_a_force_that_depends_on_time_needs_times(force):
+    with pytest.raises(ValueError, match=r"depends on time; give times=\(first, last\)"):
+        certify(pushed(force), **REGION)
+
+
+def test_with_times_it_is_certified_over_them_and_without_time_none_are_needed():
+    timed = certify(pushed(lambda t, q, u: u + jnp.sin(t)), times=(0.0, 2.0), **REGION)
+    assert timed.summary.verdict == "holds"
+    assert timed.given["times"] == [0.0, 2.0]
+    assert timed.domain.high[-1] >= 1.0  # the largest force
+    assert certify(pushed(lambda t, q, u: u), **REGION).summary.verdict == "holds"
+
+
+# Corners.
+
+BENT = {
+    "abs": lambda z: jnp.abs(z[0]) - 0.5,
+    "max": lambda z: jnp.maximum(z[0], -z[0]) - 0.5,
+    "min": lambda z: -jnp.minimum(z[0], -z[0]) - 0.5,
+    "a choice": lambda z: jnp.where(z[0] < 0, -z[0], z[0]) - 0.5,
+    "sign": lambda z: z[0] * jnp.sign(z[0]) - 0.5,
+    "the other variable's": lambda z: jnp.abs(z[0] + z[1]) - 0.5,
+    "a step": lambda z: 0.5 + jnp.floor(z[0] + 0.25) * (1.0 - z[0]),
+}
+
+
+@pytest.mark.parametrize("name", BENT)
+def test_what_has_a_kink_is_not_affine(name):
+    domain = box(a=(-1.0, 1.0), b=(0.0, 0.01))
+    with pytest.raises(ValueError, match="not affine"):
+        prove_at_corners(lambda z: BENT[name](z)[None, None], domain, ["a"])
+
+
+def test_a_kink_in_other_variables_does_no_harm():
+    domain = box(a=(-1.0, 1.0), b=(-1.0, 1.0))
+    found = prove_at_corners(lambda z: (2.0 + z[0] + jnp.abs(z[1]))[None, None], domain, ["a"])
+    assert all(proof.verdict == "holds" for proof in found)
+
+
+# Cascades.
+
+
+def linear(matrix, form):
+    n = len(matrix)
+
+    def at(z):
+        metric: StateMetric = in_coordinates(lambda t, x: jnp.asarray(form, float))
+        return Point(lambda t, x: jnp.asarray(matrix, float) @ x + 0.0 * z[0], metric, jnp.zeros(n))
+
+    return Subject(("d",), ("",), at)
+
+
+def coupled(plant=(-1.0, 1.0), error=(-1.0, 1.0), regions=((0.0, 1.0), (0.0, 1.0)), **options):
+    """Scalar systems e' = a e with V = ½ p e², x̃' = b x̃ with m x̃², coupled by b = x̃."""
+    systems = [linear([[rate]], [[form]]) for rate, form in (plant, error)]
+
+    def coupling(z):
+        return jnp.ones((1, 1)), jnp.zeros((1, 1))
+
+    first, second = (box(d=ends) for ends in regions)
+    return cascade((systems[0], first), (systems[1], second), (coupling, box(k=(0.0, 1.0))), **options)
+
+
+@pytest.mark.parametrize("proved", [False, True])
+def test_the_cascade_holds_while_its_premises_do(proved):
+    found = coupled(proved=proved)
+    assert found.verdict == "holds"
+    assert found.constants.m1 == pytest.approx(1.0, rel=0.03)
+
+
+@pytest.mark.parametrize("proved", [False, True])
+@pytest.mark.parametrize(
+    ("what", "systems"),
+    [
+        ("an unstable observer with a negative metric", {"error": (1.0, -1.0)}),
+        ("an unstable plant with a negative metric", {"plant": (1.0, -1.0)}),
+        ("an observer with the metric zero", {"error": (1.0, 0.0)}),
+        ("a plant with a metric that is zero", {"plant": (1.0, 0.0)}),
+    ],
+)
+def test_a_metric_that_is_not_positive_proves_nothing(proved, what, systems):
+    found = coupled(proved=proved, **systems)
+    assert found.verdict != "holds"
+    assert not found.printed
+    assert "not shown to be positive definite" in str(found) or not found.constants.lambda_q > 0
+
+
+def test_the_sets_of_a_cascade_must_be_one():
+    with pytest.raises(ValueError, match=r"d is in \[0, 1\] in one box and in \[0, 2\] in another"):
+        coupled(regions=((0.0, 1.0), (0.0, 2.0)))
+
+
+# Observability.
+
+
+def outputs(h, f=lambda x: -x, n=2):
+    return StateSpace(lambda t, x, u: f(x), lambda t, x, u: h(x), coordinates=tuple(f"x{k}" for k in range(n)))
+
+
+def flat(x):
+    return jnp.eye(x.shape[0])
+
+
+UNSTABLE = {"f": lambda x: jnp.stack([-x[0], 3.0 * x[1]])}
+DEPENDENT = {
+    "two encoders on one joint": lambda x: jnp.stack([x[0], x[0]]),
+    "one encoder through a gear": lambda x: jnp.stack([x[0], 7.0 * x[0]]),
+    "a square that is flat there": lambda x: jnp.stack([x[0], x[1] ** 2]),
+    "a dead channel": lambda x: jnp.stack([x[0], jnp.zeros(())]),
+}
+
+
+@pytest.mark.parametrize("name", DEPENDENT)
+def test_outputs_that_follow_from_others_see_fewer_directions(name):
+    system = outputs(DEPENDENT[name], **UNSTABLE)
+    at = np.array([[0.3, 0.0]])
+    with pytest.raises(ValueError, match=r"the 2 outputs see only 1 directions at \(0.3, 0\)"):
+        observability(system, flat, at)
+    assert detectability_rate(system, flat, jnp.asarray(at[0])) == -np.inf
+
+
+def test_a_metric_that_is_none_and_no_points_are_refused():
+    system = outputs(lambda x: x[:1])
+    with pytest.raises(ValueError, match=r"the metric is not positive definite at \(0, 0\)"):
+        observability(system, lambda x: jnp.diag(jnp.array([1.0, -1.0])), np.zeros((1, 2)))
+    with pytest.raises(ValueError, match="at least one"):
+        observability(system, flat, np.zeros((0, 2)))
+
+
+def test_the_sentence_says_that_states_were_sampled():
+    found = observability(outputs(lambda x: x[:1]), flat, np.zeros((1, 2)))
+    assert found.verdict.endswith("as sampled at 1 states between (0, 0) and (0, 0)")
+
+
+# Decay.
+
+STILL = (lambda t, x: -x, in_coordinates(lambda t, x: jnp.eye(1)))
+
+
+@pytest.mark.parametrize(
+    ("x0", "x1", "t", "what"),
+    [
+        ([[1.0]], [[2.0]], [1.0, 0.5, 0.0], "each later"),
+        ([[1.0]], [[2.0]], [0.0, 0.0], "each later"),
+        ([[1.0]], [[2.0]], [0.0], "at least two stamps"),
+        ([[1.0]], [[2.0]], [0.0, np.nan], "each later"),
+        (np.zeros((0, 1)), np.zeros((0, 1)), [0.0, 1.0], "at least one"),
+        ([[1.0]], [[1.0]], [0.0, 1.0], "pair 1 has no positive distance"),
+    ],
+)
+def test_decay_needs_pairs_that_differ_and_rising_stamps(x0, x1, t, what):
+    with pytest.raises(ValueError, match=what):
+        decay(*STILL, 1.0, jnp.asarray(x0), jnp.asarray(x1), jnp.asarray(t))
+
+
+def test_decay_holds_where_the_premises_do_and_fails_at_a_larger_rate():
+    pairs = jnp.array([[1.0]]), jnp.array([[2.0]]), jnp.linspace(0.0, 1.0, 5)
+    assert decay(*STILL, 2.0, *pairs).holds
+    assert not decay(*STILL, 2.5, *pairs).holds
+
+
+def test_a_line_that_is_certified_stays_so():
+    assert certify(line(lambda xp, q, v: -v), **REGION).summary.verdict == "holds"
