@@ -57,7 +57,7 @@ PUBLIC = {
     "contracting_gain estimators filter_bandwidth gains gated given_noise jerk_bound joint_noise load_metric "
     "metric metric_summary observer_gains predict_errors predict_sampled_errors stored_observer tune tuned_estimators "
     "tuned_state_estimators usual_speeds window_length with_gains",
-    "diagnosis": "Diagnosis Finding diagnose misfit outliers",
+    "diagnosis": "Diagnosis Finding Suggestion diagnose misfit outliers suggest_noise",
     "codegen": "ROWS Facts Leaf Program Recipe Source Unit Vectors export_texts fmu of_family program vectors "
     "with_open_numbers write_fmu write_folder write_source",
     "geometry": "AbstractManifold AbstractMetric AbstractSpace Budget ConstantCurvature Coordinates Euclidean "

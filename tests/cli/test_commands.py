@@ -130,6 +130,17 @@ def test_positions_in_other_ticks_than_told_are_named_and_taken_as_noisy(moved, 
     assert told == (f" Positions {words}: they are taken as noisy, not as ticks." if words else "")
 
 
+def test_positions_of_different_units_are_compared_with_ticks_of_their_own():
+    turn = 300 * np.sin(np.linspace(0, 9, 2000))
+    file = load("ball_and_beam")._replace(quantum=(1e-4, 5e-3))
+    y = np.round(np.stack([turn, 2 * turn], axis=1)) * [1e-4, 5e-3]
+    assert _in_ticks(file, y) == (file, "")
+    told = _in_ticks(file, y * [1.0, 10.0])[1]
+    assert (
+        told == " Positions of theta are multiples of 10 ticks of 0.005 apart: they are taken as noisy, not as ticks."
+    )
+
+
 def test_estimate_writes_stamps_positions_and_velocities(estimated):
     assert Path(estimated["out"]).read_text().splitlines()[0] == "t,q1,v1"
     log = logs.read("v.csv", READ)

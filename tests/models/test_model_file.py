@@ -273,6 +273,9 @@ def test_what_differs_between_coordinates_is_a_list(tmp_path):
     assert (file.measurement_std, file.delay) == ((3e-4, 4e-4), (0.0, 0.005))
     assert file.typical_std == pytest.approx(2.5e-4 * 2**0.5)
     assert (file.input_delay, file.input_between) == (0.002, "linear")
+    ticks = load(written(tmp_path, WHOLE), ("measurement.quantum=[0.12, 0.03]",))
+    assert ticks.quantum == (0.12, 0.03)
+    assert ticks.measurement_std == pytest.approx((0.12 / 12**0.5, 0.03 / 12**0.5))
 
 
 def test_a_module_gives_a_model(folder):
@@ -377,7 +380,8 @@ def test_refuses_text_that_is_not_utf8(tmp_path):
         ("measurement.delay=[0.0, 0.1, 0.2]", "measurement.delay lists 3 numbers; give 2, or one number without"),
         ("measurement.delay=[0.0, -0.1]", "measurement.delay must be a number ≥ 0; got -0.1"),
         ("measurement.delay='late'", "measurement.delay must be a number ≥ 0; got 'late'"),
-        ("measurement.quantum=[0.1, 0.1]", "measurement.quantum must be a positive number; got [0.1, 0.1]"),
+        ("measurement.quantum=[0.1]", "measurement.quantum lists 1 numbers; give 2, or one number without"),
+        ("measurement.quantum=[0.1, 0]", "measurement.quantum must be a positive number; got 0"),
         ("inputs.delay=-1.0", "inputs.delay must be a number ≥ 0; got -1.0"),
         ("inputs.between='spline'", "inputs.between must be one of 'held', 'linear'; got 'spline'"),
         ("design.damping=inf", "design.damping must be a positive number; got inf"),

@@ -226,6 +226,17 @@ def test_a_turn_of_the_reading_is_no_edge_and_missing_readings_are_waited_for():
     assert np.abs(round_[300:, 1] - v[301:]).max() < 0.05
 
 
+def test_each_encoder_may_have_ticks_of_its_own():
+    """A filter made of a list of ticks has one for each coordinate; one number is that of all."""
+    model = Lagrangian(lambda q: jnp.eye(2))
+    sheet = DataSheet(1e-3, 1.0, coordinate_stds=(1e-3, 2e-3), quantum=(4e-3, 8e-3))
+    made = tuned_estimators(model, 2, sheet, 100.0, names=("intrinsic-kalman",))["intrinsic-kalman"]
+    np.testing.assert_array_equal(made.quantum, [4e-3, 8e-3])
+    assert made.measurement_cov[1, 1] == pytest.approx(4 * made.measurement_cov[0, 0])
+    one = tuned_estimators(model, 2, sheet._replace(quantum=4e-3), 100.0, names=("intrinsic-kalman",))
+    np.testing.assert_array_equal(one["intrinsic-kalman"].quantum, [4e-3, 4e-3])
+
+
 def test_a_quantum_off_coordinates_or_without_size_is_refused():
     eye = jnp.eye(3)
     with pytest.raises(ValueError, match="quantum is for coordinates"):

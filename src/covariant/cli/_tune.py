@@ -45,7 +45,7 @@ def tune_model(
         before = None
         if file.typical_std is not None and file.acceleration_std is not None:
             before = data_sheet(file)
-        known = None if file.quantum is None else np.full(file.dimension, file.typical_std)
+        known = None if file.quantum is None else np.broadcast_to(np.asarray(file.measurement_std), file.dimension)
         records, velocities = [one.record for one in loaded], [one.reference.v for one in loaded if one.reference]
         runs = _Runs(engine)
         try:
@@ -97,7 +97,8 @@ def _tables(file: models.ModelFile, found: Tuning, rate: float) -> dict[str, dic
         "uncertainty": uncertainty,
         "design": {"damping": _short(found.damping), "natural_frequency": _short(found.natural_frequency)},
     }
-    if file.quantum is None or max(np.asarray(found.noise.measurement)) > COARSER * file.quantum / np.sqrt(12):
+    ticks = np.inf if file.quantum is None else np.asarray(file.quantum) / np.sqrt(12)
+    if file.quantum is None or np.any(np.asarray(found.noise.measurement) > COARSER * ticks):
         std = [_short(value) for value in np.asarray(found.noise.measurement)]
         tables = {"measurement": {"std": std if file.model.manifold.commuting and len(std) > 1 else std[0]}, **tables}
     return tables

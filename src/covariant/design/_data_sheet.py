@@ -21,7 +21,8 @@ class DataSheet(NamedTuple):
     - `natural_frequency` [rad/s]: ω of their gains α = 2ζω and β = ω²; None where it is designed from the noise.
     - `coordinate_stds`: standard deviations of the noise of each coordinate, where they differ; `measurement_std` is
       then their root mean square, for designs that know one number only.
-    - `quantum`: one tick of the encoders, where that is what makes the noise; `measurement_std` then is this over √12.
+    - `quantum`: one tick of the encoders, or one for each coordinate, where that is what makes the noise; then
+      `measurement_std`, and `coordinate_stds` for several, are this over √12.
     - `external_force`: standard deviation of what a force that the model does not know changes by in a second [N or
       N m]; None where no such force is estimated.
     - `slow`: further slow states that are estimated along with the motion, as `observers.sensor_bias`.
@@ -34,7 +35,7 @@ class DataSheet(NamedTuple):
     motion_std: float = 10.0
     motion_time: float = 0.1
     damping: float = 0.5**0.5
-    quantum: float | None = None
+    quantum: float | tuple[float, ...] | None = None
     coordinate_stds: tuple[float, ...] | None = None
     external_force: float | None = None
     speed: tuple[float, ...] | None = None

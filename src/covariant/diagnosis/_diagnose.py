@@ -14,6 +14,7 @@ from covariant.diagnosis import _sensor
 from covariant.diagnosis._changes import Change, Names, structure_changes, unit_changes
 from covariant.diagnosis._delays import Stated, delay_findings
 from covariant.diagnosis._finding import Diagnosis, Finding
+from covariant.diagnosis._readings import one_or_each, readings, shown, written
 from covariant.diagnosis._residual import CLEAR, Residual, residual
 from covariant.diagnosis._smooth import FEWEST, ORDER, Smooth, smooth
 from covariant.models import MechanicalSystem, ModelFile
@@ -45,8 +46,6 @@ FARTHEST = 3.0
 """Largest acceleration that the model may leave, as a multiple of what the data sheet states."""
 NOISIER = 4.0
 """Measured noise, as a multiple of that of the data sheet, that is a finding."""
-ALTERNATES = -0.5
-"""Correlation of neighbouring errors of prediction below which they are noise, and not motion between the rows."""
 MOST_CHANGES = 3
 
 
@@ -63,14 +62,15 @@ class _Case(NamedTuple):
         return float(np.median(np.diff(np.asarray(self.record.t))))
 
 
-def diagnose(file: ModelFile, record: Record, quantum: float | None = None) -> Diagnosis:
+def diagnose(file: ModelFile, record: Record, quantum: float | tuple[float, ...] | None = None) -> Diagnosis:
     """Compare a log with a model: what is wrong with the log, or with the model file for it.
 
     - `file`: the model and its data sheet. For a machine that is not in coordinates, and for a `StateSpace`, only the
       stamps and missing measurements are looked at.
     - `record`: the log as it was read, without a lag of the inputs. Of more than `MOST_ROWS` rows, the stretch in which
       most moves is compared with the model.
-    - `quantum`: one tick of the encoders that the model file states, where `file` no longer has it.
+    - `quantum`: one tick of the encoders that the model file states, or one for each coordinate, where `file` no
+      longer has it.
 
     A log that fits has no finding that is `wrong`.
     """
@@ -79,11 +79,11 @@ def diagnose(file: ModelFile, record: Record, quantum: float | None = None) -> D
     if not in_coordinates(file):
         return Diagnosis(tuple(found), looked)
     record = busiest(record, MOST_ROWS)
-    case, outliers = _without_outliers(file, record)
+    case, outliers = case_without_outliers(file, record)
     changes, case = _put_right(case)
     looked += ("outliers", "ticks", "noise")
     found += [*outliers, *changes, *_sensors(case, file.quantum if quantum is None else quantum)]
-    best = _best_window(case)
+    best = best_window(case)
     if best is None or not best[1].told.any():
         return Diagnosis((*found, _standstill(case)), looked)
     looked += ("units", "order and signs of columns", "scales of inputs", "delays", "accelerations")
@@ -105,7 +105,7 @@ def misfit(file: ModelFile, record: Record) -> Finding | None:
     """
     if not in_coordinates(file):
         return None
-    case, _ = _without_outliers(file, busiest(record, FEW_ROWS))
+    case, _ = case_without_outliers(file, busiest(record, FEW_ROWS))
     asis = _compared(case)
     if asis is not None and asis.told.any() and asis.misfit < BARELY:
         return None
@@ -138,7 +138,7 @@ def _names(file: ModelFile) -> Names:
     return Names(file.columns.t, file.columns.q, file.columns.u, units, angles, file.columns.units)
 
 
-def _without_outliers(file: ModelFile, record: Record) -> tuple[_Case, list[Finding]]:
+def case_without_outliers(file: ModelFile, record: Record) -> tuple[_Case, list[Finding]]:
     """The case of a record whose outliers are taken to be missing, and findings about them."""
     model, names = file.need_mechanical(file.name, "accelerations are compared with those of"), _names(file)
     t, y = np.asarray(record.t), np.asarray(record.y)
@@ -181,7 +181,7 @@ def _compared(case: _Case) -> Residual | None:
     return None if log is None else residual(case.model, log)
 
 
-def _best_window(case: _Case) -> tuple[float, Residual] | None:
+def best_window(case: _Case) -> tuple[float, Residual] | None:
     """The half window [s] with which the model explains most, and what it leaves; None where nothing can be told."""
     halves = [half for half in (w * case.file.reference_half for w in WINDOWS) if _long_enough(case, half)]
     tried = [(half, residual(case.model, _smoothed(case, half))) for half in halves]
@@ -263,44 +263,44 @@ def _percent(share: float) -> str:
     return f"{100 * share:.3g} %" if np.isfinite(share) else "all"
 
 
-def _sensors(case: _Case, stated: float | None) -> list[Finding]:
+def _sensors(case: _Case, stated: float | tuple[float, ...] | None) -> list[Finding]:
     """Findings about ticks and noise, in the units of the model."""
-    t, y = np.asarray(case.record.t), unwrap(np.asarray(case.record.y), case.model.circles)
-    errors = [
-        _sensor.prediction_errors(t[seen], column[seen])
-        for column in y.T
-        for seen in (np.isfinite(column),)
-        if seen.sum() > 50
-    ]
-    if len(errors) < y.shape[1]:
+    seen, names, units = readings(case.record, case.model.circles), case.names.q, case.names.units
+    if not seen.known:
         return []
-    noise = np.array([1.4826 * np.median(np.abs(error)) for error in errors])
-    white = [np.mean(error[1:] * error[:-1]) < ALTERNATES * np.mean(error**2) for error in errors]
-    ticks, unit = _sensor.quanta(y, noise), case.names.units[0]
-    coarsest, findings = float(ticks.max()), []
-    if coarsest > 0 and (stated is None or not 0.95 < coarsest / stated < 1.05):
-        said = f"the model file says {stated:.4g}" if stated else "the model file does not say so"
+    ticks, findings = seen.ticks, []
+    known = np.zeros(len(ticks)) if stated is None else np.broadcast_to(stated, len(ticks))
+    other = (ticks > 0) & ~((0.95 * known < ticks) & (ticks < 1.05 * known))
+    if other.any():
+        counting = [i for i in range(len(ticks)) if ticks[i] > 0]
+        apart = shown([ticks[i] for i in counting], [units[i] for i in counting], 5)
+        said = f"the model file says {shown(known, units, 4)}" if stated else "the model file does not say so"
+        key, number = ("quantum", ticks) if len(counting) == len(ticks) else ("std", seen.std)
         findings.append(
             Finding(
                 "ticks",
-                ", ".join(name for name, tick in zip(case.names.q, ticks, strict=True) if tick > 0),
-                f"positions are whole ticks of {coarsest:.5g} {unit} apart, and {said}",
-                f"[measurement] quantum = {coarsest:.5g}",
+                ", ".join(names[i] for i in counting),
+                f"positions are whole ticks of {apart} apart, and {said}",
+                f"[measurement] {key} = {written(one_or_each(number, units, 5))}",
                 stated is not None,
-                {"quantum": coarsest, "stated": stated},
+                {"quantum": one_or_each(ticks, units, 17), "stated": stated},
             )
         )
-    known = case.file.typical_std
-    if coarsest == 0 and known is not None and any(white) and np.max(noise[white]) > NOISIER * known:
-        most = float(np.max(noise[white]))
+    std = case.file.measurement_std
+    usual = np.full(len(ticks), np.inf) if std is None else np.broadcast_to(std, len(ticks))
+    noisy = (ticks == 0) & seen.white & (seen.noise > NOISIER * usual)
+    if noisy.any():
+        worst = int(np.argmax(np.where(noisy, seen.noise / usual, 0.0)))
+        std = one_or_each(np.where(noisy, seen.noise, usual), units, 2)
         findings.append(
             Finding(
                 "noise",
-                ", ".join(name for name, std in zip(case.names.q, noise, strict=True) if std > NOISIER * known),
-                f"positions have noise of {most:.3g} {unit}, {most / known:.2g} times that of the model file",
-                f"[measurement] std = {most:.2g}",
+                ", ".join(name for name, bad in zip(names, noisy, strict=True) if bad),
+                f"positions have noise of {shown(seen.noise[[worst]], [units[worst]], 3)}, "
+                f"{seen.noise[worst] / usual[worst]:.2g} times that of the model file",
+                f"[measurement] std = {written(std)}",
                 True,
-                {"std": most, "stated": known},
+                {"std": float(seen.noise[worst]), "stated": float(usual[worst])},
             )
         )
     return findings

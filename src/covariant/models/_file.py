@@ -43,8 +43,8 @@ class ModelFile(NamedTuple):
       the next, or "linear" between them.
     - `reference_half` [s], `reference_order`: half width of the windows, and degree, of the local polynomials that
       give the reference velocity for scoring.
-    - `quantum`: one tick of the encoders [unit of the coordinates], where the model file gives that and not a standard
-      deviation.
+    - `quantum`: one tick of the encoders [unit of the coordinates], or one for each coordinate, where the model file
+      gives that and not a standard deviation.
     - `process_std`, `initial_state`, `initial_std`: of a `StateSpace`, for each state or one for all: standard
       deviation of the white noise in its rate [its unit/√s], first estimate, and how uncertain that is. Where they are
       not given, the first estimate is the middle of the model's box, or zero, and as uncertain as the box is wide.
@@ -72,7 +72,7 @@ class ModelFile(NamedTuple):
     delay: float | tuple[float, ...] = 0.0
     input_delay: float = 0.0
     input_between: str = "held"
-    quantum: float | None = None
+    quantum: float | tuple[float, ...] | None = None
     external_force: float | None = None
     process_std: float | tuple[float, ...] | None = None
     initial_state: float | tuple[float, ...] | None = None

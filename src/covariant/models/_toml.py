@@ -59,7 +59,7 @@ _MAY_BE_ZERO = {("inputs", "lag"), ("inputs", "delay"), ("measurement", "delay")
 _ANY_SIGN = {("initial", "state")}
 _OF_STATES = {("uncertainty", "process"), ("initial", "state"), ("initial", "std")}
 """Numbers of state-space models, of which there may be one for each state."""
-_MAY_BE_LISTS = {("measurement", key) for key in ("std", "delay", "bias", "bias_drift")} | _OF_STATES
+_MAY_BE_LISTS = {("measurement", key) for key in ("std", "quantum", "delay", "bias", "bias_drift")} | _OF_STATES
 """Numbers of which there may be one for each coordinate or state."""
 _RIVALS = {"measurement.std": ("quantum",), "measurement.quantum": ("std",)} | {
     f"columns.{kind}": tuple(other for other in ATTITUDES if other != kind) for kind in ATTITUDES
@@ -198,7 +198,9 @@ def numbers(document: dict[str, Any], count: int, states: int) -> dict[str, Any]
         scaled = tuple(number * factor for number in each)
         found[field] = scaled if isinstance(value, list) else scaled[0]
     if "quantum" in found:
-        found["measurement_std"] = found["quantum"] / math.sqrt(12)  # an error uniform over one step
+        ticks = found["quantum"]  # an error uniform over one step
+        each = tuple(tick / math.sqrt(12) for tick in (ticks if isinstance(ticks, tuple) else (ticks,)))
+        found["measurement_std"] = each if isinstance(ticks, tuple) else each[0]
     return found | _words(document) | _uncertain(document, states)
 
 

@@ -53,15 +53,15 @@ def intrinsic_kalman(
     process: Matrix,
     measurement: Matrix,
     speed: float,
-    quantum: float | None,
+    quantum: float | tuple[float, ...] | None,
     slow: tuple[Slow, ...] = (),
 ) -> IntrinsicKalman:
     """The filter for encoders that count ticks, where there is a quantum in coordinates; else for noise."""
     axes = jnp.eye(process.shape[0])
     if quantum is None or not model.manifold.commuting:
         return IntrinsicKalman(model, process, measurement, speed**2 * axes, slow)
-    edges, ticks = (EDGE * quantum) ** 2 * axes, jnp.full(len(axes), quantum)
-    return IntrinsicKalman(model, process, edges, speed**2 * axes, slow, ticks)
+    ticks = jnp.broadcast_to(jnp.asarray(quantum, float), len(axes))
+    return IntrinsicKalman(model, process, jnp.diag((EDGE * ticks) ** 2), speed**2 * axes, slow, ticks)
 
 
 class Entry(NamedTuple):

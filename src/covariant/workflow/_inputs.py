@@ -186,23 +186,37 @@ def _in_ticks(file: models.ModelFile, y: np.ndarray) -> tuple[models.ModelFile, 
     """The model file without its quantum where positions (T, n) are no whole ticks apart, and a sentence saying so."""
     if file.quantum is None or not file.model.manifold.commuting:
         return file, ""
-    moved = np.diff(y, axis=0) / file.quantum
-    off = np.abs(moved - np.round(moved))[np.isfinite(moved)]
-    ticks = np.abs(np.round(moved[np.isfinite(moved)]))
+    quantum = np.broadcast_to(file.quantum, y.shape[1])
+    moved = np.diff(y, axis=0) / quantum
+    names = file.columns.q if len(file.columns.q) > 1 else ("",)
+    for name, tick, column in zip(names, quantum, moved.T, strict=True):
+        fault = _off_ticks(tick, column[np.isfinite(column)])
+        if fault:
+            return _as_noisy(file, f"Positions{' of ' * bool(name)}{name} {fault}")
+    count = np.count_nonzero(np.round(np.nan_to_num(moved)))
+    if count >= FEWEST_MOVES and _reversals(moved) > MOST_REVERSALS:
+        shown = ", ".join(f"{tick:.4g}" for tick in dict.fromkeys(quantum))
+        return _as_noisy(file, f"Positions go back and forth between ticks of {shown} as noise does")
+    return file, ""
+
+
+def _off_ticks(quantum: float, moved: np.ndarray) -> str:
+    """How the changes of one position, in ticks, differ from whole ticks of an encoder; "" where they do not."""
+    ticks = np.abs(np.round(moved))
     ticks = ticks[ticks > 0]
     if ticks.size == 0:
-        return file, ""
+        return ""
     least = np.quantile(ticks, 0.01, method="lower")
-    if np.quantile(off, 0.95) >= OFF_TICK:
-        fault = f"are not whole ticks of {file.quantum:.4g} apart"
-    elif least > 1 and ticks.size >= FEWEST_MOVES and np.mean(ticks % least == 0) > 0.95:
-        fault = f"are multiples of {least:.0f} ticks of {file.quantum:.4g} apart"
-    elif ticks.size >= FEWEST_MOVES and _reversals(moved) > MOST_REVERSALS:
-        fault = f"go back and forth between ticks of {file.quantum:.4g} as noise does"
-    else:
-        return file, ""
-    words = f" Positions {fault}: they are taken as noisy, not as ticks."
-    return file._replace(quantum=None), words
+    if np.quantile(np.abs(moved - np.round(moved)), 0.95) >= OFF_TICK:
+        return f"are not whole ticks of {quantum:.4g} apart"
+    if least > 1 and ticks.size >= FEWEST_MOVES and np.mean(ticks % least == 0) > 0.95:
+        return f"are multiples of {least:.0f} ticks of {quantum:.4g} apart"
+    return ""
+
+
+def _as_noisy(file: models.ModelFile, fault: str) -> tuple[models.ModelFile, str]:
+    """The model file without its quantum, and a sentence that says why."""
+    return file._replace(quantum=None), f" {fault}: they are taken as noisy, not as ticks."
 
 
 def _reversals(moved: np.ndarray) -> float:
