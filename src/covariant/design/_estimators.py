@@ -115,8 +115,8 @@ def _noise(entry: Entry, known: Known) -> tuple:
     sheet = known.sheet
     time = 1 / (2 * known.rate) if sheet.correlation_time is None else sheet.correlation_time
     process_cov = 2 * sheet.acceleration_std**2 * time * jnp.eye(known.n)
-    std = jnp.asarray(sheet.coordinate_stds or sheet.measurement_std, float)
-    return process_cov, std**2 * jnp.eye(known.n), sheet.motion_std * sheet.motion_time
+    std = jnp.broadcast_to(jnp.asarray(sheet.coordinate_stds or sheet.measurement_std, float), known.n)
+    return process_cov, jnp.diag(std**2), sheet.motion_std * sheet.motion_time
 
 
 def _ticks(entry: Entry, known: Known) -> tuple:
