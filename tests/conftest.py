@@ -12,7 +12,7 @@ os.environ.setdefault("COVARIANT_CACHE", "off")  # every run makes its own progr
 # The tests compile far longer than they compute: programs are made quickly, not fast. Processes they start do the same.
 os.environ.setdefault(
     "XLA_FLAGS",
-    "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false"
+    "--xla_backend_optimization_level=0"
     " --xla_disable_hlo_passes=call-inliner,constant_folding --xla_cpu_parallel_codegen_split_count=1",
 )
 

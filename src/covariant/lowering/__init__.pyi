@@ -6,6 +6,16 @@ from ._enclose import Enclosure as Enclosure, fulfilled as fulfilled
 from ._engine import enclose as enclose, in_c as in_c
 from ._graph import FOLD as FOLD, TRUTHS as TRUTHS, Condition as Condition, Graph as Graph, Node as Node
 from ._intervals import INTERVALS as INTERVALS
+from ._jax_forms import (
+    Body as Body,
+    Branch as Branch,
+    Call as Call,
+    Equation as Equation,
+    Scan as Scan,
+    While as While,
+    equations as equations,
+    needed as needed,
+)
 from ._lowered import Conditions as Conditions, Lowered as Lowered, LoweringError as LoweringError
 from ._peephole import simplified as simplified
 from ._read import NUMBERS as NUMBERS, Domain as Domain, evaluate as evaluate, numbers as numbers

@@ -11,10 +11,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from covariant.lowering._jax_forms import Equation
 
-def compute(eqn, values: Sequence[Any]) -> list[Any]:
+
+def compute(eqn: Equation, values: Sequence[Any]) -> list[Any]:
     """The outputs of an equation of a jaxpr."""
-    rule = _RULES.get(eqn.primitive.name)
+    rule = None if eqn.unknown else _RULES.get(eqn.name)
     outputs = [atom.aval for atom in eqn.outvars]
     if rule is not None and all(_plain(aval) for aval in outputs):
         # Inputs get the type of their variable in the jaxpr, which NumPy alone would not always give them.

@@ -20,6 +20,7 @@ from covariant.lowering import _stumpff
 from covariant.lowering._arrays import Scalars, Value, Writer, nodes_of
 from covariant.lowering._constants import compute
 from covariant.lowering._graph import Graph
+from covariant.lowering._jax_forms import Body, Branch, Call, Equation, Scan, While, equations, expanded
 from covariant.lowering._loops import loop_of
 from covariant.lowering._lowered import Conditions, Lowered, LoweringError
 from covariant.lowering._primitives import NOT_ON_INTEGERS, RULES
@@ -55,7 +56,7 @@ def lower(function: Callable, *arguments: Any, real: bool = False, loops: Loops 
             raise LoweringError(f"an argument of type {aval.dtype} is not a real number; close over it instead")
         ids = [graph.input(next(position)) for _ in range(aval.size)]
         inputs.append(Scalars(np.array(ids, int).reshape(aval.shape)))
-    results = _Interpreter(graph, loops).run(closed.jaxpr, closed.consts, inputs)
+    results = _Interpreter(graph, loops).run(Body(closed.jaxpr, closed.consts), inputs)
     ids = [nodes_of(graph, value) for value in results]
     leaves, tree = jax.tree.flatten(shape)
     small, outputs = graph.pruned([int(i) for array in ids for i in array.ravel()])
@@ -68,7 +69,7 @@ def graft(graph: Graph, function: Callable, *arguments: np.ndarray) -> np.ndarra
     """Add a function of nodes of a graph to this graph, and return the nodes of its result, an array."""
     shapes = [jax.ShapeDtypeStruct(ids.shape, jnp.float64) for ids in arguments]
     closed = jax.make_jaxpr(function)(*shapes)
-    (result,) = _Interpreter(graph).run(closed.jaxpr, closed.consts, [Scalars(ids) for ids in arguments])
+    (result,) = _Interpreter(graph).run(Body(closed.jaxpr, closed.consts), [Scalars(ids) for ids in arguments])
     return nodes_of(graph, result)
 
 
@@ -93,40 +94,47 @@ class _Interpreter:
         self.graph, self.write = graph, Writer(graph, loops != "unrolled")
         self.loops: Loops = loops
 
-    def run(self, jaxpr, consts: Sequence, inputs: Sequence[Value]) -> list[Value]:
-        """Values of the outputs of a jaxpr."""
+    def run(self, body: Body, inputs: Sequence[Value], replaces: bool = False) -> list[Value]:
+        """Values of the outputs of a jaxpr; `replaces`: it stands for a primitive, and has its place in code."""
         known: dict = {}
 
         def read(atom) -> Value:
             return np.asarray(atom.val) if isinstance(atom, core.Literal) else known[atom]
 
-        known.update(zip(jaxpr.constvars, map(np.asarray, consts), strict=True))
-        known.update(zip(jaxpr.invars, inputs, strict=True))
+        known.update(zip(body.jaxpr.constvars, map(np.asarray, body.consts), strict=True))
+        known.update(zip(body.jaxpr.invars, inputs, strict=True))
         outer = self.graph.line
-        for eqn in jaxpr.eqns:
-            self.graph.line = functools.partial(_line, eqn, outer)
+        for eqn in equations(body.jaxpr):
+            if not replaces:
+                self.graph.line = functools.partial(_line, eqn, outer)
             found = self.equation(eqn, [read(atom) for atom in eqn.invars])
             if self.graph.real:
                 self.bounded(eqn, found)
             known.update(zip(eqn.outvars, found, strict=True))
-        return [read(atom) for atom in jaxpr.outvars]
+        return [read(atom) for atom in body.jaxpr.outvars]
 
-    def equation(self, eqn, values: list[Value]) -> list[Value]:
-        name, parameters = eqn.primitive.name, eqn.params
+    def equation(self, eqn: Equation, values: list[Value]) -> list[Value]:
         _need_reals(eqn, self.graph.real)
-        if name in _CALLS:
-            return self.call(parameters[_CALLS[name]], values)
-        if name in ("scan", "while", "cond"):
-            return getattr(self, name + "_loop")(parameters, values)
+        match eqn.form:
+            case Call(body, replaces):
+                return self.run(body, values, replaces)
+            case Scan():
+                return self.scan(eqn.form, values)
+            case While():
+                return self.while_loop(eqn.form, values)
+            case Branch(bodies):
+                return self.branch(bodies, values)
         if not any(isinstance(value, Scalars) for value in values):
             return compute(eqn, values)
         if eqn.primitive is _stumpff.STUMPFF:
-            return [self.write.map("stumpff", np.asarray(float(parameters["k"])), *values)]
-        if name not in RULES:
-            raise LoweringError(f"the primitive '{name}' has no graph of scalars; write the function without it")
-        if name in NOT_ON_INTEGERS and jnp.issubdtype(eqn.invars[0].aval.dtype, jnp.integer):
-            raise LoweringError(f"'{name}' on integers that depend on the arguments has no graph of real numbers")
-        return RULES[name](self.write, eqn, values)
+            return [self.write.map("stumpff", np.asarray(float(eqn.params["k"])), *values)]
+        if eqn.name not in RULES:
+            return self.run(expanded(eqn).body, values, replaces=True)
+        if eqn.unknown is not None:
+            raise LoweringError(f"'{eqn.name}' with the parameter '{eqn.unknown}' has no graph of scalars")
+        if eqn.name in NOT_ON_INTEGERS and jnp.issubdtype(eqn.invars[0].aval.dtype, jnp.integer):
+            raise LoweringError(f"'{eqn.name}' on integers that depend on the arguments has no graph of real numbers")
+        return RULES[eqn.name](self.write, eqn, values)
 
     def bounded(self, eqn, values: list[Value]) -> None:
         """Note the condition that integers stay within the range of their type, beyond which they would wrap around."""
@@ -135,92 +143,85 @@ class _Interpreter:
                 limits = jnp.iinfo(atom.aval.dtype)
                 self.write.within(value, max(float(limits.min) - 1, -EXACT), min(float(limits.max) + 1, EXACT))
 
-    def call(self, inner, values: list[Value]) -> list[Value]:
-        closed = inner if hasattr(inner, "jaxpr") else core.ClosedJaxpr(inner, ())
-        return self.run(closed.jaxpr, closed.consts, values)
-
-    def scan_loop(self, p: dict, values: list[Value]) -> list[Value]:
-        consts, carried = p["num_consts"], p["num_carry"]
-        fixed, carry, over = values[:consts], values[consts : consts + carried], values[consts + carried :]
-        alone = not over and len(p["jaxpr"].out_avals) == carried
-        if self.loops != "unrolled" and alone and p["length"] > 1:
-            found = self.counted(p, fixed, carry)
+    def scan(self, scan: Scan, values: list[Value]) -> list[Value]:
+        ends = scan.fixed, scan.fixed + scan.carried
+        fixed, carry, over = values[: ends[0]], values[ends[0] : ends[1]], values[ends[1] :]
+        of_rows = scan.body.results[scan.carried :]
+        if self.loops != "unrolled" and not over and not of_rows and scan.length > 1:
+            found = self.counted(scan, fixed, carry)
             if found is not None:
                 return found
-        order = range(p["length"])[:: -1 if p["reverse"] else 1]
+        order = range(scan.length)[:: -1 if scan.reverse else 1]
         collected: dict[int, list[Value]] = {}
         for i in order:
-            found = self.call(p["jaxpr"], [*fixed, *carry, *(_take(value, i) for value in over)])
-            carry, collected[i] = found[:carried], found[carried:]
+            found = self.run(scan.body, [*fixed, *carry, *(_take(value, i) for value in over)])
+            carry, collected[i] = found[: scan.carried], found[scan.carried :]
         rows = [collected[i] for i in sorted(collected)]
-        empty = [np.zeros(aval.shape) for aval in p["jaxpr"].out_avals[carried:]]
+        empty = [np.zeros((0, *aval.shape)) for aval in of_rows]
         stacked = [self.write.stack(list(column)) for column in zip(*rows, strict=True)] if rows else empty
         return [*carry, *stacked]
 
-    def counted(self, p: dict, fixed: list[Value], carry: list[Value]) -> list[Value] | None:
+    def counted(self, scan: Scan, fixed: list[Value], carry: list[Value]) -> list[Value] | None:
         """A scan over nothing as a loop of the graph, or None where a turn is too little work for that."""
 
         def turn(graph: Graph, values: list[Value]):
-            return _Interpreter(graph, self.loops).call(p["jaxpr"], values), None
+            return _Interpreter(graph, self.loops).run(scan.body, values), None
 
         try:
-            return loop_of(self.graph, turn, fixed, carry, p["length"], LONG)
+            return loop_of(self.graph, turn, fixed, carry, scan.length, LONG)
         except LoweringError:  # a turn may need its number, to take an entry at a place
             return None
 
-    def turns(self, p: dict, values: list[Value]) -> list[Value]:
+    def turns(self, loop: While, values: list[Value]) -> list[Value]:
         """A while loop as a loop of the graph."""
-        of_condition, of_body = p["cond_nconsts"], p["body_nconsts"]
-        ends = np.cumsum([of_condition, of_body])
+        ends = loop.of_condition, loop.of_condition + loop.of_body
 
         def turn(graph: Graph, values: list[Value]):
             inner = _Interpreter(graph, self.loops)
             condition, body, carry = values[: ends[0]], values[ends[0] : ends[1]], values[ends[1] :]
-            (going,) = inner.call(p["cond_jaxpr"], [*condition, *carry])
-            return inner.call(p["body_jaxpr"], [*body, *carry]), going
+            (going,) = inner.run(loop.condition, [*condition, *carry])
+            return inner.run(loop.body, [*body, *carry]), going
 
         found = loop_of(self.graph, turn, values[: ends[1]], values[ends[1] :])
         assert found is not None
         return found
 
-    def while_loop(self, p: dict, values: list[Value]) -> list[Value]:
-        of_condition, of_body = p["cond_nconsts"], p["body_nconsts"]
-        condition, body = values[:of_condition], values[of_condition : of_condition + of_body]
-        carry = values[of_condition + of_body :]
+    def while_loop(self, loop: While, values: list[Value]) -> list[Value]:
+        ends = loop.of_condition, loop.of_condition + loop.of_body
+        condition, body, carry = values[: ends[0]], values[ends[0] : ends[1]], values[ends[1] :]
         for _ in range(MOST_ITERATIONS):
-            (go,) = self.call(p["cond_jaxpr"], [*condition, *carry])
+            (go,) = self.run(loop.condition, [*condition, *carry])
             going = self.write.truth(go)  # one for each lane of a batch
             if going is None and self.loops == "any":
-                return self.turns(p, [*condition, *body, *carry])
+                return self.turns(loop, [*condition, *body, *carry])
             if going is None:
                 raise LoweringError("a 'while' loop runs until something the arguments decide; give it a fixed length")
             if not going.any():
                 return carry
-            moved = self.call(p["body_jaxpr"], [*body, *carry])
+            moved = self.run(loop.body, [*body, *carry])
             carry = (
                 moved if going.all() else [self.write.chosen(going, *pair) for pair in zip(moved, carry, strict=True)]
             )
         raise LoweringError(f"a 'while' loop of more than {MOST_ITERATIONS} iterations is too long to unroll")
 
-    def cond_loop(self, p: dict, values: list[Value]) -> list[Value]:
+    def branch(self, bodies: Sequence[Body], values: list[Value]) -> list[Value]:
         chosen, *rest = values
         if isinstance(chosen, Scalars):
-            sound = [branch for branch in p["branches"] if not _calls_back(branch.jaxpr)]
+            sound = [body for body in bodies if not _calls_back(body)]
             if len(sound) == 1 and not self.graph.real:  # `equinox.error_if`: the other branch raises an error
-                return self.call(sound[0], rest)
+                return self.run(sound[0], rest)
             raise LoweringError("a 'cond' chooses by the arguments; compute both ways and take one by jnp.where")
-        index = int(np.clip(int(chosen), 0, len(p["branches"]) - 1))
-        return self.call(p["branches"][index], rest)
+        return self.run(bodies[int(np.clip(int(chosen), 0, len(bodies) - 1))], rest)
 
 
-def _calls_back(jaxpr) -> bool:
-    """Whether a branch does nothing but call Python, as one does that raises an error."""
-    return any(eqn.primitive.name == "pure_callback" for eqn in jaxpr.eqns)
+def _calls_back(body: Body) -> bool:
+    """Whether a branch calls Python, as one does that raises an error."""
+    return any(eqn.name == "pure_callback" for eqn in equations(body.jaxpr))
 
 
-def _need_reals(eqn, real: bool) -> None:
+def _need_reals(eqn: Equation, real: bool) -> None:
     """Refuse operations whose results are not numbers and, with `real`, those that shorten numbers."""
-    name, given = eqn.primitive.name, [atom.aval.dtype for atom in eqn.invars if hasattr(atom.aval, "dtype")]
+    name, given = eqn.name, [atom.aval.dtype for atom in eqn.invars if hasattr(atom.aval, "dtype")]
     made = [atom.aval.dtype for atom in eqn.outvars if hasattr(atom.aval, "dtype")]
     for dtype in made:
         if not _is_real(dtype):
@@ -241,7 +242,7 @@ def _digits(dtype) -> int | None:
     return jnp.finfo(dtype).nmant if jnp.issubdtype(dtype, jnp.floating) else None
 
 
-def _line(eqn, outer: Callable[[], str]) -> str:
+def _line(eqn: Equation, outer: Callable[[], str]) -> str:
     """The place in the user's code that asked for an operation; for a function inside JAX, that of its caller."""
     place, _, function = source_info_util.summarize(eqn.source_info).partition(" ")
     file, *rest = place.split(":")
@@ -250,17 +251,3 @@ def _line(eqn, outer: Callable[[], str]) -> str:
 
 def _take(value: Value, i: int) -> Value:
     return Scalars(np.asarray(value.ids[i])) if isinstance(value, Scalars) else np.asarray(value[i])
-
-
-_CALLS = {
-    "jit": "jaxpr",
-    "pjit": "jaxpr",
-    "closed_call": "call_jaxpr",
-    "core_call": "call_jaxpr",
-    "custom_jvp_call": "call_jaxpr",
-    "custom_vjp_call": "call_jaxpr",
-    "custom_lin": "call_jaxpr",
-    "remat2": "jaxpr",
-    "checkpoint": "jaxpr",
-}
-"""Primitives that call a function, and the parameter that holds it."""

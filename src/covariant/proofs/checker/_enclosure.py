@@ -8,14 +8,11 @@ from typing import Any, Literal
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.interpreters import partial_eval
 
-from covariant.lowering import STUMPFF
+from covariant.lowering import STUMPFF, Body, Branch, Call, Equation, LoweringError, Scan, equations, needed
 from covariant.proofs.checker._primitives import (
     ARRAYS,
-    CALLS,
     ENTRIES,
-    LEAVES,
     MOVES,
     NEEDS,
     STAYS,
@@ -27,11 +24,11 @@ from covariant.proofs.checker._primitives import (
 from covariant.proofs.checker._taylor import ROUND, Taylor, UndecidedError, curve, exact, forget
 
 
-def _refuse_shortened(eqn: Any) -> None:
+def _refuse_shortened(eqn: Equation) -> None:
     """Refuse conversion to a shorter type, which is not a function of real numbers."""
-    if eqn.primitive.name == "reduce_precision":
+    if eqn.name == "reduce_precision":
         raise ValueError("the model makes numbers shorter, by 'reduce_precision'")
-    if eqn.primitive.name != "convert_element_type" or not (is_real(eqn.invars[0]) and is_real(eqn.outvars[0])):
+    if eqn.name != "convert_element_type" or not (is_real(eqn.invars[0]) and is_real(eqn.outvars[0])):
         return
     old, new = eqn.invars[0].aval.dtype, eqn.outvars[0].aval.dtype
     if jnp.finfo(new).nmant < jnp.finfo(old).nmant:
@@ -73,8 +70,7 @@ class TaylorEnclosure:
         watch: Literal["", "defined", "smooth"] = "",
     ):
         closed = jax.make_jaxpr(function)(jnp.asarray(low))
-        needed = partial_eval.dce_jaxpr(closed.jaxpr, [True], instantiate=True)[0]
-        self.jaxpr, self.consts = closed.jaxpr if watch else needed, closed.consts
+        self.body = Body(closed.jaxpr, closed.consts) if watch else needed(closed)
         self.needs = {"": {}, "defined": NEEDS, "smooth": NEEDS | STAYS}[watch] if watch else None
         self.free, self.slack, self._places = high > low, slack, {}
 
@@ -91,7 +87,10 @@ class TaylorEnclosure:
             z[k] = Taylor([z[k].terms[0], {(int(k),): half[:, k]}, {}], self.slack[k])
         self._good, self._blame = np.ones(len(low), bool), np.zeros(low.T.shape)
         with np.errstate(all="ignore"):
-            found = self._run(self.jaxpr, self.consts, [z])[0]
+            try:
+                found = self._run(self.body, [z])[0]
+            except LoweringError as error:
+                raise ValueError(f"{error}") from error
             return found if self.needs is None else np.array([[self._watched()]], object)
 
     def _watched(self) -> Taylor:
@@ -113,40 +112,39 @@ class TaylorEnclosure:
                     for k in m:
                         self._blame[k] += np.where(lost & np.isfinite(t), abs(t), 0.0)
 
-    def _run(self, jaxpr: Any, consts: Sequence, args: Sequence) -> list:
-        known = dict(zip([*jaxpr.constvars, *jaxpr.invars], [*consts, *args], strict=True))
+    def _run(self, body: Body, args: Sequence) -> list:
+        known = dict(zip([*body.jaxpr.constvars, *body.jaxpr.invars], [*body.consts, *args], strict=True))
 
         def read(atom) -> np.ndarray:
             x = np.asarray(atom.val if hasattr(atom, "val") else known[atom])
             return each(exact, x.astype(float)) if x.dtype != object and is_real(atom) else x
 
-        for eqn in jaxpr.eqns:
-            name, p, x = eqn.primitive.name, eqn.params, list(map(read, eqn.invars))
+        for eqn in equations(body.jaxpr):
+            x = list(map(read, eqn.invars))
             _refuse_shortened(eqn)
             if self.needs is not None and any(a.dtype == object for a in x):
                 self._look(eqn, x)
-            if name in CALLS:
-                inner = p.get("jaxpr", p.get("call_jaxpr"))
-                out = self._run(inner.jaxpr, inner.consts, x)
-            elif name == "cond":
-                inner = p["branches"][int(x[0])]
-                out = self._run(inner.jaxpr, inner.consts, x[1:])
-            elif name == "scan":
-                out = unrolled(p, x, self._run, np.stack)
-            elif not any(a.dtype == object for a in x):
-                out = self._move(eqn, x)
-            else:
-                out = self._work(eqn, x)
+            match eqn.form:
+                case Call(inner):
+                    out = self._run(inner, x)
+                case Branch(bodies):
+                    out = self._run(bodies[int(x[0])], x[1:])
+                case Scan():
+                    out = unrolled(eqn.form, x, self._run, np.stack)
+                case _ if not any(a.dtype == object for a in x):
+                    out = self._move(eqn, x)
+                case _:
+                    out = self._work(eqn, x)
             known |= {v: _settled(value, v) for v, value in zip(eqn.outvars, out, strict=True)}
-        return [read(atom) for atom in jaxpr.outvars]
+        return [read(atom) for atom in body.jaxpr.outvars]
 
-    def _look(self, eqn: Any, x: list) -> None:
+    def _look(self, eqn: Equation, x: list) -> None:
         """Note the boxes on which a primitive is undefined, has an argument that is not finite, or jumps."""
-        name = eqn.primitive.name
+        name = eqn.name
         need = (self.needs or {}).get(name)
         if name == "integer_pow" and eqn.params["y"] < 0:
             need = nonzero
-        if name in LEAVES:
+        if eqn.form is not None:  # its own equations are examined instead
             return
         for a, atom in zip(x, eqn.invars, strict=True):
             if is_real(atom) and name != "select_n" and name not in MOVES:
@@ -157,14 +155,16 @@ class TaylorEnclosure:
             for entries in zip(*(a.flat for a in np.broadcast_arrays(*pairs)), strict=True):
                 self._judge(need(*entries), *(entry for entry in entries[-1:] if isinstance(entry, Taylor)))
 
-    def _work(self, eqn: Any, x: list) -> list:
+    def _work(self, eqn: Equation, x: list) -> list:
         """Apply a primitive to numbers; `x` may also hold known indices and truth values."""
-        name, p, atoms = eqn.primitive.name, eqn.params, eqn.invars
+        name, p, atoms = eqn.name, eqn.params, eqn.invars
         chosen = name == "select_n" and x[0].dtype != object
         x = [
             a if a.dtype == object or is_whole(v) or (chosen and v is atoms[0]) else each(exact, a.astype(float))
             for a, v in zip(x, atoms, strict=True)
         ]
+        if eqn.unknown is not None:
+            raise ValueError(f"the operation '{name}' with the parameter '{eqn.unknown}' is not known to the check")
         if name in ARRAYS:
             return [ARRAYS[name](p, *x)]
         if chosen or (name in MOVES and is_real(atoms[0]) <= is_real(eqn.outvars[0])):
@@ -175,10 +175,10 @@ class TaylorEnclosure:
             return [each(ENTRIES[name], *(a if a.dtype == object else each(exact, a.astype(float)) for a in x))]
         raise ValueError(f"the operation '{name}' is not known to the check")
 
-    def _move(self, eqn: Any, x: list) -> list:
+    def _move(self, eqn: Equation, x: list) -> list:
         """Apply a primitive to known numbers, or let it move entries."""
         pairs = [(a, a.dtype == object) for a in x]
-        key = (id(eqn), *(a.tobytes() for a, real in pairs if not real))
+        key = (eqn.name, *eqn.outvars, *(a.tobytes() for a, real in pairs if not real))
         if key not in self._places:
             starts = itertools.accumulate((a.size * real for a, real in pairs), initial=0)
             places = [np.arange(k, k + a.size).reshape(a.shape) for k, a in zip(starts, x, strict=False)]

@@ -6,7 +6,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from covariant.proofs.checker._primitives import CALLS, is_real, unrolled
+from covariant.lowering import Body, Branch, Call, LoweringError, Scan, While, equations
+from covariant.proofs.checker._primitives import is_real, unrolled
 
 
 def plain(function: Callable) -> Callable:
@@ -17,7 +18,10 @@ def plain(function: Callable) -> Callable:
 
     def inlined(*x: Any) -> Any:
         closed, shape = jax.make_jaxpr(function, return_shape=True)(*x)
-        found = _inlined(closed.jaxpr, closed.consts, jax.tree.leaves(x))
+        try:
+            found = _inlined(Body(closed.jaxpr, closed.consts), jax.tree.leaves(x))
+        except LoweringError as error:
+            raise ValueError(f"{error}") from error
         return jax.tree.unflatten(jax.tree.structure(shape), found)
 
     return inlined
@@ -33,25 +37,25 @@ CHOICES: dict[str, Callable] = {
 }
 
 
-def _inlined(jaxpr: Any, consts: Sequence, x: Sequence) -> list:
-    known = dict(zip([*jaxpr.constvars, *jaxpr.invars], [*consts, *x], strict=True))
+def _inlined(body: Body, x: Sequence) -> list:
+    known = dict(zip([*body.jaxpr.constvars, *body.jaxpr.invars], [*body.consts, *x], strict=True))
 
     def read(atom: Any) -> Any:
         return atom.val if hasattr(atom, "val") else known[atom]
 
-    for eqn in jaxpr.eqns:
-        name, p, x = eqn.primitive.name, eqn.params, list(map(read, eqn.invars))
-        if name in CALLS:
-            inner = p.get("jaxpr", p.get("call_jaxpr"))
-            out = _inlined(inner.jaxpr, inner.consts, x)
-        elif name == "scan":
-            out = unrolled(p, x, _inlined, jnp.stack)
-        elif name in ("cond", "while"):
-            raise ValueError(f"the operation '{name}' is not known to the check")
-        elif name in CHOICES and is_real(eqn.invars[0]):
-            out = [CHOICES[name](*x)]
-        else:
-            out = eqn.primitive.bind(*x, **p)
-            out = out if eqn.primitive.multiple_results else [out]
+    for eqn in equations(body.jaxpr):
+        x = list(map(read, eqn.invars))
+        match eqn.form:
+            case Call(inner):
+                out = _inlined(inner, x)
+            case Scan():
+                out = unrolled(eqn.form, x, _inlined, jnp.stack)
+            case Branch() | While():
+                raise ValueError(f"the operation '{eqn.name}' is not known to the check")
+            case None if eqn.name in CHOICES and is_real(eqn.invars[0]):
+                out = [CHOICES[eqn.name](*x)]
+            case None:
+                out = eqn.primitive.bind(*x, **eqn.params)
+                out = out if eqn.primitive.multiple_results else [out]
         known |= dict(zip(eqn.outvars, out, strict=True))
-    return [read(atom) for atom in jaxpr.outvars]
+    return [read(atom) for atom in body.jaxpr.outvars]

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from covariant.lowering import Body, Scan
 from covariant.proofs.checker._taylor import (
     CURVES,
     HALF,
@@ -189,9 +190,6 @@ MOVES = {
     *("copy", "copy_p", "convert_element_type", "stop_gradient"),
 }
 """Primitives that only move entries; they are applied to the indices of the entries."""
-CALLS = {"jit", "pjit", "closed_call", "custom_jvp_call", "custom_vjp_call"}
-LEAVES = {*CALLS, "cond", "scan"}
-"""Primitives that contain other primitives, which are examined instead."""
 
 
 def is_real(atom: Any) -> bool:
@@ -203,12 +201,12 @@ def _is_floating(dtype: Any) -> bool:
     return jnp.issubdtype(dtype, jnp.floating)
 
 
-def unrolled(p: dict, x: list, run: Callable[[Any, Any, list], list], stack: Callable) -> list:
-    """The results of a `scan` with parameters p and arguments x, with `run(jaxpr, consts, x)` for each of its steps."""
-    first, last = p["num_consts"], p["num_consts"] + p["num_carry"]
+def unrolled(scan: Scan, x: list, run: Callable[[Body, list], list], stack: Callable) -> list:
+    """The results of a scan with arguments x, with `run(body, arguments)` for each of its turns."""
+    first, last = scan.fixed, scan.fixed + scan.carried
     carry, rows = x[first:last], []
-    order = range(p["length"])[:: -1 if p["reverse"] else 1]
+    order = range(scan.length)[:: -1 if scan.reverse else 1]
     for i in order:
-        found = run(p["jaxpr"].jaxpr, p["jaxpr"].consts, [*x[:first], *carry, *(a[i] for a in x[last:])])
-        carry, rows = found[: last - first], [*rows, found[last - first :]]
-    return [*carry, *(stack(column) for column in zip(*rows[:: -1 if p["reverse"] else 1], strict=True))]
+        found = run(scan.body, [*x[:first], *carry, *(a[i] for a in x[last:])])
+        carry, rows = found[: scan.carried], [*rows, found[scan.carried :]]
+    return [*carry, *(stack(column) for column in zip(*rows[:: -1 if scan.reverse else 1], strict=True))]
