@@ -104,7 +104,7 @@ PUBLIC = {
     "read_file saved_graph saved_levels show_conditions to_letters",
     "proofs.checker": "ROUND TaylorEnclosure halves leaves plain show_definite",
     "report": "PALETTE EstimateReport audit_figure certificate_figure draw_audit draw_certificate figure new_figure "
-    "save_figure table write_article write_audit write_html write_png",
+    "save_figure table write_article write_audit write_html write_png write_report",
     "riccati": "Characteristic Equation RiccatiMetric Solution Window gramian gramians high_gain lie_derivative "
     "metric_at metric_through rate_from_gramian reconstructibility right_side spd_distance window_at",
     "engine": "EngineName FEWEST_ROWS Health Stream compiled run_log run_logs",

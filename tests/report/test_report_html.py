@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from plotly.offline import get_plotlyjs
 
-from covariant.report import write_html
+from covariant.report import write_html, write_report
 
 
 class Page(HTMLParser):
@@ -76,6 +76,63 @@ def test_labels_are_text(page, report):
     assert buttons == ["measured", report.v_reference_label, *report.estimates]
     for text in (report.title, *report.notes, *report.estimates, *report.coordinates, "0.0123"):
         assert text in page.text
+
+
+def test_the_result_stands_first_and_what_was_odd_below_it(make, tmp_path):
+    odd = make(1)._replace(headline="velocity from 400 rows", warnings=("26 of 400 samples: no measurement",))
+    text = write_html(odd, tmp_path / "report.html").read_text(encoding="utf-8")
+    verdict, warning, table = (text.index(part) for part in ("Velocity from 400 rows.", "26 of 400", "<table"))
+    assert text.index("</h1>") < verdict < warning < table
+    assert "No warnings" not in text
+    calm = write_html(odd._replace(warnings=()), tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "No warnings." in calm
+
+
+def test_terms_are_explained_where_they_occur(make, tmp_path):
+    def terms(report):
+        text = write_html(report, tmp_path / "report.html").read_text(encoding="utf-8")
+        return re.findall(r"<strong>([^<]*)</strong>: ", text)
+
+    plain = make(1)._replace(innovation={}, distance={}, notes=(), rows=(), v_reference_label="truth")
+    assert terms(plain) == []
+    assert terms(plain._replace(notes=("NEES 1.2 a number",), rows=[{"NIS": 1.0, "RMSE w [rad/s]": 0.1}])) == [
+        "NIS",
+        "NEES",
+        "RMSE",
+    ]
+    assert terms(make(1)) == ["Innovation"]
+
+
+def test_figures_and_tables_are_named_for_those_who_do_not_see_them(page, report):
+    figures = [attrs for attrs in page.all("div") if attrs.get("class") == "figure"]
+    assert len(figures) == len(report.coordinates) + 1
+    for attrs, name in zip(figures, report.coordinates, strict=False):
+        assert attrs["aria-label"].startswith(f"{name}: position, velocity, velocity error, innovation")
+    assert all("seconds" in attrs["aria-label"] for attrs in figures)
+    for figure in page.figures():
+        axes = [axis for key, axis in figure["layout"].items() if re.match("[xy]axis", key)]
+        assert all(re.search(r"\[.+\]$", axis["title"]["text"]) for axis in axes)
+        assert figure["layout"]["xaxis"]["title"]["text"] == "t [s]"
+
+
+def test_curves_carry_the_colour_of_a_dark_page(page):
+    for trace in page.figures()[0]["data"]:
+        assert re.fullmatch("#[0-9A-F]{6}", trace["meta"])
+
+
+@pytest.mark.parametrize("missing", ["plotly.offline", "matplotlib.figure"])
+def test_page_and_figures_are_written_all_or_none(missing, make, tmp_path, monkeypatch):
+    names = ["log.html", "log_distance.png", "log_position.png", "log_velocity.png"]
+    assert sorted(path.name for path in write_report(make(1), tmp_path / "log.html")) == names
+    (tmp_path / "log.html").write_text("old")
+    for path in tmp_path.glob("*.png"):
+        path.unlink()
+    monkeypatch.setitem(sys.modules, missing, None)
+    with pytest.raises(ImportError, match=r"pip install 'covariant\[report\]'") as caught:
+        write_report(make(1), tmp_path / "log.html")
+    assert "\n" not in str(caught.value)
+    assert [path.name for path in tmp_path.iterdir()] == ["log.html"]
+    assert (tmp_path / "log.html").read_text() == "old"
 
 
 def test_one_figure_a_coordinate_and_one_for_the_distance(page, report):

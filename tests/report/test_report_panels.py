@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from covariant.report._axis_range import axis_range
+from covariant.report import PALETTE
+from covariant.report._axis_range import AxisRange, axis_range
 from covariant.report._condensed import MOST_INTERVALS, condensed
 from covariant.report._panels import Curve, Quantity, depths, quantities
+from covariant.report._plotly import _log_ticks
 from covariant.report._polylines import outline, polygons, polyline
 from covariant.report._style import styles
 
@@ -16,7 +18,8 @@ NOISE = np.random.default_rng(1).standard_normal(len(T))
 
 def panel(*curves, scale=1.0, **options) -> Quantity:
     """One panel of the named curves, which start with a backdrop where the name says so."""
-    made = tuple(Curve(T, y[:, None], label, backdrop=label == "truth") for label, y in curves)
+    roles = {"truth": "reference", "readings": "measured"}
+    made = tuple(Curve(T, y[:, None], label, roles.get(label, "estimate")) for label, y in curves)
     return Quantity("panel", "Panel", ("y",), made, np.array([scale]), **options)
 
 
@@ -137,7 +140,56 @@ def test_smallest_deviation_lies_in_front():
     large, small = ("large", 2 * NOISE), ("small", NOISE)
     assert depths(panel(large, small, deviation=True), 0) == [0, 1]
     assert depths(panel(small, large, deviation=True), 0) == [1, 0]
-    assert depths(panel(("truth", NOISE), large, small), 0) == [0, 2, 1]
+
+
+def test_a_reference_is_in_front_of_the_estimates_and_the_readings_are_behind():
+    curves = ("readings", NOISE), ("truth", NOISE), ("first", NOISE), ("second", 2 * NOISE)
+    assert depths(panel(*curves), 0) == [0, 3, 2, 1]
+
+
+def test_readings_reference_and_estimate_differ_in_width_dash_and_colour(make):
+    report = make(1)
+    found = styles(report)
+    readings, reference, first = (
+        found[label] for label in ("measured", report.v_reference_label, next(iter(report.estimates)))
+    )
+    assert readings.width > 1.5 * first.width > 1.5 * reference.width
+    assert reference.dash
+    assert not first.dash
+    assert len({readings.color, reference.color, first.color}) == len({readings.dark, first.dark, reference.dark}) == 3
+
+
+def test_every_colour_is_seen_on_its_page(make):
+    """Contrast of 3 with a dark page, as WCAG asks of graphics; on white, of 2, that of the lightest in the palette."""
+
+    def luminance(color):
+        rgb = np.frombuffer(bytes.fromhex(color[1:]), np.uint8) / 255
+        return np.array([0.2126, 0.7152, 0.0722]) @ np.where(
+            rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4
+        )
+
+    def contrast(one, other):
+        dim, bright = sorted([luminance(one), luminance(other)])
+        return (bright + 0.05) / (dim + 0.05)
+
+    many = make(1, labels=tuple(f"estimator {i}" for i in range(len(PALETTE))))
+    for style in styles(many).values():
+        assert contrast(style.dark, "#16191d") > 3
+        assert contrast(style.color, "#ffffff") > 2
+    assert len({style.dark for style in styles(many).values()}) == len(PALETTE) + 2
+
+
+@pytest.mark.parametrize("high", [1.02, 3.0, 30.0, 1e9])
+def test_logarithmic_axes_have_a_few_ticks_with_whole_numbers(high):
+    ticks = _log_ticks(AxisRange(3e-4, 3e-4 * high, ""))
+    if high == 1e9:
+        assert ticks == {}  # powers of ten
+    elif high == 30:
+        assert ticks["dtick"] == "D2"
+    else:
+        step = float(ticks["dtick"].removeprefix("L"))
+        assert 2.99 < 3e-4 * (high - 1) / step < 10
+    assert ticks.get("tickformat") == (None if high == 1e9 else "~g")
 
 
 def test_quantities(make):

@@ -64,18 +64,18 @@ def axis_range(quantity: Quantity, column: int) -> AxisRange | None:
 
 def _ranges(quantity: Quantity, column: int) -> list[_Range]:
     ranges = []
-    for t, values, label, backdrop, below in quantity.curves:
-        values = values[:, column]
-        if below is not None:
-            t, values = np.tile(t, 2), np.concatenate([below[:, column], values])
+    for curve in quantity.curves:
+        t, values = curve.t, curve.values[:, column]
+        if curve.below is not None:
+            t, values = np.tile(t, 2), np.concatenate([curve.below[:, column], values])
         visible = drawable(values, quantity.log)
         if visible.any():
             y = values[visible]
             y = np.log10(y) if quantity.log else y
             ends = float(y.min()), float(y.max())
             late = y if quantity.log else y[_late(t)[visible]]
-            wanted = ends if backdrop else _core(late if len(late) >= _FEW else y)
-            ranges.append(_Range(label, backdrop, *ends, *wanted))
+            wanted = ends if curve.backdrop else _core(late if len(late) >= _FEW else y)
+            ranges.append(_Range(curve.label, curve.backdrop, *ends, *wanted))
     return ranges
 
 

@@ -34,8 +34,10 @@ class EstimateReport(NamedTuple):
         v_reference: (T, n), what the estimates are compared with, in the same units; None where there is nothing.
         v_reference_label: Its label in the legend.
         rows: Rows of a comparison, best first; columns are the keys. May be empty.
-        notes: Plain sentences under the title, such as gains, predicted errors, and samples without measurement.
+        notes: Plain sentences under the title, such as gains and predicted errors.
         estimated: "velocity" or "state".
+        headline: The result in one line: what was estimated, and how good it is.
+        warnings: Sentences on what was odd, such as samples without measurement.
 
     Example:
         ```python
@@ -70,6 +72,8 @@ class EstimateReport(NamedTuple):
     rows: Sequence[Mapping[str, str | float]] = ()
     notes: tuple[str, ...] = ()
     estimated: Literal["velocity", "state"] = "velocity"
+    headline: str = ""
+    warnings: tuple[str, ...] = ()
 
     def check(self) -> "EstimateReport":
         """Return the report, or raise `ValueError` naming the first thing wrong with it."""

@@ -12,12 +12,13 @@ from collections.abc import Callable, Mapping, Sequence
 from html import escape
 from pathlib import Path
 
-from covariant._files import write_atomically
 from covariant.report._condensed import condensed
 from covariant.report._estimate import EstimateReport
+from covariant.report._glossary import glossary
 from covariant.report._optional import optional
 from covariant.report._panels import Quantity, quantities
 from covariant.report._plotly import stack
+from covariant.report._png import draw_png, write_all
 from covariant.report._style import Style, styles
 from covariant.report._table import cells
 
@@ -31,19 +32,51 @@ def write_html(report: EstimateReport, path: str | os.PathLike[str]) -> Path:
 
     Raises `ValueError` from `EstimateReport.check`, `ImportError` without plotly.
     """
-    page = _page(report.check())
-    return write_atomically(path, lambda file: file.write(page.encode()))
+    return write_all({Path(path): page(report).encode()})[0]
 
 
-def _page(report: EstimateReport) -> str:
+def write_report(report: EstimateReport, path: str | os.PathLike[str]) -> list[Path]:
+    """Write the page, and beside it the figures of `write_png`: all of them or none.
+
+    Args:
+        report: What is drawn.
+        path: The page, such as `velocities.html`; the figures are `velocities_velocity.png` and so on.
+
+    Returns:
+        The paths of all files, the page first.
+
+    Raises:
+        ValueError: The report is not consistent: see `EstimateReport.check`.
+        ImportError: matplotlib or plotly is not installed; nothing is written then.
+
+    Example:
+        ```python
+        import numpy as np
+        from covariant.report import EstimateReport, write_report
+
+        t = np.linspace(0.0, 5.0, 501)
+        velocity = np.cos(t)[:, None]
+        report = EstimateReport("Pendulum", ("dθ/dt",), ("rad/s",), t, None, {"intrinsic": velocity})
+        write_report(report, "pendulum.html")
+        ```
+    """
+    files = {Path(path): page(report).encode()}
+    return write_all(files | draw_png(report, Path(path).with_suffix("")))
+
+
+def page(report: EstimateReport) -> str:
+    """The text of the page; raises as `write_html` does."""
+    report.check()
     library = _library(optional("plotly.offline").get_plotlyjs)
     found, styled = condensed(quantities(report)), styles(report)
     stacked = [quantity for quantity in found.values() if quantity.name != "distance"]
     figures = [stack(stacked, i, styled) for i in range(len(report.coordinates))]
-    sections = [_section(name) for name in report.coordinates]
+    names = ", ".join(quantity.title.lower() for quantity in stacked)
+    sections = [_section(name, f"{name}: {names} over time in seconds") for name in report.coordinates]
     if "distance" in found:
         figures.append(stack([found["distance"]], 0, styled))
-        sections.append(_section(found["distance"].title, "wide"))
+        title = found["distance"].title
+        sections.append(_section(title, f"{title} over time in seconds", "wide"))
     data = ",".join(str(figure.to_json()) for figure in figures)
     return f"""<!DOCTYPE html>
 <html lang="en">
@@ -60,7 +93,7 @@ script-src 'unsafe-inline'; img-src data: blob:">
 <body>
 <header>
 <h1>{escape(report.title)}</h1>
-{_notes(report, found)}{table_html(report.rows)}{_HINT}</header>
+{_verdict(report)}{table_html(report.rows)}{_details(report, found)}{_HINT}</header>
 <nav aria-label="Curves shown">{_legend(styled)}</nav>
 <main style="--columns: {len(report.coordinates)}">
 {chr(10).join(sections)}
@@ -79,8 +112,12 @@ def asset(name: str) -> str:
     return (importlib.resources.files("covariant.report") / name).read_text(encoding="utf-8")
 
 
-def _section(heading: str, kind: str = "") -> str:
-    return f'<section class="{kind}"><h2>{escape(heading)}</h2><div class="figure"></div></section>'
+def _section(heading: str, description: str, kind: str = "") -> str:
+    label = escape(description)
+    return (
+        f'<section class="{kind}"><h2>{escape(heading)}</h2>'
+        f'<div class="figure" role="figure" aria-label="{label}"></div></section>'
+    )
 
 
 @functools.cache
@@ -93,6 +130,32 @@ def _packed(name: str, text: str) -> str:
     squeezed = gzip.compress(text.encode(), mtime=0)
     letters = base64.b85encode(squeezed, pad=True).decode().replace("<", ",")
     return f'<script type="text/plain" id="{name}" data-bytes="{len(squeezed)}">{letters}</script>'
+
+
+def _verdict(report: EstimateReport) -> str:
+    """The result in one line, and what was odd."""
+    if not report.headline:
+        return _odd(report.warnings)
+    line = report.headline[:1].upper() + report.headline[1:].rstrip(".")
+    calm = "" if report.warnings else ' <span class="calm">No warnings.</span>'
+    return f'<p class="verdict">{escape(line)}.{calm}</p>\n{_odd(report.warnings)}'
+
+
+def _odd(warnings: Sequence[str]) -> str:
+    lines = "".join(f"<li>{escape(warning)}</li>" for warning in warnings)
+    return f'<ul class="odd" aria-label="Warnings">{lines}</ul>\n' if warnings else ""
+
+
+def _details(report: EstimateReport, found: dict[str, Quantity]) -> str:
+    """Notes and terms; page.js folds them on a narrow screen, where they would fill it."""
+    text = _notes(report, found) + _glossary(report, found)
+    return f"<details open><summary>Design, notes and terms</summary>\n{text}</details>\n" if text else ""
+
+
+def _glossary(report: EstimateReport, found: dict[str, Quantity]) -> str:
+    terms = glossary(report, found)
+    text = " ".join(f"<strong>{escape(term)}</strong>: {escape(meaning)}" for term, meaning in terms.items())
+    return f'<p class="glossary">{text}</p>\n' if terms else ""
 
 
 def _notes(report: EstimateReport, found: dict[str, Quantity]) -> str:
@@ -115,13 +178,15 @@ def table_html(rows: Sequence[Mapping[str, object]], mark_best: bool = True) -> 
     side = [' class="number"' if right else "" for right in numeric]
 
     def line(tag: str, texts: list[str]) -> str:
-        return "".join(f"<{tag}{at}>{escape(text)}</{tag}>" for text, at in zip(texts, side, strict=True))
+        return "".join(f"<{tag}{at}>{escape(text)}</{tag[:2]}>" for text, at in zip(texts, side, strict=True))
 
     first, *others = (line("td", texts) for texts in body)
     mark = ' class="best"' if mark_best else ""
     lines = [f"<tr{mark}>{first}</tr>", *(f"<tr>{other}</tr>" for other in others)]
-    head, rest = f"<thead><tr>{line('th', header)}</tr></thead>", f"<tbody>{''.join(lines)}</tbody>"
-    return f'<div class="table"><table>{head}{rest}</table></div>\n'
+    heading = line('th scope="col"', header)
+    head, rest = f"<thead><tr>{heading}</tr></thead>", f"<tbody>{''.join(lines)}</tbody>"
+    # A container that scrolls can be reached by the keyboard.
+    return f'<div class="table" tabindex="0" role="region" aria-label="Table"><table>{head}{rest}</table></div>\n'
 
 
 def _legend(styled: dict[str, Style]) -> str:
@@ -134,5 +199,7 @@ def _legend(styled: dict[str, Style]) -> str:
 
 def _swatch(style: Style) -> str:
     dash = " ".join(map(str, style.dash))
-    line = f'<line x1="1" x2="25" y1="5" y2="5" stroke="{style.color}" stroke-width="3" stroke-dasharray="{dash}"/>'
+    look = f"--light: {style.color}; --dark: {style.dark}"
+    width = min(5.0, 1.2 + style.width)
+    line = f'<line x1="1" x2="25" y1="5" y2="5" style="{look}" stroke-width="{width:g}" stroke-dasharray="{dash}"/>'
     return f'<svg width="26" height="10" aria-hidden="true">{line}</svg>'

@@ -1,6 +1,6 @@
 """The panels of a report, the same for every medium: their curves, labels, and drawing order."""
 
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -9,14 +9,22 @@ from covariant.report._estimate import MEASURED, EstimateReport
 
 
 class Curve(NamedTuple):
-    """Samples of one quantity: t (T,) [s], values (T, c), a column for each panel. A `backdrop` is drawn behind the
-    others, and in full. A band reaches from `below` (T, c) up to the values."""
+    """Samples of one quantity: t (T,) [s], values (T, c), a column for each panel.
+
+    What was measured is drawn behind the estimates, and a reference in front of them. A band reaches from `below`
+    (T, c) up to the values.
+    """
 
     t: Float[np.ndarray, "T"]
     values: Float[np.ndarray, "T c"]
     label: str
-    backdrop: bool = False
+    role: Literal["estimate", "measured", "reference"] = "estimate"
     below: Float[np.ndarray, "T c"] | None = None
+
+    @property
+    def backdrop(self) -> bool:
+        """Whether estimates are compared with it, so that it is shown in full."""
+        return self.role != "estimate"
 
 
 class Quantity(NamedTuple):
@@ -54,12 +62,12 @@ def quantities(report: EstimateReport) -> dict[str, Quantity]:
         travel = span(measured)
         # Estimates of n columns are velocities alone: then there is no estimated position to draw.
         configurations = {label: x[:, :n] for label, x in states.items() if x.shape[1] == 2 * n}
-        positions = (Curve(t, measured, MEASURED, backdrop=True), *estimated(configurations))
+        positions = (Curve(t, measured, MEASURED, "measured"), *estimated(configurations))
     velocities = {label: x[:, -n:] for label, x in states.items()}
     reference, errors, speed = (), (), np.zeros(n)
     if report.v_reference is not None:
         v = np.asarray(report.v_reference, float)
-        reference = (Curve(t, v, report.v_reference_label, backdrop=True),)
+        reference = (Curve(t, v, report.v_reference_label, "reference"),)
         errors = estimated({label: found - v for label, found in velocities.items()})
         speed = span(v)
     names = {name: _labels(report, *form) for name, form in words.items()}
@@ -107,12 +115,21 @@ def span(values: Float[np.ndarray, "T c"]) -> Float[np.ndarray, "c"]:
 
 
 def depths(quantity: Quantity, column: int) -> list[int]:
-    """Drawing order of the curves, 0 at the back: backdrops and bands of errors, then estimates, the first or the
-    smallest in front."""
+    """Drawing order of the curves, 0 at the back.
+
+    Bands of errors and what was measured are behind; then come the estimates, the first or the smallest in front; then
+    a reference, a dashed line whose gaps show the estimate under it.
+    """
     far = [_size(c.values[:, column]) if quantity.deviation else rank for rank, c in enumerate(quantity.curves)]
-    behind = [curve.backdrop or (quantity.deviation and curve.below is not None) for curve in quantity.curves]
-    order = sorted(range(len(far)), key=lambda i: (not behind[i], -far[i], -i))
+    layers = [_layer(curve, quantity.deviation) for curve in quantity.curves]
+    order = sorted(range(len(far)), key=lambda i: (layers[i], -far[i], -i))
     return [order.index(i) for i in range(len(far))]
+
+
+def _layer(curve: Curve, deviation: bool) -> int:
+    if curve.role == "measured" or (curve.below is not None and deviation):
+        return 0
+    return 2 if curve.role == "reference" else 1
 
 
 def shorten(text: str, most: int) -> str:

@@ -10,12 +10,12 @@ from covariant.report._axis_range import AxisRange, axis_range
 from covariant.report._optional import optional
 from covariant.report._panels import Curve, Quantity, depths
 from covariant.report._polylines import outline, polygons, polyline
-from covariant.report._style import BACK, BAND, EDGE, GRID, INK, MUTED, Style
+from covariant.report._style import BAND, EDGE, GRID, INK, MUTED, Style
 
 if TYPE_CHECKING:
     import plotly.graph_objects
 
-_ROW, _GAP, _TOP, _BOTTOM = 170, 40, 52, 44
+_ROW, _GAP, _TOP, _BOTTOM = 170, 46, 58, 44
 """Heights of a panel, of the gap between two, and of the margins [px]."""
 
 
@@ -67,21 +67,36 @@ def _y_axis(quantity: Quantity, column: int, limits: AxisRange | None) -> dict[s
     if quantity.deviation and not quantity.log:
         axis |= {"zeroline": True, "zerolinecolor": MUTED, "zerolinewidth": 1}
     if quantity.log:
-        axis |= {"type": "log", "exponentformat": "power"}
-    if limits is not None:
+        axis |= {"type": "log", "exponentformat": "power"} | _log_ticks(limits)
+    if limits is None:
+        axis |= {"showticklabels": False, "ticks": ""}
+    else:
         axis["range"] = [math.log10(y) if quantity.log else y for y in (limits.low, limits.high)]
     return axis
 
 
+def _log_ticks(limits: AxisRange | None) -> dict[str, str]:
+    """Ticks of a short logarithmic axis with whole numbers: plotly writes lone digits between powers of 10."""
+    if limits is None or limits.high >= 100 * limits.low:
+        return {}
+    if limits.high >= 5 * limits.low:
+        return {"dtick": "D2", "tickformat": "~g"}  # at 1, 2 and 5
+    size = (limits.high - limits.low) / 3
+    power = 10.0 ** math.floor(math.log10(size))
+    step = max(k * power for k in (1, 2, 5) if k * power <= size)
+    return {"dtick": f"L{step:g}", "tickformat": "~g"}  # equally far apart
+
+
 def _captions(heading: str, top: float, limits: AxisRange | None) -> list[dict[str, Any]]:
-    """Captions above a panel: its title, and a note on what lies outside."""
-    place = {"xref": "paper", "yref": "paper", "y": top, "yanchor": "bottom", "showarrow": False}
-    title = {**place, "x": 0, "xanchor": "left", "text": f"<b>{heading}</b>"}
+    """Captions above a panel: its title, and under it a note on what lies outside."""
+    place = {"xref": "paper", "yref": "paper", "x": 0, "xanchor": "left", "y": top, "yanchor": "bottom"}
+    place |= {"showarrow": False}
+    title = {**place, "text": f"<b>{heading}</b>"}
     said = "nothing to draw" if limits is None else limits.outside
     if not said:
         return [title]
-    note = {"x": 1, "xanchor": "right", "text": escape(said, quote=False), "font": {"size": 10.5}, "opacity": 0.75}
-    return [title, place | note]
+    note = {"text": escape(said, quote=False), "font": {"size": 10.5}, "opacity": 0.75}
+    return [title | {"yshift": 14}, place | note]
 
 
 def _traces(curve: Curve, column: int, quantity: Quantity, style: Style, axis: str, depth: int) -> list[dict[str, Any]]:
@@ -93,16 +108,16 @@ def _traces(curve: Curve, column: int, quantity: Quantity, style: Style, axis: s
         "zorder": depth,
         "name": escape(curve.label, quote=False),
         "legendgroup": curve.label,
+        "meta": style.dark,  # the page takes this colour where it is dark
         "hovertemplate": "%{y:.3~g}",
     }
     dash = ",".join(f"{length}px" for length in style.dash) or "solid"
     stroke = {"color": style.color, "width": style.width, "dash": dash}
     if curve.below is not None:
         band = curve.t, curve.below[:, column], curve.values[:, column]
-        opacity = BACK if curve.backdrop else BAND
-        faint = "rgba({},{},{},{})".format(*bytes.fromhex(style.color[1:]), opacity)
+        faint = "rgba({},{},{},{})".format(*bytes.fromhex(style.color[1:]), BAND[curve.role])
         fill = {"mode": "none", "fill": "toself", "fillcolor": faint, "hoverinfo": "skip", "hovertemplate": None}
-        edges = {"mode": "lines", "line": {**stroke, "width": EDGE * style.width}}
+        edges = {"mode": "lines", "line": {**stroke, "width": EDGE[curve.role] * style.width}}
         drawn = [(polygons(*band), fill)] if curve.backdrop or quantity.deviation else []
         drawn += [] if quantity.deviation else [(outline(*band), edges)]
     else:

@@ -1,17 +1,19 @@
 """A report as PNG figures."""
 
+import io
 import os
 import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from covariant._files import write_atomically
 from covariant.report._axis_range import axis_range
 from covariant.report._condensed import condensed
 from covariant.report._estimate import EstimateReport
 from covariant.report._optional import optional
 from covariant.report._panels import Quantity, depths, quantities, shorten
 from covariant.report._polylines import outline, polyline
-from covariant.report._style import BACK, BAND, EDGE, INK, MUTED, Style, new_figure, save_figure, styles
+from covariant.report._style import BAND, DPI, EDGE, INK, MUTED, Style, new_figure, styles
 
 if TYPE_CHECKING:
     import matplotlib.axes
@@ -26,16 +28,29 @@ def write_png(report: EstimateReport, path: str | os.PathLike[str]) -> list[Path
     Each row is a coordinate, each column a quantity. A suffix .png of the path is dropped first. Raises `ValueError`
     from `EstimateReport.check`, `ImportError` without matplotlib.
     """
+    return write_all(draw_png(report, path))
+
+
+def draw_png(report: EstimateReport, path: str | os.PathLike[str]) -> dict[Path, bytes]:
+    """The files of `write_png`, by their paths."""
     found, styled = condensed(quantities(report.check())), styles(report)
     path = Path(path)
     stem = path.with_suffix("") if path.suffix.lower() == ".png" else path
-    written = []
+    files = {}
     for name, members in _FIGURES.items():
         shown = [found[member] for member in members if member in found]
         if shown:
-            figure = _figure(report.title, shown, styled)
-            written.append(save_figure(figure, stem.with_name(f"{stem.name}_{name}.png")))
-    return written
+            drawn = io.BytesIO()
+            _figure(report.title, shown, styled).savefig(drawn, format="png", dpi=DPI)
+            files[stem.with_name(f"{stem.name}_{name}.png")] = drawn.getvalue()
+    return files
+
+
+def write_all(files: dict[Path, bytes]) -> list[Path]:
+    """Write files that are complete in memory, each whole or not at all; returns their paths."""
+    return [
+        write_atomically(path, lambda file, content=content: file.write(content)) for path, content in files.items()
+    ]
 
 
 def figure(report: EstimateReport) -> "matplotlib.figure.Figure":
@@ -99,18 +114,24 @@ def _draw(ax: "matplotlib.axes.Axes", quantity: Quantity, column: int, styled: d
         ax.text(0.5, 0.5, "nothing to draw", transform=ax.transAxes, ha="center", va="center", color=MUTED, fontsize=9)
         return
     for curve, depth in zip(quantity.curves, depths(quantity, column), strict=True):
-        color, width, dash = styled[curve.label]
+        color, _, width, dash = styled[curve.label]
+        stroke = (0, dash) if dash else "-"
         order = 2 + depth / 100  # between grid and text
         if curve.below is not None:
             low, high = curve.below[:, column], curve.values[:, column]
             if curve.backdrop or quantity.deviation:
-                opacity = BACK if curve.backdrop else BAND
-                ax.fill_between(curve.t, low, high, color=color, alpha=opacity, linewidth=0, zorder=order)
+                ax.fill_between(curve.t, low, high, color=color, alpha=BAND[curve.role], linewidth=0, zorder=order)
             if not quantity.deviation:
-                ax.plot(*outline(curve.t, low, high), color=color, linewidth=EDGE * width, zorder=order)
+                ax.plot(
+                    *outline(curve.t, low, high),
+                    color=color,
+                    linewidth=EDGE[curve.role] * width,
+                    linestyle=stroke,
+                    zorder=order,
+                )
             continue
         line, dots = polyline(curve.t, curve.values[:, column], quantity.log)
-        ax.plot(*line, color=color, linewidth=width, linestyle=(0, dash) if dash else "-", zorder=order)
+        ax.plot(*line, color=color, linewidth=width, linestyle=stroke, zorder=order)
         ax.plot(*dots, ".", color=color, markersize=1.5 + width, zorder=order)
     ax.set_ylim(limits.low, limits.high)
     ax.set_title(_plain(limits.outside), loc="right", fontsize=7, color=MUTED)
@@ -121,7 +142,7 @@ def _legend(figure: "matplotlib.figure.Figure", styled: dict[str, Style]) -> int
     line = optional("matplotlib.lines").Line2D
     handles = [
         line([], [], color=color, linewidth=max(width, 1.5), linestyle=(0, dash) if dash else "-")
-        for color, width, dash in styled.values()
+        for color, _, width, dash in styled.values()
     ]
     labels = [_plain(shorten(label, 60)) for label in styled]
     fitting = max(1, int(11.5 * figure.get_figwidth() / (max(map(len, labels)) + 7)))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from covariant._files import write_atomically
-from covariant.report._estimate import EstimateReport
+from covariant.report._estimate import MEASURED, EstimateReport
 from covariant.report._optional import optional
 
 if TYPE_CHECKING:
@@ -22,33 +22,61 @@ PALETTE = (
 more that people without red, green or blue cones distinguish from these and from each other (Machado, Oliveira &
 Fernandes 2009)."""
 
+DARK = {
+    "#5D4037": "#B08968",
+    "#4A1FE0": "#FFF3A0",
+    "#4A0E4E": "#F7C6EC",
+    "#0A1464": "#C9D6FF",
+}
+"""What stands for the darkest colours of the palette on a dark page."""
+
 BACKDROP = "#A8AEB5"
-"""Grey, for the curves that estimates are compared with."""
+"""Grey, for what was measured."""
 
 INK, MUTED, GRID = "#24292F", "#6B737C", "#E4E7EA"
 
 DPI = 150
 
-BAND, BACK, EDGE = 0.3, 0.7, 0.5
-"""Opacity of the band of an error and of a backdrop, and width of the edges of a band, in widths of the line."""
+BAND = {"estimate": 0.3, "measured": 0.7, "reference": 0.15}
+"""Opacity of the bands of long logs."""
+
+EDGE = {"estimate": 0.9, "measured": 1.0, "reference": 1.0}
+"""Width of the edges of a band, in widths of the line."""
 
 _DASHES = ((), (7, 3), (2, 2), (7, 2, 2, 2))
 
 
 class Style(NamedTuple):
-    """Style of a label in all panels: colour, width [points], lengths of dashes and gaps [points], empty if solid."""
+    """Style of a label in all panels.
+
+    Args:
+        color: Colour on white.
+        dark: Colour on a dark page.
+        width: Width of the line [points].
+        dash: Lengths of dashes and gaps [points], empty if solid.
+    """
 
     color: str
+    dark: str
     width: float
     dash: tuple[int, ...] = ()
 
 
 def styles(report: EstimateReport) -> dict[str, Style]:
-    """Style of every label, in the order of the legend: backdrops wide and grey, the first estimate slightly wide."""
-    found = {label: Style(BACKDROP, 3.2) for label in report.backdrops}
+    """Style of every label, in the order of the legend.
+
+    What was measured is wide and grey, a reference a thin dashed line in the colour of the text, and the first estimate
+    slightly wide.
+    """
+    found = {}
+    if report.q_measured is not None:
+        found[MEASURED] = Style(BACKDROP, BACKDROP, 3.2)
+    if report.v_reference is not None:
+        found[report.v_reference_label] = Style(INK, "#F2F4F6", 1.2, (4, 5))
     for i, label in enumerate(report.estimates):
         dash = _DASHES[i // len(PALETTE) % len(_DASHES)]
-        found[label] = Style(PALETTE[i % len(PALETTE)], 1.0 if i else 1.5, dash)
+        color = PALETTE[i % len(PALETTE)]
+        found[label] = Style(color, DARK.get(color, color), 1.1 if i else 2.0, dash)
     return found
 
 

@@ -15,10 +15,19 @@ async function unpack(id) {
   return new Response(packed.stream().pipeThrough(new DecompressionStream("gzip"))).text();
 }
 
+// A curve in the colours of a dark page: its own in `meta`. Its colours on white stay in the figure, for downloads.
+function darkened(trace) {
+  const rgb = [1, 3, 5].map((at) => parseInt(trace.meta.slice(at, at + 2), 16)).join();
+  const copy = { ...trace };
+  for (const part of ["line", "marker"]) if (trace[part]) copy[part] = { ...trace[part], color: trace.meta };
+  if (trace.fillcolor) copy.fillcolor = trace.fillcolor.replace(/\d+,\d+,\d+/, rgb);
+  return copy;
+}
+
 (async () => {
-  const touch = matchMedia("(pointer: coarse)").matches;
-  const config = { responsive: true, displaylogo: false, displayModeBar: touch || "hover",
-                   modeBarButtons: [["toImage"], ["zoom2d", "pan2d"], ["zoomIn2d", "zoomOut2d", "resetScale2d"]] };
+  const touch = matchMedia("(pointer: coarse)").matches, dark = matchMedia("(prefers-color-scheme: dark)");
+  const narrow = matchMedia("(max-width: 40rem)").matches;
+  if (narrow) for (const details of document.querySelectorAll("details")) details.open = false;
   const plots = [...document.querySelectorAll(".figure")];
   if (!("DecompressionStream" in window)) {
     document.querySelector("main").textContent = "This browser is too old to unpack the figures; open the page in a newer one.";
@@ -28,10 +37,29 @@ async function unpack(id) {
   library.textContent = await unpack("plotly");
   document.head.append(library);
   const figures = JSON.parse(await unpack("figures"));
+  const shown = (trace, visible) => ({ ...(dark.matches ? darkened(trace) : trace), visible });
+  const download = {
+    name: "download", title: "Download the figure", icon: Plotly.Icons.camera,
+    click(plot) {
+      const data = figures[plots.indexOf(plot)].data.map((trace, k) => ({ ...trace, visible: plot.data[k].visible }));
+      const layout = { ...plot.layout, paper_bgcolor: "white", plot_bgcolor: "white" };
+      Plotly.downloadImage({ data, layout }, { format: "png", scale: 2, width: plot.clientWidth,
+        height: plot.clientHeight, filename: document.title });
+    },
+  };
+  const config = { responsive: true, displaylogo: false, displayModeBar: touch || "hover",
+                   modeBarButtons: [[download], ["zoom2d", "pan2d"], ["zoomIn2d", "zoomOut2d", "resetScale2d"]] };
   for (const [i, plot] of plots.entries()) {
-    if (touch) figures[i].layout.dragmode = false; // a finger scrolls the page; zoom by the buttons
-    await Plotly.newPlot(plot, figures[i].data, figures[i].layout, config);
+    const { data, layout } = figures[i];
+    if (touch) layout.dragmode = false; // a finger scrolls the page; zoom by the buttons
+    if (narrow) layout.xaxis.nticks = 5;
+    await Plotly.newPlot(plot, data.map((trace) => shown(trace, true)), layout, config);
   }
+  dark.addEventListener("change", () => {
+    for (const [i, plot] of plots.entries()) {
+      Plotly.react(plot, figures[i].data.map((trace, k) => shown(trace, plot.data[k].visible)), plot.layout, config);
+    }
+  });
 
   // One time axis for all figures.
   let following = false;

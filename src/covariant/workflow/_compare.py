@@ -168,7 +168,9 @@ class CompareResult(AbstractTable):
         """Write an interactive page (.html), and figures (.png) beside it; returns all paths."""
         title = f"Estimators compared: {Path(self.job.model_name).stem}, {Path(self.job.log_name).name}"
         curves = report_curves(self.outcomes)
-        return write_report(Path(path), estimate_report(title, self.loaded, curves, (self.design,), self._rows()))
+        rows, notes = self._rows(), (self.design,)
+        page = estimate_report(title, self.loaded, curves, notes, rows, self.headline, self.warnings)
+        return write_report(Path(path), page)
 
     def _rows(self) -> tuple[dict[str, str | float], ...]:
         """The rows of the printed table, with units in their headings."""

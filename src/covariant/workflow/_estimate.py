@@ -286,8 +286,9 @@ class EstimateResult(AbstractTable):
     def _page(self) -> Any:
         what = "States" if self.loaded.model.sought.what == "state" else "Velocities"
         curves = report_curves({self.observer_name: self.outcome})
-        notes = (*self.design, *_errors(self.summary, self.loaded), *self.warnings)
-        return estimate_report(f"{what} of {self.job.title}", self.loaded, curves, notes)
+        notes = (*self.design, *_errors(self.summary, self.loaded))
+        title = f"{what} of {self.job.title}"
+        return estimate_report(title, self.loaded, curves, notes, headline=self.headline, warnings=self.warnings)
 
 
 def _check_arguments(observer: str | None, alpha: float | None, beta: float | None) -> None:

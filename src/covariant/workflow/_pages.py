@@ -6,21 +6,29 @@ from typing import Any
 import numpy as np
 
 from covariant import scoring
-from covariant.report import EstimateReport
+from covariant.report import EstimateReport, write_report as write_page_and_figures
 from covariant.workflow._inputs import Loaded, coordinates
 
 
 def estimate_report(
-    title: str, loaded: Loaded, curves: dict[str, Any], notes: tuple[str, ...], rows: tuple = ()
+    title: str,
+    loaded: Loaded,
+    curves: dict[str, Any],
+    notes: tuple[str, ...],
+    rows: tuple = (),
+    headline: str = "",
+    warnings: tuple[str, ...] = (),
 ) -> EstimateReport:
     """What the page of some estimates shows.
 
     Args:
-        title: The headline.
+        title: The title.
         loaded: The model and the log.
         curves: Fields of the report with the curves of each estimator, from `report_curves`.
         notes: Sentences under the title.
         rows: Rows of a comparison, best first.
+        headline: The result in one line.
+        warnings: Sentences on what was odd.
     """
     names, units = coordinates(loaded.file)
     y = np.asarray(loaded.record.y)
@@ -41,6 +49,8 @@ def estimate_report(
         q_measured=drawn,
         rows=rows,
         notes=notes,
+        headline=headline,
+        warnings=warnings,
         **curves,
     )
     if loaded.reference is not None:
@@ -49,7 +59,5 @@ def estimate_report(
 
 
 def write_report(path: Path, report: EstimateReport) -> list[Path]:
-    """Write the interactive page, and PNG figures beside it; returns all paths."""
-    from covariant.report import write_html, write_png
-
-    return [write_html(report, path), *write_png(report, path.with_suffix(""))]
+    """Write the interactive page, and PNG figures beside it, all or none; returns all paths."""
+    return write_page_and_figures(report, path)

@@ -1,0 +1,30 @@
+"""The terms of a report that not everybody knows, each in a sentence."""
+
+import re
+from collections.abc import Container
+
+from covariant.report._estimate import EstimateReport
+
+_MEANINGS = {
+    "Innovation": "measurement minus what the estimator expected just before it.",
+    "NIS": "squared innovation over the variance that the filter expects of it (normalised innovation squared). About "
+    "1 where model and noise are as described; above it, the filter trusts its model or its sensors too much.",
+    "NEES": "squared error of the estimate over the variance that the filter claims (normalised estimation error "
+    "squared). About 1 is expected; above it, the estimate is less accurate than its standard deviation says.",
+    "RMSE": "root mean square error, after the start of the log.",
+    "Zero-phase reference": "slope of a polynomial through the positions before and after each sample: without delay, "
+    "as only a whole log allows, but smoothed, so it is no exact truth.",
+    "Coasted": "predicted by the model alone, without a measurement.",
+}
+_PANELS = {"Innovation": "innovation"}
+
+
+def glossary(report: EstimateReport, panels: Container[str]) -> dict[str, str]:
+    """Meaning of each term that the report uses, in its texts or as the name of a panel."""
+    texts = (report.headline, report.v_reference_label, *report.notes, *report.warnings)
+    text = " ".join((*texts, *(key for row in report.rows for key in row)))
+    return {
+        term: meaning
+        for term, meaning in _MEANINGS.items()
+        if _PANELS.get(term, "") in panels or re.search(rf"\b{term}\b", text, re.IGNORECASE)
+    }
