@@ -1,2 +1,7 @@
+from ._piecewise import (
+    PiecewiseInputs as PiecewiseInputs,
+    logged_inputs as logged_inputs,
+    simulate_piecewise as simulate_piecewise,
+)
 from ._sensors import Sensor as Sensor, sense as sense, stamps as stamps
 from ._simulate import hold as hold, no_input as no_input, observe as observe, simulate as simulate

@@ -1,0 +1,145 @@
+"""Simulation with inputs as a log has them: known at stamps, and held or linear between them.
+
+Within each interval of the stamps the input is smooth, so that an adaptive method integrates it without losing its
+order at the jumps.
+"""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from covariant._integrate import compiled
+from covariant._typing import Number
+from covariant.models import MechanicalSystem, StateSpace
+from covariant.signals import Record
+from covariant.simulation._simulate import simulate
+
+NumpyArray = np.ndarray
+
+
+class PiecewiseInputs(eqx.Module):
+    """Inputs in J intervals: `value + rate s + transient exp(−decay s)`, with s [s] since the interval began.
+
+    Args:
+        begin: Times (J,) at which the intervals begin [s]; the last one has no end.
+        value: Constant parts (J, m).
+        rate: Slopes (J, m) [1/s].
+        transient: Parts (J, m) that die out behind a lag.
+        decay: Inverse of the time constant of that lag [1/s]; 0 where there is none.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.simulation import logged_inputs
+        >>> inputs = logged_inputs(np.array([0.0, 1.0]), np.array([[2.0], [5.0]]))
+        >>> inputs.at(1, 1.5).tolist()
+        [5.0]
+    """
+
+    begin: Float[NumpyArray, "J"]
+    value: Float[NumpyArray, "J m"]
+    rate: Float[NumpyArray, "J m"]
+    transient: Float[NumpyArray, "J m"]
+    decay: Number = 0.0
+
+    def at(self, interval: int, t: Number) -> Float[NumpyArray, "m"]:
+        """The inputs (m,) at a time t [s] in the interval with this number, from 0."""
+        pieces = self.begin, self.value, self.rate, self.transient
+        return np.asarray(_acting(*(part[interval] for part in pieces), self.decay, t, None))
+
+
+def logged_inputs(
+    t: Float[NumpyArray, "T"],
+    u: Float[NumpyArray, "T m"],
+    between: str = "held",
+    delay: float = 0.0,
+    lag: float = 0.0,
+    at: Float[NumpyArray, "_"] | None = None,
+) -> PiecewiseInputs:
+    """The inputs that act when a machine is driven by those of a log.
+
+    Args:
+        t: Stamps (T,) of the log [s].
+        u: Logged inputs (T, m). Before the first stamp the first one acts.
+        between: How the input goes from a stamp to the next, as in `signals.acting_inputs`: "held" or "linear".
+        delay: How long after its stamp an input acts [s].
+        lag: Time constant [s] of a first-order lag between logged and acting input, which begins at rest; 0 for none.
+        at: Times [s] at which intervals begin beside those at which inputs change, such as those of measurements.
+
+    Returns:
+        One interval from each of these times to the next.
+
+    Raises:
+        ValueError: Where `between` is another word.
+    """
+    if between not in ("held", "linear"):
+        raise ValueError(f"logged_inputs: between must be 'held' or 'linear'; got {between!r}")
+    begin = np.unique(np.concatenate([t + delay, [] if at is None else at]))
+    steps = np.diff(begin)
+    middle = begin + np.append(steps / 2, 1.0)  # where no rounding of the ends decides which input acts
+    k = np.searchsorted(t + delay, middle) - 1
+    rise = np.diff(u, axis=0) / np.diff(t)[:, None] if between == "linear" else np.zeros_like(u[1:])
+    rise = np.concatenate([np.zeros_like(u[:1]), rise, np.zeros_like(u[:1])])  # none before the first, nor after
+    rate = rise[k + 1]
+    k = np.maximum(k, 0)
+    value = u[k] + rate * (begin - delay - t[k])[:, None]
+    if lag == 0:
+        return PiecewiseInputs(begin, value, rate, np.zeros_like(value))
+    value = value - rate * lag  # a ramp is followed later by the lag
+    transient, now = np.empty_like(value), u[0]
+    for j, step in enumerate(np.append(steps, 0.0)):
+        transient[j] = now - value[j]
+        now = value[j] + rate[j] * step + transient[j] * np.exp(-step / lag)
+    return PiecewiseInputs(begin, value, rate, transient, 1 / lag)
+
+
+@compiled
+def simulate_piecewise(
+    model: MechanicalSystem | StateSpace,
+    x0: Any,
+    inputs: PiecewiseInputs,
+    *,
+    rtol: Number = 1e-10,
+    atol: Number = 1e-12,
+) -> Record:
+    """Integrate a model from x0 under inputs that jump, and record its state where each of their intervals begins.
+
+    Args:
+        model: A mechanical system, or a `StateSpace`.
+        x0: Its state where the first interval begins, as for `simulate`.
+        inputs: The inputs, such as `logged_inputs` has them.
+        rtol: Relative tolerance of the integrator.
+        atol: Absolute tolerance of the integrator.
+
+    Returns:
+        The record at the times `inputs.begin`, as of `simulate`; each u is the input just after the time.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import models
+        >>> from covariant.simulation import logged_inputs, simulate_piecewise
+        >>> t, u = np.array([0.0, 1.0, 2.0]), np.array([[1.0], [0.0], [0.0]])
+        >>> record = simulate_piecewise(models.duffing(), np.zeros(2), logged_inputs(t, u))
+        >>> record.x.shape
+        (3, 2)
+    """
+    begin = jnp.asarray(inputs.begin)
+    ends = jnp.append(begin[1:], 2 * begin[-1] - begin[-2])
+
+    def interval(x, piece):
+        start, end, *parts = piece
+        acting = eqx.Partial(_acting, start, *parts, inputs.decay)
+        record = simulate(model, x, jnp.stack([start, end]), acting, rtol=rtol, atol=atol)
+        first, last = (jax.tree.map(lambda leaf, i=i: leaf[i], record) for i in (0, 1))
+        return last.x, first
+
+    pieces = (begin, ends, *map(jnp.asarray, (inputs.value, inputs.rate, inputs.transient)))
+    return jax.lax.scan(interval, x0, pieces)[1]
+
+
+def _acting(begin: Any, value: Any, rate: Any, transient: Any, decay: Any, t: Any, x: Any) -> Array:
+    s = t - begin
+    return value + rate * s + transient * jnp.exp(-decay * s)
