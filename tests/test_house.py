@@ -110,8 +110,8 @@ PUBLIC = {
     "engine": "EngineName FEWEST_ROWS Health Stream compiled run_log run_logs",
     "scale": "Grid Variable map_grid open_grid",
     "workflow": "AbstractResult AbstractTable CertificateCheckResult CertifyResult CompareResult EstimateResult "
-    "MisfitError Progress certify check_certificate check_output compare estimate",
-    "simulation": "Sensor hold no_input observe sense simulate stamps",
+    "MisfitError Progress SimulateResult certify check_certificate check_output compare estimate simulate",
+    "simulation": "PiecewiseInputs Sensor hold logged_inputs no_input observe sense simulate simulate_piecewise stamps",
 }
 
 

@@ -126,16 +126,24 @@ def test_a_bad_model(folder, monkeypatch, capsys, spec, named):
         ((*ESTIMATE, "--q", "a,b"), ["1 positions"]),
         (("estimate", "model.toml", "absent.csv", "-o", "out/v.csv"), ["absent.csv"]),
         (("estimate", "pendulum_chain", "log.csv", "--u", "u1,u1", "--q", "q1,q1", "-o", "out/v.csv"), []),
-        (("simulate", "model.toml", "-o", "out/l.csv", "--q0", "1,2"), ["--q0", "1 finite"]),
+        (("simulate", "model.toml", "-o", "out/l.csv", "--q0", "1,2"), ["q0", "1 finite"]),
         (("simulate", "model.toml", "-o", "out/l.csv", "--v0", "fast"), ["--v0", "'fast'"]),
         (("simulate", "model.toml", "-o", "out/l.csv", "--dropout", "1.5"), ["dropout"]),
-        (("simulate", "model.toml", "-o", "out/l.csv", "--q0", "nan"), ["--q0", "'nan'"]),
-        (("simulate", "model.toml", "-o", "out/l.csv", "--amplitude", "1,2"), ["--amplitude", "1 finite"]),
+        (("simulate", "model.toml", "-o", "out/l.csv", "--q0", "nan"), ["q0", "nan"]),
+        (("simulate", "model.toml", "-o", "out/l.csv", "--amplitude", "1,2"), ["amplitude", "1 finite"]),
         (("simulate", "model.toml", "-o", "out/l.csv", "--rate", "inf"), ["rate", "inf"]),
         (("simulate", "model.toml", "-o", "out/l.csv", "--rate", "-5"), ["rate", "-5"]),
         (("simulate", "model.toml", "-o", "out/l.csv", "--duration", "inf"), ["inf s"]),
         (("simulate", "model.toml", "-o", "out/l.csv", "--duration", "0"), ["0.0 s", "two samples"]),
         (("simulate", "model.toml", "-o", "out/l.xlsx"), ["l.xlsx", ".csv"]),
+        (("simulate", "model.toml", "-o", "absent/l.csv"), ["absent", "make it first"]),
+        (("simulate", "model.toml", "-o", "out/l.csv", "--frequency", "inf"), ["frequency", "inf"]),
+        (("simulate", "model.toml", "-o", "out/l.csv", "--frequency", "-1"), ["frequency", "-1"]),
+        (("simulate", "model.toml", "-o", "out/l.csv", "--amplitude", "nan"), ["amplitude", "nan"]),
+        (("simulate", "model.toml", "-o", "out/l.csv", "--noise", "-1"), ["noise", "-1"]),
+        (("simulate", "model.toml", "-o", "out/l.csv", "--noise", "1,2"), ["noise", "1 finite", "q1"]),
+        (("simulate", "model.toml", "-o", "out/l.csv", "--quantum", "1e-3,"), ["--quantum", "'1e-3,'"]),
+        (("simulate", "model.toml", "-o", "out/l.csv", "--jitter", "nan"), ["jitter", "nan"]),
         (("reproduce", "nobody"), ["nobody", "aghannan-rouchon"]),
         (("reproduce", "aghannan-rouchon", "-o", "out/figure.pdf"), ["figure.pdf", ".png"]),
     ],
@@ -163,9 +171,9 @@ WATCHED = ("lorenz", "log.csv", "--q", "q1", "-o", "out/v.csv")
         (("estimate", *WATCHED, *NOISE, "--observer", "ekf"), ["covariance-ekf, information-ekf, riccati"]),
         (("estimate", *WATCHED, "--set", "uncertainty.process=[1, 2]"), ["uncertainty.process lists 2", "give 3"]),
         (("estimate", *CHAIN, "--set", "initial.std=1"), ["initial.std is for a state-space model"]),
-        (("simulate", "lorenz", "-o", "out/l.csv", "--q0", "1"), ["--q0 needs 3 finite"]),
-        (("simulate", "lorenz", "-o", "out/l.csv", "--v0", "1,2,3"), ["--v0", "no velocities", "--q0"]),
-        (("simulate", "lorenz", "-o", "out/l.csv", "--amplitude", "1"), ["--amplitude needs 0 finite"]),
+        (("simulate", "lorenz", "-o", "out/l.csv", "--q0", "1"), ["q0 needs 3 finite"]),
+        (("simulate", "lorenz", "-o", "out/l.csv", "--v0", "1,2,3"), ["v0", "no velocities", "q0"]),
+        (("simulate", "lorenz", "-o", "out/l.csv", "--amplitude", "1"), ["amplitude needs 0 finite"]),
         (("simulate", "bioreactor", "-o", "out/l.csv", "--set", 'columns.q=["a", "b"]'), ["2 columns", "1 outputs"]),
     ],
 )
@@ -232,9 +240,9 @@ BARE = ("log.csv", "-o", "out/v.csv")
         ),
         ((*ATTITUDE, "--observer", "ekf", "--alpha", "3", "--beta", "1"), ["ekf", "intrinsic, intrinsic2"]),
         ((*ATTITUDE, "--set", "measurement.std=0"), ["measurement.std", "positive"]),
-        (("simulate", "top.toml", "-o", "out/l.csv", "--quantum", "1e-3"), ["--quantum", "group", "--noise"]),
-        (("simulate", "top.toml", "-o", "out/l.csv", "--q0", "1,0,0,0"), ["--q0 needs 3 finite"]),
-        (("simulate", "underwater_vehicle", "-o", "out/l.csv", "--v0", "1"), ["--v0 needs 6 finite"]),
+        (("simulate", "top.toml", "-o", "out/l.csv", "--quantum", "1e-3"), ["quantum", "group", "noise"]),
+        (("simulate", "top.toml", "-o", "out/l.csv", "--q0", "1,0,0,0"), ["q0 needs 3 finite"]),
+        (("simulate", "underwater_vehicle", "-o", "out/l.csv", "--v0", "1"), ["v0 needs 6 finite"]),
     ],
 )
 def test_a_bad_argument_on_a_group(folder, monkeypatch, capsys, arguments, named):
@@ -273,8 +281,8 @@ def test_the_log_is_never_written_over(folder, monkeypatch, capsys, command):
 
 
 def test_a_motion_that_escapes_is_not_written(folder, monkeypatch, capsys):
-    arguments = ("simulate", "model.toml", "-o", "out/l.csv", "--duration", "0.02", "--frequency", "inf")
-    assert "finite" in refused(monkeypatch, capsys, *arguments, "--amplitude", "1")
+    arguments = ("simulate", "model.toml", "-o", "out/l.csv", "--duration", "0.02", "--v0", "1e300")
+    assert "the motion leaves the finite numbers" in refused(monkeypatch, capsys, *arguments)
 
 
 @pytest.mark.parametrize(

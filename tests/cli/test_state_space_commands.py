@@ -33,10 +33,10 @@ def test_simulate_writes_outputs_inputs_and_the_true_state():
     seen = np.isfinite(y[:, 0])
     assert 150 < seen.sum() < 201
     assert 0.5e-2 < np.std(y[seen, 0] - log.truth[seen, 0]) < 2e-2
-    # The input of the log, held between its stamps, gives nearly the same motion.
+    # The input of the log, held between its stamps, gives the same motion.
     again = simulate(load("duffing").model, jnp.asarray(log.truth[0]), t, hold(t, u)).x
     assert np.ptp(u) > 0.5
-    np.testing.assert_allclose(again, log.truth, rtol=0, atol=1e-2)
+    np.testing.assert_allclose(again, log.truth, rtol=0, atol=1e-8)
 
 
 NOISY = """

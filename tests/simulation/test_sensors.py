@@ -37,6 +37,21 @@ def test_readings_are_whole_steps_and_the_nearest_ones(quantum, seed):
     assert np.abs(y - q).max() <= quantum / 2 * (1 + 1e-9)
 
 
+def test_positions_of_different_units_have_a_step_and_a_noise_each():
+    q = np.random.default_rng(3).normal(0, 5, (4000, 3))
+    y = sense(Sensor(100.0, quantum=[0.5, 0.0, 2e-3]), q)
+    assert np.abs(y[:, 0] / 0.5 - np.round(y[:, 0] / 0.5)).max() == 0
+    np.testing.assert_array_equal(y[:, 1], q[:, 1])
+    assert 0.9e-3 < np.abs(y[:, 2] - q[:, 2]).max() <= 1e-3 * (1 + 1e-9)
+    error = sense(Sensor(100.0, noise_std=(0.1, 0.0, 3.0)), q) - q
+    assert np.std(error, axis=0) == pytest.approx([0.1, 0.0, 3.0], rel=0.05)
+    for name in ("noise_std", "quantum"):
+        with pytest.raises(ValueError, match=f"sensor: {name} has 2 numbers for 3 positions"):
+            sense(Sensor(100.0)._replace(**{name: [0.1, 0.2]}), q)
+        with pytest.raises(ValueError, match=f"sensor: {name} must be a number ≥ 0"):
+            sense(Sensor(100.0)._replace(**{name: [0.1, -0.2, 0.1]}), q)
+
+
 def test_without_faults_a_sensor_reads_the_truth():
     q = np.random.default_rng(0).normal(size=(20, 3))
     np.testing.assert_array_equal(sense(Sensor(100.0), q), q)

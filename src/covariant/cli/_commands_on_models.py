@@ -37,8 +37,10 @@ def simulate(
     v0: Annotated[str | None, typer.Option(help="Initial velocities, separated by commas; zeros by default.")] = None,
     amplitude: Annotated[str | None, typer.Option(help="Amplitudes of sinusoidal inputs, by commas.")] = None,
     frequency: Annotated[float, typer.Option(help="Frequency of the inputs [Hz].")] = 0.5,
-    noise: Annotated[float, typer.Option(help="Standard deviation of the position noise.")] = 0.0,
-    quantum: Annotated[float, typer.Option(help="Encoder step.")] = 0.0,
+    noise: Annotated[
+        str, typer.Option(help="Standard deviation of the position noise, one or one each by commas.")
+    ] = "0",
+    quantum: Annotated[str, typer.Option(help="Encoder step, one or one each by commas; 0 for none.")] = "0",
     jitter: Annotated[float, typer.Option(help="Standard deviation of the sampling instants [s].")] = 0.0,
     dropout: Annotated[float, typer.Option(help="Probability that a sample is missing.")] = 0.0,
     seed: Annotated[int, typer.Option(help="Seed of noise, jitter and dropouts.", min=0)] = 0,
@@ -46,10 +48,22 @@ def simulate(
     json: Json = False,
 ) -> None:
     """Simulate a model and its sensors, and write the log with the true state beside the measurements."""
-    from covariant.cli import _simulate
-
-    scenario = _simulate.Scenario(duration, rate, q0, v0, amplitude, frequency, noise, quantum, jitter, dropout, seed)
-    _simulate.simulate(model, tuple(override), out, scenario, json)
+    check_output(out, *WRITTEN)
+    several = {"q0": q0, "v0": v0, "amplitude": amplitude, "noise": noise, "quantum": quantum}
+    with progress_bar(quiet=json) as progress:
+        result = workflow.simulate(
+            model,
+            duration=duration,
+            rate=rate,
+            frequency=frequency,
+            jitter=jitter,
+            dropout=dropout,
+            seed=seed,
+            overrides=override,
+            progress=progress,
+            **{name: number_list(name, text) for name, text in several.items()},
+        )
+    show(result, json, out)
 
 
 @on_models.command("model")

@@ -4,4 +4,5 @@ from ._piecewise import (
     simulate_piecewise as simulate_piecewise,
 )
 from ._sensors import Sensor as Sensor, sense as sense, stamps as stamps
-from ._simulate import hold as hold, no_input as no_input, observe as observe, simulate as simulate
+from ._simulate import hold as hold, no_input as no_input
+from ._simulate_state_space import observe as observe, simulate as simulate

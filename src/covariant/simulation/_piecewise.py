@@ -16,7 +16,10 @@ from covariant._integrate import compiled
 from covariant._typing import Number
 from covariant.models import MechanicalSystem, StateSpace
 from covariant.signals import Record
-from covariant.simulation._simulate import simulate
+from covariant.simulation._simulate_state_space import simulate
+
+DIGITS = 12
+"""Decimals of the times [s] at which intervals begin."""
 
 NumpyArray = np.ndarray
 
@@ -77,7 +80,8 @@ def logged_inputs(
     """
     if between not in ("held", "linear"):
         raise ValueError(f"logged_inputs: between must be 'held' or 'linear'; got {between!r}")
-    begin = np.unique(np.concatenate([t + delay, [] if at is None else at]))
+    # Times that agree in so many digits are one, whatever they were computed from.
+    begin = np.unique(np.round(np.concatenate([t + delay, [] if at is None else at]), DIGITS))
     steps = np.diff(begin)
     middle = begin + np.append(steps / 2, 1.0)  # where no rounding of the ends decides which input acts
     k = np.searchsorted(t + delay, middle) - 1

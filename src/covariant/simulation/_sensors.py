@@ -1,25 +1,36 @@
 """Simulated position sensors: sampling, jitter, noise, quantisation, dropouts; repeatable by a seed."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 NumpyArray = np.ndarray
+PerPosition = float | Sequence[float] | NumpyArray
+"""One number for all positions, or one for each of them."""
 
 
 class Sensor(NamedTuple):
     """A position sensor.
 
-    - `rate`: samples per second [Hz].
-    - `noise_std`, `quantum`: standard deviation of the noise, and quantisation step, in units of the position.
-    - `jitter`: standard deviation of a sampling instant [s], limited so that stamps keep their order.
-    - `dropout`: probability that a sample is missing (NaN).
+    Args:
+        rate: Samples per second [Hz].
+        noise_std: Standard deviation of the noise [unit of the position], one or one for each position.
+        quantum: Quantisation step [unit of the position], one or one for each; 0 for none.
+        jitter: Standard deviation of a sampling instant [s], limited so that stamps keep their order.
+        dropout: Probability that a sample is missing (NaN).
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.simulation import Sensor, sense
+        >>> sense(Sensor(100.0, quantum=[0.1, 0.5]), np.array([[0.33, 0.33]])).round(1).tolist()
+        [[0.3, 0.5]]
     """
 
     rate: float
-    noise_std: float = 0.0
-    quantum: float = 0.0
+    noise_std: PerPosition = 0.0
+    quantum: PerPosition = 0.0
     jitter: float = 0.0
     dropout: float = 0.0
 
@@ -28,7 +39,8 @@ class Sensor(NamedTuple):
         if not 0 < self.rate < np.inf:
             raise ValueError(f"sensor: rate must be positive [Hz]; got {self.rate}")
         for name in ("noise_std", "quantum", "jitter"):
-            if not 0 <= getattr(self, name) < np.inf:
+            values = np.asarray(getattr(self, name), float)
+            if not ((values >= 0) & (values < np.inf)).all():
                 raise ValueError(f"sensor: {name} must be a number ≥ 0; got {getattr(self, name)}")
         if not 0 <= self.dropout < 1:
             raise ValueError(f"sensor: dropout is a probability below 1; got {self.dropout}")
@@ -48,12 +60,24 @@ def stamps(sensor: Sensor, duration: float, seed: int = 0) -> Float[NumpyArray, 
 
 
 def sense(sensor: Sensor, q: Float[NumpyArray, "T n"], seed: int = 0) -> Float[NumpyArray, "T n"]:
-    """Measurements of the positions q (T, n); the first row is never dropped, since an observer starts from it."""
+    """Measurements of the positions q (T, n); the first row is never dropped, since an observer starts from it.
+
+    Raises `ValueError` where the sensor has another number of noises or quanta than there are positions.
+    """
     sensor.check()
     random = np.random.default_rng([seed, 1])
-    y = np.asarray(q) + (random.normal(0, sensor.noise_std, np.shape(q)) if sensor.noise_std else 0.0)
-    if sensor.quantum:
-        y = np.round(y / sensor.quantum) * sensor.quantum
+    noise, quantum = (_each(name, getattr(sensor, name), np.shape(q)[1]) for name in ("noise_std", "quantum"))
+    # All noise is drawn at once, so that one without noise leaves that of the others as it is.
+    y = np.asarray(q) + (noise * random.standard_normal(np.shape(q)) if noise.any() else 0.0)
+    step = np.where(quantum > 0, quantum, 1.0)
+    y = np.where(quantum > 0, np.round(y / step) * step, y)
     lost = random.random(len(y)) < sensor.dropout
     lost[0] = False
     return np.where(lost[:, None], np.nan, y)
+
+
+def _each(name: str, values: PerPosition, count: int) -> Float[NumpyArray, "n"]:
+    given = np.asarray(values, float)
+    if given.ndim > 1 or (given.ndim == 1 and len(given) != count):
+        raise ValueError(f"sensor: {name} has {given.size} numbers for {count} positions; give one, or one for each")
+    return np.broadcast_to(given, count)

@@ -10,3 +10,4 @@ from ._inputs import MisfitError as MisfitError
 from ._outputs import check_output as check_output
 from ._progress import Progress as Progress
 from ._result import AbstractResult as AbstractResult, AbstractTable as AbstractTable
+from ._simulate import SimulateResult as SimulateResult, simulate as simulate

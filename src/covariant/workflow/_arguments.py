@@ -46,8 +46,19 @@ def numbers(
     return np.full(len(names), values[0]) if len(values) < len(names) else values
 
 
+def finite(argument: str, given: Amounts | None) -> None:
+    """Raise `ValueError` where an argument holds anything but finite numbers, of which there may be any count."""
+    try:
+        values = np.atleast_1d(np.asarray(0.0 if given is None else given, float))
+    except (TypeError, ValueError):
+        raise ValueError(f"{argument}: {given!r} is not a list of numbers") from None
+    if not np.isfinite(values).all():
+        raise ValueError(f"{argument} must be finite numbers; got {_shown(values)}")
+
+
 def amounts(argument: str, given: Amounts, names: Sequence[str]) -> Float[np.ndarray, "n"]:
     """Bounds that may be zero, one for all names or one each; raises `ValueError` where one is negative."""
+    finite(argument, given)
     found = numbers(argument, given, names, one=True)
     if found.min(initial=0.0) < 0:
         raise ValueError(f"{argument}: bounds must not be negative; got {_shown(found)}")

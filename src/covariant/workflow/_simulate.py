@@ -1,0 +1,174 @@
+"""`simulate`: a log of a simulated machine, with the true state beside what its sensors read."""
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from covariant import logs
+from covariant.models import Overrides
+from covariant.signals import Record
+from covariant.simulation import Sensor, stamps
+from covariant.workflow._arguments import Amounts, amounts, finite
+from covariant.workflow._outputs import check_output
+from covariant.workflow._progress import Progress, silent
+from covariant.workflow._result import AbstractTable
+
+
+class Scenario(NamedTuple):
+    """The motion and the sensors of a simulation, as `simulate` takes them."""
+
+    duration: float
+    rate: float
+    q0: Amounts | None
+    v0: Amounts | None
+    amplitude: Amounts | None
+    frequency: float
+    noise: Amounts
+    quantum: Amounts
+    jitter: float
+    dropout: float
+    seed: int
+
+
+def simulate(
+    model: Any,
+    *,
+    duration: float = 10.0,
+    rate: float = 500.0,
+    q0: Amounts | None = None,
+    v0: Amounts | None = None,
+    amplitude: Amounts | None = None,
+    frequency: float = 0.5,
+    noise: Amounts = 0.0,
+    quantum: Amounts = 0.0,
+    jitter: float = 0.0,
+    dropout: float = 0.0,
+    seed: int = 0,
+    overrides: Overrides = (),
+    progress: Progress = silent,
+) -> "SimulateResult":
+    """Simulate a model and its sensors.
+
+    Inputs are sinusoids, sampled at the stamps. Between them they act as the model file says of its logs: held, unless
+    [inputs] has between = "linear"; later by its `delay`, and behind its `lag`.
+
+    Args:
+        model: A model file (.toml), a robot (.urdf, .xml), `module:attribute`, the name of a system or a robot of the
+            library, a `ModelFile`, or a system.
+        duration: Length of the log [s].
+        rate: Samples a second [Hz].
+        q0: Initial positions (n,); on a group exponential coordinates of a pose; of a state-space model the whole
+            initial state. Zeros by default.
+        v0: Initial velocities (n,), zeros by default.
+        amplitude: Amplitudes (m,) of the inputs, zeros by default.
+        frequency: Frequency of the first input [Hz]; the others are faster by 37 % of it each.
+        noise: Standard deviation of the noise of a position [its unit, SI], one or one for each; on a group, of the
+            rotations and translations of its error as seen from the body.
+        quantum: Step of the encoders [unit of the position, SI], one or one for each.
+        jitter: Standard deviation of the sampling instants [s].
+        dropout: Probability that a sample is missing.
+        seed: Seed of noise, jitter and dropouts.
+        overrides: Values that replace those of the model file: `{"parameters.mass": [2.0]}`, or
+            `["parameters.mass=[2.0]"]`.
+        progress: Called with a description and a fraction as the work goes on.
+
+    Returns:
+        The log as a table, and as a `Record` with the true state.
+
+    Raises:
+        ValueError: For an argument that makes no sense, a model that cannot be used, or a motion that leaves the finite
+            numbers.
+
+    Example:
+        >>> import covariant
+        >>> result = covariant.simulate("oscillator", duration=2.0, rate=100.0, q0=[1.0], noise=1e-3)
+        >>> list(result.columns)
+        ['t', 'x', 'true_x', 'true_v1']
+    """
+    scenario = Scenario(duration, rate, q0, v0, amplitude, frequency, noise, quantum, jitter, dropout, seed)
+    _check(scenario)
+    from covariant.workflow._simulated_log import simulated_log  # loads what computes, after the arguments are checked
+
+    return SimulateResult(*simulated_log(model, overrides, scenario, progress))
+
+
+@dataclass(frozen=True, repr=False)
+class SimulateResult(AbstractTable):
+    """The log of a simulated machine: stamps, what its sensors read, its inputs, and the true state as true_….
+
+    Attributes:
+        model_name: The model, by its path or name.
+        mechanical: Whether the model is a mechanical system; otherwise it is a state-space model.
+        layout: The columns of the log as the model file names them, and their units there.
+        record: Stamps, inputs, measurements and the true state x, in SI units.
+        truth_columns: The columns of the true velocities, or of the states of a state-space model.
+        si_columns, si_units: The columns in SI units and radians, and these units.
+    """
+
+    model_name: str
+    mechanical: bool
+    layout: logs.Columns
+    record: Record
+    truth_columns: tuple[str, ...]
+    si_columns: dict[str, np.ndarray]
+    si_units: dict[str, str]
+
+    @property
+    def columns(self) -> dict[str, np.ndarray]:
+        return self._in_units(messages=False)
+
+    @property
+    def units(self) -> dict[str, str]:
+        return self.si_units | {name: unit for name, unit in self._units(messages=False).items() if unit is not None}
+
+    @property
+    def headline(self) -> str:
+        span = self.record.t[-1] - self.record.t[0]
+        return f"{len(self.record.t)} rows over {span:g} s of {Path(self.model_name).stem}"
+
+    @property
+    def summary(self) -> dict[str, Any]:
+        truth = ",".join(self.truth_columns)
+        return {"model": self.model_name, "rows": len(self.record.t), "truth_columns": truth}
+
+    def __str__(self) -> str:
+        use = "score against --truth" if self.mechanical else "the true state is in"
+        return f"{len(self.record.t)} rows; {use} {','.join(self.truth_columns)}"
+
+    def save(self, path: str | Path, overwrite: bool = True) -> Path:
+        """Write the log (.csv, .txt, .tsv, .parquet, .mcap, .rosbag2), in the units of the model file."""
+        path = Path(path)
+        check_output(path, *logs.WRITTEN)
+        logs.write(path, self._in_units(path.suffix in logs.MESSAGES))
+        return path
+
+    def _units(self, messages: bool) -> dict[str, str | None]:
+        """Units of the columns, None where they are in SI units; messages of ROS have a clock of their own."""
+        names = self.layout
+        fields = {"t": () if messages else (names.t,), "q": names.q, "u": names.u}
+        fields |= {"position": names.position, "angle": names.angle}
+        units = {name: names.unit_of(field, i) for field, each in fields.items() for i, name in enumerate(each)}
+        units |= {f"true_{name}": unit for name, unit in units.items()}
+        units |= {name: names.unit_of("truth", i) for i, name in enumerate(self.truth_columns)}
+        return {name: unit for name, unit in units.items() if name in self.si_columns}
+
+    def _in_units(self, messages: bool) -> dict[str, np.ndarray]:
+        factors = {name: logs.unit_factor(unit) for name, unit in self._units(messages).items() if unit is not None}
+        return {name: column / factors.get(name, 1.0) for name, column in self.si_columns.items()}
+
+
+def _check(scenario: Scenario) -> None:
+    """Refuse what makes no sense for any model, before one is loaded."""
+    Sensor(scenario.rate, 0.0, 0.0, scenario.jitter, scenario.dropout).check()
+    if not math.isfinite(scenario.frequency) or scenario.frequency < 0:
+        raise ValueError(f"frequency must be a finite number ≥ 0 [Hz]; got {scenario.frequency}")
+    if scenario.seed < 0:
+        raise ValueError(f"seed must be a whole number ≥ 0; got {scenario.seed}")
+    for name in ("noise", "quantum"):
+        amounts(name, getattr(scenario, name), ("",) * np.size(getattr(scenario, name)))
+    for name in ("q0", "v0", "amplitude"):
+        finite(name, getattr(scenario, name))
+    stamps(Sensor(scenario.rate), scenario.duration)

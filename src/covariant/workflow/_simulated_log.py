@@ -1,0 +1,131 @@
+"""Computes the log of a simulated machine: its motion, and what its sensors read of it."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from covariant import logs, models, simulation
+from covariant.models import ModelFile, Motion, Overrides
+from covariant.signals import Record
+from covariant.simulation import PiecewiseInputs, Sensor
+from covariant.workflow._arguments import Amounts, amounts, numbers
+from covariant.workflow._inputs import numbered, sought_columns
+from covariant.workflow._progress import Progress
+from covariant.workflow._simulate import Scenario
+
+DIGITS = 12
+"""Decimals of a time [s] in a log: times that agree in all of them are one, whatever they were computed from."""
+DETUNED = 0.37
+"""Each input is faster than the one before by this part of the frequency, so that no two are in step."""
+
+
+def simulated_log(
+    model: Any, overrides: Overrides, scenario: Scenario, progress: Progress
+) -> tuple[str, bool, logs.Columns, Record, tuple[str, ...], dict[str, np.ndarray], dict[str, str]]:
+    """The fields of a `SimulateResult`."""
+    progress("reading the model")
+    name, file = models.spec_name(model), models.load(model, overrides)
+    sensor, x0 = _sensor(name, file, scenario), _start(file, scenario)
+    # The log begins when its latest reading is of the start.
+    delays = np.atleast_1d(np.asarray(file.delay, float))
+    t = simulation.stamps(sensor, scenario.duration, scenario.seed) + delays.max()
+    read = np.round([t - delay for delay in delays], DIGITS)
+    u, acting = _inputs(file, scenario, t, read)
+    progress("simulating")
+    everything = jax.tree.map(np.asarray, simulation.simulate_piecewise(file.model, x0, acting))
+    now, rows = (np.searchsorted(acting.begin, times) for times in (np.round(t, DIGITS), read))
+    true, x = everything.y[now], jax.tree.map(lambda leaf: leaf[now], everything.x)
+    if not all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(x)):
+        raise ValueError(f"{name}: the motion leaves the finite numbers; check initial state and inputs")
+    late = everything.y[rows[0]]
+    if len(delays) > 1:
+        late = np.stack([everything.y[row, i] for i, row in enumerate(rows)], axis=1)
+    record = Record(t, u, _sense(file.model, sensor, late, scenario.seed), x)
+    layout = _layout(file)
+    configuration, hidden = _truth(file, layout, true, x)
+    columns = {layout.t: t} | logs.to_columns(layout, record.y) | dict(zip(layout.u, u.T, strict=True))
+    columns |= {f"true_{key}": column for key, column in (configuration | hidden).items()}
+    names = tuple(f"true_{key}" for key in hidden)
+    return name, file.mechanical, layout, record, names, columns, _units(file, layout, tuple(hidden))
+
+
+def _sensor(name: str, file: ModelFile, scenario: Scenario) -> Sensor:
+    in_coordinates = file.model.manifold.commuting
+    if np.any(scenario.quantum) and not in_coordinates:
+        raise ValueError(f"quantum: encoders step in coordinates, and {name} is on a group; use noise")
+    measured = file.columns.q if in_coordinates else file.model.velocities
+    noise = amounts("noise", scenario.noise, measured)
+    quantum = amounts("quantum", scenario.quantum, measured) if in_coordinates else 0.0
+    return Sensor(scenario.rate, noise, quantum, scenario.jitter, scenario.dropout)
+
+
+def _start(file: ModelFile, scenario: Scenario) -> Any:
+    """The initial state; for a state-space model q0 holds all of it."""
+    states = sought_columns(file)
+    if not file.mechanical:
+        if scenario.v0 is not None:
+            raise ValueError("v0: a state-space model has no velocities; give all its initial state by q0")
+        return _or_zeros("q0", scenario.q0, states)
+    positions = file.columns.q if file.model.manifold.commuting else numbered("q", file.dimension)
+    q0, v0 = _or_zeros("q0", scenario.q0, positions), _or_zeros("v0", scenario.v0, states)
+    model: Any = file.model
+    return model.state(Motion(model.manifold.retract(model.manifold.origin(), jnp.asarray(q0)), jnp.asarray(v0)))
+
+
+def _or_zeros(argument: str, given: Amounts | None, names: Sequence[str]) -> Float[np.ndarray, "n"]:
+    return np.zeros(len(names)) if given is None else numbers(argument, given, names)
+
+
+def _inputs(
+    file: ModelFile, scenario: Scenario, t: Float[np.ndarray, "T"], read: Float[np.ndarray, "d T"]
+) -> tuple[Float[np.ndarray, "T m"], PiecewiseInputs]:
+    """The inputs that are logged at stamps t, and how they act, in intervals that begin at stamps and readings too."""
+    names = file.columns.u
+    amplitude = _or_zeros("amplitude", scenario.amplitude, names)
+    pace = 2 * np.pi * scenario.frequency * (1 + DETUNED * np.arange(len(names)))
+    u = amplitude * np.sin(pace * t[:, None])
+    stamps = np.round(t, DIGITS)
+    times = np.append(read.ravel(), stamps)
+    return u, simulation.logged_inputs(stamps, u, file.input_between, file.input_delay, file.input_lag, times)
+
+
+def _sense(model: Any, sensor: Sensor, y: np.ndarray, seed: int) -> np.ndarray:
+    """Measurements of outputs or configurations; on a group errors are rotations and translations in the body frame."""
+    if model.manifold.commuting:
+        return simulation.sense(sensor, y, seed)
+    error = simulation.sense(sensor, np.zeros((len(y), len(model.velocities))), seed)
+    measured = np.asarray(jax.vmap(model.manifold.retract)(y, jnp.nan_to_num(error)))
+    return np.where(np.isnan(error).any(axis=1).reshape(-1, *(1,) * (measured.ndim - 1)), np.nan, measured)
+
+
+def _layout(file: ModelFile) -> logs.Columns:
+    """The columns to write; an attitude is written as qw, qx, qy, qz unless the model file names other columns, the
+    second one as qw2, qx2, qy2, qz2."""
+    count = file.unnamed_attitudes
+    names = tuple(f"q{part}{k or ''}" for k in (0, *range(2, count + 1)) for part in "wxyz")
+    return file.columns._replace(quaternion_wxyz=names) if count else file.columns
+
+
+def _truth(file: ModelFile, layout: logs.Columns, y: np.ndarray, x: Any) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Columns of the true configuration and velocities; for a state-space model none, and those of all its states."""
+    model: Any = file.model
+    if not file.mechanical:
+        return {}, dict(zip(model.coordinates, x.T, strict=True))
+    velocities = dict(zip(sought_columns(file), np.asarray(model.motion(x).v).T, strict=True))
+    return logs.to_columns(layout, y), velocities
+
+
+def _units(file: ModelFile, layout: logs.Columns, hidden: tuple[str, ...]) -> dict[str, str]:
+    """SI units of the columns, as far as the model knows them."""
+    known = file.model.logged_units
+    units = {layout.t: "s"} | dict(zip(layout.q, known.get("q", ()), strict=False))
+    units |= dict.fromkeys(layout.position, "m") | dict.fromkeys(layout.angle, "rad")
+    return (
+        units
+        | {f"true_{name}": unit for name, unit in units.items() if name != layout.t}
+        | {f"true_{name}": unit for name, unit in zip(hidden, known.get("truth", ()), strict=False)}
+    )
