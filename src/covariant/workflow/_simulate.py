@@ -1,36 +1,19 @@
 """`simulate`: a log of a simulated machine, with the true state beside what its sensors read."""
 
-import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from covariant import logs
 from covariant.models import Overrides
 from covariant.signals import Record
-from covariant.simulation import Sensor, stamps
-from covariant.workflow._arguments import Amounts, amounts, finite
+from covariant.workflow._arguments import Amounts
 from covariant.workflow._outputs import check_output
 from covariant.workflow._progress import Progress, silent
 from covariant.workflow._result import AbstractTable
-
-
-class Scenario(NamedTuple):
-    """The motion and the sensors of a simulation, as `simulate` takes them."""
-
-    duration: float
-    rate: float
-    q0: Amounts | None
-    v0: Amounts | None
-    amplitude: Amounts | None
-    frequency: float
-    noise: Amounts
-    quantum: Amounts
-    jitter: float
-    dropout: float
-    seed: int
+from covariant.workflow._scenario import Scenario, check_scenario
 
 
 def simulate(
@@ -89,7 +72,7 @@ def simulate(
         ['t', 'x', 'true_x', 'true_v1']
     """
     scenario = Scenario(duration, rate, q0, v0, amplitude, frequency, noise, quantum, jitter, dropout, seed)
-    _check(scenario)
+    check_scenario(scenario)
     from covariant.workflow._simulated_log import simulated_log  # loads what computes, after the arguments are checked
 
     return SimulateResult(*simulated_log(model, overrides, scenario, progress))
@@ -158,17 +141,3 @@ class SimulateResult(AbstractTable):
     def _in_units(self, messages: bool) -> dict[str, np.ndarray]:
         factors = {name: logs.unit_factor(unit) for name, unit in self._units(messages).items() if unit is not None}
         return {name: column / factors.get(name, 1.0) for name, column in self.si_columns.items()}
-
-
-def _check(scenario: Scenario) -> None:
-    """Refuse what makes no sense for any model, before one is loaded."""
-    Sensor(scenario.rate, 0.0, 0.0, scenario.jitter, scenario.dropout).check()
-    if not math.isfinite(scenario.frequency) or scenario.frequency < 0:
-        raise ValueError(f"frequency must be a finite number ≥ 0 [Hz]; got {scenario.frequency}")
-    if scenario.seed < 0:
-        raise ValueError(f"seed must be a whole number ≥ 0; got {scenario.seed}")
-    for name in ("noise", "quantum"):
-        amounts(name, getattr(scenario, name), ("",) * np.size(getattr(scenario, name)))
-    for name in ("q0", "v0", "amplitude"):
-        finite(name, getattr(scenario, name))
-    stamps(Sensor(scenario.rate), scenario.duration)

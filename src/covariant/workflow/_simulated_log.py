@@ -15,7 +15,7 @@ from covariant.simulation import PiecewiseInputs, Sensor
 from covariant.workflow._arguments import Amounts, amounts, numbers
 from covariant.workflow._inputs import numbered, sought_columns
 from covariant.workflow._progress import Progress
-from covariant.workflow._simulate import Scenario
+from covariant.workflow._scenario import Scenario
 
 DIGITS = 12
 """Decimals of a time [s] in a log: times that agree in all of them are one, whatever they were computed from."""
