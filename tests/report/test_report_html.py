@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from plotly.offline import get_plotlyjs
 
-from covariant.report import write_html, write_report
+from covariant.report import new_figure, save_figure, write_article, write_html, write_report
 
 
 class Page(HTMLParser):
@@ -206,3 +206,15 @@ def test_without_plotly(make, tmp_path, monkeypatch):
 def test_check(make, change, message):
     with pytest.raises(ValueError, match=message):
         make()._replace(**change).check()
+
+
+def test_a_figure_of_an_article_is_described_and_scrolls_by_itself(tmp_path):
+    figure, _ = new_figure()
+    save_figure(figure, tmp_path / "motion.png")
+    blocks = ["# The <motion>", tmp_path / "motion.png", [{"law": "metric", "verdict": "holds"}]]
+    page = Page(write_article("Audit", blocks, tmp_path / "a.html", headline="8 laws hold.").read_text("utf-8"))
+    [picture] = page.all("img")
+    assert picture["alt"] == "Figure: The <motion>"
+    assert [attrs["class"] for attrs in page.all("div")] == ["picture", "table"]
+    assert all(attrs["tabindex"] == "0" for attrs in page.all("div"))
+    assert page.text.index("Audit") < page.text.index("8 laws hold.") < page.text.index("The <motion>")

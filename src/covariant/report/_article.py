@@ -13,9 +13,23 @@ Block = str | Path | Sequence[Mapping[str, object]]
 """A paragraph ("# …" makes it a heading), a PNG file, or the rows of a table."""
 
 
-def write_article(title: str, blocks: Sequence[Block], path: str | os.PathLike[str]) -> Path:
-    """Write blocks one below the other, with figures embedded, as one complete file; returns its path."""
-    body = "\n".join(_block(block) for block in blocks)
+def write_article(title: str, blocks: Sequence[Block], path: str | os.PathLike[str], headline: str = "") -> Path:
+    """Write blocks one below the other, with figures embedded, as one complete file.
+
+    Args:
+        title: Title, plain text.
+        blocks: Paragraphs, headings, figures and tables.
+        path: The page (.html).
+        headline: The result in one line, under the title.
+
+    Returns:
+        The path.
+    """
+    heading, parts = title, [f'<p class="verdict">{escape(headline)}</p>'] if headline else []
+    for block in blocks:
+        heading = block[2:] if isinstance(block, str) and block.startswith("# ") else heading
+        parts.append(_block(block, heading))
+    body = "\n".join(parts)
     page = f"""<!DOCTYPE html>
 <html lang="en">
 <head>
@@ -24,21 +38,27 @@ def write_article(title: str, blocks: Sequence[Block], path: str | os.PathLike[s
 <link rel="icon" href="data:,">
 <title>{escape(title)}</title>
 <style>
-{asset("page.css")}img {{ max-width: 100%; background: #fff; }} p {{ max-width: 60rem; }}</style>
+{asset("page.css")}p {{ max-width: 60rem; }}</style>
 </head>
 <body>
+<main class="article">
 <h1>{escape(title)}</h1>
 {body}
+</main>
 </body>
 </html>
 """
     return write_atomically(path, lambda file: file.write(page.encode()))
 
 
-def _block(block: Block) -> str:
+def _block(block: Block, heading: str) -> str:
+    """A block in HTML; a figure is described by the heading above it."""
     if isinstance(block, Path):
         data = base64.b64encode(block.read_bytes()).decode()
-        return f'<p><img alt="{escape(block.stem)}" src="data:image/png;base64,{data}"></p>'
+        label = escape(f"Figure: {heading}")
+        picture = f'<img alt="{label}" src="data:image/png;base64,{data}">'
+        # A container that scrolls can be reached by the keyboard.
+        return f'<div class="picture" tabindex="0" role="region" aria-label="{label}">{picture}</div>'
     if isinstance(block, str):
         return f"<h2>{escape(block[2:])}</h2>" if block.startswith("# ") else f"<p>{escape(block)}</p>"
     return table_html(block, mark_best=False)

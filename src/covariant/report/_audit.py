@@ -88,4 +88,5 @@ def write_audit(audit: Audit, title: str, path: str | os.PathLike[str]) -> Path:
     with tempfile.TemporaryDirectory() as folder:
         figure = draw_audit(audit, Path(folder) / "audit.png")
         blocks = [figure, rows, f"At {audit.domain}. {_INTRODUCTION}", "# Tolerances", *reasons]
-        return write_article(f"{title}: {'passed' if audit.passed else 'failed'}", blocks, path)
+        title = f"{title}: {'passed' if audit.passed else 'failed'}"
+        return write_article(title, blocks, path, headline=f"{audit.observer}: {audit.verdict}.")
