@@ -17,7 +17,7 @@ QUICK := tests/laws/test_every_observer.py tests/design/test_estimators.py tests
 # A process that dies ends the run, which would else wait for its tests for ever.
 PARALLEL := -n 2 --dist loadfile --no-loadscope-reorder --max-worker-restart 0
 
-.PHONY: env demo test quick format lint types tests gallery bench firmware mutants geomstats docs lock clean
+.PHONY: env demo test matrix matrix-short quick format lint types tests gallery bench firmware mutants geomstats docs lock clean
 
 env: .venv/ready
 
@@ -43,6 +43,14 @@ types: env
 
 tests: env
 	$(BIN)/pytest $(PARALLEL)
+
+# On Python 3.12 and 3.13 as well, where they are here, with the newest packages; .venv has the oldest.
+matrix: test
+	$(BIN)/python tools/matrix.py
+
+# Of those tests, the ones that depend on versions most.
+matrix-short: env
+	$(BIN)/python tools/matrix.py --short
 
 quick: env
 	$(BIN)/pytest $(PARALLEL) -k "not compiled_c" $(QUICK)
@@ -87,4 +95,4 @@ lock:
 	rm -rf .venv-lock
 
 clean:
-	rm -rf .venv .venv-geomstats demo build dist site mutants.json
+	rm -rf .venv .venv-3.* .venv-geomstats demo build dist site mutants.json

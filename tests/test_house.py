@@ -69,9 +69,10 @@ PUBLIC = {
     "identification": "FITTED Draft Fit PredictionErrors Windows draft fit growth horizon prediction_errors relations "
     "split windows",
     "interop": "closed_loop observer_system plant",
-    "lowering": "FOLD INTERVALS NUMBERS STUMPFF TRUTHS CText Condition Conditions Derivative Domain Enclosure Graph "
-    "Interval Lowered LoweringError Node Signature Truth c_function c_helpers c_number c_rows enclose evaluate expand "
-    "fulfilled graft in_c lower numbers pairs perturbed simplified stumpff substitute",
+    "lowering": "FOLD INTERVALS NUMBERS STUMPFF TRUTHS Branch CText Call ClosedJaxpr Condition Conditions "
+    "Derivative Domain Enclosure Graph Interval JaxprEquation Lowered LoweringError Node Scan Signature Truth While "
+    "c_function c_helpers c_number c_rows enclose equations evaluate expand fulfilled graft in_c lower needed "
+    "numbers pairs perturbed simplified stumpff substitute",
     "logs": "ATTITUDES MESSAGES OPTIONAL WRITTEN Body Columns Log LogError bodies check_unit coordinates matrices read "
     "record source_name survey to_columns unit_factor write",
     "models": "Family GroupSystem Lagrangian MechanicalSystem ModelError ModelFile MomentumChart Motion Overrides "

@@ -12,7 +12,7 @@ from jax.extend import core
 from jax.interpreters import mlir
 
 from covariant.lowering import LoweringError, While, equations, lower, numbers
-from covariant.lowering._jax_forms import REPLACED, Branch, Call, Equation, Parameters, Scan, expanded, needed
+from covariant.lowering._jax_forms import REPLACED, Branch, Call, JaxprEquation, Parameters, Scan, expanded, needed
 
 POINTS = np.random.default_rng(4).normal(size=(4, 3)) * 0.8
 
@@ -293,7 +293,7 @@ def test_what_results_do_not_need_is_left_out_with_constants_in_place():
 def test_a_primitive_expands_to_a_call_in_its_place():
     later = plus("another")
     (eqn,) = equations(jax.make_jaxpr(later.bind)(jnp.ones(3)).jaxpr)
-    assert isinstance(eqn, Equation)
+    assert isinstance(eqn, JaxprEquation)
     assert isinstance(eqn.params, Parameters)
     call = expanded(eqn)
     assert call.replaces

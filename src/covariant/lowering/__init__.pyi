@@ -7,10 +7,10 @@ from ._engine import enclose as enclose, in_c as in_c
 from ._graph import FOLD as FOLD, TRUTHS as TRUTHS, Condition as Condition, Graph as Graph, Node as Node
 from ._intervals import INTERVALS as INTERVALS
 from ._jax_forms import (
-    Body as Body,
     Branch as Branch,
     Call as Call,
-    Equation as Equation,
+    ClosedJaxpr as ClosedJaxpr,
+    JaxprEquation as JaxprEquation,
     Scan as Scan,
     While as While,
     equations as equations,

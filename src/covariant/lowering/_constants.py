@@ -11,10 +11,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from covariant.lowering._jax_forms import Equation
+from covariant.lowering._jax_forms import JaxprEquation
 
 
-def compute(eqn: Equation, values: Sequence[Any]) -> list[Any]:
+def compute(eqn: JaxprEquation, values: Sequence[Any]) -> list[Any]:
     """The outputs of an equation of a jaxpr."""
     rule = None if eqn.unknown else _RULES.get(eqn.name)
     outputs = [atom.aval for atom in eqn.outvars]

@@ -7,7 +7,7 @@ of its own in 0.9 and any jaxpr from 0.11 on; stacking arrays is a concatenation
 Newer primitives are replaced by older ones (`REPLACED`), with the rounding of JAX. What is left and has no rule is
 expanded by JAX, where JAX can do so (`expanded`); everything else is refused by its name.
 
-Tested with JAX 0.9.2, 0.11.0, 0.11.2, 0.12.0 and 0.12.0.1.
+Tested with JAX 0.9.2, 0.11.1, 0.11.2, 0.12.0 and 0.12.0.1.
 """
 
 import functools
@@ -22,14 +22,14 @@ from jax.interpreters import partial_eval
 from covariant.lowering._lowered import LoweringError
 
 
-class Body(NamedTuple):
-    """A jaxpr and the values of its constants."""
+class ClosedJaxpr(NamedTuple):
+    """A jaxpr and the values of its constants, which JAX keeps together since 0.11."""
 
     jaxpr: Any
     consts: Sequence[Any]
 
     @classmethod
-    def of(cls, inner: Any) -> "Body":
+    def of(cls, inner: Any) -> "ClosedJaxpr":
         """The body of a parameter that is a jaxpr, closed or without constants."""
         return cls(getattr(inner, "jaxpr", inner), getattr(inner, "consts", ()))
 
@@ -42,7 +42,7 @@ class Body(NamedTuple):
 class Call(NamedTuple):
     """A function that is called once; `replaces`: it stands for a primitive, and not for a function of the user."""
 
-    body: Body
+    body: ClosedJaxpr
     replaces: bool = False
 
 
@@ -54,7 +54,7 @@ class Scan(NamedTuple):
     - `reverse`: the last row comes first.
     """
 
-    body: Body
+    body: ClosedJaxpr
     fixed: int
     carried: int
     length: int
@@ -68,8 +68,8 @@ class While(NamedTuple):
     - `of_condition`, `of_body`: how many arguments are the constants of each; what is carried comes after them.
     """
 
-    condition: Body
-    body: Body
+    condition: ClosedJaxpr
+    body: ClosedJaxpr
     of_condition: int
     of_body: int
 
@@ -77,7 +77,7 @@ class While(NamedTuple):
 class Branch(NamedTuple):
     """One of several functions, chosen by the first argument."""
 
-    bodies: tuple[Body, ...]
+    bodies: tuple[ClosedJaxpr, ...]
 
 
 Form = Call | Scan | While | Branch
@@ -97,7 +97,7 @@ class Parameters(dict):
         )
 
 
-class Equation(NamedTuple):
+class JaxprEquation(NamedTuple):
     """An equation of a jaxpr; `form` is None for a primitive by itself."""
 
     primitive: Any
@@ -119,16 +119,16 @@ class Equation(NamedTuple):
         return next((k for k, v in self.params.items() if v is not None and k not in known and k not in WITHOUT), None)
 
 
-def equations(jaxpr: Any) -> Iterator[Equation]:
+def equations(jaxpr: Any) -> Iterator[JaxprEquation]:
     """The equations of a jaxpr in order, each in the form of this module.
 
     Raises `LoweringError` for a loop, a call or a branch in a form that is not known, naming primitive and parameter.
     """
     for eqn in jaxpr.eqns:
         name, params = eqn.primitive.name, Parameters(eqn.primitive.name, eqn.params)
-        equation = Equation(eqn.primitive, params, eqn.invars, eqn.outvars, eqn.source_info, None)
+        equation = JaxprEquation(eqn.primitive, params, eqn.invars, eqn.outvars, eqn.source_info, None)
         if name in CALLS:
-            yield equation._replace(form=_fits(equation, Call(Body.of(params[CALLS[name]]))))
+            yield equation._replace(form=_fits(equation, Call(ClosedJaxpr.of(params[CALLS[name]]))))
         elif name in FORMS:
             yield equation._replace(form=FORMS[name](equation))
         elif name in REPLACED:
@@ -137,13 +137,13 @@ def equations(jaxpr: Any) -> Iterator[Equation]:
             yield equation
 
 
-def needed(closed: Any) -> Body:
+def needed(closed: Any) -> ClosedJaxpr:
     """A closed jaxpr without what its results do not need."""
     used = [True] * len(closed.jaxpr.outvars)
-    return Body(partial_eval.dce_jaxpr(closed.jaxpr, used, instantiate=True)[0], closed.consts)
+    return ClosedJaxpr(partial_eval.dce_jaxpr(closed.jaxpr, used, instantiate=True)[0], closed.consts)
 
 
-def expanded(equation: Equation) -> Call:
+def expanded(equation: JaxprEquation) -> Call:
     """A primitive that has no rule, written out by JAX in others.
 
     Raises `LoweringError` where JAX has no such expansion, as for a factorisation by LAPACK.
@@ -224,7 +224,7 @@ READ: dict[str, frozenset[str]] = {
 # Loops and branches.
 
 
-def _scan(equation: Equation) -> Scan:
+def _scan(equation: JaxprEquation) -> Scan:
     p = equation.params
     if "ft_in" in p:  # from 0.11 on
         fixed, carried, rows = _sizes(equation, "ft_in", 3)
@@ -236,7 +236,7 @@ def _scan(equation: Equation) -> Scan:
         rows = len(equation.invars) - fixed - carried
         known = {"num_consts", "num_carry", "linear", "_split_transpose"}
     _all_known(equation, {"jaxpr", "length", "reverse", "unroll", *known})
-    scan = Scan(Body.of(p["jaxpr"]), fixed, carried, p["length"], p["reverse"])
+    scan = Scan(ClosedJaxpr.of(p["jaxpr"]), fixed, carried, p["length"], p["reverse"])
     count, results = fixed + carried + rows, len(scan.body.results)
     if min(rows, results - carried) < 0 or {len(equation.invars), len(scan.body.jaxpr.invars)} != {count}:
         raise _odd(equation, "jaxpr")
@@ -245,7 +245,7 @@ def _scan(equation: Equation) -> Scan:
     return scan
 
 
-def _sizes(equation: Equation, parameter: str, count: int) -> list[int]:
+def _sizes(equation: JaxprEquation, parameter: str, count: int) -> list[int]:
     """Numbers of leaves of the parts of a tree that is a parameter of a scan."""
     try:
         sizes = [len(list(part)) for part in equation.params[parameter].unpack()]
@@ -256,34 +256,34 @@ def _sizes(equation: Equation, parameter: str, count: int) -> list[int]:
     return sizes
 
 
-def _while(equation: Equation) -> While:
+def _while(equation: JaxprEquation) -> While:
     p = equation.params
     _all_known(equation, {"cond_nconsts", "cond_jaxpr", "body_nconsts", "body_jaxpr"})
-    return While(Body.of(p["cond_jaxpr"]), Body.of(p["body_jaxpr"]), p["cond_nconsts"], p["body_nconsts"])
+    return While(ClosedJaxpr.of(p["cond_jaxpr"]), ClosedJaxpr.of(p["body_jaxpr"]), p["cond_nconsts"], p["body_nconsts"])
 
 
-def _branch(equation: Equation) -> Branch:
+def _branch(equation: JaxprEquation) -> Branch:
     _all_known(equation, {"branches", "linear", "branches_platforms"})
-    return Branch(tuple(Body.of(branch) for branch in equation.params["branches"]))
+    return Branch(tuple(ClosedJaxpr.of(branch) for branch in equation.params["branches"]))
 
 
-FORMS: dict[str, Callable[[Equation], Form]] = {"scan": _scan, "while": _while, "cond": _branch}
+FORMS: dict[str, Callable[[JaxprEquation], Form]] = {"scan": _scan, "while": _while, "cond": _branch}
 """Primitives that hold functions and do not just call one."""
 
 
-def _all_known(equation: Equation, known: set[str]) -> None:
+def _all_known(equation: JaxprEquation, known: set[str]) -> None:
     for parameter, value in equation.params.items():
         if parameter not in known and value is not None:
             raise _odd(equation, parameter)
 
 
-def _fits(equation: Equation, call: Call) -> Call:
+def _fits(equation: JaxprEquation, call: Call) -> Call:
     if len(call.body.jaxpr.invars) != len(equation.invars) or len(call.body.results) != len(equation.outvars):
         raise _odd(equation, CALLS[equation.name])
     return call
 
 
-def _odd(equation: Equation, parameter: str) -> LoweringError:
+def _odd(equation: JaxprEquation, parameter: str) -> LoweringError:
     return LoweringError(
         f"the primitive '{equation.name}' of JAX {jax.__version__} has the parameter '{parameter}' "
         "in a form that is not known"
@@ -341,7 +341,7 @@ REPLACED: dict[str, Callable[..., Any]] = {
 """Primitives that some releases do not have, as functions of primitives that all releases have."""
 
 
-def _replacement(equation: Equation) -> Call:
+def _replacement(equation: JaxprEquation) -> Call:
     key = tuple(sorted(equation.params.items()))
     avals = tuple((atom.aval.shape, atom.aval.dtype) for atom in equation.invars)
     try:
@@ -356,15 +356,17 @@ def _replacement(equation: Equation) -> Call:
 @functools.lru_cache(maxsize=4096)
 def _replaced(name: str, parameters: tuple, avals: tuple) -> Call:
     shapes = [jax.ShapeDtypeStruct(shape, dtype) for shape, dtype in avals]
-    return Call(Body.of(jax.make_jaxpr(functools.partial(REPLACED[name], **dict(parameters)))(*shapes)), replaces=True)
+    return Call(
+        ClosedJaxpr.of(jax.make_jaxpr(functools.partial(REPLACED[name], **dict(parameters)))(*shapes)), replaces=True
+    )
 
 
-def _traced(equation: Equation, function: Callable[..., Any]) -> Call:
+def _traced(equation: JaxprEquation, function: Callable[..., Any]) -> Call:
     shapes = [jax.ShapeDtypeStruct(atom.aval.shape, atom.aval.dtype) for atom in equation.invars]
-    return _fits_replacement(equation, Call(Body.of(jax.make_jaxpr(function)(*shapes)), replaces=True))
+    return _fits_replacement(equation, Call(ClosedJaxpr.of(jax.make_jaxpr(function)(*shapes)), replaces=True))
 
 
-def _fits_replacement(equation: Equation, call: Call) -> Call:
+def _fits_replacement(equation: JaxprEquation, call: Call) -> Call:
     results = [(aval.shape, np.dtype(aval.dtype)) for aval in call.body.results]
     if results != [(atom.aval.shape, np.dtype(atom.aval.dtype)) for atom in equation.outvars]:
         raise LoweringError(f"the expansion of the primitive '{equation.name}' has other results than it")

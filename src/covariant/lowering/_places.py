@@ -16,7 +16,7 @@ import numpy as np
 from covariant.lowering._arrays import Scalars, Value, Writer, nodes_of
 from covariant.lowering._constants import SLICES
 from covariant.lowering._graph import Table
-from covariant.lowering._jax_forms import Equation
+from covariant.lowering._jax_forms import JaxprEquation
 from covariant.lowering._lowered import LoweringError
 
 MOST_PLACES = 64
@@ -27,7 +27,7 @@ MOST_ENTRIES = 2_000_000
 """Largest table of known numbers."""
 
 
-def at_places(write: Writer, eqn: Equation, values: list) -> list[Value]:
+def at_places(write: Writer, eqn: JaxprEquation, values: list) -> list[Value]:
     """A primitive that moves entries to or from places, or adds them there; the places are known, or one of few."""
     name = eqn.name
     move = _added if name == "scatter-add" else _moved
@@ -88,7 +88,9 @@ def _table(write: Writer, operand: np.ndarray) -> Table | None:
     return Table(np.array([node.value for node in nodes], float))
 
 
-def _looked_up(write: Writer, table: Table, eqn: Equation, starts: Sequence[int], ends: Sequence[int]) -> np.ndarray:
+def _looked_up(
+    write: Writer, table: Table, eqn: JaxprEquation, starts: Sequence[int], ends: Sequence[int]
+) -> np.ndarray:
     """A slice of a table that starts where the arguments say, clipped to where it fits."""
     graph, shape, sizes = write.graph, eqn.invars[0].aval.shape, eqn.params["slice_sizes"]
     strides = [math.prod(shape[k + 1 :]) for k in range(len(shape))]
@@ -118,7 +120,7 @@ def _places(name: str, p: dict, shapes: Sequence[tuple[int, ...]]) -> tuple[rang
     return range(1, 2), [operand[d] - window.get(d, 1) for d in numbers.scatter_dims_to_operand_dims]
 
 
-def _moved(write: Writer, eqn: Equation, arguments: list[np.ndarray]) -> np.ndarray:
+def _moved(write: Writer, eqn: JaxprEquation, arguments: list[np.ndarray]) -> np.ndarray:
     """Nodes moved by the primitive itself, applied to their indices."""
     if eqn.name in SLICES:
         return SLICES[eqn.name](eqn.params, *arguments)
@@ -129,7 +131,7 @@ def _moved(write: Writer, eqn: Equation, arguments: list[np.ndarray]) -> np.ndar
     return ids
 
 
-def _added(write: Writer, eqn: Equation, arguments: list[np.ndarray]) -> np.ndarray:
+def _added(write: Writer, eqn: JaxprEquation, arguments: list[np.ndarray]) -> np.ndarray:
     operand, places, updates = arguments
     total = operand.ravel().copy()
     for k, node in enumerate(updates.ravel().tolist()):

@@ -15,22 +15,22 @@ import numpy as np
 from covariant.lowering._arrays import Scalars, Value, Writer, nodes_of
 from covariant.lowering._constants import padded
 from covariant.lowering._graph import Graph
-from covariant.lowering._jax_forms import Equation
+from covariant.lowering._jax_forms import JaxprEquation
 from covariant.lowering._lowered import LoweringError
 from covariant.lowering._places import at_places
 
-Rule = Callable[[Writer, Equation, list], list[Value]]
+Rule = Callable[[Writer, JaxprEquation, list], list[Value]]
 
 
 def _entrywise(op: str) -> Rule:
     return lambda write, eqn, values: [write.map(op, *values)]
 
 
-def _same(write: Writer, eqn: Equation, values: list) -> list[Value]:
+def _same(write: Writer, eqn: JaxprEquation, values: list) -> list[Value]:
     return list(values)
 
 
-def _of_ids(write: Writer, eqn: Equation, values: list, move: Callable[..., np.ndarray]) -> list[Value]:
+def _of_ids(write: Writer, eqn: JaxprEquation, values: list, move: Callable[..., np.ndarray]) -> list[Value]:
     return [Scalars(move(*(nodes_of(write.graph, value) for value in values)))]
 
 
@@ -54,7 +54,7 @@ def _slice(p: dict, ids: np.ndarray) -> np.ndarray:
 def _extreme(comparison: Callable[[Graph, int, int], int]) -> Rule:
     """The index of the first largest or smallest entry."""
 
-    def rule(write: Writer, eqn: Equation, values: list) -> list[Value]:
+    def rule(write: Writer, eqn: JaxprEquation, values: list) -> list[Value]:
         (axis,) = eqn.params["axes"]
         rows = np.moveaxis(values[0].ids, axis, -1)
         found = []
@@ -70,12 +70,12 @@ def _extreme(comparison: Callable[[Graph, int, int], int]) -> Rule:
     return rule
 
 
-def _split(write: Writer, eqn: Equation, values: list) -> list[Value]:
+def _split(write: Writer, eqn: JaxprEquation, values: list) -> list[Value]:
     ends = np.cumsum(eqn.params["sizes"])[:-1]
     return [Scalars(part) for part in np.split(values[0].ids, ends, axis=eqn.params["axis"])]
 
 
-def _dot(write: Writer, eqn: Equation, values: list) -> list[Value]:
+def _dot(write: Writer, eqn: JaxprEquation, values: list) -> list[Value]:
     (over_a, over_b), (batch_a, batch_b) = eqn.params["dimension_numbers"]
     a, b = (nodes_of(write.graph, value) for value in values)
 
@@ -95,12 +95,12 @@ def _reduction(op: str) -> Rule:
     return lambda write, eqn, values: [write.reduce(op, values[0].ids, [int(axis) for axis in eqn.params["axes"]])]
 
 
-def _any(write: Writer, eqn: Equation, values: list) -> list[Value]:
+def _any(write: Writer, eqn: JaxprEquation, values: list) -> list[Value]:
     return [write.reduce("or", values[0].ids, range(values[0].ids.ndim))]
 
 
 def _cumulative(op: str) -> Rule:
-    def rule(write: Writer, eqn: Equation, values: list) -> list[Value]:
+    def rule(write: Writer, eqn: JaxprEquation, values: list) -> list[Value]:
         axis = eqn.params["axis"]
         rows = np.moveaxis(values[0].ids, axis, 0)[:: -1 if eqn.params["reverse"] else 1]
         found = itertools.accumulate(map(np.asarray, rows), lambda a, b: write.map(op, Scalars(a), Scalars(b)).ids)
@@ -110,7 +110,7 @@ def _cumulative(op: str) -> Rule:
     return rule
 
 
-def _integer_pow(write: Writer, eqn: Equation, values: list) -> list[Value]:
+def _integer_pow(write: Writer, eqn: JaxprEquation, values: list) -> list[Value]:
     exponent = eqn.params["y"]
     result: Value = np.ones(values[0].ids.shape)
     power, left = values[0], abs(exponent)
@@ -124,14 +124,14 @@ def _integer_pow(write: Writer, eqn: Equation, values: list) -> list[Value]:
 def _turned(op: str, negate: bool = False) -> Rule:
     """A comparison with its sides exchanged, or negated."""
 
-    def rule(write: Writer, eqn: Equation, values: list) -> list[Value]:
+    def rule(write: Writer, eqn: JaxprEquation, values: list) -> list[Value]:
         found = write.map(op, *(values if negate else values[::-1]))
         return [write.map("not", found) if negate else found]
 
     return rule
 
 
-def _select(write: Writer, eqn: Equation, values: list) -> list[Value]:
+def _select(write: Writer, eqn: JaxprEquation, values: list) -> list[Value]:
     which, *cases = values
     if jnp.issubdtype(eqn.invars[0].aval.dtype, jnp.bool_):
         no, yes = cases
@@ -142,12 +142,12 @@ def _select(write: Writer, eqn: Equation, values: list) -> list[Value]:
     return [result]
 
 
-def _clamp(write: Writer, eqn: Equation, values: list) -> list[Value]:
+def _clamp(write: Writer, eqn: JaxprEquation, values: list) -> list[Value]:
     low, x, high = values
     return [write.map("min", write.map("max", x, low), high)]
 
 
-def _convert(write: Writer, eqn: Equation, values: list) -> list[Value]:
+def _convert(write: Writer, eqn: JaxprEquation, values: list) -> list[Value]:
     source, target = eqn.invars[0].aval.dtype, eqn.params["new_dtype"]
     kinds = [next(k for k in (jnp.bool_, jnp.integer, jnp.floating) if jnp.issubdtype(t, k)) for t in (source, target)]
     if kinds[0] == jnp.bool_ and kinds[1] != jnp.bool_:
@@ -162,24 +162,24 @@ def _convert(write: Writer, eqn: Equation, values: list) -> list[Value]:
     return [values[0]]
 
 
-def _shortened(write: Writer, eqn: Equation, values: list) -> list[Value]:
+def _shortened(write: Writer, eqn: JaxprEquation, values: list) -> list[Value]:
     if write.graph.real and eqn.params["mantissa_bits"] < jnp.finfo(eqn.invars[0].aval.dtype).nmant:
         raise LoweringError("'reduce_precision' is no function of real numbers")
     return [values[0]]
 
 
-def _rounded(write: Writer, eqn: Equation, values: list) -> list[Value]:
+def _rounded(write: Writer, eqn: JaxprEquation, values: list) -> list[Value]:
     if eqn.params["rounding_method"] != jax.lax.RoundingMethod.TO_NEAREST_EVEN:
         raise LoweringError("'round' away from zero has no graph; jnp.round goes to the nearest even number")
     return [write.map("round", values[0])]
 
 
-def _logistic(write: Writer, eqn: Equation, values: list) -> list[Value]:
+def _logistic(write: Writer, eqn: JaxprEquation, values: list) -> list[Value]:
     below = write.map("add", np.array(1.0), write.map("exp", write.map("neg", values[0])))
     return [write.map("div", np.array(1.0), below)]
 
 
-def _mirrored(write: Writer, eqn: Equation, values: list) -> list[Value]:
+def _mirrored(write: Writer, eqn: JaxprEquation, values: list) -> list[Value]:
     """The first matrix, or its upper triangle twice, where the second has the same node on both sides everywhere."""
     matrix, source = (nodes_of(write.graph, value) for value in values)
     if not np.array_equal(source, source.swapaxes(-1, -2)):

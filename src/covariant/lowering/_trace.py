@@ -20,7 +20,7 @@ from covariant.lowering import _stumpff
 from covariant.lowering._arrays import Scalars, Value, Writer, nodes_of
 from covariant.lowering._constants import compute
 from covariant.lowering._graph import Graph
-from covariant.lowering._jax_forms import Body, Branch, Call, Equation, Scan, While, equations, expanded
+from covariant.lowering._jax_forms import Branch, Call, ClosedJaxpr, JaxprEquation, Scan, While, equations, expanded
 from covariant.lowering._loops import loop_of
 from covariant.lowering._lowered import Conditions, Lowered, LoweringError
 from covariant.lowering._primitives import NOT_ON_INTEGERS, RULES
@@ -56,7 +56,7 @@ def lower(function: Callable, *arguments: Any, real: bool = False, loops: Loops 
             raise LoweringError(f"an argument of type {aval.dtype} is not a real number; close over it instead")
         ids = [graph.input(next(position)) for _ in range(aval.size)]
         inputs.append(Scalars(np.array(ids, int).reshape(aval.shape)))
-    results = _Interpreter(graph, loops).run(Body(closed.jaxpr, closed.consts), inputs)
+    results = _Interpreter(graph, loops).run(ClosedJaxpr(closed.jaxpr, closed.consts), inputs)
     ids = [nodes_of(graph, value) for value in results]
     leaves, tree = jax.tree.flatten(shape)
     small, outputs = graph.pruned([int(i) for array in ids for i in array.ravel()])
@@ -69,7 +69,7 @@ def graft(graph: Graph, function: Callable, *arguments: np.ndarray) -> np.ndarra
     """Add a function of nodes of a graph to this graph, and return the nodes of its result, an array."""
     shapes = [jax.ShapeDtypeStruct(ids.shape, jnp.float64) for ids in arguments]
     closed = jax.make_jaxpr(function)(*shapes)
-    (result,) = _Interpreter(graph).run(Body(closed.jaxpr, closed.consts), [Scalars(ids) for ids in arguments])
+    (result,) = _Interpreter(graph).run(ClosedJaxpr(closed.jaxpr, closed.consts), [Scalars(ids) for ids in arguments])
     return nodes_of(graph, result)
 
 
@@ -94,7 +94,7 @@ class _Interpreter:
         self.graph, self.write = graph, Writer(graph, loops != "unrolled")
         self.loops: Loops = loops
 
-    def run(self, body: Body, inputs: Sequence[Value], replaces: bool = False) -> list[Value]:
+    def run(self, body: ClosedJaxpr, inputs: Sequence[Value], replaces: bool = False) -> list[Value]:
         """Values of the outputs of a jaxpr; `replaces`: it stands for a primitive, and has its place in code."""
         known: dict = {}
 
@@ -113,7 +113,7 @@ class _Interpreter:
             known.update(zip(eqn.outvars, found, strict=True))
         return [read(atom) for atom in body.jaxpr.outvars]
 
-    def equation(self, eqn: Equation, values: list[Value]) -> list[Value]:
+    def equation(self, eqn: JaxprEquation, values: list[Value]) -> list[Value]:
         _need_reals(eqn, self.graph.real)
         match eqn.form:
             case Call(body, replaces):
@@ -204,7 +204,7 @@ class _Interpreter:
             )
         raise LoweringError(f"a 'while' loop of more than {MOST_ITERATIONS} iterations is too long to unroll")
 
-    def branch(self, bodies: Sequence[Body], values: list[Value]) -> list[Value]:
+    def branch(self, bodies: Sequence[ClosedJaxpr], values: list[Value]) -> list[Value]:
         chosen, *rest = values
         if isinstance(chosen, Scalars):
             sound = [body for body in bodies if not _calls_back(body)]
@@ -214,12 +214,12 @@ class _Interpreter:
         return self.run(bodies[int(np.clip(int(chosen), 0, len(bodies) - 1))], rest)
 
 
-def _calls_back(body: Body) -> bool:
+def _calls_back(body: ClosedJaxpr) -> bool:
     """Whether a branch calls Python, as one does that raises an error."""
     return any(eqn.name == "pure_callback" for eqn in equations(body.jaxpr))
 
 
-def _need_reals(eqn: Equation, real: bool) -> None:
+def _need_reals(eqn: JaxprEquation, real: bool) -> None:
     """Refuse operations whose results are not numbers and, with `real`, those that shorten numbers."""
     name, given = eqn.name, [atom.aval.dtype for atom in eqn.invars if hasattr(atom.aval, "dtype")]
     made = [atom.aval.dtype for atom in eqn.outvars if hasattr(atom.aval, "dtype")]
@@ -242,7 +242,7 @@ def _digits(dtype) -> int | None:
     return jnp.finfo(dtype).nmant if jnp.issubdtype(dtype, jnp.floating) else None
 
 
-def _line(eqn: Equation, outer: Callable[[], str]) -> str:
+def _line(eqn: JaxprEquation, outer: Callable[[], str]) -> str:
     """The place in the user's code that asked for an operation; for a function inside JAX, that of its caller."""
     place, _, function = source_info_util.summarize(eqn.source_info).partition(" ")
     file, *rest = place.split(":")

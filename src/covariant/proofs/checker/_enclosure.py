@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from covariant.lowering import STUMPFF, Body, Branch, Call, Equation, LoweringError, Scan, equations, needed
+from covariant.lowering import STUMPFF, Branch, Call, ClosedJaxpr, JaxprEquation, LoweringError, Scan, equations, needed
 from covariant.proofs.checker._primitives import (
     ARRAYS,
     ENTRIES,
@@ -24,7 +24,7 @@ from covariant.proofs.checker._primitives import (
 from covariant.proofs.checker._taylor import ROUND, Taylor, UndecidedError, curve, exact, forget
 
 
-def _refuse_shortened(eqn: Equation) -> None:
+def _refuse_shortened(eqn: JaxprEquation) -> None:
     """Refuse conversion to a shorter type, which is not a function of real numbers."""
     if eqn.name == "reduce_precision":
         raise ValueError("the model makes numbers shorter, by 'reduce_precision'")
@@ -70,7 +70,7 @@ class TaylorEnclosure:
         watch: Literal["", "defined", "smooth"] = "",
     ):
         closed = jax.make_jaxpr(function)(jnp.asarray(low))
-        self.body = Body(closed.jaxpr, closed.consts) if watch else needed(closed)
+        self.body = ClosedJaxpr(closed.jaxpr, closed.consts) if watch else needed(closed)
         self.needs = {"": {}, "defined": NEEDS, "smooth": NEEDS | STAYS}[watch] if watch else None
         self.free, self.slack, self._places = high > low, slack, {}
 
@@ -112,7 +112,7 @@ class TaylorEnclosure:
                     for k in m:
                         self._blame[k] += np.where(lost & np.isfinite(t), abs(t), 0.0)
 
-    def _run(self, body: Body, args: Sequence) -> list:
+    def _run(self, body: ClosedJaxpr, args: Sequence) -> list:
         known = dict(zip([*body.jaxpr.constvars, *body.jaxpr.invars], [*body.consts, *args], strict=True))
 
         def read(atom) -> np.ndarray:
@@ -138,7 +138,7 @@ class TaylorEnclosure:
             known |= {v: _settled(value, v) for v, value in zip(eqn.outvars, out, strict=True)}
         return [read(atom) for atom in body.jaxpr.outvars]
 
-    def _look(self, eqn: Equation, x: list) -> None:
+    def _look(self, eqn: JaxprEquation, x: list) -> None:
         """Note the boxes on which a primitive is undefined, has an argument that is not finite, or jumps."""
         name = eqn.name
         need = (self.needs or {}).get(name)
@@ -155,7 +155,7 @@ class TaylorEnclosure:
             for entries in zip(*(a.flat for a in np.broadcast_arrays(*pairs)), strict=True):
                 self._judge(need(*entries), *(entry for entry in entries[-1:] if isinstance(entry, Taylor)))
 
-    def _work(self, eqn: Equation, x: list) -> list:
+    def _work(self, eqn: JaxprEquation, x: list) -> list:
         """Apply a primitive to numbers; `x` may also hold known indices and truth values."""
         name, p, atoms = eqn.name, eqn.params, eqn.invars
         chosen = name == "select_n" and x[0].dtype != object
@@ -175,7 +175,7 @@ class TaylorEnclosure:
             return [each(ENTRIES[name], *(a if a.dtype == object else each(exact, a.astype(float)) for a in x))]
         raise ValueError(f"the operation '{name}' is not known to the check")
 
-    def _move(self, eqn: Equation, x: list) -> list:
+    def _move(self, eqn: JaxprEquation, x: list) -> list:
         """Apply a primitive to known numbers, or let it move entries."""
         pairs = [(a, a.dtype == object) for a in x]
         key = (eqn.name, *eqn.outvars, *(a.tobytes() for a, real in pairs if not real))

@@ -6,7 +6,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from covariant.lowering import Body, Branch, Call, LoweringError, Scan, While, equations
+from covariant.lowering import Branch, Call, ClosedJaxpr, LoweringError, Scan, While, equations
 from covariant.proofs.checker._primitives import is_real, unrolled
 
 
@@ -19,7 +19,7 @@ def plain(function: Callable) -> Callable:
     def inlined(*x: Any) -> Any:
         closed, shape = jax.make_jaxpr(function, return_shape=True)(*x)
         try:
-            found = _inlined(Body(closed.jaxpr, closed.consts), jax.tree.leaves(x))
+            found = _inlined(ClosedJaxpr(closed.jaxpr, closed.consts), jax.tree.leaves(x))
         except LoweringError as error:
             raise ValueError(f"{error}") from error
         return jax.tree.unflatten(jax.tree.structure(shape), found)
@@ -37,7 +37,7 @@ CHOICES: dict[str, Callable] = {
 }
 
 
-def _inlined(body: Body, x: Sequence) -> list:
+def _inlined(body: ClosedJaxpr, x: Sequence) -> list:
     known = dict(zip([*body.jaxpr.constvars, *body.jaxpr.invars], [*body.consts, *x], strict=True))
 
     def read(atom: Any) -> Any:

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from covariant.lowering import Body, Scan
+from covariant.lowering import ClosedJaxpr, Scan
 from covariant.proofs.checker._taylor import (
     CURVES,
     HALF,
@@ -201,7 +201,7 @@ def _is_floating(dtype: Any) -> bool:
     return jnp.issubdtype(dtype, jnp.floating)
 
 
-def unrolled(scan: Scan, x: list, run: Callable[[Body, list], list], stack: Callable) -> list:
+def unrolled(scan: Scan, x: list, run: Callable[[ClosedJaxpr, list], list], stack: Callable) -> list:
     """The results of a scan with arguments x, with `run(body, arguments)` for each of its turns."""
     first, last = scan.fixed, scan.fixed + scan.carried
     carry, rows = x[first:last], []
