@@ -11,13 +11,13 @@ from pathlib import Path
 import numpy as np
 from scipy.optimize import minimize
 
-from covariant.cli._fit import when_true
-from covariant.cli._tune import warning
 from covariant.design import observer_gains, tune
 from covariant.design._filters import relative_error
 from covariant.observers import Intrinsic, run
 from covariant.scoring import scored_window
+from covariant.workflow._aligned import aligned
 from covariant.workflow._inputs import Job, data_sheet
+from covariant.workflow._tune_to_logs import warning
 
 DATA = Path(os.environ["COVARIANT_DATA"])
 DOUBLE = ("multiarm_double", ["multiarm_pendulum/double.csv"], 20.0)
@@ -36,7 +36,9 @@ def too_large(spec: str, factor: float) -> tuple[str, ...]:
 
 def case(name: str, logs: list[str], until: float | None, every: int, factor: float) -> None:
     spec = f"examples/{name}.toml"
-    loaded = [when_true(Job(spec, DATA / log, too_large(spec, factor), every, until, COLUMNS, True)) for log in logs]
+    loaded = [
+        aligned(Job(spec, DATA / log, too_large(spec, factor), every, until, COLUMNS, True)).loaded for log in logs
+    ]
     one, n = loaded[0], loaded[0].file.dimension
     known = None if one.file.quantum is None else np.full(n, one.file.typical_std)
     records, velocities = [each.record for each in loaded], [each.reference.v for each in loaded]

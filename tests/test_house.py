@@ -111,7 +111,8 @@ PUBLIC = {
     "engine": "EngineName FEWEST_ROWS Health Stream compiled run_log run_logs",
     "scale": "Grid Variable map_grid open_grid",
     "workflow": "AbstractResult AbstractTable CertificateCheckResult CertifyResult CompareResult EstimateResult "
-    "MisfitError Progress SimulateResult certify check_certificate check_output compare estimate simulate",
+    "FitResult MisfitError Progress SimulateResult TuneResult certify check_certificate check_model_output "
+    "check_output compare estimate fit simulate tune",
     "simulation": "PiecewiseInputs Sensor hold logged_inputs no_input observe sense simulate simulate_piecewise stamps",
 }
 

@@ -98,7 +98,7 @@ FIRST = ("--set", "parameters.length=[0.4]", "--set", "parameters.gravity=9.0")
             ("--parameters", "length", "--horizon", "5"),
             "windows of 5 s with at least 12 rows and no gap, and 8 are",
         ),
-        (("--parameters", "length", "--horizon", "-1"), "--horizon must be a positive number of seconds; got -1"),
+        (("--parameters", "length", "--horizon", "-1"), "horizon must be a positive number of seconds; got -1"),
     ],
 )
 def test_wrong_arguments_of_fit_are_told_in_one_line(arguments, message):

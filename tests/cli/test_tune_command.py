@@ -11,11 +11,11 @@ from commands import command
 
 from covariant import logs, models
 from covariant.cli import main
-from covariant.cli._fit import when_true
-from covariant.cli._tune import _Runs, _tables
 from covariant.design import HeldOut, NoiseLevels, Tuning
 from covariant.observers import Intrinsic
+from covariant.workflow._aligned import aligned
 from covariant.workflow._inputs import Job
+from covariant.workflow._tune_to_logs import _Runs, _tables
 
 MODEL = """system = "oscillator"
 [columns]
@@ -46,15 +46,15 @@ def inside(folder, monkeypatch):
 
 
 def test_runs_by_both_engines_are_the_same():
-    loaded = when_true(Job("model.toml", Path("log.csv"), (), 1, None, dict.fromkeys(("t", "q", "u", "v", "truth"))))
+    loaded = aligned(Job("model.toml", Path("log.csv"))).loaded
     some = [Intrinsic(loaded.model, a, a**2) for a in (5.0, 10.0, 20.0)]
     by = {engine: _Runs(engine) for engine in ("c", "jax")}
     for observers in (some, some[2:]):
         pairs = [runs(observers, [loaded.record]) for runs in by.values()]
         for ours, theirs in zip(*pairs, strict=True):
             np.testing.assert_allclose(ours.info.innovation, theirs.info.innovation, rtol=1e-9, atol=1e-12)
-    assert by["jax"].told == "jax: as asked"
-    assert by["c"].told == "c" or shutil.which("cc") is None
+    assert by["jax"].description == "jax: as asked"
+    assert by["c"].description == "c" or shutil.which("cc") is None
 
 
 def test_the_file_that_is_written_has_the_noise_of_the_log_and_its_comments():
@@ -99,7 +99,7 @@ def test_joints_that_are_late_by_different_times_are_read_together():
     q = np.stack([np.sin(3 * (t - 0.012)), np.cos(2 * (t - 0.002))], axis=1)
     logs.write(Path("late.csv"), {"t": t, "q1": q[:, 0], "q2": q[:, 1], "u1": t, "u2": 0 * t})
     Path("arm.toml").write_text('system = "pendulum_chain"\n[measurement]\ndelay = [0.012, 0.002]\nstd = 1e-3\n')
-    loaded = when_true(Job("arm.toml", Path("late.csv"), (), 1, None, {}, anyway=True))
+    loaded = aligned(Job("arm.toml", Path("late.csv"), anyway=True)).loaded
     true = loaded.record.t - 0.012
     assert len(true) == 398
     np.testing.assert_allclose(loaded.record.y, np.stack([np.sin(3 * true), np.cos(2 * true)], axis=1), atol=1e-6)

@@ -52,7 +52,7 @@ def test_the_table_is_in_the_units_of_the_model_file(arm, tmp_path):
     file = models.load("pendulum_chain", ARM)
     read = logs.read(path, file.columns._replace(truth=arm.truth_columns))
     np.testing.assert_allclose(read.record.y, arm.record.y, rtol=1e-14)
-    np.testing.assert_allclose(read.truth, arm.record.x[:, 2:], rtol=1e-14)
+    np.testing.assert_allclose(np.asarray(read.truth), arm.record.x[:, 2:], rtol=1e-14)
 
 
 def test_what_is_printed_says_what_there_is(arm):

@@ -28,7 +28,7 @@ from covariant.cli._options import (
     Velocities,
     with_shared_options,
 )
-from covariant.workflow import check_output
+from covariant.workflow import check_model_output, check_output
 
 on_logs = typer.Typer()
 
@@ -137,6 +137,7 @@ def check(
 
 
 @on_logs.command()
+@with_shared_options
 def fit(
     model: Model,
     log_files: Annotated[
@@ -145,6 +146,8 @@ def fit(
             metavar="LOG...", help="Logs to fit; the last of several, or the last third of one, is held out."
         ),
     ],
+    rows: Rows,
+    names: ColumnNames,
     parameters: Annotated[
         str, typer.Option(help="Numbers to fit, by commas: mass, com[0] of [parameters], or inputs.lag.")
     ],
@@ -156,12 +159,6 @@ def fit(
         float | None, typer.Option(help="Length of predictions [s]; by default as the motion suggests.")
     ] = None,
     override: Override = [],  # noqa: B006  typer copies it
-    every: Every = 1,
-    start: From = None,
-    until: Until = None,
-    t: Time = None,
-    q: Positions = None,
-    u: Inputs = None,
     anyway: Anyway = False,
     json: Json = False,
 ) -> None:
@@ -169,43 +166,59 @@ def fit(
 
     Exit code 1 where the fitted model predicts worse than before what is held out; it is not written then.
     """
-    from covariant.cli import _fit
-    from covariant.workflow._inputs import Job
-
-    columns = {"t": t, "q": q, "u": u, "v": None, "truth": None}
-    jobs = [Job(model, log, tuple(override), every, until, columns, anyway, start) for log in log_files]
-    _fit.fit_model(jobs, parameters, out, overwrite, horizon, json)
+    check_model_output(model, out, overwrite)
+    with progress_bar(quiet=json) as progress:
+        result = workflow.fit(
+            model,
+            log_files,
+            parameters,
+            horizon=horizon,
+            overrides=override,
+            columns=names._asdict(),
+            anyway=anyway,
+            progress=progress,
+            **rows._asdict(),
+        )
+    show(result, json, out if result.better else None, overwrite=overwrite)
+    if result.exit_code:
+        raise typer.Exit(result.exit_code)
 
 
 @on_logs.command()
+@with_shared_options
 def tune(
     model: Model,
     log_files: Annotated[
         list[Path], typer.Argument(metavar="LOG...", help="Logs; the last third of each is held out to judge by.")
     ],
+    rows: Rows,
+    names: ColumnNames,
     out: Annotated[
         Path | None,
         typer.Option("--out", "-o", "--write", help="Write the model file with the tuned numbers here (.toml)."),
     ] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Let --out replace a file that exists.")] = False,
     override: Override = [],  # noqa: B006  typer copies it
-    every: Every = 1,
-    until: Until = None,
-    t: Time = None,
-    q: Positions = None,
-    u: Inputs = None,
     report: Report = None,
     engine: By = "auto",
     anyway: Anyway = False,
     json: Json = False,
 ) -> None:
     """Tune noise and gains to logs by the likelihood of their innovations, and judge them on what was held out."""
-    from covariant.cli import _tune
-    from covariant.workflow._inputs import Job
-
-    columns = {"t": t, "q": q, "u": u, "v": None, "truth": None}
-    jobs = [Job(model, log, tuple(override), every, until, columns, anyway) for log in log_files]
-    _tune.tune_model(jobs, out, overwrite, report, engine, json)
+    check_model_output(model, out, overwrite)
+    check_output(report, ".html")
+    with progress_bar(quiet=json) as progress:
+        result = workflow.tune(
+            model,
+            log_files,
+            overrides=override,
+            columns=names._asdict(),
+            anyway=anyway,
+            engine=engine,
+            progress=progress,
+            **rows._asdict(),
+        )
+    show(result, json, out, report, overwrite=overwrite)
 
 
 @on_logs.command()

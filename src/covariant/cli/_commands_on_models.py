@@ -49,19 +49,22 @@ def simulate(
 ) -> None:
     """Simulate a model and its sensors, and write the log with the true state beside the measurements."""
     check_output(out, *WRITTEN)
-    several = {"q0": q0, "v0": v0, "amplitude": amplitude, "noise": noise, "quantum": quantum}
     with progress_bar(quiet=json) as progress:
         result = workflow.simulate(
             model,
             duration=duration,
             rate=rate,
+            q0=number_list("q0", q0),
+            v0=number_list("v0", v0),
+            amplitude=number_list("amplitude", amplitude),
             frequency=frequency,
+            noise=number_list("noise", noise) or 0.0,
+            quantum=number_list("quantum", quantum) or 0.0,
             jitter=jitter,
             dropout=dropout,
             seed=seed,
             overrides=override,
             progress=progress,
-            **{name: number_list(name, text) for name, text in several.items()},
         )
     show(result, json, out)
 

@@ -116,7 +116,7 @@ def tune(
     *,
     std: Float[np.ndarray, "n"] | None = None,
     before: DataSheet | None = None,
-    told: Callable[[str], object] = lambda stage: None,
+    progress: Callable[[str], object] = lambda stage: None,
     runs: Runs | None = None,
 ) -> Tuning:
     """Gains and noise for a model, from the first two thirds of each record and confirmed on the rest.
@@ -125,20 +125,20 @@ def tune(
       choice of the filters without a model is tuned to it.
     - `std` (n,): least standard deviation of a reading, such as that of one tick of an encoder.
     - `before`: a data sheet whose gains and noise are judged beside those that are found.
-    - `told`: called with the name of each of the four stages when it begins.
+    - `progress`: called with the name of each of the four stages when it begins.
     - `runs`: what runs the observers with constant gains, of which there are dozens; by default JAX, one by one.
 
     Raises `ValueError` where a record is too short, and where no gains give a finite estimate.
     """
     logs = [_prepared(model, record, velocity) for record, velocity in zip(records, velocities, strict=True)]
-    told("gains")
+    progress("gains")
     by = runs or _by_jax
     frequency, damping, size = _best_gains(model, logs, by)
-    told("noise")
+    progress("noise")
     found = _followed(model, logs, frequency, damping, by)
     systems = [_system(model, log, estimate) for log, estimate in zip(logs, found, strict=True)]
     noise = _best_noise(logs, systems, frequency, size, std)
-    told("held-out rows")
+    progress("held-out rows")
     was = None
     if before is not None:
         gains = observer_gains(before, logs[0].rate)
@@ -146,7 +146,7 @@ def tune(
         earlier = _followed(model, logs, gains.beta**0.5, ratio, by)
         was = _judged(logs, systems, found, earlier, given_noise(before, logs[0].rate, size.shape[0]))
     after = _judged(logs, systems, found, found, noise)
-    told("filters without a model")
+    progress("filters without a model")
     free = _best_model_free(model, logs, noise, before)
     return Tuning(frequency, damping, noise, was, after, free, sum(int(log.tuned.sum()) for log in logs))
 

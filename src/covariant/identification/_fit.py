@@ -67,6 +67,8 @@ class Fit(NamedTuple):
     - `scale` (n,): robust standard deviation of what is new in the errors of the positions [units of the frame].
     - `frequency` [rad/s]: of the filter that follows these errors; far below one in a window where they are white.
     - `steps`: number of steps taken.
+    - `cost`: negative logarithm of the likelihood of what is new in the errors, up to a constant that is the same for
+      all models and inputs on the same rows.
     """
 
     names: tuple[str, ...]
@@ -77,6 +79,7 @@ class Fit(NamedTuple):
     scale: Float[NumpyArray, "n"]
     frequency: float
     steps: int
+    cost: float
 
     @property
     def determined(self) -> Bool[NumpyArray, "p"]:
@@ -84,11 +87,18 @@ class Fit(NamedTuple):
         return np.isfinite(self.standard_errors)
 
 
-def fit(family: Family, windows: Windows, told: Callable[[int, int], object] = lambda *_: None) -> Fit:
+def fit(
+    family: Family,
+    windows: Windows,
+    progress: Callable[[int, int], object] = lambda *_: None,
+    start: Float[NumpyArray, "p"] | None = None,
+) -> Fit:
     """The numbers of a family for which its model predicts the windows best.
 
     - `windows`: of one log or several, from `windows`.
-    - `told`: called with the numbers of the round and of its step before each step, from 0.
+    - `progress`: called with the numbers of the round and of its step before each step, from 0.
+    - `start` (p,): where the search starts, such as the values of a fit to other inputs; the family's first values by
+      default. The prior, and what is not determined, stay at the first values.
 
     Positive numbers are sought by their logarithms. What the log does not determine keeps its first value, and is named
     by `Fit.undetermined`. Raises `ValueError` where the model's first prediction is not finite.
@@ -97,10 +107,12 @@ def fit(family: Family, windows: Windows, told: Callable[[int, int], object] = l
     model = family.file.need_mechanical(family.file.name, "numbers are fitted for")
     problem = _Problem(family.make, jnp.asarray(family.first), family.positive, needed_substeps(model, windows))
     offered = frequencies(windows)
-    now = _begin(problem, windows, offered[:1])
-    held, taken = _Held(np.zeros((len(family.first),) * 2), now.z), 0
+    now = _begin(
+        problem, windows, offered[:1], np.zeros(len(family.first)) if start is None else problem.relative(start)
+    )
+    held, taken = _Held(np.zeros((len(family.first),) * 2), np.zeros(len(family.first))), 0
     for k in range(ROUNDS):
-        now, steps = _descend(problem, windows, now, held, functools.partial(told, k))
+        now, steps = _descend(problem, windows, now, held, functools.partial(progress, k))
         taken += steps
         now = _weighed(problem, windows, now, offered if k == 0 else np.atleast_1d(now.weighing.frequency))
         if 0 < k < ROUNDS - 1:  # where the filter is new the numbers are not yet those that it finds
@@ -119,7 +131,8 @@ def fit(family: Family, windows: Windows, told: Callable[[int, int], object] = l
     rows = np.concatenate([rows, np.eye(len(small))[small]])
     errors = np.where((part < PURE) & ~small, np.sqrt(np.maximum(variance, 0.0)), np.nan)
     frequency, scale = now.weighing
-    return Fit(family.names, family.first, values, errors, rows, np.asarray(scale), float(frequency), taken)
+    cost = float(np.sum(now.blocks.loss) + np.sum(np.log(scale) * np.sum(now.blocks.seen, axis=(0, 1))))
+    return Fit(family.names, family.first, values, errors, rows, np.asarray(scale), float(frequency), taken, cost)
 
 
 class _Problem(NamedTuple):
@@ -139,6 +152,11 @@ class _Problem(NamedTuple):
         """The numbers at relative changes z (p,): logarithms of ratios for positive ones."""
         ratio = jnp.asarray(self.first * jnp.exp(z))
         return jnp.where(jnp.asarray(self.positive), ratio, jnp.asarray(self.first + self.size * z))
+
+    def relative(self, values: Float[NumpyArray, "p"]) -> Float[NumpyArray, "p"]:
+        """The relative changes z (p,) at which the numbers are these."""
+        ratio = np.where(np.asarray(self.positive), values / np.asarray(self.first), 1.0)
+        return np.where(np.asarray(self.positive), np.log(ratio), (values - self.first) / np.asarray(self.size))
 
     def kept(self, z: NumpyArray) -> NumpyArray:
         """Where what is undetermined is held (p,): at first values, or what a number is that all but vanished."""
@@ -205,10 +223,10 @@ def _weighed(problem: _Problem, windows: Windows, now: _Point, among: NumpyArray
     )
 
 
-def _begin(problem: _Problem, windows: Windows, frequency: Float[NumpyArray, "1"]) -> _Point:
-    """Where a search begins: the first values, and measured positions with reference velocities."""
+def _begin(problem: _Problem, windows: Windows, frequency: Float[NumpyArray, "1"], z: Float[NumpyArray, "p"]) -> _Point:
+    """Where a search begins: relative changes z of the numbers, and measured positions with reference velocities."""
     count, n = windows.v.shape[0], windows.v.shape[-1]
-    z, s = np.zeros(len(problem.first)), np.zeros((count, 2 * n))
+    s = np.zeros((count, 2 * n))
     now = _at(problem, windows, z, s, Weighing(frequency[0], np.ones(n)))
     if not np.isfinite(now.blocks.errors[now.blocks.seen]).all():
         raise ValueError("the model predicts no finite motion with its first values; mend these")
@@ -250,13 +268,13 @@ def _made(problem: _Problem, z: Array, windows: Windows) -> tuple[Any, Float[Arr
 
 
 def _descend(
-    problem: _Problem, windows: Windows, now: _Point, held: _Held, told: Callable[[int], object]
+    problem: _Problem, windows: Windows, now: _Point, held: _Held, progress: Callable[[int], object]
 ) -> tuple[_Point, int]:
     """The least loss from a point on, by steps of Levenberg and Marquardt, and their number."""
     now = _at(problem, windows, now.z, now.s, now.weighing)
     damping, growth = 1e-3, 2.0
     for k in range(MOST_STEPS):
-        told(k)
+        progress(k)
         dz, ds, promised = _step(now, held, damping)
         if promised < TOLERANCE:
             return now, k

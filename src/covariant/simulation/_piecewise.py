@@ -50,8 +50,8 @@ class PiecewiseInputs(eqx.Module):
 
     def at(self, interval: int, t: Number) -> Float[NumpyArray, "m"]:
         """The inputs (m,) at a time t [s] in the interval with this number, from 0."""
-        pieces = self.begin, self.value, self.rate, self.transient
-        return np.asarray(_acting(*(part[interval] for part in pieces), self.decay, t, None))
+        value, rate, transient = (part[interval] for part in (self.value, self.rate, self.transient))
+        return np.asarray(_acting(self.begin[interval], value, rate, transient, self.decay, t))
 
 
 def logged_inputs(
@@ -144,6 +144,6 @@ def simulate_piecewise(
     return jax.lax.scan(interval, x0, pieces)[1]
 
 
-def _acting(begin: Any, value: Any, rate: Any, transient: Any, decay: Any, t: Any, x: Any) -> Array:
+def _acting(begin: Any, value: Any, rate: Any, transient: Any, decay: Any, t: Any, x: Any = None) -> Array:
     s = t - begin
     return value + rate * s + transient * jnp.exp(-decay * s)

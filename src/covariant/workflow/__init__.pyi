@@ -6,8 +6,11 @@ from ._certify import (
 )
 from ._compare import CompareResult as CompareResult, compare as compare
 from ._estimate import EstimateResult as EstimateResult, estimate as estimate
+from ._fit import FitResult as FitResult, fit as fit
 from ._inputs import MisfitError as MisfitError
+from ._model_output import check_model_output as check_model_output
 from ._outputs import check_output as check_output
 from ._progress import Progress as Progress
 from ._result import AbstractResult as AbstractResult, AbstractTable as AbstractTable
 from ._simulate import SimulateResult as SimulateResult, simulate as simulate
+from ._tune import TuneResult as TuneResult, tune as tune

@@ -11,6 +11,10 @@ Region = Mapping[str, Sequence[float | int]]
 """Low and high ends of coordinates by name, such as `{"theta": (-1.0, 1.0)}`."""
 Amounts = float | int | Sequence[Any] | np.ndarray
 """A number, or numbers."""
+Overrides = Sequence[str] | Mapping[str, Any]
+"""Values that replace those of a model file, as for `models.load`, for verbs that check before they load."""
+ColumnNames = Mapping[str, str | Sequence[str] | None]
+"""Columns of a log for the fields t, q, u, v and truth: names, or one text with names separated by commas."""
 
 
 def numbers(

@@ -13,6 +13,7 @@ from covariant.diagnosis import misfit, outliers
 from covariant.models import Overrides
 from covariant.observers import REGISTRY, AbstractObserver, Delayed, Slow, sensor_bias, uncertain_parameters
 from covariant.signals import Record, acting_inputs, lag_inputs
+from covariant.workflow._arguments import ColumnNames as ColumnNames
 from covariant.workflow._outputs import check_output as check_output
 
 FEWEST_MOVES = 50
@@ -21,10 +22,6 @@ MOST_REVERSALS, QUICK = 0.05, 5
 """Largest fraction of changes that undo one within so few samples, as noise makes them and a motion seldom does."""
 OFF_TICK = 0.1
 """How far differences of positions may be from whole ticks, as a fraction of one: logs hold few digits."""
-
-
-ColumnNames = Mapping[str, str | Sequence[str] | None]
-"""Columns of a log for the fields t, q, u, v and truth: names, or one text with names separated by commas."""
 
 
 class Job(NamedTuple):
@@ -136,7 +133,9 @@ def load(job: Job, score: bool = True, why: str = "") -> Loaded:
         reference = ReferenceVelocity(log.truth, f"true {model.sought.what}", scoring.scored_window(t))
     elif score and file.mechanical:  # the slopes of outputs are no states
         whole = (job.every, job.until, job.start) == (1, None, None)
-        full = log if whole else logs.read(job.log, columns._replace(u=(), v=()))
+        # A record has its inputs without names; of other logs only the positions are needed.
+        needed = columns if isinstance(job.log, Record) else columns._replace(u=(), v=())
+        full = log if whole else logs.read(job.log, needed)
         reference = ReferenceVelocity(*_slopes(file, log, full), scoring.scored_window(t))
     return Loaded(file, model, log, record, 1 / float(np.median(np.diff(t))), reference, note + _told(file))
 

@@ -7,9 +7,7 @@ from typing import Any
 import numpy as np
 
 from covariant import logs
-from covariant.models import Overrides
-from covariant.signals import Record
-from covariant.workflow._arguments import Amounts
+from covariant.workflow._arguments import Amounts, Overrides
 from covariant.workflow._outputs import check_output
 from covariant.workflow._progress import Progress, silent
 from covariant.workflow._result import AbstractTable
@@ -85,16 +83,16 @@ class SimulateResult(AbstractTable):
     Attributes:
         model_name: The model, by its path or name.
         mechanical: Whether the model is a mechanical system; otherwise it is a state-space model.
-        layout: The columns of the log as the model file names them, and their units there.
-        record: Stamps, inputs, measurements and the true state x, in SI units.
+        layout: The `logs.Columns`: names of the log as the model file names them, and their units there.
+        record: The `Record`: stamps, inputs, measurements and the true state x, in SI units.
         truth_columns: The columns of the true velocities, or of the states of a state-space model.
         si_columns, si_units: The columns in SI units and radians, and these units.
     """
 
     model_name: str
     mechanical: bool
-    layout: logs.Columns
-    record: Record
+    layout: Any
+    record: Any
     truth_columns: tuple[str, ...]
     si_columns: dict[str, np.ndarray]
     si_units: dict[str, str]

@@ -44,10 +44,11 @@ def simulated_log(
     late = everything.y[rows[0]]
     if len(delays) > 1:
         late = np.stack([everything.y[row, i] for i, row in enumerate(rows)], axis=1)
-    record = Record(t, u, _sense(file.model, sensor, late, scenario.seed), x)
+    measured = _sense(file.model, sensor, late, scenario.seed)
+    record = Record(t, u, measured, x)
     layout = _layout(file)
     configuration, hidden = _truth(file, layout, true, x)
-    columns = {layout.t: t} | logs.to_columns(layout, record.y) | dict(zip(layout.u, u.T, strict=True))
+    columns = {layout.t: t} | logs.to_columns(layout, measured) | dict(zip(layout.u, u.T, strict=True))
     columns |= {f"true_{key}": column for key, column in (configuration | hidden).items()}
     names = tuple(f"true_{key}" for key in hidden)
     return name, file.mechanical, layout, record, names, columns, _units(file, layout, tuple(hidden))

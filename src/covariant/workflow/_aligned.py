@@ -1,0 +1,61 @@
+"""Logs in the times at which their positions were true, for `fit` and `tune`."""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from covariant import models, scoring
+from covariant.models import Overrides
+from covariant.signals import Record, acting_inputs, lag_inputs, read_together
+from covariant.workflow._inputs import Job, Loaded, ReferenceVelocity, load
+
+
+class Aligned(NamedTuple):
+    """A log in the times at which its positions were true.
+
+    Args:
+        loaded: Model and log; the inputs of its `log` act without their lag, those of its `record` with it.
+        raw: The record with its inputs as they are logged.
+        late: How long after its row an input acts [s].
+    """
+
+    loaded: Loaded
+    raw: Record
+    late: float
+
+    def commanded(self, between: str) -> Record:
+        """The record with the inputs that act in each step, without their lag, where they are "held" or "linear"."""
+        return acting_inputs(self.raw, between, self.late)
+
+
+def aligned(job: Job) -> Aligned:
+    """Read a log, its rows at the times at which the positions were true.
+
+    Where one coordinate is later than another they are interpolated to the times of the latest.
+    """
+    file = models.load(job.model, job.overrides)
+    delay = np.asarray(file.delay, float)
+    undelayed = job._replace(overrides=_with(job.overrides, "measurement.delay", 0))
+    loaded = load(undelayed, why="this command takes")
+    if np.ptp(delay) > 0:
+        loaded = _together(loaded, delay)
+    between, late = file.input_between, file.input_delay + float(delay.max())
+    raw, lagging = loaded.log.record, lag_inputs(loaded.log.record, file.input_lag)
+    log = loaded.log._replace(record=acting_inputs(raw, between, late))
+    return Aligned(loaded._replace(log=log, record=acting_inputs(lagging, between, late)), raw, late)
+
+
+def _with(overrides: Overrides, key: str, value: Any) -> Overrides:
+    return {**overrides, key: value} if isinstance(overrides, Mapping) else (*overrides, f"{key}={value}")
+
+
+def _together(loaded: Loaded, delay: np.ndarray) -> Loaded:
+    """The log with all positions as they were at one time, and reference velocities at these times."""
+    file, log = loaded.file, loaded.log
+    y = scoring.unwrap(np.asarray(log.record.y), loaded.model.circles)
+    record = read_together(log.record._replace(y=y), np.broadcast_to(delay, y.shape[1]))
+    t = np.asarray(record.t)
+    slopes = scoring.zero_phase_velocity(t, np.asarray(record.y), t, file.reference_half, int(file.reference_order))
+    reference = ReferenceVelocity(slopes, "zero-phase reference", scoring.scored_window(t))
+    return loaded._replace(log=log._replace(record=record, v=None, truth=None), reference=reference)

@@ -1,0 +1,216 @@
+"""`fit`: the numbers of a model file that predict logs best, with standard errors, judged on what is held out."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from covariant.workflow._arguments import ColumnNames, Overrides
+from covariant.workflow._model_output import as_logs, check_model_output, model_text, seen_logs
+from covariant.workflow._progress import Progress, silent
+from covariant.workflow._result import AbstractTable
+
+
+def fit(
+    model: Any,
+    log: Any,
+    parameters: str | Sequence[str],
+    *,
+    horizon: float | None = None,
+    overrides: Overrides = (),
+    every: int = 1,
+    start: float | None = None,
+    until: float | None = None,
+    columns: ColumnNames | None = None,
+    anyway: bool = False,
+    progress: Progress = silent,
+) -> "FitResult":
+    """Fit numbers of a model to logs, with standard errors, and name what the logs do not determine.
+
+    Where the model file does not say how inputs go from one stamp to the next, `inputs.between`, both ways are tried,
+    and the one is taken that explains the logs better.
+
+    Args:
+        model: A model file (.toml), `module:attribute`, or the name of a system or a robot of the library: something
+            that is made anew with other numbers.
+        log: A path, a `Record`, a DataFrame or an xarray Dataset, or a list of them. The last of several is held out to
+            judge the fit by, or the last third of one.
+        parameters: The numbers to fit: "mass" or "com[0]" of [parameters], or "inputs.lag"; several in a list, or
+            separated by commas.
+        horizon: Length of the predictions [s]; by default as the motion suggests.
+        overrides: Values that replace those of the model file, such as other first values.
+        every: Use each k-th row.
+        start, until: Use the logs from and up to this time [s] since their first rows.
+        columns: Names of columns by field (t, q, u) that replace those of the model file.
+        anyway: Go on with a log that does not fit the model at all.
+        progress: Called with a description and a fraction as the work goes on.
+
+    Returns:
+        The numbers before and after with their standard errors, and the errors on what is held out.
+
+    Raises:
+        MisfitError: Where the model explains nothing of the motion in a log.
+        ValueError: For arguments, a model or a log that cannot be used.
+
+    Example:
+        >>> import covariant
+        >>> heavy = {"parameters.stiffness": 1.3}
+        >>> log = covariant.simulate("oscillator", duration=60.0, rate=20.0, q0=1.0, noise=1e-3, overrides=heavy)
+        >>> result = covariant.fit("oscillator", log.record, "stiffness", overrides={"parameters.stiffness": 1.0})
+        >>> bool(abs(result.values[0] - 1.3) < 0.01)
+        True
+    """
+    if not isinstance(model, str | PathLike):
+        raise ValueError(
+            f"model: a fit makes the model anew with other numbers, so it takes a model file, a name or "
+            f"module:attribute, and no finished {type(model).__name__}"
+        )
+    if horizon is not None and not 0 < horizon < math.inf:
+        raise ValueError(f"horizon must be a positive number of seconds; got {horizon}")
+    names = parameters.split(",") if isinstance(parameters, str) else list(parameters)
+    given = as_logs(log)
+    # What computes is loaded after the arguments are checked.
+    from covariant.workflow._fit_to_logs import fit_to_logs
+    from covariant.workflow._inputs import Job
+
+    jobs = [Job(model, one, overrides, every, until, columns or {}, anyway, start) for one in given]
+    return FitResult(*fit_to_logs(jobs, names, horizon, progress))
+
+
+@dataclass(frozen=True, repr=False)
+class FitResult(AbstractTable):
+    """Numbers of a model fitted to logs: a table of their names, values before and after, and standard errors.
+
+    Attributes:
+        jobs: The model and the logs, a `Job` each.
+        content: The content of the model file with the fitted numbers.
+        details: All numbers and sentences as plain data, which `summary` gives.
+    """
+
+    jobs: list[Any]
+    content: dict[str, Any]
+    details: dict[str, Any]
+
+    @property
+    def values(self) -> np.ndarray:
+        """The fitted numbers (p,)."""
+        return self.columns["after"]
+
+    @property
+    def standard_errors(self) -> np.ndarray:
+        """Their standard errors (p,); NaN where the logs do not determine a number by itself."""
+        return self.columns["standard_error"]
+
+    @property
+    def better(self) -> bool:
+        """Whether the fitted model predicts what is held out at least as well as before."""
+        return self.details["better"]
+
+    @property
+    def exit_code(self) -> int:
+        """Exit code of the command: 1 where the fitted model is worse than before."""
+        return 0 if self.better else 1
+
+    @property
+    def columns(self) -> dict[str, np.ndarray]:
+        rows = self.details["parameters"]
+        numbers = {key: np.array([row[key] for row in rows], float) for key in ("before", "after", "standard_error")}
+        names = np.array([row["name"] for row in rows], dtype=object)
+        return {"parameter": names, **numbers, "determined": np.array([row["determined"] for row in rows])}
+
+    @property
+    def summary(self) -> dict[str, Any]:
+        return self.details
+
+    @property
+    def headline(self) -> str:
+        return ", ".join(
+            f"{row['name']} = {row['after']:.5g}"
+            + (" (not determined)" if row["standard_error"] is None else f" ± {row['standard_error']:.2g}")
+            for row in self.details["parameters"]
+        )
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What the logs do not determine, and that the fit is worse on what is held out, where it is."""
+        worse = (
+            "The fitted model is worse on what it has not seen, so it is not written: look for columns, units or signs "
+            "that are wrong, or give longer logs, other first values, or fewer parameters.",
+        )
+        return (
+            *(f"Not determined: {sentence}." for sentence in self.details["undetermined"]),
+            *(() if self.better else worse),
+        )
+
+    def save(self, path: str | Path, overwrite: bool = False) -> Path:
+        """Write the model file with the fitted numbers (.toml); comments and layout stay.
+
+        Args:
+            path: The file to write.
+            overwrite: Whether a file that exists may be replaced, the model file itself included.
+
+        Raises:
+            ValueError: Where it may not be written, or the fitted model is worse than before on what is held out.
+        """
+        from covariant import models
+        from covariant._files import write_atomically
+
+        if not self.better:
+            raise ValueError(f"{path}: {self.warnings[-1]}")
+        job = self.jobs[0]
+        check_model_output(job.model, path, overwrite)
+        text = self._head() + models.rewrite(model_text(job.model), self.content)
+        return write_atomically(path, lambda file: file.write(text.encode()))
+
+    def _head(self) -> str:
+        """Comment lines that say what has been fitted, how well it is known, and what is still a first value."""
+        lines = [
+            f"# Fitted by covariant fit to {seen_logs([job.log_name for job in self.jobs])}; ± is one standard error:"
+        ]
+        for row in self.details["parameters"]:
+            error = row["standard_error"]
+            lines.append(f"#   {row['name']} = {row['after']:.5g}" + (f" ± {error:.2g}" if error is not None else ""))
+        return "\n".join([*lines, *(f"#   {sentence}." for sentence in self.details["undetermined"]), "", ""])
+
+    def __str__(self) -> str:
+        from covariant.report import table
+
+        result = self.details
+        numbers = [
+            {
+                "parameter": row["name"],
+                "before": f"{row['before']:.5g}",
+                "after": f"{row['after']:.5g}",
+                "± standard error": "—" if row["standard_error"] is None else f"{row['standard_error']:.2g}",
+                "determined": row["determined"],
+            }
+            for row in result["parameters"]
+        ]
+        errors = [
+            {
+                "coordinate": f"{name} [{unit}]" if unit else name,
+                **{
+                    f"{kind.replace('_', ' ')}, {when}": result["held_out_errors"][when][kind][i]
+                    for kind in ("one_step", "position", "velocity")
+                    for when in ("before", "after")
+                },
+            }
+            for i, (name, unit) in enumerate(zip(result["coordinates"], result["units"], strict=True))
+        ]
+        lines = [
+            f"{result['windows']} windows of {result['horizon']:.3g} s of {', '.join(result['logs'])}",
+            *([result["inputs"]["sentence"]] if result["inputs"]["sentence"] else []),
+            "",
+            table(numbers),
+            *self.warnings[: len(result["undetermined"])],
+            f"Errors (RMS) of predictions over {result['horizon']:.3g} s of {result['held_out']}, velocities against "
+            f"the {result['scored_against']} [unit/s]:",
+            "",
+            table(errors),
+            *self.warnings[len(result["undetermined"]) :],
+        ]
+        return "\n".join(lines)

@@ -1,0 +1,164 @@
+"""Computes a fit to logs, under inputs that are held or linear between stamps, and judges it on what is held out."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from covariant import models
+from covariant.identification import (
+    FITTED,
+    Fit,
+    PredictionErrors,
+    fit,
+    growth,
+    horizon,
+    prediction_errors,
+    relations,
+    split,
+)
+from covariant.workflow._aligned import Aligned, aligned
+from covariant.workflow._inputs import Job, coordinates
+from covariant.workflow._model_output import seen_logs
+from covariant.workflow._outcome import rounded
+from covariant.workflow._progress import Progress
+
+DIGITS = 7
+"""Significant digits of fitted numbers in a model file."""
+WORST_GROWTH = 1.01
+"""A model whose held-out error is larger than so many times the one before is not written: 1 % is no difference."""
+ROUNDS, STEPS = 4, 25
+"""Rounds of a search and the most steps in one, for the progress."""
+CLEAR = 2.0
+"""Difference of log-likelihoods from which one way that inputs go between stamps explains a log better than another."""
+BETWEEN = ("held", "linear")
+
+
+def fit_to_logs(
+    jobs: list[Job], names: Sequence[str], length: float | None, progress: Progress
+) -> tuple[list[Job], dict[str, Any], dict[str, Any]]:
+    """The fields of a `FitResult`."""
+    progress("reading")
+    spec, overrides = jobs[0].model_name, jobs[0].overrides
+    family = models.family(spec, names, overrides)
+    logs = [aligned(job) for job in jobs]
+    file, references = logs[0].loaded.file, [log.loaded.reference.v for log in logs if log.loaded.reference]
+    part = 1 - FITTED if len(jobs) == 1 else 1.0
+    length = horizon(logs[0].raw, references[0], part) if length is None else length
+    known = file.input_between != BETWEEN[0] or "between" in models.document(spec, overrides).get("inputs", {})
+    tried = BETWEEN if not known and _driven(logs) else (file.input_between,)
+    try:
+        parts = {word: split([log.commanded(word) for log in logs], references, length) for word in tried}
+    except ValueError as error:
+        raise ValueError(f"{', '.join(job.log_name for job in jobs)}: {error}") from error
+    searches = (*tried, *tried[:-1])  # the first once more from where the last ended, so that none is ahead
+    fits: dict[str, Fit] = {}
+    start = None
+    for k, word in enumerate(searches):
+
+        def report(done: int, step: int, k: int = k, word: str = word) -> None:
+            which = f" with {word} inputs" if len(tried) > 1 else ""
+            progress(f"round {done + 1}{which}", (k + (done + step / STEPS) / ROUNDS) / len(searches))
+
+        fits[word] = fit(family, parts[word][0], report, start)
+        start = fits[word].values
+    progress("errors on what is held out", 1.0)
+    used, gain = _better(fits)
+    found, held_out = fits[used], parts[used][1]
+    before = prediction_errors(*family.make(found.first), parts[tried[0]][1])
+    after = prediction_errors(*family.make(found.values), held_out)
+    content = _document(family, found, jobs)
+    if gain is not None and gain >= CLEAR:
+        content.setdefault("inputs", {})["between"] = used
+    inputs = {
+        "between": used,
+        "stated": known,
+        "log_likelihood_gain": None if gain is None else float(f"{gain:.4g}"),
+        "sentence": _sentence(used, gain),
+    }
+    details = _details(jobs, logs, found, length, len(parts[used][0].t), before, after) | {"inputs": inputs}
+    return jobs, content, details
+
+
+def _driven(logs: list[Aligned]) -> bool:
+    """Whether any input changes: one that is constant is the same held and linear."""
+    return any(bool((np.ptp(np.asarray(log.raw.u), axis=0) > 0).any()) for log in logs)
+
+
+def _better(fits: dict[str, Fit]) -> tuple[str, float | None]:
+    """How inputs go between stamps in the fit of the greatest likelihood, and by how much its logarithm is greater.
+
+    The first of the fits where no other is clearly better; None where there is only one.
+    """
+    best = min(fits, key=lambda word: fits[word].cost)
+    others = [found.cost for word, found in fits.items() if word != best]
+    if not others:
+        return best, None
+    gain = min(others) - fits[best].cost
+    return (best if gain >= CLEAR else next(iter(fits))), float(gain)
+
+
+def _sentence(used: str, gain: float | None) -> str:
+    if gain is None:
+        return ""
+    other = next(word for word in BETWEEN if word != used)
+    if gain < CLEAR:
+        return (
+            f"Inputs are taken as {used} from one stamp to the next; the log does not tell that from {other} (the "
+            f"log-likelihoods differ by {gain:.2g})."
+        )
+    way = {"held": "held from one stamp to the next", "linear": "linear between stamps"}[used]
+    return f"Inputs {way} explain the log better than {other} ones, by {gain:.3g} in log-likelihood; they are used."
+
+
+def _document(family: models.Family, found: Fit, jobs: list[Job]) -> dict[str, Any]:
+    """The content of the new file; a text that says where the numbers are from says where they are from now."""
+    content = family.with_values(np.array([float(f"{value:.{DIGITS}g}") for value in found.values]))
+    source = content.get("parameters", {}).get("source")
+    if isinstance(source, str):
+        content["parameters"]["source"] = (
+            f"fitted to {seen_logs([job.log_name for job in jobs])} from first values of: {source}"
+        )
+    return content
+
+
+def _details(
+    jobs: list[Job],
+    logs: list[Aligned],
+    found: Fit,
+    length: float,
+    count: int,
+    before: PredictionErrors,
+    after: PredictionErrors,
+) -> dict[str, Any]:
+    names, units = coordinates(logs[0].loaded.file)
+    reference = logs[-1].loaded.reference
+    numbers = zip(found.names, found.first, found.values, found.standard_errors, found.determined, strict=True)
+    ratio = growth(before, after)
+    return {
+        "model": jobs[0].model_name,
+        "logs": [job.log_name for job in jobs],
+        "held_out": jobs[-1].log_name if len(jobs) > 1 else f"the last third of {jobs[0].log_name}",
+        "horizon": float(f"{length:.4g}"),
+        "windows": count,
+        "scored_against": reference.label if reference else None,
+        "parameters": [
+            {
+                "name": name,
+                "before": float(first),
+                "after": float(f"{value:.{DIGITS}g}"),
+                "standard_error": float(f"{error:.3g}") if np.isfinite(error) else None,
+                "determined": bool(determined),
+            }
+            for name, first, value, error, determined in numbers
+        ],
+        "undetermined": list(relations(found)),
+        "coordinates": list(names),
+        "units": [unit.removesuffix("/s") for unit in units],
+        "held_out_errors": {
+            when: {kind: rounded(np.asarray(values)) for kind, values in errors._asdict().items()}
+            for when, errors in (("before", before), ("after", after))
+        },
+        "growth": float(f"{ratio:.4g}") if np.isfinite(ratio) else None,
+        "better": bool(ratio <= WORST_GROWTH),
+    }

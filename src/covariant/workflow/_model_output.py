@@ -1,0 +1,63 @@
+"""What `fit` and `tune` read and write, checked before anything is computed. Loads nothing heavy."""
+
+import errno
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from covariant.workflow._outputs import check_output
+
+
+def as_logs(log: Any) -> tuple[Any, ...]:
+    """The logs of an argument that is one log, or a list or tuple of them.
+
+    Raises:
+        FileNotFoundError: Where the path of one does not exist.
+        ValueError: Where there is none.
+    """
+    each = tuple(log) if type(log) in (list, tuple) else (log,)  # a Record is a tuple of another type
+    if not each:
+        raise ValueError("log: no log is given; give a path, a Record, a table, or a list of them")
+    for one in each:
+        if isinstance(one, str | os.PathLike) and not Path(one).exists():
+            raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), os.fspath(one))
+    return each
+
+
+def check_model_output(model: Any, path: str | Path | None, overwrite: bool = False) -> None:
+    """Refuse a model file that may not be written; None, for no file, passes.
+
+    Args:
+        model: The model whose file is written anew with other numbers.
+        path: Where it is written (.toml).
+        overwrite: Whether a file that exists may be replaced, the model file itself included.
+
+    Raises:
+        ValueError: One line that names the path or the model, and what to do.
+    """
+    if path is None:
+        return
+    path = Path(path)
+    check_output(path, ".toml")
+    if not isinstance(model, str | os.PathLike):
+        raise ValueError(f"{path}: the model has no file; give its file or its name, or put the numbers into your code")
+    spec = os.fspath(model)
+    if ":" in spec and not spec.endswith(".toml"):
+        raise ValueError(f"{path}: {spec} is code, which is not rewritten; put the numbers there")
+    if path.exists() and not overwrite:
+        same = Path(spec).exists() and path.samefile(spec)
+        what = "this is the model file itself" if same else "there is such a file already"
+        raise ValueError(f"{path}: {what}; write to another file, or say --overwrite")
+
+
+def model_text(model: str | os.PathLike[str]) -> str:
+    """The text of the model file that is changed; of a system of the library, a file that names it."""
+    spec = os.fspath(model)
+    return Path(spec).read_text(encoding="utf-8") if spec.endswith(".toml") else f'system = "{spec}"\n'
+
+
+def seen_logs(names: Sequence[str]) -> str:
+    """The logs that a fit has seen, of all that it was given: all but the last of several."""
+    short = [Path(name).name for name in names]
+    return ", ".join(short[:-1] or short)

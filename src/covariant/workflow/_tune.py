@@ -1,0 +1,184 @@
+"""`tune`: noise and gains from logs, judged on rows that were not used, as lines for the model file."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from covariant.workflow._arguments import ColumnNames, Overrides
+from covariant.workflow._model_output import as_logs, check_model_output, model_text
+from covariant.workflow._outputs import check_output
+from covariant.workflow._progress import Progress, silent
+from covariant.workflow._result import AbstractResult
+
+
+def tune(
+    model: Any,
+    log: Any,
+    *,
+    overrides: Overrides = (),
+    every: int = 1,
+    start: float | None = None,
+    until: float | None = None,
+    columns: ColumnNames | None = None,
+    anyway: bool = False,
+    engine: Literal["auto", "c", "jax"] = "auto",
+    progress: Progress = silent,
+) -> "TuneResult":
+    """Tune noise and gains to logs by the likelihood of their innovations, and judge them on what was held out.
+
+    Args:
+        model: A model file (.toml), a robot (.urdf, .xml), `module:attribute`, the name of a system or a robot of the
+            library, a `ModelFile`, or a mechanical system.
+        log: A path, a `Record`, a DataFrame or an xarray Dataset, or a list of them. The last third of each is held out
+            to judge by.
+        overrides: Values that replace those of the model file.
+        every: Use each k-th row.
+        start, until: Use the logs from and up to this time [s] since their first rows.
+        columns: Names of columns by field (t, q, u) that replace those of the model file.
+        anyway: Go on with a log that does not fit the model at all.
+        engine: What computes: "c", "jax", or "auto" for C where it pays.
+        progress: Called with a description and a fraction as the work goes on.
+
+    Returns:
+        Lines for the model file, and the errors on what is held out, before and after.
+
+    Raises:
+        MisfitError: Where the model explains nothing of the motion in a log.
+        ValueError: For a model or a log that cannot be used, such as one that is too short.
+
+    Example:
+        >>> import covariant
+        >>> log = covariant.simulate("oscillator", duration=12.0, rate=50.0, q0=1.0, noise=2e-4).record
+        >>> result = covariant.tune("oscillator", log)
+        >>> sorted(result.lines["design"])
+        ['damping', 'natural_frequency']
+    """
+    given = as_logs(log)
+    # What computes is loaded after the arguments are checked.
+    from covariant.workflow._inputs import Job
+    from covariant.workflow._tune_to_logs import tune_to_logs
+
+    jobs = [Job(model, one, overrides, every, until, columns or {}, anyway, start) for one in given]
+    return TuneResult(jobs, tune_to_logs(jobs, engine, progress), engine)
+
+
+@dataclass(frozen=True, repr=False)
+class TuneResult(AbstractResult):
+    """Noise and gains tuned to logs: lines for the model file, and how good they are on what was held out.
+
+    Attributes:
+        jobs: The model and the logs, a `Job` each.
+        tuned: The tuning, with what it was computed from, a `Tuned`.
+        asked_engine: The engine that was asked for.
+    """
+
+    jobs: list[Any]
+    tuned: Any
+    asked_engine: str
+
+    @property
+    def tuning(self) -> Any:
+        """Gains and noise as numbers."""
+        return self.tuned.tuning
+
+    @property
+    def lines(self) -> dict[str, dict[str, Any]]:
+        """What is written into the model file, by table and key."""
+        return self.tuned.details["lines"]
+
+    @property
+    def summary(self) -> dict[str, Any]:
+        return self.tuned.details
+
+    @property
+    def headline(self) -> str:
+        design = self.lines["design"]
+        gains, kalman = self.summary["held_out"]["after"]["relative"]
+        return (
+            f"natural frequency {design['natural_frequency']:g} rad/s, damping {design['damping']:g}; held-out errors "
+            f"of {gains:.3g} (gains) and {kalman:.3g} (Kalman filter) of the velocity"
+        )
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        warning = self.summary["warning"]
+        return (f"Warning: {warning}.",) if warning else ()
+
+    def save(self, path: str | Path, overwrite: bool = False) -> Path:
+        """Write the model file with the tuned numbers (.toml); comments and layout stay.
+
+        Args:
+            path: The file to write.
+            overwrite: Whether a file that exists may be replaced, the model file itself included.
+
+        Raises:
+            ValueError: Where it may not be written, or the model has no file.
+        """
+        from covariant import models
+        from covariant._files import write_atomically
+
+        model = self.jobs[0].model
+        check_model_output(model, path, overwrite)
+        names = ", ".join(Path(job.log_name).name for job in self.jobs)
+        text = f"# Tuned by covariant tune to {names}.\n\n" + models.rewrite(model_text(model), self.tuned.content)
+        return write_atomically(path, lambda file: file.write(text.encode()))
+
+    def report(self, path: str | Path) -> list[Path]:
+        """Write an interactive page (.html) of estimates on the last log before and after, and figures beside it."""
+        from covariant.workflow._pages import write_report
+        from covariant.workflow._tune_to_logs import tuned_page
+
+        check_output(Path(path), ".html")
+        logs = ", ".join(Path(job.log_name).name for job in self.jobs)
+        title = f"Gains of {Path(self.jobs[0].model_name).stem} tuned on {logs}"
+        notes = (*self.warnings, *_lines(self.summary))
+        return write_report(Path(path), tuned_page(title, self.tuned, notes, tuple(_rows(self.summary))))
+
+    def __str__(self) -> str:
+        from covariant.report import table
+
+        result = self.summary
+        lines = [
+            f"{result['rows']} rows of the first two thirds of {', '.join(result['logs'])}; errors (RMS) on the rest, "
+            f"of velocities against the {result['scored_against']}:",
+            "",
+            table(tuple(_rows(result))),
+        ]
+        free = result["model_free"]
+        if free is not None:
+            gains, kalman = result["held_out"]["after"]["relative"]
+            lines.append(
+                f"Velocity errors as parts of the velocity: constant gains {gains:.3g}, Kalman filter {kalman:.3g}; "
+                f"without a model {free['relative']:.3g} ({free['estimator']})."
+            )
+        engine = () if self.asked_engine == "auto" else (f"engine: {result['engine']}",)
+        return "\n".join([*lines, *self.warnings, "", *_lines(result), *engine])
+
+
+def _lines(result: dict[str, Any]) -> list[str]:
+    """The lines for the model file."""
+    lines = []
+    for table, numbers in result["lines"].items():
+        lines += [f"[{table}]", *(f"{key} = {value}" for key, value in numbers.items())]
+    return lines
+
+
+def _rows(result: dict[str, Any]) -> list[dict[str, str | float]]:
+    rows = []
+    for when, judged in result["held_out"].items():
+        if judged is None:
+            continue
+        row: dict[str, Any] = {"": when}
+        for i, (name, unit) in enumerate(zip(result["coordinates"], result["units"], strict=True)):
+            row[f"{name} one step ahead [{unit}]"] = judged["one_step"][i]
+            row[f"{result['velocities'][i]}, gains [{unit}/s]"] = judged["gains_error"][i]
+            row[f"{result['velocities'][i]}, Kalman [{unit}/s]"] = judged["kalman_error"][i]
+        rows.append(
+            row
+            | {
+                "log-likelihood": judged["likelihood"][0],
+                "NIS": judged["nis"][0],
+                "correlation": max(judged["correlation"], key=abs),
+            }
+        )
+    return rows

@@ -1,0 +1,187 @@
+"""Computes the tuning of noise and gains to logs, and what it says of the model."""
+
+from collections.abc import Sequence
+from os import PathLike
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from covariant import models
+from covariant.design import DataSheet, HeldOut, Tuning, observer_gains, tune
+from covariant.engine import FEWEST_ROWS, EngineName, run_logs
+from covariant.observers import AbstractObserver, Intrinsic
+from covariant.report import EstimateReport
+from covariant.signals import Record, Run
+from covariant.workflow._aligned import aligned
+from covariant.workflow._inputs import Job, Loaded, coordinates, data_sheet, with_sensor_delays
+from covariant.workflow._outcome import drive, report_curves, rounded
+from covariant.workflow._pages import estimate_report
+from covariant.workflow._progress import Progress
+
+DIGITS = 4
+"""Significant digits of tuned numbers in a model file."""
+WORSE = 1.2
+"""Ratio of the velocity errors of Kalman filter and constant gains from which it is said that the filter is worse."""
+COARSER = 1.5
+"""Readings whose noise is more than so many times that of their ticks are taken as noisy, not as ticks."""
+SEARCHED = 60
+"""So many runs a search for gains makes about."""
+NOT_WHITE = 0.3
+"""Correlation of neighbouring innovations from which it is said that the model does not explain them."""
+STAGES = ("gains", "noise", "held-out rows", "filters without a model")
+"""What a tuning does, in order."""
+
+
+class Tuned(NamedTuple):
+    """A tuning with the logs and the data sheet that it was computed from, and the content of the new model file."""
+
+    loaded: list[Loaded]
+    tuning: Tuning
+    before: DataSheet | None
+    content: dict[str, Any]
+    details: dict[str, Any]
+
+
+def tune_to_logs(jobs: list[Job], engine: EngineName, progress: Progress) -> Tuned:
+    """Tune on the first two thirds of each log, and judge on the rest."""
+    progress("reading", 0.0)
+    loaded = [aligned(job).loaded for job in jobs]
+    file = loaded[0].file
+    before = None
+    if file.typical_std is not None and file.acceleration_std is not None:
+        before = data_sheet(file)
+    known = None if file.quantum is None else np.broadcast_to(np.asarray(file.measurement_std), file.dimension)
+    records, velocities = [one.record for one in loaded], [one.reference.v for one in loaded if one.reference]
+    runs = _Runs(engine)
+
+    def report(stage: str) -> None:
+        progress(stage, (1 + STAGES.index(stage)) / (1 + len(STAGES)))
+
+    try:
+        tuning = tune(loaded[0].model, records, velocities, std=known, before=before, progress=report, runs=runs)
+    except ValueError as error:
+        raise ValueError(f"{', '.join(job.log_name for job in jobs)}: {error}") from error
+    progress("done", 1.0)
+    tables = _tables(file, tuning, loaded[0].rate)
+    details = _details(jobs, loaded, tuning, tables) | {"engine": runs.description}
+    has_file = isinstance(jobs[0].model, str | PathLike)
+    return Tuned(loaded, tuning, before, _content(jobs[0], tables) if has_file else {}, details)
+
+
+def tuned_page(title: str, tuned: Tuned, notes: tuple[str, ...], rows: tuple[dict[str, Any], ...]) -> EstimateReport:
+    """The page of the constant-gain observer on the last log, before and after."""
+    loaded, omega = tuned.loaded[-1], tuned.tuning.natural_frequency
+    gains = {"after": (2 * tuned.tuning.damping * omega, omega**2)}
+    if tuned.before is not None:
+        old = observer_gains(tuned.before, loaded.rate)
+        gains = {"before": (old.alpha, old.beta), **gains}
+    observers = with_sensor_delays({when: Intrinsic(loaded.model, *numbers) for when, numbers in gains.items()}, loaded)
+    curves = report_curves({when: drive(observer, loaded) for when, observer in observers.items()})
+    return estimate_report(title, loaded, curves, notes, rows)
+
+
+class _Runs:
+    """Runs of observers with constant gains; once JAX had to do one it does the others, since its reason stays.
+
+    `description` is the engine, with the reason where it is JAX.
+    """
+
+    def __init__(self, engine: EngineName):
+        self.engine: EngineName = engine
+        self.description = ""
+        self._first: Sequence[AbstractObserver] = ()
+
+    def __call__(self, observers: Sequence[AbstractObserver], records: Sequence[Record]) -> list[Run]:
+        self._first = self._first or observers
+        many = SEARCHED * sum(len(record.t) for record in records) >= FEWEST_ROWS
+        engine = "c" if self.engine == "auto" and many else self.engine
+        done, by = run_logs(observers, records, ("innovation",), engine, self._first)
+        self.engine, self.description = (self.engine, by) if by == "c" else ("jax", self.description or by)
+        return done
+
+
+def _tables(file: models.ModelFile, found: Tuning, rate: float) -> dict[str, dict[str, Any]]:
+    """What is written into the model file, by table and key."""
+    time = file.correlation_time or float(f"{1 / (2 * rate):.{DIGITS}g}")
+    acceleration = float(found.noise.acceleration) / np.sqrt(2 * time)
+    uncertainty = {"acceleration": _short(acceleration), "correlation_time": time}
+    if found.noise.force > 0:
+        uncertainty["external_force"] = _short(found.noise.force)
+    tables: dict[str, dict[str, Any]] = {
+        "uncertainty": uncertainty,
+        "design": {"damping": _short(found.damping), "natural_frequency": _short(found.natural_frequency)},
+    }
+    ticks = np.inf if file.quantum is None else np.asarray(file.quantum) / np.sqrt(12)
+    if file.quantum is None or np.any(np.asarray(found.noise.measurement) > COARSER * ticks):
+        std = [_short(value) for value in np.asarray(found.noise.measurement)]
+        tables = {"measurement": {"std": std if file.model.manifold.commuting and len(std) > 1 else std[0]}, **tables}
+    return tables
+
+
+def _short(value: Any) -> float:
+    return float(f"{float(value):.{DIGITS}g}")
+
+
+def _content(job: Job, tables: dict[str, dict[str, Any]]) -> dict[str, Any]:
+    """The content of the model file with the tuned numbers; a force that was not found is taken out."""
+    content = models.document(job.model_name, job.overrides)
+    for table, numbers in tables.items():
+        content.setdefault(table, {}).update(numbers)
+    if "external_force" not in tables["uncertainty"]:
+        content["uncertainty"].pop("external_force", None)
+    if "measurement" in tables:
+        content["measurement"].pop("quantum", None)
+    return content
+
+
+def _details(jobs: list[Job], loaded: list[Loaded], found: Tuning, tables: dict[str, Any]) -> dict[str, Any]:
+    names, units = coordinates(loaded[0].file)
+    delay = models.load(jobs[0].model, jobs[0].overrides).delay
+    free = found.model_free
+    return {
+        "model": jobs[0].model_name,
+        "logs": [job.log_name for job in jobs],
+        "rows": found.rows,
+        "scored_against": loaded[0].reference.label if loaded[0].reference else None,
+        "lines": tables,
+        "coordinates": list(names),
+        "velocities": list(loaded[0].model.sought.names or (f"d{name}/dt" for name in names)),
+        "units": [unit.removesuffix("/s") for unit in units],
+        "held_out": {
+            when: None if judged is None else _judged(judged)
+            for when, judged in (("before", found.before), ("after", found.after))
+        },
+        "model_free": None if free is None else {"estimator": free[0], "relative": rounded(np.array([free[1]]))[0]},
+        "warning": warning(found, np.atleast_1d(np.equal(delay, np.max(delay)))),
+    }
+
+
+def _judged(judged: HeldOut) -> dict[str, Any]:
+    return {name: (rounded(np.atleast_1d(value))) for name, value in judged._asdict().items()}
+
+
+def warning(found: Tuning, as_logged: np.ndarray | bool = True) -> str | None:
+    """One line where the model is no better than none, or does not explain the innovations.
+
+    - `as_logged` (n,): which positions are as they were read; where they are interpolated neighbours are correlated.
+    """
+    gains, kalman = found.after.relative
+    remedy = "run `covariant fit`"
+    name, free = found.model_free or ("", np.inf)
+    without = f"{name} knows none and leaves {free:.3g} of the velocity"
+    if min(gains, kalman) >= free:
+        return f"the model does not help here: {without}, the best with the model {min(gains, kalman):.3g}; {remedy}"
+    if gains >= free:
+        return (
+            f"with constant gains the model does not help here: {without}, constant gains {gains:.3g}; {remedy}, or "
+            f"estimate with --observer intrinsic-kalman ({kalman:.3g})"
+        )
+    if kalman > WORSE * gains:
+        return (
+            f"the noise is not white: the most likely Kalman filter leaves {kalman:.3g} of the velocity and constant "
+            f"gains {gains:.3g}; estimate with --observer intrinsic"
+        )
+    worst = float(np.max(np.abs(found.after.correlation) * as_logged))
+    if worst > NOT_WHITE:
+        return f"the innovations are not white (correlation {worst:.2f}), so the model is wrong somewhere; {remedy}"
+    return None

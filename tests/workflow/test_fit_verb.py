@@ -1,0 +1,89 @@
+"""`covariant.fit`: a fit to a simulated log gives the truth back, whichever way its inputs go between stamps."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from covariant import models
+from covariant.workflow import FitResult, SimulateResult, fit, simulate
+
+TRUTH = {"parameters.mass": [1.0], "parameters.length": [0.5], "parameters.viscous": [0.001]}
+FIRST = {**TRUTH, "parameters.viscous": [0.01], "parameters.length": [0.45]}
+DRIVEN = {"duration": 20.0, "rate": 100.0, "q0": 0.4, "amplitude": 0.5, "noise": 2e-4, "seed": 3}
+
+
+def driven(between: str) -> SimulateResult:
+    return simulate("pendulum_chain", **DRIVEN, overrides=TRUTH | {"inputs.between": between})
+
+
+@pytest.fixture(scope="module", params=["held", "linear"])
+def fitted(request) -> tuple[str, FitResult]:
+    """A fit to the log of a driven pendulum by a model file that does not say how its inputs go between stamps."""
+    log = driven(between=request.param)
+    return request.param, fit("pendulum_chain", log.to_pandas(), ["viscous", "length"], overrides=FIRST)
+
+
+def test_a_fit_to_a_simulated_log_gives_the_truth(fitted):
+    _, result = fitted
+    off = (result.values - [0.001, 0.5]) / result.standard_errors
+    assert np.abs(off).max() < 3.0, (result.values, result.standard_errors)
+    assert result.standard_errors[0] < 2e-4
+    assert result.better
+
+
+def test_the_way_inputs_go_between_stamps_is_found_named_and_written(fitted, tmp_path):
+    word, result = fitted
+    inputs = result.summary["inputs"]
+    assert (inputs["between"], inputs["stated"]) == (word, False)
+    assert inputs["log_likelihood_gain"] > 10
+    assert inputs["sentence"] in str(result)
+    assert "explain the log better" in inputs["sentence"]
+    path = result.save(tmp_path / "calibrated.toml")
+    assert models.load(str(path)).input_between == word
+    assert f'between = "{word}"' in path.read_text()
+
+
+def test_what_the_model_file_says_is_not_tried_otherwise(tmp_path):
+    log = driven(between="held").record
+    result = fit("pendulum_chain", log, "viscous", overrides=FIRST | {"inputs.between": "linear"}, until=8.0)
+    assert result.summary["inputs"] == {
+        "between": "linear",
+        "stated": True,
+        "log_likelihood_gain": None,
+        "sentence": "",
+    }
+
+
+def test_a_log_without_inputs_says_nothing_of_them():
+    swing = simulate("pendulum_chain", duration=12.0, rate=50.0, q0=1.0, noise=2e-4, overrides=TRUTH)
+    calls = []
+
+    def progress(description: str, fraction: float | None = None) -> None:
+        calls.append((description, fraction))
+
+    result = fit("pendulum_chain", swing.record, ["length"], overrides=FIRST, progress=progress)
+    assert result.summary["inputs"]["log_likelihood_gain"] is None
+    fractions = [fraction for _, fraction in calls if fraction is not None]
+    assert fractions == sorted(fractions)
+    assert (fractions[0], fractions[-1]) == (0.0, 1.0)
+    table = result.to_pandas()
+    assert list(table.columns) == ["parameter", "before", "after", "standard_error", "determined"]
+    assert repr(result).startswith("<FitResult: length[0] = 0.5")
+
+
+@pytest.mark.parametrize(
+    ("model", "arguments", "message"),
+    [
+        (models.oscillator(), {}, "takes a model file, a name or module:attribute, and no finished Lagrangian"),
+        ("pendulum_chain", {"horizon": float("nan")}, "horizon must be a positive number of seconds; got nan"),
+    ],
+)
+def test_arguments_that_make_no_sense_are_named(model, arguments, message):
+    with pytest.raises(ValueError, match=message):
+        fit(model, Path(__file__), "mass", **arguments)
+
+
+def test_a_log_that_is_not_there_is_named():
+    with pytest.raises(FileNotFoundError, match=r"absent\.csv"):
+        fit("pendulum_chain", [Path("absent.csv")], "mass")
