@@ -10,6 +10,8 @@ What the machine does and the model file does not know, as on any test bench:
 - bearings stick (dry friction as a hard constraint), where the model has a smooth curve;
 - the motors have a cogging torque.
 
+A second log, of other torques, is for trying things on a log that they were not tuned on (docs/your-log.md).
+
 What to look at: the velocity errors in the reports. All estimators work from the same data sheet. Those that know the
 model share one error, far below that of the filters without one; at gains this high it matters little how they correct.
 """
@@ -64,11 +66,13 @@ AMPLITUDE = np.array([[0.55], [0.10]])
 FREQUENCY = np.array([[0.31, 0.73, 1.27], [0.41, 0.96, 1.66]])
 PHASE = np.array([[4.0, 1.7, 0.3], [0.1, 5.1, 5.7]])
 """Torque commands: three sines a joint [N m, Hz, rad]; enough for both links to go over the top."""
+LOGS = {"log.csv": (0, PHASE), "other.csv": (1, PHASE + 2.0)}
+"""The logs by name: seed of jitter and losses, and the phases of the torques."""
 
 
-def command(t: float) -> np.ndarray:
-    """Torques (2,) that the controller asks for at time t [s]."""
-    return (AMPLITUDE * np.sin(2 * np.pi * FREQUENCY * t + PHASE)).sum(1)
+def command(t: float, phase: np.ndarray) -> np.ndarray:
+    """Torques (2,) that the controller asks for at time t [s]; `phase` (2, 3) [rad]."""
+    return (AMPLITUDE * np.sin(2 * np.pi * FREQUENCY * t + phase)).sum(1)
 
 
 def encode(q: np.ndarray) -> np.ndarray:
@@ -77,10 +81,10 @@ def encode(q: np.ndarray) -> np.ndarray:
     return np.where(counts > COUNTS // 2, counts - COUNTS, counts) * 2 * np.pi / COUNTS
 
 
-def record(seed: int = 0) -> np.ndarray:
+def record(seed: int, phase: np.ndarray) -> np.ndarray:
     """Let the machine move; rows of t, q1, q2, tau1, tau2, true_v1, true_v2, with NaN for a lost reading.
 
-    The controller works sample by sample: it reads the encoders, sets the torques, and holds them until the next.
+    `seed`: of the jitter and the losses. `phase` (2, 3): of the torques [rad]. The controller works sample by sample: it reads the encoders, sets the torques, and holds them until the next.
     """
     model = mujoco.MjModel.from_xml_string(MACHINE)
     data = mujoco.MjData(model)
@@ -88,7 +92,7 @@ def record(seed: int = 0) -> np.ndarray:
     samples = int(DURATION / (STEPS * model.opt.timestep))
     rows = np.empty((samples, 7))
     for row in track(rows, "MuJoCo moves the machine"):
-        torque = command(data.time)
+        torque = command(data.time, phase)
         row[:] = data.time, *encode(data.qpos), *torque, *data.qvel
         for _ in range(STEPS + rng.integers(-JITTER, JITTER + 1)):
             data.ctrl = torque + COGGING * np.sin(12 * data.qpos)
@@ -107,6 +111,16 @@ def write(rows: np.ndarray, path: Path) -> None:
         writer.writerows([["" if np.isnan(cell) else f"{cell:.7g}" for cell in row] for row in rows])
 
 
+def describe(rows: np.ndarray, path: Path) -> None:
+    """Print how long a log is, what was lost, and how far and how fast the joints turn."""
+    turns = np.abs(np.diff(np.unwrap(rows[~np.isnan(rows[:, 1]), 1:3], axis=0), axis=0)).sum(0) / (2 * np.pi)
+    print(
+        f"{path}: {len(rows)} samples in {rows[-1, 0]:.1f} s, {np.isnan(rows[:, 1]).sum()} readings lost, "
+        f"encoder step {2000 * np.pi / COUNTS:.2f} mrad;\nthe joints sweep {turns[0]:.1f} and {turns[1]:.1f} turns "
+        f"at up to {np.abs(rows[:, 5]).max():.0f} and {np.abs(rows[:, 6]).max():.0f} rad/s"
+    )
+
+
 def covariant(*arguments: object) -> None:
     """Run the command line as a user would, its output passed through; raises where it fails."""
     words = [str(argument) for argument in arguments]
@@ -118,21 +132,22 @@ def covariant(*arguments: object) -> None:
 def main() -> None:
     """Make the log, estimate its velocities, compare all estimators on it."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--out", type=Path, default=Path("demo"), help="folder for the log and the results")
-    out = parser.parse_args().out.resolve()
+    parser.add_argument("--out", type=Path, default=Path("demo"), help="folder for the logs and the results")
+    parser.add_argument("--only-logs", action="store_true", help="write the logs and stop")
+    options = parser.parse_args()
+    out = options.out.resolve()
     out.mkdir(parents=True, exist_ok=True)
     began = time.perf_counter()
     os.chdir(ROOT)
     out = Path(os.path.relpath(out))  # short names in what is printed
 
-    rows, log = record(), out / "log.csv"
-    write(rows, log)
-    turns = np.abs(np.diff(np.unwrap(rows[~np.isnan(rows[:, 1]), 1:3], axis=0), axis=0)).sum(0) / (2 * np.pi)
-    print(
-        f"{log}: {len(rows)} samples in {rows[-1, 0]:.1f} s, {np.isnan(rows[:, 1]).sum()} readings lost, "
-        f"encoder step {2000 * np.pi / COUNTS:.2f} mrad;\nthe joints sweep {turns[0]:.1f} and {turns[1]:.1f} turns "
-        f"at up to {np.abs(rows[:, 5]).max():.0f} and {np.abs(rows[:, 6]).max():.0f} rad/s"
-    )
+    for name, (seed, phase) in LOGS.items():
+        rows = record(seed, phase)
+        write(rows, out / name)
+        describe(rows, out / name)
+    if options.only_logs:
+        return
+    log = out / "log.csv"
     truth = ("--truth", "true_v1,true_v2")
     covariant("estimate", MODEL, log, *truth, "-o", out / "velocities.csv", "--report", out / "estimate.html")
     covariant("compare", MODEL, log, *truth, "-o", out / "table.csv", "--report", out / "compare.html")

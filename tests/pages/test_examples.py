@@ -1,0 +1,122 @@
+"""Every command and every Python example of the README and the pages runs as it stands, in the place of a user.
+
+Each page runs in one process, `tools/run_page.py`, from a folder with nothing in it but the `examples` and the
+`gallery` of a checkout where the page says that it needs one. The process has the environment of a user: an empty cache
+folder, and no setting of the tests.
+"""
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from run_page import PARTS, Block, blocks
+
+ROOT = Path(__file__).parents[2]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+COMPILER = re.compile(r"(.*-)?(cc|gcc|g\+\+|c\+\+|clang|clang\+\+|tcc|c89|c99|cpp|zig|icx)(-[\d.]+)?")
+
+
+def runnable(page: Path) -> list[Block]:
+    return [block for block in blocks(page.read_text(encoding="utf-8")) if runs(block)]
+
+
+def runs(block: Block) -> bool:
+    code = block.language == "python" and not block.title
+    return not block.reason and (code or block.language in ("bash", "toml"))
+
+
+EXECUTED = [page for page in PAGES if runnable(page)]
+each_page = pytest.mark.parametrize("page", EXECUTED, ids=lambda p: p.name)
+
+
+def environment(home: Path, path: str) -> dict[str, str]:
+    """All that a fresh account has. Which covariant is tried is the only thing that comes from outside."""
+    own = {"PATH": path, "HOME": str(home), "XDG_CACHE_HOME": str(home / "cache"), "LANG": "C.UTF-8"}
+    return own | {name: os.environ[name] for name in ("PYTHONPATH",) if name in os.environ}
+
+
+def run(page: Path, folder: Path, path: str, *options: str, **settings: str) -> None:
+    """Run a page from an empty folder; fails with what its blocks print where one fails."""
+    work, home = folder / "work", folder / "home"
+    work.mkdir()
+    home.mkdir()
+    if needs_checkout(page):
+        for name in ("examples", "gallery"):
+            shutil.copytree(ROOT / name, work / name, ignore=shutil.ignore_patterns("out", "__pycache__"))
+    command = [sys.executable, ROOT / "tools" / "run_page.py", page, *options]
+    bin_folder = Path(sys.executable).parent
+    done = subprocess.run(
+        command,
+        cwd=work,
+        env=environment(home, f"{bin_folder}{os.pathsep}{path}") | settings,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    print(done.stdout)
+    assert done.returncode == 0, done.stdout.rpartition(" blocks failed")[2] + done.stderr
+
+
+def needs_checkout(page: Path) -> bool:
+    return any(re.search(r"\b(examples|gallery)/", block.text) for block in runnable(page))
+
+
+@pytest.fixture(scope="session")
+def without_compiler(tmp_path_factory) -> str:
+    """A PATH with all programs of the system but the compilers of C."""
+    folder = tmp_path_factory.mktemp("bin")
+    for place in filter(os.path.isdir, os.defpath.strip(":").split(os.pathsep)):
+        for program in os.scandir(place):
+            target = folder / program.name
+            if not COMPILER.fullmatch(program.name) and not target.is_symlink():
+                target.symlink_to(program.path)
+    assert shutil.which("bash", path=str(folder))
+    assert not any(shutil.which(name, path=str(folder)) for name in ("cc", "gcc", "clang", "tcc"))
+    return str(folder)
+
+
+@each_page
+def test_a_page_runs_from_an_empty_folder(page, tmp_path):
+    run(page, tmp_path, os.defpath)
+
+
+@pytest.mark.long
+@each_page
+def test_a_page_runs_with_its_long_blocks_too(page, tmp_path):
+    if not any(block.long for block in runnable(page)):
+        pytest.skip("no block of this page is long")
+    run(page, tmp_path, os.defpath, "--long")
+
+
+@pytest.mark.long
+@each_page
+def test_a_page_runs_without_a_compiler(page, tmp_path, without_compiler):
+    run(page, tmp_path, without_compiler)
+
+
+@pytest.mark.long
+@each_page
+def test_a_page_runs_without_a_cache(page, tmp_path):
+    run(page, tmp_path, os.defpath, COVARIANT_CACHE="off")
+
+
+@each_page
+def test_a_page_that_needs_a_checkout_says_so(page):
+    prose = re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+    assert not needs_checkout(page) or "checkout" in prose
+
+
+def test_every_block_is_run_or_says_why_not():
+    """What is not run is a part of a larger program, or has its reason above it; there are few of these."""
+    reasons = []
+    for page in PAGES:
+        for block in blocks(page.read_text(encoding="utf-8")):
+            known = block.language in ("bash", "python", "toml", "text", *PARTS)
+            assert known, f"{page.name}:{block.line}: what is a block of {block.language!r}?"
+            reasons += [f"{page.name}:{block.line}: {block.reason}"] if block.reason else []
+            assert not block.reason or len(block.reason.split()) > 3, f"{page.name}:{block.line}: why is it not run?"
+    assert len(reasons) <= 8, "\n".join(reasons)
