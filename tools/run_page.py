@@ -53,7 +53,9 @@ class Block(NamedTuple):
 
 def blocks(page: str) -> list[Block]:
     """The blocks of a page between fences, in order."""
-    fence = re.compile(r"(?P<comments>(?:^<!-- .*? -->\n)*)^```(?P<head>.*)\n(?P<text>(?:(?!```).*\n)*?)```$", re.MULTILINE)
+    fence = re.compile(
+        r"(?P<comments>(?:^<!-- .*? -->\n)*)^```(?P<head>.*)\n(?P<text>(?:(?!```).*\n)*?)```$", re.MULTILINE
+    )
     return [_block(match, page) for match in fence.finditer(page)]
 
 
@@ -110,7 +112,9 @@ def _commands(block: Block) -> str:
     )
     print(done.stdout, end="", flush=True)
     if done.returncode != block.exit_code:
-        raise AssertionError(f"exit code {done.returncode}, not {block.exit_code}, of\n{block.text}{done.stdout[-2000:]}")
+        raise AssertionError(
+            f"exit code {done.returncode}, not {block.exit_code}, of\n{block.text}{done.stdout[-2000:]}"
+        )
     return done.stdout
 
 
