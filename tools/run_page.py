@@ -12,8 +12,9 @@ language:
 - `text` with `title="name"`: the first lines of that file;
 - other languages, and code with a title, are parts of larger programs, and other tests compile them.
 
-A comment in the line before a fence changes that: `<!-- not run: REASON -->` leaves the block out, `<!-- long: REASON
--->` leaves it out unless `--long` is given, `<!-- exit code 1 -->` is what its last command ends with.
+A table with a column named `command` is a block of the commands in it. A comment in the line before a block changes
+what is done with it: `<!-- not run: REASON -->` leaves it out, `<!-- long: REASON -->` leaves it out unless `--long` is
+given, `<!-- run instead: COMMAND -->` runs another command, and `<!-- exit code 1 -->` is what its last command ends with.
 """
 
 import argparse
@@ -37,7 +38,7 @@ TOLERANCE = 0.05
 
 
 class Block(NamedTuple):
-    """A block between fences: its language, title, text and first line (from 1), and the comments before it.
+    """A block of a page: its language, title, text and first line (from 1), and the comments before it.
 
     `reason` is why it is not run, `long` why it is run by the long suite only; both are empty for other blocks.
     """
@@ -51,21 +52,27 @@ class Block(NamedTuple):
     exit_code: int = 0
 
 
+FENCE = r"^```(?P<head>.*)\n(?P<text>(?:(?!```).*\n)*?)```$"
+COMMAND = re.compile(r"`(covariant .+?)`")
+TABLE = r"^\|.*\bcommand\b.*\|\n\|[-:| ]+\|\n(?P<rows>(?:\|.*\n)+)"
+BLOCK = re.compile(rf"(?P<comments>(?:^<!-- .*? -->\n)*)(?:{FENCE}|{TABLE})", re.MULTILINE)
+
+
 def blocks(page: str) -> list[Block]:
-    """The blocks of a page between fences, in order."""
-    fence = re.compile(
-        r"(?P<comments>(?:^<!-- .*? -->\n)*)^```(?P<head>.*)\n(?P<text>(?:(?!```).*\n)*?)```$", re.MULTILINE
-    )
-    return [_block(match, page) for match in fence.finditer(page)]
+    """The blocks of a page, in order: those between fences, and tables of commands."""
+    return [block for match in BLOCK.finditer(page) if (block := _block(match, page)).text]
 
 
 def _block(match: re.Match[str], page: str) -> Block:
-    language, _, rest = match["head"].partition(" ")
+    part = "text" if match["rows"] is None else "rows"
+    language, _, rest = (match["head"] or "bash").partition(" ")
+    text = match[part] if part == "text" else "".join(f"{command}\n" for command in COMMAND.findall(match[part]))
     title = re.search(r'title="(.+?)"', rest)
-    comments = dict(re.findall(r"<!-- (not run|long|exit code):? (.+?) -->", match["comments"]))
-    line = page.count("\n", 0, match.start("text")) + 1
+    comments = dict(re.findall(r"<!-- (not run|long|run instead|exit code):? (.+?) -->", match["comments"]))
+    text = f"{comments['run instead']}\n" if "run instead" in comments else text
     reason, exit_code = comments.get("not run", ""), int(comments.get("exit code", 0))
-    return Block(language, title[1] if title else "", match["text"], line, reason, comments.get("long", ""), exit_code)
+    line = page.count("\n", 0, match.start(part)) + 1
+    return Block(language, title[1] if title else "", text, line, reason, comments.get("long", ""), exit_code)
 
 
 def run_page(page: Path, long: bool = False) -> list[str]:
