@@ -12,22 +12,27 @@ export PYTHONPYCACHEPREFIX := $(CURDIR)/.venv/pycache
 # C of every observer.
 QUICK := tests/laws/test_every_observer.py tests/design/test_estimators.py tests/design/test_gain_rule.py \
 	tests/geometry/test_tensors.py tests/test_integrate.py tests/test_scoring.py tests/test_signals.py \
-	tests/test_house.py tests/test_pages.py
+	tests/test_house.py tests/pages/test_links.py
 
 # A process that dies ends the run, which would else wait for its tests for ever.
 PARALLEL := -n 2 --dist loadfile --no-loadscope-reorder --max-worker-restart 0
 
 .PHONY: env demo test matrix matrix-short quick format lint types tests gallery bench firmware mutants geomstats docs lock clean
 
-env: .venv/ready
+env: .venv/dev
 
+# What a user needs, and no tools of development.
 .venv/ready: pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "covariant needs Python 3.11 or newer: make PYTHON=python3.12 $(MAKECMDGOALS)"; exit 1; }
 	$(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[all]'
+	@touch $@
+
+.venv/dev: .venv/ready
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
 	@touch $@
 
-demo: env
+demo: .venv/ready
 	$(BIN)/python gallery/demo.py --out demo
 
 test: format lint types tests gallery
@@ -84,7 +89,7 @@ geomstats: .venv-geomstats/ready
 docs: .venv/docs
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build
 
-.venv/docs: .venv/ready
+.venv/docs: .venv/dev
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[docs]'
 	@touch $@
 
