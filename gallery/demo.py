@@ -84,7 +84,8 @@ def encode(q: np.ndarray) -> np.ndarray:
 def record(seed: int, phase: np.ndarray) -> np.ndarray:
     """Let the machine move; rows of t, q1, q2, tau1, tau2, true_v1, true_v2, with NaN for a lost reading.
 
-    `seed`: of the jitter and the losses. `phase` (2, 3): of the torques [rad]. The controller works sample by sample: it reads the encoders, sets the torques, and holds them until the next.
+    `seed`: of the jitter and the losses. `phase` (2, 3): of the torques [rad]. The controller works sample by sample: it
+    reads the encoders, sets the torques, and holds them until the next.
     """
     model = mujoco.MjModel.from_xml_string(MACHINE)
     data = mujoco.MjData(model)
