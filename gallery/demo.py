@@ -81,11 +81,14 @@ def encode(q: np.ndarray) -> np.ndarray:
     return np.where(counts > COUNTS // 2, counts - COUNTS, counts) * 2 * np.pi / COUNTS
 
 
-def record(seed: int, phase: np.ndarray) -> np.ndarray:
+def record(seed: int = 0, phase: np.ndarray = PHASE) -> np.ndarray:
     """Let the machine move; rows of t, q1, q2, tau1, tau2, true_v1, true_v2, with NaN for a lost reading.
 
-    `seed`: of the jitter and the losses. `phase` (2, 3): of the torques [rad]. The controller works sample by sample: it
-    reads the encoders, sets the torques, and holds them until the next.
+    The controller works sample by sample: it reads the encoders, sets the torques, and holds them until the next.
+
+    Args:
+        seed: Seed of the jitter and of the losses.
+        phase: Phases (2, 3) of the torques [rad].
     """
     model = mujoco.MjModel.from_xml_string(MACHINE)
     data = mujoco.MjData(model)
