@@ -58,7 +58,8 @@ PUBLIC = {
     "metric metric_summary observer_gains predict_errors predict_sampled_errors stored_observer tune tuned_estimators "
     "tuned_state_estimators usual_speeds window_length with_gains",
     "diagnosis": "Diagnosis Finding Suggestion diagnose misfit outliers suggest_noise",
-    "codegen": "ROWS Facts Leaf Program Recipe Source Unit Vectors export_texts fmu of_family program vectors "
+    "codegen": "ROWS Facts Leaf Program Recipe Source TracedProgram Unit Vectors export_texts fmu of_family program "
+    "trace_program vectors "
     "with_open_numbers write_fmu write_folder write_source",
     "geometry": "AbstractManifold AbstractMetric AbstractSpace Budget ConstantCurvature Coordinates Euclidean "
     "FlatTorus Interpolated KineticEnergy Metric Product ProductManifold Pullback Shot Transported "
@@ -70,9 +71,9 @@ PUBLIC = {
     "split windows",
     "interop": "closed_loop observer_system plant",
     "lowering": "FOLD INTERVALS NUMBERS STUMPFF TRUTHS Branch CText Call ClosedJaxpr Condition Conditions "
-    "Derivative Domain Enclosure Graph Interval JaxprEquation Lowered LoweringError Node Scan Signature Truth While "
-    "c_function c_helpers c_number c_rows enclose equations evaluate expand fulfilled graft in_c lower needed "
-    "numbers pairs perturbed simplified stumpff substitute",
+    "Derivative Domain Enclosure Graph Interval JaxprEquation Lowered LoweringError Node Scan Signature TracedFunction "
+    "Truth While c_function c_helpers c_number c_rows enclose equations evaluate expand fingerprint fulfilled graft "
+    "in_c lower lower_traced needed numbers pairs perturbed simplified stumpff substitute trace",
     "logs": "ATTITUDES MESSAGES OPTIONAL WRITTEN Body Columns Log LogError bodies check_unit coordinates matrices read "
     "record source_name survey to_columns unit_factor write",
     "models": "Family GroupSystem Lagrangian MechanicalSystem ModelError ModelFile MomentumChart Motion Overrides "
@@ -108,7 +109,7 @@ PUBLIC = {
     "save_figure table write_article write_audit write_html write_png write_report",
     "riccati": "Characteristic Equation RiccatiMetric Solution Window gramian gramians high_gain lie_derivative "
     "metric_at metric_through rate_from_gramian reconstructibility right_side spd_distance window_at",
-    "engine": "EngineName FEWEST_ROWS Health Stream compiled run_log run_logs",
+    "engine": "Engine EngineName FEWEST_ROWS Health KernelForm Stream choose compiled run_log run_logs",
     "scale": "Grid Variable map_grid open_grid",
     "workflow": "AbstractResult AbstractTable CertificateCheckResult CertifyResult CompareResult EstimateResult "
     "FitResult MisfitError Progress SimulateResult TuneResult certify check_certificate check_model_output "

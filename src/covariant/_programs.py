@@ -12,14 +12,14 @@ import sys
 import time
 from pathlib import Path
 
-IMPORTED = time.time()
-"""When this package was imported: a text that is younger is not what runs."""
+from platformdirs import user_cache_path
+
 FATAL = "3"
 """Lowest severity of the compiler's messages that are shown; errors in compilation raise exceptions as well."""
 WORTH_KEEPING = "0.1"
 """Shortest compilation time [s] of a program that is stored."""
 UNUSED = 180 * 24 * 3600.0
-"""Time [s] after which what nobody has loaded is let go: each version of a library leaves programs behind."""
+"""Time [s] after which a program that nobody has loaded is evicted: each version of a library leaves some behind."""
 
 
 def keep_programs() -> None:
@@ -45,29 +45,21 @@ def cache_folder() -> Path | None:
     if chosen.lower() in ("off", "0", "no"):
         return None
     try:
-        folder = (Path(chosen).expanduser() if chosen else _users_caches() / "covariant") / _processor()
+        folder = (Path(chosen).expanduser() if chosen else user_cache_path("covariant", appauthor=False)) / _processor()
         folder.mkdir(parents=True, exist_ok=True, mode=0o700)
     except (OSError, RuntimeError):  # there is no home folder, or it cannot be written to
         return None
     return folder if os.access(folder, os.W_OK | os.X_OK) else None
 
 
-def let_go_of_unused(folder: Path) -> None:
-    """Remove the programs, of JAX and of ours, in a `cache_folder` that have been neither made nor read for long."""
+def evict_unused(folder: Path) -> None:
+    """Remove the programs, of JAX and of ours, in a `cache_folder` that were neither written nor read for long."""
     for file in folder.glob("*"):
-        if file.name.endswith((".so", ".made", "-cache")):
-            with contextlib.suppress(OSError):  # somebody else was faster, or may
-                found = file.stat()
-                if max(found.st_atime, found.st_mtime) < time.time() - UNUSED:
+        if file.name.endswith((".so", ".json", ".made", "-cache")):  # .made: of versions before this one
+            with contextlib.suppress(OSError):  # another process was faster, or may
+                times = file.stat()
+                if max(times.st_atime, times.st_mtime) < time.time() - UNUSED:
                     file.unlink()
-
-
-def _users_caches() -> Path:
-    if sys.platform == "win32":
-        return Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local")
-    if sys.platform == "darwin":
-        return Path.home() / "Library" / "Caches"
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
 
 
 def _processor() -> str:

@@ -140,7 +140,7 @@ class Run(NamedTuple):
     The estimates are (q, v) (T, 2n), or on a group a `Motion` of g (T, N, N) and v (T, n).
     """
 
-    t: Float[Array, "T"]
+    t: Float[AnyArray, "T"]
     estimate: Any
     info: Any
 

@@ -232,7 +232,7 @@ def test_people_get_the_same_in_words(capsys, monkeypatch, estimated):
 
 @pytest.mark.parametrize("arguments", [("estimate",), ("compare", "--truth", "true_v1")])
 def test_people_are_told_why_compiled_c_did_not_do_the_work(arguments, capsys, monkeypatch):
-    monkeypatch.setattr("covariant.engine._log.missing", lambda: "there is no C compiler here")
+    monkeypatch.setattr("covariant.engine._choice.missing", lambda: "there is no C compiler here")
     monkeypatch.setattr(sys, "argv", ["covariant", arguments[0], "model.toml", "log.csv", *arguments[1:]])
     with pytest.raises(SystemExit) as left:
         main()

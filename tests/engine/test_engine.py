@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from covariant import models, observers
-from covariant.engine import Stream, _compile, _log, run_log, run_logs
-from covariant.engine._kernel import _kept, kernel
+from covariant.engine import FEWEST_ROWS, KernelForm, Stream, _choice, _log, choose, run_log, run_logs
+from covariant.engine._kernel import _prepared, prepared
 from covariant.observers import run
 from covariant.signals import Record, Result
 
@@ -52,7 +52,8 @@ def test_a_log_through_c_is_that_through_jax():
     assert jax.tree.structure(through_c) == jax.tree.structure(through_jax)
     for ours, theirs in zip(jax.tree.leaves(through_c), jax.tree.leaves(through_jax), strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-9)
-        assert np.asarray(ours).dtype == np.asarray(theirs).dtype
+        assert (type(ours), ours.dtype, ours.flags.writeable) == (np.ndarray, theirs.dtype, theirs.flags.writeable)
+        assert type(theirs) is np.ndarray
     assert {Result.OK, Result.COASTED, Result.OUTLIER} <= set(np.asarray(through_c.info.result))
 
 
@@ -115,16 +116,37 @@ def test_runs_in_lanes_are_those_of_jax_each(monkeypatch):
 
 
 @needs_compiler
+def test_the_engine_is_chosen_by_one_rule_and_says_why(monkeypatch, tmp_path):
+    observer, form = observers.Intrinsic(pendulum(), 10.0, 100.0), KernelForm((2,), 2)
+
+    def chosen(rows, asked="auto", form=form):
+        return str(choose(observer, form, rows, asked))
+
+    _prepared.cache_clear()
+    monkeypatch.setenv("COVARIANT_CACHE", "off")
+    assert [chosen(10, "c"), chosen(FEWEST_ROWS), chosen(math.inf)] == ["c"] * 3
+    assert chosen(10) == "jax: fewer than 100000 rows, and compiled C would not be kept"
+    assert chosen(math.inf, "jax") == "jax: as asked"
+    assert chosen(math.inf, "c", KernelForm((2,), 2, real=False)) == "jax: measurements are complex numbers"
+    monkeypatch.setenv("COVARIANT_CACHE", str(tmp_path))
+    _prepared.cache_clear()
+    assert chosen(10) == "c"
+    _prepared.cache_clear()
+    monkeypatch.setattr(_choice, "missing", lambda: "there is no C compiler")
+    assert chosen(math.inf, "c") == "jax: there is no C compiler"
+
+
+@needs_compiler
 def test_an_equal_observer_is_compiled_once():
-    made = [kernel(observers.Intrinsic(pendulum(), a, 100.0), np.zeros(2), 2) for a in (10.0, 10.0, 11.0)]
+    made = [prepared(observers.Intrinsic(pendulum(), a, 100.0), KernelForm((2,), 2)).kernel for a in (10.0, 10.0, 11.0)]
     assert made[0] is made[1]
     assert made[0] is not made[2]
     first, *rest = (observers.Intrinsic(pendulum(), a, 10 * a) for a in (10.0, 10.0, 11.0, 12.0))
     run_logs([first, rest[1]], parts((100,)), ("result",), engine="c")
-    count = _kept.cache_info().misses
+    count = _prepared.cache_info().misses
     for each in rest:
         found, _ = run_logs(each, parts((100,)), ("result",), engine="c", others=[first, rest[1]])
-    assert _kept.cache_info().misses == count
+    assert _prepared.cache_info().misses == count
     same(found, [run(rest[-1], parts((100,))[0], ("result",))])
 
 
@@ -144,7 +166,7 @@ def test_another_gain_compiles_nothing_and_another_model_something():
             done, engine = run_log(observer, log, engine="c")
             assert engine == "c"
             same([done], [run(observer, log)])
-            counts.append(_kept.cache_info().misses)
+            counts.append(_prepared.cache_info().misses)
         assert counts[0] == counts[1] == counts[2] - 1
 
 
@@ -163,6 +185,14 @@ def test_runs_that_do_not_belong_together_are_refused():
             run_logs(*given)
 
 
+@pytest.mark.parametrize("engine", ["c", "jax"])
+def test_a_log_in_single_precision_is_taken_in_double(engine):
+    """The type of a result depends neither on the engine nor on what is kept."""
+    single = Record(*(np.asarray(a, np.float32) for a in parts((50,))[0][:3]))
+    done, _ = run_log(gated(), single, engine=engine)
+    assert {leaf.dtype for leaf in jax.tree.leaves(done)} == {np.dtype(float), np.dtype(np.int32)}
+
+
 def test_a_short_log_stays_with_jax_and_a_fault_of_the_record_is_told():
     short = Record(*(a[:1] for a in record()[:3]))
     with pytest.raises(ValueError, match="at least two rows"):
@@ -171,12 +201,7 @@ def test_a_short_log_stays_with_jax_and_a_fault_of_the_record_is_told():
 
 @functools.cache
 def made(engine: str) -> Stream:
-    with pytest.MonkeyPatch.context() as patch:
-        if engine == "jax":
-            patch.setattr(_compile, "compiler", lambda: None)
-            _compile.missing.cache_clear()
-        stream = Stream(gated(), record().y[0], RATE)
-        _compile.missing.cache_clear()
+    stream = Stream(gated(), record().y[0], RATE, engine=engine)
     assert stream.engine.startswith(engine)
     return stream
 

@@ -4,8 +4,10 @@ from ._program import (
     Leaf as Leaf,
     Program as Program,
     Recipe as Recipe,
+    TracedProgram as TracedProgram,
     of_family as of_family,
     program as program,
+    trace_program as trace_program,
     with_open_numbers as with_open_numbers,
 )
 from ._source import Source as Source, write_source as write_source

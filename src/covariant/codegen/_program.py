@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from covariant.lowering import Lowered, lower
+from covariant.lowering import Lowered, TracedFunction, lower_traced, trace
 from covariant.models import Family, Motion, input_count
 from covariant.observers import AbstractObserver
 
@@ -151,6 +151,37 @@ def _whole(base: str, ks: Sequence[int], family: Family) -> bool:
     return not isinstance(given, list) or (np.ndim(given) == 1 and len(given) == len(ks))
 
 
+class TracedProgram(NamedTuple):
+    """An observer traced, before its graphs are made: the fields are as those of `Program`."""
+
+    init: TracedFunction
+    step: TracedFunction
+    estimate: TracedFunction
+    given: tuple[Leaf, ...]
+    values: tuple[np.ndarray, ...]
+    state: tuple[Leaf, ...]
+    info: tuple[Leaf, ...]
+    x: tuple[Leaf, ...]
+    y: tuple[int, ...]
+    u: int
+    real: Real
+    told_as: Any
+    estimated_as: Any
+
+    def lower(self, loops: bool = False) -> Program:
+        """The graphs; `loops` and errors as for `program`."""
+        kept = "any" if loops else "long"
+        lowered = (
+            lower_traced(self.init, loops=kept),
+            lower_traced(self.step, loops=kept),
+            lower_traced(self.estimate, loops=kept),
+        )
+        used = _used(lowered, self.given)
+        numbers = {leaf.name: value for leaf, value in zip(self.given, self.values, strict=True) if leaf.name in used}
+        structure = (self.state, self.info, self.x, self.y, self.u, self.real, self.told_as)
+        return Program(*lowered, numbers, self.given, self.values, *structure)
+
+
 def program(
     recipe: Recipe,
     y: Array | np.ndarray,
@@ -168,6 +199,13 @@ def program(
     Raises `LoweringError` where a step has no graph of a fixed size, as where friction decides the number of its
     substeps (`observers.with_fixed_substeps`), unless `loops` are allowed.
     """
+    return trace_program(recipe, y, inputs, real).lower(loops)
+
+
+def trace_program(
+    recipe: Recipe, y: Array | np.ndarray, inputs: int | None = None, real: Real = "double"
+) -> TracedProgram:
+    """An observer traced by JAX, which takes a part of the time that its graphs take; arguments as for `program`."""
     dtype = DTYPES[real]
     y = np.asarray(y, dtype)
     first = recipe.make(recipe.numbers)
@@ -180,53 +218,56 @@ def program(
     def made(numbers):
         return jax.tree.map(lambda a: a.astype(dtype) if eqx.is_inexact_array(a) else a, recipe.make(numbers))
 
-    def init(numbers, y, t):
-        return _real(made(numbers).init(y, t), dtype)
+    met: dict[str, Any] = {}  # structures with the shapes and types that they have in JAX, met on the way
 
-    kinds = jax.eval_shape(lambda n, y, t: made(n).init(y, t), given, measured, scalar)
+    def init(numbers, y, t):
+        state = made(numbers).init(y, t)
+        met["state"] = _kinds(state)
+        return _real(state, dtype)
+
+    traced_init = trace(init, given, measured, scalar)
+    kinds = met["state"]
     state = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape, dtype), kinds)
 
     def typed(state):
         return jax.tree.map(lambda a, kind: a.astype(kind.dtype), state, kinds)
 
-    types: list[Any] = []  # of the fields of the info, met on the way
-
     def step(numbers, state, u, y, dt):
         state, info = made(numbers).step(typed(state), u, y, dt)
-        types[:] = [jax.tree.map(lambda a: jax.ShapeDtypeStruct(jnp.shape(a), jnp.result_type(a)), info)]
+        met["info"] = _kinds(info)
         return _real((state, info), dtype)
 
     def estimate(numbers, state):
         observer = made(numbers)
         x: Any = observer.estimate(typed(state))
+        met["estimate"] = _kinds(x)
         if isinstance(x, tuple) or "x" in getattr(state, "_fields", ()):
             return x
         return Motion(*jnp.split(x, 2))
 
     acting = jax.ShapeDtypeStruct((u,), dtype)
-    kept = "any" if loops else "long"
-    lowered = (
-        lower(init, given, measured, scalar, loops=kept),
-        lower(step, given, state, acting, measured, scalar, loops=kept),
-    )
-    read = lower(estimate, given, state, loops=kept)
+    traced_step = trace(step, given, state, acting, measured, scalar)
+    traced_estimate = trace(estimate, given, state)
     leaves = tuple(Leaf(name, np.shape(recipe.numbers[name])) for name in sorted(recipe.numbers))  # as JAX orders them
-    used = _used((*lowered, read), leaves)
-    _, info = jax.tree.unflatten(lowered[1].tree, lowered[1].results)
-    return Program(
-        *lowered,
-        read,
-        {leaf.name: np.asarray(recipe.numbers[leaf.name], float) for leaf in leaves if leaf.name in used},
+    return TracedProgram(
+        traced_init,
+        traced_step,
+        traced_estimate,
         leaves,
         tuple(np.asarray(recipe.numbers[leaf.name], float) for leaf in leaves),
         _leaves(kinds),
-        _leaves(info),
-        _leaves(jax.tree.unflatten(read.tree, read.results)),
+        _leaves(traced_step.results[1]),
+        _leaves(traced_estimate.results),
         y.shape,
         u,
         real,
-        types[0],
+        met["info"],
+        met["estimate"],
     )
+
+
+def _kinds(tree: Any) -> Any:
+    return jax.tree.map(lambda a: jax.ShapeDtypeStruct(jnp.shape(a), jnp.result_type(a)), tree)
 
 
 def _real(tree: Any, dtype: Any) -> Any:

@@ -1,7 +1,6 @@
 """An observer as a function of plain arrays of numbers, compiled from C."""
 
 import functools
-import itertools
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -9,10 +8,9 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from covariant._programs import cache_folder
-from covariant.codegen import Recipe, program
+from covariant.codegen import Recipe, TracedProgram, trace_program
+from covariant.engine._cache import cache_key, cached_text, result_index
 from covariant.engine._compile import library
-from covariant.engine._recall import digest, recalled
 from covariant.lowering import CText, Lowered, LoweringError, Signature, c_function, c_helpers
 from covariant.observers import AbstractObserver
 
@@ -27,7 +25,7 @@ DECLARED_STEP = "int kernel_step(double *numbers, double dt);"
 class Kernel(NamedTuple):
     """A compiled observer, for so many runs at once as it has lanes.
 
-    - `text`: what was compiled.
+    - `layout`: what its numbers are.
     - `library.kernel_init(open, y, t, state)`: the states at rest at a measurement; `open` are the open numbers one
       after another. Of several lanes each number is a row, with an entry for each lane.
     - `library.kernel_run(open, state, rows, logs, kept, count, found)`: advance the states in place, over as many rows
@@ -38,7 +36,7 @@ class Kernel(NamedTuple):
     - `pointer`: the pointer to an array.
     """
 
-    text: "Text"
+    layout: "Layout"
     ffi: Any
     library: Any
     lanes: int
@@ -46,7 +44,7 @@ class Kernel(NamedTuple):
     @property
     def sizes(self) -> tuple[int, int, int]:
         """Numbers of a state, an estimate and an info."""
-        return self.text.sizes
+        return self.layout.sizes
 
     def pointer(self, array: np.ndarray) -> Any:
         """The pointer to a contiguous array of doubles, which must live as long as the pointer is used."""
@@ -57,39 +55,42 @@ class Kernel(NamedTuple):
         return self.ffi.new("double *[]", [self.pointer(array) for array in arrays])
 
 
-def kernel(
-    observer: AbstractObserver, y: np.ndarray, inputs: int, opened: tuple[int, ...] = (), lanes: int = 1
-) -> Kernel:
-    """The kernel of an observer, its numbers written into the code.
+class NoKernelError(Exception):
+    """There is no compiled observer; the message says why."""
 
-    - `opened`: which of its arrays of real numbers, counted as leaves of its pytree, are arguments instead.
+
+class KernelForm(NamedTuple):
+    """What a kernel is for.
+
+    - `y`: the shape of a measurement; `inputs`: how many inputs there are.
+    - `opened`: which of the observer's arrays of real numbers, counted as leaves of its pytree, are arguments.
     - `lanes`: how many runs it does at once.
-
-    One that was made before in this process for an equal observer is given again. Raises `LoweringError` where the
-    observer has no graph, and `OSError` where it cannot be compiled.
+    - `real`: whether measurements are real numbers.
     """
-    asked = _Asked(observer, np.zeros(np.shape(y)), inputs, opened, lanes)
+
+    y: tuple[int, ...]
+    inputs: int
+    opened: tuple[int, ...] = ()
+    lanes: int = 1
+    real: bool = True
+
+
+def prepared(observer: AbstractObserver, form: KernelForm) -> "Prepared":
+    """An observer traced for a kernel, its numbers written into the code; one of an equal observer is given again."""
+    asked = _Asked(observer, form)
     try:
-        return _kept(asked)
+        return _prepared(asked)
     except TypeError:  # something in it has no hash
-        return _compiled(asked)
+        return Prepared(asked)
 
 
-def outlasts(observer: AbstractObserver, y: np.ndarray, inputs: int, opened: tuple[int, ...] = ()) -> bool:
-    """Whether the kernel of an observer, once made, is there in later processes, so that it is only loaded."""
-    return cache_folder() is not None and _key(_Asked(observer, np.zeros(np.shape(y)), inputs, opened, 1)) is not None
+class Layout(NamedTuple):
+    """What the numbers of a kernel are.
 
-
-class Text(NamedTuple):
-    """An observer as C, and the shapes of what it takes and gives.
-
-    - `source`, `declared`: the text, and the functions in it; `sizes`: numbers of a state, an estimate and an info.
-    - `y`: the shape of a measurement; `u`: the number of inputs.
+    - `sizes`: numbers of a state, an estimate and an info; `y`: the shape of a measurement; `u`: the number of inputs.
     - `info`, `estimate`: these, as arrays' shapes and types.
     """
 
-    source: str
-    declared: str
     sizes: tuple[int, int, int]
     y: tuple[int, ...]
     u: int
@@ -100,16 +101,15 @@ class Text(NamedTuple):
 class _Asked:
     """What a kernel is made of; equal where the kernels would be."""
 
-    def __init__(self, observer: AbstractObserver, y: np.ndarray, inputs: int, opened: tuple[int, ...], lanes: int):
-        self.observer = observer
+    def __init__(self, observer: AbstractObserver, form: KernelForm):
         arrays, self.rest = eqx.partition(observer, eqx.is_inexact_array)
         self.leaves, self.tree = jax.tree.flatten(arrays)
-        self.y, self.inputs, self.opened, self.lanes = y, inputs, opened, lanes
-        told = [np.asarray(leaf) for leaf in self.leaves]
-        written = tuple(b"" if i in opened else a.tobytes() for i, a in enumerate(told))
-        kinds = tuple((a.shape, a.dtype.str) for a in told)
-        functions, form = jax.tree.flatten(self.rest)
-        self._key = (self.tree, form, tuple(functions), written, kinds, opened, y.shape, inputs, lanes)
+        self.form = form
+        values = [np.asarray(leaf) for leaf in self.leaves]
+        written = tuple(b"" if i in form.opened else a.tobytes() for i, a in enumerate(values))
+        kinds = tuple((a.shape, a.dtype.str) for a in values)
+        functions, structure = jax.tree.flatten(self.rest)
+        self._key = (self.tree, structure, tuple(functions), written, kinds, form)
 
     def __hash__(self) -> int:
         return hash(self._key)
@@ -117,21 +117,9 @@ class _Asked:
     def __eq__(self, other: object) -> bool:
         return isinstance(other, _Asked) and self._key == other._key
 
-    def told(self) -> Any:
-        """The same in plain words: the observer, with the bytes of its arrays but for those that are open."""
-        counted = itertools.count()
-
-        def told(leaf: Any) -> Any:
-            if not eqx.is_inexact_array(leaf):
-                return leaf
-            a = np.asarray(leaf)
-            return ("array", a.shape, a.dtype.str, None if next(counted) in self.opened else a.tobytes())
-
-        return jax.tree.map(told, self.observer), self.y.shape, self.inputs, self.lanes
-
     def recipe(self) -> Recipe:
         """The observer with its open arrays as arguments, by names that sort as they are counted."""
-        names = {i: f"n{i:06d}" for i in self.opened}
+        names = {i: f"n{i:06d}" for i in self.form.opened}
 
         def make(values: Any) -> AbstractObserver:
             chosen = [values[names[i]] if i in names else leaf for i, leaf in enumerate(self.leaves)]
@@ -140,43 +128,50 @@ class _Asked:
         return Recipe(make, {name: np.asarray(self.leaves[i]) for i, name in names.items()})
 
 
-@functools.lru_cache(maxsize=64)
-def _kept(asked: _Asked) -> Kernel:
-    return _compiled(asked)
+class Prepared:
+    """An observer that is traced. Its kernel is compiled when it is first asked for.
+
+    - `key`: what later processes find its text by; None where they do not.
+    """
+
+    def __init__(self, asked: _Asked):
+        self._lanes = asked.form.lanes
+        self._traced: TracedProgram | None = trace_program(asked.recipe(), np.zeros(asked.form.y), asked.form.inputs)
+        self.key = cache_key(self._traced, self._lanes)
+
+    @property
+    def kernel(self) -> Kernel:
+        """The kernel; raises `NoKernelError` where it has no graph, or the compiler does not take its text."""
+        if isinstance(self._made, str):
+            raise NoKernelError(self._made)
+        return self._made
+
+    @functools.cached_property
+    def _made(self) -> Kernel | str:
+        """The kernel, or why there is none, which takes as long to find out."""
+        assert self._traced is not None
+        try:
+            source = cached_text(self.key, functools.partial(_written, self._traced, self._lanes))
+            declared = DECLARED + (DECLARED_STEP if self._lanes == 1 else "")
+            return Kernel(_described(self._traced), *library(source, declared), self._lanes)
+        except (LoweringError, OSError) as error:
+            return str(error)
+        finally:
+            self._traced = None  # a jaxpr of a robot takes megabytes
 
 
-def _key(asked: _Asked) -> str | None:
-    """What later processes find the text of a kernel by, if they do."""
-    try:
-        return _told(asked)
-    except TypeError:  # as above
-        return digest(asked.told())
+_prepared = functools.lru_cache(maxsize=64)(Prepared)
 
 
-@functools.lru_cache(maxsize=64)
-def _told(asked: _Asked) -> str | None:
-    return digest(asked.told())
+def _described(traced: TracedProgram) -> Layout:
+    state, estimate, info = (sum(leaf.size for leaf in leaves) for leaves in (traced.state, traced.x, traced.info))
+    return Layout((state, estimate, info), traced.y, traced.u, traced.told_as, traced.estimated_as)
 
 
-def _compiled(asked: _Asked) -> Kernel:
-    text = recalled(_key(asked), (Text, str), functools.partial(_written_or_why, asked))
-    if isinstance(text, str):
-        raise LoweringError(text)
-    return Kernel(text, *library(text.source, text.declared), asked.lanes)
-
-
-def _written_or_why(asked: _Asked) -> Text | str:
-    """The text, or why there is none, which takes as long to find out."""
-    try:
-        return _written(asked)
-    except LoweringError as error:
-        return str(error)
-
-
-def _written(asked: _Asked) -> Text:
-    made = program(asked.recipe(), asked.y, asked.inputs, loops=True)
-    n_state = sum(leaf.size for leaf in made.state)
-    n_x, n_info = sum(leaf.size for leaf in made.x), sum(leaf.size for leaf in made.info)
+def _written(traced: TracedProgram, lanes: int) -> str:
+    """The text of a kernel; raises `LoweringError`."""
+    made = traced.lower(loops=True)
+    n_state, n_x, n_info = _described(traced).sizes
     sizes = {"o": sum(leaf.size for leaf in made.given), "s": n_state, "u": made.u, "y": int(np.prod(made.y))}
     entries = {name: tuple(f"{name}[{i}]" for i in range(size)) for name, size in sizes.items()} | {
         "dt": ("dt",),
@@ -189,32 +184,26 @@ def _written(asked: _Asked) -> Text:
         given = tuple(entry for n in names for entry in entries[n])
         outputs = tuple(f"z[{i}]" for i in range(results))
         signature = Signature(f"{declared}, real *restrict z", (*names, "z"), given, outputs)
-        return c_function(graph, name, signature, static=True, lanes=asked.lanes)
+        return c_function(graph, name, signature, static=True, lanes=lanes)
 
     texts = [
         function(made.init, "core_init", "o y t", n_state),
         function(made.step, "core_step", "o s u y dt", n_state + n_info),
         function(made.estimate, "core_estimate", "o s", n_x),
     ]
-    helpers = c_helpers(frozenset().union(*(text.helpers for text in texts)), lanes=asked.lanes)
-    result = [leaf.name for leaf in made.info for _ in range(leaf.size)].index("result")
-    named = {"RESULT": result, "STATE": n_state, "INPUTS": made.u, "MEASURED": sizes["y"], "ESTIMATE": n_x}
-    named |= {"INFO": n_info, "OPEN": sizes["o"], "LANES": asked.lanes}
-    alone = asked.lanes == 1
+    helpers = c_helpers(frozenset().union(*(text.helpers for text in texts)), lanes=lanes)
+    named = {"RESULT": result_index(traced), "STATE": n_state, "INPUTS": made.u, "MEASURED": sizes["y"]}
+    named |= {"ESTIMATE": n_x, "INFO": n_info, "OPEN": sizes["o"], "LANES": lanes}
     parts = {
         "SIZES": "\n".join(f"#define {k} {v}" for k, v in named.items()),
         "HELPERS": helpers,
-        "REAL": f"typedef {'double' if alone else 'lanes'} real;",
+        "REAL": f"typedef {'double' if lanes == 1 else 'lanes'} real;",
         "CORE": "\n".join(text.text for text in texts),
     }
-    source = _SOURCE + (_STEP if alone else "")
+    source = _SOURCE + (_STEP if lanes == 1 else "")
     for key, text in parts.items():
         source = source.replace(f"@{key}@", text)
-    declared = DECLARED + (DECLARED_STEP if alone else "")
-    observer: Any = asked.observer
-    shape = jax.ShapeDtypeStruct(made.y, float)
-    estimate = jax.eval_shape(lambda y: observer.estimate(observer.init(y)), shape)
-    return Text(source, declared, (n_state, n_x, n_info), made.y, made.u, made.told_as, estimate)
+    return source
 
 
 # A velocity at rest decays until its last digits are gone, and numbers so small take processors many times as long:

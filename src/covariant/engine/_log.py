@@ -4,23 +4,18 @@ import itertools
 import os
 from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, Literal, NamedTuple, get_args
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from covariant._compile import vector_bytes
-from covariant.engine._compile import missing
-from covariant.engine._kernel import Kernel, kernel, outlasts
-from covariant.lowering import LoweringError
+from covariant.engine._choice import EngineName, choose
+from covariant.engine._kernel import Kernel, KernelForm
 from covariant.observers import AbstractObserver, checked, run
 from covariant.signals import Record, Result, Run
 
-EngineName = Literal["auto", "c", "jax"]
-FEWEST_ROWS = 100_000
-"""Fewest rows, of all logs together, for which C is worth its compilation although nothing is kept of it."""
 RUNS_A_CORE = 4
 """More runs than this for each core go through lanes: a step in all lanes takes about as long as four of one run."""
 WRITTEN_IN = {"model", "metric"}
@@ -32,13 +27,31 @@ MOST_OPEN = 100
 def run_log(
     observer: AbstractObserver, record: Record, keep: Collection[str] | None = None, engine: EngineName = "auto"
 ) -> tuple[Run, str]:
-    """As `observers.run`, by C where it pays, and the engine that did it: "c", or "jax" with the reason.
+    """An observer over a log as `observers.run`, by compiled C where it pays, and the engine that did it.
 
-    - `engine`: "auto" uses C where the compiled observer is kept for later processes, and for a log of `FEWEST_ROWS`
-      rows; "c" uses it for any, and "jax" never.
+    Args:
+        observer: Any observer.
+        record: The log: stamps (T,) [s], inputs (T, m), measurements (T, n) or (T, N, N). It is taken in double
+            precision.
+        keep: Names of the fields of the info that are kept; by default all.
+        engine: "auto", "c" or "jax"; `choose` has the rule.
 
-    The results are those of JAX up to rounding. JAX does the work where there is no compiler, and where the observer
-    has no graph. Raises `ValueError` as `observers.run` does, and for an unknown engine.
+    Returns:
+        A `Run` of NumPy arrays, the same for all engines up to rounding, and the engine: "c", or "jax: " with the
+        reason.
+
+    Raises:
+        ValueError: As `observers.run` does, and for an unknown engine.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import models, observers, signals
+        >>> t = np.linspace(0.0, 1.0, 101)
+        >>> log = signals.Record(t, np.zeros((101, 2)), np.zeros((101, 2)))
+        >>> observer = observers.Intrinsic(models.pendulum_chain(), 10.0, 100.0)
+        >>> found, engine = run_log(observer, log, engine="jax")
+        >>> found.estimate.shape, engine
+        ((101, 4), 'jax: as asked')
     """
     (done,), name = run_logs(observer, record, keep, engine)
     return done, name
@@ -50,21 +63,27 @@ def run_logs(
     keep: Collection[str] | None = None,
     engine: EngineName = "auto",
     others: Sequence[AbstractObserver] = (),
+    repeats: int = 1,
 ) -> tuple[list[Run], str]:
     """Many runs: one observer over many logs, many observers over one log, or as many observers as logs in pairs.
 
-    - `observers`: of one kind, told apart by their numbers, such as gains or masses; all are one compiled program, and
-      so are observers of other calls and processes that have other gains or covariances.
-    - `records`: logs of any lengths, with measurements and inputs of one shape.
-    - `keep`, `engine`: as for `run_log`; the rows of all logs count together. C uses every core.
-    - `others`: observers of other calls: numbers of models that tell any of them apart stay open in the compiled
-      program too, so that a search for the best ones compiles one.
+    Args:
+        observers: Of one kind, told apart by their numbers, such as gains or masses. All are one compiled program, and
+            so are observers of other calls and processes that have other gains or covariances.
+        records: Logs of any lengths, with measurements and inputs of one shape.
+        keep: As for `run_log`.
+        engine: As for `run_log`; the rows of all logs count together. C uses every core.
+        others: Observers of other calls: numbers of models that tell any of them apart stay open in the compiled
+            program too, so that a search for the best ones compiles one.
+        repeats: How many calls like this one are to come, whose rows count too.
 
-    Returns the runs in order, and the engine that made them. Raises `ValueError` as `observers.run` does, for counts
-    that do not fit, and for observers or records of different forms.
+    Returns:
+        The runs in order, and the engine that made them.
+
+    Raises:
+        ValueError: As `observers.run` does, for counts that do not fit, and for observers or records of different
+            forms.
     """
-    if engine not in get_args(EngineName):
-        raise ValueError(f"engine must be one of {', '.join(get_args(EngineName))}; got {engine!r}")
     many = [observers] if isinstance(observers, AbstractObserver) else list(observers)
     logs = [records] if isinstance(records, Record) else list(records)
     if not many or not logs or (1 not in (len(many), len(logs)) and len(many) != len(logs)):
@@ -72,29 +91,34 @@ def run_logs(
             f"run_logs needs one observer, one record, or as many of both; got {len(many)} observers "
             f"and {len(logs)} records"
         )
-    for record in logs:
-        checked(many[0], record)
-    forms = {(np.shape(r.y)[1:], np.shape(r.u)[1]) for r in logs}
+    logs = [_in_double(checked(many[0], record)) for record in logs]
+    forms = {(r.y.shape[1:], r.u.shape[1]) for r in logs}
     if len(forms) > 1:
-        told = ", ".join(f"y {y} and {u} inputs" for y, u in sorted(forms, key=str))
-        raise ValueError(f"run_logs: measurements and inputs must have one shape in all records; got {told}")
+        shapes = ", ".join(f"y {y} and {u} inputs" for y, u in sorted(forms, key=str))
+        raise ValueError(f"run_logs: measurements and inputs must have one shape in all records; got {shapes}")
     count = max(len(many), len(logs))
     opened, numbers = _open([*many, *others])
     each, logs = many * (count // len(many)), logs * (count // len(logs))
-    rows = sum(len(r.t) for r in logs)
-    why = "as asked" if engine == "jax" else missing()
-    if why is None and engine == "auto" and rows < FEWEST_ROWS:
-        # C computes in double precision: the type of a result must not depend on what is kept.
-        if any(np.result_type(log.y) != np.float64 for log in logs):
-            why = f"fewer than {FEWEST_ROWS} rows, in single precision"
-        elif not outlasts(many[0], np.asarray(logs[0].y[0]), np.shape(logs[0].u)[1], opened):
-            why = f"fewer than {FEWEST_ROWS} rows, and compiled C would not be kept"
-    if why is None:
-        try:
-            return _by_c(each, opened, np.resize(numbers[: len(many)], (count, numbers.shape[1])), logs, keep), "c"
-        except (LoweringError, OSError) as error:
-            why = f"{error}"
-    return [run(observer, record, keep) for observer, record in zip(each, logs, strict=True)], f"jax: {why}"
+    lanes = vector_bytes() // np.dtype(float).itemsize if count > RUNS_A_CORE * (os.cpu_count() or 1) else 1
+    ((y, inputs),) = forms
+    rows = repeats * sum(len(r.t) for r in logs)
+    real = not any(np.iscomplexobj(r.y) for r in logs)
+    chosen = choose(many[0], KernelForm(y, inputs, opened, lanes, real), rows, engine)
+    if chosen.kernel is not None:
+        runs = _by_c(chosen.kernel, np.resize(numbers[: len(many)], (count, numbers.shape[1])), logs, keep)
+    else:
+        runs = [_by_jax(observer, record, keep) for observer, record in zip(each, logs, strict=True)]
+    return runs, str(chosen)
+
+
+def _in_double(record: Record) -> Record:
+    """The stamps, inputs and measurements in double precision, so that results have one type, whatever computes."""
+    return Record(*(np.asarray(a, np.result_type(a, float)) for a in record[:3]))
+
+
+def _by_jax(observer: AbstractObserver, record: Record, keep: Collection[str] | None) -> Run:
+    # Copies, since arrays of JAX are read-only as NumPy sees them, and those of C are not.
+    return jax.tree.map(np.array, run(observer, record, keep))
 
 
 def _open(observers: Sequence[AbstractObserver]) -> tuple[tuple[int, ...], np.ndarray]:
@@ -130,28 +154,20 @@ def _alike(real: bool, leaf: Any, first: Any) -> bool:
     return not eqx.is_inexact_array(leaf) and bool(eqx.tree_equal(leaf, first))
 
 
-def _by_c(
-    observers: Sequence[AbstractObserver],
-    opened: tuple[int, ...],
-    numbers: np.ndarray,
-    logs: Sequence[Record],
-    keep: Collection[str] | None,
-) -> list[Run]:
-    cores = os.cpu_count() or 1
-    lanes = vector_bytes() // np.dtype(float).itemsize if len(logs) > RUNS_A_CORE * cores else 1
-    made = kernel(observers[0], np.asarray(logs[0].y[0]), np.shape(logs[0].u)[1], opened, lanes)
-    form = _Form.of(made, keep)
+def _by_c(made: Kernel, numbers: np.ndarray, logs: Sequence[Record], keep: Collection[str] | None) -> list[Run]:
+    cores, lanes = os.cpu_count() or 1, made.lanes
+    form = _Columns.of(made, keep)
     # Runs of like lengths go together, since lanes wait for the longest.
     order = sorted(range(len(logs)), key=lambda k: len(logs[k].t))
     blocks = [order[k : k + lanes] for k in range(0, len(order), lanes)]
-    read = {id(log): _Columns.of(log) for log in logs}
+    read = {id(log): _Rows.of(log) for log in logs}
     with ThreadPoolExecutor(min(len(blocks), cores)) as pool:  # C lets go of Python's lock while it runs
         found = pool.map(lambda block: _through(made, form, numbers[block], [read[id(logs[k])] for k in block]), blocks)
         runs = dict(zip(order, itertools.chain(*found), strict=True))
     return [runs[k] for k in range(len(logs))]
 
 
-class _Form(NamedTuple):
+class _Columns(NamedTuple):
     """How columns of numbers become a run.
 
     - `kept`: the columns of an info that are kept; `estimate`, `told`: `(T, columns) -> pytree`.
@@ -162,33 +178,33 @@ class _Form(NamedTuple):
     told: Callable[[np.ndarray], Any]
 
     @classmethod
-    def of(cls, made: Kernel, keep: Collection[str] | None) -> "_Form":
+    def of(cls, made: Kernel, keep: Collection[str] | None) -> "_Columns":
         """The form of the runs of an observer."""
-        paths, _ = jax.tree_util.tree_flatten_with_path(made.text.info)
+        paths, _ = jax.tree_util.tree_flatten_with_path(made.layout.info)
         names = [path[0].name for path, leaf in paths for _ in range(leaf.size)]
         kept = np.flatnonzero([keep is None or name in keep for name in names])
-        dropped = () if keep is None else set(made.text.info._fields) - set(keep)
-        return cls(kept, _split(made.text.estimate), _split(made.text.info._replace(**dict.fromkeys(dropped))))
+        dropped = () if keep is None else set(made.layout.info._fields) - set(keep)
+        return cls(kept, _split(made.layout.estimate), _split(made.layout.info._replace(**dict.fromkeys(dropped))))
 
 
-class _Columns(NamedTuple):
+class _Rows(NamedTuple):
     """A log as C reads it: stamps, and input, measurement and time step of each row."""
 
-    t: jax.Array
+    t: np.ndarray
     start: float
     u: np.ndarray
     y: np.ndarray
     dt: np.ndarray
 
     @classmethod
-    def of(cls, record: Record) -> "_Columns":
-        """The columns of a log."""
-        t, u, y = (np.ascontiguousarray(a, float) for a in record[:3])
+    def of(cls, record: Record) -> "_Rows":
+        """The rows of a log."""
+        t, u, y = map(np.ascontiguousarray, record[:3])
         acting = np.concatenate([u[:1], u[:-1]])  # the input that acted since the previous stamp
-        return cls(jnp.asarray(t), float(t[0]), acting, y.reshape(len(t), -1), np.diff(t, prepend=t[:1]))
+        return cls(t.copy(), float(t[0]), acting, y.reshape(len(t), -1), np.diff(t, prepend=t[:1]))
 
 
-def _through(made: Kernel, form: _Form, numbers: np.ndarray, logs: Sequence[_Columns]) -> list[Run]:
+def _through(made: Kernel, form: _Columns, numbers: np.ndarray, logs: Sequence[_Rows]) -> list[Run]:
     """Logs through a kernel, as many as it has lanes or fewer, with the open numbers of each."""
     kept = form.kept.tolist()
     found = [(np.empty((len(log.y), made.sizes[1])), np.empty((len(log.y), len(kept)))) for log in logs]
@@ -209,7 +225,7 @@ def _through(made: Kernel, form: _Form, numbers: np.ndarray, logs: Sequence[_Col
     return [_run(form, log.t, x, info) for log, (x, info) in zip(logs, found, strict=True)]
 
 
-def _run(form: _Form, t: jax.Array, x: np.ndarray, info: np.ndarray) -> Run:
+def _run(form: _Columns, t: np.ndarray, x: np.ndarray, info: np.ndarray) -> Run:
     told = form.told(info)
     if told.result is not None and told.result[0] == Result.REPEATED:
         told.result[0] = Result.OK  # the first row is no step

@@ -6,7 +6,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from covariant.engine._works import engine
+from covariant.engine._choice import EngineName
+from covariant.engine._works import works
 from covariant.models import Motion
 from covariant.observers import AbstractObserver
 from covariant.signals import Result
@@ -46,16 +47,19 @@ class Stream:
     - `y`: a configuration, of which the shape counts.
     - `rate` [Hz]: the usual sampling rate, at which it is tried before the first sample.
     - `inputs`: number of inputs m; by default that of the observer's model.
+    - `engine`: "auto" and "c" compile it in C where that is possible, "jax" in JAX.
 
-    It is compiled when it is made: in C where a compiler is there, else in JAX; `engine` says which, with the reason.
+    It is compiled when it is made; its attribute `engine` says by what, with the reason where that is JAX.
     `step` never raises an error. The first complete measurement that is a configuration starts the estimate; until then
     it is NaN. NaN and infinite entries of y are missing. A sample with the stamp of the one before changes nothing, nor
     does one with an earlier stamp, unless `SET_BACK` of them come in a row. `health` counts what was wrong.
 
-    Raises `ValueError` for a rate that is not positive.
+    Raises `ValueError` for a rate that is not positive, and for an unknown engine.
     """
 
-    def __init__(self, observer: AbstractObserver, y: Any, rate: float, inputs: int | None = None):
+    def __init__(
+        self, observer: AbstractObserver, y: Any, rate: float, inputs: int | None = None, engine: EngineName = "auto"
+    ):
         if not 0 < rate < math.inf:
             raise ValueError(f"Stream: rate must be a positive, finite number; got {rate}")
         y = np.asarray(y, float)
@@ -63,7 +67,7 @@ class Stream:
         stated = getattr(model, "inputs", None)
         m = inputs if inputs is not None else 0 if model is None else len(y) if stated is None else stated
         self.observer: Any = observer
-        self.engine, self._works = engine(self.observer, y, m)
+        self.engine, self._works = works(self.observer, y, m, engine)
         self._y, self._u = self._works.y, self._works.u
         self._y_place, self._u_place = self._works.places
         self._advance, self._copy = self._works.advance, self._works.x.copy

@@ -1,6 +1,7 @@
 """What works behind a stream: compiled C on buffers of its own, or a compiled program of JAX."""
 
 import functools
+import math
 from typing import Any
 
 import equinox as eqx
@@ -8,9 +9,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from covariant.engine._compile import missing
-from covariant.engine._kernel import Kernel, kernel
-from covariant.lowering import LoweringError
+from covariant.engine._choice import EngineName, choose
+from covariant.engine._kernel import Kernel, KernelForm
 
 
 class InC:
@@ -18,7 +18,7 @@ class InC:
 
     def __init__(self, made: Kernel):
         states, estimates, infos = made.sizes
-        sizes = (states, made.text.u, int(np.prod(made.text.y)), estimates, infos)
+        sizes = (states, made.layout.u, int(np.prod(made.layout.y)), estimates, infos)
         self._numbers = np.zeros(sum(sizes))  # one array, so that a call passes one pointer
         self.state, self.u, self.y, self.x, self.info = np.split(self._numbers, np.cumsum(sizes)[:-1])
         self._made = made  # it keeps the library loaded
@@ -74,12 +74,7 @@ def _flat(x: Any) -> Any:
     return jnp.concatenate([jnp.ravel(leaf) for leaf in jax.tree.leaves(x)])
 
 
-def engine(observer: Any, y: np.ndarray, inputs: int) -> tuple[str, InC | InJax]:
-    """The name of the engine, with the reason where it is not C, and the engine for an observer."""
-    why = missing()
-    if why is None:
-        try:
-            return "c", InC(kernel(observer, y, inputs))
-        except (LoweringError, OSError) as error:
-            why = str(error)
-    return f"jax: {why}", InJax(observer, y, inputs)
+def works(observer: Any, y: np.ndarray, inputs: int, asked: EngineName) -> tuple[str, InC | InJax]:
+    """The name of the engine for a stream of an observer, with the reason where it is not C, and what works."""
+    chosen = choose(observer, KernelForm(y.shape, inputs), math.inf, asked)  # a stream has no last row
+    return str(chosen), InJax(observer, y, inputs) if chosen.kernel is None else InC(chosen.kernel)

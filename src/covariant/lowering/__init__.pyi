@@ -4,6 +4,7 @@ from ._c_writer import CText as CText, Signature as Signature
 from ._differentiate import Derivative as Derivative, expand as expand, pairs as pairs
 from ._enclose import Enclosure as Enclosure, fulfilled as fulfilled
 from ._engine import enclose as enclose, in_c as in_c
+from ._fingerprint import fingerprint as fingerprint
 from ._graph import FOLD as FOLD, TRUTHS as TRUTHS, Condition as Condition, Graph as Graph, Node as Node
 from ._intervals import INTERVALS as INTERVALS
 from ._jax_forms import (
@@ -22,4 +23,11 @@ from ._read import NUMBERS as NUMBERS, Domain as Domain, evaluate as evaluate, n
 from ._rounding import perturbed as perturbed
 from ._stumpff import STUMPFF as STUMPFF, stumpff as stumpff
 from ._tape import Interval as Interval, Truth as Truth
-from ._trace import graft as graft, lower as lower, substitute as substitute
+from ._trace import (
+    TracedFunction as TracedFunction,
+    graft as graft,
+    lower as lower,
+    lower_traced as lower_traced,
+    substitute as substitute,
+    trace as trace,
+)

@@ -9,7 +9,7 @@ import functools
 import itertools
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -34,6 +34,18 @@ LONG = 400
 Loops = Literal["unrolled", "long", "any"]
 
 
+class TracedFunction(NamedTuple):
+    """A function as its closed jaxpr, and the shapes of its results in their structure."""
+
+    jaxpr: Any
+    results: Any
+
+
+def trace(function: Callable, *arguments: Any) -> TracedFunction:
+    """A function of arrays traced at the shapes of the arguments (arrays, or their shapes), once for `lower_traced`."""
+    return TracedFunction(*jax.make_jaxpr(function, return_shape=True)(*arguments))
+
+
 def lower(function: Callable, *arguments: Any, real: bool = False, loops: Loops = "unrolled") -> Lowered:
     """The graph of a function of arrays of real numbers, at the shapes of the arguments (arrays, or their shapes).
 
@@ -48,7 +60,12 @@ def lower(function: Callable, *arguments: Any, real: bool = False, loops: Loops 
     Raises `LoweringError` naming the primitive that has no
     graph, such as a factorisation by LAPACK, or a loop whose length depends on the arguments.
     """
-    closed, shape = jax.make_jaxpr(function, return_shape=True)(*arguments)
+    return lower_traced(trace(function, *arguments), real, loops)
+
+
+def lower_traced(traced: TracedFunction, real: bool = False, loops: Loops = "unrolled") -> Lowered:
+    """As `lower`, of a function that has been traced."""
+    closed, shape = traced
     graph, position = Graph(real), itertools.count()
     inputs: list[Value] = []
     for aval in closed.in_avals:

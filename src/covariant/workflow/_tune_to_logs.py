@@ -8,7 +8,7 @@ import numpy as np
 
 from covariant import models
 from covariant.design import DataSheet, HeldOut, Tuning, observer_gains, tune
-from covariant.engine import FEWEST_ROWS, EngineName, run_logs
+from covariant.engine import EngineName, run_logs
 from covariant.observers import AbstractObserver, Intrinsic
 from covariant.report import EstimateReport
 from covariant.signals import Record, Run
@@ -81,10 +81,7 @@ def tuned_page(title: str, tuned: Tuned, notes: tuple[str, ...], rows: tuple[dic
 
 
 class _Runs:
-    """Runs of observers with constant gains; once JAX had to do one it does the others, since its reason stays.
-
-    `description` is the engine, with the reason where it is JAX.
-    """
+    """Runs of observers with constant gains; `description` is the engine, with the reason where it is JAX."""
 
     def __init__(self, engine: EngineName):
         self.engine: EngineName = engine
@@ -93,10 +90,7 @@ class _Runs:
 
     def __call__(self, observers: Sequence[AbstractObserver], records: Sequence[Record]) -> list[Run]:
         self._first = self._first or observers
-        many = SEARCHED * sum(len(record.t) for record in records) >= FEWEST_ROWS
-        engine = "c" if self.engine == "auto" and many else self.engine
-        done, by = run_logs(observers, records, ("innovation",), engine, self._first)
-        self.engine, self.description = (self.engine, by) if by == "c" else ("jax", self.description or by)
+        done, self.description = run_logs(observers, records, ("innovation",), self.engine, self._first, SEARCHED)
         return done
 
 
