@@ -11,11 +11,6 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 GALLERY = Path(__file__).resolve().parent
-QUICK = (
-    "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false --xla_disable_hlo_passes=call-inliner"
-    " --xla_cpu_parallel_codegen_split_count=1"
-)
-"""Programs made quickly, not fast, as in the tests: most scripts compile longer than they compute."""
 
 
 def main() -> int:
@@ -32,7 +27,7 @@ def run(script: Path) -> bool:
     figure = GALLERY / "out" / f"{script.stem}.png"
     figure.unlink(missing_ok=True)  # so that an old one cannot pass for it
     began = time.perf_counter()
-    environment = {"JAX_PLATFORMS": "cpu", "XLA_FLAGS": QUICK, **os.environ}
+    environment = {"JAX_PLATFORMS": "cpu", **os.environ}
     done = subprocess.run([sys.executable, script], env=environment, capture_output=True, text=True, check=False)
     wrong = f"exit code {done.returncode}" if done.returncode else "" if figure.exists() else f"no {figure.name}"
     print(f"{script.name:<36}{time.perf_counter() - began:6.1f} s  {wrong or 'ok'}", flush=True)

@@ -3,47 +3,43 @@
 import gc
 import os
 import shutil
-import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
-os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")  # else each program that is found again is reported at length
-os.environ.setdefault("COVARIANT_CACHE", "off")  # every run makes its own programs, so do processes it starts
-# The tests compile far longer than they compute: programs are made quickly, not fast. Processes they start do the same.
-os.environ.setdefault(
-    "XLA_FLAGS",
-    "--xla_backend_optimization_level=0"
-    " --xla_disable_hlo_passes=call-inliner,constant_folding --xla_cpu_parallel_codegen_split_count=1",
-)
+CONTROLS = "PYTEST_XDIST_WORKER" not in os.environ
+if CONTROLS:  # the workers inherit it: one cache for the whole run, empty at first as a new user's is
+    os.environ["COVARIANT_CACHE"] = tempfile.mkdtemp(prefix="covariant-tests-")
 
-from collections.abc import Callable
-from pathlib import Path
-from time import process_time
-from typing import NamedTuple
+import covariant  # before JAX, which then stores its programs in the cache folder
+
+SOURCE = Path(covariant.__file__).parent
 
 import hypothesis
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from _pytest import runner
 from beartype.claw import beartype_packages
-from types_at_run_time import check_types
+from jaxtyping import install_import_hook
 
 # What the checker computes with says no shapes. A wrong type there is no `TypeError`, which would count as a refusal.
 CHECKER = ("covariant.proofs.checker", "covariant.proofs._file")
 beartype_packages(CHECKER)
-# In lowering, whose inner loops run millions of times, types are not looked at.
-check_types("covariant", but=("covariant.lowering", *CHECKER))
+# In lowering, whose inner loops run millions of times, types are not checked.
+UNCHECKED = ("covariant.lowering", *CHECKER)
+ROOMS = {f"covariant.{path.stem}" for path in SOURCE.iterdir() if path.suffix in ("", ".py")}
+PROOFS = {f"covariant.proofs.{path.stem}" for path in (SOURCE / "proofs").iterdir()}
+install_import_hook(sorted((ROOMS | PROOFS) - {"covariant.proofs", *UNCHECKED}), "beartype.beartype")
 
 from covariant import geometry, models
-from covariant._deep_calls import call_deep
 from covariant.geometry import Budget, Metric
 
 jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_numpy_dtype_promotion", "strict")
-# Where in the source every operation of a program came from: nobody reads it, and writing it takes a while.
-jax.config.update("jax_traceback_in_locations_limit", 0)
 
 hypothesis.settings.register_profile("laws", derandomize=True, deadline=None, database=None, max_examples=60)
 hypothesis.settings.load_profile("laws")
@@ -51,55 +47,17 @@ hypothesis.settings.load_profile("laws")
 REPOSITORY = Path(__file__).parents[1]
 
 
-MOST_MAPPINGS = 45_000  # Linux allows a process 65 530, and its compiler dies at the next one
-BETWEEN_LOOKS = 5.0  # [s] of processor time: to count mappings takes a while, and up to 6 400 were made in 10 s
-looked = [0.0]
-
-MOST_KEPT = 2**30
-"""Bytes of compiled programs beyond which all of them are let go."""
+def pytest_unconfigure():
+    if CONTROLS:
+        shutil.rmtree(os.environ["COVARIANT_CACHE"], ignore_errors=True)
 
 
-def pytest_configure(config):
-    """Compiled programs are kept in the environment's own folder, from one run to the next.
-
-    They are found again by what they compute, with which compiler and flags, so that a change compiles anew. Processes
-    that tests start find them too.
-    """
-    if sys.prefix == sys.base_prefix:  # there is no environment
-        return
-    folder = Path(sys.prefix, "programs")
-    controls = not hasattr(config, "workerinput")
-    if controls and sum(file.stat().st_size for file in folder.glob("*")) > MOST_KEPT:
-        shutil.rmtree(folder)
-    shortest, smallest = "jax_persistent_cache_min_compile_time_secs", "jax_persistent_cache_min_entry_size_bytes"
-    for name, value in {"jax_compilation_cache_dir": str(folder), shortest: 0, smallest: 0}.items():
-        jax.config.update(name, value)
-        os.environ[name.upper()] = str(value)
-
-
-def pytest_collection_finish():
-    """Tracing makes objects by the million, few of them in cycles: the collector looks at them less often."""
-    gc.collect()
-    gc.freeze()
-    gc.set_threshold(100_000, 20, 100)
-
-
-@pytest.hookimpl(tryfirst=True)
-def pytest_runtest_protocol(item, nextitem):
-    return call_deep(runner.pytest_runtest_protocol, item, nextitem)
-
-
-@pytest.fixture(autouse=True)
-def few_mappings():
-    """Compiled programs hold memory mappings, six or thousands each: they are let go before a process runs out."""
+@pytest.fixture(scope="module", autouse=True)
+def release_programs():
+    """Release compiled programs after each file: they hold memory, and mappings, of which Linux allows 65 530."""
     yield
-    if process_time() - looked[0] < BETWEEN_LOOKS:
-        return
-    looked[0] = process_time()
-    mappings = Path("/proc/self/maps")
-    if mappings.exists() and mappings.read_bytes().count(b"\n") > MOST_MAPPINGS:
-        jax.clear_caches()
-        gc.collect()
+    jax.clear_caches()
+    gc.collect()
 
 
 @pytest.fixture(scope="session")

@@ -11,7 +11,7 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "contributing.md").read_text(encoding="utf-8")
-COPIED = ("src", "tests/conftest.py", "tests/types_at_run_time.py", "tests/laws", "tools", "docs", "pyproject.toml")
+COPIED = ("src", "tests/conftest.py", "tests/laws", "tools", "docs", "pyproject.toml")
 
 
 def follow_the_page(house: Path) -> None:
@@ -64,9 +64,9 @@ def test_an_observer_in_one_file_and_one_entry_is_run_and_compared(house):
     script = """
 import json, sys
 from covariant import design, models
-from covariant.cli import _compare, _names, main
+from covariant.cli import _names, main
 from covariant.observers import run
-from covariant.signals import Record
+from covariant.workflow import _compare
 
 def command(*arguments):
     sys.argv = ["covariant", *arguments]

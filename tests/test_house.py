@@ -17,7 +17,7 @@ ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "covariant"
 
 PLAN = (
-    "_deep_calls _programs _compile _typing _functional _files _optional _numbers signals scoring _linalg "
+    "_programs _compile _typing _functional _files _optional _numbers signals scoring _linalg "
     "_dormand_prince _integrate lowering logs geometry models riccati observers control simulation interop scale "
     "proofs certificates audit diagnosis design identification codegen engine report workflow papers cli"
 )

@@ -158,7 +158,7 @@ def test_a_loop_is_compiled_once_whatever_the_numbers_are(entry, name):
         state, _, _ = step(state, jnp.asarray(watched.u[1]), jnp.asarray(watched.y[1]), jnp.asarray(dt, float))
         assert kinds(state) == before
         made.append(len(traces))
-    # After the first step: what a test before this one compiled may have been let go since (few_mappings).
+    # The first step may compile, the later ones may not.
     assert made == [made[0]] * 4
 
 

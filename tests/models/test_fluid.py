@@ -2,11 +2,11 @@
 
 import functools
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from compiling import optimised
 
 from covariant import models
 from covariant.geometry.lie import SU
@@ -25,10 +25,10 @@ STEPS = 1000
 
 system = functools.cache(fluid.ideal_fluid)
 
-values = optimised(fluid.vorticity)
+values = eqx.filter_jit(fluid.vorticity)
 
 
-@optimised
+@eqx.filter_jit
 def _velocity(n, stream):
     return fluid.velocity_coordinates(n, fluid.modes(n, stream))
 
@@ -62,7 +62,7 @@ def repeated(step, start, samples, count):
     return jax.lax.fori_loop(0, count, one, (start, rows))[1]
 
 
-@optimised
+@eqx.filter_jit
 def path(model, start, dt, count):
     """Motion and energy after each of the first `count` of `STEPS` steps of dt."""
 
@@ -125,7 +125,7 @@ def test_commutator_of_the_basis_is_the_sine_bracket():
 def test_bracket_tends_to_the_poisson_bracket_at_second_order():
     poisson = d(SMOOTH, 0) * d(OTHER, 1) - d(SMOOTH, 1) * d(OTHER, 0)
     sizes = (9, 17, 33)
-    bracket = optimised(lambda n, v, w: fluid.stream_function(n, SU(n).lie_bracket(v, w), POINTS))
+    bracket = eqx.filter_jit(lambda n, v, w: fluid.stream_function(n, SU(n).lie_bracket(v, w), POINTS))
     errors = [relative(bracket(n, velocity(n, SMOOTH), velocity(n, OTHER)), poisson) for n in sizes]
     assert order(sizes, errors) == pytest.approx(-2, abs=0.1)
     assert errors[-1] < 0.01
@@ -134,8 +134,8 @@ def test_bracket_tends_to_the_poisson_bracket_at_second_order():
 def test_fields_and_velocities_are_inverse_to_each_other():
     n = 17
     v = jnp.asarray(np.random.default_rng(n).normal(size=n**2 - 1))
-    assert relative(optimised(lambda x: fluid.velocity_coordinates(n, fluid.stream_modes(n, x)))(v), v) < 1e-13
-    stream = optimised(fluid.stream_function)
+    assert relative(eqx.filter_jit(lambda x: fluid.velocity_coordinates(n, fluid.stream_modes(n, x)))(v), v) < 1e-13
+    stream = eqx.filter_jit(fluid.stream_function)
     assert relative(velocity(n, stream(n, v, POINTS)), v) < 1e-13
     assert relative(stream(n, velocity(n, SMOOTH), POINTS), SMOOTH) < 1e-13
     assert relative(values(n, velocity(n, SMOOTH), POINTS), laplacian(SMOOTH)) < 1e-12
@@ -185,19 +185,19 @@ def test_inertia_is_the_dense_one():
 def test_energy_and_enstrophy_are_integrals_over_the_torus():
     n = 9
     v = jnp.asarray(np.random.default_rng(2).normal(size=n**2 - 1))
-    psi = np.asarray(optimised(fluid.stream_function)(n, v, POINTS))
+    psi = np.asarray(eqx.filter_jit(fluid.stream_function)(n, v, POINTS))
     area = (2 * np.pi / POINTS) ** 2
-    energy = optimised(lambda v: models.energy(system(n), system(n).group.identity(), v))(v)
+    energy = eqx.filter_jit(lambda v: models.energy(system(n), system(n).group.identity(), v))(v)
     assert energy == pytest.approx(area / 2 * np.sum(d(psi, 0) ** 2 + d(psi, 1) ** 2), rel=1e-12)
     omega = np.asarray(values(n, v, POINTS))
-    assert optimised(fluid.enstrophy)(n, v) == pytest.approx(area / 2 * np.sum(omega**2), rel=1e-12)
-    assert optimised(fluid.casimirs)(n, v)[0] == pytest.approx(area * np.sum(omega**2), rel=1e-12)
+    assert eqx.filter_jit(fluid.enstrophy)(n, v) == pytest.approx(area / 2 * np.sum(omega**2), rel=1e-12)
+    assert eqx.filter_jit(fluid.casimirs)(n, v)[0] == pytest.approx(area * np.sum(omega**2), rel=1e-12)
 
 
 def test_casimirs_tend_to_integrals_of_powers_of_the_vorticity_at_second_order():
     sizes = (9, 17, 33)
     omega = np.asarray(values(9, velocity(9, SMOOTH), POINTS))
-    found = np.asarray([optimised(fluid.casimirs)(n, velocity(n, SMOOTH))[:3] for n in sizes])
+    found = np.asarray([eqx.filter_jit(fluid.casimirs)(n, velocity(n, SMOOTH))[:3] for n in sizes])
     for k, casimir in zip((2, 3, 4), found.T, strict=True):
         exact = (2 * np.pi / POINTS) ** 2 * np.sum(omega**k)
         if k == 2:
@@ -214,7 +214,7 @@ def test_flows_of_a_single_wave_number_are_steady(stream):
     n = 9
     v = velocity(n, stream)
     space, here = system(n).space, system(n).group.identity()
-    assert np.abs(optimised(lambda v: space.connection(here, v, v))(v)).max() < 1e-13 * np.abs(v).max() ** 2
+    assert np.abs(eqx.filter_jit(lambda v: space.connection(here, v, v))(v)).max() < 1e-13 * np.abs(v).max() ** 2
     # What rounding starts may grow, as many steady flows are unstable.
     assert relative(path_from(n, v, 0.01)[0].v[-1], v) < 1e-9
 
@@ -223,11 +223,11 @@ def test_viscosity_damps_each_mode_by_its_wave_number():
     n, nu = 9, 0.03
     viscous = fluid.ideal_fluid(n, nu)
     v = velocity(n, SMOOTH)
-    rate = optimised(models.friction)(viscous, jnp.zeros(()), viscous.group.identity(), v, jnp.zeros(0))
+    rate = eqx.filter_jit(models.friction)(viscous, jnp.zeros(()), viscous.group.identity(), v, jnp.zeros(0))
     assert relative(values(n, rate, POINTS), nu * laplacian(values(n, v, POINTS))) < 1e-12
 
 
-@optimised
+@eqx.filter_jit
 def kept(n, v, g, last):
     """Eigenvalues of the vorticity before, Casimirs before and after, vorticity as carried along and as found."""
     omega = fluid.vorticity_modes(n, v)
@@ -300,7 +300,7 @@ def test_vorticity_tends_to_that_of_eulers_equation_at_second_order():
 # The observer
 
 
-@optimised
+@eqx.filter_jit
 def follow(observer, start, truth, direction, size, labels, dt, count):
     """|ṽ − v|, |ζ_e| in the metric relative to |v|, after each of the first `count` samples, and result codes."""
     space, group = observer.model.space, observer.model.group

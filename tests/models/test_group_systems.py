@@ -5,7 +5,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from compiling import optimised
 
 from covariant import models
 from covariant._integrate import rk8
@@ -113,7 +112,7 @@ def test_a_million_steps_leave_the_group_by_less_than_1e_12():
     assert abs(after / before - 1) < 1e-11
 
 
-@optimised
+@eqx.filter_jit
 def moved_freely(system, start, steps):
     return advance(system, jnp.zeros(()), start, jnp.zeros(3), 1e-2 * steps, steps)
 

@@ -7,7 +7,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from compiling import optimised
 
 from covariant.geometry import Budget
 from covariant.geometry.lie import SE2, SO3
@@ -65,7 +64,7 @@ def seen(space, motion, state):
     return jnp.concatenate([shot.velocity, back.w - state.v])
 
 
-@optimised
+@eqx.filter_jit
 def squares(model, observer, q0, sizes, key):
     """NEES at the end and the mean NIS of one run, the truth being drawn as the filter believes it is."""
     space, n = model.space, observer.init(q0).v.shape[0]

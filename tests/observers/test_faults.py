@@ -11,7 +11,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from compiling import optimised
 
 from covariant import logs, models, scoring
 from covariant.design import DataSheet, gated, observer_gains, tuned_estimators, with_gains
@@ -58,7 +57,7 @@ def spoiled(kind: str, y: np.ndarray, settled: int) -> np.ndarray:
     return y
 
 
-@optimised
+@eqx.filter_jit
 def followed(observer, t, u, y):
     """Velocities and codes of many pieces: one program for every fault."""
 

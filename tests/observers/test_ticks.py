@@ -7,7 +7,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from compiling import optimised
 
 from covariant.design import DataSheet, Trial, tuned_estimators
 from covariant.models import Lagrangian, Motion, advance, free_body, pendulum_chain
@@ -119,7 +118,7 @@ def test_no_edge_leaves_the_uniform_variance_to_one_who_knows_less():
     np.testing.assert_allclose(cov[0, 0], 0.1**2 / 12 + 1e-6, rtol=1e-3)
 
 
-@optimised
+@eqx.filter_jit
 def squares(model, observer, starts, keys, steps):
     """NEES, NIS and squared errors of velocities (runs, T); every line of an encoder is a hundredth of a tick off."""
     n = starts.shape[1]

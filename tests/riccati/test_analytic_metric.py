@@ -2,12 +2,12 @@
 
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 import sympy
-from compiling import optimised
 from scipy import integrate
 
 from covariant import models
@@ -94,7 +94,7 @@ def test_both_sides_of_equation_15_agree_on_the_printed_metric():
 
 def over_rates(function):
     """`function(x, rate)` over all points and all rates, compiled: (rates, points, …)."""
-    return optimised(jax.vmap(jax.vmap(function, (0, None)), (None, 0)))
+    return eqx.filter_jit(jax.vmap(jax.vmap(function, (0, None)), (None, 0)))
 
 
 @over_rates
@@ -168,7 +168,7 @@ def mutations():
     return [right, *flipped, right._replace(as_printed=1.0)]
 
 
-@optimised
+@eqx.filter_jit
 def by_hand(x, signs, q):
     """Metric at x by (20) with λ and by (10) with Q, written once more, each term with its sign."""
     a, c = jnp.array([[0.0, 1.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]]), jnp.array([[1.0, 0.0, 0.0]])
@@ -220,7 +220,7 @@ def found(x):
     return metric_at(MODEL, QUADRATIC, x, tolerance=1e-10).metric
 
 
-@optimised
+@eqx.filter_jit
 @jax.vmap
 def left_side(x):
     return lie_derivative(MODEL, RiccatiMetric(MODEL, QUADRATIC, 60.0, 4500), x)

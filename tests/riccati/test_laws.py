@@ -8,7 +8,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from compiling import optimised
 from scipy import linalg
 
 from covariant import models
@@ -194,14 +193,14 @@ def solve(model, tolerance, tasks, size, process_cov, measurement_cov) -> Answer
     return jax.vmap(one)(tasks)
 
 
-@optimised
+@eqx.filter_jit
 def windows(model, x, lengths, u, process_cov, measurement_cov):
     equation = Equation(process_cov=process_cov, measurement_cov=measurement_cov)
     one = jax.vmap(lambda x, length: window_at(model, equation, x, length, 600, u), (None, 0))
     return jax.vmap(one, (0, None))(x, lengths)
 
 
-@optimised
+@eqx.filter_jit
 def passages(model, x, u, length, start, process_cov, measurement_cov):
     equation = Equation(process_cov=process_cov, measurement_cov=measurement_cov)
     through = jax.vmap(lambda start: metric_through(model, equation, x, length, 400, start=start, u=u))

@@ -3,8 +3,6 @@
 import os
 import sys
 
-from covariant._deep_calls import call_deep
-
 # Before numpy is loaded: a threaded BLAS slows the tiny matrices of a compiled step by orders of magnitude.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
@@ -17,7 +15,7 @@ def main() -> None:
     from covariant.cli._app import app
 
     try:
-        call_deep(app)  # leaves by SystemExit, with code 2 when the options are wrong
+        app()  # leaves by SystemExit, with code 2 when the options are wrong
     except (ValueError, OSError, ImportError) as error:
         if os.environ.get("COVARIANT_DEBUG"):
             raise
