@@ -30,7 +30,7 @@ from jaxtyping import install_import_hook
 CHECKER = ("covariant.proofs.checker", "covariant.proofs._file")
 beartype_packages(CHECKER)
 # In lowering, whose inner loops run millions of times, types are not checked.
-UNCHECKED = ("covariant.lowering", *CHECKER)
+UNCHECKED = ("covariant.lowering", "covariant.certificates", *CHECKER)
 ROOMS = {f"covariant.{path.stem}" for path in SOURCE.iterdir() if path.suffix in ("", ".py")}
 PROOFS = {f"covariant.proofs.{path.stem}" for path in (SOURCE / "proofs").iterdir()}
 install_import_hook(sorted((ROOMS | PROOFS) - {"covariant.proofs", *UNCHECKED}), "beartype.beartype")
