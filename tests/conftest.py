@@ -29,7 +29,8 @@ from jaxtyping import install_import_hook
 # What the checker computes with says no shapes. A wrong type there is no `TypeError`, which would count as a refusal.
 CHECKER = ("covariant.proofs.checker", "covariant.proofs._file")
 beartype_packages(CHECKER)
-# In lowering, whose inner loops run millions of times, types are not checked.
+# Types are not checked in lowering, whose inner loops run millions of times, nor in certificates: there files are read
+# that may be forged, and must be refused by what users run.
 UNCHECKED = ("covariant.lowering", "covariant.certificates", *CHECKER)
 ROOMS = {f"covariant.{path.stem}" for path in SOURCE.iterdir() if path.suffix in ("", ".py")}
 PROOFS = {f"covariant.proofs.{path.stem}" for path in (SOURCE / "proofs").iterdir()}
