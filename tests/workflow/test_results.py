@@ -1,13 +1,13 @@
 """Results of `estimate` and `compare`: the same numbers by function and by command, complete before they are drawn."""
 
 import json
+import shlex
 import sys
 
 import numpy as np
 import pytest
 
 import covariant
-from covariant import report
 from covariant.cli import main
 
 MODEL = "pendulum_chain"
@@ -101,7 +101,7 @@ def test_what_is_computed_is_saved_and_printed_although_the_page_cannot_be_drawn
     def fail(*_):
         raise ValueError("no ink")
 
-    monkeypatch.setattr(report, "write_html", fail)
+    monkeypatch.setattr("covariant.workflow._pages.write_page_and_figures", fail)
     words = ["estimate", MODEL, str(log), *SET, "-o", str(tmp_path / "a.csv"), "--report", str(tmp_path / "page.html")]
     assert run(*words, *(["--json"] if form == "json" else [])) == 2
     printed = capsys.readouterr()
@@ -124,9 +124,14 @@ def test_a_model_may_be_an_object(log):
         covariant.estimate(model, log, overrides={"parameters.mass": [1.0, 2.0]})
 
 
-def test_every_missing_number_is_named_at_once(log):
-    with pytest.raises(ValueError, match=r"measurement\.std and uncertainty\.acceleration"):
+def test_every_missing_number_is_named_at_once_with_what_the_log_suggests(log):
+    with pytest.raises(ValueError, match=r"measurement\.std and uncertainty\.acceleration") as refusal:
         covariant.estimate(MODEL, log)
+    words = shlex.split(str(refusal.value).partition("suggests ")[2].partition(" (")[0])
+    suggested = dict(word.split("=") for word in words if word != "--set")
+    std = np.array(json.loads(suggested["measurement.std"]))
+    np.testing.assert_allclose(std, 1e-3, rtol=0.2)  # the noise it was simulated with
+    assert covariant.estimate(MODEL, log, overrides=[f"{k}={v}" for k, v in suggested.items()]).velocity.shape[1] == 2
 
 
 def test_columns_may_be_lists_or_a_text(log):

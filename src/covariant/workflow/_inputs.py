@@ -1,5 +1,6 @@
 """The model and the log of a verb, read together: units, lags, delays, encoder ticks, and the reference for scoring."""
 
+import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
@@ -9,7 +10,7 @@ import numpy as np
 
 from covariant import logs, models, scoring
 from covariant.design import DataSheet, usual_speeds
-from covariant.diagnosis import misfit, outliers
+from covariant.diagnosis import misfit, outliers, suggest_noise
 from covariant.models import Overrides
 from covariant.observers import REGISTRY, AbstractObserver, Delayed, Slow, sensor_bias, uncertain_parameters
 from covariant.signals import Record, acting_inputs, lag_inputs
@@ -280,19 +281,23 @@ def _slopes(file: models.ModelFile, log: logs.Log, full: logs.Log) -> tuple[np.n
     return np.concatenate([*twists, *rates], axis=1), "zero-phase reference"
 
 
-def data_sheet(file: models.ModelFile) -> DataSheet:
-    """The data sheet for a design; raises `ValueError` naming every number that is missing."""
+def data_sheet(file: models.ModelFile, record: Record | None = None) -> DataSheet:
+    """The data sheet for a design.
+
+    Args:
+        file: The model file.
+        record: A log; where a number is missing the message offers what this log shows.
+
+    Raises:
+        ValueError: Where numbers are missing: it names all of them.
+    """
     missing = [
         key
         for value, key in ((file.typical_std, "measurement.std"), (file.acceleration_std, "uncertainty.acceleration"))
         if value is None
     ]
     if missing:
-        options = " ".join(f"--set {key}=NUMBER" for key in missing)
-        raise ValueError(
-            f"{file.name}: gains need {' and '.join(missing)}; put {'it' if len(missing) == 1 else 'them'} in the "
-            f"model file, or give {options} (or, for estimate, --alpha and --beta)"
-        )
+        raise ValueError(f"{file.name}: gains need {' and '.join(missing)}; {_remedy(file, missing, record)}")
     known = {
         "measurement_std": file.typical_std,
         "coordinate_stds": file.measurement_std if isinstance(file.measurement_std, tuple) else None,
@@ -307,6 +312,19 @@ def data_sheet(file: models.ModelFile) -> DataSheet:
         "natural_frequency": file.natural_frequency,
     }
     return DataSheet(**{name: value for name, value in known.items() if value is not None})
+
+
+def _remedy(file: models.ModelFile, missing: Sequence[str], record: Record | None) -> str:
+    """What to do where numbers of a model file are missing, with those that a log shows."""
+    shown = () if record is None else suggest_noise(file, record)
+    them = "it" if len(missing) == 1 else "them"
+    if len(shown) < len(missing):
+        options = " ".join(f"--set {key}=NUMBER" for key in missing)
+        how = f"put {them} in the model file, or give {options} (or, for estimate, --alpha and --beta)"
+        return how + "".join(f"; this log suggests {found.line} ({found.evidence})" for found in shown)
+    options = " ".join(f"--set {shlex.quote(found.setting)}" for found in shown)
+    evidence = "; ".join(found.evidence for found in shown)
+    return f"this log suggests {options} ({evidence}), or put {them} in the model file"
 
 
 def _slow(file: models.ModelFile) -> tuple[Slow, ...]:
@@ -330,7 +348,7 @@ def _stands_for(key: str, name: str) -> bool:
 
 def log_sheet(loaded: Loaded) -> DataSheet:
     """The data sheet of the model file, with the speeds of the log."""
-    return data_sheet(loaded.file)._replace(speed=usual_speeds(loaded.model, loaded.record))
+    return data_sheet(loaded.file, loaded.log.record)._replace(speed=usual_speeds(loaded.model, loaded.record))
 
 
 def coordinates(file: models.ModelFile) -> tuple[tuple[str, ...], tuple[str, ...]]:

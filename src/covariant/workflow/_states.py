@@ -19,10 +19,15 @@ def tuned_states(loaded: Loaded, names: Collection[str] = STATE_ESTIMATORS) -> d
 
 
 def noise(file: ModelFile, rate: float) -> Noise:
-    """What the model file says that the model does not know; raises `ValueError` naming a number that is missing."""
-    for value, key in ((file.measurement_std, "measurement.std"), (file.process_std, "uncertainty.process")):
-        if value is None:
-            raise ValueError(f"{file.name}: its observers need {key}; put it in the model file, or give --set {key}=…")
+    """What the model file says that the model does not know; raises `ValueError` naming all that is missing."""
+    numbers = (file.measurement_std, "measurement.std"), (file.process_std, "uncertainty.process")
+    missing = [key for value, key in numbers if value is None]
+    if missing:
+        options = " ".join(f"--set {key}=NUMBER" for key in missing)
+        them = "it" if len(missing) == 1 else "them"
+        raise ValueError(
+            f"{file.name}: its observers need {' and '.join(missing)}; put {them} in the model file, or give {options}"
+        )
     states, outputs = file.dimension, len(file.columns.q)
     start, spread = first_estimate(file)
     return Noise(
