@@ -111,9 +111,10 @@ PUBLIC = {
     "metric_at metric_through rate_from_gramian reconstructibility right_side spd_distance window_at",
     "engine": "Engine EngineName FEWEST_ROWS Health KernelForm Stream choose compiled run_log run_logs",
     "scale": "Grid Variable map_grid open_grid",
-    "workflow": "AbstractResult AbstractTable CertificateCheckResult CertifyResult CompareResult EstimateResult "
-    "FitResult MisfitError Progress SimulateResult TuneResult certify check_certificate check_model_output "
-    "check_output compare estimate fit simulate tune",
+    "workflow": "AbstractResult AbstractTable AuditResult CertificateCheckResult CertifyResult CompareResult "
+    "EstimateResult ExportResult FitResult MetricResult MisfitError Progress SimulateResult TuneResult "
+    "audit_observer certify check_certificate check_model_output check_output compare design_metric estimate "
+    "export fit simulate tune",
     "simulation": "PiecewiseInputs Sensor hold logged_inputs no_input observe sense simulate simulate_piecewise stamps",
 }
 

@@ -63,24 +63,24 @@ def test_a_broken_law_is_exit_code_1(run, folder):
     assert worst["deviation"] > worst["tolerance"]
     assert len(worst["point"]) == 2
     assert found["laws"][6]["deviation"] is None
-    assert found["out"] == "figure.png"
+    assert found["figure"] == "figure.png"
     assert (folder / "figure.png").read_bytes()[:4] == b"\x89PNG"
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("oscillator", "--observer", "ekf"), "--observer ekf does not fit oscillator"),
+        (("oscillator", "--observer", "ekf"), "observer ekf does not fit oscillator"),
         (("oscillator", "--observer", "salcudean"), "these do: intrinsic, intrinsic2, geodesic"),
-        (("heavy_top", "--observer", "savitzky-golay"), "--observer savitzky-golay does not fit heavy_top"),
+        (("heavy_top", "--observer", "savitzky-golay"), "observer savitzky-golay does not fit heavy_top"),
         (("heavy_top", "--observer", "salcudean"), "Salcudean has no gains alpha and beta"),
-        (("oscillator", "--alpha", "2"), "--alpha and --beta belong together"),
+        (("oscillator", "--alpha", "2"), "alpha and beta belong together"),
         (("oscillator", "--alpha", "2", "--beta", "-1"), "must be positive numbers"),
         (("oscillator", "--box", "q=1"), "does not have the form NAME=LOW:HIGH"),
         (("oscillator", "--box", "q=1:2,q=1:2"), "q is given twice"),
         (("oscillator", "--box", "r=1:2"), "no coordinate 'r'; the coordinates are q"),
         (("oscillator", "--box", "q=2:1"), "the low end of q must be below the high one"),
-        (("oscillator", "--speed", "0"), "--speed must be a positive number"),
+        (("oscillator", "--speed", "0"), "speed must be a positive number"),
         (("oscillator", "-o", "page.txt"), "must end in .html"),
         (("lorenz",), "lorenz is a state-space model"),
         (("nothing",), "nothing"),

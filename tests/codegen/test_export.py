@@ -18,8 +18,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from covariant import design, models, observers, riccati, scale
-from covariant.cli import _export, main
+from covariant import audit, design, models, observers, riccati, scale
+from covariant.cli import main
 from covariant.codegen import (
     ROWS,
     Facts,
@@ -36,6 +36,7 @@ from covariant.codegen import (
     write_source,
 )
 from covariant.geometry import Budget, Interpolated
+from covariant.lowering import _places
 from covariant.models import robots
 
 ROOT = Path(__file__).parents[2]
@@ -486,7 +487,7 @@ def test_what_is_proved_and_what_is_broken_is_told(tmp_path, monkeypatch, capsys
     proved = ROOT / "examples" / "certificates" / "ball_and_beam.json"
     gains = ("--alpha", "1.4142135623730951", "--beta", 0.5, "--rate", 100, "--certificate", proved)
     broken = SimpleNamespace(rows=[SimpleNamespace(name="torsion", verdict="fails")], passed=False)
-    monkeypatch.setattr(_export, "audit", lambda observer, points: broken)
+    monkeypatch.setattr(audit, "audit", lambda observer, points: broken)
     code, _, told = command(monkeypatch, capsys, "ball_and_beam", *gains, "-o", tmp_path / "out")
     assert code == 0
     assert "warning: the observer breaks laws of its audit: torsion" in told
@@ -501,8 +502,8 @@ def test_what_is_proved_and_what_is_broken_is_told(tmp_path, monkeypatch, capsys
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (("--rate", 0), "--rate must be a positive number"),
-        (("--rate", 100, "--real", "half"), "--real must be one of"),
+        (("--rate", 0), "rate must be a positive number"),
+        (("--rate", 100, "--real", "half"), "real must be one of"),
         (("--rate", 100, "--observer", "nobody"), "is no observer"),
         (("--rate", 100, "--alpha", 1), "belong together"),
         (("--rate", 100, "--parameters", "weight"), "weight"),
@@ -523,7 +524,7 @@ def test_a_unit_for_simulators_has_no_flash(tmp_path, monkeypatch, capsys):
     words = ("--rate", 100, "--flash", "64k", "-o", tmp_path / "unit.fmu")
     code, _, told = command(monkeypatch, capsys, "ball_and_beam", *words)
     assert code == 2
-    assert "--flash is for a microcontroller" in told
+    assert "flash is for a microcontroller" in told
 
 
 STATES = tuple(shlex.split(commands_of_the_page()[1])[:-2])
@@ -544,19 +545,45 @@ def test_observers_of_state_space_models_are_written_too(tmp_path, monkeypatch, 
     assert "look-ups in tables | 384" in (tmp_path / "table" / "DATASHEET.md").read_text()
 
 
+@needs_compiler
+def test_a_metric_on_a_fine_grid_is_a_table_of_its_numbers(tmp_path, monkeypatch, capsys):
+    """The page on metrics exports a grid of 33³ points, whose table is eight times as long."""
+    grid = scale.Grid(["x1", "x2", "x3"], ["m", "m/s", "1/s^2"], (0, 1, 0.5), (1, 1.5, 1.5), (17, 17, 17))
+    design.metric(models.unknown_frequency(), riccati.Equation(rate=8.0), grid, tmp_path / "m.zarr")
+    words = ("unknown_frequency", "--rate", 200, "--observer", "riccati", "--metric", tmp_path / "m.zarr")
+    code, _, fault = command(monkeypatch, capsys, *words, "--name", "f", "-o", tmp_path / "c")
+    assert code == 0, fault
+    text = (tmp_path / "c" / "f.c").read_text()
+    assert f"_table1[{19**3 * 6}]" in text  # with a border, and six factors at a point
+    assert len(text) < 1.2e6
+    ran(["cc", *FLAGS, "-I.", "f.c", "test/f_test.c", "-lm", "-o", "self_test"], tmp_path / "c")
+    ran(["./self_test"], tmp_path / "c")
+
+
+def test_a_table_that_no_program_should_hold_is_refused_by_its_size(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(_places, "MOST_ENTRIES", 1000)
+    grid = scale.Grid(["x1", "x2", "x3"], ["m", "m/s", "1/s^2"], (0, 1, 0.5), (1, 1.5, 1.5), (5, 5, 5))
+    design.metric(models.unknown_frequency(), riccati.Equation(rate=8.0), grid, tmp_path / "m.zarr")
+    words = ("unknown_frequency", "--rate", 200, "--observer", "riccati", "--metric", tmp_path / "m.zarr")
+    code, _, fault = command(monkeypatch, capsys, *words, "-o", tmp_path / "c")
+    assert code == 2
+    assert f"a table of {7**3 * 6} numbers, and code holds at most 1000" in fault
+    assert "fewer points" in fault
+
+
 @pytest.mark.parametrize(
     ("options", "fault"),
     [
         (
             (*STATES, "--observer", "intrinsic"),
-            "--observer intrinsic does not fit unknown_frequency; these do: covariance",
+            "observer intrinsic does not fit unknown_frequency; these do: covariance",
         ),
-        ((*STATES, "--alpha", "1", "--beta", "1"), "--alpha and --beta are for mechanical models"),
-        ((*STATES, "--certificate", "c.json"), "--certificate is for mechanical models"),
-        ((*STATES, "--metric", "m.zarr"), "--metric is for --observer riccati; covariance-ekf has no metric"),
+        ((*STATES, "--alpha", "1", "--beta", "1"), "alpha and beta are for mechanical models"),
+        ((*STATES, "--certificate", "c.json"), "certificate is for mechanical models"),
+        ((*STATES, "--metric", "m.zarr"), "metric is for the observer riccati; covariance-ekf has no metric"),
         ((*STATES, "--observer", "riccati", "--metric", "m.zarr"), "m.zarr is not a map made by map_grid"),
         (STATES[:3], "its observers need measurement.std"),
-        (("ball_and_beam", "--rate", "200", "--metric", "m.zarr"), "--metric is for the observer riccati"),
+        (("ball_and_beam", "--rate", "200", "--metric", "m.zarr"), "metric is for the observer riccati"),
     ],
 )
 def test_what_does_not_fit_a_state_space_model_is_said(options, fault, tmp_path, monkeypatch, capsys):

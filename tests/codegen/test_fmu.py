@@ -277,7 +277,7 @@ def test_without_a_compiler_the_command_writes_sources_and_says_so(tmp_path, mon
     with zipfile.ZipFile(tmp_path / "a.fmu") as packed:
         assert not [name for name in packed.namelist() if name.startswith("binaries")]
     for wrong, said in (
-        (("-o", str(tmp_path / "b.fmu"), "--fmi", "1.0"), "--fmi must be one of 3.0, 2.0"),
+        (("-o", str(tmp_path / "b.fmu"), "--fmi", "1.0"), "fmi must be one of 3.0, 2.0"),
         (("-o", str(tmp_path / "b"), "--fmi", "2.0"), "ends in .fmu"),
     ):
         code, _, error = told(*wrong)

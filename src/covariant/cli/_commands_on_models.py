@@ -1,5 +1,6 @@
 """The commands that need a model alone, and their options."""
 
+import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -14,9 +15,10 @@ from covariant.cli._options import (
     Override,
     Report,
 )
-from covariant.cli._parse import interval_map, number_list
+from covariant.cli._parse import byte_count, count_list, interval_map, name_list, number_list
 from covariant.workflow import check_output
 
+FIGURES = (".png", ".pdf", ".svg")
 on_models = typer.Typer()
 design = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="Design what an observer needs.")
 
@@ -104,7 +106,9 @@ def audit(
     ] = None,
     alpha: Annotated[float | None, typer.Option(help="Gain α [1/s]; √2 by default.")] = None,
     beta: Annotated[float | None, typer.Option(help="Gain β [1/s²]; 1 by default.")] = None,
-    box: Annotated[str | None, typer.Option(help="Where to draw positions from, as r=0.1:2,theta=-1:1.")] = None,
+    region: Annotated[
+        str | None, typer.Option("--region", "--box", help="Where to draw positions from, as r=0.1:2,theta=-1:1.")
+    ] = None,
     speed: Annotated[float, typer.Option(help="Largest velocity of each coordinate.")] = 3.0,
     points: Annotated[int, typer.Option(help="Number of states.", min=1)] = 24,
     seed: Annotated[int, typer.Option(help="Seed of the states.", min=0)] = 0,
@@ -115,10 +119,23 @@ def audit(
     json: Json = False,
 ) -> None:
     """Measure the laws that an observer's convergence rests on; exit code 1 where one is broken."""
-    from covariant.cli import _audit
-
-    look = _audit.Look(box, speed, points, seed)
-    _audit.audit(model, tuple(override), observer, (alpha, beta), look, out, json)
+    check_output(out, ".html", *FIGURES)
+    with progress_bar(json) as progress:
+        result = workflow.audit_observer(
+            model,
+            observer=observer,
+            alpha=alpha,
+            beta=beta,
+            region=interval_map("region", region),
+            speed=speed,
+            points=points,
+            seed=seed,
+            overrides=tuple(override),
+            progress=progress,
+        )
+    page, figure = (out, None) if out is not None and out.suffix == ".html" else (None, out)
+    show(result, json, report=page, figure=figure)
+    raise SystemExit(0 if result.passed else 1)
 
 
 @on_models.command()
@@ -161,13 +178,29 @@ def export(
     json: Json = False,
 ) -> None:
     """Write an observer as C99 for microcontrollers and controllers, or as a unit (.fmu) for Simulink and Modelica."""
-    from covariant.cli import _export
-
-    gains = (alpha, beta)
-    asked = _export.Asked(
-        observer, gains, rate, real, name, parameters, certificate, metric, fmi, audit, overwrite, flash
-    )
-    _export.export(model, tuple(override), asked, out, json)
+    with progress_bar(json) as progress:
+        result = workflow.export(
+            model,
+            out,
+            rate=rate,
+            observer=observer,
+            alpha=alpha,
+            beta=beta,
+            real=real,
+            name=name,
+            parameters=() if parameters == "none" else name_list(parameters),
+            flash=byte_count("flash", flash),
+            certificate=certificate,
+            metric=metric,
+            fmi=fmi,
+            audit=audit,
+            overwrite=overwrite,
+            overrides=tuple(override),
+            progress=progress,
+        )
+    for warning in result.warnings:
+        print(f"covariant: warning: {warning}", file=sys.stderr)
+    show(result, json)
 
 
 @on_models.command()
@@ -229,7 +262,7 @@ def certify(
         show(checked, json)
         raise SystemExit(0 if checked.verified else 1)
     check_output(out, ".json")
-    check_output(figure, ".png", ".pdf", ".svg")
+    check_output(figure, *FIGURES)
     with progress_bar(json) as progress:
         result = workflow.certify(
             model,
@@ -263,8 +296,11 @@ def metric(
         str,
         typer.Option(help="Points of each axis, one count or one each by commas; four at least to interpolate."),
     ],
-    box: Annotated[
-        str | None, typer.Option(help="Ends of the axes, as x1=0:1,x2=1:1.5; those not named are the model's own.")
+    region: Annotated[
+        str | None,
+        typer.Option(
+            "--region", "--box", help="Ends of the axes, as x1=0:1,x2=1:1.5; those not named are the model's own."
+        ),
     ] = None,
     rate: Annotated[float, typer.Option(help="Rate λ of the equation [1/s].")] = 0.0,
     window: Annotated[
@@ -277,7 +313,7 @@ def metric(
     start: Annotated[float, typer.Option(help="Metric before the past, as a multiple of the identity.")] = 1.0,
     tolerance: Annotated[float, typer.Option(help="How much the unknown past may change the metric.")] = 1e-8,
     domain: Annotated[
-        str | None, typer.Option(help="Where the model holds, as --box; the past is followed no further.")
+        str | None, typer.Option(help="Where the model holds, as --region; the past is followed no further.")
     ] = None,
     input: Annotated[str | None, typer.Option(help="Constant inputs, by commas; zeros by default.")] = None,
     block: Annotated[int, typer.Option(help="Points that a worker computes at a time.", min=1)] = 4096,
@@ -287,8 +323,28 @@ def metric(
     json: Json = False,
 ) -> None:
     """Compute a contraction metric at every point of a grid of states; a run that was stopped goes on where it was."""
-    from covariant.cli import _design
-
-    task = _design.Task(box, grid, rate, window, process_cov, measurement_cov, start, tolerance, domain, input)
-    crew = _design.Crew(block, workers, scheduler)
-    _design.metric(model, tuple(override), out, task, crew, json)
+    try:
+        with progress_bar(json) as progress:
+            result = workflow.design_metric(
+                model,
+                out,
+                grid=count_list("grid", grid),
+                region=interval_map("region", region),
+                rate=rate,
+                window=window,
+                process_cov=number_list("process-cov", process_cov),
+                measurement_cov=number_list("measurement-cov", measurement_cov),
+                start=start,
+                tolerance=tolerance,
+                domain=interval_map("domain", domain),
+                input=number_list("input", input),
+                block=block,
+                workers=workers,
+                scheduler=scheduler,
+                overrides=tuple(override),
+                progress=progress,
+            )
+    except KeyboardInterrupt as stopped:
+        print(f"covariant: {stopped}", file=sys.stderr)
+        raise SystemExit(130) from None
+    show(result, json)

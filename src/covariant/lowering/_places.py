@@ -24,7 +24,7 @@ MOST_PLACES = 64
 FEW_PLACES = 8
 """Up to so many places a choice costs no more than a table."""
 MOST_ENTRIES = 2_000_000
-"""Largest table of known numbers."""
+"""Largest table of known numbers: some 40 MB of C, and 16 MB in the memory of who runs it."""
 
 
 def at_places(write: Writer, eqn: JaxprEquation, values: list) -> list[Value]:
@@ -57,6 +57,12 @@ def at_places(write: Writer, eqn: JaxprEquation, values: list) -> list[Value]:
         table = _table(write, nodes_of(write.graph, values[0]))
         if table is not None:
             return [Scalars(_looked_up(write, table, eqn, flat, largest))]
+        size = math.prod(eqn.invars[0].aval.shape)
+        if size > MOST_ENTRIES:
+            raise LoweringError(
+                f"'{name}' looks up a table of {size} numbers, and code holds at most {MOST_ENTRIES}; take a metric on "
+                "a grid of fewer points, or a shorter table"
+            )
     if not 0 < count <= MOST_PLACES:
         raise LoweringError(f"'{name}' at one of {count} places that the arguments decide has no graph of scalars")
     if not (fills or drops):  # places out of bounds are clipped

@@ -1,3 +1,4 @@
+from ._audit import AuditResult as AuditResult, audit_observer as audit_observer
 from ._certify import (
     CertificateCheckResult as CertificateCheckResult,
     CertifyResult as CertifyResult,
@@ -6,8 +7,10 @@ from ._certify import (
 )
 from ._compare import CompareResult as CompareResult, compare as compare
 from ._estimate import EstimateResult as EstimateResult, estimate as estimate
+from ._export import ExportResult as ExportResult, export as export
 from ._fit import FitResult as FitResult, fit as fit
 from ._inputs import MisfitError as MisfitError
+from ._metric import MetricResult as MetricResult, design_metric as design_metric
 from ._model_output import check_model_output as check_model_output
 from ._outputs import check_output as check_output
 from ._progress import Progress as Progress

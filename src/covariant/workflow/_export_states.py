@@ -1,6 +1,7 @@
-"""`covariant export` for state-space models: their observers, as the model file tells their noise."""
+"""`export` of state-space models: their observers, as the model file tells their noise."""
 
 import dataclasses
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -8,36 +9,47 @@ import jax.numpy as jnp
 import numpy as np
 
 from covariant._integrate import rk4
-from covariant.cli._planned import Asked, Planned
 from covariant.codegen import ROWS
 from covariant.design import STATE_ESTIMATORS, stored_observer, tuned_state_estimators
 from covariant.models import ModelFile
 from covariant.observers import AbstractObserver
+from covariant.workflow._exported import Exported
 from covariant.workflow._states import first_estimate, noise, state_design_note
 
 
-def of_states(spec: str, file: ModelFile, asked: Asked) -> Planned:
-    """An observer of a state-space model, by default the first; `riccati` with its metric computed or looked up."""
-    kind = asked.observer or STATE_ESTIMATORS[0]
+def state_observer(
+    name: str,
+    file: ModelFile,
+    observer: str | None,
+    gains: tuple[float, float] | None,
+    rate: float,
+    certificate: str | Path | None,
+    metric: str | Path | None,
+) -> Exported:
+    """An observer of a state-space model, by default the first; `riccati` with its metric computed or looked up.
+
+    Raises `ValueError` for an argument that is for mechanical models, or for another observer.
+    """
+    kind = observer or STATE_ESTIMATORS[0]
     if kind not in STATE_ESTIMATORS:
-        raise ValueError(f"--observer {kind} does not fit {spec}; these do: {', '.join(STATE_ESTIMATORS)}")
-    if asked.gains != (None, None):
-        raise ValueError(f"--alpha and --beta are for mechanical models; {spec} is a state-space model")
-    if asked.certificate is not None:
-        raise ValueError(f"--certificate is for mechanical models; {spec} is a state-space model")
-    if asked.metric is not None and kind != "riccati":
-        raise ValueError(f"--metric is for --observer riccati; {kind} has no metric")
+        raise ValueError(f"observer {kind} does not fit {name}; these do: {', '.join(STATE_ESTIMATORS)}")
+    if gains is not None:
+        raise ValueError(f"alpha and beta are for mechanical models; {name} is a state-space model")
+    if certificate is not None:
+        raise ValueError(f"certificate is for mechanical models; {name} is a state-space model")
+    if metric is not None and kind != "riccati":
+        raise ValueError(f"metric is for the observer riccati; {kind} has no metric")
     if float(np.max(file.delay)) > 0:
-        raise ValueError(f"{spec}: code for a state-space model takes no measurement.delay; leave it out")
+        raise ValueError(f"{name}: code for a state-space model takes no measurement.delay; leave it out")
     model: Any = file.model
     start, _ = first_estimate(file)
-    if asked.metric is None:
-        observer = tuned_state_estimators(model, noise(file, asked.rate), (kind,))[kind]
+    if metric is None:
+        chosen = tuned_state_estimators(model, noise(file, rate), (kind,))[kind]
         design = state_design_note(file).replace("±", "+-")
     else:
-        observer = stored_observer(model, asked.metric, start)
-        design = f"Its metric is that of {asked.metric.name}; none is outside its grid."
-    return Planned(kind, observer, design, _outputs(model, start, asked.rate))
+        chosen = stored_observer(model, metric, start)
+        design = f"Its metric is that of {Path(metric).name}; none is outside its grid."
+    return Exported(kind, chosen, design, _outputs(model, start, rate))
 
 
 def _outputs(model: Any, start: jnp.ndarray, rate: float) -> np.ndarray:

@@ -1,0 +1,154 @@
+"""`audit`: the laws that an observer's convergence rests on, measured at random states."""
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from covariant import audit as laws, models
+from covariant.audit import Audit, Law
+from covariant.design import estimators, with_gains
+from covariant.models import ModelFile, Overrides
+from covariant.observers import AbstractObserver
+from covariant.proofs import Box
+from covariant.workflow._arguments import Region, above_zero, bounds, gain_pair
+from covariant.workflow._inputs import coordinates, numbered
+from covariant.workflow._outputs import check_output
+from covariant.workflow._progress import Progress, silent
+from covariant.workflow._result import AbstractResult
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+GAINS = math.sqrt(2), 1.0
+"""Default α [1/s] and β [1/s²]: the laws hold with any gains."""
+
+
+def audit_observer(
+    model: Any,
+    *,
+    observer: str | None = None,
+    alpha: float | None = None,
+    beta: float | None = None,
+    region: Region | None = None,
+    speed: float = 3.0,
+    points: int = 24,
+    seed: int = 0,
+    overrides: Overrides = (),
+    progress: Progress = silent,
+) -> "AuditResult":
+    """Measure the laws that an observer's convergence rests on, at random states.
+
+    Args:
+        model: A model file (.toml), a robot, `module:attribute`, the name of a system, a `ModelFile`, or a system.
+        observer: Name of an observer with gains; by default the first that fits the model.
+        alpha, beta: Gains [1/s], [1/s²]; by default √2 and 1.
+        region: Ends of coordinates from which positions are drawn; on a group, of exponential coordinates x1, x2, ….
+        speed: Largest velocity of each coordinate [unit/s].
+        points: Number of states.
+        seed: Seed of the states.
+        overrides: Values that replace those of the model file.
+        progress: Called with a description of the work.
+
+    Returns:
+        Each law with its largest deviation; `result.passed` says whether all hold.
+
+    Raises:
+        ValueError: For an observer that does not fit, or a region of other coordinates.
+
+    Example:
+        >>> from covariant import workflow
+        >>> workflow.audit_observer("oscillator", points=4).passed
+        True
+    """
+    gains = gain_pair(alpha, beta) or GAINS
+    above_zero("speed", speed)
+    name = models.spec_name(model)
+    progress("reading the model")
+    file = models.load(model, overrides)
+    kind, chosen = _observer(name, file, observer, *gains)
+    domain = _domain(file, region)
+    progress(f"auditing {kind} on {file.name}")
+    audited = laws.audit(chosen, domain=domain, speed=speed, points=points, seed=seed)
+    return AuditResult(name, file.name, kind, audited)
+
+
+@dataclass(frozen=True, repr=False)
+class AuditResult(AbstractResult):
+    """The laws of an observer, with the largest deviation from each.
+
+    Attributes:
+        model_name: What the model was called.
+        title: Its short name.
+        observer_name: Name of the observer.
+        audit: The laws.
+    """
+
+    model_name: str
+    title: str
+    observer_name: str
+    audit: Audit
+
+    @property
+    def passed(self) -> bool:
+        """Whether no law is broken."""
+        return self.audit.passed
+
+    @property
+    def headline(self) -> str:
+        return f"{self.observer_name} on {self.title}: {self.audit.verdict}"
+
+    @property
+    def summary(self) -> dict[str, Any]:
+        found = self.audit
+        result = {"model": self.model_name, "observer": self.observer_name, "passed": found.passed}
+        result |= {"verdict": found.verdict, "domain": found.domain, "laws": [_plain(row) for row in found.rows]}
+        return result
+
+    def __str__(self) -> str:
+        return str(self.audit)
+
+    def report(self, path: str | Path) -> list[Path]:
+        """Write a page (.html) with the figure and explanations."""
+        from covariant.report import write_audit
+
+        check_output(Path(path), ".html")
+        return [write_audit(self.audit, f"Audit of {self.title}", path)]
+
+    def plot(self, path: str | Path | None = None) -> "Figure":
+        """The figure of the deviations; also written (.png, .pdf, .svg) where a path is given."""
+        from covariant.report import audit_figure, save_figure
+
+        figure = audit_figure(self.audit)
+        if path is not None:
+            save_figure(figure, path)
+        return figure
+
+
+def _observer(
+    name: str, file: ModelFile, observer: str | None, alpha: float, beta: float
+) -> tuple[str, AbstractObserver]:
+    """The name of the observer, and the observer."""
+    model = file.need_mechanical(name, "the laws are those of observers of")
+    available = with_gains(model, alpha, beta)
+    kind = observer or estimators(model)[0]
+    if kind not in available:
+        raise ValueError(f"observer {kind} does not fit {name}, or has no gains; these do: {', '.join(available)}")
+    return kind, available[kind]
+
+
+def _domain(file: ModelFile, region: Region | None) -> Box | None:
+    """The bounds of coordinates; on a group, of exponential coordinates."""
+    names = coordinates(file)[0] if file.model.manifold.commuting else numbered("x", file.dimension)
+    ends = bounds("region", region or {}, names, "coordinate")
+    if not ends:
+        return None
+    low, high = np.array(list(ends.values())).T
+    return Box(tuple(ends), ("",) * len(ends), low, high)
+
+
+def _plain(row: Law) -> dict[str, Any]:
+    """A row as plain data, with None for a deviation that is no finite number."""
+    return row._asdict() | {"deviation": row.deviation if math.isfinite(row.deviation) else None}

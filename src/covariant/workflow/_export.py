@@ -1,0 +1,368 @@
+"""`export`: an observer as C for microcontrollers and controllers, or as a unit (.fmu) for simulators."""
+
+import math
+import os
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from covariant import audit, certificates, models
+from covariant.codegen import (
+    ROWS,
+    Facts,
+    Program,
+    Recipe,
+    export_texts,
+    fmu,
+    of_family,
+    program,
+    with_open_numbers,
+    write_fmu,
+    write_folder,
+)
+from covariant.design import ESTIMATORS, estimators, observer_gains, tuned_estimators, with_gains
+from covariant.lowering import LoweringError
+from covariant.models import Family, MechanicalSystem, ModelFile, Overrides
+from covariant.observers import REGISTRY, AbstractObserver, Delayed, chooses_substeps, with_fixed_substeps
+from covariant.workflow._arguments import above_zero, gain_pair
+from covariant.workflow._export_states import state_observer, with_fixed_steps
+from covariant.workflow._exported import Exported
+from covariant.workflow._inputs import data_sheet
+from covariant.workflow._progress import Progress, silent
+from covariant.workflow._result import AbstractResult
+
+GEOMETRY = ("*rotation", "*place", "*turn", "*slide", "coordinates", "motors", "joints", "base*")
+"""Arrays of a robot that say how it is put together: as constants they save nine tenths of the work."""
+STORED = ("low", "high", "spacing", "factors")
+"""Arrays of a metric on a grid, a table that the code looks up."""
+REALS = ("double", "float")
+VERSIONS = ("3.0", "2.0")
+CENTRE, SWING = 0.7, 0.2
+"""Where positions of the self-test are, and how far they swing, in units of the coordinates; circles start at π."""
+AUDITED = 6
+"""States at which the laws of an observer are measured before it is written."""
+
+
+def export(
+    model: Any,
+    out: str | Path,
+    *,
+    rate: float,
+    observer: str | None = None,
+    alpha: float | None = None,
+    beta: float | None = None,
+    real: str = "double",
+    name: str | None = None,
+    parameters: Sequence[str] | None = None,
+    flash: float | int | None = None,
+    certificate: str | Path | None = None,
+    metric: str | Path | None = None,
+    fmi: str | None = None,
+    audit: bool = True,
+    overwrite: bool = False,
+    overrides: Overrides = (),
+    progress: Progress = silent,
+) -> "ExportResult":
+    """Write an observer as C99 into a folder, or as a functional mock-up unit (.fmu).
+
+    Args:
+        model: A model file (.toml), a robot, `module:attribute`, the name of a system, a `ModelFile`, or a system.
+        out: The folder to write, or a unit for simulators where it ends in .fmu.
+        rate: Sampling rate [Hz] that the observer is made for.
+        observer: Name of the observer; by default the first that fits the model.
+        alpha, beta: Gains [1/s], [1/s²] in place of the designed ones; both or neither.
+        real: Type of all numbers in C, "double" or "float".
+        name: What all names in C begin with; that of the model by default.
+        parameters: Numbers of the model that may be changed at run time; all by default, none for an empty list.
+        flash: Most bytes of code and constants. Where straight C is estimated to take more, like statements become
+            loops over tables, which take more time.
+        certificate: A saved certificate of this observer, for the data sheet.
+        metric: A metric on a grid for the observer riccati, as `design_metric` stores it.
+        fmi: Version of FMI of a unit, "3.0" (the default) or "2.0".
+        audit: Whether the laws of the observer are measured first, and broken ones are a warning.
+        overwrite: Whether files that are there are replaced.
+        overrides: Values that replace those of the model file.
+        progress: Called with a description of the work.
+
+    Returns:
+        What was written, with warnings.
+
+    Raises:
+        ValueError: For arguments that do not fit the model or each other, and an observer that has no code.
+        FileExistsError: For files that are there already.
+
+    Example:
+        >>> import covariant, tempfile
+        >>> folder = tempfile.mkdtemp() + "/c"
+        >>> result = covariant.export("oscillator", folder, rate=500.0, alpha=20.0, beta=200.0)
+        >>> sorted(path.suffix for path in result.files)[:2]
+        ['.c', '.c']
+    """
+    out = Path(out)
+    unit = out.suffix == ".fmu"
+    limit = math.inf if flash is None else above_zero("flash", flash)
+    above_zero("rate", rate)
+    gains = gain_pair(alpha, beta)
+    _check(unit, real, fmi, flash, certificate)
+    label = models.spec_name(model)
+    progress("reading the model")
+    family = _family(model, overrides, parameters)
+    file = models.load(model, overrides) if family is None else family.file
+    if file.mechanical:
+        exported = _mechanical(label, file, observer, gains, rate, metric)
+    else:
+        exported = state_observer(label, file, observer, gains, rate, certificate, metric)
+    prefix = name or _identifier(file.name)
+    about = f"{exported.name} observer of {file.name}. {exported.design}"
+    proved = "" if certificate is None else _certified(Path(certificate), model, overrides, exported)
+    # A unit takes steps of any length; firmware does the same work in every step.
+    fixed = exported.observer if unit else _of_fixed_length(exported, rate, file)
+    informed = any(entry.name == exported.name and entry.knows_model for entry in REGISTRY)
+    delayed = Delayed(fixed, file.delay, rate) if informed and float(np.max(file.delay)) > 0 else fixed
+    progress(f"writing {prefix}")
+    written = _program(label, delayed, family, file, parameters, real, exported.measured[0], unit)
+    warnings = [line for line in (_broken_laws(exported.observer) if audit else "",) if line]
+    if unit:
+        version: Any = fmi or VERSIONS[0]
+        packed = fmu(written, prefix, about, rate, exported.measured[0], version)
+        write_fmu(packed, out, overwrite)
+        if packed.without_binary:
+            warnings.append(f"the unit holds sources and no binary: {packed.without_binary}")
+        files = [out]
+    else:
+        facts = Facts(rate, getattr(fixed, "substeps", None), proved, "".join(warnings))
+        files = write_folder(export_texts(written, prefix, about, exported.measured, facts, limit), out, overwrite)
+    return ExportResult(label, exported.name, about, exported.design, out, tuple(files), written, tuple(warnings))
+
+
+@dataclass(frozen=True, repr=False)
+class ExportResult(AbstractResult):
+    """What was written of an observer.
+
+    Attributes:
+        model_name: What the model was called.
+        observer_name: Name of the observer.
+        about: A sentence on the observer and its numbers.
+        design: A sentence on its numbers.
+        out: The folder, or the unit.
+        files: All files that were written.
+        program: The graphs of the observer and its numbers.
+    """
+
+    model_name: str
+    observer_name: str
+    about: str
+    design: str
+    out: Path
+    files: tuple[Path, ...]
+    program: Program
+    notes: tuple[str, ...]
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Laws of its audit that the observer breaks, and a unit without a binary."""
+        return self.notes
+
+    @property
+    def operations(self) -> int:
+        """Number of operations of a step."""
+        return sum(node.op not in ("input", "constant") for node in self.program.step.graph.nodes)
+
+    @property
+    def headline(self) -> str:
+        return f"{self.observer_name} observer of {self.model_name} in {self.out}, {self.operations} operations a step"
+
+    @property
+    def summary(self) -> dict[str, Any]:
+        result: dict[str, Any] = {"model": self.model_name, "observer": self.observer_name, "out": str(self.out)}
+        result |= {"design": self.design, "files": [str(path) for path in self.files]}
+        result |= {"numbers": list(self.program.numbers), "operations": self.operations}
+        return result | ({"warning": "; ".join(self.notes)} if self.notes else {})
+
+    def __str__(self) -> str:
+        if self.files == (self.out,):
+            return f"{self.about}\nwrote {self.out}"
+        how = f"wrote {len(self.files)} files into {self.out}; build and test them as its README.md says"
+        return f"{self.about}\n{how}"
+
+
+def _check(unit: bool, real: str, fmi: str | None, flash: float | int | None, certificate: str | Path | None) -> None:
+    """What needs the arguments alone."""
+    if real not in REALS:
+        raise ValueError(f"real must be one of {', '.join(REALS)}; got {real!r}")
+    if fmi is not None and not unit:
+        raise ValueError("fmi is for a unit: name a file that ends in .fmu by -o")
+    if fmi not in (None, *VERSIONS):
+        raise ValueError(f"fmi must be one of {', '.join(VERSIONS)}; got {fmi!r}")
+    if unit and flash is not None:
+        raise ValueError("flash is for a microcontroller, and a unit is not for one; leave it out")
+    if unit and certificate is not None:
+        raise ValueError("certificate is for the data sheet, which a unit does not have; leave it out")
+
+
+def _mechanical(
+    name: str,
+    file: ModelFile,
+    observer: str | None,
+    gains: tuple[float, float] | None,
+    rate: float,
+    metric: str | Path | None,
+) -> Exported:
+    """An observer of a mechanical model, by default the first that fits it."""
+    if metric is not None:
+        raise ValueError(f"metric is for the observer riccati of a state-space model; {name} is a mechanical one")
+    model: Any = file.model
+    fitting = estimators(model)
+    kind = observer or fitting[0]
+    if kind not in fitting:
+        known = "does not fit" if kind in ESTIMATORS else "is no observer for"
+        raise ValueError(f"observer {kind} {known} {name}; these do: {', '.join(fitting)}")
+    measured = _measured(model, file.dimension)
+    if gains is not None:
+        available = with_gains(model, *gains)
+        if kind not in available:
+            raise ValueError(f"alpha and beta do not apply to {kind}; they do to {', '.join(available)}")
+        design = f"Given gains: alpha = {gains[0]:g} 1/s, beta = {gains[1]:g} 1/s^2."
+        return Exported(kind, available[kind], design, measured)
+    sheet = data_sheet(file)
+    tuned = tuned_estimators(model, file.dimension, sheet, rate, names=(kind,))[kind]
+    by_gains = next(entry for entry in REGISTRY if entry.name == kind).tuned_by == "gains"
+    designed = observer_gains(sheet, rate).summary.replace("²", "^2")
+    return Exported(kind, tuned, f"Designed {designed}." if by_gains else "Tuned from its data sheet.", measured)
+
+
+def _program(
+    name: str,
+    observer: AbstractObserver,
+    family: Family | None,
+    file: ModelFile,
+    parameters: Sequence[str] | None,
+    real: str,
+    y: np.ndarray,
+    loops: bool,
+) -> Program:
+    """The graphs of the observer, with the numbers of the model file open or, where there are none, its arrays."""
+    recipe = of_family(observer, family) if family is not None else _recipe(observer, parameters)
+    inputs, closed = len(file.columns.u), parameters is not None and not parameters
+    try:
+        return program(recipe, y, inputs, real, loops)  # pyright: ignore[reportArgumentType]
+    except LoweringError as error:
+        if closed:
+            raise ValueError(f"{name}: no code can be written: {error}") from error
+    try:
+        return program(_usual(observer), y, inputs, real, loops)  # pyright: ignore[reportArgumentType]
+    except LoweringError as error:
+        remedy = "" if "table" in str(error) else "; try without numbers that may be changed (--parameters none)"
+        raise ValueError(f"{name}: no code can be written: {error}{remedy}") from error
+
+
+def _family(model: Any, overrides: Overrides, parameters: Sequence[str] | None) -> Family | None:
+    """The model with the numbers of its file open, or None where it has none or they stay as they are."""
+    if not isinstance(model, str | os.PathLike):
+        return None
+    name = models.spec_name(model)
+    names = _open_numbers(models.recipe(name, overrides).get("parameters", {}))
+    if not names or (parameters is not None and not parameters):
+        return None
+    return models.family(name, names if parameters is None else tuple(parameters), overrides)
+
+
+def _recipe(observer: AbstractObserver, parameters: Sequence[str] | None) -> Recipe:
+    """The observer with its arrays open, as far as they are named or, by default, no geometry of a robot."""
+    if parameters is None:
+        return _usual(observer)
+    if not parameters:
+        return with_open_numbers(observer, ("*",))
+    everything = with_open_numbers(observer)
+    for pattern in parameters:
+        if not any(fnmatchcase(name, pattern) for name in everything.numbers):
+            raise ValueError(f"parameters: there is no {pattern!r}; there are: {', '.join(everything.numbers)}")
+    closed = [n for n in everything.numbers if not any(fnmatchcase(n, pattern) for pattern in parameters)]
+    return with_open_numbers(observer, closed)
+
+
+def _usual(observer: AbstractObserver) -> Recipe:
+    """The recipe that is open but for the geometry of a robot, and arrays of zeros, which cost nothing if closed."""
+    zeros = [name for name, value in with_open_numbers(observer).numbers.items() if not np.any(value)]
+    return with_open_numbers(observer, (*GEOMETRY, *STORED, *zeros))
+
+
+def _open_numbers(parameters: dict[str, Any]) -> tuple[str, ...]:
+    """Names of the numbers of a model file that are not zero: a first value of zero cannot be told from none."""
+
+    def places(name: str, value: Any):
+        if isinstance(value, bool) or not isinstance(value, int | float | list):
+            return
+        if isinstance(value, list):
+            for k, inner in enumerate(value):
+                yield from places(f"{name}[{k}]", inner)
+        elif value != 0:
+            yield name
+
+    return tuple(found for key, value in parameters.items() for found in places(key, value))
+
+
+def _of_fixed_length(exported: Exported, rate: float, file: ModelFile) -> AbstractObserver:
+    """The observer with as many substeps as it needs: for friction, at the usual speed of the model file."""
+    observer, q = exported.observer, exported.measured
+    if not file.mechanical:
+        return with_fixed_steps(observer, q, rate)
+    if not chooses_substeps(observer):
+        return observer
+    sheet = data_sheet(file) if file.acceleration_std is not None and file.measurement_std is not None else None
+    speed = 3.0 if sheet is None else np.broadcast_to(sheet.speeds, file.dimension)
+    v = np.broadcast_to(speed, (len(q), file.dimension)) * np.sign(np.arange(len(q)) % 2 - 0.5)[:, None]
+    inputs = jnp.zeros((len(q), len(file.columns.u)))
+    return with_fixed_substeps(observer, rate, jnp.asarray(q), jnp.asarray(v), inputs)
+
+
+def _measured(model: MechanicalSystem, n: int) -> np.ndarray:
+    """Measurements (ROWS + 1, *n) for the self-test: a swing of every coordinate; circles are crossed at π."""
+    k = np.arange(ROWS + 1)[:, None]
+    swing = SWING * np.sin(k / (4.0 + np.arange(n)) + np.arange(n))
+    manifold = model.manifold
+    if manifold.commuting:
+        return swing + np.where(np.isin(np.arange(n), manifold.circles), np.pi, CENTRE)
+    return np.stack([np.asarray(manifold.retract(manifold.origin(), jnp.asarray(s))) for s in swing])
+
+
+def _certified(path: Path, model: Any, overrides: Overrides, exported: Exported) -> str:
+    """Lines on what a saved certificate says of this observer; raises `ValueError` where it is of another."""
+    document, name = certificates.parse(path), models.spec_name(model)
+    observer, kind = exported.observer, exported.name
+    gains = tuple(float(getattr(observer, each, np.nan)) for each in ("alpha", "beta"))
+    saved = tuple(float(document.observer[each]) for each in ("alpha", "beta"))
+    if not isinstance(model, str | os.PathLike) or document.recipe != models.recipe(name, overrides):
+        raise ValueError(f"{path}: the certificate is for another model, or other numbers, than {name}")
+    if document.observer["kind"] != kind:
+        raise ValueError(f"{path}: the certificate is for the observer {document.observer['kind']}, not for {kind}")
+    if not np.allclose(gains, saved, rtol=1e-12):
+        raise ValueError(
+            f"{path}: the certificate is for alpha = {saved[0]:g}, beta = {saved[1]:g}; the observer has {gains[0]:g}, "
+            f"{gains[1]:g}; give these as alpha and beta"
+        )
+    radius = "" if document.open else f", from distances up to {document.radius:g} in its metric"
+    return (
+        f"`{path.name}` states that the observer in continuous time converges at the rate {document.rate / 2:g} 1/s"
+        f"{radius}, with the default numbers. Verify it by `covariant certify --check {path.name}`."
+    )
+
+
+def _broken_laws(observer: Any) -> str:
+    """A line where the observer breaks a law that its convergence rests on; nothing where it has no such laws."""
+    if not all(name in getattr(observer, "__dataclass_fields__", {}) for name in ("alpha", "beta", "model")):
+        return ""
+    measured = audit.audit(observer, points=AUDITED)
+    broken = [law.name for law in measured.rows if law.verdict == "fails"]
+    return "" if measured.passed else f"the observer breaks laws of its audit: {', '.join(broken)}"
+
+
+def _identifier(name: str) -> str:
+    plain = re.sub(r"\W", "_", name, flags=re.ASCII).lower()
+    return plain if plain[:1].isalpha() else f"observer_{plain}"
