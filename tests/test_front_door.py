@@ -10,9 +10,10 @@ import pytest
 
 import covariant
 from covariant import logs
-from covariant.cli import _names, _reproduce
+from covariant.cli import _names
 from covariant.design import ESTIMATORS
 from covariant.workflow._certify import OBSERVERS as CERTIFIED
+from covariant.workflow._reproduce import PAPERS
 
 
 def python(script: str, **variables: str) -> str:
@@ -69,7 +70,7 @@ def test_what_help_names_is_what_there_is():
     assert _names.ESTIMATORS == ESTIMATORS
     assert _names.WRITTEN == logs.WRITTEN
     assert tuple(CERTIFIED) == _names.CERTIFIED
-    assert tuple(_reproduce.PAPERS) == _names.PAPERS
+    assert tuple(PAPERS) == _names.PAPERS
 
 
 COMPILES = """

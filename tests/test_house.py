@@ -19,7 +19,7 @@ SOURCE = ROOT / "src" / "covariant"
 PLAN = (
     "_programs _compile _typing _functional _files _optional _numbers signals scoring _linalg "
     "_dormand_prince _integrate lowering logs geometry models riccati observers control simulation interop scale "
-    "proofs certificates audit diagnosis design identification codegen engine report workflow papers cli"
+    "proofs certificates audit diagnosis design identification codegen engine report papers workflow cli"
 )
 """A room may import from itself and from any room to its left, never to its right."""
 
@@ -112,9 +112,9 @@ PUBLIC = {
     "engine": "Engine EngineName FEWEST_ROWS Health KernelForm Stream choose compiled run_log run_logs",
     "scale": "Grid Variable map_grid open_grid",
     "workflow": "AbstractResult AbstractTable AuditResult CertificateCheckResult CertifyResult CompareResult "
-    "EstimateResult ExportResult FitResult MetricResult MisfitError Progress SimulateResult TuneResult "
-    "audit_observer certify check_certificate check_model_output check_output compare design_metric estimate "
-    "export fit simulate tune",
+    "EstimateResult ExportResult FitResult MetricResult MisfitError ModelResult Progress ReproduceResult "
+    "SimulateResult TuneResult audit_observer certify check_certificate check_model_output check_output "
+    "compare describe_model design_metric estimate export fit reproduce_paper simulate tune",
     "simulation": "PiecewiseInputs Sensor hold logged_inputs no_input observe sense simulate simulate_piecewise stamps",
 }
 

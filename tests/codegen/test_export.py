@@ -469,7 +469,8 @@ def commands_of_the_page() -> list[str]:
 def test_the_command_of_the_page_writes_what_passes_its_test(tmp_path, monkeypatch, capsys):
     line, _ = commands_of_the_page()
     options, out = shlex.split(line), tmp_path / "arm"
-    shutil.copy(ROOT / "examples" / options[0], tmp_path)
+    (tmp_path / "examples").mkdir()
+    shutil.copy(ROOT / options[0], tmp_path / "examples")
     monkeypatch.chdir(tmp_path)
     code, told, _ = command(monkeypatch, capsys, *options, "--json")
     assert code == 0

@@ -80,9 +80,11 @@ def show_model(
     json: Json = False,
 ) -> None:
     """Say what a model is made of: the tree of a robot, what of its file is used, and how curved its metric is."""
-    from covariant.cli import _model
-
-    _model.show(model, tuple(override), samples, seed, json)
+    with progress_bar(json) as progress:
+        result = workflow.describe_model(
+            model, samples=samples, seed=seed, overrides=tuple(override), progress=progress
+        )
+    show(result, json)
 
 
 @on_models.command()
@@ -93,9 +95,11 @@ def reproduce(
     json: Json = False,
 ) -> None:
     """Reproduce a paper's numbers and figures."""
-    from covariant.cli import _reproduce
-
-    _reproduce.reproduce(paper, out, report, json)
+    check_output(out, ".png")
+    check_output(report, ".html")
+    with progress_bar(json) as progress:
+        result = workflow.reproduce_paper(paper, progress=progress)
+    show(result, json, report=report, figure=out)
 
 
 @on_models.command()

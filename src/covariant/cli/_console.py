@@ -42,7 +42,7 @@ def show(
         as_json: Whether to print one JSON object instead of text.
         out: Where `result.save` writes, or None.
         report: Where `result.report` writes its page, or None.
-        figure: Where `result.plot` draws its figure, or None.
+        figure: Where `result.draw` draws its figures, or None.
         save: Further arguments of `result.save`.
     """
     written = [] if out is None else [str(result.save(out, **save))]
@@ -57,8 +57,7 @@ def show(
                 drawn += result.report(report)
                 pages["report"] = [str(path) for path in drawn]
             if figure is not None:
-                result.plot(figure)
-                drawn.append(figure)
+                drawn += result.draw(figure)
                 pages["figure"] = str(figure)
     finally:
         if as_json:
@@ -75,22 +74,3 @@ def working(what: str, quiet: bool = False) -> Iterator[None]:
     console = Console(stderr=True, quiet=quiet)
     with console.status(what):
         yield
-
-
-@contextmanager
-def stages(what: str, total: int, quiet: bool = False):
-    """A progress bar over named stages; yields a function to call with the name of each stage when it begins."""
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=Console(stderr=True, quiet=quiet), transient=True) as progress:
-        task = progress.add_task(what, total=total)
-        begun = 0
-
-        def begin(stage: str) -> None:
-            nonlocal begun
-            progress.update(task, description=stage, completed=begun)
-            begun += 1
-
-        yield begin

@@ -14,9 +14,9 @@ def _registered(file: str) -> tuple[str, ...]:
 
 ESTIMATORS, STATE_ESTIMATORS = _registered("_registry.py"), _registered("_state_registry.py")
 CERTIFIED = ("intrinsic", "geodesic")
-"""The observers of `covariant.cli._certify`."""
+"""The observers that there are certificates for."""
 PAPERS = ("aghannan-rouchon", "maithripala", "sanfelice-praly", "jouffroy-fossen")
-"""The papers of `covariant.cli._reproduce`."""
+"""The papers that are reproduced."""
 Engine = Literal["auto", "c", "jax"]
 """Those of `covariant.engine`."""
 WRITTEN = (".csv", ".txt", ".tsv", ".parquet", ".mcap", ".rosbag2")

@@ -6,6 +6,7 @@ from ._certify import (
     check_certificate as check_certificate,
 )
 from ._compare import CompareResult as CompareResult, compare as compare
+from ._describe import ModelResult as ModelResult, describe_model as describe_model
 from ._estimate import EstimateResult as EstimateResult, estimate as estimate
 from ._export import ExportResult as ExportResult, export as export
 from ._fit import FitResult as FitResult, fit as fit
@@ -14,6 +15,7 @@ from ._metric import MetricResult as MetricResult, design_metric as design_metri
 from ._model_output import check_model_output as check_model_output
 from ._outputs import check_output as check_output
 from ._progress import Progress as Progress
+from ._reproduce import ReproduceResult as ReproduceResult, reproduce_paper as reproduce_paper
 from ._result import AbstractResult as AbstractResult, AbstractTable as AbstractTable
 from ._simulate import SimulateResult as SimulateResult, simulate as simulate
 from ._tune import TuneResult as TuneResult, tune as tune

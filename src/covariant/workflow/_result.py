@@ -58,6 +58,11 @@ class AbstractResult(abc.ABC):
         """Draw the result; the figure is written where a path is given. Raises `ValueError` where a result has none."""
         raise ValueError(f"a {type(self).__name__} has no figure")
 
+    def draw(self, path: str | Path) -> list[Path]:
+        """Draw the figures of the result into files, the first at `path`; returns all paths."""
+        self.plot(path)
+        return [Path(path)]
+
 
 class AbstractTable(AbstractResult):
     """A result whose numbers are a table: columns by name, all of one length."""

@@ -1,41 +1,88 @@
-"""`covariant model`: what a model is made of, and what is known of its geometry."""
+"""`describe_model`: what a model is made of, and what is known of its geometry."""
 
-import json
+import os
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from covariant import models
-from covariant.cli._console import working
-from covariant.models import robots
+from covariant.models import Overrides, robots
+from covariant.workflow._progress import Progress, silent
+from covariant.workflow._result import AbstractResult
 
 
-def show(spec: str, overrides: tuple[str, ...], samples: int, seed: int, as_json: bool) -> None:
-    """Print a model: of a robot its tree, the masses and what of its file was used; then conditioning and curvature."""
-    file = models.load(spec, overrides)
-    result: dict[str, Any] = {"model": spec, "name": file.name}
-    result |= {"coordinates": list(file.model.coordinates), "units": list(file.model.units)}
-    result |= {"velocities": list(file.model.velocities), "inputs": len(file.columns.u)}
-    robot, box = _robot(spec, overrides), None
+def describe_model(
+    model: Any, *, samples: int = 200, seed: int = 0, overrides: Overrides = (), progress: Progress = silent
+) -> "ModelResult":
+    """Say what a model is made of: the tree of a robot, what of its file is used, and how curved its metric is.
+
+    Args:
+        model: A model file (.toml), a robot, `module:attribute`, the name of a system, a `ModelFile`, or a system.
+        samples: Number of configurations at which the geometry is measured.
+        seed: Seed of the configurations.
+        overrides: Values that replace those of the model file.
+        progress: Called with a description of the work.
+
+    Returns:
+        Names, units and geometry of the model, and of a robot its tree.
+
+    Raises:
+        ValueError: For a model that cannot be loaded.
+
+    Example:
+        >>> from covariant import workflow
+        >>> workflow.describe_model("double_pendulum", samples=5).summary["coordinates"]
+        ['shoulder', 'elbow']
+    """
+    name = models.spec_name(model)
+    progress("reading the model")
+    file = models.load(model, overrides)
+    facts: dict[str, Any] = {"model": name, "name": file.name}
+    facts |= {"coordinates": list(file.model.coordinates), "units": list(file.model.units)}
+    facts |= {"velocities": list(file.model.velocities), "inputs": len(file.columns.u)}
+    robot, box = _robot(model, overrides), None
     if robot is not None:
-        result |= _of_robot(robot)
+        facts |= _of_robot(robot)
         box = _limits(robot, file.model.coordinates)
     if file.mechanical:
-        with working(f"measuring the geometry of {file.name}", quiet=as_json):
-            seen = models.survey(file.need_mechanical(spec, ""), box, samples, seed)
-        result |= {"samples": samples, "conditioning": seen.conditioning, "curvature": seen.curvature}
-    print(json.dumps(result) if as_json else "\n".join(_lines(result)))
+        progress(f"measuring the geometry of {file.name}")
+        survey = models.survey(file.need_mechanical(name, ""), box, samples, seed)
+        facts |= {"samples": samples, "conditioning": survey.conditioning, "curvature": survey.curvature}
+    return ModelResult(facts)
 
 
-def _robot(spec: str, overrides: tuple[str, ...]) -> robots.Description | None:
+@dataclass(frozen=True, repr=False)
+class ModelResult(AbstractResult):
+    """What a model is made of.
+
+    Attributes:
+        facts: Names, units and geometry, as plain data; of a robot also its joints, masses and motors.
+    """
+
+    facts: dict[str, Any]
+
+    @property
+    def headline(self) -> str:
+        return next(_lines(self.facts))
+
+    @property
+    def summary(self) -> dict[str, Any]:
+        return self.facts
+
+    def __str__(self) -> str:
+        return "\n".join(_lines(self.facts))
+
+
+def _robot(model: Any, overrides: Overrides) -> robots.Description | None:
     """The description of a robot's file, where the model is one."""
-    if ":" in spec:
+    if not isinstance(model, str | os.PathLike) or ":" in str(model):
         return None
-    made = models.recipe(spec, overrides)
-    if made.get("system") != "robot":
+    recipe = models.recipe(str(model), overrides)
+    if recipe.get("system") != "robot":
         return None
-    given = made["parameters"]
+    given = recipe["parameters"]
     return robots.read(given["path"], motor_torques=given.get("motor_torques", False))
 
 
