@@ -10,7 +10,8 @@ ASSUMED = (
     "the code of the model is read as exact functions of real numbers, with its constants as they were computed",
     "the running observer does not round",
     "Stumpff's functions and logarithms of rotations are read as what they approximate",
-    "trusted are JAX's tracing, the description of the observer that prover and checker share, IEEE doubles in NumPy, "
-    "+ − × ÷ √ and products of matrices, and what is argued on paper: Theorem 1, and contraction of Lipschitz flows",
+    "trusted are JAX's tracing, the reading of its jaxprs and the description of the observer, which prover and "
+    "checker share, IEEE doubles in NumPy, + − × ÷ √ and products of matrices, and what is argued on paper: Theorem 1, "
+    "and contraction of Lipschitz flows",
 )
 """The lines that `covariant certify --check` prints last."""
