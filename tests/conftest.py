@@ -1,5 +1,6 @@
 """Strict numerics for every test, the recorded logs, and the spaces over which the laws of geometry are checked."""
 
+import ctypes
 import gc
 import os
 import shutil
@@ -53,12 +54,31 @@ def pytest_unconfigure():
         shutil.rmtree(os.environ["COVARIANT_CACHE"], ignore_errors=True)
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(config, items):
+    """Mark as long what a file says in `LONG`: names of parameters, or several joined by a dash, as tests show them."""
+    unused = set()
+    for module in {item.module for item in items}:
+        unused |= {(module.__name__, name) for name in getattr(module, "LONG", ())}
+    for item in items:
+        parameters = f"-{item.callspec.id}-" if hasattr(item, "callspec") else ""
+        names = [name for name in getattr(item.module, "LONG", ()) if f"-{name}-" in parameters]
+        if names:
+            item.add_marker(pytest.mark.long)
+        unused -= {(item.module.__name__, name) for name in names}
+    if unused and not any("::" in argument for argument in config.args):
+        raise pytest.UsageError(f"LONG names parameters that no test has: {sorted(unused)}")
+
+
 @pytest.fixture(scope="module", autouse=True)
-def release_programs():
+def release_memory():
     """Release compiled programs after each file: they hold memory, and mappings, of which Linux allows 65 530."""
     yield
     jax.clear_caches()
     gc.collect()
+    trim = getattr(ctypes.CDLL(None), "malloc_trim", None) if os.name == "posix" else None
+    if trim is not None:  # glibc keeps what was freed, a gigabyte after some files
+        trim(0)
 
 
 @pytest.fixture(scope="session")
@@ -175,13 +195,21 @@ def spaces() -> dict[str, Space]:
     return {name: make_space(*entry) for name, entry in (closed_forms() | numerical_spaces()).items()}
 
 
-@pytest.fixture(scope="session", params=[*closed_forms(), *numerical_spaces()])
+FEW = ("sphere, curved chart", "small 3-sphere", "numeric hyperbolic", "ball and beam", "double pendulum, absolute")
+"""Spaces that add little to the others; with the triple pendulum, the largest, they are for long runs."""
+
+
+def members(names) -> list:
+    return [pytest.param(n, marks=pytest.mark.long) if n in (*FEW, "triple pendulum") else n for n in names]
+
+
+@pytest.fixture(scope="session", params=members([*closed_forms(), *numerical_spaces()]))
 def space(request, spaces) -> Space:
     """Each space in turn."""
     return spaces[request.param]
 
 
-@pytest.fixture(scope="session", params=closed_forms())
+@pytest.fixture(scope="session", params=members(closed_forms()))
 def closed(request, spaces) -> Space:
     """Each space with closed forms in turn."""
     return spaces[request.param]

@@ -10,6 +10,7 @@ from collections import Counter
 
 import mutants
 import mutations
+import pytest
 from mutations import ROOMS, ROOT, SOURCE, draw, mutants_of
 
 
@@ -90,6 +91,7 @@ def test_what_is_taken_to_be_equivalent_is_a_mutant_of_the_source():
         assert len(reason) > 40
 
 
+@pytest.mark.long
 def test_a_wrong_sign_is_killed_where_a_test_sees_it_and_survives_where_none_does():
     sign = "return ConstantCurvature(1.0 / radius**2)"
     other = "return _found(q + p, q - p)"

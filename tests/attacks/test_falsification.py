@@ -11,6 +11,8 @@ import pytest
 
 from covariant.certificates import ContractionCertificate, falsify
 
+LONG = ("heavy_top",)
+
 FOLDER = Path(__file__).parents[2] / "examples/certificates"
 COUNT = int(os.environ.get("COVARIANT_ATTACKS", "12"))
 POINTS, STARTS = 2_000 * COUNT, 8 * COUNT

@@ -798,6 +798,7 @@ WAYS = [swapped, swapped, swapped, systems, tokens, inserted, flipped]
 COUNT = int(os.environ.get("COVARIANT_FUZZ", "300"))
 
 
+@pytest.mark.long
 def test_files_changed_at_random_are_read_or_refused(tmp_path, monkeypatch):
     """`parse`, and the making of the model where that succeeds; COVARIANT_FUZZ=10000 tries as many."""
     monkeypatch.chdir(tmp_path)

@@ -57,6 +57,7 @@ def signals(system: System, seed: int, steps: int = 500, count: int = 192) -> di
     return found
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", KINDS)
 def test_no_proof_is_contradicted(kind):
     harmless, proved, both = 0, 0, 0
@@ -109,6 +110,7 @@ def in_units(system: System, length: float, second: float) -> System:
     )
 
 
+@pytest.mark.long
 def test_simulations_would_notice():
     """Of systems that are meant to be harmful many are: their friction, had it been proved, would be contradicted."""
     for kind in ("discontinuity", "kink", "place"):

@@ -45,6 +45,8 @@ from covariant.riccati import Equation
 from covariant.signals import Result
 from covariant.simulation import hold, simulate
 
+LONG = ("intrinsic kalman, body", "group, riemannian")
+
 ROWS = 400
 FAULTY = slice(40, 70)
 """Rows in which faults are drawn; those after are sound, and long enough to recover in."""

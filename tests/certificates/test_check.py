@@ -63,6 +63,7 @@ def test_a_certificate_is_found_right_from_the_file_alone(saved, tmp_path):
     assert seen[-1][0] == seen[-1][1]
 
 
+@pytest.mark.long
 def test_processes_find_the_same(saved):
     assert check(saved, processes=2).leaves == check(saved).leaves
 

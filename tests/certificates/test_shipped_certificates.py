@@ -13,6 +13,8 @@ from covariant.proofs import PROVED, leaves
 from covariant.proofs._enclosure import Expansions
 from covariant.proofs._judge import judge
 
+LONG = ("scara", "ur5e_three_joints")
+
 FOLDER = Path(__file__).parents[2] / "examples/certificates"
 
 
@@ -54,6 +56,7 @@ def test_a_certificate_that_was_changed_is_not_read(tmp_path):
         ContractionCertificate.load(tmp_path / "changed.json")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("name", "slowest"), [("heavy_top", 7.0), ("dfki_double_pendulum", 25.0)])
 def test_estimates_from_the_border_of_the_ball_converge_as_certified(name, slowest):
     certificate = loaded(name)
@@ -68,6 +71,7 @@ def test_estimates_from_the_border_of_the_ball_converge_as_certified(name, slowe
     assert not seen._replace(bound=faster).holds
 
 
+@pytest.mark.long
 def test_leaves_of_a_robot_are_proved_by_the_prover_again():
     """By its Taylor models, on some of the leaves; and where shoulder and lift are does not enter."""
     certificate = loaded("scara")

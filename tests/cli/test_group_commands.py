@@ -169,6 +169,7 @@ def test_compare_ranks_what_fits(monkeypatch):
     assert [row[1] for row in table[1:]] == names
 
 
+@pytest.mark.long
 def test_a_vehicle_is_simulated_and_estimated():
     command(
         *("simulate", VEHICLE, "-o", "pose.parquet", "--duration", "6", "--rate", "50", "--noise", "5e-3"),

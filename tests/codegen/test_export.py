@@ -39,6 +39,8 @@ from covariant.geometry import Budget, Interpolated
 from covariant.lowering import _places
 from covariant.models import robots
 
+LONG = ("tables", "scara", "exact", "thirty")
+
 ROOT = Path(__file__).parents[2]
 FLAGS = ["-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wdouble-promotion", "-Werror"]
 RATE = 250.0

@@ -53,6 +53,7 @@ def tuned(log):
     return tune(MODEL, [record._replace(y=y)], [v])
 
 
+@pytest.mark.long
 def test_noise_and_gains_are_those_of_the_simulation_in_spite_of_outliers_and_gaps(tuned):
     assert float(tuned.noise.acceleration) == pytest.approx(ACCELERATION, rel=0.1)
     np.testing.assert_allclose(tuned.noise.measurement, STD, rtol=0.1)

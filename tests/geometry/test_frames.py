@@ -27,6 +27,14 @@ from covariant.geometry import (
 from covariant.observers import second_order
 from covariant.signals import Result
 
+LONG = (
+    "uneven, SE(2) x coordinates",
+    "robot, joints",
+    "robot, planar base",
+    "robot, SE(3) x joints",
+    "robot, ball joint x joints",
+)
+
 BUDGET = Budget(steps=12)
 
 

@@ -16,6 +16,8 @@ from covariant import geometry
 from covariant.geometry import lie
 from covariant.signals import Result
 
+LONG = ("SU3", "SE2")
+
 GROUPS = {
     "SO3": lie.SO3,
     "SE2": lie.SE2,

@@ -17,6 +17,8 @@ from mpmath import mp, mpf
 from covariant.geometry import lie
 from covariant.geometry.lie._coefficients import angle_over_half_sine, inverse_jacobian_coefficient, stumpff
 
+LONG = ("SU3",)
+
 TINY = 1e-6
 EDGES = np.concatenate([[edge - TINY, edge + TINY] for edge in np.sqrt([1, 6, 12])])
 ANGLES = np.concatenate([[0, 1e-12, 1e-8, 1e-4, 1e-2, 0.5], EDGES, [np.pi - TINY, np.pi, 4, 5, 6]])

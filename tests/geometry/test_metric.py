@@ -42,12 +42,12 @@ def test_norm_of_zero_has_zero_derivative():
     np.testing.assert_array_equal(jax.grad(lambda x: geometry.norm(stretched, P, x))(jnp.zeros(2)), jnp.zeros(2))
 
 
-@pytest.mark.parametrize("shape", [(), (1,), (3,), (2, 3), (0,)])
-def test_carried_vectors_keep_their_shape(space, shape):
+def test_carried_vectors_keep_their_shape(space):
     n = space.p.shape[1]
-    p, w = jax.ShapeDtypeStruct((n,), jnp.float64), jax.ShapeDtypeStruct((*shape, n), jnp.float64)
-    end = jax.eval_shape(lambda p, v, w: geometry.transport_along(space.metric, p, v, w), p, p, w)
-    assert (end.q.shape, end.velocity.shape, end.w.shape) == ((n,), (n,), (*shape, n))
+    for shape in ((), (1,), (3,), (2, 3), (0,)):
+        p, w = jax.ShapeDtypeStruct((n,), jnp.float64), jax.ShapeDtypeStruct((*shape, n), jnp.float64)
+        end = jax.eval_shape(lambda p, v, w: geometry.transport_along(space.metric, p, v, w), p, p, w)
+        assert (end.q.shape, end.velocity.shape, end.w.shape) == ((n,), (n,), (*shape, n))
 
 
 def single_precision(function, n, arguments):

@@ -12,6 +12,8 @@ from covariant.geometry.lie import SO3
 from covariant.models import ball_and_beam
 from covariant.signals import Result
 
+LONG = ("reverse",)
+
 SPHERE = geometry.sphere()
 NUMERIC = Metric(SPHERE)
 BUDGET = Budget(steps=12)
@@ -167,6 +169,7 @@ def test_log_has_the_derivative_that_differences_show():
     close(differences, slope, 1e-6)
 
 
+@pytest.mark.long
 def test_log_has_second_derivatives_also_in_the_parameters_of_the_metric():
     """On the line with metric `exp(2kq)` the logarithm is `(exp(k(q − p)) − 1)/k`; forward over reverse."""
 

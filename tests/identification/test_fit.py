@@ -78,6 +78,7 @@ def fits(tmp_path_factory):
     return [fit(open_numbers, windows([record], [v], 0.25)) for record, v in swung(True, 40)]
 
 
+@pytest.mark.long
 def test_intervals_of_95_percent_cover_the_truth(fits):
     values, errors = (np.array([getattr(f, name) for f in fits]) for name in ("values", "standard_errors"))
     covered = np.mean(np.abs(values - [MASS, INERTIA, VISCOUS]) < 1.96 * errors, axis=0)
@@ -152,6 +153,7 @@ quantum = 1e-3
 """
 
 
+@pytest.mark.long
 def test_an_observer_with_the_fitted_model_is_as_good_as_with_the_true_one(tmp_path):
     """A double pendulum, with masses and inertias 30 % too large, fitted on one log and judged on another."""
     (tmp_path / "model.toml").write_text(DOUBLE)
@@ -185,6 +187,7 @@ def test_an_observer_with_the_fitted_model_is_as_good_as_with_the_true_one(tmp_p
     assert np.all(np.abs(found.values - [0.6, 0.4, 0.005, 0.0026]) < 5 * found.standard_errors + 0.01 * found.values)
 
 
+@pytest.mark.long
 def test_what_vanishes_on_the_way_is_not_called_determined(tmp_path):
     """There is neither lag nor dry friction: the search makes both small, with errors many times as large."""
     t = np.arange(800) * 0.01

@@ -38,6 +38,7 @@ def test_plant_and_observer_interconnected_follow_the_librarys_own(control):
     np.testing.assert_allclose(response.outputs[1], state.x[:, 1], atol=1e-6)
 
 
+@pytest.mark.long
 def test_closed_loop_is_the_librarys_own(control):
     ship = marine.cybership()
     model = state_space(ship)

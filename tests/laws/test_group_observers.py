@@ -21,6 +21,17 @@ from covariant.observers import REGISTRY, Geodesic, GeodesicState, Intrinsic
 from covariant.papers._errata import SLIPS, PrintedGroup
 from covariant.simulation import observe
 
+LONG = (
+    "SU(3)",
+    "SU(5)",
+    "SE(3) x joints",
+    "geodesic-SE(3)",
+    "robot, joints",
+    "robot, planar base",
+    "robot, SE(3) x joints",
+    "robot, ball joint x joints",
+)
+
 ALPHA, BETA = 1.2, 0.9
 
 
@@ -156,6 +167,7 @@ def test_error_in_a_parallel_frame_obeys_the_linear_law_at_any_speed(observer, n
         assert worst(OBSERVERS[observer](model, ALPHA, BETA), model, speed) <= 1e-4, f"at speed {speed}"
 
 
+@pytest.mark.long
 def test_the_exact_observer_on_the_arm_is_the_approximate_one_to_first_order():
     """So it obeys the linear law as that does: integrating it along a motion of the arm compiles for minutes."""
     model = system("SE(3) x joints")
@@ -183,12 +195,14 @@ def test_what_the_linear_law_leaves_out_is_of_first_order_in_the_error():
     assert np.log10(large / small) == pytest.approx(1.0, abs=0.1)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("slip", "name"), [*((slip, "SO(3)") for slip in SLIPS), ("logarithm", "SE(3)")])
 def test_each_slip_of_the_print_breaks_the_linear_law(slip, name):
     model = system(name)
     assert worst(PrintedGroup(model, ALPHA / 2, BETA, (slip,)), model, 3.0) > 1e-2
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["SO(3)", "SE(3)"])
 def test_the_printed_observer_without_its_slips_keeps_the_law(name):
     model = system(name)
@@ -243,6 +257,7 @@ def runge_kutta(slope, x, steps, h):
     return jnp.stack(path)
 
 
+@pytest.mark.long
 def test_coordinates_and_group_are_one_observer():
     """The exact observer in Euler angles and on SO(3), away from pitch 90°, on an asymmetric heavy top."""
     model, budget = heavy_top((1.0, 2.0, 3.5), 2.0), Budget(newton=2, steps=12)

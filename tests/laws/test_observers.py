@@ -28,6 +28,8 @@ from covariant.geometry import (
 from covariant.models import Lagrangian, acceleration, in_chart, source
 from covariant.observers import REGISTRY, Geodesic, Intrinsic, MechanicalState
 
+LONG = ("double pendulum", "ball and beam", "2-2.0")
+
 ALPHA, BETA = 1.2, 0.9
 A = np.array([[-ALPHA, 1.0], [-BETA, 0.0]])
 
@@ -245,6 +247,7 @@ def test_a_coordinate_free_observer_is_the_same_in_all_coordinates(name):
     assert chart_gap(promising("coordinate-free")[name]) <= 5e-5
 
 
+@pytest.mark.long
 def test_the_exact_observer_is_the_same_to_the_tolerance_of_the_integration():
     assert chart_gap(lambda m: Geodesic(m, ALPHA, BETA, Budget(steps=4))) <= 1e-8
 
@@ -291,6 +294,7 @@ def test_the_second_order_error_is_of_third_order():
     assert slopes == pytest.approx([2.0, 3.0], abs=0.1)
 
 
+@pytest.mark.long
 def test_closed_forms_and_shooting_give_the_same_observer():
     """`Pullback` knows its space's closed forms; the numerical metric of the same matrix must agree."""
     forward, inverse = shear(np.array([0.2, -0.1]), np.array([0.1, 0.2]))

@@ -18,6 +18,8 @@ from covariant.lowering import LoweringError, expand, lower, numbers, pairs
 from covariant.lowering._constants import padded, part_at, updated_at
 from covariant.observers import Geodesic, Intrinsic, with_fixed_substeps
 
+LONG = ("logarithm of a rotation", "pose", "forward dynamics", "geodesic flow")
+
 PENDULUM = models.pendulum_chain((1.0, 0.7), (0.5, 0.4), viscous=(0.1, 0.2))
 TABLE = jnp.array([0.5, -1.0, 2.0, 0.3])
 

@@ -12,6 +12,8 @@ from covariant.geometry.lie import SE2
 from covariant.models import GroupSystem, Lagrangian, Motion, acceleration, friction, resistance
 from covariant.observers import EKF, Copy, Geodesic, Intrinsic, run
 
+LONG = ("boat-intrinsic",)
+
 ZERO = jnp.zeros(())
 STAMPS = np.linspace(0.0, 6.0, 601)
 

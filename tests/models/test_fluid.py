@@ -13,6 +13,8 @@ from covariant.geometry.lie import SU
 from covariant.models import Motion, fluid
 from covariant.observers import Intrinsic
 
+LONG = ("9", "17", "33")
+
 POINTS = 64
 X1, X2 = np.meshgrid(*2 * [2 * np.pi * np.arange(POINTS) / POINTS], indexing="ij")
 SMOOTH = np.cos(X1) + 0.7 * np.cos(X2 + 0.3) + 0.3 * np.cos(X1 + X2)
@@ -349,6 +351,7 @@ def test_velocity_error_shrinks_at_the_slow_root(n):
     assert decay(errors, alpha, dt, (1e-6, 1e-3)) == pytest.approx(0.3 * alpha, rel=0.02)
 
 
+@pytest.mark.long
 def test_curvature_term_takes_the_instability_of_the_flow_out_of_the_error():
     """A gain of a fifth of the vorticity: on an unstable flow only the observer with curvature keeps its rate."""
     n, alpha, dt = 9, 0.8, 0.02

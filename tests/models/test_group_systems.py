@@ -12,6 +12,8 @@ from covariant.geometry.lie import SE2, SE3, SO3
 from covariant.models import GroupSystem, Lagrangian, Motion, acceleration, advance, energy, friction, source
 from covariant.simulation import simulate
 
+LONG = ("underwater vehicle",)
+
 SYSTEMS = {
     "top": models.heavy_top(),
     "asymmetric top": models.heavy_top((1.0, 2.0, 3.5), 2.0, axis=(0.3, 0.2, 1.0), viscous=0.1),
@@ -102,6 +104,7 @@ def test_advancing_is_of_fourth_order_and_stays_on_the_group(name):
     assert max(float(system.group.defect(end.q)) for end in ends) < 1e-14
 
 
+@pytest.mark.long
 def test_a_million_steps_leave_the_group_by_less_than_1e_12():
     """Rᵀ R = 1 without any projection; the free body's momentum in space keeps its length too."""
     system = models.free_body()

@@ -10,6 +10,8 @@ from covariant.geometry.lie import SE2, SO3
 from covariant.models import GroupSystem, Lagrangian, Motion, chart_jacobian, chart_velocity, in_chart
 from covariant.models.marine import euler_rates, euler_rotation
 
+LONG = ("body on SE(2)",)
+
 INERTIA = jnp.diag(jnp.array([1.0, 2.0, 3.5]))
 DRAG = jnp.diag(jnp.array([0.3, 0.2, 0.5]))
 

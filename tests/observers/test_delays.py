@@ -167,6 +167,7 @@ def test_batches_and_full_turns():
     np.testing.assert_allclose(v[0], alone[0], rtol=0, atol=1e-12)
 
 
+@pytest.mark.long
 def test_an_attitude_is_late_as_a_whole(step):
     """The observer runs behind by the delay; the model predicts from there to the stamp."""
     model: MechanicalSystem = free_body((1.0, 2.0, 3.5))
@@ -232,6 +233,7 @@ def test_the_free_pendulum_with_a_late_joint_and_jittered_stamps(data_folder):
     assert velocity_error(loaded, "intrinsic", jittered, behind, late) < 1.05 * told
 
 
+@pytest.mark.long
 def test_the_driven_pendulum_with_a_late_joint(data_folder):
     """Its encoders tick, and its stamps jitter as they are."""
     loaded = recorded(data_folder, "dfki_double_pendulum.toml", "dfki_double_pendulum/A0_sysid_00.csv")

@@ -123,6 +123,7 @@ def rms(a) -> float:
     return float(np.sqrt(np.mean(np.square(a))))
 
 
+@pytest.mark.long
 @pytest.mark.data
 def test_outliers_and_missing_measurements_cost_little(tried):
     """A filter without a model has nothing to bridge a missing measurement with."""

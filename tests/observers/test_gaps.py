@@ -12,6 +12,8 @@ from covariant.observers import EKF, Copy, Geodesic, Intrinsic, IntrinsicKalman
 from covariant.observers._sampled import LONGEST_GAP, sampled_correction
 from covariant.signals import Result
 
+LONG = ("intrinsic-kalman", "geodesic")
+
 ALPHA, BETA = 20.0, 200.0
 
 

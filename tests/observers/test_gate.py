@@ -42,6 +42,7 @@ def codes(followed) -> np.ndarray:
     return np.asarray(followed.info.result)
 
 
+@pytest.mark.long
 def test_one_outlier_in_a_hundred_costs_less_than_a_tenth(swing, follow):
     t, x, y = swing
     rng = np.random.default_rng(1)
@@ -112,6 +113,7 @@ def test_what_is_measured_together():
     assert arm.measured_together(8) == ((0, 1, 2, 3, 4, 5), (6,), (7,))
 
 
+@pytest.mark.long
 def test_an_attitude_is_refused_as_a_whole():
     body = free_body((1.0, 2.0, 3.5))
     observer = IntrinsicKalman(body, 1e-4, 1e-6, 1.0, substeps=1)

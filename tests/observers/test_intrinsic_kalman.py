@@ -17,6 +17,8 @@ from covariant.models import GroupSystem, Lagrangian, Motion, Parametric, chart_
 from covariant.models.marine import euler_rotation
 from covariant.observers import EKF, IntrinsicKalman
 
+LONG = ("SO(3)", "double pendulum")
+
 ROWS = 60
 INERTIA = jnp.diag(jnp.array([1.0, 2.0, 3.5]))
 FINE = Budget(newton=None, steps=12)
@@ -108,6 +110,7 @@ def test_the_reset_is_the_derivative_of_the_exact_change_of_base_point(name):
 # The lottery of coordinates.
 
 
+@pytest.mark.long
 def test_body_frame_and_euler_angles_predict_correct_and_reset_alike():
     body = GroupSystem(SO3, INERTIA)
     angles, rates = jnp.array([0.4, 0.5, -0.3]), jnp.array([1.0, -0.8, 1.2])

@@ -11,6 +11,8 @@ import pytest
 
 from covariant.geometry.lie import SE3, SO3
 
+LONG = ("SE(3)",)
+
 STEPS, DT = 60, 0.1
 PROCESS, NOISE = 0.05, 0.1
 LANDMARKS = jnp.array([[2.0, 0.3, -1.0], [-0.5, 1.5, 0.7], [0.2, -1.0, 2.0]])

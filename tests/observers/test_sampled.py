@@ -238,6 +238,7 @@ def test_what_a_step_leaves_of_the_geodesic_leads_from_the_measurement_to_the_ne
     assert 0.5 < geometry.norm(CURVED.metric, y, left) / info.distance < 0.9
 
 
+@pytest.mark.long
 def test_a_budget_for_near_ends_gives_the_exact_observer_near_the_measurement():
     """What it leaves falls at least as fast as what its search leaves; for the first-order observer it is r²."""
     model = Lagrangian(geometry.Metric(geometry.hyperbolic()), CURVED.potential, dissipation=CURVED.dissipation)

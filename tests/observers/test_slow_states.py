@@ -145,6 +145,7 @@ def test_a_payload_and_friction_are_found(arm):
     np.testing.assert_allclose(blind.info.slow[-1, 0], 0.4, rtol=1e-6)
 
 
+@pytest.mark.long
 def test_a_sensor_that_is_mounted_askew_on_a_body_is_found():
     """On a group the offset is in the body: y = q exp(offset). Here it is large, and known to a few degrees."""
     top, off = heavy_top((0.2, 0.3, 0.1), axis=(0.3, 0.2, 1.0)), jnp.array([0.7, -0.5, 0.4])

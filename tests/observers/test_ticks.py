@@ -157,6 +157,7 @@ def lottery(model, observer, shape, steps):
     return [np.asarray(a) for a in squares(model, observer, jnp.asarray(starts), keys, jnp.zeros(steps))]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("model", "n", "runs", "settled"), [(MODEL, 1, 1000, 300), (double_pendulum(), 2, 150, 400)])
 def test_errors_are_as_large_as_it_says(model, n, runs, settled):
     """One tick in 25 samples: NEES within the bounds that 95 of 100 consistent filters stay in, sample by sample."""
@@ -167,6 +168,7 @@ def test_errors_are_as_large_as_it_says(model, n, runs, settled):
     assert nis[:, settled:].mean() == pytest.approx(1.0, abs=0.05)
 
 
+@pytest.mark.long
 def test_taken_for_noise_ticks_make_errors_larger_than_it_says():
     """Readings of one interval have one error, which a filter that takes it for noise believes to average out."""
     ticks, noise = (lottery(MODEL, observer, (100, 1), 900) for observer in (counting(), noisy()))
@@ -244,6 +246,7 @@ def test_a_quantum_off_coordinates_or_without_size_is_refused():
         IntrinsicKalman(MODEL, 1.0, 1.0, 1.0, quantum=0.0)
 
 
+@pytest.mark.long
 @pytest.mark.data
 @pytest.mark.parametrize(
     ("model", "log"),

@@ -7,6 +7,8 @@ import sys
 import numpy as np
 import pytest
 
+pytestmark = pytest.mark.long
+
 FIGURE_4 = {
     "exact": ("2.065", ".3957", "2.254e-2", "3.794e-5", "5.5e-11"),
     "approximate": ("2.065", ".4332", "2.777e-2", "5.047e-5", "7.6e-11"),

@@ -11,6 +11,8 @@ from covariant.certificates import contraction, crossed_metric, feedthrough, vir
 from covariant.models import marine
 from covariant.papers import jouffroy_fossen as paper
 
+pytestmark = pytest.mark.long
+
 
 @pytest.fixture(scope="module")
 def reproduced():

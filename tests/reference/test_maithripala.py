@@ -5,6 +5,8 @@ import pytest
 
 from covariant.papers import maithripala
 
+pytestmark = pytest.mark.long
+
 
 @pytest.fixture(scope="module")
 def results():

@@ -14,7 +14,7 @@ from covariant.workflow._outcome import drive
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
-pytestmark = pytest.mark.data
+pytestmark = [pytest.mark.data, pytest.mark.long]
 
 CASES = {
     "simple pendulum, fitted on ddp, judged on dircol": (

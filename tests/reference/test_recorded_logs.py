@@ -13,6 +13,8 @@ from covariant.design import DataSheet, tuned_estimators
 from covariant.observers import run
 from covariant.signals import lag_inputs
 
+pytestmark = pytest.mark.long
+
 EXAMPLES = Path(__file__).parents[2] / "examples"
 DOUBLE, SIMPLE = "dfki_double_pendulum", "dfki_simple_pendulum"
 CASES = [

@@ -14,6 +14,8 @@ from covariant.report import new_figure, save_figure
 from covariant.riccati import Equation, RiccatiMetric
 from covariant.signals import Record
 
+pytestmark = pytest.mark.long
+
 FIGURE_1 = {1.0: 9.06e-2, 2.0: 2.40e-2, 4.0: 5.92e-3, 8.0: 9.55e-4}
 """λ → largest error of an entry at t = 0 over the grid."""
 
