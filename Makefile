@@ -4,11 +4,10 @@ BIN := .venv/bin
 export OPENBLAS_NUM_THREADS := 1
 export OMP_NUM_THREADS := 1
 export JAX_PLATFORMS ?= cpu
-# Python keeps what it compiles, beside the environment and not in the source.
+# As by default: Python keeps what it compiles for the next process.
 export PYTHONDONTWRITEBYTECODE :=
-export PYTHONPYCACHEPREFIX := $(CURDIR)/.venv/pycache
 
-# What a developer runs after every change: laws, the mathematics under them, and the house. About a minute, without the
+# What to run after every change: laws, the mathematics under them, and the house. About a minute, without the
 # C of every observer.
 QUICK := tests/laws/test_every_observer.py tests/design/test_estimators.py tests/design/test_gain_rule.py \
 	tests/geometry/test_tensors.py tests/test_integrate.py tests/test_scoring.py tests/test_signals.py \
@@ -17,7 +16,7 @@ QUICK := tests/laws/test_every_observer.py tests/design/test_estimators.py tests
 # A process that dies ends the run, which would else wait for its tests for ever.
 PARALLEL := -n 2 --dist loadfile --no-loadscope-reorder --max-worker-restart 0
 
-.PHONY: env demo test matrix matrix-short quick format lint types tests gallery bench firmware mutants geomstats docs lock clean
+.PHONY: env demo test test-all long matrix matrix-short quick format lint types tests gallery bench firmware mutants geomstats docs lock clean
 
 env: .venv/dev
 
@@ -35,7 +34,12 @@ env: .venv/dev
 demo: .venv/ready
 	$(BIN)/python gallery/demo.py --out demo
 
-test: format lint types tests gallery
+# Every law on its smallest members, every command, every page: at most ten minutes on two cores.
+test: format lint types tests
+
+# Everything else: larger members of the laws, statistics, searches at random, papers, recorded logs, the gallery. At
+# most half an hour.
+test-all: long gallery
 
 format: env
 	$(BIN)/ruff format --check .
@@ -47,7 +51,10 @@ types: env
 	$(BIN)/basedpyright
 
 tests: env
-	$(BIN)/pytest $(PARALLEL)
+	$(BIN)/pytest $(PARALLEL) -m "not long"
+
+long: env
+	$(BIN)/pytest $(PARALLEL) -m long
 
 # On Python 3.12 and 3.13 as well, where they are here, with the newest packages; .venv has the oldest.
 matrix: test

@@ -3,12 +3,13 @@
 The environment `.venv` has the oldest: those of constraints.txt. Each other version has its own, such as `.venv-3.12`,
 and one that is not on this machine is left out, with a line that says so.
 
-    python tools/matrix.py            # all tests, on Python 3.12 and 3.13
+    python tools/matrix.py            # those of `make test`, on Python 3.12 and 3.13
     python tools/matrix.py --short    # those that depend on versions most: forms of jaxprs, a certificate, the demo
 """
 
 import argparse
 import os
+import shlex
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -18,7 +19,7 @@ ROOT = Path(__file__).parents[1]
 VERSIONS = ("3.12", "3.13")
 INSTALL = ("-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--upgrade", "-e", ".[dev]")
 ALL = (
-    "pytest -n 2 --dist loadfile --no-loadscope-reorder --max-worker-restart 0",
+    "pytest -n 2 --dist loadfile --no-loadscope-reorder --max-worker-restart 0 -m 'not long'",
     "python gallery/run_all.py",
 )
 SHORT = (
@@ -72,7 +73,7 @@ def main(arguments: list[str] | None = None) -> int:
             continue
         folder = environment(version, python)
         for command in commands:
-            program, *words = command.format(environment=folder.name).split()
+            program, *words = shlex.split(command.format(environment=folder.name))
             print(f"Python {version}: {program} {' '.join(words)}", flush=True)
             if subprocess.run([folder / "bin" / program, *words], cwd=ROOT, check=False).returncode:
                 failed.append(f"Python {version}: {program} {' '.join(words)}")

@@ -26,6 +26,7 @@ import tomllib
 import traceback
 import warnings
 from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -180,8 +181,9 @@ class _Watch:
 class Workshop:
     """A folder in which mutants are tested: links to the package, and a cache of compiled programs."""
 
-    def __init__(self, folder: Path):
+    def __init__(self, folder: Path, options: Sequence[str] = ()):
         self.folder, self.package, self.stamp = folder, folder / "src" / "covariant", 0
+        self.options = ["-q", *options]
         for path in SOURCE.rglob("*"):
             if path.is_file() and "__pycache__" not in path.parts:
                 link = self.package / path.relative_to(SOURCE)
@@ -226,7 +228,7 @@ class Workshop:
             os.environ["PYTHONPATH"] = str(self.package.parent)
             watch = _Watch(self.package, tests)
             known = ["-W", "ignore::pytest.PytestAssertRewriteWarning"]  # some plugins are imported already
-            status = int(pytest.main(["-q", *known, *options, *tests], plugins=[watch]))
+            status = int(pytest.main([*self.options, *known, *options, *tests], plugins=[watch]))
             note.write_text(json.dumps({"failed": watch.failed, "seconds": watch.seconds}))
         except BaseException:
             traceback.print_exc()
@@ -273,6 +275,7 @@ def main() -> int:
     parser.add_argument("--only", nargs="*", default=["*"], metavar="GLOB", help="of those drawn, these files'")
     parser.add_argument("--ids", nargs="*", metavar="ID", help="these mutants instead of drawn ones")
     parser.add_argument("--tests", nargs="*", metavar="TEST", help="these tests instead of the relevant files")
+    parser.add_argument("--short", action="store_true", help="without the long tests, as `make test` is")
     parser.add_argument("--list", action="store_true", help="only list the mutants")
     parser.add_argument("--programs", type=Path, help="folder that keeps compiled programs for the next run")
     parser.add_argument("--out", type=Path, help="file for a summary in JSON")
@@ -285,7 +288,7 @@ def main() -> int:
     os.chdir(ROOT)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # and take the fork along
     with tempfile.TemporaryDirectory() as folder:
-        return _run_all(chosen, Workshop(Path(folder)), options)
+        return _run_all(chosen, Workshop(Path(folder), ["-m", "not long"] if options.short else []), options)
 
 
 def _chosen(options: argparse.Namespace) -> list[Mutant]:
