@@ -19,6 +19,7 @@ SOURCE = ROOT / "src" / "covariant"
 ROOMS = (
     *("geometry", "observers", "riccati", "lowering", "proofs", "certificates", "audit", "models", "logs", "control"),
     *("simulation", "scale", "diagnosis", "design", "identification", "codegen", "engine", "report", "interop", "cli"),
+    "workflow",
 )
 
 OPERATORS = {ast.Add: ("+", "-"), ast.Sub: ("-", "+"), ast.Mult: ("*", "/"), ast.Div: ("/", "*"), ast.Pow: ("**", "*")}
