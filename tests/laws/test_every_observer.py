@@ -18,7 +18,8 @@ from covariant.design import DataSheet, tuned_estimators
 from covariant.engine import run_log
 from covariant.models import MechanicalSystem, Motion, ball_and_beam, free_body
 from covariant.observers import REGISTRY, AbstractObserver
-from covariant.signals import Record, Result
+from covariant.observers._protocol import _scan
+from covariant.signals import Record, Result, Run
 from covariant.simulation import hold, simulate
 
 ROWS, RATE = 240, 100.0
@@ -187,15 +188,37 @@ def test_names_are_unique_and_every_entry_fits_something():
 IN_C = [(entry, name) for entry, name in CASES if name != "body on SO(3)" or entry.name in ("intrinsic", "copy", "ekf")]
 
 
+def is_as_through_jax(done: Any, observer: AbstractObserver, record: Record, keep: Any) -> bool:
+    """Whether a run is arrays of NumPy in the structure, shapes and types of the loop of JAX, codes included."""
+    kept = None if keep is None else frozenset(keep)
+    estimate, info = eqx.filter_eval_shape(_scan, observer, *map(jnp.asarray, record[:3]), kept)
+    expected = Run(jax.ShapeDtypeStruct(record.t.shape, record.t.dtype), estimate, info)
+    assert jax.tree.structure(done) == jax.tree.structure(expected)
+    pairs = list(zip(jax.tree.leaves(done), jax.tree.leaves(expected), strict=True))
+    return all(type(a) is np.ndarray and (a.shape, a.dtype) == (b.shape, b.dtype) for a, b in pairs)
+
+
 @pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler, `cc`")
 @pytest.mark.parametrize(("entry", "name"), IN_C, ids=[f"{entry.name}-{name}" for entry, name in IN_C])
 def test_compiled_c_does_the_same(entry, name):
-    """With its gains as arguments, over a gap."""
-    watched = seen(name)
+    """With its gains as arguments, over a gap; whatever is kept of the info."""
+    watched, observer = seen(name), loops(name)[entry.name].observer
     record = Record(watched.t, watched.u, with_a_gap(name))
-    done, engine = run_log(loops(name)[entry.name].observer, record, None, "c")
-    assert engine == "c"
+    for keep in (("innovation", "result"), (), None):
+        done, engine = run_log(observer, record, keep, "c")
+        assert engine == "c"
+        assert is_as_through_jax(done, observer, record, keep)
     v, innovation, codes = followed(entry, name, with_a_gap(name))
     np.testing.assert_allclose(velocities(done.estimate)[1:], v, rtol=0, atol=1e-7 * np.abs(v).max())
     np.testing.assert_allclose(done.info.innovation[1:], innovation, rtol=0, atol=1e-8)
     np.testing.assert_array_equal(done.info.result[1:], codes)
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_the_engine_of_jax_returns_arrays_of_numpy_too(name):
+    """Of one observer on each model: the structure of the others is that of the loop itself."""
+    watched, observer = seen(name), loops(name)["copy"].observer
+    record = Record(watched.t, watched.u, with_a_gap(name))
+    done, engine = run_log(observer, record, ("result",), "jax")
+    assert engine == "jax: as asked"
+    assert is_as_through_jax(done, observer, record, ("result",))

@@ -235,10 +235,13 @@ def _run(form: _Columns, t: np.ndarray, x: np.ndarray, info: np.ndarray) -> Run:
 def _split(kinds: Any) -> Callable[[np.ndarray], Any]:
     """What makes columns of an array the leaves of a pytree."""
     leaves, tree = jax.tree.flatten(kinds)
-    ends = np.cumsum([leaf.size for leaf in leaves])[:-1]
+    ends = np.cumsum([leaf.size for leaf in leaves], dtype=int)
 
     def split(rows: np.ndarray) -> Any:
-        parts = zip(np.split(rows, ends, axis=1), leaves, strict=True)
-        return jax.tree.unflatten(tree, [p.reshape(len(rows), *leaf.shape).astype(leaf.dtype) for p, leaf in parts])
+        parts = [
+            rows[:, end - leaf.size : end].reshape(len(rows), *leaf.shape).astype(leaf.dtype)
+            for end, leaf in zip(ends, leaves, strict=True)
+        ]
+        return jax.tree.unflatten(tree, parts)
 
     return split

@@ -71,6 +71,7 @@ class Stream:
         self._y, self._u = self._works.y, self._works.u
         self._y_place, self._u_place = self._works.places
         self._advance, self._copy = self._works.advance, self._works.x.copy
+        self._largest = self.observer.largest(y).ravel()
         self._shape = y.shape if y.ndim == 2 else None
         # Compile before the first sample.
         self._works.y[:], self._works.u[:] = y.ravel(), 0.0
@@ -151,7 +152,7 @@ class Stream:
         """Start at a measurement that is complete, and a configuration; wait for one otherwise."""
         self._t, self._back = t, 0
         result = Result.COASTED
-        if np.isfinite(self._works.y).all():
+        if (np.abs(self._works.y) <= self._largest).all():
             self._works.start(t)
             result = Result.OK if np.isfinite(self._works.x).all() else Result.NOT_FINITE
         self._started = result == Result.OK

@@ -25,6 +25,11 @@ from covariant._typing import Code, Number, Scalar, Vector
 from covariant.models import MechanicalSystem, Motion, input_count
 from covariant.signals import Record, Result, Run
 
+MOST_TURNS = 1e9
+"""An angle of more turns than this counts as missing: the digits that are left say little of its place on a circle."""
+LEAST_OF_A_TURN = 1e-3
+"""What an angle has to resolve, in turns; in single precision that leaves 8 000 turns."""
+
 Held = Float[Array, "m"] | None
 """The last finite input, in the field `held` of a state; None where the state keeps none."""
 
@@ -85,22 +90,36 @@ class AbstractObserver(Functional):
         """Advance by dt [s] under the input u (m,), held constant over the step, then correct by the measurement y.
 
         NaN in y marks a missing measurement, over which the model predicts alone. Invalid numbers never spoil the
-        state. An infinite entry of y counts as missing, as NaN does, and so does a matrix that is no rotation. An entry
-        of u that is not finite is replaced by the last finite one, or by 0 before there is any. Where dt is zero,
-        negative or not finite, the state is left as it was. `info.result` reports this: `COASTED`, `INPUT_HELD`,
+        state. An entry of y that is infinite or larger than `largest` counts as missing, as NaN does, and so does a
+        matrix that is no rotation. An entry of u that is not finite is replaced by the last finite one, or by 0 before
+        there is any. Where dt is zero, negative or not finite, the state is left as it was; a subnormal dt, which
+        processors may take for zero, is zero. `info.result` reports this: `COASTED`, `INPUT_HELD`,
         `REPEATED` (dt = 0) or `STEP_REFUSED`, the worst one where several apply. Returns the new state and the info.
         """
-        moves = jnp.isfinite(dt) & (dt > 0)
+        moves = jnp.isfinite(dt) & (dt >= jnp.finfo(dt.dtype).tiny)
         sound = jnp.where(jnp.isfinite(u), u, _held(state, u))
-        measured = self.admitted(jnp.where(jnp.isfinite(y), y, jnp.nan))
-        moved, info = self.advance(state, sound, measured, jnp.where(moves, dt, 0.0))
+        far = jnp.abs(y) > self.largest(y)
+        measured = self.admitted(jnp.where(far, jnp.nan, y))
+        # Where the state is left as it was no input acts: what it would do has no influence on the result either.
+        moved, info = self.advance(state, jnp.where(moves, sound, 0.0), measured, jnp.where(moves, dt, 0.0))
         kept = jax.tree.map(lambda new, old: jnp.where(moves, new, old), _holding(moved, state, sound), state)
-        result = jnp.maximum(info.result, _fault(u, y, dt).astype(info.result.dtype))
+        result = jnp.maximum(info.result, _fault(u, far, dt).astype(info.result.dtype))
         return kept, info._replace(result=result)
 
     @abc.abstractmethod
     def advance(self, state: Any, u: Float[Array, "m"], y: Inexact[Array, "*n"], dt: Scalar) -> tuple[Any, Any]:
         """The algorithm of `step` for valid numbers: u is finite, y finite or NaN where missing, dt finite and ≥ 0."""
+
+    def largest(self, y: Inexact[Array, "*n"] | np.ndarray) -> np.ndarray:
+        """The largest magnitudes of the entries of a measurement like y; what is larger counts as missing.
+
+        Beyond 1/ε floating-point numbers do not resolve one unit, and angles on a circle are to be found on it.
+        """
+        eps = float(jnp.finfo(y.dtype).eps)
+        bounds = np.full(y.shape, 1 / eps, jnp.finfo(y.dtype).dtype)
+        circles = getattr(self, "circles", None) or getattr(getattr(self, "model", None), "circles", ())
+        bounds[list(circles)] = 2 * np.pi * min(MOST_TURNS, LEAST_OF_A_TURN / eps)
+        return bounds
 
     def admitted(self, y: Inexact[Array, "*n"]) -> Inexact[Array, "*n"]:
         """The measurement y, with NaN in the place of what is no configuration of the observer's model."""
@@ -228,13 +247,14 @@ def _holding(moved: Any, state: Any, u: Array) -> Any:
     return moved._replace(held=state.held) if _holds(state) else moved
 
 
-def _fault(u: Array, y: Array, dt: Scalar) -> Code:
+def _fault(u: Array, far: Array, dt: Scalar) -> Code:
     """The worst fault of a sample, apart from what the observer itself reports about a missing measurement."""
+    tiny = jnp.finfo(dt.dtype).tiny
     faults = (
-        (jnp.any(jnp.isinf(y)), Result.COASTED),
+        (jnp.any(far), Result.COASTED),
         (~jnp.all(jnp.isfinite(u)), Result.INPUT_HELD),
-        (dt == 0, Result.REPEATED),
-        (~(jnp.isfinite(dt) & (dt >= 0)), Result.STEP_REFUSED),
+        (jnp.abs(dt) < tiny, Result.REPEATED),
+        (~(jnp.isfinite(dt) & (dt > -tiny)), Result.STEP_REFUSED),
     )
     code = jnp.asarray(int(Result.OK))
     for present, result in faults:
@@ -278,6 +298,9 @@ def checked(observer: AbstractObserver, record: Record) -> Record:
     y = record.check().y
     if isinstance(y, Tracer):
         return record
+    first = np.asarray(y[0])
+    if (np.abs(first) > observer.largest(first)).any():
+        raise ValueError("row 1: the measurement is too large for a start; cut the log to begin later")
     admitted = np.asarray(jax.vmap(observer.admitted)(jnp.asarray(y)))
     none = (np.isnan(admitted) & ~np.isnan(y)).reshape(len(y), -1).any(1)
     if none.any():
