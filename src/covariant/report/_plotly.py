@@ -64,10 +64,11 @@ def _axis(letter: str, k: int) -> str:
 def _y_axis(quantity: Quantity, column: int, limits: AxisRange | None) -> dict[str, Any]:
     label = escape(quantity.labels[column], quote=False).replace("\n", "<br>")
     axis = {"title": {"text": label, "standoff": 8}, "nticks": 6, "automargin": True, **_FRAME}
+    axis |= {"exponentformat": "power"}  # not 400µ beside a unit
     if quantity.deviation and not quantity.log:
         axis |= {"zeroline": True, "zerolinecolor": MUTED, "zerolinewidth": 1}
     if quantity.log:
-        axis |= {"type": "log", "exponentformat": "power"} | _log_ticks(limits)
+        axis |= {"type": "log"} | _log_ticks(limits)
     if limits is None:
         axis |= {"showticklabels": False, "ticks": ""}
     else:
