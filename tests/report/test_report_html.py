@@ -88,6 +88,17 @@ def test_the_result_stands_first_and_what_was_odd_below_it(make, tmp_path):
     assert "No warnings." in calm
 
 
+def test_only_a_ranking_has_a_best_row(make, tmp_path):
+    unranked = make(1)._replace(rows=[{"when": "before", "RMS": 2.0}, {"when": "after", "RMS": 1.0}], ranked=False)
+    page = Page(write_html(unranked, tmp_path / "report.html").read_text(encoding="utf-8"))
+    assert all("class" not in attrs for attrs in page.all("tr"))
+
+
+def test_numbers_on_axes_have_no_prefixes_of_units(page):
+    axes = [axis for figure in page.figures() for key, axis in figure["layout"].items() if key.startswith("yaxis")]
+    assert {axis["exponentformat"] for axis in axes} == {"power"}
+
+
 def test_terms_are_explained_where_they_occur(make, tmp_path):
     def terms(report):
         text = write_html(report, tmp_path / "report.html").read_text(encoding="utf-8")

@@ -179,6 +179,30 @@ def test_every_colour_is_seen_on_its_page(make):
     assert len({style.dark for style in styles(many).values()}) == len(PALETTE) + 2
 
 
+SEEN = (
+    ((1, 0, 0), (0, 1, 0), (0, 0, 1)),
+    ((0.152286, 1.052583, -0.204868), (0.114503, 0.786281, 0.099216), (-0.003882, -0.048116, 1.051998)),
+    ((0.367322, 0.860646, -0.227968), (0.280085, 0.672501, 0.047413), (-0.011820, 0.042940, 0.968881)),
+    ((1.255528, -0.076749, -0.178779), (-0.078411, 0.930809, 0.147602), (0.004733, 0.691367, 0.303900)),
+)
+"""Linear RGB as seen with all cones, and without the red, the green or the blue ones (Machado et al. 2009)."""
+XYZ = ((0.4339, 0.3762, 0.1899), (0.2127, 0.7152, 0.0722), (0.0178, 0.1095, 0.8727))
+"""Linear RGB to CIE XYZ, relative to white."""
+
+
+@pytest.mark.parametrize("seen", SEEN, ids=["all cones", "no red", "no green", "no blue"])
+def test_colours_of_a_dark_page_are_as_distinct_as_on_white(seen, make):
+    def distance(colors):
+        rgb = np.array([list(bytes.fromhex(color[1:])) for color in colors]) / 255
+        linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
+        x, y, z = np.cbrt(np.array(XYZ) @ np.clip(np.array(seen) @ linear.T, 0, 1))
+        lab = np.stack([116 * y, 500 * (x - y), 200 * (y - z)], axis=1)
+        return min(np.linalg.norm(lab[i] - lab[j]) for i in range(len(lab)) for j in range(i))
+
+    found = styles(make(1, labels=tuple(f"estimator {i}" for i in range(len(PALETTE))))).values()
+    assert distance([style.dark for style in found]) > 0.97 * distance([style.color for style in found]) > 7
+
+
 @pytest.mark.parametrize("high", [1.02, 3.0, 30.0, 1e9])
 def test_logarithmic_axes_have_a_few_ticks_with_whole_numbers(high):
     ticks = _log_ticks(AxisRange(3e-4, 3e-4 * high, ""))

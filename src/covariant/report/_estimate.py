@@ -33,11 +33,12 @@ class EstimateReport(NamedTuple):
         distance: By label, (T,): length of the innovation in the metric, of the observers that compute it.
         v_reference: (T, n), what the estimates are compared with, in the same units; None where there is nothing.
         v_reference_label: Its label in the legend.
-        rows: Rows of a comparison, best first; columns are the keys. May be empty.
+        rows: Rows of a table; columns are the keys. May be empty.
         notes: Plain sentences under the title, such as gains and predicted errors.
         estimated: "velocity" or "state".
         headline: The result in one line: what was estimated, and how good it is.
         warnings: Sentences on what was odd, such as samples without measurement.
+        ranked: The rows are a ranking, and the first, which is marked, is the best.
 
     Example:
         ```python
@@ -74,6 +75,7 @@ class EstimateReport(NamedTuple):
     estimated: Literal["velocity", "state"] = "velocity"
     headline: str = ""
     warnings: tuple[str, ...] = ()
+    ranked: bool = False
 
     def check(self) -> "EstimateReport":
         """Return the report, or raise `ValueError` naming the first thing wrong with it."""

@@ -93,7 +93,7 @@ script-src 'unsafe-inline'; img-src data: blob:">
 <body>
 <header>
 <h1>{escape(report.title)}</h1>
-{_verdict(report)}{table_html(report.rows)}{_details(report, found)}{_HINT}</header>
+{_verdict(report)}{table_html(report.rows, report.ranked)}{_details(report, found)}{_HINT}</header>
 <nav aria-label="Curves shown">{_legend(styled)}</nav>
 <main style="--columns: {len(report.coordinates)}">
 {chr(10).join(sections)}
@@ -170,7 +170,7 @@ def _notes(report: EstimateReport, found: dict[str, Quantity]) -> str:
     return "<ul>" + "".join(f"<li>{escape(note)}</li>" for note in notes) + "</ul>\n" if notes else ""
 
 
-def table_html(rows: Sequence[Mapping[str, object]], mark_best: bool = True) -> str:
+def table_html(rows: Sequence[Mapping[str, object]], mark_best: bool) -> str:
     """A table in HTML; `mark_best` highlights its first row."""
     if not rows:
         return ""

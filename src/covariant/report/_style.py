@@ -23,12 +23,12 @@ more that people without red, green or blue cones distinguish from these and fro
 Fernandes 2009)."""
 
 DARK = {
-    "#5D4037": "#B08968",
-    "#4A1FE0": "#FFF3A0",
-    "#4A0E4E": "#F7C6EC",
-    "#0A1464": "#C9D6FF",
+    "#5D4037": "#FFC266",
+    "#4A1FE0": "#A329FF",
+    "#4A0E4E": "#94FFB3",
+    "#0A1464": "#C2FF29",
 }
-"""What stands for the darkest colours of the palette on a dark page."""
+"""What stands for the darkest colours of the palette on a dark page, as far from all others as these are on white."""
 
 BACKDROP = "#A8AEB5"
 """Grey, for what was measured."""

@@ -170,7 +170,7 @@ class CompareResult(AbstractTable):
         curves = report_curves(self.outcomes)
         rows, notes = self._rows(), (self.design,)
         page = estimate_report(title, self.loaded, curves, notes, rows, self.headline, self.warnings)
-        return write_report(Path(path), page)
+        return write_report(Path(path), page._replace(ranked=True))
 
     def _rows(self) -> tuple[dict[str, str | float], ...]:
         """The rows of the printed table, with units in their headings."""

@@ -26,7 +26,7 @@ def estimate_report(
         loaded: The model and the log.
         curves: Fields of the report with the curves of each estimator, from `report_curves`.
         notes: Sentences under the title.
-        rows: Rows of a comparison, best first.
+        rows: Rows of a table.
         headline: The result in one line.
         warnings: Sentences on what was odd.
     """

@@ -131,8 +131,8 @@ class TuneResult(AbstractResult):
         check_output(Path(path), ".html")
         logs = ", ".join(Path(job.log_name).name for job in self.jobs)
         title = f"Gains of {Path(self.jobs[0].model_name).stem} tuned on {logs}"
-        notes = (*self.warnings, *_lines(self.summary))
-        return write_report(Path(path), tuned_page(title, self.tuned, notes, tuple(_rows(self.summary))))
+        page = tuned_page(title, self.tuned, tuple(_lines(self.summary)), tuple(_rows(self.summary)))
+        return write_report(Path(path), page._replace(headline=self.headline, warnings=self.warnings))
 
     def __str__(self) -> str:
         from covariant.report import table
