@@ -19,7 +19,7 @@ from covariant.certificates import (
 )
 from covariant.observers import Intrinsic
 from covariant.proofs import Box, Proof
-from covariant.report import _certificate, draw_certificate
+from covariant.report import _certificate, certificate_figure, draw_certificate
 
 SQUARES, RADIUS, RATE = (56.0, 2178.0), 0.01336, 3.33
 HALVED = [np.array([0]), np.array([1, -1]), np.array([-1, -2])]
@@ -135,3 +135,12 @@ def test_a_figure_needs_a_format(tmp_path, followed, monkeypatch):
     with pytest.raises(ValueError, match="suffix"):
         draw_certificate(canned(), tmp_path / "proof")
     assert not list(tmp_path.iterdir())
+
+
+def test_the_axis_of_condition_numbers_has_several_numbers():
+    figure = certificate_figure(canned())
+    figure.draw_without_rendering()
+    axis = figure.axes[3].yaxis
+    low, high = axis.get_view_interval()
+    shown = [tick for tick in axis.get_majorticklocs() if low <= tick <= high]
+    assert 2 <= len(shown) <= 12

@@ -145,6 +145,7 @@ def test_smallest_deviation_lies_in_front():
 def test_a_reference_is_in_front_of_the_estimates_and_the_readings_are_behind():
     curves = ("readings", NOISE), ("truth", NOISE), ("first", NOISE), ("second", 2 * NOISE)
     assert depths(panel(*curves), 0) == [0, 3, 2, 1]
+    assert depths(panel(*reversed(curves)), 0) == [2, 1, 3, 0]
 
 
 def test_readings_reference_and_estimate_differ_in_width_dash_and_colour(make):

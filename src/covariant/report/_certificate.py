@@ -250,5 +250,8 @@ def _draw_trade_off(ax: "matplotlib.axes.Axes", found: TradeOff) -> None:
     ax.set_xlim(left=0)
     ax.set_xlabel("rate λ of squared lengths [1/s]")
     ax.set_ylabel("condition number of Q")
+    # Within a few decades powers of ten alone would leave one number on the axis.
+    ax.yaxis.set_major_locator(optional("matplotlib.ticker").LogLocator(subs=(1.0, 2.0, 5.0)))
+    ax.yaxis.set_major_formatter("{x:g}")
     ax.yaxis.set_minor_formatter("")
     _legend(ax, loc="best")
