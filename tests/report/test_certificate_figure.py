@@ -19,7 +19,7 @@ from covariant.certificates import (
 )
 from covariant.observers import Intrinsic
 from covariant.proofs import Box, Proof
-from covariant.report import _certificate, certificate_figure, draw_certificate
+from covariant.report import _certificate, draw_certificate, new_figure
 
 SQUARES, RADIUS, RATE = (56.0, 2178.0), 0.01336, 3.33
 HALVED = [np.array([0]), np.array([1, -1]), np.array([-1, -2])]
@@ -137,10 +137,13 @@ def test_a_figure_needs_a_format(tmp_path, followed, monkeypatch):
     assert not list(tmp_path.iterdir())
 
 
-def test_the_axis_of_condition_numbers_has_several_numbers():
-    figure = certificate_figure(canned())
+@pytest.mark.parametrize("highest", [5.6, 1e4])
+def test_the_axis_of_condition_numbers_has_several_numbers(highest):
+    allowed = trade_off(canned(), count=5)._replace(condition=np.geomspace(1.1, highest, 5), used=(1.0, 1.1))
+    figure, axes = new_figure()
+    _certificate._draw_trade_off(axes[0, 0], allowed._replace(paper=(1.0, 1.1)))
     figure.draw_without_rendering()
-    axis = figure.axes[3].yaxis
+    axis = axes[0, 0].yaxis
     low, high = axis.get_view_interval()
     shown = [tick for tick in axis.get_majorticklocs() if low <= tick <= high]
-    assert 2 <= len(shown) <= 12
+    assert 2 <= len(shown) <= 13
