@@ -16,7 +16,7 @@ QUICK := tests/laws/test_every_observer.py tests/design/test_estimators.py tests
 # A process that dies ends the run, which would else wait for its tests for ever.
 PARALLEL := -n 2 --dist loadfile --no-loadscope-reorder --max-worker-restart 0
 
-.PHONY: env demo test test-all long matrix matrix-short quick format lint types tests gallery bench firmware mutants geomstats docs lock clean
+.PHONY: env demo test test-all long matrix matrix-short quick format lint types tests gallery bench firmware mutants geomstats docs wheel-check lock clean
 
 env: .venv/dev
 
@@ -99,6 +99,10 @@ docs: .venv/docs
 .venv/docs: .venv/dev
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[docs]'
 	@touch $@
+
+# The wheel in empty environments, with no extras, some and all, without development tools; the demo runs in the last.
+wheel-check:
+	$(PYTHON) tools/wheel_check.py
 
 # Pins for every dependency, without the hosts they come from.
 lock:
