@@ -22,7 +22,7 @@ import numpy as np
 import covariant
 
 t = np.linspace(0.0, 2.0, 1001)
-log = covariant.Record(t, None, np.cos(t)[:, None])
+log = covariant.Record(t, np.zeros((1001, 1)), np.cos(t)[:, None])
 result = covariant.estimate("oscillator", log, alpha=40.0, beta=800.0)
 assert result.velocity.shape == (1001, 1)
 print(result)
