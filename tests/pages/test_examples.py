@@ -30,7 +30,15 @@ def runs(block: Block) -> bool:
 
 
 EXECUTED = [page for page in PAGES if runnable(page)]
-each_page = pytest.mark.parametrize("page", EXECUTED, ids=lambda p: p.name)
+WITH_COMMANDS = [page for page in EXECUTED if any(block.language == "bash" for block in runnable(page))]
+WITH_LONG_BLOCKS = [page for page in EXECUTED if any(block.long for block in runnable(page))]
+
+
+def over(pages: list[Path]) -> pytest.MarkDecorator:
+    return pytest.mark.parametrize("page", pages, ids=lambda p: p.name)
+
+
+each_page = over(EXECUTED)
 
 
 def environment(home: Path, path: str) -> dict[str, str]:
@@ -85,21 +93,19 @@ def test_a_page_runs_from_an_empty_folder(page, tmp_path):
 
 
 @pytest.mark.long
-@each_page
+@over(WITH_LONG_BLOCKS)
 def test_a_page_runs_with_its_long_blocks_too(page, tmp_path):
-    if not any(block.long for block in runnable(page)):
-        pytest.skip("no block of this page is long")
     run(page, tmp_path, os.defpath, "--long")
 
 
 @pytest.mark.long
-@each_page
+@over(WITH_COMMANDS)
 def test_a_page_runs_without_a_compiler(page, tmp_path, without_compiler):
     run(page, tmp_path, without_compiler)
 
 
 @pytest.mark.long
-@each_page
+@over(WITH_COMMANDS)
 def test_a_page_runs_without_a_cache(page, tmp_path):
     run(page, tmp_path, os.defpath, COVARIANT_CACHE="off")
 
