@@ -114,7 +114,7 @@ PUBLIC = {
     "workflow": "AbstractResult AbstractTable AuditResult CertificateCheckResult CertifyResult CompareResult "
     "EstimateResult ExportResult FitResult MetricResult MisfitError ModelResult Progress ReproduceResult "
     "SimulateResult TuneResult audit_observer certify check_certificate check_model_output check_output "
-    "compare describe_model design_metric estimate export fit reproduce_paper simulate tune",
+    "compare describe_model design_metric estimate export fit load reproduce_paper simulate tune Job",
     "simulation": "PiecewiseInputs Sensor hold logged_inputs no_input observe sense simulate simulate_piecewise stamps",
 }
 

@@ -6,7 +6,7 @@ from typing import Any
 from covariant import models
 from covariant.cli._console import working
 from covariant.diagnosis import Diagnosis, Finding, diagnose
-from covariant.workflow._inputs import Job, load
+from covariant.workflow import Job, load
 
 
 def check(job: Job, as_json: bool) -> None:

@@ -131,7 +131,7 @@ def check(
 ) -> None:
     """Compare a log with a model: units, order, signs, delays, ticks, outliers; exit code 1 where one is wrong."""
     from covariant.cli import _check
-    from covariant.workflow._inputs import Job
+    from covariant.workflow import Job
 
     _check.check(Job(model, log, tuple(override), every, until, {"t": t, "q": q, "u": u}, True, start), json)
 

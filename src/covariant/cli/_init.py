@@ -6,7 +6,7 @@ from pathlib import Path
 from covariant import logs, models
 from covariant._files import write_atomically
 from covariant.identification import Draft, draft
-from covariant.workflow._outputs import check_output
+from covariant.workflow import check_output
 
 
 def init(log: Path, out: Path, columns: dict[str, str | None], as_json: bool) -> None:
