@@ -14,8 +14,8 @@ language:
 
 A table with a column named `command` is a block of the commands in it. A comment in the line before a block changes
 what is done with it: `<!-- not run: REASON -->` leaves it out, `<!-- long: REASON -->` leaves it out unless `--long` is
-given, `<!-- run instead: COMMAND -->` runs another command, and `<!-- exit code 1 -->` is what its last command ends
-with.
+given, `<!-- needs cc: REASON -->` where there is no compiler of C; `<!-- run instead: COMMAND -->` runs another command,
+and `<!-- exit code 1 -->` is what its last command ends with.
 """
 
 import argparse
@@ -23,6 +23,7 @@ import contextlib
 import io
 import linecache
 import re
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -41,7 +42,8 @@ TOLERANCE = 0.05
 class Block(NamedTuple):
     """A block of a page: its language, title, text and first line (from 1), and the comments before it.
 
-    `reason` is why it is not run, `long` why it is run by the long suite only; both are empty for other blocks.
+    `reason` is why it is not run, `long` why it is run by the long suite only, `needs_cc` why it needs a compiler of C;
+    they are empty for other blocks.
     """
 
     language: str
@@ -51,6 +53,7 @@ class Block(NamedTuple):
     reason: str = ""
     long: str = ""
     exit_code: int = 0
+    needs_cc: str = ""
 
 
 FENCE = r"^```(?P<head>.*)\n(?P<text>(?:(?!```).*\n)*?)```$"
@@ -69,11 +72,12 @@ def _block(match: re.Match[str], page: str) -> Block:
     language, _, rest = (match["head"] or "bash").partition(" ")
     text = match[part] if part == "text" else "".join(f"{command}\n" for command in COMMAND.findall(match[part]))
     title = re.search(r'title="(.+?)"', rest)
-    comments = dict(re.findall(r"<!-- (not run|long|run instead|exit code):? (.+?) -->", match["comments"]))
+    comments = dict(re.findall(r"<!-- (not run|long|needs cc|run instead|exit code):? (.+?) -->", match["comments"]))
     text = f"{comments['run instead']}\n" if "run instead" in comments else text
     reason, exit_code = comments.get("not run", ""), int(comments.get("exit code", 0))
     line = page.count("\n", 0, match.start(part)) + 1
-    return Block(language, title[1] if title else "", text, line, reason, comments.get("long", ""), exit_code)
+    long, needs_cc = comments.get("long", ""), comments.get("needs cc", "")
+    return Block(language, title[1] if title else "", text, line, reason, long, exit_code, needs_cc)
 
 
 def run_page(page: Path, long: bool = False) -> list[str]:
@@ -81,8 +85,9 @@ def run_page(page: Path, long: bool = False) -> list[str]:
     names: dict[str, Any] = {"__name__": "__main__"}
     printed, failures = "", []
     for block in blocks(page.read_text(encoding="utf-8")):
-        if block.reason or (block.long and not long):
-            print(f"-- {page.name}:{block.line} not run: {block.reason or block.long}", flush=True)
+        omitted = block.reason or (block.long if not long else "") or (block.needs_cc if not shutil.which("cc") else "")
+        if omitted:
+            print(f"-- {page.name}:{block.line} not run: {omitted}", flush=True)
             printed = None
             continue
         began = time.perf_counter()

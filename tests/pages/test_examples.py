@@ -49,13 +49,17 @@ def environment(home: Path, path: str) -> dict[str, str]:
 
 def run(page: Path, folder: Path, path: str, *options: str, **settings: str) -> None:
     """Run a page from an empty folder; fails with what its blocks print where one fails."""
+    command = [sys.executable, ROOT / "tools" / "run_page.py", page, *options]
+    run_program(command, folder, path, needs_checkout(page), settings)
+
+
+def run_program(command: list, folder: Path, path: str, checkout: bool, settings: dict[str, str]) -> None:
     work, home = folder / "work", folder / "home"
     work.mkdir()
     home.mkdir()
-    if needs_checkout(page):
+    if checkout:
         for name in ("examples", "gallery"):
             shutil.copytree(ROOT / name, work / name, ignore=shutil.ignore_patterns("out", "__pycache__"))
-    command = [sys.executable, ROOT / "tools" / "run_page.py", page, *options]
     bin_folder = Path(sys.executable).parent
     done = subprocess.run(
         command,
@@ -108,6 +112,16 @@ def test_a_page_runs_without_a_compiler(page, tmp_path, without_compiler):
 @over(WITH_COMMANDS)
 def test_a_page_runs_without_a_cache(page, tmp_path):
     run(page, tmp_path, os.defpath, COVARIANT_CACHE="off")
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("place", ["no compiler", "no cache"])
+def test_the_demo_runs(place, tmp_path, without_compiler):
+    """With a compiler and a cache it is `make demo`."""
+    path, settings = (without_compiler, {}) if place == "no compiler" else (os.defpath, {"COVARIANT_CACHE": "off"})
+    run_program([sys.executable, "gallery/demo.py", "--out", "demo"], tmp_path, path, True, settings)
+    made = {file.name for file in (tmp_path / "work" / "demo").iterdir()}
+    assert made >= {"log.csv", "other.csv", "velocities.csv", "table.csv", "estimate.html", "compare.html"}
 
 
 @each_page
