@@ -14,8 +14,8 @@ language:
 
 A table with a column named `command` is a block of the commands in it. A comment in the line before a block changes
 what is done with it: `<!-- not run: REASON -->` leaves it out, `<!-- long: REASON -->` leaves it out unless `--long` is
-given, `<!-- needs cc: REASON -->` where there is no compiler of C; `<!-- run instead: COMMAND -->` runs another command,
-and `<!-- exit code 1 -->` is what its last command ends with.
+given, `<!-- needs cc: REASON -->` where there is no compiler of C; `<!-- run instead: COMMAND -->` runs another
+command, and `<!-- exit code 1 -->` is what its last command ends with.
 """
 
 import argparse
