@@ -130,10 +130,14 @@ def check(
     json: Json = False,
 ) -> None:
     """Compare a log with a model: units, order, signs, delays, ticks, outliers; exit code 1 where one is wrong."""
-    from covariant.cli import _check
-    from covariant.workflow import Job
-
-    _check.check(Job(model, log, tuple(override), every, until, {"t": t, "q": q, "u": u}, True, start), json)
+    columns = {"t": t, "q": q, "u": u}
+    with progress_bar(quiet=json) as progress:
+        result = workflow.check(
+            model, log, overrides=override, every=every, start=start, until=until, columns=columns, progress=progress
+        )
+    show(result, json)
+    if result.wrong:
+        raise SystemExit(1)
 
 
 @on_logs.command()

@@ -5,6 +5,7 @@ from ._certify import (
     certify as certify,
     check_certificate as check_certificate,
 )
+from ._check import CheckResult as CheckResult, check as check
 from ._compare import CompareResult as CompareResult, compare as compare
 from ._describe import ModelResult as ModelResult, describe_model as describe_model
 from ._estimate import EstimateResult as EstimateResult, estimate as estimate
