@@ -111,10 +111,11 @@ PUBLIC = {
     "metric_at metric_through rate_from_gramian reconstructibility right_side spd_distance window_at",
     "engine": "Engine EngineName FEWEST_ROWS Health KernelForm Stream choose compiled run_log run_logs",
     "scale": "Grid Variable map_grid open_grid",
-    "workflow": "AbstractResult AbstractTable AuditResult CertificateCheckResult CertifyResult CompareResult "
+    "workflow": "AbstractResult AbstractTable AuditResult CertificateCheckResult CertifyResult CheckResult "
+    "CompareResult "
     "EstimateResult ExportResult FitResult MetricResult MisfitError ModelResult Progress ReproduceResult "
-    "SimulateResult TuneResult audit_observer certify check_certificate check_model_output check_output "
-    "compare describe_model design_metric estimate export fit load reproduce_paper simulate tune Job",
+    "SimulateResult TuneResult audit_observer certify check check_certificate check_model_output check_output "
+    "compare describe_model design_metric estimate export fit reproduce_paper simulate tune",
     "simulation": "PiecewiseInputs Sensor hold logged_inputs no_input observe sense simulate simulate_piecewise stamps",
 }
 

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
         workflow,
     )
     from covariant.signals import Record, Result, Run
-    from covariant.workflow import compare, estimate
+    from covariant.workflow import check, compare, estimate
 
     __version__: str
 
@@ -57,6 +57,7 @@ __all__ = [
     "__version__",
     "audit",
     "certificates",
+    "check",
     "codegen",
     "compare",
     "control",

@@ -48,7 +48,7 @@ NOISIER = 4.0
 """Measured noise, as a multiple of that of the data sheet, that is a finding."""
 MOST_CHANGES = 3
 WEIGHTS = (
-    *("nothing moves", "unit of", "swapped", "sign of", "zero of", "model", "too little motion", "scale of", "delay"),
+    *("nothing moves", "unit of", "swapped", "sign of", "zero of", "model", "too little motion", "delay", "scale of"),
     *("uncertainty", "noise", "ticks", "repeated", "outliers", "a position"),
 )
 """How findings begin, in the order of what they spoil: a wrong unit or order makes all numbers below it wrong."""

@@ -232,7 +232,8 @@ def outlier_findings(
                 "outliers",
                 name,
                 f"{cells} far from {'its' if len(places) == 1 else 'their'} neighbours, "
-                f"{'usually ' if len(places) > 1 else ''}by {size:.3g} {unit}".rstrip() + f": {rows.listed(places)}",
+                f"{'usually ' if len(places) > 1 else ''}by {size:.3g} {unit}".rstrip()
+                + f": {rows.listed(places)}",
                 "look for what disturbs the sensor; estimates refuse such cells, and --score leaves them out"
                 if many
                 else "nothing to change: estimates refuse such cells; empty them where they are known to be wrong",
@@ -287,7 +288,7 @@ def repeated_findings(
             ", ".join(names[i] for i in moving),
             f"{len(places)} of {len(y)} rows ({100 * share:.2g} %) repeat the readings of the row before, usually "
             f"{usual} in a row have the same: {rows.listed(places)}",
-            "the sensor is read more slowly than the log is written, or rows were copied: leave the repeated cells empty",
+            "the sensor is slower than the log, or rows were copied: leave the cells that repeat empty",
             share > FEW_REPEATED,
             {"rows": len(places), "share": share, "in_a_row": usual},
         )

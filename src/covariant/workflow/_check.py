@@ -42,10 +42,13 @@ def check(
         ValueError: For a model or a log that cannot be used at all.
 
     Example:
+        >>> import numpy as np
         >>> import covariant
-        >>> log = covariant.simulate("oscillator", duration=8.0, noise=1e-4, q0=[1.0]).record
+        >>> t = np.arange(0.0, 20.0, 0.01)
+        >>> y = 0.3 * np.cos(t) + 1e-4 * np.random.default_rng(0).normal(size=t.size)
+        >>> log = covariant.Record(t, np.zeros((t.size, 1)), y[:, None])
         >>> covariant.check("oscillator", log)
-        <CheckResult: nothing found in 4001 rows>
+        <CheckResult: nothing found in 2000 rows>
         >>> result = covariant.check("oscillator", log._replace(t=1e3 * log.t))
         >>> [(finding.what, finding.line) for finding in result.findings]
         [('unit of time', '[units] t = "ms"')]
