@@ -77,25 +77,24 @@ PUBLIC = {
     "logs": "ATTITUDES MESSAGES OPTIONAL WRITTEN Body Columns Log LogError bodies check_unit coordinates matrices read "
     "record source_name survey to_columns unit_factor write",
     "models": "Family GroupSystem Lagrangian MechanicalSystem ModelError ModelFile MomentumChart Motion Overrides "
-    "Parameter Parametric StateSpace Survey acceleration advance applied_force ball_and_beam bioreactor body_velocity "
-    "chart_jacobian chart_velocity check_metric check_model document duffing energy family free_body friction "
-    "from_recipe heavy_top hovercraft in_chart induction_motor input_count load "
-    "lorenz oscillator pendulum_chain recipe resistance rewrite satellite satellite_arm source spatial_momentum "
-    "state_space spec_name survey underwater_vehicle unknown_frequency van_der_pol",
+    "Parameter Parametric StateSpace Survey acceleration advance applied_force ball_and_beam bioreactor "
+    "body_velocity chart_jacobian chart_velocity check_metric check_model check_spec document duffing energy "
+    "family free_body friction from_recipe heavy_top hovercraft in_chart induction_motor input_count load "
+    "lorenz oscillator pendulum_chain recipe resistance rewrite satellite satellite_arm source "
+    "spatial_momentum spec_name state_space survey underwater_vehicle unknown_frequency van_der_pol",
     "models.robots": "ROBOTS BodyInertia Description Follows Joint KinematicTree Links Motor RobotSpace assemble load "
     "located read",
     "models.marine": "Craft Station Waves coriolis_matrix cybership euler_rates euler_rotation euler_transform "
     "manoeuvring_ship odin odin_on_group positive_definite supply_vessel surface_ship yaw_rotation",
-    "observers": "EKF PLL REGISTRY STATE_REGISTRY UKF AbstractFlowObserver AbstractLinearFilter "
-    "AbstractMechanicalObserver "
-    "AbstractObserver Contracting ContractingState Copy Delayed DelayedState EKFInfo EKFState Entry "
-    "Estimate FilterInfo FilteredDerivative FilteredState Gate Gated GatedState Geodesic GeodesicInfo GeodesicState "
-    "HeldState HighGain Info InformationEKF InformationState Intrinsic IntrinsicKalman JointInfo JointKalman "
-    "JointState KalmanInfo KalmanState Levant LoopState MechanicalState Noise PassiveGains PassiveShip "
-    "Riccati Salcudean SalcudeanState SavitzkyGolay Slow StateEKF StateEKFInfo StateEKFState StateEntry UKFState "
-    "WindowState checked chooses_substeps continuous craft_observer external_force "
-    "lyapunov_gains lyapunov_rate needed_substeps notch_gains printed_rate run second_order sensor_bias "
-    "uncertain_parameters with_fixed_substeps",
+    "observers": "AbstractFlowObserver AbstractLinearFilter AbstractMechanicalObserver AbstractObserver Contracting "
+    "ContractingState Copy Delayed DelayedState EKF EKFInfo EKFState Entry Estimate FilterInfo "
+    "FilteredDerivative FilteredState Gate Gated GatedState Geodesic GeodesicInfo GeodesicState HeldState "
+    "HighGain Info InformationEKF InformationState Intrinsic IntrinsicKalman JointInfo JointKalman JointState "
+    "KalmanInfo KalmanState Levant LoopState MechanicalState Noise OBSERVER_NAMES PLL PassiveGains "
+    "PassiveShip REGISTRY Riccati STATE_OBSERVER_NAMES STATE_REGISTRY Salcudean SalcudeanState SavitzkyGolay "
+    "Slow StateEKF StateEKFInfo StateEKFState StateEntry UKF UKFState WindowState checked chooses_substeps "
+    "continuous craft_observer external_force lyapunov_gains lyapunov_rate needed_substeps notch_gains "
+    "printed_rate run second_order sensor_bias uncertain_parameters with_fixed_substeps",
     "papers.jouffroy_fossen": "COMPASS COUNTEREXAMPLES CROSS DURATION GAPS GNSS K1 K2 KD KP LAMBDA PRINTED_K2 RATE "
     "SETTLED STAGES STEP Loop Scalar Sea draw draw_odin draw_sea odin_box odin_cascade odin_certificate "
     "odin_controller odin_eigenvalues odin_loop odin_observer odin_path odin_sampled_rate passive_observer reproduce "

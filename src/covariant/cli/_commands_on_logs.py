@@ -7,7 +7,7 @@ import typer
 
 from covariant import workflow
 from covariant.cli._console import progress_bar, show
-from covariant.cli._names import ESTIMATORS, STATE_ESTIMATORS, WRITTEN
+from covariant.cli._names import WRITTEN
 from covariant.cli._options import (
     Anyway,
     By,
@@ -19,6 +19,7 @@ from covariant.cli._options import (
     Json,
     LogFile,
     Model,
+    Observer,
     Override,
     Positions,
     Report,
@@ -26,6 +27,7 @@ from covariant.cli._options import (
     Time,
     Until,
     Velocities,
+    existing_logs,
     with_shared_options,
 )
 from covariant.workflow import check_model_output, check_output
@@ -44,13 +46,7 @@ def estimate(
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help=f"Write the estimate here ({', '.join(WRITTEN)}).")
     ] = None,
-    observer: Annotated[
-        str | None,
-        typer.Option(
-            help=f"One of: {', '.join(ESTIMATORS)}; intrinsic by default. For a state-space model: "
-            f"{', '.join(STATE_ESTIMATORS)}."
-        ),
-    ] = None,
+    observer: Observer = None,
     alpha: Annotated[float | None, typer.Option(help="Gain α [1/s] in place of the designed one.")] = None,
     beta: Annotated[float | None, typer.Option(help="Gain β [1/s²] in place of the designed one.")] = None,
     override: Override = [],  # noqa: B006  typer copies it
@@ -147,7 +143,9 @@ def fit(
     log_files: Annotated[
         list[Path],
         typer.Argument(
-            metavar="LOG...", help="Logs to fit; the last of several, or the last third of one, is held out."
+            callback=existing_logs,
+            metavar="LOG...",
+            help="Logs to fit; the last of several, or the last third of one, is held out.",
         ),
     ],
     rows: Rows,
@@ -193,7 +191,10 @@ def fit(
 def tune(
     model: Model,
     log_files: Annotated[
-        list[Path], typer.Argument(metavar="LOG...", help="Logs; the last third of each is held out to judge by.")
+        list[Path],
+        typer.Argument(
+            callback=existing_logs, metavar="LOG...", help="Logs; the last third of each is held out to judge by."
+        ),
     ],
     rows: Rows,
     names: ColumnNames,
