@@ -4,7 +4,7 @@ The environment `.venv` has the oldest: those of constraints.txt. Each other ver
 and one that is not on this machine is left out, with a line that says so.
 
     python tools/matrix.py            # those of `make test`, on Python 3.12 and 3.13
-    python tools/matrix.py --short    # those that depend on versions most: forms of jaxprs, a certificate, the README, the demo
+    python tools/matrix.py --short    # forms of jaxprs, a certificate, the README, the demo
 """
 
 import argparse
