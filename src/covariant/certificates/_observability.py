@@ -71,7 +71,7 @@ def detectability_rate(model: StateSpace, metric: MatrixField, x: Vector, u: Flo
         return jnp.where(independent, jnp.inf, -jnp.inf).astype(x.dtype)
     change = hidden.T @ lie_derivative(model, metric, x, u) @ hidden
     rate = -jnp.linalg.eigvalsh(whiten(hidden.T @ metric(x) @ hidden, change))[-1]
-    return jnp.where(independent, rate, -jnp.inf)
+    return jax.lax.select(independent, rate, jnp.full_like(rate, -jnp.inf))
 
 
 def bending(
