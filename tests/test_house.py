@@ -67,8 +67,8 @@ PUBLIC = {
     "inner log norm sectional_curvature shoot sphere transport transport_along wrap",
     "geometry.lie": "SE2 SE3 SO2 SO3 SU AbstractGroup AbstractInertia Inertia LeftInvariant MatrixGroup Product "
     "quaternion_from_rotation rotation_from_quaternion",
-    "identification": "FITTED Draft Fit PredictionErrors Windows draft fit growth horizon prediction_errors relations "
-    "split windows",
+    "identification": "FITTED Draft Fit PredictionErrors Windows draft fit growth horizon losses prediction_errors "
+    "relations split windows",
     "interop": "closed_loop observer_system plant",
     "lowering": "FOLD INTERVALS NUMBERS STUMPFF TRUTHS Branch CText Call ClosedJaxpr Condition Conditions "
     "Derivative Domain Enclosure Graph Interval JaxprEquation Lowered LoweringError Node Scan Signature TracedFunction "
