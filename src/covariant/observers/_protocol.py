@@ -301,7 +301,9 @@ def checked(observer: AbstractObserver, record: Record) -> Record:
     first = np.asarray(y[0])
     if (np.abs(first) > observer.largest(first)).any():
         raise ValueError("row 1: the measurement is too large for a start; cut the log to begin later")
-    admitted = np.asarray(jax.vmap(observer.admitted)(jnp.asarray(y)))
+    # The record has values even where the gains of the observer are traced.
+    with jax.ensure_compile_time_eval():
+        admitted = np.asarray(jax.vmap(observer.admitted)(jnp.asarray(y)))
     none = (np.isnan(admitted) & ~np.isnan(y)).reshape(len(y), -1).any(1)
     if none.any():
         raise ValueError(
