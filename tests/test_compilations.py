@@ -14,10 +14,13 @@ import pytest
 
 from covariant import models, simulation
 from covariant.models import marine
-from covariant.models._source import SYSTEMS
+from covariant.models._source import system
+from covariant.models._systems import SYSTEMS
 from covariant.observers import EKF, Copy, FilteredDerivative, Geodesic, Intrinsic, run
 
-FACTORIES = SYSTEMS | {name: getattr(marine, name) for name in ("cybership", "odin", "odin_on_group", "supply_vessel")}
+FACTORIES = {name: system(name) for name in SYSTEMS} | {
+    name: getattr(marine, name) for name in ("cybership", "odin", "odin_on_group", "supply_vessel")
+}
 FACTORIES["manoeuvring_ship"] = marine.manoeuvring_ship
 
 

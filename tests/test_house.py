@@ -67,8 +67,8 @@ PUBLIC = {
     "inner log norm sectional_curvature shoot sphere transport transport_along wrap",
     "geometry.lie": "SE2 SE3 SO2 SO3 SU AbstractGroup AbstractInertia Inertia LeftInvariant MatrixGroup Product "
     "quaternion_from_rotation rotation_from_quaternion",
-    "identification": "FITTED Draft Fit PredictionErrors Windows draft fit growth horizon prediction_errors relations "
-    "split windows",
+    "identification": "FITTED Draft Fit PredictionErrors Windows draft fit growth horizon losses prediction_errors "
+    "relations split windows",
     "interop": "closed_loop observer_system plant",
     "lowering": "FOLD INTERVALS NUMBERS STUMPFF TRUTHS Branch CText Call ClosedJaxpr Condition Conditions "
     "Derivative Domain Enclosure Graph Interval JaxprEquation Lowered LoweringError Node Scan Signature TracedFunction "
@@ -77,25 +77,24 @@ PUBLIC = {
     "logs": "ATTITUDES MESSAGES OPTIONAL WRITTEN Body Columns Log LogError bodies check_unit coordinates matrices read "
     "record source_name survey to_columns unit_factor write",
     "models": "Family GroupSystem Lagrangian MechanicalSystem ModelError ModelFile MomentumChart Motion Overrides "
-    "Parameter Parametric StateSpace Survey acceleration advance applied_force ball_and_beam bioreactor body_velocity "
-    "chart_jacobian chart_velocity check_metric check_model document duffing energy family free_body friction "
-    "from_recipe heavy_top hovercraft in_chart induction_motor input_count load "
-    "lorenz oscillator pendulum_chain recipe resistance rewrite satellite satellite_arm source spatial_momentum "
-    "state_space spec_name survey underwater_vehicle unknown_frequency van_der_pol",
+    "Parameter Parametric StateSpace Survey acceleration advance applied_force ball_and_beam bioreactor "
+    "body_velocity chart_jacobian chart_velocity check_metric check_model check_spec document duffing energy "
+    "family free_body friction from_recipe heavy_top hovercraft in_chart induction_motor input_count load "
+    "lorenz oscillator pendulum_chain recipe resistance rewrite satellite satellite_arm source "
+    "spatial_momentum spec_name state_space survey underwater_vehicle unknown_frequency van_der_pol",
     "models.robots": "ROBOTS BodyInertia Description Follows Joint KinematicTree Links Motor RobotSpace assemble load "
     "located read",
     "models.marine": "Craft Station Waves coriolis_matrix cybership euler_rates euler_rotation euler_transform "
     "manoeuvring_ship odin odin_on_group positive_definite supply_vessel surface_ship yaw_rotation",
-    "observers": "EKF PLL REGISTRY STATE_REGISTRY UKF AbstractFlowObserver AbstractLinearFilter "
-    "AbstractMechanicalObserver "
-    "AbstractObserver Contracting ContractingState Copy Delayed DelayedState EKFInfo EKFState Entry "
-    "Estimate FilterInfo FilteredDerivative FilteredState Gate Gated GatedState Geodesic GeodesicInfo GeodesicState "
-    "HeldState HighGain Info InformationEKF InformationState Intrinsic IntrinsicKalman JointInfo JointKalman "
-    "JointState KalmanInfo KalmanState Levant LoopState MechanicalState Noise PassiveGains PassiveShip "
-    "Riccati Salcudean SalcudeanState SavitzkyGolay Slow StateEKF StateEKFInfo StateEKFState StateEntry UKFState "
-    "WindowState checked chooses_substeps continuous craft_observer external_force "
-    "lyapunov_gains lyapunov_rate needed_substeps notch_gains printed_rate run second_order sensor_bias "
-    "uncertain_parameters with_fixed_substeps",
+    "observers": "AbstractFlowObserver AbstractLinearFilter AbstractMechanicalObserver AbstractObserver Contracting "
+    "ContractingState Copy Delayed DelayedState EKF EKFInfo EKFState Entry Estimate FilterInfo "
+    "FilteredDerivative FilteredState Gate Gated GatedState Geodesic GeodesicInfo GeodesicState HeldState "
+    "HighGain Info InformationEKF InformationState Intrinsic IntrinsicKalman JointInfo JointKalman JointState "
+    "KalmanInfo KalmanState Levant LoopState MechanicalState Noise OBSERVER_NAMES PLL PassiveGains "
+    "PassiveShip REGISTRY Riccati STATE_OBSERVER_NAMES STATE_REGISTRY Salcudean SalcudeanState SavitzkyGolay "
+    "Slow StateEKF StateEKFInfo StateEKFState StateEntry UKF UKFState WindowState checked chooses_substeps "
+    "continuous craft_observer external_force lyapunov_gains lyapunov_rate needed_substeps notch_gains "
+    "printed_rate run second_order sensor_bias uncertain_parameters with_fixed_substeps",
     "papers.jouffroy_fossen": "COMPASS COUNTEREXAMPLES CROSS DURATION GAPS GNSS K1 K2 KD KP LAMBDA PRINTED_K2 RATE "
     "SETTLED STAGES STEP Loop Scalar Sea draw draw_odin draw_sea odin_box odin_cascade odin_certificate "
     "odin_controller odin_eigenvalues odin_loop odin_observer odin_path odin_sampled_rate passive_observer reproduce "
@@ -111,10 +110,11 @@ PUBLIC = {
     "metric_at metric_through rate_from_gramian reconstructibility right_side spd_distance window_at",
     "engine": "Engine EngineName FEWEST_ROWS Health KernelForm Stream choose compiled run_log run_logs",
     "scale": "Grid Variable map_grid open_grid",
-    "workflow": "AbstractResult AbstractTable AuditResult CertificateCheckResult CertifyResult CompareResult "
+    "workflow": "AbstractResult AbstractTable AuditResult CertificateCheckResult CertifyResult CheckResult "
+    "CompareResult "
     "EstimateResult ExportResult FitResult MetricResult MisfitError ModelResult Progress ReproduceResult "
-    "SimulateResult TuneResult audit_observer certify check_certificate check_model_output check_output "
-    "compare describe_model design_metric estimate export fit load reproduce_paper simulate tune Job",
+    "SimulateResult TuneResult audit_observer certify check check_certificate check_model_output check_output "
+    "compare describe_model design_metric estimate export fit reproduce_paper simulate tune",
     "simulation": "PiecewiseInputs Sensor hold logged_inputs no_input observe sense simulate simulate_piecewise stamps",
 }
 

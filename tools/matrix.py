@@ -4,7 +4,7 @@ The environment `.venv` has the oldest: those of constraints.txt. Each other ver
 and one that is not on this machine is left out, with a line that says so.
 
     python tools/matrix.py            # those of `make test`, on Python 3.12 and 3.13
-    python tools/matrix.py --short    # those that depend on versions most: forms of jaxprs, a certificate, the demo
+    python tools/matrix.py --short    # forms of jaxprs, a certificate, the README, the demo
 """
 
 import argparse
@@ -25,6 +25,7 @@ ALL = (
 SHORT = (
     "pytest -n 2 --dist loadfile tests/lowering/test_jax_forms.py tests/lowering/test_lowering.py",
     "covariant certify --check examples/certificates/ball_and_beam.json",
+    "pytest tests/pages/test_examples.py -k README.md",
     "python gallery/demo.py --out {environment}/demo",
 )
 """Commands of an environment, run in the root of the repository."""

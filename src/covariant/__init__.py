@@ -37,7 +37,7 @@ if TYPE_CHECKING:
         workflow,
     )
     from covariant.signals import Record, Result, Run
-    from covariant.workflow import compare, estimate
+    from covariant.workflow import certify, check, compare, estimate, export, fit, simulate, tune
 
     __version__: str
 
@@ -57,6 +57,8 @@ __all__ = [
     "__version__",
     "audit",
     "certificates",
+    "certify",
+    "check",
     "codegen",
     "compare",
     "control",
@@ -64,6 +66,8 @@ __all__ = [
     "diagnosis",
     "engine",
     "estimate",
+    "export",
+    "fit",
     "geometry",
     "interop",
     "logs",
@@ -77,7 +81,9 @@ __all__ = [
     "scale",
     "scoring",
     "signals",
+    "simulate",
     "simulation",
+    "tune",
     "workflow",
 ]
 

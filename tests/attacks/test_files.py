@@ -15,7 +15,7 @@ from covariant import models
 from covariant.certificates import ContractionCertificate, check, parse
 from covariant.certificates._check import follows
 from covariant.cli import main
-from covariant.models import _source
+from covariant.models import _systems
 from covariant.proofs import digest
 from covariant.proofs._file import MOST_BYTES, MOST_VALUES
 
@@ -743,7 +743,7 @@ def swapped(rng: random.Random, text: str) -> str:
 def systems(rng: random.Random, text: str) -> str:
     """Another system, with parameters of all kinds."""
     document = json.loads(text)
-    name = rng.choice(list(_source.SYSTEMS))
+    name = rng.choice(list(_systems.SYSTEMS))
     words = ["mass", "length", "inertia", "gravity", "chart", "axes", "axis", "moment", "actuated", "angles", "drag"]
     values = [*HOSTILE, [1.0, 2.0], [0.0] * 3, [[1.0, 0.0, 0.0]], "r", 2.0, [0], [-1e9, 1e9], [1e140] * 2]
     document["recipe"] = {"system": name, "parameters": {rng.choice(words): rng.choice(values) for _ in range(2)}}

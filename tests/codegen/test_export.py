@@ -507,7 +507,7 @@ def test_what_is_proved_and_what_is_broken_is_told(tmp_path, monkeypatch, capsys
     [
         (("--rate", 0), "rate must be a positive number"),
         (("--rate", 100, "--real", "half"), "real must be one of"),
-        (("--rate", 100, "--observer", "nobody"), "is no observer"),
+        (("--rate", 100, "--observer", "nobody"), "unknown observer 'nobody'"),
         (("--rate", 100, "--alpha", 1), "belong together"),
         (("--rate", 100, "--parameters", "weight"), "weight"),
         (("--rate", 100, "--flash", "small"), "--flash must be a number of bytes, such as 64k"),

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from covariant import logs, models
-from covariant.diagnosis import diagnose, misfit, outliers
+from covariant.diagnosis import diagnose, misfit, outliers, suggest_noise
 from covariant.diagnosis._changes import Names, no_change
 from covariant.diagnosis._smooth import smooth
 from covariant.logs import unit_factor
@@ -230,7 +230,7 @@ def test_outliers_are_found_and_what_is_left_is_compared(pendulum, clean):
     for finding, column in zip(done.findings, bad.T, strict=True):
         assert abs(finding.numbers["share"] - column.mean()) < 0.005
     turned = clean._replace(y=y * [1.0, -1.0])
-    assert whats(diagnose(pendulum, turned)) == ["outliers", "outliers", "sign of a position"]
+    assert whats(diagnose(pendulum, turned)) == ["sign of a position", "outliers", "outliers"]
 
 
 def test_gaps_jitter_and_missing_cells_are_notes(pendulum, exact):
@@ -339,3 +339,50 @@ def test_faults_of_a_recorded_log_are_found(data_folder):
     assert whats(diagnose(file, record)) == []
     (found,) = diagnose(file, one_late(record, 1, 2.5e-3)).findings
     assert abs(found.numbers["delay"] - 2.5e-3) < 5e-4
+
+
+def test_single_outliers_are_named_by_row_and_spoil_nothing(pendulum, clean):
+    y = clean.y.copy()
+    y[[400, 1500], 1] += 0.4
+    (found,) = diagnose(pendulum, clean._replace(y=y), first_row=11, every=2).findings
+    assert (found.what, found.where, found.wrong) == ("outliers", "q2", False)
+    assert "2 of 3001 cells" in found.evidence
+    assert "by 0.4 rad: row 811 (0.8 s), row 3011 (3 s)" in found.evidence
+
+
+def test_a_log_in_which_nothing_moves_is_said_to_be_one(pendulum, clean):
+    done = diagnose(pendulum, clean._replace(y=np.broadcast_to([0.5, -0.25], clean.y.shape)))
+    assert [(found.what, found.wrong) for found in done.findings] == [("nothing moves", True)]
+    assert done.findings[0].evidence == "q1 is 0.5 rad, q2 is -0.25 rad in all 3001 rows"
+    one = diagnose(pendulum, clean._replace(y=np.where([True, False], clean.y, 0.1)))
+    assert ("a position does not move", "q2", False) in [(f.what, f.where, f.wrong) for f in one.findings]
+
+
+def test_readings_that_repeat_are_told_from_ticks(pendulum, clean):
+    """A sensor that is read at 125 Hz into a log of 500 Hz."""
+    held = clean._replace(y=clean.y[np.arange(len(clean.t)) // 4 * 4])
+    (found,) = [each for each in diagnose(pendulum, held).findings if each.what == "repeated rows"]
+    assert found.wrong
+    assert found.numbers["in_a_row"] == 4
+    assert "2250 of 3001 rows (75 %)" in found.evidence
+    ticks = diagnose(pendulum, clean._replace(y=QUANTUM * 4 * np.round(clean.y / (QUANTUM * 4))))
+    assert "repeated rows" not in [found.what for found in ticks.findings]
+    assert "repeated rows" not in [found.what for found in diagnose(pendulum, clean).findings]
+
+
+def test_what_spoils_most_comes_first(pendulum, clean):
+    y = clean.y.copy()
+    y[400] += 0.4
+    found = diagnose(pendulum, clean._replace(t=1e3 * clean.t, y=y)).findings
+    assert [each.what for each in found] == ["unit of time", "outliers", "outliers"]
+
+
+@pytest.mark.parametrize("rows", [2, 3, 4, 5, 6, 11, 49, 52, 60])
+@pytest.mark.parametrize("missing", [False, True])
+def test_short_logs_are_looked_at_as_far_as_they_go(pendulum, clean, rows, missing):
+    record = Record(clean.t[:rows], clean.u[:rows], clean.y[:rows].copy())
+    if missing:
+        record.y[1::2] = np.nan
+    done = diagnose(pendulum, record)
+    assert "too little motion" in [found.what for found in done.findings] or rows == 2
+    assert suggest_noise(pendulum._replace(measurement_std=None, acceleration_std=None), record) is not None

@@ -15,8 +15,18 @@ pytestmark = pytest.mark.long
 
 
 @pytest.fixture(scope="module")
-def reproduced():
-    return paper.reproduce()
+def steps():
+    """What was reported of the progress."""
+    return []
+
+
+@pytest.fixture(scope="module")
+def reproduced(steps):
+    return paper.reproduce(steps.append)
+
+
+def test_each_step_is_reported_once(reproduced, steps):
+    assert len(steps) == len(set(steps)) == paper.STAGES
 
 
 def test_printed_gain_of_the_ship_is_unstable_and_the_corrected_one_is_not(reproduced):

@@ -1,6 +1,7 @@
 """`covariant.fit`: a fit to a simulated log gives the truth back, whichever way its inputs go between stamps."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from covariant.workflow import FitResult, SimulateResult, fit, simulate
 
 TRUTH = {"parameters.mass": [1.0], "parameters.length": [0.5], "parameters.viscous": [0.001]}
 FIRST = {**TRUTH, "parameters.viscous": [0.01], "parameters.length": [0.45]}
-DRIVEN = {"duration": 20.0, "rate": 100.0, "q0": 0.4, "amplitude": 0.5, "noise": 2e-4, "seed": 3}
+DRIVEN: dict[str, Any] = {"duration": 20.0, "rate": 100.0, "q0": 0.4, "amplitude": 0.5, "noise": 2e-4, "seed": 3}
 
 
 def driven(between: str) -> SimulateResult:
@@ -36,12 +37,24 @@ def test_the_way_inputs_go_between_stamps_is_found_named_and_written(fitted, tmp
     word, result = fitted
     inputs = result.summary["inputs"]
     assert (inputs["between"], inputs["stated"]) == (word, False)
-    assert inputs["log_likelihood_gain"] > 10
+    assert inputs["log_likelihood_gain"] > 3 * inputs["gain_standard_error"] > 0
     assert inputs["sentence"] in str(result)
     assert "explain the log better" in inputs["sentence"]
     path = result.save(tmp_path / "calibrated.toml")
     assert models.load(str(path)).input_between == word
     assert f'between = "{word}"' in path.read_text()
+
+
+def test_a_log_that_does_not_show_how_inputs_go_decides_nothing(tmp_path):
+    """A torque so slow and small that it is the same held and linear, within the noise."""
+    slow: dict[str, Any] = DRIVEN | {"frequency": 0.05, "amplitude": 0.02}
+    log = simulate("pendulum_chain", **slow, overrides=TRUTH | {"inputs.between": "linear"})
+    result = fit("pendulum_chain", log.record, ["length"], overrides=FIRST)
+    inputs = result.summary["inputs"]
+    assert inputs["between"] == "held"
+    assert inputs["log_likelihood_gain"] < 2 * inputs["gain_standard_error"]
+    assert "hardly tells that from linear" in inputs["sentence"]
+    assert "between" not in result.save(tmp_path / "new.toml").read_text()
 
 
 def test_what_the_model_file_says_is_not_tried_otherwise(tmp_path):
@@ -51,6 +64,7 @@ def test_what_the_model_file_says_is_not_tried_otherwise(tmp_path):
         "between": "linear",
         "stated": True,
         "log_likelihood_gain": None,
+        "gain_standard_error": None,
         "sentence": "",
     }
 

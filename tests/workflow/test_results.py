@@ -77,8 +77,8 @@ def test_a_result_is_short_where_it_is_looked_at(estimate, log):
 def test_it_is_said_where_an_estimate_had_no_measurement(estimate):
     missing = np.isnan(np.asarray(estimate.loaded.record.y)).any(axis=1)
     assert estimate.warnings[0].startswith(f"{missing.sum()} of 601 samples: no measurement")
-    assert "longest: " in estimate.warnings[0]
-    begin = float(estimate.warnings[0].partition("longest: ")[2].split()[0].rstrip(","))
+    assert "the longest at t = " in estimate.warnings[0]
+    begin = float(estimate.warnings[0].partition("the longest at t = ")[2].split()[0].rstrip(","))
     assert missing[np.argmin(np.abs(estimate.t - begin))]
 
 

@@ -7,7 +7,7 @@ import typer
 
 from covariant import workflow
 from covariant.cli._console import progress_bar, show
-from covariant.cli._names import ESTIMATORS, STATE_ESTIMATORS, WRITTEN
+from covariant.cli._names import WRITTEN
 from covariant.cli._options import (
     Anyway,
     By,
@@ -19,6 +19,7 @@ from covariant.cli._options import (
     Json,
     LogFile,
     Model,
+    Observer,
     Override,
     Positions,
     Report,
@@ -26,6 +27,7 @@ from covariant.cli._options import (
     Time,
     Until,
     Velocities,
+    existing_logs,
     with_shared_options,
 )
 from covariant.workflow import check_model_output, check_output
@@ -44,13 +46,7 @@ def estimate(
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help=f"Write the estimate here ({', '.join(WRITTEN)}).")
     ] = None,
-    observer: Annotated[
-        str | None,
-        typer.Option(
-            help=f"One of: {', '.join(ESTIMATORS)}; intrinsic by default. For a state-space model: "
-            f"{', '.join(STATE_ESTIMATORS)}."
-        ),
-    ] = None,
+    observer: Observer = None,
     alpha: Annotated[float | None, typer.Option(help="Gain α [1/s] in place of the designed one.")] = None,
     beta: Annotated[float | None, typer.Option(help="Gain β [1/s²] in place of the designed one.")] = None,
     override: Override = [],  # noqa: B006  typer copies it
@@ -130,10 +126,14 @@ def check(
     json: Json = False,
 ) -> None:
     """Compare a log with a model: units, order, signs, delays, ticks, outliers; exit code 1 where one is wrong."""
-    from covariant.cli import _check
-    from covariant.workflow import Job
-
-    _check.check(Job(model, log, tuple(override), every, until, {"t": t, "q": q, "u": u}, True, start), json)
+    columns = {"t": t, "q": q, "u": u}
+    with progress_bar(quiet=json) as progress:
+        result = workflow.check(
+            model, log, overrides=override, every=every, start=start, until=until, columns=columns, progress=progress
+        )
+    show(result, json)
+    if result.wrong:
+        raise SystemExit(1)
 
 
 @on_logs.command()
@@ -143,7 +143,9 @@ def fit(
     log_files: Annotated[
         list[Path],
         typer.Argument(
-            metavar="LOG...", help="Logs to fit; the last of several, or the last third of one, is held out."
+            callback=existing_logs,
+            metavar="LOG...",
+            help="Logs to fit; the last of several, or the last third of one, is held out.",
         ),
     ],
     rows: Rows,
@@ -189,7 +191,10 @@ def fit(
 def tune(
     model: Model,
     log_files: Annotated[
-        list[Path], typer.Argument(metavar="LOG...", help="Logs; the last third of each is held out to judge by.")
+        list[Path],
+        typer.Argument(
+            callback=existing_logs, metavar="LOG...", help="Logs; the last third of each is held out to judge by."
+        ),
     ],
     rows: Rows,
     names: ColumnNames,

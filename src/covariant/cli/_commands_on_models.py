@@ -8,12 +8,15 @@ import typer
 
 from covariant import workflow
 from covariant.cli._console import progress_bar, show
-from covariant.cli._names import CERTIFIED, ESTIMATORS, PAPERS, STATE_ESTIMATORS, WRITTEN
+from covariant.cli._names import CERTIFIED, PAPERS, WRITTEN
 from covariant.cli._options import (
     Json,
     Model,
+    Observer,
     Override,
     Report,
+    existing_model,
+    known_observer,
 )
 from covariant.cli._parse import byte_count, count_list, interval_map, name_list, number_list
 from covariant.workflow import check_output
@@ -21,6 +24,20 @@ from covariant.workflow import check_output
 FIGURES = (".png", ".pdf", ".svg")
 on_models = typer.Typer()
 design = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="Design what an observer needs.")
+
+
+def certified_observer(name: str) -> str:
+    """The name of an observer that there are certificates for."""
+    if name not in CERTIFIED:
+        raise ValueError(f"unknown observer {name!r}; choose one of {', '.join(CERTIFIED)}")
+    return name
+
+
+def known_paper(name: str) -> str:
+    """The name of a paper that is reproduced."""
+    if name not in PAPERS:
+        raise ValueError(f"unknown paper {name!r}; choose one of {', '.join(PAPERS)}")
+    return name
 
 
 @on_models.command()
@@ -89,7 +106,7 @@ def show_model(
 
 @on_models.command()
 def reproduce(
-    paper: Annotated[str, typer.Argument(help=f"One of: {', '.join(PAPERS)}.")],
+    paper: Annotated[str, typer.Argument(help=f"One of: {', '.join(PAPERS)}.", callback=known_paper)],
     out: Annotated[Path | None, typer.Option("--out", "-o", help="Write the paper's figure here (.png).")] = None,
     report: Report = None,
     json: Json = False,
@@ -106,7 +123,8 @@ def reproduce(
 def audit(
     model: Model,
     observer: Annotated[
-        str | None, typer.Option(help="intrinsic, intrinsic2, geodesic or copy; intrinsic by default.")
+        str | None,
+        typer.Option(help="intrinsic, intrinsic2, geodesic or copy; intrinsic by default.", callback=known_observer),
     ] = None,
     alpha: Annotated[float | None, typer.Option(help="Gain α [1/s]; √2 by default.")] = None,
     beta: Annotated[float | None, typer.Option(help="Gain β [1/s²]; 1 by default.")] = None,
@@ -147,13 +165,7 @@ def export(
     model: Model,
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder to write, or a unit for simulators (.fmu).")],
     rate: Annotated[float, typer.Option(help="Sampling rate [Hz] that it is made for.")],
-    observer: Annotated[
-        str | None,
-        typer.Option(
-            help=f"One of: {', '.join(ESTIMATORS)}; intrinsic by default. For a state-space model: "
-            f"{', '.join(STATE_ESTIMATORS)}."
-        ),
-    ] = None,
+    observer: Observer = None,
     alpha: Annotated[float | None, typer.Option(help="Gain α [1/s] in place of the designed one.")] = None,
     beta: Annotated[float | None, typer.Option(help="Gain β [1/s²] in place of the designed one.")] = None,
     real: Annotated[str, typer.Option(help="Type of all numbers: double or float.")] = "double",
@@ -210,7 +222,10 @@ def export(
 @on_models.command()
 def certify(
     model: Annotated[
-        str | None, typer.Argument(help="Model file (.toml), robot (.urdf or .xml), module:attribute, or a system.")
+        str | None,
+        typer.Argument(
+            help="Model file (.toml), robot (.urdf or .xml), module:attribute, or a system.", callback=existing_model
+        ),
     ] = None,
     velocity: Annotated[
         str | None, typer.Option(help="Bound of the true velocities, one or one each by commas; required.")
@@ -222,7 +237,9 @@ def certify(
         str | None,
         typer.Option("--region", "--box", help="Ends of the positions, as r=-0.3:0.3,theta=-1:1; rotations need none."),
     ] = None,
-    observer: Annotated[str, typer.Option(help=f"One of: {', '.join(CERTIFIED)}.")] = CERTIFIED[0],
+    observer: Annotated[
+        str, typer.Option(help=f"One of: {', '.join(CERTIFIED)}.", callback=certified_observer)
+    ] = CERTIFIED[0],
     alpha: Annotated[float | None, typer.Option(help="Gain α [1/s]; designed from the data sheet by default.")] = None,
     beta: Annotated[float | None, typer.Option(help="Gain β [1/s²].")] = None,
     sampling: Annotated[float | None, typer.Option(help="Sampling rate that gains are designed for [Hz].")] = None,
@@ -261,6 +278,8 @@ def certify(
     if (model is None) == (check is None):
         raise ValueError("give a model to certify, or --check FILE to verify a saved certificate")
     if check is not None:
+        if not check.exists():
+            raise ValueError(f"{check} does not exist; give the path of a saved certificate")
         with progress_bar(json) as progress:
             checked = workflow.check_certificate(check, model=given, processes=processes, progress=progress)
         show(checked, json)
@@ -327,6 +346,7 @@ def metric(
     json: Json = False,
 ) -> None:
     """Compute a contraction metric at every point of a grid of states; a run that was stopped goes on where it was."""
+    check_output(out, ".zarr", store=True)
     try:
         with progress_bar(json) as progress:
             result = workflow.design_metric(

@@ -35,7 +35,7 @@ def show(
     figure: Path | None = None,
     **save: bool,
 ) -> None:
-    """Save a result, print it, and then draw its page or figure: what cannot be drawn loses nothing.
+    """Print a result, save it, and then draw its page or figure: what fails later loses nothing.
 
     Args:
         result: What a verb returned.
@@ -45,32 +45,34 @@ def show(
         figure: Where `result.draw` draws its figures, or None.
         save: Further arguments of `result.save`.
     """
-    written = [] if out is None else [str(result.save(out, **save))]
     if not as_json:
-        print(result, *(f"wrote {path}" for path in written), sep="\n", flush=True)
-    pages: dict[str, Any] = {} if report is None else {"report": []}
-    drawn: list[Path] = []
+        print(result, flush=True)
+    places: dict[str, Any] = {} if report is None else {"report": []}
     try:
-        with progress_bar(quiet=as_json or report is figure is None) as progress:
-            progress("drawing")
-            if report is not None:
-                drawn += result.report(report)
-                pages["report"] = [str(path) for path in drawn]
-            if figure is not None:
-                drawn += result.draw(figure)
-                pages["figure"] = str(figure)
+        if out is not None:
+            places["out"] = str(result.save(out, **save))
+            _tell([places["out"]], quiet=as_json)
+        if report is not None or figure is not None:
+            _tell(_drawn(result, report, figure, places, as_json), quiet=as_json)
     finally:
         if as_json:
-            print(json.dumps(result.summary | ({"out": written[0]} if written else {}) | pages), flush=True)
-    if drawn and not as_json:
-        print(*(f"wrote {path}" for path in drawn), sep="\n", flush=True)
+            print(json.dumps(result.summary | places), flush=True)
 
 
-@contextmanager
-def working(what: str, quiet: bool = False) -> Iterator[None]:
-    """Show a spinner while a task of unknown length runs."""
-    from rich.console import Console
+def _drawn(result: Any, report: Path | None, figure: Path | None, places: dict[str, Any], quiet: bool) -> list[str]:
+    """Draw the page and the figures of a result; returns their paths, which are noted in `places`."""
+    paths: list[Path] = []
+    with progress_bar(quiet) as progress:
+        progress("drawing")
+        if report is not None:
+            paths += result.report(report)
+            places["report"] = [str(path) for path in paths]
+        if figure is not None:
+            paths += result.draw(figure)
+            places["figure"] = str(figure)
+    return [str(path) for path in paths]
 
-    console = Console(stderr=True, quiet=quiet)
-    with console.status(what):
-        yield
+
+def _tell(paths: list[str], quiet: bool) -> None:
+    if not quiet:
+        print(*(f"wrote {path}" for path in paths), sep="\n", flush=True)

@@ -8,17 +8,58 @@ from typing import Annotated, Any, NamedTuple, get_type_hints
 
 import typer
 
-from covariant.cli._names import Engine
+from covariant.cli._names import ESTIMATORS, STATE_ESTIMATORS, Engine
+from covariant.models import check_spec
+
+
+def existing_model(spec: str | None) -> str | None:
+    """A model that exists, as far as its name or path tells: checked before anything heavy is loaded."""
+    if spec is not None:
+        check_spec(spec)
+    return spec
+
+
+def existing_log(path: Path) -> Path:
+    """A log that exists; checked before anything heavy is loaded."""
+    if not path.exists():
+        raise FileNotFoundError(f"{path}: no such file")
+    return path
+
+
+def existing_logs(paths: list[Path]) -> list[Path]:
+    """Logs that exist."""
+    return [existing_log(path) for path in paths]
+
+
+def known_observer(name: str | None) -> str | None:
+    """The name of an observer that there is."""
+    names = (*ESTIMATORS, *STATE_ESTIMATORS)
+    if name is not None and name not in names:
+        raise ValueError(f"unknown observer {name!r}; choose one of {', '.join(names)}")
+    return name
+
 
 Model = Annotated[
     str,
     typer.Argument(
-        help="Model file (.toml), robot (.urdf or .xml), module:attribute, or the name of a system or a robot."
+        help="Model file (.toml), robot (.urdf or .xml), module:attribute, or the name of a system or a robot.",
+        callback=existing_model,
     ),
 ]
 LogFile = Annotated[
     Path,
-    typer.Argument(help="Log with stamps, positions or attitudes, inputs: .csv, .txt, .parquet, .mcap, a rosbag2."),
+    typer.Argument(
+        help="Log with stamps, positions or attitudes, inputs: .csv, .txt, .parquet, .mcap, a rosbag2.",
+        callback=existing_log,
+    ),
+]
+Observer = Annotated[
+    str | None,
+    typer.Option(
+        help=f"One of: {', '.join(ESTIMATORS)}; intrinsic by default. For a state-space model: "
+        f"{', '.join(STATE_ESTIMATORS)}.",
+        callback=known_observer,
+    ),
 ]
 Override = Annotated[list[str], typer.Option("--set", help="Override a value of the model file, as table.key=value.")]
 Every = Annotated[int, typer.Option(help="Use each k-th row only.", min=1)]

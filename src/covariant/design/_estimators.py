@@ -11,11 +11,21 @@ from covariant.design._data_sheet import DataSheet, Trial
 from covariant.design._filters import filter_bandwidth, jerk_bound, joint_noise, polynomial
 from covariant.design._gains import Gains, gains
 from covariant.models import MechanicalSystem, StateSpace
-from covariant.observers import REGISTRY, STATE_REGISTRY, AbstractObserver, Entry, Gated, Noise, external_force
+from covariant.observers import (
+    OBSERVER_NAMES,
+    REGISTRY,
+    STATE_OBSERVER_NAMES,
+    STATE_REGISTRY,
+    AbstractObserver,
+    Entry,
+    Gated,
+    Noise,
+    external_force,
+)
 
-ESTIMATORS = tuple(entry.name for entry in REGISTRY)
+ESTIMATORS = OBSERVER_NAMES
 """Names of all estimators of mechanical systems: those in `covariant.observers.REGISTRY`."""
-STATE_ESTIMATORS = tuple(entry.name for entry in STATE_REGISTRY)
+STATE_ESTIMATORS = STATE_OBSERVER_NAMES
 """Names of all estimators of state-space models: those in `covariant.observers.STATE_REGISTRY`."""
 
 

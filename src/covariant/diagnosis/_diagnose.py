@@ -47,6 +47,11 @@ FARTHEST = 3.0
 NOISIER = 4.0
 """Measured noise, as a multiple of that of the data sheet, that is a finding."""
 MOST_CHANGES = 3
+WEIGHTS = (
+    *("nothing moves", "unit of", "swapped", "sign of", "zero of", "model", "too little motion", "delay", "scale of"),
+    *("uncertainty", "noise", "ticks", "repeated", "outliers", "a position"),
+)
+"""How findings begin, in the order of what they spoil: a wrong unit or order makes all numbers below it wrong."""
 
 
 class _Case(NamedTuple):
@@ -62,30 +67,59 @@ class _Case(NamedTuple):
         return float(np.median(np.diff(np.asarray(self.record.t))))
 
 
-def diagnose(file: ModelFile, record: Record, quantum: float | tuple[float, ...] | None = None) -> Diagnosis:
+def diagnose(
+    file: ModelFile,
+    record: Record,
+    quantum: float | tuple[float, ...] | None = None,
+    first_row: int = 1,
+    every: int = 1,
+) -> Diagnosis:
     """Compare a log with a model: what is wrong with the log, or with the model file for it.
 
-    - `file`: the model and its data sheet. For a machine that is not in coordinates, and for a `StateSpace`, only the
-      stamps and missing measurements are looked at.
-    - `record`: the log as it was read, without a lag of the inputs. Of more than `MOST_ROWS` rows, the stretch in which
-      most moves is compared with the model.
-    - `quantum`: one tick of the encoders that the model file states, or one for each coordinate, where `file` no
-      longer has it.
+    Args:
+        file: The model and its data sheet. For a machine that is not in coordinates, and for a `StateSpace`, only the
+            stamps and missing measurements are looked at.
+        record: The log as it was read, without a lag of the inputs. Of more than `MOST_ROWS` rows, the stretch in which
+            most moves is compared with the model.
+        quantum: One tick of the encoders that the model file states, or one for each coordinate, where `file` no longer
+            has it.
+        first_row: The row of the file, counted from 1, that the record begins with, by which rows are named.
+        every: The record has each so-many-th row.
 
-    A log that fits has no finding that is `wrong`.
+    Returns:
+        The findings, those that spoil most first. A log that fits has none that is `wrong`.
     """
-    found = [*_sensor.stamps(np.asarray(record.t)), *_sensor.missing_cells(np.asarray(record.y))]
+    found, looked = _findings(file, record, quantum, _sensor.Rows(np.asarray(record.t), first_row, every))
+    return Diagnosis(tuple(sorted(found, key=_weight)), looked)
+
+
+def _weight(finding: Finding) -> tuple[bool, int]:
+    """By what findings are sorted: those that are wrong first, and those first that make others meaningless."""
+    place = next((k for k, begin in enumerate(WEIGHTS) if finding.what.startswith(begin)), len(WEIGHTS))
+    return not finding.wrong, place
+
+
+def _findings(
+    file: ModelFile, record: Record, quantum: float | tuple[float, ...] | None, rows: _sensor.Rows
+) -> tuple[list[Finding], tuple[str, ...]]:
+    """The findings as they come, and what was looked for."""
+    found = [*_sensor.stamps(rows.t), *_sensor.missing_cells(np.asarray(record.y))]
     looked = ("missing rows", "irregular stamps", "missing measurements")
     if not in_coordinates(file):
-        return Diagnosis(tuple(found), looked)
-    record = busiest(record, MOST_ROWS)
-    case, outliers = case_without_outliers(file, record)
+        return found, looked
+    looked += ("outliers", "repeated rows", "ticks", "noise")
+    y, names = np.asarray(record.y), _names(file)
+    still, whole = _sensor.still_findings(y, names.q, names.units)
+    if whole:
+        return [*found, *still], looked
+    case, outliers = case_without_outliers(file, record, rows)
+    repeated = _sensor.repeated_findings(y, readings(case.record, case.model.circles).ticks, names.q, rows)
+    case = case._replace(record=busiest(case.record, MOST_ROWS))
     changes, case = _put_right(case)
-    looked += ("outliers", "ticks", "noise")
-    found += [*outliers, *changes, *_sensors(case, file.quantum if quantum is None else quantum)]
+    found += [*still, *outliers, *repeated, *changes, *_sensors(case, file.quantum if quantum is None else quantum)]
     best = best_window(case)
     if best is None or not best[1].told.any():
-        return Diagnosis((*found, _standstill(case)), looked)
+        return [*found, _standstill(case)], looked
     looked += ("units", "order and signs of columns", "scales of inputs", "delays", "accelerations")
     delays, now = delay_findings(
         case.model,
@@ -94,7 +128,7 @@ def diagnose(file: ModelFile, record: Record, quantum: float | tuple[float, ...]
         Stated(np.broadcast_to(np.asarray(file.delay, float), len(case.names.q)), file.input_lag),
         lambda delay: _smoothed(case, best[0], delay),
     )
-    return Diagnosis((*found, *delays, *_unexplained(file, case.names, now)), looked)
+    return [*found, *delays, *_unexplained(file, case.names, now)], looked
 
 
 def misfit(file: ModelFile, record: Record) -> Finding | None:
@@ -138,13 +172,15 @@ def _names(file: ModelFile) -> Names:
     return Names(file.columns.t, file.columns.q, file.columns.u, units, angles, file.columns.units)
 
 
-def case_without_outliers(file: ModelFile, record: Record) -> tuple[_Case, list[Finding]]:
-    """The case of a record whose outliers are taken to be missing, and findings about them."""
+def case_without_outliers(
+    file: ModelFile, record: Record, rows: _sensor.Rows | None = None
+) -> tuple[_Case, list[Finding]]:
+    """The case of a record whose outliers are taken to be missing, and findings about them; `rows` names its rows."""
     model, names = file.need_mechanical(file.name, "accelerations are compared with those of"), _names(file)
     t, y = np.asarray(record.t), np.asarray(record.y)
     far, sizes = _sensor.outliers(t, y, model.circles)
     case = _Case(file, model, names, Record(t, np.asarray(record.u), np.where(far, np.nan, y)))
-    return case, _sensor.outlier_findings(far, sizes, names.q, names.units)
+    return case, _sensor.outlier_findings(far, sizes, names.q, names.units, rows or _sensor.Rows(t))
 
 
 def _smoothed(case: _Case, half: float, delay: Any = 0.0) -> Smooth:

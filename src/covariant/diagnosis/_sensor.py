@@ -1,5 +1,8 @@
 """What a log tells of its clock and its sensors without a model: missing rows, jitter, outliers, ticks."""
 
+from collections.abc import Sequence
+from typing import NamedTuple
+
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -20,6 +23,10 @@ FEW_ROWS = 50
 """Fewest measurements among which outliers are told."""
 FEW_OUTLIERS = 5e-3
 """Fraction of outliers that is not worth a finding."""
+FEW_REPEATED = 0.02
+"""Fraction of rows that repeat the readings before which is not worth a finding."""
+MOST_NAMED = 5
+"""Rows that a finding names."""
 USUAL = 20_000
 """Rows of a long log from which the usual error is taken."""
 LATTICE = 0.05
@@ -187,23 +194,102 @@ def quanta(y: Float[np.ndarray, "T n"], noise: Float[np.ndarray, "n"]) -> Float[
     return np.where(found > MOST_TICKS * noise, found, 0.0)
 
 
+class Rows(NamedTuple):
+    """Stamps (T,) [s] of a log, and which rows of its file they are: `first`, counted from 1, and each `every`-th."""
+
+    t: Float[np.ndarray, "T"]
+    first: int = 1
+    every: int = 1
+
+    def named(self, k: int) -> str:
+        """The row k, from 0, of the record, as people find it in the file."""
+        return f"row {self.first + k * self.every} ({self.t[k]:.6g} s)"
+
+    def listed(self, places: Sequence[int] | np.ndarray) -> str:
+        """The first rows of some, as many as a line holds."""
+        shown = ", ".join(self.named(int(k)) for k in places[:MOST_NAMED])
+        return f"{shown} and {len(places) - MOST_NAMED} more" if len(places) > MOST_NAMED else shown
+
+
 def outlier_findings(
-    wrong: Bool[np.ndarray, "T n"], sizes: Float[np.ndarray, "n"], names: tuple[str, ...], units: tuple[str, ...]
+    wrong: Bool[np.ndarray, "T n"],
+    sizes: Float[np.ndarray, "n"],
+    names: tuple[str, ...],
+    units: tuple[str, ...],
+    rows: Rows,
 ) -> list[Finding]:
-    """A finding for each column with outliers; `sizes` are their usual distances."""
+    """A finding for each column with outliers; `sizes` are their usual distances. A few are a note."""
     findings = []
     for name, unit, column, size in zip(names, units, wrong.T, sizes, strict=True):
+        places = np.flatnonzero(column)
+        if not len(places):
+            continue
         share = float(column.mean())
-        if share > FEW_OUTLIERS:
-            findings.append(
-                Finding(
-                    "outliers",
-                    name,
-                    f"{int(column.sum())} of {len(column)} cells ({100 * share:.2g} %) are far from their neighbours, "
-                    f"usually by {size:.3g} {unit}".rstrip(),
-                    "look for what disturbs the sensor; estimates refuse such cells, and --score leaves them out",
-                    True,
-                    {"cells": int(column.sum()), "share": share, "size": float(size)},
-                )
+        many = share > FEW_OUTLIERS
+        cells = f"{len(places)} of {len(column)} cells ({100 * share:.2g} %) are" if len(places) > 1 else "one cell is"
+        findings.append(
+            Finding(
+                "outliers",
+                name,
+                f"{cells} far from {'its' if len(places) == 1 else 'their'} neighbours, "
+                f"{'usually ' if len(places) > 1 else ''}by {size:.3g} {unit}".rstrip()
+                + f": {rows.listed(places)}",
+                "look for what disturbs the sensor; estimates refuse such cells, and --score leaves them out"
+                if many
+                else "nothing to change: estimates refuse such cells; empty them where they are known to be wrong",
+                many,
+                {"cells": len(places), "share": share, "size": float(size)},
             )
+        )
     return findings
+
+
+def still_findings(
+    y: Float[np.ndarray, "T n"], names: tuple[str, ...], units: tuple[str, ...]
+) -> tuple[list[Finding], bool]:
+    """Findings of positions that have one value in all rows, and whether these are all positions."""
+    still = [i for i, column in enumerate(y.T) if np.nanmin(column) == np.nanmax(column)]
+    if not still:
+        return [], False
+    whole = len(still) == len(names)
+    values = ", ".join(f"{names[i]} is {np.nanmin(y[:, i]):.6g} {units[i]}".rstrip() for i in still)
+    line = "log a motion" if whole else "look at its sensor and its column, or hold that joint in the model as well"
+    finding = Finding(
+        "nothing moves" if whole else "a position does not move",
+        ", ".join(names[i] for i in still),
+        f"{values} in all {len(y)} rows",
+        f"{line}: nothing can be told from {'this log' if whole else 'it'}",
+        whole,
+        {"rows": len(y)},
+    )
+    return [finding], whole
+
+
+def repeated_findings(
+    y: Float[np.ndarray, "T n"], ticks: Float[np.ndarray, "n"], names: tuple[str, ...], rows: Rows
+) -> list[Finding]:
+    """A finding of readings that are those of the row before, although the position moves.
+
+    An encoder reads the same number until its next tick; a reading with noise is never the same twice.
+    """
+    moving = [i for i in range(len(names)) if ticks[i] == 0 and np.nanmin(y[:, i]) < np.nanmax(y[:, i])]
+    if not moving:
+        return []
+    same = (np.diff(y[:, moving], axis=0) == 0).all(axis=1)
+    places = np.flatnonzero(same) + 1
+    share = float(same.mean())
+    if share <= FEW_REPEATED and len(places) <= MOST_NAMED:
+        return []
+    runs = np.diff(np.flatnonzero(np.concatenate([[True], ~same, [True]])))
+    usual = int(np.median(runs[runs > 1]))
+    return [
+        Finding(
+            "repeated rows",
+            ", ".join(names[i] for i in moving),
+            f"{len(places)} of {len(y)} rows ({100 * share:.2g} %) repeat the readings of the row before, usually "
+            f"{usual} in a row have the same: {rows.listed(places)}",
+            "the sensor is slower than the log, or rows were copied: leave the cells that repeat empty",
+            share > FEW_REPEATED,
+            {"rows": len(places), "share": share, "in_a_row": usual},
+        )
+    ]

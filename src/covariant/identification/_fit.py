@@ -67,8 +67,6 @@ class Fit(NamedTuple):
     - `scale` (n,): robust standard deviation of what is new in the errors of the positions [units of the frame].
     - `frequency` [rad/s]: of the filter that follows these errors; far below one in a window where they are white.
     - `steps`: number of steps taken.
-    - `cost`: negative logarithm of the likelihood of what is new in the errors, up to a constant that is the same for
-      all models and inputs on the same rows.
     """
 
     names: tuple[str, ...]
@@ -79,7 +77,6 @@ class Fit(NamedTuple):
     scale: Float[NumpyArray, "n"]
     frequency: float
     steps: int
-    cost: float
 
     @property
     def determined(self) -> Bool[NumpyArray, "p"]:
@@ -131,8 +128,25 @@ def fit(
     rows = np.concatenate([rows, np.eye(len(small))[small]])
     errors = np.where((part < PURE) & ~small, np.sqrt(np.maximum(variance, 0.0)), np.nan)
     frequency, scale = now.weighing
-    cost = float(np.sum(now.blocks.loss) + np.sum(np.log(scale) * np.sum(now.blocks.seen, axis=(0, 1))))
-    return Fit(family.names, family.first, values, errors, rows, np.asarray(scale), float(frequency), taken, cost)
+    return Fit(family.names, family.first, values, errors, rows, np.asarray(scale), float(frequency), taken)
+
+
+def losses(family: Family, windows: Windows, fit: Fit, weighed_as: Fit) -> Float[NumpyArray, "W"]:
+    """The loss of each window at the numbers of a fit: the negative logarithm of its likelihood, up to a constant.
+
+    The constant is the same for all fits whose errors are weighed alike, so that two fits to the same rows under other
+    inputs can be compared, window by window (Vuong 1989, Likelihood ratio tests for model selection).
+
+    - `weighed_as`: the fit whose filter and scales weigh the errors.
+    """
+    windows = jax.tree.map(jnp.asarray, windows)
+    model = family.file.need_mechanical(family.file.name, "numbers are fitted for")
+    problem = _Problem(family.make, jnp.asarray(family.first), family.positive, needed_substeps(model, windows))
+    z = problem.relative(fit.values)
+    now = _begin(problem, windows, np.atleast_1d(weighed_as.frequency), z)
+    now = now._replace(weighing=Weighing(np.asarray(weighed_as.frequency), weighed_as.scale))
+    now, _ = _descend(problem, windows, now, _Held(np.eye(len(z)), z), lambda _: None)
+    return np.asarray(now.blocks.loss)
 
 
 class _Problem(NamedTuple):

@@ -69,12 +69,15 @@ class Log(NamedTuple):
 
     `origin_ns`: the time [ns since 1970] that its stamps count from, where the log has dates or times since 1970;
     otherwise None, and the stamps are as in the file.
+    `first_row`, `every`: which rows of the file are kept: that one, counted from 1, and each so-many-th after it.
     """
 
     record: Record
     v: Float[np.ndarray, "T n"] | None = None
     truth: Float[np.ndarray, "T n"] | None = None
     origin_ns: int | None = None
+    first_row: int = 1
+    every: int = 1
 
     def __repr__(self) -> str:
         beside = ["velocities"] * (self.v is not None) + ["true velocities"] * (self.truth is not None)

@@ -169,7 +169,8 @@ def _cut(name: str, log: Log, every: int, until: float | None, start: float | No
     if np.isnan(log.record.y[kept][0]).any():
         row = low + 1
         raise LogError(f"{name}: row {row}, the first one kept, lacks a measurement; begin a little later or earlier")
-    return Log(_rows(log.record, kept), _rows(log.v, kept), _rows(log.truth, kept), log.origin_ns)
+    record, v, truth = (_rows(part, kept) for part in (log.record, log.v, log.truth))
+    return Log(record, v, truth, log.origin_ns, low + 1, every)
 
 
 def _rows(part: Any, kept: slice) -> Any:

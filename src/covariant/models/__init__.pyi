@@ -42,6 +42,7 @@ from ._satellite import satellite as satellite
 from ._satellite_arm import satellite_arm as satellite_arm
 from ._state_space import StateSpace as StateSpace, state_space as state_space
 from ._survey import Survey as Survey, survey as survey
+from ._systems import check_spec as check_spec
 from ._toml import Overrides as Overrides
 from ._underwater_vehicle import underwater_vehicle as underwater_vehicle
 from ._unknown_frequency import unknown_frequency as unknown_frequency

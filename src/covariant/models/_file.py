@@ -14,11 +14,9 @@ from covariant.models._check import check_metric
 from covariant.models._columns import model_columns, unnamed_attitudes
 from covariant.models._mechanical import MechanicalSystem
 from covariant.models._source import Model
+from covariant.models._systems import ROBOT_FILES, SYSTEMS, unknown_model
 from covariant.models._toml import Overrides
 from covariant.models.robots import ROBOTS
-
-ROBOT_FILES = (".urdf", ".xml")
-"""How the files of robots end."""
 
 
 class ModelError(ValueError):
@@ -197,9 +195,8 @@ def _document(spec: str) -> dict[str, Any]:
         return _beside(Path(spec), _toml.parse(text(Path(spec))))
     if ":" in spec:
         return {}
-    if spec not in _source.SYSTEMS:
-        known = _toml.unknown("model", spec, (*_source.SYSTEMS, *ROBOTS))
-        raise ValueError(f"{known}, a .toml, .urdf or .xml file, or module:attribute")
+    if spec not in SYSTEMS:
+        raise ValueError(unknown_model(spec))
     return {"system": spec}
 
 
@@ -237,9 +234,8 @@ def _make(name: str, found: Any, parameters: dict[str, Any]) -> ModelFile:
     finished = isinstance(found, Model | ModelFile)
     if finished and parameters:
         raise ValueError(f"{name} is a finished model; only a function that makes one takes parameters")
-    system = _source.SYSTEMS.get(name)
-    if system is not None and system is found:
-        parameters = _source.typed(name, system, parameters)
+    if name in SYSTEMS and found is _source.system(name):
+        parameters = _source.typed(name, _source.system(name), parameters)
     made = found if finished or not callable(found) else _source.call(name, found, parameters)
     if isinstance(made, Model):
         return ModelFile(name, made)

@@ -17,28 +17,17 @@ import jax
 import numpy as np
 
 from covariant._typing import Number
-from covariant.models._ball_and_beam import ball_and_beam
-from covariant.models._bioreactor import bioreactor
-from covariant.models._duffing import duffing
-from covariant.models._heavy_top import free_body, heavy_top
-from covariant.models._hovercraft import hovercraft
-from covariant.models._induction_motor import induction_motor
-from covariant.models._lorenz import lorenz
 from covariant.models._mechanical import MechanicalSystem
-from covariant.models._oscillator import oscillator
-from covariant.models._pendulum_chain import pendulum_chain
-from covariant.models._satellite import satellite
-from covariant.models._satellite_arm import satellite_arm
 from covariant.models._state_space import StateSpace, state_space
+from covariant.models._systems import SYSTEMS
 from covariant.models._toml import refuse_unknown
-from covariant.models._underwater_vehicle import underwater_vehicle
-from covariant.models._unknown_frequency import unknown_frequency
-from covariant.models._van_der_pol import van_der_pol
-from covariant.models.marine import cybership, manoeuvring_ship, odin, odin_on_group, supply_vessel
-from covariant.models.robots import load as robot
 
 Model = MechanicalSystem | StateSpace
 """The kinds of models, `MechanicalSystem` and `StateSpace`."""
+
+
+CRAFT = ("cybership", "odin", "supply_vessel")
+"""Systems whose functions make a craft, which is a model file's system in state-space form."""
 
 
 def _states_of(factory: Callable[..., Any]) -> Callable[..., StateSpace]:
@@ -51,38 +40,19 @@ def _states_of(factory: Callable[..., Any]) -> Callable[..., StateSpace]:
     return made
 
 
-SYSTEMS: dict[str, Callable[..., Model]] = {
-    "ball_and_beam": ball_and_beam,
-    "bioreactor": bioreactor,
-    "cybership": _states_of(cybership),
-    "duffing": duffing,
-    "free_body": free_body,
-    "heavy_top": heavy_top,
-    "hovercraft": hovercraft,
-    "induction_motor": induction_motor,
-    "lorenz": lorenz,
-    "manoeuvring_ship": manoeuvring_ship,
-    "odin": _states_of(odin),
-    "odin_on_group": odin_on_group,
-    "oscillator": oscillator,
-    "pendulum_chain": pendulum_chain,
-    "robot": robot,
-    "satellite": satellite,
-    "satellite_arm": satellite_arm,
-    "supply_vessel": _states_of(supply_vessel),
-    "underwater_vehicle": underwater_vehicle,
-    "unknown_frequency": unknown_frequency,
-    "van_der_pol": van_der_pol,
-}
-"""The systems that a model file may name, and the functions that make them."""
-
-
 def system(name: Any) -> Callable[..., Model]:
     """The function that makes a system; for an unknown name raises `ValueError` that suggests the nearest one."""
     if not isinstance(name, str):
         raise ValueError(f'system must be a name, as in system = "oscillator"; got {name!r}')
     refuse_unknown("system", name, SYSTEMS)
-    return SYSTEMS[name]
+    return _function(name)
+
+
+@functools.cache  # one function for each name, so that compiled programs are found again
+def _function(name: str) -> Callable[..., Model]:
+    module, _, attribute = SYSTEMS[name].partition(":")
+    factory = getattr(importlib.import_module(f"covariant.models.{module}"), attribute)
+    return _states_of(factory) if name in CRAFT else factory
 
 
 def attribute(spec: str, folder: Path | None = None) -> Any:

@@ -1,6 +1,5 @@
 """The layout of a model file: its tables and keys, and the values that each of them may hold."""
 
-import difflib
 import math
 import re
 import tomllib
@@ -8,6 +7,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any
 
 from covariant.logs import ATTITUDES, Columns, unit_factor
+from covariant.models._systems import unknown
 
 Overrides = Sequence[str] | Mapping[str, Any]
 """Values that replace those of a model file: `table.key=value` each, or a mapping from `table.key` to values."""
@@ -142,13 +142,6 @@ def refuse_unknown(what: str, name: str, known: Collection[str]) -> None:
     """Raise `ValueError` unless the name is a known one."""
     if name not in known:
         raise ValueError(unknown(what, name, known))
-
-
-def unknown(what: str, name: str, known: Collection[str]) -> str:
-    """The message for an unknown name: it names the nearest known one, and all of them."""
-    near = difflib.get_close_matches(name, known, 1)
-    meant = f" Did you mean {near[0]!r}?" if near else ""
-    return f"unknown {what} {name!r}.{meant} Known: {', '.join(known) or 'none'}"
 
 
 def columns(document: dict[str, Any]) -> dict[str, Any]:

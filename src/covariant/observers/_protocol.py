@@ -298,7 +298,7 @@ def checked(observer: AbstractObserver, record: Record) -> Record:
     y = record.check().y
     if isinstance(y, Tracer):
         return record
-    first = np.asarray(y[0])
+    first = np.asarray(y)[0]  # a value even inside a compiled function, where indexing in JAX is traced
     if (np.abs(first) > observer.largest(first)).any():
         raise ValueError("row 1: the measurement is too large for a start; cut the log to begin later")
     admitted = np.asarray(jax.vmap(observer.admitted)(jnp.asarray(y)))

@@ -104,14 +104,16 @@ def _figure4(observer, t, amplitude, scale, rtol):
     return x, jax.vmap(measure)(t, x[:, :2]), jnp.concatenate([state.q, state.v], axis=1)
 
 
-def tutorial() -> dict[str, Any]:
+def tutorial(progress: Callable[[str], None] = lambda stage: None) -> dict[str, Any]:
     """Section III-B: one oscillator in the charts q and r = e^q.
 
     `geodesic_difference` and `intrinsic_difference` are the largest relative distances, over time, between the
     estimates in both charts mapped to q, for an initial error ξ; `intrinsic_slope` is the order of the latter in |ξ|.
     """
     errors = (0.4, 0.2, 0.1, 0.05)
+    progress("tutorial example: exact observer")
     exact = _chart_differences(lambda model: Geodesic(model, ALPHA, BETA, Budget()), errors)
+    progress("tutorial example: approximate observer")
     approximate = _chart_differences(lambda model: Intrinsic(model, ALPHA, BETA), errors)
     slope = np.polyfit(np.log(errors), np.log(np.multiply(errors, approximate)), 1)[0]
     return {
@@ -164,8 +166,7 @@ def reproduce(progress: Callable[[str], None] = lambda stage: None) -> dict[str,
             results[key][name] = {"t": list(STAMPS), "error": error}
         if basin:
             results["basin"][name] = [error[-1] for error in errors[2:]]
-    progress("tutorial example")
-    results["tutorial"] = tutorial()
+    results["tutorial"] = tutorial(progress)
     results["seconds"] = round(time.perf_counter() - began, 1)
     return results
 
@@ -174,8 +175,8 @@ def _finite(values) -> list[float | None]:
     return [float(v) if np.isfinite(v) else None for v in values]
 
 
-STAGES = len(figure4_observers()) + 3
-"""Number of progress reports of `reproduce` and of the drawing that may follow."""
+STAGES = len(figure4_observers()) + 2
+"""Number of progress reports of `reproduce`."""
 LABELS = {
     "exact": "exact observer (2)",
     "approximate": "approximate observer (5)",

@@ -34,8 +34,8 @@ UNEQUAL = (1.0, 2.0, 3.5)
 """Principal inertias of a body on which the two logarithms are compared."""
 POINTS = 601
 """Number of stamps of every run, the same for all so that an observer is compiled once."""
-STAGES = 6
-"""Number of progress reports of `reproduce` and of the drawing that may follow."""
+STAGES = 7
+"""Number of progress reports of `reproduce`."""
 
 
 class Trajectory(NamedTuple):
@@ -170,13 +170,15 @@ def reproduce(progress: Callable[[str], None] = lambda stage: None) -> dict[str,
     }
     progress("conserved quantities")
     results: dict[str, Any] = {"top": top | {"conserved": conserved()}, "printed": {}}
-    progress("the print")
     for name, (inertia, velocity) in {"top": (TOP, SPINNING), "disc": (DISC, TUMBLING)}.items():
+        progress(f"the print: {name}")
         runs = {"printed": printed, "corrected": corrected(True)}
         final = {key: follow(inertia, velocity, make, np.linspace(0.0, 10.0, POINTS)) for key, make in runs.items()}
         results["printed"][name] = {key: _finite(run.error[-1:])[0] for key, run in final.items()}
-    progress("logarithms")
-    results["logarithm"] = {f"{angle:g} rad": logarithm_gap(angle) for angle in (1.0, 2.0)}
+    results["logarithm"] = {}
+    for angle in (1.0, 2.0):
+        progress(f"logarithms of rotations by {angle:g} rad")
+        results["logarithm"][f"{angle:g} rad"] = logarithm_gap(angle)
     results["seconds"] = round(time.perf_counter() - began, 1)
     return results
 

@@ -250,14 +250,14 @@ def reproduce(progress: Callable[[str], None] = lambda stage: None) -> dict[str,
         curves = figure1(rate)
         results["fig1"][f"{rate:g}"] = float(curves["entry"][-1])
         results["fig1_distance"][f"{rate:g}"] = float(curves["distance"][-1])
-    progress("four ways to one metric")
     some = jnp.asarray(grid()[::31])
     for rate in RATES:
+        progress(f"four ways to one metric: λ = {rate:g}")
         results["routes"][f"{rate:g}"] = {name: float(d) for name, d in _routes(some, jnp.asarray(rate)).items()}
-    progress("decay of the distance")
     results |= {"decay": {}, "guaranteed": {}}
     points = jnp.asarray(grid())
     for gain in GAINS:
+        progress(f"decay of the distance: k_E = {gain:g}")
         results["decay"][f"{gain:g}"] = {f"{rate:g}": fitted_rate(*decay(rate, gain)) for rate in (1.0, 2.0)}
         results["guaranteed"][f"{gain:g}"] = {
             f"{rate:g}": float(_least_rate(points, jnp.asarray(rate), jnp.asarray(gain))) for rate in (1.0, 2.0)
@@ -266,22 +266,24 @@ def reproduce(progress: Callable[[str], None] = lambda stage: None) -> dict[str,
     model = models.unknown_frequency()
     found = observability(model, analytic_metric(1.0), grid())
     results |= {"verdict": found.verdict, "bending": found.condition_2.margin, "rate": found.condition_1.margin}
+    progress("a state that is not observable")
     origin = eqx.filter_jit(metric_at)(model, Equation(1.0), jnp.array([0.0, 0.0, 1.0]))
     results["origin"] = Result(int(origin.result)).message
-    progress("beside the extended Kalman filter")
+    progress("beside the extended Kalman filter: a gap in the log")
     curves = gap()
     after = curves["t"] > 25.0
     results["gap"] = {
         "largest_error_after": {name: float(curves[name][after].max()) for name in ("riccati", "ekf")},
         "least_eigenvalue": {name: float(curves[f"{name}_least"].min()) for name in ("riccati", "ekf")},
     }
+    progress("beside the extended Kalman filter: a known frequency")
     results["prior"] = prior()
     results["seconds"] = round(time.perf_counter() - began, 1)
     return results
 
 
-STAGES = len(RATES) + 5
-"""Number of progress reports of `reproduce` and of the drawing that may follow."""
+STAGES = 2 * len(RATES) + len(GAINS) + 4
+"""Number of progress reports of `reproduce`."""
 
 
 def draw(path: Path) -> tuple[Path, Path]:

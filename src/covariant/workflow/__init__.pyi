@@ -5,12 +5,13 @@ from ._certify import (
     certify as certify,
     check_certificate as check_certificate,
 )
+from ._check import CheckResult as CheckResult, check as check
 from ._compare import CompareResult as CompareResult, compare as compare
 from ._describe import ModelResult as ModelResult, describe_model as describe_model
 from ._estimate import EstimateResult as EstimateResult, estimate as estimate
 from ._export import ExportResult as ExportResult, export as export
 from ._fit import FitResult as FitResult, fit as fit
-from ._inputs import Job as Job, MisfitError as MisfitError, load as load
+from ._inputs import MisfitError as MisfitError
 from ._metric import MetricResult as MetricResult, design_metric as design_metric
 from ._model_output import check_model_output as check_model_output
 from ._outputs import check_output as check_output

@@ -373,4 +373,4 @@ def _longest(t: np.ndarray, coasted: np.ndarray) -> str:
         f"{t[k]:.4g} s" if k == m else f"{t[k]:.4g} to {t[m]:.4g} s"
         for k, m in zip(first[order], last[order], strict=True)
     ]
-    return f"{'longest: ' if len(first) > LONGEST_SHOWN else 'at '}{', '.join(spans)}"
+    return f"{'the longest at' if len(first) > LONGEST_SHOWN else 'at'} t = {', '.join(spans)}"

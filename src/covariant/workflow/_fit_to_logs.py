@@ -1,7 +1,7 @@
 """Computes a fit to logs, under inputs that are held or linear between stamps, and judges it on what is held out."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -10,9 +10,11 @@ from covariant.identification import (
     FITTED,
     Fit,
     PredictionErrors,
+    Windows,
     fit,
     growth,
     horizon,
+    losses,
     prediction_errors,
     relations,
     split,
@@ -30,7 +32,7 @@ WORST_GROWTH = 1.01
 ROUNDS, STEPS = 4, 25
 """Rounds of a search and the most steps in one, for the progress."""
 CLEAR = 2.0
-"""Difference of log-likelihoods from which one way that inputs go between stamps explains a log better than another."""
+"""Standard errors by which one way that inputs go between stamps must explain a log better than another."""
 BETWEEN = ("held", "linear")
 
 
@@ -63,17 +65,19 @@ def fit_to_logs(
         fits[word] = fit(family, parts[word][0], report, start)
         start = fits[word].values
     progress("errors on what is held out", 1.0)
-    used, gain = _better(fits)
+    gain = _gain(family, {word: part[0] for word, part in parts.items()}, fits)
+    used = BETWEEN[1] if gain is not None and gain.clear and gain.of_linear > 0 else tried[0]
     found, held_out = fits[used], parts[used][1]
     before = prediction_errors(*family.make(found.first), parts[tried[0]][1])
     after = prediction_errors(*family.make(found.values), held_out)
     content = _document(family, found, jobs)
-    if gain is not None and gain >= CLEAR:
+    if gain is not None and gain.clear:
         content.setdefault("inputs", {})["between"] = used
     inputs = {
         "between": used,
         "stated": known,
-        "log_likelihood_gain": None if gain is None else float(f"{gain:.4g}"),
+        "log_likelihood_gain": None if gain is None else float(f"{abs(gain.of_linear):.4g}"),
+        "gain_standard_error": None if gain is None else float(f"{gain.standard_error:.3g}"),
         "sentence": _sentence(used, gain),
     }
     details = _details(jobs, logs, found, length, len(parts[used][0].t), before, after) | {"inputs": inputs}
@@ -85,30 +89,45 @@ def _driven(logs: list[Aligned]) -> bool:
     return any(bool((np.ptp(np.asarray(log.raw.u), axis=0) > 0).any()) for log in logs)
 
 
-def _better(fits: dict[str, Fit]) -> tuple[str, float | None]:
-    """How inputs go between stamps in the fit of the greatest likelihood, and by how much its logarithm is greater.
+class Gain(NamedTuple):
+    """By how much linear inputs explain logs better than held ones: difference of log-likelihoods, and its error.
 
-    The first of the fits where no other is clearly better; None where there is only one.
+    The standard error is that of a sum over windows, so that errors may be alike within each.
     """
-    best = min(fits, key=lambda word: fits[word].cost)
-    others = [found.cost for word, found in fits.items() if word != best]
-    if not others:
-        return best, None
-    gain = min(others) - fits[best].cost
-    return (best if gain >= CLEAR else next(iter(fits))), float(gain)
+
+    of_linear: float
+    standard_error: float
+
+    @property
+    def clear(self) -> bool:
+        """Whether chance would hardly make such a difference."""
+        return abs(self.of_linear) > CLEAR * self.standard_error
 
 
-def _sentence(used: str, gain: float | None) -> str:
+def _gain(family: models.Family, windows: dict[str, Windows], fits: dict[str, Fit]) -> Gain | None:
+    """None where only one way was tried. Errors are weighed as in both fits, by turns, so that none is ahead."""
+    if len(fits) < 2:
+        return None
+    held, linear = (
+        np.mean([losses(family, windows[word], fits[word], other) for other in fits.values()], axis=0)
+        for word in BETWEEN
+    )
+    less = held - linear
+    return Gain(float(np.sum(less)), float(np.sqrt(len(less)) * np.std(less, ddof=1)))
+
+
+def _sentence(used: str, gain: Gain | None) -> str:
     if gain is None:
         return ""
     other = next(word for word in BETWEEN if word != used)
-    if gain < CLEAR:
+    size = f"{abs(gain.of_linear):.3g} ± {gain.standard_error:.2g}"
+    if not gain.clear:
         return (
-            f"Inputs are taken as {used} from one stamp to the next; the log does not tell that from {other} (the "
-            f"log-likelihoods differ by {gain:.2g})."
+            f"Inputs are taken as {used} from one stamp to the next; the log hardly tells that from {other} (the "
+            f"log-likelihoods differ by {size})."
         )
     way = {"held": "held from one stamp to the next", "linear": "linear between stamps"}[used]
-    return f"Inputs {way} explain the log better than {other} ones, by {gain:.3g} in log-likelihood; they are used."
+    return f"Inputs {way} explain the log better than {other} ones, by {size} in log-likelihood; they are used."
 
 
 def _document(family: models.Family, found: Fit, jobs: list[Job]) -> dict[str, Any]:

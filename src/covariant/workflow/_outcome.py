@@ -72,8 +72,8 @@ def drive(observer: AbstractObserver, loaded: Loaded, engine: Engine = "auto", t
 
 
 def engine_is_notable(by: str, asked: Engine) -> bool:
-    """Whether a person is told which engine worked: not where none was asked for and a short log went through JAX."""
-    return asked != "auto" or not by.startswith("jax: fewer than")
+    """Whether a person is told which engine worked: where one was asked for, and where C could not do the work."""
+    return asked != "auto" or not (by == "c" or by.startswith("jax: fewer than"))
 
 
 def known(info: Any, name: str) -> np.ndarray | None:

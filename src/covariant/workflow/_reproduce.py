@@ -3,7 +3,6 @@
 import importlib
 from dataclasses import dataclass
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 from covariant.workflow._outputs import check_output
@@ -64,7 +63,7 @@ class ReproduceResult(AbstractResult):
 
     paper: str
     results: dict[str, Any]
-    module: ModuleType
+    module: Any
 
     @property
     def headline(self) -> str:

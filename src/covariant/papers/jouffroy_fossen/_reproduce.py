@@ -23,8 +23,8 @@ from covariant.papers.jouffroy_fossen._somersault import somersault
 from covariant.papers.jouffroy_fossen._theorem_2 import COUNTEREXAMPLES
 from covariant.papers.jouffroy_fossen._theorem_3 import odin_cascade
 
-STAGES = 6
-"""Number of progress reports of `reproduce` and of the drawing that may follow."""
+STAGES = 9
+"""Number of progress reports of `reproduce`."""
 
 
 def reproduce(progress: Callable[[str], None] = lambda stage: None) -> dict[str, Any]:
@@ -46,9 +46,11 @@ def reproduce(progress: Callable[[str], None] = lambda stage: None) -> dict[str,
         name: {"printed": case.printed, "true": case.true, "proof": case.proof(0.1).verdict}
         for name, case in COUNTEREXAMPLES.items()
     }
-    progress("ODIN")
+    progress("ODIN: certificate")
     proofs = odin_certificate(RATE)
+    progress("ODIN: closed loop")
     fitted = odin_loop()
+    progress("ODIN: sampled rates")
     results["odin"] = {
         "eigenvalues": odin_eigenvalues(),
         "sampled": {
@@ -64,7 +66,7 @@ def reproduce(progress: Callable[[str], None] = lambda stage: None) -> dict[str,
         },
         "loop": {"tracking": tail_rate(fitted.t, fitted.tracking), "observer": tail_rate(fitted.t, fitted.observer)},
     }
-    progress("Theorem 3")
+    progress("a somersault")
     turning = somersault()
     results["somersault"] = {
         "largest_pitch": math.degrees(float(np.abs(turning["pitch"]).max())),
@@ -72,6 +74,7 @@ def reproduce(progress: Callable[[str], None] = lambda stage: None) -> dict[str,
         "error_first": float(turning["error"][0]),
         "error_last": float(turning["error"][-1]),
     }
+    progress("Theorem 3")
     found = odin_cascade()
     results["theorem3"] = {
         "constants": found.constants._asdict(),
@@ -82,9 +85,10 @@ def reproduce(progress: Callable[[str], None] = lambda stage: None) -> dict[str,
         "kappa": found.kappa,
         "units": found.units,
     }
-    progress("dynamic positioning")
+    progress("dynamic positioning: simulation and estimates")
     log = sea()
     results["sea"] = sea_table(log)
+    progress("dynamic positioning: cost of a step")
     for name, microseconds in sea_cost(log).items():
         results["sea"][name]["cost"] = round(microseconds, 2)
     results["seconds"] = round(time.perf_counter() - began, 1)

@@ -1,0 +1,75 @@
+"""The systems of this library by name, and whether a name or a path is one of a model. Loads nothing heavy."""
+
+import difflib
+import errno
+import os
+from collections.abc import Collection
+from os import PathLike
+from pathlib import Path
+
+from covariant.models.robots import ROBOTS
+
+ROBOT_FILES = (".urdf", ".xml")
+"""How the files of robots end."""
+SYSTEMS = {
+    "ball_and_beam": "_ball_and_beam:ball_and_beam",
+    "bioreactor": "_bioreactor:bioreactor",
+    "cybership": "marine:cybership",
+    "duffing": "_duffing:duffing",
+    "free_body": "_heavy_top:free_body",
+    "heavy_top": "_heavy_top:heavy_top",
+    "hovercraft": "_hovercraft:hovercraft",
+    "induction_motor": "_induction_motor:induction_motor",
+    "lorenz": "_lorenz:lorenz",
+    "manoeuvring_ship": "marine:manoeuvring_ship",
+    "odin": "marine:odin",
+    "odin_on_group": "marine:odin_on_group",
+    "oscillator": "_oscillator:oscillator",
+    "pendulum_chain": "_pendulum_chain:pendulum_chain",
+    "robot": "robots:load",
+    "satellite": "_satellite:satellite",
+    "satellite_arm": "_satellite_arm:satellite_arm",
+    "supply_vessel": "marine:supply_vessel",
+    "underwater_vehicle": "_underwater_vehicle:underwater_vehicle",
+    "unknown_frequency": "_unknown_frequency:unknown_frequency",
+    "van_der_pol": "_van_der_pol:van_der_pol",
+}
+"""The systems that a model file may name, and the functions of this room that make them, as `module:function`."""
+
+
+def check_spec(spec: str | PathLike[str]) -> None:
+    """Refuse a path or name that no model can be loaded from, before anything heavy is loaded.
+
+    Args:
+        spec: A path (.toml, .urdf, .xml), the name of a system or a robot, or `module:attribute`, which is not checked.
+
+    Raises:
+        ValueError: One line that names the spec and suggests the nearest name.
+
+    Example:
+        >>> from covariant import models
+        >>> models.check_spec("oscillator")
+    """
+    name = os.fspath(spec)
+    if name in ROBOTS or name in SYSTEMS:
+        return
+    if name.endswith((".toml", *ROBOT_FILES)):
+        if not Path(name).exists():
+            what = "a model file"
+            if name.endswith(ROBOT_FILES):
+                what = f"a URDF or MJCF file, or one of {', '.join(ROBOTS)}"
+            raise ValueError(f"{name}: {os.strerror(errno.ENOENT)}; give the path of {what}")
+    elif ":" not in name:
+        raise ValueError(f"{name}: {unknown_model(name)}")
+
+
+def unknown_model(name: str) -> str:
+    """The message for a name that is no model."""
+    return f"{unknown('model', name, (*SYSTEMS, *ROBOTS))}, a .toml, .urdf or .xml file, or module:attribute"
+
+
+def unknown(what: str, name: str, known: Collection[str]) -> str:
+    """The message for an unknown name: it names the nearest known one, and all of them."""
+    near = difflib.get_close_matches(name, known, 1)
+    meant = f" Did you mean {near[0]!r}?" if near else ""
+    return f"unknown {what} {name!r}.{meant} Known: {', '.join(known) or 'none'}"

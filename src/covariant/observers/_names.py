@@ -1,0 +1,21 @@
+"""The names of the observers in the registries, known without loading the observers."""
+
+OBSERVER_NAMES = (
+    "intrinsic",
+    "intrinsic2",
+    "geodesic",
+    "copy",
+    "intrinsic-kalman",
+    "ekf",
+    "ukf",
+    "filtered-derivative",
+    "pll",
+    "high-gain",
+    "levant",
+    "savitzky-golay",
+    "joint-kalman",
+    "salcudean",
+)
+"""Names of the entries of `REGISTRY`, in their order."""
+STATE_OBSERVER_NAMES = ("covariance-ekf", "information-ekf", "riccati")
+"""Names of the entries of `STATE_REGISTRY`, in their order."""

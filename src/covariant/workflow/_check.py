@@ -1,0 +1,131 @@
+"""`check`: what is wrong with a log, or with the model file for it, before anybody estimates from it."""
+
+from dataclasses import dataclass
+from typing import Any
+
+from covariant import models
+from covariant.diagnosis import Diagnosis, Finding, diagnose
+from covariant.models import Overrides
+from covariant.workflow._inputs import ColumnNames, Job, load
+from covariant.workflow._progress import Progress, silent
+from covariant.workflow._result import AbstractResult
+
+
+def check(
+    model: Any,
+    log: Any,
+    *,
+    overrides: Overrides = (),
+    every: int = 1,
+    start: float | None = None,
+    until: float | None = None,
+    columns: ColumnNames | None = None,
+    progress: Progress = silent,
+) -> "CheckResult":
+    """Compare a log with a model: units, order and signs of columns, delays, ticks, noise, outliers, gaps.
+
+    Args:
+        model: A mechanical model, in any of the forms that `estimate` takes.
+        log: A path, a `Record`, a DataFrame, or an xarray Dataset.
+        overrides: Values that replace those of the model file: `{"measurement.std": 1e-4}`, or
+            `["measurement.std=1e-4"]`.
+        every: Use each k-th row.
+        start, until: Use the log from and up to this time [s] since its first row.
+        columns: Names of columns by field (t, q, u) that replace those of the model file.
+        progress: Called with a description as the work goes on.
+
+    Returns:
+        The findings, the worst first, each with its evidence and with the line to write into the model file, or what to
+        do with the log.
+
+    Raises:
+        ValueError: For a model or a log that cannot be used at all.
+
+    Example:
+        >>> import numpy as np
+        >>> import covariant
+        >>> t = np.arange(0.0, 20.0, 0.01)
+        >>> y = 0.3 * np.cos(t) + 1e-4 * np.random.default_rng(0).normal(size=t.size)
+        >>> log = covariant.Record(t, np.zeros((t.size, 1)), y[:, None])
+        >>> covariant.check("oscillator", log)
+        <CheckResult: nothing found in 2000 rows>
+        >>> result = covariant.check("oscillator", log._replace(t=1e3 * log.t))
+        >>> [(finding.what, finding.line) for finding in result.findings]
+        [('unit of time', '[units] t = "ms"')]
+    """
+    job = Job(model, log, overrides, every, until, columns or {}, True, start)
+    progress(f"comparing {job.log_name} with {job.model_name}")
+    loaded = load(job, score=False, why="logs are compared with")
+    # The quantum as the model file has it: loading leaves it out where positions are no such ticks.
+    quantum = models.load(model, overrides).quantum
+    found = diagnose(loaded.file, loaded.log.record, quantum, loaded.log.first_row, loaded.log.every)
+    return CheckResult(job.model_name, job.log_name, len(loaded.log.record.t), loaded.rate, found)
+
+
+@dataclass(frozen=True, repr=False)
+class CheckResult(AbstractResult):
+    """What a comparison of a log with a model found.
+
+    Attributes:
+        model, log: Names of both.
+        rows: Rows that were read; `rate`: how many there are in a second [Hz].
+        diagnosis: The findings, the worst first, and what was looked for.
+    """
+
+    model: str
+    log: str
+    rows: int
+    rate: float
+    diagnosis: Diagnosis
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """The findings, the worst first."""
+        return self.diagnosis.findings
+
+    @property
+    def wrong(self) -> bool:
+        """Whether estimates from the log as it is are wrong."""
+        return self.diagnosis.wrong
+
+    @property
+    def summary(self) -> dict[str, Any]:
+        return {
+            "model": self.model,
+            "log": self.log,
+            "rows": self.rows,
+            "wrong": self.wrong,
+            "findings": [finding._asdict() for finding in self.findings],
+            "looked_for": self.diagnosis.looked_for,
+        }
+
+    @property
+    def headline(self) -> str:
+        if not self.findings:
+            return f"nothing found in {self.rows} rows"
+        wrong = sum(finding.wrong for finding in self.findings)
+        return f"{wrong} wrong, {len(self.findings) - wrong} worth knowing, in {self.rows} rows"
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """The findings that are wrong, a sentence each."""
+        return tuple(f"{_name(each)}: {each.evidence}; {each.line}" for each in self.findings if each.wrong)
+
+    def __str__(self) -> str:
+        head = f"{self.log}: {self.rows} rows at {self.rate:.4g} Hz, compared with {self.model}"
+        looked = f"looked for: {', '.join(self.diagnosis.looked_for)}"
+        if not self.findings:
+            return f"{head}\nnothing found; {looked}"
+        verdict = "the log is not what the model file says it is" if self.wrong else "nothing is wrong"
+        lines = [line for finding in self.findings for line in ("", *_lines(finding))]
+        return "\n".join([head, *lines, "", f"{verdict}; {looked}"])
+
+
+def _name(finding: Finding) -> str:
+    return f"{finding.what} of {finding.where}" if finding.where else finding.what
+
+
+def _lines(finding: Finding) -> list[str]:
+    mark = "WRONG" if finding.wrong else "note"
+    lines = [f"{mark:<6}{_name(finding)}", f"      {finding.evidence}"]
+    return [*lines, f"      -> {finding.line}"] if finding.line else lines

@@ -1,0 +1,81 @@
+"""A wrong name or path is refused before anything heavy is loaded, so that the answer comes at once."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from covariant import design, observers
+from covariant.models import ModelError, check_spec, load
+from covariant.models._source import system
+from covariant.models._systems import SYSTEMS
+
+SCRIPT = """
+import sys
+sys.argv = ["covariant", *sys.argv[1:]]
+from covariant.cli import main
+try:
+    main()
+except SystemExit as left:
+    print(left.code, "jax" in sys.modules)
+"""
+LOG = "t,q1,u1\n0,0,0\n0.01,0.1,0\n"
+REFUSED = {
+    "no model file": ("estimate nofile.toml log.csv", "nofile.toml: No such file or directory; give the path"),
+    "no robot file": ("model nofile.urdf", "nofile.urdf: No such file or directory; give the path of a URDF"),
+    "no such system": ("simulate pendulum_chian -o out.csv", "unknown model 'pendulum_chian'. Did you mean"),
+    "no log": ("estimate oscillator nolog.csv", "nolog.csv: no such file"),
+    "no log to fit": ("fit oscillator log.csv nolog.csv --parameters mass", "nolog.csv: no such file"),
+    "no log to tune by": ("tune oscillator nolog.csv", "nolog.csv: no such file"),
+    "no log to draft from": ("init nolog.csv -o model.toml", "nolog.csv: no such file"),
+    "no log to check": ("check oscillator nolog.csv", "nolog.csv: no such file"),
+    "no observer": (
+        "estimate oscillator log.csv --observer magic",
+        "unknown observer 'magic'; choose one of intrinsic,",
+    ),
+    "no observer to export": ("export oscillator --rate 100 -o c --observer magic", "unknown observer 'magic'"),
+    "no observer to certify": ("certify oscillator --observer ekf", "unknown observer 'ekf'; choose one of intrinsic"),
+    "no engine": ("estimate oscillator log.csv --engine fortran", "fortran"),
+    "no paper": ("reproduce nobody", "unknown paper 'nobody'; choose one of aghannan-rouchon"),
+    "another kind of output": ("estimate oscillator log.csv -o v.xlsx", "must end in .csv"),
+    "another kind of report": ("compare oscillator log.csv --report page.pdf", "must end in .html"),
+    "no folder": ("certify oscillator -o absent/proof.json", "there is no folder absent"),
+    "no certificate": ("certify --check nofile.json", "nofile.json does not exist"),
+    "no store": ("design metric lorenz --grid 5 -o metric.csv", "must end in .zarr"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_a_wrong_name_is_refused_without_jax(case, tmp_path):
+    words, message = REFUSED[case]
+    (tmp_path / "log.csv").write_text(LOG)
+    run = subprocess.run(
+        [sys.executable, "-c", SCRIPT, *words.split()], cwd=tmp_path, capture_output=True, text=True, check=True
+    )
+    assert message in run.stderr
+    assert run.stdout == "2 False\n"
+    assert [path.name for path in tmp_path.iterdir()] == ["log.csv"]
+
+
+def test_names_of_observers_are_those_of_the_registries():
+    assert tuple(entry.name for entry in observers.REGISTRY) == observers.OBSERVER_NAMES == design.ESTIMATORS
+    states = tuple(entry.name for entry in observers.STATE_REGISTRY)
+    assert states == observers.STATE_OBSERVER_NAMES == design.STATE_ESTIMATORS
+
+
+def test_what_is_refused_early_is_what_cannot_be_loaded(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("model.toml").write_text('system = "oscillator"\n')
+    for spec in ("oscillator", "double_pendulum", "model.toml", "absent_module:model"):
+        check_spec(spec)
+    for spec in ("absent.toml", "absent.urdf", "oscilator", ""):
+        with pytest.raises(ValueError, match=r"absent|unknown model") as early:
+            check_spec(spec)
+        with pytest.raises(ModelError) as late:
+            load(spec)
+        assert str(early.value) == str(late.value)
+
+
+def test_every_system_is_made_by_a_function_that_is_found_again():
+    assert all(callable(system(name)) and system(name) is system(name) for name in SYSTEMS)
