@@ -112,9 +112,9 @@ PUBLIC = {
     "scale": "Grid Variable map_grid open_grid",
     "workflow": "AbstractResult AbstractTable AuditResult CertificateCheckResult CertifyResult CheckResult "
     "CompareResult "
-    "EstimateResult ExportResult FitResult MetricResult MisfitError ModelResult Progress ReproduceResult "
+    "EstimateResult ExportResult FitResult InitResult MetricResult MisfitError ModelResult Progress ReproduceResult "
     "SimulateResult TuneResult audit_observer certify check check_certificate check_model_output check_output "
-    "compare describe_model design_metric estimate export fit reproduce_paper simulate tune",
+    "compare describe_model design_metric estimate export fit init reproduce_paper simulate tune",
     "simulation": "PiecewiseInputs Sensor hold logged_inputs no_input observe sense simulate simulate_piecewise stamps",
 }
 

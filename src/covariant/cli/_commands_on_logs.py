@@ -237,6 +237,9 @@ def init(
     json: Json = False,
 ) -> None:
     """Draft a model file from the header and the content of a log; what is guessed is said in its comments."""
-    from covariant.cli import _init
-
-    _init.init(log, out, {"t": t, "q": q, "u": u, "v": v}, json)
+    check_output(out, ".toml", log=log)
+    if out.exists():
+        raise ValueError(f"{out}: there is such a file already, and it is not overwritten; give another name")
+    with progress_bar(quiet=json) as progress:
+        result = workflow.init(log, columns={"t": t, "q": q, "u": u, "v": v}, progress=progress)
+    show(result, json, out)

@@ -11,6 +11,7 @@ from ._describe import ModelResult as ModelResult, describe_model as describe_mo
 from ._estimate import EstimateResult as EstimateResult, estimate as estimate
 from ._export import ExportResult as ExportResult, export as export
 from ._fit import FitResult as FitResult, fit as fit
+from ._init import InitResult as InitResult, init as init
 from ._inputs import MisfitError as MisfitError
 from ._metric import MetricResult as MetricResult, design_metric as design_metric
 from ._model_output import check_model_output as check_model_output

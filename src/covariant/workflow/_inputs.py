@@ -112,7 +112,7 @@ def load(job: Job, score: bool = True, why: str = "") -> Loaded:
     file = models.load(job.model, job.overrides)
     model: Any = file.need_mechanical(job.model_name, why) if why else file.model
     given: dict[str, Any] = {key: names for key, names in job.columns.items() if names is not None}
-    given = {key: str(names).strip() if key == "t" else _names(names) for key, names in given.items()}
+    given = {key: str(names).strip() if key == "t" else column_names(names) for key, names in given.items()}
     columns = file.columns._replace(**given)
     _check_columns(job, file, columns)
     file = file._replace(columns=columns)
@@ -141,7 +141,7 @@ def load(job: Job, score: bool = True, why: str = "") -> Loaded:
     return Loaded(file, model, log, record, 1 / float(np.median(np.diff(t))), reference, note + _told(file))
 
 
-def _names(columns: str | Sequence[str]) -> tuple[str, ...]:
+def column_names(columns: str | Sequence[str]) -> tuple[str, ...]:
     """The names of columns; of a text, those that commas separate."""
     return tuple(name.strip() for name in columns.split(",") if name) if isinstance(columns, str) else tuple(columns)
 

@@ -1,33 +1,104 @@
-"""`covariant init`: a first model file for a log, with the columns that its header names."""
+"""`init`: a first model file for a log, with the columns that its header names."""
 
 import json
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from covariant import logs, models
 from covariant._files import write_atomically
 from covariant.identification import Draft, draft
-from covariant.workflow import check_output
+from covariant.workflow._inputs import ColumnNames, column_names
+from covariant.workflow._outputs import check_output
+from covariant.workflow._progress import Progress, silent
+from covariant.workflow._result import AbstractResult
 
 
-def init(log: Path, out: Path, columns: dict[str, str | None], as_json: bool) -> None:
-    """Guess what the columns of a log are, and write a model file of a chain of pendulums that reads them."""
-    check_output(out, ".toml", log=log)
-    if out.exists():
-        raise ValueError(f"{out}: there is such a file already, and it is not overwritten; give another name")
-    given = {key: [n.strip() for n in names.split(",")] for key, names in columns.items() if names is not None}
+def init(log: Any, *, columns: ColumnNames | None = None, progress: Progress = silent) -> "InitResult":
+    """Draft a model file of a chain of pendulums from the header and the content of a log.
+
+    Args:
+        log: A path, a DataFrame, or an xarray Dataset.
+        columns: Names of columns by field (t, q, u, v) that are known; the others are guessed.
+        progress: Called with a description as the work goes on.
+
+    Returns:
+        The draft, with what was guessed in its comments; `save` writes it.
+
+    Raises:
+        ValueError: For a log in which no stamps or positions are found.
+
+    Example:
+        >>> import numpy as np, pandas, covariant
+        >>> t = np.arange(0.0, 5.0, 0.01)
+        >>> covariant.workflow.init(pandas.DataFrame({"t": t, "angle": 0.3 * np.cos(t)}))
+        <InitResult: stamps t, positions angle, no inputs>
+    """
+    progress("reading the log")
+    given = {key: list(column_names(names)) for key, names in (columns or {}).items() if names is not None}
     try:
         found = draft(logs.survey(log), given)
     except logs.LogError:
         raise
     except ValueError as error:
-        raise ValueError(f"{log}: {error}") from error
-    text = template(log.name, found)
-    write_atomically(out, lambda file: file.write(text.encode()))
-    models.load(str(out))
-    guessed = {"t": found.t, "q": list(found.q), "u": list(found.u), "v": list(found.v)}
-    units = {field: list(texts) for field, texts in found.units.items()}
-    result = {"log": str(log), "out": str(out), "columns": guessed, "units": units, "left_out": list(found.left_out)}
-    print(json.dumps(result) if as_json else _text(result))
+        raise ValueError(f"{logs.source_name(log)}: {error}") from error
+    return InitResult(logs.source_name(log), found)
+
+
+@dataclass(frozen=True, repr=False)
+class InitResult(AbstractResult):
+    """A first model file for a log.
+
+    Attributes:
+        log: Name of the log.
+        draft: What was guessed of its columns.
+    """
+
+    log: str
+    draft: Draft
+
+    @property
+    def text(self) -> str:
+        """The text of the model file."""
+        return template(Path(self.log).name, self.draft)
+
+    @property
+    def summary(self) -> dict[str, Any]:
+        found = self.draft
+        return {
+            "log": self.log,
+            "columns": {"t": found.t, "q": list(found.q), "u": list(found.u), "v": list(found.v)},
+            "units": {field: list(texts) for field, texts in found.units.items()},
+            "left_out": list(found.left_out),
+        }
+
+    @property
+    def headline(self) -> str:
+        found = self.draft
+        line = f"stamps {found.t}, positions {', '.join(found.q)}"
+        line += f", inputs {', '.join(found.u)}" if found.u else ", no inputs"
+        return line + (f", velocities {', '.join(found.v)} to compare with" if found.v else "")
+
+    def __str__(self) -> str:
+        lines = [self.headline]
+        if self.draft.units:
+            units = (f"{field}: " + ", ".join(dict.fromkeys(texts)) for field, texts in self.draft.units.items())
+            lines.append(f"units {', '.join(units)}")
+        if self.draft.left_out:
+            lines.append(f"left out: {', '.join(self.draft.left_out)}")
+        return "\n".join([*lines, "put first values of your machine into [parameters] of the model file"])
+
+    def save(self, path: str | Path, overwrite: bool = False) -> Path:
+        """Write the model file (.toml); a file that exists is not replaced, unless `overwrite` asks for it."""
+        path = Path(path)
+        check_output(path, ".toml", log=self.log)
+        if path.exists() and not overwrite:
+            raise ValueError(f"{path}: there is such a file already, and it is not overwritten; give another name")
+        text = self.text
+        write_atomically(path, lambda file: file.write(text.encode()))
+        models.load(str(path))
+        return path
 
 
 def template(name: str, found: Draft) -> str:
@@ -110,19 +181,5 @@ def _quoted(name: str) -> str:
     return json.dumps(name, ensure_ascii=False)
 
 
-def _names(names: tuple[str, ...]) -> str:
+def _names(names: Sequence[str]) -> str:
     return "[" + ", ".join(map(_quoted, names)) + "]"
-
-
-def _text(result) -> str:
-    columns = result["columns"]
-    lines = [f"stamps {columns['t']}, positions {', '.join(columns['q'])}"]
-    lines[0] += f", inputs {', '.join(columns['u'])}" if columns["u"] else ", no inputs"
-    lines[0] += f", velocities {', '.join(columns['v'])} to compare with" if columns["v"] else ""
-    if result["units"]:
-        lines.append(
-            f"units {', '.join(f'{field}: ' + ', '.join(dict.fromkeys(t)) for field, t in result['units'].items())}"
-        )
-    if result["left_out"]:
-        lines.append(f"left out: {', '.join(result['left_out'])}")
-    return "\n".join([*lines, f"wrote {result['out']}; put first values of your machine into its [parameters]"])
