@@ -56,13 +56,17 @@ def pytest_unconfigure():
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config, items):
-    """Mark as long what a file says in `LONG`: names of parameters, or several joined by a dash, as tests show them."""
+    """Mark as long what a file says in `LONG`: a case as `test[parameters]`, or parameters of any test of the file.
+
+    Of several parameters, joined by dashes as tests show them, a name may be one or some that follow each other.
+    """
     unused = set()
     for module in {item.module for item in items}:
         unused |= {(module.__name__, name) for name in getattr(module, "LONG", ())}
     for item in items:
         parameters = f"-{item.callspec.id}-" if hasattr(item, "callspec") else ""
-        names = [name for name in getattr(item.module, "LONG", ()) if f"-{name}-" in parameters]
+        listed = getattr(item.module, "LONG", ())
+        names = [name for name in listed if name == item.name or f"-{name}-" in parameters]
         if names:
             item.add_marker(pytest.mark.long)
         unused -= {(item.module.__name__, name) for name in names}

@@ -116,6 +116,7 @@ OBSERVERS = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("system", "first", "other"), [(beam, 9.81, 9.6), (top, 0.1, 0.15)], ids=["chart", "group"])
 def test_other_parameters_and_gains_compile_nothing(count, system, first, other):
     t = np.linspace(0.0, 0.1, 11)
@@ -133,6 +134,7 @@ def test_other_parameters_and_gains_compile_nothing(count, system, first, other)
     assert count.programs == before
 
 
+@pytest.mark.long
 def test_the_observer_in_continuous_time_compiles_once(count):
     t = np.linspace(0.0, 0.1, 5)
     for round_ in range(3):
@@ -195,6 +197,7 @@ def test_a_model_is_differentiable_in_its_parameters():
     assert float(slopes.potential.parameters["mass"]) == pytest.approx(9.81 * 0.3 * np.sin(0.5))
 
 
+@pytest.mark.long
 def test_what_has_numbers_in_it_may_be_given_to_jax_as_a_function():
     model = models.ball_and_beam()
     observer, u, y = Intrinsic(model, 8.0, 30.0), jnp.zeros(1), jnp.array([0.3, 0.1])

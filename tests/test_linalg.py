@@ -11,6 +11,16 @@ from covariant import _linalg
 from covariant._linalg import BLOCK, WHOLE, ldl, pivots, solve
 from covariant.lowering import lower, numbers
 
+LONG = (
+    "test_factors_multiply_to_the_matrix[20]",
+    "test_half_of_an_elimination_is_done_when_it_is_lowered[side by side-21]",
+    "test_loops_take_the_steps_that_are_written_out[float-23]",
+    "test_loops_take_the_steps_that_are_written_out[float32-23]",
+    "test_solve_has_the_derivatives_that_differences_show[loops]",
+    "test_solve_has_the_derivatives_that_differences_show[matrix]",
+)
+"""Cases of the long suite: a cheaper one of the same test is in the short one."""
+
 SIZES = (*range(1, 8), WHOLE + 1, 2 * BLOCK, 2 * BLOCK + 1)
 BATCH = 16
 

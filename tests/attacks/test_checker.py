@@ -15,6 +15,9 @@ from covariant.geometry import lie
 from covariant.observers import Intrinsic
 from covariant.proofs import _prove
 
+LONG = ("test_the_checker_sees_for_itself[a step]",)
+"""Cases of the long suite: a cheaper one of the same test is in the short one."""
+
 RECIPE = {"attribute": "somebody:s", "parameters": {}}
 
 

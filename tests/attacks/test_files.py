@@ -19,6 +19,9 @@ from covariant.models import _systems
 from covariant.proofs import digest
 from covariant.proofs._file import MOST_BYTES, MOST_VALUES
 
+LONG = ("test_a_value_that_is_none_is_refused_by_its_key[100 000 claims]",)
+"""Cases of the long suite: a cheaper one of the same test is in the short one."""
+
 SHIPPED = Path(__file__).parents[2] / "examples/certificates"
 BEAM = (SHIPPED / "ball_and_beam.json").read_text(encoding="utf-8")
 TOP = (SHIPPED / "heavy_top.json").read_text(encoding="utf-8")

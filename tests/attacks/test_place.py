@@ -11,6 +11,12 @@ from covariant.certificates import subject
 from covariant.geometry import lie
 from covariant.observers import Intrinsic
 
+LONG = (
+    "test_the_flow_that_is_proved_is_the_one_that_runs[SO2]",
+    "test_the_flow_that_is_proved_is_the_one_that_runs[SO3]",
+)
+"""Cases of the long suite: a cheaper one of the same test is in the short one."""
+
 TURNED = {
     "driven when turned over": Case(lambda xp, g, v: -v + 50 * (1 - g[0, 0]) ** 2 * v, place=3.0, speed=0.3, held=True),
     "driven on one side": Case(lambda xp, g, v: -v + 30 * (1 - g[0, 0]) * v, place=2.0, speed=0.3, held=True),

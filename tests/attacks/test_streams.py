@@ -45,7 +45,23 @@ from covariant.riccati import Equation
 from covariant.signals import Result
 from covariant.simulation import hold, simulate
 
-LONG = ("intrinsic kalman, body", "group, riemannian")
+LONG = (
+    "intrinsic kalman, body",
+    "group, riemannian",
+    "test_no_stream_spoils_an_observer[craft]",
+    "test_no_stream_spoils_an_observer[ekf]",
+    "test_no_stream_spoils_an_observer[geodesic]",
+    "test_no_stream_spoils_an_observer[group]",
+    "test_no_stream_spoils_an_observer[intrinsic kalman]",
+    "test_no_stream_spoils_an_observer[intrinsic, second order]",
+    "test_no_stream_spoils_an_observer[intrinsic]",
+    "test_no_stream_spoils_an_observer[invariant ekf]",
+    "test_no_stream_spoils_an_observer[joint kalman]",
+    "test_no_stream_spoils_an_observer[passive ship]",
+    "test_no_stream_spoils_an_observer[riccati]",
+    "test_no_stream_spoils_an_observer[salcudean]",
+    "test_no_stream_spoils_an_observer[ukf]",
+)
 
 ROWS = 400
 FAULTY = slice(40, 70)

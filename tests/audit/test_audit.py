@@ -22,6 +22,16 @@ from covariant.observers import (
 from covariant.papers._errata import SLIPS, PrintedBallAndBeam, PrintedGroup
 from covariant.proofs import box
 
+LONG = (
+    "test_each_slip_of_the_printed_group_observer[curvature count]",
+    "test_each_slip_of_the_printed_group_observer[curvature sign]",
+    "test_each_slip_of_the_printed_group_observer[logarithm]",
+    "test_each_slip_of_the_printed_group_observer[none]",
+    "test_each_slip_of_the_printed_group_observer[source]",
+    "test_each_slip_of_the_printed_group_observer[transport]",
+)
+"""Cases of the long suite: a cheaper one of the same test is in the short one."""
+
 ALPHA, BETA = 1.2, 0.9
 FLOW = ("plant", "error", "lyapunov")
 GEOMETRY = ("metric", "torsion", "transport", "curvature")
@@ -117,6 +127,7 @@ def top() -> Audit:
     return audit(Intrinsic(TOP, ALPHA, BETA))
 
 
+@pytest.mark.long
 def test_an_intrinsic_observer_keeps_every_law(beam):
     assert beam.passed
     assert tuple(law.name for law in beam.rows) == LAWS
@@ -150,6 +161,7 @@ def test_the_table_says_what_the_rows_say(beam):
     assert all(law.source and law.reason for law in beam.rows)
 
 
+@pytest.mark.long
 def test_a_group_observer_keeps_every_law(top):
     assert top.passed
     skipped = [law for law in top.rows if law.verdict == "skipped"]

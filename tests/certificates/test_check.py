@@ -18,6 +18,19 @@ from covariant.geometry import lie
 from covariant.observers import Intrinsic
 from covariant.proofs import digest
 
+LONG = (
+    "test_a_forger_who_mends_the_digest_is_refused_with_the_reason[Q]",
+    "test_a_forger_who_mends_the_digest_is_refused_with_the_reason[box beyond the metric]",
+    "test_a_forger_who_mends_the_digest_is_refused_with_the_reason[box enlarged]",
+    "test_a_forger_who_mends_the_digest_is_refused_with_the_reason[gain]",
+    "test_a_forger_who_mends_the_digest_is_refused_with_the_reason[leaves joined]",
+    "test_a_forger_who_mends_the_digest_is_refused_with_the_reason[rate]",
+    "test_a_radius_beyond_what_is_proved_to_be_reached_is_refused[square-1.000001]",
+    "test_a_radius_beyond_what_is_proved_to_be_reached_is_refused[square-1.5]",
+    "test_a_radius_beyond_what_is_proved_to_be_reached_is_refused[square-100.0]",
+)
+"""Cases of the long suite: a cheaper one of the same test is in the short one."""
+
 
 @pytest.fixture(scope="module")
 def saved(tmp_path_factory):
@@ -162,6 +175,7 @@ def test_a_forger_who_mends_the_digest_is_refused_with_the_reason(saved, tmp_pat
         check(forged(saved, tmp_path, change))
 
 
+@pytest.mark.long
 def test_the_curvature_is_needed(beam, tmp_path):
     assert check(beam).leaves >= 5
     off = forged(beam, tmp_path, put("observer", "curvature", False))

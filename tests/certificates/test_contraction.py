@@ -217,6 +217,7 @@ def at_the_measurement(seed, speed):
     return jnp.asarray(z)
 
 
+@pytest.mark.long
 def test_ball_and_beam_contracts_at_the_rate_of_the_paper_whatever_the_velocity():
     np.testing.assert_allclose(paper_laws()(at_the_measurement(1, 50.0))[0], 0.3852220515, atol=1e-6)
 
@@ -255,6 +256,7 @@ def test_a_distance_from_below_looks_along_the_line_where_the_line_is():
         assert (1 - 4 * size) * true < lower_distance(metric, ZERO, a, b) <= true <= upper_distance(metric, ZERO, a, b)
 
 
+@pytest.mark.long
 def test_theorem_two_measured():
     """Pairs of estimates of one trajectory of the ball and beam: no distance falls more slowly than certified."""
     model = models.ball_and_beam()

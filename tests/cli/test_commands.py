@@ -18,6 +18,9 @@ from covariant.observers import EKF, run
 from covariant.workflow._inputs import _in_ticks
 from covariant.workflow._outcome import KEPT
 
+LONG = ("test_people_are_told_why_compiled_c_did_not_do_the_work[arguments1]",)
+"""Cases of the long suite: a cheaper one of the same test is in the short one."""
+
 MODEL = """
 system = "pendulum_chain"
 [parameters]
@@ -93,6 +96,7 @@ def test_estimate_prints_what_it_found(estimated):
     assert estimated["velocity_rmse"][0] < 0.05
 
 
+@pytest.mark.long
 def test_a_filter_that_knows_how_accurate_it_is_writes_that_too():
     """The standard deviation is that of the errors, in the order of magnitude; a log in no ticks is told as noise."""
     command("estimate", "model.toml", "log.csv", "--observer", "intrinsic-kalman", "-o", "std.csv")
@@ -272,6 +276,7 @@ def test_compare_ranks_all_estimators():
     assert [float(row[2]) for row in table[1:]] == pytest.approx(errors, rel=1e-5)
 
 
+@pytest.mark.long
 def test_a_late_sensor_is_simulated_and_estimated_from():
     """At the same stamps, a reading is what it was two samples before; told so, the estimate is hardly worse."""
     late = ("--set", "measurement.delay=0.01")
@@ -321,6 +326,7 @@ def test_a_torque_that_nobody_told_is_found_and_leaves_no_bias():
     assert "intrinsic-kalman does" in command(*arguments[:3], "--set", "uncertainty.external_force=0.2")["design"]
 
 
+@pytest.mark.long
 def test_an_encoder_that_is_off_and_a_payload_are_found():
     """The angle in the log is off by .05 rad, and the model's mass by half; both are told of in the model file."""
     log = logs.read("log.csv", logs.Columns(q=("angle",), u=("torque",), truth=("true_v1",)))
@@ -377,6 +383,7 @@ def test_the_installed_command_runs():
     assert "absent.csv" in done.stderr
 
 
+@pytest.mark.long
 def test_a_simulated_drive_lags_as_the_model_file_says(tmp_path, monkeypatch):
     """The log holds what is commanded; the machine feels it later, by `[inputs] delay` and behind `[inputs] lag`."""
     monkeypatch.chdir(tmp_path)

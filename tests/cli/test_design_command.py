@@ -91,12 +91,14 @@ def test_a_finished_store_is_summed_up_again_for_a_person(made, capsys, monkeypa
     assert error_bound == f"largest error bound {made['error_bound']:.2g}"
 
 
+@pytest.mark.long
 def test_the_rate_may_come_from_gramians(made):
     done = command("design", "metric", "unknown_frequency", *SHAPE, "--window", "30", "-o", "window.zarr")
     assert 0.1 < done["rate"] < 1
     assert scale.open_grid("window.zarr").attrs["provenance"]["equation"]["rate"] == done["rate"]
 
 
+@pytest.mark.long
 def test_options_reach_the_equation_of_a_mechanical_model(made):
     arguments = ("--box", "q=-1:1,q_dot=-2:2", "--grid", "4,5", "--process-cov", "1e-3,0.5", "--measurement-cov", "0.1")
     more = ("--domain", "q_dot=-2.5:2.5", "--input", "0.3", "--start", "2", "--tolerance", "1e-6")
@@ -117,6 +119,7 @@ def test_options_reach_the_equation_of_a_mechanical_model(made):
     assert store.attrs["provenance"]["u"] == [0.3]
 
 
+@pytest.mark.long
 def test_results_without_a_metric_are_told_in_words(capsys, monkeypatch):
     """At rest the frequency cannot be told, and a point outside the domain has no metric."""
     box = ("--box", "x1=0:1,x2=0:1.5", "--domain", "x3=0.7:2")

@@ -81,6 +81,7 @@ def test_the_truth_of_a_simulation_turns_the_body():
     np.testing.assert_allclose((q[:-1].inv() * q[1:]).as_rotvec(), middle, atol=2e-5)
 
 
+@pytest.mark.long
 def test_what_is_simulated_is_estimated(estimated):
     assert estimated["observer"] == "intrinsic"
     assert estimated["scored_against"] == "true velocity"
@@ -153,6 +154,7 @@ def test_without_a_truth_the_attitudes_themselves_are_the_reference():
     np.testing.assert_allclose(some.reference.v, loaded.reference.v[:401:4], atol=1e-12)
 
 
+@pytest.mark.long
 def test_compare_ranks_what_fits(monkeypatch):
     quick = ("intrinsic", "salcudean")  # the others take a minute to compile; `design` tests that all are lined up
 

@@ -90,6 +90,7 @@ def test_estimate_writes_states_and_how_certain_they_are(log, engine):
     assert np.sqrt(np.mean(off**2)) < 2.0
 
 
+@pytest.mark.long
 def test_compare_ranks_by_the_states_or_by_the_outputs(log):
     with_truth = command("compare", "model.toml", log, "-o", "table.csv", *TRUTH)
     names = {row["estimator"] for row in with_truth["ranking"]}

@@ -39,7 +39,13 @@ from covariant.geometry import Budget, Interpolated
 from covariant.lowering import _places
 from covariant.models import robots
 
-LONG = ("tables", "scara", "exact", "thirty")
+LONG = (
+    "tables",
+    "scara",
+    "exact",
+    "thirty",
+    "test_it_compiles_without_a_warning_and_passes_its_own_test[top]",
+)
 
 ROOT = Path(__file__).parents[2]
 FLAGS = ["-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wdouble-promotion", "-Werror"]
@@ -533,6 +539,7 @@ def test_a_unit_for_simulators_has_no_flash(tmp_path, monkeypatch, capsys):
 STATES = tuple(shlex.split(commands_of_the_page()[1])[:-2])
 
 
+@pytest.mark.long
 @needs_compiler
 def test_observers_of_state_space_models_are_written_too(tmp_path, monkeypatch, capsys):
     grid = scale.Grid(["x1", "x2", "x3"], ["m", "m/s", "1/s^2"], (0, 1, 0.5), (1, 1.5, 1.5), (4, 4, 4))

@@ -9,6 +9,12 @@ from covariant.certificates import feedthrough, tracking
 from covariant.control import Backstepping, follow, lissajous, set_point
 from covariant.models import marine, state_space
 
+LONG = (
+    "test_full_state_feedback_gives_the_printed_error_equations[cybership]",
+    "test_full_state_feedback_gives_the_printed_error_equations[odin]",
+)
+"""Cases of the long suite: a cheaper one of the same test is in the short one."""
+
 CRAFT = {"odin": marine.odin, "with coriolis": lambda: marine.odin(coriolis=True), "cybership": marine.cybership}
 
 

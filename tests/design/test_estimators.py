@@ -42,6 +42,13 @@ from covariant.observers import (
 )
 from covariant.signals import Record
 
+LONG = (
+    "test_on_a_trial_filters_are_the_best_of_their_kind[0.0001-False]",
+    "test_on_a_trial_filters_are_the_best_of_their_kind[0.0001-True]",
+    "test_on_a_trial_filters_are_the_best_of_their_kind[0.01-False]",
+)
+"""Cases of the long suite: a cheaper one of the same test is in the short one."""
+
 AXES = 8
 FLAT = Lagrangian(geometry.Euclidean(), lambda q: 0.0 * q[0])
 """A free point in eight dimensions: as many double integrators, watched by one observer."""

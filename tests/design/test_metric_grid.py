@@ -32,6 +32,7 @@ def store(path):
     return scale.open_grid(path, complete=True).load()
 
 
+@pytest.mark.long
 def test_values_are_those_of_the_solver(store):
     index = np.random.default_rng(1).integers(0, GRID.shape, (20, 2))
     points = np.stack([axis[i] for axis, i in zip(GRID.axes, index.T, strict=True)], -1)
@@ -88,6 +89,7 @@ def test_a_summary_covers_the_whole_grid(path, store, monkeypatch):
     assert metric_summary(path) == found
 
 
+@pytest.mark.long
 def test_the_field_of_a_store_has_its_values_at_the_points(path, store):
     field = design.load_metric(path)
     points = np.stack(np.meshgrid(*GRID.axes, indexing="ij"), -1)[4:]  # two spacings off those outside the domain

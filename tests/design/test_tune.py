@@ -81,6 +81,7 @@ def test_with_a_metric_that_is_too_large_the_filter_is_as_good_as_one_without_a_
     assert found.after.relative[1] < 1.02 * found.model_free[1]
 
 
+@pytest.mark.long
 def test_the_filter_of_the_errors_is_the_kalman_filter(log):
     """On a linear system exactly, whatever observer the errors are those of; with a force that is not known too."""
     record = Record(*(np.asarray(a[:300]) for a in log[0][:3]))

@@ -44,6 +44,7 @@ def record() -> Record:
     return Record(t, 0.1 * np.sin(np.stack([t, 2 * t], axis=1)), y)
 
 
+@pytest.mark.long
 @needs_compiler
 def test_a_log_through_c_is_that_through_jax():
     through_c, name = run_log(gated(), record(), engine="c")
@@ -68,6 +69,7 @@ def same(through_c, through_jax):
             np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.long
 @needs_compiler
 def test_many_logs_and_many_gains_are_each_that_through_jax():
     logs = parts((150, 600, 320))
@@ -149,6 +151,7 @@ def test_an_equal_observer_is_compiled_once():
     same(found, [run(rest[-1], parts((100,))[0], ("result",))])
 
 
+@pytest.mark.long
 @needs_compiler
 def test_another_gain_compiles_nothing_and_another_model_something():
     """One call after another, as in a loop over gains."""
@@ -215,6 +218,7 @@ def stream(request) -> Stream:
     return stream
 
 
+@pytest.mark.long
 def test_a_stream_does_what_the_loop_by_hand_does(stream):
     observer, (t, u, y, _) = stream.observer, record()
     stepped = jax.jit(lambda *a: observer.step(*a))

@@ -33,6 +33,9 @@ LONG = (
     "robot, planar base",
     "robot, SE(3) x joints",
     "robot, ball joint x joints",
+    "test_geodesics_are_found_again[uneven, SO(3), by its energy]",
+    "test_the_curvature_has_its_symmetries[arm, SE(3) x joints]",
+    "test_the_curvature_has_its_symmetries[uneven, SO(3), by its energy]",
 )
 
 BUDGET = Budget(steps=12)
@@ -357,6 +360,7 @@ class Apart(AbstractManifold):
         return y
 
 
+@pytest.mark.long
 def test_the_error_to_second_order_counts_how_the_retraction_bends():
     """`e − ½(B + Q)(e, e)` approaches −log_q̂ q one order faster than e; without Q it does not."""
     space = Metric(uneven(3), manifold=Apart())

@@ -16,7 +16,13 @@ from covariant import geometry
 from covariant.geometry import lie
 from covariant.signals import Result
 
-LONG = ("SU3", "SE2")
+LONG = (
+    "SU3",
+    "SE2",
+    "test_the_frame_alone_gives_the_same_geometry[SE3]",
+    "test_the_frame_alone_gives_the_same_geometry[SO3 x SO2]",
+    "test_the_group_logarithm_is_not_the_riemannian_one[2.0-0.0672-36.0-0.0479-29.57]",
+)
 
 GROUPS = {
     "SO3": lie.SO3,
@@ -302,6 +308,7 @@ def test_velocity_is_carried_along(flights):
     close(flights.end.w[:, 0], flights.end.velocity, 1e-10)
 
 
+@pytest.mark.long
 def test_shooting_undoes_exp(fly, shoot):
     flights = make_flights(fly, "SO3")
     shot = shoot(flights.inertia, flights.end.q)

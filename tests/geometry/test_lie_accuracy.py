@@ -17,7 +17,13 @@ from mpmath import mp, mpf
 from covariant.geometry import lie
 from covariant.geometry.lie._coefficients import angle_over_half_sine, inverse_jacobian_coefficient, stumpff
 
-LONG = ("SU3",)
+LONG = (
+    "SU3",
+    "test_exponential_and_jacobians_are_exact_to_rounding[('SE3', <class 'numpy.float64'>)-exp]",
+    "test_exponential_and_jacobians_are_exact_to_rounding[('SU2', <class 'numpy.float32'>)-exp]",
+    "test_exponential_and_jacobians_are_exact_to_rounding[('SU3', <class 'numpy.float32'>)-exp]",
+    "test_exponential_and_jacobians_are_exact_to_rounding[('SU3', <class 'numpy.float64'>)-exp]",
+)
 
 TINY = 1e-6
 EDGES = np.concatenate([[edge - TINY, edge + TINY] for edge in np.sqrt([1, 6, 12])])

@@ -15,7 +15,11 @@ from hypothesis import strategies as st
 
 from covariant.geometry import lie
 
-LONG = ("SU3",)
+LONG = (
+    "SU3",
+    "test_law[SL2-derivative of log]",
+    "test_log_is_backward_stable_everywhere[('SU3', <class 'numpy.float64'>)]",
+)
 
 SL2 = [[[1.0, 0.0], [0.0, -1.0]], [[0.0, 1.0], [0.0, 0.0]], [[0.0, 0.0], [1.0, 0.0]]]
 TURNS = np.array(

@@ -8,6 +8,9 @@ import pytest
 from covariant import geometry
 from covariant.geometry import Budget
 
+LONG = ("test_single_precision_agrees_with_double[oscillator in r]",)
+"""Cases of the long suite: a cheaper one of the same test is in the short one."""
+
 
 def stretched(q):
     return jnp.diag(jnp.stack([jnp.ones_like(q[0]), 1 + q[0] ** 2]))

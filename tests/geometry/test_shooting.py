@@ -12,7 +12,13 @@ from covariant.geometry.lie import SO3
 from covariant.models import ball_and_beam
 from covariant.signals import Result
 
-LONG = ("reverse",)
+LONG = (
+    "reverse",
+    "test_conjugate_points_are_counted_with_multiplicity[2]",
+    "test_error_of_a_fixed_budget_falls_with_the_distance[budget0-3]",
+    "test_error_of_a_fixed_budget_falls_with_the_distance[budget1-6]",
+    "test_error_of_a_fixed_budget_falls_with_the_distance[budget2-5]",
+)
 
 SPHERE = geometry.sphere()
 NUMERIC = Metric(SPHERE)
@@ -150,6 +156,7 @@ def test_negative_curvature_has_no_conjugate_points():
 # Derivatives
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("mode", [jax.jacfwd, jax.jacrev], ids=["forward", "reverse"])
 def test_log_has_the_derivatives_of_the_closed_form(mode):
     """Through the implicit function theorem, exact where the search has converged."""

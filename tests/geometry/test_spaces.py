@@ -14,6 +14,22 @@ from covariant.geometry import Budget, Metric
 from covariant.geometry._spaces import _NEAR
 from covariant.signals import Result
 
+LONG = (
+    "test_curvature_is_that_of_the_matrix[plane, curved chart]",
+    "test_curvature_is_that_of_the_matrix[sphere x hyperbolic]",
+    "test_exp_and_log_have_derivatives_at_zero[sphere x hyperbolic]",
+    "test_exp_is_that_of_the_quadric_on_both_sides_of_the_seam[-0.25-2]",
+    "test_exp_is_that_of_the_quadric_on_both_sides_of_the_seam[-1.0-3]",
+    "test_exp_is_that_of_the_quadric_on_both_sides_of_the_seam[1.0-2]",
+    "test_gradient_of_half_squared_distance_is_minus_log[sphere x hyperbolic]",
+    "test_log_is_that_of_the_quadric_on_both_sides_of_the_seam[-0.25-2]",
+    "test_log_is_that_of_the_quadric_on_both_sides_of_the_seam[-1.0-3]",
+    "test_log_is_that_of_the_quadric_on_both_sides_of_the_seam[1.0-2]",
+    "test_shooting_finds_the_closed_log[sphere]",
+    "test_transport_is_that_of_the_matrix[sphere x hyperbolic]",
+)
+"""Cases of the long suite: a cheaper one of the same test is in the short one."""
+
 EXACT = 1e-10
 """What sixteen eighth-order steps leave of geodesics of order one."""
 

@@ -7,6 +7,12 @@ import pytest
 
 from covariant.geometry import Metric
 
+LONG = (
+    "test_curvature_is_the_contraction_of_the_tensor[3]",
+    "test_curvature_is_the_contraction_of_the_tensor[4]",
+)
+"""Cases of the long suite: a cheaper one of the same test is in the short one."""
+
 SAMPLES = 20
 
 

@@ -99,6 +99,7 @@ def test_outliers_and_missing_samples_hardly_move_a_fit(fits, tmp_path):
     assert np.all(np.abs(found.values - [MASS, INERTIA, VISCOUS]) < 4 * fits[0].standard_errors)
 
 
+@pytest.mark.long
 def test_gravity_of_the_wrong_sign_is_seen(fits, tmp_path):
     [(record, v)] = swung(True)
     training, held_out = split([record], [v], 0.25)
@@ -111,6 +112,7 @@ def test_gravity_of_the_wrong_sign_is_seen(fits, tmp_path):
     assert not np.allclose(found.values[0], MASS, rtol=0.2)
 
 
+@pytest.mark.long
 def test_a_pendulum_that_nothing_drives_shows_its_frequency_only(tmp_path):
     [(record, v)] = swung(False, viscous=0.0, seconds=6.0)
     open_numbers = family(tmp_path, "mass", "com", "inertia", overrides=["parameters.viscous=[0.0]"])

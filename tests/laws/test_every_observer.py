@@ -22,6 +22,33 @@ from covariant.observers._protocol import _scan
 from covariant.signals import Record, Result, Run
 from covariant.simulation import hold, simulate
 
+LONG = (
+    "test_compiled_c_does_the_same[ekf-body on SO(3)]",
+    "test_compiled_c_does_the_same[geodesic-ball and beam]",
+    "test_compiled_c_does_the_same[intrinsic-kalman-ball and beam]",
+    "test_compiled_c_does_the_same[joint-kalman-ball and beam]",
+    "test_compiled_c_does_the_same[savitzky-golay-ball and beam]",
+    "test_compiled_c_does_the_same[ukf-ball and beam]",
+    "test_from_rest_it_finds_the_motion_at_irregular_stamps[copy-body on SO(3)]",
+    "test_from_rest_it_finds_the_motion_at_irregular_stamps[ekf-ball and beam]",
+    "test_from_rest_it_finds_the_motion_at_irregular_stamps[ekf-body on SO(3)]",
+    "test_from_rest_it_finds_the_motion_at_irregular_stamps[geodesic-ball and beam]",
+    "test_from_rest_it_finds_the_motion_at_irregular_stamps[geodesic-body on SO(3)]",
+    "test_from_rest_it_finds_the_motion_at_irregular_stamps[intrinsic-ball and beam]",
+    "test_from_rest_it_finds_the_motion_at_irregular_stamps[intrinsic-body on SO(3)]",
+    "test_from_rest_it_finds_the_motion_at_irregular_stamps[intrinsic-kalman-ball and beam]",
+    "test_from_rest_it_finds_the_motion_at_irregular_stamps[intrinsic-kalman-body on SO(3)]",
+    "test_from_rest_it_finds_the_motion_at_irregular_stamps[intrinsic2-ball and beam]",
+    "test_from_rest_it_finds_the_motion_at_irregular_stamps[intrinsic2-body on SO(3)]",
+    "test_from_rest_it_finds_the_motion_at_irregular_stamps[joint-kalman-ball and beam]",
+    "test_from_rest_it_finds_the_motion_at_irregular_stamps[salcudean-body on SO(3)]",
+    "test_from_rest_it_finds_the_motion_at_irregular_stamps[ukf-ball and beam]",
+    "test_from_rest_it_finds_the_motion_at_irregular_stamps[ukf-body on SO(3)]",
+    "test_single_precision_stays_single[geodesic-ball and beam]",
+    "test_single_precision_stays_single[intrinsic-kalman-body on SO(3)]",
+)
+"""Cases of the long suite: a cheaper one of the same test is in the short one."""
+
 ROWS, RATE = 240, 100.0
 GAP = slice(120, 150)
 SHEET = DataSheet(1e-2, 1.0, 0.01, motion_std=2.0, motion_time=0.3)

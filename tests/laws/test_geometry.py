@@ -12,6 +12,16 @@ from covariant._integrate import rk8
 from covariant.geometry import Budget, christoffel, curvature, exp, gradient, inner
 from covariant.signals import Result
 
+LONG = (
+    "test_curvature_is_the_commutator_of_covariant_derivatives[numeric sphere]",
+    "test_geodesic_deviation[double pendulum]",
+    "test_geodesic_deviation[numeric sphere]",
+    "test_geodesic_is_found[double pendulum]",
+    "test_geodesic_is_found[numeric sphere]",
+    "test_geodesic_is_found[oscillator in r]",
+)
+"""Cases of the long suite: a cheaper one of the same test is in the short one."""
+
 POINTWISE = 1e-11
 GEODESIC = 1e-9
 STEPS = 12

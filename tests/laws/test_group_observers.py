@@ -30,6 +30,10 @@ LONG = (
     "robot, planar base",
     "robot, SE(3) x joints",
     "robot, ball joint x joints",
+    "test_error_in_a_parallel_frame_obeys_the_linear_law_at_any_speed[geodesic-SO(3)]",
+    "test_error_in_a_parallel_frame_obeys_the_linear_law_at_any_speed[intrinsic-SE(3)]",
+    "test_error_in_a_parallel_frame_obeys_the_linear_law_at_any_speed[intrinsic-SO(3)]",
+    "test_error_in_a_parallel_frame_obeys_the_linear_law_at_any_speed[intrinsic2-SO(3)]",
 )
 
 ALPHA, BETA = 1.2, 0.9
@@ -300,6 +304,7 @@ def observed(observer, model, start, state, t):
     return observe(model, observer, start, state, t, rtol=1e-9, atol=1e-12)
 
 
+@pytest.mark.long
 def test_a_pitch_of_90_degrees_is_no_event():
     """The body pitches over at a constant rate, through 90°, where Euler angles have no rates."""
     model = free_body((1.0, 2.0, 3.5))
@@ -315,6 +320,7 @@ def test_a_pitch_of_90_degrees_is_no_event():
     assert np.abs(np.diff(np.log(distance))).max() < 0.5
 
 
+@pytest.mark.long
 def test_both_errors_agree_to_first_order():
     """The right-hand sides with the group's and with the Riemannian logarithm differ by the square of the error."""
     model = heavy_top((1.0, 2.0, 3.5), 2.0)

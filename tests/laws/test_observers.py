@@ -28,7 +28,17 @@ from covariant.geometry import (
 from covariant.models import Lagrangian, acceleration, in_chart, source
 from covariant.observers import REGISTRY, Geodesic, Intrinsic, MechanicalState
 
-LONG = ("double pendulum", "ball and beam", "2-2.0")
+LONG = (
+    "double pendulum",
+    "ball and beam",
+    "2-2.0",
+    "test_error_in_a_parallel_frame_obeys_the_linear_law_at_any_speed[geodesic-hyperbolic plane]",
+    "test_error_in_a_parallel_frame_obeys_the_linear_law_at_any_speed[geodesic-sphere]",
+    "intrinsic, coefficients at the estimate-hyperbolic plane",
+    "test_error_in_a_parallel_frame_obeys_the_linear_law_at_any_speed[intrinsic, coefficients at the estimate-sphere]",
+    "test_error_in_a_parallel_frame_obeys_the_linear_law_at_any_speed[intrinsic-hyperbolic plane]",
+    "test_error_in_a_parallel_frame_obeys_the_linear_law_at_any_speed[intrinsic-sphere]",
+)
 
 ALPHA, BETA = 1.2, 0.9
 A = np.array([[-ALPHA, 1.0], [-BETA, 0.0]])
@@ -241,6 +251,7 @@ def chart_gap(make) -> float:
     return float(np.abs(mapped - direct).max())
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", promising("coordinate-free"))
 def test_a_coordinate_free_observer_is_the_same_in_all_coordinates(name):
     """As exactly as it solves for its geodesics, which by default is a fixed amount of work."""
@@ -252,6 +263,7 @@ def test_the_exact_observer_is_the_same_to_the_tolerance_of_the_integration():
     assert chart_gap(lambda m: Geodesic(m, ALPHA, BETA, Budget(steps=4))) <= 1e-8
 
 
+@pytest.mark.long
 def test_the_approximate_observer_is_not():
     assert chart_gap(lambda m: Intrinsic(m, ALPHA, BETA)) > 1e-3
 

@@ -18,7 +18,18 @@ from covariant.lowering import LoweringError, expand, lower, numbers, pairs
 from covariant.lowering._constants import padded, part_at, updated_at
 from covariant.observers import Geodesic, Intrinsic, with_fixed_substeps
 
-LONG = ("logarithm of a rotation", "pose", "forward dynamics", "geodesic flow")
+LONG = (
+    "logarithm of a rotation",
+    "pose",
+    "forward dynamics",
+    "geodesic flow",
+    "test_observers_are_lowered_whole[intrinsic flow]",
+    "test_observers_are_lowered_whole[intrinsic step]",
+    "test_observers_are_lowered_whole[step with default settings]",
+    "test_value_and_two_derivatives_are_those_of_jax[integration]",
+    "test_value_and_two_derivatives_are_those_of_jax[loop]",
+    "test_value_and_two_derivatives_are_those_of_jax[rotation]",
+)
 
 PENDULUM = models.pendulum_chain((1.0, 0.7), (0.5, 0.4), viscous=(0.1, 0.2))
 TABLE = jnp.array([0.5, -1.0, 2.0, 0.3])
@@ -190,6 +201,7 @@ def test_observers_are_lowered_whole(name):
         assert ours.dtype == theirs.dtype
 
 
+@pytest.mark.long
 def test_substeps_that_friction_decides_are_fixed_beforehand():
     """By rubbing as on the given motions; otherwise their number depends on the state and has no graph."""
     rubbing = models.pendulum_chain((1.0,), (1.0,), viscous=(0.2,), coulomb=(3.0,))

@@ -12,7 +12,12 @@ from covariant.geometry.lie import SE2
 from covariant.models import GroupSystem, Lagrangian, Motion, acceleration, friction, resistance
 from covariant.observers import EKF, Copy, Geodesic, Intrinsic, run
 
-LONG = ("boat-intrinsic",)
+LONG = (
+    "boat-intrinsic",
+    "test_observers_evaluate_it_at_the_estimate[pendulum-ekf]",
+    "test_observers_evaluate_it_at_the_estimate[pendulum-geodesic]",
+    "test_observers_evaluate_it_at_the_estimate[pendulum-intrinsic]",
+)
 
 ZERO = jnp.zeros(())
 STAMPS = np.linspace(0.0, 6.0, 601)
@@ -88,6 +93,7 @@ def test_it_acts_as_written():
     assert float(acceleration(model, t, q, v, u)[0]) == pytest.approx(expected)
 
 
+@pytest.mark.long
 def test_a_simulated_motion_is_that_of_a_plain_integration(motions):
     _, record = motions["pendulum"]
     h, x = 1e-3, np.array([0.4, 2.0])

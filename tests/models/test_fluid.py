@@ -13,7 +13,12 @@ from covariant.geometry.lie import SU
 from covariant.models import Motion, fluid
 from covariant.observers import Intrinsic
 
-LONG = ("9", "17", "33")
+LONG = (
+    "9",
+    "17",
+    "33",
+    "test_flows_of_a_single_wave_number_are_steady[stream0]",
+)
 
 POINTS = 64
 X1, X2 = np.meshgrid(*2 * [2 * np.pi * np.arange(POINTS) / POINTS], indexing="ij")
@@ -238,6 +243,7 @@ def kept(n, v, g, last):
     return eigenvalues, fluid.casimirs(n, v), fluid.casimirs(n, last), carried, found, system(n).group.defect(g)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("n", [5, 9, 17, 33])
 def test_motion_keeps_casimirs_group_and_vorticity(n):
     v, moved = velocity(n, SMOOTH), smooth_path(n)
@@ -342,6 +348,7 @@ def decay(errors, alpha, dt, between):
     return -np.polyfit(t[inside], np.log(length[inside]), 1)[0]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("n", [5, 9, 17])
 def test_velocity_error_shrinks_at_the_slow_root(n):
     """s² + αs + 0.21α² has the roots −0.3α and −0.7α."""

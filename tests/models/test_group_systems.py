@@ -12,7 +12,15 @@ from covariant.geometry.lie import SE2, SE3, SO3
 from covariant.models import GroupSystem, Lagrangian, Motion, acceleration, advance, energy, friction, source
 from covariant.simulation import simulate
 
-LONG = ("underwater vehicle",)
+LONG = (
+    "underwater vehicle",
+    "test_advancing_is_of_fourth_order_and_stays_on_the_group[hovercraft]",
+    "test_advancing_is_of_fourth_order_and_stays_on_the_group[satellite]",
+    "test_equations_of_motion_are_those_of_lagrange_in_coordinates[free body]",
+    "test_equations_of_motion_are_those_of_lagrange_in_coordinates[hovercraft]",
+    "test_equations_of_motion_are_those_of_lagrange_in_coordinates[satellite]",
+    "test_equations_of_motion_are_those_of_lagrange_in_coordinates[top]",
+)
 
 SYSTEMS = {
     "top": models.heavy_top(),
@@ -125,6 +133,7 @@ def free_motion(system, x0, t):
     return simulate(system, x0, t).x
 
 
+@pytest.mark.long
 def test_satellite_keeps_its_momentum_whatever_its_wheels_do():
     system = SYSTEMS["satellite"]
     g, v = state_of(system)
@@ -134,6 +143,7 @@ def test_satellite_keeps_its_momentum_whatever_its_wheels_do():
     assert np.abs(np.asarray(x.v[-1] - x.v[0])).max() > 0.1
 
 
+@pytest.mark.long
 def test_underwater_vehicle_rights_itself_and_hovers_when_neutral():
     system = models.underwater_vehicle(buoyancy=12.0 * 9.81)
     start = Motion(SE3.exp(jnp.array([0.0, 0.0, 0.0, 1.2, 0.4, 0.0])), jnp.zeros(6))
@@ -146,6 +156,7 @@ def test_underwater_vehicle_rights_itself_and_hovers_when_neutral():
     assert (np.diff(energies) < 1e-9).all()
 
 
+@pytest.mark.long
 def test_hovercraft_goes_where_its_fans_push():
     system = models.hovercraft(drag=(0.0, 0.0, 0.0))
     x = eqx.filter_jit(simulate)(system, Motion(jnp.eye(3), jnp.zeros(3)), jnp.linspace(0.0, 2.0, 3), both_fans).x

@@ -182,6 +182,7 @@ def test_inputs_that_are_no_force_are_refused_where_a_force_is_first_asked_for(i
         acceleration(model, TIME, jnp.zeros(2), jnp.zeros(2), jnp.zeros(inputs))
 
 
+@pytest.mark.long
 def test_an_input_for_each_velocity_is_a_force_where_a_configuration_has_more_numbers():
     """A floating robot: its pose is sixteen numbers and six velocities."""
     space = robots.load("quadruped").space

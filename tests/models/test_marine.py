@@ -55,6 +55,7 @@ def test_planar_coriolis_matrix_is_the_printed_one():
     np.testing.assert_allclose(ship.coriolis(nu), expected, atol=1e-12)  # Fossen 2011, equation (6.99)
 
 
+@pytest.mark.long
 def test_odin_on_the_group_moves_as_in_euler_angles_with_coriolis():
     x0 = jnp.array([0.0, 0.0, 5.0, 0.4, -0.3, 1.0, 0.5, -0.2, 0.3, 0.2, 0.3, -0.4])
     t = jnp.linspace(0.0, 4.0, 9)
@@ -116,6 +117,7 @@ def turn(rudder):
     return x[quarter, 0] / 7.0, abs(x[half, 1]) / 7.0
 
 
+@pytest.mark.long
 def test_tanker_keeps_a_straight_course_and_turns_to_the_side_of_its_rudder():
     ship = marine.manoeuvring_ship()
     t = jnp.linspace(0.0, 30.0, 31)
@@ -194,6 +196,7 @@ def test_a_ship_in_single_precision_stays_so():
     )
 
 
+@pytest.mark.long
 def test_group_form_meets_a_pitch_of_ninety_degrees_without_notice():
     system = marine.odin_on_group()
     g = SE3.identity().at[:3, :3].set(marine.euler_rotation(jnp.array([0.0, np.pi / 2, 0.0])))

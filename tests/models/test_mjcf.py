@@ -60,6 +60,7 @@ def arm(folder):
     return robots.load(folder / "arm.xml")
 
 
+@pytest.mark.long
 def test_an_arm_moves_as_in_mujoco(arm):
     """Anchors beside the axes, references, springs, gears, a servo, two joints of one body, a finger that follows."""
     model = mujoco.MjModel.from_xml_string(ARM)

@@ -126,6 +126,7 @@ def ball_arm():
     return robots.load(Path(__file__).with_name("ball_arm.xml"))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["arm", "floating_arm", "ball_arm"])
 def test_sweeps_are_what_follows_from_the_metric(name, request):
     """Koszul's formula with differences of the inertia matrix; curvature with differences of the connection."""
@@ -318,6 +319,7 @@ def test_motion_is_that_of_the_coordinates(arm):
 # The robots that come with the library
 
 
+@pytest.mark.long
 def test_shipped_robots_move_as_in_mujoco():
     """The others, and more trees, are compared by `tools/compare_robots.py`, with Pinocchio too."""
     for name in ("panda", "quadruped"):
@@ -325,6 +327,7 @@ def test_shipped_robots_move_as_in_mujoco():
         assert found["MuJoCo"] < compare_robots.TOLERANCE
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", [1, 6])
 def test_random_trees_move_as_in_mujoco(seed):
     """Of 16 joints on the ground and 15 in the air: branched, turning, sliding, following ones, and balls."""
@@ -404,6 +407,7 @@ def test_a_payload_moves_with_its_link_and_can_be_differentiated(folder, arm):
 LINKS = ("wrist", "elbow", "base")
 
 
+@pytest.mark.long
 def test_poses_and_jacobians_of_links(floating_arm):
     """The Jacobian gives the rate of the pose; the Coriolis matrix and its transpose that of the inertia matrix."""
     q, (v, *_) = state(floating_arm, 6)

@@ -13,6 +13,12 @@ from covariant.models import Lagrangian, StateSpace, energy, pendulum_chain, sta
 from covariant.observers import AbstractFlowObserver, MechanicalState
 from covariant.simulation import observe, simulate
 
+LONG = (
+    "test_jacobians_are_those_of_finite_differences[a Lagrangian]",
+    "test_jacobians_are_those_of_finite_differences[induction motor]",
+)
+"""Cases of the long suite: a cheaper one of the same test is in the short one."""
+
 SYSTEMS = {
     "unknown frequency": models.unknown_frequency(),
     "van der Pol": models.van_der_pol(),

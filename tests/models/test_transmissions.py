@@ -88,6 +88,7 @@ def load(read, tmp_path):
     return load
 
 
+@pytest.mark.long
 def test_torques_of_motors_are_felt_behind_their_gears(load):
     """n times as large, the sign of the reduction included; what a rotor is felt as does not change."""
     at_joints, at_motors = load(EACH), load(EACH, motor_torques=True)

@@ -16,6 +16,9 @@ from covariant.signals import Record, Result
 from covariant.simulation import hold, simulate
 from covariant.workflow._inputs import Job, Loaded, data_sheet, load, with_sensor_delays
 
+LONG = ("test_every_reading_counts_at_the_time_at_which_it_was_true[delays0]",)
+"""Cases of the long suite: a cheaper one of the same test is in the short one."""
+
 EXAMPLES = Path(__file__).parents[2] / "examples"
 CHAIN = pendulum_chain((0.6, 0.4), (0.3, 0.25), com=(0.16, 0.14), inertia=(0.005, 0.0026), viscous=(0.012, 0.008))
 FILTER = IntrinsicKalman(CHAIN, 0.1 * jnp.eye(2), 1e-8 * jnp.eye(2), 4.0 * jnp.eye(2), substeps=1)
@@ -109,6 +112,7 @@ def test_every_reading_counts_at_the_time_at_which_it_was_true(step, delays):
     assert np.abs([info.innovation for info in infos[20:]]).max() < 2e-3
 
 
+@pytest.mark.long
 def test_a_sample_that_comes_after_later_ones_counts_as_in_order(step, late):
     delays = (0.0, 0.005)
     kalman = EKF(CHAIN, 0.1 * jnp.eye(2), 1e-8 * jnp.eye(2), substeps=1)
@@ -145,6 +149,7 @@ def test_without_delay_it_is_the_observer_itself(pendulum, regular):
     np.testing.assert_array_equal(wrapped.info.innovation, plain.info.innovation)
 
 
+@pytest.mark.long
 def test_batches_and_full_turns():
     """Logs run side by side, one with its angles as they are and one with angles that jump by a turn."""
     t = 0.005 * np.arange(200)
@@ -217,6 +222,7 @@ def velocity_error(loaded: Loaded, name: str, rows: np.ndarray, y: np.ndarray, d
     return float(np.linalg.norm(rmse(v[scored], truth[scored]) / np.sqrt(np.mean(truth[scored] ** 2, axis=0))))
 
 
+@pytest.mark.long
 def test_the_free_pendulum_with_a_late_joint_and_jittered_stamps(data_folder):
     """The log at 1 kHz, of which every fifth row is read, or one near it; its second joint is five rows late."""
     loaded = recorded(data_folder, "multiarm_double.toml", "multiarm_pendulum/double.csv")

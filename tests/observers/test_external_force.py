@@ -68,6 +68,7 @@ def kalman(force: float | None, **named) -> IntrinsicKalman:
     )
 
 
+@pytest.mark.long
 def test_a_push_is_found_and_leaves_no_bias(pushed_swing):
     record, true = pushed_swing
     v, force, std = (np.asarray(a) for a in followed(kalman(1.0), jax.tree.map(jnp.asarray, record)))

@@ -20,6 +20,9 @@ from covariant.observers import Gated, run
 from covariant.signals import Record, Result, lag_inputs
 from covariant.simulation import hold, simulate
 
+LONG = ("test_a_body_that_is_lost_is_said[intrinsic]",)
+"""Cases of the long suite: a cheaper one of the same test is in the short one."""
+
 EXAMPLES = Path(__file__).parents[2] / "examples"
 LOGS = {
     "multiarm_double": ("multiarm_pendulum/double.csv", 5, 20.2),
@@ -187,6 +190,7 @@ def test_a_body_that_is_lost_is_said(name):
     assert ((np.asarray(found.info.result) == Result.OK) & (error > 2 * usual)).sum() < 10
 
 
+@pytest.mark.long
 def test_a_gate_makes_the_step_of_the_observer_when_nothing_is_wrong():
     """Even from a state that is far off: what the observer's own error does is no fault of the measurement."""
     rng = np.random.default_rng(2)

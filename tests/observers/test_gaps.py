@@ -12,7 +12,12 @@ from covariant.observers import EKF, Copy, Geodesic, Intrinsic, IntrinsicKalman
 from covariant.observers._sampled import LONGEST_GAP, sampled_correction
 from covariant.signals import Result
 
-LONG = ("intrinsic-kalman", "geodesic")
+LONG = (
+    "intrinsic-kalman",
+    "geodesic",
+    "test_after_a_long_gap_the_velocity_is_no_worse_than_the_model_alone[ekf]",
+    "test_after_a_long_gap_the_velocity_is_no_worse_than_the_model_alone[intrinsic]",
+)
 
 ALPHA, BETA = 20.0, 200.0
 

@@ -71,6 +71,7 @@ def test_a_jump_that_stays_is_believed_after_a_while(swing, follow):
     assert (found[first + 30 :] == Result.OK).all()
 
 
+@pytest.mark.long
 def test_many_joints_with_an_outlier_each_now_and_then_do_not_start_it_anew(swing, follow):
     """Patience is a joint's own: refusals of different joints in a row are no jump."""
     t, _, y = swing

@@ -14,6 +14,17 @@ from covariant.observers import EKF, Delayed, Geodesic, Intrinsic, Salcudean, ru
 from covariant.signals import Record, Result
 from covariant.simulation import simulate
 
+LONG = (
+    "test_a_log_or_a_stream_that_starts_with_no_rotation[c]",
+    "test_a_short_step_is_the_flow[group]",
+    "test_a_short_step_is_the_flow[riemannian]",
+    "test_observers_work_in_float32[invariant EKF]",
+    "test_observers_work_in_float32[riemannian]",
+    "test_observers_work_in_float32[salcudean]",
+    "test_velocity_is_found_from_rest[group]",
+)
+"""Cases of the long suite: a cheaper one of the same test is in the short one."""
+
 BODY = free_body((1.0, 2.0, 3.5))
 OBSERVERS = {
     "group": Intrinsic(BODY, 4.0, 6.0, substeps=1),
@@ -114,6 +125,7 @@ def test_an_observer_that_is_told_no_time_starts_at_zero(name):
     assert OBSERVERS[name].init(jnp.eye(3)).t == 0.0
 
 
+@pytest.mark.long
 def test_what_a_step_leaves_of_the_error_leads_from_the_measurement_to_the_new_estimate():
     """It is what the next search starts from: the rest of the geodesic."""
     observer = OBSERVERS["riemannian"]
@@ -181,6 +193,7 @@ def test_invariant_ekf_on_rotations_is_the_multiplicative_ekf_of_the_textbook(lo
     assert np.abs(ours - textbook)[100:].max() < 0.05 * np.sqrt(np.mean(error**2))
 
 
+@pytest.mark.long
 def test_pose_and_twist_on_se3():
     vehicle = underwater_vehicle()
     t = 0.05 * jnp.arange(120.0)

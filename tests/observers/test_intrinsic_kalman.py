@@ -232,6 +232,7 @@ def intrinsic_kalman(model, noise):
     return isotropic(model, 0.5, noise, 3.0, gate=None, budget=Budget(newton=1, steps=3), substeps=2)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", LOTTERIES)
 def test_ten_charts_make_no_difference(name):
     """Less than a hundredth of the error itself, at errors of a third of a radian and noise of a twentieth."""

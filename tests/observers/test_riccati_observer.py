@@ -355,6 +355,7 @@ def test_a_gap_in_the_log_winds_the_filter_up_and_not_the_observer():
     assert curves["riccati_least"].min() > 1e-3
 
 
+@pytest.mark.long
 def test_the_filter_uses_what_is_known_beforehand():
     errors = sanfelice_praly.prior()
     assert errors["riccati"] > 1.5 * errors["ekf"]

@@ -15,6 +15,18 @@ from covariant.observers._protocol import outcome
 from covariant.observers._sampled import predict
 from covariant.signals import Record, Result
 
+LONG = (
+    "test_an_observer_on_the_truth_stays_there[ekf]",
+    "test_an_observer_on_the_truth_stays_there[geodesic]",
+    "test_an_observer_on_the_truth_stays_there[intrinsic]",
+    "test_fine_samples_follow_the_flow_to_first_order[Geodesic]",
+    "test_fine_samples_follow_the_flow_to_first_order[Intrinsic]",
+    "test_one_of_two_joints_may_be_missing[copy-both]",
+    "test_one_of_two_joints_may_be_missing[ekf-both]",
+    "test_one_of_two_joints_may_be_missing[intrinsic-both]",
+)
+"""Cases of the long suite: a cheaper one of the same test is in the short one."""
+
 X0 = np.array([0.7, 4.0])
 
 

@@ -104,6 +104,7 @@ def velocity_errors(found, x: np.ndarray) -> np.ndarray:
     return np.asarray(found.estimate)[LATE, 2:] - x[LATE, 2:]
 
 
+@pytest.mark.long
 def test_encoders_that_are_off_are_found_and_leave_no_bias(arm):
     off = np.array([0.06, -0.04])
     record = Record(STAMPS, TORQUES, arm[:, :2] + off + noise(2))
@@ -131,6 +132,7 @@ def test_ticks_of_encoders_that_are_off(arm):
     assert np.abs(velocity_errors(found, arm).mean(axis=0)).max() < 0.02
 
 
+@pytest.mark.long
 def test_a_payload_and_friction_are_found(arm):
     given = ["parameters.mass=[1.0, 0.4]", "parameters.length=[0.5, 0.4]", "parameters.viscous=[0.2, 0.05]"]
     family = models.family("pendulum_chain", ["mass[1]", "viscous[0]"], given)

@@ -176,6 +176,7 @@ def test_taken_for_noise_ticks_make_errors_larger_than_it_says():
     assert np.mean(ticks[3][:, 400:]) < 0.7**2 * np.mean(noise[3][:, 400:])
 
 
+@pytest.mark.long
 def test_at_one_tick_in_twenty_samples_a_model_leaves_a_third_of_the_error_of_the_best_without():
     t = np.arange(8000) * DT
     q, v = (np.asarray(a) for a in swing(jnp.array([0.33]), jax.random.key(5), jnp.zeros(len(t))))

@@ -91,6 +91,7 @@ def test_far_from_linear_it_is_nearer_than_the_ekf():
 BODY = GroupSystem(SO3, jnp.diag(jnp.array([1.0, 2.0, 3.5])))
 
 
+@pytest.mark.long
 def test_on_rotations_mean_and_covariance_are_those_of_a_cloud_of_bodies():
     """A tumbling body of uncertain attitude and velocity, half a second later; the EKF's are further off."""
     rng = np.random.default_rng(7)

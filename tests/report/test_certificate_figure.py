@@ -80,6 +80,7 @@ def test_the_share_left_open():
     assert canned().claims[0].proof.open_share == 0.0
 
 
+@pytest.mark.long
 def test_the_motion_stays_in_the_region_and_estimates_in_the_tube(followed):
     np.testing.assert_allclose(canned().half_widths, RADIUS * np.sqrt(SQUARES))
     assert np.abs(followed.positions).max() <= 3.0

@@ -11,6 +11,9 @@ from PIL import Image
 from covariant.audit import Audit, Law
 from covariant.report import PALETTE, _audit, draw_audit, new_figure, save_figure, write_png
 
+LONG = ("test_degenerate[zero_distances]",)
+"""Cases of the long suite: a cheaper one of the same test is in the short one."""
+
 NAMES = ["log_velocity.png", "log_position.png", "log_distance.png"]
 
 
@@ -33,6 +36,7 @@ def test_files(report, tmp_path):
         assert path.stat().st_size < 2**20
 
 
+@pytest.mark.long
 def test_a_row_a_coordinate(make, tmp_path):
     heights = []
     for n in (1, 3):

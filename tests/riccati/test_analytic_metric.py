@@ -117,6 +117,7 @@ def two_passes(x, rate):
     return jnp.stack(ends)
 
 
+@pytest.mark.long
 def test_one_pass_backward_gives_the_printed_metric_on_the_whole_grid():
     distances, result = one_pass(jnp.asarray(GRID), jnp.asarray(RATES))
     assert (result == Result.OK).all()
@@ -197,6 +198,7 @@ def by_hand(x, signs, q):
     return p, alpha
 
 
+@pytest.mark.long
 def test_every_sign_of_the_equations_matters():
     x, q = jnp.array([0.25, 1.125, 1.25]), jnp.eye(3)
     right, *wrong = [by_hand(x, signs, q) for signs in mutations()]
@@ -231,6 +233,7 @@ def right(x, p):
     return right_side(MODEL, QUADRATIC, p, x)
 
 
+@pytest.mark.long
 def test_equation_8_holds_along_the_motion():
     """Its left side by finite differences of `metric_at`, and by differentiating a window of fixed length."""
     x = jnp.asarray(SOME)
@@ -253,6 +256,7 @@ def test_equation_8_holds_along_the_motion():
     assert np.abs(slope).max() > 1e-2  # the metric does change along the motion
 
 
+@pytest.mark.long
 def test_the_metric_of_equation_15_does_not_depend_on_how_it_was_started():
     x = jnp.asarray(GRID[::31])
 

@@ -15,6 +15,13 @@ from covariant.models import StateSpace
 from covariant.riccati import Equation, Solution, Window, metric_at, metric_through, window_at
 from covariant.signals import Result
 
+LONG = (
+    "test_the_error_is_below_its_bound_and_that_below_the_tolerance[1e-05]",
+    "test_the_flow_contracts_the_distance_of_any_two_metrics[induction motor]",
+    "test_the_flow_contracts_the_distance_of_any_two_metrics[van der Pol]",
+)
+"""Cases of the long suite: a cheaper one of the same test is in the short one."""
+
 TIME = jnp.zeros(())
 
 
@@ -279,6 +286,7 @@ def found(request) -> Found:
     return Found(case, all_at_once(case, groups), near, windows_before(earlier))
 
 
+@pytest.mark.long
 def test_solutions_are_found_and_are_metrics(found):
     for name, answer in found.answers.items():
         assert (answer.solution.result == Result.OK).all(), name

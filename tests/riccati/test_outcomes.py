@@ -27,6 +27,15 @@ from covariant.riccati import (
 )
 from covariant.signals import Result
 
+LONG = (
+    "test_a_batch_is_the_loop[(15)]",
+    "test_high_gain_solves_equation_15_for_a_chain_and_puts_every_pole_at_its_rate[3]",
+    "test_high_gain_solves_equation_15_for_a_chain_and_puts_every_pole_at_its_rate[4]",
+    "test_where_there_is_no_metric_it_is_nan_and_says_why[(15)-at rest-14]",
+    "test_where_there_is_no_metric_it_is_nan_and_says_why[(8)-at rest-14]",
+)
+"""Cases of the long suite: a cheaper one of the same test is in the short one."""
+
 OSCILLATOR, OTHER = models.unknown_frequency(), models.van_der_pol()
 ZERO, NONE = jnp.zeros(()), jnp.zeros(0)
 BOX = (jnp.array([-2.0, -2.0, 0.1]), jnp.array([2.0, 2.0, 2.0]))

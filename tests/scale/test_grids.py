@@ -97,6 +97,7 @@ def cluster():
         yield made.scheduler_address
 
 
+@pytest.mark.long
 @settings(max_examples=10)
 @given(counts=st.lists(st.integers(2, 6), min_size=1, max_size=3), block=st.integers(2, 30))
 def test_values_are_those_of_the_function_whatever_the_blocks(tmp_path_factory, counts, block):
