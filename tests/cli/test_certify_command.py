@@ -258,3 +258,27 @@ def test_a_model_of_ones_own_is_given_by_who_checks(processes, proved, folder, c
     assert lines[1].startswith("The model is mine:pendulum, given by the person who checks")
     assert lines[2] == "What remains assumed:"
     assert lines[3:] == [f"- {line}" for line in certificates.ASSUMED]
+
+
+TIDE = """
+import jax.numpy as jnp
+from covariant import models
+
+tide = models.Lagrangian(
+    lambda q: jnp.eye(1), lambda q: 0.0, force=lambda t, q, u: u + jnp.sin(t), coordinates=("x",)
+)
+"""
+
+
+def test_a_force_that_depends_on_time_is_proved_between_two_times(capsys, monkeypatch, folder):
+    (folder / "tidal.py").write_text(TIDE)
+    monkeypatch.syspath_prepend(str(folder))
+    arguments = ("tidal:tide", *GAINS, "--region", "x=-1:1", "--velocity", "1", "--error", "0.1", *ONE)
+    code, _, message = leave(capsys, monkeypatch, *arguments)
+    assert code == 2
+    assert "depends on time; give times" in message
+    code, out, _ = leave(capsys, monkeypatch, *arguments, "--times", "0,1.5")
+    assert (code, "proved" in out) == (0, True)
+    code, _, message = leave(capsys, monkeypatch, *arguments, "--times", "2,1")
+    assert code == 2
+    assert "the earlier one first" in message

@@ -244,6 +244,9 @@ def certify(
     beta: Annotated[float | None, typer.Option(help="Gain β [1/s²].")] = None,
     sampling: Annotated[float | None, typer.Option(help="Sampling rate that gains are designed for [Hz].")] = None,
     input: Annotated[str | None, typer.Option(help="Bound of the inputs, one or one each; zero by default.")] = None,
+    times: Annotated[
+        str | None, typer.Option(help="First and last time [s], by commas, where the force depends on time.")
+    ] = None,
     rate: Annotated[
         float | None, typer.Option(help="Rate λ of squared lengths to prove [1/s]; half of Q's by default.")
     ] = None,
@@ -297,6 +300,7 @@ def certify(
             beta=beta,
             sampling=sampling,
             input=number_list("input", input) or 0.0,
+            times=number_list("times", times),
             rate=rate,
             q=number_list("q", q),
             noise=number_list("noise", noise) or 0.0,

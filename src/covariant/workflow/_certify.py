@@ -44,6 +44,7 @@ def certify(
     beta: float | None = None,
     sampling: float | None = None,
     input: Amounts = 0.0,
+    times: Sequence[float] | None = None,
     rate: float | None = None,
     q: Sequence[float | int] | None = None,
     noise: Amounts = 0.0,
@@ -66,6 +67,7 @@ def certify(
         alpha, beta: Gains [1/s], [1/s²]; by default designed from the numbers of the model file.
         sampling: Sampling rate [Hz] that gains are designed for.
         input: Bound of the inputs, one for all or one each.
+        times: First and last time [s] of the statement; needed where the force depends on time.
         rate: λ [1/s] of squared lengths to prove; by default half of what the metric Q allows.
         q: Entries a, c, b of the metric Q = [[a, c], [c, b]]; by default the best conditioned one.
         noise: Bound of the error of each measured position [unit].
@@ -111,6 +113,7 @@ def certify(
         "error": numbers("error", error, names, positive=True, one=True),
         "position": _matrix_region(system, region) if on_group else _region(name, names, region),
         "input": amounts("input", input, numbered("u", input_count(system, n))),
+        "times": None if times is None else tuple(times),
         "rate": None if rate is None else above_zero("rate", rate),
         "q": _metric(q),
         "noise": amounts("noise", noise, names),
