@@ -21,10 +21,13 @@ CLOCKS = ((0.5, "s"), (500.0, "ms"), (5e5, "us"), (np.inf, "ns"))
 """Median steps of stamps below which they are taken for seconds, milliseconds and so on."""
 DEGREES = 50.0
 """Angles that span more than this [rad] are more likely degrees."""
-_MEANT = {"t": "s", "q": "rad", "u": "N m", "v": "rad/s"}
-"""Units in which a model file has the columns where it says nothing."""
-_IN_NAME = re.compile(r"[\[(]\s*([^\[\]()]+?)\s*[\])]\s*$|_(deg|degrees|rad|ms|us|ns|s|turns?|rev|rpm|mNm|Nm)$")
-"""The unit at the end of the name of a column, as in `q1 [deg]`, `time (ms)` or `angle_deg`."""
+_MEANT = {"t": ("s",), "q": ("rad", "m"), "u": ("N m", "N"), "v": ("rad/s", "m/s")}
+"""Units in which a model file has the columns where it says nothing: of turning joints, and of sliding ones."""
+_SUFFIXES = "deg|degrees|rad|turns?|rev|rpm|deg_s|rad_s|m|mm|cm|m_s|mm_s|s|sec|ms|us|ns|N|mN|kN|Nm|mNm"
+_IN_NAME = re.compile(rf"[\[(]\s*([^\[\]()]+?)\s*[\])]\s*$|_({_SUFFIXES})$")
+"""The unit at the end of the name of a column, as in `q1 [deg]`, `time (ms)`, `angle_deg` or `cart_m`."""
+_TURNS = {"th", "theta", "phi", "psi", "angle", "ang"}
+"""Words of angles: theta_m is the angle of a motor, not a length."""
 _PLAIN = {"degrees": "deg", "deg/sec": "deg/s", "rad/sec": "rad/s", "seconds": "s", "degree": "deg"}
 SAME = 0.95
 """Least correlation of a column with the slope of a position with which it is taken for a velocity."""
@@ -40,8 +43,10 @@ class Draft(NamedTuple):
     - `t`, `q`, `u`, `v`: names of the columns of stamps, positions, inputs and logged velocities.
     - `left_out`: names of the other columns.
     - `rate`: samples a second [Hz]; `rows`: their number.
+    - `lengths` (n,): whether each position is a length [m]; those come first, and the others are angles [rad].
     - `quantum`: one tick of the positions where they are whole ticks apart, otherwise None.
     - `noise`: standard deviation of their noise, from third differences; an upper bound, since motion counts as well.
+      Both are one for each position where some are lengths and some angles.
     - `span` (n, 2): least and largest value of each position, as logged.
     - `units`: by the field t, q, u or v, the units of its columns where they are not those of a model file, s, rad, N m
       and rad/s; and `guessed`: for which fields it is the content that says so, not the header.
@@ -54,11 +59,18 @@ class Draft(NamedTuple):
     left_out: tuple[str, ...]
     rate: float
     rows: int
-    quantum: float | None
-    noise: float
+    lengths: tuple[bool, ...]
+    quantum: float | tuple[float, ...] | None
+    noise: float | tuple[float, ...]
     span: Float[np.ndarray, "n 2"]
     units: dict[str, tuple[str, ...]]
     guessed: tuple[str, ...]
+
+    @property
+    def plain_names(self) -> tuple[str, ...]:
+        """Names of the positions without their units: cart of `cart [mm]`; whole where two would be the same."""
+        plain = tuple(_IN_NAME.sub("", name).strip() for name in self.q)
+        return plain if "" not in plain and len(set(plain)) == len(plain) else self.q
 
 
 def draft(columns: Mapping[str, np.ndarray], given: Mapping[str, Sequence[str] | None] | None = None) -> Draft:
@@ -94,6 +106,10 @@ def draft(columns: Mapping[str, np.ndarray], given: Mapping[str, Sequence[str] |
         unknown = [name for name, kind in kinds.items() if kind == "" and name != t]
         v = tuple(name for p in q for name in unknown if _is_slope(columns[t], columns[p], columns[name]))
     v = v if len(v) == len(q) else ()
+    lengths = tuple(_unit_in(name, ("m",)) is not None for name in q)
+    order = sorted(range(len(q)), key=lambda i: not lengths[i])
+    q, lengths = tuple(q[i] for i in order), tuple(lengths[i] for i in order)
+    v = tuple(v[i] for i in order) if v else ()
     logged = np.column_stack([columns[name] for name in q])
     if np.isnan(logged[0]).any():
         raise ValueError(f"row 1 lacks a position ({', '.join(q)}); cut the log to begin later")
@@ -101,6 +117,11 @@ def draft(columns: Mapping[str, np.ndarray], given: Mapping[str, Sequence[str] |
     units, guessed = _units({"t": (t,), "q": q, "u": u, "v": v}, step, span)
     seconds = unit_factor(units.get("t", ("s",))[0])
     y = logged * [unit_factor(text) for text in units.get("q", ("rad",) * len(q))]
+    ticks, noises = _tick(y), _noise(y)
+    if len(set(lengths)) == 2:  # a tick of a metre is none of a radian
+        each = [_tick(column[:, None]) for column in y.T]
+        ticks = None if None in each else tuple(tick for tick in each if tick is not None)
+        noises = tuple(_noise(column[:, None]) for column in y.T)
     return Draft(
         t,
         q,
@@ -109,8 +130,9 @@ def draft(columns: Mapping[str, np.ndarray], given: Mapping[str, Sequence[str] |
         tuple(name for name in columns if name not in (t, *q, *u, *v)),
         1 / (step * seconds),
         len(y),
-        _tick(y),
-        float(np.sqrt(np.nanmean(np.diff(y, 3, axis=0) ** 2) / 20)) if len(y) > 4 else 0.0,
+        lengths,
+        ticks,
+        noises,
         span,
         units,
         guessed,
@@ -126,29 +148,37 @@ def _units(
     """
     told = {field: [_unit_in(name, _MEANT[field]) for name in names] for field, names in fields.items()}
     content = {"t": next(unit for most, unit in CLOCKS if step < most)}
-    content["q"] = "deg" if np.max(np.ptp(span, axis=1)) > DEGREES else "rad"
+    unsaid = [width for width, unit in zip(np.ptp(span, axis=1), told["q"], strict=True) if unit is None]
+    content["q"] = "deg" if max(unsaid, default=0.0) > DEGREES else "rad"
     found, guessed = {}, []
     for field, given in told.items():
         if None in given and field in content:
             guessed.append(field)
-        texts = tuple(text or content.get(field, _MEANT[field]) for text in given)
-        if any(unit_factor(text) != unit_factor(_MEANT[field]) for text in texts):
+        texts = tuple(text or (content[field] if field in content else _MEANT[field][0]) for text in given)
+        if any(unit_factor(text) != 1 for text in texts):
             found[field] = texts
     return found, tuple(field for field in guessed if field in found)
 
 
-def _unit_in(name: str, meant: str) -> str | None:
-    """The unit that the name of a column ends with, where it is of the kind that is meant."""
+def _unit_in(name: str, meant: Sequence[str]) -> str | None:
+    """The unit that the name of a column ends with, where it is of one of the kinds that are meant."""
     match = _IN_NAME.search(name)
     if match is None:
         return None
     text = match[1] or match[2]
-    text = _PLAIN.get(text, text)
+    if match[2] == "m" and _TURNS & _words(name):
+        return None
+    text = _PLAIN.get(text, text).replace("_", "/")
+    is_number = re.fullmatch(r"[-+.0-9e]*", text)  # q(1) is a name
+    return text if not is_number and any(_fits(text, unit) for unit in meant) else None
+
+
+def _fits(text: str, meant: str) -> bool:
     try:
         check_unit(text, meant)
     except ValueError:
-        return None
-    return None if re.fullmatch(r"[-+.0-9e]*", text) else text  # q(1) is a name
+        return False
+    return True
 
 
 def _columns_there(columns: Mapping[str, np.ndarray]) -> str:
@@ -156,11 +186,17 @@ def _columns_there(columns: Mapping[str, np.ndarray]) -> str:
 
 
 def _kind(name: str) -> str:
-    """What a name is taken for, a key of `_WORDS`; empty where it says nothing."""
-    if _unit_in(name, "rad/s"):
-        return "v"
-    words = set(re.findall(r"[a-z]+", name.lower()))
-    return next((kind for kind, known in _WORDS.items() if words & set(known.split())), "")
+    """What a name is taken for, a key of `_WORDS`: by its words, else by its unit; empty where neither says it."""
+    words = _words(name)
+    if "left out" not in (found := [kind for kind, known in _WORDS.items() if words & set(known.split())]):
+        if _unit_in(name, _MEANT["v"]):
+            return "v"
+        found += [kind for kind, units in _MEANT.items() if _unit_in(name, units)]
+    return next(iter(found), "")
+
+
+def _words(name: str) -> set[str]:
+    return set(re.findall(r"[a-z]+", name.lower()))
 
 
 def _stamps(columns: Mapping[str, np.ndarray], kinds: Mapping[str, str]) -> str:
@@ -196,6 +232,11 @@ def _is_slope(t: np.ndarray, y: np.ndarray, v: np.ndarray) -> bool:
     if both.sum() < 10 or np.ptp(v[both]) == 0 or np.ptp(slope[both]) == 0:
         return False
     return bool(np.corrcoef(slope[both], v[both])[0, 1] > SAME)
+
+
+def _noise(y: np.ndarray) -> float:
+    """The standard deviation of noise, at most, from third differences."""
+    return float(np.sqrt(np.nanmean(np.diff(y, 3, axis=0) ** 2) / 20)) if len(y) > 4 else 0.0
 
 
 def _tick(y: np.ndarray) -> float | None:

@@ -1,9 +1,11 @@
 """`init`: a first model file for a log, with the columns that its header names."""
 
 import json
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from string import Template
 from typing import Any
 
 from covariant import logs, models
@@ -16,7 +18,11 @@ from covariant.workflow._result import AbstractResult
 
 
 def init(log: Any, *, columns: ColumnNames | None = None, progress: Progress = silent) -> "InitResult":
-    """Draft a model file of a chain of pendulums from the header and the content of a log.
+    """Draft a model file from the header and the content of a log.
+
+    Where all positions are angles, the machine is a chain of pendulums. Where some are lengths, its equations of motion
+    are drafted as well, in a Python file beside the model file: of a pole on a cart for one length and one angle,
+    otherwise of masses that move each on its own.
 
     Args:
         log: A path, a DataFrame, or an xarray Dataset.
@@ -58,10 +64,14 @@ class InitResult(AbstractResult):
     log: str
     draft: Draft
 
-    @property
-    def text(self) -> str:
-        """The text of the model file."""
-        return template(Path(self.log).name, self.draft)
+    def texts(self, stem: str = "draft") -> dict[str, str]:
+        """The texts to write, by the names of their files: the model file and, for some machines, its equations."""
+        log, module = Path(self.log).name, re.sub(r"\W", "_", stem, flags=re.ASCII) + "_model"
+        module = f"_{module}" if module[0].isdigit() else module
+        if not any(self.draft.lengths):
+            return {f"{stem}.toml": _model_file(log, self.draft, _chain(self.draft))}
+        model = _model_file(log, self.draft, _own_machine(self.draft, module))
+        return {f"{module}.py": _equations(self.draft), f"{stem}.toml": model}
 
     @property
     def summary(self) -> dict[str, Any]:
@@ -87,29 +97,62 @@ class InitResult(AbstractResult):
             lines.append(f"units {', '.join(units)}")
         if self.draft.left_out:
             lines.append(f"left out: {', '.join(self.draft.left_out)}")
-        return "\n".join([*lines, "put first values of your machine into [parameters] of the model file"])
+        todo = "put first values of your machine into [parameters] of the model file"
+        if any(self.draft.lengths):
+            todo += ", and its equations of motion into the Python file beside it"
+        return "\n".join([*lines, todo])
 
     def save(self, path: str | Path, overwrite: bool = False) -> Path:
-        """Write the model file (.toml); a file that exists is not replaced, unless `overwrite` asks for it."""
+        """Write the model file (.toml), and beside it the equations of motion where they are drafted as well.
+
+        Files that exist are not replaced, unless `overwrite` asks for it.
+        """
         path = Path(path)
         check_output(path, ".toml", log=self.log)
-        if path.exists() and not overwrite:
-            raise ValueError(f"{path}: there is such a file already, and it is not overwritten; give another name")
-        text = self.text
-        write_atomically(path, lambda file: file.write(text.encode()))
+        texts = {path.with_name(name): text for name, text in self.texts(path.stem).items()}
+        for there in [file for file in texts if file.exists() and not overwrite]:
+            raise ValueError(f"{there}: there is such a file already, and it is not overwritten; give another name")
+        for file, text in texts.items():
+            write_atomically(file, lambda stream, text=text: stream.write(text.encode()))
         models.load(str(path))
         return path
 
 
-def template(name: str, found: Draft) -> str:
-    """The text of the model file."""
-    n = len(found.q)
+def _model_file(name: str, found: Draft, machine: list[str]) -> str:
+    """The text of the model file; `machine` are the lines of the system and its parameters."""
     spans = ", ".join(f"{q} {low:.3g} to {high:.3g}" for q, (low, high) in zip(found.q, found.span, strict=True))
     lines = [
         f"# Drafted from the log {name}: {found.rows} rows at {found.rate:.4g} Hz. The columns are guessed from their",
         "# names and their content; the numbers in [parameters] are places to put yours, not measurements.",
         "# Units: s, m, kg, rad, N m; those of the log are in [units] where they are others.",
         "",
+        *machine,
+        "",
+        "[columns]",
+        f"t = {_quoted(found.t)}",
+        f"q = {_names(found.q)}  # in this log {spans}",
+        f"u = {_names(found.u)}" + ("" if found.u else "  # no input was found"),
+        *([f"v = {_names(found.v)}  # only compared with, never used"] if found.v else []),
+        *([f"# left out: {', '.join(found.left_out)}"] if found.left_out else []),
+        *_units(found),
+        "",
+        "[measurement]",
+        _sensor(found),
+        "",
+        "# Gains of observers are designed from how much acceleration the model leaves unexplained, which a log does",
+        "# not tell before the model fits: set it after `covariant fit`, then take the marks of comments away.",
+        "# [uncertainty]",
+        f"# acceleration = 2.0  # {_both(found, 'm/s^2', 'rad/s^2')}",
+        "# correlation_time = 0.01  # s, over which it persists",
+        "",
+    ]
+    return "\n".join(lines)
+
+
+def _chain(found: Draft) -> list[str]:
+    """The system and its parameters where all positions are angles."""
+    n = len(found.q)
+    lines = [
         'system = "pendulum_chain"  # other machines: docs/models.md',
         "",
         "[parameters]",
@@ -128,33 +171,70 @@ def template(name: str, found: Draft) -> str:
             f"actuated = {list(range(len(found.u)))}"
             + ("  # joints that the inputs drive, from 0: the first ones are guessed" if found.u else "")
         )
-    lines += [
-        "",
-        "[columns]",
-        f"t = {_quoted(found.t)}",
-        f"q = {_names(found.q)}  # in this log {spans}",
-        f"u = {_names(found.u)}" + ("" if found.u else "  # no input was found"),
-        *([f"v = {_names(found.v)}  # only compared with, never used"] if found.v else []),
-        *([f"# left out: {', '.join(found.left_out)}"] if found.left_out else []),
-        *_units(found),
-        "",
-        "[measurement]",
-        _sensor(found),
-        "",
-        "# Gains of observers are designed from how much acceleration the model leaves unexplained, which a log does",
-        "# not tell before the model fits: set it after `covariant fit`, then take the marks of comments away.",
-        "# [uncertainty]",
-        "# acceleration = 2.0  # rad/s^2",
-        "# correlation_time = 0.01  # s, over which it persists",
-        "",
+    return lines
+
+
+def _own_machine(found: Draft, module: str) -> list[str]:
+    """The system and its parameters where its equations of motion are in a Python file."""
+    n = len(found.q)
+    lines = [f'system = "{module}:make"  # the function make of {module}.py, beside this file', "", "[parameters]"]
+    if _is_cart_pole(found):
+        lines += [
+            "cart_mass = 1.0  # kg",
+            "pole_mass = 0.1  # kg",
+            "com = 0.15  # m, from the pivot to the centre of mass of the pole",
+            "inertia = 0.001  # kg m^2, of the pole about its centre of mass",
+        ]
+    else:
+        lines += [
+            f"mass = {_list(1.0, n)}  # {_both(found, 'kg', 'kg m^2')}, what moves with each position",
+            f"weight = {_list(0.0, n)}  # {_both(found, 'N', 'N m')}, against which each position rises",
+        ]
+    return [
+        *lines,
+        f"viscous = {_list(0.01, n)}  # {_both(found, 'N s/m', 'N m s/rad')}, friction",
+        f"coulomb = {_list(0.01, n)}  # {_both(found, 'N', 'N m')}, times atan(100 v): dry friction, divided by pi/2",
     ]
-    return "\n".join(lines)
+
+
+def _is_cart_pole(found: Draft) -> bool:
+    return found.lengths == (True, False)
+
+
+def _both(found: Draft, length: str, angle: str) -> str:
+    """The units of a number for each position."""
+    kinds = dict.fromkeys(length if is_length else angle for is_length in found.lengths)
+    return " and ".join(kinds)
+
+
+def _equations(found: Draft) -> str:
+    """The text of the Python file with the equations of motion."""
+    n, m = len(found.q), len(found.u)
+    machine = _CART_POLE if _is_cart_pole(found) else _SEPARATE_MASSES
+    pushes = f"the first {m} of {n} positions" if m else "no position"
+    return machine + _REST.substitute(
+        positions=", ".join(map(_quoted, found.plain_names)),
+        units=", ".join("'m'" if is_length else "'rad'" for is_length in found.lengths).replace("'", '"'),
+        trailing="," if n == 1 else "",
+        circles="(1,)" if _is_cart_pole(found) else "()",
+        inputs=m,
+        pushes=pushes,
+        rest=n - m,
+    )
 
 
 def _sensor(found: Draft) -> str:
+    unit = _both(found, "m", "rad")
     if found.quantum is not None:
-        return f"quantum = {found.quantum:.6g}  # rad, the tick that positions of this log are multiples of"
-    return f"std = {max(found.noise, 1e-12):.3g}  # rad, at most: from third differences of the positions"
+        return f"quantum = {_digits(found.quantum, 6)}  # {unit}, the tick that positions of this log are multiples of"
+    return f"std = {_digits(found.noise, 3)}  # {unit}, at most: from third differences of the positions"
+
+
+def _digits(values: float | Sequence[float], digits: int) -> str:
+    """One number, or a list of them; zero, which no sensor has, is written as next to nothing."""
+    if isinstance(values, Sequence):
+        return "[" + ", ".join(_digits(value, digits) for value in values) + "]"
+    return f"{max(values, 1e-12):.{digits}g}"
 
 
 def _units(found: Draft) -> list[str]:
@@ -183,3 +263,83 @@ def _quoted(name: str) -> str:
 
 def _names(names: Sequence[str]) -> str:
     return "[" + ", ".join(map(_quoted, names)) + "]"
+
+
+_CART_POLE = '''"""A pole on a cart: equations of motion, as a first guess.
+
+The cart moves along a level rail. The pole turns about a pivot on the cart; its angle is 0 where it hangs, and grows
+as its end moves the way that the cart counts as positive. The centre of mass of the pole is `com` below the pivot.
+"""
+
+import jax.numpy as jnp
+
+from covariant.models import Lagrangian, Parametric
+
+
+def kinetic(q, cart_mass, pole_mass, com, inertia):
+    """The inertia matrix (2, 2): the kinetic energy is half of v' M(q) v."""
+    both = pole_mass * com * jnp.cos(q[1])
+    return jnp.stack(
+        [jnp.stack([cart_mass + pole_mass, both]), jnp.stack([both, inertia + pole_mass * com**2])]
+    )
+
+
+def potential(q, moment):
+    """The potential energy [J]."""
+    return -moment * jnp.cos(q[1])
+
+
+def make(cart_mass=1.0, pole_mass=0.1, com=0.15, inertia=0.001, viscous=(0.01, 0.01), coulomb=(0.0, 0.0), gravity=9.81):
+    """The machine with the numbers of [parameters]."""
+    energy = Parametric(kinetic, cart_mass=cart_mass, pole_mass=pole_mass, com=com, inertia=inertia)
+    return machine(energy, Parametric(potential, moment=pole_mass * com * gravity), viscous, coulomb)
+'''
+
+_SEPARATE_MASSES = '''"""Masses that move each on its own: equations of motion, as a first guess."""
+
+import jax.numpy as jnp
+
+from covariant.models import Lagrangian, Parametric
+
+
+def kinetic(q, mass):
+    """The inertia matrix (n, n): the kinetic energy is half of v' M(q) v."""
+    return jnp.diag(mass)
+
+
+def potential(q, weight):
+    """The potential energy [J]."""
+    return weight @ q
+
+
+def make(mass, weight, viscous, coulomb):
+    """The machine with the numbers of [parameters]."""
+    energy = Parametric(kinetic, mass=jnp.asarray(mass))
+    return machine(energy, Parametric(potential, weight=jnp.asarray(weight)), viscous, coulomb)
+'''
+
+_REST = Template('''
+
+def friction(q, v, viscous, coulomb):
+    """The force of friction (n,), which opposes the motion."""
+    return -viscous * v - coulomb * jnp.arctan(100.0 * v)
+
+
+def drive(t, q, u):
+    """The force of the inputs (n,), here on $pushes: a guess."""
+    return jnp.concatenate([u, jnp.zeros($rest, u.dtype)])
+
+
+def machine(energy, potential, viscous, coulomb):
+    """The machine of these energies, with the positions of the log."""
+    return Lagrangian(
+        energy,
+        potential,
+        force=drive,
+        dissipation=Parametric(friction, viscous=jnp.asarray(viscous), coulomb=jnp.asarray(coulomb)),
+        circles=$circles,  # positions that are angles on a full circle
+        coordinates=($positions$trailing),
+        units=($units$trailing),
+        inputs=$inputs,
+    )
+''')

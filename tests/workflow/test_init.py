@@ -1,0 +1,92 @@
+"""A first model file for a log, of turning joints, of sliding ones, and of both; it loads, and moves."""
+
+import itertools
+import re
+import sys
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pandas as pd
+import pytest
+
+import covariant
+from covariant import models
+from covariant.cli import main
+
+T = np.arange(400) * 2e-3
+LENGTH = np.round(0.2 * np.sin(3 * T) / 1e-4) * 1e-4
+ANGLE = np.round(np.cos(2 * T) / 1e-3) * 1e-3
+
+MACHINES = [
+    (names, inputs)
+    for names in (["cart_m", "pole_deg"], ["pole_rad", "cart_mm"], ["x [m]"], ["x (mm)", "y (mm)", "turn_deg"])
+    for inputs in {0, 1, len(names)}
+]
+
+
+def unit_of(name):
+    return re.findall("[a-z]+", name)[-1]
+
+
+def log(names, inputs):
+    scale = {"m": 1.0, "mm": 1e3, "deg": 180 / np.pi, "rad": 1.0}
+    table = {"time_ms": 1e3 * T}
+    for name in names:
+        table[name] = scale[unit_of(name)] * (LENGTH if unit_of(name).endswith("m") else ANGLE)
+    return pd.DataFrame(table | {f"force{i}_N": np.cos(T + i) for i in range(inputs)})
+
+
+@pytest.mark.parametrize(("names", "inputs"), MACHINES)
+def test_a_machine_that_slides_is_drafted_with_its_equations(tmp_path, names, inputs):
+    table = log(names, inputs)
+    result = covariant.workflow.init(table)
+    path = result.save(tmp_path / f"{len(names)}-{'-'.join(name[:2] for name in names)}{inputs}.toml")
+    assert sorted(file.suffix for file in tmp_path.iterdir()) == [".py", ".toml"]
+    file = models.load(path)
+    n = len(names)
+    sliding = sum(unit_of(name).endswith("m") for name in names)
+    assert file.model.units == ("m",) * sliding + ("rad",) * (n - sliding)
+    assert len(file.columns.u) == inputs
+    quantum = np.broadcast_to(np.asarray(file.quantum), n)
+    np.testing.assert_allclose(quantum, [1e-4 if unit == "m" else 1e-3 for unit in file.model.units], rtol=1e-3)
+    record = covariant.estimate(
+        path, table, anyway=True, overrides={"uncertainty.acceleration": 2.0, "uncertainty.correlation_time": 0.01}
+    )
+    assert np.isfinite(record.velocity).all()
+
+
+def test_of_a_pole_on_a_cart_the_equations_are_those_of_the_textbook(tmp_path):
+    path = covariant.workflow.init(log(["cart_m", "pole_deg"], 1)).save(tmp_path / "textbook.toml")
+    assert 'coordinates=("cart", "pole")' in path.with_name("textbook_model.py").read_text()
+    model = models.load(path, {"parameters.coulomb": [0.0, 0.0], "parameters.viscous": [0.0, 0.0]}).model
+    big, m, com, inertia, force = 1.0, 0.1, 0.15, 0.001, 0.7
+    acceleration = jax.jit(partial(models.acceleration, model, jnp.zeros(())))
+    for angle, rate in itertools.product((0.3, 2.0, -1.1), (0.0, 1.7)):
+        q, v = np.array([0.1, angle]), np.array([-0.4, rate])
+        found = np.asarray(acceleration(*map(jnp.asarray, (q, v, [force]))))
+        # (M + m) x" + m l (theta" cos - theta'^2 sin) = F;  (I + m l^2) theta" + m l x" cos + m g l sin = 0
+        matrix = [[big + m, m * com * np.cos(angle)], [m * com * np.cos(angle), inertia + m * com**2]]
+        right = [force + m * com * rate**2 * np.sin(angle), -m * 9.81 * com * np.sin(angle)]
+        np.testing.assert_allclose(found, np.linalg.solve(matrix, right), rtol=1e-12)
+
+
+def test_files_that_exist_are_kept(tmp_path):
+    result = covariant.workflow.init(log(["cart_m", "pole_deg"], 1))
+    (tmp_path / "a_model.py").write_text("mine = 1\n")
+    with pytest.raises(ValueError, match=r"a_model.py: there is such a file already"):
+        result.save(tmp_path / "a.toml")
+    assert not (tmp_path / "a.toml").exists()
+    assert (tmp_path / "a_model.py").read_text() == "mine = 1\n"
+
+
+def test_the_command_writes_both_files(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    log(["cart_m", "pole_deg"], 1).to_csv("run.csv", index=False)
+    monkeypatch.setattr(sys, "argv", ["covariant", "init", "run.csv", "-o", "bench.toml"])
+    with pytest.raises(SystemExit, match="0"):
+        main()
+    assert "into the Python file beside it" in capsys.readouterr().out
+    assert (tmp_path / "bench_model.py").exists()
+    assert 'system = "bench_model:make"' in (tmp_path / "bench.toml").read_text()
