@@ -18,6 +18,9 @@ from covariant.models._source import system
 from covariant.models._systems import SYSTEMS
 from covariant.observers import EKF, Copy, FilteredDerivative, Geodesic, Intrinsic, run
 
+LONG = ("test_a_model_is_made_inside_a_compiled_function[robot]",)
+"""Cases of the long suite: a cheaper one of the same test, or of the same law, is in the short one."""
+
 FACTORIES = {name: system(name) for name in SYSTEMS} | {
     name: getattr(marine, name) for name in ("cybership", "odin", "odin_on_group", "supply_vessel")
 }

@@ -9,6 +9,12 @@ from pathlib import Path
 
 import pytest
 
+LONG = (
+    "test_an_observer_in_one_file_and_one_entry_is_run_and_compared",
+    "test_it_is_put_to_the_laws_and_a_law_to_every_observer",
+)
+"""Cases of the long suite: a cheaper one of the same test, or of the same law, is in the short one."""
+
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "contributing.md").read_text(encoding="utf-8")
 COPIED = ("src", "tests/conftest.py", "tests/laws", "tools", "docs", "pyproject.toml")

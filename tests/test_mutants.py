@@ -13,6 +13,9 @@ import mutations
 import pytest
 from mutations import ROOMS, ROOT, SOURCE, draw, mutants_of
 
+LONG = ("test_a_mutant_is_another_program_and_differs_in_one_place",)
+"""Cases of the long suite: a cheaper one of the same test, or of the same law, is in the short one."""
+
 
 @functools.cache
 def drawn():

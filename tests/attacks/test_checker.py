@@ -15,7 +15,11 @@ from covariant.geometry import lie
 from covariant.observers import Intrinsic
 from covariant.proofs import _prove
 
-LONG = ("test_the_checker_sees_for_itself[a step]",)
+LONG = (
+    "test_the_checker_sees_for_itself[a step]",
+    "test_kinks_that_brake_are_proved_and_checked[one-sided]",
+    "test_the_checker_sees_for_itself[a step at the border]",
+)
 """Cases of the long suite: a cheaper one of the same test is in the short one."""
 
 RECIPE = {"attribute": "somebody:s", "parameters": {}}

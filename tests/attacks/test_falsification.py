@@ -11,7 +11,10 @@ import pytest
 
 from covariant.certificates import ContractionCertificate, falsify
 
-LONG = ("heavy_top",)
+LONG = (
+    "heavy_top",
+    "test_no_point_is_slower_than_what_is_certified[dfki_double_pendulum]",
+)
 
 FOLDER = Path(__file__).parents[2] / "examples/certificates"
 COUNT = int(os.environ.get("COVARIANT_ATTACKS", "12"))

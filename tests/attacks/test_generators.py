@@ -11,6 +11,9 @@ import numpy as np
 import pytest
 from generators import KINDS, System, contradiction, draw, is_defined, seen_from_the_border
 
+LONG = ("test_units_do_not_matter_to_the_verdict[kink]",)
+"""Cases of the long suite: a cheaper one of the same test, or of the same law, is in the short one."""
+
 COUNT = int(os.environ.get("COVARIANT_ATTACKS", "12"))
 ALLOWED = 1.01
 """How much simulated distances may exceed a bound, for the integration."""

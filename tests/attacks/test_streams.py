@@ -61,6 +61,8 @@ LONG = (
     "test_no_stream_spoils_an_observer[riccati]",
     "test_no_stream_spoils_an_observer[salcudean]",
     "test_no_stream_spoils_an_observer[ukf]",
+    "test_no_stream_spoils_an_observer[copy]",
+    "test_no_stream_spoils_an_observer[information ekf]",
 )
 
 ROWS = 400

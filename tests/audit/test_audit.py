@@ -29,6 +29,7 @@ LONG = (
     "test_each_slip_of_the_printed_group_observer[none]",
     "test_each_slip_of_the_printed_group_observer[source]",
     "test_each_slip_of_the_printed_group_observer[transport]",
+    "test_what_is_found_beside_the_deviations",
 )
 """Cases of the long suite: a cheaper one of the same test is in the short one."""
 

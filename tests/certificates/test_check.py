@@ -28,6 +28,7 @@ LONG = (
     "test_a_radius_beyond_what_is_proved_to_be_reached_is_refused[square-1.000001]",
     "test_a_radius_beyond_what_is_proved_to_be_reached_is_refused[square-1.5]",
     "test_a_radius_beyond_what_is_proved_to_be_reached_is_refused[square-100.0]",
+    "test_a_forger_who_mends_the_digest_is_refused_with_the_reason[square]",
 )
 """Cases of the long suite: a cheaper one of the same test is in the short one."""
 

@@ -40,6 +40,9 @@ from covariant.geometry import distance, hyperbolic
 from covariant.observers import Intrinsic
 from covariant.proofs import Box
 
+LONG = ("test_both_conditions_of_contraction_are_one[0]",)
+"""Cases of the long suite: a cheaper one of the same test, or of the same law, is in the short one."""
+
 ALPHA, BETA = math.sqrt(2), 0.5
 PAPER = lyapunov(ALPHA, BETA)
 ZERO = jnp.zeros(())

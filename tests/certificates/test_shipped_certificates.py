@@ -17,6 +17,7 @@ LONG = (
     "scara",
     "ur5e_three_joints",
     "test_some_leaves_are_looked_at_in_balls[dfki_double_pendulum]",
+    "test_a_small_one_is_verified_whole",
 )
 
 FOLDER = Path(__file__).parents[2] / "examples/certificates"

@@ -16,6 +16,9 @@ from covariant.cli import main
 from covariant.observers import Intrinsic
 from covariant.proofs import digest
 
+LONG = ("test_a_model_of_ones_own_is_given_by_who_checks[2]",)
+"""Cases of the long suite: a cheaper one of the same test, or of the same law, is in the short one."""
+
 PENDULUM = """
 system = "pendulum_chain"
 [parameters]

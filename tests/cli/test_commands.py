@@ -18,7 +18,11 @@ from covariant.observers import EKF, run
 from covariant.workflow._inputs import _in_ticks
 from covariant.workflow._outcome import KEPT
 
-LONG = ("test_people_are_told_why_compiled_c_did_not_do_the_work[arguments1]",)
+LONG = (
+    "test_people_are_told_why_compiled_c_did_not_do_the_work[arguments1]",
+    "test_a_report_is_drawn_whichever_engine_did_the_work[jax]",
+    "test_a_torque_that_nobody_told_is_found_and_leaves_no_bias",
+)
 """Cases of the long suite: a cheaper one of the same test is in the short one."""
 
 MODEL = """

@@ -12,6 +12,9 @@ from covariant import logs
 from covariant.models import load
 from covariant.simulation import hold, simulate
 
+LONG = ("test_estimate_writes_states_and_how_certain_they_are[c]",)
+"""Cases of the long suite: a cheaper one of the same test, or of the same law, is in the short one."""
+
 
 @pytest.fixture(autouse=True)
 def folder(tmp_path, monkeypatch):

@@ -45,6 +45,16 @@ LONG = (
     "exact",
     "thirty",
     "test_it_compiles_without_a_warning_and_passes_its_own_test[top]",
+    "test_a_metric_on_a_fine_grid_is_a_table_of_its_numbers",
+    "test_bad_options_are_named[words7-kB of flash, with loops over tables too, and may take 2; give it]",
+    "test_it_compiles_without_a_warning_and_passes_its_own_test[duffing]",
+    "test_it_compiles_without_a_warning_and_passes_its_own_test[frequency]",
+    "test_it_compiles_without_a_warning_and_passes_its_own_test[kalman]",
+    "test_it_compiles_without_a_warning_and_passes_its_own_test[pendulum]",
+    "test_it_compiles_without_a_warning_and_passes_its_own_test[pendulum_float]",
+    "test_it_compiles_without_a_warning_and_passes_its_own_test[ship]",
+    "test_its_vectors_are_what_the_observer_does_in_jax[top]",
+    "test_sanitizers_find_nothing[top]",
 )
 
 ROOT = Path(__file__).parents[2]

@@ -19,6 +19,13 @@ from covariant import models, observers
 from covariant.cli import main
 from covariant.codegen import _fmu, fmu, of_family, program, write_fmu
 
+LONG = (
+    "test_a_simulator_takes_it[3.0]",
+    "test_the_binary_does_what_the_observer_does_in_python[3.0]",
+    "test_the_description_names_what_is_in_the_unit[3.0]",
+)
+"""Cases of the long suite: a cheaper one of the same test, or of the same law, is in the short one."""
+
 ROOT = Path(__file__).parents[2]
 MODEL = ROOT / "examples" / "demo_double_pendulum.toml"
 RATE, ROWS = 250.0, 40

@@ -12,6 +12,9 @@ from covariant.models import marine, state_space
 LONG = (
     "test_full_state_feedback_gives_the_printed_error_equations[cybership]",
     "test_full_state_feedback_gives_the_printed_error_equations[odin]",
+    "test_bad_gains_are_refused[lam not symmetric]",
+    "test_output_feedback_gives_the_error_equations_that_the_cascade_is_judged_by[cybership]",
+    "test_output_feedback_gives_the_error_equations_that_the_cascade_is_judged_by[odin]",
 )
 """Cases of the long suite: a cheaper one of the same test is in the short one."""
 

@@ -46,6 +46,9 @@ LONG = (
     "test_on_a_trial_filters_are_the_best_of_their_kind[0.0001-False]",
     "test_on_a_trial_filters_are_the_best_of_their_kind[0.0001-True]",
     "test_on_a_trial_filters_are_the_best_of_their_kind[0.01-False]",
+    "test_on_a_trial_filters_are_the_best_of_their_kind[0.01-True]",
+    "test_on_a_trial_loops_have_their_best_number[False]",
+    "test_the_predicted_errors_are_those_of_a_simulation[0.4]",
 )
 """Cases of the long suite: a cheaper one of the same test is in the short one."""
 

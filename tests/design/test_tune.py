@@ -10,6 +10,12 @@ from covariant.models import Lagrangian, Parametric
 from covariant.observers import Intrinsic, IntrinsicKalman, external_force, run
 from covariant.signals import Record
 
+LONG = (
+    "test_what_is_held_out_confirms_it",
+    "test_with_a_metric_that_is_too_large_the_filter_is_as_good_as_one_without_a_model",
+)
+"""Cases of the long suite: a cheaper one of the same test, or of the same law, is in the short one."""
+
 RATE, STD, ACCELERATION = 100.0, 1e-3, 0.3
 STIFFNESS = 20.0
 

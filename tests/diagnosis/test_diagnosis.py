@@ -13,6 +13,9 @@ from covariant.models import load
 from covariant.signals import Record
 from covariant.simulation import Sensor, sense, simulate, stamps
 
+LONG = ("test_a_log_that_fits_has_no_findings[0]",)
+"""Cases of the long suite: a cheaper one of the same test, or of the same law, is in the short one."""
+
 SPACING = 2e-3
 QUANTUM = 1.5339807878856412e-3
 

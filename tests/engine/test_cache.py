@@ -13,6 +13,9 @@ from covariant.engine import _cache
 from covariant.engine._cache import cached_text
 from covariant.lowering import LoweringError
 
+LONG = ("test_an_observer_without_a_graph_is_tried_once",)
+"""Cases of the long suite: a cheaper one of the same test, or of the same law, is in the short one."""
+
 PROCESS = """
 import sys
 import jax.numpy as jnp

@@ -18,6 +18,13 @@ from covariant.engine._kernel import _prepared, prepared
 from covariant.observers import run
 from covariant.signals import Record, Result
 
+LONG = (
+    "test_a_log_in_single_precision_is_taken_in_double[jax]",
+    "test_no_sample_raises_and_each_fault_is_counted[jax]",
+    "test_runs_in_lanes_are_those_of_jax_each",
+)
+"""Cases of the long suite: a cheaper one of the same test, or of the same law, is in the short one."""
+
 RATE = 250.0
 needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler, `cc`")
 

@@ -36,6 +36,14 @@ LONG = (
     "test_geodesics_are_found_again[uneven, SO(3), by its energy]",
     "test_the_curvature_has_its_symmetries[arm, SE(3) x joints]",
     "test_the_curvature_has_its_symmetries[uneven, SO(3), by its energy]",
+    "test_a_momentum_that_is_carried_keeps_its_work_on_a_common_motion[uneven, SO(3), by its energy]",
+    "test_local_undoes_the_retraction[uneven, SO(3), by its energy]",
+    "test_the_connection_has_the_frames_torsion[arm, SE(3) x joints]",
+    "test_the_retraction_starts_along_the_frame[arm, SE(3) x joints]",
+    "test_the_retraction_starts_along_the_frame[uneven, SO(3), by its energy]",
+    "test_transport_is_an_isometry[arm, SE(3) x joints]",
+    "test_transport_is_an_isometry[uneven, SO(3), by its energy]",
+    "test_what_is_missing_of_a_product_is_missing_of_its_factor[0]",
 )
 
 BUDGET = Budget(steps=12)

@@ -9,6 +9,9 @@ from hypothesis import given, settings, strategies as st
 from covariant import geometry
 from covariant.geometry import Interpolated
 
+LONG = ("test_distance_on_a_parabola",)
+"""Cases of the long suite: a cheaper one of the same test, or of the same law, is in the short one."""
+
 LOW, HIGH = np.array([0.0, 1.0, 0.5]), np.array([1.0, 1.5, 1.5])
 """The grid of section III of Sanfelice & Praly 2015."""
 

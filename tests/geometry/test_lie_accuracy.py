@@ -23,6 +23,17 @@ LONG = (
     "test_exponential_and_jacobians_are_exact_to_rounding[('SU2', <class 'numpy.float32'>)-exp]",
     "test_exponential_and_jacobians_are_exact_to_rounding[('SU3', <class 'numpy.float32'>)-exp]",
     "test_exponential_and_jacobians_are_exact_to_rounding[('SU3', <class 'numpy.float64'>)-exp]",
+    "test_exponential_and_jacobians_are_exact_to_rounding[('SE2', <class 'numpy.float32'>)-exp]",
+    "test_exponential_and_jacobians_are_exact_to_rounding[('SE2', <class 'numpy.float64'>)-exp]",
+    "test_exponential_and_jacobians_are_exact_to_rounding[('SE3', <class 'numpy.float32'>)-exp]",
+    "test_exponential_and_jacobians_are_exact_to_rounding[('SE3', <class 'numpy.float64'>)-derivative]",
+    "test_exponential_and_jacobians_are_exact_to_rounding[('SL2', <class 'numpy.float32'>)-exp]",
+    "test_exponential_and_jacobians_are_exact_to_rounding[('SL2', <class 'numpy.float64'>)-exp]",
+    "test_exponential_and_jacobians_are_exact_to_rounding[('SO3', <class 'numpy.float64'>)-exp]",
+    "test_exponential_and_jacobians_are_exact_to_rounding[('SU2', <class 'numpy.float32'>)-derivative]",
+    "test_exponential_and_jacobians_are_exact_to_rounding[('SU2', <class 'numpy.float64'>)-exp]",
+    "test_exponential_and_jacobians_are_exact_to_rounding[('SU3', <class 'numpy.float32'>)-derivative]",
+    "test_exponential_and_jacobians_are_exact_to_rounding[('SU3', <class 'numpy.float64'>)-derivative]",
 )
 
 TINY = 1e-6

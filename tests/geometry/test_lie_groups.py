@@ -19,6 +19,10 @@ LONG = (
     "SU3",
     "test_law[SL2-derivative of log]",
     "test_log_is_backward_stable_everywhere[('SU3', <class 'numpy.float64'>)]",
+    "test_a_logarithm_is_traceless_also_where_the_angles_add_up_to_two_turns[1]",
+    "test_log_has_a_gradient[SU2]",
+    "test_log_is_unique_but_for_the_cut_locus[('SU3', <class 'numpy.float64'>)]",
+    "test_log_of_an_exact_half_turn_is_along_its_axis[axis0]",
 )
 
 SL2 = [[[1.0, 0.0], [0.0, -1.0]], [[0.0, 1.0], [0.0, 0.0]], [[0.0, 0.0], [1.0, 0.0]]]

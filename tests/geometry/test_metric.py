@@ -8,7 +8,11 @@ import pytest
 from covariant import geometry
 from covariant.geometry import Budget
 
-LONG = ("test_single_precision_agrees_with_double[oscillator in r]",)
+LONG = (
+    "test_single_precision_agrees_with_double[oscillator in r]",
+    "test_single_precision_agrees_with_double[sphere]",
+    "test_single_precision_stays_single_between_points[oscillator in r-open]",
+)
 """Cases of the long suite: a cheaper one of the same test is in the short one."""
 
 

@@ -18,6 +18,10 @@ LONG = (
     "test_error_of_a_fixed_budget_falls_with_the_distance[budget0-3]",
     "test_error_of_a_fixed_budget_falls_with_the_distance[budget1-6]",
     "test_error_of_a_fixed_budget_falls_with_the_distance[budget2-5]",
+    "test_error_of_a_fixed_budget_falls_with_the_distance[budget3-3]",
+    "test_fixed_budget_reports_what_it_left",
+    "test_near_searches_gain_two_orders_a_correction_where_the_frame_is_no_chart",
+    "test_shooting_is_the_same_under_jit_and_vmap",
 )
 
 SPHERE = geometry.sphere()

@@ -27,6 +27,16 @@ LONG = (
     "test_log_is_that_of_the_quadric_on_both_sides_of_the_seam[1.0-2]",
     "test_shooting_finds_the_closed_log[sphere]",
     "test_transport_is_that_of_the_matrix[sphere x hyperbolic]",
+    "test_curvature_of_a_sphere[derived-metric0-1.0]",
+    "test_exp_and_log_have_derivatives_at_zero[hyperbolic]",
+    "test_exp_and_log_have_derivatives_at_zero[sphere]",
+    "test_exp_and_log_near_the_edge_of_the_ball[10.0]",
+    "test_geodesic_goes_on_round_the_sphere[0.5]",
+    "test_log_is_that_of_the_matrix[sphere x hyperbolic]",
+    "test_transport_between_points_is_along_the_geodesic[sphere x hyperbolic]",
+    "test_transport_is_that_of_the_matrix[hyperbolic]",
+    "test_transport_is_that_of_the_matrix[plane, curved chart]",
+    "test_transport_is_that_of_the_matrix[sphere]",
 )
 """Cases of the long suite: a cheaper one of the same test is in the short one."""
 

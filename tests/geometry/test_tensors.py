@@ -10,6 +10,7 @@ from covariant.geometry import Metric
 LONG = (
     "test_curvature_is_the_contraction_of_the_tensor[3]",
     "test_curvature_is_the_contraction_of_the_tensor[4]",
+    "test_christoffel_is_the_contraction_of_the_symbols[4]",
 )
 """Cases of the long suite: a cheaper one of the same test is in the short one."""
 

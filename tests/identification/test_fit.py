@@ -16,6 +16,9 @@ from covariant.observers import Intrinsic, run
 from covariant.signals import Record
 from covariant.simulation import hold, simulate
 
+LONG = ("test_outliers_and_missing_samples_hardly_move_a_fit",)
+"""Cases of the long suite: a cheaper one of the same test, or of the same law, is in the short one."""
+
 MASS, COM, INERTIA, VISCOUS, GRAVITY = 0.7, 0.4, 0.05, 0.08, 9.81
 NOISE = 1e-3
 PENDULUM = f"""

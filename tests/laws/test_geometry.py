@@ -19,6 +19,14 @@ LONG = (
     "test_geodesic_is_found[double pendulum]",
     "test_geodesic_is_found[numeric sphere]",
     "test_geodesic_is_found[oscillator in r]",
+    "test_curvature_changes_sign_with_its_plane[double pendulum]",
+    "test_curvature_is_the_commutator_of_covariant_derivatives[double pendulum]",
+    "test_exp_of_log_arrives[double pendulum]",
+    "test_exp_of_log_arrives[numeric sphere]",
+    "test_exp_of_log_arrives[oscillator in r]",
+    "test_geodesic_deviation[oscillator in r]",
+    "test_geodesic_deviation[sphere x hyperbolic]",
+    "test_geodesic_deviation[sphere]",
 )
 """Cases of the long suite: a cheaper one of the same test is in the short one."""
 

@@ -38,6 +38,10 @@ LONG = (
     "test_error_in_a_parallel_frame_obeys_the_linear_law_at_any_speed[intrinsic, coefficients at the estimate-sphere]",
     "test_error_in_a_parallel_frame_obeys_the_linear_law_at_any_speed[intrinsic-hyperbolic plane]",
     "test_error_in_a_parallel_frame_obeys_the_linear_law_at_any_speed[intrinsic-sphere]",
+    "test_error_in_a_parallel_frame_obeys_the_linear_law_at_any_speed[geodesic, converged-hyperbolic plane]",
+    "test_error_in_a_parallel_frame_obeys_the_linear_law_at_any_speed[intrinsic2-hyperbolic plane]",
+    "test_error_in_a_parallel_frame_obeys_the_linear_law_at_any_speed[intrinsic2-sphere]",
+    "test_what_the_linear_law_leaves_out_is_of_first_order_in_the_error[intrinsic]",
 )
 
 ALPHA, BETA = 1.2, 0.9

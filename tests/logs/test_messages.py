@@ -15,6 +15,9 @@ from rosbags.typesys import Stores, get_typestore
 from covariant import logs
 from covariant.logs import Columns, LogError
 
+LONG = ("test_memory_grows_by_what_is_kept",)
+"""Cases of the long suite: a cheaper one of the same test, or of the same law, is in the short one."""
+
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 STATE, POSED = "sensor_msgs/msg/JointState", "geometry_msgs/msg/PoseStamped"
 START = 1_700_000_000_123_456_789

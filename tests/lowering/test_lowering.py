@@ -29,6 +29,7 @@ LONG = (
     "test_value_and_two_derivatives_are_those_of_jax[integration]",
     "test_value_and_two_derivatives_are_those_of_jax[loop]",
     "test_value_and_two_derivatives_are_those_of_jax[rotation]",
+    "test_observers_are_lowered_whole[group flow]",
 )
 
 PENDULUM = models.pendulum_chain((1.0, 0.7), (0.5, 0.4), viscous=(0.1, 0.2))

@@ -17,6 +17,7 @@ LONG = (
     "test_observers_evaluate_it_at_the_estimate[pendulum-ekf]",
     "test_observers_evaluate_it_at_the_estimate[pendulum-geodesic]",
     "test_observers_evaluate_it_at_the_estimate[pendulum-intrinsic]",
+    "test_observers_evaluate_it_at_the_estimate[pendulum-copy]",
 )
 
 ZERO = jnp.zeros(())

@@ -20,6 +20,7 @@ LONG = (
     "test_equations_of_motion_are_those_of_lagrange_in_coordinates[hovercraft]",
     "test_equations_of_motion_are_those_of_lagrange_in_coordinates[satellite]",
     "test_equations_of_motion_are_those_of_lagrange_in_coordinates[top]",
+    "test_power_of_the_forces_is_the_change_of_the_energy[hovercraft]",
 )
 
 SYSTEMS = {

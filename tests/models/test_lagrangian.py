@@ -21,6 +21,9 @@ from covariant.models import (
     source,
 )
 
+LONG = ("test_single_precision_agrees_with_double[chain, absolute]",)
+"""Cases of the long suite: a cheaper one of the same test, or of the same law, is in the short one."""
+
 TIME = jnp.zeros(())
 
 

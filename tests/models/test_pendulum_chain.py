@@ -7,6 +7,9 @@ import pytest
 
 from covariant.models import acceleration, energy, pendulum_chain
 
+LONG = ("test_small_oscillation_has_the_frequency_of_a_pendulum[hanging--1]",)
+"""Cases of the long suite: a cheaper one of the same test, or of the same law, is in the short one."""
+
 TIME = jnp.zeros(())
 SAMPLES = 8
 TRIPLE = {"mass": (1.0, 0.5, 0.7), "length": (1.0, 0.8, 0.6), "com": (0.6, 0.4, 0.7), "inertia": (0.1, 0.05, 0.02)}

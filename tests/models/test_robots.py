@@ -16,7 +16,13 @@ from covariant.geometry.lie import SE3
 from covariant.models import ModelError, Motion, acceleration, friction, load, robots
 from covariant.observers import Intrinsic
 
-LONG = ("floating_arm", "ball_arm", "6")
+LONG = (
+    "floating_arm",
+    "ball_arm",
+    "6",
+    "test_a_free_fall_keeps_the_momentum_that_weight_leaves",
+    "test_forward_dynamics_and_inertia_are_those_of_mujoco",
+)
 
 QUARTER = "1.5707963267948966"
 

@@ -16,6 +16,8 @@ from covariant.simulation import observe, simulate
 LONG = (
     "test_jacobians_are_those_of_finite_differences[a Lagrangian]",
     "test_jacobians_are_those_of_finite_differences[induction motor]",
+    "test_jacobians_are_those_of_finite_differences[induction motor, unknown load]",
+    "test_single_precision_stays_single[a Lagrangian]",
 )
 """Cases of the long suite: a cheaper one of the same test is in the short one."""
 

@@ -7,6 +7,9 @@ import pytest
 from covariant import models, workflow
 from covariant.models import acceleration, robots
 
+LONG = ("test_a_description_takes_torques_of_motors",)
+"""Cases of the long suite: a cheaper one of the same test, or of the same law, is in the short one."""
+
 INERTIA = '<inertia ixx="0.02" ixy="0" ixz="0" iyy="0.03" iyz="0" izz="0.025"/>'
 LINK = f'<inertial><origin xyz="0.1 0.05 -0.2"/><mass value="2"/>{INERTIA}</inertial>'
 JOINTS = "".join(

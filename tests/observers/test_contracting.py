@@ -22,6 +22,9 @@ from covariant.observers import (
 from covariant.signals import Record, Result
 from covariant.simulation import observe, simulate
 
+LONG = ("test_craft_observer_is_the_printed_one",)
+"""Cases of the long suite: a cheaper one of the same test, or of the same law, is in the short one."""
+
 ZERO = jnp.zeros(())
 
 

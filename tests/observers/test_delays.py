@@ -16,7 +16,10 @@ from covariant.signals import Record, Result
 from covariant.simulation import hold, simulate
 from covariant.workflow._inputs import Job, Loaded, data_sheet, load, with_sensor_delays
 
-LONG = ("test_every_reading_counts_at_the_time_at_which_it_was_true[delays0]",)
+LONG = (
+    "test_every_reading_counts_at_the_time_at_which_it_was_true[delays0]",
+    "test_every_reading_counts_at_the_time_at_which_it_was_true[delays1]",
+)
 """Cases of the long suite: a cheaper one of the same test is in the short one."""
 
 EXAMPLES = Path(__file__).parents[2] / "examples"

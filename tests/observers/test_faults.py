@@ -20,7 +20,15 @@ from covariant.observers import Gated, run
 from covariant.signals import Record, Result, lag_inputs
 from covariant.simulation import hold, simulate
 
-LONG = ("test_a_body_that_is_lost_is_said[intrinsic]",)
+LONG = (
+    "test_a_body_that_is_lost_is_said[intrinsic]",
+    "test_a_body_that_is_lost_is_said[salcudean]",
+    "test_after_a_hole_the_velocity_is_no_worse_than_that_of_the_model_alone[copy-dfki_double_pendulum]",
+    "test_after_a_hole_the_velocity_is_no_worse_than_that_of_the_model_alone[copy-multiarm_double]",
+    "test_after_a_hole_the_velocity_is_no_worse_than_that_of_the_model_alone[ekf-dfki_double_pendulum]",
+    "test_after_a_hole_the_velocity_is_no_worse_than_that_of_the_model_alone[ekf-multiarm_double]",
+    "test_after_a_hole_the_velocity_is_no_worse_than_that_of_the_model_alone[joint-kalman-multiarm_double]",
+)
 """Cases of the long suite: a cheaper one of the same test is in the short one."""
 
 EXAMPLES = Path(__file__).parents[2] / "examples"

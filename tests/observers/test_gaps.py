@@ -17,6 +17,8 @@ LONG = (
     "geodesic",
     "test_after_a_long_gap_the_velocity_is_no_worse_than_the_model_alone[ekf]",
     "test_after_a_long_gap_the_velocity_is_no_worse_than_the_model_alone[intrinsic]",
+    "test_a_short_gap_is_corrected[intrinsic]",
+    "test_after_a_long_gap_the_velocity_is_no_worse_than_the_model_alone[copy]",
 )
 
 ALPHA, BETA = 20.0, 200.0

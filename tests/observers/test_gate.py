@@ -12,6 +12,13 @@ from covariant.models import Lagrangian, Motion, advance, free_body, pendulum_ch
 from covariant.observers import Gate, Gated, Intrinsic, IntrinsicKalman, run
 from covariant.signals import Record, Result
 
+LONG = (
+    "test_a_clean_log_is_never_refused",
+    "test_a_velocity_that_is_off_by_more_than_twice_the_usual_one_is_said[1.5-False]",
+    "test_noise_told_ten_times_too_small_does_not_shut_the_gate",
+)
+"""Cases of the long suite: a cheaper one of the same test, or of the same law, is in the short one."""
+
 NOISE = 1e-3
 ROWS = 500
 CHAIN = pendulum_chain((1.0, 0.7), (0.5, 0.4))

@@ -22,6 +22,12 @@ LONG = (
     "test_observers_work_in_float32[riemannian]",
     "test_observers_work_in_float32[salcudean]",
     "test_velocity_is_found_from_rest[group]",
+    "test_a_later_measurement_that_is_no_rotation[group-[[2. 0. 0.]\\n [0. 2. 0.]\\n [0. 0. 2.]]]",
+    "test_a_later_measurement_that_is_no_rotation[late-[[2. 0. 0.]\\n [0. 2. 0.]\\n [0. 0. 2.]]]",
+    "test_observers_work_in_float32[group]",
+    "test_the_sign_of_a_quaternion_does_not_matter[group]",
+    "test_velocity_is_found_from_rest[riemannian]",
+    "test_where_no_geodesic_is_found_the_group_logarithm_stands_in",
 )
 """Cases of the long suite: a cheaper one of the same test is in the short one."""
 

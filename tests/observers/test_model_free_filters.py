@@ -13,6 +13,9 @@ from covariant.observers._levant import MARGIN
 from covariant.observers._tracking_loop import sampled
 from covariant.signals import Record, Result
 
+LONG = ("test_weights_are_the_response_to_an_impulse[joint kalman]",)
+"""Cases of the long suite: a cheaper one of the same test, or of the same law, is in the short one."""
+
 ROWS, RATE = 400, 200.0
 LINEAR = {
     "filtered derivative": FilteredDerivative(40.0, (0,)),

@@ -17,6 +17,15 @@ from covariant.riccati import Equation, RiccatiMetric
 from covariant.signals import Record, Result
 from covariant.simulation import observe
 
+LONG = (
+    "test_a_gain_of_one_quarter_contracts_every_direction_at_the_rate[1.0]",
+    "test_a_gap_in_the_log_winds_the_filter_up_and_not_the_observer",
+    "test_a_missing_output_is_as_if_it_were_not_there[0]",
+    "test_the_distance_decays_at_half_the_rate[1.0]",
+    "test_the_information_filter_is_the_textbooks_to_first_order_in_the_step",
+)
+"""Cases of the long suite: a cheaper one of the same test, or of the same law, is in the short one."""
+
 OSCILLATOR = models.unknown_frequency()
 ZERO, NONE = jnp.zeros(()), jnp.zeros(0)
 POINTS = jnp.asarray(sanfelice_praly.grid())

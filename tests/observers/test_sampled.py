@@ -24,6 +24,15 @@ LONG = (
     "test_one_of_two_joints_may_be_missing[copy-both]",
     "test_one_of_two_joints_may_be_missing[ekf-both]",
     "test_one_of_two_joints_may_be_missing[intrinsic-both]",
+    "test_an_observer_at_rest_finds_the_motion[ekf]",
+    "test_an_observer_at_rest_finds_the_motion[geodesic]",
+    "test_an_observer_at_rest_finds_the_motion[intrinsic]",
+    "test_an_observer_of_a_machine_with_stiff_friction_is_as_good_as_its_prediction",
+    "test_one_of_two_joints_may_be_missing[copy-one in turn]",
+    "test_one_of_two_joints_may_be_missing[ekf-one in turn]",
+    "test_one_of_two_joints_may_be_missing[intrinsic-one in turn]",
+    "test_run_is_the_loop_written_by_hand[Copy]",
+    "test_run_is_the_loop_written_by_hand[EKF]",
 )
 """Cases of the long suite: a cheaper one of the same test is in the short one."""
 

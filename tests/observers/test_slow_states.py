@@ -14,6 +14,12 @@ from covariant.observers import IntrinsicKalman, Slow, external_force, run, sens
 from covariant.signals import Record
 from covariant.simulation import hold, simulate
 
+LONG = (
+    "test_of_an_offset_it_is_the_kalman_filter_and_where_nothing_shows_it_stays_unknown[0.0]",
+    "test_ticks_of_encoders_that_are_off",
+)
+"""Cases of the long suite: a cheaper one of the same test, or of the same law, is in the short one."""
+
 STEP, ROWS, NOISE = 0.01, 500, 1e-3
 STAMPS = STEP * np.arange(ROWS)
 LATE = slice(200, None)

@@ -15,6 +15,9 @@ from covariant.observers._ticks import take
 from covariant.signals import Record
 from covariant.workflow._inputs import Job, data_sheet, load
 
+LONG = ("test_an_edge_is_where_the_joint_was_between_two_samples[1]",)
+"""Cases of the long suite: a cheaper one of the same test, or of the same law, is in the short one."""
+
 DT, TICK, PROCESS = 1e-3, 0.02, 0.05
 NONE = jnp.zeros(1)
 

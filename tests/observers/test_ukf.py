@@ -12,6 +12,14 @@ from covariant.models import GroupSystem, Lagrangian, Motion
 from covariant.observers import EKF, UKF, run
 from covariant.signals import Record, Result
 
+LONG = (
+    "test_a_covariance_without_rank_stays_one",
+    "test_far_from_linear_it_is_nearer_than_the_ekf",
+    "test_what_is_no_covariance_is_refused[wrong2]",
+    "test_where_all_is_linear_it_is_the_kalman_filter[1.0]",
+)
+"""Cases of the long suite: a cheaper one of the same test, or of the same law, is in the short one."""
+
 MASS = np.array([[2.0, 0.5], [0.5, 1.0]])
 STIFFNESS = np.array([[30.0, -10.0], [-10.0, 20.0]])
 PROCESS = np.array([[2.0, 0.4], [0.4, 1.0]])

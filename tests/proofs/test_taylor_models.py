@@ -21,7 +21,10 @@ from covariant.proofs.checker import TaylorEnclosure, show_definite
 from covariant.proofs.checker._definite import definite
 from covariant.proofs.checker._taylor import UndecidedError, number
 
-LONG = ("test_taylor_models_hold_the_function_and_say_something_about_it[rotation]",)
+LONG = (
+    "test_taylor_models_hold_the_function_and_say_something_about_it[rotation]",
+    "test_a_mistake_in_the_arithmetic_is_noticed[6]",
+)
 """Cases of the long suite: a cheaper one of the same test is in the short one."""
 
 FOLDER = Path(checker.__file__).parent

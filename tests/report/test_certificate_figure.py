@@ -21,6 +21,13 @@ from covariant.observers import Intrinsic
 from covariant.proofs import Box, Proof
 from covariant.report import _certificate, draw_certificate, new_figure
 
+LONG = (
+    "test_distances_begin_at_the_radius_and_stay_under_the_line",
+    "test_four_panels[holds]",
+    "test_the_axis_of_condition_numbers_has_several_numbers[10000.0]",
+)
+"""Cases of the long suite: a cheaper one of the same test, or of the same law, is in the short one."""
+
 SQUARES, RADIUS, RATE = (56.0, 2178.0), 0.01336, 3.33
 HALVED = [np.array([0]), np.array([1, -1]), np.array([-1, -2])]
 """The angle is halved, then the velocity of the lower half, whose upper half stays open."""

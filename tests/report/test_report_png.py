@@ -11,7 +11,10 @@ from PIL import Image
 from covariant.audit import Audit, Law
 from covariant.report import PALETTE, _audit, draw_audit, new_figure, save_figure, write_png
 
-LONG = ("test_degenerate[zero_distances]",)
+LONG = (
+    "test_degenerate[zero_distances]",
+    "test_files[n=3]",
+)
 """Cases of the long suite: a cheaper one of the same test is in the short one."""
 
 NAMES = ["log_velocity.png", "log_position.png", "log_distance.png"]

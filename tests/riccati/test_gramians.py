@@ -8,6 +8,12 @@ import pytest
 from covariant import models, riccati
 from covariant.models import StateSpace
 
+LONG = (
+    "test_the_rate_gives_a_metric_that_observers_can_use",
+    "test_where_there_is_no_rate_it_says_so",
+)
+"""Cases of the long suite: a cheaper one of the same test, or of the same law, is in the short one."""
+
 OSCILLATOR = models.unknown_frequency()
 STATES = np.random.default_rng(0).uniform(*zip(*OSCILLATOR.box, strict=True), (16, 3))
 

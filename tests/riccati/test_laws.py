@@ -19,6 +19,15 @@ LONG = (
     "test_the_error_is_below_its_bound_and_that_below_the_tolerance[1e-05]",
     "test_the_flow_contracts_the_distance_of_any_two_metrics[induction motor]",
     "test_the_flow_contracts_the_distance_of_any_two_metrics[van der Pol]",
+    "test_it_is_approached_geometrically_in_the_number_of_windows[van der Pol]",
+    "test_the_equation_is_satisfied_along_the_motion[Lorenz]",
+    "test_the_equation_is_satisfied_along_the_motion[bioreactor]",
+    "test_the_equation_is_satisfied_along_the_motion[induction motor]",
+    "test_the_equation_is_satisfied_along_the_motion[unknown frequency]",
+    "test_the_equation_is_satisfied_along_the_motion[van der Pol]",
+    "test_the_error_bound_holds_what_the_unknown_past_can_change[unknown frequency]",
+    "test_the_error_is_below_its_bound_and_that_below_the_tolerance[0.01]",
+    "test_the_flow_contracts_the_distance_of_any_two_metrics[unknown frequency]",
 )
 """Cases of the long suite: a cheaper one of the same test is in the short one."""
 

@@ -33,6 +33,10 @@ LONG = (
     "test_high_gain_solves_equation_15_for_a_chain_and_puts_every_pole_at_its_rate[4]",
     "test_where_there_is_no_metric_it_is_nan_and_says_why[(15)-at rest-14]",
     "test_where_there_is_no_metric_it_is_nan_and_says_why[(8)-at rest-14]",
+    "test_a_batch_is_the_loop[(8)]",
+    "test_a_past_that_leaves_the_domain_starts_at_its_border[(15)]",
+    "test_where_there_is_no_metric_it_is_nan_and_says_why[(15)-outside-15]",
+    "test_where_there_is_no_metric_it_is_nan_and_says_why[(8)-outside-15]",
 )
 """Cases of the long suite: a cheaper one of the same test is in the short one."""
 

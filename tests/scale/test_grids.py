@@ -21,6 +21,9 @@ from hypothesis import given, settings, strategies as st
 
 from covariant.scale import Grid, Variable, map_grid, open_grid
 
+LONG = ("test_a_killed_run_goes_on_where_it_was",)
+"""Cases of the long suite: a cheaper one of the same test, or of the same law, is in the short one."""
+
 GRID = Grid(("angle", "rate"), ("rad", "rad/s"), low=(-3.0, -5), high=(3.0, 5), counts=(11, 7))
 BLOCK = 9  # blocks of 3 x 3 points, which divide neither count
 SETTINGS: Any = {

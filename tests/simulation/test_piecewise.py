@@ -10,6 +10,12 @@ from covariant.models import Motion
 from covariant.signals import Record, acting_inputs
 from covariant.simulation import logged_inputs, simulate, simulate_piecewise
 
+LONG = (
+    "test_a_lag_follows_what_is_commanded[held]",
+    "test_smooth_inputs_give_the_motion_of_a_continuous_simulation",
+)
+"""Cases of the long suite: a cheaper one of the same test, or of the same law, is in the short one."""
+
 T = np.array([0.5, 0.8, 1.4, 1.5])
 U = np.array([[1.0], [-2.0], [4.0], [0.5]])
 AT = np.array([0.0, 0.2, 0.9, 1.1, 2.0])

@@ -9,6 +9,13 @@ import pytest
 from covariant import models
 from covariant.workflow import FitResult, SimulateResult, fit, simulate
 
+LONG = (
+    "test_a_fit_to_a_simulated_log_gives_the_truth[held]",
+    "test_a_log_that_does_not_show_how_inputs_go_decides_nothing",
+    "test_what_the_model_file_says_is_not_tried_otherwise",
+)
+"""Cases of the long suite: a cheaper one of the same test, or of the same law, is in the short one."""
+
 TRUTH = {"parameters.mass": [1.0], "parameters.length": [0.5], "parameters.viscous": [0.001]}
 FIRST = {**TRUTH, "parameters.viscous": [0.01], "parameters.length": [0.45]}
 DRIVEN: dict[str, Any] = {"duration": 20.0, "rate": 100.0, "q0": 0.4, "amplitude": 0.5, "noise": 2e-4, "seed": 3}

@@ -10,6 +10,9 @@ import pytest
 import covariant
 from covariant.cli import main
 
+LONG = ("test_a_comparison_is_a_table_in_order_of_error",)
+"""Cases of the long suite: a cheaper one of the same test, or of the same law, is in the short one."""
+
 MODEL = "pendulum_chain"
 NOISE = {"measurement.std": 1e-3, "uncertainty.acceleration": 2.0}
 SET = [word for key, value in NOISE.items() for word in ("--set", f"{key}={value}")]

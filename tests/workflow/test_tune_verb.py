@@ -8,6 +8,12 @@ import pytest
 from covariant import models
 from covariant.workflow import TuneResult, simulate, tune
 
+LONG = (
+    "test_a_page_is_drawn_after_either_engine[jax]",
+    "test_the_noise_of_a_table_is_found",
+)
+"""Cases of the long suite: a cheaper one of the same test, or of the same law, is in the short one."""
+
 NOISE = {"measurement.std": 0.1, "uncertainty.acceleration": 9.0}
 
 
