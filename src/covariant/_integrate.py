@@ -1,4 +1,4 @@
-"""Numerical integration by Runge–Kutta methods: fixed steps that can be exported, and adaptive ones.
+"""Numerical integration by Runge–Kutta methods: fixed steps that can be exported, and adaptive ones by diffrax.
 
 The stages of a step run in a loop, so that the vector field is compiled once: half a second against several where it
 stands in the program fourteen times. Programs are compiled far more often here than they run for long.
@@ -8,14 +8,15 @@ import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import diffrax as dfx
 import equinox as eqx
 import jax
 import jax.flatten_util
 import jax.numpy as jnp
 import numpy as np
+import optimistix as optx
 from jaxtyping import Array, Float
 
-from covariant._dormand_prince import ORDER, dormand_prince
 from covariant._typing import Number
 
 Flow = Callable[[Array, Any], Any]
@@ -68,7 +69,27 @@ def rk8(flow: Flow, t, x, dt, steps: int = 1):
     """Advance `x` by `dt` in `steps` equal steps of Dormand and Prince's eighth-order method, for work offline."""
     start, unravel = jax.flatten_util.ravel_pytree(x)
     slope, h = _flat(flow, unravel), dt / steps
-    return unravel(jax.lax.fori_loop(0, steps, lambda i, y: _step(slope, t, y, h, i)[0], start))
+    a, b, c = (jnp.asarray(part, start.dtype) for part in dormand_prince())
+
+    def step(i, x):
+        def stage(j, k):
+            return k.at[j].set(slope(t + (i + c[j]) * h, x + h * (a[j] @ k)))
+
+        return x + h * (b @ jax.lax.fori_loop(0, len(b), stage, jnp.zeros((len(b), len(x)), x.dtype)))
+
+    return unravel(jax.lax.fori_loop(0, steps, step, start))
+
+
+@functools.cache
+def dormand_prince() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Coefficients A (13, 13), the weights b (13,) of order eight, and the nodes c (13,).
+
+    Without the last of the fourteen stages, which only estimates the error of the following step.
+    """
+    tableau = dfx.Dopri8.tableau
+    count = len(tableau.b_sol) - 1
+    a = np.stack([np.zeros(count), *(np.pad(row, (0, count - len(row))) for row in tableau.a_lower[:-1])])
+    return a, tableau.b_sol[:-1], np.append(0.0, tableau.c[:-1])
 
 
 def _flat(flow: Flow, unravel: Callable[[Array], Any]) -> Callable[[Any, Array], Array]:
@@ -76,71 +97,51 @@ def _flat(flow: Flow, unravel: Callable[[Array], Any]) -> Callable[[Any, Array],
     return jax.jit(lambda t, x: jax.flatten_util.ravel_pytree(flow(t, unravel(x)))[0])
 
 
-def _step(slope: Callable[[Any, Array], Array], t, x: Array, h, i=0) -> tuple[Array, Array]:
-    """Where x is after step i of length h from t, and the estimate of the step's error."""
-    a, b, difference, c = (jnp.asarray(part, x.dtype) for part in dormand_prince())
+class _Steps(dfx.PIDController):
+    """Steps by their error, with the start (t, x) of the last step beside the state of the controller."""
 
-    def stage(j, k):
-        return k.at[j].set(slope(t + (i + c[j]) * h, x + h * (a[j] @ k)))
+    def init(self, terms, t0, t1, y0, dt0, args, func, error_order) -> Any:
+        end, memory = super().init(terms, t0, t1, y0, dt0, args, func, error_order)
+        return end, (memory, (t0, y0))
 
-    k = jax.lax.fori_loop(0, len(b), stage, jnp.zeros((len(b), x.shape[0]), x.dtype))
-    return x + h * (b @ k), h * (difference @ k)
+    def adapt_step_size(self, t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state: Any) -> Any:
+        memory, _ = controller_state
+        *step, memory, result = super().adapt_step_size(t0, t1, y0, y1_candidate, args, y_error, error_order, memory)
+        return *step, (memory, (t0, y0)), result
 
 
-class _Walk(NamedTuple):
-    """An adaptive solution on its way: where it is, the length of the next step, and the number of steps tried."""
+def _size(x: Array) -> Array:
+    """Root of the mean square; infinite where that is not a number, which would shorten no step."""
+    return jnp.nan_to_num(optx.rms_norm(x), nan=jnp.inf, posinf=jnp.inf)
+
+
+class _Run(NamedTuple):
+    """Where an adaptive solution ends, and where its last step began."""
 
     t: Array
     x: Array
-    h: Array
-    tried: Array
+    last: tuple[Array, Array]
 
 
-class _Adaptive(NamedTuple):
-    """Steps whose estimated error is below `atol + rtol |x|`, in the mean square over the numbers of x.
-
-    Source: Hairer, Nørsett & Wanner 1993, Solving Ordinary Differential Equations I, section II.4.
-    """
-
-    slope: Callable[[Any, Array], Array]
-    rtol: Number
-    atol: Number
-    max_steps: int
-
-    def size(self, error: Array, *x: Array) -> Array:
-        scale = self.atol + self.rtol * functools.reduce(jnp.maximum, map(jnp.abs, x))
-        # A length of zero has no derivative, and lengths of steps need none: a solution does not depend on them.
-        return jnp.sqrt(jnp.mean(jax.lax.stop_gradient(error / scale) ** 2))
-
-    def start(self, t: Array, x: Array, way: Array) -> _Walk:
-        """At (t, x), bound to go by `way`, with a first step by the first two derivatives."""
-        slope = self.slope(t, x)
-        still, fast = self.size(x, x), self.size(slope, x)
-        known = (still > 1e-5) & (fast > 1e-5)
-        small = jnp.where(known, 0.01 * still / jnp.where(known, fast, 1.0), 1e-6)
-        sign = jnp.where(way < 0, -1.0, 1.0).astype(t.dtype)
-        bent = self.size(self.slope(t + sign * small, x + sign * small * slope) - slope, x) / small
-        steep = jnp.maximum(fast, bent)
-        h = jnp.where(steep > 1e-15, (0.01 / steep) ** (1 / ORDER), jnp.maximum(1e-6, 1e-3 * small))
-        return _Walk(t, x, (sign * jnp.minimum(100 * small, h)).astype(t.dtype), jnp.zeros((), jnp.int32))
-
-    def going(self, at: _Walk) -> Array:
-        """Whether another step may be tried and moves on: the steps towards an escape become too short to."""
-        return (at.tried < self.max_steps) & (at.t + at.h != at.t)
-
-    def step(self, at: _Walk, end: Array) -> _Walk:
-        """One more try, no further than `end`; a step whose error is too large changes h only."""
-        last = jnp.abs(at.h) >= jnp.abs(end - at.t)
-        h = jnp.where(last, end - at.t, at.h)
-        x, error = _step(self.slope, at.t, at.x, h)
-        size = self.size(error, at.x, x)
-        good = size < 1  # not so where it is NaN
-        factor = 0.9 * jnp.where(size > 0, size, 1e-9) ** (-1 / ORDER)
-        factor = jnp.where(good, jnp.clip(factor, 1.0, 10.0), jnp.where(factor > 0.2, factor, 0.2))
-        following = factor.astype(h.dtype) * h
-        following = jnp.where(good & last & (jnp.abs(following) < jnp.abs(at.h)), at.h, following)
-        t = jnp.where(good, jnp.where(last, end, at.t + h), at.t)
-        return _Walk(t, jnp.where(good, x, at.x), following, at.tried + 1)
+def _run(
+    slope: Callable[[Any, Array], Array], x0: Array, begin, end, shortest, *, rtol, atol, max_steps, event=None
+) -> _Run:
+    """From x0 to `end`, to an event, or to where steps become shorter than `shortest`."""
+    solution: Any = dfx.diffeqsolve(
+        dfx.ODETerm(lambda t, x, _: slope(t, x)),
+        dfx.Dopri8(),
+        begin,
+        end,
+        None,
+        x0,
+        saveat=dfx.SaveAt(t1=True, controller_state=True),
+        stepsize_controller=_Steps(rtol, atol, _size, dtmin=shortest, force_dtmin=False),
+        adjoint=dfx.ForwardMode(),
+        event=event,
+        max_steps=max_steps,
+        throw=False,
+    )
+    return _Run(solution.ts[0], solution.ys[0], solution.controller_state[1])
 
 
 def solve(
@@ -148,17 +149,24 @@ def solve(
 ):
     """Integrate adaptively (Dormand–Prince 8) and return `x` at every stamp of `ts`, time first.
 
-    Steps end at the stamps. Where a solution escapes in finite time, or `max_steps` are used up, `x` is infinite at the
-    remaining stamps. Differentiable forward.
+    Steps end at the stamps. Where a solution escapes in finite time, or uses `max_steps` between two stamps, `x` is
+    infinite at the remaining stamps. Differentiable forward.
     """
     start, unravel = jax.flatten_util.ravel_pytree(x0)
-    rule = _Adaptive(_flat(flow, unravel), rtol, atol, max_steps)
+    slope = _flat(flow, unravel)
 
-    def interval(at: _Walk, end: Array):
-        at = jax.lax.while_loop(lambda at: (at.t != end) & rule.going(at), lambda at: rule.step(at, end), at)
-        return at, jnp.where(at.t == end, at.x, jnp.inf)
+    # One run for each interval: stamps to save at are checked on the host, and no such program can be stored.
+    def interval(x: Array, bounds: tuple[Array, Array]):
+        begin, end = bounds
+        escaped = ~jnp.all(jnp.isfinite(x))
+        end = jnp.where(escaped, begin, end)
+        # A step of four roundings of the time, shortened by a tenth, is rounded to four: it would be tried for ever.
+        shortest = 10 * jnp.finfo(ts.dtype).eps * jnp.maximum(jnp.abs(begin), jnp.abs(end))
+        run = _run(slope, x, begin, end, shortest, rtol=rtol, atol=atol, max_steps=max_steps)
+        x = jnp.where(escaped | (run.t != end), jnp.inf, run.x)
+        return x, x
 
-    _, later = jax.lax.scan(interval, rule.start(ts[0], start, ts[-1] - ts[0]), ts[1:])
+    _, later = jax.lax.scan(interval, start, (ts[:-1], ts[1:]))
     return jax.vmap(unravel)(jnp.concatenate([start[None], later]))
 
 
@@ -178,32 +186,25 @@ def solve_until(
     Returns (t, x) there, or after `max_steps` steps where neither happens.
     """
     start, unravel = jax.flatten_util.ravel_pytree(x0)
-    rule = _Adaptive(_flat(flow, unravel), rtol, atol, max_steps)
+    slope, zero, tiny = _flat(flow, unravel), jnp.zeros((), start.dtype), jnp.finfo(start.dtype).tiny
 
     def ahead(x: Array) -> Array:
-        return jnp.ones((), x.dtype) if border is None else border(unravel(x))
+        return zero + 1 if border is None else border(unravel(x))
 
-    def step(carry):
-        _, at = carry
-        return at, rule.step(at, jnp.full((), jnp.inf, at.t.dtype))
-
-    def going(carry):
-        before, at = carry
-        moved = at.t != before.t
-        return rule.going(at) & ~(moved & (stop(unravel(at.x)) | (ahead(at.x) <= 0)))
-
-    first = rule.start(jnp.zeros((), start.dtype), start, jnp.ones((), start.dtype))
-    before, at = jax.lax.while_loop(going, step, (first, first))
+    over = jax.jit(lambda x: stop(unravel(x)) | (ahead(x) <= 0))
+    event = dfx.Event(lambda t, y, args, **_: over(y))
+    run = _run(slope, start, zero, zero + jnp.inf, tiny, rtol=rtol, atol=atol, max_steps=max_steps, event=event)
     if border is None:
-        return at.t, unravel(at.x)
-    across = (at.t != before.t) & (ahead(at.x) <= 0)
-    length = at.t - before.t
+        return run.t, unravel(run.x)
+    # The last step again, in part: the interpolation within a step is a hundred times less accurate than its end.
+    t, x, (begin, before) = run
+    across = (t != begin) & (ahead(x) <= 0)
 
     def within(share: Array) -> Array:
-        return _step(rule.slope, before.t, before.x, share * length)[0]
+        return rk8(slope, begin, before, share * (t - begin))
 
-    share = _root(lambda share: ahead(within(share)), ahead(before.x), across)
-    return before.t + jnp.where(across, share, 1.0) * length, unravel(jnp.where(across, within(share), at.x))
+    share = _root(lambda share: ahead(within(share)), ahead(before), across)
+    return begin + jnp.where(across, share, 1.0) * (t - begin), unravel(jnp.where(across, within(share), x))
 
 
 def _root(function: Callable[[Array], Array], start: Array, wanted: Array) -> Array:
