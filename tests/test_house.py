@@ -18,7 +18,7 @@ SOURCE = ROOT / "src" / "covariant"
 
 PLAN = (
     "_programs _compile _typing _functional _files _optional _numbers signals scoring _linalg "
-    "_integrate lowering logs geometry models riccati observers control simulation interop scale "
+    "_integrate _adaptive lowering logs geometry models riccati observers control simulation interop scale "
     "proofs certificates audit diagnosis design identification codegen engine report papers workflow cli"
 )
 """A room may import from itself and from any room to its left, never to its right."""

@@ -5,7 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from covariant._integrate import dormand_prince, rk4, rk4_step, rk8, solve, solve_until
+from covariant._adaptive import solve, solve_until
+from covariant._integrate import dormand_prince, rk4, rk4_step, rk8
 
 START, DURATION = 0.3, 2.0
 STATE = {"position": jnp.array([1.0, 0.2]), "speed": jnp.array(0.5)}

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from covariant import geometry
-from covariant._integrate import solve
+from covariant._adaptive import solve
 from covariant.models import acceleration, energy, oscillator
 
 Q, V, U = jnp.array([0.4]), jnp.array([-0.7]), jnp.array([0.3])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from covariant import geometry
-from covariant._integrate import solve
+from covariant._adaptive import solve
 from covariant.models import Lagrangian, ball_and_beam, energy, pendulum_chain
 from covariant.observers import AbstractFlowObserver, MechanicalState
 from covariant.simulation import hold, no_input, observe, simulate

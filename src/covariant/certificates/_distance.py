@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from covariant._integrate import solve
+from covariant._adaptive import solve
 from covariant._linalg import solve as solve_linear
 from covariant._typing import Scalar, Vector
 from covariant.certificates._contraction import Flow, StateMetric

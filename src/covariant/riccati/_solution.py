@@ -8,7 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from covariant._integrate import rk8, solve_until
+from covariant._adaptive import solve_until
+from covariant._integrate import rk8
 from covariant._linalg import whiten
 from covariant._typing import Bounds, Code, Matrix, Number, Scalar, Vector
 from covariant.models import StateSpace

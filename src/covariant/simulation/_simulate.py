@@ -14,7 +14,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from covariant._integrate import compiled, solve
+from covariant._adaptive import solve
+from covariant._integrate import compiled
 from covariant._typing import Controller, Number
 from covariant.models import MechanicalSystem, MomentumChart, Motion, StateSpace, acceleration, advance, input_count
 from covariant.observers import AbstractFlowObserver, continuous

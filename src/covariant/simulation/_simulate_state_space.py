@@ -5,7 +5,8 @@ from typing import Any
 import jax
 from jaxtyping import Array, Float
 
-from covariant._integrate import compiled, solve
+from covariant._adaptive import solve
+from covariant._integrate import compiled
 from covariant._typing import Controller, Number, Vector
 from covariant.models import StateSpace
 from covariant.observers import AbstractFlowObserver, continuous

@@ -25,9 +25,10 @@ from covariant.workflow._inputs import (
     load,
     log_sheet,
     sought_columns,
+    sought_units,
     with_sensor_delays,
 )
-from covariant.workflow._outcome import Outcome, drive, engine_is_notable, report_curves, summary
+from covariant.workflow._outcome import Outcome, drive, engine_is_notable, report_curves, rounded, summary, with_units
 from covariant.workflow._outputs import check_output
 from covariant.workflow._pages import estimate_report, write_report
 from covariant.workflow._progress import Progress, silent
@@ -148,7 +149,10 @@ class CompareResult(AbstractTable):
 
     @property
     def headline(self) -> str:
-        return f"{len(self.outcomes)} estimators on {len(self.loaded.record.t)} rows; best: {self.ranking[0]}"
+        best, loaded = self.ranking[0], self.loaded
+        units = innovation_units(loaded.file) if loaded.reference is None else sought_units(loaded.file)
+        error = with_units(rounded(rmse(self.outcomes[best])), units)
+        return f"{len(self.outcomes)} estimators on {len(loaded.record.t)} rows; best: {best}, RMSE {error}"
 
     def __str__(self) -> str:
         from covariant.report import table

@@ -44,6 +44,7 @@ from covariant.workflow._outcome import (
     report_curves,
     rounded,
     summary,
+    with_units,
 )
 from covariant.workflow._outputs import check_output
 from covariant.workflow._pages import estimate_report, write_report
@@ -240,7 +241,7 @@ class EstimateResult(AbstractTable):
         what = self.loaded.model.sought.what
         text = f"{what} from {len(self.t)} rows by {self.observer_name}"
         if self.outcome.score is not None:
-            text += f", RMSE {_with_units(rounded(self.outcome.score.rmse), sought_units(self.loaded.file))}"
+            text += f", RMSE {with_units(rounded(self.outcome.score.rmse), sought_units(self.loaded.file))}"
         odd = sum(count for name, count in self.outcome.counts.items() if name != "ok")
         return f"{text}; {odd} samples were not ordinary" if odd else text
 
@@ -264,7 +265,7 @@ class EstimateResult(AbstractTable):
             *_errors(result, self.loaded),
         ]
         if "logged_velocity_rmse" in result:
-            speeds = _with_units(result["logged_velocity_rmse"], sought_units(self.loaded.file))
+            speeds = with_units(result["logged_velocity_rmse"], sought_units(self.loaded.file))
             lines.append(f"the same for the velocity in the log: {speeds}")
         if engine_is_notable(result["engine"], self.asked_engine):
             lines.append(f"engine: {result['engine']}")
@@ -350,18 +351,13 @@ def _errors(result: Mapping[str, Any], loaded: Loaded) -> list[str]:
     lines = []
     what = loaded.model.sought.what
     if f"{what}_rmse" in result:
-        errors = _with_units(result[f"{what}_rmse"], sought_units(loaded.file))
+        errors = with_units(result[f"{what}_rmse"], sought_units(loaded.file))
         lines.append(f"{what} RMSE against the {result['scored_against']}: {errors}")
-    lines.append(f"innovation RMS: {_with_units(result['innovation_rms'], innovation_units(loaded.file))}")
+    lines.append(f"innovation RMS: {with_units(result['innovation_rms'], innovation_units(loaded.file))}")
     told = [f"{name.upper()} {result[name]:.3g}" for name in ("nis", "nees") if result.get(name) is not None]
     if told:
         lines.append(f"{' and '.join(told)} a number; 1 is expected where model and noise are as told")
     return lines
-
-
-def _with_units(values: list[float | None], units: tuple[str, ...]) -> str:
-    written = ("—" if v is None else f"{v:.4g} {unit}".rstrip() for v, unit in zip(values, units, strict=True))
-    return ", ".join(written)
 
 
 def _longest(t: np.ndarray, coasted: np.ndarray) -> str:

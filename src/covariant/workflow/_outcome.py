@@ -2,6 +2,7 @@
 
 import math
 import time
+from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 import jax
@@ -121,6 +122,15 @@ def summary(outcome: Outcome, what: str = "velocity") -> dict[str, Any]:
 
 def rounded(values: np.ndarray) -> list[float | None]:
     return [float(f"{v:.6g}") if np.isfinite(v) else None for v in np.asarray(values)]
+
+
+def with_units(values: Iterable[float | None], units: tuple[str, ...]) -> str:
+    """Numbers in one line, each with its unit; a dash where there is none."""
+    written = (
+        "—" if v is None else f"{v:.4g} {unit}".removesuffix(" 1").rstrip()
+        for v, unit in zip(values, units, strict=True)
+    )
+    return ", ".join(written)
 
 
 def report_curves(outcomes: dict[str, Outcome]) -> dict[str, Any]:

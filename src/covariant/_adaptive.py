@@ -1,0 +1,143 @@
+"""Adaptive integration by diffrax: to given stamps, or to where a condition holds."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import diffrax as dfx
+import jax
+import jax.flatten_util
+import jax.numpy as jnp
+import optimistix as optx
+from jaxtyping import Array, Float
+
+from covariant._integrate import Flow, flat, rk8
+from covariant._typing import Number
+
+
+class _Steps(dfx.PIDController):
+    """Steps by their error, with the start (t, x) of the last step beside the state of the controller."""
+
+    def init(self, terms, t0, t1, y0, dt0, args, func, error_order) -> Any:
+        end, memory = super().init(terms, t0, t1, y0, dt0, args, func, error_order)
+        return end, (memory, (t0, y0))
+
+    def adapt_step_size(self, t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state: Any) -> Any:
+        memory, _ = controller_state
+        *step, memory, result = super().adapt_step_size(t0, t1, y0, y1_candidate, args, y_error, error_order, memory)
+        return *step, (memory, (t0, y0)), result
+
+
+def _size(x: Array) -> Array:
+    """Root of the mean square; infinite where that is not a number, which would shorten no step."""
+    return jnp.nan_to_num(optx.rms_norm(x), nan=jnp.inf, posinf=jnp.inf)
+
+
+class _Run(NamedTuple):
+    """Where an adaptive solution ends, and where its last step began."""
+
+    t: Array
+    x: Array
+    last: tuple[Array, Array]
+
+
+def _run(
+    slope: Callable[[Any, Array], Array], x0: Array, begin, end, shortest, *, rtol, atol, max_steps, event=None
+) -> _Run:
+    """From x0 to `end`, to an event, or to where steps become shorter than `shortest`."""
+    solution: Any = dfx.diffeqsolve(
+        dfx.ODETerm(lambda t, x, _: slope(t, x)),
+        dfx.Dopri8(),
+        begin,
+        end,
+        None,
+        x0,
+        saveat=dfx.SaveAt(t1=True, controller_state=True),
+        stepsize_controller=_Steps(rtol, atol, _size, dtmin=shortest, force_dtmin=False),
+        adjoint=dfx.ForwardMode(),
+        event=event,
+        max_steps=max_steps,
+        throw=False,
+    )
+    return _Run(solution.ts[0], solution.ys[0], solution.controller_state[1])
+
+
+def solve(
+    flow: Flow, x0, ts: Float[Array, "T"], *, rtol: Number = 1e-10, atol: Number = 1e-12, max_steps: int = 200_000
+):
+    """Integrate adaptively (Dormand–Prince 8) and return `x` at every stamp of `ts`, time first.
+
+    Steps end at the stamps. Where a solution escapes in finite time, or uses `max_steps` between two stamps, `x` is
+    infinite at the remaining stamps. Differentiable forward.
+    """
+    start, unravel = jax.flatten_util.ravel_pytree(x0)
+    slope = flat(flow, unravel)
+
+    # One run for each interval: stamps to save at are checked on the host, and no such program can be stored.
+    def interval(x: Array, bounds: tuple[Array, Array]):
+        begin, end = bounds
+        escaped = ~jnp.all(jnp.isfinite(x))
+        end = jnp.where(escaped, begin, end)
+        # A step of four roundings of the time, shortened by a tenth, is rounded to four: it would be tried for ever.
+        shortest = 10 * jnp.finfo(ts.dtype).eps * jnp.maximum(jnp.abs(begin), jnp.abs(end))
+        run = _run(slope, x, begin, end, shortest, rtol=rtol, atol=atol, max_steps=max_steps)
+        x = jnp.where(escaped | (run.t != end), jnp.inf, run.x)
+        return x, x
+
+    _, later = jax.lax.scan(interval, start, (ts[:-1], ts[1:]))
+    return jax.vmap(unravel)(jnp.concatenate([start[None], later]))
+
+
+def solve_until(
+    flow: Flow,
+    x0,
+    stop: Callable[[Any], Array],
+    border: Callable[[Any], Array] | None = None,
+    *,
+    rtol: Number,
+    atol: Number,
+    max_steps: int,
+):
+    """Integrate adaptively (Dormand–Prince 8) from time 0 to the end of the first step where `stop(x)` holds, or to
+    where `border(x)` falls to zero.
+
+    Returns (t, x) there, or after `max_steps` steps where neither happens.
+    """
+    start, unravel = jax.flatten_util.ravel_pytree(x0)
+    slope, zero, tiny = flat(flow, unravel), jnp.zeros((), start.dtype), jnp.finfo(start.dtype).tiny
+
+    def ahead(x: Array) -> Array:
+        return zero + 1 if border is None else border(unravel(x))
+
+    over = jax.jit(lambda x: stop(unravel(x)) | (ahead(x) <= 0))
+    event = dfx.Event(lambda t, y, args, **_: over(y))
+    run = _run(slope, start, zero, zero + jnp.inf, tiny, rtol=rtol, atol=atol, max_steps=max_steps, event=event)
+    if border is None:
+        return run.t, unravel(run.x)
+    # The last step again, in part: the interpolation within a step is a hundred times less accurate than its end.
+    t, x, (begin, before) = run
+    across = (t != begin) & (ahead(x) <= 0)
+
+    def within(share: Array) -> Array:
+        return rk8(slope, begin, before, share * (t - begin))
+
+    share = _root(lambda share: ahead(within(share)), ahead(before), across)
+    return begin + jnp.where(across, share, 1.0) * (t - begin), unravel(jnp.where(across, within(share), x))
+
+
+def _root(function: Callable[[Array], Array], start: Array, wanted: Array) -> Array:
+    """Where in 0 … 1 the function, `start` at 0, changes its sign: by regula falsi with halved weights (Illinois)."""
+    end = jnp.ones((), start.dtype)
+
+    def closer(carry):
+        a, at_a, b, at_b, tried = carry
+        c = b - at_b * (b - a) / (at_b - at_a)
+        at_c = function(c)
+        between = at_c * at_b < 0
+        return jnp.where(between, b, a), jnp.where(between, at_b, at_a / 2), c, at_c, tried + 1
+
+    def going(carry):
+        *_, value, tried = carry
+        return wanted & (jnp.abs(value) > 1e-12 * start) & (tried < 50)
+
+    first = jnp.zeros_like(end), start, end, function(end), jnp.zeros((), jnp.int32)
+    return jax.lax.while_loop(going, closer, first)[2]
