@@ -70,6 +70,7 @@ def pytest_collection_modifyitems(config, items):
         if names:
             item.add_marker(pytest.mark.long)
         unused -= {(item.module.__name__, name) for name in names}
+    items.sort(key=lambda item: "/pages/" not in item.nodeid)  # what takes longest comes first, or a worker idles
     if unused and not any("::" in argument for argument in config.args):
         raise pytest.UsageError(f"LONG names parameters that no test has: {sorted(unused)}")
 

@@ -1,0 +1,33 @@
+"""Homes of users in which pages are read, and a system without a compiler."""
+
+import os
+import shutil
+from pathlib import Path
+
+import pytest
+from page_runs import COMPILER
+
+
+@pytest.fixture(scope="session")
+def without_compiler(tmp_path_factory) -> str:
+    """A PATH with all programs of the system but the compilers of C."""
+    folder = tmp_path_factory.mktemp("bin")
+    for place in filter(os.path.isdir, os.defpath.strip(":").split(os.pathsep)):
+        for program in os.scandir(place):
+            target = folder / program.name
+            if not COMPILER.fullmatch(program.name) and not target.is_symlink():
+                target.symlink_to(program.path)
+    assert shutil.which("bash", path=str(folder))
+    assert not any(shutil.which(name, path=str(folder)) for name in ("cc", "gcc", "clang", "tcc"))
+    return str(folder)
+
+
+@pytest.fixture(scope="session")
+def home(tmp_path_factory) -> Path:
+    """The home of a user who reads the README and then the pages."""
+    return tmp_path_factory.mktemp("home")
+
+
+@pytest.fixture(scope="session")
+def home_without_compiler(tmp_path_factory) -> Path:
+    return tmp_path_factory.mktemp("home")
