@@ -1,4 +1,4 @@
-"""Homes of users in which pages are read, and a system without a compiler."""
+"""The home of a user who reads a page, and a system without a compiler."""
 
 import os
 import shutil
@@ -22,12 +22,7 @@ def without_compiler(tmp_path_factory) -> str:
     return str(folder)
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture
 def home(tmp_path_factory) -> Path:
-    """The home of a user who reads the README and then the pages."""
-    return tmp_path_factory.mktemp("home")
-
-
-@pytest.fixture(scope="session")
-def home_without_compiler(tmp_path_factory) -> Path:
+    """The home of a new user, with an empty cache."""
     return tmp_path_factory.mktemp("home")

@@ -15,21 +15,20 @@ def test_a_page_runs_with_its_long_blocks_too(page, tmp_path, home):
 
 
 @over(WITH_COMMANDS)
-def test_a_page_runs_without_a_compiler(page, tmp_path, home_without_compiler, without_compiler):
-    run(page, tmp_path, home_without_compiler, without_compiler)
+def test_a_page_runs_without_a_compiler(page, tmp_path, home, without_compiler):
+    run(page, tmp_path, home, without_compiler)
 
 
-@over([page for page in WITH_COMMANDS if page.name in ("README.md", "your-log.md")])
-def test_a_page_runs_without_a_cache(page, tmp_path, tmp_path_factory):
-    """The two pages on which all commands of the main job are; what else commands write goes through the same cache."""
-    run(page, tmp_path, tmp_path_factory.mktemp("home"), os.defpath, COVARIANT_CACHE="off")
+@over(WITH_COMMANDS)
+def test_a_page_runs_without_a_cache(page, tmp_path, home):
+    run(page, tmp_path, home, os.defpath, COVARIANT_CACHE="off")
 
 
 @pytest.mark.parametrize("place", ["no compiler", "no cache"])
-def test_the_demo_runs(place, tmp_path, tmp_path_factory, without_compiler):
+def test_the_demo_runs(place, tmp_path, home, without_compiler):
     """With a compiler and a cache it is `make demo`."""
     path, settings = (without_compiler, {}) if place == "no compiler" else (os.defpath, {"COVARIANT_CACHE": "off"})
     command = [sys.executable, "gallery/demo.py", "--out", "demo"]
-    run_program(command, tmp_path, tmp_path_factory.mktemp("home"), path, True, settings)
+    run_program(command, tmp_path, home, path, True, settings)
     made = {file.name for file in (tmp_path / "demo").iterdir()}
     assert made >= {"log.csv", "other.csv", "velocities.csv", "table.csv", "estimate.html", "compare.html"}

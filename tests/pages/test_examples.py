@@ -1,6 +1,6 @@
 """Every command and every Python example of the README and the pages runs as it stands, in the place of a user.
 
-The cache folder is empty when the README begins, and the pages find in it what those before them left.
+Each page begins with an empty cache folder, as that of a new user is.
 """
 
 import os
