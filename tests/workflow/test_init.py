@@ -90,3 +90,24 @@ def test_the_command_writes_both_files(tmp_path, monkeypatch, capsys):
     assert "into the Python file beside it" in capsys.readouterr().out
     assert (tmp_path / "bench_model.py").exists()
     assert 'system = "bench_model:make"' in (tmp_path / "bench.toml").read_text()
+
+
+def test_a_model_file_gets_the_equations_of_its_own_folder(tmp_path):
+    """In one process, from folders with files of the same names."""
+    drafts = {"a": log(["cart_m", "pole_deg"], 1), "b": log(["x [m]"], 1), "c": log(["cart_m", "pole_deg"], 1)}
+    for name, table in drafts.items():
+        (tmp_path / name).mkdir()
+        covariant.workflow.init(table).save(tmp_path / name / "draft.toml")
+    equations = tmp_path / "c" / "draft_model.py"
+    equations.write_text(equations.read_text().replace('"cart", "pole"', '"sledge", "arm"'))
+    for _ in range(2):
+        names = [models.load(tmp_path / name / "draft.toml").model.coordinates for name in "abc"]
+        assert names == [("cart", "pole"), ("x",), ("sledge", "arm")]
+
+
+def test_forces_come_before_torques_as_lengths_before_angles():
+    table = log(["pole_deg", "cart_m"], 0)
+    table["pole_Nm"], table["cart_N"] = np.cos(T), np.sin(T)
+    found = covariant.workflow.init(table).draft
+    assert (found.q, found.u) == (("cart_m", "pole_deg"), ("cart_N", "pole_Nm"))
+    assert covariant.workflow.init(table, columns={"u": ["pole_Nm", "cart_N"]}).draft.u == ("pole_Nm", "cart_N")

@@ -97,6 +97,8 @@ def draft(columns: Mapping[str, np.ndarray], given: Mapping[str, Sequence[str] |
     _one_family("q", q, given, columns)
     u = given.get("u") or tuple(name for name, kind in kinds.items() if kind == "u")
     _one_family("u", u, given, columns)
+    if "u" not in given:  # forces before torques, as lengths come before angles
+        u = tuple(sorted(u, key=lambda name: _unit_in(name, ("N m",)) is not None))
     if len(u) > len(q):
         raise ValueError(
             f"{len(u)} inputs ({', '.join(u)}) for {len(q)} positions; name them by --u{_columns_there(columns)}"
@@ -119,8 +121,8 @@ def draft(columns: Mapping[str, np.ndarray], given: Mapping[str, Sequence[str] |
     y = logged * [unit_factor(text) for text in units.get("q", ("rad",) * len(q))]
     ticks, noises = _tick(y), _noise(y)
     if len(set(lengths)) == 2:  # a tick of a metre is none of a radian
-        each = [_tick(column[:, None]) for column in y.T]
-        ticks = None if None in each else tuple(tick for tick in each if tick is not None)
+        found = [_tick(column[:, None]) for column in y.T]
+        ticks = None if None in found else tuple(tick for tick in found if tick is not None)
         noises = tuple(_noise(column[:, None]) for column in y.T)
     return Draft(
         t,

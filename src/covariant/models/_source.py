@@ -64,6 +64,8 @@ def attribute(spec: str, folder: Path | None = None) -> Any:
     beside = os.getcwd() if folder is None else str(folder.resolve())
     if ("" not in sys.path or folder is not None) and beside not in sys.path:
         sys.path.insert(0, beside)  # as `python -m` does; it stays, since the module may import others later
+    if folder is not None:
+        _prefer(where, Path(beside))
     try:
         module = importlib.import_module(where)
     except Exception as error:  # a module may fail in any way while it is imported
@@ -72,6 +74,15 @@ def attribute(spec: str, folder: Path | None = None) -> Any:
     if name not in vars(module):
         refuse_unknown(f"attribute of module {where!r}", name, [key for key in vars(module) if key[0] != "_"])
     return vars(module)[name]
+
+
+def _prefer(where: str, folder: Path) -> None:
+    """Let the module of a folder be imported, and not one of the same name that was imported from another folder."""
+    own, known = folder / f"{where}.py", sys.modules.get(where)
+    if own.exists() and known is not None and Path(getattr(known, "__file__", None) or "").resolve() != own.resolve():
+        del sys.modules[where]
+        sys.path.remove(str(folder))
+        sys.path.insert(0, str(folder))
 
 
 def typed(name: str, factory: Callable[..., Any], parameters: dict[str, Any]) -> dict[str, Any]:
