@@ -111,3 +111,17 @@ def test_forces_come_before_torques_as_lengths_before_angles():
     found = covariant.workflow.init(table).draft
     assert (found.q, found.u) == (("cart_m", "pole_deg"), ("cart_N", "pole_Nm"))
     assert covariant.workflow.init(table, columns={"u": ["pole_Nm", "cart_N"]}).draft.u == ("pole_Nm", "cart_N")
+
+
+def test_angles_that_start_a_turn_anew_are_no_jumps(tmp_path):
+    """As a wheel of an encoder that counts from 0 to 360°, beside two slides."""
+    wheel = 2.0 * T + 20 * T**2 + np.random.default_rng(0).normal(0, 1e-3, T.size)
+    table = log(["x [m]", "y [m]"], 0).assign(wheel_deg=np.degrees(wheel % (2 * np.pi)))
+    assert np.abs(np.diff(table["wheel_deg"])).max() > 300
+    result = covariant.workflow.init(table)
+    assert result.draft.noise[-1] == pytest.approx(1e-3, rel=0.2)
+    file = models.load(result.save(tmp_path / "wheel.toml"))
+    assert file.model.circles == (2,)
+    data = {"uncertainty.acceleration": 50.0, "uncertainty.correlation_time": 0.01}
+    speed = covariant.estimate(file, table, overrides=data, anyway=True).velocity[150:, 2]
+    np.testing.assert_allclose(speed, (2.0 + 40 * T)[150:], atol=4.0)

@@ -119,11 +119,11 @@ def draft(columns: Mapping[str, np.ndarray], given: Mapping[str, Sequence[str] |
     units, guessed = _units({"t": (t,), "q": q, "u": u, "v": v}, step, span)
     seconds = unit_factor(units.get("t", ("s",))[0])
     y = logged * [unit_factor(text) for text in units.get("q", ("rad",) * len(q))]
-    ticks, noises = _tick(y), _noise(y)
+    ticks, noises = _tick(y), _noise(y, lengths)
     if len(set(lengths)) == 2:  # a tick of a metre is none of a radian
         found = [_tick(column[:, None]) for column in y.T]
         ticks = None if None in found else tuple(tick for tick in found if tick is not None)
-        noises = tuple(_noise(column[:, None]) for column in y.T)
+        noises = tuple(_noise(column[:, None], (is_length,)) for column, is_length in zip(y.T, lengths, strict=True))
     return Draft(
         t,
         q,
@@ -236,9 +236,13 @@ def _is_slope(t: np.ndarray, y: np.ndarray, v: np.ndarray) -> bool:
     return bool(np.corrcoef(slope[both], v[both])[0, 1] > SAME)
 
 
-def _noise(y: np.ndarray) -> float:
-    """The standard deviation of noise, at most, from third differences."""
-    return float(np.sqrt(np.nanmean(np.diff(y, 3, axis=0) ** 2) / 20)) if len(y) > 4 else 0.0
+def _noise(y: np.ndarray, lengths: Sequence[bool]) -> float:
+    """The standard deviation of noise, at most, by third differences; a turn that starts anew is no motion."""
+    if len(y) <= 4:
+        return 0.0
+    steps = np.diff(y, axis=0)
+    steps = np.where(lengths, steps, steps - 2 * np.pi * np.round(steps / (2 * np.pi)))
+    return float(np.sqrt(np.nanmean(np.diff(steps, 2, axis=0) ** 2) / 20))
 
 
 def _tick(y: np.ndarray) -> float | None:

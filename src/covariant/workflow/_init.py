@@ -216,7 +216,7 @@ def _equations(found: Draft) -> str:
         positions=", ".join(map(_quoted, found.plain_names)),
         units=", ".join("'m'" if is_length else "'rad'" for is_length in found.lengths).replace("'", '"'),
         trailing="," if n == 1 else "",
-        circles="(1,)" if _is_cart_pole(found) else "()",
+        circles=tuple(i for i, is_length in enumerate(found.lengths) if not is_length),
         inputs=m,
         pushes=pushes,
         rest=n - m,
