@@ -105,6 +105,14 @@ def test_a_model_file_gets_the_equations_of_its_own_folder(tmp_path):
         assert names == [("cart", "pole"), ("x",), ("sledge", "arm")]
 
 
+def test_equations_that_were_edited_are_read_again(tmp_path):
+    path = covariant.workflow.init(log(["cart_m", "pole_deg"], 1)).save(tmp_path / "edited.toml")
+    equations = tmp_path / "edited_model.py"
+    for name in ("sledge", "wagon"):
+        equations.write_text(re.sub(r'coordinates=\("\w+"', f'coordinates=("{name}"', equations.read_text()))
+        assert models.load(path).model.coordinates == (name, "pole")
+
+
 def test_forces_come_before_torques_as_lengths_before_angles():
     table = log(["pole_deg", "cart_m"], 0)
     table["pole_Nm"], table["cart_N"] = np.cos(T), np.sin(T)

@@ -76,13 +76,23 @@ def attribute(spec: str, folder: Path | None = None) -> Any:
     return vars(module)[name]
 
 
+_imported: dict[str, tuple[Path, int]] = {}
+"""The file of each module beside a model file, and the time [ns] at which it had last been changed."""
+
+
 def _prefer(where: str, folder: Path) -> None:
-    """Let the module of a folder be imported, and not one of the same name that was imported from another folder."""
+    """Let the module of a folder be imported as it is now, not as it was, nor one of its name from another folder."""
     own, known = folder / f"{where}.py", sys.modules.get(where)
-    if own.exists() and known is not None and Path(getattr(known, "__file__", None) or "").resolve() != own.resolve():
+    if not own.exists():
+        return
+    as_it_is = own.resolve(), own.stat().st_mtime_ns
+    found = Path(getattr(known, "__file__", None) or "").resolve(), as_it_is[1]
+    if known is not None and _imported.get(where, found) != as_it_is:
         del sys.modules[where]
         sys.path.remove(str(folder))
         sys.path.insert(0, str(folder))
+        importlib.invalidate_caches()
+    _imported[where] = as_it_is
 
 
 def typed(name: str, factory: Callable[..., Any], parameters: dict[str, Any]) -> dict[str, Any]:
