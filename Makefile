@@ -60,7 +60,7 @@ long: env
 matrix: test
 	$(BIN)/python tools/matrix.py
 
-# Of those tests, the ones that depend on versions most.
+# Of those tests, the ones that depend on versions most, on the newest Python: .venv is the other end of the range.
 matrix-short: env
 	$(BIN)/python tools/matrix.py --short
 

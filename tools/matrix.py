@@ -4,7 +4,7 @@ The environment `.venv` has the oldest: those of constraints.txt. Each other ver
 and one that is not on this machine is left out, with a line that says so.
 
     python tools/matrix.py            # those of `make test`, on Python 3.12 and 3.13
-    python tools/matrix.py --short    # forms of jaxprs, a certificate, the README, the demo
+    python tools/matrix.py --short    # forms of jaxprs, a certificate, the README, the demo; the newest version only
 """
 
 import argparse
@@ -65,9 +65,10 @@ def main(arguments: list[str] | None = None) -> int:
     """Run the commands on every version that is here; the result is 1 where one of them fails."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--short", action="store_true", help="only the tests that depend on versions most")
-    commands = SHORT if parser.parse_args(arguments).short else ALL
+    short = parser.parse_args(arguments).short
+    commands, versions = (SHORT, VERSIONS[-1:]) if short else (ALL, VERSIONS)
     failed = []
-    for version in VERSIONS:
+    for version in versions:
         python = interpreter(version)
         if python is None:
             print(f"Python {version} is not here: nothing was run on it", flush=True)
