@@ -5,6 +5,7 @@ import math
 import shutil
 
 import hypothesis.strategies as st
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -135,3 +136,15 @@ def test_an_angle_of_many_turns_is_followed():
         works_in_c.y[:] = y + turns
         assert works_in_c.advance(0.01) == Result.OK
     np.testing.assert_allclose(works_in_c.x[:2], y, atol=1e-6)
+
+
+@pytest.mark.parametrize("dt", [0.01, 5e-324])
+@pytest.mark.parametrize("jitted", [False, True])
+def test_a_step_in_time_may_be_a_number_of_pythons_own(jitted, dt):
+    observer, y = cases()["pll"]
+    state = observer.init(jnp.asarray(y))
+    step = jax.jit(lambda state, y: observer.step(state, jnp.zeros(2), y, dt))
+    by_number = step(state, jnp.asarray(y)) if jitted else observer.step(state, jnp.zeros(2), jnp.asarray(y), dt)
+    by_array = observer.step(state, jnp.zeros(2), jnp.asarray(y), jnp.asarray(dt, float))
+    for one, other in zip(jax.tree.leaves(by_number), jax.tree.leaves(by_array), strict=True):
+        np.testing.assert_array_equal(one, other)

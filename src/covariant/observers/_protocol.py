@@ -86,7 +86,7 @@ class AbstractObserver(Functional):
         """
 
     @final
-    def step(self, state: Any, u: Float[Array, "m"], y: Inexact[Array, "*n"], dt: Scalar) -> tuple[Any, Any]:
+    def step(self, state: Any, u: Float[Array, "m"], y: Inexact[Array, "*n"], dt: Number) -> tuple[Any, Any]:
         """Advance by dt [s] under the input u (m,), held constant over the step, then correct by the measurement y.
 
         NaN in y marks a missing measurement, over which the model predicts alone. Invalid numbers never spoil the
@@ -96,6 +96,7 @@ class AbstractObserver(Functional):
         processors may take for zero, is zero. `info.result` reports this: `COASTED`, `INPUT_HELD`,
         `REPEATED` (dt = 0) or `STEP_REFUSED`, the worst one where several apply. Returns the new state and the info.
         """
+        dt = jnp.asarray(dt, jnp.result_type(dt, jnp.finfo(y.dtype).dtype))  # a number of Python's own has no type
         moves = jnp.isfinite(dt) & (dt >= jnp.finfo(dt.dtype).tiny)
         sound = jnp.where(jnp.isfinite(u), u, _held(state, u))
         far = jnp.abs(y) > self.largest(y)
