@@ -32,7 +32,7 @@ certificate = certificates.certify(
     q=certificates.lyapunov(alpha, beta),  # the metric of the paper
     recipe=models.recipe("ball_and_beam"),
 )
-print(f"{certificate.summary.verdict}: {certificate.summary.statement}")
+print(f"{certificate.statement.verdict}: {certificate.statement.claim}")
 print(f"{certificate.boxes} boxes in {certificate.seconds:.1f} s, all of them in the file")
 certificate.save(OUT / "10_certificate.json")
 draw_certificate(certificate, OUT / "10_proved_convergence.png")

@@ -45,8 +45,9 @@ OPTIONAL = (
 
 PUBLIC = {
     "audit": "LAWS Audit Law audit",
-    "certificates": "ASSUMED CascadeCertificate Certificate Checked Claim Constants ContractionCertificate Decay "
-    "Document Followed Growth MetricDesign Observability Projection Sampled StateMetric Subject TradeOff Trajectories "
+    "certificates": "ASSUMED CascadeCertificate Checked Claim Constants ContractionCertificate Decay "
+    "Document Evidence Followed Growth Hypothesis MetricDesign Observability Projection Sampled StateMetric Statement "
+    "Subject TradeOff Trajectories Verdict "
     "bending cascade certify check check_sample common_metric conditioning contraction contraction_matrix "
     "contraction_rate crossed_metric decay detectability_rate error_bounds error_matrix falsify feedthrough "
     "follow_estimates force_bounds generalised_jacobian in_coordinates in_frame log_norm lower_distance lyapunov "
@@ -70,7 +71,7 @@ PUBLIC = {
     "identification": "FITTED Draft Fit PredictionErrors Windows draft fit growth horizon losses prediction_errors "
     "relations split windows",
     "interop": "closed_loop observer_system plant",
-    "lowering": "FOLD INTERVALS NUMBERS STUMPFF TRUTHS Branch CText Call ClosedJaxpr Condition Conditions "
+    "lowering": "FOLD INTERVALS LARGEST NUMBERS STUMPFF TRUTHS Branch CText Call ClosedJaxpr Condition Conditions "
     "Derivative Domain Enclosure Graph Interval JaxprEquation Lowered LoweringError Node Scan Signature TracedFunction "
     "Truth While c_function c_helpers c_number c_rows enclose equations evaluate expand fingerprint fulfilled graft "
     "in_c lower lower_traced needed numbers pairs perturbed simplified stumpff substitute trace",
@@ -80,7 +81,7 @@ PUBLIC = {
     "Parameter Parametric StateSpace Survey acceleration advance applied_force ball_and_beam bioreactor "
     "body_velocity chart_jacobian chart_velocity check_metric check_model check_spec document duffing energy "
     "family free_body friction from_recipe heavy_top hovercraft in_chart induction_motor input_count load "
-    "lorenz oscillator pendulum_chain recipe resistance rewrite satellite satellite_arm source "
+    "lorenz oscillator pendulum_chain recipe recipe_text resistance rewrite satellite satellite_arm source "
     "spatial_momentum spec_name state_space survey underwater_vehicle unknown_frequency van_der_pol",
     "models.robots": "ROBOTS BodyInertia Description Follows Joint KinematicTree Links Motor RobotSpace assemble load "
     "located read",

@@ -102,7 +102,7 @@ def proved(matrix, domain) -> str:
 def verdict(observer, **bounds) -> str:
     """The verdict of `certify`, "refused" where it raises."""
     found = attempt(observer, **bounds)
-    return "refused" if found is None else found.summary.verdict
+    return "refused" if found is None else found.statement.verdict
 
 
 def rotation(theta):

@@ -103,7 +103,7 @@ def test_extreme_bounds_are_no_accident(name):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)
         found = attempt(OBSERVER, **(USUAL | EXTREME[name]))
-    assert found is None or found.summary.verdict != "fails"
+    assert found is None or found.statement.verdict != "fails"
     assert found is None or np.isfinite(found.radius)
 
 
@@ -154,7 +154,7 @@ def test_matrix_entries_of_a_group_may_not_hide_places(entries):
     found = attempt(
         wheel(lambda xp, g, v: -v, lambda t, g, u: u + 100 * g[1, :1]), velocity=1.0, error=0.3, position=entries
     )
-    assert found is None or found.summary.verdict != "holds" or "positions" in found.given
+    assert found is None or found.statement.verdict != "holds" or "positions" in found.given
 
 
 def test_gains_are_those_of_the_observer():
@@ -162,4 +162,4 @@ def test_gains_are_those_of_the_observer():
     assert found is not None
     assert float(found.observer.alpha) == ALPHA
     assert float(found.observer.beta) == BETA
-    assert found.summary.verdict == "holds"
+    assert found.statement.verdict == "holds"

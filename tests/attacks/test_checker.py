@@ -32,7 +32,7 @@ def line(dissipation=None, metric=lambda q: jnp.eye(1), force=None, potential=la
 def certified(model, **more):
     given = {"velocity": 1.0, "error": 0.1, "position": (-1.0, 1.0), "input": 0.5} | more
     found = certify(Intrinsic(model, 10.0, 50.0), **given, recipe=RECIPE)
-    assert found.summary.verdict == "holds"
+    assert found.statement.verdict == "holds"
     return found
 
 
@@ -148,8 +148,8 @@ def test_noise_and_its_slopes_are_checked(tmp_path, monkeypatch):
     """A certificate for a soft spring says nothing about a stiff one, though the force stays within the same bounds."""
     soft = line(lambda q, v: -v, potential=lambda q: 2 * q[0] ** 2)
     noisy = certified(soft, noise=1e-3, disturbance=0.01)
-    assert noisy.summary.statement.endswith(", under measurement errors up to 0.001 and unknown forces up to 0.01")
-    assert "under" not in certified(soft).summary.statement
+    assert noisy.statement.claim.endswith(", under measurement errors up to 0.001 and unknown forces up to 0.01")
+    assert "under" not in certified(soft).statement.claim
     path = noisy.save(tmp_path / "noisy.json")
     assert check(path, model=soft).leaves
     monkeypatch.setattr(_check, "DEEPEST", 12)
@@ -174,12 +174,12 @@ def test_a_rotation_that_jumps_at_the_estimate_is_refused_by_prover_and_checker(
         return models.GroupSystem(lie.SO2, np.eye(1), dissipation=dissipation)
 
     given = {"velocity": 1.0, "error": 0.1, "recipe": RECIPE}
-    assert certify(Intrinsic(wheel(step), 10.0, 50.0), **given).summary.verdict == "undecided"
+    assert certify(Intrinsic(wheel(step), 10.0, 50.0), **given).statement.verdict == "undecided"
     honest = _prove._reason
     monkeypatch.setattr(_prove, "_reason", lambda formed, domain: "")
     careless = certify(Intrinsic(wheel(step), 10.0, 50.0), **given)
     monkeypatch.setattr(_prove, "_reason", honest)
-    assert careless.summary.verdict == "holds"
+    assert careless.statement.verdict == "holds"
     with pytest.raises(ValueError, match="definedness of the observer, without jumps, is not shown"):
         check(careless.save(tmp_path / "careless.json"), model=wheel(step))
 
@@ -191,7 +191,7 @@ def test_errors_of_half_a_turn_are_refused_by_the_checker_too(tmp_path, monkeypa
     if kind == "rotation":
         model = models.GroupSystem(lie.SO2, np.eye(1))
         careless = certify(Intrinsic(model, 10.0, 50.0), velocity=1.0, error=6.0, recipe=RECIPE)
-        assert careless.summary.verdict == "holds"
+        assert careless.statement.verdict == "holds"
         path = careless.save(tmp_path / "careless.json")
     else:
         free = line(lambda q, v: -v)

@@ -97,7 +97,8 @@ OURS = {"jax", "jaxlib", "numpy", "equinox", "covariant"}
 
 @pytest.fixture(scope="module", autouse=True)
 def warm():
-    """What JAX loads when a model is made for the first time is loaded."""
+    """What JAX and this library load when a model is made for the first time is loaded."""
+    models.satellite()
     for text in (BEAM, TOP):
         follows(parse("warm.json", text.encode()))
 
@@ -596,7 +597,7 @@ def test_open_leaves_are_read_and_not_verified(tmp_path):
     path = forged(opened, tmp_path)
     refused(lambda: check(path), path, r"claims\[0\] must have no open leaves")
     found = ContractionCertificate.load(path)
-    assert (found.summary.verdict, found.radius, found.verified) == ("undecided", 0.0, False)
+    assert (found.statement.verdict, found.radius, found.verified) == ("undecided", 0.0, False)
     assert found.open.shape == (1, 2, 8)
     assert found.open[0, 0, 0] == 0
     assert found.open[0, 1, 0] == pytest.approx(0.22, rel=1e-15)
@@ -607,8 +608,8 @@ def test_open_leaves_are_read_and_not_verified(tmp_path):
 def test_the_text_is_computed_and_not_read(tmp_path):
     found = ContractionCertificate.load(forged(lambda document: None, tmp_path))
     assert found.domain.names[:2] == ("r", "theta")
-    assert found.summary.evidence == "claimed"
-    assert "read from a file, not verified again" in found.summary.statement
+    assert found.statement.evidence == "claimed"
+    assert "read from a file, not verified again" in found.statement.claim
 
 
 def test_a_counter_example_is_not_saved(tmp_path):

@@ -33,7 +33,7 @@ def checked(system: System, index: int) -> bool:
     """Whether a system is proved; fails where a simulation contradicts that."""
     noisy = system.kind == "noise"
     found = system.certify()
-    if found is None or found.summary.verdict != "holds":
+    if found is None or found.statement.verdict != "holds":
         return False
     if system.kind == "definedness":
         assert is_defined(system, index), f"friction that is not defined is proved: {system}"
@@ -83,7 +83,7 @@ def test_units_do_not_matter_to_the_verdict(kind):
         if system.space in ("wheel", "body", "circle"):
             continue
         usual, other = (made.certify() for made in (system, in_units(system, 1e-3, 60.0)))
-        verdicts = {found and found.summary.verdict for found in (usual, other)}
+        verdicts = {found and found.statement.verdict for found in (usual, other)}
         assert len(verdicts) == 1 or "holds" not in verdicts, (verdicts, system)
 
 

@@ -58,7 +58,7 @@ def test_errors_of_half_a_turn_are_never_proved_on_a_circle(error):
 def test_smaller_errors_are_proved(error):
     for observer, bounds in ((wheel(damped), {}), (line(damped, circles=(0,)), {"position": (-3, 3)})):
         found = certify(observer, velocity=1.0, error=error, input=1.0, rate=RATE, q=Q, **bounds)
-        assert found.summary.verdict == "holds"
+        assert found.statement.verdict == "holds"
         assert (beyond_half_a_turn(found.radius, error) < 1.02).all()
 
 

@@ -141,7 +141,7 @@ USUAL = {"velocity": 3.0, "error": 0.5, "position": (-1.0, 1.0), "input": 0.1}
 def test_certified_steady_errors_hold_for_the_worst_signals(stiffness, noise, unknown):
     found = attempt(sprung(stiffness), **USUAL, noise=noise, disturbance=unknown)
     assert found is not None
-    assert found.summary.verdict == "holds"
+    assert found.statement.verdict == "holds"
     assert 0 < found.steady < found.radius
     inverse = np.linalg.inv(Q)
     claimed = [found.steady * np.sqrt(2 * inverse[i, i]) for i in range(2)]

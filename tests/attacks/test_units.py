@@ -50,7 +50,7 @@ def on_a_line(law, length: float, second: float):
 
 def found(make) -> str:
     try:
-        return make().summary.verdict
+        return make().statement.verdict
     except ValueError:
         return "refused"
 

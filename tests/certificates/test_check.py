@@ -39,7 +39,7 @@ def saved(tmp_path_factory):
     recipe = {"system": "oscillator", "parameters": {"chart": "r"}}
     observer = Intrinsic(models.from_recipe(recipe), 4.0, 8.0)
     found = certify(observer, velocity=0.2, error=0.05, position=(0.8, 1.2), input=0.1, recipe=recipe)
-    assert found.summary.verdict == "holds"
+    assert found.statement.verdict == "holds"
     return found.save(tmp_path_factory.mktemp("oscillator") / "certificate.json")
 
 
@@ -50,7 +50,7 @@ def beam(tmp_path_factory):
     observer = Intrinsic(models.from_recipe(recipe), math.sqrt(2), 0.5)
     given = {"position": (-0.01, 0.01), "input": 0.01, "rate": 0.3}
     found = certify(observer, velocity=0.9, error=0.001, **given, recipe=recipe)
-    assert found.summary.verdict == "holds"
+    assert found.statement.verdict == "holds"
     return found.save(tmp_path_factory.mktemp("beam") / "certificate.json")
 
 
@@ -223,7 +223,7 @@ def noisy(tmp_path_factory):
     observer = Intrinsic(models.from_recipe(recipe), 4.0, 8.0)
     given = {"velocity": 0.2, "error": 0.05, "position": (0.8, 1.2), "input": 0.1}
     found = certify(observer, **given, noise=1e-3, disturbance=2e-3, recipe=recipe)
-    assert found.summary.verdict == "holds"
+    assert found.statement.verdict == "holds"
     assert 0 < found.steady < found.radius
     return found.save(tmp_path_factory.mktemp("noisy") / "certificate.json")
 
@@ -299,7 +299,7 @@ def shortest_leaving(q):
 
 
 def test_no_geodesic_as_long_as_the_radius_leaves_a_region_that_is_not_convex(sectors, saved_sectors):
-    assert sectors.summary.verdict == "holds"
+    assert sectors.statement.verdict == "holds"
     assert sectors.radius < shortest_leaving(sectors.q)
     for claim in sectors.claims[1:]:
         assert sectors.radius * math.sqrt(claim.square) <= claim.limit
@@ -321,14 +321,14 @@ def test_a_prover_that_takes_reaches_for_shorter_than_they_are_proves_nothing(mo
     monkeypatch.setattr(_certify, "squared_widths", lambda about, state: honest(about, state) / 4)
     monkeypatch.setattr(_certify, "sampled_widths", lambda about, domain: jnp.full(4, 1e-9))
     found = sector()
-    assert (found.summary.verdict, found.radius) == ("fails", 0.0)
+    assert (found.statement.verdict, found.radius) == ("fails", 0.0)
 
 
 def test_reaches_that_no_sampled_point_had_are_found_by_their_counterexamples(sectors, monkeypatch):
     honest = _certify.sampled_widths
     monkeypatch.setattr(_certify, "sampled_widths", lambda about, domain: honest(about, domain) / 4)
     found = sector()
-    assert found.summary.verdict == "holds"
+    assert found.statement.verdict == "holds"
     assert found.radius == pytest.approx(sectors.radius, rel=0.05)
 
 

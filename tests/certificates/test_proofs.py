@@ -9,8 +9,8 @@ import pytest
 
 from covariant import models
 from covariant.certificates import (
-    Certificate,
     ContractionCertificate,
+    Statement,
     Subject,
     certify,
     contraction,
@@ -200,8 +200,8 @@ def double_pendulum_certificate(unit: float = 1.0, second: float = 1.0) -> Contr
 
 def test_a_double_pendulum_with_friction_is_proved():
     found = double_pendulum_certificate()
-    assert found.summary.verdict == "holds"
-    assert found.summary.evidence == "proved"
+    assert found.statement.verdict == "holds"
+    assert found.statement.evidence == "proved"
     assert found.radius > 0
     assert found.decay == 2.0
 
@@ -209,7 +209,7 @@ def test_a_double_pendulum_with_friction_is_proved():
 def test_a_certificate_does_not_depend_on_units():
     """Grams for kilograms and milliseconds for seconds: the same tree of boxes, and the rate in the new unit."""
     usual, other = double_pendulum_certificate(), double_pendulum_certificate(1e-3, 1e-3)
-    assert other.summary.verdict == "holds"
+    assert other.statement.verdict == "holds"
     assert other.rate == pytest.approx(usual.rate * 1e-3)
     scale = np.repeat([1.0, 1e-3, 1.0, 1.0], 2)
     np.testing.assert_allclose(other.domain.high[:6], (usual.domain.high * scale)[:6], rtol=1e-6)
@@ -221,7 +221,7 @@ def test_a_certificate_does_not_depend_on_units():
 def test_a_heavy_top_is_proved_for_all_attitudes():
     model = models.heavy_top()
     found = certify(Intrinsic(model, 10.0, 50.0), velocity=0.5, error=0.03, input=0.1, rate=2.0)
-    assert found.summary.verdict == "holds"
+    assert found.statement.verdict == "holds"
     assert found.domain.high[-3] == pytest.approx(1.1)  # moment plus torque
 
 
@@ -314,6 +314,6 @@ def test_the_default_metric_is_for_two_thirds_of_the_rate():
     found = certify(
         Intrinsic(models.ball_and_beam(), 4.0, 8.0), velocity=0.3, error=0.01, position=(-0.1, 0.1), input=0.1
     )
-    assert isinstance(found.summary, Certificate)
-    assert found.summary.verdict == "holds"
+    assert isinstance(found.statement, Statement)
+    assert found.statement.verdict == "holds"
     assert rate_of(4.0, 8.0, found.q) == pytest.approx(2 * found.rate)

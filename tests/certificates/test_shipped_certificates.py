@@ -50,8 +50,8 @@ def test_a_certificate_is_read_as_it_was_written(name):
     document = json.loads((FOLDER / f"{name}.json").read_text(encoding="utf-8"))
     found = loaded(name)
     assert found.document() == document
-    assert (found.summary.verdict, found.summary.evidence, found.verified) == ("holds", "claimed", False)
-    assert found.summary.statement.endswith("(read from a file, not verified again)")
+    assert (found.statement.verdict, found.statement.evidence, found.verified) == ("holds", "claimed", False)
+    assert found.statement.claim.endswith("(read from a file, not verified again)")
 
 
 def test_a_certificate_that_was_changed_is_not_read(tmp_path):

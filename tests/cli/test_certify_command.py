@@ -75,10 +75,11 @@ def unproved(verdict: str):
         levels = [np.array([0]), np.array([1, -1]), np.array([-2, -1])]
         wrong = np.full((2, 4), 0.5) if verdict == "fails" else None
         proof = proofs.Proof(verdict, domain, levels, wrong, np.zeros((1, 2, 4)), 5, 0.1)
-        summary = certificates.Certificate("squared lengths shrink", verdict, 1.0, str(domain), "proved", ())
+        premises = (certificates.Hypothesis("they shrink everywhere", "proved", verdict),)
+        statement = certificates.Statement("squared lengths shrink", (), premises, 1.0, str(domain))
         claims = (certificates.Claim("contraction", proof),)
         return certificates.ContractionCertificate(
-            summary, 1.0, 0.0, observer, q, about, domain, np.ones(1), QUIET, claims, None
+            statement, 1.0, 0.0, observer, q, about, domain, np.ones(1), QUIET, claims, None
         )
 
     return stand_in, asked
@@ -113,7 +114,9 @@ def test_for_a_person_angles_are_in_degrees_too(proved, monkeypatch):
     whole = proofs.Proof("holds", domain, [np.array([-1])], None, np.zeros((0, 2, 4)), 1, 0.1)
     squares = (np.array(proved["half_widths"]) / proved["radius"]) ** 2
     found = certificates.ContractionCertificate(
-        certificates.Certificate(proved["statement"], "holds", proved["rate"], "", "proved", ()),
+        certificates.Statement(
+            proved["statement"], (), (certificates.Hypothesis("they shrink", "proved"),), proved["rate"]
+        ),
         proved["rate"],
         proved["radius"],
         observer,
@@ -259,8 +262,8 @@ def test_a_model_of_ones_own_is_given_by_who_checks(processes, proved, folder, c
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].startswith("Verified: ")
     assert lines[1].startswith("The model is mine:pendulum, given by the person who checks")
-    assert lines[2] == "What remains assumed:"
-    assert lines[3:] == [f"- {line}" for line in certificates.ASSUMED]
+    assert lines[2].startswith("holds (proved): estimates within ")
+    assert lines[-len(certificates.ASSUMED) :] == [f"- assumed: {line}" for line in certificates.ASSUMED]
 
 
 TIDE = """

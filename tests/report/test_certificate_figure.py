@@ -8,9 +8,10 @@ from PIL import Image
 
 from covariant import models
 from covariant.certificates import (
-    Certificate,
     Claim,
     ContractionCertificate,
+    Hypothesis,
+    Statement,
     optimal_lyapunov,
     projection,
     subject,
@@ -52,7 +53,9 @@ def canned(verdict: str = "holds") -> ContractionCertificate:
         "times": [0.0, 0.0],
     }
     return ContractionCertificate(
-        Certificate("squared lengths shrink at 3.33 1/s or faster on the region", verdict, RATE, "", "proved", ()),
+        Statement(
+            "squared lengths shrink at 3.33 1/s or faster on the region", (), (Hypothesis("", "proved", verdict),), RATE
+        ),
         RATE,
         RADIUS if verdict == "holds" else 0.0,
         observer,

@@ -5,9 +5,9 @@ from ._cascade import (
     Growth as Growth,
     cascade as cascade,
 )
-from ._certificate import Certificate as Certificate
 from ._certify import certify as certify
 from ._check import Checked as Checked, check as check
+from ._claims import Claim as Claim
 from ._contraction import (
     StateMetric as StateMetric,
     contraction_matrix as contraction_matrix,
@@ -18,7 +18,7 @@ from ._contraction import (
     log_norm as log_norm,
     rates_along as rates_along,
 )
-from ._contraction_certificate import Claim as Claim, ContractionCertificate as ContractionCertificate
+from ._contraction_certificate import ContractionCertificate as ContractionCertificate
 from ._distance import (
     Decay as Decay,
     decay as decay,
@@ -50,6 +50,12 @@ from ._simulated import (
     Trajectories as Trajectories,
     follow_estimates as follow_estimates,
     trajectories as trajectories,
+)
+from ._statement import (
+    Evidence as Evidence,
+    Hypothesis as Hypothesis,
+    Statement as Statement,
+    Verdict as Verdict,
 )
 from ._subject import Subject as Subject
 from ._tangent_metric import (

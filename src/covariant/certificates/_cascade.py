@@ -20,12 +20,12 @@ from jaxtyping import Array, Float
 from covariant.certificates._contraction import contraction_matrix
 from covariant.certificates._falsify import Pencil, pencil, slowest
 from covariant.certificates._inequalities import length_change
+from covariant.certificates._statement import Evidence, Hypothesis, Statement, Verdict, lines as list_of
 from covariant.certificates._subject import Subject
 from covariant.proofs import MOST_BOXES, Box, Form, as_form, check_box, prove
 
 Coupling = Callable[[Array], tuple[Array, Array]]
 """`z -> (∂b/∂x̃ (n, k), ∂b/∂e (n, n))`, a function of variables z in a box."""
-Evidence = Literal["sampled", "proved"]
 
 UNITS: Mapping[str, tuple[tuple[str, float], ...]] = {
     "kg": (("g", 1e3), ("t", 1e-3), ("Mt", 1e-9)),
@@ -107,22 +107,28 @@ class Growth(NamedTuple):
 class CascadeCertificate(NamedTuple):
     """Whether the cascade is exponentially stable over a set, by the printed and by the weighted condition.
 
-    - `verdict`: "holds" where the weighted condition holds, "fails" where the observer's error can grow, else
-      "undecided", since the conditions are only sufficient.
+    - `statement`: "holds" where the weighted condition holds, "fails" where the observer's error can grow, else
+      "undecided", since the conditions are only sufficient; with each condition as a hypothesis.
     - `printed`: whether (72) holds.
-    - `constants`: those of Theorem 3; `evidence`: how they were found.
+    - `constants`: those of Theorem 3.
     - `units`: whether (72) holds in other units, by name; `depends_on_units` where the results differ.
     - `growth`: a solution by which the observer's error grows, if it can.
     - `kappa`: the lower bound of the weights with which `V_con + κV_obs` decreases.
     """
 
-    verdict: Literal["holds", "fails", "undecided"]
+    statement: Statement
     printed: bool
     constants: Constants
     units: dict[str, bool]
-    evidence: Evidence
     growth: Growth | None
-    domain: str
+
+    @property
+    def verdict(self) -> Verdict:
+        return self.statement.verdict
+
+    @property
+    def evidence(self) -> Evidence:
+        return self.statement.evidence
 
     @property
     def depends_on_units(self) -> bool:
@@ -135,20 +141,17 @@ class CascadeCertificate(NamedTuple):
     def __str__(self) -> str:
         c = self.constants
         lines = [
-            f"cascade: {self.verdict} ({self.evidence}), with weight κ > {c.kappa:.4g} on V_obs",
+            f"cascade: {self.statement.short}, with weight κ > {c.kappa:.4g} on V_obs",
             f"c1 = {c.c1:.5g}, c2 = {c.c2:.5g}, c3 = {c.c3:.5g}, c4 = {c.c4:.5g}, λ_q = {c.lambda_q:.5g}, "
             f"γ1 = {c.gamma1:.5g}, γ2 = {c.gamma2:.5g}, m1 = {c.m1:.5g}",
             f"(72) as printed: γ1² = {c.gamma1**2:.5g} {'<' if c.printed else 'is not below'} {c.bound:.5g}",
         ]
-        if not c.positive:
-            which = " and ".join(name for name, least in (("V_con", c.c1), ("V_obs", c.m1)) if not least > 0)
-            lines.append(f"{which} is not shown to be positive definite, so its decay proves nothing")
         if self.depends_on_units:
             held = ", ".join(f"{name}: {'holds' if ok else 'fails'}" for name, ok in self.units.items())
             lines.append(f"warning: (72) as printed depends on units; {held}")
         if self.growth is not None:
             lines.append(f"the observer's error can grow at {self.growth.rate:.4g} 1/s")
-        return "\n".join([*lines, f"over {self.domain}"])
+        return "\n".join([*lines, "hypotheses:", *list_of(self.statement.hypotheses), f"over {self.statement.domain}"])
 
 
 def cascade(
@@ -188,15 +191,42 @@ def cascade(
         there = constants if mass != 1 else _constants(forms, scales, few)[0]
         elsewhere[name] = there.with_mass(mass).printed
     growth = None if constants.lambda_q > 0 else _growth(*observer, worst)
-    return CascadeCertificate(
-        "holds" if constants.weighted else "undecided" if growth is None else "fails",
-        constants.printed,
-        constants,
-        elsewhere,
-        "proved" if proved else "sampled",
-        growth,
-        "; ".join(str(box.free) for box in (controller[1], observer[1], coupling[1])),
+    domain = "; ".join(str(box.free) for box in (controller[1], observer[1], coupling[1]))
+    statement = _statement(constants, growth, "proved" if proved else "sampled", domain)
+    return CascadeCertificate(statement, constants.printed, constants, elsewhere, growth)
+
+
+def _statement(c: Constants, growth: Growth | None, evidence: Evidence, domain: str) -> Statement:
+    """The conditions of the weighted theorem as hypotheses; only an error that grows refutes it."""
+
+    def premise(text: str, margin: float) -> Hypothesis:
+        return Hypothesis(
+            text, evidence, "holds" if margin > 0 else "undecided", margin if math.isfinite(margin) else None
+        )
+
+    shrinks = premise("the observer's error shrinks, λ_q > 0", c.lambda_q)
+    if growth is not None:
+        point = ", ".join(f"{name} = {value:.4g}" for name, value in growth.point.items())
+        shrinks = Hypothesis(shrinks.text, "sampled", "fails", c.lambda_q, point)
+    hypotheses = (
+        premise("V_con is positive definite, c1 > 0", c.c1),
+        premise("V_obs is positive definite, m1 > 0", c.m1),
+        premise("the controlled plant alone is stable, c3 > 0", c.c3),
+        shrinks,
+        premise(
+            "the coupling grows with e less than the plant decays, γ2 < c3/c4",
+            c.c3 / c.c4 - c.gamma2 if c.c4 > 0 else -math.inf,
+        ),
+        Hypothesis(
+            "the coupling with the observer's error is bounded, γ1",
+            evidence,
+            "holds" if math.isfinite(c.gamma1) else "undecided",
+        ),
+        Hypothesis("the errors stay within the boxes", "assumed"),
+        Hypothesis("controller, observer and coupling are those of one plant", "assumed"),
     )
+    claim = "plant and observer together are exponentially stable"
+    return Statement(claim, (f"boxes: {domain}",), hypotheses, c.lambda_q, domain)
 
 
 def _check_same_bounds(*boxes: Box) -> None:

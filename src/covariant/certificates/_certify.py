@@ -22,13 +22,9 @@ import numpy as np
 from jaxtyping import ArrayLike, Float
 
 from covariant._typing import Numbers
-from covariant.certificates._contraction_certificate import (
-    Claim,
-    ContractionCertificate,
-    disturbance_length,
-    disturbance_sizes,
-    summary_of,
-)
+from covariant.certificates._claims import Claim, disturbance_length, disturbance_sizes
+from covariant.certificates._contraction_certificate import ContractionCertificate
+from covariant.certificates._contraction_statement import Contraction, contraction_statement
 from covariant.certificates._force_bounds import force_bounds, force_reads_time, force_slopes
 from covariant.certificates._inequalities import contraction, disturbance_bound, squared_widths, width_bound
 from covariant.certificates._intrinsic import Intrinsics, check_unique, subject
@@ -145,8 +141,9 @@ def certify(
             radius *= 1 - 1e-9
             if not steady_distance(wanted, disturbance_length(given, claims)) < radius:
                 radius = 0.0
+    facts = Contraction(wanted, radius, observer, matrix, domain, bound, given, claims, recipe)
     return ContractionCertificate(
-        summary_of(domain, bound, wanted, radius, given, claims),
+        contraction_statement(facts, "proved"),
         wanted,
         radius,
         observer,

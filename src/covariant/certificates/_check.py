@@ -17,11 +17,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from covariant.certificates import _matrices as matrices
+from covariant.certificates._claims import plain_bounds, stated_claims
+from covariant.certificates._contraction_statement import Contraction, contraction_statement
 from covariant.certificates._document import Document, parse
 from covariant.certificates._intrinsic import Intrinsics, check_unique, configuration_shape, subject
 from covariant.certificates._saved import observer_from, value_graph
+from covariant.certificates._statement import Statement
 from covariant.certificates._subject import Subject
 from covariant.models import input_count
+from covariant.proofs import Box
 from covariant.proofs.checker import ROUND, TaylorEnclosure, leaves, show_definite
 
 SLACK = 2.0**-20
@@ -33,11 +37,12 @@ DEPTH, DEEPEST, SHARE = 6, 200, 4096
 class Checked(NamedTuple):
     """Result of a successful check.
 
-    - `rate` [1/s], `radius`: those of the certificate.
+    - `rate` [1/s], `radius`: those of the certificate; `statement`: the whole claim, as it is verified.
     - `leaves`: number of leaves shown; `seconds`: time it took.
     - `model_given`: whether the caller gave the model, in place of the one that the file names.
     """
 
+    statement: Statement
     rate: float
     radius: float
     leaves: int
@@ -65,14 +70,15 @@ def check(
     document = source if isinstance(source, Document) else parse(source)
     opened = [k for k, claim in enumerate(document.claims) if claim.open]
     _need(not opened, f"{document.file}: claims{opened} must have no open leaves; nothing is claimed to hold")
-    statement = follows(document, model)
+    resolved = follows(document, model)
     jobs = list(_jobs(document))
     done, total = 0, sum(len(low) for *_, low, _ in jobs)
-    for count in _results(statement, jobs, processes, model):
+    for count in _results(resolved, jobs, processes, model):
         done += count
         if progress is not None:
             progress(done, total)
     return Checked(
+        _statement(resolved),
         document.rate,
         document.radius,
         sum(len(low) for what, low, _ in jobs if isinstance(what, int)),
@@ -86,25 +92,43 @@ def _need(holds: Any, otherwise: str) -> None:
         raise ValueError(otherwise)
 
 
-class Statement(NamedTuple):
-    """A document, and the observer it is about."""
+class Resolved(NamedTuple):
+    """A document whose claims lead to its statement, if they hold, and the observer it is about."""
 
     document: Document
     observer: Intrinsics
     about: Subject
 
 
-def follows(document: Document, model: Any = None) -> Statement:
-    """The statement of a certificate. Raises `ValueError` unless it follows from the claims, if these hold."""
+def _statement(found: Resolved) -> Statement:
+    """The statement in words, for a document whose claims have been shown."""
+    document, observer, about = found
+    domain = Box(about.names, about.units, document.low, document.high)
+    facts = Contraction(
+        document.rate,
+        document.radius,
+        observer,
+        document.q,
+        domain,
+        document.velocity,
+        plain_bounds(document.given),
+        stated_claims(document, domain),
+        document.recipe,
+    )
+    return contraction_statement(facts, "proved")
+
+
+def follows(document: Document, model: Any = None) -> Resolved:
+    """A certificate with its observer. Raises `ValueError` unless its statement follows from claims that hold."""
     try:
         with np.errstate(all="ignore"):
             observer, q = observer_from(document, model)
-            statement = Statement(document, observer, subject(observer, q))
-            _complete(statement)
+            resolved = Resolved(document, observer, subject(observer, q))
+            _complete(resolved)
             # The comparison that takes longest comes last.
-            found = value_graph(statement.about)
+            found = value_graph(resolved.about)
             _need(document.graph == found, "graph: it must be the one that the observer has")
-            return statement
+            return resolved
     except Exception as error:  # the model of a user may fail in any way while it is traced
         kind = "" if isinstance(error, ValueError) else f"recipe: the model fails: {type(error).__name__}: "
         raise ValueError(f"{document.file}: {kind}{_first_line(error)}") from error
@@ -114,9 +138,9 @@ def _first_line(error: Exception) -> str:
     return next(iter(str(error).strip().splitlines()), "")
 
 
-def _complete(statement: Statement) -> None:
+def _complete(resolved: Resolved) -> None:
     """Raise `ValueError` unless claims, region and radius fit the model and each other."""
-    (document, observer, about), n = statement, len(statement.document.velocity)
+    (document, observer, about), n = resolved, len(resolved.document.velocity)
     model, low, high, claims = observer.model, document.low, document.high, document.claims
     _need(len(about.names) == len(low), f"box: the model has {len(about.names)} variables; the box bounds {len(low)}")
     m, places = input_count(model, n), math.prod(configuration_shape(model, n))
@@ -186,9 +210,9 @@ def _given(document: Document) -> np.ndarray:
     return np.concatenate([given.times[:, None], positions, given.inputs], axis=1)
 
 
-def _matrix(statement: Statement, what: int | str) -> TaylorEnclosure:
+def _matrix(resolved: Resolved, what: int | str) -> TaylorEnclosure:
     """The matrix to be shown positive definite, for a claim by its index or for a further condition by its name."""
-    (document, _, about), model = statement, statement.observer.model
+    (document, _, about), model = resolved, resolved.observer.model
     low, high, n, given = document.low, document.high, len(document.velocity), _given(document)
     shape = configuration_shape(model, n)
     if isinstance(what, int):
@@ -223,8 +247,8 @@ def _slack(low: np.ndarray, high: np.ndarray) -> np.ndarray:
 class Judge:
     """Shows that leaves of one statement are right; each matrix is formed once."""
 
-    def __init__(self, statement: Statement):
-        self.file, self.matrix = statement.document.file, functools.cache(functools.partial(_matrix, statement))
+    def __init__(self, resolved: Resolved):
+        self.file, self.matrix = resolved.document.file, functools.cache(functools.partial(_matrix, resolved))
 
     def __call__(self, job: tuple) -> int:
         index, low, high = job
@@ -248,14 +272,14 @@ def _work(job: tuple) -> int:
     return _worker[0](job)
 
 
-def _results(statement: Statement, jobs: list[tuple], processes: int, model: Any) -> Iterator[int]:
+def _results(resolved: Resolved, jobs: list[tuple], processes: int, model: Any) -> Iterator[int]:
     if processes == 1:
-        yield from map(Judge(statement), jobs)
+        yield from map(Judge(resolved), jobs)
         return
     try:
         pickle.dumps(model)
     except Exception as error:
         raise ValueError("a model that is shared with processes is given as 'module:attribute'") from error
-    given, context = (statement.document, model), multiprocessing.get_context("spawn")
+    given, context = (resolved.document, model), multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(processes, context, initializer=_begin, initargs=given) as pool:
         yield from pool.map(_work, jobs)

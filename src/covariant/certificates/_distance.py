@@ -17,6 +17,7 @@ from covariant._adaptive import solve
 from covariant._linalg import solve as solve_linear
 from covariant._typing import Scalar, Vector
 from covariant.certificates._contraction import Flow, StateMetric
+from covariant.certificates._statement import Hypothesis, Statement
 
 NODES, WEIGHTS = ((np.polynomial.legendre.leggauss(12)[0] + 1) / 2, np.polynomial.legendre.leggauss(12)[1] / 2)
 SAMPLES = 3
@@ -86,9 +87,26 @@ class Decay(NamedTuple):
     bound: Float[np.ndarray, "k T"]
 
     @property
+    def statement(self) -> Statement:
+        """That no distance is shown to exceed its bound: `low` stays below the bound, which is taken from `high`."""
+        share = self.low / self.bound
+        k, i = np.unravel_index(int(share.argmax()), share.shape)
+        margin = float(1 - share[k, i])
+        kept = Hypothesis(
+            "the lower bound of each distance stays below its bound at each stamp",
+            "sampled",
+            "holds" if margin >= -1e-6 else "fails",
+            margin,
+            f"pair {k + 1}, t = {self.t[i]:.4g} s",
+        )
+        about = f"{len(self.low)} pairs of solutions at {len(self.t)} stamps from {self.t[0]:.4g} to {self.t[-1]:.4g} s"
+        rest = Hypothesis("other pairs, and times between the stamps, do likewise", "assumed")
+        return Statement("distances fall at least as fast as the rate says", (about,), (kept, rest), margin, about)
+
+    @property
     def holds(self) -> bool:
-        """Whether no distance is shown to exceed its bound: `low` stays below the bound, which is taken from `high`."""
-        return bool((self.low <= self.bound * (1 + 1e-6)).all())
+        """Whether no distance is shown to exceed its bound."""
+        return self.statement.verdict == "holds"
 
     @property
     def slowest(self) -> float:

@@ -6,8 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from covariant.certificates._certificate import Certificate
 from covariant.certificates._inequalities import length_change
+from covariant.certificates._statement import Hypothesis, Statement
 from covariant.certificates._subject import Subject
 from covariant.lowering import Lowered, expand, numbers
 from covariant.proofs import Box, check_box
@@ -19,7 +19,7 @@ STEPS = 60
 
 def falsify(
     subject: Subject, domain: Box, rate: float, *, attempts: int = 20_000, starts: int = 64, seed: int = 0
-) -> Certificate:
+) -> Statement:
     """Search for a point of the region that contracts more slowly than `rate` [1/s]; returns the slowest one found.
 
     - `attempts`: number of random points, half of them on faces of the region.
@@ -32,12 +32,18 @@ def falsify(
     both = length_change(subject, lambda coframe, gram, change: jnp.stack([gram, change]).ravel(), lambda z: z)
     value = both.graph(jnp.asarray(domain.low)).entries
     least, point = slowest(pencil(value, domain), domain, attempts, starts, seed)
-    return Certificate(
-        f"squared lengths shrink at no less than {rate:.4g} 1/s; the margin is the least rate found [1/s]",
+    held = Hypothesis(
+        f"no slower point among {attempts}, nor where a descent from the {starts} slowest ends",
+        "sampled",
         "holds" if least >= rate else "fails",
+        least - rate,
+    )
+    return Statement(
+        f"squared lengths shrink at no less than {rate:.4g} 1/s; the margin is the least rate found [1/s]",
+        (),
+        (held,),
         least,
         str(domain),
-        "sampled",
         tuple(point.tolist()),
     )
 

@@ -25,7 +25,7 @@ def force_bounds(
     lowered = lower(force, jnp.zeros(()), jnp.zeros(shape), jnp.zeros(inputs.shape[1]), real=True)
     assert lowered.conditions is not None
     defined = lowered.conditions._replace(
-        conditions=tuple(c for c in lowered.conditions.conditions if c.kind == "true")
+        conditions=tuple(c for c in lowered.conditions.conditions if c.kind in ("true", "finite"))
     )
     _need_conditions("the force of the model is not defined", defined, given)
     found = enclose(lowered, given.low[None], given.high[None])

@@ -19,7 +19,7 @@ from jaxtyping import Array, Float
 
 from covariant._linalg import half_solve, solve, whiten
 from covariant._typing import MatrixField, Scalar, Vector
-from covariant.certificates._certificate import Certificate
+from covariant.certificates._statement import Hypothesis, Statement
 from covariant.geometry import Budget, christoffel, exp
 from covariant.models import StateSpace
 from covariant.riccati import lie_derivative
@@ -38,8 +38,8 @@ class Observability(NamedTuple):
     - `outputs` (3, p): their outputs.
     """
 
-    condition_1: Certificate
-    condition_2: Certificate
+    condition_1: Statement
+    condition_2: Statement
     witness: Float[np.ndarray, "3 n"] | None
     outputs: Float[np.ndarray, "3 p"] | None
 
@@ -47,7 +47,7 @@ class Observability(NamedTuple):
     def verdict(self) -> str:
         """The result in one sentence."""
         if self.condition_1.verdict != "holds":
-            return f"no observer from this metric: {self.condition_1.statement}, margin {self.condition_1.margin:.3g}"
+            return f"no observer from this metric: {self.condition_1.claim}, margin {self.condition_1.margin:.3g}"
         if self.condition_2.verdict == "fails":
             at = ", ".join(f"{entry:.3g}" for entry in self.condition_2.point)
             return f"local only: the output's level sets bend by {self.condition_2.margin:.3g} at ({at})"
@@ -146,23 +146,44 @@ def observability(
             raise ValueError(f"the {name} is not a number at {_text(points[int(np.isnan(values).argmax())])}")
     domain = f"{len(points)} states between {_text(points.min(0))} and {_text(points.max(0))}"
     slow = int(rates.argmin())
-    first = Certificate(
-        "f contracts the metric in the directions the output does not see, at the rate of the margin [1/s]",
+    premises = (
+        Hypothesis(
+            "the metric is positive definite, and the rows of dh are independent, at each of the points", "sampled"
+        ),
+        Hypothesis("what holds at the points holds between them", "assumed"),
+    )
+    contracts = Hypothesis(
+        f"f contracts the hidden directions faster than {rate:.4g} 1/s at each of the points",
+        "sampled",
         "holds" if rates[slow] > rate else "fails",
+        float(rates[slow]) - rate,
+        _text(points[slow]),
+    )
+    first = Statement(
+        "f contracts the metric in the directions the output does not see, at the rate of the margin [1/s]",
+        (f"states: {domain}",),
+        (contracts, *premises),
         float(rates[slow]),
         domain,
-        "sampled",
         tuple(points[slow].tolist()),
     )
     bent = int((bends - ROUNDING * sizes).argmax())
     fails = bool(bends[bent] > ROUNDING * sizes[bent])
     one = jax.eval_shape(model.h, *_arguments(model, jnp.asarray(points[0]), u)).shape == (1,)
-    second = Certificate(
-        "level sets of the output are totally geodesic; the margin is their largest principal curvature",
+    flat = Hypothesis(
+        "the level sets of the output do not bend at any of the points"
+        + ("" if one else "; of several outputs this is known of one at a time only"),
+        "sampled",
         "fails" if fails else "holds" if one else "undecided",
         float(bends[bent]),
+        _text(points[bent]),
+    )
+    second = Statement(
+        "level sets of the output are totally geodesic; the margin is their largest principal curvature",
+        (f"states: {domain}",),
+        (flat, *premises),
+        float(bends[bent]),
         domain,
-        "sampled",
         tuple(points[bent].tolist()),
     )
     if not fails:

@@ -1,5 +1,6 @@
 """The commands that need a model alone, and their options."""
 
+import os
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -284,7 +285,9 @@ def certify(
         if not check.exists():
             raise ValueError(f"{check} does not exist; give the path of a saved certificate")
         with progress_bar(json) as progress:
-            checked = workflow.check_certificate(check, model=given, processes=processes, progress=progress)
+            checked = workflow.check_certificate(
+                check, model=given, processes=processes or os.cpu_count() or 1, progress=progress
+            )
         show(checked, json)
         raise SystemExit(0 if checked.verified else 1)
     check_output(out, ".json")
@@ -307,7 +310,7 @@ def certify(
             disturbance=number_list("disturbance", disturbance) or 0.0,
             boxes=boxes,
             seconds=seconds,
-            processes=processes,
+            processes=processes or os.cpu_count() or 1,
             overrides=tuple(override),
             progress=progress,
         )

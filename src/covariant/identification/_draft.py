@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from covariant.logs import check_unit, unit_factor
+from covariant.logs import MEANT, unit_factor, unit_in_name, without_unit, words_of
 
 _WORDS = {
     "left out": "true truth ref reference des desired goal target set setpoint raw",
@@ -21,14 +21,6 @@ CLOCKS = ((0.5, "s"), (500.0, "ms"), (5e5, "us"), (np.inf, "ns"))
 """Median steps of stamps below which they are taken for seconds, milliseconds and so on."""
 DEGREES = 50.0
 """Angles that span more than this [rad] are more likely degrees."""
-_MEANT = {"t": ("s",), "q": ("rad", "m"), "u": ("N m", "N"), "v": ("rad/s", "m/s")}
-"""Units in which a model file has the columns where it says nothing: of turning joints, and of sliding ones."""
-_SUFFIXES = "deg|degrees|rad|turns?|rev|rpm|deg_s|rad_s|m|mm|cm|m_s|mm_s|s|sec|ms|us|ns|N|mN|kN|Nm|mNm"
-_IN_NAME = re.compile(rf"[\[(]\s*([^\[\]()]+?)\s*[\])]\s*$|_({_SUFFIXES})$")
-"""The unit at the end of the name of a column, as in `q1 [deg]`, `time (ms)`, `angle_deg` or `cart_m`."""
-_TURNS = {"th", "theta", "phi", "psi", "angle", "ang"}
-"""Words of angles: theta_m is the angle of a motor, not a length."""
-_PLAIN = {"degrees": "deg", "deg/sec": "deg/s", "rad/sec": "rad/s", "seconds": "s", "degree": "deg"}
 SAME = 0.95
 """Least correlation of a column with the slope of a position with which it is taken for a velocity."""
 FEWEST_GAPS = 10
@@ -69,7 +61,7 @@ class Draft(NamedTuple):
     @property
     def plain_names(self) -> tuple[str, ...]:
         """Names of the positions without their units: cart of `cart [mm]`; whole where two would be the same."""
-        plain = tuple(_IN_NAME.sub("", name).strip() for name in self.q)
+        plain = tuple(without_unit(name) for name in self.q)
         return plain if "" not in plain and len(set(plain)) == len(plain) else self.q
 
 
@@ -108,7 +100,7 @@ def draft(columns: Mapping[str, np.ndarray], given: Mapping[str, Sequence[str] |
         unknown = [name for name, kind in kinds.items() if kind == "" and name != t]
         v = tuple(name for p in q for name in unknown if _is_slope(columns[t], columns[p], columns[name]))
     v = v if len(v) == len(q) else ()
-    lengths = tuple(_unit_in(name, ("m",)) is not None for name in q)
+    lengths = tuple(unit_in_name(name, ("m",)) is not None for name in q)
     order = sorted(range(len(q)), key=lambda i: not lengths[i])
     q, lengths = tuple(q[i] for i in order), tuple(lengths[i] for i in order)
     v = tuple(v[i] for i in order) if v else ()
@@ -148,7 +140,7 @@ def _units(
 
     - `step`: the median step of the stamps, `span` (n, 2) of the positions, as logged.
     """
-    told = {field: [_unit_in(name, _MEANT[field]) for name in names] for field, names in fields.items()}
+    told = {field: [unit_in_name(name, MEANT[field]) for name in names] for field, names in fields.items()}
     content = {"t": next(unit for most, unit in CLOCKS if step < most)}
     unsaid = [width for width, unit in zip(np.ptp(span, axis=1), told["q"], strict=True) if unit is None]
     content["q"] = "deg" if max(unsaid, default=0.0) > DEGREES else "rad"
@@ -156,31 +148,10 @@ def _units(
     for field, given in told.items():
         if None in given and field in content:
             guessed.append(field)
-        texts = tuple(text or (content[field] if field in content else _MEANT[field][0]) for text in given)
+        texts = tuple(text or (content[field] if field in content else MEANT[field][0]) for text in given)
         if any(unit_factor(text) != 1 for text in texts):
             found[field] = texts
     return found, tuple(field for field in guessed if field in found)
-
-
-def _unit_in(name: str, meant: Sequence[str]) -> str | None:
-    """The unit that the name of a column ends with, where it is of one of the kinds that are meant."""
-    match = _IN_NAME.search(name)
-    if match is None:
-        return None
-    text = match[1] or match[2]
-    if match[2] == "m" and _TURNS & _words(name):
-        return None
-    text = _PLAIN.get(text, text).replace("_", "/")
-    is_number = re.fullmatch(r"[-+.0-9e]*", text)  # q(1) is a name
-    return text if not is_number and any(_fits(text, unit) for unit in meant) else None
-
-
-def _fits(text: str, meant: str) -> bool:
-    try:
-        check_unit(text, meant)
-    except ValueError:
-        return False
-    return True
 
 
 def _columns_there(columns: Mapping[str, np.ndarray]) -> str:
@@ -189,16 +160,12 @@ def _columns_there(columns: Mapping[str, np.ndarray]) -> str:
 
 def _kind(name: str) -> str:
     """What a name is taken for, a key of `_WORDS`: by its words, else by its unit; empty where neither says it."""
-    words = _words(name)
+    words = words_of(name)
     if "left out" not in (found := [kind for kind, known in _WORDS.items() if words & set(known.split())]):
-        if _unit_in(name, _MEANT["v"]):
+        if unit_in_name(name, MEANT["v"]):
             return "v"
-        found += [kind for kind, units in _MEANT.items() if _unit_in(name, units)]
+        found += [kind for kind, units in MEANT.items() if unit_in_name(name, units)]
     return next(iter(found), "")
-
-
-def _words(name: str) -> set[str]:
-    return set(re.findall(r"[a-z]+", name.lower()))
 
 
 def _stamps(columns: Mapping[str, np.ndarray], kinds: Mapping[str, str]) -> str:

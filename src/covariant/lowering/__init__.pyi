@@ -5,7 +5,14 @@ from ._differentiate import Derivative as Derivative, expand as expand, pairs as
 from ._enclose import Enclosure as Enclosure, fulfilled as fulfilled
 from ._engine import enclose as enclose, in_c as in_c
 from ._fingerprint import fingerprint as fingerprint
-from ._graph import FOLD as FOLD, TRUTHS as TRUTHS, Condition as Condition, Graph as Graph, Node as Node
+from ._graph import (
+    FOLD as FOLD,
+    LARGEST as LARGEST,
+    TRUTHS as TRUTHS,
+    Condition as Condition,
+    Graph as Graph,
+    Node as Node,
+)
 from ._intervals import INTERVALS as INTERVALS
 from ._jax_forms import (
     Branch as Branch,

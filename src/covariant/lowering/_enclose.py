@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from covariant.lowering._graph import LARGEST
 from covariant.lowering._intervals import INTERVALS, as_number, both, constant, eq, le, lt
 from covariant.lowering._lowered import Conditions, Lowered
 from covariant.lowering._read import Domain, evaluate_nodes
@@ -178,7 +179,9 @@ def fulfilled(conditions: Conditions, low: np.ndarray, high: np.ndarray) -> np.n
     with np.errstate(all="ignore"):
         values = evaluate_nodes(conditions.graph, [c.node for c in conditions.conditions], STRICT, inputs)
     for k, (condition, value) in enumerate(zip(conditions.conditions, values, strict=True)):
-        if condition.kind == "whole":
+        if condition.kind == "finite":
+            found[:, k] = (value.low > -LARGEST) & (value.high < LARGEST)
+        elif condition.kind == "whole":
             below = np.floor(value.low)
             found[:, k] = isinstance(value, Step) or (below < value.low) & (np.floor(value.high) == below)
         else:

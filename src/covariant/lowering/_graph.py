@@ -14,7 +14,9 @@ import numpy as np
 
 from covariant.lowering import _stumpff
 
-Kind = Literal["true", "decided", "whole"]
+Kind = Literal["true", "decided", "whole", "finite"]
+LARGEST = 1e150
+"""Numbers below this are finite in doubles, and so are their products."""
 
 
 class Condition(NamedTuple):
@@ -24,6 +26,8 @@ class Condition(NamedTuple):
     - "decided": the node, a statement, has one value in a neighbourhood of the point, so that a choice by it does not
       jump.
     - "whole": the node, a number, neither equals nor crosses an integer.
+    - "finite": the node, a number, stays below `LARGEST`: it is left out of the graph, as in 0·a, which is NaN in
+      doubles where a overflows.
     """
 
     kind: Kind
@@ -119,6 +123,8 @@ TRUTHS = {"lt", "le", "eq", "and", "or", "not", "is_finite"}
 """Operations whose result is a truth value."""
 ANYTHING = {*TRUTHS, "select", "min", "max"}
 """Operations that accept infinite arguments."""
+CANCELS = {"add", "sub", "mul", "div", "eq", "is_finite"}
+"""Operations that may be simplified to something without their arguments, whatever these are as long as finite."""
 CHOICES = {"select", "min", "max", "either"}
 """Operations that may return an infinite argument."""
 
@@ -207,6 +213,9 @@ class Graph:
                 return self.constant(np.asarray(FOLD[op](*(node.value for node in nodes))).item())
         simpler = self._simplify(op, arguments, [n.value if n.op == "constant" else None for n in nodes])
         if simpler is not None:
+            if self.real and op in CANCELS:
+                for a in {*arguments} - {simpler, *self.nodes[simpler].arguments}:
+                    self._condition("finite", a, op)
             return simpler
         if self.real and op == "select":  # not simplified to an operation without a jump
             self._condition("decided", arguments[0], op)
@@ -243,8 +252,10 @@ class Graph:
 
     def _condition(self, kind: Kind, node: int, op: str) -> None:
         known = self.nodes[node]
-        # A constant neither crosses an integer nor jumps.
-        settled = known.op == "constant" and (kind != "true" or known.value)
+        # A constant neither crosses an integer nor jumps, and a variable is within its box.
+        settled = (known.op == "constant" and (kind != "true" or known.value)) or (
+            kind == "finite" and known.op == "input"
+        )
         if not settled and (kind, node) not in self.conditions:
             self.conditions[kind, node] = Condition(kind, node, f"{op} {self.line()}".strip())
 

@@ -137,6 +137,12 @@ def equations(jaxpr: Any) -> Iterator[JaxprEquation]:
             yield equation
 
 
+def need_pure(equation: JaxprEquation) -> None:
+    """Raise `LoweringError` for a call of Python: with known arguments too it may return another value every time."""
+    if equation.name in CALLBACKS:
+        raise LoweringError(f"the primitive '{equation.name}' has no graph of scalars; write the function without it")
+
+
 def needed(closed: Any) -> ClosedJaxpr:
     """A closed jaxpr without what its results do not need."""
     used = [True] * len(closed.jaxpr.outvars)
@@ -151,8 +157,6 @@ def expanded(equation: JaxprEquation) -> Call:
     name, primitive = equation.name, equation.primitive
     by_jax = primitive.to_lojax if name == "call_hi_primitive" else primitive.impl
     refusal = LoweringError(f"the primitive '{name}' has no graph of scalars; write the function without it")
-    if name in CALLBACKS:
-        raise refusal
     try:
         call = _traced(equation, lambda *x: by_jax(*x, **equation.params))
     except Exception as error:  # whatever JAX raises: it cannot be expanded

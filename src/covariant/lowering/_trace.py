@@ -20,7 +20,17 @@ from covariant.lowering import _stumpff
 from covariant.lowering._arrays import Scalars, Value, Writer, nodes_of
 from covariant.lowering._constants import compute
 from covariant.lowering._graph import Graph
-from covariant.lowering._jax_forms import Branch, Call, ClosedJaxpr, JaxprEquation, Scan, While, equations, expanded
+from covariant.lowering._jax_forms import (
+    Branch,
+    Call,
+    ClosedJaxpr,
+    JaxprEquation,
+    Scan,
+    While,
+    equations,
+    expanded,
+    need_pure,
+)
 from covariant.lowering._loops import loop_of
 from covariant.lowering._lowered import Conditions, Lowered, LoweringError
 from covariant.lowering._primitives import NOT_ON_INTEGERS, RULES
@@ -141,6 +151,7 @@ class _Interpreter:
                 return self.while_loop(eqn.form, values)
             case Branch(bodies):
                 return self.branch(bodies, values)
+        need_pure(eqn)
         if not any(isinstance(value, Scalars) for value in values):
             return compute(eqn, values)
         if eqn.primitive is _stumpff.STUMPFF:

@@ -9,6 +9,7 @@ from ._file import (
     ModelFile as ModelFile,
     document as document,
     from_recipe as from_recipe,
+    recipe_text as recipe_text,
 )
 from ._heavy_top import free_body as free_body, heavy_top as heavy_top
 from ._hovercraft import hovercraft as hovercraft

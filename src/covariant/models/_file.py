@@ -1,7 +1,9 @@
 """A model with what surrounds it: the columns of its logs, the noise of its sensors, and its own uncertainty."""
 
+import inspect
+import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -166,6 +168,31 @@ def from_recipe(made: dict[str, Any], model: Any = None) -> Model:
     except Exception as error:  # parameters from a file may make a system fail in any way
         kind = "" if isinstance(error, ValueError) else f"{type(error).__name__}: "
         raise ModelError(kind + _source.first_line(error)) from error
+
+
+def recipe_text(made: dict[str, Any]) -> str:
+    """The model of a recipe in one line, with all its parameters, those that the recipe leaves at their defaults too.
+
+    Of a model that is not of this library the line has the parameters of the recipe alone.
+    """
+    parameters = made.get("parameters", {})
+    if "attribute" in made:
+        name = f"{made['attribute']}, code that is not in this statement"
+    else:
+        name = str(made["system"])
+        known = inspect.signature(_source.system(name)).parameters.values()
+        defaults = {each.name: each.default for each in known if each.default is not inspect.Parameter.empty}
+        parameters = defaults | parameters
+    return name + "".join(f", {key} = {_number_text(value)}" for key, value in parameters.items())
+
+
+def _number_text(value: Any) -> str:
+    """A parameter as in a model file."""
+    if isinstance(value, str) or value is None:
+        return "none" if value is None else json.dumps(value, ensure_ascii=False)
+    if isinstance(value, Sequence | np.ndarray):
+        return "[" + ", ".join(map(_number_text, value)) + "]"
+    return repr(value.item() if isinstance(value, np.generic) else value)
 
 
 def _given(model: Any, parameters: dict[str, Any]) -> Model:

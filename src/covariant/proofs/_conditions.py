@@ -4,12 +4,14 @@ import itertools
 
 import numpy as np
 
-from covariant.lowering import Conditions, fulfilled
+from covariant.lowering import LARGEST, Conditions, fulfilled
 from covariant.proofs._box import Box
 from covariant.proofs._tree import halves, middle_of
 
 MOST_CONDITIONS, DEEPEST = 4096, 40
 """Largest number of boxes, and of halvings of one, for a proof of conditions; most are proved after three halvings."""
+MEANING = {"true": "is not shown to be defined", "finite": f"of numbers that are not shown to stay below {LARGEST:g}"}
+"""What it means that a condition is open, by its kind."""
 CENTRES, FINEST = 16, 8
 """Number of points around which it is tried how often an input alone must be halved, and the most halvings tried."""
 
@@ -42,7 +44,7 @@ def show_conditions(conditions: Conditions, domain: Box) -> str:
             condition = conditions.conditions[int(undecided[k].argmax())]
             where = [i for i in np.flatnonzero(reads[undecided[k].argmax()]) if domain.names[i]]
             place = ", ".join(f"{domain.names[i]} is {low[k, i]:.6g} to {high[k, i]:.6g}" for i in where)
-            what = "is not shown to be defined" if condition.kind == "true" else "may jump"
+            what = MEANING.get(condition.kind, "may jump")
             return f"{condition.because} {what}" + (f" where {place}" if place else "")
         axes = relative.argmax(axis=1)
         low, high = halves(low, high, axes)
@@ -55,7 +57,8 @@ def _needed_halvings(conditions: Conditions, domain: Box, reads: np.ndarray) -> 
 
     All others being points; 0 where it is not read. It only guides the search: inputs that matter are halved first.
     """
-    points = np.random.default_rng(0).uniform(domain.low, domain.high, (CENTRES, len(domain.low)))
+    shares = np.random.default_rng(0).uniform(size=(CENTRES, len(domain.low)))
+    points = domain.low * (1 - shares) + domain.high * shares  # a difference of the ends may overflow
     needed = reads.copy()
     for i in np.flatnonzero(reads.any(axis=0)):
         for k in range(FINEST):

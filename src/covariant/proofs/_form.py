@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from covariant._typing import Matrix
-from covariant.lowering import Conditions, Derivative, Graph, Lowered, graft, lower, substitute
+from covariant.lowering import LARGEST, Condition, Conditions, Derivative, Graph, Lowered, graft, lower, substitute
 
 
 class Formed(NamedTuple):
@@ -140,10 +140,17 @@ def _at_state(value: Lowered, grown: Graph, made: np.ndarray, at: Lowered) -> Fo
 
     noted = value.conditions
     nodes = substitute(noted.graph, [c.node for c in noted.conditions], free, inputs(free, pinned))
-    known = [free.nodes[i].op == "constant" and bool(free.nodes[i].value) for i in nodes]
-    kept = [c._replace(node=i) for c, i, k in zip(noted.conditions, nodes, known, strict=True) if not k]
+    kept = [c._replace(node=i) for c, i in zip(noted.conditions, nodes, strict=True) if not _is_met(free, c, i)]
     conditions = Conditions.of(free, kept, d + len(pins))
     return Formed(_lowered(small, entries.reshape(made.shape), at.arguments), conditions, np.array(pins))
+
+
+def _is_met(graph: Graph, condition: Condition, node: int) -> bool:
+    """Whether a condition that has become one on a number is met."""
+    if graph.nodes[node].op != "constant":
+        return False
+    value = graph.nodes[node].value
+    return abs(float(value or 0)) < LARGEST if condition.kind == "finite" else bool(value)
 
 
 def _lowered(graph: Graph, made: np.ndarray, arguments: tuple[tuple[int, ...], ...]) -> Lowered:

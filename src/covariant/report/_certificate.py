@@ -73,8 +73,8 @@ def certificate_figure(certificate: ContractionCertificate) -> "matplotlib.figur
 
 
 def _title(certificate: ContractionCertificate) -> str:
-    said = {"holds": "Proved", "fails": "Wrong", "undecided": "Not decided"}[certificate.summary.verdict]
-    statement = certificate.summary.statement
+    said = {"holds": "Proved", "fails": "Wrong", "undecided": "Not decided"}[certificate.statement.verdict]
+    statement = certificate.statement.claim
     return f"{said}: {statement}"
 
 

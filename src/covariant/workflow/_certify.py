@@ -51,7 +51,7 @@ def certify(
     disturbance: Amounts = 0.0,
     boxes: int = MOST_BOXES,
     seconds: float | None = None,
-    processes: int | None = None,
+    processes: int = 1,
     overrides: Overrides = (),
     progress: Progress = silent,
 ) -> "CertifyResult":
@@ -74,7 +74,7 @@ def certify(
         disturbance: Bound of the force that the model does not know.
         boxes: Effort: boxes that may be evaluated, the same on every machine.
         seconds: A limit of time [s] besides, for each of the proofs.
-        processes: Processes to prove with; as many as processors by default.
+        processes: Processes to prove with; with several, a script needs the `if __name__ == "__main__"` guard.
         overrides: Values that replace those of the model file.
         progress: Called with the current proof and the fraction of its region that is decided.
 
@@ -120,7 +120,7 @@ def certify(
         "disturbance": amounts("disturbance", disturbance, names),
         "boxes": int(above_zero("boxes", boxes)),
         "seconds": None if seconds is None else above_zero("seconds", seconds),
-        "processes": processes or os.cpu_count() or 1,
+        "processes": int(above_zero("processes", processes)),
     }
     recipe = models.recipe(name, overrides) if isinstance(model, str | os.PathLike) else None
     certificate = certificates.certify(
@@ -149,7 +149,7 @@ class CertifyResult(AbstractResult):
     @property
     def holds(self) -> bool:
         """Whether the statement is proved."""
-        return self.certificate.summary.verdict == "holds"
+        return self.certificate.statement.verdict == "holds"
 
     @property
     def wrong(self) -> bool:
@@ -159,7 +159,7 @@ class CertifyResult(AbstractResult):
     @property
     def headline(self) -> str:
         certificate = self.certificate
-        verdict = VERDICTS[certificate.summary.verdict]
+        verdict = VERDICTS[certificate.statement.verdict]
         tube = f", radius ε = {certificate.radius:.4g}" if self.holds else ""
         return f"{self.model_name}, {verdict}: rate λ = {certificate.rate:.4g} 1/s{tube}"
 
@@ -173,9 +173,11 @@ class CertifyResult(AbstractResult):
         return {
             "model": self.model_name,
             "observer": type(found.observer).__name__,
-            "verdict": found.summary.verdict,
-            "evidence": found.summary.evidence,
-            "statement": found.summary.statement,
+            "verdict": found.statement.verdict,
+            "evidence": found.statement.evidence,
+            "statement": found.statement.claim,
+            "about": list(found.statement.about),
+            "hypotheses": [hypothesis._asdict() for hypothesis in found.statement.hypotheses],
             "alpha": float(found.observer.alpha),
             "beta": float(found.observer.beta),
             "q": found.q.tolist(),
@@ -197,7 +199,7 @@ class CertifyResult(AbstractResult):
         found, domain = self.certificate, self.certificate.domain
         (a, c), (_, b) = found.q
         lines = [
-            f"{VERDICTS[found.summary.verdict]}: {found.summary.statement}",
+            f"{VERDICTS[found.statement.verdict]}: {found.statement.claim}",
             self.design,
             f"rate λ = {found.rate:.4g} 1/s of squared lengths, μ = {found.decay:.4g} 1/s of lengths, in the metric "
             f"Q = [[{a:.4g}, {c:.4g}], [{c:.4g}, {b:.4g}]]",
@@ -221,6 +223,7 @@ class CertifyResult(AbstractResult):
             "boxes, smaller bounds or a lower rate may decide it"
             for claim in _undecided(found)
         ]
+        lines += ["hypotheses:", *(f"- {hypothesis}" for hypothesis in found.statement.hypotheses)]
         lines.append(f"{found.boxes} boxes, {found.seconds:.1f} s")
         if self.wrong:
             lines.append("no certificate is written of a statement that is wrong")
@@ -268,14 +271,14 @@ class CertifyResult(AbstractResult):
 
 
 def check_certificate(
-    path: str | Path, *, model: str | None = None, processes: int | None = None, progress: Progress = silent
+    path: str | Path, *, model: str | None = None, processes: int = 1, progress: Progress = silent
 ) -> "CertificateCheckResult":
     """Verify a saved certificate: all leaves of its proofs, and some of them again in ball arithmetic.
 
     Args:
         path: The certificate (.json), as `certify` saves it.
         model: The `module:attribute` of a model that is not of this library, given by the person who checks.
-        processes: Processes to check with; as many as processors by default.
+        processes: Processes to check with; with several, a script needs the `if __name__ == "__main__"` guard.
         progress: Called with the fraction of the leaves that are checked.
 
     Returns:
@@ -299,7 +302,7 @@ def check_certificate(
         checked = certificates.check(
             document,
             model=model,
-            processes=processes or os.cpu_count() or 1,
+            processes=int(above_zero("processes", processes)),
             progress=lambda done, total: progress(f"checking leaves, {done} of {total}", done / max(total, 1)),
         )
         return CertificateCheckResult(path, model, checked, *_in_balls(document, model))
@@ -339,7 +342,7 @@ class CertificateCheckResult(AbstractResult):
         if self.checked is None:
             return {"verified": False, "reason": self.note}
         found = {"model": self.model, "balls": self.balls, "assumed": list(ASSUMED)}
-        return {"verified": True, **self.checked._asdict(), **found}
+        return {"verified": True, **self.checked._asdict(), "statement": self.checked.statement.document(), **found}
 
     def __str__(self) -> str:
         found = self.checked
@@ -350,11 +353,9 @@ class CertificateCheckResult(AbstractResult):
         )
         return "\n".join(
             [
-                f"Verified: rate λ = {found.rate:.4g} 1/s, radius ε = {found.radius:.4g}; {found.leaves} leaves in "
-                f"{found.seconds:.1f} s, {self.note}.",
+                f"Verified: {found.leaves} leaves in {found.seconds:.1f} s, {self.note}.",
                 *([given] if found.model_given else []),
-                "What remains assumed:",
-                *(f"- {line}" for line in ASSUMED),
+                str(found.statement),
             ]
         )
 

@@ -1,0 +1,158 @@
+"""A verdict is computed from its hypotheses, and its text has all that the claim is about."""
+
+import itertools
+import json
+
+import numpy as np
+import pytest
+
+import covariant
+from covariant import certificates, models
+from covariant.certificates import Hypothesis, Statement, certify
+from covariant.observers import Intrinsic
+
+PROVED = Hypothesis("a", "proved")
+OPEN = Hypothesis("b", "proved", "undecided")
+WRONG = Hypothesis("c", "sampled", "fails")
+SAMPLED = Hypothesis("d", "sampled")
+CLAIMED = Hypothesis("e", "claimed")
+ASSUMED = Hypothesis("f", "assumed")
+
+
+def statement(*hypotheses) -> Statement:
+    return Statement("claim", (), hypotheses, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("hypotheses", "verdict", "evidence"),
+    [
+        ((PROVED,), "holds", "proved"),
+        ((PROVED, ASSUMED), "holds", "proved"),
+        ((PROVED, SAMPLED), "holds", "sampled"),
+        ((PROVED, SAMPLED, CLAIMED), "holds", "claimed"),
+        ((PROVED, OPEN), "undecided", "proved"),
+        ((PROVED, OPEN, WRONG), "fails", "sampled"),
+        ((ASSUMED,), "undecided", "assumed"),
+        ((), "undecided", "assumed"),
+    ],
+)
+def test_the_verdict_is_that_of_the_weakest_hypothesis(hypotheses, verdict, evidence):
+    for order in itertools.permutations(hypotheses):
+        found = statement(*order)
+        assert (found.verdict, found.evidence, found.proved) == (
+            verdict,
+            evidence,
+            verdict == "holds" and evidence == "proved",
+        )
+
+
+def test_any_hypothesis_that_is_taken_back_takes_the_verdict_back():
+    """For a statement that holds: one hypothesis after the other is left open, or refuted."""
+    found = certify(
+        Intrinsic(models.heavy_top(), 10.0, 50.0), velocity=1.0, error=0.05, rate=2.0, recipe={"system": "heavy_top"}
+    ).statement
+    assert found.proved
+    for k, hypothesis in enumerate(found.hypotheses):
+        for verdict in ("undecided", "fails"):
+            changed = list(found.hypotheses)
+            changed[k] = hypothesis._replace(verdict=verdict)
+            assert found._replace(hypotheses=tuple(changed)).verdict == verdict
+
+
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory):
+    """A certificate with every kind of bound, as a file, and the settings it was made from."""
+    settings = {
+        "velocity": [0.3, 0.25],
+        "error": [0.01, 0.02],
+        "region": {"r": (-0.1, 0.1), "theta": (-0.2, 0.2)},
+        "input": 0.05,
+        "noise": [1e-5, 2e-5],
+        "disturbance": [1e-4, 2e-4],
+        "alpha": 4.0,
+        "beta": 8.0,
+    }
+    names = models.ball_and_beam().coordinates
+    settings["region"] = dict(zip(names, settings["region"].values(), strict=True))
+    result = covariant.certify("ball_and_beam", **settings)
+    assert result.holds, str(result)
+    path = tmp_path_factory.mktemp("saved") / "beam.json"
+    result.save(path)
+    return path, result, settings
+
+
+def test_the_text_of_a_check_has_all_numbers_of_the_claim(saved):
+    path, result, settings = saved
+    text = str(covariant.workflow.check_certificate(path))
+    numbers = [*settings["velocity"], *settings["error"], *settings["noise"], *settings["disturbance"], 4, 8, 0.05]
+    numbers += [end for pair in settings["region"].values() for end in pair]
+    for number in numbers:
+        assert any(text.find(mark + f"{number:g}") >= 0 for mark in " [-"), number
+    for name, value in models.ball_and_beam().parameters.items():
+        assert f"{name} = {float(value.value)}" in text, name
+    for hypothesis in result.certificate.statement.hypotheses:
+        assert hypothesis.text in text
+
+
+def test_the_claim_can_be_repeated_from_its_text_alone(saved):
+    """The radius that is printed is proved again from the numbers that are printed, and never more than was proved."""
+    path, result, _ = saved
+    checked = certificates.check(path)
+    about = dict(line.split(": ", 1) for line in checked.statement.about if ": " in line)
+    assert about["model"].startswith("ball_and_beam, ")
+    assert "alpha = 4 1/s, beta = 8 1/s²" in about["observer"]
+    radius = float(next(line for line in checked.statement.about if "radius" in line).split("ε = ")[1].split()[0])
+    assert 0 < radius <= result.certificate.radius < radius * 1.001
+    q = np.array(json.loads(about["metric"].removeprefix("Q = ")))
+    np.testing.assert_array_equal(q, result.certificate.q)
+    again = covariant.certify("ball_and_beam", **saved[2], rate=result.certificate.rate, q=[q[0, 0], q[0, 1], q[1, 1]])
+    assert again.certificate.radius >= radius
+
+
+def test_prints_never_claim_more_than_is_proved():
+    down = certificates._contraction_statement._down
+    for value in np.random.default_rng(0).uniform(1e-9, 1e9, 1000) * 10.0 ** np.random.default_rng(1).integers(
+        -9, 9, 1000
+    ):
+        assert value * (1 - 2e-3) < float(down(value)) <= value
+
+
+def test_it_is_the_same_in_print_and_in_json_and_in_the_file_of_an_export(saved, tmp_path):
+    path, result, _ = saved
+    checked = covariant.workflow.check_certificate(path)
+    said = checked.summary["statement"]
+    assert said["claim"] in str(checked)
+    assert (said["verdict"], said["evidence"]) == ("holds", "proved")
+    assert [each["text"] for each in said["hypotheses"]] == [h.text for h in result.certificate.statement.hypotheses]
+    covariant.export(
+        "ball_and_beam", tmp_path / "beam", rate=200.0, alpha=4.0, beta=8.0, observer="intrinsic", certificate=path
+    )
+    sheet = next((tmp_path / "beam").glob("*.md")).read_text(encoding="utf-8")
+    assert said["claim"] in sheet
+    for line in said["about"]:
+        assert line in sheet
+
+
+def test_what_was_only_read_is_claimed(saved):
+    found = certificates.ContractionCertificate.load(saved[0])
+    assert (found.statement.verdict, found.statement.evidence, found.statement.proved) == ("holds", "claimed", False)
+
+
+def test_a_file_that_claims_more_is_not_copied_into_a_data_sheet(saved, tmp_path):
+    path, *_ = saved
+    document = json.loads(path.read_text(encoding="utf-8"))
+    document["rate"] *= 3
+    document.pop("digest")
+    forged = tmp_path / "forged.json"
+    forged.write_text(json.dumps(document | {"digest": covariant.proofs.digest(document)}), encoding="utf-8")
+    with pytest.raises(ValueError, match=r"forged\.json: "):
+        covariant.export(
+            "ball_and_beam",
+            tmp_path / "beam",
+            rate=200.0,
+            alpha=4.0,
+            beta=8.0,
+            observer="intrinsic",
+            certificate=forged,
+        )
+    assert not (tmp_path / "beam").exists()
