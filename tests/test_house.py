@@ -75,8 +75,8 @@ PUBLIC = {
     "Derivative Domain Enclosure Graph Interval JaxprEquation Lowered LoweringError Node Scan Signature TracedFunction "
     "Truth While c_function c_helpers c_number c_rows enclose equations evaluate expand fingerprint fulfilled graft "
     "in_c lower lower_traced needed numbers pairs perturbed simplified stumpff substitute trace",
-    "logs": "ATTITUDES MESSAGES OPTIONAL WRITTEN Body Columns Log LogError bodies check_unit coordinates matrices read "
-    "record source_name survey to_columns unit_factor write",
+    "logs": "ATTITUDES MEANT MESSAGES OPTIONAL WRITTEN Body Columns Log LogError bodies check_unit coordinates "
+    "matrices read record source_name survey to_columns unit_factor unit_in_name without_unit words_of write",
     "models": "Family GroupSystem Lagrangian MechanicalSystem ModelError ModelFile MomentumChart Motion Overrides "
     "Parameter Parametric StateSpace Survey acceleration advance applied_force ball_and_beam bioreactor "
     "body_velocity chart_jacobian chart_velocity check_metric check_model check_spec document duffing energy "

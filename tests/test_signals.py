@@ -45,6 +45,14 @@ def test_a_sound_record_comes_back_itself():
         (changed("y", 1, np.inf), "row 2: a measurement is infinite; mark a missing one by NaN"),
         (changed("t", 2, 0.05), "row 3: time goes back from 0.1 s to 0.05 s; sort or split the log"),
         (changed("t", 2, 0.1), "rows 2 and 3 have the same stamp 0.1 s; keep one of them"),
+        (GOOD._replace(t=1e9 * T + 1.7e18), "stamps reach 1.7e[+]18 s, after the year 2200; they must be in seconds"),
+        (
+            GOOD._replace(t=np.float32(1e4) + np.float32(0.05) * np.arange(4, dtype=np.float32)),
+            "stamps in float32 near 10000.2 s are",
+        ),
+        (GOOD._replace(y=GOOD.y > 0), r"positions y \(T, n\) are true and false; they must be numbers"),
+        (GOOD._replace(u=GOOD.u * 1j), r"inputs u \(T, m\) are complex; they must be real numbers"),
+        (GOOD._replace(t=T + 0j), r"stamps t \(T,\) are complex; they must be real numbers"),
         (changed("y", 0, np.nan), "row 1 lacks a measurement, so no estimate can start there"),
     ],
 )
@@ -154,7 +162,7 @@ def test_a_record_without_inputs_has_none():
 def test_positions_must_be_there_and_real():
     with pytest.raises(ValueError, match="a record needs positions y"):
         Record(T, GOOD.u).check()
-    with pytest.raises(ValueError, match=r"positions y .* are complex; coordinates must be real"):
+    with pytest.raises(ValueError, match=r"positions y .* are complex; they must be real"):
         GOOD._replace(y=GOOD.y * 1j).check()
     unitary = np.broadcast_to(1j * np.eye(2), (4, 2, 2))
     assert GOOD._replace(y=unitary).check().y is unitary

@@ -58,6 +58,10 @@ _MESSAGES = {
 
 
 AnyArray = Array | np.ndarray
+LATEST_STAMP = 7.26e9
+"""The year 2200 in seconds since 1970: stamps beyond are in another unit."""
+COARSEST = 0.01
+"""Largest rounding of stamps, as a part of the step between rows: velocities are off by as much."""
 
 
 class _Fields(NamedTuple):
@@ -105,8 +109,11 @@ class Record(_Fields):
         t, u, y = (np.asarray(a) for a in (self.t, self.u, self.y))
         if self.y is None:
             raise ValueError("a record needs positions y (T, n) or (T, N, N); got none")
-        if y.ndim == 2 and np.iscomplexobj(y):
-            raise ValueError("positions y (T, n) are complex; coordinates must be real numbers")
+        for name, array in (("stamps t (T,)", t), ("inputs u (T, m)", u), ("positions y (T, n)", y)):
+            if np.iscomplexobj(array) and array.ndim < 3:  # elements of a group of matrices may be complex
+                raise ValueError(f"{name} are complex; they must be real numbers")
+            if array.dtype == bool:
+                raise ValueError(f"{name} are true and false; they must be numbers")
         if t.ndim != 1 or u.ndim != 2 or y.ndim not in (2, 3) or not len(t) == len(u) == len(y):
             raise ValueError(
                 f"a record needs t (T,), u (T, m), y (T, n) or (T, N, N); got {t.shape}, {u.shape}, {y.shape}"
@@ -119,6 +126,8 @@ class Record(_Fields):
                 raise ValueError(
                     f"row {bad.argmax() + 1}: {name} is not a finite number; only measurements may be missing"
                 )
+        if (latest := np.abs(t).max()) > LATEST_STAMP:
+            raise ValueError(f"stamps reach {latest:g} s, after the year 2200; they must be in seconds")
         infinite = np.isinf(y.reshape(len(t), -1)).any(1)
         if infinite.any():
             raise ValueError(f"row {infinite.argmax() + 1}: a measurement is infinite; mark a missing one by NaN")
@@ -129,9 +138,20 @@ class Record(_Fields):
         if (step == 0).any():
             k = int((step == 0).argmax())
             raise ValueError(f"rows {k + 1} and {k + 2} have the same stamp {t[k]:g} s; keep one of them")
+        check_rounding(t)
         if np.isnan(y[0]).any():
             raise ValueError("row 1 lacks a measurement, so no estimate can start there; cut the log to begin later")
         return self
+
+
+def check_rounding(t: Float[np.ndarray, "T"]) -> None:
+    """Raise `ValueError` for rising stamps [s] in single precision whose rounding falsifies the steps between them."""
+    least, step = np.spacing(np.abs(t).max()), np.median(np.diff(t))
+    if t.dtype.itemsize < 8 and least > COARSEST * step:
+        raise ValueError(
+            f"stamps in {t.dtype} near {np.abs(t).max():g} s are whole multiples of {least:.2g} s, and rows are "
+            f"{step:.2g} s apart; write them in float64, or count them from the first before they are rounded"
+        )
 
 
 class Run(NamedTuple):

@@ -255,6 +255,9 @@ def test_no_sample_raises_and_each_fault_is_counted(stream):
         (t[k + 2], [0.1], u[k]),  # too few numbers
         (t[k + 2] + 1e-4, np.array([0.1]), u[k]),
         (t[k + 3], "nothing", u[k]),
+        (t[k + 3] + 1e-4, y[k] * (1 + 1j), u[k]),  # no real numbers
+        (t[k + 3] + 2e-4, [True, False], u[k]),
+        (t[k + 3] + 3e-4, ["0.1", "0.2"], u[k]),
         (t[k + 4], None, [math.nan, math.inf]),
         (t[k + 5], 1e300 * y[k], u[k]),
     ]
@@ -264,7 +267,7 @@ def test_no_sample_raises_and_each_fault_is_counted(stream):
         assert np.abs(x).max() < 10 * usual
     health = stream.health
     assert health.samples == 40 + len(faults)
-    assert (health.late, health.unstamped, health.misshapen) == (1, 2, 3)
+    assert (health.late, health.unstamped, health.misshapen) == (1, 2, 6)
     assert health.results["repeated"] == 1
     assert health.results["input_held"] >= 1
     assert sum(health.results.values()) == health.samples
@@ -294,3 +297,8 @@ def test_estimates_are_arrays_of_their_own(stream):
 def test_a_rate_that_is_none_is_refused():
     with pytest.raises(ValueError, match="rate must be a positive"):
         Stream(gated(), record().y[0], 0.0)
+
+
+def test_a_rate_at_which_each_sample_would_start_anew_is_refused():
+    with pytest.raises(ValueError, match=r"at least 1\.25 Hz, as an estimate starts anew after 1 s without"):
+        Stream(gated(), record().y[0], 1.0)

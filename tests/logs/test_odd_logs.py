@@ -29,7 +29,6 @@ READ: dict[str, tuple[str | bytes, Columns]] = {
     "tabs and spaces": ("t \t q\n0 \t 1.5\n0.5\t-2.25\n1\t3\n", Q),
     "decimal commas": ("t;q\n0,0;1,5\n0,5;-2,25\n1,0;3\n", Q),
     "decimal commas between tabs": ("t\tq\n0\t1,5\n0,5\t-2,25\n1\t3,0e0\n", Q),
-    "decimal commas in quotes": ('t,q\n0,"1,5"\n"0,5","-2,25"\n1,3\n', Q),
     "names with spaces between commas": ("t,q,note one\n0,1.5,a b\n0.5,-2.25,c d\n1,3,e f\n", Q),
     "names with commas between semicolons": ("t;q;x, y\n0;1.5;1\n0.5;-2.25;1\n1;3;1\n", Q),
     "quoted header": ('"t","q"\n0,1.5\n0.5,-2.25\n1,3\n', Q),
@@ -67,6 +66,14 @@ READ: dict[str, tuple[str | bytes, Columns]] = {
         "t;q\n2024-05-01T12:00:00,0;1,5\n2024-05-01T12:00:00,5;-2,25\n2024-05-01T12:00:01,0;3\n",
         Q,
     ),
+    "a unit in the name and one that is given": (
+        "t_s,q_deg\n0,1.5\n0.5,-2.25\n1,3\n",
+        Columns(t="t_s", q=("q_deg",), units={"q": ("rad",)}),
+    ),
+    "dates under a name with a unit": (
+        "time_ms,q\n2024-05-01T12:00:00,1.5\n2024-05-01T12:00:00.5,-2.25\n2024-05-01T12:00:01,3\n",
+        Q._replace(t="time_ms"),
+    ),
     "degrees": ("t,q\n0,85.94366926962348\n0.5,-128.91550390443524\n1,171.88733853924697\n", with_units(q="deg")),
     "ticks of 4096 a turn": (
         "t,q\n0,977.847970356605\n0.5,-1466.7719555349074\n1,1955.69594071321\n",
@@ -89,6 +96,35 @@ REFUSED: dict[str, tuple[str | bytes, Columns, str]] = {
         "column 'q', row 1: found '1,234', and column 't', row 1, has '0.5'",
     ),
     "commas between thousands, twice": ("t;q\n0;1,234,567\n1;2\n", Q, "column 'q', row 1: found '1,234,567'"),
+    "commas between thousands in quotes": (
+        't,q\n0,"1,234"\n1,"2,345"\n',
+        Q,
+        "column 'q', row 1: found '1,234' in a file whose cells have commas between them",
+    ),
+    "decimal commas in quotes": ('t,q\n0,"1,5"\n"0,5",2\n1,3\n', Q, "column 't', row 2: found '0,5' in a file"),
+    "microseconds since 1970 without a unit": (
+        "t,q\n1700000000000000,1\n1700000000010000,2\n",
+        Q,
+        'row 1: found 1700000000000000, which in s is after the year 2200; write t = "us" under [units]',
+    ),
+    "nanoseconds since 1970 in milliseconds": (
+        "t,q\n1700000000000000000,1\n1700000000010000000,2\n",
+        with_units(t="ms"),
+        'which in ms is after the year 2200; write t = "ns" under [units]',
+    ),
+    "a clock that is set from 0 to nanoseconds": ("t,q\n0,1\n1.7e18,2\n", Q, "row 2: found 1.7e18"),
+    "degrees in the name": (
+        "t,q [deg]\n0,1\n1,2\n",
+        Columns(q=("q [deg]",)),
+        "column 'q [deg]' has a unit in its name, and no unit is given for q; write q = \"deg\" under [units]",
+    ),
+    "one of two in millimetres": (
+        "t,cart_mm,pole\n0,1,0\n1,2,0\n",
+        Columns(q=("cart_mm", "pole")),
+        'write q = ["mm", "rad"] under [units]',
+    ),
+    "milliseconds in the name": ("time_ms,q\n0,1\n10,2\n", Q._replace(t="time_ms"), 'write t = "ms" under [units]'),
+    "a velocity in degrees": ("t,q,w_deg_s\n0,1,2\n1,2,3\n", Q._replace(v=("w_deg_s",)), 'write v = "deg/s"'),
     "points between thousands": ("t;q\n0;1.234,5\n1;2\n", Q, "column 'q', row 1: found '1.234,5'"),
     "bare decimal commas between commas": ("t,q\n0,5,1,5\n1,0,2,5\n", Q, "row 1 has 4 cells where the header has 2"),
     "a cell too many": (
@@ -202,6 +238,19 @@ def test_parquet_may_hold_dates_and_durations(tmp_path):
         log = logs.read(tmp_path / "log.parquet", Q)
         np.testing.assert_allclose(log.record.t, T, rtol=0, atol=1e-12)
         assert log.origin_ns == origin
+
+
+def test_parquet_in_single_precision_is_read_unless_the_stamps_are_too_coarse(tmp_path):
+    for begin, sound in ((0.0, True), (1e7, False)):
+        t = np.float32(begin) + np.arange(3, dtype=np.float32)
+        pq.write_table(pa.table({"t": t, "q": np.float32(Y)}), tmp_path / "log.parquet")
+        if sound:
+            assert logs.read(tmp_path / "log.parquet", Q).record.y[:, 0].tolist() == Y
+        else:
+            with pytest.raises(
+                LogError, match=r"column 't': stamps in float32 near 1e\+07 s are whole multiples of 1 s"
+            ):
+                logs.read(tmp_path / "log.parquet", Q)
 
 
 def test_a_stretch_is_counted_from_the_first_row(tmp_path):

@@ -14,11 +14,15 @@ from covariant.signals import Result
 
 LONGEST_GAP = 1.0
 """Longest time [s] without a sample that the model predicts over; after a longer one the estimate starts anew."""
+LEAST_RATE = 1.25 / LONGEST_GAP
+"""Slowest usual rate [Hz]: a sample may come a quarter of a step late."""
 SET_BACK = 5
 """After so many samples in a row with stamps before the last one used, the clock was set back."""
 
 CODES = tuple(Result)
 NOT_FINITE = int(Result.NOT_FINITE)
+NUMBERS = "iufO"
+"""Kinds of arrays that hold real numbers, or objects that may be some, as None for a missing one."""
 DOUBLE, ndarray = np.dtype(float), np.ndarray
 
 
@@ -27,7 +31,7 @@ class Health(NamedTuple):
 
     - `samples`: calls of `step`; `results`: how many ended with each result, by its name in lower case.
     - `late`: samples with a stamp before the last one, left out; `unstamped`: those whose stamp is no finite number.
-    - `misshapen`: measurements or inputs that are not the right count of numbers, taken as missing.
+    - `misshapen`: measurements or inputs that are not the right count of real numbers, taken as missing.
     - `restarts`: how often the estimate started anew from a measurement, after a gap, a clock that was set, or an
       estimate that was not finite.
     """
@@ -54,7 +58,7 @@ class Stream:
     it is NaN. NaN and infinite entries of y are missing. A sample with the stamp of the one before changes nothing, nor
     does one with an earlier stamp, unless `SET_BACK` of them come in a row. `health` counts what was wrong.
 
-    Raises `ValueError` for a rate that is not positive, and for an unknown engine.
+    Raises `ValueError` for a rate that is not finite or below `LEAST_RATE`, and for an unknown engine.
     """
 
     def __init__(
@@ -62,6 +66,11 @@ class Stream:
     ):
         if not 0 < rate < math.inf:
             raise ValueError(f"Stream: rate must be a positive, finite number; got {rate}")
+        if rate < LEAST_RATE:
+            raise ValueError(
+                f"Stream: rate must be at least {LEAST_RATE:g} Hz, as an estimate starts anew after {LONGEST_GAP:g} s "
+                f"without a sample; got {rate:g} Hz"
+            )
         y = np.asarray(y, float)
         model: Any = getattr(observer, "model", None)
         stated = getattr(model, "inputs", None)
@@ -165,12 +174,11 @@ class Stream:
         try:
             if given is None:
                 into.fill(math.nan)
-            elif type(given) in (list, tuple) and len(given) == into.size:
-                into[:] = given
-            elif np.size(given) == into.size:
-                into[:] = given if np.ndim(given) < 2 else np.ravel(given)
             else:
-                raise ValueError
+                array = np.asarray(given)
+                if array.size != into.size or array.dtype.kind not in NUMBERS:
+                    raise ValueError
+                into[:] = array.ravel()
         except (TypeError, ValueError):
             into.fill(math.nan)
             self._counts["misshapen"] += 1

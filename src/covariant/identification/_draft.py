@@ -90,7 +90,7 @@ def draft(columns: Mapping[str, np.ndarray], given: Mapping[str, Sequence[str] |
     u = given.get("u") or tuple(name for name, kind in kinds.items() if kind == "u")
     _one_family("u", u, given, columns)
     if "u" not in given:  # forces before torques, as lengths come before angles
-        u = tuple(sorted(u, key=lambda name: _unit_in(name, ("N m",)) is not None))
+        u = tuple(sorted(u, key=lambda name: unit_in_name(name, ("N m",)) is not None))
     if len(u) > len(q):
         raise ValueError(
             f"{len(u)} inputs ({', '.join(u)}) for {len(q)} positions; name them by --u{_columns_there(columns)}"

@@ -8,5 +8,11 @@ from ._configuration import (
 )
 from ._read import OPTIONAL as OPTIONAL, read as read, record as record, survey as survey
 from ._tables import source_name as source_name
+from ._unit_in_name import (
+    MEANT as MEANT,
+    unit_in_name as unit_in_name,
+    without_unit as without_unit,
+    words_of as words_of,
+)
 from ._units import check_unit as check_unit, unit_factor as unit_factor
 from ._write import MESSAGES as MESSAGES, WRITTEN as WRITTEN, write as write

@@ -18,6 +18,7 @@ from covariant.logs._configuration import bodies, from_cells
 from covariant.logs._stamps import stamps, timed
 from covariant.logs._tables import LogSource, source_name, table_source
 from covariant.logs._text import is_number, read_text, sheet, with_points
+from covariant.logs._unit_in_name import MEANT, unit_in_name
 from covariant.logs._units import unit_factor
 from covariant.signals import Record
 
@@ -126,6 +127,9 @@ def _names(names: str | Sequence[str]) -> tuple[str, ...]:
 def _of_columns(name: str, log: Any, columns: Columns, optional: Collection[str]) -> Log:
     """All rows of a log that has columns."""
     columns, table = _table(name, log, columns, optional)
+    for field in ("t", *MEASURED, "u", *OPTIONAL):
+        if field != "t" or not timed(table.column(columns.t)):
+            _need_units(name, columns, field)
 
     def stack(*fields: str, needed: bool = False) -> np.ndarray:
         found = []
@@ -143,6 +147,22 @@ def _of_columns(name: str, log: Any, columns: Columns, optional: Collection[str]
     u, y = stack("u", needed=True), from_cells(name, columns, stack(*MEASURED))
     v, truth = (stack(field) if getattr(columns, field) else None for field in OPTIONAL)
     return Log(_checked(name, Record(t, u, y)), v, truth, origin)
+
+
+def _need_units(log: str, columns: Columns, field: str) -> None:
+    """Raise `LogError` for a column whose name ends in a unit that it is not read in, where none was given."""
+    names = getattr(columns, field)
+    names = (names,) if isinstance(names, str) else names
+    meant = MEANT.get(field, ())
+    said = [unit_in_name(name, meant) for name in names]
+    for place, (name, text) in enumerate(zip(names, said, strict=True)):
+        if text is not None and unit_factor(text) != 1 and columns.unit_of(field, place) is None:
+            texts = [f'"{each or meant[0]}"' for each in said]
+            line = f"{field} = {texts[0] if len(set(texts)) == 1 else '[' + ', '.join(texts) + ']'}"
+            raise LogError(
+                f"{log}: column {name!r} has a unit in its name, and no unit is given for {field}; write {line} under "
+                f"[units] of the model file, or the unit that it is in"
+            )
 
 
 def _of_record(log: Record, columns: Columns) -> Log:

@@ -10,6 +10,7 @@ from jaxtyping import Float
 from covariant.logs._cells import fault, numbers
 from covariant.logs._columns import LogError, pyarrow
 from covariant.logs._units import unit_factor
+from covariant.signals import LATEST_STAMP, check_rounding
 
 LATEST = 1e8
 """Stamps beyond this [s], three years, count from 1970 and not from the start of the machine."""
@@ -39,6 +40,19 @@ def stamps(where: str, column: Any, given: str | None) -> Stamps:
         column, given = column.cast(pa.int64()), column.type.unit
     factor = 1.0 if given is None else unit_factor(given)
     found = numbers(where, column, needed=True)
+    if column.type in (pa.float32(), pa.float16()) and (np.diff(found) > 0).all():
+        try:
+            check_rounding(found.astype(column.type.to_pandas_dtype()))
+        except ValueError as error:
+            raise LogError(f"{where}: {error}") from error
+    late = np.abs(found) * factor > LATEST_STAMP
+    if late.any():
+        row = int(late.argmax())
+        unit = next((unit for unit in ("ms", "us") if abs(found[row]) * unit_factor(unit) < LATEST_STAMP), "ns")
+        raise LogError(
+            f"{where}, row {row + 1}: found {column[row].as_py()}, which in {given or 's'} is after the year 2200; "
+            f'write t = "{unit}" under [units] of the model file, or the unit that the stamps are in'
+        )
     if not len(found) or abs(found[0] * factor) < LATEST:
         return Stamps(found if factor == 1.0 else found * factor, None)
     first, later = _since_first(pa, column, found)

@@ -75,6 +75,15 @@ def read_text(pa: Any, path: Path, found: Sheet, wanted: Sequence[str]) -> Any:
             f"{path}: row {row.number} has {row.actual_columns} cells where the header has {row.expected_columns}: "
             f"{row.text[:60]!r}; a missing measurement is an empty cell between its {DELIMITERS[found.delimiter]}"
         )
+    if found.delimiter == ",":
+        for name in wanted:
+            row = _matching(pa, table.column(name), _COMMA)
+            if row is not None:
+                raise LogError(
+                    f"{path}: column {name!r}, row {row + 1}: found {table.column(name)[row].as_py()!r} in a file "
+                    "whose cells have commas between them: a decimal mark or thousands? write numbers with a decimal "
+                    "point and no other commas, or put semicolons between cells"
+                )
     return table
 
 

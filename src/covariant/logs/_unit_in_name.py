@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from covariant.logs._units import check_unit
 
 MEANT = {"t": ("s",), "q": ("rad", "m"), "u": ("N m", "N"), "v": ("rad/s", "m/s")}
-"""Units in which a model file has columns of stamps, positions, inputs and velocities where it says nothing else."""
+MEANT |= {"truth": MEANT["v"], "position": ("m",), "angle": ("rad",)}
+"""Units in which the columns of each field are logged where a model file says nothing else."""
 _SUFFIXES = "deg|degrees|rad|turns?|rev|rpm|deg_s|rad_s|m|mm|cm|m_s|mm_s|s|sec|ms|us|ns|N|mN|kN|Nm|mNm"
 _IN_NAME = re.compile(rf"[\[(]\s*([^\[\]()]+?)\s*[\])]\s*$|_({_SUFFIXES})$")
 """The unit at the end of the name of a column, as in `q1 [deg]`, `time (ms)`, `angle_deg` or `cart_m`."""
