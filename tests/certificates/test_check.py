@@ -13,6 +13,7 @@ import pytest
 from covariant import models
 from covariant.certificates import _certify, _check, _matrices, certify, check, check_sample, parse, subject
 from covariant.certificates._check import follows
+from covariant.certificates._checked import judged
 from covariant.certificates._saved import observer_from, value_graph
 from covariant.geometry import lie
 from covariant.observers import Intrinsic
@@ -263,12 +264,12 @@ INNER, OUTER, WIDE, OFF = 0.9, 1.1, 0.9, 0.05
 """The true motions of the sector [m, m, rad], and the error of a position [m, rad]."""
 
 
-def sector():
+def sector(checker="auto"):
     """A certificate on the sector."""
     recipe = {"attribute": f"{__name__}:polar"}
     bounds = np.array([INNER, -WIDE]), np.array([OUTER, WIDE])
     given = {"velocity": 0.1, "error": OFF, "position": bounds, "input": 0.01}
-    return certify(Intrinsic(polar(), 4.0, 8.0), **given, recipe=recipe)
+    return certify(Intrinsic(polar(), 4.0, 8.0), **given, recipe=recipe, checker=checker)
 
 
 @pytest.fixture(scope="module")
@@ -309,11 +310,26 @@ def test_no_geodesic_as_long_as_the_radius_leaves_a_region_that_is_not_convex(se
 def test_a_prover_that_forgets_the_border_would_be_seen(sectors, tmp_path, monkeypatch):
     honest = _certify.limits_of
     monkeypatch.setattr(_certify, "limits_of", lambda *given: 10 * honest(*given))
-    careless = sector()
+    caught = sector()
+    assert (caught.statement.verdict, caught.radius) == ("undecided", 0.0)
+    assert "which its box" in caught.statement.claim
+    careless = sector(checker="off")
     assert careless.radius == pytest.approx(10 * sectors.radius)
     assert careless.radius > shortest_leaving(careless.q)
     with pytest.raises(ValueError, match="which its box"):
         check(careless.save(tmp_path / "careless.json"), model=polar)
+
+
+def test_the_statement_says_how_far_the_checker_came(sectors, monkeypatch):
+    assert "accepts all" in str(sectors.statement.hypotheses)
+    assert "the checker" not in str(sector(checker="off").statement.hypotheses)
+    monkeypatch.setattr(_certify, "judged", lambda resolved, seconds: judged(resolved, -1.0))  # no time at all
+    slow = sector().statement
+    (premise,) = (hypothesis for hypothesis in slow.hypotheses if "the checker" in hypothesis.text)
+    assert slow.proved
+    assert (premise.evidence, "it was stopped after" in premise.text) == ("assumed", True)
+    with pytest.raises(ValueError, match="checker must be one of auto, all, off; got 'on'"):
+        sector(checker="on")
 
 
 def test_a_prover_that_takes_reaches_for_shorter_than_they_are_proves_nothing(monkeypatch):

@@ -132,8 +132,9 @@ def test_for_a_person_angles_are_in_degrees_too(proved, monkeypatch):
         None,
     )
     text = str(workflow.CertifyResult("pendulum.toml", found, "Given gains."))
-    assert text.startswith(f"proved: {proved['statement']}\nGiven gains.\n")
-    assert f"λ = {proved['rate']:.4g} 1/s" in text
+    assert text.startswith(
+        f"holds (proved): {proved['statement']}\nhypotheses:\n- proved: they shrink\n\nGiven gains.\n"
+    )
     assert f"ε = {proved['radius']:.4g}" in text
     assert "-1.1 ≤ estimate of q1 ≤ 1.1 rad (-63.03 to 63.03°)" in text
     assert f"({math.degrees(proved['half_widths'][0]):.4g}°)" in text
@@ -146,7 +147,7 @@ def test_undecided_names_what_remains_and_leaves_with_1(capsys, monkeypatch):
     more = ("--q", "3,-1,2", "--rate", "0.5", "--seconds", "7", "--processes", "2")
     code, out, _ = leave(capsys, monkeypatch, "pendulum.toml", *GAINS, *REGION, *more)
     assert code == 1
-    assert out.startswith("not decided: squared lengths shrink\n")
+    assert out.startswith("undecided: squared lengths shrink\n")
     assert "contraction: 1 boxes remain, 25.00% of the domain" in out
     np.testing.assert_array_equal(asked["q"], [[3.0, -1.0], [-1.0, 2.0]])
     assert (asked["rate"], asked["seconds"], asked["processes"]) == (0.5, 7.0, 2)

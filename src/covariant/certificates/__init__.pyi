@@ -5,8 +5,8 @@ from ._cascade import (
     Growth as Growth,
     cascade as cascade,
 )
-from ._certify import certify as certify
-from ._check import Checked as Checked, check as check
+from ._certify import CHECKERS as CHECKERS, CheckerName as CheckerName, certify as certify
+from ._checked import Checked as Checked, check as check
 from ._claims import Claim as Claim
 from ._contraction import (
     StateMetric as StateMetric,

@@ -14,21 +14,27 @@ Source: Aghannan & Rouchon 2003, Theorems 1 and 2, and Fig. 2; Lohmiller & Sloti
 
 import itertools
 import math
+import time
+import typing
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Literal
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike, Float
 
 from covariant._typing import Numbers
-from covariant.certificates._claims import Claim, disturbance_length, disturbance_sizes
+from covariant.certificates._check import Resolved
+from covariant.certificates._checked import judged
+from covariant.certificates._claims import Claim, disturbance_length, disturbance_sizes, read_bounds
 from covariant.certificates._contraction_certificate import ContractionCertificate
 from covariant.certificates._contraction_statement import Contraction, contraction_statement
+from covariant.certificates._document import Document
 from covariant.certificates._force_bounds import force_bounds, force_reads_time, force_slopes
 from covariant.certificates._inequalities import contraction, disturbance_bound, squared_widths, width_bound
 from covariant.certificates._intrinsic import Intrinsics, check_unique, subject
 from covariant.certificates._noise import steady_distance
+from covariant.certificates._saved import observer_document
 from covariant.certificates._subject import Subject
 from covariant.certificates._tangent_metric import check_q, error_matrix, optimal_lyapunov, rate_of
 from covariant.geometry.lie import SO2, SO3
@@ -37,6 +43,10 @@ from covariant.models import MechanicalSystem, input_count
 from covariant.proofs import MOST_BOXES, Box, Proof, check_box, prove
 
 Bounds = tuple[ArrayLike, ArrayLike]
+CheckerName = Literal["auto", "all", "off"]
+CHECKERS = typing.get_args(CheckerName)
+PATIENCE = 10.0
+"""Time [s] that the checker has even where the proof took less."""
 SLACK = 1.05
 """Factor of margin on the square of a sampled width, so that the bound can be proved quickly."""
 WIDENINGS = 8
@@ -59,6 +69,7 @@ def certify(
     boxes: int = MOST_BOXES,
     seconds: float | None = None,
     processes: int = 1,
+    checker: CheckerName = "auto",
     progress: Callable[[str, float, int], None] | None = None,
 ) -> ContractionCertificate:
     """Prove that an intrinsic observer converges at a rate, from within a radius, on a region.
@@ -79,11 +90,16 @@ def certify(
     - `boxes`: effort for all proofs, the same on every machine; `seconds`: an additional limit of time for each proof,
       which starts when its matrix has been written as a graph.
     - `processes`, `progress` (what, share, boxes): as for `prove`.
+    - `checker`: "auto" gives what was proved to the checker for as long as the proof took, or `PATIENCE`; "all" until
+      it is through; "off" not at all. The statement says how far it came; what it does not accept is "undecided".
 
     Raises `ValueError` naming an argument without its bound, an error up to which a logarithm is not unique, friction
-    or force that are not covered, or a `q` that is not symmetric positive definite; `TypeError` for another kind of
-    observer.
+    or force that are not covered, a `q` that is not symmetric positive definite, or another word for `checker`;
+    `TypeError` for another kind of observer.
     """
+    if checker not in CHECKERS:
+        raise ValueError(f"certify: checker must be one of {', '.join(CHECKERS)}; got {checker!r}")
+    start = time.monotonic()
     alpha, beta = float(observer.alpha), float(observer.beta)
     for name, gain in (("alpha", alpha), ("beta", beta)):
         if not math.isfinite(gain):
@@ -142,8 +158,17 @@ def certify(
             if not steady_distance(wanted, disturbance_length(given, claims)) < radius:
                 radius = 0.0
     facts = Contraction(wanted, radius, observer, matrix, domain, bound, given, claims, recipe)
+    statement = contraction_statement(facts, "proved")
+    spent = time.monotonic() - start
+    if checker != "off" and statement.verdict == "holds":
+        if progress is not None:
+            progress("by the checker", 0.0, sum(claim.proof.boxes for claim in claims))
+        found = judged(_stated(facts, about), max(spent, PATIENCE) if checker == "auto" else math.inf)
+        statement = contraction_statement(facts, "proved", found)
+    if statement.verdict != "holds":
+        radius = 0.0
     return ContractionCertificate(
-        contraction_statement(facts, "proved"),
+        statement,
         wanted,
         radius,
         observer,
@@ -156,6 +181,25 @@ def certify(
         recipe,
         verified=True,
     )
+
+
+def _stated(facts: Contraction, about: Subject) -> Resolved:
+    """The claims as the checker reads them, without the trees of the search."""
+    document = Document(
+        "the proof",
+        facts.recipe or {},
+        observer_document(facts.observer),
+        facts.q,
+        facts.rate,
+        facts.radius,
+        facts.velocity,
+        read_bounds(facts.given),
+        facts.domain.low,
+        facts.domain.high,
+        tuple(claim.stated for claim in facts.claims),
+        {},
+    )
+    return Resolved(document, facts.observer, about)
 
 
 def _positive(name: str, value: ArrayLike, n: int) -> Float[np.ndarray, "n"]:

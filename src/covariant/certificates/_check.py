@@ -17,52 +17,41 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from covariant.certificates import _matrices as matrices
-from covariant.certificates._claims import plain_bounds, stated_claims
-from covariant.certificates._contraction_statement import Contraction, contraction_statement
 from covariant.certificates._document import Document, parse
 from covariant.certificates._intrinsic import Intrinsics, check_unique, configuration_shape, subject
 from covariant.certificates._saved import observer_from, value_graph
-from covariant.certificates._statement import Statement
 from covariant.certificates._subject import Subject
 from covariant.models import input_count
-from covariant.proofs import Box
 from covariant.proofs.checker import ROUND, TaylorEnclosure, leaves, show_definite
 
 SLACK = 2.0**-20
 """Relative margin by which forces may exceed their bounds, so that bounds that are attained can be shown quickly."""
-DEPTH, DEEPEST, SHARE = 6, 200, 4096
+DEPTH, DEEPEST, SHARE = 6, 200, 1024
 """How often a leaf may be halved; how often the box of the inputs may; number of leaves in a job of one process."""
 
 
-class Checked(NamedTuple):
-    """Result of a successful check.
+class Shown(NamedTuple):
+    """What was shown of a certificate.
 
-    - `rate` [1/s], `radius`: those of the certificate; `statement`: the whole claim, as it is verified.
-    - `leaves`: number of leaves shown; `seconds`: time it took.
-    - `model_given`: whether the caller gave the model, in place of the one that the file names.
+    - `resolved`: its document, and the observer that it is about.
+    - `leaves`: number of leaves of its claims; `shown`: of those that were shown, which is all unless time ran out.
+    - `seconds`: time it took.
     """
 
-    statement: Statement
-    rate: float
-    radius: float
+    resolved: "Resolved"
     leaves: int
+    shown: int
     seconds: float
-    model_given: bool = False
 
 
-def check(
+def show(
     source: str | Path | Document,
     *,
     model: Any = None,
     processes: int = 1,
     progress: Callable[[int, int], None] | None = None,
-) -> Checked:
-    """Check a saved certificate, a file or the result of `parse`.
-
-    - `model`: for a certificate about a model that is not of this library, whose code the file cannot give: a model, a
-      function that makes one from the recipe's parameters, or the `module:attribute` of either.
-    - `processes`: number of processes; with several, a script needs the `if __name__ == "__main__"` guard.
-    - `progress`: called with the number of leaves done and of all leaves.
+) -> Shown:
+    """Show that the claims of a file, or of the result of `parse`, hold; the arguments are those of `check`.
 
     Raises `ValueError` saying what is wrong, or what cannot be shown, and where.
     """
@@ -77,14 +66,26 @@ def check(
         done += count
         if progress is not None:
             progress(done, total)
-    return Checked(
-        _statement(resolved),
-        document.rate,
-        document.radius,
-        sum(len(low) for what, low, _ in jobs if isinstance(what, int)),
-        time.monotonic() - start,
-        model is not None,
-    )
+    return Shown(resolved, _leaves(jobs), _leaves(jobs), time.monotonic() - start)
+
+
+def show_found(resolved: "Resolved", seconds: float) -> Shown:
+    """Show that claims that this process has found hold; what is not begun in that time [s] is left out.
+
+    Raises `ValueError` saying what is wrong, or what cannot be shown, and where.
+    """
+    start = time.monotonic()
+    _complete(resolved)
+    jobs, judge, begun = list(_jobs(resolved.document)), Judge(resolved), 0
+    while begun < len(jobs) and time.monotonic() - start <= seconds:
+        judge(jobs[begun])
+        begun += 1
+    return Shown(resolved, _leaves(jobs), _leaves(jobs[:begun]), time.monotonic() - start)
+
+
+def _leaves(jobs: list[tuple]) -> int:
+    """The number of leaves of the claims."""
+    return sum(len(low) for what, low, _ in jobs if isinstance(what, int))
 
 
 def _need(holds: Any, otherwise: str) -> None:
@@ -98,24 +99,6 @@ class Resolved(NamedTuple):
     document: Document
     observer: Intrinsics
     about: Subject
-
-
-def _statement(found: Resolved) -> Statement:
-    """The statement in words, for a document whose claims have been shown."""
-    document, observer, about = found
-    domain = Box(about.names, about.units, document.low, document.high)
-    facts = Contraction(
-        document.rate,
-        document.radius,
-        observer,
-        document.q,
-        domain,
-        document.velocity,
-        plain_bounds(document.given),
-        stated_claims(document, domain),
-        document.recipe,
-    )
-    return contraction_statement(facts, "proved")
 
 
 def follows(document: Document, model: Any = None) -> Resolved:

@@ -1,13 +1,13 @@
 """The claims that a proof of contraction consists of, and what noise and disturbance add to the flow."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-from covariant.certificates._document import NUMBERS, Document, Given, Kind
+from covariant.certificates._document import NUMBERS, Document, Given, Kind, Stated
 from covariant.proofs import Box, Proof, from_letters, to_letters
 
 
@@ -27,6 +27,11 @@ class Claim(NamedTuple):
     row: int = 0
     square: float = 0.0
     limit: float = 0.0
+
+    @property
+    def stated(self) -> Stated:
+        """The claim as a file states it."""
+        return Stated(self.kind, tuple(to_letters(self.proof.levels)), self.row, self.square, self.limit)
 
     def document(self) -> dict[str, Any]:
         """The claim as data for the file."""
@@ -57,6 +62,12 @@ def disturbance_length(given: dict[str, Any], claims: Sequence[Claim]) -> float:
     count = np.count_nonzero(disturbance_sizes(given))
     squares = [claim.square for claim in claims if claim.kind == "disturbance"]
     return math.sqrt(count * squares[0]) * (1 + 1e-12) if squares else math.inf if count else 0.0
+
+
+def read_bounds(plain: Mapping[str, Any]) -> Given:
+    """The bounds of which a file has the data."""
+    sides = [np.array([plain[key]["low"], plain[key]["high"]], float) for key in ("positions", "inputs")]
+    return Given(*sides, *(np.asarray(plain[key], float) for key in ("times", "noise", "disturbance", "slopes")))
 
 
 def plain_bounds(given: Given) -> dict[str, Any]:

@@ -37,9 +37,13 @@ class Contraction(NamedTuple):
         return steady_distance(self.rate, disturbance_length(self.given, self.claims))
 
 
-def contraction_statement(of: Contraction, evidence: Evidence) -> Statement:
-    """The statement with its verdict; `evidence` is that of the claims, "proved" or "claimed" by a file."""
-    hypotheses = tuple(_hypotheses(of, evidence))
+def contraction_statement(of: Contraction, evidence: Evidence, checker: Hypothesis | None = None) -> Statement:
+    """The statement with its verdict.
+
+    - `evidence`: that of the claims, "proved" or "claimed" by a file.
+    - `checker`: what the checker says of the proofs, as from `judged`; None where it was not asked.
+    """
+    hypotheses = (*_hypotheses(of, evidence), *(() if checker is None else (checker,)), *_assumed())
     wrong = next((c.proof.counterexample for c in of.claims if c.proof.counterexample is not None), None)
     point = () if wrong is None else tuple(wrong.mean(axis=0).tolist())
     found = Statement("", tuple(_about(of)), hypotheses, of.rate, str(of.domain), point)
@@ -87,6 +91,9 @@ def _hypotheses(of: Contraction, evidence: Evidence) -> Iterator[Hypothesis]:
         "the errors are below half a turn, so that the shortest path to the measurement is unique", evidence
     )
     yield Hypothesis(f"the observer is {type(of.observer).__name__} itself, whose flow is the one described", evidence)
+
+
+def _assumed() -> Iterator[Hypothesis]:
     for line in ASSUMED:
         yield Hypothesis(line, "assumed")
 

@@ -9,7 +9,7 @@ import typer
 
 from covariant import workflow
 from covariant.cli._console import progress_bar, show
-from covariant.cli._names import CERTIFIED, PAPERS, WRITTEN
+from covariant.cli._names import CERTIFIED, PAPERS, WRITTEN, Checker
 from covariant.cli._options import (
     Json,
     Model,
@@ -263,6 +263,10 @@ def certify(
     ] = 200_000,
     seconds: Annotated[float | None, typer.Option(help="A limit of time besides [s], for each of the proofs.")] = None,
     processes: Annotated[int | None, typer.Option(help="Processes; as many as processors by default.", min=1)] = None,
+    checker: Annotated[
+        Checker,
+        typer.Option(help="Give what is proved to the checker: for as long as the proof took, all, or not."),
+    ] = "auto",
     out: Annotated[Path | None, typer.Option("--out", "-o", help="Write the certificate here (.json).")] = None,
     figure: Annotated[Path | None, typer.Option(help="Draw region, tube, distances and gains here (.png).")] = None,
     check: Annotated[Path | None, typer.Option("--check", help="Verify this saved certificate instead.")] = None,
@@ -311,6 +315,7 @@ def certify(
             boxes=boxes,
             seconds=seconds,
             processes=processes or os.cpu_count() or 1,
+            checker=checker,
             overrides=tuple(override),
             progress=progress,
         )

@@ -4,7 +4,7 @@ from typing import Literal
 
 from covariant.observers import OBSERVER_NAMES as ESTIMATORS, STATE_OBSERVER_NAMES as STATE_ESTIMATORS
 
-__all__ = ["CERTIFIED", "ESTIMATORS", "PAPERS", "STATE_ESTIMATORS", "WRITTEN", "Engine"]
+__all__ = ["CERTIFIED", "ESTIMATORS", "PAPERS", "STATE_ESTIMATORS", "WRITTEN", "Checker", "Engine"]
 
 CERTIFIED = ("intrinsic", "geodesic")
 """The observers that there are certificates for."""
@@ -12,5 +12,7 @@ PAPERS = ("aghannan-rouchon", "maithripala", "sanfelice-praly", "jouffroy-fossen
 """The papers that are reproduced."""
 Engine = Literal["auto", "c", "jax"]
 """Those of `covariant.engine`."""
+Checker = Literal["auto", "all", "off"]
+"""Those of `covariant.certificates`."""
 WRITTEN = (".csv", ".txt", ".tsv", ".parquet", ".mcap", ".rosbag2")
 """Those of `covariant.logs`."""

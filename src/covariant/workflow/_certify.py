@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from covariant import certificates, models
-from covariant.certificates import ASSUMED, Checked, Claim, ContractionCertificate, Document
+from covariant.certificates import ASSUMED, Checked, CheckerName, Claim, ContractionCertificate, Document
 from covariant.design import observer_gains
 from covariant.models import MechanicalSystem, ModelFile, Overrides, input_count
 from covariant.observers import Geodesic, Intrinsic
@@ -52,6 +52,7 @@ def certify(
     boxes: int = MOST_BOXES,
     seconds: float | None = None,
     processes: int = 1,
+    checker: CheckerName = "auto",
     overrides: Overrides = (),
     progress: Progress = silent,
 ) -> "CertifyResult":
@@ -75,6 +76,8 @@ def certify(
         boxes: Effort: boxes that may be evaluated, the same on every machine.
         seconds: A limit of time [s] besides, for each of the proofs.
         processes: Processes to prove with; with several, a script needs the `if __name__ == "__main__"` guard.
+        checker: "auto" gives what was proved to the checker for as long as the proof took, or ten seconds; "all" until
+            it is through; "off" not at all. What it does not accept is not proved.
         overrides: Values that replace those of the model file.
         progress: Called with the current proof and the fraction of its region that is decided.
 
@@ -121,6 +124,7 @@ def certify(
         "boxes": int(above_zero("boxes", boxes)),
         "seconds": None if seconds is None else above_zero("seconds", seconds),
         "processes": int(above_zero("processes", processes)),
+        "checker": checker,
     }
     recipe = models.recipe(name, overrides) if isinstance(model, str | os.PathLike) else None
     certificate = certificates.certify(
@@ -177,7 +181,7 @@ class CertifyResult(AbstractResult):
             "evidence": found.statement.evidence,
             "statement": found.statement.claim,
             "about": list(found.statement.about),
-            "hypotheses": [hypothesis._asdict() for hypothesis in found.statement.hypotheses],
+            "hypotheses": found.statement.document()["hypotheses"],
             "alpha": float(found.observer.alpha),
             "beta": float(found.observer.beta),
             "q": found.q.tolist(),
@@ -197,14 +201,12 @@ class CertifyResult(AbstractResult):
 
     def __str__(self) -> str:
         found, domain = self.certificate, self.certificate.domain
-        (a, c), (_, b) = found.q
         lines = [
-            f"{VERDICTS[found.statement.verdict]}: {found.statement.claim}",
+            str(found.statement),
+            "",
             self.design,
-            f"rate λ = {found.rate:.4g} 1/s of squared lengths, μ = {found.decay:.4g} 1/s of lengths, in the metric "
-            f"Q = [[{a:.4g}, {c:.4g}], [{c:.4g}, {b:.4g}]]",
             *(self._tube() if self.holds else ["no tube is proved"]),
-            f"for true velocities up to {', '.join(f'{v:.4g}' for v in found.velocity)}, and everywhere in the domain",
+            "the domain of the proofs:",
         ]
         for kind, name, unit, low, high in zip(
             found.kinds, domain.names, domain.units, domain.low, domain.high, strict=True
@@ -223,7 +225,6 @@ class CertifyResult(AbstractResult):
             "boxes, smaller bounds or a lower rate may decide it"
             for claim in _undecided(found)
         ]
-        lines += ["hypotheses:", *(f"- {hypothesis}" for hypothesis in found.statement.hypotheses)]
         lines.append(f"{found.boxes} boxes, {found.seconds:.1f} s")
         if self.wrong:
             lines.append("no certificate is written of a statement that is wrong")
