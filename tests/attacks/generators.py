@@ -12,10 +12,10 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from systems import EFFORT, rotation, unless_refused, wrapped
+from systems import EFFORT, certified, rotation, wrapped
 
 from covariant import geometry, models
-from covariant.certificates import ContractionCertificate, certify, optimal_lyapunov
+from covariant.certificates import ContractionCertificate, optimal_lyapunov
 from covariant.geometry import lie
 from covariant.observers import Intrinsic
 
@@ -149,7 +149,7 @@ class System(NamedTuple):
 
     def certify(self, **more) -> ContractionCertificate | None:
         """What is said about it; None where it is refused."""
-        return unless_refused(lambda: certify(self.observer(), q=self.q, **(EFFORT | self.bounds | more)))
+        return certified(self.observer(), q=self.q, **(EFFORT | self.bounds | more))
 
 
 # What they really do.

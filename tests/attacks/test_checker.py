@@ -177,7 +177,7 @@ def test_a_rotation_that_jumps_at_the_estimate_is_refused_by_prover_and_checker(
     assert certify(Intrinsic(wheel(step), 10.0, 50.0), **given).statement.verdict == "undecided"
     honest = _prove._reason
     monkeypatch.setattr(_prove, "_reason", lambda formed, domain: "")
-    careless = certify(Intrinsic(wheel(step), 10.0, 50.0), **given)
+    careless = certify(Intrinsic(wheel(step), 10.0, 50.0), **given, checker="off")
     monkeypatch.setattr(_prove, "_reason", honest)
     assert careless.statement.verdict == "holds"
     with pytest.raises(ValueError, match="definedness of the observer, without jumps, is not shown"):
@@ -190,7 +190,7 @@ def test_errors_of_half_a_turn_are_refused_by_the_checker_too(tmp_path, monkeypa
     monkeypatch.setattr(_certify, "check_unique", lambda observer, error: None)
     if kind == "rotation":
         model = models.GroupSystem(lie.SO2, np.eye(1))
-        careless = certify(Intrinsic(model, 10.0, 50.0), velocity=1.0, error=6.0, recipe=RECIPE)
+        careless = certify(Intrinsic(model, 10.0, 50.0), velocity=1.0, error=6.0, recipe=RECIPE, checker="off")
         assert careless.statement.verdict == "holds"
         path = careless.save(tmp_path / "careless.json")
     else:

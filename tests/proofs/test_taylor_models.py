@@ -204,9 +204,8 @@ INDEFINITE = {
 def proves(module, name):
     matrix, half = INDEFINITE[name]
     low, high = -half * np.ones((1, 2)), half * np.ones((1, 2))
-    return bool(
-        module.definite(module.TaylorEnclosure(matrix, low[0], high[0], np.zeros(2))(low, high), high - low)[0][0]
-    )
+    enclosure = module.TaylorEnclosure(matrix, low[0], high[0], np.zeros(2))
+    return bool(module.definite(enclosure(low, high), high - low, enclosure.kinks())[0][0])
 
 
 @pytest.mark.parametrize("name", INDEFINITE)
@@ -220,11 +219,46 @@ def test_matrices_that_are_definite_are_shown_to_be_after_halving():
 
     low, high = np.array([[-2.0, -1.0]]), np.array([[2.0, 1.0]])
     enclosure = TaylorEnclosure(matrix, low[0], high[0], np.zeros(2))
-    good, axis = definite(enclosure(low, high), high - low)
+    good, axis = definite(enclosure(low, high), high - low, enclosure.kinks())
     assert (good[0], axis[0]) == (False, 0)
     show_definite(enclosure, low, high, 12, "it")
     with pytest.raises(ValueError, match=r"it is not shown to hold where the variables are -2 to -1\.5, -1 to 1"):
         show_definite(enclosure, low, high, 2, "it")
+
+
+def test_a_box_on_a_kink_is_halved_across_it():
+    """Though another variable widens the entries by more than a kink does, where it is not told from the remainder."""
+
+    def matrix(z):
+        return jnp.diag(jnp.stack([1.5 + jnp.where(z[0] < 0.0, -1.0, 1.0) * z[0] * 4 + 0.1 * z[1], 2 + z[1]]))
+
+    low, high = np.array([[-0.5, -0.9]]), np.array([[0.0, 0.9]])
+    enclosure = TaylorEnclosure(matrix, low[0], high[0], np.zeros(2))
+    good, axis = definite(enclosure(low, high), high - low, enclosure.kinks())
+    assert (good[0], axis[0]) == (False, 0)
+    show_definite(enclosure, low, high, 3, "it")
+
+
+CONTINUOUS = {
+    "smaller": (lambda a, b: jnp.where(a < b, a, b), True),
+    "larger, written backwards": (lambda a, b: jnp.where(b >= a, b, a), True),
+    "size": (lambda a, b: jnp.where(a < 0, -a, a), True),
+    "the other way": (lambda a, b: jnp.where(a > 0, -a, a), True),
+    "size of a difference": (lambda a, b: jnp.where(a - b > 0, a - b, -(a - b)), True),
+    "size, about another place": (lambda a, b: jnp.where(a < 0.1, -a, a), False),
+    "two others": (lambda a, b: jnp.where(a < b, a, 0.5 * b), False),
+    "opposites of something else": (lambda a, b: jnp.where(a < 0, -b, b), False),
+    "a step": (lambda a, b: jnp.where(a < b, 1.0, 0.0), False),
+    "smaller, but equal is not": (lambda a, b: jnp.where(a == b, a, b + 1), False),
+}
+
+
+@pytest.mark.parametrize("name", CONTINUOUS)
+def test_choices_that_do_not_jump_are_told_from_those_that_do(name):
+    function, is_continuous = CONTINUOUS[name]
+    low, high = -np.ones((1, 2)), np.ones((1, 2))
+    watched = TaylorEnclosure(lambda z: function(*z), low[0], high[0], np.zeros(2), "smooth")
+    assert bool(definite(watched(low, high), high - low, watched.kinks())[0][0]) is is_continuous
 
 
 def test_boxes_that_take_different_branches_are_shown_apart():

@@ -12,8 +12,10 @@ CHUNK, MOST = 1024, 20_000
 """Number of boxes evaluated at once, and largest number of further boxes waiting after halvings."""
 
 
-def definite(matrix: np.ndarray, width: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def definite(matrix: np.ndarray, width: np.ndarray, kinks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """On which boxes, of width (B, d), a symmetric matrix (n, n) is positive definite; and the variable to halve.
+
+    - `kinks` (B, d): by how much each variable keeps choices open; it is halved where these weigh more than the rest.
 
     A matrix `Σ Sₘeₘ` with e₀ = 1 and all other |eₘ| ≤ 1 is positive definite if, for some C, the spectral radius of
     `E = |CᵀS₀C − I| + Σ|CᵀSₘC|` is below one, that is, if Ex < x for some positive x.
@@ -32,7 +34,8 @@ def definite(matrix: np.ndarray, width: np.ndarray) -> tuple[np.ndarray, np.ndar
         ct = c.swapaxes(1, 2)
         turned = ct @ s @ c
         turned[0] -= np.eye(len(matrix))
-        e = abs(turned).sum(0) + abs(ct) @ (radius + ROUND * abs(s).sum(0)) @ abs(c) + ROUND
+        rest = abs(ct) @ (radius + ROUND * abs(s).sum(0)) @ abs(c)
+        e = abs(turned).sum(0) + rest + ROUND
         x = np.ones((*e.shape[:2], 1))
         for _ in range(5):
             x = e @ x
@@ -43,6 +46,8 @@ def definite(matrix: np.ndarray, width: np.ndarray) -> tuple[np.ndarray, np.ndar
         for k in range(width.shape[1])
     ]
     weight = np.stack(shares, 1)
+    at_kinks = ~(rest.sum((1, 2)) <= weight.sum(1))[:, None] & kinks.any(1, keepdims=True)
+    weight = np.where(at_kinks, kinks, weight)
     known = np.isfinite(weight).all(1, keepdims=True) & (weight > 0).any(1, keepdims=True)
     return good, np.where(known, weight, width).argmax(1)
 
@@ -59,7 +64,7 @@ def show_definite(matrix: TaylorEnclosure, low: np.ndarray, high: np.ndarray, de
             raise ValueError(f"{what} is not shown to hold where the variables are {box}")
         try:
             found = matrix(a, b)
-            good, axes = definite(found + found.T, b - a)
+            good, axes = definite(found + found.T, b - a, matrix.kinks())
         except UndecidedError:
             good, axes = np.zeros(len(a), bool), (b - a).argmax(1)
             if len(a) > 1:

@@ -21,7 +21,7 @@ from covariant.proofs.checker._primitives import (
     nonzero,
     unrolled,
 )
-from covariant.proofs.checker._taylor import ROUND, Taylor, UndecidedError, curve, exact, forget
+from covariant.proofs.checker._taylor import ROUND, Taylor, UndecidedError, curve, exact, forget, open_choices
 
 
 def _refuse_shortened(eqn: JaxprEquation) -> None:
@@ -92,6 +92,16 @@ class TaylorEnclosure:
             except LoweringError as error:
                 raise ValueError(f"{error}") from error
             return found if self.needs is None else np.array([[self._watched()]], object)
+
+    def kinks(self) -> np.ndarray:
+        """By how much each variable widens what was compared in choices that are open, on each of the last boxes."""
+        found = np.zeros(self._blame.shape)
+        for gap, is_open in open_choices:
+            for part in gap.terms[1:]:
+                for m, t in part.items():
+                    for k in m:
+                        found[k] += np.where(is_open & np.isfinite(t), abs(t) / gap.away, 0.0)
+        return found.T
 
     def _watched(self) -> Taylor:
         """1 on good boxes; on others 1 ± 2, by the variables to blame, or −1 where there are none to be told."""

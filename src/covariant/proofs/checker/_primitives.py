@@ -18,6 +18,7 @@ from covariant.proofs.checker._taylor import (
     ZERO,
     Taylor,
     choose,
+    continuous,
     curve,
     decided,
     floor,
@@ -86,7 +87,9 @@ def _between(a: Taylor) -> Any:
 
 
 def _settled_choice(which: Any, *cases: Taylor) -> Any:
-    return True if isinstance(which, bool | np.bool_) else abs(which.middle - 0.5) > which.away
+    if isinstance(which, bool | np.bool_) or (len(cases) == 2 and continuous(which, *cases)):
+        return True
+    return abs(which.middle - 0.5) > which.away
 
 
 NEEDS: dict[str, Callable] = {

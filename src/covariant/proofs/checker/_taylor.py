@@ -29,7 +29,10 @@ class Taylor:
     """A number on each of B boxes: within `radius` of `Σ terms[k][m] eₘ`, eₘ of degree k in variables εᵢ in [−1, 1].
 
     e₀ = 1, eᵢ = εᵢ, eᵢⱼ = εᵢεⱼ, eᵢᵢ = 2εᵢ² − 1. The number is within `away` of its constant term, `middle`.
+    Where it is the truth of `a < b`, or of its opposite, `compared` is (a, b).
     """
+
+    compared: "tuple[Taylor, Taylor] | None" = None
 
     def __init__(self, terms: Sequence[dict], radius: Any):
         self.terms, self.middle, self.radius = terms, terms[0][()], radius + TINY
@@ -104,6 +107,7 @@ def forget() -> None:
     """Clear the caches, before other boxes."""
     for known in (_sum, _minus, _product, curve):
         known.cache_clear()
+    open_choices.clear()
 
 
 # Elementary functions.
@@ -189,14 +193,20 @@ def curve(name: str, a: Taylor) -> Taylor:
 
 # Branches. A truth value that is the same on all boxes is a `bool`, any other a number: 1, 0, or [0, 1] if undecided.
 
+open_choices: list[tuple[Taylor, np.ndarray]] = []
+"""What was compared, as a difference, where a choice was not decided on some of the current boxes; and on which."""
+
 
 def less(a: Taylor, b: Taylor) -> bool | Taylor:
     """Whether a < b. It is decided only where they are strictly apart: where both may be equal there may be a kink."""
     gap = a - b
     known = abs(gap.middle) > gap.away
     found = np.where(known, 1.0 * (gap.middle < 0), 0.5)
-    same = np.all(known) and np.all(found == np.max(found))
-    return bool(np.max(found)) if same else number(found, np.where(known, 0.0, 0.5))
+    if np.all(known) and np.all(found == np.max(found)):
+        return bool(np.max(found))
+    truth = number(found, np.where(known, 0.0, 0.5))
+    truth.compared = a, b
+    return truth
 
 
 def choose(which: bool | Taylor, a: Taylor, b: Taylor) -> Taylor:
@@ -204,6 +214,8 @@ def choose(which: bool | Taylor, a: Taylor, b: Taylor) -> Taylor:
     if isinstance(which, bool):
         return a if which else b
     yes, no = which.middle - which.away > 0.5, which.middle + which.away < 0.5
+    if which.compared is not None:
+        open_choices.append((which.compared[0] - which.compared[1], ~(yes | no)))
     low = np.minimum(a.middle - a.away, b.middle - b.away)
     high = np.maximum(a.middle + a.away, b.middle + b.away)
     keys = [s | t for s, t in zip(a.terms, b.terms, strict=True)]
@@ -240,4 +252,16 @@ def unequal(a: Taylor, b: Taylor) -> bool | Taylor:
 
 
 def opposite(truth: bool | Taylor) -> bool | Taylor:
-    return ONE - truth if isinstance(truth, Taylor) else not truth
+    if not isinstance(truth, Taylor):
+        return not truth
+    found = ONE - truth
+    found.compared = truth.compared
+    return found
+
+
+def continuous(which: bool | Taylor, a: Taylor, b: Taylor) -> bool:
+    """Whether a choice between a and b is continuous: that of the smaller or larger of two, or of a number's size."""
+    if isinstance(which, bool) or which.compared is None:
+        return isinstance(which, bool)
+    one, other = which.compared
+    return {a, b} == {one, other} or (ZERO in (one, other) and (a is -b or b is -a) and bool({a, b} & {one, other}))
