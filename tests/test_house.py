@@ -46,9 +46,9 @@ OPTIONAL = (
 PUBLIC = {
     "audit": "LAWS Audit Law audit",
     "certificates": "ASSUMED CHECKERS CascadeCertificate Checked CheckerName Claim Constants ContractionCertificate "
-    "Decay Document Evidence Followed Growth Hypothesis MetricDesign Observability Projection Sampled StateMetric "
-    "Statement Subject TradeOff Trajectories Verdict "
-    "bending cascade certify check check_sample common_metric conditioning contraction contraction_matrix "
+    "Corners Decay Document Evidence Followed Growth Hypothesis MetricDesign Observability Projection Sampled "
+    "StateMetric Statement Subject TradeOff Trajectories Verdict "
+    "at_corners bending cascade certify check check_sample common_metric conditioning contraction contraction_matrix "
     "contraction_rate crossed_metric decay detectability_rate error_bounds error_matrix falsify feedthrough "
     "follow_estimates force_bounds generalised_jacobian in_coordinates in_frame log_norm lower_distance lyapunov "
     "noise_disturbance observability observer_gain optimal_lyapunov parse projection rate_of rates_along "

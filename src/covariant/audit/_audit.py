@@ -26,7 +26,7 @@ from covariant.audit._laws import (
     order_of,
     own,
 )
-from covariant.certificates import lyapunov, rate_of
+from covariant.certificates import Hypothesis, Statement, lyapunov, rate_of
 from covariant.models import MechanicalSystem, input_count, source
 from covariant.observers import AbstractFlowObserver, AbstractObserver
 from covariant.proofs import Box, check_box
@@ -93,6 +93,26 @@ class Audit(NamedTuple):
     def broken(self) -> tuple[str, ...]:
         """Names of the laws that are violated."""
         return tuple(row.name for row in self.rows if not row.passed)
+
+    @property
+    def statement(self) -> Statement:
+        """That the observer keeps the laws at the states of the audit, each of them a hypothesis."""
+        premises = tuple(
+            Hypothesis(f"{row.name}: {row.statement}; {row.reason}", "assumed")
+            if row.verdict == "skipped"
+            else Hypothesis(
+                f"{row.name}: {row.statement}, relative deviation up to {row.tolerance:.0e}",
+                "sampled",
+                row.verdict,
+                row.tolerance - row.deviation,
+                "" if row.passed else f"({', '.join(f'{x:.3g}' for x in row.point)})",
+            )
+            for row in self.rows
+        )
+        between = Hypothesis("what holds at these states holds between them", "assumed")
+        margin = min((p.margin for p in premises if p.margin is not None), default=math.nan)
+        claim = "the observer keeps the laws that its convergence rests on"
+        return Statement(claim, (f"observer: {self.observer}",), (*premises, between), margin, self.domain)
 
     @property
     def verdict(self) -> str:

@@ -19,6 +19,7 @@ from ._contraction import (
     rates_along as rates_along,
 )
 from ._contraction_certificate import ContractionCertificate as ContractionCertificate
+from ._corners import Corners as Corners, at_corners as at_corners
 from ._distance import (
     Decay as Decay,
     decay as decay,

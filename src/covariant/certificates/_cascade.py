@@ -226,7 +226,8 @@ def _statement(c: Constants, growth: Growth | None, evidence: Evidence, domain: 
         Hypothesis("controller, observer and coupling are those of one plant", "assumed"),
     )
     claim = "plant and observer together are exponentially stable"
-    return Statement(claim, (f"boxes: {domain}",), hypotheses, c.lambda_q, domain)
+    about = ("constants of Theorem 3: " + ", ".join(f"{name} = {value:.5g}" for name, value in c._asdict().items()),)
+    return Statement(claim, (*about, f"boxes: {domain}"), hypotheses, c.lambda_q, domain)
 
 
 def _check_same_bounds(*boxes: Box) -> None:

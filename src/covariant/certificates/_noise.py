@@ -8,7 +8,7 @@ import math
 import numpy as np
 
 from covariant._typing import Number
-from covariant.certificates._tangent_metric import TwoByTwo, check_q
+from covariant.certificates._tangent_metric import TwoByTwo, check_q, rate_of
 
 
 def steady_distance(rate: float, disturbance: float) -> float:
@@ -47,12 +47,15 @@ def error_bounds(
     - `slope` [1/s²]: an upper bound of `‖∇S‖ + ‖R(·, v)v‖`, of the gradient of the acceleration at rest and the
       curvature at the largest speed. For a spring it is k/m; it is 0 only without force and curvature.
 
-    Raises `ValueError` for a slope or a noise that is not a finite number ≥ 0, a rate that is not positive, or a q that
-    is not symmetric positive definite.
+    Raises `ValueError` for a slope or a noise that is not a finite number ≥ 0, a rate that is not positive or larger
+    than that of the gains in this metric, or a q that is not symmetric positive definite.
     """
     for name, value in (("slope", slope), ("noise", noise)):
         if not (math.isfinite(value) and value >= 0):
             raise ValueError(f"error_bounds: {name} must be a finite number, zero or more; got {value!r}")
+    fastest = rate_of(alpha, beta, q)
+    if rate > fastest * (1 + 1e-9):
+        raise ValueError(f"error_bounds: the gains contract the metric q at {fastest:.6g} 1/s at most; got {rate:g}")
     distance = steady_distance(rate, noise_disturbance(alpha, beta, q, noise, slope))
     inverse = np.linalg.inv(check_q("error_bounds", q))
     return distance * math.sqrt(2 * inverse[0, 0]), distance * math.sqrt(2 * inverse[1, 1])

@@ -90,6 +90,8 @@ def bending(
 def _bending(model: StateSpace, metric: MatrixField, x: Vector, u: Array | None) -> tuple[Scalar, Scalar, Vector]:
     """The bending, the size of the terms whose difference it is, and the direction."""
     hidden, dh = _directions(model, x, u)
+    if not hidden.shape[1]:  # level sets are points
+        return jnp.zeros((), x.dtype), jnp.zeros((), x.dtype), jnp.zeros_like(x)
     p = metric(x)
     unit = half_solve(hidden.T @ p @ hidden, hidden.T).T  # orthonormal in the metric
     t0, _, u0 = _arguments(model, x, u)

@@ -9,11 +9,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from covariant.certificates import contraction, crossed_metric, falsify, virtual
+from covariant.certificates import Corners, at_corners, contraction, crossed_metric, falsify, virtual
 from covariant.control import Backstepping, lissajous
 from covariant.models import marine, state_space
 from covariant.observers import Contracting, craft_observer
-from covariant.proofs import Box, Proof, blocks, prove_at_corners
+from covariant.proofs import Box
 from covariant.simulation import observe
 
 KP, KD, LAMBDA = 100.0, 200.0, 0.5
@@ -97,7 +97,7 @@ def odin_box(pitch: float = 0.7, roll: float = 0.7, rate: float = 0.2, speed: fl
     return Box(subject.names, subject.units, -high, high)
 
 
-def odin_certificate(rate: float, domain: Box | None = None, boxes: int = 200_000) -> list[Proof]:
+def odin_certificate(rate: float, domain: Box | None = None, boxes: int = 200_000) -> Corners:
     """Prove that the repaired observer contracts at `rate` [1/s] of squared lengths, in the metric with the cross term.
 
     Translation and rotation are independent blocks, proved separately. Velocities enter only through the slope 2|ν| of
@@ -111,17 +111,13 @@ def odin_certificate(rate: float, domain: Box | None = None, boxes: int = 200_00
     ahead = eqx.tree_at(lambda c: c.damping, marine.odin(), lambda nu: jnp.diag(jnp.asarray(square) * nu))
     subject = virtual(craft_observer(ahead, K1, K2), crossed_metric(ahead, K2, CROSS))
     matrix = contraction(subject, rate)
-    parts = blocks(matrix, domain)
-    return [
-        proof
-        for part in parts
-        for proof in prove_at_corners(
-            matrix.then(lambda whole, part=part: whole[part][:, part]),
-            domain._replace(low=low),
-            (*names, "zdot_roll", "zdot_pitch", "zdot_yaw"),
-            boxes=boxes,
-        )
-    ]
+    return at_corners(
+        matrix,
+        domain._replace(low=low),
+        (*names, "zdot_roll", "zdot_pitch", "zdot_yaw"),
+        f"squared lengths of the repaired observer of ODIN shrink at {rate:g} 1/s or faster",
+        boxes=boxes,
+    )
 
 
 def odin_sampled_rate(k2: np.ndarray = K2, cross: np.ndarray = CROSS, domain: Box | None = None) -> float:
