@@ -138,7 +138,7 @@ def test_for_a_person_angles_are_in_degrees_too(proved, monkeypatch):
     assert f"ε = {proved['radius']:.4g}" in text
     assert "-1.1 ≤ estimate of q1 ≤ 1.1 rad (-63.03 to 63.03°)" in text
     assert f"({math.degrees(proved['half_widths'][0]):.4g}°)" in text
-    assert re.fullmatch(rf"{found.boxes} boxes, \d+\.\d s", text.splitlines()[-1])
+    assert re.fullmatch(rf"{found.boxes} boxes, \d+\.\d s; checker 0\.0 s", text.splitlines()[-1])
 
 
 def test_undecided_names_what_remains_and_leaves_with_1(capsys, monkeypatch):

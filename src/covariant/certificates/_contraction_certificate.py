@@ -31,6 +31,7 @@ class ContractionCertificate(NamedTuple):
     - `recipe`: where the model comes from, as from `models.recipe`; None for a model that only this process knows.
     - `verified`: whether it was proved in this process. A certificate that was read from a file is only as trustworthy
       as the file, until `covariant certify --check` has verified it.
+    - `checker_seconds`: time [s] that the checker looked at it in this process.
     """
 
     statement: Statement
@@ -45,6 +46,7 @@ class ContractionCertificate(NamedTuple):
     claims: tuple[Claim, ...]
     recipe: dict[str, Any] | None
     verified: bool = False
+    checker_seconds: float = 0.0
 
     @property
     def decay(self) -> float:

@@ -194,6 +194,7 @@ class CertifyResult(AbstractResult):
             "domain": {name: [low, high] for name, low, high in ends},
             "boxes": found.boxes,
             "seconds": found.seconds,
+            "checker_seconds": found.checker_seconds,
             "open": len(found.open),
             "open_share": {claim.kind: claim.proof.open_share for claim in _undecided(found)},
             "counterexample": wrong,
@@ -225,7 +226,7 @@ class CertifyResult(AbstractResult):
             "boxes, smaller bounds or a lower rate may decide it"
             for claim in _undecided(found)
         ]
-        lines.append(f"{found.boxes} boxes, {found.seconds:.1f} s")
+        lines.append(f"{found.boxes} boxes, {found.seconds:.1f} s; checker {found.checker_seconds:.1f} s")
         if self.wrong:
             lines.append("no certificate is written of a statement that is wrong")
         return "\n".join(lines)
