@@ -511,7 +511,7 @@ def test_what_is_proved_and_what_is_broken_is_told(tmp_path, monkeypatch, capsys
     assert code == 0
     assert "warning: the observer breaks laws of its audit: torsion" in told
     sheet = (tmp_path / "out" / "DATASHEET.md").read_text()
-    assert "converges at the rate 0.05 1/s" in sheet
+    assert "holds (proved): estimates within 0.009042 of a solution" in sheet
     assert "breaks laws of its audit: torsion" in sheet
     code, _, told = command(monkeypatch, capsys, "ball_and_beam", *gains, "--beta", 0.6, "-o", tmp_path / "other")
     assert code == 2

@@ -86,12 +86,27 @@ def _product(a: Taylor, b: Taylor) -> Taylor:
             into[key] = into[key] + part if key in into else part
     one, two = sum(a.sizes), sum(b.sizes)
     cut = line * curved + bend * (slope + curved)  # of third and fourth order
-    return Taylor(terms, (cut + a.radius * (two + b.radius) + one * b.radius + ROUND * one * two) * (1 + ROUND))
+    found = Taylor(terms, (cut + a.radius * (two + b.radius) + one * b.radius + ROUND * one * two) * (1 + ROUND))
+    if not open_choices:
+        return found
+    # What lies on either side of a kink is a range without terms, whose product is that of intervals.
+    ends = [(a.middle + s * a.away) * (b.middle + t * b.away) for s in (-1, 1) for t in (-1, 1)]
+    low, high = functools.reduce(np.minimum, ends), functools.reduce(np.maximum, ends)
+    return narrower(found, number(low / 2 + high / 2, (high - low) / 2 + ROUND * (abs(low) + abs(high))))
 
 
 def number(middle: Any, radius: Any = 0.0) -> Taylor:
     """A number between `middle − radius` and `middle + radius`."""
     return Taylor([{(): middle}, {}, {}], radius)
+
+
+def narrower(a: Taylor, b: Taylor) -> Taylor:
+    """Of two enclosures of one number the narrower one, on each of the boxes; b has no terms."""
+    better = np.asarray(b.away < a.away)
+    if not better.any():
+        return a
+    terms = [{m: np.where(better, b.middle if m == () else 0.0, t) for m, t in part.items()} for part in a.terms]
+    return Taylor(terms, np.where(better, b.radius, a.radius))
 
 
 ZERO, ONE, HALF, RIGHT = number(0.0), number(1.0), number(0.5), number(math.pi / 2, ROUND)
@@ -188,7 +203,9 @@ def curve(name: str, a: Taylor) -> Taylor:
     at, around = number(a.middle), number(a.middle, a.away)
     value, left = bounds(name, at), Taylor([{(): 0.0 * a.middle}, *a.terms[1:]], a.radius)
     slopes = CURVES[name] if name in CURVES else _stumpff(int(name[7:]))
-    return value + slopes(at, value)[0] * left + slopes(around, bounds(name, around))[1] * (left * left)
+    whole = bounds(name, around)
+    found = value + slopes(at, value)[0] * left + slopes(around, whole)[1] * (left * left)
+    return narrower(found, whole) if open_choices else found
 
 
 # Branches. A truth value that is the same on all boxes is a `bool`, any other a number: 1, 0, or [0, 1] if undecided.
