@@ -45,6 +45,8 @@ def test_a_sound_record_comes_back_itself():
         (changed("y", 1, np.inf), "row 2: a measurement is infinite; mark a missing one by NaN"),
         (changed("t", 2, 0.05), "row 3: time goes back from 0.1 s to 0.05 s; sort or split the log"),
         (changed("t", 2, 0.1), "rows 2 and 3 have the same stamp 0.1 s; keep one of them"),
+        (GOOD._replace(t=np.array([30, 20, 10, 0], np.uint32)), "row 2: time goes back from 30 s to 20 s"),
+        (GOOD._replace(y=np.ma.masked_array(GOOD.y, GOOD.y > 0)), r"positions y \(T, n\) are a masked array; fill"),
         (GOOD._replace(t=1e9 * T + 1.7e18), "stamps reach 1.7e[+]18 s, after the year 2200; they must be in seconds"),
         (
             GOOD._replace(t=np.float32(1e4) + np.float32(0.05) * np.arange(4, dtype=np.float32)),

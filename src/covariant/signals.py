@@ -114,6 +114,8 @@ class Record(_Fields):
                 raise ValueError(f"{name} are complex; they must be real numbers")
             if array.dtype == bool:
                 raise ValueError(f"{name} are true and false; they must be numbers")
+            if np.ma.isMaskedArray(getattr(self, name.split()[1])):
+                raise ValueError(f"{name} are a masked array; fill what is masked, by NaN where it is a measurement")
         if t.ndim != 1 or u.ndim != 2 or y.ndim not in (2, 3) or not len(t) == len(u) == len(y):
             raise ValueError(
                 f"a record needs t (T,), u (T, m), y (T, n) or (T, N, N); got {t.shape}, {u.shape}, {y.shape}"
@@ -131,7 +133,7 @@ class Record(_Fields):
         infinite = np.isinf(y.reshape(len(t), -1)).any(1)
         if infinite.any():
             raise ValueError(f"row {infinite.argmax() + 1}: a measurement is infinite; mark a missing one by NaN")
-        step = np.diff(t)
+        step = np.diff(t.astype(float))  # unsigned numbers would not go back
         if (step < 0).any():
             k = int((step < 0).argmax())
             raise ValueError(f"row {k + 2}: time goes back from {t[k]:g} s to {t[k + 1]:g} s; sort or split the log")

@@ -17,12 +17,14 @@ from covariant.certificates import (
     certify,
     decay,
     detectability_rate,
+    falsify,
     in_coordinates,
     observability,
+    virtual,
 )
 from covariant.certificates._subject import Point
 from covariant.models import StateSpace
-from covariant.observers import Intrinsic
+from covariant.observers import Contracting, Intrinsic
 from covariant.proofs import Box, prove_at_corners
 
 REGION = {"velocity": 1.0, "error": 0.1, "position": (-0.5, 0.5), "rate": 1.0}
@@ -216,6 +218,47 @@ def test_a_metric_that_is_not_positive_proves_nothing(proved, what, systems):
     assert re.search(r"- undecided: V_\w+ is positive definite", str(found)) or not found.constants.lambda_q > 0
 
 
+def drifting(rate, form) -> Subject:
+    """The system x' = a(t) x with the metric p(t)."""
+
+    def at(z):
+        metric: StateMetric = in_coordinates(lambda t, x: form(t) * jnp.eye(1))
+        return Point(lambda t, x: rate(t) * x + 0.0 * z[0], metric, jnp.zeros(1))
+
+    return Subject(("d",), ("",), at)
+
+
+DRIFTS = {
+    "a flow that grows unstable": (lambda t: -1 + 3 * t, lambda t: 1.0),
+    "a metric that vanishes": (lambda t: 0.5 + 0 * t, lambda t: jnp.exp(-3 * t)),
+}
+
+
+@pytest.mark.parametrize("name", DRIFTS)
+def test_what_depends_on_time_is_not_judged_by_one_instant(name):
+    system, steady = drifting(*DRIFTS[name]), linear([[-1.0]], [[1.0]])
+    one, jacobians = box(d=(0.0, 1.0)), (lambda z: (jnp.ones((1, 1)), jnp.zeros((1, 1))), box(k=(0.0, 1.0)))
+    for systems in ((system, steady), (steady, system)):
+        with pytest.raises(ValueError, match="cascade: the flow or the metric depends on time"):
+            cascade(*((each, one) for each in systems), jacobians)
+    with pytest.raises(ValueError, match="falsify: the flow or the metric depends on time"):
+        falsify(system, one, 1.0)
+
+
+def test_a_measurement_may_move_and_a_model_may_not_change():
+    for drift, refused in ((0.0, False), (3.0, True)):
+        model = StateSpace(
+            lambda t, x, u, drift=drift: (-1 + drift * t) * x, lambda t, x, u: x, coordinates=("a",), outputs=("a",)
+        )
+        moving = virtual(Contracting(model, jnp.eye(1), jnp.zeros(1)), lambda z, x: jnp.eye(1) * (2 + jnp.sin(z[0])))
+        region = Box(moving.names, moving.units, -np.ones(3), np.ones(3))
+        if refused:
+            with pytest.raises(ValueError, match="depends on time"):
+                falsify(moving, region, 0.1)
+        else:
+            assert falsify(moving, region, 0.1).verdict == "holds"
+
+
 def test_the_sets_of_a_cascade_must_be_one():
     with pytest.raises(ValueError, match=r"d is in \[0, 1\] in one box and in \[0, 2\] in another"):
         coupled(regions=((0.0, 1.0), (0.0, 2.0)))
@@ -256,6 +299,12 @@ def test_a_metric_that_is_none_and_no_points_are_refused():
         observability(system, lambda x: jnp.diag(jnp.array([1.0, -1.0])), np.zeros((1, 2)))
     with pytest.raises(ValueError, match="at least one"):
         observability(system, flat, np.zeros((0, 2)))
+    with pytest.raises(ValueError, match=r"the metric is not positive definite at \(0, 0\)"):
+        observability(outputs(lambda x: x), lambda x: jnp.full((2, 2), jnp.nan), np.zeros((1, 2)))
+    with pytest.raises(ValueError, match="the points must be finite"):
+        observability(system, flat, np.array([[np.nan, 0.0]]))
+    with pytest.raises(ValueError, match="the 3 outputs see only 2 directions"):
+        observability(outputs(lambda x: jnp.stack([x[0], x[1], x[0] + x[1]])), flat, np.zeros((1, 2)))
 
 
 def test_the_sentence_says_that_states_were_sampled():
@@ -288,6 +337,32 @@ def test_decay_holds_where_the_premises_do_and_fails_at_a_larger_rate():
     pairs = jnp.array([[1.0]]), jnp.array([[2.0]]), jnp.linspace(0.0, 1.0, 5)
     assert decay(*STILL, 2.0, *pairs).holds
     assert not decay(*STILL, 2.5, *pairs).holds
+
+
+EXPANDING = {
+    "a distance without a lower bound": (
+        lambda t, x: jnp.stack([-x[0], x[1]]),
+        lambda t, x: jnp.diag(jnp.stack([1.0, 1 / (1 + x[1] ** 2)])),
+        [[0.0, 0.0]],
+        [[1.0, 3.0]],
+    ),
+    "a wavy metric": (lambda t, x: x, lambda t, x: (1 + 0.9 * jnp.sin(60 * x))[None], [[0.0]], [[1.0]]),
+}
+
+
+@pytest.mark.parametrize("name", EXPANDING)
+def test_decay_does_not_hold_for_want_of_a_lower_bound(name):
+    flow, form, x0, x1 = EXPANDING[name]
+    found = decay(flow, in_coordinates(form), 1.0, jnp.asarray(x0), jnp.asarray(x1), jnp.linspace(0.0, 2.0, 3))
+    assert found.statement.verdict == "undecided"
+
+
+def test_decay_needs_a_metric_and_is_not_refuted_by_rounding():
+    pairs = jnp.zeros((1, 2)), jnp.ones((1, 2)), jnp.linspace(0.0, 1.0, 3)
+    with pytest.raises(ValueError, match="the metric is not positive definite along pair 1"):
+        decay(lambda t, x: -x, in_coordinates(lambda t, x: jnp.diag(jnp.array([1.0, 0.0]))), 1.0, *pairs)
+    quick = decay(lambda t, x: -1000 * x, in_coordinates(lambda t, x: jnp.eye(2)), 1500.0, *pairs[:2], 2 * pairs[2])
+    assert quick.holds
 
 
 def test_a_line_that_is_certified_stays_so():

@@ -229,6 +229,6 @@ def test_a_point_without_a_metric_is_refused():
     def metric(x):
         return jnp.where(x[0] < 0.5, jnp.eye(2), jnp.nan)
 
-    with pytest.raises(ValueError, match=r"contraction rate is not a number at \(0.7, 0\)") as caught:
+    with pytest.raises(ValueError, match=r"the metric is not positive definite at \(0.7, 0\)") as caught:
         observability(system(still, lambda x: x[:1]), metric, np.array([[0.1, 0.0], [0.7, 0.0]]))
     assert "\n" not in str(caught.value)

@@ -258,6 +258,7 @@ def test_no_sample_raises_and_each_fault_is_counted(stream):
         (t[k + 3] + 1e-4, y[k] * (1 + 1j), u[k]),  # no real numbers
         (t[k + 3] + 2e-4, [True, False], u[k]),
         (t[k + 3] + 3e-4, ["0.1", "0.2"], u[k]),
+        (t[k + 3] + 4e-4, np.ma.masked_array([y[k][0], 2e3], [False, True]), u[k]),  # the second one is missing
         (t[k + 4], None, [math.nan, math.inf]),
         (t[k + 5], 1e300 * y[k], u[k]),
     ]

@@ -155,3 +155,27 @@ def test_a_record_of_a_table_needs_no_model():
 def test_a_log_is_printed_in_one_line():
     log = logs.read(pandas.DataFrame(CELLS), COLUMNS._replace(v=("arm", "slide")))
     assert repr(log) == "<Log: 4 rows over 0.03 s, 2 positions, 1 input, with velocities>"
+
+
+def test_periods_of_time_are_no_numbers():
+    frame = pandas.DataFrame({"t": pandas.period_range("2024-01-01", periods=3, freq="min"), "q": [1.0, 2.0, 3.0]})
+    for table in (frame, frame.set_index("t")):
+        with pytest.raises(logs.LogError, match="column 't' holds periods of time"):
+            logs.record(table, q="q")
+
+
+def test_a_dataset_may_give_its_units():
+    dataset = xarray.Dataset(
+        {"q": ("t", [1.0, 2.0, 3.0], {"units": "deg"})}, coords={"t": ("t", [0.0, 10.0, 20.0], {"units": "ms"})}
+    )
+    with pytest.raises(logs.LogError, match="column 't' has a unit in its attributes"):
+        logs.record(dataset, q="q")
+    found = logs.record(dataset, q="q", units={"t": "ms", "q": "deg"})
+    np.testing.assert_allclose(found.t, [0.0, 0.01, 0.02])
+    np.testing.assert_allclose(found.y[:, 0], np.radians([1.0, 2.0, 3.0]))
+
+
+@pytest.mark.parametrize("units", [{"q": "ms"}, {"q": "kg"}])
+def test_units_of_positions_are_those_of_angles_and_lengths(units):
+    with pytest.raises(logs.LogError, match="is no unit of an angle or a length"):
+        logs.record(pandas.DataFrame({"t": [0.0, 1.0], "q": [1.0, 2.0]}), q="q", units=units)

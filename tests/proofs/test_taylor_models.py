@@ -254,6 +254,10 @@ CONTINUOUS = {
     "two others": (lambda a, b: jnp.where(a < b, a, 0.5 * b), False),
     "opposites of something else": (lambda a, b: jnp.where(a < 0, -b, b), False),
     "a step": (lambda a, b: jnp.where(a < b, 1.0, 0.0), False),
+    "a truth as a number": (lambda a, b: (a < b).astype(float), False),
+    "a truth times a number": (lambda a, b: (a < 0).astype(float) * b, False),
+    "the larger of two truths": (lambda a, b: jnp.maximum((a < 0).astype(float), (b < 0).astype(float)), False),
+    "a truth that is known": (lambda a, b: (a < 5).astype(float) * b, True),
     "smaller, but equal is not": (lambda a, b: jnp.where(a == b, a, b + 1), False),
 }
 
@@ -264,6 +268,19 @@ def test_choices_that_do_not_jump_are_told_from_those_that_do(name):
     low, high = -np.ones((1, 2)), np.ones((1, 2))
     watched = TaylorEnclosure(lambda z: function(*z), low[0], high[0], np.zeros(2), "smooth")
     assert bool(definite(watched(low, high), high - low, watched.kinks())[0][0]) is is_continuous
+
+
+def test_a_number_is_finite_only_where_it_is_far_from_overflow():
+    low, high = np.array([[-1.0]]), np.array([[1.0]])
+    for size, known in ((1e100, True), (1e151, False), (1e152, False), (1e200, False), (1e308, False)):
+        chosen = TaylorEnclosure(
+            lambda z, size=size: jnp.where(jnp.isfinite(size * (2 + 0.1 * z[0])), 1.0, -1.0)[None],
+            low[0],
+            high[0],
+            np.zeros(1),
+        )(low, high)[0]
+        assert bool(np.squeeze(chosen.away) < 1e-6) is known
+        assert np.squeeze(chosen.middle + chosen.away) >= 1
 
 
 def test_boxes_that_take_different_branches_are_shown_apart():
@@ -328,6 +345,8 @@ def test_what_is_not_decided_or_not_known_is_refused_by_name():
     one = box[0][None], box[1][None]
     with pytest.raises(UndecidedError):
         TaylorEnclosure(lambda z: z[jnp.argmax(z)], *box, np.zeros(2))(*one)
+    with pytest.raises(ValueError, match="makes numbers shorter, float64 to float32, by 'dot_general'"):
+        TaylorEnclosure(lambda z: jnp.dot(z, z, preferred_element_type=jnp.float32)[None], *box, np.zeros(2))(*one)
     with pytest.raises(ValueError, match="'sort' is not known"):
         TaylorEnclosure(lambda z: jnp.sort(z), *box, np.zeros(2))(*one)
     with pytest.raises(ValueError, match="'convert_element_type' is not known"):

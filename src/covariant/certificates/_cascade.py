@@ -21,7 +21,7 @@ from covariant.certificates._contraction import contraction_matrix
 from covariant.certificates._falsify import Pencil, pencil, slowest
 from covariant.certificates._inequalities import length_change
 from covariant.certificates._statement import Evidence, Hypothesis, Statement, Verdict, lines as list_of
-from covariant.certificates._subject import Subject
+from covariant.certificates._subject import Subject, need_steady
 from covariant.proofs import MOST_BOXES, Box, Form, as_form, check_box, prove
 
 Coupling = Callable[[Array], tuple[Array, Array]]
@@ -182,6 +182,8 @@ def cascade(
     Raises `ValueError` for bounds that are not in order, and for boxes that give one variable different bounds.
     """
     _check_same_bounds(controller[1], observer[1], coupling[1])
+    for subject, domain in (controller, observer):
+        need_steady("cascade", subject, domain)
     search = _Search(attempts, starts, seed, proved, boxes)
     forms = _forms(controller, observer, coupling)
     ones = tuple(np.ones(size) for size in _sizes(coupling))

@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from covariant.certificates._inequalities import length_change
 from covariant.certificates._statement import Hypothesis, Statement
-from covariant.certificates._subject import Subject
+from covariant.certificates._subject import Subject, need_steady
 from covariant.lowering import Lowered, expand, numbers
 from covariant.proofs import Box, check_box
 
@@ -29,6 +29,7 @@ def falsify(
     are not in order, and where the rate is not a number.
     """
     check_box(domain)
+    need_steady("falsify", subject, domain)
     both = length_change(subject, lambda coframe, gram, change: jnp.stack([gram, change]).ravel(), lambda z: z)
     value = both.graph(jnp.asarray(domain.low)).entries
     least, point = slowest(pencil(value, domain), domain, attempts, starts, seed)

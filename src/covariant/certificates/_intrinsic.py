@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 
 from covariant._typing import Vector
 from covariant.certificates._contraction import StateMetric
-from covariant.certificates._subject import Point, Subject
+from covariant.certificates._subject import Point, Subject, entries_read
 from covariant.certificates._tangent_metric import TwoByTwo, tangent_metric
 from covariant.lowering import expand, lower, numbers
 from covariant.models import MechanicalSystem, input_count, resistance
@@ -181,14 +181,6 @@ def _need_steady_friction(model: MechanicalSystem) -> None:
             f"the dissipation of this model depends on {', '.join(found)}; only friction of position and velocity is "
             "covered by a proof"
         )
-
-
-def entries_read(function, *arguments: Array) -> set[int]:
-    """The entries of its arguments, numbered consecutively, on which a function or its domain depends."""
-    lowered = lower(function, *arguments, real=True)
-    assert lowered.conditions is not None
-    graphs = lowered.graph, lowered.conditions.graph
-    return {int(node.value or 0) for graph in graphs for node in graph.nodes if node.op == "input"}
 
 
 def _need_symmetry(model: MechanicalSystem) -> None:

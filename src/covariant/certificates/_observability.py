@@ -136,6 +136,8 @@ def observability(
     points = np.asarray(points, float)
     if points.ndim != 2 or not len(points):
         raise ValueError(f"observability needs states `points` (k, n), at least one; got {points.shape}")
+    if not np.isfinite(points).all():
+        raise ValueError("observability: the points must be finite numbers")
     _check_premises(model, metric, points, u)
 
     @eqx.filter_jit
@@ -153,6 +155,7 @@ def observability(
             "the metric is positive definite, and the rows of dh are independent, at each of the points", "sampled"
         ),
         Hypothesis("what holds at the points holds between them", "assumed"),
+        Hypothesis("it holds at other times, and under other inputs than the constant one given", "assumed"),
     )
     contracts = Hypothesis(
         f"f contracts the hidden directions faster than {rate:.4g} 1/s at each of the points",
@@ -205,15 +208,17 @@ def _check_premises(model: StateSpace, metric: MatrixField, points: np.ndarray, 
 
     sizes, least = (np.asarray(a) for a in jax.lax.map(at, jnp.asarray(points), batch_size=64))
     dependent = ~(sizes[:, -1] > DEPENDENT * sizes[:, 0])
+    many = jax.eval_shape(model.h, *_arguments(model, jnp.asarray(points[0]), u)).shape[0]
+    dependent |= many > points.shape[1]
     if dependent.any() and np.isfinite(sizes).all():
         k = int(dependent.argmax())
         rank = int((sizes[k] > DEPENDENT * sizes[k, 0]).sum())
         raise ValueError(
-            f"observability: the {sizes.shape[1]} outputs see only {rank} directions at {_text(points[k])}; leave out "
+            f"observability: the {many} outputs see only {rank} directions at {_text(points[k])}; leave out "
             "outputs that follow from others"
         )
-    if (least <= 0).any():
-        raise ValueError(f"the metric is not positive definite at {_text(points[int((least <= 0).argmax())])}")
+    if not (least > 0).all():  # NaN is no metric either
+        raise ValueError(f"the metric is not positive definite at {_text(points[int((~(least > 0)).argmax())])}")
 
 
 @eqx.filter_jit

@@ -63,4 +63,5 @@ def virtual(observer: Contracting, metric: OutputMetric | Numbers) -> Subject:
             *(f"{unit}/s" if unit else "" for unit in units),
         ),
         at,
+        lambda point: at(jnp.concatenate([point[: ends[-1]], jnp.zeros(p, point.dtype)])),
     )

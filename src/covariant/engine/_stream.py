@@ -175,6 +175,8 @@ class Stream:
             if given is None:
                 into.fill(math.nan)
             else:
+                if isinstance(given, np.ma.MaskedArray):
+                    given = np.ma.filled(given.astype(float), math.nan)
                 array = np.asarray(given)
                 if array.size != into.size or array.dtype.kind not in NUMBERS:
                     raise ValueError

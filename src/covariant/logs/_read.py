@@ -18,14 +18,17 @@ from covariant.logs._configuration import bodies, from_cells
 from covariant.logs._stamps import stamps, timed
 from covariant.logs._tables import LogSource, source_name, table_source
 from covariant.logs._text import is_number, read_text, sheet, with_points
-from covariant.logs._unit_in_name import MEANT, unit_in_name
-from covariant.logs._units import unit_factor
+from covariant.logs._unit_in_name import MEANT, is_unit_of, unit_in_name
+from covariant.logs._units import check_unit, unit_factor
 from covariant.signals import Record
 
 OPTIONAL = ("v", "truth")
 """Fields of `Columns` that are only compared with."""
 MEASURED = ("q", "position", *ATTITUDES, "angle")
 """Fields of the measured configuration, in the order of `Columns.measured`."""
+
+
+_FIELDS = ", ".join(field for field in Columns._fields if field != "units")
 
 
 def read(
@@ -83,6 +86,17 @@ def read(
         bodies(columns)
     except LogError as error:
         raise LogError(f"{name}: {error}") from error
+    for field, texts in columns.units.items():
+        if field not in Columns._fields or field == "units":
+            raise LogError(f"{name}: units are given for {field!r}, which is no field; the fields are {_FIELDS}")
+        count = 1 if field == "t" else len(getattr(columns, field))
+        if len(texts) not in (1, count):
+            raise LogError(f"{name}: {len(texts)} units are given for {field}, which has {count} columns")
+    for text in columns.units.get("t", ()):
+        try:
+            check_unit(text, "s")
+        except ValueError as error:
+            raise LogError(f"{name}: units of t: {error}") from error
     if every < 1:
         raise LogError(f"{name}: every must be 1 or more rows; got {every}")
     whole = _of_record(log, columns) if isinstance(log, Record) else _of_columns(name, log, columns, optional)
@@ -117,6 +131,9 @@ def record(
     <Record: 3 rows over 0.2 s, 1 position, no input>
     """
     named = {field: _names(texts) for field, texts in (units or {}).items()}
+    for text in named.get("q", ()):
+        if not is_unit_of(text, MEANT["q"]):
+            raise LogError(f"{source_name(log)}: units of q: unit {text!r} is no unit of an angle or a length")
     return read(log, Columns(t=t, q=_names(q), u=_names(u), units=named)).record
 
 
@@ -126,10 +143,10 @@ def _names(names: str | Sequence[str]) -> tuple[str, ...]:
 
 def _of_columns(name: str, log: Any, columns: Columns, optional: Collection[str]) -> Log:
     """All rows of a log that has columns."""
-    columns, table = _table(name, log, columns, optional)
+    columns, table, units = _table(name, log, columns, optional)
     for field in ("t", *MEASURED, "u", *OPTIONAL):
         if field != "t" or not timed(table.column(columns.t)):
-            _need_units(name, columns, field)
+            _need_units(name, columns, field, units)
 
     def stack(*fields: str, needed: bool = False) -> np.ndarray:
         found = []
@@ -149,19 +166,22 @@ def _of_columns(name: str, log: Any, columns: Columns, optional: Collection[str]
     return Log(_checked(name, Record(t, u, y)), v, truth, origin)
 
 
-def _need_units(log: str, columns: Columns, field: str) -> None:
-    """Raise `LogError` for a column whose name ends in a unit that it is not read in, where none was given."""
+def _need_units(log: str, columns: Columns, field: str, units: Mapping[str, str]) -> None:
+    """Raise `LogError` for a column that has a unit in its name, or in the log, but would be read in another.
+
+    - `units`: those that the log itself gives.
+    """
     names = getattr(columns, field)
     names = (names,) if isinstance(names, str) else names
     meant = MEANT.get(field, ())
-    said = [unit_in_name(name, meant) for name in names]
+    said = [unit_in_name(f"{name} [{units[name]}]" if name in units else name, meant) for name in names]
     for place, (name, text) in enumerate(zip(names, said, strict=True)):
         if text is not None and unit_factor(text) != 1 and columns.unit_of(field, place) is None:
             texts = [f'"{each or meant[0]}"' for each in said]
             line = f"{field} = {texts[0] if len(set(texts)) == 1 else '[' + ', '.join(texts) + ']'}"
             raise LogError(
-                f"{log}: column {name!r} has a unit in its name, and no unit is given for {field}; write {line} under "
-                f"[units] of the model file, or the unit that it is in"
+                f"{log}: column {name!r} has a unit in its {'attributes' if name in units else 'name'}, and no unit is "
+                f"given for {field}; write {line} under [units] of the model file, or the unit that it is in"
             )
 
 
@@ -220,7 +240,7 @@ def survey(log: str | PathLike[str] | Any) -> dict[str, Float[np.ndarray, "T"]]:
     """
     name = source_name(log)
     with _legible(name, log):
-        _, shown, load = _opened(name, log)
+        _, shown, load, _ = _opened(name, log)
         alone = [column for column, count in Counter(shown).items() if column and count == 1]
         table = with_points(pyarrow(), name, load(alone, ()))
     found: dict[str, np.ndarray] = {}
@@ -243,15 +263,15 @@ def _checked(name: str, record: Record) -> Record:
         raise LogError(f"{name}: {error}") from error
 
 
-def _table(name: str, log: Any, columns: Columns, optional: Collection[str]) -> tuple[Columns, Any]:
-    """The columns without those optional ones that the log does not have, and a table of them."""
+def _table(name: str, log: Any, columns: Columns, optional: Collection[str]) -> tuple[Columns, Any, Mapping[str, str]]:
+    """The columns without those optional ones that the log does not have, a table of them, and units that it gives."""
     with _legible(name, log):
-        names, shown, load = _opened(name, log)
+        names, shown, load, units = _opened(name, log)
         absent = [field for field in optional if not set(getattr(columns, field)) & set(names)]
         columns = columns._replace(**dict.fromkeys(absent, ()))
         wanted = list(dict.fromkeys((columns.t, *columns.measured, *columns.u, *columns.v, *columns.truth)))
         _find(name, wanted, names, shown)
-        return columns, with_points(pyarrow(), name, load(wanted, columns.u))
+        return columns, with_points(pyarrow(), name, load(wanted, columns.u)), units
 
 
 @contextlib.contextmanager

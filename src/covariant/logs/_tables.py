@@ -1,9 +1,10 @@
 """Logs in memory: data frames of any library that narwhals knows, and datasets of xarray, as tables of Arrow."""
 
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from os import PathLike
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,6 +18,7 @@ class LogSource(NamedTuple):
     """The names of the columns of a log, and `load(wanted, held)`: some of them as a table of Arrow.
 
     - `shown`: one name for each column; a log of messages knows longer ones as well.
+    - `units`: units that the log itself gives some of its columns.
 
     Of columns that are `held`, cells that are not logged with the others hold what was logged last.
     """
@@ -24,6 +26,7 @@ class LogSource(NamedTuple):
     names: Sequence[str]
     shown: Sequence[str]
     load: Callable[[Sequence[str], Sequence[str]], Any]
+    units: Mapping[str, str] = MappingProxyType({})
 
 
 def source_name(log: Any) -> str:
@@ -75,6 +78,10 @@ def _with_index(log: Any) -> Any:
     pandas = sys.modules.get("pandas")
     if pandas is None or not isinstance(log, pandas.DataFrame):
         return log
+    indices = {index: log.index.get_level_values(k).dtype for k, index in enumerate(log.index.names)}
+    for column, kind in [*log.dtypes.items(), *indices.items()]:
+        if str(kind).startswith("period"):
+            raise LogError(f"table: column {column!r} holds periods of time; convert it by to_timestamp()")
     named = [index for index in log.index.names if index is not None and index not in log.columns]
     return log.reset_index(level=named) if named else log
 
@@ -87,13 +94,14 @@ def _dataset_source(name: str, log: Any) -> LogSource:
         raise LogError(f"{name}: it has no variable along one dimension, such as time")
     time = max(dict.fromkeys(along), key=along.count)
     columns = {key: variable for key, variable in lines.items() if variable.dims[0] == time}
+    units = {key: str(variable.attrs["units"]) for key, variable in columns.items() if "units" in variable.attrs}
 
     def load(wanted: Sequence[str], held: Sequence[str]) -> Any:
         return pyarrow().table(
             {key: _arrow(name, key, lambda v=columns[key]: pyarrow().array(np.asarray(v.values))) for key in wanted}
         )
 
-    return LogSource(list(columns), list(columns), load)
+    return LogSource(list(columns), list(columns), load, units)
 
 
 def _arrow(name: str, column: str, convert: Callable[[], Any]) -> Any:

@@ -1,5 +1,6 @@
 """Units at the end of the names of columns."""
 
+import contextlib
 import re
 from collections.abc import Sequence
 
@@ -8,12 +9,28 @@ from covariant.logs._units import check_unit
 MEANT = {"t": ("s",), "q": ("rad", "m"), "u": ("N m", "N"), "v": ("rad/s", "m/s")}
 MEANT |= {"truth": MEANT["v"], "position": ("m",), "angle": ("rad",)}
 """Units in which the columns of each field are logged where a model file says nothing else."""
-_SUFFIXES = "deg|degrees|rad|turns?|rev|rpm|deg_s|rad_s|m|mm|cm|m_s|mm_s|s|sec|ms|us|ns|N|mN|kN|Nm|mNm"
-_IN_NAME = re.compile(rf"[\[(]\s*([^\[\]()]+?)\s*[\])]\s*$|_({_SUFFIXES})$")
-"""The unit at the end of the name of a column, as in `q1 [deg]`, `time (ms)`, `angle_deg` or `cart_m`."""
+_PLAIN = {
+    **dict.fromkeys(("deg", "degs", "degree", "degrees"), "deg"),
+    **dict.fromkeys(("rad", "rads", "radian", "radians"), "rad"),
+    **dict.fromkeys(("s", "sec", "secs", "second", "seconds"), "s"),
+    **dict.fromkeys(("ms", "msec", "msecs", "millis", "millisecond", "milliseconds"), "ms"),
+    **dict.fromkeys(("us", "µs", "μs", "usec", "usecs", "micros", "microsecond", "microseconds"), "us"),
+    **dict.fromkeys(("ns", "nsec", "nsecs", "nanos", "nanosecond", "nanoseconds"), "ns"),
+    **{f"{turn}/{per}": f"{turn}/s" for turn in ("deg", "rad") for per in ("s", "sec")},
+    "mrad": "mrad",
+}
+"""How people write units of angles and time, in lower case, and how they are written here."""
+_SUFFIXES = (
+    *_PLAIN,
+    *("turn", "turns", "rev", "rpm", "deg_s", "rad_s", "m", "mm", "cm", "um", "km", "m_s", "mm_s"),
+    *("N", "mN", "kN", "Nm", "mNm"),
+)
+_IN_NAME = re.compile(
+    rf"[\[(]\s*([^\[\]()]+?)\s*[\])]\s*$|[_ ]({'|'.join(_SUFFIXES)}|(?i:{'|'.join(_PLAIN)}))$",
+)
+"""The unit at the end of the name of a column, as in `q1 [deg]`, `time (ms)`, `time ms`, `angle_deg` or `cart_m`."""
 _TURNS = {"th", "theta", "phi", "psi", "angle", "ang"}
 """Words of angles: theta_m is the angle of a motor, not a length."""
-_PLAIN = {"degrees": "deg", "deg/sec": "deg/s", "rad/sec": "rad/s", "seconds": "s", "degree": "deg"}
 
 
 def unit_in_name(name: str, meant: Sequence[str]) -> str | None:
@@ -29,9 +46,9 @@ def unit_in_name(name: str, meant: Sequence[str]) -> str | None:
     text = match[1] or match[2]
     if match[2] == "m" and _TURNS & words_of(name):
         return None
-    text = _PLAIN.get(text, text).replace("_", "/")
+    text = _PLAIN.get(text.lower(), text).replace("_", "/")
     is_number = re.fullmatch(r"[-+.0-9e]*", text)  # q(1) is a name
-    return text if not is_number and any(_fits(text, unit) for unit in meant) else None
+    return text if not is_number and is_unit_of(text, meant) else None
 
 
 def without_unit(name: str) -> str:
@@ -44,9 +61,10 @@ def words_of(name: str) -> set[str]:
     return set(re.findall(r"[a-z]+", name.lower()))
 
 
-def _fits(text: str, meant: str) -> bool:
-    try:
-        check_unit(text, meant)
-    except ValueError:
-        return False
-    return True
+def is_unit_of(text: str, meant: Sequence[str]) -> bool:
+    """Whether a text is a unit of one of the kinds of those that are meant."""
+    for unit in meant:
+        with contextlib.suppress(ValueError):
+            check_unit(text, unit)
+            return True
+    return False

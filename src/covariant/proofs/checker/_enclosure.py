@@ -19,20 +19,19 @@ from covariant.proofs.checker._primitives import (
     each,
     is_real,
     nonzero,
+    settled,
     unrolled,
 )
 from covariant.proofs.checker._taylor import ROUND, Taylor, UndecidedError, curve, exact, forget, open_choices
 
 
 def _refuse_shortened(eqn: JaxprEquation) -> None:
-    """Refuse conversion to a shorter type, which is not a function of real numbers."""
+    """Refuse results of a shorter type than the arguments, which are no function of real numbers."""
     if eqn.name == "reduce_precision":
         raise ValueError("the model makes numbers shorter, by 'reduce_precision'")
-    if eqn.name != "convert_element_type" or not (is_real(eqn.invars[0]) and is_real(eqn.outvars[0])):
-        return
-    old, new = eqn.invars[0].aval.dtype, eqn.outvars[0].aval.dtype
-    if jnp.finfo(new).nmant < jnp.finfo(old).nmant:
-        raise ValueError(f"the model makes numbers shorter, {old} to {new}")
+    old, new = ([atom.aval.dtype for atom in atoms if is_real(atom)] for atoms in (eqn.invars, eqn.outvars))
+    if old and new and min(jnp.finfo(a).nmant for a in new) < max(jnp.finfo(a).nmant for a in old):
+        raise ValueError(f"the model makes numbers shorter, {old[0]} to {new[0]}, by '{eqn.name}'")
 
 
 def is_whole(atom: Any) -> bool:
@@ -154,6 +153,8 @@ class TaylorEnclosure:
         need = (self.needs or {}).get(name)
         if name == "integer_pow" and eqn.params["y"] < 0:
             need = nonzero
+        if name == "convert_element_type" and "select_n" in (self.needs or {}) and not is_real(eqn.invars[0]):
+            need = settled  # a truth as a number is a choice between 0 and 1
         if eqn.form is not None:  # its own equations are examined instead
             return
         for a, atom in zip(x, eqn.invars, strict=True):

@@ -21,9 +21,9 @@ from covariant.proofs.checker._taylor import (
     continuous,
     curve,
     decided,
+    finite,
     floor,
     less,
-    number,
     opposite,
     unequal,
 )
@@ -65,7 +65,7 @@ ENTRIES: dict[str, Callable] = {
     "sign": lambda a: choose(less(a, ZERO), -ONE, ONE),
     "round": lambda a: floor(a + HALF),
     "floor": floor,
-    "is_finite": lambda a: less(a * a, number(1e300)),
+    "is_finite": finite,
 }
 
 
@@ -86,7 +86,8 @@ def _between(a: Taylor) -> Any:
     return (below < a.middle - a.away) & (np.floor(a.middle + a.away) == below)
 
 
-def _settled_choice(which: Any, *cases: Taylor) -> Any:
+def settled(which: Any, *cases: Taylor) -> Any:
+    """Whether a truth is known, or the choice between two numbers that it makes does not jump."""
     if isinstance(which, bool | np.bool_) or (len(cases) == 2 and continuous(which, *cases)):
         return True
     return abs(which.middle - 0.5) > which.away
@@ -105,7 +106,7 @@ STAYS: dict[str, Callable] = {
     "sign": nonzero,
     **dict.fromkeys(("floor", "ceil"), _between),
     "round": lambda a: _between(a + HALF),
-    "select_n": _settled_choice,
+    "select_n": settled,
 }
 """Conditions under which each primitive is defined, and under which it does not jump; all others always are."""
 

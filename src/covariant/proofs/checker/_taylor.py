@@ -260,6 +260,12 @@ def floor(a: Taylor) -> Taylor:
     return number(low / 2 + high / 2, (high - low) / 2)
 
 
+def finite(a: Taylor) -> bool | Taylor:
+    """Whether a number is finite: known where it is far from overflow, and never known to be false."""
+    known = abs(a.middle) + a.away < 1e150
+    return True if np.all(known) else number(np.where(known, 1.0, 0.5), np.where(known, 0.0, 0.5))
+
+
 def unequal(a: Taylor, b: Taylor) -> bool | Taylor:
     """Whether a ≠ b. For a is b it is known: comparison with itself is the test for a missing value (NaN)."""
     known = less(a, b)
