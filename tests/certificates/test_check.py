@@ -155,7 +155,7 @@ FORGERIES = {
         bound("low", 0, lambda v: -v),
         "definedness of the observer, without jumps, is not shown",
     ),
-    "box enlarged": (bound("high", 1, lambda v: 40 * v), r"claims\[0\] is not shown to hold where"),
+    "box enlarged": (bound("high", 1, lambda v: 40 * v), r"claims\[\d\] is not shown to hold where"),
     "box without the error": (bound("high", 0, lambda v: v - 0.01), "r may be .* which its box"),
     "force box": (bound("high", 3, lambda v: 0.5 * v), "the bound of the force is not shown"),
     "velocity": (put("velocity", 0, lambda v: v + 0.1), "v_r may be"),

@@ -220,14 +220,14 @@ def test_no_matrix_that_is_not_definite_is_shown_to_be(name):
 
 def test_matrices_that_are_definite_are_shown_to_be_after_halving():
     def matrix(z):
-        return jnp.diag(jnp.stack([jnp.exp(z[0]) - 0.13, 2 + z[1]]))
+        return jnp.diag(jnp.stack([z[0] ** 4 - z[0] ** 2 + 0.3, 2 + z[1]]))
 
     low, high = np.array([[-2.0, -1.0]]), np.array([[2.0, 1.0]])
     enclosure = TaylorEnclosure(matrix, low[0], high[0], np.zeros(2))
     good, axis = definite(enclosure(low, high), high - low, enclosure.kinks())
     assert (good[0], axis[0]) == (False, 0)
     show_definite(enclosure, low, high, 12, "it")
-    with pytest.raises(ValueError, match=r"it is not shown to hold where the variables are -2 to -1\.5, -1 to 1"):
+    with pytest.raises(ValueError, match=r"it is not shown to hold where the variables are .*, -1 to 1"):
         show_definite(enclosure, low, high, 2, "it")
 
 

@@ -1,6 +1,7 @@
 """Positive definiteness of a matrix on boxes: the test of the checker, by Taylor models, with all rounding bounded."""
 
 import itertools
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -41,13 +42,18 @@ def definite(matrix: np.ndarray, width: np.ndarray, kinks: np.ndarray) -> tuple[
             x = e @ x
             x = x / x.max(1, keepdims=True) + ROUND
         good = (e @ x * (1 + ROUND) < x).all((1, 2))
-    shares = [
-        sum((abs(t).sum((1, 2)) for t, m in zip(turned, keys, strict=True) if k in m), 0 * good)
-        for k in range(width.shape[1])
-    ]
-    weight = np.stack(shares, 1)
+
+    def by_variable(parts: Iterable[np.ndarray]) -> np.ndarray:
+        """Sums of what the terms contribute, over the terms of each variable (B, d)."""
+        named = list(zip(parts, keys, strict=True))
+        return np.stack([sum((p for p, m in named if k in m), 0.0 * good) for k in range(width.shape[1])], 1)
+
+    weight = by_variable(abs(t).sum((1, 2)) for t in turned)
     at_kinks = ~(rest.sum((1, 2)) <= weight.sum(1))[:, None] & kinks.any(1, keepdims=True)
     weight = np.where(at_kinks, kinks, weight)
+    # Where entries are not bounded at all, those variables are halved that they have terms in.
+    unbounded = by_variable(np.asarray(1.0 * ~np.isfinite(t).all((1, 2))) for t in s)
+    weight = np.where(np.isfinite(weight).all(1, keepdims=True), weight, unbounded)
     known = np.isfinite(weight).all(1, keepdims=True) & (weight > 0).any(1, keepdims=True)
     return good, np.where(known, weight, width).argmax(1)
 

@@ -16,6 +16,8 @@ import numpy as np
 
 ROUND, TINY = 2.0**-40, 2.0**-990
 """Larger than the relative rounding error of a few hundred operations, and than what may underflow in them."""
+NARROWER = 0.7
+"""By how much a mere range must be narrower than a Taylor model, whose terms may cancel later, to be preferred."""
 LN2 = float.fromhex("0x1.62e42fefa38p-1"), float.fromhex("0x1.ef35793c7673p-45")
 QUARTER = float.fromhex("0x1.921fb544p+0"), float.fromhex("0x1.0b4611a626331p-34")
 """log 2 and π/2, each in two parts: products of the first part with integers below 2000 are exact."""
@@ -101,8 +103,11 @@ def number(middle: Any, radius: Any = 0.0) -> Taylor:
 
 
 def narrower(a: Taylor, b: Taylor) -> Taylor:
-    """Of two enclosures of one number the narrower one, on each of the boxes; b has no terms."""
-    better = np.asarray(b.away < a.away)
+    """Of two enclosures of one number the second, which has no terms, on boxes where it is narrower by far.
+
+    Where a choice is open, most terms are lost already, and it need not be by far.
+    """
+    better = np.asarray(b.away < (1.0 if open_choices else NARROWER) * a.away)
     if not better.any():
         return a
     terms = [{m: np.where(better, b.middle if m == () else 0.0, t) for m, t in part.items()} for part in a.terms]
@@ -151,7 +156,7 @@ def points(name: str, x: np.ndarray) -> np.ndarray:
 
 
 def bounds(name: str, a: Taylor) -> Taylor:
-    """A function over the range of a number, from its values at the ends; for the sine, from that at the middle.
+    """A function over the range of a number, from its values at the ends; the sine from that at the middle, or ±1.
 
     NaN where it is not defined on all of the range, or not covered here. Stumpff's functions decrease up to π².
     """
@@ -165,7 +170,10 @@ def bounds(name: str, a: Taylor) -> Taylor:
     x = np.where(known, [a.middle - a.away, a.middle, a.middle + a.away], np.nan)
     low, middle, high = points(name, x)
     error = ROUND * (abs(low) + abs(high) + (name in ("sin", "log")))
-    return number(middle, a.away + error) if name == "sin" else number(low / 2 + high / 2, abs(high - low) / 2 + error)
+    if name == "sin":
+        found = number(middle, a.away + error)
+        return narrower(found, number(0.0 * middle, 1.0))
+    return number(low / 2 + high / 2, abs(high - low) / 2 + error)
 
 
 def _bell(a: Taylor) -> Taylor:
@@ -205,7 +213,7 @@ def curve(name: str, a: Taylor) -> Taylor:
     slopes = CURVES[name] if name in CURVES else _stumpff(int(name[7:]))
     whole = bounds(name, around)
     found = value + slopes(at, value)[0] * left + slopes(around, whole)[1] * (left * left)
-    return narrower(found, whole) if open_choices else found
+    return narrower(found, whole)
 
 
 # Branches. A truth value that is the same on all boxes is a `bool`, any other a number: 1, 0, or [0, 1] if undecided.
