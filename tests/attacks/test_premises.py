@@ -218,6 +218,20 @@ def test_a_metric_that_is_not_positive_proves_nothing(proved, what, systems):
     assert re.search(r"- undecided: V_\w+ is positive definite", str(found)) or not found.constants.lambda_q > 0
 
 
+@pytest.mark.parametrize(
+    ("systems", "premise"),
+    [
+        ({"plant": (0.5, 1.0)}, "the controlled plant alone is stable, c3 > 0"),
+        ({"error": (0.0, 1.0)}, "the observer's error shrinks, λ_q > 0"),
+        ({"error": (0.5, 1.0)}, "the observer's error shrinks, λ_q > 0"),
+    ],
+)
+def test_a_cascade_names_the_premise_that_is_missing(systems, premise):
+    found = coupled(**systems).statement
+    assert found.verdict != "holds"
+    assert next(h for h in found.hypotheses if h.text == premise).verdict != "holds"
+
+
 def drifting(rate, form) -> Subject:
     """The system x' = a(t) x with the metric p(t)."""
 
