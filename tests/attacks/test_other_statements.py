@@ -214,7 +214,10 @@ def test_a_metric_that_the_solver_gets_wrong_is_not_proved(monkeypatch):
     found = common_metric(f, 0.5).statement
     assert (found.verdict, found.hypotheses[1].place) == ("undecided", "Jacobian 1")
     monkeypatch.setattr(_lmi, "_solved", lambda f, h, rate, effort: (-np.eye(2), np.zeros((2, 0)), 1.0))
-    assert common_metric(-f, -9.0).statement.verdict == "undecided"
+    # All lengths are negative, and grow: only the first hypothesis sees it.
+    found = common_metric(np.eye(2), 1.0).statement
+    assert [premise.verdict for premise in found.hypotheses] == ["undecided", "holds", "holds"]
+    assert found.verdict == "undecided"
 
 
 @pytest.mark.parametrize("seed", range(COUNT))

@@ -192,8 +192,10 @@ def exact_gap(module, numbers):
 
 def test_sums_and_products_are_no_less_exact_than_they_must_be():
     a, b = number(np.array([1.0]), 1e-3), number(np.array([2.0]), 2e-3)
-    for found, radius in ((a + b, 3e-3), (a - b, 3e-3), (a * b, 4e-3 + 2e-6)):
-        np.testing.assert_allclose(found.radius, radius, rtol=1e-8)
+    ends = {"sum": (2.997, 3.003), "difference": (-1.003, -0.997), "product": (0.999 * 1.998, 1.001 * 2.002)}
+    for found, (low, high) in zip((a + b, a - b, a * b), ends.values(), strict=True):
+        np.testing.assert_allclose([found.middle - found.away, found.middle + found.away], [[low], [high]], rtol=1e-8)
+        assert found.middle - found.away <= low < high <= found.middle + found.away
 
 
 INDEFINITE = {

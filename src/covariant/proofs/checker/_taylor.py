@@ -16,8 +16,8 @@ import numpy as np
 
 ROUND, TINY = 2.0**-40, 2.0**-990
 """Larger than the relative rounding error of a few hundred operations, and than what may underflow in them."""
-NARROWER = 0.7
-"""By how much a mere range must be narrower than a Taylor model, whose terms may cancel later, to be preferred."""
+NARROWER = 0.05
+"""By how much a mere range must be narrower than a Taylor model, whose terms may cancel and tell what to halve."""
 LN2 = float.fromhex("0x1.62e42fefa38p-1"), float.fromhex("0x1.ef35793c7673p-45")
 QUARTER = float.fromhex("0x1.921fb544p+0"), float.fromhex("0x1.0b4611a626331p-34")
 """log 2 and π/2, each in two parts: products of the first part with integers below 2000 are exact."""
@@ -89,12 +89,14 @@ def _product(a: Taylor, b: Taylor) -> Taylor:
     one, two = sum(a.sizes), sum(b.sizes)
     cut = line * curved + bend * (slope + curved)  # of third and fourth order
     found = Taylor(terms, (cut + a.radius * (two + b.radius) + one * b.radius + ROUND * one * two) * (1 + ROUND))
-    if not open_choices:
+    ranges = np.asarray((line + bend + slope + curved == 0) & (a.radius + b.radius > 4 * TINY))
+    if not ranges.any():
         return found
-    # What lies on either side of a kink is a range without terms, whose product is that of intervals.
+    # Ranges without terms, as what lies on either side of a kink, are multiplied as intervals.
     ends = [(a.middle + s * a.away) * (b.middle + t * b.away) for s in (-1, 1) for t in (-1, 1)]
     low, high = functools.reduce(np.minimum, ends), functools.reduce(np.maximum, ends)
-    return narrower(found, number(low / 2 + high / 2, (high - low) / 2 + ROUND * (abs(low) + abs(high))))
+    hull = number(low / 2 + high / 2, (high - low) / 2 + ROUND * (abs(low) + abs(high)))
+    return narrower(found, hull, 1.0 * ranges)
 
 
 def number(middle: Any, radius: Any = 0.0) -> Taylor:
@@ -102,12 +104,9 @@ def number(middle: Any, radius: Any = 0.0) -> Taylor:
     return Taylor([{(): middle}, {}, {}], radius)
 
 
-def narrower(a: Taylor, b: Taylor) -> Taylor:
-    """Of two enclosures of one number the second, which has no terms, on boxes where it is narrower by far.
-
-    Where a choice is open, most terms are lost already, and it need not be by far.
-    """
-    better = np.asarray(b.away < (1.0 if open_choices else NARROWER) * a.away)
+def narrower(a: Taylor, b: Taylor, by: Any = 1.0) -> Taylor:
+    """Of two enclosures of one number the second, which has no terms, on boxes where it is narrower by that factor."""
+    better = np.asarray(b.away < by * a.away)
     if not better.any():
         return a
     terms = [{m: np.where(better, b.middle if m == () else 0.0, t) for m, t in part.items()} for part in a.terms]
@@ -213,7 +212,7 @@ def curve(name: str, a: Taylor) -> Taylor:
     slopes = CURVES[name] if name in CURVES else _stumpff(int(name[7:]))
     whole = bounds(name, around)
     found = value + slopes(at, value)[0] * left + slopes(around, whole)[1] * (left * left)
-    return narrower(found, whole)
+    return narrower(found, whole, np.where(a.sizes[1] + a.sizes[2] == 0, 1.0, NARROWER))
 
 
 # Branches. A truth value that is the same on all boxes is a `bool`, any other a number: 1, 0, or [0, 1] if undecided.
