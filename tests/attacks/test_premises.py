@@ -232,6 +232,15 @@ def test_a_cascade_names_the_premise_that_is_missing(systems, premise):
     assert next(h for h in found.hypotheses if h.text == premise).verdict != "holds"
 
 
+def test_a_coupling_whose_bound_is_not_proved_leaves_a_cascade_open():
+    steep = (lambda z: (jnp.tan(1.5 * z[:1, None]) * jnp.sin(40 * z[0]), jnp.zeros((1, 1))), box(k=(0.0, 1.0)))
+    stable = linear([[-1.0]], [[1.0]]), box(d=(0.0, 1.0))
+    found = cascade(stable, stable, steep, proved=True, boxes=3).statement
+    open_ones = [premise.text for premise in found.hypotheses if premise.verdict != "holds"]
+    assert open_ones == ["the coupling with the observer's error is bounded, γ1"]
+    assert cascade(stable, stable, steep, proved=True, boxes=300).statement.verdict == "holds"
+
+
 def drifting(rate, form) -> Subject:
     """The system x' = a(t) x with the metric p(t)."""
 
