@@ -16,8 +16,6 @@ import numpy as np
 
 ROUND, TINY = 2.0**-40, 2.0**-990
 """Larger than the relative rounding error of a few hundred operations, and than what may underflow in them."""
-NARROWER = 0.05
-"""By how much a mere range must be narrower than a Taylor model, whose terms may cancel and tell what to halve."""
 LN2 = float.fromhex("0x1.62e42fefa38p-1"), float.fromhex("0x1.ef35793c7673p-45")
 QUARTER = float.fromhex("0x1.921fb544p+0"), float.fromhex("0x1.0b4611a626331p-34")
 """log 2 and π/2, each in two parts: products of the first part with integers below 2000 are exact."""
@@ -155,7 +153,7 @@ def points(name: str, x: np.ndarray) -> np.ndarray:
 
 
 def bounds(name: str, a: Taylor) -> Taylor:
-    """A function over the range of a number, from its values at the ends; the sine from that at the middle, or ±1.
+    """A function over the range of a number, from its values at the ends; for the sine, from that at the middle.
 
     NaN where it is not defined on all of the range, or not covered here. Stumpff's functions decrease up to π².
     """
@@ -169,10 +167,7 @@ def bounds(name: str, a: Taylor) -> Taylor:
     x = np.where(known, [a.middle - a.away, a.middle, a.middle + a.away], np.nan)
     low, middle, high = points(name, x)
     error = ROUND * (abs(low) + abs(high) + (name in ("sin", "log")))
-    if name == "sin":
-        found = number(middle, a.away + error)
-        return narrower(found, number(0.0 * middle, 1.0))
-    return number(low / 2 + high / 2, abs(high - low) / 2 + error)
+    return number(middle, a.away + error) if name == "sin" else number(low / 2 + high / 2, abs(high - low) / 2 + error)
 
 
 def _bell(a: Taylor) -> Taylor:
@@ -212,7 +207,8 @@ def curve(name: str, a: Taylor) -> Taylor:
     slopes = CURVES[name] if name in CURVES else _stumpff(int(name[7:]))
     whole = bounds(name, around)
     found = value + slopes(at, value)[0] * left + slopes(around, whole)[1] * (left * left)
-    return narrower(found, whole, np.where(a.sizes[1] + a.sizes[2] == 0, 1.0, NARROWER))
+    # Terms are kept even where a range is narrower: they tell which variable is to be halved.
+    return narrower(found, whole, 1.0 * (a.sizes[1] + a.sizes[2] == 0))
 
 
 # Branches. A truth value that is the same on all boxes is a `bool`, any other a number: 1, 0, or [0, 1] if undecided.
