@@ -198,6 +198,10 @@ def test_friction_at_the_estimate_belongs_to_the_observer():
 def test_a_mistake_in_the_equations_breaks_the_error_law(mistake):
     found = audit(Spoiled(SPHERE, only(mistake, MISTAKES)), domain=CAP, laws=FLOW)
     assert found.broken == ("error", "lyapunov")
+    statement = found.statement
+    assert statement.verdict == "fails"
+    wrong = [premise.text.partition(":")[0] for premise in statement.hypotheses if premise.verdict == "fails"]
+    assert wrong == ["error", "lyapunov"]
     assert row(found, "error").deviation > 1e-2
     assert "worst at (" in row(found, "error").remark
 
