@@ -332,6 +332,26 @@ def test_the_statement_says_how_far_the_checker_came(sectors, monkeypatch):
         sector(checker="on")
 
 
+def test_a_leaf_that_takes_long_does_not_keep_anybody_waiting():
+    """Steep friction over a wide box is one leaf for the prover, and thousands of boxes for the checker."""
+    steep = models.Lagrangian(
+        lambda q: jnp.eye(1), lambda q: 0 * q[0], None, lambda q, v: -v - 0.5 * jnp.tanh(v / 0.02), coordinates=("x",)
+    )
+    bounds = {"velocity": 1.0, "error": 0.1, "position": (-1.0, 1.0), "input": 1.0, "rate": 2.0}
+    found = certify(Intrinsic(steep, 10.0, 50.0), **bounds, q=[[0.164, -0.0129], [-0.0129, 0.00431]], boxes=3000)
+    limit = max(_certify.PATIENCE, 3 * found.seconds)
+    assert found.statement.proved
+    assert "it was stopped after" in str(found.statement.hypotheses)
+    assert found.checker_seconds < 3 * limit  # it hung for minutes
+
+
+def test_what_the_checker_refuses_has_no_radius_in_its_text(monkeypatch):
+    monkeypatch.setattr(_certify, "limits_of", lambda *given, honest=_certify.limits_of: 10 * honest(*given))
+    refused = sector().statement
+    assert refused.verdict == "undecided"
+    assert "ε" not in str(refused)
+
+
 def test_a_prover_that_takes_reaches_for_shorter_than_they_are_proves_nothing(monkeypatch):
     honest = _certify.squared_widths
     monkeypatch.setattr(_certify, "squared_widths", lambda about, state: honest(about, state) / 4)

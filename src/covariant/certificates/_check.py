@@ -4,6 +4,7 @@ It shares with the prover the model as JAX functions, and the description of the
 are formed here, and shown to be positive definite by Taylor models on each leaf of the saved tree.
 """
 
+import contextlib
 import functools
 import math
 import multiprocessing
@@ -70,17 +71,18 @@ def show(
 
 
 def show_found(resolved: "Resolved", seconds: float) -> Shown:
-    """Show that claims that this process has found hold; what is not begun in that time [s] is left out.
+    """Show that claims that this process has found hold; what is not settled in that time [s] is left out.
 
     Raises `ValueError` saying what is wrong, or what cannot be shown, and where.
     """
     start = time.monotonic()
     _complete(resolved)
-    jobs, judge, begun = list(_jobs(resolved.document)), Judge(resolved), 0
-    while begun < len(jobs) and time.monotonic() - start <= seconds:
-        judge(jobs[begun])
-        begun += 1
-    return Shown(resolved, _leaves(jobs), _leaves(jobs[:begun]), time.monotonic() - start)
+    jobs, judge, shown = list(_jobs(resolved.document)), Judge(resolved, start + seconds), []
+    with contextlib.suppress(TimeoutError):
+        for job in jobs:
+            judge(job)
+            shown.append(job)
+    return Shown(resolved, _leaves(jobs), _leaves(shown), time.monotonic() - start)
 
 
 def _leaves(jobs: list[tuple]) -> int:
@@ -230,14 +232,15 @@ def _slack(low: np.ndarray, high: np.ndarray) -> np.ndarray:
 class Judge:
     """Shows that leaves of one statement are right; each matrix is formed once."""
 
-    def __init__(self, resolved: Resolved):
+    def __init__(self, resolved: Resolved, until: float = math.inf):
+        self.until = until
         self.file, self.matrix = resolved.document.file, functools.cache(functools.partial(_matrix, resolved))
 
     def __call__(self, job: tuple) -> int:
         index, low, high = job
         what, depth = (f"claims[{index}]", DEPTH) if isinstance(index, int) else (index, DEEPEST)
         try:
-            show_definite(self.matrix(index), low, high, depth, what)
+            show_definite(self.matrix(index), low, high, depth, what, self.until)
         except (ValueError, TypeError, LookupError, ArithmeticError, AttributeError) as error:
             raise ValueError(f"{self.file}: {_first_line(error)}") from error
         return len(low)

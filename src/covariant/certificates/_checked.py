@@ -5,11 +5,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from covariant.certificates._check import Resolved, Shown, show, show_found
-from covariant.certificates._claims import plain_bounds, stated_claims
 from covariant.certificates._contraction_statement import Contraction, contraction_statement
 from covariant.certificates._document import Document
 from covariant.certificates._statement import Hypothesis, Statement
-from covariant.proofs import Box
 
 CHECKER = "the checker, which forms the matrices of the claims anew and bounds them in another way, accepts"
 
@@ -47,21 +45,9 @@ def check(
     Raises `ValueError` saying what is wrong, or what cannot be shown, and where.
     """
     found = show(source, model=model, processes=processes, progress=progress)
-    document, observer, about = found.resolved
-    domain = Box(about.names, about.units, document.low, document.high)
-    facts = Contraction(
-        document.rate,
-        document.radius,
-        observer,
-        document.q,
-        domain,
-        document.velocity,
-        plain_bounds(document.given),
-        stated_claims(document, domain),
-        document.recipe,
-    )
+    facts = Contraction.stated(*found.resolved)
     statement = contraction_statement(facts, "proved", _accepted(found))
-    return Checked(statement, document.rate, document.radius, found.leaves, found.seconds, model is not None)
+    return Checked(statement, facts.rate, facts.radius, found.leaves, found.seconds, model is not None)
 
 
 def judged(resolved: Resolved, seconds: float) -> Hypothesis:

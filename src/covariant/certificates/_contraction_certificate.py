@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from covariant.certificates._check import follows
-from covariant.certificates._claims import Claim, disturbance_length, plain_bounds, stated_claims
+from covariant.certificates._claims import Claim, disturbance_length
 from covariant.certificates._contraction_statement import Contraction, contraction_statement
 from covariant.certificates._document import FORMAT, parse, write
 from covariant.certificates._intrinsic import Intrinsics
@@ -140,31 +140,18 @@ class ContractionCertificate(NamedTuple):
         and key.
         """
         document, observer, about = follows(parse(path), model)
-        domain = Box(about.names, about.units, document.low, document.high)
-        claims = stated_claims(document, domain)
-        given = plain_bounds(document.given)
-        facts = Contraction(
-            document.rate,
-            document.radius,
-            observer,
-            document.q,
-            domain,
-            document.velocity,
-            given,
-            claims,
-            document.recipe,
-        )
+        facts = Contraction.stated(document, observer, about)
         statement = contraction_statement(facts, "claimed")
         return cls(
             statement._replace(claim=f"{statement.claim} (read from a file, not verified again)"),
-            document.rate,
-            document.radius,
-            observer,
-            document.q,
+            facts.rate,
+            facts.radius,
+            facts.observer,
+            facts.q,
             about,
-            domain,
-            document.velocity,
-            given,
-            claims,
-            document.recipe,
+            facts.domain,
+            facts.velocity,
+            facts.given,
+            tuple(facts.claims),
+            facts.recipe,
         )

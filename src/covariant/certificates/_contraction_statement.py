@@ -8,11 +8,13 @@ import numpy as np
 from jaxtyping import Float
 
 from covariant.certificates._assumed import ASSUMED
-from covariant.certificates._claims import Claim, disturbance_length
+from covariant.certificates._claims import Claim, disturbance_length, plain_bounds, stated_claims
+from covariant.certificates._document import Document
 from covariant.certificates._intrinsic import Intrinsics
 from covariant.certificates._noise import steady_distance
 from covariant.certificates._saved import observer_document
 from covariant.certificates._statement import Evidence, Hypothesis, Statement
+from covariant.certificates._subject import Subject
 from covariant.certificates._tangent_metric import TwoByTwo
 from covariant.models import recipe_text
 from covariant.proofs import Box
@@ -31,6 +33,22 @@ class Contraction(NamedTuple):
     claims: Sequence[Claim]
     recipe: dict[str, Any] | None
 
+    @classmethod
+    def stated(cls, document: Document, observer: Intrinsics, about: Subject) -> "Contraction":
+        """What a file states, with the observer that it is about."""
+        domain = Box(about.names, about.units, document.low, document.high)
+        return cls(
+            document.rate,
+            document.radius,
+            observer,
+            document.q,
+            domain,
+            document.velocity,
+            plain_bounds(document.given),
+            stated_claims(document, domain),
+            document.recipe,
+        )
+
     @property
     def steady(self) -> float:
         """The distance to which noise and disturbance alone may lead."""
@@ -46,7 +64,9 @@ def contraction_statement(of: Contraction, evidence: Evidence, checker: Hypothes
     hypotheses = (*_hypotheses(of, evidence), *(() if checker is None else (checker,)), *_assumed())
     wrong = next((c.proof.counterexample for c in of.claims if c.proof.counterexample is not None), None)
     point = () if wrong is None else tuple(wrong.mean(axis=0).tolist())
-    found = Statement("", tuple(_about(of)), hypotheses, of.rate, str(of.domain), point)
+    found = Statement("", (), hypotheses, of.rate, str(of.domain), point)
+    # Of what is not shown there is no tube.
+    about = tuple(_about(of if found.verdict == "holds" else of._replace(radius=0.0)))
     claim = (
         _converges(of)
         if found.verdict == "holds"
@@ -55,7 +75,7 @@ def contraction_statement(of: Contraction, evidence: Evidence, checker: Hypothes
     if found.verdict == "undecided":
         reasons = [h.place for h in hypotheses if h.verdict == "undecided" and h.place]
         claim += f"; {reasons[0]}" if reasons else ""
-    return found._replace(claim=claim)
+    return found._replace(claim=claim, about=about)
 
 
 def _converges(of: Contraction) -> str:

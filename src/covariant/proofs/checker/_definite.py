@@ -1,6 +1,8 @@
 """Positive definiteness of a matrix on boxes: the test of the checker, by Taylor models, with all rounding bounded."""
 
 import itertools
+import math
+import time
 from collections.abc import Iterable
 
 import numpy as np
@@ -58,10 +60,17 @@ def definite(matrix: np.ndarray, width: np.ndarray, kinks: np.ndarray) -> tuple[
     return good, np.where(known, weight, width).argmax(1)
 
 
-def show_definite(matrix: TaylorEnclosure, low: np.ndarray, high: np.ndarray, depth: int, what: str) -> None:
-    """Raise `ValueError` unless `matrix + matrixᵀ` is positive definite on all boxes, halved up to `depth` times."""
+def show_definite(
+    matrix: TaylorEnclosure, low: np.ndarray, high: np.ndarray, depth: int, what: str, until: float = math.inf
+) -> None:
+    """Raise `ValueError` unless `matrix + matrixᵀ` is positive definite on all boxes, halved up to `depth` times.
+
+    Raises `TimeoutError` where this is not settled by `until`, a time of `time.monotonic`.
+    """
     left, most, size = np.full(len(low), depth), len(low) + MOST, CHUNK
     while len(low):
+        if time.monotonic() > until:
+            raise TimeoutError(f"{what} is not settled yet")
         # The last boxes first, with the halves among them: an operation on many boxes costs little more than on one.
         (low, a), (high, b), (left, deep) = ((x[:-size], x[-size:]) for x in (low, high, left))
         if len(low) > most or (deep < 0).any():

@@ -94,7 +94,7 @@ def _product(a: Taylor, b: Taylor) -> Taylor:
     ends = [(a.middle + s * a.away) * (b.middle + t * b.away) for s in (-1, 1) for t in (-1, 1)]
     low, high = functools.reduce(np.minimum, ends), functools.reduce(np.maximum, ends)
     hull = number(low / 2 + high / 2, (high - low) / 2 + ROUND * (abs(low) + abs(high)))
-    return narrower(found, hull, 1.0 * ranges)
+    return narrower(found, hull, ranges)
 
 
 def number(middle: Any, radius: Any = 0.0) -> Taylor:
@@ -102,9 +102,9 @@ def number(middle: Any, radius: Any = 0.0) -> Taylor:
     return Taylor([{(): middle}, {}, {}], radius)
 
 
-def narrower(a: Taylor, b: Taylor, by: Any = 1.0) -> Taylor:
-    """Of two enclosures of one number the second, which has no terms, on boxes where it is narrower by that factor."""
-    better = np.asarray(b.away < by * a.away)
+def narrower(a: Taylor, b: Taylor, among: Any) -> Taylor:
+    """Of two enclosures of one number the second, which has no terms, where it is narrower on boxes `among` some."""
+    better = among & np.asarray(b.away < a.away)
     if not better.any():
         return a
     terms = [{m: np.where(better, b.middle if m == () else 0.0, t) for m, t in part.items()} for part in a.terms]
@@ -208,7 +208,7 @@ def curve(name: str, a: Taylor) -> Taylor:
     whole = bounds(name, around)
     found = value + slopes(at, value)[0] * left + slopes(around, whole)[1] * (left * left)
     # Terms are kept even where a range is narrower: they tell which variable is to be halved.
-    return narrower(found, whole, 1.0 * (a.sizes[1] + a.sizes[2] == 0))
+    return narrower(found, whole, np.asarray(a.sizes[1] + a.sizes[2] == 0))
 
 
 # Branches. A truth value that is the same on all boxes is a `bool`, any other a number: 1, 0, or [0, 1] if undecided.
