@@ -335,6 +335,26 @@ def test_the_sentence_says_that_states_were_sampled():
     assert found.verdict.endswith("as sampled at 1 states between (0, 0) and (0, 0)")
 
 
+@pytest.mark.parametrize(
+    ("h", "evidence", "hidden"),
+    [
+        (lambda x: x[:1], "proved", "x1"),
+        (lambda x: jnp.stack([x[0] + 0.3 * x[1] ** 2]), "proved", "1 among x0, x1"),
+        (lambda x: x, "proved", "none"),
+        # Its Jacobian vanishes at the origin, between the points and at none of them.
+        (lambda x: jnp.stack([x[0] * x[1]]), "sampled", "1 among x0, x1"),
+    ],
+    ids=["coordinate", "mixed", "all", "saddle"],
+)
+def test_independent_outputs_are_proved_between_the_points_or_said_to_be_sampled(h, evidence, hidden):
+    at = np.array([[-0.5, -0.4], [0.6, 0.3], [0.3, -0.2]])
+    found = observability(outputs(h), flat, at).condition_1
+    (rank,) = (premise for premise in found.hypotheses if "rows of dh" in premise.text)
+    assert rank.evidence == evidence
+    assert ("-0.5 ≤ x0 ≤ 0.6" in rank.text) == (evidence == "proved")
+    assert found.about[1] == f"directions that the output does not see: {hidden}"
+
+
 # Decay.
 
 STILL = (lambda t, x: -x, in_coordinates(lambda t, x: jnp.eye(1)))

@@ -21,11 +21,15 @@ from covariant._linalg import half_solve, solve, whiten
 from covariant._typing import MatrixField, Scalar, Vector
 from covariant.certificates._statement import Hypothesis, Statement
 from covariant.geometry import Budget, christoffel, exp
+from covariant.lowering import LoweringError
 from covariant.models import StateSpace
+from covariant.proofs import Box, prove
 from covariant.riccati import lie_derivative
 
 DEPENDENT = 1e-9
 """Least ratio of the singular values of dh from which its rows count as independent."""
+RANK_BOXES = 2000
+"""Boxes after which the proof that the rows of dh are independent is given up; only the points speak for it then."""
 ROUNDING = 1e-7
 """Bending below this fraction of the terms whose difference it is counts as zero."""
 
@@ -151,9 +155,8 @@ def observability(
     domain = f"{len(points)} states between {_text(points.min(0))} and {_text(points.max(0))}"
     slow = int(rates.argmin())
     premises = (
-        Hypothesis(
-            "the metric is positive definite, and the rows of dh are independent, at each of the points", "sampled"
-        ),
+        Hypothesis("the metric is positive definite at each of the points", "sampled"),
+        _independence(model, points, u),
         Hypothesis("what holds at the points holds between them", "assumed"),
         Hypothesis("it holds at other times, and under other inputs than the constant one given", "assumed"),
     )
@@ -166,7 +169,7 @@ def observability(
     )
     first = Statement(
         "f contracts the metric in the directions the output does not see, at the rate of the margin [1/s]",
-        (f"states: {domain}",),
+        (f"states: {domain}", f"directions that the output does not see: {_hidden(model, points, u)}"),
         (contracts, *premises),
         float(rates[slow]),
         domain,
@@ -219,6 +222,42 @@ def _check_premises(model: StateSpace, metric: MatrixField, points: np.ndarray, 
         )
     if not (least > 0).all():  # NaN is no metric either
         raise ValueError(f"the metric is not positive definite at {_text(points[int((~(least > 0)).argmax())])}")
+
+
+def _independence(model: StateSpace, points: np.ndarray, u: Array | None) -> Hypothesis:
+    """That the rows of dh are independent: proved between the points where a proof is found, else as sampled at them.
+
+    The determinant of dh dhᵀ is the sum of the squares of all p × p minors of dh (Cauchy–Binet), so it is positive
+    exactly where one of them does not vanish; not the same one need do everywhere.
+    """
+
+    def products(x):
+        dh = jax.jacfwd(model.h, 1)(*_arguments(model, x, u))
+        return dh @ dh.T
+
+    names = _names(model, points.shape[1])
+    hull = Box(names, model.units or ("",) * len(names), points.min(0), points.max(0))
+    try:
+        proved = prove(products, hull, boxes=RANK_BOXES).verdict == "holds"
+    except LoweringError:  # an output that is no graph of scalars, like one that is read from a table
+        proved = False
+    if proved:
+        return Hypothesis(f"the rows of dh are independent: dh dhᵀ is positive definite for {hull}", "proved")
+    return Hypothesis("the rows of dh are independent at each of the points", "sampled")
+
+
+def _hidden(model: StateSpace, points: np.ndarray, u: Array | None) -> str:
+    """The kernel of dh in words: the coordinates that no output depends on, and how many directions among others."""
+    dh = np.asarray(jax.lax.map(lambda x: jax.jacfwd(model.h, 1)(*_arguments(model, x, u)), jnp.asarray(points)))
+    unseen = (dh == 0).all((0, 1))
+    names = np.array(_names(model, points.shape[1]))
+    left = len(names) - dh.shape[1] - int(unseen.sum())
+    parts = [*names[unseen], *([f"{left} among {', '.join(names[~unseen])}"] if left else [])]
+    return ", ".join(parts) or "none"
+
+
+def _names(model: StateSpace, n: int) -> tuple[str, ...]:
+    return model.coordinates or tuple(f"x{k + 1}" for k in range(n))
 
 
 @eqx.filter_jit
