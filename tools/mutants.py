@@ -17,7 +17,6 @@ import importlib
 import itertools
 import json
 import os
-import resource
 import signal
 import sys
 import tempfile
@@ -29,6 +28,7 @@ from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
+import psutil
 import pytest
 from mutations import ROOMS, ROOT, SOURCE, Mutant, draw, mutants_of
 
@@ -36,7 +36,7 @@ EQUIVALENT = Path(__file__).parent / "equivalent_mutants.toml"
 LIMIT = 240.0
 """Seconds for one mutant; to take longer tells something where the unmutated tests need less than half of it."""
 MEMORY = 12 * 2**30
-"""Bytes that a mutant may ask for."""
+"""Bytes of memory at which a mutant is stopped. A limit of the system's would count what sanitizers only reserve."""
 FAILED = {1, 2, 4, -signal.SIGSEGV, -signal.SIGABRT, -signal.SIGFPE}
 """Exit statuses of a mutant that fails a test, cannot be imported, or crashes; any other says nothing of it."""
 WARM = "jax jax.numpy equinox scipy.linalg hypothesis pytest beartype"
@@ -210,7 +210,7 @@ class Workshop:
             self._run(tests, ["-x"] if mutant else [], note)
         status = None
         try:
-            while status is None and time.monotonic() - began < limit:
+            while status is None and time.monotonic() - began < limit and _resident(child) < MEMORY:
                 time.sleep(0.05)
                 ended, code = os.waitpid(child, os.WNOHANG)
                 status = os.waitstatus_to_exitcode(code) if ended else None
@@ -229,7 +229,6 @@ class Workshop:
         try:
             os.setpgid(0, 0)
             signal.signal(signal.SIGTERM, signal.SIG_DFL)
-            resource.setrlimit(resource.RLIMIT_DATA, (MEMORY, MEMORY))
             output = os.open(self.folder / "output.txt", os.O_CREAT | os.O_WRONLY | os.O_TRUNC)
             os.dup2(output, 1), os.dup2(output, 2)
             sys.path.insert(0, str(self.package.parent))
@@ -254,6 +253,13 @@ class Workshop:
             path.write_bytes(source)
             self.stamp += 1
             os.utime(path, (self.stamp, self.stamp))  # compiled code is told apart by the time in whole seconds
+
+
+def _resident(process: int) -> int:
+    try:
+        return psutil.Process(process).memory_info().rss
+    except psutil.Error:
+        return 0
 
 
 def warm(cache: Path) -> None:
