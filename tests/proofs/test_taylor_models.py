@@ -183,6 +183,15 @@ def test_thin_sums_and_products_hold_the_exact_ones(numbers):
     assert exact_gap(CHECKER, numbers) <= 0
 
 
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_the_floor_of_what_may_be_just_below_an_integer_holds_both(sign):
+    found = CHECKER.floor(CHECKER.number(np.array([sign * 3.0]), np.array([1e-18])))
+    low, high = (float((found.middle + end * found.radius)[0]) for end in (-1, 1))
+    assert low <= sign * 3.0 - 1
+    assert high >= sign * 3.0
+    assert CHECKER.floor(CHECKER.exact(3.0)).middle == 3.0
+
+
 def exact_gap(module, numbers):
     a, b, c, d = map(Fraction, numbers)
     z = [module.number(np.array([x])) for x in numbers]
@@ -212,7 +221,7 @@ def proves(module, name):
     matrix, half = INDEFINITE[name]
     low, high = -half * np.ones((1, 2)), half * np.ones((1, 2))
     enclosure = module.TaylorEnclosure(matrix, low[0], high[0], np.zeros(2))
-    return bool(module.definite(enclosure(low, high), high - low, enclosure.kinks())[0][0])
+    return bool(module.definite(enclosure(low, high), high - low, enclosure.kinks(), np.ones_like(low))[0][0])
 
 
 @pytest.mark.parametrize("name", INDEFINITE)
@@ -226,7 +235,7 @@ def test_matrices_that_are_definite_are_shown_to_be_after_halving():
 
     low, high = np.array([[-2.0, -1.0]]), np.array([[2.0, 1.0]])
     enclosure = TaylorEnclosure(matrix, low[0], high[0], np.zeros(2))
-    good, axis = definite(enclosure(low, high), high - low, enclosure.kinks())
+    good, axis = definite(enclosure(low, high), high - low, enclosure.kinks(), np.ones_like(low))
     assert (good[0], axis[0]) == (False, 0)
     show_definite(enclosure, low, high, 12, "it")
     with pytest.raises(ValueError, match=r"it is not shown to hold where the variables are .*, -1 to 1"):
@@ -241,7 +250,7 @@ def test_a_box_on_a_kink_is_halved_across_it():
 
     low, high = np.array([[-0.5, -0.9]]), np.array([[0.0, 0.9]])
     enclosure = TaylorEnclosure(matrix, low[0], high[0], np.zeros(2))
-    good, axis = definite(enclosure(low, high), high - low, enclosure.kinks())
+    good, axis = definite(enclosure(low, high), high - low, enclosure.kinks(), np.ones_like(low))
     assert (good[0], axis[0]) == (False, 0)
     show_definite(enclosure, low, high, 3, "it")
 
@@ -269,7 +278,7 @@ def test_choices_that_do_not_jump_are_told_from_those_that_do(name):
     function, is_continuous = CONTINUOUS[name]
     low, high = -np.ones((1, 2)), np.ones((1, 2))
     watched = TaylorEnclosure(lambda z: function(*z), low[0], high[0], np.zeros(2), "smooth")
-    assert bool(definite(watched(low, high), high - low, watched.kinks())[0][0]) is is_continuous
+    assert bool(definite(watched(low, high), high - low, watched.kinks(), np.ones_like(low))[0][0]) is is_continuous
 
 
 def test_a_number_is_finite_only_where_it_is_far_from_overflow():

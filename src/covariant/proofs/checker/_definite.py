@@ -13,11 +13,16 @@ from covariant.proofs.checker._tree import halves
 
 CHUNK, MOST = 1024, 20_000
 """Number of boxes evaluated at once, and largest number of further boxes waiting after halvings."""
+TURN = 0.1
+"""Share of the blame for open choices that a variable has even where it keeps none open."""
 
 
-def definite(matrix: np.ndarray, width: np.ndarray, kinks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def definite(
+    matrix: np.ndarray, width: np.ndarray, kinks: np.ndarray, left: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """On which boxes, of width (B, d), a symmetric matrix (n, n) is positive definite; and the variable to halve.
 
+    - `left` (B, d): the fraction of each width that halvings have left.
     - `kinks` (B, d): by how much each variable keeps choices open; it is halved where these weigh more than the rest.
 
     A matrix `Σ Sₘeₘ` with e₀ = 1 and all other |eₘ| ≤ 1 is positive definite if, for some C, the spectral radius of
@@ -52,9 +57,12 @@ def definite(matrix: np.ndarray, width: np.ndarray, kinks: np.ndarray) -> tuple[
 
     weight = by_variable(abs(t).sum((1, 2)) for t in turned)
     at_kinks = ~(rest.sum((1, 2)) <= weight.sum(1))[:, None] & kinks.any(1, keepdims=True)
-    weight = np.where(at_kinks, kinks, weight)
+    # A kink is met by some box however small, and entries without a bound have no size: such a blame does not fade as
+    # its variable is halved, so it counts for less the more often that has been done, and others get their turn.
+    share = kinks / np.maximum(kinks.sum(1, keepdims=True), TINY)
+    weight = np.where(at_kinks, (share + TURN) * np.sqrt(left), weight)
     # Where entries are not bounded at all, those variables are halved that they have terms in.
-    unbounded = by_variable(np.asarray(1.0 * ~np.isfinite(t).all((1, 2))) for t in s)
+    unbounded = by_variable(np.asarray(1.0 * ~np.isfinite(t).all((1, 2))) for t in s) * np.sqrt(left)
     weight = np.where(np.isfinite(weight).all(1, keepdims=True), weight, unbounded)
     known = np.isfinite(weight).all(1, keepdims=True) & (weight > 0).any(1, keepdims=True)
     return good, np.where(known, weight, width).argmax(1)
@@ -68,25 +76,28 @@ def show_definite(
     Raises `TimeoutError` where this is not settled by `until`, a time of `time.monotonic`.
     """
     left, most, size = np.full(len(low), depth), len(low) + MOST, CHUNK
+    whole = np.where(high > low, high - low, 1.0)
     while len(low):
         if time.monotonic() > until:
             raise TimeoutError(f"{what} is not settled yet")
         # The last boxes first, with the halves among them: an operation on many boxes costs little more than on one.
-        (low, a), (high, b), (left, deep) = ((x[:-size], x[-size:]) for x in (low, high, left))
+        (low, a), (high, b), (left, deep), (whole, first) = ((x[:-size], x[-size:]) for x in (low, high, left, whole))
         if len(low) > most or (deep < 0).any():
             k = deep.argmin()
             box = ", ".join(f"{c:.6g} to {d:.6g}" for c, d in zip(a[k], b[k], strict=True))
             raise ValueError(f"{what} is not shown to hold where the variables are {box}")
         try:
             found = matrix(a, b)
-            good, axes = definite(found + found.T, b - a, matrix.kinks())
+            good, axes = definite(found + found.T, b - a, matrix.kinks(), (b - a) / first)
         except UndecidedError:
             good, axes = np.zeros(len(a), bool), (b - a).argmax(1)
             if len(a) > 1:
                 size = len(a) // 2
-                low, high, left = (np.concatenate(x) for x in ((low, a), (high, b), (left, deep)))
+                pairs = (low, a), (high, b), (left, deep), (whole, first)
+                low, high, left, whole = (np.concatenate(pair) for pair in pairs)
                 continue
         size = min(2 * size, CHUNK)
         lower, upper = halves(a[~good], b[~good], axes[~good])
         low, high = np.concatenate([low, lower]), np.concatenate([high, upper])
         left = np.concatenate([left, np.repeat(deep[~good] - 1, 2)])
+        whole = np.concatenate([whole, np.repeat(first[~good], 2, axis=0)])
