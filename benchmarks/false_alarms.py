@@ -9,7 +9,7 @@ from collections import Counter
 import jax.numpy as jnp
 import numpy as np
 
-from covariant.diagnosis import diagnose, misfit
+from covariant.calibration import diagnose, misfit
 from covariant.models import load
 from covariant.signals import Record
 from covariant.simulation import Sensor, hold, sense, simulate, stamps

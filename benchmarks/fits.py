@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from covariant import models
-from covariant.design import observer_gains
-from covariant.identification import fit, horizon, relations, windows
+from covariant.calibration import fit, horizon, observer_gains, relations, windows
 from covariant.observers import Intrinsic
 from covariant.workflow._inputs import Job, data_sheet, load
 from covariant.workflow._outcome import drive

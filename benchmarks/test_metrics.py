@@ -11,9 +11,9 @@ import time
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from covariant import design, models, scale
+from covariant import metrics, models
+from covariant.metrics import Equation
 from covariant.papers.sanfelice_praly import analytic_metric
-from covariant.riccati import Equation
 
 COUNTS = (50, 50, 40)
 LOOPED = 20
@@ -47,15 +47,15 @@ def test_grid_beside_a_loop(benchmark, tmp_path):
     benchmark.group = f"metric on {np.prod(COUNTS)} states, λ = {RATE:g}, error bound {TOLERANCE:g}"
     model = models.unknown_frequency()
     low, high = zip(*model.box, strict=True)
-    grid = scale.Grid(model.coordinates, model.units, low, high, COUNTS)
+    grid = metrics.Grid(model.coordinates, model.units, low, high, COUNTS)
     runs = iter(range(100))
 
     def work():
         path = tmp_path / f"{next(runs)}.zarr"
-        return design.metric(model, Equation(RATE), grid, path, tolerance=TOLERANCE)
+        return metrics.metric_on_grid(model, Equation(RATE), grid, path, tolerance=TOLERANCE)
 
     path = benchmark.pedantic(work, rounds=1, warmup_rounds=0)
-    store = scale.open_grid(path, complete=True)
+    store = metrics.open_grid(path, complete=True)
     exact = analytic_metric(RATE)
     chosen = np.random.default_rng(0).integers(0, COUNTS, (LOOPED, 3))
     points = [np.array([axis[i] for axis, i in zip(grid.axes, index, strict=True)]) for index in chosen]

@@ -1,7 +1,7 @@
 """Using the library by hand: from a log to velocities, and the loop that does it written out.
 
 A double pendulum with motors is logged: stamps, torques, and the angles its encoders report. `logs.read` makes a record
-of the file, `design.gains` turns data-sheet numbers into gains, `run` drives the observer along the record, and
+of the file, `calibration.gains` turns data-sheet numbers into gains, `run` drives the observer along the record, and
 `scoring.rmse` says how good the velocities are. The last lines do the work of `run` step by step, as a controller would
 in real time, and find the same estimates.
 """
@@ -12,7 +12,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from covariant import design, logs, models, scoring, simulation
+from covariant import calibration, logs, models, scoring, simulation
 from covariant.observers import Intrinsic, run
 from covariant.report import new_figure, save_figure
 
@@ -38,7 +38,7 @@ logs.write(LOG, dict(zip(columns, np.column_stack([t, y, u, v]).T, strict=True))
 
 # From the log to velocities.
 log = logs.read(LOG, logs.Columns(t="t", q=("q1", "q2"), u=("tau1", "tau2"), truth=("true_v1", "true_v2")))
-chosen = design.gains(measurement_std=encoder.quantum / 12**0.5, rate=encoder.rate, acceleration_std=1.0)
+chosen = calibration.gains(measurement_std=encoder.quantum / 12**0.5, rate=encoder.rate, acceleration_std=1.0)
 observer = Intrinsic(model, chosen.alpha, chosen.beta)
 done = run(observer, log.record)
 velocities = np.asarray(done.estimate)[:, 2:]

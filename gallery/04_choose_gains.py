@@ -1,10 +1,10 @@
 """Gains from data-sheet numbers: what the design rule predicts, and what simulation says.
 
 Low gains trust the model, and what the model does not know pulls the estimate away; high gains trust the encoder, and
-its steps get through. `design.gains` finds the bandwidth between the two and predicts the velocity error it leaves.
-Here a double pendulum swings for a minute with random accelerations that no observer knows, encoders round its angles,
-and observers with an eighth to eight times the designed bandwidth ω estimate its velocities (α = 2ζω, β = ω²). The
-prediction holds to 15 % for all of them, although the inertia of the pendulum changes all the time, and the design
+its steps get through. `calibration.gains` finds the bandwidth between the two and predicts the velocity error that is
+left. Here a double pendulum swings for a minute with random accelerations that no observer knows, encoders round its
+angles, and observers with an eighth to eight times the designed bandwidth ω estimate its velocities (α = 2ζω, β = ω²).
+The prediction holds to 15 % for all of them, although the inertia of the pendulum changes all the time, and the design
 sits at the minimum.
 """
 
@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from covariant import design, models
+from covariant import calibration, models
 from covariant.observers import Intrinsic
 from covariant.report import PALETTE, new_figure, save_figure
 
@@ -30,7 +30,7 @@ INSIDE = 4
 """Simulation steps a sample."""
 
 model = models.pendulum_chain(mass=(0.6, 0.4), length=(0.3, 0.25), com=(0.16, 0.14), inertia=(0.005, 0.0026))
-chosen = design.gains(QUANTUM / 12**0.5, RATE, UNKNOWN)
+chosen = calibration.gains(QUANTUM / 12**0.5, RATE, UNKNOWN)
 S_m, S_a = (QUANTUM**2 / 12) / RATE, UNKNOWN**2 / RATE  # densities of the two noises
 relative = np.geomspace(1 / 8, 8, 13)
 alphas, betas = chosen.alpha * relative, chosen.beta * relative**2
@@ -86,7 +86,7 @@ omega = np.sqrt(chosen.beta) * np.geomspace(1 / 8, 8, 100)
 def predicted(measurement_density, acceleration_density):
     """Velocity error that the theory predicts for every bandwidth ω."""
     densities = (measurement_density, acceleration_density)
-    return [design.predict_errors(2**0.5 * w, w**2, *densities).velocity_std for w in omega]
+    return [calibration.predict_errors(2**0.5 * w, w**2, *densities).velocity_std for w in omega]
 
 
 figure, axes = new_figure(panel=(6.4, 3.8), titles=("Velocity error by the bandwidth of the observer",))

@@ -13,7 +13,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from covariant import design, models, simulation
+from covariant import calibration, models, simulation
 from covariant.observers import FilteredDerivative, Intrinsic, run
 from covariant.report import PALETTE, new_figure, save_figure
 from covariant.signals import Record, Result
@@ -35,11 +35,11 @@ y = simulation.sense(sensor, q)
 y[(t > 2.0) & (t < 2.3)] = np.nan
 record = Record(t, np.asarray(motion.u), y)
 
-sheet = design.DataSheet(sensor.quantum / 12**0.5, acceleration_std=1.5, correlation_time=0.02, motion_std=75.0)
-gains = design.observer_gains(sheet, sensor.rate)
+sheet = calibration.DataSheet(sensor.quantum / 12**0.5, acceleration_std=1.5, correlation_time=0.02, motion_std=75.0)
+gains = calibration.observer_gains(sheet, sensor.rate)
 observers = {
     "intrinsic": Intrinsic(model, gains.alpha, gains.beta),
-    "filtered derivative": FilteredDerivative(design.filter_bandwidth(sheet, sensor.rate), model.circles),
+    "filtered derivative": FilteredDerivative(calibration.filter_bandwidth(sheet, sensor.rate), model.circles),
 }
 runs = {name: run(observer, record) for name, observer in observers.items()}
 

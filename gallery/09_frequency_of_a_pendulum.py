@@ -1,12 +1,12 @@
 """A system that is not mechanical, from its equations to a metric, to observers: the frequency of a pendulum.
 
 A pendulum swings, its encoder is logged, and nobody knows its length. Near the bottom it is the oscillator of unknown
-frequency, with position, velocity and ω² as states. `riccati.metric_at` solves the Riccati equation of Sanfelice &
+frequency, with position, velocity and ω² as states. `metrics.metric_at` solves the Riccati equation of Sanfelice &
 Praly at a state, looking back along the solution as far as it must; at rest the answer is that the state is not
-reconstructible. `design.metric` does so on a grid, into a store that may be larger than memory, and
-`design.load_metric` makes a function of the store. The observer takes the metric from either. Beside it run an extended
-Kalman filter with the same noise densities, which is as good here, and a high-gain observer, which breaks down where
-the angle passes zero: the acceleration there tells nothing of the frequency. The verdict says what is promised:
+reconstructible. `metrics.metric_on_grid` does so on a grid, into a store that may be larger than memory, and
+`metrics.load_metric` makes a function of the store. The observer takes the metric from either. Beside it runs an
+extended Kalman filter with the same noise densities, which is as good here, and a high-gain observer, which breaks down
+where the angle passes zero: the acceleration there tells nothing of the frequency. The verdict says what is promised:
 convergence from nearby only.
 """
 
@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from covariant import certificates, design, models, riccati, scale, simulation
+from covariant import certificates, metrics, models, simulation
 from covariant.observers import InformationEKF, Riccati, run
 from covariant.report import new_figure, save_figure
 from covariant.signals import Record, Result
@@ -38,19 +38,19 @@ record = Record(t, np.zeros((len(t), 0)), simulation.sense(encoder, np.asarray(m
 model = models.unknown_frequency()
 noise = jnp.array([[encoder.quantum**2 / 12 / encoder.rate]])
 process = jnp.diag(jnp.array([1e-12, 2 * 0.02**2 * 0.05, 1.0]))
-equation = riccati.Equation(process_cov=process, measurement_cov=noise)
+equation = metrics.Equation(process_cov=process, measurement_cov=noise)
 
-metric_at = jax.jit(lambda x: riccati.metric_at(model, equation, x, tolerance=1e-4, start=1e-6))
+metric_at = jax.jit(lambda x: metrics.metric_at(model, equation, x, tolerance=1e-4, start=1e-6))
 for x in ([-0.066, 0.0, truth], [0.0, 0.0, truth]):
     found = metric_at(jnp.array(x))
     print(f"at {np.round(x, 3)}: past of {found.horizon:.2f} s, {Result(int(found.result)).message}")
 
 # The metric on a grid, and as a function.
-grid = scale.Grid(model.coordinates, model.units, (-0.08, -0.64, 30.0), (0.08, 0.64, 90.0), (17, 17, 5))
+grid = metrics.Grid(model.coordinates, model.units, (-0.08, -0.64, 30.0), (0.08, 0.64, 90.0), (17, 17, 5))
 shutil.rmtree(STORE, ignore_errors=True)  # a finished store would be kept as it is
-design.metric(model, equation, grid, STORE, tolerance=1e-3, start=1e-6, name="unknown_frequency")
-field = design.load_metric(STORE)
-along = riccati.RiccatiMetric(model, equation, length=1.5, steps=150, start=1e-6)
+metrics.metric_on_grid(model, equation, grid, STORE, tolerance=1e-3, start=1e-6, name="unknown_frequency")
+field = metrics.load_metric(STORE)
+along = metrics.RiccatiMetric(model, equation, length=1.5, steps=150, start=1e-6)
 ring = np.array([[0.066 * np.cos(a), 0.53 * np.sin(a), truth] for a in np.linspace(0, 2 * np.pi, 9)[:-1]])
 print(certificates.observability(model, field, ring).verdict)
 
@@ -60,7 +60,7 @@ observers = {
     "Riccati, metric computed along": Riccati(model, along, start, 0.5, noise),
     "Riccati, metric looked up": Riccati(model, field, start, 0.5, noise),
     "extended Kalman filter": InformationEKF(model, equation, start, known),
-    "high gain": Riccati(model, riccati.high_gain(model, 8.0), start, 0.5),
+    "high gain": Riccati(model, metrics.high_gain(model, 8.0), start, 0.5),
 }
 figure, axes = new_figure(1, 2, panel=(5.6, 4.0), titles=("How well ω² can be known", "ω² from the encoder"))
 for name, observer in observers.items():
@@ -78,7 +78,7 @@ axes[0, 1].set_xlabel("t [s]")
 axes[0, 1].set_ylabel("ω² [1/s²]")
 axes[0, 1].legend(fontsize=7)
 
-slice_ = scale.open_grid(STORE).metric.sel(x3=truth, method="nearest").values
+slice_ = metrics.open_grid(STORE).metric.sel(x3=truth, method="nearest").values
 missing = np.isnan(slice_).any(axis=(-2, -1))
 inverse = np.linalg.inv(np.where(missing[..., None, None], np.eye(3), slice_))
 std = np.where(missing, np.nan, np.sqrt(inverse[..., 2, 2]))

@@ -12,7 +12,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from covariant import design
+from covariant import calibration
 from covariant.models import robots
 from covariant.observers import REGISTRY, run
 from covariant.report import PALETTE, new_figure, save_figure
@@ -80,11 +80,11 @@ def errors(record: Record, v: np.ndarray) -> dict[str, tuple[np.ndarray, float]]
     """Velocities and their RMSE [rad/s] by estimator: those that know the model, and the best of the others."""
     third = len(record.t) // 3
     start = Record(record.t[:third], record.u[:third], record.y[:third])
-    trial = design.Trial(start.t, start.y, v[:third])
+    trial = calibration.Trial(start.t, start.y, v[:third])
 
     def tuned(names, unexplained):
-        sheet = design.DataSheet(QUANTUM / 12**0.5, unexplained, 0.05, 8.0, 0.3, speed=tuple(v.std(axis=0)))
-        return design.tuned_estimators(panda, 7, sheet, RATE, trial, names)
+        sheet = calibration.DataSheet(QUANTUM / 12**0.5, unexplained, 0.05, 8.0, 0.3, speed=tuple(v.std(axis=0)))
+        return calibration.tuned_estimators(panda, 7, sheet, RATE, trial, names)
 
     def rmse(observer, record, v, skip):
         estimate = np.asarray(run(observer, record, keep=("result",)).estimate)[:, 7:]

@@ -3,8 +3,8 @@
 MuJoCo throws the quadruped that comes along into the air; it tumbles while known torques swing its legs. What is
 logged, a thousand times a second, is its pose with the noise of a camera system and its joints with encoders of 2¹⁵
 counts a turn. The intrinsic observer carries all errors alike along the motion, so that the length of its velocity
-error, as kinetic energy has it, is known before anything flies: `design.predict_sampled_errors` for its gains. Beside
-it stand parabolas through the last samples, the windows chosen with the true velocities in hand.
+error, as kinetic energy has it, is known before anything flies: `calibration.predict_sampled_errors` for its gains.
+Beside it stand parabolas through the last samples, the windows chosen with the true velocities in hand.
 """
 
 from pathlib import Path
@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from covariant import design
+from covariant import calibration
 from covariant.geometry.lie import SE3
 from covariant.models import robots
 from covariant.observers import Intrinsic, run
@@ -93,7 +93,7 @@ def parabolas(y: np.ndarray, v: np.ndarray) -> np.ndarray:
 
 t, u, poses, q, v = swing()
 y = measured(poses, q)
-gains = design.gains(float(np.sqrt(np.mean(NOISE**2))), RATE, UNEXPLAINED)
+gains = calibration.gains(float(np.sqrt(np.mean(NOISE**2))), RATE, UNEXPLAINED)
 observer = Intrinsic(quadruped, gains.alpha, gains.beta, substeps=1)
 estimate = run(observer, Record(t, u, y), keep=("result",)).estimate
 polynomial = parabolas(y, v)
@@ -113,7 +113,7 @@ def lengths(x, v, at, w):
 
 
 squares, noise = (np.asarray(part) for part in lengths(true, jnp.asarray(v), estimate.q, estimate.v))
-bound = design.predict_sampled_errors(gains.alpha, gains.beta, RATE, float(np.sqrt(noise.mean()))).velocity_std
+bound = calibration.predict_sampled_errors(gains.alpha, gains.beta, RATE, float(np.sqrt(noise.mean()))).velocity_std
 settled = slice(SETTLED, None)
 length = float(np.sqrt(squares[settled].mean()))
 pitch = np.arcsin(np.clip(-poses[:, 2, 0], -1, 1))

@@ -69,7 +69,7 @@ def test_an_observer_in_one_file_and_one_entry_is_run_and_compared(house):
     """On the log of a model that was added in one file and one line."""
     script = """
 import json, sys
-from covariant import design, models
+from covariant import calibration, models
 from covariant.cli import _names, main
 from covariant.observers import run
 from covariant.workflow import _compare
@@ -82,13 +82,15 @@ def command(*arguments):
         assert not done.code
 
 bead = models.load("bead_on_hoop").model
-assert _names.ESTIMATORS == design.ESTIMATORS
-assert design.estimators(bead)[-1] == "tracker"
-made = design.tuned_estimators(bead, 1, design.DataSheet(1e-3, 1.0), 100.0)
+assert _names.ESTIMATORS == calibration.ESTIMATORS
+assert calibration.estimators(bead)[-1] == "tracker"
+made = calibration.tuned_estimators(bead, 1, calibration.DataSheet(1e-3, 1.0), 100.0)
 
 command("simulate", "bead_on_hoop", "-o", "log.csv", "--duration", "3", "--rate", "100", "--q0", "0.5", "--v0", "0")
 quick = ("copy", "tracker")  # all would take a while to compile
-_compare.tuned_estimators = lambda *a: {name: o for name, o in design.tuned_estimators(*a).items() if name in quick}
+_compare.tuned_estimators = lambda *a: {
+    name: o for name, o in calibration.tuned_estimators(*a).items() if name in quick
+}
 sheet = ("--set", "measurement.std=1e-3", "--set", "uncertainty.acceleration=1", "--truth", "true_v1")
 command("compare", "bead_on_hoop", "log.csv", *sheet, "--json")
 command("estimate", "bead_on_hoop", "log.csv", "--observer", "tracker", *sheet, "--json")

@@ -10,8 +10,8 @@ import pytest
 
 import covariant
 from covariant import logs
+from covariant.calibration import ESTIMATORS
 from covariant.cli import _names
-from covariant.design import ESTIMATORS
 from covariant.workflow._certify import OBSERVERS as CERTIFIED
 from covariant.workflow._reproduce import PAPERS
 

@@ -18,8 +18,8 @@ SOURCE = ROOT / "src" / "covariant"
 
 PLAN = (
     "_programs _compile _typing _functional _files _optional _numbers signals scoring _linalg "
-    "_integrate _adaptive lowering logs geometry models riccati observers control simulation interop scale "
-    "proofs certificates audit diagnosis design identification codegen engine report papers workflow cli"
+    "_integrate _adaptive lowering logs geometry models metrics observers simulation "
+    "proofs certificates calibration codegen engine report papers workflow cli"
 )
 """A room may import from itself and from any room to its left, never to its right."""
 
@@ -44,58 +44,58 @@ OPTIONAL = (
 )
 
 PUBLIC = {
-    "audit": "LAWS Audit Law audit",
+    "calibration": "ESTIMATORS FITTED STATE_ESTIMATORS DataSheet Diagnosis Draft Finding Fit Gains HeldOut "
+    "NoiseLevels PredictionErrors Suggestion Trial Tuning Windows bias contracting_gain diagnose draft estimators "
+    "filter_bandwidth fit gains gated given_noise growth horizon jerk_bound joint_noise losses misfit observer_gains "
+    "outliers predict_errors predict_sampled_errors prediction_errors relations split stored_observer suggest_noise "
+    "tune tuned_estimators tuned_state_estimators usual_speeds window_length windows with_gains",
     "certificates": "ASSUMED CHECKERS CascadeCertificate Checked CheckerName Claim Constants ContractionCertificate "
     "Corners Decay Document Evidence Followed Growth Hypothesis MetricDesign Observability Projection Sampled "
-    "StateMetric Statement Subject TradeOff Trajectories Verdict "
-    "at_corners bending cascade certify check check_sample common_metric conditioning contraction contraction_matrix "
-    "contraction_rate crossed_metric decay detectability_rate error_bounds error_matrix falsify feedthrough "
-    "follow_estimates force_bounds generalised_jacobian in_coordinates in_frame log_norm lower_distance lyapunov "
-    "noise_disturbance observability observer_gain optimal_lyapunov parse projection rate_of rates_along "
-    "steady_distance subject tangent_metric tracking trade_off trajectories upper_distance virtual",
-    "control": "Backstepping Reference follow lissajous set_point",
-    "design": "ESTIMATORS STATE_ESTIMATORS DataSheet Gains HeldOut MetricSummary NoiseLevels Trial Tuning bias "
-    "contracting_gain estimators filter_bandwidth gains gated given_noise jerk_bound joint_noise load_metric "
-    "metric metric_summary observer_gains predict_errors predict_sampled_errors stored_observer tune tuned_estimators "
-    "tuned_state_estimators usual_speeds window_length with_gains",
-    "diagnosis": "Diagnosis Finding Suggestion diagnose misfit outliers suggest_noise",
-    "codegen": "ROWS Facts Leaf Program Recipe Source TracedProgram Unit Vectors export_texts fmu of_family program "
-    "trace_program vectors "
-    "with_open_numbers write_fmu write_folder write_source",
+    "StateMetric Statement Subject TradeOff Trajectories Verdict at_corners bending cascade certify check "
+    "check_sample common_metric conditioning contraction contraction_matrix contraction_rate crossed_metric decay "
+    "detectability_rate error_bounds error_matrix falsify feedthrough follow_estimates force_bounds "
+    "generalised_jacobian in_coordinates in_frame log_norm lower_distance lyapunov noise_disturbance observability "
+    "observer_gain optimal_lyapunov parse projection rate_of rates_along steady_distance subject tangent_metric "
+    "tracking trade_off trajectories upper_distance virtual",
+    "certificates.audit": "LAWS Audit Law audit",
+    "codegen": "ROWS Facts Leaf Program Recipe Source TracedProgram Unit Vectors closed_loop export_texts fmu "
+    "observer_system of_family plant program trace_program vectors with_open_numbers write_fmu write_folder "
+    "write_source",
+    "engine": "FEWEST_ROWS Engine EngineName Health KernelForm Stream choose compiled run_log run_logs",
     "geometry": "AbstractManifold AbstractMetric AbstractSpace Budget ConstantCurvature Coordinates Euclidean "
-    "FlatTorus Interpolated KineticEnergy Metric Product ProductManifold Pullback Shot Transported "
-    "as_space christoffel connection curvature derivative differential distance exp gradient hyperbolic "
-    "inner log norm sectional_curvature shoot sphere transport transport_along wrap",
+    "FlatTorus Interpolated KineticEnergy Metric Product ProductManifold Pullback Shot Transported as_space "
+    "christoffel connection curvature derivative differential distance exp gradient hyperbolic inner log norm "
+    "sectional_curvature shoot sphere transport transport_along wrap",
     "geometry.lie": "SE2 SE3 SO2 SO3 SU AbstractGroup AbstractInertia Inertia LeftInvariant MatrixGroup Product "
     "quaternion_from_rotation rotation_from_quaternion",
-    "identification": "FITTED Draft Fit PredictionErrors Windows draft fit growth horizon losses prediction_errors "
-    "relations split windows",
-    "interop": "closed_loop observer_system plant",
-    "lowering": "FOLD INTERVALS LARGEST NUMBERS STUMPFF TRUTHS Branch CText Call ClosedJaxpr Condition Conditions "
-    "Derivative Domain Enclosure Graph Interval JaxprEquation Lowered LoweringError Node Scan Signature TracedFunction "
-    "Truth While c_function c_helpers c_number c_rows enclose equations evaluate expand fingerprint fulfilled graft "
-    "in_c lower lower_traced needed numbers pairs perturbed simplified stumpff substitute trace",
     "logs": "ATTITUDES MEANT MESSAGES OPTIONAL WRITTEN Body Columns Log LogError bodies check_unit coordinates "
     "matrices read record source_name survey to_columns unit_factor unit_in_name without_unit words_of write",
+    "lowering": "FOLD INTERVALS LARGEST NUMBERS STUMPFF TRUTHS Branch CText Call ClosedJaxpr Condition Conditions "
+    "Derivative Domain Enclosure Graph Interval JaxprEquation Lowered LoweringError Node Scan Signature "
+    "TracedFunction Truth While c_function c_helpers c_number c_rows enclose equations evaluate expand fingerprint "
+    "fulfilled graft in_c lower lower_traced needed numbers pairs perturbed simplified stumpff substitute trace",
+    "metrics": "Characteristic Equation Grid MetricSummary RiccatiMetric Solution Variable Window gramian gramians "
+    "high_gain lie_derivative load_metric map_grid metric_at metric_on_grid metric_summary metric_through open_grid "
+    "open_metric rate_from_gramian reconstructibility right_side spd_distance window_at",
     "models": "Family GroupSystem Lagrangian MechanicalSystem ModelError ModelFile MomentumChart Motion Overrides "
     "Parameter Parametric StateSpace Survey acceleration advance applied_force ball_and_beam bioreactor "
-    "body_velocity chart_jacobian chart_velocity check_metric check_model check_spec document duffing energy "
-    "family free_body friction from_recipe heavy_top hovercraft in_chart induction_motor input_count load "
-    "lorenz oscillator pendulum_chain recipe recipe_text resistance rewrite satellite satellite_arm source "
-    "spatial_momentum spec_name state_space survey underwater_vehicle unknown_frequency van_der_pol",
-    "models.robots": "ROBOTS BodyInertia Description Follows Joint KinematicTree Links Motor RobotSpace assemble load "
-    "located read",
+    "body_velocity chart_jacobian chart_velocity check_metric check_model check_spec document duffing energy family "
+    "free_body friction from_recipe heavy_top hovercraft in_chart induction_motor input_count load lorenz oscillator "
+    "pendulum_chain recipe recipe_text resistance rewrite satellite satellite_arm source spatial_momentum spec_name "
+    "state_space survey underwater_vehicle unknown_frequency van_der_pol",
     "models.marine": "Craft Station Waves coriolis_matrix cybership euler_rates euler_rotation euler_transform "
     "manoeuvring_ship odin odin_on_group positive_definite supply_vessel surface_ship yaw_rotation",
-    "observers": "AbstractFlowObserver AbstractLinearFilter AbstractMechanicalObserver AbstractObserver Contracting "
-    "ContractingState Copy Delayed DelayedState EKF EKFInfo EKFState Entry Estimate FilterInfo "
-    "FilteredDerivative FilteredState Gate Gated GatedState Geodesic GeodesicInfo GeodesicState HeldState "
-    "HighGain Info InformationEKF InformationState Intrinsic IntrinsicKalman JointInfo JointKalman JointState "
-    "KalmanInfo KalmanState Levant LoopState MechanicalState Noise OBSERVER_NAMES PLL PassiveGains "
-    "PassiveShip REGISTRY Riccati STATE_OBSERVER_NAMES STATE_REGISTRY Salcudean SalcudeanState SavitzkyGolay "
-    "Slow StateEKF StateEKFInfo StateEKFState StateEntry UKF UKFState WindowState checked chooses_substeps "
-    "continuous craft_observer external_force lyapunov_gains lyapunov_rate needed_substeps notch_gains "
-    "printed_rate run second_order sensor_bias uncertain_parameters with_fixed_substeps",
+    "models.robots": "ROBOTS BodyInertia Description Follows Joint KinematicTree Links Motor RobotSpace assemble "
+    "load located read",
+    "observers": "EKF OBSERVER_NAMES PLL REGISTRY STATE_OBSERVER_NAMES STATE_REGISTRY UKF AbstractFlowObserver "
+    "AbstractLinearFilter AbstractMechanicalObserver AbstractObserver Contracting ContractingState Copy Delayed "
+    "DelayedState EKFInfo EKFState Entry Estimate FilterInfo FilteredDerivative FilteredState Gate Gated GatedState "
+    "Geodesic GeodesicInfo GeodesicState HeldState HighGain Info InformationEKF InformationState Intrinsic "
+    "IntrinsicKalman JointInfo JointKalman JointState KalmanInfo KalmanState Levant LoopState MechanicalState Noise "
+    "PassiveGains PassiveShip Riccati Salcudean SalcudeanState SavitzkyGolay Slow StateEKF StateEKFInfo "
+    "StateEKFState StateEntry UKFState WindowState checked chooses_substeps continuous craft_observer external_force "
+    "lyapunov_gains lyapunov_rate needed_substeps notch_gains printed_rate run second_order sensor_bias "
+    "uncertain_parameters with_fixed_substeps",
     "papers.jouffroy_fossen": "COMPASS COUNTEREXAMPLES CROSS DURATION GAPS GNSS K1 K2 KD KP LAMBDA PRINTED_K2 RATE "
     "SETTLED STAGES STEP Loop Scalar Sea draw draw_odin draw_sea odin_box odin_cascade odin_certificate "
     "odin_controller odin_eigenvalues odin_loop odin_observer odin_path odin_sampled_rate passive_observer reproduce "
@@ -107,16 +107,12 @@ PUBLIC = {
     "proofs.checker": "ROUND TaylorEnclosure halves leaves plain show_definite",
     "report": "PALETTE EstimateReport audit_figure certificate_figure draw_audit draw_certificate figure new_figure "
     "save_figure table write_article write_audit write_html write_png write_report",
-    "riccati": "Characteristic Equation RiccatiMetric Solution Window gramian gramians high_gain lie_derivative "
-    "metric_at metric_through rate_from_gramian reconstructibility right_side spd_distance window_at",
-    "engine": "Engine EngineName FEWEST_ROWS Health KernelForm Stream choose compiled run_log run_logs",
-    "scale": "Grid Variable map_grid open_grid",
+    "simulation": "Backstepping PiecewiseInputs Reference Sensor follow hold lissajous logged_inputs no_input "
+    "observe sense set_point simulate simulate_piecewise stamps",
     "workflow": "AbstractResult AbstractTable AuditResult CertificateCheckResult CertifyResult CheckResult "
-    "CompareResult "
-    "EstimateResult ExportResult FitResult InitResult MetricResult MisfitError ModelResult Progress ReproduceResult "
-    "SimulateResult TuneResult audit_observer certify check check_certificate check_model_output check_output "
-    "compare describe_model design_metric estimate export fit init reproduce_paper simulate tune",
-    "simulation": "PiecewiseInputs Sensor hold logged_inputs no_input observe sense simulate simulate_piecewise stamps",
+    "CompareResult EstimateResult ExportResult FitResult InitResult MetricResult MisfitError ModelResult Progress "
+    "ReproduceResult SimulateResult TuneResult audit_observer certify check check_certificate check_model_output "
+    "check_output compare describe_model design_metric estimate export fit init reproduce_paper simulate tune",
 }
 
 
@@ -255,10 +251,7 @@ def aliases(path: Path) -> Iterator[str]:
             yield from (target.id for target in node.targets if isinstance(target, ast.Name))
 
 
-EAGER = (
-    "geometry models riccati observers simulation scale proofs certificates audit diagnosis design identification "
-    "codegen engine"
-)
+EAGER = "geometry models metrics observers simulation proofs certificates calibration codegen engine"
 """Rooms all of whose public names load without an optional package."""
 
 LOAD = """

@@ -41,6 +41,12 @@ FAILED = {1, 2, 4, -signal.SIGSEGV, -signal.SIGABRT, -signal.SIGFPE}
 """Exit statuses of a mutant that fails a test, cannot be imported, or crashes; any other says nothing of it."""
 WARM = "jax jax.numpy equinox scipy.linalg hypothesis pytest beartype"
 
+FITTING = ("fit", "held_out", "innovations", "predict", "relations", "windows")
+DIAGNOSIS = (
+    *("changes", "delays", "diagnose", "finding", "readings", "residual", "sensor", "smooth", "suggest", "timing"),
+)
+"""Files of the room of calibration that fit a model to logs, and that look for what is wrong with one."""
+
 RELEVANT = {
     "geometry/_interpolated.py": "geometry/test_interpolated",
     "geometry/_[af]*.py": "geometry/test_metric geometry/test_spaces laws/test_geometry geometry/test_shooting",
@@ -58,8 +64,8 @@ RELEVANT = {
     "observers/_ekf.py": "observers/test_filters_and_ekf observers/test_kalman observers/test_group",
     "observers/_intrinsic.py": "observers/test_sampled observers/test_group laws/test_observers",
     "observers/_geodesic.py": "observers/test_sampled observers/test_group laws/test_observers",
-    "observers/_salcudean.py": "observers/test_group design/test_estimators",
-    "observers/_registry.py": "design/test_estimators laws/test_every_observer",
+    "observers/_salcudean.py": "observers/test_group calibration/test_estimators",
+    "observers/_registry.py": "calibration/test_estimators laws/test_every_observer",
     "observers/_copy.py": "observers/test_sampled reference/test_aghannan_rouchon",
     "observers/_intrinsic_kalman.py": "observers/test_reset observers/test_intrinsic_kalman",
     "observers/_slow.py": "observers/test_slow_states observers/test_external_force",
@@ -72,8 +78,10 @@ RELEVANT = {
     "observers/_s[pq]*.py": "observers/test_kalman observers/test_ukf observers/test_reset",
     "observers/_[hjlmpt]*.py": "observers/test_model_free_filters observers/test_sampled",
     "observers/*": "observers/test_gains_of_a_sample observers/test_sampled laws/test_observers",
-    "riccati/_high_gain.py": "riccati/test_outcomes",
-    "riccati/*": "riccati/test_gramians riccati/test_outcomes riccati/test_laws riccati/test_analytic_metric",
+    "metrics/_high_gain.py": "metrics/test_outcomes",
+    "metrics/_metric_on_grid.py": "metrics/test_metric_grid",
+    **{f"metrics/_{name}.py": "metrics/test_grids" for name in ("grid", "map", "optional", "store")},
+    "metrics/*": "metrics/test_gramians metrics/test_outcomes metrics/test_laws metrics/test_analytic_metric",
     "lowering/_loops.py": "lowering/test_c",
     "lowering/_jax_forms.py": "lowering/test_jax_forms lowering/test_lowering",
     "lowering/_fingerprint.py": "lowering/test_fingerprint",
@@ -90,8 +98,7 @@ RELEVANT = {
     "proofs/_saved.py": "attacks/test_files certificates/test_check",
     "proofs/_form.py": "certificates/test_contraction certificates/test_cascade",
     "proofs/*": "certificates/test_proofs",
-    "audit/*": "audit/test_audit",
-    "diagnosis/*": "diagnosis/test_diagnosis",
+    "certificates/audit/*": "certificates/test_audit",
     "models/robots/*": "models/test_robots models/test_mjcf",
     "models/marine/*": "models/test_marine reference/test_jouffroy_fossen",
     "models/fluid.py": "models/test_fluid",
@@ -102,19 +109,21 @@ RELEVANT = {
     "logs/_bag*.py": "logs/test_messages",
     "logs/_table*.py": "logs/test_tables",
     "logs/*": "logs/test_logs logs/test_odd_logs logs/test_configurations logs/test_messages",
-    "control/*": "control/test_backstepping",
+    "simulation/_backstepping.py": "simulation/test_backstepping",
+    "simulation/_reference.py": "simulation/test_backstepping",
     "simulation/*": "simulation/test_simulate simulation/test_sensors",
-    "scale/*": "scale/test_grids",
-    "design/_metric.py": "design/test_metric_grid",
-    "design/*": "design/test_estimators design/test_gain_rule design/test_speeds design/test_tune",
-    "identification/*": "identification/test_fit identification/test_draft",
+    "calibration/_draft.py": "calibration/test_draft",
+    **{f"calibration/_{name}.py": "calibration/test_fit" for name in FITTING},
+    **{f"calibration/_{name}.py": "calibration/test_diagnosis calibration/test_suggestions" for name in DIAGNOSIS},
+    "calibration/*": "calibration/test_estimators calibration/test_gain_rule calibration/test_speeds "
+    "calibration/test_tune",
     "codegen/_fm*.py": "codegen/test_fmu",
+    "codegen/_python_control.py": "codegen/test_python_control",
     "codegen/*": "codegen/test_export",
     "engine/_cache*.py": "engine/test_cache",
     "engine/*": "engine/test_engine engine/test_in_jax",
     "report/_certificate.py": "report/test_certificate_figure",
     "report/*": "report/test_report_html report/test_report_panels report/test_report_png report/test_report_table",
-    "interop/*": "interop/test_python_control",
     "cli/_check.py": "cli/test_check_command",
     "cli/*": "cli/test_bad_input cli/test_commands cli/test_certify_command cli/test_design_command",
     "workflow/_tune*.py": "workflow/test_tune_verb cli/test_tune_command",

@@ -17,8 +17,8 @@ from typing import NamedTuple
 ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "covariant"
 ROOMS = (
-    *("geometry", "observers", "riccati", "lowering", "proofs", "certificates", "audit", "models", "logs", "control"),
-    *("simulation", "scale", "diagnosis", "design", "identification", "codegen", "engine", "report", "interop", "cli"),
+    *("geometry", "observers", "metrics", "lowering", "proofs", "certificates", "models", "logs", "simulation"),
+    *("calibration", "codegen", "engine", "report", "cli"),
     "workflow",
 )
 

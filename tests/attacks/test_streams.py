@@ -17,6 +17,7 @@ from hypothesis import given, settings, strategies as st
 
 from covariant.geometry import Euclidean
 from covariant.lowering import lower, numbers
+from covariant.metrics import Equation
 from covariant.models import Lagrangian, Motion, StateSpace, ball_and_beam, free_body, marine, pendulum_chain
 from covariant.observers import (
     EKF,
@@ -41,7 +42,6 @@ from covariant.observers import (
     craft_observer,
     lyapunov_gains,
 )
-from covariant.riccati import Equation
 from covariant.signals import Result
 from covariant.simulation import hold, simulate
 

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from covariant import models
+from covariant.calibration import predict_errors
 from covariant.certificates import (
     Decay,
     certify,
@@ -35,7 +36,6 @@ from covariant.certificates import (
     tangent_metric,
     upper_distance,
 )
-from covariant.design import predict_errors
 from covariant.geometry import distance, hyperbolic
 from covariant.observers import Intrinsic
 from covariant.proofs import Box

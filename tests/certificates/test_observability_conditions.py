@@ -9,9 +9,9 @@ import pytest
 from covariant import geometry, models
 from covariant._integrate import rk8
 from covariant.certificates import bending, detectability_rate, observability
+from covariant.metrics import lie_derivative
 from covariant.models import StateSpace
 from covariant.papers.sanfelice_praly import analytic_metric, grid
-from covariant.riccati import lie_derivative
 
 OSCILLATOR = models.unknown_frequency()
 GRID = grid()[::7]

@@ -10,7 +10,7 @@ import pytest
 from commands import command
 from typer.testing import CliRunner
 
-from covariant import design, riccati, scale
+from covariant import metrics
 from covariant.cli import main
 from covariant.cli._app import app
 from covariant.cli._console import progress_bar
@@ -64,7 +64,7 @@ def made(folder):
 
 
 def test_the_summary_is_that_of_the_store(made):
-    store = scale.open_grid("paper.zarr", complete=True)
+    store = metrics.open_grid("paper.zarr", complete=True)
     low, high = np.quantile(np.linalg.eigvalsh(store["metric"].values), [0, 1])
     assert {key: made[key] for key in ("model", "out", "points")} == {
         "model": "unknown_frequency",
@@ -95,7 +95,7 @@ def test_a_finished_store_is_summed_up_again_for_a_person(made, capsys, monkeypa
 def test_the_rate_may_come_from_gramians(made):
     done = command("design", "metric", "unknown_frequency", *SHAPE, "--window", "30", "-o", "window.zarr")
     assert 0.1 < done["rate"] < 1
-    assert scale.open_grid("window.zarr").attrs["provenance"]["equation"]["rate"] == done["rate"]
+    assert metrics.open_grid("window.zarr").attrs["provenance"]["equation"]["rate"] == done["rate"]
 
 
 @pytest.mark.long
@@ -103,16 +103,16 @@ def test_options_reach_the_equation_of_a_mechanical_model(made):
     arguments = ("--box", "q=-1:1,q_dot=-2:2", "--grid", "4,5", "--process-cov", "1e-3,0.5", "--measurement-cov", "0.1")
     more = ("--domain", "q_dot=-2.5:2.5", "--input", "0.3", "--start", "2", "--tolerance", "1e-6")
     done = command("design", "metric", "oscillator", *arguments, *more, "-o", "spring.zarr")
-    store = scale.open_grid("spring.zarr", complete=True)
+    store = metrics.open_grid("spring.zarr", complete=True)
     assert store["metric"].shape == (4, 5, 2, 2)
     assert sum(done["results"].values()) == 20
-    equation = riccati.Equation(
+    equation = metrics.Equation(
         process_cov=jax.numpy.diag(jax.numpy.array([1e-3, 0.5])), measurement_cov=jax.numpy.array([[0.1]])
     )
     model = state_space(load("oscillator").model)
     domain = jax.numpy.array([-np.inf, -2.5]), jax.numpy.array([np.inf, 2.5])
     x = jax.numpy.array([float(store["q"][2]), float(store["q_dot"][1])])
-    expected = riccati.metric_at(model, equation, x, start=2.0, tolerance=1e-6, domain=domain, u=jax.numpy.array([0.3]))
+    expected = metrics.metric_at(model, equation, x, start=2.0, tolerance=1e-6, domain=domain, u=jax.numpy.array([0.3]))
     assert int(store["result"][2, 1]) == int(expected.result)
     np.testing.assert_allclose(store["metric"].values[2, 1], expected.metric, rtol=1e-8)  # each to 1e-6
     assert store.attrs["provenance"]["domain"] == [[None, -2.5], [None, 2.5]]
@@ -126,11 +126,11 @@ def test_results_without_a_metric_are_told_in_words(capsys, monkeypatch):
     text = said(
         capsys, monkeypatch, "design", "metric", "unknown_frequency", *SHAPE, *box, "--rate", "8", "-o", "rest.zarr"
     )
-    found = design.metric_summary("rest.zarr")
+    found = metrics.metric_summary("rest.zarr")
     assert sum(found.results.values()) == 125
     assert "  25 outside the domain: there is no metric\n" in text
     assert "  4 not reconstructible: the past output does not determine the state there\n" in text
-    store = scale.open_grid("rest.zarr")
+    store = metrics.open_grid("rest.zarr")
     assert np.isnan(store["metric"].values[0, 0]).all()
     assert found.reconstructibility < 1e-9
     assert 0 < found.low < found.high
@@ -138,7 +138,7 @@ def test_results_without_a_metric_are_told_in_words(capsys, monkeypatch):
 
 def interrupted(monkeypatch, capsys, blocks: int, *arguments: str) -> str:
     """Run the command, with Ctrl-C after so many blocks; return the line it prints."""
-    solve = design.metric
+    solve = metrics.metric_on_grid
 
     def metric(*given, on_progress, **settings):
         calls = iter(range(blocks + 1))
@@ -168,7 +168,7 @@ def test_a_stopped_run_goes_on_where_it_stopped(made, monkeypatch, capsys):
     )
     kept = {path: path.stat().st_mtime_ns for path in Path("again.zarr/metric").rglob("*") if path.is_file()}
     with pytest.raises(ValueError, match="not complete"):
-        design.load_metric("again.zarr")
+        metrics.load_metric("again.zarr")
     done = command("design", "metric", *arguments)
     assert {path: path.stat().st_mtime_ns for path in kept} == kept
     assert {key: done[key] for key in ("results", "p_low", "p_high", "error_bound")} == {

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from covariant import design, observers
+from covariant import calibration, observers
 from covariant.models import ModelError, check_spec, load
 from covariant.models._source import system
 from covariant.models._systems import SYSTEMS
@@ -59,9 +59,9 @@ def test_a_wrong_name_is_refused_without_jax(case, tmp_path):
 
 
 def test_names_of_observers_are_those_of_the_registries():
-    assert tuple(entry.name for entry in observers.REGISTRY) == observers.OBSERVER_NAMES == design.ESTIMATORS
+    assert tuple(entry.name for entry in observers.REGISTRY) == observers.OBSERVER_NAMES == calibration.ESTIMATORS
     states = tuple(entry.name for entry in observers.STATE_REGISTRY)
-    assert states == observers.STATE_OBSERVER_NAMES == design.STATE_ESTIMATORS
+    assert states == observers.STATE_OBSERVER_NAMES == calibration.STATE_ESTIMATORS
 
 
 def test_what_is_refused_early_is_what_cannot_be_loaded(tmp_path, monkeypatch):

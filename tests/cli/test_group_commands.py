@@ -10,7 +10,7 @@ from commands import command, unpacked
 from scipy.spatial.transform import Rotation
 
 from covariant import logs
-from covariant.design import tuned_estimators
+from covariant.calibration import tuned_estimators
 from covariant.workflow._inputs import Job, load
 
 EXAMPLES = Path(__file__).parents[2] / "examples"

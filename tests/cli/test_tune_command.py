@@ -10,8 +10,8 @@ import pytest
 from commands import command
 
 from covariant import logs, models
+from covariant.calibration import HeldOut, NoiseLevels, Tuning
 from covariant.cli import main
-from covariant.design import HeldOut, NoiseLevels, Tuning
 from covariant.observers import Intrinsic
 from covariant.workflow._aligned import aligned
 from covariant.workflow._inputs import Job

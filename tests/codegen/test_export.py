@@ -18,7 +18,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from covariant import audit, design, models, observers, riccati, scale
+from covariant import metrics, models, observers
+from covariant.certificates import audit
 from covariant.cli import main
 from covariant.codegen import (
     ROWS,
@@ -552,8 +553,8 @@ STATES = tuple(shlex.split(commands_of_the_page()[1])[:-2])
 @pytest.mark.long
 @needs_compiler
 def test_observers_of_state_space_models_are_written_too(tmp_path, monkeypatch, capsys):
-    grid = scale.Grid(["x1", "x2", "x3"], ["m", "m/s", "1/s^2"], (0, 1, 0.5), (1, 1.5, 1.5), (4, 4, 4))
-    design.metric(models.unknown_frequency(), riccati.Equation(rate=8.0), grid, tmp_path / "m.zarr")
+    grid = metrics.Grid(["x1", "x2", "x3"], ["m", "m/s", "1/s^2"], (0, 1, 0.5), (1, 1.5, 1.5), (4, 4, 4))
+    metrics.metric_on_grid(models.unknown_frequency(), metrics.Equation(rate=8.0), grid, tmp_path / "m.zarr")
     stored = ("unknown_frequency", "--rate", "200", "--observer", "riccati", "--metric", tmp_path / "m.zarr")
     for name, options in (("filter", STATES), ("table", stored)):
         code, _, fault = command(monkeypatch, capsys, *options, "--name", "f", "-o", tmp_path / name)
@@ -568,8 +569,8 @@ def test_observers_of_state_space_models_are_written_too(tmp_path, monkeypatch, 
 @needs_compiler
 def test_a_metric_on_a_fine_grid_is_a_table_of_its_numbers(tmp_path, monkeypatch, capsys):
     """The page on metrics exports a grid of 33³ points, whose table is eight times as long."""
-    grid = scale.Grid(["x1", "x2", "x3"], ["m", "m/s", "1/s^2"], (0, 1, 0.5), (1, 1.5, 1.5), (17, 17, 17))
-    design.metric(models.unknown_frequency(), riccati.Equation(rate=8.0), grid, tmp_path / "m.zarr")
+    grid = metrics.Grid(["x1", "x2", "x3"], ["m", "m/s", "1/s^2"], (0, 1, 0.5), (1, 1.5, 1.5), (17, 17, 17))
+    metrics.metric_on_grid(models.unknown_frequency(), metrics.Equation(rate=8.0), grid, tmp_path / "m.zarr")
     words = ("unknown_frequency", "--rate", 200, "--observer", "riccati", "--metric", tmp_path / "m.zarr")
     code, _, fault = command(monkeypatch, capsys, *words, "--name", "f", "-o", tmp_path / "c")
     assert code == 0, fault
@@ -582,8 +583,8 @@ def test_a_metric_on_a_fine_grid_is_a_table_of_its_numbers(tmp_path, monkeypatch
 
 def test_a_table_that_no_program_should_hold_is_refused_by_its_size(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(_places, "MOST_ENTRIES", 1000)
-    grid = scale.Grid(["x1", "x2", "x3"], ["m", "m/s", "1/s^2"], (0, 1, 0.5), (1, 1.5, 1.5), (5, 5, 5))
-    design.metric(models.unknown_frequency(), riccati.Equation(rate=8.0), grid, tmp_path / "m.zarr")
+    grid = metrics.Grid(["x1", "x2", "x3"], ["m", "m/s", "1/s^2"], (0, 1, 0.5), (1, 1.5, 1.5), (5, 5, 5))
+    metrics.metric_on_grid(models.unknown_frequency(), metrics.Equation(rate=8.0), grid, tmp_path / "m.zarr")
     words = ("unknown_frequency", "--rate", 200, "--observer", "riccati", "--metric", tmp_path / "m.zarr")
     code, _, fault = command(monkeypatch, capsys, *words, "-o", tmp_path / "c")
     assert code == 2

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from covariant.design import DataSheet, tuned_estimators
+from covariant.calibration import DataSheet, tuned_estimators
 from covariant.engine import run_log
 from covariant.models import MechanicalSystem, Motion, ball_and_beam, free_body
 from covariant.observers import REGISTRY, AbstractObserver

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from covariant import lowering, models, riccati
+from covariant import lowering, metrics, models
 from covariant._integrate import rk4
 from covariant._linalg import solve
 from covariant.geometry import Budget, christoffel, curvature, hyperbolic, sphere
@@ -177,7 +177,7 @@ def observers():
     group, g = Intrinsic(top, 2.0, 1.0), top.group.exp(jnp.array([0.1, 0.2, 0.3]))
     turned = g @ top.group.exp(jnp.array([0.1, 0.0, 0.1]))
     unknown = models.unknown_frequency()
-    metric = riccati.RiccatiMetric(unknown, riccati.Equation(1.0), 4.0, 6)
+    metric = metrics.RiccatiMetric(unknown, metrics.Equation(1.0), 4.0, 6)
     return {
         "intrinsic flow": (lambda s, y: intrinsic.flow(zero, s, u, y), intrinsic.init(q)._replace(v=v), q + 0.1),
         "intrinsic step": (lambda s, y: intrinsic.step(s, u, y, dt), intrinsic.init(q)._replace(v=v), q + 0.1),

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from covariant import certificates, models, simulation
-from covariant.audit import audit
 from covariant.certificates import certify
+from covariant.certificates.audit import audit
 from covariant.geometry.lie import SE2
 from covariant.models import GroupSystem, Lagrangian, Motion, acceleration, friction, resistance
 from covariant.observers import EKF, Copy, Geodesic, Intrinsic, run

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from covariant.design import tuned_estimators
+from covariant.calibration import tuned_estimators
 from covariant.models import MechanicalSystem, Motion, free_body, pendulum_chain
 from covariant.observers import EKF, Delayed, Intrinsic, IntrinsicKalman, run
 from covariant.scoring import rmse

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from covariant import logs, models, scoring
-from covariant.design import DataSheet, gated, observer_gains, tuned_estimators, with_gains
+from covariant.calibration import DataSheet, gated, observer_gains, tuned_estimators, with_gains
 from covariant.geometry.lie import SO3
 from covariant.models import Motion, free_body
 from covariant.observers import Gated, run

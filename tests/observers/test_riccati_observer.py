@@ -9,11 +9,11 @@ from scipy import linalg
 
 from covariant import geometry, models
 from covariant._integrate import rk8
+from covariant.metrics import Equation, RiccatiMetric
 from covariant.models import StateSpace
 from covariant.observers import Estimate, InformationEKF, Riccati, run
 from covariant.papers import sanfelice_praly
 from covariant.papers.sanfelice_praly import analytic_metric
-from covariant.riccati import Equation, RiccatiMetric
 from covariant.signals import Record, Result
 from covariant.simulation import observe
 

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from covariant.design import DataSheet, Trial, tuned_estimators
+from covariant.calibration import DataSheet, Trial, tuned_estimators
 from covariant.models import Lagrangian, Motion, advance, free_body, pendulum_chain
 from covariant.observers import IntrinsicKalman, run
 from covariant.observers._ticks import take

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from covariant import models
-from covariant.design import observer_gains
-from covariant.identification import fit, horizon, windows
+from covariant.calibration import fit, horizon, observer_gains, windows
 from covariant.observers import Intrinsic
 from covariant.workflow._inputs import Job, data_sheet, load
 from covariant.workflow._outcome import drive

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from covariant import logs, models, scoring
-from covariant.design import DataSheet, tuned_estimators
+from covariant.calibration import DataSheet, tuned_estimators
 from covariant.observers import run
 from covariant.signals import lag_inputs
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from covariant import models
+from covariant.metrics import Equation, RiccatiMetric
 from covariant.observers import InformationEKF, Riccati, run
 from covariant.papers import sanfelice_praly
 from covariant.report import new_figure, save_figure
-from covariant.riccati import Equation, RiccatiMetric
 from covariant.signals import Record
 
 pytestmark = pytest.mark.long

@@ -8,7 +8,7 @@ import pytest
 from matplotlib import pyplot
 from PIL import Image
 
-from covariant.audit import Audit, Law
+from covariant.certificates.audit import Audit, Law
 from covariant.report import PALETTE, _audit, draw_audit, new_figure, save_figure, write_png
 
 LONG = (

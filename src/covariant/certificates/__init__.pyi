@@ -1,3 +1,4 @@
+from . import audit as audit
 from ._assumed import ASSUMED as ASSUMED
 from ._cascade import (
     CascadeCertificate as CascadeCertificate,

@@ -1,4 +1,4 @@
-"""Theorem 3 for a marine craft under `control.Backstepping` with `observers.craft_observer`: arguments of `cascade`.
+"""Theorem 3 for a marine craft under `simulation.Backstepping` with `observers.craft_observer`: arguments of `cascade`.
 
 Source: Jouffroy & Fossen 2004, equations (97)–(102).
 """
@@ -14,8 +14,8 @@ from covariant.certificates._cascade import Coupling
 from covariant.certificates._contraction import in_coordinates
 from covariant.certificates._subject import Point, Subject
 from covariant.certificates._virtual import OutputMetric
-from covariant.control import Backstepping
 from covariant.models.marine import Craft
+from covariant.simulation import Backstepping
 
 
 def tracking(controller: Backstepping) -> Subject:

@@ -1,6 +1,6 @@
 """Bounds of the effect of noise from a rate of contraction: for any noise, not only for white noise.
 
-Source: Lohmiller & Slotine 1998, section 3.7 (robustness); the prediction for white noise is `design.predict_errors`.
+Source: Lohmiller & Slotine 1998, section 3.7 (robustness). For white noise see `calibration.predict_errors`.
 """
 
 import math

@@ -22,9 +22,9 @@ from covariant._typing import MatrixField, Scalar, Vector
 from covariant.certificates._statement import Hypothesis, Statement
 from covariant.geometry import Budget, christoffel, exp
 from covariant.lowering import LoweringError
+from covariant.metrics import lie_derivative
 from covariant.models import StateSpace
 from covariant.proofs import Box, prove
-from covariant.riccati import lie_derivative
 
 DEPENDENT = 1e-9
 """Least ratio of the singular values of dh from which its rows count as independent."""

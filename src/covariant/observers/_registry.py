@@ -1,7 +1,7 @@
-"""The registry of observers that `design` can tune from a model's data sheet: one entry for each.
+"""The registry of observers that `calibration` can tune from a model's data sheet: one entry for each.
 
-An observer is entered here and nowhere else. `design.tuned_estimators`, the commands `estimate`, `compare` and `audit`,
-the laws in `tests/laws` and the table in `docs/observers.md` read this list.
+An observer is entered here and nowhere else. `calibration.tuned_estimators`, the commands `estimate`, `compare` and
+`audit`, the laws in `tests/laws` and the table in `docs/observers.md` read this list.
 """
 
 from collections.abc import Callable
@@ -70,7 +70,8 @@ class Entry(NamedTuple):
     - `name`: what the command line calls it.
     - `observer`: its class.
     - `make`: makes the observer, `make(model, *numbers)`.
-    - `tuned_by`: the numbers it is made with, which `design.tuned_estimators` finds: "gains" are α [1/s] and β [1/s²].
+    - `tuned_by`: the numbers it is made with, which `calibration.tuned_estimators` finds: "gains" are α [1/s] and
+      β [1/s²].
       "noise" are the process covariance (n, n), the measurement covariance (n, n) and the standard deviation of the
       initial velocity; "noise or ticks" are these, one tick of the encoders or None, and the slow states that are
       estimated, a tuple of `Slow`. Of filters that use no model:

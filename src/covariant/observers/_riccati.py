@@ -14,10 +14,10 @@ from jaxtyping import Array, Float
 from covariant._integrate import rk4
 from covariant._linalg import half_solve, pivots, solve
 from covariant._typing import Code, Flag, Matrix, MatrixField, Number, Scalar, Vector
+from covariant.metrics import Equation, RiccatiMetric
 from covariant.models import StateSpace
 from covariant.observers._protocol import AbstractFlowObserver, Held, Info, as_gain, check_finite, no_input, still
 from covariant.observers._sampled import steps_for
-from covariant.riccati import Equation, RiccatiMetric
 from covariant.signals import Result
 
 
@@ -32,8 +32,8 @@ class Estimate(NamedTuple):
 class Riccati(AbstractFlowObserver):
     """`x̂' = f(x̂) − 2 k_E P⁻¹ h_xᵀ R⁻¹ (h(x̂) − y)`, equation (11), with P a contraction metric at x̂.
 
-    - `metric`: P, any `x (n,) -> (n, n)`: `riccati.RiccatiMetric` computes it along the characteristic of the estimate,
-      a field designed on a grid interpolates it, and `riccati.high_gain` gives the high-gain observer.
+    - `metric`: P, any `x (n,) -> (n, n)`: `metrics.RiccatiMetric` computes it along the characteristic of the estimate,
+      a field designed on a grid interpolates it, and `metrics.high_gain` gives the high-gain observer.
     - `start` (n,): first estimate.
     - `gain`: k_E, a number or a function of x̂. With P from an equation with rate λ, ¼ makes the distance in P decay at
       the rate λ/2, which a smaller gain may not reach; ½ is the stationary Kalman filter.

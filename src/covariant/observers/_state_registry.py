@@ -9,11 +9,11 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from covariant._typing import Matrix, Vector
+from covariant.metrics import Equation, RiccatiMetric, metric_at
 from covariant.models import StateSpace
 from covariant.observers._protocol import AbstractObserver
 from covariant.observers._riccati import InformationEKF, Riccati
 from covariant.observers._state_ekf import StateEKF
-from covariant.riccati import Equation, RiccatiMetric, metric_at
 from covariant.signals import Result
 
 SETTLED = 0.1

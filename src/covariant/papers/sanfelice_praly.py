@@ -17,8 +17,8 @@ from covariant._integrate import rk8
 from covariant._typing import Matrix, MatrixField, Number, Vector
 from covariant.certificates import observability
 from covariant.geometry import distance
+from covariant.metrics import Equation, RiccatiMetric, metric_at, metric_through, spd_distance
 from covariant.observers import Estimate, InformationEKF, Riccati, run
-from covariant.riccati import Equation, RiccatiMetric, metric_at, metric_through, spd_distance
 from covariant.signals import Record, Result
 from covariant.simulation import observe, simulate
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from covariant.audit import Audit, Law
+from covariant.certificates.audit import Audit, Law
 from covariant.report._article import write_article
 from covariant.report._style import GRID, INK, MUTED, PALETTE, new_figure, save_figure
 

@@ -1,8 +1,10 @@
+from ._backstepping import Backstepping as Backstepping
 from ._piecewise import (
     PiecewiseInputs as PiecewiseInputs,
     logged_inputs as logged_inputs,
     simulate_piecewise as simulate_piecewise,
 )
+from ._reference import Reference as Reference, follow as follow, lissajous as lissajous, set_point as set_point
 from ._sensors import Sensor as Sensor, sense as sense, stamps as stamps
 from ._simulate import hold as hold, no_input as no_input
 from ._simulate_state_space import observe as observe, simulate as simulate

@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from covariant import audit as laws, models
-from covariant.audit import Audit, Law
-from covariant.design import estimators, with_gains
+from covariant import models
+from covariant.calibration import estimators, with_gains
+from covariant.certificates import audit
+from covariant.certificates.audit import Audit, Law
 from covariant.models import ModelFile, Overrides
 from covariant.observers import AbstractObserver
 from covariant.proofs import Box
@@ -71,7 +72,7 @@ def audit_observer(
     kind, chosen = _observer(name, file, observer, *gains)
     domain = _domain(file, region)
     progress(f"auditing {kind} on {file.name}")
-    audited = laws.audit(chosen, domain=domain, speed=speed, points=points, seed=seed)
+    audited = audit.audit(chosen, domain=domain, speed=speed, points=points, seed=seed)
     return AuditResult(name, file.name, kind, audited)
 
 

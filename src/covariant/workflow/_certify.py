@@ -11,8 +11,8 @@ import numpy as np
 from jaxtyping import Float
 
 from covariant import certificates, models
+from covariant.calibration import observer_gains
 from covariant.certificates import ASSUMED, Checked, CheckerName, Claim, ContractionCertificate, Document
-from covariant.design import observer_gains
 from covariant.models import MechanicalSystem, ModelFile, Overrides, input_count
 from covariant.observers import Geodesic, Intrinsic
 from covariant.proofs import MOST_BOXES, read_file

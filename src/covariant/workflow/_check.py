@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from covariant import models
-from covariant.diagnosis import Diagnosis, Finding, diagnose
+from covariant.calibration import Diagnosis, Finding, diagnose
 from covariant.models import Overrides
 from covariant.workflow._inputs import ColumnNames, Job, load
 from covariant.workflow._progress import Progress, silent

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from covariant._files import write_atomically
-from covariant.design import Trial, observer_gains, tuned_estimators
+from covariant.calibration import Trial, observer_gains, tuned_estimators
 from covariant.engine import EngineName
 from covariant.models import Overrides
 from covariant.observers import AbstractObserver

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from covariant import logs
-from covariant.design import (
+from covariant.calibration import (
     ESTIMATORS,
     STATE_ESTIMATORS,
     estimators,

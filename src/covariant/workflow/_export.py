@@ -12,7 +12,9 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from covariant import audit, certificates, models
+from covariant import certificates, models
+from covariant.calibration import ESTIMATORS, estimators, observer_gains, tuned_estimators, with_gains
+from covariant.certificates import audit
 from covariant.codegen import (
     ROWS,
     Facts,
@@ -26,7 +28,6 @@ from covariant.codegen import (
     write_fmu,
     write_folder,
 )
-from covariant.design import ESTIMATORS, estimators, observer_gains, tuned_estimators, with_gains
 from covariant.lowering import LoweringError
 from covariant.models import Family, MechanicalSystem, ModelFile, Overrides
 from covariant.observers import REGISTRY, AbstractObserver, Delayed, chooses_substeps, with_fixed_substeps

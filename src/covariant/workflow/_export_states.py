@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from covariant._integrate import rk4
+from covariant.calibration import STATE_ESTIMATORS, stored_observer, tuned_state_estimators
 from covariant.codegen import ROWS
-from covariant.design import STATE_ESTIMATORS, stored_observer, tuned_state_estimators
 from covariant.models import ModelFile
 from covariant.observers import AbstractObserver
 from covariant.workflow._exported import Exported

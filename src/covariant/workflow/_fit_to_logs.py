@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from covariant import models
-from covariant.identification import (
+from covariant.calibration import (
     FITTED,
     Fit,
     PredictionErrors,

@@ -10,7 +10,7 @@ from typing import Any
 
 from covariant import logs, models
 from covariant._files import write_atomically
-from covariant.identification import Draft, draft
+from covariant.calibration import Draft, draft
 from covariant.workflow._inputs import ColumnNames, column_names
 from covariant.workflow._outputs import check_output
 from covariant.workflow._progress import Progress, silent

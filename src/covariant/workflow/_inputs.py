@@ -9,8 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from covariant import logs, models, scoring
-from covariant.design import DataSheet, usual_speeds
-from covariant.diagnosis import misfit, outliers, suggest_noise
+from covariant.calibration import DataSheet, misfit, outliers, suggest_noise, usual_speeds
 from covariant.models import Overrides
 from covariant.observers import REGISTRY, AbstractObserver, Delayed, Slow, sensor_bias, uncertain_parameters
 from covariant.signals import Record, acting_inputs, lag_inputs

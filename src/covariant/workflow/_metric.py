@@ -12,11 +12,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from covariant import design, models
-from covariant.design import MetricSummary, metric_summary
+from covariant import models
+from covariant.metrics import Equation, Grid, MetricSummary, metric_on_grid, metric_summary, rate_from_gramian
 from covariant.models import ModelFile, Overrides, StateSpace
-from covariant.riccati import Equation, rate_from_gramian
-from covariant.scale import Grid
 from covariant.workflow._arguments import Amounts, Region, above_zero, bounds, numbers
 from covariant.workflow._inputs import numbered
 from covariant.workflow._outputs import check_output
@@ -114,7 +112,7 @@ def design_metric(
         progress(f"solving {file.name}, {now} of {total} points", now / max(total, 1))
 
     try:
-        design.metric(
+        metric_on_grid(
             system,
             equation,
             axes,

@@ -6,7 +6,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from covariant.design import STATE_ESTIMATORS, tuned_state_estimators
+from covariant.calibration import STATE_ESTIMATORS, tuned_state_estimators
 from covariant.models import ModelFile
 from covariant.observers import AbstractObserver, Noise
 from covariant.workflow._inputs import Loaded

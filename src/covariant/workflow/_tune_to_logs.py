@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from covariant import models
-from covariant.design import DataSheet, HeldOut, Tuning, observer_gains, tune
+from covariant.calibration import DataSheet, HeldOut, Tuning, observer_gains, tune
 from covariant.engine import EngineName, run_logs
 from covariant.observers import AbstractObserver, Intrinsic
 from covariant.report import EstimateReport

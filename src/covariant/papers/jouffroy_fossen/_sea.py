@@ -13,9 +13,9 @@ from jaxtyping import Array, Float
 
 from covariant import geometry
 from covariant._integrate import rk4
+from covariant.metrics import Equation
 from covariant.models import marine
 from covariant.observers import AbstractObserver, FilteredDerivative, InformationEKF, PassiveShip, notch_gains, run
-from covariant.riccati import Equation
 from covariant.signals import Record
 
 

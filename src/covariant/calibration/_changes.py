@@ -1,0 +1,229 @@
+"""Changes of a log: each hypothesis of what is wrong with it is a change that would put it right."""
+
+import itertools
+import json
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from types import MappingProxyType
+from typing import NamedTuple
+
+import numpy as np
+
+from covariant.calibration._smooth import Smooth
+from covariant.logs import unit_factor
+from covariant.signals import Record
+
+CLOCKS = {
+    "seconds": 1.0,
+    **{"milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9},
+    **{f"seconds that were taken for {name}": 1 / size for name, size in (("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9))},
+}
+"""What the stamps of a log may be, and the factor that makes seconds of them as they are read."""
+SHORTEST, LONGEST = 1e-5, 2.0
+"""Steps in time [s] that a log of a machine may have."""
+ANGLES = {"radians": 1.0, "degrees": np.pi / 180, "turns": 2 * np.pi}
+KNOWN = {"s": ("s", "ms", "us", "ns"), "rad": ("rad", "deg", "turn")}
+"""Units that have a name."""
+COUNTS = (*(2**k for k in range(10, 21)), *(factor * 1000 for factor in (1, 2, 4, 5, 10, 20, 36, 40)))
+"""Counts a turn that encoders have."""
+
+
+class Change(NamedTuple):
+    """What puts a log right: its name, the words for the evidence, what to do, and the change itself.
+
+    New positions are `position * y[:, order] + offset`, new inputs `inputs * u[:, input_order]`, new stamps `time * t`.
+    """
+
+    what: str
+    where: str
+    words: str
+    line: str
+    time: float
+    position: np.ndarray
+    order: np.ndarray
+    offset: np.ndarray
+    inputs: np.ndarray
+    input_order: np.ndarray
+
+    def of_record(self, record: Record) -> Record:
+        y, u = np.asarray(record.y)[:, self.order], np.asarray(record.u)[:, self.input_order]
+        return Record(np.asarray(record.t) * self.time, u * self.inputs, y * self.position + self.offset)
+
+    def of_smooth(self, log: Smooth) -> Smooth:
+        """The smoothed log after the change, whose `time` must be 1."""
+        size = np.abs(self.position)
+        return log._replace(
+            q=log.q[:, self.order] * self.position + self.offset,
+            v=log.v[:, self.order] * self.position,
+            a=log.a[:, self.order] * self.position,
+            u=log.u[:, self.input_order] * self.inputs,
+            noise=log.noise[self.order] * size,
+            a_noise=log.a_noise[self.order] * size,
+        )
+
+
+def no_change(n: int, m: int) -> Change:
+    """The change that leaves a log with n coordinates and m inputs as it is."""
+    none = np.ones(n), np.arange(n), np.zeros(n), np.ones(m), np.arange(m)
+    return Change("", "", "as it is", "", 1.0, *none)
+
+
+class Names(NamedTuple):
+    """Columns of the stamps, positions and inputs of a log, the units of the positions, and which are angles.
+
+    `stated`: the units that the model file says the log is in, by the field t, q or u.
+    """
+
+    t: str
+    q: tuple[str, ...]
+    u: tuple[str, ...]
+    units: tuple[str, ...]
+    angles: np.ndarray
+    stated: Mapping[str, tuple[str, ...]] = MappingProxyType({})
+
+    def after(self, change: Change) -> "Names":
+        """The names of a log after a change, and the units that it is in by that."""
+        factors = {"t": np.array([change.time]), "q": change.position, "u": change.inputs}
+        orders = {"t": [0], "q": change.order.tolist(), "u": change.input_order.tolist()}
+        moved = self._replace(q=tuple(self.q[i] for i in change.order), u=tuple(self.u[i] for i in change.input_order))
+        given = {field: [self._stated(field, i) for i in order] for field, order in orders.items()}
+        moved = moved._replace(stated={field: tuple(texts) for field, texts in given.items()})
+        changed = {field: moved.in_units(field, factor) for field, factor in factors.items() if (factor != 1).any()}
+        return moved._replace(stated={**moved.stated, **changed})
+
+    def line(self, field: str, factors: Sequence[float] | np.ndarray) -> str:
+        """The line of the model file by which the columns of a field are multiplied by these factors."""
+        texts = self.in_units(field, factors)
+        one = json.dumps(texts[0], ensure_ascii=False)
+        return f"[units] {field} = {one if len(set(texts)) == 1 else _list(texts)}"
+
+    def in_units(self, field: str, factors: Sequence[float] | np.ndarray) -> tuple[str, ...]:
+        """The units of the columns of a field if they are to be multiplied by these factors."""
+        kinds = [self._kind(field, i) for i in range(len(factors))]
+        return tuple(_unit_text(self._stated(field, i), float(factor), kinds[i]) for i, factor in enumerate(factors))
+
+    def _kind(self, field: str, place: int) -> str:
+        """The unit of the model; 1 where it says none."""
+        return {"t": "s", "u": "1"}.get(field) or ("rad" if self.angles[place] else self.units[place] or "1")
+
+    def _stated(self, field: str, place: int) -> str:
+        given = self.stated.get(field, ())
+        return given[place if len(given) > 1 else 0] if given else self._kind(field, place)
+
+
+def _unit_text(stated: str, factor: float, kind: str) -> str:
+    """The unit of a number that was taken to be in the `stated` one and is to be multiplied by a factor."""
+    if factor == 1:
+        return stated
+    total = factor * unit_factor(stated)
+    found = next((text for text in KNOWN.get(kind, ()) if math.isclose(total, unit_factor(text), rel_tol=1e-9)), None)
+    if found is not None:
+        return found
+    counts = 2 * math.pi / total
+    if kind == "rad" and counts > 1 and math.isclose(counts, round(counts), rel_tol=1e-9):
+        return f"turn/{round(counts)}"
+    if factor == -1 and stated.startswith("-1 "):
+        return stated.removeprefix("-1 ")
+    return f"{factor:.3g}" if stated == "1" else f"{factor:.3g} {stated}"
+
+
+def unit_changes(names: Names, record: Record) -> Iterator[Change]:
+    """Changes for stamps that are no seconds, angles that are no radians, or both."""
+    same = no_change(len(names.q), len(names.u))
+    step = float(np.median(np.diff(np.asarray(record.t))))
+    clocks = {clock: factor for clock, factor in CLOCKS.items() if SHORTEST <= factor * step <= LONGEST or factor == 1}
+    angles = dict(ANGLES) if names.angles.any() else {"radians": 1.0}
+    y = np.asarray(record.y)[:, names.angles]
+    if names.angles.any() and np.all(y[np.isfinite(y)] % 1 == 0) and np.nanmax(np.abs(y)) > 2 * np.pi:
+        angles |= {f"counts of {count} a turn": 2 * np.pi / count for count in COUNTS}
+    for (clock, time), (angle, size) in itertools.product(clocks.items(), angles.items()):
+        if time == size == 1:
+            continue
+        wrong = [name for name, factor in (("time", time), ("positions", size)) if factor != 1]
+        words = " and ".join(name for name, factor in ((clock, time), (angle, size)) if factor != 1)
+        lines = []
+        if time != 1:
+            lines.append(names.line("t", [time]))
+        if size != 1:
+            lines.append(names.line("q", np.where(names.angles, size, 1.0)))
+        yield same._replace(
+            what="unit of " + " and ".join(wrong),
+            words=words,
+            line="; ".join(lines),
+            time=time,
+            position=np.where(names.angles, size, 1.0),
+        )
+
+
+def structure_changes(names: Names) -> Iterator[Change]:
+    """Changes for columns in the wrong order, with the wrong sign, in another unit than the rest, or upside down."""
+    n, m = len(names.q), len(names.u)
+    same = no_change(n, m)
+    for j in range(m):
+        yield same._replace(
+            what="sign of an input",
+            where=names.u[j],
+            words=f"{names.u[j]} with the other sign",
+            line=names.line("u", np.where(np.arange(m) == j, -1.0, 1.0)),
+            inputs=np.where(np.arange(m) == j, -1.0, 1.0),
+        )
+    for i, j in itertools.combinations(range(n), 2):
+        both = n == m
+        for what, words, swap_q, swap_u in (
+            ("swapped positions", f"{names.q[i]} and {names.q[j]} in each other's place", True, False),
+            *(
+                (
+                    ("swapped inputs", f"{names.u[i]} and {names.u[j]} in each other's place", False, True),
+                    ("swapped joints", f"joints {i + 1} and {j + 1} in each other's place", True, True),
+                )
+                if both
+                else ()
+            ),
+        ):
+            q, u = _swapped(n, i, j, swap_q), _swapped(m, i, j, swap_u)
+            lines = [f"q = {_list(np.array(names.q)[q])}"] if swap_q else []
+            lines += [f"u = {_list(np.array(names.u)[u])}"] if swap_u else []
+            yield same._replace(
+                what=what,
+                where=f"{names.q[i]}, {names.q[j]}" if swap_q else f"{names.u[i]}, {names.u[j]}",
+                words=words,
+                line="[columns] " + ", ".join(lines),
+                order=q,
+                input_order=u,
+            )
+    for i in range(n):
+        one = np.arange(n) == i
+        yield same._replace(
+            what="sign of a position",
+            where=names.q[i],
+            words=f"{names.q[i]} with the other sign",
+            line=names.line("q", np.where(one, -1.0, 1.0)),
+            position=np.where(one, -1.0, 1.0),
+        )
+        if names.angles[i]:
+            yield same._replace(
+                what="zero of a position",
+                where=names.q[i],
+                words=f"{names.q[i]} half a turn on",
+                line=f"add {np.pi:.9g} to {names.q[i]}, or write the other zero into [parameters]",
+                offset=np.where(one, np.pi, 0.0),
+            )
+            if n > 1:
+                yield same._replace(
+                    what="unit of positions",
+                    where=names.q[i],
+                    words=f"{names.q[i]} in degrees",
+                    line=names.line("q", np.where(one, np.pi / 180, 1.0)),
+                    position=np.where(one, np.pi / 180, 1.0),
+                )
+
+
+def _swapped(count: int, i: int, j: int, swap: bool) -> np.ndarray:
+    order = np.arange(count)
+    if swap:
+        order[[i, j]] = j, i
+    return order
+
+
+def _list(names) -> str:
+    return "[" + ", ".join(f'"{name}"' for name in names) + "]"

@@ -1,0 +1,121 @@
+"""Numbers of a model file that a log shows, offered where the file lacks them."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from covariant.calibration._diagnose import (
+    BARELY,
+    MOST_ROWS,
+    best_window,
+    busiest,
+    case_without_outliers,
+    in_coordinates,
+)
+from covariant.calibration._readings import one_or_each, readings, written
+from covariant.models import ModelFile
+from covariant.signals import Record
+
+FAINT = 0.5
+"""Squares of what a model leaves, as a fraction of those of the noise, below which they cannot be told from it."""
+
+
+class Suggestion(NamedTuple):
+    """A number of a model file that a log shows.
+
+    - `key`: its table and key, as "measurement.std"; `value`: the number, or one for each coordinate.
+    - `evidence`: half a sentence that says where it is from.
+    """
+
+    key: str
+    value: float | tuple[float, ...]
+    evidence: str
+
+    @property
+    def setting(self) -> str:
+        """The number as an override, `measurement.std=0.001`."""
+        return f"{self.key}={written(self.value)}"
+
+    @property
+    def line(self) -> str:
+        """The number as it is written in a model file, `[measurement] std = 0.001`."""
+        table, key = self.key.split(".")
+        return f"[{table}] {key} = {written(self.value)}"
+
+
+def suggest_noise(file: ModelFile, record: Record) -> tuple[Suggestion, ...]:
+    """Numbers on noise that a model file lacks and a log shows, for the message that says which are missing.
+
+    Args:
+        file: The model file. What it has is not suggested again.
+        record: The log, as it was read.
+
+    Returns:
+        At most two suggestions:
+
+        - "measurement.quantum" where all positions are whole ticks apart, else "measurement.std", from what neighbours
+          do not predict of a reading;
+        - "uncertainty.acceleration" [unit/s²], from the accelerations that the model leaves of the smoothed log. It is
+          as good as the numbers of the model: fitting these makes it smaller.
+
+        None of a machine on a group, nor of what the log is too short or too still to show. Of a state-space model
+        only the noise of its outputs can be suggested.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.calibration import suggest_noise
+        >>> from covariant.models import load
+        >>> from covariant.signals import Record
+        >>> t = np.arange(0.0, 10.0, 0.01)
+        >>> y = 0.2 * np.cos(t) + 1e-3 * np.random.default_rng(0).normal(size=t.size)
+        >>> for found in suggest_noise(load("oscillator"), Record(t, np.zeros((1000, 1)), y[:, None])):
+        ...     print(found.setting)
+        measurement.std=0.001
+        uncertainty.acceleration=0.028
+    """
+    found: list[Suggestion] = []
+    if np.asarray(record.y).ndim != 2 or not (in_coordinates(file) or not file.mechanical):
+        return ()
+    record = busiest(record, MOST_ROWS)
+    if file.measurement_std is None:
+        found += _of_readings(file, record)
+    if file.acceleration_std is None and in_coordinates(file):
+        found += _of_accelerations(file, record)
+    return tuple(found)
+
+
+def _of_readings(file: ModelFile, record: Record) -> list[Suggestion]:
+    circles = file.model.circles if file.mechanical else ()  # pyright: ignore[reportAttributeAccessIssue]
+    units = getattr(file.model, "units", ()) if file.mechanical else ()
+    units = units or ("",) * np.asarray(record.y).shape[1]
+    seen = readings(record, circles)
+    if not seen.known:
+        return []
+    if (seen.ticks > 0).all():
+        value = one_or_each(seen.ticks, units, 5)
+        return [Suggestion("measurement.quantum", value, "positions of the log are whole ticks apart")]
+    if not (seen.std > 0).all():  # as where nothing moves
+        return []
+    most = "" if seen.white.all() else ", at most, since they move between the rows"
+    value = one_or_each(seen.std, units, 2)
+    return [Suggestion("measurement.std", value, f"the noise of the positions in the log{most}")]
+
+
+def _of_accelerations(file: ModelFile, record: Record) -> list[Suggestion]:
+    case, _ = case_without_outliers(file, record)
+    best = best_window(case)
+    if best is None or not (told := best[1].told).any():
+        return []
+    left = best[1]
+    noise = np.asarray(left.noise)
+    squares = np.mean(left.left**2, axis=0) - noise**2
+    clear = squares > FAINT * noise**2
+    size = np.where(clear, np.sqrt(np.maximum(squares, 0.0)), noise)
+    value = float(f"{np.max(size[told]):.2g}")
+    if not 0 < value < np.inf:
+        return []
+    hidden = "" if clear[np.argmax(np.where(told, size, 0.0))] else ", at most, since noise hides the rest"
+    evidence = f"the model leaves that much of the accelerations in the log{hidden}"
+    if left.misfit > BARELY:
+        evidence += ", nearly all of them: look at its [parameters] first, `covariant check` says more"
+    return [Suggestion("uncertainty.acceleration", value, evidence)]

@@ -1,5 +1,0 @@
-"""Controllers that use the estimate of an observer, and the references they follow."""
-
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

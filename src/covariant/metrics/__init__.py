@@ -1,0 +1,28 @@
+"""Contraction metrics of general nonlinear systems, from a Riccati equation solved along characteristics.
+
+For `x' = f(x)`, `y = h(x)` a metric P with
+
+    L_f P = dhᵀ R⁻¹ dh − λ P − P Q P,      L_f P = Ṗ + P f_x + f_xᵀ P,
+
+makes f contract in every direction that is tangent to the level sets of the output, so that output injection can make
+it contract in all. P(x) measures how well the past output determines the state x: with λ alone it is the weighted
+Gramian of the past, with Q alone the information matrix of a stationary Kalman filter.
+
+Source: Sanfelice & Praly 2015, Solution of a Riccati equation for the design of an observer contracting a Riemannian
+distance.
+
+On grids of states they are computed block by block on Dask, stored in Zarr, read through xarray.
+
+A grid may have far more points than fit in memory: only the blocks being computed are held there. A run that was killed
+continues where it stopped. Dask, Zarr and xarray are optional packages, installed by `pip install 'covariant[scale]'`.
+
+    grid = Grid(("angle", "rate"), ("rad", "rad/s"), low=(-3.0, -5.0), high=(3.0, 5.0), counts=(601, 1001))
+    energy = Variable((), "J", "energy of the pendulum")
+    path = map_grid(lambda x: {"energy": x[1] ** 2 / 2 - jnp.cos(x[0])}, grid, "energy.zarr",
+                    variables={"energy": energy}, provenance={"model": "pendulum"})
+    open_grid(path, complete=True).energy.sel(rate=0.0).max()
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,80 @@
+"""The algorithm as published: back along the solution, then forward with the metric. An independent way to P."""
+
+from typing import Literal, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from covariant._integrate import rk8
+from covariant._typing import Matrix, Number, Vector
+from covariant.metrics._equation import Equation, check_state, coefficients, model_input
+from covariant.models import StateSpace
+
+
+class Characteristic(NamedTuple):
+    """The published algorithm along one characteristic: stamps t (K,) [s] from −T to 0, states x (K, n) and metrics."""
+
+    t: Float[Array, "K"]
+    x: Float[Array, "K n"]
+    metric: Float[Array, "K n n"]
+
+
+def metric_through(
+    model: StateSpace,
+    equation: Equation,
+    x: Vector,
+    length: Number,
+    steps: int,
+    *,
+    start: Number | Matrix = 1.0,
+    u: Float[Array, "m"] | None = None,
+    route: Literal["riccati", "radon"] = "riccati",
+) -> Characteristic:
+    """Steps 1 to 3 of section III of Sanfelice & Praly 2015: back along the solution to −T, then forward along it with
+    the metric from π(−T) = start.
+
+    - `x` (n,): state at time 0; `length` T [s]; `steps`: number of integration steps each way.
+    - `start`: metric at −T, a matrix (n, n) or a multiple of I; `u` (m,): constant input, zero by default.
+    - `route`: "riccati" integrates π. "radon" integrates Radon's linear pair (α, β), π = α β⁻¹, instead: equation (10),
+      whose first line must read `−f_xᵀ α + h_xᵀ h_x β`. Here β is reset to I at every step, since the pair grows
+      without bound.
+    """
+    check_state(model, x)
+    n, dtype = x.shape[0], x.dtype
+    input_held, t0 = model_input(model, u, dtype), jnp.zeros((), dtype)
+    h = jnp.asarray(length, dtype) / steps
+    eye = jnp.eye(n, dtype=dtype)
+
+    def back(y, _):
+        return rk8(lambda s, y: -model.f(t0, y, input_held), t0, y, h), y
+
+    first, later = jax.lax.scan(back, x, length=steps)
+    nodes = jnp.concatenate([first[None], later[::-1]])
+
+    def riccati(s, joint):
+        y, p = joint
+        a, q, c = coefficients(model, equation, y, input_held)
+        quadratic = 0.0 if q is None else p @ q @ p
+        return model.f(t0, y, input_held), -p @ a - a.T @ p + c.T @ c - quadratic
+
+    def radon(s, joint):
+        y, alpha, beta = joint
+        a, q, c = coefficients(model, equation, y, input_held)
+        grown = a @ beta if q is None else q @ alpha + a @ beta
+        return model.f(t0, y, input_held), -a.T @ alpha + c.T @ c @ beta, grown
+
+    def forward(p, node):
+        # Each step starts from the state stored on the way back, so that an unstable solution is followed exactly.
+        if route == "riccati":
+            p = rk8(riccati, t0, (node, p), h)[1]
+        else:
+            _, alpha, beta = rk8(radon, t0, (node, p, eye), h)
+            p = alpha @ jnp.linalg.inv(beta)
+        p = (p + p.T) / 2
+        return p, p
+
+    start = start * eye if jnp.ndim(start) == 0 else jnp.asarray(start)
+    metrics = jax.lax.scan(forward, start, nodes[:-1])[1]
+    t = h * jnp.arange(-steps, 1, dtype=dtype)
+    return Characteristic(t, nodes, jnp.concatenate([start[None], metrics]))

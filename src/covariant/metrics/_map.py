@@ -1,0 +1,179 @@
+"""Evaluation of a function on a grid: one compiled program, run over the blocks by threads or workers of a cluster."""
+
+import concurrent.futures
+import contextlib
+import functools
+import itertools
+import os
+import threading
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from concurrent.futures import Future
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from covariant.metrics import _store
+from covariant.metrics._grid import Blocks, Grid, cut
+from covariant.metrics._optional import optional
+from covariant.metrics._store import Variable
+
+Index = tuple[int, ...]
+Submit = Callable[[Index], Future]
+
+IN_FLIGHT = 1024
+"""Blocks submitted to a scheduler at a time: enough to keep a big cluster busy, few enough not to burden it."""
+BATCH = 256
+"""Number of points of a block that are computed together."""
+
+
+def map_grid(
+    function: Callable[[Array], Mapping[str, Any]],
+    grid: Grid,
+    path: str | os.PathLike[str],
+    *,
+    variables: Mapping[str, Variable],
+    provenance: Mapping[str, Any],
+    block: int = 4096,
+    scheduler: str | None = None,
+    workers: int | None = None,
+    on_progress: Callable[[int, int], object] | None = None,
+) -> Path:
+    """Evaluate a function at every point of a grid, into the store at `path`; returns that path.
+
+    - `function`: takes one point x (n,) [units of the grid] to a dict of arrays of any fixed shapes; JAX must be able
+      to trace it.
+    - `variables`: describes each of these arrays.
+    - `provenance`: where the function comes from, in values that JSON can hold; it is kept in the store.
+    - `block`: largest number of points that one worker computes at a time.
+    - `workers`: number of threads of this process, by default one for each processor.
+    - `scheduler`: address of the scheduler of a Dask cluster, such as "tcp://10.0.0.1:8786", whose workers compute
+      instead; they need access to the path. On processors of one kind all write the same bytes.
+    - `on_progress`: called as `on_progress(done, total)` with numbers of points, first with those already computed,
+      then after every block.
+
+    A run that was stopped, killed or failed continues when called again. The function itself cannot be compared with
+    that of the earlier run, so change the provenance with it.
+
+    Raises `ValueError`, one line, for a function that does not match `variables`, and for a path that holds anything
+    but an earlier run with the same grid, variables, provenance and block; `FileNotFoundError` where the folder of the
+    path does not exist; `ImportError` for a missing package; and what the function raises.
+    """
+    if scheduler is not None and workers is not None:
+        raise ValueError("the scheduler has its own workers; give scheduler or workers, not both")
+    if workers is not None and workers < 1:
+        raise ValueError(f"workers must be 1 or more; got {workers}")
+    path, blocks = Path(path).absolute(), cut(grid, block)
+    _store.prepare(path, _store.configuration(grid, blocks, _outputs(function, grid, variables), provenance), blocks)
+    written = _store.written(path, len(blocks.sides))
+    todo = (index for index in blocks.indices() if index not in written)
+    done = sum(map(blocks.size, written))
+    report = on_progress or (lambda done, total: None)
+    report(done, grid.size)
+    if done < grid.size:
+        work = _Work(function, str(path), blocks)
+        crew = _threads(work, workers or os.cpu_count() or 1) if scheduler is None else _cluster(work, scheduler)
+        with _store.tidied(path), crew as (submit, most):
+            for index in _finished(submit, todo, most):
+                done += blocks.size(index)
+                report(done, grid.size)
+    _store.finish(path)
+    return path
+
+
+class _Work(NamedTuple):
+    """Everything needed to compute any block."""
+
+    function: Callable[[Array], Mapping[str, Any]]
+    path: str
+    blocks: Blocks
+
+    def compile(self) -> Callable[[Any], Any]:
+        """The program of the map, compiled for blocks of the full size."""
+        sides = self.blocks.sides
+        points = jax.ShapeDtypeStruct(self.blocks.points((0,) * len(sides)).shape, jnp.float64)
+        # In batches small enough for a processor's cache, in which few points wait for the slowest one.
+        return jax.jit(lambda x: jax.lax.map(self.function, x, batch_size=BATCH)).lower(points).compile()
+
+    def compute(self, program: Callable[[Any], Any], index: Index) -> None:
+        """Evaluate a block, cut off what lies beyond the grid, and write it."""
+        region, sides = self.blocks.region(index), self.blocks.sides
+        inside = tuple(slice(part.stop - part.start) for part in region)
+        values = jax.device_get(program(self.blocks.points(index)))
+        cubes = {name: value.reshape(*sides, *value.shape[1:])[inside] for name, value in values.items()}
+        _store.write(self.path, region, cubes)
+
+
+@contextlib.contextmanager
+def _threads(work: _Work, workers: int) -> Iterator[tuple[Submit, int]]:
+    program = work.compile()
+    pool = concurrent.futures.ThreadPoolExecutor(workers)
+    try:
+        yield lambda index: pool.submit(work.compute, program, index), 2 * workers
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+@contextlib.contextmanager
+def _cluster(work: _Work, scheduler: str) -> Iterator[tuple[Submit, int]]:
+    pickled = optional("cloudpickle").dumps(work)
+    with optional("distributed").Client(scheduler, set_as_default=False) as client:
+        # A task and not a scattered value: the scheduler can compute it again when the worker that holds it dies.
+        shared = client.submit(bytes, pickled)
+        pool = client.get_executor(pure=False)
+        yield lambda index: pool.submit(_compute_pickled, shared, index), IN_FLIGHT
+
+
+def _compute_pickled(pickled: bytes, index: Index) -> None:
+    with _COMPILING:
+        work, program = _compiled(pickled)
+    work.compute(program, index)
+
+
+_COMPILING = threading.Lock()
+"""Lock by which the threads of one worker wait for the program instead of each compiling it."""
+
+
+@functools.lru_cache(maxsize=4)
+def _compiled(pickled: bytes) -> tuple[_Work, Callable[[Any], Any]]:
+    work = optional("cloudpickle").loads(pickled)
+    return work, work.compile()
+
+
+def _finished(submit: Submit, todo: Iterable[Index], most: int) -> Iterator[Index]:
+    """Submit blocks, at most `most` at a time, and yield the index of each one when it is written."""
+    pending: dict[Future, Index] = {}
+    todo = iter(todo)
+    while True:
+        pending |= {submit(index): index for index in itertools.islice(todo, most - len(pending))}
+        if not pending:
+            return
+        for future in concurrent.futures.wait(pending, return_when=concurrent.futures.FIRST_COMPLETED).done:
+            future.result()
+            yield pending.pop(future)
+
+
+def _outputs(function: Callable, grid: Grid, variables: Mapping[str, Variable]) -> dict[str, dict[str, Any]]:
+    """The arrays to store for each variable; raises `ValueError` where the function does not return them."""
+    found = jax.eval_shape(function, jax.ShapeDtypeStruct((len(grid.names),), jnp.float64))
+    if not isinstance(found, Mapping) or set(found) != set(variables):
+        made = sorted(found) if isinstance(found, Mapping) else f"a {type(found).__name__}"
+        raise ValueError(f"the function must return a dict of {sorted(variables)}, as variables says; it made {made}")
+    sizes: dict[str, int] = {}
+    for name, variable in variables.items():
+        shape = found[name].shape
+        if len(variable.dims) != len(shape) or len(set(variable.dims)) != len(shape):
+            raise ValueError(f"variable {name!r} has shape {shape}; its dims {variable.dims} must name as many axes")
+        for dim, size in zip(variable.dims, shape, strict=True):
+            if sizes.setdefault(dim, size) != size:
+                raise ValueError(f"variable {name!r}: {dim!r} has length {size}, but {sizes[dim]} in another variable")
+    names = [*grid.names, *sizes, *variables, _store.DONE]
+    for name in names:
+        if names.count(name) > 1 or not name.isidentifier():
+            raise ValueError(f"{name!r} cannot name a variable or an axis here: it is taken, or not a plain name")
+    return {
+        name: {**variable._asdict(), "shape": found[name].shape, "dtype": found[name].dtype.name}
+        for name, variable in variables.items()
+    }

@@ -1,0 +1,185 @@
+"""Contraction metrics on a grid of states.
+
+Source: Sanfelice & Praly 2015, section III.
+"""
+
+import itertools
+import math
+import os
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from covariant._typing import Bounds
+from covariant.geometry import Interpolated
+from covariant.metrics import Equation, Grid, Variable, map_grid, metric_at, open_grid
+from covariant.models import StateSpace
+from covariant.signals import Result
+
+
+def metric_on_grid(
+    model: StateSpace,
+    equation: Equation,
+    grid: Grid,
+    path: str | os.PathLike[str],
+    *,
+    start: float = 1.0,
+    tolerance: float = 1e-8,
+    domain: Bounds | None = None,
+    u: Float[Array, "m"] | None = None,
+    name: str = "model",
+    block: int = 4096,
+    scheduler: str | None = None,
+    workers: int | None = None,
+    on_progress: Callable[[int, int], object] | None = None,
+) -> Path:
+    """Solve the equation at every point of a grid of states, into the Zarr store at `path`; returns that path.
+
+    - `start`, `tolerance`, `domain`, `u`: options of `metrics.metric_at`.
+    - `name`: name of the model in the store.
+    - `block`, `scheduler`, `workers`, `on_progress`: options of `metrics.map_grid`, which also describes how a run
+      resumes and what it raises.
+
+    The store holds the fields of a `metrics.Solution`: `metric` P, `error_bound`, `horizon` [s], `reconstructibility`
+    and `result`.
+
+    Raises `ValueError` where the axes of the grid are not the states.
+    """
+    n = len(model.coordinates)
+    if n and tuple(grid.names) != model.coordinates:
+        raise ValueError(f"the grid has axes {', '.join(grid.names)}; the states are {', '.join(model.coordinates)}")
+
+    def at(x: Array) -> dict[str, Array]:
+        solution = metric_at(model, equation, x, start=start, tolerance=tolerance, domain=domain, u=u)
+        return solution._asdict()
+
+    provenance = {
+        "model": name,
+        "parameters": {key: np.asarray(parameter.value).tolist() for key, parameter in model.parameters.items()},
+        "equation": _described(equation),
+        "start": start,
+        "tolerance": tolerance,
+        "domain": None if domain is None else [_finite_or_none(bound) for bound in domain],
+        "u": None if u is None else np.asarray(u).tolist(),
+        "source": "Sanfelice & Praly 2015, section III",
+    }
+    return map_grid(
+        at,
+        grid,
+        path,
+        variables=VARIABLES,
+        provenance=provenance,
+        block=block,
+        scheduler=scheduler,
+        workers=workers,
+        on_progress=on_progress,
+    )
+
+
+VARIABLES = {
+    "metric": Variable(("row", "column"), "1", "contraction metric P, covariant: entry (i, j) goes with dx_i dx_j"),
+    "error_bound": Variable((), "1", "bound on the affine-invariant distance to the metric of an endless past"),
+    "horizon": Variable((), "s", "length of the past that was used"),
+    "reconstructibility": Variable((), "1", "least eigenvalue of the Gramian scaled to a diagonal of ones"),
+    "result": Variable((), "1", "; ".join(f"{code.value} {code.name.lower()}" for code in Result)),
+}
+
+
+def load_metric(path: str | os.PathLike[str]) -> Interpolated:
+    """The metric of a finished store as a function `x (n,) -> (n, n)`, interpolated between the points of its grid.
+
+    Raises `ValueError` where the store is not one of `metric`, or not finished.
+    """
+    return _field(open_metric(path))
+
+
+def _field(store: Any) -> Interpolated:
+    values = store["metric"]
+    axes = tuple(np.asarray(store[axis]) for axis in values.dims[:-2])
+    return Interpolated(axes, np.asarray(values))
+
+
+class MetricSummary(NamedTuple):
+    """Summary of a finished store; NaN for a number that no point has.
+
+    - `results`: number of points with each `covariant.signals.Result`; results without points are left out.
+    - `reconstructibility`: the smallest in the domain.
+    - `low`, `high`: bounds of equation (9), `low I ≤ P ≤ high I`, over the points that have a metric; they depend on
+      the units of the coordinates.
+    - `error_bound`: the largest known one, over the same points.
+    """
+
+    results: dict[Result, int]
+    reconstructibility: float
+    low: float
+    high: float
+    error_bound: float
+
+
+def metric_summary(path: str | os.PathLike[str]) -> MetricSummary:
+    """Summarise the finished store at `path`, with only some of its blocks in memory at a time.
+
+    Raises `ValueError` where the store is not one of `metric`, or not finished.
+    """
+    store = open_metric(path)
+    parts = [_part(store.isel(region).load()) for region in _regions(store)]
+    counts = np.sum([counts for counts, _ in parts], axis=0)
+    reconstructibility, low, high, error_bound = np.array([values for _, values in parts]).T
+    return MetricSummary(
+        {code: int(count) for code, count in zip(Result, counts, strict=True) if count},
+        float(np.fmin.reduce(reconstructibility)),
+        float(np.fmin.reduce(low)),
+        float(np.fmax.reduce(high)),
+        float(np.fmax.reduce(error_bound)),
+    )
+
+
+def open_metric(path: str | os.PathLike[str]) -> Any:
+    """The finished store of `metric_on_grid` as a dataset of xarray; raises `ValueError` where it is another one."""
+    store = open_grid(path, complete=True)
+    if set(store) != set(VARIABLES):
+        raise ValueError(
+            f"{path} holds {', '.join(map(str, store))} and no metric of metrics.metric_on_grid; give another path"
+        )
+    return store
+
+
+def _regions(store: Any) -> Iterator[dict[str, slice]]:
+    """Boxes that cover the grid, each small enough for memory: the chunks in which the metric is read."""
+    metric = store["metric"]
+    ends = [np.cumsum((0, *sizes)) for sizes in metric.chunks[:-2]]
+    sides = [[slice(int(a), int(b)) for a, b in itertools.pairwise(end)] for end in ends]
+    for box in itertools.product(*sides):
+        yield dict(zip(metric.dims[:-2], box, strict=True))
+
+
+def _part(store: Any) -> tuple[np.ndarray, tuple[float, ...]]:
+    """Counts of the results; then least reconstructibility, least and largest eigenvalue, and largest error bound."""
+    result, metric = store["result"].values, store["metric"].values
+    known = np.isfinite(metric).all(axis=(-2, -1))
+    values = np.linalg.eigvalsh(metric[known]) if known.any() else np.full((1, 1), np.nan)
+    inside = np.where(result != Result.OUT_OF_DOMAIN, store["reconstructibility"].values, np.nan)
+    error_bound = np.where(known, store["error_bound"].values, np.nan)
+    ends = (np.fmin.reduce(inside, axis=None), values.min(), values.max(), np.fmax.reduce(error_bound, axis=None))
+    return np.bincount(result.ravel(), minlength=len(Result)), tuple(map(float, ends))
+
+
+def _finite_or_none(bound: Array) -> list[float | None]:
+    """A bound as JSON can hold it, with None where it is infinite."""
+    return [value if math.isfinite(value) else None for value in np.asarray(bound).tolist()]
+
+
+def _described(equation: Equation) -> dict[str, Any]:
+    """An equation as JSON can hold it, with the name of a field Q."""
+
+    def written(cov: Any) -> Any:
+        if callable(cov):
+            return getattr(cov, "__qualname__", repr(cov))
+        return None if cov is None else np.asarray(cov).tolist()
+
+    q, r = equation.process_cov, equation.measurement_cov
+    return {"rate": float(jnp.asarray(equation.rate)), "process_cov": written(q), "measurement_cov": written(r)}

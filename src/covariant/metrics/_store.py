@@ -1,0 +1,178 @@
+"""A map on disk: a Zarr group with coordinates, variables, and a flag `done` for each block, which is set last.
+
+A block of the grid is one chunk of every variable and one of `done`, so that no two writers share a file. This protects
+against killed processes, but not against a power cut, since files are not forced to the disk one by one.
+"""
+
+import contextlib
+import hashlib
+import importlib.metadata
+import json
+import math
+import os
+from collections.abc import Iterator, Mapping
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from covariant._files import attended, sweep, temporary
+from covariant.metrics._grid import Blocks, Grid
+from covariant.metrics._optional import optional
+
+if TYPE_CHECKING:
+    import xarray
+
+FORMAT = "covariant grid 1"
+DONE = "done"
+
+
+class Variable(NamedTuple):
+    """Description of one output of a function: names of its own axes (`()` for a number), its unit, and a text."""
+
+    dims: tuple[str, ...]
+    units: str
+    description: str
+
+
+def open_grid(path: str | os.PathLike[str], *, complete: bool = False) -> "xarray.Dataset":
+    """A map as a lazy `xarray.Dataset`: coordinates and variables with their units, and the provenance as attributes.
+
+    In an unfinished map, points not yet computed are NaN, and integers and flags are therefore read as float64. Raises
+    `ValueError`, one line, where there is no map, or where `complete` is required and blocks are missing.
+    """
+    path = Path(path)
+    attributes = _attributes(path)
+    counts = [-(-n // side) for n, side in zip(attributes["grid"]["counts"], attributes["block"], strict=True)]
+    if complete and not attributes["complete"]:
+        missing = math.prod(counts) - len(written(path, len(counts)))
+        raise ValueError(
+            f"{path} is not complete: {missing} of {math.prod(counts)} blocks are missing; run its map_grid again"
+        )
+    dataset = optional("xarray").open_zarr(path, consolidated=False, chunks="auto", decode_cf=False)
+    done, dataset = dataset[DONE], dataset[list(attributes["variables"])]
+    if attributes["complete"]:
+        return dataset
+    return dataset.map(lambda v: v if np.issubdtype(v.dtype, np.inexact) else v.astype(float).where(done), True)
+
+
+def configuration(grid: Grid, blocks: Blocks, variables: Any, provenance: Any) -> dict[str, Any]:
+    """What two runs must have in common to work on one store, in the form that JSON gives back, with its digest."""
+    low, high = grid.ends
+    box = {"names": tuple(grid.names), "units": tuple(grid.units), "low": low, "high": high, "counts": grid.shape}
+    whole = {"grid": box, "variables": variables, "provenance": provenance, "block": blocks.sides}
+    try:
+        text = json.dumps(whole, allow_nan=False)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"provenance must be made of texts, finite numbers, lists and dicts: {error}") from error
+    plain = json.loads(text)
+    return plain | {"digest": hashlib.sha256(json.dumps(plain, sort_keys=True).encode()).hexdigest()}
+
+
+def prepare(path: Path, settings: dict[str, Any], blocks: Blocks) -> None:
+    """Make the store, or check that an existing one has the same configuration.
+
+    Raises `ValueError`, one line, where the path holds anything else, and `FileNotFoundError` without its folder.
+    """
+    sweep(path)
+    if not os.path.lexists(path):
+        return _create(path, settings, blocks)
+    attributes = _attributes(path)
+    there = {name: attributes.get(name) for name in settings}
+    if there != settings:
+        raise ValueError(
+            f"{path} holds another map: {_difference(there, settings)}; give another path, or remove that store"
+        )
+    if _versions() not in attributes["versions"]:
+        _annotate(path, versions=[*attributes["versions"], _versions()])
+    return None
+
+
+@contextlib.contextmanager
+def tidied(path: Path) -> Iterator[None]:
+    """While a map is written: remove the files of killed writers from its folders first, where nobody else writes."""
+
+    def tidy():
+        for left in path.rglob("*.partial"):  # Zarr moves each chunk from such a file to its place
+            left.unlink(missing_ok=True)
+
+    with attended(path, tidy):
+        yield
+
+
+def finish(path: Path) -> None:
+    """Mark the map as complete."""
+    _annotate(path, complete=True)
+
+
+def written(path: Path, n: int) -> set[tuple[int, ...]]:
+    """Indices of the blocks that are done: a chunk of `done` exists only where the flag is set."""
+    # The chunks are listed, not read: reading would open every chunk of the grid, of which only a few exist at first.
+    chunks = path.joinpath(DONE, "c").glob("/".join("*" * n))
+    return {tuple(map(int, chunk.parts[-n:])) for chunk in chunks if chunk.name.isdecimal()}
+
+
+def write(path: str, region: tuple[slice, ...], values: Mapping[str, np.ndarray]) -> None:
+    """Write a block, and then its flag: if the writer is killed in between, the block is computed again."""
+    store = optional("zarr").open_group(path, mode="r+")
+    for name, value in values.items():
+        store[name][region] = value
+    store[DONE][region] = True
+
+
+def _create(path: Path, settings: dict[str, Any], blocks: Blocks) -> None:
+    """Fill a folder beside the path and rename it to the path, so that a store is complete or absent."""
+    with temporary(path, Path.mkdir) as fresh:
+        _fill(optional("zarr").open_group(str(fresh), mode="w"), settings, blocks)
+        fresh.rename(path)
+
+
+def _fill(store: Any, settings: dict[str, Any], blocks: Blocks) -> None:
+    created = datetime.now(UTC).isoformat(timespec="seconds")
+    head = {"format": FORMAT, "created": created, "versions": [_versions()], "complete": False}
+    store.attrs.put(head | settings)
+    names, shape = settings["grid"]["names"], tuple(map(len, blocks.axes))
+    for name, units, axis in zip(names, settings["grid"]["units"], blocks.axes, strict=True):
+        made = store.create_array(
+            name, shape=axis.shape, dtype=axis.dtype, chunks=axis.shape, dimension_names=[name], fill_value=np.nan
+        )
+        made.attrs.put({"units": units})
+        made[:] = axis
+    flag = {"shape": [], "dtype": "bool", "dims": [], "units": "", "description": "whether the point has been computed"}
+    for name, variable in {**settings["variables"], DONE: flag}.items():
+        dtype = np.dtype(variable["dtype"])
+        store.create_array(
+            name,
+            shape=(*shape, *variable["shape"]),
+            dtype=dtype,
+            chunks=(*blocks.sides, *variable["shape"]),
+            dimension_names=[*names, *variable["dims"]],
+            fill_value=np.nan if np.issubdtype(dtype, np.inexact) else 0,
+            attributes={"units": variable["units"], "description": variable["description"]},
+        )
+
+
+def _attributes(path: Path) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    with contextlib.suppress(OSError, ValueError):
+        found = optional("zarr").open_group(str(path), mode="r").attrs.asdict()
+    if found.get("format") != FORMAT:
+        raise ValueError(f"{path} is not a map made by map_grid; give another path")
+    return found
+
+
+def _annotate(path: Path, **attributes: Any) -> None:
+    optional("zarr").open_group(str(path), mode="r+").attrs.update(attributes)
+
+
+def _versions() -> dict[str, str]:
+    return {name: importlib.metadata.version(name) for name in ("covariant", "jax", "numpy")}
+
+
+def _difference(there: Any, here: Any, name: str = "") -> str:
+    """The first difference, with its dotted name."""
+    if isinstance(there, dict) and isinstance(here, dict):
+        key = next(key for key in [*here, *there] if there.get(key) != here.get(key))
+        return _difference(there.get(key), here.get(key), f"{name}.{key}".lstrip("."))
+    return f"{name} is {there!r} there and {here!r} here"

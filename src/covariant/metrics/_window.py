@@ -1,0 +1,115 @@
+"""A window of the past, represented by its action on metrics (Redheffer's scattering form of the Riccati equation).
+
+Let Φ, W, V describe the window [−s, 0] of the solution through x: a metric π at its beginning becomes the metric
+
+    P = W + Φᵀ (π⁻¹ + V)⁻¹ Φ
+
+at its end. The three obey equations in s that run backwards along with the solution itself. So one pass computes P,
+and at every s it bounds how much the unknown π can still change P.
+
+Source: Redheffer 1962, On the relation of transmission-line theory to scattering and transfer, J. Math. and Phys. 41.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from covariant._integrate import rk4
+from covariant._linalg import cholesky, pivots, solve
+from covariant._typing import Matrix, Number, Scalar, Vector
+from covariant.metrics._equation import Equation, check_state, coefficients, model_input
+from covariant.models import StateSpace
+
+MARGIN = 10.0
+"""Largest ratio assumed of the metric before the window to that of the window, where Q gives no bound."""
+
+
+class Window(NamedTuple):
+    """A window of the past that ends at the given state.
+
+    - `x` (n,): the state at its beginning.
+    - `transition` Φ, `information` W and `spread` V (n, n): as at the top of this file. V is None where the equation
+      has no Q and V is zero.
+    """
+
+    x: Vector
+    transition: Matrix
+    information: Matrix
+    spread: Matrix | None
+
+    def metric(self, start: Number | Matrix) -> Matrix:
+        """The metric P at the end of the window, for the metric `start`, or `start` times I, at its beginning."""
+        return self.information + self._carried(start)
+
+    def error_bound(self, start: Number | Matrix) -> Scalar:
+        """Bound on the distance between the metrics that the unknown past permits; NaN where the window is too short.
+
+        With a positive Q it holds for every past. Without Q, the metric at the beginning is assumed to be at most
+        `MARGIN` times W, or at most `start`.
+        """
+        known = jnp.all(pivots(self.information) > 0)
+        if self.spread is None:
+            before = MARGIN * self.transition.T @ self.information @ self.transition
+            most = jnp.maximum(self._share(before), self._share(self._carried(start)))
+        else:
+            # Where Q is singular, V becomes positive as the window grows; until then it gives no bound.
+            known = known & jnp.all(pivots(self.spread) > 0)
+            most = self._share(self.transition.T @ solve(self.spread, self.transition))
+        return jnp.where(known, most, jnp.nan)
+
+    def _share(self, more: Matrix) -> Scalar:
+        """Bound on the distance from W to W + more: it is sqrt(Σ log²(1 + μ)) ≤ Σ μ, μ the eigenvalues of W⁻¹ more."""
+        return jnp.trace(solve(self.information, more))
+
+    def _carried(self, start: Number | Matrix) -> Matrix:
+        eye = jnp.eye(self.x.shape[0], dtype=self.x.dtype)
+        half = jnp.sqrt(start) * eye if jnp.ndim(start) == 0 else cholesky(jnp.asarray(start))
+        carried = half.T @ self.transition
+        if self.spread is None:
+            return carried.T @ carried
+        return carried.T @ solve(eye + half.T @ self.spread @ half, carried)
+
+
+def window_at(
+    model: StateSpace,
+    equation: Equation,
+    x: Vector,
+    length: Number,
+    steps: int,
+    u: Float[Array, "m"] | None = None,
+) -> Window:
+    """The window of `length` [s] that ends in x (n,), in a fixed number of Runge–Kutta steps: for real time."""
+    check_state(model, x)
+    flow = backward(model, equation, u, x.dtype)
+    return rk4(flow, jnp.zeros((), x.dtype), no_past(equation, x), jnp.asarray(length, x.dtype), steps)
+
+
+def backward(model: StateSpace, equation: Equation, u: Array | None, dtype):
+    """Flow of a `Window` whose beginning moves back by s seconds."""
+    input_held, t0 = model_input(model, u, dtype), jnp.zeros((), dtype)
+
+    def flow(s, window: Window) -> Window:
+        x, phi, _, v = window
+        a, q, c = coefficients(model, equation, x, input_held)
+        output = _times(c, phi)
+        grown = _times(a, phi)
+        if q is None or v is None:
+            return Window(-model.f(t0, x, input_held), -grown, _times(output.T, output), None)
+        masked = _times(v, c.T)
+        drift = _times(a, v)
+        spread = q - drift - drift.T - _times(masked, masked.T)
+        return Window(-model.f(t0, x, input_held), -grown - _times(masked, output), _times(output.T, output), spread)
+
+    return flow
+
+
+def _times(a: Array, b: Array) -> Array:
+    """Product of two small matrices, written out: in a batch this is several times faster than a batched product."""
+    return jnp.sum(a[:, :, None] * b[None, :, :], axis=1)
+
+
+def no_past(equation: Equation, x: Vector) -> Window:
+    zero = jnp.zeros((x.shape[0], x.shape[0]), x.dtype)
+    eye = jnp.eye(x.shape[0], dtype=x.dtype)
+    return Window(x, eye, zero, None if equation.process_cov is None else zero)

@@ -1,0 +1,85 @@
+"""Vectorial backstepping of a marine craft: a nonlinear PD controller, from the state or from an estimate of it.
+
+Source: Jouffroy & Fossen 2004, equations (86)–(98). The paper takes J as constant; here `ν_r'` contains the derivative
+of J, so that (88), (90), (97) and (98) hold as printed.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from covariant._linalg import solve_square
+from covariant._typing import Matrix, Numbers, Scalar, Vector
+from covariant.geometry import wrap
+from covariant.models.marine import Craft
+from covariant.simulation._reference import Path
+
+
+class Backstepping(eqx.Module):
+    """A tracking controller of a `marine.Craft`.
+
+    - `path`: the reference to follow, `t -> Reference` in the craft's coordinates.
+    - `kp`, `kd`, `lam`: K_p [N/m, N m], K_d [N s/m, N m s] and Λ [1/s], matrices (n, n), vectors (n,) for diagonal ones
+      or numbers; symmetric positive definite, with `K_pΛ + ΛᵀK_p` positive definite.
+
+    With V = ½(sᵀMs + η̃ᵀK_pη̃), `V' = −sᵀ(D̄ + K_d)s − η̃ᵀK_pΛη̃` where the state is known, (92).
+
+    Raises `ValueError` naming the gain that does not satisfy this.
+    """
+
+    craft: Craft
+    path: Path
+    kp: Matrix
+    kd: Matrix
+    lam: Matrix
+
+    def __init__(self, craft: Craft, path: Path, kp: Numbers, kd: Numbers, lam: Numbers):
+        self.craft, self.path = craft, path
+        n = len(craft.coordinates)
+        self.kp, self.kd, self.lam = (_gain(name, g, n) for name, g in (("kp", kp), ("kd", kd), ("lam", lam)))
+        product = np.asarray(self.kp @ self.lam)
+        if not np.linalg.eigvalsh(product + product.T)[0] > 0:
+            raise ValueError("kp and lam: K_pΛ + ΛᵀK_p must be positive definite; choose both diagonal")
+
+    def error(self, t: Scalar, eta: Vector) -> Vector:
+        """`η̃ = η − η_d` (n,), with angles wrapped to ±π."""
+        return wrap(self.craft.circles, eta - self.path(t).position)
+
+    def virtual_velocity(self, t: Scalar, eta: Vector) -> Vector:
+        """`ν_r = J⁻¹(η)(η_d' − Λη̃)` (n,), (87)."""
+        wanted = self.path(t).velocity - jnp.asarray(self.lam, eta.dtype) @ self.error(t, eta)
+        return solve_square(self.craft.transform(eta), wanted)
+
+    def full_state(self, t: Scalar, eta: Vector, nu: Vector) -> Vector:
+        """τ (n,) from the true state, (89): `Mν_r' + (C(ν) + D(ν))ν_r + g(η) − JᵀK_pη̃ − K_d s`."""
+        nu_r, force = self._common(t, eta, eta, nu)
+        return force + (self.craft.coriolis(nu) + self.craft.damping(nu)) @ nu_r
+
+    def __call__(self, t: Scalar, z: Vector, estimate: Float[Array, "two_n"]) -> Vector:
+        """τ (n,) from the measured position z = η and an estimate (η̂, ν̂) (2n,), (94), with `D(ν_r)ν_r`."""
+        eta, nu = jnp.split(estimate, 2)
+        nu_r, force = self._common(t, z, eta, nu)
+        return force + (self.craft.coriolis(nu) + self.craft.damping(nu_r)) @ nu_r
+
+    def _common(self, t: Scalar, z: Vector, eta: Vector, nu: Vector) -> tuple[Vector, Vector]:
+        """ν_r, and the terms of τ common to both forms; `ν_r'` is the derivative along the motion `z' = J(z)ν`."""
+        j = self.craft.transform(z)
+        nu_r, change = jax.jvp(self.virtual_velocity, (t, z), (jnp.ones_like(t), j @ nu))
+        mass, kp, kd = (jnp.asarray(a, z.dtype) for a in (self.craft.mass, self.kp, self.kd))
+        spring = j.T @ (kp @ self.error(t, eta))
+        return nu_r, mass @ change + self.craft.restoring(z) - spring - kd @ (nu - nu_r)
+
+
+def _gain(name: str, given: Numbers, n: int) -> Matrix:
+    found = np.asarray(given, float)
+    matrix = np.diag(np.broadcast_to(found, (n,))) if found.ndim < 2 and found.size in (1, n) else found
+    if matrix.shape != (n, n):
+        raise ValueError(f"{name} must be a number, {n} numbers or a matrix ({n}, {n}); its shape is {found.shape}")
+    if not np.allclose(matrix, matrix.T) or not np.linalg.eigvalsh(matrix)[0] > 0:
+        raise ValueError(
+            f"{name} must be symmetric positive definite; its eigenvalues are "
+            f"{', '.join(f'{e:.3g}' for e in np.linalg.eigvals(matrix).real)}"
+        )
+    return jnp.asarray(matrix)

@@ -1,0 +1,339 @@
+"""The line-up of estimators: the errors that the design predicts against simulation, and the choices it makes."""
+
+import math
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import linalg
+
+from covariant import geometry
+from covariant.calibration import (
+    ESTIMATORS,
+    DataSheet,
+    Trial,
+    bias,
+    estimators,
+    filter_bandwidth,
+    gains,
+    jerk_bound,
+    joint_noise,
+    observer_gains,
+    tuned_estimators,
+    window_length,
+)
+from covariant.calibration._filters import LONGEST_WINDOW, filter_error, filtered, linear_filter_error, polynomial
+from covariant.models import Lagrangian, heavy_top, oscillator, underwater_vehicle
+from covariant.observers import (
+    EKF,
+    PLL,
+    Copy,
+    FilteredDerivative,
+    Gated,
+    Geodesic,
+    HighGain,
+    Intrinsic,
+    IntrinsicKalman,
+    JointKalman,
+    Levant,
+    SavitzkyGolay,
+    run,
+)
+from covariant.signals import Record
+
+LONG = (
+    "test_on_a_trial_filters_are_the_best_of_their_kind[0.0001-False]",
+    "test_on_a_trial_filters_are_the_best_of_their_kind[0.0001-True]",
+    "test_on_a_trial_filters_are_the_best_of_their_kind[0.01-False]",
+    "test_on_a_trial_filters_are_the_best_of_their_kind[0.01-True]",
+    "test_on_a_trial_loops_have_their_best_number[False]",
+    "test_the_predicted_errors_are_those_of_a_simulation[0.4]",
+)
+"""Cases of the long suite: a cheaper one of the same test is in the short one."""
+
+AXES = 8
+FLAT = Lagrangian(geometry.Euclidean(), lambda q: 0.0 * q[0])
+"""A free point in eight dimensions: as many double integrators, watched by one observer."""
+
+
+def watched(alpha, beta, t, y):
+    record = Record(t, np.zeros_like(y), y)
+    return np.asarray(run(Intrinsic(FLAT, jnp.array(alpha), jnp.array(beta), substeps=1), record).estimate)
+
+
+@pytest.mark.parametrize("damping", [0.4, math.sqrt(0.5), 1.5])
+def test_the_predicted_errors_are_those_of_a_simulation(damping):
+    rate, std, acceleration, time = 1000.0, 1e-3, 1.0, 0.005
+    chosen = gains(std, rate, acceleration, time, damping)
+    rng, count, dt = np.random.default_rng(5), 8000, 1 / rate
+    # White acceleration of the density that the rule assumes: velocity steps, with the position steps they bring.
+    steps = rng.multivariate_normal(
+        [0, 0],
+        2 * acceleration**2 * time * np.array([[dt, dt**2 / 2], [dt**2 / 2, dt**3 / 3]]),
+        (count, AXES),
+    )
+    v = np.cumsum(steps[..., 0], 0)
+    q = np.cumsum(steps[..., 1] + dt * np.concatenate([np.zeros((1, AXES)), v[:-1]]), 0)
+    estimate = watched(chosen.alpha, chosen.beta, dt * np.arange(count), q + rng.normal(0, std, q.shape))
+    settled = slice(count // 4, None)
+    error = np.split((estimate - np.hstack([q, v]))[settled], 2, axis=1)
+    assert chosen.alpha * dt < 0.2, "the prediction is for sampling that is fast beside the observer"
+    assert np.std(error[1]) == pytest.approx(chosen.velocity_std, rel=0.05)
+    assert np.std(error[0]) == pytest.approx(chosen.position_std, rel=0.1)
+
+
+def test_a_constant_acceleration_leaves_the_predicted_bias():
+    alpha, beta, acceleration = 8.0, 30.0, 2.0
+    t = 0.0005 * np.arange(4000)
+    q = np.tile(acceleration * t[:, None] ** 2 / 2, AXES)
+    estimate = watched(alpha, beta, t, q)[-1]
+    position, velocity = bias(alpha, beta, acceleration)
+    assert q[-1, 0] - estimate[0] == pytest.approx(position, rel=0.01)
+    assert acceleration * t[-1] - estimate[AXES] == pytest.approx(velocity, rel=0.01)
+
+
+SHEET = DataSheet(1e-3, 2.0, 0.01, motion_std=20.0, motion_time=0.05)
+RATE = 200.0
+WEIGHTS = {
+    "difference": np.array([RATE, -RATE]),
+    "filtered derivative": FilteredDerivative(30.0).weights(RATE),
+    "line": SavitzkyGolay(9, 1).weights(RATE),
+    "parabola": SavitzkyGolay(15, 2).weights(RATE),
+}
+
+
+def test_weights_form_a_slope():
+    ages = {name: np.arange(len(w)) / RATE for name, w in WEIGHTS.items()}
+    for name, w in WEIGHTS.items():
+        assert w.sum() == pytest.approx(0, abs=1e-4 * np.abs(w).sum())
+        assert -w @ ages[name] == pytest.approx(1, abs=1e-4)
+
+
+@pytest.mark.parametrize("name", WEIGHTS)
+@pytest.mark.parametrize("motion_time", [0.02, 0.3])
+def test_the_predicted_error_of_a_filter_is_that_of_the_motion_it_assumes(name, motion_time):
+    """Accelerations of exponential correlation, weighed by the filter, on a grid much finer than the samples."""
+    sheet = SHEET._replace(motion_time=motion_time)
+    w = WEIGHTS[name]
+    fine = 20  # integration steps a sample, over h(r), the weight of the acceleration r seconds ago
+    r = np.arange((len(w) - 1) * fine + 1) / (RATE * fine)
+    h = np.maximum(np.arange(len(w))[None, :] / RATE - r[:, None], 0) @ w
+    h *= np.where((r == r[0]) | (r == r[-1]), 0.5, 1.0) / (RATE * fine)
+    # h' C h for the exponential correlation C, in two passes of a first-order filter instead of a square matrix.
+    decay, behind, total = math.exp(-1 / (RATE * fine * motion_time)), 0.0, 0.0
+    for value in h:
+        total += value * (value + 2 * decay * behind)
+        behind = value + decay * behind
+    expected = math.sqrt(sheet.measurement_std**2 * w @ w + sheet.motion_std**2 * total)
+    assert linear_filter_error(w, sheet, RATE) == pytest.approx(expected, rel=0.02)
+
+
+def test_the_recursion_is_the_quadratic_form():
+    sheet = SHEET._replace(measurement_std=0.0)
+    w = WEIGHTS["line"]
+    h = np.array([sum(w[i] * (i - j) for i in range(j, len(w))) for j in range(len(w))]) / RATE**2
+    h[0] /= 2  # trapezoid rule
+    correlation = linalg.toeplitz(np.exp(-np.arange(len(w)) / (RATE * sheet.motion_time)))
+    assert linear_filter_error(w, sheet, RATE) == pytest.approx(20.0 * math.sqrt(h @ correlation @ h), rel=1e-10)
+
+
+def test_a_difference_is_half_a_sample_late_and_a_parabola_is_not():
+    steady = SHEET._replace(measurement_std=0.0, motion_time=1e12)
+    assert linear_filter_error(WEIGHTS["difference"], steady, RATE) == pytest.approx(20.0 / (2 * RATE), rel=1e-6)
+    assert linear_filter_error(WEIGHTS["parabola"], steady, RATE) == pytest.approx(0.0, abs=1e-6)
+    late = linear_filter_error(WEIGHTS["filtered derivative"], steady, RATE)
+    assert late == pytest.approx(20.0 / (RATE * -np.expm1(-30.0 / RATE)) - 20.0 / (2 * RATE), rel=1e-3)
+
+
+@pytest.mark.parametrize("noise", [3e-4, 1e-3, 1e-2])
+def test_bandwidth_and_window_are_the_best_ones(noise):
+    sheet = SHEET._replace(measurement_std=noise)
+    chosen = filter_bandwidth(sheet, RATE)
+    least = linear_filter_error(FilteredDerivative(chosen).weights(RATE), sheet, RATE)
+    for factor in (0.5, 0.8, 1.25, 2.0):
+        assert linear_filter_error(FilteredDerivative(chosen * factor).weights(RATE), sheet, RATE) > least
+    window = window_length(sheet, RATE)
+    least = linear_filter_error(SavitzkyGolay(window, 2).weights(RATE), sheet, RATE)
+    for other in (window - 1, window + 1, 2 * window):
+        assert other < 3 or linear_filter_error(SavitzkyGolay(other, 2).weights(RATE), sheet, RATE) >= least
+    assert 3 <= window <= LONGEST_WINDOW
+
+
+def test_more_noise_wants_more_smoothing():
+    sheets = [SHEET._replace(measurement_std=s) for s in (1e-4, 1e-3, 1e-2)]
+    assert np.all(np.diff([filter_bandwidth(s, RATE) for s in sheets]) < 0)
+    assert np.all(np.diff([window_length(s, RATE) for s in sheets]) > 0)
+    assert np.all(np.diff([observer_gains(s, RATE).alpha for s in sheets]) < 0)
+
+
+def ungated(made):
+    """The observers themselves; each that has no gate of its own stands behind one for the sheet's noise and speed."""
+    for observer in made.values():
+        if isinstance(observer, Gated):
+            assert (observer.noise, observer.speed) == (SHEET.measurement_std, SHEET.motion_std * SHEET.motion_time)
+    return {name: each.observer if isinstance(each, Gated) else each for name, each in made.items()}
+
+
+def test_all_estimators_come_from_one_data_sheet():
+    model = oscillator()
+    estimators = ungated(tuned_estimators(model, 1, SHEET, RATE))
+    chosen = observer_gains(SHEET, RATE)
+    assert chosen == gains(1e-3, RATE, 2.0, 0.01, SHEET.damping)
+    for name, kind in (("intrinsic", Intrinsic), ("intrinsic2", Intrinsic), ("geodesic", Geodesic), ("copy", Copy)):
+        assert isinstance(estimators[name], kind)
+        assert (estimators[name].alpha, estimators[name].beta) == (chosen.alpha, chosen.beta)
+    assert [estimators[name].order for name in ("intrinsic", "intrinsic2")] == [1, 2]
+    ekf = estimators["ekf"]
+    assert isinstance(ekf, EKF)
+    assert float(ekf.process_cov[0, 0]) == pytest.approx(2 * 2.0**2 * 0.01)
+    assert float(ekf.measurement_cov[0, 0]) == pytest.approx(1e-6)
+    assert ekf.initial_velocity_std == pytest.approx(1.0)
+    kalman = estimators["intrinsic-kalman"]
+    assert isinstance(kalman, IntrinsicKalman)
+    np.testing.assert_array_equal(kalman.process_cov, ekf.process_cov)
+    np.testing.assert_allclose(kalman.initial_velocity_cov, np.eye(1), rtol=1e-12)
+    assert eqx.tree_equal(estimators["filtered-derivative"], FilteredDerivative(filter_bandwidth(SHEET, RATE)))
+    assert eqx.tree_equal(estimators["savitzky-golay"], SavitzkyGolay(window_length(SHEET, RATE), 2))
+    assert len(estimators) == 13
+
+
+def test_an_acceleration_new_at_each_sample_is_white_over_one():
+    fresh = SHEET._replace(correlation_time=None)
+    assert observer_gains(fresh, RATE) == observer_gains(fresh._replace(correlation_time=1 / (2 * RATE)), RATE)
+    assert float(tuned_estimators(oscillator(), 1, fresh, RATE)["ekf"].process_cov[0, 0]) == pytest.approx(
+        2.0**2 / RATE
+    )
+
+
+@pytest.mark.parametrize("field", ["measurement_std", "acceleration_std", "correlation_time", "damping"])
+@pytest.mark.parametrize("number", [0.0, math.nan, math.inf])
+def test_a_number_that_makes_no_sense_is_named(field, number):
+    with pytest.raises(ValueError, match=f"gains: {field} must be a positive number; got {number}"):
+        tuned_estimators(oscillator(), 1, SHEET._replace(**{field: number}), RATE)
+
+
+@pytest.mark.parametrize("field", ["motion_std", "motion_time"])
+@pytest.mark.parametrize("number", [-1.0, math.nan])
+def test_a_motion_that_makes_no_sense_is_named(field, number):
+    with pytest.raises(ValueError, match=field):
+        tuned_estimators(oscillator(), 1, SHEET._replace(**{field: number}), RATE)
+
+
+def test_a_model_is_offered_the_estimators_that_fit_it():
+    top, vehicle = heavy_top((0.1, 0.2, 0.6)), underwater_vehicle()
+    assert estimators(FLAT) == tuple(tuned_estimators(FLAT, AXES, SHEET, RATE))
+    anywhere = ("intrinsic", "intrinsic2", "geodesic", "copy", "intrinsic-kalman", "ekf", "ukf")
+    assert estimators(top) == (*anywhere, "salcudean") == tuple(tuned_estimators(top, 3, SHEET, RATE))
+    assert estimators(vehicle) == anywhere == tuple(tuned_estimators(vehicle, 6, SHEET, RATE))
+    assert {*estimators(FLAT), *estimators(top)} == set(ESTIMATORS)
+
+
+def test_on_groups_all_have_the_same_gains_and_noise():
+    top = heavy_top((0.1, 0.2, 0.6))
+    chosen, made = observer_gains(SHEET, RATE), ungated(tuned_estimators(top, 3, SHEET, RATE))
+    for name in ("intrinsic", "intrinsic2", "geodesic", "copy"):
+        assert (made[name].alpha, made[name].beta) == (chosen.alpha, chosen.beta)
+    mean = 0.3  # Salcudean's gains, of the mean principal inertia
+    assert made["salcudean"].kv == pytest.approx(2 * mean * chosen.alpha)
+    assert made["salcudean"].kp == pytest.approx(4 * mean**2 * chosen.beta)
+    ekf = tuned_estimators(FLAT, 3, SHEET, RATE)["ekf"]
+    np.testing.assert_array_equal(made["ekf"].process_cov, ekf.process_cov)
+    np.testing.assert_array_equal(made["ekf"].measurement_cov, ekf.measurement_cov)
+    assert made["ekf"].initial_velocity_std == ekf.initial_velocity_std
+
+
+# Filters that know no model, tuned on a part of a log.
+
+
+def trial(noise: float, missing: bool = False) -> Trial:
+    """Two seconds of a motion that a cubic follows much better than a parabola."""
+    t = np.arange(0.0, 3.0, 1 / RATE)
+    rng = np.random.default_rng(2)
+    y = np.stack([np.sin(6 * t), 0.5 * np.cos(9 * t)], axis=1) + noise * rng.normal(size=(len(t), 2))
+    if missing:
+        y[rng.random(y.shape) < 0.05] = np.nan
+    return Trial(t, y, np.stack([6 * np.cos(6 * t), -4.5 * np.sin(9 * t)], axis=1))
+
+
+def trial_error(observer, part: Trial) -> float:
+    """Velocity error of an observer, run in earnest, as a part of the velocity."""
+    x = np.asarray(run(observer, Record(part.t, np.zeros((len(part.t), 0)), part.y)).estimate)
+    late = part.t > part.t[0] + 1.0
+    relative = np.mean((x[late, 2:] - part.v[late]) ** 2, axis=0) / np.mean(part.v[late] ** 2, axis=0)
+    return float(np.sqrt(relative.mean()))
+
+
+@pytest.mark.parametrize("missing", [False, True])
+@pytest.mark.parametrize("noise", [1e-4, 1e-2])
+def test_on_a_trial_filters_are_the_best_of_their_kind(noise, missing):
+    part = trial(noise, missing)
+    window, order = polynomial(SHEET, RATE, part)
+    best = trial_error(SavitzkyGolay(window, order), part)
+    for other in ((window_length(SHEET, RATE), 2), (window + 6, order), (max(window - 6, order + 1), order)):
+        assert best <= 1.02 * trial_error(SavitzkyGolay(*other), part)
+    bandwidth = filter_bandwidth(SHEET, RATE, part)
+    best = trial_error(FilteredDerivative(bandwidth), part)
+    for other in (
+        filter_bandwidth(SHEET, RATE),
+        min(1.3 * bandwidth, 3 * RATE),
+        bandwidth / 1.3,
+    ):  # 3: the largest tried
+        assert best <= 1.02 * trial_error(FilteredDerivative(other), part)
+
+
+@pytest.mark.parametrize("missing", [False, True])
+def test_on_a_trial_loops_have_their_best_number(missing):
+    """Searched by their weights or by a run; here all are run in earnest, with more of it and with less."""
+    part = trial(1e-3, missing)
+    std, *rest = joint_noise(SHEET, RATE, part)
+    found = (
+        (PLL, filter_bandwidth(SHEET, RATE, part, PLL)),
+        (HighGain, filter_bandwidth(SHEET, RATE, part, HighGain)),
+        (Levant, jerk_bound(SHEET, part)),
+        (lambda number: JointKalman(number, *rest), std),
+    )
+    for kind, number in found:
+        best = trial_error(kind(number), part)
+        assert best < 0.1
+        for factor in (0.5, 0.8, 1.25, 2.0):
+            assert best <= 1.02 * trial_error(kind(factor * number), part)
+
+
+def test_for_the_motion_of_the_data_sheet_no_linear_filter_is_better_than_a_joints_kalman_filter():
+    """Not another of its kind, nor the best of another kind; the numbers of the sheet are taken as they are."""
+    told = joint_noise(SHEET, RATE)
+    assert told == (SHEET.motion_std, SHEET.motion_time, SHEET.measurement_std)
+
+    def error(observer):
+        return linear_filter_error(observer.weights(RATE), SHEET, RATE)
+
+    least = error(JointKalman(*told))
+    for factor in (0.5, 0.8, 1.25, 2.0):
+        assert error(JointKalman(factor * told[0], *told[1:])) > least
+        assert error(JointKalman(told[0], factor * told[1], told[2])) > least
+    for kind in (FilteredDerivative, PLL, HighGain):
+        assert error(kind(filter_bandwidth(SHEET, RATE, kind=kind))) > least
+    assert error(SavitzkyGolay(*polynomial(SHEET, RATE))) > least
+    assert jerk_bound(SHEET) == SHEET.motion_std / SHEET.motion_time
+
+
+def test_long_weights_filter_as_short_ones_do():
+    rng = np.random.default_rng(0)
+    weights, x = rng.normal(size=99), rng.normal(size=400)
+    padded = np.append(weights, np.zeros(500))
+    np.testing.assert_allclose(filtered(padded, x), filtered(weights, x), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(filtered(weights, x)[-1], weights @ (x[:-100:-1] - x[0]), rtol=1e-12)
+
+
+def test_a_cubic_is_taken_where_it_is_better():
+    assert polynomial(SHEET, RATE, trial(1e-4))[1] == 3
+    observers = ungated(tuned_estimators(FLAT, 2, SHEET, RATE, trial(1e-4)))
+    assert observers["savitzky-golay"].order == 3
+    assert observers["intrinsic"].alpha == observer_gains(SHEET, RATE).alpha
+
+
+def test_an_error_on_a_trial_is_that_of_the_filter_itself():
+    part = trial(1e-3)
+    predicted = filter_error(SavitzkyGolay(15, 2).weights(RATE), SHEET, RATE, part)
+    assert predicted == pytest.approx(trial_error(SavitzkyGolay(15, 2), part), rel=0.01)

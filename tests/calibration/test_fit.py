@@ -1,0 +1,211 @@
+"""Fits to simulated logs: the truth is found, intervals cover it, and what a log does not determine is named.
+
+The pendulum is simulated by its equation, written here a second time and without JAX.
+"""
+
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from covariant import models, scoring
+from covariant.calibration import fit, growth, horizon, prediction_errors, relations, split, windows
+from covariant.observers import Intrinsic, run
+from covariant.signals import Record
+from covariant.simulation import hold, simulate
+
+LONG = ("test_outliers_and_missing_samples_hardly_move_a_fit",)
+"""Cases of the long suite: a cheaper one of the same test, or of the same law, is in the short one."""
+
+MASS, COM, INERTIA, VISCOUS, GRAVITY = 0.7, 0.4, 0.05, 0.08, 9.81
+NOISE = 1e-3
+PENDULUM = f"""
+system = "pendulum_chain"
+[parameters]
+mass = [{1.3 * MASS}]
+length = [1.0]
+com = [{COM}]
+inertia = [{1.3 * INERTIA}]
+viscous = [{VISCOUS}]
+"""
+
+
+def swing(seeds: int, driven: bool, viscous: float = VISCOUS, seconds: float = 10.0):
+    """Stamps (T,), inputs (T,) and noisy positions (seeds, T) of a pendulum that an unknown torque disturbs too."""
+    rng = np.random.default_rng(5)
+    t = np.arange(0, seconds, 0.01)
+    inertia = INERTIA + MASS * COM**2
+    u = driven * (1.5 * np.sin(2.1 * t) + np.sin(5.3 * t + 1))
+    torque = np.zeros((seeds, len(t)))
+    for k in range(1, len(t)):  # correlated over 50 ms, 0.02 N m
+        torque[:, k] = 0.8 * torque[:, k - 1] + 0.02 * np.sqrt(1 - 0.8**2) * rng.normal(size=seeds)
+
+    def acceleration(q, v, k):
+        pushed = u[k] + driven * torque[:, k]
+        return (pushed - MASS * GRAVITY * COM * np.sin(q) - viscous * v) / inertia
+
+    q, v, path = np.full(seeds, 1.5), np.zeros(seeds), []
+    for k in range(len(t)):
+        path.append(q)
+        for _ in range(4):
+            h = 0.01 / 4
+            k1, l1 = v, acceleration(q, v, k)
+            k2, l2 = v + h / 2 * l1, acceleration(q + h / 2 * k1, v + h / 2 * l1, k)
+            k3, l3 = v + h / 2 * l2, acceleration(q + h / 2 * k2, v + h / 2 * l2, k)
+            k4, l4 = v + h * l3, acceleration(q + h * k3, v + h * l3, k)
+            q, v = q + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4), v + h / 6 * (l1 + 2 * l2 + 2 * l3 + l4)
+    return t, u, np.stack(path, axis=1) + NOISE * rng.normal(size=(seeds, len(t)))
+
+
+def reference(record: Record) -> np.ndarray:
+    return scoring.zero_phase_velocity(record.t, np.asarray(record.y), record.t, 0.06)
+
+
+def swung(driven: bool, seeds: int = 1, **other) -> list[tuple[Record, np.ndarray]]:
+    t, u, y = swing(seeds, driven, **other)
+    records = [Record(t, u[:, None], one[:, None]) for one in y]
+    return [(record, reference(record)) for record in records]
+
+
+def family(folder: Path, *names: str, text: str = PENDULUM, overrides=()) -> models.Family:
+    (folder / "model.toml").write_text(text)
+    return models.family(str(folder / "model.toml"), names, overrides)
+
+
+@pytest.fixture(scope="module")
+def fits(tmp_path_factory):
+    """Fits of mass, inertia and friction to forty logs with different noise."""
+    open_numbers = family(tmp_path_factory.mktemp("family"), "mass", "inertia", "viscous")
+    return [fit(open_numbers, windows([record], [v], 0.25)) for record, v in swung(True, 40)]
+
+
+@pytest.mark.long
+def test_intervals_of_95_percent_cover_the_truth(fits):
+    values, errors = (np.array([getattr(f, name) for f in fits]) for name in ("values", "standard_errors"))
+    covered = np.mean(np.abs(values - [MASS, INERTIA, VISCOUS]) < 1.96 * errors, axis=0)
+    assert np.all(covered >= 0.88), covered
+    assert np.median(errors / values, axis=0).max() < 0.1, "the intervals are not wide for nothing"
+    np.testing.assert_allclose(np.median(errors, axis=0), np.std(values, axis=0), rtol=0.35)
+
+
+def test_outliers_and_missing_samples_hardly_move_a_fit(fits, tmp_path):
+    [(record, _)] = swung(True)
+    rng = np.random.default_rng(3)
+    y = np.array(record.y)
+    y[rng.choice(len(y), 50, replace=False)] = np.nan
+    y[rng.choice(np.arange(1, len(y)), 10, replace=False)] += 0.5
+    y[0] = record.y[0]
+    spoiled = record._replace(y=y)
+    found = fit(family(tmp_path, "mass", "inertia", "viscous"), windows([spoiled], [reference(spoiled)], 0.25))
+    assert np.all(np.abs(found.values - [MASS, INERTIA, VISCOUS]) < 4 * fits[0].standard_errors)
+
+
+@pytest.mark.long
+def test_gravity_of_the_wrong_sign_is_seen(fits, tmp_path):
+    [(record, v)] = swung(True)
+    training, held_out = split([record], [v], 0.25)
+    right, wrong = (
+        family(tmp_path, "mass", "inertia", "viscous", overrides=[f"parameters.gravity={g}"]) for g in (9.81, -9.81)
+    )
+    truth = prediction_errors(*right.make(fits[0].values), held_out)
+    found = fit(wrong, training)
+    assert growth(truth, prediction_errors(*wrong.make(found.values), held_out)) > 3
+    assert not np.allclose(found.values[0], MASS, rtol=0.2)
+
+
+@pytest.mark.long
+def test_a_pendulum_that_nothing_drives_shows_its_frequency_only(tmp_path):
+    [(record, v)] = swung(False, viscous=0.0, seconds=6.0)
+    open_numbers = family(tmp_path, "mass", "com", "inertia", overrides=["parameters.viscous=[0.0]"])
+    found = fit(open_numbers, windows([record], [v], 0.25))
+    m, c, i = found.values
+    j, true = i + m * c**2, INERTIA + MASS * COM**2
+    np.testing.assert_allclose(m * c / j, MASS * COM / true, rtol=2e-3)
+    slope = np.array([1 - m * c**2 / j, 1 - 2 * m * c**2 / j, -i / j])  # of the logarithm of the squared frequency
+    assert found.undetermined.shape == (2, 3)
+    np.testing.assert_allclose(found.undetermined @ slope, 0, atol=0.02)
+    assert not found.determined.any()
+    moved = np.log(found.values / found.first)
+    assert np.abs(found.undetermined @ moved).max() < 0.02, "no number moves along what the log does not show"
+
+
+def test_what_cannot_be_told_apart_is_named(tmp_path):
+    [(record, v)] = swung(True)
+    text = PENDULUM.replace(f"inertia = [{1.3 * INERTIA}]", 'inertia = [0.2]\ninertia_about = "joint"')
+    found = fit(family(tmp_path, "mass", "com", "inertia", text=text), windows([record], [v], 0.25))
+    assert relations(found) == (
+        "only the product com[0] · mass[0] is determined: com[0] and mass[0] cannot be told apart",
+    ) or relations(found) == (
+        "only the product mass[0] · com[0] is determined: mass[0] and com[0] cannot be told apart",
+    )
+    assert found.determined.tolist() == [False, False, True]
+    np.testing.assert_allclose(found.values[0] * found.values[1], MASS * COM, rtol=0.03)
+    np.testing.assert_allclose(found.values[0] / found.values[1], found.first[0] / found.first[1], rtol=0.05)
+
+
+DOUBLE = """
+system = "pendulum_chain"
+[parameters]
+mass = [0.6, 0.4]
+length = [0.3, 0.25]
+com = [0.16, 0.14]
+inertia = [0.005, 0.0026]
+viscous = [0.012, 0.008]
+[measurement]
+quantum = 1e-3
+"""
+
+
+@pytest.mark.long
+def test_an_observer_with_the_fitted_model_is_as_good_as_with_the_true_one(tmp_path):
+    """A double pendulum, with masses and inertias 30 % too large, fitted on one log and judged on another."""
+    (tmp_path / "model.toml").write_text(DOUBLE)
+    truth = models.load(str(tmp_path / "model.toml")).model
+    t = np.arange(0, 6, 0.005)
+    logs = []
+    for phase in (0.0, 2.0):
+        u = np.stack([1.2 * np.sin(4.1 * t + phase), 0.4 * np.sin(6.7 * t + 2 * phase)], axis=1)
+        held = hold(jnp.asarray(t), jnp.asarray(u))
+        made = simulate(truth, jnp.array([0.8, -0.5, 0.0, 0.0]), jnp.asarray(t), held, rtol=1e-7, atol=1e-8)
+        y = np.round(np.asarray(made.y) / 1e-3) * 1e-3
+        logs.append((Record(t, u, y), np.asarray(made.x)[:, 2:]))
+    (record, _), (other, v) = logs
+    open_numbers = family(
+        tmp_path,
+        *("mass", "inertia"),
+        text=DOUBLE,
+        overrides=["parameters.mass=[0.78,0.52]", "parameters.inertia=[0.0065,0.00338]"],
+    )
+    velocity = reference(record)
+    found = fit(open_numbers, windows([record], [velocity], horizon(record, velocity)))
+
+    def error(model):
+        estimated = np.asarray(run(Intrinsic(model, 60.0, 1800.0), jax.tree.map(jnp.asarray, other)).estimate)[:, 2:]
+        return scoring.rmse(estimated[200:], v[200:])
+
+    best = error(truth)
+    assert np.all(error(open_numbers.file.model) > 1.2 * best)
+    np.testing.assert_array_less(error(open_numbers.make(found.values)[0]), 1.05 * best)
+    assert found.determined.all()
+    assert np.all(np.abs(found.values - [0.6, 0.4, 0.005, 0.0026]) < 5 * found.standard_errors + 0.01 * found.values)
+
+
+@pytest.mark.long
+def test_what_vanishes_on_the_way_is_not_called_determined(tmp_path):
+    """There is neither lag nor dry friction: the search makes both small, with errors many times as large."""
+    t = np.arange(800) * 0.01
+    u = 0.3 * np.sin(2 * t)[:, None]
+    true = models.pendulum_chain((1.0,), (1.0,), com=(0.4,), viscous=(0.05,))
+    swing = simulate(true, jnp.array([0.5, 0.0]), jnp.asarray(t), hold(jnp.asarray(t), jnp.asarray(u)))
+    record = Record(t, u, np.asarray(swing.y) + 1e-4 * np.random.default_rng(0).normal(size=(800, 1)))
+    text = PENDULUM.replace("[parameters]", "[parameters]\ncoulomb = [0.05]").replace(f"{1.3 * INERTIA}", "0.0")
+    names = ("mass", "viscous", "coulomb", "inputs.lag")
+    given = ["inputs.lag=0.02", "parameters.mass=[1.3]", "parameters.viscous=[0.03]"]
+    v = scoring.zero_phase_velocity(t, record.y, t, half=0.1)
+    found = fit(family(tmp_path, *names, text=text, overrides=given), windows([record], [v], horizon(record, v)))
+    assert (found.standard_errors < found.values)[found.determined].all()
+    assert not found.determined[3]
+    assert any("inputs.lag" in said for said in relations(found))
+    assert abs(found.values[0] - 1.0) < 0.02

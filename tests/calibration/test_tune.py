@@ -1,0 +1,112 @@
+"""Noise and gains that are found from a log: the truth in simulation, and a filter that runs on the linear errors."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from covariant.calibration import NoiseLevels, gains, tune
+from covariant.calibration._error_model import error_model, kalman
+from covariant.models import Lagrangian, Parametric
+from covariant.observers import Intrinsic, IntrinsicKalman, external_force, run
+from covariant.signals import Record
+
+LONG = (
+    "test_what_is_held_out_confirms_it",
+    "test_with_a_metric_that_is_too_large_the_filter_is_as_good_as_one_without_a_model",
+)
+"""Cases of the long suite: a cheaper one of the same test, or of the same law, is in the short one."""
+
+RATE, STD, ACCELERATION = 100.0, 1e-3, 0.3
+STIFFNESS = 20.0
+
+
+def swing(inertia):
+    """An inertia on a spring: linear, so that all filters are exact."""
+    return Lagrangian(Parametric(_inertia, inertia=inertia), lambda q: STIFFNESS * q[0] ** 2 / 2, inputs=1)
+
+
+def _inertia(q, inertia):
+    return inertia * jnp.eye(1, dtype=q.dtype)
+
+
+MODEL = swing(1.0)
+
+
+def noisy(seconds: float, seed: int = 0) -> tuple[Record, np.ndarray]:
+    """A log of the swing with white acceleration of the density 0.3², exact in each step, and its velocities."""
+    rng, h, w = np.random.default_rng(seed), 1 / RATE, STIFFNESS**0.5
+    step = np.array([[np.cos(w * h), np.sin(w * h) / w], [-w * np.sin(w * h), np.cos(w * h)]])
+    root = ACCELERATION * np.linalg.cholesky([[h**3 / 3, h**2 / 2], [h**2 / 2, h]])
+    t, x, path = np.arange(0, seconds, h), np.array([1.0, 0.0]), []
+    for _ in t:
+        path.append(x)
+        x = step @ x + root @ rng.normal(size=2)
+    q, v = np.array(path).T
+    return Record(t, np.zeros((len(t), 1)), (q + STD * rng.normal(size=len(t)))[:, None]), v[:, None]
+
+
+@pytest.fixture(scope="module")
+def log():
+    return noisy(40.0)
+
+
+@pytest.fixture(scope="module")
+def tuned(log):
+    record, v = log
+    y = record.y.copy()
+    y[[900, 1400, 3300]] += 1.0
+    y[1500:1520] = np.nan
+    return tune(MODEL, [record._replace(y=y)], [v])
+
+
+@pytest.mark.long
+def test_noise_and_gains_are_those_of_the_simulation_in_spite_of_outliers_and_gaps(tuned):
+    assert float(tuned.noise.acceleration) == pytest.approx(ACCELERATION, rel=0.1)
+    np.testing.assert_allclose(tuned.noise.measurement, STD, rtol=0.1)
+    assert tuned.noise.force == 0
+    best = gains(STD, RATE, ACCELERATION / np.sqrt(2), 1.0)
+    assert tuned.natural_frequency == pytest.approx(best.beta**0.5, rel=0.25)
+    assert tuned.damping == pytest.approx(0.5**0.5, rel=0.25)
+
+
+def test_what_is_held_out_confirms_it(tuned):
+    assert tuned.after.nis == pytest.approx(1.0, abs=0.15)
+    assert np.abs(tuned.after.correlation).max() < 0.1
+    assert tuned.model_helps
+    assert tuned.after.kalman_error[0] < 1.03 * tuned.after.gains_error[0]
+    assert tuned.model_free is not None
+    assert max(tuned.after.relative) < tuned.model_free[1]
+
+
+def test_with_a_metric_that_is_too_large_the_filter_is_as_good_as_one_without_a_model(log):
+    """A missing force is found, and makes up for it; the innovations of constant gains tell of it."""
+    record, v = log
+    found = tune(swing(1.5), [record], [v])
+    assert found.noise.force > 0
+    assert found.model_free is not None
+    assert found.after.relative[1] < 1.02 * found.model_free[1]
+
+
+@pytest.mark.long
+def test_the_filter_of_the_errors_is_the_kalman_filter(log):
+    """On a linear system exactly, whatever observer the errors are those of; with a force that is not known too."""
+    record = Record(*(np.asarray(a[:300]) for a in log[0][:3]))
+    noise = NoiseLevels(jnp.asarray(0.4), jnp.array([2e-3]), jnp.asarray(0.7))
+    t, u, y = map(jnp.asarray, record[:3])
+    along = run(Intrinsic(MODEL, 3.0, 5.0), record).estimate
+    found = kalman(error_model(MODEL, along[:, :1], along[:, 1:], t, u, y, 4), noise, 2.0)
+    axes = jnp.eye(1)
+    filtered = IntrinsicKalman(
+        MODEL, 0.16 * axes, 4e-6 * axes, 4.0 * axes, external_force(0.49 * axes), gate=None, substeps=4
+    )
+    done = run(filtered, record)
+    later = slice(20, None)  # the first innovations are taken for outliers here
+    np.testing.assert_allclose((along + found.error)[later, 1], done.estimate[later, 1], atol=2e-3)
+    np.testing.assert_allclose(found.spread[later, 0] ** 2, done.info.innovation_cov[later, 0, 0], rtol=1e-2)
+
+
+def test_a_log_that_is_too_short_is_refused(log):
+    record, v = log
+    short = Record(*(np.asarray(a[:150]) for a in record[:3]))
+    with pytest.raises(ValueError, match="too short to tune on"):
+        tune(MODEL, [short], [v[:150]])

@@ -1,0 +1,365 @@
+"""Laws of maps over grids: the same numbers whoever computes them, whatever happens on the way."""
+
+import math
+import os
+import re
+import signal
+import subprocess
+import sys
+import tracemalloc
+import uuid
+from pathlib import Path
+from typing import Any
+
+import distributed
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import zarr
+from hypothesis import given, settings, strategies as st
+
+from covariant.metrics import Grid, Variable, map_grid, open_grid
+
+LONG = ("test_a_killed_run_goes_on_where_it_was",)
+"""Cases of the long suite: a cheaper one of the same test, or of the same law, is in the short one."""
+
+GRID = Grid(("angle", "rate"), ("rad", "rad/s"), low=(-3.0, -5), high=(3.0, 5), counts=(11, 7))
+BLOCK = 9  # blocks of 3 x 3 points, which divide neither count
+SETTINGS: Any = {
+    "variables": {
+        "energy": Variable((), "J", "energy of a pendulum"),
+        "moment": Variable(("row", "column"), "1", "outer product of the state"),
+        "code": Variable((), "1", "index of the largest coordinate"),
+        "upright": Variable((), "1", "whether the pendulum is above its joint"),
+    },
+    "provenance": {"model": "pendulum", "gains": (1.0, 2.5)},
+}
+LEVEL: Any = {"variables": {"level": Variable((), "1", "a number")}, "provenance": {}}
+
+
+def observables(x):
+    energy = jnp.sum(x[1:] ** 2) / 2 - jnp.cos(x[0])
+    return {"energy": energy, "moment": jnp.outer(x, x), "code": jnp.argmax(x), "upright": jnp.cos(x[0]) < 0}
+
+
+def on_host(see):
+    """A function whose value is worked out by `see`, which is given whole batches of points (points, n)."""
+
+    def level(x):
+        shape = jax.ShapeDtypeStruct((), jnp.float64)
+        return {"level": jax.pure_callback(see, shape, x, vmap_method="broadcast_all")}
+
+    return level
+
+
+def expected(grid: Grid, function=observables) -> dict[str, np.ndarray]:
+    """The function at all points of a grid at once."""
+    points = np.stack(np.meshgrid(*grid.axes, indexing="ij"), -1).reshape(-1, len(grid.shape))
+    values = jax.device_get(jax.jit(jax.vmap(function))(points))
+    return {name: value.reshape(*grid.shape, *value.shape[1:]) for name, value in values.items()}
+
+
+def check_values(path: Path, grid: Grid) -> None:
+    found = open_grid(path, complete=True)
+    for name, value in expected(grid).items():
+        assert found[name].dtype == value.dtype
+        np.testing.assert_allclose(found[name].values, value, rtol=1e-14, atol=1e-14)
+    for name, units, axis in zip(grid.names, grid.units, grid.axes, strict=True):
+        np.testing.assert_array_equal(found[name].values, axis)
+        assert found[name].attrs["units"] == units
+
+
+def chunks(path: Path) -> dict[str, bytes]:
+    """All files of a store but the one that holds the time of its making, and what a killed writer left."""
+    files = [file for file in path.rglob("*") if file.is_file() and file.suffix != ".partial"]
+    return {str(file.relative_to(path)): file.read_bytes() for file in files if file != path / "zarr.json"}
+
+
+def finished(path: Path) -> list[tuple[int, ...]]:
+    return [tuple(map(int, file.parts[-2:])) for file in path.glob("done/c/*/*") if file.name.isdecimal()]
+
+
+def chunk_times(path: Path, blocks) -> dict[Path, int]:
+    found = [file for k, m in blocks for file in path.glob(f"*/c/{k}/{m}/**/*") if file.is_file()]
+    found += [file for k, m in blocks for file in path.glob(f"*/c/{k}/{m}") if file.is_file()]
+    return {file: file.stat().st_mtime_ns for file in found if file.suffix != ".partial"}
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory) -> Path:
+    """A map made in one go by threads."""
+    return map_grid(observables, GRID, tmp_path_factory.mktemp("whole") / "map.zarr", block=BLOCK, **SETTINGS)
+
+
+@pytest.fixture(scope="module")
+def cluster():
+    """Address of a cluster of two worker processes."""
+    local: Any = distributed.LocalCluster
+    with local(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None) as made:
+        yield made.scheduler_address
+
+
+@pytest.mark.long
+@settings(max_examples=10)
+@given(counts=st.lists(st.integers(2, 6), min_size=1, max_size=3), block=st.integers(2, 30))
+def test_values_are_those_of_the_function_whatever_the_blocks(tmp_path_factory, counts, block):
+    n = len(counts)
+    grid = Grid([f"x{k}" for k in range(n)], ["m"] * n, [-1.0] * n, [2.0] * n, counts)
+    path = tmp_path_factory.mktemp("any") / "map.zarr"
+    sizes = []
+    assert map_grid(observables, grid, path, block=block, on_progress=lambda *p: sizes.append(p), **SETTINGS) == path
+    check_values(path, grid)
+    done, totals = zip(*sizes, strict=True)
+    assert done[0] == 0
+    assert done[-1] == grid.size
+    assert set(totals) == {grid.size}
+    assert 0 < min(np.diff(done)) <= max(np.diff(done)) <= block
+
+
+def test_the_dataset_says_what_it_holds_and_where_it_comes_from(whole):
+    found = open_grid(whole)
+    assert list(found) == list(SETTINGS["variables"])
+    assert found.moment.dims == ("angle", "rate", "row", "column")
+    assert found.moment.chunks, "it is read when it is asked for"
+    assert found.energy.attrs == {"units": "J", "description": "energy of a pendulum"}
+    assert found.attrs["provenance"] == {"model": "pendulum", "gains": [1.0, 2.5]}
+    assert found.attrs["complete"] is True
+    (versions,) = found.attrs["versions"]
+    assert versions["jax"] == jax.__version__
+    assert versions["numpy"] == np.__version__
+    assert len(found.attrs["digest"]) == 64
+
+
+def test_one_worker_writes_the_bytes_of_many(whole, tmp_path):
+    path = map_grid(observables, GRID, tmp_path / "map.zarr", block=BLOCK, workers=1, **SETTINGS)
+    check_values(path, GRID)
+    assert chunks(path) == chunks(whole)
+
+
+def test_worker_processes_write_the_bytes_of_threads(whole, cluster, tmp_path):
+    path, seen = tmp_path / "map.zarr", []
+    map_grid(
+        observables, GRID, path, block=BLOCK, scheduler=cluster, on_progress=lambda *p: seen.append(p[0]), **SETTINGS
+    )
+    assert chunks(path) == chunks(whole)
+    assert seen == sorted(seen)
+    assert (seen[0], seen[-1]) == (0, GRID.size)
+
+
+@pytest.mark.parametrize("where", ["threads", "cluster"])
+def test_every_process_compiles_once(where, request, tmp_path):
+    traces = tmp_path / "traces"
+    traces.mkdir()
+
+    def level(x):
+        (traces / uuid.uuid4().hex).touch()  # Python runs this when it traces, and never when it computes
+        return {"level": x[0]}
+
+    crew: dict[str, Any] = {"scheduler": request.getfixturevalue("cluster")} if where == "cluster" else {"workers": 3}
+    map_grid(level, GRID, tmp_path / "map.zarr", block=4, **LEVEL, **crew)
+    processes = 2 if where == "cluster" else 1
+    assert 2 <= len(list(traces.iterdir())) <= 1 + processes  # the first one is for the shapes
+
+
+def run_until_killed(path: str, blocks: int) -> None:
+    """In a process of its own: a run that is killed after so many blocks, the other threads still writing."""
+    calls = iter(range(blocks + 1))
+
+    def die(done, total):
+        if next(calls) == blocks:
+            os.kill(os.getpid(), signal.SIGKILL)
+
+    map_grid(observables, GRID, path, block=BLOCK, on_progress=die, **SETTINGS)
+
+
+def test_a_killed_run_goes_on_where_it_was(whole, tmp_path):
+    path, seen = tmp_path / "map.zarr", []
+    script = f"import test_grids; test_grids.run_until_killed({str(path)!r}, 4)"
+    environment = os.environ | {"PYTHONPATH": str(Path(__file__).parent)}
+    killed = subprocess.run([sys.executable, "-c", script], env=environment, check=False)
+    assert killed.returncode == -signal.SIGKILL
+    before = finished(path)
+    times = chunk_times(path, before)
+    assert 4 <= len(before) < 12
+    with pytest.raises(ValueError, match=rf"map\.zarr is not complete: {12 - len(before)} of 12 blocks are missing"):
+        open_grid(path, complete=True)
+    map_grid(observables, GRID, path, block=BLOCK, on_progress=lambda *p: seen.append(p[0]), **SETTINGS)
+    assert len(seen) == 1 + 12 - len(before)
+    assert seen[0] > 0
+    assert chunk_times(path, before) == times
+    assert chunks(path) == chunks(whole)
+    check_values(path, GRID)
+
+
+def test_what_killed_writers_left_is_swept_by_the_next_run(tmp_path):
+    path = tmp_path / "map.zarr"
+    with pytest.raises(RuntimeError):
+        map_grid(observables, GRID, path, block=BLOCK, workers=1, on_progress=stop_after(2), **SETTINGS)
+    (tmp_path / f".map.zarr.{32 * 'a'}.tmp" / "c").mkdir(parents=True)
+    part = next(path.glob("done/c/*")) / f"0.{32 * 'b'}.partial"
+    part.touch()
+    map_grid(observables, GRID, path, block=BLOCK, **SETTINGS)
+    assert not part.exists()
+    assert [p.name for p in tmp_path.iterdir()] == ["map.zarr"]
+
+
+def stop_after(blocks: int):
+    calls = iter(range(blocks))
+
+    def report(done, total):
+        if next(calls, None) is None:
+            raise RuntimeError("enough")
+
+    return report
+
+
+def test_points_never_computed_read_as_nan(whole, tmp_path):
+    path, calls = tmp_path / "map.zarr", iter(range(6))
+
+    def interrupt(done, total):
+        if next(calls) == 5:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        map_grid(observables, GRID, path, block=BLOCK, workers=1, on_progress=interrupt, **SETTINGS)
+    done = np.zeros(GRID.shape, bool)
+    for k, m in finished(path):
+        done[3 * k : 3 * k + 3, 3 * m : 3 * m + 3] = True
+    assert 0 < done.sum() < done.size
+    found = open_grid(path)
+    for name, value in expected(GRID).items():
+        np.testing.assert_allclose(found[name].values[done], value[done], rtol=1e-14, atol=1e-14)
+        assert np.isnan(found[name].values[~done]).all()
+        assert found[name].attrs["units"] == SETTINGS["variables"][name].units
+    map_grid(observables, GRID, path, block=BLOCK, **SETTINGS)
+    assert chunks(path) == chunks(whole)
+
+
+def test_an_exception_surfaces_and_the_run_goes_on_later(tmp_path):
+    path, batches, broken = tmp_path / "map.zarr", [], [True]
+
+    def see(x):
+        if broken[0] and len(batches) == 5:
+            raise ArithmeticError("no value there")
+        batches.append(x.shape)
+        return x.sum(-1)
+
+    with pytest.raises(Exception, match="ArithmeticError: no value there"):
+        map_grid(on_host(see), GRID, path, block=BLOCK, workers=1, **LEVEL)
+    assert len(finished(path)) == 5
+    broken[0] = False
+    map_grid(on_host(see), GRID, path, block=BLOCK, workers=1, **LEVEL)
+    assert batches == [(9, 2)] * 12, "every block once, all of one size"
+    points = np.stack(np.meshgrid(*GRID.axes, indexing="ij"), -1)
+    np.testing.assert_array_equal(open_grid(path, complete=True).level.values, points.sum(-1))
+
+
+def test_an_exception_of_a_worker_process_surfaces(cluster, tmp_path):
+    def see(x):
+        raise ArithmeticError("no value there")
+
+    with pytest.raises(Exception, match="ArithmeticError: no value there"):
+        map_grid(on_host(see), GRID, tmp_path / "map.zarr", block=BLOCK, scheduler=cluster, **LEVEL)
+    map_grid(lambda x: {"level": x[0]}, GRID, tmp_path / "map.zarr", block=BLOCK, scheduler=cluster, **LEVEL)
+    open_grid(tmp_path / "map.zarr", complete=True)
+
+
+def test_a_grid_of_a_million_million_points_takes_the_memory_of_its_blocks(tmp_path):
+    grid, batches = Grid(("a", "b"), ("m", "m"), (0, 0), (1, 1), (10**6, 10**6)), []
+
+    def see(x):
+        batches.append(len(x))
+        return x.sum(-1)
+
+    def stop(done, total):
+        assert total == 10**12
+        if done > 10_000:
+            raise KeyboardInterrupt
+
+    tracemalloc.start()
+    with pytest.raises(KeyboardInterrupt):
+        map_grid(on_host(see), grid, tmp_path / "map.zarr", workers=1, on_progress=stop, **LEVEL)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert set(batches) == {256}
+    assert peak < 1e8, "both axes are 16 MB, the grid would be 16 TB"
+    assert math.isclose(open_grid(tmp_path / "map.zarr").level[5, 7], 12 / (10**6 - 1))
+
+
+@pytest.mark.parametrize(
+    ("change", "word"),
+    [
+        ({"grid": GRID.__class__(GRID.names, GRID.units, GRID.low, GRID.high, (11, 8))}, "grid.counts"),
+        ({"provenance": {"model": "pendulum", "gains": (1.0, 2.6)}}, "provenance.gains"),
+        ({"variables": SETTINGS["variables"] | {"code": Variable((), "one", "")}}, "variables.code.units"),
+        ({"block": 4}, "block is [3, 3] there and [2, 2] here"),
+    ],
+)
+def test_a_store_of_another_configuration_is_left_alone(whole, change, word):
+    before = chunks(whole), (whole / "zarr.json").read_bytes()
+    changed = {"grid": GRID, "block": BLOCK, **SETTINGS, **change}
+    with pytest.raises(ValueError, match=re.escape(f"{whole} holds another map: {word}")):
+        map_grid(observables, path=whole, **changed)
+    assert (chunks(whole), (whole / "zarr.json").read_bytes()) == before
+
+
+def test_what_is_no_map_is_refused_and_left_alone(tmp_path):
+    (tmp_path / "file").write_text("kept")
+    (tmp_path / "folder").mkdir()
+    zarr.create_group(str(tmp_path / "group"), attributes={"complete": True})
+    for name in ("file", "folder", "group"):
+        for act in (lambda path: map_grid(observables, GRID, path, **SETTINGS), open_grid):
+            with pytest.raises(ValueError, match=rf"{name} is not a map made by map_grid; give another path"):
+                act(tmp_path / name)
+    with pytest.raises(ValueError, match="absent is not a map"):
+        open_grid(tmp_path / "absent")
+    with pytest.raises(FileNotFoundError):
+        map_grid(observables, GRID, tmp_path / "absent" / "map.zarr", **SETTINGS)
+    assert (tmp_path / "file").read_text() == "kept"
+    assert not list((tmp_path / "folder").iterdir())
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "folder", "group"]
+
+
+@pytest.mark.parametrize(
+    ("change", "word"),
+    [
+        ({"low": (3.0, -5)}, "axis 'angle': low must be below high, both finite; got 3.0 and 3.0"),
+        ({"high": (3.0, math.inf)}, "axis 'rate': low must be below high"),
+        ({"counts": (11, 1)}, "axis 'rate': the count must be a whole number, 2 or more; got 1"),
+        ({"counts": (11,)}, "a grid needs a name, a unit"),
+        ({"names": ("rate", "rate")}, "axis 'rate': two axes have this name"),
+        ({"names": ("rate", "a/b")}, "axis 'a/b': use a name"),
+    ],
+)
+def test_a_wrong_grid_is_refused_by_the_name_of_its_axis(change, word):
+    fields = {name: getattr(GRID, name) for name in ("names", "units", "low", "high", "counts")}
+    with pytest.raises(ValueError, match=re.escape(word)):
+        Grid(**fields | change)
+
+
+@pytest.mark.parametrize(
+    ("change", "word"),
+    [
+        ({"variables": {}}, "must return a dict of []"),
+        ({"variables": SETTINGS["variables"] | {"energy": Variable(("row",), "J", "")}}, "'energy' has shape ()"),
+        ({"variables": SETTINGS["variables"] | {"moment": Variable(("a", "a"), "1", "")}}, "'moment' has shape (2, 2)"),
+        ({"variables": SETTINGS["variables"] | {"moment": Variable(("rate", "a"), "1", "")}}, "'rate' cannot name"),
+        ({"provenance": {"rate": math.nan}}, "provenance must be made of"),
+        ({"block": 0}, "a block needs at least one point; got 0"),
+        ({"workers": 0}, "workers must be 1 or more; got 0"),
+        ({"workers": 2, "scheduler": "tcp://nowhere:1"}, "give scheduler or workers, not both"),
+    ],
+)
+def test_wrong_arguments_are_refused_before_anything_is_written(tmp_path, change, word):
+    with pytest.raises(ValueError, match=re.escape(word)):
+        map_grid(observables, GRID, tmp_path / "map.zarr", **SETTINGS | change)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_missing_package_is_named_with_the_line_that_installs_it(monkeypatch, tmp_path):
+    monkeypatch.setitem(sys.modules, "zarr", None)
+    with pytest.raises(
+        ImportError, match=re.escape("need zarr, which is not installed: pip install 'covariant[scale]")
+    ):
+        map_grid(observables, GRID, tmp_path / "map.zarr", **SETTINGS)

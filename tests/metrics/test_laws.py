@@ -1,0 +1,496 @@
+"""What any solution of the Riccati equation obeys, for every state-space model: it solves the equation, it is a tensor,
+it forgets how it was started, and windows compose."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import linalg
+
+from covariant import models
+from covariant.metrics import Equation, Solution, Window, metric_at, metric_through, window_at
+from covariant.models import StateSpace
+from covariant.signals import Result
+
+LONG = (
+    "test_the_error_is_below_its_bound_and_that_below_the_tolerance[1e-05]",
+    "test_the_flow_contracts_the_distance_of_any_two_metrics[induction motor]",
+    "test_the_flow_contracts_the_distance_of_any_two_metrics[van der Pol]",
+    "test_it_is_approached_geometrically_in_the_number_of_windows[van der Pol]",
+    "test_the_equation_is_satisfied_along_the_motion[Lorenz]",
+    "test_the_equation_is_satisfied_along_the_motion[bioreactor]",
+    "test_the_equation_is_satisfied_along_the_motion[induction motor]",
+    "test_the_equation_is_satisfied_along_the_motion[unknown frequency]",
+    "test_the_equation_is_satisfied_along_the_motion[van der Pol]",
+    "test_the_error_bound_holds_what_the_unknown_past_can_change[unknown frequency]",
+    "test_the_error_is_below_its_bound_and_that_below_the_tolerance[0.01]",
+    "test_the_flow_contracts_the_distance_of_any_two_metrics[unknown frequency]",
+)
+"""Cases of the long suite: a cheaper one of the same test is in the short one."""
+
+TIME = jnp.zeros(())
+
+
+class Case(NamedTuple):
+    """A model, states whose past stays in reach, the input, Q, R, and the sizes of the states.
+
+    `tolerance` of the solutions, which takes a past of some `span`. It is coarser for Lorenz, whose past is lost to
+    chaos backward within two seconds.
+    `still`: an equilibrium and its input, or None where little or nothing is seen at rest.
+    """
+
+    model: StateSpace
+    x: np.ndarray
+    u: np.ndarray
+    process_cov: np.ndarray
+    measurement_cov: np.ndarray
+    size: np.ndarray
+    tolerance: float
+    span: float
+    still: tuple[np.ndarray, np.ndarray] | None
+
+
+def steady_bioreactor(substrate=1.0):
+    growth = 0.53 * substrate / (0.12 + substrate + 0.4545 * substrate**2)
+    return np.array([0.4 * (4.0 - substrate), substrate]), np.array([growth])
+
+
+NONE = np.zeros(0)
+SIDE = np.sqrt(72.0)
+CASES = {
+    "unknown frequency": Case(
+        models.unknown_frequency(),
+        np.array([[0.5, 1.2, 0.8], [0.0, 1.0, 1.5]]),
+        NONE,
+        np.diag([0.5, 0.5, 0.5]),
+        np.eye(1),
+        np.ones(3),
+        1e-9,
+        20.0,
+        None,
+    ),
+    "van der Pol": Case(
+        models.van_der_pol(),
+        np.array([[1.0, 0.5], [-1.5, 0.3]]),
+        NONE,
+        np.eye(2),
+        np.eye(1),
+        np.ones(2),
+        1e-9,
+        12.0,
+        (np.zeros(2), NONE),
+    ),
+    "Lorenz": Case(
+        models.lorenz(),
+        np.array([[-8.96698, -2.81122, 33.95637]]),
+        NONE,
+        100 * np.eye(3),
+        0.01 * np.eye(1),
+        np.full(3, 40.0),
+        1e-4,
+        0.8,
+        (np.array([SIDE, SIDE, 27.0]), NONE),
+    ),
+    "Duffing": Case(
+        models.duffing(),
+        np.array([[1.0, 0.5], [-0.5, 0.3]]),
+        np.array([0.2]),
+        np.eye(2),
+        0.1 * np.eye(1),
+        np.full(2, 4.0),
+        1e-9,
+        8.0,
+        (np.array([1.2, 0.0]), np.array([1.2**3 - 1.2])),
+    ),
+    "bioreactor": Case(
+        models.bioreactor(growth=0.53),
+        np.array([[1.2, 1.0]]),
+        np.array([0.3]),
+        0.1 * np.eye(2),
+        0.01 * np.eye(1),
+        np.full(2, 8.0),
+        1e-9,
+        13.0,
+        steady_bioreactor(),
+    ),
+    "induction motor": Case(
+        models.induction_motor(),
+        np.array([[12.0, -40.0, 1.1, 0.4, 180.0], [5.0, 10.0, 0.5, 0.8, 50.0]]),
+        np.array([100.0, 50.0]),
+        np.diag([1e4, 1e4, 10.0, 10.0, 1e5]),
+        1e-2 * np.array([[1.0, 0.3], [0.3, 1.0]]),
+        np.array([1e4, 1e4, 20.0, 20.0, 2e3]),
+        1e-9,
+        0.045,
+        None,
+    ),
+}
+
+
+class Chart(NamedTuple):
+    """Coordinates z = unit · lower(upper(x / size)) with two triangular cubic maps, which have exact inverses."""
+
+    unit: jax.Array
+    upper: jax.Array
+    lower: jax.Array
+    gain: jax.Array
+
+
+def to_chart(chart, size, x):
+    a = x / size
+    a = a.at[:-1].add(chart.upper * a[1:] ** 3)
+    rows = [a[0]]
+    for k in range(1, len(a)):
+        rows.append(a[k] + chart.lower[k - 1] * a[k - 1] ** 3)
+    return chart.unit * jnp.stack(rows)
+
+
+def from_chart(chart, size, z):
+    b = z / chart.unit
+    a = [b[0]]
+    for k in range(1, len(b)):
+        a.append(b[k] - chart.lower[k - 1] * a[k - 1] ** 3)
+    xi = [a[-1]]
+    for k in range(len(b) - 2, -1, -1):
+        xi.insert(0, a[k] - chart.upper[k] * xi[0] ** 3)
+    return size * jnp.stack(xi)
+
+
+def in_chart(model, chart, size):
+    """The model in the coordinates z, with its output times `gain`."""
+
+    def back(z):
+        return from_chart(chart, size, z)
+
+    def f(t, z, u):
+        x = back(z)
+        return jax.jvp(lambda y: to_chart(chart, size, y), (x,), (model.f(t, x, u),))[1]
+
+    return StateSpace(f, lambda t, z, u: chart.gain * model.h(t, back(z), u), inputs=model.inputs)
+
+
+class Task(NamedTuple):
+    """One solution to compute: at x with input u, in a chart, from a starting metric (in that chart)."""
+
+    x: jax.Array
+    u: jax.Array
+    start: jax.Array
+    chart: Chart
+
+
+class Answer(NamedTuple):
+    """The solution in its own chart, and the metric carried back to x."""
+
+    solution: Solution
+    metric: jax.Array
+
+
+@eqx.filter_jit
+def solve(model, tolerance, tasks, size, process_cov, measurement_cov) -> Answer:
+    def one(task):
+        chart = task.chart
+        jacobian = jax.jacfwd(lambda x: to_chart(chart, size, x))
+
+        def noise(z):
+            j = jacobian(from_chart(chart, size, z))
+            return j @ process_cov @ j.T
+
+        equation = Equation(process_cov=noise, measurement_cov=chart.gain**2 * measurement_cov)
+        z = to_chart(chart, size, task.x)
+        found = metric_at(
+            in_chart(model, chart, size), equation, z, start=task.start, tolerance=tolerance, u=task.u, max_steps=1000
+        )
+        j = jacobian(task.x)
+        return Answer(found, j.T @ found.metric @ j)
+
+    return jax.vmap(one)(tasks)
+
+
+@eqx.filter_jit
+def windows(model, x, lengths, u, process_cov, measurement_cov):
+    equation = Equation(process_cov=process_cov, measurement_cov=measurement_cov)
+    one = jax.vmap(lambda x, length: window_at(model, equation, x, length, 600, u), (None, 0))
+    return jax.vmap(one, (0, None))(x, lengths)
+
+
+@eqx.filter_jit
+def passages(model, x, u, length, start, process_cov, measurement_cov):
+    equation = Equation(process_cov=process_cov, measurement_cov=measurement_cov)
+    through = jax.vmap(lambda start: metric_through(model, equation, x, length, 400, start=start, u=u))
+    return through(start)
+
+
+def distances(a, b):
+    """Affine-invariant distances of two stacks of metrics, by numpy."""
+    half = np.linalg.inv(np.linalg.cholesky(np.asarray(a)))
+    return np.sqrt((np.log(np.linalg.eigvalsh(half @ np.asarray(b) @ half.swapaxes(-1, -2))) ** 2).sum(-1))
+
+
+SHARES = np.array([0.3, 0.45, 0.6, 0.75])
+"""Lengths of windows as shares of the span; the first and the second make the fourth."""
+STEP = 1e-3
+"""Step of the finite differences along the motion, as a share of the span."""
+
+
+class Found(NamedTuple):
+    """What the laws are about, for one model: answers by name, each for every state, and windows of several lengths."""
+
+    case: Case
+    answers: dict[str, Answer]
+    windows: Window
+    before: Window
+
+
+def plain(case, **more):
+    n = len(case.size)
+    chart = Chart(case.size, np.zeros(n - 1), np.zeros(n - 1), np.ones(()))
+    return chart._replace(**more)
+
+
+def all_at_once(case, groups):
+    """Answers by name for {name: (states, input, start, chart)}: one program, run once."""
+    tasks = [Task(x, u, start, chart) for states, u, start, chart in groups.values() for x in states]
+    stacked = jax.tree.map(lambda *leaves: jnp.stack([jnp.asarray(leaf, float) for leaf in leaves]), *tasks)
+    found = solve(
+        case.model, case.tolerance, stacked, *map(jnp.asarray, (case.size, case.process_cov, case.measurement_cov))
+    )
+    ends = np.cumsum([len(group[0]) for group in groups.values()])
+    return {
+        name: jax.tree.map(lambda leaf, end=end, group=group: np.asarray(leaf[end - len(group[0]) : end]), found)
+        for (name, group), end in zip(groups.items(), ends, strict=True)
+    }
+
+
+@pytest.fixture(scope="module", params=CASES)
+def found(request) -> Found:
+    case = CASES[request.param]
+    n, rng = len(case.size), np.random.default_rng(5)
+    start = np.diag(1 / case.size**2)
+    cubic = plain(case, upper=rng.uniform(-0.3, 0.3, n - 1), lower=rng.uniform(-0.3, 0.3, n - 1))
+    units = plain(case, unit=case.size * 1000.0 ** rng.integers(-1, 2, n))
+    noise = jnp.asarray(case.process_cov), jnp.asarray(case.measurement_cov)
+
+    def windows_before(x):
+        found = windows(case.model, jnp.asarray(x), jnp.asarray(case.span * SHARES), jnp.asarray(case.u), *noise)
+        return jax.tree.map(np.asarray, found)
+
+    near = windows_before(case.x)
+    earlier = near.x[:, 0]
+    rate = np.stack([case.model.f(TIME, jnp.asarray(x), jnp.asarray(case.u)) for x in case.x])
+    groups = {
+        "itself": (case.x, case.u, start, plain(case)),
+        "low start": (case.x, case.u, 1e-3 * start, plain(case)),
+        "high start": (case.x, case.u, 1e3 * start, plain(case)),
+        "cubic chart": (case.x, case.u, start, cubic),
+        "other units": (case.x, case.u, start, units),
+        "louder output": (case.x, case.u, start, plain(case, gain=np.array(37.0))),
+        "earlier": (earlier, case.u, start, plain(case)),
+        **{f"{k:+d}": (case.x + k * STEP * case.span * rate, case.u, start, plain(case)) for k in (-2, -1, 1, 2)},
+    }
+    if case.still is not None:
+        groups["at rest"] = (case.still[0][None], case.still[1], start, plain(case))
+    return Found(case, all_at_once(case, groups), near, windows_before(earlier))
+
+
+@pytest.mark.long
+def test_solutions_are_found_and_are_metrics(found):
+    for name, answer in found.answers.items():
+        assert (answer.solution.result == Result.OK).all(), name
+        assert (answer.solution.error_bound < found.case.tolerance).all(), name
+        assert np.linalg.eigvalsh(answer.metric).min() > 0, name
+        np.testing.assert_allclose(answer.metric, answer.metric.swapaxes(1, 2), rtol=1e-10)
+
+
+def test_the_equation_is_satisfied_along_the_motion(found):
+    """Ṗ by finite differences of solutions at states on the motion's tangent, against the terms of (8), whitened."""
+    case, p = found.case, found.answers["itself"].metric
+    h = STEP * case.span
+    slope = [found.answers[f"{k:+d}"].metric for k in (-2, -1, 1, 2)]
+    slope = (8 * (slope[2] - slope[1]) - (slope[3] - slope[0])) / (12 * h)
+    for k, x in enumerate(case.x):
+        a, c = (np.asarray(j) for j in case.model.jacobians(TIME, jnp.asarray(x), jnp.asarray(case.u)))
+        gathered = c.T @ np.linalg.solve(case.measurement_cov, c)
+        quadratic = p[k] @ case.process_cov @ p[k]
+        residual = slope[k] + p[k] @ a + a.T @ p[k] - gathered + quadratic
+        half = np.linalg.inv(np.linalg.cholesky(p[k]))
+        scale = np.abs(half @ quadratic @ half.T).max()
+        assert np.abs(half @ residual @ half.T).max() < 1e-4 * scale
+        assert np.abs(half @ slope[k] @ half.T).max() > 5e-4 * scale  # or the law would say nothing of it
+
+
+def test_how_it_was_started_is_forgotten(found):
+    itself = found.answers["itself"]
+    for name in ("low start", "high start"):
+        other = found.answers[name]
+        assert (
+            distances(itself.metric, other.metric) <= itself.solution.error_bound + other.solution.error_bound
+        ).all(), name
+
+
+def test_it_is_a_tensor(found):
+    for name in ("cubic chart", "other units"):
+        assert distances(found.answers["itself"].metric, found.answers[name].metric).max() < 3 * found.case.tolerance, (
+            name
+        )
+
+
+def test_units_change_no_code_and_no_index(found):
+    itself, scaled = found.answers["itself"].solution, found.answers["other units"].solution
+    np.testing.assert_array_equal(itself.result, scaled.result)
+    np.testing.assert_allclose(itself.reconstructibility, scaled.reconstructibility, rtol=1e-6)
+    np.testing.assert_allclose(itself.horizon, scaled.horizon, rtol=0.1)
+
+
+def test_the_unit_of_the_output_changes_nothing(found):
+    assert (
+        distances(found.answers["itself"].metric, found.answers["louder output"].metric).max()
+        < 3 * found.case.tolerance
+    )
+
+
+@jax.jit
+def weigh(windows, starts):
+    every = jax.vmap(lambda window: (window.error_bound(1.0), jax.vmap(window.metric)(starts)))
+    return jax.vmap(every)(windows)
+
+
+def test_the_error_bound_holds_what_the_unknown_past_can_change(found):
+    """From above for every start, and from below: some start is as wrong as half of it."""
+    case, n = found.case, len(found.case.size)
+    starts = np.array([1e-9, 1e-3, 1.0, 1e3, 1e12])[:, None, None] * np.diag(1 / case.size**2)
+    error_bounds, metrics = (np.asarray(part) for part in weigh(found.windows, starts))
+    errors = distances(found.answers["itself"].metric[:, None, None], metrics)
+    assert (errors <= error_bounds[..., None] * (1 + 1e-6) + 3 * case.tolerance).all()
+    clear = (error_bounds > 30 * case.tolerance) & (error_bounds < 0.3)
+    assert clear.any()
+    assert (errors.max(-1)[clear] > error_bounds[clear] / (2.5 * np.sqrt(n))).all()
+
+
+def star(near, far):
+    """Redheffer's star product: the window that is `far` followed by `near`."""
+    mix = np.linalg.inv(np.eye(len(near.spread)) + near.spread @ far.information)
+    transition = far.transition @ mix @ near.transition
+    information = near.information + near.transition.T @ far.information @ mix @ near.transition
+    spread = far.spread + far.transition @ mix @ near.spread @ far.transition.T
+    return transition, information, spread
+
+
+def test_windows_compose(found):
+    """The window of 0.3 of the span, after that of 0.45 before it, is the window of 0.75."""
+    half = 1 / found.case.size
+    for k in range(len(found.case.x)):
+        near, far, whole = (
+            jax.tree.map(lambda leaf, k=k, j=j: leaf[k, j], which)
+            for which, j in ((found.windows, 0), (found.before, 1), (found.windows, 3))
+        )
+        np.testing.assert_allclose(half * far.x, half * whole.x, rtol=0, atol=1e-5)
+        scales = (np.outer(half, 1 / half), np.outer(1 / half, 1 / half), np.outer(half, half))
+        for one, other, scale in zip(star(near, far), whole[1:], scales, strict=True):
+            a, b = one * scale, other * scale
+            np.testing.assert_allclose(a, b, rtol=0, atol=1e-5 * np.abs(b).max())
+
+
+def test_the_metric_is_a_fixed_point(found):
+    """Lemma 4.3: the window maps the metric at its beginning to the metric at its end."""
+    for k, earlier in enumerate(found.answers["earlier"].metric):
+        window = jax.tree.map(lambda leaf, k=k: jnp.asarray(leaf[k, 0]), found.windows)
+        mapped = window.metric(jnp.asarray(earlier))
+        assert distances(found.answers["itself"].metric[k], mapped) < max(1e-6, 3 * found.case.tolerance)
+        assert distances(found.answers["itself"].metric[k], window.metric(1.0)) > 1e-4
+
+
+def stationary_information(case):
+    """P at rest by the algebraic Riccati equation of the stationary Kalman filter."""
+    x, u = (jnp.asarray(part) for part in case.still)
+    a, c = case.model.jacobians(TIME, x, u)
+    cov = linalg.solve_continuous_are(a.T, c.T, case.process_cov, case.measurement_cov)
+    return np.linalg.inv(cov), a - cov @ c.T @ np.linalg.inv(case.measurement_cov) @ c
+
+
+AT_REST = [name for name, case in CASES.items() if case.still is not None]
+
+
+@pytest.mark.parametrize("found", AT_REST, indirect=True)
+def test_at_rest_it_is_the_stationary_kalman_filters(found):
+    exact, _ = stationary_information(found.case)
+    assert distances(found.answers["at rest"].metric, exact[None]).max() < 3 * found.case.tolerance
+
+
+PAIRS = 170
+"""Random pairs of metrics for each of the six models: together more than a thousand."""
+
+
+def random_starts(metric, count, seed=6):
+    """Random metrics within a factor of ten of the given one, in every direction."""
+    n, rng = len(metric), np.random.default_rng(seed)
+    turned = np.linalg.qr(rng.normal(size=(count, n, n)))[0]
+    half = np.linalg.cholesky(metric) @ turned
+    return half * 10.0 ** rng.uniform(-1, 1, (count, 1, n)) @ half.swapaxes(1, 2)
+
+
+def fly(case, x, u, length, start):
+    noise = jnp.asarray(case.process_cov), jnp.asarray(case.measurement_cov)
+    return passages(case.model, jnp.asarray(x), jnp.asarray(u), jnp.asarray(length), jnp.asarray(start), *noise)
+
+
+def test_the_flow_contracts_the_distance_of_any_two_metrics(found):
+    """Lemma 4.2 with its own constants at every instant: D' ≤ −q p D, q and p the least eigenvalues of Q and of both
+    metrics, in coordinates in which Q is the identity."""
+    case = found.case
+    start = random_starts(found.answers["earlier"].metric[0], 2 * PAIRS)
+    passage = fly(case, case.x[0], case.u, case.span * SHARES[0], start)
+    n, every = len(case.size), 20
+    metrics = np.asarray(passage.metric)[:, ::every]
+    d = distances(*metrics.reshape(2, PAIRS, -1, n, n))
+    assert (np.diff(d, axis=1) <= 1e-9).all()
+    assert (d[:, -1] < d[:, 0]).all()
+    half = np.linalg.cholesky(case.process_cov)
+    least = np.linalg.eigvalsh(half.T @ metrics @ half)[..., 0].reshape(2, PAIRS, -1).min(0)
+    t = np.asarray(passage.t)[0, ::every]
+    slower = np.minimum(least[:, :-1], least[:, 1:]) * np.diff(t)
+    assert (np.diff(np.log(d), axis=1) <= -0.9 * slower + 1e-6).all()
+
+
+@pytest.mark.parametrize("found", AT_REST, indirect=True)
+def test_it_is_approached_geometrically_in_the_number_of_windows(found):
+    """Remark 4.5, at rest: each window takes away what the slowest pole of the stationary filter does."""
+    case = found.case
+    exact, closed = stationary_information(case)
+    slowest = max(np.linalg.eigvals(closed), key=lambda pole: (pole.real, pole.imag))
+    # After half a turn of the slowest pair of poles the difference has only shrunk.
+    least = np.log(1e7) / -2 / slowest.real
+    window = (
+        least / 10 if slowest.imag == 0 else np.pi / slowest.imag * max(1, round(least / 10 * slowest.imag / np.pi))
+    )
+    count = max(3, round(least / window))
+    every = 400 // count
+    length = 400 / every * window
+    start = random_starts(exact, 2 * PAIRS)
+    passage = fly(case, case.still[0], case.still[1], length, start)
+    logs = np.log(distances(exact, np.asarray(passage.metric)[:, : count * every + 1 : every]))
+    late = logs[:, count // 2 :]
+    assert (late < -2).all()
+    np.testing.assert_allclose(np.diff(late, axis=1), 2 * slowest.real * window, rtol=0.03)
+
+
+@pytest.mark.parametrize("tolerance", [1e-2, 1e-5])
+def test_the_error_is_below_its_bound_and_that_below_the_tolerance(tolerance):
+    """Each solution against one whose past is as long as nine digits need."""
+    case = CASES["van der Pol"]
+    states = jnp.asarray(np.random.default_rng(8).uniform(-0.9, 0.9, (40, 2)))
+
+    @jax.jit
+    def at(x):
+        one = Equation(process_cov=jnp.asarray(case.process_cov))
+        coarse = jax.vmap(lambda x: metric_at(case.model, one, x, start=3.0, tolerance=tolerance))(x)
+        return coarse, jax.vmap(lambda x: window_at(case.model, one, x, 16.0, 1600).metric(3.0))(x)
+
+    found, exact = at(states)
+    error = distances(exact, found.metric)
+    assert (found.result == Result.OK).all()
+    assert (error <= found.error_bound + 1e-9).all()
+    assert (found.error_bound < tolerance).all()
+    assert error.max() > 1e-2 * tolerance  # no longer a past than needed
