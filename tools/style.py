@@ -17,31 +17,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 HERE = Path(__file__).parents[1] / "src" / "covariant"
-WORDS = [
-    "told",
-    "tells",
-    "tell",
-    "said",
-    "found",
-    "kept",
-    "keep",
-    "made",
-    "worth",
-    "taken",
-    "way",
-    "near",
-    "far",
-    "spread",
-    "sought",
-    "sound",
-    "moves",
-    "held",
-    "age",
-    "about",
-    "own",
-    "whatever",
-    "given",
-]
+WORDS = {
+    *("told", "tells", "tell", "said", "found", "kept", "keep", "made", "worth", "taken", "way", "near", "far"),
+    *("spread", "sought", "sound", "moves", "held", "age", "about", "own", "whatever", "given"),
+}
 """Words that say little by themselves: right English in places, and riddles as names."""
 MOST_PARAMETERS, LONGEST_BODY, LONGEST_FILE = 7, 60, 400
 Function = ast.FunctionDef | ast.AsyncFunctionDef
@@ -50,24 +29,16 @@ Function = ast.FunctionDef | ast.AsyncFunctionDef
 class Style(NamedTuple):
     """The numbers of a package.
 
-    - `files`, `lines`: of source; `code`: those that are neither empty, nor comments, nor docstrings.
-    - `public`: number of public functions, methods and classes; `undocumented`, `one_line`: of these.
-    - `classes`, `with_example`: of public classes and functions at the top of a file, and those with an example.
-    - `comments`: lines with a comment.
+    - `numbers`: files, lines, code (lines that are neither empty, nor comments, nor docstrings), comments; public
+      functions, methods and classes, and of these undocumented and one_line; offered, public functions and classes at
+      the top of a file, and of these with_example.
     - `words`: how often each of `WORDS` is in identifiers and prose.
-    - `wide`: functions with more than `MOST_PARAMETERS` parameters, `long`: with more than `LONGEST_BODY` lines of body.
+    - `wide`: functions with more than `MOST_PARAMETERS` parameters.
+    - `long`: functions with more than `LONGEST_BODY` lines of body.
     - `large`: files of more than `LONGEST_FILE` lines.
     """
 
-    files: int
-    lines: int
-    code: int
-    public: int
-    undocumented: int
-    one_line: int
-    offered: int
-    with_example: int
-    comments: int
+    numbers: Counter
     words: Counter
     wide: list[str]
     long: list[str]
@@ -126,8 +97,7 @@ def measure(folder: Path) -> Style:
     """The numbers of all files of a folder; raises `SyntaxError` for one that is no Python."""
     numbers, words = Counter(), Counter()
     wide, long, large = [], [], []
-    files = sorted(folder.rglob("*.py"))
-    for path in files:
+    for path in sorted(folder.rglob("*.py")):
         source = path.read_text(encoding="utf-8")
         tree, lines, place = ast.parse(source), source.count("\n"), path.relative_to(folder).as_posix()
         texts = list(docstrings(tree))
@@ -136,6 +106,7 @@ def measure(folder: Path) -> Style:
         alone = sum(line.strip().startswith("#") for line in source.split("\n"))
         blank = sum(not line.strip() for line in source.split("\n"))
         inner_blank = sum(text.count("\n\n") for text, _ in texts)
+        numbers["files"] += 1
         numbers["lines"] += lines
         numbers["code"] += lines - alone - blank - sum(n for _, n in texts) + inner_blank
         numbers["comments"] += len(comments)
@@ -157,19 +128,19 @@ def measure(folder: Path) -> Style:
                 wide += [f"{place}:{node.name}"] * (arguments(node) > MOST_PARAMETERS)
                 long += [f"{place}:{node.name}"] * (body_lines(node) > LONGEST_BODY)
         large += [place] * (lines > LONGEST_FILE)
-    keys = ("lines", "code", "public", "undocumented", "one_line", "offered", "with_example", "comments")
-    return Style(len(files), *(numbers[key] for key in keys), words, wide, long, large)
+    return Style(numbers, words, wide, long, large)
 
 
 def report(name: str, style: Style) -> str:
     """The numbers as lines of text."""
-    share = 100 * style.one_line / max(style.public - style.undocumented, 1)
+    of = style.numbers
+    share = 100 * of["one_line"] / max(of["public"] - of["undocumented"], 1)
     rows = [
-        ("files", f"{style.files}, {style.lines} lines, {style.code} of code"),
-        ("public names", f"{style.public}, {style.undocumented} without a docstring"),
+        ("files", f"{of['files']}, {of['lines']} lines, {of['code']} of code"),
+        ("public names", f"{of['public']}, {of['undocumented']} without a docstring"),
         ("docstrings of one line", f"{share:.0f} %"),
-        ("with an example", f"{style.with_example} of {style.offered} public classes and functions"),
-        ("comments", f"{100 * style.comments / max(style.lines, 1):.1f} per 100 lines"),
+        ("with an example", f"{of['with_example']} of {of['offered']} public classes and functions"),
+        ("comments", f"{100 * of['comments'] / max(of['lines'], 1):.1f} per 100 lines"),
         (f"functions of > {MOST_PARAMETERS} parameters", f"{len(style.wide)}"),
         (f"bodies of > {LONGEST_BODY} lines", f"{len(style.long)}"),
         (f"files of > {LONGEST_FILE} lines", f"{len(style.large)}"),
