@@ -13,7 +13,7 @@ from hypothesis import example, given, settings
 
 from covariant import models, observers
 from covariant.engine import Stream, run_log
-from covariant.engine._works import works
+from covariant.engine._backends import backend
 from covariant.signals import Record, Result
 
 LONG = (
@@ -51,7 +51,7 @@ def cases() -> dict[str, tuple]:
 @functools.cache
 def engines(name: str) -> list:
     observer, y = cases()[name]
-    both = [works(observer, y, len(y), asked) for asked in ("c", "jax")]
+    both = [backend(observer, y, len(y), asked) for asked in ("c", "jax")]
     assert [by.partition(":")[0] for by, _ in both] == ["c", "jax"]
     return [work for _, work in both]
 
@@ -127,15 +127,15 @@ def test_a_log_with_angles_of_too_many_turns(engine):
 def test_an_angle_of_many_turns_is_followed():
     """Within the limit, to the digits that are left."""
     _, y = cases()["pll"]
-    works_in_c, _ = engines("pll")
+    in_c, _ = engines("pll")
     turns = 2 * np.pi * 1e8
-    works_in_c.u[:] = 0.0
-    works_in_c.y[:] = y
-    works_in_c.start(0.0)
+    in_c.u[:] = 0.0
+    in_c.y[:] = y
+    in_c.start(0.0)
     for _ in range(5):
-        works_in_c.y[:] = y + turns
-        assert works_in_c.advance(0.01) == Result.OK
-    np.testing.assert_allclose(works_in_c.x[:2], y, atol=1e-6)
+        in_c.y[:] = y + turns
+        assert in_c.advance(0.01) == Result.OK
+    np.testing.assert_allclose(in_c.x[:2], y, atol=1e-6)
 
 
 @pytest.mark.parametrize("dt", [0.01, 5e-324])

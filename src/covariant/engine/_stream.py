@@ -6,8 +6,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from covariant.engine._backends import backend
 from covariant.engine._choice import EngineName
-from covariant.engine._works import works
 from covariant.models import Motion
 from covariant.observers import AbstractObserver
 from covariant.signals import Result
@@ -76,16 +76,16 @@ class Stream:
         stated = getattr(model, "inputs", None)
         m = inputs if inputs is not None else 0 if model is None else len(y) if stated is None else stated
         self.observer: Any = observer
-        self.engine, self._works = works(self.observer, y, m, engine)
-        self._y, self._u = self._works.y, self._works.u
-        self._y_place, self._u_place = self._works.places
-        self._advance, self._copy = self._works.advance, self._works.x.copy
+        self.engine, self._backend = backend(self.observer, y, m, engine)
+        self._y, self._u = self._backend.y, self._backend.u
+        self._y_place, self._u_place = self._backend.places
+        self._advance, self._copy = self._backend.advance, self._backend.x.copy
         self._largest = self.observer.largest(y).ravel()
         self._shape = y.shape if y.ndim == 2 else None
         # Compile before the first sample.
-        self._works.y[:], self._works.u[:] = y.ravel(), 0.0
-        self._works.start(0.0)
-        self._works.advance(1 / rate)
+        self._backend.y[:], self._backend.u[:] = y.ravel(), 0.0
+        self._backend.start(0.0)
+        self._backend.advance(1 / rate)
         self.reset()
 
     @property
@@ -105,7 +105,7 @@ class Stream:
         self._started, self._t, self._back = False, math.nan, 0
         self._counts, self._results = Counter[str](), [0] * len(CODES)
         self._last = Result.OK
-        self._works.x[:] = math.nan
+        self._backend.x[:] = math.nan
 
     def step(self, t: Any, y: Any, u: Any = None) -> Any:
         """The estimate at the stamp t [s], from the measurement y, with the input u that acted since the last stamp.
@@ -161,12 +161,12 @@ class Stream:
         """Start at a measurement that is complete, and a configuration; wait for one otherwise."""
         self._t, self._back = t, 0
         result = Result.COASTED
-        if (np.abs(self._works.y) <= self._largest).all():
-            self._works.start(t)
-            result = Result.OK if np.isfinite(self._works.x).all() else Result.NOT_FINITE
+        if (np.abs(self._backend.y) <= self._largest).all():
+            self._backend.start(t)
+            result = Result.OK if np.isfinite(self._backend.x).all() else Result.NOT_FINITE
         self._started = result == Result.OK
         if not self._started:
-            self._works.x[:] = math.nan
+            self._backend.x[:] = math.nan
         return self._told(result)
 
     def _read(self, into: np.ndarray, given: Any) -> None:

@@ -24,13 +24,7 @@ from ._jax_forms import (
     equations as equations,
     needed as needed,
 )
-from ._lowered import Conditions as Conditions, Lowered as Lowered, LoweringError as LoweringError
-from ._peephole import simplified as simplified
-from ._read import NUMBERS as NUMBERS, Domain as Domain, evaluate as evaluate, numbers as numbers
-from ._rounding import perturbed as perturbed
-from ._stumpff import STUMPFF as STUMPFF, stumpff as stumpff
-from ._tape import Interval as Interval, Truth as Truth
-from ._trace import (
+from ._jaxpr import (
     TracedFunction as TracedFunction,
     graft as graft,
     lower as lower,
@@ -38,3 +32,9 @@ from ._trace import (
     substitute as substitute,
     trace as trace,
 )
+from ._lowered import Conditions as Conditions, Lowered as Lowered, LoweringError as LoweringError
+from ._peephole import simplified as simplified
+from ._read import NUMBERS as NUMBERS, Domain as Domain, evaluate as evaluate, numbers as numbers
+from ._rounding import perturbed as perturbed
+from ._stumpff import STUMPFF as STUMPFF, stumpff as stumpff
+from ._tape import Interval as Interval, Truth as Truth

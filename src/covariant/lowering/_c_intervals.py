@@ -21,8 +21,8 @@ from covariant.lowering._enclose import Enclosure, bounds
 from covariant.lowering._fuse import fused
 from covariant.lowering._graph import no_collection
 from covariant.lowering._lowered import Lowered
+from covariant.lowering._numpy_to_c import HEAD, REAL, TRUTH, Text, Traced
 from covariant.lowering._tape import KERNELS, Interval, Kernel, Place, Tape, Truth
-from covariant.lowering._traced import HEAD, REAL, TRUTH, Text, Traced
 
 LANES = 128
 """Number of boxes for which a step is done at once: enough that the choice of the next step does not count."""

@@ -21,11 +21,11 @@ from covariant._linalg import semidefinite_root, triangular
 from covariant._typing import Code, Matrix, Number, Scalar, Vector
 from covariant.geometry import AbstractManifold, AbstractSpace, Budget
 from covariant.models import MechanicalSystem, Motion, advance
+from covariant.observers._covariance import Covariance, check_covariance, covariance_at
 from covariant.observers._gate import Gate, judged, open_gate
 from covariant.observers._protocol import AbstractObserver, Held, as_gain, at_rest, check_positive, outcome, uniqueness
 from covariant.observers._sampled import needed_substeps
 from covariant.observers._slow import Slow, SlowStates, SlowVector, as_groups
-from covariant.observers._spread import Spread, check_spread, spread_at
 from covariant.observers._square_root import diagonal, normalised_square, updated, white_acceleration
 from covariant.observers._ticks import Readings, take
 from covariant.signals import Result
@@ -121,9 +121,9 @@ class IntrinsicKalman(AbstractObserver):
     """
 
     model: MechanicalSystem
-    process_cov: Spread = eqx.field(converter=as_gain)
-    measurement_cov: Spread = eqx.field(converter=as_gain)
-    initial_velocity_cov: Spread = eqx.field(converter=as_gain)
+    process_cov: Covariance = eqx.field(converter=as_gain)
+    measurement_cov: Covariance = eqx.field(converter=as_gain)
+    initial_velocity_cov: Covariance = eqx.field(converter=as_gain)
     slow: tuple[Slow, ...] = eqx.field(default=(), converter=as_groups)
     quantum: Vector | None = eqx.field(default=None, converter=as_quantum)
     gate: Gate | None = Gate()
@@ -131,9 +131,9 @@ class IntrinsicKalman(AbstractObserver):
     substeps: int | None = eqx.field(default=None, static=True)
 
     def __check_init__(self):
-        check_spread("IntrinsicKalman", "measurement_cov", self.measurement_cov, positive=True)
+        check_covariance("IntrinsicKalman", "measurement_cov", self.measurement_cov, positive=True)
         for name in ("process_cov", "initial_velocity_cov"):
-            check_spread("IntrinsicKalman", name, getattr(self, name))
+            check_covariance("IntrinsicKalman", name, getattr(self, name))
         self._slow.check("IntrinsicKalman", self.model)
         if self.quantum is not None:
             check_positive("IntrinsicKalman", quantum=self.quantum)
@@ -213,7 +213,7 @@ class IntrinsicKalman(AbstractObserver):
 
     def _noise(self, q: Array) -> Matrix:
         """Covariance of one sample, taken as noise, in the frame at what is measured."""
-        noise = spread_at(self.measurement_cov, self.model.space, q)
+        noise = covariance_at(self.measurement_cov, self.model.space, q)
         return noise if self.quantum is None else noise + jnp.diag(self.quantum.astype(noise.dtype) ** 2 / 12)
 
     def _read(self, y: Array, age: Vector) -> Readings | None:
@@ -254,7 +254,7 @@ class IntrinsicKalman(AbstractObserver):
         rows = _beside(apart(space, state.q, state.v), state)
         position = rows[:n] if output.slope is None else rows[:n].at[:, 2 * n :].set(output.slope)
         moved = self.model.manifold.towards(state.readings.y, y)
-        noise = jnp.diag(spread_at(self.measurement_cov, space, state.q))
+        noise = jnp.diag(covariance_at(self.measurement_cov, space, state.q))
         parts = position, rows[n : 2 * n]
         step = self.quantum.astype(noise.dtype)
         return take(state.root, straight, moved, state.readings.age, state.v, parts, step, noise, used)
@@ -279,7 +279,7 @@ class IntrinsicKalman(AbstractObserver):
         root = (
             _beside(parallel(space, q, v), state) @ slope @ _beside(apart(space, state.q, state.v), state) @ state.root
         )
-        noise = white_acceleration(spread_at(self.process_cov, space, q), h)
+        noise = white_acceleration(covariance_at(self.process_cov, space, q), h)
         if self.slow:
             noise = diagonal(noise, jnp.sqrt(h) * self._slow.walk_root().astype(noise.dtype))
         readings = state.readings and state.readings._replace(age=state.readings.age + h)
@@ -303,7 +303,7 @@ class IntrinsicKalman(AbstractObserver):
     def _first_root(self, q: Array, like: Vector, slow: SlowVector) -> Float[Array, "two_n_k two_n_k"]:
         """Root of the covariance where all that is known are one measurement and what is known at first."""
         noise, slope = self._slopes(q, like, slow)
-        velocity = semidefinite_root(spread_at(self.initial_velocity_cov, self.model.space, q))
+        velocity = semidefinite_root(covariance_at(self.initial_velocity_cov, self.model.space, q))
         both = diagonal(semidefinite_root(noise), velocity)
         if not self.slow:
             return both

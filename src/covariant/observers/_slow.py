@@ -24,7 +24,7 @@ from covariant._functional import Functional
 from covariant._linalg import semidefinite_root
 from covariant._typing import Matrix, Numbers, Vector
 from covariant.models import Family, MechanicalSystem, Motion, Parametric, acceleration, input_count, resistance
-from covariant.observers._spread import check_spread
+from covariant.observers._covariance import check_covariance
 from covariant.observers._square_root import diagonal
 
 SlowVector = Float[Array, "k"]
@@ -65,7 +65,7 @@ class Slow(Functional):
             given = getattr(self, name)
             if np.shape(given) != (k, k):
                 raise ValueError(f"Slow: {name} must be a matrix ({k}, {k}); its shape is {np.shape(given)}")
-            check_spread("Slow", name, given)
+            check_covariance("Slow", name, given)
         if self.force is None and self.model is None and self.offset is None:
             raise ValueError("Slow: give a force, a model or an offset that depends on the states")
 
@@ -233,7 +233,7 @@ def _finite(given: Any) -> bool:
 
 
 def _square(whose: str, name: str, given: Any) -> Matrix:
-    check_spread(whose, name, given)
+    check_covariance(whose, name, given)
     if np.ndim(given) != 2:
         raise ValueError(f"{whose}: {name} must be a matrix (n, n); its shape is {np.shape(given)}")
     return jnp.asarray(given, float)

@@ -23,11 +23,11 @@ from jaxtyping import Array, Float, Inexact, Int
 from covariant._linalg import semidefinite_root, triangular
 from covariant._typing import Number, Scalar, Vector
 from covariant.models import MechanicalSystem, Motion
+from covariant.observers._covariance import Covariance, check_covariance, covariance_at
 from covariant.observers._ekf import EKFInfo
 from covariant.observers._gate import Gate, judged, open_gate
 from covariant.observers._protocol import AbstractObserver, Held, as_gain, at_rest, check_finite, outcome, uniqueness
 from covariant.observers._sampled import predict
-from covariant.observers._spread import Spread, check_spread, spread_at
 from covariant.observers._square_root import diagonal, normalised_square, updated, white_acceleration
 
 
@@ -67,16 +67,16 @@ class UKF(AbstractObserver):
     """
 
     model: MechanicalSystem
-    process_cov: Spread = eqx.field(converter=as_gain)
-    measurement_cov: Spread = eqx.field(converter=as_gain)
+    process_cov: Covariance = eqx.field(converter=as_gain)
+    measurement_cov: Covariance = eqx.field(converter=as_gain)
     initial_velocity_std: Scalar = eqx.field(default=1.0, converter=as_gain)
     substeps: int | None = eqx.field(default=None, static=True)
     spread: float = eqx.field(default=0.6, static=True)
     gate: Gate | None = Gate()
 
     def __check_init__(self):
-        check_spread("UKF", "process_cov", self.process_cov)
-        check_spread("UKF", "measurement_cov", self.measurement_cov, positive=True)
+        check_covariance("UKF", "process_cov", self.process_cov)
+        check_covariance("UKF", "measurement_cov", self.measurement_cov, positive=True)
         check_finite("UKF", initial_velocity_std=self.initial_velocity_std)
         if not 0.52 <= self.spread <= 1.93:
             raise ValueError(f"UKF: spread must be between .52 and 1.93; got {self.spread}")
@@ -113,7 +113,7 @@ class UKF(AbstractObserver):
         deviations = seen_from(q, v)
         centre = 4 - self.spread**-2 - self.spread**2  # λ/(L + λ) + 1 − α² + β
         columns = jnp.concatenate([centre**0.5 * deviations[:1], deviations[1:] / (2 * squared) ** 0.5]).T
-        noise = white_acceleration(spread_at(self.process_cov, self.model.space, q), dt)
+        noise = white_acceleration(covariance_at(self.process_cov, self.model.space, q), dt)
         root = triangular(jnp.concatenate([columns, noise.astype(columns.dtype)], axis=1))
         return state._replace(q=q, v=v, t=state.t + dt, root=root)
 
@@ -121,7 +121,7 @@ class UKF(AbstractObserver):
         """Take the measurement y in; missing entries (NaN) are left out, on a group all where one is missing."""
         manifold, n = self.model.manifold, state.v.shape[0]
         missing, innovation = manifold.missing(y), manifold.towards(state.q, y)
-        noise = spread_at(self.measurement_cov, self.model.space, state.q)
+        noise = covariance_at(self.measurement_cov, self.model.space, state.q)
         spread = state.root[:n] @ state.root[:n].T + noise
         found = judged(self.gate, manifold, innovation, spread, ~missing, state.refused, state.scale)
         gain, root = updated(state.root, state.root[:n], noise, ~missing & ~found.far)
@@ -140,5 +140,5 @@ class UKF(AbstractObserver):
         return self.correct(self.predict(state, u, dt), y)
 
     def _first_root(self, q: Array, v: Vector) -> Float[Array, "two_n two_n"]:
-        position = semidefinite_root(spread_at(self.measurement_cov, self.model.space, q)).astype(v.dtype)
+        position = semidefinite_root(covariance_at(self.measurement_cov, self.model.space, q)).astype(v.dtype)
         return diagonal(position, jnp.eye(v.shape[0], dtype=v.dtype) * self.initial_velocity_std)

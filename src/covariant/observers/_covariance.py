@@ -13,20 +13,20 @@ from covariant._typing import Matrix, Scalar
 from covariant.geometry import AbstractSpace
 from covariant.observers._protocol import check_finite
 
-Spread = Scalar | Matrix | Callable[[Any], Matrix]
+Covariance = Scalar | Matrix | Callable[[Any], Matrix]
 """A covariance of vectors at a configuration, in the frame of the space: a number is a variance in metric units, the
 same in every direction; a matrix (n, n) is the same at every configuration; or a function `q -> (n, n)`."""
 
 
-def check_spread(whose: str, name: str, spread: Any, positive: bool = False) -> None:
+def check_covariance(whose: str, name: str, covariance: Any, positive: bool = False) -> None:
     """Raise `ValueError` for a number or matrix that is no covariance; with `positive`, also for a singular one.
 
     A traced value and a function are not checked.
     """
-    if callable(spread) or isinstance(spread, Tracer):
+    if callable(covariance) or isinstance(covariance, Tracer):
         return
-    check_finite(whose, **{name: spread})
-    given = np.asarray(spread, float)
+    check_finite(whose, **{name: covariance})
+    given = np.asarray(covariance, float)
     if given.ndim not in (0, 2) or (given.ndim == 2 and given.shape[0] != given.shape[1]):
         raise ValueError(f"{whose}: {name} must be a number or a square matrix; its shape is {given.shape}")
     matrix = np.atleast_2d(given)
@@ -39,12 +39,12 @@ def check_spread(whose: str, name: str, spread: Any, positive: bool = False) -> 
         raise ValueError(f"{whose}: {name} must have variances that are {wanted}; its least is {least:.3g}")
 
 
-def spread_at(spread: Spread, space: AbstractSpace, q: Array) -> Float[Array, "n n"]:
+def covariance_at(covariance: Covariance, space: AbstractSpace, q: Array) -> Float[Array, "n n"]:
     """The covariance matrix (n, n) at the configuration q."""
-    if callable(spread):
-        return spread(q)
-    spread = jnp.asarray(spread)
-    if spread.ndim:
-        return spread
+    if callable(covariance):
+        return covariance(q)
+    covariance = jnp.asarray(covariance)
+    if covariance.ndim:
+        return covariance
     metric = space(q)
-    return spread * solve(metric, jnp.eye(metric.shape[0], dtype=metric.dtype))
+    return covariance * solve(metric, jnp.eye(metric.shape[0], dtype=metric.dtype))

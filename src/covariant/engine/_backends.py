@@ -1,4 +1,4 @@
-"""What works behind a stream: compiled C on buffers of its own, or a compiled program of JAX."""
+"""Backends of a stream: compiled C on its buffers, or a compiled program of JAX."""
 
 import functools
 import math
@@ -13,34 +13,34 @@ from covariant.engine._choice import EngineName, choose
 from covariant.engine._kernel import Kernel, KernelForm
 
 
-class InC:
-    """Measurement `y`, input `u` and estimate `x` in arrays at fixed places, which C reads and writes."""
+class CBackend:
+    """Compiled C: it reads measurement `y` and input `u`, and writes the estimate `x`, in arrays at fixed addresses."""
 
-    def __init__(self, made: Kernel):
-        states, estimates, infos = made.sizes
-        sizes = (states, made.layout.u, int(np.prod(made.layout.y)), estimates, infos)
+    def __init__(self, kernel: Kernel):
+        states, estimates, infos = kernel.sizes
+        sizes = (states, kernel.layout.u, int(np.prod(kernel.layout.y)), estimates, infos)
         self._numbers = np.zeros(sum(sizes))  # one array, so that a call passes one pointer
         self.state, self.u, self.y, self.x, self.info = np.split(self._numbers, np.cumsum(sizes)[:-1])
-        self._made = made  # it keeps the library loaded
+        self._kernel = kernel  # it keeps the library loaded
         self._t = np.zeros(1)
-        self._starts = tuple(map(made.pointer, (self.y, self._t, self.state)))
-        self.places: Any = tuple(made.ffi.buffer(made.pointer(a), a.nbytes) for a in (self.y, self.u))
+        self._starts = tuple(map(kernel.pointer, (self.y, self._t, self.state)))
+        self.places: Any = tuple(kernel.ffi.buffer(kernel.pointer(a), a.nbytes) for a in (self.y, self.u))
         """Where the bytes of a measurement and an input go: sooner written than arrays of NumPy."""
-        self.advance = functools.partial(made.library.kernel_step, made.pointer(self._numbers))
+        self.advance = functools.partial(kernel.library.kernel_step, kernel.pointer(self._numbers))
         """One step of dt, in place; returns its result code."""
 
     def start(self, t: float) -> None:
         """Start at y, at the time t."""
         self._t[0] = t
-        self._made.library.kernel_init(self._made.ffi.NULL, *self._starts)
+        self._kernel.library.kernel_init(self._kernel.ffi.NULL, *self._starts)
         before = self.u.copy()
         self.u.fill(0.0)
         self.advance(0.0)  # a step of no length leaves the state as it is, and tells its estimate
         self.u[:] = before
 
 
-class InJax:
-    """The same by JAX."""
+class JaxBackend:
+    """A compiled program of JAX with the attributes and methods of `CBackend`."""
 
     def __init__(self, observer: Any, y: np.ndarray, inputs: int):
         self._shape, self._observer = y.shape, observer
@@ -74,7 +74,7 @@ def _flat(x: Any) -> Any:
     return jnp.concatenate([jnp.ravel(leaf) for leaf in jax.tree.leaves(x)])
 
 
-def works(observer: Any, y: np.ndarray, inputs: int, asked: EngineName) -> tuple[str, InC | InJax]:
-    """The name of the engine for a stream of an observer, with the reason where it is not C, and what works."""
+def backend(observer: Any, y: np.ndarray, inputs: int, asked: EngineName) -> tuple[str, CBackend | JaxBackend]:
+    """The name of the engine for a stream of an observer, with the reason where it is not C, and its backend."""
     chosen = choose(observer, KernelForm(y.shape, inputs), math.inf, asked)  # a stream has no last row
-    return str(chosen), InJax(observer, y, inputs) if chosen.kernel is None else InC(chosen.kernel)
+    return str(chosen), JaxBackend(observer, y, inputs) if chosen.kernel is None else CBackend(chosen.kernel)
