@@ -124,7 +124,7 @@ def test_body_frame_and_euler_angles_predict_correct_and_reset_alike():
     @eqx.filter_jit
     def both(observer, q, v, y):
         state = observer.init(q)._replace(v=v)
-        return observer.correct(observer.predict(state, jnp.zeros(3), jnp.asarray(0.2)), y)[0]
+        return observer.correct(observer.predict(state, jnp.zeros(3), jnp.asarray(0.2)), jnp.zeros(3), y)[0]
 
     group = both(there, euler_rotation(angles), turned(angles) @ rates, euler_rotation(measured))
     chart = both(here, angles, rates, measured)

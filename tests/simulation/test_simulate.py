@@ -27,7 +27,10 @@ class Follower(AbstractFlowObserver):
     def estimate(self, state):
         return jnp.concatenate([state.q, state.v])
 
-    def advance(self, state, u, y, dt):
+    def predict(self, state, u, dt):
+        raise NotImplementedError
+
+    def correct(self, state, u, y):
         raise NotImplementedError
 
     def flow(self, t, state, u, y):

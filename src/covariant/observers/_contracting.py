@@ -93,11 +93,14 @@ class Contracting(AbstractFlowObserver):
         slope, one = self.virtual(t, state.x, u, nearest), jnp.ones_like(state.t)
         return ContractingState(slope, one, jnp.zeros_like(state.unmeasured), still(state.held))
 
-    def advance(
-        self, state: ContractingState, u: Float[Array, "m"], y: Float[Array, "p"], dt: Scalar
-    ) -> tuple[ContractingState, Info]:
-        now, waited = state.t + dt, state.unmeasured + dt
+    def predict(self, state: ContractingState, u: Float[Array, "m"], dt: Scalar) -> ContractingState:
         x = rk4(lambda s, x: self.model.f(s, x, u), state.t, state.x, dt, self.substeps)
+        return state._replace(x=x, t=state.t + dt, unmeasured=state.unmeasured + dt)
+
+    def correct(
+        self, state: ContractingState, u: Float[Array, "m"], y: Float[Array, "p"]
+    ) -> tuple[ContractingState, Info]:
+        x, now, waited, _ = state
         expected = self.model.h(now, x, u)
         missing = jnp.isnan(y)
         error = self.model.output_error(expected, y)
@@ -109,7 +112,7 @@ class Contracting(AbstractFlowObserver):
         moved = x - correction
         result = jnp.where(jnp.all(missing), int(Result.COASTED), int(Result.OK))
         result = jnp.where(jnp.all(jnp.isfinite(moved)), result, int(Result.NOT_FINITE)).astype(jnp.int32)
-        after = ContractingState(moved, now, jnp.where(missing, waited, 0.0))
+        after = state._replace(x=moved, unmeasured=jnp.where(missing, waited, 0.0))
         return after, Info(-error, jnp.sqrt(correction @ correction), result)
 
     def _gain(self, t: Scalar, z: Float[Array, "p"]) -> Float[Array, "n p"]:

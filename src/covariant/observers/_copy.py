@@ -18,11 +18,10 @@ from covariant.observers._protocol import (
     at_rest,
     check_positive,
     outcome,
-    since,
     still,
     uniqueness,
 )
-from covariant.observers._sampled import predict, sampled_correction, worth
+from covariant.observers._sampled import predicted, sampled_correction, worth
 
 
 class Copy(AbstractMechanicalObserver):
@@ -54,13 +53,15 @@ class Copy(AbstractMechanicalObserver):
         v_dot = drive - self.beta * e - self.model.space.connection(q, v, v)
         return HeldState(v - self.alpha * e, v_dot, jnp.ones_like(state.t), still(held), still(age))
 
-    def advance(self, state: HeldState, u: Float[Array, "m"], y: Array, dt: Scalar) -> tuple[HeldState, Info]:
-        q, v = predict(self.model, state.t, state.q, state.v, u, dt, self.substeps)
-        t = state.t + dt
-        e = -self.model.manifold.towards(q, y)
+    def predict(self, state: HeldState, u: Float[Array, "m"], dt: Scalar) -> HeldState:
+        return predicted(self.model, state, u, dt, self.substeps)
+
+    def correct(self, state: HeldState, u: Float[Array, "m"], y: Array) -> tuple[HeldState, Info]:
+        q, v, t, _, age = state
+        e = -self.innovation(state, u, y)
         missing = source(self.model, t, self.model.manifold.measured(q, y), u) - source(self.model, t, q, u)
-        taken = sampled_correction(self.model.space, Motion(q, v), self.alpha, self.beta, since(state, dt), e, missing)
+        taken = sampled_correction(self.model.space, Motion(q, v), self.alpha, self.beta, age, e, missing)
         new_q, new_v = self.model.manifold.retract(q, -taken.part * e), v + taken.velocity
         result = outcome(new_q, new_v, y, worth(taken, uniqueness(self.model, q, y)))
-        new = HeldState(new_q, new_v, t, age=aged(self.model, state, y, dt))
+        new = state._replace(q=new_q, v=new_v, age=aged(self.model, state, y))
         return new, Info(-e, self.model.space.norm(q, e), result)

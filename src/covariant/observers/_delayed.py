@@ -116,23 +116,30 @@ class Delayed(AbstractObserver):
     def estimate(self, state: DelayedState) -> Any:
         return self.observer.estimate(state.now)
 
-    def advance(
-        self, state: DelayedState, u: Float[Array, "m"], y: Inexact[Array, "*n"], dt: Scalar
-    ) -> tuple[DelayedState, Any]:
-        if self.length == 1:  # nothing ever waits: it is the observer itself, to the last bit
-            now, info = self.observer.step(state.now, u, y, dt)
-            return state._replace(now=now, known=now, t=state.t + dt), info
+    def predict(self, state: DelayedState, u: Float[Array, "m"], dt: Scalar) -> DelayedState:
+        if self._waits_for_none:
+            return state._replace(now=self.observer.predict(state.now, u, dt), t=state.t + dt)
         # An observer that holds no input knows no model, and makes no use of one; a log need not have any.
         held = state.u.shape[1]
         acting = u[:held].astype(state.u.dtype) if u.size else jnp.zeros(held, state.u.dtype)
-        older = state._replace(
+        return state._replace(
             t=state.t + dt,
             known_age=state.known_age + dt,
             age=state.age + dt,
             stamp=jnp.append(state.stamp[1:] + dt, 0.0),
             u=jnp.concatenate([state.u[1:], acting[None]]),
         )
-        return self._replayed(older, y, jnp.zeros_like(state.t))
+
+    def correct(self, state: DelayedState, u: Float[Array, "m"], y: Inexact[Array, "*n"]) -> tuple[DelayedState, Any]:
+        if self._waits_for_none:
+            now, info = self.observer.correct(state.now, u, y)
+            return state._replace(now=now, known=now), info
+        return self._replayed(state, y, jnp.zeros_like(state.t))
+
+    @property
+    def _waits_for_none(self) -> bool:
+        """Whether nothing is ever late: it is the observer itself then, to the last bit."""
+        return self.length == 1
 
     def late(self, state: DelayedState, y: Inexact[Array, "*n"], t: Number) -> tuple[DelayedState, Any]:
         """Take in a sample that arrives after later ones: its coordinate i was true at t − delay[i].

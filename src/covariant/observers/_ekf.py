@@ -8,18 +8,19 @@ Shuster 1982 for the multiplicative error; Barrau & Bonnabel 2017, section 3, fo
 Li & Kirubarajan 2001, section 5.4, for the gate.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Inexact, Int
+from jaxtyping import Array, Bool, Float, Inexact, Int
 
 from covariant._linalg import solve
 from covariant._typing import Code, Matrix, Number, Scalar, Vector
-from covariant.models import MechanicalSystem, Motion
-from covariant.observers._gate import Gate, judged, open_gate
-from covariant.observers._protocol import AbstractObserver, Held, as_gain, at_rest, check_finite, outcome, uniqueness
+from covariant.models import MechanicalSystem
+from covariant.observers._gate import Gate, open_gate
+from covariant.observers._gated_filter import AbstractMechanicalFilter, Expectation
+from covariant.observers._protocol import Held, as_gain, at_rest, check_finite
 from covariant.observers._sampled import predict
 from covariant.observers._square_root import normalised_square
 
@@ -53,7 +54,7 @@ class EKFInfo(NamedTuple):
     result: Code
 
 
-class EKF(AbstractObserver):
+class EKF(AbstractMechanicalFilter):
     """Extended Kalman filter whose Jacobians are those of the integrated model, by automatic differentiation.
 
     - `process_cov` (n, n): spectral density of the white acceleration noise, in the frame [(rad/s²)² s, or (m/s²)² s].
@@ -80,9 +81,6 @@ class EKF(AbstractObserver):
         q, v, t, held, _ = at_rest(self.model, y, t)
         return EKFState(q, v, t, self._first_cov(v), *open_gate(v), held)
 
-    def estimate(self, state: EKFState) -> Any:
-        return self.model.state(Motion(state.q, state.v))
-
     def predict(self, state: EKFState, u: Float[Array, "m"], dt: Scalar) -> EKFState:
         """Integrate model and covariance over dt [s] with u held constant."""
         n = state.v.shape[0]
@@ -98,35 +96,41 @@ class EKF(AbstractObserver):
         noise = jnp.block([[q_part, cross], [cross, v_part]])
         return state._replace(q=q, v=v, t=state.t + dt, cov=transition @ state.cov @ transition.T + noise)
 
-    def correct(self, state: EKFState, y: Array) -> tuple[EKFState, EKFInfo]:
-        """Correct by the measurement y. Missing entries (NaN) are left out; on a group one NaN makes all missing."""
+    def _expected(self, state: EKFState, u: Float[Array, "m"], y: Array) -> Expectation:
         n, manifold = state.v.shape[0], self.model.manifold
-        missing, innovation = manifold.missing(y), manifold.towards(state.q, y)
-        innovation_cov = state.cov[:n, :n] + self.measurement_cov
-        found = judged(self.gate, manifold, innovation, innovation_cov, ~missing, state.refused, state.scale)
-        used = ~missing & ~found.far
+        cov = state.cov[:n, :n] + self.measurement_cov
+        return Expectation(y, manifold.towards(state.q, y), cov, ~manifold.missing(y))
+
+    def _used(self, state: EKFState, y: Array, expected: Expectation, used: Bool[Array, "n"]) -> EKFState:
+        n = state.v.shape[0]
         present = jnp.diag(used.astype(state.v.dtype))
         # The noise of an entry that is not used must not affect the others, even where the two are correlated.
         apart = ~(used[:, None] & used[None, :]) & ~jnp.eye(n, dtype=bool)
         measurement_cov = jnp.where(apart, 0.0, self.measurement_cov)
         output = jnp.concatenate([present, jnp.zeros_like(present)], axis=1)
         gain = solve(output @ state.cov @ output.T + measurement_cov, output @ state.cov).T
-        error = gain @ innovation
+        error = gain @ expected.innovation
         left = jnp.eye(2 * n, dtype=error.dtype) - gain @ output
         cov = left @ state.cov @ left.T + gain @ measurement_cov @ gain.T
-        q, v = manifold.retract(state.q, error[:n]), state.v + error[n:]
-        new = EKFState(q, v, state.t, (cov + cov.T) / 2, found.refused, found.scale, state.held)
-        fresh = new._replace(q=manifold.measured(state.q, y), v=state.v, cov=self._first_cov(state.v))
-        new = jax.tree.map(lambda a, b: jnp.where(found.restart, a, b), fresh, new)
-        result = outcome(new.q, new.v, y, found.result(uniqueness(self.model, state.q, y)))
-        distance, std = self.model.space.norm(state.q, innovation), jnp.sqrt(jnp.diag(new.cov)[n:])
-        nis = normalised_square(innovation_cov, innovation, ~missing)
-        return new, EKFInfo(innovation, distance, innovation_cov, nis, std, result)
+        q, v = self.model.manifold.retract(state.q, error[:n]), state.v + error[n:]
+        return state._replace(q=q, v=v, cov=(cov + cov.T) / 2)
 
-    def advance(self, state: EKFState, u: Float[Array, "m"], y: Array, dt: Scalar) -> tuple[EKFState, EKFInfo]:
-        return self.correct(self.predict(state, u, dt), y)
+    def _started_anew(self, state: EKFState, corrected: EKFState, y: Array, expected: Expectation) -> EKFState:
+        q = self.model.manifold.measured(state.q, y)
+        return corrected._replace(q=q, v=state.v, cov=self._first_cov(state.v))
+
+    def _info(self, state: EKFState, new: EKFState, expected: Expectation, result: Code) -> EKFInfo:
+        std = jnp.sqrt(jnp.diag(new.cov)[state.v.shape[0] :])
+        return ekf_info(self.model, state.q, expected, std, result)
 
     def _first_cov(self, v: Vector) -> Float[Array, "two_n two_n"]:
         velocity_cov = jnp.eye(v.shape[0], dtype=v.dtype) * self.initial_velocity_std**2
         zero = jnp.zeros_like(velocity_cov)
         return jnp.block([[self.measurement_cov, zero], [zero, velocity_cov]])
+
+
+def ekf_info(model: MechanicalSystem, q: Array, expected: Expectation, std: Vector, result: Code) -> EKFInfo:
+    """The info of a correction at the predicted configuration q, with the standard deviations of the velocity."""
+    _, innovation, cov, present, *_ = expected
+    nis = normalised_square(cov, innovation, present)
+    return EKFInfo(innovation, model.space.norm(q, innovation), cov, nis, std, result)

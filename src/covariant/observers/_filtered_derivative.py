@@ -5,7 +5,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from covariant._typing import Number, Scalar, Vector
 from covariant.geometry import wrap
@@ -39,18 +39,25 @@ class FilteredDerivative(AbstractLinearFilter):
     def estimate(self, state: FilteredState) -> Float[Array, "two_n"]:
         return jnp.concatenate([state.q + state.age * state.v, state.v])
 
-    def advance(
-        self, state: FilteredState, u: Float[Array, "m"], y: Vector, dt: Scalar
-    ) -> tuple[FilteredState, FilterInfo]:
-        age = state.age + dt
-        present = ~jnp.isnan(y) & (age > 0)
-        moved = wrap(self.circles, jnp.where(present, y - state.q, 0.0))
+    def predict(self, state: FilteredState, u: Float[Array, "m"], dt: Scalar) -> FilteredState:
+        return state._replace(age=state.age + dt)
+
+    def correct(self, state: FilteredState, u: Float[Array, "m"], y: Vector) -> tuple[FilteredState, FilterInfo]:
+        age, (present, moved) = state.age, self._moved(state, y)
         slope = moved / jnp.where(age > 0, age, 1.0)
         v = state.v + jnp.where(present, -jnp.expm1(-self.bandwidth * age) * (slope - state.v), 0.0)
         q = state.q + moved
-        innovation = jnp.where(present, moved - age * state.v, 0.0)
         new = FilteredState(q, v, jnp.where(present, 0.0, age))
-        return new, FilterInfo(innovation, outcome(q, v, y))
+        return new, FilterInfo(self.innovation(state, u, y), outcome(q, v, y))
+
+    def innovation(self, state: FilteredState, u: Float[Array, "m"], y: Vector) -> Vector:
+        present, moved = self._moved(state, y)
+        return jnp.where(present, moved - state.age * state.v, 0.0)
+
+    def _moved(self, state: FilteredState, y: Vector) -> tuple[Bool[Array, "n"], Vector]:
+        """Which coordinates are measured anew, and how far they are from the last measurement of each."""
+        present = ~jnp.isnan(y) & (state.age > 0)
+        return present, wrap(self.circles, jnp.where(present, y - state.q, 0.0))
 
     def weights(self, rate: float) -> Float[np.ndarray, "k"]:
         bandwidth = float(self.bandwidth)

@@ -48,6 +48,7 @@ class GatedState(NamedTuple):
     - `refused` (n,), `scale` (n,): what the gate remembers; see `Gate.judge`.
     - `slip` (n,): average of d², as a part of that of an estimate which is astray.
     - `held`: the last finite input.
+    - `dt`: length of the last prediction [s].
     """
 
     inner: Any
@@ -58,6 +59,7 @@ class GatedState(NamedTuple):
     scale: Vector
     slip: Vector
     held: Held = None
+    dt: Scalar | None = None
 
 
 class Gated(AbstractObserver):
@@ -75,7 +77,7 @@ class Gated(AbstractObserver):
     usual one, as far as measurements tell, `result` says `ASTRAY`. Raises `ValueError` for numbers that are not
     positive.
 
-    A step does the observer's work twice. The state of the observer is `state.inner`.
+    The state of the observer is `state.inner`.
     """
 
     observer: AbstractObserver
@@ -91,59 +93,67 @@ class Gated(AbstractObserver):
         rest = self.model.manifold.zero(y)
         inner = _not_holding(self.observer.init(y, t))
         held = no_input(self.model, rest)
-        return GatedState(inner, jnp.asarray(t, rest.dtype), rest, rest, *open_gate(rest), rest, held)
+        t = jnp.asarray(t, rest.dtype)
+        return GatedState(inner, t, rest, rest, *open_gate(rest), rest, held, jnp.zeros_like(t))
 
     def estimate(self, state: GatedState) -> Any:
         return self.observer.estimate(state.inner)
 
-    def advance(self, state: GatedState, u: Float[Array, "m"], y: Array, dt: Scalar) -> tuple[GatedState, Any]:
-        manifold, t = self.model.manifold, state.t + dt
-        present = ~manifold.missing(y)
+    def predict(self, state: GatedState, u: Float[Array, "m"], dt: Scalar) -> GatedState:
+        inner = self.observer.predict(state.inner, u, dt)
+        return state._replace(inner=inner, t=state.t + dt, idle=state.idle + dt, dt=dt)
 
-        def attempt(far, _):
-            inner, info = self.observer.advance(state.inner, u, self._without(y, far), dt)
-            found = self._judge(state, info.innovation, present & ~far, dt)
-            return far | found.far, (inner, info, found)
-
-        # First with all that was measured, which gives the innovation; then with what passes the gate.
-        _, tries = jax.lax.scan(attempt, jnp.zeros_like(present), None, 2)
-        _, first, found = jax.tree.map(lambda a: a[0], tries)
-        inner, info, _ = jax.tree.map(lambda a: a[1], tries)
-        used = present & ~found.far
+    def correct(self, state: GatedState, u: Float[Array, "m"], y: Array) -> tuple[GatedState, Any]:
+        manifold = self.model.manifold
+        present, innovation = ~manifold.missing(y), self.innovation(state, u, y)
+        verdict = self._judge(state, innovation, present)
+        inner, info = self.observer.correct(state.inner, u, self._without(y, verdict.far))
+        used = present & ~verdict.far
         motion = self.model.motion(self.observer.estimate(inner))
         error = manifold.towards(motion.q, y)
-        left, idle = jnp.where(used, error, state.left), jnp.where(present, 0.0, state.idle + dt)
-        slip = self._slip(state, first.innovation, used, dt)
-        new = GatedState(inner, t, left, idle, found.refused, found.scale, slip)
+        slip = self._slip(state, innovation, used)
+        new = state._replace(
+            inner=inner,
+            left=jnp.where(used, error, state.left),
+            idle=jnp.where(present, 0.0, state.idle),
+            refused=verdict.refused,
+            scale=verdict.scale,
+            slip=slip,
+        )
         # What was learnt of the measurements still holds where it widens the gate.
-        fresh = self._restarted(t, motion, error, found.restart)._replace(scale=jnp.maximum(found.scale, 1.0))
-        new = jax.tree.map(lambda a, b: jnp.where(found.restart, a, b), fresh, new)
+        fresh = self._restarted(state, motion, error, verdict.restart)
+        fresh = fresh._replace(scale=jnp.maximum(verdict.scale, 1.0))
+        new = jax.tree.map(lambda a, b: jnp.where(verdict.restart, a, b), fresh, new)
         astray = jnp.any(slip > 1).astype(jnp.int32) * int(Result.ASTRAY)
-        result = jnp.maximum(jnp.maximum(info.result, found.result(info.result)), astray)
-        return new, info._replace(innovation=first.innovation, result=result.astype(info.result.dtype))
+        result = jnp.maximum(jnp.maximum(info.result, verdict.result(info.result)), astray)
+        return new, info._replace(innovation=innovation, result=result.astype(info.result.dtype))
 
-    def _slip(self, state: GatedState, innovation: Vector, used: Array, dt: Scalar) -> Vector:
-        most = 2 * (self.gate.deviations * self.noise) ** 2 + (CREDIBLE / 2 * self.speed * (state.idle + dt)) ** 2
+    def innovation(self, state: GatedState, u: Float[Array, "m"], y: Array) -> Vector:
+        return self.observer.innovation(state.inner, u, y)
+
+    def _slip(self, state: GatedState, innovation: Vector, used: Array) -> Vector:
+        most = 2 * (self.gate.deviations * self.noise) ** 2 + (CREDIBLE / 2 * self.speed * state.idle) ** 2
         change = (innovation - state.left) ** 2 / most - state.slip
         return state.slip + jnp.where(used, change, 0.0) / (1 + self.gate.patience)
 
-    def _judge(self, state: GatedState, innovation: Vector, present: Array, dt: Scalar) -> Judged:
-        fast = CREDIBLE / self.gate.deviations * self.speed
+    def _judge(self, state: GatedState, innovation: Vector, present: Array) -> Judged:
+        """Whether the measurement is explained by noise and velocity; see the head of this file."""
+        dt, fast = state.dt, CREDIBLE / self.gate.deviations * self.speed
         usual = 2 * self.noise**2 + (fast * dt) ** 2
-        least = (2 * self.noise**2 + (fast * (dt / 2 + state.idle)) ** 2) / usual
-        spread = jnp.diag(jnp.broadcast_to(usual, innovation.shape).astype(innovation.dtype))
-        return self.gate.judge(
-            self.model.manifold, innovation - state.left, spread, present, state.refused, state.scale, least
-        )
+        # An error of the velocity has acted since the last measurement, `idle` ago; half a step less is forgiven.
+        least = (2 * self.noise**2 + (fast * (state.idle - dt / 2)) ** 2) / usual
+        cov = jnp.diag(jnp.broadcast_to(usual, innovation.shape).astype(innovation.dtype))
+        change = innovation - state.left
+        return self.gate.judge(self.model.manifold, change, cov, present, state.refused, state.scale, least)
 
     def _without(self, y: Array, far: Array) -> Array:
         """The measurement with what is refused missing; of one that is not in coordinates all is."""
         return jnp.where(far if self.model.manifold.commuting else jnp.any(far), jnp.nan, y)
 
-    def _restarted(self, t: Scalar, motion: Motion, jump: Vector, restart: Flag) -> GatedState:
+    def _restarted(self, state: GatedState, motion: Motion, jump: Vector, restart: Flag) -> GatedState:
         """The state at the measured configuration, `jump` away from the estimate; of no use unless `restart`."""
         q = self.model.manifold.retract(motion.q, jnp.where(restart, jump, 0.0))
-        fresh = self.init(q, t)._replace(held=None)
+        fresh = self.init(q, state.t)._replace(held=state.held, dt=state.dt)
         if "v" not in fresh.inner._fields:
             return fresh
         credible = jnp.all(jnp.abs(motion.v) <= CREDIBLE * self.speed)

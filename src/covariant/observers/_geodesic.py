@@ -21,11 +21,10 @@ from covariant.observers._protocol import (
     at_rest,
     check_positive,
     outcome,
-    since,
     still,
     uniqueness,
 )
-from covariant.observers._sampled import predict, sampled_correction, worth
+from covariant.observers._sampled import predicted, sampled_correction, worth
 from covariant.signals import Result
 
 
@@ -101,26 +100,25 @@ class Geodesic(AbstractMechanicalObserver):
         log_dot = 10 * self.alpha * (found.back - state.log)
         return GeodesicState(w, v_dot, jnp.ones_like(state.t), log_dot, still(state.held), still(state.age))
 
-    def advance(
-        self, state: GeodesicState, u: Float[Array, "m"], y: Array, dt: Scalar
-    ) -> tuple[GeodesicState, GeodesicInfo]:
-        space = self.model.space
-        q, v = predict(self.model, state.t, state.q, state.v, u, dt, self.substeps)
-        t = state.t + dt
-        found = self._correction(t, GeodesicState(q, v, t, state.log), u, y, self.budget)
+    def predict(self, state: GeodesicState, u: Float[Array, "m"], dt: Scalar) -> GeodesicState:
+        return predicted(self.model, state, u, dt, self.substeps)
+
+    def correct(self, state: GeodesicState, u: Float[Array, "m"], y: Array) -> tuple[GeodesicState, GeodesicInfo]:
+        space, (q, v, t) = self.model.space, state[:3]
+        found = self._correction(t, state, u, y, self.budget)
         missing = found.drive - source(self.model, t, q, u)  # acceleration missing in the prediction, which used S(q̂)
-        taken = sampled_correction(space, Motion(q, v), self.alpha, self.beta, since(state, dt), -found.log, missing)
+        taken = sampled_correction(space, Motion(q, v), self.alpha, self.beta, state.age, -found.log, missing)
         # Move along the geodesic by the given part, and transport the velocity with it.
         corrected, way = v + taken.velocity, taken.part * found.log
         end = space.transport_along(q, way, corrected, self.budget)
         new_q = jnp.where(found.exact, end.q, space.manifold.retract(q, way))
         new_v = jnp.where(found.exact, end.w, corrected - space.connection(q, way, v))
-        innovation = space.manifold.towards(q, y)
+        innovation = self.innovation(state, u, y)
         info = GeodesicInfo(
             innovation, space.norm(q, found.log), found.residual, outcome(new_q, new_v, y, worth(taken, found.result))
         )
         log = (1 - taken.part) * found.back
-        return GeodesicState(new_q, new_v, t, log, age=aged(self.model, state, y, dt)), info
+        return state._replace(q=new_q, v=new_v, log=log, age=aged(self.model, state, y)), info
 
     def _correction(
         self, t: Scalar, state: GeodesicState, u: Float[Array, "m"], y: Array, budget: Budget

@@ -23,11 +23,10 @@ from covariant.observers._protocol import (
     at_rest,
     check_positive,
     outcome,
-    since,
     still,
     uniqueness,
 )
-from covariant.observers._sampled import predict, sampled_correction, worth
+from covariant.observers._sampled import predicted, sampled_correction, worth
 
 
 class Intrinsic(AbstractMechanicalObserver):
@@ -85,18 +84,20 @@ class Intrinsic(AbstractMechanicalObserver):
         """The acceleration `drive` with the curvature term `R(ξ, v̂)v̂` at the configuration `at` added, if it is on."""
         return drive + self.model.space.curvature(at, xi, v, v) if self.curvature else drive
 
-    def advance(self, state: HeldState, u: Float[Array, "m"], y: Array, dt: Scalar) -> tuple[HeldState, Info]:
-        q, v = predict(self.model, state.t, state.q, state.v, u, dt, self.substeps)
-        t = state.t + dt
+    def predict(self, state: HeldState, u: Float[Array, "m"], dt: Scalar) -> HeldState:
+        return predicted(self.model, state, u, dt, self.substeps)
+
+    def correct(self, state: HeldState, u: Float[Array, "m"], y: Array) -> tuple[HeldState, Info]:
+        q, v, t, _, age = state
         xi, drive = self._correction(t, q, v, u, y)
         missing = drive - source(self.model, t, q, u)  # acceleration missing in the prediction, which used S(q̂)
-        taken = sampled_correction(self.model.space, Motion(q, v), self.alpha, self.beta, since(state, dt), xi, missing)
+        taken = sampled_correction(self.model.space, Motion(q, v), self.alpha, self.beta, age, xi, missing)
         way = -taken.part * xi
         new_q = self.model.manifold.retract(q, way)
         new_v = v - self.model.space.connection(q, way, v) + taken.velocity
         result = outcome(new_q, new_v, y, worth(taken, uniqueness(self.model, q, y)))
-        info = Info(self.model.manifold.towards(q, y), self.model.space.norm(q, xi), result)
-        return HeldState(new_q, new_v, t, age=aged(self.model, state, y, dt)), info
+        info = Info(self.innovation(state, u, y), self.model.space.norm(q, xi), result)
+        return state._replace(q=new_q, v=new_v, age=aged(self.model, state, y)), info
 
     def _correction(self, t: Scalar, q: Array, v: Vector, u: Float[Array, "m"], y: Array) -> tuple[Vector, Vector]:
         """The error ξ at q̂, and the acceleration `T S(q) + R(ξ, v̂)v̂` computed from the measurement."""

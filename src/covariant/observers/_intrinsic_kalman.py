@@ -15,15 +15,16 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Inexact, Int
+from jaxtyping import Array, Bool, Float, Inexact, Int
 
 from covariant._linalg import semidefinite_root, triangular
 from covariant._typing import Code, Matrix, Number, Scalar, Vector
 from covariant.geometry import AbstractManifold, AbstractSpace, Budget
 from covariant.models import MechanicalSystem, Motion, advance
 from covariant.observers._covariance import Covariance, check_covariance, covariance_at
-from covariant.observers._gate import Gate, judged, open_gate
-from covariant.observers._protocol import AbstractObserver, Held, as_gain, at_rest, check_positive, outcome, uniqueness
+from covariant.observers._gate import Gate, open_gate
+from covariant.observers._gated_filter import AbstractMechanicalFilter, Expectation
+from covariant.observers._protocol import Held, as_gain, at_rest, check_positive
 from covariant.observers._sampled import needed_substeps
 from covariant.observers._slow import Slow, SlowStates, SlowVector, as_groups
 from covariant.observers._square_root import diagonal, normalised_square, updated, white_acceleration
@@ -94,7 +95,7 @@ def as_quantum(value: Any) -> Any:
     return None if value is None else jnp.atleast_1d(jnp.asarray(value, float))
 
 
-class IntrinsicKalman(AbstractObserver):
+class IntrinsicKalman(AbstractMechanicalFilter):
     """Kalman filter of a `MechanicalSystem` on any space.
 
     - `process_cov`: spectral density of the white acceleration noise [(rad/s²)² s, or (m/s²)² s].
@@ -146,9 +147,6 @@ class IntrinsicKalman(AbstractObserver):
         q = self._without_offset(q, v, slow)
         return KalmanState(q, v, t, slow, self._first_root(q, v, slow), *open_gate(v), held, readings)
 
-    def estimate(self, state: KalmanState) -> Any:
-        return self.model.state(Motion(state.q, state.v))
-
     def cov(self, state: KalmanState) -> Float[Array, "two_n_k two_n_k"]:
         """The covariance P of (ε, ν), followed by the slow states, in the parallel frame at the estimate."""
         return state.root @ state.root.T
@@ -163,9 +161,6 @@ class IntrinsicKalman(AbstractObserver):
         """Names of the slow states."""
         return self._slow.names
 
-    def advance(self, state: KalmanState, u: Float[Array, "m"], y: Array, dt: Scalar) -> tuple[KalmanState, KalmanInfo]:
-        return self.correct(self.predict(state, u, dt), y)
-
     def predict(self, state: KalmanState, u: Float[Array, "m"], dt: Scalar) -> KalmanState:
         """Integrate model and covariance over dt [s] with u held constant."""
         count = self.substeps
@@ -174,38 +169,41 @@ class IntrinsicKalman(AbstractObserver):
         h = dt / jnp.asarray(count, state.v.dtype)
         return jax.lax.fori_loop(0, count, lambda _, now: self._moved(now, u, h), state)
 
-    def correct(self, state: KalmanState, y: Array) -> tuple[KalmanState, KalmanInfo]:
-        """Correct by the measurement y. Missing entries (NaN) are left out; on a group one NaN makes all missing."""
-        space, manifold, n = self.model.space, self.model.manifold, state.v.shape[0]
-        output = self._output(state, y)
-        missing, straight = manifold.missing(output.y), manifold.towards(state.q, output.y)
-        projected = output.projected(state.root, n)
-        spread = projected @ projected.T + output.noise
-        found = judged(self.gate, manifold, straight, spread, ~missing, state.refused, state.scale)
-        lost = _too_uncertain(manifold, spread, output.noise) & ~jnp.any(missing)
-        found = found._replace(restart=found.restart | lost)
-        used = ~missing & ~found.far
-        error, root = self._believed(state, output, y, straight, used)
+    def _expected(self, state: KalmanState, u: Float[Array, "m"], y: Array) -> Expectation:
+        manifold, output = self.model.manifold, self._output(state, y)
+        missing = manifold.missing(output.y)
+        projected = output.projected(state.root, state.v.shape[0])
+        cov = projected @ projected.T + output.noise
+        lost = _too_uncertain(manifold, cov, output.noise) & ~jnp.any(missing)
+        return Expectation(output.y, manifold.towards(state.q, output.y), cov, ~missing, lost, output)
+
+    def _used(self, state: KalmanState, y: Array, expected: Expectation, used: Bool[Array, "n"]) -> KalmanState:
+        error, root = self._believed(state, expected.details, y, expected.innovation, used)
         q, v, root = self._rebased(state, error, root)
-        measured, slow = manifold.measured(state.q, output.y), state.slow + error[2 * n :]
         readings = None
         if state.readings is not None:
             readings = Readings(jnp.where(used, y, state.readings.y), jnp.where(used, 0.0, state.readings.age))
-        new = KalmanState(q, v, state.t, slow, root, found.refused, found.scale, state.held, readings)
-        first = self._first_root(measured, v, slow)
-        fresh = new._replace(q=measured, v=state.v, root=first, refused=0 * found.refused)
-        fresh = fresh._replace(readings=self._read(manifold.measured(state.q, y), 0 * v))
-        new = jax.tree.map(lambda a, b: jnp.where(found.restart, a, b), fresh, new)
-        result = outcome(new.q, new.v, y, found.result(uniqueness(self.model, state.q, output.y)))
-        nis = normalised_square(spread, straight, ~missing)
-        distance, std = space.norm(state.q, straight), self.velocity_std(new)
-        return new, KalmanInfo(straight, distance, spread, nis, std, *self._told(new), result)
+        slow = state.slow + error[2 * state.v.shape[0] :]
+        return state._replace(q=q, v=v, slow=slow, root=root, readings=readings)
+
+    def _started_anew(self, state: KalmanState, corrected: KalmanState, y: Array, expected: Expectation) -> KalmanState:
+        manifold = self.model.manifold
+        measured = manifold.measured(state.q, expected.y)
+        root = self._first_root(measured, corrected.v, corrected.slow)
+        readings = self._read(manifold.measured(state.q, y), 0 * corrected.v)
+        return corrected._replace(q=measured, v=state.v, root=root, readings=readings)
+
+    def _info(self, state: KalmanState, new: KalmanState, expected: Expectation, result: Code) -> KalmanInfo:
+        _, innovation, cov, present, *_ = expected
+        nis = normalised_square(cov, innovation, present)
+        distance, std = self.model.space.norm(state.q, innovation), self.velocity_std(new)
+        return KalmanInfo(innovation, distance, cov, nis, std, *self._slow_estimates(new), result)
 
     @property
     def _slow(self) -> SlowStates:
         return SlowStates(self.slow)
 
-    def _told(self, state: KalmanState) -> tuple[SlowVector, SlowVector]:
+    def _slow_estimates(self, state: KalmanState) -> tuple[SlowVector, SlowVector]:
         """The slow states as they are written, and their standard deviations."""
         values = self._slow.values(state.slow)
         slope = jax.jacfwd(self._slow.values)(state.slow)

@@ -17,12 +17,13 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from covariant._linalg import semidefinite_root, triangular
 from covariant._typing import Code, Matrix, Number, Scalar, Vector
-from covariant.geometry import Coordinates, wrap
-from covariant.observers._gate import Gate, judged, open_gate
+from covariant.geometry import AbstractManifold, Coordinates, wrap
+from covariant.observers._gate import Gate, Judged, open_gate
+from covariant.observers._gated_filter import AbstractGatedFilter, Expectation
 from covariant.observers._model_free import AbstractLinearFilter, response
 from covariant.observers._protocol import as_gain, check_positive, outcome
 from covariant.observers._square_root import updated
@@ -53,7 +54,7 @@ class JointInfo(NamedTuple):
     result: Code
 
 
-class JointKalman(AbstractLinearFilter):
+class JointKalman(AbstractGatedFilter, AbstractLinearFilter):
     """Kalman filter of each coordinate with Singer's acceleration, exact at irregular stamps.
 
     - `motion_std`: σ, standard deviation of the accelerations [rad/s² or m/s²].
@@ -87,28 +88,51 @@ class JointKalman(AbstractLinearFilter):
     def estimate(self, state: JointState) -> Float[Array, "two_n"]:
         return jnp.concatenate([state.q, state.v])
 
-    def advance(self, state: JointState, u: Float[Array, "m"], y: Vector, dt: Scalar) -> tuple[JointState, JointInfo]:
+    @property
+    def _units(self) -> Float[Array, "3"]:
+        """The units of position, velocity and acceleration: τ², τ and 1 times σ."""
+        time = jnp.asarray(self.motion_time)
+        return jnp.stack([time**2, time, jnp.ones_like(time)])
+
+    def predict(self, state: JointState, u: Float[Array, "m"], dt: Scalar) -> JointState:
         step, added = singer(dt / self.motion_time)
-        unit = jnp.stack([self.motion_time**2, self.motion_time, jnp.ones_like(dt)])  # of q, v and a, in units of σ
-        x = unit[:, None] * (step @ (jnp.stack([state.q, state.v, state.a]) / unit[:, None]))
+        units = self._units.astype(dt.dtype)[:, None]
+        q, v, a = units * (step @ (jnp.stack([state.q, state.v, state.a]) / units))
         noise = semidefinite_root(added)
         root = jax.vmap(lambda each: triangular(jnp.concatenate([step @ each, noise], axis=1)))(state.root)
+        return state._replace(q=q, v=v, a=a, root=root)
+
+    @property
+    def _manifold(self) -> AbstractManifold:
+        return Coordinates()
+
+    def _expected(self, state: JointState, u: Float[Array, "m"], y: Vector) -> Expectation:
         present = ~jnp.isnan(y)
-        innovation = wrap(self.circles, jnp.where(present, y - x[0], 0.0))
-        spread = jnp.diag(jnp.sum(root[:, 0] ** 2, axis=1) + self.noise**2) * unit[0] ** 2 * self.motion_std**2
-        found = judged(self.gate, Coordinates(), innovation, spread, present, state.refused, state.scale)
-        used = present & ~found.far
+        innovation = wrap(self.circles, jnp.where(present, y - state.q, 0.0))
+        unit = self._units[0].astype(y.dtype)
+        cov = jnp.diag(jnp.sum(state.root[:, 0] ** 2, axis=1) + self.noise**2) * unit**2 * self.motion_std**2
+        return Expectation(y, innovation, cov, present)
+
+    def _used(self, state: JointState, y: Vector, expected: Expectation, used: Bool[Array, "n"]) -> JointState:
         gain, root = jax.vmap(updated, (0, 0, None, 0))(
-            root, root[:, :1], jnp.full((1, 1), self.noise**2), used[:, None]
+            state.root, state.root[:, :1], jnp.full((1, 1), self.noise**2), used[:, None]
         )
-        moved = x + (unit / unit[0])[:, None] * gain[..., 0].T * innovation[None]
-        new = JointState(moved[0], moved[1], moved[2], root, found.refused, found.scale)
-        fresh = new._replace(q=x[0] + innovation, v=x[1], a=x[2], root=self._first_root(y))
-        new = jax.tree.map(lambda a, b: jnp.where(found.restart, a, b), fresh, new)
-        nis = jnp.sum(innovation**2 / jnp.diag(spread))
-        std = self.motion_std * unit[1] * jnp.sqrt(jnp.sum(new.root[:, 1] ** 2, axis=1))
-        code = found.result(jnp.zeros((), jnp.int32))
-        return new, JointInfo(innovation, nis, std, outcome(new.q, new.v, y, code))
+        units = self._units.astype(y.dtype)
+        error = (units / units[0])[:, None] * gain[..., 0].T * expected.innovation[None]
+        return state._replace(q=state.q + error[0], v=state.v + error[1], a=state.a + error[2], root=root)
+
+    def _started_anew(self, state: JointState, corrected: JointState, y: Vector, expected: Expectation) -> JointState:
+        q = state.q + expected.innovation
+        return corrected._replace(q=q, v=state.v, a=state.a, root=self._first_root(y))
+
+    def _result(self, state: JointState, new: JointState, y: Vector, expected: Expectation, verdict: Judged) -> Code:
+        return outcome(new.q, new.v, y, verdict.result(jnp.zeros((), jnp.int32)))
+
+    def _info(self, state: JointState, new: JointState, expected: Expectation, result: Code) -> JointInfo:
+        nis = jnp.sum(expected.innovation**2 / jnp.diag(expected.cov))
+        unit = self._units[1].astype(state.v.dtype)
+        std = self.motion_std * unit * jnp.sqrt(jnp.sum(new.root[:, 1] ** 2, axis=1))
+        return JointInfo(expected.innovation, nis, std, result)
 
     def _first_root(self, y: Vector) -> Float[Array, "n 3 3"]:
         one = jnp.ones_like(y)

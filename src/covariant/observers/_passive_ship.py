@@ -68,10 +68,13 @@ class PassiveShip(AbstractFlowObserver):
     def flow(self, t: Scalar, state: ContractingState, u: Float[Array, "3"], y: Float[Array, "3"]) -> ContractingState:
         return self.contracting().flow(t, state, u, y)
 
-    def advance(
-        self, state: ContractingState, u: Float[Array, "3"], y: Float[Array, "3"], dt: Scalar
+    def predict(self, state: ContractingState, u: Float[Array, "3"], dt: Scalar) -> ContractingState:
+        return self.contracting().predict(state, u, dt)
+
+    def correct(
+        self, state: ContractingState, u: Float[Array, "3"], y: Float[Array, "3"]
     ) -> tuple[ContractingState, Info]:
-        return self.contracting().advance(state, u, y, dt)
+        return self.contracting().correct(state, u, y)
 
     def contracting(self) -> Contracting:
         """The same observer as a `Contracting`, which offers its virtual system."""

@@ -7,6 +7,10 @@ about a step is its info. Writing the loop by hand takes four lines:
     for k in range(1, len(t)):
         state, info = observer.step(state, u[k - 1], y[k], t[k] - t[k - 1])
         x = observer.estimate(state)
+
+A step has two halves, which an observer defines and a caller may take one at a time: `predict` moves the state to the
+time of a measurement, `correct` corrects it there. Whatever is built of observers, such as a gate or a buffer for late
+sensors, is built of these two.
 """
 
 import abc
@@ -73,9 +77,9 @@ class Info(NamedTuple):
 class AbstractObserver(Functional):
     """Estimates the state from measured positions, sample by sample.
 
-    `step` advances the state to the time stamp of y and then corrects it by y. A subclass writes its algorithm in
-    `advance`, which gets valid numbers only: `step` is the same for all observers and sees to that. A state whose
-    field `held` has the shape of the input remembers the last finite input in it.
+    `step` predicts the state at the time stamp of y and then corrects it by y. A subclass writes its algorithm in
+    `predict` and `correct`, which get valid numbers only: `step` is the same for all observers and sees to that. A
+    state whose field `held` has the shape of the input remembers the last finite input in it.
     """
 
     @abc.abstractmethod
@@ -107,9 +111,42 @@ class AbstractObserver(Functional):
         result = jnp.maximum(info.result, _fault(u, far, dt).astype(info.result.dtype))
         return kept, info._replace(result=result)
 
-    @abc.abstractmethod
     def advance(self, state: Any, u: Float[Array, "m"], y: Inexact[Array, "*n"], dt: Scalar) -> tuple[Any, Any]:
-        """The algorithm of `step` for valid numbers: u is finite, y finite or NaN where missing, dt finite and ≥ 0."""
+        """Prediction and correction: `step` for valid numbers, in the form that the state has.
+
+        Args:
+            state: The state after the sample before.
+            u: Input (m,), finite, held constant over the step.
+            y: Measurement, finite or NaN where missing.
+            dt: Length of the step [s], finite and ≥ 0.
+
+        Returns:
+            The new state and the info.
+        """
+        corrected, info = self.correct(self.predict(state, u, dt), u, y)
+        # A field that is None in the state, such as `age` in one that was made by hand, is None in the next one too.
+        return corrected._replace(**{name: None for name in state._fields if getattr(state, name) is None}), info
+
+    @abc.abstractmethod
+    def predict(self, state: Any, u: Float[Array, "m"], dt: Scalar) -> Any:
+        """The state dt [s] later, without a measurement: dt is finite and ≥ 0, and the input u finite and constant."""
+
+    @abc.abstractmethod
+    def correct(self, state: Any, u: Float[Array, "m"], y: Inexact[Array, "*n"]) -> tuple[Any, Any]:
+        """Correct a predicted state by a measurement at its own time.
+
+        Args:
+            state: What `predict` returned.
+            u: Input (m,), finite, that acted over the prediction.
+            y: Measurement, finite or NaN where missing.
+
+        Returns:
+            The new state and the info.
+        """
+
+    def innovation(self, state: Any, u: Float[Array, "m"], y: Inexact[Array, "*n"]) -> Vector:
+        """The innovation (n,) of a measurement at a predicted state: that of the info of `correct`, by less work."""
+        return self.correct(state, u, y)[1].innovation
 
     def largest(self, y: Inexact[Array, "*n"] | np.ndarray) -> np.ndarray:
         """The largest magnitudes of the entries of a measurement like y; what is larger counts as missing.
@@ -151,6 +188,9 @@ class AbstractMechanicalObserver(AbstractFlowObserver):
     def estimate(self, state: Any) -> Any:
         return self.model.state(Motion(state.q, state.v))
 
+    def innovation(self, state: Any, u: Float[Array, "m"], y: Array) -> Vector:
+        return self.model.manifold.towards(state.q, y)
+
 
 def at_rest(model: MechanicalSystem, y: Array, t: Number) -> HeldState:
     """The state at rest at the first measurement; as `AbstractManifold.checked` says where y is no configuration."""
@@ -165,11 +205,9 @@ def since(state: Any, dt: Scalar) -> Scalar:
     return dt if state.age is None else state.age + dt
 
 
-def aged(model: MechanicalSystem, state: Any, y: Array, dt: Scalar) -> Scalar | None:
-    """The `age` after the measurement y: as it was where all of y is missing, else zero."""
-    if state.age is None:
-        return None
-    return (state.age + dt) * jnp.all(model.manifold.missing(y)).astype(state.age.dtype)
+def aged(model: MechanicalSystem, state: Any, y: Array) -> Scalar:
+    """The `age` of a predicted state after the measurement y: as it was where all of y is missing, else zero."""
+    return state.age * jnp.all(model.manifold.missing(y)).astype(state.age.dtype)
 
 
 def uniqueness(model: MechanicalSystem, q: Array, y: Array) -> Code:
@@ -225,7 +263,7 @@ def still(kept: Held | Scalar) -> Any:
 
 def continuous(state: Any) -> Any:
     """The state without what is remembered between samples, which a differential equation does not need."""
-    return state._replace(**{name: None for name in ("held", "age") if name in state._fields})
+    return state._replace(**{name: None for name in ("held", "age", "dt") if name in state._fields})
 
 
 def _holds(state: Any) -> bool:

@@ -22,11 +22,13 @@ from covariant.signals import Result
 
 
 class Estimate(NamedTuple):
-    """Estimated state, the time [s] it belongs to, and the last finite input `held`."""
+    """Estimated state, the time [s] it belongs to, the last finite input `held`, and the length `dt` [s] of the last
+    prediction; None in continuous time."""
 
     x: Vector
     t: Scalar
     held: Held = None
+    dt: Scalar | None = None
 
 
 class Riccati(AbstractFlowObserver):
@@ -61,7 +63,8 @@ class Riccati(AbstractFlowObserver):
 
     def init(self, y: Float[Array, "p"], t: Number = 0.0) -> Estimate:
         start = jnp.asarray(self.start, y.dtype)
-        return Estimate(start, jnp.asarray(t, y.dtype), no_input(self.model, start))
+        t = jnp.asarray(t, y.dtype)
+        return Estimate(start, t, no_input(self.model, start), jnp.zeros_like(t))
 
     def estimate(self, state: Estimate) -> Vector:
         return state.x
@@ -71,14 +74,17 @@ class Riccati(AbstractFlowObserver):
         output_jacobian, error = _whitened_output(self.model, self.measurement_cov, t, x, u, y)
         p = self._metric(x, u)
         correction = jnp.where(_is_metric(p), 2 * self._gain(x) * solve(p, output_jacobian.T @ error), 0.0)
-        return Estimate(self.model.f(t, x, u) - correction, jnp.ones_like(state.t), still(state.held))
+        slope = self.model.f(t, x, u) - correction
+        return Estimate(slope, jnp.ones_like(state.t), still(state.held), still(state.dt))
 
-    def advance(self, state: Estimate, u: Float[Array, "m"], y: Float[Array, "p"], dt: Scalar) -> tuple[Estimate, Info]:
+    def predict(self, state: Estimate, u: Float[Array, "m"], dt: Scalar) -> Estimate:
         x = rk4(lambda s, x: self.model.f(s, x, u), state.t, state.x, dt, self.substeps)
-        moved, info = _correct(
-            self.model, self.measurement_cov, state.t + dt, x, self._metric(x, u), 2 * self._gain(x) * dt, u, y
-        )
-        return Estimate(moved, state.t + dt), info
+        return state._replace(x=x, t=state.t + dt, dt=dt)
+
+    def correct(self, state: Estimate, u: Float[Array, "m"], y: Float[Array, "p"]) -> tuple[Estimate, Info]:
+        x, weight = state.x, 2 * self._gain(state.x) * state.dt
+        moved, info = _correct(self.model, self.measurement_cov, state.t, x, self._metric(x, u), weight, u, y)
+        return state._replace(x=moved), info
 
     def _gain(self, x: Vector) -> Number:
         return self.gain(x) if callable(self.gain) else self.gain
@@ -91,13 +97,14 @@ class Riccati(AbstractFlowObserver):
 
 
 class InformationState(NamedTuple):
-    """Estimated state, its information matrix P (n, n), the time [s] they belong to, and the last finite input
-    `held`."""
+    """Estimated state, its information matrix P (n, n), the time [s] they belong to, the last finite input `held`, and
+    the length `dt` [s] of the last prediction; None in continuous time."""
 
     x: Vector
     information: Matrix
     t: Scalar
     held: Held = None
+    dt: Scalar | None = None
 
 
 class InformationEKF(AbstractFlowObserver):
@@ -119,7 +126,8 @@ class InformationEKF(AbstractFlowObserver):
 
     def init(self, y: Float[Array, "p"], t: Number = 0.0) -> InformationState:
         start, information = jnp.asarray(self.start, y.dtype), jnp.asarray(self.information, y.dtype)
-        return InformationState(start, information, jnp.asarray(t, y.dtype), no_input(self.model, start))
+        t = jnp.asarray(t, y.dtype)
+        return InformationState(start, information, t, no_input(self.model, start), jnp.zeros_like(t))
 
     def estimate(self, state: InformationState) -> Vector:
         return state.x
@@ -130,21 +138,24 @@ class InformationEKF(AbstractFlowObserver):
         predicted = self._unmeasured_rate(t, x, p, u)
         gathered = output_jacobian.T @ output_jacobian
         slope = self.model.f(t, x, u) - solve(p, output_jacobian.T @ error)
-        return InformationState(slope, predicted + gathered, jnp.ones_like(t), still(state.held))
+        return InformationState(slope, predicted + gathered, jnp.ones_like(t), still(state.held), still(state.dt))
 
-    def advance(
-        self, state: InformationState, u: Float[Array, "m"], y: Float[Array, "p"], dt: Scalar
-    ) -> tuple[InformationState, Info]:
+    def predict(self, state: InformationState, u: Float[Array, "m"], dt: Scalar) -> InformationState:
         def flow(s, joint):
             x, p = joint
             return self.model.f(s, x, u), self._unmeasured_rate(s, x, p, u)
 
-        now = state.t + dt
         count = self.needed_substeps(state, u, dt) if self.substeps is None else self.substeps
         x, p = rk4(flow, state.t, (state.x, state.information), dt, count)
-        moved, info = _correct(self.model, self.equation.measurement_cov, now, x, p, dt, u, y)
-        output_jacobian, _ = _whitened_output(self.model, self.equation.measurement_cov, now, x, u, y)
-        return InformationState(moved, p + dt * output_jacobian.T @ output_jacobian, now), info
+        return state._replace(x=x, information=p, t=state.t + dt, dt=dt)
+
+    def correct(
+        self, state: InformationState, u: Float[Array, "m"], y: Float[Array, "p"]
+    ) -> tuple[InformationState, Info]:
+        x, p, t, _, dt = state
+        moved, info = _correct(self.model, self.equation.measurement_cov, t, x, p, dt, u, y)
+        output_jacobian, _ = _whitened_output(self.model, self.equation.measurement_cov, t, x, u, y)
+        return state._replace(x=moved, information=p + dt * output_jacobian.T @ output_jacobian), info
 
     def needed_substeps(self, state: InformationState, u: Array, dt: Scalar) -> Code:
         """Steps that keep h·rate ≤ 1: to first order changes of P decay at sums of two eigenvalues of `A + QP`."""

@@ -28,13 +28,14 @@ from covariant.observers._sampled import predict
 
 
 class SalcudeanState(NamedTuple):
-    """Estimated rotation q (3, 3), momentum in the space frame (3,) [N m s], the time t [s] they belong to, and the
-    last finite input `held`."""
+    """Estimated rotation q (3, 3), momentum in the space frame (3,) [N m s], the time t [s] they belong to, the last
+    finite input `held`, and the length `dt` [s] of the last prediction; None in continuous time."""
 
     q: Float[Array, "3 3"]
     momentum: Vector
     t: Scalar
     held: Held = None
+    dt: Scalar | None = None
 
 
 class Salcudean(AbstractFlowObserver):
@@ -63,7 +64,8 @@ class Salcudean(AbstractFlowObserver):
             raise ValueError(f"Salcudean: the observer is for SO(3) only; the model is on {self.model.manifold}")
 
     def init(self, y: Float[Array, "3 3"], t: Number = 0.0) -> SalcudeanState:
-        return SalcudeanState(*at_rest(self.model, y, t)[:4])
+        q, rest, t, held, _ = at_rest(self.model, y, t)
+        return SalcudeanState(q, rest, t, held, jnp.zeros_like(t))
 
     def estimate(self, state: SalcudeanState) -> Motion:
         return Motion(state.q, body_velocity(self.model, state.q, state.momentum))
@@ -74,29 +76,42 @@ class Salcudean(AbstractFlowObserver):
         e = state.q @ quaternion_from_rotation(state.q.T @ y)[1:]
         injected = y @ self.model.space.raise_(y, y.T @ e)
         turning = state.q.T @ (omega + self.kv * injected)
-        return SalcudeanState(turning, torque + self.kp / 2 * injected, jnp.ones_like(state.t), still(state.held))
+        return SalcudeanState(
+            turning, torque + self.kp / 2 * injected, jnp.ones_like(state.t), still(state.held), still(state.dt)
+        )
 
-    def advance(
-        self, state: SalcudeanState, u: Float[Array, "m"], y: Float[Array, "3 3"], dt: Scalar
-    ) -> tuple[SalcudeanState, Info]:
+    def predict(self, state: SalcudeanState, u: Float[Array, "m"], dt: Scalar) -> SalcudeanState:
         v = body_velocity(self.model, state.q, state.momentum)
-        moved = predict(self.model, state.t, state.q, v, u, dt, self.substeps)
-        now = SalcudeanState(moved.q, spatial_momentum(self.model, *moved), state.t + dt)
-        measured = jnp.where(jnp.any(jnp.isnan(y)), now.q, y)
+        q, v = predict(self.model, state.t, state.q, v, u, dt, self.substeps)
+        return state._replace(q=q, momentum=spatial_momentum(self.model, q, v), t=state.t + dt, dt=dt)
+
+    def correct(
+        self, state: SalcudeanState, u: Float[Array, "m"], y: Float[Array, "3 3"]
+    ) -> tuple[SalcudeanState, Info]:
+        measured = _measured(state.q, y)
         # The feedback: the difference between the flow and the prediction, which used the estimated rotation.
-        slope = self.flow(now.t, now, u, measured)
-        omega, torque = self._alone(now.t, now, u, now.q)
-        q = now.q @ SO3.exp(dt * (slope.q - now.q.T @ omega))
-        new = SalcudeanState(q, now.momentum + dt * (slope.momentum - torque), now.t)
-        code = outcome(new.q, new.momentum, y, uniqueness(self.model, now.q, measured))
-        innovation = SO3.local(now.q, measured)
-        return new, Info(innovation, self.model.space.norm(now.q, innovation), code)
+        slope = self.flow(state.t, state, u, measured)
+        omega, torque = self._alone(state.t, state, u, state.q)
+        q = state.q @ SO3.exp(state.dt * (slope.q - state.q.T @ omega))
+        momentum = state.momentum + state.dt * (slope.momentum - torque)
+        code = outcome(q, momentum, y, uniqueness(self.model, state.q, measured))
+        innovation = self.innovation(state, u, y)
+        info = Info(innovation, self.model.space.norm(state.q, innovation), code)
+        return state._replace(q=q, momentum=momentum), info
+
+    def innovation(self, state: SalcudeanState, u: Float[Array, "m"], y: Float[Array, "3 3"]) -> Vector:
+        return SO3.local(state.q, _measured(state.q, y))
 
     def _alone(self, t: Scalar, state: SalcudeanState, u: Float[Array, "m"], at: Float[Array, "3 3"]):
         """Angular velocity and torque in the space frame of a body with the estimated momentum at the rotation `at`."""
         v = body_velocity(self.model, at, state.momentum)
         total_torque = applied_force(self.model, t, at, u) + resistance(self.model, t, at, v, u)
         return at @ v, at @ total_torque
+
+
+def _measured(q: Float[Array, "3 3"], y: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
+    """The measured rotation, or the estimate q where it is missing."""
+    return jnp.where(jnp.any(jnp.isnan(y)), q, y)
 
 
 def of_mean_inertia(model: MechanicalSystem, alpha: Number, beta: Number) -> Salcudean:

@@ -21,6 +21,7 @@ from jaxtyping import Array, Float, Inexact
 from covariant._typing import Code, Flag, Number, Scalar, Vector
 from covariant.geometry import AbstractSpace
 from covariant.models import MechanicalSystem, Motion, advance, friction
+from covariant.observers._protocol import since
 from covariant.signals import Result
 
 Observer = TypeVar("Observer", bound=Any)
@@ -39,6 +40,12 @@ def predict(
     """Integrate the model over dt [s] with u held constant; `substeps=None` uses as many as friction and dt need."""
     count = needed_substeps(model, t, q, v, u, dt) if substeps is None else substeps
     return advance(model, t, Motion(q, v), u, dt, count)
+
+
+def predicted(model: MechanicalSystem, state: Any, u: Float[Array, "m"], dt: Scalar, substeps: int | None) -> Any:
+    """A state with q, v, t and `age`, predicted by the model over dt [s]; see `predict`."""
+    q, v = predict(model, state.t, state.q, state.v, u, dt, substeps)
+    return state._replace(q=q, v=v, t=state.t + dt, age=since(state, dt))
 
 
 def needed_substeps(model: MechanicalSystem, t: Number, q: Array, v: Vector, u: Float[Array, "m"], dt: Number) -> Code:

@@ -51,17 +51,21 @@ class SavitzkyGolay(AbstractLinearFilter):
     def estimate(self, state: WindowState) -> Float[Array, "two_n"]:
         return jnp.concatenate([state.q, state.v])
 
-    def advance(
-        self, state: WindowState, u: Float[Array, "m"], y: Vector, dt: Scalar
-    ) -> tuple[WindowState, FilterInfo]:
-        expected = state.q + dt * state.v
-        innovation = wrap(self.circles, y - expected)
-        advanced = dt > 0
-        age = jnp.where(advanced, jnp.append(state.age[1:] + dt, 0.0), state.age)
-        samples = jnp.where(advanced, jnp.concatenate([state.y[1:], (expected + innovation)[None]]), state.y)
-        q, v = self._fit(age, samples, expected, state.v)
-        info = FilterInfo(jnp.where(jnp.isnan(y), 0.0, innovation), outcome(q, v, y))
-        return WindowState(age, samples, q, v), info
+    def predict(self, state: WindowState, u: Float[Array, "m"], dt: Scalar) -> WindowState:
+        # The newest sample is missing until it comes.
+        age = jnp.append(state.age[1:] + dt, 0.0)
+        samples = jnp.concatenate([state.y[1:], jnp.full_like(state.y[:1], jnp.nan)])
+        return WindowState(age, samples, state.q + dt * state.v, state.v)
+
+    def correct(self, state: WindowState, u: Float[Array, "m"], y: Vector) -> tuple[WindowState, FilterInfo]:
+        difference = wrap(self.circles, y - state.q)
+        samples = jnp.concatenate([state.y[:-1], (state.q + difference)[None]])
+        q, v = self._fit(state.age, samples, state.q, state.v)
+        info = FilterInfo(self.innovation(state, u, y), outcome(q, v, y))
+        return WindowState(state.age, samples, q, v), info
+
+    def innovation(self, state: WindowState, u: Float[Array, "m"], y: Vector) -> Vector:
+        return jnp.where(jnp.isnan(y), 0.0, wrap(self.circles, y - state.q))
 
     def weights(self, rate: float) -> Float[np.ndarray, "k"]:
         ages = -np.arange(self.window) / rate

@@ -8,14 +8,16 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from covariant._integrate import rk4
 from covariant._linalg import solve
 from covariant._typing import Code, Matrix, Number, Scalar, Vector
+from covariant.geometry import AbstractManifold
 from covariant.models import StateSpace
-from covariant.observers._gate import Gate, judged, open_gate
-from covariant.observers._protocol import AbstractObserver, Held, check_finite, no_input
+from covariant.observers._gate import Gate, Judged, open_gate
+from covariant.observers._gated_filter import AbstractGatedFilter, Expectation
+from covariant.observers._protocol import Held, check_finite, no_input
 from covariant.observers._sampled import steps_for
 from covariant.observers._square_root import normalised_square
 from covariant.signals import Result
@@ -45,7 +47,7 @@ class StateEKFInfo(NamedTuple):
     result: Code
 
 
-class StateEKF(AbstractObserver):
+class StateEKF(AbstractGatedFilter):
     """Extended Kalman filter of `x' = f(t, x, u)`, `y = h(t, x, u)`, linearised along the integrated model.
 
     - `process_cov` (n, n): spectral density of the white noise in f [(unit of x)²/s].
@@ -98,40 +100,54 @@ class StateEKF(AbstractObserver):
         added = density + 4 * half @ density @ half.T + transition @ density @ transition.T
         return state._replace(x=x, t=state.t + dt, cov=transition @ state.cov @ transition.T + dt / 6 * added)
 
-    def correct(
-        self, state: StateEKFState, u: Float[Array, "m"], y: Float[Array, "p"]
-    ) -> tuple[StateEKFState, StateEKFInfo]:
-        """Correct by the outputs y. Missing ones (NaN) are left out."""
-        x, missing = state.x, jnp.isnan(y)
+    @property
+    def _manifold(self) -> AbstractManifold:
+        return self.model.manifold
+
+    def _expected(self, state: StateEKFState, u: Float[Array, "m"], y: Float[Array, "p"]) -> Expectation:
+        x = state.x
         slope: Array = jax.jacfwd(self.model.h, 1)(state.t, x, u)
         innovation = -self.model.output_error(self.model.h(state.t, x, u), y)
-        noise = jnp.asarray(self.measurement_cov, x.dtype)
-        innovation_cov = slope @ state.cov @ slope.T + noise
-        found = judged(self.gate, self.model.manifold, innovation, innovation_cov, ~missing, state.refused, state.scale)
-        used = ~missing & ~found.far
+        cov = slope @ state.cov @ slope.T + jnp.asarray(self.measurement_cov, x.dtype)
+        return Expectation(y, innovation, cov, ~jnp.isnan(y), details=slope)
+
+    def _used(
+        self, state: StateEKFState, y: Float[Array, "p"], expected: Expectation, used: Bool[Array, "p"]
+    ) -> StateEKFState:
+        x, slope, noise = state.x, expected.details, jnp.asarray(self.measurement_cov, state.x.dtype)
         # The noise of an output that is not used must not affect the others, even where the two are correlated.
         noise = jnp.where(used[:, None] & used[None, :], noise, jnp.eye(len(y), dtype=x.dtype))
         output = jnp.where(used[:, None], slope, 0.0)
         gain = solve(output @ state.cov @ output.T + noise, output @ state.cov).T
         left = jnp.eye(len(x), dtype=x.dtype) - gain @ output
         cov = left @ state.cov @ left.T + gain @ noise @ gain.T
-        moved = x + gain @ jnp.where(used, innovation, 0.0)
-        # After outputs have been refused for long the estimate is believed no more than at the start.
-        cov = jnp.where(found.restart, jnp.asarray(self.start_cov, x.dtype), (cov + cov.T) / 2)
-        own = jnp.where(jnp.all(missing), int(Result.COASTED), int(Result.OK)).astype(jnp.int32)
-        finite = jnp.all(jnp.isfinite(moved)) & jnp.all(jnp.isfinite(cov))
-        result = jnp.where(finite, found.result(own), int(Result.NOT_FINITE)).astype(jnp.int32)
-        nis = normalised_square(innovation_cov, innovation, ~missing)
-        std = jnp.sqrt(jnp.diag(cov))
-        new = StateEKFState(moved, state.t, cov, found.refused, found.scale, state.held)
-        return new, StateEKFInfo(innovation, jnp.sqrt(nis), innovation_cov, nis, std, result)
+        moved = x + gain @ jnp.where(used, expected.innovation, 0.0)
+        return state._replace(x=moved, cov=(cov + cov.T) / 2)
+
+    def _started_anew(
+        self, state: StateEKFState, corrected: StateEKFState, y: Float[Array, "p"], expected: Expectation
+    ) -> StateEKFState:
+        # Outputs do not tell a state: the estimate stays, and is believed no more than at the start.
+        return corrected._replace(cov=jnp.asarray(self.start_cov, state.x.dtype))
+
+    def _result(
+        self, state: StateEKFState, new: StateEKFState, y: Float[Array, "p"], expected: Expectation, verdict: Judged
+    ) -> Code:
+        own = jnp.where(jnp.any(expected.present), int(Result.OK), int(Result.COASTED)).astype(jnp.int32)
+        finite = jnp.all(jnp.isfinite(new.x)) & jnp.all(jnp.isfinite(new.cov))
+        return jnp.where(finite, verdict.result(own), int(Result.NOT_FINITE)).astype(jnp.int32)
+
+    def _info(self, state: StateEKFState, new: StateEKFState, expected: Expectation, result: Code) -> StateEKFInfo:
+        _, innovation, cov, present, *_ = expected
+        nis = normalised_square(cov, innovation, present)
+        return StateEKFInfo(innovation, jnp.sqrt(nis), cov, nis, jnp.sqrt(jnp.diag(new.cov)), result)
 
     def advance(
         self, state: StateEKFState, u: Float[Array, "m"], y: Float[Array, "p"], dt: Scalar
     ) -> tuple[StateEKFState, StateEKFInfo]:
         new, info = self.correct(self.predict(state, u, dt), u, y)
-        kept = jnp.sqrt(jnp.diag(state.cov))  # a stamp that is repeated changes nothing
-        return new, info._replace(state_std=jnp.where(dt > 0, info.state_std, kept))
+        before = jnp.sqrt(jnp.diag(state.cov))  # a stamp that is repeated changes nothing
+        return new, info._replace(state_std=jnp.where(dt > 0, info.state_std, before))
 
     def needed_substeps(self, state: StateEKFState, u: Array, dt: Scalar) -> Code:
         """Steps that keep h·rate ≤ 1, with a bound on the largest eigenvalue of ∂f/∂x."""

@@ -51,24 +51,22 @@ class AbstractTrackingLoop(AbstractObserver):
     def estimate(self, state: LoopState) -> Float[Array, "two_n"]:
         return jnp.concatenate([state.x[0], state.x[1]])
 
-    def advance(self, state: LoopState, u: Float[Array, "m"], y: Vector, dt: Scalar) -> tuple[LoopState, FilterInfo]:
-        return tracked(self.gains, self.circles, state, y, dt)
+    def predict(self, state: LoopState, u: Float[Array, "m"], dt: Scalar) -> LoopState:
+        return LoopState(extrapolated(state.x, dt), state.age + dt)
+
+    def correct(self, state: LoopState, u: Float[Array, "m"], y: Vector) -> tuple[LoopState, FilterInfo]:
+        present, error = ~jnp.isnan(y) & (state.age > 0), self.innovation(state, u, y)
+        x = state.x + self.gains(jnp.where(present, state.age, 1.0), error) * error[None]
+        return LoopState(x, jnp.where(present, 0.0, state.age)), FilterInfo(error, outcome(x[0], x[1], y))
+
+    def innovation(self, state: LoopState, u: Float[Array, "m"], y: Vector) -> Vector:
+        present = ~jnp.isnan(y) & (state.age > 0)
+        return wrap(self.circles, jnp.where(present, y - state.x[0], 0.0))
 
 
 def standing(order: int, y: Vector) -> LoopState:
     """The state of a loop of this order k at rest at y."""
     return LoopState(jnp.concatenate([y[None], jnp.zeros((order - 1, y.shape[0]), y.dtype)]), jnp.zeros_like(y))
-
-
-def tracked(
-    gains: Gains, circles: tuple[int, ...], state: LoopState, y: Vector, dt: Scalar
-) -> tuple[LoopState, FilterInfo]:
-    """The next state: extrapolated over dt [s], and corrected where y is not missing; `circles` are angles on one."""
-    x, age = extrapolated(state.x, dt), state.age + dt
-    present = ~jnp.isnan(y) & (age > 0)
-    error = wrap(circles, jnp.where(present, y - x[0], 0.0))
-    x = x + gains(jnp.where(present, age, 1.0), error) * error[None]
-    return LoopState(x, jnp.where(present, 0.0, age)), FilterInfo(error, outcome(x[0], x[1], y))
 
 
 def extrapolated(x: Float[Array, "k n"], dt: Scalar) -> Float[Array, "k n"]:

@@ -13,22 +13,23 @@ Brossard, Barrau & Bonnabel 2020, A code for unscented Kalman filtering on manif
 The square-root unscented Kalman filter, ICASSP; Bar-Shalom, Li & Kirubarajan 2001, section 5.4, for the gate.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Inexact, Int
+from jaxtyping import Array, Bool, Float, Inexact, Int
 
 from covariant._linalg import semidefinite_root, triangular
-from covariant._typing import Number, Scalar, Vector
+from covariant._typing import Code, Number, Scalar, Vector
 from covariant.models import MechanicalSystem, Motion
 from covariant.observers._covariance import Covariance, check_covariance, covariance_at
-from covariant.observers._ekf import EKFInfo
-from covariant.observers._gate import Gate, judged, open_gate
-from covariant.observers._protocol import AbstractObserver, Held, as_gain, at_rest, check_finite, outcome, uniqueness
+from covariant.observers._ekf import EKFInfo, ekf_info
+from covariant.observers._gate import Gate, open_gate
+from covariant.observers._gated_filter import AbstractMechanicalFilter, Expectation
+from covariant.observers._protocol import Held, as_gain, at_rest, check_finite
 from covariant.observers._sampled import predict
-from covariant.observers._square_root import diagonal, normalised_square, updated, white_acceleration
+from covariant.observers._square_root import diagonal, updated, white_acceleration
 
 
 class UKFState(NamedTuple):
@@ -48,7 +49,7 @@ class UKFState(NamedTuple):
     held: Held = None
 
 
-class UKF(AbstractObserver):
+class UKF(AbstractMechanicalFilter):
     """Unscented Kalman filter with 4n + 1 points, in square-root form.
 
     - `process_cov`: density of the white acceleration noise [(rad/s²)² s, or (m/s²)² s].
@@ -85,9 +86,6 @@ class UKF(AbstractObserver):
         q, v, t, held, _ = at_rest(self.model, y, t)
         return UKFState(q, v, t, self._first_root(q, v), *open_gate(v), held)
 
-    def estimate(self, state: UKFState) -> Any:
-        return self.model.state(Motion(state.q, state.v))
-
     def cov(self, state: UKFState) -> Float[Array, "two_n two_n"]:
         """The covariance of `(local(q̂, q), v − v̂)`."""
         return state.root @ state.root.T
@@ -117,27 +115,25 @@ class UKF(AbstractObserver):
         root = triangular(jnp.concatenate([columns, noise.astype(columns.dtype)], axis=1))
         return state._replace(q=q, v=v, t=state.t + dt, root=root)
 
-    def correct(self, state: UKFState, y: Array) -> tuple[UKFState, EKFInfo]:
-        """Take the measurement y in; missing entries (NaN) are left out, on a group all where one is missing."""
+    def _expected(self, state: UKFState, u: Float[Array, "m"], y: Array) -> Expectation:
         manifold, n = self.model.manifold, state.v.shape[0]
-        missing, innovation = manifold.missing(y), manifold.towards(state.q, y)
         noise = covariance_at(self.measurement_cov, self.model.space, state.q)
-        spread = state.root[:n] @ state.root[:n].T + noise
-        found = judged(self.gate, manifold, innovation, spread, ~missing, state.refused, state.scale)
-        gain, root = updated(state.root, state.root[:n], noise, ~missing & ~found.far)
-        error = gain @ innovation
-        q, v = manifold.retract(state.q, error[:n]), state.v + error[n:]
-        new = UKFState(q, v, state.t, root, found.refused, found.scale, state.held)
-        measured = manifold.measured(state.q, y)
-        fresh = new._replace(q=measured, v=state.v, root=self._first_root(measured, state.v))
-        new = jax.tree.map(lambda a, b: jnp.where(found.restart, a, b), fresh, new)
-        result = outcome(new.q, new.v, y, found.result(uniqueness(self.model, state.q, y)))
-        distance, std = self.model.space.norm(state.q, innovation), jnp.sqrt(jnp.sum(new.root[n:] ** 2, axis=1))
-        nis = normalised_square(spread, innovation, ~missing)
-        return new, EKFInfo(innovation, distance, spread, nis, std, result)
+        cov = state.root[:n] @ state.root[:n].T + noise
+        return Expectation(y, manifold.towards(state.q, y), cov, ~manifold.missing(y), details=noise)
 
-    def advance(self, state: UKFState, u: Float[Array, "m"], y: Array, dt: Scalar) -> tuple[UKFState, EKFInfo]:
-        return self.correct(self.predict(state, u, dt), y)
+    def _used(self, state: UKFState, y: Array, expected: Expectation, used: Bool[Array, "n"]) -> UKFState:
+        n = state.v.shape[0]
+        gain, root = updated(state.root, state.root[:n], expected.details, used)
+        error = gain @ expected.innovation
+        return state._replace(q=self.model.manifold.retract(state.q, error[:n]), v=state.v + error[n:], root=root)
+
+    def _started_anew(self, state: UKFState, corrected: UKFState, y: Array, expected: Expectation) -> UKFState:
+        measured = self.model.manifold.measured(state.q, y)
+        return corrected._replace(q=measured, v=state.v, root=self._first_root(measured, state.v))
+
+    def _info(self, state: UKFState, new: UKFState, expected: Expectation, result: Code) -> EKFInfo:
+        std = jnp.sqrt(jnp.sum(new.root[state.v.shape[0] :] ** 2, axis=1))
+        return ekf_info(self.model, state.q, expected, std, result)
 
     def _first_root(self, q: Array, v: Vector) -> Float[Array, "two_n two_n"]:
         position = semidefinite_root(covariance_at(self.measurement_cov, self.model.space, q)).astype(v.dtype)

@@ -94,8 +94,10 @@ class PrintedGroup(AbstractFlowObserver):
             v_dot = v_dot + (1 - self.alpha) * group.lie_bracket(error, v)
         return HeldState(w, v_dot, jnp.ones_like(state.t))
 
-    def advance(self, state: HeldState, u: Float[Array, "m"], y: Element, dt: Scalar):
+    def predict(self, state: HeldState, u: Float[Array, "m"], dt: Scalar):
         raise NotImplementedError("the printed observer is a counter-example in continuous time only")
+
+    correct = predict
 
 
 def _printed_log(y: Element, estimate: Element) -> Vector:
