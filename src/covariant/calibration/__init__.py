@@ -1,4 +1,4 @@
-"""What is wrong with a log, what a model's numbers are, and which noise and gains fit both."""
+"""Calibration: diagnosis of logs, identification of model parameters, and tuning of noise and gains from logs."""
 
 import lazy_loader
 

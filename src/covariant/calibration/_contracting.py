@@ -1,4 +1,4 @@
-"""A constant gain of output injection that makes a copy of the plant contracting."""
+"""Constant output-injection gains that make a copy of the plant contracting."""
 
 import jax
 import jax.numpy as jnp
@@ -18,15 +18,36 @@ def contracting_gain(
     t: float = 0.0,
     effort: float = 1e-3,
 ) -> MetricDesign:
-    """A gain K (n, p) and metric M (n, n) for `observers.Contracting`, from the model's Jacobians at given states.
+    """Constant gain K and metric M for `observers.Contracting`, from Jacobians of the model at chosen states.
 
-    - `states` (k, n): the states at which the virtual system has to contract. Between them this has to be certified.
-    - `rate` [1/s]: rate at which squared lengths decay there.
-    - `inputs` (k, m): the input at each state, zero by default; `t` [s]: time given to the model.
-    - `effort`: as for `certificates.observer_gain`, which does the design.
+    The virtual system is the copy of the plant with output injection; its Jacobians are taken at fixed input, and
+    `certificates.observer_gain` solves the linear matrix inequalities. Needs `covariant[lmi]`.
 
-    The Jacobians are those of the virtual system, at fixed input. Raises `ValueError` where the states do not fit the
-    model or no gain is found.
+    Args:
+        model: State-space model with n states, m inputs and p outputs.
+        states: States (k, n) at which the virtual system has to contract. Between them contraction has to be certified.
+        rate: Rate [1/s] at which squared lengths decay at these states.
+        inputs: Input (k, m) at each state; zero by default.
+        t: Time [s] passed to the model.
+        effort: Weight of the norm of MK beside the condition number of M, as for `certificates.observer_gain`.
+
+    Returns:
+        The design: gain K (n, p), metric M (n, n), its condition number, and the statement that holds.
+
+    Raises:
+        ValueError: The states or inputs do not fit the model, or no gain attains the rate.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> import numpy as np
+        >>> from covariant.calibration import contracting_gain
+        >>> from covariant.models import StateSpace
+        >>> pendulum = StateSpace(
+        ...     lambda t, x, u: jnp.stack([x[1], -9.81 * jnp.sin(x[0])]), lambda t, x, u: x[:1], coordinates=("q", "v")
+        ... )
+        >>> design = contracting_gain(pendulum, [[0.0, 0.0], [np.pi, 0.0]], rate=2.0)
+        >>> design.gain.shape, bool(np.linalg.eigvalsh(design.metric).min() > 0)
+        ((2, 1), True)
     """
     x = np.atleast_2d(np.asarray(states, float))
     n = len(model.coordinates) or x.shape[1]
@@ -35,6 +56,6 @@ def contracting_gain(
     u = np.zeros((len(x), model.inputs)) if inputs is None else np.asarray(inputs, float)
     if u.shape != (len(x), model.inputs):
         raise ValueError(f"inputs must have the shape ({len(x)}, {model.inputs}), one row a state; got {u.shape}")
-    now = jnp.asarray(t)
-    f, h = jax.vmap(lambda x, u: model.jacobians(now, x, u))(jnp.asarray(x), jnp.asarray(u))
+    time = jnp.asarray(t)
+    f, h = jax.vmap(lambda x, u: model.jacobians(time, x, u))(jnp.asarray(x), jnp.asarray(u))
     return observer_gain(np.asarray(f), np.asarray(h), rate, effort=effort)

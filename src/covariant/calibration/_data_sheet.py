@@ -1,4 +1,4 @@
-"""What estimators are tuned by: a data sheet, and part of a log for those that use no model."""
+"""What estimators are tuned from: a data sheet, and part of a log for filters that use no model."""
 
 from typing import NamedTuple
 
@@ -9,24 +9,32 @@ from covariant.observers import Slow
 
 
 class DataSheet(NamedTuple):
-    """What is known of sensor, model and motion before any log is recorded; in units of the coordinates and seconds.
+    """Numbers on sensor, model and motion, known before any log is recorded, in units of the coordinates and seconds.
 
     On a group each number holds for every component of a vector in the body frame, in rad and, for positions, m.
 
-    - `measurement_std`: standard deviation of the noise of one sample.
-    - `acceleration_std`, `correlation_time`: standard deviation and correlation time of the acceleration that the model
-      does not explain; None for one that is independent at each sample.
-    - `motion_std`, `motion_time`: the same of the acceleration of the motion itself, for filters that use no model.
-    - `damping`: damping ratio ζ of the observers.
-    - `natural_frequency` [rad/s]: ω of their gains α = 2ζω and β = ω²; None where it is designed from the noise.
-    - `coordinate_stds`: standard deviations of the noise of each coordinate, where they differ; `measurement_std` is
-      then their root mean square, for designs that know one number only.
-    - `quantum`: one tick of the encoders, or one for each coordinate, where that is what makes the noise; then
-      `measurement_std`, and `coordinate_stds` for several, are this over √12.
-    - `external_force`: standard deviation of what a force that the model does not know changes by in a second [N or
-      N m]; None where no such force is estimated.
-    - `slow`: further slow states that are estimated along with the motion, as `observers.sensor_bias`.
-    - `speed`: usual size of each velocity, as of `usual_speeds`, by which gates judge; None where it is not known.
+    Attributes:
+        measurement_std: Standard deviation of the noise of one sample.
+        acceleration_std: Standard deviation of the acceleration that the model does not explain.
+        correlation_time: Correlation time [s] of that acceleration; None where it is independent at each sample.
+        motion_std: Standard deviation of the acceleration of the motion itself, for filters that use no model.
+        motion_time: Correlation time [s] of that acceleration.
+        damping: Damping ratio ζ of the observers.
+        quantum: One tick of the encoders, or one for each coordinate, where ticks make the noise; then
+            `measurement_std`, and `coordinate_stds` for several, are this over √12. None for a sensor without ticks.
+        coordinate_stds: Standard deviation of the noise of each coordinate, where they differ; then `measurement_std`
+            is their root mean square, for designs that use one number only.
+        external_force: Standard deviation of the change in one second of a force that the model does not know [N or
+            N m]; None where no such force is estimated.
+        speed: Usual size of each velocity, as from `usual_speeds`, by which gates judge; None where it is unknown.
+        natural_frequency: ω [rad/s] of the gains α = 2ζω and β = ω²; None where it is designed from the noise.
+        slow: Further slow states to estimate along with the motion, as `observers.sensor_bias`.
+
+    Example:
+        >>> from covariant.calibration import DataSheet, observer_gains
+        >>> sheet = DataSheet(measurement_std=1e-3, acceleration_std=1.0, correlation_time=0.5)
+        >>> round(observer_gains(sheet, rate=100.0).beta)
+        10000
     """
 
     measurement_std: float
@@ -44,16 +52,25 @@ class DataSheet(NamedTuple):
 
     @property
     def speeds(self) -> Float[np.ndarray, "*n"]:
-        """The usual size of the velocities: those of `speed`, and no less than `motion_std · motion_time`."""
+        """Usual size of the velocities: `speed`, but no less than `motion_std · motion_time`."""
         return np.asarray(np.maximum(self.motion_std * self.motion_time, self.speed or 0.0))
 
 
 class Trial(NamedTuple):
-    """Part of a log on which the filters without a model are tuned.
+    """Part of a log on which filters without a model are tuned.
 
-    - `t` (T,): stamps [s].
-    - `y` (T, n): positions, continuous across full turns; entries may be missing (NaN).
-    - `v` (T, n): velocities to compare with.
+    Attributes:
+        t: Stamps (T,) [s].
+        y: Positions (T, n), continuous across full turns; NaN where missing.
+        v: Reference velocities (T, n) to compare with.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.calibration import DataSheet, Trial, filter_bandwidth
+        >>> t = np.linspace(0.0, 4.0, 401)
+        >>> trial = Trial(t, np.sin(t)[:, None], np.cos(t)[:, None])
+        >>> bool(filter_bandwidth(DataSheet(1e-3, 1.0), rate=100.0, trial=trial) > 100.0)  # no noise: a fast filter
+        True
     """
 
     t: Float[np.ndarray, "T"]

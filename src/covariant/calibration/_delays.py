@@ -1,4 +1,4 @@
-"""Findings about when coordinates were measured and inputs act, and about how strongly inputs act."""
+"""Findings on delays of coordinates and inputs, and on scales of inputs."""
 
 from collections.abc import Callable, Iterator
 from typing import NamedTuple
@@ -14,28 +14,36 @@ from covariant.calibration._timing import Fitted, fit
 from covariant.models import MechanicalSystem
 
 SIGNIFICANT = 4.0
-"""Standard errors from which a delay of one coordinate against another is believed."""
+"""Standard errors from which a delay of one coordinate against another is accepted."""
 LATE = 0.6
-"""Fraction of a row from which it is: below that an error of the model may look like one."""
+"""Fraction of a row from which it is accepted: below that an error of the model may look like a delay."""
 SIGNIFICANT_COMMON, LATE_COMMON, GAIN_COMMON = 5.0, 1.5, 0.4
 """The same for a delay of all coordinates against the inputs, and by which fraction the unexplained squares must fall:
 a wrong friction looks like it too."""
 SIGNIFICANT_SCALE, OFF_SCALE, GAIN = 5.0, 0.25, 0.5
-"""Standard errors, deviation from 1, and fraction of the unexplained squares, from which a scale is believed."""
+"""Standard errors, deviation from 1, and fraction of the unexplained squares, from which a scale is accepted."""
 LOST = 0.02
-"""Unexplained fraction from which a delay may be too long to be found from none."""
+"""Unexplained fraction from which a delay may be too long for a local search from zero."""
 SEARCHED = (5e-3, 1e-2, 2e-2, 4e-2, 8e-2)
-"""Delays [s] that are tried then."""
+"""Delays [s] from which the search then starts."""
 ROUNDS = 5
 SETTLED = 0.01
 """Change of a delay, in rows, or of a scale, that ends the search."""
 WHOLE_ROW = 0.2
-"""A delay is a row where it is off by less than this fraction of one."""
+"""Largest distance of a delay from a whole number of rows, in rows, with which it is reported as such."""
 
 
-class _Told(NamedTuple):
-    """Delays against the earliest coordinate (n,) [s], and scales (m,); each with its standard error, and whether it is
-    believed."""
+class _Estimates(NamedTuple):
+    """Estimated delays and scales, with standard errors and which are accepted.
+
+    Attributes:
+        delay: Delays (n,) against the earliest coordinate [s].
+        delay_std: Their standard errors (n,) [s].
+        late: Which delays (n,) are accepted.
+        scale: Scales (m,) of the inputs.
+        scale_std: Their standard errors (m,).
+        off: Which scales (m,) are accepted.
+    """
 
     delay: Float[np.ndarray, "n"]
     delay_std: Float[np.ndarray, "n"]
@@ -46,21 +54,26 @@ class _Told(NamedTuple):
 
 
 class _Common(NamedTuple):
-    """The delay of all positions against the inputs [s], with its standard error; zero where it is not believed."""
+    """Delay of all positions against the inputs [s], with its standard error; zero where it is not accepted."""
 
     delay: float = 0.0
     std: float = 0.0
 
 
 class Stated(NamedTuple):
-    """What the model file says already: delays (n,) [s] of the positions, and the lag [s] of the inputs."""
+    """Delays according to the model file.
+
+    Attributes:
+        delay: Delay (n,) of each position [s].
+        lag: Time constant [s] of the first-order lag of the inputs.
+    """
 
     delay: Float[np.ndarray, "n"]
     lag: float
 
 
 class _Fit(NamedTuple):
-    """What is compared: the model, and the log smoothed after delays (n,) [s] are taken off and inputs are scaled."""
+    """The model, and the log smoothed after delays (n,) [s] are subtracted and inputs are scaled."""
 
     model: MechanicalSystem
     smoothed: Callable[[np.ndarray], Smooth]
@@ -78,104 +91,118 @@ def delay_findings(
     stated: Stated,
     smoothed: Callable[[np.ndarray], Smooth],
 ) -> tuple[list[Finding], Residual]:
-    """Findings of delays and of scales of inputs, and what the model leaves of the log after they are put right.
+    """Findings on delays and on scales of inputs, and the residual of the corrected log.
 
-    - `spacing` [s]: time between two rows; `stated`: what the model file says.
-    - `smoothed`: gives the smoothed log with delays (n,) [s] taken off, beyond those that the model file states.
+    Args:
+        model: The mechanical system.
+        names: Columns and units of the log.
+        spacing: Time between two rows [s].
+        stated: Delays according to the model file.
+        smoothed: Function from delays (n,) [s], beyond those that the model file states, to the smoothed log from which
+            they are subtracted.
+
+    Returns:
+        The findings, and the residual accelerations once delays and scales are corrected.
     """
     fitting = _Fit(model, smoothed)
     n, m = len(names.q), len(names.u)
     log, before = fitting.at(np.zeros(n), np.ones(m))
-    start = _searched(model, log, before)
-    # A wrong sign or size of an input looks like a delay, and a delay of all positions like one of some of them.
-    scale = np.where((first := _settled(fitting, start, np.ones(m), spacing, False)[0]).off, first.scale, 1.0)
+    start = _initial_delay(model, log, before)
+    # First scales, then the common delay: a wrong sign or size of an input looks like a delay, and a delay of all
+    # positions like one of some of them.
+    scale = np.where((first := _iterated(fitting, start, np.ones(m), spacing, False)[0]).off, first.scale, 1.0)
     common = _common(fitting, start, scale, spacing) if m else _Common()
-    told, after = _settled(fitting, start + common.delay, scale, spacing, True)
-    return list(_findings(names, spacing, stated, told, common, before, after)), after
+    estimates, after = _iterated(fitting, start + common.delay, scale, spacing, True)
+    return list(_findings(names, spacing, stated, estimates, common, before, after)), after
 
 
-def _settled(
+def _iterated(
     fitting: _Fit, delay: np.ndarray, scale: np.ndarray, spacing: float, delays: bool
-) -> tuple[_Told, Residual]:
-    """What is believed in the end of delays, if asked for, and of scales; and what is left with them taken off.
+) -> tuple[_Estimates, Residual]:
+    """Iterate the fit to convergence, and return the accepted estimates with the residual after their correction.
 
-    The least of `delay`, which is that of all against the inputs, stays taken off.
+    Delays are corrected only if `delays` is set. The least of `delay`, that of all coordinates against the inputs,
+    stays subtracted.
     """
     base = delay.min()
-    told, now = None, None
+    estimates, after = None, None
     for _ in range(ROUNDS):
-        log, now = fitting.at(delay, scale)
-        told = _told(fit(fitting.model, log, now), delay, scale, spacing)
-        step = np.where(told.late, told.delay, 0.0) + base - delay if delays else np.zeros_like(delay)
-        change = np.where(told.off, told.scale, 1.0) - scale
+        log, after = fitting.at(delay, scale)
+        estimates = _estimates(fit(fitting.model, log, after), delay, scale, spacing)
+        step = np.where(estimates.late, estimates.delay, 0.0) + base - delay if delays else np.zeros_like(delay)
+        change = np.where(estimates.off, estimates.scale, 1.0) - scale
         delay, scale = delay + step, scale + change
         if np.abs(step).max(initial=0.0) < SETTLED * spacing and np.abs(change).max(initial=0.0) < SETTLED:
             break
-    assert told is not None
-    assert now is not None
-    return told, now
+    assert estimates is not None
+    assert after is not None
+    return estimates, after
 
 
 def _common(fitting: _Fit, delay: np.ndarray, scale: np.ndarray, spacing: float) -> _Common:
     """The delay of all positions against the inputs."""
     n, total, std = len(delay), 0.0, 0.0
     log, before = fitting.at(delay, scale)
-    now = before
+    after = before
     for _ in range(ROUNDS):
-        fitted = fit(fitting.model, log, now)
+        fitted = fit(fitting.model, log, after)
         earliest = delay == delay.min()
         weights = earliest / earliest.sum()
         step, std = float(weights @ fitted.delay), float(np.sqrt(weights @ fitted.cov[:n, :n] @ weights))
         if not (np.isfinite(std) and abs(total + step) > SIGNIFICANT_COMMON / 2 * std):
             return _Common()
         total += step
-        log, now = fitting.at(delay + total, scale)
+        log, after = fitting.at(delay + total, scale)
         if abs(step) < SETTLED * spacing:
             break
     large = abs(total) > LATE_COMMON * spacing and abs(total) > SIGNIFICANT_COMMON * std
-    if large and now.misfit < (1 - GAIN_COMMON) * before.misfit:
+    if large and after.misfit < (1 - GAIN_COMMON) * before.misfit:
         return _Common(total, std)
     return _Common()
 
 
-def _searched(model: MechanicalSystem, log: Smooth, now: Residual) -> Float[np.ndarray, "n"]:
-    """The long delay of one coordinate that halves what is left, or none (n,)."""
+def _initial_delay(model: MechanicalSystem, log: Smooth, unshifted: Residual) -> Float[np.ndarray, "n"]:
+    """Long delay of one coordinate that halves the unexplained fraction, as a start (n,) [s]; zero without one."""
     n = log.q.shape[1]
-    best, least = np.zeros(n), now.misfit / 2
-    if not now.misfit > LOST or n == 1:
+    best, least = np.zeros(n), unshifted.misfit / 2
+    # Not `<=`: a misfit of NaN, where no acceleration exceeds the noise, has to end here too.
+    if not unshifted.misfit > LOST or n == 1:
         return best
     for i in range(n):
         for points in sorted({max(1, round(size / log.step)) for size in SEARCHED}):
-            tried = residual(model, _rolled(log, i, points))
+            tried = residual(model, _advanced(log, i, points))
             if tried.misfit < least:
                 best, least = np.where(np.arange(n) == i, points * log.step, 0.0), tried.misfit
     return best
 
 
-def _rolled(log: Smooth, i: int, points: int) -> Smooth:
-    """The smoothed log with coordinate i as it is so many points of the grid later."""
+def _advanced(log: Smooth, i: int, points: int) -> Smooth:
+    """The smoothed log with coordinate i advanced by `points` points of the grid."""
 
-    def moved(values):
+    def advanced(values):
         values = values.copy()
+        # A negative shift of the rows is a later time: the row at t becomes q(t + shift).
         values[:, i] = np.roll(values[:, i], -points)
         return values
 
     used = log.used & np.roll(log.used, -points)  # the first and last points are never used
-    return log._replace(q=moved(log.q), v=moved(log.v), a=moved(log.a), used=used)
+    return log._replace(q=advanced(log.q), v=advanced(log.v), a=advanced(log.a), used=used)
 
 
-def _told(fitted: Fitted, delay: np.ndarray, scale: np.ndarray, spacing: float) -> _Told:
-    """What is believed of a fit to a log from which `delay` was taken off and whose inputs were scaled."""
+def _estimates(fitted: Fitted, delay: np.ndarray, scale: np.ndarray, spacing: float) -> _Estimates:
+    """Estimates of a fit to a log from which `delay` was subtracted and whose inputs were multiplied by `scale`."""
     n = len(delay)
     total, cov = delay + fitted.delay, fitted.cov[:n, :n]
+    # Differences from the earliest coordinate: a delay of all of them is none against another.
     against = np.eye(n) - np.eye(n)[int(np.argmin(total))]
     later, std = against @ total, _std(against @ cov @ against.T) if np.isfinite(cov).all() else np.full(n, np.inf)
     late = (later > LATE * spacing) & (later > SIGNIFICANT * std)
     scales, scale_std = scale * fitted.scale, np.abs(scale) * _std(fitted.cov[n:, n:])
     deviation = np.abs(scales - 1)
+    # A scale that has been applied has no gain left, but had it before.
     gained = (fitted.gain > GAIN) | (scale != 1)
     off = (deviation > OFF_SCALE) & (deviation > SIGNIFICANT_SCALE * scale_std) & gained
-    return _Told(later, std, late, scales, scale_std, off)
+    return _Estimates(later, std, late, scales, scale_std, off)
 
 
 def _std(cov: np.ndarray) -> np.ndarray:
@@ -183,16 +210,22 @@ def _std(cov: np.ndarray) -> np.ndarray:
 
 
 def _findings(
-    names: Names, spacing: float, stated: Stated, told: _Told, common: _Common, before: Residual, after: Residual
+    names: Names,
+    spacing: float,
+    stated: Stated,
+    estimates: _Estimates,
+    common: _Common,
+    before: Residual,
+    after: Residual,
 ) -> Iterator[Finding]:
     falls = ""
     if after.misfit < before.misfit:
         falls = f"; of the squares of the accelerations the model leaves {_share(after)} then, not {_share(before)}"
-    taken_off = stated.delay + np.where(told.late, told.delay, 0.0) + max(common.delay, 0.0)
+    taken_off = stated.delay + np.where(estimates.late, estimates.delay, 0.0) + max(common.delay, 0.0)
     line = f"[measurement] delay = [{', '.join(f'{value:.2g}' for value in taken_off)}]"
-    first, lag = names.q[int(np.argmin(told.delay))], stated.lag
-    for i in np.flatnonzero(told.late):
-        delay, std = float(told.delay[i]), float(told.delay_std[i])
+    first, lag = names.q[int(np.argmin(estimates.delay))], stated.lag
+    for i in np.flatnonzero(estimates.late):
+        delay, std = float(estimates.delay[i]), float(estimates.delay_std[i])
         evidence = f"{names.q[i]} is measured {_ms(delay, std)} later than {first}{_rows(delay, std, spacing)}{falls}"
         numbers = {"delay": delay, "std": std, "rows": delay / spacing}
         yield Finding("delay", names.q[i], evidence, line, True, numbers)
@@ -208,8 +241,8 @@ def _findings(
             line = f"{less}subtract {size:.2g} s from the stamps of {', '.join(names.u)}"
         numbers = {"delay": common.delay, "std": common.std, "rows": common.delay / spacing}
         yield Finding("delay against the inputs", "", evidence, line, True, numbers)
-    for j in np.flatnonzero(told.off):
-        scale, std = float(told.scale[j]), float(told.scale_std[j])
+    for j in np.flatnonzero(estimates.off):
+        scale, std = float(estimates.scale[j]), float(estimates.scale_std[j])
         line = names.line("u", np.where(np.arange(len(names.u)) == j, scale, 1.0))
         yield Finding(
             "scale of an input",

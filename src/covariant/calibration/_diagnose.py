@@ -1,8 +1,7 @@
-"""Compares a log with a model, before anybody estimates from it.
+"""Compares a log with a model, before anybody estimates from the log.
 
-The model's accelerations along the smoothed log are compared with the measured ones. What it leaves says whether the
-log is in the units, the order and the signs that the model is written in, and whether all of it was measured when its
-stamps say.
+The model's accelerations along the smoothed log are compared with the measured ones. The remainder shows whether the
+log is in the units, order and signs of the model, and whether every column was measured at its stamps.
 """
 
 from collections.abc import Iterable
@@ -22,40 +21,40 @@ from covariant.scoring import unwrap
 from covariant.signals import Record, acting_inputs, lag_inputs
 
 MOST_ROWS = 10_000
-"""Rows of the log that are compared with the model: the stretch in which most moves."""
+"""Largest number of rows that are compared with the model: the stretch with most motion."""
 FEW_ROWS = 4_000
 """The same for the check before an estimate."""
 SHORTEST = 6.0
-"""Length of a log that is compared with the model, in half windows."""
+"""Least length of a log that is compared with the model, in half windows."""
 WINDOWS = (1.0, 2.0, 3.0)
-"""Half windows that are tried, in those of the reference of the model file; that is kept which explains most."""
+"""Half windows to try, in those of the reference of the model file; the one that explains most is used."""
 WIDER = (2.0, 4.0, 8.0, 16.0)
-"""The same until accelerations are more than noise, as they are late in a slow motion."""
+"""Half windows to try until accelerations exceed the noise, as in a slow motion only wide ones show."""
 FITS = 0.15
-"""Largest unexplained fraction of the accelerations with which no other reading of the log is looked for."""
+"""Unexplained fraction of the accelerations up to which no other reading of the log is tried."""
 BARELY = 0.5
 """Unexplained fraction from which a log is refused."""
 MARGIN = 4.0
-"""What is unexplained must fall by this factor before a change is believed."""
+"""Factor by which the unexplained fraction must fall before a change is accepted."""
 BLOCKS = 30
 SIGNIFICANT = 4.0
-"""Standard errors of the signed ranks of its falls in so many blocks of the log, from which it is (all fall: 4.8)."""
+"""Standard errors of the signed ranks of its falls in these blocks of the log, from which it counts (all fall: 4.8)."""
 RIVAL = 1.5
-"""A change that leaves at most so many times as much as the best one is named beside it."""
+"""Ratio to the best unexplained fraction up to which another change is named beside the best."""
 FARTHEST = 3.0
-"""Largest acceleration that the model may leave, as a multiple of what the data sheet states."""
+"""Largest residual acceleration, as a multiple of the one that the data sheet states."""
 NOISIER = 4.0
-"""Measured noise, as a multiple of that of the data sheet, that is a finding."""
+"""Measured noise, as a multiple of the data sheet's, from which it is a finding."""
 MOST_CHANGES = 3
 WEIGHTS = (
     *("nothing moves", "unit of", "swapped", "sign of", "zero of", "model", "too little motion", "delay", "scale of"),
     *("uncertainty", "noise", "ticks", "repeated", "outliers", "a position"),
 )
-"""How findings begin, in the order of what they spoil: a wrong unit or order makes all numbers below it wrong."""
+"""How findings begin, in the order of what they invalidate: a wrong unit or order makes all numbers below it wrong."""
 
 
 class _Case(NamedTuple):
-    """A record in coordinates, without outliers, and what it is compared with."""
+    """A record in coordinates, without outliers, and the model to compare it with."""
 
     file: ModelFile
     model: MechanicalSystem
@@ -74,27 +73,38 @@ def diagnose(
     first_row: int = 1,
     every: int = 1,
 ) -> Diagnosis:
-    """Compare a log with a model: what is wrong with the log, or with the model file for it.
+    """Compare a log with a model, and report what is wrong with the log, or with the model file for it.
 
     Args:
         file: The model and its data sheet. For a machine that is not in coordinates, and for a `StateSpace`, only the
-            stamps and missing measurements are looked at.
+            stamps and missing measurements are checked.
         record: The log as it was read, without a lag of the inputs. Of more than `MOST_ROWS` rows, the stretch in which
-            most moves is compared with the model.
+            the positions move most is compared with the model.
         quantum: One tick of the encoders that the model file states, or one for each coordinate, where `file` no longer
             has it.
-        first_row: The row of the file, counted from 1, that the record begins with, by which rows are named.
-        every: The record has each so-many-th row.
+        first_row: Row of the file, counted from 1, at which the record begins; messages count from it.
+        every: The record has each `every`-th row of the file.
 
     Returns:
-        The findings, those that spoil most first. A log that fits has none that is `wrong`.
+        The findings, sorted by what they invalidate: those first that make others meaningless. A log that fits has none
+        that is `wrong`.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.calibration import diagnose
+        >>> from covariant.models import load
+        >>> from covariant.signals import Record
+        >>> t = np.arange(0.0, 10.0, 0.01)
+        >>> y = 0.2 * np.cos(t) + 1e-4 * np.random.default_rng(0).normal(size=1000)
+        >>> diagnose(load("oscillator"), Record(t, np.zeros((1000, 1)), y[:, None])).findings
+        ()
     """
-    found, looked = _findings(file, record, quantum, _sensor.Rows(np.asarray(record.t), first_row, every))
-    return Diagnosis(tuple(sorted(found, key=_weight)), looked)
+    findings, checks = _findings(file, record, quantum, _sensor.Rows(np.asarray(record.t), first_row, every))
+    return Diagnosis(tuple(sorted(findings, key=_weight)), checks)
 
 
 def _weight(finding: Finding) -> tuple[bool, int]:
-    """By what findings are sorted: those that are wrong first, and those first that make others meaningless."""
+    """Sort key of a finding: wrong ones first, and among them those that make others meaningless."""
     place = next((k for k, begin in enumerate(WEIGHTS) if finding.what.startswith(begin)), len(WEIGHTS))
     return not finding.wrong, place
 
@@ -102,66 +112,98 @@ def _weight(finding: Finding) -> tuple[bool, int]:
 def _findings(
     file: ModelFile, record: Record, quantum: float | tuple[float, ...] | None, rows: _sensor.Rows
 ) -> tuple[list[Finding], tuple[str, ...]]:
-    """The findings as they come, and what was looked for."""
-    found = [*_sensor.stamps(rows.t), *_sensor.missing_cells(np.asarray(record.y))]
-    looked = ("missing rows", "irregular stamps", "missing measurements")
+    """All findings, unsorted, and the names of the checks."""
+    findings = [*_sensor.stamps(rows.t), *_sensor.missing_cells(np.asarray(record.y))]
+    checks = ("missing rows", "irregular stamps", "missing measurements")
     if not in_coordinates(file):
-        return found, looked
-    looked += ("outliers", "repeated rows", "ticks", "noise")
+        return findings, checks
+    checks += ("outliers", "repeated rows", "ticks", "noise")
     y, names = np.asarray(record.y), _names(file)
     still, whole = _sensor.still_findings(y, names.q, names.units)
     if whole:
-        return [*found, *still], looked
+        return [*findings, *still], checks
     case, outliers = case_without_outliers(file, record, rows)
     repeated = _sensor.repeated_findings(y, readings(case.record, case.model.circles).ticks, names.q, rows)
     case = case._replace(record=busiest(case.record, MOST_ROWS))
-    changes, case = _put_right(case)
-    found += [*still, *outliers, *repeated, *changes, *_sensors(case, file.quantum if quantum is None else quantum)]
+    changes, case = _corrected(case)
+    findings += [*still, *outliers, *repeated, *changes, *_sensors(case, file.quantum if quantum is None else quantum)]
     best = best_window(case)
     if best is None or not best[1].told.any():
-        return [*found, _standstill(case)], looked
-    looked += ("units", "order and signs of columns", "scales of inputs", "delays", "accelerations")
-    delays, now = delay_findings(
+        return [*findings, _standstill(case)], checks
+    checks += ("units", "order and signs of columns", "scales of inputs", "delays", "accelerations")
+    delays, after = delay_findings(
         case.model,
         case.names,
         case.spacing,
         Stated(np.broadcast_to(np.asarray(file.delay, float), len(case.names.q)), file.input_lag),
         lambda delay: _smoothed(case, best[0], delay),
     )
-    return [*found, *delays, *_unexplained(file, case.names, now)], looked
+    return [*findings, *delays, *_unexplained(file, case.names, after)], checks
 
 
 def misfit(file: ModelFile, record: Record) -> Finding | None:
-    """What makes a log useless for a model: other units, or a motion that the model has nothing to do with.
+    """Reason why a log is useless for a model: other units, or a motion that the model does not explain.
 
-    None where the model explains the accelerations, where they cannot be told from noise, and where the model is not
-    in coordinates. It looks at `FEW_ROWS` rows of the record at most, and takes a fraction of the time of an estimate.
+    At most `FEW_ROWS` rows of the record are compared, in a fraction of the time of an estimate.
+
+    Args:
+        file: The model and its data sheet.
+        record: The log as it was read.
+
+    Returns:
+        The finding. None where the model explains the accelerations, where they do not exceed the noise, and where the
+        model is not in coordinates.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.calibration import misfit
+        >>> from covariant.models import load
+        >>> from covariant.signals import Record
+        >>> t = np.arange(0.0, 10.0, 0.01)
+        >>> y = 0.2 * np.cos(t) + 1e-4 * np.random.default_rng(0).normal(size=1000)
+        >>> misfit(load("oscillator"), Record(1e3 * t, np.zeros((1000, 1)), y[:, None])).line
+        '[units] t = "ms"'
     """
     if not in_coordinates(file):
         return None
     case, _ = case_without_outliers(file, busiest(record, FEW_ROWS))
-    asis = _compared(case)
-    if asis is not None and asis.told.any() and asis.misfit < BARELY:
+    unchanged = _compared(case)
+    if unchanged is not None and unchanged.told.any() and unchanged.misfit < BARELY:
         return None
-    better = _best_change(case, asis, ((change, _compared(_changed(case, change))) for change in _units(case)), BARELY)
+    better = _best_change(
+        case, unchanged, ((change, _compared(_changed(case, change))) for change in _units(case)), BARELY
+    )
     if better is not None:
         return better[0]
-    found = [finding for finding in _unexplained(file, case.names, asis) if finding.what == "model"] if asis else []
-    return found[0] if found else None
+    findings = (
+        [finding for finding in _unexplained(file, case.names, unchanged) if finding.what == "model"]
+        if unchanged
+        else []
+    )
+    return findings[0] if findings else None
 
 
 def in_coordinates(file: ModelFile) -> bool:
-    """Whether the model of a file is a mechanical system in coordinates, so that its accelerations can be compared."""
+    """Whether a model file has a mechanical system in coordinates, whose accelerations can be compared with a log."""
     return file.mechanical and file.model.manifold.commuting  # pyright: ignore[reportAttributeAccessIssue]
 
 
 def busiest(record: Record, rows: int) -> Record:
-    """The stretch of so many rows of a record in which the positions move most, or all of it where it is shorter."""
+    """Stretch of a record in which the positions move most.
+
+    Args:
+        record: The log, with positions (T, n).
+        rows: Number of rows of the stretch.
+
+    Returns:
+        That many consecutive rows, or the whole record where it is shorter.
+    """
     if len(record.t) <= rows:
         return record
-    moved = np.nan_to_num(np.abs(np.diff(np.asarray(record.y), axis=0)))
-    moved = np.cumsum(np.sum(moved / np.maximum(np.quantile(moved, 0.95, axis=0), 1e-300), axis=1))
-    start = int(np.argmax(moved[rows - 1 :] - moved[: len(moved) - rows + 1]))
+    travel = np.nan_to_num(np.abs(np.diff(np.asarray(record.y), axis=0)))
+    # Each coordinate counts in units of its fast steps; the floor is for one that stands still.
+    travel = np.cumsum(np.sum(travel / np.maximum(np.quantile(travel, 0.95, axis=0), 1e-300), axis=1))
+    start = int(np.argmax(travel[rows - 1 :] - travel[: len(travel) - rows + 1]))
     return Record(*(np.asarray(a)[start : start + rows] for a in record[:3]))
 
 
@@ -175,12 +217,21 @@ def _names(file: ModelFile) -> Names:
 def case_without_outliers(
     file: ModelFile, record: Record, rows: _sensor.Rows | None = None
 ) -> tuple[_Case, list[Finding]]:
-    """The case of a record whose outliers are taken to be missing, and findings about them; `rows` names its rows."""
+    """Record prepared for the comparison: outliers are set to NaN and reported.
+
+    Args:
+        file: The model file, of a mechanical system in coordinates.
+        record: The log.
+        rows: How messages name the rows; by default they count from 1.
+
+    Returns:
+        The case to compare, and a finding for each column with outliers.
+    """
     model, names = file.need_mechanical(file.name, "accelerations are compared with those of"), _names(file)
     t, y = np.asarray(record.t), np.asarray(record.y)
-    far, sizes = _sensor.outliers(t, y, model.circles)
-    case = _Case(file, model, names, Record(t, np.asarray(record.u), np.where(far, np.nan, y)))
-    return case, _sensor.outlier_findings(far, sizes, names.q, names.units, rows or _sensor.Rows(t))
+    wrong, sizes = _sensor.outliers(t, y, model.circles)
+    case = _Case(file, model, names, Record(t, np.asarray(record.u), np.where(wrong, np.nan, y)))
+    return case, _sensor.outlier_findings(wrong, sizes, names.q, names.units, rows or _sensor.Rows(t))
 
 
 def _smoothed(case: _Case, half: float, delay: Any = 0.0) -> Smooth:
@@ -197,7 +248,7 @@ def _long_enough(case: _Case, half: float) -> bool:
 
 
 def _clearly(case: _Case) -> Smooth | None:
-    """The record smoothed by the first window in which accelerations are more than noise, or else the widest one.
+    """The record smoothed by the narrowest window whose accelerations exceed the noise, or else by the widest one.
 
     None where the record is too short for any.
     """
@@ -212,13 +263,20 @@ def _clearly(case: _Case) -> Smooth | None:
 
 
 def _compared(case: _Case) -> Residual | None:
-    """What the model leaves of the record; None where that is too short to be smoothed."""
+    """Residual accelerations of the record; None where it is too short to be smoothed."""
     log = _clearly(case)
     return None if log is None else residual(case.model, log)
 
 
 def best_window(case: _Case) -> tuple[float, Residual] | None:
-    """The half window [s] with which the model explains most, and what it leaves; None where nothing can be told."""
+    """Half width of the smoothing window with which the model explains most.
+
+    Args:
+        case: The record and the model to compare.
+
+    Returns:
+        The half width [s] and the residual accelerations; None where the accelerations of no coordinate exceed noise.
+    """
     halves = [half for half in (w * case.file.reference_half for w in WINDOWS) if _long_enough(case, half)]
     tried = [(half, residual(case.model, _smoothed(case, half))) for half in halves]
     if not any(left.told.any() for _, left in tried) and (log := _clearly(case)) is not None:
@@ -235,18 +293,19 @@ def _changed(case: _Case, change: Change) -> _Case:
     return case._replace(record=change.of_record(case.record), names=case.names.after(change))
 
 
-def _put_right(case: _Case) -> tuple[list[Finding], _Case]:
-    """Findings of units, orders and signs that are wrong, and the case after the changes that they ask for."""
+def _corrected(case: _Case) -> tuple[list[Finding], _Case]:
+    """Findings on wrong units, orders and signs, and the case after these corrections."""
     findings = []
     for _ in range(MOST_CHANGES):
-        asis = _compared(case)
-        if asis is not None and asis.told.any() and asis.misfit < FITS:
+        unchanged = _compared(case)
+        if unchanged is not None and unchanged.told.any() and unchanged.misfit < FITS:
             break
+        # Units may change the time axis, so the log is smoothed anew; the other changes act on the smoothed log.
         tried = [(change, _compared(_changed(case, change))) for change in _units(case)]
         log = _clearly(case)
         if log is not None:
             tried += [(change, residual(case.model, change.of_smooth(log))) for change in structure_changes(case.names)]
-        better = _best_change(case, asis, tried, BARELY)
+        better = _best_change(case, unchanged, tried, BARELY)
         if better is None:
             break
         findings.append(better[0])
@@ -255,36 +314,37 @@ def _put_right(case: _Case) -> tuple[list[Finding], _Case]:
 
 
 def _best_change(
-    case: _Case, asis: Residual | None, tried: Iterable[tuple[Change, Residual | None]], most: float
+    case: _Case, unchanged: Residual | None, tried: Iterable[tuple[Change, Residual | None]], most: float
 ) -> tuple[Finding, Change] | None:
-    """The change that explains most, where it leaves less than `most` and far less than the record as it is."""
+    """The first change that explains nearly most, if it leaves less than `most` and far less than the record itself."""
     fitting = [(left.misfit, change, left) for change, left in tried if left is not None and left.told.any()]
     fitting = [entry for entry in fitting if entry[0] < most]
     if not fitting:
         return None
     least = min(entry[0] for entry in fitting)
     alike = [entry for entry in fitting if entry[0] <= RIVAL * least]
+    # Of changes that explain about as much the first listed one is reported, and the others are named as rivals.
     _, change, left = alike[0]
-    then, fallen = float("nan"), 0
-    if asis is not None:
-        falls = (asis.misfits(BLOCKS) - left.misfits(BLOCKS))[:, left.told].mean(axis=1)
-        then, fallen = float(asis.misfits()[0, left.told].mean()), int((falls > 0).sum())
-        if then < MARGIN * left.misfit or _signed_ranks(falls) < SIGNIFICANT:
+    share_before, improved = float("nan"), 0
+    if unchanged is not None:
+        falls = (unchanged.misfits(BLOCKS) - left.misfits(BLOCKS))[:, left.told].mean(axis=1)
+        share_before, improved = float(unchanged.misfits()[0, left.told].mean()), int((falls > 0).sum())
+        if share_before < MARGIN * left.misfit or _signed_ranks(falls) < SIGNIFICANT:
             return None
-    if asis is None:
+    if unchanged is None:
         evidence = (
             "as the log is, it lasts too short a time to compare accelerations; of their squares the model leaves "
         )
         evidence += f"{_percent(left.misfit)} with {change.words}"
     else:
         evidence = (
-            f"of the squares of the accelerations the model leaves {_percent(then)} as the log is, and "
-            f"{_percent(left.misfit)} with {change.words}, less in {fallen} of {BLOCKS} parts of the log"
+            f"of the squares of the accelerations the model leaves {_percent(share_before)} as the log is, and "
+            f"{_percent(left.misfit)} with {change.words}, less in {improved} of {BLOCKS} parts of the log"
         )
     rivals = [other.words for _, other, _ in alike[1:]]
     if rivals:
         evidence += f"; the log cannot tell it from {', or '.join(rivals)}"
-    numbers = {"unexplained": then, "unexplained_after": left.misfit, "parts": fallen}
+    numbers = {"unexplained": share_before, "unexplained_after": left.misfit, "parts": improved}
     return Finding(change.what, change.where, evidence, change.line, True, numbers), change
 
 
@@ -292,6 +352,7 @@ def _signed_ranks(falls: np.ndarray) -> float:
     """Wilcoxon's statistic of differences (b,), as a standard normal: how surely their middle is above zero."""
     count = len(falls)
     ranks = np.argsort(np.argsort(np.abs(falls))) + 1.0
+    # Under symmetry about zero the variance of the sum is b (b + 1) (2b + 1) / 6.
     return float(np.sum(ranks * np.sign(falls)) / np.sqrt(count * (count + 1) * (2 * count + 1) / 6))
 
 
@@ -300,23 +361,25 @@ def _percent(share: float) -> str:
 
 
 def _sensors(case: _Case, stated: float | tuple[float, ...] | None) -> list[Finding]:
-    """Findings about ticks and noise, in the units of the model."""
-    seen, names, units = readings(case.record, case.model.circles), case.names.q, case.names.units
-    if not seen.known:
+    """Findings on ticks and noise, in the units of the model."""
+    sensor, names, units = readings(case.record, case.model.circles), case.names.q, case.names.units
+    if not sensor.known:
         return []
-    ticks, findings = seen.ticks, []
-    known = np.zeros(len(ticks)) if stated is None else np.broadcast_to(stated, len(ticks))
-    other = (ticks > 0) & ~((0.95 * known < ticks) & (ticks < 1.05 * known))
-    if other.any():
+    ticks, findings = sensor.ticks, []
+    stated_ticks = np.zeros(len(ticks)) if stated is None else np.broadcast_to(stated, len(ticks))
+    unexpected = (ticks > 0) & ~((0.95 * stated_ticks < ticks) & (ticks < 1.05 * stated_ticks))
+    if unexpected.any():
         counting = [i for i in range(len(ticks)) if ticks[i] > 0]
         apart = shown([ticks[i] for i in counting], [units[i] for i in counting], 5)
-        said = f"the model file says {shown(known, units, 4)}" if stated else "the model file does not say so"
-        key, number = ("quantum", ticks) if len(counting) == len(ticks) else ("std", seen.std)
+        statement = (
+            f"the model file says {shown(stated_ticks, units, 4)}" if stated else "the model file does not say so"
+        )
+        key, number = ("quantum", ticks) if len(counting) == len(ticks) else ("std", sensor.std)
         findings.append(
             Finding(
                 "ticks",
                 ", ".join(names[i] for i in counting),
-                f"positions are whole ticks of {apart} apart, and {said}",
+                f"positions are whole ticks of {apart} apart, and {statement}",
                 f"[measurement] {key} = {written(one_or_each(number, units, 5))}",
                 stated is not None,
                 {"quantum": one_or_each(ticks, units, 17), "stated": stated},
@@ -324,26 +387,26 @@ def _sensors(case: _Case, stated: float | tuple[float, ...] | None) -> list[Find
         )
     std = case.file.measurement_std
     usual = np.full(len(ticks), np.inf) if std is None else np.broadcast_to(std, len(ticks))
-    noisy = (ticks == 0) & seen.white & (seen.noise > NOISIER * usual)
+    noisy = (ticks == 0) & sensor.white & (sensor.noise > NOISIER * usual)
     if noisy.any():
-        worst = int(np.argmax(np.where(noisy, seen.noise / usual, 0.0)))
-        std = one_or_each(np.where(noisy, seen.noise, usual), units, 2)
+        worst = int(np.argmax(np.where(noisy, sensor.noise / usual, 0.0)))
+        std = one_or_each(np.where(noisy, sensor.noise, usual), units, 2)
         findings.append(
             Finding(
                 "noise",
                 ", ".join(name for name, bad in zip(names, noisy, strict=True) if bad),
-                f"positions have noise of {shown(seen.noise[[worst]], [units[worst]], 3)}, "
-                f"{seen.noise[worst] / usual[worst]:.2g} times that of the model file",
+                f"positions have noise of {shown(sensor.noise[[worst]], [units[worst]], 3)}, "
+                f"{sensor.noise[worst] / usual[worst]:.2g} times that of the model file",
                 f"[measurement] std = {written(std)}",
                 True,
-                {"std": float(seen.noise[worst]), "stated": float(usual[worst])},
+                {"std": float(sensor.noise[worst]), "stated": float(usual[worst])},
             )
         )
     return findings
 
 
 def _standstill(case: _Case) -> Finding:
-    """Why nothing can be told of the log by its motion."""
+    """Finding for a log whose motion is too small or too short for the comparison."""
     t, y = np.asarray(case.record.t), unwrap(np.asarray(case.record.y), case.model.circles)
     ranges = [
         f"{name} by {np.nanmax(c) - np.nanmin(c):.3g} {unit}".rstrip()
@@ -361,14 +424,15 @@ def _standstill(case: _Case) -> Finding:
 
 
 def _unexplained(file: ModelFile, names: Names, left: Residual) -> list[Finding]:
-    """A finding where the model leaves more than its data sheet states."""
-    told = left.told
-    if not told.any():
+    """A finding where the residual accelerations exceed what the data sheet states."""
+    clear = left.told
+    if not clear.any():
         return []
+    # Noise is independent of what the model leaves, so the variances subtract; by chance the rest may be negative.
     squares = np.mean(left.left**2, axis=0) - left.noise**2
     size = np.sqrt(np.maximum(squares, 0.0))
     stated = file.acceleration_std
-    beyond = told & (size > FARTHEST * (stated or 0.0))
+    beyond = clear & (size > FARTHEST * (stated or 0.0))
     if not beyond.any() or (stated is None and left.misfit < BARELY):
         return []
     worst = int(np.argmax(np.where(beyond, size, 0.0)))

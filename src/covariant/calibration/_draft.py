@@ -1,4 +1,4 @@
-"""What the columns of a log seem to be, by their names and by their content."""
+"""Guesses the role of each column of a log, from its name and from its content."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -16,32 +16,47 @@ _WORDS = {
     "t": "t time times timestamp timestamps stamp stamps sec secs seconds",
     "q": "q th theta phi psi angle ang pos position positions enc encoder joint x",
 }
-"""Words in the names of columns, by what they are taken for; the first that is found counts."""
+"""Words in the names of columns, by role; the first role with a match counts."""
 CLOCKS = ((0.5, "s"), (500.0, "ms"), (5e5, "us"), (np.inf, "ns"))
-"""Median steps of stamps below which they are taken for seconds, milliseconds and so on."""
+"""Upper bounds of the median step of the stamps, and the unit in which they then are."""
 DEGREES = 50.0
-"""Angles that span more than this [rad] are more likely degrees."""
+"""Span [rad] of an angle from which it is more likely in degrees."""
 SAME = 0.95
-"""Least correlation of a column with the slope of a position with which it is taken for a velocity."""
+"""Least correlation of a column with the slope of a position for it to count as a velocity."""
 FEWEST_GAPS = 10
-"""Number of gaps between values from which it is told whether positions are whole ticks apart."""
+"""Least number of gaps between values for which ticks are looked for."""
 OFF_TICK = 0.1
-"""How far differences of positions may be from whole ticks, as a fraction of one."""
+"""Largest distance of differences of positions from whole ticks, as a fraction of one."""
 
 
 class Draft(NamedTuple):
-    """What the columns of a log are taken for.
+    """Role of each column of a log, with units, rate and noise.
 
-    - `t`, `q`, `u`, `v`: names of the columns of stamps, positions, inputs and logged velocities.
-    - `left_out`: names of the other columns.
-    - `rate`: samples a second [Hz]; `rows`: their number.
-    - `lengths` (n,): whether each position is a length [m]; those come first, and the others are angles [rad].
-    - `quantum`: one tick of the positions where they are whole ticks apart, otherwise None.
-    - `noise`: standard deviation of their noise, from third differences; an upper bound, since motion counts as well.
-      Both are one for each position where some are lengths and some angles.
-    - `span` (n, 2): least and largest value of each position, as logged.
-    - `units`: by the field t, q, u or v, the units of its columns where they are not those of a model file, s, rad, N m
-      and rad/s; and `guessed`: for which fields it is the content that says so, not the header.
+    Attributes:
+        t: Column of stamps.
+        q: Columns of positions; lengths first, then angles.
+        u: Columns of inputs.
+        v: Columns of logged velocities.
+        left_out: The other columns.
+        rate: Sampling rate [Hz].
+        rows: Number of samples.
+        lengths: Whether each of the n positions is a length [m]; the others are angles [rad].
+        quantum: One tick of the positions where they are whole ticks apart, otherwise None. One for each position where
+            some are lengths and some angles.
+        noise: Standard deviation of their noise, from third differences; an upper bound, since motion counts as well.
+            One for each position where some are lengths and some angles.
+        span: Least and largest value (n, 2) of each position, as logged.
+        units: By the field t, q, u or v, the units of its columns where they are not those of a model file: s, rad,
+            N m and rad/s.
+        guessed: Fields whose units follow from the content and not from the header.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.calibration import draft
+        >>> t = np.arange(0.0, 2.0, 0.01)
+        >>> guess = draft({"time": t, "arm [rad]": np.sin(t), "torque": np.cos(t)})
+        >>> guess.q, guess.u, guess.plain_names, round(guess.rate)
+        (('arm [rad]',), ('torque',), ('arm',), 100)
     """
 
     t: str
@@ -60,18 +75,32 @@ class Draft(NamedTuple):
 
     @property
     def plain_names(self) -> tuple[str, ...]:
-        """Names of the positions without their units: cart of `cart [mm]`; whole where two would be the same."""
+        """Names of the positions without their units, `cart` for `cart [mm]`; full names where two would coincide."""
         plain = tuple(without_unit(name) for name in self.q)
         return plain if "" not in plain and len(set(plain)) == len(plain) else self.q
 
 
 def draft(columns: Mapping[str, np.ndarray], given: Mapping[str, Sequence[str] | None] | None = None) -> Draft:
-    """What the columns (T,) of a log are taken for, by their names and, where these say nothing, by their content.
+    """Guess the role of each column of a log, from its name and, where that says nothing, from its content.
 
-    - `given`: names for t, q, u or v that are known and not guessed.
+    Args:
+        columns: The columns (T,) by name, numbers only.
+        given: Names by the field t, q, u or v that are known and not to be guessed.
 
-    Raises `ValueError`, one line that says which columns were seen, where it is not clear which are the stamps, the
-    positions or the inputs.
+    Returns:
+        The role of each column, with rate, units, ticks and noise.
+
+    Raises:
+        ValueError: It is not clear which columns are the stamps, the positions or the inputs, or the first row lacks a
+            position. One line, which lists the columns.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.calibration import draft
+        >>> t = np.arange(0.0, 2.0, 0.01)
+        >>> guess = draft({"a": 1e3 * t, "q1 [deg]": 30 * np.sin(t), "b": 0 * t}, given={"u": ["b"]})
+        >>> guess.t, guess.u, guess.units, guess.guessed
+        ('a', ('b',), {'t': ('ms',), 'q': ('deg',)}, ('t',))
     """
     given = {key: tuple(names) for key, names in (given or {}).items() if names is not None}
     for name in [name for names in given.values() for name in names]:
@@ -97,8 +126,8 @@ def draft(columns: Mapping[str, np.ndarray], given: Mapping[str, Sequence[str] |
         )
     v = given.get("v") or tuple(name for name, kind in kinds.items() if kind == "v")
     if not v:
-        unknown = [name for name, kind in kinds.items() if kind == "" and name != t]
-        v = tuple(name for p in q for name in unknown if _is_slope(columns[t], columns[p], columns[name]))
+        unnamed = [name for name, kind in kinds.items() if kind == "" and name != t]
+        v = tuple(name for p in q for name in unnamed if _is_slope(columns[t], columns[p], columns[name]))
     v = v if len(v) == len(q) else ()
     lengths = tuple(unit_in_name(name, ("m",)) is not None for name in q)
     order = sorted(range(len(q)), key=lambda i: not lengths[i])
@@ -113,8 +142,8 @@ def draft(columns: Mapping[str, np.ndarray], given: Mapping[str, Sequence[str] |
     y = logged * [unit_factor(text) for text in units.get("q", ("rad",) * len(q))]
     ticks, noises = _tick(y), _noise(y, lengths)
     if len(set(lengths)) == 2:  # a tick of a metre is none of a radian
-        found = [_tick(column[:, None]) for column in y.T]
-        ticks = None if None in found else tuple(tick for tick in found if tick is not None)
+        each_tick = [_tick(column[:, None]) for column in y.T]
+        ticks = None if None in each_tick else tuple(tick for tick in each_tick if tick is not None)
         noises = tuple(_noise(column[:, None], (is_length,)) for column, is_length in zip(y.T, lengths, strict=True))
     return Draft(
         t,
@@ -136,22 +165,22 @@ def draft(columns: Mapping[str, np.ndarray], given: Mapping[str, Sequence[str] |
 def _units(
     fields: Mapping[str, tuple[str, ...]], step: float, span: Float[np.ndarray, "n 2"]
 ) -> tuple[dict[str, tuple[str, ...]], tuple[str, ...]]:
-    """The units of the columns of each field, where they are not those of a model file; and which are guessed.
+    """Units of the columns of each field, where they are not those of a model file, and the fields that were guessed.
 
-    - `step`: the median step of the stamps, `span` (n, 2) of the positions, as logged.
+    `step` is the median step of the stamps, `span` (n, 2) that of the positions, both as logged.
     """
-    told = {field: [unit_in_name(name, MEANT[field]) for name in names] for field, names in fields.items()}
-    content = {"t": next(unit for most, unit in CLOCKS if step < most)}
-    unsaid = [width for width, unit in zip(np.ptp(span, axis=1), told["q"], strict=True) if unit is None]
-    content["q"] = "deg" if max(unsaid, default=0.0) > DEGREES else "rad"
-    found, guessed = {}, []
-    for field, given in told.items():
-        if None in given and field in content:
+    stated = {field: [unit_in_name(name, MEANT[field]) for name in names] for field, names in fields.items()}
+    content = {"t": next(unit for limit, unit in CLOCKS if step < limit)}
+    unstated = [width for width, unit in zip(np.ptp(span, axis=1), stated["q"], strict=True) if unit is None]
+    content["q"] = "deg" if max(unstated, default=0.0) > DEGREES else "rad"
+    units, guessed = {}, []
+    for field, named in stated.items():
+        if None in named and field in content:
             guessed.append(field)
-        texts = tuple(text or (content[field] if field in content else MEANT[field][0]) for text in given)
+        texts = tuple(text or (content[field] if field in content else MEANT[field][0]) for text in named)
         if any(unit_factor(text) != 1 for text in texts):
-            found[field] = texts
-    return found, tuple(field for field in guessed if field in found)
+            units[field] = texts
+    return units, tuple(field for field in guessed if field in units)
 
 
 def _columns_there(columns: Mapping[str, np.ndarray]) -> str:
@@ -159,36 +188,40 @@ def _columns_there(columns: Mapping[str, np.ndarray]) -> str:
 
 
 def _kind(name: str) -> str:
-    """What a name is taken for, a key of `_WORDS`: by its words, else by its unit; empty where neither says it."""
+    """Role of a column by its name, a key of `_WORDS`: by its words, else by its unit; empty where neither shows it."""
     words = words_of(name)
-    if "left out" not in (found := [kind for kind, known in _WORDS.items() if words & set(known.split())]):
+    if "left out" not in (roles := [kind for kind, synonyms in _WORDS.items() if words & set(synonyms.split())]):
         if unit_in_name(name, MEANT["v"]):
             return "v"
-        found += [kind for kind, units in MEANT.items() if unit_in_name(name, units)]
-    return next(iter(found), "")
+        roles += [kind for kind, units in MEANT.items() if unit_in_name(name, units)]
+    return next(iter(roles), "")
 
 
 def _stamps(columns: Mapping[str, np.ndarray], kinds: Mapping[str, str]) -> str:
     rising = [name for name, values in columns.items() if np.isfinite(values).all() and (np.diff(values) > 0).all()]
     named = [name for name in rising if kinds.get(name) == "t"]
-    found = named or [name for name in rising if kinds.get(name) == ""]
-    if len(found) == 1:
-        return found[0]
-    what = f"{', '.join(found)} all rise from row to row" if found else "no column of stamps rises from row to row"
+    candidates = named or [name for name in rising if kinds.get(name) == ""]
+    if len(candidates) == 1:
+        return candidates[0]
+    what = (
+        f"{', '.join(candidates)} all rise from row to row"
+        if candidates
+        else "no column of stamps rises from row to row"
+    )
     raise ValueError(f"{what}; name the one of the stamps by --t{_columns_there(columns)}")
 
 
 def _step(name: str, t: np.ndarray) -> float:
-    """The median step of the stamps; raises `ValueError` where they do not rise."""
+    """Median step of the stamps; raises `ValueError` where they do not rise."""
     if len(t) < 2 or not (np.isfinite(t).all() and (np.diff(t) > 0).all()):
         raise ValueError(f"the stamps {name} do not rise from row to row; sort the log, or name others by --t")
     return float(np.median(np.diff(t)))
 
 
-def _one_family(key: str, names: Sequence[str], given: Mapping[str, Sequence[str]], columns) -> None:
+def _one_family(key: str, names: Sequence[str], fixed: Mapping[str, Sequence[str]], columns) -> None:
     """Raise `ValueError` where names such as q1, q2 and th1, th2 say that there are several kinds of them."""
     stems = {re.sub(r"[0-9]+", "#", name) for name in names}
-    if key not in given and 1 < len(stems) < len(names):
+    if key not in fixed and 1 < len(stems) < len(names):
         raise ValueError(
             f"{', '.join(names)} may all be {key}; name those that are by --{key}{_columns_there(columns)}"
         )
@@ -197,30 +230,33 @@ def _one_family(key: str, names: Sequence[str], given: Mapping[str, Sequence[str
 def _is_slope(t: np.ndarray, y: np.ndarray, v: np.ndarray) -> bool:
     """Whether a column follows the slope of a position."""
     slope = np.gradient(y, t)
-    both = np.isfinite(slope) & np.isfinite(v)
-    if both.sum() < 10 or np.ptp(v[both]) == 0 or np.ptp(slope[both]) == 0:
+    valid = np.isfinite(slope) & np.isfinite(v)
+    if valid.sum() < 10 or np.ptp(v[valid]) == 0 or np.ptp(slope[valid]) == 0:
         return False
-    return bool(np.corrcoef(slope[both], v[both])[0, 1] > SAME)
+    return bool(np.corrcoef(slope[valid], v[valid])[0, 1] > SAME)
 
 
 def _noise(y: np.ndarray, lengths: Sequence[bool]) -> float:
-    """The standard deviation of noise, at most, by third differences; a turn that starts anew is no motion."""
+    """Upper bound of the standard deviation of noise, from third differences; a wrapped angle counts as no motion."""
     if len(y) <= 4:
         return 0.0
     steps = np.diff(y, axis=0)
     steps = np.where(lengths, steps, steps - 2 * np.pi * np.round(steps / (2 * np.pi)))
+    # Third differences of white noise have 1 + 9 + 9 + 1 = 20 times its variance.
     return float(np.sqrt(np.nanmean(np.diff(steps, 2, axis=0) ** 2) / 20))
 
 
 def _tick(y: np.ndarray) -> float | None:
-    """The tick that all positions are whole multiples apart, from the gaps between their values, or None."""
+    """Tick of which all differences of positions are multiples, from the gaps between their values, or None."""
     gaps: np.ndarray = np.concatenate([np.diff(np.unique(column[np.isfinite(column)])) for column in y.T])
+    # Smaller gaps are rounding.
     gaps = gaps[gaps > 1e-6 * np.nanmax(np.abs(y))]
     if len(gaps) < FEWEST_GAPS:
         return None
-    least = float(np.quantile(gaps, 0.02))
-    few = np.asarray(gaps, float)[gaps < 50 * least]
-    ticks = np.round(few / least)
-    if np.quantile(np.abs(few / least - ticks), 0.95) > OFF_TICK:
+    # A low quantile, since a single wrong cell can make the minimum too small.
+    smallest = float(np.quantile(gaps, 0.02))
+    few = np.asarray(gaps, float)[gaps < 50 * smallest]
+    ticks = np.round(few / smallest)
+    if np.quantile(np.abs(few / smallest - ticks), 0.95) > OFF_TICK:
         return None
     return float(np.sum(few) / np.sum(ticks))

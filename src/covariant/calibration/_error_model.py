@@ -1,11 +1,11 @@
-"""The errors of a run as a linear system along it, on which a Kalman filter costs microseconds a sample.
+"""Linear model of the estimation error along a run, on which a Kalman filter costs microseconds a sample.
 
 Along a run of an observer, with the estimate x̂ after each sample, the true state is `x = x̂ ⊕ δ` with
 
     δ⁺ = F δ + c + G f + w,   r = Hδ + e,
 
-where `x̂ ⊕ δ` moves along the retraction, c is what the model predicts beyond the next estimate, F its derivative, and r
-the reading less the estimated position. f is a force that the model does not know, a random walk; w is white
+where `x̂ ⊕ δ` moves along the retraction, c is the model's prediction minus the next estimate, F its derivative, and r
+the reading minus the estimated position. f is a force that the model does not know, a random walk; w is white
 acceleration, e the noise of a reading. F, G, c and r do not depend on the noise: one run of the model serves for all
 noises, and the filter of this system is the extended Kalman filter to first order in the error of the run.
 
@@ -24,18 +24,25 @@ from covariant._typing import Flag, Scalar, Vector
 from covariant.models import MechanicalSystem, Motion, advance
 
 CREDIBLE = 5.0
-"""Standard deviations beyond which an innovation is taken for an outlier: it pulls no more than one of this size."""
+"""Standard deviations beyond which an innovation is an outlier: it corrects no more than one of this size."""
 LONGEST_GAP = 5.0
-"""After a step longer than so many usual ones the filter begins anew."""
+"""Ratio to the median step, beyond which the filter restarts after a step."""
 
 
 class NoiseLevels(NamedTuple):
-    """What a Kalman filter assumes of sensor and model.
+    """Noise of sensor and model that a Kalman filter assumes.
 
-    - `acceleration`: square root of the spectral density of the white acceleration noise, in every coordinate
-      [rad/s² √s, or m/s² √s].
-    - `measurement` (n,): standard deviation of one reading [rad or m].
-    - `force`: standard deviation of what an unknown force changes by in a second [N or N m]; 0 for no such force.
+    Attributes:
+        acceleration: Square root of the spectral density of the white acceleration noise, in every coordinate
+            [rad/s² √s, or m/s² √s].
+        measurement: Standard deviation (n,) of one reading [rad or m].
+        force: Standard deviation of the change of an unknown force in one second [N or N m]; 0 for no such force.
+
+    Example:
+        >>> from covariant.calibration import DataSheet, NoiseLevels, given_noise
+        >>> noise = given_noise(DataSheet(measurement_std=1e-3, acceleration_std=0.5), rate=50.0, n=2)
+        >>> isinstance(noise, NoiseLevels), noise.measurement.tolist(), round(float(noise.acceleration), 6)
+        (True, [0.001, 0.001], 0.070711)
     """
 
     acceleration: Scalar
@@ -44,12 +51,16 @@ class NoiseLevels(NamedTuple):
 
 
 class ErrorModel(NamedTuple):
-    """The system of errors along a run of T rows.
+    """Linear system of the errors along a run of T rows.
 
-    - `transition` (T, 2n, 2n), `defect` (T, 2n): F and c of the step to each row.
-    - `input_matrix` (T, n, n): the acceleration that a force makes.
-    - `residual` (T, n): r, zero where `present` (T, n) says that nothing was measured.
-    - `dt` (T,): length of the step to each row [s]; `fresh` (T,): rows at which the filter begins anew.
+    Attributes:
+        transition: F (T, 2n, 2n) of the step to each row.
+        defect: c (T, 2n) of the step to each row.
+        input_matrix: Acceleration (T, n, n) per unit of the unknown force.
+        residual: r (T, n), zero where nothing was measured.
+        present: Whether each number (T, n) was measured.
+        dt: Length (T,) of the step to each row [s].
+        fresh: Rows (T,) at which the filter restarts.
     """
 
     transition: Float[Array, "T n2 n2"]
@@ -62,12 +73,13 @@ class ErrorModel(NamedTuple):
 
 
 class Filtered(NamedTuple):
-    """What the filter finds at each row.
+    """Result of the Kalman filter at each row.
 
-    - `loss` (T, n): twice the negative logarithm of the likelihood of each number, without the constant.
-    - `innovation`, `spread` (T, n): the innovations and their standard deviations, each after those before it in the
-      row, so that they are independent.
-    - `error` (T, 2n): δ after the row.
+    Attributes:
+        loss: Twice the negative log-likelihood (T, n) of each number, without the constant.
+        innovation: Innovations (T, n), each given those before it in the row, so that they are independent.
+        spread: Their standard deviations (T, n).
+        error: Estimate (T, 2n) of δ after the row.
     """
 
     loss: Float[Array, "T n"]
@@ -80,7 +92,20 @@ class Filtered(NamedTuple):
 def error_model(
     model: MechanicalSystem, q: Array, v: Float[Array, "T n"], t: Array, u: Array, y: Array, steps: int
 ) -> ErrorModel:
-    """The errors along estimates q and v (T, n) of a run over a record; `steps` Runge–Kutta steps in each sample."""
+    """Linearise the model along the estimates of a run, by forward differentiation of each step.
+
+    Args:
+        model: The mechanical system.
+        q: Estimated configurations, one per row.
+        v: Estimated velocities (T, n).
+        t: Stamps (T,) [s].
+        u: Inputs (T, m).
+        y: Measured configurations, one per row; NaN where missing.
+        steps: Runge–Kutta steps in each sample.
+
+    Returns:
+        The error model. After a step longer than `LONGEST_GAP` usual ones, or one that is not finite, it restarts.
+    """
     manifold, n = model.manifold, v.shape[1]
     dt = jnp.diff(t)
 
@@ -95,10 +120,10 @@ def error_model(
         input_matrix = jax.vmap(model.space.raise_, (None, 0))(q, jnp.eye(n, dtype=v.dtype)).T
         return slope, defect, input_matrix
 
-    moved = jax.vmap(step)(t[:-1], q[:-1], v[:-1], u[:-1], dt, q[1:], v[1:])
-    sound = jnp.all(jnp.isfinite(moved[0]), axis=(1, 2)) & (dt <= LONGEST_GAP * jnp.median(dt))
-    moved = [jnp.where(sound.reshape(-1, *[1] * (each.ndim - 1)), each, 0.0) for each in moved]
-    transition, defect, input_matrix = (jnp.concatenate([jnp.zeros_like(each[:1]), each]) for each in moved)
+    linear = jax.vmap(step)(t[:-1], q[:-1], v[:-1], u[:-1], dt, q[1:], v[1:])
+    valid = jnp.all(jnp.isfinite(linear[0]), axis=(1, 2)) & (dt <= LONGEST_GAP * jnp.median(dt))
+    linear = [jnp.where(valid.reshape(-1, *[1] * (each.ndim - 1)), each, 0.0) for each in linear]
+    transition, defect, input_matrix = (jnp.concatenate([jnp.zeros_like(each[:1]), each]) for each in linear)
     present = ~jax.vmap(manifold.missing)(y)
     residual = jnp.where(present, jax.vmap(manifold.towards)(q, y), 0.0)
     zero, fresh = jnp.zeros_like(dt[:1]), jnp.ones(1, bool)
@@ -109,51 +134,64 @@ def error_model(
         residual,
         present,
         jnp.concatenate([zero, dt]),
-        jnp.concatenate([fresh, ~sound]),
+        jnp.concatenate([fresh, ~valid]),
     )
 
 
 def kalman(errors: ErrorModel, noise: NoiseLevels, speed: Scalar | float) -> Filtered:
-    """The Kalman filter of the system of errors; at the start velocities are known to `speed` [rad/s or m/s]."""
+    """Run the Kalman filter on the linear error model.
+
+    Args:
+        errors: The error model, of T rows.
+        noise: The assumed noise.
+        speed: Standard deviation of the velocities at the start and at each restart [rad/s or m/s].
+
+    Returns:
+        Likelihoods, innovations and errors at each row.
+    """
     n = errors.residual.shape[1]
     variance = noise.measurement**2
-    # Before anything has been measured the force is that of a random walk of one second.
+    # Before any measurement the force has the variance of a random walk of one second.
     first = jnp.diag(jnp.concatenate([variance, jnp.full(n, speed**2), jnp.full(n, noise.force**2)]))
     walk = jnp.zeros((3 * n, 3 * n)).at[2 * n :, 2 * n :].set(jnp.eye(n) * noise.force**2)
 
     def step(state, row):
         x, cov = state
+        # The force is constant over a step.
         input_matrix = jnp.concatenate([row.dt**2 / 2 * row.input_matrix, row.dt * row.input_matrix])
         whole = jnp.block([[row.transition, input_matrix], [jnp.zeros((n, 2 * n)), jnp.eye(n)]])
         x = whole @ x + jnp.concatenate([row.defect, jnp.zeros(n)])
         cov = whole @ cov @ whole.T + row.dt * walk + _white(noise.acceleration, row.dt, n)
-        now: Any = jnp.where(row.fresh, 0.0, x), jnp.where(row.fresh, first, cov)
-        found: list[Any] = []
-        for i in range(n):  # the noise of the readings is independent, so they are taken in one after the other
-            *now, told = _reading(now[0], now[1], i, row.residual[i], variance[i], row.present[i])
-            found.append(told)
-        loss, innovation, spread = (jnp.stack(each) for each in zip(*found, strict=True))
-        return tuple(now), Filtered(loss, innovation, spread, now[0][: 2 * n])
+        current: Any = jnp.where(row.fresh, 0.0, x), jnp.where(row.fresh, first, cov)
+        corrections: list[Any] = []
+        for i in range(n):  # their noise is independent, so they correct one after the other
+            *current, correction = _reading(current[0], current[1], i, row.residual[i], variance[i], row.present[i])
+            corrections.append(correction)
+        loss, innovation, std = (jnp.stack(each) for each in zip(*corrections, strict=True))
+        return tuple(current), Filtered(loss, innovation, std, current[0][: 2 * n])
 
     return jax.lax.scan(step, (jnp.zeros(3 * n), first), errors)[1]
 
 
 def _white(acceleration: Scalar, dt: Scalar, n: int) -> Float[Array, "m m"]:
-    """Covariance that white acceleration adds to position, velocity and force."""
-    both = acceleration**2 * jnp.stack([jnp.stack([dt**3 / 3, dt**2 / 2]), jnp.stack([dt**2 / 2, dt])])
-    return jnp.zeros((3 * n, 3 * n)).at[: 2 * n, : 2 * n].set(jnp.kron(both, jnp.eye(n)))
+    """Covariance (3n, 3n) that white acceleration adds to position, velocity and force in a step."""
+    # The integral of [s, 1]ᵀ [s, 1] over the step, times the spectral density.
+    block = acceleration**2 * jnp.stack([jnp.stack([dt**3 / 3, dt**2 / 2]), jnp.stack([dt**2 / 2, dt])])
+    return jnp.zeros((3 * n, 3 * n)).at[: 2 * n, : 2 * n].set(jnp.kron(block, jnp.eye(n)))
 
 
 def _reading(x: Vector, cov: Array, i: int, residual: Scalar, variance: Scalar, present: Flag):
-    """The correction by one number; beyond `CREDIBLE` deviations it has the noise of an outlier of its size."""
-    innovation, spread = residual - x[i], cov[i, i] + variance
-    square = innovation**2 / spread
+    """Correct the state by one number; beyond `CREDIBLE` deviations its noise is that of an outlier of its size."""
+    innovation, total_variance = residual - x[i], cov[i, i] + variance
+    square = innovation**2 / total_variance
     limit = CREDIBLE**2
-    far = jnp.maximum(square / limit, 1.0)
-    gain = jnp.where(present, cov[:, i] / (spread * far), 0.0)
-    kept = jnp.eye(len(x)) - jnp.outer(gain, jnp.eye(len(x))[i])
-    noise = jnp.where(present, spread * far - cov[i, i], 0.0)
-    cov = kept @ cov @ kept.T + noise * jnp.outer(gain, gain)
-    loss = jnp.log(spread) + jnp.where(square > limit, limit * (1 + jnp.log(far)), square)
-    told = (jnp.where(present, each, 0.0) for each in (loss, innovation, jnp.sqrt(spread)))
-    return x + gain * innovation, cov, tuple(told)
+    inflation = jnp.maximum(square / limit, 1.0)
+    gain = jnp.where(present, cov[:, i] / (total_variance * inflation), 0.0)
+    reduction = jnp.eye(len(x)) - jnp.outer(gain, jnp.eye(len(x))[i])
+    noise = jnp.where(present, total_variance * inflation - cov[i, i], 0.0)
+    # Joseph's form stays symmetric and positive; `noise` is the enlarged variance of an outlier.
+    cov = reduction @ cov @ reduction.T + noise * jnp.outer(gain, gain)
+    # Beyond the limit the square grows as its logarithm only, continuously with its slope.
+    loss = jnp.log(total_variance) + jnp.where(square > limit, limit * (1 + jnp.log(inflation)), square)
+    results = (jnp.where(present, each, 0.0) for each in (loss, innovation, jnp.sqrt(total_variance)))
+    return x + gain * innovation, cov, tuple(results)

@@ -1,4 +1,4 @@
-"""All estimators for the same task, tuned from the same data sheet for the least predicted velocity error."""
+"""Estimators tuned from one data sheet, each for the least predicted velocity error."""
 
 import functools
 from collections.abc import Callable, Collection
@@ -30,7 +30,20 @@ STATE_ESTIMATORS = STATE_OBSERVER_NAMES
 
 
 def observer_gains(sheet: DataSheet, rate: float) -> Gains:
-    """`gains` for a data sheet at a sampling rate [Hz]."""
+    """Gains α and β for a data sheet, by `gains`.
+
+    Args:
+        sheet: The data sheet.
+        rate: Sampling rate [Hz].
+
+    Returns:
+        The gains, and the errors that they should leave.
+
+    Example:
+        >>> from covariant.calibration import DataSheet, observer_gains
+        >>> round(observer_gains(DataSheet(measurement_std=1e-3, acceleration_std=0.5), rate=100.0).beta)
+        500
+    """
     return gains(
         sheet.measurement_std,
         rate,
@@ -43,7 +56,20 @@ def observer_gains(sheet: DataSheet, rate: float) -> Gains:
 
 @functools.singledispatch
 def estimators(model: Any) -> tuple[str, ...]:
-    """Names of the estimators that fit a mechanical or state-space model; the first is the one to begin with."""
+    """Names of the estimators that fit a model.
+
+    Args:
+        model: A mechanical or state-space model.
+
+    Returns:
+        The names; the first is the one to begin with.
+
+    Example:
+        >>> from covariant.calibration import estimators
+        >>> from covariant.models import duffing, oscillator
+        >>> estimators(oscillator())[0], estimators(duffing())[0]
+        ('intrinsic', 'covariance-ekf')
+    """
     return tuple(entry.name for entry in REGISTRY if entry.fits(model))
 
 
@@ -54,10 +80,24 @@ def _(model: StateSpace) -> tuple[str, ...]:
 
 @functools.singledispatch
 def with_gains(model: Any, alpha: float, beta: float) -> dict[str, AbstractObserver]:
-    """The observers that take the gains α [1/s] and β [1/s²], by name; none for a state-space model.
+    """Observers with the constant gains α and β, by name.
 
     Salcudean's observer has α and β exactly only for an inertia that is the same in all directions; otherwise they hold
     for the mean of the principal inertias.
+
+    Args:
+        model: A mechanical system. For a state-space model the result is empty.
+        alpha: Position gain α [1/s].
+        beta: Velocity gain β [1/s²].
+
+    Returns:
+        The observers of the registry that are tuned by gains and fit the model.
+
+    Example:
+        >>> from covariant.calibration import with_gains
+        >>> from covariant.models import oscillator
+        >>> list(with_gains(oscillator(), alpha=10.0, beta=50.0))
+        ['intrinsic', 'intrinsic2', 'geodesic', 'copy']
     """
     fitting = (entry for entry in REGISTRY if entry.tuned_by == "gains" and entry.fits(model))
     return {entry.name: entry.make(model, alpha, beta) for entry in fitting}
@@ -69,7 +109,14 @@ def _(model: StateSpace, alpha: float, beta: float) -> dict[str, AbstractObserve
 
 
 class Known(NamedTuple):
-    """What is known when an estimator is tuned: n velocities, the data sheet, the rate [Hz], and perhaps a trial."""
+    """Data from which an estimator is tuned.
+
+    Attributes:
+        n: Number of velocities.
+        sheet: The data sheet.
+        rate: Sampling rate [Hz].
+        trial: Part of a log; None to tune by the data sheet alone.
+    """
 
     n: int
     sheet: DataSheet
@@ -85,33 +132,88 @@ def tuned_estimators(
     trial: Trial | None = None,
     names: Collection[str] = ESTIMATORS,
 ) -> dict[str, AbstractObserver]:
-    """The `estimators` by name, for a model of n velocities sampled at `rate` [Hz]; only those in `names`.
+    """Estimators of a mechanical system by name, all tuned from one data sheet.
 
-    Filters without a model are tuned by the data sheet too or, where there is a `trial`, to what is best on it. What
-    has no gate of its own is `gated`. Raises `ValueError` for numbers of the data sheet that are not positive.
+    Args:
+        model: The mechanical system.
+        n: Its number of velocities.
+        sheet: The data sheet.
+        rate: Sampling rate [Hz].
+        trial: Part of a log, for which filters without a model are optimised; by default the data sheet tunes them too.
+        names: Estimators to return; those that do not fit the model are left out.
+
+    Returns:
+        The estimators. One without a built-in gate is `gated` where the data sheet has a `speed`.
+
+    Raises:
+        ValueError: A number of the data sheet is not positive.
+
+    Example:
+        >>> from covariant.calibration import DataSheet, tuned_estimators
+        >>> from covariant.models import oscillator
+        >>> sheet = DataSheet(measurement_std=1e-3, acceleration_std=0.5)
+        >>> tuned = tuned_estimators(oscillator(), 1, sheet, rate=100.0, names=("ekf", "intrinsic"))
+        >>> sorted(tuned), round(float(tuned["intrinsic"].beta))
+        (['ekf', 'intrinsic'], 500)
     """
     for name in ("motion_std", "motion_time"):
         if not 0 < getattr(sheet, name) < np.inf:
             raise ValueError(f"tuned_estimators: {name} must be a positive number; got {getattr(sheet, name)}")
     known = Known(n, sheet, rate, trial)
     fitting = (entry for entry in REGISTRY if entry.name in names and entry.fits(model))
-    made = {entry: entry.make(model, *TUNINGS[entry.tuned_by](entry, known)) for entry in fitting}
-    bare = {entry.name for entry in made if entry.has_gate or sheet.speed is None}
-    return {entry.name: each if entry.name in bare else gated(each, model, sheet) for entry, each in made.items()}
+    tuned = {entry: entry.make(model, *TUNINGS[entry.tuned_by](entry, known)) for entry in fitting}
+    bare = {entry.name for entry in tuned if entry.has_gate or sheet.speed is None}
+    return {entry.name: each if entry.name in bare else gated(each, model, sheet) for entry, each in tuned.items()}
 
 
 def tuned_state_estimators(
     model: StateSpace, noise: Noise, names: Collection[str] = STATE_ESTIMATORS
 ) -> dict[str, AbstractObserver]:
-    """The `estimators` of a state-space model by name, for what it does not know; only those in `names`.
+    """Estimators of a state-space model by name, for its noise.
 
-    Raises `ValueError` for one that cannot be made where the first estimate is.
+    Args:
+        model: The state-space model.
+        noise: Process and measurement noise, first estimate with its covariance, and sampling rate.
+        names: Estimators to return.
+
+    Returns:
+        The estimators.
+
+    Raises:
+        ValueError: An estimator cannot be built at the first estimate.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant.calibration import tuned_state_estimators
+        >>> from covariant.models import duffing
+        >>> from covariant.observers import Noise
+        >>> noise = Noise(0.1 * jnp.eye(2), 1e-4 * jnp.eye(1), jnp.zeros(2), jnp.eye(2), 100.0)
+        >>> list(tuned_state_estimators(duffing(), noise, names=("covariance-ekf",)))
+        ['covariance-ekf']
     """
     return {entry.name: entry.make(model, noise) for entry in STATE_REGISTRY if entry.name in names}
 
 
 def gated(observer: AbstractObserver, model: MechanicalSystem, sheet: DataSheet) -> Gated:
-    """The observer behind a gate for the noise and the speed of a data sheet, or else `motion_std · motion_time`."""
+    """Wrap an observer in a gate that refuses outliers.
+
+    Args:
+        observer: The observer.
+        model: Its mechanical system.
+        sheet: Data sheet with the noise, and the usual speeds as in `DataSheet.speeds`.
+
+    Returns:
+        The observer behind the gate.
+
+    Example:
+        >>> from covariant.calibration import DataSheet, gated
+        >>> from covariant.models import oscillator
+        >>> from covariant.observers import Intrinsic
+        >>> sheet = DataSheet(measurement_std=1e-3, acceleration_std=0.5)
+        >>> observer = gated(Intrinsic(oscillator(), 10.0, 50.0), oscillator(), sheet)
+        >>> type(observer).__name__, float(observer.noise)
+        ('Gated', 0.001)
+    """
     std = sheet.coordinate_stds or sheet.measurement_std
     return Gated(observer, model, jnp.asarray(std, float), jnp.asarray(sheet.speeds))
 
@@ -124,6 +226,7 @@ def _gains(entry: Entry, known: Known) -> tuple:
 def _noise(entry: Entry, known: Known) -> tuple:
     sheet = known.sheet
     time = 1 / (2 * known.rate) if sheet.correlation_time is None else sheet.correlation_time
+    # A correlated acceleration acts like white noise of density 2 std² time (S_a in `gains`).
     process_cov = 2 * sheet.acceleration_std**2 * time * jnp.eye(known.n)
     std = jnp.broadcast_to(jnp.asarray(sheet.coordinate_stds or sheet.measurement_std, float), known.n)
     return process_cov, jnp.diag(std**2), sheet.motion_std * sheet.motion_time
@@ -150,4 +253,4 @@ TUNINGS: dict[str, Callable[[Entry, Known], tuple]] = {
     "motion": lambda entry, known: joint_noise(known.sheet, known.rate, known.trial),
     "jerk": lambda entry, known: (jerk_bound(known.sheet, known.trial),),
 }
-"""How the numbers are found that an entry of the registry is `tuned_by`."""
+"""How each kind of number, `tuned_by` in an entry of the registry, is computed."""

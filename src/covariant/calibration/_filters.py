@@ -1,7 +1,7 @@
-"""Filters that know no model, tuned by the least velocity error: as the data sheet predicts it, or found on a trial.
+"""Filters without a model, tuned for the least velocity error: predicted from the data sheet, or measured on a trial.
 
-Each has one number that is searched: a bandwidth, a window, how strong the motion is beside the noise, a bound on the
-jerk. A linear filter is judged by its weights, without being run; another is run on the trial.
+Each filter has one number to optimise: a bandwidth, a window, the strength of the motion beside the noise, a bound on
+the jerk. A linear filter is judged by its weights, without a run; others are run on the trial.
 """
 
 from collections.abc import Callable, Iterable
@@ -23,7 +23,7 @@ from covariant.observers import (
 )
 
 LONGEST_WINDOW = 120
-"""Samples; a polynomial that would want more is limited to this many."""
+"""Longest window [samples] of a polynomial filter."""
 
 
 def filter_bandwidth(
@@ -32,26 +32,80 @@ def filter_bandwidth(
     trial: Trial | None = None,
     kind: Callable[[float], AbstractLinearFilter] = FilteredDerivative,
 ) -> float:
-    """Bandwidth [rad/s] of a linear filter, `kind(bandwidth)`, with the least velocity error at a rate [Hz]."""
+    """Bandwidth of a linear filter with the least velocity error.
+
+    Args:
+        sheet: The data sheet, which predicts the error.
+        rate: Sampling rate [Hz].
+        trial: Part of a log on which the error is measured instead.
+        kind: The filter as a function of its bandwidth [rad/s].
+
+    Returns:
+        The bandwidth [rad/s], from a grid of 80 between 0.005 and 3 radians a sample.
+
+    Example:
+        >>> from covariant.calibration import DataSheet, filter_bandwidth
+        >>> precise, noisy = (filter_bandwidth(DataSheet(std, 1.0), rate=100.0) for std in (1e-4, 1e-2))
+        >>> precise > noisy
+        True
+    """
     return _best((np.geomspace(0.005, 3.0, 80) * rate).tolist(), kind, sheet, rate, trial)
 
 
 def window_length(sheet: DataSheet, rate: float, order: int = 2, trial: Trial | None = None) -> int:
-    """Window [samples] of the causal Savitzky–Golay filter with the least velocity error, likewise."""
+    """Window of the causal Savitzky–Golay filter with the least velocity error.
+
+    Args:
+        sheet: The data sheet, which predicts the error.
+        rate: Sampling rate [Hz].
+        order: Degree of the polynomial.
+        trial: Part of a log on which the error is measured instead.
+
+    Returns:
+        The window [samples], at most `LONGEST_WINDOW`.
+
+    Example:
+        >>> from covariant.calibration import DataSheet, window_length
+        >>> window_length(DataSheet(1e-4, 1.0), rate=100.0) < window_length(DataSheet(1e-2, 1.0), rate=100.0)
+        True
+    """
     windows = range(order + 1, LONGEST_WINDOW + 1)
     return _best(windows, lambda window: SavitzkyGolay(window, order), sheet, rate, trial)
 
 
 def polynomial(sheet: DataSheet, rate: float, trial: Trial | None = None) -> tuple[int, int]:
-    """Window [samples] and order, 2 or 3, of the causal Savitzky–Golay filter with the least velocity error."""
+    """Window and order of the causal Savitzky–Golay filter with the least velocity error.
+
+    Args:
+        sheet: The data sheet, which predicts the error.
+        rate: Sampling rate [Hz].
+        trial: Part of a log on which the error is measured instead.
+
+    Returns:
+        The window [samples] and the order, 2 or 3.
+    """
     candidates = [(window_length(sheet, rate, order, trial), order) for order in (2, 3)]
     return _best(candidates, lambda candidate: SavitzkyGolay(*candidate), sheet, rate, trial)
 
 
 def joint_noise(sheet: DataSheet, rate: float, trial: Trial | None = None) -> tuple[float, float, float]:
-    """Standard deviation and time of the accelerations, and standard deviation of a sample, for a `JointKalman`.
+    """Noise levels for a `JointKalman`, which estimates motion without a model.
 
-    Those of the data sheet, for which it is the best linear filter; on a trial, with the accelerations that are best.
+    With those of the data sheet it is the best linear filter; on a trial the standard deviation of the accelerations is
+    optimised.
+
+    Args:
+        sheet: The data sheet.
+        rate: Sampling rate [Hz].
+        trial: Part of a log on which the velocity error is measured.
+
+    Returns:
+        Standard deviation and correlation time [s] of the accelerations, and standard deviation of a sample.
+
+    Example:
+        >>> from covariant.calibration import DataSheet, joint_noise
+        >>> joint_noise(DataSheet(measurement_std=1e-3, acceleration_std=1.0, motion_std=5.0), rate=100.0)
+        (5.0, 0.1, 0.001)
     """
 
     def kind(motion_std):
@@ -62,9 +116,19 @@ def joint_noise(sheet: DataSheet, rate: float, trial: Trial | None = None) -> tu
 
 
 def jerk_bound(sheet: DataSheet, trial: Trial | None = None) -> float:
-    """Bound on the jerk [rad/s³] for a `Levant` differentiator: how fast the accelerations of the data sheet change.
+    """Bound on the jerk for a `Levant` differentiator.
 
-    On a trial the one with the least velocity error of the differentiator itself, run on it.
+    Args:
+        sheet: The data sheet; the bound is `motion_std / motion_time`, the rate at which its accelerations change.
+        trial: Part of a log, on which the differentiator is run with 61 bounds around that one.
+
+    Returns:
+        The bound [rad/s³]; on a trial the one with the least velocity error.
+
+    Example:
+        >>> from covariant.calibration import DataSheet, jerk_bound
+        >>> jerk_bound(DataSheet(1e-3, 1.0, motion_std=5.0, motion_time=0.25))
+        20.0
     """
     typical = sheet.motion_std / sheet.motion_time
     if trial is None:
@@ -72,14 +136,14 @@ def jerk_bound(sheet: DataSheet, trial: Trial | None = None) -> float:
     bounds = typical * np.geomspace(1e-3, 1e3, 61)
     y, late = trial.y.copy(), _late(trial.t)
     y[0] = [column[np.isfinite(column)][0] for column in y.T]  # from where it starts
-    found = _run(Levant, *map(jnp.asarray, (bounds, np.diff(trial.t), y)))
-    errors = [relative_error(v[late], trial.v[late]) for v in np.asarray(found)]
+    velocities = _run(Levant, *map(jnp.asarray, (bounds, np.diff(trial.t), y)))
+    errors = [relative_error(v[late], trial.v[late]) for v in np.asarray(velocities)]
     return float(bounds[np.argmin(errors)])
 
 
 @eqx.filter_jit
 def _run(kind: Callable[[Array], AbstractObserver], numbers: Array, dt: Array, y: Array) -> Float[Array, "k T n"]:
-    """Velocities of the filters that each number makes, along positions y (T, n) with steps dt (T − 1,)."""
+    """Velocities of the filters that each number parametrises, along positions y (T, n) with steps dt (T − 1,)."""
 
     def follow(number):
         observer = kind(number)
@@ -100,39 +164,64 @@ def _best(candidates: Iterable, kind: Callable, sheet: DataSheet, rate: float, t
 
 
 def filter_error(weights: Float[np.ndarray, "k"], sheet: DataSheet, rate: float, trial: Trial | None = None) -> float:
-    """Velocity error of a linear filter: as the data sheet predicts it, or found on a trial as if its stamps were even.
+    """Velocity error of a linear filter: predicted from the data sheet, or measured on a trial at even stamps.
 
-    On a trial it is a part of the velocity, over all coordinates, its first second left out.
+    Args:
+        weights: Weights (k,) of the newest and earlier samples [1/s].
+        sheet: The data sheet.
+        rate: Sampling rate [Hz].
+        trial: Part of a log; its first second is left out.
+
+    Returns:
+        Standard deviation of the velocity, or on a trial `relative_error`, a fraction of the velocity over all
+        coordinates.
     """
     if trial is None:
         return linear_filter_error(weights, sheet, rate)
     t = np.asarray(trial.t)
     even = np.arange(t[0], t[-1], 1 / rate)
     late = _late(even)
-    found, true = [], []
+    estimates, true = [], []
     for y, v in zip(np.transpose(trial.y), np.transpose(trial.v), strict=True):
-        known = np.isfinite(y)
-        found.append(filtered(weights, np.interp(even, t[known], y[known]))[late])
+        measured = np.isfinite(y)
+        estimates.append(filtered(weights, np.interp(even, t[measured], y[measured]))[late])
         true.append(np.interp(even, t, v)[late])
-    return relative_error(np.transpose(found), np.transpose(true))
+    return relative_error(np.transpose(estimates), np.transpose(true))
 
 
 def relative_error(found: Float[np.ndarray, "T n"], true: Float[np.ndarray, "T n"]) -> float:
-    """Root mean square over all coordinates of the error of each as a part of its velocity."""
+    """Velocity error as a fraction of the velocity, root mean square over the coordinates.
+
+    Args:
+        found: Estimated velocities (T, n).
+        true: Reference velocities (T, n).
+
+    Returns:
+        The fraction; 1 for an estimate of zero.
+    """
     size = np.maximum(np.mean(true**2, axis=0), np.finfo(float).tiny)
     return float(np.sqrt(np.mean(np.mean((found - true) ** 2, axis=0) / size)))
 
 
 def _late(t: np.ndarray) -> np.ndarray:
-    """Which stamps are after the first second, or the first half of what is shorter than two."""
+    """Which stamps are after the first second, or after the first half where all span less than two."""
     return t > min(t[0] + 1.0, t[0] + (t[-1] - t[0]) / 2)
 
 
 def filtered(weights: Float[np.ndarray, "k"], x: Float[np.ndarray, "T"]) -> Float[np.ndarray, "T"]:
-    """What weights that annihilate constants make of samples, the first of which has been there forever."""
+    """Filter samples by a finite impulse response that annihilates constants.
+
+    Args:
+        weights: Weights (k,) of the newest and earlier samples.
+        x: Samples (T,); the first is taken to have been there for ever.
+
+    Returns:
+        The filtered samples (T,).
+    """
     x = x - x[0]
     if len(weights) < 100:
         return np.convolve(x, weights)[: len(x)]
+    # At least the length of the full convolution, so that the transform does not wrap around.
     size = 1 << (len(x) + len(weights)).bit_length()
     return np.fft.irfft(np.fft.rfft(x, size) * np.fft.rfft(weights, size), size)[: len(x)]
 
@@ -142,6 +231,14 @@ def linear_filter_error(weights: np.ndarray, sheet: DataSheet, rate: float) -> f
 
     The weights annihilate constants and return slopes, so what remains of a motion is its acceleration a(t − r),
     weighted by `h(r) = Σ_{s_i > r} w_i (s_i − r)`; a has exponential correlation.
+
+    Args:
+        weights: Weights w (k,) [1/s].
+        sheet: The data sheet.
+        rate: Sampling rate [Hz].
+
+    Returns:
+        The standard deviation [unit/s].
     """
     ages = np.arange(len(weights)) / rate
     tail = np.cumsum(weights[::-1])[::-1]

@@ -1,16 +1,24 @@
-"""What a diagnosis finds."""
+"""Findings of a diagnosis."""
 
 from typing import Any, NamedTuple
 
 
 class Finding(NamedTuple):
-    """One thing found in a log.
+    """A defect or peculiarity of a log.
 
-    - `what`: its name, as "unit of time" or "delay"; `where`: the column it is about, or "".
-    - `evidence`: a sentence with the numbers, their units and their uncertainty.
-    - `line`: what to write into the model file, or to do with the log; "" where nothing has to change.
-    - `wrong`: whether estimates from the log as it is are wrong; False for what is merely worth knowing.
-    - `numbers`: the numbers of the evidence by name, in SI units.
+    Attributes:
+        what: Its name, as "unit of time" or "delay".
+        where: The column concerned, or "".
+        evidence: A sentence with the numbers, their units and their uncertainty.
+        line: What to write into the model file, or to do with the log; "" where nothing has to change.
+        wrong: Whether estimates from the unchanged log are wrong; False for a note.
+        numbers: The numbers of the evidence by name, in SI units.
+
+    Example:
+        >>> from covariant.calibration import Finding
+        >>> delay = Finding("delay", "q2", "q2 is 10 ms late", "[measurement] delay = 0.01", True, {"delay": 0.01})
+        >>> delay.wrong, delay.line
+        (True, '[measurement] delay = 0.01')
     """
 
     what: str
@@ -22,12 +30,23 @@ class Finding(NamedTuple):
 
 
 class Diagnosis(NamedTuple):
-    """The findings, and what was looked for: names of findings that the log and model allow to be made."""
+    """Result of `diagnose`.
+
+    Attributes:
+        findings: The findings, the gravest first.
+        looked_for: Names of the checks that log and model allow.
+
+    Example:
+        >>> from covariant.calibration import Diagnosis, Finding
+        >>> note = Finding("missing rows", "", "2 rows are missing in 1 place", "nothing to change", False, {"rows": 2})
+        >>> Diagnosis((note,), ("missing rows",)).wrong
+        False
+    """
 
     findings: tuple[Finding, ...]
     looked_for: tuple[str, ...]
 
     @property
     def wrong(self) -> bool:
-        """Whether estimates from the log as it is are wrong."""
+        """Whether estimates from the unchanged log are wrong."""
         return any(finding.wrong for finding in self.findings)

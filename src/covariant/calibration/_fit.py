@@ -1,10 +1,10 @@
-"""Numbers of a model for which it predicts a log best: multiple shooting with free initial states, robust to outliers.
+"""Parameters with which a model predicts a log best: multiple shooting with free initial states, robust to outliers.
 
-Over each window of the log the model predicts from an initial state that is free, and what is new in the errors of the
-positions decides: the innovations of a filter that follows them, as fast as makes these least. They are weighed by the
-pseudo-Huber loss in units of their own scale, which is estimated along with the numbers. In each step of Levenberg and
-Marquardt the initial states are eliminated window by window, so that the system to be solved is as small as the numbers
-are few; and one program is compiled, for errors and derivatives together.
+Over each window of the log the model predicts from an initial state that is free, and the innovations of the position
+errors decide: those of a filter that follows the errors, of the bandwidth that makes them least. They are weighed by
+the pseudo-Huber loss in units of their scale, which is estimated along with the parameters. In each step of Levenberg
+and Marquardt the initial states are eliminated window by window, so that the system to be solved is as small as the
+number of parameters; and one program is compiled, for errors and derivatives together.
 
 Source: Bock 1983 for multiple shooting; Marquardt 1963, and Madsen, Nielsen & Tingleff 2004, section 3.2, for steps;
 Huber 1981, Robust Statistics, sections 6.3 and 7.6, for scale and covariance; White 1982 for the sandwich by windows.
@@ -26,30 +26,30 @@ from covariant.calibration._windows import Windows
 from covariant.models import Family, Motion
 
 ROUNDS = 4
-"""Searches: without a filter, with one, and twice with what is undetermined then held; scales are found after each."""
+"""Searches: without a filter, with one, twice with undetermined combinations fixed; scales are estimated after each."""
 MOST_STEPS = 25
 """Largest number of Levenberg–Marquardt steps in a round."""
 TOLERANCE = 3e-3
 """A step that is predicted to lower half the sum of squares, in units of the errors' variance, by less ends a round: it
-moves no number by more than a hundredth of its standard error."""
+changes no parameter by more than a hundredth of its standard error."""
 HUBER = 3.0
-"""Errors beyond so many of their scales pull with a constant force: they are outliers."""
+"""Size of an error, in units of its scale, beyond which its influence is constant: it is an outlier."""
 BROAD = 3.0
-"""Standard deviation of the prior: a first value is right within a factor of e³. It decides only where the log is
-silent; a number of the log with a standard error of 10 % it moves by a thousandth of that error."""
+"""Standard deviation of the prior: a first value is right within a factor of e³. It decides only where the log says
+nothing; a parameter that the log determines to 10 % it changes by a thousandth of that standard error."""
 UNKNOWN = 1.0
 """A combination of relative changes with a larger standard error is not determined: not even within a factor e."""
 HELD = 1e3
-"""Weight that holds an undetermined combination at its first value, in scales of the errors."""
+"""Weight that fixes an undetermined combination at its first value, in scales of the errors."""
 PURE = 0.2
-"""A number is determined by itself where all undetermined combinations, changed by all of their size, change it by a
+"""A parameter is determined by itself where all undetermined combinations, changed by all of their size, change it by a
 smaller fraction; its standard error grows by that change."""
 ROUGH = 0.2
-"""A number with a larger relative standard error may be zero: its influence need not be linear down to there."""
+"""A parameter with a larger relative standard error may be zero: its influence need not be linear down to there."""
 CONFIDENCE = 2.0
-"""Standard errors within which a number is not told from zero."""
+"""Standard errors within which a parameter cannot be distinguished from zero."""
 SMALL = 0.01
-"""Parts of an undetermined combination below this fraction of the largest are taken for none."""
+"""Entries of an undetermined combination below this fraction of the largest are set to zero."""
 ROUNDING = 1e-11
 """Information about a combination, relative to the greatest, that is nothing but rounding."""
 
@@ -57,16 +57,30 @@ NumpyArray = np.ndarray
 
 
 class Fit(NamedTuple):
-    """The result of a fit.
+    """Result of a fit of p parameters to windows of logs.
 
-    - `names` (p of them), `first`, `values` (p,): the numbers, before and after.
-    - `standard_errors` (p,): robust to errors that are alike within a window; NaN where a number is not determined.
-    - `undetermined` (d, p): relative changes of the numbers of which the log shows nothing, as rows; each row has an
-      entry of 1 in a number that is in no other row. Along them the numbers stay where they were; but a number that
-      was made smaller until the log could not tell it from zero is as small as it was found.
-    - `scale` (n,): robust standard deviation of what is new in the errors of the positions [units of the frame].
-    - `frequency` [rad/s]: of the filter that follows these errors; far below one in a window where they are white.
-    - `steps`: number of steps taken.
+    Attributes:
+        names: Names of the parameters.
+        first: Values (p,) before the fit.
+        values: Values (p,) after it.
+        standard_errors: Standard errors (p,), robust to errors that are alike within a window; NaN for a parameter that
+            is not determined.
+        undetermined: Combinations of which the log shows nothing: relative changes of the parameters as rows (d, p);
+            each row has an entry of 1 in a parameter that is in no other row. Along them the parameters stay at their
+            first values; but one that was reduced until the log could not distinguish it from zero keeps the reduced
+            value.
+        scale: Robust standard deviation (n,) of the innovations of the position errors [units of the frame].
+        frequency: Natural frequency [rad/s] of the filter that follows these errors; far below one in a window where
+            they are white.
+        steps: Number of steps of the search.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.calibration import Fit
+        >>> values, none = np.array([0.7, 0.1]), np.eye(2)[1:]
+        >>> result = Fit(("mass", "viscous"), values, values, np.array([0.01, np.nan]), none, np.array([1e-3]), 10.0, 9)
+        >>> dict(zip(result.names, result.determined.tolist()))
+        {'mass': True, 'viscous': False}
     """
 
     names: tuple[str, ...]
@@ -80,7 +94,7 @@ class Fit(NamedTuple):
 
     @property
     def determined(self) -> Bool[NumpyArray, "p"]:
-        """Whether the log determines each number by itself."""
+        """Whether the log determines each parameter (p,) by itself."""
         return np.isfinite(self.standard_errors)
 
 
@@ -90,67 +104,96 @@ def fit(
     progress: Callable[[int, int], object] = lambda *_: None,
     start: Float[NumpyArray, "p"] | None = None,
 ) -> Fit:
-    """The numbers of a family for which its model predicts the windows best.
+    """Fit the open parameters of a model to windows of logs.
 
-    - `windows`: of one log or several, from `windows`.
-    - `progress`: called with the numbers of the round and of its step before each step, from 0.
-    - `start` (p,): where the search starts, such as the values of a fit to other inputs; the family's first values by
-      default. The prior, and what is not determined, stay at the first values.
+    Positive parameters are searched by their logarithms. What the log does not determine keeps its first value, and is
+    listed in `Fit.undetermined`.
 
-    Positive numbers are sought by their logarithms. What the log does not determine keeps its first value, and is named
-    by `Fit.undetermined`. Raises `ValueError` where the model's first prediction is not finite.
+    Args:
+        family: The model as a function of its p open parameters, from `models.family`.
+        windows: Windows of one log or several, from `windows`.
+        progress: Called with the index of the round and of its step before each step, from 0.
+        start: Values (p,) from which the search starts, such as those of a fit to other inputs; by default the first
+            values of the family. The prior, and what is not determined, stay at the first values.
+
+    Returns:
+        Values, standard errors, and undetermined combinations.
+
+    Raises:
+        ValueError: The model's first prediction is not finite.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import models
+        >>> from covariant.calibration import fit, windows
+        >>> from covariant.signals import Record
+        >>> t = np.arange(500) * 0.02
+        >>> record = Record(t, np.zeros((500, 1)), np.cos(t)[:, None])  # a unit mass on a spring of 1 N/m
+        >>> family = models.family("oscillator", ["stiffness"], ["parameters.stiffness=2.0"])
+        >>> result = fit(family, windows([record], [-np.sin(t)[:, None]], length=1.0))
+        >>> result.names, result.values.round(6).tolist()
+        (('stiffness',), [1.0])
     """
     windows = jax.tree.map(jnp.asarray, windows)
     model = family.file.need_mechanical(family.file.name, "numbers are fitted for")
     problem = _Problem(family.make, jnp.asarray(family.first), family.positive, needed_substeps(model, windows))
     offered = frequencies(windows)
-    now = _begin(
+    point = _begin(
         problem, windows, offered[:1], np.zeros(len(family.first)) if start is None else problem.relative(start)
     )
-    held, taken = _Held(np.zeros((len(family.first),) * 2), np.zeros(len(family.first))), 0
+    fixed, step_count = _Fixed(np.zeros((len(family.first),) * 2), np.zeros(len(family.first))), 0
     for k in range(ROUNDS):
-        now, steps = _descend(problem, windows, now, held, functools.partial(progress, k))
-        taken += steps
-        now = _weighed(problem, windows, now, offered if k == 0 else np.atleast_1d(now.weighing.frequency))
-        if 0 < k < ROUNDS - 1:  # where the filter is new the numbers are not yet those that it finds
-            held = _Held(_silent(now.blocks), problem.kept(now.z))
-    covariance = _sandwich(now.blocks, held.directions)
-    z = now.z - held.directions @ (now.z - held.at)  # what is held is held by a large weight, which leaves a trace
+        point, steps = _descend(problem, windows, point, fixed, functools.partial(progress, k))
+        step_count += steps
+        point = _weighed(problem, windows, point, offered if k == 0 else np.atleast_1d(point.weighing.frequency))
+        if 0 < k < ROUNDS - 1:  # with a new filter the parameters have not converged yet
+            fixed = _Fixed(_undetermined(point.blocks), problem.kept(point.z))
+    covariance = _sandwich(point.blocks, fixed.directions)
+    # A large but finite weight fixes the undetermined combinations: remove the trace of motion that it leaves.
+    z = point.z - fixed.directions @ (point.z - fixed.at)
     slopes = np.asarray(problem.slopes(z))
     values = np.asarray(problem.values(z))
-    rows = _rows(held.directions, slopes / np.where(values == 0, 1.0, values))
+    # Relative to the value, or for a value of zero to the unit.
+    rows = _rows(fixed.directions, slopes / np.where(values == 0, 1.0, values))
     part = np.sqrt(np.sum(rows**2, axis=0))
     variance = slopes**2 * np.diagonal(covariance) + (values * part * UNKNOWN) ** 2
-    # The last search may have made a number so small that it has lost its influence on the way.
-    own = np.asarray(problem.positive) & (part < PURE)
-    small = own & (np.diagonal(covariance) > UNKNOWN**2)
-    small |= own & ~small & _perhaps_zero(problem, windows, now, held, covariance)
+    # The last search may have reduced a parameter so far that it has lost its influence.
+    separate = np.asarray(problem.positive) & (part < PURE)
+    small = separate & (np.diagonal(covariance) > UNKNOWN**2)
+    small |= separate & ~small & _perhaps_zero(problem, windows, point, fixed, covariance)
     rows = np.concatenate([rows, np.eye(len(small))[small]])
     errors = np.where((part < PURE) & ~small, np.sqrt(np.maximum(variance, 0.0)), np.nan)
-    frequency, scale = now.weighing
-    return Fit(family.names, family.first, values, errors, rows, np.asarray(scale), float(frequency), taken)
+    frequency, scale = point.weighing
+    return Fit(family.names, family.first, values, errors, rows, np.asarray(scale), float(frequency), step_count)
 
 
 def losses(family: Family, windows: Windows, fit: Fit, weighed_as: Fit) -> Float[NumpyArray, "W"]:
-    """The loss of each window at the numbers of a fit: the negative logarithm of its likelihood, up to a constant.
+    """Loss of each window at the values of a fit: its negative log-likelihood, up to a constant.
 
     The constant is the same for all fits whose errors are weighed alike, so that two fits to the same rows under other
     inputs can be compared, window by window (Vuong 1989, Likelihood ratio tests for model selection).
 
-    - `weighed_as`: the fit whose filter and scales weigh the errors.
+    Args:
+        family: The model as a function of its open parameters.
+        windows: Windows of one log or several.
+        fit: The fit whose values are used.
+        weighed_as: The fit whose filter and scales weigh the errors.
+
+    Returns:
+        The losses (W,).
     """
     windows = jax.tree.map(jnp.asarray, windows)
     model = family.file.need_mechanical(family.file.name, "numbers are fitted for")
     problem = _Problem(family.make, jnp.asarray(family.first), family.positive, needed_substeps(model, windows))
     z = problem.relative(fit.values)
-    now = _begin(problem, windows, np.atleast_1d(weighed_as.frequency), z)
-    now = now._replace(weighing=Weighing(np.asarray(weighed_as.frequency), weighed_as.scale))
-    now, _ = _descend(problem, windows, now, _Held(np.eye(len(z)), z), lambda _: None)
-    return np.asarray(now.blocks.loss)
+    point = _begin(problem, windows, np.atleast_1d(weighed_as.frequency), z)
+    point = point._replace(weighing=Weighing(np.asarray(weighed_as.frequency), weighed_as.scale))
+    point, _ = _descend(problem, windows, point, _Fixed(np.eye(len(z)), z), lambda _: None)
+    return np.asarray(point.blocks.loss)
 
 
 class _Problem(NamedTuple):
-    """What is fitted: `make (p,) -> (model, lag)`, the first values (p,), which are positive, and the substeps."""
+    """The fitted function `make (p,) -> (model, lag)`, first values (p,), which are positive, and the substeps."""
 
     make: Callable[[Array], tuple[Any, Any]]
     first: Float[Array, "p"]
@@ -159,30 +202,30 @@ class _Problem(NamedTuple):
 
     @property
     def size(self) -> Float[Array, "p"]:
-        """What a relative change of one is: the first value, or one unit where that is zero."""
+        """Size of a relative change of one: the first value, or one unit where that is zero."""
         return jnp.abs(self.first) + jnp.equal(self.first, 0).astype(self.first.dtype)
 
     def values(self, z) -> Float[Array, "p"]:
-        """The numbers at relative changes z (p,): logarithms of ratios for positive ones."""
+        """Parameters at relative changes z (p,): logarithms of ratios for positive ones."""
         ratio = jnp.asarray(self.first * jnp.exp(z))
         return jnp.where(jnp.asarray(self.positive), ratio, jnp.asarray(self.first + self.size * z))
 
     def relative(self, values: Float[NumpyArray, "p"]) -> Float[NumpyArray, "p"]:
-        """The relative changes z (p,) at which the numbers are these."""
+        """Relative changes z (p,) that give these parameters."""
         ratio = np.where(np.asarray(self.positive), values / np.asarray(self.first), 1.0)
         return np.where(np.asarray(self.positive), np.log(ratio), (values - self.first) / np.asarray(self.size))
 
     def kept(self, z: NumpyArray) -> NumpyArray:
-        """Where what is undetermined is held (p,): at first values, or what a number is that all but vanished."""
+        """Values (p,) of z that undetermined combinations keep: first values, or that of a vanishing parameter."""
         return np.where(np.asarray(self.positive) & (z < -BROAD), z, 0.0)
 
     def slopes(self, z) -> Float[Array, "p"]:
-        """The derivative of each number in its own relative change."""
+        """Derivative of each parameter in its relative change."""
         return jnp.where(jnp.asarray(self.positive), self.first * jnp.exp(z), self.size)
 
 
-class _Held(NamedTuple):
-    """Undetermined combinations as a projection `directions` (p, p) of z, which are held where z is `at` (p,)."""
+class _Fixed(NamedTuple):
+    """Undetermined combinations as a projection `directions` (p, p) of z, fixed where z is `at` (p,)."""
 
     directions: Float[NumpyArray, "p p"]
     at: Float[NumpyArray, "p"]
@@ -207,17 +250,17 @@ class _Blocks(NamedTuple):
 
 
 class _Point(NamedTuple):
-    """Where a search is: z (p,), s (W, 2n), and the loss there with its derivatives, the errors weighed in some way."""
+    """A point of the search: z (p,), s (W, 2n), the weights of the errors, and the loss with its derivatives."""
 
     z: Float[NumpyArray, "p"]
     s: Float[NumpyArray, "W k"]
     weighing: Weighing
     blocks: _Blocks
 
-    def loss(self, held: _Held) -> float:
-        """Loss with the prior, and with what holds undetermined combinations."""
-        away = self.z - held.at
-        prior = np.sum(self.z**2) / (2 * BROAD**2) + HELD**2 * away @ held.directions @ away / 2
+    def loss(self, held: _Fixed) -> float:
+        """Loss with the prior, and with the penalty that fixes undetermined combinations."""
+        deviation = self.z - held.at
+        prior = np.sum(self.z**2) / (2 * BROAD**2) + HELD**2 * deviation @ held.directions @ deviation / 2
         return float(np.sum(self.blocks.loss) + prior)
 
 
@@ -226,25 +269,25 @@ def _at(problem: _Problem, windows: Windows, z: NumpyArray, s: NumpyArray, weigh
     return _Point(z, s, weighed, jax.tree.map(np.asarray, blocks))
 
 
-def _weighed(problem: _Problem, windows: Windows, now: _Point, among: NumpyArray) -> _Point:
-    """The same point, its errors weighed as they are there, by a filter of one of some frequencies [rad/s]."""
+def _weighed(problem: _Problem, windows: Windows, point: _Point, among: NumpyArray) -> _Point:
+    """The same point with its errors weighed anew, by the best filter among some frequencies [rad/s]."""
     return _at(
         problem,
         windows,
-        now.z,
-        now.s,
-        weighing(windows, np.asarray(now.blocks.errors), np.asarray(now.blocks.seen), among),
+        point.z,
+        point.s,
+        weighing(windows, np.asarray(point.blocks.errors), np.asarray(point.blocks.seen), among),
     )
 
 
 def _begin(problem: _Problem, windows: Windows, frequency: Float[NumpyArray, "1"], z: Float[NumpyArray, "p"]) -> _Point:
-    """Where a search begins: relative changes z of the numbers, and measured positions with reference velocities."""
+    """First point of the search: relative changes z of the parameters, measured positions and reference velocities."""
     count, n = windows.v.shape[0], windows.v.shape[-1]
     s = np.zeros((count, 2 * n))
-    now = _at(problem, windows, z, s, Weighing(frequency[0], np.ones(n)))
-    if not np.isfinite(now.blocks.errors[now.blocks.seen]).all():
+    point = _at(problem, windows, z, s, Weighing(frequency[0], np.ones(n)))
+    if not np.isfinite(point.blocks.errors[point.blocks.seen]).all():
         raise ValueError("the model predicts no finite motion with its first values; mend these")
-    return _weighed(problem, windows, now, frequency)
+    return _weighed(problem, windows, point, frequency)
 
 
 @eqx.filter_jit
@@ -254,18 +297,20 @@ def _evaluate(problem: _Problem, windows: Windows, z: Array, s: Array, weighed: 
     def window(s, rows, t, y, v):
         def errors(x):
             n = v.shape[-1]
-            model, inputs = _made(problem, x[:p], windows)
+            model, inputs = _model_at(problem, x[:p], windows)
             start = Motion(model.manifold.retract(y[0], x[p : p + n]), v[0] + x[p + n :])
-            found, seen = differences(model, follow(model, t, inputs[rows], start, problem.substeps).q, y)
-            new = innovations(found, seen, t, jnp.asarray(weighed.frequency)) / weighed.scale[None]
-            return new, (new, found, seen)
+            raw, seen = differences(model, follow(model, t, inputs[rows], start, problem.substeps).q, y)
+            new = innovations(raw, seen, t, jnp.asarray(weighed.frequency)) / weighed.scale[None]
+            return new, (new, raw, seen)
 
-        slope, (new, found, seen) = jax.jacfwd(errors, has_aux=True)(jnp.concatenate([z, s]))
+        slope, (new, raw, seen) = jax.jacfwd(errors, has_aux=True)(jnp.concatenate([z, s]))
         slope, e = slope.reshape(-1, p + s.shape[0]), new.ravel()
+        # The slope of the pseudo-Huber loss is weight · e; its curvature weight³ is below the weight, which majorises
+        # it.
         weight = 1 / jnp.sqrt(1 + (e / HUBER) ** 2)
         loss = jnp.sum(e**2 / (1 + 1 / weight))  # δ² (√(1 + (e/δ)²) − 1)
         second, curved = (slope.T @ (w[:, None] * slope) for w in (weight, weight**3))
-        return loss, slope.T @ (weight * e), second, curved, found, seen
+        return loss, slope.T @ (weight * e), second, curved, raw, seen
 
     loss, gradient, second, curved, errors, seen = jax.vmap(window)(s, windows.rows, windows.t, windows.y, windows.v)
 
@@ -275,66 +320,71 @@ def _evaluate(problem: _Problem, windows: Windows, z: Array, s: Array, weighed: 
     return _Blocks(loss, gradient[:, p:], gradient[:, :p], *parts(second), parts(curved), errors, seen)
 
 
-def _made(problem: _Problem, z: Array, windows: Windows) -> tuple[Any, Float[Array, "S m"]]:
+def _model_at(problem: _Problem, z: Array, windows: Windows) -> tuple[Any, Float[Array, "S m"]]:
     """The model at z, and the inputs that act in each step."""
     model, lag = problem.make(problem.values(z))
     return model, lagged(jnp.asarray(windows.inputs), jnp.asarray(windows.steps), lag)
 
 
 def _descend(
-    problem: _Problem, windows: Windows, now: _Point, held: _Held, progress: Callable[[int], object]
+    problem: _Problem, windows: Windows, point: _Point, fixed: _Fixed, progress: Callable[[int], object]
 ) -> tuple[_Point, int]:
-    """The least loss from a point on, by steps of Levenberg and Marquardt, and their number."""
-    now = _at(problem, windows, now.z, now.s, now.weighing)
+    """Minimise the loss from a point by Levenberg–Marquardt steps; returns the last point and their number."""
+    point = _at(problem, windows, point.z, point.s, point.weighing)
     damping, growth = 1e-3, 2.0
     for k in range(MOST_STEPS):
         progress(k)
-        dz, ds, promised = _step(now, held, damping)
+        dz, ds, promised = _step(point, fixed, damping)
         if promised < TOLERANCE:
-            return now, k
-        tried = _at(problem, windows, now.z + dz, now.s + ds, now.weighing)
-        gain = (now.loss(held) - tried.loss(held)) / promised
+            return point, k
+        tried = _at(problem, windows, point.z + dz, point.s + ds, point.weighing)
+        gain = (point.loss(fixed) - tried.loss(fixed)) / promised
         if gain > 0:  # False where the trial is not finite
-            now, growth = tried, 2.0
+            point, growth = tried, 2.0
+            # Nielsen's rule: the better the prediction of the fall was, the smaller the damping (Madsen et al., 3.2).
             damping *= max(1 / 10, 1 - (2 * min(gain, 1.0) - 1) ** 3)
         else:
             damping, growth = damping * growth, 2 * growth
-    return now, MOST_STEPS
+    return point, MOST_STEPS
 
 
 def _perhaps_zero(
-    problem: _Problem, windows: Windows, now: _Point, held: _Held, covariance: Float[NumpyArray, "p p"]
+    problem: _Problem, windows: Windows, point: _Point, fixed: _Fixed, covariance: Float[NumpyArray, "p p"]
 ) -> Bool[NumpyArray, "p"]:
-    """Numbers of which all but nothing may be left: all others searched anew, the loss rises by no more than chance."""
-    possible = np.asarray(problem.positive) & (now.z < 0) & (np.diagonal(covariance) > ROUGH**2)
-    alone = np.diagonal(_inverse_information(now.blocks, held.directions))
+    """Parameters (p,) that may be zero: with one nearly zero and the rest refitted, the loss hardly rises."""
+    possible = np.asarray(problem.positive) & (point.z < 0) & (np.diagonal(covariance) > ROUGH**2)
+    alone = np.diagonal(_inverse_information(point.blocks, fixed.directions))
     for j in np.flatnonzero(possible):
-        one = np.zeros(len(now.z))
-        one[j] = 1.0
-        directions = held.directions + np.outer(one, one)
-        goal = held.directions @ held.at + one * (now.z[j] - BROAD)
+        unit = np.zeros(len(point.z))
+        unit[j] = 1.0
+        directions = fixed.directions + np.outer(unit, unit)
+        # Fixed at e^−BROAD times its value the parameter is all but zero.
+        goal = fixed.directions @ fixed.at + unit * (point.z[j] - BROAD)
         without, _ = _descend(
-            problem, windows, now, _Held(directions, np.linalg.pinv(directions) @ goal), lambda _: None
+            problem, windows, point, _Fixed(directions, np.linalg.pinv(directions) @ goal), lambda _: None
         )
-        rise = float(np.sum(without.blocks.loss) - np.sum(now.blocks.loss))
+        rise = float(np.sum(without.blocks.loss) - np.sum(point.blocks.loss))
+        # Errors alike within a window enlarge the variance, and by as much the rise that is still chance.
         possible[j] = rise < CONFIDENCE**2 / 2 * covariance[j, j] / alone[j]
     return possible
 
 
-def _step(now: _Point, held: _Held, damping: float) -> tuple[NumpyArray, NumpyArray, float]:
-    """A damped Gauss–Newton step of z and of all initial states, and by how much it should lower the loss."""
-    b = now.blocks
-    k, p = b.s.shape[1], len(now.z)
+def _step(point: _Point, fixed: _Fixed, damping: float) -> tuple[NumpyArray, NumpyArray, float]:
+    """A damped Gauss–Newton step of z and of all initial states, and the predicted fall of the loss."""
+    b = point.blocks
+    k, p = b.s.shape[1], len(point.z)
     stretched = 1 + damping
     ss = b.ss * np.where(np.eye(k, dtype=bool), stretched, 1.0) + _ridge(b.ss)
+    # Schur complement: the initial state of each window is eliminated before the parameters are solved for.
     back = np.linalg.solve(ss, np.concatenate([b.sz, b.s[:, :, None]], axis=2))
     zz = np.sum(b.zz, axis=0)
-    held_back = HELD**2 * held.directions
-    prior = np.eye(p) / BROAD**2 + held_back
+    fixing = HELD**2 * fixed.directions
+    prior = np.eye(p) / BROAD**2 + fixing
     reduced = zz + damping * np.diag(np.diagonal(zz)) + prior - np.einsum("wkp,wkq->pq", b.sz, back[:, :, :p])
-    slope = np.sum(b.z, axis=0) + prior @ now.z - held_back @ held.at
+    slope = np.sum(b.z, axis=0) + prior @ point.z - fixing @ fixed.at
     size = np.sqrt(np.diagonal(reduced))
     right = slope - np.einsum("wkp,wk->p", b.sz, back[:, :, p])
+    # Scaled to a unit diagonal, since the sensitivities differ by orders of magnitude.
     dz = -np.linalg.solve(reduced / np.outer(size, size), right / size) / size
     ds = -back[:, :, p] - back[:, :, :p] @ dz
     quadratic = dz @ (zz + prior) @ dz + 2 * np.einsum("wkp,wk,p->", b.sz, ds, dz)
@@ -349,51 +399,53 @@ def _ridge(matrices: Any) -> NumpyArray:
 
 
 def _information(b: _Blocks) -> Float[NumpyArray, "p p"]:
-    """Second derivatives of the loss in z with the best initial states."""
+    """Second derivatives (p, p) of the loss in z with the best initial states: the Schur complement of these."""
     ss, sz, zz = b.curved
     return np.sum(zz - np.swapaxes(sz, 1, 2) @ np.linalg.solve(ss + _ridge(ss), sz), axis=0)
 
 
-def _silent(b: _Blocks) -> Float[NumpyArray, "p p"]:
+def _undetermined(b: _Blocks) -> Float[NumpyArray, "p p"]:
     """Projection of z on the combinations that the log does not determine.
 
-    These are, first, those for which even errors that are independent would leave more than `UNKNOWN`, and then those
-    for which the errors do as they are, alike within each window.
+    First those for which even independent errors would leave a standard error above `UNKNOWN`, then those for which the
+    actual errors, alike within each window, do.
     """
-    found, vectors = np.linalg.eigh(_information(b))
-    out = vectors[:, found < max(UNKNOWN**-2, ROUNDING * found[-1])]
-    found, vectors = np.linalg.eigh(_sandwich(b, out @ out.T))
-    out = np.linalg.qr(np.concatenate([out, vectors[:, found > UNKNOWN**2]], axis=1))[0]
-    return out @ out.T
+    eigenvalues, vectors = np.linalg.eigh(_information(b))
+    basis = vectors[:, eigenvalues < max(UNKNOWN**-2, ROUNDING * eigenvalues[-1])]
+    eigenvalues, vectors = np.linalg.eigh(_sandwich(b, basis @ basis.T))
+    basis = np.linalg.qr(np.concatenate([basis, vectors[:, eigenvalues > UNKNOWN**2]], axis=1))[0]
+    return basis @ basis.T
 
 
-def _sandwich(b: _Blocks, held: NumpyArray) -> Float[NumpyArray, "p p"]:
-    """Covariance `H⁻¹ (Σ g gᵀ) H⁻¹` of z, where combinations are held; g is the score of a window."""
+def _sandwich(b: _Blocks, fixed: NumpyArray) -> Float[NumpyArray, "p p"]:
+    """Covariance `H⁻¹ (Σ g gᵀ) H⁻¹` of z with combinations fixed; g is the score of a window."""
     count, p = b.z.shape
-    half = np.asarray(b.z) @ _inverse_information(b, held)
-    free = p - round(float(np.trace(held)))
+    half = np.asarray(b.z) @ _inverse_information(b, fixed)
+    # The trace of a projection is its rank.
+    free = p - round(float(np.trace(fixed)))
     return half.T @ half * count / max(count - free, 1)
 
 
-def _inverse_information(b: _Blocks, held: NumpyArray) -> Float[NumpyArray, "p p"]:
-    """Covariance of z if all errors were independent, where combinations are held; zero along these."""
-    values, vectors = np.linalg.eigh(held)
+def _inverse_information(b: _Blocks, fixed: NumpyArray) -> Float[NumpyArray, "p p"]:
+    """Covariance of z for independent errors with combinations fixed; zero along these."""
+    values, vectors = np.linalg.eigh(fixed)
     free = vectors[:, values < 0.5]
     if not free.shape[1]:
-        return np.zeros_like(held)
+        return np.zeros_like(fixed)
     information = free.T @ _information(b) @ free
     size = np.sqrt(np.diagonal(information))
     return free @ (np.linalg.inv(information / np.outer(size, size)) / np.outer(size, size)) @ free.T
 
 
-def _rows(held: NumpyArray, ratio: NumpyArray) -> Float[NumpyArray, "d p"]:
+def _rows(fixed: NumpyArray, ratio: NumpyArray) -> Float[NumpyArray, "d p"]:
     """Undetermined combinations as rows of relative changes of the values, reduced so that each has few entries."""
-    values, vectors = np.linalg.eigh(held)
+    values, vectors = np.linalg.eigh(fixed)
     rows = vectors[:, values > 0.5].T * ratio
-    left = np.ones(rows.shape, bool)
+    available = np.ones(rows.shape, bool)
+    # Gauss–Jordan elimination with the largest entry among the rows and columns still available as pivot.
     for _ in range(len(rows)):
-        k, pivot = np.unravel_index(np.argmax(np.abs(rows) * left), rows.shape)
-        left[k], left[:, pivot] = False, False
+        k, pivot = np.unravel_index(np.argmax(np.abs(rows) * available), rows.shape)
+        available[k], available[:, pivot] = False, False
         rows[k] /= rows[k, pivot]
         others = np.arange(len(rows)) != k
         rows[others] -= np.outer(rows[others, pivot], rows[k])

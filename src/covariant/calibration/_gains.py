@@ -13,7 +13,19 @@ from covariant._typing import Number
 
 
 class Gains(NamedTuple):
-    """`alpha` [1/s], `beta` [1/s²], and the standard deviations of the errors they should leave, in metric units."""
+    """Constant gains of a mechanical observer, and the errors that they should leave.
+
+    Attributes:
+        alpha: Position gain α [1/s].
+        beta: Velocity gain β [1/s²].
+        position_std: Predicted standard deviation of the position error, in metric units.
+        velocity_std: Predicted standard deviation of the velocity error, in metric units.
+
+    Example:
+        >>> from covariant.calibration import Gains
+        >>> print(Gains(alpha=10.0, beta=50.0, position_std=1e-3, velocity_std=0.02).summary)
+        alpha = 10 1/s, beta = 50 1/s²; predicted standard deviation of the position 0.001 and of the velocity 0.02
+    """
 
     alpha: float
     beta: float
@@ -22,6 +34,7 @@ class Gains(NamedTuple):
 
     @property
     def summary(self) -> str:
+        """The gains and predicted errors in one line."""
         return (
             f"alpha = {self.alpha:.4g} 1/s, beta = {self.beta:.4g} 1/s²; predicted standard deviation of the position "
             f"{self.position_std:.2g} and of the velocity {self.velocity_std:.2g}"
@@ -36,20 +49,33 @@ def gains(
     damping: float = math.sqrt(0.5),
     natural_frequency: float | None = None,
 ) -> Gains:
-    """Gains α = 2ζω, β = ω² with ω = (S_a/S_m)^¼.
+    """Gains α = 2ζω, β = ω² with ω = (S_a/S_m)^¼, for the noise of a sensor and the error of a model.
 
-    - `measurement_std`: standard deviation of one position sample [rad or m]; for an encoder, one step divided by √12.
-    - `rate`: samples per second [Hz].
-    - `acceleration_std`: standard deviation of the acceleration that the model does not explain [rad/s² or m/s²].
-    - `correlation_time`: time [s] over which it persists, S_a = 2 std² time; by default it is independent at each
-      sample.
-    - `damping`: ζ; √½ is optimal for white disturbances, and more helps when they are faster than the observer.
-    - `natural_frequency`: another ω [rad/s], such as one found from a log.
+    Args:
+        measurement_std: Standard deviation of one position sample [rad or m]; for an encoder, one step divided by √12.
+        rate: Sampling rate [Hz]; S_m = measurement_std² / rate.
+        acceleration_std: Standard deviation of the acceleration that the model does not explain [rad/s² or m/s²].
+        correlation_time: Time [s] over which it persists, S_a = 2 acceleration_std² correlation_time; by default it is
+            independent at each sample.
+        damping: Damping ratio ζ; √½ is optimal for white disturbances, and a larger one helps when they are faster than
+            the observer.
+        natural_frequency: Another ω [rad/s], such as one identified from a log.
 
-    Raises `ValueError` for numbers that are not positive.
+    Returns:
+        The gains, and the errors that they should leave.
+
+    Raises:
+        ValueError: A number is not positive.
+
+    Example:
+        >>> from covariant.calibration import gains
+        >>> design = gains(measurement_std=1e-3, rate=100.0, acceleration_std=1.0, correlation_time=0.5)
+        >>> round(design.alpha, 2), round(design.beta)  # ω = (1 / 1e-8)^¼ = 100 rad/s
+        (141.42, 10000)
     """
+    # Independent at each sample: S_a = 2 std² time is then std² / rate, as for the measurement.
     time = 1 / (2 * rate) if correlation_time is None else correlation_time
-    given = {
+    numbers = {
         "measurement_std": measurement_std,
         "rate": rate,
         "acceleration_std": acceleration_std,
@@ -57,8 +83,8 @@ def gains(
         "damping": damping,
     }
     if natural_frequency is not None:
-        given["natural_frequency"] = natural_frequency
-    for name, value in given.items():
+        numbers["natural_frequency"] = natural_frequency
+    for name, value in numbers.items():
         if not (math.isfinite(value) and value > 0):
             raise ValueError(f"gains: {name} must be a positive number; got {value}")
     measurement_density = measurement_std**2 / rate
@@ -68,41 +94,91 @@ def gains(
 
 
 def predict_errors(alpha: Number, beta: Number, measurement_density: float, acceleration_density: float) -> Gains:
-    """Stationary errors of given gains: `Var q̃ = (α²+β) S_m/2α + S_a/2αβ`, `Var ṽ = β² S_m/2α + (α²+β) S_a/2αβ`."""
+    """Stationary errors of an observer with gains α and β, in continuous time.
+
+    `Var q̃ = (α²+β) S_m/2α + S_a/2αβ` and `Var ṽ = β² S_m/2α + (α²+β) S_a/2αβ`.
+
+    Args:
+        alpha: Position gain α [1/s].
+        beta: Velocity gain β [1/s²].
+        measurement_density: Spectral density S_m of the measurement noise: variance of a sample over the rate [Hz].
+        acceleration_density: Spectral density S_a of the unmodelled acceleration.
+
+    Returns:
+        The gains with the standard deviations of both errors.
+
+    Example:
+        >>> from covariant.calibration import predict_errors
+        >>> errors = predict_errors(10.0, 50.0, measurement_density=1e-8, acceleration_density=1e-2)
+        >>> round(errors.position_std, 5), round(errors.velocity_std, 4)
+        (0.00317, 0.0387)
+    """
     alpha, beta = float(alpha), float(beta)
-    both = alpha**2 + beta
-    position = both * measurement_density / (2 * alpha) + acceleration_density / (2 * alpha * beta)
-    velocity = beta**2 * measurement_density / (2 * alpha) + both * acceleration_density / (2 * alpha * beta)
+    factor = alpha**2 + beta
+    position = factor * measurement_density / (2 * alpha) + acceleration_density / (2 * alpha * beta)
+    velocity = beta**2 * measurement_density / (2 * alpha) + factor * acceleration_density / (2 * alpha * beta)
     return Gains(alpha, beta, math.sqrt(position), math.sqrt(velocity))
 
 
 def predict_sampled_errors(
     alpha: Number, beta: Number, rate: float, measurement_std: float, acceleration_density: float = 0.0
 ) -> Gains:
-    """Stationary errors just after a sample, of an observer that takes `rate` samples a second [Hz].
+    """Stationary errors just after a sample, of an observer that takes `rate` samples a second.
 
     Those of the sampled loop with the poles exp(λ/rate), which `predict_errors` has for ever faster samples:
     `ξ⁺ = ξ + k1 (n − ξ)`, `ζ⁺ = ζ + k2 (n − ξ)`, and in between ξ grows by ζ dt and a density of accelerations acts.
 
-    - `measurement_std`: of one sample; on a curved space the root of the mean of |n|² in its metric.
+    Args:
+        alpha: Position gain α [1/s].
+        beta: Velocity gain β [1/s²].
+        rate: Sampling rate [Hz].
+        measurement_std: Standard deviation of one sample; on a curved space the root of the mean of |n|² in its metric.
+        acceleration_density: Spectral density S_a of the unmodelled acceleration.
 
-    Raises `ValueError` for gains or a rate that are not positive.
+    Returns:
+        The gains with the standard deviations of both errors.
+
+    Raises:
+        ValueError: A gain or the rate is not positive.
+
+    Example:
+        >>> from covariant.calibration import predict_errors, predict_sampled_errors
+        >>> slow, fast = (predict_sampled_errors(10.0, 50.0, rate, 0.1 * rate**0.5) for rate in (50.0, 1e4))
+        >>> limit = predict_errors(10.0, 50.0, measurement_density=0.01, acceleration_density=0.0).position_std
+        >>> bool(abs(fast.position_std - limit) < 0.01 * limit < abs(slow.position_std - limit))
+        True
     """
     alpha, beta = float(alpha), float(beta)
     for name, value in {"alpha": alpha, "beta": beta, "rate": rate}.items():
         if not (math.isfinite(value) and value > 0):
             raise ValueError(f"predict_sampled_errors: {name} must be a positive number; got {value}")
     dt = 1 / rate
-    one, two = np.exp(np.roots([1.0, alpha, beta]) * dt)
-    k1, k2 = float((1 - one * two).real), float(((1 - one) * (1 - two)).real) / dt
-    taken = np.array([[1 - k1, 0.0], [-k2, 1.0]])
-    loop = taken @ np.array([[1.0, dt], [0.0, 1.0]])
-    acting = acceleration_density * np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
-    added = measurement_std**2 * np.outer([k1, k2], [k1, k2]) + taken @ acting @ taken.T
-    cov = np.linalg.solve(np.eye(4) - np.kron(loop, loop), added.ravel()).reshape(2, 2)
+    # The poles of λ² + αλ + β, sampled: both errors decay as in continuous time.
+    pole1, pole2 = np.exp(np.roots([1.0, alpha, beta]) * dt)
+    k1, k2 = float((1 - pole1 * pole2).real), float(((1 - pole1) * (1 - pole2)).real) / dt
+    correction = np.array([[1 - k1, 0.0], [-k2, 1.0]])
+    loop = correction @ np.array([[1.0, dt], [0.0, 1.0]])
+    disturbance = acceleration_density * np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
+    added_cov = measurement_std**2 * np.outer([k1, k2], [k1, k2]) + correction @ disturbance @ correction.T
+    # The discrete Lyapunov equation P = A P Aᵀ + Q, as vec P = (I − A ⊗ A)⁻¹ vec Q.
+    cov = np.linalg.solve(np.eye(4) - np.kron(loop, loop), added_cov.ravel()).reshape(2, 2)
     return Gains(alpha, beta, math.sqrt(cov[0, 0]), math.sqrt(cov[1, 1]))
 
 
 def bias(alpha: Number, beta: Number, acceleration: float) -> tuple[float, float]:
-    """Position and velocity errors due to a constant unmodelled acceleration a: `a/β` and `αa/β`."""
+    """Errors of an observer under a constant unmodelled acceleration a: `a/β` in position and `αa/β` in velocity.
+
+    Args:
+        alpha: Position gain α [1/s].
+        beta: Velocity gain β [1/s²].
+        acceleration: The acceleration a [rad/s² or m/s²].
+
+    Returns:
+        Position error [rad or m] and velocity error [rad/s or m/s].
+
+    Example:
+        >>> from covariant.calibration import bias
+        >>> bias(alpha=10.0, beta=50.0, acceleration=1.0)
+        (0.02, 0.2)
+    """
     return acceleration / float(beta), float(alpha) * acceleration / float(beta)

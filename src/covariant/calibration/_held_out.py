@@ -1,4 +1,4 @@
-"""What a fit does not see: the last of several logs, or the last third of one, on which it is judged."""
+"""Held-out data on which a fit is judged: the last of several logs, or the last third of one."""
 
 from collections.abc import Sequence
 
@@ -10,15 +10,35 @@ from covariant.calibration._windows import Windows, windows
 from covariant.signals import Record
 
 FITTED = 2 / 3
-"""Fraction of a single log that a fit sees."""
+"""Fraction of a single log that is used by a fit; the rest is held out."""
 
 
 def split(
     records: Sequence[Record], velocities: Sequence[Float[np.ndarray, "_ n"]], length: float
 ) -> tuple[Windows, Windows]:
-    """Windows of a length [s] to fit, and those to judge the fit by: of the last record, or of the last third of one.
+    """Windows to fit, and held-out windows to judge the fit by.
 
-    Raises `ValueError` where either has too few windows.
+    Of several records the last is held out, of a single one the last third.
+
+    Args:
+        records: The logs.
+        velocities: Reference velocities (T, n) of each.
+        length: Length of the windows [s].
+
+    Returns:
+        Windows to fit, and held-out windows.
+
+    Raises:
+        ValueError: Either part has too few windows.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.calibration import split
+        >>> from covariant.signals import Record
+        >>> t = np.arange(0.0, 30.0, 0.02)
+        >>> fitted, held_out = split([Record(t, y=np.sin(t)[:, None])], [np.cos(t)[:, None]], length=1.0)
+        >>> bool(fitted.t.max() < 20.0 <= held_out.t.min()), len(fitted.t) > len(held_out.t)
+        (True, True)
     """
     if len(records) > 1:
         return windows(records[:-1], velocities[:-1], length), windows(records[-1:], velocities[-1:], length)
@@ -29,10 +49,23 @@ def split(
 
 
 def growth(before: PredictionErrors, after: PredictionErrors) -> float:
-    """The ratio of the position errors after and before a fit, root mean square over the coordinates; 1 for no change.
+    """Ratio of the position errors after and before a fit, root mean square over the coordinates.
 
-    Infinite where the errors afterwards are not finite.
+    Args:
+        before: Prediction errors before the fit.
+        after: Prediction errors after it.
+
+    Returns:
+        The ratio; 1 for no change, infinite where the errors afterwards are not finite.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.calibration import PredictionErrors, growth
+        >>> before, after = (PredictionErrors(np.ones(1), np.array([size]), np.ones(1)) for size in (0.2, 0.1))
+        >>> growth(before, after)
+        0.5
     """
-    was, is_now = np.asarray(before.position), np.asarray(after.position)
-    ratio = float(np.sqrt(np.mean((is_now / np.where(was > 0, was, np.inf)) ** 2)))
+    old, new = np.asarray(before.position), np.asarray(after.position)
+    # A coordinate without any error before the fit does not count.
+    ratio = float(np.sqrt(np.mean((new / np.where(old > 0, old, np.inf)) ** 2)))
     return ratio if np.isfinite(ratio) else np.inf

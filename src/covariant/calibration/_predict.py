@@ -1,4 +1,4 @@
-"""What a model predicts over windows of a log, and by how much the log differs from it."""
+"""Predictions of a model over windows of a log, and their errors."""
 
 from typing import Any, NamedTuple
 
@@ -19,10 +19,19 @@ MOST_SUBSTEPS = 100
 
 
 class PredictionErrors(NamedTuple):
-    """Root mean square errors of predictions that start from measured positions and reference velocities.
+    """Root mean square errors of predictions from measured positions and reference velocities.
 
-    - `one_step`, `position` (n,): of the positions after one step, and at all rows of the windows [units of the frame].
-    - `velocity` (n,): of the velocities at all rows of the windows, against the reference [the same units a second].
+    Attributes:
+        one_step: Errors (n,) of the positions after one step [units of the frame].
+        position: Errors (n,) of the positions at all rows of the windows [units of the frame].
+        velocity: Errors (n,) of the velocities at all rows, against the reference [the same units a second].
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.calibration import PredictionErrors
+        >>> errors = PredictionErrors(one_step=np.array([1e-3]), position=np.array([0.02]), velocity=np.array([0.1]))
+        >>> errors.position.tolist()
+        [0.02]
     """
 
     one_step: Float[Array, "n"]
@@ -31,14 +40,24 @@ class PredictionErrors(NamedTuple):
 
 
 def lagged(inputs: Float[Array, "S m"], steps: Float[Array, "S"], lag: Number) -> Float[Array, "S m"]:
-    """Inputs behind a first-order lag [s], as `signals.lag_inputs` has them; the lag may be traced by JAX."""
+    """Inputs after a first-order lag, as in `signals.lag_inputs`.
+
+    Args:
+        inputs: Inputs (S, m) of all rows.
+        steps: Time (S,) since the row before [s].
+        lag: Time constant [s], which JAX may trace; a plain 0 returns the inputs unchanged.
+
+    Returns:
+        The lagged inputs (S, m).
+    """
     if not isinstance(lag, Tracer) and float(lag) == 0:
         return inputs
 
-    def step(before, row):
-        keep = jnp.exp(-row[1] / lag)
-        now = keep * before + (1 - keep) * row[0]
-        return now, now
+    def step(previous, row):
+        # Exact for an input that is constant over the step.
+        decay = jnp.exp(-row[1] / lag)
+        current = decay * previous + (1 - decay) * row[0]
+        return current, current
 
     return jax.lax.scan(step, jnp.zeros_like(inputs[0]), (inputs, steps))[1]
 
@@ -46,11 +65,22 @@ def lagged(inputs: Float[Array, "S m"], steps: Float[Array, "S"], lag: Number) -
 def follow(
     model: MechanicalSystem, t: Float[Array, "L1"], u: Float[Array, "L m"], start: Motion, substeps: int
 ) -> Motion:
-    """The motion at the stamps t (L + 1,) [s] that begins with `start`, each input held over its step."""
+    """Predict the motion at given stamps, each input constant over its step.
 
-    def step(now, row):
-        begin, end, held = row
-        after = advance(model, begin, now, held, end - begin, substeps)
+    Args:
+        model: The mechanical system.
+        t: Stamps (L + 1,) [s].
+        u: Inputs (L, m) of the steps.
+        start: Motion at the first stamp.
+        substeps: Runge–Kutta steps in each step.
+
+    Returns:
+        The motion at all stamps, the first included.
+    """
+
+    def step(motion, row):
+        begin, end, input_ = row
+        after = advance(model, begin, motion, input_, end - begin, substeps)
         return after, after
 
     after = jax.lax.scan(step, start, (t[:-1], t[1:], u))[1]
@@ -58,16 +88,32 @@ def follow(
 
 
 def differences(model: MechanicalSystem, q: Array, y: Array) -> tuple[Float[Array, "L1 n"], Bool[Array, "L1 n"]]:
-    """What is measured minus what is predicted, in the frame, zero where it is missing; and where it is measured."""
+    """Prediction errors of the configuration, in the frame.
+
+    Args:
+        model: The mechanical system.
+        q: Predicted configurations, one per row.
+        y: Measured configurations, one per row.
+
+    Returns:
+        Measured minus predicted (L + 1, n), zero where missing, and whether each component is measured.
+    """
     manifold = model.manifold
     return jax.vmap(manifold.towards)(q, y), ~jax.vmap(manifold.missing)(y)
 
 
 def needed_substeps(model: MechanicalSystem, windows: Windows) -> int:
-    """Runge–Kutta steps in one step of the log, so that none is longer than 10 ms nor than 1/rate of the friction.
+    """Number of Runge–Kutta steps in one step of the log, none longer than 10 ms nor than 1/rate of the friction.
 
-    The rate is bounded by the trace of the Jacobian of the friction at rest, where Coulomb friction is steepest, and
-    at the largest velocities of the log.
+    The rate is bounded by the trace of the Jacobian of the friction at rest, where Coulomb friction is steepest, and at
+    the largest velocities of the log.
+
+    Args:
+        model: The mechanical system.
+        windows: The windows of the log.
+
+    Returns:
+        The number, from 1 to `MOST_SUBSTEPS`.
     """
     y, v, rows = np.asarray(windows.y), np.asarray(windows.v), np.asarray(windows.rows)
     longest = float(np.diff(np.asarray(windows.t), axis=1).max())
@@ -77,46 +123,64 @@ def needed_substeps(model: MechanicalSystem, windows: Windows) -> int:
     def rate(model, t, q, v, u):
         return -jnp.trace(jax.jacfwd(lambda w: friction(model, t, q, w, u))(v))
 
-    some = range(0, len(y), max(1, len(y) // 8))
+    sampled = range(0, len(y), max(1, len(y) // 8))
     rates = [
-        float(rate(model, jnp.asarray(windows.t[k, 0]), jnp.asarray(y[k, 0]), jnp.asarray(at), windows.inputs[row]))
-        for k in some
+        float(rate(model, jnp.asarray(windows.t[k, 0]), jnp.asarray(y[k, 0]), jnp.asarray(speed), windows.inputs[row]))
+        for k in sampled
         for row in rows[k, :1]
-        for at in (np.zeros_like(fastest), fastest)
+        for speed in (np.zeros_like(fastest), fastest)
     ]
     needed = longest * max(1 / LONGEST_STEP, np.nanmax(rates))
     return int(np.clip(np.ceil(needed), 1, MOST_SUBSTEPS))
 
 
 def prediction_errors(model: MechanicalSystem, lag: Number, windows: Windows) -> PredictionErrors:
-    """How far the predictions of a model are from the positions and reference velocities of a log.
+    """Errors of a model's predictions against the positions and reference velocities of a log.
 
-    - `lag` [s]: of the inputs.
+    Args:
+        model: The mechanical system.
+        lag: Time constant [s] of the first-order lag of the inputs; 0 for none.
+        windows: The windows of the log.
+
+    Returns:
+        Root mean square errors after one step and over whole windows.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.calibration import prediction_errors, windows
+        >>> from covariant.models import oscillator
+        >>> from covariant.signals import Record
+        >>> t = np.arange(0.0, 10.0, 0.02)
+        >>> record = Record(t, np.zeros((500, 1)), np.cos(t)[:, None])
+        >>> errors = prediction_errors(oscillator(), 0.0, windows([record], [-np.sin(t)[:, None]], length=1.0))
+        >>> bool(errors.position[0] < 1e-9)
+        True
     """
     substeps = needed_substeps(model, windows)
     u = lagged(jnp.asarray(windows.inputs), jnp.asarray(windows.steps), lag)[jnp.asarray(windows.rows)]
-    given = (jnp.asarray(windows.t), u, jnp.asarray(windows.y), jnp.asarray(windows.v))
-    single, whole, speed, seen, timed = _errors(model, given, substeps)
+    data = (jnp.asarray(windows.t), u, jnp.asarray(windows.y), jnp.asarray(windows.v))
+    single, whole, speed, seen, timed = _errors(model, data, substeps)
 
     def rms(errors, mask):
         total, count = (jnp.sum(jnp.where(mask, part, 0.0), axis=(0, 1)) for part in (errors**2, jnp.ones_like(errors)))
         return jnp.sqrt(total / jnp.maximum(count, 1.0))
 
+    # The prediction starts from the first row, whose error is zero by construction.
     later = seen.at[:, 0].set(False)
     return PredictionErrors(rms(single, later[:, 1:] & seen[:, :-1]), rms(whole, later), rms(speed, timed))
 
 
 @eqx.filter_jit
-def _errors(model: MechanicalSystem, given: Any, substeps: int):
+def _errors(model: MechanicalSystem, data: Any, substeps: int):
     manifold = model.manifold
 
     def window(t, u, y, v):
         predicted = follow(model, t, u, Motion(y[0], v[0]), substeps)
         whole, seen = differences(model, predicted.q, y)
         present = jax.vmap(manifold.measured)(predicted.q, y)  # where something is missing its error is masked
-        once = jax.vmap(lambda s, q, w, held, h: advance(model, s, Motion(q, w), held, h, substeps).q)
+        once = jax.vmap(lambda s, q, w, input_, h: advance(model, s, Motion(q, w), input_, h, substeps).q)
         single, _ = differences(model, once(t[:-1], present[:-1], v[:-1], u, jnp.diff(t)), y[1:])
         timed = jnp.concatenate([jnp.ones(1, bool), jnp.diff(t) > 0])[:, None]
         return single, whole, v - predicted.v, seen, timed & jnp.ones_like(seen)
 
-    return jax.vmap(window)(*given)
+    return jax.vmap(window)(*data)

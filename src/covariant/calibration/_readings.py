@@ -1,4 +1,4 @@
-"""What the readings of each position show of its sensor: noise and ticks."""
+"""Noise and ticks of each position sensor, from the readings of a log."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -11,19 +11,20 @@ from covariant.scoring import unwrap
 from covariant.signals import Record
 
 FEWEST = 50
-"""Readings of a position, more than which tell its noise."""
+"""Readings of a position, more than which show its noise."""
 ALTERNATES = -0.5
 """Correlation of neighbouring errors of prediction below which they are noise, and not motion between the rows."""
 ALIKE = 0.05
-"""Numbers of coordinates of one unit are one number where they differ by no more than this part."""
+"""Relative difference up to which the numbers of coordinates of one unit are reported as one."""
 
 
 class Readings(NamedTuple):
     """Noise and ticks of each position, in its unit.
 
-    - `noise` (n,): standard deviation of what the neighbours of a reading do not predict; NaN where readings are few.
-    - `white` (n,): whether that is noise; otherwise motion between the rows counts as well, and it is an upper bound.
-    - `ticks` (n,): one tick of the encoder; 0 where readings are no whole ticks apart, or noise hides them.
+    Attributes:
+        noise: Standard deviation (n,) of the part of a reading that its neighbours do not predict; NaN for few.
+        white: Whether that is noise (n,); otherwise motion between the rows counts as well, and it is an upper bound.
+        ticks: One tick (n,) of the encoder; 0 where readings are no whole ticks apart, or noise hides them.
     """
 
     noise: Float[np.ndarray, "n"]
@@ -32,7 +33,7 @@ class Readings(NamedTuple):
 
     @property
     def std(self) -> Float[np.ndarray, "n"]:
-        """Standard deviations of a reading: an error uniform over a tick, or the noise."""
+        """Standard deviation (n,) of a reading: that of an error uniform over a tick, or the noise."""
         return np.where(self.ticks > 0, self.ticks / np.sqrt(12), self.noise)
 
     @property
@@ -42,27 +43,55 @@ class Readings(NamedTuple):
 
 
 def readings(record: Record, circles: tuple[int, ...]) -> Readings:
-    """What the readings of a record in coordinates (T, n) show; `circles` are those that are angles."""
+    """Estimate noise and ticks of each position of a record.
+
+    Args:
+        record: The log, with positions (T, n) in coordinates.
+        circles: Indices of the coordinates that are angles.
+
+    Returns:
+        Noise and ticks of each.
+    """
     t, y = np.asarray(record.t), unwrap(np.asarray(record.y), circles)
     noise, white = np.full(y.shape[1], np.nan), np.zeros(y.shape[1], bool)
     for i, column in enumerate(y.T):
         seen = np.isfinite(column)
         if seen.sum() > FEWEST:
             error = prediction_errors(t[seen], column[seen])
+            # The factor makes the median size of normal errors their standard deviation.
             noise[i] = 1.4826 * np.median(np.abs(error))
+            # Neighbouring errors share measurements with opposite signs: those of white noise alternate.
             white[i] = np.mean(error[1:] * error[:-1]) < ALTERNATES * np.mean(error**2)
     return Readings(noise, white, quanta(y, np.nan_to_num(noise)))
 
 
 def one_or_each(values: Float[np.ndarray, "n"], units: Sequence[str], digits: int) -> float | tuple[float, ...]:
-    """One number where the coordinates have one unit and numbers that are nearly alike, else one for each."""
+    """Round the numbers of the coordinates, and merge those that are nearly equal.
+
+    Args:
+        values: A number (n,) of each coordinate.
+        units: Their units.
+        digits: Significant digits.
+
+    Returns:
+        The largest where all have one unit and differ by less than `ALIKE`, else one number for each.
+    """
     rounded = tuple(float(f"{value:.{digits}g}") for value in values)
     alike = len(set(units)) <= 1 and np.ptp(values) <= ALIKE * np.max(values)
     return rounded[int(np.argmax(values))] if alike else rounded
 
 
 def shown(values: Sequence[float] | np.ndarray, units: Sequence[str], digits: int) -> str:
-    """Numbers of coordinates with their units, for people; those that are alike once."""
+    """Text of the numbers of coordinates with their units; equal ones appear once.
+
+    Args:
+        values: A number of each coordinate.
+        units: Their units.
+        digits: Significant digits.
+
+    Returns:
+        The text, for people.
+    """
     texts = (f"{value:.{digits}g} {unit}".rstrip() for value, unit in zip(values, units, strict=True))
     if len(set(units)) == 1 and np.ptp(values) <= ALIKE * np.max(values):
         return f"{np.max(values):.{digits}g} {units[0]}".rstrip()
@@ -70,5 +99,5 @@ def shown(values: Sequence[float] | np.ndarray, units: Sequence[str], digits: in
 
 
 def written(value: float | tuple[float, ...]) -> str:
-    """A number or several as in a model file."""
+    """Text of one number, or of one for each coordinate, in the syntax of a model file."""
     return f"[{', '.join(map(repr, value))}]" if isinstance(value, tuple) else repr(value)

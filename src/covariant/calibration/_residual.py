@@ -1,4 +1,4 @@
-"""What a model leaves unexplained of a smoothed log: the measured accelerations less those that the model gives."""
+"""Residual accelerations of a smoothed log: the measured ones minus those of the model."""
 
 from typing import Any, NamedTuple
 
@@ -11,15 +11,19 @@ from covariant.calibration._smooth import Smooth
 from covariant.models import MechanicalSystem, acceleration
 
 POINTS = 2048
-"""Points that the compiled program evaluates at a time, so that one program serves all logs."""
+"""Points of the grid in one call of the compiled program, so that one program serves all logs."""
 CLEAR = 10.0
-"""Accelerations are told from noise where their mean square is so many times that of the noise."""
+"""Ratio of the mean square of accelerations to that of the noise, from which they count as more than noise."""
 
 
 class Residual(NamedTuple):
-    """Accelerations (K, n) on the grid: measured ones, and those of the model averaged in the same way.
+    """Accelerations on the grid of a smoothed log: measured ones, and those of the model averaged in the same way.
 
-    - `used` (K,): where both are known; `noise` (n,): standard deviation of the measured ones.
+    Attributes:
+        measured: Measured accelerations (K, n).
+        modelled: Accelerations (K, n) of the model.
+        used: Points (K,) at which both are known.
+        noise: Standard deviation (n,) of the measured ones.
     """
 
     measured: Float[np.ndarray, "K n"]
@@ -29,21 +33,27 @@ class Residual(NamedTuple):
 
     @property
     def left(self) -> Float[np.ndarray, "J n"]:
-        """What the model leaves, where it is known."""
+        """Residual accelerations (J, n), measured minus modelled, at the J points that are used."""
         return (self.measured - self.modelled)[self.used]
 
     @property
     def told(self) -> Bool[np.ndarray, "n"]:
-        """Coordinates whose accelerations are more than noise."""
+        """Coordinates (n,) whose accelerations exceed the noise; none with fewer than two blocks of points."""
         if self.used.sum() < 2 * POINTS_OF_A_BLOCK:
             return np.zeros(self.measured.shape[1], bool)
         return np.mean(self.measured[self.used] ** 2, axis=0) > CLEAR * self.noise**2
 
     def misfits(self, blocks: int = 1) -> Float[np.ndarray, "b n"]:
-        """Fractions of the accelerations that are unexplained, in blocks of equal length: 0 right, 1 or more unrelated.
+        """Unexplained fractions of the accelerations, in blocks of equal length.
 
-        The sum of squares of what is left, without that of the noise, over the mean of those of measured and modelled
+        The sum of squares of the residuals, without that of the noise, over the mean of those of measured and modelled
         accelerations over the whole log, so that neither a tiny nor a huge unit makes it small.
+
+        Args:
+            blocks: Number b of blocks.
+
+        Returns:
+            The fractions (b, n): 0 for a model that is right, 1 or more for one that is unrelated.
         """
         left, measured, modelled = self.left, self.measured[self.used], self.modelled[self.used]
         scale = (np.mean(measured**2, axis=0) + np.mean(modelled**2, axis=0)) / 2
@@ -52,7 +62,7 @@ class Residual(NamedTuple):
 
     @property
     def misfit(self) -> float:
-        """The mean of the unexplained fractions of the coordinates whose accelerations are more than noise."""
+        """Mean unexplained fraction of the coordinates whose accelerations exceed the noise; NaN for none."""
         told = self.told
         return float(np.maximum(self.misfits()[0, told], 0.0).mean()) if told.any() else float("nan")
 
@@ -61,27 +71,53 @@ POINTS_OF_A_BLOCK = 30
 
 
 def residual(model: MechanicalSystem, log: Smooth, force: Any = None) -> Residual:
-    """Compare a model with a smoothed log; `force` (K, n) is a further generalised force."""
+    """Compare the accelerations of a model with those of a smoothed log.
+
+    Args:
+        model: The mechanical system.
+        log: The smoothed log, on a grid of K points.
+        force: Further generalised force (K, n); None for none.
+
+    Returns:
+        Measured and modelled accelerations.
+    """
     modelled = averaged(log, accelerations(model, log, force))
     used = log.used & np.isfinite(modelled).all(axis=1) & np.isfinite(log.a).all(axis=1)
     return Residual(log.a, modelled, used, log.a_noise)
 
 
 def averaged(log: Smooth, values: Float[np.ndarray, "K n"]) -> Float[np.ndarray, "K n"]:
-    """Values on the grid, averaged as smoothing averages the true accelerations."""
+    """Average values on the grid with the weights that smoothing applies to the true accelerations.
+
+    Args:
+        log: The smoothed log.
+        values: Values (K, n).
+
+    Returns:
+        The averages (K, n).
+    """
     return np.stack([np.convolve(column, log.kernel, "same") for column in values.T], axis=1)
 
 
 def accelerations(model: MechanicalSystem, log: Smooth, force: Any = None) -> Float[np.ndarray, "K n"]:
-    """Accelerations of the model on the grid, with a further generalised force (K, n)."""
-    given = (log.t, log.q, log.v, log.u, np.zeros_like(log.q) if force is None else force)
-    found = []
+    """Accelerations of the model on the grid.
+
+    Args:
+        model: The mechanical system.
+        log: The smoothed log, on a grid of K points.
+        force: Further generalised force (K, n); None for none.
+
+    Returns:
+        The accelerations (K, n).
+    """
+    data = (log.t, log.q, log.v, log.u, np.zeros_like(log.q) if force is None else force)
+    chunks = []
     for start in range(0, len(log.t), POINTS):
-        part = [array[start : start + POINTS] for array in given]
+        part = [array[start : start + POINTS] for array in data]
         count = len(part[0])
         padded = [np.concatenate([array, np.repeat(array[-1:], POINTS - count, axis=0)]) for array in part]
-        found.append(np.asarray(_accelerations(model, *padded))[:count])
-    return np.concatenate(found)
+        chunks.append(np.asarray(_accelerations(model, *padded))[:count])
+    return np.concatenate(chunks)
 
 
 @eqx.filter_jit

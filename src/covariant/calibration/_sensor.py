@@ -1,4 +1,4 @@
-"""What a log tells of its clock and its sensors without a model: missing rows, jitter, outliers, ticks."""
+"""Checks of the clock and the sensors of a log, without a model: missing rows, jitter, outliers, ticks."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -10,39 +10,47 @@ from covariant.calibration._finding import Finding
 from covariant.scoring import unwrap
 
 GAP = 1.5
-"""Steps in time longer than so many usual ones, and than the jitter explains, miss a row."""
+"""Ratio of a step in time to the usual one from which rows are missing, where the jitter does not explain it."""
 JITTER = 0.02
-"""Standard deviation of steps in time, as a fraction of the usual one, from which they are called irregular."""
+"""Standard deviation of the steps in time, as a fraction of the usual one, from which they are called irregular."""
 FAR = 8.0
-"""Standard deviations from which a measurement between its neighbours is an outlier."""
+"""Standard deviations beyond which a measurement among its neighbours is an outlier."""
 ROUNDS = 30
-"""Most times that measurements are predicted anew."""
+"""Largest number of rounds in which outliers are removed and the rest is predicted anew."""
 COARSE = 0.02
-"""Part of the motion among the neighbours of a measurement by which a polynomial may miss it."""
+"""Error of a local polynomial that is allowed for, as a fraction of the motion among the neighbours."""
 FEW_ROWS = 50
-"""Fewest measurements among which outliers are told."""
+"""Least number of measurements among which outliers are detected."""
 FEW_OUTLIERS = 5e-3
-"""Fraction of outliers that is not worth a finding."""
+"""Fraction of outliers up to which they are only a note."""
 FEW_REPEATED = 0.02
-"""Fraction of rows that repeat the readings before which is not worth a finding."""
+"""Fraction of rows that repeat the readings before, up to which they are no error."""
 MOST_NAMED = 5
-"""Rows that a finding names."""
+"""Largest number of rows that a message names."""
 USUAL = 20_000
-"""Rows of a long log from which the usual error is taken."""
+"""Rows of a long log from which the usual error is estimated."""
 LATTICE = 0.05
-"""How far changes may be from whole ticks, as a fraction of one."""
+"""Largest distance of changes from whole ticks, as a fraction of one."""
 MOST_TICKS = 1.5
-"""Ticks as large as so many standard deviations of the noise: below that the noise hides them."""
+"""Least size of a tick, in standard deviations of the noise: below that the noise hides it."""
 
 
 def stamps(t: Float[np.ndarray, "T"]) -> list[Finding]:
-    """Rows that the stamps (T,) [s] show to be missing, and irregular stamps."""
+    """Findings on missing rows and irregular stamps.
+
+    Args:
+        t: Stamps (T,) [s].
+
+    Returns:
+        At most one finding of each kind.
+    """
     steps = np.diff(t)
     usual = float(np.median(steps))
     jitter = 1.4826 * float(np.median(np.abs(steps - usual)))
     gaps = steps > max(GAP * usual, usual + FAR * jitter)
     findings = []
     if gaps.any():
+        # A gap of k usual steps lacks k − 1 rows.
         missing = int(np.sum(np.rint(steps[gaps] / usual) - 1))
         findings.append(
             Finding(
@@ -55,23 +63,30 @@ def stamps(t: Float[np.ndarray, "T"]) -> list[Finding]:
                 {"rows": missing, "places": int(gaps.sum()), "longest": float(steps.max())},
             )
         )
-    spread = float(np.std(steps[~gaps]))
-    if spread > JITTER * usual:
+    std = float(np.std(steps[~gaps]))
+    if std > JITTER * usual:
         findings.append(
             Finding(
                 "irregular stamps",
                 "",
-                f"rows are {usual:.4g} s ± {spread:.2g} s apart, from {steps.min():.4g} s to {steps[~gaps].max():.4g}",
+                f"rows are {usual:.4g} s ± {std:.2g} s apart, from {steps.min():.4g} s to {steps[~gaps].max():.4g}",
                 "nothing to change: estimates use the stamps and assume no constant step",
                 False,
-                {"step": usual, "std": spread},
+                {"step": usual, "std": std},
             )
         )
     return findings
 
 
 def missing_cells(y: np.ndarray) -> list[Finding]:
-    """Missing measurements, NaN in y (T, …)."""
+    """Finding on missing measurements.
+
+    Args:
+        y: Measured configurations (T, …), NaN where missing.
+
+    Returns:
+        One finding, or none where all are measured.
+    """
     lost = np.isnan(y.reshape(len(y), -1)).any(axis=1)
     if not lost.any():
         return []
@@ -93,94 +108,134 @@ def missing_cells(y: np.ndarray) -> list[Finding]:
 def outliers(
     t: Float[np.ndarray, "T"], y: Float[np.ndarray, "T n"], circles: tuple[int, ...]
 ) -> tuple[Bool[np.ndarray, "T n"], Float[np.ndarray, "n"]]:
-    """Which measurements are outliers (T, n), and how far off they usually are (n,).
+    """Detect outliers among position measurements, without a model.
 
-    Each measurement is predicted by the cubic through two before and two after it. The farthest one of those near to
-    each other is taken out, and its neighbours are predicted anew, until none is far.
+    Each measurement is predicted by the cubic through two before and two after it. The worst one in each neighbourhood
+    is removed, and its neighbours are predicted anew, until no error is large.
+
+    Args:
+        t: Stamps (T,) [s].
+        y: Measured coordinates (T, n); NaN where missing.
+        circles: Indices of the coordinates that are angles.
+
+    Returns:
+        Which measurements are outliers (T, n), and their usual distance (n,) from their neighbours, 0 without outliers.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.calibration import outliers
+        >>> t = np.arange(0.0, 5.0, 0.01)
+        >>> y = np.sin(2 * t)[:, None]
+        >>> y[100] += 1.0
+        >>> wrong, distance = outliers(t, y, circles=())
+        >>> np.flatnonzero(wrong).tolist(), distance.round(2).tolist()
+        ([100], [1.0])
     """
     y = np.array(y, float)
     wrong, sizes = np.zeros(y.shape, bool), np.zeros(y.shape[1])
     for i in range(y.shape[1]):
-        kept, error, floor = np.flatnonzero(np.isfinite(y[:, i])), np.zeros(1), np.zeros(1)
+        remaining, error, floor = np.flatnonzero(np.isfinite(y[:, i])), np.zeros(1), np.zeros(1)
         column = unwrap(y[:, i : i + 1], (0,) if i in circles else ())[:, 0]
         for _ in range(ROUNDS):
-            if len(kept) < FEW_ROWS:
+            if len(remaining) < FEW_ROWS:
                 break
-            error = prediction_errors(t[kept], column[kept])
-            floor = np.maximum(1.4826 * np.median(np.abs(error)), tick(column[kept]))
-            floor = np.maximum(floor, COARSE * _moved(column[kept]))
-            size = np.zeros(len(kept))
-            far = np.flatnonzero(np.abs(error) > FAR * floor)  # few, of which alone the neighbours are looked at
-            scale = np.maximum(floor[far], _around(error, far))
-            size[far] = np.where(np.abs(error[far]) > FAR * np.where(scale > 0, scale, np.inf), np.abs(error[far]), 0.0)
+            error = prediction_errors(t[remaining], column[remaining])
+            floor = np.maximum(1.4826 * np.median(np.abs(error)), tick(column[remaining]))
+            floor = np.maximum(floor, COARSE * _local_range(column[remaining]))
+            size = np.zeros(len(remaining))
+            candidates = np.flatnonzero(np.abs(error) > FAR * floor)  # few: only they need the local deviation
+            scale = np.maximum(floor[candidates], _local_std(error, candidates))
+            size[candidates] = np.where(
+                np.abs(error[candidates]) > FAR * np.where(scale > 0, scale, np.inf), np.abs(error[candidates]), 0.0
+            )
+            # Only the worst of seven neighbours is removed at a time: it spoils the predictions of the others.
             bad = (size > 0) & (size == np.max([np.roll(size, k) for k in (-3, -2, -1, 0, 1, 2, 3)], axis=0))
             if not bad.any():
                 break
-            wrong[kept[bad], i] = True
-            kept = kept[~bad]
-        taken_out = np.flatnonzero(wrong[:, i])
-        if len(taken_out):
-            some = np.arange(0, len(error), max(1, len(error) // USUAL))
-            scale = float(np.median(np.maximum(floor[some], _around(error, some))))
-            wrong[_readmitted(t, column, kept, taken_out, scale), i] = False
+            wrong[remaining[bad], i] = True
+            remaining = remaining[~bad]
+        removed = np.flatnonzero(wrong[:, i])
+        if len(removed):
+            sampled = np.arange(0, len(error), max(1, len(error) // USUAL))
+            scale = float(np.median(np.maximum(floor[sampled], _local_std(error, sampled))))
+            wrong[_readmitted(t, column, remaining, removed, scale), i] = False
             places = np.flatnonzero(wrong[:, i])
             sizes[i] = (
-                np.median(np.abs(column[places] - np.interp(t[places], t[kept], column[kept]))) if len(places) else 0.0
+                np.median(np.abs(column[places] - np.interp(t[places], t[remaining], column[remaining])))
+                if len(places)
+                else 0.0
             )
     return wrong, sizes
 
 
 def prediction_errors(t: Float[np.ndarray, "T"], y: Float[np.ndarray, "T"]) -> Float[np.ndarray, "T"]:
-    """What measurements (T,) differ by from the cubic through their four neighbours, scaled to the noise of one."""
+    """Errors of measurements against the cubic through their four neighbours, scaled to the noise of one measurement.
+
+    Args:
+        t: Stamps (T,) [s].
+        y: Measurements (T,).
+
+    Returns:
+        The errors (T,); at both ends all neighbours are on one side.
+    """
     rows = np.arange(len(t))
     five = np.clip(rows - 2, 0, len(t) - 5)[:, None] + np.arange(5)  # at the ends the neighbours are on one side
     return _errors(t, y, five[five != rows[:, None]].reshape(-1, 4), t, y)
 
 
-def _errors(t, y, near, at, value) -> np.ndarray:
-    """What values (k,) at stamps (k,) differ by from the cubics through the measurements `near` (k, 4) them, scaled."""
-    offsets = (t[near] - at[:, None]) / (t[near[:, -1:]] - t[near[:, :1]])
+def _errors(t, y, neighbours, at, value) -> np.ndarray:
+    """Scaled errors of values (k,) at stamps (k,) against the cubics through the measurements `neighbours` (k, 4)."""
+    offsets = (t[neighbours] - at[:, None]) / (t[neighbours[:, -1:]] - t[neighbours[:, :1]])
     weights = np.ones_like(offsets)  # Lagrange's, at zero
     for k in range(4):
         for other in range(4):
             if other != k:
                 weights[:, k] *= offsets[:, other] / (offsets[:, other] - offsets[:, k])
-    return (value - np.sum(weights * y[near], axis=1)) / np.sqrt(1 + np.sum(weights**2, axis=1))
+    # The variance of an error is that of the measurement and of its weighted neighbours.
+    return (value - np.sum(weights * y[neighbours], axis=1)) / np.sqrt(1 + np.sum(weights**2, axis=1))
 
 
-def _readmitted(t, y, kept: np.ndarray, taken_out: np.ndarray, scale: float) -> np.ndarray:
-    """Those of the rows taken out that are near to what the kept ones predict: they were between two outliers."""
-    place = np.clip(np.searchsorted(kept, taken_out), 2, len(kept) - 2)
-    error = _errors(t[kept], y[kept], place[:, None] + np.array([-2, -1, 0, 1]), t[taken_out], y[taken_out])
-    return taken_out[np.abs(error) < FAR * scale]
+def _readmitted(t, y, remaining: np.ndarray, removed: np.ndarray, scale: float) -> np.ndarray:
+    """Removed rows that agree with the remaining ones after all: they were between two outliers."""
+    place = np.clip(np.searchsorted(remaining, removed), 2, len(remaining) - 2)
+    error = _errors(t[remaining], y[remaining], place[:, None] + np.array([-2, -1, 0, 1]), t[removed], y[removed])
+    return removed[np.abs(error) < FAR * scale]
 
 
-def _around(error: np.ndarray, rows: np.ndarray, half: int = 25) -> np.ndarray:
-    """Median size of the errors around each of some rows, as a standard deviation."""
+def _local_std(error: np.ndarray, rows: np.ndarray, half: int = 25) -> np.ndarray:
+    """Robust standard deviation of the errors around each of some rows."""
     padded = np.pad(np.abs(error), half, mode="reflect")
     windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1)
     return 1.4826 * np.median(windows[rows], axis=1)
 
 
-def _moved(y: np.ndarray) -> np.ndarray:
-    """How far apart measurements (T,) are among two before and two after each."""
+def _local_range(y: np.ndarray) -> np.ndarray:
+    """Range of the measurements (T,) among two before and two after each."""
     windows = np.lib.stride_tricks.sliding_window_view(np.pad(y, 2, mode="edge"), 5)
     return windows.max(axis=1) - windows.min(axis=1)
 
 
 def tick(y: Float[np.ndarray, "T"]) -> float:
-    """The step that all changes of readings (T,) are multiples of; 0 where there is none."""
+    """Step of which all changes of readings are multiples.
+
+    Args:
+        y: Readings (T,); NaN where missing.
+
+    Returns:
+        The step, in the unit of the readings; 0 where there is none.
+    """
     changes = np.abs(np.diff(y[np.isfinite(y)]))
     changes = changes[changes > 1e-9 * max(1.0, np.ptp(y[np.isfinite(y)]))]
     if len(changes) < 20:
         return 0.0
-    least = float(np.quantile(changes, 0.01))
+    smallest = float(np.quantile(changes, 0.01))
+    # The least change in a log may be two or three ticks.
     for fraction in (1, 2, 3):
-        step = least / fraction
-        near = changes[changes < 20.5 * step]
-        whole = np.rint(near / step)
-        if len(near) >= 20 and np.quantile(np.abs(near / step - whole), 0.95) < LATTICE and _gcd(whole) == 1:
-            return float(np.sum(near) / np.sum(whole))  # the mean over many ticks, since logs hold few digits
+        step = smallest / fraction
+        small = changes[changes < 20.5 * step]
+        whole = np.rint(small / step)
+        if len(small) >= 20 and np.quantile(np.abs(small / step - whole), 0.95) < LATTICE and _gcd(whole) == 1:
+            return float(np.sum(small) / np.sum(whole))  # the mean over many ticks, since logs hold few digits
     return 0.0
 
 
@@ -189,24 +244,38 @@ def _gcd(whole: np.ndarray) -> int:
 
 
 def quanta(y: Float[np.ndarray, "T n"], noise: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
-    """The ticks (n,) of encoders that readings (T, n) show; 0 where none are seen above the noise (n,)."""
-    found = np.array([tick(column) for column in y.T])
-    return np.where(found > MOST_TICKS * noise, found, 0.0)
+    """Ticks of encoders, from their readings.
+
+    Args:
+        y: Readings (T, n).
+        noise: Standard deviation (n,) of their noise.
+
+    Returns:
+        The ticks (n,); 0 where none exceeds the noise.
+    """
+    ticks = np.array([tick(column) for column in y.T])
+    return np.where(ticks > MOST_TICKS * noise, ticks, 0.0)
 
 
 class Rows(NamedTuple):
-    """Stamps (T,) [s] of a log, and which rows of its file they are: `first`, counted from 1, and each `every`-th."""
+    """Stamps of a record, and the rows of its file.
+
+    Attributes:
+        t: Stamps (T,) [s].
+        first: Row of the file, counted from 1, at which the record begins.
+        every: The record has each `every`-th row.
+    """
 
     t: Float[np.ndarray, "T"]
     first: int = 1
     every: int = 1
 
     def named(self, k: int) -> str:
-        """The row k, from 0, of the record, as people find it in the file."""
+        """Text that names row k of the record, counted from 0, by its row in the file and its stamp."""
         return f"row {self.first + k * self.every} ({self.t[k]:.6g} s)"
 
     def listed(self, places: Sequence[int] | np.ndarray) -> str:
-        """The first rows of some, as many as a line holds."""
+        """Text that names the first `MOST_NAMED` of some rows, counted from 0, and how many more there are."""
         shown = ", ".join(self.named(int(k)) for k in places[:MOST_NAMED])
         return f"{shown} and {len(places) - MOST_NAMED} more" if len(places) > MOST_NAMED else shown
 
@@ -218,7 +287,18 @@ def outlier_findings(
     units: tuple[str, ...],
     rows: Rows,
 ) -> list[Finding]:
-    """A finding for each column with outliers; `sizes` are their usual distances. A few are a note."""
+    """Findings on columns with outliers; a few outliers are only a note.
+
+    Args:
+        wrong: Which measurements (T, n) are outliers.
+        sizes: Their usual distance (n,).
+        names: Columns of the positions.
+        units: Their units.
+        rows: How messages name the rows.
+
+    Returns:
+        One finding for each column with outliers.
+    """
     findings = []
     for name, unit, column, size in zip(names, units, wrong.T, sizes, strict=True):
         places = np.flatnonzero(column)
@@ -247,7 +327,16 @@ def outlier_findings(
 def still_findings(
     y: Float[np.ndarray, "T n"], names: tuple[str, ...], units: tuple[str, ...]
 ) -> tuple[list[Finding], bool]:
-    """Findings of positions that have one value in all rows, and whether these are all positions."""
+    """Findings on positions that have one value in all rows.
+
+    Args:
+        y: Positions (T, n).
+        names: Their columns.
+        units: Their units.
+
+    Returns:
+        At most one finding, and whether no position moves at all.
+    """
     still = [i for i, column in enumerate(y.T) if np.nanmin(column) == np.nanmax(column)]
     if not still:
         return [], False
@@ -268,9 +357,18 @@ def still_findings(
 def repeated_findings(
     y: Float[np.ndarray, "T n"], ticks: Float[np.ndarray, "n"], names: tuple[str, ...], rows: Rows
 ) -> list[Finding]:
-    """A finding of readings that are those of the row before, although the position moves.
+    """Findings on readings that repeat those of the row before, although the position moves.
 
     An encoder reads the same number until its next tick; a reading with noise is never the same twice.
+
+    Args:
+        y: Positions (T, n).
+        ticks: Ticks (n,) of the encoders; 0 for a sensor without ticks.
+        names: Columns of the positions.
+        rows: How messages name the rows.
+
+    Returns:
+        At most one finding.
     """
     moving = [i for i in range(len(names)) if ticks[i] == 0 and np.nanmin(y[:, i]) < np.nanmax(y[:, i])]
     if not moving:

@@ -1,4 +1,4 @@
-"""A log smoothed without phase on a grid of even times: positions, velocities and accelerations."""
+"""Smoothing of a log without phase, on a grid of even times: positions, velocities and accelerations."""
 
 import functools
 from typing import Any, NamedTuple
@@ -13,19 +13,26 @@ HALF = 10
 """Points of the grid in half a window."""
 ORDER = 3
 FEWEST = 5.0
-"""Samples in half a window at the least."""
+"""Least number of samples in half a window."""
 FULL = 0.6
 """Fraction of the usual number of samples that a window must hold to be used."""
 
 
 class Smooth(NamedTuple):
-    """A smoothed log on a grid of times.
+    """A smoothed log on a grid of K times.
 
-    - `t` (K,) [s]; `q`, `v`, `a` (K, n): positions and their derivatives; `u` (K, m): inputs, averaged between points.
-    - `used` (K,): where windows are full.
-    - `kernel` (2 HALF + 1,): `a` is the true acceleration averaged with these weights over the neighbouring points.
-    - `noise`, `a_noise` (n,): standard deviations of a measurement and of what it makes of `a`.
-    - `half`, `step` [s]: half width of a window, and time between points of the grid.
+    Attributes:
+        t: Times (K,) [s].
+        q: Positions (K, n).
+        v: Velocities (K, n).
+        a: Accelerations (K, n).
+        u: Inputs (K, m), averaged between points.
+        used: Points (K,) whose windows are full.
+        kernel: Weights (2 HALF + 1,): `a` is the true acceleration averaged with them over the neighbouring points.
+        noise: Standard deviation (n,) of a measurement.
+        a_noise: Standard deviation (n,) of `a` that this noise causes.
+        half: Half width of a window [s].
+        step: Time between points of the grid [s].
     """
 
     t: Float[np.ndarray, "K"]
@@ -42,10 +49,16 @@ class Smooth(NamedTuple):
 
 
 def smooth(record: Record, half: float, circles: tuple[int, ...], delay: Any = 0.0) -> Smooth:
-    """Smooth a record whose positions are coordinates, by polynomials of degree 3 over windows of ±`half` [s].
+    """Smooth a record in coordinates by polynomials of degree 3 over windows of ±`half`.
 
-    - `circles`: indices of the coordinates that are angles.
-    - `delay` (n,) [s]: how much later than its stamp each coordinate is taken to have been measured, taken off.
+    Args:
+        record: The log, with positions (T, n).
+        half: Half width of the windows [s]; at least `FEWEST` samples are used.
+        circles: Indices of the coordinates that are angles.
+        delay: Delay [s] of each coordinate (n,), or one for all: it is subtracted from the stamps.
+
+    Returns:
+        The smoothed log, on a grid with `HALF` points in half a window.
     """
     t, u = np.asarray(record.t), np.asarray(record.u)
     y = scoring.unwrap(np.asarray(record.y), circles)
@@ -63,24 +76,35 @@ def smooth(record: Record, half: float, circles: tuple[int, ...], delay: Any = 0
         held = np.searchsorted(seen, grid + half) - np.searchsorted(seen, grid - half)
         used &= held >= FULL * 2 * half / spacing
     noise, gain = _noise(t, y, grid, c, delay), _acceleration_weights(half, spacing)
+    # Coefficient c is the c-th derivative divided by c!.
     q, v, a, held = c[:, 0], c[:, 1], 2 * c[:, 2], held_inputs(t, u, grid, step)
     return Smooth(grid, q, v, a, held, used, _kernel(half), noise, gain * noise, half, step)
 
 
 def _noise(t, y, grid, c, delay):
-    """Standard deviation (n,) of what smoothing leaves of the measurements."""
-    found = np.empty(y.shape[1])
+    """Standard deviation (n,) of the measurements about the smoothed positions."""
+    std = np.empty(y.shape[1])
     for i, shift in enumerate(delay):
         at = t[np.isfinite(y[:, i])]
-        near = np.clip(np.rint((at - shift - grid[0]) / (grid[1] - grid[0])).astype(int), 0, len(grid) - 1)
-        offset = at - shift - grid[near]
-        fitted = sum(c[near, k, i] * offset**k for k in range(ORDER + 1))
-        found[i] = np.sqrt(np.mean((y[np.isfinite(y[:, i]), i] - fitted) ** 2))
-    return found
+        nearest = np.clip(np.rint((at - shift - grid[0]) / (grid[1] - grid[0])).astype(int), 0, len(grid) - 1)
+        offset = at - shift - grid[nearest]
+        fitted = sum(c[nearest, k, i] * offset**k for k in range(ORDER + 1))
+        std[i] = np.sqrt(np.mean((y[np.isfinite(y[:, i]), i] - fitted) ** 2))
+    return std
 
 
 def held_inputs(t, u, grid, step):
-    """Means (K, m), between neighbouring points of the grid, of inputs that act from their stamp to the next."""
+    """Average, around each point of the grid, inputs that act from their stamp to the next.
+
+    Args:
+        t: Stamps (T,) [s].
+        u: Inputs (T, m).
+        grid: Times (K,) [s].
+        step: Time between points of the grid [s].
+
+    Returns:
+        The means (K, m) over one step around each point.
+    """
     summed = np.concatenate([np.zeros((1, u.shape[1])), np.cumsum(u[:-1] * np.diff(t)[:, None], axis=0)])
 
     def integral(at):
@@ -90,7 +114,7 @@ def held_inputs(t, u, grid, step):
 
 
 def _second_derivative(offsets, half):
-    """Weights with which samples at these offsets [s] make the second derivative at zero."""
+    """Weights of samples at these offsets [s] in the second derivative at zero."""
     return 2 * scoring.local_polynomials(offsets, np.eye(len(offsets)), np.zeros(1), half, ORDER)[0, 2]
 
 
@@ -103,12 +127,12 @@ def _acceleration_weights(half: float, spacing: float) -> float:
 
 @functools.lru_cache
 def _kernel(half: float) -> np.ndarray:
-    """Weights of accelerations at points of the grid.
+    """Weights of true accelerations at points of the grid in a smoothed acceleration.
 
     A sum of positions that is zero for motions at constant velocity is a sum of their second differences; its weights
     are the double sums of those of the positions.
     """
     weights = _second_derivative(half / HALF * np.arange(-HALF, HALF + 1), half)
     kernel = (half / HALF) ** 2 * np.concatenate([[0.0], np.cumsum(np.cumsum(weights))[:-1]])
-    kernel.flags.writeable = False  # it is kept, and the same for everybody
+    kernel.flags.writeable = False  # the cache shares it among all callers
     return kernel

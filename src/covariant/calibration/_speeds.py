@@ -1,4 +1,4 @@
-"""How fast a machine moves in a log, whatever is wrong with some of its measurements."""
+"""Usual speed of a machine in a log, robust to wrong measurements."""
 
 import jax
 import jax.numpy as jnp
@@ -8,25 +8,40 @@ from covariant.models import MechanicalSystem
 from covariant.signals import Record
 
 TOGETHER = 5
-"""Speeds of which the median is taken: a wrong measurement spoils two."""
+"""Number of neighbouring speeds of which the median is taken: one wrong measurement spoils two."""
 USUAL = 0.99
-"""Part of these medians that the usual speed is not below: a log may stand still for a long time."""
+"""Quantile of these medians: high, since a log may stand still for a long time."""
 
 
 def usual_speeds(model: MechanicalSystem, record: Record) -> tuple[float, ...]:
-    """The size (n,) of the velocities of a record, from differences of neighbouring positions [rad/s or m/s].
+    """Usual size of each velocity in a record, from differences of neighbouring positions.
 
-    Zero where too little was measured to tell.
+    Args:
+        model: The mechanical system, whose manifold says which coordinates are angles.
+        record: The log; measurements may be missing or wrong.
+
+    Returns:
+        The speeds (n,) [rad/s or m/s]; zero where too little was measured.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.calibration import usual_speeds
+        >>> from covariant.models import oscillator
+        >>> from covariant.signals import Record
+        >>> t = np.arange(0.0, 5.0, 0.01)
+        >>> speeds = usual_speeds(oscillator(), Record(t, y=0.5 * np.sin(2 * t)[:, None]))
+        >>> [round(speed, 2) for speed in speeds]
+        [1.0]
     """
     t, y, manifold = np.asarray(record.t), np.asarray(record.y), model.manifold
     if manifold.commuting:
         columns = [(t[seen], column[seen, None]) for column in y.T for seen in (np.isfinite(column),)]
         circles = manifold.circles
-        found = [np.abs(_wrapped(np.diff(q[:, 0]), i in circles) / np.diff(s)) for i, (s, q) in enumerate(columns)]
-        return tuple(_usual(rates) for rates in found)
-    whole = np.isfinite(y).reshape(len(t), -1).all(axis=1)
-    moved = jax.jit(jax.vmap(manifold.local))(jnp.asarray(y[whole][:-1]), jnp.asarray(y[whole][1:]))
-    rates = np.abs(np.asarray(moved)) / np.diff(t[whole])[:, None]
+        speeds = [np.abs(_wrapped(np.diff(q[:, 0]), i in circles) / np.diff(s)) for i, (s, q) in enumerate(columns)]
+        return tuple(_usual(rates) for rates in speeds)
+    complete = np.isfinite(y).reshape(len(t), -1).all(axis=1)
+    displacement = jax.jit(jax.vmap(manifold.local))(jnp.asarray(y[complete][:-1]), jnp.asarray(y[complete][1:]))
+    rates = np.abs(np.asarray(displacement)) / np.diff(t[complete])[:, None]
     return tuple(_usual(column) for column in rates.T)
 
 

@@ -1,4 +1,4 @@
-"""The observer of a metric that was computed on a grid."""
+"""Observer with a metric that was computed on a grid."""
 
 import os
 
@@ -12,26 +12,35 @@ from covariant.observers import Riccati
 
 
 def stored_observer(model: StateSpace, path: str | os.PathLike[str], start: Float[Array, "n"]) -> Riccati:
-    """The observer that looks its metric up in a finished store, with R as in the equation of the metric.
-
-    - `start` (n,): first estimate.
+    """Observer that interpolates a stored metric, with R as in the equation of the metric.
 
     Its gain is ¼ for a metric of an equation with rate λ, whose distance then decays at the rate λ/2, and ½ for one
-    without, the stationary Kalman filter (Sanfelice & Praly 2015, (11)). Raises `ValueError` where the store is not one
-    of `metrics.metric_on_grid`, not finished, of other states than the model's, or of other parameters.
+    without, the stationary Kalman filter (Sanfelice & Praly 2015, (11)).
+
+    Args:
+        model: The state-space model, with the parameters for which the metric was computed.
+        path: Folder of a finished store of `metrics.metric_on_grid`.
+        start: First estimate (n,).
+
+    Returns:
+        The observer.
+
+    Raises:
+        ValueError: The store is not one of `metrics.metric_on_grid`, not finished, of other states than the model's, or
+            of other parameters.
     """
     store, field = open_metric(path), load_metric(path)
-    told = store.attrs["provenance"]
+    provenance = store.attrs["provenance"]
     if field.low.shape != start.shape:
         raise ValueError(f"{path}: a metric of {field.low.shape[0]} states; the model has {start.shape[0]}")
     names = store["metric"].dims[:-2]
     if model.coordinates and names != model.coordinates:
         raise ValueError(f"{path}: a metric of {', '.join(names)}; the states are {', '.join(model.coordinates)}")
     parameters = {key: np.asarray(parameter.value) for key, parameter in model.parameters.items()}
-    for key in sorted({*told["parameters"], *parameters}):
-        stored, own = told["parameters"].get(key), parameters.get(key)
-        if stored is None or own is None or not np.array_equal(np.asarray(stored), own):
-            raise ValueError(f"{path}: the metric is for {key} = {stored}; the model has {own}; compute it anew")
-    equation = told["equation"]
+    for key in sorted({*provenance["parameters"], *parameters}):
+        stored, actual = provenance["parameters"].get(key), parameters.get(key)
+        if stored is None or actual is None or not np.array_equal(np.asarray(stored), actual):
+            raise ValueError(f"{path}: the metric is for {key} = {stored}; the model has {actual}; compute it anew")
+    equation = provenance["equation"]
     noise = None if equation["measurement_cov"] is None else jnp.asarray(equation["measurement_cov"])
     return Riccati(model, field, start, 0.25 if equation["rate"] > 0 else 0.5, noise)

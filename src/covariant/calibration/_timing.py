@@ -1,9 +1,9 @@
-"""Delays of coordinates and scales of inputs: the numbers that explain what a model leaves, by least squares.
+"""Delays of coordinates and scales of inputs that explain the residual accelerations best, by least squares.
 
-A coordinate that was measured τ later than its stamp says is put right by `q(t + τ)`. The derivative of what the model
-leaves with respect to the τ of every coordinate and to the scale of every input is known numerically, so that a few
-Gauss–Newton steps find them together. Their covariance is that of sums over blocks of time (Liang & Zeger 1986), which
-holds whatever the correlation within a block is.
+A coordinate that lags by τ, read at the stamp t but true at t − τ, is corrected by `q(t + τ)`. The derivatives of the
+residual with respect to the τ of every coordinate and to the scale of every input are computed numerically, so that a
+few Gauss–Newton steps estimate them together. Their covariance is that of sums over blocks of time (Liang & Zeger
+1986), which holds for any correlation within a block.
 """
 
 from typing import NamedTuple
@@ -18,14 +18,19 @@ from covariant.models import MechanicalSystem
 BLOCKS = 30
 ROUNDS = 5
 NUDGE = 1e-4
-"""Shift [s] by which derivatives with respect to a delay are taken."""
+"""Shift [s] of the central differences for derivatives with respect to a delay."""
 
 
 class Fitted(NamedTuple):
-    """Delays (n,) [s] still in the log and scales (m,) of its inputs, with the covariance (n + m, n + m) of both.
+    """Delays that remain in the log and scales of its inputs.
 
-    Of a machine without inputs only differences of delays are known: their mean is zero then. `gain` (m,) says by which
-    fraction the sum of squares of what is left falls if that input is scaled besides the others.
+    Without inputs only differences of delays are known: their mean is zero then.
+
+    Attributes:
+        delay: Delays (n,) [s].
+        scale: Scales (m,); 1 for an input that acts as logged.
+        cov: Covariance (n + m, n + m) of both.
+        gain: Fraction (m,) by which the sum of squared residuals falls if that input is scaled besides the others.
     """
 
     delay: Float[np.ndarray, "n"]
@@ -35,7 +40,16 @@ class Fitted(NamedTuple):
 
 
 def fit(model: MechanicalSystem, log: Smooth, now: Residual) -> Fitted:
-    """Delays and scales that explain best what the model leaves of a log, `now`."""
+    """Estimate delays and scales by one Gauss–Newton step.
+
+    Args:
+        model: The mechanical system.
+        log: The smoothed log.
+        now: Residual accelerations of the model along it.
+
+    Returns:
+        The delays and scales, with their covariance; infinite for one coordinate without inputs.
+    """
     n, m = log.q.shape[1], log.u.shape[1]
     columns, used = [], now.used.copy()
     for i in range(n):
@@ -44,6 +58,7 @@ def fit(model: MechanicalSystem, log: Smooth, now: Residual) -> Fitted:
         used &= later.used & earlier.used
     for j in range(m):
         without = residual(model, log._replace(u=np.where(np.arange(m) == j, 0.0, log.u)))
+        # The residual falls by the acceleration that the input causes, so its slope in the scale has a minus.
         columns.append(without.modelled - now.modelled)
         used &= without.used
     left, columns = (now.measured - now.modelled)[used], np.stack(columns, axis=2)[used]
@@ -57,20 +72,29 @@ def fit(model: MechanicalSystem, log: Smooth, now: Residual) -> Fitted:
 
 
 def shifted(log: Smooth, i: int, shift: float) -> Smooth:
-    """The smoothed log with coordinate i as it is by `shift` [s] later, for a shift below the step of the grid."""
+    """Advance one coordinate of a smoothed log in time, to first order.
 
-    def moved(values):
+    Args:
+        log: The smoothed log.
+        i: Index of the coordinate.
+        shift: Time [s] by which it is advanced, below the step of the grid.
+
+    Returns:
+        The log with `q(t + shift)` in that coordinate.
+    """
+
+    def advanced(values):
         values = values.copy()
         values[:, i] += shift * np.gradient(values[:, i], log.step)
         return values
 
-    return log._replace(q=moved(log.q), v=moved(log.v), a=moved(log.a))
+    return log._replace(q=advanced(log.q), v=advanced(log.v), a=advanced(log.a))
 
 
 def _least_squares(left, columns):
     """Minimiser θ (p,) of the squares of `left + columns θ`, its covariance, and the weight (n, n) of the squares."""
     rest = left
-    for _ in range(ROUNDS - 1):  # the weight is that of what is left in the end
+    for _ in range(ROUNDS - 1):  # the weight is the inverse covariance of the final residual
         rest = left + columns @ _solved(left, columns, _weight(rest))[0]
     weight = _weight(rest)
     theta, inverse, weighted = _solved(left, columns, weight)
@@ -87,13 +111,14 @@ def _solved(left, columns, weight):
     """θ, the inverse of the normal matrix, and the weighted columns."""
     weighted = np.einsum("kip,ij->kjp", columns, weight)
     inverse = np.linalg.pinv(np.einsum("kjp,kjq->pq", weighted, columns), rcond=1e-12)
+    # The minimiser of |left + columns θ|², hence the minus.
     return -inverse @ np.einsum("kjp,kj->p", weighted, left), inverse, weighted
 
 
 def _gains(left, scales, weight):
-    """By which fraction the weighted squares of `left` (K, n) fall by each of the columns (K, n, m) besides the others.
+    """Fraction by which the weighted squares of `left` (K, n) fall by each of the columns (K, n, m) besides the others.
 
-    So that several wrong inputs do not hide each other.
+    So several wrong inputs do not hide each other.
     """
     least = _squares(left, scales, weight)
     without = [_squares(left, np.delete(scales, j, axis=2), weight) for j in range(scales.shape[2])]
@@ -101,6 +126,6 @@ def _gains(left, scales, weight):
 
 
 def _squares(left, columns, weight):
-    """The weighted squares that are left with multiples of the columns."""
+    """Weighted sum of squares that remains with the best multiples of the columns."""
     rest = left + columns @ _solved(left, columns, weight)[0] if columns.shape[2] else left
     return np.einsum("ki,ij,kj->", rest, weight, rest)

@@ -1,8 +1,8 @@
-"""Noise and gains from logs: those for which the innovations are most likely, confirmed on rows that were not used.
+"""Noise and gains from logs: those with the likeliest innovations, confirmed on held-out rows.
 
 The gains of a constant-gain observer are those whose innovations have the least size, which is the likelihood of an
 innovation model with these gains. The noise of Kalman filters is that of the greatest likelihood of their innovations,
-found on the errors of one run as in `_error_model`. Velocities are compared with a reference on the later rows only.
+computed on the errors of one run as in `_error_model`. Velocities are compared with a reference on the later rows only.
 
 Source: Ljung 1999, System Identification, section 7.4, for prediction errors and likelihood; Schweppe 1965; Mehra 1970,
 On the identification of variances and adaptive Kalman filtering, IEEE TAC 15(2), for whiteness.
@@ -28,32 +28,42 @@ from covariant.scoring import scored_window, unwrap
 from covariant.signals import Record, Run
 
 TUNED = 2 / 3
-"""Fraction of each log, its first part, that is tuned on."""
+"""Fraction of each log, its first part, on which gains and noise are tuned."""
 MOST_ROWS = 8000
-"""Largest number of rows of each log that are tuned on: the search runs an observer over them dozens of times."""
+"""Largest number of rows of each log for tuning: the search runs an observer over them dozens of times."""
 FEWEST_ROWS = 100
-"""Rows that both parts of a log need."""
+"""Least number of rows in each part of a log."""
 FREQUENCIES, DAMPINGS = (2e-3, 3.0), (0.5**0.5, 3.0)
-"""Natural frequencies that are searched, in radians a sample, and damping ratios: √½ is the best for white disturbances
-and a larger one for others; a smaller one only follows the chance of a short log."""
+"""Bounds of the search for natural frequencies, in radians a sample, and damping ratios: √½ is the best for white
+disturbances and a larger one for others; a smaller one only follows the chance of a short log."""
 LEAST = 0.01
 """Least noise of a reading, as a fraction of the innovations: with less of it no estimate changes."""
 FAR = 16.0
-"""Squares of innovations count up to so many times that of the 90 % quantile: an outlier decides nothing."""
+"""Cap on squared innovations, as a multiple of their 90 % quantile: an outlier decides nothing."""
 NumpyArray = np.ndarray
 Runs = Callable[[Sequence[Intrinsic], Sequence[Record]], Sequence[Run]]
-"""What runs one observer over several records, or several over one, and keeps estimates and innovations."""
+"""Runs each of several observers over each of several records, and returns estimates and innovations."""
 
 
 class HeldOut(NamedTuple):
-    """How good estimators are on the rows that were not tuned on, for n velocities.
+    """Errors of the tuned estimators on the held-out rows, for n velocities.
 
-    - `one_step` (n,): root mean square of the innovations of the constant-gain observer [rad or m].
-    - `gains_error`, `kalman_error` (n,): velocity RMSE of this observer and of the Kalman filter [rad/s or m/s].
-    - `relative` (2,): the same two errors as parts of the velocities, root mean square over the coordinates.
-    - `likelihood`: mean logarithm of the likelihood of a measured number under the Kalman filter [nats].
-    - `nis`: mean normalised innovation squared; 1 is expected.
-    - `correlation` (n,): correlation of neighbouring innovations of the Kalman filter; 0 where they are white.
+    Attributes:
+        one_step: Root mean square (n,) of the innovations of the constant-gain observer [rad or m].
+        gains_error: Velocity RMSE (n,) of this observer [rad/s or m/s].
+        kalman_error: Velocity RMSE (n,) of the Kalman filter [rad/s or m/s].
+        relative: The same two errors (2,) as fractions of the velocities, root mean square over the coordinates.
+        likelihood: Mean log-likelihood of a measured number under the Kalman filter [nats].
+        nis: Mean normalised innovation squared; 1 is expected.
+        correlation: Correlation (n,) of neighbouring innovations of the Kalman filter; 0 where they are white.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.calibration import HeldOut
+        >>> one = np.array([0.01])
+        >>> errors = HeldOut(one, 3 * one, 2 * one, np.array([0.03, 0.02]), likelihood=4.8, nis=1.1, correlation=one)
+        >>> ("constant gains", "Kalman filter")[errors.relative.argmin()]
+        'Kalman filter'
     """
 
     one_step: Float[NumpyArray, "n"]
@@ -66,14 +76,26 @@ class HeldOut(NamedTuple):
 
 
 class Tuning(NamedTuple):
-    """Gains and noise that were found, and how good they are on rows that were not used.
+    """Gains and noise estimated from logs, and their errors on the held-out rows.
 
-    - `natural_frequency` [rad/s], `damping`: of a constant-gain observer, α = 2ζω and β = ω².
-    - `noise`: of a Kalman filter.
-    - `before`, `after`: on the held-out rows; `before` is None where no noise was given.
-    - `model_free`: the best filter without a model there, and its velocity RMSE as a part of the velocities; None where
-      there is none for this kind of system.
-    - `rows`: number of rows that were tuned on.
+    Attributes:
+        natural_frequency: ω [rad/s] of a constant-gain observer, α = 2ζω and β = ω².
+        damping: Its damping ratio ζ.
+        noise: Noise levels of a Kalman filter.
+        before: Held-out errors with the gains and noise of a data sheet; None where none was given.
+        after: Held-out errors with the tuned gains and noise.
+        model_free: Name of the best filter without a model, and its velocity RMSE on the held-out rows as a fraction of
+            the velocities; None where there is none for this kind of system.
+        rows: Number of rows for tuning.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.calibration import DataSheet, HeldOut, Tuning, given_noise
+        >>> one = np.array([0.01])
+        >>> errors = HeldOut(one, 3 * one, 2 * one, np.array([0.03, 0.02]), likelihood=4.8, nis=1.1, correlation=one)
+        >>> noise = given_noise(DataSheet(1e-3, 0.5), rate=100.0, n=1)
+        >>> Tuning(5.0, 0.7, noise, None, errors, ("savitzky-golay", 0.05), rows=1000).model_helps
+        True
     """
 
     natural_frequency: float
@@ -86,12 +108,12 @@ class Tuning(NamedTuple):
 
     @property
     def model_helps(self) -> bool:
-        """Whether an estimator with the model is better than the best filter without one."""
+        """Whether an estimator with the model has a smaller error than the best filter without one."""
         return self.model_free is None or bool(min(self.after.relative) < self.model_free[1])
 
 
 class _Log(NamedTuple):
-    """A record without outliers, its reference velocities (T, n), and which rows are tuned on and held out."""
+    """A record without outliers, its reference velocities (T, n), the rows for tuning and the held-out rows."""
 
     record: Record
     velocity: Float[NumpyArray, "T n"]
@@ -100,7 +122,7 @@ class _Log(NamedTuple):
 
     @property
     def first_part(self) -> Record:
-        """The rows up to the last that is tuned on, in which the observer settles too."""
+        """The rows up to the last one for tuning, in which the observer settles too."""
         end = int(np.flatnonzero(self.tuned)[-1]) + 1
         return Record(self.record.t[:end], self.record.u[:end], self.record.y[:end])
 
@@ -119,40 +141,62 @@ def tune(
     progress: Callable[[str], object] = lambda stage: None,
     runs: Runs | None = None,
 ) -> Tuning:
-    """Gains and noise for a model, from the first two thirds of each record and confirmed on the rest.
+    """Tune gains and noise of a model on the first two thirds of each record, and confirm them on the rest.
 
-    - `velocities`: a reference (T, n) for each record, such as `scoring.zero_phase_velocity` gives; nothing but the
-      choice of the filters without a model is tuned to it.
-    - `std` (n,): least standard deviation of a reading, such as that of one tick of an encoder.
-    - `before`: a data sheet whose gains and noise are judged beside those that are found.
-    - `progress`: called with the name of each of the four stages when it begins.
-    - `runs`: what runs the observers with constant gains, of which there are dozens; by default JAX, one by one.
+    Args:
+        model: The mechanical system.
+        records: The logs.
+        velocities: Reference velocities (T, n) of each, as from `scoring.zero_phase_velocity`; only the filters without
+            a model are tuned to them.
+        std: Least standard deviation (n,) of a reading, such as that of one tick of an encoder; by default a small
+            fraction of the innovations.
+        before: Data sheet whose gains and noise are judged as well, for comparison.
+        progress: Called with the name of each of the four stages when it begins.
+        runs: Runs the observers with constant gains, of which there are dozens; by default JAX, one by one.
 
-    Raises `ValueError` where a record is too short, and where no gains give a finite estimate.
+    Returns:
+        Gains, noise, and their errors on the held-out rows.
+
+    Raises:
+        ValueError: A record is too short, or no gains give a finite estimate.
     """
     logs = [_prepared(model, record, velocity) for record, velocity in zip(records, velocities, strict=True)]
     progress("gains")
-    by = runs or _by_jax
-    frequency, damping, size = _best_gains(model, logs, by)
+    runner = runs or _by_jax
+    frequency, damping, size = _best_gains(model, logs, runner)
     progress("noise")
-    found = _followed(model, logs, frequency, damping, by)
-    systems = [_system(model, log, estimate) for log, estimate in zip(logs, found, strict=True)]
+    estimates = _followed(model, logs, frequency, damping, runner)
+    systems = [_system(model, log, estimate) for log, estimate in zip(logs, estimates, strict=True)]
     noise = _best_noise(logs, systems, frequency, size, std)
     progress("held-out rows")
-    was = None
+    baseline = None
     if before is not None:
         gains = observer_gains(before, logs[0].rate)
         ratio = gains.alpha / (2 * gains.beta**0.5)
-        earlier = _followed(model, logs, gains.beta**0.5, ratio, by)
-        was = _judged(logs, systems, found, earlier, given_noise(before, logs[0].rate, size.shape[0]))
-    after = _judged(logs, systems, found, found, noise)
+        earlier = _followed(model, logs, gains.beta**0.5, ratio, runner)
+        baseline = _judged(logs, systems, estimates, earlier, given_noise(before, logs[0].rate, size.shape[0]))
+    after = _judged(logs, systems, estimates, estimates, noise)
     progress("filters without a model")
     free = _best_model_free(model, logs, noise, before)
-    return Tuning(frequency, damping, noise, was, after, free, sum(int(log.tuned.sum()) for log in logs))
+    return Tuning(frequency, damping, noise, baseline, after, free, sum(int(log.tuned.sum()) for log in logs))
 
 
 def given_noise(sheet: DataSheet, rate: float, n: int) -> NoiseLevels:
-    """The noise that Kalman filters take from a data sheet, for n velocities at a rate [Hz]."""
+    """Noise levels of a Kalman filter from a data sheet.
+
+    Args:
+        sheet: The data sheet.
+        rate: Sampling rate [Hz].
+        n: Number of velocities.
+
+    Returns:
+        The noise levels; the force is 0 where the sheet has none.
+
+    Example:
+        >>> from covariant.calibration import DataSheet, given_noise
+        >>> given_noise(DataSheet(measurement_std=1e-3, acceleration_std=0.5), rate=100.0, n=2).measurement.tolist()
+        [0.001, 0.001]
+    """
     time = 1 / (2 * rate) if sheet.correlation_time is None else sheet.correlation_time
     std = np.broadcast_to(np.asarray(sheet.coordinate_stds or sheet.measurement_std, float), n)
     acceleration = float(np.sqrt(2 * time) * sheet.acceleration_std)
@@ -166,8 +210,8 @@ def _prepared(model: MechanicalSystem, record: Record, velocity: np.ndarray) -> 
         wrong[0] = False  # a record begins with a whole measurement
         y = np.where(wrong, np.nan, y)
     border = t[0] + TUNED * (t[-1] - t[0])
-    known = scored_window(t) & np.isfinite(velocity).all(axis=1)
-    tuned, held_out = known & (t < border), known & (t >= border)
+    valid = scored_window(t) & np.isfinite(velocity).all(axis=1)
+    tuned, held_out = valid & (t < border), valid & (t >= border)
     tuned[np.flatnonzero(tuned)[MOST_ROWS:]] = False
     if min(tuned.sum(), held_out.sum()) < FEWEST_ROWS:
         raise ValueError(
@@ -187,7 +231,7 @@ def _by_jax(observers: Sequence[Intrinsic], records: Sequence[Record]) -> list[R
 
 
 def _best_gains(model: MechanicalSystem, logs: list[_Log], runs: Runs) -> tuple[float, float, Float[np.ndarray, "n"]]:
-    """Natural frequency [rad/s] and damping ratio with the least innovations, and these (n,)."""
+    """Natural frequency [rad/s] and damping ratio with the least innovations, and the size (n,) of these."""
     from scipy.optimize import minimize
 
     rate = logs[0].rate
@@ -199,30 +243,30 @@ def _best_gains(model: MechanicalSystem, logs: list[_Log], runs: Runs) -> tuple[
     def observer(z):
         return _intrinsic(model, float(np.exp(z[0])) * rate, float(np.exp(z[1])))
 
-    def usable(found):
-        told = [np.asarray(done.info.innovation) for done in found]
-        return np.concatenate([r[log.tuned[: len(r)]] for r, log in zip(told, logs, strict=True)])
+    def usable(results):
+        residuals = [np.asarray(done.info.innovation) for done in results]
+        return np.concatenate([r[log.tuned[: len(r)]] for r, log in zip(residuals, logs, strict=True)])
 
     def innovations(z):
         return usable(runs([observer(z)], parts))
 
     def size(r):
         with np.errstate(all="ignore"):
-            mean = [_mean_square(column[here]) for column, here in zip(r.T, measured.T, strict=True)]
+            mean = [_mean_square(column[mask]) for column, mask in zip(r.T, measured.T, strict=True)]
             total = float(np.sum(np.log(mean)))
         return total if np.isfinite(total) else 1e6
 
     bounds = [np.log(FREQUENCIES), np.log(DAMPINGS)]
     starts = [np.array([w, np.log(DAMPINGS[0])]) for w in np.linspace(np.log(0.02), np.log(2.0), 8)]
     tried = [runs([observer(z) for z in starts], [part]) for part in parts]  # by part, then by start
-    start = starts[int(np.argmin([size(usable(found)) for found in zip(*tried, strict=True)]))]
+    start = starts[int(np.argmin([size(usable(results)) for results in zip(*tried, strict=True)]))]
     simplex = start + np.array([[0.0, 0.0], [0.4, 0.0], [0.0, 0.4]])
     options = {"initial_simplex": simplex, "xatol": 0.02, "fatol": 1e-4, "maxfev": 60}
     best = minimize(lambda z: size(innovations(z)), start, method="Nelder-Mead", bounds=bounds, options=options)
     if best.fun >= 1e6:
         raise ValueError("no gains give a finite estimate; check units and signs by `covariant check`")
     r = innovations(best.x)
-    sizes = [np.sqrt(_mean_square(column[here])) for column, here in zip(r.T, measured.T, strict=True)]
+    sizes = [np.sqrt(_mean_square(column[mask])) for column, mask in zip(r.T, measured.T, strict=True)]
     return float(np.exp(best.x[0])) * rate, float(np.exp(best.x[1])), np.array(sizes)
 
 
@@ -231,33 +275,34 @@ def _usable(model: MechanicalSystem, log: _Log) -> Bool[np.ndarray, "T n"]:
 
 
 def _mean_square(r: np.ndarray) -> float:
-    """Mean square of innovations, in which outliers count no more than a few usual ones."""
+    """Mean square of innovations, robust to outliers."""
     square = r**2
     return float(np.mean(np.minimum(square, FAR * np.quantile(square, 0.9))))
 
 
 def _followed(model: MechanicalSystem, logs: list[_Log], frequency: float, damping: float, runs: Runs) -> list[Any]:
     """Configurations, velocities (T, n) and innovations (T, n) of the observer over each of the whole logs."""
-    told = []
+    estimates = []
     for done in runs([_intrinsic(model, frequency, damping)], [log.record for log in logs]):
         motion = model.motion(done.estimate)
-        told.append((motion.q, motion.v, np.asarray(done.info.innovation)))
-    return told
+        estimates.append((motion.q, motion.v, np.asarray(done.info.innovation)))
+    return estimates
 
 
 def _system(model: MechanicalSystem, log: _Log, estimate) -> ErrorModel:
     q, v, _ = estimate
     t, u, y = (jnp.asarray(each) for each in log.record[:3])
-    some = np.linspace(0, len(t) - 2, min(200, len(t) - 1)).astype(int)
-    fixed = with_fixed_substeps(_intrinsic(model, 1.0, 1.0), log.rate, q[some], v[some], u[some])
+    sampled = np.linspace(0, len(t) - 2, min(200, len(t) - 1)).astype(int)
+    fixed = with_fixed_substeps(_intrinsic(model, 1.0, 1.0), log.rate, q[sampled], v[sampled], u[sampled])
     return error_model(model, q, v, t, u, y, fixed.substeps or 1)
 
 
 def _best_noise(
     logs: list[_Log], systems: list[ErrorModel], frequency: float, size: np.ndarray, std: np.ndarray | None
 ) -> NoiseLevels:
-    """The noise of the greatest likelihood; with an unknown force where that tells more than it costs."""
+    """Noise of the greatest likelihood; with an unknown force where that gains more than its parameter costs."""
     least = LEAST * size if std is None else np.asarray(std, float)
+    # At first one half of the variance of the innovations is noise of the reading.
     first = np.maximum(size / np.sqrt(2), least)
     acceleration = frequency**2 * float(np.sqrt(np.mean(first**2))) / np.sqrt(logs[0].rate)
     force = (
@@ -282,15 +327,17 @@ def _best_noise(
 
     start = np.log([acceleration, force, *first])
     plain = start.copy()
+    # The logarithm of no force.
     plain[1] = -np.inf
     plain, without = _descend(cost, plain)
     forced, lower = _descend(cost, np.where(np.isfinite(plain), plain, start))
     count = sum(int(mask.sum()) for mask in masks)
+    # Schwarz's criterion: one parameter more has to lower twice the negative log-likelihood by log N.
     return noise(forced if without - lower > np.log(count) else plain)
 
 
 def _descend(cost: Callable, start: np.ndarray) -> tuple[np.ndarray, float]:
-    """Where the cost is least, from a start whose infinite entries stay; and the cost there."""
+    """Minimise the cost from a start whose infinite entries stay; returns the minimiser and the cost."""
     from scipy.optimize import minimize
 
     moving = np.isfinite(start)
@@ -302,12 +349,12 @@ def _descend(cost: Callable, start: np.ndarray) -> tuple[np.ndarray, float]:
         return full
 
     options = {"initial_simplex": simplex, "xatol": 0.03, "fatol": 0.1, "maxfev": 60 * int(moving.sum())}
-    found = minimize(lambda z: cost(at(z)), simplex[0], method="Nelder-Mead", options=options)
-    return at(found.x), float(found.fun)
+    minimum = minimize(lambda z: cost(at(z)), simplex[0], method="Nelder-Mead", options=options)
+    return at(minimum.x), float(minimum.fun)
 
 
 def _speed(logs: list[_Log]) -> jax.Array:
-    """The largest velocity of the reference: what is known of velocities before anything is measured."""
+    """Largest velocity of the reference: the standard deviation of velocities before anything is measured."""
     return jnp.asarray(max(float(np.abs(log.velocity[log.tuned]).max()) for log in logs))
 
 
@@ -317,24 +364,24 @@ def _filtered(system: ErrorModel, noise: NoiseLevels, speed: jax.Array) -> Filte
 
 
 def _judged(logs, systems, runs, earlier, noise: NoiseLevels) -> HeldOut:
-    """The gains of the runs `earlier`, and a noise for the errors of `runs`, on the rows that are held out."""
+    """Errors on the held-out rows: of the gains of the runs `earlier`, and of a noise for the errors of `runs`."""
     n = logs[0].velocity.shape[1]
     parts = []
-    for log, system, (_, v, _), (_, own, r) in zip(logs, systems, runs, earlier, strict=True):
-        found = _filtered(system, noise, _speed(logs))
-        here, present = log.held_out, np.asarray(system.present)
-        white = np.asarray(found.innovation) / np.where(present, found.spread, 1.0)
-        off = np.asarray(v) + np.asarray(found.error)[:, n:] - log.velocity
+    for log, system, (_, v, _), (_, gains_v, r) in zip(logs, systems, runs, earlier, strict=True):
+        result = _filtered(system, noise, _speed(logs))
+        rows, present = log.held_out, np.asarray(system.present)
+        white = np.asarray(result.innovation) / np.where(present, result.spread, 1.0)
+        off = np.asarray(v) + np.asarray(result.error)[:, n:] - log.velocity
         parts.append(
             (
-                r[here],
-                np.asarray(own)[here] - log.velocity[here],
-                off[here],
-                log.velocity[here],
-                np.asarray(found.loss)[here],
-                white[here],
-                present[here],
-                _neighbours(white[here], present[here]),
+                r[rows],
+                np.asarray(gains_v)[rows] - log.velocity[rows],
+                off[rows],
+                log.velocity[rows],
+                np.asarray(result.loss)[rows],
+                white[rows],
+                present[rows],
+                _neighbours(white[rows], present[rows]),
             )
         )
     r, gains, filtered, v, loss, white, present = (np.concatenate(each) for each in list(zip(*parts, strict=True))[:7])
@@ -369,18 +416,18 @@ def _best_model_free(model, logs: list[_Log], noise: NoiseLevels, sheet: DataShe
         return None
     first, n = logs[0], logs[0].velocity.shape[1]
     end = len(first.first_part.t)
-    known = np.isfinite(first.velocity[:end]).all(axis=1)
+    valid = np.isfinite(first.velocity[:end]).all(axis=1)
     t, y = np.asarray(first.record.t)[:end], unwrap(np.asarray(first.record.y), model.circles)[:end]
-    trial = Trial(t[known], y[known], first.velocity[:end][known])
+    trial = Trial(t[valid], y[valid], first.velocity[:end][valid])
     typical = float(np.sqrt(np.mean(np.asarray(noise.measurement) ** 2)))
     sheet = (sheet or DataSheet(typical, float(noise.acceleration)))._replace(speed=None, quantum=None)
-    made = tuned_estimators(model, n, sheet, first.rate, trial, names)
+    filters = tuned_estimators(model, n, sheet, first.rate, trial, names)
     v = np.concatenate([log.velocity[log.held_out] for log in logs])
     errors = {}
-    for name, observer in made.items():
-        found = [
+    for name, observer in filters.items():
+        estimates = [
             np.asarray(model.motion(run(observer, log.record, ("result",)).estimate).v)[log.held_out] for log in logs
         ]
-        errors[name] = relative_error(np.concatenate(found), v)
+        errors[name] = relative_error(np.concatenate(estimates), v)
     best = min(errors, key=errors.__getitem__)
     return best, errors[best]

@@ -1,4 +1,4 @@
-"""Windows of logs over which a model predicts: short stretches of a log, with the motion at the start of each."""
+"""Windows of logs over which a model predicts: short stretches, each with the motion at its start."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -9,24 +9,34 @@ from jaxtyping import Float, Int
 from covariant.signals import AnyArray, Record
 
 MOST_ROWS = 20_000
-"""Largest number of rows that the windows of a fit hold: windows are left out evenly beyond."""
+"""Largest number of rows in the windows of a fit; beyond it windows are left out evenly."""
 FEWEST_ROWS, FEWEST_WINDOWS = 12, 8
 """Least number of rows of a window, and of windows of a fit."""
 LONGEST_GAP = 5.0
-"""A window holds no step longer than so many median steps: after a gap in the stamps the log begins anew."""
+"""Longest step of a window, in median steps: after a longer gap in the stamps a new window begins."""
 BETWEEN_LOGS = 1e9
-"""Step [s] put between the inputs of two logs: a lag of the first has died away in the second."""
+"""Step [s] put between the inputs of two logs, so that a lag of the first has died away in the second."""
 
 
 class Windows(NamedTuple):
     """W windows of L steps each from one or more logs, and the inputs of the whole logs.
 
-    - `t` (W, L + 1) [s], `y` (W, L + 1, ...): stamps and measured positions, NaN where missing; a shorter window is
-      filled up with its last stamp and missing positions.
-    - `v` (W, L + 1, n): reference velocities, of which the first is where the search for a window's initial velocity
-      starts.
-    - `rows` (W, L): the row of `inputs` that acts in each step.
-    - `inputs` (S, m), `steps` (S,): the inputs of all rows, and the time since the row before [s].
+    Attributes:
+        t: Stamps (W, L + 1) [s]; a shorter window is padded with its last stamp and missing positions.
+        y: Measured positions (W, L + 1, ...), NaN where missing.
+        v: Reference velocities (W, L + 1, n); at the first the search for a window's initial velocity starts.
+        rows: Row (W, L) of `inputs` that acts in each step.
+        inputs: Inputs (S, m) of all rows of the logs.
+        steps: Time (S,) since the row before [s].
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.calibration import windows
+        >>> from covariant.signals import Record
+        >>> t = np.arange(0.0, 10.0, 0.02)
+        >>> pieces = windows([Record(t, y=np.sin(t)[:, None])], [np.cos(t)[:, None]], length=1.0)
+        >>> pieces.t.shape, pieces.v.shape, pieces.inputs.shape
+        ((9, 51), (9, 51, 1), (500, 0))
     """
 
     t: Float[AnyArray, "*k W L1"]
@@ -38,14 +48,27 @@ class Windows(NamedTuple):
 
 
 def horizon(record: Record, velocity: Float[np.ndarray, "T n"], part: float = 1.0) -> float:
-    """A length of the windows [s] that suits a motion: twice the time in which its velocity becomes another one.
+    """Length of the windows that suits a motion: twice the time in which its velocity changes by its own size.
 
-    That is the least time τ, of a geometric sequence, after which `v(t + τ) − v(t)` is as large as v itself, root mean
+    That is the least τ, of a geometric sequence, for which `v(t + τ/2) − v(t)` is as large as v itself, root mean
     square over the log, in units of each velocity. Over much shorter times a position hardly shows a force, and over
     much longer ones errors of the initial velocity and of the model grow beyond the range of a linearisation.
 
-    - `velocity` (T, n): reference velocities, such as `scoring.zero_phase_velocity` gives.
-    - `part`: fraction of the record that must still hold enough windows, such as what is held out.
+    Args:
+        record: The log.
+        velocity: Reference velocities (T, n), as from `scoring.zero_phase_velocity`.
+        part: Fraction of the record that must still contain enough windows, such as the held-out part.
+
+    Returns:
+        The length [s].
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.calibration import horizon
+        >>> from covariant.signals import Record
+        >>> t = np.arange(0.0, 60.0, 0.05)
+        >>> round(horizon(Record(t, y=np.sin(t)[:, None]), np.cos(t)[:, None]))  # about 2 π / 3
+        2
     """
     t = np.asarray(record.t)
     step, span = float(np.median(np.diff(t))), float(t[-1] - t[0])
@@ -70,35 +93,54 @@ def windows(
     length: float,
     spans: Sequence[tuple[float, float]] | None = None,
 ) -> Windows:
-    """Windows of a length [s], one after the other, over records with their reference velocities (T, n).
+    """Cut records into consecutive windows of one length.
 
-    - `spans`: the part of each record [s] to take, from its first stamp to before its second; all of it by default.
-      The inputs before it still act through their lag.
+    A window starts where the whole position is measured.
 
-    A window starts where the whole position is measured. Raises `ValueError` where there are too few windows.
+    Args:
+        records: The logs.
+        velocities: Reference velocities (T, n) of each.
+        length: Length of the windows [s].
+        spans: Part of each record [s] to use, from its first stamp to before its second; all of it by default. The
+            inputs before it still act through their lag.
+
+    Returns:
+        The windows.
+
+    Raises:
+        ValueError: There are too few windows.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.calibration import windows
+        >>> from covariant.signals import Record
+        >>> t = np.arange(0.0, 20.0, 0.02)
+        >>> later = windows([Record(t, y=np.sin(t)[:, None])], [np.cos(t)[:, None]], length=1.0, spans=[(8.0, 20.0)])
+        >>> round(float(later.t.min()), 6), len(later.t)
+        (8.0, 11)
     """
     spans = [(-np.inf, np.inf)] * len(records) if spans is None else spans
-    found: list[tuple[int, np.ndarray]] = []
+    selected: list[tuple[int, np.ndarray]] = []
     longest = 0
     for k, (record, velocity, (begin, end)) in enumerate(zip(records, velocities, spans, strict=True)):
         t = np.asarray(record.t)
-        known = np.concatenate([np.asarray(record.y).reshape(len(t), -1), velocity], axis=1)
-        whole = np.asarray(np.isfinite(known).all(axis=1))
+        numbers = np.concatenate([np.asarray(record.y).reshape(len(t), -1), velocity], axis=1)
+        whole = np.asarray(np.isfinite(numbers).all(axis=1))
         pieces = _pieces(t, whole, length, begin, end)
-        found += [(k, piece) for piece in pieces]
+        selected += [(k, piece) for piece in pieces]
         longest = max([longest, *(len(piece) for piece in pieces)])
-    kept = max(1, MOST_ROWS // max(longest, 1))
-    if len(found) > kept:
-        found = [found[i] for i in np.linspace(0, len(found) - 1, kept).round().astype(int)]
-    if len(found) < FEWEST_WINDOWS:
+    limit = max(1, MOST_ROWS // max(longest, 1))
+    if len(selected) > limit:
+        selected = [selected[i] for i in np.linspace(0, len(selected) - 1, limit).round().astype(int)]
+    if len(selected) < FEWEST_WINDOWS:
         raise ValueError(
-            f"the log holds {len(found)} windows of {length:.3g} s with at least {FEWEST_ROWS} rows and no gap, and "
+            f"the log holds {len(selected)} windows of {length:.3g} s with at least {FEWEST_ROWS} rows and no gap, and "
             f"{FEWEST_WINDOWS} are needed; give a longer log, or a shorter horizon"
         )
     offsets = np.concatenate([[0], np.cumsum([len(np.asarray(record.t)) for record in records])])
-    index = np.stack([_padded(piece, longest) for _, piece in found])
-    real = np.arange(longest) < np.array([len(piece) for _, piece in found])[:, None]
-    rows = index + np.array([offsets[k] for k, _ in found])[:, None]
+    index = np.stack([_padded(piece, longest) for _, piece in selected])
+    real = np.arange(longest) < np.array([len(piece) for _, piece in selected])[:, None]
+    rows = index + np.array([offsets[k] for k, _ in selected])[:, None]
     t, y, v, u = (
         np.concatenate(parts)
         for parts in zip(
@@ -114,12 +156,13 @@ def windows(
 
 
 def _pieces(t: np.ndarray, whole: np.ndarray, length: float, begin: float, end: float) -> list[np.ndarray]:
-    """The rows of each window of one record; no row is in two of them, so that their errors are independent."""
+    """Rows of each window of one record; no row is in two of them, so that their errors are independent."""
     step = float(np.median(np.diff(t)))
     starts = np.flatnonzero(whole & (t >= begin) & (t < end))
     pieces, at = [], 0
     while at < len(starts):
         first = starts[at]
+        # Half a step of slack, for stamps that are rounded.
         last = int(np.searchsorted(t, min(t[first] + length + step / 2, end)))  # the row after the window
         gaps = np.flatnonzero(np.diff(t[first:last]) > LONGEST_GAP * step)
         whole_length = t[last - 1] - t[first] > 0.9 * length
