@@ -39,9 +39,18 @@ UNITS: Mapping[str, tuple[tuple[str, float], ...]] = {
 class Constants(NamedTuple):
     """The constants of Theorem 3 over a set.
 
-    - `c1`, `c2`, `c4`: of V_con; `c3` and `lambda_q` are decay [1/s times V].
-    - `gamma1`, `gamma2`: growth of the coupling with x̃ and with e.
-    - `m1`: the least eigenvalue of M in `V_obs = x̃ᵀMx̃`.
+    Attributes:
+        c1, c2, c4: bounds of V_con: `c1|e|² ≤ V_con ≤ c2|e|²`, `|∂V_con/∂e| ≤ c4|e|`.
+        c3: decay of V_con along the controlled plant, `V_con' ≤ −c3|e|²`.
+        lambda_q: decay of V_obs, `V_obs' ≤ −λ_q|x̃|²`; both decays are in units of their V per second.
+        gamma1, gamma2: growth of the coupling with x̃ and with e, `|b| ≤ γ1|x̃| + γ2|e|`.
+        m1: the least eigenvalue of M in `V_obs = x̃ᵀMx̃`.
+
+    Example:
+        >>> from covariant.certificates import Constants
+        >>> constants = Constants(c1=0.5, c2=0.5, c3=1.0, c4=1.0, lambda_q=2.0, gamma1=3.0, gamma2=0.0, m1=1.0)
+        >>> constants.printed, constants.weighted, constants.kappa
+        (False, True, 1.125)
     """
 
     c1: float
@@ -55,11 +64,15 @@ class Constants(NamedTuple):
 
     @property
     def positive(self) -> bool:
-        """Whether V_con and V_obs are positive definite; otherwise their decay says nothing of the errors."""
+        """Whether V_con and V_obs are positive definite; otherwise their decay says nothing about the errors."""
         return self.c1 > 0 and self.m1 > 0
 
     def with_mass(self, factor: float) -> "Constants":
-        """The constants in a unit of mass in which V_con, an energy, has `factor` times its numerical value."""
+        """Convert the constants to a unit of mass in which V_con, an energy, has another numerical value.
+
+        Args:
+            factor: the numerical value in the new unit over that in the present one.
+        """
         energies = {name: factor * getattr(self, name) for name in ("c1", "c2", "c3", "c4")}
         return self._replace(**energies)
 
@@ -93,9 +106,17 @@ class Constants(NamedTuple):
 class Growth(NamedTuple):
     """A growing solution of the observer's error system, linearised and frozen at its worst point.
 
-    - `t` (T,) [s], `error` (T, k): the solution.
-    - `rate`: of growth [1/s].
-    - `point`: values of the variables of the box, by name.
+    Attributes:
+        t, error: the solution (T, k) at stamps (T,) [s].
+        rate: rate of growth [1/s].
+        point: values of the variables of the box, by name.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.certificates import Growth
+        >>> growth = Growth(np.zeros(3), np.ones((3, 1)), 2.0, {"x": 1.0})  # usually in a `CascadeCertificate`
+        >>> growth.rate, growth.point
+        (2.0, {'x': 1.0})
     """
 
     t: Float[np.ndarray, "T"]
@@ -107,13 +128,20 @@ class Growth(NamedTuple):
 class CascadeCertificate(NamedTuple):
     """Whether the cascade is exponentially stable over a set, by the printed and by the weighted condition.
 
-    - `statement`: "holds" where the weighted condition holds, "fails" where the observer's error can grow, else
-      "undecided", since the conditions are only sufficient; with each condition as a hypothesis.
-    - `printed`: whether (72) holds.
-    - `constants`: those of Theorem 3.
-    - `units`: whether (72) holds in other units, by name; `depends_on_units` where the results differ.
-    - `growth`: a solution by which the observer's error grows, if it can.
-    - `kappa`: the lower bound of the weights with which `V_con + κV_obs` decreases.
+    Attributes:
+        statement: "holds" where the weighted condition holds, "fails" where the observer's error can grow, else
+            "undecided", since the conditions are only sufficient; with each condition as a hypothesis.
+        printed, units: whether (72) holds, in the units of the problem, and in others, by name.
+        constants: those of Theorem 3.
+        growth: a solution by which the observer's error grows, or None.
+
+    Example:
+        >>> from covariant.certificates import CascadeCertificate, Constants, Hypothesis, Statement
+        >>> constants = Constants(0.5, 0.5, 1.0, 1.0, 2.0, 3.0, 0.0, 1.0)
+        >>> statement = Statement("it is stable", (), (Hypothesis("c3 > 0", "sampled"),), 2.0)
+        >>> result = CascadeCertificate(statement, False, constants, {"g": True}, None)  # usually from `cascade`
+        >>> result.verdict, result.depends_on_units, result.kappa
+        ('holds', True, 1.125)
     """
 
     statement: Statement
@@ -124,18 +152,22 @@ class CascadeCertificate(NamedTuple):
 
     @property
     def verdict(self) -> Verdict:
+        """The verdict of the statement."""
         return self.statement.verdict
 
     @property
     def evidence(self) -> Evidence:
+        """The evidence of the statement: "proved" or "sampled"."""
         return self.statement.evidence
 
     @property
     def depends_on_units(self) -> bool:
+        """Whether (72) as printed holds in some of the units and fails in others."""
         return len({self.printed, *self.units.values()}) > 1
 
     @property
     def kappa(self) -> float:
+        """The lower bound of the weights κ with which `V_con + κV_obs` decreases."""
         return self.constants.kappa
 
     def __str__(self) -> str:
@@ -147,8 +179,8 @@ class CascadeCertificate(NamedTuple):
             f"(72) as printed: γ1² = {c.gamma1**2:.5g} {'<' if c.printed else 'is not below'} {c.bound:.5g}",
         ]
         if self.depends_on_units:
-            held = ", ".join(f"{name}: {'holds' if ok else 'fails'}" for name, ok in self.units.items())
-            lines.append(f"warning: (72) as printed depends on units; {held}")
+            verdicts = ", ".join(f"{name}: {'holds' if ok else 'fails'}" for name, ok in self.units.items())
+            lines.append(f"warning: (72) as printed depends on units; {verdicts}")
         if self.growth is not None:
             lines.append(f"the observer's error can grow at {self.growth.rate:.4g} 1/s")
         return "\n".join([*lines, "hypotheses:", *list_of(self.statement.hypotheses), f"over {self.statement.domain}"])
@@ -166,20 +198,42 @@ def cascade(
     boxes: int = MOST_BOXES,
     seed: int = 0,
 ) -> CascadeCertificate:
-    """The constants of Theorem 3 over a set, and the verdicts of both conditions.
-
-    - `controller`: the system `e' = a(e, t)` with the metric P of `V_con = ½eᵀPe`, and the box of its variables.
-    - `observer`: its virtual system with the metric M of `V_obs = x̃ᵀMx̃`, as made by `virtual`, and a box.
-    - `coupling`: Jacobians of b in x̃ and in e, and a box.
-    - `units`: units of the entries of e and of x̃, such as "m" or "rad/s"; with them (72) is also tried in other units,
-      of which one is changed at a time. V_con is taken as an energy, whose unit contains mass; V_obs as having none.
-    - `proved`: proves every constant instead of sampling it, with a margin of 2 %; a constant that cannot be proved
-      with `boxes` boxes leaves the verdict "undecided".
-    - `attempts`, `starts`, `seed`: sampled constants come from `attempts` random points and a descent from the `starts`
-      worst of these.
+    """Compute the constants of Theorem 3 over a set, and the verdicts of both conditions.
 
     All constants come from Jacobians, so they hold for finite errors within the boxes, by the mean-value theorem.
-    Raises `ValueError` for bounds that are not in order, and for boxes that give one variable different bounds.
+
+    Args:
+        controller: the system `e' = a(e, t)` with the metric P of `V_con = ½eᵀPe`, and the box of its variables.
+        observer: its virtual system with the metric M of `V_obs = x̃ᵀMx̃`, as from `virtual`, and a box.
+        coupling: Jacobians of b in x̃ and in e, and a box.
+        units: units of the entries of e and of x̃, such as "m" or "rad/s"; with them (72) is also tried in other units,
+            of which one is changed at a time. V_con is taken as an energy, whose unit contains mass; V_obs as having
+            none.
+        proved: whether to prove every constant instead of sampling it, with a margin of 2 %; a constant that cannot be
+            proved with `boxes` boxes leaves the verdict "undecided".
+        attempts, starts: number of random points for each sampled constant, and of descents from the worst of these.
+        boxes: largest number of boxes for each proof.
+        seed: of the random numbers.
+
+    Returns:
+        The statement with its constants.
+
+    Raises:
+        ValueError: bounds are not in order, boxes give one variable different bounds, or a flow depends on time.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> import numpy as np
+        >>> from covariant import models, observers
+        >>> from covariant.certificates import cascade, virtual
+        >>> from covariant.proofs import box
+        >>> model = models.StateSpace(lambda t, x, u: -x, lambda t, x, u: x, coordinates=("x",))
+        >>> system = virtual(observers.Contracting(model, jnp.eye(1), jnp.zeros(1)), np.eye(1))
+        >>> part = system, box(x=(-1.0, 1.0), z_y1=(-1.0, 1.0), zdot_y1=(0.0, 0.0))  # serves as plant and as observer
+        >>> coupling = lambda z: (z[:, None], jnp.zeros((1, 1))), box(k=(0.0, 1.0))
+        >>> result = cascade(part, part, coupling, attempts=100, starts=4)
+        >>> result.statement.short, round(result.constants.gamma1, 6)
+        ('holds (sampled)', 1.0)
     """
     _check_same_bounds(controller[1], observer[1], coupling[1])
     for subject, domain in (controller, observer):
@@ -188,14 +242,14 @@ def cascade(
     forms = _forms(controller, observer, coupling)
     ones = tuple(np.ones(size) for size in _sizes(coupling))
     constants, worst = _constants(forms, ones, search)
-    elsewhere, few = {}, search._replace(attempts=min(attempts, 2000), starts=min(starts, 16), proved=False)
+    other_units, short_search = {}, search._replace(attempts=min(attempts, 2000), starts=min(starts, 16), proved=False)
     for name, scales, mass in _scales(*units) if units is not None else ():
-        there = constants if mass != 1 else _constants(forms, scales, few)[0]
-        elsewhere[name] = there.with_mass(mass).printed
+        converted = constants if mass != 1 else _constants(forms, scales, short_search)[0]
+        other_units[name] = converted.with_mass(mass).printed
     growth = None if constants.lambda_q > 0 else _growth(*observer, worst)
     domain = "; ".join(str(box.free) for box in (controller[1], observer[1], coupling[1]))
     statement = _statement(constants, growth, "proved" if proved else "sampled", domain)
-    return CascadeCertificate(statement, constants.printed, constants, elsewhere, growth)
+    return CascadeCertificate(statement, constants.printed, constants, other_units, growth)
 
 
 def _statement(c: Constants, growth: Growth | None, evidence: Evidence, domain: str) -> Statement:
@@ -228,8 +282,8 @@ def _statement(c: Constants, growth: Growth | None, evidence: Evidence, domain: 
         Hypothesis("controller, observer and coupling are those of one plant", "assumed"),
     )
     claim = "plant and observer together are exponentially stable"
-    about = ("constants of Theorem 3: " + ", ".join(f"{name} = {value:.5g}" for name, value in c._asdict().items()),)
-    return Statement(claim, (*about, f"boxes: {domain}"), hypotheses, c.lambda_q, domain)
+    data = ("constants of Theorem 3: " + ", ".join(f"{name} = {value:.5g}" for name, value in c._asdict().items()),)
+    return Statement(claim, (*data, f"boxes: {domain}"), hypotheses, c.lambda_q, domain)
 
 
 def _check_same_bounds(*boxes: Box) -> None:
@@ -254,11 +308,12 @@ class _Search(NamedTuple):
 
 
 class _Form(NamedTuple):
-    """A symmetric matrix (n, n) of z whose smallest eigenvalue is sought, in the units of the problem.
+    """A symmetric matrix (n, n) of z whose smallest eigenvalue is computed, in the units of the problem.
 
-    - `matrix`: a function of z, followed by the squares of the scales of e and of x̃.
-    - `into`: whether the scales of e or those of x̃ apply to its vectors.
-    - `graph`: the squares of these scales, and the negative of the matrix.
+    Attributes:
+        matrix: a function of z, followed by the squares of the scales of e and of x̃.
+        into: whether the scales of e or those of x̃ apply to its vectors.
+        graph: the squares of these scales, and the negative of the matrix.
     """
 
     matrix: Form
@@ -295,57 +350,51 @@ def _forms(controller, observer, coupling) -> dict[str, _Form]:
 
         return as_form(form)
 
-    def made(matrix: Form, into, box) -> _Form:
+    def with_pencil(matrix: Form, into, box) -> _Form:
         check_box(box)
         d = len(box.low)
         start, end = (d, d + sizes[0]) if into == "e" else (d + sizes[0], d + sum(sizes))
 
-        def pencil_of(found, whole):
-            return jnp.concatenate([jnp.diag(whole[start:end]).ravel(), -((found + found.T) / 2).ravel()])
+        def pencil_of(matrix_value, whole):
+            return jnp.concatenate([jnp.diag(whole[start:end]).ravel(), -((matrix_value + matrix_value.T) / 2).ravel()])
 
         graph = matrix.beside(pencil_of).graph(jnp.concatenate([jnp.asarray(box.low), *map(jnp.ones, sizes)])).entries
         return _Form(matrix, into, pencil(graph, _scaled(box, np.ones(sum(sizes)))), box)
 
     return {
-        "small": made(metric(plant, plant_box, 1.0), "e", plant_box),
-        "large": made(metric(plant, plant_box, -1.0), "e", plant_box),
-        "fall": made(_change(plant, len(plant_box.low), -0.5), "e", plant_box),
-        "error": made(_change(error, len(error_box.low), -1.0), "x", error_box),
-        "weight": made(metric(error, error_box, 1.0), "x", error_box),
-        "from_error": made(squared(0), "x", coupling_box),
-        "from_itself": made(squared(1), "e", coupling_box),
+        "small": with_pencil(metric(plant, plant_box, 1.0), "e", plant_box),
+        "large": with_pencil(metric(plant, plant_box, -1.0), "e", plant_box),
+        "fall": with_pencil(_change(plant, len(plant_box.low), -0.5), "e", plant_box),  # V_con has the factor ½
+        "error": with_pencil(_change(error, len(error_box.low), -1.0), "x", error_box),
+        "weight": with_pencil(metric(error, error_box, 1.0), "x", error_box),
+        "from_error": with_pencil(squared(0), "x", coupling_box),
+        "from_itself": with_pencil(squared(1), "e", coupling_box),
     }
 
 
 def _constants(forms: dict[str, _Form], scales, search: _Search) -> tuple[Constants, np.ndarray]:
     """The constants with e and x̃ multiplied by `scales`, and the point at which λ_q is attained."""
-    found = {name: _least(form, scales, search) for name, form in forms.items()}
-    small, large, c3, lambda_q, m1, gamma1, gamma2 = (value for value, _ in found.values())
+    extremes = {name: _least(form, scales, search) for name, form in forms.items()}
+    small, large, c3, lambda_q, m1, gamma1, gamma2 = (value for value, _ in extremes.values())
     return (
-        Constants(
-            small / 2,
-            -large / 2,
-            c3,
-            -large,
-            lambda_q,
-            math.sqrt(max(-gamma1, 0.0)),
-            math.sqrt(max(-gamma2, 0.0)),
-            m1,
+        Constants(  # half the extreme eigenvalues of P, since V_con = ½eᵀPe
+            small / 2, -large / 2, c3, -large, lambda_q, math.sqrt(max(-gamma1, 0.0)), math.sqrt(max(-gamma2, 0.0)), m1
         ),
-        found["error"][1],
+        extremes["error"][1],
     )
 
 
 def _least(form: _Form, scales, search: _Search) -> tuple[float, np.ndarray]:
-    """The smallest eigenvalue over the box, or where proved a lower bound of it, and the point found."""
+    """The smallest eigenvalue over the box, or where proved a lower bound of it, and the point."""
     squares = [scale**2 for scale in scales]
     box, whole = form.box, _scaled(form.box, np.concatenate(squares))
     value, where = slowest(form.graph, whole, search.attempts, search.starts, search.seed)
     if search.proved:
+        # A margin, without which a bound that is attained could not be proved with a finite number of boxes.
         bound = value - 0.02 * abs(value) - 1e-9
-        ours = squares[0 if form.into == "e" else 1]
+        scale_squares = squares[0 if form.into == "e" else 1]
 
-        above = form.matrix.then(lambda found: found - bound * jnp.diag(jnp.asarray(ours)))
+        above = form.matrix.then(lambda matrix: matrix - bound * jnp.diag(jnp.asarray(scale_squares)))
         value = bound if prove(above, whole, boxes=search.boxes).verdict == "holds" else -math.inf
     return value, where[: len(box.low)]
 

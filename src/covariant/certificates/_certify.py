@@ -1,4 +1,4 @@
-"""Proof of how fast an intrinsic observer converges, and from how far.
+"""Proof that an intrinsic observer converges: at which rate, and from within which radius.
 
 Three claims are proved, each over the whole region. First, the flow contracts the metric of the tangent bundle at the
 rate λ, whatever the measured trajectory. Second, a curve of length ε changes no position error and no velocity by more
@@ -74,28 +74,39 @@ def certify(
 ) -> ContractionCertificate:
     """Prove that an intrinsic observer converges at a rate, from within a radius, on a region.
 
-    - `velocity`: bound of each true velocity [unit/s], a number or (n,). There is no certificate without it: the tube
-      of Theorem 1 shrinks as the velocity grows.
-    - `error`: bound of the error of the estimated position, in coordinates or as `log(g⁻¹ g̃)` [unit], a number or (n,).
-    - `position`: least and largest true positions, (n,) each; on a group the entries of its matrices (N, N), where
-      rotations need no bounds.
-    - `input`: bound of each input, a number or (m,), or a pair of bounds.
-    - `times`: first and last time [s] of the statement; needed where the force depends on time.
-    - `rate`: λ [1/s] to prove, of squared lengths; by default half of the rate that Q allows at q̂ = q.
-    - `q` (2, 2): the matrix of the metric; by default the best conditioned one for two thirds of the rate of the gains.
-    - `noise`: bound of the error of each measured position [unit], a number or (n,), in coordinates or as `log(q⁻¹ y)`
-      in the body frame. Bounds of matrix entries that `position` gives on a group then apply to the measured ones.
-    - `disturbance`: bound of each component of an unmodelled force, a number or (n,).
-    - `recipe`: where the model comes from, as from `models.recipe`; needed to save the certificate.
-    - `boxes`: effort for all proofs, the same on every machine; `seconds`: an additional limit of time for each proof,
-      which starts when its matrix has been written as a graph.
-    - `processes`, `progress` (what, share, boxes): as for `prove`.
-    - `checker`: "auto" gives what was proved to the checker for as long as the proof took, or `PATIENCE`; "all" until
-      it is through; "off" not at all. The statement says how far it came; what it does not accept is "undecided".
+    Args:
+        observer: the observer, with model and gains.
+        velocity: bound of each true velocity [unit/s], a number or (n,). There is no certificate without it: the tube
+            of Theorem 1 shrinks as the velocity grows.
+        error: bound of the error of the estimated position [unit], in coordinates or as `log(g⁻¹ g̃)`, a number or
+            (n,).
+        position: least and largest true positions, (n,) each; on a group the entries of its matrices (N, N), where
+            rotations need no bounds.
+        input: bound of each input, a number or (m,), or a pair of bounds.
+        times: first and last time [s] of the statement; needed where the force depends on time.
+        rate: λ [1/s] to prove, of squared lengths; by default half of the rate that Q allows at q̂ = q.
+        q: matrix (2, 2) of the metric; by default the best conditioned one for two thirds of the rate of the gains.
+        noise: bound of the error of each measured position [unit], a number or (n,), in coordinates or as `log(q⁻¹ y)`
+            in the body frame. Bounds of matrix entries that `position` gives on a group then apply to the measured
+            ones.
+        disturbance: bound of each component of an unmodelled force, a number or (n,).
+        recipe: where the model comes from, as from `models.recipe`; needed to save the certificate.
+        boxes: largest number of boxes for all proofs together, which is the same effort on every machine.
+        seconds: an additional limit of time [s] for each proof, which starts when its matrix has been written as a
+            graph.
+        processes: number of processes, as for `prove`.
+        progress: called with what is proved, the share that is done, and the number of boxes, as for `prove`.
+        checker: "auto" runs the checker on what was proved for as long as the proof took, or `PATIENCE`; "all" until it
+            is through; "off" not at all. The statement says how much it covered; what it does not accept is
+            "undecided".
 
-    Raises `ValueError` naming an argument without its bound, an error up to which a logarithm is not unique, friction
-    or force that are not covered, a `q` that is not symmetric positive definite, or another word for `checker`;
-    `TypeError` for another kind of observer.
+    Returns:
+        The certificate, whose statement "holds", "fails" or is "undecided".
+
+    Raises:
+        ValueError: an argument without its bound, an error up to which a logarithm is not unique, friction or force
+            that are not covered, a `q` that is not symmetric positive definite, or another word for `checker`.
+        TypeError: another kind of observer.
     """
     if checker not in CHECKERS:
         raise ValueError(f"certify: checker must be one of {', '.join(CHECKERS)}; got {checker!r}")
@@ -106,85 +117,86 @@ def certify(
             raise ValueError(f"certify: {name} of the observer must be a finite number; got {gain:g}")
     best = -2 * float(np.linalg.eigvals(error_matrix(alpha, beta)).real.max())
     matrix = optimal_lyapunov(alpha, beta, best * 2 / 3) if q is None else check_q("certify", q)
-    wanted = rate_of(alpha, beta, matrix) / 2 if rate is None else float(rate)
-    if not (math.isfinite(wanted) and wanted > 0):
-        raise ValueError(f"certify: the rate must be a positive number; got {wanted:g}")
-    about = subject(observer, matrix)
+    target = rate_of(alpha, beta, matrix) / 2 if rate is None else float(rate)
+    if not (math.isfinite(target) and target > 0):
+        raise ValueError(f"certify: the rate must be a positive number; got {target:g}")
+    system = subject(observer, matrix)
     n = len(observer.model.coordinates or observer.model.velocities)
-    bound, off = _positive("velocity", velocity, n), _positive("error", error, n)
-    noisy, unknown = _amount("noise", noise, n), _amount("disturbance", disturbance, n)
-    if not (noisy < off).all():
+    speeds, error_bound = _positive("velocity", velocity, n), _positive("error", error, n)
+    noise_bounds, force_bound = _amount("noise", noise, n), _amount("disturbance", disturbance, n)
+    if not (noise_bounds < error_bound).all():
         raise ValueError(
-            f"certify: noise must be below the error {off.tolist()}, which includes it; got {noisy.tolist()}"
+            f"certify: noise must be below the error {error_bound.tolist()}, which includes it; "
+            f"got {noise_bounds.tolist()}"
         )
-    check_unique(observer, off)
-    domain, given = _domain(observer, about, bound, off, position, input, times, noisy, unknown)
-    left = boxes
+    check_unique(observer, error_bound)
+    domain, bounds = _domain(observer, system, speeds, error_bound, position, input, times, noise_bounds, force_bound)
+    remaining = boxes
 
     def run(what: str, matrix) -> Proof:
-        nonlocal left
+        nonlocal remaining
 
-        def tell(share: float, boxes: int) -> None:
+        def report(share: float, boxes: int) -> None:
             if progress is not None:
                 progress(what, share, boxes)
 
-        found = prove(matrix, domain, boxes=left, seconds=seconds, processes=processes, progress=tell)
-        left = max(left - found.boxes, 0)
-        return found
+        result = prove(matrix, domain, boxes=remaining, seconds=seconds, processes=processes, progress=report)
+        remaining = max(remaining - result.boxes, 0)
+        return result
 
-    claims = [Claim("contraction", run("contraction", contraction(about, wanted)))]
+    claims = [Claim("contraction", run("contraction", contraction(system, target)))]
     radius = 0.0
     if claims[0].proof.verdict == "holds":
-        limits = limits_of(domain, bound, noisy)
-        sampled = sampled_widths(about, domain)
+        limits = limits_of(domain, speeds, noise_bounds)
+        sampled = sampled_widths(system, domain)
         for row in range(2 * n):
             square, limit = float(SLACK * sampled[row]), float(limits[row])
-            proof = run(f"reach {row + 1} of {2 * n}", width_bound(about, row, square))
+            proof = run(f"reach {row + 1} of {2 * n}", width_bound(system, row, square))
             for _ in range(WIDENINGS):  # where a point is wider than all that were sampled
                 if proof.counterexample is None:
                     break
-                wider = squared_widths(about, jnp.asarray(proof.counterexample.mean(axis=0)))[row]
+                wider = squared_widths(system, jnp.asarray(proof.counterexample.mean(axis=0)))[row]
                 square = SLACK * max(square, float(wider))
-                proof = run(f"reach {row + 1} of {2 * n}", width_bound(about, row, square))
+                proof = run(f"reach {row + 1} of {2 * n}", width_bound(system, row, square))
             claims.append(Claim("reach", proof, row, square, limit))
-        sizes = disturbance_sizes(given)
+        sizes = disturbance_sizes(bounds)
         if sizes.any():
-            square = SLACK * _sampled_disturbance(about, domain, sizes)
-            claims.append(Claim("disturbance", run("noise", disturbance_bound(about, sizes, square)), 0, square))
+            square = SLACK * _sampled_disturbance(system, domain, sizes)
+            claims.append(Claim("disturbance", run("noise", disturbance_bound(system, sizes, square)), 0, square))
         if all(claim.proof.verdict == "holds" for claim in claims):
             # Rounded down: the statement also holds for a smaller radius.
             radius = min(limit / math.sqrt(claim.square) for claim, limit in zip(claims[1:], limits, strict=False))
             radius *= 1 - 1e-9
-            if not steady_distance(wanted, disturbance_length(given, claims)) < radius:
+            if not steady_distance(target, disturbance_length(bounds, claims)) < radius:
                 radius = 0.0
-    facts = Contraction(wanted, radius, observer, matrix, domain, bound, given, claims, recipe)
+    facts = Contraction(target, radius, observer, matrix, domain, speeds, bounds, claims, recipe)
     statement = contraction_statement(facts, "proved")
-    spent, asked = time.monotonic() - start, time.monotonic()
+    elapsed, check_start = time.monotonic() - start, time.monotonic()
     if checker != "off" and statement.verdict == "holds":
         if progress is not None:
             progress("by the checker", 0.0, sum(claim.proof.boxes for claim in claims))
-        found = judged(_stated(facts, about), max(spent, PATIENCE) if checker == "auto" else math.inf)
-        statement = contraction_statement(facts, "proved", found)
+        result = judged(_stated(facts, system), max(elapsed, PATIENCE) if checker == "auto" else math.inf)
+        statement = contraction_statement(facts, "proved", result)
     if statement.verdict != "holds":
         radius = 0.0
     return ContractionCertificate(
         statement,
-        wanted,
+        target,
         radius,
         observer,
         matrix,
-        about,
+        system,
         domain,
-        bound,
-        given,
+        speeds,
+        bounds,
         tuple(claims),
         recipe,
         verified=True,
-        checker_seconds=time.monotonic() - asked,
+        checker_seconds=time.monotonic() - check_start,
     )
 
 
-def _stated(facts: Contraction, about: Subject) -> Resolved:
+def _stated(facts: Contraction, system: Subject) -> Resolved:
     """The claims as the checker reads them, without the trees of the search."""
     document = Document(
         "the proof",
@@ -200,35 +212,35 @@ def _stated(facts: Contraction, about: Subject) -> Resolved:
         tuple(claim.stated for claim in facts.claims),
         {},
     )
-    return Resolved(document, facts.observer, about)
+    return Resolved(document, facts.observer, system)
 
 
 def _positive(name: str, value: ArrayLike, n: int) -> Float[np.ndarray, "n"]:
-    given = _amounts(name, value, n)
-    if not (np.isfinite(given).all() and (given > 0).all()):
+    bounds = _amounts(name, value, n)
+    if not (np.isfinite(bounds).all() and (bounds > 0).all()):
         raise ValueError(
-            f"certify: {name} must be a positive, finite bound; got {given.tolist()}. No contraction holds at all "
+            f"certify: {name} must be a positive, finite bound; got {bounds.tolist()}. No contraction holds at all "
             "speeds and errors, so there is no certificate without such a bound"
         )
-    return given
+    return bounds
 
 
 def _amount(name: str, value: ArrayLike, n: int) -> Float[np.ndarray, "n"]:
-    given = _amounts(name, value, n)
-    if not (np.isfinite(given).all() and (given >= 0).all()):
-        raise ValueError(f"certify: {name} must be a finite bound, zero or more; got {given.tolist()}")
-    return given
+    bounds = _amounts(name, value, n)
+    if not (np.isfinite(bounds).all() and (bounds >= 0).all()):
+        raise ValueError(f"certify: {name} must be a finite bound, zero or more; got {bounds.tolist()}")
+    return bounds
 
 
 def _amounts(name: str, value: ArrayLike, n: int) -> Float[np.ndarray, "n"]:
-    given = np.broadcast_to(np.asarray(value, float), (n,)) if np.ndim(value) == 0 else np.asarray(value, float)
-    if given.shape != (n,):
-        raise ValueError(f"certify: {name} needs one number, or {n} of them; got {given.size}")
-    return given.copy()
+    amounts = np.broadcast_to(np.asarray(value, float), (n,)) if np.ndim(value) == 0 else np.asarray(value, float)
+    if amounts.shape != (n,):
+        raise ValueError(f"certify: {name} needs one number, or {n} of them; got {amounts.size}")
+    return amounts.copy()
 
 
 def _domain(
-    observer, about: Subject, velocity, error, position, given_input, times, noise, disturbance
+    observer, system: Subject, velocity, error, position, input_bounds, times, noise, disturbance
 ) -> tuple[Box, dict[str, Any]]:
     """The box of estimate, error and force, and the quantities from which the bounds of the force follow."""
     model = observer.model
@@ -240,18 +252,19 @@ def _domain(
         true = Box(model.coordinates, model.units, low, high)
         check_box(true)
         measured = true._replace(low=_sum(low, -noise, -1), high=_sum(high, noise, 1)) if noise.any() else true
+        # Rounded outward: the region has to contain every estimate within the error.
         low, high = _sum(low, -error, -1), _sum(high, error, 1)
     else:
         low, high = np.zeros(0), np.zeros(0)
         measured = true = check_box(_elements(model, position))
-    inputs = _inputs(model, given_input, n)
+    inputs = _inputs(model, input_bounds, n)
     first, last = _times(model, n, times)
-    # The true force and the one that the observer uses may differ by the whole disturbance.
+    # The true force and the one that the observer uses may differ by the whole disturbance, in either direction.
     force = force_bounds(model, measured, inputs, (first, last))
     if disturbance.any():
         force = np.stack([_sum(force[0], -disturbance, -1), _sum(force[1], disturbance, 1)])
     slopes = force_slopes(model, measured, inputs, (first, last)) if noise.any() else np.zeros((n, n))
-    given = {
+    bounds = {
         "positions": {"low": true.low.tolist(), "high": true.high.tolist()},
         "inputs": {"low": inputs[0].tolist(), "high": inputs[1].tolist()},
         "times": [first, last],
@@ -260,21 +273,22 @@ def _domain(
         "slopes": slopes.tolist(),
     }
 
-    def box(slack):
-        speed = _sum(velocity, slack, 1)
+    def box(excess):
+        speed = _sum(velocity, excess, 1)
         return Box(
-            about.names,
-            about.units,
+            system.names,
+            system.units,
             np.concatenate([low, -speed, -error, force[0]]),
             np.concatenate([high, speed, error, force[1]]),
         )
 
     # The velocity error that corresponds to the position error, so that both limit the tube equally.
-    slack = np.zeros(n)
+    excess = np.zeros(n)
+    # The widths depend on the box, and the box on them: a few fixed-point iterations, with a margin of a tenth.
     for _ in range(3):
-        roots = np.sqrt(sampled_widths(about, box(slack)))
-        slack = 1.1 * roots[n:] * ((error - noise) / roots[:n]).min()
-    return check_box(box(slack)), given
+        roots = np.sqrt(sampled_widths(system, box(excess)))
+        excess = 1.1 * roots[n:] * ((error - noise) / roots[:n]).min()
+    return check_box(box(excess)), bounds
 
 
 def _elements(model: MechanicalSystem, position: Bounds | None) -> Box:
@@ -288,21 +302,21 @@ def _elements(model: MechanicalSystem, position: Bounds | None) -> Box:
     return Box(names, ("",) * len(names), low, high)
 
 
-def _inputs(model, given, n: int) -> Float[np.ndarray, "2 m"]:
+def _inputs(model, bounds, n: int) -> Float[np.ndarray, "2 m"]:
     m = input_count(model, n)
-    sides = given if isinstance(given, tuple) else (-np.asarray(given, float), np.asarray(given, float))
+    sides = bounds if isinstance(bounds, tuple) else (-np.asarray(bounds, float), np.asarray(bounds, float))
     if len(sides) != 2:
         raise ValueError(
             f"certify: input as a tuple is a pair of bounds, lower and upper; got {len(sides)} entries; "
             "write a list for one bound of each input"
         )
     try:
-        found = np.stack([np.broadcast_to(np.asarray(side, float), (m,)) for side in sides])
+        stacked = np.stack([np.broadcast_to(np.asarray(side, float), (m,)) for side in sides])
     except ValueError:
         raise ValueError(f"certify: input needs one bound, or {m} of them; got {np.size(sides[0])}") from None
-    if not (np.isfinite(found).all() and (found[0] <= found[1]).all()):
-        raise ValueError(f"certify: input must have finite bounds; got {found.tolist()}")
-    return found
+    if not (np.isfinite(stacked).all() and (stacked[0] <= stacked[1]).all()):
+        raise ValueError(f"certify: input must have finite bounds; got {stacked.tolist()}")
+    return stacked
 
 
 def _times(model: MechanicalSystem, n: int, times: tuple[float, float] | None) -> tuple[float, float]:
@@ -324,14 +338,23 @@ def _times(model: MechanicalSystem, n: int, times: tuple[float, float] | None) -
 
 
 def limits_of(domain: Box, velocity, noise) -> Float[np.ndarray, "two_n"]:
-    """The largest position errors, and the largest velocities beyond their bound, that stay within the region.
+    """Compute how far errors and velocities may go within the region.
 
     Position errors are measured from the measured position, so the noise is subtracted.
+
+    Args:
+        domain: the box of estimate, error and force.
+        velocity: bounds (n,) of the true velocities.
+        noise: bounds (n,) of the errors of measured positions.
+
+    Returns:
+        The largest position errors, then the largest velocities beyond their bound, that stay within the region (2n,).
     """
     n = len(velocity)
     start = len(domain.low) - 3 * n
     speed, error = slice(start, start + n), slice(start + n, start + 2 * n)
     most = np.minimum(domain.high, -domain.low)
+    # Rounded down: a limit may not exceed the exact difference.
     return np.concatenate([_sum(most[error], -noise, -1), _sum(most[speed], -velocity, -1)])
 
 
@@ -344,7 +367,16 @@ def _sum(a: np.ndarray, b: np.ndarray, side: int) -> np.ndarray:
 
 
 def sampled_widths(about: Subject, domain: Box, count: int = 2000) -> Float[np.ndarray, "two_n"]:
-    """The largest `squared_widths` at random points and corners of the region."""
+    """Compute the largest `squared_widths` at random points and corners of the region.
+
+    Args:
+        about: observer and metric as functions of the region.
+        domain: the region.
+        count: number of points, half of them corners.
+
+    Returns:
+        The squares (2n,).
+    """
     return _sampled(lambda z: squared_widths(about, z), domain, count).max(axis=0)
 
 
@@ -357,6 +389,7 @@ def _sampled_disturbance(about: Subject, domain: Box, sizes: np.ndarray, count: 
 def _sampled(function: Callable | Lowered, domain: Box, count: int) -> np.ndarray:
     """A function at random points of a box, every second one a corner."""
     share = np.random.default_rng(0).uniform(size=(count, len(domain.low)))
+    # Extremes of such functions often are at corners, which uniform points do not reach.
     share[::2] = np.round(share[::2])
     points = domain.low + share * (domain.high - domain.low)
     return numbers(function if isinstance(function, Lowered) else lower(function, points[0]), points)

@@ -27,16 +27,23 @@ from covariant.proofs.checker import ROUND, TaylorEnclosure, leaves, show_defini
 
 SLACK = 2.0**-20
 """Relative margin by which forces may exceed their bounds, so that bounds that are attained can be shown quickly."""
+<<<<<<< ours
 DEPTH, DEEPEST, SHARE = 24, 200, 1024
 """How often a leaf may be halved; how often the box of the inputs may; number of leaves in a job of one process."""
+=======
+DEPTH, DEEPEST, SHARE = 10, 200, 1024
+"""How often a leaf may be halved; how often the box of inputs may be; number of leaves in a job of one process."""
+>>>>>>> theirs
 
 
 class Shown(NamedTuple):
-    """What was shown of a certificate.
+    """Result of showing the claims of a certificate.
 
-    - `resolved`: its document, and the observer that it is about.
-    - `leaves`: number of leaves of its claims; `shown`: of those that were shown, which is all unless time ran out.
-    - `seconds`: time it took.
+    Attributes:
+        resolved: its document, with the observer.
+        leaves: number of leaves of its claims.
+        shown: number of those that were shown, which is all unless time ran out.
+        seconds: time it took [s].
     """
 
     resolved: "Resolved"
@@ -52,9 +59,16 @@ def show(
     processes: int = 1,
     progress: Callable[[int, int], None] | None = None,
 ) -> Shown:
-    """Show that the claims of a file, or of the result of `parse`, hold; the arguments are those of `check`.
+    """Show that the claims of a file hold; the arguments are those of `check`.
 
-    Raises `ValueError` saying what is wrong, or what cannot be shown, and where.
+    Args:
+        source: the file, or the result of `parse`.
+        model: used in place of the model that the file names.
+        processes: number of processes.
+        progress: called with the number of leaves done and of all leaves.
+
+    Raises:
+        ValueError: saying what is wrong, or what cannot be shown, and where.
     """
     start = time.monotonic()
     document = source if isinstance(source, Document) else parse(source)
@@ -71,9 +85,14 @@ def show(
 
 
 def show_found(resolved: "Resolved", seconds: float) -> Shown:
-    """Show that claims that this process has found hold; what is not settled in that time [s] is left out.
+    """Show that claims that were proved in this process hold, within a time.
 
-    Raises `ValueError` saying what is wrong, or what cannot be shown, and where.
+    Args:
+        resolved: their document, with the observer.
+        seconds: time [s]; leaves that are not shown by then are left out.
+
+    Raises:
+        ValueError: saying what is wrong, or what cannot be shown, and where.
     """
     start = time.monotonic()
     _complete(resolved)
@@ -96,7 +115,13 @@ def _need(holds: Any, otherwise: str) -> None:
 
 
 class Resolved(NamedTuple):
-    """A document whose claims lead to its statement, if they hold, and the observer it is about."""
+    """A document whose claims imply its statement, if they hold, with the observer.
+
+    Attributes:
+        document: the content of the file.
+        observer: the observer, with its model.
+        about: observer and metric as functions of a box.
+    """
 
     document: Document
     observer: Intrinsics
@@ -104,15 +129,26 @@ class Resolved(NamedTuple):
 
 
 def follows(document: Document, model: Any = None) -> Resolved:
-    """A certificate with its observer. Raises `ValueError` unless its statement follows from claims that hold."""
+    """Resolve a document, and check that its statement follows from its claims.
+
+    Args:
+        document: the parsed file.
+        model: used in place of the model that the file names.
+
+    Returns:
+        The document with its observer.
+
+    Raises:
+        ValueError: the statement does not follow from the claims, or the model fails.
+    """
     try:
         with np.errstate(all="ignore"):
             observer, q = observer_from(document, model)
             resolved = Resolved(document, observer, subject(observer, q))
             _complete(resolved)
             # The comparison that takes longest comes last.
-            found = value_graph(resolved.about)
-            _need(document.graph == found, "graph: it must be the one that the observer has")
+            expected = value_graph(resolved.about)
+            _need(document.graph == expected, "graph: it must be the one that the observer has")
             return resolved
     except Exception as error:  # the model of a user may fail in any way while it is traced
         kind = "" if isinstance(error, ValueError) else f"recipe: the model fails: {type(error).__name__}: "
@@ -125,13 +161,13 @@ def _first_line(error: Exception) -> str:
 
 def _complete(resolved: Resolved) -> None:
     """Raise `ValueError` unless claims, region and radius fit the model and each other."""
-    (document, observer, about), n = resolved, len(resolved.document.velocity)
+    (document, observer, system), n = resolved, len(resolved.document.velocity)
     model, low, high, claims = observer.model, document.low, document.high, document.claims
-    _need(len(about.names) == len(low), f"box: the model has {len(about.names)} variables; the box bounds {len(low)}")
+    _need(len(system.names) == len(low), f"box: the model has {len(system.names)} variables; the box bounds {len(low)}")
     m, places = input_count(model, n), math.prod(configuration_shape(model, n))
-    for key, wanted in (("positions", places), ("inputs", m)):
-        found = getattr(document.given, key).shape[1]
-        _need(found == wanted, f"given.{key}: the model has {wanted}; bounds are there of {found}")
+    for key, expected in (("positions", places), ("inputs", m)):
+        columns = getattr(document.given, key).shape[1]
+        _need(columns == expected, f"given.{key}: the model has {expected}; bounds are there of {columns}")
     check_unique(observer, np.maximum(high, -low)[-2 * n : -n])
     noise, disturbed = document.given.noise, any(claim.kind == "disturbance" for claim in claims)
     _need(noise.any() or not document.given.slopes.any(), "given.slopes: they must be 0 where there is no noise")
@@ -145,16 +181,17 @@ def _complete(resolved: Resolved) -> None:
     start = document.given.positions[:, : places * model.manifold.commuting]
     truth = [np.concatenate([p, v, b]) for p, v, b in zip(start, (-speed, speed), (-noise, noise), strict=True)]
     widths = [radius * math.sqrt(claim.square) * (1 + ROUND) for claim in claims[1 : 1 + 2 * n]]
-    away = [*widths[: len(start[0])], *widths[n:], *widths[:n]]
-    for name, a, b, c, d, r in zip(about.names[:-n], low[:-n], high[:-n], *truth, away, strict=True):
+    reach = [*widths[: len(start[0])], *widths[n:], *widths[:n]]
+    for name, a, b, c, d, r in zip(system.names[:-n], low[:-n], high[:-n], *truth, reach, strict=True):
+        # `fsum` rounds the exact sum once, which keeps its sign.
         fits = c <= d and math.fsum([a, r, -c]) <= 0 and math.fsum([d, r, -b]) <= 0
-        far = f"{name} may be {r:.6g} outside of {c:.6g} to {d:.6g}"
-        _need(fits, f"box: {far}, which its box {a:.6g} to {b:.6g} does not hold")
+        excess = f"{name} may be {r:.6g} outside of {c:.6g} to {d:.6g}"
+        _need(fits, f"box: {excess}, which its box {a:.6g} to {b:.6g} does not hold")
     slack = np.minimum(high[:-n] - truth[1], truth[0] - low[:-n])
     limits = [*slack[-n:], *slack[-2 * n : -n]]
-    for row, (claim, r, most) in enumerate(zip(claims[1 : 1 + 2 * n], widths, limits, strict=True)):
+    for row, (claim, r, available) in enumerate(zip(claims[1 : 1 + 2 * n], widths, limits, strict=True)):
         what = f"claims[{row + 1}].limit: row {row} reaches {r:.6g}, may reach {claim.limit:.6g}"
-        _need(r <= claim.limit <= most, f"{what}, and has {most:.6g} of room")
+        _need(r <= claim.limit <= available, f"{what}, and has {available:.6g} of room")
     if disturbed:
         count = np.count_nonzero(sizes(document))
         steady = 2 * math.sqrt(count * claims[-1].square) / document.rate * (1 + ROUND)
@@ -162,20 +199,28 @@ def _complete(resolved: Resolved) -> None:
 
 
 def sizes(document: Document) -> np.ndarray:
-    """Largest errors of the measured position, and of the force, unmodelled or evaluated at a wrong position (2n,)."""
+    """Compute the largest errors of measured position and force, the latter unmodelled or due to a wrong position.
+
+    Args:
+        document: the parsed file.
+
+    Returns:
+        Sizes (2n,): those of the measured position, then those of the force.
+    """
     given = document.given
     return np.concatenate([given.noise, (given.disturbance + given.slopes @ given.noise) * (1 + ROUND)])
 
 
 def _jobs(document: Document) -> Iterator[tuple]:
     """Everything to be shown, with its boxes: the bounds of the force, definedness, and the leaves of the claims."""
-    given, n = _given(document), len(document.velocity)
+    region, n = _force_box(document), len(document.velocity)
     for what in ("the bound of the force", "the definedness of the force"):
-        yield what, *given[:, None]
+        yield what, *region[:, None]
     if document.given.noise.any():
-        still = np.concatenate([given, np.zeros((2, n))], axis=1)
+        pinned = np.concatenate([region, np.zeros((2, n))], axis=1)
         for what in ("the bound of the force's slopes", "the smoothness of the force"):
-            yield what, *still[:, None]
+            yield what, *pinned[:, None]
+    # Time and state, which every claim holds fixed at these zeros, see `everything`.
     pins = np.zeros((2, 2 * n + 1))
     yield (
         "the definedness of the observer, without jumps,",
@@ -187,7 +232,7 @@ def _jobs(document: Document) -> Iterator[tuple]:
             yield index, *(side[k : k + SHARE] for side in boxes)
 
 
-def _given(document: Document) -> np.ndarray:
+def _force_box(document: Document) -> np.ndarray:
     """Least and largest time, measured position and input: (2, 1 + places + m). On a group `positions` are measured."""
     given, positions = document.given, document.given.positions
     if document.observer["frame"] == "coordinates":
@@ -197,46 +242,64 @@ def _given(document: Document) -> np.ndarray:
 
 def _matrix(resolved: Resolved, what: int | str) -> TaylorEnclosure:
     """The matrix to be shown positive definite, for a claim by its index or for a further condition by its name."""
-    (document, _, about), model = resolved, resolved.observer.model
-    low, high, n, given = document.low, document.high, len(document.velocity), _given(document)
+    (document, _, system), model = resolved, resolved.observer.model
+    low, high, n, region = document.low, document.high, len(document.velocity), _force_box(document)
     shape = configuration_shape(model, n)
     if isinstance(what, int):
         claim = document.claims[what]
         matrix = {
-            "contraction": lambda: matrices.contraction(about, document.rate),
-            "reach": lambda: matrices.width_bound(about, claim.row, claim.square),
-            "disturbance": lambda: matrices.disturbance(about, sizes(document), claim.square),
+            "contraction": lambda: matrices.contraction(system, document.rate),
+            "reach": lambda: matrices.width_bound(system, claim.row, claim.square),
+            "disturbance": lambda: matrices.disturbance(system, sizes(document), claim.square),
         }[claim.kind]()
         slack = np.where(np.arange(len(low)) < len(low) - n, 0.0, _slack(low, high))
         return TaylorEnclosure(matrix, low, high, slack)
-    still = np.concatenate([given, np.zeros((2, n))], axis=1)
+    unmoved = np.concatenate([region, np.zeros((2, n))], axis=1)
     pinned = np.concatenate([[low, high], np.zeros((2, 2 * n + 1))], axis=1)
     force, slopes = matrices.force(model, shape), matrices.slopes(model, shape, n)
     slack, unknown, steep = _slack(low, high)[-n:] / 2, document.given.disturbance, document.given.slopes.ravel()
     claimed, allowed = (low[-n:] + unknown - slack, high[-n:] - unknown + slack), steep * (1 + SLACK) + 1e-200
     function, box, watch = {
-        "the bound of the force": (matrices.within(force, *claimed), given, ""),
-        "the definedness of the force": (force, given, "defined"),
-        "the bound of the force's slopes": (matrices.within(slopes, -allowed, allowed), still, ""),
-        "the smoothness of the force": (matrices.stepped(model, shape, n), still, "smooth"),
-        "the definedness of the observer, without jumps,": (matrices.everything(about), pinned, "smooth"),
+        "the bound of the force": (matrices.within(force, *claimed), region, ""),
+        "the definedness of the force": (force, region, "defined"),
+        "the bound of the force's slopes": (matrices.within(slopes, -allowed, allowed), unmoved, ""),
+        "the smoothness of the force": (matrices.stepped(model, shape, n), unmoved, "smooth"),
+        "the definedness of the observer, without jumps,": (matrices.everything(system), pinned, "smooth"),
     }[what]
     least, largest = box
     return TaylorEnclosure(function, least, largest, np.zeros(len(least)), watch)
 
 
 def _slack(low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    # The last term serves bounds that are zero.
     return SLACK * np.maximum(abs(low), abs(high)) + 1e-200
 
 
 class Judge:
-    """Shows that leaves of one statement are right; each matrix is formed once."""
+    """Shows that leaves of one statement are right; each matrix is built once."""
 
     def __init__(self, resolved: Resolved, until: float = math.inf):
+        """Prepare to judge the jobs of one document.
+
+        Args:
+            resolved: the document, with its observer.
+            until: time of `time.monotonic` [s] at which `TimeoutError` is raised.
+        """
         self.until = until
         self.file, self.matrix = resolved.document.file, functools.cache(functools.partial(_matrix, resolved))
 
     def __call__(self, job: tuple) -> int:
+        """Show the leaves of one job to be right.
+
+        Args:
+            job: the claim by its index, or a further condition by its name; then low and high ends of its boxes.
+
+        Returns:
+            The number of leaves.
+
+        Raises:
+            ValueError: naming the leaf that cannot be shown.
+        """
         index, low, high = job
         what, depth = (f"claims[{index}]", DEPTH) if isinstance(index, int) else (index, DEEPEST)
         try:
@@ -266,6 +329,6 @@ def _results(resolved: Resolved, jobs: list[tuple], processes: int, model: Any) 
         pickle.dumps(model)
     except Exception as error:
         raise ValueError("a model that is shared with processes is given as 'module:attribute'") from error
-    given, context = (resolved.document, model), multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(processes, context, initializer=_begin, initargs=given) as pool:
+    arguments, context = (resolved.document, model), multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(processes, context, initializer=_begin, initargs=arguments) as pool:
         yield from pool.map(_work, jobs)

@@ -1,4 +1,4 @@
-"""What the check of a certificate says, in words."""
+"""Check of a saved certificate, with its result as a statement."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -13,11 +13,22 @@ CHECKER = "the checker, which forms the matrices of the claims anew and bounds t
 
 
 class Checked(NamedTuple):
-    """Result of a successful check.
+    """Result of a successful check of a certificate.
 
-    - `rate` [1/s], `radius`: those of the certificate; `statement`: the whole claim, as it is verified.
-    - `leaves`: number of leaves shown; `seconds`: time it took.
-    - `model_given`: whether the caller gave the model, in place of the one that the file names.
+    Attributes:
+        statement: the whole claim, as it is verified.
+        rate: rate λ of the certificate [1/s], of squared lengths.
+        radius: its radius ε, in the metric.
+        leaves: number of leaves of its trees of boxes that were shown to be right.
+        seconds: time it took [s].
+        model_given: whether the caller provided the model, in place of the one that the file names.
+
+    Example:
+        >>> from covariant.certificates import Checked, Hypothesis, Statement
+        >>> statement = Statement("the observer contracts", (), (Hypothesis("all leaves", "proved"),), 2.0)
+        >>> result = Checked(statement, 2.0, 0.1, 12, 0.5)  # usually from `check`
+        >>> result.statement.short, result.leaves
+        ('holds (proved)', 12)
     """
 
     statement: Statement
@@ -35,34 +46,55 @@ def check(
     processes: int = 1,
     progress: Callable[[int, int], None] | None = None,
 ) -> Checked:
-    """Check a saved certificate, a file or the result of `parse`.
+    """Check a saved certificate: that its claims hold, and that its statement follows from them.
 
-    - `model`: for a certificate about a model that is not of this library, whose code the file cannot give: a model, a
-      function that makes one from the recipe's parameters, or the `module:attribute` of either.
-    - `processes`: number of processes; with several, a script needs the `if __name__ == "__main__"` guard.
-    - `progress`: called with the number of leaves done and of all leaves.
+    Args:
+        source: the file, or the result of `parse`.
+        model: for a certificate about a model that is not of this library, whose code the file cannot give: a model, a
+            function that creates one from the recipe's parameters, or the `module:attribute` of either.
+        processes: number of processes; with several, a script needs the `if __name__ == "__main__"` guard.
+        progress: called with the number of leaves done and of all leaves.
 
-    Raises `ValueError` saying what is wrong, or what cannot be shown, and where.
+    Returns:
+        The statement as verified, and the number of leaves.
+
+    Raises:
+        ValueError: saying what is wrong, or what cannot be shown, and where.
+
+    Example:
+        >>> from covariant.certificates import check
+        >>> check("missing.json")
+        Traceback (most recent call last):
+        ...
+        ValueError: missing.json does not exist; give the path of a saved certificate
     """
-    found = show(source, model=model, processes=processes, progress=progress)
-    facts = Contraction.stated(*found.resolved)
-    statement = contraction_statement(facts, "proved", _accepted(found))
-    return Checked(statement, facts.rate, facts.radius, found.leaves, found.seconds, model is not None)
+    shown = show(source, model=model, processes=processes, progress=progress)
+    facts = Contraction.stated(*shown.resolved)
+    statement = contraction_statement(facts, "proved", _accepted(shown))
+    return Checked(statement, facts.rate, facts.radius, shown.leaves, shown.seconds, model is not None)
 
 
 def judged(resolved: Resolved, seconds: float) -> Hypothesis:
-    """What the check says of claims that were found in this process, in about that time [s]."""
+    """Check claims that were proved in this process, as a hypothesis of their statement.
+
+    Args:
+        resolved: the document of the claims, with its observer.
+        seconds: time [s] after which the check stops; what remains is "assumed".
+
+    Returns:
+        What the checker accepts; "undecided" where it finds an error, with the message as place.
+    """
     try:
         return _accepted(show_found(resolved, seconds))
     except ValueError as error:
         return Hypothesis(f"{CHECKER} the proofs", "proved", "undecided", place=str(error))
 
 
-def _accepted(found: Shown) -> Hypothesis:
-    if found.shown == found.leaves:
-        return Hypothesis(f"{CHECKER} all {found.leaves} leaves", "proved")
+def _accepted(shown: Shown) -> Hypothesis:
+    if shown.shown == shown.leaves:
+        return Hypothesis(f"{CHECKER} all {shown.leaves} leaves", "proved")
     text = (
-        f"{CHECKER} all {found.leaves} leaves; it was stopped after {found.seconds:.0f} s with {found.shown} of them "
+        f"{CHECKER} all {shown.leaves} leaves; it was stopped after {shown.seconds:.0f} s with {shown.shown} of them "
         "shown, and `covariant certify --check` takes the time that it needs"
     )
     return Hypothesis(text, "assumed")

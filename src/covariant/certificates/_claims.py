@@ -1,4 +1,4 @@
-"""The claims that a proof of contraction consists of, and what noise and disturbance add to the flow."""
+"""The claims that a proof of contraction consists of, and the length that noise and disturbance add to the flow."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -12,14 +12,25 @@ from covariant.proofs import Box, Proof, from_letters, to_letters
 
 
 class Claim(NamedTuple):
-    """One proved inequality.
+    """One proved inequality of a certificate.
 
-    `kind` is one of
-    - "contraction": squared lengths decrease at the rate of the certificate.
-    - "reach": a curve of length ℓ changes the entry `row` of (error, velocity) by less than `ℓ √square`. This bounds
-      the half width of the tube in that entry, which may be up to `limit`.
-    - "disturbance": errors of measurement and force, relative to their sizes and within the unit ball, add at most
-      `√square` in length to the flow.
+    Attributes:
+        kind: "contraction": squared lengths decrease at the rate of the certificate. "reach": a curve of length ℓ
+            changes the entry `row` of (error, velocity) by less than `ℓ √square`, which bounds the half width of the
+            tube in that entry. "disturbance": errors of measurement and force, relative to their sizes and within the
+            unit ball, add at most `√square` in length to the flow.
+        proof: the tree of boxes over which the inequality was shown.
+        row: for "reach", the index of the entry of (error, velocity), from 0 to 2n − 1.
+        square: for "reach" and "disturbance", the square of the bound.
+        limit: for "reach", the largest half width that stays within the region, in the unit of the entry.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant.certificates import Claim
+        >>> from covariant.proofs import box, prove
+        >>> proof = prove(lambda z: jnp.array([[2.0 - z[0]]]), box(v=(-1.0, 1.0)))
+        >>> Claim("contraction", proof).document()["kind"], proof.verdict
+        ('contraction', 'holds')
     """
 
     kind: Kind
@@ -30,48 +41,86 @@ class Claim(NamedTuple):
 
     @property
     def stated(self) -> Stated:
-        """The claim as a file states it."""
+        """The claim in the form in which a file states it."""
         return Stated(self.kind, tuple(to_letters(self.proof.levels)), self.row, self.square, self.limit)
 
     def document(self) -> dict[str, Any]:
-        """The claim as data for the file."""
+        """Convert the claim to data for the file.
+
+        Returns:
+            Its kind, the numbers that belong to this kind, and its tree of boxes with one string for each level.
+        """
         numbers = {key: getattr(self, key) for key in NUMBERS[self.kind]}
         return {"kind": self.kind, **numbers, "levels": to_letters(self.proof.levels)}
 
 
 def stated_claims(document: Document, domain: Box) -> tuple[Claim, ...]:
-    """The claims of a file, with the trees of boxes that it states as their proofs."""
+    """Build the claims of a file, with the trees of boxes that it states as their proofs.
+
+    Args:
+        document: the parsed file.
+        domain: the box of all its claims.
+
+    Returns:
+        One claim for each in the file, in the same order. Its proof is only stated, not verified.
+    """
     return tuple(
-        Claim(said.kind, Proof.stated(domain, from_letters(said.levels)), said.row, said.square, said.limit)
-        for said in document.claims
+        Claim(claim.kind, Proof.stated(domain, from_letters(claim.levels)), claim.row, claim.square, claim.limit)
+        for claim in document.claims
     )
 
 
 def disturbance_sizes(given: dict[str, Any]) -> Float[np.ndarray, "two_n"]:
-    """Largest errors of the measured position, and of the force, unmodelled or evaluated at a wrong position (2n,).
+    """Compute the largest errors of the measured position and of the force.
 
-    Together they lie in a ball of radius √m relative to these sizes, m being the number of sizes that are not zero.
+    The error of the force is the unmodelled force, plus the change of the force where it is evaluated at a position
+    with an error. Together the errors lie in a ball of radius √m relative to these sizes, where m is the number of
+    sizes that are not zero.
+
+    Args:
+        given: the bounds `noise` (n,), `disturbance` (n,) and `slopes` (n, n) of a certificate.
+
+    Returns:
+        Sizes (2n,): those of the measured position, then those of the force.
     """
     noise, unknown, slopes = (np.asarray(given[name], float) for name in ("noise", "disturbance", "slopes"))
-    through = (np.reshape(slopes, (len(noise), -1)) * noise).sum(axis=1) * (1 + 1e-12)
-    return np.concatenate([noise, unknown + through])
+    # Σ_j |∂f_i/∂q_j| · noise_j bounds the change of force i; the factor covers the rounding of this sum.
+    induced = (np.reshape(slopes, (len(noise), -1)) * noise).sum(axis=1) * (1 + 1e-12)
+    return np.concatenate([noise, unknown + induced])
 
 
 def disturbance_length(given: dict[str, Any], claims: Sequence[Claim]) -> float:
-    """D: the largest length that noise and disturbance add to the flow; 0 where none are given, ∞ if not proved."""
+    """Bound the length D that noise and disturbance add to the flow.
+
+    Args:
+        given: the bounds of a certificate, as for `disturbance_sizes`.
+        claims: its claims, of which the one about the disturbance is used.
+
+    Returns:
+        D, in the metric; 0 where no noise and no disturbance are given, ∞ if the bound is not proved.
+    """
     count = np.count_nonzero(disturbance_sizes(given))
     squares = [claim.square for claim in claims if claim.kind == "disturbance"]
+    # The errors lie in a ball of radius √count, not in the unit ball of the claim; the factor covers rounding.
     return math.sqrt(count * squares[0]) * (1 + 1e-12) if squares else math.inf if count else 0.0
 
 
 def read_bounds(plain: Mapping[str, Any]) -> Given:
-    """The bounds of which a file has the data."""
+    """Read the bounds of a certificate from plain data.
+
+    Args:
+        plain: the data of a file, as from `plain_bounds`.
+    """
     sides = [np.array([plain[key]["low"], plain[key]["high"]], float) for key in ("positions", "inputs")]
     return Given(*sides, *(np.asarray(plain[key], float) for key in ("times", "noise", "disturbance", "slopes")))
 
 
 def plain_bounds(given: Given) -> dict[str, Any]:
-    """The given bounds as data for the file."""
+    """Convert the bounds of a certificate to data for the file.
+
+    Args:
+        given: bounds of positions, inputs, times, noise, disturbance and slopes.
+    """
 
     def pair(bounds: np.ndarray) -> dict[str, list[float]]:
         return {"low": bounds[0].tolist(), "high": bounds[1].tolist()}

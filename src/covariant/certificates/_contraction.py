@@ -26,9 +26,17 @@ StateMatrix = Callable[[Scalar, Vector], Array]
 class StateMetric(NamedTuple):
     """A metric `M = ΘᵀNΘ` on states x (n,), which may change with time.
 
-    - `coframe`: `(t, x) -> Θ (n, n)`, which gives the components of a variation δx in a moving frame.
-    - `frame`: `(t, x) -> Θ⁻¹ (n, n)`; its columns are the vectors of that frame.
-    - `gram`: `(t, x) -> N (n, n)`, symmetric positive definite: the inner products of these vectors.
+    Attributes:
+        coframe: `(t, x) -> Θ (n, n)`, which gives the components of a variation δx in a moving frame.
+        frame: `(t, x) -> Θ⁻¹ (n, n)`; its columns are the vectors of that frame.
+        gram: `(t, x) -> N (n, n)`, symmetric positive definite: the inner products of these vectors.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant.certificates import in_frame
+        >>> metric = in_frame(lambda t, x: jnp.diag(jnp.array([1.0, 2.0])))
+        >>> metric(jnp.array(0.0), jnp.zeros(2)).tolist()
+        [[1.0, 0.0], [0.0, 4.0]]
     """
 
     coframe: StateMatrix
@@ -36,13 +44,32 @@ class StateMetric(NamedTuple):
     gram: StateMatrix
 
     def __call__(self, t: Scalar, x: Vector) -> Matrix:
-        """The metric M (n, n) in coordinates."""
+        """Evaluate the metric M (n, n) in coordinates.
+
+        Args:
+            t: time [s].
+            x: state (n,).
+        """
         theta = self.coframe(t, x)
         return theta.T @ self.gram(t, x) @ theta
 
 
 def in_coordinates(metric: StateMatrix) -> StateMetric:
-    """The `StateMetric` of a metric `(t, x) -> M (n, n)`, in the frame of the coordinates: condition (9)."""
+    """Build a `StateMetric` in the frame of the coordinates, for condition (9).
+
+    Args:
+        metric: `(t, x) -> M (n, n)`, symmetric positive definite.
+
+    Returns:
+        The metric with Θ = I and N = M.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant.certificates import in_coordinates
+        >>> metric = in_coordinates(lambda t, x: 2 * jnp.eye(2))
+        >>> metric.gram(0.0, jnp.zeros(2)).tolist()
+        [[2.0, 0.0], [0.0, 2.0]]
+    """
 
     def identity(t, x):
         return jnp.eye(x.shape[0], dtype=x.dtype)
@@ -51,8 +78,23 @@ def in_coordinates(metric: StateMatrix) -> StateMetric:
 
 
 def in_frame(theta: StateMatrix) -> StateMetric:
-    """The metric `M = ΘᵀΘ` of a transformation `δz = Θ(t, x) δx`, (4) and (7), in its own frame: condition (8)."""
+    """Build the metric `M = ΘᵀΘ` of a transformation `δz = Θ(t, x) δx`, (4) and (7), for condition (8).
 
+    Args:
+        theta: `(t, x) -> Θ (n, n)`, invertible.
+
+    Returns:
+        The metric with N = I, in the frame of Θ.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant.certificates import in_frame
+        >>> metric = in_frame(lambda t, x: 2 * jnp.eye(2))
+        >>> metric.frame(0.0, jnp.zeros(2)).tolist()
+        [[0.5, 0.0], [0.0, 0.5]]
+    """
+
+    # Θ⁻¹ = (ΘᵀΘ)⁻¹Θᵀ, by a solver for symmetric positive definite matrices.
     def inverse(t, x):
         value = theta(t, x)
         return solve(value.T @ value, value.T)
@@ -61,49 +103,126 @@ def in_frame(theta: StateMatrix) -> StateMetric:
 
 
 def generalised_jacobian(flow: Flow, metric: StateMetric, t: Scalar, x: Vector) -> Matrix:
-    """`F_Θ = (Θ̇ + Θ ∂f/∂x) Θ⁻¹` (n, n), equation (6): the Jacobian of components in the frame along the flow [1/s]."""
+    """Compute the generalised Jacobian `F_Θ = (Θ̇ + Θ ∂f/∂x) Θ⁻¹`, equation (6).
+
+    Args:
+        flow: `(t, x) -> x'`, the right-hand side f.
+        metric: the metric, whose frame is used.
+        t: time [s].
+        x: state (n,).
+
+    Returns:
+        F_Θ (n, n) [1/s]: the Jacobian of components in the frame along the flow.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant.certificates import generalised_jacobian, in_frame
+        >>> metric = in_frame(lambda t, x: jnp.diag(jnp.array([1.0, 2.0])))
+        >>> flow = lambda t, x: jnp.stack([x[1] - x[0], -x[1]])
+        >>> generalised_jacobian(flow, metric, jnp.array(0.0), jnp.zeros(2)).tolist()
+        [[-1.0, 0.5], [0.0, -1.0]]
+    """
+    # Θ̇ is the total derivative: along time and along the flow.
     change = jax.jvp(metric.coframe, (t, x), (jnp.ones_like(t), flow(t, x)))[1]
     frame = metric.frame(t, x)
-    moved = jax.vmap(lambda e: jax.jvp(lambda y: flow(t, y), (x,), (e,))[1], in_axes=1, out_axes=1)(frame)
-    return change @ frame + metric.coframe(t, x) @ moved
+    pushed = jax.vmap(lambda e: jax.jvp(lambda y: flow(t, y), (x,), (e,))[1], in_axes=1, out_axes=1)(frame)
+    return change @ frame + metric.coframe(t, x) @ pushed
 
 
 def contraction_matrix(flow: Flow, metric: StateMetric, t: Scalar, x: Vector) -> Matrix:
-    """`F_ΘᵀN + Ṅ + N F_Θ` (n, n): the rate of change of squared lengths, in the frame; for both conditions (8) and (9).
+    """Compute `F_ΘᵀN + Ṅ + N F_Θ`, the rate of change of squared lengths in the frame, for both conditions (8) and (9).
 
     It is negative definite where the flow contracts; `Θᵀ(…)Θ = FᵀM + Ṁ + MF` does not depend on the frame.
+
+    Args:
+        flow: `(t, x) -> x'`, the right-hand side f.
+        metric: the metric.
+        t: time [s].
+        x: state (n,).
+
+    Returns:
+        A symmetric matrix (n, n), N [1/s].
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant.certificates import contraction_matrix, in_coordinates
+        >>> metric = in_coordinates(lambda t, x: jnp.eye(2))
+        >>> contraction_matrix(lambda t, x: -3 * x, metric, jnp.array(0.0), jnp.zeros(2)).tolist()
+        [[-6.0, 0.0], [0.0, -6.0]]
     """
     gram, change = jax.jvp(metric.gram, (t, x), (jnp.ones_like(t), flow(t, x)))
     return lengths(gram, change, generalised_jacobian(flow, metric, t, x))
 
 
 def lengths(gram: Matrix, change: Matrix, jacobian: Matrix) -> Matrix:
-    """`FᵀN + Ṅ + NF` from N, Ṅ and F."""
-    moved = gram @ jacobian
-    return moved + moved.T + change
+    """Compute `FᵀN + Ṅ + NF`, the rate of change of squared lengths.
+
+    Args:
+        gram: N (n, n).
+        change: Ṅ (n, n), the derivative of N along the flow.
+        jacobian: F (n, n), the generalised Jacobian.
+    """
+    product = gram @ jacobian
+    return product + product.T + change
 
 
 def contraction_rate(flow: Flow, metric: StateMetric | StateMatrix, t: Scalar, x: Vector) -> Scalar:
-    """The largest λ at (t, x) with `FᵀM + Ṁ + MF ≤ −λM` [1/s]: minus the largest generalised eigenvalue.
+    """Compute the largest λ at (t, x) with `FᵀM + Ṁ + MF ≤ −λM`.
 
     Distances between solutions decrease as `e^(−λt/2)` where λ is a lower bound along the geodesics between them.
+
+    Args:
+        flow: `(t, x) -> x'`, the right-hand side f.
+        metric: a `StateMetric`, or a function `(t, x) -> M (n, n)`.
+        t: time [s].
+        x: state (n,).
+
+    Returns:
+        λ [1/s], of squared lengths: minus the largest generalised eigenvalue of both sides; negative where lengths
+        grow.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant.certificates import contraction_rate
+        >>> flow = lambda t, x: -2 * x - x**3
+        >>> float(contraction_rate(flow, lambda t, x: jnp.eye(1), jnp.array(0.0), jnp.array([1.0])))
+        10.0
     """
     metric = metric if isinstance(metric, StateMetric) else in_coordinates(metric)
+    # Whitening by N makes the generalised eigenvalues ordinary ones; eigvalsh sorts them in rising order.
     return -jnp.linalg.eigvalsh(whiten(metric.gram(t, x), contraction_matrix(flow, metric, t, x)))[-1]
 
 
 def log_norm(matrix: Matrix, order: float | int = 2) -> Scalar:
-    """The logarithmic norm of a Jacobian (n, n) for the vector norm ℓ1, ℓ2 or ℓ∞ [1/s]: `|δx|' ≤ μ |δx|`.
+    """Compute the logarithmic norm μ of a Jacobian for the vector norm ℓ1, ℓ2 or ℓ∞: `|δx|' ≤ μ |δx|`.
 
-    A quick test: where it is negative on a convex set, the flow contracts in that norm. Source: Desoer & Haneda 1972,
-    The measure of a matrix as a tool to analyze computer algorithms, IEEE Trans. Circuit Theory 19(5).
+    A quick test: where it is negative on a convex set, the flow contracts in that norm.
 
-    Raises `ValueError` for an order other than 1, 2 or infinity.
+    Source: Desoer & Haneda 1972, The measure of a matrix as a tool to analyze computer algorithms, IEEE Trans. Circuit
+    Theory 19(5).
+
+    Args:
+        matrix: Jacobian (n, n) [1/s].
+        order: of the vector norm: 1, 2 (default) or infinity.
+
+    Returns:
+        μ [1/s].
+
+    Raises:
+        ValueError: another order.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant.certificates import log_norm
+        >>> jacobian = jnp.array([[-2.0, 1.0], [0.0, -4.0]])
+        >>> float(log_norm(jacobian, 1)), float(log_norm(jacobian, jnp.inf))
+        (-2.0, -1.0)
     """
     if order == 2:
         return jnp.linalg.eigvalsh((matrix + matrix.T) / 2)[-1]
     if order not in (1, jnp.inf):
         raise ValueError(f"log_norm: order must be 1, 2 or inf; got {order!r}")
+    # ℓ1 sums over columns, ℓ∞ over rows; the diagonal enters with its sign.
     sizes = jnp.abs(matrix) if order == 1 else jnp.abs(matrix).T
     diagonal = jnp.diagonal(matrix)
     return jnp.max(diagonal + jnp.sum(sizes, axis=0) - jnp.abs(diagonal))
@@ -112,5 +231,22 @@ def log_norm(matrix: Matrix, order: float | int = 2) -> Scalar:
 def rates_along(
     flow: Flow, metric: StateMetric | StateMatrix, t: Float[Array, "T"], x: Float[Array, "T n"]
 ) -> Float[Array, "T"]:
-    """`contraction_rate` at each stamp of a trajectory."""
+    """Compute `contraction_rate` at each stamp of a trajectory.
+
+    Args:
+        flow: `(t, x) -> x'`, the right-hand side f.
+        metric: a `StateMetric`, or a function `(t, x) -> M (n, n)`.
+        t: stamps (T,) [s].
+        x: states (T, n).
+
+    Returns:
+        Rates λ (T,) [1/s], of squared lengths.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant.certificates import rates_along
+        >>> t, x = jnp.array([0.0, 1.0]), jnp.array([[0.0], [1.0]])
+        >>> rates_along(lambda t, x: -2 * x - x**3, lambda t, x: jnp.eye(1), t, x).tolist()
+        [4.0, 10.0]
+    """
     return jax.vmap(lambda time, state: contraction_rate(flow, metric, time, state))(t, x)

@@ -1,4 +1,4 @@
-"""Proved contraction of an intrinsic observer on a region: the statement and its claims, to be saved and read."""
+"""Proved contraction of an intrinsic observer on a region: a statement and its claims, which can be saved and read."""
 
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -20,18 +20,36 @@ from covariant.proofs import Box, digest
 
 
 class ContractionCertificate(NamedTuple):
-    """Result of a proof about an observer on a region.
+    """Result of a proof that an intrinsic observer contracts on a region.
 
-    - `statement`: the claim, its hypotheses and so its verdict, and its margin, the rate λ [1/s] of squared lengths.
-    - `rate`: λ [1/s]; `radius`: ε, in the metric of Q on states; 0 unless the verdict is "holds".
-    - `observer`, `q` (2, 2): the observer, and the matrix Q of the metric; `subject`: both as functions of a box.
-    - `domain`: the box of estimate, error and force; `velocity` (n,): the bound of the true velocity.
-    - `given`: positions, inputs and times from which the bounds of the force follow; `noise`, `disturbance`, `slopes`.
-    - `claims`: the inequalities, with their proofs.
-    - `recipe`: where the model comes from, as from `models.recipe`; None for a model that only this process knows.
-    - `verified`: whether it was proved in this process. A certificate that was read from a file is only as trustworthy
-      as the file, until `covariant certify --check` has verified it.
-    - `checker_seconds`: time [s] that the checker looked at it in this process.
+    Attributes:
+        statement: the claim and its hypotheses, from which the verdict follows; its margin is the rate λ.
+        rate: rate λ [1/s] at which squared lengths decrease.
+        radius: radius ε of the tube, in the metric of Q on states; 0 unless the verdict is "holds".
+        observer: the observer.
+        q: the matrix Q (2, 2) of the metric.
+        subject: observer and metric as functions of a box.
+        domain: the box of estimate, error and force.
+        velocity: bound (n,) of each true velocity [unit/s].
+        given: `positions`, `inputs` and `times`, from which the bounds of the force follow, and `noise`, `disturbance`
+            and `slopes`; as plain data.
+        claims: the inequalities, with their proofs.
+        recipe: where the model comes from, as from `models.recipe`; None for a model that only this process knows.
+        verified: whether it was proved in this process. A certificate that was read from a file is only as trustworthy
+            as the file, until `covariant certify --check` has verified it.
+        checker_seconds: time [s] that the checker spent on it in this process.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.certificates import ContractionCertificate, Hypothesis, Statement
+        >>> from covariant.proofs import box
+        >>> statement = Statement("the observer contracts", (), (Hypothesis("it contracts", "proved"),), 2.0)
+        >>> domain = box(v=(-1.0, 1.0), e=(-0.1, 0.1), f=(0.0, 0.0))
+        >>> given = {"noise": [0.0], "disturbance": [0.0], "slopes": [[0.0]]}
+        >>> entries = statement, 2.0, 0.1, None, np.eye(2), None, domain, np.ones(1), given, (), None
+        >>> certificate = ContractionCertificate(*entries)  # usually from `certify`
+        >>> certificate.decay, certificate.steady, certificate.kinds
+        (1.0, 0.0, ('velocity', 'error', 'force'))
     """
 
     statement: Statement
@@ -50,7 +68,7 @@ class ContractionCertificate(NamedTuple):
 
     @property
     def decay(self) -> float:
-        """μ [1/s]: distances decrease as `e^(−μt)`, at half the rate."""
+        """Decay rate μ = λ/2 [1/s]: distances decrease as `e^(−μt)`."""
         return self.rate / 2
 
     @property
@@ -60,23 +78,28 @@ class ContractionCertificate(NamedTuple):
 
     @property
     def boxes(self) -> int:
-        """Number of boxes evaluated."""
+        """Number of boxes evaluated, over all claims."""
         return sum(claim.proof.boxes for claim in self.claims)
 
     @property
     def seconds(self) -> float:
-        """Time of the proofs [s]."""
+        """Time of the proofs [s]; NaN for a certificate that was read from a file."""
         return sum(claim.proof.seconds for claim in self.claims)
 
     @property
     def counterexample(self) -> Float[np.ndarray, "2 d"] | None:
-        """A box on which the statement was proved wrong, or None."""
+        """A box (2, d), low then high ends, on which the statement was proved wrong, or None."""
         return next((c.proof.counterexample for c in self.claims if c.proof.counterexample is not None), None)
 
     @property
     def half_widths(self) -> Float[np.ndarray, "two_n"]:
-        """Half widths of the proved tube in each position error [unit], then in each velocity error [unit/s].
-        Raises `ValueError` where no tube is proved.
+        """Half widths of the proved tube, (2n,).
+
+        Returns:
+            Those in each position error [unit], then in each velocity error [unit/s].
+
+        Raises:
+            ValueError: no tube is proved.
         """
         if self.statement.verdict != "holds":
             raise ValueError("no tube, since nothing is proved on the region")
@@ -86,19 +109,23 @@ class ContractionCertificate(NamedTuple):
     def kinds(self) -> tuple[str, ...]:
         """The kind of each variable of the domain: "estimate", "velocity" (estimated), "error" or "force"."""
         n = len(self.velocity)
-        words = ("estimate", "velocity", "error", "force")
-        parts = words if len(self.domain.low) == 4 * n else words[1:]
-        return tuple(word for word in parts for _ in range(n))
+        roles = ("estimate", "velocity", "error", "force")
+        parts = roles if len(self.domain.low) == 4 * n else roles[1:]
+        return tuple(role for role in parts for _ in range(n))
 
     @property
     def open(self) -> Float[np.ndarray, "k 2 d"]:
-        """Boxes that were left undecided."""
+        """Boxes (k, 2, d), low then high ends, that were left undecided."""
         return np.concatenate([claim.proof.open for claim in self.claims])
 
     def document(self) -> dict[str, Any]:
-        """The certificate as data for the file.
+        """Convert the certificate to data for the file.
 
-        Raises `ValueError` where the model has no recipe, and for a statement that was proved wrong.
+        Returns:
+            A dictionary of plain numbers and texts, with a digest of its content.
+
+        Raises:
+            ValueError: the model has no recipe, nothing is proved, or the statement was proved wrong.
         """
         if self.recipe is None:
             raise ValueError("a certificate is saved with its model; give certify(..., recipe=models.recipe(spec))")
@@ -106,7 +133,7 @@ class ContractionCertificate(NamedTuple):
             raise ValueError(f"nothing is proved that could be saved: {self.statement.claim}")
         if self.counterexample is not None:
             raise ValueError("the statement is wrong, and a counter-example is printed, not saved; certify another one")
-        found = {
+        content = {
             "format": FORMAT,
             "recipe": {"parameters": {}} | self.recipe,
             "observer": observer_document(self.observer),
@@ -119,28 +146,43 @@ class ContractionCertificate(NamedTuple):
             "claims": [claim.document() for claim in self.claims],
             "graph": value_graph(self.subject),
         }
-        return found | {"digest": digest(found)}
+        return content | {"digest": digest(content)}
 
     def save(self, path: str | Path) -> Path:
         """Write the certificate with all its boxes as JSON, as data that executes nothing when it is read.
 
-        Raises `ValueError` where the model has no recipe, and for a statement that was proved wrong.
+        Args:
+            path: the file.
+
+        Returns:
+            The path.
+
+        Raises:
+            ValueError: the model has no recipe, nothing is proved, or the statement was proved wrong.
         """
         return write(path, self.document())
 
     @classmethod
     def load(cls, path: str | Path, *, model: Any = None) -> "ContractionCertificate":
-        """Read a saved certificate with all its boxes; the time of the proofs is not in the file (NaN).
+        """Read a saved certificate with all its boxes.
 
-        It is checked that the boxes cover the region and that the statement follows from the claims. Whether the claims
-        hold is checked only by `covariant certify --check`; until then the certificate is not `verified`.
+        Two things are checked: that the boxes cover the region, and that the statement follows from the claims. Whether
+        the claims hold is checked only by `covariant certify --check`; until then the certificate is not `verified`.
+        The time of the proofs is not in the file (NaN).
 
-        `model`: where the recipe names a model that is not of this library, the caller gives it: the model, a function
-        that makes it from the recipe's parameters, or the `module:attribute` of either. Raises `ValueError` naming file
-        and key.
+        Args:
+            path: the file.
+            model: for a recipe that names a model that is not of this library: the model, a function that creates it
+                from the recipe's parameters, or the `module:attribute` of either.
+
+        Returns:
+            The certificate, whose claims have the evidence "claimed".
+
+        Raises:
+            ValueError: naming file and key.
         """
-        document, observer, about = follows(parse(path), model)
-        facts = Contraction.stated(document, observer, about)
+        document, observer, system = follows(parse(path), model)
+        facts = Contraction.stated(document, observer, system)
         statement = contraction_statement(facts, "claimed")
         return cls(
             statement._replace(claim=f"{statement.claim} (read from a file, not verified again)"),
@@ -148,7 +190,7 @@ class ContractionCertificate(NamedTuple):
             facts.radius,
             facts.observer,
             facts.q,
-            about,
+            system,
             facts.domain,
             facts.velocity,
             facts.given,

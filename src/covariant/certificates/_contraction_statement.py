@@ -1,4 +1,4 @@
-"""The statement of a proof of contraction: what it is about, in words with all its numbers, and its hypotheses."""
+"""The statement of a proof of contraction: its claim in words with all numbers, and its hypotheses."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -21,7 +21,11 @@ from covariant.proofs import Box
 
 
 class Contraction(NamedTuple):
-    """All that a statement about an intrinsic observer is made of; the fields are those of `ContractionCertificate`."""
+    """All that a statement about an intrinsic observer is derived from.
+
+    Attributes:
+        rate, radius, observer, q, domain, velocity, given, claims, recipe: as in `ContractionCertificate`.
+    """
 
     rate: float
     radius: float
@@ -35,7 +39,13 @@ class Contraction(NamedTuple):
 
     @classmethod
     def stated(cls, document: Document, observer: Intrinsics, about: Subject) -> "Contraction":
-        """What a file states, with the observer that it is about."""
+        """Collect what a file states.
+
+        Args:
+            document: the parsed file.
+            observer: the observer of the file.
+            about: observer and metric as functions of a box.
+        """
         domain = Box(about.names, about.units, document.low, document.high)
         return cls(
             document.rate,
@@ -56,61 +66,72 @@ class Contraction(NamedTuple):
 
 
 def contraction_statement(of: Contraction, evidence: Evidence, checker: Hypothesis | None = None) -> Statement:
-    """The statement with its verdict.
+    """Write the statement of a proof, with its verdict.
 
-    - `evidence`: that of the claims, "proved" or "claimed" by a file.
-    - `checker`: what the checker says of the proofs, as from `judged`; None where it was not asked.
+    Args:
+        of: what was proved.
+        evidence: that of the claims, "proved" or "claimed" by a file.
+        checker: the result of the checker, as from `judged`; None where it did not run.
+
+    Returns:
+        The statement, with the rate λ [1/s] of squared lengths as margin.
     """
     hypotheses = (*_hypotheses(of, evidence), *(() if checker is None else (checker,)), *_assumed())
-    wrong = next((c.proof.counterexample for c in of.claims if c.proof.counterexample is not None), None)
-    point = () if wrong is None else tuple(wrong.mean(axis=0).tolist())
-    found = Statement("", (), hypotheses, of.rate, str(of.domain), point)
-    # Of what is not shown there is no tube.
-    about = tuple(_about(of if found.verdict == "holds" else of._replace(radius=0.0)))
+    counterexample = next((c.proof.counterexample for c in of.claims if c.proof.counterexample is not None), None)
+    point = () if counterexample is None else tuple(counterexample.mean(axis=0).tolist())
+    draft = Statement("", (), hypotheses, of.rate, str(of.domain), point)
+    # There is no tube without a proof, so its radius is not printed.
+    data = tuple(_description(of if draft.verdict == "holds" else of._replace(radius=0.0)))
     claim = (
         _converges(of)
-        if found.verdict == "holds"
+        if draft.verdict == "holds"
         else f"squared lengths shrink at {of.rate:.4g} 1/s or faster on the region"
     )
-    if found.verdict == "undecided":
+    if draft.verdict == "undecided":
         reasons = [h.place for h in hypotheses if h.verdict == "undecided" and h.place]
         claim += f"; {reasons[0]}" if reasons else ""
-    return found._replace(claim=claim, about=about)
+    return draft._replace(claim=claim, about=data)
 
 
-def _converges(of: Contraction) -> str:
-    speeds, under = ", ".join(f"{v:.4g}" for v in of.velocity), []
-    for key, words in (("noise", "measurement errors"), ("disturbance", "unknown forces")):
-        if any(of.given[key]):
-            under.append(f"{words} up to {', '.join(f'{bound:.4g}' for bound in of.given[key])}")
-    end = f" to {of.steady:.4g} or less" if of.steady else ""
+def _converges(facts: Contraction) -> str:
+    speeds, conditions = ", ".join(f"{v:.4g}" for v in facts.velocity), []
+    for key, label in (("noise", "measurement errors"), ("disturbance", "unknown forces")):
+        if any(facts.given[key]):
+            conditions.append(f"{label} up to {', '.join(f'{bound:.4g}' for bound in facts.given[key])}")
+    end = f" to {facts.steady:.4g} or less" if facts.steady else ""
     return (
-        f"estimates within {_down(of.radius)} of a solution with velocities up to {speeds} stay so, and their distance "
-        f"falls at {_down(of.rate / 2)} 1/s or faster{end}" + (f", under {' and '.join(under)}" if under else "")
+        f"estimates within {_down(facts.radius)} of a solution with velocities up to {speeds} stay so, and their "
+        f"distance falls at {_down(facts.rate / 2)} 1/s or faster{end}"
+        + (f", under {' and '.join(conditions)}" if conditions else "")
     )
 
 
-def _hypotheses(of: Contraction, evidence: Evidence) -> Iterator[Hypothesis]:
-    n, names = len(of.velocity), of.domain.names
-    for claim in of.claims:
-        found, reach = claim.proof, of.radius * math.sqrt(claim.square)
+def _hypotheses(facts: Contraction, evidence: Evidence) -> Iterator[Hypothesis]:
+    n, names = len(facts.velocity), facts.domain.names
+    for claim in facts.claims:
+        proof, reach = claim.proof, facts.radius * math.sqrt(claim.square)
         if claim.kind == "contraction":
-            text, margin = f"squared lengths shrink at {_exact(of.rate)} 1/s or faster everywhere in the domain", None
+            text, margin = (
+                f"squared lengths shrink at {_exact(facts.rate)} 1/s or faster everywhere in the domain",
+                None,
+            )
         elif claim.kind == "reach":
             # Errors of the position come first, then the velocities.
             name = names[len(names) - 2 * n + claim.row] if claim.row < n else names[len(names) - 4 * n + claim.row]
             text = f"a curve of the length of the radius reaches less than {claim.limit:.4g} far in {name}"
-            margin = claim.limit - reach if of.radius else None
+            margin = claim.limit - reach if facts.radius else None
         else:
             text, margin = "noise and unknown forces add no more to the flow than the radius allows", None
-        yield Hypothesis(text, evidence, found.verdict, margin, found.reason)
-    if all(claim.proof.verdict == "holds" for claim in of.claims):
-        yield _radius(of, evidence)
+        yield Hypothesis(text, evidence, proof.verdict, margin, proof.reason)
+    if all(claim.proof.verdict == "holds" for claim in facts.claims):
+        yield _radius(facts, evidence)
     yield Hypothesis("over these positions, inputs and times the force stays within the bounds of the domain", evidence)
     yield Hypothesis(
         "the errors are below half a turn, so that the shortest path to the measurement is unique", evidence
     )
-    yield Hypothesis(f"the observer is {type(of.observer).__name__} itself, whose flow is the one described", evidence)
+    yield Hypothesis(
+        f"the observer is {type(facts.observer).__name__} itself, whose flow is the one described", evidence
+    )
 
 
 def _assumed() -> Iterator[Hypothesis]:
@@ -118,50 +139,50 @@ def _assumed() -> Iterator[Hypothesis]:
         yield Hypothesis(line, "assumed")
 
 
-def _radius(of: Contraction, evidence: Evidence) -> Hypothesis:
+def _radius(facts: Contraction, evidence: Evidence) -> Hypothesis:
     """That the tube is there, and that noise does not lead out of it."""
-    if of.radius > of.steady:
+    if facts.radius > facts.steady:
         return Hypothesis(
             "the tube has a radius, and noise and unknown forces alone do not lead out of it",
             evidence,
-            margin=of.radius - of.steady,
+            margin=facts.radius - facts.steady,
         )
-    why = f"noise and disturbance alone lead {of.steady:.4g} away, out of the tube; make them smaller"
-    return Hypothesis("noise and unknown forces alone do not lead out of the tube", evidence, "undecided", None, why)
+    reason = f"noise and disturbance alone lead {facts.steady:.4g} away, out of the tube; make them smaller"
+    return Hypothesis("noise and unknown forces alone do not lead out of the tube", evidence, "undecided", None, reason)
 
 
-def _about(of: Contraction) -> Iterator[str]:
+def _description(facts: Contraction) -> Iterator[str]:
     """Lines from which the claim can be repeated."""
-    model, n = of.observer.model, len(of.velocity)
-    fields, unit_of = observer_document(of.observer), dict(zip(of.domain.names, of.domain.units, strict=True))
+    model, n = facts.observer.model, len(facts.velocity)
+    fields, unit_of = observer_document(facts.observer), dict(zip(facts.domain.names, facts.domain.units, strict=True))
     kind, frame = fields.pop("kind"), fields.pop("frame")
     alpha, beta = (_exact(fields.pop(name)) for name in ("alpha", "beta"))
     options = "".join(f", {name} = {value}" for name, value in fields.items())
-    yield f"model: {'one that was given as an object' if of.recipe is None else recipe_text(of.recipe)}"
+    yield f"model: {'one that was given as an object' if facts.recipe is None else recipe_text(facts.recipe)}"
     yield f"observer: {kind} in the frame of {frame}, alpha = {alpha} 1/s, beta = {beta} 1/s²{options}; continuous time"
-    yield f"metric: Q = {_rows(of.q)}"
-    if of.radius:
-        yield f"rate λ = {_down(of.rate)} 1/s of squared lengths, radius ε = {_down(of.radius)} in this metric"
-    positions = of.given["positions"]
+    yield f"metric: Q = {_rows(facts.q)}"
+    if facts.radius:
+        yield f"rate λ = {_down(facts.rate)} 1/s of squared lengths, radius ε = {_down(facts.radius)} in this metric"
+    positions = facts.given["positions"]
     if model.manifold.commuting:
         ends = zip(positions["low"], positions["high"], strict=True)
         named = zip(model.coordinates, ends, strict=True)
         yield "true positions: " + ", ".join(_between(name, *pair, unit_of.get(name, "")) for name, pair in named)
     else:
         yield f"true positions: entries of the matrices from {_list(positions['low'])} to {_list(positions['high'])}"
-    speeds, errors = of.domain.names[-3 * n : -2 * n], of.domain.names[-2 * n : -n]
-    yield "true velocities up to: " + _up_to(speeds, of.velocity, unit_of)
-    yield "errors of the estimated position up to: " + _up_to(errors, of.domain.high[-2 * n : -n], unit_of)
-    inputs = of.given["inputs"]
+    speeds, errors = facts.domain.names[-3 * n : -2 * n], facts.domain.names[-2 * n : -n]
+    yield "true velocities up to: " + _up_to(speeds, facts.velocity, unit_of)
+    yield "errors of the estimated position up to: " + _up_to(errors, facts.domain.high[-2 * n : -n], unit_of)
+    inputs = facts.given["inputs"]
     pairs = enumerate(zip(inputs["low"], inputs["high"], strict=True), start=1)
     yield f"inputs: {', '.join(_between(f'u{i}', *pair, '') for i, pair in pairs) or 'none'}"
-    first, last = of.given["times"]
+    first, last = facts.given["times"]
     yield f"times: {_exact(first)} to {_exact(last)} s" + (
         ", or any, where the force does not read them" if first == last else ""
     )
-    yield f"errors of the measured position up to: {_list(of.given['noise'])}"
-    yield f"unknown forces up to: {_list(of.given['disturbance'])}"
-    yield f"domain of the proofs: {of.domain}"
+    yield f"errors of the measured position up to: {_list(facts.given['noise'])}"
+    yield f"unknown forces up to: {_list(facts.given['disturbance'])}"
+    yield f"domain of the proofs: {facts.domain}"
 
 
 def _between(name: str, low: float, high: float, unit: str) -> str:
@@ -190,5 +211,6 @@ def _down(value: float) -> str:
     text = f"{value:.4g}"
     if float(text) <= value:
         return text
+    # `.4g` rounds to nearest; one unit of the last of four digits less is below the value.
     last = math.floor(math.log10(abs(value))) - 3
     return f"{float(text) - 10.0**last:.4g}"

@@ -43,11 +43,15 @@ NUMBERS: dict[Kind, list[str]] = {"contraction": [], "reach": ["row", "square", 
 
 
 class Given(NamedTuple):
-    """Bounds from which those of the force and the measurements follow.
+    """Bounds from which those of the force and of the measurements follow.
 
-    - `positions` (2, p), `inputs` (2, m), `times` (2,) [s]: least and largest ones.
-    - `noise`, `disturbance` (n,): bounds of the error of measured positions, and of a force that the model lacks.
-    - `slopes` (n, n): bounds of the derivatives of the force by the position; 0 where there is no noise.
+    Attributes:
+        positions: least and largest positions (2, p), on a group the entries of its matrices.
+        inputs: least and largest inputs (2, m).
+        times: first and last time (2,) [s].
+        noise: bounds (n,) of the error of each measured position.
+        disturbance: bounds (n,) of each component of a force that the model lacks.
+        slopes: bounds (n, n) of the derivatives of the force by the position; 0 where there is no noise.
     """
 
     positions: Float[np.ndarray, "2 p"]
@@ -59,9 +63,14 @@ class Given(NamedTuple):
 
 
 class Stated(NamedTuple):
-    """A claim as stated in a file: "contraction", "reach" of a `row` by `square` up to `limit`, or "disturbance".
+    """A claim as stated in a file.
 
-    `levels`: its tree of boxes, one string for each level.
+    Attributes:
+        kind: "contraction", "reach" of a `row` by `square` up to `limit`, or "disturbance" of `square`.
+        levels: its tree of boxes, one string for each level.
+        row: index of the entry of (error, velocity), for "reach".
+        square: square of the bound, for "reach" and "disturbance".
+        limit: largest half width that is allowed, for "reach".
     """
 
     kind: Kind
@@ -77,13 +86,28 @@ class Stated(NamedTuple):
 
 
 class Document(NamedTuple):
-    """The content of a file, with checked types and sizes.
+    """The content of a certificate file, with checked types and sizes.
 
-    - `recipe`: {"system": name} or {"attribute": "module:attribute"}, and its "parameters". Names are not resolved yet.
-    - `observer`: "kind", "frame", "alpha", "beta" and the options of that kind; `q` (2, 2): the matrix of its metric.
-    - `rate` [1/s], `radius`: the radius is 0 where a claim is open; `velocity` (n,).
-    - `low`, `high` (d,): the box of all claims.
-    - `graph`: {"nodes": rows, "outputs": integers}, a graph of scalars in which every node follows its arguments.
+    Attributes:
+        file: name of the file, for messages.
+        recipe: {"system": name} or {"attribute": "module:attribute"}, and its "parameters". Names are not resolved yet.
+        observer: "kind", "frame", "alpha" [1/s], "beta" [1/s²] and the options of that kind.
+        q: the matrix (2, 2) of its metric.
+        rate: rate λ [1/s] of squared lengths.
+        radius: radius of the tube in the metric; 0 where a claim is open.
+        velocity: bounds (n,) of the true velocities.
+        given: bounds of positions, inputs, times, noise and disturbance.
+        low, high: the box (d,) of all claims.
+        claims: the claims, "contraction" first.
+        graph: {"nodes": rows, "outputs": integers}, a graph of scalars in which every node follows its arguments.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.certificates import Document
+        >>> entries = np.eye(2), 2.0, 0.1, np.ones(1), None, -np.ones(4), np.ones(4)
+        >>> document = Document("proved.json", {"system": "oscillator"}, {"kind": "intrinsic"}, *entries, (), {})
+        >>> document.rate, document.open
+        (2.0, False)
     """
 
     file: str
@@ -101,22 +125,39 @@ class Document(NamedTuple):
 
     @property
     def open(self) -> bool:
-        """Whether any claim is open."""
+        """Whether any claim has undecided boxes."""
         return any(claim.open for claim in self.claims)
 
 
 def parse(path: str | Path, content: bytes | None = None) -> Document:
-    """Read a certificate; `content` is that of the file, where it has been read already.
+    """Read a certificate file.
 
-    Raises `ValueError`, one line, where it cannot be read or is no certificate.
+    Only types, sizes and the digest are checked here; whether its numbers are a proof is decided by `check`.
+
+    Args:
+        path: the file.
+        content: its bytes, where it has been read already.
+
+    Returns:
+        The content, with checked types.
+
+    Raises:
+        ValueError: the file cannot be read or is no certificate; the message is one line.
+
+    Example:
+        >>> from covariant.certificates import parse
+        >>> parse("proved.json", b'{"format": "other"}')
+        Traceback (most recent call last):
+        ...
+        ValueError: proved.json: ...
     """
     top = parse_file(path, read_file(path) if content is None else content)
     top.need(isinstance(top.value, dict) and "format" in top.value, "a certificate with a format")
     top.at("format").need(top.value["format"] == FORMAT, f"{FORMAT!r}; this version reads no other")
     fields = top.record(KEYS)
-    found = digest(top.value)
-    wanted = f"{found} for what the file says; it was changed since it was saved"
-    fields["digest"].need(fields["digest"].value == found, wanted)
+    expected = digest(top.value)
+    message = f"{expected} for what the file says; it was changed since it was saved"
+    fields["digest"].need(fields["digest"].value == expected, message)
     observer, velocity = _observer(fields["observer"]), fields["velocity"].vector(1, MOST_PARTS, least=0.0)
     fields["velocity"].need((velocity > 0).all(), "positive numbers")
     n = len(velocity)
@@ -140,8 +181,20 @@ def parse(path: str | Path, content: bytes | None = None) -> Document:
 
 
 def write(path: str | Path, document: dict[str, Any]) -> Path:
-    """Write a certificate. Raises `ValueError` for what `parse` would not read, and then writes nothing."""
+    """Write a certificate file.
+
+    Args:
+        path: the file.
+        document: its content, as data for JSON.
+
+    Returns:
+        The path.
+
+    Raises:
+        ValueError: `parse` would not read the content; nothing is written then.
+    """
     try:
+        # What is written is parsed first, so that a file that was saved can always be read again.
         content = json.dumps(document, indent=1, ensure_ascii=False).encode("utf-8")
         parse(path, content)
     except (TypeError, ValueError) as error:
@@ -153,31 +206,31 @@ def _recipe(field: Field) -> dict[str, Any]:
     field.need(isinstance(field.value, dict), "an object with a system, or an attribute, and its parameters")
     source = "attribute" if "attribute" in field.value else "system"
     fields = field.record([source, "parameters"])
-    words = fields[source].text(200)
+    text = fields[source].text(200)
     if source == "attribute":
-        fields[source].need(re.fullmatch(r"[^:]+:[^:]+", words), "module:attribute")
+        fields[source].need(re.fullmatch(r"[^:]+:[^:]+", text), "module:attribute")
     parameters = fields["parameters"]
     parameters.need(
         isinstance(parameters.value, dict) and len(parameters.value) <= 64, "an object of 64 values at most"
     )
     for key in parameters.value:
         Field(field.file, f"the name of a parameter in {parameters.key}", key).need(key.isidentifier(), "a name")
-    most = MOST_PARTS if source == "system" else 100
-    return {source: words, "parameters": {key: _parameter(parameters.at(key), most) for key in parameters.value}}
+    most_entries = MOST_PARTS if source == "system" else 100
+    return {source: text, "parameters": {key: _parameter(parameters.at(key), most_entries) for key in parameters.value}}
 
 
-def _parameter(field: Field, most: int, deep: int = 2) -> Any:
+def _parameter(field: Field, most_entries: int, depth: int = 2) -> Any:
     """A number, a truth value, a text, or numbers in a list, a list of lists or by names, of at most `most` entries."""
-    if deep == 2 and isinstance(field.value, dict):
+    if depth == 2 and isinstance(field.value, dict):
         field.need(len(field.value) <= 64, "an object of 64 values at most")
         names = [Field(field.file, f"a name in {field.key}", key).text(200) for key in field.value]
-        return {name: _parameter(field.at(name), most, 1) for name in names}
-    if deep == 2 and isinstance(field.value, bool):
+        return {name: _parameter(field.at(name), most_entries, 1) for name in names}
+    if depth == 2 and isinstance(field.value, bool):
         return field.value
-    if deep == 2 and isinstance(field.value, str):
+    if depth == 2 and isinstance(field.value, str):
         return field.text(200)
-    if deep and isinstance(field.value, list):
-        return [_parameter(row, most, deep - 1) for row in field.rows(0, most)]
+    if depth and isinstance(field.value, list):
+        return [_parameter(row, most_entries, depth - 1) for row in field.rows(0, most_entries)]
     field.number()
     return field.value
 
@@ -197,6 +250,7 @@ def _observer(field: Field) -> dict[str, Any]:
 
 def _metric(field: Field) -> np.ndarray:
     q = np.stack([row.vector(2, 2) for row in field.rows(2, 2)])
+    # Fractions decide positive definiteness of these very doubles, without rounding in a b > c².
     (a, c), (d, b) = [[Fraction(number) for number in row] for row in q.tolist()]
     field.need(c == d and a > 0 and a * b > c * c, "a positive definite matrix [[a, c], [c, b]]")
     return q

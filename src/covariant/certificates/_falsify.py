@@ -20,20 +20,43 @@ STEPS = 60
 def falsify(
     subject: Subject, domain: Box, rate: float, *, attempts: int = 20_000, starts: int = 64, seed: int = 0
 ) -> Statement:
-    """Search for a point of the region that contracts more slowly than `rate` [1/s]; returns the slowest one found.
+    """Search for a point of the region that contracts more slowly than a rate.
 
-    - `attempts`: number of random points, half of them on faces of the region.
-    - `starts`: number of the slowest of these from which a descent starts.
+    Args:
+        subject: the system, as from `subject` or `virtual`.
+        domain: the box of its variables.
+        rate: rate [1/s] of squared lengths.
+        attempts: number of random points, half of them on faces of the region.
+        starts: number of the slowest of these from which a descent starts.
+        seed: of the random numbers.
 
-    The evidence is "sampled": where no slower point was found, nothing is proved. Raises `ValueError` for bounds that
-    are not in order, and where the rate is not a number.
+    Returns:
+        A statement with the slowest point, and its rate as margin. The evidence is "sampled": where no slower point was
+        found, nothing is proved.
+
+    Raises:
+        ValueError: bounds that are not in order, a rate that is not a number somewhere, or a flow that depends on time.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> import numpy as np
+        >>> from covariant.certificates import falsify, virtual
+        >>> from covariant.models import StateSpace
+        >>> from covariant.observers import Contracting
+        >>> from covariant.proofs import box
+        >>> model = StateSpace(lambda t, x, u: -x, lambda t, x, u: x, coordinates=("x",))
+        >>> system = virtual(Contracting(model, jnp.eye(1), jnp.zeros(1)), np.eye(1))  # x' = −x + (z − x)
+        >>> domain = box(x=(-1.0, 1.0), z_y1=(-1.0, 1.0), zdot_y1=(0.0, 0.0))
+        >>> result = falsify(system, domain, rate=3.0, attempts=100, starts=4)
+        >>> result.short, round(result.margin, 6)
+        ('holds (sampled)', 4.0)
     """
     check_box(domain)
     need_steady("falsify", subject, domain)
-    both = length_change(subject, lambda coframe, gram, change: jnp.stack([gram, change]).ravel(), lambda z: z)
-    value = both.graph(jnp.asarray(domain.low)).entries
+    matrices = length_change(subject, lambda coframe, gram, change: jnp.stack([gram, change]).ravel(), lambda z: z)
+    value = matrices.graph(jnp.asarray(domain.low)).entries
     least, point = slowest(pencil(value, domain), domain, attempts, starts, seed)
-    held = Hypothesis(
+    premise = Hypothesis(
         f"no slower point among {attempts}, nor where a descent from the {starts} slowest ends",
         "sampled",
         "holds" if least >= rate else "fails",
@@ -42,7 +65,7 @@ def falsify(
     return Statement(
         f"squared lengths shrink at no less than {rate:.4g} 1/s; the margin is the least rate found [1/s]",
         (),
-        (held,),
+        (premise,),
         least,
         str(domain),
         tuple(point.tolist()),
@@ -58,8 +81,10 @@ class _Rates(NamedTuple):
 
 def _rates(entries: Float[np.ndarray, "B e"]) -> _Rates:
     gram, change = _two(entries)
+    # K x = μ N x becomes an ordinary eigenvalue problem for L⁻¹ K L⁻ᵀ, N = LLᵀ; x = L⁻ᵀ y has xᵀNx = 1.
     half = np.linalg.inv(np.linalg.cholesky(gram))
     values, vectors = np.linalg.eigh(half @ change @ np.swapaxes(half, 1, 2))
+    # `eigh` sorts in rising order: the last one belongs to the vector that decreases most slowly.
     vector = (np.swapaxes(half, 1, 2) @ vectors[:, :, -1:])[:, :, 0]
     if np.isnan(values).any():
         raise ValueError("falsify: the rate is not a number somewhere in the region; make it smaller")
@@ -73,7 +98,13 @@ def _two(entries: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 class Pencil(NamedTuple):
-    """Entries of N and of K (2 k²,) as a graph; and a graph with their derivatives in the `free` variables."""
+    """The matrices N and K of a generalised eigenvalue problem, as graphs.
+
+    Attributes:
+        value: entries (2 k²,) of N and of K.
+        slopes: these entries with their derivatives in the free variables.
+        free: indices of the variables with a width.
+    """
 
     value: Lowered
     slopes: Lowered
@@ -81,16 +112,32 @@ class Pencil(NamedTuple):
 
 
 def pencil(value: Lowered, domain: Box) -> Pencil:
-    """The graph of N and K (2 k²,), for searches over boxes with the same free variables as the domain."""
+    """Prepare the graph of N and K for searches over boxes with the same free variables as the domain.
+
+    Args:
+        value: the graph of their entries (2 k²,).
+        domain: a box.
+    """
     free = np.flatnonzero(domain.high > domain.low).tolist()
     return Pencil(value, expand(value, free, 1), free)
 
 
 def slowest(form: Pencil, domain: Box, attempts: int, starts: int, seed: int) -> tuple[float, Float[np.ndarray, "d"]]:
-    """The least value of −λmax(N⁻¹K) over a box, and its point."""
+    """Search for the least value of −λmax(N⁻¹K) over a box.
+
+    Args:
+        form: the matrices N and K.
+        domain: the box.
+        attempts: number of random points.
+        starts: number of the slowest of these from which a descent starts.
+        seed: of the random numbers.
+
+    Returns:
+        The value, and its point (d,).
+    """
     rng, d = np.random.default_rng(seed), len(domain.low)
     width = domain.high - domain.low
-    least, kept = np.zeros(0), np.zeros((0, d))
+    least, best_points = np.zeros(0), np.zeros((0, d))
     for begin in range(0, attempts, BATCH):
         count = min(BATCH, attempts - begin)
         share = rng.uniform(size=(count, d))
@@ -100,23 +147,24 @@ def slowest(form: Pencil, domain: Box, attempts: int, starts: int, seed: int) ->
             share[0] = 0.5  # the middle, which often is at rest
         points = np.clip(domain.low + share * width, domain.low, domain.high)
         least = np.concatenate([least, _rates(numbers(form.value, points)).rate])
-        kept = np.concatenate([kept, points])
+        best_points = np.concatenate([best_points, points])
         order = np.argsort(least)[: max(starts, 1)]
-        least, kept = least[order], kept[order]
+        least, best_points = least[order], best_points[order]
     if starts:
         free = form.free
-        z = kept.copy()
+        z = best_points.copy()
         for step in range(STEPS):
             entries, slopes = numbers(form.slopes, z)
-            now = _rates(entries)
-            better = now.rate < least
-            least, kept[better] = np.where(better, now.rate, least), z[better]
+            current = _rates(entries)
+            better = current.rate < least
+            least, best_points[better] = np.where(better, current.rate, least), z[better]
             gram, change = _two(slopes)  # (B, f, k, k): of K x = −λ N x, dλ = −xᵀ(dK + λ dN) x
-            x = now.vector
-            slope = -np.einsum("bi,bfij,bj->bf", x, change + now.rate[:, None, None, None] * gram, x) * width[free]
+            x = current.vector
+            slope = -np.einsum("bi,bfij,bj->bf", x, change + current.rate[:, None, None, None] * gram, x) * width[free]
             size = np.abs(slope).max(axis=1, keepdims=True)
             slope = np.where(size > 0, slope / np.where(size > 0, size, 1.0), 0.0)
+            # Steps of fixed, shrinking length along the normalised slope: no line search, so that the effort is known.
             z[:, free] -= 0.1 * 0.95**step * slope * width[free]
             z = np.clip(z, domain.low, domain.high)
     best = int(np.argmin(least))
-    return float(least[best]), kept[best]
+    return float(least[best]), best_points[best]

@@ -16,9 +16,23 @@ from covariant.proofs import OPEN, PROVED, leaves
 class Projection(NamedTuple):
     """The boxes of one proof, projected on two variables.
 
-    - `claim`: its kind; `kind`: that of each of the two variables; `names`, `units`: as in the certificate.
-    - `proved`, `open` (k, 2, 2): distinct rectangles, as low then high ends of both variables.
-    - `domain` (2, 2): of both variables; `counterexample` (2,): where the statement was proved wrong, or None.
+    Attributes:
+        claim: kind of the claim: "contraction", "reach" or "disturbance".
+        kind: kind of each of the two variables: "estimate", "velocity", "error" or "force".
+        names, units: name and unit of each, as in the certificate.
+        proved: distinct rectangles (k, 2, 2) that are proved, as low then high ends of both variables.
+        open: distinct rectangles (j, 2, 2) that are undecided.
+        domain: low then high ends (2, 2) of both variables.
+        counterexample: point (2,) at which the statement was proved wrong, or None.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.certificates import Projection
+        >>> square = np.array([[-1.0, -1.0], [1.0, 1.0]])
+        >>> labels = "contraction", ("velocity", "error"), ("v", "e"), ("m/s", "m")
+        >>> picture = Projection(*labels, square[None], np.zeros((0, 2, 2)), square, None)
+        >>> len(picture.proved), len(picture.open)
+        (1, 0)
     """
 
     claim: str
@@ -34,9 +48,19 @@ class Projection(NamedTuple):
 class TradeOff(NamedTuple):
     """Rates λ [1/s] that the gains allow at q̂ = q, and the condition numbers of the metrics for them.
 
-    - `rate`, `condition` (k,): those of the best conditioned Q for each rate.
-    - `used`, `paper`: rate and condition number of the certificate's Q, and of that of the paper.
-    - `certified`: the rate of the certificate.
+    Attributes:
+        rate: rates (k,) [1/s], in rising order.
+        condition: condition number (k,) of the best conditioned Q for each rate.
+        used: rate and condition number of the certificate's Q.
+        paper: rate and condition number of the Q of the paper.
+        certified: rate of the certificate [1/s].
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.certificates import TradeOff
+        >>> curve = TradeOff(np.array([0.5, 1.0]), np.array([2.0, 3.0]), (0.9, 2.5), (0.4, 4.0), 0.45)
+        >>> curve.certified <= curve.used[0]
+        True
     """
 
     rate: Float[np.ndarray, "k"]
@@ -47,42 +71,65 @@ class TradeOff(NamedTuple):
 
 
 def projection(certificate: ContractionCertificate) -> Projection:
-    """Boxes of the first claim that is not proved, or of the contraction, over the two variables halved most often."""
+    """Project the boxes of a certificate on the two variables that were halved most often.
+
+    Args:
+        certificate: a certificate.
+
+    Returns:
+        The boxes of the first claim that is not proved, or of the contraction where all are.
+    """
     undecided = [claim for claim in certificate.claims if claim.proof.verdict != "holds"]
     claim = (undecided or certificate.claims)[0]
     domain, proof = claim.proof.box, claim.proof
     codes = np.concatenate(proof.levels)
+    # Of variables that were never halved, those with a width come before fixed ones, hence half a split for them.
     splits = np.bincount(codes[codes >= 0], minlength=len(domain.low)) + 0.5 * (domain.high > domain.low)
     i, j = sorted(np.argsort(-splits, kind="stable")[:2].tolist())
-    found = {PROVED: [np.zeros((0, 2, 2))], OPEN: [np.zeros((0, 2, 2))]}
+    rectangles = {PROVED: [np.zeros((0, 2, 2))], OPEN: [np.zeros((0, 2, 2))]}
     for state, low, high in leaves(domain, proof.levels):
-        for code, kept in found.items():
-            of = state == code
-            kept.append(np.stack([low[of][:, [i, j]], high[of][:, [i, j]]], axis=1))
-    proved, remaining = (np.unique(np.concatenate(found[code]), axis=0) for code in (PROVED, OPEN))
-    wrong = certificate.counterexample
-    what = certificate.kinds
+        for code, group in rectangles.items():
+            rows = state == code
+            group.append(np.stack([low[rows][:, [i, j]], high[rows][:, [i, j]]], axis=1))
+    proved, remaining = (np.unique(np.concatenate(rectangles[code]), axis=0) for code in (PROVED, OPEN))
+    counterexample = certificate.counterexample
+    kinds = certificate.kinds
     return Projection(
         claim.kind,
-        (what[i], what[j]),
+        (kinds[i], kinds[j]),
         (domain.names[i], domain.names[j]),
         (domain.units[i], domain.units[j]),
         proved,
         remaining,
         np.stack([domain.low[[i, j]], domain.high[[i, j]]]),
-        None if wrong is None else wrong.mean(axis=0)[[i, j]],
+        None if counterexample is None else counterexample.mean(axis=0)[[i, j]],
     )
 
 
 def trade_off(certificate: ContractionCertificate, count: int = 40) -> TradeOff:
-    """Rates that the gains of a certificate's observer allow, from slow ones to nearly the fastest."""
+    """Compute the rates that the gains of a certificate's observer allow, and the best condition number for each.
+
+    Args:
+        certificate: a certificate, of which observer, Q and rate are used.
+        count: number of rates k, from 2 % to 98 % of the fastest one.
+
+    Returns:
+        The curve, and the points of the certificate's Q and of the paper's Q.
+    """
     alpha, beta = float(certificate.observer.alpha), float(certificate.observer.beta)
+    # Twice the slower pole, since λ is the rate of squared lengths.
     fastest = -2 * float(np.linalg.eigvals(error_matrix(alpha, beta)).real.max())
     rates = fastest * np.linspace(0.02, 0.98, count)
     matrices = [optimal_lyapunov(alpha, beta, rate) for rate in rates]
 
-    def both(q) -> tuple[float, float]:
+    def rate_and_condition(q) -> tuple[float, float]:
         return rate_of(alpha, beta, q), conditioning(beta, q)
 
-    found = np.array(sorted(both(q) for q in matrices))
-    return TradeOff(found[:, 0], found[:, 1], both(certificate.q), both(lyapunov(alpha, beta)), certificate.rate)
+    pairs = np.array(sorted(rate_and_condition(q) for q in matrices))
+    return TradeOff(
+        pairs[:, 0],
+        pairs[:, 1],
+        rate_and_condition(certificate.q),
+        rate_and_condition(lyapunov(alpha, beta)),
+        certificate.rate,
+    )

@@ -1,4 +1,4 @@
-"""The inequalities to be proved of a subject: symmetric matrices that must be positive definite on its region."""
+"""The inequalities to be proved of a system: symmetric matrices that must be positive definite on its region."""
 
 from collections.abc import Callable
 
@@ -15,7 +15,26 @@ from covariant.proofs import Form, as_form, derivative_form
 
 
 def contraction(subject: Subject, rate: float) -> Form:
-    """`z -> −(F_ΘᵀN + Ṅ + N F_Θ) − rate N`: positive definite where squared lengths decrease at the rate [1/s]."""
+    """Build the matrix `−(F_ΘᵀN + Ṅ + N F_Θ) − rate N`, whose positive definiteness is contraction.
+
+    Args:
+        subject: the system, as from `subject` or `virtual`.
+        rate: rate [1/s] at which squared lengths have to decrease.
+
+    Returns:
+        The matrix as a function of the variables z of the region, for `proofs.prove`.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> import numpy as np
+        >>> from covariant.certificates import contraction, virtual
+        >>> from covariant.models import StateSpace
+        >>> from covariant.observers import Contracting
+        >>> model = StateSpace(lambda t, x, u: -x, lambda t, x, u: x, coordinates=("x",))
+        >>> system = virtual(Contracting(model, jnp.eye(1), jnp.zeros(1)), np.eye(1))  # x' = −x + (z − x)
+        >>> contraction(system, rate=3.0)(jnp.zeros(3)).tolist()
+        [[1.0]]
+    """
 
     def numbers(z):
         point, t = subject.at(z), jnp.zeros((), z.dtype)
@@ -25,11 +44,21 @@ def contraction(subject: Subject, rate: float) -> Form:
 
 
 def length_change(subject: Subject, formula: Callable[[Array, Array, Array], Array], numbers: Callable) -> Form:
-    """A formula of Θ, of N, and of `F_ΘᵀN + Ṅ + N F_Θ`, the rate of squared lengths, in the form that proofs need."""
+    """Build the form of a formula of Θ, of N and of `F_ΘᵀN + Ṅ + N F_Θ`, the rate of change of squared lengths.
+
+    Args:
+        subject: the system.
+        formula: `(Θ, N, F_ΘᵀN + Ṅ + N F_Θ) -> matrix`.
+        numbers: the same matrix as a function of z, computed by derivatives of JAX.
+
+    Returns:
+        The form that proofs need: a graph whose derivatives are its own.
+    """
 
     def parts(derivatives, nodes, count):
         flow, coframe, frame, gram, *_ = nodes
         state = range(1, count + 1)
+        # The derivative along the flow: time runs at rate 1, the state at x'; z is constant.
         along = {0: derivatives.graph.constant(1.0), **dict(zip(state, flow.tolist(), strict=True))}
         return (
             coframe,
@@ -40,16 +69,24 @@ def length_change(subject: Subject, formula: Callable[[Array, Array, Array], Arr
             derivatives.along(gram, along),
         )
 
-    def whole(coframe, frame, gram, moved, turn, change):
-        return formula(coframe, gram, lengths(gram, change, turn @ frame + coframe @ moved))
+    def whole(coframe, frame, gram, image, turn, change):
+        return formula(coframe, gram, lengths(gram, change, turn @ frame + coframe @ image))
 
     return derivative_form(values(subject), lambda z: subject.at(z).x, parts, whole, numbers)
 
 
 def width_bound(subject: Subject, row: int, square: float) -> Form:
-    """`z -> square N − r rᵀ`, with r the given row of the Jacobian of (error, velocity).
+    """Build the matrix `square N − r rᵀ`, where r is one row of the Jacobian of (error, velocity).
 
     It is positive definite where a curve of length ℓ changes that entry of (error, velocity) by less than `ℓ √square`.
+
+    Args:
+        subject: the system.
+        row: index of the entry, from 0 to 2n − 1.
+        square: square of the bound, for a curve of unit length.
+
+    Returns:
+        The matrix (2n, 2n) as a function of z.
     """
 
     def matrix(z):
@@ -61,28 +98,45 @@ def width_bound(subject: Subject, row: int, square: float) -> Form:
 
 
 def squared_widths(subject: Subject, z: Vector) -> Float[Array, "two_n"]:
-    """The least `square` of each row for which `width_bound` is positive semidefinite at z."""
+    """Compute for each row the least `square` for which `width_bound` is positive semidefinite at z.
+
+    Args:
+        subject: the system.
+        z: point (d,) of the region.
+
+    Returns:
+        The squares `r N⁻¹ rᵀ` (2n,).
+    """
     point = subject.at(z)
     gram, rows = point.metric.gram(jnp.zeros((), z.dtype), point.x), point.error_jacobian()
     return jnp.sum(rows * solve(gram, rows.T).T, axis=1)
 
 
 def disturbance_bound(subject: Subject, sizes: Float[np.ndarray, "two_n"], square: float) -> Form:
-    """`z -> square I − BᵀMB`, with B the Jacobian of the flow in errors of measurement and force, scaled by `sizes`.
+    """Build the matrix `square I − BᵀMB`, with B the Jacobian of the flow in errors of measurement and force.
 
     It is positive definite where errors `δ = sizes w` with |w| ≤ 1 (in the Euclidean norm) change the flow by a vector
-    shorter than `√square`. The first n sizes are those of the measured position, the others those of the force.
+    shorter than `√square`.
+
+    Args:
+        subject: the system.
+        sizes: factors (2n,) of the columns of B: n for the measured position, then n for the force.
+        square: square of the bound.
+
+    Returns:
+        The matrix (2n, 2n) as a function of z.
     """
     n = len(sizes) // 2
 
     def parts(derivatives, nodes, count):
+        # The inputs of the graph are time, state and z, whose last 2n entries are error and force.
         last = 1 + count + len(subject.names)
         flow, coframe, _, gram, _, noise = nodes
         return coframe, gram, noise, derivatives.each(flow, range(last - 2 * n, last))
 
     def formula(coframe, gram, noise, change):
-        moved = jnp.concatenate([change[:, :n] @ noise, change[:, n:]], axis=1) * jnp.asarray(sizes)[None]
-        return square * jnp.eye(2 * n) - (coframe @ moved).T @ gram @ (coframe @ moved)
+        b = jnp.concatenate([change[:, :n] @ noise, change[:, n:]], axis=1) * jnp.asarray(sizes)[None]
+        return square * jnp.eye(2 * n) - (coframe @ b).T @ gram @ (coframe @ b)
 
     def numbers(z):
         point, t = subject.at(z), jnp.zeros((), z.dtype)

@@ -1,4 +1,4 @@
-"""An intrinsic observer on a region, as a subject of proofs: its flow and metric as functions of variables in a box.
+"""An intrinsic observer on a region, as the system of proofs: its flow and metric as functions of variables in a box.
 
 The variables are the estimate, the error of its position, and the force on the system. Nothing else enters: the source
 `S = g⁻¹ f` at the measured position is a known function of the force f, whatever the input, potential and time that
@@ -26,9 +26,26 @@ Intrinsics = Intrinsic | Geodesic
 
 
 def subject(observer: Intrinsics, q: TwoByTwo) -> Subject:
-    """The observer on any region, with the metric on states made from that of its model by the matrix q (2, 2).
+    """Describe an intrinsic observer on any region, with a metric on states, for `contraction`, `prove` and `falsify`.
 
-    Raises `TypeError` for another kind of observer, `ValueError` for a space that is not covered.
+    Args:
+        observer: an `Intrinsic` or a `Geodesic` (in coordinates), no subclass.
+        q: matrix Q (2, 2) that makes the metric on states from that of the model, as from `lyapunov`.
+
+    Returns:
+        Flow and metric as functions of estimate, error and force.
+
+    Raises:
+        TypeError: another kind of observer.
+        ValueError: a space or a friction that is not covered.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import models, observers
+        >>> from covariant.certificates import subject
+        >>> system = subject(observers.Intrinsic(models.oscillator(), 2.0, 2.0), np.eye(2))
+        >>> system.names
+        ('q', 'v_q', 'e_q', 'f_q')
     """
     # The flow is written anew for the proof, from the equations of these two classes. A subclass may run another one.
     if type(observer) not in (Intrinsic, Geodesic):
@@ -49,7 +66,12 @@ def subject(observer: Intrinsics, q: TwoByTwo) -> Subject:
 
 
 def configuration_shape(model: MechanicalSystem, n: int) -> tuple[int, ...]:
-    """The shape of a configuration: (n,) coordinates, or that of a matrix of the group."""
+    """Return the shape of a configuration: (n,) coordinates, or that of a matrix of the group.
+
+    Args:
+        model: the mechanical system.
+        n: number of velocities.
+    """
     return (n,) if model.manifold.commuting else jax.eval_shape(model.manifold.origin).shape
 
 
@@ -57,6 +79,7 @@ def _in_coordinates(observer: Intrinsics, q: TwoByTwo) -> Subject:
     model = observer.model
     n = _dimension(model)
     driven = MechanicalSystem(model.space, None, None, functools.partial(_friction, model))
+    # Force and potential are left out: the force is a variable of the box, which enters as the input.
     bare = _with_model(observer, driven)
     metric = tangent_metric(model.space, q)
 
@@ -75,6 +98,7 @@ def _in_coordinates(observer: Intrinsics, q: TwoByTwo) -> Subject:
             metric,
             x,
             lambda: metric.frame(jnp.zeros((), z.dtype), x),
+            # The error is estimate minus measurement, hence the minus sign.
             lambda: -jnp.eye(n, dtype=z.dtype),
         )
 
@@ -119,20 +143,20 @@ def _in_the_body(observer: Intrinsic, q: TwoByTwo) -> Subject:
             theta, v = jnp.split(x, 2)
             # log(exp(−θ) exp(−e)) to first order in θ, without a logarithm, whose computation branches on matrix
             # entries. It is an identity for errors whose logarithm is unique.
-            towards = -error - manifold.local_rate(origin, error, theta)
+            correction = -error - manifold.local_rate(origin, error, theta)
             at = manifold.origin(z.dtype)
-            xi = -towards if observer.order == 1 else second_order(space, at, -towards)
+            xi = -correction if observer.order == 1 else second_order(space, at, -correction)
             source = space.raise_(at, force)
-            rubbing = space.raise_(at, _friction(model, at, v))
+            resistance_vector = space.raise_(at, _friction(model, at, v))
             drive = observer.bend(at, source - space.connection(at, xi, source), xi, v)
-            w, v_dot = observer.rates(at, v, xi, drive + rubbing)
+            w, v_dot = observer.rates(at, v, xi, drive + resistance_vector)
             return jnp.concatenate([manifold.local_rate(origin, theta, w), v_dot])
 
         x = jnp.concatenate([jnp.zeros(n, z.dtype), velocity])
 
         def error_jacobian():
-            away = each(functools.partial(manifold.local_rate, origin, error), z.dtype)
-            rows = jnp.concatenate([away, jnp.zeros((n, n), z.dtype)], axis=1)
+            rates = each(functools.partial(manifold.local_rate, origin, error), z.dtype)
+            rows = jnp.concatenate([rates, jnp.zeros((n, n), z.dtype)], axis=1)
             return jnp.concatenate([rows, length.frame(jnp.zeros((), z.dtype), x)[n:]])
 
         def noise_jacobian():
@@ -141,10 +165,10 @@ def _in_the_body(observer: Intrinsic, q: TwoByTwo) -> Subject:
         return Point(flow, length, x, error_jacobian, noise_jacobian)
 
     names, units = model.velocities, model.velocity_units
-    turned = tuple(unit.removesuffix("/s") for unit in units)
+    position_units = tuple(unit.removesuffix("/s") for unit in units)
     return Subject(
         (*names, *(f"e_{k}" for k in names), *(f"f_{k}" for k in names)),
-        (*units, *turned, *("",) * n),
+        (*units, *position_units, *("",) * n),
         at,
     )
 
@@ -175,11 +199,11 @@ def _need_steady_friction(model: MechanicalSystem) -> None:
     u = jnp.zeros(input_count(model, v.size))
     read = entries_read(functools.partial(resistance, model), jnp.zeros(()), q, v, u)
     first = 1 + q.size + v.size
-    found = ["time"] * (0 in read) + [f"u{i + 1}" for i in range(u.size) if first + i in read]
-    if found:
+    dependences = ["time"] * (0 in read) + [f"u{i + 1}" for i in range(u.size) if first + i in read]
+    if dependences:
         raise ValueError(
-            f"the dissipation of this model depends on {', '.join(found)}; only friction of position and velocity is "
-            "covered by a proof"
+            f"the dissipation of this model depends on {', '.join(dependences)}; only friction of position and "
+            "velocity is covered by a proof"
         )
 
 
@@ -189,23 +213,30 @@ def _need_symmetry(model: MechanicalSystem) -> None:
     entries, rest = origin.size, model.manifold.zero(origin)
     read = entries_read(functools.partial(_friction, model), origin, rest)
     indices = [np.unravel_index(k, origin.shape) for k in range(entries) if k in read]
-    places = ["g" + "".join(str(i + 1) for i in index) for index in indices]
-    if places:
+    labels = ["g" + "".join(str(i + 1) for i in index) for index in indices]
+    if labels:
         raise ValueError(
-            f"the friction of this model depends on where the body is, on {', '.join(places)} of its matrix; on a "
+            f"the friction of this model depends on where the body is, on {', '.join(labels)} of its matrix; on a "
             "group that is not covered: write the system as a Lagrangian in coordinates"
         )
     momentum = lower(lambda a: model.space.lower(origin, a), rest)
-    bent = expand(momentum, range(rest.size), 2)
-    second = np.ravel(bent.nodes()[2]).tolist()
-    if numbers(momentum, np.zeros(rest.size)).any() or not all(bent.graph.is_zero(node) for node in second):
+    expansion = expand(momentum, range(rest.size), 2)
+    second = np.ravel(expansion.nodes()[2]).tolist()
+    if numbers(momentum, np.zeros(rest.size)).any() or not all(expansion.graph.is_zero(node) for node in second):
         raise ValueError("the inertia of this model is not a linear map; on a group that is not covered")
 
 
 def check_unique(observer: Intrinsics, error: Float[np.ndarray, "n"]) -> None:
-    """Raise `ValueError` unless the shortest path to the measurement is known to be unique for errors up to a bound.
+    """Check that the shortest path to the measurement is unique for errors up to a bound.
 
     Errors must be below half a turn, in each circle, and in each rotation at the farthest corner of the box.
+
+    Args:
+        observer: the observer.
+        error: bounds (n,) of the position error [unit].
+
+    Raises:
+        ValueError: errors are larger, or uniqueness is not known for the observer or its space.
     """
     if isinstance(observer, Geodesic):
         raise ValueError(
@@ -218,6 +249,7 @@ def check_unique(observer: Intrinsics, error: Float[np.ndarray, "n"]) -> None:
             f"how far the logarithm of {type(model.manifold).__name__} is unique is not known; no proof there"
         )
     for turn in model.manifold.rotations:
+        # The factors cover the rounding of norm and π: the comparison is on the safe side.
         farthest = math.sqrt(math.fsum(float(error[i]) ** 2 for i in turn)) * (1 + 1e-12)
         if not farthest < math.pi * (1 - 1e-12):
             names = model.coordinates or model.velocities

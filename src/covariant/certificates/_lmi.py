@@ -21,13 +21,24 @@ AffineMatrix = Callable[[np.ndarray], np.ndarray]
 
 
 SLACK = 1e-6
-"""Part of the largest Jacobian by which the solver is asked for a larger rate, so that its rounding does not matter."""
+"""Fraction of the largest Jacobian that is added to the rate for the solver, as a margin for its rounding."""
 
 
 class MetricDesign(NamedTuple):
-    """A constant metric M (n, n) with eigenvalues from 1 to `conditioning`, and a gain K (n, p), p = 0 without one.
+    """A constant metric, and the gain of an observer for it.
 
-    - `statement`: that M and K do what was asked; what the solver found is verified in rational arithmetic.
+    Attributes:
+        metric: M (n, n), with eigenvalues from 1 to `conditioning`.
+        gain: K (n, p); p = 0 where no gain was designed.
+        conditioning: condition number of M.
+        statement: that M and K satisfy the inequalities; the solver's result is verified in rational arithmetic.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.certificates import common_metric
+        >>> design = common_metric(-np.eye(2), rate=1.0)
+        >>> design.metric.round(3).tolist(), design.gain.shape
+        ([[1.0, 0.0], [0.0, 1.0]], (2, 0))
     """
 
     metric: Float[np.ndarray, "n n"]
@@ -37,59 +48,85 @@ class MetricDesign(NamedTuple):
 
 
 def common_metric(jacobians: Numbers, rate: float) -> MetricDesign:
-    """The best conditioned M with `FᵀM + MF ≤ −rate M` for every Jacobian F (k, n, n), so for all in their hull.
+    """Find the best conditioned metric M with `FᵀM + MF ≤ −rate M` for every Jacobian F, so for all in their hull.
 
-    Squared lengths decrease at `rate` [1/s], distances at half of it. Raises `ValueError` where there is none, and for
-    a rate that is not finite.
+    Args:
+        jacobians: Jacobians F (k, n, n) [1/s], or a single one (n, n).
+        rate: rate [1/s] at which squared lengths decrease, distances at half of it; may be negative.
 
-    >>> import numpy as np
-    >>> from covariant.certificates import common_metric
-    >>> design = common_metric(np.array([[[-1.0, 2.0], [0.0, -1.0]], [[-1.0, 0.0], [2.0, -1.0]]]), rate=-1.0)
-    >>> design.statement.short
-    'holds (proved)'
+    Returns:
+        The metric, without a gain.
+
+    Raises:
+        ValueError: there is no such metric, or the rate is not finite.
+        ImportError: the solver clarabel is missing.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.certificates import common_metric
+        >>> design = common_metric(np.array([[[-1.0, 2.0], [0.0, -1.0]], [[-1.0, 0.0], [2.0, -1.0]]]), rate=-1.0)
+        >>> design.statement.short
+        'holds (proved)'
     """
     f = _stack("jacobians", jacobians, None)
     return _design(f, np.zeros((len(f), 0, f.shape[1])), rate, 0.0)
 
 
 def observer_gain(jacobians: Numbers, outputs: Numbers, rate: float, *, effort: float = 1e-3) -> MetricDesign:
-    """K and M with `(F − KH)ᵀM + M(F − KH) ≤ −rate M` for all pairs of Jacobians F (k, n, n) and H (k, p, n).
+    """Find K and M with `(F − KH)ᵀM + M(F − KH) ≤ −rate M` for all pairs of Jacobians F and H.
 
-    They minimise the condition number of M plus `effort` times the norm of MK. The pairs are the vertices of a
-    polytope, on all of which the result then holds, or samples of a set, between which it has to be certified. Raises
-    `ValueError` where the shapes do not fit, for a rate that is not finite, or where there is no such gain, with the
-    advice to lower the rate.
+    They minimise the condition number of M plus `effort` times the norm of MK. The result holds for all pairs in the
+    hull of the given ones where these are the vertices of a polytope; between samples of a set it has to be certified.
+
+    Args:
+        jacobians: Jacobians F (k, n, n) [1/s] of the model, or a single one (n, n).
+        outputs: Jacobians H (k, p, n) of the outputs, or a single one (p, n).
+        rate: rate [1/s] at which squared lengths decrease, distances at half of it.
+        effort: weight of the gain in the cost.
+
+    Returns:
+        The metric and the gain K (n, p).
+
+    Raises:
+        ValueError: the shapes do not fit, the rate is not finite, or there is no such gain; then a lower rate may help.
+        ImportError: the solver clarabel is missing.
+
+    Example:
+        >>> from covariant.certificates import observer_gain
+        >>> design = observer_gain([[0.0, 1.0], [0.0, 0.0]], [[1.0, 0.0]], rate=1.0)
+        >>> design.gain.shape, design.statement.short
+        ((2, 1), 'holds (proved)')
     """
     f = _stack("jacobians", jacobians, None)
     return _design(f, _stack("outputs", outputs, f), rate, effort)
 
 
 def _stack(name: str, matrices: Numbers, beside: np.ndarray | None) -> np.ndarray:
-    found = np.asarray(matrices, float)
-    found = found[None] if found.ndim == 2 else found
-    wrong = found.ndim != 3 or (
-        found.shape[1] != found.shape[2]
+    stack = np.asarray(matrices, float)
+    stack = stack[None] if stack.ndim == 2 else stack
+    wrong = stack.ndim != 3 or (
+        stack.shape[1] != stack.shape[2]
         if beside is None
-        else found.shape[0] != beside.shape[0] or found.shape[2] != beside.shape[2]
+        else stack.shape[0] != beside.shape[0] or stack.shape[2] != beside.shape[2]
     )
     if wrong:
         needed = "(k, n, n)" if beside is None else f"({beside.shape[0]}, p, {beside.shape[2]})"
         raise ValueError(f"{name} must have the shape {needed}; it has {np.shape(matrices)}")
-    if not np.isfinite(found).all():
+    if not np.isfinite(stack).all():
         raise ValueError(f"{name} must be finite")
-    return found
+    return stack
 
 
 def _design(f: np.ndarray, h: np.ndarray, rate: float, effort: float) -> MetricDesign:
     if not math.isfinite(rate):
         raise ValueError(f"the rate must be a finite number; got {rate}")
     slack = SLACK * max(abs(rate), *(float(np.linalg.norm(each, 2)) for each in f))
-    found = _solved(f, h, rate + slack, effort) or _solved(f, h, rate, effort)
-    if found is None:
+    solution = _solved(f, h, rate + slack, effort) or _solved(f, h, rate, effort)
+    if solution is None:
         raise ValueError(
             f"no constant metric makes all {len(f)} Jacobians contract at {rate:g} 1/s; lower the rate or the set"
         )
-    m, k, conditioning = found
+    m, k, conditioning = solution
     return MetricDesign(m, k, conditioning, _statement(m, k, f, h, rate))
 
 
@@ -99,8 +136,8 @@ def _statement(m: np.ndarray, k: np.ndarray, f: np.ndarray, h: np.ndarray, rate:
     is_metric = bool((m == m.T).all()) and is_definite(metric)
     wrong, margins = [], []
     for i, (a, b) in enumerate(zip(f, h, strict=True)):
-        moved = metric @ (rational(a) - gain @ rational(b))
-        form = -(moved + moved.T) - Fraction(rate) * metric
+        product = metric @ (rational(a) - gain @ rational(b))
+        form = -(product + product.T) - Fraction(rate) * metric
         margins.append(float(np.linalg.eigvalsh(form.astype(float))[0]))
         if not is_definite(form):
             wrong.append(i)
@@ -122,26 +159,35 @@ def _statement(m: np.ndarray, k: np.ndarray, f: np.ndarray, h: np.ndarray, rate:
         ),
         Hypothesis("the Jacobians of the system are among those given, or in their hull", "assumed"),
     )
-    about = (f"M = {m.tolist()}", *([f"K = {k.tolist()}"] if k.size else []), f"{len(f)} {pair}s of {len(m)} states")
+    data = (f"M = {m.tolist()}", *([f"K = {k.tolist()}"] if k.size else []), f"{len(f)} {pair}s of {len(m)} states")
     claim = f"squared lengths in the constant metric M shrink at {rate:g} 1/s or faster"
-    return Statement(claim, about, hypotheses, margins[worst], f"the hull of {len(f)} {pair}s")
+    return Statement(claim, data, hypotheses, margins[worst], f"the hull of {len(f)} {pair}s")
 
 
 def rational(matrix: np.ndarray) -> np.ndarray:
-    """A matrix of floats as one of fractions that are equal to them."""
+    """Convert a matrix of floats to one of fractions that are equal to them.
+
+    Args:
+        matrix: finite numbers (n, m).
+    """
     return np.vectorize(Fraction, otypes=[object])(matrix)
 
 
 def is_definite(matrix: np.ndarray) -> bool:
-    """Whether a symmetric matrix of fractions is positive definite, by elimination without rounding."""
+    """Test whether a symmetric matrix of fractions is positive definite, by elimination without rounding.
+
+    Args:
+        matrix: fractions (n, n), as from `rational`.
+    """
     if not len(matrix):
         return True
+    # Sylvester's criterion: all pivots are positive; the rest is the Schur complement of the first one.
     pivot, column = matrix[0, 0], matrix[1:, :1]
     return pivot > 0 and is_definite(matrix[1:, 1:] - column @ column.T / pivot)
 
 
 def _solved(f: np.ndarray, h: np.ndarray, rate: float, effort: float) -> tuple[np.ndarray, np.ndarray, float] | None:
-    """M, K and the condition of M as the solver finds them, or None."""
+    """M, K and the condition number of M from the solver, or None where there is no solution."""
     n, p = f.shape[1], h.shape[1]
     rows, columns = np.tril_indices(n)
     size = len(rows)
@@ -154,31 +200,42 @@ def _solved(f: np.ndarray, h: np.ndarray, rate: float, effort: float) -> tuple[n
     def shrinks(a, b):
         def form(x):
             m, y, _, _ = parts(x)
-            moved = m @ a - y @ b
-            return -(moved + moved.T) - rate * m
+            product = m @ a - y @ b
+            return -(product + product.T) - rate * m
 
         return form
 
     def bounded(x):
         _, y, _, g = parts(x)
+        # Positive semidefinite exactly where the largest singular value of Y is at most g (Schur complement).
         return np.block([[g * np.eye(n), y], [y.T, g * np.eye(p)]])
 
     eye = np.eye(n)
     forms: list[AffineMatrix] = [shrinks(a, b) for a, b in zip(f, h, strict=True)]
+    # I ≤ M ≤ κI: the eigenvalues of M lie between 1 and the condition number κ, which is minimised.
     forms += [lambda x: parts(x)[0] - eye, lambda x: parts(x)[2] * eye - parts(x)[0], bounded]
     cost = np.zeros(size + n * p + 2)
     cost[-2:] = 1.0, effort if p else 1.0
     x = minimise(cost, forms)
     if x is None:
         return None
+    # Y = MK makes the inequality linear in the unknowns; K follows.
     m, y, conditioning, _ = parts(x)
     return m, np.linalg.solve(m, y), float(conditioning)
 
 
 def minimise(cost: Float[np.ndarray, "d"], forms: list[AffineMatrix]) -> Float[np.ndarray, "d"] | None:
-    """The unknowns x that minimise `cost @ x` with all forms positive semidefinite; None where there are none.
+    """Minimise a linear cost over unknowns for which all affine forms are positive semidefinite.
 
-    Raises `ImportError` without clarabel, the solver.
+    Args:
+        cost: vector c (d,) of the cost `c @ x`.
+        forms: symmetric matrices, affine in the unknowns.
+
+    Returns:
+        The unknowns x (d,), or None where there are none.
+
+    Raises:
+        ImportError: the solver clarabel is missing.
     """
     clarabel, sparse = (
         load_optional(m, use="designing a metric needs", extra="lmi") for m in ("clarabel", "scipy.sparse")

@@ -1,6 +1,6 @@
-"""The claims of a certificate as the checker forms them: JAX functions that must be positive definite, or defined.
+"""The claims of a certificate in the form of the checker: JAX functions that must be positive definite, or defined.
 
-They are made from the observer's flow and the frame of the metric, as those of the prover are, but in another way: by
+They are built from the observer's flow and the frame of the metric, as those of the prover are, but in another way: by
 derivatives of JAX, for functions without the custom derivative rules that JAX was given.
 """
 
@@ -19,26 +19,44 @@ Matrix = Callable[[Any], Any]
 
 
 def contraction(about: Subject, rate: float) -> Matrix:
-    """`−(FᵀN + Ṅ + NF) − rate N`, a function z (d,) -> (2n, 2n)."""
+    """Build `−(FᵀN + Ṅ + NF) − rate N`.
+
+    Args:
+        about: the observer and its metric.
+        rate: rate λ [1/s] of squared lengths.
+
+    Returns:
+        A function z (d,) -> (2n, 2n).
+    """
 
     def matrix(z):
         point, t = about.at(z), jnp.zeros(())
         x, flow = point.x, plain(point.flow)
+        # x' comes with the Jacobian, so that the flow is evaluated once.
         slope, velocity = jax.jacfwd(lambda y: (flow(t, y),) * 2, has_aux=True)(x)
 
-        def both(s):
+        def metric_along(s):
             at = x + s * velocity
             return plain(point.metric.coframe)(s, at), plain(point.metric.gram)(s, at)
 
-        (coframe, gram), (turn, change) = jax.jvp(both, (t,), (t + 1,))
-        moved = gram @ (turn + coframe @ slope) @ point.metric.frame(t, x)
-        return -(moved + moved.T + change) - rate * gram
+        (coframe, gram), (turn, change) = jax.jvp(metric_along, (t,), (t + 1,))
+        product = gram @ (turn + coframe @ slope) @ point.metric.frame(t, x)
+        return -(product + product.T + change) - rate * gram
 
     return matrix
 
 
 def width_bound(about: Subject, row: int, square: float) -> Matrix:
-    """`square N − r rᵀ` for a row r of the Jacobian of error and velocity, a function z (d,) -> (2n, 2n)."""
+    """Build `square N − r rᵀ` for a row r of the Jacobian of error and velocity.
+
+    Args:
+        about: the observer and its metric.
+        row: index of the row, from 0 to 2n − 1.
+        square: square of the bound.
+
+    Returns:
+        A function z (d,) -> (2n, 2n).
+    """
 
     def matrix(z):
         point = about.at(z)
@@ -49,12 +67,22 @@ def width_bound(about: Subject, row: int, square: float) -> Matrix:
 
 
 def disturbance(about: Subject, sizes: np.ndarray, square: float) -> Matrix:
-    """`square I − BᵀMB`, B the scaled Jacobian of the flow in errors of measurement and force, z -> (2n, 2n)."""
+    """Build `square I − BᵀMB`, where B is the scaled Jacobian of the flow in errors of measurement and force.
+
+    Args:
+        about: the observer and its metric.
+        sizes: factors (2n,) of the columns of B.
+        square: square of the bound.
+
+    Returns:
+        A function z (d,) -> (2n, 2n).
+    """
     n = len(sizes) // 2
 
     def matrix(z):
         point, t = about.at(z), jnp.zeros(())
         slope = jax.jacfwd(plain(lambda at: about.at(at).flow(t, point.x)))(z)
+        # The last 2n variables are error and force; an error of the measurement acts through the position error.
         b = jnp.concatenate([slope[:, -2 * n : -n] @ point.noise_jacobian(), slope[:, -n:]], axis=1) * sizes[None]
         b = point.metric.coframe(t, point.x) @ b
         return square * jnp.eye(2 * n) - b.T @ point.metric.gram(t, point.x) @ b
@@ -63,9 +91,14 @@ def disturbance(about: Subject, sizes: np.ndarray, square: float) -> Matrix:
 
 
 def everything(about: Subject) -> Matrix:
-    """Everything that the claims are computed from, a function of z (d,) and 2n + 1 zeros -> (...).
+    """Collect everything that the claims are computed from.
 
-    The zeros are added to time and state: what a claim holds fixed is a variable here, so that jumps in it are found.
+    Args:
+        about: the observer and its metric.
+
+    Returns:
+        A function of z (d,) and 2n + 1 zeros. The zeros are added to time and state: what a claim holds fixed is a
+        variable here, so that jumps in it are detected.
     """
 
     def parts(y):
@@ -76,7 +109,15 @@ def everything(about: Subject) -> Matrix:
 
 
 def force(model: Any, shape: tuple[int, ...]) -> Matrix:
-    """The force on the system, a function of time, position and input -> (n,)."""
+    """Build the force on the system.
+
+    Args:
+        model: the mechanical system.
+        shape: shape of a configuration.
+
+    Returns:
+        A function of time, position and input, in one vector, -> (n,).
+    """
 
     def applied(y):
         t, q, u = jnp.split(y, (1, 1 + int(np.prod(shape))))
@@ -86,17 +127,34 @@ def force(model: Any, shape: tuple[int, ...]) -> Matrix:
 
 
 def within(function: Matrix, low: np.ndarray, high: np.ndarray) -> Matrix:
-    """A matrix that is positive definite where a function (n,) is within bounds (n,)."""
+    """Build a matrix that is positive definite where a function is within bounds.
+
+    Args:
+        function: a function of a vector -> (n,).
+        low, high: bounds (n,).
+
+    Returns:
+        A function -> (2n, 2n), diagonal.
+    """
 
     def matrix(y):
-        found = function(y)
-        return jnp.diag(jnp.concatenate([found - low, high - found]))
+        value = function(y)
+        return jnp.diag(jnp.concatenate([value - low, high - value]))
 
     return matrix
 
 
 def slopes(model: Any, shape: tuple[int, ...], n: int) -> Matrix:
-    """Derivatives of the force by the position, or in the body frame: time, position, input, zeros (n,) -> (n²,)."""
+    """Build the derivatives of the force by the position, on a group along the directions of the body frame.
+
+    Args:
+        model: the mechanical system.
+        shape: shape of a configuration.
+        n: number of velocities.
+
+    Returns:
+        A function of time, position, input and n zeros, in one vector, -> (n²,).
+    """
 
     def derivatives(y):
         t, q, u = jnp.split(y[:-n], (1, 1 + int(np.prod(shape))))
@@ -107,7 +165,16 @@ def slopes(model: Any, shape: tuple[int, ...], n: int) -> Matrix:
 
 
 def stepped(model: Any, shape: tuple[int, ...], n: int) -> Matrix:
-    """The force at a small step from the position, as in `slopes`: time, position, input, step (n,) -> (n,)."""
+    """Build the force at a small step from the position, as in `slopes`.
+
+    Args:
+        model: the mechanical system.
+        shape: shape of a configuration.
+        n: number of velocities.
+
+    Returns:
+        A function of time, position, input and a step (n,), in one vector, -> (n,).
+    """
 
     def applied(y):
         t, q, u = jnp.split(y[:-n], (1, 1 + int(np.prod(shape))))

@@ -35,11 +35,22 @@ ROUNDING = 1e-7
 
 
 class Observability(NamedTuple):
-    """Certificates of both conditions, and a geodesic on which the second fails.
+    """Statements about both conditions, and a geodesic on which the second fails.
 
-    - `witness` (3, n): three successive states on a minimising geodesic, where the output of the first is closer to
-      that of the last than to that of the middle. None where the second condition does not fail.
-    - `outputs` (3, p): their outputs.
+    Attributes:
+        condition_1: the statement of inequality (2), with the contraction rate [1/s] as margin.
+        condition_2: the statement that level sets of the output are totally geodesic, with their bending as margin.
+        witness: three successive states (3, n) on a minimising geodesic, where the output of the first is closer to
+            that of the last than to that of the middle. None where the second condition does not fail.
+        outputs: their outputs (3, p), or None.
+
+    Example:
+        >>> from covariant.certificates import Hypothesis, Observability, Statement
+        >>> premises = (Hypothesis("it holds at the points", "sampled"),)
+        >>> first = Statement("f contracts", (), premises, 2.0, "3 states")
+        >>> second = Statement("level sets are totally geodesic", (), premises, 0.0, "3 states")
+        >>> print(Observability(first, second, None, None).verdict)  # usually from `observability`
+        local, and from any distance for a large enough gain, as sampled at 3 states
     """
 
     condition_1: Statement
@@ -62,18 +73,37 @@ class Observability(NamedTuple):
 
 
 def detectability_rate(model: StateSpace, metric: MatrixField, x: Vector, u: Float[Array, "m"] | None = None) -> Scalar:
-    """The largest q at x (n,) with which inequality (2), `L_f P ≤ ρ dh⊗dh − q P`, holds for some ρ [1/s].
+    """Compute the largest q with which inequality (2), `L_f P ≤ ρ dh⊗dh − q P`, holds at x for some ρ [1/s].
 
     This is differential detectability: q is the least rate at which f contracts the squared length of vectors in the
-    kernel of dh (Finsler's lemma). It is infinite where the output determines every direction, and −∞ where the rows of
-    dh are dependent: then fewer directions are seen than there are outputs, and the kernel is larger than it seems.
+    kernel of dh (Finsler's lemma).
+
+    Args:
+        model: the system, with its output h.
+        metric: `x -> P (n, n)`.
+        x: state (n,).
+        u: constant input (m,), zero by default.
+
+    Returns:
+        q [1/s]; infinite where the output determines every direction, and −∞ where the rows of dh are dependent: then
+        fewer directions are seen than there are outputs, and the kernel is larger than it seems.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant.certificates import detectability_rate
+        >>> from covariant.models import StateSpace
+        >>> model = StateSpace(lambda t, x, u: -x, lambda t, x, u: x[:1], coordinates=("a", "b"))
+        >>> float(detectability_rate(model, lambda x: jnp.eye(2), jnp.zeros(2)))
+        2.0
     """
     hidden, dh = _directions(model, x, u)
     sizes = jnp.linalg.svd(dh, compute_uv=False)
+    # More outputs than states are always dependent, which the singular values alone do not show.
     independent = (sizes[-1] > DEPENDENT * sizes[0]) & (dh.shape[0] <= dh.shape[1])
     if not hidden.shape[1]:
         return jnp.where(independent, jnp.inf, -jnp.inf).astype(x.dtype)
     change = hidden.T @ lie_derivative(model, metric, x, u) @ hidden
+    # Finsler's lemma: a ρ exists exactly where the inequality holds on the kernel of dh.
     rate = -jnp.linalg.eigvalsh(whiten(hidden.T @ metric(x) @ hidden, change))[-1]
     return jax.lax.select(independent, rate, jnp.full_like(rate, -jnp.inf))
 
@@ -81,11 +111,29 @@ def detectability_rate(model: StateSpace, metric: MatrixField, x: Vector, u: Flo
 def bending(
     model: StateSpace, metric: MatrixField, x: Vector, u: Float[Array, "m"] | None = None
 ) -> tuple[Scalar, Vector]:
-    """Curvature of the level set of the output through x (n,) in the metric, and the unit direction of most curvature.
+    """Compute the curvature of the level set of the output through x in the metric.
 
     It is the largest principal curvature |II(v, v)|. The second fundamental form II is the component of
-    `∂²h(v, v) − dh Γ(v, v)` along grad h; it is 0 where the level set is totally geodesic. The unit is the inverse of
-    the metric's unit of length.
+    `∂²h(v, v) − dh Γ(v, v)` along grad h; it is 0 where the level set is totally geodesic. With several outputs it is a
+    lower bound.
+
+    Args:
+        model: the system, with its output h.
+        metric: `x -> P (n, n)`.
+        x: state (n,).
+        u: constant input (m,), zero by default.
+
+    Returns:
+        The curvature, in the inverse of the metric's unit of length, and the unit direction (n,) of most curvature.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant.certificates import bending
+        >>> from covariant.models import StateSpace
+        >>> model = StateSpace(lambda t, x, u: -x, lambda t, x, u: x[:1] ** 2 + x[1:] ** 2, coordinates=("a", "b"))
+        >>> curvature, direction = bending(model, lambda x: jnp.eye(2), jnp.array([2.0, 0.0]))
+        >>> round(float(curvature), 6)  # a circle of radius 2
+        0.5
     """
     curvature, _, direction = _bending(model, metric, x, u)
     return curvature, direction
@@ -101,9 +149,9 @@ def _bending(model: StateSpace, metric: MatrixField, x: Vector, u: Array | None)
     t0, _, u0 = _arguments(model, x, u)
 
     def second(v, w):
-        flat = jax.jvp(lambda y: jax.jvp(lambda z: model.h(t0, z, u0), (y,), (v,))[1], (x,), (w,))[1]
-        bent = dh @ christoffel(metric, x, v, w)
-        return flat - bent, jnp.abs(flat) + jnp.abs(bent)
+        of_output = jax.jvp(lambda y: jax.jvp(lambda z: model.h(t0, z, u0), (y,), (v,))[1], (x,), (w,))[1]
+        of_connection = dh @ christoffel(metric, x, v, w)
+        return of_output - of_connection, jnp.abs(of_output) + jnp.abs(of_connection)
 
     forms, sizes = jax.vmap(lambda v: jax.vmap(lambda w: second(v, w))(unit.T))(unit.T)  # (k, k, p)
     # Lengths of normal vectors: |a dh|² = aᵀ (dh P⁻¹ dhᵀ)⁻¹ a for the normal vector with dh(normal) = a.
@@ -127,15 +175,35 @@ def observability(
     rate: float = 0.0,
     budget: Budget = Budget(),
 ) -> Observability:
-    """Test both conditions at the given states `points` (k, n).
-
-    - `u` (m,): constant input, zero by default.
-    - `rate`: the first condition holds where `detectability_rate` exceeds it at all points.
-    - `budget`: work spent on the geodesic of the witness.
+    """Test both conditions at given states.
 
     The second condition fails where `bending` does not vanish; then a geodesic shows it. With several outputs a
-    vanishing bending decides nothing. Raises `ValueError` where the metric is not finite or not positive definite at a
-    point, where the outputs are dependent, and without points.
+    vanishing bending decides nothing.
+
+    Args:
+        model: the system, with its output h.
+        metric: `x -> P (n, n)`.
+        points: states (k, n), at least one.
+        u: constant input (m,), zero by default.
+        rate: rate [1/s]; the first condition holds where `detectability_rate` exceeds it at all points.
+        budget: work spent on the geodesic of the witness.
+
+    Returns:
+        A statement for each condition, and the witness.
+
+    Raises:
+        ValueError: the metric is not finite or not positive definite at a point, the outputs are dependent, or there
+            are no points.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> import numpy as np
+        >>> from covariant.certificates import observability
+        >>> from covariant.models import StateSpace
+        >>> model = StateSpace(lambda t, x, u: -x, lambda t, x, u: x[:1], coordinates=("a", "b"))
+        >>> result = observability(model, lambda x: jnp.eye(2), np.zeros((1, 2)))
+        >>> result.condition_1.margin, result.condition_2.verdict
+        (2.0, 'holds')
     """
     points = np.asarray(points, float)
     if points.ndim != 2 or not len(points):
@@ -145,15 +213,17 @@ def observability(
     _check_premises(model, metric, points, u)
 
     @eqx.filter_jit
-    def both(x):
+    def conditions_at(x):
         return detectability_rate(model, metric, x, u), *_bending(model, metric, x, u)
 
-    rates, bends, sizes, directions = (np.asarray(a) for a in jax.lax.map(both, jnp.asarray(points), batch_size=64))
+    rates, bends, sizes, directions = (
+        np.asarray(a) for a in jax.lax.map(conditions_at, jnp.asarray(points), batch_size=64)
+    )
     for name, values in (("contraction rate", rates), ("bending", bends)):
         if np.isnan(values).any():
             raise ValueError(f"the {name} is not a number at {_text(points[int(np.isnan(values).argmax())])}")
     domain = f"{len(points)} states between {_text(points.min(0))} and {_text(points.max(0))}"
-    slow = int(rates.argmin())
+    slowest = int(rates.argmin())
     premises = (
         Hypothesis("the metric is positive definite at each of the points", "sampled"),
         _independence(model, points, u),
@@ -163,40 +233,40 @@ def observability(
     contracts = Hypothesis(
         f"f contracts the hidden directions faster than {rate:.4g} 1/s at each of the points",
         "sampled",
-        "holds" if rates[slow] > rate else "fails",
-        float(rates[slow]) - rate,
-        _text(points[slow]),
+        "holds" if rates[slowest] > rate else "fails",
+        float(rates[slowest]) - rate,
+        _text(points[slowest]),
     )
     first = Statement(
         "f contracts the metric in the directions the output does not see, at the rate of the margin [1/s]",
         (f"states: {domain}", f"directions that the output does not see: {_hidden(model, points, u)}"),
         (contracts, *premises),
-        float(rates[slow]),
+        float(rates[slowest]),
         domain,
-        tuple(points[slow].tolist()),
+        tuple(points[slowest].tolist()),
     )
-    bent = int((bends - ROUNDING * sizes).argmax())
-    fails = bool(bends[bent] > ROUNDING * sizes[bent])
-    one = jax.eval_shape(model.h, *_arguments(model, jnp.asarray(points[0]), u)).shape == (1,)
-    flat = Hypothesis(
+    worst = int((bends - ROUNDING * sizes).argmax())
+    fails = bool(bends[worst] > ROUNDING * sizes[worst])
+    single_output = jax.eval_shape(model.h, *_arguments(model, jnp.asarray(points[0]), u)).shape == (1,)
+    geodesic_levels = Hypothesis(
         "the level sets of the output do not bend at any of the points"
-        + ("" if one else "; of several outputs this is known of one at a time only"),
+        + ("" if single_output else "; of several outputs this is known of one at a time only"),
         "sampled",
-        "fails" if fails else "holds" if one else "undecided",
-        float(bends[bent]),
-        _text(points[bent]),
+        "fails" if fails else "holds" if single_output else "undecided",
+        float(bends[worst]),
+        _text(points[worst]),
     )
     second = Statement(
         "level sets of the output are totally geodesic; the margin is their largest principal curvature",
         (f"states: {domain}",),
-        (flat, *premises),
-        float(bends[bent]),
+        (geodesic_levels, *premises),
+        float(bends[worst]),
         domain,
-        tuple(points[bent].tolist()),
+        tuple(points[worst].tolist()),
     )
     if not fails:
         return Observability(first, second, None, None)
-    states = _witness(metric, jnp.asarray(points[bent]), jnp.asarray(0.1 / bends[bent] * directions[bent]), budget)
+    states = _witness(metric, jnp.asarray(points[worst]), jnp.asarray(0.1 / bends[worst] * directions[worst]), budget)
     outputs = jax.vmap(lambda x: model.h(*_arguments(model, x, u)))(states)
     return Observability(first, second, np.asarray(states), np.asarray(outputs))
 
@@ -211,13 +281,13 @@ def _check_premises(model: StateSpace, metric: MatrixField, points: np.ndarray, 
 
     sizes, least = (np.asarray(a) for a in jax.lax.map(at, jnp.asarray(points), batch_size=64))
     dependent = ~(sizes[:, -1] > DEPENDENT * sizes[:, 0])
-    many = jax.eval_shape(model.h, *_arguments(model, jnp.asarray(points[0]), u)).shape[0]
-    dependent |= many > points.shape[1]
+    outputs = jax.eval_shape(model.h, *_arguments(model, jnp.asarray(points[0]), u)).shape[0]
+    dependent |= outputs > points.shape[1]
     if dependent.any() and np.isfinite(sizes).all():
         k = int(dependent.argmax())
         rank = int((sizes[k] > DEPENDENT * sizes[k, 0]).sum())
         raise ValueError(
-            f"observability: the {many} outputs see only {rank} directions at {_text(points[k])}; leave out "
+            f"observability: the {outputs} outputs see only {rank} directions at {_text(points[k])}; leave out "
             "outputs that follow from others"
         )
     if not (least > 0).all():  # NaN is no metric either
@@ -251,8 +321,8 @@ def _hidden(model: StateSpace, points: np.ndarray, u: Array | None) -> str:
     dh = np.asarray(jax.lax.map(lambda x: jax.jacfwd(model.h, 1)(*_arguments(model, x, u)), jnp.asarray(points)))
     unseen = (dh == 0).all((0, 1))
     names = np.array(_names(model, points.shape[1]))
-    left = len(names) - dh.shape[1] - int(unseen.sum())
-    parts = [*names[unseen], *([f"{left} among {', '.join(names[~unseen])}"] if left else [])]
+    remaining = len(names) - dh.shape[1] - int(unseen.sum())
+    parts = [*names[unseen], *([f"{remaining} among {', '.join(names[~unseen])}"] if remaining else [])]
     return ", ".join(parts) or "none"
 
 
@@ -263,6 +333,7 @@ def _names(model: StateSpace, n: int) -> tuple[str, ...]:
 @eqx.filter_jit
 def _witness(metric: MatrixField, x: Vector, velocity: Vector, budget: Budget) -> Float[Array, "3 n"]:
     """States before, at and after x on the geodesic with that velocity, which touches the level set at x."""
+    # Tangent to the level set, so that outputs of both ends differ little from each other, and more from that of x.
     ends = jax.vmap(lambda v: exp(metric, x, v, budget))(jnp.stack([-velocity, 0.9 * velocity]))
     return jnp.stack([ends[0], x, ends[1]])
 
@@ -270,6 +341,7 @@ def _witness(metric: MatrixField, x: Vector, velocity: Vector, budget: Budget) -
 def _directions(model: StateSpace, x: Vector, u: Array | None) -> tuple[Float[Array, "n k"], Float[Array, "p n"]]:
     """A basis of the kernel of dh, and dh."""
     dh = jax.jacfwd(model.h, 1)(*_arguments(model, x, u))
+    # Of the complete QR of dhᵀ the first columns span its range; the others are orthogonal to it: the kernel of dh.
     return jnp.linalg.qr(dh.T, mode="complete")[0][:, dh.shape[0] :], dh
 
 

@@ -15,11 +15,24 @@ from covariant.proofs import BITS, MOST_DERIVED, BallMatrix, Form
 from covariant.proofs.checker import leaves
 
 PART = 64
-"""Of leaves with many variables a part is looked at, this many times as small in every direction."""
+"""Factor by which the examined part of a leaf with many variables is smaller, in every direction."""
 
 
 class Sampled(NamedTuple):
-    """Number of leaves looked at and found right, of all leaves; number of boxes this took, and time [s]."""
+    """Result of a successful check of random leaves.
+
+    Attributes:
+        leaves: number of leaves that were examined, all shown to be right.
+        total: number of all leaves.
+        boxes: number of boxes that this took.
+        seconds: time it took [s].
+
+    Example:
+        >>> from covariant.certificates import Sampled
+        >>> result = Sampled(leaves=20, total=400, boxes=35, seconds=1.5)  # usually from `check_sample`
+        >>> result.leaves / result.total
+        0.05
+    """
 
     leaves: int
     total: int
@@ -28,18 +41,28 @@ class Sampled(NamedTuple):
 
 
 def check_sample(source: str | Path | Document, count: int = 20, seed: int = 0, *, model: Any = None) -> Sampled:
-    """Check `count` random leaves of a saved certificate, a file or its parsed content, drawn from all its claims.
+    """Check random leaves of a saved certificate, drawn from all its claims, in ball arithmetic with many digits.
 
     Balls bound derivatives, one operation after the other. Of a leaf with more than `MOST_DERIVED` variables, which is
     proved by Taylor models, only a random part is small enough for that, and shown.
 
-    `model`: as for `check`. Raises `ValueError` naming a box that is not shown to be right, `ImportError` where
-    python-flint is missing.
+    Args:
+        source: the file, or its content from `parse`.
+        count: number of leaves.
+        seed: of the random numbers.
+        model: as for `check`.
+
+    Returns:
+        Numbers of leaves and boxes.
+
+    Raises:
+        ValueError: naming a box that is not shown to be right.
+        ImportError: python-flint is missing.
     """
     start = time.monotonic()
     flint = load_optional("flint", use="checking in balls needs python-flint, imported as", extra="balls")
     document = source if isinstance(source, Document) else parse(source)
-    about, claims, low, high = follows(document, model).about, document.claims, document.low, document.high
+    system, claims, low, high = follows(document, model).about, document.claims, document.low, document.high
     boxes = [leaves(low, high, claim.levels, f"claims[{index}]") for index, claim in enumerate(claims)]
     ends = np.cumsum([len(low) for low, _ in boxes])
     rng = np.random.default_rng(seed)
@@ -47,14 +70,14 @@ def check_sample(source: str | Path | Document, count: int = 20, seed: int = 0, 
     done = 0
     with flint.ctx.workprec(BITS):
         for index, claim in enumerate(claims):
-            mine = drawn[(drawn < ends[index]) & (drawn >= ends[index] - len(boxes[index][0]))]
-            if not len(mine):
+            chosen = drawn[(drawn < ends[index]) & (drawn >= ends[index] - len(boxes[index][0]))]
+            if not len(chosen):
                 continue
-            form = BallMatrix(flint, _form(claim, about, document), low, high)
-            for k in mine - (ends[index] - len(boxes[index][0])):
+            form = BallMatrix(flint, _form(claim, system, document), low, high)
+            for k in chosen - (ends[index] - len(boxes[index][0])):
                 leaf = boxes[index][0][k], boxes[index][1][k]
-                shown = _part(*leaf, rng) if form.reads > MOST_DERIVED else leaf
-                done += form.show(*shown, f"{document.file}: leaf {k} of claims[{index}]")
+                piece = _part(*leaf, rng) if form.reads > MOST_DERIVED else leaf
+                done += form.show(*piece, f"{document.file}: leaf {k} of claims[{index}]")
     return Sampled(len(drawn), int(ends[-1]), done, time.monotonic() - start)
 
 
@@ -64,9 +87,9 @@ def _part(low: np.ndarray, high: np.ndarray, rng: np.random.Generator) -> tuple[
     return start, np.minimum(start + (high - low) / PART, high)
 
 
-def _form(claim: Stated, about: Subject, document: Document) -> Form:
+def _form(claim: Stated, system: Subject, document: Document) -> Form:
     if claim.kind == "contraction":
-        return contraction(about, document.rate)
+        return contraction(system, document.rate)
     if claim.kind == "reach":
-        return width_bound(about, claim.row, claim.square)
-    return disturbance_bound(about, sizes(document), claim.square)
+        return width_bound(system, claim.row, claim.square)
+    return disturbance_bound(system, sizes(document), claim.square)

@@ -21,50 +21,78 @@ KINDS = {"intrinsic": Intrinsic, "geodesic": Geodesic}
 
 
 def observer_document(observer: Intrinsics) -> dict[str, Any]:
-    """An observer without its model, as data: its kind, gains and options.
+    """Convert an observer without its model to data.
 
-    Raises `ValueError` for a field that cannot be saved, such as a budget that is not the default.
+    Args:
+        observer: the observer.
+
+    Returns:
+        Its kind, frame, gains and options.
+
+    Raises:
+        ValueError: a field cannot be saved, such as a budget that is not the default.
     """
     kind = next(name for name, cls in KINDS.items() if type(observer) is cls)
     frame = frame_of(observer.model)
-    found: dict[str, Any] = {"kind": kind, "frame": frame, "alpha": float(observer.alpha), "beta": float(observer.beta)}
+    content: dict[str, Any] = {
+        "kind": kind,
+        "frame": frame,
+        "alpha": float(observer.alpha),
+        "beta": float(observer.beta),
+    }
     for field in dataclasses.fields(observer):
         value = getattr(observer, field.name)
         if field.name in OBSERVERS[kind]:
-            found[field.name] = value
+            content[field.name] = value
         elif field.name not in ("model", "alpha", "beta", "substeps") and value != field.default:
             raise ValueError(f"an observer with {field.name} = {value!r} cannot be written into a certificate")
-    return found
+    return content
 
 
 def observer_from(document: Document, model: Any = None) -> tuple[Intrinsics, Float[np.ndarray, "2 2"]]:
-    """The observer that a certificate is about, and the matrix Q of its metric.
+    """Build the observer of a certificate.
 
-    `model`: used in place of the recipe, as for `models.from_recipe`. Raises `ValueError` naming what fails.
+    Args:
+        document: the parsed file.
+        model: used in place of the recipe, as for `models.from_recipe`.
+
+    Returns:
+        The observer, and the matrix Q (2, 2) of its metric.
+
+    Raises:
+        ValueError: naming what fails.
     """
     try:
-        made = models.from_recipe(document.recipe, model)
+        system = models.from_recipe(document.recipe, model)
     except ValueError as error:
         raise ValueError(f"recipe: {error}") from error
     fields = dict(document.observer)
     kind, frame = fields.pop("kind"), fields.pop("frame")
     # A file may name any model, so its kind has to be checked here.
-    known = frame_of(made) if isinstance(made, MechanicalSystem) else ""
-    if known != frame:
-        found = f"a model in {known}" if known else f"a {type(made).__name__}"
-        raise ValueError(f"observer.frame {frame!r} needs a mechanical system in it; the recipe makes {found}")
-    return KINDS[kind](made, **fields), document.q
+    actual = frame_of(system) if isinstance(system, MechanicalSystem) else ""
+    if actual != frame:
+        described = f"a model in {actual}" if actual else f"a {type(system).__name__}"
+        raise ValueError(f"observer.frame {frame!r} needs a mechanical system in it; the recipe makes {described}")
+    return KINDS[kind](system, **fields), document.q
 
 
 def frame_of(model: MechanicalSystem) -> str:
-    """The frame of the vectors of a model, as named in a certificate."""
+    """Return the frame of the vectors of a model, as named in a certificate: "coordinates" or "body".
+
+    Args:
+        model: the mechanical system.
+    """
     return "coordinates" if model.manifold.commuting else "body"
 
 
 def value_graph(about: Subject) -> dict[str, list]:
-    """The functions that the claims are about, as a graph of scalars, for readers without JAX.
+    """Convert the functions that the claims depend on to a graph of scalars, for readers without JAX.
 
-    Its inputs are time, state and the variables of the box; its outputs are the entries of `values`.
+    Args:
+        about: observer and metric as functions of a box.
+
+    Returns:
+        The graph. Its inputs are time, state and the variables of the box; its outputs are the entries of `values`.
     """
     d = len(about.names)
     states = jax.eval_shape(lambda z: about.at(z).x, jnp.zeros(d)).shape[0]

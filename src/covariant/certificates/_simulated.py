@@ -20,15 +20,27 @@ from covariant.simulation import observe, simulate
 INSIDE = 0.98
 """Fraction of the bounds that a simulated motion may use, so that it also keeps them between its stamps."""
 WATCHED = 97
-"""Number of stamps at which it is tested whether a motion is inside the bounds."""
+"""Number of stamps at which a motion is tested to be inside the bounds."""
 
 
 class Followed(NamedTuple):
-    """Estimates that start on the border of the proved ball, each with a motion of its own.
+    """Estimates that start on the border of the proved ball, each around another motion of the model.
 
-    - `t` (k, T) [s]: until the motion leaves the region or the bound of the velocity, but eight time constants at most.
-    - `low`, `high` (k, T): lower and upper bounds of their distances; `bound` (k, T): `ε e^(−λt/2)`.
-    - `certified` [1/s]: λ, of squared lengths.
+    Attributes:
+        t: stamps (k, T) [s], until the motion leaves the region or the bound of the velocity, but at most eight time
+            constants.
+        low, high: lower and upper bounds (k, T) of the distance of each estimate from its motion.
+        bound: the certified bound `ε e^(−λt/2)` (k, T).
+        certified: rate λ [1/s], of squared lengths.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.certificates import Followed
+        >>> t = np.array([[0.0, 1.0]])
+        >>> distance, bound = 0.1 * np.exp(-t), 0.1 * np.exp(-t / 2)
+        >>> measured = Followed(t, distance, distance, bound, certified=1.0)  # usually from `follow_estimates`
+        >>> measured.holds, measured.rates.round(6).tolist()
+        (True, [2.0])
     """
 
     t: Float[np.ndarray, "k T"]
@@ -39,23 +51,37 @@ class Followed(NamedTuple):
 
     @property
     def holds(self) -> bool:
-        """Whether no distance exceeds its bound, with a tolerance of one millionth for the integration."""
+        """Whether no distance exceeds its bound, with a relative tolerance of one millionth for the integration."""
         return bool((self.low <= self.bound * (1 + 1e-6)).all())
 
     @property
     def rates(self) -> Float[np.ndarray, "k"]:
-        """The rate λ [1/s] of each pair, from its first stamp to its last."""
+        """The rate λ (k,) [1/s] of each pair, from its first stamp to its last."""
         return 2 * np.log(self.high[:, 0] / self.high[:, -1]) / (self.t[:, -1] - self.t[:, 0])
 
 
 class Trajectories(NamedTuple):
     """A motion of the model inside the region, and estimates that start on the border of the proved tube.
 
-    - `t` (T,) [s]; `positions`, `velocities` (T, n): the motion; positions on a group are `log(g(0)⁻¹ g)`.
-    - `estimated_positions`, `estimated_velocities` (k, T, n): the estimates.
-    - `half_widths` (2n,): those of the tube in each position error, then in each velocity.
-    - `shown`: the coordinate in whose plane of position and velocity the estimates start all around the motion.
-    - `distances`: of the estimates from the motion, and the certified bound.
+    Attributes:
+        t: stamps (T,) [s].
+        positions: positions (T, n) of the motion; on a group `log(g(0)⁻¹ g)`.
+        velocities: velocities (T, n) of the motion.
+        estimated_positions, estimated_velocities: those of the estimates (k, T, n).
+        half_widths: half widths (2n,) of the tube in each position error, then in each velocity.
+        shown: index of the coordinate in whose plane of position and velocity the estimates start all around the
+            motion.
+        distances: distances of the estimates from the motion, and the certified bound.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.certificates import Decay, Trajectories
+        >>> t, motion, estimates = np.array([0.0, 1.0]), np.zeros((2, 1)), 0.1 * np.ones((3, 2, 1))
+        >>> distance = 0.1 * np.ones((3, 2))
+        >>> distances = Decay(t, distance, distance, distance)
+        >>> picture = Trajectories(t, motion, motion, estimates, estimates, np.ones(2), 0, distances)
+        >>> picture.distances.holds  # usually from `trajectories`
+        True
     """
 
     t: Float[np.ndarray, "T"]
@@ -79,11 +105,18 @@ def follow_estimates(
 ) -> Followed:
     """Simulate motions in the region of a certificate, each with an estimate from the border of the proved ball.
 
-    - `count`: number of random motions; each estimate starts at a random point of the border.
-    - `stamps`: number of instants at which the distances are measured.
-    - `rtol`, `atol`: tolerances of the integration.
+    Args:
+        certificate: a certificate that holds.
+        count: number k of random motions; each estimate starts at a random point of the border.
+        stamps: number T of instants at which the distances are measured.
+        seed: of the random numbers.
+        rtol, atol: relative and absolute tolerance of the integration.
 
-    Raises `ValueError` where nothing is proved, or where motions leave the region too soon.
+    Returns:
+        Distances of the estimates from their motions, with the certified bound.
+
+    Raises:
+        ValueError: nothing is proved, or motions leave the region too soon.
     """
     plant, radius = _Plant(certificate), certificate.radius
     rng = np.random.default_rng(seed)
@@ -93,22 +126,22 @@ def follow_estimates(
 
     @jax.jit
     @jax.vmap
-    def onwards(start, inputs, until, direction):
-        place = plant.place(start)[: 2 * plant.n]
-        root = jnp.linalg.cholesky(metric.gram(jnp.zeros(()), place))
-        # Uniform on the sphere of the metric.
+    def follow(start, inputs, until, direction):
+        region_point = plant.place(start)[: 2 * plant.n]
+        root = jnp.linalg.cholesky(metric.gram(jnp.zeros(()), region_point))
+        # Uniform on the sphere of the metric: with N = LLᵀ, the vector L⁻ᵀ w has the length of w.
         ball = jnp.linalg.solve(root.T, direction / jnp.linalg.norm(direction))
-        begin = _on_the_border(plant, start, metric.frame(jnp.zeros(()), place) @ ball, jnp.asarray(radius))
+        begin = _on_the_border(plant, start, metric.frame(jnp.zeros(()), region_point) @ ball, jnp.asarray(radius))
         t = first + (until - first) * jnp.linspace(0, 1, stamps)
         actual, estimated = plant.observed(start, begin, t, plant.inputs(*inputs), rtol=rtol, atol=atol)
         return t, *jax.vmap(plant.chart)(estimated, actual)
 
     @jax.jit
-    def distances(*given):
+    def distances(*arguments):
         between = jax.vmap(lambda *x: (lower_distance(metric, *x), upper_distance(metric, *x)))
-        return jax.lax.map(lambda x: between(*x), given)  # one by one: each evaluates many points at every stamp
+        return jax.lax.map(lambda x: between(*x), arguments)  # one by one: each evaluates many points at every stamp
 
-    t, *ends = onwards(start, inputs, jnp.asarray(until), directions)
+    t, *ends = follow(start, inputs, jnp.asarray(until), directions)
     t, low, high = (np.asarray(a) for a in (t, *distances(t, *ends)))
     return Followed(t, low, high, radius * np.exp(-certificate.decay * (t - first)), certificate.rate)
 
@@ -116,13 +149,23 @@ def follow_estimates(
 def trajectories(
     certificate: ContractionCertificate, *, count: int = 5, stamps: int = 160, seed: int = 0
 ) -> Trajectories:
-    """Simulate the model inside the region of a proved certificate, and `count` estimates from the border of its tube.
+    """Simulate the model inside the region of a proved certificate, and estimates from the border of its tube.
 
     Among random motions with sinusoidal inputs within their bounds, one is chosen that stays inside longest, up to
     eight time constants of the observer, and moves much. The upper bound of each estimate's distance starts at the
     radius.
 
-    Raises `ValueError` where nothing is proved, or where no motion stays inside for two stamps.
+    Args:
+        certificate: a certificate that holds.
+        count: number k of estimates.
+        stamps: number T of instants.
+        seed: of the random numbers.
+
+    Returns:
+        The motion and the estimates, with their distances.
+
+    Raises:
+        ValueError: nothing is proved, or no motion stays inside for two stamps.
     """
     plant = _Plant(certificate)
     half_widths = plant.half_widths
@@ -179,6 +222,7 @@ class _Plant:
         # For these subjects the metric on states is one function for the whole region.
         self.metric = certificate.subject.at(jnp.zeros(len(certificate.subject.names))).metric
         alpha, beta = float(certificate.observer.alpha), float(certificate.observer.beta)
+        # Time constant of the slower pole of the error law.
         self.constant = -1 / float(np.linalg.eigvals(error_matrix(alpha, beta)).real.max())
         self.first, last = certificate.given["times"]
         self.longest = 8 * self.constant
@@ -231,11 +275,13 @@ class _Plant:
         """The number of first stamps at which each motion (k, T, ...) is inside the bounds."""
         low, high = (np.asarray(self.certificate.given["positions"][end]) for end in ("low", "high"))
         middle, half = (low + high) / 2, (high - low) / 2
+        # Entries of rotation matrices attain their bounds ±1, and exceed them by rounding.
         allowed = half * INSIDE if self.flat else half + 1e-9
+        # NaN, where a motion left every bound, compares as outside.
         with np.errstate(invalid="ignore"):
-            kept = (np.abs(places - middle) <= allowed).all(-1)
-            kept &= (np.abs(v) <= INSIDE * self.certificate.velocity).all(-1)
-        inside = np.asarray(kept)
+            within = (np.abs(places - middle) <= allowed).all(-1)
+            within &= (np.abs(v) <= INSIDE * self.certificate.velocity).all(-1)
+        inside = np.asarray(within)
         return np.where(inside.all(1), inside.shape[1], inside.argmin(1))
 
     def moved(self, x: Motion, step: Array) -> Motion:
@@ -258,17 +304,17 @@ def _draw_motions(plant: _Plant, count: int, rng) -> tuple[Any, tuple[Array, Arr
     def motions(x0, inputs):
         return plant.simulated(x0, t, plant.inputs(*inputs))
 
-    found, ends = [], np.zeros(0)
+    batches, ends = [], np.zeros(0)
     for _ in range(20):
         pace = jnp.asarray(rng.uniform(1, 4, (2 * count, m))) * (2 * jnp.pi / longest)
         drawn = plant.draw(rng, 2 * count), (pace, jnp.asarray(rng.uniform(0, 2 * np.pi, (2 * count, m))))
-        lasts = plant.inside(*(np.asarray(a) for a in motions(*drawn)))
-        last = np.asarray(t)[np.maximum(lasts - 1, 0)]
-        good = last >= first + min(plant.constant, longest)
-        found.append(jax.tree.map(lambda a, good=good: a[good], drawn))
-        ends = np.concatenate([ends, last[good]])
+        inside_count = plant.inside(*(np.asarray(a) for a in motions(*drawn)))
+        last = np.asarray(t)[np.maximum(inside_count - 1, 0)]
+        long_enough = last >= first + min(plant.constant, longest)
+        batches.append(jax.tree.map(lambda a, long_enough=long_enough: a[long_enough], drawn))
+        ends = np.concatenate([ends, last[long_enough]])
         if len(ends) >= count:
-            start, inputs = jax.tree.map(lambda *parts: jnp.concatenate(parts)[:count], *found)
+            start, inputs = jax.tree.map(lambda *parts: jnp.concatenate(parts)[:count], *batches)
             return start, inputs, ends[:count]
     raise ValueError("too few motions stay inside the region for a time constant of the gains; take a larger region")
 
@@ -291,8 +337,8 @@ def _longest_motion(plant: _Plant, control, rng, count: int = 512) -> tuple[Any,
     if lasts[chosen] < 2:
         raise ValueError("no motion was found that stays inside the region; take a larger one to see its tube")
     until = lasts[chosen]
-    gone = np.concatenate([np.ptp(a[chosen, :until], axis=0) for a in (places, v)])
-    return jax.tree.map(lambda a: a[chosen], draws), float(t[until - 1] - t[0]), gone
+    ranges = np.concatenate([np.ptp(a[chosen, :until], axis=0) for a in (places, v)])
+    return jax.tree.map(lambda a: a[chosen], draws), float(t[until - 1] - t[0]), ranges
 
 
 def _across(plant, start, shown, angle):
@@ -308,7 +354,8 @@ def _on_the_border(plant, start, step, size):
     """The state at the distance `size` from `start` in the direction of `step` (2n,)."""
     t = jnp.zeros(())
 
-    def nearer(_, scale):
+    def rescale(_, scale):
+        # A fixed-point iteration: the distance is nearly proportional to the scale.
         return scale * size / upper_distance(plant.metric, t, *plant.chart(plant.moved(start, scale * step), start))
 
-    return plant.moved(start, jax.lax.fori_loop(0, 20, nearer, jnp.asarray(size)) * step)
+    return plant.moved(start, jax.lax.fori_loop(0, 20, rescale, jnp.asarray(size)) * step)

@@ -1,4 +1,4 @@
-"""The common form of verdicts: a claim in words, the numbers it is about, and the hypotheses it rests on."""
+"""The common form of verdicts: a claim in words, the numbers it is based on, and the hypotheses it rests on."""
 
 from collections.abc import Iterable
 from typing import Any, Literal, NamedTuple
@@ -12,17 +12,23 @@ MEANING: dict[Evidence, str] = {
     "claimed": "by a file that was read and not verified",
     "assumed": "not checked by computation",
 }
-"""What the words of evidence mean, the strongest first."""
+"""Meaning of each kind of evidence, the strongest first."""
 
 
 class Hypothesis(NamedTuple):
-    """A premise of a claim and what speaks for it.
+    """A premise of a claim, with the evidence for it.
 
-    - `text`: the premise in words.
-    - `evidence`: "proved", "sampled", "claimed" or "assumed", as `MEANING` says.
-    - `verdict`: "holds", "fails" (then the claim is refuted) or "undecided". What is assumed is taken to hold.
-    - `margin`: by how much, where a number says it.
-    - `place`: where the margin is least, or where it fails, in words.
+    Attributes:
+        text: the premise in words.
+        evidence: "proved", "sampled", "claimed" or "assumed", with the meanings of `MEANING`.
+        verdict: "holds", "fails" (which refutes the claim) or "undecided". An assumed premise is taken to hold.
+        margin: amount by which the premise holds, in the unit of its text; None where no number says it.
+        place: where the margin is least, or where the premise fails, in words; may be empty.
+
+    Example:
+        >>> from covariant.certificates import Hypothesis
+        >>> print(Hypothesis("V decreases", "sampled", margin=0.25))
+        sampled: V decreases, margin 0.25
     """
 
     text: str
@@ -32,27 +38,28 @@ class Hypothesis(NamedTuple):
     place: str = ""
 
     def __str__(self) -> str:
-        word = self.evidence if self.verdict == "holds" else self.verdict
+        label = self.evidence if self.verdict == "holds" else self.verdict
         margin = "" if self.margin is None else f", margin {self.margin:.4g}"
-        return f"{word}: {self.text}{margin}{f', at {self.place}' if self.place else ''}"
+        return f"{label}: {self.text}{margin}{f', at {self.place}' if self.place else ''}"
 
 
 class Statement(NamedTuple):
-    """A claim, the numbers it is about, and its hypotheses, from which verdict and evidence are computed.
+    """A claim with its hypotheses, from which verdict and evidence are computed.
 
-    - `claim`: one sentence.
-    - `about`: lines with everything that the claim is about: the model and its parameters, gains, region and bounds.
-    - `hypotheses`: all premises; the claim is proved where each of them is, but for what is assumed.
-    - `margin`: the number that decides; the claim gives its meaning and unit.
-    - `domain`: the states that the claim is about.
-    - `point`: the state at which the margin is least, or a counter-example; may be empty.
+    Attributes:
+        claim: one sentence.
+        about: lines with everything that the claim depends on: the model and its parameters, gains, region and bounds.
+        hypotheses: all premises. The claim is proved if each of them is, apart from those that are assumed.
+        margin: the number that decides; the claim gives its meaning and unit.
+        domain: the states that the claim covers, as text.
+        point: the state at which the margin is least, or a counterexample; may be empty.
 
     Example:
         >>> from covariant.certificates import Hypothesis, Statement
-        >>> premises = (Hypothesis("M is positive definite", "proved"), Hypothesis("M falls", "sampled"))
-        >>> found = Statement("errors vanish", (), premises, 1.0)
-        >>> found.verdict, found.evidence
-        ('holds', 'sampled')
+        >>> premises = (Hypothesis("M is positive definite", "proved"), Hypothesis("M decreases", "sampled"))
+        >>> statement = Statement("errors vanish", (), premises, 1.0)
+        >>> statement.verdict, statement.evidence, statement.short
+        ('holds', 'sampled', 'holds (sampled)')
     """
 
     claim: str
@@ -64,19 +71,25 @@ class Statement(NamedTuple):
 
     @property
     def verdict(self) -> Verdict:
-        """What follows from the hypotheses: one that fails refutes the claim, one that is open leaves it open."""
-        found = {hypothesis.verdict for hypothesis in self.hypotheses}
-        # Without a hypothesis that was looked at there is nothing to stand on.
-        looked = any(hypothesis.evidence != "assumed" for hypothesis in self.hypotheses)
-        return "fails" if "fails" in found else "holds" if found == {"holds"} and looked else "undecided"
+        """The verdict that follows from the hypotheses.
+
+        Returns:
+            "fails" if a hypothesis fails; "holds" if all hold and at least one is more than assumed; else "undecided".
+        """
+        present = {hypothesis.verdict for hypothesis in self.hypotheses}
+        # Assumptions alone support no claim: at least one hypothesis has to be examined.
+        examined = any(hypothesis.evidence != "assumed" for hypothesis in self.hypotheses)
+        # One failure refutes; one open premise leaves the claim open.
+        return "fails" if "fails" in present else "holds" if present == {"holds"} and examined else "undecided"
 
     @property
     def evidence(self) -> Evidence:
-        """The weakest evidence of the hypotheses that were looked at; "assumed" where none was."""
-        found = {hypothesis.evidence for hypothesis in self.hypotheses}
+        """The weakest evidence among the hypotheses that were examined; "assumed" where none was."""
+        present = {hypothesis.evidence for hypothesis in self.hypotheses}
+        # "assumed" is left out: it is listed with the statement, but does not lower its evidence.
         weakest_first: tuple[Evidence, ...] = ("claimed", "sampled", "proved")
         for evidence in weakest_first:
-            if evidence in found:
+            if evidence in present:
                 return evidence
         return "assumed"
 
@@ -91,7 +104,11 @@ class Statement(NamedTuple):
         return f"holds ({self.evidence})" if self.verdict == "holds" else self.verdict
 
     def document(self) -> dict[str, Any]:
-        """The statement as data for JSON."""
+        """Convert the statement to data for JSON.
+
+        Returns:
+            The claim, the verdict and its evidence, the lines `about`, and a dictionary of fields for each hypothesis.
+        """
         premises = [hypothesis._asdict() for hypothesis in self.hypotheses]
         return {
             "claim": self.claim,
@@ -106,5 +123,12 @@ class Statement(NamedTuple):
 
 
 def lines(hypotheses: Iterable[Hypothesis]) -> list[str]:
-    """One line for each hypothesis."""
+    """Format each hypothesis as one line of a list.
+
+    Args:
+        hypotheses: the premises, such as those of a `Statement`.
+
+    Returns:
+        One line for each, which begins with "- ".
+    """
     return [f"- {hypothesis}" for hypothesis in hypotheses]

@@ -1,4 +1,4 @@
-"""The subject of a statement about contraction: a flow and a metric, as functions of variables in a box."""
+"""The system of a statement about contraction: a flow and a metric, as functions of variables in a box."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -12,34 +12,48 @@ from covariant.lowering import lower
 from covariant.proofs import Box
 
 
-def _nothing() -> Matrix:
+def _empty() -> Matrix:
     return jnp.zeros((0, 0))
 
 
 class Point(NamedTuple):
-    """A point z of a region: the flow with the measurement held constant, the metric, and a state x (2n,).
+    """The system at one point z of a region.
 
-    Two Jacobians are defined for intrinsic observers only:
-
-    - `error_jacobian()` (2n, 2n): changes of position error and velocity by the vectors of the metric's frame.
-    - `noise_jacobian()` (n, n): change of the position error by an error of the measurement.
+    Attributes:
+        flow: `(t, x (2n,)) -> x' (2n,)`, with the measurement held constant.
+        metric: the metric on states.
+        x: the state (2n,) that belongs to z.
+        error_jacobian: `() -> (2n, 2n)`: changes of position error and velocity by the vectors of the metric's frame;
+            for intrinsic observers only.
+        noise_jacobian: `() -> (n, n)`: change of the position error by an error of the measurement; for intrinsic
+            observers only.
     """
 
     flow: Callable[[Scalar, Vector], Array]
     metric: StateMetric
     x: Vector
-    error_jacobian: Callable[[], Matrix] = _nothing
-    noise_jacobian: Callable[[], Matrix] = _nothing
+    error_jacobian: Callable[[], Matrix] = _empty
+    noise_jacobian: Callable[[], Matrix] = _empty
 
 
 class Subject(NamedTuple):
-    """A system about which something is proved on a region, which is a box of variables.
+    """A dynamic system and a metric on a region, which is a box of variables: what a proof of contraction needs.
 
-    - `names`, `units`: of the variables. For an intrinsic observer these are, n each, the estimated position (not on a
-      group) and velocity, the error of the position, and the force on the system.
-    - `at`: the `Point` at a point z of the box.
-    - `at_rest`: the same with a measurement that does not move, where one moves with time: then each instant is the
-      first one at another z. Nothing else may depend on time.
+    Attributes:
+        names: names of the variables (d). For an intrinsic observer these are, n each, the estimated position (not on a
+            group) and velocity, the error of the position, and the force on the system.
+        units: their units.
+        at: `z (d,) -> Point`: flow, metric and state at a point z of the box.
+        at_rest: the same with a constant measurement, where `at` lets one change with time; None where it does not.
+            Each instant is then the first instant at another z. Nothing else may depend on time.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import models, observers
+        >>> from covariant.certificates import subject
+        >>> system = subject(observers.Intrinsic(models.oscillator(), 2.0, 2.0), np.eye(2))
+        >>> system.names, system.units
+        (('q', 'v_q', 'e_q', 'f_q'), ('m', 'm/s', 'm', ''))
     """
 
     names: tuple[str, ...]
@@ -49,7 +63,15 @@ class Subject(NamedTuple):
 
 
 def entries_read(function, *arguments: Array) -> set[int]:
-    """The entries of its arguments, numbered consecutively, on which a function or its domain depends."""
+    """Determine on which entries of its arguments a function depends.
+
+    Args:
+        function: a function of arrays that can be lowered.
+        arguments: example arguments, whose shapes count.
+
+    Returns:
+        Indices of the entries, numbered consecutively over all arguments, which the value or its domain reads.
+    """
     lowered = lower(function, *arguments, real=True)
     assert lowered.conditions is not None
     graphs = lowered.graph, lowered.conditions.graph
@@ -57,14 +79,23 @@ def entries_read(function, *arguments: Array) -> set[int]:
 
 
 def need_steady(what: str, subject: Subject, domain: Box) -> None:
-    """Raise `ValueError` for a flow or a metric that depends on time, where a statement looks at one instant only."""
-    # At the golden section of every variable nothing vanishes by chance.
+    """Check that flow and metric do not depend on time.
+
+    Args:
+        what: name of the calling function, for the message.
+        subject: the system.
+        domain: the box of its variables.
+
+    Raises:
+        ValueError: flow or metric depends on time, whereas the statement covers one instant only.
+    """
+    # At the golden section of every variable no term vanishes by chance, as it may in the middle.
     point = (subject.at_rest or subject.at)(jnp.asarray(0.618 * domain.low + 0.382 * domain.high))
     x, metric = point.x, point.metric
 
     def parts(t):
-        shown = point.flow(t, x), metric.coframe(t, x), metric.frame(t, x), metric.gram(t, x)
-        return jnp.concatenate([jnp.ravel(part) for part in shown])
+        pieces = point.flow(t, x), metric.coframe(t, x), metric.frame(t, x), metric.gram(t, x)
+        return jnp.concatenate([jnp.ravel(part) for part in pieces])
 
     if entries_read(parts, jnp.zeros(())):
         raise ValueError(
@@ -74,7 +105,14 @@ def need_steady(what: str, subject: Subject, domain: Box) -> None:
 
 
 def values(subject: Subject) -> Callable[[Scalar, Vector, Vector], tuple[Array, ...]]:
-    """The functions from which, with their derivatives, all claims are made: flow, Θ, Θ⁻¹, N and both Jacobians."""
+    """Collect the functions from which, with their derivatives, all claims are made.
+
+    Args:
+        subject: the system.
+
+    Returns:
+        `(t, x, z) -> (flow, Θ, Θ⁻¹, N, error Jacobian, noise Jacobian)`.
+    """
 
     def at(t, x, z):
         point = subject.at(z)

@@ -23,13 +23,30 @@ OutputMetric = Callable[[Array, Array], Array]
 
 
 def virtual(observer: Contracting, metric: OutputMetric | Numbers) -> Subject:
-    """The observer on any region, in a metric M (n, n), constant or a function of measurement z and state x.
+    """Describe a contracting observer on any region, in a metric, for `contraction`, `prove` and `falsify`.
 
-    The variables are the state x (n,), the input u (m,), the measurement z (p,) and its rate of change (p,), named
-    `x`, `u_1`, `z_x`, `zdot_x` with x the name of a state or output. Use the result in `contraction`, `prove` and
-    `falsify`.
+    The variables are the state x (n,), the input u (m,), the measurement z (p,) and its rate of change (p,), named `x`,
+    `u_1`, `z_x`, `zdot_x` with x the name of a state or output.
 
-    Raises `ValueError` where the states of the model have no names.
+    Args:
+        observer: the observer, whose model names its states.
+        metric: M (n, n), constant, or a function `(z, x) -> M` of measurement and state.
+
+    Returns:
+        Flow and metric as functions of these variables.
+
+    Raises:
+        ValueError: the states of the model have no names.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> import numpy as np
+        >>> from covariant.certificates import virtual
+        >>> from covariant.models import StateSpace
+        >>> from covariant.observers import Contracting
+        >>> model = StateSpace(lambda t, x, u: -x, lambda t, x, u: x, coordinates=("x",))
+        >>> virtual(Contracting(model, jnp.eye(1), jnp.zeros(1)), np.eye(1)).names
+        ('x', 'z_y1', 'zdot_y1')
     """
     model = observer.model
     if not model.coordinates:
@@ -42,6 +59,7 @@ def virtual(observer: Contracting, metric: OutputMetric | Numbers) -> Subject:
         x, u, measured, change = jnp.split(point, ends)
 
         def flow(t, y):
+            # A measurement that changes at a constant rate: the condition looks at one instant, t = 0.
             return observer.virtual(t, y, u, measured + t * change)
 
         moving: StateMetric = in_coordinates(lambda t, y: field(measured + t * change, y))
@@ -63,5 +81,6 @@ def virtual(observer: Contracting, metric: OutputMetric | Numbers) -> Subject:
             *(f"{unit}/s" if unit else "" for unit in units),
         ),
         at,
+        # With a constant measurement: its rate of change is set to zero.
         lambda point: at(jnp.concatenate([point[: ends[-1]], jnp.zeros(p, point.dtype)])),
     )

@@ -1,4 +1,8 @@
-"""The public functions of geometry: space first, then the base point. A plain callable `q -> (n, n)` is a space too."""
+"""Public functions of geometry: the space comes first, then the base point.
+
+A plain callable `q -> (n, n)` is a space too. Vectors are components (n,) in the frame of the space's manifold, and
+covectors components in its dual frame; in coordinates these are ∂/∂q and dq.
+"""
 
 import jax.numpy as jnp
 
@@ -13,51 +17,194 @@ Space = AbstractSpace | MatrixField
 
 
 def inner(space: Space, q: Configuration, x: Vector, y: Vector) -> Scalar:
-    """`<x, y>` at q; for a kinetic-energy metric `½ <v, v>` is the kinetic energy in joule."""
+    """Inner product `<x, y>` at q; for a kinetic-energy metric `½ <v, v>` is the kinetic energy [J].
+
+    Args:
+        space: a space, or a metric in coordinates as a function `q -> (n, n)`.
+        q: configuration.
+        x: vector (n,) at q.
+        y: vector (n,) at q.
+
+    Returns:
+        The inner product, a scalar.
+
+    Example:
+        Kinetic energy of 2 kg at 3 m/s:
+
+        >>> import jax.numpy as jnp
+        >>> from covariant.geometry import inner
+        >>> v = jnp.array([3.0])
+        >>> float(inner(lambda q: 2.0 * jnp.eye(1), jnp.zeros(1), v, v) / 2)
+        9.0
+    """
     return as_space(space).inner(q, x, y)
 
 
 def norm(space: Space, q: Configuration, x: Vector) -> Scalar:
-    """`|x|` at q, with a zero (not undefined) derivative at x = 0."""
+    """Length `|x|` of a vector at q, with a zero (not undefined) derivative at x = 0.
+
+    Args:
+        space: a space, or a metric in coordinates as a function `q -> (n, n)`.
+        q: configuration.
+        x: vector (n,) at q.
+
+    Returns:
+        The length, a scalar.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant.geometry import norm
+        >>> float(norm(lambda q: 4.0 * jnp.eye(2), jnp.zeros(2), jnp.array([3.0, 4.0])))
+        10.0
+    """
     return as_space(space).norm(q, x)
 
 
 def connection(space: Space, q: Configuration, x: Vector, y: Vector) -> Vector:
-    """`B(x, y) = ∇_x y` of the field y with constant components, so that `∇_q̇ w = ẇ + B(v, w)` for a velocity v.
+    """Covariant derivative `B(x, y) = ∇_x y` of the field y with constant components.
 
-    `B(x, y) − B(y, x) = [x, y]`: in a frame that is not of coordinates, the direction x and the differentiated field y
-    do not commute.
+    With it, `∇_q̇ w = ẇ + B(v, w)` for a velocity v. `B(x, y) − B(y, x) = [x, y]`: in a frame that is not of
+    coordinates, the direction x and the differentiated field y do not commute.
+
+    Args:
+        space: a space, or a metric in coordinates as a function `q -> (n, n)`.
+        q: configuration.
+        x: direction (n,).
+        y: components (n,) of the differentiated field, constant in the frame.
+
+    Returns:
+        Vector (n,).
+
+    Example:
+        In polar coordinates (r, φ) the centrifugal term is −r φ'²:
+
+        >>> import jax.numpy as jnp
+        >>> from covariant.geometry import connection
+        >>> polar = lambda q: jnp.diag(jnp.stack([jnp.ones(()), q[0] ** 2]))
+        >>> velocity = jnp.array([0.0, 1.0])
+        >>> connection(polar, jnp.array([2.0, 0.0]), velocity, velocity).tolist()
+        [-2.0, 0.0]
     """
     return as_space(space).connection(q, x, y)
 
 
 def christoffel(space: Space, q: Vector, x: Vector, y: Vector) -> Vector:
-    """Christoffel symbols `Γ(q)(x, y)` contracted with x and y: the `connection` in coordinates, symmetric in both."""
+    """Christoffel symbols `Γ(q)(x, y)` contracted with x and y: the `connection` in coordinates, symmetric in both.
+
+    Args:
+        space: a space, or a metric in coordinates as a function `q -> (n, n)`.
+        q: coordinates (n,).
+        x: vector (n,).
+        y: vector (n,).
+
+    Returns:
+        Vector (n,) with the entries `Γ^k_ij x_i y_j`.
+
+    Example:
+        In polar coordinates (r, φ), `Γ^φ_rφ = 1/r`:
+
+        >>> import jax.numpy as jnp
+        >>> from covariant.geometry import christoffel
+        >>> polar = lambda q: jnp.diag(jnp.stack([jnp.ones(()), q[0] ** 2]))
+        >>> christoffel(polar, jnp.array([2.0, 0.0]), jnp.array([1.0, 0.0]), jnp.array([0.0, 1.0])).tolist()
+        [0.0, 0.5]
+    """
     return as_space(space).connection(q, x, y)
 
 
 def curvature(space: Space, q: Configuration, x: Vector, y: Vector, z: Vector) -> Vector:
-    """Riemann curvature `R(x, y)z = ∇_x∇_y z − ∇_y∇_x z − ∇_[x,y] z` at q."""
+    """Riemann curvature `R(x, y)z = ∇_x∇_y z − ∇_y∇_x z − ∇_[x,y] z` at q.
+
+    On the unit sphere `R(x, y)z = <y, z>x − <x, z>y`.
+
+    Args:
+        space: a space, or a metric in coordinates as a function `q -> (n, n)`.
+        q: configuration.
+        x: first vector (n,) of the pair in which R is antisymmetric.
+        y: second vector (n,) of this pair.
+        z: vector (n,) on which R acts.
+
+    Returns:
+        Vector (n,).
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant.geometry import curvature, sphere
+        >>> x, y = jnp.array([0.5, 0.0]), jnp.array([0.0, 0.5])  # of unit length at the origin of the chart
+        >>> curvature(sphere(), jnp.zeros(2), x, y, y).tolist()
+        [0.5, 0.0]
+    """
     return as_space(space).curvature(q, x, y, z)
 
 
 def sectional_curvature(space: Space, q: Configuration, x: Vector, y: Vector) -> Scalar:
-    """`K(x, y) = <R(x, y)y, x> / (|x|²|y|² − <x, y>²)` at q: of the plane of two vectors; 1 on the unit sphere.
+    """Sectional curvature of the plane of two vectors; 1 on the unit sphere.
 
-    Its unit is the reciprocal of that of the metric. Where it is negative, geodesics that start side by side part.
+    It is `K(x, y) = <R(x, y)y, x> / (|x|²|y|² − <x, y>²)` at q. Its unit is the reciprocal of that of the metric. Where
+    it is negative, geodesics that start side by side part.
+
+    Args:
+        space: a space, or a metric in coordinates as a function `q -> (n, n)`.
+        q: configuration.
+        x: vector (n,) in the plane.
+        y: vector (n,) in the plane, not a multiple of x.
+
+    Returns:
+        The curvature K, a scalar.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant.geometry import hyperbolic, sectional_curvature
+        >>> q, x, y = jnp.array([0.1, 0.2]), jnp.array([1.0, 0.0]), jnp.array([1.0, 1.0])
+        >>> round(float(sectional_curvature(hyperbolic(), q, x, y)), 9)
+        -1.0
     """
     space = as_space(space)
+    # Divided by the squared area of the parallelogram, so that K depends on the plane and not on the vectors in it.
     xx, xy, yy = space.inner(q, x, x), space.inner(q, x, y), space.inner(q, y, y)
     return space.inner(q, space.curvature(q, x, y, y), x) / (xx * yy - xy**2)
 
 
 def gradient(space: Space, q: Configuration, covector: Vector) -> Vector:
-    """Raise a covector, such as a differential or a generalised force, to the tangent vector `g(q)⁻¹ covector`."""
+    """Tangent vector `g(q)⁻¹ covector` of a covector, such as a differential or a generalised force.
+
+    Args:
+        space: a space, or a metric in coordinates as a function `q -> (n, n)`.
+        q: configuration.
+        covector: covector (n,) at q.
+
+    Returns:
+        Vector (n,).
+
+    Example:
+        Acceleration of 2 kg by a force of 6 N:
+
+        >>> import jax.numpy as jnp
+        >>> from covariant.geometry import gradient
+        >>> gradient(lambda q: 2.0 * jnp.eye(1), jnp.zeros(1), jnp.array([6.0])).tolist()
+        [3.0]
+    """
     return as_space(space).raise_(q, covector)
 
 
 def exp(space: Space, q: Configuration, v: Vector, budget: Budget = Budget()) -> Configuration:
-    """Riemannian exponential: the end, after unit time, of the geodesic from q with velocity v."""
+    """Riemannian exponential: the end, after unit time, of the geodesic from q with velocity v.
+
+    Args:
+        space: a space, or a metric in coordinates as a function `q -> (n, n)`.
+        q: configuration at which the geodesic starts.
+        v: its velocity (n,) at q.
+        budget: work of the numerical integration; closed forms ignore it.
+
+    Returns:
+        A configuration.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant.geometry import Euclidean, exp
+        >>> exp(Euclidean(), jnp.array([1.0, 2.0]), jnp.array([0.5, 0.0])).tolist()
+        [1.5, 2.0]
+    """
     return as_space(space).transport_along(q, v, v[None], budget).q
 
 
@@ -68,32 +215,128 @@ def shoot(
     guess: Vector | None = None,
     budget: Budget = Budget(),
 ) -> Shot:
-    """The geodesic from p to q with residual and result code; `guess` is a first guess of its initial velocity."""
+    """Geodesic from p to q in unit time, with its residual and a result code.
+
+    Args:
+        space: a space, or a metric in coordinates as a function `q -> (n, n)`.
+        p: configuration at which it starts.
+        q: configuration at which it ends.
+        guess: first guess of its initial velocity (n,), optional; the search starts from it where it is the best one.
+        budget: work of the numerical search; closed forms ignore it.
+
+    Returns:
+        Velocities at both ends, residual and result code.
+
+    Raises:
+        ValueError: for a budget with `near` and without a number of `newton` corrections.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import Result
+        >>> from covariant.geometry import shoot, sphere
+        >>> shot = shoot(sphere(), jnp.zeros(2), jnp.array([1.0, 0.0]))
+        >>> Result(int(shot.result)).name
+        'OK'
+    """
     return as_space(space).shoot(p, q, guess, budget)
 
 
 def log(space: Space, p: Configuration, q: Configuration, budget: Budget = Budget()) -> Vector:
     """Riemannian logarithm: the velocity at p of the unit-time geodesic to q.
 
-    It is NaN where no geodesic was found; `shoot` reports why. A geodesic beyond a conjugate point is returned as found
-    and flagged by `shoot`: it is a geodesic, but not the shortest one.
+    A geodesic beyond a conjugate point is returned too, and `shoot` flags it: it is a geodesic, but not the shortest
+    one.
+
+    Args:
+        space: a space, or a metric in coordinates as a function `q -> (n, n)`.
+        p: configuration at which the geodesic starts.
+        q: configuration at which it ends.
+        budget: work of the numerical search; closed forms ignore it.
+
+    Returns:
+        Velocity (n,) at p; NaN where the search did not converge, for which `shoot` reports the reason.
+
+    Example:
+        On the circle of 360° the shortest path from 10° to 350° is −20°:
+
+        >>> import jax.numpy as jnp
+        >>> from covariant.geometry import FlatTorus, log
+        >>> log(FlatTorus(jnp.array([360.0])), jnp.array([10.0]), jnp.array([350.0])).tolist()
+        [-20.0]
     """
     shot = shoot(space, p, q, None, budget)
+    # Only this code: with `CONJUGATE_POINT` the velocity still leads to q.
     return jnp.where(shot.result == Result.NOT_CONVERGED, jnp.nan, shot.velocity)
 
 
 def distance(space: Space, p: Configuration, q: Configuration, budget: Budget = Budget()) -> Scalar:
-    """Geodesic distance, the length of `log`."""
+    """Geodesic distance between p and q: the length of `log`.
+
+    Args:
+        space: a space, or a metric in coordinates as a function `q -> (n, n)`.
+        p: configuration.
+        q: configuration.
+        budget: work of the numerical search; closed forms ignore it.
+
+    Returns:
+        The distance, a scalar; NaN where the search did not converge.
+
+    Example:
+        A quarter of a great circle of the unit sphere, in the stereographic chart:
+
+        >>> import jax.numpy as jnp
+        >>> from covariant.geometry import distance, sphere
+        >>> bool(jnp.isclose(distance(sphere(), jnp.zeros(2), jnp.array([1.0, 0.0])), jnp.pi / 2))
+        True
+    """
     return norm(space, p, log(space, p, q, budget))
 
 
 def transport(space: Space, p: Configuration, v: Vector, q: Configuration, budget: Budget = Budget()) -> Vector:
-    """Parallel transport of v from p to q along the geodesic between them: a linear isometry."""
+    """Parallel transport of v from p to q along the geodesic between them: a linear isometry.
+
+    Args:
+        space: a space, or a metric in coordinates as a function `q -> (n, n)`.
+        p: configuration at which v is.
+        v: vector (n,) at p.
+        q: configuration to which they are transported.
+        budget: work of the numerical search and integration; closed forms ignore it.
+
+    Returns:
+        The transported vector, in the shape of v; NaN where the search did not converge.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant.geometry import norm, sphere, transport
+        >>> p, q, v = jnp.zeros(2), jnp.array([0.4, 0.2]), jnp.array([0.0, 1.0])
+        >>> w = transport(sphere(), p, v, q)
+        >>> bool(jnp.isclose(norm(sphere(), q, w), norm(sphere(), p, v)))
+        True
+    """
     return as_space(space).transport_along(p, log(space, p, q, budget), v, budget).w
 
 
 def transport_along(
     space: Space, p: Configuration, velocity: Vector, w: Vectors, budget: Budget = Budget()
 ) -> Transported:
-    """Follow a geodesic for unit time, and transport the vectors w (..., n) in parallel along it."""
+    """Geodesic of a velocity, followed for unit time, with parallel transport of vectors along it.
+
+    Args:
+        space: a space, or a metric in coordinates as a function `q -> (n, n)`.
+        p: configuration at which the geodesic starts.
+        velocity: its velocity (n,) at p.
+        w: vectors (..., n) at p.
+        budget: work of the numerical integration; closed forms ignore it.
+
+    Returns:
+        The end of the geodesic, its velocity and the vectors there.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant.geometry import Euclidean, transport_along
+        >>> p, velocity, w = jnp.zeros(2), jnp.array([1.0, 0.0]), jnp.array([0.0, 3.0])
+        >>> end = transport_along(Euclidean(), p, velocity, w)
+        >>> end.q.tolist(), end.w.tolist()
+        ([1.0, 0.0], [0.0, 3.0])
+    """
     return as_space(space).transport_along(p, velocity, w, budget)

@@ -24,12 +24,19 @@ NEWTON_LIMIT = 40
 CONTINUATION_STAGES = 12
 """Number of intermediate targets of a search whose direct attempt failed."""
 NEAR_ENOUGH = 1e-2
-"""By what part of its length a geodesic of a fixed amount of work may miss its target."""
+"""Fraction of its length by which a geodesic with a fixed amount of work may miss its target."""
 
 
 @runtime_checkable
 class Curved(Protocol):
-    """What the computation of geodesics needs of a space: a manifold with a connection, and lengths."""
+    """What the computation of geodesics needs of a space: a manifold with a connection, and lengths.
+
+    Example:
+        >>> from covariant.geometry import Euclidean
+        >>> from covariant.geometry._geodesics import Curved
+        >>> isinstance(Euclidean(), Curved)
+        True
+    """
 
     @property
     def manifold(self) -> AbstractManifold: ...
@@ -40,17 +47,29 @@ class Curved(Protocol):
 
 
 class Budget(NamedTuple):
-    """How much work a numerical `exp` or `log` may do. Closed forms ignore it.
+    """Work that a numerical `exp` or `log` may do. Closed forms ignore it.
 
-    - `newton`: None, for work offline, iterates Newton shooting until it converges, with `steps` eighth-order steps
-      along the unit-time geodesic. A number, for real time, makes exactly that many corrections, with `steps`
-      fourth-order steps: the amount of work is fixed, so that it can be exported.
-    - `steps`: number of integration steps along the geodesic.
-    - `conjugate`: whether a search that iterates until it converges counts the conjugate points too.
-    - `near`: with a fixed number of corrections only: the end is near, as for an observer that has converged. The
-      search starts from the second-order expansion alone, and its derivative serves for that of the geodesic's end, so
-      that a correction costs one geodesic and not n + 1. Each takes the error two orders further: over a distance r a
-      search misses by O(r³) without corrections, by O(r⁵) with one.
+    Attributes:
+        newton: None, the default, for work offline, iterates Newton shooting until it converges, with `steps`
+            eighth-order steps along the unit-time geodesic. A number, for real time, makes exactly that many
+            corrections, with `steps` fourth-order steps: the amount of work is fixed, so that it can be exported.
+        steps: number of integration steps along the geodesic, 8 by default.
+        conjugate: whether a search that iterates until it converges counts the conjugate points too; True by default.
+        near: only with a fixed number of corrections: whether the end is close to the start, as for an observer that
+            has converged; False by default. The search starts from the second-order expansion alone, and its derivative
+            serves for that of the geodesic's end, so that a correction costs one geodesic and not n + 1. Each takes the
+            error two orders further: over a distance r a search misses by O(r³) without corrections, by O(r⁵) with one.
+
+    Example:
+        A fixed amount of work, as in real time. Each correction of the velocity shortens the miss:
+
+        >>> import jax.numpy as jnp
+        >>> from covariant.geometry import Budget, Metric, shoot, sphere
+        >>> p, q = jnp.zeros(1), jnp.array([0.1])
+        >>> guess = shoot(Metric(sphere()), p, q, budget=Budget(newton=0, steps=4, near=True))
+        >>> corrected = shoot(Metric(sphere()), p, q, budget=Budget(newton=1, steps=4, near=True))
+        >>> float(corrected.residual) < 1e-5 < float(guess.residual)
+        True
     """
 
     newton: int | None = None
@@ -62,9 +81,18 @@ class Budget(NamedTuple):
 class Shot(NamedTuple):
     """A geodesic from p to q over unit time.
 
-    - `velocity`, `arrival`: its velocity at p (`log_p q`) and at q.
-    - `residual`: length in the metric by which it misses q.
-    - `result`: a `covariant.Result` code.
+    Attributes:
+        velocity: its velocity (n,) at p, `log_p q`.
+        arrival: its velocity (n,) at q.
+        residual: length in the metric by which it misses q.
+        result: a `covariant.Result` code.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant.geometry import Euclidean, shoot
+        >>> shot = shoot(Euclidean(), jnp.array([1.0]), jnp.array([3.0]))
+        >>> shot.velocity.tolist(), float(shot.residual)
+        ([2.0], 0.0)
     """
 
     velocity: Vector
@@ -74,7 +102,20 @@ class Shot(NamedTuple):
 
 
 class Transported(NamedTuple):
-    """The end q of a unit-time geodesic, its velocity there, and the vectors w transported in parallel along it."""
+    """End of a unit-time geodesic, with vectors transported in parallel along it.
+
+    Attributes:
+        q: the configuration at the end.
+        velocity: the velocity (n,) of the geodesic there.
+        w: the transported vectors (..., n).
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant.geometry import Euclidean, Transported, transport_along
+        >>> end = transport_along(Euclidean(), jnp.zeros(1), jnp.array([2.0]), jnp.array([3.0]))
+        >>> isinstance(end, Transported), end.q.tolist()
+        (True, [2.0])
+    """
 
     q: Configuration
     velocity: Vector
@@ -82,7 +123,21 @@ class Transported(NamedTuple):
 
 
 class Ray(NamedTuple):
-    """A point of a geodesic in coordinates s around its start; velocity and transported vectors in the frame."""
+    """A point of a geodesic, in coordinates s around its start.
+
+    Attributes:
+        s: coordinates (n,) of the retraction around the start.
+        velocity: velocity (n,) in the frame at the point.
+        w: transported vectors (k, n) in this frame.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant.geometry import Budget, Euclidean
+        >>> from covariant.geometry._geodesics import arrive
+        >>> ray = arrive(Euclidean(), jnp.zeros(1), jnp.array([2.0]), Budget(steps=1))
+        >>> round(float(ray.s[0]), 9)
+        2.0
+    """
 
     s: Vector
     velocity: Vector
@@ -90,21 +145,44 @@ class Ray(NamedTuple):
 
 
 def transport_along(space: Curved, p: Configuration, velocity: Vector, w: Vectors, budget: Budget) -> Transported:
-    """`transport_along` by numerical integration, for any space."""
+    """`transport_along` by numerical integration, for any space.
+
+    Args:
+        space: the space.
+        p: configuration at which the geodesic starts.
+        velocity: its velocity (n,) at p.
+        w: vectors (..., n) at p.
+        budget: rule and number of the integration steps.
+
+    Returns:
+        The end of the geodesic, its velocity and the vectors there.
+    """
     start = Ray(jnp.zeros_like(velocity), velocity, w.reshape(-1, velocity.shape[0]))
     end = follow(space, p, start, budget)
     return Transported(space.manifold.retract(p, end.s), end.velocity, end.w.reshape(w.shape))
 
 
 def follow(space: Curved, p: Configuration, ray: Ray, budget: Budget, fraction: float = 1.0) -> Ray:
-    """The ray after a fraction of unit time, integrated by the rule and the steps that the budget sets."""
+    """Geodesic and transported vectors after a fraction of unit time.
+
+    Args:
+        space: the space.
+        p: configuration at which the geodesic starts.
+        ray: the point of the geodesic from which it is followed.
+        budget: rule and number of the integration steps.
+        fraction: time to follow it for, 1 by default.
+
+    Returns:
+        The ray at the end.
+    """
     manifold = space.manifold
 
-    def flow(_, now: Ray) -> Ray:
-        x = manifold.retract(p, now.s)
-        carried = jnp.concatenate([now.velocity[None], now.w])  # a geodesic carries its own velocity
-        turned = jax.vmap(lambda a: space.connection(x, now.velocity, a))(carried)
-        return Ray(manifold.local_rate(p, now.s, now.velocity), -turned[0], -turned[1:])
+    def flow(_, point: Ray) -> Ray:
+        x = manifold.retract(p, point.s)
+        transported = jnp.concatenate([point.velocity[None], point.w])  # a geodesic carries its own velocity
+        rates = jax.vmap(lambda a: space.connection(x, point.velocity, a))(transported)
+        # Parallel transport: ∇ w = 0 means ẇ = −B(v, w) in components of the frame.
+        return Ray(manifold.local_rate(p, point.s, point.velocity), -rates[0], -rates[1:])
 
     rule = rk8 if budget.newton is None else rk4
     return rule(flow, 0.0, ray, fraction, budget.steps)
@@ -112,47 +190,92 @@ def follow(space: Curved, p: Configuration, ray: Ray, budget: Budget, fraction: 
 
 @eqx.filter_jit  # called in many places of a search: each of its derivatives is traced once
 def arrive(space: Curved, p: Configuration, velocity: Vector, budget: Budget) -> Ray:
-    """The end of the unit-time geodesic from p with that velocity."""
+    """End of the unit-time geodesic from p.
+
+    Args:
+        space: the space.
+        p: configuration at which the geodesic starts.
+        velocity: its velocity (n,) at p.
+        budget: rule and number of the integration steps.
+
+    Returns:
+        The ray at the end, without transported vectors.
+    """
     none = jnp.zeros((0, *velocity.shape), velocity.dtype)
     return follow(space, p, Ray(jnp.zeros_like(velocity), velocity, none), budget)
 
 
 class Target(NamedTuple):
-    """The target q of a search: its coordinates s around p, and the metric there in these coordinates."""
+    """The target q of a search.
+
+    Attributes:
+        s: its coordinates (n,) around p.
+        metric: the metric's matrix (n, n) there, in these coordinates.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant.geometry._geodesics import Target
+        >>> float(Target(jnp.zeros(1), 4.0 * jnp.eye(1)).length(jnp.array([3.0])))
+        6.0
+    """
 
     s: Vector
     metric: Matrix
 
     def length(self, miss: Vector) -> Scalar:
+        """Length in the metric at q of a difference of coordinates (n,)."""
         return root(self.square(miss))
 
     def square(self, miss: Vector) -> Scalar:
+        """Squared length in the metric at q of a difference of coordinates (n,)."""
         return miss @ self.metric @ miss
 
 
 def root(square: Scalar) -> Scalar:
-    """The square root, with a zero (not undefined) derivative at 0."""
+    """Square root of a scalar, with a zero (not undefined) derivative at 0; 0 for a negative one."""
     none = square <= 0
     return jnp.where(none, 0.0, jnp.sqrt(jnp.where(none, 1.0, square)))
 
 
 def aim(space: Curved, p: Configuration, s: Vector) -> Target:
-    """The target with coordinates s around p."""
+    """The target with coordinates s (n,) around p."""
     return Target(s, metric_in_retraction(space, p, s))
 
 
 def metric_in_retraction(space: Curved, p: Configuration, s: Vector) -> Matrix:
-    """The metric's matrix at s, in the coordinates of the retraction around p."""
+    """The metric's matrix in the coordinates of the retraction around p.
+
+    Args:
+        space: the space.
+        p: configuration at which s = 0.
+        s: coordinates (n,) of the point at which the metric is evaluated.
+
+    Returns:
+        Matrix (n, n).
+    """
     axes = jnp.eye(s.shape[0], dtype=s.dtype)
     return space.gram(space.manifold.retract(p, s), jax.vmap(lambda a: space.manifold.frame_velocity(p, s, a))(axes))
 
 
 def shoot(space: Curved, p: Configuration, q: Configuration, guess: Vector | None, budget: Budget) -> Shot:
-    """Newton shooting for the geodesic from p to q.
+    """Geodesic from p to q by Newton shooting.
 
     The search starts from the best of `d + ½B(d, d)`, d = local(p, q), and the caller's guess. With a fixed budget it
     is undamped and can be exported; otherwise it is damped, checked for conjugate points, and differentiated
     implicitly.
+
+    Args:
+        space: the space.
+        p: configuration at which the geodesic starts.
+        q: configuration at which it ends.
+        guess: first guess of its velocity (n,) at p, or None.
+        budget: work of the search.
+
+    Returns:
+        Velocities at both ends, residual and result code.
+
+    Raises:
+        ValueError: for a budget with `near` and without a number of `newton` corrections.
     """
     if budget.near:
         return shoot_near(space, p, q, budget)
@@ -166,59 +289,104 @@ def shoot(space: Curved, p: Configuration, q: Configuration, guess: Vector | Non
             velocity = velocity + newton_step(space, p, target, velocity, budget)[0]
     end = arrive(space, p, velocity, budget)
     residual = target.length(target.s - end.s)
+    # A search that converges misses by rounding errors only; a fixed number of corrections may leave more.
     result = found(space, p, velocity, residual, NEAR_ENOUGH if budget.newton is not None else 1e4 * epsilon(velocity))
     if budget.newton is None and budget.conjugate:
-        passed = conjugate_points(space, p, jax.lax.stop_gradient(velocity), budget) > 0
-        result = jnp.where((result == Result.OK) & passed, Result.CONJUGATE_POINT, result)
+        is_conjugate = conjugate_points(space, p, jax.lax.stop_gradient(velocity), budget) > 0
+        result = jnp.where((result == Result.OK) & is_conjugate, Result.CONJUGATE_POINT, result)
     return Shot(velocity, end.velocity, residual, result)
 
 
 def shoot_near(space: Curved, p: Configuration, q: Configuration, budget: Budget) -> Shot:
-    """The same for a q near p: corrections by the derivative of the second-order expansion of the geodesic's end.
+    """Geodesic from p to a q close to it, corrected by the derivative of the second-order expansion of its end.
 
-    Raises `ValueError` where the budget names no number of them.
+    Args:
+        space: the space.
+        p: configuration at which the geodesic starts.
+        q: configuration at which it ends.
+        budget: number of corrections, and of integration steps.
+
+    Returns:
+        Velocities at both ends, residual and result code.
+
+    Raises:
+        ValueError: where the budget specifies no number of corrections.
     """
     if budget.newton is None:
         raise ValueError("Budget: near=True makes a fixed number of corrections; name it, as in newton=1")
     d = space.manifold.local(p, q)
 
-    def bend(v: Vector) -> Vector:
+    def second_order(v: Vector) -> Vector:
         return (space.connection(p, v, v) + space.manifold.retraction_acceleration(p, v)) / 2
 
-    velocity = d + bend(d)
+    velocity = d + second_order(d)
     for _ in range(budget.newton):
         miss = d - arrive(space, p, velocity, budget).s
-        velocity = velocity + miss + jax.jvp(bend, (velocity,), (miss,))[1]
+        velocity = velocity + miss + jax.jvp(second_order, (velocity,), (miss,))[1]
     end = arrive(space, p, velocity, budget)
     residual = space.norm(q, space.manifold.frame_velocity(p, d, d - end.s))
     return Shot(velocity, end.velocity, residual, found(space, p, velocity, residual, NEAR_ENOUGH))
 
 
 def found(space: Curved, p: Configuration, velocity: Vector, residual: Scalar, part: float) -> Code:
-    """`OK` where a geodesic misses its target by no more than a part of its length, beside rounding."""
+    """Result code of a search: `OK` where the geodesic misses its target by no more than a part of its length.
+
+    Args:
+        space: the space.
+        p: configuration at which the geodesic starts.
+        velocity: its velocity (n,) at p.
+        residual: length by which it misses.
+        part: tolerated fraction of its length; a few rounding errors are tolerated beside it.
+
+    Returns:
+        `OK` or `NOT_CONVERGED`.
+    """
     close = residual <= part * space.norm(p, velocity) + 64 * epsilon(velocity)
     return jnp.where(close, Result.OK, Result.NOT_CONVERGED)
 
 
 def first_guess(space: Curved, p: Configuration, target: Target, guess: Vector | None, budget: Budget) -> Vector:
-    """The candidate whose geodesic ends closest to q; the second-order one is best near p, but overshoots far away."""
+    """The candidate for the initial velocity whose geodesic ends closest to q.
+
+    The second-order candidate is best near p, but overshoots at a distance.
+
+    Args:
+        space: the space.
+        p: configuration at which the geodesic starts.
+        target: the target q.
+        guess: a candidate (n,) of the caller's, or None.
+        budget: work of the search.
+
+    Returns:
+        Velocity (n,) at p.
+    """
     d = target.s
-    bend = space.connection(p, d, d) + space.manifold.retraction_acceleration(p, d)
-    candidates = [d + bend / 2]
+    second_order = space.connection(p, d, d) + space.manifold.retraction_acceleration(p, d)
+    candidates = [d + second_order / 2]
     candidates += [] if guess is None else [guess]
     candidates += [d] if budget.newton is None else []
     best = candidates[0]
     if len(candidates) > 1:
-        tried = jnp.stack(candidates)
-        miss = jax.vmap(lambda v: target.length(d - arrive(space, p, v, budget).s))(tried)
-        best = tried[jnp.argmin(jnp.where(jnp.isfinite(miss), miss, jnp.inf))]
+        velocities = jnp.stack(candidates)
+        miss = jax.vmap(lambda v: target.length(d - arrive(space, p, v, budget).s))(velocities)
+        best = velocities[jnp.argmin(jnp.where(jnp.isfinite(miss), miss, jnp.inf))]
     return best
 
 
 def newton_step(space: Curved, p: Configuration, target: Target, velocity: Vector, budget: Budget):
-    """Correction of the initial velocity, and the squared distance (metric at q) to the target that it should remove.
+    """Newton correction of the initial velocity.
 
     The normal equations in the metric keep the matrix symmetric positive definite, so no pivoting is needed.
+
+    Args:
+        space: the space.
+        p: configuration at which the geodesic starts.
+        target: the target q.
+        velocity: the velocity (n,) to correct.
+        budget: rule and number of the integration steps.
+
+    Returns:
+        The correction (n,), and the squared distance (metric at q) to the target that it should remove.
     """
 
     def end(v):
@@ -232,6 +400,7 @@ def newton_step(space: Curved, p: Configuration, target: Target, velocity: Vecto
 
 
 def epsilon(a: Vector) -> float:
+    """Rounding unit of the precision of an array."""
     return float(jnp.finfo(a.dtype).eps)
 
 
@@ -244,15 +413,27 @@ class _Search(NamedTuple):
 
 
 def damped_newton(space: Curved, p: Configuration, target: Target, start: Vector, budget: Budget) -> Vector:
-    """Newton's method with each step shortened until the residual decreases."""
+    """Newton's method with each step shortened until the residual decreases.
+
+    Args:
+        space: the space.
+        p: configuration at which the geodesic starts.
+        target: the target q.
+        start: first guess of the velocity (n,) at p.
+        budget: rule and number of the integration steps.
+
+    Returns:
+        Velocity (n,) at p, the best one where the method does not converge.
+    """
 
     def unfinished(s: _Search):
         # Convergence is quadratic: below this the last correction leaves only rounding errors.
-        long = space.norm(p, s.correction) > epsilon(start) ** 0.5 * space.norm(p, s.velocity)
-        return (s.tries == 0) | (long & (s.tries < NEWTON_LIMIT) & (s.damping > 1e-6))
+        large_step = space.norm(p, s.correction) > epsilon(start) ** 0.5 * space.norm(p, s.velocity)
+        return (s.tries == 0) | (large_step & (s.tries < NEWTON_LIMIT) & (s.damping > 1e-6))
 
     def improve(s: _Search):
         candidate = s.velocity + s.damping * s.correction
+        # Step and residual come from one integration, so that a refused candidate costs no more than an accepted one.
         correction, miss = newton_step(space, p, target, candidate, budget)
         better = (miss < s.miss) & jnp.all(jnp.isfinite(correction))
         damping = jnp.where(better, jnp.minimum(1.0, 4 * s.damping), s.damping / 4)
@@ -260,6 +441,7 @@ def damped_newton(space: Curved, p: Configuration, target: Target, start: Vector
         old = s._replace(damping=damping, tries=s.tries + 1)
         return jax.tree.map(lambda a, b: jnp.where(better, a, b), new, old)
 
+    # The residual starts at infinity, so that the start itself, a step of zero length, counts as an improvement.
     one = jnp.ones((), start.dtype)
     first = _Search(start, jnp.zeros_like(start), one * jnp.inf, one, jnp.zeros((), jnp.int32))
     last = jax.lax.while_loop(unfinished, improve, first)
@@ -267,27 +449,52 @@ def damped_newton(space: Curved, p: Configuration, target: Target, start: Vector
 
 
 def find_geodesic(space: Curved, p: Configuration, target: Target, start: Vector, budget: Budget) -> Vector:
-    """A direct search, and where that fails one for a sequence of targets that move from p to q in small steps."""
+    """Initial velocity by a direct search, and where that fails by continuation.
+
+    The continuation searches for a sequence of targets that move from p to q in small steps.
+
+    Args:
+        space: the space.
+        p: configuration at which the geodesic starts.
+        target: the target q.
+        start: first guess of the velocity (n,) at p.
+        budget: rule and number of the integration steps.
+
+    Returns:
+        Velocity (n,) at p.
+    """
 
     def stage(carry: tuple[Scalar, Vector, Flag]):
         k, velocity, _ = carry
-        direct, moved = k == 0, k / CONTINUATION_STAGES
-        nearer = aim(space, p, jnp.where(direct, target.s, moved * target.s))
+        direct, fraction = k == 0, k / CONTINUATION_STAGES
+        waypoint = aim(space, p, jnp.where(direct, target.s, fraction * target.s))
+        # Velocities grow like the distance of the waypoints, k/(k − 1) from one to the next.
         extrapolated = velocity * k / jnp.maximum(k - 1, 1)
-        begin = jnp.where(direct, start, jnp.where(k == 1, moved * target.s, extrapolated))
-        velocity = damped_newton(space, p, nearer, begin, budget)
+        begin = jnp.where(direct, start, jnp.where(k == 1, fraction * target.s, extrapolated))
+        velocity = damped_newton(space, p, waypoint, begin, budget)
         miss = target.length(target.s - arrive(space, p, velocity, budget).s)
         return k + 1, velocity, miss <= epsilon(start) ** 0.5 * space.norm(p, velocity)
 
     def unfinished(carry):
-        k, _, found = carry
-        return ~found & (k <= CONTINUATION_STAGES)
+        k, _, converged = carry
+        return ~converged & (k <= CONTINUATION_STAGES)
 
     return jax.lax.while_loop(unfinished, stage, (jnp.zeros((), start.dtype), start, jnp.zeros((), bool)))[1]
 
 
 def implicit_newton(space: Curved, p: Configuration, target: Target, start: Vector, budget: Budget) -> Vector:
-    """`find_geodesic`, differentiable by the implicit function theorem in p, q and the metric's own parameters."""
+    """`find_geodesic`, differentiable by the implicit function theorem in p, q and the metric's own parameters.
+
+    Args:
+        space: the space.
+        p: configuration at which the geodesic starts.
+        target: the target q.
+        start: first guess of the velocity (n,) at p; not differentiated.
+        budget: rule and number of the integration steps.
+
+    Returns:
+        Velocity (n,) at p.
+    """
 
     def miss(velocity):
         return target.s - arrive(space, p, velocity, budget).s
@@ -302,7 +509,15 @@ def implicit_newton(space: Curved, p: Configuration, target: Target, start: Vect
 
 
 def least_squares(a: Matrix, b: Vectors) -> Vectors:
-    """Solve the square system `a x = b` through its normal equations."""
+    """Solution of the square system `a x = b` through its normal equations.
+
+    Args:
+        a: matrix (n, n).
+        b: right-hand side (n, k).
+
+    Returns:
+        The solution (n, k).
+    """
     return solve(a.T @ a, a.T @ b)
 
 
@@ -312,6 +527,15 @@ def conjugate_points(space: Curved, p: Configuration, velocity: Vector, budget: 
     By the index theorem this is the index of the second variation of the energy. Over fields that are Jacobi fields on
     each of the budget's steps, that form is block tridiagonal. With A, B the derivatives of a step's end point by its
     start point and velocity, and J the Jacobi fields that vanish at p, its pivots are `g B⁻¹ J_next J⁻¹`.
+
+    Args:
+        space: the space.
+        p: configuration at which the geodesic starts.
+        velocity: its velocity (n,) at p.
+        budget: rule and number of the integration steps.
+
+    Returns:
+        The number, an integer scalar.
     """
     n = velocity.shape[0]
     none = jnp.zeros((0, n), velocity.dtype)
@@ -328,7 +552,9 @@ def conjugate_points(space: Curved, p: Configuration, velocity: Vector, budget: 
         axes = jnp.eye(n, dtype=x.dtype)
         to_frame = jax.vmap(lambda a: space.manifold.frame_velocity(p, x[:n], a), out_axes=1)(axes)
         g = space(space.manifold.retract(p, x[:n]))
+        # This is Jᵀ (g B⁻¹ J_next J⁻¹) J; the inverse of B is a solution of a linear system.
         pivot = (to_frame @ fields[:n]).T @ g @ least_squares(change[:n, n:], following[:n])
+        # Symmetric up to discretisation; by Sylvester's law the signs of the pivots are those of the eigenvalues.
         negative = jnp.sum(pivots((pivot + pivot.T) / 2) < 0)
         return (step(x), following, index + negative.astype(index.dtype)), None
 

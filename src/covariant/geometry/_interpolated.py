@@ -22,6 +22,25 @@ class Interpolated(eqx.Module):
     value is positive definite; the entries of P would not ensure this. Interpolation is cubic, of third order in the
     spacing, with continuous derivatives, so that Christoffel symbols and geodesics exist. There is no extrapolation:
     the value is NaN outside the grid, and within two spacings of a grid point without a metric.
+
+    Attributes:
+        low: lower ends (n,) of the axes, in the units of the coordinates.
+        high: upper ends (n,) of the axes.
+        spacing: distance (n,) of neighbouring points along each axis.
+        factors: the interpolated quantities (c_1 + 2, …, c_n + 2, n(n + 1)/2), with a border of one point around the
+            grid.
+
+    Example:
+        A metric exp(x) of one coordinate, known at five points:
+
+        >>> import jax.numpy as jnp
+        >>> import numpy as np
+        >>> from covariant.geometry import Interpolated
+        >>> axis = np.linspace(0.0, 1.0, 5)
+        >>> metric = Interpolated((axis,), np.exp(axis)[:, None, None])
+        >>> x = jnp.array([0.3])
+        >>> bool(jnp.isclose(metric(x)[0, 0], jnp.exp(0.3))), bool(metric.contains(x + 1.0))
+        (True, False)
     """
 
     low: Vector
@@ -30,10 +49,15 @@ class Interpolated(eqx.Module):
     factors: Float[Array, "*grid k"]
 
     def __init__(self, axes: tuple[Float[np.ndarray, "_"], ...], values: Float[np.ndarray, "..."]):
-        """From the axes (c_i,) of the grid and P at its points (c_1, …, c_n, n, n), not finite where it is unknown.
+        """Interpolate values on a grid.
 
-        Raises `ValueError` where axes and values do not fit, an axis is not uniform or has fewer than four points, or
-        a value is not symmetric positive definite.
+        Args:
+            axes: coordinates (c_i,) of the points along each of the n axes, equally spaced, four at least.
+            values: P at the points, (c_1, …, c_n, n, n); not finite where it is unknown.
+
+        Raises:
+            ValueError: where axes and values do not fit, an axis is not uniform or has fewer than four points, or a
+                value is not symmetric positive definite.
         """
         axes, values = tuple(np.asarray(axis) for axis in axes), np.asarray(values)
         n = len(axes)
@@ -50,28 +74,32 @@ class Interpolated(eqx.Module):
         self.factors = jnp.asarray(_with_border(np.where(known[..., 0], factors, np.nan), n))
 
     def __call__(self, x: Vector) -> Matrix:
+        """The metric's matrix (n, n) at x (n,); NaN outside the grid and close to unknown points."""
         n = self.low.shape[0]
         if x.shape != (n,):
             raise ValueError(f"the metric is a function of {n} coordinates; x has shape {x.shape}")
-        place = (x - self.low.astype(x.dtype)) / self.spacing.astype(x.dtype)
+        position = (x - self.low.astype(x.dtype)) / self.spacing.astype(x.dtype)
+        # A cell needs four neighbours; with the border, the first of them has the index of the cell.
         last = jnp.array(self.factors.shape[:n], jnp.int32) - 4
-        cell = jnp.clip(jnp.floor(jnp.nan_to_num(place)).astype(jnp.int32), jnp.zeros_like(last), last)
+        # NaN and coordinates outside get some cell of the grid; the last line replaces their value by NaN.
+        cell = jnp.clip(jnp.floor(jnp.nan_to_num(position)).astype(jnp.int32), jnp.zeros_like(last), last)
         start = (*cell, jnp.zeros((), cell.dtype))
         corner = jax.lax.dynamic_slice(self.factors, start, (*(4,) * n, self.factors.shape[-1])).astype(x.dtype)
-        for weights in _keys(place - cell.astype(x.dtype)):
+        for weights in _keys(position - cell.astype(x.dtype)):
             corner = jnp.sum(weights.reshape(4, *(1,) * (corner.ndim - 1)) * corner, axis=0)
         return jnp.where(self.contains(x), _from_factors(corner, n), jnp.nan)
 
     def contains(self, x: Vector) -> Flag:
-        """Whether x is inside the grid."""
+        """Whether x (n,) is inside the grid or on its border."""
         return jnp.all((x >= self.low.astype(x.dtype)) & (x <= self.high.astype(x.dtype)))
 
 
 def _keys(s: Vector) -> Float[Array, "n 4"]:
     """Weights of the four neighbours along each axis, at the fraction s of the cell between the two in the middle."""
-    near, far = jnp.stack([s, 1 - s]), jnp.stack([1 + s, 2 - s])
-    inner = (1.5 * near - 2.5) * near * near + 1.0
-    outer = ((-0.5 * far + 2.5) * far - 4.0) * far + 2.0
+    inner_distance, outer_distance = jnp.stack([s, 1 - s]), jnp.stack([1 + s, 2 - s])
+    # Keys' kernel with a = −1/2, the value at which interpolation is of third order.
+    inner = (1.5 * inner_distance - 2.5) * inner_distance * inner_distance + 1.0
+    outer = ((-0.5 * outer_distance + 2.5) * outer_distance - 4.0) * outer_distance + 2.0
     return jnp.stack([outer[0], inner[0], inner[1], outer[1]], axis=1)
 
 
@@ -79,6 +107,7 @@ def _with_border(factors: np.ndarray, n: int) -> np.ndarray:
     """The grid with one more layer around it, continued as a parabola, for the cells at its border."""
     for axis in range(n):
         a = np.moveaxis(factors, axis, 0)
+        # Third difference zero: the parabola through the last three points, as Keys prescribes at a border.
         before, after = (3 * (e[0] - e[1]) + e[2] for e in (a, a[::-1]))
         factors = np.moveaxis(np.concatenate([before[None], a, after[None]]), 0, axis)
     return factors
@@ -117,6 +146,7 @@ def _check_axes(axes: tuple[np.ndarray, ...], values: np.ndarray) -> None:
         if axis.ndim != 1 or axis.size < 4:
             raise ValueError(f"axis {k + 1} needs at least four points to interpolate between; it has {axis.size}")
         steps = np.diff(axis)
+        # The steps of a grid far from 0 differ by the rounding of its coordinates.
         rounding = 4 * np.finfo(axis.dtype).eps * np.abs(axis).max()
         if not (np.isfinite(axis).all() and steps.min() > 0 and np.ptp(steps) <= 1e-6 * steps.mean() + rounding):
             raise ValueError(

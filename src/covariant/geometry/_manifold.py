@@ -1,4 +1,4 @@
-"""Manifolds of configurations: how configurations move and differ, and the frame of their velocities. No metric.
+"""Manifolds of configurations: retraction, local coordinates and the frame of velocities, without a metric.
 
 A configuration is an array x; a velocity is a column a (n,) of components in a frame `e_i`: ∂/∂q in coordinates, the
 body frame on a group, and those of the factors side by side in a product. All geometry without a metric is here.
@@ -28,6 +28,19 @@ class AbstractManifold(eqx.Module):
 
     The retraction `s ↦ retract(x, s)` defines coordinates s (n,) around x; `local` gives those of a configuration. A
     curve through x with the frame velocity a has `x' = tangent(x, a)`.
+
+    Example:
+        The midpoint of two configurations, on any manifold:
+
+        >>> import jax.numpy as jnp
+        >>> from covariant.geometry import AbstractManifold, Coordinates, lie
+        >>> def midpoint(manifold: AbstractManifold, x, y):
+        ...     return manifold.retract(x, manifold.local(x, y) / 2)
+        >>> midpoint(Coordinates(), jnp.array([0.0, 2.0]), jnp.array([1.0, 4.0])).tolist()
+        [0.5, 3.0]
+        >>> rotation = midpoint(lie.SO2, lie.SO2.exp(jnp.array([0.2])), lie.SO2.exp(jnp.array([0.6])))
+        >>> round(float(lie.SO2.log(rotation)[0]), 6)
+        0.4
     """
 
     @property
@@ -38,19 +51,20 @@ class AbstractManifold(eqx.Module):
     @property
     @abc.abstractmethod
     def shape(self) -> tuple[int | None, ...]:
-        """The shape of x; None for a dimension of any length."""
+        """Shape of x; None for a dimension of any length."""
 
     @property
     def rotations(self) -> tuple[tuple[int, ...], ...] | None:
-        """Which entries of s (n,) are rotation vectors [rad], or angles on a circle; None where this is unknown.
+        """Indices of the entries of s (n,) that form a rotation vector or an angle on a circle [rad], as tuples.
 
-        Where all of them are shorter than π, `local` is the smooth inverse of `retract`.
+        One tuple for each rotation vector or angle; None where this is unknown. Where all of these vectors are shorter
+        than π, `local` is the smooth inverse of `retract`.
         """
         return None
 
     @property
     def factors(self) -> "tuple[AbstractManifold, ...]":
-        """The manifolds that this one is a product of; none where it is no product."""
+        """The manifolds of which this one is a product; empty for a manifold that is no product."""
         return ()
 
     @property
@@ -60,7 +74,17 @@ class AbstractManifold(eqx.Module):
 
     @abc.abstractmethod
     def origin(self, dtype: Any = float) -> Configuration:
-        """A base configuration: the neutral element, or coordinates 0. Raises `ValueError` where n is unknown."""
+        """Base configuration: the neutral element of a group, or coordinates 0.
+
+        Args:
+            dtype: type of the real numbers, double precision by default.
+
+        Returns:
+            A configuration.
+
+        Raises:
+            ValueError: where the dimension n is unknown.
+        """
 
     @abc.abstractmethod
     def zero(self, x: Configuration) -> Vector:
@@ -68,87 +92,223 @@ class AbstractManifold(eqx.Module):
 
     @abc.abstractmethod
     def tangent(self, x: Configuration, a: Vector) -> Configuration:
-        """`E(x)a`: the rate of change of the array x of a configuration that moves with a."""
+        """Rate of change `E(x)a` of the array x when the configuration moves with the velocity a.
+
+        Args:
+            x: configuration.
+            a: velocity (n,) in the frame at x.
+
+        Returns:
+            The derivative x', in the shape of x.
+        """
 
     def nudged(self, x: Configuration, a: Vector) -> Configuration:
-        """`x + tangent(x, a)`: the configuration to first order after a small step a, for derivatives at a = 0."""
+        """Configuration after a small step a, to first order: `x + tangent(x, a)`, for derivatives at a = 0.
+
+        Args:
+            x: configuration.
+            a: step (n,) in the frame at x.
+
+        Returns:
+            An array in the shape of x, on the manifold to first order in a.
+        """
+        # Linear in a, and equal to `retract` to first order, which is all that a derivative at a = 0 sees.
         return x + self.tangent(x, a)
 
     @abc.abstractmethod
     def components(self, x: Configuration, rate: Configuration) -> Vector:
-        """The velocity a for which `tangent(x, a)` is this rate of change: the inverse of `tangent`."""
+        """Frame components of a rate of change: the inverse of `tangent`.
+
+        Args:
+            x: configuration.
+            rate: derivative x', in the shape of x.
+
+        Returns:
+            The velocity a (n,) with `tangent(x, a) = rate`.
+        """
 
     @abc.abstractmethod
     def bracket(self, x: Configuration, a: Vector, b: Vector) -> Vector:
-        """`[a, b]` of the vector fields that have these components everywhere."""
+        """Lie bracket `[a, b]` of the two vector fields whose frame components are a and b everywhere.
+
+        Args:
+            x: configuration at which the bracket is evaluated.
+            a: components (n,) of the first field.
+            b: components (n,) of the second field.
+
+        Returns:
+            Components (n,) of the bracket in the frame at x.
+        """
 
     @abc.abstractmethod
     def retract(self, x: Configuration, s: Vector) -> Configuration:
-        """The configuration at the coordinates s around x; to first order `x + tangent(x, s)`."""
+        """The configuration at the coordinates s around x; to first order `x + tangent(x, s)`.
+
+        Args:
+            x: configuration at which s = 0.
+            s: coordinates (n,) of the retraction.
+
+        Returns:
+            A configuration, in the shape of x.
+        """
 
     @abc.abstractmethod
     def local(self, x: Configuration, y: Configuration) -> Vector:
-        """The shortest s with `retract(x, s) = y`."""
+        """Coordinates of y around x: the shortest s with `retract(x, s) = y`.
+
+        Args:
+            x: configuration at which s = 0.
+            y: configuration.
+
+        Returns:
+            Coordinates s (n,).
+        """
 
     @abc.abstractmethod
     def frame_velocity(self, x: Configuration, s: Vector, rate: Vector) -> Vector:
-        """The velocity, in the frame at `retract(x, s)`, of a curve along which `s' = rate`."""
+        """Frame velocity at `retract(x, s)` of a curve along which `s' = rate`.
+
+        Args:
+            x: configuration at which s = 0.
+            s: coordinates (n,) of a point on the curve.
+            rate: derivative s' (n,).
+
+        Returns:
+            The velocity (n,) in the frame at `retract(x, s)`.
+        """
 
     @abc.abstractmethod
     def local_rate(self, x: Configuration, s: Vector, velocity: Vector) -> Vector:
-        """The s' for which `velocity` is the frame velocity at `retract(x, s)`: the inverse of `frame_velocity`."""
+        """Rate of change s' of the coordinates of a moving configuration: the inverse of `frame_velocity`.
+
+        Args:
+            x: configuration at which s = 0.
+            s: coordinates (n,) of the moving configuration.
+            velocity: its velocity (n,) in the frame at `retract(x, s)`.
+
+        Returns:
+            The derivative s' (n,).
+        """
 
     def retraction_acceleration(self, x: Configuration, a: Vector) -> Vector:
-        """`Q(a, a)`: how fast the frame velocity of `t ↦ retract(x, t a)` changes at t = 0."""
+        """Second-order term `Q(a, a)` of the retraction: rate of the frame velocity of `t ↦ retract(x, t a)` at t = 0.
+
+        Args:
+            x: configuration.
+            a: velocity (n,) in the frame at x.
+
+        Returns:
+            The rate of change (n,) of the frame components.
+        """
+        # Along s = t a the rate s' = a is constant, so the frame velocity changes through s alone.
         return jax.jvp(lambda s: self.frame_velocity(x, s, a), (self.zero(x),), (a,))[1]
 
     @abc.abstractmethod
     def carried_momentum(self, x: Configuration, s: Vector, mu: Vector) -> Vector:
-        """A momentum μ in the frame at x, expressed in the frame at `retract(x, s)`; with −s the other way round.
+        """A momentum in the frame at x, expressed in the frame at `retract(x, s)`.
 
-        As a momentum in space it is unchanged."""
+        As a momentum in space it is unchanged. With −s it is expressed the other way round.
+
+        Args:
+            x: configuration at which s = 0.
+            s: coordinates (n,) of the other configuration.
+            mu: momentum μ (n,), a covector in the frame at x.
+
+        Returns:
+            The same momentum (n,) in the frame at `retract(x, s)`.
+        """
 
     @abc.abstractmethod
     def missing(self, y: Configuration) -> Bool[Array, "n"]:
-        """Which components of `local(x, y)` are unknown, y being a measurement with NaN in it."""
+        """Mask (n,) of the components of `local(x, y)` that are unknown because the measurement y has NaN in it."""
 
     def measured_together(self, n: int) -> tuple[tuple[int, ...], ...]:
-        """Components of a velocity (n,) that are measured only together, such as those of an attitude; a tuple each."""
+        """Components of a velocity that are measured only together, such as those of an attitude.
+
+        Args:
+            n: number of components of a velocity.
+
+        Returns:
+            Groups of indices, one tuple for each; by default one group of all n.
+        """
         return (tuple(range(n)),)
 
     @abc.abstractmethod
     def towards(self, x: Configuration, y: Configuration) -> Vector:
-        """`local(x, y)` for a measurement y, with zeros for the components that are `missing` in it."""
+        """Innovation `local(x, y)` of a measurement y, with zeros for the components that are `missing` in it.
+
+        Args:
+            x: configuration, such as an estimate.
+            y: measurement, in the shape of x, with NaN where it is missing.
+
+        Returns:
+            Coordinates (n,) of y around x, finite for finite x.
+        """
 
     @abc.abstractmethod
     def measured(self, x: Configuration, y: Configuration) -> Configuration:
-        """The configuration that y measures, with angles on the turn nearest to x; missing entries are those of x."""
+        """The configuration that y measures, with angles on the turn nearest to x.
+
+        Args:
+            x: configuration, such as an estimate, whose entries replace those that are missing in y.
+            y: measurement, in the shape of x, with NaN where it is missing.
+
+        Returns:
+            A configuration without NaN, in the shape of x.
+        """
 
     def unique(self, x: Configuration, y: Configuration) -> Flag:
-        """False, to within rounding, where a second s of the length of `local(x, y)` also leads to y."""
+        """Whether `local(x, y)` is the only shortest s that leads from x to y.
+
+        Args:
+            x: configuration.
+            y: configuration.
+
+        Returns:
+            False, to within rounding, where a second s of the same length also leads to y; else True.
+        """
         return jnp.ones((), bool)
 
     def admitted(self, y: Configuration) -> Configuration:
-        """The measurement y, with NaN in the place of what is no configuration; what is `missing` stays as it is."""
+        """The measurement y, or NaN in place of an array that is no configuration; `missing` entries stay NaN."""
         return y
 
     def checked(self, y: Configuration) -> Configuration:
-        """The configuration y. Raises `ValueError` for a wrong shape, and where it is no configuration.
+        """The configuration y, after a check of its shape and of its membership of the manifold.
 
-        Inside a compiled function its numbers are not known: there NaN stands in the place of what is none, so that a
-        program calls nothing outside of it and can be kept.
+        Args:
+            y: configuration to check.
+
+        Returns:
+            y. Inside a compiled function its numbers are not known: there NaN replaces an array that is no
+            configuration, so that a compiled program calls nothing outside itself and can be cached.
+
+        Raises:
+            ValueError: for a wrong shape, and, outside compiled functions, for an array that is no configuration.
         """
         if len(y.shape) != len(self.shape) or any(w not in (None, n) for n, w in zip(y.shape, self.shape, strict=True)):
-            wanted = ", ".join("n" if size is None else str(size) for size in self.shape)
-            raise ValueError(f"a configuration must have shape ({wanted}); got {y.shape}")
+            expected = ", ".join("n" if size is None else str(size) for size in self.shape)
+            raise ValueError(f"a configuration must have shape ({expected}); got {y.shape}")
         return y
 
 
 class Coordinates(AbstractManifold):
     """Configurations written as coordinates q (n,), some of which may be angles on a full circle.
 
-    - `circles`: indices of the coordinates that are such angles [rad]; differences of them are wrapped to ±π.
-    - `dimension`: n, where it is known.
+    Attributes:
+        circles: indices of the coordinates that are such angles [rad]; differences of them are wrapped to ±π. None of
+            them by default.
+        dimension: number of coordinates n, where it is known.
+
+    Example:
+        A cart with a pendulum: position [m] and angle [rad]. From 3 rad to −3 rad it is 0.283 rad through ±π:
+
+        >>> import jax.numpy as jnp
+        >>> from covariant.geometry import Coordinates
+        >>> manifold = Coordinates(circles=(1,), dimension=2)
+        >>> s = manifold.local(jnp.array([0.0, 3.0]), jnp.array([5.0, -3.0]))
+        >>> [round(float(e), 3) for e in s]
+        [5.0, 0.283]
     """
 
     circles: tuple[int, ...] = eqx.field(default=(), static=True, converter=tuple)
@@ -208,6 +368,7 @@ class Coordinates(AbstractManifold):
         return tuple((i,) for i in range(n))
 
     def towards(self, x: Vector, y: Vector) -> Vector:
+        # The NaN is replaced before `wrap`, so that neither the value nor a derivative of it sees one.
         return wrap(self.circles, jnp.where(jnp.isnan(y), 0.0, y - x))
 
     def measured(self, x: Vector, y: Vector) -> Vector:
@@ -215,10 +376,24 @@ class Coordinates(AbstractManifold):
 
 
 def wrap(circles: tuple[int, ...], e: Vector) -> Vector:
-    """Bring the entries of e (n,) that are angles on a circle to ±π."""
+    """Wrap the entries of e that are angles on a circle to ±π.
+
+    Args:
+        circles: indices of the entries that are angles [rad].
+        e: differences of coordinates (n,).
+
+    Returns:
+        e (n,) with 2π-multiples removed from these entries; the others are unchanged to the last bit.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant.geometry import wrap
+        >>> [round(float(e), 3) for e in wrap((1,), jnp.array([6.0, 6.0]))]
+        [6.0, -0.283]
+    """
     # Entry by entry, so that an entry that is no angle is not even rounded.
-    turned = [x - 2 * np.pi * jnp.round(x / (2 * np.pi)) if i in circles else x for i, x in enumerate(e)]
-    return jnp.stack(turned) if circles else e
+    wrapped = [x - 2 * np.pi * jnp.round(x / (2 * np.pi)) if i in circles else x for i, x in enumerate(e)]
+    return jnp.stack(wrapped) if circles else e
 
 
 class ProductManifold(AbstractManifold):
@@ -226,6 +401,21 @@ class ProductManifold(AbstractManifold):
 
     A configuration is one array (m,): the configurations of the factors, flattened, one after the other. Velocities are
     concatenated likewise. Each factor must know the shape of its configurations.
+
+    Attributes:
+        manifolds: the factors, at least one.
+
+    Raises:
+        ValueError: for no factors, or for coordinates of unknown number.
+
+    Example:
+        An attitude and two angles: configurations have 9 + 2 entries, velocities 3 + 2.
+
+        >>> from covariant.geometry import Coordinates, ProductManifold, lie
+        >>> manifold = ProductManifold((lie.SO3, Coordinates(circles=(0, 1), dimension=2)))
+        >>> x = manifold.origin()
+        >>> x.shape, manifold.zero(x).shape, manifold.circles
+        ((11,), (5,), (9, 10))
     """
 
     manifolds: tuple[AbstractManifold, ...]
@@ -251,12 +441,12 @@ class ProductManifold(AbstractManifold):
 
     @property
     def rotations(self) -> tuple[tuple[int, ...], ...] | None:
-        found = []
+        groups = []
         for factor, start in zip(self.factors, starts(self._dimensions), strict=True):
             if factor.rotations is None:
                 return None
-            found += [tuple(start + i for i in turn) for turn in factor.rotations]
-        return tuple(found)
+            groups += [tuple(start + i for i in turn) for turn in factor.rotations]
+        return tuple(groups)
 
     def measured_together(self, n: int) -> tuple[tuple[int, ...], ...]:
         each = zip(self.factors, starts(self._dimensions), self._dimensions, strict=True)
@@ -271,16 +461,16 @@ class ProductManifold(AbstractManifold):
         return self.join([factor.origin(dtype) for factor in self.factors])
 
     def parts(self, x: Configuration) -> list[Array]:
-        """The configurations of the factors, in their own shapes."""
+        """Configurations of the factors, each in its own shape, from a configuration x (m,) of the product."""
         flat = split(x, self._sizes)
         return [part.reshape(factor.shape) for factor, part in zip(self.factors, flat, strict=True)]
 
     def join(self, parts: list[Array]) -> Array:
-        """The configuration of the product with these configurations of the factors."""
+        """Configuration (m,) of the product, from the configurations of its factors: the inverse of `parts`."""
         return jnp.concatenate([part.reshape(-1) for part in parts])
 
     def vectors(self, a: Vector) -> list[Array]:
-        """The velocities of the factors, from a velocity of the product."""
+        """Velocities of the factors, from a velocity a (n,) of the product."""
         return split(a, self._dimensions)
 
     def zero(self, x: Configuration) -> Vector:
@@ -348,7 +538,16 @@ class ProductManifold(AbstractManifold):
 
 
 def split(a: Array, sizes: Sequence[int], axis: int = 0) -> list[Array]:
-    """Cut an array along an axis into pieces of these lengths."""
+    """Cut an array along an axis into consecutive pieces.
+
+    Args:
+        a: array.
+        sizes: lengths of the pieces, which sum to the length of the axis.
+        axis: axis to cut, the first by default.
+
+    Returns:
+        The pieces, in order.
+    """
     return jnp.split(a, starts(sizes)[1:], axis=axis)
 
 

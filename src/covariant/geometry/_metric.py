@@ -1,4 +1,4 @@
-"""Spaces given by the matrix of their metric or by a kinetic energy, in coordinates or in the frame of any manifold."""
+"""Spaces defined by the matrix of their metric or by a kinetic energy, in coordinates or in the frame of a manifold."""
 
 import abc
 import dataclasses
@@ -15,13 +15,28 @@ from covariant.geometry._space import AbstractSpace
 
 
 class AbstractMetric(AbstractSpace):
-    """A space whose metric is a matrix at every configuration, `metric(x) -> (n, n)`."""
+    """A space whose metric is a matrix at every configuration, `metric(x) -> (n, n)`.
+
+    Attributes:
+        manifold: manifold of the configurations, in whose frame the matrix is; plain coordinates by default.
+
+    Example:
+        A subclass defines the matrix:
+
+        >>> import jax.numpy as jnp
+        >>> from covariant.geometry import AbstractMetric
+        >>> class Polar(AbstractMetric):
+        ...     def __call__(self, x):
+        ...         return jnp.diag(jnp.stack([jnp.ones(()), x[0] ** 2]))
+        >>> float(Polar().norm(jnp.array([2.0, 0.0]), jnp.array([0.0, 1.5])))
+        3.0
+    """
 
     manifold: AbstractManifold = eqx.field(default=Coordinates(), kw_only=True)
 
     @abc.abstractmethod
     def __call__(self, x: Configuration) -> Matrix:
-        """The metric's matrix at x, in the frame."""
+        """The metric's matrix (n, n) at x, in the frame."""
 
     def lower(self, x: Configuration, a: Vector) -> Vector:
         return self(x) @ a
@@ -31,10 +46,21 @@ class AbstractMetric(AbstractSpace):
 
 
 class Metric(AbstractMetric):
-    """A metric given only by its matrix `x -> (n, n)`; every operation is derived from it.
+    """A metric defined only by its matrix `x -> (n, n)`; every operation is derived from it.
 
-    With a `manifold` the matrix is in the frame of that manifold, as for a machine whose inertia depends on its
-    configuration; without one it is in coordinates.
+    Attributes:
+        matrix: function of a configuration, with a symmetric positive definite matrix (n, n) as its value. It is in the
+            frame of `manifold`, as for a machine whose inertia depends on its configuration; in coordinates by default.
+
+    Example:
+        The plane in polar coordinates (r, φ) is flat:
+
+        >>> import jax.numpy as jnp
+        >>> from covariant.geometry import Metric, sectional_curvature
+        >>> polar = Metric(lambda q: jnp.diag(jnp.stack([jnp.ones(()), q[0] ** 2])))
+        >>> q, e_r, e_phi = jnp.array([2.0, 0.3]), jnp.array([1.0, 0.0]), jnp.array([0.0, 1.0])
+        >>> abs(float(sectional_curvature(polar, q, e_r, e_phi))) < 1e-12
+        True
     """
 
     matrix: MatrixField
@@ -44,10 +70,23 @@ class Metric(AbstractMetric):
 
 
 class KineticEnergy(AbstractSpace):
-    """A space given by its kinetic energy `(x, v) -> ½ <v, v>` [J], v being components in the manifold's frame.
+    """A space defined by its kinetic energy `(x, v) -> ½ <v, v>` [J], v being components in the manifold's frame.
 
     Energies are often easier to write than matrices, as for bodies in a chain. The momentum is the derivative
     `∂energy/∂v`, so its cost is that of a few energies, not that of all columns of a matrix.
+
+    Attributes:
+        energy: function of a configuration and a velocity (n,), quadratic in the velocity.
+        manifold: manifold of the configurations; `Coordinates()` for generalised coordinates.
+
+    Example:
+        A cart of 3 kg; its momentum at 2 m/s [kg m/s]:
+
+        >>> import jax.numpy as jnp
+        >>> from covariant.geometry import Coordinates, KineticEnergy
+        >>> cart = KineticEnergy(lambda q, v: 1.5 * v[0] ** 2, manifold=Coordinates())
+        >>> cart.lower(jnp.zeros(1), jnp.array([2.0])).tolist()
+        [6.0]
     """
 
     energy: Callable[[Array, Array], Array]
@@ -58,10 +97,26 @@ class KineticEnergy(AbstractSpace):
 
 
 def as_space(metric: AbstractSpace | MatrixField, manifold: AbstractManifold | None = None) -> AbstractSpace:
-    """A space from a metric: a plain callable `q -> (n, n)` gets the derived operations; a space is returned as it is.
+    """Space from a metric: a plain callable `q -> (n, n)` gets the derived operations.
 
-    With a `manifold` the metric is put on that manifold, such as coordinates some of which are circles. Raises
-    `ValueError` for a metric that is not in coordinates.
+    Args:
+        metric: a space, or a function of coordinates (n,) with a symmetric positive definite matrix (n, n) as its
+            value.
+        manifold: manifold on which the metric is put, such as coordinates some of which are circles; by default that of
+            the space, and plain coordinates for a function.
+
+    Returns:
+        A space; without a `manifold`, a space is returned unchanged.
+
+    Raises:
+        ValueError: where a `manifold` is passed with a space that is not in coordinates.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant.geometry import as_space
+        >>> space = as_space(lambda q: 4.0 * jnp.eye(1))
+        >>> float(space.norm(jnp.zeros(1), jnp.array([3.0])))
+        6.0
     """
     if not isinstance(metric, AbstractSpace):
         return Metric(metric, manifold=manifold or Coordinates())

@@ -1,16 +1,15 @@
-"""A configuration space: a manifold with a frame, and a metric in it; all its operations, derived from the metric.
+"""Configuration spaces: a manifold with a frame and a metric, and all operations that follow from the metric.
 
-`lower` alone defines the metric; the connection, the curvature and geodesics follow from it and the frame. A space
-with something better, such as closed forms or the recursions of a robot, has methods of its own for them. Every
-operation is directional: no array of n³ entries is formed.
+`lower` alone defines the metric; the connection, the curvature and geodesics follow from it and the frame. A space with
+something better, such as closed forms or the recursions of a robot, overrides the methods concerned. Every operation is
+directional: no array of n³ entries is formed.
 
-`B(a, b) = ∇_a b` is the covariant derivative, along a, of the field whose components are b everywhere. Its arguments
-do not commute outside coordinates: `B(a, b) − B(b, a) = [a, b]`. The first is the direction, the second is
-differentiated.
+`B(a, b) = ∇_a b` is the covariant derivative, along a, of the field whose components are b everywhere. Its arguments do
+not commute outside coordinates: `B(a, b) − B(b, a) = [a, b]`. The first is the direction, the second is differentiated.
 
 Source: Aghannan & Rouchon 2003, section II; Koszul's formula in a frame, and Hamel's equations, as in Marsden & Ratiu
-1999, Introduction to Mechanics and Symmetry, chapter 13. Curvature sign: on the unit sphere
-`R(x, y)z = <y, z>x − <x, z>y`.
+1999, Introduction to Mechanics and Symmetry, chapter 13. Curvature sign: on the unit sphere `R(x, y)z = <y, z>x − <x,
+z>y`.
 """
 
 import abc
@@ -30,7 +29,26 @@ from covariant.geometry._manifold import AbstractManifold, Configuration
 
 
 class AbstractSpace(Functional):
-    """A Riemannian configuration space. Vectors are components (n,) in the manifold's frame."""
+    """A Riemannian configuration space. Vectors are components (n,) in the manifold's frame.
+
+    A subclass defines `lower`; every other operation is derived from it.
+
+    Attributes:
+        manifold: the manifold of the configurations, with its frame.
+
+    Example:
+        The plane in polar coordinates (r, φ). The connection has the centrifugal term −r φ'²:
+
+        >>> import jax.numpy as jnp
+        >>> from covariant.geometry import AbstractManifold, AbstractSpace, Coordinates
+        >>> class Polar(AbstractSpace):
+        ...     manifold: AbstractManifold = Coordinates(circles=(1,))
+        ...     def lower(self, x, a):
+        ...         return jnp.stack([a[0], x[0] ** 2 * a[1]])
+        >>> x, velocity = jnp.array([2.0, 0.0]), jnp.array([0.0, 1.0])
+        >>> Polar().connection(x, velocity, velocity).tolist()
+        [-2.0, 0.0]
+    """
 
     manifold: eqx.AbstractVar[AbstractManifold]
 
@@ -41,98 +59,233 @@ class AbstractSpace(Functional):
 
     @abc.abstractmethod
     def lower(self, x: Configuration, a: Vector) -> Vector:
-        """`<a, ·>` at x; where the metric is kinetic energy, the momentum of the velocity a."""
+        """The covector `<a, ·>`; where the metric is kinetic energy, the momentum of the velocity a.
+
+        Args:
+            x: configuration.
+            a: vector (n,) in the frame at x.
+
+        Returns:
+            Covector (n,).
+        """
 
     def raise_(self, x: Configuration, mu: Vector) -> Vector:
-        """The vector a with `lower(x, a) = μ`; where μ is a force, its acceleration."""
+        """The vector of a covector: the inverse of `lower`; where μ is a force, its acceleration.
+
+        Args:
+            x: configuration.
+            mu: covector μ (n,).
+
+        Returns:
+            The vector a (n,) with `lower(x, a) = μ`.
+        """
         return solve(self(x), mu)
 
     def __call__(self, x: Configuration) -> Matrix:
-        """The metric's matrix at x: the inner products `<e_i, e_j>` of the frame."""
+        """The metric's matrix (n, n) at x: the inner products `<e_i, e_j>` of the frame."""
         zero = self.manifold.zero(x)
         return self.gram(x, jnp.eye(zero.shape[0], dtype=zero.dtype))
 
     def gram(self, x: Configuration, w: Float[Array, "k n"]) -> Float[Array, "k k"]:
-        """Inner products of the vectors w (k, n) at x."""
+        """Gram matrix: the inner products of several vectors.
+
+        Args:
+            x: configuration.
+            w: vectors (k, n) in the frame at x.
+
+        Returns:
+            Matrix (k, k) of `<w_i, w_j>`.
+        """
         return w @ jax.vmap(lambda a: self.lower(x, a))(w).T
 
     def inner(self, x: Configuration, a: Vector, b: Vector) -> Scalar:
-        """`<a, b>` at x."""
+        """Inner product `<a, b>` of two vectors (n,) at x."""
         return a @ self.lower(x, b)
 
     def norm(self, x: Configuration, a: Vector) -> Scalar:
-        """`|a|` at x, with a zero (not undefined) derivative at a = 0."""
+        """Length `|a|` of a vector (n,) at x, with a zero (not undefined) derivative at a = 0."""
         return root(self.inner(x, a, a))
 
     def connection_force(self, x: Configuration, a: Vector, b: Vector) -> Vector:
-        """`<∇_a b, ·>`, the covector of the connection. With M = `lower`, Koszul's formula:
+        """Covector `<∇_a b, ·>` of the connection, by Koszul's formula.
 
-        `½[(∂_a M)b + (∂_b M)a − ∂<a, b> + M[a, b] − ad*_a M b − ad*_b M a]`.
+        With M = `lower` it is `½[(∂_a M)b + (∂_b M)a − ∂<a, b> + M[a, b] − ad*_a M b − ad*_b M a]`.
+
+        Args:
+            x: configuration.
+            a: direction (n,).
+            b: components (n,) of the differentiated field, constant in the frame.
+
+        Returns:
+            Covector (n,).
         """
         one = derivative(self.manifold, lambda y: self.lower(y, b), x, a)
         two = derivative(self.manifold, lambda y: self.lower(y, a), x, b)
         total = one + two - differential(self.manifold, lambda y: self.inner(y, a, b), x)
         if not self.manifold.commuting:
+            # Terms of Koszul's formula in a frame; all three vanish in coordinates, and are left out there to save
+            # work.
             total = total + self.lower(x, self.manifold.bracket(x, a, b))
             total = total - coadjoint(self.manifold, x, a, self.lower(x, b))
             total = total - coadjoint(self.manifold, x, b, self.lower(x, a))
         return total / 2
 
     def coriolis_matrix(self, x: Configuration, v: Vector) -> Matrix:
-        """The matrix C with `C a = <∇_v a, ·>`, so that C v are the Coriolis forces and `M' − 2C` is skew along v."""
+        """Coriolis matrix C, with `C a = <∇_v a, ·>`.
+
+        C v are the Coriolis forces, and `M' − 2C` is skew along v, M being the metric's matrix.
+
+        Args:
+            x: configuration.
+            v: velocity (n,).
+
+        Returns:
+            Matrix (n, n).
+        """
         zero = self.manifold.zero(x)
         force = jax.vmap(lambda a: self.connection_force(x, v, a), out_axes=1)
         return force(jnp.eye(zero.shape[0], dtype=zero.dtype))
 
     def kinetic_force(self, x: Configuration, v: Vector) -> Vector:
-        """`½∂<v, v>`: the derivative of the kinetic energy by the configuration, with the components of v constant."""
+        """Derivative `½∂<v, v>` of the kinetic energy by the configuration, with constant components of the velocity.
+
+        Args:
+            x: configuration.
+            v: velocity (n,).
+
+        Returns:
+            Covector (n,).
+        """
         return differential(self.manifold, lambda y: self.inner(y, v, v), x) / 2
 
     def connection(self, x: Configuration, a: Vector, b: Vector) -> Vector:
-        """`B(a, b) = ∇_a b` at x."""
+        """Covariant derivative `B(a, b) = ∇_a b` at x.
+
+        Args:
+            x: configuration.
+            a: direction (n,).
+            b: components (n,) of the differentiated field, constant in the frame.
+
+        Returns:
+            Vector (n,).
+        """
         return self.raise_(x, self.connection_force(x, a, b))
 
     def curvature(self, x: Configuration, a: Vector, b: Vector, c: Vector) -> Vector:
-        """`R(a, b)c = (∂_a B)(b, c) − (∂_b B)(a, c) + B(a, B(b, c)) − B(b, B(a, c)) − B([a, b], c)` at x.
+        """Riemann curvature `R(a, b)c` at x.
 
-        The covector is computed first and raised once, with `M (∂_a B)(b, c) = (∂_a (M B))(b, c) − (∂_a M) B(b, c)`:
-        no solution of a linear system is differentiated.
+        It is `(∂_a B)(b, c) − (∂_b B)(a, c) + B(a, B(b, c)) − B(b, B(a, c)) − B([a, b], c)`. The covector is computed
+        first and raised once, with `M (∂_a B)(b, c) = (∂_a (M B))(b, c) − (∂_a M) B(b, c)`: no solution of a linear
+        system is differentiated.
+
+        Args:
+            x: configuration.
+            a: first vector (n,) of the pair in which R is antisymmetric.
+            b: second vector (n,) of this pair.
+            c: vector (n,) on which R acts.
+
+        Returns:
+            Vector (n,).
         """
-        bc, force_a = self._bent(x, a, b, c)
-        ac, force_b = self._bent(x, b, a, c)
+        bc, force_a = self._connection_and_change(x, a, b, c)
+        ac, force_b = self._connection_and_change(x, b, a, c)
         total = force_a - force_b + self.connection_force(x, a, bc) - self.connection_force(x, b, ac)
         if not self.manifold.commuting:
             total = total - self.connection_force(x, self.manifold.bracket(x, a, b), c)
         return self.raise_(x, total)
 
     def transport_along(self, p: Configuration, velocity: Vector, w: Vectors, budget: Budget = Budget()) -> Transported:
-        """Follow the geodesic of that velocity for unit time, with parallel transport of the vectors w (..., n)."""
+        """Geodesic of a velocity, followed for unit time, with parallel transport of vectors along it.
+
+        Args:
+            p: configuration at which the geodesic starts.
+            velocity: its velocity (n,) at p.
+            w: vectors (..., n) at p.
+            budget: work of the numerical integration; closed forms ignore it.
+
+        Returns:
+            The end of the geodesic, its velocity and the vectors there.
+        """
         return geodesics.transport_along(self, p, velocity, w, budget)
 
     def shoot(self, p: Configuration, q: Configuration, guess: Vector | None = None, budget: Budget = Budget()) -> Shot:
-        """The geodesic from p to q; `guess` is a first guess of its velocity at p."""
+        """Geodesic from p to q in unit time.
+
+        Args:
+            p: configuration at which it starts.
+            q: configuration at which it ends.
+            guess: first guess of its velocity (n,) at p, optional.
+            budget: work of the numerical search; closed forms ignore it.
+
+        Returns:
+            The geodesic, with residual and result code.
+        """
         return geodesics.shoot(self, p, q, guess, budget)
 
-    def _bent(self, x: Configuration, along: Vector, a: Vector, b: Vector) -> tuple[Vector, Vector]:
+    def _connection_and_change(self, x: Configuration, along: Vector, a: Vector, b: Vector) -> tuple[Vector, Vector]:
         """`B(a, b)`, and the covector `M (∂_along B)(a, b)` of its change in the direction `along`."""
         change = self.manifold.tangent(x, along)
         force, slope = jax.jvp(lambda y: self.connection_force(y, a, b), (x,), (change,))
-        turned = self.raise_(x, force)
-        return turned, slope - jax.jvp(lambda y: self.lower(y, turned), (x,), (change,))[1]
+        vector = self.raise_(x, force)
+        # Product rule: the change of M enters `slope` too, and must not count as a change of B.
+        return vector, slope - jax.jvp(lambda y: self.lower(y, vector), (x,), (change,))[1]
 
 
 def derivative(
     manifold: AbstractManifold, f: Callable[[Array], Array], x: Configuration, a: Vector
 ) -> Float[Array, "..."]:
-    """`∂_a f`: the rate of change of f at x when the configuration moves with velocity a."""
+    """Directional derivative `∂_a f`: the rate of change of f when the configuration moves with velocity a.
+
+    Args:
+        manifold: manifold of the configurations.
+        f: function of a configuration, with an array of any shape as its value.
+        x: configuration.
+        a: velocity (n,) in the frame at x.
+
+    Returns:
+        Rate of change, in the shape of f(x).
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant.geometry import Coordinates, derivative
+        >>> float(derivative(Coordinates(), lambda q: q[0] ** 2, jnp.array([3.0]), jnp.array([0.5])))
+        3.0
+    """
     return jax.jvp(f, (x,), (manifold.tangent(x, a),))[1]
 
 
 def differential(manifold: AbstractManifold, f: Callable[[Array], Array], x: Configuration) -> Vector:
-    """`∂f`, the covector with `<∂f, a> = ∂_a f`, for a scalar f."""
+    """Differential `∂f`: the covector with `<∂f, a> = ∂_a f`.
+
+    Args:
+        manifold: manifold of the configurations.
+        f: scalar function of a configuration.
+        x: configuration.
+
+    Returns:
+        Covector (n,) in the frame at x.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant.geometry import Coordinates, differential
+        >>> differential(Coordinates(), lambda q: q[0] * q[1], jnp.array([3.0, 2.0])).tolist()
+        [2.0, 3.0]
+    """
+    # The derivative by the step a, not by the array x: frame components, and no direction off the manifold.
     return jax.grad(lambda a: f(manifold.nudged(x, a)))(manifold.zero(x))
 
 
 def coadjoint(manifold: AbstractManifold, x: Configuration, a: Vector, mu: Vector) -> Vector:
-    """`ad*_a μ` at x, with `<ad*_a μ, b> = <μ, [a, b]>`."""
+    """Coadjoint operator of the frame, `ad*_a μ`, with `<ad*_a μ, b> = <μ, [a, b]>`.
+
+    Args:
+        manifold: manifold with the frame.
+        x: configuration.
+        a: vector (n,).
+        mu: covector μ (n,).
+
+    Returns:
+        Covector (n,).
+    """
+    # The second argument of `linear_transpose` is an example of b; its numbers are not used.
     return jax.linear_transpose(lambda b: manifold.bracket(x, a, b), a)(mu)[0]

@@ -24,7 +24,14 @@ def _found(velocity: Vector, arrival: Vector) -> Shot:
 
 
 class Euclidean(AbstractMetric):
-    """Flat space in Cartesian coordinates."""
+    """Flat space in Cartesian coordinates.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant.geometry import Euclidean, distance
+        >>> float(distance(Euclidean(), jnp.zeros(2), jnp.array([3.0, 4.0])))
+        5.0
+    """
 
     def __call__(self, x: Vector) -> Matrix:
         return jnp.eye(x.shape[0], dtype=x.dtype)
@@ -43,18 +50,41 @@ class Euclidean(AbstractMetric):
 
 
 class FlatTorus(Euclidean):
-    """Flat space whose coordinates repeat with the given periods (n,); `log` takes the shortest way round."""
+    """Flat space whose coordinates are periodic; `log` takes the shortest path around.
+
+    Attributes:
+        periods: period (n,) of each coordinate, in its unit.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant.geometry import FlatTorus, distance
+        >>> degrees = FlatTorus(jnp.array([360.0]))
+        >>> float(distance(degrees, jnp.array([10.0]), jnp.array([350.0])))
+        20.0
+    """
 
     periods: Vector
 
     def shoot(self, p: Vector, q: Vector, guess: Vector | None = None, budget: Budget = Budget()) -> Shot:
         periods = self.periods.astype(q.dtype)
-        short = q - p - periods * jnp.round((q - p) / periods)
-        return _found(short, short)
+        shortest = q - p - periods * jnp.round((q - p) / periods)
+        return _found(shortest, shortest)
 
 
 class ConstantCurvature(AbstractMetric):
-    """Space of constant curvature K ≠ 0 in the stereographic chart; made by `sphere` and `hyperbolic`."""
+    """Space of constant curvature K ≠ 0 in the stereographic chart, with the metric `4 / (1 + K|q|²)² I`.
+
+    `sphere` and `hyperbolic` build it from a radius.
+
+    Attributes:
+        k: curvature K, in units of the reciprocal of the metric.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant.geometry import ConstantCurvature
+        >>> ConstantCurvature(0.25)(jnp.array([2.0, 0.0])).tolist()
+        [[1.0, 0.0], [0.0, 1.0]]
+    """
 
     k: float = eqx.field(static=True, converter=float)
 
@@ -77,8 +107,9 @@ class ConstantCurvature(AbstractMetric):
         return Transported(end, carry(velocity), carried)
 
     def shoot(self, p: Vector, q: Vector, guess: Vector | None = None, budget: Budget = Budget()) -> Shot:
-        away = self._add(-p, q)
-        velocity = 2 / self._scale(p) * away * self._arctan_ratio(away @ away)
+        # The isometry that takes p to 0 makes the geodesic a straight line through the origin of the chart.
+        displacement = self._add(-p, q)
+        velocity = 2 / self._scale(p) * displacement * self._arctan_ratio(displacement @ displacement)
         return _found(velocity, self._carry(p, velocity, q))
 
     def _exponential(self, p: Vector, velocity: Vector) -> Vector:
@@ -99,22 +130,22 @@ class ConstantCurvature(AbstractMetric):
         uv, uu, vv, uw, vw = u @ v, u @ u, v @ v, u @ w, v @ w
         a = -(c**2) * uw * vv + c * vw + 2 * c**2 * uv * vw
         b = -(c**2) * vw * uu - c * uw
-        turned = w + 2 * (a * u + b * v) / (1 + 2 * c * uv + c**2 * uu * vv)
-        return turned * self._scale(p) / self._scale(q)
+        gyrated = w + 2 * (a * u + b * v) / (1 + 2 * c * uv + c**2 * uu * vv)
+        return gyrated * self._scale(p) / self._scale(q)
 
     def _tan_ratio(self, square: Scalar) -> Scalar:
         """`tan(√K s) / (√K s)` as a function of s², smooth at zero for either sign of K."""
         x = self.k * square
-        near, root = _root(x)
-        far = jnp.tan(root) / root if self.k > 0 else jnp.tanh(root) / root
-        return jnp.where(near, _polynomial(_TAN, x), far)
+        small, root = _root(x)
+        closed_form = jnp.tan(root) / root if self.k > 0 else jnp.tanh(root) / root
+        return jnp.where(small, _polynomial(_TAN, x), closed_form)
 
     def _arctan_ratio(self, square: Scalar) -> Scalar:
         """`arctan(√K s) / (√K s)` as a function of s²."""
         x = self.k * square
-        near, root = _root(x)
-        far = jnp.arctan(root) / root if self.k > 0 else jnp.arctanh(root) / root
-        return jnp.where(near, _polynomial(_ARCTAN, x), far)
+        small, root = _root(x)
+        closed_form = jnp.arctan(root) / root if self.k > 0 else jnp.arctanh(root) / root
+        return jnp.where(small, _polynomial(_ARCTAN, x), closed_form)
 
 
 _NEAR = 0.1
@@ -124,11 +155,13 @@ _TERMS = 18
 
 def _root(x: Scalar) -> tuple[Flag, Scalar]:
     """Whether the series applies at x, and `√|x|`; where the series applies, the root of `_NEAR` instead."""
-    near = jnp.abs(x) < _NEAR
-    return near, jnp.sqrt(jnp.where(near, _NEAR, jnp.abs(x)))
+    small = jnp.abs(x) < _NEAR
+    # Replaced before the root: `where` after it would leave an infinite derivative, and NaN, at zero.
+    return small, jnp.sqrt(jnp.where(small, _NEAR, jnp.abs(x)))
 
 
 def _polynomial(coefficients: list[float], x: Scalar) -> Scalar:
+    # Where the series is not used its argument is 0: it cannot overflow, nor spoil a derivative.
     near = jnp.where(jnp.abs(x) < _NEAR, x, 0.0)
     total = jnp.zeros_like(x)
     for coefficient in reversed(coefficients):
@@ -138,10 +171,11 @@ def _polynomial(coefficients: list[float], x: Scalar) -> Scalar:
 
 def _tangent_series() -> list[float]:
     """Coefficients of `tan(s)/s` in s², from `tan' = 1 + tan²`."""
-    found: list[float] = [1.0]
+    coefficients: list[float] = [1.0]
     for k in range(1, _TERMS):
-        found.append(sum(found[j] * found[k - 1 - j] for j in range(k)) / (2 * k + 1))
-    return found
+        # The coefficient of s^{2k} on both sides of tan' = 1 + tan²: a convolution of the earlier ones.
+        coefficients.append(sum(coefficients[j] * coefficients[k - 1 - j] for j in range(k)) / (2 * k + 1))
+    return coefficients
 
 
 _TAN = _tangent_series()
@@ -149,19 +183,65 @@ _ARCTAN = [(-1.0) ** k / (2 * k + 1) for k in range(_TERMS)]
 
 
 def sphere(radius: float = 1.0) -> ConstantCurvature:
-    """Sphere of the given radius; the chart leaves out one point, opposite the origin."""
+    """Sphere in the stereographic chart, which leaves out one point, opposite the origin.
+
+    Args:
+        radius: its radius, 1 by default; coordinates are in the same unit.
+
+    Returns:
+        The space of curvature 1/radius², of any dimension n.
+
+    Example:
+        From the origin to the equator, a quarter of a great circle:
+
+        >>> import jax.numpy as jnp
+        >>> from covariant.geometry import distance, sphere
+        >>> bool(jnp.isclose(distance(sphere(2.0), jnp.zeros(2), jnp.array([2.0, 0.0])), jnp.pi))
+        True
+    """
     return ConstantCurvature(1.0 / radius**2)
 
 
 def hyperbolic(radius: float = 1.0) -> ConstantCurvature:
-    """Hyperbolic space of curvature −1/radius², in the Poincaré ball |q| < radius."""
+    """Hyperbolic space of curvature −1/radius², in the Poincaré ball |q| < radius.
+
+    Args:
+        radius: radius of the ball, 1 by default.
+
+    Returns:
+        The space, of any dimension n.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant.geometry import distance, hyperbolic
+        >>> q = jnp.array([jnp.tanh(0.5), 0.0])
+        >>> round(float(distance(hyperbolic(), jnp.zeros(2), q)), 9)
+        1.0
+    """
     return ConstantCurvature(-1.0 / radius**2)
 
 
 class Pullback(AbstractMetric):
-    """A space in another chart: `forward` maps the new coordinates to those of `space`, `inverse` back.
+    """A space in another chart.
 
-    Both are plain functions (n,) -> (n,), differentiated automatically.
+    Attributes:
+        space: the space in its original coordinates.
+        forward: smooth function (n,) -> (n,) from the new coordinates to those of `space`, differentiated
+            automatically.
+        inverse: its inverse, from the coordinates of `space` to the new ones.
+
+    Example:
+        The plane in polar coordinates (r, φ), with the metric diag(1, r²):
+
+        >>> import jax.numpy as jnp
+        >>> from covariant.geometry import Euclidean, Pullback
+        >>> polar = Pullback(
+        ...     Euclidean(),
+        ...     forward=lambda q: q[0] * jnp.stack([jnp.cos(q[1]), jnp.sin(q[1])]),
+        ...     inverse=lambda x: jnp.stack([jnp.hypot(x[0], x[1]), jnp.arctan2(x[1], x[0])]),
+        ... )
+        >>> polar(jnp.array([2.0, 0.0])).tolist()
+        [[1.0, 0.0], [0.0, 4.0]]
     """
 
     space: AbstractMetric
@@ -173,7 +253,16 @@ class Pullback(AbstractMetric):
         return jacobian.T @ self.space(self.forward(x)) @ jacobian
 
     def connection(self, x: Vector, a: Vector, b: Vector) -> Vector:
-        """`Γ̄(a, b) = Dφ⁻¹ [Γ(Dφ a, Dφ b) + D²φ(a, b)]`."""
+        """Covariant derivative `Γ̄(a, b) = Dφ⁻¹ [Γ(Dφ a, Dφ b) + D²φ(a, b)]`, φ being `forward`.
+
+        Args:
+            x: new coordinates (n,).
+            a: direction (n,).
+            b: components (n,) of the differentiated field.
+
+        Returns:
+            Vector (n,).
+        """
         old, along_a, along_b = self.forward(x), self._pushforward(x, a), self._pushforward(x, b)
         second = jax.jvp(lambda p: self._pushforward(p, b), (x,), (a,))[1]
         return self._pulled_back(old, self.space.connection(old, along_a, along_b) + second)
@@ -204,7 +293,22 @@ class Pullback(AbstractMetric):
 
 
 class Product(AbstractMetric):
-    """Product of spaces: their coordinates side by side, `sizes` of them for each space."""
+    """Product of spaces, with their coordinates side by side.
+
+    Attributes:
+        spaces: the factors.
+        sizes: number of coordinates of each factor.
+
+    Raises:
+        ValueError: where `spaces` and `sizes` are not of the same length.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant.geometry import Euclidean, FlatTorus, Product, log
+        >>> cylinder = Product((Euclidean(), FlatTorus(jnp.array([360.0]))), sizes=(1, 1))
+        >>> log(cylinder, jnp.array([0.0, 10.0]), jnp.array([5.0, 350.0])).tolist()
+        [5.0, -20.0]
+    """
 
     spaces: tuple[AbstractMetric, ...]
     sizes: tuple[int, ...] = eqx.field(static=True)

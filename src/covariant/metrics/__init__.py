@@ -11,9 +11,9 @@ Gramian of the past, with Q alone the information matrix of a stationary Kalman 
 Source: Sanfelice & Praly 2015, Solution of a Riccati equation for the design of an observer contracting a Riemannian
 distance.
 
-On grids of states they are computed block by block on Dask, stored in Zarr, read through xarray.
+On grids of states they are computed block by block on Dask, stored in Zarr and read through xarray.
 
-A grid may have far more points than fit in memory: only the blocks being computed are held there. A run that was killed
+A grid may have far more points than fit in memory: only the blocks being computed are loaded. A run that was killed
 continues where it stopped. Dask, Zarr and xarray are optional packages, installed by `pip install 'covariant[scale]'`.
 
     grid = Grid(("angle", "rate"), ("rad", "rad/s"), low=(-3.0, -5.0), high=(3.0, 5.0), counts=(601, 1001))

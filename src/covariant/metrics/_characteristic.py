@@ -1,4 +1,4 @@
-"""The algorithm as published: back along the solution, then forward with the metric. An independent way to P."""
+"""The algorithm as published: back along the solution, then forward with the metric. An independent computation."""
 
 from typing import Literal, NamedTuple
 
@@ -13,7 +13,20 @@ from covariant.models import StateSpace
 
 
 class Characteristic(NamedTuple):
-    """The published algorithm along one characteristic: stamps t (K,) [s] from −T to 0, states x (K, n) and metrics."""
+    """The published algorithm along one characteristic.
+
+    Attributes:
+        t: time stamps (K,) [s] from −T to 0.
+        x: states (K, n).
+        metric: metrics (K, n, n).
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant.metrics import Characteristic
+        >>> path = Characteristic(t=jnp.array([-1.0, 0.0]), x=jnp.zeros((2, 1)), metric=jnp.ones((2, 1, 1)))
+        >>> path.metric[-1].tolist()  # P at time 0
+        [[1.0]]
+    """
 
     t: Float[Array, "K"]
     x: Float[Array, "K n"]
@@ -31,14 +44,38 @@ def metric_through(
     u: Float[Array, "m"] | None = None,
     route: Literal["riccati", "radon"] = "riccati",
 ) -> Characteristic:
-    """Steps 1 to 3 of section III of Sanfelice & Praly 2015: back along the solution to −T, then forward along it with
-    the metric from π(−T) = start.
+    """Metric along the characteristic through x: steps 1 to 3 of section III of Sanfelice & Praly 2015.
 
-    - `x` (n,): state at time 0; `length` T [s]; `steps`: number of integration steps each way.
-    - `start`: metric at −T, a matrix (n, n) or a multiple of I; `u` (m,): constant input, zero by default.
-    - `route`: "riccati" integrates π. "radon" integrates Radon's linear pair (α, β), π = α β⁻¹, instead: equation (10),
-      whose first line must read `−f_xᵀ α + h_xᵀ h_x β`. Here β is reset to I at every step, since the pair grows
-      without bound.
+    Back along the solution to −T, then forward along it with the metric from π(−T) = start.
+
+    Args:
+        model: system with state x (n,) and output y (p,).
+        equation: the Riccati equation.
+        x: state (n,) at time 0.
+        length: T [s].
+        steps: number of integration steps each way.
+        start: metric at −T, a matrix (n, n) or a multiple of I.
+        u: constant input (m,), zero by default.
+        route: "riccati" integrates π. "radon" integrates Radon's linear pair (α, β), π = α β⁻¹, instead: equation (10),
+            whose first line must read `−f_xᵀ α + h_xᵀ h_x β`. Here β is reset to I at every step, since the pair grows
+            without bound.
+
+    Returns:
+        Time stamps, states and metrics.
+
+    Raises:
+        ValueError: where the length of x is not the number of states of the model.
+
+    Example:
+        For x' = −x, y = x and λ = 3 the solution is P = 1:
+
+        >>> import jax.numpy as jnp
+        >>> from covariant.metrics import Equation, metric_through
+        >>> from covariant.models import StateSpace
+        >>> decay = StateSpace(lambda t, x, u: -x, lambda t, x, u: x)
+        >>> path = metric_through(decay, Equation(rate=3.0), jnp.array([0.5]), length=20.0, steps=100)
+        >>> round(float(path.metric[-1, 0, 0]), 6)
+        1.0
     """
     check_state(model, x)
     n, dtype = x.shape[0], x.dtype
@@ -71,6 +108,7 @@ def metric_through(
         else:
             _, alpha, beta = rk8(radon, t0, (node, p, eye), h)
             p = alpha @ jnp.linalg.inv(beta)
+        # The exact solution is symmetric; rounding is not.
         p = (p + p.T) / 2
         return p, p
 

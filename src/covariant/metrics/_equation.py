@@ -1,4 +1,4 @@
-"""The Riccati equation of a contraction metric, and its left and right sides."""
+"""The Riccati equation of a contraction metric, and its two sides."""
 
 import equinox as eqx
 import jax
@@ -11,15 +11,25 @@ from covariant.models import StateSpace
 
 
 class Equation(eqx.Module):
-    """The equation for P: `L_f P = dhᵀ R⁻¹ dh − λ P − P Q P`, equation (8) with Q alone and (15) with λ alone.
+    """Riccati equation `L_f P = dhᵀ R⁻¹ dh − λ P − P Q P` for the metric P.
 
-    - `rate`: λ [1/s]; the observer with gain ¼ contracts the distance in P at the rate λ/2.
-    - `process_cov`: Q, a symmetric positive matrix (n, n), or a field `x -> (n, n)`. Under a change of coordinates z(x)
-      it becomes `z_x Q z_xᵀ`. In a filter it is the spectral density of the process noise.
-    - `measurement_cov`: R (p, p), by default the identity. In a filter it is the spectral density of the measurement
-      noise.
+    It is equation (8) of the paper with Q alone and (15) with λ alone.
 
-    Raises `ValueError` when there is neither λ nor Q, or a negative λ.
+    Attributes:
+        rate: λ [1/s], 0 by default; the observer with gain ¼ contracts the distance in P at the rate λ/2.
+        process_cov: Q, a symmetric positive matrix (n, n), or a field `x -> (n, n)`; none by default. Under a change of
+            coordinates z(x) it becomes `z_x Q z_xᵀ`. In a filter it is the spectral density of the process noise.
+        measurement_cov: R (p, p), by default the identity. In a filter it is the spectral density of the measurement
+            noise.
+
+    Raises:
+        ValueError: when there is neither λ nor Q, or a negative λ.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant.metrics import Equation
+        >>> Equation(rate=2.0, process_cov=jnp.eye(1)).noise(jnp.zeros(1)).tolist()
+        [[1.0]]
     """
 
     rate: Number = 0.0
@@ -27,6 +37,7 @@ class Equation(eqx.Module):
     measurement_cov: Float[Array, "p p"] | None = None
 
     def __check_init__(self):
+        # Only Python numbers are checked: the value of an array may be unknown, as inside a compiled function.
         if isinstance(self.rate, float | int):
             if not 0 <= self.rate < float("inf"):
                 raise ValueError(f"rate must be a number ≥ 0; got {self.rate}")
@@ -34,13 +45,31 @@ class Equation(eqx.Module):
                 raise ValueError("an equation needs a rate λ > 0, a process_cov Q, or both; it has neither")
 
     def noise(self, x: Vector) -> Matrix | None:
-        """Q at x, or None."""
+        """Q (n, n) at the state x (n,), or None for an equation without Q."""
         q = self.process_cov(x) if callable(self.process_cov) else self.process_cov
         return None if q is None else jnp.asarray(q, x.dtype)
 
 
 def lie_derivative(model: StateSpace, metric: MatrixField, x: Vector, u: Float[Array, "m"] | None = None) -> Matrix:
-    """`L_f P = Ṗ + P f_x + f_xᵀ P` at x (n,), G-8 of the paper."""
+    """Lie derivative `L_f P = Ṗ + P f_x + f_xᵀ P` of a metric; G-8 of the paper.
+
+    Args:
+        model: system with state x (n,) and output y (p,).
+        metric: P as a function `x -> (n, n)`.
+        x: state (n,).
+        u: constant input (m,), zero by default.
+
+    Returns:
+        Symmetric matrix (n, n).
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant.metrics import lie_derivative
+        >>> from covariant.models import StateSpace
+        >>> decay = StateSpace(lambda t, x, u: -x, lambda t, x, u: x)
+        >>> lie_derivative(decay, lambda x: jnp.eye(1), jnp.array([0.5])).tolist()
+        [[-2.0]]
+    """
     input_held, t0 = model_input(model, u, x.dtype), jnp.zeros((), x.dtype)
     p, along = jax.jvp(metric, (x,), (model.f(t0, x, input_held),))
     a = jax.jacfwd(model.f, 1)(t0, x, input_held)
@@ -50,7 +79,28 @@ def lie_derivative(model: StateSpace, metric: MatrixField, x: Vector, u: Float[A
 def right_side(
     model: StateSpace, equation: Equation, metric: Matrix, x: Vector, u: Float[Array, "m"] | None = None
 ) -> Matrix:
-    """`dhᵀ R⁻¹ dh − λ P − P Q P` at x (n,); it equals `lie_derivative` where P solves the equation."""
+    """Right side `dhᵀ R⁻¹ dh − λ P − P Q P` of the equation; it equals `lie_derivative` where P solves the equation.
+
+    Args:
+        model: system with state x (n,) and output y (p,).
+        equation: the equation, with λ, Q and R.
+        metric: P at x (n, n).
+        x: state (n,).
+        u: constant input (m,), zero by default.
+
+    Returns:
+        Symmetric matrix (n, n).
+
+    Example:
+        For x' = −x, y = x and λ = 3 the solution is P = 1:
+
+        >>> import jax.numpy as jnp
+        >>> from covariant.metrics import Equation, right_side
+        >>> from covariant.models import StateSpace
+        >>> decay = StateSpace(lambda t, x, u: -x, lambda t, x, u: x)
+        >>> right_side(decay, Equation(rate=3.0), jnp.eye(1), jnp.array([0.5])).tolist()
+        [[-2.0]]
+    """
     input_held = model_input(model, u, x.dtype)
     _, q, c = coefficients(model, equation, x, input_held)
     quadratic = 0.0 if q is None else metric @ q @ metric
@@ -58,20 +108,41 @@ def right_side(
 
 
 def coefficients(model: StateSpace, equation: Equation, x: Vector, u: Array):
-    """`f_x + λ/2`, Q, and `R^{-1/2} h_x` at x; the shift by λ/2 accounts for the term −λP."""
+    """Coefficients of the Riccati equation at a state.
+
+    Args:
+        model: system with state x (n,) and output y (p,).
+        equation: the equation.
+        x: state (n,).
+        u: input (m,).
+
+    Returns:
+        `f_x + λ/2` (n, n), Q (n, n) or None, and `R^{-1/2} h_x` (p, n); the shift by λ/2 accounts for the term −λP.
+    """
     a, c = model.jacobians(jnp.zeros((), x.dtype), x, u)
     eye = jnp.eye(x.shape[0], dtype=x.dtype)
     if equation.measurement_cov is not None:
         c = half_solve(jnp.asarray(equation.measurement_cov, x.dtype), c)
+    # P(f_x + λ/2) + (f_x + λ/2)ᵀ P = P f_x + f_xᵀ P + λ P.
     shifted = a + jnp.asarray(equation.rate, x.dtype) / 2 * eye
     return shifted, equation.noise(x), c
 
 
 def model_input(model: StateSpace, u: Array | None, dtype) -> Array:
+    """The input u (m,), or zero for None, in the precision `dtype`."""
     return jnp.zeros(model.inputs, dtype) if u is None else jnp.asarray(u, dtype)
 
 
 def check_state(model: StateSpace, x: Array) -> None:
+    """Check the shape of a state.
+
+    Args:
+        model: the system.
+        x: array to check.
+
+    Raises:
+        ValueError: unless it has the shape (n,), with the number of states of the model.
+    """
     n = len(model.coordinates)
     if x.ndim != 1 or (n and x.shape[0] != n):
         raise ValueError(f"x must be a state ({n or 'n'},); it has shape {x.shape}")

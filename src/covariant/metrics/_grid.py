@@ -14,8 +14,21 @@ from jaxtyping import Float
 class Grid:
     """A box of n axes with equally spaced points, both ends included.
 
-    Each axis has a name, a unit, its ends `low` < `high` [in that unit], and a count of points, two at least. Raises
-    `ValueError`, one line naming the axis, for anything else.
+    Attributes:
+        names: name of each axis, an identifier; all different.
+        units: unit of each axis.
+        low: lower end of each axis, in its unit.
+        high: upper end of each axis, above `low`, in its unit.
+        counts: number of points along each axis, two at least.
+
+    Raises:
+        ValueError: one line naming the axis, for anything else.
+
+    Example:
+        >>> from covariant.metrics import Grid
+        >>> grid = Grid(("angle", "rate"), ("rad", "rad/s"), low=(-3.0, -5.0), high=(3.0, 5.0), counts=(7, 11))
+        >>> grid.shape, grid.size, grid.axes[0].tolist()
+        ((7, 11), 77, [-3.0, -2.0, -1.0, 0.0, 1.0, 2.0, 3.0])
     """
 
     names: Sequence[str]
@@ -42,12 +55,12 @@ class Grid:
 
     @property
     def axes(self) -> tuple[Float[np.ndarray, " count"], ...]:
-        """Coordinates along each axis, (count,) each."""
+        """Coordinates of the points along each axis, an array (count,) each."""
         return tuple(np.linspace(low, high, n) for low, high, n in zip(*self.ends, self.shape, strict=True))
 
     @property
     def ends(self) -> tuple[list[float], list[float]]:
-        """Low ends and high ends, as Python floats."""
+        """Lower ends and upper ends, as Python floats."""
         return [float(end) for end in self.low], [float(end) for end in self.high]
 
     @property
@@ -57,12 +70,24 @@ class Grid:
 
     @property
     def size(self) -> int:
-        """Number of points."""
+        """Number of points of the grid."""
         return math.prod(self.shape)
 
 
 class Blocks(NamedTuple):
-    """A grid cut into boxes of equal sides, which are also the chunks of the store; the last may extend beyond it."""
+    """A grid cut into boxes of equal sides, which are also the chunks of the store; the last may extend beyond it.
+
+    Attributes:
+        axes: coordinates of the grid's points along each axis.
+        sides: number of points of a block along each axis.
+
+    Example:
+        >>> from covariant.metrics import Grid
+        >>> from covariant.metrics._grid import cut
+        >>> blocks = cut(Grid(("x",), ("m",), low=(0.0,), high=(1.0,), counts=(10,)), points=4)
+        >>> blocks.counts, blocks.region((2,))
+        ((3,), (slice(8, 10, None),))
+    """
 
     axes: tuple[np.ndarray, ...]
     sides: tuple[int, ...]
@@ -73,27 +98,46 @@ class Blocks(NamedTuple):
         return tuple(-(-len(axis) // side) for axis, side in zip(self.axes, self.sides, strict=True))
 
     def indices(self) -> Iterator[tuple[int, ...]]:
-        """Indices of the blocks, as an iterator."""
+        """Iterator over the indices of the blocks."""
         return np.ndindex(*self.counts)
 
     def region(self, index: tuple[int, ...]) -> tuple[slice, ...]:
-        """The slices of the grid that a block covers."""
+        """Slices of the grid that the block of an index covers."""
         parts = zip(index, self.sides, self.axes, strict=True)
         return tuple(slice(k * side, min((k + 1) * side, len(axis))) for k, side, axis in parts)
 
     def size(self, index: tuple[int, ...]) -> int:
-        """Number of grid points in a block."""
+        """Number of grid points in the block of an index."""
         return math.prod(part.stop - part.start for part in self.region(index))
 
     def points(self, index: tuple[int, ...]) -> Float[np.ndarray, "points n"]:
-        """Points of a block; beyond the grid its last points are repeated, so that all blocks have the same size."""
+        """Coordinates of the points of a block.
+
+        Args:
+            index: index of the block along each axis.
+
+        Returns:
+            Coordinates (points, n); beyond the grid its last points are repeated, so that all blocks have the same
+            size.
+        """
         parts = zip(index, self.sides, self.axes, strict=True)
         lines = [axis[np.minimum(k * side + np.arange(side), len(axis) - 1)] for k, side, axis in parts]
         return np.stack(np.meshgrid(*lines, indexing="ij"), -1).reshape(-1, len(lines))
 
 
 def cut(grid: Grid, points: int) -> Blocks:
-    """Cut a grid into blocks of at most `points` points, as close to cubes as the counts allow."""
+    """Cut a grid into blocks, as close to cubes as the counts allow.
+
+    Args:
+        grid: the grid.
+        points: largest number of points of a block.
+
+    Returns:
+        The blocks.
+
+    Raises:
+        ValueError: for less than one point.
+    """
     if points < 1:
         raise ValueError(f"a block needs at least one point; got {points}")
     sides, left, shape = [1] * len(grid.shape), points, grid.shape

@@ -41,30 +41,50 @@ def map_grid(
     workers: int | None = None,
     on_progress: Callable[[int, int], object] | None = None,
 ) -> Path:
-    """Evaluate a function at every point of a grid, into the store at `path`; returns that path.
-
-    - `function`: takes one point x (n,) [units of the grid] to a dict of arrays of any fixed shapes; JAX must be able
-      to trace it.
-    - `variables`: describes each of these arrays.
-    - `provenance`: where the function comes from, in values that JSON can hold; it is kept in the store.
-    - `block`: largest number of points that one worker computes at a time.
-    - `workers`: number of threads of this process, by default one for each processor.
-    - `scheduler`: address of the scheduler of a Dask cluster, such as "tcp://10.0.0.1:8786", whose workers compute
-      instead; they need access to the path. On processors of one kind all write the same bytes.
-    - `on_progress`: called as `on_progress(done, total)` with numbers of points, first with those already computed,
-      then after every block.
+    """Evaluate a function at every point of a grid, and write the values to a Zarr store.
 
     A run that was stopped, killed or failed continues when called again. The function itself cannot be compared with
     that of the earlier run, so change the provenance with it.
 
-    Raises `ValueError`, one line, for a function that does not match `variables`, and for a path that holds anything
-    but an earlier run with the same grid, variables, provenance and block; `FileNotFoundError` where the folder of the
-    path does not exist; `ImportError` for a missing package; and what the function raises.
+    Args:
+        function: takes one point x (n,) [units of the grid] to a dict of arrays of any fixed shapes; JAX must be able
+            to trace it.
+        grid: the grid of points.
+        path: path of the store.
+        variables: description of each of these arrays, by its name.
+        provenance: where the function comes from, in values that JSON can represent; it is written to the store.
+        block: largest number of points that one worker computes at a time.
+        scheduler: address of the scheduler of a Dask cluster, such as "tcp://10.0.0.1:8786", whose workers compute
+            instead; they need access to the path. On processors of one kind all write the same bytes.
+        workers: number of threads of this process, by default one for each processor.
+        on_progress: called as `on_progress(done, total)` with numbers of points, first with those already computed,
+            then after every block.
+
+    Returns:
+        The absolute path of the store.
+
+    Raises:
+        ValueError: one line, for a function that does not match `variables`, and for a path that holds anything but an
+            earlier run with the same grid, variables, provenance and block.
+        FileNotFoundError: where the folder of the path does not exist.
+        ImportError: for a missing package.
+        Exception: any that the function raises.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant.metrics import Grid, Variable, map_grid, open_grid
+        >>> grid = Grid(("angle",), ("rad",), low=(0.0,), high=(3.0,), counts=(4,))
+        >>> potential = Variable((), "J", "potential energy of the pendulum")
+        >>> path = map_grid(lambda x: {"potential": -jnp.cos(x[0])}, grid, "potential.zarr",
+        ...                 variables={"potential": potential}, provenance={"model": "pendulum"})
+        >>> open_grid(path, complete=True).potential.values.round(2).tolist()
+        [-1.0, -0.54, 0.42, 0.99]
     """
     if scheduler is not None and workers is not None:
         raise ValueError("the scheduler has its own workers; give scheduler or workers, not both")
     if workers is not None and workers < 1:
         raise ValueError(f"workers must be 1 or more; got {workers}")
+    # Absolute, since the workers of a cluster have their own working folders.
     path, blocks = Path(path).absolute(), cut(grid, block)
     _store.prepare(path, _store.configuration(grid, blocks, _outputs(function, grid, variables), provenance), blocks)
     written = _store.written(path, len(blocks.sides))
@@ -74,9 +94,9 @@ def map_grid(
     report(done, grid.size)
     if done < grid.size:
         work = _Work(function, str(path), blocks)
-        crew = _threads(work, workers or os.cpu_count() or 1) if scheduler is None else _cluster(work, scheduler)
-        with _store.tidied(path), crew as (submit, most):
-            for index in _finished(submit, todo, most):
+        pool = _threads(work, workers or os.cpu_count() or 1) if scheduler is None else _cluster(work, scheduler)
+        with _store.tidied(path), pool as (submit, limit):
+            for index in _finished(submit, todo, limit):
                 done += blocks.size(index)
                 report(done, grid.size)
     _store.finish(path)
@@ -93,6 +113,7 @@ class _Work(NamedTuple):
     def compile(self) -> Callable[[Any], Any]:
         """The program of the map, compiled for blocks of the full size."""
         sides = self.blocks.sides
+        # All blocks have the same size, so one compiled program serves every block.
         points = jax.ShapeDtypeStruct(self.blocks.points((0,) * len(sides)).shape, jnp.float64)
         # In batches small enough for a processor's cache, in which few points wait for the slowest one.
         return jax.jit(lambda x: jax.lax.map(self.function, x, batch_size=BATCH)).lower(points).compile()
@@ -142,28 +163,31 @@ def _compiled(pickled: bytes) -> tuple[_Work, Callable[[Any], Any]]:
     return work, work.compile()
 
 
-def _finished(submit: Submit, todo: Iterable[Index], most: int) -> Iterator[Index]:
+def _finished(submit: Submit, todo: Iterable[Index], limit: int) -> Iterator[Index]:
     """Submit blocks, at most `most` at a time, and yield the index of each one when it is written."""
     pending: dict[Future, Index] = {}
     todo = iter(todo)
     while True:
-        pending |= {submit(index): index for index in itertools.islice(todo, most - len(pending))}
+        pending |= {submit(index): index for index in itertools.islice(todo, limit - len(pending))}
         if not pending:
             return
         for future in concurrent.futures.wait(pending, return_when=concurrent.futures.FIRST_COMPLETED).done:
+            # Raises here what the function raised in its thread or worker.
             future.result()
             yield pending.pop(future)
 
 
 def _outputs(function: Callable, grid: Grid, variables: Mapping[str, Variable]) -> dict[str, dict[str, Any]]:
     """The arrays to store for each variable; raises `ValueError` where the function does not return them."""
-    found = jax.eval_shape(function, jax.ShapeDtypeStruct((len(grid.names),), jnp.float64))
-    if not isinstance(found, Mapping) or set(found) != set(variables):
-        made = sorted(found) if isinstance(found, Mapping) else f"a {type(found).__name__}"
-        raise ValueError(f"the function must return a dict of {sorted(variables)}, as variables says; it made {made}")
+    outputs = jax.eval_shape(function, jax.ShapeDtypeStruct((len(grid.names),), jnp.float64))
+    if not isinstance(outputs, Mapping) or set(outputs) != set(variables):
+        returned = sorted(outputs) if isinstance(outputs, Mapping) else f"a {type(outputs).__name__}"
+        raise ValueError(
+            f"the function must return a dict of {sorted(variables)}, as variables says; it made {returned}"
+        )
     sizes: dict[str, int] = {}
     for name, variable in variables.items():
-        shape = found[name].shape
+        shape = outputs[name].shape
         if len(variable.dims) != len(shape) or len(set(variable.dims)) != len(shape):
             raise ValueError(f"variable {name!r} has shape {shape}; its dims {variable.dims} must name as many axes")
         for dim, size in zip(variable.dims, shape, strict=True):
@@ -174,6 +198,6 @@ def _outputs(function: Callable, grid: Grid, variables: Mapping[str, Variable]) 
         if names.count(name) > 1 or not name.isidentifier():
             raise ValueError(f"{name!r} cannot name a variable or an axis here: it is taken, or not a plain name")
     return {
-        name: {**variable._asdict(), "shape": found[name].shape, "dtype": found[name].dtype.name}
+        name: {**variable._asdict(), "shape": outputs[name].shape, "dtype": outputs[name].dtype.name}
         for name, variable in variables.items()
     }

@@ -37,17 +37,43 @@ def metric_on_grid(
     workers: int | None = None,
     on_progress: Callable[[int, int], object] | None = None,
 ) -> Path:
-    """Solve the equation at every point of a grid of states, into the Zarr store at `path`; returns that path.
-
-    - `start`, `tolerance`, `domain`, `u`: options of `metrics.metric_at`.
-    - `name`: name of the model in the store.
-    - `block`, `scheduler`, `workers`, `on_progress`: options of `metrics.map_grid`, which also describes how a run
-      resumes and what it raises.
+    """Solve the Riccati equation at every point of a grid of states, into a Zarr store.
 
     The store holds the fields of a `metrics.Solution`: `metric` P, `error_bound`, `horizon` [s], `reconstructibility`
     and `result`.
 
-    Raises `ValueError` where the axes of the grid are not the states.
+    Args:
+        model: system with state x (n,) and output y (p,).
+        equation: the Riccati equation.
+        grid: grid of states; its axes are the coordinates of the model, in order.
+        path: path of the store.
+        start: option of `metrics.metric_at`, as a multiple of I.
+        tolerance: option of `metrics.metric_at`, 1e-8 by default.
+        domain: option of `metrics.metric_at`.
+        u: option of `metrics.metric_at`.
+        name: name of the model in the store.
+        block: option of `metrics.map_grid`, which also describes how a run resumes and what it raises.
+        scheduler: option of `metrics.map_grid`.
+        workers: option of `metrics.map_grid`.
+        on_progress: option of `metrics.map_grid`.
+
+    Returns:
+        The absolute path of the store.
+
+    Raises:
+        ValueError: where the axes of the grid are not the states.
+
+    Example:
+        For x' = 0, y = x and λ = 2 the solution is P = 1/λ everywhere:
+
+        >>> import jax.numpy as jnp
+        >>> from covariant.metrics import Equation, Grid, load_metric, metric_on_grid
+        >>> from covariant.models import StateSpace
+        >>> model = StateSpace(lambda t, x, u: 0.0 * x, lambda t, x, u: x)
+        >>> grid = Grid(("level",), ("m",), low=(0.0,), high=(1.0,), counts=(5,))
+        >>> path = metric_on_grid(model, Equation(rate=2.0), grid, "level.zarr")
+        >>> round(float(load_metric(path)(jnp.array([0.3]))[0, 0]), 6)
+        0.5
     """
     n = len(model.coordinates)
     if n and tuple(grid.names) != model.coordinates:
@@ -90,9 +116,16 @@ VARIABLES = {
 
 
 def load_metric(path: str | os.PathLike[str]) -> Interpolated:
-    """The metric of a finished store as a function `x (n,) -> (n, n)`, interpolated between the points of its grid.
+    """Metric of a finished store of `metric_on_grid`, interpolated between the points of its grid.
 
-    Raises `ValueError` where the store is not one of `metric`, or not finished.
+    Args:
+        path: path of the store.
+
+    Returns:
+        The metric as a function `x (n,) -> (n, n)`.
+
+    Raises:
+        ValueError: where the store is not one of `metric_on_grid`, or not finished.
     """
     return _field(open_metric(path))
 
@@ -104,13 +137,24 @@ def _field(store: Any) -> Interpolated:
 
 
 class MetricSummary(NamedTuple):
-    """Summary of a finished store; NaN for a number that no point has.
+    """Summary of a finished store of `metric_on_grid`; NaN for a number that no point has.
 
-    - `results`: number of points with each `covariant.signals.Result`; results without points are left out.
-    - `reconstructibility`: the smallest in the domain.
-    - `low`, `high`: bounds of equation (9), `low I ≤ P ≤ high I`, over the points that have a metric; they depend on
-      the units of the coordinates.
-    - `error_bound`: the largest known one, over the same points.
+    Attributes:
+        results: number of points with each `covariant.signals.Result`; results without points are left out.
+        reconstructibility: the smallest in the domain.
+        low: lower bound of equation (9), `low I ≤ P ≤ high I`, over the points that have a metric; it depends on the
+            units of the coordinates.
+        high: upper bound of equation (9).
+        error_bound: the largest known one, over the same points.
+
+    Example:
+        >>> from covariant.metrics import Equation, Grid, metric_on_grid, metric_summary
+        >>> from covariant.models import StateSpace
+        >>> model = StateSpace(lambda t, x, u: 0.0 * x, lambda t, x, u: x)
+        >>> grid = Grid(("level",), ("m",), low=(0.0,), high=(1.0,), counts=(5,))
+        >>> summary = metric_summary(metric_on_grid(model, Equation(rate=2.0), grid, "levels.zarr"))
+        >>> {result.name: count for result, count in summary.results.items()}, round(summary.low, 6)
+        ({'OK': 5}, 0.5)
     """
 
     results: dict[Result, int]
@@ -121,9 +165,16 @@ class MetricSummary(NamedTuple):
 
 
 def metric_summary(path: str | os.PathLike[str]) -> MetricSummary:
-    """Summarise the finished store at `path`, with only some of its blocks in memory at a time.
+    """Summarise a finished store of `metric_on_grid`, with only some of its blocks in memory at a time.
 
-    Raises `ValueError` where the store is not one of `metric`, or not finished.
+    Args:
+        path: path of the store.
+
+    Returns:
+        Counts of results, and bounds over the points.
+
+    Raises:
+        ValueError: where the store is not one of `metric_on_grid`, or not finished.
     """
     store = open_metric(path)
     parts = [_part(store.isel(region).load()) for region in _regions(store)]
@@ -139,7 +190,17 @@ def metric_summary(path: str | os.PathLike[str]) -> MetricSummary:
 
 
 def open_metric(path: str | os.PathLike[str]) -> Any:
-    """The finished store of `metric_on_grid` as a dataset of xarray; raises `ValueError` where it is another one."""
+    """Open the finished store of `metric_on_grid` as a dataset of xarray.
+
+    Args:
+        path: path of the store.
+
+    Returns:
+        Lazy `xarray.Dataset` with the variables of `metric_on_grid`.
+
+    Raises:
+        ValueError: where the store is not one of `metric_on_grid`, or not finished.
+    """
     store = open_grid(path, complete=True)
     if set(store) != set(VARIABLES):
         raise ValueError(
@@ -161,10 +222,12 @@ def _part(store: Any) -> tuple[np.ndarray, tuple[float, ...]]:
     """Counts of the results; then least reconstructibility, least and largest eigenvalue, and largest error bound."""
     result, metric = store["result"].values, store["metric"].values
     known = np.isfinite(metric).all(axis=(-2, -1))
+    # A block without any metric: NaN, which `fmin` and `fmax` ignore.
     values = np.linalg.eigvalsh(metric[known]) if known.any() else np.full((1, 1), np.nan)
     inside = np.where(result != Result.OUT_OF_DOMAIN, store["reconstructibility"].values, np.nan)
     error_bound = np.where(known, store["error_bound"].values, np.nan)
     ends = (np.fmin.reduce(inside, axis=None), values.min(), values.max(), np.fmax.reduce(error_bound, axis=None))
+    # Of the same length in every block, so that the counts of blocks add up.
     return np.bincount(result.ravel(), minlength=len(Result)), tuple(map(float, ends))
 
 
@@ -176,10 +239,10 @@ def _finite_or_none(bound: Array) -> list[float | None]:
 def _described(equation: Equation) -> dict[str, Any]:
     """An equation as JSON can hold it, with the name of a field Q."""
 
-    def written(cov: Any) -> Any:
+    def as_json(cov: Any) -> Any:
         if callable(cov):
             return getattr(cov, "__qualname__", repr(cov))
         return None if cov is None else np.asarray(cov).tolist()
 
     q, r = equation.process_cov, equation.measurement_cov
-    return {"rate": float(jnp.asarray(equation.rate)), "process_cov": written(q), "measurement_cov": written(r)}
+    return {"rate": float(jnp.asarray(equation.rate)), "process_cov": as_json(q), "measurement_cov": as_json(r)}

@@ -29,7 +29,18 @@ DONE = "done"
 
 
 class Variable(NamedTuple):
-    """Description of one output of a function: names of its own axes (`()` for a number), its unit, and a text."""
+    """Description of one output of a function on a grid.
+
+    Attributes:
+        dims: names of its own axes, beside those of the grid; `()` for a number.
+        units: its unit.
+        description: a text.
+
+    Example:
+        >>> from covariant.metrics import Variable
+        >>> Variable(dims=("row", "column"), units="kg m^2", description="inertia matrix").dims
+        ('row', 'column')
+    """
 
     dims: tuple[str, ...]
     units: str
@@ -37,10 +48,27 @@ class Variable(NamedTuple):
 
 
 def open_grid(path: str | os.PathLike[str], *, complete: bool = False) -> "xarray.Dataset":
-    """A map as a lazy `xarray.Dataset`: coordinates and variables with their units, and the provenance as attributes.
+    """Open a map of `map_grid` as a lazy `xarray.Dataset`.
 
-    In an unfinished map, points not yet computed are NaN, and integers and flags are therefore read as float64. Raises
-    `ValueError`, one line, where there is no map, or where `complete` is required and blocks are missing.
+    Args:
+        path: path of the store.
+        complete: whether missing blocks are an error; False by default.
+
+    Returns:
+        Dataset of coordinates and variables with their units, and the provenance as attributes. In an unfinished map,
+        points not yet computed are NaN, and integers and flags are therefore read as float64.
+
+    Raises:
+        ValueError: one line, where there is no map, or where `complete` is required and blocks are missing.
+
+    Example:
+        >>> from covariant.metrics import Grid, Variable, map_grid, open_grid
+        >>> grid = Grid(("x",), ("m",), low=(0.0,), high=(3.0,), counts=(4,))
+        >>> area = Variable((), "m^2", "area of a square")
+        >>> path = map_grid(lambda x: {"area": x[0] ** 2}, grid, "squares.zarr",
+        ...                 variables={"area": area}, provenance={"formula": "x^2"})
+        >>> float(open_grid(path).area.sel(x=2.0))
+        4.0
     """
     path = Path(path)
     attributes = _attributes(path)
@@ -54,11 +82,25 @@ def open_grid(path: str | os.PathLike[str], *, complete: bool = False) -> "xarra
     done, dataset = dataset[DONE], dataset[list(attributes["variables"])]
     if attributes["complete"]:
         return dataset
+    # Floating-point variables already hold NaN there, the fill value of their arrays.
     return dataset.map(lambda v: v if np.issubdtype(v.dtype, np.inexact) else v.astype(float).where(done), True)
 
 
 def configuration(grid: Grid, blocks: Blocks, variables: Any, provenance: Any) -> dict[str, Any]:
-    """What two runs must have in common to work on one store, in the form that JSON gives back, with its digest."""
+    """Settings that two runs must have in common to work on one store, with a content hash of them.
+
+    Args:
+        grid: the grid.
+        blocks: the blocks of the grid.
+        variables: description, shape and type of each variable.
+        provenance: where the function comes from.
+
+    Returns:
+        The settings in the form that JSON gives back; their hash is the entry `digest`.
+
+    Raises:
+        ValueError: for a provenance that JSON cannot represent.
+    """
     low, high = grid.ends
     box = {"names": tuple(grid.names), "units": tuple(grid.units), "low": low, "high": high, "counts": grid.shape}
     whole = {"grid": box, "variables": variables, "provenance": provenance, "block": blocks.sides}
@@ -71,18 +113,25 @@ def configuration(grid: Grid, blocks: Blocks, variables: Any, provenance: Any) -
 
 
 def prepare(path: Path, settings: dict[str, Any], blocks: Blocks) -> None:
-    """Make the store, or check that an existing one has the same configuration.
+    """Create the store, or check that an existing one has the same configuration.
 
-    Raises `ValueError`, one line, where the path holds anything else, and `FileNotFoundError` without its folder.
+    Args:
+        path: path of the store.
+        settings: what `configuration` returned.
+        blocks: the blocks of the grid.
+
+    Raises:
+        ValueError: one line, where the path holds anything else.
+        FileNotFoundError: where the folder of the path does not exist.
     """
     sweep(path)
     if not os.path.lexists(path):
         return _create(path, settings, blocks)
     attributes = _attributes(path)
-    there = {name: attributes.get(name) for name in settings}
-    if there != settings:
+    stored = {name: attributes.get(name) for name in settings}
+    if stored != settings:
         raise ValueError(
-            f"{path} holds another map: {_difference(there, settings)}; give another path, or remove that store"
+            f"{path} holds another map: {_difference(stored, settings)}; give another path, or remove that store"
         )
     if _versions() not in attributes["versions"]:
         _annotate(path, versions=[*attributes["versions"], _versions()])
@@ -91,30 +140,48 @@ def prepare(path: Path, settings: dict[str, Any], blocks: Blocks) -> None:
 
 @contextlib.contextmanager
 def tidied(path: Path) -> Iterator[None]:
-    """While a map is written: remove the files of killed writers from its folders first, where nobody else writes."""
+    """Context in which a map is written; on entry it removes the files of killed writers, where nobody else writes.
+
+    Args:
+        path: path of the store.
+    """
 
     def tidy():
-        for left in path.rglob("*.partial"):  # Zarr moves each chunk from such a file to its place
-            left.unlink(missing_ok=True)
+        for partial in path.rglob("*.partial"):  # Zarr moves each chunk from such a file to its place
+            partial.unlink(missing_ok=True)
 
     with attended(path, tidy):
         yield
 
 
 def finish(path: Path) -> None:
-    """Mark the map as complete."""
+    """Mark the map at this path as complete."""
     _annotate(path, complete=True)
 
 
 def written(path: Path, n: int) -> set[tuple[int, ...]]:
-    """Indices of the blocks that are done: a chunk of `done` exists only where the flag is set."""
+    """Indices of the blocks that are done: a chunk of `done` exists only where the flag is set.
+
+    Args:
+        path: path of the store.
+        n: number of axes of the grid.
+
+    Returns:
+        Set of indices, one integer for each axis.
+    """
     # The chunks are listed, not read: reading would open every chunk of the grid, of which only a few exist at first.
     chunks = path.joinpath(DONE, "c").glob("/".join("*" * n))
     return {tuple(map(int, chunk.parts[-n:])) for chunk in chunks if chunk.name.isdecimal()}
 
 
 def write(path: str, region: tuple[slice, ...], values: Mapping[str, np.ndarray]) -> None:
-    """Write a block, and then its flag: if the writer is killed in between, the block is computed again."""
+    """Write a block, and then its flag: if the writer is killed in between, the block is computed again.
+
+    Args:
+        path: path of the store.
+        region: slices of the grid that the block covers.
+        values: arrays of the block, by the name of the variable.
+    """
     store = optional("zarr").open_group(path, mode="r+")
     for name, value in values.items():
         store[name][region] = value
@@ -125,6 +192,7 @@ def _create(path: Path, settings: dict[str, Any], blocks: Blocks) -> None:
     """Fill a folder beside the path and rename it to the path, so that a store is complete or absent."""
     with temporary(path, Path.mkdir) as fresh:
         _fill(optional("zarr").open_group(str(fresh), mode="w"), settings, blocks)
+        # Renaming a folder is atomic, so that another process never sees half a store.
         fresh.rename(path)
 
 
@@ -134,11 +202,11 @@ def _fill(store: Any, settings: dict[str, Any], blocks: Blocks) -> None:
     store.attrs.put(head | settings)
     names, shape = settings["grid"]["names"], tuple(map(len, blocks.axes))
     for name, units, axis in zip(names, settings["grid"]["units"], blocks.axes, strict=True):
-        made = store.create_array(
+        coordinate = store.create_array(
             name, shape=axis.shape, dtype=axis.dtype, chunks=axis.shape, dimension_names=[name], fill_value=np.nan
         )
-        made.attrs.put({"units": units})
-        made[:] = axis
+        coordinate.attrs.put({"units": units})
+        coordinate[:] = axis
     flag = {"shape": [], "dtype": "bool", "dims": [], "units": "", "description": "whether the point has been computed"}
     for name, variable in {**settings["variables"], DONE: flag}.items():
         dtype = np.dtype(variable["dtype"])
@@ -154,12 +222,12 @@ def _fill(store: Any, settings: dict[str, Any], blocks: Blocks) -> None:
 
 
 def _attributes(path: Path) -> dict[str, Any]:
-    found: dict[str, Any] = {}
+    attributes: dict[str, Any] = {}
     with contextlib.suppress(OSError, ValueError):
-        found = optional("zarr").open_group(str(path), mode="r").attrs.asdict()
-    if found.get("format") != FORMAT:
+        attributes = optional("zarr").open_group(str(path), mode="r").attrs.asdict()
+    if attributes.get("format") != FORMAT:
         raise ValueError(f"{path} is not a map made by map_grid; give another path")
-    return found
+    return attributes
 
 
 def _annotate(path: Path, **attributes: Any) -> None:

@@ -38,14 +38,24 @@ CANDIDATES = 16
 
 
 class Law(NamedTuple):
-    """One law, and how far the observer deviates from it.
+    """One law, and how much the observer deviates from it.
 
-    - `name`: for selection; `statement`: what should hold; `source`: where it is published.
-    - `verdict`: "holds", "fails", or "skipped" where there is nothing to measure.
-    - `deviation`: the largest found, relative to the terms of the law; NaN where skipped or not a number.
-    - `tolerance`: the largest deviation allowed; `reason`: why that much, or why the law is skipped.
-    - `detail`: further findings, such as an order or a rate; may be empty.
-    - `point`: the state of the largest deviation, position (on a group: exponential coordinates) and then velocity.
+    Attributes:
+        name: name of the law, as in `LAWS`.
+        statement: what should hold.
+        source: where it is published.
+        verdict: "holds", "fails", or "skipped" where there is nothing to measure.
+        deviation: the largest one, relative to the terms of the law; NaN where skipped or not a number.
+        tolerance: the largest deviation allowed.
+        reason: the reason for this tolerance, or why the law is skipped.
+        detail: further results, such as an order or a rate; may be empty.
+        point: the state of the largest deviation, position (on a group: exponential coordinates) and then velocity.
+
+    Example:
+        >>> from covariant.certificates.audit import Law
+        >>> law = Law("torsion", "it is symmetric", "section II", "fails", 0.5, 1e-9, "rounding", "", (1.0, 2.0))
+        >>> law.passed, law.remark
+        (False, 'worst at (1, 2)')
     """
 
     name: str
@@ -76,8 +86,17 @@ class Law(NamedTuple):
 class Audit(NamedTuple):
     """The laws of one observer; `str` of it is a table.
 
-    - `observer`: its kind and gains, as text; `domain`: the states at which it was audited, as text.
-    - `rows`: the laws, in the order of `LAWS`.
+    Attributes:
+        observer: its kind and gains, as text.
+        domain: the states at which it was audited, as text.
+        rows: the laws, in the order of `LAWS`.
+
+    Example:
+        >>> from covariant.certificates.audit import Audit, Law
+        >>> law = Law("plant", "it moves as the plant", "(2), (5)", "holds", 1e-12, 1e-9, "rounding", "", ())
+        >>> result = Audit("Intrinsic", "24 states", (law,))  # usually from `audit`
+        >>> result.passed, result.verdict
+        (True, 'passed: 1 laws hold')
     """
 
     observer: str
@@ -96,7 +115,7 @@ class Audit(NamedTuple):
 
     @property
     def statement(self) -> Statement:
-        """That the observer keeps the laws at the states of the audit, each of them a hypothesis."""
+        """The statement that the observer satisfies the laws at the audited states, with each law as a hypothesis."""
         premises = tuple(
             Hypothesis(f"{row.name}: {row.statement}; {row.reason}", "assumed")
             if row.verdict == "skipped"
@@ -128,8 +147,8 @@ class Audit(NamedTuple):
         for row in self.rows:
             figures = f"{row.deviation:.1e} {'≤' if row.passed else '>'} {row.tolerance:.0e}"
             figures = "" if row.verdict == "skipped" else figures
-            said = f"{row.statement}; {row.remark}" if row.remark else row.statement
-            lines.append(f"  {row.verdict:8} {row.name:14} {figures:18} {said}")
+            text = f"{row.statement}; {row.remark}" if row.remark else row.statement
+            lines.append(f"  {row.verdict:8} {row.name:14} {figures:18} {text}")
         return "\n".join(lines)
 
 
@@ -187,12 +206,13 @@ LAWS = tuple(_STATEMENTS)
 
 
 class _Finding(NamedTuple):
-    """What was measured of a law.
+    """The measurement of one law.
 
-    - `deviations` (k,): at the states; None where the law is skipped.
-    - `detail`: further findings.
-    - `badness` (k,): what ranks the states, where this is not the deviation.
-    - `tolerance`, `reason`: replace the usual ones where given; for a skipped law the reason says why.
+    Attributes:
+        deviations: (k,) at the states; None where the law is skipped.
+        detail: further results.
+        badness: (k,) by which the states are ranked, where this is not the deviation.
+        tolerance, reason: replace the usual ones where not None; for a skipped law the reason says why.
     """
 
     deviations: np.ndarray | None
@@ -216,20 +236,35 @@ def audit(
 ) -> Audit:
     """Measure the laws of an intrinsic observer: `Intrinsic`, `Geodesic`, or one with the same claim.
 
-    - `model`, `gains` (α [1/s], β [1/s²]): those of the laws, where they are not the observer's own `model`, `alpha`
-      and `beta`.
-    - `domain`: box of coordinates from which positions are drawn; on a group exponential coordinates, x1, x2, ….
-      Coordinates that it does not name range from 0.2 to 1.2 [their units], around a whole circle, or on a group from
-      −1 to 1.
-    - `speed`: largest velocity of each coordinate [units/s].
-    - `error`: largest position error for the laws that need one [units]; 0.1 and 0.01 of it are used too.
-    - `points`: number of states; `seed`: of their random numbers; `laws`: those of `LAWS` to measure.
-
     Inputs are of the order of 1. A law with a deviation that is not a number counts as violated. Computations are in
     double precision.
 
-    Raises `ValueError` for an observer without that claim (no `flow`, no gains α and β, no mechanical model), for gains
-    that are not positive, and for a domain without enough configurations at which the model is finite.
+    Args:
+        observer: the observer.
+        model: model of the laws, by default the observer's `model`.
+        gains: α [1/s] and β [1/s²] of the laws, by default the observer's `alpha` and `beta`.
+        domain: box of coordinates from which positions are drawn; on a group exponential coordinates, x1, x2, ….
+            Coordinates that it does not name range from 0.2 to 1.2 [their units], around a whole circle, or on a group
+            from −1 to 1.
+        speed: largest velocity of each coordinate [units/s].
+        error: largest position error for the laws that need one [units]; 0.1 and 0.01 of it are used too.
+        points: number of states.
+        seed: of their random numbers.
+        laws: names of the laws to measure, all of `LAWS` by default.
+
+    Returns:
+        The laws with their deviations.
+
+    Raises:
+        ValueError: an observer without that claim (no `flow`, no gains α and β, no mechanical model), gains that are
+            not positive, or a domain without enough configurations at which the model is finite.
+
+    Example:
+        >>> from covariant import models, observers
+        >>> from covariant.certificates.audit import audit
+        >>> result = audit(observers.Intrinsic(models.oscillator(), 2.0, 2.0), points=2, laws=("plant",))
+        >>> result.passed
+        True
     """
     flow, model = _subject(observer, model)
     alpha, beta = _gains(observer, gains)
@@ -240,22 +275,22 @@ def audit(
         raise ValueError(f"audit: points, speed and error must be positive; got {points}, {speed:g}, {error:g}")
     box = _box(model, domain)
     states, coordinates = _draw(model, box, speed, points, np.random.default_rng(seed))
-    both, errors = (jnp.asarray(alpha), jnp.asarray(beta)), error * np.array([1e-2, 1e-1, 1.0])
-    found: dict[str, _Finding] = {}
+    gain_pair, errors = (jnp.asarray(alpha), jnp.asarray(beta)), error * np.array([1e-2, 1e-1, 1.0])
+    findings: dict[str, _Finding] = {}
     if not {"plant", "error", "lyapunov"}.isdisjoint(laws):
-        found |= _along_the_flow(model, flow, alpha, beta, states)
+        findings |= _along_the_flow(model, flow, alpha, beta, states)
     if not {"metric", "torsion", "transport", "curvature"}.isdisjoint(laws):
-        found |= _of_the_geometry(model, states)
+        findings |= _of_the_geometry(model, states)
     if "invariance" in laws:
-        found["invariance"] = _invariance(model, flow, both, states, errors)
+        findings["invariance"] = _invariance(model, flow, gain_pair, states, errors)
     if "approximation" in laws:
-        differences = between_observers(model, flow, both, states, jnp.asarray(errors))
-        found["approximation"] = _second_order(np.asarray(differences), errors)
+        differences = between_observers(model, flow, gain_pair, states, jnp.asarray(errors))
+        findings["approximation"] = _second_order(np.asarray(differences), errors)
     at = np.concatenate([coordinates, np.asarray(states.v)], axis=1)
     return Audit(
         f"{type(observer).__name__}, α = {alpha:.4g} 1/s, β = {beta:.4g} 1/s²",
         f"{points} states, {box}, velocities to ±{speed:g} (seed {seed})",
-        tuple(_row(model, name, found[name], at) for name in LAWS if name in laws),
+        tuple(_row(model, name, findings[name], at) for name in LAWS if name in laws),
     )
 
 
@@ -266,15 +301,17 @@ def _subject(
     kind = type(observer).__name__
     if not isinstance(observer, AbstractFlowObserver):
         raise ValueError(f"audit: {kind} is no differential equation; give an Intrinsic or a Geodesic")
-    found = own(observer, "model") if model is None else model
-    if mechanical(found):
-        return observer, found
-    lacks = "no model of its own; give model=" if found is None else f"a {type(found).__name__}; give an Intrinsic"
+    candidate = own(observer, "model") if model is None else model
+    if mechanical(candidate):
+        return observer, candidate
+    lacks = (
+        "no model of its own; give model=" if candidate is None else f"a {type(candidate).__name__}; give an Intrinsic"
+    )
     raise ValueError(f"audit: the laws are those of an observer of a mechanical system, and {kind} has {lacks}")
 
 
-def _gains(observer: AbstractObserver, given: tuple[float, float] | None) -> tuple[float, float]:
-    pair = (own(observer, "alpha"), own(observer, "beta")) if given is None else given
+def _gains(observer: AbstractObserver, explicit: tuple[float, float] | None) -> tuple[float, float]:
+    pair = (own(observer, "alpha"), own(observer, "beta")) if explicit is None else explicit
     if any(gain is None for gain in pair):
         raise ValueError(
             f"audit: {type(observer).__name__} has no gains alpha and beta, nor the laws that go with them; give an "
@@ -321,6 +358,7 @@ def _usable(model: MechanicalSystem, coordinates: Array) -> Array:
     values = jnp.linalg.eigvalsh(jnp.where(jnp.isfinite(g), g, 0.0))
     u = jnp.zeros(input_count(model, g.shape[0]))
     finite = jnp.all(jnp.isfinite(g)) & jnp.all(jnp.isfinite(source(model, jnp.zeros(()), q, u)))
+    # Relative to the largest eigenvalue: a metric that is singular up to rounding is refused, in any units.
     return finite & (values[0] > 1e-12 * values[-1])
 
 
@@ -330,10 +368,10 @@ def _draw(
     """Random states, and the coordinates of their positions."""
     n = len(box.low)
     candidates = rng.uniform(box.low, box.high, (CANDIDATES * points, n))
-    good, positions = (np.asarray(a) for a in _look(model, jnp.asarray(candidates)))
-    if good.sum() < points:
+    usable, positions = (np.asarray(a) for a in _configurations(model, jnp.asarray(candidates)))
+    if usable.sum() < points:
         raise ValueError(
-            f"audit: the model is finite and its metric positive definite at only {good.sum()} of {len(good)} "
+            f"audit: the model is finite and its metric positive definite at only {usable.sum()} of {len(usable)} "
             f"configurations drawn from {box}; give another domain"
         )
     v = rng.uniform(-speed, speed, (points, n))
@@ -343,12 +381,12 @@ def _draw(
     # So small that the derivative of the chart stays near the identity at every centre.
     bend = rng.uniform(-0.25 / n, 0.25 / n, (points, 2, n, n))
     centre = rng.uniform(-0.5, 0.5, (points, n))
-    rows = (positions[good][:points], v, y, z, unit, u, bend, centre)
-    return States(*map(jnp.asarray, rows)), candidates[good][:points]
+    rows = (positions[usable][:points], v, y, z, unit, u, bend, centre)
+    return States(*map(jnp.asarray, rows)), candidates[usable][:points]
 
 
 @compiled_quickly
-def _look(model: MechanicalSystem, coordinates: Array) -> tuple[Array, Array]:
+def _configurations(model: MechanicalSystem, coordinates: Array) -> tuple[Array, Array]:
     return jax.lax.map(lambda c: (_usable(model, c), configuration(model, c)), coordinates)
 
 
@@ -356,15 +394,15 @@ def _along_the_flow(
     model: MechanicalSystem, observer: AbstractFlowObserver, alpha: float, beta: float, states: States
 ) -> dict[str, _Finding]:
     q = lyapunov(alpha, beta)
-    found = along_the_flow(model, observer, jnp.asarray(alpha), jnp.asarray(beta), jnp.asarray(q), states)
+    deviations = along_the_flow(model, observer, jnp.asarray(alpha), jnp.asarray(beta), jnp.asarray(q), states)
     details = {"lyapunov": f"a rate of {rate_of(alpha, beta, q):.4g} 1/s where it holds"}
-    return {name: _Finding(np.asarray(value), details.get(name, "")) for name, value in found._asdict().items()}
+    return {name: _Finding(np.asarray(value), details.get(name, "")) for name, value in deviations._asdict().items()}
 
 
 def _of_the_geometry(model: MechanicalSystem, states: States) -> dict[str, _Finding]:
-    found = {name: np.asarray(value) for name, value in of_the_geometry(model, states)._asdict().items()}
-    sectional = found.pop("sectional")
-    findings = {name: _Finding(value) for name, value in found.items()}
+    deviations = {name: np.asarray(value) for name, value in of_the_geometry(model, states)._asdict().items()}
+    sectional = deviations.pop("sectional")
+    findings = {name: _Finding(value) for name, value in deviations.items()}
     curved = findings["curvature"]._replace(
         detail=f"sectional curvatures {sectional.min():.3g} to {sectional.max():.3g}"
     )
@@ -377,11 +415,11 @@ def _invariance(model: MechanicalSystem, observer: AbstractFlowObserver, gains, 
         return _Finding(None, reason="no chart: the observer on a group is written without coordinates")
     if own(observer, "model") is None:
         return _Finding(None, reason="the observer is written in one chart: it has no model to exchange")
-    found = np.asarray(between_charts(model, observer, gains, states, jnp.asarray(errors)))
+    differences = np.asarray(between_charts(model, observer, gains, states, jnp.asarray(errors)))
     if exact(observer):
         tolerance, reason = _EXACT
-        return _Finding(found[-1], f"at an error of {errors[-1]:.2g}", None, tolerance, reason)
-    return _second_order(found, errors)
+        return _Finding(differences[-1], f"at an error of {errors[-1]:.2g}", None, tolerance, reason)
+    return _second_order(differences, errors)
 
 
 def _second_order(relative: Float[np.ndarray, "e k"], errors: Float[np.ndarray, "e"]) -> _Finding:
@@ -390,18 +428,21 @@ def _second_order(relative: Float[np.ndarray, "e k"], errors: Float[np.ndarray, 
     if order is None:
         return _Finding(0 * worst, "no difference beyond rounding", worst)
     detail = f"differences of order {order:.3f}, {100 * worst.max():.3g} % at an error of {errors[-1]:.2g}"
+    # An order above 2 is no deviation.
     return _Finding(np.full_like(worst, np.maximum(0.0, 2 - order)), detail, worst)
 
 
-def _row(model: MechanicalSystem, name: str, found: _Finding, points: Float[np.ndarray, "k two_n"]) -> Law:
-    said = _STATEMENTS[name]
-    where = said.sources[not model.manifold.commuting]
-    reason = said.reason if found.reason is None else found.reason
-    tolerance = said.tolerance if found.tolerance is None else found.tolerance
-    if found.deviations is None:
-        return Law(name, said.statement, where, "skipped", math.nan, tolerance, reason, "", ())
-    ranked = found.deviations if found.badness is None else found.badness
+def _row(model: MechanicalSystem, name: str, finding: _Finding, points: Float[np.ndarray, "k two_n"]) -> Law:
+    law = _STATEMENTS[name]
+    origin = law.sources[not model.manifold.commuting]
+    reason = law.reason if finding.reason is None else finding.reason
+    tolerance = law.tolerance if finding.tolerance is None else finding.tolerance
+    if finding.deviations is None:
+        return Law(name, law.statement, origin, "skipped", math.nan, tolerance, reason, "", ())
+    ranked = finding.deviations if finding.badness is None else finding.badness
     point = points[int(np.where(np.isnan(ranked), np.inf, ranked).argmax())]
-    deviation = float(found.deviations.max())  # NaN where any is
+    deviation = float(finding.deviations.max())  # NaN where any is
     verdict = "holds" if deviation <= tolerance else "fails"
-    return Law(name, said.statement, where, verdict, deviation, tolerance, reason, found.detail, tuple(point.tolist()))
+    return Law(
+        name, law.statement, origin, verdict, deviation, tolerance, reason, finding.detail, tuple(point.tolist())
+    )

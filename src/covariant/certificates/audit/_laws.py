@@ -31,31 +31,48 @@ SHORT = 0.1
 STEPS = 4
 """Eighth-order steps of such a geodesic."""
 
-
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 
 def compiled_quickly(function: _Function) -> _Function:
-    """Compile a function that runs once, with little optimisation: most of the time of an audit is compilation."""
+    """Compile a function that runs once, with little optimisation: most of the time of an audit is compilation.
+
+    Args:
+        function: a function of arrays.
+    """
     options = {"xla_backend_optimization_level": 0}
     return eqx.filter_jit(function, compiler_options=options)  # pyright: ignore[reportCallIssue]
 
 
 class States(NamedTuple):
-    """Random states, one in each row, and directions to examine the laws around them; all (k, …)."""
+    """Random states, one in each row, with directions in which the laws are examined around them.
 
-    x: Array  # configurations
+    Attributes:
+        x: configurations (k, …).
+        v: velocities (k, n).
+        y, z: two random vectors (k, n).
+        unit: vectors (k, n) of unit length in coordinates.
+        u: inputs (k, m).
+        bend: coefficients (k, 2, n, n) of a random chart.
+        centre: coordinates (k, n) of the state in that chart.
+    """
+
+    x: Array
     v: Float[Array, "k n"]
-    y: Float[Array, "k n"]  # first of two random vectors
+    y: Float[Array, "k n"]
     z: Float[Array, "k n"]
-    unit: Float[Array, "k n"]  # a vector of unit length in coordinates
+    unit: Float[Array, "k n"]
     u: Float[Array, "k m"]
-    bend: Float[Array, "k 2 n n"]  # coefficients of a random chart, and below the coordinates of the state in it
+    bend: Float[Array, "k 2 n n"]
     centre: Float[Array, "k n"]
 
 
 class FlowDeviations(NamedTuple):
-    """Relative deviations (k,) from the laws along the observer's flow."""
+    """Relative deviations (k,) from the laws along the observer's flow.
+
+    Attributes:
+        plant, error, lyapunov: deviations from the law of that name.
+    """
 
     plant: Array
     error: Array
@@ -63,7 +80,12 @@ class FlowDeviations(NamedTuple):
 
 
 class GeometryDeviations(NamedTuple):
-    """Relative deviations (k,) from the laws of the geometry, and sectional curvatures (k,)."""
+    """Relative deviations (k,) from the laws of the geometry.
+
+    Attributes:
+        metric, torsion, transport, curvature: deviations of the law of that name.
+        sectional: sectional curvatures (k,).
+    """
 
     metric: Array
     torsion: Array
@@ -73,27 +95,51 @@ class GeometryDeviations(NamedTuple):
 
 
 def own(given: Any, name: str) -> Any:
-    """A field of an observer or a model, or None where there is no such field."""
+    """Look up a field of an observer or a model.
+
+    Args:
+        given: an observer or a model.
+        name: name of the field.
+
+    Returns:
+        Its value, or None where there is no such field.
+    """
     return getattr(given, name) if name in getattr(type(given), "__dataclass_fields__", {}) else None
 
 
 def mechanical(model: Any) -> bool:
-    """Whether this is the model of a mechanical system: one with a configuration space."""
+    """Test whether this is the model of a mechanical system: one with a configuration space.
+
+    Args:
+        model: any model, or None.
+    """
     return own(model, "space") is not None
 
 
 def exact(observer: AbstractObserver) -> bool:
-    """Whether an observer uses geodesics, and therefore has a budget for them."""
+    """Test whether an observer uses geodesics, and therefore has a budget for them.
+
+    Args:
+        observer: any observer.
+    """
     return own(observer, "budget") is not None
 
 
 def exchange(observer: Any, model: MechanicalSystem) -> Any:
-    """The observer with another model."""
+    """Return the observer with another model.
+
+    Args:
+        observer, model: the observer, and its new model.
+    """
     return dataclasses.replace(observer, model=model)
 
 
 def traced_once(model: MechanicalSystem) -> MechanicalSystem:
-    """The model, with the matrix of a numerical metric traced only once, not once for every derivative."""
+    """Return the model with the matrix of a numerical metric traced only once, not once for every derivative.
+
+    Args:
+        model: a mechanical system.
+    """
     if type(model.space) is not Metric:  # a subclass may have closed forms
         return model
     matrix = jax.jit(model.space.matrix)
@@ -102,17 +148,28 @@ def traced_once(model: MechanicalSystem) -> MechanicalSystem:
 
 def _both_once(model: MechanicalSystem, observer: Any) -> tuple[MechanicalSystem, Any]:
     """The model, and the observer with its own model, each `traced_once`."""
-    mine = own(observer, "model")
-    return traced_once(model), exchange(observer, traced_once(mine)) if mechanical(mine) else observer
+    own_model = own(observer, "model")
+    return traced_once(model), exchange(observer, traced_once(own_model)) if mechanical(own_model) else observer
 
 
 def configuration(model: MechanicalSystem, s: Vector) -> Array:
-    """The configuration with these coordinates; on a group, those of the retraction at the origin."""
+    """Return the configuration with these coordinates; on a group, those of the retraction at the origin.
+
+    Args:
+        model: a mechanical system.
+        s: coordinates (n,).
+    """
     return s if model.manifold.commuting else model.manifold.retract(model.manifold.origin(), s)
 
 
 def bracket(model: MechanicalSystem, x: Array, a: Vector, b: Vector) -> Vector:
-    """`[a, b]` by derivatives of the frame, so that the manifold's own formula is tested too."""
+    """Compute `[a, b]` by derivatives of the frame, so that the manifold's own formula is tested too.
+
+    Args:
+        model: a mechanical system.
+        x: configuration.
+        a, b: constant components (n,) of two vector fields in the frame.
+    """
 
     def along(one, two):
         field = lambda y: model.manifold.tangent(y, two)  # noqa: E731
@@ -122,19 +179,36 @@ def bracket(model: MechanicalSystem, x: Array, a: Vector, b: Vector) -> Vector:
 
 
 def counterpart(observer: AbstractFlowObserver, model: MechanicalSystem, alpha, beta) -> AbstractFlowObserver:
-    """The approximate observer `Intrinsic` for an exact one, and the exact `Geodesic` for any other."""
+    """Return the approximate observer `Intrinsic` for an exact one, and the exact `Geodesic` for any other.
+
+    Args:
+        observer, model: the observer, and its model.
+        alpha, beta: gains [1/s] and [1/s²].
+    """
     return Intrinsic(model, alpha, beta) if exact(observer) else Geodesic(model, alpha, beta, NEAR)
 
 
 def slope(observer: AbstractFlowObserver, x: Array, v: Vector, u: Array, y: Array) -> tuple[Vector, Vector]:
-    """Velocity in the frame and v̂' of the estimate (x, v) under the input u with the measurement y."""
+    """Compute the velocity in the frame and v̂' of an estimate.
+
+    Args:
+        observer: the observer.
+        x, v: the estimate.
+        u: input (m,).
+        y: measurement.
+    """
     state = observer.init(y)._replace(q=x, v=v)
-    found = observer.flow(jnp.zeros((), v.dtype), state, u, y)
-    return found.q, found.v
+    rates = observer.flow(jnp.zeros((), v.dtype), state, u, y)
+    return rates.q, rates.v
 
 
 def change(function, *, aux: bool = False):
-    """The value and derivative at zero of a function of one number."""
+    """Compute the value and derivative at zero of a function of one number.
+
+    Args:
+        function: a function of a scalar.
+        aux: whether it returns further values that are not differentiated.
+    """
     return jax.jvp(function, (jnp.zeros(()),), (jnp.ones(()),), has_aux=aux)
 
 
@@ -147,7 +221,14 @@ def along_the_flow(
     q: Float[Array, "2 2"],
     states: States,
 ) -> FlowDeviations:
-    """Deviations at q̂ = q and any velocity: the estimate moves as the plant; law (10); V' for the matrix Q."""
+    """Measure deviations at q̂ = q and any velocity: the estimate moves as the plant; law (10); V' for the matrix Q.
+
+    Args:
+        model, observer: the mechanical system, and the observer.
+        alpha, beta: gains [1/s] and [1/s²].
+        q: matrix Q (2, 2) of the Lyapunov function.
+        states: random states.
+    """
     model, observer = _both_once(model, observer)
     space = model.space
 
@@ -160,39 +241,39 @@ def along_the_flow(
             return space.norm(x, a)
 
         def undamped(s):  # without dissipation, which is added to the published law
-            near, moved = model.manifold.nudged(x, s * xi), v + s * delta
-            w, a = slope(observer, near, moved, u, x)
-            return w, a - friction(model, t, near, moved, u)
+            at_s, velocity_s = model.manifold.nudged(x, s * xi), v + s * delta
+            w, a = slope(observer, at_s, velocity_s, u, x)
+            return w, a - friction(model, t, at_s, velocity_s, u)
 
         (w, a), (w_change, a_change) = change(undamped)
         xi_rate = w_change + bracket(model, x, xi, w)
 
         def along(s):
             """ζ and V of the variation that is transported by the flow."""
-            at, xi_now = model.manifold.nudged(x, s * w), xi + s * xi_rate
-            zeta = delta + s * a_change + space.connection(at, xi_now, v + s * a)
-            gram = space.gram(at, jnp.stack([xi_now, zeta]))
+            here, xi_now = model.manifold.nudged(x, s * w), xi + s * xi_rate
+            zeta = delta + s * a_change + space.connection(here, xi_now, v + s * a)
+            gram = space.gram(here, jnp.stack([xi_now, zeta]))
             return zeta, jnp.sum(q * gram) / 2
 
-        (zeta, _), (zeta_rate, fall) = change(along)
-        turned, carried = space.connection(x, w, xi), space.connection(x, w, zeta)
-        first = xi_rate + turned - (zeta - alpha * xi)
-        second = zeta_rate + carried + beta * xi
+        (zeta, _), (zeta_rate, lyapunov_rate) = change(along)
+        connection_xi, connection_zeta = space.connection(x, w, xi), space.connection(x, w, zeta)
+        first = xi_rate + connection_xi - (zeta - alpha * xi)
+        second = zeta_rate + connection_zeta + beta * xi
         # Relative to the terms that cancel, so that rounding errors are measured in proportion to them.
         lengths = jnp.stack([norm(xi), norm(zeta)])
         sizes = jnp.stack(
             [
-                norm(xi_rate) + norm(turned) + lengths[1] + alpha * lengths[0],
-                norm(a_change) + norm(zeta_rate - a_change) + norm(carried) + beta * lengths[0],
+                norm(xi_rate) + norm(connection_xi) + lengths[1] + alpha * lengths[0],
+                norm(a_change) + norm(zeta_rate - a_change) + norm(connection_zeta) + beta * lengths[0],
             ]
         )
-        damping, bent = friction(model, t, x, v, u), space.connection(x, v, v)
+        damping, connection_v = friction(model, t, x, v, u), space.connection(x, v, v)
         plant = acceleration(model, t, x, v, u)
-        parts = norm(plant) + norm(a) + norm(damping) + norm(bent)
+        parts = norm(plant) + norm(a) + norm(damping) + norm(connection_v)
         return FlowDeviations(
             jnp.maximum(norm(w - v) / norm(v), norm(a + damping - plant) / parts),
             jnp.max(jnp.stack([norm(first), norm(second)]) / sizes),
-            jnp.abs(fall + lengths @ lengths / 2) / (lengths @ jnp.abs(q) @ sizes),
+            jnp.abs(lyapunov_rate + lengths @ lengths / 2) / (lengths @ jnp.abs(q) @ sizes),
         )
 
     return jax.lax.map(one, states)
@@ -200,7 +281,12 @@ def along_the_flow(
 
 @compiled_quickly
 def of_the_geometry(model: MechanicalSystem, states: States) -> GeometryDeviations:
-    """Deviations: the connection is metric and symmetric, transport keeps lengths, geodesics separate by curvature."""
+    """Measure deviations of the connection (metric, symmetric), of transport (isometric) and of separating geodesics.
+
+    Args:
+        model: the mechanical system.
+        states: random states.
+    """
     model = traced_once(model)
     space = model.space
 
@@ -223,7 +309,7 @@ def of_the_geometry(model: MechanicalSystem, states: States) -> GeometryDeviatio
         frame = frame / jax.vmap(norm)(frame)[:, None]
         b = b / norm(b)
 
-        def carried(t):
+        def in_parallel_frame(t):
             """In the parallel frame: the field that separates neighbouring geodesics, and the products of the frame.
 
             Each neighbour starts from its x with the velocity e, transported there to first order.
@@ -234,27 +320,31 @@ def of_the_geometry(model: MechanicalSystem, states: States) -> GeometryDeviatio
                 end = space.transport_along(start, t * velocity, frame, Budget(steps=STEPS))
                 return end.q, end.w
 
-            (end, moved), (parted, _) = change(neighbour)
-            return moved @ space.lower(end, model.manifold.components(end, parted)), space.gram(end, moved)
+            (end, transported), (separation, _) = change(neighbour)
+            return transported @ space.lower(end, model.manifold.components(end, separation)), space.gram(
+                end, transported
+            )
 
         times = jnp.array([-2 * STEP, -STEP, 0.0, STEP, 2 * STEP, SHORT])
-        field, gram = jax.lax.map(carried, times)
+        field, gram = jax.lax.map(in_parallel_frame, times)
+        # The second difference of fourth order, on five points.
         second = jnp.array([-1.0, 16.0, -30.0, 16.0, -1.0]) / (12 * STEP**2) @ field[:5]
         jacobi = space.curvature(x, b, e, e)
-        parting = jnp.max(jnp.abs(second + frame @ space.lower(x, jacobi)))
+        deviation = jnp.max(jnp.abs(second + frame @ space.lower(x, jacobi)))
+        # |b| = 1 here, so that |b|²|e|² − <b, e>² is the squared area that both span.
         area = space.inner(x, e, e) - space.inner(x, b, e) ** 2
         return GeometryDeviations(
             metric,
             torsion,
             jnp.max(jnp.abs(gram[-1] - gram[2])),
-            parting / (1 + norm(jacobi)),
+            deviation / (1 + norm(jacobi)),
             space.inner(x, b, jacobi) / area,
         )
 
     return jax.lax.map(one, states)
 
 
-def _spread(one, states: States, errors: Float[Array, "e"]) -> Float[Array, "e k"]:
+def _over_pairs(one, states: States, errors: Float[Array, "e"]) -> Float[Array, "e k"]:
     """A function of a state and an error, evaluated for all pairs of both."""
     k, e = states.v.shape[0], errors.shape[0]
     tiled = jax.tree.map(lambda a: jnp.tile(a, (e,) + (1,) * (a.ndim - 1)), states)
@@ -276,10 +366,16 @@ def between_charts(
     states: States,
     errors: Float[Array, "e"],
 ) -> Float[Array, "e k"]:
-    """Relative differences of the observer's slopes, computed in its own chart and in a random cubic one.
+    """Measure relative differences of the observer's slopes, computed in its own chart and in a random cubic one.
 
     They are compared in the first chart. The second is `q = y + ψ(z) − ψ(centre)` with `ψ(z) = z + A z² + B z³`, with
     powers taken by components.
+
+    Args:
+        model, observer: the mechanical system, and the observer.
+        gains: α and β.
+        states: random states.
+        errors: sizes (e,) of the position error.
     """
     model, observer = _both_once(model, observer)
     space = model.space
@@ -287,11 +383,11 @@ def between_charts(
     def one(states: States, error: Scalar) -> Scalar:
         y, v, u, centre = states.x, states.v, states.u, states.centre
 
-        def bent(z):
+        def cubic(z):
             return z + states.bend[0] @ z**2 + states.bend[1] @ z**3
 
         def chart(z):
-            return y + bent(z) - bent(centre)
+            return y + cubic(z) - cubic(centre)
 
         rewritten = in_chart(model, chart)
         estimate = centre + error * states.unit
@@ -300,7 +396,7 @@ def between_charts(
         here = slope(observer, x, velocity, u, y)
         return _difference(space, gains, x, velocity, x - y, here, pushed)
 
-    return _spread(one, states, errors)
+    return _over_pairs(one, states, errors)
 
 
 @compiled_quickly
@@ -311,26 +407,43 @@ def between_observers(
     states: States,
     errors: Float[Array, "e"],
 ) -> Float[Array, "e k"]:
-    """Relative differences between the slopes of the observer and of its counterpart, approximate or exact."""
+    """Measure relative differences between the slopes of the observer and of its counterpart, approximate or exact.
+
+    Args:
+        model, observer: the mechanical system, and the observer.
+        gains: α and β.
+        states: random states.
+        errors: sizes (e,) of the position error.
+    """
     model, observer = _both_once(model, observer)
     space = model.space
     pair = observer, counterpart(observer, model, *gains)
 
     def one(states: States, error: Scalar) -> Scalar:
-        away = error * states.unit
-        x = model.manifold.retract(states.x, away)
+        error_vector = error * states.unit
+        x = model.manifold.retract(states.x, error_vector)
         one, two = (slope(each, x, states.v, states.u, states.x) for each in pair)
-        return _difference(space, gains, x, states.v, away, one, two)
+        return _difference(space, gains, x, states.v, error_vector, one, two)
 
-    return _spread(one, states, errors)
+    return _over_pairs(one, states, errors)
 
 
 def order_of(relative: Float[np.ndarray, "e k"], errors: Float[np.ndarray, "e"], floor: float) -> float | None:
-    """The order in the error with which differences vanish, given these relative to the error; None below the floor."""
+    """Fit the order in the error with which differences vanish.
+
+    Args:
+        relative: differences (e, k), relative to the error.
+        errors: sizes (e,) of the error.
+        floor: differences below this are rounding.
+
+    Returns:
+        The order; None where fewer than two sizes are above the floor, NaN where a difference is not finite.
+    """
     typical = np.sqrt(np.mean(relative**2, axis=1))
     clear = ~(typical < floor)
     if clear.sum() < 2:
         return None
     if not np.isfinite(typical).all():
         return float("nan")
+    # One more than the fitted slope, since the differences are relative to the error.
     return float(1 + np.polyfit(np.log(errors[clear]), np.log(typical[clear]), 1)[0])

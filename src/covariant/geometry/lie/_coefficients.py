@@ -18,14 +18,33 @@ def _alternating(coefficients: list[float], x: Scalar) -> Scalar:
 
 
 def inverse_jacobian_coefficient(x: Scalar) -> Scalar:
-    """`(1 − (θ/2) cot(θ/2))/θ²`, computed as `(c₂ − c₃)/(4c₁)` of the half angle, without cancellation."""
+    """Coefficient `(1 − (θ/2) cot(θ/2))/θ²` of the inverse Jacobians of rotations.
+
+    It is computed as `(c₂ − c₃)/(4c₁)` of the half angle, without cancellation.
+
+    Args:
+        x: squared angle θ² [rad²].
+
+    Returns:
+        The coefficient, a scalar; 1/12 at θ = 0.
+    """
     x = x / 4
     return (stumpff(2, x) - stumpff(3, x)) / (4 * stumpff(1, x))
 
 
 def angle_over_half_sine(squared_sine: Scalar, cosine: Scalar) -> Scalar:
-    """`θ / sin(θ/2)` from `sin²(θ/2)` and `cos(θ/2) ≥ 0`: it takes a quaternion's vector part to a rotation vector."""
+    """Factor `θ / sin(θ/2)` that takes a quaternion's vector part to a rotation vector.
+
+    Args:
+        squared_sine: sin²(θ/2).
+        cosine: cos(θ/2) ≥ 0.
+
+    Returns:
+        The factor, a scalar; 2 at θ = 0.
+    """
+    # tan²(θ/2) < 0.01: the first term left out of the series, of order 9 in it, is below 1e-19.
     small = squared_sine < 0.01 * cosine**2
+    # At half a turn the cosine is 0: replaced there, so that no derivative of the unused branch is NaN.
     safe_cosine = jnp.where(small, cosine, 1.0)
     x = jnp.where(small, squared_sine, 0.0) / safe_cosine**2
     arctangent = _alternating([1 / (2 * j + 1) for j in range(9)], x)  # over its argument

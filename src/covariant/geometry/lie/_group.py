@@ -1,8 +1,8 @@
 """The interface of a Lie group in this library: matrices that are multiplied, and an algebra of real vectors.
 
-Elements are matrices (N, N), so that `g @ h` composes them. Elements of the algebra are given by coordinates x (n,),
-real also for complex groups. Every operation is directional, and the closed forms form no array of n² entries. Batches
-come from `jax.vmap`.
+Elements are matrices (N, N), so that `g @ h` composes them. Elements of the algebra are represented by coordinates x
+(n,), real also for complex groups. Every operation is directional, and the closed forms form no array of n² entries.
+Batches come from `jax.vmap`.
 
 Source: Maithripala, Berg & Dayawansa 2004, section II; Chirikjian 2012, Stochastic Models, Information Theory, and Lie
 Groups, chapter 10, for the Jacobians.
@@ -23,7 +23,21 @@ from covariant.geometry._manifold import AbstractManifold
 
 
 class AbstractGroup(AbstractManifold):
-    """A matrix Lie group, trivialised by left translation: velocities are `g' = g hat(x)`, in the body frame."""
+    """A matrix Lie group, trivialised by left translation: velocities are `g' = g hat(x)`, in the body frame.
+
+    As a manifold its frame is the body frame, and its retraction follows one-parameter groups.
+
+    Example:
+        The body velocity from one element to another, on any group:
+
+        >>> import jax.numpy as jnp
+        >>> from covariant.geometry import lie
+        >>> def velocity(group: lie.AbstractGroup, g, h):
+        ...     return group.log(group.compose(group.inverse(g), h))
+        >>> g, h = (lie.SO2.exp(jnp.array([angle])) for angle in (0.5, 0.75))
+        >>> round(float(velocity(lie.SO2, g, h)[0]), 9)
+        0.25
+    """
 
     @property
     @abc.abstractmethod
@@ -37,86 +51,207 @@ class AbstractGroup(AbstractManifold):
 
     @abc.abstractmethod
     def hat(self, x: Vector) -> Element:
-        """The algebra's matrix with coordinates x (n,)."""
+        """Matrix (N, N) of the algebra with the coordinates x (n,)."""
 
     @abc.abstractmethod
     def vee(self, matrix: Element) -> Vector:
-        """Coordinates of a matrix of the algebra; of any other matrix, those of its projection."""
+        """Coordinates (n,) of a matrix (N, N) of the algebra; of any other matrix, those of its projection."""
 
     @abc.abstractmethod
     def lie_bracket(self, x: Vector, y: Vector) -> Vector:
-        """`[x, y] = ad_x y`, coordinates of the commutator of the matrices."""
+        """Lie bracket `[x, y] = ad_x y`.
+
+        Args:
+            x: coordinates (n,) of an element of the algebra.
+            y: coordinates (n,) of another one.
+
+        Returns:
+            Coordinates (n,) of the commutator of the two matrices.
+        """
 
     @abc.abstractmethod
     def exp(self, x: Vector) -> Element:
-        """The element reached after unit time along the one-parameter group with velocity x."""
+        """Exponential: the element reached after unit time along the one-parameter group with velocity x.
+
+        Args:
+            x: velocity (n,), coordinates in the algebra.
+
+        Returns:
+            Element (N, N).
+        """
 
     @abc.abstractmethod
     def log(self, g: Element) -> Vector:
-        """The principal logarithm: the shortest x with `exp(x) = g`.
+        """Principal logarithm: the shortest x with `exp(x) = g`.
 
         Where two are equally short, as after half a turn, one of them is returned, and the choice is discontinuous
         there. Only a `MatrixGroup` has elements without a logarithm.
+
+        Args:
+            g: element (N, N).
+
+        Returns:
+            Coordinates x (n,) in the algebra.
         """
 
     @abc.abstractmethod
     def inverse(self, g: Element) -> Element:
-        """The inverse element."""
+        """Inverse (N, N) of the element g."""
 
     @abc.abstractmethod
     def right_jacobian(self, x: Vector, y: Vector) -> Vector:
-        """`J_r(x)y`: the body velocity of `exp(x(t))` where x' = y, `exp(x)⁻¹ D exp(x)[y]`."""
+        """Right Jacobian `J_r(x)y` of the exponential: the body velocity of `exp(x(t))` where x' = y.
+
+        It is `exp(x)⁻¹ D exp(x)[y]`.
+
+        Args:
+            x: coordinates (n,) of an element of the algebra.
+            y: derivative x' (n,).
+
+        Returns:
+            Body velocity (n,).
+        """
 
     @abc.abstractmethod
     def right_jacobian_inverse(self, x: Vector, y: Vector) -> Vector:
-        """`J_r(x)⁻¹y`: the velocity x' that makes y the body velocity of `exp(x(t))`."""
+        """Inverse `J_r(x)⁻¹y` of the right Jacobian: the x' for which y is the body velocity of `exp(x(t))`.
+
+        Args:
+            x: coordinates (n,) of an element of the algebra.
+            y: body velocity (n,).
+
+        Returns:
+            Derivative x' (n,).
+        """
 
     def identity(self, dtype: Any = float) -> Element:
-        """The neutral element; `dtype` is the real type of the coordinates."""
+        """Neutral element of the group.
+
+        Args:
+            dtype: real type of the coordinates, double precision by default.
+
+        Returns:
+            Identity matrix (N, N), complex for a complex group.
+        """
         return jnp.eye(self.order, dtype=self.hat(jnp.zeros(self.dimension, dtype)).dtype)
 
     def compose(self, g: Element, h: Element) -> Element:
-        """The product `g h`, the same as `g @ h`."""
+        """Product `g h` of two elements (N, N), the same as `g @ h`."""
         return g @ h
 
     def between(self, g: Element, h: Element) -> Vector:
-        """`log(g⁻¹ h)`: the body velocity that takes g to h in unit time."""
+        """Body velocity `log(g⁻¹ h)` that takes g to h in unit time.
+
+        Args:
+            g: element (N, N).
+            h: element (N, N).
+
+        Returns:
+            Coordinates (n,) in the algebra.
+        """
         return self.log(self.inverse(g) @ h)
 
     def left_jacobian(self, x: Vector, y: Vector) -> Vector:
-        """`J_l(x)y = J_r(−x)y`: the spatial velocity `D exp(x)[y] exp(x)⁻¹`."""
+        """Left Jacobian `J_l(x)y = J_r(−x)y` of the exponential: the spatial velocity `D exp(x)[y] exp(x)⁻¹`.
+
+        Args:
+            x: coordinates (n,) of an element of the algebra.
+            y: derivative x' (n,).
+
+        Returns:
+            Spatial velocity (n,).
+        """
         return self.right_jacobian(-x, y)
 
     def left_jacobian_inverse(self, x: Vector, y: Vector) -> Vector:
-        """`J_l(x)⁻¹y`."""
+        """Inverse `J_l(x)⁻¹y` of the left Jacobian: the x' for which y is the spatial velocity of `exp(x(t))`.
+
+        Args:
+            x: coordinates (n,) of an element of the algebra.
+            y: spatial velocity (n,).
+
+        Returns:
+            Derivative x' (n,).
+        """
         return self.right_jacobian_inverse(-x, y)
 
     def adjoint(self, g: Element, x: Vector) -> Vector:
-        """`Ad_g x`, the coordinates of `g hat(x) g⁻¹`: a body velocity x at g in the space frame."""
+        """Adjoint action `Ad_g x`: a body velocity x at g, expressed in the space frame.
+
+        Args:
+            g: element (N, N).
+            x: body velocity (n,).
+
+        Returns:
+            Coordinates (n,) of `g hat(x) g⁻¹`.
+        """
         return self.vee(g @ self.hat(x) @ self.inverse(g))
 
     def coadjoint(self, x: Vector, mu: Vector) -> Vector:
-        """`ad*_x μ`, with `<ad*_x μ, y> = <μ, [x, y]>`."""
+        """Coadjoint operator `ad*_x μ` of the algebra, with `<ad*_x μ, y> = <μ, [x, y]>`.
+
+        Args:
+            x: coordinates (n,) of an element of the algebra.
+            mu: momentum μ (n,).
+
+        Returns:
+            Covector (n,).
+        """
         return jax.linear_transpose(lambda y: self.lie_bracket(x, y), x)(mu)[0]
 
     def coadjoint_action(self, g: Element, mu: Vector) -> Vector:
-        """`Ad*_g μ`, with `<Ad*_g μ, y> = <μ, Ad_g y>`: the coadjoint action on a momentum."""
+        """Coadjoint action `Ad*_g μ` on a momentum, with `<Ad*_g μ, y> = <μ, Ad_g y>`.
+
+        Args:
+            g: element (N, N).
+            mu: momentum μ (n,).
+
+        Returns:
+            Covector (n,).
+        """
         return jax.linear_transpose(lambda y: self.adjoint(g, y), mu)(mu)[0]
 
     @abc.abstractmethod
     def act(self, g: Element, point: Inexact[Array, "d"]) -> Inexact[Array, "d"]:
-        """The image under g of a point of the space that the group acts on."""
+        """Image of a point under g.
+
+        Args:
+            g: element (N, N).
+            point: point (d,) of the space that the group acts on.
+
+        Returns:
+            Point (d,).
+        """
 
     @abc.abstractmethod
     def defect(self, g: Element) -> Array:
-        """Distance of a matrix from the group: the largest entry by which it violates the equations of the group."""
+        """Distance of a matrix from the group.
+
+        Args:
+            g: matrix (N, N).
+
+        Returns:
+            The largest entry by which it violates the equations of the group, a scalar.
+        """
 
     @abc.abstractmethod
     def unique_log(self, g: Element) -> Flag:
-        """False, to within rounding, on the cut locus, where a second logarithm is as short as `log(g)`."""
+        """Whether `log(g)` is the only shortest logarithm of g (N, N).
+
+        Returns:
+            False, to within rounding, on the cut locus, where a second logarithm is as short; else True.
+        """
 
     def contains(self, g: Element, tolerance: float) -> Flag:
-        """Whether a matrix is an element of the group to that tolerance; False where it is not finite."""
+        """Whether a matrix is an element of the group.
+
+        Args:
+            g: matrix (N, N).
+            tolerance: largest `defect` of an element.
+
+        Returns:
+            Whether it is; False where it is not finite.
+        """
         return self.defect(g) <= tolerance
 
     # As a manifold: the frame is the body frame, and the retraction follows one-parameter groups.
@@ -129,6 +264,7 @@ class AbstractGroup(AbstractManifold):
         return self.identity(dtype)
 
     def zero(self, x: Element) -> Vector:
+        # Velocities are real also where the matrix is complex.
         return jnp.zeros(self.dimension, jnp.finfo(x.dtype).dtype)
 
     def tangent(self, x: Element, a: Vector) -> Element:
@@ -156,10 +292,11 @@ class AbstractGroup(AbstractManifold):
         return jnp.zeros_like(a)
 
     def carried_momentum(self, x: Element, s: Vector, mu: Vector) -> Vector:
+        # The body frame at x exp(s) is that at x turned by exp(s), and a momentum transforms by the transpose of Ad.
         return self.coadjoint_action(self.exp(s), mu)
 
     def missing(self, y: Element) -> Bool[Array, "n"]:
-        """All or none: an element with a NaN in it is missing as a whole."""
+        """Mask (n,) of all or none: an element with a NaN in it is missing as a whole."""
         return jnp.broadcast_to(jnp.any(jnp.isnan(y)), (self.dimension,))
 
     def towards(self, x: Element, y: Element) -> Vector:
@@ -173,11 +310,13 @@ class AbstractGroup(AbstractManifold):
 
     @traced_once
     def admitted(self, y: Array) -> Array:
+        # Half of the digits, times 100: rotations rounded to single precision pass in double precision too.
         tolerance = 100 * float(jnp.finfo(y.dtype).eps) ** 0.5
         return jnp.where(self.contains(y, tolerance) | jnp.any(jnp.isnan(y)), y, jnp.nan)
 
     def checked(self, y: Array) -> Array:
-        found = self.admitted(super().checked(y))
-        if not isinstance(found, Tracer) and np.isnan(found).any():
+        valid = self.admitted(super().checked(y))
+        # Numbers of a traced array are unknown: there NaN reports the error, as `AbstractManifold.checked` says.
+        if not isinstance(valid, Tracer) and np.isnan(valid).any():
             raise ValueError("the configuration is not an element of the group; pass rotations as matrices")
-        return found
+        return valid

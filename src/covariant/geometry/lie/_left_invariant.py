@@ -1,4 +1,4 @@
-"""Riemannian geometry of a group with a left-invariant metric, given by an inertia on its algebra.
+"""Riemannian geometry of a group with a left-invariant metric, defined by an inertia on its algebra.
 
 All vectors are body velocities (n,): coordinates of `g⁻¹ g'`. No operation depends on its base point.
 
@@ -21,21 +21,53 @@ from covariant.geometry.lie._group import AbstractGroup
 
 
 class AbstractInertia(eqx.Module):
-    """A symmetric positive definite map from velocities to momenta; a large one need not be stored as a matrix."""
+    """A symmetric positive definite map from velocities to momenta; a large one need not be stored as a matrix.
+
+    Example:
+        A subclass for equal principal moments of inertia [kg m²]:
+
+        >>> import jax.numpy as jnp
+        >>> from covariant.geometry import lie
+        >>> class Ball(lie.AbstractInertia):
+        ...     moment: float
+        ...     def __call__(self, x):
+        ...         return self.moment * x
+        ...     def solve(self, mu):
+        ...         return mu / self.moment
+        >>> space = lie.LeftInvariant(lie.SO3, Ball(0.5))
+        >>> omega = jnp.array([0.0, 0.0, 2.0])  # rad/s
+        >>> float(space.inner(jnp.eye(3), omega, omega) / 2)  # kinetic energy [J]
+        1.0
+    """
 
     @abc.abstractmethod
     def __call__(self, x: Vector) -> Vector:
-        """The momentum `I x` of a velocity."""
+        """Momentum `I x` (n,) of a velocity x (n,)."""
 
     @abc.abstractmethod
     def solve(self, mu: Vector) -> Vector:
-        """The velocity `I⁻¹ μ` of a momentum."""
+        """Velocity `I⁻¹ μ` (n,) of a momentum μ (n,)."""
 
 
 class Inertia(AbstractInertia):
-    """An inertia given by its matrix (n, n), such as diag(m, m, m, I₁, I₂, I₃) for the twist (v, ω) of a body.
+    """An inertia defined by its matrix (n, n), such as diag(m, m, m, I₁, I₂, I₃) for the twist (v, ω) of a body.
 
-    Raises `ValueError` unless the matrix is symmetric and positive definite.
+    Args:
+        matrix: symmetric positive definite matrix (n, n), for SE(3) in [kg] and [kg m²].
+
+    Attributes:
+        matrix: the matrix, in floating-point numbers.
+        inverse: its inverse (n, n), exactly symmetric.
+
+    Raises:
+        ValueError: unless the matrix is square, symmetric and positive definite.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant.geometry.lie import Inertia
+        >>> inertia = Inertia(jnp.diag(jnp.array([1.0, 2.0, 4.0])))
+        >>> inertia(jnp.ones(3)).tolist(), inertia.solve(jnp.ones(3)).tolist()
+        ([1.0, 2.0, 4.0], [1.0, 0.5, 0.25])
     """
 
     matrix: Matrix
@@ -47,10 +79,11 @@ class Inertia(AbstractInertia):
         if self.matrix.ndim != 2 or self.matrix.shape[0] != self.matrix.shape[1]:
             raise ValueError(f"inertia: the matrix must have shape (n, n); got {self.matrix.shape}")
         if not isinstance(self.matrix, Tracer):
-            given = np.asarray(self.matrix)
-            if not np.abs(given - given.T).max() <= 1e-6 * np.abs(given).max():
+            values = np.asarray(self.matrix)
+            # `not … <=`, so that a NaN is refused too.
+            if not np.abs(values - values.T).max() <= 1e-6 * np.abs(values).max():
                 raise ValueError("inertia: the matrix is not symmetric")
-            least = float(np.linalg.eigvalsh(given)[0])
+            least = float(np.linalg.eigvalsh(values)[0])
             if not least > 0:
                 raise ValueError(f"inertia: the matrix must be positive definite; its least eigenvalue is {least:.3g}")
         # In NumPy where the numbers are known: compiling a JAX program for each of the many small steps takes a second.
@@ -69,9 +102,26 @@ def _inverse(matrix: Matrix) -> Matrix:
 
 
 class LeftInvariant(AbstractSpace):
-    """The left-invariant metric of an inertia: a matrix (n, n) or an `AbstractInertia`.
+    """The left-invariant metric of an inertia on a Lie group.
 
     In the body frame every operation is the same at all points.
+
+    Args:
+        group: the group.
+        inertia: matrix (n, n) or an `AbstractInertia`.
+
+    Raises:
+        ValueError: for a matrix of the wrong shape, or one that `Inertia` refuses.
+
+    Example:
+        A free rigid body: `−B(ω, ω)` is its angular acceleration by Euler's equations.
+
+        >>> import jax.numpy as jnp
+        >>> from covariant.geometry.lie import SO3, LeftInvariant
+        >>> body = LeftInvariant(SO3, jnp.diag(jnp.array([1.0, 2.0, 4.0])))
+        >>> omega = jnp.array([1.0, 1.0, 0.0])  # rad/s
+        >>> float(-body.connection(jnp.eye(3), omega, omega)[2])
+        -0.25
     """
 
     group: AbstractGroup
@@ -99,18 +149,48 @@ class LeftInvariant(AbstractSpace):
         return self.inertia.solve(mu)
 
     def connection_force(self, x: Element, a: Vector, b: Vector) -> Vector:
-        """`½(I[a, b] − ad*_a I b − ad*_b I a)`, the covector of the connection."""
+        """Covector `½(I[a, b] − ad*_a I b − ad*_b I a)` of the connection.
+
+        Args:
+            x: element (N, N); the result does not depend on it.
+            a: direction (n,).
+            b: components (n,) of the differentiated left-invariant field.
+
+        Returns:
+            Covector (n,).
+        """
         return (self.inertia(self.group.lie_bracket(a, b)) - self._coadjoint_sum(a, b)) / 2
 
     def kinetic_force(self, x: Element, v: Vector) -> Vector:
         return jnp.zeros_like(v)
 
     def connection(self, x: Element, a: Vector, b: Vector) -> Vector:
-        """`B(a, b) = ½([a, b] − I⁻¹(ad*_a I b + ad*_b I a))` of left-invariant fields; equation (3)."""
+        """Covariant derivative of left-invariant fields; equation (3).
+
+        It is `B(a, b) = ½([a, b] − I⁻¹(ad*_a I b + ad*_b I a))`.
+
+        Args:
+            x: element (N, N); the result does not depend on it.
+            a: direction (n,).
+            b: components (n,) of the differentiated field.
+
+        Returns:
+            Vector (n,).
+        """
         return (self.group.lie_bracket(a, b) - self.inertia.solve(self._coadjoint_sum(a, b))) / 2
 
     def curvature(self, x: Element, a: Vector, b: Vector, c: Vector) -> Vector:
-        """`R(a, b)c = B(a, B(b, c)) − B(b, B(a, c)) − B([a, b], c)`."""
+        """Riemann curvature `R(a, b)c = B(a, B(b, c)) − B(b, B(a, c)) − B([a, b], c)`.
+
+        Args:
+            x: element (N, N); the result does not depend on it.
+            a: first vector (n,) of the pair in which R is antisymmetric.
+            b: second vector (n,) of this pair.
+            c: vector (n,) on which R acts.
+
+        Returns:
+            Vector (n,).
+        """
         along = jax.jit(lambda d, e: self.connection(x, d, e))  # traced once, not at each of the five places
         return along(a, along(b, c)) - along(b, along(a, c)) - along(self.group.lie_bracket(a, b), c)
 

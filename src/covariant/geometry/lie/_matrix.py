@@ -27,11 +27,24 @@ DOUBLINGS = 10
 
 
 class SU(AbstractGroup):
-    """The unitary matrices of determinant 1, SU(n); x holds the n² − 1 real coordinates of su(n).
+    """Unitary matrices of determinant 1, SU(n); x holds the n² − 1 real coordinates of su(n).
 
     The basis is −i/2 times the generalised Gell-Mann matrices: first the symmetric ones of all pairs j < k, then the
     antisymmetric ones, then the diagonal ones. With it the bracket of su(2) is the cross product, as in SO(3). The
     logarithm needs the Schur form, which JAX offers on CPUs only.
+
+    Attributes:
+        n: number of rows, 2 or more.
+
+    Raises:
+        ValueError: for any other n.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant.geometry.lie import SU
+        >>> e1, e2, e3 = jnp.eye(3)
+        >>> bool(jnp.allclose(SU(2).lie_bracket(e1, e2), e3))
+        True
     """
 
     n: int = eqx.field(static=True)
@@ -90,15 +103,35 @@ class SU(AbstractGroup):
 
     def unique_log(self, g: Element) -> Flag:
         angles = jnp.linalg.eigvalsh(1j * self.hat(self.log(g)))
+        # Moving 2π from the largest to the smallest angle gives another logarithm, as long where they differ by 2π.
         return 2 * np.pi - (angles[-1] - angles[0]) > 4 * jnp.finfo(angles.dtype).eps ** 0.5
 
 
 class MatrixGroup(AbstractGroup):
-    """A group of invertible matrices given by a basis (n, N, N) of its algebra, real or complex.
+    """A group of invertible matrices defined by a basis of its algebra, real or complex.
 
-    `structure` (n, n, n), with `[e_i, e_j] = C[i, j, k] e_k`, is optional: it is worth giving where it has many zeros
-    and exact numbers, and must agree with the basis. Raises `ValueError` for a basis that is linearly dependent or not
-    closed under the bracket.
+    Args:
+        basis: matrices (n, N, N), linearly independent and closed under the bracket.
+        structure: structure constants C (n, n, n), with `[e_i, e_j] = C[i, j, k] e_k`. Optional: useful where they have
+            many zeros and exact numbers; they must agree with the basis.
+
+    Attributes:
+        basis: the basis.
+        dual: dual basis (n, N, N), by which `vee` projects.
+        structure: the structure constants, or None.
+
+    Raises:
+        ValueError: for a basis that is linearly dependent or not closed under the bracket, and for structure
+            constants that do not match it.
+
+    Example:
+        Translations of the line, as matrices [[1, x], [0, 1]]:
+
+        >>> import jax.numpy as jnp
+        >>> from covariant.geometry.lie import MatrixGroup
+        >>> line = MatrixGroup([[[0.0, 1.0], [0.0, 0.0]]])
+        >>> line.exp(jnp.array([2.0])).tolist()
+        [[1.0, 2.0], [0.0, 1.0]]
     """
 
     basis: Inexact[Array, "n N N"]
@@ -106,10 +139,11 @@ class MatrixGroup(AbstractGroup):
     structure: Float[Array, "n n n"] | None
 
     def __init__(self, basis, structure=None):
-        given = np.asarray(basis)
-        basis = given.astype(complex if np.iscomplexobj(given) else float)
+        array = np.asarray(basis)
+        basis = array.astype(complex if np.iscomplexobj(array) else float)
         if basis.ndim != 3 or basis.shape[1] != basis.shape[2] or not len(basis):
             raise ValueError(f"MatrixGroup: the basis must have shape (n, N, N); got {basis.shape}")
+        # Real and imaginary parts side by side: the algebra is a real vector space also where matrices are complex.
         flat = np.concatenate([part.reshape(len(basis), -1) for part in (np.real(basis), np.imag(basis))], axis=1)
         if np.linalg.matrix_rank(flat) < len(basis):
             raise ValueError(f"MatrixGroup: the {len(basis)} matrices of the basis are linearly dependent")
@@ -120,7 +154,7 @@ class MatrixGroup(AbstractGroup):
         pairs = (len(basis), len(basis), -1)
         flat_brackets = np.concatenate([np.real(brackets).reshape(pairs), np.imag(brackets).reshape(pairs)], axis=2)
         constants = flat_brackets @ dual.T
-        accuracy = np.finfo(given.dtype if np.issubdtype(given.dtype, np.inexact) else float).eps ** 0.5
+        accuracy = np.finfo(array.dtype if np.issubdtype(array.dtype, np.inexact) else float).eps ** 0.5
         scale = accuracy * max(1.0, float(np.abs(brackets).max()))
         if np.abs(constants @ flat - flat_brackets).max() > scale:
             raise ValueError("MatrixGroup: the basis is not closed under the commutator, so it spans no algebra")
@@ -156,7 +190,14 @@ class MatrixGroup(AbstractGroup):
         return matrix_exp(self.hat(x))
 
     def log(self, g: Element) -> Vector:
-        """The principal logarithm where it lies in the algebra; elsewhere there is none, and `contains` is False."""
+        """Principal logarithm where it lies in the algebra; elsewhere there is none, and `contains` is False.
+
+        Args:
+            g: element (N, N).
+
+        Returns:
+            Coordinates (n,) in the algebra.
+        """
         return differentiable_log(self, partial(principal_log, self), g)
 
     def inverse(self, g: Element) -> Element:
@@ -172,8 +213,17 @@ class MatrixGroup(AbstractGroup):
         return g @ point
 
     def defect(self, g: Element) -> Array:
-        """How far `exp(log g)` is from g: the group's equations are not known, so this is the only test. Elements
-        without a principal logarithm in the algebra do not pass it."""
+        """Distance of `exp(log g)` from g.
+
+        The group's equations are not known, so this is the only test. Elements without a principal logarithm in the
+        algebra do not pass it.
+
+        Args:
+            g: matrix (N, N).
+
+        Returns:
+            Largest entry of the difference, a scalar.
+        """
         return jnp.max(jnp.abs(self.exp(self.log(g)) - g))
 
     def unique_log(self, g: Element) -> Flag:
@@ -197,36 +247,84 @@ def _su_layout(n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def matrix_bracket(group: AbstractGroup, x: Vector, y: Vector) -> Vector:
-    """`[x, y]` from one matrix product, whatever the group's dimension."""
+    """Lie bracket `[x, y]` from one commutator of matrices, for a group of any dimension.
+
+    Args:
+        group: the group.
+        x: coordinates (n,).
+        y: coordinates (n,).
+
+    Returns:
+        Coordinates (n,).
+    """
     a, b = group.hat(x), group.hat(y)
     return group.vee(a @ b - b @ a)
 
 
 def matrix_exp(a: Element) -> Element:
-    """Exponential by scaling and squaring of exp − 1, so that small steps from the identity lose no digits."""
+    """Matrix exponential by scaling and squaring of exp − 1, so that small steps from the identity lose no digits.
+
+    Args:
+        a: matrix (N, N).
+
+    Returns:
+        Matrix (N, N).
+    """
+    # The number of halvings is no smooth function; the result does not depend on it.
     norm = jax.lax.stop_gradient(jnp.max(jnp.sum(jnp.abs(a), axis=0)))
+    # Scaled to norm ≤ 1, where the series is exact to rounding.
     doublings = jnp.clip(jnp.ceil(jnp.log2(norm)), 0, DOUBLINGS)
     a = a * 0.5 ** doublings.astype(a.dtype)
     order = jnp.arange(TAYLOR - 1, 0, -1).astype(a.dtype)
     total = jax.lax.fori_loop(0, TAYLOR - 1, lambda i, f: (a + a @ f) / order[i], a / TAYLOR)
+    # f = exp(a) − 1 squared: (1 + f)² − 1 = f² + 2f.
     total = jax.lax.fori_loop(0, DOUBLINGS, lambda i, f: jnp.where(i < doublings, f @ f + 2 * f, f), total)
     return total + jnp.eye(a.shape[0], dtype=a.dtype)
 
 
 def matrix_right_jacobian(group: AbstractGroup, x: Vector, y: Vector) -> Vector:
-    """`exp(−x) D exp(x)[y]`; inverting the matrix exp(x) instead would lose twice as many digits."""
+    """Right Jacobian `exp(−x) D exp(x)[y]`; inverting the matrix exp(x) instead would lose twice as many digits.
+
+    Args:
+        group: the group.
+        x: coordinates (n,).
+        y: derivative x' (n,).
+
+    Returns:
+        Body velocity (n,).
+    """
     return group.vee(group.exp(-x) @ jax.jvp(group.exp, (x,), (y,))[1])
 
 
 def matrix_right_jacobian_inverse(group: AbstractGroup, x: Vector, y: Vector) -> Vector:
-    """`J_r(x)⁻¹y`, from the matrix (n, n) of J_r: no series for the inverse converges wherever it exists."""
+    """Inverse right Jacobian `J_r(x)⁻¹y`, from the matrix (n, n) of J_r.
+
+    No series for the inverse converges wherever it exists.
+
+    Args:
+        group: the group.
+        x: coordinates (n,).
+        y: body velocity (n,).
+
+    Returns:
+        Derivative x' (n,).
+    """
     one = jnp.eye(x.shape[0], dtype=x.dtype)
     return jnp.linalg.solve(jax.vmap(lambda e: group.right_jacobian(x, e), out_axes=1)(one), y)
 
 
 @eqx.filter_custom_jvp
 def differentiable_log(group: AbstractGroup, algorithm: Callable[[Element], Element], g: Element) -> Vector:
-    """A logarithm by any algorithm, with a derivative that does not differentiate the algorithm."""
+    """Logarithm by any algorithm, with a derivative that does not differentiate the algorithm.
+
+    Args:
+        group: the group.
+        algorithm: function from an element (N, N) to its logarithm, a matrix (N, N).
+        g: element (N, N).
+
+    Returns:
+        Coordinates (n,) in the algebra.
+    """
     return group.vee(algorithm(g))
 
 
@@ -238,12 +336,22 @@ def _(primals, tangents):
 
 
 def unitary_log(g: Element) -> Element:
-    """Logarithm from the Schur form, diagonal for a unitary matrix, with the smallest angles whose sum is zero."""
+    """Logarithm of a unitary matrix of determinant 1, with the smallest angles whose sum is zero.
+
+    It comes from the Schur form, which is diagonal for a unitary matrix.
+
+    Args:
+        g: unitary matrix (N, N).
+
+    Returns:
+        Anti-Hermitian matrix (N, N).
+    """
     form, vectors = jax.scipy.linalg.schur(g, output="complex")
     angles = jnp.angle(jnp.diagonal(form))
     turns = jnp.round(jnp.sum(angles) / (2 * np.pi)).astype(int)
     rank = jnp.argsort(jnp.argsort(angles))
     excess = jnp.where(rank >= g.shape[0] - turns, 1.0, jnp.where(rank < -turns, -1.0, 0.0))
+    # det g = 1: the sum of the angles is a multiple of 2π, taken off the largest ones (added to the smallest).
     angles = angles - 2 * np.pi * excess.astype(angles.dtype)
     return 1j * vectors @ jnp.diag(angles.astype(g.dtype)) @ vectors.conj().T
 
@@ -252,6 +360,13 @@ def principal_log(group: AbstractGroup, g: Element) -> Element:
     """Logarithm by inverse scaling and squaring, and one Newton step that leaves rounding errors only.
 
     Where the square roots do not converge (an eigenvalue −1, to rounding) the last iterate is used.
+
+    Args:
+        group: the group, on whose algebra the result is projected before the Newton step.
+        g: element (N, N).
+
+    Returns:
+        Matrix (N, N).
     """
     root = jax.lax.fori_loop(0, HALVINGS, lambda _, root: _square_root(root), g)
     one = jnp.eye(g.shape[0], dtype=g.dtype)
@@ -259,12 +374,13 @@ def principal_log(group: AbstractGroup, g: Element) -> Element:
     square, total = ratio @ ratio, one / 15
     for j in range(7, 0, -1):  # artanh
         total = one / (2 * j - 1) + square @ total
+    # log(r) = 2 artanh((r − 1)(r + 1)⁻¹) of the root r, times 2^HALVINGS.
     x = 2.0 ** (HALVINGS + 1) * group.vee(ratio @ total)
     return group.hat(x) + group.inverse(group.exp(x)) @ g - one
 
 
 def matrix_unique_log(g: Element) -> Flag:
-    """False where g has the eigenvalue −1, to the square root of rounding."""
+    """Whether the principal logarithm of g (N, N) is unique: False near the eigenvalue −1, to the root of rounding."""
     shifted = g + jnp.eye(g.shape[0], dtype=g.dtype)
     return jnp.linalg.svd(shifted, compute_uv=False)[-1] > 4 * jnp.finfo(g.dtype).eps ** 0.5
 

@@ -1,7 +1,7 @@
-"""The rigid motions of the plane and of space, SE(2) and SE(3). A twist is (v, ω): translation first.
+"""Rigid motions of the plane and of space, SE(2) and SE(3). A twist is (v, ω): translation first.
 
 A twist is a dual number: with ε² = 0 the bracket of SE(3) is the cross product of numbers `ω + εv`. Every formula of
-SO(3) that is made of cross products therefore gives that of SE(3) by one directional derivative. SE(2) is SE(3) in the
+SO(3) that consists of cross products therefore gives that of SE(3) by one directional derivative. SE(2) is SE(3) in the
 plane.
 """
 
@@ -16,7 +16,17 @@ from covariant.geometry.lie._rotations import SO2, SO3, no_half_turn, rotation_d
 
 
 class SpecialEuclidean2(AbstractGroup):
-    """SE(2): rigid motions of the plane; x = (v₁, v₂, ω) in the body frame [m, m, rad]."""
+    """SE(2): rigid motions of the plane; x = (v₁, v₂, ω) in the body frame [m, m, rad]. `SE2` is its instance.
+
+    Example:
+        The pose after 1 m along x; the image of its origin:
+
+        >>> import jax.numpy as jnp
+        >>> from covariant.geometry.lie import SE2
+        >>> pose = SE2.exp(jnp.array([1.0, 0.0, 0.0]))
+        >>> SE2.act(pose, jnp.zeros(2)).tolist()
+        [1.0, 0.0]
+    """
 
     @property
     def dimension(self) -> int:
@@ -48,6 +58,7 @@ class SpecialEuclidean2(AbstractGroup):
         return jnp.concatenate([SO3.left_jacobian_inverse(_axis(angle), at_start)[:2], angle])
 
     def inverse(self, g: Element) -> Element:
+        # The transpose of the rotation is its inverse: no linear system, and exact for exact rotations.
         return _affine(g[:2, :2].T, -g[:2, :2].T @ g[:2, 2], 1.0)
 
     def right_jacobian(self, x: Vector, y: Vector) -> Vector:
@@ -67,7 +78,15 @@ class SpecialEuclidean2(AbstractGroup):
 
 
 class SpecialEuclidean3(AbstractGroup):
-    """SE(3): rigid motions of space; x = (v, ω) in the body frame [m, rad]."""
+    """SE(3): rigid motions of space; x = (v, ω) in the body frame [m, rad]. `SE3` is its instance.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant.geometry.lie import SE3
+        >>> twist = jnp.array([1.0, 2.0, 3.0, 0.1, 0.2, 0.3])
+        >>> bool(jnp.allclose(SE3.log(SE3.exp(twist)), twist))
+        True
+    """
 
     @property
     def dimension(self) -> int:
@@ -91,6 +110,7 @@ class SpecialEuclidean3(AbstractGroup):
         return _dual(SO3.lie_bracket, x, y)
 
     def exp(self, x: Vector) -> Element:
+        # The translation is ∫ exp(tω) v dt over unit time, which is J_l(ω) v.
         return _affine(SO3.exp(x[3:]), SO3.left_jacobian(x[3:], x[:3]), 1.0)
 
     def log(self, g: Element) -> Vector:
@@ -136,6 +156,7 @@ def _affine(linear: Array, shift: Array, corner: float) -> Element:
 def _affine_defect(g: Element) -> Array:
     size = g.shape[0] - 1
     last = jnp.max(jnp.abs(g[size] - jnp.eye(size + 1, dtype=g.dtype)[size]))
+    # A translation may have any finite value, and no other equation of the group excludes an infinite one.
     finite = jnp.where(jnp.all(jnp.isfinite(g)), last, jnp.inf)
     return jnp.maximum(rotation_defect(g[:size, :size]), finite)
 

@@ -1,4 +1,4 @@
-"""Products of groups: block-diagonal matrices, and vectors side by side."""
+"""Products of groups: block-diagonal matrices, and concatenated vectors."""
 
 import jax
 import jax.numpy as jnp
@@ -10,7 +10,23 @@ from covariant.geometry.lie._group import AbstractGroup
 
 
 class Product(AbstractGroup):
-    """Several groups as one, such as the attitude of a satellite and the angles of its wheels."""
+    """Several groups as one, such as the attitude of a satellite and the angles of its wheels.
+
+    Elements are block-diagonal matrices, one block for each factor; vectors of the algebra are concatenated. Points are
+    not defined: `act` raises `NotImplementedError`.
+
+    Attributes:
+        groups: the factors, at least one.
+
+    Raises:
+        ValueError: for no factors.
+
+    Example:
+        >>> from covariant.geometry.lie import SO2, SO3, Product
+        >>> group = Product((SO3, SO2))
+        >>> group.dimension, group.order, group.rotations
+        (4, 5, ((0, 1, 2), (3,)))
+    """
 
     groups: tuple[AbstractGroup, ...]
 
@@ -32,51 +48,51 @@ class Product(AbstractGroup):
 
     @property
     def rotations(self) -> tuple[tuple[int, ...], ...] | None:
-        found, start = [], 0
+        indices, start = [], 0
         for group in self.groups:
             if group.rotations is None:
                 return None
-            found += [tuple(start + i for i in turn) for turn in group.rotations]
+            indices += [tuple(start + i for i in turn) for turn in group.rotations]
             start += group.dimension
-        return tuple(found)
+        return tuple(indices)
 
     def parts(self, x: Vector) -> list[Float[Array, "_"]]:
-        """The vectors of the factors, from a vector of the product."""
+        """Vectors of the factors, from a vector x (n,) of the product."""
         return split(x, [group.dimension for group in self.groups])
 
     def blocks(self, g: Element) -> list[Inexact[Array, "_ _"]]:
-        """The elements of the factors, from an element of the product."""
+        """Elements of the factors, from an element g (N, N) of the product."""
         sizes = [group.order for group in self.groups]
         rows = split(g, sizes)
         return [split(row, sizes, axis=1)[i] for i, row in enumerate(rows)]
 
     def join(self, blocks: list[Inexact[Array, "_ _"]]) -> Element:
-        """The element of the product with these elements of the factors."""
+        """Element (N, N) of the product, from the elements of its factors: the inverse of `blocks`."""
         return jax.scipy.linalg.block_diag(*blocks)
 
     def hat(self, x: Vector) -> Element:
         return self.join([group.hat(part) for group, part in zip(self.groups, self.parts(x), strict=True)])
 
     def vee(self, matrix: Element) -> Vector:
-        return self._beside("vee", self.blocks(matrix))
+        return self._concatenated("vee", self.blocks(matrix))
 
     def lie_bracket(self, x: Vector, y: Vector) -> Vector:
-        return self._beside("lie_bracket", self.parts(x), self.parts(y))
+        return self._concatenated("lie_bracket", self.parts(x), self.parts(y))
 
     def exp(self, x: Vector) -> Element:
         return self.join([group.exp(part) for group, part in zip(self.groups, self.parts(x), strict=True)])
 
     def log(self, g: Element) -> Vector:
-        return self._beside("log", self.blocks(g))
+        return self._concatenated("log", self.blocks(g))
 
     def inverse(self, g: Element) -> Element:
         return self.join([group.inverse(block) for group, block in zip(self.groups, self.blocks(g), strict=True)])
 
     def right_jacobian(self, x: Vector, y: Vector) -> Vector:
-        return self._beside("right_jacobian", self.parts(x), self.parts(y))
+        return self._concatenated("right_jacobian", self.parts(x), self.parts(y))
 
     def right_jacobian_inverse(self, x: Vector, y: Vector) -> Vector:
-        return self._beside("right_jacobian_inverse", self.parts(x), self.parts(y))
+        return self._concatenated("right_jacobian_inverse", self.parts(x), self.parts(y))
 
     def act(self, g: Element, point: Inexact[Array, "d"]) -> Inexact[Array, "d"]:
         raise NotImplementedError("Product: let each group act on its own points, with `blocks`")
@@ -84,12 +100,13 @@ class Product(AbstractGroup):
     def defect(self, g: Element) -> Array:
         blocks = self.blocks(g)
         each = [group.defect(block) for group, block in zip(self.groups, blocks, strict=True)]
+        # The last entry: what lies outside the diagonal blocks, which has to be zero.
         return jnp.max(jnp.stack([*each, jnp.max(jnp.abs(g - self.join(blocks)))]))
 
     def unique_log(self, g: Element) -> Flag:
         each = zip(self.groups, self.blocks(g), strict=True)
         return jnp.all(jnp.stack([group.unique_log(block) for group, block in each]))
 
-    def _beside(self, operation: str, *arguments: list[Array]) -> Vector:
+    def _concatenated(self, operation: str, *arguments: list[Array]) -> Vector:
         each = zip(self.groups, *arguments, strict=True)
         return jnp.concatenate([getattr(group, operation)(*parts) for group, *parts in each])

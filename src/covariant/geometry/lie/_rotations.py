@@ -16,7 +16,15 @@ Quaternion = Float[Array, "4"]
 
 
 class SpecialOrthogonal2(AbstractGroup):
-    """SO(2): rotations of the plane; x = (ω,) is the angle [rad]."""
+    """SO(2): rotations of the plane; x = (ω,) is the angle [rad]. `SO2` is its instance.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant.geometry.lie import SO2
+        >>> quarter_turn = SO2.exp(jnp.array([jnp.pi / 2]))
+        >>> SO2.act(quarter_turn, jnp.array([1.0, 0.0])).round(9).tolist()
+        [0.0, 1.0]
+    """
 
     @property
     def dimension(self) -> int:
@@ -38,6 +46,7 @@ class SpecialOrthogonal2(AbstractGroup):
         return (matrix[1, 0] - matrix[0, 1])[None] / 2
 
     def lie_bracket(self, x: Vector, y: Vector) -> Vector:
+        # Zero, computed from both arguments so that it has their type.
         return 0 * x * y
 
     def exp(self, x: Vector) -> Element:
@@ -45,6 +54,7 @@ class SpecialOrthogonal2(AbstractGroup):
         return jnp.stack([jnp.stack([c, -s]), jnp.stack([s, c])])
 
     def log(self, g: Element) -> Vector:
+        # From the sums of both entries: the angle of the nearest rotation, where g is one to rounding only.
         return jnp.arctan2(g[1, 0] - g[0, 1], g[0, 0] + g[1, 1])[None]
 
     def inverse(self, g: Element) -> Element:
@@ -67,7 +77,19 @@ class SpecialOrthogonal2(AbstractGroup):
 
 
 class SpecialOrthogonal3(AbstractGroup):
-    """SO(3): rotations of space; x (3,) is a rotation vector [rad]; velocities are angular ones in the body frame."""
+    """SO(3): rotations of space; x (3,) is a rotation vector [rad]. `SO3` is its instance.
+
+    Velocities are angular velocities [rad/s] in the body frame.
+
+    Example:
+        A quarter turn about the z axis takes the x axis to the y axis:
+
+        >>> import jax.numpy as jnp
+        >>> from covariant.geometry.lie import SO3
+        >>> quarter_turn = SO3.exp(jnp.array([0.0, 0.0, jnp.pi / 2]))
+        >>> SO3.act(quarter_turn, jnp.array([1.0, 0.0, 0.0])).round(9).tolist()
+        [0.0, 1.0, 0.0]
+    """
 
     @property
     def dimension(self) -> int:
@@ -128,23 +150,42 @@ SO3 = SpecialOrthogonal3()
 
 
 def rotation_defect(g: Element) -> Array:
-    """Largest entry of |gᵀg − 1|, or infinity for a reflection."""
+    """Distance of a matrix from the rotations.
+
+    Args:
+        g: matrix (2, 2) or (3, 3).
+
+    Returns:
+        Largest entry of |gᵀg − 1|, or infinity for a reflection.
+    """
     size = g.shape[0]
-    turned = g[0, 0] * g[1, 1] - g[0, 1] * g[1, 0] if size == 2 else jnp.dot(jnp.cross(g[0], g[1]), g[2])
-    return jnp.where(turned < 0, jnp.inf, jnp.max(jnp.abs(g.T @ g - jnp.eye(size, dtype=g.dtype))))
+    determinant = g[0, 0] * g[1, 1] - g[0, 1] * g[1, 0] if size == 2 else jnp.dot(jnp.cross(g[0], g[1]), g[2])
+    return jnp.where(determinant < 0, jnp.inf, jnp.max(jnp.abs(g.T @ g - jnp.eye(size, dtype=g.dtype))))
 
 
 def no_half_turn(g: Element) -> Flag:
-    """False for a turn by π, to within the square root of rounding."""
+    """Whether a rotation g, (2, 2) or (3, 3), is no turn by π; False to within the square root of rounding of one."""
     squared_cosine = jnp.trace(g) + (4 - g.shape[0])  # 4cos²(θ/2), in the plane and in space
     return squared_cosine > 4 * jnp.finfo(g.dtype).eps
 
 
 def quaternion_from_rotation(g: Float[Array, "3 3"]) -> Quaternion:
-    """The unit quaternion wxyz, w ≥ 0, of a rotation matrix.
+    """Unit quaternion of a rotation matrix.
 
     Each of the four rows below is the quaternion times four times one of its entries; the longest row is the most
     accurate. Near half a turn the axis thus comes from the symmetric part of the matrix.
+
+    Args:
+        g: rotation matrix (3, 3).
+
+    Returns:
+        Quaternion wxyz (4,) with w ≥ 0.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant.geometry.lie import quaternion_from_rotation
+        >>> quaternion_from_rotation(jnp.diag(jnp.array([1.0, -1.0, -1.0]))).tolist()
+        [0.0, 1.0, 0.0, 0.0]
     """
     x, y, z = g[0, 0], g[1, 1], g[2, 2]
     a, b, c = (g[i, j] - g[j, i] for i, j in ((2, 1), (0, 2), (1, 0)))
@@ -152,13 +193,29 @@ def quaternion_from_rotation(g: Float[Array, "3 3"]) -> Quaternion:
     rows = ((1 + x + y + z, a, b, c), (a, 1 + x - y - z, f, e), (b, f, 1 - x + y - z, d), (c, e, d, 1 - x - y + z))
     table = jnp.stack([jnp.stack(row) for row in rows])
     longest = table[jnp.argmax(jnp.diagonal(table))]
+    # q and −q are the same rotation: w ≥ 0 gives the shorter rotation vector.
     upper = jnp.where(longest[0] < 0, -longest, longest)
     return upper / jnp.sqrt(upper @ upper)
 
 
 def rotation_from_quaternion(q: Quaternion) -> Float[Array, "3 3"]:
-    """The rotation matrix of a quaternion wxyz of any length but zero; q and −q give the same matrix."""
+    """Rotation matrix of a quaternion.
+
+    Args:
+        q: quaternion wxyz (4,) of any length but zero; q and −q have the same matrix.
+
+    Returns:
+        Rotation matrix (3, 3).
+
+    Example:
+        Half a turn about the x axis:
+
+        >>> import jax.numpy as jnp
+        >>> from covariant.geometry.lie import rotation_from_quaternion
+        >>> jnp.diagonal(rotation_from_quaternion(jnp.array([0.0, 2.0, 0.0, 0.0]))).tolist()
+        [1.0, -1.0, -1.0]
+    """
     w, v = q[0], q[1:]
     square = v @ v
-    turned = (w * w - square) * jnp.eye(3, dtype=q.dtype) + 2 * jnp.outer(v, v) + 2 * w * SO3.hat(v)
-    return turned / (w * w + square)
+    scaled = (w * w - square) * jnp.eye(3, dtype=q.dtype) + 2 * jnp.outer(v, v) + 2 * w * SO3.hat(v)
+    return scaled / (w * w + square)
