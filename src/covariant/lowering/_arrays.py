@@ -10,7 +10,11 @@ from covariant.lowering._graph import Graph
 
 
 class Scalars(NamedTuple):
-    """An array of nodes, given by their indices."""
+    """An array whose entries are nodes of a graph.
+
+    Attributes:
+        ids: Indices of the nodes, an integer array (...).
+    """
 
     ids: np.ndarray
 
@@ -20,7 +24,12 @@ Value = Scalars | np.ndarray
 
 
 def nodes_of(graph: Graph, value: Value) -> np.ndarray:
-    """The nodes of an array; known numbers become constants."""
+    """Return the nodes of an array; known numbers become constants.
+
+    Args:
+        graph: The graph, to which constants are added.
+        value: Nodes, or known numbers.
+    """
     if isinstance(value, Scalars):
         return value.ids
     flat = [graph.constant(v) for v in np.asarray(value).ravel().tolist()]
@@ -28,22 +37,38 @@ def nodes_of(graph: Graph, value: Value) -> np.ndarray:
 
 
 class Writer:
-    """Writes operations on arrays into a graph, entry by entry; `tables`: known numbers may be looked up there."""
+    """Adds operations on arrays to a graph, entry by entry.
+
+    Args:
+        graph: The graph, which is changed.
+        tables: Whether known numbers may be looked up in tables.
+    """
 
     def __init__(self, graph: Graph, tables: bool = False):
         self.graph, self.tables = graph, tables
 
     def map(self, op: str, *values: Value) -> Scalars:
-        """Apply an operation to arrays of one shape, entry by entry."""
+        """Apply an operation entry by entry.
+
+        Args:
+            op: Name of the operation, a key of `FOLD`.
+            values: Arrays of shapes that broadcast to one.
+        """
         arrays = np.broadcast_arrays(*(nodes_of(self.graph, value) for value in values))
         flat = [self.graph.apply(op, *map(int, ids)) for ids in zip(*(a.ravel() for a in arrays), strict=True)]
         return Scalars(np.array(flat, int).reshape(arrays[0].shape))
 
     def reduce(self, op: str, ids: np.ndarray, axes: Sequence[int]) -> Scalars:
-        """Reduce over some axes by an operation, by recursive halving, which rounds less than a loop does."""
-        kept = [axis for axis in range(ids.ndim) if axis not in axes]
-        shape = [ids.shape[axis] for axis in kept]
-        rows = np.transpose(ids, [*kept, *axes]).reshape(math.prod(shape), math.prod(ids.shape[a] for a in axes))
+        """Reduce over some axes by recursive halving, which rounds less than a loop does.
+
+        Args:
+            op: Name of the operation; over no entries its neutral element results.
+            ids: Array of nodes.
+            axes: Axes to reduce over; the others stay in their order.
+        """
+        remaining = [axis for axis in range(ids.ndim) if axis not in axes]
+        shape = [ids.shape[axis] for axis in remaining]
+        rows = np.transpose(ids, [*remaining, *axes]).reshape(math.prod(shape), math.prod(ids.shape[a] for a in axes))
 
         def together(row: list[int]) -> int:
             if len(row) < 2:
@@ -54,13 +79,21 @@ class Writer:
         return Scalars(np.array([together(row) for row in rows.tolist()], int).reshape(shape))
 
     def stack(self, values: list[Value]) -> Value:
-        """Arrays of one shape along a new first axis."""
+        """Stack arrays along a new first axis.
+
+        Args:
+            values: Arrays of one shape.
+        """
         if not any(isinstance(value, Scalars) for value in values):
             return np.stack(values)
         return Scalars(np.stack([nodes_of(self.graph, value) for value in values]))
 
     def truth(self, value: Value) -> np.ndarray | None:
-        """The values of statements, or None where one depends on the arguments."""
+        """Return the values of statements, or None where one of them depends on the arguments.
+
+        Args:
+            value: An array of statements.
+        """
         if not isinstance(value, Scalars):
             return np.asarray(value, bool)
         nodes = [self.graph.nodes[i] for i in value.ids.ravel().tolist()]
@@ -69,14 +102,27 @@ class Writer:
         return np.array([bool(node.value) for node in nodes]).reshape(value.ids.shape)
 
     def chosen(self, first: np.ndarray, a: Value, b: Value) -> Value:
-        """The rows of a where `first` holds, and those of b elsewhere."""
+        """Choose rows of two arrays.
+
+        Args:
+            first: Mask on the leading axes, known truth values.
+            a: Array whose rows are taken where the mask holds.
+            b: Array whose rows are taken elsewhere.
+        """
+        # The mask covers the leading axes and is broadcast along the others.
         mask = first.reshape(first.shape + (1,) * (np.ndim(getattr(a, "ids", a)) - first.ndim))
         if isinstance(a, Scalars) or isinstance(b, Scalars):
             return Scalars(np.where(mask, nodes_of(self.graph, a), nodes_of(self.graph, b)))
         return np.where(mask, a, b)
 
     def within(self, value: Scalars, low: float, high: float) -> None:
-        """Add the condition that all entries are between two numbers."""
+        """Add the condition that all entries are strictly between two numbers.
+
+        Args:
+            value: Array of nodes.
+            low: Lower bound.
+            high: Upper bound.
+        """
         for node in set(value.ids.ravel().tolist()):
             self.graph.need_between(low, node, high)
 

@@ -1,9 +1,9 @@
 """Bounds of graphs by compiled C: the steps of a tape, each a loop over a few boxes.
 
-The C is written from the formulas of the operations in NumPy, so that it does the same in the same order. It holds all
-operations and no graph, so that it is compiled once, whatever is proved afterwards; a graph is a list of steps for it.
+The C is generated from the formulas of the operations in NumPy, so that it does the same in the same order. It has all
+operations and no graph, so that it is compiled once, for all proofs; a graph is a list of steps for it.
 
-What is trusted is that the compiler keeps to IEEE 754. No flag permits it to do otherwise: products and sums are not
+It is trusted that the compiler obeys IEEE 754. No flag permits it to do otherwise: products and sums are not
 contracted, and the flags for errno, traps and wrapping whole numbers change no value. Where a library is loaded, each
 operation is compared with NumPy's, bit by bit, on numbers of all sizes; where one differs, the library is refused.
 """
@@ -25,11 +25,17 @@ from covariant.lowering._numpy_to_c import HEAD, REAL, TRUTH, Text, Traced
 from covariant.lowering._tape import KERNELS, Interval, Kernel, Place, Tape, Truth
 
 LANES = 128
-"""Number of boxes for which a step is done at once: enough that the choice of the next step does not count."""
+"""Number of boxes that a step works on at once: enough that the choice of the next step costs little."""
 
 
 def kernel_text(text: Text, kernel: Kernel, name: str) -> str:
-    """A kernel as a C function of the work array and the places of a step."""
+    """Write a kernel as a C function of the work array and the places of a step.
+
+    Args:
+        text: The C that the formula is written into, with the tables of all kernels.
+        kernel: The kernel.
+        name: Name of the C function.
+    """
     start, arguments = 2, []
     for kind, width in zip(kernel.arguments, kernel.widths, strict=True):
         ends = []
@@ -39,8 +45,8 @@ def kernel_text(text: Text, kernel: Kernel, name: str) -> str:
             ends.append(end or Traced(text, REAL, (text.name(REAL, read),)))
         arguments.append(kind(*ends) if isinstance(kind, type) else ends)
         start += width
-    found = kernel.formula(*arguments)
-    stores = [f"y{k}[i] = {end.parts[0]};" for k, end in enumerate(found)]
+    results = kernel.formula(*arguments)
+    stores = [f"y{k}[i] = {end.parts[0]};" for k, end in enumerate(results)]
     lines = [*text.lines(stores), *stores]
     read = [place for place in range(2, start) if f"x{place}[i]" in "".join(lines)]
     pointers = ", ".join(f"*restrict x{place} = w + at[{place}]" for place in read)
@@ -54,7 +60,10 @@ def kernel_text(text: Text, kernel: Kernel, name: str) -> str:
 
 @functools.cache
 def source() -> str:
-    """The C of all kernels, and of a tape of them over boxes."""
+    """Generate the C of all kernels, and of the loop over the steps of a tape.
+
+    The text is the same in every process; the compiled library is cached under a hash of it.
+    """
     kernels, tables = [], dict[str, str]()
     for name, kernel in KERNELS.items():
         text = Text(tables)
@@ -68,7 +77,7 @@ def source() -> str:
     return "\n".join([*parts, _RUN])
 
 
-# gcc's elimination of partial redundancies makes branches of choices, which are no vectors then.
+# gcc's elimination of partial redundancies turns choices into branches, which cannot be vectors.
 _PRAGMA = """#if defined __GNUC__ && !defined __clang__
 #pragma GCC optimize("no-tree-pre")
 #endif
@@ -98,9 +107,13 @@ void enclose(const int32_t *steps, int64_t count, double *w, const int32_t *inpu
 
 
 class Library:
-    """The compiled kernels; `enclose` does the steps of a tape. `text` is their C, by default that of the formulas.
+    """The compiled kernels, tested against NumPy.
 
-    Raises `OSError` where there is no compiler, or it fails, or where an operation differs from NumPy's.
+    Args:
+        text: C of the kernels, by default that of their formulas.
+
+    Raises:
+        OSError: There is no compiler, or it fails, or an operation differs from NumPy's.
     """
 
     def __init__(self, text: str | None = None):
@@ -108,20 +121,28 @@ class Library:
             raise OSError("there is no C compiler `cc`, so NumPy does the work")
         self._enclose = compiled(text or source(), EXACT, ctypes.CDLL).enclose
         self._enclose.restype = None
-        wrong = self._differs()
-        if wrong:
-            raise OSError(f"{compiler()} rounds {wrong} in another way than NumPy, so NumPy does the work")
+        differing = self._differs()
+        if differing:
+            raise OSError(f"{compiler()} rounds {differing} in another way than NumPy, so NumPy does the work")
         if not np.float64(SMALLEST) * 0.5 + np.float64(SMALLEST) * 0.5 == SMALLEST:
             raise OSError(f"numbers below {SMALLEST:.0e} count as zero in this process, so NumPy does the work")
 
     def run(self, made: "Steps", ends: np.ndarray) -> np.ndarray:
-        """The numbers at the places of the outputs (K, B), from those at the places of the inputs (N, B)."""
-        ends, found = np.ascontiguousarray(ends), np.empty((len(made.outputs), ends.shape[1]))
+        """Carry out the steps of a tape.
+
+        Args:
+            made: The steps.
+            ends: The numbers at the places of the inputs (N, B), for B boxes.
+
+        Returns:
+            The numbers at the places of the outputs (K, B).
+        """
+        ends, results = np.ascontiguousarray(ends), np.empty((len(made.outputs), ends.shape[1]))
         work = made.idle.pop() if made.idle else made.work.copy()  # another thread may be at the same steps
         arrays = (made.steps, made.length, work, made.inputs, len(made.inputs), made.outputs, len(made.outputs))
-        self._enclose(*map(_passed, (*arrays, ends.shape[1], ends, found)))
+        self._enclose(*map(_passed, (*arrays, ends.shape[1], ends, results)))
         made.idle.append(work)
-        return found
+        return results
 
     def _differs(self) -> str:
         """The name of a kernel that gives other bits than its formula, or nothing."""
@@ -136,14 +157,15 @@ class Library:
             cut = np.cumsum(kernel.widths)[:-1]
             arguments = [_of(kind, rows) for kind, rows in zip(kernel.arguments, np.split(ends, cut), strict=True)]
             with np.errstate(all="ignore"):
-                right = np.stack([np.asarray(end, float) for end in kernel.formula(*arguments)])
-            if not np.array_equal(self.run(steps, ends), right, equal_nan=True):
+                expected = np.stack([np.asarray(end, float) for end in kernel.formula(*arguments)])
+            # Zeros of both signs are equal here, and so is any NaN: neither changes a bound.
+            if not np.array_equal(self.run(steps, ends), expected, equal_nan=True):
                 return name
         return ""
 
 
 SMALLEST = 2.0**-1022
-"""The smallest number that is not subnormal. Libraries for fast arithmetic make a process lose those below."""
+"""The smallest normal double. Libraries for fast arithmetic make a process flush those below to zero."""
 
 
 def _passed(value: Any) -> Any:
@@ -171,6 +193,7 @@ def _trials(kernel: Kernel, rng: np.random.Generator) -> np.ndarray:
         elif kind is Interval:
             size = rng.choice(SIZES, (2, TRIALS)) * rng.uniform(0.5, 1.0, (2, TRIALS)) * rng.choice([-1, 1], TRIALS)
             size[1] = np.where(rng.random(TRIALS) < 0.5, size[0] * (1 + 1e-6), size[1] * rng.choice([-1, 1], TRIALS))
+            # Some intervals of which nothing is known.
             size[:, rng.random(TRIALS) < 0.02] = np.nan
             rows.append(np.sort(size, axis=0))
         else:
@@ -179,15 +202,23 @@ def _trials(kernel: Kernel, rng: np.random.Generator) -> np.ndarray:
 
 
 def at_hand() -> bool:
-    """Whether the kernels have been compiled before."""
+    """Whether the kernels have been compiled before, so that using them takes no compilation.
+
+    False where there is no compiler.
+    """
     return compiler() is not None and is_kept(source(), EXACT)
 
 
 class Steps(NamedTuple):
-    """A tape for compiled kernels: the numbers of the kernels with the places of their results and arguments.
+    """A tape in the form that the compiled kernels read.
 
-    - `length`: how many steps; `work`: the work array, in which constants stand already; `idle`: copies not in use.
-    - `inputs`, `outputs`: places.
+    Attributes:
+        steps: Number of each kernel with the offsets of its results and arguments, an int32 array.
+        length: Number of steps.
+        work: The work array (places, LANES), in which constants are set already.
+        idle: Copies of the work array that are not in use.
+        inputs: Offsets of the inputs.
+        outputs: Offsets of the outputs.
     """
 
     steps: np.ndarray
@@ -199,14 +230,23 @@ class Steps(NamedTuple):
 
     @classmethod
     def of(cls, tape: Tape, inputs: Sequence[int], outputs: Sequence[int]) -> "Steps":
-        """The steps of a tape, in which places are used again after what they held was last read."""
+        """Translate a tape, using places again after their values were read for the last time.
+
+        Args:
+            tape: The tape.
+            inputs: Places of the inputs.
+            outputs: Places of the outputs.
+        """
         done = fused(tape, outputs)
         last = {place: k for k, step in enumerate(done) for place in (*step.results, *step.arguments)}
+        # Outputs are read at the end and constants in the next block of boxes too: their places are never used again.
         last.update(dict.fromkeys([*outputs, *tape.constants.values()], len(done)))
         place = {number: k for k, number in enumerate([*tape.constants.values(), *inputs])}
         free, count, rows = [], len(place), []
         kernels = {name: k for k, name in enumerate(KERNELS)}
         for k, step in enumerate(done):
+            # Results get their places before those of the arguments are free: kernels read and write by `restrict`
+            # pointers.
             for result in step.results:
                 if free:
                     place[result] = free.pop()
@@ -221,7 +261,12 @@ class Steps(NamedTuple):
 
 
 class CompiledBounds:
-    """Bounds of a graph by a library."""
+    """Bounds of a function by compiled C; it is called with corners of boxes (B, inputs), as `enclose`.
+
+    Args:
+        lowered: The function.
+        library: The compiled kernels.
+    """
 
     @no_collection()
     def __init__(self, lowered: Lowered, library: Library):
@@ -235,6 +280,6 @@ class CompiledBounds:
     def __call__(self, low: np.ndarray, high: np.ndarray) -> Enclosure:
         """As `enclose`."""
         ends = np.stack([low.T, high.T], axis=1).reshape(-1, len(low))
-        found = self._library.run(self._steps, ends)
-        count = len(found) // 2
-        return Enclosure(found[:count].T, found[count:-1].T, found[-1] != 0)
+        results = self._library.run(self._steps, ends)
+        count = len(results) // 2
+        return Enclosure(results[:count].T, results[count:-1].T, results[-1] != 0)

@@ -1,8 +1,8 @@
-"""Lanes: C whose numbers are vectors of the compiler, so that a function is evaluated for several arguments at once.
+"""C for lanes: numbers are vectors of the compiler, so that a function is evaluated for several arguments at once.
 
 The text of a function is the same as for plain numbers; what differs is written here. A comparison gives a mask, and a
-choice takes both sides, lane by lane: what goes wrong in one lane, as NaN, stays there. gcc and clang know such vectors
-on every processor, and make of them what it has.
+choice evaluates both sides, lane by lane: an invalid value in one lane, as NaN, stays there. gcc and clang support such
+vectors on every processor, and use the instructions that it has.
 
 Sources: Cody & Waite 1980, Software Manual for the Elementary Functions, for the reduction of arguments; the
 polynomials are those of Sun's fdlibm (1993) in double precision and of Moshier's Cephes (1992) in single precision.
@@ -20,7 +20,7 @@ OPERATORS = {
     "choose_truth": "({0} & {1}) | (~{0} & {2})",
     "either": "{type}_choose({0} < {1}, {2}, {3})",
 }
-"""Operations that are written otherwise for lanes than for plain numbers."""
+"""Operations that have another text for lanes than for plain numbers."""
 
 HEAD = """typedef $scalar $type __attribute__((vector_size($bytes)));
 typedef $whole ${type}_truth __attribute__((vector_size($bytes)));
@@ -133,8 +133,10 @@ PRECISIONS = {
         "6.07710050630396597660e-11",
         "2.02226624879595063154e-21",
         "6.36619772367581382433e-01",
+        # 1.5·2⁵²: added to it, a number leaves its nearest integer in the last bits of the sum.
         "6755399441055744.0",
         "100000.0",
+        # From the second bit of the count of quarter turns to the sign bit.
         62,
         (
             "-1.66666666666666324348e-01",
@@ -158,8 +160,10 @@ PRECISIONS = {
         "4.837512969970703125e-4f",
         "7.54978995489188216e-8f",
         "6.36619772367581382433e-01f",
+        # 1.5·2²³, the same for single precision.
         "12582912.0f",
         "8192.0f",
+        # The same for 32 bits.
         30,
         ("-1.6666654611e-1f", "8.3321608736e-3f", "-1.9515295891e-4f"),
         ("4.166664568298827e-2f", "-1.388731625493765e-3f", "2.443315711809948e-5f"),
@@ -172,25 +176,40 @@ OF_TWO = ("pow", "atan2")
 
 
 def head(scalar: str, kind: str, lanes: int) -> str:
-    """The types, and what every text needs."""
+    """Write the types and the functions that every text needs.
+
+    Args:
+        scalar: C type of one number, `double` or `float`.
+        kind: Name of the type of a vector.
+        lanes: Number of entries of a vector.
+    """
     return _filled(HEAD, scalar, kind, lanes)
 
 
 def helper(op: str, function: str, scalar: str, kind: str, lanes: int) -> str:
-    """An operation on vectors; `function` is its name in <math.h>, or nothing."""
+    """Write an operation on vectors as a function in C.
+
+    Args:
+        op: Name of the operation.
+        function: Its name in <math.h>, or "".
+        scalar: C type of one number, `double` or `float`.
+        kind: Name of the type of a vector.
+        lanes: Number of entries of a vector.
+    """
     if op in OTHERS:
         return _filled(OTHERS[op], scalar, kind, lanes)
     if op in ("sin", "cos"):
-        told = PRECISIONS[scalar]
-        series = {"sine": _horner(told.sine), "cosine": _horner(told.cosine)}
-        given = told._asdict() | series | {"half": _number(0.5, scalar), "ahead": " + 1" if op == "cos" else ""}
-        return _filled(CIRCULAR, scalar, kind, lanes, op=op, function=function, **given)
+        precision = PRECISIONS[scalar]
+        series = {"sine": _horner(precision.sine), "cosine": _horner(precision.cosine)}
+        fields = precision._asdict() | series | {"half": _number(0.5, scalar), "ahead": " + 1" if op == "cos" else ""}
+        return _filled(CIRCULAR, scalar, kind, lanes, op=op, function=function, **fields)
+    # One call of <math.h> for each lane: only sine and cosine have a polynomial here.
     return _filled(EACH_OF_TWO if op in OF_TWO else EACH, scalar, kind, lanes, op=op, function=function)
 
 
-def _filled(text: str, scalar: str, kind: str, lanes: int, **given: object) -> str:
+def _filled(text: str, scalar: str, kind: str, lanes: int, **fields: object) -> str:
     plain = {"type": kind, "scalar": scalar, "lanes": lanes, "bytes": lanes * BYTES[scalar], "whole": WHOLE[scalar]}
-    return Template(text).substitute(plain, zero=_number(0.0, scalar), one=_number(1.0, scalar), **given)
+    return Template(text).substitute(plain, zero=_number(0.0, scalar), one=_number(1.0, scalar), **fields)
 
 
 def _number(value: float, scalar: str) -> str:

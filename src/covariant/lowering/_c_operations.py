@@ -1,4 +1,4 @@
-"""Operations of a graph in C: what is an operator, a function of <math.h>, or a function that is written out."""
+"""Operations of a graph in C: as an operator, as a function of <math.h>, or as a helper function."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -10,7 +10,13 @@ from covariant.lowering import _c_lanes
 
 
 class Words(NamedTuple):
-    """How numbers are written: the type of one, the prefix of the names of functions written out, and the lanes."""
+    """How numbers are written in C.
+
+    Attributes:
+        scalar: C type of one number, `double` or `float`.
+        prefix: Prefix of the names of helper functions.
+        lanes: Number of entries of a vector; 1 for plain numbers.
+    """
 
     scalar: str
     prefix: str
@@ -18,7 +24,7 @@ class Words(NamedTuple):
 
     @property
     def real(self) -> str:
-        """The type of the numbers of the function: one, or one for each lane."""
+        """Type of the numbers of the function: the scalar, or a vector with an entry for each lane."""
         return self.scalar if self.lanes == 1 else f"{self.prefix}lanes"
 
     @property
@@ -28,12 +34,12 @@ class Words(NamedTuple):
 
     @property
     def suffix(self) -> str:
-        """What the names of functions of <math.h> end in, and numbers."""
+        """Suffix of literals and of the names of functions of <math.h>: "f" in single precision."""
         return "f" if self.scalar == "float" else ""
 
     @property
     def owner(self) -> str:
-        """What the names of functions written out begin with."""
+        """Prefix of the names of helper functions, which for lanes contains the type."""
         return self.prefix if self.lanes == 1 else f"{self.real}_"
 
 
@@ -70,7 +76,7 @@ LIBRARY = {
 }
 """Operations that are functions of <math.h>."""
 HELPERS = {
-    # NaN goes through both, as in NumPy and unlike fmin and fmax.
+    # NaN of either argument results, as in NumPy and unlike fmin and fmax.
     "min": "static {real} {prefix}min({real} a, {real} b)\n{{\n    return a < b || a != a ? a : b;\n}}\n",
     "max": "static {real} {prefix}max({real} a, {real} b)\n{{\n    return a > b || a != a ? a : b;\n}}\n",
     "is_finite": "static int {prefix}is_finite({real} a)\n{{\n    return a - a == {zero};\n}}\n",
@@ -78,11 +84,18 @@ HELPERS = {
     "    return place > {zero} ? place < ({real})last ? (int)place : last : 0;\n}}\n",
     "sign": "static {real} {prefix}sign({real} a)\n{{\n    return a > {zero} ? {one} : a < {zero} ? -{one} : a;\n}}\n",
 }
-"""Operations that are functions of a few lines."""
+"""Operations that are helper functions of a few lines."""
 
 
 def expression(op: str, operands: Sequence[str], words: Words, truth: bool = False) -> str:
-    """An operation on operands, each of them one name, one number, one call, or in brackets; a `truth`, or a number."""
+    """Write an operation on operands in C.
+
+    Args:
+        op: Name of the operation, a key of `FOLD`.
+        operands: C expressions, each of them one name, one number, one call, or in brackets.
+        words: How numbers are written.
+        truth: Whether the result is a truth value; only a choice in lanes depends on it.
+    """
     if op == "stumpff":
         order = round(float(_plain(operands[0])))
         return f"{words.owner}stumpff{order}({_unwrapped(operands[1])})"
@@ -97,14 +110,26 @@ def expression(op: str, operands: Sequence[str], words: Words, truth: bool = Fal
 
 
 def looked_up(table: str, place: str, last: int, words: Words) -> str:
-    """The number of an array at a place."""
+    """Write the lookup of an entry of an array in C.
+
+    Args:
+        table: Name of the array.
+        place: C expression of the index, a real number that is a whole number up to rounding.
+        last: Last index, to which larger ones are clipped.
+        words: How numbers are written.
+    """
     if words.lanes > 1:
         return f"{words.owner}table({table}, {place}, {last})"
     return f"{table}[{words.owner}table({place}, {last})]"
 
 
 def of_truth(value: str, words: Words) -> str:
-    """A truth value as a number, 0 or 1."""
+    """Write a truth value as the number 0 or 1 in C.
+
+    Args:
+        value: C expression of the truth value.
+        words: How numbers are written.
+    """
     if words.lanes > 1:
         return f"{words.real}_choose({value}, {literal(1.0, words)}, {literal(0.0, words)})"
     return f"({words.real})({value})"
@@ -126,7 +151,12 @@ def _unwrapped(operand: str) -> str:
 
 
 def literal(value: float | bool, words: Words) -> str:
-    """A number in C, in the fewest digits that identify it, in every lane; a truth value as 0 or 1."""
+    """Write a number in C, in the fewest digits that identify it, in every lane; a truth value as 0 or 1.
+
+    Args:
+        value: The number or truth value.
+        words: How numbers are written; `float` rounds it to single precision.
+    """
     if words.lanes > 1 and isinstance(value, bool):
         return f"{'~' if value else ''}({words.truth}){{0}}"
     if words.lanes > 1:
@@ -138,12 +168,18 @@ def literal(value: float | bool, words: Words) -> str:
         return f"({words.scalar})NAN"
     if math.isinf(number):
         return f"{'-' if number < 0 else ''}({words.scalar})INFINITY"
+    # The shortest digits of the single-precision number, not those of its conversion to double.
     digits = repr(float(str(number))) if words.scalar == "float" else repr(float(number))
     return digits + words.suffix
 
 
 def helpers(names: Iterable[str], words: Words) -> str:
-    """The types and functions written out, each once, those that others call first."""
+    """Write the types and helper functions in C, each once, those that others call first.
+
+    Args:
+        names: Names of the operations: keys of `HELPERS`, for lanes of `LIBRARY` too, or "stumpff" with its order.
+        words: How numbers are written.
+    """
     needed = set(names)
     orders = {int(name.removeprefix("stumpff")) for name in needed if name.startswith("stumpff")}
     orders = sorted(orders.union(*(_below(k) for k in orders)))
@@ -170,7 +206,9 @@ def _below(k: int) -> set[int]:
 
 def _stumpff(k: int, words: Words) -> str:
     """Stumpff's function c_k: a series where the closed form loses digits, as in JAX."""
+    # As in `_stumpff`: from c₃ on the closed form loses digits below k(k − 1).
     threshold = max(1.0, k * (k - 1.0))
+    # Terms below eps/256 of the first one are lost in its rounding.
     smallest = np.finfo(np.float32 if words.scalar == "float" else np.float64).eps / 256
     coefficients = [1 / math.factorial(k)]
     while coefficients[-1] * threshold ** (len(coefficients) - 1) > smallest * coefficients[0]:
@@ -178,16 +216,16 @@ def _stumpff(k: int, words: Words) -> str:
     series = literal(coefficients[-1], words)
     for coefficient in reversed(coefficients[:-1]):
         series = f"{literal(coefficient, words)} - x * ({series})"
-    given, closed = _closed_form(k, words)
+    declarations, closed = _closed_form(k, words)
     if words.lanes == 1:
-        lines = [f"if (x < {literal(threshold, words)})", f"    return {series};", *given, f"return {closed};"]
+        lines = [f"if (x < {literal(threshold, words)})", f"    return {series};", *declarations, f"return {closed};"]
     else:
         lines = [
             f"const {words.truth} near = x < {literal(threshold, words)};",
             f"const {words.real} series = {series};",
             f"if (!{words.real}_any(~near))",
             "    return series;",
-            *given,
+            *declarations,
             f"return {words.real}_choose(near, series, {closed});",
         ]
     body = "\n".join(f"    {line}" for line in lines)

@@ -1,4 +1,4 @@
-"""C of a function for the rows of an array, in lanes."""
+"""C of a function that is applied to the rows of an array, several rows at once in lanes."""
 
 from string import Template
 
@@ -7,15 +7,32 @@ from covariant.lowering._lowered import Lowered
 
 
 def c_rows(lowered: Lowered, name: str, lanes: int, real: Real = "double", most_statements: int | None = None) -> str:
-    """Source of `void name(const real *x, real *y, long long count)`, from rows of all inputs to rows of all results.
+    """Generate the C of a function that is applied to the rows of an array, several rows at once in lanes.
 
-    - `lanes`: how many rows are done at once, a power of 2 and more than 1. In the lanes that the rows do not fill, the
-      last row is done again; nothing beyond it is read or written.
+    It is `void name(const real *x, real *y, long long count)`, from x (count, inputs) to y (count, results). Where the
+    rows do not fill the lanes, the last row is evaluated again; nothing beyond it is read or written.
+
+    Args:
+        lowered: The function.
+        name: Name of the C function.
+        lanes: How many rows are evaluated at once, a power of 2 and more than 1.
+        real: Type of all numbers.
+        most_statements: Longest function in statements, as in `c_function`.
+
+    Returns:
+        A complete source file, for gcc and clang.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import lowering
+        >>> text = lowering.c_rows(lowering.lower(lambda x: jnp.sum(x), jnp.zeros(2)), "total", lanes=4)
+        >>> "void total(const double *x, double *y, long long count);" in text
+        True
     """
     text = c_function(lowered, f"{name}_lanes", real=real, static=True, most_statements=most_statements, lanes=lanes)
-    given = {"name": name, "real": real, "lanes": lanes, "core": text.text}
-    given |= {"helpers": c_helpers(text.helpers, real, lanes=lanes), "inputs": lowered.inputs}
-    return Template(_SOURCE).substitute(given, outputs=len(lowered.outputs))
+    fields = {"name": name, "real": real, "lanes": lanes, "core": text.text}
+    fields |= {"helpers": c_helpers(text.helpers, real, lanes=lanes), "inputs": lowered.inputs}
+    return Template(_SOURCE).substitute(fields, outputs=len(lowered.outputs))
 
 
 _SOURCE = """#include <math.h>

@@ -1,4 +1,4 @@
-"""A graph in C whose like statements are done by loops over tables, for memories that straight C does not fit into.
+"""C of a graph in which similar statements are done by loops over tables, for memories too small for straight C.
 
 Straight C takes some twelve bytes an operation on a microcontroller. Most statements of a long function are alike, such
 as a product added to a number: one loop does them all, over a table of the places of the numbers that each reads and
@@ -30,21 +30,30 @@ Shape = tuple
 """An operation on shapes, of which `()` is a number: `("add", ("mul", (), ()), ())`."""
 
 
-def _gap(taken: list[bool], length: int) -> int:
-    """Take the smallest gap that is long enough, or places at the end; the first of them."""
+def _gap(occupied: list[bool], length: int) -> int:
+    """Occupy the smallest gap that is long enough, or places at the end; return the first of them."""
     gaps, start = [], 0
-    for free, group in groupby(taken, key=lambda each: not each):
+    for free, group in groupby(occupied, key=lambda each: not each):
         size = len(list(group))
         gaps += [(size, start)] if free and size >= length else []
         start += size
-    last = next((n for n in range(len(taken), 0, -1) if taken[n - 1]), 0)
+    last = next((n for n in range(len(occupied), 0, -1) if occupied[n - 1]), 0)
     first = min(gaps)[1] if gaps else last
-    taken[first : first + length] = [True] * length
+    occupied[first : first + length] = [True] * length
     return first
 
 
 class TablesThroughout(Writer):
-    """Writes one function with tables, its loops too: finds what is alike, and an order in which it makes long runs."""
+    """Writes one function with tables, its loops too: it groups similar statements and orders them into long runs.
+
+    Args:
+        lowered: The function, simplified.
+        name: Name of the C function.
+        signature: How it gets its arguments.
+        words: How numbers are written; one lane only.
+        static: Whether it is declared `static`.
+        most_statements: Longest straight part in statements.
+    """
 
     def _inside(self, order: list[int]) -> set[int]:
         """The nodes that are written into the statement that uses them, so that there are few shapes of statements."""
@@ -54,6 +63,7 @@ class TablesThroughout(Writer):
         inside, size = set(), {}
         straight = super()._inside(order)
         for i in order:
+            # Number of operands that the statement would read with what is inside it.
             size[i] = sum(size[a] if a in inside and nodes[a].op in ALIKE else 1 for a in nodes[i].arguments)
             if i not in user or nodes[i].op not in ALIKE or nodes[user[i]].op not in ALIKE:
                 inside |= {i} & straight
@@ -62,7 +72,7 @@ class TablesThroughout(Writer):
         return self._without_rare_shapes([i for i in order if i not in inside and nodes[i].op in ALIKE], inside)
 
     def _without_rare_shapes(self, statements: list[int], inside: set[int]) -> set[int]:
-        """What is inside after statements of rare shapes were taken apart, each time at their largest operand."""
+        """The inner nodes after statements of rare shapes are split, each time at their largest operand."""
         self.shapes: dict[int, tuple[Shape, list[int]]] = {}
         new = statements
         while new:
@@ -97,6 +107,7 @@ class TablesThroughout(Writer):
         read = dict.fromkeys(a for _, leaves in self.shapes.values() for a in leaves)
         self.constants = [a for a in read if nodes[a].op == "constant"]
         self.places |= {a: k for k, a in enumerate(self.constants)}
+        # Loops read numbers of one array only, so constants and inputs are copied into it first.
         inputs = [a for a in read if nodes[a].op == "input"]
         parts = in_parts(self.graph, inputs, most) if inputs else []
         for run in self._runs(statements):
@@ -139,6 +150,7 @@ class TablesThroughout(Writer):
                 release(i)
         runs = []
         while any(ready.values()):
+            # By the text of the shape where two are as frequent, so that the order is the same on every machine.
             shape = max(ready, key=lambda shape: (len(ready[shape]), repr(shape)))
             runs.append([])
             while ready[shape]:
@@ -152,14 +164,14 @@ class TablesThroughout(Writer):
 
     def _find_places(self) -> dict[bool, int]:
         """As in straight C, but those that a run writes stand side by side, so that a table holds the first of them."""
-        until, taken = self._until(), {False: [True] * len(self.places), True: []}
+        until, occupied = self._until(), {False: [True] * len(self.places), True: []}
         ends: dict[int, list[int]] = {}
         for i, k in until.items():
             ends.setdefault(k, []).append(i)
 
         def release(k: int) -> None:
             for i in ends.get(k, ()):
-                taken[self.truth[i]][self.places[i]] = False
+                occupied[self.truth[i]][self.places[i]] = False
 
         for run in self.runs:
             tabled = self._tabled(self.parts[run[0]])
@@ -169,11 +181,13 @@ class TablesThroughout(Writer):
             for kind in (False, True):
                 values = [i for i in written if self.truth[i] is kind]
                 for block in [values] if tabled else [[i] for i in values]:
-                    first = _gap(taken[kind], len(block))
+                    first = _gap(occupied[kind], len(block))
                     self.places |= {i: first + n for n, i in enumerate(block)}
+            # A run writes its first results before its last operands are read, so these keep their places until its
+            # end.
             for k in run if tabled else ():
                 release(k)
-        return {kind: len(each) for kind, each in taken.items()}
+        return {kind: len(each) for kind, each in occupied.items()}
 
     def _functions(self, arrays: list[tuple[str, str, int]]) -> list[str]:
         """The functions of the straight parts, the tables with the loops over them, and the function that calls all."""
@@ -248,6 +262,15 @@ class TablesThroughout(Writer):
 
 
 class TablesOnce(TablesThroughout):
-    """Writes one function with tables and straight loops, whose statements are done many times."""
+    """Writes one function with tables, but its loops in straight C, since their statements are done many times.
+
+    Args:
+        lowered: The function, simplified.
+        name: Name of the C function.
+        signature: How it gets its arguments.
+        words: How numbers are written; one lane only.
+        static: Whether it is declared `static`.
+        most_statements: Longest straight part in statements.
+    """
 
     loops_by = Writer

@@ -1,7 +1,7 @@
 """The statements of a graph in C, one after the other.
 
-A long function is written as several of limited length, since compilers take more than linear time; values that one of
-them leaves to another stand in an array on the stack, whose places are used again.
+A long function is written as several of limited length, since compilers take more than linear time. Values that one of
+them passes to another are in an array on the stack, whose places are used again.
 """
 
 import itertools
@@ -31,8 +31,19 @@ LONGEST_EXPRESSION = 60
 class Signature(NamedTuple):
     """How a C function gets its arguments.
 
-    - `declared`: its parameters as declared, such as `const double *x, double *y`; `passed`: their names, `("x", "y")`.
-    - `inputs`, `outputs`: C expressions of all inputs and results, such as `x[0]`; results must not overlap inputs.
+    Attributes:
+        declared: Its parameters as declared, such as `const double *x, double *y`.
+        passed: The names of these parameters, `("x", "y")`.
+        inputs: C expressions of all inputs, such as `x[0]`.
+        outputs: C expressions of all results, such as `y[0]`; they must not overlap the inputs.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import lowering
+        >>> signature = lowering.Signature("double angle, double *sine", ("angle", "sine"), ("angle",), ("*sine",))
+        >>> text = lowering.c_function(lowering.lower(lambda x: jnp.sin(x), jnp.array(0.0)), "f", signature).text
+        >>> text.splitlines()[0]
+        'void f(double angle, double *sine)'
     """
 
     declared: str
@@ -42,12 +53,21 @@ class Signature(NamedTuple):
 
 
 class CText(NamedTuple):
-    """C of a function.
+    """Generated C of a function.
 
-    - `text`: the function with those that it calls, all but the last of them `static`.
-    - `helpers`: names of the `c_helpers` it calls.
-    - `operations`: how many of each kind a call does, the same in every call.
-    - `scratch`: numbers on its stack beside its variables.
+    Attributes:
+        text: The function with those that it calls, all but the last of them `static`.
+        helpers: Names of the `c_helpers` that it calls.
+        operations: Number of operations of each kind in a call, the same in every call; a turn of a loop of unknown
+            length counts once.
+        scratch: How many numbers are on its stack beside its variables.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import lowering
+        >>> text = lowering.c_function(lowering.lower(lambda x: jnp.sin(x) * x, jnp.array(0.0)), "f")
+        >>> dict(text.operations), text.scratch
+        ({'sin': 1, 'mul': 1}, 0)
     """
 
     text: str
@@ -57,10 +77,19 @@ class CText(NamedTuple):
 
 
 class Writer:
-    """Writes one function: orders its nodes, cuts the list into parts, and finds places for what goes between them."""
+    """Writes one function: orders its nodes, cuts the list into parts, and assigns places to what passes between them.
+
+    Args:
+        lowered: The function, simplified.
+        name: Name of the C function.
+        signature: How it gets its arguments.
+        words: How numbers are written.
+        static: Whether it is declared `static`.
+        most_statements: Longest part in statements.
+    """
 
     loops_by: "type[Writer] | None" = None
-    """What writes the loops, where that is another class."""
+    """The class that writes the loops, if it is another one."""
 
     def __init__(
         self, lowered: Lowered, name: str, signature: Signature, words: Words, static: bool, most_statements: int
@@ -158,17 +187,17 @@ class Writer:
 
     def _needed(self, i: int) -> set[int]:
         """The statements whose values the statement of a node uses."""
-        found, stack = set(), list(self.graph.nodes[i].arguments)
+        needed, stack = set(), list(self.graph.nodes[i].arguments)
         while stack:
             a = stack.pop()
             if a in self.inside:
                 stack.extend(self.graph.nodes[a].arguments)
             else:
-                found.add(a)
-        return found
+                needed.add(a)
+        return needed
 
     def _until(self) -> dict[int, int]:
-        """The last part that uses a value, for those that another part than their own uses."""
+        """The last part that uses a value, for values used outside the part that computes them."""
         until: dict[int, int] = {}
         for k, part in enumerate(self.parts):
             for i in part:
@@ -182,12 +211,13 @@ class Writer:
         return until
 
     def _find_places(self) -> dict[bool, int]:
-        """Give a place to each value that another part uses; the number of places for numbers and for truth values."""
+        """Assign a place to each value that another part uses; return how many numbers and truth values need."""
         until = self._until()
         free: dict[bool, list[int]] = {False: [], True: []}
         counts = {False: 0, True: 0}
         used: set[int] = set()
         for k, part in enumerate(self.parts):
+            # A place is released before the statements of this part get theirs: they read it first.
             for i in sorted(j for j in used if until[j] == k):  # read here for the last time, before it is overwritten
                 used.remove(i)
                 free[self.truth[i]].append(self.places[i])
@@ -249,7 +279,13 @@ class Writer:
 
 
 def number_array(name: str, numbers: Sequence[float], words: Words) -> str:
-    """A table as a constant array."""
+    """C of a constant array.
+
+    Args:
+        name: Name of the array.
+        numbers: Its entries (N,).
+        words: How numbers are written.
+    """
     text = textwrap.fill(
         ", ".join(literal(float(x), words._replace(lanes=1)) for x in numbers), 116, break_long_words=False
     )
@@ -285,12 +321,12 @@ def _loop(loop: Repetition, name: str, words: Words, most_statements: int, write
     """C of a loop on its fixed and carried numbers, which it changes in place; a turn of unknown count counts once."""
     real, width, carried = words.real, loop.body.inputs, loop.carried
     inputs = tuple(f"x[{i}]" for i in range(width))
-    made = {}
-    for what, graph in (("turn", loop.body), ("going", loop.going)):
+    texts = {}
+    for role, graph in (("turn", loop.body), ("going", loop.going)):
         if graph is not None:
             outputs = tuple(f"y[{i}]" for i in range(len(graph.outputs)))
             signature = Signature(f"const {real} *restrict x, {real} *restrict y", ("x", "y"), inputs, outputs)
-            made[what] = writer(graph, f"{name}_{what}", signature, words, True, most_statements).written()
+            texts[role] = writer(graph, f"{name}_{role}", signature, words, True, most_statements).written()
     stop, first = "", f"turn = 0; turn < {loop.turns}; ++turn"
     index, carry = "    int turn;\n", "y[i]"
     if loop.turns is None:
@@ -309,11 +345,11 @@ def _loop(loop: Repetition, name: str, words: Words, most_statements: int, write
         f"        for (i = 0; i < {carried}; ++i)\n            x[{loop.fixed} + i] = {carry};\n    }}\n}}\n"
     )
     times, operations = 1 if loop.turns is None else loop.turns, Counter[str]()
-    for text in made.values():
+    for text in texts.values():
         operations += Counter({op: times * n for op, n in text.operations.items()})
-    helpers = frozenset().union(*(text.helpers for text in made.values()))
-    scratch = width + carried + max(text.scratch for text in made.values())
-    return _LoopText(name, (*(text.text for text in made.values()), driver), helpers, operations, scratch)
+    helpers = frozenset().union(*(text.helpers for text in texts.values()))
+    scratch = width + carried + max(text.scratch for text in texts.values())
+    return _LoopText(name, (*(text.text for text in texts.values()), driver), helpers, operations, scratch)
 
 
 _NO_OPERATIONS = ("input", "constant", "loop", "part")
@@ -323,19 +359,24 @@ _SIMPLE = {"add", "sub", "mul", "neg", "abs", *TRUTHS}
 
 
 def bracketed(text: str) -> str:
-    """An operand in brackets, unless it is one name, one number or one call."""
+    """An operand in brackets, unless it is one name, one number or one call.
+
+    Args:
+        text: A C expression.
+    """
+    # A leading sign is bracketed too: two of them would be a decrement.
     return f"({text})" if " " in _outside(text) or text[0] in "-!~" else text
 
 
 def _outside(text: str) -> str:
-    """What of a text is outside all brackets."""
-    depth, kept = 0, []
+    """The part of a text that is outside all brackets."""
+    depth, outer = 0, []
     for letter in text:
         depth -= letter in ")]"
         if depth == 0:
-            kept.append(letter)
+            outer.append(letter)
         depth += letter in "(["
-    return "".join(kept)
+    return "".join(outer)
 
 
 def _mentions(body: str, name: str) -> bool:
@@ -343,16 +384,20 @@ def _mentions(body: str, name: str) -> bool:
 
 
 def truths(graph: Graph) -> list[bool]:
-    """For each node whether it is a truth value and not a number."""
-    found: list[bool] = []
+    """For each node of a graph, whether it is a truth value and not a number.
+
+    Args:
+        graph: The graph; a choice has the kind of its alternatives.
+    """
+    kinds: list[bool] = []
     for node in graph.nodes:
         if node.op == "constant":
-            found.append(isinstance(node.value, bool))
+            kinds.append(isinstance(node.value, bool))
         elif node.op == "select":
-            found.append(found[node.arguments[1]])
+            kinds.append(kinds[node.arguments[1]])
         else:
-            found.append(node.op in TRUTHS)
-    return found
+            kinds.append(node.op in TRUTHS)
+    return kinds
 
 
 def _order(graph: Graph, outputs: Sequence[int]) -> list[int]:
@@ -387,10 +432,17 @@ def _order(graph: Graph, outputs: Sequence[int]) -> list[int]:
 
 
 def in_parts(graph: Graph, statements: list[int], most: int) -> list[list[int]]:
-    """The statements in parts of about equal length, at least one part; a loop and its results stay together."""
+    """Cut statements into parts of about equal length, at least one part; a loop and its results stay together.
+
+    Args:
+        graph: The graph.
+        statements: Nodes, in order.
+        most: Longest part in statements.
+    """
     count = max(1, -(-len(statements) // most))
     cuts = [len(statements) * k // count for k in range(count + 1)]
     for k, cut in enumerate(cuts[1:-1], start=1):
+        # A cut that was moved behind the results of a loop may have passed this one.
         cut = max(cut, cuts[k - 1])
         while cut < len(statements) and graph.nodes[statements[cut]].op == "part":
             cut += 1

@@ -15,20 +15,25 @@ from covariant.lowering._jax_forms import JaxprEquation
 
 
 def compute(eqn: JaxprEquation, values: Sequence[Any]) -> list[Any]:
-    """The outputs of an equation of a jaxpr."""
+    """Compute the outputs of an equation of a jaxpr whose inputs are known.
+
+    Args:
+        eqn: The equation.
+        values: Known values of its inputs.
+    """
     rule = None if eqn.unknown else _RULES.get(eqn.name)
     outputs = [atom.aval for atom in eqn.outvars]
     if rule is not None and all(_plain(aval) for aval in outputs):
-        # Inputs get the type of their variable in the jaxpr, which NumPy alone would not always give them.
-        given = [np.asarray(v, atom.aval.dtype) for v, atom in zip(values, eqn.invars, strict=True)]
+        # Inputs get the type of their variable in the jaxpr, which NumPy alone would not always choose.
+        arrays = [np.asarray(v, atom.aval.dtype) for v, atom in zip(values, eqn.invars, strict=True)]
         with np.errstate(all="ignore"):
-            found = rule(eqn.params, *given)
-        if found is not NotImplemented:
-            parts = found if eqn.primitive.multiple_results else [found]
+            result = rule(eqn.params, *arrays)
+        if result is not NotImplemented:
+            parts = result if eqn.primitive.multiple_results else [result]
             return [np.asarray(part, aval.dtype).reshape(aval.shape) for part, aval in zip(parts, outputs, strict=True)]
     with jax.ensure_compile_time_eval():
-        found = eqn.primitive.bind(*(jnp.asarray(v) for v in values), **eqn.params)
-    return [np.asarray(f) for f in (found if eqn.primitive.multiple_results else [found])]
+        result = eqn.primitive.bind(*(jnp.asarray(v) for v in values), **eqn.params)
+    return [np.asarray(f) for f in (result if eqn.primitive.multiple_results else [result])]
 
 
 def _plain(aval) -> bool:
@@ -43,14 +48,15 @@ def _each(function: Callable[..., Any]) -> Rule:
 
 
 def _broadcast(parameters: dict, value: np.ndarray, *_) -> np.ndarray:
-    shape, kept = parameters["shape"], parameters["broadcast_dimensions"]
+    shape, axes = parameters["shape"], parameters["broadcast_dimensions"]
     lifted = np.ones(len(shape), int)
-    lifted[list(kept)] = value.shape
+    lifted[list(axes)] = value.shape
     return np.broadcast_to(value.reshape(lifted), shape)
 
 
 def _select(parameters: dict, which: np.ndarray, *cases: np.ndarray) -> np.ndarray:
     if which.dtype == bool:
+        # `select_n` takes the first case where the predicate is false.
         return np.where(which, cases[1], cases[0])
     return np.choose(np.clip(which, 0, len(cases) - 1), cases)
 
@@ -73,29 +79,49 @@ def _iota(parameters: dict) -> np.ndarray:
 
 
 def padded(parameters: dict, value: np.ndarray, fill: np.ndarray) -> np.ndarray:
-    """Entries with others between and around them; below zero, so many are cut off."""
+    """Pad an array as the primitive `pad` does.
+
+    Args:
+        parameters: Parameters of the primitive: `padding_config`, with (low, high, interior) for each axis. Negative
+            low and high cut entries off.
+        value: The array.
+        fill: The number that is put before, after and between the entries.
+    """
     config = parameters["padding_config"]
-    spread = [slice(max(low, 0), None, inside + 1) for low, _, inside in config]
+    slots = [slice(max(low, 0), None, inside + 1) for low, _, inside in config]
     sizes = [max(n + (n - 1) * inside, 0) for n, (_, _, inside) in zip(value.shape, config, strict=True)]
-    whole = np.full([n + max(low, 0) + max(high, 0) for n, (low, high, _) in zip(sizes, config, strict=True)], fill)
-    whole[tuple(slice(at.start, at.start + n, at.step) for at, n in zip(spread, sizes, strict=True))] = value
-    ends = zip(whole.shape, config, strict=True)
-    return whole[tuple(slice(max(-low, 0), n - max(-high, 0)) for n, (low, high, _) in ends)]
+    result = np.full([n + max(low, 0) + max(high, 0) for n, (low, high, _) in zip(sizes, config, strict=True)], fill)
+    result[tuple(slice(at.start, at.start + n, at.step) for at, n in zip(slots, sizes, strict=True))] = value
+    ends = zip(result.shape, config, strict=True)
+    return result[tuple(slice(max(-low, 0), n - max(-high, 0)) for n, (low, high, _) in ends)]
 
 
 def _window(value: np.ndarray, starts: Sequence[np.ndarray], sizes: Sequence[int]) -> tuple[slice, ...]:
-    """Where a part begins, moved to where it fits."""
+    """The window of a slice, moved to where it fits."""
     first = [min(max(int(s), 0), n - size) for s, n, size in zip(starts, value.shape, sizes, strict=True)]
     return tuple(slice(s, s + size) for s, size in zip(first, sizes, strict=True))
 
 
 def part_at(parameters: dict, value: np.ndarray, *starts: np.ndarray) -> np.ndarray:
-    """The entries from a place on."""
+    """Take a slice of an array, as the primitive `dynamic_slice` does.
+
+    Args:
+        parameters: Parameters of the primitive: `slice_sizes`.
+        value: The array.
+        starts: First index along each axis, clipped to where the slice fits.
+    """
     return value[_window(value, starts, parameters["slice_sizes"])]
 
 
 def updated_at(parameters: dict, value: np.ndarray, update: np.ndarray, *starts: np.ndarray) -> np.ndarray:
-    """An array with other entries from a place on."""
+    """Replace a slice of an array, as the primitive `dynamic_update_slice` does.
+
+    Args:
+        parameters: Parameters of the primitive, which are not read.
+        value: The array, which is not changed.
+        update: The new entries.
+        starts: First index along each axis, clipped to where the update fits.
+    """
     changed = value.copy()
     changed[_window(value, starts, update.shape)] = update
     return changed
@@ -106,12 +132,14 @@ SLICES = {"dynamic_slice": part_at, "dynamic_update_slice": updated_at}
 
 def _divide(parameters: dict, a: np.ndarray, b: np.ndarray) -> np.ndarray:
     if not np.issubdtype(a.dtype, np.floating):
+        # XLA truncates towards zero, where // of NumPy rounds down.
         quotient = np.abs(a) // np.where(b == 0, 1, np.abs(b)) * np.sign(a) * np.sign(b)
         return np.where(b == 0, -1, quotient)  # as in XLA
     return a / b
 
 
 def _convert(parameters: dict, value: np.ndarray) -> Any:
+    # NumPy and XLA differ on numbers beyond the range of an integer, so JAX converts these.
     shortened = np.issubdtype(value.dtype, np.floating) and not np.issubdtype(parameters["new_dtype"], np.floating)
     return NotImplemented if shortened else value.astype(parameters["new_dtype"])
 

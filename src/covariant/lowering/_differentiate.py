@@ -19,13 +19,28 @@ Rule = Callable[[Graph, int, tuple[int, ...], tuple[int, ...]], int]
 
 @no_collection()
 def expand(lowered: Lowered, inputs: Sequence[int], order: int) -> Lowered:
-    """The graph of the values (K,) of all outputs and of their derivatives in the given inputs (F,).
+    """Return the function of the values and derivatives of a lowered function.
 
-    - `order`: 1 for values (K,) and first derivatives (F, K); 2 for second derivatives (P, K), of the pairs `pairs(F)`,
-      as well.
-
-    Where a function has a kink, its derivative is the set of all values between those of both sides (`either`); in
+    Where the function has a kink, its derivative is the set of all values between those of both sides (`either`); in
     numbers it is that of one side. Where it jumps the derivative is wrong: `Lowered.conditions` exclude such places.
+
+    Args:
+        lowered: The function, with K scalar outputs.
+        inputs: Positions of the F scalar inputs to differentiate by.
+        order: 1 for first derivatives, or 2 for first and second derivatives.
+
+    Returns:
+        The function whose result is the tuple of the values (K,), the first derivatives (F, K) and, for order 2, the
+        second derivatives (P, K), of the P pairs of inputs `pairs(F)`.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> import numpy as np
+        >>> from covariant import lowering
+        >>> lowered = lowering.lower(lambda x: x[0] * x[0] * x[1], jnp.zeros(2))
+        >>> values, slopes = lowering.numbers(lowering.expand(lowered, [0, 1], 1), np.array([3.0, 2.0]))
+        >>> values.tolist(), slopes.tolist()
+        ([18.0], [[12.0], [9.0]])
     """
     graph = Graph.of(lowered.graph.nodes)
     slopes = [Derivative(graph, {i: graph.constant(1.0)}) for i in inputs]
@@ -43,14 +58,34 @@ def expand(lowered: Lowered, inputs: Sequence[int], order: int) -> Lowered:
 
 
 def pairs(count: int) -> list[tuple[int, int]]:
-    """Pairs (i, j), i ≤ j, of `count` inputs, in the order of the second derivatives."""
+    """Return the pairs (i, j), i ≤ j, of some inputs, in the order of the second derivatives.
+
+    Args:
+        count: Number of inputs.
+
+    Example:
+        >>> from covariant import lowering
+        >>> lowering.pairs(2)
+        [(0, 0), (0, 1), (1, 1)]
+    """
     return list(itertools.combinations_with_replacement(range(count), 2))
 
 
 class Derivative:
-    """Derivatives of the nodes of a graph along a direction; they are added to the graph, each of them once.
+    """Derivatives of the nodes of a graph along a direction, which are added to the graph, each of them once.
 
-    `direction`: for the position of each input that changes, the node of its change.
+    Calling it with a node returns the node of its derivative.
+
+    Args:
+        graph: The graph.
+        direction: For the position of each input that changes, the node of its rate of change.
+
+    Example:
+        >>> from covariant import lowering
+        >>> graph = lowering.Graph()
+        >>> slope = lowering.Derivative(graph, {0: graph.constant(1.0)})
+        >>> graph.nodes[slope(graph.apply("sin", graph.input(0)))].op
+        'cos'
     """
 
     def __init__(self, graph: Graph, direction: Mapping[int, int]):
@@ -61,10 +96,11 @@ class Derivative:
         """The derivative of a node."""
         known, stack = self._known, [node]
         while stack:
-            at = stack[-1]
-            op, arguments, _ = self.graph.nodes[at]
+            current = stack[-1]
+            op, arguments, _ = self.graph.nodes[current]
+            # A stack and no recursion: chains are longer than Python recurses.
             missing = [a for a in arguments if a not in known]
-            if at in known:
+            if current in known:
                 stack.pop()
             elif missing:
                 stack.extend(missing)
@@ -72,7 +108,9 @@ class Derivative:
                 stack.pop()
                 changes = tuple(known[a] for a in arguments)
                 still = all(self.graph.is_zero(c) for c in changes)  # a constant, or an input that does not change
-                known[at] = self.graph.constant(0.0) if still else RULES[op](self.graph, at, arguments, changes)
+                known[current] = (
+                    self.graph.constant(0.0) if still else RULES[op](self.graph, current, arguments, changes)
+                )
         return known[node]
 
 
@@ -107,6 +145,7 @@ def _product(graph: Graph, node: int, arguments: tuple[int, ...], changes: tuple
 
 def _quotient(graph: Graph, node: int, arguments: tuple[int, ...], changes: tuple[int, ...]) -> int:
     (_, b), (da, db) = arguments, changes
+    # (a/b)′ = (a′ − (a/b) b′)/b: the quotient is there already, and b² is not formed.
     return graph.apply("div", graph.apply("sub", da, graph.apply("mul", node, db)), b)
 
 
@@ -125,6 +164,7 @@ def _angle(graph: Graph, node: int, arguments: tuple[int, ...], changes: tuple[i
 
 
 def _extreme(graph: Graph, node: int, arguments: tuple[int, ...], changes: tuple[int, ...]) -> int:
+    # min has the derivative of a where a < b, max that of b.
     which = changes if graph.nodes[node].op == "min" else changes[::-1]
     return graph.apply("either", *arguments, *which)
 

@@ -17,10 +17,10 @@ TINY = 2.0**-1022
 """Larger than the error of a result that underflows. It is the smallest normal double, as smaller ones are slow."""
 LARGEST = np.finfo(float).max
 HUGE = LARGEST * (1 - 2.0**-40)
-"""A lower bound of every result that overflows, whatever its errors here."""
+"""A lower bound of every result that overflows, since the relative errors here are below 2⁻⁴⁰."""
 
 THIRD = 0x2AA0000000000000
-"""Two thirds of the bits of 1: with a third of the bits of a number those of about its cube root."""
+"""Two thirds of the bits of 1; added to a third of the bits of a number, they are those of roughly its cube root."""
 
 Bounds = tuple[Any, Any]
 Rule = Callable[..., Bounds]
@@ -45,10 +45,11 @@ def _rising(op: str, floor: float = -np.inf, ceiling: float = np.inf) -> Rule:
     def bounds(low: Any, high: Any) -> Bounds:
         value = point(np.stack([low, high]))
         size = np.abs(value)
+        # The absolute part covers underflow; where the value is zero, so is the function, and the step is 0.
         step = np.minimum(size, TINY)
         size *= relative
         step += size
-        # Of a value that overflows it is still known that it is large.
+        # A value that overflows is still known to be large.
         lowest = np.where(value[0] > LARGEST, HUGE, value[0] - step[0])
         highest = np.where(value[1] < -LARGEST, -HUGE, value[1] + step[1])
         if floor > -np.inf or ceiling < np.inf:
@@ -73,6 +74,7 @@ def _turns(low: Any, high: Any) -> tuple[Any, ...]:
     k, bits, r, rest = points.quarters(x)
     size = np.abs(k)
     error = size * points.QUARTER_ERROR
+    # A reduced argument within its error of 0 counts as on the quarter turn, so that no extremum is missed.
     first, last = k[0] + (r[0] > error[0]), k[1] - (r[1] < -error[1])
     largest = np.maximum(size[0], size[1])
     return bits, *points.sin_cos_reduced(r, rest), error, first, last, largest
@@ -86,6 +88,7 @@ def _wave(op: str) -> Rule:
         bits, sine, cosine, error, first, last, largest = _turns(low, high)
         bits = bits + ahead
         value = np.where((bits & 1).astype(bool), cosine, sine)
+        # The second bit of the count of quarter turns is the sign: 2 << 62 is the sign bit of a double.
         value = (value.view(np.int64) ^ ((bits & 2) << 62)).view(float)
         size = np.abs(value)
         error += np.minimum(size, TINY)
@@ -95,9 +98,9 @@ def _wave(op: str) -> Rule:
         lowest, highest = np.minimum(lowest[0], lowest[1]), np.maximum(highest[0], highest[1])
         lowest = np.where(_within(first, last, 3 - ahead, 4), -1.0, np.maximum(lowest, -1.0))
         highest = np.where(_within(first, last, 1 - ahead, 4), 1.0, np.minimum(highest, 1.0))
-        far = largest > points.MOST_QUARTERS
-        if far.any():
-            lowest, highest = np.where(far, -1.0, lowest), np.where(far, 1.0, highest)
+        irreducible = largest > points.MOST_QUARTERS
+        if irreducible.any():
+            lowest, highest = np.where(irreducible, -1.0, lowest), np.where(irreducible, 1.0, highest)
         return lowest, highest
 
     return bounds
@@ -110,6 +113,7 @@ def _tan(low: Any, high: Any) -> Bounds:
     size = np.abs(value)
     # The remaining error of the reduction is magnified by the derivative, 1 + tan².
     step = size * _relative("tan") + 2.0 * error * (1.0 + size * size) + np.minimum(size, TINY)
+    # Odd quarter turns are poles; an end whose error the derivative magnifies too much counts as one.
     pole = _within(first, last, 1, 2) | ~(size * error < 2.0**-20).all(axis=0)
     return _known((largest <= points.MOST_QUARTERS) & ~pole, (value[0] - step[0], value[1] + step[1]))
 
@@ -144,6 +148,7 @@ def _cosh(low: Any, high: Any) -> Bounds:
 
 
 def _acos(low: Any, high: Any) -> Bounds:
+    # acos decreases: its lower bound is at the upper end.
     value = points.acos(np.stack([high, low]))
     step = value * _relative("acos")
     return _known((low >= -1) & (high <= 1), (value[0] - step[0], value[1] + step[1]))
@@ -183,8 +188,10 @@ def _cbrt(low: Any, high: Any) -> Bounds:
         guess = (2.0 * guess + inside / (guess * guess)) / 3.0
     guess = np.where(usual, guess, size)
     below, above = guess * (1 - 6 * U), guess * (1 + 6 * U)
-    right = (below * below * below * (1 + 4 * U) <= size) & (above * above * above * (1 - 4 * U) >= size)
-    below, above = np.where(right, below * scale, np.nan), np.where(right, above * scale, np.nan)
+    # Three products round by 3u at most, so that the factors 1 ± 4u make both comparisons rigorous.
+    verified = (below * below * below * (1 + 4 * U) <= size) & (above * above * above * (1 - 4 * U) >= size)
+    below, above = np.where(verified, below * scale, np.nan), np.where(verified, above * scale, np.nan)
+    # Of a negative number the larger root in size is the lower bound.
     return np.where(x[0] > 0, below[0], -above[0]), np.where(x[1] > 0, above[1], -below[1])
 
 

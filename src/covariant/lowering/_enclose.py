@@ -13,10 +13,21 @@ from covariant.lowering._tape import Interval, Truth, kernel
 
 
 class Enclosure(NamedTuple):
-    """Bounds on the values of a graph over boxes.
+    """Bounds on the values of a function over boxes.
 
-    - `low`, `high`: bounds (B, outputs); NaN where nothing is known.
-    - `smooth`: which boxes (B,) have every choice decided, so that the function does not jump there.
+    Attributes:
+        low: Lower bounds (B, outputs); NaN where nothing is known.
+        high: Upper bounds (B, outputs); NaN where nothing is known.
+        smooth: Which boxes (B,) have every choice decided, so that the function does not jump there.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> import numpy as np
+        >>> from covariant import lowering
+        >>> lowered = lowering.lower(lambda x: jnp.sign(x), jnp.array(0.0))
+        >>> low, high = np.array([[1.0], [-1.0]]), np.array([[2.0], [1.0]])
+        >>> lowering.enclose(lowered, low, high, engine="numpy").smooth.tolist()
+        [True, False]
     """
 
     low: np.ndarray
@@ -30,29 +41,47 @@ JUMPS = ("select", "either", "sign", "floor", "ceil", "round", "atan2")
 
 @kernel
 def decided(p: Truth) -> Truth:
-    """Boxes on which a choice by a statement does not jump."""
+    """Boxes on which a choice by a statement does not jump: it holds on all of the box, or nowhere on it.
+
+    Args:
+        p: The statement.
+    """
     known = p.must | ~p.may
     return Truth(known, known)
 
 
 @kernel
 def unequal(a: Interval, b: Interval) -> Truth:
+    """Boxes on which two numbers are nowhere equal.
+
+    Args:
+        a: First number.
+        b: Second number; the intervals of the two are disjoint.
+    """
     known = (a.high < b.low) | (a.low > b.high)
     return Truth(known, known)
 
 
 @kernel
 def not_zero(a: Interval) -> Truth:
-    """Boxes on which a sign does not jump: zero has a sign of its own, 0."""
+    """Boxes on which a sign does not jump: zero has the sign 0, which is neither of the others.
+
+    Args:
+        a: The number.
+    """
     known = (a.low > 0) | (a.high < 0)
     return Truth(known, known)
 
 
 @kernel
 def off_the_cut(y: Interval, x: Interval) -> Truth:
-    """Boxes on which an angle does not jump.
+    """Boxes on which the angle atan2(y, x) does not jump.
 
     The cut is the negative half-axis with the origin; values on it belong to the upper side.
+
+    Args:
+        y: Second coordinate of the point.
+        x: First coordinate of the point.
     """
     known = ~((y.low <= 0) & (y.high >= 0) & (x.low <= 0)) | (y.low >= 0) & (x.high < 0)
     return Truth(known, known)
@@ -60,11 +89,16 @@ def off_the_cut(y: Interval, x: Interval) -> Truth:
 
 @kernel
 def one_value(found: Interval) -> Truth:
+    """Boxes on which a function that is constant between its jumps, such as floor, has one value.
+
+    Args:
+        found: Bounds of its values.
+    """
     known = found.low == found.high
     return Truth(known, known)
 
 
-def _no_jump(op: str, arguments: tuple, found: Any) -> Truth:
+def _no_jump(op: str, arguments: tuple, result: Any) -> Truth:
     """Boxes on which an operation of `JUMPS` does not jump."""
     match op:
         case "select":
@@ -75,30 +109,44 @@ def _no_jump(op: str, arguments: tuple, found: Any) -> Truth:
             return not_zero(*arguments)
         case "atan2":
             return off_the_cut(*arguments)
-    return one_value(found)
+    return one_value(result)
 
 
 def by_numpy(lowered: Lowered, low: np.ndarray, high: np.ndarray) -> Enclosure:
-    """Bounds on the values of a graph over boxes with `corners`, by NumPy."""
+    """Bound the values of a function over boxes by NumPy.
+
+    Args:
+        lowered: The function.
+        low: Lower corners (B, inputs), from `corners`.
+        high: Upper corners (B, inputs).
+    """
     inputs = [Interval(a, b) for a, b in zip(low.T.copy(), high.T.copy(), strict=True)]
     with np.errstate(all="ignore"):
         values, smooth = bounds(lowered, inputs)
-    found = np.empty((2, len(values), len(low)))
+    ends = np.empty((2, len(values), len(low)))
     for k, value in enumerate(values):
-        found[0, k], found[1, k] = value
-    return Enclosure(found[0].T, found[1].T, np.broadcast_to(smooth.must, len(low)).copy())
+        ends[0, k], ends[1, k] = value
+    return Enclosure(ends[0].T, ends[1].T, np.broadcast_to(smooth.must, len(low)).copy())
 
 
 def bounds(lowered: Lowered, inputs: Sequence[Interval]) -> tuple[list[Interval], Truth]:
-    """Bounds on the values, and where the function does not jump, from those of its inputs."""
+    """Bound the values of a function, in NumPy or as steps of a tape.
+
+    Args:
+        lowered: The function.
+        inputs: Interval of each scalar input.
+
+    Returns:
+        Interval of each scalar output, with statements as the numbers 0 and 1, and where the function does not jump.
+    """
     smooth: Truth = constant(True)  # pyright: ignore[reportAssignmentType]
 
     def watched(op: str) -> Callable:
         def apply(*arguments: Any) -> Any:
             nonlocal smooth
-            found = INTERVALS[op](*arguments)
-            smooth = both(smooth, _no_jump(op, arguments, found))
-            return found
+            result = INTERVALS[op](*arguments)
+            smooth = both(smooth, _no_jump(op, arguments, result))
+            return result
 
         return apply
 
@@ -111,13 +159,23 @@ def bounds(lowered: Lowered, inputs: Sequence[Interval]) -> tuple[list[Interval]
 
 
 def corners(low: np.ndarray, high: np.ndarray, inputs: int) -> tuple[np.ndarray, np.ndarray]:
-    """Corners of boxes as arrays of doubles (B, inputs). Raises `ValueError` where they are none."""
+    """Check corners of boxes and convert them to arrays of doubles (B, inputs).
+
+    Args:
+        low: Lower corners.
+        high: Upper corners.
+        inputs: Number of scalar inputs of the function.
+
+    Raises:
+        ValueError: The corners have another shape, are NaN, or low exceeds high.
+    """
     low, high = np.asarray(low, float), np.asarray(high, float)
     if low.ndim != 2 or low.shape != high.shape or low.shape[1] != inputs:
         raise ValueError(f"boxes of this graph have corners (B, {inputs}); got {low.shape} and {high.shape}")
-    wrong = np.argwhere(~(low <= high))
-    if wrong.size:
-        box, entry = wrong[0]
+    # Negated, so that NaN, which fails every comparison, is invalid too.
+    invalid = np.argwhere(~(low <= high))
+    if invalid.size:
+        box, entry = invalid[0]
         raise ValueError(
             f"a box has low <= high; box {box} has low {low[box, entry]} and high {high[box, entry]} in input {entry}"
         )
@@ -129,7 +187,12 @@ def corners(low: np.ndarray, high: np.ndarray, inputs: int) -> tuple[np.ndarray,
 
 
 class Step(Interval):
-    """A number that is constant around each point of a box, given its own conditions, such as a floor."""
+    """A number that is constant around each point of a box where its conditions hold, such as a floor.
+
+    Attributes:
+        low: Lower bound (B,).
+        high: Upper bound (B,).
+    """
 
 
 def _strictly(a: Interval | Truth, b: Interval | Truth) -> Truth:
@@ -148,8 +211,8 @@ def _on_steps(rule: Callable, otherwise: Callable) -> Callable:
 
 def _stepping(rule: Callable) -> Callable:
     def apply(*arguments: Any) -> Any:
-        found = rule(*arguments)
-        return Step(*found) if isinstance(found, Interval) else found
+        result = rule(*arguments)
+        return Step(*result) if isinstance(result, Interval) else result
 
     return apply
 
@@ -170,20 +233,43 @@ STRICT: Domain = {
 
 
 def fulfilled(conditions: Conditions, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Which conditions hold on all of which boxes (B, conditions), with corners (B, inputs): True only where proved."""
+    """Prove conditions on boxes.
+
+    A comparison is decided only strictly here: where both sides may be equal, a choice by it may jump.
+
+    Args:
+        conditions: The conditions of a function, `Lowered.conditions`.
+        low: Lower corners of the boxes (B, inputs).
+        high: Upper corners (B, inputs), low ≤ high.
+
+    Returns:
+        Which conditions hold on all of which boxes, (B, conditions): True only where it is proved.
+
+    Raises:
+        ValueError: The corners have another shape, are NaN, or low exceeds high.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> import numpy as np
+        >>> from covariant import lowering
+        >>> conditions = lowering.lower(lambda x: jnp.log(x), jnp.array(1.0), real=True).conditions  # 0 < x
+        >>> lowering.fulfilled(conditions, np.array([[0.5], [-1.0]]), np.array([[2.0], [1.0]])).tolist()
+        [[True], [False]]
+    """
     low, high = corners(low, high, conditions.inputs)
-    found = np.zeros((len(low), len(conditions.conditions)), bool)
-    if not found.size:
-        return found
+    proved = np.zeros((len(low), len(conditions.conditions)), bool)
+    if not proved.size:
+        return proved
     inputs = [Interval(a, b) for a, b in zip(low.T.copy(), high.T.copy(), strict=True)]
     with np.errstate(all="ignore"):
         values = evaluate_nodes(conditions.graph, [c.node for c in conditions.conditions], STRICT, inputs)
     for k, (condition, value) in enumerate(zip(conditions.conditions, values, strict=True)):
         if condition.kind == "finite":
-            found[:, k] = (value.low > -LARGEST) & (value.high < LARGEST)
+            proved[:, k] = (value.low > -LARGEST) & (value.high < LARGEST)
         elif condition.kind == "whole":
+            # Strictly between two neighbouring integers, so that the number neither equals nor crosses one.
             below = np.floor(value.low)
-            found[:, k] = isinstance(value, Step) or (below < value.low) & (np.floor(value.high) == below)
+            proved[:, k] = isinstance(value, Step) or (below < value.low) & (np.floor(value.high) == below)
         else:
-            found[:, k] = value.must if condition.kind == "true" else value.must | ~value.may
-    return found
+            proved[:, k] = value.must if condition.kind == "true" else value.must | ~value.may
+    return proved

@@ -1,4 +1,4 @@
-"""Bounds of a graph over boxes, by NumPy or by compiled C, whichever is done sooner; both give the same."""
+"""Bounds of a graph over boxes, by NumPy or by compiled C, whichever takes less time; both give the same bounds."""
 
 import functools
 import weakref
@@ -12,23 +12,42 @@ from covariant.lowering._graph import Graph
 from covariant.lowering._lowered import Lowered
 
 A_CALL = 1500
-"""What a call costs NumPy beside the boxes it is for, in boxes. To write the graph down for C costs less."""
+"""Fixed cost of a call of NumPy, in boxes. Translating the graph into steps for C costs less."""
 COMPILATION = 2e8
-"""What the compilation costs, in boxes times nodes by NumPy."""
+"""Cost of the compilation, in boxes times nodes evaluated by NumPy."""
 
 
+# Weak keys: the steps of a graph are dropped with it.
 _WRITTEN: weakref.WeakKeyDictionary[Graph, dict[tuple[int, ...], CompiledBounds]] = weakref.WeakKeyDictionary()
 _effort = 0.0
 
 
 def enclose(lowered: Lowered, low: np.ndarray, high: np.ndarray, engine: Arithmetic = "auto") -> Enclosure:
-    """Bounds on the values of a graph over boxes with corners `low` and `high`, both (B, inputs).
+    """Bound the values of a function over boxes, rigorously.
 
-    - `engine`: "auto" is compiled C where it was compiled before, or so much has been done by NumPy that compiling it
-      pays; "numpy" and "c" leave no choice. The bounds are the same, but for the sign of zeros.
+    Args:
+        lowered: The function, without loops or tables.
+        low: Lower corners of the boxes (B, inputs).
+        high: Upper corners (B, inputs), low ≤ high.
+        engine: "numpy", "c", or "auto": compiled C once it has been compiled, or once NumPy has done so much work that
+            compiling pays. The bounds are the same, but for the sign of zeros.
 
-    Statements among the outputs are bounded as the numbers 0 and 1. Raises `ValueError` for corners of another shape,
-    that are not numbers, or where low exceeds high; `OSError` for the engine "c" where there is none.
+    Returns:
+        The bounds of each output over each box, rounding errors included. Statements are bounded as the numbers 0 and
+        1.
+
+    Raises:
+        ValueError: The corners have another shape, are NaN, or low exceeds high.
+        OSError: The engine is "c" and there is no working compiler.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> import numpy as np
+        >>> from covariant import lowering
+        >>> square = lowering.lower(lambda x: x * x, jnp.array(0.0))
+        >>> bounds = lowering.enclose(square, np.array([[-1.0]]), np.array([[2.0]]), engine="numpy")
+        >>> bounds.low.round(9).tolist(), bounds.high.round(9).tolist()
+        ([[0.0]], [[4.0]])
     """
     low, high = corners(low, high, lowered.inputs)
     if not len(low):
@@ -38,21 +57,31 @@ def enclose(lowered: Lowered, low: np.ndarray, high: np.ndarray, engine: Arithme
         return by_numpy(lowered, low, high)
     written = _WRITTEN.setdefault(lowered.graph, {})
     if lowered.outputs not in written:
-        made = _library() if in_c(engine) else ""
-        if not isinstance(made, Library):
+        library = _library() if in_c(engine) else ""
+        if not isinstance(library, Library):
             if engine == "c":
-                raise OSError(made)
-            return _counted(lowered, low, high)
-        written[lowered.outputs] = CompiledBounds(lowered, made)
+                raise OSError(library)
+            return _by_numpy(lowered, low, high)
+        written[lowered.outputs] = CompiledBounds(lowered, library)
     return written[lowered.outputs](low, high)
 
 
 def in_c(engine: Arithmetic) -> bool:
-    """Whether compiled C is to do the work from now on, if there is a compiler."""
-    return engine == "c" or (engine == "auto" and (_at_hand() or _effort >= COMPILATION))
+    """Whether compiled C is to do the interval arithmetic from now on, if there is a compiler.
+
+    Args:
+        engine: "c" always says yes and "numpy" no. "auto" says yes where the kernels have been compiled before, or
+            where this process has done enough work by NumPy.
+
+    Example:
+        >>> from covariant import lowering
+        >>> lowering.in_c("c"), lowering.in_c("numpy")
+        (True, False)
+    """
+    return engine == "c" or (engine == "auto" and (_was_compiled() or _effort >= COMPILATION))
 
 
-def _counted(lowered: Lowered, low: np.ndarray, high: np.ndarray) -> Enclosure:
+def _by_numpy(lowered: Lowered, low: np.ndarray, high: np.ndarray) -> Enclosure:
     global _effort
     _effort += (len(low) + A_CALL) * len(lowered.graph.nodes)
     return by_numpy(lowered, low, high)
@@ -60,7 +89,7 @@ def _counted(lowered: Lowered, low: np.ndarray, high: np.ndarray) -> Enclosure:
 
 @functools.cache
 def _library() -> Library | str:
-    """The compiled kernels, or why there are none."""
+    """The compiled kernels, or the reason why there are none."""
     try:
         return Library()
     except OSError as error:
@@ -68,5 +97,5 @@ def _library() -> Library | str:
 
 
 @functools.cache
-def _at_hand() -> bool:
+def _was_compiled() -> bool:
     return at_hand()

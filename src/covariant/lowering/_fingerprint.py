@@ -1,9 +1,9 @@
-"""A key of what a traced function computes, the same in every process: equal keys, equal functions.
+"""A content hash of what a traced function computes, the same in every process: equal keys, equal functions.
 
 A jaxpr says everything that a function does with its arguments: its operations in order, their parameters, and the
 constants in it. The key is a hash of these, without names of variables, and with the bytes of every constant. A jaxpr
 that says less than it does, such as one that calls Python, has no key. It is read in the forms that the interpreter
-reads (`_jax_forms`), so what the two of them see is the same.
+reads (`_jax_forms`), so both see the same.
 """
 
 import enum
@@ -34,10 +34,17 @@ class _UnknownError(Exception):
 
 
 def fingerprint(*parts: Any) -> str | None:
-    """A key of closed jaxprs, numbers, words and tuples of these; None where something in them has none.
+    """Hash the content of traced functions and of values.
+
+    Args:
+        parts: Closed jaxprs, numbers, strings, arrays, and tuples, lists or dictionaries of these.
+
+    Returns:
+        The hash in hexadecimal digits, or None where a part has no fixed meaning, such as a function that calls Python.
 
     Example:
         >>> import jax, jax.numpy as jnp
+        >>> from covariant.lowering import fingerprint
         >>> one, two = (jax.make_jaxpr(lambda x, k=k: jnp.sin(k * x))(1.0) for k in (1.0, 1.0 + 2**-52))
         >>> fingerprint(one) == fingerprint(two)
         False
@@ -49,7 +56,7 @@ def fingerprint(*parts: Any) -> str | None:
 
 
 class _Keys:
-    """Keys of parts; one of a jaxpr that occurs many times is made once."""
+    """Keys of parts; that of a jaxpr which occurs many times is computed once."""
 
     def __init__(self):
         self._known: dict[tuple[int, ...], tuple[ClosedJaxpr, str]] = {}
@@ -77,11 +84,11 @@ class _Keys:
     def _body(self, body: ClosedJaxpr) -> str:
         place = (id(body.jaxpr), *map(id, body.consts))
         if place not in self._known:
-            # The body is kept beside its key, since an id is that of one thing as long as the thing lives.
-            self._known[place] = body, _hash(*self._words(body))
+            # The body is stored beside its key, since an id is unique only as long as its object lives.
+            self._known[place] = body, _hash(*self._parts(body))
         return self._known[place][1]
 
-    def _words(self, body: ClosedJaxpr) -> Iterator[str]:
+    def _parts(self, body: ClosedJaxpr) -> Iterator[str]:
         """The parts of a jaxpr, its variables numbered as they occur."""
         numbers: dict[Any, int] = {}
         if body.jaxpr.effects:
@@ -103,12 +110,12 @@ class _Keys:
         yield from ("outputs", *(_read(atom, numbers) for atom in body.jaxpr.outvars))
 
 
-def _hash(*words: str) -> str:
-    whole = hashlib.sha256()
-    for word in words:
-        text = word.encode()
-        whole.update(b"%d:" % len(text) + text)  # with its length, so that no two lists of words are one text
-    return whole.hexdigest()
+def _hash(*parts: str) -> str:
+    digest = hashlib.sha256()
+    for part in parts:
+        text = part.encode()
+        digest.update(b"%d:" % len(text) + text)  # with its length, so that no two lists are one text
+    return digest.hexdigest()
 
 
 def _array(x: Any) -> str:

@@ -1,7 +1,7 @@
-"""A function of real numbers as a graph of scalar operations: constants folded, zeros pruned, equal parts shared.
+"""Graphs of scalar operations: constants folded, products with zero pruned, equal sub-expressions shared.
 
 Folding loses information: `0 · √q` is 0, even where √q is undefined. A graph of a function of real numbers therefore
-notes, before anything is simplified, its conditions: what each operation needs to be defined and not to jump.
+notes its conditions before it simplifies anything: what each operation needs to be defined and not to jump.
 """
 
 import contextlib
@@ -20,14 +20,25 @@ LARGEST = 1e150
 
 
 class Condition(NamedTuple):
-    """A condition that holds wherever a function is defined and does not jump; `because` names its operation and line.
+    """A condition under which a function is defined and does not jump.
 
-    - "true": the node, a statement, holds.
-    - "decided": the node, a statement, has one value in a neighbourhood of the point, so that a choice by it does not
-      jump.
-    - "whole": the node, a number, neither equals nor crosses an integer.
-    - "finite": the node, a number, stays below `LARGEST`: it is left out of the graph, as in 0·a, which is NaN in
-      doubles where a overflows.
+    Attributes:
+        kind: What the condition says about the node.
+            "true": the node, a statement, holds.
+            "decided": the node, a statement, has one value in a neighbourhood of the point, so that a choice by it does
+            not jump.
+            "whole": the node, a number, neither equals nor crosses an integer.
+            "finite": the node, a number, stays below `LARGEST`. It is left out of the graph, as in 0·a, which is NaN in
+            doubles where a overflows.
+        node: Index of the node in the graph.
+        because: Name of the operation that needs it, and the line of the user's code that asked for the operation.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import lowering
+        >>> root = lowering.lower(lambda x: jnp.sqrt(x), jnp.array(1.0), real=True)
+        >>> [condition.kind for condition in root.conditions.conditions]  # 0 < x
+        ['true']
     """
 
     kind: Kind
@@ -36,7 +47,11 @@ class Condition(NamedTuple):
 
 
 class Table:
-    """Numbers that are looked up by their place; two tables of the same numbers are equal."""
+    """Array of numbers that is looked up by index; tables of the same numbers are equal and have the same hash.
+
+    Args:
+        numbers: The entries (N,).
+    """
 
     def __init__(self, numbers: np.ndarray):
         self.numbers = np.ascontiguousarray(numbers, float)
@@ -50,15 +65,32 @@ class Table:
         return isinstance(other, Table) and self._bits == other._bits
 
     def at(self, place: Any) -> Any:
-        """The number at a place, which is a whole number up to roundings; beyond the ends that at the end."""
+        """Return the number at an index.
+
+        Args:
+            place: Index, a whole number up to rounding; a scalar or an array. It is clipped to 0 … N − 1, and NaN
+                counts as 0.
+        """
         with np.errstate(all="ignore"):
-            whole = np.clip(np.nan_to_num(np.rint(place)), 0, len(self.numbers) - 1)
-        return self.numbers[whole.astype(int)]
+            index = np.clip(np.nan_to_num(np.rint(place)), 0, len(self.numbers) - 1)
+        return self.numbers[index.astype(int)]
 
 
 class Node(NamedTuple):
-    """An operation and the indices of its arguments; `value` of a `constant`, position of an `input`, a loop or a
-    table."""
+    """An operation of a graph, applied to earlier nodes.
+
+    Attributes:
+        op: Name of the operation, a key of `FOLD`, or "constant", "input", "loop", "part" or "table".
+        arguments: Indices of the nodes that it is applied to.
+        value: Number of a "constant", position of an "input", number of a "part", or the object of a "loop" or "table".
+
+    Example:
+        >>> from covariant import lowering
+        >>> graph = lowering.Graph()
+        >>> node = graph.nodes[graph.apply("sin", graph.input(0))]
+        >>> node.op, node.arguments
+        ('sin', (0,))
+    """
 
     op: str
     arguments: tuple[int, ...]
@@ -124,28 +156,46 @@ TRUTHS = {"lt", "le", "eq", "and", "or", "not", "is_finite"}
 ANYTHING = {*TRUTHS, "select", "min", "max"}
 """Operations that accept infinite arguments."""
 CANCELS = {"add", "sub", "mul", "div", "eq", "is_finite"}
-"""Operations that may be simplified to something without their arguments, whatever these are as long as finite."""
+"""Operations that may be simplified to something without their arguments, provided that these are finite."""
 CHOICES = {"select", "min", "max", "either"}
 """Operations that may return an infinite argument."""
 
 
 @contextlib.contextmanager
 def no_collection() -> Iterator[None]:
-    """Nodes have no cycles. Looking for some among many thousands of new ones takes a third of the time."""
-    was = gc.isenabled()
+    """Context manager and decorator that switches off Python's cyclic garbage collector.
+
+    Nodes have no cycles, and the search for some among many thousands of new ones takes a third of the time.
+    """
+    was_enabled = gc.isenabled()
     gc.disable()
     try:
         yield
     finally:
-        if was:
+        if was_enabled:
             gc.enable()
 
 
 class Graph:
-    """Nodes in an order in which each follows its arguments. Nodes are added by `constant`, `input` and `apply`.
+    """Nodes in an order in which each follows its arguments; they are added by `constant`, `input` and `apply`.
 
-    With `real` all inputs are real numbers, none missing (NaN): a number equals itself and is finite. Then `conditions`
-    are noted, each with the text that `line` returns: the place in the user's code that asked for the operation.
+    Args:
+        real: Whether all inputs are real numbers, none missing (NaN), so that a number equals itself and is finite.
+            Then `conditions` are noted.
+
+    Attributes:
+        nodes: The nodes; methods return and take their indices in this list.
+        conditions: The conditions noted so far, by kind and node.
+        line: Function without arguments that returns the line of the user's code that asked for the next operation.
+
+    Example:
+        >>> from covariant import lowering
+        >>> graph = lowering.Graph()
+        >>> x = graph.input(0)
+        >>> graph.apply("add", x, graph.constant(0.0)) == x  # simplified
+        True
+        >>> graph.apply("mul", x, x) == graph.apply("mul", x, x)  # shared
+        True
     """
 
     def __init__(self, real: bool = False) -> None:
@@ -153,23 +203,31 @@ class Graph:
         self.real = real
         self.conditions: dict[tuple[Kind, int], Condition] = {}
         self.line: Callable[[], str] = str
-        self._infinite: set[int] = set()  # nodes that may be infinite or NaN, by a choice that returns such a value
+        self._infinite: set[int] = set()  # nodes that may be infinite or NaN, as a choice may return such a value
         self._known: dict[tuple, int] = {}
 
     @classmethod
     def of(cls, nodes: Sequence[Node]) -> "Graph":
-        """A graph of these nodes, to which more can be added."""
+        """Create a graph of existing nodes, to which more can be added.
+
+        Args:
+            nodes: The nodes, each after its arguments. Their indices stay the same.
+        """
         graph = cls()
         for node in nodes:
             if node.op == "constant":
                 graph.constant(node.value)  # pyright: ignore[reportArgumentType]
             else:
-                told = (node.value,) if node.op == "table" or not node.arguments else ()
-                graph._add((node.op, *told, *node.arguments), node)
+                extra = (node.value,) if node.op == "table" or not node.arguments else ()
+                graph._add((node.op, *extra, *node.arguments), node)
         return graph
 
     def constant(self, value: float | bool | int) -> int:
-        """The node of a number or truth value."""
+        """Return the node of a number or truth value.
+
+        Args:
+            value: The value; an `int` is stored as `float`. 0.0 and −0.0 are two nodes, as their bits differ.
+        """
         kind = bool if isinstance(value, bool | np.bool_) else float
         value = kind(value)
         # Zero has two signs and NaN equals nothing, so constants are distinguished by their bits.
@@ -177,33 +235,64 @@ class Graph:
         return self._add(key, Node("constant", (), value))
 
     def input(self, position: int) -> int:
-        """The node of an argument of the function."""
+        """Return the node of an input of the function.
+
+        Args:
+            position: Number of the input, from 0 on, in the order of the entries of the arguments.
+        """
         return self._add(("input", position), Node("input", (), position))
 
     def block(self, op: str, key: Any, arguments: tuple[int, ...], value: Any) -> int:
-        """The node of what is no operation on numbers, such as a loop; equal keys on equal arguments are one node."""
+        """Return the node of an operation that is not in `FOLD`, such as a loop.
+
+        Args:
+            op: Name of the operation.
+            key: Hashable description; equal keys on equal arguments share one node.
+            arguments: Indices of the nodes that it is applied to.
+            value: Object stored in the node.
+        """
         return self._add((op, key, *arguments), Node(op, arguments, value))
 
     def look_up(self, table: Table, place: int) -> int:
-        """The node of a number of a table, which is for code and not for proofs: it jumps from place to place."""
+        """Return the node of an entry of a table; a known index gives a constant.
+
+        A table is for generated code and not for proofs, since its values jump from entry to entry.
+
+        Args:
+            table: The numbers.
+            place: Node of the index, rounded and clipped as by `Table.at`.
+        """
         if self.nodes[place].op == "constant":
             return self.constant(table.at(self.nodes[place].value).item())
         return self.block("table", table, (place,), table)
 
     def find(self, op: str, *arguments: int) -> int | None:
-        """The node of an operation as it stands, where the graph has it."""
+        """Return the node of an operation if the graph has it, else None.
+
+        Args:
+            op: Name of the operation.
+            arguments: Nodes of its arguments, in exactly this order.
+        """
         return self._known.get((op, *arguments))
 
     def apply(self, op: str, *arguments: int) -> int:
-        """The node of an operation, folded where its arguments are constants, and simplified as for real numbers."""
+        """Return the node of an operation on nodes, adding it to the graph where needed.
+
+        Operations on constants are folded; others are simplified as for real numbers, and shared. A graph with `real`
+        first notes the conditions of the operation.
+
+        Args:
+            op: Name of the operation, a key of `FOLD`.
+            arguments: Nodes of its arguments.
+        """
         nodes = [self.nodes[a] for a in arguments]
         if not self.real:
             return self._applied(op, arguments, nodes)
         self._note(op, arguments, nodes)
-        found = self._applied(op, arguments, nodes)
+        result = self._applied(op, arguments, nodes)
         if op in CHOICES and any(self._may_be_infinite(a) for a in arguments):
-            self._infinite.add(found)
-        return found
+            self._infinite.add(result)
+        return result
 
     def _applied(self, op: str, arguments: tuple[int, ...], nodes: list[Node]) -> int:
         if op == "either":
@@ -224,16 +313,17 @@ class Graph:
         return self._add((op, *arguments), Node(op, arguments))
 
     def _either(self, a: int, b: int, x: int, y: int) -> int:
-        """The derivative at a kink. Where a = b both sides are kept, even if a and b are known numbers."""
+        """The derivative at a kink. Where a = b both sides stay, even if a and b are known numbers."""
         first, second = self.nodes[a], self.nodes[b]
         if x == y:
             return x
         if first.op == second.op == "constant" and first.value != second.value:
             return x if first.value < second.value else y  # pyright: ignore[reportOptionalOperand, reportOperatorIssue]
+        # Neither sorted nor folded: the order of x and y says which one belongs to a < b.
         return self._add(("either", a, b, x, y), Node("either", (a, b, x, y)))
 
     def _note(self, op: str, arguments: tuple[int, ...], nodes: list[Node]) -> None:
-        """Note the conditions of an operation that are not already known to hold."""
+        """Note those conditions of an operation that are not known to hold already."""
         for kind, node in _needs(self, op, arguments, nodes):
             self._condition(kind, node, op)
         if op not in ANYTHING:
@@ -246,7 +336,13 @@ class Graph:
         return node in self._infinite or (value is not None and not math.isfinite(value))
 
     def need_between(self, low: float, node: int, high: float) -> None:
-        """Note the condition that a number is between two others."""
+        """Note the condition low < node < high.
+
+        Args:
+            low: Lower bound, exclusive.
+            node: Node of a number.
+            high: Upper bound, exclusive.
+        """
         for pair in ((self.constant(low), node), (node, self.constant(high))):
             self._condition("true", self.apply("lt", *pair), "whole number")
 
@@ -270,7 +366,7 @@ class Graph:
         return self.nodes[node].op == op and self.nodes[node].arguments[0] == first
 
     def is_zero(self, node: int) -> bool:
-        """Whether a node is the number 0."""
+        """Whether a node is the constant 0, of either sign."""
         return self.nodes[node].op == "constant" and self.nodes[node].value == 0
 
     def _simplify(self, op: str, arguments: tuple[int, ...], values: list) -> int | None:
@@ -285,6 +381,7 @@ class Graph:
                 return a
             case ("sub", (_, b), (0.0, _)):
                 return self.apply("neg", b)
+            # Exact for finite numbers only: `_applied` notes the condition "finite" for each node that cancels here.
             case ("sub", (a, b), _) if a == b:
                 return self.constant(0.0)
             case ("sub", (a, b), _) if self._is("sub", b, a):  # a − (a − b)
@@ -332,7 +429,7 @@ class Graph:
             case "eq", (a, b) if a == b and not self._may_be_infinite(a):
                 return self.constant(True)
             case "min" | "max", (a, b):  # an infinite bound
-                none = np.inf if op == "min" else -np.inf
+                none = np.inf if op == "min" else -np.inf  # the neutral element
                 for one, other in ((a, b), (b, a)):
                     if self.nodes[other].op == "constant" and self.nodes[other].value == none:
                         return one
@@ -350,12 +447,12 @@ class Graph:
                 less, more = self.nodes[p].arguments
                 if (a, b) in ((less, more), (more, less)):
                     return self.apply("min" if a == less else "max", a, b)
-                size = self._size(less, more, a, b)
+                size = self._absolute_argument(less, more, a, b)
                 return None if size is None else self.apply("abs", size)
         return None
 
-    def _size(self, less: int, more: int, a: int, b: int) -> int | None:
-        """x where `less < more ? a : b` is |x|, that is x < 0 ? −x : x, or 0 < x ? x : −x; else None."""
+    def _absolute_argument(self, less: int, more: int, a: int, b: int) -> int | None:
+        """Return x if `less < more ? a : b` is |x|, that is x < 0 ? −x : x, or 0 < x ? x : −x; else None."""
         zero = self.constant(0.0)
         if more == zero and self._is("neg", a, b) and less == b:
             return b
@@ -364,7 +461,14 @@ class Graph:
         return None
 
     def pruned(self, outputs: Sequence[int]) -> tuple["Graph", list[int]]:
-        """The graph of the nodes that the outputs need, and the outputs in it."""
+        """Return the subgraph that some nodes need.
+
+        Args:
+            outputs: Nodes to keep, with everything that they depend on.
+
+        Returns:
+            The smaller graph, without conditions, and the outputs as nodes of it.
+        """
         needed, stack = set(), list(outputs)
         while stack:
             index = stack.pop()
@@ -394,7 +498,7 @@ def _needs(graph: Graph, op: str, x: tuple[int, ...], nodes: list[Node]) -> Iter
     def apart(a: int, b: int) -> tuple[Kind, int]:
         return "true", graph.apply("or", graph.apply("lt", a, b), graph.apply("lt", b, a))
 
-    if any(n.op == "constant" and _no_number(n.value, op in ANYTHING) for n in nodes) and op not in (
+    if any(n.op == "constant" and _is_invalid(n.value, op in ANYTHING) for n in nodes) and op not in (
         "select",
         "either",
     ):
@@ -412,6 +516,7 @@ def _needs(graph: Graph, op: str, x: tuple[int, ...], nodes: list[Node]) -> Iter
             yield less(number(-1.0), x[0])
             yield less(x[0], number(1.0))
         case "cbrt" | "sign":
+            # At 0, cbrt has no derivative and sign jumps; on either side both are smooth.
             yield "decided", graph.apply("lt", x[0], number(0.0))
         case "tan":
             yield apart(graph.apply("cos", x[0]), number(0.0))
@@ -426,9 +531,10 @@ def _needs(graph: Graph, op: str, x: tuple[int, ...], nodes: list[Node]) -> Iter
         case "floor" | "ceil":
             yield "whole", x[0]
         case "round":
+            # Rounding to nearest jumps half-way between integers.
             yield "whole", graph.apply("add", x[0], number(0.5))
 
 
-def _no_number(value: float | bool | int | None, infinite: bool) -> bool:
+def _is_invalid(value: float | bool | int | None, infinite: bool) -> bool:
     """Whether a known value cannot be an argument of an operation: NaN, or infinity where that is not allowed."""
     return value is not None and not (math.isfinite(value) or (infinite and not math.isnan(value)))

@@ -37,6 +37,11 @@ MOST_PRODUCTS = 32
 
 
 def constant(value: float | bool | int) -> Interval | Truth:
+    """Interval, or statement, of a known value, shared by all boxes.
+
+    Args:
+        value: A number or truth value; numbers are taken as exactly these doubles.
+    """
     if isinstance(value, bool | np.bool_):
         return Truth(np.bool_(value), np.bool_(value))
     return Interval(np.float64(value), np.float64(value))
@@ -62,7 +67,7 @@ def _up(c: Any) -> Any:
 def _product_step(c: Any, inexact: Callable[[], Any]) -> Any:
     """Outward step of a bound c that is a product or a quotient.
 
-    Where a result may have underflowed, `inexact` tells whether it differs from the exact one because of that.
+    Where a result may have underflowed, `inexact()` is whether it differs from the exact one because of that.
     """
     step = np.abs(c)
     underflows = step < SMALL
@@ -85,6 +90,7 @@ def _product(low: Any, high: Any, a: Interval, b: Interval) -> Interval:
 
 
 def _is_number(a: Interval) -> bool:
+    # NaN is unequal to itself, and so is no number here.
     return bool(np.ndim(a.low) == 0 and a.low == a.high)
 
 
@@ -93,20 +99,45 @@ def _is_number(a: Interval) -> bool:
 
 @kernel
 def neg(a: Interval) -> Interval:
+    """Interval of −a; a change of sign is exact.
+
+    Args:
+        a: Interval of the argument.
+    """
     return Interval(-a.high, -a.low)
 
 
 @kernel
 def add(a: Interval, b: Interval) -> Interval:
+    """Interval of a + b; each bound is moved outward by the rounding error of its sum.
+
+    Args:
+        a: First term.
+        b: Second term.
+    """
     return Interval(_down(a.low + b.low), _up(a.high + b.high))
 
 
 @kernel
 def sub(a: Interval, b: Interval) -> Interval:
+    """Interval of a − b; each bound is moved outward by the rounding error of its difference.
+
+    Args:
+        a: Minuend.
+        b: Subtrahend; its upper bound gives the lower bound of the difference.
+    """
     return Interval(_down(a.low - b.high), _up(a.high - b.low))
 
 
 def mul(a: Interval, b: Interval) -> Interval:
+    """Interval of a·b, with the tightest rule that applies.
+
+    The same node on both sides gives a square; where one factor is a number, each end needs one product.
+
+    Args:
+        a: First factor.
+        b: Second factor.
+    """
     if a is b:
         return square(a)
     if _is_number(a):
@@ -119,18 +150,18 @@ def mul(a: Interval, b: Interval) -> Interval:
 def _extremes(operation: np.ufunc, a: Interval, b: Interval) -> Interval:
     """Bounds of products or quotients: their extremes are at the ends of a and b."""
     low, other = operation(a.low, b.low), operation(a.low, b.high)
-    own = isinstance(low, np.ndarray)  # a new array, which may be changed in place
+    is_array = isinstance(low, np.ndarray)  # new, so that it may be changed in place
     high = np.maximum(low, other)
-    low = np.minimum(low, other, out=low if own else None)
+    low = np.minimum(low, other, out=low if is_array else None)
     for end in b:
-        value = operation(a.high, end, out=other if own else None)
-        low = np.minimum(low, value, out=low if own else None)
-        high = np.maximum(high, value, out=high if own else None)
+        value = operation(a.high, end, out=other if is_array else None)
+        low = np.minimum(low, value, out=low if is_array else None)
+        high = np.maximum(high, value, out=high if is_array else None)
     return _product(low, high, a, b)
 
 
 def _extremes_apart(operation: np.ufunc, a: Interval, b: Interval) -> Interval:
-    """The same with the question whether a number is none apart, for processors whose comparisons do not ask it."""
+    """The same with a separate test for NaN, for processors whose minimum does not propagate it."""
     (p, q), (r, s) = ((operation(end, b.low), operation(end, b.high)) for end in a)
     known = (p == p) & (q == q) & (r == r) & (s == s)
     low, other = np.where(q < p, q, p), np.where(s < r, s, r)
@@ -146,11 +177,23 @@ def _turned(a: Interval, k: Any) -> Interval:
 
 @kernel
 def times_number(ends: Interval, k: Interval) -> Interval:
+    """Interval of a·k.
+
+    Args:
+        ends: The interval a, with its ends exchanged where k < 0: first that of the least product.
+        k: A number as an interval, of which the lower bound is read.
+    """
     return _scaled(np.multiply, ends, k.low)
 
 
 @kernel
 def over_number(ends: Interval, k: Interval) -> Interval:
+    """Interval of a/k.
+
+    Args:
+        ends: The interval a, with its ends exchanged where k < 0: first that of the least quotient.
+        k: A number other than 0 as an interval, of which the lower bound is read.
+    """
     return _scaled(np.divide, ends, k.low)
 
 
@@ -164,13 +207,26 @@ def _scaled(operation: np.ufunc, ends: Interval, k: Any) -> Interval:
 
 @kernel
 def square(a: Interval) -> Interval:
+    """Interval of a², which is not negative even where a·a of two independent factors would be.
+
+    Args:
+        a: Interval of the argument.
+    """
     size = absolute(a)
+    # By |a|, whose ends are in order, so that both bounds are squares of one end each.
     low, high = size.low * size.low, size.high * size.high
     below, above = _product_step(low, lambda: size.low != 0), _product_step(high, lambda: size.high != 0)
+    # The step outward must not go below 0, which no square does.
     return Interval(np.maximum(low - below, 0.0), high + above)
 
 
 def div(a: Interval, b: Interval) -> Interval:
+    """Interval of a/b, NaN where b may be zero; one quotient for each end where one of them is a number.
+
+    Args:
+        a: Dividend.
+        b: Divisor.
+    """
     if _is_number(b) and b.low != 0:
         return over_number(_turned(a, b.low), b)
     if _is_number(a):
@@ -179,7 +235,7 @@ def div(a: Interval, b: Interval) -> Interval:
 
 
 def _pair(name: str, rule: Callable[..., Interval]) -> Callable[[Interval, Interval], Interval]:
-    """A kernel of two intervals from a rule that gets their extremes."""
+    """A kernel of two intervals from a rule that is passed the function for their extremes."""
     kernel = Kernel(functools.partial(rule, _extremes_apart), (Interval, Interval), Interval)
     return as_kernel(name, kernel, functools.partial(rule, _extremes))
 
@@ -190,13 +246,24 @@ quotients = _pair("quotients", lambda extremes, a, b: where((b.low > 0) | (b.hig
 
 @kernel
 def number_over(k: Interval, b: Interval, ends: Interval) -> Interval:
-    """k/b for a number k and the ends of b turned to its sign."""
-    found = _product(k.low / ends.low, k.low / ends.high, k, b)
-    return where((b.low > 0) | (b.high < 0), found)
+    """Interval of k/b, NaN where b may be zero.
+
+    Args:
+        k: A number as an interval, of which the lower bound is read.
+        b: Divisor.
+        ends: The ends of b in the order of the least and the largest quotient.
+    """
+    quotient = _product(k.low / ends.low, k.low / ends.high, k, b)
+    return where((b.low > 0) | (b.high < 0), quotient)
 
 
 def where(defined: Any, a: Interval) -> Interval:
-    """The interval where the function is defined, NaN bounds elsewhere."""
+    """An interval where the function is defined, and NaN bounds elsewhere.
+
+    Args:
+        defined: Truth values (B,).
+        a: The interval.
+    """
     if defined.all():
         return a
     return Interval(np.where(defined, a.low, np.nan), np.where(defined, a.high, np.nan))
@@ -204,30 +271,54 @@ def where(defined: Any, a: Interval) -> Interval:
 
 @kernel
 def absolute(a: Interval) -> Interval:
+    """Interval of |a|, exact; its lower bound is 0 where a contains 0.
+
+    Args:
+        a: Interval of the argument.
+    """
     nearest = np.maximum(a.low, -a.high)
     return Interval(np.maximum(nearest, 0.0), np.maximum(-a.low, a.high))
 
 
 def minimum(a: Any, b: Any) -> Any:
+    """Interval of min(a, b), or the statement "a and b".
+
+    Args:
+        a: First argument, interval or statement.
+        b: Second argument, of the same kind.
+    """
     return both(a, b) if isinstance(a, Truth) else smaller(a, b)
 
 
 @kernel
 def smaller(a: Interval, b: Interval) -> Interval:
+    """Interval of min(a, b), exact."""
     return Interval(np.minimum(a.low, b.low), np.minimum(a.high, b.high))
 
 
 def maximum(a: Any, b: Any) -> Any:
+    """Interval of max(a, b), or the statement "a or b".
+
+    Args:
+        a: First argument, interval or statement.
+        b: Second argument, of the same kind.
+    """
     return either(a, b) if isinstance(a, Truth) else larger(a, b)
 
 
 @kernel
 def larger(a: Interval, b: Interval) -> Interval:
+    """Interval of max(a, b), exact."""
     return Interval(np.maximum(a.low, b.low), np.maximum(a.high, b.high))
 
 
 @kernel
 def sqrt(a: Interval) -> Interval:
+    """Interval of √a, NaN where a may be negative; a correctly rounded root is off by half a unit in the last place.
+
+    Args:
+        a: Interval of the argument.
+    """
     return where(a.low >= 0, Interval(_down(np.sqrt(a.low)), _up(np.sqrt(a.high))))
 
 
@@ -253,11 +344,19 @@ _ELEMENTARY = {op: _elementary_of(op, bounds) for op, bounds in ELEMENTARY.items
 
 
 def power(a: Interval, b: Interval) -> Interval:
-    """Products and roots for constant exponents that are multiples of ½; otherwise by the logarithm, for a ≥ 0."""
+    """Interval of aᵇ.
+
+    Constant exponents that are multiples of ½ give products and roots, up to `MOST_PRODUCTS`; others go by the
+    logarithm, for a ≥ 0.
+
+    Args:
+        a: Base.
+        b: Exponent.
+    """
     if _is_number(b) and (2 * b.low).is_integer() and abs(b.low) <= MOST_PRODUCTS:
         whole = b.low.is_integer()
-        found = _product_of_many(a if whole else sqrt(a), int(abs(b.low if whole else 2 * b.low)))
-        return div(Interval(np.float64(1.0), np.float64(1.0)), found) if b.low < 0 else found
+        result = _product_of_many(a if whole else sqrt(a), int(abs(b.low if whole else 2 * b.low)))
+        return div(Interval(np.float64(1.0), np.float64(1.0)), result) if b.low < 0 else result
     return _ELEMENTARY["pow"](a, b)
 
 
@@ -273,7 +372,12 @@ def _product_of_many(a: Interval, count: int) -> Interval:
 
 @kernel
 def one(a: Interval) -> Interval:
-    """1 where a is known."""
+    """The number 1 where a is known, and NaN elsewhere.
+
+    Args:
+        a: Any interval.
+    """
+    # 0·NaN and 0·∞ are NaN: an unknown base stays unknown.
     return Interval(1.0 + 0.0 * a.low, 1.0 + 0.0 * a.high)
 
 
@@ -282,21 +386,25 @@ def one(a: Interval) -> Interval:
 
 @kernel
 def sign(a: Interval) -> Interval:
+    """Interval of the sign of a, −1, 0 or 1 at each end."""
     return Interval(np.sign(a.low), np.sign(a.high))
 
 
 @kernel
 def floor(a: Interval) -> Interval:
+    """Interval of the largest integer ≤ a."""
     return Interval(np.floor(a.low), np.floor(a.high))
 
 
 @kernel
 def ceil(a: Interval) -> Interval:
+    """Interval of the smallest integer ≥ a."""
     return Interval(np.ceil(a.low), np.ceil(a.high))
 
 
 @kernel
 def nearest(a: Interval) -> Interval:
+    """Interval of the nearest integer, the even one of two, as `numpy.rint`."""
     return Interval(np.rint(a.low), np.rint(a.high))
 
 
@@ -304,73 +412,133 @@ def nearest(a: Interval) -> Interval:
 
 
 def as_number(a: Interval | Truth) -> Interval:
-    """A truth value as a number, 0 or 1."""
+    """A truth value as the number 0 or 1; an interval stays as it is.
+
+    Args:
+        a: Interval or statement.
+    """
     return number_of(a) if isinstance(a, Truth) else a
 
 
 @kernel
 def number_of(a: Truth) -> Interval:
+    """A statement as a number: 1 where it holds, 0 where it cannot, and 0 … 1 where it is undecided."""
     return Interval(np.where(a.must, 1.0, 0.0), np.where(a.may, 1.0, 0.0))
 
 
 def lt(a: Interval | Truth, b: Interval | Truth) -> Truth:
+    """Statement a < b.
+
+    Args:
+        a: Left side, interval or statement; statements count as the numbers 0 and 1.
+        b: Right side.
+    """
     return less(as_number(a), as_number(b))
 
 
 @kernel
 def less(a: Interval, b: Interval) -> Truth:
+    """Statement a < b; bounds that are NaN leave it undecided.
+
+    Args:
+        a: Left side.
+        b: Right side.
+    """
     return Truth(a.high < b.low, ~(a.low >= b.high))
 
 
 def le(a: Interval | Truth, b: Interval | Truth) -> Truth:
+    """Statement a ≤ b.
+
+    Args:
+        a: Left side, interval or statement; statements count as the numbers 0 and 1.
+        b: Right side.
+    """
     return at_most(as_number(a), as_number(b))
 
 
 @kernel
 def at_most(a: Interval, b: Interval) -> Truth:
+    """Statement a ≤ b; bounds that are NaN leave it undecided.
+
+    Args:
+        a: Left side.
+        b: Right side.
+    """
     return Truth(a.high <= b.low, ~(a.low > b.high))
 
 
 def eq(a: Interval | Truth, b: Interval | Truth) -> Truth:
+    """Statement a = b, where the same node on both sides equals itself wherever it is defined.
+
+    Args:
+        a: Left side, interval or statement.
+        b: Right side.
+    """
     a, b = as_number(a), as_number(b)
     return equal_to_itself(a) if a is b else equal(a, b)
 
 
 @kernel
 def equal_to_itself(a: Interval) -> Truth:
-    """The usual test for a missing (NaN) measurement: a number equals itself where it is defined."""
+    """Statement a = a, the usual test for a missing (NaN) measurement: a number equals itself where it is defined.
+
+    Args:
+        a: The interval on both sides.
+    """
     defined = ~(np.isnan(a.low) & np.isnan(a.high))
     return Truth(defined, np.ones_like(defined))
 
 
 @kernel
 def equal(a: Interval, b: Interval) -> Truth:
+    """Statement a = b: proved where both are one same number, refuted where their intervals are disjoint.
+
+    Args:
+        a: Left side.
+        b: Right side.
+    """
     return Truth((a.high <= b.low) & (b.high <= a.low), ~((a.high < b.low) | (b.high < a.low)))
 
 
 @kernel
 def both(a: Truth, b: Truth) -> Truth:
+    """The statement "a and b"."""
     return Truth(a.must & b.must, a.may & b.may)
 
 
 @kernel
 def either(a: Truth, b: Truth) -> Truth:
+    """The statement "a or b"."""
     return Truth(a.must | b.must, a.may | b.may)
 
 
 @kernel
 def opposite(a: Truth) -> Truth:
+    # "Not a" must hold where a cannot, and may hold where a need not.
+    """The statement "not a"."""
     return Truth(~a.may, ~a.must)
 
 
 @kernel
 def is_finite(a: Interval) -> Truth:
+    """Statement that a number is finite: proved where its bounds are finite, never refuted.
+
+    Args:
+        a: Interval of the number.
+    """
     known = np.isfinite(a.low) & np.isfinite(a.high)
     return Truth(known, np.ones_like(known))
 
 
 def select(p: Truth, a: Any, b: Any) -> Any:
-    """Values of a where p must hold, of b where it cannot, and the hull of both where it is undecided."""
+    """Values of a where p must hold, of b where it cannot, and the hull of both where it is undecided.
+
+    Args:
+        p: The statement.
+        a: Interval or statement chosen where p holds.
+        b: Interval or statement chosen where p does not hold.
+    """
     if isinstance(a, Truth):
         return either(both(a, b), either(both(p, a), both(opposite(p), b)))
     return chosen(p, a, b)
@@ -378,21 +546,41 @@ def select(p: Truth, a: Any, b: Any) -> Any:
 
 @kernel
 def chosen(p: Truth, a: Interval, b: Interval) -> Interval:
-    found = Interval(np.where(p.must, a.low, b.low), np.where(p.must, a.high, b.high))
+    """Interval of `p ? a : b`, the hull of a and b where p is undecided.
+
+    Args:
+        p: The statement.
+        a: Interval chosen where p holds.
+        b: Interval chosen where p does not hold.
+    """
+    result = Interval(np.where(p.must, a.low, b.low), np.where(p.must, a.high, b.high))
     undecided = p.may & ~p.must
     if not undecided.any():
-        return found
+        return result
     low, high = np.minimum(a.low, b.low), np.maximum(a.high, b.high)
-    return Interval(np.where(undecided, low, found.low), np.where(undecided, high, found.high))
+    return Interval(np.where(undecided, low, result.low), np.where(undecided, high, result.high))
 
 
 @kernel
 def kinked(a: Interval, b: Interval, x: Interval, y: Interval) -> Interval:
-    """A derivative at a kink: x where a < b, y where b < a, and the hull of both where a and b may be equal."""
+    """Interval of a derivative at a kink: x where a < b, y where b < a, and the hull of both where they may be equal.
+
+    Args:
+        a: Left side of the comparison.
+        b: Right side.
+        x: Derivative where a < b.
+        y: Derivative where b < a.
+    """
     return chosen(Truth(a.high < b.low, ~(a.low > b.high)), x, y)
 
 
 def stumpff(k: Interval, x: Interval) -> Interval:
+    """Interval of Stumpff's function c_k(x), NaN where x may be negative.
+
+    Args:
+        k: Order, a number as an interval.
+        x: Interval of the argument.
+    """
     return stumpff_series(x, _stumpff.coefficients(int(k.low)))
 
 

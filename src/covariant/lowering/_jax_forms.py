@@ -2,7 +2,7 @@
 
 JAX renames primitives and their parameters from one release to the next. In 0.9 a `scan` counts its constants and what
 it carries (`num_consts`, `num_carry`), from 0.11 on it has trees of them (`ft_in`, `ft_out`); a closed jaxpr is a class
-of its own in 0.9 and any jaxpr from 0.11 on; stacking arrays is a concatenation in 0.9 and a primitive from 0.11 on.
+in 0.9 and any jaxpr from 0.11 on; stacking arrays is a concatenation in 0.9 and a primitive from 0.11 on.
 `equations` gives what a reader needs in one form: a `Call`, a `Scan`, a `While`, a `Branch`, or a primitive by itself.
 Newer primitives are replaced by older ones (`REPLACED`), with the rounding of JAX. What is left and has no rule is
 expanded by JAX, where JAX can do so (`expanded`); everything else is refused by its name.
@@ -23,14 +23,30 @@ from covariant.lowering._lowered import LoweringError
 
 
 class ClosedJaxpr(NamedTuple):
-    """A jaxpr and the values of its constants, which JAX keeps together since 0.11."""
+    """A jaxpr and the values of its constants, which JAX stores together since 0.11.
+
+    Attributes:
+        jaxpr: The jaxpr, with `invars`, `constvars`, `outvars` and `eqns`.
+        consts: Values of its constants, one for each of `constvars`.
+
+    Example:
+        >>> import jax
+        >>> from covariant import lowering
+        >>> body = lowering.ClosedJaxpr.of(jax.make_jaxpr(lambda x: 2.0 * x)(1.0))
+        >>> [equation.name for equation in lowering.equations(body.jaxpr)]
+        ['mul']
+    """
 
     jaxpr: Any
     consts: Sequence[Any]
 
     @classmethod
     def of(cls, inner: Any) -> "ClosedJaxpr":
-        """The body of a parameter that is a jaxpr, closed or without constants."""
+        """Convert the value of a parameter, in any release of JAX.
+
+        Args:
+            inner: A closed jaxpr, or a jaxpr without constants.
+        """
         return cls(getattr(inner, "jaxpr", inner), getattr(inner, "consts", ()))
 
     @property
@@ -40,7 +56,21 @@ class ClosedJaxpr(NamedTuple):
 
 
 class Call(NamedTuple):
-    """A function that is called once; `replaces`: it stands for a primitive, and not for a function of the user."""
+    """A function that is called once.
+
+    Attributes:
+        body: The function.
+        replaces: Whether it stands for a primitive, and not for a function of the user.
+
+    Example:
+        >>> import jax
+        >>> import jax.numpy as jnp
+        >>> from covariant import lowering
+        >>> traced = jax.make_jaxpr(jax.jit(lambda x: jnp.sin(x)))(1.0)
+        >>> (equation,) = lowering.equations(traced.jaxpr)
+        >>> isinstance(equation.form, lowering.Call), equation.form.replaces
+        (True, False)
+    """
 
     body: ClosedJaxpr
     replaces: bool = False
@@ -49,9 +79,21 @@ class Call(NamedTuple):
 class Scan(NamedTuple):
     """A loop of known length over rows.
 
-    - `body`: `(*fixed, *carried, *row) -> (*carried, *results of a row)`.
-    - `fixed`, `carried`: how many of the arguments are the same in every turn, and how many are carried.
-    - `reverse`: the last row comes first.
+    Attributes:
+        body: A turn, `(*fixed, *carried, *row) -> (*carried, *results of a row)`.
+        fixed: How many of the arguments are the same in every turn.
+        carried: How many of the arguments after these are carried from turn to turn; the others are arrays of rows.
+        length: Number of turns.
+        reverse: Whether the last row comes first.
+
+    Example:
+        >>> import jax
+        >>> import jax.numpy as jnp
+        >>> from covariant import lowering
+        >>> traced = jax.make_jaxpr(lambda x: jax.lax.scan(lambda s, row: (s + row, s), 0.0, x))(jnp.ones(5))
+        >>> scan = next(equation.form for equation in lowering.equations(traced.jaxpr) if equation.name == "scan")
+        >>> scan.fixed, scan.carried, scan.length, scan.reverse
+        (0, 1, 5, False)
     """
 
     body: ClosedJaxpr
@@ -64,8 +106,19 @@ class Scan(NamedTuple):
 class While(NamedTuple):
     """A loop as long as a condition holds.
 
-    - `condition`: `(*its constants, *carried) -> [going]`; `body`: `(*its constants, *carried) -> carried`.
-    - `of_condition`, `of_body`: how many arguments are the constants of each; what is carried comes after them.
+    Attributes:
+        condition: `(*its constants, *carried) -> [going]`.
+        body: A turn, `(*its constants, *carried) -> carried`.
+        of_condition: How many of the arguments are constants of the condition; they come first.
+        of_body: How many of the arguments after these are constants of the body; the others are carried.
+
+    Example:
+        >>> import jax
+        >>> from covariant import lowering
+        >>> traced = jax.make_jaxpr(lambda x: jax.lax.while_loop(lambda z: z < 1.0, lambda z: 2.0 * z, x))(0.1)
+        >>> (equation,) = lowering.equations(traced.jaxpr)
+        >>> isinstance(equation.form, lowering.While), equation.form.of_condition, equation.form.of_body
+        (True, 0, 0)
     """
 
     condition: ClosedJaxpr
@@ -75,7 +128,20 @@ class While(NamedTuple):
 
 
 class Branch(NamedTuple):
-    """One of several functions, chosen by the first argument."""
+    """One of several functions, chosen by the first argument.
+
+    Attributes:
+        bodies: The functions of the other arguments, by the value 0, 1, … of the first one, which is clipped.
+
+    Example:
+        >>> import jax
+        >>> import jax.numpy as jnp
+        >>> from covariant import lowering
+        >>> traced = jax.make_jaxpr(lambda p, x: jax.lax.cond(p, jnp.sin, jnp.cos, x))(True, 1.0)
+        >>> branch = next(e.form for e in lowering.equations(traced.jaxpr) if e.name == "cond")
+        >>> len(branch.bodies)
+        2
+    """
 
     bodies: tuple[ClosedJaxpr, ...]
 
@@ -84,7 +150,12 @@ Form = Call | Scan | While | Branch
 
 
 class Parameters(dict):
-    """The parameters of a primitive; one that is missing is refused by name."""
+    """The parameters of a primitive by name; looking up a missing one raises `LoweringError`.
+
+    Args:
+        primitive: Name of the primitive, for the message.
+        parameters: Its parameters.
+    """
 
     def __init__(self, primitive: str, parameters: dict):
         super().__init__(parameters)
@@ -98,7 +169,23 @@ class Parameters(dict):
 
 
 class JaxprEquation(NamedTuple):
-    """An equation of a jaxpr; `form` is None for a primitive by itself."""
+    """An equation of a jaxpr.
+
+    Attributes:
+        primitive: The primitive of JAX.
+        params: Its parameters.
+        invars: Inputs, variables or literals, with their shapes and types as `aval`.
+        outvars: Variables of the outputs.
+        source_info: The line of the user's code, as JAX records it.
+        form: What it calls, as a `Call`, `Scan`, `While` or `Branch`; None for a primitive by itself.
+
+    Example:
+        >>> import jax
+        >>> from covariant import lowering
+        >>> (equation,) = lowering.equations(jax.make_jaxpr(lambda x: x + 1.0)(0.0).jaxpr)
+        >>> equation.name, equation.form is None, len(equation.invars)
+        ('add', True, 2)
+    """
 
     primitive: Any
     params: Parameters
@@ -114,15 +201,30 @@ class JaxprEquation(NamedTuple):
 
     @property
     def unknown(self) -> str | None:
-        """A parameter that is set and may change the values, and that no rule of this primitive reads."""
+        """Name of a parameter that is set and may change the values, and that no rule of this primitive reads.
+
+        None where there is no such parameter.
+        """
         known = READ.get(self.name, NONE)
         return next((k for k, v in self.params.items() if v is not None and k not in known and k not in WITHOUT), None)
 
 
 def equations(jaxpr: Any) -> Iterator[JaxprEquation]:
-    """The equations of a jaxpr in order, each in the form of this module.
+    """Iterate over the equations of a jaxpr in order, in one form for all releases of JAX.
 
-    Raises `LoweringError` for a loop, a call or a branch in a form that is not known, naming primitive and parameter.
+    Args:
+        jaxpr: The jaxpr, without its constants.
+
+    Raises:
+        LoweringError: A loop, a call or a branch has an unknown form; the message names primitive and parameter.
+
+    Example:
+        >>> import jax
+        >>> import jax.numpy as jnp
+        >>> from covariant import lowering
+        >>> traced = jax.make_jaxpr(lambda x: jnp.sin(x) * x)(1.0)
+        >>> [equation.name for equation in lowering.equations(traced.jaxpr)]
+        ['sin', 'mul']
     """
     for eqn in jaxpr.eqns:
         name, params = eqn.primitive.name, Parameters(eqn.primitive.name, eqn.params)
@@ -138,29 +240,53 @@ def equations(jaxpr: Any) -> Iterator[JaxprEquation]:
 
 
 def need_pure(equation: JaxprEquation) -> None:
-    """Raise `LoweringError` for a call of Python: with known arguments too it may return another value every time."""
+    """Refuse a call of Python, which may return another value every time, even for known arguments.
+
+    Args:
+        equation: The equation.
+
+    Raises:
+        LoweringError: The equation calls Python.
+    """
     if equation.name in CALLBACKS:
         raise LoweringError(f"the primitive '{equation.name}' has no graph of scalars; write the function without it")
 
 
 def needed(closed: Any) -> ClosedJaxpr:
-    """A closed jaxpr without what its results do not need."""
+    """Return a closed jaxpr without the equations that its results do not need.
+
+    Args:
+        closed: The closed jaxpr.
+
+    Example:
+        >>> import jax
+        >>> import jax.numpy as jnp
+        >>> from covariant import lowering
+        >>> traced = jax.make_jaxpr(lambda x: [jnp.sin(x), jnp.cos(x)][1])(1.0)
+        >>> [equation.name for equation in lowering.equations(lowering.needed(traced).jaxpr)]
+        ['cos']
+    """
     used = [True] * len(closed.jaxpr.outvars)
     return ClosedJaxpr(partial_eval.dce_jaxpr(closed.jaxpr, used, instantiate=True)[0], closed.consts)
 
 
 def expanded(equation: JaxprEquation) -> Call:
-    """A primitive that has no rule, written out by JAX in others.
+    """Expand a primitive without a rule into others, as JAX implements it.
 
-    Raises `LoweringError` where JAX has no such expansion, as for a factorisation by LAPACK.
+    Args:
+        equation: The equation of the primitive.
+
+    Raises:
+        LoweringError: JAX has no such expansion, as for a factorisation by LAPACK.
     """
     name, primitive = equation.name, equation.primitive
     by_jax = primitive.to_lojax if name == "call_hi_primitive" else primitive.impl
     refusal = LoweringError(f"the primitive '{name}' has no graph of scalars; write the function without it")
     try:
         call = _traced(equation, lambda *x: by_jax(*x, **equation.params))
-    except Exception as error:  # whatever JAX raises: it cannot be expanded
+    except Exception as error:  # JAX documents no type of error for a primitive that it cannot expand
         raise refusal from error
+    # An expansion into itself would never end.
     if name in set(_names(call.body.jaxpr)):
         raise refusal
     return call
@@ -294,7 +420,7 @@ def _odd(equation: JaxprEquation, parameter: str) -> LoweringError:
     )
 
 
-# Newer primitives by older ones.
+# Newer primitives, in terms of older ones.
 
 
 def _stack(*x: jax.Array, axis: int) -> jax.Array:

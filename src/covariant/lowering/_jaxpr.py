@@ -1,4 +1,4 @@
-"""From a JAX function to its graph: the jaxpr interpreted over scalars, with loops unrolled.
+"""Lowering of a JAX function to a graph: its jaxpr interpreted over scalars, with loops unrolled.
 
 Integers are treated as integral real numbers: their sums and products are exact. Operations that are not, such as an
 integer division, are refused by name, as is every primitive without a rule. An entry taken at a place that depends on
@@ -45,36 +45,90 @@ Loops = Literal["unrolled", "long", "any"]
 
 
 class TracedFunction(NamedTuple):
-    """A function as its closed jaxpr, and the shapes of its results in their structure."""
+    """A function as its jaxpr, for `lower_traced`.
+
+    Attributes:
+        jaxpr: The closed jaxpr.
+        results: Shapes of the results, in their pytree.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import lowering
+        >>> traced = lowering.trace(jnp.sin, jnp.zeros(3))
+        >>> traced.results.shape
+        (3,)
+    """
 
     jaxpr: Any
     results: Any
 
 
 def trace(function: Callable, *arguments: Any) -> TracedFunction:
-    """A function of arrays traced at the shapes of the arguments (arrays, or their shapes), once for `lower_traced`."""
+    """Trace a function of arrays, once for several calls of `lower_traced`.
+
+    Args:
+        function: A function of arrays, or pytrees of them, that JAX can trace.
+        arguments: Arrays, or their shapes as `jax.ShapeDtypeStruct`; values do not matter.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import lowering
+        >>> lowered = lowering.lower_traced(lowering.trace(lambda x: x + 1.0, jnp.array(0.0)))
+        >>> float(lowering.numbers(lowered, 2.0))
+        3.0
+    """
     return TracedFunction(*jax.make_jaxpr(function, return_shape=True)(*arguments))
 
 
 def lower(function: Callable, *arguments: Any, real: bool = False, loops: Loops = "unrolled") -> Lowered:
-    """The graph of a function of arrays of real numbers, at the shapes of the arguments (arrays, or their shapes).
+    """Lower a function of arrays of real numbers to a graph of scalar operations, those of `covariant.lowering.FOLD`.
 
-    - `real`: all arguments are real numbers, none of them missing (NaN). The result then has `conditions`: where the
-      function is defined and does not jump, for everything that it computes, whether a result needs it or not. What
-      rounds by its nature, such as conversion to a shorter type, is refused.
-    - `loops`: which loops stay loops in the graph, for code: none, so that one whose length the arguments decide is
-      refused; "long" ones, whose turns are so much work that they are written once; or "any" of these two kinds. Code
-      also looks up slices of known numbers, such as a metric on a grid, in a table.
+    Run-time errors (`equinox.error_if`) are left out of the graph.
 
-    Its operations are those of `covariant.lowering.FOLD`. Errors at run time (`equinox.error_if`) are left out of it.
-    Raises `LoweringError` naming the primitive that has no
-    graph, such as a factorisation by LAPACK, or a loop whose length depends on the arguments.
+    Args:
+        function: A function of arrays, or pytrees of them, that JAX can trace.
+        arguments: Arrays, or their shapes as `jax.ShapeDtypeStruct`; values do not matter.
+        real: Whether all arguments are real numbers, none of them missing (NaN). The result then has `conditions`:
+            where the function is defined and does not jump, for everything that it computes, whether a result needs it
+            or not. Operations that round by their nature, such as conversion to a shorter type, are refused.
+        loops: Which loops stay loops in the graph, for generated code. "unrolled": none, so that one whose length
+            depends on the arguments is refused. "long": those of known length whose turns are so much work that they
+            are written once. "any": these, and those whose length depends on the arguments. With "long" and "any",
+            slices of known numbers, such as a metric on a grid, are looked up in a table.
+
+    Raises:
+        LoweringError: A primitive has no graph, such as a factorisation by LAPACK, or the length of a loop depends on
+            the arguments. The message names it.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import lowering
+        >>> lowered = lowering.lower(lambda q: jnp.sin(q) * 0.0 + q, jnp.array(0.0))
+        >>> [node.op for node in lowered.graph.nodes]  # the product with zero is pruned
+        ['input']
     """
     return lower_traced(trace(function, *arguments), real, loops)
 
 
 def lower_traced(traced: TracedFunction, real: bool = False, loops: Loops = "unrolled") -> Lowered:
-    """As `lower`, of a function that has been traced."""
+    """Lower a function that has been traced, as `lower` does.
+
+    Args:
+        traced: The function, from `trace`.
+        real: Whether all arguments are real numbers; see `lower`.
+        loops: Which loops stay loops in the graph; see `lower`.
+
+    Raises:
+        LoweringError: The function has no graph of scalars.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import lowering
+        >>> traced = lowering.trace(lambda x: jnp.sqrt(x), jnp.array(1.0))
+        >>> plain, real = (lowering.lower_traced(traced, real=real) for real in (False, True))
+        >>> plain.conditions is None, len(real.conditions.conditions)
+        (True, 1)
+    """
     closed, shape = traced
     graph, position = Graph(real), itertools.count()
     inputs: list[Value] = []
@@ -93,7 +147,26 @@ def lower_traced(traced: TracedFunction, real: bool = False, loops: Loops = "unr
 
 
 def graft(graph: Graph, function: Callable, *arguments: np.ndarray) -> np.ndarray:
-    """Add a function of nodes of a graph to this graph, and return the nodes of its result, an array."""
+    """Add a function of nodes to their graph.
+
+    Args:
+        graph: The graph, which is changed.
+        function: A function of arrays that JAX can trace; its result is one array.
+        arguments: Integer arrays of nodes of the graph, of the shapes of the arguments.
+
+    Returns:
+        The nodes of the result, an integer array of its shape.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> import numpy as np
+        >>> from covariant import lowering
+        >>> graph = lowering.Graph()
+        >>> x = np.array([graph.input(0), graph.input(1)])
+        >>> total = lowering.graft(graph, jnp.sum, x)
+        >>> graph.nodes[int(total)].op
+        'add'
+    """
     shapes = [jax.ShapeDtypeStruct(ids.shape, jnp.float64) for ids in arguments]
     closed = jax.make_jaxpr(function)(*shapes)
     (result,) = _Interpreter(graph).run(ClosedJaxpr(closed.jaxpr, closed.consts), [Scalars(ids) for ids in arguments])
@@ -101,7 +174,25 @@ def graft(graph: Graph, function: Callable, *arguments: np.ndarray) -> np.ndarra
 
 
 def substitute(graph: Graph, nodes: Sequence[int], into: Graph, inputs: Mapping[int, int]) -> list[int]:
-    """Nodes of a graph copied into another graph, with given nodes there in place of the inputs."""
+    """Copy nodes of a graph into another graph, with nodes there in place of the inputs.
+
+    Args:
+        graph: The graph to copy from.
+        nodes: Nodes to copy, with everything that they depend on.
+        into: The graph to copy into, which is changed.
+        inputs: For the position of each input that occurs, a node of `into`.
+
+    Returns:
+        The copied nodes, as indices in `into`.
+
+    Example:
+        >>> from covariant import lowering
+        >>> graph, other = lowering.Graph(), lowering.Graph()
+        >>> sine = graph.apply("sin", graph.input(0))
+        >>> (value,) = lowering.substitute(graph, [sine], other, {0: other.constant(0.0)})
+        >>> other.nodes[value].value  # sin 0, folded
+        0.0
+    """
     small, outputs = graph.pruned(nodes)
     place: list[int] = []
     for node in small.nodes:
@@ -122,7 +213,7 @@ class _Interpreter:
         self.loops: Loops = loops
 
     def run(self, body: ClosedJaxpr, inputs: Sequence[Value], replaces: bool = False) -> list[Value]:
-        """Values of the outputs of a jaxpr; `replaces`: it stands for a primitive, and has its place in code."""
+        """Values of the outputs of a jaxpr; `replaces`: it stands for a primitive, whose line in the code it takes."""
         known: dict = {}
 
         def read(atom) -> Value:
@@ -134,10 +225,10 @@ class _Interpreter:
         for eqn in equations(body.jaxpr):
             if not replaces:
                 self.graph.line = functools.partial(_line, eqn, outer)
-            found = self.equation(eqn, [read(atom) for atom in eqn.invars])
+            outputs = self.equation(eqn, [read(atom) for atom in eqn.invars])
             if self.graph.real:
-                self.bounded(eqn, found)
-            known.update(zip(eqn.outvars, found, strict=True))
+                self.bounded(eqn, outputs)
+            known.update(zip(eqn.outvars, outputs, strict=True))
         return [read(atom) for atom in body.jaxpr.outvars]
 
     def equation(self, eqn: JaxprEquation, values: list[Value]) -> list[Value]:
@@ -169,6 +260,8 @@ class _Interpreter:
         for atom, value in zip(eqn.outvars, values, strict=True):
             if isinstance(value, Scalars) and jnp.issubdtype(atom.aval.dtype, jnp.integer):
                 limits = jnp.iinfo(atom.aval.dtype)
+                # `within` is strict, so the bounds are the first integers beyond the type, and at most what doubles
+                # resolve.
                 self.write.within(value, max(float(limits.min) - 1, -EXACT), min(float(limits.max) + 1, EXACT))
 
     def scan(self, scan: Scan, values: list[Value]) -> list[Value]:
@@ -176,14 +269,15 @@ class _Interpreter:
         fixed, carry, over = values[: ends[0]], values[ends[0] : ends[1]], values[ends[1] :]
         of_rows = scan.body.results[scan.carried :]
         if self.loops != "unrolled" and not over and not of_rows and scan.length > 1:
-            found = self.counted(scan, fixed, carry)
-            if found is not None:
-                return found
+            outputs = self.counted(scan, fixed, carry)
+            if outputs is not None:
+                return outputs
+        # A reversed scan visits the last row first and still stacks its results in the order of the rows.
         order = range(scan.length)[:: -1 if scan.reverse else 1]
         collected: dict[int, list[Value]] = {}
         for i in order:
-            found = self.run(scan.body, [*fixed, *carry, *(_take(value, i) for value in over)])
-            carry, collected[i] = found[: scan.carried], found[scan.carried :]
+            outputs = self.run(scan.body, [*fixed, *carry, *(_take(value, i) for value in over)])
+            carry, collected[i] = outputs[: scan.carried], outputs[scan.carried :]
         rows = [collected[i] for i in sorted(collected)]
         empty = [np.zeros((0, *aval.shape)) for aval in of_rows]
         stacked = [self.write.stack(list(column)) for column in zip(*rows, strict=True)] if rows else empty
@@ -210,9 +304,9 @@ class _Interpreter:
             (going,) = inner.run(loop.condition, [*condition, *carry])
             return inner.run(loop.body, [*body, *carry]), going
 
-        found = loop_of(self.graph, turn, values[: ends[1]], values[ends[1] :])
-        assert found is not None
-        return found
+        outputs = loop_of(self.graph, turn, values[: ends[1]], values[ends[1] :])
+        assert outputs is not None
+        return outputs
 
     def while_loop(self, loop: While, values: list[Value]) -> list[Value]:
         ends = loop.of_condition, loop.of_condition + loop.of_body
@@ -226,19 +320,22 @@ class _Interpreter:
                 raise LoweringError("a 'while' loop runs until something the arguments decide; give it a fixed length")
             if not going.any():
                 return carry
-            moved = self.run(loop.body, [*body, *carry])
+            advanced = self.run(loop.body, [*body, *carry])
             carry = (
-                moved if going.all() else [self.write.chosen(going, *pair) for pair in zip(moved, carry, strict=True)]
+                advanced
+                if going.all()
+                else [self.write.chosen(going, *pair) for pair in zip(advanced, carry, strict=True)]
             )
         raise LoweringError(f"a 'while' loop of more than {MOST_ITERATIONS} iterations is too long to unroll")
 
     def branch(self, bodies: Sequence[ClosedJaxpr], values: list[Value]) -> list[Value]:
         chosen, *rest = values
         if isinstance(chosen, Scalars):
-            sound = [body for body in bodies if not _calls_back(body)]
-            if len(sound) == 1 and not self.graph.real:  # `equinox.error_if`: the other branch raises an error
-                return self.run(sound[0], rest)
+            pure = [body for body in bodies if not _calls_back(body)]
+            if len(pure) == 1 and not self.graph.real:  # `equinox.error_if`: the other branch raises an error
+                return self.run(pure[0], rest)
             raise LoweringError("a 'cond' chooses by the arguments; compute both ways and take one by jnp.where")
+        # JAX clips the index of a branch, too.
         return self.run(bodies[int(np.clip(int(chosen), 0, len(bodies) - 1))], rest)
 
 
@@ -249,14 +346,14 @@ def _calls_back(body: ClosedJaxpr) -> bool:
 
 def _need_reals(eqn: JaxprEquation, real: bool) -> None:
     """Refuse operations whose results are not numbers and, with `real`, those that shorten numbers."""
-    name, given = eqn.name, [atom.aval.dtype for atom in eqn.invars if hasattr(atom.aval, "dtype")]
-    made = [atom.aval.dtype for atom in eqn.outvars if hasattr(atom.aval, "dtype")]
-    for dtype in made:
+    name, sources = eqn.name, [atom.aval.dtype for atom in eqn.invars if hasattr(atom.aval, "dtype")]
+    targets = [atom.aval.dtype for atom in eqn.outvars if hasattr(atom.aval, "dtype")]
+    for dtype in targets:
         if not _is_real(dtype):
             raise LoweringError(f"'{name}' makes {dtype}, which is no real number")
-    digits = [[d for t in types if (d := _digits(t)) is not None] for types in (given, made)]
+    digits = [[d for t in types if (d := _digits(t)) is not None] for types in (sources, targets)]
     if real and all(digits) and min(digits[1]) < max(digits[0]):
-        raise LoweringError(f"'{name}' makes numbers shorter, to {made[0]}, and is no function of real numbers")
+        raise LoweringError(f"'{name}' makes numbers shorter, to {targets[0]}, and is no function of real numbers")
 
 
 @functools.cache

@@ -1,8 +1,8 @@
-"""Loops of a graph: what is done again and again is a graph of its own.
+"""Loops of a graph: a turn is a graph too, which is evaluated again and again.
 
 A node `loop` holds a `Repetition` and gets the numbers that stay fixed, then those that are carried; nodes `part` are
-what each carried number is in the end. Loops are for code, and not for proofs: neither derivatives nor intervals know
-them.
+the carried numbers after the last turn. Loops are for generated code, and not for proofs: neither derivatives nor
+intervals have rules for them.
 """
 
 from collections.abc import Callable, Sequence
@@ -19,10 +19,13 @@ Turn = Callable[[Graph, list[Value]], tuple[list[Value], Value | None]]
 
 
 class Repetition(NamedTuple):
-    """Numbers carried on by `body` as long as `going` holds, or so many times as `turns` says.
+    """A loop: numbers carried from turn to turn.
 
-    - `body`: `(fixed, carried) -> carried`; `going`: `(fixed, carried) -> [truth]`, or None where that number is known.
-    - `fixed`: how many of the inputs of both are fixed.
+    Attributes:
+        body: A turn, `(fixed, carried) -> carried`.
+        going: `(fixed, carried) -> [truth]`, whether there is another turn; None where their number is known.
+        turns: Number of turns; None where `going` decides.
+        fixed: How many of the inputs of both are fixed; the others are carried.
     """
 
     body: Lowered
@@ -32,20 +35,27 @@ class Repetition(NamedTuple):
 
     @property
     def carried(self) -> int:
-        """How many numbers are carried."""
+        """Number of carried numbers."""
         return len(self.body.outputs)
 
     @property
     def graphs(self) -> tuple[Lowered, ...]:
-        """The graphs of a turn."""
+        """The graphs of a turn: the body and, if there is one, the condition."""
         return (self.body,) if self.going is None else (self.body, self.going)
 
     def over(self, change: Callable[[Lowered], Lowered]) -> "Repetition":
-        """The loop with its graphs changed."""
+        """Return the loop with its graphs changed.
+
+        Args:
+            change: Function that is applied to the body and to the condition.
+        """
         return self._replace(body=change(self.body), going=None if self.going is None else change(self.going))
 
     def key(self) -> tuple:
-        """What two loops that do the same have in common."""
+        """Return a hashable description of the loop.
+
+        Loops with equal keys do the same.
+        """
         graphs = ((tuple(map(_keyed, each.graph.nodes)), each.outputs) for each in self.graphs)
         return self.turns, self.fixed, *graphs
 
@@ -55,12 +65,24 @@ def _keyed(node: Node) -> tuple:
 
 
 def add_loop(graph: Graph, loop: Repetition, arguments: Sequence[int]) -> int:
-    """The node of a loop added to a graph, or of one that is there and does the same."""
+    """Return the node of a loop, adding it to the graph unless an equal one is there.
+
+    Args:
+        graph: The graph.
+        loop: The loop.
+        arguments: Nodes of the fixed numbers, then of the initial carried ones.
+    """
     return graph.block("loop", loop.key(), tuple(arguments), loop)
 
 
 def part_of(graph: Graph, loop: int, k: int) -> int:
-    """The node of what the k-th carried number is in the end."""
+    """Return the node of a carried number after the last turn.
+
+    Args:
+        graph: The graph.
+        loop: Node of the loop.
+        k: Which of the carried numbers.
+    """
     return graph.block("part", k, (loop,), k)
 
 
@@ -72,13 +94,22 @@ def loop_of(
     count: int | None = None,
     least: int = 0,
 ) -> list[Value] | None:
-    """What is carried in the end of a loop, as values in a graph; None where a turn is less than `least` operations.
+    """Add a loop over arrays to a graph.
 
-    - `turn`: `(graph, [*fixed, *carry]) -> (carry, going)`, which adds one turn to another graph; `going` is a
-      statement on what the turn starts with, or None with a `count` of turns.
+    Entries that a turn does not change count as fixed, so that what is known of them is known in the loop too. At first
+    all count as such; those that a turn changes no longer do, until there are no more.
 
-    Entries that a turn leaves as they are, are fixed too, and so keep what is known of them. At first all count as
-    such; those that a turn changes no longer do, until there are no more.
+    Args:
+        graph: The graph, which is changed.
+        turn: `(graph, [*fixed, *carry]) -> (carry, going)`, which adds one turn to another graph; `going` is a
+            statement on the values that the turn starts with, or None with a `count` of turns.
+        fixed: Arrays that are the same in every turn.
+        carry: Initial values of the carried arrays.
+        count: Number of turns, if it is known.
+        least: Smallest number of operations of a turn that becomes a loop.
+
+    Returns:
+        The carried arrays after the last turn; None where a turn is less than `least` operations.
     """
     starts = _flat(graph, carry)
     changes = np.zeros(len(starts), bool)
@@ -93,9 +124,10 @@ def loop_of(
             return inner.input(2 * i)  # odd positions are those of what is carried; numbered anew below
 
         begins = [inner.input(2 * k + 1) if changes[k] else outer(i) for k, i in enumerate(starts)]
-        held = _filled([outer(i) for i in _flat(graph, fixed)], fixed)
-        found, going = turn(inner, [*held, *_filled(begins, carry, changes)])
-        ends = _flat(inner, found)
+        fixed_values = _filled([outer(i) for i in _flat(graph, fixed)], fixed)
+        carried, going = turn(inner, [*fixed_values, *_filled(begins, carry, changes)])
+        ends = _flat(inner, carried)
+        # Entries only ever leave the fixed set, so that this ends.
         now = changes | (np.array(ends, int) != np.array(begins, int))
         if (now == changes).all():
             break
@@ -104,18 +136,18 @@ def loop_of(
     order = {position: n for n, position in enumerate([*(2 * i for i in used), *(2 * k + 1 for k in places)])}
 
     def cut(outputs: Sequence[int]) -> Lowered:
-        small, kept = inner.pruned(outputs)
+        small, roots = inner.pruned(outputs)
         small.nodes[:] = [n._replace(value=order[n.value]) if n.op == "input" else n for n in small.nodes]
-        result = (jax.ShapeDtypeStruct((len(kept),), float),)
-        return Lowered(small, ((len(order),),), tuple(kept), result, jax.tree.structure(0))
+        result = (jax.ShapeDtypeStruct((len(roots),), float),)
+        return Lowered(small, ((len(order),),), tuple(roots), result, jax.tree.structure(0))
 
     body = cut([ends[k] for k in places])
     if len(body.graph.nodes) < least:
         return None
     stop = None if going is None else cut(_flat(inner, [going]))
     loop = Repetition(body, stop, count, len(used))
-    at = add_loop(graph, loop, [*used, *(starts[k] for k in places)])
-    parts = {k: part_of(graph, at, n) for n, k in enumerate(places)}
+    node_of_loop = add_loop(graph, loop, [*used, *(starts[k] for k in places)])
+    parts = {k: part_of(graph, node_of_loop, n) for n, k in enumerate(places)}
     return _filled([parts.get(k, start) for k, start in enumerate(starts)], carry, changes)
 
 
@@ -125,12 +157,12 @@ def _flat(graph: Graph, values: Sequence[Value]) -> list[int]:
 
 def _filled(ids: Sequence[int], like: Sequence[Value], changes: np.ndarray | None = None) -> list[Value]:
     """Values of the shapes of others with these nodes; known numbers that do not change stay known numbers."""
-    found, at = [], 0
+    filled, start = [], 0
     for value in like:
         known = not isinstance(value, Scalars)
         shape = value.shape if known else value.ids.shape
         size = int(np.prod(shape, dtype=int))
-        same = known and (changes is None or not changes[at : at + size].any())
-        found.append(value if same else Scalars(np.array(ids[at : at + size], int).reshape(shape)))
-        at += size
-    return found
+        same = known and (changes is None or not changes[start : start + size].any())
+        filled.append(value if same else Scalars(np.array(ids[start : start + size], int).reshape(shape)))
+        start += size
+    return filled

@@ -1,4 +1,4 @@
-"""C of a formula in NumPy that works entry by entry: the formula is called on symbols, which write down what it does.
+"""C of a formula in NumPy that works entry by entry: the formula is called on symbols, which record what it does.
 
 So a formula has one text, for NumPy and for C, and both do the same operations in the same order. Only what IEEE 754
 determines has a counterpart in C: sums, products, quotients, roots, comparisons, whole numbers and operations on bits.
@@ -49,8 +49,8 @@ OPERATORS: dict[Any, tuple[str, str | None]] = {
     np.ceil: ("ceil({})", REAL),
     np.rint: ("rint({})", REAL),
     np.copysign: ("copysign({}, {})", REAL),
-    np.sign: ("{0} > 0 ? 1.0 : {0} < 0 ? -1.0 : {0}", REAL),
-    # NaN goes through both.
+    np.sign: ("{0} > 0 ? 1.0 : {0} < 0 ? -1.0 : {0}", REAL),  # zeros and NaN result as they are
+    # NaN of either argument results, as in NumPy and unlike fmin and fmax.
     np.minimum: ("{1} != {1} ? {1} : {1} < {0} ? {1} : {0}", REAL),
     np.maximum: ("{1} != {1} ? {1} : {1} > {0} ? {1} : {0}", REAL),
     np.less: ("{} < {}", TRUTH),
@@ -72,22 +72,39 @@ OPERATORS: dict[Any, tuple[str, str | None]] = {
 
 
 class Text:
-    """C in single assignments; equal expressions are written once. `tables` of numbers are shared with other texts."""
+    """C in single assignments; equal expressions are written once.
+
+    Args:
+        tables: Names of tables by their entries, shared with other texts; new tables are added to it.
+    """
 
     def __init__(self, tables: dict[str, str]) -> None:
         self.tables = tables
         self._known: dict[tuple[str, str], str] = {}
 
     def name(self, kind: str, expression: str) -> str:
-        """The variable that holds an expression."""
+        """Return the variable that holds an expression, adding its assignment where needed.
+
+        Args:
+            kind: C type of the expression: `REAL`, `TRUTH` or `BITS`.
+            expression: The C expression.
+        """
         return self._known.setdefault((kind, expression), f"{kind[0]}{len(self._known)}")
 
     def table(self, values: Sequence[float]) -> str:
-        """The name of a table of numbers."""
+        """Return the name of a table, adding it where needed.
+
+        Args:
+            values: Its entries.
+        """
         return self.tables.setdefault(", ".join(map(literal, values)), f"table{len(self.tables)}")
 
     def lines(self, results: Iterable[str]) -> list[str]:
-        """The assignments that these expressions need."""
+        """Return the assignments that some expressions need, in order.
+
+        Args:
+            results: The C expressions.
+        """
         needed, lines = set(NAMES.findall(" ".join(results))), []
         for (kind, expression), name in reversed(self._known.items()):
             if name in needed:
@@ -100,7 +117,13 @@ NAMES = re.compile(r"\b\w+\b")
 
 
 class Traced:
-    """An entry of an array, or several stacked, in C: names of variables of one type."""
+    """An entry of an array, or several stacked, as variables in C; it behaves as an array of NumPy.
+
+    Args:
+        text: The C that operations are added to.
+        kind: C type of the variables.
+        parts: Names of the variables: one, or one for each stacked entry.
+    """
 
     def __init__(self, text: Text, kind: str, parts: tuple[str, ...]):
         self.text, self.kind, self.parts = text, kind, parts
@@ -110,6 +133,7 @@ class Traced:
             raise TypeError(f"{function.__name__}.{method} has no C for each entry")
         if function is np.logical_and:
             function = np.bitwise_and
+        # A finite number times a truth value, as in `TINY * mask`, is a choice.
         if function is np.multiply and isinstance(arguments[0], float) and arguments[1].kind == TRUTH:
             return _where(arguments[1], arguments[0], 0.0)
         expression, result = OPERATORS[function]
@@ -121,13 +145,24 @@ class Traced:
         return FUNCTIONS[function](*arguments, **options)
 
     def of(self, value: Any, kind: str) -> "Traced":
-        """A symbol, or a known number as one of its type."""
+        """Convert a known number to a symbol; a symbol stays as it is.
+
+        Args:
+            value: A symbol or a number.
+            kind: C type of the number.
+        """
         if isinstance(value, Traced):
             return value
         return Traced(self.text, kind, (literal(float(value) if kind == REAL else value),))
 
     def each(self, kind: str, expression: str, *arguments: "Traced") -> "Traced":
-        """An expression of the parts of several symbols, of which single ones serve for all."""
+        """Add an expression for each stacked entry.
+
+        Args:
+            kind: C type of the result.
+            expression: Format of the C expression, with a field for each argument.
+            arguments: Symbols; one with a single entry serves for all.
+        """
         count = max(len(a.parts) for a in arguments)
         rows = zip(*(a.parts * (count if len(a.parts) == 1 else 1) for a in arguments), strict=True)
         return Traced(self.text, kind, tuple(self.text.name(kind, expression.format(*row)) for row in rows))
@@ -143,26 +178,45 @@ class Traced:
         return function(first, second)
 
     def min(self, axis: int) -> "Traced":
+        """The smaller of two stacked entries."""
         return self._ends(np.minimum)
 
     def max(self, axis: int) -> "Traced":
+        """The larger of two stacked entries."""
         return self._ends(np.maximum)
 
     def all(self, axis: int | None = None) -> "Traced | bool":
+        """Whether both of two stacked entries are true.
+
+        Args:
+            axis: The axis of the stack. For None, a question about the whole array, it is False, so that nothing is
+                left out.
+        """
         return False if axis is None else self._ends(np.bitwise_and)
 
     def any(self) -> bool:
+        """Always True: a question about the whole array, of which no entry is known."""
         return True
 
     def view(self, kind: type) -> "Traced":
+        """The bits of a double as an int64, or back.
+
+        Args:
+            kind: `numpy.int64` or `float`.
+        """
         return self.each(BITS, "bits_of({})", self) if kind is np.int64 else self.each(REAL, "double_of({})", self)
 
     def astype(self, kind: type) -> "Traced":
+        """Convert to another type.
+
+        Args:
+            kind: `bool` or `float`.
+        """
         return self.each(TRUTH, "{} != 0", self) if kind is bool else self.each(REAL, "(double){}", self)
 
 
-def _operator(function: np.ufunc, turned: bool = False) -> Callable:
-    return (lambda a, b: function(b, a)) if turned else (lambda a, *b: function(a, *b))
+def _operator(function: np.ufunc, swapped: bool = False) -> Callable:
+    return (lambda a, b: function(b, a)) if swapped else (lambda a, *b: function(a, *b))
 
 
 for _name, _function in {
@@ -178,7 +232,7 @@ for _name, _function in {
     "rshift": np.right_shift,
 }.items():
     setattr(Traced, f"__{_name}__", _operator(_function))
-    setattr(Traced, f"__r{_name}__", _operator(_function, turned=True))
+    setattr(Traced, f"__r{_name}__", _operator(_function, swapped=True))
 for _name, _function in {
     "lt": np.less,
     "le": np.less_equal,
@@ -194,19 +248,29 @@ for _name, _function in {
 
 
 def kind_of(value: Any) -> str:
-    """The type of a known number."""
+    """C type of a known number.
+
+    Args:
+        value: A truth value, an integer or a real number.
+    """
     return TRUTH if isinstance(value, bool | np.bool_) else BITS if isinstance(value, int | np.integer) else REAL
 
 
 def literal(value: Any) -> str:
-    """A known number in C."""
+    """Write a known number in C, exactly: real numbers in hexadecimal.
+
+    Args:
+        value: A truth value, an integer or a real number, NaN and infinities included.
+    """
     if kind_of(value) != REAL:
         return f"{int(value)}" if kind_of(value) == TRUTH else f"INT64_C({int(value)})"
     number = float(value)
+    # NAN and INFINITY are of the type float in C.
     if math.isnan(number):
         return "(double)NAN"
     if math.isinf(number):
         return f"({'-' if number < 0 else ''}(double)INFINITY)"
+    # In brackets, so that a minus before it does not make `--`.
     return f"({number.hex()})" if math.copysign(1.0, number) < 0 else number.hex()
 
 

@@ -1,9 +1,9 @@
-"""Rewriting of a graph before code is made of it: fewer operations, with the same meaning.
+"""Simplification of a graph before code is generated from it: fewer operations, with the same meaning.
 
 `simplified` moves changes of sign outward, where two of them cancel, uses that sine and cosine are odd and even, and
 divides once where several numbers are divided by the same one. The rules hold in floating-point arithmetic exactly, by
-its symmetry, but for the last, which rounds a quotient twice, and for the sign of a zero. They are applied to graphs of
-which code is made, not to those that are proved: these keep the operations as written.
+its symmetry, but for the last, which rounds a quotient twice, and for the sign of a zero. They are applied to graphs
+for generated code, not to those for proofs, which keep the operations as written.
 """
 
 from collections import Counter
@@ -16,11 +16,22 @@ from covariant.lowering._lowered import Lowered
 ODD = {"sin", "tan", "asin", "atan", "sinh", "tanh", "asinh", "atanh", "cbrt", "sign"}
 EVEN = {"cos", "cosh", "abs"}
 FEWEST_QUOTIENTS = 2
-"""So many quotients with one divisor are worth its reciprocal."""
+"""Number of quotients with one divisor from which its reciprocal is computed."""
 
 
 def simplified(lowered: Lowered) -> Lowered:
-    """The same function with fewer operations, within its loops too; its conditions are dropped."""
+    """Return the same function with fewer operations, within its loops too; its conditions are dropped.
+
+    Args:
+        lowered: The function.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import lowering
+        >>> lowered = lowering.lower(lambda x: jnp.cos(-x), jnp.array(0.0))
+        >>> [node.op for node in lowering.simplified(lowered).graph.nodes]
+        ['input', 'cos']
+    """
     outward = _rewritten(lowered, lambda graph, node, x: _outward(graph, node.op, x))
     nodes = outward.graph.nodes
     divisors = Counter(node.arguments[1] for node in nodes if node.op == "div")
@@ -68,9 +79,9 @@ def _outward(graph: Graph, op: str, x: tuple[int, ...]) -> int:
             return neg(_outward(graph, op, (a,)))
         case _, _, (int(a),) if op in EVEN:
             return _outward(graph, op, (a,))
-        case _, (a,), _ if op in ODD | EVEN and (turned := _turned(graph, a)) is not None:
+        case _, (a,), _ if op in ODD | EVEN and (swapped := _swapped(graph, a)) is not None:
             # b - a where a - b is there already: one sine serves both.
-            return neg(graph.apply(op, turned)) if op in ODD else graph.apply(op, turned)
+            return neg(graph.apply(op, swapped)) if op in ODD else graph.apply(op, swapped)
         case "mul" | "div", _, (int(a), int(b)):
             return graph.apply(op, a, b)
         case "mul" | "div", (_, b), (int(a), None):
@@ -90,7 +101,9 @@ def _outward(graph: Graph, op: str, x: tuple[int, ...]) -> int:
         case "sub", (a, _), (None, int(b)):
             return graph.apply("add", a, b)
         case "min" | "max", _, (int(a), int(b)):
+            # min(−a, −b) = −max(a, b).
             return neg(graph.apply("max" if op == "min" else "min", a, b))
+        # −a < −b is b < a.
         case "lt" | "le", _, (int(a), int(b)):
             return graph.apply(op, b, a)
         case "select", (p, _, _), (_, int(a), int(b)):
@@ -105,8 +118,8 @@ def _opposite(graph: Graph, node: int) -> int | None:
     return graph.nodes[node].arguments[0] if graph.nodes[node].op == "neg" else None
 
 
-def _turned(graph: Graph, node: int) -> int | None:
+def _swapped(graph: Graph, node: int) -> int | None:
     """The node b − a for a node a − b, where the graph has it and it came first."""
     op, arguments, _ = graph.nodes[node]
-    found = graph.find("sub", *arguments[::-1]) if op == "sub" else None
-    return found if found is not None and found < node else None
+    mirror = graph.find("sub", *arguments[::-1]) if op == "sub" else None
+    return mirror if mirror is not None and mirror < node else None

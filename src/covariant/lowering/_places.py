@@ -1,4 +1,4 @@
-"""Slices, gathers and scatters of arrays of nodes: entries moved to or taken from given places.
+"""Slices, gathers and scatters of arrays of nodes: entries moved to or taken from places.
 
 Where the places are known numbers, the primitive itself is applied to the indices of the nodes. Where they depend on
 the arguments, the result is a choice between all possible places, if these are few, or is looked up, if the entries are
@@ -24,11 +24,24 @@ MOST_PLACES = 64
 FEW_PLACES = 8
 """Up to so many places a choice costs no more than a table."""
 MOST_ENTRIES = 2_000_000
-"""Largest table of known numbers: some 40 MB of C, and 16 MB in the memory of who runs it."""
+"""Largest table of known numbers: some 40 MB of C, and 16 MB of memory where it runs."""
 
 
 def at_places(write: Writer, eqn: JaxprEquation, values: list) -> list[Value]:
-    """A primitive that moves entries to or from places, or adds them there; the places are known, or one of few."""
+    """Apply a primitive that takes entries from places, or sets or adds them there.
+
+    Args:
+        write: Adds operations to the graph.
+        eqn: The equation of the primitive.
+        values: Values of its inputs.
+
+    Returns:
+        Values of its outputs: one array.
+
+    Raises:
+        LoweringError: There are more possible places than `MOST_PLACES`, or a table of more than `MOST_ENTRIES`
+            numbers.
+    """
     name = eqn.name
     move = _added if name == "scatter-add" else _moved
     where, ends = _places(name, eqn.params, [atom.aval.shape for atom in eqn.invars])
@@ -38,18 +51,18 @@ def at_places(write: Writer, eqn: JaxprEquation, values: list) -> list[Value]:
     flat = [int(node) for place in places for node in place.ravel()]
     known = [write.graph.nodes[node].value if write.graph.nodes[node].op == "constant" else None for node in flat]
 
-    def moved(numbers: Sequence) -> np.ndarray:
-        left, arguments = iter(numbers), []
+    def result_at(numbers: Sequence) -> np.ndarray:
+        remaining, arguments = iter(numbers), []
         for i, value in enumerate(values):
             if i in where:
                 shape, dtype = eqn.invars[i].aval.shape, eqn.invars[i].aval.dtype
-                arguments.append(np.array([next(left) for _ in range(math.prod(shape))], dtype).reshape(shape))
+                arguments.append(np.array([next(remaining) for _ in range(math.prod(shape))], dtype).reshape(shape))
             else:
                 arguments.append(nodes_of(write.graph, value))
         return move(write, eqn, arguments)
 
     if None not in known:
-        return [Scalars(moved([value for value in known if value is not None]))]
+        return [Scalars(result_at([value for value in known if value is not None]))]
     largest = [ends[k % len(ends)] for k in range(len(flat))]
     choices = [range(end + 1) if value is None else (value,) for end, value in zip(largest, known, strict=True)]
     count = math.prod(len(choice) for choice in choices)
@@ -71,16 +84,17 @@ def at_places(write: Writer, eqn: JaxprEquation, values: list) -> list[Value]:
             node if value is not None else write.graph.apply("min", write.graph.apply("max", node, low), high)
             for node, value, (low, high) in zip(flat, known, limits, strict=True)
         ]
+    # One beyond the last place: what the primitive itself does out of bounds is the default of the choice.
     outside = [float(end + 1) for end in largest]
-    result = moved([o if v is None else v for o, v in zip(outside, known, strict=True)]) if fills or drops else None
+    result = result_at([o if v is None else v for o, v in zip(outside, known, strict=True)]) if fills or drops else None
     for combination in itertools.product(*choices):
-        here = write.graph.constant(True)
+        chosen = write.graph.constant(True)
         for node, value, number in zip(flat, known, combination, strict=True):
             if value is None:
-                here = write.graph.apply("and", here, write.graph.apply("eq", node, write.graph.constant(number)))
-        ids = moved(combination)
+                chosen = write.graph.apply("and", chosen, write.graph.apply("eq", node, write.graph.constant(number)))
+        ids = result_at(combination)
         result = (
-            ids if result is None else write.map("select", Scalars(np.array(here)), Scalars(ids), Scalars(result)).ids
+            ids if result is None else write.map("select", Scalars(np.array(chosen)), Scalars(ids), Scalars(result)).ids
         )
     assert result is not None
     return [Scalars(result)]
@@ -130,6 +144,7 @@ def _moved(write: Writer, eqn: JaxprEquation, arguments: list[np.ndarray]) -> np
     """Nodes moved by the primitive itself, applied to their indices."""
     if eqn.name in SLICES:
         return SLICES[eqn.name](eqn.params, *arguments)
+    # −1 is the index of no node: it marks entries out of bounds, which are NaN.
     parameters = dict(eqn.params) | ({"fill_value": -1} if eqn.name == "gather" else {})
     with jax.ensure_compile_time_eval():
         ids = np.array(eqn.primitive.bind(*map(jnp.asarray, arguments), **parameters))
@@ -141,12 +156,12 @@ def _added(write: Writer, eqn: JaxprEquation, arguments: list[np.ndarray]) -> np
     operand, places, updates = arguments
     total = operand.ravel().copy()
     for k, node in enumerate(updates.ravel().tolist()):
-        # The place of an update is found by applying the primitive to a one in its position, and zeros elsewhere.
+        # The primitive, applied to a one at the position of an update and zeros elsewhere, shows where the update goes.
         one = np.zeros(updates.size, eqn.invars[2].aval.dtype)
         one[k] = 1.0
         with jax.ensure_compile_time_eval():
             arrays = map(jnp.asarray, (np.zeros(operand.shape, one.dtype), places, one.reshape(updates.shape)))
-            goes = np.asarray(eqn.primitive.bind(*arrays, **eqn.params))
-        for i in np.flatnonzero(goes.ravel()):
+            target = np.asarray(eqn.primitive.bind(*arrays, **eqn.params))
+        for i in np.flatnonzero(target.ravel()):
             total[i] = write.graph.apply("add", int(total[i]), node)
     return total.reshape(operand.shape)

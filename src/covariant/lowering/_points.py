@@ -1,10 +1,10 @@
-"""Elementary functions at points, from sums, products, quotients and roots alone, with errors proved beforehand.
+"""Elementary functions at points, from sums, products, quotients and roots alone, with proved error bounds.
 
-No values of a library are trusted. The argument is reduced without error, or with an error that is kept; the Taylor
-polynomial of the reduced function has a remainder known in closed form; and every operation rounds by at most a part
-u = 2⁻⁵³ of its result (N. J. Higham, Accuracy and Stability of Numerical Algorithms, 2002, chapter 5). `UNITS` states
-the total error in u; its first-order analysis is carried out automatically in the tests of this package. The reductions
-are those of J.-M. Muller, Elementary Functions, 2016.
+No values of a library are trusted. The argument is reduced without error, or with an error that is carried along; the
+Taylor polynomial of the reduced function has a remainder known in closed form; and every operation rounds by at most a
+part u = 2⁻⁵³ of its result (N. J. Higham, Accuracy and Stability of Numerical Algorithms, 2002, chapter 5). `UNITS`
+states the total error in u; its first-order analysis is carried out automatically in the tests of this package. The
+reductions are those of J.-M. Muller, Elementary Functions, 2016.
 
 Besides IEEE arithmetic only exact operations are trusted: comparisons and operations on bits. Arguments are arrays
 (...).
@@ -44,22 +44,27 @@ UNITS = {
 """Relative errors in u, except for results that underflow, and without the error of the reduction modulo π/2."""
 
 
-def _words(*words: str) -> list[float]:
-    return [float.fromhex(f"0x{word}") for word in words]
+def _hex_doubles(*digits: str) -> list[float]:
+    return [float.fromhex(f"0x{each}") for each in digits]
 
 
 # Constants split into words of a few bits, whose products with integers of 11 or 20 bits are exact; the last has 53.
-LN2_HIGH, LN2_LOW = _words("1.62e42fefa38p-1", "1.ef35793c7673p-45")
-QUARTER_HIGH, QUARTER_MIDDLE, QUARTER_LOW = _words("1.921fb544p+0", "1.0b4611a6p-34", "1.3198a2e037073p-69")
-HALF_PI_HIGH, HALF_PI_LOW = _words("1.921fb54442d18p+0", "1.1a62633145c07p-54")
+LN2_HIGH, LN2_LOW = _hex_doubles("1.62e42fefa38p-1", "1.ef35793c7673p-45")
+QUARTER_HIGH, QUARTER_MIDDLE, QUARTER_LOW = _hex_doubles("1.921fb544p+0", "1.0b4611a6p-34", "1.3198a2e037073p-69")
+HALF_PI_HIGH, HALF_PI_LOW = _hex_doubles("1.921fb54442d18p+0", "1.1a62633145c07p-54")
 _UNUSED = (math.nan,) * 3
 ATAN_HIGH = np.array(
-    [*_words("0p+0", "1.f5b75f92c80ddp-3", "1.dac670561bb4fp-2", "1.4978fa3269ee1p-1", "1.921fb54442d18p-1"), *_UNUSED]
+    [
+        *_hex_doubles("0p+0", "1.f5b75f92c80ddp-3", "1.dac670561bb4fp-2", "1.4978fa3269ee1p-1", "1.921fb54442d18p-1"),
+        *_UNUSED,
+    ]
 )
 """Arc tangents of 0, ¼, ½, ¾ and 1, to the nearest double; the remaining entries are for the index of NaN."""
 ATAN_LOW = np.array(
     [
-        *_words("0p+0", "1.8ab6e3cf7afbdp-57", "1.a2b7f222f65e2p-56", "1.2419a87f2a458p-56", "1.1a62633145c07p-55"),
+        *_hex_doubles(
+            "0p+0", "1.8ab6e3cf7afbdp-57", "1.a2b7f222f65e2p-56", "1.2419a87f2a458p-56", "1.1a62633145c07p-55"
+        ),
         *_UNUSED,
     ]
 )
@@ -79,7 +84,12 @@ ATAN = [(-1) ** i / (2 * i + 3) for i in range(9, -1, -1)]
 
 
 def horner(coefficients: Sequence[float], x: Any) -> Any:
-    """A polynomial by Horner's rule, from its coefficients, highest power first."""
+    """Evaluate a polynomial by Horner's rule.
+
+    Args:
+        coefficients: At least two coefficients, highest power first.
+        x: The argument (...).
+    """
     total = x * coefficients[0]
     total += coefficients[1]
     for coefficient in coefficients[2:]:
@@ -89,8 +99,16 @@ def horner(coefficients: Sequence[float], x: Any) -> Any:
 
 
 def whole(x: Any) -> tuple[Any, Any]:
-    """The nearest integer, as a double and in the last bits of an int64."""
+    """Round to the nearest integer.
+
+    Args:
+        x: Numbers well below 2⁵¹ in size.
+
+    Returns:
+        The integer as a double, and an int64 whose last bits are those of the integer.
+    """
     shifted = x + MAGIC
+    # The sum rounds to nearest in its last bit, whose unit is 1; the difference is exact.
     return shifted - MAGIC, shifted.view(np.int64)
 
 
@@ -101,6 +119,7 @@ def _power_of_two(bits: Any) -> Any:
 
 def _scaled(x: Any, k: Any) -> Any:
     """x·2ᵏ for integers |k| ≤ 2000, as two products, of which one may underflow or overflow."""
+    # One factor 2ᵏ would overflow itself before the product does.
     half, bits = whole(0.5 * k)
     return x * _power_of_two(bits) * _power_of_two(whole(k - half)[1])
 
@@ -109,7 +128,13 @@ def _scaled(x: Any, k: Any) -> Any:
 
 
 def exp_reduced(r: Any) -> Any:
-    """exp r - 1 for |r| ≤ 0.34658. The remainder is below r¹⁴/14!·1.03, that is 0.12 u |r|."""
+    """exp r − 1 for |r| ≤ 0.34658.
+
+    The remainder is below r¹⁴/14!·1.03, that is 0.12 u |r|.
+
+    Args:
+        r: Reduced argument.
+    """
     return r + r * r * horner(EXP, r)
 
 
@@ -120,21 +145,34 @@ def _exp_parts(x: Any, rest: Any = None) -> tuple[Any, Any]:
 
 
 def exp(x: Any, shift: float = 0.0, rest: Any = None) -> Any:
-    """exp(x + rest) · 2ˢʰⁱᶠᵗ, infinite where it overflows; `rest` is below a unit in the last place of x."""
+    """exp(x + rest) · 2ˢʰⁱᶠᵗ, infinite where it overflows.
+
+    Args:
+        x: The argument.
+        shift: Integer exponent of a power of two; −1 halves the value without an overflow before.
+        rest: Correction of x, below a unit in its last place.
+    """
     k, q = _exp_parts(np.minimum(np.maximum(x, -746.0), 712.0), rest)
     return _scaled(1.0 + q, k + shift)
 
 
 def expm1(x: Any) -> Any:
-    """exp x - 1 for x ≥ -40, where it is -1 to the nearest double; infinite where it overflows."""
+    """exp x − 1, infinite where it overflows.
+
+    Args:
+        x: The argument; below −40 the result is −1, to the nearest double.
+    """
     k, q = _exp_parts(np.minimum(np.maximum(x, -40.0), 712.0))
     return _scaled((1.0 - _scaled(1.0, -k)) + q, k)
 
 
 def sinh(x: Any) -> Any:
-    """sinh x as (q + q/(q + 1))/2 for q = exp |x| - 1, or half the exponential for |x| > 20, with the sign of x.
+    """sinh x as (q + q/(q + 1))/2 for q = exp |x| − 1, or half the exponential for |x| > 20, with the sign of x.
 
     It does not magnify a relative error of q, since q d/dq of its logarithm is at most 1.
+
+    Args:
+        x: The argument.
     """
     size = np.abs(x)
     q = expm1(np.minimum(size, 20.0))
@@ -142,12 +180,21 @@ def sinh(x: Any) -> Any:
 
 
 def cosh(x: Any) -> Any:
+    """cosh x as h + 1/(4h) for h = exp |x|/2, which overflows no sooner than the result.
+
+    Args:
+        x: The argument.
+    """
     half = exp(np.abs(x), -1.0)
     return half + 0.25 / half
 
 
 def tanh(x: Any) -> Any:
-    """tanh x as q/(q + 2) for q = exp 2|x| - 1, which magnifies no relative error. For |x| ≥ 22 it is 1 within u/4."""
+    """tanh x as q/(q + 2) for q = exp 2|x| − 1, which magnifies no relative error. For |x| ≥ 22 it is 1 within u/4.
+
+    Args:
+        x: The argument.
+    """
     q = expm1(2.0 * np.minimum(np.abs(x), 22.0))
     return np.copysign(q / (q + 2.0), x)
 
@@ -156,10 +203,15 @@ def tanh(x: Any) -> Any:
 
 
 def log_tail(f: Any) -> Any:
-    """f - log(1 + f) for -0.2929 ≤ f ≤ 0.4143. The remainder is below s²³/23·2.1, below 0.01 u of the logarithm.
+    """f − log(1 + f) for −0.2929 ≤ f ≤ 0.4143.
 
-    It is s (f - R) for log(1 + f) = 2s + s R, since s (2 + f) = f.
+    It is s (f − R) for log(1 + f) = 2s + s R, since s (2 + f) = f. The remainder is below s²³/23·2.1, below 0.01 u of
+    the logarithm.
+
+    Args:
+        f: Mantissa minus 1.
     """
+    # The caller adds f, which is exact, so that only the small tail carries the errors of this function.
     s = f / (2.0 + f)
     z = s * s
     return s * (f - z * horner(LOG, z))
@@ -169,31 +221,43 @@ def _mantissa(x: Any) -> tuple[Any, Any]:
     """k and m - 1 of a positive number x = 2ᵏ m, both exact."""
     low = x < 2.0**-1022
     if low.any():
+        # Subnormal numbers have no bits of an exponent; 54 is taken off again below.
         x = np.where(low, x * 2.0**54, x)
+    # 0x3FE6A09E is the head of √½: after this shift the exponent changes at √½ and not at a power of 2.
     bits = x.view(np.int64) + (0x3FF0000000000000 - 0x3FE6A09E00000000)
     m = ((bits & 0x000FFFFFFFFFFFFF) + 0x3FE6A09E00000000).view(float)
     return ((bits >> 52) - 0x3FF - 54 * low).astype(float), m - 1.0
 
 
 def log(x: Any, shift: float = 0.0) -> Any:
-    """log x + shift·log 2: -∞ at 0, NaN below."""
+    """log x + shift·log 2: −∞ at 0, NaN below.
+
+    Args:
+        x: The argument.
+        shift: Integer; 1 gives log 2x where 2x would overflow.
+    """
     k, f = _mantissa(x)
     k += shift
     return _at_ends(x, f - (log_tail(f) - k * LN2_LOW) + k * LN2_HIGH)
 
 
 def log1p(x: Any) -> Any:
-    """log(1 + x). The rounding error of the sum 1 + x is known exactly; divided by 1 + x, it is added."""
+    """log(1 + x). The rounding error of the sum 1 + x is computed exactly; divided by 1 + x, it is added.
+
+    Args:
+        x: The argument; −∞ at −1, NaN below.
+    """
     total = 1.0 + x
     k, f = _mantissa(total)
-    near = (x > -0.2928) & (x < 0.4142)
-    k, f = np.where(near, 0.0, k), np.where(near, x, f)
-    rest = np.where(near, 0.0, _rounding_error(1.0, x, total) / total + k * LN2_LOW)
+    small = (x > -0.2928) & (x < 0.4142)
+    k, f = np.where(small, 0.0, k), np.where(small, x, f)
+    rest = np.where(small, 0.0, _rounding_error(1.0, x, total) / total + k * LN2_LOW)
     return _at_ends(total, f - (log_tail(f) - rest) + k * LN2_HIGH)
 
 
 def _rounding_error(a: Any, b: Any, total: Any) -> Any:
     """a + b - total for the rounded sum, exactly (D. E. Knuth, The Art of Computer Programming 2, section 4.2.2)."""
+    # Six operations, so that it holds whichever of a and b is larger.
     part = total - a
     return (a - (total - part)) + (b - part)
 
@@ -204,7 +268,14 @@ def _at_ends(x: Any, value: Any) -> Any:
 
 
 def log_parts(x: Any) -> tuple[Any, Any, Any]:
-    """The logarithm of a positive number as the sum of two doubles, and a bound on the error of this sum."""
+    """The logarithm of a positive number as the sum of two doubles, with a bound on its error.
+
+    Args:
+        x: The argument, positive and finite.
+
+    Returns:
+        The two doubles, the larger one first, and a bound on the absolute error of their sum.
+    """
     k, f = _mantissa(x)
     tail = log_tail(f) - k * LN2_LOW
     first = k * LN2_HIGH
@@ -214,7 +285,15 @@ def log_parts(x: Any) -> tuple[Any, Any, Any]:
 
 
 def power(parts: tuple[Any, Any, Any], y: Any) -> tuple[Any, Any]:
-    """xʸ from the parts of log x, and a bound on its relative error, for |y| < 2⁹⁰⁰."""
+    """xʸ from the logarithm of x.
+
+    Args:
+        parts: The logarithm of x, from `log_parts`.
+        y: The exponent, |y| < 2⁹⁰⁰.
+
+    Returns:
+        The value, and a bound on its relative error.
+    """
     head, rest, error = parts
     more = y * rest
     product, lost = _product(y, head)
@@ -239,20 +318,34 @@ def _halves(a: Any) -> tuple[Any, Any]:
 
 
 def asinh(x: Any) -> Any:
-    """log1p(a + a²/(1 + √(1 + a²))) for a = |x|, or log 2a where a > 2²⁸. log1p does not magnify relative errors."""
+    """asinh x as log1p(a + a²/(1 + √(1 + a²))) for a = |x|, or log 2a where a > 2²⁸, with the sign of x.
+
+    log1p does not magnify relative errors.
+
+    Args:
+        x: The argument.
+    """
     a = np.abs(x)
     b = np.minimum(a, 2.0**28)
     return np.copysign(np.where(a > b, log(a, 1.0), log1p(b + b * b / (1.0 + np.sqrt(1.0 + b * b)))), x)
 
 
 def acosh(x: Any) -> Any:
-    """acosh x as log1p(t + √(t (t + 2))) for t = x - 1, or log 2x where x > 2²⁸."""
+    """acosh x as log1p(t + √(t (t + 2))) for t = x − 1, or log 2x where x > 2²⁸.
+
+    Args:
+        x: The argument, ≥ 1.
+    """
     t = np.minimum(x, 2.0**28) - 1.0
     return np.where(x > 2.0**28, log(x, 1.0), log1p(t + np.sqrt(t * (t + 2.0))))
 
 
 def atanh(x: Any) -> Any:
-    """atanh x as ½ log1p(2a/(1 - a)) for a = |x|, with the sign of x."""
+    """atanh x as ½ log1p(2a/(1 − a)) for a = |x|, with the sign of x.
+
+    Args:
+        x: The argument, −1 … 1.
+    """
     a = np.abs(x)
     return np.copysign(0.5 * log1p(2.0 * a / (1.0 - a)), x)
 
@@ -261,9 +354,15 @@ def atanh(x: Any) -> Any:
 
 
 def atan_reduced(t: Any, c: Any, high: Any, low: Any) -> Any:
-    """atan t, from that of c in two doubles. The difference t - c is exact.
+    """atan t from that of a nearby c; the difference t − c is exact.
 
     The remainder is below z²³/23 for a quotient |z| ≤ 0.1875, that is 0.05 u of z.
+
+    Args:
+        t: The argument, 0 … 1.
+        c: One of 0, ¼, ½, ¾ and 1, with −0.0625 ≤ t − c ≤ 0.1875.
+        high: atan c, to the nearest double.
+        low: The rest of atan c.
     """
     z = (t - c) / (1.0 + c * t)
     w = z * z
@@ -271,16 +370,27 @@ def atan_reduced(t: Any, c: Any, high: Any, low: Any) -> Any:
 
 
 def from_axis(theta: Any, turns: int) -> Any:
-    """`turns` quarter turns minus theta."""
+    """The angle from an axis: a number of quarter turns minus theta.
+
+    Args:
+        theta: Angle [rad].
+        turns: Number of quarter turns.
+    """
     return turns * HALF_PI_HIGH - (theta - turns * HALF_PI_LOW)
 
 
 def angle(y: Any, x: Any) -> Any:
-    """The angle of the point (x, y) for y ≥ 0: 0 at the origin, π on the negative half-axis."""
+    """The angle of the point (x, y) [rad]: 0 at the origin, π on the negative half-axis.
+
+    Args:
+        y: Second coordinate, ≥ 0.
+        x: First coordinate.
+    """
     size = np.abs(x)
     largest = np.maximum(y, size)
     t = np.minimum(y, size) / np.where(largest == 0, 1.0, largest)
     j, bits = whole(4.0 * t - 0.25)
+    # Three bits, so that the index of NaN is within the tables too; its result is NaN in any case.
     index = bits & 7
     theta = atan_reduced(t, 0.25 * j, np.choose(index, ATAN_HIGH), np.choose(index, ATAN_LOW))
     theta = np.where(y > size, from_axis(theta, 1), theta)
@@ -288,20 +398,40 @@ def angle(y: Any, x: Any) -> Any:
 
 
 def atan(x: Any) -> Any:
+    """atan x as the angle of the point (1, |x|), with the sign of x.
+
+    Args:
+        x: The argument.
+    """
     return np.copysign(angle(np.abs(x), np.ones_like(x)), x)
 
 
 def atan2(y: Any, x: Any) -> Any:
+    """The angle of the point (x, y) in −π … π [rad]; on the negative half-axis it is π, for y = −0 too.
+
+    Args:
+        y: Second coordinate.
+        x: First coordinate.
+    """
+    # −0 + 0 is +0: the cut belongs to the upper side.
     return np.copysign(angle(np.abs(y), x), y + 0.0)
 
 
 def asin(x: Any) -> Any:
-    """asin x as the angle of the point (√((1 - x)(1 + x)), x)."""
+    """asin x as the angle of the point (√((1 − x)(1 + x)), x).
+
+    Args:
+        x: The argument, −1 … 1.
+    """
     return np.copysign(angle(np.abs(x), np.sqrt((1.0 - x) * (1.0 + x))), x)
 
 
 def acos(x: Any) -> Any:
-    """acos x as twice the angle whose tangent is √(1 - x)/√(1 + x)."""
+    """acos x as twice the angle whose tangent is √(1 − x)/√(1 + x).
+
+    Args:
+        x: The argument, −1 … 1.
+    """
     return 2.0 * angle(np.sqrt(1.0 - x), np.sqrt(1.0 + x))
 
 
@@ -314,11 +444,16 @@ QUARTER_ERROR = 2.0**-119
 
 
 def quarters(x: Any) -> tuple[Any, Any, Any, Any]:
-    """k, its bits, and r of x = k π/2 + r as the sum of two doubles, for |k| ≤ 2²⁰.
+    """Reduce an argument modulo π/2: x = k π/2 + r.
 
-    The error of r is at most |k|·QUARTER_ERROR plus u² times r.
+    The products with the first two parts of π/2, of 33 bits, and the first difference are exact. The error of r is at
+    most |k|·QUARTER_ERROR plus u² times r.
 
-    The products with the first two words, of 33 bits, and the first difference are exact.
+    Args:
+        x: The argument, with |k| ≤ 2²⁰.
+
+    Returns:
+        The integer k, an int64 with its last bits, and r as the sum of two doubles.
     """
     k, bits = whole(x * (2 / math.pi))
     first, second = x - k * QUARTER_HIGH, k * -QUARTER_MIDDLE
@@ -332,6 +467,10 @@ def sin_cos_reduced(r: Any, rest: Any) -> tuple[Any, Any]:
     """sin and cos of r + rest.
 
     The remainders are below r¹⁹/19! and r¹⁸/18!; rest·r⁴/24 and rest·r³/6 are left out too: 0.03 u and 0.12 u in all.
+
+    Args:
+        r: Reduced argument, |r| ≤ 0.7854.
+        rest: Correction of r, from `quarters`.
     """
     z = r * r
     half = 0.5 * z

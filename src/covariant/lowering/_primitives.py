@@ -1,7 +1,7 @@
 """The rules by which a jaxpr becomes a graph: each of JAX's primitives as operations on scalars.
 
-Every rule takes a `Writer`, an equation of the jaxpr and the values of its inputs, at least one of which depends on the
-arguments of the function, and returns the values of the outputs.
+Every rule is passed a `Writer`, an equation of the jaxpr and the values of its inputs, at least one of which depends on
+the arguments of the function, and returns the values of the outputs.
 """
 
 import functools
@@ -34,7 +34,7 @@ def _of_ids(write: Writer, eqn: JaxprEquation, values: list, move: Callable[...,
     return [Scalars(move(*(nodes_of(write.graph, value) for value in values)))]
 
 
-def _moves(move: Callable[..., np.ndarray]) -> Rule:
+def _rearrangement(move: Callable[..., np.ndarray]) -> Rule:
     """A primitive that only moves entries; `move(parameters, *ids)` does it with the indices of the nodes."""
     return lambda write, eqn, values: _of_ids(write, eqn, values, functools.partial(move, eqn.params))
 
@@ -57,15 +57,16 @@ def _extreme(comparison: Callable[[Graph, int, int], int]) -> Rule:
     def rule(write: Writer, eqn: JaxprEquation, values: list) -> list[Value]:
         (axis,) = eqn.params["axes"]
         rows = np.moveaxis(values[0].ids, axis, -1)
-        found = []
+        indices = []
         for row in rows.reshape(-1, rows.shape[-1]).tolist():
             best, place = row[0], write.graph.constant(0.0)
             for k, entry in enumerate(row[1:], start=1):
+                # Strictly better only, so that the first of equal entries counts, as in JAX.
                 better = comparison(write.graph, best, entry)
                 best = write.graph.apply("select", better, entry, best)
                 place = write.graph.apply("select", better, write.graph.constant(float(k)), place)
-            found.append(place)
-        return [Scalars(np.array(found, int).reshape(rows.shape[:-1]))]
+            indices.append(place)
+        return [Scalars(np.array(indices, int).reshape(rows.shape[:-1]))]
 
     return rule
 
@@ -87,6 +88,7 @@ def _dot(write: Writer, eqn: JaxprEquation, values: list) -> list[Value]:
 
     (a, (batch, rows, _)), (b, (_, columns, _)) = arranged(a, batch_a, over_a), arranged(b, batch_b, over_b)
     products = write.map("mul", Scalars(a[:, :, None, :]), Scalars(b[:, None, :, :]))
+    # By halving, whose rounding errors grow with the logarithm of the length.
     total = write.reduce("add", products.ids, [3])
     return [Scalars(total.ids.reshape([*batch, *rows, *columns]))]
 
@@ -103,8 +105,8 @@ def _cumulative(op: str) -> Rule:
     def rule(write: Writer, eqn: JaxprEquation, values: list) -> list[Value]:
         axis = eqn.params["axis"]
         rows = np.moveaxis(values[0].ids, axis, 0)[:: -1 if eqn.params["reverse"] else 1]
-        found = itertools.accumulate(map(np.asarray, rows), lambda a, b: write.map(op, Scalars(a), Scalars(b)).ids)
-        stacked = np.stack(list(found))[:: -1 if eqn.params["reverse"] else 1]
+        partial = itertools.accumulate(map(np.asarray, rows), lambda a, b: write.map(op, Scalars(a), Scalars(b)).ids)
+        stacked = np.stack(list(partial))[:: -1 if eqn.params["reverse"] else 1]
         return [Scalars(np.moveaxis(stacked, 0, axis))]
 
     return rule
@@ -113,20 +115,20 @@ def _cumulative(op: str) -> Rule:
 def _integer_pow(write: Writer, eqn: JaxprEquation, values: list) -> list[Value]:
     exponent = eqn.params["y"]
     result: Value = np.ones(values[0].ids.shape)
-    power, left = values[0], abs(exponent)
-    while left:  # by squaring
-        result = write.map("mul", result, power) if left % 2 else result
-        left //= 2
-        power = write.map("mul", power, power) if left else power
+    power, remaining = values[0], abs(exponent)
+    while remaining:  # by squaring
+        result = write.map("mul", result, power) if remaining % 2 else result
+        remaining //= 2
+        power = write.map("mul", power, power) if remaining else power
     return [write.map("div", np.array(1.0), result) if exponent < 0 else result]
 
 
-def _turned(op: str, negate: bool = False) -> Rule:
+def _swapped(op: str, negate: bool = False) -> Rule:
     """A comparison with its sides exchanged, or negated."""
 
     def rule(write: Writer, eqn: JaxprEquation, values: list) -> list[Value]:
-        found = write.map(op, *(values if negate else values[::-1]))
-        return [write.map("not", found) if negate else found]
+        truth = write.map(op, *(values if negate else values[::-1]))
+        return [write.map("not", truth) if negate else truth]
 
     return rule
 
@@ -197,9 +199,9 @@ NOT_ON_INTEGERS = {"div", "pow", "and", "or", "not", "reduce_and", "reduce_or"}
 RULES: dict[str, Rule] = {
     **{name: _entrywise(name) for name in _ENTRYWISE.split()},
     "add_any": _entrywise("add"),
-    "gt": _turned("lt"),
-    "ge": _turned("le"),
-    "ne": _turned("eq", negate=True),
+    "gt": _swapped("lt"),
+    "ge": _swapped("le"),
+    "ne": _swapped("eq", negate=True),
     "round": _rounded,
     "logistic": _logistic,
     "rsqrt": lambda write, eqn, values: [write.map("div", np.array(1.0), write.map("sqrt", values[0]))],
@@ -215,16 +217,16 @@ RULES: dict[str, Rule] = {
     "stop_gradient": _same,
     "reduce_precision": _shortened,
     "optimization_barrier": _same,
-    "broadcast_in_dim": _moves(_broadcast),
-    "reshape": _moves(lambda p, ids: ids.reshape(p["new_sizes"])),
-    "squeeze": _moves(lambda p, ids: np.squeeze(ids, tuple(p["dimensions"]))),
-    "expand_dims": _moves(lambda p, ids: np.expand_dims(ids, tuple(p["dimensions"]))),
-    "transpose": _moves(lambda p, ids: np.transpose(ids, p["permutation"])),
-    "rev": _moves(lambda p, ids: np.flip(ids, p["dimensions"])),
-    "slice": _moves(_slice),
-    "concatenate": _moves(lambda p, *ids: np.concatenate(ids, p["dimension"])),
+    "broadcast_in_dim": _rearrangement(_broadcast),
+    "reshape": _rearrangement(lambda p, ids: ids.reshape(p["new_sizes"])),
+    "squeeze": _rearrangement(lambda p, ids: np.squeeze(ids, tuple(p["dimensions"]))),
+    "expand_dims": _rearrangement(lambda p, ids: np.expand_dims(ids, tuple(p["dimensions"]))),
+    "transpose": _rearrangement(lambda p, ids: np.transpose(ids, p["permutation"])),
+    "rev": _rearrangement(lambda p, ids: np.flip(ids, p["dimensions"])),
+    "slice": _rearrangement(_slice),
+    "concatenate": _rearrangement(lambda p, *ids: np.concatenate(ids, p["dimension"])),
     "split": _split,
-    "pad": _moves(padded),
+    "pad": _rearrangement(padded),
     "dynamic_slice": at_places,
     "dynamic_update_slice": at_places,
     "gather": at_places,

@@ -18,9 +18,28 @@ NUMBERS: Domain = {"constant": lambda value: value, **FOLD}
 
 
 def evaluate(lowered: Lowered, domain: Domain, inputs: Sequence[Any]) -> list[Any]:
-    """Values of the outputs for given values of the inputs, all in the arithmetic `domain`.
+    """Evaluate a lowered function in an arithmetic.
 
-    Raises `ValueError` where the number of inputs is not that of the graph.
+    Args:
+        lowered: The function.
+        domain: The arithmetic, such as `NUMBERS` or `INTERVALS`.
+        inputs: Value of each scalar input, in this arithmetic.
+
+    Returns:
+        Value of each scalar output, in the order of `lowered.outputs`.
+
+    Raises:
+        ValueError: The number of inputs is not that of the function.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import lowering
+        >>> total = lowering.lower(lambda x: jnp.sum(x), jnp.zeros(2))
+        >>> float(lowering.evaluate(total, lowering.NUMBERS, [1.0, 2.0])[0])
+        3.0
+        >>> text = {"add": "({} + {})".format}  # an arithmetic on strings
+        >>> lowering.evaluate(total, text, ["a", "b"])
+        ['(a + b)']
     """
     if len(inputs) != lowered.inputs:
         raise ValueError(f"the graph has {lowered.inputs} inputs; got {len(inputs)}")
@@ -28,12 +47,20 @@ def evaluate(lowered: Lowered, domain: Domain, inputs: Sequence[Any]) -> list[An
 
 
 def evaluate_nodes(graph: Graph, outputs: Sequence[int], domain: Domain, inputs: Sequence[Any]) -> list[Any]:
-    """Values of some nodes of a graph. Each is released after its last use, so that large batches fit in memory."""
+    """Evaluate some nodes of a graph in an arithmetic; values are released after their last use, to save memory.
+
+    Args:
+        graph: The graph.
+        outputs: Nodes whose values are returned.
+        domain: The arithmetic.
+        inputs: Value of each scalar input.
+    """
     nodes = graph.nodes
     last = [-1] * len(nodes)
     for i, node in enumerate(nodes):
         for a in node.arguments:
             last[a] = i
+    # Outputs are read after the last node, so they are never released.
     for i in outputs:
         last[i] = len(nodes)
     values: list[Any] = [None] * len(nodes)
@@ -43,13 +70,13 @@ def evaluate_nodes(graph: Graph, outputs: Sequence[int], domain: Domain, inputs:
         elif node.op == "constant":
             values[i] = domain["constant"](node.value)
         else:
-            found = [values[a] for a in node.arguments]
+            operands = [values[a] for a in node.arguments]
             if node.op == "part":
-                values[i] = found[0][node.value]
+                values[i] = operands[0][node.value]
             elif node.op == "table":
-                values[i] = node.value.at(found[0])  # pyright: ignore[reportOptionalMemberAccess]
+                values[i] = node.value.at(operands[0])  # pyright: ignore[reportOptionalMemberAccess]
             else:
-                values[i] = _looped(node.value, domain, found) if node.op == "loop" else domain[node.op](*found)
+                values[i] = _looped(node.value, domain, operands) if node.op == "loop" else domain[node.op](*operands)
             for a in node.arguments:
                 if last[a] == i:
                     values[a] = None
@@ -57,22 +84,37 @@ def evaluate_nodes(graph: Graph, outputs: Sequence[int], domain: Domain, inputs:
 
 
 def _looped(loop: Repetition, domain: Domain, values: Sequence[Any]) -> list[Any]:
-    """What a loop carries in the end; lanes of a batch that are through wait for the others."""
+    """Values that a loop carries after its last turn; lanes of a batch that have ended wait for the others."""
     fixed, carried = list(values[: loop.fixed]), list(values[loop.fixed :])
     if loop.going is None:
         for _ in range(loop.turns or 0):
             carried = evaluate(loop.body, domain, [*fixed, *carried])
         return carried
     while np.any(going := evaluate(loop.going, domain, [*fixed, *carried])[0]):
-        moved = evaluate(loop.body, domain, [*fixed, *carried])
-        carried = [domain["select"](going, new, old) for new, old in zip(moved, carried, strict=True)]
+        advanced = evaluate(loop.body, domain, [*fixed, *carried])
+        carried = [domain["select"](going, new, old) for new, old in zip(advanced, carried, strict=True)]
     return carried
 
 
 def numbers(lowered: Lowered, *arguments: Any) -> Any:
-    """The function's result in double precision, for arguments with common leading batch axes (...).
+    """Evaluate a lowered function in double precision by NumPy.
 
-    Operations that are undefined give NaN or infinity, as in NumPy, without a warning.
+    Args:
+        lowered: The function.
+        arguments: Its arguments as arrays or pytrees of them, all with the same leading batch axes (...), which may be
+            absent.
+
+    Returns:
+        The result of the function, with the batch axes first. Undefined operations give NaN or infinity, as in NumPy,
+        without a warning.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> import numpy as np
+        >>> from covariant import lowering
+        >>> total = lowering.lower(lambda x: jnp.sum(x), jnp.zeros(2))
+        >>> lowering.numbers(total, np.array([[1.0, 2.0], [3.0, 4.0]])).tolist()  # a batch of two
+        [3.0, 7.0]
     """
     leaves = [np.asarray(leaf, float) for leaf in jax.tree.leaves(arguments)]
     inputs = [entry for leaf, shape in zip(leaves, lowered.arguments, strict=True) for entry in _entries(leaf, shape)]

@@ -1,6 +1,6 @@
-"""Stumpff's functions, the coefficients that are 0/0 at angle zero, as one operation of a graph without a branch.
+"""Stumpff's functions, smooth coefficients that are 0/0 at angle zero in closed form, as one operation of a graph.
 
-They are a JAX primitive, so that a graph knows them as an operation and not by their computation. The computation has
+They are a JAX primitive, so that a graph has them as one operation and not their computation. The computation has
 two branches, a series near zero and a closed form beyond, which agree only to rounding; in intervals a branch that is
 undecided on a box would prove nothing. As functions of real numbers they are entire, decrease on [0, π²], and their
 derivatives are again Stumpff's functions.
@@ -30,7 +30,21 @@ FALLS_UNTIL = 9.869
 
 
 def stumpff(k: int, x: Scalar) -> Scalar:
-    """Stumpff's function `c_k(x) = Σ_j (−x)^j / (2j + k)!`, x = θ² ≥ 0."""
+    """Stumpff's function `c_k(x) = Σ_j (−x)^j / (2j + k)!`, such as c₁(θ²) = sin θ/θ.
+
+    Args:
+        k: Order, an integer ≥ 0.
+        x: Square of an angle, θ² ≥ 0 [rad²].
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import lowering
+        >>> theta = 0.5
+        >>> bool(np.isclose(lowering.stumpff(1, theta**2), np.sin(theta) / theta))
+        True
+        >>> float(lowering.stumpff(2, 0.0))  # (1 − cos θ)/θ² at 0
+        0.5
+    """
     return STUMPFF.bind(jnp.asarray(x), k=int(k))
 
 
@@ -45,8 +59,9 @@ def _values(x, *, k: int):
     # closed form is accurate from 1 on.
     threshold = max(1.0, k * (k - 1.0))
     small = x < threshold
-    near, far = jnp.asarray(jnp.where(small, x, 0.0)), jnp.asarray(jnp.where(small, threshold, x))
-    return jnp.where(small, _series(k, threshold, near), _closed(k, far))
+    series_x, closed_x = jnp.asarray(jnp.where(small, x, 0.0)), jnp.asarray(jnp.where(small, threshold, x))
+    # Where the other branch is chosen, each gets a harmless argument: the closed form is 0/0 at 0.
+    return jnp.where(small, _series(k, threshold, series_x), _closed(k, closed_x))
 
 
 mlir.register_lowering(STUMPFF, mlir.lower_fun(_values, multiple_results=False))
@@ -56,6 +71,7 @@ batching.primitive_batchers[STUMPFF] = lambda values, axes, *, k: (STUMPFF.bind(
 
 def _series(k: int, threshold: float, x: Scalar) -> Scalar:
     coefficients = [1 / math.factorial(k)]
+    # Until a term is below the rounding error of the first at the largest x.
     while coefficients[-1] * threshold ** (len(coefficients) - 1) > 1e-18 * coefficients[0]:
         coefficients.append(1 / math.factorial(2 * len(coefficients) + k))
     total = jnp.zeros_like(x)
@@ -79,31 +95,49 @@ def _closed(k: int, x: Scalar) -> Scalar:
 
 
 def values(k: Any, x: Any) -> Any:
-    """Values of c_k at numbers, by NumPy."""
+    """Values of Stumpff's function c_k, by NumPy.
+
+    Args:
+        k: Order.
+        x: Numbers (...), ≥ 0; negative ones count as 0.
+    """
     x = np.asarray(x, float)
-    near = _horner(coefficients(int(k)), np.clip(x, 0.0, FALLS_UNTIL), -1.0)
+    series = _horner(coefficients(int(k)), np.clip(x, 0.0, FALLS_UNTIL), -1.0)
     safe = np.maximum(x, FALLS_UNTIL)
     theta = np.sqrt(safe)
-    far = np.cos(theta) if int(k) % 2 == 0 else np.sin(theta) / theta
+    closed = np.cos(theta) if int(k) % 2 == 0 else np.sin(theta) / theta
     for j in range(2 + int(k) % 2, int(k) + 1, 2):
-        far = (1 / math.factorial(j - 2) - far) / safe
-    return np.where(x < FALLS_UNTIL, near, far)
+        closed = (1 / math.factorial(j - 2) - closed) / safe
+    return np.where(x < FALLS_UNTIL, series, closed)
 
 
 def coefficients(k: int) -> list[float]:
-    """Coefficients of the series of c_k, without their signs."""
+    """Coefficients of the power series of c_k, without their signs: 1/k!, 1/(k + 2)!, …, `TERMS` of them.
+
+    Args:
+        k: Order.
+    """
     return [1 / math.factorial(2 * j + k) for j in range(TERMS)]
 
 
 def bounds(series: Sequence[Any], low: Any, high: Any) -> tuple[Any, Any]:
-    """Bounds of c_k from its `coefficients` and bounds of x (B,), or NaN where x may be negative.
+    """Bounds of Stumpff's function c_k on intervals.
 
-    It decreases until π², and is nowhere beyond ±1/k!. The relative error of the sum is at most 3·TERMS·u of the sum of
-    the absolute terms (N. J. Higham, Accuracy and Stability of Numerical Algorithms, 2002, section 5.1); the last term
-    is added for those left out.
+    c_k decreases until π², and is nowhere beyond ±1/k!. The relative error of the sum is at most 3·TERMS·u of the sum
+    of the absolute terms (N. J. Higham, Accuracy and Stability of Numerical Algorithms, 2002, section 5.1); the last
+    term is added for those left out.
+
+    Args:
+        series: The `coefficients` of c_k.
+        low: Lower bounds of x (B,).
+        high: Upper bounds of x (B,).
+
+    Returns:
+        Lower and upper bounds (B,), NaN where x may be negative.
     """
     most = series[0] * (1 + 4 * U)
     inside = (low >= 0) & (high <= FALLS_UNTIL)
+    # c_k decreases: its lower bound is at the upper end of x.
     x = np.where(inside, np.stack([high, low]), 0.0)
     value, size = _horner(series, x, -1.0), _horner(series, x, 1.0)
     off = (4 * TERMS * U + 1e-30) * size

@@ -1,8 +1,8 @@
-"""Operations on intervals as steps of a tape: each works on bounds that are kept at numbered places.
+"""Operations on intervals as steps of a tape: each works on bounds that are stored at numbered places.
 
 An operation, a `kernel`, is a formula in NumPy that works box by box. Called on arrays it computes; called on places of
 a tape it becomes a step of it. The bounds of a graph are then a list of steps, in the order and with the choices of
-operations that NumPy makes, for whoever can do these steps faster.
+operations that NumPy makes, which a faster engine can carry out.
 """
 
 import inspect
@@ -13,14 +13,41 @@ import numpy as np
 
 
 class Interval(NamedTuple):
-    """Real numbers between two bounds, for each box: arrays of shape (B,), or scalars where all boxes share them."""
+    """Real numbers between two bounds, for each box of a batch.
+
+    Attributes:
+        low: Lower bound (B,), or a scalar where all boxes share it; NaN where nothing is known.
+        high: Upper bound, of the same shape.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import lowering
+        >>> a = lowering.Interval(np.array([1.0]), np.array([2.0]))
+        >>> b = lowering.INTERVALS["neg"](a)
+        >>> b.low.tolist(), b.high.tolist()
+        ([-2.0], [-1.0])
+    """
 
     low: Any
     high: Any
 
 
 class Truth(NamedTuple):
-    """What is known of a statement, for each box (B,): `must` if it holds everywhere on it, `may` if it may hold."""
+    """What is known of a statement, for each box of a batch.
+
+    Attributes:
+        must: Whether it holds everywhere on the box (B,).
+        may: Whether it may hold somewhere on the box (B,). The statement is undecided where it may but need not hold.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import lowering
+        >>> a = lowering.Interval(np.array([0.0, 0.0]), np.array([1.0, 3.0]))
+        >>> b = lowering.Interval(np.array([2.0, 2.0]), np.array([4.0, 4.0]))
+        >>> less = lowering.INTERVALS["lt"](a, b)  # proved for the first box, undecided for the second
+        >>> less.must.tolist(), less.may.tolist()
+        ([True, False], [True, True])
+    """
 
     must: Any
     may: Any
@@ -29,8 +56,10 @@ class Truth(NamedTuple):
 class Kernel(NamedTuple):
     """A formula that works box by box on intervals, statements, and lists of numbers that all boxes share.
 
-    - `arguments`: the kind of each argument: `Interval`, `Truth`, or the length of a list of numbers.
-    - `result`: `Interval` or `Truth`.
+    Attributes:
+        formula: The function, on arrays (B,) or on symbols that stand for them.
+        arguments: Kind of each argument: `Interval`, `Truth`, or the length of a list of numbers.
+        result: `Interval` or `Truth`.
     """
 
     formula: Callable[..., Any]
@@ -39,7 +68,7 @@ class Kernel(NamedTuple):
 
     @property
     def widths(self) -> list[int]:
-        """How many places each argument has."""
+        """Number of places of each argument."""
         return [kind if isinstance(kind, int) else 2 for kind in self.arguments]
 
 
@@ -48,7 +77,12 @@ KERNELS: dict[str, Kernel] = {}
 
 
 class Place:
-    """A place of a tape that holds one number or truth value for each box."""
+    """A place of a tape that holds one number or truth value for each box.
+
+    Args:
+        tape: The tape.
+        number: Index of the place on it.
+    """
 
     __slots__ = ("number", "tape")
     ndim = 1
@@ -58,7 +92,13 @@ class Place:
 
 
 class Step(NamedTuple):
-    """A kernel with the places of its two results and of its arguments."""
+    """A kernel applied to places of a tape.
+
+    Attributes:
+        kernel: Name of the kernel.
+        results: Places of the lower and the upper bound of its result.
+        arguments: Places of its arguments, one after the other.
+    """
 
     kernel: str
     results: tuple[int, int]
@@ -66,7 +106,13 @@ class Step(NamedTuple):
 
 
 class Tape:
-    """Steps on places; `constants` are places that hold one number for all boxes."""
+    """A list of steps on places.
+
+    Attributes:
+        steps: The steps, in order.
+        constants: Places that hold one number for all boxes, by the bits of this number.
+        count: Number of places in use.
+    """
 
     def __init__(self) -> None:
         self.steps: list[Step] = []
@@ -79,24 +125,43 @@ class Tape:
         return Place(self, self.count - 1)
 
     def number_of(self, value: Any) -> int:
-        """The place of a value, which is one already or a number that all boxes share."""
+        """Return the place of a value, adding a constant where needed.
+
+        Args:
+            value: A `Place`, or a number that all boxes share.
+        """
         if type(value) is Place:
             return value.number
+        # By bits, so that 0.0 and −0.0 stay apart and NaN equals itself.
         bits = np.float64(value).tobytes()
         if bits not in self.constants:
             self.constants[bits] = self.place().number
         return self.constants[bits]
 
     def step(self, name: str, arguments: Sequence[Any]) -> Any:
-        """The results of a kernel, as places."""
+        """Append a step.
+
+        Args:
+            name: Name of the kernel.
+            arguments: Its arguments, whose parts are places or numbers.
+
+        Returns:
+            The result of the kernel, an `Interval` or `Truth` of new places.
+        """
         read = tuple(self.number_of(end) for ends in arguments for end in ends)
-        made = self.place(), self.place()
-        self.steps.append(Step(name, (made[0].number, made[1].number), read))
-        return KERNELS[name].result(*made)
+        bounds = self.place(), self.place()
+        self.steps.append(Step(name, (bounds[0].number, bounds[1].number), read))
+        return KERNELS[name].result(*bounds)
 
 
 def as_kernel(name: str, kernel: Kernel, compute: Callable[..., Any]) -> Callable[..., Any]:
-    """A kernel under a name: on arrays `compute`, which gives the values of its formula, and on places a step."""
+    """Register a kernel, and return a function that computes on arrays and appends a step on places.
+
+    Args:
+        name: Name of the kernel.
+        kernel: The kernel.
+        compute: Function of arrays with the values of its formula, possibly faster.
+    """
     KERNELS[name] = kernel
 
     def apply(*arguments: Any) -> Any:
@@ -110,7 +175,11 @@ def as_kernel(name: str, kernel: Kernel, compute: Callable[..., Any]) -> Callabl
 
 
 def kernel(formula: Callable[..., Any]) -> Callable[..., Any]:
-    """A formula as a kernel of its own name; the kinds of its arguments are those it is declared with."""
+    """Decorator that registers a formula as a kernel of its own name.
+
+    Args:
+        formula: The formula; its annotations are the kinds of its arguments and of its result.
+    """
     kinds = inspect.get_annotations(formula)
     result = kinds.pop("return")
     return as_kernel(formula.__name__, Kernel(formula, tuple(kinds.values()), result), formula)
