@@ -1,4 +1,4 @@
-"""Ball and beam of Aghannan & Rouchon 2003, appendix I: a machine whose curvature is always negative."""
+"""The ball and beam of Aghannan & Rouchon 2003, appendix I: a machine whose curvature is always negative."""
 
 import jax.numpy as jnp
 
@@ -12,8 +12,22 @@ _SOURCE = "Aghannan & Rouchon 2003, appendix I (normalised)"
 def ball_and_beam(gravity: Number = 1.0, mass: Number = 1.0, inertia: Number = 1.0) -> Lagrangian:
     """Ball at r [m] on a beam at angle θ [rad] from the horizontal, driven by a torque u [N m] on the beam.
 
-    `mass` [kg] of the ball (rolling inertia included), `inertia` [kg m²] of the beam, `gravity` [m/s²]; all 1 in the
-    paper's normalised form (13). Gaussian curvature of the metric is `−inertia/(inertia + mass r²)²`.
+    The default values are those of the paper's normalised form (13). The Gaussian curvature of the metric is
+    `−inertia/(inertia + mass r²)²`.
+
+    Args:
+        gravity: Gravity [m/s²].
+        mass: Mass of the ball [kg], rolling inertia included.
+        inertia: Inertia of the beam [kg m²].
+
+    Returns:
+        The system with coordinates (r, theta) and one input.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import models
+        >>> models.ball_and_beam().metric(jnp.array([2.0, 0.0])).tolist()
+        [[1.0, 0.0], [0.0, 5.0]]
     """
     return Lagrangian(
         Parametric(_metric, mass=mass, inertia=inertia),

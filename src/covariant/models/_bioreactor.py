@@ -19,16 +19,35 @@ def bioreactor(
     conversion: float = 0.4,
     feed: float = 4.0,
 ) -> StateSpace:
-    """Biomass and substrate [kg/m³], with the dilution rate u [1/s] (flow over volume) as input; substrate is measured.
+    """Bioreactor with biomass and substrate [kg/m³] as states, of which the substrate is measured.
 
-    The growth rate is `μ(s) = growth s/(saturation + s + inhibition s²)`: Haldane's kinetics, and Monod's where
-    `inhibition` [m³/kg] is zero. `growth` [1/s], `saturation` [kg/m³], `conversion` of substrate into biomass [1], and
-    the substrate in the `feed` [kg/m³] are positive; raises `ValueError` otherwise. To work in hours, or any other unit
-    of time, give `growth` and u in that unit.
+    The input u is the dilution rate [1/s], flow over volume. The growth rate is
+    `μ(s) = growth s/(saturation + s + inhibition s²)`: Haldane's kinetics, and Monod's where `inhibition` is zero. To
+    work in hours, or any other unit of time, give `growth` and u in that unit.
 
     The biomass is observable from the substrate, by the rate at which it is consumed, wherever s > 0. The substrate
     would not be observable from the biomass: two concentrations, below and above that of the fastest growth, give the
     same growth rate.
+
+    Args:
+        growth: Coefficient of the growth rate [1/s].
+        saturation: Saturation constant [kg/m³].
+        inhibition: Inhibition constant [m³/kg], not negative.
+        conversion: Biomass grown for substrate consumed [1].
+        feed: Concentration of the substrate in the feed [kg/m³].
+
+    Returns:
+        The system with states (biomass, substrate) and one input.
+
+    Raises:
+        ValueError: A parameter is not positive, or `inhibition` is negative.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import models
+        >>> washout = models.bioreactor().f(0.0, jnp.array([0.0, 4.0]), jnp.array([1e-4]))
+        >>> washout.tolist()  # without biomass the tank is at the concentration of the feed
+        [0.0, 0.0]
     """
     parameters = {
         "growth": Parameter(growth, "1/s", _SOURCE),
@@ -52,8 +71,8 @@ def bioreactor(
 
 def _f(t, x, u, growth, saturation, inhibition, conversion, feed):
     biomass, substrate = x
-    grown = growth * substrate / (saturation + substrate + inhibition * substrate**2) * biomass
-    return jnp.stack([grown - u[0] * biomass, u[0] * (feed - substrate) - grown / conversion])
+    production = growth * substrate / (saturation + substrate + inhibition * substrate**2) * biomass
+    return jnp.stack([production - u[0] * biomass, u[0] * (feed - substrate) - production / conversion])
 
 
 def _h(t, x, u):

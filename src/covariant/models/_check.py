@@ -10,10 +10,22 @@ from covariant.models._mechanical import MechanicalSystem
 
 
 def check_metric(model: MechanicalSystem, points: Float[np.ndarray, "k n"]) -> None:
-    """Raise `ValueError` unless the metric is symmetric and, where the chart is valid, positive definite.
+    """Check that the inertia matrix of a model is symmetric and, where the chart is valid, positive definite.
 
-    A chart may be singular at some of the points, as polar coordinates are at r = 0: points where the metric is
-    singular or not finite are passed over, unless all of them are.
+    A chart may be singular at some of the points, as polar coordinates are at r = 0: points where the matrix is
+    singular or not finite are skipped, unless all of them are.
+
+    Args:
+        model: Mechanical system in coordinates.
+        points: Configurations (k, n) at which the matrix is evaluated.
+
+    Raises:
+        ValueError: The matrix is asymmetric or indefinite at a point, or singular or not finite at all points.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import models
+        >>> models.check_metric(models.ball_and_beam(), np.zeros((1, 2)))
     """
     usable = [_is_usable(np.asarray(_metric(model, jnp.asarray(q))), q) for q in points]
     if not any(usable):
@@ -33,6 +45,7 @@ def _is_usable(g: np.ndarray, q: np.ndarray) -> bool:
         return False
     roundoff = len(g) * np.finfo(np.result_type(g, np.float32)).eps * np.abs(g).max()
     asymmetry, smallest = np.abs(g - g.T).max(), np.linalg.eigvalsh((g + g.T) / 2)[0]
+    # Entries (i, j) and (j, i) may be computed by different sums, hence the factor.
     if asymmetry > 100 * roundoff or smallest < -roundoff:
         raise ValueError(
             f"metric is not symmetric positive definite at q = {_text(q)}: smallest eigenvalue {smallest:.3g}, "

@@ -1,4 +1,4 @@
-"""The columns of a model's logs: those given, and by default names derived from the model, in the number it needs."""
+"""The columns of a model's logs, named by the model file or derived from the model."""
 
 from typing import Any, NamedTuple
 
@@ -29,11 +29,21 @@ _NEEDS = ((SO3, _Needs(0, 1, 0)), (SE3, _Needs(3, 1, 0)), (SE2, _Needs(2, 0, 1))
 
 
 def model_columns(model: Any, loaded: Columns, given: dict[str, Any]) -> Columns:
-    """The columns of a model's logs. Those `given` in the model file take precedence over those `loaded` with the
-    model, and these over names derived from the model.
+    """Columns of a model's logs.
 
-    An attitude gets no default names, since its representation is unknown. Raises `ValueError` naming the first key
-    with too many columns or too few.
+    The names in the model file take precedence over those loaded with the model, and these over names derived from the
+    model. An attitude gets no default names, since its representation is unknown.
+
+    Args:
+        model: A `MechanicalSystem` or a `StateSpace`.
+        loaded: Columns loaded with the model.
+        given: Fields of `Columns` that the model file has.
+
+    Returns:
+        The columns, as many of each kind as the model needs.
+
+    Raises:
+        ValueError: Names the first key with too many columns or too few, or the wrong unit.
     """
     if any(given.get(kind) for kind in ATTITUDES):
         loaded = loaded._replace(**dict.fromkeys(ATTITUDES, ()))
@@ -43,30 +53,38 @@ def model_columns(model: Any, loaded: Columns, given: dict[str, Any]) -> Columns
     return columns
 
 
-def _named(model: Any, given: dict[str, Any]) -> Columns:
-    """The columns with names derived from the model where none are given."""
+def _named(model: Any, names: dict[str, Any]) -> Columns:
+    """Columns with names derived from the model where the document has none."""
     if not model.manifold.commuting:
-        return _off_coordinates(model, given)
+        return _on_manifold(model, names)
     by_outputs = isinstance(model, StateSpace)
-    has, columns = ("outputs", _of_outputs) if by_outputs else ("coordinates", _in_coordinates)
+    kind, columns = ("outputs", _of_outputs) if by_outputs else ("coordinates", _in_coordinates)
     for key in ("position", *ATTITUDES, "angle"):
-        if given.get(key):
-            raise ValueError(f"columns.{key} is for a model on a group; this one has {has}: name them in columns.q")
-    return columns(model, given)
+        if names.get(key):
+            raise ValueError(f"columns.{key} is for a model on a group; this one has {kind}: name them in columns.q")
+    return columns(model, names)
 
 
 def unnamed_attitudes(model: Model, columns: Columns) -> int:
-    """How many attitudes a log of the model holds whose representation is not given."""
+    """Number of attitudes in a log of the model whose representation no column states.
+
+    Args:
+        model: A `MechanicalSystem` or a `StateSpace`.
+        columns: Columns of its logs.
+
+    Returns:
+        0 where a column of an attitude is named, otherwise the number of attitudes of the model.
+    """
     return 0 if any(getattr(columns, kind) for kind in ATTITUDES) else _needs(model.manifold).attitudes
 
 
-def _in_coordinates(model: MechanicalSystem, given: dict[str, Any]) -> Columns:
-    n = len(model.coordinates) or len(given.get("q", ()))
+def _in_coordinates(model: MechanicalSystem, names: dict[str, Any]) -> Columns:
+    n = len(model.coordinates) or len(names.get("q", ()))
     if not n:
         raise ValueError("the model names no coordinates; give it some, or columns.q")
     check_model(model, n)
     m = input_count(model, n)
-    columns = Columns(q=model.coordinates, u=_numbered("u", m))._replace(**given)
+    columns = Columns(q=model.coordinates, u=_numbered("u", m))._replace(**names)
     _check_count("q", columns.q, n, "coordinates")
     _check_count("u", columns.u, m, "inputs")
     _check_count("v", columns.v or columns.q, n, "coordinates")
@@ -74,35 +92,35 @@ def _in_coordinates(model: MechanicalSystem, given: dict[str, Any]) -> Columns:
     return columns
 
 
-def _of_outputs(model: StateSpace, given: dict[str, Any]) -> Columns:
+def _of_outputs(model: StateSpace, names: dict[str, Any]) -> Columns:
     if not model.coordinates:
         raise ValueError("the model names no coordinates; give it some: they say how many states it has")
-    if given.get("v"):
+    if names.get("v"):
         raise ValueError("columns.v: a state-space model has no velocities; name its outputs in columns.q")
-    columns = Columns(q=model.outputs, u=_numbered("u", model.inputs))._replace(**given)
+    columns = Columns(q=model.outputs, u=_numbered("u", model.inputs))._replace(**names)
     _check_count("q", columns.q, len(model.outputs), "outputs")
     _check_count("u", columns.u, model.inputs, "inputs")
     _check_count("truth", columns.truth or model.coordinates, len(model.coordinates), "states")
     return columns
 
 
-def _off_coordinates(model: MechanicalSystem, given: dict[str, Any]) -> Columns:
+def _on_manifold(model: MechanicalSystem, names: dict[str, Any]) -> Columns:
     needs, n = _needs(model.manifold), len(model.velocities)
     inputs = input_count(model, n)
-    written = [kind for kind in ATTITUDES if given.get(kind)]
-    if given.get("q") and not needs.q:
+    attitudes = [kind for kind in ATTITUDES if names.get(kind)]
+    if names.get("q") and not needs.q:
         raise ValueError(f"columns.q: the model is on a group and has no coordinates; {needs.remedy}")
-    if len(written) > 1:
-        raise ValueError(f"columns.{written[0]} and columns.{written[1]} both give the attitude; keep one")
-    if written and not needs.attitudes:
-        raise ValueError(f"columns.{written[0]}: the model has no attitude in space; {needs.remedy}")
+    if len(attitudes) > 1:
+        raise ValueError(f"columns.{attitudes[0]} and columns.{attitudes[1]} both give the attitude; keep one")
+    if attitudes and not needs.attitudes:
+        raise ValueError(f"columns.{attitudes[0]}: the model has no attitude in space; {needs.remedy}")
     columns = Columns(
         q=model.coordinates if needs.q else (),
         u=_numbered("u", inputs),
         position=("px", "py", "pz")[: needs.position],
         angle=_numbered("angle", needs.angle) if needs.angle != 1 else ("angle",),
-    )._replace(**given)
-    for kind in written:
+    )._replace(**names)
+    for kind in attitudes:
         whole = "this way to write an attitude" if needs.attitudes == 1 else f"so written {needs.attitudes} attitudes"
         _check_count(kind, getattr(columns, kind), needs.attitudes * ATTITUDES[kind], "entries", whole)
     _check_count("position", columns.position, needs.position, "coordinates of a position")
@@ -122,7 +140,7 @@ def _needs(manifold: AbstractManifold) -> _Needs:
     needs = next((needs for group, needs in _NEEDS if group == first), None)
     joints = [part.dimension or 0 for part in rest if isinstance(part, Coordinates)]
     wheels = [part for part in rest if part == SO2]
-    # Ball joints: attitudes in arrays of their own, not blocks of one matrix.
+    # Ball joints: attitudes in separate arrays, not blocks of one matrix.
     balls = [part for part in manifold.factors[1:] if part == SO3 and first in (SO3, SE3) and not wheels]
     if isinstance(manifold, AbstractGroup):
         balls = []
@@ -140,14 +158,14 @@ def _factors(manifold: AbstractManifold) -> list[AbstractManifold]:
 
 
 def _check_units(model: Model, columns: Columns) -> None:
-    """Raise `ValueError` for a unit that measures something else than its column, or units in another number."""
-    wanted = {"t": ("s",), **model.logged_units, "position": ("m",) * len(columns.position)}
-    wanted["angle"] = ("rad",) * len(columns.angle)
+    """Raise `ValueError` for a unit of another quantity than its column's, or a wrong number of units."""
+    expected = {"t": ("s",), **model.logged_units, "position": ("m",) * len(columns.position)}
+    expected["angle"] = ("rad",) * len(columns.angle)
     for key, texts in columns.units.items():
         names = (columns.t,) if key == "t" else getattr(columns, key)
         if len(texts) not in (1, len(names)):
             raise ValueError(f"units.{key} lists {len(texts)} units; give {len(names)}, or one without brackets")
-        for i, unit in enumerate(wanted.get(key, ())):
+        for i, unit in enumerate(expected.get(key, ())):
             try:
                 check_unit(columns.unit_of(key, i) or unit, unit)
             except ValueError as error:

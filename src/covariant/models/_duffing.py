@@ -9,10 +9,27 @@ _SOURCE = "Guckenheimer & Holmes 1983, section 2.2"
 
 
 def duffing(damping: float = 0.25, stiffness: float = -1.0, cubic: float = 1.0) -> StateSpace:
-    """`q̈ + damping q̇ + stiffness q + cubic q³ = u` for a unit mass [kg], with x = (q, q̇) [m, m/s] and y = q.
+    """Duffing oscillator `q̈ + damping q̇ + stiffness q + cubic q³ = u` of a unit mass [kg]; y = q [m], x = (q, q̇).
 
-    `damping` [N s/m], not negative; `stiffness` [N/m] and `cubic` [N/m³] of any sign. The input u is a force [N], zero
-    where none is given. Raises `ValueError` for other parameters.
+    The input u is a force [N], zero where none is given.
+
+    Args:
+        damping: Viscous damping [N s/m], not negative.
+        stiffness: Linear stiffness [N/m] of any sign; negative for two potential wells.
+        cubic: Cubic stiffness [N/m³] of any sign.
+
+    Returns:
+        The system with states (q, q_dot) and one input.
+
+    Raises:
+        ValueError: The damping is negative, or a parameter is not finite.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import models
+        >>> at_the_well = jnp.array([1.0, 0.0])
+        >>> bool((models.duffing().f(0.0, at_the_well, jnp.zeros(1)) == 0).all())
+        True
     """
     parameters = {
         "damping": Parameter(damping, "N s/m", _SOURCE),

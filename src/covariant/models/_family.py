@@ -1,4 +1,4 @@
-"""A model with some of its numbers open, as a function of these numbers: what a fit to logs needs to know of it."""
+"""A model as a function of its open parameters, for fits to logs."""
 
 import copy
 import math
@@ -17,19 +17,28 @@ LAG = ("inputs", "lag")
 """The one number outside [parameters] that may be open."""
 
 Place = tuple[str | int, ...]
-"""Where a number stands in a document: table, key, and the index in each list."""
+"""Place of a number in a document: table, key, and the index in each list."""
 
 
 class Family(NamedTuple):
     """The models that a model file describes when some of its numbers are open.
 
-    - `file`: the model file with the first values of these numbers.
-    - `names` (p of them): the open numbers, such as `mass[0]` of [parameters], or `inputs.lag`.
-    - `first` (p,): their values in the file.
-    - `positive` (p,): which of them the model refuses where they are negative.
-    - `make`: `values (p,) -> (model, lag [s])`, which may be traced, differentiated and batched by JAX.
-    - `document`: the content of the file, with the first values, as nested dictionaries and lists.
-    - `places`: where each of the numbers stands in it.
+    Attributes:
+        file: The model file with the first values of these numbers.
+        names: The p open numbers, such as `mass[0]` of [parameters], or `inputs.lag`.
+        first: Their values (p,) in the file.
+        positive: Which of the p numbers the model refuses where they are negative.
+        make: `values (p,) -> (model, lag [s])`, which may be traced, differentiated and batched by JAX.
+        document: The content of the file, with the first values, as nested dictionaries and lists.
+        places: Table, key and list indices of each of the p numbers in the document.
+
+    Example:
+        >>> from covariant import models
+        >>> family = models.family("oscillator", ["stiffness"], {"parameters.stiffness": 2.0})
+        >>> family.names, family.first.tolist()
+        (('stiffness',), [2.0])
+        >>> family.with_values([3.0])["parameters"]
+        {'stiffness': 3.0}
     """
 
     file: ModelFile
@@ -41,19 +50,38 @@ class Family(NamedTuple):
     places: tuple[Place, ...]
 
     def with_values(self, values: Float[np.ndarray, "p"]) -> dict[str, Any]:
-        """The document with other numbers."""
+        """Copy the document with other values of the open numbers.
+
+        Args:
+            values: Values (p,) in the order of `names`.
+
+        Returns:
+            Tables and keys of a model file.
+        """
         return _with(self.document, self.places, np.asarray(values).tolist())
 
 
 def family(spec: str, names: Sequence[str], overrides: _toml.Overrides = ()) -> Family:
-    """The family of a mechanical model with the named numbers open.
+    """Family of a mechanical model with the named numbers open.
 
-    - `spec`, `overrides`: as for `load`; the overrides may give first values.
-    - `names`: `mass` for all entries of a list in [parameters], `mass[0]` for the first one; `inputs.lag` for the lag
-      of the inputs.
+    Args:
+        spec: As for `load`, except an object.
+        names: `mass` for all entries of a list in [parameters], `mass[0]` for the first one; `inputs.lag` for the lag
+            of the inputs.
+        overrides: As for `load`; they may set first values.
 
-    Raises `ModelError`, one line that names the spec and the first thing wrong: a name that is not there, a value that
-    is no number, a first value of zero where negative ones are refused, or a function that JAX cannot trace.
+    Returns:
+        The family.
+
+    Raises:
+        ModelError: One line that names the spec and the first thing wrong: a name that does not exist, a value that is
+            no number, a first value of zero where negative ones are refused, or a function that JAX cannot trace.
+
+    Example:
+        >>> from covariant import models
+        >>> family = models.family("ball_and_beam", ["mass"], {"parameters.mass": 0.5})
+        >>> family.names, family.first.tolist()
+        (('mass',), [0.5])
     """
     try:
         return _family(spec, names, document(spec, overrides))
@@ -65,21 +93,21 @@ def _family(spec: str, names: Sequence[str], content: dict[str, Any]) -> Family:
     file = finish(spec, content)
     file.need_mechanical(spec, "numbers are fitted for")
     numbers = {_name(place): place for place in _numbers(content)}
-    chosen = [name for given in names for name in _chosen(given, numbers)]
+    chosen = [name for pattern in names for name in _chosen(pattern, numbers)]
     twice = next((name for name in chosen if chosen.count(name) > 1), None)
     if twice is not None:
         raise ValueError(f"{twice} is named twice; name it once")
     if not chosen:
         raise ValueError(f"no number is named; there are: {', '.join(numbers) or 'none'}")
     places = tuple(numbers[name] for name in chosen)
-    first = np.array([float(_at(content, place)) for place in places])
+    first = np.array([float(_value_at(content, place)) for place in places])
 
     def make(values):
         filled = _with(content, places, list(values))
         return made(spec, filled).model, filled.get(LAG[0], {}).get(LAG[1], file.input_lag)
 
     positive = tuple(
-        _refused(spec, _with(content, (place,), [-abs(value) or -1.0]))
+        _refused(spec, _with(content, (place,), [-abs(value) or -1.0]))  # −0.0 is no negative number: −1 in its place
         for place, value in zip(places, first, strict=True)
     )
     for name, value, refused in zip(chosen, first, positive, strict=True):
@@ -88,7 +116,7 @@ def _family(spec: str, names: Sequence[str], content: dict[str, Any]) -> Family:
             raise ValueError(f"{name} must be positive and starts from {value:g}; give it a first value by {remedy}")
     try:
         eqx.filter_eval_shape(make, first)
-    except (TypeError, ValueError) as error:  # with plain numbers it has just been made
+    except (TypeError, ValueError) as error:  # building it from plain numbers succeeded above
         raise ValueError(
             f"the function that makes the model cannot be traced by JAX ({_source.first_line(error)[:80]}); compute "
             f"with jax.numpy in it, or leave {', '.join(names)} as they are"
@@ -120,16 +148,16 @@ def _name(place: Place) -> str:
     return ("" if table == "parameters" else f"{table}.") + str(key) + "".join(f"[{i}]" for i in indices)
 
 
-def _chosen(given: str, numbers: dict[str, Place]) -> list[str]:
+def _chosen(pattern: str, numbers: dict[str, Place]) -> list[str]:
     """The numbers that a name stands for: itself, or all entries of the list."""
-    plain = given.strip().removeprefix("parameters.")
-    found = [name for name in numbers if name == plain or re.fullmatch(re.escape(plain) + r"(\[\w+\])+", name)]
-    if not found:
+    plain = pattern.strip().removeprefix("parameters.")
+    matches = [name for name in numbers if name == plain or re.fullmatch(re.escape(plain) + r"(\[\w+\])+", name)]
+    if not matches:
         _toml.refuse_unknown("number", plain, tuple(numbers))
-    return found
+    return matches
 
 
-def _at(content: Any, place: Place) -> Any:
+def _value_at(content: Any, place: Place) -> Any:
     for key in place:
         content = content[key]
     return content
@@ -139,7 +167,7 @@ def _with(content: dict[str, Any], places: Sequence[Place], values: Sequence[Any
     """A copy of the document with other numbers at these places."""
     filled = copy.deepcopy(content)
     for place, value in zip(places, values, strict=True):
-        _at(filled, place[:-1])[place[-1]] = value
+        _value_at(filled, place[:-1])[place[-1]] = value
     return filled
 
 

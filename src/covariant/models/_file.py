@@ -1,4 +1,4 @@
-"""A model with what surrounds it: the columns of its logs, the noise of its sensors, and its own uncertainty."""
+"""A model with the columns of its logs, the noise of its sensors and the uncertainty of its parameters."""
 
 import inspect
 import json
@@ -22,39 +22,67 @@ from covariant.models.robots import ROBOTS
 
 
 class ModelError(ValueError):
-    """A model that cannot be loaded. The message is one line: the file or module, what is wrong there, what to do."""
+    """A model cannot be loaded.
+
+    The message is one line: the file or module, what is wrong there, and what to do.
+
+    Example:
+        >>> from covariant import models
+        >>> try:
+        ...     models.load("oscilator")
+        ... except models.ModelError as error:
+        ...     print(str(error).split(" Known")[0])
+        oscilator: unknown model 'oscilator'. Did you mean 'oscillator'?
+    """
 
 
 class ModelFile(NamedTuple):
     """A model and the numbers that a design starts from; a number that is not known is None.
 
-    - `columns`: columns of a log; empty `q` and `u` stand for the model's coordinates and for u1, u2, …. Where the
-      model is a `StateSpace`, `q` are its outputs.
-    - `measurement_std`: standard deviation of a measured position [its unit], or one for each coordinate; on a group
-      that of each component of `log(g⁻¹ y)`, the error as seen from the body [rad, and m where there is a position].
-    - `delay` [s]: a position read at the stamp t was true at t − delay; or one for each coordinate.
-    - `acceleration_std`, `correlation_time`: standard deviation [unit/s²] and correlation time [s] of the acceleration
-      that the model does not explain.
-    - `motion_std`, `motion_time`: the same of the acceleration of the motion itself, for filters that use no model.
-    - `damping`: damping ratio of the error.
-    - `natural_frequency` [rad/s]: of the error under constant gains, where it is not designed from the noise.
-    - `input_lag`: time constant of the first-order lag between logged input and force [s].
-    - `input_delay` [s]: how long after its stamp an input acts; `input_between`: whether it is "held" from one stamp to
-      the next, or "linear" between them.
-    - `reference_half` [s], `reference_order`: half width of the windows, and degree, of the local polynomials that
-      give the reference velocity for scoring.
-    - `quantum`: one tick of the encoders [unit of the coordinates], or one for each coordinate, where the model file
-      gives that and not a standard deviation.
-    - `process_std`, `initial_state`, `initial_std`: of a `StateSpace`, for each state or one for all: standard
-      deviation of the white noise in its rate [its unit/√s], first estimate, and how uncertain that is. Where they are
-      not given, the first estimate is the middle of the model's box, or zero, and as uncertain as the box is wide.
-    - `external_force`: standard deviation of what a force that the model does not know changes by in a second [N or
-      N m], for a filter that estimates it.
-    - `bias`: standard deviation of a constant offset of a measured position [its unit], or one for each coordinate, for
-      a filter that estimates it; `bias_drift`: of what the offset changes by in a second.
-    - `uncertain`: relative standard deviations of numbers of [parameters], by name, for a filter that estimates them;
-      `parameters_drift`: of their relative change in a second; `family`: the model with these numbers open, in their
-      order.
+    Attributes:
+        name: What messages and titles call the model.
+        model: A `MechanicalSystem` or a `StateSpace`.
+        columns: Columns of a log; empty `q` and `u` stand for the model's coordinates and for u1, u2, …. Where the
+            model is a `StateSpace`, `q` are its outputs.
+        measurement_std: Standard deviation of a measured position [its unit], or one for each coordinate; on a group
+            that of each component of `log(g⁻¹ y)`, the error as seen from the body [rad, and m where there is a
+            position].
+        acceleration_std: Standard deviation [unit/s²] of the acceleration that the model does not explain.
+        correlation_time: Correlation time [s] of the acceleration that the model does not explain.
+        motion_std: Standard deviation [unit/s²] of the acceleration of the motion, for filters that use no model.
+        motion_time: Correlation time [s] of the acceleration of the motion, for filters that use no model.
+        damping: Damping ratio of the error [1].
+        input_lag: Time constant [s] of the first-order lag between logged input and force.
+        reference_half: Half width [s] of the windows of the local polynomials that give the reference velocity for
+            scoring.
+        reference_order: Degree of these polynomials.
+        delay: Measurement delay [s]: a position read at the stamp t was true at t − delay; or one for each coordinate.
+        input_delay: Time [s] from the stamp of an input until it acts.
+        input_between: Whether an input is "held" from one stamp to the next, or "linear" between them.
+        quantum: One tick of the encoders [unit of the coordinates], or one for each coordinate, where the model file
+            states that and not a standard deviation.
+        external_force: Standard deviation of the change in a second of a force that the model does not know [N or N m],
+            for a filter that estimates it.
+        process_std: Of a `StateSpace`: standard deviation of the white noise in the rate of each state [its unit/√s],
+            or one for all.
+        initial_state: Of a `StateSpace`: first estimate of each state [its unit], or one for all. By default the middle
+            of the model's box, or zero.
+        initial_std: Of a `StateSpace`: standard deviation of the first estimate [its unit], or one for all. By default
+            as uncertain as the box is wide.
+        natural_frequency: Natural frequency [rad/s] of the error under constant gains, where it is not designed from
+            the noise.
+        bias: Standard deviation of a constant offset of a measured position [its unit], or one for each coordinate, for
+            a filter that estimates it.
+        bias_drift: Standard deviation of the change of the offset in a second [its unit], or one for each coordinate.
+        uncertain: Relative standard deviations of numbers of [parameters], by name, for a filter that estimates them.
+        parameters_drift: Standard deviation of their relative change in a second.
+        family: The model with these numbers open, in their order.
+
+    Example:
+        >>> from covariant import models
+        >>> file = models.ModelFile("spring", models.oscillator(), measurement_std=(3e-3, 4e-3))
+        >>> file.mechanical, round(file.typical_std, 4)
+        (True, 0.0035)
     """
 
     name: str
@@ -86,9 +114,9 @@ class ModelFile(NamedTuple):
 
     @property
     def typical_std(self) -> float | None:
-        """`measurement_std` where it is one number, else the root mean square of those of the coordinates."""
-        given = self.measurement_std
-        return math.hypot(*given) / math.sqrt(len(given)) if isinstance(given, tuple) else given
+        """The measurement noise in one number: `measurement_std`, or the root mean square of its entries."""
+        std = self.measurement_std
+        return math.hypot(*std) / math.sqrt(len(std)) if isinstance(std, tuple) else std
 
     @property
     def dimension(self) -> int:
@@ -101,7 +129,18 @@ class ModelFile(NamedTuple):
         return isinstance(self.model, MechanicalSystem)
 
     def need_mechanical(self, spec: str, why: str) -> MechanicalSystem:
-        """The mechanical model; for a state-space one raises `ValueError`, a message with `spec` and `why`."""
+        """Require a mechanical model.
+
+        Args:
+            spec: What the message calls the model.
+            why: What needs a mechanical model, for the message.
+
+        Returns:
+            The mechanical model.
+
+        Raises:
+            ValueError: The model is a `StateSpace`.
+        """
         if not isinstance(self.model, MechanicalSystem):
             raise ValueError(
                 f"{spec} is a state-space model, and {why} mechanical ones, a Lagrangian or a GroupSystem; design an "
@@ -111,22 +150,44 @@ class ModelFile(NamedTuple):
 
     @property
     def unnamed_attitudes(self) -> int:
-        """How many attitudes a log of the model holds whose representation no column states."""
+        """Number of attitudes in a log of the model whose representation no column states."""
         return unnamed_attitudes(self.model, self.columns)
 
 
 def finish(spec: str, content: dict[str, Any]) -> ModelFile:
-    """The model file of a document that stands for a spec, checked; raises `ValueError`."""
+    """Build the model file of a document and check it.
+
+    Args:
+        spec: Path or name that the document stands for.
+        content: Tables and keys, as read from a model file.
+
+    Returns:
+        The model with its columns and numbers.
+
+    Raises:
+        ValueError: Names the first thing wrong.
+    """
     loaded = made(spec, content)
     return _finished(loaded, Path(spec).stem if is_file(spec) else loaded.name, content)
 
 
 def finish_object(given: Any, content: dict[str, Any]) -> ModelFile:
-    """The model file of a system, or of a model file with the tables of a document on top; raises `ValueError`."""
+    """Build the model file of a model object, with the tables of a document on top.
+
+    Args:
+        given: A system or a `ModelFile`.
+        content: Tables and keys, as read from a model file, without `system` and `parameters`.
+
+    Returns:
+        The model with its columns and numbers.
+
+    Raises:
+        ValueError: Names the first thing wrong.
+    """
     for table in ("system", "parameters"):
         if table in content:
             raise ValueError(f"{table} is for models that are made from a file or by name; this one is made already")
-    loaded = _make(type(given).__name__, given, {})
+    loaded = _build(type(given).__name__, given, {})
     return _finished(loaded, loaded.name, content)
 
 
@@ -141,22 +202,47 @@ def _finished(loaded: ModelFile, name: str, content: dict[str, Any]) -> ModelFil
 
 
 def made(spec: str, content: dict[str, Any]) -> ModelFile:
-    """What the system of a document, or the attribute that a spec names, makes of the parameters of the document."""
+    """Build the model of a document from its system, or from the attribute that a spec names, with its parameters.
+
+    Args:
+        spec: Path or name that the document stands for, or `module:attribute`.
+        content: Tables and keys, as read from a model file; only `system` and `parameters` are used.
+
+    Returns:
+        The model file, without the other tables.
+
+    Raises:
+        ValueError: Names the system or parameter that is wrong.
+    """
     what = content.get("system", spec.rpartition(":")[2])
-    return _make(what, _find(spec, content), content.get("parameters", {}))
+    return _build(what, _model_or_factory(spec, content), content.get("parameters", {}))
 
 
 def from_recipe(made: dict[str, Any], model: Any = None) -> Model:
-    """The model that a recipe makes: a system of the fixed table by name, with parameters of the right types.
+    """Build the model of a recipe: a system of this library by name, with parameters of the right types.
 
-    A recipe may come from a file, so nothing in it is ever imported. A caller who trusts the code may give `model` in
-    place of the system or attribute that the recipe names: a model, a function that makes one from the recipe's
-    parameters, or the `module:attribute` of either. Raises `ModelError`, one line that names what is wrong.
+    A recipe may come from a file, so nothing in it is ever imported. A caller who trusts the code may pass `model`.
+
+    Args:
+        made: The recipe, as `recipe` returns it: `system` or `attribute`, and `parameters`.
+        model: A replacement for the system or attribute that the recipe names: a model, a function that builds one from
+            the recipe's parameters, or the `module:attribute` of either.
+
+    Returns:
+        The model.
+
+    Raises:
+        ModelError: One line that names what is wrong.
+
+    Example:
+        >>> from covariant import models
+        >>> models.from_recipe({"system": "oscillator", "parameters": {"stiffness": 2.0}}).coordinates
+        ('q',)
     """
     parameters = made.get("parameters", {})
     try:
         if model is not None:
-            return _given(model, parameters)
+            return _replacement(model, parameters)
         if "attribute" in made:
             raise ValueError(
                 f"the model is {made['attribute']!r}, code that a recipe does not run; whoever trusts it gives the "
@@ -164,24 +250,37 @@ def from_recipe(made: dict[str, Any], model: Any = None) -> Model:
             )
         factory, name = _source.system(made.get("system")), str(made.get("system"))
         with np.errstate(all="ignore"):  # parameters may make numbers infinite, which later checks find
-            return _make(name, factory, parameters).model
+            return _build(name, factory, parameters).model
     except Exception as error:  # parameters from a file may make a system fail in any way
         kind = "" if isinstance(error, ValueError) else f"{type(error).__name__}: "
         raise ModelError(kind + _source.first_line(error)) from error
 
 
 def recipe_text(made: dict[str, Any]) -> str:
-    """The model of a recipe in one line, with all its parameters, those that the recipe leaves at their defaults too.
+    """Describe the model of a recipe in one line, with all its parameters, default values included.
 
-    Of a model that is not of this library the line has the parameters of the recipe alone.
+    For a model that is not of this library the line has the parameters of the recipe alone.
+
+    Args:
+        made: The recipe, as `recipe` returns it.
+
+    Returns:
+        The name, followed by `parameter = value` for each.
+
+    Example:
+        >>> from covariant import models
+        >>> models.recipe_text({"system": "ball_and_beam", "parameters": {"mass": 2.0}})
+        'ball_and_beam, gravity = 1.0, mass = 2.0, inertia = 1.0'
     """
     parameters = made.get("parameters", {})
     if "attribute" in made:
         name = f"{made['attribute']}, code that is not in this statement"
     else:
         name = str(made["system"])
-        known = inspect.signature(_source.system(name)).parameters.values()
-        defaults = {each.name: each.default for each in known if each.default is not inspect.Parameter.empty}
+        arguments = inspect.signature(_source.system(name)).parameters.values()
+        defaults = {
+            argument.name: argument.default for argument in arguments if argument.default is not inspect.Parameter.empty
+        }
         parameters = defaults | parameters
     return name + "".join(f", {key} = {_number_text(value)}" for key, value in parameters.items())
 
@@ -195,21 +294,38 @@ def _number_text(value: Any) -> str:
     return repr(value.item() if isinstance(value, np.generic) else value)
 
 
-def _given(model: Any, parameters: dict[str, Any]) -> Model:
-    """The model that a caller gives in place of the one that a recipe names."""
+def _replacement(model: Any, parameters: dict[str, Any]) -> Model:
+    """Build the model that a caller passes in place of the one that a recipe names."""
     name = model if isinstance(model, str) else type(model).__name__
     if isinstance(model, str) and not all(model.partition(":")):
         raise ValueError(f"a model is given as module:attribute; got {model!r}")
-    found = _source.attribute(model) if isinstance(model, str) else model
-    return _make(name, found, {} if isinstance(found, Model | ModelFile) else parameters).model
+    candidate = _source.attribute(model) if isinstance(model, str) else model
+    return _build(name, candidate, {} if isinstance(candidate, Model | ModelFile) else parameters).model
 
 
 def is_file(spec: str) -> bool:
+    """Whether a spec is the path of a model file, or a robot by its path or name."""
     return spec.endswith((".toml", *ROBOT_FILES)) or spec in ROBOTS
 
 
 def document(spec: str, overrides: Overrides = ()) -> dict[str, Any]:
-    """The document that a spec stands for, with overrides and a known layout; raises `ValueError`."""
+    """Read the document that a spec stands for, with overrides applied and its layout checked.
+
+    Args:
+        spec: As for `load`, except an object.
+        overrides: As for `load`.
+
+    Returns:
+        Tables and keys as nested dictionaries and lists; empty for `module:attribute` without overrides.
+
+    Raises:
+        ValueError: The spec is unknown or unreadable, or a table, key or override is wrong.
+
+    Example:
+        >>> from covariant import models
+        >>> models.document("oscillator", ["parameters.stiffness=2.0"])
+        {'system': 'oscillator', 'parameters': {'stiffness': 2.0}}
+    """
     content = _toml.override(_document(spec), overrides)
     _toml.check_layout(content)
     return content
@@ -219,7 +335,7 @@ def _document(spec: str) -> dict[str, Any]:
     if spec.endswith(ROBOT_FILES) or spec in ROBOTS:
         return {"system": "robot", "parameters": {"path": spec}}
     if is_file(spec):
-        return _beside(Path(spec), _toml.parse(text(Path(spec))))
+        return _relative_to_file(Path(spec), _toml.parse(text(Path(spec))))
     if ":" in spec:
         return {}
     if spec not in SYSTEMS:
@@ -227,25 +343,40 @@ def _document(spec: str) -> dict[str, Any]:
     return {"system": spec}
 
 
-def _beside(path: Path, content: dict[str, Any]) -> dict[str, Any]:
-    """The document of a model file; where it names the file of a robot, that is looked for from its own folder."""
-    given = content.get("parameters")
-    if content.get("system") != "robot" or not isinstance(given, dict) or not isinstance(given.get("path"), str):
+def _relative_to_file(path: Path, content: dict[str, Any]) -> dict[str, Any]:
+    """The document of a model file; the path of a robot's file in it is relative to the folder of the model file."""
+    parameters = content.get("parameters")
+    if (
+        content.get("system") != "robot"
+        or not isinstance(parameters, dict)
+        or not isinstance(parameters.get("path"), str)
+    ):
         return content
-    if given["path"] in ROBOTS:
+    if parameters["path"] in ROBOTS:
         return content
-    return content | {"parameters": given | {"path": str(path.parent / given["path"])}}
+    return content | {"parameters": parameters | {"path": str(path.parent / parameters["path"])}}
 
 
 def text(path: Path) -> str:
+    """Read a text file.
+
+    Args:
+        path: Path of a model file in UTF-8.
+
+    Returns:
+        Its text.
+
+    Raises:
+        ValueError: The file cannot be read.
+    """
     try:
         return path.read_text(encoding="utf-8")
     except OSError as error:
         raise ValueError(f"{error.strerror or error}; give the path of a model file") from error
 
 
-def _find(spec: str, content: dict[str, Any]) -> Any:
-    """The model that a spec names, or the function that makes it."""
+def _model_or_factory(spec: str, content: dict[str, Any]) -> Any:
+    """Find the model that a spec names, or the function that builds it."""
     named = content.get("system")
     if is_file(spec) and isinstance(named, str) and ":" in named:
         return _source.attribute(named, Path(spec).parent)
@@ -256,19 +387,19 @@ def _find(spec: str, content: dict[str, Any]) -> Any:
     return _source.attribute(spec)
 
 
-def _make(name: str, found: Any, parameters: dict[str, Any]) -> ModelFile:
-    """The model itself, or what the function makes of the parameters; a system of this library, of its types."""
-    finished = isinstance(found, Model | ModelFile)
+def _build(name: str, candidate: Any, parameters: dict[str, Any]) -> ModelFile:
+    """Return the model itself, or what the function makes of the parameters; for a system of this library, typed."""
+    finished = isinstance(candidate, Model | ModelFile)
     if finished and parameters:
         raise ValueError(f"{name} is a finished model; only a function that makes one takes parameters")
-    if name in SYSTEMS and found is _source.system(name):
+    if name in SYSTEMS and candidate is _source.system(name):
         parameters = _source.typed(name, _source.system(name), parameters)
-    made = found if finished or not callable(found) else _source.call(name, found, parameters)
-    if isinstance(made, Model):
-        return ModelFile(name, made)
-    if isinstance(made, ModelFile):
-        return made
-    how = f"it {'is' if made is found else 'returned'} a {type(made).__name__}"
+    built = candidate if finished or not callable(candidate) else _source.call(name, candidate, parameters)
+    if isinstance(built, Model):
+        return ModelFile(name, built)
+    if isinstance(built, ModelFile):
+        return built
+    how = f"it {'is' if built is candidate else 'returned'} a {type(built).__name__}"
     raise ValueError(
         f"{name} must be a Lagrangian, a GroupSystem, a StateSpace, a ModelFile, or a function returning one; {how}"
     )

@@ -16,14 +16,24 @@ def heavy_top(
     axis: Sequence[Number] = (0.0, 0.0, 1.0),
     viscous: Number = 0.0,
 ) -> GroupSystem:
-    """Top of Maithripala, Berg & Dayawansa 2004, section IV-A, equations (31)–(32), with any inertia.
+    """Heavy top of Maithripala, Berg & Dayawansa 2004, section IV-A, equations (31)–(32), with any inertia.
 
-    - `inertia` [kg m²] about the fixed point: three principal moments, or a matrix (3, 3).
-    - `moment`: m g l [N m], the weight times the distance of the centre of mass, which lies along `axis` in the body.
-      Gravity points along −z in space.
-    - `viscous` [N m s/rad]: friction proportional to the angular velocity.
+    Gravity points along −z in space. Inputs are three torques in the body frame [N m].
 
-    Inputs are three torques in the body frame [N m].
+    Args:
+        inertia: Inertia about the fixed point [kg m²]: three principal moments, or a matrix (3, 3).
+        moment: Gravity moment m g l [N m], the weight times the distance of the centre of mass from the fixed point.
+        axis: Direction (3,) of the centre of mass in the body frame; it need not have unit length.
+        viscous: Friction coefficient [N m s/rad] of the angular velocity.
+
+    Returns:
+        The system on SO(3), with the angular velocity in the body frame [rad/s].
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import models
+        >>> models.heavy_top(moment=2.0).potential(jnp.eye(3)).item()  # upright
+        2.0
     """
     xp = namespace(inertia, moment, axis)
     matrix, along = xp.asarray(inertia, float), xp.asarray(axis, float)
@@ -45,12 +55,26 @@ def heavy_top(
 
 
 def free_body(inertia: Sequence[Number] | Sequence[Sequence[Number]] = (1.0, 2.0, 3.5)) -> GroupSystem:
-    """A freely rotating body, with torques in the body frame [N m] as inputs: `heavy_top` with no gravity moment."""
+    """Freely rotating rigid body: a `heavy_top` without gravity. Inputs are three torques in the body frame [N m].
+
+    Args:
+        inertia: Inertia [kg m²]: three principal moments, or a matrix (3, 3).
+
+    Returns:
+        The system on SO(3), with the angular velocity in the body frame [rad/s].
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import models
+        >>> body = models.free_body((1.0, 2.0, 3.0))
+        >>> models.energy(body, jnp.eye(3), jnp.array([0.0, 0.0, 2.0])).item()
+        6.0
+    """
     return heavy_top(inertia, moment=0.0)
 
 
 def _height(g, arm):
-    return g[2] @ arm
+    return g[2] @ arm  # height: the z coordinate in space of the body vector `arm`
 
 
 def _viscous(g, v, coefficient):

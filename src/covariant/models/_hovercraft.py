@@ -18,10 +18,25 @@ def hovercraft(
     fan_offset: Number = 0.12,
     drag: Sequence[Number] = (0.3, 0.5, 0.02),
 ) -> GroupSystem:
-    """Hovercraft of `mass` [kg] and `inertia` [kg m²] about its centre of mass; v = (surge, sway, yaw rate).
+    """Planar hovercraft on SE(2), driven by two fans; v = (surge, sway, yaw rate) [m/s, m/s, rad/s].
 
-    The inputs are the thrusts [N] of two fans, right and left of the middle by `fan_offset` [m]; `drag` is
-    proportional to v [N s/m, N s/m, N m s].
+    The inputs are the thrusts [N] of the right and of the left fan.
+
+    Args:
+        mass: Mass [kg].
+        inertia: Inertia about the centre of mass [kg m²].
+        fan_offset: Distance of each fan from the middle [m].
+        drag: Coefficients (3,) of a drag proportional to v [N s/m, N s/m, N m s].
+
+    Returns:
+        The system with three velocities and two inputs.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import models
+        >>> craft = models.hovercraft(fan_offset=0.5)
+        >>> craft.force(0.0, jnp.eye(3), jnp.array([2.0, 1.0])).tolist()
+        [3.0, 0.0, 0.5]
     """
     xp = namespace(mass, inertia)
     return GroupSystem(
@@ -43,6 +58,7 @@ def hovercraft(
 
 
 def _fans(t, g, u, offset):
+    # u[0] is the right fan: its thrust, at y = −offset, turns the bow to the left, which is a positive yaw rate.
     return jnp.stack([u[0] + u[1], jnp.zeros_like(u[0]), offset * (u[0] - u[1])])
 
 

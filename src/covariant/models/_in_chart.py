@@ -19,23 +19,42 @@ Chart = Callable[[Array], Any]
 def in_chart(
     model: MechanicalSystem, chart: Chart, *, coordinates: Sequence[str] = (), circles: Sequence[int] = ()
 ) -> Lagrangian:
-    """The system in coordinates z (n,), its configuration being `chart(z)`; from any space, such as SO(3).
+    """Rewrite a mechanical system on any space, such as SO(3), in coordinates z (n,) of its configuration `chart(z)`.
 
-    - `chart`: for instance `marine.euler_rotation` for a body on SO(3), whose velocities then are the rates of its
-      Euler angles. Numbers in the chart are leaves of the model's pytree where the chart itself is a pytree, such as a
-      `Parametric`.
-    - `coordinates`, `circles`: as for `Lagrangian`. A circle of the model is none of the chart unless named here: its
-      measurements are then taken as they are, and must go on over a full turn.
+    Args:
+        model: Mechanical system.
+        chart: Smooth map `z (n,) -> configuration` with an invertible derivative, for instance `marine.euler_rotation`
+            for a body on SO(3), whose velocities then are the rates of its Euler angles. Numbers in the chart are
+            leaves of the model's pytree where the chart itself is a pytree, such as a `Parametric`.
+        coordinates: Names of the entries of z.
+        circles: Indices of the entries of z that are angles on a full circle [rad]. A circle of the model is none of
+            the chart unless named here: its measurements are then used unwrapped, and must continue over a full turn.
 
-    Raises `ValueError` when the values of the chart are no configurations of the model.
+    Returns:
+        The same system in coordinates.
+
+    Raises:
+        ValueError: The values of the chart are no configurations of the model.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import models
+        >>> body = models.free_body((1.0, 2.0, 3.5))
+        >>> in_angles = models.in_chart(body, models.marine.euler_rotation, coordinates=("roll", "pitch", "yaw"))
+        >>> bool(jnp.allclose(in_angles.metric(jnp.zeros(3)), jnp.diag(jnp.array([1.0, 2.0, 3.5]))))
+        True
     """
 
     def part(function: Callable) -> Any:
         return eqx.Partial(function, model, chart)
 
-    n = jax.eval_shape(model.manifold.zero, jax.eval_shape(model.manifold.origin)).shape[0] if _known(model) else None
+    n = (
+        jax.eval_shape(model.manifold.zero, jax.eval_shape(model.manifold.origin)).shape[0]
+        if _has_known_shape(model)
+        else None
+    )
     return Lagrangian(
-        part(eqx.filter_jit(_metric)),  # differentiated and batched in many places: each way traces it only once
+        part(eqx.filter_jit(_metric)),  # differentiated and batched in many places: jit traces it once for each
         part(_potential),
         part(_force),
         part(_dissipation),
@@ -46,17 +65,53 @@ def in_chart(
 
 
 def chart_velocity(manifold: AbstractManifold, chart: Chart, z: Vector, rate: Vector) -> Vector:
-    """The velocity (n,), in the frame at `chart(z)`, of a motion with `z' = rate`."""
+    """Velocity of a motion in chart coordinates.
+
+    Args:
+        manifold: Manifold of the configurations.
+        chart: Smooth map `z (n,) -> configuration`.
+        z: Chart coordinates (n,).
+        rate: Their time derivative z' (n,).
+
+    Returns:
+        Velocity (n,), in the frame at `chart(z)`.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import models
+        >>> from covariant.geometry import lie
+        >>> yawing = jnp.array([0.0, 0.0, 1.0])
+        >>> v = models.chart_velocity(lie.SO3, models.marine.euler_rotation, jnp.zeros(3), yawing)
+        >>> bool(jnp.allclose(v, yawing))  # at zero angles the body rates are the rates of the angles
+        True
+    """
     x, change = jax.jvp(chart, (z,), (rate,))
     return manifold.components(x, change)
 
 
 def chart_jacobian(manifold: AbstractManifold, chart: Chart, z: Vector) -> Matrix:
-    """Matrix (n, n) of the linear map `rate ↦ chart_velocity`."""
+    """Matrix of the linear map `rate ↦ chart_velocity`.
+
+    Args:
+        manifold: Manifold of the configurations.
+        chart: Smooth map `z (n,) -> configuration`.
+        z: Chart coordinates (n,).
+
+    Returns:
+        Jacobian (n, n) from the rates of the coordinates to the velocity in the frame at `chart(z)`.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import models
+        >>> from covariant.geometry import lie
+        >>> jacobian = models.chart_jacobian(lie.SO3, models.marine.euler_rotation, jnp.zeros(3))
+        >>> bool(jnp.allclose(jacobian, jnp.eye(3)))
+        True
+    """
     return jax.vmap(lambda a: chart_velocity(manifold, chart, z, a), out_axes=1)(jnp.eye(z.shape[0], dtype=z.dtype))
 
 
-def _known(model: MechanicalSystem) -> bool:
+def _has_known_shape(model: MechanicalSystem) -> bool:
     return None not in model.manifold.shape
 
 
@@ -70,6 +125,7 @@ def _potential(model: MechanicalSystem, chart: Chart, z: Vector) -> Scalar:
 
 
 def _force(model: MechanicalSystem, chart: Chart, t: Scalar, z: Vector, u: Float[Array, "m"]) -> Vector:
+    # The transpose pulls covectors back: the power of the force is the same in both coordinates.
     return chart_jacobian(model.manifold, chart, z).T @ model.force(t, chart(z), u)
 
 

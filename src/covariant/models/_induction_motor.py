@@ -21,14 +21,34 @@ def induction_motor(
     pole_pairs: int = 1,
     load: float | None = 0.0,
 ) -> StateSpace:
-    """Stator currents i [A], rotor flux linkages ψ [Wb], each along α and β, and the speed ω [rad/s] of the rotor.
+    """Induction motor with linear magnetic circuits, in two-phase coordinates fixed to the stator.
 
-    - Resistances are in Ω, inductances of the two equivalent phases in H; `mutual_inductance²` must be below the
-      product of the other two. `inertia` is in kg m².
-    - `load`: torque [N m] against positive speed, a known constant; None for an unknown one, which is a sixth state.
+    The states are the stator currents i [A] and the rotor flux linkages ψ [Wb], each along α and β, and the rotor speed
+    ω [rad/s].
 
     Inputs are the stator voltages [V], and the currents are measured. The two phases carry the power of the three:
-    `u·i` is the electrical power. Raises `ValueError` for parameters that are not positive.
+    `u·i` is the electrical power.
+
+    Args:
+        stator_resistance: Stator resistance [Ω].
+        rotor_resistance: Rotor resistance [Ω].
+        stator_inductance: Stator inductance of the two equivalent phases [H].
+        rotor_inductance: Rotor inductance of the two equivalent phases [H].
+        mutual_inductance: Mutual inductance [H]; its square must be below the product of the other two.
+        inertia: Inertia of the rotor [kg m²].
+        pole_pairs: Number of pole pairs.
+        load: Torque [N m] against positive speed, a known constant; None for an unknown one, which is a sixth state.
+
+    Returns:
+        The system with five or six states and two inputs.
+
+    Raises:
+        ValueError: A parameter other than the load is not positive, or the mutual inductance is too large.
+
+    Example:
+        >>> from covariant import models
+        >>> models.induction_motor(load=None).coordinates[-2:]
+        ('speed', 'load')
     """
     parameters = {
         "stator_resistance": Parameter(stator_resistance, "ohm", _SOURCE),
@@ -77,7 +97,7 @@ def _f(
     load=None,
 ):
     current, flux, speed = x[:2], x[2:4], x[4]
-    turned = jnp.stack([-flux[1], flux[0]])
+    turned = jnp.stack([-flux[1], flux[0]])  # by +90°
     induced = rotor_resistance / rotor_inductance * (mutual_inductance * current - flux)
     flux_dot = induced + pole_pairs * speed * turned
     current_dot = (u - stator_resistance * current - coupling * flux_dot) / leakage

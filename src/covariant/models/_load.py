@@ -1,4 +1,4 @@
-"""Loads models: from files, from modules, or by name."""
+"""Models from files, from modules, or by name."""
 
 from os import PathLike, fspath
 from typing import Any
@@ -32,10 +32,10 @@ def load(spec: str | PathLike[str] | Model | ModelFile, overrides: Overrides = (
         >>> models.load("oscillator", {"measurement.std": 1e-3}).measurement_std
         0.001
     """
-    given = isinstance(spec, Model | ModelFile)
+    is_object = isinstance(spec, Model | ModelFile)
     name = spec_name(spec)
     try:
-        if given:
+        if is_object:
             content = _toml.override({}, overrides)
             _toml.check_layout(content)
             return finish_object(spec, content)
@@ -49,19 +49,44 @@ def load(spec: str | PathLike[str] | Model | ModelFile, overrides: Overrides = (
 
 
 def spec_name(spec: Any) -> str:
-    """What messages and titles call a model: its path or name, or the kind of a system that has none."""
+    """Name of a model in messages and titles.
+
+    Args:
+        spec: As for `load`.
+
+    Returns:
+        Its path or name, or the type of a system that has none.
+
+    Example:
+        >>> from covariant import models
+        >>> models.spec_name(models.oscillator())
+        'Lagrangian'
+    """
     if isinstance(spec, str | PathLike):
         return str(fspath(spec))
     return spec.name if isinstance(spec, ModelFile) else type(spec).__name__
 
 
 def recipe(spec: str, overrides: Overrides = ()) -> dict[str, Any]:
-    """The recipe of the model that `load(spec, overrides)` gives: just what is needed to make it again later.
+    """Recipe of the model that `load(spec, overrides)` returns: what is needed to build it again.
 
-    It holds a system with its parameters, or `module:attribute` with parameters. Raises `ModelError` as `load` does.
+    Args:
+        spec: A path, the name of a system, or `module:attribute`.
+        overrides: As for `load`.
+
+    Returns:
+        `system` or `attribute`, and `parameters`, for `from_recipe`.
+
+    Raises:
+        ModelError: As for `load`.
+
+    Example:
+        >>> from covariant import models
+        >>> models.recipe("oscillator", {"parameters.stiffness": 2.0})
+        {'system': 'oscillator', 'parameters': {'stiffness': 2.0}}
     """
     load(spec, overrides)
     content = document(spec, overrides)
-    kept = {"parameters": content.get("parameters", {})}
-    named = content.get("system", spec)
-    return {"attribute" if ":" in named else "system": named, **kept}
+    parameters = {"parameters": content.get("parameters", {})}
+    system = content.get("system", spec)
+    return {"attribute" if ":" in system else "system": system, **parameters}

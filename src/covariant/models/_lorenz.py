@@ -9,10 +9,26 @@ _SOURCE = "Lorenz 1963, section 7"
 
 
 def lorenz(prandtl: float = 10.0, rayleigh: float = 28.0, geometry: float = 8 / 3) -> StateSpace:
-    """Lorenz 1963, equations (25)–(27), dimensionless: convection x, temperatures y and z; x is measured.
+    """Lorenz system, equations (25)–(27) of 1963, dimensionless: convection x, temperatures y and z; x is measured.
 
-    The `prandtl` number σ, the ratio `rayleigh` r of the Rayleigh number to the critical one, and the `geometry` b of
-    the cell must be positive; raises `ValueError` otherwise. The box holds the attractor of the default parameters.
+    The box contains the attractor of the default parameters.
+
+    Args:
+        prandtl: Prandtl number σ.
+        rayleigh: Ratio r of the Rayleigh number to the critical one.
+        geometry: Geometry b of the cell.
+
+    Returns:
+        The system with three states and no input.
+
+    Raises:
+        ValueError: A parameter is not positive.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import models
+        >>> models.lorenz(prandtl=10.0, rayleigh=28.0).f(0.0, jnp.array([1.0, 2.0, 0.0]), jnp.zeros(0)).tolist()
+        [10.0, 26.0, 2.0]
     """
     parameters = {
         "prandtl": Parameter(prandtl, "1", _SOURCE),

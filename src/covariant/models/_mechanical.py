@@ -1,4 +1,4 @@
-"""A mechanical system `∇_v v = raise(−dU + force + dissipation)` on any configuration space, as JAX functions.
+"""Mechanical systems `∇_v v = raise(−dU + force + dissipation)` on any configuration space, as JAX functions.
 
 `Lagrangian` builds one in coordinates, `GroupSystem` one on a Lie group with a left-invariant kinetic energy.
 
@@ -25,14 +25,38 @@ from covariant.models._parameters import Parameter, Parametric
 
 
 class Motion(NamedTuple):
-    """Configuration q and velocity v (n,), in the frame of the space: on a group q (N, N) and `q' = q hat(v)`."""
+    """Configuration and velocity of a mechanical system.
+
+    Attributes:
+        q: Configuration: coordinates (n,) [their units], or on a group the matrix (N, N).
+        v: Velocity (n,), in the frame of the configuration space; on a group `q' = q hat(v)`.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import models
+        >>> motion = models.Motion(q=jnp.array([0.1]), v=jnp.array([2.0]))
+        >>> models.oscillator().state(motion).tolist()
+        [0.1, 2.0]
+    """
 
     q: Inexact[Array, "..."]
     v: Float[Array, "*T n"]
 
 
 class Sought(NamedTuple):
-    """What an estimate is for and scored by: what it is, its names and units, and `of(x)`, its values in states x."""
+    """The quantity that an observer of a model estimates and is scored by.
+
+    Attributes:
+        what: What the quantity is: "velocity" or "state".
+        names: Names of its entries; empty where they are the rates of the coordinates.
+        units: Unit of each entry.
+        of: `of(x)`, the values of the quantity in the state x, or in many states, time first.
+
+    Example:
+        >>> from covariant import models
+        >>> models.oscillator().sought.units
+        ('m/s',)
+    """
 
     what: str
     names: tuple[str, ...]
@@ -43,20 +67,35 @@ class Sought(NamedTuple):
 class MechanicalSystem(Functional):
     """A mechanical system whose configuration is measured.
 
-    - `space`: its configuration space, with the kinetic energy `½ <v, v>` [J] as metric.
-    - `potential`: potential energy `q -> ()` [J]; on a group a smooth function of the matrix entries. None for none.
-    - `force`: generalised force (a covector in the frame) `(t, q, u) -> (n,)` of the input u (m,); by default u itself.
-    - `dissipation`: generalised force that depends on the velocity, `(q, v) -> (n,)`, or `(t, q, v, u) -> (n,)` such as
-      that of a rudder or a drag that an input scales. Observers evaluate it at the estimate. Friction opposes the
-      motion: viscous friction with coefficient b is `lambda q, v: -b * v`.
-    - `coordinates`, `units`: names and units of the entries of q, where they are coordinates.
-    - `velocities`, `velocity_units`: names and units of the components of v, where they are not the rates of the
-      coordinates.
-    - `inputs`: number of inputs m, where it is not n.
-    - `parameters`: a `Parameter` for each name, as documentation. Functions made by `Parametric` also hold their
-      numbers as leaves of the pytree, so that a model with other numbers needs no new compilation.
+    The generalised forces are covectors in the frame of the configuration space. Use `Lagrangian` for a system in
+    coordinates and `GroupSystem` for one on a Lie group.
 
-    Raises `ValueError` when a function has the wrong shape.
+    Attributes:
+        space: Configuration space, with the kinetic energy `½ <v, v>` [J] as metric.
+        potential: Potential energy `q -> ()` [J]; on a group a smooth function of the matrix entries. Zero by default.
+        force: Generalised force `(t, q, u) -> (n,)` of the input u (m,); by default u itself.
+        dissipation: Generalised force that depends on the velocity, `(q, v) -> (n,)`, or `(t, q, v, u) -> (n,)` such as
+            that of a rudder or a drag that an input scales. Observers evaluate it at the estimate. Friction opposes the
+            motion: viscous friction with coefficient b is `lambda q, v: -b * v`. Zero by default.
+        coordinates: Names of the entries of q, where they are coordinates.
+        units: Units of the entries of q, where they are coordinates.
+        velocities: Names of the components of v, where they are not the rates of the coordinates.
+        velocity_units: Units of the components of v, where they are not the rates of the coordinates.
+        inputs: Number of inputs m, where it is not n.
+        parameters: A `Parameter` for each name, as documentation. Functions built by `Parametric` also hold their
+            numbers as leaves of the pytree, so that a model with other numbers needs no new compilation.
+
+    Raises:
+        ValueError: A function returns the wrong shape.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import models
+        >>> from covariant.geometry import Coordinates, Metric
+        >>> space = Metric(lambda q: 2.0 * jnp.eye(1), manifold=Coordinates((), 1))  # a mass of 2 kg
+        >>> cart = models.MechanicalSystem(space, coordinates=("x",), units=("m",))
+        >>> models.energy(cart, jnp.zeros(1), jnp.array([3.0])).item()
+        9.0
     """
 
     space: AbstractSpace
@@ -102,7 +141,7 @@ class MechanicalSystem(Functional):
 
     @property
     def metric(self) -> AbstractSpace:
-        """The space, under the name that it has where it is a matrix in coordinates."""
+        """The configuration space, under the name used for an inertia matrix in coordinates."""
         return self.space
 
     @property
@@ -112,25 +151,37 @@ class MechanicalSystem(Functional):
 
     @property
     def logged_units(self) -> dict[str, tuple[str, ...]]:
-        """Units of what a log holds of the model, by field of `logs.Columns`, where they are known."""
+        """Known units of the logged quantities.
+
+        Returns:
+            Units of each entry, by field of `logs.Columns`: positions `q`, velocities `v` and the reference `truth`.
+        """
         return {"q": self.units, "v": self.sought.units, "truth": self.sought.units}
 
     @property
     def sought(self) -> Sought:
-        """What an estimate of the model is for: the velocities; names are empty where these are rates."""
+        """The quantity that an observer of the model estimates: the velocity.
+
+        Returns:
+            Its names, units and values; the names are empty where the velocities are the rates of the coordinates.
+        """
         units = self.velocity_units or tuple(f"{unit}/s" for unit in self.units)
         return Sought("velocity", self.velocities, units, lambda x: self.motion(x).v)
 
     @property
     def dissipation_is_driven(self) -> bool:
-        """Whether the dissipation takes (t, q, v, u), so that it may depend on time and input; otherwise (q, v)."""
-        given = self.dissipation
-        if isinstance(given, Parametric):
-            given = functools.partial(given.function, **given.parameters)
-        elif isinstance(given, eqx.Partial):
-            given = functools.partial(given.func, *given.args, **given.keywords)
+        """Whether the dissipation has the signature (t, q, v, u), and so may depend on time and input.
+
+        Returns:
+            True for (t, q, v, u), False for (q, v), decided by the number of arguments that the function takes.
+        """
+        function = self.dissipation
+        if isinstance(function, Parametric):
+            function = functools.partial(function.function, **function.parameters)
+        elif isinstance(function, eqx.Partial):
+            function = functools.partial(function.func, *function.args, **function.keywords)
         try:
-            inspect.signature(given).bind(None, None)
+            inspect.signature(function).bind(None, None)
         except TypeError:
             return True
         except ValueError:  # some built-in functions have no signature
@@ -138,23 +189,60 @@ class MechanicalSystem(Functional):
         return False
 
     def state(self, motion: Motion) -> Any:
-        """The state x of a motion: (q, v) (2n,) in coordinates, the motion itself elsewhere."""
+        """Convert a motion to a state x.
+
+        Args:
+            motion: Configuration and velocity; leading axes, such as time, are allowed.
+
+        Returns:
+            (q, v) (2n,) for a system in coordinates, the motion itself elsewhere.
+        """
         return jnp.concatenate(motion, axis=-1) if self.manifold.commuting else motion
 
     def motion(self, x: Any) -> Motion:
-        """Configuration and velocity of a state x, or of many states, time first."""
+        """Convert a state x, or many states, time first, to a motion.
+
+        Args:
+            x: (q, v) (..., 2n) for a system in coordinates, a `Motion` elsewhere.
+
+        Returns:
+            Configuration and velocity.
+        """
         return Motion(*jnp.split(jnp.asarray(x), 2, axis=-1)) if self.manifold.commuting else x
 
 
 class Lagrangian(MechanicalSystem):
-    """A `MechanicalSystem` in coordinates q (n,), whose positions are measured.
+    """A mechanical system in coordinates q (n,), whose positions are measured.
 
-    - `metric`: inertia matrix `q (n,) -> (n, n)`, or a space in coordinates from `covariant.geometry`.
-    - `circles`: indices of coordinates that are angles on a full circle [rad]; errors in them are wrapped to ±π.
-    - `potential`, `force`, `dissipation`, `coordinates`, `units`, `inputs`, `parameters`: as for `MechanicalSystem`.
-      Where the coordinates are named, all functions are checked at once.
+    All functions are checked at once where the coordinates are named.
 
-    Raises `ValueError` when a function has the wrong shape.
+    Args:
+        metric: Inertia matrix `q (n,) -> (n, n)`, or a space in coordinates from `covariant.geometry`.
+        potential: Potential energy `q -> ()` [J]; zero by default.
+        force: Generalised force `(t, q, u) -> (n,)` of the input u (m,); by default u itself.
+        dissipation: Velocity-dependent generalised force `(q, v) -> (n,)` or `(t, q, v, u) -> (n,)`; zero by default.
+        circles: Indices of coordinates that are angles on a full circle [rad]; errors in them are wrapped to ±π.
+        coordinates: Names of the entries of q.
+        units: Units of the entries of q.
+        inputs: Number of inputs m, where it is not n.
+        parameters: A `Parameter` for each name, as for `MechanicalSystem`.
+
+    Raises:
+        ValueError: A function returns the wrong shape, or `circles` are no indices of coordinates.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import models
+        >>> pendulum = models.Lagrangian(
+        ...     lambda q: jnp.eye(1),  # m l² = 1 kg m²
+        ...     lambda q: -9.81 * jnp.cos(q[0]),  # m g l = 9.81 N m, hanging at 0
+        ...     circles=(0,),
+        ...     coordinates=("angle",),
+        ...     units=("rad",),
+        ... )
+        >>> level = jnp.array([jnp.pi / 2])
+        >>> models.acceleration(pendulum, 0.0, level, jnp.zeros(1), jnp.zeros(1)).round(2).tolist()
+        [-9.81]
     """
 
     def __init__(
@@ -176,14 +264,29 @@ class Lagrangian(MechanicalSystem):
 
 
 class GroupSystem(MechanicalSystem):
-    """A `MechanicalSystem` on a Lie group, `g' = g hat(v)`, `I v' = ad*_v I v + force + dissipation` in the body frame.
+    """A mechanical system on a Lie group, `g' = g hat(v)`, `I v' = ad*_v I v + force + dissipation` in the body frame.
 
-    - `group`: such as `lie.SO3` or `lie.SE3`.
-    - `inertia`: matrix (n, n), or an `AbstractInertia`; on SE(3) v is the twist (v, ω), translation first.
-    - `velocities`, `units`: names and units of the components of v.
-    - `potential`, `force`, `dissipation`, `inputs`, `parameters`: as for `MechanicalSystem`.
+    Args:
+        group: Lie group of the configurations, such as `lie.SO3` or `lie.SE3`.
+        inertia: Matrix (n, n) or an `AbstractInertia`; on SE(3) v is the twist (v, ω), translation first.
+        potential: Potential energy `g -> ()` [J], a smooth function of the matrix entries; zero by default.
+        force: Generalised force `(t, g, u) -> (n,)` in the body frame; by default the input u itself.
+        dissipation: Velocity-dependent generalised force `(g, v) -> (n,)` or `(t, g, v, u) -> (n,)`; zero by default.
+        velocities: Names of the components of v; v1, v2, … by default.
+        units: Units of the components of v.
+        inputs: Number of inputs m; n by default.
+        parameters: A `Parameter` for each name, as for `MechanicalSystem`.
 
-    Raises `ValueError` when a function has the wrong shape.
+    Raises:
+        ValueError: A function returns the wrong shape, or the names or units are not n.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import models
+        >>> from covariant.geometry import lie
+        >>> body = models.GroupSystem(lie.SO3, jnp.diag(jnp.array([1.0, 2.0, 3.0])))
+        >>> models.acceleration(body, 0.0, jnp.eye(3), jnp.ones(3), jnp.zeros(3)).round(3).tolist()
+        [-1.0, 1.0, -0.333]
     """
 
     def __init__(
@@ -221,21 +324,33 @@ class GroupSystem(MechanicalSystem):
 
 
 def input_itself(t, q, u):
+    """The default generalised force: the input u (m,) of a system with as many inputs as velocities."""
     return u
 
 
 def no_dissipation(q, v):
+    """The default dissipation: zero (n,)."""
     return jnp.zeros_like(v)
 
 
 def no_potential(q):
+    """The default potential energy: zero, in the real type of q."""
     return jnp.zeros((), jnp.finfo(q.dtype).dtype)
 
 
 def check_model(model: MechanicalSystem, dimension: int | None = None) -> None:
-    """Raise `ValueError` unless every function of the model has the shape that its configurations need.
+    """Check that every function of a mechanical model has the shape that its configurations need.
 
-    `dimension`: the number of coordinates, for a model that does not name them.
+    Args:
+        model: The model; its functions are traced, not evaluated.
+        dimension: Number of coordinates, for a model that does not name them.
+
+    Raises:
+        ValueError: Names the first function with another shape, or the circles that are no coordinates.
+
+    Example:
+        >>> from covariant import models
+        >>> models.check_model(models.oscillator())
     """
     known = dimension is None or None not in model.manifold.shape
     q = jax.eval_shape(model.manifold.origin) if known else jax.ShapeDtypeStruct((dimension,), jnp.float64)
@@ -257,7 +372,16 @@ def check_model(model: MechanicalSystem, dimension: int | None = None) -> None:
 
 
 def check_shapes(functions, given: str, whom: str) -> None:
-    """Raise `ValueError` for the first (name, function, arguments, shape) whose function returns another shape."""
+    """Check the shapes of functions without evaluating them.
+
+    Args:
+        functions: Tuples (name, function, arguments, shape), the arguments as `jax.ShapeDtypeStruct`.
+        given: What the arguments are, for the message.
+        whom: What the shape is needed for, for the message.
+
+    Raises:
+        ValueError: Names the first function that cannot be evaluated or returns another shape.
+    """
     for name, function, arguments, wanted in functions:
         try:
             shape = jax.eval_shape(function, *arguments).shape
@@ -269,55 +393,209 @@ def check_shapes(functions, given: str, whom: str) -> None:
 
 
 def applied_force(model: MechanicalSystem, t: Scalar, q: Array, u: Float[Array, "m"]) -> Vector:
-    """`−∂U + force`: the generalised force on the system apart from dissipation, in the frame.
+    """Generalised force `−∂U + force` on the system without its dissipation, in the frame.
 
-    Raises `ValueError` for a force of another shape, such as one input that would act on all coordinates.
+    Args:
+        model: Mechanical system.
+        t: Time [s].
+        q: Configuration.
+        u: Input (m,).
+
+    Returns:
+        Covector (n,).
+
+    Raises:
+        ValueError: The force has another shape, such as one input that would act on all coordinates.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import models
+        >>> spring = models.oscillator(stiffness=3.0)
+        >>> models.applied_force(spring, 0.0, jnp.array([2.0]), jnp.array([1.0])).tolist()
+        [-5.0]
     """
+    # Equal shapes are demanded, since broadcasting one input over all coordinates would pass unnoticed.
     force, slope = model.force(t, q, u), differential(model.manifold, model.potential, q)
     if force.shape != slope.shape:
         raise ValueError(f"force must return shape {slope.shape}; with {u.shape[0]} inputs it returned {force.shape}")
-    return force - slope
+    return force - slope  # the differential dU points uphill
 
 
 def source(model: MechanicalSystem, t: Scalar, q: Array, u: Float[Array, "m"]) -> Vector:
-    """`S(q, t) = raise(−∂U + force)`, the acceleration of the system at rest without friction."""
+    """Acceleration `S(q, t) = raise(−∂U + force)` of the system at rest without friction.
+
+    Args:
+        model: Mechanical system.
+        t: Time [s].
+        q: Configuration.
+        u: Input (m,).
+
+    Returns:
+        Acceleration (n,), in the frame.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import models
+        >>> spring = models.oscillator(stiffness=3.0)  # unit mass
+        >>> models.source(spring, 0.0, jnp.array([2.0]), jnp.zeros(1)).tolist()
+        [-6.0]
+    """
     return model.space.raise_(q, applied_force(model, t, q, u))
 
 
 def resistance(model: MechanicalSystem, t: Scalar, q: Array, v: Vector, u: Float[Array, "m"]) -> Array:
-    """The dissipation, a generalised force in the frame, for either signature of the model's function."""
+    """Dissipation of the model, for either signature of its function.
+
+    Args:
+        model: Mechanical system.
+        t: Time [s].
+        q: Configuration.
+        v: Velocity (n,).
+        u: Input (m,).
+
+    Returns:
+        Generalised force (n,), in the frame.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import models
+        >>> top = models.heavy_top(viscous=0.5)
+        >>> models.resistance(top, 0.0, jnp.eye(3), jnp.array([0.0, 0.0, 2.0]), jnp.zeros(3))[2].item()
+        -1.0
+    """
     return model.dissipation(t, q, v, u) if model.dissipation_is_driven else model.dissipation(q, v)
 
 
 def friction(model: MechanicalSystem, t: Scalar, q: Array, v: Vector, u: Float[Array, "m"]) -> Vector:
-    """`raise(dissipation)`: the acceleration due to dissipation."""
+    """Acceleration `raise(dissipation)` due to the dissipation.
+
+    Args:
+        model: Mechanical system.
+        t: Time [s].
+        q: Configuration.
+        v: Velocity (n,).
+        u: Input (m,).
+
+    Returns:
+        Acceleration (n,), in the frame.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import models
+        >>> top = models.heavy_top(inertia=(0.2, 0.2, 0.1), viscous=0.5)
+        >>> v_dot = models.friction(top, 0.0, jnp.eye(3), jnp.array([0.0, 0.0, 2.0]), jnp.zeros(3))
+        >>> v_dot[2].round(9).item()
+        -10.0
+    """
     return model.space.raise_(q, resistance(model, t, q, v, u))
 
 
 def input_count(model: Any, n: int) -> int:
-    """Number of inputs m of a model; where it does not state one, its number n of velocities."""
+    """Number of inputs m of a model.
+
+    Args:
+        model: A model with an attribute `inputs`.
+        n: Its number of velocities, the result where the model does not state one.
+
+    Returns:
+        The number m.
+
+    Example:
+        >>> from covariant import models
+        >>> models.input_count(models.hovercraft(), 3)
+        2
+    """
     return n if model.inputs is None else model.inputs
 
 
 def acceleration(model: MechanicalSystem, t: Scalar, q: Array, v: Vector, u: Float[Array, "m"]) -> Vector:
-    """Forward dynamics `v' = raise(−∂U + force + dissipation − M B(v, v))` (Hamel)."""
+    """Forward dynamics `v' = raise(−∂U + force + dissipation − M B(v, v))` (Hamel's equations).
+
+    Args:
+        model: Mechanical system.
+        t: Time [s].
+        q: Configuration.
+        v: Velocity (n,).
+        u: Input (m,).
+
+    Returns:
+        v' (n,), in the frame.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import models
+        >>> models.acceleration(models.oscillator(), 0.0, jnp.array([0.5]), jnp.zeros(1), jnp.zeros(1)).tolist()
+        [-0.5]
+    """
     covector = applied_force(model, t, q, u) + resistance(model, t, q, v, u)
     return model.space.raise_(q, covector - model.space.connection_force(q, v, v))
 
 
 def energy(model: MechanicalSystem, q: Array, v: Vector) -> Scalar:
-    """Kinetic plus potential energy [J]."""
+    """Kinetic plus potential energy [J].
+
+    Args:
+        model: Mechanical system.
+        q: Configuration.
+        v: Velocity (n,).
+
+    Returns:
+        The energy, a scalar.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import models
+        >>> models.energy(models.oscillator(), jnp.array([1.0]), jnp.array([2.0])).item()
+        2.5
+    """
     return model.space.inner(q, v, v) / 2 + model.potential(q)
 
 
 def spatial_momentum(system: MechanicalSystem, g: Element, v: Vector) -> Vector:
-    """`Ad*_{g⁻¹} I v` on a group: the momentum in the space frame, constant where no force acts."""
+    """Momentum `Ad*_{g⁻¹} I v` in the space frame of a system on a group, constant where no force acts.
+
+    Args:
+        system: Mechanical system on a Lie group.
+        g: Configuration (N, N).
+        v: Body velocity (n,).
+
+    Returns:
+        Momentum (n,).
+
+    Raises:
+        ValueError: The system is not on a group.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import models
+        >>> models.spatial_momentum(models.free_body((1.0, 2.0, 3.0)), jnp.eye(3), jnp.ones(3)).tolist()
+        [1.0, 2.0, 3.0]
+    """
     group = _group_of(system)
     return group.coadjoint_action(group.inverse(g), system.space.lower(g, v))
 
 
 def body_velocity(system: MechanicalSystem, g: Element, momentum: Vector) -> Vector:
-    """The body velocity v whose momentum in the space frame is `momentum` at g, on a group."""
+    """Body velocity with a given momentum in the space frame: the inverse of `spatial_momentum`.
+
+    Args:
+        system: Mechanical system on a Lie group.
+        g: Configuration (N, N).
+        momentum: Momentum (n,) in the space frame.
+
+    Returns:
+        Body velocity v (n,).
+
+    Raises:
+        ValueError: The system is not on a group.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import models
+        >>> body = models.free_body((1.0, 2.0, 4.0))
+        >>> models.body_velocity(body, jnp.eye(3), jnp.array([1.0, 2.0, 4.0])).tolist()
+        [1.0, 1.0, 1.0]
+    """
     return system.space.raise_(g, _group_of(system).coadjoint_action(g, momentum))
 
 
@@ -340,10 +618,28 @@ def advance(
     steps,
     rule=rk4_step,
 ) -> Motion:
-    """Integrate the system over dt [s] in equal steps, under an input u (m,) held constant, or a function `(t, x) -> u`
-    of the state x.
+    """Integrate the system over dt [s] in equal steps.
 
-    `rule` is a one-step method `(flow, t, x, dt) -> x` of `covariant._integrate`.
+    Args:
+        system: Mechanical system.
+        t: Time [s] at the start.
+        motion: Motion at the start.
+        u: Input (m,), held constant, or a function `(t, x) -> u` of the state x.
+        dt: Duration [s].
+        steps: Number of integration steps.
+        rule: One-step method `(flow, t, x, dt) -> x` of `covariant._integrate`; by default the classical Runge–Kutta
+            method of order 4.
+
+    Returns:
+        Motion at t + dt. The configuration of a system on a manifold stays on it.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import models
+        >>> start = models.Motion(jnp.array([1.0]), jnp.array([0.0]))
+        >>> end = models.advance(models.oscillator(), 0.0, start, jnp.zeros(1), jnp.pi, 50)  # half a period
+        >>> end.q.round(4).tolist()
+        [-1.0]
     """
     advanced = _in_coordinates if system.manifold.commuting else _in_frame
     return advanced(system, t, motion, u if callable(u) else lambda s, x: u, dt, steps, rule)
@@ -355,14 +651,16 @@ def _in_coordinates(system: MechanicalSystem, t: Number, motion: Motion, u: Inpu
         return Motion(now.v, acceleration(system, s, now.q, now.v, u(s, system.state(now))))
 
     h = dt / jnp.asarray(steps, motion.v.dtype)
+    # The time of a step is a product: a running sum of h would accumulate rounding errors.
     return jax.lax.fori_loop(0, steps, lambda i, now: rule(flow, t + jnp.asarray(i, h.dtype) * h, now, h), motion)
 
 
 def _in_frame(system: MechanicalSystem, t: Number, motion: Motion, u: InputLaw, dt, steps, rule) -> Motion:
-    """Integrate on the manifold, where the configuration always stays.
+    """Integrate on the manifold, so that the configuration remains on it.
 
     The other unknown of each step is the momentum in the frame at the start of the step. Where no force acts on it, as
-    on a floating base, it is constant to rounding whatever the step."""
+    on a floating base, it is constant to rounding for any step.
+    """
     h = dt / jnp.asarray(steps, motion.v.dtype)
 
     def step(i, now):
@@ -381,32 +679,70 @@ def _in_frame(system: MechanicalSystem, t: Number, motion: Motion, u: InputLaw, 
 
 
 class MomentumChart(NamedTuple):
-    """The equations of motion around a configuration: coordinates s of the retraction, and the momentum in the frame of
-    the centre.
+    """The equations of motion in a chart around a configuration.
 
+    The unknowns are coordinates s (n,) of the retraction at the centre, and the momentum (n,) in the frame of the
+    centre.
     With `μ = M v`, Hamel's equations are `μ' = ad*_v μ + ½∂<v, v> + force`; in the frame at the centre the first term
     vanishes.
+
+    Attributes:
+        system: Mechanical system.
+        centre: Configuration at s = 0.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import models
+        >>> chart = models.MomentumChart(models.free_body((1.0, 2.0, 4.0)), jnp.eye(3))
+        >>> chart.motion(jnp.zeros(3), jnp.array([1.0, 2.0, 4.0])).v.tolist()
+        [1.0, 1.0, 1.0]
     """
 
     system: MechanicalSystem
     centre: Inexact[Array, "..."]
 
     def motion(self, s: Vector, momentum: Vector) -> Motion:
-        """Configuration and velocity at the coordinates s with the given momentum."""
+        """Configuration and velocity at chart coordinates.
+
+        Args:
+            s: Coordinates (n,) of the retraction at the centre.
+            momentum: Momentum (n,) in the frame of the centre.
+
+        Returns:
+            The motion, with its velocity in the frame at its configuration.
+        """
         q = self.system.manifold.retract(self.centre, s)
         return Motion(q, self.system.space.raise_(q, self.system.manifold.carried_momentum(self.centre, s, momentum)))
 
     def flow(self, t: Scalar, now: tuple[Vector, Vector], u: InputLaw) -> tuple[tuple[Vector, Vector], Motion]:
-        """Derivatives of s and of the momentum, and the motion they belong to."""
+        """Time derivatives of the chart coordinates and of the momentum.
+
+        Args:
+            t: Time [s].
+            now: Coordinates s (n,) and momentum (n,).
+            u: Input `(t, x) -> (m,)` of the motion x.
+
+        Returns:
+            The derivatives of s and of the momentum, and the motion at which they were evaluated.
+        """
         system, (s, momentum) = self.system, now
         q, v = x = self.motion(s, momentum)
         inputs = u(t, x)
         force = applied_force(system, t, q, inputs) + resistance(system, t, q, v, inputs)
         force = force + system.space.kinetic_force(q, v)
         rate = system.manifold.local_rate(self.centre, s, v)
+        # −s carries the force back, from the frame at q to that of the centre.
         return (rate, system.manifold.carried_momentum(self.centre, -s, force)), x
 
     def end(self, s: Vector, momentum: Vector) -> tuple[Array, Vector]:
-        """The configuration at s, and the momentum in its frame: the start of the next chart."""
+        """Configuration at chart coordinates with the momentum in its frame: the start of the next chart.
+
+        Args:
+            s: Coordinates (n,) of the retraction at the centre.
+            momentum: Momentum (n,) in the frame of the centre.
+
+        Returns:
+            The configuration, and the momentum (n,) carried to its frame.
+        """
         manifold = self.system.manifold
         return manifold.retract(self.centre, s), manifold.carried_momentum(self.centre, s, momentum)

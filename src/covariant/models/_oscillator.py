@@ -8,9 +8,27 @@ from covariant.models._parameters import Parameter, Parametric
 
 
 def oscillator(chart: str = "q", stiffness: Number = 1.0) -> Lagrangian:
-    """Unit mass [kg] on a spring [N/m], in the coordinate q [m] or in r = exp(q) with metric 1/r².
+    """Harmonic oscillator: a unit mass [kg] on a spring, in the coordinate q [m] or in r = exp(q) with metric 1/r².
 
-    Raises `ValueError` for any other chart. The input u is a force on q [N]; as a covector in r it is u/r.
+    The input u is a force on q [N]; as a covector in r it is u/r. Source: Aghannan & Rouchon 2003, section III-B.
+
+    Args:
+        chart: Coordinate of the system, "q" (default) or "r".
+        stiffness: Stiffness of the spring [N/m], 1 by default.
+
+    Returns:
+        The system with n = 1.
+
+    Raises:
+        ValueError: The chart is another one.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import models
+        >>> models.oscillator(stiffness=2.0).potential(jnp.array([3.0])).item()
+        9.0
+        >>> models.oscillator("r").metric(jnp.array([2.0])).tolist()
+        [[0.25]]
     """
     parameters = {"stiffness": Parameter(stiffness, "N/m", "Aghannan & Rouchon 2003, section III-B")}
     if chart == "q":

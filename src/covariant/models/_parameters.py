@@ -19,6 +19,17 @@ class Parameter(eqx.Module):
     """A number of a model, or an array of numbers, with its unit and its source.
 
     The value is a leaf of the model's pytree: the same model with other values needs no new compilation.
+
+    Attributes:
+        value: The number or array, converted to real floating point.
+        unit: Unit, such as "kg m^2"; "1" where it has none.
+        source: Where the value is from.
+
+    Example:
+        >>> from covariant import models
+        >>> mass = models.Parameter(2, "kg", "weighed")
+        >>> mass.value.item(), mass.unit
+        (2.0, 'kg')
     """
 
     value: Float[Array, "..."] = eqx.field(converter=lambda value: jnp.asarray(value, float))
@@ -27,12 +38,25 @@ class Parameter(eqx.Module):
 
 
 class Parametric(Functional):
-    """A function of a model whose numbers are kept apart from its code.
+    """A function of a model whose parameters are stored apart from its code.
 
     `Parametric(f, mass=1.0)` is called as `f` without its keyword `mass`. A program is compiled once for `f` and the
     shapes of its parameters; a closure, such as a lambda that uses a number from around it, would be compiled again for
-    each number. `f` should be a function of a module, so that it is the same object each time. It gets the parameters
-    as arrays, of the real type that matches its first floating-point argument with an axis.
+    each number. The parameters reach `f` as arrays, of the real type that matches its first floating-point argument
+    with an axis.
+
+    Attributes:
+        function: The function `f`. It should be a function of a module, so that it is the same object each time.
+        parameters: Its parameters by name: numbers, arrays, or nested dictionaries of them.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import models
+        >>> def potential(q, stiffness):
+        ...     return stiffness * q[0] ** 2 / 2
+        >>> spring = models.Parametric(potential, stiffness=3.0)
+        >>> spring(jnp.array([2.0])).item()
+        6.0
     """
 
     function: Callable[..., Array] = eqx.field(static=True)
@@ -40,22 +64,30 @@ class Parametric(Functional):
 
     def __init__(self, function: Callable[..., Array], /, **parameters: Any):
         self.function = function
-        self.parameters = {name: _numbers(given) for name, given in parameters.items()}
+        self.parameters = {name: _numbers(value) for name, value in parameters.items()}
 
     def __call__(self, *arguments: Any) -> Array:
+        # Parameters in double precision would otherwise promote a state in single precision.
         real = next((jnp.finfo(a.dtype).dtype for a in arguments if jnp.ndim(a) and _inexact(a)), jnp.zeros(()).dtype)
         return self.function(*arguments, **jax.tree.map(lambda number: number.astype(real), self.parameters))
 
 
 def values(parameters: dict[str, Parameter]) -> dict[str, Array]:
-    """The numbers of the parameters by name, for a `Parametric`."""
+    """Values of parameters by name, as the keywords of a `Parametric`.
+
+    Args:
+        parameters: A `Parameter` for each name.
+
+    Returns:
+        The value of each, by name.
+    """
     return {name: parameter.value for name, parameter in parameters.items()}
 
 
-def _numbers(given: Any) -> Any:
-    if isinstance(given, dict):
-        return {name: _numbers(entry) for name, entry in given.items()}
-    return jnp.asarray(given, float)
+def _numbers(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {name: _numbers(entry) for name, entry in value.items()}
+    return jnp.asarray(value, float)
 
 
 def _inexact(array: Any) -> bool:
@@ -63,28 +95,55 @@ def _inexact(array: Any) -> bool:
 
 
 def namespace(*given: Any) -> Any:
-    """NumPy, or `jax.numpy` where one of the numbers is being traced by JAX, as the open ones of a family are.
+    """The array library for given numbers: NumPy, or `jax.numpy` where one of them is traced by JAX.
 
-    In NumPy a model is built without compiling anything.
+    Open parameters of a family are traced. In NumPy a model is built without compiling anything.
+
+    Args:
+        *given: Numbers, arrays, or nested sequences of them.
+
+    Returns:
+        The module `numpy` or `jax.numpy`.
     """
     return np if known(given) else jnp
 
 
 def known(given: Any) -> bool:
-    """Whether numbers can be looked at: none of them is being traced by JAX."""
+    """Whether the values of numbers are known, none of them being traced by JAX.
+
+    Args:
+        given: A pytree of numbers.
+
+    Returns:
+        False inside a compiled function whose arguments they depend on.
+    """
     return not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(given))
 
 
 def check_parameters(
     system: str, parameters: dict[str, Parameter], signed: Collection[str] = (), may_vanish: Collection[str] = ()
 ) -> dict[str, Parameter]:
-    """The parameters; raises `ValueError` for one that is not finite, or not positive and not named as an exception."""
+    """Check the values of parameters: each must be finite and, unless named as an exception, positive.
+
+    Args:
+        system: Name of the system, for the message.
+        parameters: A `Parameter` for each name; traced values are not checked.
+        signed: Names of those that may have any sign.
+        may_vanish: Names of those that may be zero.
+
+    Returns:
+        The same parameters.
+
+    Raises:
+        ValueError: Names the first parameter out of its range.
+    """
     for name, parameter in parameters.items():
         if isinstance(parameter.value, Tracer):
             continue
         value = np.asarray(parameter.value)
-        wanted = "finite" if name in signed else "≥ 0" if name in may_vanish else "positive"
-        least = {"finite": -np.inf, "≥ 0": 0.0, "positive": np.nextafter(0, 1)}[wanted]
-        if not (np.isfinite(value) & (value >= least)).all():
-            raise ValueError(f"{system}: {name} [{parameter.unit}] must be {wanted}; got {value.tolist()!r}")
+        # The least positive number lets one comparison test "positive" and "≥ 0".
+        expected = "finite" if name in signed else "≥ 0" if name in may_vanish else "positive"
+        bound = {"finite": -np.inf, "≥ 0": 0.0, "positive": np.nextafter(0, 1)}[expected]
+        if not (np.isfinite(value) & (value >= bound)).all():
+            raise ValueError(f"{system}: {name} [{parameter.unit}] must be {expected}; got {value.tolist()!r}")
     return parameters

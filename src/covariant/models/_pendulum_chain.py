@@ -47,20 +47,46 @@ def pendulum_chain(
     gravity: Number = 9.81,
     source: str = "chosen",
 ) -> Lagrangian:
-    """A chain of n links that swings in a vertical plane; each sequence has one entry for each link.
+    """Chain of n links that swings in a vertical plane; each sequence has one entry for each link.
 
-    - `mass` [kg], `length` from joint to joint [m], `com` from joint to centre of mass [m] (default: at the end, a
-      point mass), `inertia` [kg m²] about the centre of mass, or about the joint with `inertia_about="joint"`.
-    - `angles`: "relative" (joint angles) or "absolute" (each link from the vertical); `zero`: "hanging" or "upright".
-    - `rotor_inertia` [kg m²] before the gear ratio `gear`.
-    - `viscous` [N m s/rad], `coulomb` [N m]: friction torque `viscous q̇ + coulomb atan(100 q̇)` in each joint; `offset`:
-      constant torque [N m] in each joint.
-    - `actuated`: joints with an input torque [N m], in order (default all).
+    Coordinates are angles on full circles [rad]. The inertia is that of Wiebe et al. (double_pendulum), extended to n
+    links.
 
-    Coordinates are angles on full circles. Raises `ValueError` on wrong lengths, names, or negative masses.
+    Args:
+        mass: Mass of each link [kg]; the number of entries is n.
+        length: Length from joint to joint [m].
+        com: Distance from joint to centre of mass [m]; by default at the end, a point mass.
+        inertia: Inertia [kg m²] about the centre of mass, or about the joint (`inertia_about`); zero by default.
+        angles: "relative" for joint angles, "absolute" for the angle of each link from the vertical.
+        zero: Configuration at zero angles, "hanging" or "upright".
+        inertia_about: Point that `inertia` refers to, "com" or "joint".
+        rotor_inertia: Inertia of each rotor [kg m²] before the gear ratio; zero by default.
+        gear: Gear ratio of each joint; 1 by default.
+        viscous: Coefficient [N m s/rad] of the friction torque `viscous q̇ + coulomb atan(100 q̇)` in each joint.
+        coulomb: Coefficient [N m] of the same; zero by default.
+        offset: Constant torque in each joint [N m]; zero by default.
+        actuated: Indices of the joints with an input torque [N m], in the order of the inputs; all by default.
+        gravity: Gravity [m/s²].
+        source: Where the numbers are from, for their documentation.
+
+    Returns:
+        The system with coordinates q1, …, qn.
+
+    Raises:
+        ValueError: A sequence has another length, a choice or index does not exist, or a mass, inertia or friction is
+            negative.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import models
+        >>> acrobot = models.pendulum_chain(actuated=[1])
+        >>> acrobot.coordinates, acrobot.inputs
+        (('q1', 'q2'), 1)
+        >>> acrobot.metric(jnp.zeros(2)).tolist()  # both links hanging
+        [[5.0, 2.0], [2.0, 1.0]]
     """
     n = len(mass)
-    given = {
+    sequences = {
         "mass": mass,
         "length": length,
         "com": length if com is None else com,
@@ -71,7 +97,7 @@ def pendulum_chain(
         "coulomb": coulomb,
         "offset": offset,
     }
-    p = {name: _per_link(name, value, n) for name, value in given.items()}
+    p = {name: _per_link(name, value, n) for name, value in sequences.items()}
     _one_of("angles", angles, ("relative", "absolute"))
     _one_of("zero", zero, ("hanging", "upright"))
     _one_of("inertia_about", inertia_about, ("com", "joint"))
@@ -80,24 +106,25 @@ def pendulum_chain(
             raise ValueError(f"pendulum_chain: {name} must not be negative; got {tuple(p[name].tolist())}")
 
     about_com = p["inertia"] - (p["mass"] * p["com"] ** 2 if inertia_about == "joint" else 0.0)
-    below, own = np.tri(n, k=-1), np.eye(n)
-    arms = below * p["length"][None] + own * p["com"][None]  # arms[k, i]: lever arm of link i at mass k
+    carriers, identity = np.tri(n, k=-1), np.eye(n)
+    arms = carriers * p["length"][None] + identity * p["com"][None]  # arms[k, i]: lever arm of link i at mass k
     coupling = (arms.T * p["mass"][None]) @ arms
     moment = p["mass"] @ arms
     relative = np.eye(n) - np.eye(n, k=-1)  # joint rates from absolute rates
     rotor_rates = np.eye(n, k=-1) - p["gear"][:, None] * relative  # rotor rates from absolute rates
-    constant = own * about_com[None] + (rotor_rates.T * p["rotor_inertia"][None]) @ rotor_rates
+    constant = identity * about_com[None] + (rotor_rates.T * p["rotor_inertia"][None]) @ rotor_rates
     absolute = np.linalg.inv(relative) if angles == "relative" else np.eye(n)  # absolute rates from the coordinates'
     between = absolute[:, None, :] - absolute[None, :, :]
     joints = np.eye(n) if angles == "relative" else relative  # joint rates from the coordinates'
-    up = 1.0 if zero == "upright" else -1.0
+    # The potential is sign · g · Σ m h cos: highest at zero angles if upright, lowest if hanging.
+    sign = 1.0 if zero == "upright" else -1.0
     driven = list(range(n)) if actuated is None else list(actuated)
     if any(not 0 <= i < n for i in driven):
         raise ValueError(f"pendulum_chain: actuated {tuple(driven)} must be joints 0 to {n - 1}")
 
     return Lagrangian(
         Parametric(_metric, coupling=coupling, constant=constant, between=between, absolute=absolute),
-        Parametric(_potential, moment=moment, absolute=absolute, gravity=up * gravity),
+        Parametric(_potential, moment=moment, absolute=absolute, gravity=sign * gravity),
         Parametric(_force, offset=p["offset"], motors=np.eye(n)[:, driven], joints=joints),
         Parametric(_dissipation, viscous=p["viscous"], coulomb=p["coulomb"], joints=joints),
         circles=tuple(range(n)),

@@ -1,4 +1,4 @@
-"""Writes a model file anew with other values, keeping its comments and its layout."""
+"""Model files rewritten with other values, with their comments and layout."""
 
 import re
 from typing import Any
@@ -12,11 +12,26 @@ _TOKEN = re.compile(
 
 
 def rewrite(text: str, content: dict[str, Any]) -> str:
-    """The text of a model file whose values are changed to those of a document, as it is after `tomllib.loads`.
+    """Change values in the text of a model file.
 
-    Numbers are replaced where they stand, so that comments and layout remain; a key that is new goes to the end of its
-    table. Raises `ValueError` naming the key, where the file writes a table in a way that this does not follow, such as
-    `parameters.mass = 1`.
+    Numbers are replaced where they stand, so that comments and layout remain; a new key goes to the end of its table.
+
+    Args:
+        text: Text of a model file.
+        content: The document with the new values, as after `tomllib.loads`.
+
+    Returns:
+        The new text.
+
+    Raises:
+        ValueError: Names a table that the file writes in an unsupported way, such as `parameters.mass = 1`.
+
+    Example:
+        >>> from covariant import models
+        >>> text = "[design]\\ndamping = 0.7  # of the error"
+        >>> print(models.rewrite(text, {"design": {"damping": 0.5}}))
+        [design]
+        damping = 0.5  # of the error
     """
     before = _toml.parse(text)
     for table, values in content.items():
@@ -43,43 +58,43 @@ def _replaced(text: str, table: str, key: str, value: Any, old: Any = None) -> s
     begin, end = _span(text, table)
     if begin is None:
         return f"{text.rstrip()}\n\n[{table}]\n{key} = {written(value)}\n"
-    found = re.compile(rf"^[ \t]*(?:{re.escape(key)}|\"{re.escape(key)}\")[ \t]*=[ \t]*", re.MULTILINE).search(
+    match = re.compile(rf"^[ \t]*(?:{re.escape(key)}|\"{re.escape(key)}\")[ \t]*=[ \t]*", re.MULTILINE).search(
         text, begin, end
     )
-    if found is None:
+    if match is None:
         body = text[begin:end].rstrip()
         return f"{text[:begin]}{body}\n{key} = {written(value)}\n{text[begin + len(body) :].removeprefix(chr(10))}"
-    stop = _value_end(text, found.end())
+    stop = _value_end(text, match.end())
     if value is None:
-        return text[: found.start()] + text[text.find("\n", stop) + 1 :]
-    return text[: found.end()] + _value(text[found.end() : stop], value, old) + text[stop:]
+        return text[: match.start()] + text[text.find("\n", stop) + 1 :]
+    return text[: match.end()] + _value(text[match.end() : stop], value, old) + text[stop:]
 
 
 def _span(text: str, table: str) -> tuple[int | None, int]:
-    """Where the lines of a table begin and end."""
+    """Begin and end of the lines of a table."""
     head = re.search(rf"^[ \t]*\[[ \t]*{re.escape(table)}[ \t]*\][^\n]*\n", text, re.MULTILINE)
     if head is None:
         return None, 0
-    after = re.compile(r"^[ \t]*\[[ \t]*[A-Za-z\"'\[]", re.MULTILINE)  # not the row of a matrix, nor its end
-    found = after.search(text, head.end())
-    return head.end(), found.start() if found else len(text)
+    header = re.compile(r"^[ \t]*\[[ \t]*[A-Za-z\"'\[]", re.MULTILINE)  # not the row of a matrix, nor its end
+    following = header.search(text, head.end())
+    return head.end(), following.start() if following else len(text)
 
 
 def _value_end(text: str, begin: int) -> int:
-    """Where a value that begins there ends: at the bracket that closes it, or before a comment or the line's end."""
-    depth, at = 0, begin
-    while at < len(text):
-        token = _TOKEN.match(text, at)
-        if token and token.lastgroup == "skip" and not (text[at] == "#" and depth == 0):
-            at = token.end()
+    """End of a value that begins at a position: the bracket that closes it, a comment, or the line's end."""
+    depth, position = 0, begin
+    while position < len(text):
+        token = _TOKEN.match(text, position)
+        if token and token.lastgroup == "skip" and not (text[position] == "#" and depth == 0):
+            position = token.end()
             continue
-        depth += {"[": 1, "{": 1, "]": -1, "}": -1}.get(text[at], 0)
-        if depth == 0 and text[at] in "#\n":
+        depth += {"[": 1, "{": 1, "]": -1, "}": -1}.get(text[position], 0)
+        if depth == 0 and text[position] in "#\n":
             break
-        at += 1
-        if depth == 0 and text[at - 1] in "]}":
-            return at
-    return begin + len(text[begin:at].rstrip())
+        position += 1
+        if depth == 0 and text[position - 1] in "]}":
+            return position
+    return begin + len(text[begin:position].rstrip())
 
 
 def _value(text: str, value: Any, old: Any) -> str:
@@ -88,9 +103,10 @@ def _value(text: str, value: Any, old: Any) -> str:
     tokens = [token for token in _TOKEN.finditer(text) if token.lastgroup == "number"]
     if not len(before) == len(after) == len(tokens) or not all(isinstance(leaf, int | float) for leaf in after):
         return written(value)
-    for token, was, is_now in reversed(list(zip(tokens, before, after, strict=True))):
-        if was != is_now:
-            text = text[: token.start()] + written(is_now) + text[token.end() :]
+    # From the end, so that the positions of the tokens before remain valid.
+    for token, previous, current in reversed(list(zip(tokens, before, after, strict=True))):
+        if previous != current:
+            text = text[: token.start()] + written(current) + text[token.end() :]
     return text
 
 
@@ -99,7 +115,14 @@ def _leaves(value: Any) -> list[Any]:
 
 
 def written(value: Any) -> str:
-    """A value as TOML writes it."""
+    """Format a value as TOML.
+
+    Args:
+        value: Number, Boolean, text, or a list of them.
+
+    Returns:
+        Its text.
+    """
     if isinstance(value, list):
         return "[" + ", ".join(map(written, value)) + "]"
     if isinstance(value, str):

@@ -19,13 +19,27 @@ def satellite(
     axes: Sequence[Sequence[Number]] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
     bearing: Number = 0.0,
 ) -> GroupSystem:
-    """Attitude and wheel angles on SO(3) × SO(2)^k; v holds the angular velocity and the rates against the body.
+    """Satellite with k reaction wheels, on SO(3) × SO(2)^k; inputs are the k motor torques [N m].
 
-    - `inertia` [kg m²]: principal moments of the satellite with its wheels, except their inertia of spin.
-    - `wheel_inertia` [kg m²]: of each wheel about its axis; `axes` (k, 3): these axes, as unit vectors.
-    - `bearing` [N m s/rad]: friction of the wheels.
+    The velocity is the angular velocity of the body [rad/s], followed by the rates of the wheels against the body
+    [rad/s]. Only torques between its parts act, so that the total angular momentum is constant.
 
-    Inputs are the k motor torques [N m].
+    Args:
+        inertia: Principal moments (3,) of the satellite with its wheels, except their inertia of spin [kg m²].
+        wheel_inertia: Inertia of each wheel about its axis [kg m²].
+        axes: Axes (k, 3) of the wheels; they are scaled to unit length.
+        bearing: Friction coefficient of the wheels [N m s/rad].
+
+    Returns:
+        The system with 3 + k velocities.
+
+    Raises:
+        ValueError: The axes have another shape.
+
+    Example:
+        >>> from covariant import models
+        >>> models.satellite(axes=((0.0, 0.0, 1.0),)).velocities
+        ('w1', 'w2', 'w3', 'wheel1')
     """
     directions = np.asarray(axes, float)
     if directions.ndim != 2 or directions.shape[1] != 3:
@@ -33,6 +47,7 @@ def satellite(
     directions = directions / np.linalg.norm(directions, axis=1, keepdims=True)
     k = directions.shape[0]
     xp = namespace(inertia, wheel_inertia)
+    # The wheels spin with the body, too: v counts their rates against it.
     body = xp.diag(xp.asarray(inertia, float)) + wheel_inertia * directions.T @ directions
     spin = wheel_inertia * directions.T
     matrix = xp.block([[body, spin], [spin.T, wheel_inertia * np.eye(k)]])

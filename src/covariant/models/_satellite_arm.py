@@ -24,21 +24,33 @@ def satellite_arm(
     link_length: Sequence[float] = (0.8, 0.6),
     bearing: float = 0.0,
 ) -> MechanicalSystem:
-    """A rigid body on SE(3) with an arm of two slender links; without gravity, so that no motor changes its momentum.
+    """Free-floating satellite with an arm of two slender links; inputs are the two motor torques [N m].
 
     A configuration (18,) is the pose T_world_body (4, 4), row by row, followed by the two joint angles. The velocity v
-    (8,) is the twist (v, ω) of the body about its own centre of mass, followed by the joint rates. The arm is mounted
-    at 0.3 m along x and straight at angles 0; the first joint turns about z, the second about y.
+    (8,) is the twist (v, ω) of the body about its centre of mass, followed by the joint rates. The arm is mounted at
+    0.3 m along x and straight at angles 0; the first joint turns about z, the second about y. There is no gravity, so
+    that no motor changes the momentum.
 
-    - `mass` [kg], `inertia` [kg m²]: of the body alone.
-    - `link_mass` [kg], `link_length` [m]: of the links.
-    - `bearing` [N m s/rad]: friction of the joints.
+    Args:
+        mass: Mass of the body alone [kg].
+        inertia: Principal moments (3,) of the body alone [kg m²].
+        link_mass: Masses of the two links [kg].
+        link_length: Lengths of the two links [m].
+        bearing: Friction coefficient of the joints [N m s/rad].
 
-    Inputs are the two motor torques [N m].
+    Returns:
+        The system with eight velocities and two inputs.
+
+    Example:
+        >>> from covariant import models
+        >>> arm = models.satellite_arm(mass=50.0, link_mass=(4.0, 3.0))
+        >>> arm.space(arm.manifold.origin())[0, 0].item()  # translation moves the total mass
+        57.0
     """
     mount, roots = 0.3, (0.3, 0.3 + link_length[0])
     bodies = [_spatial_inertia(mass, np.zeros(3), np.diag(np.asarray(inertia, float)))]
     for m, length, root in zip(link_mass, link_length, roots, strict=True):
+        # Inertia of a thin rod about its centre, along x.
         slender = m * length**2 / 12 * np.diag([0.0, 1.0, 1.0])
         bodies.append(_spatial_inertia(m, np.array([root + length / 2, 0.0, 0.0]), slender))
     pairs = zip(roots, _AXES, strict=True)
@@ -69,14 +81,23 @@ def satellite_arm(
 
 
 class ArmInertia(eqx.Module):
-    """Inertia (6 + k, 6 + k) of a body with a serial arm, for its twist and the joint rates.
+    """Inertia matrix (6 + k, 6 + k) of a body with a serial arm, for its twist and the k joint rates.
 
-    All constants are given in the body frame with the arm straight: `bodies` (k + 1, 6, 6), the spatial inertias of the
-    body and the links; `columns` (k, 6, 6 + k), the screw S of each joint in the column of its rate, zero elsewhere;
-    and `turns` (k, 6, 6), the matrices ad(S). The twist of link i is then `J_i` times the velocity, with
-    `J_i = Ad(exp(−S_i q_i)) J_{i−1} + columns[i]` and `Ad(exp(−S q)) = 1 − sin q ad(S) + (1 − cos q) ad(S)²` for a
-    joint that turns. The inertia is the sum of `J_iᵀ bodies[i] J_i`. Source: Lynch & Park 2017, Modern Robotics,
-    section 8.3.
+    The twist of link i is `J_i` times the velocity, with `J_i = Ad(exp(−S_i q_i)) J_{i−1} + columns[i]` and
+    `Ad(exp(−S q)) = 1 − sin q ad(S) + (1 − cos q) ad(S)²` for a joint that turns. The inertia is the sum of
+    `J_iᵀ bodies[i] J_i`. Source: Lynch & Park 2017, Modern Robotics, section 8.3.
+
+    Attributes:
+        bodies: Spatial inertias (k + 1, 6, 6) of the body and the links, in the body frame with the arm straight.
+        columns: Screw S of each joint in the column of its rate, zero elsewhere (k, 6, 6 + k), in the same frame.
+        turns: Matrices ad(S) (k, 6, 6), in the same frame.
+
+    Example:
+        >>> from covariant import models
+        >>> arm = models.satellite_arm()
+        >>> inertia = arm.space.matrix
+        >>> type(inertia).__name__, inertia(arm.manifold.origin()).shape
+        ('ArmInertia', (8, 8))
     """
 
     bodies: Float[Array, "links 6 6"]

@@ -1,4 +1,4 @@
-"""Finds a model: a system of this library by its name, or an attribute of a module."""
+"""Models looked up: a system of this library by its name, or an attribute of a module."""
 
 import contextlib
 import functools
@@ -27,28 +27,38 @@ Model = MechanicalSystem | StateSpace
 
 
 CRAFT = ("cybership", "odin", "supply_vessel")
-"""Systems whose functions make a craft, which is a model file's system in state-space form."""
+"""Systems whose functions return a craft; a model file uses their state-space form."""
 
 
 def _states_of(factory: Callable[..., Any]) -> Callable[..., StateSpace]:
-    """A function that makes a craft, as one that makes its state-space model with the same parameters."""
+    """Wrap a function that returns a craft as one that returns its state-space model, with the same parameters."""
 
     @functools.wraps(factory)
-    def made(*arguments: Any, **parameters: Any) -> StateSpace:
+    def build(*arguments: Any, **parameters: Any) -> StateSpace:
         return state_space(factory(*arguments, **parameters))
 
-    return made
+    return build
 
 
 def system(name: Any) -> Callable[..., Model]:
-    """The function that makes a system; for an unknown name raises `ValueError` that suggests the nearest one."""
+    """Function that builds a system of this library.
+
+    Args:
+        name: Name of the system, as in `SYSTEMS`.
+
+    Returns:
+        The function, the same object each time.
+
+    Raises:
+        ValueError: The name is unknown; suggests the nearest one.
+    """
     if not isinstance(name, str):
         raise ValueError(f'system must be a name, as in system = "oscillator"; got {name!r}')
     refuse_unknown("system", name, SYSTEMS)
     return _function(name)
 
 
-@functools.cache  # one function for each name, so that compiled programs are found again
+@functools.cache  # the same function object each time: compiled programs are cached by it
 def _function(name: str) -> Callable[..., Model]:
     module, _, attribute = SYSTEMS[name].partition(":")
     factory = getattr(importlib.import_module(f"covariant.models.{module}"), attribute)
@@ -56,9 +66,17 @@ def _function(name: str) -> Callable[..., Model]:
 
 
 def attribute(spec: str, folder: Path | None = None) -> Any:
-    """The object that `module:attribute` names; the current folder, or the given one, is searched too.
+    """Import the object that `module:attribute` names.
 
-    Raises `ValueError` where there is none.
+    Args:
+        spec: `module:attribute`.
+        folder: A folder to search too; the current one by default.
+
+    Returns:
+        The object.
+
+    Raises:
+        ValueError: The module cannot be imported, or has no such attribute.
     """
     where, _, name = spec.partition(":")
     beside = os.getcwd() if folder is None else str(folder.resolve())
@@ -77,46 +95,56 @@ def attribute(spec: str, folder: Path | None = None) -> Any:
 
 
 _imported: dict[str, tuple[Path, int]] = {}
-"""The file of each module beside a model file, and the time [ns] at which it had last been changed."""
+"""File of each module imported from the folder of a model file, with its modification time [ns]."""
 
 
 def _prefer(where: str, folder: Path) -> None:
-    """Let the module of a folder be imported as it is now, not as it was, nor one of its name from another folder."""
-    own, known = folder / f"{where}.py", sys.modules.get(where)
-    if not own.exists():
+    """Let a module be imported anew from a folder where its file was changed or another folder has one of its name."""
+    file, module = folder / f"{where}.py", sys.modules.get(where)
+    if not file.exists():
         return
-    as_it_is = own.resolve(), own.stat().st_mtime_ns
-    found = Path(getattr(known, "__file__", None) or "").resolve(), as_it_is[1]
-    if known is not None and _imported.get(where, found) != as_it_is:
+    current = file.resolve(), file.stat().st_mtime_ns
+    loaded = Path(getattr(module, "__file__", None) or "").resolve(), current[1]
+    if module is not None and _imported.get(where, loaded) != current:
         del sys.modules[where]
         sys.path.remove(str(folder))
         sys.path.insert(0, str(folder))
         importlib.invalidate_caches()
-    _imported[where] = as_it_is
+    _imported[where] = current
 
 
 def typed(name: str, factory: Callable[..., Any], parameters: dict[str, Any]) -> dict[str, Any]:
-    """Parameters converted to the types that the function declares: an int serves as a `float`, a bool does not.
+    """Convert parameters to the types that a function declares: an int serves as a `float`, a bool does not.
 
-    Numbers of arrays, such as those being fitted, and parameters that the function does not take are left as they are.
-    Raises `ValueError` for one of another type.
+    Numbers of arrays, such as those being fitted, and parameters that the function does not take are not converted.
+
+    Args:
+        name: Name of the system, for the message.
+        factory: The function.
+        parameters: Its arguments by name.
+
+    Returns:
+        The converted arguments.
+
+    Raises:
+        ValueError: Names a parameter of another type.
     """
-    declared, found = inspect.signature(factory).parameters, dict(parameters)
-    for key in found.keys() & declared.keys():
+    declared, converted = inspect.signature(factory).parameters, dict(parameters)
+    for key in converted.keys() & declared.keys():
         kind = declared[key].annotation
         try:
-            found[key] = _typed(found[key], kind)
+            converted[key] = _typed(converted[key], kind)
         except TypeError as error:
             open_too = inspect.formatannotation(Number)  # a number may be open, but not one from a file
-            wanted = inspect.formatannotation(kind).replace(open_too, "float").replace("collections.abc.", "")
-            given = reprlib.repr(found[key])
-            raise ValueError(f"parameter {key} of {name} must be {wanted}; got {given}") from error
-    return found
+            expected = inspect.formatannotation(kind).replace(open_too, "float").replace("collections.abc.", "")
+            shown = reprlib.repr(converted[key])
+            raise ValueError(f"parameter {key} of {name} must be {expected}; got {shown}") from error
+    return converted
 
 
 def _typed(value: Any, declared: Any) -> Any:
     choices = get_args(declared)
-    if isinstance(value, jax.Array | np.floating):
+    if isinstance(value, jax.Array | np.floating):  # possibly traced: its value cannot be converted
         return value
     if get_origin(declared) in (Union, UnionType):
         for choice in choices:
@@ -132,10 +160,22 @@ def _typed(value: Any, declared: Any) -> Any:
 
 
 def call(name: str, factory: Callable[..., Any], parameters: dict[str, Any]) -> Any:
-    """The result of a function; raises `ValueError` naming a parameter it does not take, lacks or refuses."""
+    """Call a function that builds a model.
+
+    Args:
+        name: Name of the system, for the message.
+        factory: The function.
+        parameters: Its arguments by name.
+
+    Returns:
+        Its result.
+
+    Raises:
+        ValueError: Names a parameter that it does not take, lacks or refuses.
+    """
     accepted = inspect.signature(factory).parameters
-    for given in parameters:
-        refuse_unknown(f"parameter of {name}", given, accepted)
+    for parameter in parameters:
+        refuse_unknown(f"parameter of {name}", parameter, accepted)
     for key, argument in accepted.items():
         optional = argument.kind in (Argument.VAR_POSITIONAL, Argument.VAR_KEYWORD)
         if key not in parameters and argument.default is argument.empty and not optional:
@@ -147,5 +187,5 @@ def call(name: str, factory: Callable[..., Any], parameters: dict[str, Any]) -> 
 
 
 def first_line(error: BaseException) -> str:
-    """The first line of an error's message."""
+    """First line of an error's message, or the name of its type where it has none."""
     return next(iter(str(error).strip().splitlines()), type(error).__name__)

@@ -18,18 +18,32 @@ from covariant.models._parameters import Parameter
 
 
 class StateSpace(Functional):
-    """A nonlinear system with measured outputs; its Jacobians are automatic.
+    """A nonlinear system `x' = f(t, x, u)`, `y = h(t, x, u)` with measured outputs; its Jacobians are automatic.
 
-    - `f`: state derivative `(t, x, u) -> (n,)` of state x (n,) and input u (m,).
-    - `h`: output `(t, x, u) -> (p,)`.
-    - `coordinates`, `units`: names and units of the state; when given, both functions are checked at once.
-    - `outputs`: names of the outputs, y1, y2, … by default where coordinates are given.
-    - `inputs`: number of inputs m.
-    - `circles`: indices of outputs that are angles on a full circle [rad]; errors in them are wrapped to ±π.
-    - `box`: lower and upper bound of each state within which the model is valid, for designs that need one.
-    - `parameters`: a `Parameter` for each name, as documentation.
+    Attributes:
+        f: State derivative `(t, x, u) -> (n,)` of the time t [s], the state x (n,) and the input u (m,).
+        h: Output `(t, x, u) -> (p,)`.
+        coordinates: Names of the states; where given, both functions are checked at once.
+        units: Units of the states.
+        outputs: Names of the outputs; y1, y2, … by default where coordinates are given.
+        inputs: Number of inputs m; 0 by default.
+        circles: Indices of outputs that are angles on a full circle [rad]; errors in them are wrapped to ±π.
+        box: Lower and upper bound of each state within which the model is valid, for designs that need one.
+        parameters: A `Parameter` for each name, as documentation.
 
-    Raises `ValueError` when a function has the wrong shape, or the names, units or box do not fit the state.
+    Raises:
+        ValueError: A function has the wrong shape, or the names, units or box do not fit the state.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import models
+        >>> decay = models.StateSpace(
+        ...     lambda t, x, u: -2.0 * x, lambda t, x, u: x, coordinates=("level",), units=("m",)
+        ... )
+        >>> decay.outputs
+        ('y1',)
+        >>> decay.f(0.0, jnp.array([3.0]), jnp.zeros(0)).tolist()
+        [-6.0]
     """
 
     f: Callable[[Array, Array, Array], Array]
@@ -74,12 +88,20 @@ class StateSpace(Functional):
 
     @property
     def logged_units(self) -> dict[str, tuple[str, ...]]:
-        """Units of what a log holds of the model, by field of `logs.Columns`, where they are known."""
+        """Known units of the logged quantities.
+
+        Returns:
+            Units of each entry of `truth`, the reference states, by field of `logs.Columns`.
+        """
         return {"truth": self.units}
 
     @property
     def sought(self) -> Sought:
-        """What an estimate of the model is for: all of its states."""
+        """The quantity that an observer of the model estimates: all of its states.
+
+        Returns:
+            Its names, units and values.
+        """
         return Sought("state", self.coordinates, self.units or ("",) * len(self.coordinates), jnp.asarray)
 
     @property
@@ -88,17 +110,49 @@ class StateSpace(Functional):
         return Coordinates(self.circles, len(self.outputs))
 
     def jacobians(self, t: Scalar, x: Vector, u: Float[Array, "m"]) -> tuple[Matrix, Float[Array, "p n"]]:
-        """`∂f/∂x` (n, n) and `∂h/∂x` (p, n)."""
+        """Jacobians of the state derivative and of the output with respect to the state, by forward differentiation.
+
+        Args:
+            t: Time [s].
+            x: State (n,).
+            u: Input (m,).
+
+        Returns:
+            `∂f/∂x` (n, n) and `∂h/∂x` (p, n).
+        """
+        # Forward mode: reverse mode needs as many passes for the square ∂f/∂x, and more memory.
         return jax.jacfwd(self.f, 1)(t, x, u), jax.jacfwd(self.h, 1)(t, x, u)
 
     def output_error(self, predicted: Float[Array, "p"], y: Float[Array, "p"]) -> Float[Array, "p"]:
-        """`predicted − y`, wrapped to ±π on circle outputs; zero where the measurement is missing (NaN)."""
+        """Output error `predicted − y`, wrapped to ±π on circle outputs; zero where the measurement is missing (NaN).
+
+        Args:
+            predicted: Predicted output (p,).
+            y: Measured output (p,).
+
+        Returns:
+            The error (p,).
+        """
+        # Wrapped last: the difference of two angles may exceed ±π.
         return wrap(self.circles, jnp.where(jnp.isnan(y), 0.0, predicted - y))
 
 
 @functools.singledispatch
 def state_space(model: MechanicalSystem) -> StateSpace:
-    """The `StateSpace` of a mechanical system, x = (q, v), y = q; or of a `marine.Craft`, x = (η, ν), y = η."""
+    """Convert a model to state-space form.
+
+    Args:
+        model: A mechanical system in coordinates, with x = (q, v) and y = q; a `marine.Craft`, with x = (η, ν) and y =
+            η; or a `StateSpace`, which is returned unchanged.
+
+    Returns:
+        The state-space model, with the names, units, circles and parameters of the given one.
+
+    Example:
+        >>> from covariant import models
+        >>> models.state_space(models.ball_and_beam()).coordinates
+        ('r', 'theta', 'r_dot', 'theta_dot')
+    """
     names = model.coordinates
     rates = tuple(f"{name}_dot" for name in names)
 
@@ -134,15 +188,15 @@ def _check(model: StateSpace, box: Sequence[tuple[Any, Any]]) -> int:
     """The number of outputs; raises `ValueError` for the first thing that does not fit the n coordinates."""
     n = len(model.coordinates)
     t, x, u = (jax.ShapeDtypeStruct(shape, jnp.float64) for shape in ((), (n,), (model.inputs,)))
-    given, whom = f"{n} states and {model.inputs} inputs", f"{n} states"
-    check_shapes((("f", model.f, (t, x, u), (n,)),), given, whom)
+    arguments, whom = f"{n} states and {model.inputs} inputs", f"{n} states"
+    check_shapes((("f", model.f, (t, x, u), (n,)),), arguments, whom)
     count = len(model.outputs)
     if not count:
         shape = getattr(jax.eval_shape(model.h, t, x, u), "shape", None)
         if shape is None or len(shape) != 1 or not shape[0]:
             raise ValueError(f"h must return a vector of outputs (p,), p ≥ 1; it returned {shape}")
         count = shape[0]
-    check_shapes((("h", model.h, (t, x, u), (count,)),), given, f"{count} outputs")
+    check_shapes((("h", model.h, (t, x, u), (count,)),), arguments, f"{count} outputs")
     if any(not 0 <= i < count for i in model.circles):
         raise ValueError(f"circles {model.circles} must be indices of the {count} outputs, 0 to {count - 1}")
     for name, entries in (("units", model.units), ("box", box)):

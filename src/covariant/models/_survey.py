@@ -1,4 +1,4 @@
-"""The geometry of a mechanical system in numbers: the conditioning of its metric, and its curvature, over a box."""
+"""Conditioning and curvature of the metric of a mechanical system, sampled over a box."""
 
 from typing import NamedTuple
 
@@ -13,12 +13,18 @@ from covariant.models._mechanical import MechanicalSystem
 
 
 class Survey(NamedTuple):
-    """What samples of configurations say of the metric of a mechanical system; nothing is proved.
+    """Conditioning and curvature of the metric of a mechanical system, over sampled configurations; nothing is proved.
 
-    - `conditioning` (2,): smallest and largest ratio of the largest to the smallest eigenvalue of the inertia matrix.
-    - `curvature` (2,): smallest and largest sectional curvature of random planes [1/(kg m²)], all directions alike
-      in the metric; None where there is one dimension only.
-    - `samples`: number of configurations, and of planes.
+    Attributes:
+        conditioning: Smallest and largest ratio (2,) of the largest to the smallest eigenvalue of the inertia matrix.
+        curvature: Smallest and largest sectional curvature (2,) of random planes [1/(kg m²)], all directions alike in
+            the metric; None where there is one dimension only.
+        samples: Number of configurations, and of planes.
+
+    Example:
+        >>> from covariant import models
+        >>> models.Survey(conditioning=(1.0, 4.0), curvature=None, samples=10).samples
+        10
     """
 
     conditioning: tuple[float, float]
@@ -29,12 +35,26 @@ class Survey(NamedTuple):
 def survey(
     model: MechanicalSystem, box: Float[np.ndarray, "k 2"] | None = None, samples: int = 200, seed: int = 0
 ) -> Survey:
-    """Survey the metric of a model at random configurations.
+    """Sample conditioning and curvature of the metric of a model at random configurations.
 
-    - `box` (k, 2): bounds of the coordinates; by default ±π. All else, such as ball joints, is turned and moved at
-      random.
+    Args:
+        model: Mechanical system.
+        box: Bounds (k, 2) of the k coordinates [their units]; ±π by default. Other factors of the configuration space,
+            such as ball joints, are turned and moved at random.
+        samples: Number of configurations, and of planes.
+        seed: Seed of the random numbers.
 
-    Raises `ValueError` for a box that does not fit the coordinates.
+    Returns:
+        Ranges of the conditioning and of the curvature.
+
+    Raises:
+        ValueError: The box does not fit the coordinates.
+
+    Example:
+        >>> from covariant import models
+        >>> result = models.survey(models.ball_and_beam(), samples=20)
+        >>> result.curvature[1] < 0  # Gaussian curvature −1/(1 + r²)² in the normalised form
+        True
     """
     count = len(model.coordinates)
     box = np.tile([-np.pi, np.pi], (count, 1)) if box is None else np.asarray(box, float)
@@ -47,17 +67,21 @@ def survey(
     steps[:, n - count :] = rng.uniform(box[:, 0], box[:, 1], (samples, count))
     planes = rng.normal(size=(samples, 2, n))
     steps[:, : n - count] = rng.normal(size=(samples, n - count), scale=np.pi / 2)
-    each = jax.vmap(lambda s, w: _at(model, model.manifold.retract(origin, s), w))
+    each = jax.vmap(lambda s, w: _at_configuration(model, model.manifold.retract(origin, s), w))
     eigenvalues, curvature = jax.jit(each)(steps, planes)
     ratios = np.asarray(eigenvalues[:, -1] / eigenvalues[:, 0])
-    bent = np.asarray(curvature)
+    curvatures = np.asarray(curvature)
     return Survey(
-        (float(ratios.min()), float(ratios.max())), (float(bent.min()), float(bent.max())) if n > 1 else None, samples
+        (float(ratios.min()), float(ratios.max())),
+        (float(curvatures.min()), float(curvatures.max())) if n > 1 else None,
+        samples,
     )
 
 
-def _at(model: MechanicalSystem, x: Array, w: Float[Array, "2 n"]) -> tuple[Float[Array, "n"], Float[Array, ""]]:
-    """Eigenvalues of the metric, and the curvature of a plane that is random if w is."""
+def _at_configuration(
+    model: MechanicalSystem, x: Array, w: Float[Array, "2 n"]
+) -> tuple[Float[Array, "n"], Float[Array, ""]]:
+    """Eigenvalues of the metric, and the sectional curvature of a plane, random where w is."""
     matrix = model.space(x)
     n = matrix.shape[0]
     # L⁻ᵀ w is equally likely in all directions of the metric L Lᵀ.

@@ -1,4 +1,4 @@
-"""The systems of this library by name, and whether a name or a path is one of a model. Loads nothing heavy."""
+"""The systems of this library by name, and a check of the names and paths of models. Loads nothing heavy."""
 
 import difflib
 import errno
@@ -10,7 +10,7 @@ from pathlib import Path
 from covariant.models.robots import ROBOTS
 
 ROBOT_FILES = (".urdf", ".xml")
-"""How the files of robots end."""
+"""Suffixes of robot files."""
 SYSTEMS = {
     "ball_and_beam": "_ball_and_beam:ball_and_beam",
     "bioreactor": "_bioreactor:bioreactor",
@@ -34,7 +34,7 @@ SYSTEMS = {
     "unknown_frequency": "_unknown_frequency:unknown_frequency",
     "van_der_pol": "_van_der_pol:van_der_pol",
 }
-"""The systems that a model file may name, and the functions of this room that make them, as `module:function`."""
+"""The systems that a model file may name, and the functions that build them, as `module:function`."""
 
 
 def check_spec(spec: str | PathLike[str]) -> None:
@@ -64,12 +64,28 @@ def check_spec(spec: str | PathLike[str]) -> None:
 
 
 def unknown_model(name: str) -> str:
-    """The message for a name that is no model."""
+    """Message for a name that is no model.
+
+    Args:
+        name: The name.
+
+    Returns:
+        One line that suggests the nearest model and lists all.
+    """
     return f"{unknown('model', name, (*SYSTEMS, *ROBOTS))}, a .toml, .urdf or .xml file, or module:attribute"
 
 
 def unknown(what: str, name: str, known: Collection[str]) -> str:
-    """The message for an unknown name: it names the nearest known one, and all of them."""
-    near = difflib.get_close_matches(name, known, 1)
-    meant = f" Did you mean {near[0]!r}?" if near else ""
-    return f"unknown {what} {name!r}.{meant} Known: {', '.join(known) or 'none'}"
+    """Message for an unknown name.
+
+    Args:
+        what: What the name is of.
+        name: The name.
+        known: The names that exist.
+
+    Returns:
+        One line that suggests the nearest known name and lists all.
+    """
+    nearest = difflib.get_close_matches(name, known, 1)
+    suggestion = f" Did you mean {nearest[0]!r}?" if nearest else ""
+    return f"unknown {what} {name!r}.{suggestion} Known: {', '.join(known) or 'none'}"

@@ -1,4 +1,4 @@
-"""The layout of a model file: its tables and keys, and the values that each of them may hold."""
+"""The layout of a model file: its tables and keys, and the values that each of them may have."""
 
 import math
 import re
@@ -37,10 +37,10 @@ NUMBERS = {
 """Table and key of each number, with the field of `ModelFile` it fills and the factor that converts it."""
 
 WORDS = {("inputs", "between"): ("input_between", ("held", "linear"))}
-"""Table and key of each word, with the field of `ModelFile` it fills and the words that it may be."""
+"""Table and key of each choice, with the field of `ModelFile` it fills and the values that it may have."""
 
 UNCERTAIN = ("uncertainty", "parameters")
-"""Table and key of the numbers of [parameters] that are estimated with the motion, and how uncertain each is."""
+"""Table and key of the numbers of [parameters] that are estimated with the motion, with their relative deviations."""
 
 _NAMES = tuple(field for field in Columns._fields if field != "units")
 """Keys of [columns], and of [units] but for attitudes, which have none."""
@@ -67,7 +67,17 @@ _RIVALS = {"measurement.std": ("quantum",), "measurement.quantum": ("std",)} | {
 
 
 def parse(text: str) -> dict[str, Any]:
-    """A TOML document; raises `ValueError` with the line of the first mistake."""
+    """Parse a TOML document.
+
+    Args:
+        text: Text of the document.
+
+    Returns:
+        Tables and keys as nested dictionaries and lists.
+
+    Raises:
+        ValueError: Names the line of the first mistake.
+    """
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
@@ -75,14 +85,17 @@ def parse(text: str) -> dict[str, Any]:
 
 
 def override(document: dict[str, Any], overrides: Overrides) -> dict[str, Any]:
-    """The document with values replaced.
+    """Replace values of a document.
 
     Args:
         document: Tables and keys of a model file; it is changed.
         overrides: `table.key=value` each, with values as in TOML, or a mapping from `table.key` to Python values.
 
+    Returns:
+        The same document.
+
     Raises:
-        ValueError: For an override that is not so written, or that does not name a key of a table.
+        ValueError: An override is not so written, or does not name a key of a table.
     """
     for text, key, value in _pairs(overrides):
         *tables, last = key.split(".")
@@ -100,7 +113,7 @@ def override(document: dict[str, Any], overrides: Overrides) -> dict[str, Any]:
 
 
 def _pairs(overrides: Overrides) -> Iterator[tuple[str, str, Any]]:
-    """Each override as it was given, its key, and its value."""
+    """Text, key and value of each override."""
     if isinstance(overrides, Mapping):
         yield from ((key, key, _plain(value)) for key, value in overrides.items())
         return
@@ -112,7 +125,7 @@ def _pairs(overrides: Overrides) -> Iterator[tuple[str, str, Any]]:
 
 
 def _plain(value: Any) -> Any:
-    """A value as TOML would hold it: tuples and arrays become lists, NumPy's numbers become Python's."""
+    """A value in TOML's types: tuples and arrays become lists, NumPy's numbers become Python's."""
     value = value.tolist() if hasattr(value, "tolist") else value
     return [_plain(entry) for entry in value] if isinstance(value, list | tuple) else value
 
@@ -128,7 +141,14 @@ def _value(text: str, value: str) -> Any:
 
 
 def check_layout(document: dict[str, Any]) -> None:
-    """Raise `ValueError` for the first table or key that no model file has."""
+    """Check that a document has no table or key but those of a model file.
+
+    Args:
+        document: Tables and keys of a model file.
+
+    Raises:
+        ValueError: Names the first unknown one and suggests the nearest name.
+    """
     for table, content in document.items():
         refuse_unknown("table or key", table, ("system", "parameters", *_KEYS))
         if table != "system" and not isinstance(content, dict):
@@ -139,73 +159,101 @@ def check_layout(document: dict[str, Any]) -> None:
 
 
 def refuse_unknown(what: str, name: str, known: Collection[str]) -> None:
-    """Raise `ValueError` unless the name is a known one."""
+    """Check that a name is a known one.
+
+    Args:
+        what: What the name is of, for the message.
+        name: The name.
+        known: The names that exist.
+
+    Raises:
+        ValueError: Suggests the nearest known name and lists all.
+    """
     if name not in known:
         raise ValueError(unknown(what, name, known))
 
 
 def columns(document: dict[str, Any]) -> dict[str, Any]:
-    """The fields of `Columns` that the document gives; raises `ValueError` when they are no names and no units."""
-    given = document.get("columns", {})
-    for key, value in given.items():
+    """Read the tables [columns] and [units] of a document.
+
+    Args:
+        document: Tables and keys of a model file.
+
+    Returns:
+        The fields of `Columns` that it has.
+
+    Raises:
+        ValueError: A value is no name, or no unit.
+    """
+    table = document.get("columns", {})
+    for key, value in table.items():
         names = [value] if key == "t" else value
         if not isinstance(names, list) or not all(isinstance(name, str) and name for name in names):
-            wanted = "the name of a column" if key == "t" else 'a list of column names, as in ["q1", "q2"]'
-            raise ValueError(f"columns.{key} must be {wanted}; got {value!r}")
+            expected = "the name of a column" if key == "t" else 'a list of column names, as in ["q1", "q2"]'
+            raise ValueError(f"columns.{key} must be {expected}; got {value!r}")
         if len(set(names)) < len(names):
             raise ValueError(f"columns.{key} names a column twice: {', '.join(names)}")
-    found = {key: value if key == "t" else tuple(value) for key, value in given.items()}
-    return found | ({"units": _units(document["units"])} if "units" in document else {})
+    fields = {key: value if key == "t" else tuple(value) for key, value in table.items()}
+    return fields | ({"units": _units(document["units"])} if "units" in document else {})
 
 
-def _units(given: dict[str, Any]) -> dict[str, tuple[str, ...]]:
-    """The units of each field, one or one for each column; raises `ValueError` for what is no unit."""
-    found = {key: [value] if isinstance(value, str) else value for key, value in given.items()}
-    for key, texts in found.items():
+def _units(table: dict[str, Any]) -> dict[str, tuple[str, ...]]:
+    """The units of each field, one or one for each column; raises `ValueError` for an unknown unit."""
+    units = {key: [value] if isinstance(value, str) else value for key, value in table.items()}
+    for key, texts in units.items():
         if not isinstance(texts, list) or not texts or not all(isinstance(text, str) for text in texts):
-            raise ValueError(f'units.{key} must be a unit, as in "deg", or a list of units; got {given[key]!r}')
+            raise ValueError(f'units.{key} must be a unit, as in "deg", or a list of units; got {table[key]!r}')
         for text in texts:
             try:
                 unit_factor(text)
             except ValueError as error:
                 raise ValueError(f"units.{key}: {error}") from error
-    return {key: tuple(texts) for key, texts in found.items()}
+    return {key: tuple(texts) for key, texts in units.items()}
 
 
 def numbers(document: dict[str, Any], count: int, states: int) -> dict[str, Any]:
-    """The numbers and words that the document gives, by field of `ModelFile`; raises `ValueError` for an invalid one.
+    """Read the numbers and choices of a document.
 
-    A number for each coordinate is a tuple of `count` numbers; `count` is 1 where the model is on a group. One for each
-    state is a tuple of `states`, of which a mechanical model has none.
+    Args:
+        document: Tables and keys of a model file.
+        count: Length of a list with one number for each coordinate; 1 where the model is on a group.
+        states: Length of a list with one number for each state; 0 for a mechanical model, which has none.
+
+    Returns:
+        Values by field of `ModelFile`: numbers, or tuples where the document has lists.
+
+    Raises:
+        ValueError: Names the first invalid value.
     """
     if {"std", "quantum"} <= document.get("measurement", {}).keys():
         raise ValueError("[measurement] has both std and quantum; keep one (std = quantum / sqrt(12))")
-    given = {(table, key): document[table][key] for table, key in NUMBERS if key in document.get(table, {})}
-    found: dict[str, Any] = {}
-    for where, value in given.items():
+    entries = {(table, key): document[table][key] for table, key in NUMBERS if key in document.get(table, {})}
+    fields: dict[str, Any] = {}
+    for where, value in entries.items():
         field, factor = NUMBERS[where]
         if where in _OF_STATES and not states:
             raise ValueError(f"{'.'.join(where)} is for a state-space model, and this one is mechanical")
-        needed = states if where in _OF_STATES else count
-        each = _numbers(where, value, needed) if isinstance(value, list) else (_number(where, value),)
-        scaled = tuple(number * factor for number in each)
-        found[field] = scaled if isinstance(value, list) else scaled[0]
-    if "quantum" in found:
-        ticks = found["quantum"]  # an error uniform over one step
-        each = tuple(tick / math.sqrt(12) for tick in (ticks if isinstance(ticks, tuple) else (ticks,)))
-        found["measurement_std"] = each if isinstance(ticks, tuple) else each[0]
-    return found | _words(document) | _uncertain(document, states)
+        length = states if where in _OF_STATES else count
+        values = _numbers(where, value, length) if isinstance(value, list) else (_number(where, value),)
+        scaled = tuple(number * factor for number in values)
+        fields[field] = scaled if isinstance(value, list) else scaled[0]
+    if "quantum" in fields:
+        ticks = fields["quantum"]  # an error uniform over one step has the variance quantum²/12
+        values = tuple(tick / math.sqrt(12) for tick in (ticks if isinstance(ticks, tuple) else (ticks,)))
+        fields["measurement_std"] = values if isinstance(ticks, tuple) else values[0]
+    return fields | _choices(document) | _uncertain(document, states)
 
 
 def _number(where: tuple[str, str], value: Any) -> float | int:
-    least = -math.inf if where in _ANY_SIGN else 0.0 if where in _MAY_BE_ZERO else math.ulp(0.0)
+    # The smallest positive float as bound lets one comparison tell "positive" from "≥ 0".
+    bound = -math.inf if where in _ANY_SIGN else 0.0 if where in _MAY_BE_ZERO else math.ulp(0.0)
     if (
         isinstance(value, bool)
         or not isinstance(value, int | float)
-        or not (least <= value < math.inf and math.isfinite(value))
+        or not (bound <= value < math.inf and math.isfinite(value))
     ):
-        wanted = "finite number" if least < 0 else "positive number" if least > 0 else "number ≥ 0"
-        raise ValueError(f"{'.'.join(where)} must be a {wanted}; got {value!r}")
+        expected = "finite number" if bound < 0 else "positive number" if bound > 0 else "number ≥ 0"
+        raise ValueError(f"{'.'.join(where)} must be a {expected}; got {value!r}")
     return value
 
 
@@ -220,23 +268,23 @@ def _numbers(where: tuple[str, str], values: list[Any], count: int) -> tuple[flo
 def _uncertain(document: dict[str, Any], states: int) -> dict[str, dict[str, float]]:
     """The relative standard deviations of uncertain parameters, by name."""
     table, key = UNCERTAIN
-    given = document.get(table, {}).get(key, {})
-    if not isinstance(given, dict):
+    deviations = document.get(table, {}).get(key, {})
+    if not isinstance(deviations, dict):
         raise ValueError(
             f"{table}.{key} must name numbers of [parameters], each with the standard deviation of its relative error, "
-            f'as in {{"mass[0]" = 0.3}}; got {given!r}'
+            f'as in {{"mass[0]" = 0.3}}; got {deviations!r}'
         )
-    if given and states:
+    if deviations and states:
         raise ValueError(f"{table}.{key} is for a mechanical model, and this one is a state-space model")
-    return {"uncertain": {name: _number((table, f"{key}.{name}"), value) for name, value in given.items()}}
+    return {"uncertain": {name: _number((table, f"{key}.{name}"), value) for name, value in deviations.items()}}
 
 
-def _words(document: dict[str, Any]) -> dict[str, str]:
-    found = {}
+def _choices(document: dict[str, Any]) -> dict[str, str]:
+    fields = {}
     for (table, key), (field, known) in WORDS.items():
         if key in document.get(table, {}):
-            word = document[table][key]
-            if word not in known:
-                raise ValueError(f"{table}.{key} must be one of {', '.join(map(repr, known))}; got {word!r}")
-            found[field] = word
-    return found
+            choice = document[table][key]
+            if choice not in known:
+                raise ValueError(f"{table}.{key} must be one of {', '.join(map(repr, known))}; got {choice!r}")
+            fields[field] = choice
+    return fields

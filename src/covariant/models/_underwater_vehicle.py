@@ -28,14 +28,31 @@ def underwater_vehicle(
     drag: Sequence[Number] = (4.0, 6.0, 5.0, 0.1, 0.1, 0.1),
     quadratic_drag: Sequence[Number] = (18.0, 22.0, 37.0, 1.5, 1.5, 1.5),
 ) -> GroupSystem:
-    """Vehicle in still water; twist (v, ω) in the body [m/s, rad/s], z up in space.
-
-    - `mass` [kg], `inertia` [kg m²] about the origin of the body frame.
-    - `added_mass` [kg, kg m²]: along and about the axes of the body.
-    - `buoyancy` [N]; `centre_of_mass`, `centre_of_buoyancy` [m] in the body frame.
-    - `drag`, `quadratic_drag`: coefficients for each component of the twist.
+    """Underwater vehicle in still water, on SE(3); twist (v, ω) in the body frame [m/s, rad/s], z up in space.
 
     The input is the wrench (force, torque) at the origin, in the body frame [N, N m].
+
+    Args:
+        mass: Mass [kg].
+        inertia: Moments of inertia (3,) about the axes through the origin of the body frame [kg m²].
+        added_mass: Added mass (6,) along and about the axes of the body [kg, kg m²].
+        buoyancy: Buoyancy force [N].
+        gravity: Gravity [m/s²].
+        centre_of_mass: Centre of mass (3,) in the body frame [m].
+        centre_of_buoyancy: Centre of buoyancy (3,) in the body frame [m].
+        drag: Coefficients (6,) of the linear drag of each component of the twist [N s/m, N m s].
+        quadratic_drag: Coefficients (6,) of the quadratic drag of each component [N s²/m², N m s²].
+
+    Returns:
+        The system with six velocities and six inputs.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import models
+        >>> vehicle = models.underwater_vehicle(drag=(4.0,) * 6, quadratic_drag=(18.0,) * 6)
+        >>> surge = jnp.zeros(6).at[0].set(2.0)
+        >>> vehicle.dissipation(jnp.eye(4), surge)[0].item()
+        -80.0
     """
     xp = namespace(mass, inertia, added_mass, centre_of_mass, centre_of_buoyancy)
     centre, lift = xp.asarray(centre_of_mass, float), xp.asarray(centre_of_buoyancy, float)
@@ -63,7 +80,18 @@ def submerged_body(
     quadratic_drag: Sequence[Number],
     parameters: dict[str, Parameter],
 ) -> GroupSystem:
-    """A body on SE(3) with inertia (6, 6), a potential of its pose, and drag in each component of its twist."""
+    """Rigid body in water, on SE(3), with drag in each component of its twist (v, ω).
+
+    Args:
+        inertia: Inertia (6, 6), added mass included.
+        potential: Potential energy `g -> ()` [J] of the pose (4, 4).
+        drag: Coefficients (6,) of the linear drag [N s/m, N m s].
+        quadratic_drag: Coefficients (6,) of the quadratic drag [N s²/m², N m s²].
+        parameters: A `Parameter` for each name, as documentation.
+
+    Returns:
+        The system with six velocities and six inputs.
+    """
     return GroupSystem(
         SE3,
         inertia,
@@ -80,4 +108,4 @@ def _potential(g, weight, buoyancy, centre, lift):
 
 
 def _drag(g, v, linear, square):
-    return -(linear + square * jnp.abs(v)) * v
+    return -(linear + square * jnp.abs(v)) * v  # |v| v: opposes the motion for either sign

@@ -6,10 +6,19 @@ from covariant.models._state_space import StateSpace
 
 
 def unknown_frequency() -> StateSpace:
-    """A unit mass on a spring of unknown stiffness: x1 [m], its velocity x2 [m/s], and x3 = ω² [1/s²]; y = x1.
+    """Harmonic oscillator of unknown frequency: x1 [m], its velocity x2 [m/s] and x3 = ω² [1/s²]; y = x1.
 
     `f = (x2, −x3 x1, 0)`. The box is the grid of section III of the paper. At x1 = x2 = 0 the frequency is not
-    observable.
+    observable. Source: Sanfelice & Praly 2015, equation (16).
+
+    Returns:
+        The system with three states and no input.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import models
+        >>> models.unknown_frequency().f(0.0, jnp.array([1.0, 2.0, 4.0]), jnp.zeros(0)).tolist()
+        [2.0, -4.0, 0.0]
     """
     return StateSpace(
         _f,

@@ -7,9 +7,22 @@ from covariant.models._state_space import StateSpace
 
 
 def van_der_pol(damping: float = 1.0) -> StateSpace:
-    """`q̈ − damping (1 − q²) q̇ + q = 0`, dimensionless, with x = (q, q̇) and y = q.
+    """Van der Pol oscillator `q̈ − damping (1 − q²) q̇ + q = 0`, dimensionless, with x = (q, q̇) and y = q.
 
-    Raises `ValueError` for a negative damping.
+    Args:
+        damping: Damping coefficient, not negative.
+
+    Returns:
+        The system with states (q, q_dot) and no input.
+
+    Raises:
+        ValueError: The damping is negative or not finite.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import models
+        >>> models.van_der_pol(damping=2.0).f(0.0, jnp.array([0.0, 1.0]), jnp.zeros(0)).tolist()
+        [1.0, 2.0]
     """
     parameters = {"damping": Parameter(damping, "1", "van der Pol 1926")}
     check_parameters("van_der_pol", parameters, may_vanish=("damping",))

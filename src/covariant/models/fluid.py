@@ -37,11 +37,25 @@ Grid = Float[Array, "P P"]
 
 
 def ideal_fluid(n: int, viscosity: float = 0.0) -> GroupSystem:
-    """The fluid with the n² − 1 modes |m₁|, |m₂| ≤ (n − 1)/2; `viscosity` ν [m²/s] is its dissipation.
+    """Ideal fluid with the n² − 1 modes |m₁|, |m₂| ≤ (n − 1)/2, as free motion on the group SU(n).
 
     Velocities are coordinates of `lie.SU(n)`; `velocity_coordinates` gives those of a stream function. The energy of
-    the system is ½∫|u|²dx, that is, energy per unit density. It has no inputs. Raises `ValueError` unless n is odd and
-    at least 3, and ν ≥ 0.
+    the system is ½∫|u|²dx, that is, energy per unit density. It has no inputs.
+
+    Args:
+        n: Number of frequencies in each direction, odd and at least 3.
+        viscosity: Kinematic viscosity ν [m²/s], the dissipation; none by default.
+
+    Returns:
+        The system with n² − 1 velocities [1/s].
+
+    Raises:
+        ValueError: n is even or less than 3, or ν negative.
+
+    Example:
+        >>> from covariant import models
+        >>> models.fluid.ideal_fluid(3).group.dimension
+        8
     """
     if not isinstance(n, int) or n < 3 or n % 2 == 0:
         raise ValueError(f"ideal_fluid: n must be an odd integer of 3 or more; got {n!r}")
@@ -59,71 +73,245 @@ def ideal_fluid(n: int, viscosity: float = 0.0) -> GroupSystem:
 
 
 def velocity_coordinates(n: int, stream: Modes) -> Vector:
-    """Velocity (n² − 1,) [1/s] of the fluid whose stream function has these coefficients (n, n) [m²/s]."""
+    """Velocity of the fluid with a given stream function.
+
+    Args:
+        n: Number of frequencies in each direction.
+        stream: Fourier coefficients (n, n) of the stream function [m²/s].
+
+    Returns:
+        Coordinates (n² − 1,) in `lie.SU(n)` [1/s].
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant.models import fluid
+        >>> stream = jnp.zeros((3, 3), complex).at[[1, 2], 0].set(0.5)  # ψ = cos x₁
+        >>> v = fluid.velocity_coordinates(3, stream)
+        >>> bool(jnp.allclose(fluid.stream_modes(3, v), stream))
+        True
+    """
     return SU(n).vee(_unit(n) * _matrix(n, stream))
 
 
 def stream_modes(n: int, v: Vector) -> Modes:
-    """Coefficients (n, n) [m²/s] of the stream function of a velocity (n² − 1,): inverse of `velocity_coordinates`."""
+    """Fourier coefficients of the stream function of a velocity: the inverse of `velocity_coordinates`.
+
+    Args:
+        n: Number of frequencies in each direction.
+        v: Velocity (n² − 1,) in `lie.SU(n)` [1/s].
+
+    Returns:
+        Coefficients (n, n) [m²/s].
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant.models import fluid
+        >>> stream = jnp.zeros((3, 3), complex).at[[1, 2], 0].set(0.5)  # ψ = cos x₁
+        >>> fluid.stream_modes(3, fluid.velocity_coordinates(3, stream))[1, 0].real.round(6).item()
+        0.5
+    """
     return _coefficients(n, SU(n).hat(v) / _unit(n))
 
 
 def vorticity_modes(n: int, v: Vector) -> Modes:
-    """Coefficients (n, n) [1/s] of the vorticity of a velocity (n² − 1,)."""
+    """Fourier coefficients of the vorticity of a velocity.
+
+    Args:
+        n: Number of frequencies in each direction.
+        v: Velocity (n² − 1,) in `lie.SU(n)` [1/s].
+
+    Returns:
+        Coefficients (n, n) [1/s].
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant.models import fluid
+        >>> stream = jnp.zeros((3, 3), complex).at[[1, 2], 0].set(0.5)  # ψ = cos x₁
+        >>> fluid.vorticity_modes(3, fluid.velocity_coordinates(3, stream))[1, 0].real.round(6).item()
+        -0.5
+    """
     return _times(-_wave_numbers_squared(n), stream_modes(n, v))
 
 
 def stream_function(n: int, v: Vector, points: int) -> Grid:
-    """Values (points, points) [m²/s] of the stream function; raises `ValueError` for fewer points than n."""
+    """Stream function of a velocity on a grid.
+
+    Args:
+        n: Number of frequencies in each direction.
+        v: Velocity (n² − 1,) in `lie.SU(n)` [1/s].
+        points: Number of grid points in each direction, at least n.
+
+    Returns:
+        Values (points, points) [m²/s].
+
+    Raises:
+        ValueError: There are fewer points than n.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant.models import fluid
+        >>> stream = jnp.zeros((3, 3), complex).at[[1, 2], 0].set(0.5)  # ψ = cos x₁
+        >>> fluid.stream_function(3, fluid.velocity_coordinates(3, stream), 4)[0, 0].round(6).item()
+        1.0
+    """
     return field(stream_modes(n, v), points)
 
 
 def vorticity(n: int, v: Vector, points: int) -> Grid:
-    """Values (points, points) [1/s] of the vorticity; raises `ValueError` for fewer points than n."""
+    """Vorticity of a velocity on a grid.
+
+    Args:
+        n: Number of frequencies in each direction.
+        v: Velocity (n² − 1,) in `lie.SU(n)` [1/s].
+        points: Number of grid points in each direction, at least n.
+
+    Returns:
+        Values (points, points) [1/s].
+
+    Raises:
+        ValueError: There are fewer points than n.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant.models import fluid
+        >>> stream = jnp.zeros((3, 3), complex).at[[1, 2], 0].set(0.5)  # ψ = cos x₁, so that Δψ = −cos x₁
+        >>> fluid.vorticity(3, fluid.velocity_coordinates(3, stream), 4)[0, 0].round(6).item()
+        -1.0
+    """
     return field(vorticity_modes(n, v), points)
 
 
 def field(modes: Modes, points: int) -> Grid:
-    """Values of a field at 2π(i, j)/points; raises `ValueError` for fewer points than frequencies."""
+    """Values of a field at the points 2π(i, j)/points.
+
+    Args:
+        modes: Fourier coefficients (n, n).
+        points: Number of grid points in each direction, at least n.
+
+    Returns:
+        Values (points, points), in the unit of the coefficients.
+
+    Raises:
+        ValueError: There are fewer points than frequencies.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant.models import fluid
+        >>> stream = jnp.zeros((3, 3), complex).at[[1, 2], 0].set(0.5)  # ψ = cos x₁
+        >>> bool(jnp.allclose(fluid.field(stream, 4)[:, 0], jnp.array([1.0, 0.0, -1.0, 0.0])))
+        True
+    """
     rows = _rows(modes.shape[0], points)
     padded = jnp.zeros((points, points), modes.dtype).at[rows[:, None], rows].set(modes)
+    # norm="forward": the sum of coefficients times exponentials has no factor in front.
     return jnp.fft.ifft2(padded, norm="forward").real
 
 
 def modes(n: int, values: Grid) -> Modes:
-    """The n × n lowest coefficients of a field on a grid; raises `ValueError` for fewer points than n."""
+    """Lowest Fourier coefficients of a field on a grid.
+
+    Args:
+        n: Number of frequencies in each direction.
+        values: Values (points, points) of the field at the points 2π(i, j)/points.
+
+    Returns:
+        Coefficients (n, n), in the unit of the values.
+
+    Raises:
+        ValueError: There are fewer points than n.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.models import fluid
+        >>> x = 2 * np.pi * np.arange(4) / 4
+        >>> fluid.modes(3, np.cos(x)[:, None] * np.ones((1, 4)))[1, 0].real.round(6).item()
+        0.5
+    """
     rows = _rows(n, values.shape[0])
     return jnp.fft.fft2(values, norm="forward")[rows[:, None], rows]
 
 
 def carry(n: int, g: Element, tracer: Modes) -> Modes:
-    """Coefficients (n, n) of a passive tracer, such as a dye, after the motion g, given those before it.
+    """Transport a passive tracer, such as a dye, by a motion of the fluid.
 
-    The tracer obeys `a_t = −{ψ, a}`, so `X_a ↦ g⁻¹ X_a g`.
+    The tracer obeys `a_t = −{ψ, a}`, so `X_a ↦ g⁻¹ X_a g`. Without viscosity the vorticity is such a tracer.
 
-    Without viscosity the vorticity is such a tracer.
+    Args:
+        n: Number of frequencies in each direction.
+        g: Motion (n, n) in SU(n).
+        tracer: Fourier coefficients (n, n) of the tracer before the motion.
+
+    Returns:
+        Coefficients (n, n) after the motion.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant.models import fluid
+        >>> stream = jnp.zeros((3, 3), complex).at[[1, 2], 0].set(0.5)  # ψ = cos x₁
+        >>> bool(jnp.allclose(fluid.carry(3, jnp.eye(3, dtype=complex), stream), stream))  # at rest
+        True
     """
     return _coefficients(n, g.conj().T @ _matrix(n, tracer) @ g)
 
 
 def enstrophy(n: int, v: Vector) -> Scalar:
-    """Enstrophy `½∫ω²dx` [m²/s²] of a velocity (n² − 1,)."""
+    """Enstrophy `½∫ω²dx` of a velocity.
+
+    Args:
+        n: Number of frequencies in each direction.
+        v: Velocity (n² − 1,) in `lie.SU(n)` [1/s].
+
+    Returns:
+        The enstrophy [m²/s²], a scalar.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant.models import fluid
+        >>> stream = jnp.zeros((3, 3), complex).at[[1, 2], 0].set(0.5)  # ψ = cos x₁
+        >>> bool(jnp.isclose(fluid.enstrophy(3, fluid.velocity_coordinates(3, stream)), jnp.pi**2))
+        True
+    """
     return (2 * np.pi) ** 2 / 2 * jnp.sum(jnp.abs(vorticity_modes(n, v)) ** 2)
 
 
 def casimirs(n: int, v: Vector) -> Float[Array, "k"]:
-    """`(2π)²/n · tr Ωᵏ` for k = 2, …, n, with Ω = Σ ω_m T_m: the discrete counterpart of `∫ωᵏdx` [m²/sᵏ].
+    """Casimirs `(2π)²/n · tr Ωᵏ` for k = 2, …, n, with Ω = Σ ω_m T_m: the discrete counterpart of `∫ωᵏdx`.
 
     These n − 1 numbers determine the coadjoint orbit of the vorticity; without viscosity all of them are conserved.
+
+    Args:
+        n: Number of frequencies in each direction.
+        v: Velocity (n² − 1,) in `lie.SU(n)` [1/s].
+
+    Returns:
+        The Casimirs (n − 1,) [m²/sᵏ].
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant.models import fluid
+        >>> stream = jnp.zeros((3, 3), complex).at[[1, 2], 0].set(0.5)  # ψ = cos x₁
+        >>> square = fluid.casimirs(3, fluid.velocity_coordinates(3, stream))[0]  # ∫ω²dx
+        >>> bool(jnp.isclose(square, 2 * jnp.pi**2))
+        True
     """
     values = jnp.linalg.eigvalsh(_matrix(n, vorticity_modes(n, v)))
     return (2 * np.pi) ** 2 / n * jnp.sum(values[:, None] ** jnp.arange(2, n + 1, dtype=values.dtype)[None], axis=0)
 
 
 class ParticleMaps(SU):
-    """SU(n) in the coordinates of `lie.SU`, for large n: the logarithm's derivative takes n³ operations, not n⁶."""
+    """SU(n) in the coordinates of `lie.SU`, for large n: the logarithm's derivative takes n³ operations, not n⁶.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant.models import fluid
+        >>> group = fluid.ParticleMaps(3)
+        >>> y = jnp.ones(8)
+        >>> bool(jnp.allclose(group.right_jacobian_inverse(jnp.zeros(8), y), y))
+        True
+    """
 
     def right_jacobian_inverse(self, x: Vector, y: Vector) -> Vector:
+        """`J_r(x)⁻¹ y` (n² − 1,) of vectors x and y (n² − 1,), by the eigenvectors of x."""
         return _right_jacobian_inverse(SU(self.n), x, y)
 
 
@@ -131,6 +319,16 @@ class Laplacian(AbstractInertia):
     """The inertia `−Δ`, |m|² on mode m, in coordinates of `lie.SU(n)`, scaled so that energies are physical.
 
     The dot product of coordinates is `2 tr(Xᴴ Y)`, that is n³/8π² Σ f̄_m g_m, hence the factor 32π⁴/n³.
+
+    Attributes:
+        n: Number of frequencies in each direction, odd.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant.models import fluid
+        >>> inertia, v = fluid.Laplacian(3), jnp.ones(8)
+        >>> bool(jnp.allclose(inertia.solve(inertia(v)), v))
+        True
     """
 
     n: int = eqx.field(static=True)
@@ -139,12 +337,13 @@ class Laplacian(AbstractInertia):
         return self.scale * _filtered(self.n, _nonzero_squares(self.n), x)
 
     def solve(self, mu: Vector) -> Vector:
-        x = self._nearly_solved(mu)
+        """Velocity (n² − 1,) whose momentum is mu, with one step of iterative refinement."""
+        x = self._rounded_solution(mu)
         # A transform makes the same rounding error at every step, which accumulates: without this correction a thousand
         # steps change the Casimirs by some 1e-12.
-        return x + self._nearly_solved(mu - self(x))
+        return x + self._rounded_solution(mu - self(x))
 
-    def _nearly_solved(self, mu: Vector) -> Vector:
+    def _rounded_solution(self, mu: Vector) -> Vector:
         return _filtered(self.n, 1 / _nonzero_squares(self.n), mu) / self.scale
 
     @property
@@ -154,13 +353,26 @@ class Laplacian(AbstractInertia):
 
 
 class Viscosity(eqx.Module):
-    """Dissipation `(g, v) -> (n² − 1,)` that adds νΔω to the rate of the vorticity."""
+    """Dissipation `(g, v) -> (n² − 1,)` that adds νΔω to the rate of the vorticity.
+
+    Attributes:
+        n: Number of frequencies in each direction, odd.
+        viscosity: Kinematic viscosity ν [m²/s].
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant.models import fluid
+        >>> drag, v = fluid.Viscosity(3, jnp.array(0.1)), jnp.ones(8)
+        >>> bool(drag(jnp.eye(3), v) @ v < 0)  # takes energy
+        True
+    """
 
     n: int = eqx.field(static=True)
     viscosity: Float[Array, ""]
 
     def __call__(self, g: Element, v: Vector) -> Vector:
         inertia = Laplacian(self.n)
+        # I/scale is −Δ and μ = I v, so this is νΔμ.
         return -self.viscosity.astype(v.dtype) / inertia.scale * inertia(inertia(v))
 
 
@@ -197,7 +409,7 @@ def _rows(n: int, points: int) -> np.ndarray:
     """Indices of the n frequencies of either sign among those of a grid."""
     if points < n:
         raise ValueError(f"a grid of {n} frequencies needs at least {n} points a side; got {points}")
-    return _frequencies(n) % points
+    return _frequencies(n) % points  # negative frequencies are at the end
 
 
 def _times(factors: np.ndarray | Array, coefficients: Modes) -> Modes:
@@ -219,10 +431,13 @@ def _coefficients(n: int, matrix: Element) -> Modes:
 
 @eqx.filter_custom_jvp
 def _right_jacobian_inverse(group: SU, x: Vector, y: Vector) -> Vector:
-    """J_r(x)⁻¹ y: where x is diagonal with angles θ, entry (j, k) of y divided by the mean of exp(−is(θ_j − θ_k)),
-    0 ≤ s ≤ 1."""
+    """Inverse of the right Jacobian, J_r(x)⁻¹ y.
+
+    Where x is diagonal with angles θ, entry (j, k) of y is divided by the mean of exp(−is(θ_j − θ_k)), 0 ≤ s ≤ 1.
+    """
     angles, vectors = jnp.linalg.eigh(-1j * group.hat(x))
     half = (angles[:, None] - angles[None]).astype(vectors.dtype) / 2
+    # jnp.sinc(t) is sin(πt)/(πt), which is finite where two angles are equal.
     factors = jnp.exp(1j * half) / jnp.sinc(half / np.pi)
     turned = factors * (vectors.conj().T @ group.hat(y) @ vectors)
     return group.vee(vectors @ turned @ vectors.conj().T)

@@ -22,18 +22,37 @@ from covariant.models._state_space import StateSpace, state_space
 
 
 class Craft(eqx.Module):
-    """A craft `η' = J(η)ν`, `Mν' + C(ν)ν + D(ν)ν + g(η) = τ`, whose position η is measured; the input is τ.
+    """A marine craft `η' = J(η)ν`, `Mν' + C(ν)ν + D(ν)ν + g(η) = τ`, whose position η is measured; the input is τ.
 
-    - `mass`: M (n, n), added mass included, symmetric positive definite.
-    - `transform`: `J(η)` (n, n).
-    - `damping`: `D(ν)` (n, n).
-    - `restoring`: `g(η)` (n,); none by default.
-    - `coriolis`: `C(ν)` (n, n), skew-symmetric; none by default.
-    - `coordinates`, `units`, `velocities`: names of η and ν, and the units of η.
-    - `circles`: indices of coordinates that are angles on a full circle [rad].
-    - `parameters`: a `Parameter` for each name, as documentation.
+    Attributes:
+        mass: Inertia matrix M (n, n), added mass included, symmetric positive definite.
+        transform: `J(η)` (n, n).
+        damping: `D(ν)` (n, n).
+        restoring: `g(η)` (n,); zero by default.
+        coriolis: `C(ν)` (n, n), skew-symmetric; zero by default.
+        coordinates: Names of the entries of η.
+        units: Units of the entries of η.
+        velocities: Names of the entries of ν.
+        circles: Indices of coordinates that are angles on a full circle [rad].
+        parameters: A `Parameter` for each name, as documentation.
 
-    Raises `ValueError` when a matrix or function has the wrong shape, or M is not symmetric positive definite.
+    Raises:
+        ValueError: A matrix or function has the wrong shape, or M is not symmetric positive definite.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> import numpy as np
+        >>> from covariant import models
+        >>> sledge = models.marine.Craft(
+        ...     2.0 * np.eye(1),
+        ...     lambda eta: jnp.eye(1),
+        ...     lambda nu: jnp.eye(1),
+        ...     coordinates=("x",),
+        ...     units=("m",),
+        ...     velocities=("surge",),
+        ... )
+        >>> sledge.acceleration(jnp.zeros(1), jnp.array([4.0]), jnp.zeros(1)).tolist()
+        [-2.0]
     """
 
     mass: Matrix
@@ -79,7 +98,16 @@ class Craft(eqx.Module):
         check_shapes(functions, f"{n} coordinates", "this craft")
 
     def acceleration(self, eta: Vector, nu: Vector, tau: Vector) -> Vector:
-        """ν' (n,) at the position η with the velocity ν under the force τ."""
+        """Acceleration ν' of the craft.
+
+        Args:
+            eta: Position η (n,).
+            nu: Velocity ν (n,) in the body frame.
+            tau: Generalised force τ (n,) in the body frame.
+
+        Returns:
+            ν' (n,).
+        """
         force = tau - (self.coriolis(nu) + self.damping(nu)) @ nu - self.restoring(eta)
         return solve(jnp.asarray(self.mass, nu.dtype), force)
 
@@ -112,44 +140,103 @@ def _no_coriolis(nu: Vector) -> Matrix:
 
 
 def positive_definite(name: str, matrix: Numbers, n: int) -> Matrix:
-    """A matrix (n, n) checked to be symmetric positive definite. Raises `ValueError` that says what is wrong.
+    """Convert a matrix to an array and check that it is symmetric positive definite.
 
     Inside a compiled function its numbers are not known: there only its shape is checked.
+
+    Args:
+        name: Name of the matrix, for the message.
+        matrix: The matrix (n, n).
+        n: Its number of rows.
+
+    Returns:
+        The array (n, n).
+
+    Raises:
+        ValueError: It has another shape, or is not symmetric positive definite.
+
+    Example:
+        >>> from covariant import models
+        >>> models.marine.positive_definite("mass", [[2.0]], 1).tolist()
+        [[2.0]]
     """
     if np.shape(matrix) != (n, n):
         raise ValueError(f"{name} must be a matrix of {n} rows and {n} columns; its shape is {np.shape(matrix)}")
     if isinstance(matrix, Tracer):
-        return matrix
-    found = np.asarray(matrix, float)
-    if not np.allclose(found, found.T, rtol=1e-9, atol=0.0):
+        return matrix  # its numbers are not known before the program runs
+    array = np.asarray(matrix, float)
+    if not np.allclose(array, array.T, rtol=1e-9, atol=0.0):  # relative: inertias come in any unit
         raise ValueError(f"{name} must be symmetric")
-    least = np.linalg.eigvalsh(found)[0]
-    if not least > 0:
-        raise ValueError(f"{name} must be positive definite; its smallest eigenvalue is {least:.3g}")
-    return jnp.asarray(found)
+    smallest = np.linalg.eigvalsh(array)[0]
+    if not smallest > 0:
+        raise ValueError(f"{name} must be positive definite; its smallest eigenvalue is {smallest:.3g}")
+    return jnp.asarray(array)
 
 
 def coriolis_matrix(mass: Numbers) -> Callable[[Array], Array]:
-    """`ν ↦ C(ν)`, skew-symmetric, for the inertia M, (3, 3) of planar or (6, 6) of spatial motion.
+    """Coriolis matrix `ν ↦ C(ν)`, skew-symmetric, of a rigid body in Kirchhoff's equations.
 
     `C(ν)w = −ad*_w(Mν)`, so that `C(ν)ν` is the Coriolis term of Kirchhoff's equations.
+
+    Args:
+        mass: Inertia matrix M, (3, 3) for planar or (6, 6) for spatial motion.
+
+    Returns:
+        A function `ν (n,) -> C (n, n)`.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> import numpy as np
+        >>> from covariant import models
+        >>> coriolis = models.marine.coriolis_matrix(np.diag([1.0, 2.0, 3.0]))(jnp.array([1.0, 2.0, 3.0]))
+        >>> bool((coriolis == -coriolis.T).all())
+        True
     """
     return Parametric(_coriolis, mass=mass)
 
 
 def _coriolis(nu: Vector, mass: Matrix) -> Matrix:
     group = {3: SE2, 6: SE3}[nu.shape[0]]
+    # Column j is −ad*_{e_j}(Mν).
     return -jax.vmap(group.coadjoint, (0, None), 1)(jnp.eye(nu.shape[0], dtype=nu.dtype), mass @ nu)
 
 
 def yaw_rotation(psi: Scalar) -> Matrix:
-    """R(ψ) (3, 3): from surge, sway and yaw rate in the body frame to the rates of north, east and heading ψ [rad]."""
+    """Rotation R(ψ) from surge, sway and yaw rate in the body frame to the rates of north, east and heading.
+
+    Args:
+        psi: Heading ψ [rad].
+
+    Returns:
+        Matrix (3, 3).
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import models
+        >>> eastward = models.marine.yaw_rotation(jnp.array(jnp.pi / 2)) @ jnp.array([1.0, 0.0, 0.0])
+        >>> bool(jnp.allclose(eastward, jnp.array([0.0, 1.0, 0.0])))
+        True
+    """
     c, s, zero = jnp.cos(psi), jnp.sin(psi), jnp.zeros_like(psi)
     return jnp.stack([jnp.stack([c, -s, zero]), jnp.stack([s, c, zero]), jnp.stack([zero, zero, jnp.ones_like(psi)])])
 
 
 def euler_rotation(angles: Float[Array, "3"]) -> Matrix:
-    """R (3, 3) of roll φ, pitch θ and yaw ψ [rad]: from the body frame to north, east and down."""
+    """Rotation R from the body frame to north, east and down, for Euler angles.
+
+    Args:
+        angles: Roll φ, pitch θ and yaw ψ (3,) [rad].
+
+    Returns:
+        Matrix (3, 3).
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import models
+        >>> bow_up = models.marine.euler_rotation(jnp.array([0.0, jnp.pi / 2, 0.0])) @ jnp.array([1.0, 0.0, 0.0])
+        >>> bool(jnp.allclose(bow_up, jnp.array([0.0, 0.0, -1.0])))  # z points down
+        True
+    """
     (cr, cp, cy), (sr, sp, sy) = jnp.cos(angles), jnp.sin(angles)
     return jnp.stack(
         [
@@ -161,7 +248,22 @@ def euler_rotation(angles: Float[Array, "3"]) -> Matrix:
 
 
 def euler_rates(angles: Float[Array, "3"]) -> Matrix:
-    """T (3, 3): from body angular velocity to the rates of roll, pitch and yaw. Singular at a pitch of ±90°."""
+    """Matrix T from the angular velocity in the body frame to the rates of roll, pitch and yaw.
+
+    It is singular at a pitch of ±90°.
+
+    Args:
+        angles: Roll φ, pitch θ and yaw ψ (3,) [rad].
+
+    Returns:
+        Matrix (3, 3).
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import models
+        >>> bool((models.marine.euler_rates(jnp.zeros(3)) == jnp.eye(3)).all())
+        True
+    """
     (cr, cp, _), (sr, sp, _) = jnp.cos(angles), jnp.sin(angles)
     one, zero = jnp.ones_like(cr), jnp.zeros_like(cr)
     return jnp.stack(
@@ -174,6 +276,19 @@ def euler_rates(angles: Float[Array, "3"]) -> Matrix:
 
 
 def euler_transform(eta: Float[Array, "6"]) -> Matrix:
-    """J(η) (6, 6) of north, east, down, roll, pitch and yaw, equation (84)."""
+    """Transform J(η) from the velocity in the body frame to η', equation (84).
+
+    Args:
+        eta: North, east, down [m], roll, pitch, yaw [rad] (6,).
+
+    Returns:
+        Matrix (6, 6).
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import models
+        >>> bool((models.marine.euler_transform(jnp.zeros(6)) == jnp.eye(6)).all())
+        True
+    """
     zero = jnp.zeros((3, 3), eta.dtype)
     return jnp.block([[euler_rotation(eta[3:]), zero], [zero, euler_rates(eta[3:])]])

@@ -18,14 +18,24 @@ from covariant.models.marine._craft import Craft, yaw_rotation
 
 
 class Waves(eqx.Module):
-    """Wave motion of north, east and heading: `ξ₁' = ξ₂`, `ξ₂' = −ω²ξ₁ − 2ζωξ₂ + w`, of which ξ₂ is measured.
+    """First-order wave motion of north, east and heading.
 
-    - `frequency` (3,): ω [rad/s].
-    - `damping` (3,): ζ, relative.
-    - `intensity` (3,): root of the spectral density of the white noise w, so that the standard deviation of the motion
-      is `intensity / (2 √(ζω))` [m, m, rad].
+    `ξ₁' = ξ₂`, `ξ₂' = −ω²ξ₁ − 2ζωξ₂ + w`, of which ξ₂ is measured.
 
-    Raises `ValueError` where an entry is not positive.
+    Attributes:
+        frequency: Frequencies ω (3,) [rad/s].
+        damping: Damping ratios ζ (3,).
+        intensity: Root of the spectral density of the white noise w (3,), so that the standard deviation of the motion
+            is `intensity / (2 √(ζω))` [m, m, rad].
+
+    Raises:
+        ValueError: An entry is not positive.
+
+    Example:
+        >>> from covariant import models
+        >>> waves = models.marine.Waves((1.0, 1.0, 1.0), (0.25, 0.25, 0.25), std=(1.0, 1.0, 0.5))
+        >>> waves.intensity
+        (1.0, 1.0, 0.5)
     """
 
     frequency: tuple[float, ...] = eqx.field(static=True)
@@ -33,25 +43,43 @@ class Waves(eqx.Module):
     intensity: tuple[float, ...] = eqx.field(static=True)
 
     def __init__(self, frequency: Sequence[float], damping: Sequence[float], std: Sequence[float]):
-        """`std` (3,): standard deviation of the motion in north and east [m] and heading [rad]."""
+        """Wave motion with a given standard deviation.
+
+        Args:
+            frequency: Frequencies ω (3,) [rad/s].
+            damping: Damping ratios ζ (3,).
+            std: Standard deviation (3,) of the motion in north and east [m] and heading [rad].
+        """
         for name, entries in (("frequency", frequency), ("damping", damping), ("std", std)):
             if len(entries) != 3 or not all(0 < entry < np.inf for entry in entries):
                 raise ValueError(f"waves: {name} needs three positive numbers, for north, east, heading; got {entries}")
         self.frequency, self.damping = tuple(frequency), tuple(damping)
+        # The stationary variance of ξ₂ is intensity²/(4ζω).
         self.intensity = tuple(2 * s * (z * w) ** 0.5 for s, z, w in zip(std, damping, frequency, strict=True))
 
 
 class Station(eqx.Module):
-    """A surface ship with the disturbances at sea; beside η and ν its states are those of the parts it has.
+    """A surface ship with the disturbances at sea: waves, a slowly varying force, and thrusters with a lag.
 
-    - `ship`: a `Craft` in the plane, such as `supply_vessel()`.
-    - `waves`: wave motion ξ (6,), added to the measured position.
-    - `bias_time`: a slowly varying force b (3,) in north, east and heading [N, N, N m] is part of the state, a Markov
-      process with this time constant [s]; infinity makes it a random walk.
-    - `thruster_time`: the force τ (3,) follows the commanded one with this time constant [s].
+    States are in this order: η (3,), ν (3,), ξ (6,), b (3,), τ (3,), of which the last three only where the station has
+    them.
 
-    States are in this order: η, ν, ξ, b, τ. Raises `ValueError` for a craft that is not planar or a time that is not
-    positive.
+    Attributes:
+        ship: A `Craft` in the plane, such as `supply_vessel()`.
+        waves: Wave motion ξ (6,), added to the measured position; none by default.
+        bias_time: Time constant [s] of a slowly varying force b (3,) in north, east and heading [N, N, N m], a Markov
+            process; infinity makes it a random walk. None (default) leaves it out.
+        thruster_time: Time constant [s] with which the force τ (3,) follows the commanded one. None (default) leaves
+            the lag out.
+
+    Raises:
+        ValueError: The craft is not planar, or a time is not positive.
+
+    Example:
+        >>> from covariant import models
+        >>> station = models.marine.Station(models.marine.supply_vessel(), bias_time=1000.0)
+        >>> list(station.parts), station.order
+        (['eta', 'nu', 'bias'], 9)
     """
 
     ship: Craft
@@ -68,7 +96,11 @@ class Station(eqx.Module):
 
     @property
     def parts(self) -> dict[str, slice]:
-        """The slice of each part of the state: eta, nu, and waves, bias and thrust where the station has them."""
+        """Slices of the parts of the state.
+
+        Returns:
+            Slices by name: "eta" and "nu", and "waves", "bias" and "thrust" where the station has them.
+        """
         sizes = {
             "eta": 3,
             "nu": 3,
@@ -87,17 +119,24 @@ class Station(eqx.Module):
     def derivative(
         self, heading: Scalar, x: Vector, u: Float[Array, "3"], noise: Float[Array, "k"] | None = None
     ) -> Vector:
-        """x' (n,) under the commanded force u (3,), with rotations by `heading`, measured or that of the state.
+        """State derivative x' of the station.
 
-        `noise` drives the waves and the bias, three entries each: white noise of unit spectral density for the waves,
-        and [N/√s, N/√s, N m/√s] for the bias.
+        Args:
+            heading: Heading [rad] for the rotations, measured or that of the state.
+            x: State (n,).
+            u: Commanded force (3,) in the body frame [N, N, N m].
+            noise: Noise that drives the waves and the bias, three entries each: white noise of unit spectral density
+                for the waves, and [N/√s, N/√s, N m/√s] for the bias; zero by default.
+
+        Returns:
+            x' (n,).
         """
         part = {name: x[where] for name, where in self.parts.items()}
         turn = yaw_rotation(heading)
         eta, nu = part["eta"], part["nu"]
         force = part.get("thrust", u)
         if "bias" in part:
-            force = force + turn.T @ part["bias"]
+            force = force + turn.T @ part["bias"]  # b is in north and east, the force in the body frame
         drive = jnp.zeros(3 * (("waves" in part) + ("bias" in part)), x.dtype) if noise is None else noise
         rates = [turn @ nu, self.ship.acceleration(eta.at[2].set(heading), nu, force)]
         if self.waves is not None:
@@ -107,18 +146,32 @@ class Station(eqx.Module):
             place, speed = jnp.split(part["waves"], 2)
             rates += [speed, -(w**2) * place - 2 * z * w * speed + k * drive[:3]]
         if self.bias_time is not None:
-            rates.append(-part["bias"] / self.bias_time + drive[-3:])
+            rates.append(-part["bias"] / self.bias_time + drive[-3:])  # last, with or without waves before it
         if self.thruster_time is not None:
             rates.append((u - part["thrust"]) / self.thruster_time)
         return jnp.concatenate(rates)
 
     def output(self, x: Vector) -> Float[Array, "3"]:
-        """The measured north, east and heading: position plus wave motion."""
+        """Measured north, east and heading: position plus wave motion.
+
+        Args:
+            x: State (n,).
+
+        Returns:
+            Output (3,) [m, m, rad].
+        """
         eta = x[self.parts["eta"]]
         return eta if self.waves is None else eta + x[self.parts["waves"]][3:]
 
     def model(self, noise: bool = False) -> StateSpace:
-        """The station as a `StateSpace`; with `noise` the inputs of waves and bias follow the force in u."""
+        """State-space model of the station.
+
+        Args:
+            noise: Whether the noise of waves and bias is an input too, after the force in u.
+
+        Returns:
+            The model, with the outputs north, east and heading.
+        """
         extra = 3 * ((self.waves is not None) + (self.bias_time is not None)) if noise else 0
 
         def f(t, x, u):
@@ -148,11 +201,11 @@ class Station(eqx.Module):
 
     def _parameters(self) -> dict[str, Parameter]:
         chosen = "chosen for this station"
-        found = dict(self.ship.parameters)
+        parameters = dict(self.ship.parameters)
         if self.waves is not None:
-            found["wave_frequency"] = Parameter(self.waves.frequency, "rad/s", chosen)
-            found["wave_damping"] = Parameter(self.waves.damping, "1", chosen)
+            parameters["wave_frequency"] = Parameter(self.waves.frequency, "rad/s", chosen)
+            parameters["wave_damping"] = Parameter(self.waves.damping, "1", chosen)
         for name in ("bias_time", "thruster_time"):
             if getattr(self, name) is not None:
-                found[name] = Parameter(getattr(self, name), "s", chosen)
-        return found
+                parameters[name] = Parameter(getattr(self, name), "s", chosen)
+        return parameters

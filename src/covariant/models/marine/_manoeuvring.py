@@ -35,7 +35,7 @@ HULL = {
     "Nvrr": 0.055,
     "Nrrr": -0.013,
 }
-"""Hydrodynamic derivatives of the hull, made dimensionless by ½ρLdU² and ½ρL²dU², and velocities by U and U/L."""
+"""Dimensionless hydrodynamic derivatives of the hull: forces by ½ρLdU², moments by ½ρL²dU², velocities by U and U/L."""
 
 PROPELLER = {"k0": 0.2931, "k1": -0.2753, "k2": -0.1385, "deduction": 0.220, "C1": 2.0, "C2+": 1.6, "C2-": 1.1}
 """Thrust `K_T = k0 + k1 J + k2 J²`, thrust deduction, and the wake that changes with the inflow angle."""
@@ -68,16 +68,39 @@ def manoeuvring_ship(
     propeller: Mapping[str, float] | None = None,
     rudder: Mapping[str, float] | None = None,
 ) -> StateSpace:
-    """A model of the tanker KVLCC2, 7 m long; x = (north, east, heading, surge, sway, yaw rate), y = η.
+    """Model of the tanker KVLCC2, 7 m long; x = (north, east, heading, surge, sway, yaw rate).
 
-    The input is (rudder angle [rad], revolutions [1/s]); a positive angle turns the bow to starboard.
+    The outputs are north, east [m] and heading [rad]. The input is (rudder angle [rad], revolutions [1/s]); a positive
+    angle turns the bow to starboard. The model is valid at cruising speed ahead: the propeller turns ahead, and surge
+    is positive.
 
-    Lengths are in m, `displacement` in m³; `centre` is that of gravity, forward of midships [m], and `wake` the wake
-    fraction at the propeller in straight motion. `hull`, `propeller` and `rudder` override entries of `HULL`,
-    `PROPELLER` and `RUDDER`. The model is valid at cruising speed ahead: the propeller turns ahead, and surge is
-    positive.
+    Args:
+        length: Length [m].
+        draught: Draught [m].
+        displacement: Displacement [m³].
+        centre: Distance of the centre of gravity forward of midships [m].
+        propeller_diameter: Diameter of the propeller [m].
+        rudder_height: Height of the rudder [m].
+        rudder_area: Area of the rudder [m²].
+        wake: Wake fraction at the propeller in straight motion.
+        density: Density of the water [kg/m³].
+        hull: Entries of `HULL` to override.
+        propeller: Entries of `PROPELLER` to override.
+        rudder: Entries of `RUDDER` to override.
 
-    Raises `ValueError` naming an entry that is not known.
+    Returns:
+        The system with six states and two inputs.
+
+    Raises:
+        ValueError: Names an entry that is not known.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import models
+        >>> ahead = jnp.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0])
+        >>> rate = models.marine.manoeuvring_ship().f(0.0, ahead, jnp.array([0.2, 10.0]))
+        >>> bool(rate[5] > 0)  # the bow turns to starboard
+        True
     """
     h, p, r = _merge("hull", HULL, hull), _merge("propeller", PROPELLER, propeller), _merge("rudder", RUDDER, rudder)
     mass, scale = density * displacement, density / 2 * length * draught
@@ -124,11 +147,11 @@ def manoeuvring_ship(
     )
 
 
-def _merge(name: str, usual: Mapping[str, float], given: Mapping[str, float] | None) -> dict[str, float]:
-    unknown = set(given or {}) - set(usual)
+def _merge(name: str, defaults: Mapping[str, float], overrides: Mapping[str, float] | None) -> dict[str, float]:
+    unknown = set(overrides or {}) - set(defaults)
     if unknown:
-        raise ValueError(f"{name} has no entry {sorted(unknown)[0]!r}; it has {', '.join(usual)}")
-    return dict(usual) | dict(given or {})
+        raise ValueError(f"{name} has no entry {sorted(unknown)[0]!r}; it has {', '.join(defaults)}")
+    return dict(defaults) | dict(overrides or {})
 
 
 def _f(t, x, u, mass, added, turning, centre, **rest):
@@ -142,6 +165,7 @@ def _f(t, x, u, mass, added, turning, centre, **rest):
             jnp.stack([zero, mass * centre, turning]),
         ]
     )
+    # Coriolis and centripetal terms, on the right-hand side.
     turned = jnp.stack(
         [
             (mass + added["y"]) * sway * yaw + mass * centre * yaw**2,
@@ -159,7 +183,7 @@ def _position(t, x, u):
 def _forces(nu, delta, n, length, scale, ratio, diameter, rudder_area, wake, density, hull, propeller, rudder):
     """Surge and sway force and yaw moment at midships [N, N, N m]."""
     u, v, yaw = nu
-    speed = jnp.maximum(jnp.sqrt(u**2 + v**2), 1e-9)
+    speed = jnp.maximum(jnp.sqrt(u**2 + v**2), 1e-9)  # a divisor below
     turn = yaw * length
     x = -hull["R0"] * speed**2 + hull["Xvv"] * v**2 + hull["Xvr"] * v * turn + hull["Xrr"] * turn**2
     x = x + hull["Xvvvv"] * v**4 / speed**2
@@ -172,15 +196,18 @@ def _forces(nu, delta, n, length, scale, ratio, diameter, rudder_area, wake, den
     drift = jnp.arctan2(-v, u)
     inflow = drift + 0.5 * turn / speed  # the propeller is at half a length aft
     swirl = jnp.where(inflow > 0, propeller["C2+"], propeller["C2-"]) - 1
-    behind = (1 - wake) * u * (1 + (1 - jnp.exp(-propeller["C1"] * jnp.abs(inflow))) * swirl)
-    tip = jnp.maximum(n * diameter, 1e-9)
-    advance = behind / tip
+    inflow_speed = (1 - wake) * u * (1 + (1 - jnp.exp(-propeller["C1"] * jnp.abs(inflow))) * swirl)
+    tip = jnp.maximum(n * diameter, 1e-9)  # a divisor below
+    advance = inflow_speed / tip
     thrust_coefficient = propeller["k0"] + propeller["k1"] * advance + propeller["k2"] * advance**2
     thrust = density * n**2 * diameter**4 * thrust_coefficient
-    aft = drift - rudder["arm"] * turn / speed
-    cross = speed * aft * jnp.where(aft > 0, rudder["straightening+"], rudder["straightening-"])
-    jet = jnp.sqrt(jnp.maximum(behind**2 + 8 * thrust_coefficient * tip**2 / math.pi, 0.0))
-    along = rudder["wake"] * jnp.sqrt(ratio * (behind + rudder["jet"] * (jet - behind)) ** 2 + (1 - ratio) * behind**2)
+    rudder_drift = drift - rudder["arm"] * turn / speed
+    cross = speed * rudder_drift * jnp.where(rudder_drift > 0, rudder["straightening+"], rudder["straightening-"])
+    # Speed of the propeller's jet by momentum theory; a braking thrust may leave no real root.
+    jet = jnp.sqrt(jnp.maximum(inflow_speed**2 + 8 * thrust_coefficient * tip**2 / math.pi, 0.0))
+    along = rudder["wake"] * jnp.sqrt(
+        ratio * (inflow_speed + rudder["jet"] * (jet - inflow_speed)) ** 2 + (1 - ratio) * inflow_speed**2
+    )
     lift = (
         density / 2 * rudder_area * (along**2 + cross**2) * rudder["lift"] * jnp.sin(delta - jnp.arctan2(cross, along))
     )

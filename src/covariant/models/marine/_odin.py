@@ -2,7 +2,7 @@
 
 Source: Jouffroy & Fossen 2004, equations (80)–(85). The paper gives no numbers. Those used here are the usual ones: a
 sphere of 0.31 m radius and 125 kg, half its displaced mass as added mass, the inertia of a shell, and the quadratic
-drag of Choi, Yuh & Takashige 1995 as found in Antonelli, Underwater Robots, appendix A. The drag was not checked
+drag of Choi, Yuh & Takashige 1995 as tabulated in Antonelli, Underwater Robots, appendix A. The drag was not checked
 against the printed paper.
 """
 
@@ -35,16 +35,30 @@ def odin(
     gravity: float = 9.81,
     coriolis: bool = False,
 ) -> Craft:
-    """ODIN with η = (north, east, down [m], roll, pitch, yaw [rad]) and ν = (surge, sway, heave, p, q, r).
+    """ODIN, a spherical underwater robot, in Euler angles: η = (north, east, down [m], roll, pitch, yaw [rad]).
 
-    - `mass` [kg], `inertia` [kg m²].
-    - `added_mass` [kg, kg m²]: along and about the axes of the body.
-    - `drag`, `quadratic_drag`: coefficients for each component of ν.
-    - `stability`: how far the centre of gravity lies below that of buoyancy, `z_g − z_b` [m].
-    - `coriolis`: adds C(ν)ν, which the paper leaves out.
+    ν = (surge, sway, heave [m/s], p, q, r [rad/s]). The weight equals that of the displaced water. At a pitch of ±90°
+    the angles are singular; `odin_on_group` has no singularity.
 
-    The weight equals that of the displaced water. At a pitch of ±90° the angles are singular; `odin_on_group` has no
-    singularity.
+    Args:
+        mass: Mass [kg].
+        inertia: Moments of inertia (3,) [kg m²].
+        added_mass: Added mass (6,) along and about the axes of the body [kg, kg m²].
+        drag: Coefficients (6,) of the linear drag of each component of ν [N s/m, N m s].
+        quadratic_drag: Coefficients (6,) of the quadratic drag [N s²/m², N m s²].
+        stability: Distance of the centre of gravity below that of buoyancy, `z_g − z_b` [m].
+        gravity: Gravity [m/s²].
+        coriolis: Whether to add C(ν)ν, which the paper leaves out.
+
+    Returns:
+        The craft.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import models
+        >>> robot = models.marine.odin(mass=100.0, gravity=10.0, stability=0.05)
+        >>> robot.restoring(jnp.zeros(6).at[3].set(jnp.pi / 2))[3].round(6).item()  # torque m g h at a roll of 90°
+        50.0
     """
     m = _inertia_matrix(mass, inertia, added_mass)
     return Craft(
@@ -70,7 +84,27 @@ def odin_on_group(
     stability: float = _STABILITY,
     gravity: float = 9.81,
 ) -> GroupSystem:
-    """ODIN on SE(3), with C(ν)ν and no singular attitude. Arguments, axes and twist are as in `odin`, with z down."""
+    """ODIN on SE(3), with C(ν)ν and no singular attitude. Axes and twist are as in `odin`, with z down.
+
+    Args:
+        mass: Mass [kg].
+        inertia: Moments of inertia (3,) [kg m²].
+        added_mass: Added mass (6,) along and about the axes of the body [kg, kg m²].
+        drag: Coefficients (6,) of the linear drag of each component of the twist [N s/m, N m s].
+        quadratic_drag: Coefficients (6,) of the quadratic drag [N s²/m², N m s²].
+        stability: Distance of the centre of gravity below that of buoyancy, `z_g − z_b` [m].
+        gravity: Gravity [m/s²].
+
+    Returns:
+        The system with six velocities and six inputs.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import models
+        >>> robot = models.marine.odin_on_group(mass=100.0, gravity=10.0, stability=0.05)
+        >>> robot.potential(jnp.eye(4)).item()  # lowest when upright
+        -50.0
+    """
     m = _inertia_matrix(mass, inertia, added_mass)
     potential = Parametric(_potential, torque=stability * mass * gravity)
     return submerged_body(

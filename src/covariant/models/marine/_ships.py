@@ -21,12 +21,24 @@ def surface_ship(
     coriolis: Callable[[Array], Array] | None = None,
     parameters: dict[str, Parameter] | None = None,
 ) -> Craft:
-    """A ship with η = (north, east [m], heading [rad]) and ν = (surge, sway [m/s], yaw rate [rad/s]), (38)–(39).
+    """Surface ship with η = (north, east [m], heading [rad]) and ν = (surge, sway [m/s], yaw rate [rad/s]), (38)–(39).
 
-    - `mass` (3, 3).
-    - `damping`: a matrix (3, 3) or `ν -> (3, 3)`.
-    - `mooring`: stiffness K (3, 3) in north, east and heading, whose force is `R(ψ)ᵀKη` in the body frame. The paper
-      prints Kη, which is the same only at ψ = 0.
+    Args:
+        mass: Inertia matrix (3, 3), added mass included.
+        damping: Matrix (3, 3), or a function `ν -> (3, 3)`.
+        mooring: Stiffness K (3, 3) in north, east and heading, whose force is `R(ψ)ᵀKη` in the body frame; none by
+            default. The paper prints Kη, which is the same only at ψ = 0.
+        coriolis: Coriolis matrix `ν -> (3, 3)`; zero by default.
+        parameters: A `Parameter` for each name, as documentation.
+
+    Returns:
+        The craft.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import models
+        >>> models.marine.surface_ship(np.eye(3), 0.1 * np.eye(3)).velocities
+        ('surge', 'sway', 'yaw_rate')
     """
     return Craft(
         mass,
@@ -51,6 +63,7 @@ def _constant(nu, matrix):
 
 
 def _mooring(eta, stiffness):
+    # Rᵀ turns the force from north and east to the body frame.
     return yaw_rotation(eta[2]).T @ (stiffness @ eta)
 
 
@@ -62,11 +75,27 @@ def supply_vessel(
     damping: Sequence[Sequence[float]] = ((0.0358, 0.0, 0.0), (0.0, 0.1183, -0.0124), (0.0, -0.0041, 0.0308)),
     mooring: Numbers | None = None,
 ) -> Craft:
-    """An offshore supply vessel near rest, for dynamic positioning: linear damping, no Coriolis force.
+    """Offshore supply vessel near rest, for dynamic positioning: linear damping, no Coriolis force.
 
-    `length` L [m], `mass` m [kg] and `gravity` g [m/s²] scale the dimensionless `inertia` and `damping` (3, 3), which
-    were identified at sea, in the Bis system: lengths by L, times by √(L/g), masses by m. `mooring` (3, 3) [N/m, N,
-    N m].
+    The dimensionless matrices were identified at sea, in the Bis system: lengths are scaled by L, times by √(L/g),
+    masses by m.
+
+    Args:
+        length: Length L [m].
+        mass: Mass m [kg].
+        gravity: Gravity g [m/s²].
+        inertia: Dimensionless inertia matrix (3, 3).
+        damping: Dimensionless damping matrix (3, 3).
+        mooring: Stiffness (3, 3) of a mooring [N/m, N, N m], as for `surface_ship`; none by default.
+
+    Returns:
+        The craft.
+
+    Example:
+        >>> from covariant import models
+        >>> vessel = models.marine.supply_vessel(mass=6000e3)
+        >>> round(vessel.mass[0, 0].item() / 6000e3, 4)  # added mass in surge included
+        1.1274
     """
     stretch = np.diag([1.0, 1.0, length])
     m = mass * stretch @ np.asarray(inertia, float) @ stretch
@@ -96,13 +125,28 @@ def cybership(
     """CyberShip II, a supply ship at 1:70, 1.255 m long, with its identified nonlinear drag and Coriolis force.
 
     The drag was fitted to towed motions; where the ship turns and drifts at once it does not take energy from every
-    motion.
+    motion. All hydrodynamic derivatives are opposite in sign to the usual ones.
 
-    - `mass` [kg]; `inertia` [kg m²] about the vertical axis; `centre`, that of gravity forward of the origin [m].
-    - `added_mass` (X_u̇, Y_v̇, Y_ṙ, N_v̇, N_ṙ), `surge_drag` (X_u, X_|u|u, X_uuu), `sway_drag` (Y_v, Y_|v|v, Y_|r|v,
-      Y_r, Y_|v|r, Y_|r|r) and `yaw_drag` (likewise): hydrodynamic derivatives, all opposite in sign to the usual ones.
+    Args:
+        mass: Mass [kg].
+        inertia: Inertia about the vertical axis [kg m²].
+        centre: Distance of the centre of gravity forward of the origin [m].
+        added_mass: Derivatives X_u̇, Y_v̇, Y_ṙ, N_v̇, N_ṙ [kg, kg m, kg m²].
+        surge_drag: Derivatives X_u, X_|u|u, X_uuu [N s/m, N s²/m², N s³/m³].
+        sway_drag: Derivatives Y_v, Y_|v|v, Y_|r|v, Y_r, Y_|v|r, Y_|r|r [N s/m, N s²/m² and with angles].
+        yaw_drag: Derivatives N_v, N_|v|v, N_|r|v, N_r, N_|v|r, N_|r|r [N m s, N m s² and with lengths].
+
+    Returns:
+        The craft.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import models
+        >>> models.marine.cybership(surge_drag=(1.0, 2.0, 3.0)).damping(jnp.array([2.0, 0.0, 0.0]))[0, 0].item()
+        17.0
     """
     x_u, y_v, y_r, n_v, n_r = added_mass
+    # The identified Y_ṙ and N_v̇ differ; their mean makes the inertia symmetric, as a kinetic energy needs.
     across = mass * centre + (y_r + n_v) / 2
     m = np.array([[mass + x_u, 0.0, 0.0], [0.0, mass + y_v, across], [0.0, across, inertia + n_r]])
     return surface_ship(

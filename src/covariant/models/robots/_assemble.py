@@ -1,4 +1,4 @@
-"""A mechanical system from the description of a robot: links that do not move apart become one body."""
+"""Mechanical systems from descriptions of robots: links that do not move apart become one body."""
 
 import contextlib
 from collections.abc import Mapping, Sequence
@@ -51,9 +51,28 @@ def assemble(
     actuated: Sequence[str] | None = None,
     payload: Mapping[str, Any] | None = None,
 ) -> MechanicalSystem:
-    """The mechanical system of a robot; see `load`."""
+    """Build the mechanical system of a described robot; see `load`.
+
+    Args:
+        robot: Description of the robot.
+        floating: Whether the root link moves freely.
+        lock: Joints that stand still, with their position [rad or m].
+        actuated: Names of the joints with an input, in the order of the joints; all, or the file's motors, by default.
+        payload: Point masses, `{link: (mass, x, y, z)}` [kg, m in the frame of the link].
+
+    Returns:
+        The system, with its configuration space as a `RobotSpace`.
+
+    Raises:
+        ValueError: A name does not exist, no joint moves, or a joint moves no mass.
+
+    Example:
+        >>> from covariant.models import robots
+        >>> robots.assemble(robots.read("double_pendulum"), lock={"elbow": 0.0}).coordinates
+        ('shoulder',)
+    """
     loads = _checked_payload(payload or {})
-    # The inertia is looked at, also inside a compiled function; outside of one, shapes are found without numbers.
+    # `_check_inertia` needs the numbers of the inertia, also inside a compiled function.
     traced = not known(jnp.zeros(()))
     with jax.ensure_compile_time_eval() if traced and known(loads) else contextlib.nullcontext():
         return _assemble(robot, floating, dict(lock or {}), actuated, loads)
@@ -73,11 +92,11 @@ def _assemble(
     locked = _with_followers(robot, locked)
     robot, free_base = _on_its_base(robot, locked)
     floating = floating or free_base
-    axes, bodies, base, at = _bodies(robot, locked)
+    axes, bodies, base, frames = _bodies(robot, locked)
     for link, (mass, place) in loads.items():
-        if link not in at:
-            raise ValueError(f"payload: there is no link {link!r}; there are {', '.join(at)}")
-        body, rotation, origin = at[link]
+        if link not in frames:
+            raise ValueError(f"payload: there is no link {link!r}; there are {', '.join(frames)}")
+        body, rotation, origin = frames[link]
         if body < 0:
             base = base.with_mass(mass, rotation @ place + origin)
         else:
@@ -110,17 +129,18 @@ def _assemble(
         jnp.asarray(base.second, float),
         jnp.asarray(coordinates),
         jnp.asarray(offset),
+        # Each joint depends on one coordinate, so that the inertia of the rotors is diagonal: ratio² times each.
         jnp.asarray(coordinates.T**2 @ np.array([axis.joint.armature for axis in axes])),
         tuple(in_balls[::3]),
     )
     of_joints = Coordinates(tuple(k for k, i in enumerate(free) if axes[i].circle), len(free))
     manifold = _product(floating, len(tree.balls), of_joints)
-    where = list(at.values())
+    placements = list(frames.values())
     links = Links(
-        tuple(at),
-        tuple(body for body, _, _ in where),
-        jnp.asarray(np.array([rotation for _, rotation, _ in where])),
-        jnp.asarray(np.array([place for _, _, place in where])),
+        tuple(frames),
+        tuple(body for body, _, _ in placements),
+        jnp.asarray(np.array([rotation for _, rotation, _ in placements])),
+        jnp.asarray(np.array([place for _, _, place in placements])),
     )
     space = RobotSpace(tree, links, manifold=manifold, floating=floating)
     inputs = _inputs(robot, axes, coordinates, in_balls + free, motors, actuated)
@@ -128,7 +148,7 @@ def _assemble(
     spins = tuple(f"w{k + 1}_{axes[i].joint.name}" for i in tree.balls for k in range(3))
     velocities = (*TWIST * floating, *spins, *(f"rate_{names[i]}" for i in free))
     velocity_units = (*TWIST_UNITS * floating, *("rad/s" for _ in spins), *(f"{unit}/s" for unit in units))
-    made = MechanicalSystem(
+    model = MechanicalSystem(
         space,
         potential=Potential(
             space,
@@ -152,8 +172,8 @@ def _assemble(
         inputs=inputs.shape[1],
     )
     if known(loads):
-        _check_inertia(made, [axes[i].joint.name for i in in_balls + free])
-    return made
+        _check_inertia(model, [axes[i].joint.name for i in in_balls + free])
+    return model
 
 
 def _product(floating: bool, balls: int, joints: Coordinates) -> AbstractManifold:
@@ -165,14 +185,12 @@ def _product(floating: bool, balls: int, joints: Coordinates) -> AbstractManifol
 def _checked_payload(payload: Mapping[str, Any]) -> dict[str, Any]:
     """Mass and place (3,) of the load on each link."""
     loads = {}
-    for link, given in payload.items():
-        if len(given) != 4:
-            raise ValueError(f"payload of {link!r}: give mass, x, y, z; got {len(given)} numbers")
-        numbers = namespace(list(given)).asarray(given)
+    for link, load in payload.items():
+        if len(load) != 4:
+            raise ValueError(f"payload of {link!r}: give mass, x, y, z; got {len(load)} numbers")
+        numbers = namespace(list(load)).asarray(load)
         if known(numbers) and not (np.isfinite(numbers).all() and numbers[0] >= 0):
-            raise ValueError(
-                f"payload of {link!r}: the mass must not be negative, and all be finite; got {list(given)}"
-            )
+            raise ValueError(f"payload of {link!r}: the mass must not be negative, and all be finite; got {list(load)}")
         loads[link] = numbers[0], numbers[1:]
     return loads
 
@@ -199,15 +217,15 @@ def _on_its_base(robot: Description, locked: dict[str, float]) -> tuple[Descript
 
 def _with_motors(joint: Joint, motors: Sequence[Motor]) -> Joint:
     """The joint with the springs and dampers of the servos that drive it."""
-    mine = [motor for motor in motors if motor.joint == joint.name]
-    stiffness = joint.stiffness + sum(motor.stiffness for motor in mine)
-    torque = joint.stiffness * joint.rest + sum(motor.constant for motor in mine)
+    drives = [motor for motor in motors if motor.joint == joint.name]
+    stiffness = joint.stiffness + sum(motor.stiffness for motor in drives)
+    torque = joint.stiffness * joint.rest + sum(motor.constant for motor in drives)
     if torque and not stiffness:
         raise ValueError(f"joint {joint.name!r}: a motor with a constant bias is not supported; add it to the input")
     return joint._replace(
         stiffness=stiffness,
         rest=torque / stiffness if stiffness else 0.0,
-        damping=joint.damping + sum(motor.damping for motor in mine),
+        damping=joint.damping + sum(motor.damping for motor in drives),
     )
 
 
@@ -222,6 +240,7 @@ def _inputs(
     """Generalised force (n, m) of each input."""
     if not motors:
         driven = [i for i in free if actuated is None or axes[i].joint.name in actuated]
+        # By virtual work the transpose of coordinates ↦ joint positions takes torques to generalised forces.
         return coordinates[driven].T * ([_reduction(axes[i].joint) for i in driven] if robot.motor_torques else 1.0)
     columns = []
     for motor in motors:
@@ -238,9 +257,9 @@ def _inputs(
 
 def _reduction(joint: Joint) -> float:
     if len(joint.reductions) != 1:
-        found = f"{len(joint.reductions)} transmissions with a reduction" if joint.reductions else "no reduction"
+        stated = f"{len(joint.reductions)} transmissions with a reduction" if joint.reductions else "no reduction"
         raise ValueError(
-            f"motor_torques: joint {joint.name!r} has {found}; give it one <transmission> with a "
+            f"motor_torques: joint {joint.name!r} has {stated}; give it one <transmission> with a "
             "<mechanicalReduction>, 1 where the motor turns as the joint does, or leave the joint out by actuated=[...]"
         )
     return joint.reductions[0]
@@ -264,14 +283,14 @@ def _with_followers(robot: Description, locked: dict[str, float]) -> dict[str, f
 def _bodies(
     robot: Description, locked: dict[str, float]
 ) -> tuple[list[_Axis], list[BodyInertia], BodyInertia, dict[str, Any]]:
-    """The axes, the body that each moves, and the base, with fixed and locked links made part of what carries them.
+    """The axes, the body behind each, the base, and the frame of each link in its body.
 
-    And of each link its body, with rotation and place of the link's frame in that of the body.
+    Fixed and locked links become part of the body that carries them.
     """
     axes: list[_Axis] = []
     bodies: list[BodyInertia] = []
     base = robot.links[robot.root]
-    at = {robot.root: (-1, np.eye(3), np.zeros(3))}  # body of each link, and where the link's frame is in it
+    frames = {robot.root: (-1, np.eye(3), np.zeros(3))}  # body of each link, and where the link's frame is in it
 
     def add(body: int, inertia: BodyInertia) -> None:
         nonlocal base
@@ -281,12 +300,12 @@ def _bodies(
             bodies[body] = bodies[body].joined(inertia)
 
     for joint in robot.joints:
-        body, turned, shifted = at[joint.parent]
+        body, turned, shifted = frames[joint.parent]
         rotation, place = turned @ joint.rotation, shifted + turned @ joint.place
         if joint.name in locked:
-            inner, along = _locked(joint, locked[joint.name])
-            rotation, place = rotation @ inner, place + rotation @ along
-            at[joint.child] = body, rotation, place
+            inner, shift = _locked(joint, locked[joint.name])
+            rotation, place = rotation @ inner, place + rotation @ shift
+            frames[joint.child] = body, rotation, place
             add(body, robot.links[joint.child].moved(rotation, place))
             continue
         # Where the frame of the link is that of its carrier but for quarter turns, that of the body makes none: they
@@ -298,37 +317,37 @@ def _bodies(
             bodies.append(NO_INERTIA)
             body, rotation, place = len(bodies) - 1, turned, np.zeros(3)
         bodies[body] = robot.links[joint.child].moved(turned, place)
-        at[joint.child] = body, turned, place
-    return axes, bodies, base, at
+        frames[joint.child] = body, turned, place
+    return axes, bodies, base, frames
 
 
 def _regrouped(
     axes: list[_Axis], bodies: list[BodyInertia], base: BodyInertia
 ) -> tuple[list[BodyInertia], BodyInertia]:
-    """The same mechanics with fewer numbers: what a joint does not move differently is made part of what carries it.
+    """Regroup the inertial parameters: what a joint does not move differently becomes part of what carries the joint.
 
     A mass on the axis of a turning joint moves with the carrier, and a sliding joint turns its body as the carrier. So
-    bodies keep no mass, no first and no second moment along an axis that they turn about, no second moment where they
+    bodies have no mass, no first and no second moment along an axis that they turn about, no second moment where they
     slide, and behind a ball joint no mass, since its centre moves with the carrier. Source: Khalil & Dombre 2002,
     Modeling, Identification and Control of Robots, section 9.4.
     """
-    kept, carried = list(bodies), [*bodies, base]
-    for i in reversed(range(len(axes))):
+    regrouped, carried = list(bodies), [*bodies, base]  # the base is last: index −1 is its number as a parent
+    for i in reversed(range(len(axes))):  # leaves first: a body passes on what it received
         turn, body = axes[i].turn, carried[i]
         if axes[i].ball:
             moved = BodyInertia(body.mass, np.zeros(3), np.zeros((3, 3)))
         elif turn.any():
-            along = np.outer(turn, turn)
-            moved = BodyInertia(body.mass, along @ body.first, along @ body.second @ along)
+            projection = np.outer(turn, turn)
+            moved = BodyInertia(body.mass, projection @ body.first, projection @ body.second @ projection)
         else:
             moved = BodyInertia(0.0, np.zeros(3), body.second)
-        kept[i] = BodyInertia(body.mass - moved.mass, body.first - moved.first, body.second - moved.second)
+        regrouped[i] = BodyInertia(body.mass - moved.mass, body.first - moved.first, body.second - moved.second)
         carried[axes[i].parent] = carried[axes[i].parent].joined(moved.moved(axes[i].rotation, axes[i].place))
-    return kept, carried[-1]
+    return regrouped, carried[-1]
 
 
 def _motions(joint: Joint) -> list[tuple[str, np.ndarray, np.ndarray, bool]]:
-    """Name, turning axis, sliding axis of each motion of a joint, and whether it goes round a full circle."""
+    """Name, turning axis, sliding axis of each motion of a joint, and whether it is an angle on a full circle."""
     none = np.zeros(3)
     if joint.kind == "prismatic":
         return [(joint.name, none, joint.axis, False)]
@@ -348,7 +367,7 @@ def _motions(joint: Joint) -> list[tuple[str, np.ndarray, np.ndarray, bool]]:
 
 
 def _locked(joint: Joint, value: float) -> tuple[np.ndarray, np.ndarray]:
-    """Rotation and place of a joint that stands at a value."""
+    """Rotation and place of a locked joint."""
     if not np.isfinite(value):
         raise ValueError(f"joint {joint.name!r}: it must be locked at a finite number; got {value}")
     if joint.kind == "prismatic":
@@ -365,18 +384,18 @@ def _follow(axes: list[_Axis], names: list[str], free: list[int]) -> tuple[np.nd
     matrix, offset = np.zeros((len(axes), len(free))), np.zeros(len(axes))
     for column, i in enumerate(free):
         matrix[i, column] = 1.0
-    waiting = [i for i in range(len(axes)) if i not in free]
+    pending = [i for i in range(len(axes)) if i not in free]
     done = set(free)
-    while waiting:
-        ready = [i for i in waiting if _leader(axes[i], names) in done]
+    while pending:
+        ready = [i for i in pending if _leader(axes[i], names) in done]
         if not ready:
-            raise ValueError(f"joint {axes[waiting[0]].name!r} follows itself")
+            raise ValueError(f"joint {axes[pending[0]].name!r} follows itself")
         for i in ready:
             follows, leader = axes[i].joint.follows, _leader(axes[i], names)
             assert follows is not None
             matrix[i], offset[i] = follows.ratio * matrix[leader], follows.ratio * offset[leader] + follows.offset
         done |= set(ready)
-        waiting = [i for i in waiting if i not in ready]
+        pending = [i for i in pending if i not in ready]
     return matrix, offset
 
 
@@ -393,12 +412,13 @@ def _matrix(space: AbstractSpace, x: Array) -> Array:
 
 
 def _check_inertia(model: MechanicalSystem, names: list[str]) -> None:
-    """Raise `ValueError` where a velocity has no kinetic energy; `names` are those of the joints of its last ones."""
+    """Raise `ValueError` where a velocity has no kinetic energy; `names` are the joints of its last components."""
     x = model.manifold.origin()
     values, vectors = np.linalg.eigh(np.asarray(_matrix(model.space, x)))
     if values[0] <= SMALLEST_INERTIA * values[-1]:
-        part = np.abs(vectors[:, 0])[-len(names) :]
-        worst = names[int(np.argmax(part))] if names else "of the base"
+        participation = np.abs(vectors[:, 0])[-len(names) :]
+        # The velocity without energy is the eigenvector of the smallest eigenvalue: its largest entry names the joint.
+        worst = names[int(np.argmax(participation))] if names else "of the base"
         raise ValueError(
             f"joint {worst!r} moves no mass: the inertia matrix has the eigenvalue {values[0]:.2g} beside "
             f"{values[-1]:.2g}; give the links beyond it an <inertial>, or lock it"

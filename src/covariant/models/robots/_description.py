@@ -1,17 +1,32 @@
-"""What a file says of a robot: its links, its joints and the forces in them, whatever the format."""
+"""Descriptions of robots, whatever the format of the file: links, joints and the forces in them."""
 
 from typing import Any, NamedTuple
 
 import numpy as np
 
 MOST_TURNS = 4
-"""Limits of a joint beyond so many turns are taken for degrees."""
+"""Number of turns beyond which the limits of a joint are suspected to be degrees."""
 SMALLEST_ENTRY = 1e-10
 """Entries of rotations below this are zero: quarter turns in files are rounded, and zeros cost nothing."""
 
 
 class BodyInertia(NamedTuple):
-    """Mass [kg], and first [kg m] and second [kg m²] moments `∫ρ r`, `∫ρ r rᵀ` about the origin of a frame."""
+    """Mass and moments of a rigid body about the origin of a frame.
+
+    Attributes:
+        mass: Mass [kg].
+        first: First moment `∫ρ r` (3,) [kg m].
+        second: Second moment `∫ρ r rᵀ` (3, 3) [kg m²].
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.models import robots
+        >>> rod = robots.BodyInertia.of(2.0, np.array([0.5, 0.0, 0.0]), np.diag([0.0, 0.1, 0.1]))
+        >>> rod.first.tolist()
+        [1.0, 0.0, 0.0]
+        >>> rod.joined(rod).mass
+        4.0
+    """
 
     mass: float
     first: np.ndarray
@@ -19,29 +34,62 @@ class BodyInertia(NamedTuple):
 
     @classmethod
     def of(cls, mass: float, centre: np.ndarray, about_centre: np.ndarray) -> "BodyInertia":
-        """From the centre of mass and the inertia tensor (3, 3) about it, in the axes of the frame."""
+        """Inertia of a body from its centre of mass.
+
+        Args:
+            mass: Mass [kg].
+            centre: Centre of mass (3,) [m].
+            about_centre: Inertia tensor (3, 3) about the centre of mass [kg m²], in the axes of the frame.
+
+        Returns:
+            The inertia about the origin of the frame.
+        """
         central = np.trace(about_centre) / 2 * np.eye(3) - about_centre
         return cls(mass, mass * centre, central + mass * np.outer(centre, centre))
 
     def moved(self, rotation: np.ndarray, place: np.ndarray) -> "BodyInertia":
-        """The same body in a frame in which its own frame has this rotation and place."""
+        """Transform the inertia to another frame.
+
+        Args:
+            rotation: Rotation (3, 3) of the present frame in the other one.
+            place: Origin (3,) of the present frame in the other one [m].
+
+        Returns:
+            The inertia of the same body about the origin of the other frame.
+        """
         first = rotation @ self.first
+        # Moments of r' = R r + p; their sum over the body gives the terms of the parallel axis theorem.
         aside = first[:, None] * place[None, :]
         second = rotation @ self.second @ rotation.T + aside + aside.T + self.mass * np.outer(place, place)
         return BodyInertia(self.mass, first + self.mass * place, second)
 
     def joined(self, other: "BodyInertia") -> "BodyInertia":
-        """Of both bodies as one, in the same frame."""
+        """Combine two bodies to one.
+
+        Args:
+            other: Inertia of the other body in the same frame.
+
+        Returns:
+            The inertia of both.
+        """
         return BodyInertia(self.mass + other.mass, self.first + other.first, self.second + other.second)
 
     @property
     def about_centre(self) -> np.ndarray:
-        """The inertia tensor (3, 3) about the centre of mass; that of no mass is zero."""
+        """Inertia tensor (3, 3) about the centre of mass [kg m²]."""
         central = self.second - np.outer(self.first, self.first) / self.mass if self.mass > 0 else self.second
         return np.trace(central) * np.eye(3) - central
 
     def with_mass(self, mass: Any, at: Any) -> "BodyInertia":
-        """With a point mass [kg] at a place (3,) in addition."""
+        """Add a point mass.
+
+        Args:
+            mass: Mass [kg].
+            at: Its place (3,) [m].
+
+        Returns:
+            The inertia of both.
+        """
         return BodyInertia(self.mass + mass, self.first + mass * at, self.second + mass * at[:, None] * at[None, :])
 
 
@@ -49,7 +97,18 @@ NO_INERTIA = BodyInertia(0.0, np.zeros(3), np.zeros((3, 3)))
 
 
 class Follows(NamedTuple):
-    """A joint that follows another one: `θ = ratio θ_other + offset`; without a name of another, it stands still."""
+    """A constraint by which a joint follows another one: `θ = ratio θ_other + offset`.
+
+    Attributes:
+        joint: Name of the other joint; empty for a joint that stands still at the offset.
+        ratio: Change of the joint for one of the other.
+        offset: Position of the joint [rad or m] where the other is at 0.
+
+    Example:
+        >>> from covariant.models import robots
+        >>> robots.Follows("left_finger", ratio=-1.0, offset=0.0).joint
+        'left_finger'
+    """
 
     joint: str
     ratio: float
@@ -59,14 +118,33 @@ class Follows(NamedTuple):
 class Joint(NamedTuple):
     """A joint between two links.
 
-    - `kind`: "revolute", "continuous" (a full circle), "prismatic", "planar" (in the plane normal to the axis),
-      "ball", "floating" or "fixed". A floating joint carries the base of the robot; its frame is that of the parent.
-    - `rotation` (3, 3), `place` (3,): of the frame of the child, which is that of the joint, in that of the parent,
-      where the joint is at 0. `axis` (3,): in that frame, of unit length.
-    - `damping` [N m s/rad or N s/m], `friction` [N m or N], `armature` [kg m² or kg], `stiffness` [N m/rad or N/m] of a
-      spring that rests at `rest` [rad or m].
-    - `reductions`: turns of each motor for one of the joint, or for 1 m, where they matter.
-    - `lower`, `upper` [rad or m], `velocity` [rad/s or m/s], `effort` [N m or N]: limits, infinite where none is given.
+    Attributes:
+        name: Name of the joint.
+        kind: "revolute", "continuous" (a full circle), "prismatic", "planar" (in the plane normal to the axis), "ball",
+            "floating" or "fixed". A floating joint carries the base of the robot; its frame is that of the parent.
+        parent: Name of the link that carries it.
+        child: Name of the link that it carries.
+        rotation: Rotation (3, 3) of the frame of the child, which is that of the joint, in that of the parent, where
+            the joint is at 0.
+        place: Origin (3,) of the frame of the child in that of the parent [m], where the joint is at 0.
+        axis: Axis (3,) in the frame of the joint, of unit length.
+        damping: Viscous friction [N m s/rad or N s/m].
+        friction: Coulomb friction [N m or N].
+        armature: Inertia of the rotor as felt at the joint [kg m² or kg].
+        stiffness: Stiffness of a spring [N m/rad or N/m].
+        rest: Position at which the spring rests [rad or m].
+        lower: Lower limit [rad or m]; −inf without one.
+        upper: Upper limit [rad or m]; inf without one.
+        velocity: Limit of the speed [rad/s or m/s]; inf without one.
+        effort: Limit of the torque or force [N m or N]; inf without one.
+        follows: Constraint by which it follows another joint; None without one.
+        reductions: Turns of each motor for one of the joint, or for 1 m, where they matter.
+
+    Example:
+        >>> from covariant.models import robots
+        >>> shoulder, elbow = robots.read("double_pendulum").joints
+        >>> elbow.kind, elbow.parent, elbow.damping
+        ('continuous', 'upper', 0.006)
     """
 
     name: str
@@ -92,9 +170,22 @@ class Joint(NamedTuple):
 class Motor(NamedTuple):
     """A motor of a joint: `gain u − stiffness θ − damping θ' + constant` [N m or N], the input being u.
 
-    - `name`: of the motor; `joint`: of the joint that it drives; `direction`: of its torque among the axes of that,
-      for a ball joint a vector in the frame of the child.
-    - `unsupported`: why it cannot be an input here, empty where it can.
+    Attributes:
+        name: Name of the motor.
+        joint: Name of the joint that it drives.
+        gain: Torque or force for u = 1 [N m or N].
+        stiffness: Stiffness of a servo [N m/rad or N/m].
+        damping: Damping of a servo [N m s/rad or N s/m].
+        constant: Constant torque or force [N m or N].
+        unsupported: Reason why it cannot be an input here, empty where it can.
+        direction: Direction of its torque among the axes of the joint; for a ball joint a vector (3,) in the frame of
+            the child.
+
+    Example:
+        >>> from covariant.models import robots
+        >>> servo = robots.Motor("servo", "elbow", gain=5.0, stiffness=5.0, damping=0.1, constant=0.0, unsupported="")
+        >>> servo.direction
+        (1.0,)
     """
 
     name: str
@@ -110,13 +201,23 @@ class Motor(NamedTuple):
 class Description(NamedTuple):
     """A robot as a file describes it.
 
-    - `links`: the inertia of each link, in its own frame, by name; `joints`, each after the one that carries it.
-    - `root`: the link that nothing carries.
-    - `gravity` (3,) [m/s²], in the frame of the world.
-    - `used`, `ignored`: how often each kind of entry of the file was used, or has no meaning here.
-    - `doubts`: sentences on what looks wrong in the file but does not keep it from being used.
-    - `motors`: those that the file names; where there are none, every joint has an input.
-    - `motor_torques`: the inputs are torques of the motors, before the reductions of their joints.
+    Attributes:
+        name: Name of the robot.
+        links: Inertia of each link, in its own frame, by name.
+        joints: The joints, each after the one that carries it.
+        root: Name of the link that no joint carries.
+        gravity: Gravity (3,) in the frame of the world [m/s²].
+        used: Number of entries of the file that were used, by kind.
+        ignored: Number of entries of the file that have no meaning here, by kind.
+        doubts: Sentences on what looks wrong in the file but does not prevent its use.
+        motors: Motors that the file names; where there are none, every joint has an input.
+        motor_torques: Whether the inputs are torques of the motors, before the reductions of their joints.
+
+    Example:
+        >>> from covariant.models import robots
+        >>> robot = robots.read("double_pendulum")
+        >>> robot.root, list(robot.links)
+        ('base', ['base', 'upper', 'lower'])
     """
 
     name: str
@@ -132,21 +233,43 @@ class Description(NamedTuple):
 
 
 def exact(rotation: np.ndarray) -> np.ndarray:
-    """A rotation without entries that are zero but for rounding."""
+    """Round the entries of a rotation that are zero but for rounding.
+
+    Args:
+        rotation: Rotation (3, 3) or axis (3,).
+
+    Returns:
+        The same, with entries below `SMALLEST_ENTRY` set to 0.
+    """
     return np.where(np.abs(rotation) < SMALLEST_ENTRY, 0.0, rotation)
 
 
 def turn_about(axis: np.ndarray, angle: float) -> np.ndarray:
-    """The rotation (3, 3) about a unit axis by an angle [rad]."""
-    along = np.outer(axis, axis)
+    """Rotation about an axis (Rodrigues' formula).
+
+    Args:
+        axis: Axis (3,) of unit length.
+        angle: Angle [rad].
+
+    Returns:
+        Rotation (3, 3).
+    """
+    projection = np.outer(axis, axis)
     hat = np.cross(axis, np.eye(3)).T
-    return along + np.cos(angle) * (np.eye(3) - along) + np.sin(angle) * hat
+    return projection + np.cos(angle) * (np.eye(3) - projection) + np.sin(angle) * hat
 
 
 def limits_in_doubt(joint: Joint) -> list[str]:
-    """A sentence where the limits of a turning joint look like degrees."""
-    farthest = max(abs(limit) for limit in (joint.lower, joint.upper))
-    if joint.kind != "revolute" or not MOST_TURNS * 2 * np.pi < farthest < np.inf:
+    """Check whether the limits of a turning joint look like degrees.
+
+    Args:
+        joint: The joint.
+
+    Returns:
+        A sentence where they do, otherwise none.
+    """
+    largest = max(abs(limit) for limit in (joint.lower, joint.upper))
+    if joint.kind != "revolute" or not MOST_TURNS * 2 * np.pi < largest < np.inf:
         return []
     return [
         f"joint {joint.name!r}: its limits are {joint.lower:g} and {joint.upper:g} rad, more than {MOST_TURNS} turns; "
@@ -155,9 +278,17 @@ def limits_in_doubt(joint: Joint) -> list[str]:
 
 
 def in_order(links: dict[str, BodyInertia], joints: list[Joint]) -> tuple[str, tuple[Joint, ...]]:
-    """The root, and the joints with each after the one that carries it, otherwise as they are given.
+    """Order joints along the tree.
 
-    Raises `ValueError` where the links are no tree.
+    Args:
+        links: Links by name.
+        joints: Joints in any order.
+
+    Returns:
+        The root, and the joints with each after the one that carries it, otherwise in their order.
+
+    Raises:
+        ValueError: The links are no tree.
     """
     carrier: dict[str, Joint] = {}
     for joint in joints:
@@ -180,26 +311,38 @@ def in_order(links: dict[str, BodyInertia], joints: list[Joint]) -> tuple[str, t
     ordered: list[Joint] = []
     stack = [roots[0]]
     while stack:
-        at = stack.pop()
-        below = [joint for joint in joints if joint.parent == at]
+        link = stack.pop()
+        below = [joint for joint in joints if joint.parent == link]
         # Depth first, in the order of the file.
-        if carrier.get(at) is not None:
-            ordered.append(carrier[at])
+        if carrier.get(link) is not None:
+            ordered.append(carrier[link])
         stack += [joint.child for joint in reversed(below)]
     if len(ordered) < len(joints):
-        left = sorted({joint.name for joint in joints} - {joint.name for joint in ordered})
-        raise ValueError(f"the joints {', '.join(left)} form a cycle")
+        remaining = sorted({joint.name for joint in joints} - {joint.name for joint in ordered})
+        raise ValueError(f"the joints {', '.join(remaining)} form a cycle")
     return roots[0], tuple(ordered)
 
 
 def doubts_on(name: str, inertia: BodyInertia) -> list[str]:
-    """Sentences on an inertia that no rigid body has. Raises `ValueError` where it is not even an inertia."""
+    """Check an inertia.
+
+    Args:
+        name: Name of the link, for the messages.
+        inertia: Its inertia.
+
+    Returns:
+        A sentence where no rigid body has such principal moments, otherwise none.
+
+    Raises:
+        ValueError: A number is not finite, or the mass or a principal moment is negative.
+    """
     numbers = np.concatenate([[inertia.mass], inertia.first, inertia.second.ravel()])
     if not np.isfinite(numbers).all():
         raise ValueError(f"link {name!r}: mass, centre of mass and inertia must be finite numbers")
     if inertia.mass < 0:
         raise ValueError(f"link {name!r}: the mass must not be negative; got {inertia.mass:g} kg")
     moments = np.linalg.eigvalsh(inertia.about_centre)
+    # Tolerances are relative to the size of the entries; the floor is for a body without mass.
     size = max(np.abs(moments).max(), np.abs(inertia.second).max(), 1e-12)
     if moments[0] < -1e-9 * size:
         raise ValueError(
@@ -207,6 +350,7 @@ def doubts_on(name: str, inertia: BodyInertia) -> list[str]:
             + ", ".join(f"{m:.3g}" for m in moments)
             + " kg m²"
         )
+    # The triangle inequality of principal moments, with a tolerance for the few digits in files.
     if moments[2] > (moments[0] + moments[1]) * (1 + 1e-6) + 1e-9 * size:
         return [
             f"link {name!r}: no rigid body has the principal moments of inertia "

@@ -16,8 +16,19 @@ COULOMB_STEEPNESS = 100.0
 class Potential(Functional):
     """Potential energy `q -> ()` [J] of the weight and of the springs of the joints.
 
-    - `gravity` (3,) [m/s²]; `stiffness` (k,) [N m/rad or N/m] and `rest` (k,) [rad or m] of the springs.
-    - `sprung`: which ball joints have a spring; it turns them back the short way, and rests at the identity.
+    Attributes:
+        space: Configuration space of the robot.
+        gravity: Gravity (3,) in the frame of the world [m/s²].
+        stiffness: Stiffness of the springs (k,) [N m/rad or N/m].
+        rest: Positions at which the springs rest (k,) [rad or m].
+        sprung: Indices of the ball joints with a spring; it turns them back the short way, and rests at the identity.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant.models import robots
+        >>> hanging = robots.load("double_pendulum").potential
+        >>> bool(hanging(jnp.zeros(2)) < hanging(jnp.array([0.5, 0.0])))
+        True
     """
 
     space: RobotSpace
@@ -32,10 +43,23 @@ class Potential(Functional):
         for ball in self.sprung:
             first = self.space.tree.balls[ball]
             stretched = stretched.at[first : first + 3].set(SO3.log(self.space.ball_rotations(q)[ball]))
+        # The energy of the weight is −g · ∫ρ r.
         return jnp.sum(stiffness * stretched**2) / 2 - gravity @ self.space.first_moment(q, self.space.joints(q))
 
 
 def force(t, q, u, motors: Float[Array, "n m"], base: Float[Array, "b"]):
+    """Generalised force of the motors.
+
+    Args:
+        t: Time [s]; not used.
+        q: Configuration; not used.
+        u: Input (m,).
+        motors: Generalised force (n, m) of each input.
+        base: Zeros (b,) for the components of a floating base, b = 6 or 0.
+
+    Returns:
+        Covector (b + n,).
+    """
     return jnp.concatenate([base, motors @ u])
 
 
@@ -47,6 +71,20 @@ def resistance(
     friction: Float[Array, "k"],
     base: Float[Array, "b"],
 ):
+    """Generalised force of the friction in the joints.
+
+    Args:
+        q: Configuration; not used.
+        v: Velocity (b + n,).
+        coordinates: Rates of the k joints for those of the velocity (k, n).
+        damping: Viscous friction (k,) [N m s/rad or N s/m].
+        friction: Coulomb friction (k,) [N m or N], smoothed as `(2/π) atan(100 v)`.
+        base: Zeros (b,) for the components of a floating base, b = 6 or 0.
+
+    Returns:
+        Covector (b + n,).
+    """
     rates = coordinates @ v[base.shape[0] :]
     torque = damping * rates + friction * (2 / jnp.pi) * jnp.arctan(COULOMB_STEEPNESS * rates)
+    # coordinatesᵀ by virtual work: the power is −torque · rates ≤ 0.
     return jnp.concatenate([base, -coordinates.T @ torque])

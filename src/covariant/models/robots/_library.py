@@ -1,4 +1,4 @@
-"""The robots that come with the library, each a URDF file without shapes that says where its numbers are from."""
+"""The robots that come with the library, each a URDF file without shapes that states the source of its numbers."""
 
 from pathlib import Path
 
@@ -8,5 +8,17 @@ ROBOTS = tuple(sorted(path.stem for path in FOLDER.glob("*.urdf")))
 
 
 def located(path: str | Path) -> Path:
-    """The path of a robot's file; a bare name of `ROBOTS` stands for the file of that robot."""
+    """Path of a robot's file.
+
+    Args:
+        path: A path, or a name of `ROBOTS`, which stands for the file of that robot.
+
+    Returns:
+        The path.
+
+    Example:
+        >>> from covariant import models
+        >>> models.robots.located("panda").name
+        'panda.urdf'
+    """
     return FOLDER / f"{path}.urdf" if str(path) in ROBOTS else Path(path)

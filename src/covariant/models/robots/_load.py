@@ -1,4 +1,4 @@
-"""Reading a robot's file, whatever its format."""
+"""Robots from files, whatever their format."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -14,12 +14,24 @@ from covariant.models.robots._xml import parse
 
 
 def read(path: str | Path, *, motor_torques: bool = False) -> Description:
-    """What a URDF or MJCF file says of a robot, or the file of one of `ROBOTS` by its name.
+    """Read the description of a robot from a URDF or MJCF file.
 
-    With `motor_torques` the reductions of a URDF file's transmissions are read too.
+    Args:
+        path: Path of the file, or the name of one of `ROBOTS`.
+        motor_torques: Whether to read the reductions of a URDF file's transmissions too.
 
-    Raises `ValueError`, one line with the path, for what is wrong in it, and `ImportError` for an MJCF file where
-    MuJoCo is not installed.
+    Returns:
+        Links, joints and motors of the robot.
+
+    Raises:
+        ValueError: One line with the path, for what is wrong in the file.
+        ImportError: The file is MJCF and MuJoCo is not installed.
+
+    Example:
+        >>> from covariant import models
+        >>> robot = models.robots.read("double_pendulum")
+        >>> [joint.kind for joint in robot.joints].count("continuous")
+        2
     """
     try:
         return _read(located(path), motor_torques)
@@ -54,28 +66,40 @@ def load(
     dry_friction: bool = True,
     motor_torques: bool = False,
 ) -> MechanicalSystem:
-    """The mechanical system of a robot, from its URDF or MJCF file, or of one of `ROBOTS` by its name.
+    """Load the mechanical system of a robot from its URDF or MJCF file.
 
     Coordinates are the joints that are not fixed, locked or following another one, by their names [rad or m]; those
-    without limits are full circles. Inputs are the torques [N m] or forces [N] at them, or what goes into the motors of
-    the joints where an MJCF file names some.
+    without limits are full circles. Inputs are the torques [N m] or forces [N] at them, or the inputs of the motors of
+    the joints where an MJCF file names some. Gravity is 9.81 m/s² along −z of the root, or of the world, or as an MJCF
+    file says. Friction of a joint is `damping v + friction (2/π) atan(100 v)`.
 
-    - `floating`: the root link moves freely, as it does where the file has a floating joint. A configuration is then
-      its pose T_world_root (4, 4), row by row, followed by the joints, and a velocity its twist (v, ω) in its own
-      frame, followed by the rates of the joints.
-    - `lock`: joints that stand still, and where [rad or m].
-    - `actuated`: names of the joints with an input, in the order of the joints; motors of the file are then left out.
-    - `payload`: point masses, `{link: (mass, x, y, z)}` [kg, m in the frame of the link]. They may be traced and
-      differentiated by JAX.
-    - `dry_friction`: False leaves out the part of the friction that does not grow with the speed, as where it is
-      compensated.
-    - `motor_torques`: True where logs hold the torques [N m] of motors, before the reductions that the `transmission`s
-      of a URDF file state. Every joint with an input needs one; losses in the gear count as friction.
+    Args:
+        path: Path of the file, or the name of one of `ROBOTS`.
+        floating: Whether the root link moves freely, as it does where the file has a floating joint. A configuration is
+            then its pose T_world_root (4, 4), row by row, followed by the joints, and a velocity its twist (v, ω) in
+            its own frame, followed by the rates of the joints.
+        lock: Joints that stand still, with their position [rad or m].
+        actuated: Names of the joints with an input, in the order of the joints; motors of the file are then left out.
+            All joints by default.
+        payload: Point masses, `{link: (mass, x, y, z)}` [kg, m in the frame of the link]. They may be traced and
+            differentiated by JAX.
+        dry_friction: False leaves out the part of the friction that does not grow with the speed, as where it is
+            compensated.
+        motor_torques: True where logs have the torques [N m] of motors, before the reductions that the `transmission`s
+            of a URDF file state. Every joint with an input needs one; losses in the gear count as friction.
 
-    Gravity is 9.81 m/s² along −z of the root, or of the world, or as an MJCF file says. Friction of a joint is
-    `damping v + friction (2/π) atan(100 v)`.
+    Returns:
+        The system, with its configuration space as a `RobotSpace`.
 
-    Raises `ValueError`, one line with the path, for what is wrong in the file, and for names it does not have.
+    Raises:
+        ValueError: One line with the path, for what is wrong in the file, and for names it does not have.
+        ImportError: The file is MJCF and MuJoCo is not installed.
+
+    Example:
+        >>> from covariant import models
+        >>> scara = models.robots.load("scara")
+        >>> scara.inputs == len(scara.coordinates)
+        True
     """
     robot = read(path, motor_torques=motor_torques)
     if not dry_friction:

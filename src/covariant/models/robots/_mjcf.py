@@ -1,8 +1,8 @@
-"""MJCF: the robot descriptions of MuJoCo, through its own compiler. Source: MuJoCo documentation, XML reference.
+"""MJCF files, the robot descriptions of MuJoCo, through its own compiler. Source: MuJoCo documentation, XML reference.
 
 The compiled model knows defaults, units, included files and the inertia of shapes; here it becomes a `Description`.
-What would change the motion and is not supported is refused by name; what does not, or only in contact, is counted as
-ignored.
+Entries that would change the motion and are not supported are refused by name; those that do not, or only in contact,
+are counted as ignored.
 """
 
 from collections import Counter
@@ -40,11 +40,11 @@ IGNORED = {
     "nmat": "asset/material",
     "nskin": "skin",
 }
-"""What has no meaning here: sizes of the compiled model, and the names under which they are reported."""
+"""Entries that have no meaning here: sizes of the compiled model, and the names under which they are reported."""
 
 
 class _Reader:
-    """A compiled model with what has been found in it so far."""
+    """A compiled model, with the entries that have been read from it so far."""
 
     def __init__(self, mujoco: Any, model: Any):
         self.mujoco, self.model = mujoco, model
@@ -53,8 +53,8 @@ class _Reader:
         self.names = [self.name("JOINT", i) for i in range(model.njnt)]
 
     def name(self, kind: str, index: int) -> str:
-        found = self.mujoco.mj_id2name(self.model, getattr(self.mujoco.mjtObj, f"mjOBJ_{kind}"), index)
-        return found or f"{kind.lower()}{index}"
+        label = self.mujoco.mj_id2name(self.model, getattr(self.mujoco.mjtObj, f"mjOBJ_{kind}"), index)
+        return label or f"{kind.lower()}{index}"
 
     def off(self, flag: str) -> bool:
         """Whether the file switches a kind of force off."""
@@ -62,7 +62,18 @@ class _Reader:
 
 
 def read_mjcf(path: Path) -> Description:
-    """The robot that an MJCF file describes. Raises `ValueError`, one line, for what is wrong or not supported."""
+    """Read the robot that an MJCF file describes.
+
+    Args:
+        path: Path of the file.
+
+    Returns:
+        The description.
+
+    Raises:
+        ValueError: One line on what is wrong or not supported.
+        ImportError: MuJoCo is not installed.
+    """
     mujoco = load_optional("mujoco", use="MJCF files are read with", extra="robots")
     try:
         model = mujoco.MjModel.from_xml_path(str(path))
@@ -94,7 +105,7 @@ def read_mjcf(path: Path) -> Description:
 
 
 def _refuse(read: _Reader) -> None:
-    """Raise `ValueError` for the first thing that moves the robot and is not supported."""
+    """Raise `ValueError` for the first entry that changes the motion and is not supported."""
     model = read.model
     if model.opt.density or model.opt.viscosity:
         raise ValueError("<option> has a fluid (density, viscosity), which is not supported; set both to 0")
@@ -105,8 +116,8 @@ def _refuse(read: _Reader) -> None:
     for i in np.flatnonzero(model.body_gravcomp):
         raise ValueError(f"body {read.bodies[i]!r}: gravcomp is not supported; set it to 0 and log the torque it makes")
     for i in range(model.ntendon):
-        felt = (model.tendon_stiffness, model.tendon_damping, model.tendon_frictionloss, model.tendon_armature)
-        if any(part[i] for part in felt):
+        properties = (model.tendon_stiffness, model.tendon_damping, model.tendon_frictionloss, model.tendon_armature)
+        if any(part[i] for part in properties):
             raise ValueError(
                 f"tendon {read.name('TENDON', i)!r}: springs, damping, friction and armature of tendons are not "
                 "supported; put them into the joints"
@@ -142,18 +153,18 @@ def _body(read: _Reader, i: int, links: dict[str, BodyInertia], joints: list[Joi
         name = f"weld of {read.bodies[i]}"
         joints.append(Joint(name, "fixed", above, read.bodies[i], exact(rotation), place, np.eye(3)[2]))
         return
-    at = np.zeros(3)
+    origin = np.zeros(3)
     for k in range(first, first + count):
         last = k == first + count - 1
         below = read.bodies[i] if last else f"{read.bodies[i]} before {read.names[k + 1]}"
         anchor = np.array(model.jnt_pos[k])
-        joints.append(_joint(read, k, above, below, rotation, place + rotation @ (anchor - at)))
+        joints.append(_joint(read, k, above, below, rotation, place + rotation @ (anchor - origin)))
         links[below] = inertia.moved(np.eye(3), -anchor) if last else NO_INERTIA
-        above, rotation, place, at = below, np.eye(3), np.zeros(3), anchor
+        above, rotation, place, origin = below, np.eye(3), np.zeros(3), anchor
 
 
 def _anchor(read: _Reader, body: int) -> np.ndarray:
-    """Where the frame of the link of a body is, in the frame of the body."""
+    """Origin of the frame of a body's link, in the frame of the body: the anchor of its last joint."""
     count = int(read.model.body_jntnum[body])
     return np.array(read.model.jnt_pos[read.model.body_jntadr[body] + count - 1]) if count else np.zeros(3)
 
@@ -178,13 +189,13 @@ def _joint(read: _Reader, k: int, parent: str, child: str, rotation: np.ndarray,
     lower, upper = model.jnt_range[k] if limited else (-np.inf, np.inf)
     if ball and model.jnt_limited[k]:
         read.ignored["joint/range of a ball"] += 1
-    of = {
+    forces = {
         "damping": 0.0 if read.off("DAMPER") else float(model.dof_damping[d]),
         "friction": 0.0 if read.off("FRICTIONLOSS") else float(model.dof_frictionloss[d]),
         "armature": float(model.dof_armature[d]),
         "stiffness": 0.0 if read.off("SPRING") else float(model.jnt_stiffness[k]),
     }
-    for key, value in of.items():
+    for key, value in forces.items():
         if value:
             read.used[f"joint/{key}"] += 1
     # The file's pose of the body is that at q = ref.
@@ -200,10 +211,10 @@ def _joint(read: _Reader, k: int, parent: str, child: str, rotation: np.ndarray,
         exact(rotation),
         place,
         axis,
-        of["damping"],
-        of["friction"],
-        of["armature"],
-        of["stiffness"],
+        forces["damping"],
+        forces["friction"],
+        forces["armature"],
+        forces["stiffness"],
         rest,
         float(lower),
         float(upper),
@@ -213,8 +224,8 @@ def _joint(read: _Reader, k: int, parent: str, child: str, rotation: np.ndarray,
 
 
 def _coupled(read: _Reader, joints: list[Joint]) -> list[Joint]:
-    """The joints, with those that an equality lets follow another one, or holds where they are."""
-    model, found = read.model, {joint.name: joint for joint in joints}
+    """The joints, with the constraints of equalities by which they follow another joint or stand still."""
+    model, coupled = read.model, {joint.name: joint for joint in joints}
     for i in range(model.neq):
         if not model.eq_active0[i] or read.off("EQUALITY"):
             continue
@@ -228,24 +239,24 @@ def _coupled(read: _Reader, joints: list[Joint]) -> list[Joint]:
             )
         start = float(model.qpos0[model.jnt_qposadr[one]])
         read.used["equality/joint"] += 1
-        if found[name].follows is not None:
+        if coupled[name].follows is not None:
             raise ValueError(f"joint {name!r} is in two equalities; keep one")
         if other < 0:
-            found[name] = found[name]._replace(follows=Follows("", 0.0, start + constant))
+            coupled[name] = coupled[name]._replace(follows=Follows("", 0.0, start + constant))
         else:
             offset = start + constant - ratio * float(model.qpos0[model.jnt_qposadr[other]])
-            found[name] = found[name]._replace(follows=Follows(read.names[other], ratio, offset))
-    return list(found.values())
+            coupled[name] = coupled[name]._replace(follows=Follows(read.names[other], ratio, offset))
+    return list(coupled.values())
 
 
 def _motors(read: _Reader) -> tuple[Motor, ...]:
-    """The motors of the joints; those with a state of their own are refused when they become inputs."""
-    model, mujoco, found = read.model, read.mujoco, []
+    """The motors of the joints; those with an internal state are refused when they become inputs."""
+    model, mujoco, motors = read.model, read.mujoco, []
     if read.off("ACTUATION"):
         read.ignored["actuator"] += int(model.nu)
         return ()
     for i in range(model.nu):
-        name, why = read.name("ACTUATOR", i), ""
+        name, unsupported = read.name("ACTUATOR", i), ""
         gain, bias = float(model.actuator_gainprm[i, 0]), np.array(model.actuator_biasprm[i])
         linear = (int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE))
         joint = int(model.actuator_trnid[i, 0])
@@ -255,27 +266,29 @@ def _motors(read: _Reader) -> tuple[Motor, ...]:
         kind = int(model.jnt_type[joint]) if int(model.actuator_trntype[i]) in hinged else None
         ball = kind == int(mujoco.mjtJoint.mjJNT_BALL)
         if kind is None:
-            why = "acts on no joint"
+            unsupported = "acts on no joint"
         elif kind == int(mujoco.mjtJoint.mjJNT_FREE):
-            why = f"acts on {read.names[joint]!r}, a free joint"
+            unsupported = f"acts on {read.names[joint]!r}, a free joint"
         elif ball and int(model.actuator_trntype[i]) == hinged[1]:
-            why = f"acts on the ball joint {read.names[joint]!r} along an axis of its parent"
+            unsupported = f"acts on the ball joint {read.names[joint]!r} along an axis of its parent"
         elif ball and bias[:3].any():
-            why = f"is a servo on the ball joint {read.names[joint]!r}"
+            unsupported = f"is a servo on the ball joint {read.names[joint]!r}"
         elif int(model.actuator_dyntype[i]) != int(mujoco.mjtDyn.mjDYN_NONE):
-            why = "has a state of its own"
+            unsupported = "has a state of its own"
         elif int(model.actuator_gaintype[i]) != int(mujoco.mjtGain.mjGAIN_FIXED) or (
             int(model.actuator_biastype[i]) not in linear
         ):
-            why = "is neither a motor nor a linear servo"
+            unsupported = "is neither a motor nor a linear servo"
         constant, spring, damper = (float(number) for number in bias[:3])
         read.used["actuator"] += 1
         direction = tuple(float(number) for number in model.actuator_gear[i, :3]) if ball else (1.0,)
         gear = 1.0 if ball else float(model.actuator_gear[i, 0])
-        of_joint = "" if why else read.names[joint]
+        of_joint = "" if unsupported else read.names[joint]
+        # A gear scales torque and position, so springs and dampers by its square. MuJoCo's bias is
+        # b₀ + b₁ length + b₂ velocity, hence the sign.
         numbers = gear * gain, -(gear**2) * spring, -(gear**2) * damper, gear * constant
-        found.append(Motor(name, of_joint, *numbers, why, direction))
-    return tuple(found)
+        motors.append(Motor(name, of_joint, *numbers, unsupported, direction))
+    return tuple(motors)
 
 
 def _rotation(quaternion: np.ndarray) -> np.ndarray:

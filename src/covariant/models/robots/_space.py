@@ -27,14 +27,37 @@ UPPER = np.triu(np.ones((3, 3), bool))
 
 
 class Joints(NamedTuple):
-    """Where each body stands on its parent now: `rotation` (k, 3, 3) and `place` (k, 3)."""
+    """Position of each body on its parent in a configuration.
+
+    Attributes:
+        rotation: Rotation (k, 3, 3) of the frame of the body in that of its parent.
+        place: Origin (k, 3) of the frame of the body in that of its parent [m].
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant.models import robots
+        >>> robots.load("double_pendulum").space.joints(jnp.zeros(2)).place[1].round(6).tolist()
+        [0.0, 0.0, -0.3]
+    """
 
     rotation: Float[Array, "k 3 3"]
     place: Float[Array, "k 3"]
 
 
 class Moments(NamedTuple):
-    """Mass and moments of bodies, as those of `KinematicTree`, the base first."""
+    """Mass and moments of bodies, as in `KinematicTree`, the base first.
+
+    Attributes:
+        mass: Mass (k + 1,) [kg].
+        first: First moment (k + 1, 3) about the origin of the body [kg m].
+        second: Second moment (k + 1, 3, 3) about the origin of the body [kg m²].
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant.models.robots._space import Moments
+        >>> Moments(jnp.ones(1), jnp.zeros((1, 3)), jnp.zeros((1, 3, 3))).mass.tolist()
+        [1.0]
+    """
 
     mass: Float[Array, "k1"]
     first: Float[Array, "k1 3"]
@@ -42,19 +65,47 @@ class Moments(NamedTuple):
 
 
 class PointField(NamedTuple):
-    """A vector at each mass point r of each body, `offset + gradient r`: (k + 1, 3) and (k + 1, 3, 3), the base first.
+    """A vector `offset + gradient r` at each mass point r of each body, the base first.
 
-    Or what belongs to such fields by duality, forces on the mass points summed up: `∫ρ N` and `∫ρ N rᵀ`."""
+    Or what belongs to such fields by duality, sums of forces on the mass points: `∫ρ N` and `∫ρ N rᵀ`.
+
+    Attributes:
+        offset: Value (k + 1, 3) at the origin of the body.
+        gradient: Derivative (k + 1, 3, 3) with respect to r.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant.models.robots._space import PointField
+        >>> field = PointField(jnp.zeros((1, 3)), jnp.eye(3)[None])
+        >>> (field.offset[0] + field.gradient[0] @ jnp.array([1.0, 2.0, 3.0])).tolist()
+        [1.0, 2.0, 3.0]
+    """
 
     offset: Float[Array, "k1 3"]
     gradient: Float[Array, "k1 3 3"]
 
 
 class RobotSpace(AbstractSpace):
-    """The space of a tree of bodies, on SE(3) × SO(3)ᵇ × coordinates, less the factors that it does not have.
+    """Configuration space of a tree of bodies: SE(3) × SO(3)ᵇ × coordinates, or those of the factors that it has.
 
-    A velocity is the twist (v, ω) of a floating base in its own frame, then the spin of each ball joint in the frame of
-    the body that it carries, then q'.
+    A configuration x is an array of the pose (4, 4) of a floating base, row by row, the rotation (3, 3) of each ball
+    joint, and the coordinates q. A velocity is the twist (v, ω) of a floating base in its own frame, then the spin of
+    each ball joint in the frame of the body that it carries, then q'.
+
+    Attributes:
+        tree: Bodies and joints.
+        links: Frames of the links.
+        manifold: Manifold of the configurations.
+        floating: Whether the base floats.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant.models import robots
+        >>> space = robots.load("double_pendulum").space
+        >>> space.pose(jnp.zeros(2), "lower")[:3, 3].round(6).tolist()
+        [0.0, 0.0, -0.3]
+        >>> space.mass.round(6).item()
+        1.0
     """
 
     tree: KinematicTree
@@ -63,13 +114,30 @@ class RobotSpace(AbstractSpace):
     floating: bool = eqx.field(default=False, static=True)
 
     def lower(self, x: Configuration, a: Vector) -> Vector:
+        """Momentum of a velocity, by one sweep along the tree.
+
+        Args:
+            x: Configuration.
+            a: Velocity (n,).
+
+        Returns:
+            Covector (n,).
+        """
         joints = self.joints(x)
         twists, gathered = jax.vjp(lambda b: self.twists(joints, b), a)
         momenta = jnp.concatenate(_momentum(self._bodies(x), *_split(twists)), axis=1)
+        # The transpose of velocity ↦ twists sums the momenta along the tree.
         return gathered(momenta)[0] + self._rotors(a)
 
     def __call__(self, x: Configuration) -> Matrix:
-        """The inertia matrix, by composite bodies (Featherstone 2008, section 6.2)."""
+        """Inertia matrix, by composite bodies (Featherstone 2008, section 6.2).
+
+        Args:
+            x: Configuration.
+
+        Returns:
+            Matrix (n, n) for the components of the velocity.
+        """
         tree, joints = self.tree, self.joints(x)
         parents = jnp.asarray([p + 1 for p in tree.parents])
         order = jnp.arange(len(tree.parents))
@@ -91,20 +159,22 @@ class RobotSpace(AbstractSpace):
         whole = jax.lax.scan(collect, self._bodies(x), bodies, reverse=True)[0]
         turn, slide = (axis.astype(x.dtype) for axis in (tree.turn, tree.slide))
         each = Moments(*(part[1:] for part in whole))
-        own = jnp.concatenate(_momentum(each, slide, turn), axis=1)  # of each composite body, for its joint's unit rate
+        # Momenta of the composite bodies, each for the unit rate of its joint.
+        by_joint = jnp.concatenate(_momentum(each, slide, turn), axis=1)
         carried = jnp.asarray(tree.carried(), x.dtype)
 
         def lower_down(columns, body):
-            i, rotation, place, turn, slide, mine, carries = body
-            columns = columns.at[i].set(mine)
+            i, rotation, place, turn, slide, momentum, carries = body
+            columns = columns.at[i].set(momentum)
             force, moment = columns[:, :3], columns[:, 3:]
             row = carries * (force @ slide + moment @ turn)
             force = force @ rotation.T
             moved = jnp.concatenate([force, moment @ rotation.T + jnp.cross(place[None], force)], axis=1)
             return jnp.where(carries[:, None] > 0.5, moved, columns), row
 
-        bodies = (order, *joints, turn, slide, own, carried)
-        at_base, rows = jax.lax.scan(lower_down, jnp.zeros_like(own), bodies, reverse=True)
+        bodies = (order, *joints, turn, slide, by_joint, carried)
+        at_base, rows = jax.lax.scan(lower_down, jnp.zeros_like(by_joint), bodies, reverse=True)
+        # Parents come first, so that row i has its entries in the columns of bodies carried by i: the upper triangle.
         matrix = jnp.where(np.tri(len(tree.parents), dtype=bool).T, rows, rows.T)
         coordinates = tree.coordinates.astype(x.dtype)
         matrix = coordinates.T @ matrix @ coordinates + jnp.diag(tree.armature.astype(x.dtype))
@@ -119,44 +189,81 @@ class RobotSpace(AbstractSpace):
         return jnp.block([[corner, side.T], [side, matrix]])
 
     def raise_(self, x: Configuration, mu: Vector) -> Vector:
-        return _leaves_first(self(x), mu)
+        """Velocity of a momentum, the inverse of `lower`.
+
+        Args:
+            x: Configuration.
+            mu: Covector (n,).
+
+        Returns:
+            Velocity (n,).
+        """
+        return _solve_leaves_first(self(x), mu)
 
     def connection_force(self, x: Configuration, a: Vector, b: Vector) -> Vector:
-        """`<∇_a b, ·>`: what the mass points resist the change of b along a with, summed up along the joints."""
+        """Covector `<∇_a b, ·>`: resistance of the mass points to the change of b along a, summed along the joints.
+
+        Args:
+            x: Configuration.
+            a: Velocity (n,).
+            b: Velocity (n,), with constant components.
+
+        Returns:
+            Covector (n,).
+        """
         joints = self.joints(x)
-        twists, gathered = jax.vjp(lambda w: self._moved(joints, w), b)
-        spins = self._moved(joints, a)[:, 3:], twists[:, 3:]
+        twists, gathered = jax.vjp(lambda w: self._all_twists(joints, w), b)
+        spins = self._all_twists(joints, a)[:, 3:], twists[:, 3:]
         field = self._accelerations(joints, a, b, *spins, twists[0, :3])
         return gathered(_wrench(_resistance(self._moments(x), field)))[0]
 
     def curvature(self, x: Configuration, a: Vector, b: Vector, c: Vector) -> Vector:
-        """`<R(a, b)c, w> = <II(a, w), II(b, c)> − <II(b, w), II(a, c)>` with the second fundamental form II (Gauss).
+        """Riemann curvature `R(a, b)c` by the equation of Gauss.
 
-        In `<II(a, w), II(b, c)>` the first may be the whole `∂_a ∂_w` of the places: the second is normal to the rest.
+        `<R(a, b)c, w> = <II(a, w), II(b, c)> − <II(b, w), II(a, c)>` with the second fundamental form II. In
+        `<II(a, w), II(b, c)>` the first may be the whole `∂_a ∂_w` of the places: the second is normal to the rest.
+
+        Args:
+            x: Configuration.
+            a: Velocity (n,).
+            b: Velocity (n,).
+            c: Velocity (n,).
+
+        Returns:
+            Velocity (n,).
         """
         joints, moments, matrix = self.joints(x), self._moments(x), self(x)
-        twists, gathered = jax.vjp(lambda w: self._moved(joints, w), c)
-        spin_a, spin_b, spin_c = self._moved(joints, a)[:, 3:], self._moved(joints, b)[:, 3:], twists[:, 3:]
+        twists, gathered = jax.vjp(lambda w: self._all_twists(joints, w), c)
+        spin_a, spin_b, spin_c = self._all_twists(joints, a)[:, 3:], self._all_twists(joints, b)[:, 3:], twists[:, 3:]
 
-        def normal(along, spin, felt):
+        def normal(along, spin, inertia):
             """What mass points with these moments resist `II(along, c)` with."""
             field = self._accelerations(joints, along, c, spin, spin_c, twists[0, :3])
-            within = _leaves_first(matrix, gathered(_wrench(_resistance(moments, field)))[0])
-            speed, twist = _split(self._moved(joints, within))
-            return _resistance(felt, PointField(field.offset - speed, _spun(field.gradient, -1, twist)))
+            within = _solve_leaves_first(matrix, gathered(_wrench(_resistance(moments, field)))[0])
+            speed, twist = _split(self._all_twists(joints, within))
+            return _resistance(inertia, PointField(field.offset - speed, _plus_cross(field.gradient, -1, twist)))
 
+        # The second term of Gauss's equation has a minus sign, which negated moments carry.
         onto = normal(b, spin_b, moments), normal(a, spin_a, jax.tree.map(jnp.negative, moments))
 
         def moved(w):
-            speed, spin = _split(self._moved(joints, w))
+            speed, spin = _split(self._all_twists(joints, w))
             return tuple(
                 self._accelerations(joints, e, w, turn, spin, speed[0]) for e, turn in ((a, spin_a), (b, spin_b))
             )
 
-        return _leaves_first(matrix, jax.vjp(moved, jnp.zeros_like(a))[1](onto)[0])
+        # `moved` is linear, so that its transpose is the same at any w.
+        return _solve_leaves_first(matrix, jax.vjp(moved, jnp.zeros_like(a))[1](onto)[0])
 
     def joints(self, x: Configuration) -> Joints:
-        """Where each body stands on its parent at x."""
+        """Position of each body on its parent.
+
+        Args:
+            x: Configuration.
+
+        Returns:
+            Rotations and origins.
+        """
         tree = self.tree
         rotation, place, turn, slide = (
             part.astype(x.dtype) for part in (tree.rotation, tree.place, tree.turn, tree.slide)
@@ -168,6 +275,7 @@ class RobotSpace(AbstractSpace):
         eye = jnp.eye(3, dtype=x.dtype)[None]
         flat = jnp.where(turns[:, None, None], eye - along, 0.0)
         still = eye - flat
+        # Rodrigues' formula; where the joint slides, `flat` and `turn` are zero and this is the identity.
         turned = still + jnp.cos(angle) * flat + jnp.sin(angle) * _hat(turn)
         if tree.balls:
             turned = turned.at[np.array(tree.balls)].set(self.ball_rotations(x))
@@ -175,29 +283,58 @@ class RobotSpace(AbstractSpace):
         return Joints(_product(rotation, turned), place + slid)
 
     def joint_angles(self, x: Configuration) -> Float[Array, "k"]:
-        """Where the joints are [rad or m]; 0 for the axes of ball joints."""
+        """Positions of the joints.
+
+        Args:
+            x: Configuration.
+
+        Returns:
+            Positions (k,) [rad or m]; 0 for the axes of ball joints.
+        """
         coordinates, offset = (part.astype(x.dtype) for part in (self.tree.coordinates, self.tree.offset))
         balls = len(self.tree.balls)
         return coordinates[:, 3 * balls :] @ x.reshape(-1)[16 * self.floating + 9 * balls :] + offset
 
     def ball_rotations(self, x: Configuration) -> Float[Array, "b 3 3"]:
-        """The rotation of each ball joint: of the frame that it carries, in that in which it stands at the identity."""
+        """Rotations of the ball joints.
+
+        Args:
+            x: Configuration.
+
+        Returns:
+            Rotation (b, 3, 3) of the frame that each joint carries, in that in which it stands at the identity.
+        """
         start = 16 * self.floating
         return x.reshape(-1)[start : start + 9 * len(self.tree.balls)].reshape(-1, 3, 3)
 
     def joint_rates(self, a: Vector) -> Float[Array, "k"]:
-        """The rates of the joints [rad/s or m/s] at the velocity a; for a ball joint the components of its spin."""
+        """Rates of the joints.
+
+        Args:
+            a: Velocity (n,).
+
+        Returns:
+            Rates (k,) [rad/s or m/s]; for a ball joint the components of its spin.
+        """
         return self.tree.coordinates.astype(a.dtype) @ (a[6:] if self.floating else a)
 
     def pose(self, x: Configuration, link: str) -> Float[Array, "4 4"]:
-        """`T_world_link`: the pose of the frame of a link; the world is the frame of the root where that is fixed.
+        """Pose `T_world_link` of the frame of a link; the world is the frame of the root where that is fixed.
 
-        Raises `ValueError` for a name that is no link.
+        Args:
+            x: Configuration.
+            link: Name of the link.
+
+        Returns:
+            Matrix (4, 4).
+
+        Raises:
+            ValueError: There is no such link.
         """
         body, rotation, place = self.links.of(link)
         rotation, place = rotation.astype(x.dtype), place.astype(x.dtype)
         joints = self.joints(x)
-        while body >= 0:
+        while body >= 0:  # from the link to the root
             rotation, place = joints.rotation[body] @ rotation, joints.rotation[body] @ place + joints.place[body]
             body = self.tree.parents[body]
         last = jnp.array([[0.0, 0.0, 0.0, 1.0]], x.dtype)
@@ -205,15 +342,24 @@ class RobotSpace(AbstractSpace):
         return x.reshape(-1)[:16].reshape(4, 4) @ pose if self.floating else pose
 
     def jacobian(self, x: Configuration, link: str) -> Float[Array, "6 n"]:
-        """The twist (v, ω) of a link, in its own frame, for each component of the velocity.
+        """Jacobian of a link: its twist (v, ω), in its own frame, for each component of the velocity.
 
-        Raises `ValueError` for a name that is no link.
+        Args:
+            x: Configuration.
+            link: Name of the link.
+
+        Returns:
+            Matrix (6, n).
+
+        Raises:
+            ValueError: There is no such link.
         """
         body, rotation, place = self.links.of(link)
         rotation, place, joints = rotation.astype(x.dtype), place.astype(x.dtype), self.joints(x)
 
         def twist(a: Vector) -> Float[Array, "6"]:
             speed, spin = _split(self.twists(joints, a)[body + 1])
+            # v @ R is Rᵀ v: from the frame of the body to that of the link.
             return jnp.concatenate([(speed + jnp.cross(spin, place)) @ rotation, spin @ rotation])
 
         zero = self.manifold.zero(x)
@@ -225,7 +371,15 @@ class RobotSpace(AbstractSpace):
         return self.tree.base_mass + jnp.sum(self.tree.mass)
 
     def first_moment(self, x: Configuration, joints: Joints) -> Float[Array, "3"]:
-        """`∫ρ r` of the whole robot in the world [kg m]."""
+        """First moment `∫ρ r` of the whole robot in the world.
+
+        Args:
+            x: Configuration.
+            joints: Position of each body on its parent, `joints(x)`.
+
+        Returns:
+            Vector (3,) [kg m].
+        """
         mass, first, _ = self._bodies(x)
 
         def collect(total, body):
@@ -243,16 +397,24 @@ class RobotSpace(AbstractSpace):
         return pose[:3, :3] @ first[0] + mass[0] * pose[:3, 3]
 
     def twists(self, joints: Joints, a: Vector) -> Float[Array, "k1 6"]:
-        """Twists (v, ω) of the base and of all bodies, each in its own frame, at the velocity a: linear in a."""
+        """Twists (v, ω) of the base and of all bodies, each in its own frame: linear in the velocity.
+
+        Args:
+            joints: Position of each body on its parent.
+            a: Velocity (n,).
+
+        Returns:
+            Twists (k + 1, 6), the base first [m/s, rad/s].
+        """
         tree, rates = self.tree, self.joint_rates(a)[:, None]
         first = jnp.zeros((len(tree.parents) + 1, 6), a.dtype)
         if self.floating:
             first = first.at[0].set(a[:6])
-        own = jnp.concatenate([tree.slide.astype(a.dtype) * rates, tree.turn.astype(a.dtype) * rates], axis=1)
-        return self._swept(joints, first, own)
+        by_joint = jnp.concatenate([tree.slide.astype(a.dtype) * rates, tree.turn.astype(a.dtype) * rates], axis=1)
+        return self._propagated(joints, first, by_joint)
 
-    def _moved(self, joints: Joints, a: Vector) -> Float[Array, "k1 6"]:
-        """`twists`, and those of the rotors of ball joints."""
+    def _all_twists(self, joints: Joints, a: Vector) -> Float[Array, "k1 6"]:
+        """The twists of the base, of the bodies, and of the rotors of ball joints."""
         balls = len(self.tree.balls)
         if not balls:
             return self.twists(joints, a)
@@ -263,7 +425,7 @@ class RobotSpace(AbstractSpace):
     def _accelerations(
         self, joints: Joints, a: Vector, b: Vector, spin_a: Array, spin_b: Array, speed: Float[Array, "3"]
     ) -> "PointField":
-        """`∂_a ∂_b` of the places of the mass points: linear in b, without the change of b itself.
+        """`∂_a ∂_b` of the positions of the mass points: linear in b, without the change of b itself.
 
         `spin_a`, `spin_b` are the spins of the bodies, `speed` is that of the base, all at the velocities a and b.
         """
@@ -277,7 +439,7 @@ class RobotSpace(AbstractSpace):
         def points(angular, spin_a, spin_b):
             """The matrix of `r ↦ α × r + ω_b × (ω_a × r)`."""
             twice = jnp.outer(spin_a, spin_b)
-            return _spun(twice - jnp.trace(twice) * jnp.eye(3, dtype=twice.dtype), 1, angular)
+            return _plus_cross(twice - jnp.trace(twice) * jnp.eye(3, dtype=twice.dtype), 1, angular)
 
         def step(bent, body):
             (field, angular), (i, parent, rotation, place, more, more_angular) = bent, body
@@ -303,8 +465,10 @@ class RobotSpace(AbstractSpace):
         rotors = jax.vmap(lambda one, other: points(jnp.cross(one, other), one, other))(spin_a[k1:], spin_b[k1:])
         return PointField(jnp.concatenate([field.offset, 0 * spin_b[k1:]]), jnp.concatenate([field.gradient, rotors]))
 
-    def _swept(self, joints: Joints, first: Float[Array, "k1 6"], own: Float[Array, "k 6"]) -> Float[Array, "k1 6"]:
-        """Twists passed on along the tree from `first`, that of the base, each body adding its `own`."""
+    def _propagated(
+        self, joints: Joints, first: Float[Array, "k1 6"], by_joint: Float[Array, "k 6"]
+    ) -> Float[Array, "k1 6"]:
+        """Propagate twists along the tree from `first`, that of the base; each joint adds that in `by_joint`."""
 
         def step(twists, body):
             i, parent, rotation, place, added = body
@@ -313,11 +477,11 @@ class RobotSpace(AbstractSpace):
             return twists.at[i + 1].set(moved + added), None
 
         parents = jnp.asarray([p + 1 for p in self.tree.parents])
-        return jax.lax.scan(step, first, (jnp.arange(len(parents)), parents, *joints, own))[0]
+        return jax.lax.scan(step, first, (jnp.arange(len(parents)), parents, *joints, by_joint))[0]
 
     def _rotors(self, a: Vector) -> Vector:
-        felt = self.tree.armature.astype(a.dtype)
-        return jnp.concatenate([jnp.zeros(6, a.dtype), felt * a[6:]]) if self.floating else felt * a
+        inertia = self.tree.armature.astype(a.dtype)
+        return jnp.concatenate([jnp.zeros(6, a.dtype), inertia * a[6:]]) if self.floating else inertia * a
 
     def _bodies(self, x: Configuration) -> Moments:
         """Moments of the base and of the bodies."""
@@ -328,22 +492,23 @@ class RobotSpace(AbstractSpace):
         return Moments(*(part.astype(x.dtype) for part in (mass, first, second)))
 
     def _moments(self, x: Configuration) -> Moments:
-        """Those of `_bodies`, and of the rotors of ball joints.
+        """Moments of the base, of the bodies, and of the rotors of ball joints.
 
-        A rotor that is felt as an inertia J about every axis of a joint is a body with the second moment J/2, without
-        mass, which turns as the joint does, whatever carries it. One of a single axis bends nothing.
+        A rotor with the reflected inertia J about every axis of a joint is a body with the second moment J/2, without
+        mass, which turns as the joint does, whatever carries it. A rotor of a single axis adds no curvature.
         """
         bodies, balls = self._bodies(x), len(self.tree.balls)
         if not balls:
             return bodies
-        felt = self.tree.armature[: 3 * balls : 3].astype(x.dtype)
-        second = felt[:, None, None] / 2 * jnp.eye(3, dtype=x.dtype)[None]
-        rotors = Moments(0 * felt, jnp.zeros((balls, 3), x.dtype), second)
+        inertia = self.tree.armature[: 3 * balls : 3].astype(x.dtype)
+        second = inertia[:, None, None] / 2 * jnp.eye(3, dtype=x.dtype)[None]
+        rotors = Moments(0 * inertia, jnp.zeros((balls, 3), x.dtype), second)
         return jax.tree.map(lambda one, other: jnp.concatenate([one, other]), bodies, rotors)
 
 
-def _leaves_first(matrix: Matrix, mu: Vector) -> Vector:
-    """`matrix⁻¹ mu`, without the joints that carry others before these: branches do not mix then, and zeros stay.
+def _solve_leaves_first(matrix: Matrix, mu: Vector) -> Vector:
+    """Solve `matrix a = mu` by eliminating each joint before those that carry it, so that zeros between branches
+    remain.
 
     Source: Featherstone 2008, section 6.5.
     """
@@ -353,15 +518,16 @@ def _leaves_first(matrix: Matrix, mu: Vector) -> Vector:
 def _momentum(moments: Moments, speed: Array, spin: Array) -> tuple[Array, Array]:
     """Momentum and angular momentum about the origin of each body."""
     mass, first, second = moments
-    inertia = _about_axes(second)
+    inertia = _rotational_inertia(second)
     linear = mass[:, None] * speed + jnp.cross(spin, first)
     return linear, jnp.cross(first, speed) + jnp.sum(inertia * spin[:, None, :], axis=2)
 
 
-def _about_axes(second: Float[Array, "k1 3 3"]) -> Float[Array, "k1 3 3"]:
-    """The matrices of inertia `tr(S) − S` of second moments S, entry by entry.
+def _rotational_inertia(second: Float[Array, "k1 3 3"]) -> Float[Array, "k1 3 3"]:
+    """The inertia tensors `tr(S) − S` of second moments S, entry by entry.
 
-    What a body has along an axis never enters its inertia about that axis, where a trace would add it and take it away.
+    The moment of a body along an axis does not enter its inertia about that axis; a trace would add and subtract it,
+    with a rounding error.
     """
     others = [
         [second[:, j, j] + second[:, k, k] if i == m else -second[:, i, m] for m in range(3)]
@@ -379,12 +545,12 @@ def _resistance(moments: Moments, field: PointField) -> PointField:
 
 def _wrench(resisted: PointField) -> Float[Array, "k1 6"]:
     """Force `∫ρ N` and moment `∫ρ r × N` of each body."""
-    force, about = resisted
-    moment = [about[:, i - 1, i - 2] - about[:, i - 2, i - 1] for i in range(3)]
+    force, dual = resisted
+    moment = [dual[:, i - 1, i - 2] - dual[:, i - 2, i - 1] for i in range(3)]
     return jnp.concatenate([force, jnp.stack(moment, axis=1)], axis=1)
 
 
-def _spun(matrix: Array, sign: int, a: Array) -> Array:
+def _plus_cross(matrix: Array, sign: int, a: Array) -> Array:
     """The matrix (..., 3, 3) of `r ↦ matrix r ± a × r`, entry by entry."""
     entries = [[matrix[..., i, j] for j in range(3)] for i in range(3)]
     for i in range(3):
@@ -395,7 +561,7 @@ def _spun(matrix: Array, sign: int, a: Array) -> Array:
 
 
 def _product(a: Array, b: Array) -> Array:
-    """The matrix products (k, 3, 3), written out: XLA 0.9 fails to compile some batches of batches of so small ones."""
+    """The matrix products (k, 3, 3), written out: XLA 0.9 fails to compile some nested batches of such small ones."""
     return jnp.sum(a[:, :, :, None] * b[:, None, :, :], axis=2)
 
 
@@ -405,4 +571,4 @@ def _split(twists: Array) -> tuple[Array, Array]:
 
 def _hat(a: Array) -> Array:
     """The matrices (k, 3, 3) of `r ↦ a × r`, for vectors a (k, 3)."""
-    return _spun(jnp.zeros((*a.shape, 3), a.dtype), 1, a)
+    return _plus_cross(jnp.zeros((*a.shape, 3), a.dtype), 1, a)

@@ -1,4 +1,4 @@
-"""Transmissions of URDF: what the motor of a joint is felt as there.
+"""Transmissions of URDF: rotor inertias and reductions, as felt at the joints.
 
 An inertia J that turns n times as fast as the joint is felt there as n² J, and a torque τ of the motor as n τ. Logged
 torques are those at the joints, so that a reduction alone changes nothing, unless a user says they are the motors'.
@@ -26,12 +26,22 @@ def with_rotors(
     used: Counter[str],
     ignored: Counter[str],
 ) -> list[Joint]:
-    """The joints with the rotors that transmissions state, and with `motor_torques` the reductions.
+    """Add the rotors and reductions of transmissions to joints.
 
-    Counts what was `used` of them, and `ignored`. Raises `ValueError` for a rotor whose joint is not one of one axis,
-    or numbers that no gear has.
+    Args:
+        transmissions: The `transmission` tags of a URDF file.
+        joints: The joints of the file.
+        motor_torques: Whether to read the reductions too.
+        used: Number of entries that were used, by kind; it is changed.
+        ignored: Number of entries that have no meaning here, by kind; it is changed.
+
+    Returns:
+        The joints, with armatures and reductions.
+
+    Raises:
+        ValueError: The joint of a rotor is not one of one axis, or a number is none of a gear.
     """
-    found = {joint.name: joint for joint in joints}
+    by_name = {joint.name: joint for joint in joints}
     for entry in transmissions:
         rotors = [part for part in entry.iter() if name_of(part) == ROTOR]
         geared = motor_torques and any(name_of(part) in REDUCTIONS for part in entry.iter())
@@ -46,7 +56,7 @@ def with_rotors(
             raise ValueError(
                 f"{where}: {what} {len(driven)} joints are not supported; one motor drives one joint, {remedy}"
             )
-        joint = found.get(driven[0])
+        joint = by_name.get(driven[0])
         if joint is None:
             raise ValueError(f"{where}: there is no joint {driven[0]!r}")
         if joint.kind not in ONE_AXIS:
@@ -54,11 +64,11 @@ def with_rotors(
         inertia, reduction = sum(_value(rotor, where) for rotor in rotors), _reduction(entry, where)
         if inertia < 0:
             raise ValueError(f"{where}: {ROTOR} must not be negative; got {inertia:g} kg m²")
-        found[joint.name] = joint._replace(
+        by_name[joint.name] = joint._replace(
             armature=joint.armature + reduction**2 * inertia,
             reductions=(*joint.reductions, reduction) if geared else joint.reductions,
         )
-    return list(found.values())
+    return list(by_name.values())
 
 
 def _reduction(entry: Element, where: str) -> float:
@@ -77,12 +87,12 @@ def _value(entry: Element, where: str) -> float:
     if "value" in entry.attrib:
         return number(entry, "value", where)
     try:
-        found = float(entry.text or "")
+        value = float(entry.text or "")
     except ValueError:
-        found = math.nan
-    if not math.isfinite(found):
+        value = math.nan
+    if not math.isfinite(value):
         raise ValueError(f"{where}: <{name_of(entry)}> must be a finite number; got {(entry.text or '').strip()!r}")
-    return found
+    return value
 
 
 def _count(entry: Element, needed_here: bool, used: Counter[str], ignored: Counter[str], path: str = "") -> None:

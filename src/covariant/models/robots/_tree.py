@@ -1,4 +1,4 @@
-"""A tree of rigid bodies in numbers: what carries what, by which joints, and with which inertia."""
+"""Trees of rigid bodies as arrays: their parents, joints and inertias."""
 
 import equinox as eqx
 import numpy as np
@@ -6,23 +6,37 @@ from jaxtyping import Array, Float
 
 
 class KinematicTree(eqx.Module):
-    """Rigid bodies that hang on each other by joints of one axis, or by ball joints, the parents first.
+    """Rigid bodies that are connected by joints of one axis, or by ball joints, the parents first.
 
     Body i turns about, or slides along, an axis through its own origin. It stands on body `parents[i]`, or on the base
     where this is −1. The joints stand at `θ = coordinates q + offset`, linear functions of the n coordinates q: so one
     may follow another. A ball joint is three bodies with one and the same frame, the first two without mass; each turns
-    about one axis of that frame, at the rate that is a component of the spin of the joint in it. Where it stands is a
+    about one axis of that frame, at the rate that is a component of the spin of the joint in it. Its position is a
     rotation matrix, and not three angles.
 
-    - `turn`, `slide` (k, 3): the axis, in the frame of the body; zero in the one that the joint does not do.
-    - `rotation` (k, 3, 3), `place` (k, 3): of the frame of the body in that of its parent, at θ = 0.
-    - `mass` (k,) [kg], `first` (k, 3) [kg m] and `second` (k, 3, 3) [kg m²]: moments `∫ρ`, `∫ρ r`, `∫ρ r rᵀ` about the
-      origin of the body.
-    - `base_mass` (), `base_first` (3,), `base_second` (3, 3): of the base, where it floats.
-    - `balls`: the first of the three bodies of each ball joint, b of them.
-    - `coordinates` (k, 3b + n): the rates of the joints for those of the velocity, spins of ball joints first; for the
-      configuration the last n columns. `offset` (k,).
-    - `armature` (3b + n,): inertia of the rotors, as felt at these rates [kg m² or kg].
+    Attributes:
+        parents: Parent of each of the k bodies, −1 for the base.
+        turn: Axis (k, 3) of turning joints in the frame of the body; zero for sliding ones.
+        slide: Axis (k, 3) of sliding joints in the frame of the body; zero for turning ones.
+        rotation: Rotation (k, 3, 3) of the frame of the body in that of its parent, at θ = 0.
+        place: Origin (k, 3) of the frame of the body in that of its parent [m], at θ = 0.
+        mass: Mass `∫ρ` (k,) [kg].
+        first: First moment `∫ρ r` (k, 3) about the origin of the body [kg m].
+        second: Second moment `∫ρ r rᵀ` (k, 3, 3) about the origin of the body [kg m²].
+        base_mass: Mass () of the base [kg], where it floats.
+        base_first: First moment (3,) of the base [kg m].
+        base_second: Second moment (3, 3) of the base [kg m²].
+        coordinates: Rates of the joints for those of the velocity (k, 3b + n), spins of the b ball joints first; for
+            the configuration the last n columns.
+        offset: Positions of the joints at q = 0 (k,) [rad or m].
+        armature: Inertia of the rotors, as felt at the rates of the velocity (3b + n,) [kg m² or kg].
+        balls: First of the three bodies of each of the b ball joints.
+
+    Example:
+        >>> from covariant.models import robots
+        >>> tree = robots.load("double_pendulum").space.tree
+        >>> tree.parents, tree.turn.tolist()
+        ((-1, 0), [[0.0, 1.0, 0.0], [0.0, 1.0, 0.0]])
     """
 
     parents: tuple[int, ...] = eqx.field(static=True)
@@ -42,27 +56,43 @@ class KinematicTree(eqx.Module):
     balls: tuple[int, ...] = eqx.field(default=(), static=True)
 
     def frames(self) -> np.ndarray:
-        """In which body (k,) the axis of each body stands still: in itself, or in the last one of its ball joint."""
-        found = np.arange(len(self.parents))
+        """Body in whose frame the axis of each body stands still.
+
+        Returns:
+            Indices (k,): the body itself, or the last one of its ball joint.
+        """
+        bodies = np.arange(len(self.parents))
         for first in self.balls:
-            found[first : first + 3] = first + 2
-        return found
+            bodies[first : first + 3] = first + 2
+        return bodies
 
     def carried(self) -> np.ndarray:
-        """Which bodies (k, k) each body carries, itself included."""
+        """Bodies that each body carries.
+
+        Returns:
+            Boolean matrix (k, k): entry (i, j) says whether body i carries body j, itself included.
+        """
         k = len(self.parents)
-        found = np.eye(k, dtype=bool)
+        bodies = np.eye(k, dtype=bool)
         for i in reversed(range(k)):
             if self.parents[i] >= 0:
-                found[self.parents[i]] |= found[i]
-        return found
+                bodies[self.parents[i]] |= bodies[i]
+        return bodies
 
 
 class Links(eqx.Module):
-    """Where the frames of a robot's links are.
+    """The frames of a robot's links in the bodies that they are part of.
 
-    - `names`, `bodies` (l of them): of each link, its name and the body it is part of, −1 for the base.
-    - `rotation` (l, 3, 3), `place` (l, 3): of its frame in that of the body.
+    Attributes:
+        names: Names of the l links.
+        bodies: Body of each link, −1 for the base.
+        rotation: Rotation (l, 3, 3) of the frame of the link in that of the body.
+        place: Origin (l, 3) of the frame of the link in that of the body [m].
+
+    Example:
+        >>> from covariant.models import robots
+        >>> robots.load("double_pendulum").space.links.names
+        ('base', 'upper', 'lower')
     """
 
     names: tuple[str, ...] = eqx.field(static=True)
@@ -71,7 +101,17 @@ class Links(eqx.Module):
     place: Float[Array, "l 3"]
 
     def of(self, link: str) -> tuple[int, Float[Array, "3 3"], Float[Array, "3"]]:
-        """Body, rotation and place of a link. Raises `ValueError` for a name that is none."""
+        """Frame of a link.
+
+        Args:
+            link: Name of the link.
+
+        Returns:
+            Its body, and the rotation (3, 3) and origin (3,) of its frame in that of the body.
+
+        Raises:
+            ValueError: There is no such link.
+        """
         if link not in self.names:
             raise ValueError(f"there is no link {link!r}; there are {', '.join(self.names)}")
         i = self.names.index(link)

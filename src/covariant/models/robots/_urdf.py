@@ -1,6 +1,6 @@
-"""URDF: the robot descriptions of ROS. Source: the specification of the ROS package `urdfdom`.
+"""URDF files, the robot descriptions of ROS. Source: the specification of the ROS package `urdfdom`.
 
-Ball joints, which that does not have, are called `spherical`, as in Bullet and MuJoCo, or `ball`, as in Drake.
+Ball joints, which URDF does not have, are called `spherical`, as in Bullet and MuJoCo, or `ball`, as in Drake.
 """
 
 import math
@@ -31,11 +31,18 @@ GRAVITY = np.array([0.0, 0.0, -9.81])
 
 
 def read_urdf(robot: Element, name: str, motor_torques: bool = False) -> Description:
-    """The robot that a URDF file describes, from its outermost tag; `name` where it has none.
+    """Read the robot that a URDF file describes.
 
-    With `motor_torques` the reductions of its transmissions are read too.
+    Args:
+        robot: Outermost tag of the file.
+        name: Name of the robot where the tag has none.
+        motor_torques: Whether to read the reductions of its transmissions too.
 
-    Raises `ValueError`, one line, for what is wrong in it.
+    Returns:
+        The description.
+
+    Raises:
+        ValueError: One line on what is wrong in the file.
     """
     used, ignored, doubts = Counter(), Counter(), []
     links: dict[str, BodyInertia] = {}
@@ -51,14 +58,14 @@ def read_urdf(robot: Element, name: str, motor_torques: bool = False) -> Descrip
         for part in entry:
             known = part.tag in (OF_LINK if tag == "link" else OF_JOINT)
             (used if known else ignored)[f"{tag}/{name_of(part)}"] += 1
-        given = attribute(entry, "name", tag)
-        if given in (links if tag == "link" else {joint.name for joint in joints}):
-            raise ValueError(f"two {tag}s are called {given!r}")
+        entry_name = attribute(entry, "name", tag)
+        if entry_name in (links if tag == "link" else {joint.name for joint in joints}):
+            raise ValueError(f"two {tag}s are called {entry_name!r}")
         if tag == "link":
-            links[given] = _inertia(entry, given)
-            doubts += doubts_on(given, links[given])
+            links[entry_name] = _inertia(entry, entry_name)
+            doubts += doubts_on(entry_name, links[entry_name])
         else:
-            joints.append(_joint(entry, given))
+            joints.append(_joint(entry, entry_name))
             doubts += limits_in_doubt(joints[-1])
     if not links:
         raise ValueError("has no <link>")
@@ -118,8 +125,8 @@ def _joint(entry: Element, name: str) -> Joint:
     )
     if lower > upper:
         raise ValueError(f"{where}: the lower limit {lower:g} is above the upper one {upper:g}")
-    of = {key: 0.0 if dynamics is None else number(dynamics, key, where, 0.0) for key in ("damping", "friction")}
-    for key, value in of.items():
+    losses = {key: 0.0 if dynamics is None else number(dynamics, key, where, 0.0) for key in ("damping", "friction")}
+    for key, value in losses.items():
         if value < 0:
             raise ValueError(f"{where}: {key} must not be negative; got {value:g}")
     follows = None
@@ -136,8 +143,8 @@ def _joint(entry: Element, name: str) -> Joint:
         rotation,
         place,
         exact(axis / length) if length > 0 else axis,
-        damping=of["damping"],
-        friction=of["friction"],
+        damping=losses["damping"],
+        friction=losses["friction"],
         lower=lower,
         upper=upper,
         velocity=np.inf if limit is None else number(limit, "velocity", where, np.inf),
@@ -154,4 +161,4 @@ def _origin(entry: Element, where: str) -> tuple[np.ndarray, np.ndarray]:
     about_x = np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
     about_y = np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
     about_z = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]])
-    return exact(about_z @ about_y @ about_x), place
+    return exact(about_z @ about_y @ about_x), place  # rpy turns about fixed axes: roll first, yaw last

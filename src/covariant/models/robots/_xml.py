@@ -1,4 +1,4 @@
-"""XML of robots: read so that the file can do no harm and open no other one, with numbers that are checked."""
+"""XML of robots: parsed so that the file can do no harm and open no other one, with numbers that are checked."""
 
 import math
 from pathlib import Path
@@ -9,7 +9,17 @@ import numpy as np
 
 
 def parse(path: Path) -> Element:
-    """The XML of a file. Raises `ValueError` for what is not readable, and for document types and entities."""
+    """Parse an XML file.
+
+    Args:
+        path: Path of the file.
+
+    Returns:
+        Its outermost tag.
+
+    Raises:
+        ValueError: The file is not readable, or declares document types or entities.
+    """
     data = path.read_bytes()
     if b"\0" in data:
         raise ValueError("is not text in UTF-8; save it as such")
@@ -22,40 +32,81 @@ def parse(path: Path) -> Element:
 
 
 def vector(entry: Element | None, key: str, where: str, default: tuple[float, float, float]) -> np.ndarray:
-    written = None if entry is None else entry.get(key)
-    if written is None:
+    """Read three numbers of an attribute.
+
+    Args:
+        entry: Tag; None for the default.
+        key: Name of the attribute.
+        where: Place in the file, for the message.
+        default: The numbers where the attribute is missing.
+
+    Returns:
+        Array (3,).
+
+    Raises:
+        ValueError: The attribute is not three finite numbers.
+    """
+    text = None if entry is None else entry.get(key)
+    if text is None:
         return np.array(default)
     try:
-        found = np.array([float(part) for part in written.split()])
+        numbers = np.array([float(part) for part in text.split()])
     except ValueError:
-        found = np.zeros(0)
-    if found.shape != (3,) or not np.isfinite(found).all():
-        raise ValueError(f"{where}: {key} must be three finite numbers; got {written!r}")
-    return found
+        numbers = np.zeros(0)
+    if numbers.shape != (3,) or not np.isfinite(numbers).all():
+        raise ValueError(f"{where}: {key} must be three finite numbers; got {text!r}")
+    return numbers
 
 
 def number(entry: Element, key: str, where: str, default: float | None = None) -> float:
-    written = entry.get(key)
-    if written is None:
+    """Read the number of an attribute.
+
+    Args:
+        entry: Tag.
+        key: Name of the attribute.
+        where: Place in the file, for the message.
+        default: The number where the attribute is missing; None where it is required.
+
+    Returns:
+        The number.
+
+    Raises:
+        ValueError: The attribute is missing, or no finite number.
+    """
+    text = entry.get(key)
+    if text is None:
         if default is None:
             raise ValueError(f"{where}: <{entry.tag}> lacks {key!r}")
         return default
     try:
-        found = float(written)
+        value = float(text)
     except ValueError:
-        found = math.nan
-    if not math.isfinite(found):
-        raise ValueError(f"{where}: {key} of <{entry.tag}> must be a finite number; got {written!r}")
-    return found
+        value = math.nan
+    if not math.isfinite(value):
+        raise ValueError(f"{where}: {key} of <{entry.tag}> must be a finite number; got {text!r}")
+    return value
 
 
 def attribute(entry: Element, key: str, where: str) -> str:
-    found = entry.get(key)
-    if not found:
+    """Read an attribute.
+
+    Args:
+        entry: Tag.
+        key: Name of the attribute.
+        where: Place in the file, for the message.
+
+    Returns:
+        Its text.
+
+    Raises:
+        ValueError: The attribute is missing or empty.
+    """
+    text = entry.get(key)
+    if not text:
         raise ValueError(f"{where}: a <{entry.tag}> lacks {key!r}")
-    return found
+    return text
 
 
 def name_of(entry: Element) -> str:
-    """The name of a tag, without its namespace."""
+    """Name of a tag, without its namespace."""
     return entry.tag.rpartition("}")[2] if isinstance(entry.tag, str) else "comment"
