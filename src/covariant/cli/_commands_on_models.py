@@ -28,14 +28,28 @@ design = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="Design w
 
 
 def certified_observer(name: str) -> str:
-    """The name of an observer that there are certificates for."""
+    """Check the name of an observer that can be certified.
+
+    Returns:
+        The name.
+
+    Raises:
+        ValueError: For another name; the message lists those that there are.
+    """
     if name not in CERTIFIED:
         raise ValueError(f"unknown observer {name!r}; choose one of {', '.join(CERTIFIED)}")
     return name
 
 
 def known_paper(name: str) -> str:
-    """The name of a paper that is reproduced."""
+    """Check the name of a paper that is reproduced.
+
+    Returns:
+        The name.
+
+    Raises:
+        ValueError: For another name; the message lists those that there are.
+    """
     if name not in PAPERS:
         raise ValueError(f"unknown paper {name!r}; choose one of {', '.join(PAPERS)}")
     return name

@@ -11,7 +11,14 @@ from covariant.workflow import AbstractResult, Progress
 
 @contextmanager
 def progress_bar(quiet: bool = False) -> Iterator[Progress]:
-    """Show a progress bar on standard error; yields the function that a verb reports its progress to."""
+    """Show a progress bar on standard error, as long as the context lasts.
+
+    Args:
+        quiet: Whether nothing is shown; nothing is either where standard error is no terminal.
+
+    Yields:
+        The function that a verb calls with its progress.
+    """
     from rich.console import Console
     from rich.progress import BarColumn, Progress as Bar, TaskProgressColumn, TextColumn, TimeElapsedColumn
 
@@ -44,22 +51,25 @@ def show(
         report: Where `result.report` writes its page, or None.
         figure: Where `result.draw` draws its figures, or None.
         save: Further arguments of `result.save`.
+
+    Raises:
+        ValueError: Where the result cannot be saved or drawn so; the JSON object is printed all the same.
     """
     if not as_json:
-        print(result, flush=True)
+        print(result, flush=True)  # before anything is written: what fails later leaves the answer on the screen
     places: dict[str, Any] = {} if report is None else {"report": []}
     try:
         if out is not None:
             places["out"] = str(result.save(out, **save))
-            _tell([places["out"]], quiet=as_json)
+            _print_paths([places["out"]], quiet=as_json)
         if report is not None or figure is not None:
-            _tell(_drawn(result, report, figure, places, as_json), quiet=as_json)
-    finally:
+            _print_paths(_draw(result, report, figure, places, as_json), quiet=as_json)
+    finally:  # a result that cannot be drawn is still printed, with the files that were written
         if as_json:
             print(json.dumps(result.summary | places), flush=True)
 
 
-def _drawn(result: Any, report: Path | None, figure: Path | None, places: dict[str, Any], quiet: bool) -> list[str]:
+def _draw(result: Any, report: Path | None, figure: Path | None, places: dict[str, Any], quiet: bool) -> list[str]:
     """Draw the page and the figures of a result; returns their paths, which are noted in `places`."""
     paths: list[Path] = []
     with progress_bar(quiet) as progress:
@@ -73,6 +83,6 @@ def _drawn(result: Any, report: Path | None, figure: Path | None, places: dict[s
     return [str(path) for path in paths]
 
 
-def _tell(paths: list[str], quiet: bool) -> None:
+def _print_paths(paths: list[str], quiet: bool) -> None:
     if not quiet:
         print(*(f"wrote {path}" for path in paths), sep="\n", flush=True)

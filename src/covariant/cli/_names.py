@@ -7,12 +7,12 @@ from covariant.observers import OBSERVER_NAMES as ESTIMATORS, STATE_OBSERVER_NAM
 __all__ = ["CERTIFIED", "ESTIMATORS", "PAPERS", "STATE_ESTIMATORS", "WRITTEN", "Checker", "Engine"]
 
 CERTIFIED = ("intrinsic", "geodesic")
-"""The observers that there are certificates for."""
+"""Observers that can be certified."""
 PAPERS = ("aghannan-rouchon", "maithripala", "sanfelice-praly", "jouffroy-fossen")
-"""The papers that are reproduced."""
+"""Papers whose numbers are reproduced."""
 Engine = Literal["auto", "c", "jax"]
-"""Those of `covariant.engine`."""
+"""Names of engines, as in `covariant.engine`."""
 Checker = Literal["auto", "all", "off"]
-"""Those of `covariant.certificates`."""
+"""How much is given to the checker, as in `covariant.certificates`."""
 WRITTEN = (".csv", ".txt", ".tsv", ".parquet", ".mcap", ".rosbag2")
-"""Those of `covariant.logs`."""
+"""Suffixes of logs that can be written, as in `covariant.logs`."""

@@ -13,26 +13,60 @@ from covariant.models import check_spec
 
 
 def existing_model(spec: str | None) -> str | None:
-    """A model that exists, as far as its name or path tells: checked before anything heavy is loaded."""
+    """Check that a model exists, as far as its name or path shows, before anything heavy is loaded.
+
+    Args:
+        spec: A path, `module:attribute`, or the name of a system or a robot; None passes.
+
+    Returns:
+        The same.
+
+    Raises:
+        ValueError: One line that names the model, and for a name suggests the nearest one.
+    """
     if spec is not None:
         check_spec(spec)
     return spec
 
 
 def existing_log(path: Path) -> Path:
-    """A log that exists; checked before anything heavy is loaded."""
+    """Check that a log exists, before anything heavy is loaded.
+
+    Returns:
+        The path.
+
+    Raises:
+        FileNotFoundError: Where it does not exist.
+    """
     if not path.exists():
         raise FileNotFoundError(f"{path}: no such file")
     return path
 
 
 def existing_logs(paths: list[Path]) -> list[Path]:
-    """Logs that exist."""
+    """Check that all logs exist, before anything heavy is loaded.
+
+    Returns:
+        The paths.
+
+    Raises:
+        FileNotFoundError: For the first that does not exist.
+    """
     return [existing_log(path) for path in paths]
 
 
 def known_observer(name: str | None) -> str | None:
-    """The name of an observer that there is."""
+    """Check the name of an observer.
+
+    Args:
+        name: The name; None passes.
+
+    Returns:
+        The same.
+
+    Raises:
+        ValueError: For an unknown name; the message lists those that there are.
+    """
     names = (*ESTIMATORS, *STATE_ESTIMATORS)
     if name is not None and name not in names:
         raise ValueError(f"unknown observer {name!r}; choose one of {', '.join(names)}")
@@ -80,7 +114,13 @@ Report = Annotated[Path | None, typer.Option(help="Write an interactive page (.h
 
 
 class Rows(NamedTuple):
-    """Which rows of a log are used."""
+    """Options that choose rows of a log.
+
+    Attributes:
+        every: Use each k-th row.
+        start: Use the log from this time [s] since its first row.
+        until: Use the log up to this time [s] since its first row.
+    """
 
     every: Every = 1
     start: From = None
@@ -88,7 +128,13 @@ class Rows(NamedTuple):
 
 
 class ColumnNames(NamedTuple):
-    """Which columns of a log hold what."""
+    """Options that name columns of a log.
+
+    Attributes:
+        t: Column of the stamps.
+        q: Columns of the coordinates, separated by commas.
+        u: Columns of the inputs, separated by commas.
+    """
 
     t: Time = None
     q: Positions = None
@@ -96,18 +142,30 @@ class ColumnNames(NamedTuple):
 
 
 class Compared(NamedTuple):
-    """Columns of a log that results are only compared with."""
+    """Options that name columns of a log that results are only compared with.
+
+    Attributes:
+        v: Columns of logged velocities, separated by commas.
+        truth: Columns of true velocities, separated by commas.
+    """
 
     v: Velocities = None
     truth: Truth = None
 
 
 def with_shared_options(command: Callable[..., None]) -> Callable[..., None]:
-    """A command whose parameters of the types `Rows`, `ColumnNames` and `Compared` are options, one for each field.
+    """Decorate a command so that its parameters of the types `Rows`, `ColumnNames` and `Compared` become options.
 
-    Typer reads the options of a command from its signature, so this writes each group out there.
+    Typer reads the options of a command from its signature, so each group is written out there, an option for each of
+    its fields.
+
+    Args:
+        command: The command.
+
+    Returns:
+        A function that collects the options into the groups and calls the command.
     """
-    signature = inspect.signature(command, eval_str=True)
+    signature = inspect.signature(command, eval_str=True)  # annotations as types, not as texts
     groups = {p.name: p.annotation for p in signature.parameters.values() if p.annotation in SHARED}
     options: list[inspect.Parameter] = []
     for parameter in signature.parameters.values():
@@ -120,10 +178,10 @@ def with_shared_options(command: Callable[..., None]) -> Callable[..., None]:
             options.append(inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=kind))
 
     @functools.wraps(command)
-    def call(**given: Any) -> None:
+    def call(**values: Any) -> None:
         for name, group in groups.items():
-            given[name] = group(**{field: given.pop(field) for field in group._fields})
-        command(**given)
+            values[name] = group(**{field: values.pop(field) for field in group._fields})
+        command(**values)
 
     call.__signature__ = signature.replace(parameters=options)  # pyright: ignore[reportAttributeAccessIssue]
     call.__annotations__ = {option.name: option.annotation for option in options}

@@ -6,7 +6,22 @@ UNITS = {"k": 1024, "m": 1024**2}
 
 
 def number_list(option: str, text: str | None) -> list[float] | None:
-    """Numbers separated by commas; None where the option is absent. Raises `ValueError` naming the option."""
+    """Parse numbers separated by commas.
+
+    Args:
+        option: Name of the option without its dashes, for messages.
+        text: Its value; None where the option is absent.
+
+    Returns:
+        The numbers, or None where the option is absent.
+
+    Raises:
+        ValueError: One line that names the option.
+
+    Example:
+        >>> number_list("velocity", "1,2.5")
+        [1.0, 2.5]
+    """
     if text is None:
         return None
     try:
@@ -16,7 +31,18 @@ def number_list(option: str, text: str | None) -> list[float] | None:
 
 
 def count_list(option: str, text: str) -> list[int]:
-    """Whole numbers separated by commas; raises `ValueError` naming the option."""
+    """Parse whole numbers separated by commas.
+
+    Args:
+        option: Name of the option without its dashes, for messages.
+        text: Its value.
+
+    Returns:
+        The numbers.
+
+    Raises:
+        ValueError: One line that names the option.
+    """
     try:
         return [integer(part) for part in text.split(",")]
     except ValueError:
@@ -24,7 +50,22 @@ def count_list(option: str, text: str) -> list[int]:
 
 
 def interval_map(option: str, text: str | None) -> dict[str, tuple[float, float]] | None:
-    """Low and high ends from `name=low:high`, separated by commas; raises `ValueError` naming the option."""
+    """Parse low and high ends of variables, `name=low:high`, separated by commas.
+
+    Args:
+        option: Name of the option without its dashes, for messages.
+        text: Its value; None where the option is absent.
+
+    Returns:
+        The ends by name, or None where the option is absent.
+
+    Raises:
+        ValueError: One line that names the option.
+
+    Example:
+        >>> interval_map("region", "r=0:1,theta=-1:1")
+        {'r': (0.0, 1.0), 'theta': (-1.0, 1.0)}
+    """
     if text is None:
         return None
     ends: dict[str, tuple[float, float]] = {}
@@ -41,13 +82,28 @@ def interval_map(option: str, text: str | None) -> dict[str, tuple[float, float]
 
 
 def byte_count(option: str, text: str | None) -> int | None:
-    """Bytes from a text such as `64k`, `1M` or `65536`, where k is 1024; raises `ValueError` naming the option."""
+    """Parse a number of bytes, such as `64k`, `1M` or `65536`, where k is 1024.
+
+    Args:
+        option: Name of the option without its dashes, for messages.
+        text: Its value; None where the option is absent.
+
+    Returns:
+        The number of bytes, or None where the option is absent.
+
+    Raises:
+        ValueError: One line that names the option.
+
+    Example:
+        >>> byte_count("flash", "64k")
+        65536
+    """
     if text is None:
         return None
     digits, unit = (text[:-1], text[-1].lower()) if text[-1:].lower() in UNITS else (text, "")
     try:
         count = int(number(digits) * UNITS.get(unit, 1))
-    except (ValueError, OverflowError):
+    except (ValueError, OverflowError):  # no number, or infinity
         count = 0
     if count <= 0:
         raise ValueError(f"--{option} must be a number of bytes, such as 64k, 1M or 65536; got {text!r}")
@@ -55,5 +111,12 @@ def byte_count(option: str, text: str | None) -> int | None:
 
 
 def name_list(text: str | None) -> tuple[str, ...] | None:
-    """Names separated by commas; None where the option is absent."""
+    """Parse names separated by commas.
+
+    Args:
+        text: Value of the option; None where it is absent.
+
+    Returns:
+        The names without blanks around them, or None where the option is absent.
+    """
     return None if text is None else tuple(part.strip() for part in text.split(","))

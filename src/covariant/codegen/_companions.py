@@ -1,4 +1,4 @@
-"""What comes with an exported observer: build files, a wrapper in C++, and an example of its use."""
+"""Files beside an exported observer: build files, a wrapper in C++, and an example of its use."""
 
 from collections.abc import Mapping
 
@@ -7,8 +7,18 @@ from covariant.codegen._source import SENTENCE, field
 
 
 def companions(program: Program, name: str, about: str, rate: float) -> dict[str, str]:
-    """The texts by file name; the self-test stands in a folder of its own, which Arduino does not compile."""
-    words = {
+    """The files beside an exported observer: CMake, Arduino, a class in C++ and a README.
+
+    Args:
+        program: The observer as graphs.
+        name: Prefix of all names in C.
+        about: A line that says what the observer is, for comments and texts.
+        rate: Sampling rate [Hz] of the example.
+
+    Returns:
+        The texts by file name. The self-test is in a separate folder, which Arduino does not compile.
+    """
+    replacements = {
         "@NAME@": name,
         "@UPPER@": name.upper(),
         "@ABOUT@": about,
@@ -25,7 +35,7 @@ def companions(program: Program, name: str, about: str, rate: float) -> dict[str
         f"{name}.hpp": _CPP,
         "README.md": _README,
     }
-    return {file: _filled(text, words) for file, text in templates.items()}
+    return {file: _filled(text, replacements) for file, text in templates.items()}
 
 
 def _count(program: Program) -> int:
@@ -35,9 +45,9 @@ def _count(program: Program) -> int:
     return count
 
 
-def _filled(text: str, words: Mapping[str, str]) -> str:
-    for mark, word in words.items():
-        text = text.replace(mark, word)
+def _filled(text: str, replacements: Mapping[str, str]) -> str:
+    for placeholder, replacement in replacements.items():
+        text = text.replace(placeholder, replacement)
     return text
 
 

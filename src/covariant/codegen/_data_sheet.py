@@ -1,4 +1,4 @@
-"""The data sheet of an exported observer: what a step costs, what it needs, and what it was made from."""
+"""The data sheet of an exported observer: the cost of a step, memory and limits, and the origin of the code."""
 
 import hashlib
 import re
@@ -20,10 +20,18 @@ ARM = ("-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16")
 
 
 class Facts(NamedTuple):
-    """What the data sheet says besides the source.
+    """Facts on the data sheet that the source does not show.
 
-    - `rate` [Hz]: the sampling rate it was made for; `substeps`: Runge–Kutta steps of a sample, where there are any.
-    - `certificate`: lines on what is proved; `audit`: a line on the laws measured. Both may be empty.
+    Attributes:
+        rate: Sampling rate [Hz] for which the observer was made.
+        substeps: Runge–Kutta steps of a sample; None where there are none.
+        certificate: Lines on what is proved; may be empty.
+        audit: A line on the laws measured; may be empty.
+
+    Example:
+        >>> from covariant.codegen import Facts
+        >>> Facts(rate=1000.0, substeps=2)
+        Facts(rate=1000.0, substeps=2, certificate='', audit='')
     """
 
     rate: float
@@ -33,7 +41,18 @@ class Facts(NamedTuple):
 
 
 class Size(NamedTuple):
-    """Sizes [bytes] of a compiled source: code with constants, and the deepest stack of a step."""
+    """Sizes of a compiled source.
+
+    Attributes:
+        compiler: Compiler and machine.
+        flash: Code with constants [bytes].
+        stack: Deepest stack of a step [bytes]; None where the compiler does not say.
+
+    Example:
+        >>> from covariant.codegen._data_sheet import Size
+        >>> Size("arm-none-eabi-gcc -Os for Cortex-M4F", 1200, 96).flash
+        1200
+    """
 
     compiler: str
     flash: int
@@ -41,7 +60,17 @@ class Size(NamedTuple):
 
 
 def data_sheet(program: Program, source: Source, about: str, facts: Facts) -> str:
-    """The data sheet as Markdown; sizes are those of a compiler that is there, and are left out where there is none."""
+    """The data sheet of an observer as Markdown.
+
+    Args:
+        program: The observer as graphs.
+        source: Its C.
+        about: A line that says what the observer is, for comments and texts.
+        facts: Further facts on it.
+
+    Returns:
+        The text. Sizes are those of the compilers that are there, and are left out without one.
+    """
     width = {"double": 8, "float": 4}[program.real]
     state = sum(leaf.size for leaf in (*program.state, *program.reported)) * width
     numbers = sum(np.size(value) for value in program.numbers.values())
@@ -52,10 +81,10 @@ def data_sheet(program: Program, source: Source, about: str, facts: Facts) -> st
     lines += ["", "## Memory", "", "| what | bytes |", "|---|---|"]
     lines += [f"| state | {state} |", f"| numbers that may be changed | {numbers * width} |"]
     lines.append(f"| numbers kept on the stack between parts of a step | {step.scratch * width} |")
-    for found in sizes(source):
-        lines.append(f"| code and constants, {found.compiler} | {found.flash} |")
-        if found.stack is not None:
-            lines.append(f"| deepest stack of a step, {found.compiler} | {found.stack} |")
+    for compiled in sizes(source):
+        lines.append(f"| code and constants, {compiled.compiler} | {compiled.flash} |")
+        if compiled.stack is not None:
+            lines.append(f"| deepest stack of a step, {compiled.compiler} | {compiled.stack} |")
     lines += ["", "## Numbers that may be changed", "", "| name | default |", "|---|---|"]
     lines += [f"| `{key}` | {_shown(value)} |" for key, value in program.numbers.items()] or ["| none | |"]
     lines += ["", "## Limits", ""]
@@ -73,16 +102,20 @@ def data_sheet(program: Program, source: Source, about: str, facts: Facts) -> st
 
 
 def digest(source: Source) -> str:
-    """The hash of header and source, which hold model, observer and default numbers."""
+    """SHA-256 of header and source, which hold model, observer and default numbers.
+
+    Args:
+        source: The C of the observer.
+    """
     return hashlib.sha256((source.header + source.source).encode()).hexdigest()
 
 
 def _counts(operations) -> list[tuple[str, int]]:
     names = [(label, (label,)) for label in ("mul", "div", "sqrt")]
-    words = {"mul": "multiplications", "div": "divisions", "sqrt": "square roots"}
+    titles = {"mul": "multiplications", "div": "divisions", "sqrt": "square roots"}
     rest = tuple(op for op in ARITHMETIC if op not in ("mul", "div", "sqrt"))
     functions = sorted(op for op in operations if op not in (*ARITHMETIC, *LOGIC))
-    rows = [(words[label], sum(operations[op] for op in ops)) for label, ops in names]
+    rows = [(titles[label], sum(operations[op] for op in ops)) for label, ops in names]
     rows.append(("additions and other arithmetic", sum(operations[op] for op in rest)))
     rows.append(("comparisons and choices", sum(operations[op] for op in LOGIC)))
     rows += [("look-ups in tables" if op == "table" else f"calls of {op}", operations[op]) for op in functions]
@@ -101,8 +134,12 @@ def _substeps(facts: Facts) -> str:
 
 
 def sizes(source: Source) -> list[Size]:
-    """The sizes with each compiler of `COMPILERS` that is there."""
-    return [found for name in COMPILERS if (found := _size(source, name)) is not None]
+    """The sizes with each compiler of `COMPILERS` that is there.
+
+    Args:
+        source: The C of the observer.
+    """
+    return [size for name in COMPILERS if (size := _size(source, name)) is not None]
 
 
 def _size(source: Source, compiler: str) -> Size | None:
@@ -116,11 +153,12 @@ def _size(source: Source, compiler: str) -> Size | None:
         command = [compiler, "-std=c99", "-Os", *flags, "-fstack-usage", "-c", f"{source.name}.c"]
         if subprocess.run(command, cwd=folder, capture_output=True, check=False).returncode:
             return None
-        told = subprocess.run([tool, f"{source.name}.o"], cwd=folder, capture_output=True, text=True, check=False)
+        printed = subprocess.run([tool, f"{source.name}.o"], cwd=folder, capture_output=True, text=True, check=False)
         usage = Path(folder) / f"{source.name}.su"
         stack = _deepest(usage.read_text(encoding="utf-8"), source.name) if usage.exists() else None
-    numbers = re.findall(r"^\s*(\d+)\s+(\d+)\s+(\d+)", told.stdout, re.MULTILINE)
+    numbers = re.findall(r"^\s*(\d+)\s+(\d+)\s+(\d+)", printed.stdout, re.MULTILINE)
     label = f"{compiler} -Os{' for Cortex-M4F' if flags else ' of this machine'}"
+    # text and data: initialised data stand in flash too, and are copied to memory at the start.
     return Size(label, int(numbers[0][0]) + int(numbers[0][1]), stack) if numbers else None
 
 
@@ -129,12 +167,13 @@ def _deepest(usage: str, name: str) -> int:
     largest counts."""
     cells = [line.split("\t") for line in usage.splitlines()]
     # Compilers name variants of a function with a dot.
-    own = {cell[0].rpartition(":")[2].partition(".")[0]: int(cell[1]) for cell in cells}
+    frames = {cell[0].rpartition(":")[2].partition(".")[0]: int(cell[1]) for cell in cells}
 
     def below(function: str) -> int:
-        parts = [size for other, size in own.items() if re.fullmatch(rf"{function}_(\d+|run)", other)]
-        loops = {m.group(1) for other in own if (m := re.match(rf"({function}_loop\d+)", other))}
-        turns = [below(f"{loop}_turn") + own.get(loop, 0) for loop in loops]
-        return own.get(function, 0) + max(parts, default=0) + max(turns, default=0)
+        parts = [size for other, size in frames.items() if re.fullmatch(rf"{function}_(\d+|run)", other)]
+        loops = {m.group(1) for other in frames if (m := re.match(rf"({function}_loop\d+)", other))}
+        turns = [below(f"{loop}_turn") + frames.get(loop, 0) for loop in loops]
+        # Parts and loops of a function run one after the other, so only the deepest of each kind counts.
+        return frames.get(function, 0) + max(parts, default=0) + max(turns, default=0)
 
-    return own.get(f"{name}_step", 0) + below(f"{name}_core_step")
+    return frames.get(f"{name}_step", 0) + below(f"{name}_core_step")

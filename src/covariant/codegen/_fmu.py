@@ -42,7 +42,20 @@ BEGINNING = (1980, 1, 1, 0, 0, 0)
 
 
 class UnitVariable(NamedTuple):
-    """A variable of a unit: its name, what it is for, its shape, and its first values where it has some."""
+    """A variable of a unit.
+
+    Attributes:
+        name: Its name.
+        causality: "input", "parameter" or "output".
+        shape: Its shape.
+        start: Its first values, row by row; empty for an output.
+        about: A description; may be empty.
+
+    Example:
+        >>> from covariant.codegen._fmu import UnitVariable
+        >>> UnitVariable("y", "input", (3,), (0.0, 0.0, 0.0)).size
+        3
+    """
 
     name: str
     causality: str
@@ -57,22 +70,50 @@ class UnitVariable(NamedTuple):
 
 
 class Unit(NamedTuple):
-    """The files of a unit by their path, and why there is no binary among them, where there is none."""
+    """The files of a functional mock-up unit (FMU).
+
+    Attributes:
+        files: Contents by their path in the unit.
+        without_binary: Why there is no binary among them; "" where there is one.
+
+    Example:
+        >>> from covariant.codegen import Unit
+        >>> Unit({"modelDescription.xml": b"<fmiModelDescription/>"}, "there is no C compiler `cc`").without_binary
+        'there is no C compiler `cc`'
+    """
 
     files: dict[str, bytes]
     without_binary: str
 
 
 def fmu(program: Program, name: str, about: str, rate: float, y: np.ndarray, version: Version = "3.0") -> Unit:
-    """An observer as a unit, whose inputs are the measurement `y` and the input `u`, and whose parameters are tunable.
+    """An observer as a unit for co-simulation, whose inputs are the measurement `y` and the input `u`.
 
-    - `name`: what all names in C begin with; `about`: a line that says what the observer is.
-    - `rate` [Hz]: the rate that the unit suggests; any other will do.
-    - `y`: the measurement it starts from where none is given.
-    - `version`: of FMI. 3.0 has arrays; in 2.0 each entry is a variable of its own, such as `y[1]`.
+    Its parameters, the open numbers, are tunable. The binary is compiled by `cc` for the machine at hand.
 
-    The binary is made by the C compiler `cc` for the machine at hand. Raises `ValueError` where the name is none in C,
-    and `OSError` where the compiler refuses the sources.
+    Args:
+        program: The observer as graphs.
+        name: Prefix of all names in C, an identifier.
+        about: A line that says what the observer is, for comments and texts.
+        rate: Rate [Hz] that the unit suggests; any other will do.
+        y: Measurement from which it starts where the simulator sets none.
+        version: Version of FMI. 3.0 has arrays; in 2.0 each entry is a separate variable, such as `y[1]`.
+
+    Returns:
+        The unit, without a binary where no compiler is there or FMI names no folder for the machine.
+
+    Raises:
+        ValueError: The name is no identifier of C.
+        OSError: The compiler refuses the sources.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import codegen, observers
+        >>> recipe = codegen.with_open_numbers(observers.FilteredDerivative(20.0))
+        >>> program = codegen.program(recipe, np.zeros(1))
+        >>> unit = codegen.fmu(program, "speed", "A filtered derivative.", 100.0, np.zeros(1), version="2.0")
+        >>> [path for path in unit.files if not path.startswith("binaries")]
+        ['sources/speed.h', 'sources/speed.c', 'sources/speed_fmu.c', 'modelDescription.xml']
     """
     about = " ".join(about.replace("*/", "").split())
     source = write_source(program, name, about)
@@ -87,8 +128,9 @@ def fmu(program: Program, name: str, about: str, rate: float, y: np.ndarray, ver
     }
     if version == "3.0":
         drafts["sources/buildDescription.xml"] = _BUILD.replace("@NAME@", name)
-    found = uuid.uuid5(uuid.NAMESPACE_OID, hashlib.sha256("".join(drafts.values()).encode()).hexdigest())
-    files = {path: text.replace(token, f"{{{found}}}").encode() for path, text in drafts.items()}
+    # A token by content, not at random: equal units are equal files, and description and binary fit together.
+    identifier = uuid.uuid5(uuid.NAMESPACE_OID, hashlib.sha256("".join(drafts.values()).encode()).hexdigest())
+    files = {path: text.replace(token, f"{{{identifier}}}").encode() for path, text in drafts.items()}
     place = PLACES.get((version, platform.system(), platform.machine()))
     if place is None:
         return Unit(files, f"FMI {version} names no binary of {platform.system()} on {platform.machine()}")
@@ -99,21 +141,35 @@ def fmu(program: Program, name: str, about: str, rate: float, y: np.ndarray, ver
 
 
 def write_fmu(unit: Unit, path: Path, overwrite: bool = False) -> None:
-    """Write a unit as a file `path`, whole or not at all.
+    """Write a unit as one file, whole or not at all.
 
-    Raises `ValueError` for a file that is there, unless `overwrite` is set, and for a folder that is not.
+    Args:
+        unit: The unit.
+        path: Path of the file, which ends in .fmu.
+        overwrite: Replace a file that is there. By default it is refused.
+
+    Raises:
+        ValueError: There is such a file or folder already, or no parent folder.
+
+    Example:
+        >>> import zipfile
+        >>> from pathlib import Path
+        >>> from covariant.codegen import Unit, write_fmu
+        >>> write_fmu(Unit({"modelDescription.xml": b"<fmiModelDescription/>"}, ""), Path("speed.fmu"))
+        >>> zipfile.ZipFile("speed.fmu").namelist()
+        ['modelDescription.xml']
     """
     if path.is_dir() or (path.exists() and not overwrite):
         raise ValueError(f"{path}: there is one already; name a new one, or replace a file by --overwrite")
     if not path.resolve().parent.is_dir():
         raise ValueError(f"{path}: there is no folder {path.resolve().parent}; make it first")
-    held = io.BytesIO()
-    with zipfile.ZipFile(held, "w", zipfile.ZIP_DEFLATED) as packed:
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, content in unit.files.items():
             entry = zipfile.ZipInfo(name, BEGINNING)
             entry.compress_type, entry.external_attr = zipfile.ZIP_DEFLATED, 0o644 << 16
-            packed.writestr(entry, content)
-    write_atomically(path, lambda file: file.write(held.getvalue()))
+            archive.writestr(entry, content)
+    write_atomically(path, lambda file: file.write(buffer.getvalue()))
 
 
 def _compiled(files: dict[str, bytes], name: str) -> bytes:
@@ -123,9 +179,9 @@ def _compiled(files: dict[str, bytes], name: str) -> bytes:
             (Path(folder) / path).write_bytes(content)
         sources = [f"sources/{name}.c", f"sources/{name}_fmu.c"]
         command = ["cc", *FLAGS, *sources, "-lm", "-o", "made"]
-        done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
-        if done.returncode:
-            raise OSError(f"cc does not compile the unit: {done.stderr.strip()[:200]}")
+        run = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+        if run.returncode:
+            raise OSError(f"cc does not compile the unit: {run.stderr.strip()[:200]}")
         return (Path(folder) / "made").read_bytes()
 
 
@@ -167,7 +223,7 @@ def _variability(variable: UnitVariable) -> str:
     return "tunable" if variable.causality == "parameter" else "continuous"
 
 
-def _told(value: float) -> str:
+def _start_text(value: float) -> str:
     return "NaN" if np.isnan(value) else repr(float(value))
 
 
@@ -176,7 +232,7 @@ def _variables_3(variables: list[UnitVariable]) -> str:
     lines.append('    <Int32 name="outcome" valueReference="1" causality="output" variability="discrete"/>')
     for reference, v in enumerate(variables, start=2):
         sides = "".join(f'<Dimension start="{side}"/>' for side in v.shape)
-        start = f' start="{" ".join(map(_told, v.start))}"' if v.start else ""
+        start = f' start="{" ".join(map(_start_text, v.start))}"' if v.start else ""
         about = f" description={quoteattr(v.about)}" if v.about else ""
         head = f'    <Float64 name="{v.name}" valueReference="{reference}"{about} causality="{v.causality}"'
         lines.append(f'{head} variability="{_variability(v)}"{start}' + (f">{sides}</Float64>" if sides else "/>"))
@@ -191,8 +247,9 @@ def _variables_2(variables: list[UnitVariable]) -> str:
     lines, outputs, reference = [], [], 0
     for v in variables:
         for k in range(v.size):
+            # FMI's structured names count from one.
             place = f"[{','.join(str(i + 1) for i in np.unravel_index(k, v.shape))}]" if v.shape else ""
-            start = f' start="{_told(v.start[k])}"' if v.start else ""
+            start = f' start="{_start_text(v.start[k])}"' if v.start else ""
             about = f" description={quoteattr(v.about)}" if v.about else ""
             lines.append(
                 f'    <ScalarVariable name="{v.name}{place}" valueReference="{reference}"{about}'

@@ -16,43 +16,47 @@ from covariant.lowering import c_number
 def unit_source(
     program: Program, name: str, version: str, token: str, sizes: Sequence[int], starts: Sequence[float]
 ) -> str:
-    """The source beside that of the observer.
+    """The C source of a unit, beside that of the observer.
 
-    - `version`: "3.0" or "2.0"; `token`: the token, or GUID, which the description has too.
-    - `sizes`: numbers of each variable: measurement, input, parameters, outputs; `starts`: what the first of these
-      numbers are at the beginning.
+    Args:
+        program: The observer as graphs.
+        name: Prefix of all names in C.
+        version: Version of FMI, "3.0" or "2.0".
+        token: Token, or GUID, which the description has too.
+        sizes: Number of entries of each variable: measurement, input, parameters, outputs.
+        starts: First values of the first of these entries; all others are zero.
     """
-    given = [Leaf(key, np.shape(value)) for key, value in program.numbers.items()]
-    told = [Leaf(leaf.name, leaf.shape) for leaf in (*program.x, *program.told)]
+    parameters = [Leaf(key, np.shape(value)) for key, value in program.numbers.items()]
+    outputs = [Leaf(leaf.name, leaf.shape) for leaf in (*program.x, *program.told)]
     inputs = int(np.prod(program.y)) + program.u
     at = inputs
-    taken, shown = [], []
-    for leaf in given:
-        taken += [f"    params->{e} = ({name}_real)m->numbers[{at + i}];" for i, e in enumerate(entries("", leaf))]
+    reads, writes = [], []
+    for leaf in parameters:
+        reads += [f"    params->{e} = ({name}_real)m->numbers[{at + i}];" for i, e in enumerate(entries("", leaf))]
         at += leaf.size
-    for leaf in told:
-        shown += [f"    m->numbers[{at + i}] = (double)output->{e};" for i, e in enumerate(entries("", leaf))]
+    for leaf in outputs:
+        writes += [f"    m->numbers[{at + i}] = (double)output->{e};" for i, e in enumerate(entries("", leaf))]
         at += leaf.size
     firsts = np.cumsum([0, *sizes])[:-1].tolist()
     start = [f"    m->numbers[{i}] = {c_number(v)};" for i, v in enumerate(starts) if v != 0]
-    words = {
+    replacements = {
         "@NAME@": name,
         "@UPPER@": name.upper(),
         "@TOKEN@": token,
         "@NUMBERS@": str(at),
         "@INPUTS@": str(inputs),
-        "@OUTPUTS@": str(at - sum(leaf.size for leaf in told)),
+        "@OUTPUTS@": str(at - sum(leaf.size for leaf in outputs)),
         "@VARIABLES@": str(len(sizes)),
         "@FIRSTS@": ", ".join(map(str, firsts)),
         "@SIZES@": ", ".join(map(str, sizes)),
-        "@TAKEN@": "\n".join(taken) or "    (void)m;\n    params->unused = 0;",
-        "@SHOWN@": "\n".join(shown),
+        "@TAKEN@": "\n".join(reads) or "    (void)m;\n    params->unused = 0;",
+        "@SHOWN@": "\n".join(writes),
         "@START@": "\n".join(start),
     }
     kind = _fmi3 if version == "3.0" else _fmi2
     text = _CORE + _SHARED + kind.FUNCTIONS + "\n".join(_refused(line, version) for line in kind.REFUSED)
-    for mark, word in (words | kind.WORDS).items():
-        text = text.replace(mark, word)
+    for placeholder, replacement in (replacements | kind.WORDS).items():
+        text = text.replace(placeholder, replacement)
     return text
 
 
@@ -65,6 +69,7 @@ def _refused(line: str, version: str) -> str:
     ignored = "".join(f"    (void){n};\n" for n in names)
     instance = name.startswith("Instantiate")
     asked = next((n for n, kind in zip(names, parameters, strict=True) if kind.strip() == "size_t"), None)
+    # A function that asks for no values, n = 0, has nothing to refuse.
     result = "NULL" if instance else "ERROR" if asked is None else f"{asked} == 0 ? OK : ERROR"
     kind = "void *" if instance else "int "
     return f"EXPORT {kind}fmi{version[0]}{name}({declared})\n{{\n{ignored}    return {result};\n}}\n"

@@ -1,4 +1,4 @@
-"""An observer as graphs of scalars, with its numbers as arguments: what code is made of."""
+"""An observer as graphs of scalars, with its numbers as arguments, from which code is written."""
 
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -19,14 +19,23 @@ Real = Literal["double", "float"]
 DTYPES = {"double": np.float64, "float": np.float32}
 
 REPORTED = ("innovation", "distance", "nis", "velocity_std", "state_std", "slow", "slow_std")
-"""Fields of an info that are kept, beside the result code."""
+"""Fields of an info that the code stores, beside the result code."""
 
 
 class Recipe(NamedTuple):
-    """An observer some of whose numbers are open.
+    """An observer with open numbers, which become arguments of the generated code.
 
-    - `make`: `numbers -> observer`, which may be traced by JAX.
-    - `numbers`: the open numbers by name, with their values.
+    Attributes:
+        make: Function `numbers -> observer`, which JAX can trace.
+        numbers: The open numbers by name, with their values.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import codegen, observers
+        >>> make = lambda numbers: observers.FilteredDerivative(numbers["bandwidth"])
+        >>> recipe = codegen.Recipe(make, {"bandwidth": np.array(20.0)})
+        >>> float(recipe.make({"bandwidth": 5.0}).bandwidth)
+        5.0
     """
 
     make: Callable[[Mapping[str, Any]], AbstractObserver]
@@ -34,7 +43,18 @@ class Recipe(NamedTuple):
 
 
 class Leaf(NamedTuple):
-    """An array of a structure: its name, its shape, and whether it holds real numbers."""
+    """An array of a structure.
+
+    Attributes:
+        name: Its name.
+        shape: Its shape.
+        real: Whether it holds real numbers rather than counts or truth values.
+
+    Example:
+        >>> from covariant.codegen import Leaf
+        >>> Leaf("gain", (2, 3)).size
+        6
+    """
 
     name: str
     shape: tuple[int, ...]
@@ -47,14 +67,30 @@ class Leaf(NamedTuple):
 
 
 class Program(NamedTuple):
-    """An observer as graphs, on real numbers throughout: counts and truth values of its state are held as numbers.
+    """An observer as graphs of scalars. Counts and truth values of its state are real numbers in them.
 
-    - `init`: `(numbers, y, t) -> state`; `step`: `(numbers, state, u, y, dt) -> (state, info)`; `estimate`:
-      `(numbers, state) -> x`.
-    - `numbers`: the open numbers that any of the graphs uses, with their values; `given` are all that are arguments,
-      with the values `values`.
-    - `state`, `info`, `x`: what these consist of; `y`: the shape of a measurement; `u`: the number of inputs.
-    - `real`: the type of the numbers; `told_as`: the info with the shapes and types that it has in JAX.
+    Attributes:
+        init: Graph of `(numbers, y, t) -> state`.
+        step: Graph of `(numbers, state, u, y, dt) -> (state, info)`.
+        estimate: Graph of `(numbers, state) -> x`.
+        numbers: The open numbers that any of the graphs uses, with their values.
+        given: All open numbers, which are arguments of the graphs.
+        values: Their values.
+        state: Arrays of a state.
+        info: Arrays of the diagnostics of a step.
+        x: Arrays of an estimate.
+        y: Shape of a measurement.
+        u: Number of inputs.
+        real: Type of the numbers, "double" or "float".
+        told_as: The info with the shapes and types that it has in JAX.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import codegen, observers
+        >>> recipe = codegen.with_open_numbers(observers.FilteredDerivative(20.0))
+        >>> program = codegen.program(recipe, np.zeros(1))
+        >>> [leaf.name for leaf in program.state], program.y, program.u
+        (['q', 'v', 'age'], (1,), 0)
     """
 
     init: Lowered
@@ -73,7 +109,7 @@ class Program(NamedTuple):
 
     @property
     def reported(self) -> list[Leaf]:
-        """The fields of the info that are kept beside a state."""
+        """The arrays of the info that are stored beside a state, `REPORTED` among them."""
         return [leaf for leaf in self.info if leaf.name in REPORTED and leaf.size]
 
     @property
@@ -85,18 +121,25 @@ class Program(NamedTuple):
 def with_open_numbers(observer: AbstractObserver, fixed: Sequence[str] = ()) -> Recipe:
     """The recipe in which all arrays of an observer and of its model are open.
 
-    - `fixed`: patterns of names, such as `rotation` or `place*`, of arrays that stay as they are. Zeros among them cost
-      nothing in the code.
-
     An array is called as in the source. Arrays of one name and equal values, such as a mass that the inertia and the
-    potential both use, are one number. Those of one name with different values are told apart by where they are.
+    potential both use, are one number. Those of one name with different values get longer names, by where they are.
+
+    Args:
+        observer: The observer, with the values of its numbers.
+        fixed: Patterns of names, such as `rotation` or `place*`, of arrays that become constants. Zeros among them cost
+            nothing in the code.
+
+    Example:
+        >>> from covariant import codegen, observers
+        >>> codegen.with_open_numbers(observers.FilteredDerivative(20.0)).numbers["bandwidth"].tolist()
+        20.0
     """
     dynamic, static = eqx.partition(observer, eqx.is_inexact_array)
     paths, tree = jax.tree_util.tree_flatten_with_path(dynamic)
     arrays = [np.asarray(leaf) for _, leaf in paths]
-    names = _named([_words(path) for path, _ in paths], arrays)
-    kept = [any(fnmatchcase(name, pattern) for pattern in fixed) for name in names]
-    numbers = {name: a for name, a, fix in zip(names, arrays, kept, strict=True) if a.size and not fix}
+    names = _named([_path_keys(path) for path, _ in paths], arrays)
+    closed = [any(fnmatchcase(name, pattern) for pattern in fixed) for name in names]
+    numbers = {name: a for name, a, fix in zip(names, arrays, closed, strict=True) if a.size and not fix}
 
     def make(values):
         leaves = [values[n] if n in numbers else leaf for n, (_, leaf) in zip(names, paths, strict=True)]
@@ -108,16 +151,34 @@ def with_open_numbers(observer: AbstractObserver, fixed: Sequence[str] = ()) -> 
 def of_family(observer: AbstractObserver, family: Family) -> Recipe:
     """The recipe in which the open numbers of a family of models, and those of the observer itself, are open.
 
-    The observer is one of `family.file.model`, whose arrays it holds; raises `ValueError` for another.
+    Args:
+        observer: An observer of `family.file.model`, whose arrays it holds.
+        family: The models, with their open numbers.
+
+    Returns:
+        The recipe. A name that both have is prefixed by `observer_` for that of the observer.
+
+    Raises:
+        ValueError: The observer is one of another model.
+
+    Example:
+        >>> from pathlib import Path
+        >>> from covariant import codegen, models, observers
+        >>> _ = Path("pendulum.toml").write_text('''system = "pendulum_chain"
+        ... parameters = {mass = [1.0], length = [1.0]}''')
+        >>> family = models.family("pendulum.toml", ("mass",))
+        >>> observer = observers.Intrinsic(family.file.model, 10.0, 100.0, substeps=1)
+        >>> sorted(codegen.of_family(observer, family).numbers)
+        ['alpha', 'beta', 'mass']
     """
     model = family.file.model
-    own = {id(leaf): k for k, leaf in enumerate(jax.tree.leaves(model))}
+    index_in_model = {id(leaf): k for k, leaf in enumerate(jax.tree.leaves(model))}
     dynamic, static = eqx.partition(observer, eqx.is_inexact_array)
     paths, tree = jax.tree_util.tree_flatten_with_path(dynamic)
-    outside = [(path, leaf) for path, leaf in paths if id(leaf) not in own]
+    outside = [(path, leaf) for path, leaf in paths if id(leaf) not in index_in_model]
     if len(outside) == len(paths):
         raise ValueError("of_family: the observer is not one of family.file.model; make it of that model")
-    names = _named([_words(path) for path, _ in outside], [np.asarray(leaf) for _, leaf in outside])
+    names = _named([_path_keys(path) for path, _ in outside], [np.asarray(leaf) for _, leaf in outside])
     groups: dict[str, list[int]] = {}
     for k, name in enumerate(family.names):
         groups.setdefault(name.partition("[")[0], []).append(k)
@@ -126,6 +187,7 @@ def of_family(observer: AbstractObserver, family: Family) -> Recipe:
         for base, ks in groups.items()
         for name, each in ([(base, ks)] if _whole(base, ks, family) else [(family.names[k], [k]) for k in ks])
     }
+    # Names of the file win: they are what its reader knows.
     clash = sorted(set(names) & set(groups))
     renamed = {name: f"observer_{name}" for name in clash}
     names = [renamed.get(name, name) for name in names]
@@ -136,10 +198,14 @@ def of_family(observer: AbstractObserver, family: Family) -> Recipe:
     def make(values):
         flat = jnp.zeros(len(first))
         for name, ks in groups.items():
+            # Scattered by index, since numbers of one array need not be adjacent in the family.
             flat = flat.at[jnp.array(ks)].set(jnp.atleast_1d(jnp.asarray(values[name], float)))
         leaves = jax.tree.leaves(family.make(flat)[0])
-        mine = dict(zip((id(leaf) for _, leaf in outside), names, strict=True))
-        filled = [leaves[own[id(leaf)]] if id(leaf) in own else values.get(mine[id(leaf)], leaf) for _, leaf in paths]
+        name_of = dict(zip((id(leaf) for _, leaf in outside), names, strict=True))
+        filled = [
+            leaves[index_in_model[id(leaf)]] if id(leaf) in index_in_model else values.get(name_of[id(leaf)], leaf)
+            for _, leaf in paths
+        ]
         return eqx.combine(jax.tree.unflatten(tree, filled), static)
 
     return Recipe(make, numbers)
@@ -147,12 +213,29 @@ def of_family(observer: AbstractObserver, family: Family) -> Recipe:
 
 def _whole(base: str, ks: Sequence[int], family: Family) -> bool:
     """Whether open numbers are all of a number or of a list in the file, and so are one array."""
-    given = family.document.get("parameters", {}).get(base)
-    return not isinstance(given, list) or (np.ndim(given) == 1 and len(given) == len(ks))
+    value = family.document.get("parameters", {}).get(base)
+    return not isinstance(value, list) or (np.ndim(value) == 1 and len(value) == len(ks))
 
 
 class TracedProgram(NamedTuple):
-    """An observer traced, before its graphs are made: the fields are as those of `Program`."""
+    """An observer traced by JAX, before its graphs are written.
+
+    Attributes:
+        init: Traced function `(numbers, y, t) -> state`.
+        step: Traced function `(numbers, state, u, y, dt) -> (state, info)`.
+        estimate: Traced function `(numbers, state) -> x`.
+        estimated_as: The estimate with the shapes and types that it has in JAX.
+
+    The other fields are those of `Program`.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import codegen, observers
+        >>> recipe = codegen.with_open_numbers(observers.FilteredDerivative(20.0))
+        >>> traced = codegen.trace_program(recipe, np.zeros(1))
+        >>> traced.estimated_as.shape, sorted(traced.lower().numbers)
+        ((2,), ['bandwidth'])
+    """
 
     init: TracedFunction
     step: TracedFunction
@@ -169,12 +252,19 @@ class TracedProgram(NamedTuple):
     estimated_as: Any
 
     def lower(self, loops: bool = False) -> Program:
-        """The graphs; `loops` and errors as for `program`."""
-        kept = "any" if loops else "long"
+        """The graphs of the observer.
+
+        Args:
+            loops: Whether loops are allowed whose length the numbers decide; as for `program`.
+
+        Raises:
+            LoweringError: As for `program`.
+        """
+        loop_kinds = "any" if loops else "long"
         lowered = (
-            lower_traced(self.init, loops=kept),
-            lower_traced(self.step, loops=kept),
-            lower_traced(self.estimate, loops=kept),
+            lower_traced(self.init, loops=loop_kinds),
+            lower_traced(self.step, loops=loop_kinds),
+            lower_traced(self.estimate, loops=loop_kinds),
         )
         used = _used(lowered, self.given)
         numbers = {leaf.name: value for leaf, value in zip(self.given, self.values, strict=True) if leaf.name in used}
@@ -191,13 +281,23 @@ def program(
 ) -> Program:
     """The graphs of an observer.
 
-    - `y`: a configuration, of which the shape counts.
-    - `inputs`: number of inputs m; by default that of the observer's model, or 0 where it has none.
-    - `real`: the type in which the graphs compute.
-    - `loops`: let a step take as long as its numbers ask for, as where friction decides the number of its substeps.
+    Args:
+        recipe: The observer and its open numbers.
+        y: A measured configuration, of which the shape counts.
+        inputs: Number of inputs m; by default that of the observer's model, or 0 where it has none.
+        real: Type in which the graphs compute, "double" or "float".
+        loops: Let a step take as long as its numbers ask for, as where friction decides the number of its substeps.
 
-    Raises `LoweringError` where a step has no graph of a fixed size, as where friction decides the number of its
-    substeps (`observers.with_fixed_substeps`), unless `loops` are allowed.
+    Raises:
+        LoweringError: A step has no graph of a fixed size, as where friction decides the number of its substeps
+            (`observers.with_fixed_substeps`), and `loops` are not allowed.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import codegen, observers
+        >>> recipe = codegen.with_open_numbers(observers.FilteredDerivative(20.0))
+        >>> codegen.program(recipe, np.zeros(2), real="float").x
+        (Leaf(name='q', shape=(2,), real=True), Leaf(name='v', shape=(2,), real=True))
     """
     return trace_program(recipe, y, inputs, real).lower(loops)
 
@@ -205,49 +305,67 @@ def program(
 def trace_program(
     recipe: Recipe, y: Array | np.ndarray, inputs: int | None = None, real: Real = "double"
 ) -> TracedProgram:
-    """An observer traced by JAX, which takes a part of the time that its graphs take; arguments as for `program`."""
+    """An observer traced by JAX, which takes a part of the time that its graphs take.
+
+    Args:
+        recipe: The observer and its open numbers.
+        y: A measured configuration, of which the shape counts.
+        inputs: Number of inputs m; by default that of the observer's model, or 0 where it has none.
+        real: Type in which the graphs compute, "double" or "float".
+
+    Returns:
+        The traced functions; `lower` writes their graphs.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import codegen, observers
+        >>> recipe = codegen.with_open_numbers(observers.FilteredDerivative(20.0))
+        >>> codegen.trace_program(recipe, np.zeros(1)).info[0].name
+        'innovation'
+    """
     dtype = DTYPES[real]
     y = np.asarray(y, dtype)
     first = recipe.make(recipe.numbers)
     model: Any = getattr(first, "model", None)
     # A filter without a model looks at no input.
     u = inputs if inputs is not None else input_count(model, y.shape[0]) if model is not None else 0
-    given = {name: jax.ShapeDtypeStruct(np.shape(value), dtype) for name, value in recipe.numbers.items()}
+    open_numbers = {name: jax.ShapeDtypeStruct(np.shape(value), dtype) for name, value in recipe.numbers.items()}
     scalar, measured = jax.ShapeDtypeStruct((), dtype), jax.ShapeDtypeStruct(y.shape, dtype)
 
-    def made(numbers):
+    def cast_observer(numbers):
+        # Cast after `make`, whose arithmetic may promote: all numbers of the code have one type.
         return jax.tree.map(lambda a: a.astype(dtype) if eqx.is_inexact_array(a) else a, recipe.make(numbers))
 
-    met: dict[str, Any] = {}  # structures with the shapes and types that they have in JAX, met on the way
+    structures: dict[str, Any] = {}  # with the shapes and types that they have in JAX, recorded by tracing
 
     def init(numbers, y, t):
-        state = made(numbers).init(y, t)
-        met["state"] = _kinds(state)
+        state = cast_observer(numbers).init(y, t)
+        structures["state"] = _kinds(state)
         return _real(state, dtype)
 
-    traced_init = trace(init, given, measured, scalar)
-    kinds = met["state"]
+    traced_init = trace(init, open_numbers, measured, scalar)
+    kinds = structures["state"]
     state = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape, dtype), kinds)
 
     def typed(state):
         return jax.tree.map(lambda a, kind: a.astype(kind.dtype), state, kinds)
 
     def step(numbers, state, u, y, dt):
-        state, info = made(numbers).step(typed(state), u, y, dt)
-        met["info"] = _kinds(info)
+        state, info = cast_observer(numbers).step(typed(state), u, y, dt)
+        structures["info"] = _kinds(info)
         return _real((state, info), dtype)
 
     def estimate(numbers, state):
-        observer = made(numbers)
+        observer = cast_observer(numbers)
         x: Any = observer.estimate(typed(state))
-        met["estimate"] = _kinds(x)
+        structures["estimate"] = _kinds(x)
         if isinstance(x, tuple) or "x" in getattr(state, "_fields", ()):
             return x
         return Motion(*jnp.split(x, 2))
 
     acting = jax.ShapeDtypeStruct((u,), dtype)
-    traced_step = trace(step, given, state, acting, measured, scalar)
-    traced_estimate = trace(estimate, given, state)
+    traced_step = trace(step, open_numbers, state, acting, measured, scalar)
+    traced_estimate = trace(estimate, open_numbers, state)
     leaves = tuple(Leaf(name, np.shape(recipe.numbers[name])) for name in sorted(recipe.numbers))  # as JAX orders them
     return TracedProgram(
         traced_init,
@@ -261,8 +379,8 @@ def trace_program(
         y.shape,
         u,
         real,
-        met["info"],
-        met["estimate"],
+        structures["info"],
+        structures["estimate"],
     )
 
 
@@ -287,39 +405,40 @@ def _reached(lowered: Lowered):
 
 def _leaves(tree: Any) -> tuple[Leaf, ...]:
     """The arrays of a pytree, in order; an array alone is called x."""
-    found = []
+    leaves = []
     for path, leaf in jax.tree_util.tree_flatten_with_path(tree)[0]:
-        name = "_".join(_words(path)) or "x"
-        found.append(Leaf(name, tuple(leaf.shape), bool(jnp.issubdtype(leaf.dtype, jnp.floating))))
-    return tuple(found)
+        name = "_".join(_path_keys(path)) or "x"
+        leaves.append(Leaf(name, tuple(leaf.shape), bool(jnp.issubdtype(leaf.dtype, jnp.floating))))
+    return tuple(leaves)
 
 
-def _words(path: Sequence[Any]) -> list[str]:
-    """The attributes and keys that lead to a leaf, as words."""
+def _path_keys(path: Sequence[Any]) -> list[str]:
+    """The attributes and keys that lead to a leaf, as identifiers."""
     keys = [str(getattr(key, "name", getattr(key, "key", getattr(key, "idx", "")))) for key in path]
     return [_identifier(key) for key in keys if key not in ("parameters", "value")]
 
 
 def _identifier(text: str) -> str:
     """A name as one of C."""
+    # ASCII: C99 compilers need not accept other letters in names.
     plain = re.sub(r"\W+", "_", text, flags=re.ASCII).strip("_")
     return f"n{plain}" if plain[:1].isdigit() else plain or "n"
 
 
-def _named(words: Sequence[Sequence[str]], arrays: Sequence[np.ndarray]) -> list[str]:
-    """The shortest names by which arrays of different values are told apart."""
+def _named(paths: Sequence[Sequence[str]], arrays: Sequence[np.ndarray]) -> list[str]:
+    """The shortest names by which arrays of different values differ."""
 
     def same(i: int, j: int) -> bool:
         return arrays[i].shape == arrays[j].shape and np.array_equal(arrays[i], arrays[j])
 
-    names = ["_".join(w[-1:]) for w in words]
-    for length in range(2, max(map(len, words), default=0) + 1):
+    names = ["_".join(w[-1:]) for w in paths]
+    for length in range(2, max(map(len, paths), default=0) + 1):
         for i in range(len(names)):
             twins = [j for j in range(len(names)) if names[j] == names[i]]
             if any(not same(i, j) for j in twins):
                 for j in twins:
-                    names[j] = "_".join(words[j][-length:])
-    first: dict[str, list[int]] = {}  # of the values that a name has, where even the whole path does not tell
+                    names[j] = "_".join(paths[j][-length:])
+    first: dict[str, list[int]] = {}  # of the values of a name, where even the whole path is the same
     for i, name in enumerate(names):
         values = first.setdefault(name, [])
         k = next((k for k, j in enumerate(values) if same(i, j)), len(values))

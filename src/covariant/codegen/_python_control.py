@@ -18,7 +18,24 @@ from covariant.observers import AbstractFlowObserver, continuous
 
 
 def plant(model: StateSpace, name: str = "plant") -> Any:
-    """The model as a `control.NonlinearIOSystem` from u to y. Raises `ImportError` without python-control."""
+    """A model as a `control.NonlinearIOSystem` from u to y.
+
+    Args:
+        model: The model.
+        name: Name of the system.
+
+    Raises:
+        ImportError: The package python-control is not installed.
+
+    Example:
+        >>> import importlib.util
+        >>> import jax.numpy as jnp
+        >>> from covariant import codegen, models
+        >>> f, h = lambda t, x, u: jnp.stack([x[1], u[0] - jnp.sin(x[0])]), lambda t, x, u: x[:1]
+        >>> model = models.StateSpace(f, h, coordinates=("q", "v"), inputs=1)
+        >>> if importlib.util.find_spec("control"):
+        ...     assert codegen.plant(model).state_labels == ["q", "v"]
+    """
     return _system(
         jax.jit(model.f),
         jax.jit(model.h),
@@ -34,17 +51,36 @@ def observer_system(
 ) -> Any:
     """An observer as a `control.NonlinearIOSystem` from (u, y) to its estimate, to be interconnected with `plant`.
 
-    - `model`: gives the names of the signals.
-    - `y0`, `t0`: first measurement and its time [s]; the attribute `initial` of the result is the flattened state
-      `observer.init(y0, t0)`.
+    Args:
+        observer: The observer.
+        model: Its model, which gives the names of the signals.
+        y0: First measurement.
+        t0: Its time [s].
+        name: Name of the system, and prefix of its outputs.
 
-    Raises `ImportError` without python-control.
+    Returns:
+        The system; its attribute `initial` is the flattened state `observer.init(y0, t0)`.
+
+    Raises:
+        ImportError: The package python-control is not installed.
+
+    Example:
+        >>> import importlib.util
+        >>> import jax.numpy as jnp
+        >>> from covariant import codegen, models, observers
+        >>> f, h = lambda t, x, u: jnp.stack([x[1], u[0] - jnp.sin(x[0])]), lambda t, x, u: x[:1]
+        >>> model = models.StateSpace(f, h, coordinates=("q", "v"), inputs=1)
+        >>> observer = observers.Contracting(model, jnp.array([[3.0], [2.0]]), jnp.zeros(2))
+        >>> if importlib.util.find_spec("control"):
+        ...     system = codegen.observer_system(observer, model, [0.2])
+        ...     assert system.output_labels == ["observer_q", "observer_v"]
     """
     start, unravel = jax.flatten_util.ravel_pytree(continuous(observer.init(jnp.asarray(y0, float), t0)))
     m = model.inputs
 
     @jax.jit
     def update(t, x, signals):
+        # The first inputs are u, the others y, as in the labels below.
         return jax.flatten_util.ravel_pytree(observer.flow(t, unravel(x), signals[:m], signals[m:]))[0]
 
     @jax.jit
@@ -73,8 +109,30 @@ def closed_loop(
 ) -> Any:
     """Plant, observer and controller as one `control.NonlinearIOSystem` without inputs; its outputs are x, x̂ and u.
 
-    The result has a function `initial(x0)`, which gives the initial state for x0 and `observer.init(y0, t0)`. Raises
-    `ImportError` without python-control.
+    Args:
+        model: The plant.
+        observer: The observer of its state.
+        controller: Function `(t, y, estimate) -> u`.
+        y0: First measurement.
+        t0: Its time [s].
+        name: Name of the system.
+
+    Returns:
+        The system; its function `initial(x0)` gives the initial state for x0 and `observer.init(y0, t0)`.
+
+    Raises:
+        ImportError: The package python-control is not installed.
+
+    Example:
+        >>> import importlib.util
+        >>> import jax.numpy as jnp
+        >>> from covariant import codegen, models, observers
+        >>> f, h = lambda t, x, u: jnp.stack([x[1], u[0] - jnp.sin(x[0])]), lambda t, x, u: x[:1]
+        >>> model = models.StateSpace(f, h, coordinates=("q", "v"), inputs=1)
+        >>> observer = observers.Contracting(model, jnp.array([[3.0], [2.0]]), jnp.zeros(2))
+        >>> if importlib.util.find_spec("control"):
+        ...     loop = codegen.closed_loop(model, observer, lambda t, y, estimate: -estimate[1:], [0.2])
+        ...     assert loop.output_labels == ["q", "v", "q_hat", "v_hat", "u1"]
     """
     start, unravel = jax.flatten_util.ravel_pytree(continuous(observer.init(jnp.asarray(y0, float), t0)))
     n, zero = len(model.coordinates), jnp.zeros(model.inputs)

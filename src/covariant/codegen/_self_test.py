@@ -8,9 +8,15 @@ from covariant.codegen._vectors import Vectors
 
 
 def write_test(program: Program, name: str, vectors: Vectors) -> str:
-    """C of the self-test: it prints the largest deviation as a part of the allowed one, and returns 0 where that is 1.
+    """The C of the self-test, which needs <stdio.h> and <math.h> alone besides the export.
 
-    It needs <stdio.h> alone besides the export.
+    It prints the largest deviation as a fraction of the allowed one, and returns 0 where that is at most 1 and all
+    outcomes are as expected.
+
+    Args:
+        program: The observer as graphs.
+        name: Prefix of all names in C.
+        vectors: The run to follow.
     """
     upper, real = name.upper(), program.real
     shown = [e for leaf in [*program.x, *program.told] for e in entries("output.", leaf)]
@@ -39,6 +45,7 @@ def write_test(program: Program, name: str, vectors: Vectors) -> str:
         table(kind, "measured", vectors.y),
         table("unsigned char", "missing", vectors.missing),
         table(kind, "expected", vectors.expected),
+        # A multiple, since a compiler may fuse products and sums, and so round differently from all of these runs.
         "/* Ten times what roundings at random make of the same run. */",
         table(kind, "allowed", vectors.allowed),
         "/* The outcome of each step, or -1 where rounding decides it. */\n"

@@ -1,7 +1,7 @@
 """The header and the source of an exported observer.
 
 All names begin with the name of the export. There is no memory management and no variable but constants; a state is a
-plain structure, so that a copy of it is a snapshot, and every function works on what it is given.
+plain structure, so that a copy of it is a snapshot, and every function works on its arguments alone.
 """
 
 import math
@@ -89,16 +89,30 @@ CODE = {
 """Bytes that a character of C, but for constant arrays, becomes on a Cortex-M4F by gcc -Os, at most, for each use of
 tables: in single precision, and in double, which that processor does by functions."""
 LOOK_UP = {"float": 10, "double": 60}
-"""Bytes that a look-up in a table takes besides."""
+"""Further bytes of a look-up in a table."""
 WIDTHS = {"double": 8, "float": 4, "unsigned": 4, "unsigned short": 2}
 """Bytes of an entry of a constant array there."""
 ARRAY = re.compile(rf"^static const ({'|'.join(WIDTHS)}) \w+\[(\d+)\] = {{[^}}]*}};$", re.MULTILINE)
 
 
 class Source(NamedTuple):
-    """The C of an observer: its header and source, and its functions by name, with what a call of each does.
+    """The C of an observer.
 
-    `tables`: which like statements are done by loops over tables.
+    Attributes:
+        name: Prefix of all names.
+        header: Text of the header.
+        source: Text of the source.
+        functions: The functions "init", "step" and "estimate", with the operations of a call of each.
+        tables: Which like statements are loops over tables: "none", those outside loops ("once"), or "all" of them.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import codegen, observers
+        >>> recipe = codegen.with_open_numbers(observers.FilteredDerivative(20.0))
+        >>> program = codegen.program(recipe, np.zeros(1))
+        >>> source = codegen.write_source(program, "speed", "A filtered derivative.")
+        >>> source.functions["step"].operations["div"], "speed_step" in source.header
+        (1, True)
     """
 
     name: str
@@ -109,14 +123,27 @@ class Source(NamedTuple):
 
 
 def write_source(program: Program, name: str, about: str, flash: int | float = math.inf) -> Source:
-    """The header and the source.
+    """The header and the source of an observer, in C99.
 
-    - `name`: what all names begin with, an identifier of C.
-    - `about`: a line that says what the observer is.
-    - `flash` [bytes]: how much code and constants may take. Where straight C is estimated to take more, like statements
-      are done by loops over tables. The estimate is one by the length of the text, the same on every machine.
+    Args:
+        program: The observer as graphs.
+        name: Prefix of all names in C, an identifier.
+        about: A line that says what the observer is, for comments and texts.
+        flash: Limit [bytes] of code and constants; by default there is none. Where straight C is estimated to take
+            more, like statements are loops over tables. The estimate is by the length of the text, the same on every
+            machine.
 
-    Raises `ValueError` where the name is no identifier, and where the tables are estimated to take more too.
+    Raises:
+        ValueError: The name is no identifier of C, or the tables are estimated to take more than `flash` too.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import codegen, observers
+        >>> recipe = codegen.with_open_numbers(observers.FilteredDerivative(20.0))
+        >>> program = codegen.program(recipe, np.zeros(1))
+        >>> codegen.write_source(program, "double", "A filtered derivative.")
+        Traceback (most recent call last):
+        ValueError: 'double' is no name in C; take letters, digits and underscores, beginning with a letter
     """
     if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name) or name in KEYWORDS:
         raise ValueError(f"{name!r} is no name in C; take letters, digits and underscores, beginning with a letter")
@@ -135,8 +162,9 @@ def write_source(program: Program, name: str, about: str, flash: int | float = m
 
 
 def _estimated(source: Source, real: Real) -> float:
-    """Bytes of code and constants on a Cortex-M4F, more than what its compiler makes of it; whatever the name."""
+    """Bytes of code and constants on a Cortex-M4F, more than its compiler makes of it, whatever the name."""
     arrays = sum(WIDTHS[kind] * int(count) for kind, count in ARRAY.findall(source.source))
+    # A name of fixed length in place of the export's, so that the estimate does not depend on it.
     code = re.sub(rf"\b{source.name}_", "arm_", ARRAY.sub("", source.source))
     return arrays + LOOK_UP[real] * code.count("arm_table(") + CODE[source.tables][real] * len(code)
 
@@ -151,17 +179,31 @@ def _written(program: Program, name: str, about: str, tables: Tables) -> Source:
 
 
 def entries(owner: str, leaf: Leaf) -> list[str]:
-    """The C expressions of the entries of an array of a structure."""
+    """The C expressions of the entries of an array of a structure.
+
+    Args:
+        owner: Expression of the structure with its operator, such as `state->`.
+        leaf: The array; one without axes is a plain variable.
+    """
     return [f"{owner}{field(leaf)}[{i}]" for i in range(leaf.size)] if leaf.shape else [f"{owner}{field(leaf)}"]
 
 
 def field(leaf: Leaf) -> str:
-    """The name of an array in C."""
+    """The name of an array in C, with an underscore where it is a keyword.
+
+    Args:
+        leaf: The array.
+    """
     return f"{leaf.name}_" if leaf.name in KEYWORDS else leaf.name
 
 
 def number(value: float, real: Real) -> str:
-    """A number in C."""
+    """A number as a constant in C.
+
+    Args:
+        value: The number.
+        real: Its type, "double" or "float".
+    """
     return c_number(value, real)
 
 
@@ -180,7 +222,7 @@ def _header(program: Program, name: str, about: str) -> str:
     codes = ",\n".join(f"    {upper}_{result.name} = {int(result)}" for result in Result)
     y = int(np.prod(program.y))
     shape = " x ".join(map(str, program.y))
-    given = [Leaf(key, np.shape(value)) for key, value in program.numbers.items()]
+    parameters = [Leaf(key, np.shape(value)) for key, value in program.numbers.items()]
     parts = [
         f"/* {about}\n *\n * Written by covariant {_version()}. {SENTENCE}\n */",
         f"#ifndef {upper}_H\n#define {upper}_H\n",
@@ -190,7 +232,7 @@ def _header(program: Program, name: str, about: str) -> str:
         f"#define {upper}_INPUTS {program.u}\n",
         f"/* Outcome of a step; a larger one is worse. */\nenum {{\n{codes}\n}};\n",
         _structure(
-            "params", name, "Numbers that may be changed at any time, between two steps.", _members(given, name)
+            "params", name, "Numbers that may be changed at any time, between two steps.", _members(parameters, name)
         ),
         _structure(
             "state",
@@ -239,9 +281,9 @@ def _step(program: Program, name: str, tables: Tables) -> CText:
     u, y = ([f"{n}[{i}]" for i in range(k)] for n, k in (("u", program.u), ("y", int(np.prod(program.y)))))
     after = [e for leaf in program.state for e in entries("next->", leaf)]
     lowered, _places, info = _only_reported(program)
-    found = ["*result" if leaf.name == "result" else None for leaf in info]
+    slots = ["*result" if leaf.name == "result" else None for leaf in info]
     outputs = [*after]
-    for leaf, result in zip(info, found, strict=True):
+    for leaf, result in zip(info, slots, strict=True):
         outputs += [result] if result else entries("next->", _last(leaf))
     declared = (
         f"const {name}_params *restrict params, const {name}_state *restrict state,\n"
@@ -254,12 +296,12 @@ def _step(program: Program, name: str, tables: Tables) -> CText:
 
 
 def _only_reported(program: Program) -> tuple[Lowered, list[int], list[Leaf]]:
-    """The step without the results that nobody reads."""
-    kept = [*program.reported, *(leaf for leaf in program.info if leaf.name == "result")]
+    """The step without the results that nothing reads."""
+    wanted = [*program.reported, *(leaf for leaf in program.info if leaf.name == "result")]
     count = sum(leaf.size for leaf in program.state)
     places, at, chosen = list(range(count)), count, []
     for leaf in program.info:
-        if leaf in kept:
+        if leaf in wanted:
             places += range(at, at + leaf.size)
             chosen.append(leaf)
         at += leaf.size
@@ -310,6 +352,7 @@ def _source(program: Program, name: str, about: str, functions: dict[str, CText]
     parts = [
         f"/* {about}\n *\n * Written by covariant {_version()}. {SENTENCE}\n */",
         f'#include "{name}.h"\n\n#include <math.h>\n#include <stddef.h>\n',
+        # -ffast-math lets a compiler assume that no number is NaN, and drop the tests for missing measurements.
         "#ifdef __FAST_MATH__\n#error missing measurements are NaN: compile this file without -ffast-math\n#endif\n",
         "/* Where double has four bytes, as on some microcontrollers, export the observer in float. */\n"
         f"typedef char {name}_size_of_real[sizeof({name}_real) == {size} ? 1 : -1];\n",
@@ -319,6 +362,7 @@ def _source(program: Program, name: str, about: str, functions: dict[str, CText]
         f"int {name}_init({name}_state *state, const {name}_params *params, const {name}_real *y, {name}_real t)\n{{\n"
         f"    int i;\n"
         f"    for (i = 0; i < {upper}_MEASUREMENTS; ++i) {{\n"
+        # y − y is 0 for finite y and NaN for all others, without a function of <math.h>.
         f"        if (!(y[i] - y[i] == 0))\n            return {upper}_NOT_FINITE;\n    }}\n"
         f"    {name}_core_init(params, y, t, state);\n"
         f"{unknown}    return {upper}_OK;\n}}\n",
@@ -350,7 +394,7 @@ def _copy(leaf: Leaf, into: str, out_of: str) -> str:
 
 
 def _unknown(leaf: Leaf, name: str) -> str:
-    """What is not known before the first step."""
+    """Assignments of NaN to diagnostics, which are unknown before the first step."""
     return "".join(f"    {e} = ({name}_real)NAN;\n" for e in entries("state->", _last(leaf)))
 
 

@@ -1,4 +1,4 @@
-"""Test vectors of an exported observer: a run with faults, its estimates, and how far rounding may move them."""
+"""Test vectors of an exported observer: a run with faults, its estimates, and their allowed deviations."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -11,7 +11,7 @@ from covariant.lowering import Lowered, evaluate, perturbed
 UNITS = {"double": 2.0**-53, "float": 2.0**-24}
 LANES = 12
 ALLOWED = 10.0
-"""Largest deviation of an estimate, as a multiple of what roundings at random make of it."""
+"""Allowed deviation of an estimate, as a multiple of its deviation under random rounding."""
 ROWS = 40
 SWING, PERIODS = 0.2, 1.5
 """Amplitude of the measured motion [rad or m], and how often it swings in a run."""
@@ -20,10 +20,27 @@ LONG_GAP = 5.0
 
 
 class Vectors(NamedTuple):
-    """A run from the measurement `start`: rows of dt (T,), u (T, m), y (T, k) and missing (T, k), and what is expected.
+    """Test vectors: a run from the measurement `start`, in T rows, and its expected estimates.
 
-    - `expected` (T, j): the numbers of the estimate after each row; `allowed` (T, j): how far they may be off.
-    - `result` (T,): the result codes, or −1 where rounding decides them.
+    Attributes:
+        start: Measurement (k,) that starts it, at the time 0.
+        dt: Time [s] since the row before (T,).
+        u: Inputs (T, m).
+        y: Measurements (T, k).
+        missing: Mask (T, k) of missing numbers.
+        expected: The j numbers of the estimate after each row (T, j).
+        allowed: Largest deviations (T, j) from these.
+        result: Result codes (T,), or −1 where rounding decides them.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import codegen, observers
+        >>> recipe = codegen.with_open_numbers(observers.FilteredDerivative(20.0))
+        >>> program = codegen.program(recipe, np.zeros(1))
+        >>> measured = np.sin(np.arange(codegen.ROWS + 1) / 10)[:, None]
+        >>> run = codegen.vectors(program, measured, 100.0)
+        >>> run.expected.shape, int(run.missing.sum()), bool((run.allowed > 0).all())
+        ((40, 2), 2, True)
     """
 
     start: np.ndarray
@@ -37,9 +54,26 @@ class Vectors(NamedTuple):
 
 
 def vectors(program: Program, measured: np.ndarray, rate: float) -> Vectors:
-    """A run at about a rate [Hz] over the measurements (ROWS + 1, *n), the first of which starts it.
+    """Test vectors of an observer: a run with faults. Its rows are the same in every call.
 
-    Some are missing, one is infinite, inputs are not finite, steps are zero, negative or long.
+    Some measurements are missing, one is infinite, inputs are not finite, steps are zero, negative or long.
+
+    Args:
+        program: The observer as graphs.
+        measured: Measurements (ROWS + 1, *n), the first of which starts it.
+        rate: Sampling rate [Hz]; intervals differ from it by up to a fifth.
+
+    Returns:
+        The run; allowed deviations are `ALLOWED` times those under random rounding.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import codegen, observers
+        >>> recipe = codegen.with_open_numbers(observers.FilteredDerivative(20.0))
+        >>> program = codegen.program(recipe, np.zeros(1))
+        >>> run = codegen.vectors(program, np.zeros((codegen.ROWS + 1, 1)), 100.0)
+        >>> run.dt.shape, int(run.dt.argmin())  # a negative step
+        ((40,), 17)
     """
     dtype = DTYPES[program.real]
     rows, random = len(measured) - 1, np.random.default_rng(0)
@@ -53,11 +87,14 @@ def vectors(program: Program, measured: np.ndarray, rate: float) -> Vectors:
     y[20, :1] = np.inf
     u = 0.3 * np.sin(np.arange(rows)[:, None] / 7 + np.arange(program.u))
     u[9, :1] = np.nan
+    # Rounded to the type of the code, so that C reads the same numbers as are followed here.
     dt, u = dt.astype(dtype).astype(float), u.astype(dtype).astype(float)
     lanes, codes = _followed(program, start, np.where(missing, np.nan, y), u, dt)
     expected = lanes[:, :, 0]
-    size = np.abs(lanes - expected[:, :, None]).max(axis=2)
-    allowed = ALLOWED * (size + UNITS[program.real] * np.abs(expected)) + 64 * np.finfo(dtype).tiny
+    deviation = np.abs(lanes - expected[:, :, None]).max(axis=2)
+    # The last term covers underflow; one unit of the last digit counts where roundings change nothing.
+    allowed = ALLOWED * (deviation + UNITS[program.real] * np.abs(expected)) + 64 * np.finfo(dtype).tiny
+    # A code that differs between lanes depends on rounding, and may differ between machines.
     result = np.where((codes == codes[:, :1]).all(axis=1), codes[:, 0], -1)
     return Vectors(start, dt, u, y, missing, expected, allowed, result.astype(int))
 
@@ -70,17 +107,17 @@ def _followed(program: Program, start, y, u, dt) -> tuple[np.ndarray, np.ndarray
 
     def read(lowered: Lowered, arguments: Sequence) -> list[np.ndarray]:
         with np.errstate(all="ignore"):
-            found = evaluate(lowered, domain, [np.broadcast_to(np.asarray(a, float), LANES) for a in arguments])
-        return [np.broadcast_to(np.asarray(value, float), LANES) for value in found]
+            outputs = evaluate(lowered, domain, [np.broadcast_to(np.asarray(a, float), LANES) for a in arguments])
+        return [np.broadcast_to(np.asarray(value, float), LANES) for value in outputs]
 
     state = read(program.init, [*values, *start, 0.0])
     place = [leaf.name for leaf in program.info for _ in range(leaf.size)].index("result")
     shown = [k for k, leaf in enumerate(program.info) for _ in range(leaf.size)]
     estimates, codes = [], []
     for row in zip(u, y, dt, strict=True):
-        found = read(program.step, [*values, *state, *row[0], *row[1], row[2]])
-        state, info = found[: len(state)], found[len(state) :]
-        told = [value for value, k in zip(info, shown, strict=True) if program.info[k] in program.told]
-        estimates.append([*read(program.estimate, [*values, *state]), *told])
+        outputs = read(program.step, [*values, *state, *row[0], *row[1], row[2]])
+        state, info = outputs[: len(state)], outputs[len(state) :]
+        extras = [value for value, k in zip(info, shown, strict=True) if program.info[k] in program.told]
+        estimates.append([*read(program.estimate, [*values, *state]), *extras])
         codes.append(info[place])
     return np.array(estimates), np.array(codes)

@@ -19,15 +19,35 @@ from covariant.codegen._vectors import vectors
 def export_texts(
     program: Program, name: str, about: str, measured: np.ndarray, facts: Facts, flash: int | float = math.inf
 ) -> dict[str, str]:
-    """All files of an export by their path in its folder.
-
-    - `name`: what all names in C begin with; `about`: a line that says what the observer is.
-    - `measured` (T, *n): measurements of the self-test, the first of which starts it.
-    - `flash` [bytes]: how much code and constants may take, see `write_source`.
+    """All files of an export: header, source, self-test, data sheet, build files and a README.
 
     The texts of source and self-test are the same on every machine; the data sheet names the sizes of its compilers.
-    Raises `ValueError` where the observer is estimated to take more flash.
+
+    Args:
+        program: The observer as graphs.
+        name: Prefix of all names in C, an identifier.
+        about: A line that says what the observer is, for comments and texts.
+        measured: Measurements (ROWS + 1, *n) of the self-test, the first of which starts it.
+        facts: Further facts on the data sheet.
+        flash: Limit [bytes] of code and constants, as for `write_source`; by default there is none.
+
+    Returns:
+        The texts by their path in the folder of the export.
+
+    Raises:
+        ValueError: The name is no identifier of C, or the observer is estimated to take more flash.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import codegen, observers
+        >>> recipe = codegen.with_open_numbers(observers.FilteredDerivative(20.0))
+        >>> program = codegen.program(recipe, np.zeros(1))
+        >>> measured = np.zeros((codegen.ROWS + 1, 1))
+        >>> texts = codegen.export_texts(program, "speed", "A filter.", measured, codegen.Facts(100.0, None))
+        >>> list(texts)[:3], texts["DATASHEET.md"].splitlines()[0]
+        (['speed.h', 'speed.c', 'test/speed_test.c'], '# Data sheet of speed')
     """
+    # A comment of C ends at */, and one line must stay one.
     about = " ".join(about.replace("*/", "").split())
     source = write_source(program, name, about, flash)
     return {
@@ -40,10 +60,27 @@ def export_texts(
 
 
 def write_folder(texts: Mapping[str, str], folder: Path, overwrite: bool = False) -> list[Path]:
-    """Write the files into a folder, which is made where it is not there; returns their paths.
+    """Write files into a folder. A new folder appears with all of its files or not at all.
 
-    A new folder appears with all of its files or not at all. Raises `ValueError` for a folder with files in it, unless
-    `overwrite` is set: then the files are replaced one by one, and others stay.
+    Args:
+        texts: Texts by their path in the folder.
+        folder: The folder, which is created where it is not there; its parent must exist.
+        overwrite: Replace files of a folder that is not empty, one by one; others stay. By default it is refused.
+
+    Returns:
+        The paths of the files.
+
+    Raises:
+        ValueError: The folder is a file, is not empty, or has no parent.
+
+    Example:
+        >>> from pathlib import Path
+        >>> from covariant.codegen import write_folder
+        >>> [path.as_posix() for path in write_folder({"a.h": "int a;", "test/a.c": ""}, Path("exported"))]
+        ['exported/a.h', 'exported/test/a.c']
+        >>> write_folder({"a.h": ""}, Path("exported"))
+        Traceback (most recent call last):
+        ValueError: exported: the folder is not empty; name a new one, or replace its files by --overwrite
     """
     if folder.exists() and not folder.is_dir():
         raise ValueError(f"{folder}: this is a file; name a folder")
@@ -60,5 +97,6 @@ def write_folder(texts: Mapping[str, str], folder: Path, overwrite: bool = False
             for path, text in texts.items():
                 (fresh / path).parent.mkdir(exist_ok=True)
                 (fresh / path).write_bytes(text.encode())
+            # A rename is atomic: nobody sees the folder with a part of its files.
             os.rename(fresh, folder)
     return [folder / path for path in texts]

@@ -25,12 +25,30 @@ DEPTH = 8
 
 
 class BallMatrix:
-    """Taylor's form of a symmetric matrix (n, n), `S(c) + S'(c) δ + ½ S''(box) δ²`, in balls.
+    """Taylor's form of a symmetric matrix (n, n), `S(c) + S'(c) δ + ½ S''(box) δ²`, in balls of many digits.
 
-    - `flint`: the package python-flint, whose precision in bits the caller sets, such as to `BITS`.
-    - `form`: the matrix; `low`, `high` (d,): a box that contains all others.
+    Args:
+        flint: The package python-flint, whose precision in bits the caller sets, such as to `BITS`.
+        form: The matrix.
+        low: Lower corner (d,) of a box that contains all others.
+        high: Upper corner (d,).
 
-    `reads` is the number of variables that it depends on.
+    Attributes:
+        n: Number of rows.
+        free: Indices of the variables that the matrix reads and that have distinct bounds.
+        reads: Their number.
+
+    Example:
+        >>> import importlib.util
+        >>> import jax.numpy as jnp, numpy as np
+        >>> from covariant.proofs import BITS, BallMatrix, as_form
+        >>> form = as_form(lambda z: jnp.array([[2.0 + z[0], 1.0], [1.0, 2.0]]))
+        >>> low, high = np.array([-0.9]), np.array([1.0])
+        >>> if importlib.util.find_spec("flint"):
+        ...     import flint
+        ...
+        ...     with flint.ctx.workprec(BITS):
+        ...         assert BallMatrix(flint, form, low, high).show(low, high, "claim 1") == 1
     """
 
     def __init__(self, flint: Any, form: Form, low: np.ndarray, high: np.ndarray):
@@ -44,7 +62,20 @@ class BallMatrix:
         self.arb, self.matrix, self.domain = flint.arb, flint.arb_mat, _balls(flint.arb)
 
     def show(self, low: np.ndarray, high: np.ndarray, what: str, depth: int = DEPTH) -> int:
-        """Number of boxes needed to show that the matrix is positive definite on one box. Raises `ValueError`."""
+        """Show that the matrix is positive definite on one box.
+
+        Args:
+            low: Lower corner (d,).
+            high: Upper corner (d,).
+            what: Name of the claim, for the message.
+            depth: Largest number of halvings.
+
+        Returns:
+            Number of boxes evaluated.
+
+        Raises:
+            ValueError: It is not shown after so many halvings; the message names a box.
+        """
         try:
             good, axis = self._definite(low, high)
         except _UndecidedError:
@@ -66,6 +97,7 @@ class BallMatrix:
         bend = self._matrices(self.second, around, count)[1 + len(self.free) :]
         middle = np.array([[float(at[0][i, j].mid()) for j in range(self.n)] for i in range(self.n)])
         values, vectors = np.linalg.eigh(middle)
+        # C needs positive eigenvalues; without them nothing is shown on this box.
         if not values[0] > 0:
             return False, int((high - low).argmax())
         c = self.matrix((vectors / np.sqrt(values)).tolist())
@@ -79,11 +111,13 @@ class BallMatrix:
             wide = self.matrix([[abs(turned[i, j]) * size for j in range(self.n)] for i in range(self.n)])
             error += wide
             share[list(variables)] += sum(float(entry.upper()) for entry in wide.entries())
+        # The vector x is computed in doubles, since any positive x serves; only the comparison below is rigorous.
         rough, x = np.array([[float(error[i, j].mid()) for j in range(self.n)] for i in range(self.n)]), np.ones(self.n)
         for _ in range(8):
             x = rough @ x
             x = x / x.max() + 1e-9
         product = error * self.matrix([[v] for v in x.tolist()])
+        # A comparison of balls is true only where it holds for all numbers in them.
         good = all(product[i, 0] < self.arb(float(x[i])) for i in range(self.n))
         return good, int(self.free[share.argmax()] if len(share) else 0)
 
@@ -126,16 +160,17 @@ def _balls(arb: Any) -> Domain:
         raise _UndecidedError
 
     def floor(a: Any) -> Any:
-        found = a.floor()
-        if not found.is_exact():
+        rounded = a.floor()
+        if not rounded.is_exact():
             raise _UndecidedError
-        return found
+        return rounded
 
     def _stumpff(k: int, x: Any) -> Any:
         """The series, with a remainder bounded by the absolute value of its first omitted term."""
         total, term = arb(0), 1 / arb(math.factorial(k))
         for j in range(1, 40):
             total, term = total + term, -term * x / ((2 * j + k) * (2 * j + k - 1))
+        # arb(0, 1) is the ball [−1, 1]: the remainder has either sign.
         return total + abs(term).upper() * arb(0, 1)
 
     zero, one = arb(0), arb(1)

@@ -7,10 +7,21 @@ from jaxtyping import Float
 
 
 class Box(NamedTuple):
-    """Bounds of named variables; a variable with equal bounds is held fixed.
+    """Bounds of named variables: the domain of a proof. A variable with equal bounds is fixed.
 
-    - `names`, `units`: of the variables, as text.
-    - `low`, `high` (d,): their bounds.
+    Attributes:
+        names: Names of the d variables.
+        units: Their units as text; "" for none.
+        low: Lower bounds (d,), in these units.
+        high: Upper bounds (d,), in these units.
+
+    Example:
+        >>> from covariant.proofs import box
+        >>> domain = box(angle=(-1.0, 1.0, "rad"), speed=(0.0, 2.0, "m/s"))
+        >>> domain.names, domain.high.tolist()
+        (('angle', 'speed'), [1.0, 2.0])
+        >>> print(domain)
+        -1 ≤ angle ≤ 1 rad, 0 ≤ speed ≤ 2 m/s
     """
 
     names: tuple[str, ...]
@@ -20,13 +31,21 @@ class Box(NamedTuple):
 
     @property
     def free(self) -> "Box":
-        """The box of the variables that are not held fixed."""
-        kept = np.flatnonzero(self.high > self.low)
-        names, units = (tuple(words[i] for i in kept) for words in (self.names, self.units))
-        return Box(names, units, self.low[kept], self.high[kept])
+        """The box of the free variables, those with distinct bounds."""
+        indices = np.flatnonzero(self.high > self.low)
+        names, units = (tuple(texts[i] for i in indices) for texts in (self.names, self.units))
+        return Box(names, units, self.low[indices], self.high[indices])
 
     def with_fixed(self, values: np.ndarray, names: tuple[str, ...] = ()) -> "Box":
-        """The box with further variables (k,), held fixed at these values; without `names` theirs are empty."""
+        """The box with k further variables, fixed at given values.
+
+        Args:
+            values: Values (k,) at which they are fixed.
+            names: Their k names; without them these are "". Their units are "".
+
+        Returns:
+            The box of all d + k variables, the fixed ones last.
+        """
         low, high = (np.concatenate([ends, values]) for ends in (self.low, self.high))
         empty = ("",) * len(values)
         return Box((*self.names, *(names or empty)), (*self.units, *empty), low, high)
@@ -37,9 +56,22 @@ class Box(NamedTuple):
 
 
 def box(**bounds: tuple[float, float] | tuple[float, float, str]) -> Box:
-    """A box from `name=(low, high)` or `name=(low, high, unit)`.
+    """A box from one keyword for each variable.
 
-    Raises `ValueError` naming a variable whose bounds are not finite numbers in order.
+    Args:
+        **bounds: `name=(low, high)` or `name=(low, high, unit)`, in the order of the variables.
+
+    Returns:
+        The box, with checked bounds.
+
+    Raises:
+        ValueError: The bounds of a variable are not finite numbers, the lower one first; the message names it.
+
+    Example:
+        >>> from covariant.proofs import box
+        >>> domain = box(x=(-1.0, 1.0, "m"), mass=(2.0, 2.0))
+        >>> domain.low.tolist(), domain.units, domain.free.names
+        ([-1.0, 2.0], ('m', ''), ('x',))
     """
     units = tuple(str(b[2]) if len(b) == 3 else "" for b in bounds.values())
     low = np.array([float(b[0]) for b in bounds.values()])
@@ -48,7 +80,25 @@ def box(**bounds: tuple[float, float] | tuple[float, float, str]) -> Box:
 
 
 def check_box(given: Box) -> Box:
-    """The box, unchanged. Raises `ValueError` naming a variable whose bounds are not finite numbers in order."""
+    """The box, unchanged, after a check of its bounds.
+
+    Args:
+        given: The box to check.
+
+    Returns:
+        The same box.
+
+    Raises:
+        ValueError: The bounds of a variable are not finite, or the lower one exceeds the upper one; the message names
+            it.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.proofs import Box, check_box
+        >>> check_box(Box(("x",), ("m",), np.array([1.0]), np.array([0.0])))
+        Traceback (most recent call last):
+        ValueError: bounds of x must be finite, the lower one first; got 1 to 0
+    """
     for name, low, high in zip(given.names, given.low, given.high, strict=True):
         if not (np.isfinite(low) and np.isfinite(high) and low <= high):
             raise ValueError(f"bounds of {name} must be finite, the lower one first; got {low:g} to {high:g}")

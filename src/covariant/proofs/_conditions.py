@@ -17,9 +17,25 @@ CENTRES, FINEST = 16, 8
 
 
 def show_conditions(conditions: Conditions, domain: Box) -> str:
-    """Show by halving that all conditions hold over a domain. Returns "", or a text that names an open one and its box.
+    """Show by halving that all conditions hold over a box.
 
     A condition that holds on a box is not tested again on its parts.
+
+    Args:
+        conditions: Conditions on the variables of the box, as of a `Form`.
+        domain: Bounds of these variables; those with an empty name are left out of the message.
+
+    Returns:
+        "" where all hold, or a text that names one that is open and where.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant.proofs import as_form, box, show_conditions
+        >>> root = as_form(lambda z: jnp.sqrt(z)[:, None]).graph(jnp.zeros(1))
+        >>> show_conditions(root.conditions, box(a=(1.0, 2.0)))
+        ''
+        >>> "is not shown to be defined where a is" in show_conditions(root.conditions, box(a=(-1.0, 2.0)))
+        True
     """
     count, width = len(conditions.conditions), domain.high - domain.low
     low, high, undecided = domain.low[None], domain.high[None], np.ones((1, count), bool)
@@ -29,23 +45,25 @@ def show_conditions(conditions: Conditions, domain: Box) -> str:
     needs = np.zeros(0)
     for depth in itertools.count():
         undecided &= ~fulfilled(conditions, low, high)
-        left = undecided.any(axis=1)
-        if not left.any():
+        unfinished = undecided.any(axis=1)
+        if not unfinished.any():
             return ""
         if not needs.size:  # most are shown on the whole box
             needs = _needed_halvings(conditions, domain, reads)
-        low, high, undecided = low[left], high[left], undecided[left]
+        # Only boxes with open conditions go on to the next depth.
+        low, high, undecided = low[unfinished], high[unfinished], undecided[unfinished]
         relative = (high - low) / np.where(width > 0, width, 1.0) * (undecided[:, :, None] * needs).max(axis=1)
         middle = middle_of(low, high)
+        # A side of adjacent floats has no number strictly between its ends, and cannot be halved.
         relative = np.where((middle > low) & (middle < high), relative, 0.0)
         stuck = np.flatnonzero(relative.max(axis=1) <= 0)
         if len(stuck) or depth >= DEEPEST or 2 * len(low) > MOST_CONDITIONS:
             k = int(stuck[0]) if len(stuck) else 0
             condition = conditions.conditions[int(undecided[k].argmax())]
             where = [i for i in np.flatnonzero(reads[undecided[k].argmax()]) if domain.names[i]]
-            place = ", ".join(f"{domain.names[i]} is {low[k, i]:.6g} to {high[k, i]:.6g}" for i in where)
-            what = MEANING.get(condition.kind, "may jump")
-            return f"{condition.because} {what}" + (f" where {place}" if place else "")
+            region = ", ".join(f"{domain.names[i]} is {low[k, i]:.6g} to {high[k, i]:.6g}" for i in where)
+            meaning = MEANING.get(condition.kind, "may jump")
+            return f"{condition.because} {meaning}" + (f" where {region}" if region else "")
         axes = relative.argmax(axis=1)
         low, high = halves(low, high, axes)
         undecided = np.repeat(undecided, 2, axis=0)
@@ -62,6 +80,7 @@ def _needed_halvings(conditions: Conditions, domain: Box, reads: np.ndarray) -> 
     needed = reads.copy()
     for i in np.flatnonzero(reads.any(axis=0)):
         for k in range(FINEST):
+            # The interval around a point is as wide as a box after k halvings of this input.
             half = (domain.high[i] - domain.low[i]) / 2 ** (k + 1)
             low, high = points.copy(), points.copy()
             low[:, i] = np.maximum(domain.low[i], points[:, i] - half)

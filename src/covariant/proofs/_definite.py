@@ -24,36 +24,64 @@ HUGE = 1e100
 
 
 def places(n: int) -> Int[np.ndarray, "n n"]:
-    """Where each entry of a symmetric matrix (n, n) is among those on and below its diagonal (K)."""
+    """The place of each entry of a symmetric matrix among those on and below its diagonal.
+
+    Args:
+        n: Number of rows.
+
+    Returns:
+        Indices (n, n) into K = n (n + 1)/2 entries, in the order of `numpy.tril_indices`.
+    """
     rows, columns = np.tril_indices(n)
-    found = np.empty((n, n), int)
-    found[rows, columns] = found[columns, rows] = np.arange(len(rows))
-    return found
+    positions = np.empty((n, n), int)
+    positions[rows, columns] = positions[columns, rows] = np.arange(len(rows))
+    return positions
 
 
 def size_of(entries: np.ndarray) -> int:
-    """n of symmetric matrices from their entries (..., K, B) on and below the diagonal."""
+    """Number of rows n of symmetric matrices, from K = n (n + 1)/2.
+
+    Args:
+        entries: Entries (..., K, B) on and below the diagonal.
+    """
     return (math.isqrt(8 * entries.shape[-2] + 1) - 1) // 2
 
 
 def symmetric(entries: np.ndarray) -> Float[np.ndarray, "B n n"]:
-    """Symmetric matrices from their entries (K, B) on and below the diagonal."""
+    """Symmetric matrices from their entries on and below the diagonal.
+
+    Args:
+        entries: Entries (K, B).
+    """
     return entries.T[:, places(size_of(entries))]
 
 
 def congruent(c: np.ndarray, entries: np.ndarray) -> np.ndarray:
-    """The entries of CᵀSC on and below the diagonal, for C (n, n, B) and symmetric S with the entries (..., K, B)."""
-    n, found = len(c), np.empty_like(entries)
+    """The entries of CᵀSC on and below the diagonal.
+
+    Args:
+        c: Factors C (n, n, B).
+        entries: Entries (..., K, B) of symmetric S on and below the diagonal.
+
+    Returns:
+        Entries (..., K, B). The sums are in the order of the C of `_tests_in_c`, so that both are equal to the last
+        bit.
+    """
+    n, result = len(c), np.empty_like(entries)
     at = places(n)
     for b in range(n):
         column = [sum_of(entries[..., at[i, j], :] * c[j, b] for j in range(n)) for i in range(n)]
         for a in range(b, n):
-            found[..., at[a, b], :] = sum_of(column[i] * c[i, a] for i in range(n))
-    return found
+            result[..., at[a, b], :] = sum_of(column[i] * c[i, a] for i in range(n))
+    return result
 
 
 def sum_of(arrays: Iterable[np.ndarray]) -> np.ndarray:
-    """The sum of new arrays, one after the other."""
+    """The sum of new arrays, one after the other; the first of them is overwritten.
+
+    Args:
+        arrays: One array or more, of one shape.
+    """
     total, *rest = arrays
     for array in rest:
         total += array
@@ -61,7 +89,11 @@ def sum_of(arrays: Iterable[np.ndarray]) -> np.ndarray:
 
 
 def sum_over(rows: np.ndarray) -> np.ndarray:
-    """The sum over the first axis, one row after the other, from zero."""
+    """The sum over the first axis, one row after the other, from zero.
+
+    Args:
+        rows: Array (m, ...); without rows the sum is zero.
+    """
     total = np.zeros(rows.shape[1:])
     for row in rows:
         total += row
@@ -71,10 +103,23 @@ def sum_over(rows: np.ndarray) -> np.ndarray:
 def definite(
     middle: np.ndarray, radius: np.ndarray, terms: np.ndarray | None = None
 ) -> tuple[Bool[np.ndarray, "B"], np.ndarray]:
-    """Whether all symmetric matrices within `middle ± radius` are positive definite; and the factors C (n, n, B) used.
+    """Whether all symmetric matrices in an enclosure are positive definite.
 
-    Matrices are given by their entries (K, B) on and below the diagonal. With `terms` (m, K, B): all those within
-    `middle + Σ wₘ terms[m] ± radius`, |wₘ| ≤ 1.
+    Args:
+        middle: Middles (K, B) of the entries on and below the diagonal, on B boxes.
+        radius: Radii (K, B) around them.
+        terms: Optional further terms (m, K, B): the matrices are those within `middle + Σ wₘ terms[m] ± radius`, |wₘ| ≤
+            1.
+
+    Returns:
+        The verdict (B,), where False says nothing, and the factors C (n, n, B) that were used.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.proofs._definite import definite
+        >>> middle = np.array([[2.0, 2.0], [1.0, 1.0], [2.0, 2.0]])  # two matrices [[2, 1], [1, 2]]
+        >>> definite(middle, np.array([[0.1, 0.9]] * 3))[0].tolist()
+        [True, False]
     """
     c, positive = factors(middle)
     n, at = len(c), places(len(c))
@@ -83,18 +128,31 @@ def definite(
         if terms is not None:
             error += sum_over(np.abs(congruent(c, terms)))
             size += sum_over(np.abs(terms))
+        # |C|ᵀ R |C| bounds what the radii add, and ROUND times the sizes what rounding of the congruences above adds.
         error += congruent(np.abs(c), radius + ROUND * size)
+        # Rounded up, by a relative and an absolute margin, so that E bounds |I − CᵀSC| despite all rounding.
         e = (error * (1 + ROUND) + ROUND)[at]
         x = np.ones((n, e.shape[2]))
+        # A few steps of power iteration: any positive x proves the claim, the Perron vector of E does so most often.
         for _ in range(4):
             x = sum_over(e * x[:, None]) + 1e-6
             x /= x.max(axis=0)
+        # The left side is rounded up. SLACK lowers the right side, so that another implementation decides alike.
         below = (sum_over(e * x[:, None]) * (1 + ROUND) + TINY <= (1 - SLACK) * x).all(axis=0)
     return below & positive, c
 
 
 def weights(c: np.ndarray, terms: np.ndarray, shares: np.ndarray) -> Float[np.ndarray, "m B"]:
-    """How much each of some terms (m, K, B) and its share widen enclosures, after the factors C made them congruent."""
+    """How much each term of an enclosure and its share widen it, after the congruence by C.
+
+    Args:
+        c: Factors C (n, n, B), as from `definite`.
+        terms: Terms (m, K, B) of the entries on and below the diagonal.
+        shares: Contributions (m, K, B) to the remainder.
+
+    Returns:
+        Weights (m, B): sums over all entries. They guide the search alone; no rounding of them matters.
+    """
     n = len(c)
     rows, columns = np.tril_indices(n)
     with np.errstate(all="ignore"):
@@ -107,9 +165,14 @@ def weights(c: np.ndarray, terms: np.ndarray, shares: np.ndarray) -> Float[np.nd
 
 
 def indefinite(middle: np.ndarray, radius: np.ndarray) -> Bool[np.ndarray, "B"]:
-    """Whether no symmetric matrix within `middle ± radius` is positive definite: xᵀSx < 0 for some x.
+    """Whether no symmetric matrix in an enclosure is positive definite: xᵀSx < 0 for some x and all of them.
 
-    Matrices are given by their entries (K, B) on and below the diagonal.
+    Args:
+        middle: Middles (K, B) of the entries on and below the diagonal.
+        radius: Radii (K, B) around them.
+
+    Returns:
+        The verdict (B,), where False says nothing.
     """
     middle, radius = symmetric(middle), symmetric(radius)
     finite = np.asarray(((np.abs(middle) < HUGE) & np.isfinite(radius)).all(axis=(1, 2)))
@@ -117,14 +180,22 @@ def indefinite(middle: np.ndarray, radius: np.ndarray) -> Bool[np.ndarray, "B"]:
     x = np.linalg.eigh(safe)[1][:, :, :1]
     xt = np.swapaxes(x, 1, 2)
     with np.errstate(all="ignore"):
+        # An upper bound of xᵀSx over the enclosure: a negative one refutes definiteness.
         most = xt @ safe @ x + np.abs(xt) @ (radius + ROUND * np.abs(safe)) @ np.abs(x) * (1 + ROUND) + TINY
     return finite & (most[:, 0, 0] < 0)
 
 
 def factors(middle: np.ndarray) -> tuple[Float[np.ndarray, "n n B"], Bool[np.ndarray, "B"]]:
-    """C with `CᵀSC` near the identity, whatever the units of the entries (K, B) of S; and whether there is one.
+    """Factors C with `CᵀSC` near the identity, for entries of S in any units.
 
     Of all such factors it is the inverse square root: it rotates least, and rotation increases sums of absolute values.
+
+    Args:
+        middle: Entries (K, B) of S on and below the diagonal.
+
+    Returns:
+        C (n, n, B), and whether S appears positive definite and not too large (B,). Neither has to be exact: `definite`
+        proves its verdict for the C that it gets.
     """
     n, full = size_of(middle), symmetric(middle)
     diagonal = np.abs(np.diagonal(full, axis1=1, axis2=2))
@@ -133,6 +204,7 @@ def factors(middle: np.ndarray) -> tuple[Float[np.ndarray, "n n B"], Bool[np.nda
         scaled = full * units[:, :, None] * units[:, None, :]
     finite = np.asarray((np.abs(scaled) < HUGE).all(axis=(1, 2)))
     values, vectors = np.linalg.eigh(np.where(finite[:, None, None], scaled, np.eye(n)))
+    # Eigenvalues of magnitude zero would make C infinite; its accuracy does not matter for the proof.
     sizes = np.maximum(np.abs(values), np.abs(values).max(axis=1, keepdims=True) * 1e-12 + TINY)
     root = (vectors / np.sqrt(sizes)[:, None, :]) @ np.swapaxes(vectors, 1, 2)
     return np.ascontiguousarray((units[:, :, None] * root).transpose(1, 2, 0)), finite & (values[:, 0] > 0)

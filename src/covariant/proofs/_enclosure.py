@@ -27,10 +27,24 @@ MOST_DERIVED = 10
 class Expansions(NamedTuple):
     """A symmetric matrix (n, n) as graphs of its K entries on and below the diagonal, and of their derivatives.
 
-    - `value`, `first`, `second`: the entries, with first derivatives, and with first and second derivatives. These are
-      None where Taylor models of the entries take their place.
-    - `engine`: who bounds them, as for `enclose`.
-    - `size`: n; `free` (f,): the variables that are read and not held fixed; `width` (d,): widths of the whole domain.
+    Attributes:
+        value: Graph of the entries.
+        first: Graph of the entries and first derivatives; None where Taylor models of the entries take its place.
+        second: Graph of the entries, first and second derivatives; None in the same case.
+        size: Number of rows, n.
+        free: Indices (f,) of the variables that are read and have distinct bounds.
+        width: Widths (d,) of the whole domain.
+        engine: Arithmetic that bounds the graphs, as for `lowering.enclose`.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant.lowering import lower
+        >>> from covariant.proofs import box
+        >>> from covariant.proofs._enclosure import Expansions
+        >>> domain = box(a=(-1.0, 1.0), b=(0.0, 1.0))
+        >>> expansions = Expansions.of(lower(lambda z: jnp.array([[2.0 + z[0] ** 2]]), jnp.zeros(2)), domain)
+        >>> expansions.size, expansions.free.tolist(), expansions.width.tolist()
+        (1, [0], [2.0, 1.0])
     """
 
     value: Lowered
@@ -49,9 +63,17 @@ class Expansions(NamedTuple):
         engine: Arithmetic = "auto",
         form: Literal["auto", "derivatives", "models"] = "auto",
     ) -> "Expansions":
-        """The expansions of the graph of all entries. Raises `ValueError` where the matrix is not square.
+        """The expansions of the graph of all entries.
 
-        `form`: "derivatives" or "models" leave no choice; "auto" takes models of more than `MOST_DERIVED` variables.
+        Args:
+            entries: Graph of a matrix (n, n), of which the symmetric part counts.
+            domain: Bounds of the inputs.
+            engine: Arithmetic that bounds the graphs, as for `lowering.enclose`.
+            form: "derivatives" or "models" leave no choice; "auto" takes Taylor models of more than `MOST_DERIVED`
+                variables.
+
+        Raises:
+            ValueError: The matrix is not square.
         """
         shape = entries.results[0].shape
         if len(shape) != 2 or shape[0] != shape[1] or not shape[0]:
@@ -74,12 +96,31 @@ class Expansions(NamedTuple):
 
 
 class EnclosedMatrices(NamedTuple):
-    """Enclosures of symmetric matrices on boxes, by their K entries on and below the diagonal, in two forms.
+    """Enclosures of symmetric matrices on B boxes, by their K entries on and below the diagonal, in two forms.
 
-    - `centre + Σ wₘ terms[m]` within `rest` (K, B), |wₘ| ≤ 1, terms (f + p, K, B): Taylor's form, with one term for
-      each free variable and one for each pair of them. `rest` is infinite where the matrix is not `smooth`.
-    - `middle` within `radius` (K, B): bounds of the entries.
-    - `shares` (f + p, K, B): contribution of each variable or pair to `rest`.
+    The first is Taylor's form, `centre + Σ wₘ terms[m]` within `rest`, |wₘ| ≤ 1; the second `middle` within `radius`.
+
+    Attributes:
+        centre: Shifted values (K, B) at the centres.
+        terms: One term for each free variable and one for each pair of them (f + p, K, B).
+        rest: Remainders (K, B); infinite where the matrix is not `smooth`.
+        middle: Middles (K, B) of bounds of the entries.
+        radius: Half widths (K, B) of these bounds.
+        shares: Contribution (f + p, K, B) of each variable or pair to `rest`.
+        smooth: Boxes (B,) on which all derivatives exist everywhere.
+
+    Example:
+        >>> import jax.numpy as jnp, numpy as np
+        >>> from covariant.lowering import enclose, lower
+        >>> from covariant.proofs import box
+        >>> from covariant.proofs._enclosure import Expansions, enclosed_by, half_widths
+        >>> domain = box(a=(-1.0, 1.0))
+        >>> matrix = Expansions.of(lower(lambda z: jnp.array([[2.0 + z[0] ** 2]]), jnp.zeros(1)), domain)
+        >>> low, high = domain.low[None], domain.high[None]
+        >>> at, on = enclose(matrix.first, 0 * low, 0 * low), enclose(matrix.second, low, high)
+        >>> enclosures = enclosed_by(at, on, half_widths(matrix, low, high), 1)
+        >>> enclosures.middle.round(3).tolist(), enclosures.radius.round(3).tolist()
+        ([[2.5]], [[0.5]])
     """
 
     centre: np.ndarray
@@ -92,15 +133,33 @@ class EnclosedMatrices(NamedTuple):
 
 
 def half_widths(matrix: Expansions, low: np.ndarray, high: np.ndarray) -> Float[np.ndarray, "f B"]:
-    """Half widths of boxes with corners (B, d) in the free variables, rounded up."""
+    """Half widths of boxes in the free variables, rounded up.
+
+    Args:
+        matrix: The matrix, whose `free` variables count.
+        low: Lower corners (B, d).
+        high: Upper corners (B, d).
+
+    Returns:
+        Half widths (f, B).
+    """
     centre = middle_of(low, high)
+    # The middle is rounded, so the two sides differ by roundings: the larger one, rounded up, covers the box.
     return np.ascontiguousarray((np.maximum(high - centre, centre - low)[:, matrix.free] * (1 + ROUND)).T)
 
 
 def enclosed_by(at: Enclosure, on: Enclosure, half: np.ndarray, k: int) -> EnclosedMatrices:
-    """Enclosures of matrices with k entries on boxes of half widths (f, B).
+    """Enclosures of symmetric matrices on boxes, from bounds of their graphs.
 
-    `at` encloses the entries and their first derivatives at the centres, and `on` those and the second on the boxes.
+    Args:
+        at: Bounds of the entries and their first derivatives at the centres of B boxes.
+        on: Bounds of the entries, first and second derivatives on these boxes.
+        half: Half widths (f, B) of the boxes, rounded up.
+        k: Number of entries on and below the diagonal, K.
+
+    Returns:
+        The enclosures. Bounds of the entries are the intersection of natural interval evaluation, the mean-value form
+        and Taylor's form.
     """
     f, boxes = half.shape
     with np.errstate(invalid="ignore", over="ignore"):  # the middle of bounds −∞ and ∞ is NaN
@@ -109,35 +168,65 @@ def enclosed_by(at: Enclosure, on: Enclosure, half: np.ndarray, k: int) -> Enclo
         rest = np.where(on.smooth, (value.radius + sum_over(shares)) * (1 + ROUND) + TINY, np.inf)
         radius = rest + sum_over(np.abs(terms)) * (1 + ROUND)
         low, high = on.low.T[: k + f * k], on.high.T[: k + f * k]
+        # `fmax` and `fmin` ignore NaN, which bounds have where nothing is known: the other form then counts alone.
         lower_bound = np.fmax(_outward(value.middle - radius, -1), low[:k])
         upper_bound = np.fmin(_outward(value.middle + radius, 1), high[:k])
         # The mean-value form is around the value at the centre, which Taylor's form has shifted.
         here, size = Ball.of(at.low.T[:k], at.high.T[:k]), np.maximum(np.abs(low[k:]), np.abs(high[k:]))
         wide = sum_over(size.reshape(f, k, boxes) * half[:, None])
-        spread = np.where(on.smooth, here.radius + wide * (1 + ROUND), np.inf)
-        lower_bound = np.fmax(lower_bound, _outward(here.middle - spread, -1))
-        upper_bound = np.fmin(upper_bound, _outward(here.middle + spread, 1))
+        deviation = np.where(on.smooth, here.radius + wide * (1 + ROUND), np.inf)
+        lower_bound = np.fmax(lower_bound, _outward(here.middle - deviation, -1))
+        upper_bound = np.fmin(upper_bound, _outward(here.middle + deviation, 1))
         middle = middle_of(lower_bound, upper_bound)
         radius = np.maximum(upper_bound - middle, middle - lower_bound) * (1 + ROUND) + TINY
     return EnclosedMatrices(value.middle, terms, rest, middle, radius, shares, on.smooth)
 
 
 class Ball(NamedTuple):
-    """Numbers within `radius` of `middle`."""
+    """Numbers within a radius of a middle.
+
+    Attributes:
+        middle: Middles, an array of any shape.
+        radius: Radii in the same shape, rounded up.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.proofs._enclosure import Ball
+        >>> ball = Ball.of(np.array([1.0]), np.array([2.0]))
+        >>> ball.middle.tolist(), bool(ball.radius[0] >= 0.5)
+        ([1.5], True)
+    """
 
     middle: np.ndarray
     radius: np.ndarray
 
     @classmethod
     def of(cls, low: np.ndarray, high: np.ndarray) -> "Ball":
+        """The balls of numbers between bounds.
+
+        Args:
+            low: Lower bounds, an array of any shape.
+            high: Upper bounds in the same shape.
+        """
         middle = middle_of(low, high)
+        # Rounded up, so that both bounds lie inside the ball although its middle is rounded.
         return cls(middle, np.maximum(high - middle, middle - low) * (1 + ROUND) + TINY)
 
 
 def taylor_form(at: Enclosure, on: Enclosure, half: np.ndarray, k: int) -> tuple[Ball, np.ndarray, np.ndarray]:
-    """`S(c) + Σ Sᵢ(c) δᵢ + ½ Σ Sᵢⱼ δᵢδⱼ` over δ within ± half (f, B): shifted value (K, B), terms and contributions.
+    """Taylor's form `S(c) + Σ Sᵢ(c) δᵢ + ½ Σ Sᵢⱼ δᵢδⱼ` over all δ within ± half.
 
     Since δᵢ² is never negative, half of its largest contribution shifts the value, and bounds the deviation from it.
+
+    Args:
+        at: Bounds of the entries and their first derivatives at the centres of B boxes.
+        on: Bounds of the entries, first and second derivatives on these boxes.
+        half: Half widths (f, B).
+        k: Number of entries, K.
+
+    Returns:
+        The shifted value (K, B), the terms (f + p, K, B) of variables and pairs, and their contributions to the
+        remainder in the same shape.
     """
     f, boxes = half.shape
     first = k + f * k
@@ -150,14 +239,16 @@ def taylor_form(at: Enclosure, on: Enclosure, half: np.ndarray, k: int) -> tuple
     terms, shares = np.empty((2, f + len(chosen), k, boxes))
     np.multiply(slopes.middle.reshape(f, k, boxes), half[:, None], out=terms[:f])
     np.multiply(slopes.radius.reshape(f, k, boxes), half[:, None], out=shares[:f])
+    # ½ Σ over all i, j: a pair i ≠ j occurs twice, a square once.
     size = np.stack([half[i] * half[j] / (2 if i == j else 1) for i, j in chosen])[:, None]
     square = np.array([i == j for i, j in chosen])
     np.multiply(bends.middle.reshape(-1, k, boxes), size * np.where(square, 0.5, 1.0)[:, None, None], out=terms[f:])
     np.multiply(bends.radius.reshape(-1, k, boxes), size * (1 + ROUND), out=shares[f:])
-    moved = value.middle + sum_over(terms[f:][square])
+    shifted = value.middle + sum_over(terms[f:][square])
     rounding = ROUND * (np.abs(value.middle) + sum_over(np.abs(terms[f:])))
-    return Ball(moved, value.radius + rounding), terms, shares
+    return Ball(shifted, value.radius + rounding), terms, shares
 
 
 def _outward(x: np.ndarray, sign: int) -> np.ndarray:
+    """A bound moved by more than its rounding error, up for the sign 1 and down for −1."""
     return x + sign * (np.abs(x) * ROUND + TINY)

@@ -18,9 +18,19 @@ from covariant.lowering import LARGEST, Condition, Conditions, Derivative, Graph
 
 
 class Formed(NamedTuple):
-    """A matrix as a graph of z (d,): its entries, and the conditions under which its parts are defined without jumps.
+    """A matrix as a graph of z (d,), with the conditions under which its parts are defined without jumps.
 
-    The conditions have further inputs after z: variables that are held fixed at the numbers `pins`.
+    Attributes:
+        entries: Graph of the entries (n, n).
+        conditions: Conditions on z, followed by further inputs: variables that are fixed at the numbers `pins`.
+        pins: Values of these further inputs.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant.proofs import as_form
+        >>> formed = as_form(lambda z: jnp.sqrt(z)[:, None]).graph(jnp.zeros(1))
+        >>> formed.entries.results[0].shape, len(formed.conditions.conditions), formed.pins.tolist()
+        ((1, 1), 1, [])
     """
 
     entries: Lowered
@@ -29,7 +39,21 @@ class Formed(NamedTuple):
 
 
 class Form(NamedTuple):
-    """A symmetric matrix of variables z (d,): `numbers` computes it, `graph` makes its graph for the shape of z."""
+    """A symmetric matrix of variables z (d,), as a function of numbers and as a graph of scalars.
+
+    Attributes:
+        numbers: Function `z (d,) -> (n, n)` that computes it.
+        graph: Function that writes its graph, with conditions, for the shape of z.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant.proofs import as_form
+        >>> form = as_form(lambda z: jnp.array([[2.0 + z[0], 1.0], [1.0, 2.0]]))
+        >>> form(jnp.array([1.0])).tolist()
+        [[3.0, 1.0], [1.0, 2.0]]
+        >>> form.then(lambda matrix: matrix[:1, :1])(jnp.array([1.0])).tolist()
+        [[3.0]]
+    """
 
     numbers: Callable[[Array], Array]
     graph: Callable[[Array], Formed]
@@ -38,28 +62,54 @@ class Form(NamedTuple):
         return self.numbers(z)
 
     def then(self, formula: Callable[[Array], Array]) -> "Form":
-        """The form of a formula of the matrix, such as one of its blocks."""
+        """The form of a formula of the matrix, such as one of its blocks.
+
+        Args:
+            formula: JAX function `(n, n) -> (k, k)` of the matrix.
+        """
         return self.beside(lambda matrix, z: formula(matrix))
 
     def beside(self, formula: Callable[[Array, Array], Array]) -> "Form":
-        """The form of a formula of the matrix and of z."""
+        """The form of a formula of the matrix and of its variables.
+
+        Args:
+            formula: JAX function `((n, n), z (d,)) -> (k, k)`.
+
+        Returns:
+            A form with the conditions of this one; conditions of the formula itself are not collected.
+        """
 
         def graph(z):
             formed = self.graph(z)
             grown = Graph.of(formed.entries.graph.nodes)
             place = np.array([grown.input(i) for i in range(formed.entries.inputs)], int)
-            made = graft(grown, formula, formed.entries.nodes(), place)
-            return formed._replace(entries=_lowered(grown, made, formed.entries.arguments))
+            entries = graft(grown, formula, formed.entries.nodes(), place)
+            return formed._replace(entries=_lowered(grown, entries, formed.entries.arguments))
 
         return Form(lambda z: formula(self.numbers(z), z), graph)
 
 
 def as_form(matrix: Callable[[Array], Array]) -> Form:
-    """A function `z (d,) -> (n, n)` as a form, with the conditions that it is defined and has no jump."""
+    """A JAX function as a form, with the conditions that it is defined and does not jump.
+
+    Args:
+        matrix: Function `z (d,) -> (n, n)`; a `Form` is returned unchanged.
+
+    Returns:
+        The form. Its `graph` raises `LoweringError` where the function has no graph of scalars.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant.proofs import as_form, graph_rows
+        >>> formed = as_form(lambda z: jnp.array([[2.0 + z[0]]])).graph(jnp.zeros(1))
+        >>> graph_rows(formed.entries)
+        {'nodes': [['input', 0], ['constant', 2.0], ['add', 0, 1]], 'outputs': [2]}
+    """
     if isinstance(matrix, Form):
         return matrix
 
     def graph(z):
+        # real=True refuses rounding by conversion and collects the conditions: a proof is about real numbers.
         lowered = lower(matrix, z, real=True)
         assert lowered.conditions is not None
         return Formed(lowered._replace(conditions=None), lowered.conditions, np.zeros(0))
@@ -68,21 +118,52 @@ def as_form(matrix: Callable[[Array], Array]) -> Form:
 
 
 class NodeDerivatives:
-    """Derivatives of arrays of nodes of one graph, for the formulas of forms."""
+    """Derivatives of arrays of nodes of one graph, for the formulas of forms. They are added to the graph.
+
+    Args:
+        graph: The graph, which grows.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.lowering import Graph
+        >>> from covariant.proofs._form import NodeDerivatives
+        >>> graph = Graph()
+        >>> x = graph.input(0)
+        >>> slope = NodeDerivatives(graph).each(np.array([graph.apply("add", x, x)]), [0])
+        >>> slope.shape, graph.nodes[int(slope[0, 0])].value
+        ((1, 1), 2.0)
+    """
 
     def __init__(self, graph: Graph):
         self.graph = graph
 
     def along(self, nodes: np.ndarray, direction: Mapping[int, int]) -> np.ndarray:
-        """Derivatives along a direction: for the position of each input that changes, the node of its change."""
+        """Derivatives along a direction.
+
+        Args:
+            nodes: Nodes to differentiate, an array of any shape.
+            direction: For the position of each input that changes, the node of its change.
+
+        Returns:
+            Nodes of the derivatives, in the same shape.
+        """
         return np.vectorize(Derivative(self.graph, direction), otypes=[int])(nodes)
 
     def each(self, nodes: np.ndarray, inputs: Sequence[int], sides: np.ndarray | None = None) -> np.ndarray:
-        """Derivatives in each of the inputs (k,), or along the columns of `sides` (k, m); on a new last axis."""
+        """Derivatives in several inputs, or along several directions.
+
+        Args:
+            nodes: Nodes to differentiate, an array of any shape.
+            inputs: Positions of k inputs.
+            sides: Nodes (k, m) whose columns are m directions in these inputs; by default the k unit vectors.
+
+        Returns:
+            Nodes of the derivatives, with a new last axis of length k or m.
+        """
         one, zero = self.graph.constant(1.0), self.graph.constant(0.0)
         columns = np.where(np.eye(len(inputs), dtype=bool), one, zero) if sides is None else sides
-        found = [self.along(nodes, dict(zip(inputs, side, strict=True))) for side in columns.T.tolist()]
-        return np.stack(found, axis=-1)
+        derivatives = [self.along(nodes, dict(zip(inputs, side, strict=True))) for side in columns.T.tolist()]
+        return np.stack(derivatives, axis=-1)
 
 
 Values = Callable[[Array, Array, Array], tuple[Array, ...]]
@@ -94,44 +175,66 @@ Parts = Callable[[NodeDerivatives, tuple[np.ndarray, ...], int], tuple[np.ndarra
 def derivative_form(
     values: Values, state: Callable[[Array], Array], parts: Parts, formula: Callable[..., Array], numbers: Callable
 ) -> Form:
-    """A formula of values and of their derivatives at x = state(z), t = 0, with the derivatives of the graph.
+    """The form of a formula of values and of their derivatives at x = state(z), t = 0.
+
+    The derivatives are those of the graph of the values, not those of JAX.
 
     At kinks, such as those of |x|, min and max, the derivatives in intervals contain all values between those of both
-    sides, and so Clarke's generalised Jacobian. Where all matrices found in this way are positive definite, an
+    sides, and so Clarke's generalised Jacobian. Where all matrices enclosed in this way are positive definite, an
     inequality of contraction holds for Lipschitz flows as for smooth ones. The argument: for neighbouring solutions x
     and x + δ, the mean-value theorem (Clarke 1983, Optimization and Nonsmooth Analysis, 2.6.5) gives δ' = Aδ with a
     mean A of Jacobians on the segment between them. The inequality is affine in A, and its margin, which is positive on
     a compact set, outweighs terms of higher order in δ. So sufficiently short chords shrink, and with them every curve,
     as the limit of polygons.
+
+    Args:
+        values: Functions `(t, x (k,), z (d,)) -> arrays` of time, state and variables.
+        state: Function `z (d,) -> x (k,)`, the state at which the formula is taken.
+        parts: Function `(derivatives, nodes of the values, k) -> nodes of the arguments of the formula`; inputs are t,
+            then x, then z.
+        formula: JAX function of these arguments, to a matrix (n, n).
+        numbers: Function `z (d,) -> (n, n)` that computes the same matrix in numbers.
+
+    Returns:
+        The form, with the conditions under which the values are defined and do not jump.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant.proofs import box, derivative_form, prove
+        >>> flow = lambda t, x, z: (-x - x**3,)  # contracts: −f'(x) = 1 + 3x²
+        >>> parts = lambda derivatives, nodes, k: (derivatives.each(nodes[0], range(1, 1 + k)),)
+        >>> form = derivative_form(flow, lambda z: z, parts, lambda a: -a, lambda z: (1 + 3 * z**2)[:, None])
+        >>> prove(form, box(x=(-2.0, 2.0))).verdict
+        'holds'
     """
 
     def graph(z):
         at = lower(state, z)
         value = lower(values, jnp.zeros(()), jnp.zeros(len(at.outputs)), z, real=True)
         grown = Graph.of(value.graph.nodes)
-        made = graft(grown, formula, *parts(NodeDerivatives(grown), value.nodes(), len(at.outputs)))
-        return _at_state(value, grown, made, at)
+        entries = graft(grown, formula, *parts(NodeDerivatives(grown), value.nodes(), len(at.outputs)))
+        return _at_state(value, grown, entries, at)
 
     return Form(numbers, graph)
 
 
-def _at_state(value: Lowered, grown: Graph, made: np.ndarray, at: Lowered) -> Formed:
+def _at_state(value: Lowered, grown: Graph, outputs: np.ndarray, at: Lowered) -> Formed:
     """The entries and conditions as functions of z alone, with x = state(z) and t = 0."""
     assert value.conditions is not None
     d, count = at.inputs, len(at.outputs)
 
-    def inputs(into: Graph, held: Callable[[float], int]) -> dict[int, int]:
-        own = {j: into.input(j) for j in range(d)}
+    def inputs(into: Graph, embed: Callable[[float], int]) -> dict[int, int]:
+        variables = {j: into.input(j) for j in range(d)}
         nodes = [at.graph.nodes[i] for i in at.outputs]
         states = [
-            held(node.value) if node.op == "constant" else substitute(at.graph, [i], into, own)[0]  # pyright: ignore[reportArgumentType]
+            embed(node.value) if node.op == "constant" else substitute(at.graph, [i], into, variables)[0]  # pyright: ignore[reportArgumentType]
             for node, i in zip(nodes, at.outputs, strict=True)
         ]
-        return {0: held(0.0), **dict(enumerate(states, start=1)), **{1 + count + j: own[j] for j in range(d)}}
+        return {0: embed(0.0), **dict(enumerate(states, start=1)), **{1 + count + j: variables[j] for j in range(d)}}
 
     small = Graph()
-    entries = np.array(substitute(grown, made.ravel().tolist(), small, inputs(small, small.constant)), int)
-    # A variable that is held fixed is still an input of the conditions, so that a jump in it is found.
+    entries = np.array(substitute(grown, outputs.ravel().tolist(), small, inputs(small, small.constant)), int)
+    # A fixed variable is still an input of the conditions, so that a jump in it is detected.
     free, pins = Graph(), []
 
     def pinned(number: float) -> int:
@@ -140,9 +243,9 @@ def _at_state(value: Lowered, grown: Graph, made: np.ndarray, at: Lowered) -> Fo
 
     noted = value.conditions
     nodes = substitute(noted.graph, [c.node for c in noted.conditions], free, inputs(free, pinned))
-    kept = [c._replace(node=i) for c, i in zip(noted.conditions, nodes, strict=True) if not _is_met(free, c, i)]
-    conditions = Conditions.of(free, kept, d + len(pins))
-    return Formed(_lowered(small, entries.reshape(made.shape), at.arguments), conditions, np.array(pins))
+    unmet = [c._replace(node=i) for c, i in zip(noted.conditions, nodes, strict=True) if not _is_met(free, c, i)]
+    conditions = Conditions.of(free, unmet, d + len(pins))
+    return Formed(_lowered(small, entries.reshape(outputs.shape), at.arguments), conditions, np.array(pins))
 
 
 def _is_met(graph: Graph, condition: Condition, node: int) -> bool:
@@ -150,10 +253,11 @@ def _is_met(graph: Graph, condition: Condition, node: int) -> bool:
     if graph.nodes[node].op != "constant":
         return False
     value = graph.nodes[node].value
+    # Conditions of kind "finite" are on numbers, all others on statements.
     return abs(float(value or 0)) < LARGEST if condition.kind == "finite" else bool(value)
 
 
-def _lowered(graph: Graph, made: np.ndarray, arguments: tuple[tuple[int, ...], ...]) -> Lowered:
-    small, outputs = graph.pruned(made.ravel().tolist())
-    result = jax.ShapeDtypeStruct(made.shape, jnp.float64)
+def _lowered(graph: Graph, entries: np.ndarray, arguments: tuple[tuple[int, ...], ...]) -> Lowered:
+    small, outputs = graph.pruned(entries.ravel().tolist())
+    result = jax.ShapeDtypeStruct(entries.shape, jnp.float64)
     return Lowered(small, arguments, tuple(outputs), (result,), jax.tree.structure(result))

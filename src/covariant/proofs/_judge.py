@@ -15,19 +15,29 @@ from covariant.proofs._tests_in_c import tests_in_c
 from covariant.proofs._tree import OPEN, PROVED, middle_of
 
 MODELLED = 128
-"""Number of boxes whose Taylor models are made at once."""
+"""Number of boxes whose Taylor models are computed at once."""
 
 
 def judge(matrix: Expansions, low: np.ndarray, high: np.ndarray) -> tuple[Int[np.ndarray, "B"], np.ndarray | None]:
-    """A code for each box: proved, the variable to halve, or open if it cannot be halved; and a counter-example."""
+    """Evaluate boxes: prove each, choose the variable across which to halve it, or find a counter-example.
+
+    Args:
+        matrix: The matrix as graphs.
+        low: Lower corners (B, d).
+        high: Upper corners (B, d).
+
+    Returns:
+        A code (B,) for each box, `PROVED`, the variable to halve, or `OPEN` where it cannot be halved; and a point (2,
+        d) at which the matrix is not positive definite, else None. With a counter-example the codes say nothing.
+    """
     proved, weight, smooth = _tested(matrix, low, high)
     codes = np.full(len(low), PROVED)
     rest = np.flatnonzero(~proved)
     if not len(rest):
         return codes, None
-    wrong = counterexample_at(matrix, middle_of(low[rest], high[rest]))
-    if wrong is not None:
-        return codes, wrong
+    counterexample = counterexample_at(matrix, middle_of(low[rest], high[rest]))
+    if counterexample is not None:
+        return codes, counterexample
     weight = weight[rest]
     blind = np.flatnonzero(~(np.isfinite(weight).all(axis=1) & smooth[rest]))
     if len(blind):
@@ -38,6 +48,7 @@ def judge(matrix: Expansions, low: np.ndarray, high: np.ndarray) -> tuple[Int[np
     # Where every variable has no effect, or cannot be halved any more, the widest one is halved.
     middle = middle_of(low[rest], high[rest])[:, matrix.free]
     possible = (middle > low[rest][:, matrix.free]) & (middle < high[rest][:, matrix.free])
+    # The relative widths only break ties between variables of equal weight; −1 marks those that cannot be halved.
     weight = np.where(possible, weight + 1e-9 * relative * weight.max(axis=1, keepdims=True, initial=0.0), -1.0)
     codes[rest] = np.where(possible.any(axis=1), matrix.free[weight.argmax(axis=1)] if len(matrix.free) else OPEN, OPEN)
     return codes, None
@@ -54,17 +65,18 @@ def _tested(
     on = enclose(matrix.second, low, high, matrix.engine)
     k, half, f = matrix.size * (matrix.size + 1) // 2, half_widths(matrix, low, high), len(matrix.free)
     tests = tests_in_c(matrix.engine, matrix.size)
-    found = (tests.enclosed if tests else enclosed_by)(at, on, half, k)
+    enclosures = (tests.enclosed if tests else enclosed_by)(at, on, half, k)
     test = tests.definite if tests else definite
-    proved, c = test(found.centre, found.rest, found.terms)
+    proved, c = test(enclosures.centre, enclosures.rest, enclosures.terms)
     rest = np.flatnonzero(~proved)
-    proved[rest] = test(found.middle[:, rest], found.radius[:, rest])[0]
+    # Bounds of the entries also hold where the matrix is not smooth, where Taylor's form says nothing.
+    proved[rest] = test(enclosures.middle[:, rest], enclosures.radius[:, rest])[0]
     rest = np.flatnonzero(~proved)
-    parts = np.zeros((len(found.terms), len(low)))
+    parts = np.zeros((len(enclosures.terms), len(low)))
     parts[:, rest] = (tests.weights if tests else weights)(
-        c[..., rest], found.terms[..., rest], found.shares[..., rest]
+        c[..., rest], enclosures.terms[..., rest], enclosures.shares[..., rest]
     )
-    return proved, _weight(parts, np.arange(f), f), found.smooth
+    return proved, _weight(parts, np.arange(f), f), enclosures.smooth
 
 
 def _tested_by_models(
@@ -74,21 +86,30 @@ def _tested_by_models(
     tests, f = tests_in_c(matrix.engine, matrix.size), len(matrix.free)
     proved, weight = np.empty(len(low), bool), np.empty((len(low), f))
     for start in range(0, len(low), MODELLED):
-        some = slice(start, start + MODELLED)
-        found = polynomials(matrix.value, low[some], high[some], matrix.free)
-        proved[some], c = (tests.definite if tests else definite)(found.centre, found.rest, found.terms)
-        rest = np.flatnonzero(~proved[some])
-        shares = np.zeros_like(found.terms[..., rest])
-        shares[:f] = found.shares[..., rest]
-        parts = np.zeros((len(found.terms), len(c.T)))
-        parts[:, rest] = weights(c[..., rest], found.terms[..., rest], shares)
-        blind = np.asarray(found.blame.any(axis=0))
-        weight[some] = np.where(blind[:, None], found.blame.T, _weight(parts, found.owners, f))
+        chunk = slice(start, start + MODELLED)
+        models = polynomials(matrix.value, low[chunk], high[chunk], matrix.free)
+        proved[chunk], c = (tests.definite if tests else definite)(models.centre, models.rest, models.terms)
+        rest = np.flatnonzero(~proved[chunk])
+        shares = np.zeros_like(models.terms[..., rest])
+        shares[:f] = models.shares[..., rest]
+        parts = np.zeros((len(models.terms), len(c.T)))
+        parts[:, rest] = weights(c[..., rest], models.terms[..., rest], shares)
+        blind = np.asarray(models.blame.any(axis=0))
+        weight[chunk] = np.where(blind[:, None], models.blame.T, _weight(parts, models.owners, f))
     return proved, weight, np.ones(len(low), bool)
 
 
 def look_around(matrix: Expansions, domain: Box, count: int = 4096) -> np.ndarray | None:
-    """A point of the domain, as a box (2, d), at which the matrix is not positive definite, from random points."""
+    """Search random points of a box for one at which the matrix is not positive definite.
+
+    Args:
+        matrix: The matrix as graphs.
+        domain: The box.
+        count: Number of points; every other one is a corner. They are the same in every call.
+
+    Returns:
+        The point as a box (2, d), or None.
+    """
     rng = np.random.default_rng(0)
     inside = rng.uniform(size=(count, len(domain.low)))
     inside[::2] = np.round(inside[::2])  # corners, where the smallest eigenvalue often is
@@ -97,7 +118,15 @@ def look_around(matrix: Expansions, domain: Box, count: int = 4096) -> np.ndarra
 
 
 def counterexample_at(matrix: Expansions, points: np.ndarray) -> np.ndarray | None:
-    """The first of some points (k, d), as a box (2, d), at which the matrix is shown not to be positive definite."""
+    """The first of some points at which the matrix is shown not to be positive definite.
+
+    Args:
+        matrix: The matrix as graphs.
+        points: Points (k, d).
+
+    Returns:
+        The point as a box (2, d), or None.
+    """
     at = enclose(matrix.value, points, points, matrix.engine)
     wrong = np.flatnonzero(indefinite(*Ball.of(at.low.T, at.high.T)))
     return np.stack([points[wrong[0]]] * 2) if len(wrong) else None

@@ -2,7 +2,7 @@
 
 An entry of a matrix is computed from numbers that cancel in part. Bounds of its derivatives, one operation after the
 other, do not see that; polynomials do, since their terms cancel as those of the entry do. What is left is of third
-order. It takes about as long as bounds of all second derivatives, where there are ten variables, and the boxes that it
+order. For ten variables it takes about as long as bounds of all second derivatives, and the boxes that it
 decides are many times as wide.
 
 Variables of a box are `c + h ε`, |ε| ≤ 1. All roundings of a step go into its remainder.
@@ -27,13 +27,27 @@ Support = tuple[int, ...]
 
 
 class Model:
-    """A number on each of B boxes: within `rest` of `at + Σ line ε + Σ bend εε`, |ε| ≤ 1.
+    """A number on each of B boxes as a Taylor model: within `rest` of `at + Σ line ε + Σ bend εε`, |ε| ≤ 1.
 
-    - `on`: the s variables that it depends on.
-    - `at`, `rest` (B,); `line` (s, B); `bend` (p, B), for the pairs `pairs(s)`. Where B is 1 all boxes share it.
-    - `shares` (s, B): how much of `rest` is due to each variable. Nothing is shown by them; they guide the search.
+    Attributes:
+        on: The s variables that it depends on, in ascending order.
+        at: Constant terms (B,). Where the last axis of an array is 1, all boxes share it.
+        line: Linear terms (s, B).
+        bend: Quadratic terms (p, B), for the pairs `pairs(s)`.
+        rest: Remainders (B,), which bound all roundings too.
+        shares: How much of `rest` is due to each variable (s, B). Nothing is shown by them; they guide the search.
+        sloped: Sum (B,) of absolute values of `line`.
+        bent: Sum (B,) of absolute values of `bend`.
+        away: The largest distance (B,) from `at`.
 
-    The sums of absolute values are kept too: those of `line`, of `bend`, and the largest distance from `at`, `away`.
+    Example:
+        >>> import numpy as np
+        >>> from covariant.proofs._models import Model
+        >>> zero = np.zeros((1, 1))
+        >>> x = Model((0,), np.array([1.0]), np.array([[0.5]]), zero, np.zeros(1), zero)  # 1 + ε/2
+        >>> y = x * x + -x  # ε/2 + ε²/4
+        >>> y.at.tolist(), y.line.tolist(), y.bend.tolist(), bool(y.rest[0] < 1e-10)
+        ([0.0], [[0.5]], [[0.25]], True)
     """
 
     __slots__ = ("at", "away", "bend", "bent", "line", "on", "rest", "shares", "sloped")
@@ -47,49 +61,70 @@ class Model:
 
     @classmethod
     def number(cls, at: Any, rest: Any = 0.0) -> "Model":
-        """A number within `rest` of `at`, of which no more is known."""
+        """A number of which nothing is known but that it is within `rest` of `at`.
+
+        Args:
+            at: Middle, a number or an array (B,).
+            rest: Radius, broadcast to the same shape; by default 0.
+        """
         at = np.atleast_1d(np.asarray(at, float))
         none = np.empty((0, 1))
         return cls((), at, none, none, np.broadcast_to(rest, at.shape), none)
 
     @classmethod
     def within(cls, found: Interval) -> "Model":
-        """A number between two bounds."""
+        """A number between two bounds.
+
+        Args:
+            found: Its bounds, numbers or arrays (B,).
+        """
         low, high = (np.atleast_1d(np.asarray(end, float)) for end in found)
         at = middle_of(low, high)
         return cls.number(at, np.maximum(high - at, at - low) * (1 + ROUND) + TINY)
 
     @property
     def bounds(self) -> Interval:
-        """An interval around `at` that holds the number, rounded outward."""
+        """An interval (B,) around `at` that contains the number, rounded outward."""
+        # More than the rounding errors of the two sums below, so that the interval is rounded outward.
         step = ROUND * (np.abs(self.at) + self.away) + TINY
         return Interval(self.at - self.away - step, self.at + self.away + step)
 
     @property
     def size(self) -> np.ndarray:
-        """A bound (B,) of the polynomial."""
+        """A bound (B,) of the magnitude of the polynomial, without its remainder."""
         return np.abs(self.at) + self.sloped + self.bent
 
     @property
     def dues(self) -> np.ndarray:
-        """How much of the distance from `at` is due to each variable (s, B)."""
+        """How much of the distance from `at` is due to each variable (s, B), a guide for the search."""
         return np.abs(self.line) + _each(self.bend, len(self.on)) + self.shares
 
     def over(self, on: Support) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """`line`, `bend` and `shares` over more variables."""
+        """`line`, `bend` and `shares` as terms of more variables, with zeros for the new ones.
+
+        Args:
+            on: Variables that include those of the model.
+
+        Returns:
+            Arrays (t, B), (q, B) and (t, B) for t variables and their q pairs.
+        """
         if on == self.on:
             return self.line, self.bend, self.shares
         places, paired = _places(self.on, on)
-        given = (self.line, len(on), places), (self.bend, _count(on), paired), (self.shares, len(on), places)
+        blocks = (self.line, len(on), places), (self.bend, _count(on), paired), (self.shares, len(on), places)
         found = []
-        for part, count, put in given:
+        for part, count, put in blocks:
             wide = np.zeros((count, part.shape[1]))
             wide[put] = part
             found.append(wide)
         return tuple(found)
 
     def times(self, k: np.ndarray) -> "Model":
-        """The number times one that is known, (B,) or (1,)."""
+        """The number times a known one, with its roundings in the remainder.
+
+        Args:
+            k: Factors (B,) or (1,), which are exact.
+        """
         size = np.abs(k)
         rest = (size * (self.rest + ROUND * self.size)) * (1 + ROUND)
         return Model(self.on, self.at * k, self.line * k, self.bend * k, rest, self.shares * size)
@@ -100,19 +135,21 @@ class Model:
     def __add__(self, other: "Model") -> "Model":
         on = _union(self.on, other.on)
         (line, bend, due), (more, turned, owed) = self.over(on), other.over(on)
+        # The roundings of all sums of coefficients are bounded by ROUND times the sizes of both polynomials.
         rest = (self.rest + other.rest + ROUND * (self.size + other.size)) * (1 + ROUND)
         return Model(on, self.at + other.at, line + more, bend + turned, rest, due + owed)
 
     def __mul__(self, other: "Model") -> "Model":
         on = _union(self.on, other.on)
         (line, bend, due), (slope, turn, owed) = self.over(on), other.over(on)
+        # Coefficients of second order; an entry of `bend` for i ≠ j counts both orders of a pair.
         product = self.at * turn + other.at * bend
         if len(on):
             i, j = _pairs(len(on))
             apart = np.flatnonzero(i != j)
             product = product + line[i] * slope[j]
             product[apart] += line[j[apart]] * slope[i[apart]]
-        # What the polynomials make of third and fourth order, and what the remainders add.
+        # Terms of third and fourth order, and products with the remainders, are bounded and go into the remainder.
         one, two, all_ = self.size, other.size, other.sloped + other.bent
         cut = self.sloped * other.bent + self.bent * all_
         rest = cut + self.rest * (two + other.rest) + one * other.rest + ROUND * one * two
@@ -121,7 +158,12 @@ class Model:
         return Model(on, self.at * other.at, self.at * slope + other.at * line, product, rest * (1 + ROUND), shares)
 
     def where(self, chosen: np.ndarray, other: "Model") -> "Model":
-        """The number on the chosen boxes (B,), another one on the others."""
+        """The number on the chosen boxes, another one on the others.
+
+        Args:
+            chosen: Mask (B,) of the boxes.
+            other: The number on all other boxes.
+        """
         on = _union(self.on, other.on)
         (line, bend, due), (slope, turn, owed) = self.over(on), other.over(on)
         parts = (self.at, other.at), (line, slope), (bend, turn), (self.rest, other.rest), (due, owed)
@@ -166,16 +208,16 @@ def _places(few: Support, many: Support) -> tuple[Int[np.ndarray, "s"], Int[np.n
 
 
 @functools.cache
-def _with_derivatives(op: str, given: tuple[float, ...]) -> tuple[Graph, tuple[int, ...]]:
-    """A function of one input, after or before given numbers, and its first three derivatives."""
+def _with_derivatives(op: str, constants: tuple[float, ...]) -> tuple[Graph, tuple[int, ...]]:
+    """A function of one input, after or before constants, and its first three derivatives."""
     graph = Graph()
     x = graph.input(0)
-    numbers = [graph.constant(number) for number in given]
+    numbers = [graph.constant(number) for number in constants]
     first = [*numbers, x] if op in ("stumpff", "div") else [x, *numbers]
-    found, slope = [graph.apply(op, *first)], Derivative(graph, {0: graph.constant(1.0)})
+    derivatives, slope = [graph.apply(op, *first)], Derivative(graph, {0: graph.constant(1.0)})
     for _ in range(3):
-        found.append(slope(found[-1]))
-    small, outputs = graph.pruned(found)
+        derivatives.append(slope(derivatives[-1]))
+    small, outputs = graph.pruned(derivatives)
     return small, tuple(outputs)
 
 
@@ -194,21 +236,30 @@ def _enclosed(graph: Graph, outputs: Sequence[int], x: Interval) -> list[Interva
 def curve(op: str, x: Model, *given: float) -> Model:
     """A function of one number: `f(c) + f'(c) d + ½ f''(c) d² + ⅙ f'''(ξ) d³`, with d the distance from c.
 
-    Where that tells less than the bounds of f over the range, or derivatives do not exist, it is these bounds.
+    Where that is wider than the bounds of f over the range, or derivatives do not exist, the result is these bounds.
+
+    Args:
+        op: Operation of a graph, such as "sin".
+        x: Its argument.
+        *given: Further arguments that are numbers, such as the exponent of "pow".
+
+    Returns:
+        The function of x; its `rest` is NaN or infinite on boxes where nothing is known.
     """
     graph, outputs = _with_derivatives(op, given)
     whole = Model.within(_enclosed(graph, outputs[:1], x.bounds)[0])
     if not x.on:
         return whole
-    value, slope, bend = (Model.within(found) for found in _enclosed(graph, outputs[:3], Interval(x.at, x.at)))
+    value, slope, bend = (Model.within(result) for result in _enclosed(graph, outputs[:3], Interval(x.at, x.at)))
     third = Model.within(_enclosed(graph, outputs[3:], x.bounds)[0])
-    left = Model(x.on, np.zeros_like(x.at), x.line, x.bend, x.rest, x.shares)
-    found = value + left * slope + left * left * Model.number(bend.at / 2, bend.rest)
-    most = (np.abs(third.at) + third.rest) * left.away**3 / 6 * (1 + ROUND)
+    deviation = Model(x.on, np.zeros_like(x.at), x.line, x.bend, x.rest, x.shares)
+    result = value + deviation * slope + deviation * deviation * Model.number(bend.at / 2, bend.rest)
+    # The remainder of third order, rounded up: ξ is anywhere in the range of x.
+    most = (np.abs(third.at) + third.rest) * deviation.away**3 / 6 * (1 + ROUND)
     part = x.dues / np.where(x.away > 0, x.away, 1.0)
-    found = Model(x.on, found.at, found.line, found.bend, found.rest + most, found.shares + most * part)
-    alone = Model(x.on, whole.at, 0 * x.line, 0 * x.bend, whole.rest, whole.rest * part)
-    return found.where(found.rest <= whole.rest, alone)
+    result = Model(x.on, result.at, result.line, result.bend, result.rest + most, result.shares + most * part)
+    hull = Model(x.on, whole.at, 0 * x.line, 0 * x.bend, whole.rest, whole.rest * part)
+    return result.where(result.rest <= whole.rest, hull)
 
 
 def _divided(a: Model, b: Model) -> Model:
@@ -224,6 +275,7 @@ def _size(a: Model) -> Model:
 def _smaller(a: Model, b: Model) -> Model:
     gap = (a + -b).bounds
     hull = Model.within(INTERVALS["min"](a.bounds, b.bounds))
+    # Where the difference has one sign the smaller one keeps its polynomial; elsewhere the hull of both counts.
     return a.where(gap.high <= 0, b.where(gap.low >= 0, hull))
 
 
@@ -270,18 +322,30 @@ def _apply(node: Node, nodes: Sequence[Node], x: Sequence[Any]) -> Any:
         return curve("pow", x[0], float(numbers[1]))
     if node.op == "stumpff":
         return curve("stumpff", x[1], float(numbers[0] or 0.0))
-    found = INTERVALS[node.op](*(a.bounds if isinstance(a, Model) else a for a in x))
-    return found if isinstance(found, Truth) else Model.within(found)
+    result = INTERVALS[node.op](*(a.bounds if isinstance(a, Model) else a for a in x))
+    return result if isinstance(result, Truth) else Model.within(result)
 
 
 class Polynomials(NamedTuple):
-    """Numbers on boxes: `centre + Σ wₘ terms[m]` within `rest` (K, B), |wₘ| ≤ 1, terms (s + p, K, B).
+    """Numbers on B boxes as polynomials: `centre + Σ wₘ terms[m]` within `rest`, |wₘ| ≤ 1.
 
-    There is a term for each of s symbols and, after these, one for each pair of them, `pairs(s)`. The first symbols are
-    the f free variables; `owners` (s,) are the variables that they belong to.
+    Attributes:
+        centre: Constant terms (K, B) of the K numbers.
+        terms: A term for each of s symbols and, after these, one for each pair of them, `pairs(s)`: (s + p, K, B). The
+            first symbols are the f free variables.
+        rest: Remainders (K, B); NaN or infinite where nothing is known.
+        owners: The variable (s,) to which each symbol belongs.
+        shares: How much of `rest` is due to each variable (f, K, B), a guide for the search.
+        blame: How much each variable widens the first numbers that are not defined (f, B), another one.
 
-    Two more guide the search: `shares` (f, K, B) is how much of `rest` is due to each variable, and `blame` (f, B) how
-    much each widens the first numbers that are not defined.
+    Example:
+        >>> import jax.numpy as jnp, numpy as np
+        >>> from covariant.lowering import lower
+        >>> from covariant.proofs._models import polynomials
+        >>> square = lower(lambda z: z**2, jnp.zeros(1))
+        >>> result = polynomials(square, np.array([[-1.0]]), np.array([[1.0]]), np.array([0]))
+        >>> result.centre.round(6).tolist(), result.terms[:, 0, 0].round(6).tolist()  # ε² is ½ ± ½
+        ([[0.5]], [0.0, 0.5])
     """
 
     centre: Float[np.ndarray, "K B"]
@@ -295,9 +359,16 @@ class Polynomials(NamedTuple):
 def polynomials(
     lowered: Lowered, low: Float[np.ndarray, "B d"], high: Float[np.ndarray, "B d"], free: Int[np.ndarray, "f"]
 ) -> Polynomials:
-    """The values of a graph on boxes, as polynomials in the variables `free`; all others are held fixed.
+    """The values of a graph on boxes, as polynomials in the free variables.
 
-    Where nothing is known of a value its `rest` is NaN or infinite.
+    Args:
+        lowered: The graph of K numbers.
+        low: Lower corners (B, d) of the boxes.
+        high: Upper corners (B, d).
+        free: Indices (f,) of the variables of the polynomials; all others are numbers within their bounds.
+
+    Returns:
+        The polynomials. Where nothing is known of a value its `rest` is NaN or infinite.
     """
     nodes, uses = lowered.graph.nodes, Counter(lowered.outputs)
     uses.update(a for node in lowered.graph.nodes for a in node.arguments)
@@ -313,64 +384,67 @@ def polynomials(
                 truth = isinstance(node.value, bool)
                 values[number] = INTERVALS["constant"](node.value) if truth else Model.number(node.value)
             else:
-                given = [values[a] for a in node.arguments]
-                found = _apply(node, nodes, given)
-                _blame(blame, owners, found, given)
-                values[number] = _with_symbol(found, owners) if _steep(found) else found
-            for a in node.arguments:  # what no later operation reads is given up, so that the rest stays in the cache
+                arguments = [values[a] for a in node.arguments]
+                result = _apply(node, nodes, arguments)
+                _blame(blame, owners, result, arguments)
+                values[number] = _with_symbol(result, owners) if _steep(result) else result
+            for (
+                a
+            ) in node.arguments:  # values that no later operation reads are freed, so that the others stay in the cache
                 uses[a] -= 1
                 if not uses[a]:
                     del values[a]
         return _gathered([values[i] for i in lowered.outputs], owners, blame)
 
 
-def _blame(blame: np.ndarray, owners: Sequence[int], found: Any, given: Sequence[Any]) -> None:
-    """Note what widens the last argument of an operation on boxes where its result is the first without a bound."""
-    if isinstance(found, Model) and not np.isfinite(found.rest).all():
-        lost, last = ~np.isfinite(found.rest), given[-1]
-        for x in given:
+def _blame(blame: np.ndarray, owners: Sequence[int], result: Any, arguments: Sequence[Any]) -> None:
+    """Add up what widens the last argument of an operation on boxes where its result is the first without a bound."""
+    if isinstance(result, Model) and not np.isfinite(result.rest).all():
+        lost, last = ~np.isfinite(result.rest), arguments[-1]
+        for x in arguments:
             lost = lost & (np.isfinite(x.rest) if isinstance(x, Model) else True)
         if isinstance(last, Model) and lost.any():
             for symbol, due in zip(last.on, last.dues / last.away, strict=True):
                 blame[owners[symbol]] += np.where(lost, due, 0.0)
 
 
-def _steep(found: Any) -> bool:
+def _steep(model: Any) -> bool:
     """Whether a number depends on one variable alone, by more than its polynomial knows on some box."""
-    if not (isinstance(found, Model) and len(found.on) == 1):
+    if not (isinstance(model, Model) and len(model.on) == 1):
         return False
-    return bool((np.isfinite(found.rest) & (found.rest > found.sloped + found.bent)).any())
+    return bool((np.isfinite(model.rest) & (model.rest > model.sloped + model.bent)).any())
 
 
-def _with_symbol(found: Model, owners: list[int]) -> Model:
-    """A number of one variable with its remainder as a symbol of its own, |η| ≤ 1, so that what it adds cancels too.
+def _with_symbol(model: Model, owners: list[int]) -> Model:
+    """A number of one variable whose remainder is a further symbol, |η| ≤ 1, so that what it adds cancels too.
 
     A steep function, as that of dry friction, is then known to be the same number wherever it enters the matrix: the
-    test of definiteness sees a slope between two values, in place of many errors that know nothing of each other.
+    test of definiteness sees a slope between two values, in place of many independent errors.
     """
-    finite = np.isfinite(found.rest)
-    owners.append(owners[found.on[0]])
-    line = np.concatenate(np.broadcast_arrays(found.line, np.where(finite, found.rest, 0.0)[None]))
-    on = (*found.on, len(owners) - 1)
-    _, bend, shares = Model(found.on, found.at, found.line, found.bend, found.rest, found.shares).over(on)
-    return Model(on, found.at, line, bend, np.where(finite, 0.0, found.rest), np.where(finite, 0.0, shares))
+    finite = np.isfinite(model.rest)
+    owners.append(owners[model.on[0]])
+    line = np.concatenate(np.broadcast_arrays(model.line, np.where(finite, model.rest, 0.0)[None]))
+    on = (*model.on, len(owners) - 1)
+    _, bend, shares = Model(model.on, model.at, model.line, model.bend, model.rest, model.shares).over(on)
+    return Model(on, model.at, line, bend, np.where(finite, 0.0, model.rest), np.where(finite, 0.0, shares))
 
 
 def _variable(low: np.ndarray, high: np.ndarray, number: int | None) -> Model:
-    """A variable on boxes; without a number it is held fixed."""
+    """A variable on boxes; without a number it is fixed."""
     centre = middle_of(low, high)
+    # Rounded up, so that |ε| ≤ 1 covers the whole box although its middle is rounded.
     half = np.maximum(high - centre, centre - low) * (1 + ROUND)
     if number is None:
         return Model.number(centre, half)
     return Model((number,), centre, half[None], np.zeros((1, 1)), np.zeros(1), np.zeros((1, 1)))
 
 
-def _gathered(found: Sequence[Model], owners: Sequence[int], blame: np.ndarray) -> Polynomials:
-    s, (f, boxes), count = len(owners), blame.shape, len(found)
+def _gathered(models: Sequence[Model], owners: Sequence[int], blame: np.ndarray) -> Polynomials:
+    s, (f, boxes), count = len(owners), blame.shape, len(models)
     square = np.array([i == j for i, j in pairs(s)], bool)
     centre, rest = np.empty((2, count, boxes))
     terms, shares = np.empty((s + len(square), count, boxes)), np.zeros((f, count, boxes))
-    for k, value in enumerate(found):
+    for k, value in enumerate(models):
         terms[:s, k], terms[s:, k], _ = value.over(tuple(range(s)))
         terms[s:, k][square] /= 2
         # The square of a variable is ½ ± ½.

@@ -38,16 +38,27 @@ MOST_BOXES = 200_000
 
 
 class Proof(NamedTuple):
-    """Result of branch and bound.
+    """Result of branch and bound on one matrix and one box.
 
-    - `verdict`: "holds", "fails" (then `counterexample` is a box in which the matrix is nowhere positive definite) or
-      "undecided" (then `open` are the remaining boxes).
-    - `box`: the domain.
-    - `levels`: the boxes as a binary tree, from the whole box down, with one array of integers for each level: the
-      variable across whose middle a box is halved, lower half first; −1 where the matrix is proved positive definite;
-      −2 where it is open.
-    - `boxes`: number of boxes evaluated; `seconds`: time it took.
-    - `reason`: where the matrix may be undefined or jump, which alone leaves everything undecided.
+    Attributes:
+        verdict: "holds"; "fails", where the matrix is not positive definite at `counterexample`; or "undecided", where
+            the boxes `open` remain.
+        box: The domain.
+        levels: The boxes as a binary tree, from the whole box down: one array of integers for each level, with the
+            index of the variable across whose middle a box is halved (lower half first), −1 (`PROVED`) where the matrix
+            is proved positive definite, −2 (`OPEN`) where it is open.
+        counterexample: Corners (2, d) of a box in which the matrix is nowhere positive definite; None without one.
+        open: Corners (k, 2, d) of the k undecided boxes.
+        boxes: Number of boxes evaluated.
+        seconds: Time taken [s]; NaN for a proof read from a file.
+        reason: Where the matrix may be undefined or jump, which alone leaves the whole domain undecided; "" otherwise.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant.proofs import box, prove
+        >>> proof = prove(lambda z: jnp.array([[2.0 + z[0], 1.0], [1.0, 2.0]]), box(a=(-2.0, 1.0)))
+        >>> proof.verdict, proof.counterexample.tolist()
+        ('fails', [[-2.0], [-2.0]])
     """
 
     verdict: Literal["holds", "fails", "undecided"]
@@ -61,9 +72,18 @@ class Proof(NamedTuple):
 
     @classmethod
     def stated(cls, domain: Box, levels: list[np.ndarray]) -> "Proof":
-        """The proof stated by a tree that was read from a file; the time it took is not known (NaN).
+        """The proof stated by a tree that was read from a file.
 
-        Raises `ValueError` where the levels are not a tree over the domain.
+        Args:
+            domain: The box of the proof.
+            levels: Its tree, as in the field of this name.
+
+        Returns:
+            A proof that "holds" where every leaf is proved, "undecided" otherwise. Nothing is proved again; its time is
+            NaN.
+
+        Raises:
+            ValueError: The levels are not a tree over the domain.
         """
         left = [np.zeros((0, 2, len(domain.low)))]
         if any((codes == OPEN).any() for codes in levels):
@@ -73,7 +93,7 @@ class Proof(NamedTuple):
 
     @property
     def open_share(self) -> float:
-        """Fraction of the domain in open boxes."""
+        """Fraction of the volume of the domain in open boxes, from 0 to 1."""
         return float(sum((codes == OPEN).sum() * 0.5**depth for depth, codes in enumerate(self.levels)))
 
 
@@ -87,18 +107,36 @@ def prove(
     progress: Callable[[float, int], None] | None = None,
     engine: Arithmetic = "auto",
 ) -> Proof:
-    """Prove that a symmetric matrix is positive definite for every z in the domain.
+    """Prove that a symmetric matrix is positive definite for every z in a box.
 
-    - `matrix`: `z (d,) -> (n, n)`, a JAX function or a form. Everything that it computes must also be defined and
-      without jumps on the domain; kinks are allowed.
-    - `boxes`: the proof stops after about this many boxes, with the verdict "undecided".
-    - `seconds`: optional limit of time, counted from when the matrix has been written as a graph.
-    - `processes`: above 1 they share the boxes (a script then needs the `if __name__ == "__main__"` guard); the tree
-      found does not depend on their number.
-    - `progress`: called now and then with the decided fraction of the domain and the number of boxes evaluated.
-    - `engine`: "numpy" and "c" leave no choice to `lowering.enclose`; tree and verdict are the same.
+    The proof is by branch and bound in outward-rounded arithmetic. Effort is counted in boxes, so that the verdict
+    depends neither on the machine nor on its load, unless `seconds` ends the proof.
 
-    Raises `LoweringError` where the matrix has no graph of scalars, `ValueError` where it is not square.
+    Args:
+        matrix: JAX function `z (d,) -> (n, n)`, or a `Form`. Everything that it computes must also be defined and
+            without jumps on the domain; kinks are allowed.
+        domain: Bounds of z.
+        boxes: Approximate number of boxes after which the proof stops, with the verdict "undecided".
+        seconds: Optional time limit [s], counted from when the matrix has been written as a graph.
+        processes: Number of processes that share the boxes. Above 1, a script needs the `if __name__ == "__main__"`
+            guard. The tree does not depend on their number.
+        progress: Called now and then with the decided fraction of the domain and the number of boxes evaluated.
+        engine: Arithmetic that bounds the graphs, as for `lowering.enclose`: "auto" chooses between "numpy" and "c".
+            Tree and verdict are the same.
+
+    Returns:
+        The proof with its verdict and its tree of boxes.
+
+    Raises:
+        LoweringError: The matrix has no graph of scalars.
+        ValueError: The matrix is not square, or the bounds of a variable are not finite and in order.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant.proofs import box, prove, to_letters
+        >>> proof = prove(lambda z: jnp.array([[1.001 + jnp.sin(z[0])]]), box(a=(-3.0, 3.0)))
+        >>> proof.verdict, proof.boxes, to_letters(proof.levels)
+        ('holds', 3, ['a', '..'])
     """
     check_box(domain)
     formed = as_form(matrix).graph(jnp.asarray(domain.low))
@@ -117,55 +155,78 @@ def prove_at_corners(
 ) -> list[Proof]:
     """Prove that a matrix is positive definite where it is affine in some variables jointly: one proof for each corner.
 
-    - `affine`: names of these variables.
-    - `boxes`, `seconds`: effort of all proofs together; `matrix`, `domain`, `progress`: as for `prove`.
-
     The smallest eigenvalue is a concave function of these variables, so it is least at a corner of their box. They need
     not be halved: 2^k proofs over the other variables replace one over all. It stops at the first that does not hold.
 
-    Raises `ValueError` where the matrix is not affine in them, as its second derivatives and its kinks show, or a name
-    is not known.
+    Args:
+        matrix: JAX function `z (d,) -> (n, n)`, or a `Form`, as for `prove`.
+        domain: Bounds of z.
+        affine: Names of the variables in which the matrix is affine.
+        boxes: Number of boxes of all proofs together.
+        seconds: Optional time limit [s] of all proofs together.
+        progress: As for `prove`.
+
+    Returns:
+        The proofs in the order of the corners, up to the first that does not hold. A variable that does not enter the
+        matrix has one corner only.
+
+    Raises:
+        ValueError: The matrix is not affine in these variables together, as its second derivatives and its kinks show,
+            a name is not known, or the matrix is not square.
+        LoweringError: The matrix has no graph of scalars.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant.proofs import box, prove_at_corners
+        >>> matrix = lambda z: jnp.array([[2.0 + z[0], z[1]], [z[1], 2.0]])
+        >>> proofs = prove_at_corners(matrix, box(a=(-0.5, 1.0), b=(-1.0, 1.0)), ["a", "b"])
+        >>> [proof.verdict for proof in proofs]
+        ['holds', 'holds', 'holds', 'holds']
     """
     check_box(domain)
     unknown = set(affine) - set(domain.names)
     if unknown:
         raise ValueError(f"prove_at_corners: no variable {sorted(unknown)[0]!r}; the box has {', '.join(domain.names)}")
     formed = as_form(matrix).graph(jnp.asarray(domain.low))
-    kept = np.array([domain.names.index(name) for name in affine], int)
-    kink = _kink(formed.entries, kept.tolist())
+    indices = np.array([domain.names.index(name) for name in affine], int)
+    kink = _kink(formed.entries, indices.tolist())
     if kink is not None:
         # Its second derivatives vanish on either side of the kink, so they do not show that it is not affine.
         raise ValueError(f"prove_at_corners: the matrix is not affine in {', '.join(affine)}: it has a kink, by {kink}")
-    bent = expand(formed.entries, kept.tolist(), 2)
-    entries = np.array([not bent.graph.is_zero(i) for i in bent.outputs]).reshape(-1, len(formed.entries.outputs))
-    moves = [bool(row.any()) for row in entries]
-    if any(moves[1 + len(kept) :]):
+    derivatives = expand(formed.entries, indices.tolist(), 2)
+    entries = np.array([not derivatives.graph.is_zero(i) for i in derivatives.outputs]).reshape(
+        -1, len(formed.entries.outputs)
+    )
+    enters_block = [bool(row.any()) for row in entries]
+    if any(enters_block[1 + len(indices) :]):
         raise ValueError(f"prove_at_corners: the matrix is not affine in {', '.join(affine)} together")
-    ends = [(domain.low[i], domain.high[i])[: 1 + enters] for i, enters in zip(kept, moves[1:], strict=False)]
+    # A variable that does not enter the matrix needs one end only.
+    ends = [(domain.low[i], domain.high[i])[: 1 + enters] for i, enters in zip(indices, enters_block[1:], strict=False)]
     # The conditions are not affine: they are proved over the whole domain.
     reason, effort = _reason(formed, domain), _Effort.of(boxes, seconds)
     corners = []
     for corner in itertools.product(*ends):
         low, high = domain.low.copy(), domain.high.copy()
-        low[kept] = high[kept] = corner
+        # Equal bounds fix the affine variables; the other variables keep their whole range.
+        low[indices] = high[indices] = corner
         corners.append(domain._replace(low=low, high=high))
     expansions = Expansions.of(formed.entries, corners[0])
     if reason:
         return [_decide(expansions, corners[0], effort, 1, progress, reason)]
     failed = []
     for k, at in enumerate(corners):
-        wrong = look_around(expansions, at)
-        if wrong is not None:
-            failed, corners = [_failed_at_once(at, wrong, effort, reason)], corners[:k]
+        counterexample = look_around(expansions, at)
+        if counterexample is not None:
+            failed, corners = [_failed_at_once(at, counterexample, effort, reason)], corners[:k]
             break
     trees = [Tree(at) for at in corners]
-    while (wrong := _search_together(expansions, trees, effort, progress)) is not None:
-        at = wrong[0][kept]
-        k = next(k for k, tree in enumerate(trees) if np.array_equal(tree.domain.low[kept], at))
-        failed, trees = [_concluded(trees[k], effort, reason, wrong)], trees[:k]
-    found = [_concluded(tree, effort, reason) for tree in trees] + failed
-    holding = next((k for k, proof in enumerate(found) if proof.verdict != "holds"), len(found))
-    return found[: holding + 1]
+    while (counterexample := _search_together(expansions, trees, effort, progress)) is not None:
+        at = counterexample[0][indices]
+        k = next(k for k, tree in enumerate(trees) if np.array_equal(tree.domain.low[indices], at))
+        failed, trees = [_concluded(trees[k], effort, reason, counterexample)], trees[:k]
+    proofs = [_concluded(tree, effort, reason) for tree in trees] + failed
+    holding = next((k for k, proof in enumerate(proofs) if proof.verdict != "holds"), len(proofs))
+    return proofs[: holding + 1]
 
 
 KINKS = {"abs", "sign", "floor", "ceil", "round", "min", "max", "select", "either", "cbrt", *TRUTHS}
@@ -177,22 +238,37 @@ def _kink(entries: Lowered, variables: Sequence[int]) -> str | None:
     depends: list[bool] = []
     graph, _ = entries.graph.pruned(entries.outputs)
     for node in graph.nodes:
-        moves = node.value in variables if node.op == "input" else any(depends[k] for k in node.arguments)
-        if moves and node.op in KINKS:
+        dependent = node.value in variables if node.op == "input" else any(depends[k] for k in node.arguments)
+        if dependent and node.op in KINKS:
             return node.op
-        depends.append(moves)
+        depends.append(dependent)
     return None
 
 
 def blocks(matrix: Callable[[Array], Array], domain: Box) -> list[Int[np.ndarray, "k"]]:
-    """Indices of the diagonal blocks of a symmetric `z -> (n, n)`, after a permutation, for every z.
+    """Indices of the diagonal blocks of a symmetric matrix after a permutation, the same for every z.
 
     A matrix is positive definite where each block is, and each block depends on fewer variables. An entry counts as
     zero where its graph is the constant 0.
+
+    Args:
+        matrix: JAX function `z (d,) -> (n, n)`, or a `Form`.
+        domain: Bounds of z, of which the number of variables counts.
+
+    Returns:
+        One array of ascending row indices for each block.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant.proofs import blocks, box
+        >>> matrix = lambda z: jnp.array([[1.0, 0.0, z[0]], [0.0, 2.0, 0.0], [z[0], 0.0, 1.0]])
+        >>> sorted(block.tolist() for block in blocks(matrix, box(a=(0.0, 0.5))))
+        [[0, 2], [1]]
     """
     formed = as_form(matrix).then(lambda m: m + m.T).graph(jnp.asarray(domain.low))
     nodes = formed.entries.nodes()
     reached = ~np.vectorize(formed.entries.graph.is_zero, otypes=[bool])(nodes) | np.eye(len(nodes), dtype=bool)
+    # Squaring doubles the length of the paths that are followed, so ⌊log₂ n⌋ + 1 squarings reach whole components.
     for _ in range(len(nodes).bit_length()):
         reached = reached @ reached
     return [np.flatnonzero(row) for row in np.unique(reached, axis=0)]
@@ -217,33 +293,38 @@ class _Effort(NamedTuple):
 
 
 def _decide(matrix: "Expansions", domain: Box, effort: _Effort, processes: int, progress, reason: str) -> Proof:
-    wrong = look_around(matrix, domain)
-    if wrong is not None:
-        return _failed_at_once(domain, wrong, effort, reason)
+    """Branch and bound on one matrix, after a search for a counter-example at random points."""
+    # A point where the matrix is not positive definite refutes the claim, even if conditions are open elsewhere.
+    counterexample = look_around(matrix, domain)
+    if counterexample is not None:
+        return _failed_at_once(domain, counterexample, effort, reason)
     if reason:
         whole = np.stack([domain.low, domain.high])[None]
         return Proof("undecided", domain, [np.array([OPEN])], None, whole, 1, effort.spent, reason)
     tree = Tree(domain)
     # Most proofs are finished before worker processes have started.
     alone = effort if processes == 1 else effort._replace(boxes=min(effort.boxes, PATIENCE))
-    wrong = _search(functools.partial(map, functools.partial(judge, matrix)), tree, alone, progress)
-    if processes > 1 and wrong is None and tree.waiting and tree.evaluated < effort.boxes:
+    counterexample = _search(functools.partial(map, functools.partial(judge, matrix)), tree, alone, progress)
+    if processes > 1 and counterexample is None and tree.waiting and tree.evaluated < effort.boxes:
+        # JAX has threads, and a forked copy of a process with threads may hang.
         context = multiprocessing.get_context("spawn")
-        with concurrent.futures.ProcessPoolExecutor(processes, context, initializer=_take, initargs=(matrix,)) as pool:
-            wrong = _search(functools.partial(pool.map, _judge_here), tree, effort, progress)
-    return _concluded(tree, effort, reason, wrong)
+        with concurrent.futures.ProcessPoolExecutor(
+            processes, context, initializer=_set_matrix, initargs=(matrix,)
+        ) as pool:
+            counterexample = _search(functools.partial(pool.map, _judge_here), tree, effort, progress)
+    return _concluded(tree, effort, reason, counterexample)
 
 
-def _failed_at_once(domain: Box, wrong: np.ndarray, effort: _Effort, reason: str) -> Proof:
+def _failed_at_once(domain: Box, counterexample: np.ndarray, effort: _Effort, reason: str) -> Proof:
     none = np.zeros((0, 2, len(domain.low)))
-    return Proof("fails", domain, [np.array([OPEN])], wrong, none, 1, effort.spent, reason)
+    return Proof("fails", domain, [np.array([OPEN])], counterexample, none, 1, effort.spent, reason)
 
 
-def _concluded(tree: Tree, effort: _Effort, reason: str, wrong: np.ndarray | None = None) -> Proof:
-    """What a tree of boxes shows, and the counter-example that was found."""
+def _concluded(tree: Tree, effort: _Effort, reason: str, counterexample: np.ndarray | None = None) -> Proof:
+    """The proof stated by a tree of boxes and, where there is one, a counter-example."""
     levels, remaining = tree.levels()
-    verdict = "fails" if wrong is not None else "undecided" if len(remaining) else "holds"
-    return Proof(verdict, tree.domain, levels, wrong, remaining, tree.evaluated, effort.spent, reason)
+    verdict = "fails" if counterexample is not None else "undecided" if len(remaining) else "holds"
+    return Proof(verdict, tree.domain, levels, counterexample, remaining, tree.evaluated, effort.spent, reason)
 
 
 def _reason(formed: Formed, domain: Box) -> str:
@@ -255,7 +336,8 @@ _matrix: Expansions | None = None
 """The matrix of this worker process."""
 
 
-def _take(matrix: Expansions) -> None:
+def _set_matrix(matrix: Expansions) -> None:
+    """Initialise a worker process, which then gets boxes alone."""
     global _matrix
     _matrix = matrix
 
@@ -266,7 +348,7 @@ def _judge_here(low: np.ndarray, high: np.ndarray) -> tuple[Int[np.ndarray, "B"]
 
 
 def _search(judge: Callable, tree: Tree, effort: _Effort, progress) -> np.ndarray | None:
-    """Evaluate boxes until none is left, the effort is used up, or a counter-example is found.
+    """Evaluate boxes until none is left, the effort is used up, or there is a counter-example.
 
     `judge` maps boxes (low, high) to their codes, in this or in other processes.
     """
@@ -274,9 +356,11 @@ def _search(judge: Callable, tree: Tree, effort: _Effort, progress) -> np.ndarra
         lots = [lot for _ in range(ROUND_OF_LOTS) if (lot := tree.next()) is not None]
         if not lots:
             return None
-        for lot, (codes, wrong) in zip(lots, judge(*zip(*(lot[1:3] for lot in lots), strict=True)), strict=True):
-            if wrong is not None:
-                return wrong
+        for lot, (codes, counterexample) in zip(
+            lots, judge(*zip(*(lot[1:3] for lot in lots), strict=True)), strict=True
+        ):
+            if counterexample is not None:
+                return counterexample
             tree.take(lot, codes)
         if progress is not None:
             progress(tree.decided, tree.evaluated)
@@ -292,15 +376,15 @@ def _search_together(matrix: Expansions, trees: Sequence[Tree], effort: _Effort,
         low, high = (np.concatenate([lot[side] for _, lot in lots]) for side in (1, 2))
         codes = []
         for begin in range(0, len(low), CHUNK):
-            some, wrong = judge(matrix, low[begin : begin + CHUNK], high[begin : begin + CHUNK])
-            if wrong is not None:
+            some, counterexample = judge(matrix, low[begin : begin + CHUNK], high[begin : begin + CHUNK])
+            if counterexample is not None:
                 for tree, lot in lots:
                     tree.waiting.append(lot)
-                return wrong
+                return counterexample
             codes.append(some)
         ends = np.cumsum([len(lot[0]) for _, lot in lots])[:-1]
-        for (tree, lot), own in zip(lots, np.split(np.concatenate(codes), ends), strict=True):
-            tree.take(lot, own)
+        for (tree, lot), lot_codes in zip(lots, np.split(np.concatenate(codes), ends), strict=True):
+            tree.take(lot, lot_codes)
         if progress is not None:
             progress(float(np.mean([tree.decided for tree in trees])), sum(tree.evaluated for tree in trees))
     return None

@@ -19,30 +19,93 @@ ARGUMENTS |= {"either": range(4, 5), "stumpff": range(2, 3)}
 
 
 def to_letters(levels: Sequence[np.ndarray]) -> list[str]:
-    """A tree of boxes, one string for each level: the letter of the variable that is halved, '.' proved, '?' open."""
+    """A tree of boxes as text, for a file.
+
+    Args:
+        levels: One array of integers for each level, as in `Proof.levels`.
+
+    Returns:
+        One string for each level, with one character for each box: the letter of the variable that is halved, "." for
+        proved, "?" for open.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.proofs import OPEN, PROVED, to_letters
+        >>> to_letters([np.array([1]), np.array([PROVED, OPEN])])
+        ['b', '.?']
+    """
     table = np.array([ord(c) for c in LETTERS + "?."], np.uint8)  # indices −1 and −2 are the last two
     return [table[codes].tobytes().decode("ascii") for codes in levels]
 
 
 def from_letters(levels: Sequence[str]) -> list[np.ndarray]:
-    """The tree written by `to_letters`, as integers: −1 for proved, −2 for open."""
+    """The tree of boxes written by `to_letters`.
+
+    Args:
+        levels: One string for each level.
+
+    Returns:
+        One array of integers for each level: the index of the variable that is halved, −1 for proved, −2 for open.
+
+    Raises:
+        KeyError: A character is none of these; `saved_levels` checks that.
+
+    Example:
+        >>> from covariant.proofs import from_letters
+        >>> [codes.tolist() for codes in from_letters(["b", ".?"])]
+        [[1], [-1, -2]]
+    """
     codes = {letter: code for code, letter in enumerate(LETTERS)} | {".": -1, "?": -2}
     return [np.array([codes[letter] for letter in level], int) for level in levels]
 
 
 def saved_levels(field: Field, variables: int) -> tuple[str, ...]:
-    """The levels of a tree, checked to cover its box: both halves of each halved box are present."""
+    """The levels of a tree in a file, checked to cover its box: both halves of each halved box are present.
+
+    Args:
+        field: The list of strings, as written by `to_letters`.
+        variables: Number of variables of the box.
+
+    Returns:
+        The strings, one for each level.
+
+    Raises:
+        ValueError: The strings are no tree over a box of so many variables.
+
+    Example:
+        >>> from covariant.proofs import Field, saved_levels
+        >>> saved_levels(Field("claims.json", "levels", ["a", ".."]), 1)
+        ('a', '..')
+    """
     rows, known, size = field.rows(1, MOST_LEVELS), set(LETTERS[:variables]) | {".", "?"}, 1
     for row in rows:
         fits = type(row.value) is str and len(row.value) == size and known >= set(row.value)
         row.need(fits, f"{size} of the letters a to {LETTERS[variables - 1]}, dots and question marks")
+        # Each box that is not a leaf has two halves on the next level, so a tree is complete where the count ends at
+        # zero.
         size = 2 * (size - row.value.count(".") - row.value.count("?"))
     field.need(size == 0, f"levels down to the last boxes, of which {size} are missing")
     return tuple(row.value for row in rows)
 
 
 def saved_graph(field: Field) -> dict[str, list]:
-    """The rows of a graph of scalars as written by `graph_rows`, checked to refer to earlier rows only."""
+    """The rows of a graph of scalars in a file, checked to refer to earlier rows only.
+
+    Args:
+        field: The object with "nodes" and "outputs", as written by `graph_rows`.
+
+    Returns:
+        The same object as a dictionary of lists.
+
+    Raises:
+        ValueError: A row is no known operation, or refers to itself, to a later row or to none.
+
+    Example:
+        >>> from covariant.proofs import Field, saved_graph
+        >>> rows = {"nodes": [["input", 0], ["add", 0, 0]], "outputs": [1]}
+        >>> saved_graph(Field("claims.json", "graph", rows)) == rows
+        True
+    """
     fields = field.record(["nodes", "outputs"])
     nodes, outputs = fields["nodes"], fields["outputs"]
     nodes.need(isinstance(nodes.value, list), "a list of rows")
@@ -68,6 +131,21 @@ def _is_node(row: Any, k: int) -> bool:
 
 
 def graph_rows(lowered: Lowered) -> dict[str, list]:
-    """A graph of scalars as rows, for readers without JAX: each row is an operation and the numbers of earlier rows."""
+    """A graph of scalars as rows, for readers without JAX.
+
+    Args:
+        lowered: The graph, as from `lowering.lower`.
+
+    Returns:
+        "nodes": a row for each node, an operation and the numbers of earlier rows, ["input", number] or ["constant",
+        value]; "outputs": the numbers of the rows that are results.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant.lowering import lower
+        >>> from covariant.proofs import graph_rows
+        >>> graph_rows(lower(lambda x: x * 2.0, jnp.zeros(())))
+        {'nodes': [['input', 0], ['constant', 2.0], ['mul', 0, 1]], 'outputs': [2]}
+    """
     rows = [[node.op, *(node.arguments or (node.value,))] for node in lowered.graph.nodes]
     return {"nodes": rows, "outputs": list(lowered.outputs)}

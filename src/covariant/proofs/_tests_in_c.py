@@ -22,28 +22,56 @@ LANES = 64
 
 
 class CompiledTests:
-    """The tests by a library. `text` is its C. Raises `OSError` where there is none that rounds alike."""
+    """The prover's tests in a compiled library, with results equal to those of NumPy to the last bit.
+
+    Args:
+        text: C of the tests; by default that of `source`.
+
+    Raises:
+        OSError: There is no C compiler, or the library rounds in another way than NumPy.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.proofs._tests_in_c import tests_in_c
+        >>> tests = tests_in_c("auto", 1)  # None where NumPy does the work
+        >>> tests is None or tests.definite(np.array([[2.0]]), np.array([[1.0]]))[0].tolist() == [True]
+        True
+    """
 
     def __init__(self, text: str = ""):
         if compiler() is None:
             raise OSError("there is no C compiler `cc`, so NumPy does the work")
+        # EXACT forbids fused products and sums, and other orders of a sum, which change the last bits.
         self._library = compiled(text or source(), EXACT, ctypes.CDLL)
         if not self._agrees():
             raise OSError(f"{compiler()} rounds in another way than NumPy, so NumPy does the work")
 
     def enclosed(self, at: Enclosure, on: Enclosure, half: np.ndarray, k: int) -> EnclosedMatrices:
-        """As `enclosed_by`."""
+        """The enclosures of `enclosed_by`.
+
+        Args:
+            at: Bounds of the entries and their first derivatives at the centres of B boxes.
+            on: Bounds of the entries, first and second derivatives on these boxes.
+            half: Half widths (f, B) of the boxes.
+            k: Number of entries on and below the diagonal, K.
+        """
         f, boxes = half.shape
         m = f + f * (f + 1) // 2
-        found = [np.empty(shape) for shape in [(k, boxes), (m, k, boxes), *[(k, boxes)] * 3, (m, k, boxes)]]
+        result = [np.empty(shape) for shape in [(k, boxes), (m, k, boxes), *[(k, boxes)] * 3, (m, k, boxes)]]
         bounds = (_rows(side) for side in (at.low, at.high, on.low, on.high))
-        _call(self._library.taylor, k, f, boxes, *bounds, half, on.smooth.astype(float), *found)
-        return EnclosedMatrices(*found, smooth=on.smooth)
+        _call(self._library.taylor, k, f, boxes, *bounds, half, on.smooth.astype(float), *result)
+        return EnclosedMatrices(*result, smooth=on.smooth)
 
     def definite(
         self, middle: np.ndarray, radius: np.ndarray, terms: np.ndarray | None = None
     ) -> tuple[Bool[np.ndarray, "B"], np.ndarray]:
-        """As the function of this name."""
+        """The verdict and the factors of the function of this name in NumPy.
+
+        Args:
+            middle: Middles (K, B) of the entries on and below the diagonal.
+            radius: Radii (K, B) around them.
+            terms: Optional further terms (m, K, B).
+        """
         c, positive = factors(middle)
         n, boxes, below = len(c), c.shape[2], np.empty(c.shape[2])
         terms = np.empty((0, *middle.shape)) if terms is None else terms
@@ -51,25 +79,32 @@ class CompiledTests:
         return (below != 0) & positive, c
 
     def weights(self, c: np.ndarray, terms: np.ndarray, shares: np.ndarray) -> np.ndarray:
-        """As the function of this name."""
+        """The weights (m, B) of the function of this name in NumPy.
+
+        Args:
+            c: Factors C (n, n, B).
+            terms: Terms (m, K, B).
+            shares: Contributions (m, K, B) to the remainder.
+        """
         n, boxes, m = len(c), c.shape[2], len(terms)
-        found = np.empty((m, boxes))
-        _call(self._library.weights, n, m, boxes, c, terms, shares, found)
-        return found
+        result = np.empty((m, boxes))
+        _call(self._library.weights, n, m, boxes, c, terms, shares, result)
+        return result
 
     def _agrees(self) -> bool:
         """Whether random matrices give the same bits as in NumPy."""
         for n, f, boxes in ((1, 1, 3), (2, 3, 70), (4, 2, 64), (3, 0, 5)):
             at, on, half, k = _trial(n, f, boxes)
-            right, found = enclosed_by(at, on, half, k), self.enclosed(at, on, half, k)
-            tested, c = definite(right.centre, right.rest, right.terms)
-            right = (*right, tested, weights(c, right.terms, right.shares))
-            found = (
-                *found,
-                self.definite(found.centre, found.rest, found.terms)[0],
-                self.weights(c, found.terms, found.shares),
+            expected, result = enclosed_by(at, on, half, k), self.enclosed(at, on, half, k)
+            tested, c = definite(expected.centre, expected.rest, expected.terms)
+            expected = (*expected, tested, weights(c, expected.terms, expected.shares))
+            result = (
+                *result,
+                self.definite(result.centre, result.rest, result.terms)[0],
+                self.weights(c, result.terms, result.shares),
             )
-            if not all(np.array_equal(a, b, equal_nan=True) for a, b in zip(right, found, strict=True)):
+            # Equality of bits, not a tolerance: verdicts and trees must not depend on the engine.
+            if not all(np.array_equal(a, b, equal_nan=True) for a, b in zip(expected, result, strict=True)):
                 return False
         return True
 
@@ -78,15 +113,15 @@ def _trial(n: int, f: int, boxes: int) -> tuple[Enclosure, Enclosure, np.ndarray
     """Bounds of random matrices near definite ones, some unknown or unbounded."""
     rng, k = np.random.default_rng(n), n * (n + 1) // 2
     counts = (k + f * k, k + f * k + f * (f + 1) // 2 * k)
-    found = []
+    enclosures = []
     for count in counts:
         low = rng.normal(size=(count, boxes)) * 0.1
         low[:k] += np.eye(n)[np.tril_indices(n)][:, None] * 3
         high = low + rng.exponential(size=low.shape) * 0.01
         high[:, ::7] = np.inf
         low[:, 3::11] = np.nan
-        found.append(Enclosure(low.T, high.T, rng.random(boxes) < 0.9))
-    return found[0], found[1], rng.exponential(size=(f, boxes)), k
+        enclosures.append(Enclosure(low.T, high.T, rng.random(boxes) < 0.9))
+    return enclosures[0], enclosures[1], rng.exponential(size=(f, boxes)), k
 
 
 def _rows(ends: np.ndarray) -> np.ndarray:
@@ -103,7 +138,15 @@ LARGEST = 16
 
 
 def tests_in_c(engine: Arithmetic, n: int) -> CompiledTests | None:
-    """The compiled tests of matrices (n, n), where compiled C bounds the graphs too; else None."""
+    """The compiled tests of matrices (n, n), where compiled C bounds the graphs too.
+
+    Args:
+        engine: Arithmetic, as for `lowering.enclose`.
+        n: Number of rows; above `LARGEST` NumPy does the work.
+
+    Returns:
+        The tests, or None where NumPy does the work.
+    """
     return _loaded() if n <= LARGEST and in_c(engine) else None
 
 
@@ -117,7 +160,8 @@ def _loaded() -> CompiledTests | None:
 
 @functools.cache
 def source() -> str:
-    """The C of the tests."""
+    """The C of the tests, with the tolerances of `_definite` as hexadecimal constants, which are exact."""
+    # Hexadecimal, so that the constants are the same doubles as in NumPy.
     numbers = {"LANES": LANES, "ROUND": ROUND.hex(), "TINY": TINY.hex(), "MOST": (1 - SLACK).hex()}
     return "\n".join([*(f"#define {name} {value}" for name, value in numbers.items()), _SOURCE])
 

@@ -15,9 +15,24 @@ PROVED, OPEN = -1, -2
 
 
 def leaves(domain: Box, levels: list[np.ndarray]) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """The leaves of a tree, level by level: their codes (m,), low (m, d) and high (m, d).
+    """The leaves of a tree of boxes, level by level.
 
-    Raises `ValueError` where the levels are not a tree over the domain.
+    Args:
+        domain: The whole box, of d variables.
+        levels: One array of integers for each level, as in `Proof.levels`.
+
+    Yields:
+        For each level the codes (m,) of its leaves, `PROVED` or `OPEN`, and their corners low (m, d) and high (m, d).
+
+    Raises:
+        ValueError: The levels are not a tree over the domain.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.proofs import OPEN, PROVED, box, leaves
+        >>> levels = [np.array([0]), np.array([PROVED, OPEN])]
+        >>> [low.tolist() for codes, low, high in leaves(box(a=(0.0, 1.0)), levels) if len(codes)]
+        [[[0.0], [0.5]]]
     """
     low, high = domain.low[None], domain.high[None]
     for codes in itertools.chain(levels, [np.zeros(0, int)]):
@@ -29,12 +44,29 @@ def leaves(domain: Box, levels: list[np.ndarray]) -> Iterator[tuple[np.ndarray, 
 
 
 def open_boxes(domain: Box, levels: list[np.ndarray]) -> Float[np.ndarray, "k 2 d"]:
-    """Low and high corners of the leaves that are not decided."""
+    """Corners of the leaves that are not decided.
+
+    Args:
+        domain: The whole box, of d variables.
+        levels: One array of integers for each level, as in `Proof.levels`.
+
+    Returns:
+        Lower and upper corners (k, 2, d).
+    """
     return np.concatenate([np.stack([low, high], 1)[codes == OPEN] for codes, low, high in leaves(domain, levels)])
 
 
 def halves(low, high, axes) -> tuple[np.ndarray, np.ndarray]:
-    """Both halves of boxes (k, d), lower before upper: (2k, d). Both include the middle, so that no point is lost."""
+    """Both halves of boxes, lower before upper. Both include the middle, so that no point is lost.
+
+    Args:
+        low: Lower corners (k, d).
+        high: Upper corners (k, d).
+        axes: The variable (k,) across whose middle each box is halved.
+
+    Returns:
+        Lower and upper corners (2k, d).
+    """
     rows = np.arange(len(low))
     middle = middle_of(low[rows, axes], high[rows, axes])
     low, high = np.repeat(low, 2, axis=0), np.repeat(high, 2, axis=0)
@@ -44,12 +76,38 @@ def halves(low, high, axes) -> tuple[np.ndarray, np.ndarray]:
 
 
 def middle_of(low, high):
-    """The midpoint, without overflow."""
+    """The midpoint, without overflow.
+
+    Args:
+        low: Lower bounds, an array of any shape.
+        high: Upper bounds in the same shape.
+    """
+    # low + high may overflow where their halves do not.
     return low / 2 + high / 2
 
 
 class Tree:
-    """Boxes by number: the code of each, and its children."""
+    """Binary tree of boxes during branch and bound, in arrays: the code of each box, and its children.
+
+    Attributes:
+        domain: The whole box, of d variables.
+        code: Code of each box: the variable that is halved, `PROVED`, or `OPEN`, also before it is evaluated.
+        child: Number of the lower half of each box that is halved; the upper half follows it.
+        count: Number of boxes in use; the arrays are longer.
+        evaluated: Number of boxes evaluated.
+        decided: Fraction of the domain that is proved.
+        waiting: Lots of boxes to evaluate: numbers, low, high and depths.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.proofs import PROVED, box
+        >>> from covariant.proofs._tree import Tree
+        >>> tree = Tree(box(a=(0.0, 1.0)))
+        >>> tree.take(tree.next(), np.array([0]))  # halved
+        >>> tree.take(tree.next(), np.array([PROVED, PROVED]))
+        >>> tree.evaluated, tree.decided, tree.next() is None
+        (3, 1.0, True)
+    """
 
     def __init__(self, domain: Box):
         self.domain = domain
@@ -61,7 +119,11 @@ class Tree:
         ]
 
     def next(self) -> tuple | None:
-        """Some boxes to evaluate: numbers, low, high and depths; small lots are combined."""
+        """Boxes to evaluate, `CHUNK` at most; small lots are combined.
+
+        Returns:
+            Numbers (B,), low (B, d), high (B, d) and depths (B,); None where no box waits.
+        """
         if not self.waiting:
             return None
         lots, count = [], 0
@@ -74,9 +136,15 @@ class Tree:
         return tuple(part[:CHUNK] for part in whole)
 
     def take(self, lot: tuple, codes: Int[np.ndarray, "B"]) -> None:
-        """Store the codes of a lot of boxes, and add the halves of those that are halved."""
+        """Store the codes of a lot of boxes, and add the halves of those that are halved.
+
+        Args:
+            lot: The boxes, as from `next`.
+            codes: Their codes (B,).
+        """
         numbers, low, high, depth = lot
         self.evaluated += len(numbers)
+        # A box at depth k has 2^−k of the volume of the domain.
         self.decided += float((2.0 ** -depth[codes == PROVED]).sum())
         split = codes >= 0
         new = 2 * int(split.sum())
@@ -92,10 +160,14 @@ class Tree:
             self.waiting.append((np.arange(first, first + new), *children, np.repeat(depth[split] + 1, 2)))
 
     def levels(self) -> tuple[list[np.ndarray], Float[np.ndarray, "k 2 d"]]:
-        """The tree, level by level, and its open boxes."""
-        found, numbers = [], np.zeros(1, int)
+        """The tree, level by level, and its open boxes.
+
+        Returns:
+            Arrays of codes as in `Proof.levels`, and the corners (k, 2, d) of the k open boxes.
+        """
+        by_level, numbers = [], np.zeros(1, int)
         while len(numbers):
-            found.append(self.code[numbers])
+            by_level.append(self.code[numbers])
             split = numbers[self.code[numbers] >= 0]
             numbers = (self.child[split][:, None] + np.arange(2)).ravel()
-        return found, open_boxes(self.domain, found)
+        return by_level, open_boxes(self.domain, by_level)

@@ -24,6 +24,12 @@ def write_article(title: str, blocks: Sequence[Block], path: str | os.PathLike[s
 
     Returns:
         The path.
+
+    Example:
+        >>> from covariant.report import write_article
+        >>> blocks = ["# Errors", "Against the true velocity.", [{"observer": "intrinsic", "RMSE [m/s]": 0.012}]]
+        >>> write_article("Pendulum", blocks, "article.html").name
+        'article.html'
     """
     heading, parts = title, [f'<p class="verdict">{escape(headline)}</p>'] if headline else []
     for block in blocks:

@@ -28,15 +28,47 @@ _INTRODUCTION = (
 
 
 def draw_audit(audit: Audit, path: str | os.PathLike[str]) -> Path:
-    """Draw the figure of an audit, in the format the suffix names; returns the path.
+    """Draw the figure of an audit into a file.
 
-    Raises `ValueError` for a suffix that names no format, `ImportError` without matplotlib.
+    Args:
+        audit: The audit, such as the `audit` of a `covariant.workflow.AuditResult`.
+        path: The file; its suffix is the format, such as .png, .pdf or .svg.
+
+    Returns:
+        The path.
+
+    Raises:
+        ValueError: For a suffix that is no format.
+        ImportError: Without matplotlib.
+
+    Example:
+        >>> from covariant import workflow
+        >>> from covariant.report import draw_audit
+        >>> draw_audit(workflow.audit_observer("oscillator", points=2).audit, "audit.png").name
+        'audit.png'
     """
     return save_figure(audit_figure(audit), path)
 
 
 def audit_figure(audit: Audit) -> "matplotlib.figure.Figure":
-    """The deviations of an audit against their tolerances; raises `ImportError` without matplotlib."""
+    """Draw the deviations of an audit against their tolerances, on a logarithmic axis.
+
+    Args:
+        audit: The audit, such as the `audit` of a `covariant.workflow.AuditResult`.
+
+    Returns:
+        The figure, one line for each law.
+
+    Raises:
+        ImportError: Without matplotlib.
+
+    Example:
+        >>> from covariant import workflow
+        >>> from covariant.report import audit_figure
+        >>> audit = workflow.audit_observer("oscillator", points=2).audit
+        >>> len(audit_figure(audit).axes[0].get_yticks()) == len(audit.rows)
+        True
+    """
     figure, axes = new_figure(panel=(10.8, 0.36 * len(audit.rows) + 0.5))
     ax = axes[0, 0]
     ax.set_xscale("log")
@@ -60,18 +92,35 @@ def _draw(ax: "matplotlib.axes.Axes", line: int, row: Law) -> None:
         ax.text(_LEAST, line, f"skipped: {row.reason}", va="center", fontsize=8, color=MUTED)
         return
     color = _HOLDS if row.passed else _FAILS
-    at = _MOST if math.isnan(row.deviation) else min(max(row.deviation, _LEAST), _MOST)
+    # The axis is logarithmic and ends at _LOW and _HIGH: an exact 0, an infinity and NaN are drawn at its ends.
+    x = _MOST if math.isnan(row.deviation) else min(max(row.deviation, _LEAST), _MOST)
     ax.barh(line, row.tolerance, left=_LOW, height=0.62, color=GRID, zorder=1)
     ax.vlines(row.tolerance, line - 0.31, line + 0.31, color=INK, linewidth=1.2, zorder=2)
-    ax.plot(at, line, "o" if row.passed else "X", color=color, markersize=8, zorder=3)
-    beside = ax.get_yaxis_transform()  # y in lines of the plot, x in widths of the axes
-    ax.text(1.01, line, row.detail, transform=beside, va="center", fontsize=8, color=INK if row.passed else color)
+    ax.plot(x, line, "o" if row.passed else "X", color=color, markersize=8, zorder=3)
+    transform = ax.get_yaxis_transform()  # y in lines of the plot, x in widths of the axes
+    ax.text(1.01, line, row.detail, transform=transform, va="center", fontsize=8, color=INK if row.passed else color)
 
 
 def write_audit(audit: Audit, title: str, path: str | os.PathLike[str]) -> Path:
-    """Write an audit as one self-contained HTML page, as one complete file; returns its path.
+    """Write an audit as a self-contained HTML page: its figure, a table of the laws, and the reasons of tolerances.
 
-    Raises `ImportError` without matplotlib.
+    Args:
+        audit: The audit, such as the `audit` of a `covariant.workflow.AuditResult`.
+        title: Title, plain text; "passed" or "failed" is appended.
+        path: The page to write (.html).
+
+    Returns:
+        The path.
+
+    Raises:
+        ImportError: Without matplotlib.
+
+    Example:
+        >>> from covariant import workflow
+        >>> from covariant.report import write_audit
+        >>> audit = workflow.audit_observer("oscillator", points=2).audit
+        >>> write_audit(audit, "Oscillator", "audit.html").name
+        'audit.html'
     """
     rows = [
         {

@@ -26,7 +26,13 @@ Samples = Float[np.ndarray, "T"]
 
 
 class AxisRange(NamedTuple):
-    """Limits of the y axis in the units of the data, and a sentence on what lies outside them, or ""."""
+    """Limits of a y axis.
+
+    Attributes:
+        low: Lower end, in the unit of the data.
+        high: Upper end.
+        outside: A sentence on what lies outside them, or "".
+    """
 
     low: float
     high: float
@@ -45,18 +51,25 @@ class _Range(NamedTuple):
 
 
 def axis_range(quantity: Quantity, column: int) -> AxisRange | None:
-    """Limits of one panel, or None where there is nothing to draw.
+    """Choose the limits of the y axis of one panel.
 
     Backdrops are shown in full. An estimate is shown from the end of its transient (on a log axis, from the start),
     except single spikes farther from its central 99.5 % than the width of these, and unless it has diverged.
+
+    Args:
+        quantity: The kind of panel.
+        column: Which of its columns, from 0.
+
+    Returns:
+        The limits, or None where there is nothing to draw.
     """
     ranges = _ranges(quantity, column)
     if not ranges:
         return None
-    kept = ranges if quantity.log else _not_diverged(ranges, quantity.scale[column])
-    low, high = _padded(min(r.wanted_low for r in kept), max(r.wanted_high for r in kept), quantity.log)
-    lowest, highest = _padded(min(r.low for r in kept), max(r.high for r in kept), quantity.log)
-    if not _GAIN[0] < (highest - lowest) / (high - low) < _GAIN[1]:
+    shown = ranges if quantity.log else _not_diverged(ranges, quantity.scale[column])
+    low, high = _padded(min(r.wanted_low for r in shown), max(r.wanted_high for r in shown), quantity.log)
+    lowest, highest = _padded(min(r.low for r in shown), max(r.high for r in shown), quantity.log)
+    if not _GAIN[0] < (highest - lowest) / (high - low) < _GAIN[1]:  # _padded makes both differences positive
         low, high = lowest, highest
     outside = _outside(ranges, low, high, quantity.log)
     return AxisRange(10**low, 10**high, outside) if quantity.log else AxisRange(low, high, outside)
@@ -86,6 +99,7 @@ def _late(t: Samples) -> Bool[np.ndarray, "T"]:
 def _core(y: Samples) -> tuple[float, float]:
     """Ends of the samples, except spikes farther off than the width of the central 99.5 % of them."""
     low, high = np.quantile(y, [0.0025, 0.9975])
+    # 2 low − high is the width of the central range below it, and 2 high − low that above it.
     return float(max(y.min(), 2 * low - high)), float(min(y.max(), 2 * high - low))
 
 
@@ -106,12 +120,12 @@ def _padded(low: float, high: float, log: bool) -> tuple[float, float]:
 
 def _outside(ranges: list[_Range], low: float, high: float, log: bool) -> str:
     """A note on how far the worst of the curves that leave the panel goes, and how many others do."""
-    far = [r for r in ranges if r.low < low or r.high > high]
-    if not far:
+    beyond = [r for r in ranges if r.low < low or r.high > high]
+    if not beyond:
         return ""
-    worst = max(far, key=lambda r: max(low - r.low, r.high - high))
+    worst = max(beyond, key=lambda r: max(low - r.low, r.high - high))
     end = worst.low if low - worst.low > worst.high - high else worst.high
-    others = len({r.label for r in far}) - 1
+    others = len({r.label for r in beyond}) - 1
     more = f", {others} more" if others else ""
     return f"off scale: {shorten(worst.label, 20)} {_number(10**end if log else end)}{more}"
 

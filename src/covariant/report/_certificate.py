@@ -35,19 +35,45 @@ _MOST_RECTANGLES = 20_000
 
 
 def draw_certificate(certificate: ContractionCertificate, path: str | os.PathLike[str]) -> Path:
-    """Draw the figure of a certificate, in the format the suffix names; returns the path.
+    """Draw the figure of a certificate into a file.
 
-    Raises `ValueError` for a suffix that names no format, `ImportError` without matplotlib.
+    Args:
+        certificate: The certificate, such as that of a `covariant.workflow.CertifyResult`.
+        path: The file; its suffix is the format, such as .png, .pdf or .svg.
+
+    Returns:
+        The path.
+
+    Raises:
+        ValueError: For a suffix that is no format.
+        ImportError: Without matplotlib.
     """
     return save_figure(certificate_figure(certificate), path)
 
 
 def certificate_figure(certificate: ContractionCertificate) -> "matplotlib.figure.Figure":
-    """The figure of a certificate.
+    """Draw a certificate: its region, the proved tube, the convergence of estimates, and the choice of metrics.
 
-    It has four panels: the region by boxes; a motion with the proved tube and estimates that begin on its border; their
-    distances below the certified line; and the rates that the gains permit, against the condition number of the
-    metric. Without a proof the second and third panel say so. Raises `ImportError` without matplotlib.
+    There are four panels: the region by boxes; a motion with the proved tube and estimates that begin on its border;
+    their distances below the certified line; and the rates that the gains permit, against the condition number of the
+    metric. Without a proof the second and third panel say so.
+
+    Args:
+        certificate: The certificate, such as that of a `covariant.workflow.CertifyResult`.
+
+    Returns:
+        The figure; `save_figure` writes it.
+
+    Raises:
+        ImportError: Without matplotlib.
+
+    Example:
+        >>> import covariant
+        >>> from covariant.report import certificate_figure
+        >>> bounds = {"velocity": 1.0, "error": 0.1, "region": {"q": (-1.0, 1.0)}}
+        >>> result = covariant.certify("oscillator", alpha=10.0, beta=50.0, rate=1.0, checker="off", **bounds)
+        >>> len(certificate_figure(result.certificate).axes)
+        4
     """
     titles = (
         "Where it is proved",
@@ -58,13 +84,13 @@ def certificate_figure(certificate: ContractionCertificate) -> "matplotlib.figur
     figure, axes = new_figure(2, 2, panel=(5.6, 3.7), titles=titles, sharex=False)
     _draw_region(axes[0, 0], projection(certificate), certificate)
     try:
-        found = trajectories(certificate)
+        motion = trajectories(certificate)
     except ValueError as error:
         for ax in (axes[0, 1], axes[1, 0]):
-            _say(ax, str(error))
+            _write_message(ax, str(error))
     else:
-        (_draw_velocity if _on_group(certificate) else _draw_tube)(axes[0, 1], found, certificate)
-        _draw_distances(axes[1, 0], found, certificate)
+        (_draw_velocity if _on_group(certificate) else _draw_tube)(axes[0, 1], motion, certificate)
+        _draw_distances(axes[1, 0], motion, certificate)
     _draw_trade_off(axes[1, 1], trade_off(certificate))
     lines = textwrap.wrap(_title(certificate), 105)
     figure.suptitle("\n".join(lines), x=0.012, ha="left", fontsize=11, fontweight="bold", color=INK)
@@ -73,9 +99,9 @@ def certificate_figure(certificate: ContractionCertificate) -> "matplotlib.figur
 
 
 def _title(certificate: ContractionCertificate) -> str:
-    said = {"holds": "Proved", "fails": "Wrong", "undecided": "Not decided"}[certificate.statement.verdict]
+    verdict = {"holds": "Proved", "fails": "Wrong", "undecided": "Not decided"}[certificate.statement.verdict]
     statement = certificate.statement.claim
-    return f"{said}: {statement}"
+    return f"{verdict}: {statement}"
 
 
 def _on_group(certificate: ContractionCertificate) -> bool:
@@ -92,7 +118,7 @@ def _names(certificate: ContractionCertificate) -> tuple[tuple[str, ...], tuple[
     return certificate.domain.names[:n], certificate.domain.units[:n]
 
 
-def _say(ax: "matplotlib.axes.Axes", text: str) -> None:
+def _write_message(ax: "matplotlib.axes.Axes", text: str) -> None:
     ax.grid(visible=False)
     ax.set_xticks([])
     ax.set_yticks([])
@@ -138,8 +164,8 @@ def _draw_region(ax: "matplotlib.axes.Axes", projected: Projection, certificate:
     claim = next((c for c in certificate.claims if c.proof.verdict != "holds"), certificate.claims[0])
     share = claim.proof.open_share if claim.proof.verdict == "undecided" else 0.0
     others = len(claim.proof.box.low) - 2
-    said = f"{projected.claim}, {claim.proof.boxes} boxes, seen along {others} more variables"
-    ax.set_title(said + (f"; {share:.1%} open" if share else ""), loc="right", fontsize=7, color=MUTED)
+    caption = f"{projected.claim}, {claim.proof.boxes} boxes, seen along {others} more variables"
+    ax.set_title(caption + (f"; {share:.1%} open" if share else ""), loc="right", fontsize=7, color=MUTED)
     if len(projected.proved) or len(projected.open):
         _legend(ax, loc="upper right", ncols=3)
 
@@ -150,11 +176,11 @@ def _mixed(colour: str, share: float) -> tuple[float, float, float]:
     return tuple(1 - share * (1 - part) for part in rgb)  # pyright: ignore[reportReturnType]
 
 
-def _draw_tube(ax: "matplotlib.axes.Axes", found: Trajectories, certificate: ContractionCertificate) -> None:
-    i, n = found.shown, found.positions.shape[1]
+def _draw_tube(ax: "matplotlib.axes.Axes", motion: Trajectories, certificate: ContractionCertificate) -> None:
+    i, n = motion.shown, motion.positions.shape[1]
     names, units = _names(certificate)
-    x, y = found.positions[:, i], found.velocities[:, i]
-    half = found.half_widths[[i, i + n]]
+    x, y = motion.positions[:, i], motion.velocities[:, i]
+    half = motion.half_widths[[i, i + n]]
     dense = np.linspace(0, len(x) - 1, 16 * len(x))
     steps = np.arange(len(x))
     middles = np.stack([np.interp(dense, steps, x), np.interp(dense, steps, y)], axis=1)
@@ -165,16 +191,18 @@ def _draw_tube(ax: "matplotlib.axes.Axes", found: Trajectories, certificate: Con
     ax.add_collection(patches(list(around), facecolor=tube, edgecolor="none", zorder=1))
     ax.plot([], [], "s", color=tube, markersize=9, label=f"proved tube, ± {half[0]:.2g}{of} and ± {half[1]:.2g}{of}/s")
     ax.plot(x, y, color=INK, linewidth=1.6, zorder=4, label="motion of the model")
-    for k in range(len(found.estimated_positions)):
+    for k in range(len(motion.estimated_positions)):
         ax.plot(
-            found.estimated_positions[k, :, i],
-            found.estimated_velocities[k, :, i],
+            motion.estimated_positions[k, :, i],
+            motion.estimated_velocities[k, :, i],
             color=_ESTIMATE,
             linewidth=0.9,
             zorder=3,
             label=None if k else "estimates from its border",
         )
-        ax.plot(found.estimated_positions[k, 0, i], found.estimated_velocities[k, 0, i], ".", color=_ESTIMATE, zorder=5)
+        ax.plot(
+            motion.estimated_positions[k, 0, i], motion.estimated_velocities[k, 0, i], ".", color=_ESTIMATE, zorder=5
+        )
     unit = f" [{units[i]}]" if units[i] else ""
     ax.set_xlabel(f"{names[i]}{unit}")
     ax.set_ylabel(f"d{names[i]}/dt" + (f" [{units[i]}/s]" if units[i] else " [1/s]"))
@@ -182,18 +210,18 @@ def _draw_tube(ax: "matplotlib.axes.Axes", found: Trajectories, certificate: Con
     _legend(ax, loc="best")
 
 
-def _draw_velocity(ax: "matplotlib.axes.Axes", found: Trajectories, certificate: ContractionCertificate) -> None:
-    i, n = found.shown, found.positions.shape[1]
+def _draw_velocity(ax: "matplotlib.axes.Axes", motion: Trajectories, certificate: ContractionCertificate) -> None:
+    i, n = motion.shown, motion.positions.shape[1]
     names, units = _names(certificate)
-    v, half = found.velocities[:, i], found.half_widths[i + n]
+    v, half = motion.velocities[:, i], motion.half_widths[i + n]
     tube = _mixed(_TUBE, 0.35)
     ax.fill_between(
-        found.t, v - half, v + half, color=tube, linewidth=0, label=f"proved tube, ± {half:.2g} {units[i]}", zorder=1
+        motion.t, v - half, v + half, color=tube, linewidth=0, label=f"proved tube, ± {half:.2g} {units[i]}", zorder=1
     )
-    ax.plot(found.t, v, color=INK, linewidth=1.6, label="motion of the model", zorder=4)
-    for k, estimated in enumerate(found.estimated_velocities[:, :, i]):
+    ax.plot(motion.t, v, color=INK, linewidth=1.6, label="motion of the model", zorder=4)
+    for k, estimated in enumerate(motion.estimated_velocities[:, :, i]):
         ax.plot(
-            found.t,
+            motion.t,
             estimated,
             color=_ESTIMATE,
             linewidth=0.9,
@@ -205,16 +233,16 @@ def _draw_velocity(ax: "matplotlib.axes.Axes", found: Trajectories, certificate:
     _legend(ax, loc="best")
 
 
-def _draw_distances(ax: "matplotlib.axes.Axes", found: Trajectories, certificate: ContractionCertificate) -> None:
-    distances = found.distances
-    least = distances.high[:, 0].max() * 1e-4
+def _draw_distances(ax: "matplotlib.axes.Axes", motion: Trajectories, certificate: ContractionCertificate) -> None:
+    distances = motion.distances
+    smallest = distances.high[:, 0].max() * 1e-4
     for k, curves in enumerate(zip(distances.high, distances.low, strict=True)):
         for distance, colour, dash, where in zip(
             curves, (_ESTIMATE, INK), ("-", (0, (2, 5))), ("above", "below"), strict=True
         ):
             ax.plot(
                 distances.t,
-                np.where(distance > least, distance, np.nan),
+                np.where(distance > smallest, distance, np.nan),
                 color=colour,
                 linestyle=dash,
                 linewidth=1.3,
@@ -229,23 +257,23 @@ def _draw_distances(ax: "matplotlib.axes.Axes", found: Trajectories, certificate
         zorder=4,
         label=f"proved: ε exp(−{certificate.decay:.3g} t), ε = {certificate.radius:.3g}",
     )
-    ax.set_yscale("log")
-    ax.set_ylim(least, 2 * certificate.radius)
+    ax.set_yscale("log")  # on which an exponential decay is a straight line
+    ax.set_ylim(smallest, 2 * certificate.radius)
     ax.set_xlabel("t [s]")
     ax.set_ylabel("distance in the metric of Q")
     _legend(ax, loc="lower left")
 
 
-def _draw_trade_off(ax: "matplotlib.axes.Axes", found: TradeOff) -> None:
-    ax.plot(found.rate, found.condition, color=BACKDROP, linewidth=2.5, label="best Q for each rate")
+def _draw_trade_off(ax: "matplotlib.axes.Axes", rates: TradeOff) -> None:
+    ax.plot(rates.rate, rates.condition, color=BACKDROP, linewidth=2.5, label="best Q for each rate")
     ax.axvline(
-        found.certified, color=_WRONG, linewidth=1.5, label=f"rate of the certificate, {found.certified:.3g} 1/s"
+        rates.certified, color=_WRONG, linewidth=1.5, label=f"rate of the certificate, {rates.certified:.3g} 1/s"
     )
-    same = np.allclose(found.used, found.paper)
+    same = np.allclose(rates.used, rates.paper)
     if not same:
-        ax.plot(*found.paper, "D", color=_BEST, markersize=7, label=f"Q of the paper, {found.paper[0]:.3g} 1/s")
+        ax.plot(*rates.paper, "D", color=_BEST, markersize=7, label=f"Q of the paper, {rates.paper[0]:.3g} 1/s")
     which = "its Q, that of the paper" if same else "its Q"
-    ax.plot(*found.used, "o", color=_PROVED, markersize=8, label=f"{which}: {found.used[0]:.3g} 1/s at no error")
+    ax.plot(*rates.used, "o", color=_PROVED, markersize=8, label=f"{which}: {rates.used[0]:.3g} 1/s at no error")
     ax.set_yscale("log")
     ax.set_xlim(left=0)
     ax.set_xlabel("rate λ of squared lengths [1/s]")

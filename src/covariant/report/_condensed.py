@@ -28,11 +28,17 @@ Columns = Float[np.ndarray, "T c"]
 
 
 def condensed(found: dict[str, Quantity]) -> dict[str, Quantity]:
-    """The panels with the curves of a long log replaced; those of a short one are returned as they are.
+    """Replace the curves of a long log by ones with fewer points.
 
-    Positions and velocities become bands, those of the backdrops and of the first estimate: the others are told apart
-    by their errors. Errors become their running RMS: of one estimate with its band behind, of several on a logarithmic
+    Positions and velocities become bands, those of the backdrops and of the first estimate: the others are compared by
+    their errors. Errors become their running RMS: of one estimate with its band behind, of several on a logarithmic
     axis, which shows small beside large.
+
+    Args:
+        found: The panels by name.
+
+    Returns:
+        The panels by name; those of a short log unchanged.
     """
     samples = len(next(iter(found.values())).curves[0].t)
     whole = sum(len(quantity.curves) * len(quantity.labels) for quantity in found.values())
@@ -40,6 +46,7 @@ def condensed(found: dict[str, Quantity]) -> dict[str, Quantity]:
         return found
     found = {name: quantity._replace(curves=_compared(quantity)) for name, quantity in found.items()}
     numbers = sum((2 + len(quantity.curves)) * len(quantity.labels) for quantity in found.values())
+    # −(−a // b) rounds a/b up, so that there are no more intervals than allowed.
     size = max(LEAST, -(-samples // min(MOST_INTERVALS, max(FEWEST_INTERVALS, NUMBERS // numbers))))
     return {name: _condensed(quantity, size) for name, quantity in found.items()}
 
@@ -68,8 +75,8 @@ def _condensed(quantity: Quantity, size: int) -> Quantity:
 def _band(curve: Curve, size: int, log: bool) -> Curve:
     values, seen = _intervals(curve.values, size, log)
     low, high = np.where(seen, values, np.inf).min(axis=1), np.where(seen, values, -np.inf).max(axis=1)
-    none = ~seen.any(axis=1)
-    low[none] = high[none] = np.nan
+    absent = ~seen.any(axis=1)
+    low[absent] = high[absent] = np.nan  # else an interval without samples would keep ±∞
     return curve._replace(t=_middles(curve.t, size), values=high, below=low)
 
 
@@ -78,13 +85,14 @@ def _running_rms(curve: Curve, size: int, run: int, log: bool) -> Curve:
     values, seen = _intervals(curve.values, size, log)
     squares, count = np.where(seen, values, 0.0) ** 2, seen.astype(float)
     squares, count = (_moving_sum(each.sum(axis=1), run) for each in (squares, count))
-    none = ~seen.any(axis=1)
-    rms = np.sqrt(squares / np.where(none, 1.0, count))
-    return curve._replace(t=_middles(curve.t, size), values=np.where(none, np.nan, rms))
+    absent = ~seen.any(axis=1)
+    rms = np.sqrt(squares / np.where(absent, 1.0, count))
+    return curve._replace(t=_middles(curve.t, size), values=np.where(absent, np.nan, rms))
 
 
 def _intervals(values: Columns, size: int, log: bool) -> tuple[np.ndarray, Bool[np.ndarray, "k size c"]]:
     """The samples by intervals (k, size, c), and which of them are there and can be drawn."""
+    # The last interval is filled up with NaN, which counts as not drawable.
     filled = np.pad(values, ((0, -len(values) % size), (0, 0)), constant_values=np.nan)
     filled = filled.reshape(-1, size, values.shape[1])
     return filled, drawable(filled, log)
@@ -95,5 +103,5 @@ def _middles(t: Float[np.ndarray, "T"], size: int) -> Float[np.ndarray, "k"]:
 
 
 def _moving_sum(values: Columns, run: int) -> Columns:
-    ones = np.ones(run)
+    ones = np.ones(run)  # at both ends fewer samples are summed; their count is summed alike
     return np.stack([np.convolve(column, ones, mode="same") for column in values.T], axis=1)

@@ -18,7 +18,7 @@ class EstimateReport(NamedTuple):
 
     NaN marks a missing value and is drawn as a gap. `check` tests the shapes. Arrays may be NumPy's or JAX's.
 
-    Args:
+    Attributes:
         title: Title, plain text.
         coordinates: Names of the n coordinates, such as "θ". Without `q_measured`, names of what is estimated.
         units: Unit of each, such as "rad", or "" for none; velocities are in these units per second. Without
@@ -37,27 +37,26 @@ class EstimateReport(NamedTuple):
         notes: Plain sentences under the title, such as gains and predicted errors.
         estimated: "velocity" or "state".
         headline: The result in one line: what was estimated, and how good it is.
-        warnings: Sentences on what was odd, such as samples without measurement.
+        warnings: Sentences on what was unusual, such as samples without measurement.
         ranked: The rows are a ranking, and the first, which is marked, is the best.
 
     Example:
-        ```python
-        import numpy as np
-        from covariant.report import EstimateReport, figure
-
-        t = np.linspace(0.0, 5.0, 501)
-        truth = np.cos(t)[:, None]
-        report = EstimateReport(
-            title="Pendulum",
-            coordinates=("θ",),
-            units=("rad",),
-            t=t,
-            q_measured=np.sin(t)[:, None],
-            estimates={"intrinsic": truth + 0.01},
-            v_reference=truth,
-        )
-        figure(report).savefig("pendulum.png")
-        ```
+        >>> import numpy as np
+        >>> from covariant.report import EstimateReport, figure
+        >>> t = np.linspace(0.0, 5.0, 501)
+        >>> truth = np.cos(t)[:, None]
+        >>> report = EstimateReport(
+        ...     title="Pendulum",
+        ...     coordinates=("θ",),
+        ...     units=("rad",),
+        ...     t=t,
+        ...     q_measured=np.sin(t)[:, None],
+        ...     estimates={"intrinsic": truth + 0.01},
+        ...     v_reference=truth,
+        ... )
+        >>> [ax.get_ylabel() for ax in figure(report).axes]
+        ['dθ/dt [rad/s]', 'error of dθ/dt [rad/s]']
+        >>> figure(report).savefig("pendulum.png")
     """
 
     title: str
@@ -78,7 +77,14 @@ class EstimateReport(NamedTuple):
     ranked: bool = False
 
     def check(self) -> "EstimateReport":
-        """Return the report, or raise `ValueError` naming the first thing wrong with it."""
+        """Check the shapes and labels of the report.
+
+        Returns:
+            The report itself.
+
+        Raises:
+            ValueError: One line that names the first field that is wrong, and what it must be.
+        """
         samples, n = len(self.t), len(self.coordinates)
         if not samples or not n or not self.estimates:
             raise ValueError("a report needs at least one sample, one coordinate and one estimate")
@@ -101,9 +107,11 @@ class EstimateReport(NamedTuple):
                 raise ValueError(
                     f"{name} has {sorted(unknown)}, but there are estimates only of {list(self.estimates)}"
                 )
-        taken = set(self.estimates) & set(self.backdrops)
-        if taken:
-            raise ValueError(f"an estimate cannot be called {taken.pop()!r}: that names the curve it is compared with")
+        reserved = set(self.estimates) & set(self.backdrops)
+        if reserved:
+            raise ValueError(
+                f"an estimate cannot be called {reserved.pop()!r}: that names the curve it is compared with"
+            )
         return self
 
     @property

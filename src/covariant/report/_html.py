@@ -28,9 +28,27 @@ see what is off scale. A label hides its curve everywhere; double-click it to se
 
 
 def write_html(report: EstimateReport, path: str | os.PathLike[str]) -> Path:
-    """Write the report as one complete file, a page that contains its data and its plotting code; returns its path.
+    """Write a report as one complete file, a page that contains its data and its plotting code.
 
-    Raises `ValueError` from `EstimateReport.check`, `ImportError` without plotly.
+    Args:
+        report: What is drawn.
+        path: The page to write (.html).
+
+    Returns:
+        The path.
+
+    Raises:
+        ValueError: The report is not consistent: see `EstimateReport.check`.
+        ImportError: plotly is not installed.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.report import EstimateReport, write_html
+        >>> t = np.linspace(0.0, 5.0, 501)
+        >>> velocity = np.cos(t)[:, None]
+        >>> report = EstimateReport("Pendulum", ("dθ/dt",), ("rad/s",), t, None, {"intrinsic": velocity})
+        >>> write_html(report, "pendulum.html").name
+        'pendulum.html'
     """
     return write_all({Path(path): page(report).encode()})[0]
 
@@ -50,32 +68,38 @@ def write_report(report: EstimateReport, path: str | os.PathLike[str]) -> list[P
         ImportError: matplotlib or plotly is not installed; nothing is written then.
 
     Example:
-        ```python
-        import numpy as np
-        from covariant.report import EstimateReport, write_report
-
-        t = np.linspace(0.0, 5.0, 501)
-        velocity = np.cos(t)[:, None]
-        report = EstimateReport("Pendulum", ("dθ/dt",), ("rad/s",), t, None, {"intrinsic": velocity})
-        write_report(report, "pendulum.html")
-        ```
+        >>> import numpy as np
+        >>> from covariant.report import EstimateReport, write_report
+        >>> t = np.linspace(0.0, 5.0, 501)
+        >>> velocity = np.cos(t)[:, None]
+        >>> report = EstimateReport("Pendulum", ("dθ/dt",), ("rad/s",), t, None, {"intrinsic": velocity})
+        >>> [path.name for path in write_report(report, "pendulum.html")]
+        ['pendulum.html', 'pendulum_velocity.png']
     """
     files = {Path(path): page(report).encode()}
     return write_all(files | draw_png(report, Path(path).with_suffix("")))
 
 
 def page(report: EstimateReport) -> str:
-    """The text of the page; raises as `write_html` does."""
+    """Compose the text of the page of a report.
+
+    Args:
+        report: What is drawn.
+
+    Raises:
+        ValueError: The report is not consistent: see `EstimateReport.check`.
+        ImportError: plotly is not installed.
+    """
     report.check()
     library = _library(optional("plotly.offline").get_plotlyjs)
-    found, styled = condensed(quantities(report)), styles(report)
-    stacked = [quantity for quantity in found.values() if quantity.name != "distance"]
+    panels, styled = condensed(quantities(report)), styles(report)
+    stacked = [quantity for quantity in panels.values() if quantity.name != "distance"]
     figures = [stack(stacked, i, styled) for i in range(len(report.coordinates))]
     names = ", ".join(quantity.title.lower() for quantity in stacked)
     sections = [_section(name, f"{name}: {names} over time in seconds") for name in report.coordinates]
-    if "distance" in found:
-        figures.append(stack([found["distance"]], 0, styled))
-        title = found["distance"].title
+    if "distance" in panels:
+        figures.append(stack([panels["distance"]], 0, styled))
+        title = panels["distance"].title
         sections.append(_section(title, f"{title} over time in seconds", "wide"))
     data = ",".join(str(figure.to_json()) for figure in figures)
     return f"""<!DOCTYPE html>
@@ -93,7 +117,7 @@ script-src 'unsafe-inline'; img-src data: blob:">
 <body>
 <header>
 <h1>{escape(report.title)}</h1>
-{_verdict(report)}{table_html(report.rows, report.ranked)}{_details(report, found)}{_HINT}</header>
+{_verdict(report)}{table_html(report.rows, report.ranked)}{_details(report, panels)}{_HINT}</header>
 <nav aria-label="Curves shown">{_legend(styled)}</nav>
 <main style="--columns: {len(report.coordinates)}">
 {chr(10).join(sections)}
@@ -109,6 +133,7 @@ script-src 'unsafe-inline'; img-src data: blob:">
 
 
 def asset(name: str) -> str:
+    """Text of a file in the folder of this package, such as "page.css"."""
     return (importlib.resources.files("covariant.report") / name).read_text(encoding="utf-8")
 
 
@@ -127,13 +152,14 @@ def _library(source: Callable[[], str]) -> str:
 
 def _packed(name: str, text: str) -> str:
     """An element with a text for `unpack` in page.js: compressed, in base 85 without the character that opens a tag."""
-    squeezed = gzip.compress(text.encode(), mtime=0)
+    squeezed = gzip.compress(text.encode(), mtime=0)  # no time stamp: equal texts give equal bytes
+    # The alphabet of base 85 has "<" and no comma, so that the page can put it back.
     letters = base64.b85encode(squeezed, pad=True).decode().replace("<", ",")
     return f'<script type="text/plain" id="{name}" data-bytes="{len(squeezed)}">{letters}</script>'
 
 
 def _verdict(report: EstimateReport) -> str:
-    """The result in one line, and what was odd."""
+    """The result in one line, and the warnings."""
     if not report.headline:
         return _odd(report.warnings)
     line = report.headline[:1].upper() + report.headline[1:].rstrip(".")
@@ -146,22 +172,22 @@ def _odd(warnings: Sequence[str]) -> str:
     return f'<ul class="odd" aria-label="Warnings">{lines}</ul>\n' if warnings else ""
 
 
-def _details(report: EstimateReport, found: dict[str, Quantity]) -> str:
+def _details(report: EstimateReport, panels: dict[str, Quantity]) -> str:
     """Notes and terms; page.js folds them on a narrow screen, where they would fill it."""
-    text = _notes(report, found) + _glossary(report, found)
+    text = _notes(report, panels) + _glossary(report, panels)
     return f"<details open><summary>Design, notes and terms</summary>\n{text}</details>\n" if text else ""
 
 
-def _glossary(report: EstimateReport, found: dict[str, Quantity]) -> str:
-    terms = glossary(report, found)
+def _glossary(report: EstimateReport, panels: dict[str, Quantity]) -> str:
+    terms = glossary(report, panels)
     text = " ".join(f"<strong>{escape(term)}</strong>: {escape(meaning)}" for term, meaning in terms.items())
     return f'<p class="glossary">{text}</p>\n' if terms else ""
 
 
-def _notes(report: EstimateReport, found: dict[str, Quantity]) -> str:
+def _notes(report: EstimateReport, panels: dict[str, Quantity]) -> str:
     samples = len(report.t)
     notes = list(report.notes)
-    if any(curve.below is not None for quantity in found.values() for curve in quantity.curves):
+    if any(curve.below is not None for quantity in panels.values() for curve in quantity.curves):
         notes.append(
             f"The log has {samples} samples. Positions and velocities are drawn as the range from the smallest to the "
             "largest in short intervals, those of the first estimate only; errors and innovations as their "
@@ -171,7 +197,15 @@ def _notes(report: EstimateReport, found: dict[str, Quantity]) -> str:
 
 
 def table_html(rows: Sequence[Mapping[str, object]], mark_best: bool) -> str:
-    """A table in HTML; `mark_best` highlights its first row."""
+    """Format a table in HTML.
+
+    Args:
+        rows: Rows, each with its cells by heading.
+        mark_best: Whether the first row is highlighted.
+
+    Returns:
+        The table, or "" where there are no rows.
+    """
     if not rows:
         return ""
     header, body, numeric = cells(rows)

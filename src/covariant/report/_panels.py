@@ -9,10 +9,14 @@ from covariant.report._estimate import MEASURED, EstimateReport
 
 
 class Curve(NamedTuple):
-    """Samples of one quantity: t (T,) [s], values (T, c), a column for each panel.
+    """Samples of one quantity, or a band.
 
-    What was measured is drawn behind the estimates, and a reference in front of them. A band reaches from `below`
-    (T, c) up to the values.
+    Attributes:
+        t: Stamps (T,) [s].
+        values: Samples (T, c), a column for each panel; the upper edge of a band.
+        label: Entry of the legend.
+        role: What was measured is drawn behind the estimates, and a reference in front of them.
+        below: Lower edge (T, c) of a band; None for a line.
     """
 
     t: Float[np.ndarray, "T"]
@@ -30,11 +34,14 @@ class Curve(NamedTuple):
 class Quantity(NamedTuple):
     """One kind of panel, drawn for each of its c columns (the coordinates, or a single one).
 
-    - `name`: for file names; `title`: for people; `labels` (c): labels of the y axes, with units.
-    - `curves`: backdrops first, then the estimates in their order.
-    - `deviation`: the values are errors, so zero is marked and the smallest curve is drawn in front.
-    - `scale` (c): size of the motion itself; an error many times as large shows only that the estimate has diverged.
-    - `log`: the y axis is logarithmic.
+    Attributes:
+        name: Name in file names.
+        title: Title above the panel.
+        labels: Labels (c) of the y axes, with units.
+        curves: Backdrops first, then the estimates in their order.
+        scale: Size (c) of the motion itself; an error many times as large shows only that the estimate has diverged.
+        deviation: Whether the values are errors, so that zero is marked and the smallest curve is drawn in front.
+        log: Whether the y axis is logarithmic.
     """
 
     name: str
@@ -47,7 +54,14 @@ class Quantity(NamedTuple):
 
 
 def quantities(report: EstimateReport) -> dict[str, Quantity]:
-    """The panels of a report by name: position, velocity, error, innovation, distance; only those that have curves."""
+    """Collect the panels of a report.
+
+    Args:
+        report: The report, with consistent shapes.
+
+    Returns:
+        Those of the panels position, velocity, error, innovation and distance that have curves, by name.
+    """
     n = len(report.coordinates)
     t = np.asarray(report.t, float)
     states = {label: np.asarray(x, float) for label, x in report.estimates.items()}
@@ -68,14 +82,14 @@ def quantities(report: EstimateReport) -> dict[str, Quantity]:
     if report.v_reference is not None:
         v = np.asarray(report.v_reference, float)
         reference = (Curve(t, v, report.v_reference_label, "reference"),)
-        errors = estimated({label: found - v for label, found in velocities.items()})
+        errors = estimated({label: panels - v for label, panels in velocities.items()})
         speed = span(v)
     names = {name: _labels(report, *form) for name, form in words.items()}
-    innovations, sought = estimated(report.innovation), report.estimated.capitalize()
-    found = (
+    innovations, kind = estimated(report.innovation), report.estimated.capitalize()
+    panels = (
         Quantity("position", "Position", names["position"], positions, travel),
-        Quantity("velocity", sought, names["velocity"], reference + estimated(velocities), speed),
-        Quantity("error", f"{sought} error", names["error"], errors, speed, deviation=True),
+        Quantity("velocity", kind, names["velocity"], reference + estimated(velocities), speed),
+        Quantity("error", f"{kind} error", names["error"], errors, speed, deviation=True),
         Quantity("innovation", "Innovation", names["innovation"], innovations, travel, deviation=True),
         Quantity(
             "distance",
@@ -87,7 +101,7 @@ def quantities(report: EstimateReport) -> dict[str, Quantity]:
             log=True,
         ),
     )
-    return {quantity.name: quantity for quantity in found if quantity.curves}
+    return {quantity.name: quantity for quantity in panels if quantity.curves}
 
 
 _IN_COORDINATES = {
@@ -107,7 +121,14 @@ and the suffix of its unit."""
 
 
 def span(values: Float[np.ndarray, "T c"]) -> Float[np.ndarray, "c"]:
-    """Largest minus smallest finite sample of each column, 0 for a column without any."""
+    """Range of each column.
+
+    Args:
+        values: Samples (T, c); those that are not finite do not count.
+
+    Returns:
+        Largest minus smallest sample (c,), 0 for a column without any.
+    """
     finite = np.isfinite(values)
     high = np.where(finite, values, -np.inf).max(axis=0)
     low = np.where(finite, values, np.inf).min(axis=0)
@@ -115,15 +136,23 @@ def span(values: Float[np.ndarray, "T c"]) -> Float[np.ndarray, "c"]:
 
 
 def depths(quantity: Quantity, column: int) -> list[int]:
-    """Drawing order of the curves, 0 at the back.
+    """Drawing order of the curves.
 
     Bands of errors and what was measured are behind; then come the estimates, the first or the smallest in front; then
     a reference, a dashed line whose gaps show the estimate under it.
+
+    Args:
+        quantity: The kind of panel.
+        column: Which of its columns, from 0.
+
+    Returns:
+        The place of each curve in the order, 0 at the back.
     """
-    far = [_size(c.values[:, column]) if quantity.deviation else rank for rank, c in enumerate(quantity.curves)]
+    size = [_size(c.values[:, column]) if quantity.deviation else rank for rank, c in enumerate(quantity.curves)]
     layers = [_layer(curve, quantity.deviation) for curve in quantity.curves]
-    order = sorted(range(len(far)), key=lambda i: (layers[i], -far[i], -i))
-    return [order.index(i) for i in range(len(far))]
+    # In a layer the smallest error, and of equal ones the first curve, is drawn last, in front.
+    order = sorted(range(len(size)), key=lambda i: (layers[i], -size[i], -i))
+    return [order.index(i) for i in range(len(size))]
 
 
 def _layer(curve: Curve, deviation: bool) -> int:
@@ -133,7 +162,12 @@ def _layer(curve: Curve, deviation: bool) -> int:
 
 
 def shorten(text: str, most: int) -> str:
-    """Text of at most `most` characters; an ellipsis marks a cut."""
+    """Shorten a text; an ellipsis marks the cut.
+
+    Args:
+        text: The text.
+        most: Largest number of characters, the ellipsis included.
+    """
     return text if len(text) <= most else text[: most - 1] + "…"
 
 

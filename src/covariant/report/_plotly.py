@@ -20,7 +20,13 @@ _ROW, _GAP, _TOP, _BOTTOM = 170, 46, 58, 44
 
 
 def stack(shown: list[Quantity], column: int, styled: dict[str, Style]) -> "plotly.graph_objects.Figure":
-    """One figure: the panels of one column of each quantity, top to bottom, with a common zoom in time."""
+    """Draw one column of several quantities above a common time axis, with a common zoom in time.
+
+    Args:
+        shown: The quantities, top to bottom.
+        column: Which of their columns, from 0.
+        styled: Style of each label.
+    """
     inner = len(shown) * (_ROW + _GAP) - _GAP
     layout: dict[str, Any] = {
         "template": "none",
@@ -37,6 +43,7 @@ def stack(shown: list[Quantity], column: int, styled: dict[str, Style]) -> "plot
         layout["xaxis"]["range"] = [first, last]
     traces = []
     for k, quantity in enumerate(shown, start=1):
+        # Domains are fractions of the height from the bottom, and panels are listed from the top.
         top = 1 - (k - 1) * (_ROW + _GAP) / inner
         limits = axis_range(quantity, column)
         layout[f"yaxis{k}"] = _y_axis(quantity, column, limits) | {"domain": [max(0.0, top - _ROW / inner), top]}
@@ -93,10 +100,10 @@ def _captions(heading: str, top: float, limits: AxisRange | None) -> list[dict[s
     place = {"xref": "paper", "yref": "paper", "x": 0, "xanchor": "left", "y": top, "yanchor": "bottom"}
     place |= {"showarrow": False}
     title = {**place, "text": f"<b>{heading}</b>"}
-    said = "nothing to draw" if limits is None else limits.outside
-    if not said:
+    message = "nothing to draw" if limits is None else limits.outside
+    if not message:
         return [title]
-    note = {"text": escape(said, quote=False), "font": {"size": 10.5}, "opacity": 0.75}
+    note = {"text": escape(message, quote=False), "font": {"size": 10.5}, "opacity": 0.75}
     return [title | {"yshift": 14}, place | note]
 
 
@@ -133,5 +140,6 @@ def _traces(curve: Curve, column: int, quantity: Quantity, style: Style, axis: s
 def _rounded(values: np.ndarray) -> np.ndarray:
     """Values to 3 digits, as on a screen: single precision with a short mantissa, which compresses well."""
     bits = values.astype(np.float32).view(np.uint32)
+    # Half of the last digit that stays is added before the 12 low bits are cut: this rounds to nearest.
     short = ((bits + np.uint32(1 << 11)) & np.uint32(0xFFFFF000)).view(np.float32)
     return np.where(np.isfinite(values), short, np.float32(np.nan))

@@ -23,31 +23,60 @@ _FIGURES = {"velocity": ("velocity", "error"), "position": ("position", "innovat
 
 
 def write_png(report: EstimateReport, path: str | os.PathLike[str]) -> list[Path]:
-    """Write `<path>_velocity.png`, `<path>_position.png`, `<path>_distance.png`, where they have curves; return them.
+    """Write a report as figures: a row of panels for each coordinate, a column for each quantity.
 
-    Each row is a coordinate, each column a quantity. A suffix .png of the path is dropped first. Raises `ValueError`
-    from `EstimateReport.check`, `ImportError` without matplotlib.
+    Args:
+        report: What is drawn.
+        path: The figures are `<path>_velocity.png`, `<path>_position.png` and `<path>_distance.png`, those that have
+            curves. A suffix .png of the path is dropped first.
+
+    Returns:
+        The paths of all files.
+
+    Raises:
+        ValueError: The report is not consistent: see `EstimateReport.check`.
+        ImportError: matplotlib is not installed.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.report import EstimateReport, write_png
+        >>> t = np.linspace(0.0, 5.0, 501)
+        >>> velocity = np.cos(t)[:, None]
+        >>> report = EstimateReport("Pendulum", ("dθ/dt",), ("rad/s",), t, None, {"intrinsic": velocity})
+        >>> [path.name for path in write_png(report, "pendulum.png")]
+        ['pendulum_velocity.png']
     """
     return write_all(draw_png(report, path))
 
 
 def draw_png(report: EstimateReport, path: str | os.PathLike[str]) -> dict[Path, bytes]:
-    """The files of `write_png`, by their paths."""
-    found, styled = condensed(quantities(report.check())), styles(report)
+    """Draw the figures of `write_png`, which also describes the arguments.
+
+    Returns:
+        The content of each file, by its path.
+    """
+    panels, styled = condensed(quantities(report.check())), styles(report)
     path = Path(path)
     stem = path.with_suffix("") if path.suffix.lower() == ".png" else path
     files = {}
     for name, members in _FIGURES.items():
-        shown = [found[member] for member in members if member in found]
+        shown = [panels[member] for member in members if member in panels]
         if shown:
-            drawn = io.BytesIO()
-            _figure(report.title, shown, styled).savefig(drawn, format="png", dpi=DPI)
-            files[stem.with_name(f"{stem.name}_{name}.png")] = drawn.getvalue()
+            buffer = io.BytesIO()
+            _figure(report.title, shown, styled).savefig(buffer, format="png", dpi=DPI)
+            files[stem.with_name(f"{stem.name}_{name}.png")] = buffer.getvalue()
     return files
 
 
 def write_all(files: dict[Path, bytes]) -> list[Path]:
-    """Write files that are complete in memory, each whole or not at all; returns their paths."""
+    """Write files that are complete in memory, each whole or not at all.
+
+    Args:
+        files: The content of each file, by its path.
+
+    Returns:
+        The paths.
+    """
     return [
         write_atomically(path, lambda file, content=content: file.write(content)) for path, content in files.items()
     ]
@@ -67,18 +96,16 @@ def figure(report: EstimateReport) -> "matplotlib.figure.Figure":
         ImportError: matplotlib is not installed.
 
     Example:
-        ```python
-        import numpy as np
-        from covariant.report import EstimateReport, figure, save_figure
-
-        t = np.linspace(0.0, 5.0, 501)
-        velocity = np.cos(t)[:, None]
-        report = EstimateReport("Pendulum", ("dθ/dt",), ("rad/s",), t, None, {"intrinsic": velocity})
-        save_figure(figure(report), "pendulum.svg")
-        ```
+        >>> import numpy as np
+        >>> from covariant.report import EstimateReport, figure, save_figure
+        >>> t = np.linspace(0.0, 5.0, 501)
+        >>> velocity = np.cos(t)[:, None]
+        >>> report = EstimateReport("Pendulum", ("dθ/dt",), ("rad/s",), t, None, {"intrinsic": velocity})
+        >>> save_figure(figure(report), "pendulum.svg").name
+        'pendulum.svg'
     """
-    found = condensed(quantities(report.check()))
-    shown = [found[member] for member in _FIGURES["velocity"] if member in found]
+    panels = condensed(quantities(report.check()))
+    shown = [panels[member] for member in _FIGURES["velocity"] if member in panels]
     return _figure(report.title, shown, styles(report))
 
 
@@ -146,7 +173,7 @@ def _legend(figure: "matplotlib.figure.Figure", styled: dict[str, Style]) -> int
     ]
     labels = [_plain(shorten(label, 60)) for label in styled]
     fitting = max(1, int(11.5 * figure.get_figwidth() / (max(map(len, labels)) + 7)))
-    lines = -(-len(labels) // fitting)
+    lines = -(-len(labels) // fitting)  # rounded up; then columns are spread evenly over the lines
     cols = -(-len(labels) // lines)
     look = {"frameon": False, "fontsize": 8.5, "handlelength": 2.8, "labelcolor": INK}
     figure.legend(handles, labels, loc="outside lower center", ncols=cols, **look)

@@ -13,14 +13,25 @@ Points = tuple[Float[np.ndarray, "k"], Float[np.ndarray, "k"]]
 
 
 class Polyline(NamedTuple):
-    """A curve ready to be drawn: a line with NaN at its gaps, and dots for samples without a neighbour."""
+    """Curve ready to be drawn.
+
+    Attributes:
+        line: Its points, with NaN at gaps.
+        dots: Samples without a neighbour, which a line would not show.
+    """
 
     line: Points
     dots: Points
 
 
 def polyline(t: Samples, values: Samples, log: bool) -> Polyline:
-    """Line and dots of one curve; on a log axis a value that is not positive is a gap."""
+    """Split a curve into a line and dots.
+
+    Args:
+        t: Stamps (T,) [s].
+        values: Samples (T,); NaN, infinity and what cannot be drawn are gaps.
+        log: Whether the axis is logarithmic; then a value that is not positive is a gap as well.
+    """
     shown = np.where(drawable(values, log), values, np.nan)
     alone = _alone(~np.isnan(shown))
     joined = np.where(alone, np.nan, shown)
@@ -29,25 +40,47 @@ def polyline(t: Samples, values: Samples, log: bool) -> Polyline:
 
 
 def outline(t: Samples, low: Samples, high: Samples) -> Points:
-    """The lower and the upper edge of a band, as one line with a gap."""
+    """Join the lower and the upper edge of a band to one line with a gap.
+
+    Args:
+        t: Stamps (T,) [s].
+        low: Lower edge (T,).
+        high: Upper edge (T,).
+    """
     return np.concatenate([t, t[-1:], t]), np.concatenate([low, [np.nan], high])
 
 
 def polygons(t: Samples, low: Samples, high: Samples) -> Points:
-    """A band as closed polygons with gaps between them, one for each run of samples that are there."""
+    """Convert a band to closed polygons with gaps between them, one for each run of samples that are there.
+
+    Args:
+        t: Stamps (T,) [s].
+        low: Lower edge (T,).
+        high: Upper edge (T,).
+    """
     there = np.pad(np.isfinite(low) & np.isfinite(high), 1).astype(int)
     ends = zip(np.flatnonzero(np.diff(there) > 0), np.flatnonzero(np.diff(there) < 0), strict=True)
     x, y = [], []
     for first, last in ends:
         run = slice(first, last)
+        # Out along the lower edge and back along the upper one; a NaN separates the polygon from the next.
         x += [t[run], t[run][::-1], t[last - 1 : last]]
         y += [low[run], high[run][::-1], [np.nan]]
     return (np.concatenate(x), np.concatenate(y)) if x else (t[:0], low[:0])
 
 
 def drawable(values: Float[np.ndarray, "*T"], log: bool) -> Bool[np.ndarray, "*T"]:
-    """Which samples can be drawn on a linear or logarithmic axis."""
+    """Mask of the samples that can be drawn.
+
+    Args:
+        values: Samples, of any shape.
+        log: Whether the axis is logarithmic; then a sample must be positive.
+
+    Returns:
+        The mask, of the same shape; NaN and samples beyond 1e30 are False.
+    """
     least = 1 / _DRAWABLE if log else -_DRAWABLE
+    # NaN is neither larger nor smaller than anything, so it is not drawable.
     return (values > least) & (values < _DRAWABLE)
 
 

@@ -28,7 +28,7 @@ DARK = {
     "#4A0E4E": "#94FFB3",
     "#0A1464": "#C2FF29",
 }
-"""What stands for the darkest colours of the palette on a dark page, as far from all others as these are on white."""
+"""Replacements of the darkest colours of the palette on a dark page, as far from all others as these are on white."""
 
 BACKDROP = "#A8AEB5"
 """Grey, for what was measured."""
@@ -49,7 +49,7 @@ _DASHES = ((), (7, 3), (2, 2), (7, 2, 2, 2))
 class Style(NamedTuple):
     """Style of a label in all panels.
 
-    Args:
+    Attributes:
         color: Colour on white.
         dark: Colour on a dark page.
         width: Width of the line [points].
@@ -63,21 +63,24 @@ class Style(NamedTuple):
 
 
 def styles(report: EstimateReport) -> dict[str, Style]:
-    """Style of every label, in the order of the legend.
+    """Choose the style of every label of a report.
 
     What was measured is wide and grey, a reference a thin dashed line in the colour of the text, and the first estimate
     slightly wide.
+
+    Returns:
+        The style by label, in the order of the legend.
     """
-    found = {}
+    styled = {}
     if report.q_measured is not None:
-        found[MEASURED] = Style(BACKDROP, BACKDROP, 3.2)
+        styled[MEASURED] = Style(BACKDROP, BACKDROP, 3.2)
     if report.v_reference is not None:
-        found[report.v_reference_label] = Style(INK, "#F2F4F6", 1.2, (4, 5))
+        styled[report.v_reference_label] = Style(INK, "#F2F4F6", 1.2, (4, 5))
     for i, label in enumerate(report.estimates):
         dash = _DASHES[i // len(PALETTE) % len(_DASHES)]
         color = PALETTE[i % len(PALETTE)]
-        found[label] = Style(color, DARK.get(color, color), 1.1 if i else 2.0, dash)
-    return found
+        styled[label] = Style(color, DARK.get(color, color), 1.1 if i else 2.0, dash)
+    return styled
 
 
 def new_figure(
@@ -88,11 +91,27 @@ def new_figure(
     titles: Sequence[str] = (),
     sharex: bool | str = "col",
 ) -> "tuple[matplotlib.figure.Figure, np.ndarray]":
-    """A figure in the house style, and its axes (rows, cols).
+    """Create a figure in the common style, whose lines take the colours of `PALETTE`.
 
-    - `panel`: size of one panel [inch]; `titles`: of the panels, row by row.
+    Args:
+        rows: Number of rows of panels.
+        cols: Number of columns of panels.
+        panel: Width and height of one panel [inch].
+        titles: Titles of the panels, row by row.
+        sharex: Which panels share their x axis, as for `matplotlib`; by default those of a column.
 
-    Lines take the colours of `PALETTE`. The figure belongs to no window and no global state; `save_figure` writes it.
+    Returns:
+        The figure, which belongs to no window and no global state, and its axes (rows, cols). `save_figure` writes it.
+
+    Raises:
+        ImportError: matplotlib is not installed.
+
+    Example:
+        >>> from covariant.report import new_figure
+        >>> figure, axes = new_figure(2, 1, titles=("position", "velocity"))
+        >>> line = axes[0, 0].plot([0.0, 1.0], [0.0, 1.0])
+        >>> axes.shape
+        (2, 1)
     """
     width, height = panel[0] * cols, panel[1] * rows + 0.5
     figure = optional("matplotlib.figure").Figure(
@@ -115,9 +134,23 @@ def new_figure(
 
 
 def save_figure(figure: "matplotlib.figure.Figure", path: str | os.PathLike[str]) -> Path:
-    """Write a figure in the format its suffix names (png, pdf, svg), as one complete file; returns its path.
+    """Write a figure to a file, whole or not at all.
 
-    Raises `ValueError` where there is no suffix or matplotlib does not know it.
+    Args:
+        figure: The figure.
+        path: The file; its suffix is the format, such as .png, .pdf or .svg.
+
+    Returns:
+        The path.
+
+    Raises:
+        ValueError: Where there is no suffix or matplotlib does not know it.
+
+    Example:
+        >>> from covariant.report import new_figure, save_figure
+        >>> figure, axes = new_figure()
+        >>> save_figure(figure, "empty.png").name
+        'empty.png'
     """
     suffix = Path(path).suffix.removeprefix(".")
     if not suffix:

@@ -11,7 +11,13 @@ MISSING = "—"
 
 
 class Cells(NamedTuple):
-    """A table as text: header (c), rows of the body (c), and which columns (c) hold numbers and are right-aligned."""
+    """Cells of a table as text.
+
+    Attributes:
+        header: Headings of the c columns.
+        body: Rows, each with c cells.
+        numeric: Which of the c columns are numbers, and right-aligned.
+    """
 
     header: list[str]
     body: list[list[str]]
@@ -19,7 +25,11 @@ class Cells(NamedTuple):
 
 
 def cells(rows: Sequence[Mapping[str, object]]) -> Cells:
-    """Rows as text, with numbers to four digits; a missing key, None and NaN become a dash."""
+    """Convert rows to text, with numbers to four digits.
+
+    Args:
+        rows: Rows, each with its cells by heading; a missing key, None and NaN become a dash.
+    """
     header = list(dict.fromkeys(key for row in rows for key in row))
     columns = [[row.get(key) for row in rows] for key in header]
     numeric = [any(map(_is_number, column)) and all(v is None or _is_number(v) for v in column) for column in columns]
@@ -27,7 +37,22 @@ def cells(rows: Sequence[Mapping[str, object]]) -> Cells:
 
 
 def table(rows: Sequence[Mapping[str, object]]) -> str:
-    """A GitHub-Markdown table with right-aligned numbers, ending in a newline; "" where there are no rows."""
+    """Format a table in GitHub's Markdown, with right-aligned numbers to four digits.
+
+    Args:
+        rows: Rows, each with its cells by heading; a missing key, None and NaN become a dash.
+
+    Returns:
+        The table, ending in a newline; "" where there are no rows.
+
+    Example:
+        >>> from covariant.report import table
+        >>> print(table([{"observer": "intrinsic", "RMSE": 0.0125}, {"observer": "pll", "RMSE": 0.0181}]), end="")
+        | observer  |   RMSE |
+        | --------- | -----: |
+        | intrinsic | 0.0125 |
+        | pll       | 0.0181 |
+    """
     if not rows:
         return ""
     header, body, numeric = cells(rows)
@@ -48,6 +73,7 @@ def _is_number(value: object) -> TypeGuard[float]:
 def _column(values: list[object]) -> list[str]:
     """A column as text; numbers of similar size get the same number of decimals, so that they can be compared."""
     sizes = [abs(float(v)) for v in values if _is_number(v) and math.isfinite(v) and v]
+    # Outside this range, or over four decades, decimals are long or lose digits: then each number is in %.4g.
     alike = bool(sizes) and min(sizes) >= 1e-4 and max(sizes) < min(1e7, 1e4 * min(sizes))
     return [_text(value, _decimals(sizes) if alike else None) for value in values]
 
@@ -56,6 +82,7 @@ def _decimals(sizes: list[float]) -> int:
     """The largest number of decimals that a number needs for four digits, but no more than the smallest needs."""
     shown = (np.format_float_positional(x, precision=4, fractional=False, trim="-") for x in sizes)
     most = max(len(text.partition(".")[2]) for text in shown)
+    # Four significant digits of x reach 3 − ⌊log10 x⌋ decimals.
     return min(most, max(0, 3 - math.floor(math.log10(min(sizes)))))
 
 

@@ -12,12 +12,12 @@ from covariant.workflow._inputs import Job, Loaded, ReferenceVelocity, load
 
 
 class Aligned(NamedTuple):
-    """A log in the times at which its positions were true.
+    """Log whose stamps are the times at which its positions were true.
 
-    Args:
+    Attributes:
         loaded: Model and log; the inputs of its `log` act without their lag, those of its `record` with it.
         raw: The record with its inputs as they are logged.
-        late: How long after its row an input acts [s].
+        late: Time [s] after its row at which an input acts.
     """
 
     loaded: Loaded
@@ -25,7 +25,11 @@ class Aligned(NamedTuple):
     late: float
 
     def commanded(self, between: str) -> Record:
-        """The record with the inputs that act in each step, without their lag, where they are "held" or "linear"."""
+        """Record with the inputs that act in each step, without their lag.
+
+        Args:
+            between: How inputs go from one stamp to the next, "held" or "linear".
+        """
         return acting_inputs(self.raw, between, self.late)
 
 
@@ -33,9 +37,20 @@ def aligned(job: Job) -> Aligned:
     """Read a log, its rows at the times at which the positions were true.
 
     Where one coordinate is later than another they are interpolated to the times of the latest.
+
+    Args:
+        job: The model and the log.
+
+    Returns:
+        The log, with the inputs later by the largest delay of the positions.
+
+    Raises:
+        MisfitError: Where the log does not fit the model at all.
+        ValueError: For a model or a log that cannot be used.
     """
     file = models.load(job.model, job.overrides)
     delay = np.asarray(file.delay, float)
+    # Read without a delay: here the delay moves the inputs instead, by `late`.
     undelayed = job._replace(overrides=_with(job.overrides, "measurement.delay", 0))
     loaded = load(undelayed, why="this command takes")
     if np.ptp(delay) > 0:

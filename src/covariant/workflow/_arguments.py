@@ -20,7 +20,7 @@ ColumnNames = Mapping[str, str | Sequence[str] | None]
 def numbers(
     argument: str, given: Amounts, names: Sequence[str], *, positive: bool = False, one: bool = False
 ) -> Float[np.ndarray, "n"]:
-    """One number for each name.
+    """Convert an argument to one number for each name.
 
     Args:
         argument: The argument that holds the numbers, for messages.
@@ -28,6 +28,9 @@ def numbers(
         names: What the numbers are for, n names.
         positive: Whether the numbers must be positive; otherwise they must be finite.
         one: Whether one number also stands for all names.
+
+    Returns:
+        The numbers (n,).
 
     Raises:
         ValueError: One line that names the argument, and what is needed.
@@ -51,7 +54,11 @@ def numbers(
 
 
 def finite(argument: str, given: Amounts | None) -> None:
-    """Raise `ValueError` where an argument holds anything but finite numbers, of which there may be any count."""
+    """Check that an argument is finite numbers, of any count, or None.
+
+    Raises:
+        ValueError: One line that names the argument.
+    """
     try:
         values = np.atleast_1d(np.asarray(0.0 if given is None else given, float))
     except (TypeError, ValueError):
@@ -61,18 +68,30 @@ def finite(argument: str, given: Amounts | None) -> None:
 
 
 def amounts(argument: str, given: Amounts, names: Sequence[str]) -> Float[np.ndarray, "n"]:
-    """Bounds that may be zero, one for all names or one each; raises `ValueError` where one is negative."""
+    """Convert an argument to one bound ≥ 0 for each name.
+
+    Args:
+        argument: The argument that holds the bounds, for messages.
+        given: One bound for all names, or one each.
+        names: What the bounds are for, n names.
+
+    Returns:
+        The bounds (n,).
+
+    Raises:
+        ValueError: One line that names the argument, for a bound that is negative or not finite, or another count.
+    """
     finite(argument, given)
-    found = numbers(argument, given, names, one=True)
-    if found.min(initial=0.0) < 0:
-        raise ValueError(f"{argument}: bounds must not be negative; got {_shown(found)}")
-    return found
+    limits = numbers(argument, given, names, one=True)
+    if limits.min(initial=0.0) < 0:
+        raise ValueError(f"{argument}: bounds must not be negative; got {_shown(limits)}")
+    return limits
 
 
 def bounds(
     argument: str, given: Region, names: Sequence[str], what: str = "state", *, equal: bool = False
 ) -> dict[str, tuple[float, float]]:
-    """Low and high ends by name.
+    """Convert an argument to low and high ends by name.
 
     Args:
         argument: The argument that holds the ends, for messages.
@@ -81,10 +100,13 @@ def bounds(
         what: What the names are of, for messages.
         equal: Whether both ends may be the same.
 
+    Returns:
+        The ends by name, in the order of `given`.
+
     Raises:
         ValueError: One line that names the argument, and an unknown name or a pair of ends that is none.
     """
-    found = {}
+    intervals = {}
     for name, pair in given.items():
         if name not in names:
             raise ValueError(f"{argument}: there is no {what} {name!r}; the {what}s are {', '.join(names)}")
@@ -92,19 +114,37 @@ def bounds(
         low, high = float(ends[0]), float(ends[1])
         if not (low < high or (equal and low == high)):
             raise ValueError(f"{argument}: the low end of {name} must be below the high one; got {low:g} and {high:g}")
-        found[name] = low, high
-    return found
+        intervals[name] = low, high
+    return intervals
 
 
 def above_zero(argument: str, value: float | int) -> float:
-    """The value as a number; raises `ValueError` unless it is positive and finite."""
-    if not 0 < value < math.inf:
+    """Check that an argument is a positive finite number.
+
+    Returns:
+        The value as a `float`.
+
+    Raises:
+        ValueError: One line that names the argument.
+    """
+    if not 0 < value < math.inf:  # false for NaN too
         raise ValueError(f"{argument} must be a positive number; got {value:g}")
     return float(value)
 
 
 def gain_pair(alpha: float | int | None, beta: float | int | None) -> tuple[float, float] | None:
-    """Gains α [1/s] and β [1/s²], or None where neither is given; raises `ValueError` for one without the other."""
+    """Check the gains α and β, which belong together.
+
+    Args:
+        alpha: α [1/s], or None.
+        beta: β [1/s²], or None.
+
+    Returns:
+        Both gains, or None where neither is given.
+
+    Raises:
+        ValueError: For one without the other, and for a gain that is not positive and finite.
+    """
     if (alpha is None) != (beta is None):
         raise ValueError("alpha and beta belong together: give both or neither")
     if alpha is None or beta is None:

@@ -78,13 +78,19 @@ def audit_observer(
 
 @dataclass(frozen=True, repr=False)
 class AuditResult(AbstractResult):
-    """The laws of an observer, with the largest deviation from each.
+    """Laws of an observer, with the largest deviation from each.
 
     Attributes:
-        model_name: What the model was called.
+        model_name: The model, by its path or name.
         title: Its short name.
         observer_name: Name of the observer.
-        audit: The laws.
+        audit: The laws, a `covariant.certificates.audit.Audit`.
+
+    Example:
+        >>> from covariant import workflow
+        >>> result = workflow.audit_observer("oscillator", points=4)
+        >>> result.passed, result.observer_name, len(result.audit.rows) > 5
+        (True, 'intrinsic', True)
     """
 
     model_name: str
@@ -94,7 +100,7 @@ class AuditResult(AbstractResult):
 
     @property
     def passed(self) -> bool:
-        """Whether no law is broken."""
+        """Whether no law is violated; laws that were skipped do not count."""
         return self.audit.passed
 
     @property
@@ -103,23 +109,48 @@ class AuditResult(AbstractResult):
 
     @property
     def summary(self) -> dict[str, Any]:
-        found = self.audit
-        result = {"model": self.model_name, "observer": self.observer_name, "passed": found.passed}
-        result |= {"verdict": found.verdict, "domain": found.domain, "laws": [_plain(row) for row in found.rows]}
+        measured = self.audit
+        result = {"model": self.model_name, "observer": self.observer_name, "passed": measured.passed}
+        result |= {
+            "verdict": measured.verdict,
+            "domain": measured.domain,
+            "laws": [_plain(row) for row in measured.rows],
+        }
         return result
 
     def __str__(self) -> str:
         return str(self.audit)
 
     def report(self, path: str | Path) -> list[Path]:
-        """Write a page (.html) with the figure and explanations."""
+        """Write a page with the figure of the deviations and an explanation of each law.
+
+        Args:
+            path: The page to write (.html).
+
+        Returns:
+            The path, as the only entry.
+
+        Raises:
+            ValueError: For another suffix, or a folder that does not exist.
+            ImportError: Without matplotlib.
+        """
         from covariant.report import write_audit
 
         check_output(Path(path), ".html")
         return [write_audit(self.audit, f"Audit of {self.title}", path)]
 
     def plot(self, path: str | Path | None = None) -> "Figure":
-        """The figure of the deviations; also written (.png, .pdf, .svg) where a path is given."""
+        """Draw the deviations against their tolerances.
+
+        Args:
+            path: Where the figure is written as well (.png, .pdf, .svg); by default it is not.
+
+        Returns:
+            The figure, one line for each law.
+
+        Raises:
+            ImportError: Without matplotlib.
+        """
         from covariant.report import audit_figure, save_figure
 
         figure = audit_figure(self.audit)

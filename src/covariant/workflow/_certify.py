@@ -89,9 +89,8 @@ def certify(
 
     Example:
         >>> import covariant
-        >>> gains = {"alpha": 10.0, "beta": 50.0}
-        >>> result = covariant.certify("heavy_top", velocity=1.0, error=0.05, rate=2.0, **gains)
-        >>> result.holds
+        >>> bounds = {"velocity": 1.0, "error": 0.1, "region": {"q": (-1.0, 1.0)}}
+        >>> covariant.certify("oscillator", alpha=10.0, beta=50.0, rate=1.0, **bounds).holds
         True
     """
     if velocity is None:
@@ -138,12 +137,19 @@ def certify(
 
 @dataclass(frozen=True, repr=False)
 class CertifyResult(AbstractResult):
-    """The verdict on a statement about an observer, with the numbers of its proof.
+    """Verdict on a statement about an observer, with the numbers of its proof.
 
     Attributes:
-        model_name: What the model was called.
+        model_name: The model, by its path or name.
         certificate: The statement with its proofs.
         design: A sentence on where the gains come from.
+
+    Example:
+        >>> import covariant
+        >>> bounds = {"velocity": 1.0, "error": 0.1, "region": {"q": (-1.0, 1.0)}}
+        >>> result = covariant.certify("oscillator", alpha=10.0, beta=50.0, rate=1.0, checker="off", **bounds)
+        >>> result.summary["verdict"], result.certificate.rate
+        ('holds', 1.0)
     """
 
     model_name: str
@@ -157,7 +163,7 @@ class CertifyResult(AbstractResult):
 
     @property
     def wrong(self) -> bool:
-        """Whether there is a counter-example to the statement, of which no certificate can be saved."""
+        """Whether there is a counter-example to the statement; then no certificate can be saved."""
         return self.certificate.counterexample is not None
 
     @property
@@ -169,53 +175,53 @@ class CertifyResult(AbstractResult):
 
     @property
     def summary(self) -> dict[str, Any]:
-        found, domain = self.certificate, self.certificate.domain
+        cert, domain = self.certificate, self.certificate.domain
         ends = zip(domain.names, domain.low.tolist(), domain.high.tolist(), strict=True)
         wrong = None
-        if found.counterexample is not None:
-            wrong = dict(zip(domain.names, found.counterexample.mean(axis=0).tolist(), strict=True))
+        if cert.counterexample is not None:
+            wrong = dict(zip(domain.names, cert.counterexample.mean(axis=0).tolist(), strict=True))
         return {
             "model": self.model_name,
-            "observer": type(found.observer).__name__,
-            "verdict": found.statement.verdict,
-            "evidence": found.statement.evidence,
-            "statement": found.statement.claim,
-            "about": list(found.statement.about),
-            "hypotheses": found.statement.document()["hypotheses"],
-            "alpha": float(found.observer.alpha),
-            "beta": float(found.observer.beta),
-            "q": found.q.tolist(),
-            "rate": found.rate,
-            "decay": found.decay,
-            "radius": found.radius,
-            "steady": found.steady if math.isfinite(found.steady) else None,
-            "half_widths": found.half_widths.tolist() if self.holds else None,
-            "velocity": found.velocity.tolist(),
+            "observer": type(cert.observer).__name__,
+            "verdict": cert.statement.verdict,
+            "evidence": cert.statement.evidence,
+            "statement": cert.statement.claim,
+            "about": list(cert.statement.about),
+            "hypotheses": cert.statement.document()["hypotheses"],
+            "alpha": float(cert.observer.alpha),
+            "beta": float(cert.observer.beta),
+            "q": cert.q.tolist(),
+            "rate": cert.rate,
+            "decay": cert.decay,
+            "radius": cert.radius,
+            "steady": cert.steady if math.isfinite(cert.steady) else None,
+            "half_widths": cert.half_widths.tolist() if self.holds else None,
+            "velocity": cert.velocity.tolist(),
             "domain": {name: [low, high] for name, low, high in ends},
-            "boxes": found.boxes,
-            "seconds": found.seconds,
-            "checker_seconds": found.checker_seconds,
-            "open": len(found.open),
-            "open_share": {claim.kind: claim.proof.open_share for claim in _undecided(found)},
+            "boxes": cert.boxes,
+            "seconds": cert.seconds,
+            "checker_seconds": cert.checker_seconds,
+            "open": len(cert.open),
+            "open_share": {claim.kind: claim.proof.open_share for claim in _undecided(cert)},
             "counterexample": wrong,
         }
 
     def __str__(self) -> str:
-        found, domain = self.certificate, self.certificate.domain
+        cert, domain = self.certificate, self.certificate.domain
         lines = [
-            str(found.statement),
+            str(cert.statement),
             "",
             self.design,
             *(self._tube() if self.holds else ["no tube is proved"]),
             "the domain of the proofs:",
         ]
         for kind, name, unit, low, high in zip(
-            found.kinds, domain.names, domain.units, domain.low, domain.high, strict=True
+            cert.kinds, domain.names, domain.units, domain.low, domain.high, strict=True
         ):
             ends = f"  {low:.4g} ≤ {_KINDS[kind]} {name} ≤ {high:.4g} {unit}".rstrip()
             lines.append(ends + _in_degrees(high, unit, low))
-        if found.counterexample is not None:
-            point = found.counterexample.mean(axis=0)
+        if cert.counterexample is not None:
+            point = cert.counterexample.mean(axis=0)
             lines.append("it is wrong at")
             lines += [
                 f"  {name} = {x:.6g} {unit}".rstrip() + _in_degrees(x, unit)
@@ -224,35 +230,36 @@ class CertifyResult(AbstractResult):
         lines += [
             f"{claim.kind}: {len(claim.proof.open)} boxes remain, {claim.proof.open_share:.2%} of the domain; more "
             "boxes, smaller bounds or a lower rate may decide it"
-            for claim in _undecided(found)
+            for claim in _undecided(cert)
         ]
-        lines.append(f"{found.boxes} boxes, {found.seconds:.1f} s; checker {found.checker_seconds:.1f} s")
+        lines.append(f"{cert.boxes} boxes, {cert.seconds:.1f} s; checker {cert.checker_seconds:.1f} s")
         if self.wrong:
             lines.append("no certificate is written of a statement that is wrong")
         return "\n".join(lines)
 
     def _tube(self) -> list[str]:
         """Lines on the half widths of the tube."""
-        found = self.certificate
-        names, units, n = found.domain.names, found.domain.units, len(found.velocity)
+        cert = self.certificate
+        names, units, n = cert.domain.names, cert.domain.units, len(cert.velocity)
         rates = [f"{unit}/s" if unit and not unit.endswith("/s") else unit for unit in units[:n]]
         turns = [unit.removesuffix("/s") for unit in units[:n]]
         return [
-            f"tube of the radius ε = {found.radius:.4g}: every estimate in it stays within",
+            f"tube of the radius ε = {cert.radius:.4g}: every estimate in it stays within",
             *(
                 f"  {w:.4g} {unit} of {what} {name}{_in_degrees(w, unit)}"
                 for what, widths, each in (
-                    ("position", found.half_widths[:n], turns),
-                    ("velocity", found.half_widths[n:], rates),
+                    ("position", cert.half_widths[:n], turns),
+                    ("velocity", cert.half_widths[n:], rates),
                 )
                 for name, w, unit in zip(names[:n], widths, each, strict=True)
             ),
         ]
 
     def save(self, path: str | Path, overwrite: bool = True) -> Path:
-        """Write the certificate (.json).
+        """Write the certificate (.json); an existing file is always replaced.
 
-        Raises `ValueError` for a statement that is wrong, and for a model that was given as an object.
+        Raises:
+            ValueError: For a statement that is wrong, and for a model that was given as an object.
         """
         path = Path(path)
         check_output(path, ".json")
@@ -261,7 +268,7 @@ class CertifyResult(AbstractResult):
         return self.certificate.save(path)
 
     def plot(self, path: str | Path | None = None) -> "Figure":
-        """The figure of region, tube, distances and gains; also written (.png, .pdf, .svg) where a path is given."""
+        """Draw region, tube, distances and gains; also written (.png, .pdf, .svg) where a path is given."""
         from covariant.report import certificate_figure, save_figure
 
         if path is not None:
@@ -290,11 +297,10 @@ def check_certificate(
         ValueError: Where there is no such file.
 
     Example:
-        >>> import covariant, tempfile
-        >>> path = f"{tempfile.mkdtemp()}/top.json"
-        >>> gains = {"alpha": 10.0, "beta": 50.0}
-        >>> proved = covariant.certify("heavy_top", velocity=1.0, error=0.05, rate=2.0, **gains)
-        >>> covariant.workflow.check_certificate(proved.save(path)).verified
+        >>> import covariant
+        >>> bounds = {"velocity": 1.0, "error": 0.1, "region": {"q": (-1.0, 1.0)}}
+        >>> proved = covariant.certify("oscillator", alpha=10.0, beta=50.0, rate=1.0, **bounds)
+        >>> covariant.workflow.check_certificate(proved.save("oscillator.json")).verified
         True
     """
     path = Path(path)
@@ -322,6 +328,11 @@ class CertificateCheckResult(AbstractResult):
         checked: What was verified; None where the certificate is refused.
         balls: Number of leaves that were verified again in ball arithmetic.
         note: A remark on the balls, or why the certificate is refused.
+
+    Example:
+        >>> from covariant import workflow
+        >>> workflow.CertificateCheckResult("top.json", None, None, 0, "its digest does not fit")
+        <CertificateCheckResult: top.json: refused>
     """
 
     path: Path
@@ -332,7 +343,7 @@ class CertificateCheckResult(AbstractResult):
 
     @property
     def verified(self) -> bool:
-        """Whether the certificate is right."""
+        """Whether all leaves of the proofs are verified."""
         return self.checked is not None
 
     @property
@@ -343,21 +354,21 @@ class CertificateCheckResult(AbstractResult):
     def summary(self) -> dict[str, Any]:
         if self.checked is None:
             return {"verified": False, "reason": self.note}
-        found = {"model": self.model, "balls": self.balls, "assumed": list(ASSUMED)}
-        return {"verified": True, **self.checked._asdict(), "statement": self.checked.statement.document(), **found}
+        details = {"model": self.model, "balls": self.balls, "assumed": list(ASSUMED)}
+        return {"verified": True, **self.checked._asdict(), "statement": self.checked.statement.document(), **details}
 
     def __str__(self) -> str:
-        found = self.checked
-        if found is None:
+        details = self.checked
+        if details is None:
             return f"Refused: {self.note}"
-        given = (
+        caveat = (
             f"The model is {self.model}, given by the person who checks; that the file means this one is not verified."
         )
         return "\n".join(
             [
-                f"Verified: {found.leaves} leaves in {found.seconds:.1f} s, {self.note}.",
-                *([given] if found.model_given else []),
-                str(found.statement),
+                f"Verified: {details.leaves} leaves in {details.seconds:.1f} s, {self.note}.",
+                *([caveat] if details.model_given else []),
+                str(details.statement),
             ]
         )
 
@@ -372,11 +383,11 @@ def _in_balls(document: Document, model: str | None) -> tuple[int, str]:
 
 
 def _gains(
-    file: ModelFile, given: tuple[float, float] | None, sampling: float | None
+    file: ModelFile, pair: tuple[float, float] | None, sampling: float | None
 ) -> tuple[tuple[float, float], str]:
     """The gains α and β, and a sentence on their origin."""
-    if given is not None:
-        return given, f"Given gains: alpha = {given[0]:g} 1/s, beta = {given[1]:g} 1/s²."
+    if pair is not None:
+        return pair, f"Given gains: alpha = {pair[0]:g} 1/s, beta = {pair[1]:g} 1/s²."
     if file.measurement_std is None or file.acceleration_std is None:
         raise ValueError(f"{file.name} has no data sheet to design gains from; give alpha and beta")
     if sampling is None:
@@ -419,13 +430,13 @@ def _metric(entries: Sequence[float | int] | None) -> Float[np.ndarray, "2 2"] |
     if entries is None:
         return None
     a, c, b = numbers("q", entries, ("a", "c", "b"))
-    if not (a > 0 and a * b > c * c):
+    if not (a > 0 and a * b > c * c):  # Sylvester's criterion
         raise ValueError(f"q: [[a, c], [c, b]] must be positive definite, a > 0 and ab > c²; got {a:g}, {c:g}, {b:g}")
     return np.array([[a, c], [c, b]])
 
 
-def _undecided(found: ContractionCertificate) -> list[Claim]:
-    return [claim for claim in found.claims if claim.proof.verdict == "undecided"]
+def _undecided(certificate: ContractionCertificate) -> list[Claim]:
+    return [claim for claim in certificate.claims if claim.proof.verdict == "undecided"]
 
 
 def _in_degrees(value: float, unit: str, low: float | None = None) -> str:

@@ -56,20 +56,29 @@ def check(
     job = Job(model, log, overrides, every, until, columns or {}, True, start)
     progress(f"comparing {job.log_name} with {job.model_name}")
     loaded = load(job, score=False, why="logs are compared with")
-    # The quantum as the model file has it: loading leaves it out where positions are no such ticks.
+    # The quantum is that of the model file: loading removes it where positions are not such ticks.
     quantum = models.load(model, overrides).quantum
-    found = diagnose(loaded.file, loaded.log.record, quantum, loaded.log.first_row, loaded.log.every)
-    return CheckResult(job.model_name, job.log_name, len(loaded.log.record.t), loaded.rate, found)
+    diagnosis = diagnose(loaded.file, loaded.log.record, quantum, loaded.log.first_row, loaded.log.every)
+    return CheckResult(job.model_name, job.log_name, len(loaded.log.record.t), loaded.rate, diagnosis)
 
 
 @dataclass(frozen=True, repr=False)
 class CheckResult(AbstractResult):
-    """What a comparison of a log with a model found.
+    """Comparison of a log with a model: the findings, and what was looked for.
 
     Attributes:
-        model, log: Names of both.
-        rows: Rows that were read; `rate`: how many there are in a second [Hz].
+        model: Name of the model.
+        log: Name of the log.
+        rows: Number of rows that were read.
+        rate: Sampling rate [Hz], from the median interval.
         diagnosis: The findings, the worst first, and what was looked for.
+
+    Example:
+        >>> import covariant
+        >>> log = covariant.simulate("oscillator", duration=10.0, rate=50.0, q0=1.0, noise=1e-3).record
+        >>> result = covariant.check("oscillator", log._replace(t=1e3 * log.t))
+        >>> result.wrong, result.findings[0].what
+        (True, 'unit of time')
     """
 
     model: str
@@ -85,7 +94,7 @@ class CheckResult(AbstractResult):
 
     @property
     def wrong(self) -> bool:
-        """Whether estimates from the log as it is are wrong."""
+        """Whether estimates are wrong as long as neither the log nor the model file is corrected."""
         return self.diagnosis.wrong
 
     @property

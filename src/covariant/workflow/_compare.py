@@ -58,7 +58,8 @@ def compare(
     """Run all estimators that fit a model on a log, tuned from the same data sheet, and rank them.
 
     Args:
-        model, log, overrides, every, start, until, columns, anyway, engine, progress: As for `estimate`.
+        model, log, overrides, every, start, until, columns, anyway, engine, progress: As for `estimate`. Noise of the
+            model file, or of `overrides`, is the data sheet.
 
     Returns:
         The estimators in order of their errors, against the true velocities where the log has them, else against
@@ -70,7 +71,7 @@ def compare(
 
     Example:
         >>> import covariant
-        >>> log = covariant.simulate("oscillator", duration=2.0, noise=1e-4, q0=[1.0]).record
+        >>> log = covariant.simulate("oscillator", duration=1.0, rate=100.0, noise=1e-4, q0=[1.0]).record
         >>> noise = {"measurement.std": 1e-4, "uncertainty.acceleration": 1.0}
         >>> covariant.compare("oscillator", log, overrides=noise).to_pandas()["estimator"].size > 5
         True
@@ -93,8 +94,21 @@ class CompareResult(AbstractTable):
     """Estimators ranked on a log, best first.
 
     Attributes:
+        job: The model and the log, and which part of it was read.
+        loaded: Both as they were read.
         design: Sentences on how all of them are tuned.
         outcomes: Run and score of each estimator by name, in order of error.
+        asked_engine: The engine that was asked for.
+
+    Example:
+        >>> import covariant
+        >>> log = covariant.simulate("oscillator", duration=1.0, rate=100.0, noise=1e-4, q0=[1.0]).record
+        >>> noise = {"measurement.std": 1e-4, "uncertainty.acceleration": 1.0}
+        >>> result = covariant.compare("oscillator", log, overrides=noise)
+        >>> "intrinsic" in result.ranking, list(result.columns)[:3]
+        (True, ['rank', 'estimator', 'v1_rmse'])
+        >>> bool(result.columns["v1_rmse"][0] < 0.05)
+        True
     """
 
     job: Job
@@ -123,7 +137,18 @@ class CompareResult(AbstractTable):
         }
 
     def save(self, path: str | Path, overwrite: bool = True) -> Path:
-        """Write the ranking as a table (.csv)."""
+        """Write the ranking as a table; a number that an estimator does not have is left empty.
+
+        Args:
+            path: The table to write (.csv).
+            overwrite: Without effect: a file that exists is replaced, except the log that was read.
+
+        Returns:
+            The path.
+
+        Raises:
+            ValueError: For another suffix, a folder that does not exist, or the path of the log that was read.
+        """
         path = Path(path)
         check_output(path, ".csv", log=self.job.log)
         text = io.StringIO()
@@ -169,7 +194,17 @@ class CompareResult(AbstractTable):
         return "\n".join(lines)
 
     def report(self, path: str | Path) -> list[Path]:
-        """Write an interactive page (.html), and figures (.png) beside it; returns all paths."""
+        """Write an interactive page with all estimates and their ranking, and figures (.png) beside it.
+
+        Args:
+            path: The page to write (.html).
+
+        Returns:
+            The paths of all files, the page first.
+
+        Raises:
+            ImportError: Without matplotlib or plotly; nothing is written then.
+        """
         title = f"Estimators compared: {Path(self.job.model_name).stem}, {Path(self.job.log_name).name}"
         curves = report_curves(self.outcomes)
         rows, notes = self._rows(), (self.design,)
@@ -196,7 +231,11 @@ class CompareResult(AbstractTable):
 
 
 def line_up(loaded: Loaded) -> tuple[dict[str, AbstractObserver], str]:
-    """The observers that are compared by name, and sentences on how they are tuned."""
+    """Tune all observers that fit a model.
+
+    Returns:
+        The observers by name, and sentences on how they are tuned.
+    """
     if not loaded.file.mechanical:
         return with_sensor_delays(tuned_states(loaded), loaded), state_design_note(loaded.file) + loaded.note
     reference = loaded.reference
@@ -213,20 +252,31 @@ def line_up(loaded: Loaded) -> tuple[dict[str, AbstractObserver], str]:
 
 
 def scored_against(loaded: Loaded) -> str:
-    """What errors are errors against: without a reference, the measured outputs, predicted one sample ahead."""
+    """Name what errors are computed against.
+
+    Returns:
+        The label of the reference velocity, or without one "outputs, one sample ahead".
+    """
     return "outputs, one sample ahead" if loaded.reference is None else loaded.reference.label
 
 
 def first_part(loaded: Loaded, reference: ReferenceVelocity) -> Trial | None:
-    """The first third of the log, at most `LONGEST_TRIAL` rows, with its velocities.
+    """Cut the rows from a log on which filters without a model are tuned.
 
-    None for a model that is not in coordinates, and for a log too short to tune on.
+    Args:
+        loaded: Model and log.
+        reference: Velocities to tune against.
+
+    Returns:
+        The rows of the first third with finite velocities, at most `LONGEST_TRIAL`; None for a model that is not in
+        coordinates, and for a log too short to tune on.
     """
     if not loaded.model.manifold.commuting:
         return None
     t = np.asarray(loaded.record.t)
     part = (t <= t[0] + (t[-1] - t[0]) / 3) & np.isfinite(reference.v).all(axis=1)
     part[np.flatnonzero(part)[LONGEST_TRIAL:]] = False
+    # Unwrapped before the cut: across rows that are left out a full turn would go unnoticed.
     y = unwrap(np.asarray(loaded.record.y), loaded.model.circles)[part]
     if part.sum() < SHORTEST_TRIAL or np.isfinite(y).sum(axis=0).min() < SHORTEST_TRIAL // 2:
         return None
@@ -234,7 +284,16 @@ def first_part(loaded: Loaded, reference: ReferenceVelocity) -> Trial | None:
 
 
 def rank(outcomes: dict[str, Outcome], loaded: Loaded) -> list[str]:
-    """Names in order of error, each column relative to the size of what it is an error of; diverged ones last."""
+    """Order estimators by error, diverged ones last.
+
+    Args:
+        outcomes: Run and score of each estimator by name.
+        loaded: Model and log.
+
+    Returns:
+        The names. The error is the RMS over the columns of `rmse`, each relative to the RMS of the reference velocity,
+        or without one to the standard deviation of the output; equal errors stay in the order of `outcomes`.
+    """
     reference = loaded.reference
     if reference is None:
         scale = np.nanstd(np.asarray(loaded.record.y), axis=0)
@@ -242,23 +301,33 @@ def rank(outcomes: dict[str, Outcome], loaded: Loaded) -> list[str]:
         scale = np.sqrt(np.mean(reference.v[reference.scored] ** 2, axis=0))
 
     def badness(name: str) -> float:
-        relative = rmse(outcomes[name]) / np.where(scale > 0, scale, 1.0)
+        relative = rmse(outcomes[name]) / np.where(scale > 0, scale, 1.0)  # a column at rest has no size to divide by
         total = float(np.sqrt(np.mean(relative**2)))
+        # NaN compares as neither smaller nor larger, which would leave the order undefined.
         return total if np.isfinite(total) else float("inf")
 
     return sorted(outcomes, key=badness)
 
 
 def rmse(outcome: Outcome) -> np.ndarray:
-    """Errors of what is scored: of the velocities or states, and without a reference of the predicted outputs."""
+    """Root mean square errors that estimators are ranked by.
+
+    Returns:
+        Errors (n,) of the velocities or states; without a reference the innovations (p,), errors of the outputs
+        predicted one sample ahead.
+    """
     if outcome.score is not None:
         return outcome.score.rmse
     innovation = np.asarray(outcome.run.info.innovation)
+    # The first tenth is left out: the estimate starts at rest and still converges.
     return np.sqrt(np.mean(innovation[len(innovation) // 10 :] ** 2, axis=0))
 
 
 def consistency(outcome: Outcome) -> dict[str, float]:
-    """Normalised squares of innovations and of velocity errors, where 1 is expected; NaN for an estimator without."""
+    """NIS and NEES of an outcome, normalised squares of innovations and of velocity errors.
+
+    1 is expected of each; NaN stands for an estimator without a covariance, and for NEES also without a reference.
+    """
     return {"NIS": outcome.nis, "NEES": math.nan if outcome.score is None else outcome.score.nees}
 
 

@@ -16,11 +16,11 @@ from covariant.workflow._result import AbstractResult
 def describe_model(
     model: Any, *, samples: int = 200, seed: int = 0, overrides: Overrides = (), progress: Progress = silent
 ) -> "ModelResult":
-    """Say what a model is made of: the tree of a robot, what of its file is used, and how curved its metric is.
+    """Describe a model: its coordinates and inputs, the tree of a robot, and the curvature of its metric.
 
     Args:
         model: A model file (.toml), a robot, `module:attribute`, the name of a system, a `ModelFile`, or a system.
-        samples: Number of configurations at which the geometry is measured.
+        samples: Number of configurations at which the geometry is measured, within the limits of a robot's joints.
         seed: Seed of the configurations.
         overrides: Values that replace those of the model file.
         progress: Called with a description of the work.
@@ -33,8 +33,9 @@ def describe_model(
 
     Example:
         >>> from covariant import workflow
-        >>> workflow.describe_model("double_pendulum", samples=5).summary["coordinates"]
-        ['shoulder', 'elbow']
+        >>> result = workflow.describe_model("oscillator", samples=5)
+        >>> result.summary["coordinates"], result.summary["conditioning"]
+        (['q'], (1.0, 1.0))
     """
     name = models.spec_name(model)
     progress("reading the model")
@@ -55,10 +56,19 @@ def describe_model(
 
 @dataclass(frozen=True, repr=False)
 class ModelResult(AbstractResult):
-    """What a model is made of.
+    """Description of a model.
 
     Attributes:
-        facts: Names, units and geometry, as plain data; of a robot also its joints, masses and motors.
+        facts: Names, units and geometry, as plain data; of a robot also its joints, masses [kg] and motors.
+            "conditioning" and "curvature" [1/(kg m²)] are the lowest and highest values at the samples.
+
+    Example:
+        >>> from covariant import workflow
+        >>> result = workflow.describe_model("oscillator", samples=5)
+        >>> result
+        <ModelResult: oscillator: 1 velocities (q)>
+        >>> result.facts["units"], result.facts["inputs"]
+        (['m'], 1)
     """
 
     facts: dict[str, Any]
@@ -82,8 +92,8 @@ def _robot(model: Any, overrides: Overrides) -> robots.Description | None:
     recipe = models.recipe(str(model), overrides)
     if recipe.get("system") != "robot":
         return None
-    given = recipe["parameters"]
-    return robots.read(given["path"], motor_torques=given.get("motor_torques", False))
+    parameters = recipe["parameters"]
+    return robots.read(parameters["path"], motor_torques=parameters.get("motor_torques", False))
 
 
 def _of_robot(robot: robots.Description) -> dict[str, Any]:

@@ -125,12 +125,26 @@ def estimate(
 
 @dataclass(frozen=True, repr=False)
 class EstimateResult(AbstractTable):
-    """Estimates from a log: a table of time, configuration and velocities, with what is known of their accuracy.
+    """Estimates from a log: a table of time, configuration and velocities, with their standard deviations if known.
 
     Attributes:
-        observer_name: Name of the observer that made them.
+        job: The model and the log, and which part of it was read.
+        loaded: Both as they were read.
+        observer_name: Name of the observer.
         design: Sentences on gains and noise.
-        run: Stamps, estimates and diagnostics of every sample, as arrays of NumPy.
+        outcome: The run of the observer, with its score where there is a reference.
+        asked_engine: The engine that was asked for.
+
+    Example:
+        >>> import covariant
+        >>> log = covariant.simulate("oscillator", duration=2.0, rate=100.0, q0=[1.0], noise=1e-4).record
+        >>> result = covariant.estimate("oscillator", log, alpha=40.0, beta=800.0)
+        >>> result
+        <EstimateResult: velocity from 201 rows by intrinsic>
+        >>> list(result.columns), result.units["v1"]
+        (['t', 'q1', 'v1'], 'm/s')
+        >>> bool((result.codes == covariant.Result.OK).all())
+        True
     """
 
     job: Job
@@ -157,12 +171,12 @@ class EstimateResult(AbstractTable):
 
     @property
     def velocity_std(self) -> np.ndarray | None:
-        """Standard deviations (T, n) of the velocities; None for an observer that does not know them."""
+        """Standard deviations (T, n) of `velocity`, in its units; None for an observer without a covariance."""
         return deviations(self.outcome.run.info)
 
     @property
     def codes(self) -> np.ndarray:
-        """Result code (T,) of every sample, a `covariant.Result`."""
+        """Result code (T,) of every sample, an integer that is a `covariant.Result`."""
         return np.asarray(self.outcome.run.info.result)
 
     @property
@@ -172,10 +186,10 @@ class EstimateResult(AbstractTable):
     @property
     def units(self) -> dict[str, str]:
         file = self.loaded.file
-        found = dict(zip(sought_columns(file), sought_units(file), strict=True))
+        table = dict(zip(sought_columns(file), sought_units(file), strict=True))
         if file.mechanical and file.model.manifold.commuting and file.model.units:
-            found |= dict(zip(numbered("q", file.dimension), file.model.units, strict=True))
-        return {"t": "s"} | found | {f"{name}_std": unit for name, unit in found.items()}
+            table |= dict(zip(numbered("q", file.dimension), file.model.units, strict=True))
+        return {"t": "s"} | table | {f"{name}_std": unit for name, unit in table.items()}
 
     def _columns(self, positions: tuple[str, ...], velocities: tuple[str, ...]) -> dict[str, np.ndarray]:
         """The columns: t, the configuration as the log has it, the velocities, and what else is estimated.
@@ -191,20 +205,30 @@ class EstimateResult(AbstractTable):
             configuration = logs.to_columns(file.columns, np.asarray(x.q))
         else:
             configuration = dict(zip(positions, np.split(np.asarray(x), 2, axis=1)[0].T, strict=True))
-        found = {"t": self.t} | configuration
+        table = {"t": self.t} | configuration
         for names, values, std in (
             (velocities, outcome.velocity, deviations(info)),
             (outcome.slow_names, *(known(info, name) for name in ("slow", "slow_std"))),
         ):
             for suffix, each in (("", values), ("_std", std)):
                 if each is not None and each.size:
-                    found |= {f"{name}{suffix}": column for name, column in zip(names, each.T, strict=True)}
-        return found
+                    table |= {f"{name}{suffix}": column for name, column in zip(names, each.T, strict=True)}
+        return table
 
     def save(self, path: str | Path, overwrite: bool = True) -> Path:
-        """Write the table to a log (.csv, .txt, .tsv, .parquet, .mcap, .rosbag2).
+        """Write the table to a log.
 
         In messages of ROS coordinates are joints by their names in the log: shoulder/position, shoulder/velocity….
+
+        Args:
+            path: The log to write (.csv, .txt, .tsv, .parquet, .mcap, .rosbag2).
+            overwrite: Without effect: a file that exists is replaced, except the log that was read.
+
+        Returns:
+            The path.
+
+        Raises:
+            ValueError: For another suffix, a folder that does not exist, or the path of the log that was read.
         """
         path = Path(path)
         check_output(path, *logs.WRITTEN, log=self.job.log)
@@ -247,7 +271,7 @@ class EstimateResult(AbstractTable):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What was odd: how many samples had each result other than ok, and the longest stretches without a reading."""
+        """How many samples had each result other than ok, with the longest stretches without a measurement."""
         counts, rows = self.outcome.counts, len(self.t)
         return tuple(
             f"{count} of {rows} samples: {Result[name.upper()].message}"
@@ -272,17 +296,37 @@ class EstimateResult(AbstractTable):
         return "\n".join([*lines, *self.warnings])
 
     def report(self, path: str | Path) -> list[Path]:
-        """Write an interactive page (.html), and figures (.png) beside it; returns all paths."""
+        """Write an interactive page of the estimates, and figures (.png) beside it.
+
+        Args:
+            path: The page to write (.html).
+
+        Returns:
+            The paths of all files, the page first.
+
+        Raises:
+            ImportError: Without matplotlib or plotly; nothing is written then.
+        """
         return write_report(Path(path), self._page())
 
     def plot(self, path: str | Path | None = None) -> "Figure":
-        """The figure of the estimates beside what was measured; it is also written where a path is given."""
+        """Draw velocities or states, and their errors where there is a reference.
+
+        Args:
+            path: Where the figure is written as well (.png, .pdf, .svg); by default it is not.
+
+        Returns:
+            The figure, a row of panels for each coordinate.
+
+        Raises:
+            ImportError: Without matplotlib.
+        """
         from covariant.report import figure, save_figure
 
-        drawn = figure(self._page())
+        page_figure = figure(self._page())
         if path is not None:
-            save_figure(drawn, Path(path))
-        return drawn
+            save_figure(page_figure, Path(path))
+        return page_figure
 
     def _page(self) -> Any:
         what = "States" if self.loaded.model.sought.what == "state" else "Velocities"
@@ -317,13 +361,13 @@ def _choose(
             raise ValueError(
                 f"--alpha and --beta do not apply to {observer}; they do to {', '.join(available) or 'none'}"
             )
-        given = f"Given gains: alpha = {alpha:g} 1/s, beta = {beta:g} 1/s²."
+        stated = f"Given gains: alpha = {alpha:g} 1/s, beta = {beta:g} 1/s²."
         if loaded.file.measurement_std is None or loaded.file.acceleration_std is None:
             return with_sensor_delays(available, loaded)[observer], (
-                f"{given} No measurement is refused: the model file tells no noise.",
+                f"{stated} No measurement is refused: the model file tells no noise.",
             )
         behind = {observer: gated(available[observer], model, log_sheet(loaded))}
-        return with_sensor_delays(behind, loaded)[observer], (given,)
+        return with_sensor_delays(behind, loaded)[observer], (stated,)
     if not loaded.file.mechanical:
         return with_sensor_delays(tuned_states(loaded, (observer,)), loaded)[observer], (
             state_design_note(loaded.file) + loaded.note,
@@ -334,12 +378,12 @@ def _choose(
     unused = ""
     asked = [
         what
-        for what, given in (
+        for what, stated in (
             ("the external force of [uncertainty]", sheet.external_force),
             ("the bias of [measurement]", loaded.file.bias),
             ("the parameters of [uncertainty]", loaded.file.family),
         )
-        if given is not None
+        if stated is not None
     ]
     if asked and not getattr(tuned[observer], "slow_names", ()):
         unused = f" It does not estimate {' and '.join(asked)}; intrinsic-kalman does."
@@ -354,16 +398,18 @@ def _errors(result: Mapping[str, Any], loaded: Loaded) -> list[str]:
         errors = with_units(result[f"{what}_rmse"], sought_units(loaded.file))
         lines.append(f"{what} RMSE against the {result['scored_against']}: {errors}")
     lines.append(f"innovation RMS: {with_units(result['innovation_rms'], innovation_units(loaded.file))}")
-    told = [f"{name.upper()} {result[name]:.3g}" for name in ("nis", "nees") if result.get(name) is not None]
-    if told:
-        lines.append(f"{' and '.join(told)} a number; 1 is expected where model and noise are as told")
+    measures = [f"{name.upper()} {result[name]:.3g}" for name in ("nis", "nees") if result.get(name) is not None]
+    if measures:
+        lines.append(f"{' and '.join(measures)} a number; 1 is expected where model and noise are as told")
     return lines
 
 
 def _longest(t: np.ndarray, coasted: np.ndarray) -> str:
     """The longest stretches of samples without a measurement, in words."""
+    # The zeros at both ends let a stretch begin at the first sample and end at the last.
     edges = np.diff(np.concatenate([[0], coasted.astype(int), [0]]))
     first, last = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1) - 1
+    # Lengths are negative, so the longest stretch comes first, and of equal ones the earliest.
     order = np.argsort(t[first] - t[last], kind="stable")[:LONGEST_SHOWN]
     spans = [
         f"{t[k]:.4g} s" if k == m else f"{t[k]:.4g} to {t[m]:.4g} s"

@@ -86,8 +86,8 @@ def export(
         certificate: A saved certificate of this observer, for the data sheet.
         metric: A metric on a grid for the observer riccati, as `design_metric` stores it.
         fmi: Version of FMI of a unit, "3.0" (the default) or "2.0".
-        audit: Whether the laws of the observer are measured first, and broken ones are a warning.
-        overwrite: Whether files that are there are replaced.
+        audit: Whether the laws of the observer are measured first; violated ones are a warning.
+        overwrite: Whether files that exist are replaced.
         overrides: Values that replace those of the model file.
         progress: Called with a description of the work.
 
@@ -101,7 +101,7 @@ def export(
     Example:
         >>> import covariant, tempfile
         >>> folder = tempfile.mkdtemp() + "/c"
-        >>> result = covariant.export("oscillator", folder, rate=500.0, alpha=20.0, beta=200.0)
+        >>> result = covariant.export("oscillator", folder, rate=500.0, alpha=20.0, beta=200.0, audit=False)
         >>> sorted(path.suffix for path in result.files)[:2]
         ['.c', '.c']
     """
@@ -120,9 +120,9 @@ def export(
     else:
         exported = state_observer(label, file, observer, gains, rate, certificate, metric)
     prefix = name or _identifier(file.name)
-    about = f"{exported.name} observer of {file.name}. {exported.design}"
+    description = f"{exported.name} observer of {file.name}. {exported.design}"
     proved = "" if certificate is None else _certified(Path(certificate), model, overrides, exported)
-    # A unit takes steps of any length; firmware does the same work in every step.
+    # A simulator asks a unit for steps of any length; firmware has one step length, and must do the same work in each.
     fixed = exported.observer if unit else _of_fixed_length(exported, rate, file)
     informed = any(entry.name == exported.name and entry.knows_model for entry in REGISTRY)
     delayed = Delayed(fixed, file.delay, rate) if informed and float(np.max(file.delay)) > 0 else fixed
@@ -131,29 +131,41 @@ def export(
     warnings = [line for line in (_broken_laws(exported.observer) if audit else "",) if line]
     if unit:
         version: Any = fmi or VERSIONS[0]
-        packed = fmu(written, prefix, about, rate, exported.measured[0], version)
+        packed = fmu(written, prefix, description, rate, exported.measured[0], version)
         write_fmu(packed, out, overwrite)
         if packed.without_binary:
             warnings.append(f"the unit holds sources and no binary: {packed.without_binary}")
         files = [out]
     else:
         facts = Facts(rate, getattr(fixed, "substeps", None), proved, "".join(warnings))
-        files = write_folder(export_texts(written, prefix, about, exported.measured, facts, limit), out, overwrite)
-    return ExportResult(label, exported.name, about, exported.design, out, tuple(files), written, tuple(warnings))
+        files = write_folder(
+            export_texts(written, prefix, description, exported.measured, facts, limit), out, overwrite
+        )
+    return ExportResult(label, exported.name, description, exported.design, out, tuple(files), written, tuple(warnings))
 
 
 @dataclass(frozen=True, repr=False)
 class ExportResult(AbstractResult):
-    """What was written of an observer.
+    """Files of an exported observer, and what they compute.
 
     Attributes:
-        model_name: What the model was called.
+        model_name: The model, by its path or name.
         observer_name: Name of the observer.
         about: A sentence on the observer and its numbers.
         design: A sentence on its numbers.
         out: The folder, or the unit.
         files: All files that were written.
         program: The graphs of the observer and its numbers.
+        notes: The warnings.
+
+    Example:
+        >>> import covariant, tempfile
+        >>> folder = tempfile.mkdtemp() + "/c"
+        >>> result = covariant.export("oscillator", folder, rate=500.0, alpha=20.0, beta=200.0, audit=False)
+        >>> result.observer_name, result.operations > 100
+        ('intrinsic', True)
+        >>> result.out.name, len(result.files) > 3, result.warnings
+        ('c', True, ())
     """
 
     model_name: str
@@ -167,12 +179,12 @@ class ExportResult(AbstractResult):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Laws of its audit that the observer breaks, and a unit without a binary."""
+        """Sentences on laws of its audit that the observer violates, and on a unit without a binary."""
         return self.notes
 
     @property
     def operations(self) -> int:
-        """Number of operations of a step."""
+        """Number of arithmetic operations of a step, of which inputs and constants are none."""
         return sum(node.op not in ("input", "constant") for node in self.program.step.graph.nodes)
 
     @property
@@ -306,7 +318,7 @@ def _open_numbers(parameters: dict[str, Any]) -> tuple[str, ...]:
         elif value != 0:
             yield name
 
-    return tuple(found for key, value in parameters.items() for found in places(key, value))
+    return tuple(place for key, value in parameters.items() for place in places(key, value))
 
 
 def _of_fixed_length(exported: Exported, rate: float, file: ModelFile) -> AbstractObserver:
@@ -318,6 +330,7 @@ def _of_fixed_length(exported: Exported, rate: float, file: ModelFile) -> Abstra
         return observer
     sheet = data_sheet(file) if file.acceleration_std is not None and file.measurement_std is not None else None
     speed = 3.0 if sheet is None else np.broadcast_to(sheet.speeds, file.dimension)
+    # The sign of v alternates from row to row.
     v = np.broadcast_to(speed, (len(q), file.dimension)) * np.sign(np.arange(len(q)) % 2 - 0.5)[:, None]
     inputs = jnp.zeros((len(q), len(file.columns.u)))
     return with_fixed_substeps(observer, rate, jnp.asarray(q), jnp.asarray(v), inputs)
@@ -326,6 +339,7 @@ def _of_fixed_length(exported: Exported, rate: float, file: ModelFile) -> Abstra
 def _measured(model: MechanicalSystem, n: int) -> np.ndarray:
     """Measurements (ROWS + 1, *n) for the self-test: a swing of every coordinate; circles are crossed at π."""
     k = np.arange(ROWS + 1)[:, None]
+    # Each coordinate has another period and phase, so that no two are alike.
     swing = SWING * np.sin(k / (4.0 + np.arange(n)) + np.arange(n))
     manifold = model.manifold
     if manifold.commuting:
@@ -348,8 +362,8 @@ def _certified(path: Path, model: Any, overrides: Overrides, exported: Exported)
             f"{path}: the certificate is for alpha = {saved[0]:g}, beta = {saved[1]:g}; the observer has {gains[0]:g}, "
             f"{gains[1]:g}; give these as alpha and beta"
         )
-    own = document.recipe.get("attribute")  # the code that has just made the model that is exported
-    checked = certificates.check(document, model=own)
+    attribute = document.recipe.get("attribute")  # code that is trusted: the exported model was just built with it
+    checked = certificates.check(document, model=attribute)
     return "\n".join(
         [
             f"All {checked.leaves} leaves of `{path.name}` were verified when this was written. It is about the "
@@ -371,4 +385,4 @@ def _broken_laws(observer: Any) -> str:
 
 def _identifier(name: str) -> str:
     plain = re.sub(r"\W", "_", name, flags=re.ASCII).lower()
-    return plain if plain[:1].isalpha() else f"observer_{plain}"
+    return plain if plain[:1].isalpha() else f"observer_{plain}"  # a name in C does not begin with a digit

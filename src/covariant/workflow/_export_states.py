@@ -26,9 +26,22 @@ def state_observer(
     certificate: str | Path | None,
     metric: str | Path | None,
 ) -> Exported:
-    """An observer of a state-space model, by default the first; `riccati` with its metric computed or looked up.
+    """Build an observer of a state-space model for export.
 
-    Raises `ValueError` for an argument that is for mechanical models, or for another observer.
+    Args:
+        name: The model, by its path or name, for messages.
+        file: The model file.
+        observer: Name of the observer; by default the first of `STATE_ESTIMATORS`.
+        gains: For mechanical models only.
+        rate: Sampling rate [Hz].
+        certificate: For mechanical models only.
+        metric: A metric on a grid that `riccati` looks up; by default it is computed at run time.
+
+    Returns:
+        The observer, with measurements for its self-test.
+
+    Raises:
+        ValueError: For an argument that is for mechanical models, or for another observer.
     """
     kind = observer or STATE_ESTIMATORS[0]
     if kind not in STATE_ESTIMATORS:
@@ -63,7 +76,16 @@ def _outputs(model: Any, start: jnp.ndarray, rate: float) -> np.ndarray:
 
 
 def with_fixed_steps(observer: AbstractObserver, y: np.ndarray, rate: float) -> AbstractObserver:
-    """The observer with the most substeps that it takes over measurements (T, p); as it is where these are fixed."""
+    """Fix the number of substeps of an observer to the most that it takes on some measurements.
+
+    Args:
+        observer: An observer of a state-space model.
+        y: Measurements (T, p).
+        rate: Sampling rate [Hz].
+
+    Returns:
+        The observer; unchanged where its substeps are fixed already.
+    """
     chosen: Any = observer
     if chosen.substeps is not None:
         return observer

@@ -8,9 +8,9 @@ from covariant.observers import AbstractObserver
 
 
 class Exported(NamedTuple):
-    """An observer to write.
+    """Observer to write as code.
 
-    Args:
+    Attributes:
         name: Name of the observer.
         observer: The observer.
         design: A sentence on its numbers.

@@ -29,18 +29,18 @@ def fit(
     anyway: bool = False,
     progress: Progress = silent,
 ) -> "FitResult":
-    """Fit numbers of a model to logs, with standard errors, and name what the logs do not determine.
+    """Fit parameters of a model to logs, with standard errors, and name what the logs do not determine.
 
-    Where the model file does not say how inputs go from one stamp to the next, `inputs.between`, both ways are tried,
-    and the one is taken that explains the logs better.
+    Where the model file does not say how inputs go from one stamp to the next, `inputs.between`, held and linear inputs
+    are both tried, and those are used that explain the logs better.
 
     Args:
-        model: A model file (.toml), `module:attribute`, or the name of a system or a robot of the library: something
-            that is made anew with other numbers.
+        model: A model file (.toml), `module:attribute`, or the name of a system or a robot of the library: a model that
+            can be built anew with other numbers.
         log: A path, a `Record`, a DataFrame or an xarray Dataset, or a list of them. The last of several is held out to
             judge the fit by, or the last third of one.
-        parameters: The numbers to fit: "mass" or "com[0]" of [parameters], or "inputs.lag"; several in a list, or
-            separated by commas.
+        parameters: Names of the numbers to fit: "mass" or "com[0]" of [parameters], or "inputs.lag"; several in a list,
+            or separated by commas.
         horizon: Length of the predictions [s]; by default as the motion suggests.
         overrides: Values that replace those of the model file, such as other first values.
         every: Use each k-th row.
@@ -72,23 +72,32 @@ def fit(
     if horizon is not None and not 0 < horizon < math.inf:
         raise ValueError(f"horizon must be a positive number of seconds; got {horizon}")
     names = parameters.split(",") if isinstance(parameters, str) else list(parameters)
-    given = as_logs(log)
+    logs = as_logs(log)
     # What computes is loaded after the arguments are checked.
     from covariant.workflow._fit_to_logs import fit_to_logs
     from covariant.workflow._inputs import Job
 
-    jobs = [Job(model, one, overrides, every, until, columns or {}, anyway, start) for one in given]
+    jobs = [Job(model, one, overrides, every, until, columns or {}, anyway, start) for one in logs]
     return FitResult(*fit_to_logs(jobs, names, horizon, progress))
 
 
 @dataclass(frozen=True, repr=False)
 class FitResult(AbstractTable):
-    """Numbers of a model fitted to logs: a table of their names, values before and after, and standard errors.
+    """Parameters of a model fitted to logs: a table of their names, values before and after, and standard errors.
 
     Attributes:
         jobs: The model and the logs, a `Job` each.
         content: The content of the model file with the fitted numbers.
-        details: All numbers and sentences as plain data, which `summary` gives.
+        details: All numbers and sentences as plain data, which `summary` returns.
+
+    Example:
+        >>> from covariant import workflow
+        >>> row = {"name": "stiffness", "before": 1.0, "after": 1.3, "standard_error": 0.01, "determined": True}
+        >>> result = workflow.FitResult([], {}, {"parameters": [row], "undetermined": [], "better": True})
+        >>> result
+        <FitResult: stiffness = 1.3 ± 0.01>
+        >>> result.values.tolist(), result.standard_errors.tolist(), result.exit_code
+        ([1.3], [0.01], 0)
     """
 
     jobs: list[Any]
@@ -97,17 +106,17 @@ class FitResult(AbstractTable):
 
     @property
     def values(self) -> np.ndarray:
-        """The fitted numbers (p,)."""
+        """Fitted parameters (p,), in the units of the model file."""
         return self.columns["after"]
 
     @property
     def standard_errors(self) -> np.ndarray:
-        """Their standard errors (p,); NaN where the logs do not determine a number by itself."""
+        """Standard errors (p,) of `values`, in their units; NaN where the logs do not determine a parameter alone."""
         return self.columns["standard_error"]
 
     @property
     def better(self) -> bool:
-        """Whether the fitted model predicts what is held out at least as well as before."""
+        """Whether the fitted model predicts the held-out log at least as well as before, up to 1 % of the error."""
         return self.details["better"]
 
     @property
@@ -136,7 +145,7 @@ class FitResult(AbstractTable):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What the logs do not determine, and that the fit is worse on what is held out, where it is."""
+        """Sentences on what the logs do not determine, and one more where the fit is worse on the held-out log."""
         worse = (
             "The fitted model is worse on what it has not seen, so it is not written: look for columns, units or signs "
             "that are wrong, or give longer logs, other first values, or fewer parameters.",
@@ -152,6 +161,9 @@ class FitResult(AbstractTable):
         Args:
             path: The file to write.
             overwrite: Whether a file that exists may be replaced, the model file itself included.
+
+        Returns:
+            The path.
 
         Raises:
             ValueError: Where it may not be written, or the fitted model is worse than before on what is held out.

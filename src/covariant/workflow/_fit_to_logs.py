@@ -32,14 +32,28 @@ WORST_GROWTH = 1.01
 ROUNDS, STEPS = 4, 25
 """Rounds of a search and the most steps in one, for the progress."""
 CLEAR = 2.0
-"""Standard errors by which one way that inputs go between stamps must explain a log better than another."""
+"""Standard errors by which held or linear inputs must explain a log better than the other ones to be preferred."""
 BETWEEN = ("held", "linear")
 
 
 def fit_to_logs(
     jobs: list[Job], names: Sequence[str], length: float | None, progress: Progress
 ) -> tuple[list[Job], dict[str, Any], dict[str, Any]]:
-    """The fields of a `FitResult`."""
+    """Fit parameters of a model to logs, and judge the fit on what is held out.
+
+    Args:
+        jobs: The model and the logs, the same model in each.
+        names: Names of the parameters.
+        length: Length of the predictions [s]; None chooses it by the motion.
+        progress: Called with a description and a fraction as the work goes on.
+
+    Returns:
+        The fields of a `FitResult`, in their order.
+
+    Raises:
+        MisfitError: Where the model explains nothing of the motion in a log.
+        ValueError: For a model or a log that cannot be used.
+    """
     progress("reading")
     spec, overrides = jobs[0].model_name, jobs[0].overrides
     family = models.family(spec, names, overrides)
@@ -53,7 +67,8 @@ def fit_to_logs(
         parts = {word: split([log.commanded(word) for log in logs], references, length) for word in tried}
     except ValueError as error:
         raise ValueError(f"{', '.join(job.log_name for job in jobs)}: {error}") from error
-    searches = (*tried, *tried[:-1])  # the first once more from where the last ended, so that none is ahead
+    # The first is searched once more from where the last ended: both then have had the same first values.
+    searches = (*tried, *tried[:-1])
     fits: dict[str, Fit] = {}
     start = None
     for k, word in enumerate(searches):
@@ -67,10 +82,10 @@ def fit_to_logs(
     progress("errors on what is held out", 1.0)
     gain = _gain(family, {word: part[0] for word, part in parts.items()}, fits)
     used = BETWEEN[1] if gain is not None and gain.clear and gain.of_linear > 0 else tried[0]
-    found, held_out = fits[used], parts[used][1]
-    before = prediction_errors(*family.make(found.first), parts[tried[0]][1])
-    after = prediction_errors(*family.make(found.values), held_out)
-    content = _document(family, found, jobs)
+    best, held_out = fits[used], parts[used][1]
+    before = prediction_errors(*family.make(best.first), parts[tried[0]][1])
+    after = prediction_errors(*family.make(best.values), held_out)
+    content = _document(family, best, jobs)
     if gain is not None and gain.clear:
         content.setdefault("inputs", {})["between"] = used
     inputs = {
@@ -80,7 +95,7 @@ def fit_to_logs(
         "gain_standard_error": None if gain is None else float(f"{gain.standard_error:.3g}"),
         "sentence": _sentence(used, gain),
     }
-    details = _details(jobs, logs, found, length, len(parts[used][0].t), before, after) | {"inputs": inputs}
+    details = _details(jobs, logs, best, length, len(parts[used][0].t), before, after) | {"inputs": inputs}
     return jobs, content, details
 
 
@@ -90,9 +105,11 @@ def _driven(logs: list[Aligned]) -> bool:
 
 
 class Gain(NamedTuple):
-    """By how much linear inputs explain logs better than held ones: difference of log-likelihoods, and its error.
+    """Gain in log-likelihood of linear inputs over held ones.
 
-    The standard error is that of a sum over windows, so that errors may be alike within each.
+    Attributes:
+        of_linear: Log-likelihood with linear inputs minus that with held ones.
+        standard_error: Its standard error, that of a sum over windows, so that errors may be correlated within each.
     """
 
     of_linear: float
@@ -100,7 +117,7 @@ class Gain(NamedTuple):
 
     @property
     def clear(self) -> bool:
-        """Whether chance would hardly make such a difference."""
+        """Whether the gain exceeds `CLEAR` standard errors."""
         return abs(self.of_linear) > CLEAR * self.standard_error
 
 
@@ -112,7 +129,8 @@ def _gain(family: models.Family, windows: dict[str, Windows], fits: dict[str, Fi
         np.mean([losses(family, windows[word], fits[word], other) for other in fits.values()], axis=0)
         for word in BETWEEN
     )
-    less = held - linear
+    less = held - linear  # losses are negative log-likelihoods, so this is the gain of linear inputs in each window
+    # The variance of a sum of independent terms is their number times that of one.
     return Gain(float(np.sum(less)), float(np.sqrt(len(less)) * np.std(less, ddof=1)))
 
 
@@ -126,13 +144,13 @@ def _sentence(used: str, gain: Gain | None) -> str:
             f"Inputs are taken as {used} from one stamp to the next; the log hardly tells that from {other} (the "
             f"log-likelihoods differ by {size})."
         )
-    way = {"held": "held from one stamp to the next", "linear": "linear between stamps"}[used]
-    return f"Inputs {way} explain the log better than {other} ones, by {size} in log-likelihood; they are used."
+    phrase = {"held": "held from one stamp to the next", "linear": "linear between stamps"}[used]
+    return f"Inputs {phrase} explain the log better than {other} ones, by {size} in log-likelihood; they are used."
 
 
-def _document(family: models.Family, found: Fit, jobs: list[Job]) -> dict[str, Any]:
+def _document(family: models.Family, best: Fit, jobs: list[Job]) -> dict[str, Any]:
     """The content of the new file; a text that says where the numbers are from says where they are from now."""
-    content = family.with_values(np.array([float(f"{value:.{DIGITS}g}") for value in found.values]))
+    content = family.with_values(np.array([float(f"{value:.{DIGITS}g}") for value in best.values]))
     source = content.get("parameters", {}).get("source")
     if isinstance(source, str):
         content["parameters"]["source"] = (
@@ -144,7 +162,7 @@ def _document(family: models.Family, found: Fit, jobs: list[Job]) -> dict[str, A
 def _details(
     jobs: list[Job],
     logs: list[Aligned],
-    found: Fit,
+    best: Fit,
     length: float,
     count: int,
     before: PredictionErrors,
@@ -152,7 +170,7 @@ def _details(
 ) -> dict[str, Any]:
     names, units = coordinates(logs[0].loaded.file)
     reference = logs[-1].loaded.reference
-    numbers = zip(found.names, found.first, found.values, found.standard_errors, found.determined, strict=True)
+    numbers = zip(best.names, best.first, best.values, best.standard_errors, best.determined, strict=True)
     ratio = growth(before, after)
     return {
         "model": jobs[0].model_name,
@@ -171,7 +189,7 @@ def _details(
             }
             for name, first, value, error, determined in numbers
         ],
-        "undetermined": list(relations(found)),
+        "undetermined": list(relations(best)),
         "coordinates": list(names),
         "units": [unit.removesuffix("/s") for unit in units],
         "held_out_errors": {

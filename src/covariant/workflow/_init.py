@@ -42,53 +42,67 @@ def init(log: Any, *, columns: ColumnNames | None = None, progress: Progress = s
         <InitResult: stamps t, positions angle, no inputs>
     """
     progress("reading the log")
-    given = {key: list(column_names(names)) for key, names in (columns or {}).items() if names is not None}
+    known = {key: list(column_names(names)) for key, names in (columns or {}).items() if names is not None}
     try:
-        found = draft(logs.survey(log), given)
+        drafted = draft(logs.survey(log), known)
     except logs.LogError:
         raise
     except ValueError as error:
         raise ValueError(f"{logs.source_name(log)}: {error}") from error
-    return InitResult(logs.source_name(log), found)
+    return InitResult(logs.source_name(log), drafted)
 
 
 @dataclass(frozen=True, repr=False)
 class InitResult(AbstractResult):
-    """A first model file for a log.
+    """First model file for a log.
 
     Attributes:
         log: Name of the log.
-        draft: What was guessed of its columns.
+        draft: Roles, units, ranges and noise of its columns, as they were guessed.
+
+    Example:
+        >>> import numpy as np, pandas, covariant
+        >>> t = np.arange(0.0, 5.0, 0.01)
+        >>> result = covariant.workflow.init(pandas.DataFrame({"t": t, "angle": 0.3 * np.cos(t)}))
+        >>> result.summary["columns"]["q"], list(result.texts("pendulum"))
+        (['angle'], ['pendulum.toml'])
     """
 
     log: str
     draft: Draft
 
     def texts(self, stem: str = "draft") -> dict[str, str]:
-        """The texts to write, by the names of their files: the model file and, for some machines, its equations."""
+        """Compose the model file, and for some machines a module with its equations of motion, as texts.
+
+        Args:
+            stem: Name of the model file without its suffix; the module is named after it.
+
+        Returns:
+            The texts by the names of their files, the module first where there is one.
+        """
         log, module = Path(self.log).name, re.sub(r"\W", "_", stem, flags=re.ASCII) + "_model"
         module = f"_{module}" if module[0].isdigit() else module
         if not any(self.draft.lengths):
             return {f"{stem}.toml": _model_file(log, self.draft, _chain(self.draft))}
-        model = _model_file(log, self.draft, _own_machine(self.draft, module))
+        model = _model_file(log, self.draft, _written_out_machine(self.draft, module))
         return {f"{module}.py": _equations(self.draft), f"{stem}.toml": model}
 
     @property
     def summary(self) -> dict[str, Any]:
-        found = self.draft
+        guess = self.draft
         return {
             "log": self.log,
-            "columns": {"t": found.t, "q": list(found.q), "u": list(found.u), "v": list(found.v)},
-            "units": {field: list(texts) for field, texts in found.units.items()},
-            "left_out": list(found.left_out),
+            "columns": {"t": guess.t, "q": list(guess.q), "u": list(guess.u), "v": list(guess.v)},
+            "units": {field: list(texts) for field, texts in guess.units.items()},
+            "left_out": list(guess.left_out),
         }
 
     @property
     def headline(self) -> str:
-        found = self.draft
-        line = f"stamps {found.t}, positions {', '.join(found.q)}"
-        line += f", inputs {', '.join(found.u)}" if found.u else ", no inputs"
-        return line + (f", velocities {', '.join(found.v)} to compare with" if found.v else "")
+        guess = self.draft
+        line = f"stamps {guess.t}, positions {', '.join(guess.q)}"
+        line += f", inputs {', '.join(guess.u)}" if guess.u else ", no inputs"
+        return line + (f", velocities {', '.join(guess.v)} to compare with" if guess.v else "")
 
     def __str__(self) -> str:
         lines = [self.headline]
@@ -103,55 +117,63 @@ class InitResult(AbstractResult):
         return "\n".join([*lines, todo])
 
     def save(self, path: str | Path, overwrite: bool = False) -> Path:
-        """Write the model file (.toml), and beside it the equations of motion where they are drafted as well.
+        """Write the model file, and beside it the equations of motion where they are drafted as well.
 
-        Files that exist are not replaced, unless `overwrite` asks for it.
+        Args:
+            path: The model file to write (.toml).
+            overwrite: Whether files that exist are replaced.
+
+        Returns:
+            The path.
+
+        Raises:
+            ValueError: For another suffix, a folder that does not exist, or a file that exists already.
         """
         path = Path(path)
         check_output(path, ".toml", log=self.log)
         texts = {path.with_name(name): text for name, text in self.texts(path.stem).items()}
-        for there in [file for file in texts if file.exists() and not overwrite]:
-            raise ValueError(f"{there}: there is such a file already, and it is not overwritten; give another name")
+        for existing in [file for file in texts if file.exists() and not overwrite]:
+            raise ValueError(f"{existing}: there is such a file already, and it is not overwritten; give another name")
         for file, text in texts.items():
             write_atomically(file, lambda stream, text=text: stream.write(text.encode()))
         models.load(str(path))
         return path
 
 
-def _model_file(name: str, found: Draft, machine: list[str]) -> str:
+def _model_file(name: str, guess: Draft, machine: list[str]) -> str:
     """The text of the model file; `machine` are the lines of the system and its parameters."""
-    spans = ", ".join(f"{q} {low:.3g} to {high:.3g}" for q, (low, high) in zip(found.q, found.span, strict=True))
+    spans = ", ".join(f"{q} {low:.3g} to {high:.3g}" for q, (low, high) in zip(guess.q, guess.span, strict=True))
     lines = [
-        f"# Drafted from the log {name}: {found.rows} rows at {found.rate:.4g} Hz. The columns are guessed from their",
+        f"# Drafted from the log {name}: {guess.rows} rows at {guess.rate:.4g} Hz. The columns are guessed from their",
         "# names and their content; the numbers in [parameters] are places to put yours, not measurements.",
         "# Units: s, m, kg, rad, N m; those of the log are in [units] where they are others.",
         "",
         *machine,
         "",
         "[columns]",
-        f"t = {_quoted(found.t)}",
-        f"q = {_names(found.q)}  # in this log {spans}",
-        f"u = {_names(found.u)}" + ("" if found.u else "  # no input was found"),
-        *([f"v = {_names(found.v)}  # only compared with, never used"] if found.v else []),
-        *([f"# left out: {', '.join(found.left_out)}"] if found.left_out else []),
-        *_units(found),
+        f"t = {_quoted(guess.t)}",
+        f"q = {_names(guess.q)}  # in this log {spans}",
+        f"u = {_names(guess.u)}" + ("" if guess.u else "  # no input was found"),
+        *([f"v = {_names(guess.v)}  # only compared with, never used"] if guess.v else []),
+        *([f"# left out: {', '.join(guess.left_out)}"] if guess.left_out else []),
+        *_units(guess),
         "",
         "[measurement]",
-        _sensor(found),
+        _sensor(guess),
         "",
         "# Gains of observers are designed from how much acceleration the model leaves unexplained, which a log does",
         "# not tell before the model fits: set it after `covariant fit`, then take the marks of comments away.",
         "# [uncertainty]",
-        f"# acceleration = 2.0  # {_both(found, 'm/s^2', 'rad/s^2')}",
+        f"# acceleration = 2.0  # {_both(guess, 'm/s^2', 'rad/s^2')}",
         "# correlation_time = 0.01  # s, over which it persists",
         "",
     ]
     return "\n".join(lines)
 
 
-def _chain(found: Draft) -> list[str]:
+def _chain(guess: Draft) -> list[str]:
     """The system and its parameters where all positions are angles."""
-    n = len(found.q)
+    n = len(guess.q)
     lines = [
         'system = "pendulum_chain"  # other machines: docs/models.md',
         "",
@@ -166,19 +188,19 @@ def _chain(found: Draft) -> list[str]:
         f"viscous = {_list(0.01, n)}  # N m s/rad, friction in each joint",
         f"coulomb = {_list(0.01, n)}  # N m, times atan(100 v): dry friction, divided by pi/2",
     ]
-    if len(found.u) < n:
+    if len(guess.u) < n:
         lines.append(
-            f"actuated = {list(range(len(found.u)))}"
-            + ("  # joints that the inputs drive, from 0: the first ones are guessed" if found.u else "")
+            f"actuated = {list(range(len(guess.u)))}"
+            + ("  # joints that the inputs drive, from 0: the first ones are guessed" if guess.u else "")
         )
     return lines
 
 
-def _own_machine(found: Draft, module: str) -> list[str]:
+def _written_out_machine(guess: Draft, module: str) -> list[str]:
     """The system and its parameters where its equations of motion are in a Python file."""
-    n = len(found.q)
+    n = len(guess.q)
     lines = [f'system = "{module}:make"  # the function make of {module}.py, beside this file', "", "[parameters]"]
-    if _is_cart_pole(found):
+    if _is_cart_pole(guess):
         lines += [
             "cart_mass = 1.0  # kg",
             "pole_mass = 0.1  # kg",
@@ -187,47 +209,47 @@ def _own_machine(found: Draft, module: str) -> list[str]:
         ]
     else:
         lines += [
-            f"mass = {_list(1.0, n)}  # {_both(found, 'kg', 'kg m^2')}, what moves with each position",
-            f"weight = {_list(0.0, n)}  # {_both(found, 'N', 'N m')}, against which each position rises",
+            f"mass = {_list(1.0, n)}  # {_both(guess, 'kg', 'kg m^2')}, what moves with each position",
+            f"weight = {_list(0.0, n)}  # {_both(guess, 'N', 'N m')}, against which each position rises",
         ]
     return [
         *lines,
-        f"viscous = {_list(0.01, n)}  # {_both(found, 'N s/m', 'N m s/rad')}, friction",
-        f"coulomb = {_list(0.01, n)}  # {_both(found, 'N', 'N m')}, times atan(100 v): dry friction, divided by pi/2",
+        f"viscous = {_list(0.01, n)}  # {_both(guess, 'N s/m', 'N m s/rad')}, friction",
+        f"coulomb = {_list(0.01, n)}  # {_both(guess, 'N', 'N m')}, times atan(100 v): dry friction, divided by pi/2",
     ]
 
 
-def _is_cart_pole(found: Draft) -> bool:
-    return found.lengths == (True, False)
+def _is_cart_pole(guess: Draft) -> bool:
+    return guess.lengths == (True, False)
 
 
-def _both(found: Draft, length: str, angle: str) -> str:
+def _both(guess: Draft, length: str, angle: str) -> str:
     """The units of a number for each position."""
-    kinds = dict.fromkeys(length if is_length else angle for is_length in found.lengths)
+    kinds = dict.fromkeys(length if is_length else angle for is_length in guess.lengths)
     return " and ".join(kinds)
 
 
-def _equations(found: Draft) -> str:
+def _equations(guess: Draft) -> str:
     """The text of the Python file with the equations of motion."""
-    n, m = len(found.q), len(found.u)
-    machine = _CART_POLE if _is_cart_pole(found) else _SEPARATE_MASSES
+    n, m = len(guess.q), len(guess.u)
+    machine = _CART_POLE if _is_cart_pole(guess) else _SEPARATE_MASSES
     pushes = f"the first {m} of {n} positions" if m else "no position"
     return machine + _REST.substitute(
-        positions=", ".join(map(_quoted, found.plain_names)),
-        units=", ".join("'m'" if is_length else "'rad'" for is_length in found.lengths).replace("'", '"'),
+        positions=", ".join(map(_quoted, guess.plain_names)),
+        units=", ".join("'m'" if is_length else "'rad'" for is_length in guess.lengths).replace("'", '"'),
         trailing="," if n == 1 else "",
-        circles=tuple(i for i, is_length in enumerate(found.lengths) if not is_length),
+        circles=tuple(i for i, is_length in enumerate(guess.lengths) if not is_length),
         inputs=m,
         pushes=pushes,
         rest=n - m,
     )
 
 
-def _sensor(found: Draft) -> str:
-    unit = _both(found, "m", "rad")
-    if found.quantum is not None:
-        return f"quantum = {_digits(found.quantum, 6)}  # {unit}, the tick that positions of this log are multiples of"
-    return f"std = {_digits(found.noise, 3)}  # {unit}, at most: from third differences of the positions"
+def _sensor(guess: Draft) -> str:
+    unit = _both(guess, "m", "rad")
+    if guess.quantum is not None:
+        return f"quantum = {_digits(guess.quantum, 6)}  # {unit}, the tick that positions of this log are multiples of"
+    return f"std = {_digits(guess.noise, 3)}  # {unit}, at most: from third differences of the positions"
 
 
 def _digits(values: float | Sequence[float], digits: int) -> str:
@@ -237,16 +259,16 @@ def _digits(values: float | Sequence[float], digits: int) -> str:
     return f"{max(values, 1e-12):.{digits}g}"
 
 
-def _units(found: Draft) -> list[str]:
+def _units(guess: Draft) -> list[str]:
     """The table of the units of the log, where these are not those of the file."""
-    if not found.units:
+    if not guess.units:
         return []
     lines = ["", "[units]"]
-    for field, texts in found.units.items():
+    for field, texts in guess.units.items():
         written = _quoted(texts[0]) if len(set(texts)) == 1 else _names(texts)
         why = (
             "guessed from the numbers: `covariant check` looks closer"
-            if field in found.guessed
+            if field in guess.guessed
             else "as its header says"
         )
         lines.append(f"{field} = {written}  # {why}")

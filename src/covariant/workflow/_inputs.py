@@ -17,7 +17,7 @@ from covariant.workflow._arguments import ColumnNames as ColumnNames
 from covariant.workflow._outputs import check_output as check_output
 
 FEWEST_MOVES = 50
-"""Changes of positions from which it is told whether the log's ticks are coarser than those of the model file."""
+"""Fewest changes of positions that decide whether the log's ticks are coarser than those of the model file."""
 MOST_REVERSALS, QUICK = 0.05, 5
 """Largest fraction of changes that undo one within so few samples, as noise makes them and a motion seldom does."""
 OFF_TICK = 0.1
@@ -64,14 +64,30 @@ class Job(NamedTuple):
 
 
 class MisfitError(ValueError):
-    """A log that its model does not explain at all. The message is one line: the log, the evidence, and what to do."""
+    """Error of a log that its model does not explain at all. The message is one line: log, evidence, and what to do.
+
+    Example:
+        >>> import covariant
+        >>> log = covariant.simulate("oscillator", duration=10.0, rate=50.0, q0=1.0, noise=1e-3).record
+        >>> try:
+        ...     covariant.estimate("oscillator", log._replace(t=1e3 * log.t), alpha=40.0, beta=800.0)
+        ... except covariant.workflow.MisfitError as error:
+        ...     print('[units] t = "ms"' in str(error))
+        True
+    """
 
     exit_code = 1
     """Exit code of a command: the input is well formed, and its answer would be wrong."""
 
 
 class ReferenceVelocity(NamedTuple):
-    """What velocities are scored against: those that it holds (T, n), what it is called, and the rows that count."""
+    """Velocities that estimates are scored against.
+
+    Attributes:
+        v: Velocities (T, n), or states of a state-space model, in SI units; NaN where they are not known.
+        label: Name of the reference, such as "zero-phase reference".
+        scored: Which rows (T,) count.
+    """
 
     v: np.ndarray
     label: str
@@ -79,7 +95,17 @@ class ReferenceVelocity(NamedTuple):
 
 
 class Loaded(NamedTuple):
-    """The model and log of a job, what its velocities are scored against where that was asked for, and a note."""
+    """Model and log of a job.
+
+    Attributes:
+        file: The model file; without its quantum where positions are not such ticks.
+        model: The model.
+        log: The log, its inputs as they are logged.
+        record: The record with the inputs that act in each step, after their lag and delay.
+        rate: Sampling rate [Hz], from the median interval.
+        reference: What velocities are scored against; None where nothing is.
+        note: Sentences on what was assumed of the log, to append to a text; "" where nothing was.
+    """
 
     file: models.ModelFile
     model: Any
@@ -91,7 +117,7 @@ class Loaded(NamedTuple):
 
     @property
     def origin(self) -> str | None:
-        """The date from which the stamps count, where the log has dates or times since 1970."""
+        """Date in UTC from which the stamps count; None unless the log has dates or times since 1970."""
         ns = self.log.origin_ns
         return None if ns is None else f"{np.datetime64(ns, 'ns')}Z"
 
@@ -104,18 +130,22 @@ def load(job: Job, score: bool = True, why: str = "") -> Loaded:
         score: Whether a reference for the velocities is made from the positions where the log has no true ones.
         why: What mechanical models are needed for, where they are.
 
+    Returns:
+        Model and log, with the acting inputs.
+
     Raises:
         MisfitError: Where the log does not fit the model at all.
         ValueError: With one line for whoever gave the model or the log; `OSError` where one cannot be read.
     """
     file = models.load(job.model, job.overrides)
     model: Any = file.need_mechanical(job.model_name, why) if why else file.model
-    given: dict[str, Any] = {key: names for key, names in job.columns.items() if names is not None}
-    given = {key: str(names).strip() if key == "t" else column_names(names) for key, names in given.items()}
-    columns = file.columns._replace(**given)
+    named: dict[str, Any] = {key: names for key, names in job.columns.items() if names is not None}
+    named = {key: str(names).strip() if key == "t" else column_names(names) for key, names in named.items()}
+    columns = file.columns._replace(**named)
     _check_columns(job, file, columns)
     file = file._replace(columns=columns)
-    optional = [field for field in logs.OPTIONAL if not given.get(field)]
+    # Columns that the model file names may be absent from this log; those that the caller names may not.
+    optional = [field for field in logs.OPTIONAL if not named.get(field)]
     log = logs.read(job.log, columns, job.every, job.until, job.start, optional)
     if not job.anyway:
         _refuse_misfit(job, file, log.record)
@@ -131,24 +161,38 @@ def load(job: Job, score: bool = True, why: str = "") -> Loaded:
     reference = None
     if log.truth is not None:
         reference = ReferenceVelocity(log.truth, f"true {model.sought.what}", scoring.scored_window(t))
-    elif score and file.mechanical:  # the slopes of outputs are no states
+    elif score and file.mechanical:  # slopes of a state-space model's outputs are not its states
         whole = (job.every, job.until, job.start) == (1, None, None)
         # A record has its inputs without names; of other logs only the positions are needed.
         needed = columns if isinstance(job.log, Record) else columns._replace(u=(), v=())
         full = log if whole else logs.read(job.log, needed)
         reference = ReferenceVelocity(*_slopes(file, log, full), scoring.scored_window(t))
-    return Loaded(file, model, log, record, 1 / float(np.median(np.diff(t))), reference, note + _told(file))
+    return Loaded(file, model, log, record, 1 / float(np.median(np.diff(t))), reference, note + _delay_note(file))
 
 
 def column_names(columns: str | Sequence[str]) -> tuple[str, ...]:
-    """The names of columns; of a text, those that commas separate."""
+    """Convert names of columns to a tuple.
+
+    Args:
+        columns: A sequence of names, or one text with names separated by commas.
+    """
     return tuple(name.strip() for name in columns.split(",") if name) if isinstance(columns, str) else tuple(columns)
 
 
 def with_sensor_delays(observers: Mapping[str, AbstractObserver], loaded: Loaded) -> dict[str, AbstractObserver]:
-    """The observers by name, those that know the model told how late the log's positions are.
+    """Make observers account for the delay of the log's positions.
 
-    Filters without a model take what they read for now: as in a drive, their velocities are late by the same time.
+    Filters without a model take a reading as current: as in a drive, their velocities are late by the same time.
+
+    Args:
+        observers: Observers by name.
+        loaded: Model and log; `measurement.delay` of the model file is the delay [s].
+
+    Returns:
+        The observers by name, those that use the model wrapped in `Delayed`.
+
+    Raises:
+        ValueError: For a delay in a state-space model.
     """
     longest = float(np.max(loaded.file.delay))
     if longest == 0:
@@ -156,6 +200,7 @@ def with_sensor_delays(observers: Mapping[str, AbstractObserver], loaded: Loaded
     if not loaded.file.mechanical:
         raise ValueError(f"{loaded.file.name}: readings that are late are made up for in mechanical models only")
     t = np.asarray(loaded.record.t)
+    # The rate is that of the most samples in any interval of the delay, so that all of them fit the observer's memory.
     within = np.searchsorted(t, t + longest, side="right") - np.arange(len(t))
     rate = float(within.max()) / longest
     informed = {entry.name for entry in REGISTRY if entry.knows_model}
@@ -165,7 +210,7 @@ def with_sensor_delays(observers: Mapping[str, AbstractObserver], loaded: Loaded
     }
 
 
-def _told(file: models.ModelFile) -> str:
+def _delay_note(file: models.ModelFile) -> str:
     """A sentence that says how late positions are, where they are."""
     delays = np.atleast_1d(np.asarray(file.delay, float))
     if not delays.any():
@@ -186,27 +231,27 @@ def _in_ticks(file: models.ModelFile, y: np.ndarray) -> tuple[models.ModelFile, 
     if file.quantum is None or not file.model.manifold.commuting:
         return file, ""
     quantum = np.broadcast_to(file.quantum, y.shape[1])
-    moved = np.diff(y, axis=0) / quantum
+    steps = np.diff(y, axis=0) / quantum
     names = file.columns.q if len(file.columns.q) > 1 else ("",)
-    for name, tick, column in zip(names, quantum, moved.T, strict=True):
+    for name, tick, column in zip(names, quantum, steps.T, strict=True):
         fault = _off_ticks(tick, column[np.isfinite(column)])
         if fault:
             return _as_noisy(file, f"Positions{' of ' * bool(name)}{name} {fault}")
-    count = np.count_nonzero(np.round(np.nan_to_num(moved)))
-    if count >= FEWEST_MOVES and _reversals(moved) > MOST_REVERSALS:
+    count = np.count_nonzero(np.round(np.nan_to_num(steps)))
+    if count >= FEWEST_MOVES and _reversals(steps) > MOST_REVERSALS:
         shown = ", ".join(f"{tick:.4g}" for tick in dict.fromkeys(quantum))
         return _as_noisy(file, f"Positions go back and forth between ticks of {shown} as noise does")
     return file, ""
 
 
-def _off_ticks(quantum: float, moved: np.ndarray) -> str:
+def _off_ticks(quantum: float, steps: np.ndarray) -> str:
     """How the changes of one position, in ticks, differ from whole ticks of an encoder; "" where they do not."""
-    ticks = np.abs(np.round(moved))
+    ticks = np.abs(np.round(steps))
     ticks = ticks[ticks > 0]
     if ticks.size == 0:
         return ""
-    least = np.quantile(ticks, 0.01, method="lower")
-    if np.quantile(np.abs(moved - np.round(moved)), 0.95) >= OFF_TICK:
+    least = np.quantile(ticks, 0.01, method="lower")  # not the minimum, which a single outlier decides
+    if np.quantile(np.abs(steps - np.round(steps)), 0.95) >= OFF_TICK:
         return f"are not whole ticks of {quantum:.4g} apart"
     if least > 1 and ticks.size >= FEWEST_MOVES and np.mean(ticks % least == 0) > 0.95:
         return f"are multiples of {least:.0f} ticks of {quantum:.4g} apart"
@@ -218,14 +263,14 @@ def _as_noisy(file: models.ModelFile, fault: str) -> tuple[models.ModelFile, str
     return file._replace(quantum=None), f" {fault}: they are taken as noisy, not as ticks."
 
 
-def _reversals(moved: np.ndarray) -> float:
+def _reversals(steps: np.ndarray) -> float:
     """How many of the changes of positions, in ticks (T, n), undo one at most `QUICK` samples before, as a fraction."""
-    count = found = 0
-    for column in np.nan_to_num(np.round(moved)).T:
+    count = undone = 0
+    for column in np.nan_to_num(np.round(steps)).T:
         at = np.flatnonzero(column)
         turned = (np.sign(column[at[1:]]) != np.sign(column[at[:-1]])) & (np.diff(at) <= QUICK)
-        count, found = count + len(at), found + int(turned.sum())
-    return found / max(count, 1)
+        count, undone = count + len(at), undone + int(turned.sum())
+    return undone / max(count, 1)
 
 
 def _check_columns(job: Job, file: models.ModelFile, columns: logs.Columns) -> None:
@@ -247,10 +292,10 @@ def _check_columns(job: Job, file: models.ModelFile, columns: logs.Columns) -> N
             f"{', '.join(logs.ATTITUDES)} in [columns], or --set "
             """'columns.quaternion_wxyz=["qw","qx","qy","qz"]'"""
         )
-    twice = {"t", *file.model.velocities} & set(columns.measured)
-    if twice:
+    shared = {"t", *file.model.velocities} & set(columns.measured)
+    if shared:
         raise ValueError(
-            f"{job.model_name}: the estimate would have two columns named {min(twice)!r}; rename the one in the log"
+            f"{job.model_name}: the estimate would have two columns named {min(shared)!r}; rename the one in the log"
         )
 
 
@@ -259,15 +304,16 @@ def _slopes(file: models.ModelFile, log: logs.Log, full: logs.Log) -> tuple[np.n
     label."""
     t, y, at = np.asarray(full.record.t), np.asarray(full.record.y), np.asarray(log.record.t)
     half, order = file.reference_half, int(file.reference_order)
-    if np.isfinite(y).sum(axis=0).min() < order + 3:
+    if np.isfinite(y).sum(axis=0).min() < order + 3:  # a polynomial of this order needs more samples than coefficients
         return np.full((len(at), file.dimension), np.nan), "velocity, unknown in so short a log"
     if file.model.manifold.commuting:
         y = np.where(outliers(t, y, file.model.circles)[0], np.nan, y)
         y = scoring.unwrap(y, file.model.circles)
         delays, slopes = np.broadcast_to(np.asarray(file.delay, float), y.shape[1]), np.empty((len(at), y.shape[1]))
         for delay in np.unique(delays):
-            own = delays == delay
-            slopes[:, own] = scoring.zero_phase_velocity(t - delay, y[:, own], at, half, order)
+            alike = delays == delay
+            # A row at t shows the position at t − delay.
+            slopes[:, alike] = scoring.zero_phase_velocity(t - delay, y[:, alike], at, half, order)
         return slopes, "zero-phase reference"
     t = t - np.max(file.delay)
     twists = [
@@ -281,11 +327,14 @@ def _slopes(file: models.ModelFile, log: logs.Log, full: logs.Log) -> tuple[np.n
 
 
 def data_sheet(file: models.ModelFile, record: Record | None = None) -> DataSheet:
-    """The data sheet for a design.
+    """Collect the data sheet for a design from a model file.
 
     Args:
         file: The model file.
-        record: A log; where a number is missing the message offers what this log shows.
+        record: A log; where a number is missing the message suggests what this log shows.
+
+    Returns:
+        Noise, quantum, damping and the other numbers that the file has, in SI units.
 
     Raises:
         ValueError: Where numbers are missing: it names all of them.
@@ -320,23 +369,23 @@ def _remedy(file: models.ModelFile, missing: Sequence[str], record: Record | Non
     if len(shown) < len(missing):
         options = " ".join(f"--set {key}=NUMBER" for key in missing)
         how = f"put {them} in the model file, or give {options} (or, for estimate, --alpha and --beta)"
-        return how + "".join(f"; this log suggests {found.line} ({found.evidence})" for found in shown)
-    options = " ".join(f"--set {shlex.quote(found.setting)}" for found in shown)
-    evidence = "; ".join(found.evidence for found in shown)
+        return how + "".join(f"; this log suggests {suggestion.line} ({suggestion.evidence})" for suggestion in shown)
+    options = " ".join(f"--set {shlex.quote(suggestion.setting)}" for suggestion in shown)
+    evidence = "; ".join(suggestion.evidence for suggestion in shown)
     return f"this log suggests {options} ({evidence}), or put {them} in the model file"
 
 
 def _slow(file: models.ModelFile) -> tuple[Slow, ...]:
     """What the model file has estimated along with the motion, beside an external force."""
-    found = ()
+    components = ()
     if file.family is not None:
         stds = [
             file.uncertain[next(key for key in file.uncertain if _stands_for(key, name))] for name in file.family.names
         ]
-        found += (uncertain_parameters(file.family, stds, file.parameters_drift),)
+        components += (uncertain_parameters(file.family, stds, file.parameters_drift),)
     if file.bias is not None:
-        found += (sensor_bias(np.broadcast_to(file.bias, file.dimension), file.bias_drift),)
-    return found
+        components += (sensor_bias(np.broadcast_to(file.bias, file.dimension), file.bias_drift),)
+    return components
 
 
 def _stands_for(key: str, name: str) -> bool:
@@ -346,12 +395,23 @@ def _stands_for(key: str, name: str) -> bool:
 
 
 def log_sheet(loaded: Loaded) -> DataSheet:
-    """The data sheet of the model file, with the speeds of the log."""
+    """Collect the data sheet of the model file, with the usual speeds in the log.
+
+    Args:
+        loaded: Model and log.
+
+    Raises:
+        ValueError: Where numbers are missing: it names all of them, and suggests what the log shows.
+    """
     return data_sheet(loaded.file, loaded.log.record)._replace(speed=usual_speeds(loaded.model, loaded.record))
 
 
 def coordinates(file: models.ModelFile) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Names and units of the coordinates, or on a group of the velocities, or of the states, for printing."""
+    """Names and units of what is estimated, for headings.
+
+    Returns:
+        Names and units of the coordinates; on a group of the velocities; of a state-space model of the states.
+    """
     if file.model.sought.names:
         return file.model.sought.names, file.model.sought.units
     names = file.model.coordinates or numbered("q", file.dimension)
@@ -364,7 +424,7 @@ def sought_units(file: models.ModelFile) -> tuple[str, ...]:
 
 
 def innovation_units(file: models.ModelFile) -> tuple[str, ...]:
-    """Units of the innovations: those of the coordinates; on a group, of a velocity times a second."""
+    """Units of the innovations: those of the coordinates; on a group, of a velocity times a second; else ""."""
     units = coordinates(file)[1]
     if not file.mechanical:  # a model does not say them of its outputs
         return ("",) * len(file.columns.q)
@@ -372,9 +432,14 @@ def innovation_units(file: models.ModelFile) -> tuple[str, ...]:
 
 
 def sought_columns(file: models.ModelFile) -> tuple[str, ...]:
-    """Names of the velocities in an output file: those of the model, or v1, v2, …; or names of the states."""
+    """Names of the estimates in an output file.
+
+    Returns:
+        Names of the velocities, v1, v2, … where the model has none; of a state-space model the names of the states.
+    """
     return file.model.sought.names or numbered("v", file.dimension)
 
 
 def numbered(letter: str, count: int) -> tuple[str, ...]:
+    """Names from a letter and a number that counts from 1, such as "q1", "q2"."""
     return tuple(f"{letter}{i + 1}" for i in range(count))

@@ -83,9 +83,9 @@ def design_metric(
         >>> import tempfile
         >>> from covariant import workflow
         >>> folder = tempfile.mkdtemp()
-        >>> result = workflow.design_metric("unknown_frequency", f"{folder}/metric.zarr", grid=4, rate=8.0)
+        >>> result = workflow.design_metric("unknown_frequency", f"{folder}/metric.zarr", grid=2, rate=8.0)
         >>> result.points
-        64
+        8
     """
     store = Path(store)
     check_output(store, ".zarr", store=True)
@@ -137,15 +137,23 @@ def design_metric(
 
 @dataclass(frozen=True, repr=False)
 class MetricResult(AbstractResult):
-    """A contraction metric on a grid.
+    """Contraction metric on a grid of states.
 
     Attributes:
-        model_name: What the model was called.
+        model_name: The model, by its path or name.
         store: The Zarr store that holds the metric.
         points: Number of points of the grid.
-        seconds: Time [s] that it took.
+        seconds: Time [s] that the computation took.
         rate: λ [1/s] of the equation.
-        found: Counts of results, and bounds of the metric.
+        found: Number of points with each result, and bounds of the metric over the grid.
+
+    Example:
+        >>> import tempfile
+        >>> from covariant import workflow
+        >>> folder = tempfile.mkdtemp()
+        >>> result = workflow.design_metric("unknown_frequency", f"{folder}/metric.zarr", grid=2, rate=8.0)
+        >>> result.rate, sum(result.summary["results"].values())
+        (8.0, 8)
     """
 
     model_name: str
@@ -216,8 +224,11 @@ def _system(name: str, file: ModelFile) -> StateSpace:
 
 
 def _grid(name: str, model: StateSpace, grid: int | Sequence[int], region: Region | None) -> Grid:
-    own = {each: (float(low), float(high)) for each, (low, high) in zip(model.coordinates, model.box, strict=False)}
-    ends = own | bounds("region", region or {}, model.coordinates)
+    # The box is empty where the model has none, so its length is not checked.
+    defaults = {
+        each: (float(low), float(high)) for each, (low, high) in zip(model.coordinates, model.box, strict=False)
+    }
+    ends = defaults | bounds("region", region or {}, model.coordinates)
     missing = [each for each in model.coordinates if each not in ends]
     if missing:
         example = ",".join(f"{each}=LOW:HIGH" for each in model.coordinates)
@@ -250,8 +261,8 @@ def _equation(
     u: Float[Array, "m"] | None,
 ) -> Equation:
     diagonals = [
-        None if given is None else jnp.diag(jnp.asarray(numbers(argument, given, names, positive=True)))
-        for argument, given, names in (
+        None if variances is None else jnp.diag(jnp.asarray(numbers(argument, variances, names, positive=True)))
+        for argument, variances, names in (
             ("process-cov", process_cov, model.coordinates),
             ("measurement-cov", measurement_cov, model.outputs),
         )

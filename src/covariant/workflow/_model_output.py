@@ -10,11 +10,11 @@ from covariant.workflow._outputs import check_output
 
 
 def as_logs(log: Any) -> tuple[Any, ...]:
-    """The logs of an argument that is one log, or a list or tuple of them.
+    """Convert an argument that is one log, or a list or tuple of them, to a tuple.
 
     Raises:
         FileNotFoundError: Where the path of one does not exist.
-        ValueError: Where there is none.
+        ValueError: For an empty list.
     """
     each = tuple(log) if type(log) in (list, tuple) else (log,)  # a Record is a tuple of another type
     if not each:
@@ -26,15 +26,23 @@ def as_logs(log: Any) -> tuple[Any, ...]:
 
 
 def check_model_output(model: Any, path: str | Path | None, overwrite: bool = False) -> None:
-    """Refuse a model file that may not be written; None, for no file, passes.
+    """Check that a model file may be written, before anything is computed.
 
     Args:
         model: The model whose file is written anew with other numbers.
-        path: Where it is written (.toml).
+        path: The file to write (.toml); None, for no file, passes.
         overwrite: Whether a file that exists may be replaced, the model file itself included.
 
     Raises:
         ValueError: One line that names the path or the model, and what to do.
+
+    Example:
+        >>> from covariant import workflow
+        >>> workflow.check_model_output("oscillator", "fitted.toml")
+        >>> workflow.check_model_output("oscillator", "fitted.csv")
+        Traceback (most recent call last):
+            ...
+        ValueError: fitted.csv: the file to write must end in .toml
     """
     if path is None:
         return
@@ -52,12 +60,26 @@ def check_model_output(model: Any, path: str | Path | None, overwrite: bool = Fa
 
 
 def model_text(model: str | os.PathLike[str]) -> str:
-    """The text of the model file that is changed; of a system of the library, a file that names it."""
+    """Read the text of a model file whose numbers are to be changed.
+
+    Args:
+        model: The path of the file, or the name of a system or a robot of the library.
+
+    Returns:
+        The text; for a system of the library, a line that names it.
+    """
     spec = os.fspath(model)
     return Path(spec).read_text(encoding="utf-8") if spec.endswith(".toml") else f'system = "{spec}"\n'
 
 
 def seen_logs(names: Sequence[str]) -> str:
-    """The logs that a fit has seen, of all that it was given: all but the last of several."""
+    """Names of the logs that a fit uses: all but the last of several, which is held out.
+
+    Args:
+        names: Names of all logs, by path.
+
+    Returns:
+        Their file names, separated by commas.
+    """
     short = [Path(name).name for name in names]
     return ", ".join(short[:-1] or short)

@@ -20,9 +20,12 @@ KEPT = ("innovation", "distance", "result", "nis", "velocity_std", "state_std", 
 
 
 class Score(NamedTuple):
-    """How far velocities or states are from a reference: root mean square errors (n,), and NEES of a filter that knows.
+    """Errors of velocities or states against a reference.
 
-    `nees` is the mean of the squared errors over their variances, for each velocity: 1 is expected.
+    Attributes:
+        rmse: Root mean square errors (n,), in the units of what is estimated.
+        nees: Normalised estimation error squared: mean of the squared errors over their variances, for each velocity. 1
+            is expected; NaN for an observer without a covariance.
     """
 
     rmse: np.ndarray
@@ -30,11 +33,17 @@ class Score(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """A run, its velocities or states (T, n), their score where there is a reference, and the compiled time a sample
-    [µs].
+    """Run of an observer on a log, with its accuracy.
 
-    `nis` is the mean normalised innovation squared for each measured number, NaN for an observer without a covariance;
-    1 is expected. `engine` says what computed the run, and `slow_names` what was estimated along with the motion.
+    Attributes:
+        run: Stamps, estimates and diagnostics of every sample.
+        velocity: Velocities (T, n), or states of a state-space model.
+        nis: Mean normalised innovation squared for each measured number. 1 is expected; NaN for an observer without a
+            covariance.
+        score: Errors against the reference; None without one.
+        microseconds: Computing time of a sample [µs] without compilation; NaN where it was not measured.
+        engine: What computed the run, "c" or "jax", with the reason where C could not.
+        slow_names: Names of what was estimated along with the motion, such as an external force.
     """
 
     run: Run
@@ -53,39 +62,70 @@ class Outcome(NamedTuple):
 
     @property
     def failed(self) -> bool:
+        """Whether the estimate left the finite numbers."""
         return "not_finite" in self.counts
 
 
 def drive(observer: AbstractObserver, loaded: Loaded, engine: Engine = "auto", timed: bool = False) -> Outcome:
-    """Run an observer on the loaded record; `timed` runs it again, to measure its time without compilation."""
-    done, by = run_log(observer, loaded.record, KEPT, engine)
-    done = jax.block_until_ready(done)
+    """Run an observer on a log and score it.
+
+    Args:
+        observer: The observer.
+        loaded: Model and log.
+        engine: What computes: "c", "jax", or "auto" for C where it pays.
+        timed: Whether it is run three more times, to measure its time without compilation.
+
+    Returns:
+        The run with its score.
+    """
+    run, by = run_log(observer, loaded.record, KEPT, engine)
+    run = jax.block_until_ready(run)
     spent = float("inf")
     for _ in range(3 if timed else 0):  # the quickest of three, since other load only lengthens a run
         began = time.perf_counter()
         jax.block_until_ready(run_log(observer, loaded.record, KEPT, "c" if by == "c" else "jax")[0])
         spent = min(spent, time.perf_counter() - began)
-    velocity = np.asarray(loaded.model.sought.of(done.estimate))
-    score = None if loaded.reference is None else _score(velocity, done.info, loaded.reference)
-    each = 1e6 * spent / len(done.t) if timed else math.nan
+    velocity = np.asarray(loaded.model.sought.of(run.estimate))
+    score = None if loaded.reference is None else _score(velocity, run.info, loaded.reference)
+    each = 1e6 * spent / len(run.t) if timed else math.nan
     named = getattr(getattr(observer, "observer", observer), "slow_names", ())
-    return Outcome(done, velocity, _nis(done.info, loaded), score, each, by, named)
+    return Outcome(run, velocity, _nis(run.info, loaded), score, each, by, named)
 
 
 def engine_is_notable(by: str, asked: Engine) -> bool:
-    """Whether a person is told which engine worked: where one was asked for, and where C could not do the work."""
+    """Whether a result names its engine: where one was asked for, and where C could not do the work.
+
+    Args:
+        by: The engine that computed, as in `Outcome.engine`.
+        asked: The engine that was asked for.
+    """
     return asked != "auto" or not (by == "c" or by.startswith("jax: fewer than"))
 
 
 def known(info: Any, name: str) -> np.ndarray | None:
-    """A field of an observer's info, or None where it has no such field."""
+    """Read a field of an observer's info.
+
+    Args:
+        info: The info of a run, a NamedTuple.
+        name: Name of the field.
+
+    Returns:
+        The field as a NumPy array, time first; None where the info has no such field.
+    """
     return np.asarray(getattr(info, name)) if name in info._fields else None
 
 
 def deviations(info: Any) -> np.ndarray | None:
-    """Standard deviations of velocities or states that a filter knows of its own; None for another observer."""
-    found = [known(info, name) for name in ("velocity_std", "state_std")]
-    return next((std for std in found if std is not None), None)
+    """Read standard deviations from an observer's info.
+
+    Args:
+        info: The info of a run, a NamedTuple.
+
+    Returns:
+        Those of the velocities or states (T, n), in their units; None for an observer without a covariance.
+    """
+    fields = [known(info, name) for name in ("velocity_std", "state_std")]
+    return next((std for std in fields if std is not None), None)
 
 
 def _score(velocity: np.ndarray, info: Any, reference: ReferenceVelocity) -> Score:
@@ -101,31 +141,49 @@ def _nis(info: Any, loaded: Loaded) -> float:
     if nis is None:
         return math.nan
     measured = ~np.asarray(jax.vmap(loaded.model.manifold.missing)(jnp.asarray(loaded.record.y)))
-    taken = np.asarray(info.result) < Result.OUTLIER
-    taken[0] = False
-    count = measured[taken].sum()
-    return float(nis[taken].sum() / count) if count else math.nan
+    accepted = np.asarray(info.result) < Result.OUTLIER  # codes grow with how bad a sample is
+    accepted[0] = False
+    count = measured[accepted].sum()
+    return float(nis[accepted].sum() / count) if count else math.nan
 
 
 def summary(outcome: Outcome, what: str = "velocity") -> dict[str, Any]:
-    """The numbers of an outcome as JSON data, with the error of what is estimated."""
+    """Convert the accuracy of an outcome to JSON data.
+
+    Args:
+        outcome: The outcome.
+        what: What is estimated, "velocity" or "state", for the key of its error.
+
+    Returns:
+        RMSE where there is a reference, RMS innovation, NIS and NEES (None where unknown), and counts of results.
+    """
     innovation = np.asarray(outcome.run.info.innovation)
     scored = {} if outcome.score is None else {f"{what}_rmse": rounded(outcome.score.rmse)}
-    found = {"nis": outcome.nis} | ({} if outcome.score is None else {"nees": outcome.score.nees})
+    consistency = {"nis": outcome.nis} | ({} if outcome.score is None else {"nees": outcome.score.nees})
     return {
         **scored,
         "innovation_rms": rounded(np.sqrt(np.mean(innovation**2, axis=0))),
-        **{name: rounded(np.array([value]))[0] for name, value in found.items()},
+        **{name: rounded(np.array([value]))[0] for name, value in consistency.items()},
         "results": outcome.counts,
     }
 
 
 def rounded(values: np.ndarray) -> list[float | None]:
+    """Round numbers to six significant digits.
+
+    Returns:
+        The numbers as a list; None stands for NaN and infinities, which JSON does not know.
+    """
     return [float(f"{v:.6g}") if np.isfinite(v) else None for v in np.asarray(values)]
 
 
 def with_units(values: Iterable[float | None], units: tuple[str, ...]) -> str:
-    """Numbers in one line, each with its unit; a dash where there is none."""
+    """Format numbers in one line, each with its unit.
+
+    Args:
+        values: The numbers; None becomes a dash.
+        units: A unit for each, "1" or "" for none.
+    """
     written = (
         "—" if v is None else f"{v:.4g} {unit}".removesuffix(" 1").rstrip()
         for v, unit in zip(values, units, strict=True)
@@ -134,7 +192,14 @@ def with_units(values: Iterable[float | None], units: tuple[str, ...]) -> str:
 
 
 def report_curves(outcomes: dict[str, Outcome]) -> dict[str, Any]:
-    """The curves of several outcomes, as fields of `report.EstimateReport`."""
+    """Collect the curves of several outcomes for a page.
+
+    Args:
+        outcomes: The outcomes by label.
+
+    Returns:
+        The fields `estimates`, `innovation` and `distance` of an `EstimateReport`, each by label.
+    """
     infos = {name: outcome.run.info for name, outcome in outcomes.items()}
     return {
         "estimates": {name: _drawn(outcome) for name, outcome in outcomes.items()},

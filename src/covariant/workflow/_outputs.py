@@ -4,7 +4,7 @@ from pathlib import Path
 
 
 def check_output(path: Path | None, *suffixes: str, log: object = None, store: bool = False) -> None:
-    """Refuse an output file of another kind, without a folder, or in place of the log.
+    """Check that an output file has the right suffix and a folder, and does not replace the log.
 
     Args:
         path: The file to write; None, for no file, passes.
@@ -14,6 +14,15 @@ def check_output(path: Path | None, *suffixes: str, log: object = None, store: b
 
     Raises:
         ValueError: One line that names the path and what is wrong.
+
+    Example:
+        >>> from pathlib import Path
+        >>> from covariant import workflow
+        >>> workflow.check_output(Path("ranking.csv"), ".csv")
+        >>> workflow.check_output(Path("ranking.txt"), ".csv")
+        Traceback (most recent call last):
+            ...
+        ValueError: ranking.txt: the file to write must end in .csv
     """
     if path is None:
         return

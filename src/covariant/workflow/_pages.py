@@ -19,7 +19,7 @@ def estimate_report(
     headline: str = "",
     warnings: tuple[str, ...] = (),
 ) -> EstimateReport:
-    """What the page of some estimates shows.
+    """Collect what a page of estimates shows.
 
     Args:
         title: The title.
@@ -28,7 +28,10 @@ def estimate_report(
         notes: Sentences under the title.
         rows: Rows of a table.
         headline: The result in one line.
-        warnings: Sentences on what was odd.
+        warnings: Sentences on what was unusual.
+
+    Returns:
+        The report, with the reference of the velocities where there is one.
     """
     names, units = coordinates(loaded.file)
     y = np.asarray(loaded.record.y)
@@ -59,5 +62,13 @@ def estimate_report(
 
 
 def write_report(path: Path, report: EstimateReport) -> list[Path]:
-    """Write the interactive page, and PNG figures beside it, all or none; returns all paths."""
+    """Write an interactive page, and PNG figures beside it, all or none.
+
+    Args:
+        path: The page to write (.html).
+        report: What it shows.
+
+    Returns:
+        The paths of all files, the page first.
+    """
     return write_page_and_figures(report, path)

@@ -5,13 +5,25 @@ from typing import Protocol, runtime_checkable
 
 @runtime_checkable
 class Progress(Protocol):
-    """Called with a description of what is being done and the fraction of all the work that is done, in [0, 1].
+    """Function that a verb calls as its work goes on, for instance to move a progress bar.
 
-    A fraction of None means that it is not known.
+    Args:
+        description: What is being done.
+        fraction: Fraction of all the work that is done, in [0, 1]; None where it is not known.
+
+    Example:
+        >>> from covariant import workflow
+        >>> def show(description, fraction=None):
+        ...     print(description)
+        >>> isinstance(show, workflow.Progress)
+        True
+        >>> result = workflow.describe_model("oscillator", samples=5, progress=show)
+        reading the model
+        measuring the geometry of oscillator
     """
 
     def __call__(self, description: str, fraction: float | None = None) -> None: ...
 
 
 def silent(description: str, fraction: float | None = None) -> None:
-    """Show nothing."""
+    """Ignore progress; the default of all verbs."""

@@ -33,9 +33,10 @@ def reproduce_paper(paper: str, *, progress: Progress = silent) -> "ReproduceRes
 
     Example:
         >>> from covariant import workflow
-        >>> result = workflow.reproduce_paper("maithripala")
-        >>> round(result.summary["top"]["rate"], 3)
-        1.127
+        >>> workflow.reproduce_paper("kalman")
+        Traceback (most recent call last):
+            ...
+        ValueError: unknown paper 'kalman'; choose one of aghannan-rouchon, maithripala, ...
     """
     if paper not in PAPERS:
         raise ValueError(f"unknown paper {paper!r}; choose one of {', '.join(PAPERS)}")
@@ -53,12 +54,20 @@ def reproduce_paper(paper: str, *, progress: Progress = silent) -> "ReproduceRes
 
 @dataclass(frozen=True, repr=False)
 class ReproduceResult(AbstractResult):
-    """The numbers of a paper.
+    """Reproduced numbers of a paper.
 
     Attributes:
         paper: Name of the paper.
-        results: The numbers by what they are of.
-        module: The module of the paper.
+        results: The numbers in groups, by name of the group, and the time "seconds" [s] that they took.
+        module: The module of `covariant.papers` that computed them.
+
+    Example:
+        >>> from covariant import workflow
+        >>> result = workflow.ReproduceResult("maithripala", {"top": {"rate": 1.127}, "seconds": 14.0}, module=None)
+        >>> result
+        <ReproduceResult: maithripala: 1 groups of numbers in 14.0 s>
+        >>> result.summary["top"]["rate"]
+        1.127
     """
 
     paper: str
@@ -80,13 +89,35 @@ class ReproduceResult(AbstractResult):
         return "\n".join(part if isinstance(part, str) else table(part) for part in parts)
 
     def draw(self, path: str | Path) -> list[Path]:
-        """Draw the paper's figures (.png), the second with a longer name; returns their paths."""
+        """Draw the paper's figures.
+
+        Args:
+            path: The file of the first figure (.png); further ones have longer names beside it.
+
+        Returns:
+            The paths of all figures.
+
+        Raises:
+            ValueError: For another suffix, or a folder that does not exist.
+            ImportError: Without matplotlib.
+        """
         path = Path(path)
         check_output(path, ".png")
         return list(self.module.draw(path))
 
     def report(self, path: str | Path) -> list[Path]:
-        """Write a page (.html), and its figures beside it; returns all paths."""
+        """Write a page with the numbers and figures of the paper.
+
+        Args:
+            path: The page to write (.html); the figures (.png) are written beside it.
+
+        Returns:
+            The paths of all files, the page last.
+
+        Raises:
+            ValueError: For another suffix, or a folder that does not exist.
+            ImportError: Without matplotlib.
+        """
         path = Path(path)
         check_output(path, ".html")
         figures = self.draw(path.with_suffix(".png"))

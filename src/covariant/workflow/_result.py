@@ -11,10 +11,31 @@ from covariant._optional import load_optional
 
 
 class AbstractResult(abc.ABC):
-    """The result of a verb: complete before anything is drawn or written, so that what fails later loses nothing.
+    """Result of a verb, such as `estimate`: its numbers, and the means to print, draw and save them.
 
     `str(result)` is the text that the command line prints, `repr(result)` one line of it, and `result.summary` the
-    same numbers as plain data, as the option `--json` prints them. Subclasses are frozen dataclasses.
+    same numbers as plain data, as the option `--json` prints them. A result is complete before anything is drawn or
+    written, so that a failure later loses nothing. Subclasses are frozen dataclasses.
+
+    Example:
+        >>> from dataclasses import dataclass
+        >>> from covariant import workflow
+        >>> @dataclass(frozen=True, repr=False)
+        ... class MeanResult(workflow.AbstractResult):
+        ...     mean: float
+        ...
+        ...     @property
+        ...     def summary(self):
+        ...         return {"mean": self.mean}
+        ...
+        ...     @property
+        ...     def headline(self):
+        ...         return f"mean {self.mean:g} m"
+        ...
+        ...     def __str__(self):
+        ...         return self.headline
+        >>> MeanResult(0.5)
+        <MeanResult: mean 0.5 m>
     """
 
     @property
@@ -29,7 +50,7 @@ class AbstractResult(abc.ABC):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Sentences on what was odd; none where nothing was."""
+        """Sentences on what was unusual, in the order in which they are printed; empty by default."""
         return ()
 
     @abc.abstractmethod
@@ -44,28 +65,78 @@ class AbstractResult(abc.ABC):
         return f"<b>{html.escape(self.headline)}</b><pre>{html.escape(str(self))}</pre>"
 
     def save(self, path: str | Path, overwrite: bool = True) -> Path:
-        """Write the result to a file, whole or not at all. Raises `ValueError` where a result has no file."""
+        """Write the result to a file, whole or not at all.
+
+        Args:
+            path: The file to write; its suffix chooses the format.
+            overwrite: Whether a file that exists may be replaced. Tables and certificates replace it in any case.
+
+        Returns:
+            The path.
+
+        Raises:
+            ValueError: For a suffix that the result does not have, a folder that does not exist, or a result that has
+                no file.
+        """
         raise ValueError(f"{path}: a {type(self).__name__} has no file of its own to write; use report()")
 
     def report(self, path: str | Path) -> list[Path]:
-        """Write an interactive page (.html), and figures beside it; returns all paths.
+        """Write an interactive page, and figures beside it.
 
-        Raises `ValueError` where a result has no page, and `ImportError` without the packages that draw.
+        Args:
+            path: The page to write (.html).
+
+        Returns:
+            The paths of all files.
+
+        Raises:
+            ValueError: For a result that has no page, or another suffix.
+            ImportError: Without the packages that draw, `pip install 'covariant[report]'`.
         """
         raise ValueError(f"{path}: a {type(self).__name__} has no page")
 
     def plot(self, path: str | Path | None = None) -> Any:
-        """Draw the result; the figure is written where a path is given. Raises `ValueError` where a result has none."""
+        """Draw the result.
+
+        Args:
+            path: Where the figure is written as well (.png, .pdf, .svg); by default it is not.
+
+        Returns:
+            A `matplotlib.figure.Figure`.
+
+        Raises:
+            ValueError: For a result that has no figure.
+            ImportError: Without matplotlib.
+        """
         raise ValueError(f"a {type(self).__name__} has no figure")
 
     def draw(self, path: str | Path) -> list[Path]:
-        """Draw the figures of the result into files, the first at `path`; returns all paths."""
+        """Draw the figures of the result into files.
+
+        Args:
+            path: The file of the first figure (.png, .pdf, .svg).
+
+        Returns:
+            The paths of all files.
+
+        Raises:
+            ValueError: For a result that has no figure.
+        """
         self.plot(path)
         return [Path(path)]
 
 
 class AbstractTable(AbstractResult):
-    """A result whose numbers are a table: columns by name, all of one length."""
+    """Result whose numbers are a table: columns by name, all of one length.
+
+    Example:
+        >>> import covariant
+        >>> table = covariant.simulate("oscillator", duration=1.0, rate=10.0)
+        >>> isinstance(table, covariant.workflow.AbstractTable)
+        True
+        >>> table.columns["q"].shape, table.units["true_v1"]
+        ((11,), 'm/s')
+    """
 
     @property
     @abc.abstractmethod
@@ -74,18 +145,26 @@ class AbstractTable(AbstractResult):
 
     @property
     def units(self) -> dict[str, str]:
-        """Units of the columns that have one, by name."""
+        """Units, such as "rad/s", by name of the column; columns without a unit may be absent."""
         return {}
 
     def to_pandas(self) -> Any:
-        """The table as a `pandas.DataFrame`; raises `ImportError` without pandas."""
+        """Convert the table to a `pandas.DataFrame`, with the units in its `attrs["units"]`.
+
+        Raises:
+            ImportError: Without pandas.
+        """
         pandas = load_optional("pandas", use="to_pandas needs", extra="tables")
         table = pandas.DataFrame(self.columns)
         table.attrs["units"] = self.units
         return table
 
     def to_xarray(self) -> Any:
-        """The table as an `xarray.Dataset` along its first column; raises `ImportError` without xarray."""
+        """Convert the table to an `xarray.Dataset` along its first column, with the units in each `attrs["units"]`.
+
+        Raises:
+            ImportError: Without xarray.
+        """
         xarray = load_optional("xarray", use="to_xarray needs", extra="scale")
         index, *names = self.columns
         data = {name: (index, self.columns[name], {"units": self.units.get(name, "")}) for name in names}

@@ -10,7 +10,21 @@ from covariant.workflow._arguments import Amounts, amounts, finite
 
 
 class Scenario(NamedTuple):
-    """The motion and the sensors of a simulation, as `simulate` takes them."""
+    """Motion and sensors of a simulation.
+
+    Attributes:
+        duration: Length of the log [s].
+        rate: Samples a second [Hz].
+        q0: Initial positions (n,), or the initial state of a state-space model; zeros by default.
+        v0: Initial velocities (n,); zeros by default.
+        amplitude: Amplitudes (m,) of the sinusoidal inputs; zeros by default.
+        frequency: Frequency of the first input [Hz].
+        noise: Standard deviation of the noise of positions [unit, SI], one or one each.
+        quantum: Step of the encoders [unit, SI], one or one each.
+        jitter: Standard deviation of the sampling instants [s].
+        dropout: Probability that a sample is missing.
+        seed: Seed of noise, jitter and dropouts.
+    """
 
     duration: float
     rate: float
@@ -26,7 +40,11 @@ class Scenario(NamedTuple):
 
 
 def check_scenario(scenario: Scenario) -> None:
-    """Refuse what makes no sense for any model, before one is loaded."""
+    """Check what makes no sense for any model, before one is loaded.
+
+    Raises:
+        ValueError: One line that names the argument and its value.
+    """
     Sensor(scenario.rate, 0.0, 0.0, scenario.jitter, scenario.dropout).check()
     if not math.isfinite(scenario.frequency) or scenario.frequency < 0:
         raise ValueError(f"frequency must be a finite number ≥ 0 [Hz]; got {scenario.frequency}")

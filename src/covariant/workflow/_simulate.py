@@ -67,7 +67,7 @@ def simulate(
         >>> import covariant
         >>> result = covariant.simulate("oscillator", duration=2.0, rate=100.0, q0=[1.0], noise=1e-3)
         >>> list(result.columns)
-        ['t', 'x', 'true_x', 'true_v1']
+        ['t', 'q', 'u1', 'true_q', 'true_v1']
     """
     scenario = Scenario(duration, rate, q0, v0, amplitude, frequency, noise, quantum, jitter, dropout, seed)
     check_scenario(scenario)
@@ -78,7 +78,7 @@ def simulate(
 
 @dataclass(frozen=True, repr=False)
 class SimulateResult(AbstractTable):
-    """The log of a simulated machine: stamps, what its sensors read, its inputs, and the true state as true_….
+    """Log of a simulated machine: stamps, what its sensors read, its inputs, and the true state as true_….
 
     Attributes:
         model_name: The model, by its path or name.
@@ -87,6 +87,14 @@ class SimulateResult(AbstractTable):
         record: The `Record`: stamps, inputs, measurements and the true state x, in SI units.
         truth_columns: The columns of the true velocities, or of the states of a state-space model.
         si_columns, si_units: The columns in SI units and radians, and these units.
+
+    Example:
+        >>> import covariant
+        >>> result = covariant.simulate("oscillator", duration=2.0, rate=100.0, q0=[1.0])
+        >>> result
+        <SimulateResult: 201 rows over 2 s of oscillator>
+        >>> result.truth_columns, round(float(result.columns["q"][0]), 6)
+        (('true_v1',), 1.0)
     """
 
     model_name: str
@@ -120,14 +128,25 @@ class SimulateResult(AbstractTable):
         return f"{len(self.record.t)} rows; {use} {','.join(self.truth_columns)}"
 
     def save(self, path: str | Path, overwrite: bool = True) -> Path:
-        """Write the log (.csv, .txt, .tsv, .parquet, .mcap, .rosbag2), in the units of the model file."""
+        """Write the log, in the units of the model file.
+
+        Args:
+            path: The log to write (.csv, .txt, .tsv, .parquet, .mcap, .rosbag2).
+            overwrite: Without effect: a log that exists is replaced.
+
+        Returns:
+            The path.
+
+        Raises:
+            ValueError: For another suffix, or a folder that does not exist.
+        """
         path = Path(path)
         check_output(path, *logs.WRITTEN)
         logs.write(path, self._in_units(path.suffix in logs.MESSAGES))
         return path
 
     def _units(self, messages: bool) -> dict[str, str | None]:
-        """Units of the columns, None where they are in SI units; messages of ROS have a clock of their own."""
+        """Units of the columns, None where they are in SI units; the stamps of ROS messages are not converted."""
         names = self.layout
         fields = {"t": () if messages else (names.t,), "q": names.q, "u": names.u}
         fields |= {"position": names.position, "angle": names.angle}
@@ -137,5 +156,6 @@ class SimulateResult(AbstractTable):
         return {name: unit for name, unit in units.items() if name in self.si_columns}
 
     def _in_units(self, messages: bool) -> dict[str, np.ndarray]:
+        # A factor converts the log's unit to the SI unit, so SI values are divided by it.
         factors = {name: logs.unit_factor(unit) for name, unit in self._units(messages).items() if unit is not None}
         return {name: column / factors.get(name, 1.0) for name, column in self.si_columns.items()}

@@ -18,7 +18,7 @@ from covariant.workflow._progress import Progress
 from covariant.workflow._scenario import Scenario
 
 DIGITS = 12
-"""Decimals of a time [s] in a log: times that agree in all of them are one, whatever they were computed from."""
+"""Decimals of a time [s] in a log: times that agree in all of them are one, however they were computed."""
 DETUNED = 0.37
 """Each input is faster than the one before by this part of the frequency, so that no two are in step."""
 
@@ -26,7 +26,20 @@ DETUNED = 0.37
 def simulated_log(
     model: Any, overrides: Overrides, scenario: Scenario, progress: Progress
 ) -> tuple[str, bool, logs.Columns, Record, tuple[str, ...], dict[str, np.ndarray], dict[str, str]]:
-    """The fields of a `SimulateResult`."""
+    """Simulate a model and its sensors.
+
+    Args:
+        model: What `models.load` takes.
+        overrides: Values that replace those of the model file.
+        scenario: Motion and sensors.
+        progress: Called with a description as the work goes on.
+
+    Returns:
+        The fields of a `SimulateResult`, in their order.
+
+    Raises:
+        ValueError: For arguments that do not fit the model, and a motion that leaves the finite numbers.
+    """
     progress("reading the model")
     name, file = models.spec_name(model), models.load(model, overrides)
     sensor, x0 = _sensor(name, file, scenario), _start(file, scenario)
@@ -37,11 +50,12 @@ def simulated_log(
     u, acting = _inputs(file, scenario, t, read)
     progress("simulating")
     everything = jax.tree.map(np.asarray, simulation.simulate_piecewise(file.model, x0, acting))
+    # Both sides are rounded to DIGITS, so that each time is exactly one of the beginnings.
     now, rows = (np.searchsorted(acting.begin, times) for times in (np.round(t, DIGITS), read))
     true, x = everything.y[now], jax.tree.map(lambda leaf: leaf[now], everything.x)
     if not all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(x)):
         raise ValueError(f"{name}: the motion leaves the finite numbers; check initial state and inputs")
-    late = everything.y[rows[0]]
+    late = everything.y[rows[0]]  # the configuration at the time of the reading, not of the stamp
     if len(delays) > 1:
         late = np.stack([everything.y[row, i] for i, row in enumerate(rows)], axis=1)
     measured = _sense(file.model, sensor, late, scenario.seed)
@@ -99,6 +113,7 @@ def _sense(model: Any, sensor: Sensor, y: np.ndarray, seed: int) -> np.ndarray:
     if model.manifold.commuting:
         return simulation.sense(sensor, y, seed)
     error = simulation.sense(sensor, np.zeros((len(y), len(model.velocities))), seed)
+    # NaN marks a dropout; the retraction gets zeros instead, and its result is replaced by NaN below.
     measured = np.asarray(jax.vmap(model.manifold.retract)(y, jnp.nan_to_num(error)))
     return np.where(np.isnan(error).any(axis=1).reshape(-1, *(1,) * (measured.ndim - 1)), np.nan, measured)
 

@@ -30,7 +30,7 @@ def tune(
         model: A model file (.toml), a robot (.urdf, .xml), `module:attribute`, the name of a system or a robot of the
             library, a `ModelFile`, or a mechanical system.
         log: A path, a `Record`, a DataFrame or an xarray Dataset, or a list of them. The last third of each is held out
-            to judge by.
+            to judge the tuning by.
         overrides: Values that replace those of the model file.
         every: Use each k-th row.
         start, until: Use the logs from and up to this time [s] since their first rows.
@@ -48,17 +48,17 @@ def tune(
 
     Example:
         >>> import covariant
-        >>> log = covariant.simulate("oscillator", duration=12.0, rate=50.0, q0=1.0, noise=2e-4).record
+        >>> log = covariant.simulate("oscillator", duration=8.0, rate=50.0, q0=1.0, noise=1e-3).record
         >>> result = covariant.tune("oscillator", log)
         >>> sorted(result.lines["design"])
         ['damping', 'natural_frequency']
     """
-    given = as_logs(log)
+    logs = as_logs(log)
     # What computes is loaded after the arguments are checked.
     from covariant.workflow._inputs import Job
     from covariant.workflow._tune_to_logs import tune_to_logs
 
-    jobs = [Job(model, one, overrides, every, until, columns or {}, anyway, start) for one in given]
+    jobs = [Job(model, one, overrides, every, until, columns or {}, anyway, start) for one in logs]
     return TuneResult(jobs, tune_to_logs(jobs, engine, progress), engine)
 
 
@@ -70,6 +70,15 @@ class TuneResult(AbstractResult):
         jobs: The model and the logs, a `Job` each.
         tuned: The tuning, with what it was computed from, a `Tuned`.
         asked_engine: The engine that was asked for.
+
+    Example:
+        >>> import covariant
+        >>> log = covariant.simulate("oscillator", duration=8.0, rate=50.0, q0=1.0, noise=1e-3).record
+        >>> result = covariant.tune("oscillator", log)
+        >>> sorted(result.lines)
+        ['design', 'measurement', 'uncertainty']
+        >>> bool(abs(result.lines["measurement"]["std"] - 1e-3) < 1e-4)
+        True
     """
 
     jobs: list[Any]
@@ -78,12 +87,12 @@ class TuneResult(AbstractResult):
 
     @property
     def tuning(self) -> Any:
-        """Gains and noise as numbers."""
+        """Gains and noise as numbers, a `covariant.calibration.Tuning`."""
         return self.tuned.tuning
 
     @property
     def lines(self) -> dict[str, dict[str, Any]]:
-        """What is written into the model file, by table and key."""
+        """Numbers that are written into the model file, by table, such as "measurement", and key, such as "std"."""
         return self.tuned.details["lines"]
 
     @property
@@ -111,6 +120,9 @@ class TuneResult(AbstractResult):
             path: The file to write.
             overwrite: Whether a file that exists may be replaced, the model file itself included.
 
+        Returns:
+            The path.
+
         Raises:
             ValueError: Where it may not be written, or the model has no file.
         """
@@ -124,7 +136,18 @@ class TuneResult(AbstractResult):
         return write_atomically(path, lambda file: file.write(text.encode()))
 
     def report(self, path: str | Path) -> list[Path]:
-        """Write an interactive page (.html) of estimates on the last log before and after, and figures beside it."""
+        """Write an interactive page of estimates on the last log before and after, and figures (.png) beside it.
+
+        Args:
+            path: The page to write (.html).
+
+        Returns:
+            The paths of all files, the page first.
+
+        Raises:
+            ValueError: For another suffix, or a folder that does not exist.
+            ImportError: Without matplotlib or plotly; nothing is written then.
+        """
         from covariant.workflow._pages import write_report
         from covariant.workflow._tune_to_logs import tuned_page
 

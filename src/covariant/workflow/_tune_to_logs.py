@@ -21,19 +21,27 @@ from covariant.workflow._progress import Progress
 DIGITS = 4
 """Significant digits of tuned numbers in a model file."""
 WORSE = 1.2
-"""Ratio of the velocity errors of Kalman filter and constant gains from which it is said that the filter is worse."""
+"""Ratio of the velocity errors of Kalman filter and constant gains from which a warning says the filter is worse."""
 COARSER = 1.5
 """Readings whose noise is more than so many times that of their ticks are taken as noisy, not as ticks."""
 SEARCHED = 60
-"""So many runs a search for gains makes about."""
+"""Approximate number of runs of a search for gains."""
 NOT_WHITE = 0.3
-"""Correlation of neighbouring innovations from which it is said that the model does not explain them."""
+"""Correlation of neighbouring innovations from which a warning says that the model does not explain them."""
 STAGES = ("gains", "noise", "held-out rows", "filters without a model")
 """What a tuning does, in order."""
 
 
 class Tuned(NamedTuple):
-    """A tuning with the logs and the data sheet that it was computed from, and the content of the new model file."""
+    """Tuning of a model to logs, with what it was computed from.
+
+    Attributes:
+        loaded: Model and log of each job.
+        tuning: Gains and noise.
+        before: The data sheet of the model file; None where that lacks noise.
+        content: Content of the new model file; empty where the model has no file.
+        details: All numbers and sentences as plain data.
+    """
 
     loaded: list[Loaded]
     tuning: Tuning
@@ -43,7 +51,17 @@ class Tuned(NamedTuple):
 
 
 def tune_to_logs(jobs: list[Job], engine: EngineName, progress: Progress) -> Tuned:
-    """Tune on the first two thirds of each log, and judge on the rest."""
+    """Tune noise and gains on the first two thirds of each log, and judge them on the rest.
+
+    Args:
+        jobs: The model and the logs, the same model in each.
+        engine: What computes: "c", "jax", or "auto" for C where it pays.
+        progress: Called with a description and a fraction as the work goes on.
+
+    Raises:
+        MisfitError: Where the model explains nothing of the motion in a log.
+        ValueError: For a model or a log that cannot be used.
+    """
     progress("reading", 0.0)
     loaded = [aligned(job).loaded for job in jobs]
     file = loaded[0].file
@@ -69,7 +87,14 @@ def tune_to_logs(jobs: list[Job], engine: EngineName, progress: Progress) -> Tun
 
 
 def tuned_page(title: str, tuned: Tuned, notes: tuple[str, ...], rows: tuple[dict[str, Any], ...]) -> EstimateReport:
-    """The page of the constant-gain observer on the last log, before and after."""
+    """Collect a page of the constant-gain observer on the last log, before and after.
+
+    Args:
+        title: The title.
+        tuned: The tuning.
+        notes: Sentences under the title.
+        rows: Rows of a table.
+    """
     loaded, omega = tuned.loaded[-1], tuned.tuning.natural_frequency
     gains = {"after": (2 * tuned.tuning.damping * omega, omega**2)}
     if tuned.before is not None:
@@ -90,24 +115,26 @@ class _Runs:
 
     def __call__(self, observers: Sequence[AbstractObserver], records: Sequence[Record]) -> list[Run]:
         self._first = self._first or observers
-        done, self.description = run_logs(observers, records, ("innovation",), self.engine, self._first, SEARCHED)
-        return done
+        runs, self.description = run_logs(observers, records, ("innovation",), self.engine, self._first, SEARCHED)
+        return runs
 
 
-def _tables(file: models.ModelFile, found: Tuning, rate: float) -> dict[str, dict[str, Any]]:
+def _tables(file: models.ModelFile, tuning: Tuning, rate: float) -> dict[str, dict[str, Any]]:
     """What is written into the model file, by table and key."""
     time = file.correlation_time or float(f"{1 / (2 * rate):.{DIGITS}g}")
-    acceleration = float(found.noise.acceleration) / np.sqrt(2 * time)
+    # A deviation σ that persists over the time τ acts as white noise of the density σ √(2τ).
+    acceleration = float(tuning.noise.acceleration) / np.sqrt(2 * time)
     uncertainty = {"acceleration": _short(acceleration), "correlation_time": time}
-    if found.noise.force > 0:
-        uncertainty["external_force"] = _short(found.noise.force)
+    if tuning.noise.force > 0:
+        uncertainty["external_force"] = _short(tuning.noise.force)
     tables: dict[str, dict[str, Any]] = {
         "uncertainty": uncertainty,
-        "design": {"damping": _short(found.damping), "natural_frequency": _short(found.natural_frequency)},
+        "design": {"damping": _short(tuning.damping), "natural_frequency": _short(tuning.natural_frequency)},
     }
+    # Rounding to ticks has a uniform error, of the standard deviation quantum/√12.
     ticks = np.inf if file.quantum is None else np.asarray(file.quantum) / np.sqrt(12)
-    if file.quantum is None or np.any(np.asarray(found.noise.measurement) > COARSER * ticks):
-        std = [_short(value) for value in np.asarray(found.noise.measurement)]
+    if file.quantum is None or np.any(np.asarray(tuning.noise.measurement) > COARSER * ticks):
+        std = [_short(value) for value in np.asarray(tuning.noise.measurement)]
         tables = {"measurement": {"std": std if file.model.manifold.commuting and len(std) > 1 else std[0]}, **tables}
     return tables
 
@@ -117,7 +144,7 @@ def _short(value: Any) -> float:
 
 
 def _content(job: Job, tables: dict[str, dict[str, Any]]) -> dict[str, Any]:
-    """The content of the model file with the tuned numbers; a force that was not found is taken out."""
+    """The content of the model file with the tuned numbers; without an external force unless the tuning has one."""
     content = models.document(job.model_name, job.overrides)
     for table, numbers in tables.items():
         content.setdefault(table, {}).update(numbers)
@@ -128,14 +155,14 @@ def _content(job: Job, tables: dict[str, dict[str, Any]]) -> dict[str, Any]:
     return content
 
 
-def _details(jobs: list[Job], loaded: list[Loaded], found: Tuning, tables: dict[str, Any]) -> dict[str, Any]:
+def _details(jobs: list[Job], loaded: list[Loaded], tuning: Tuning, tables: dict[str, Any]) -> dict[str, Any]:
     names, units = coordinates(loaded[0].file)
     delay = models.load(jobs[0].model, jobs[0].overrides).delay
-    free = found.model_free
+    free = tuning.model_free
     return {
         "model": jobs[0].model_name,
         "logs": [job.log_name for job in jobs],
-        "rows": found.rows,
+        "rows": tuning.rows,
         "scored_against": loaded[0].reference.label if loaded[0].reference else None,
         "lines": tables,
         "coordinates": list(names),
@@ -143,10 +170,10 @@ def _details(jobs: list[Job], loaded: list[Loaded], found: Tuning, tables: dict[
         "units": [unit.removesuffix("/s") for unit in units],
         "held_out": {
             when: None if judged is None else _judged(judged)
-            for when, judged in (("before", found.before), ("after", found.after))
+            for when, judged in (("before", tuning.before), ("after", tuning.after))
         },
         "model_free": None if free is None else {"estimator": free[0], "relative": rounded(np.array([free[1]]))[0]},
-        "warning": warning(found, np.atleast_1d(np.equal(delay, np.max(delay)))),
+        "warning": warning(tuning, np.atleast_1d(np.equal(delay, np.max(delay)))),
     }
 
 
@@ -155,9 +182,15 @@ def _judged(judged: HeldOut) -> dict[str, Any]:
 
 
 def warning(found: Tuning, as_logged: np.ndarray | bool = True) -> str | None:
-    """One line where the model is no better than none, or does not explain the innovations.
+    """Warn in one line of a model that is no better than none, or does not explain the innovations.
 
-    - `as_logged` (n,): which positions are as they were read; where they are interpolated neighbours are correlated.
+    Args:
+        found: The tuning, with its errors on what was held out.
+        as_logged: Which positions (n,) are as they were read. The others are interpolated, so that neighbouring
+            innovations are correlated in any case.
+
+    Returns:
+        The line, or None where nothing is wrong.
     """
     gains, kalman = found.after.relative
     remedy = "run `covariant fit`"

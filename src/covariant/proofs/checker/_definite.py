@@ -17,6 +17,7 @@ TURN = 0.1
 """Share of the blame for open choices that a variable has even where it keeps none open."""
 
 
+<<<<<<< ours
 def definite(
     matrix: np.ndarray, width: np.ndarray, kinks: np.ndarray, left: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -24,9 +25,21 @@ def definite(
 
     - `left` (B, d): the fraction of each width that halvings have left.
     - `kinks` (B, d): by how much each variable keeps choices open; it is halved where these weigh more than the rest.
+=======
+def definite(matrix: np.ndarray, width: np.ndarray, kinks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """On which boxes a symmetric matrix is positive definite, and the variable to halve on the others.
 
-    A matrix `Σ Sₘeₘ` with e₀ = 1 and all other |eₘ| ≤ 1 is positive definite if, for some C, the spectral radius of
-    `E = |CᵀS₀C − I| + Σ|CᵀSₘC|` is below one, that is, if Ex < x for some positive x.
+    A matrix `Σ Sₘeₘ` with e₀ = 1 and all other |eₘ| ≤ 1 is positive definite if, for some C, the spectral radius of `E
+    = |CᵀS₀C − I| + Σ|CᵀSₘC|` is below one, that is, if Ex < x for some positive x.
+>>>>>>> theirs
+
+    Args:
+        matrix: Array (n, n) of `Taylor`.
+        width: Widths (B, d) of the boxes.
+        kinks: By how much each variable keeps choices open (B, d); it is halved where these weigh more than the rest.
+
+    Returns:
+        The verdict (B,), where False says nothing, and the index (B,) of the variable to halve.
     """
     keys = sorted({m for entry in matrix.flat for part in entry.terms for m in part})
     s, radius = np.zeros((len(keys), len(width), *matrix.shape)), np.zeros((len(width), *matrix.shape))
@@ -35,6 +48,8 @@ def definite(
         for m, t in itertools.chain(*(part.items() for part in entry.terms)):
             s[keys.index(m), :, i, j] = t
     with np.errstate(all="ignore"):
+        # C need not be exact, since E is computed for the C at hand; units that make the diagonal one keep it well
+        # scaled.
         unit = 1 / np.sqrt(np.diagonal(s[0], axis1=1, axis2=2))[:, :, None]
         scaled = unit * s[0] * unit.swapaxes(1, 2)
         values, vectors = np.linalg.eigh(np.where(np.isfinite(scaled), scaled, -np.eye(len(matrix))))
@@ -42,12 +57,17 @@ def definite(
         ct = c.swapaxes(1, 2)
         turned = ct @ s @ c
         turned[0] -= np.eye(len(matrix))
+        # Outward: |Cᵀ| R |C| bounds what the radii add, and ROUND Σ|Sₘ| in it what rounding of the products CᵀSₘC
+        # adds.
         rest = abs(ct) @ (radius + ROUND * abs(s).sum(0)) @ abs(c)
+        # ROUND covers the subtraction of the identity and the sums here: E is an upper bound.
         e = abs(turned).sum(0) + rest + ROUND
         x = np.ones((*e.shape[:2], 1))
         for _ in range(5):
             x = e @ x
+            # Any positive x proves the claim, so these roundings do not matter; ROUND keeps all entries positive.
             x = x / x.max(1, keepdims=True) + ROUND
+        # The left side is rounded up, by more than its sums lose; NaN compares as false, so nothing follows from it.
         good = (e @ x * (1 + ROUND) < x).all((1, 2))
 
     def by_variable(parts: Iterable[np.ndarray]) -> np.ndarray:
@@ -71,9 +91,29 @@ def definite(
 def show_definite(
     matrix: TaylorEnclosure, low: np.ndarray, high: np.ndarray, depth: int, what: str, until: float = math.inf
 ) -> None:
-    """Raise `ValueError` unless `matrix + matrixᵀ` is positive definite on all boxes, halved up to `depth` times.
+    """Show that `matrix + matrixᵀ` is positive definite on all boxes, which are halved where needed.
 
-    Raises `TimeoutError` where this is not settled by `until`, a time of `time.monotonic`.
+    Args:
+        matrix: The matrix (n, n) over boxes of d variables.
+        low: Lower corners (B, d).
+        high: Upper corners (B, d).
+        depth: Largest number of halvings of a box.
+        what: Name of the claim, for the messages.
+        until: Time of `time.monotonic` [s] at which to give up; by default never.
+
+    Raises:
+        ValueError: It is not shown; the message names the claim and a box.
+        TimeoutError: It is not settled by `until`.
+
+    Example:
+        >>> import jax.numpy as jnp, numpy as np
+        >>> from covariant.proofs.checker import TaylorEnclosure, show_definite
+        >>> low, high = np.array([-1.9]), np.array([1.0])
+        >>> matrix = TaylorEnclosure(lambda z: jnp.array([[2.0 + z[0], 1.0], [1.0, 2.0]]), low, high, np.zeros(1))
+        >>> show_definite(matrix, np.array([[-1.0]]), high[None], 3, "claim 1")
+        >>> show_definite(matrix, low[None], high[None], 3, "claim 1")
+        Traceback (most recent call last):
+        ValueError: claim 1 is not shown to hold where the variables are -1.9 to -1.71875
     """
     left, most, size = np.full(len(low), depth), len(low) + MOST, CHUNK
     whole = np.where(high > low, high - low, 1.0)
@@ -87,8 +127,13 @@ def show_definite(
             box = ", ".join(f"{c:.6g} to {d:.6g}" for c, d in zip(a[k], b[k], strict=True))
             raise ValueError(f"{what} is not shown to hold where the variables are {box}")
         try:
+<<<<<<< ours
             found = matrix(a, b)
             good, axes = definite(found + found.T, b - a, matrix.kinks(), (b - a) / first)
+=======
+            enclosure = matrix(a, b)
+            good, axes = definite(enclosure + enclosure.T, b - a, matrix.kinks())
+>>>>>>> theirs
         except UndecidedError:
             good, axes = np.zeros(len(a), bool), (b - a).argmax(1)
             if len(a) > 1:

@@ -35,6 +35,11 @@ def _refuse_shortened(eqn: JaxprEquation) -> None:
 
 
 def is_whole(atom: Any) -> bool:
+    """Whether a variable or literal of a jaxpr holds integers.
+
+    Args:
+        atom: The variable or literal.
+    """
     return jnp.issubdtype(atom.aval.dtype, jnp.integer)
 
 
@@ -51,13 +56,25 @@ def _settled(value: Any, atom: Any) -> np.ndarray:
 
 
 class TaylorEnclosure:
-    """A function of z (d,) over boxes, as an array of `Taylor`.
+    """A JAX function of z (d,) over boxes, as an array of `Taylor`.
 
-    - `low`, `high` (d,): a box that contains all others; variables of zero width are fixed.
-    - `slack` (d,): how far beyond its box z may be.
-    - `watch`: "" for the function itself. "defined" or "smooth" for a matrix (1, 1) instead, which is 1 on boxes where
-      everything that the function computes is defined, or defined without jumps, and not positive on others. There its
-      terms tell which variables widen the first number that is in question.
+    Args:
+        function: The function, from an array (d,) to an array.
+        low: Lower corner (d,) of a box that contains all others; variables of zero width are fixed.
+        high: Upper corner (d,).
+        slack: How far beyond its box z may be (d,).
+        watch: "" for the function itself. "defined" or "smooth" for a matrix (1, 1) instead, which is 1 on boxes where
+            everything that the function computes is defined, or defined without jumps, and not positive on others.
+            There its terms tell which variables widen the first number that is in question.
+
+    Example:
+        >>> import jax.numpy as jnp, numpy as np
+        >>> from covariant.proofs.checker import TaylorEnclosure
+        >>> low, high = np.array([-1.0]), np.array([1.0])
+        >>> enclosure = TaylorEnclosure(lambda z: 2.0 + z[:, None], low, high, np.zeros(1))
+        >>> entry = enclosure(np.array([[-1.0], [0.0]]), np.array([[0.0], [1.0]]))[0, 0]  # on two boxes
+        >>> entry.middle.tolist(), entry.away.round(6).tolist()
+        ([1.5, 2.5], [0.5, 0.5])
     """
 
     def __init__(
@@ -74,12 +91,22 @@ class TaylorEnclosure:
         self.free, self.slack, self._places = high > low, slack, {}
 
     def __call__(self, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-        """The function over boxes with corners (B, d).
+        """The function over boxes.
 
-        Raises `UndecidedError` where boxes take different branches, `ValueError` naming an operation that is not known.
+        Args:
+            low: Lower corners (B, d).
+            high: Upper corners (B, d).
+
+        Returns:
+            Array of `Taylor` in the shape of the result of the function, or (1, 1) with `watch`.
+
+        Raises:
+            UndecidedError: Boxes take different branches.
+            ValueError: An operation is not known; the message names it.
         """
         forget()
         middle = low / 2 + high / 2
+        # Outward: the middle is rounded, so the larger side counts, rounded up; then |ε| ≤ 1 covers the whole box.
         half = np.maximum(high - middle, middle - low) * (1 + ROUND)
         z = np.array([Taylor([{(): c}, {}, {}], slack) for c, slack in zip(middle.T, self.slack, strict=True)], object)
         for k in np.flatnonzero(self.free):
@@ -87,30 +114,32 @@ class TaylorEnclosure:
         self._good, self._blame = np.ones(len(low), bool), np.zeros(low.T.shape)
         with np.errstate(all="ignore"):
             try:
-                found = self._run(self.body, [z])[0]
+                result = self._run(self.body, [z])[0]
             except LoweringError as error:
                 raise ValueError(f"{error}") from error
-            return found if self.needs is None else np.array([[self._watched()]], object)
+            return result if self.needs is None else np.array([[self._watched()]], object)
 
     def kinks(self) -> np.ndarray:
-        """By how much each variable widens what was compared in choices that are open, on each of the last boxes."""
-        found = np.zeros(self._blame.shape)
+        """How much each variable widens the differences that keep choices open on the last B boxes (B, d)."""
+        result = np.zeros(self._blame.shape)
         for gap, is_open in open_choices:
             for part in gap.terms[1:]:
                 for m, t in part.items():
                     for k in m:
-                        found[k] += np.where(is_open & np.isfinite(t), abs(t) / gap.away, 0.0)
-        return found.T
+                        result[k] += np.where(is_open & np.isfinite(t), abs(t) / gap.away, 0.0)
+        return result.T
 
     def _watched(self) -> Taylor:
-        """1 on good boxes; on others 1 ± 2, by the variables to blame, or −1 where there are none to be told."""
+        """1 on good boxes; on others 1 ± 2, by the variables to blame, or −1 where there are none."""
         free = np.flatnonzero(self.free).tolist()
         shares = 2 * self._blame / np.where(self._good, 1.0, self._blame[free].sum(0)) * ~self._good
-        told = self._good | (shares[free].sum(0) > 1.5)  # False where sums overflow or nothing is to blame
-        return Taylor([{(): np.where(told, 1.0, -1.0)}, {(k,): np.where(told, shares[k], 0.0) for k in free}, {}], 0.0)
+        attributed = self._good | (shares[free].sum(0) > 1.5)  # False where sums overflow or nothing is to blame
+        return Taylor(
+            [{(): np.where(attributed, 1.0, -1.0)}, {(k,): np.where(attributed, shares[k], 0.0) for k in free}, {}], 0.0
+        )
 
     def _judge(self, holds: Any, *entries: Taylor) -> None:
-        """Note boxes on which a condition on some numbers does not hold, and of the first one what widens these."""
+        """Record boxes on which a condition on some numbers does not hold, and what widens those of the first."""
         lost = self._good & ~np.asarray(holds)
         if not lost.any():
             return
@@ -148,14 +177,14 @@ class TaylorEnclosure:
         return [read(atom) for atom in body.jaxpr.outvars]
 
     def _look(self, eqn: JaxprEquation, x: list) -> None:
-        """Note the boxes on which a primitive is undefined, has an argument that is not finite, or jumps."""
+        """Record the boxes on which a primitive is undefined, has an argument that is not finite, or jumps."""
         name = eqn.name
         need = (self.needs or {}).get(name)
         if name == "integer_pow" and eqn.params["y"] < 0:
             need = nonzero
         if name == "convert_element_type" and "select_n" in (self.needs or {}) and not is_real(eqn.invars[0]):
             need = settled  # a truth as a number is a choice between 0 and 1
-        if eqn.form is not None:  # its own equations are examined instead
+        if eqn.form is not None:  # the equations inside it are examined instead
             return
         for a, atom in zip(x, eqn.invars, strict=True):
             if is_real(atom) and name != "select_n" and name not in MOVES:
@@ -193,9 +222,10 @@ class TaylorEnclosure:
         if key not in self._places:
             starts = itertools.accumulate((a.size * real for a, real in pairs), initial=0)
             places = [np.arange(k, k + a.size).reshape(a.shape) for k, a in zip(starts, x, strict=False)]
-            given = [jnp.asarray(k if real else a) for k, (a, real) in zip(places, pairs, strict=True)]
+            operands = [jnp.asarray(k if real else a) for k, (a, real) in zip(places, pairs, strict=True)]
+            # JAX moves the numbers of the entries, integers that are exact in a double; the entries follow them.
             with jax.ensure_compile_time_eval():
-                out = eqn.primitive.bind(*given, **eqn.params)
+                out = eqn.primitive.bind(*operands, **eqn.params)
             self._places[key] = [np.asarray(o) for o in (out if eqn.primitive.multiple_results else [out])]
         entries = [a.ravel() for a, real in pairs if real]
         return [np.concatenate(entries)[o.astype(int)] for o in self._places[key]] if entries else self._places[key]

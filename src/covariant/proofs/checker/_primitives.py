@@ -62,6 +62,7 @@ ENTRIES: dict[str, Callable] = {
     "min": lambda a, b: choose(less(a, b), a, b),
     "clamp": lambda low, a, high: ENTRIES["min"](ENTRIES["max"](a, low), high),
     "abs": lambda a: choose(less(a, ZERO), -a, a),
+    # At zero the hull [−1, 1] holds both values and 0.
     "sign": lambda a: choose(less(a, ZERO), -ONE, ONE),
     "round": lambda a: floor(a + HALF),
     "floor": floor,
@@ -73,6 +74,12 @@ ENTRIES: dict[str, Callable] = {
 
 
 def nonzero(a: Taylor) -> Any:
+    """Whether a number differs from zero on all of each box (B,).
+
+    Args:
+        a: The number.
+    """
+    # `away` is rounded up, so a strict comparison shows that zero lies outside the range; NaN shows nothing.
     return abs(a.middle) > a.away
 
 
@@ -82,12 +89,22 @@ def _positive(a: Taylor) -> Any:
 
 def _between(a: Taylor) -> Any:
     """Whether the range, including its ends, contains no integer."""
+    # Rounding is monotone: an integer k in the exact range also lies between the rounded ends, and one that is an end
+    # itself fails the strict comparison. So no integer is missed.
     below = np.floor(a.middle - a.away)
     return (below < a.middle - a.away) & (np.floor(a.middle + a.away) == below)
 
 
 def settled(which: Any, *cases: Taylor) -> Any:
-    """Whether a truth is known, or the choice between two numbers that it makes does not jump."""
+    """Whether a truth is known, or the choice between two numbers that it makes does not jump.
+
+    Args:
+        which: The truth value.
+        *cases: The two numbers between which it chooses, or none.
+
+    Returns:
+        A mask (B,), or True where it is so on all boxes.
+    """
     if isinstance(which, bool | np.bool_) or (len(cases) == 2 and continuous(which, *cases)):
         return True
     return abs(which.middle - 0.5) > which.away
@@ -115,7 +132,15 @@ STAYS: dict[str, Callable] = {
 
 
 def each(function: Callable, *x: Any) -> np.ndarray:
-    """Apply a function entry by entry."""
+    """Apply a function entry by entry.
+
+    Args:
+        function: Function of as many numbers as there are arrays.
+        *x: Arrays, which are broadcast.
+
+    Returns:
+        Array of objects.
+    """
     return np.asarray(np.frompyfunc(function, len(x), 1)(*x), object)
 
 
@@ -159,16 +184,16 @@ def _scatter_add(p: dict, x: np.ndarray, indices: np.ndarray, updates: np.ndarra
 
     def placed(numbers: np.ndarray) -> np.ndarray:
         with jax.ensure_compile_time_eval():
-            given = jnp.zeros(x.shape), jnp.asarray(indices), jnp.asarray(numbers.reshape(updates.shape), float)
-            return np.asarray(jax.lax.scatter_add_p.bind(*given, **p)).ravel().astype(int)
+            operands = jnp.zeros(x.shape), jnp.asarray(indices), jnp.asarray(numbers.reshape(updates.shape), float)
+            return np.asarray(jax.lax.scatter_add_p.bind(*operands, **p)).ravel().astype(int)
 
     if placed(np.ones(updates.size, int)).max(initial=0) > 1:
         raise ValueError("'scatter-add' with several terms for one place is not known to the check")
-    found, terms = x.ravel().copy(), updates.ravel()
+    sums, terms = x.ravel().copy(), updates.ravel()
     for place, term in enumerate(placed(np.arange(1, updates.size + 1))):
         if term:
-            found[place] = found[place] + terms[term - 1]
-    return found.reshape(x.shape)
+            sums[place] = sums[place] + terms[term - 1]
+    return sums.reshape(x.shape)
 
 
 ARRAYS: dict[str, Callable] = {
@@ -197,6 +222,11 @@ MOVES = {
 
 
 def is_real(atom: Any) -> bool:
+    """Whether a variable or literal of a jaxpr holds real numbers.
+
+    Args:
+        atom: The variable or literal.
+    """
     return _is_floating(atom.aval.dtype)
 
 
@@ -206,11 +236,22 @@ def _is_floating(dtype: Any) -> bool:
 
 
 def unrolled(scan: Scan, x: list, run: Callable[[ClosedJaxpr, list], list], stack: Callable) -> list:
-    """The results of a scan with arguments x, with `run(body, arguments)` for each of its turns."""
+    """The results of a scan, one turn after the other.
+
+    Args:
+        scan: The scan.
+        x: Its arguments: fixed ones, carried ones, and arrays with a row for each turn.
+        run: Function `(body, arguments) -> results` of one turn.
+        stack: Function that makes an array of rows.
+
+    Returns:
+        The carried values after the last turn, then the stacked results of all turns.
+    """
     first, last = scan.fixed, scan.fixed + scan.carried
     carry, rows = x[first:last], []
+    # A reversed scan runs from the last row; its stacked results are in the order of the rows again.
     order = range(scan.length)[:: -1 if scan.reverse else 1]
     for i in order:
-        found = run(scan.body, [*x[:first], *carry, *(a[i] for a in x[last:])])
-        carry, rows = found[: scan.carried], [*rows, found[scan.carried :]]
+        results = run(scan.body, [*x[:first], *carry, *(a[i] for a in x[last:])])
+        carry, rows = results[: scan.carried], [*rows, results[scan.carried :]]
     return [*carry, *(stack(column) for column in zip(*rows[:: -1 if scan.reverse else 1], strict=True))]
