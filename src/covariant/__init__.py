@@ -1,7 +1,7 @@
 """covariant: intrinsic and contracting observers for mechanical systems.
 
 Importing it loads nothing heavy: a subpackage, such as `covariant.models`, is loaded on first use. From then on JAX
-works in double precision, and its compiled programs are kept in the user's cache folder (`COVARIANT_CACHE`).
+works in double precision, and its compiled programs are cached in the user's cache folder (`COVARIANT_CACHE`).
 """
 
 import importlib
@@ -43,7 +43,7 @@ if "jax" in sys.modules:
 keep_programs()
 
 VERBS = ("check", "certify", "compare", "estimate", "export", "fit", "simulate", "tune")
-"""Functions of `covariant.workflow` that are offered here too: from a model and a log to an answer."""
+"""Functions of `covariant.workflow` that are also available here: from a model and a log to a result."""
 
 __all__ = [
     "Record",

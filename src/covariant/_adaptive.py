@@ -1,4 +1,4 @@
-"""Adaptive integration by diffrax: to given stamps, or to where a condition holds."""
+"""Adaptive integration by diffrax: to stamps, or to where a condition holds."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -28,7 +28,7 @@ class _Steps(dfx.PIDController):
 
 
 def _size(x: Array) -> Array:
-    """Root of the mean square; infinite where that is not a number, which would shorten no step."""
+    """Root mean square; infinite where it is NaN, for which the step would not be shortened."""
     return jnp.nan_to_num(optx.rms_norm(x), nan=jnp.inf, posinf=jnp.inf)
 
 
@@ -43,7 +43,7 @@ class _Run(NamedTuple):
 def _run(
     slope: Callable[[Any, Array], Array], x0: Array, begin, end, shortest, *, rtol, atol, max_steps, event=None
 ) -> _Run:
-    """From x0 to `end`, to an event, or to where steps become shorter than `shortest`."""
+    """Integrate from x0 to `end`, to an event, or to where steps become shorter than `shortest`."""
     solution: Any = dfx.diffeqsolve(
         dfx.ODETerm(lambda t, x, _: slope(t, x)),
         dfx.Dopri8(),
@@ -64,10 +64,27 @@ def _run(
 def solve(
     flow: Flow, x0, ts: Float[Array, "T"], *, rtol: Number = 1e-10, atol: Number = 1e-12, max_steps: int = 200_000
 ):
-    """Integrate adaptively (Dormand–Prince 8) and return `x` at every stamp of `ts`, time first.
+    """Integrate adaptively (Dormand–Prince 8), and return the state at every stamp.
 
-    Steps end at the stamps. Where a solution escapes in finite time, or uses `max_steps` between two stamps, `x` is
-    infinite at the remaining stamps. Differentiable forward.
+    Steps end at the stamps. Differentiable forward.
+
+    Args:
+        flow: Vector field `(t, x) -> dx/dt`.
+        x0: State at the first stamp, a pytree of arrays.
+        ts: Stamps (T,).
+        rtol: Relative tolerance.
+        atol: Absolute tolerance.
+        max_steps: Largest number of steps between two stamps.
+
+    Returns:
+        The states, time first. Where a solution escapes in finite time, or uses `max_steps` between two stamps, the
+        states at the remaining stamps are infinite.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant._adaptive import solve
+        >>> solve(lambda t, x: x**2, jnp.ones(()), jnp.array([0.0, 0.5, 2.0])).round(6).tolist()
+        [1.0, 2.0, inf]
     """
     start, unravel = jax.flatten_util.ravel_pytree(x0)
     slope = flat(flow, unravel)
@@ -97,10 +114,21 @@ def solve_until(
     atol: Number,
     max_steps: int,
 ):
-    """Integrate adaptively (Dormand–Prince 8) from time 0 to the end of the first step where `stop(x)` holds, or to
-    where `border(x)` falls to zero.
+    """Integrate adaptively (Dormand–Prince 8) from time 0 to where a condition holds.
 
-    Returns (t, x) there, or after `max_steps` steps where neither happens.
+    The end is that of the first step where `stop` holds, or the point where `border` falls to zero.
+
+    Args:
+        flow: Vector field `(t, x) -> dx/dt`.
+        x0: Initial state, a pytree of arrays.
+        stop: `x -> ` whether the integration stops.
+        border: Function of x that is positive inside the domain; None for no border.
+        rtol: Relative tolerance.
+        atol: Absolute tolerance.
+        max_steps: Largest number of steps.
+
+    Returns:
+        Time and state at the end, or after `max_steps` steps where neither happens.
     """
     start, unravel = jax.flatten_util.ravel_pytree(x0)
     slope, zero, tiny = flat(flow, unravel), jnp.zeros((), start.dtype), jnp.finfo(start.dtype).tiny
@@ -113,7 +141,7 @@ def solve_until(
     run = _run(slope, start, zero, zero + jnp.inf, tiny, rtol=rtol, atol=atol, max_steps=max_steps, event=event)
     if border is None:
         return run.t, unravel(run.x)
-    # The last step again, in part: the interpolation within a step is a hundred times less accurate than its end.
+    # The last step is repeated in part: interpolation within a step is a hundred times less accurate than its end.
     t, x, (begin, before) = run
     across = (t != begin) & (ahead(x) <= 0)
 
@@ -129,15 +157,17 @@ def _root(function: Callable[[Array], Array], start: Array, wanted: Array) -> Ar
     end = jnp.ones((), start.dtype)
 
     def closer(carry):
-        a, at_a, b, at_b, tried = carry
+        a, at_a, b, at_b, count = carry
         c = b - at_b * (b - a) / (at_b - at_a)
         at_c = function(c)
         between = at_c * at_b < 0
-        return jnp.where(between, b, a), jnp.where(between, at_b, at_a / 2), c, at_c, tried + 1
+        # Halving the value at an end that stays (Illinois) keeps the secant from stalling on one side.
+        return jnp.where(between, b, a), jnp.where(between, at_b, at_a / 2), c, at_c, count + 1
 
     def going(carry):
-        *_, value, tried = carry
-        return wanted & (jnp.abs(value) > 1e-12 * start) & (tried < 50)
+        *_, value, count = carry
+        # Relative to the value at the start of the step, so that the scale of the border function has no influence.
+        return wanted & (jnp.abs(value) > 1e-12 * start) & (count < 50)
 
     first = jnp.zeros_like(end), start, end, function(end), jnp.zeros((), jnp.int32)
     return jax.lax.while_loop(going, closer, first)[2]

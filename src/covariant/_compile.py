@@ -1,4 +1,4 @@
-"""Shared libraries of C, compiled once by the system's compiler and kept in the user's cache folder."""
+"""Shared libraries of C, compiled once by the system's compiler and cached in the user's cache folder."""
 
 import functools
 import hashlib
@@ -29,7 +29,7 @@ EXACT = (
 )
 """Flags for C whose results are those of IEEE 754, operation by operation: none permits the compiler to change one.
 
-Products and sums are not contracted; those for errno, traps and whole numbers that wrap change no value of a double.
+Products and sums are not contracted; the flags for errno, traps and integers that wrap change no value of a double.
 """
 
 
@@ -46,59 +46,74 @@ FAST = (
 )
 """Flags for C of this very processor whose results may differ by roundings: a product and a sum may be one operation.
 
-The warning that is switched off tells of vectors as arguments of functions that other libraries call; there are none.
+The warning that is disabled concerns vectors as arguments of functions that other libraries call; there are none.
 """
 
 
 @functools.cache
 def compiler() -> str | None:
-    """The compiler named by the environment variable CC, or `cc`; None where it is not there."""
+    """Path of the compiler that the environment variable CC names, or of `cc`; None where there is none."""
     return shutil.which(os.environ.get("CC") or "cc")
 
 
 def compiled(source: str, flags: Sequence[str], load: Callable[[str], Library]) -> Library:
-    """What `load` makes of the path of a compiled source.
+    """Load a C source as a shared library, compiled first where it is not cached.
 
-    It is kept by the hash of the source, the flags, the compiler and, for code of this very processor, the processor.
-    With `COVARIANT_CACHE=off` it is compiled anew.
-    Raises `OSError` where it cannot be compiled.
+    The cache key is a hash of the source, the flags, the compiler and, for code of this very processor, the processor.
+    With `COVARIANT_CACHE=off` the source is compiled anew.
+
+    Args:
+        source: Text of the C file.
+        flags: Flags of the compiler, as `EXACT` or `FAST`.
+        load: Loads a shared library from its path.
+
+    Returns:
+        The result of `load`.
+
+    Raises:
+        OSError: The compiler does not accept the source.
     """
-    path = _kept(source, flags)
+    path = _cached_path(source, flags)
     if path is None:
-        # The file may go once it is loaded.
+        # The file may be removed once it is loaded.
         with tempfile.TemporaryDirectory() as place:
-            return load(str(_made(source, flags, Path(place) / "made.so")))
-    return load(str(path if path.exists() else _made(source, flags, path)))
+            return load(str(_compile(source, flags, Path(place) / "made.so")))
+    return load(str(path if path.exists() else _compile(source, flags, path)))
 
 
 def is_kept(source: str, flags: Sequence[str]) -> bool:
-    """Whether a source has been compiled before, so that it is only loaded."""
-    path = _kept(source, flags)
+    """Whether a source is compiled and cached, so that it is only loaded.
+
+    Args:
+        source: Text of the C file.
+        flags: Flags of the compiler.
+    """
+    path = _cached_path(source, flags)
     return path is not None and path.exists()
 
 
-def _kept(source: str, flags: Sequence[str]) -> Path | None:
+def _cached_path(source: str, flags: Sequence[str]) -> Path | None:
     machine = _processor() if "-march=native" in flags else ""
     key = hashlib.sha256("\n".join([source, *flags, _version(), machine]).encode()).hexdigest()[:32]
     folder = cache_folder()
     return None if folder is None else folder / f"{key}.so"
 
 
-def _made(source: str, flags: Sequence[str], path: Path) -> Path:
+def _compile(source: str, flags: Sequence[str], path: Path) -> Path:
     with tempfile.TemporaryDirectory(dir=path.parent) as place:
-        text, made = Path(place) / "source.c", Path(place) / "made.so"
+        text, library = Path(place) / "source.c", Path(place) / "made.so"
         text.write_text(source, encoding="utf-8")
-        command = [str(compiler()), *flags, str(text), "-o", str(made), "-lm"]
+        command = [str(compiler()), *flags, str(text), "-o", str(library), "-lm"]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         if done.returncode:
             raise OSError(f"{compiler()} does not compile a source of C: {done.stderr.strip()[:200]}")
-        os.replace(made, path)  # whole or not at all, whoever else makes it at the same time
+        os.replace(library, path)  # atomic, since other processes may write the same file at the same time
     return path
 
 
 @functools.cache
 def _processor() -> str:
-    """What the processor can do, since a home may be shared by machines that differ."""
+    """Features of the processor, part of the cache key since a home may be shared by machines that differ."""
     known = Path("/proc/cpuinfo")
     lines = known.read_text(encoding="utf-8").splitlines() if known.exists() else []
     return next((line for line in lines if line.lower().startswith(("flags", "features"))), platform.processor())
@@ -106,9 +121,9 @@ def _processor() -> str:
 
 @functools.cache
 def vector_bytes() -> int:
-    """The size of the vectors that the processor adds and multiplies at once."""
-    told = _processor().split()
-    return 64 if "avx512f" in told else 32 if "avx2" in told else 16
+    """Size [bytes] of the vectors that the processor adds and multiplies at once."""
+    features = _processor().split()
+    return 64 if "avx512f" in features else 32 if "avx2" in features else 16
 
 
 @functools.cache

@@ -1,4 +1,4 @@
-"""Atomic writing of files: a path holds the old file or the new one, and what a killed writer leaves is removed."""
+"""Atomic writing of files: a path holds the old file or the new one, and leftovers of killed writers are removed."""
 
 import contextlib
 import os
@@ -16,11 +16,24 @@ except ImportError:  # Windows: files cannot be locked there, and so nothing is 
 
 
 def write_atomically(path: str | os.PathLike[str], write: Callable[[BinaryIO], object]) -> Path:
-    """Let `write` fill a temporary file beside `path`, then rename it to `path`.
+    """Write a file atomically: into a temporary file beside it, which is then renamed.
 
-    Where `write` raises, `path` stays as it was. A writer that is killed leaves its temporary file, and the next writer
-    to the same path removes it. Raises `FileNotFoundError` where the folder does not exist, and whatever `write`
-    raises.
+    A writer that is killed leaves its temporary file, and the next writer to the same path removes it.
+
+    Args:
+        path: The file; its folder must exist.
+        write: Writes the content to an open binary file. Its exceptions pass on and leave the old file unchanged.
+
+    Returns:
+        The path.
+
+    Raises:
+        FileNotFoundError: The folder does not exist.
+
+    Example:
+        >>> from covariant._files import write_atomically
+        >>> write_atomically("note.txt", lambda file: file.write(b"done")).read_text()
+        'done'
     """
     path = Path(path)
     # A plain `open`, not `tempfile`, so that the file gets the permissions any other new file would.
@@ -35,10 +48,17 @@ def write_atomically(path: str | os.PathLike[str], write: Callable[[BinaryIO], o
 
 @contextlib.contextmanager
 def temporary(path: Path, make: Callable[[Path], object]) -> Iterator[Path]:
-    """A new file or folder beside `path`, created by `make`, to be renamed to `path`; it is removed at the end.
+    """Context of a new file or folder beside `path`, to be renamed to `path`; it is removed at the end.
 
-    Its writer holds a lock on it, which the system releases when the writer dies: so nobody removes that of a writer
-    that is still alive.
+    Its writer holds a lock on it, which the system releases when the writer dies, so that nobody removes the file of a
+    living writer.
+
+    Args:
+        path: The final path.
+        make: Creates the new file or folder at a path.
+
+    Yields:
+        Path of the new file or folder.
     """
     sweep(path)
     fresh, lock = _locked(path, make)
@@ -51,7 +71,11 @@ def temporary(path: Path, make: Callable[[Path], object]) -> Iterator[Path]:
 
 
 def sweep(path: Path) -> None:
-    """Remove the temporary files of `path` whose writers were killed; those of living writers stay."""
+    """Remove the temporary files of `path` whose writers were killed; those of living writers stay.
+
+    Args:
+        path: The final path of the writers.
+    """
     ours = re.compile(rf"\.{re.escape(path.name)}\.[0-9a-f]{{32}}\.tmp")
     with contextlib.suppress(OSError):
         for left in [other for other in path.parent.iterdir() if ours.fullmatch(other.name)]:
@@ -62,9 +86,12 @@ def sweep(path: Path) -> None:
 
 @contextlib.contextmanager
 def attended(folder: Path, tidy: Callable[[], object]) -> Iterator[None]:
-    """Hold a shared lock on a folder into which several processes may write.
+    """Context with a shared lock on a folder into which several processes may write.
 
-    `tidy` is called first where no other process holds the lock; none can call it until this one is done."""
+    Args:
+        folder: The folder.
+        tidy: Called first where no other process holds the lock; none can call it until this context ends.
+    """
     with _opened(folder) as lock:
         if _take(lock, "EX", wait=False):
             tidy()

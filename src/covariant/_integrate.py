@@ -1,7 +1,7 @@
 """Numerical integration by Runge–Kutta methods with fixed steps.
 
-The stages of a step run in a loop, so that the vector field is compiled once: half a second against several where it
-stands in the program fourteen times. Programs are compiled far more often here than they run for long.
+The stages of a step run in a loop, so that the vector field is compiled once: half a second against several where the
+program contains it fourteen times. Programs are compiled more often here than they run for long.
 """
 
 import functools
@@ -20,9 +20,15 @@ Flow = Callable[[Array, Any], Any]
 
 
 def compiled(function: Callable) -> Callable:
-    """The function compiled once for all floating-point numbers in its arguments, which are passed as arrays.
+    """Decorator that compiles a function once for all floating-point arguments, which are passed as arrays.
 
     For every other value in the arguments, such as an integer or a plain function, a separate program is compiled.
+
+    Args:
+        function: A function of pytrees.
+
+    Returns:
+        The compiled function, with the same arguments.
     """
     program = eqx.filter_jit(function)
 
@@ -39,7 +45,17 @@ def _as_array(leaf: Any) -> Any:
 
 
 def rk4_step(flow: Flow, t, x, dt):
-    """One classical Runge–Kutta step of fourth order."""
+    """One classical Runge–Kutta step of fourth order.
+
+    Args:
+        flow: Vector field `(t, x) -> dx/dt`.
+        t: Time at the start of the step.
+        x: State there, a pytree of arrays.
+        dt: Length of the step.
+
+    Returns:
+        The state at t + dt.
+    """
 
     real = jax.tree.leaves(x)[0].dtype
     ahead, weight = jnp.array([0.0, 0.5, 0.5, 1.0], real), jnp.array([1 / 6, 1 / 3, 1 / 3, 1 / 6], real)
@@ -54,21 +70,51 @@ def rk4_step(flow: Flow, t, x, dt):
 
 
 def rk4(flow: Flow, t, x, dt, steps):
-    """Advance `x` by `dt` in `steps` equal Runge–Kutta steps; `steps` is a Python int, or a traced integer."""
+    """Advance a state by classical Runge–Kutta steps of fourth order.
+
+    Args:
+        flow: Vector field `(t, x) -> dx/dt`.
+        t: Initial time.
+        x: Initial state, a pytree of arrays.
+        dt: Time by which it advances, all steps together.
+        steps: Number of equal steps, a Python int or a traced integer.
+
+    Returns:
+        The state at t + dt.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant._integrate import rk4
+        >>> round(float(rk4(lambda t, x: -x, jnp.zeros(()), jnp.ones(()), 1.0, 10)), 5)
+        0.36788
+    """
     real = jax.tree.leaves(x)[0].dtype
+    # A traced integer would not divide a real number where promotion of types is strict.
     h = dt / jnp.asarray(steps, real)
     once = jax.jit(flow)  # traced once, not at each of the four slopes
     return jax.lax.fori_loop(0, steps, lambda i, y: rk4_step(once, t + jnp.asarray(i, real) * h, y, h), x)
 
 
 def rk8(flow: Flow, t, x, dt, steps: int = 1):
-    """Advance `x` by `dt` in `steps` equal steps of Dormand and Prince's eighth-order method, for work offline."""
+    """Advance a state by steps of Dormand and Prince's eighth-order method, for work offline.
+
+    Args:
+        flow: Vector field `(t, x) -> dx/dt`.
+        t: Initial time.
+        x: Initial state, a pytree of arrays.
+        dt: Time by which it advances, all steps together.
+        steps: Number of equal steps.
+
+    Returns:
+        The state at t + dt.
+    """
     start, unravel = jax.flatten_util.ravel_pytree(x)
     slope, h = flat(flow, unravel), dt / steps
     a, b, c = (jnp.asarray(part, start.dtype) for part in dormand_prince())
 
     def step(i, x):
         def stage(j, k):
+            # Row j of A is zero from column j on, so that slopes not yet computed have no influence.
             return k.at[j].set(slope(t + (i + c[j]) * h, x + h * (a[j] @ k)))
 
         return x + h * (b @ jax.lax.fori_loop(0, len(b), stage, jnp.zeros((len(b), len(x)), x.dtype)))
@@ -78,9 +124,11 @@ def rk8(flow: Flow, t, x, dt, steps: int = 1):
 
 @functools.cache
 def dormand_prince() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Coefficients A (13, 13), the weights b (13,) of order eight, and the nodes c (13,).
+    """Coefficients of Dormand and Prince's eighth-order method.
 
-    Without the last of the fourteen stages, which only estimates the error of the following step.
+    Returns:
+        The matrix A (13, 13), the weights b (13,) of order eight, and the nodes c (13,). The last of the fourteen
+        stages, which only estimates the error of the following step, is left out.
     """
     import diffrax  # a quarter of a second, which only work offline has to wait
 
@@ -91,5 +139,13 @@ def dormand_prince() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def flat(flow: Flow, unravel: Callable[[Array], Any]) -> Callable[[Any, Array], Array]:
-    """The vector field of the state as one array, traced once by all that transforms it: most of the compile time."""
+    """Vector field of the state as one array, traced once by all that transforms it: most of the compile time.
+
+    Args:
+        flow: Vector field `(t, x) -> dx/dt` over a pytree.
+        unravel: Converts an array (n,) to the pytree, as from `ravel_pytree`.
+
+    Returns:
+        The vector field `(t, (n,)) -> (n,)`.
+    """
     return jax.jit(lambda t, x: jax.flatten_util.ravel_pytree(flow(t, unravel(x)))[0])

@@ -1,7 +1,7 @@
-"""Dense linear algebra for small symmetric matrices, written out.
+"""Dense linear algebra for small symmetric matrices, as explicit eliminations.
 
 LAPACK calls are slow under `vmap` on a CPU and cannot be exported, so the few factorisations a mechanical system of a
-dozen joints needs are written here over array slices, unrolled where they are short: static shapes, no pivoting, no
+dozen joints needs are implemented here over array slices, unrolled where they are short: static shapes, no pivoting, no
 branching.
 """
 
@@ -22,25 +22,37 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 def traced_once(function: Function) -> Function:
-    """The function, traced once for each shape wherever it stands, and one program where it is called by itself."""
+    """Decorator that traces a function once for each shape, and compiles it where it is called alone."""
     return cast(Function, jax.jit(function))
 
 
 class Pivot(NamedTuple):
-    """A step of the elimination: the pivot d (1, 1), and the column (k, 1) of L below its diagonal."""
+    """A step of the elimination.
+
+    Attributes:
+        d: The pivot (1, 1).
+        below: Column (k, 1) of L below its diagonal.
+    """
 
     d: Float[Array, "1 1"]
     below: Float[Array, "k 1"]
 
 
 WHOLE = 6
-"""The largest matrix whose elimination is written out for `solve`: somewhat faster, and far longer to compile."""
+"""Largest matrix whose elimination `solve` unrolls: somewhat faster, and far longer to compile."""
 BLOCK = 10
-"""Steps of the elimination of a larger one that are a loop over a matrix of one size."""
+"""Number of elimination steps of a larger matrix that are one loop over a matrix of fixed size."""
 
 
 def ldl(a: Matrix) -> list[Pivot]:
-    """Factor `a = L diag(d) Lᵀ` with a unit lower triangular L."""
+    """Factor `a = L diag(d) Lᵀ` with a unit lower triangular L, without pivoting.
+
+    Args:
+        a: Symmetric matrix (n, n) whose leading minors are not zero.
+
+    Returns:
+        The n steps of the elimination, first column first.
+    """
     steps, rest = [], a
     for _ in range(a.shape[0]):
         step, rest = _eliminated(rest)
@@ -49,7 +61,7 @@ def ldl(a: Matrix) -> list[Pivot]:
 
 
 def _eliminated(a: Matrix) -> tuple[Pivot, Float[Array, "k k"]]:
-    """The first step of the elimination of a, and what is left: a matrix smaller by one."""
+    """First step of the elimination of a, and the remaining Schur complement, a matrix smaller by one."""
     k = a.shape[0] - 1
     top, low = jax.lax.split(a, (1, k), 0)
     d, right = jax.lax.split(top, (1, k), 1)
@@ -59,10 +71,10 @@ def _eliminated(a: Matrix) -> tuple[Pivot, Float[Array, "k k"]]:
 
 
 MIRRORED = core.Primitive("mirrored")
-"""The first matrix, which is symmetric if the second is, as it stands.
+"""Identity on the first matrix, which is symmetric if the second is.
 
-In a graph of scalars, which shows entry by entry whether the second is, its lower triangle is the upper one: half of an
-elimination is not done.
+In a graph of scalars, which shows entry by entry whether the second is, the lower triangle is taken from the upper one,
+so that half of an elimination is skipped.
 """
 MIRRORED.def_impl(lambda matrix, _: matrix)
 MIRRORED.def_abstract_eval(lambda matrix, _: ShapedArray(matrix.shape, matrix.dtype))
@@ -83,24 +95,52 @@ batching.primitive_batchers[MIRRORED] = _mirrored_side_by_side
 
 @traced_once
 def pivots(a: Matrix) -> Vector:
-    """Pivots of `ldl`; by Sylvester's law of inertia as many are negative as `a` has negative eigenvalues."""
+    """Pivots of `ldl`; by Sylvester's law of inertia as many are negative as `a` has negative eigenvalues.
+
+    Args:
+        a: Symmetric matrix (n, n).
+
+    Returns:
+        The pivots (n,).
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant._linalg import pivots
+        >>> pivots(jnp.array([[2.0, 4.0], [4.0, 3.0]])).tolist()
+        [2.0, -5.0]
+    """
     return jnp.concatenate([step.d for step in ldl(a)])[:, 0]
 
 
 @traced_once
 def solve(a: Matrix, b: Float[Array, "n *k"]) -> Float[Array, "n *k"]:
-    """Solve `a x = b` for symmetric positive definite `a`; columns of a matrix `b` are solved together."""
+    """Solve `a x = b` for symmetric positive definite `a`.
+
+    Args:
+        a: Matrix (n, n).
+        b: Right side (n,) or (n, k), whose columns are solved together.
+
+    Returns:
+        The solution x, of the shape of b.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant._linalg import solve
+        >>> solve(jnp.diag(jnp.array([2.0, 4.0])), jnp.array([2.0, 2.0])).tolist()
+        [1.0, 0.5]
+    """
     return _solve(a, b)
 
 
 @jax.custom_jvp
 def _solve(a: Matrix, b: Float[Array, "n *k"]) -> Float[Array, "n *k"]:
     right = b.reshape(b.shape[0], -1)
-    return (_written_out if b.shape[0] <= WHOLE else _in_loops)(a, right).reshape(b.shape)
+    return (_unrolled if b.shape[0] <= WHOLE else _in_loops)(a, right).reshape(b.shape)
 
 
-def _written_out(a: Matrix, b: Float[Array, "n k"]) -> Float[Array, "n k"]:
+def _unrolled(a: Matrix, b: Float[Array, "n k"]) -> Float[Array, "n k"]:
     steps, x = ldl(a), b[:0]
+    # Back substitution starts at the last row.
     for step, row in zip(steps[::-1], _forward(steps, b)[::-1], strict=True):
         x = jnp.concatenate([_back(step, row, x), x])
     return x
@@ -109,9 +149,9 @@ def _written_out(a: Matrix, b: Float[Array, "n k"]) -> Float[Array, "n k"]:
 def _in_loops(a: Matrix, b: Float[Array, "n k"]) -> Float[Array, "n k"]:
     """The same steps in loops over blocks of them.
 
-    What grows smaller is filled up with zeros at the end. Rows of `b` that are done are put behind those that are not,
-    where these zeros meet them. Loops that are linear in `b` are apart from the others, and carry it: JAX transposes
-    no others.
+    Arrays that shrink are padded by zeros at the end. Rows of `b` that are done are moved behind those that are not,
+    where these zeros meet them. Loops that are linear in `b` are apart from the others, and carry it: JAX transposes no
+    others.
     """
 
     def shrink(rest, _):
@@ -125,22 +165,23 @@ def _in_loops(a: Matrix, b: Float[Array, "n k"]) -> Float[Array, "n k"]:
     def back(rows, step):
         return jnp.concatenate([_back(step, rows[-1:], rows[:-1]), rows[:-1]]), None
 
-    done, rest = [], a
+    factors, rest = [], a
     while rest.shape[0]:
         count = min(BLOCK, rest.shape[0])
         rest, steps = jax.lax.scan(shrink, rest, None, count)
+        # Each step has padded the matrix by a row and a column of zeros, which are cut off here.
         rest = rest[:-count, :-count]
         b, _ = jax.lax.scan(down, b, steps)
-        done.append((steps, b[-count:]))
+        factors.append((steps, b[-count:]))
         b = b[:-count]
     x = b
-    for steps, rows in done[::-1]:
+    for steps, rows in factors[::-1]:
         x, _ = jax.lax.scan(back, jnp.concatenate([x, rows]), steps, reverse=True)
     return x
 
 
 def _down(step: Pivot, b: Float[Array, "m k"]) -> tuple[Float[Array, "1 k"], Float[Array, "_ k"]]:
-    """A row of `L⁻¹ b`, and what the rows after it follow from."""
+    """A row of `L⁻¹ b`, and the right side of the rows after it."""
     top, low = jax.lax.split(b, (1, b.shape[0] - 1), 0)
     return top, low - step.below @ top
 
@@ -157,6 +198,7 @@ def _forward(steps: list[Pivot], b: Float[Array, "n k"]) -> list[Float[Array, "1
 def _back(step: Pivot, row: Float[Array, "1 k"], x: Float[Array, "m k"]) -> Float[Array, "1 k"]:
     """A row of the solution, from those after it."""
     known = step.below.T @ x
+    # Dividing here by d applies diag(d)⁻¹ between the forward and the backward substitution.
     return row / step.d - known
 
 
@@ -169,26 +211,58 @@ def _(primals, tangents):
 
 
 def solve_square(a: Matrix, b: Float[Array, "n *k"]) -> Float[Array, "n *k"]:
-    """`a⁻¹ b` for any invertible a, by the normal equations, which lose no accuracy where a is orthogonal."""
+    """Solve `a x = b` for any invertible a, by the normal equations, which lose no accuracy where a is orthogonal.
+
+    Args:
+        a: Matrix (n, n).
+        b: Right side (n,) or (n, k).
+
+    Returns:
+        The solution x, of the shape of b.
+    """
     return solve(a.T @ a, a.T @ b)
 
 
 @traced_once
 def half_solve(a: Matrix, b: Float[Array, "n k"]) -> Float[Array, "n k"]:
-    """`L⁻¹ b` for symmetric positive definite `a = L Lᵀ`: b in the basis in which a is the identity."""
+    """Solve `L x = b`, where `a = L Lᵀ`: b in the basis in which a is the identity.
+
+    Args:
+        a: Symmetric positive definite matrix (n, n).
+        b: Right side (n, k).
+
+    Returns:
+        `L⁻¹ b` (n, k).
+    """
     steps = ldl(a)
+    # The Cholesky factor is the unit lower triangular one times diag(√d), so each row is divided by √d as well.
     return jnp.concatenate([row / jnp.sqrt(step.d) for step, row in zip(steps, _forward(steps, b), strict=True)])
 
 
 @traced_once
 def whiten(a: Matrix, b: Matrix) -> Matrix:
-    """`L⁻¹ b L⁻ᵀ` for symmetric b and symmetric positive definite `a = L Lᵀ`: it has the eigenvalues of `a⁻¹ b`."""
+    """Whiten one symmetric matrix by another: `L⁻¹ b L⁻ᵀ` with `a = L Lᵀ`, which has the eigenvalues of `a⁻¹ b`.
+
+    Args:
+        a: Symmetric positive definite matrix (n, n).
+        b: Symmetric matrix (n, n).
+
+    Returns:
+        The whitened matrix (n, n).
+    """
     return half_solve(a, half_solve(a, b).T)
 
 
 @traced_once
 def cholesky(a: Matrix) -> Matrix:
-    """Lower triangular L with `a = L Lᵀ`, for symmetric positive definite a."""
+    """Cholesky factor: lower triangular L with `a = L Lᵀ`.
+
+    Args:
+        a: Symmetric positive definite matrix (n, n).
+
+    Returns:
+        The factor (n, n).
+    """
     columns = []
     for k, step in enumerate(ldl(a)):
         columns.append(
@@ -199,11 +273,19 @@ def cholesky(a: Matrix) -> Matrix:
 
 @traced_once
 def semidefinite_root(a: Matrix) -> Matrix:
-    """Lower triangular L with `a = L Lᵀ`, for symmetric a ≥ 0 that may be singular."""
+    """Cholesky factor of a matrix that may be singular: lower triangular L with `a = L Lᵀ`.
+
+    Args:
+        a: Symmetric positive semidefinite matrix (n, n).
+
+    Returns:
+        The factor (n, n), with a zero column for each pivot that is not positive.
+    """
     columns, rest = [], a
     for k in range(a.shape[0]):
-        known = rest[0, 0] > 0
-        column = jnp.where(known, rest[:, 0] / jnp.sqrt(jnp.where(known, rest[0, 0], 1.0)), 0.0)
+        positive = rest[0, 0] > 0
+        # In a ≥ 0 a pivot that is zero has a column of zeros. The inner `where` keeps derivatives finite there.
+        column = jnp.where(positive, rest[:, 0] / jnp.sqrt(jnp.where(positive, rest[0, 0], 1.0)), 0.0)
         columns.append(jnp.concatenate([jnp.zeros(k, a.dtype), column]))
         rest = rest[1:, 1:] - jnp.outer(column[1:], column[1:])
     return jnp.stack(columns, axis=1)
@@ -214,10 +296,17 @@ def triangular(a: Float[Array, "n k"]) -> Matrix:
     """Lower triangular L with `L Lᵀ = a aᵀ`: a square root of a covariance from a wide one, without squaring it.
 
     It uses Gram–Schmidt orthogonalisation of the rows, which may be linearly dependent.
+
+    Args:
+        a: Square root (n, k) of the covariance.
+
+    Returns:
+        The factor L (n, n).
     """
     columns, rest = [], a
     for k in range(a.shape[0]):
         length = jnp.sqrt(jnp.sum(rest[0] ** 2))
+        # A row that depends on those before it has length zero here, and a column of zeros in L.
         axis = rest[0] / jnp.where(length > 0, length, 1.0)
         below = rest @ axis
         columns.append(jnp.concatenate([jnp.zeros(k, a.dtype), below]))
@@ -226,5 +315,13 @@ def triangular(a: Float[Array, "n k"]) -> Matrix:
 
 
 def at_places(array: Inexact[Array, "..."], places: Int[np.ndarray, "*k"]) -> Inexact[Array, "*k"]:
-    """Entries of an array whose axes are counted as one, at places that are known and within it: a single operation."""
+    """Entries of an array at known indices within it, counted as if its axes were one: a single operation.
+
+    Args:
+        array: An array of any shape.
+        places: Indices into the flattened array, of any shape, not negative.
+
+    Returns:
+        The entries, of the shape of `places`.
+    """
     return array.reshape(-1).at[places].get(mode="promise_in_bounds", wrap_negative_indices=False)

@@ -11,7 +11,22 @@ _NUMBER = re.compile(NUMBER)
 
 
 def number(text: str) -> float:
-    """The number that a text holds, spaces around it allowed; raises `ValueError` where it holds anything else."""
+    """Decimal number in a text, with spaces around it allowed.
+
+    Args:
+        text: As "-1.5e3", "nan" or "inf".
+
+    Returns:
+        The number.
+
+    Raises:
+        ValueError: The text holds anything else.
+
+    Example:
+        >>> from covariant._numbers import number
+        >>> number(" 1.5e3 ")
+        1500.0
+    """
     plain = text.strip()
     if not _NUMBER.fullmatch(plain):
         raise ValueError(f"{text!r} is not a decimal number")
@@ -19,7 +34,22 @@ def number(text: str) -> float:
 
 
 def integer(text: str) -> int:
-    """The integer that a text holds, without point or exponent; raises `ValueError` where it holds anything else."""
+    """Integer in a text, without point or exponent, with spaces around it allowed.
+
+    Args:
+        text: As "-12".
+
+    Returns:
+        The integer.
+
+    Raises:
+        ValueError: The text holds anything else.
+
+    Example:
+        >>> from covariant._numbers import integer
+        >>> integer("12")
+        12
+    """
     plain = text.strip()
     if not re.fullmatch(r"[+-]?[0-9]+", plain):
         raise ValueError(f"{text!r} is not a whole number")

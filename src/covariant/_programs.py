@@ -1,6 +1,6 @@
-"""Compiled programs are kept from one process to the next, in the user's cache folder.
+"""Compiled programs are cached between processes, in the user's cache folder.
 
-JAX compiles a program in seconds and loads a stored one in milliseconds. `COVARIANT_CACHE=off` stores none, and
+JAX compiles a program in seconds and loads a cached one in milliseconds. `COVARIANT_CACHE=off` stores none, and
 `COVARIANT_CACHE=FOLDER` stores them in that folder. Where `JAX_COMPILATION_CACHE_DIR` is set, it is respected.
 """
 
@@ -15,21 +15,21 @@ from pathlib import Path
 from platformdirs import user_cache_path
 
 FATAL = "3"
-"""Lowest severity of the compiler's messages that are shown; errors in compilation raise exceptions as well."""
+"""Lowest severity of the compiler's messages that are printed; errors in compilation raise exceptions as well."""
 WORTH_KEEPING = "0.1"
 """Shortest compilation time [s] of a program that is stored."""
 UNUSED = 180 * 24 * 3600.0
-"""Time [s] after which a program that nobody has loaded is evicted: each version of a library leaves some behind."""
+"""Time [s] without use after which a program is evicted: each version of a library leaves some behind."""
 
 
 def keep_programs() -> None:
-    """Tell JAX, which reads its environment variables when it is imported, where to store its programs.
+    """Set the environment variables by which JAX, when it is imported, learns where to cache its programs.
 
     Does nothing where JAX has been imported before: then it is too late to suppress the notes that its compiler writes
     about each program it loads. Whoever imports JAX earlier sets these variables.
     """
-    taken = "jax" in sys.modules or "JAX_COMPILATION_CACHE_DIR" in os.environ
-    folder = None if taken else cache_folder()
+    decided = "jax" in sys.modules or "JAX_COMPILATION_CACHE_DIR" in os.environ
+    folder = None if decided else cache_folder()
     if folder is None:
         return
     os.environ["JAX_COMPILATION_CACHE_DIR"] = str(folder)
@@ -40,7 +40,13 @@ def keep_programs() -> None:
 
 
 def cache_folder() -> Path | None:
-    """A folder for this kind of processor, since a program may not run on another; None where none can be written."""
+    """Cache folder for this kind of processor, created where it is missing.
+
+    It is one per instruction set, since a program may not run on another processor.
+
+    Returns:
+        The folder; None where `COVARIANT_CACHE` is off or the folder cannot be written.
+    """
     chosen = os.environ.get("COVARIANT_CACHE", "")
     if chosen.lower() in ("off", "0", "no"):
         return None
@@ -53,7 +59,11 @@ def cache_folder() -> Path | None:
 
 
 def evict_unused(folder: Path) -> None:
-    """Remove the programs, of JAX and of ours, in a `cache_folder` that were neither written nor read for long."""
+    """Remove cached programs, of JAX and of this library, that were neither written nor read for `UNUSED` seconds.
+
+    Args:
+        folder: As from `cache_folder`.
+    """
     for file in folder.glob("*"):
         if file.name.endswith((".so", ".json", ".made", "-cache")):  # .made: of versions before this one
             with contextlib.suppress(OSError):  # another process was faster, or may

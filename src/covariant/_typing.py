@@ -25,7 +25,7 @@ Controller = Callable[[Array, Array, Any], Array]
 """`(t, y, estimate) -> u (m,)`: the input as a function of the measurement and of an observer's estimate."""
 
 Arithmetic = Literal["auto", "numpy", "c"]
-"""Who does interval arithmetic: compiled C where it pays, or always NumPy, or C."""
+"""Implementation of interval arithmetic: compiled C where it pays, or always NumPy, or always C."""
 
 Numbers = ArrayLike | Sequence[float] | Sequence[Sequence[float]] | Sequence[Sequence[Sequence[float]]]
-"""What a caller may give for an array of numbers; it is converted at once."""
+"""Types that are accepted for an array of numbers, which is converted at once."""

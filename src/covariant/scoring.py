@@ -9,16 +9,16 @@ from jaxtyping import Float, Int
 NumpyArray = np.ndarray
 
 CHUNK = 1000
-"""Number of windows fitted at once: enough for NumPy to be quick, in a few megabytes."""
+"""Number of windows fitted at once: enough for NumPy to be fast, in a few megabytes."""
 
 SAME = 10
-"""Decimal digits, in units of half a window, to which the stamps of two windows must agree to be taken as equal."""
+"""Decimal digits, in units of half a window, to which the stamps of two windows must agree to count as equal."""
 
 MOST_CONDITION = 1e6
-"""Largest condition of the normal equations of a window; a worse one is fitted by its singular values."""
+"""Largest condition number of the normal equations of a window; above it the window is fitted by singular values."""
 
 FARTHEST_TURN = 1.5
-"""A rotation vector is close to a polynomial in time up to this angle [rad]; a fast body gets a shorter window."""
+"""Largest angle [rad] in half a window, up to which a rotation vector is close to a polynomial in time."""
 
 
 def zero_phase_velocity(
@@ -28,12 +28,29 @@ def zero_phase_velocity(
     half: float = 0.03,
     order: int = 3,
 ) -> Float[NumpyArray, "K n"]:
-    """Slopes (K, n) at the stamps `at` [s] of local polynomials fitted to the positions, with tricube weights.
-
-    - `t` (T,) [s], `y` (T, n): stamps and positions. Missing positions (NaN) are left out, column by column.
-    - `half` [s], `order`: half width of each window, and degree of the polynomials.
+    """Velocities from recorded positions, as slopes of local polynomials with tricube weights.
 
     The windows include later samples, so this is for scoring only.
+
+    Args:
+        t: Stamps (T,) [s].
+        y: Positions (T, n). Missing ones (NaN) are left out, column by column.
+        at: Stamps (K,) [s] at which velocities are computed.
+        half: Half width of each window [s].
+        order: Degree of the polynomials.
+
+    Returns:
+        Velocities (K, n) [unit of the position/s].
+
+    Raises:
+        ValueError: There are fewer than `order` + 3 measurements.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.scoring import zero_phase_velocity
+        >>> t = np.linspace(0.0, 1.0, 101)
+        >>> zero_phase_velocity(t, t[:, None] ** 2, np.array([0.25, 0.5])).round(6).tolist()
+        [[0.5], [1.0]]
     """
     return _coefficients(t, y, at, half, order, slice(1, 2))[:, 0]
 
@@ -45,19 +62,37 @@ def local_polynomials(
     half: float = 0.03,
     order: int = 3,
 ) -> Float[NumpyArray, "K c n"]:
-    """The coefficients (K, order + 1, n) of the polynomials of `zero_phase_velocity`, in the time from each stamp `at`.
+    """Coefficients of local polynomials fitted to recorded positions, in the time since each stamp.
 
-    Coefficient c is the c-th derivative divided by c!.
+    Args:
+        t: Stamps (T,) [s].
+        y: Positions (T, n). Missing ones (NaN) are left out, column by column.
+        at: Stamps (K,) [s] at which polynomials are fitted.
+        half: Half width of each window [s].
+        order: Degree of the polynomials.
+
+    Returns:
+        Coefficients (K, order + 1, n); coefficient c is the c-th derivative divided by c!.
+
+    Raises:
+        ValueError: There are fewer than `order` + 3 measurements.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.scoring import local_polynomials
+        >>> t = np.linspace(0.0, 1.0, 101)
+        >>> abs(local_polynomials(t, t[:, None] ** 2, np.array([0.5]), order=2)[0, :, 0]).round(6).tolist()
+        [0.25, 1.0, 1.0]
     """
     return _coefficients(t, y, at, half, order, slice(int(order) + 1))
 
 
 def _coefficients(t, y, at, half, order, wanted: slice):
-    """The `wanted` coefficients (K, c, n) of the local polynomials."""
+    """Coefficients `wanted` (K, c, n) of the local polynomials."""
     y = np.asarray(y, float)
     measured = np.isfinite(y)
-    found = np.empty((len(at), len(range(int(order) + 1)[wanted]), y.shape[1]))
-    together: dict[bytes, list[int]] = {}  # columns that are measured in the same rows share their windows
+    result = np.empty((len(at), len(range(int(order) + 1)[wanted]), y.shape[1]))
+    together: dict[bytes, list[int]] = {}  # columns that are measured in the same rows have the same windows
     for column, rows in enumerate(measured.T):
         together.setdefault(rows.tobytes(), []).append(column)
     shared = _shared(t, measured, at, half, order) if len(together) > 1 else np.zeros(len(at), bool)
@@ -66,17 +101,17 @@ def _coefficients(t, y, at, half, order, wanted: slice):
     for columns, rows, stamps in [(every, measured.all(axis=1), shared), *asked]:
         if not stamps.any():
             continue
-        seen, part = y[rows].T[columns], np.empty((int(stamps.sum()), *found.shape[1:2], len(columns)))
+        seen, part = y[rows].T[columns], np.empty((int(stamps.sum()), *result.shape[1:2], len(columns)))
         for fit in _fits(t[rows], at[stamps], half, order):
             weights = fit.weights[fit.same, wanted]
             for k, positions in enumerate(seen):
                 part[fit.at, :, k] = np.einsum("kcw,kw->kc", weights, positions.take(fit.rows))
-        found[np.ix_(stamps, range(found.shape[1]), columns)] = part
-    return found
+        result[np.ix_(stamps, range(result.shape[1]), columns)] = part
+    return result
 
 
 def _shared(t, measured, at, half, order):
-    """The stamps (K,) whose windows are long enough and lack no measurement, and so are the same for all columns."""
+    """Mask (K,) of the stamps whose windows are complete and long enough, and so are the same for all columns."""
     reach = half * (1 + 1e-9)
     whole = measured.all(axis=1)
     inside, broken = (
@@ -94,12 +129,35 @@ def zero_phase_twist(
     order: int = 3,
     space: int = 3,
 ) -> Float[NumpyArray, "K n"]:
-    """Body velocities (K, n) at the stamps `at` [s] of recorded rotations (d, d) or poses (d + 1, d + 1), d = `space`.
+    """Body velocities from recorded rotations or poses, for scoring only.
 
-    As in `zero_phase_velocity`, local polynomials are fitted over ±`half` [s]: to the rotation vectors [rad] of the
-    motion relative to the body, and to the positions. The result is the angular velocity in the body frame; where there
-    is a position, the linear velocity, also in the body frame, comes before it. Missing matrices (any NaN) are left
-    out. A body must turn by less than half a turn in `order` + 3 samples.
+    As in `zero_phase_velocity`, local polynomials are fitted: to the rotation vectors [rad] of the motion relative to
+    the body, and to the positions. A body must turn by less than half a turn in `order` + 3 samples.
+
+    Args:
+        t: Stamps (T,) [s].
+        g: Rotations (T, d, d), or poses (T, d + 1, d + 1) with the position in the last column. Missing matrices (any
+            NaN) are left out.
+        at: Stamps (K,) [s] at which velocities are computed.
+        half: Half width of each window [s].
+        order: Degree of the polynomials.
+        space: Dimension d, 2 or 3.
+
+    Returns:
+        Angular velocity in the body frame (K, 3) [rad/s], or (K, 1) in the plane; where there is a position, the linear
+        velocity in the body frame (K, d) [m/s] comes before it.
+
+    Raises:
+        ValueError: There are fewer than `order` + 3 measurements.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.scoring import zero_phase_twist
+        >>> t = np.linspace(0.0, 1.0, 101)
+        >>> c, s = np.cos(t), np.sin(t)
+        >>> g = np.moveaxis(np.array([[c, -s], [s, c]]), 2, 0)
+        >>> zero_phase_twist(t, g, np.array([0.5]), space=2).round(6).tolist()
+        [[1.0]]
     """
     present = np.isfinite(g).all(axis=(1, 2))
     t, g = t[present], np.asarray(g, float)[present]
@@ -123,8 +181,8 @@ def _turning(t, rotation, at, half, order):
     half = min(half, FARTHEST_TURN / max(float(np.quantile(speed, 0.95)), 1e-9))
     attitude, turning = np.empty((len(at), 3, 3)), np.empty((len(at), 3))
     for fit in _fits(t, at, half, order):
-        near, measured = rotation[fit.nearest], rotation[fit.rows]
-        attitude[fit.at] = near @ _exp(_polynomial(fit, near, measured)[0])
+        nearest, measured = rotation[fit.nearest], rotation[fit.rows]
+        attitude[fit.at] = nearest @ _exp(_polynomial(fit, nearest, measured)[0])
         turning[fit.at] = _polynomial(fit, attitude[fit.at], measured)[1]  # at zero offset the slope is the velocity
     return attitude, turning
 
@@ -140,7 +198,8 @@ class _Fit(NamedTuple):
     - `rows` (k, w): indices of the measurements in each window.
     - `nearest` (k,): index of the measurement nearest to each stamp.
     - `weights` (j, order + 1, w): weights with which the measurements sum up to the coefficients, for the j windows
-      that differ; `same` (k,): which of these each window is equal to.
+      that differ.
+    - `same` (k,): index among these j of the window of each stamp.
     """
 
     at: slice
@@ -174,14 +233,14 @@ def _fits(t, at, half, order) -> Iterator[_Fit]:
 def _kinds(t, at, first, last, half):
     """Rows (K, 3) that are equal where windows are: spacing of the stamps, offset of the first, and their number.
 
-    A window whose stamps are not evenly spaced is of a kind of its own.
+    A window whose stamps are not evenly spaced gets a row of its own.
     """
     spacing = np.round(np.diff(t) / half, SAME)
     changes = np.concatenate([[0], np.cumsum(spacing[1:] != spacing[:-1])])
     even = changes[first] == changes[last - 2]
     offset = np.round((t[first] - at) / half, SAME)
-    own = np.column_stack([np.full(len(at), -1.0), np.arange(len(at)), np.zeros(len(at))])
-    return np.where(even[:, None], np.column_stack([spacing[first], offset, last - first]), own)
+    unique = np.column_stack([np.full(len(at), -1.0), np.arange(len(at)), np.zeros(len(at))])
+    return np.where(even[:, None], np.column_stack([spacing[first], offset, last - first]), unique)
 
 
 def _weights(t, at, rows, last, half, order):
@@ -190,8 +249,10 @@ def _weights(t, at, rows, last, half, order):
     s = np.where(inside, t[np.minimum(rows, len(t) - 1)] - at[:, None], 0.0)
     half_width = np.maximum(half, np.abs(s).max(axis=1))[:, None]
     s = s / half_width
-    near = np.maximum(1 - np.abs(s) * s * s, 0.0)
-    weight = inside * (near * np.sqrt(near) + 1e-6)
+    base = np.maximum(1 - np.abs(s) * s * s, 0.0)
+    # The weights multiply residuals that are squared, so this is the root of the tricube kernel (1 − |s|³)³. The small
+    # constant keeps the fit solvable where samples lie at the ends of the window.
+    weight = inside * (base * np.sqrt(base) + 1e-6)
     square = weight * weight
     moments = [square]
     for _ in range(2 * order):
@@ -210,11 +271,12 @@ def _weights(t, at, rows, last, half, order):
 def _inverses(matrices):
     """The inverses of matrices (j, c, c); NaN where half of the digits or more would be lost."""
     try:
-        found = np.linalg.inv(matrices)
+        inverse = np.linalg.inv(matrices)
     except np.linalg.LinAlgError:
         return np.full(matrices.shape, np.nan)
-    condition = np.prod([np.abs(each).sum(axis=1).max(axis=1) for each in (matrices, found)], axis=0)
-    return np.where((condition < MOST_CONDITION)[:, None, None], found, np.nan)
+    # Condition number in the 1-norm; above `MOST_CONDITION` the caller solves by singular values instead.
+    condition = np.prod([np.abs(each).sum(axis=1).max(axis=1) for each in (matrices, inverse)], axis=0)
+    return np.where((condition < MOST_CONDITION)[:, None, None], inverse, np.nan)
 
 
 def _between(a, b):
@@ -225,6 +287,7 @@ def _log(rotation):
     """Rotation vectors (..., 3) of rotations by less than half a turn."""
     skew = np.stack([rotation[..., i, j] - rotation[..., j, i] for i, j in ((2, 1), (0, 2), (1, 0))], axis=-1) / 2
     sine = np.linalg.norm(skew, axis=-1)
+    # arctan2 is accurate at small angles, where the arc cosine of the trace loses half of the digits.
     angle = np.arctan2(sine, (np.trace(rotation, axis1=-2, axis2=-1) - 1) / 2)
     return skew * np.where(sine > 0, angle / np.where(sine > 0, sine, 1.0), 1.0)[..., None]
 
@@ -235,11 +298,26 @@ def _exp(vector):
     x, y, z = np.moveaxis(vector, -1, 0)
     none = np.zeros_like(x)
     hat = np.moveaxis(np.array(((none, -z, y), (z, none, -x), (-y, x, none))), (0, 1), (-2, -1))
+    # sin(a)/a and (1 − cos a)/a² = ½ sinc²(a/2), without division by zero; `np.sinc(x)` is sin(πx)/(πx).
     return np.eye(3) + np.sinc(angle / np.pi) * hat + np.sinc(angle / (2 * np.pi)) ** 2 / 2 * hat @ hat
 
 
 def unwrap(y: Float[NumpyArray, "T n"], circles: tuple[int, ...]) -> Float[NumpyArray, "T n"]:
-    """The positions without the jumps of 2π in the columns that are angles on a circle; NaN stays."""
+    """Remove the jumps of 2π from the columns that are angles on a circle.
+
+    Args:
+        y: Positions (T, n); NaN stays.
+        circles: Indices of the columns that are angles [rad].
+
+    Returns:
+        A copy of the positions, continuous in these columns.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.scoring import unwrap
+        >>> unwrap(np.array([[3.0], [-3.0]]), (0,)).round(3).tolist()
+        [[3.0], [3.283]]
+    """
     y = np.array(y, float)
     for column in circles:
         present = np.isfinite(y[:, column])
@@ -248,15 +326,40 @@ def unwrap(y: Float[NumpyArray, "T n"], circles: tuple[int, ...]) -> Float[Numpy
 
 
 def scored_window(t: Float[NumpyArray, "T"], skip: float = 1.0, tail: float = 0.2) -> np.ndarray:
-    """Mask (T,) of the stamps that are scored: without the first `skip` [s], in which the observer settles, and without
-    the last `tail` [s], where the reference ends.
+    """Stamps at which estimates are scored, without the transient at the start and the end of the log.
 
-    A log too short for that is scored over its second half.
+    Args:
+        t: Stamps (T,) [s].
+        skip: Initial part [s] that is left out, in which the observer settles.
+        tail: Final part [s] that is left out, where the windows of the reference end.
+
+    Returns:
+        Mask (T,); where fewer than ten stamps remain, the second half of the log.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.scoring import scored_window
+        >>> int(scored_window(np.linspace(0.0, 2.0, 201)).sum())
+        79
     """
     mask = (t > t[0] + skip) & (t < t[-1] - tail)
     return mask if mask.sum() >= 10 else t >= (t[0] + t[-1]) / 2
 
 
 def rmse(estimate: Float[NumpyArray, "K n"], reference: Float[NumpyArray, "K n"]) -> Float[NumpyArray, "n"]:
-    """Root mean square error of each coordinate."""
+    """Root mean square error of each coordinate.
+
+    Args:
+        estimate: Estimates (K, n).
+        reference: True or reference values (K, n).
+
+    Returns:
+        Errors (n,), in the units of the coordinates.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.scoring import rmse
+        >>> rmse(np.array([[3.0, 0.0], [3.0, 1.0]]), np.zeros((2, 2))).round(3).tolist()
+        [3.0, 0.707]
+    """
     return np.sqrt(np.mean((np.asarray(estimate) - np.asarray(reference)) ** 2, axis=0))

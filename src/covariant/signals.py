@@ -1,4 +1,4 @@
-"""Data that pass between subpackages: a `Record` goes into an observer, a `Run` comes out."""
+"""Data that pass between subpackages: a `Record` is the input of an observer, a `Run` its output."""
 
 import enum
 from itertools import accumulate
@@ -9,7 +9,13 @@ from jaxtyping import Array, Float, Inexact
 
 
 class Result(enum.IntEnum):
-    """Outcome of a numerical step, as found in `info.result`; zero is good, and a larger code is worse."""
+    """Outcome of a numerical step, stored in `info.result`; zero is good, and a larger code is worse.
+
+    Example:
+        >>> from covariant import Result
+        >>> Result(1).name, Result.COASTED.message
+        ('COASTED', 'no measurement: the model ran on alone')
+    """
 
     OK = 0
     COASTED = 1
@@ -32,6 +38,7 @@ class Result(enum.IntEnum):
 
     @property
     def message(self) -> str:
+        """One line that says what happened and, where something can be done, the remedy."""
         return _MESSAGES[self]
 
 
@@ -59,9 +66,9 @@ _MESSAGES = {
 
 AnyArray = Array | np.ndarray
 LATEST_STAMP = 7.26e9
-"""The year 2200 in seconds since 1970: stamps beyond are in another unit."""
+"""The year 2200 in seconds since 1970 [s]: later stamps are in another unit."""
 COARSEST = 0.01
-"""Largest rounding of stamps, as a part of the step between rows: velocities are off by as much."""
+"""Largest rounding of stamps, as a fraction of the step between rows: velocities are wrong by the same fraction."""
 
 
 class _Fields(NamedTuple):
@@ -74,20 +81,21 @@ class _Fields(NamedTuple):
 class Record(_Fields):
     """A log, time first: stamps, inputs, measured positions, and the true state where it is known.
 
-    `covariant.logs.record` makes one of a file, a data frame or a dataset of xarray; `check` tests what a record must
+    `covariant.logs.record` reads one from a file, a data frame or a dataset of xarray; `check` tests what a record must
     satisfy.
 
     Args:
         t: Stamps (T,) [s].
         u: Inputs (T, m); None for a system without inputs, which is completed to (T, 0).
         y: Measured positions: coordinates (T, n), or group elements (T, N, N). NaN marks a missing measurement.
-        x: True state (T, 2n), or a `Motion` of the group.
+        x: True state (T, 2n), or a `Motion` of the group; None where it is unknown.
 
-    >>> import numpy as np
-    >>> from covariant.signals import Record
-    >>> t = np.linspace(0.0, 2.0, 201)
-    >>> Record(t, y=np.sin(t)[:, None])
-    <Record: 201 rows over 2 s, 1 position, no input>
+    Example:
+        >>> import numpy as np
+        >>> from covariant import Record
+        >>> t = np.linspace(0.0, 2.0, 201)
+        >>> Record(t, y=np.sin(t)[:, None])
+        <Record: 201 rows over 2 s, 1 position, no input>
     """
 
     __slots__ = ()
@@ -105,7 +113,21 @@ class Record(_Fields):
         return f"<Record: {_span(self.t)}, {positions}, {_count(np.shape(self.u)[1], 'input')}>"
 
     def check(self) -> "Record":
-        """Return the record, or raise `ValueError` naming the first thing wrong with it."""
+        """Check that the record is valid: real numbers of consistent shapes, and rising stamps in seconds.
+
+        Returns:
+            The record itself.
+
+        Raises:
+            ValueError: Names the first fault, with its row counted from 1.
+
+        Example:
+            >>> import numpy as np
+            >>> from covariant import Record
+            >>> Record([0.0, 0.2, 0.1], y=np.zeros((3, 1))).check()
+            Traceback (most recent call last):
+            ValueError: row 3: time goes back from 0.2 s to 0.1 s; sort or split the log
+        """
         t, u, y = (np.asarray(a) for a in (self.t, self.u, self.y))
         if self.y is None:
             raise ValueError("a record needs positions y (T, n) or (T, N, N); got none")
@@ -147,7 +169,19 @@ class Record(_Fields):
 
 
 def check_rounding(t: Float[np.ndarray, "T"]) -> None:
-    """Raise `ValueError` for rising stamps [s] in single precision whose rounding falsifies the steps between them."""
+    """Check that the rounding of stamps in single precision does not falsify the steps between them.
+
+    Args:
+        t: Rising stamps (T,) [s], in any floating-point type.
+
+    Raises:
+        ValueError: The rounding exceeds `COARSEST` of the median step.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.signals import check_rounding
+        >>> check_rounding(np.float32([0.0, 0.01, 0.02]))
+    """
     least, step = np.spacing(np.abs(t).max()), np.median(np.diff(t))
     if t.dtype.itemsize < 8 and least > COARSEST * step:
         raise ValueError(
@@ -157,9 +191,22 @@ def check_rounding(t: Float[np.ndarray, "T"]) -> None:
 
 
 class Run(NamedTuple):
-    """Result of an observer's pass over a record: stamps t (T,), the estimates, and the info, stacked along time.
+    """Result of an observer's pass over a record, stacked along time.
 
-    The estimates are (q, v) (T, 2n), or on a group a `Motion` of g (T, N, N) and v (T, n).
+    Attributes:
+        t: Stamps (T,) [s].
+        estimate: Estimates (q, v) (T, 2n); on a group a `Motion` of g (T, N, N) and v (T, n).
+        info: Diagnostics of the observer's steps, each field with a leading axis T.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import Record, observers
+        >>> t = np.linspace(0.0, 1.0, 11)
+        >>> run = observers.run(observers.FilteredDerivative(50.0), Record(t, y=2.0 * t[:, None]))
+        >>> run
+        <Run: 11 rows over 1 s, 11 ok>
+        >>> run.estimate[-1].round(1).tolist()
+        [2.0, 2.0]
     """
 
     t: Float[AnyArray, "T"]
@@ -183,7 +230,7 @@ def _span(t: Any) -> str:
 
 
 def _codes(result: Any) -> str:
-    """How often each code of a pass is found, the most frequent first."""
+    """Counts of the result codes of a pass, the most frequent first."""
     try:
         codes, counts = np.unique(np.asarray(result), return_counts=True)
     except TypeError:
@@ -197,30 +244,64 @@ def _count(number: int, word: str) -> str:
 
 
 def lag_inputs(record: Record, time_constant: float) -> Record:
-    """The record with its inputs passed through a causal first-order lag of `time_constant` [s]; 0 changes nothing.
+    """Pass the inputs of a record through a causal first-order lag.
 
     A motor follows its logged torque with a delay; such a lag, identified with the other parameters, models it.
+
+    Args:
+        record: A log with inputs u (T, m).
+        time_constant: Time constant of the lag [s]; 0 leaves the record unchanged.
+
+    Returns:
+        The record with lagged inputs, which start at the first logged input.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import Record
+        >>> from covariant.signals import lag_inputs
+        >>> record = Record(np.arange(3.0), u=np.array([[0.0], [1.0], [1.0]]), y=np.zeros((3, 1)))
+        >>> lag_inputs(record, 1.0).u.round(3).tolist()
+        [[0.0], [0.632], [0.865]]
     """
     if time_constant == 0:
         return record
-    keep = np.exp(-np.diff(np.asarray(record.t)) / time_constant).tolist()
+    decay = np.exp(-np.diff(np.asarray(record.t)) / time_constant).tolist()
 
     def lagged(column):
-        first, *later = column.tolist()  # Python's own numbers, one by one quicker than NumPy's
-        return list(accumulate(zip(keep, later, strict=True), lambda u, k: k[0] * u + (1 - k[0]) * k[1], initial=first))
+        first, *later = column.tolist()  # a recursion, for which Python's floats are quicker than NumPy's
+        return list(
+            accumulate(zip(decay, later, strict=True), lambda u, k: k[0] * u + (1 - k[0]) * k[1], initial=first)
+        )
 
     u = np.asarray(record.u, float)
     return record._replace(u=np.array([lagged(column) for column in u.T]).T.reshape(u.shape))
 
 
 def acting_inputs(record: Record, between: str = "held", delay: float = 0.0) -> Record:
-    """The record with each input the mean, from its stamp to the next, of what acts `delay` [s] after it is logged.
+    """Replace each input by the mean, over its interval, of the input that acts there after a delay.
 
-    - `between`: how the input goes from a stamp to the next: "held" at the former, or "linear" to the latter, which is
-      known when the step between them is made.
+    The interval of a row reaches from its stamp to the next. Before the first stamp the first input acts. With "held"
+    and without delay the record is unchanged.
 
-    Before the first stamp the first input acts. Held and without delay the record is as it was. Raises `ValueError`
-    for another word, and a delay that is not finite and ≥ 0.
+    Args:
+        record: A log with inputs u (T, m).
+        between: How the input goes from a stamp to the next: "held" at the former value, or "linear" to the latter,
+            which is known when the step between them is made.
+        delay: Time from the stamp of an input until it acts [s], 0 by default.
+
+    Returns:
+        The record with the mean inputs.
+
+    Raises:
+        ValueError: For another word, and for a delay that is not finite and ≥ 0.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import Record
+        >>> from covariant.signals import acting_inputs
+        >>> record = Record(np.arange(3.0), u=np.array([[0.0], [1.0], [1.0]]), y=np.zeros((3, 1)))
+        >>> acting_inputs(record, "linear").u.tolist(), acting_inputs(record, delay=0.5).u.tolist()
+        ([[0.5], [1.0], [1.0]], [[0.0], [0.5], [1.0]])
     """
     if between not in ("held", "linear"):
         raise ValueError(f"acting_inputs: between must be 'held' or 'linear'; got {between!r}")
@@ -234,6 +315,8 @@ def acting_inputs(record: Record, between: str = "held", delay: float = 0.0) -> 
     gathered = np.concatenate([np.zeros_like(u[:1]), np.cumsum((u[:-1] + rise / 2) * step[:, None], axis=0)])
     slope = np.concatenate([rise / step[:, None], np.zeros_like(u[:1])])
     edges = np.append(t, 2 * t[-1] - t[-2]) - delay
+    # A mean is the difference of the integral of the input at the edges. Before the first stamp `past` is negative:
+    # there the integral continues linearly, with the first input, and the slope does not count.
     k = np.maximum(np.searchsorted(t, edges, side="right") - 1, 0)
     past = (edges - t[k])[:, None]
     integral = gathered[k] + u[k] * past + slope[k] * np.maximum(past, 0.0) ** 2 / 2
@@ -241,13 +324,27 @@ def acting_inputs(record: Record, between: str = "held", delay: float = 0.0) -> 
 
 
 def read_together(record: Record, delay: Float[np.ndarray, "n"]) -> Record:
-    """The record with all coordinates as they were at one time: at the stamp less the largest of the delays [s].
+    """Align coordinates that are measured with different delays, at the stamp less the largest of the delays.
 
     Coordinate i of a row was true at t − delay[i]. Those that are less late are interpolated between their readings, by
-    cubics with the slopes of their neighbours, which takes up to a fifth off their noise. Where a reading beside is
-    missing they are missing too; rows at the start for which there is no reading yet are left out.
+    cubics with the slopes of their neighbours, which takes up to a fifth off their noise.
 
-    - `record`: positions (T, n) in coordinates, angles without jumps.
+    Args:
+        record: A log with positions (T, n) in coordinates, angles without jumps.
+        delay: Delay of each coordinate (n,) [s].
+
+    Returns:
+        The record with aligned positions, without a true state. An interpolated position is missing where a reading
+        beside it is; rows at the start for which there is no reading yet are left out.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import Record
+        >>> from covariant.signals import read_together
+        >>> t = np.arange(6.0)
+        >>> late = np.array([0.0, 0.5])
+        >>> read_together(Record(t, y=t[:, None] - late), late).y[0].tolist()
+        [0.5, 0.5]
     """
     t, y = np.asarray(record.t, float), np.array(record.y, float)
     later = np.max(delay) - np.asarray(delay, float)
@@ -262,7 +359,8 @@ def _between(t: np.ndarray, y: np.ndarray, at: np.ndarray) -> np.ndarray:
     slope = np.gradient(y, t)
     k = np.clip(np.searchsorted(t, at, side="right") - 1, 0, len(t) - 2)
     step = t[k + 1] - t[k]
+    # Cubic Hermite interpolation, with slopes by central differences.
     x = (at - t[k]) / step
-    found = (1 + 2 * x) * (1 - x) ** 2 * y[k] + x**2 * (3 - 2 * x) * y[k + 1]
-    found += step * x * (1 - x) * ((1 - x) * slope[k] - x * slope[k + 1])
-    return np.where(at < t[0], np.nan, found)
+    value = (1 + 2 * x) * (1 - x) ** 2 * y[k] + x**2 * (3 - 2 * x) * y[k + 1]
+    value += step * x * (1 - x) * ((1 - x) * slope[k] - x * slope[k + 1])
+    return np.where(at < t[0], np.nan, value)

@@ -14,29 +14,37 @@ from covariant.engine._kernel import Kernel, KernelForm
 
 
 class CBackend:
-    """Compiled C: it reads measurement `y` and input `u`, and writes the estimate `x`, in arrays at fixed addresses."""
+    """Compiled C on buffers at fixed addresses.
+
+    Attributes:
+        state: State of the observer, as a flat array.
+        y, u: Measurement and input that the next step reads, as flat arrays.
+        x, info: Estimate and info that a step writes, as flat arrays.
+        places: Buffers of the bytes of y and u.
+        advance: `dt -> code`: one step of dt [s], in place.
+    """
 
     def __init__(self, kernel: Kernel):
         states, estimates, infos = kernel.sizes
         sizes = (states, kernel.layout.u, int(np.prod(kernel.layout.y)), estimates, infos)
         self._numbers = np.zeros(sum(sizes))  # one array, so that a call passes one pointer
         self.state, self.u, self.y, self.x, self.info = np.split(self._numbers, np.cumsum(sizes)[:-1])
-        self._kernel = kernel  # it keeps the library loaded
+        self._kernel = kernel  # this reference keeps the library loaded
         self._t = np.zeros(1)
         self._starts = tuple(map(kernel.pointer, (self.y, self._t, self.state)))
         self.places: Any = tuple(kernel.ffi.buffer(kernel.pointer(a), a.nbytes) for a in (self.y, self.u))
-        """Where the bytes of a measurement and an input go: sooner written than arrays of NumPy."""
+        """Buffers of the bytes of a measurement and an input: quicker to write than arrays of NumPy."""
         self.advance = functools.partial(kernel.library.kernel_step, kernel.pointer(self._numbers))
         """One step of dt, in place; returns its result code."""
 
     def start(self, t: float) -> None:
-        """Start at y, at the time t."""
+        """Start the observer at rest at the measurement in `y`, at the time t [s], and write its estimate to `x`."""
         self._t[0] = t
         self._kernel.library.kernel_init(self._kernel.ffi.NULL, *self._starts)
-        before = self.u.copy()
+        u = self.u.copy()
         self.u.fill(0.0)
-        self.advance(0.0)  # a step of no length leaves the state as it is, and tells its estimate
-        self.u[:] = before
+        self.advance(0.0)  # a step of zero length leaves the state unchanged and writes its estimate
+        self.u[:] = u
 
 
 class JaxBackend:
@@ -53,12 +61,12 @@ class JaxBackend:
         self.x = np.array(self._estimate(observer, self._state))
 
     def start(self, t: float) -> None:
-        """Start at y, at the time t."""
+        """Start the observer at rest at the measurement in `y`, at the time t [s], and write its estimate to `x`."""
         self._state = self._begin(self._observer, jnp.asarray(self.y.reshape(self._shape)), jnp.asarray(t))
         self.x[:] = self._estimate(self._observer, self._state)
 
     def advance(self, dt: float) -> int:
-        """One step; returns its result code."""
+        """Do one step of dt [s] with the measurement in `y` and the input in `u`; returns its result code."""
         y = jnp.asarray(self.y.reshape(self._shape))
         self._state, x, code = self._step(self._observer, self._state, jnp.asarray(self.u), y, jnp.asarray(dt))
         self.x[:] = x
@@ -75,6 +83,16 @@ def _flat(x: Any) -> Any:
 
 
 def backend(observer: Any, y: np.ndarray, inputs: int, asked: EngineName) -> tuple[str, CBackend | JaxBackend]:
-    """The name of the engine for a stream of an observer, with the reason where it is not C, and its backend."""
+    """Engine and backend for a stream of an observer.
+
+    Args:
+        observer: Any observer.
+        y: A measurement (n,) or (N, N), of which only the shape counts.
+        inputs: Number of inputs m.
+        asked: "auto", "c" or "jax".
+
+    Returns:
+        The name of the engine, with the reason where it is not C, and its backend.
+    """
     chosen = choose(observer, KernelForm(y.shape, inputs), math.inf, asked)  # a stream has no last row
     return str(chosen), JaxBackend(observer, y, inputs) if chosen.kernel is None else CBackend(chosen.kernel)

@@ -1,8 +1,8 @@
-"""Generated C is kept in the cache folder from one process to the next, keyed by what the observer computes.
+"""Generated C is cached on disk between processes, keyed by what the observer computes.
 
-The key is a hash of the traced observer (`lowering.fingerprint`), which takes a part of the time that its C takes to
-write: it holds every operation and every constant, so it is the same for equal observers of library models, of model
-files and of a user's own functions, and another one as soon as any of them computes something else.
+The key is a hash of the traced observer (`lowering.fingerprint`), which is quicker to compute than the C: it covers
+every operation and every constant, so it is the same for equal observers of library models, of model files and of a
+user's functions, and differs as soon as any of them computes something else.
 """
 
 import contextlib
@@ -22,11 +22,20 @@ PACKAGES = ("jax", "jaxlib", "numpy")
 _ROOT = Path(__file__).parents[1]
 _WRITERS = sorted([*_ROOT.glob("lowering/*.py"), *_ROOT.glob("codegen/_program.py"), *_ROOT.glob("engine/*.py")])
 WRITTEN_BY = hashlib.sha256(b"\n".join(path.read_bytes() for path in _WRITERS)).hexdigest()
-"""A hash of the files that write the C: a finer version of this library, for those who work on it."""
+"""A hash of the files that write the C, so that a change of any of them invalidates the cache."""
 
 
 def cache_key(traced: TracedProgram, lanes: int) -> str | None:
-    """What the text of a traced observer is kept under; None where there is no cache, or it has no fingerprint."""
+    """Cache key of the C text of a traced observer.
+
+    Args:
+        traced: The observer, traced by `codegen.trace_program`.
+        lanes: Number of runs that the compiled observer does at once.
+
+    Returns:
+        A hash of its operations and constants, of the packages and files that write the text, and of the lanes. None
+        where there is no cache folder, or the observer has no fingerprint.
+    """
     if cache_folder() is None:
         return None
     functions = (traced.init.jaxpr, traced.step.jaxpr, traced.estimate.jaxpr)
@@ -36,36 +45,45 @@ def cache_key(traced: TracedProgram, lanes: int) -> str | None:
 
 
 def result_index(traced: TracedProgram) -> int:
-    """Where the result code is among the numbers of an info."""
+    """Index of the result code among the numbers of an info, counted over the flattened info of `traced`."""
     return [leaf.name for leaf in traced.info for _ in range(leaf.size)].index("result")
 
 
 def cached_text(key: str | None, write: Callable[[], str]) -> str:
-    """The text that `write` wrote under a key before, in this process or an earlier one, or what it writes now.
+    """C text under a cache key, written now where it is not cached.
 
-    A `LoweringError`, which takes as long to find, is kept as well, and raised again.
+    Args:
+        key: As from `cache_key`; with None nothing is cached.
+        write: Function that writes the text.
+
+    Returns:
+        The cached text, of this process or an earlier one, or the result of `write`.
+
+    Raises:
+        LoweringError: `write` raised it, now or earlier: the refusal takes as long to compute, so it is cached too.
     """
     folder = cache_folder()
     if folder is None or key is None:
         return write()
-    place = folder / f"{key[:32]}.json"
-    entry = _read(place)
+    path = folder / f"{key[:32]}.json"
+    entry = _read(path)
     if entry is None:
         entry = _written_or_refused(write)
         with contextlib.suppress(OSError):  # such as a full disk
-            write_atomically(place, lambda file: file.write(json.dumps(entry).encode()))
+            write_atomically(path, lambda file: file.write(json.dumps(entry).encode()))
             evict_unused(folder)
     if "refused" in entry:
         raise LoweringError(entry["refused"])
     return entry["c"]
 
 
-def _read(place: Path) -> dict[str, str] | None:
+def _read(path: Path) -> dict[str, str] | None:
     """An entry; None where there is none, or the file was cut short."""
     try:
-        entry = json.loads(place.read_bytes())
+        entry = json.loads(path.read_bytes())
     except (OSError, ValueError):
         return None
+    # A file of an older layout, or one that another program wrote, counts as absent.
     valid = isinstance(entry, dict) and len(entry) == 1 and isinstance(entry.get("c", entry.get("refused")), str)
     return entry if valid else None
 

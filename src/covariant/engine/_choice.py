@@ -9,13 +9,23 @@ from covariant.observers import AbstractObserver
 
 EngineName = Literal["auto", "c", "jax"]
 FEWEST_ROWS = 100_000
-"""Fewest rows for which C is worth its compilation although nothing is kept of it."""
+"""Fewest rows for which compilation in C pays even where the compiled observer is not cached."""
 
 
 class Engine(NamedTuple):
-    """What computes, and why in one line; as text "c", or "jax" with the reason.
+    """The engine that runs an observer, with the reason for it; as text "c", or "jax: " with the reason.
 
-    - `kernel`: the compiled observer where the engine is C.
+    Attributes:
+        name: "c" or "jax".
+        reason: One line that says why.
+        kernel: The compiled observer where the engine is C, otherwise None.
+
+    Example:
+        >>> from covariant import engine, observers
+        >>> form = engine.KernelForm((2,), 0)
+        >>> chosen = engine.choose(observers.FilteredDerivative(50.0), form, 1000, "jax")
+        >>> chosen.name, str(chosen)
+        ('jax', 'jax: as asked')
     """
 
     name: Literal["c", "jax"]
@@ -27,16 +37,28 @@ class Engine(NamedTuple):
 
 
 def choose(observer: AbstractObserver, form: KernelForm, rows: int | float, asked: EngineName = "auto") -> Engine:
-    """The engine for an observer.
+    """Choose the engine that runs an observer: compiled C where that is possible and pays, JAX otherwise.
 
-    - `form`: the shape of its measurements, its inputs, which of its arrays are arguments, and the lanes.
-    - `rows`: how many rows it will run over, all runs together; infinite for a stream.
-    - `asked`: "c" and "auto" take C where they can, "jax" never does.
+    C needs a compiler and `cffi`, an observer that is a graph of scalars, and a compiler that accepts its text. With
+    "auto" the compilation must also pay: the compiled observer is cached for later processes, or there are
+    `FEWEST_ROWS` rows. Both engines compute in double precision and agree up to rounding.
 
-    The rule: C, where there is a compiler and `cffi`, where the observer has a graph of scalars and the compiler takes
-    its text, and, for "auto", where the compilation pays: the compiled observer is kept for later processes, or there
-    are `FEWEST_ROWS` rows. JAX otherwise. Both compute in double precision and give the same to rounding. Raises
-    `ValueError` for an unknown engine.
+    Args:
+        observer: Any observer.
+        form: Shape of its measurements, number of its inputs, which of its arrays are arguments, and number of lanes.
+        rows: Number of rows it will run over, all runs together; infinite for a stream.
+        asked: "c" and "auto" take C where they can, "jax" never does.
+
+    Returns:
+        The engine, with the reason where it is JAX.
+
+    Raises:
+        ValueError: For an unknown engine.
+
+    Example:
+        >>> from covariant import engine, observers
+        >>> engine.choose(observers.FilteredDerivative(50.0), engine.KernelForm((2,), 0), 10, "jax").reason
+        'as asked'
     """
     if asked not in get_args(EngineName):
         raise ValueError(f"engine must be one of {', '.join(get_args(EngineName))}; got {asked!r}")
@@ -48,12 +70,14 @@ def choose(observer: AbstractObserver, form: KernelForm, rows: int | float, aske
     if not form.real:
         return Engine("jax", "measurements are complex numbers")
     pays = asked == "c" or rows >= FEWEST_ROWS
-    short = Engine("jax", f"fewer than {FEWEST_ROWS} rows, and compiled C would not be kept")
+    uncached = Engine("jax", f"fewer than {FEWEST_ROWS} rows, and compiled C would not be kept")
+    # Checked before tracing, which takes long for a robot.
     if not pays and cache_folder() is None:
-        return short
+        return uncached
     traced = prepared(observer, form)
+    # Without a key no later process could load the compiled observer.
     if not pays and traced.key is None:
-        return short
+        return uncached
     try:
         return Engine("c", "as asked" if asked == "c" else "many rows" if pays else "it is kept", traced.kernel)
     except NoKernelError as error:

@@ -8,7 +8,7 @@ from covariant._compile import FAST, compiled, compiler
 
 @functools.cache
 def missing() -> str | None:
-    """A line that says what C needs and does not find, or None where it is all there."""
+    """What compiled C lacks on this machine, in one line for messages; None where compiler and `cffi` are present."""
     if compiler() is None:
         return "there is no C compiler `cc`, so JAX does the work"
     try:
@@ -19,7 +19,18 @@ def missing() -> str | None:
 
 
 def library(source: str, declarations: str) -> tuple[Any, Any]:
-    """A source compiled: the `cffi.FFI` and the library. Raises `OSError` where it cannot be compiled."""
+    """Compile a C source and load it.
+
+    Args:
+        source: Text of the C file.
+        declarations: C declarations of the functions to call, as `cffi.FFI.cdef` reads them.
+
+    Returns:
+        The `cffi.FFI` and the loaded library.
+
+    Raises:
+        OSError: The compiler does not accept the source.
+    """
     import cffi
 
     ffi = cffi.FFI()

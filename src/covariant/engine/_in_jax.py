@@ -19,22 +19,32 @@ REALS: dict[Any, Literal["double", "float"]] = {np.dtype(np.float64): "double", 
 
 
 def compiled(function: Callable, *arguments: Any) -> Callable:
-    """A function as compiled C, to be called in place of it under `jax.jit` and `jax.vmap`; a batch fills lanes.
-
-    - `arguments`: pytrees of arrays of one real type, or of their shapes (`jax.ShapeDtypeStruct`), at which it is
-      compiled. It is called with arrays of these shapes; `jax.vmap` adds axes.
+    """Compile a function in C, for calls from `jax.jit` and `jax.vmap`; a batch fills the lanes of vectors.
 
     The results are those of the function up to rounding; errors at run time (`equinox.error_if`) are left out. It has
-    no derivative. Raises `ValueError` for arguments of another shape or type, `LoweringError` where the function has
-    no graph, and `OSError` where there is no C compiler.
+    no derivative.
+
+    Args:
+        function: A function of pytrees of arrays that is a graph of scalars.
+        *arguments: Pytrees of arrays of one real type, float64 or float32, or of their shapes (`jax.ShapeDtypeStruct`),
+            for which it is compiled.
+
+    Returns:
+        A function that is called with arrays of these shapes and this type; `jax.vmap` adds axes. Other arguments raise
+        `ValueError`.
+
+    Raises:
+        ValueError: The arguments are of another type, of several types, or there is no number in arguments or results.
+        LoweringError: The function is no graph of scalars.
+        OSError: There is no C compiler.
     """
     if compiler() is None:
         raise OSError("there is no C compiler `cc`: install one, or call the function itself under jax.jit")
-    shapes, kinds = _shapes(arguments), _told(arguments)
+    shapes, kinds = _shapes(arguments), _described(arguments)
     types = {leaf.dtype for leaf in jax.tree.leaves(shapes)}
     if len(types) != 1 or not types <= set(REALS):
-        told = ", ".join(sorted(map(str, types))) or "none"
-        raise ValueError(f"compiled: the arguments must be float64 or float32, all of them one; got {told}")
+        names = ", ".join(sorted(map(str, types))) or "none"
+        raise ValueError(f"compiled: the arguments must be float64 or float32, all of them one; got {names}")
     (dtype,) = types
     lowered = lower(function, *shapes, loops="any")
     if not lowered.inputs * len(lowered.outputs):
@@ -42,10 +52,10 @@ def compiled(function: Callable, *arguments: Any) -> Callable:
     rows_of = _rows(_registered(lowered, REALS[dtype]), len(lowered.outputs), getattr(function, "__name__", "function"))
 
     @functools.wraps(function)
-    def call(*given: Any) -> Any:
-        if _told(given) != kinds:
-            raise ValueError(f"compiled: the arguments are {_told(given)}; it was compiled for {kinds}")
-        row = rows_of(jnp.concatenate([jnp.ravel(leaf) for leaf in jax.tree.leaves(given)]))
+    def call(*values: Any) -> Any:
+        if _described(values) != kinds:
+            raise ValueError(f"compiled: the arguments are {_described(values)}; it was compiled for {kinds}")
+        row = rows_of(jnp.concatenate([jnp.ravel(leaf) for leaf in jax.tree.leaves(values)]))
         ends = np.cumsum([leaf.size for leaf in lowered.results])[:-1].tolist()
         parts = zip(jnp.split(row, ends), lowered.results, strict=True)
         return jax.tree.unflatten(lowered.tree, [part.reshape(r.shape).astype(r.dtype) for part, r in parts])
@@ -57,7 +67,7 @@ def _shapes(arguments: Any) -> Any:
     return jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(jnp.shape(leaf), jnp.result_type(leaf)), arguments)
 
 
-def _told(arguments: Any) -> str:
+def _described(arguments: Any) -> str:
     """The types, shapes and structure of arguments."""
     return str(jax.tree.map(lambda leaf: f"{leaf.dtype}{list(leaf.shape)}", _shapes(arguments))).replace("'", "")
 
@@ -68,6 +78,7 @@ def _rows(target: str, width: int, name: str) -> Callable:
     @jax.custom_jvp
     def rows_of(rows):
         shape = jax.ShapeDtypeStruct((*rows.shape[:-1], width), rows.dtype)
+        # With all batch axes in front, the rows of the whole batch are contiguous, and C runs over them in one loop.
         return jax.ffi.ffi_call(target, shape, vmap_method="broadcast_all")(rows)
 
     @rows_of.defjvp
@@ -78,18 +89,19 @@ def _rows(target: str, width: int, name: str) -> Callable:
 
 
 def _registered(lowered: Lowered, real: Literal["double", "float"]) -> str:
-    """The name under which XLA finds the compiled function."""
+    """Register the compiled function with XLA, and return the name of the target."""
     lanes = vector_bytes() // {"double": 8, "float": 4}[real]
-    given = {"rows": c_rows(lowered, "rows", lanes, real), "real": real, "version": version("jaxlib")}
-    return _loaded(Template(_SOURCE).substitute(given))
+    # The version is in the text, so that another release, with other headers, gets another library.
+    parts = {"rows": c_rows(lowered, "rows", lanes, real), "real": real, "version": version("jaxlib")}
+    return _loaded(Template(_SOURCE).substitute(parts))
 
 
 @functools.cache
 def _loaded(source: str) -> str:
     name = f"covariant_{hashlib.sha256(source.encode()).hexdigest()[:32]}"
-    made = load(source, (*FAST, f"-I{jax.ffi.include_dir()}"), ctypes.CDLL)
-    jax.ffi.register_ffi_target(name, jax.ffi.pycapsule(made.call), platform="cpu")
-    _LOADED.append(made)
+    library = load(source, (*FAST, f"-I{jax.ffi.include_dir()}"), ctypes.CDLL)
+    jax.ffi.register_ffi_target(name, jax.ffi.pycapsule(library.call), platform="cpu")
+    _LOADED.append(library)
     return name
 
 

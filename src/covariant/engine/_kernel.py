@@ -23,17 +23,23 @@ DECLARED_STEP = "int kernel_step(double *numbers, double dt);"
 
 
 class Kernel(NamedTuple):
-    """A compiled observer, for so many runs at once as it has lanes.
+    """A compiled observer, which advances as many runs at once as it has lanes.
 
-    - `layout`: what its numbers are.
-    - `library.kernel_init(open, y, t, state)`: the states at rest at a measurement; `open` are the open numbers one
-      after another. Of several lanes each number is a row, with an entry for each lane.
-    - `library.kernel_run(open, state, rows, logs, kept, count, found)`: advance the states in place, over as many rows
-      as each lane has. For each lane `logs` holds the pointers to its inputs, measurements and time steps, and `found`
-      those to its estimates and to the `count` columns `kept` of its infos.
-    - `library.kernel_step(numbers, dt)`: one step on an array of state, input, measurement, estimate and info, in this
-      order, for an observer without open numbers and with one lane; returns the result code.
-    - `pointer`: the pointer to an array.
+    The functions of `library` are
+
+    - `kernel_init(open, y, t, state)`: states at rest at a measurement; `open` are the open numbers one after another.
+      With several lanes each number is a row, with an entry for each lane.
+    - `kernel_run(open, state, rows, logs, kept, count, found)`: advance the states in place, over as many rows as each
+      lane has. For each lane `logs` holds the pointers to its inputs, measurements and time steps, and `found` those to
+      its estimates and to the `count` columns `kept` of its infos.
+    - `kernel_step(numbers, dt)`: one step on an array of state, input, measurement, estimate and info, in this order,
+      for an observer without open numbers and with one lane; returns the result code.
+
+    Attributes:
+        layout: Sizes and shapes of its numbers.
+        ffi: The `cffi.FFI` of the library.
+        library: The loaded library.
+        lanes: Number of runs done at once.
     """
 
     layout: "Layout"
@@ -43,29 +49,37 @@ class Kernel(NamedTuple):
 
     @property
     def sizes(self) -> tuple[int, int, int]:
-        """Numbers of a state, an estimate and an info."""
+        """Counts of numbers in a state, an estimate and an info."""
         return self.layout.sizes
 
     def pointer(self, array: np.ndarray) -> Any:
-        """The pointer to a contiguous array of doubles, which must live as long as the pointer is used."""
+        """Pointer to a contiguous array of doubles, which must live as long as the pointer is used."""
         return self.ffi.cast("double *", array.ctypes.data)
 
     def pointers(self, arrays: Sequence[np.ndarray]) -> Any:
-        """The pointers to several such arrays, one after another."""
+        """C array of the pointers to several contiguous arrays of doubles, which must live as long as it is used."""
         return self.ffi.new("double *[]", [self.pointer(array) for array in arrays])
 
 
 class NoKernelError(Exception):
-    """There is no compiled observer; the message says why."""
+    """Error that there is no compiled observer; the message says why."""
 
 
 class KernelForm(NamedTuple):
-    """What a kernel is for.
+    """What a compiled observer is compiled for.
 
-    - `y`: the shape of a measurement; `inputs`: how many inputs there are.
-    - `opened`: which of the observer's arrays of real numbers, counted as leaves of its pytree, are arguments.
-    - `lanes`: how many runs it does at once.
-    - `real`: whether measurements are real numbers.
+    Attributes:
+        y: Shape of a measurement, (n,) or (N, N).
+        inputs: Number of inputs m.
+        opened: Indices of those of the observer's arrays of real numbers, counted as leaves of its pytree, that are
+            arguments of the compiled code; none by default.
+        lanes: Number of runs done at once, 1 by default.
+        real: Whether measurements are real numbers, True by default.
+
+    Example:
+        >>> from covariant import engine
+        >>> engine.KernelForm((2,), inputs=1).lanes
+        1
     """
 
     y: tuple[int, ...]
@@ -76,19 +90,30 @@ class KernelForm(NamedTuple):
 
 
 def prepared(observer: AbstractObserver, form: KernelForm) -> "Prepared":
-    """An observer traced for a kernel, its numbers written into the code; one of an equal observer is given again."""
-    asked = _Asked(observer, form)
+    """Trace an observer for compilation, with the numbers of its closed arrays written into the code.
+
+    Args:
+        observer: Any observer.
+        form: What it is compiled for.
+
+    Returns:
+        The traced observer; the same object for an equal observer and form.
+    """
+    key = _KernelKey(observer, form)
     try:
-        return _prepared(asked)
+        return _prepared(key)
     except TypeError:  # something in it has no hash
-        return Prepared(asked)
+        return Prepared(key)
 
 
 class Layout(NamedTuple):
-    """What the numbers of a kernel are.
+    """Sizes and shapes of the numbers of a compiled observer.
 
-    - `sizes`: numbers of a state, an estimate and an info; `y`: the shape of a measurement; `u`: the number of inputs.
-    - `info`, `estimate`: these, as arrays' shapes and types.
+    Attributes:
+        sizes: Counts of numbers in a state, an estimate and an info.
+        y: Shape of a measurement.
+        u: Number of inputs.
+        info, estimate: Pytrees of the shapes and types of an info and an estimate.
     """
 
     sizes: tuple[int, int, int]
@@ -98,14 +123,15 @@ class Layout(NamedTuple):
     estimate: Any
 
 
-class _Asked:
-    """What a kernel is made of; equal where the kernels would be."""
+class _KernelKey:
+    """What a kernel is compiled from; equal where the kernels would be equal."""
 
     def __init__(self, observer: AbstractObserver, form: KernelForm):
         arrays, self.rest = eqx.partition(observer, eqx.is_inexact_array)
         self.leaves, self.tree = jax.tree.flatten(arrays)
         self.form = form
         values = [np.asarray(leaf) for leaf in self.leaves]
+        # Open arrays are arguments of the code, so only the values of the others distinguish one kernel from another.
         written = tuple(b"" if i in form.opened else a.tobytes() for i, a in enumerate(values))
         kinds = tuple((a.shape, a.dtype.str) for a in values)
         functions, structure = jax.tree.flatten(self.rest)
@@ -115,10 +141,10 @@ class _Asked:
         return hash(self._key)
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Asked) and self._key == other._key
+        return isinstance(other, _KernelKey) and self._key == other._key
 
     def recipe(self) -> Recipe:
-        """The observer with its open arrays as arguments, by names that sort as they are counted."""
+        """The observer with its open arrays as arguments, under names that sort in the order of the leaves."""
         names = {i: f"n{i:06d}" for i in self.form.opened}
 
         def make(values: Any) -> AbstractObserver:
@@ -129,31 +155,36 @@ class _Asked:
 
 
 class Prepared:
-    """An observer that is traced. Its kernel is compiled when it is first asked for.
+    """An observer that is traced; its kernel is compiled when it is first asked for.
 
-    - `key`: what later processes find its text by; None where they do not.
+    Attributes:
+        key: Key of its C text in the cache; None where it is not cached.
     """
 
-    def __init__(self, asked: _Asked):
-        self._lanes = asked.form.lanes
-        self._traced: TracedProgram | None = trace_program(asked.recipe(), np.zeros(asked.form.y), asked.form.inputs)
+    def __init__(self, key: _KernelKey):
+        self._lanes = key.form.lanes
+        self._traced: TracedProgram | None = trace_program(key.recipe(), np.zeros(key.form.y), key.form.inputs)
         self.key = cache_key(self._traced, self._lanes)
 
     @property
     def kernel(self) -> Kernel:
-        """The kernel; raises `NoKernelError` where it has no graph, or the compiler does not take its text."""
-        if isinstance(self._made, str):
-            raise NoKernelError(self._made)
-        return self._made
+        """Compiled observer.
+
+        Raises:
+            NoKernelError: The observer is no graph of scalars, or the compiler does not accept its text.
+        """
+        if isinstance(self._outcome, str):
+            raise NoKernelError(self._outcome)
+        return self._outcome
 
     @functools.cached_property
-    def _made(self) -> Kernel | str:
-        """The kernel, or why there is none, which takes as long to find out."""
+    def _outcome(self) -> Kernel | str:
+        """The kernel, or the reason why there is none, cached since it takes as long to compute."""
         assert self._traced is not None
         try:
-            source = cached_text(self.key, functools.partial(_written, self._traced, self._lanes))
+            source = cached_text(self.key, functools.partial(_c_text, self._traced, self._lanes))
             declared = DECLARED + (DECLARED_STEP if self._lanes == 1 else "")
-            return Kernel(_described(self._traced), *library(source, declared), self._lanes)
+            return Kernel(_layout(self._traced), *library(source, declared), self._lanes)
         except (LoweringError, OSError) as error:
             return str(error)
         finally:
@@ -163,16 +194,16 @@ class Prepared:
 _prepared = functools.lru_cache(maxsize=64)(Prepared)
 
 
-def _described(traced: TracedProgram) -> Layout:
+def _layout(traced: TracedProgram) -> Layout:
     state, estimate, info = (sum(leaf.size for leaf in leaves) for leaves in (traced.state, traced.x, traced.info))
     return Layout((state, estimate, info), traced.y, traced.u, traced.told_as, traced.estimated_as)
 
 
-def _written(traced: TracedProgram, lanes: int) -> str:
+def _c_text(traced: TracedProgram, lanes: int) -> str:
     """The text of a kernel; raises `LoweringError`."""
-    made = traced.lower(loops=True)
-    n_state, n_x, n_info = _described(traced).sizes
-    sizes = {"o": sum(leaf.size for leaf in made.given), "s": n_state, "u": made.u, "y": int(np.prod(made.y))}
+    program = traced.lower(loops=True)
+    n_state, n_x, n_info = _layout(traced).sizes
+    sizes = {"o": sum(leaf.size for leaf in program.given), "s": n_state, "u": program.u, "y": int(np.prod(program.y))}
     entries = {name: tuple(f"{name}[{i}]" for i in range(size)) for name, size in sizes.items()} | {
         "dt": ("dt",),
         "t": ("t",),
@@ -187,12 +218,12 @@ def _written(traced: TracedProgram, lanes: int) -> str:
         return c_function(graph, name, signature, static=True, lanes=lanes)
 
     texts = [
-        function(made.init, "core_init", "o y t", n_state),
-        function(made.step, "core_step", "o s u y dt", n_state + n_info),
-        function(made.estimate, "core_estimate", "o s", n_x),
+        function(program.init, "core_init", "o y t", n_state),
+        function(program.step, "core_step", "o s u y dt", n_state + n_info),
+        function(program.estimate, "core_estimate", "o s", n_x),
     ]
     helpers = c_helpers(frozenset().union(*(text.helpers for text in texts)), lanes=lanes)
-    named = {"RESULT": result_index(traced), "STATE": n_state, "INPUTS": made.u, "MEASURED": sizes["y"]}
+    named = {"RESULT": result_index(traced), "STATE": n_state, "INPUTS": program.u, "MEASURED": sizes["y"]}
     named |= {"ESTIMATE": n_x, "INFO": n_info, "OPEN": sizes["o"], "LANES": lanes}
     parts = {
         "SIZES": "\n".join(f"#define {k} {v}" for k, v in named.items()),
@@ -206,7 +237,7 @@ def _written(traced: TracedProgram, lanes: int) -> str:
     return source
 
 
-# A velocity at rest decays until its last digits are gone, and numbers so small take processors many times as long:
+# A velocity at rest decays to subnormal numbers, with which processors compute many times as slowly:
 # as in compiled JAX they count as zero.
 _SOURCE = """#include <math.h>
 #include <string.h>

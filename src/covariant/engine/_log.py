@@ -17,28 +17,28 @@ from covariant.observers import AbstractObserver, checked, run
 from covariant.signals import Record, Result, Run
 
 RUNS_A_CORE = 4
-"""More runs than this for each core go through lanes: a step in all lanes takes about as long as four of one run."""
+"""Runs per core above which they go through lanes: a step in all lanes takes about as long as four of one run."""
 WRITTEN_IN = {"model", "metric"}
-"""Fields of observers whose numbers are written into the code, where zeros and ones save work; gains are arguments."""
+"""Fields of observers whose numbers are constants of the code, where zeros and ones save work; gains are arguments."""
 MOST_OPEN = 100
-"""Numbers of the largest array that is an argument, the covariance of ten joints: tables of numbers are written in."""
+"""Size of the largest array that is an argument, the covariance of ten joints; larger tables are constants."""
 
 
 def run_log(
     observer: AbstractObserver, record: Record, keep: Collection[str] | None = None, engine: EngineName = "auto"
 ) -> tuple[Run, str]:
-    """An observer over a log as `observers.run`, by compiled C where it pays, and the engine that did it.
+    """Run an observer over a log, as `observers.run` does, by compiled C where it pays.
 
     Args:
         observer: Any observer.
         record: The log: stamps (T,) [s], inputs (T, m), measurements (T, n) or (T, N, N). It is taken in double
             precision.
-        keep: Names of the fields of the info that are kept; by default all.
-        engine: "auto", "c" or "jax"; `choose` has the rule.
+        keep: Names of the fields of the info that are recorded; by default all.
+        engine: "auto", "c" or "jax"; see `choose` for the rule.
 
     Returns:
         A `Run` of NumPy arrays, the same for all engines up to rounding, and the engine: "c", or "jax: " with the
-        reason.
+            reason.
 
     Raises:
         ValueError: As `observers.run` does, and for an unknown engine.
@@ -46,11 +46,12 @@ def run_log(
     Example:
         >>> import numpy as np
         >>> from covariant import models, observers, signals
+        >>> from covariant.engine import run_log
         >>> t = np.linspace(0.0, 1.0, 101)
         >>> log = signals.Record(t, np.zeros((101, 2)), np.zeros((101, 2)))
         >>> observer = observers.Intrinsic(models.pendulum_chain(), 10.0, 100.0)
-        >>> found, engine = run_log(observer, log, engine="jax")
-        >>> found.estimate.shape, engine
+        >>> run, engine = run_log(observer, log, engine="jax")
+        >>> run.estimate.shape, engine
         ((101, 4), 'jax: as asked')
     """
     (done,), name = run_logs(observer, record, keep, engine)
@@ -65,24 +66,33 @@ def run_logs(
     others: Sequence[AbstractObserver] = (),
     repeats: int = 1,
 ) -> tuple[list[Run], str]:
-    """Many runs: one observer over many logs, many observers over one log, or as many observers as logs in pairs.
+    """Run observers over logs: one over many logs, many over one log, or as many observers as logs in pairs.
 
     Args:
-        observers: Of one kind, told apart by their numbers, such as gains or masses. All are one compiled program, and
-            so are observers of other calls and processes that have other gains or covariances.
+        observers: Of one kind, distinguished by their numbers, such as gains or masses. All are one compiled program,
+            and so are observers of other calls and processes that have other gains or covariances.
         records: Logs of any lengths, with measurements and inputs of one shape.
         keep: As for `run_log`.
         engine: As for `run_log`; the rows of all logs count together. C uses every core.
-        others: Observers of other calls: numbers of models that tell any of them apart stay open in the compiled
-            program too, so that a search for the best ones compiles one.
-        repeats: How many calls like this one are to come, whose rows count too.
+        others: Observers of other calls: numbers of models that differ in any of them stay open in the compiled program
+            too, so that a search for the best ones compiles one program.
+        repeats: Number of calls like this one to come, whose rows count too.
 
     Returns:
-        The runs in order, and the engine that made them.
+        The runs in order, and the engine that computed them.
 
     Raises:
         ValueError: As `observers.run` does, for counts that do not fit, and for observers or records of different
             forms.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import engine, observers, signals
+        >>> t = np.linspace(0.0, 1.0, 11)
+        >>> logs = [signals.Record(t, y=np.outer(t, [speed])) for speed in (1.0, 2.0)]
+        >>> runs, name = engine.run_logs(observers.FilteredDerivative(50.0), logs, engine="jax")
+        >>> [round(float(run.estimate[-1, 1]), 1) for run in runs], name
+        ([1.0, 2.0], 'jax: as asked')
     """
     many = [observers] if isinstance(observers, AbstractObserver) else list(observers)
     logs = [records] if isinstance(records, Record) else list(records)
@@ -112,7 +122,7 @@ def run_logs(
 
 
 def _in_double(record: Record) -> Record:
-    """The stamps, inputs and measurements in double precision, so that results have one type, whatever computes."""
+    """The stamps, inputs and measurements in double precision, so that all engines return the same types."""
     return Record(*(np.asarray(a, np.result_type(a, float)) for a in record[:3]))
 
 
@@ -122,20 +132,20 @@ def _by_jax(observer: AbstractObserver, record: Record, keep: Collection[str] | 
 
 
 def _open(observers: Sequence[AbstractObserver]) -> tuple[tuple[int, ...], np.ndarray]:
-    """Which arrays of observers are no part of the code, and their numbers, a row for each observer.
+    """Arrays of observers that are arguments of the compiled code: their indices, and their numbers, one row each.
 
     Raises `ValueError` where the observers differ in more than the values of their arrays.
     """
     leaves, trees = zip(*map(jax.tree.flatten, observers), strict=True)
     real = [eqx.is_inexact_array(leaf) for leaf in leaves[0]]
-    for k, (tree, own) in enumerate(zip(trees, leaves, strict=True)):
-        if tree != trees[0] or not all(map(_alike, real, own, leaves[0])):
+    for k, (tree, others) in enumerate(zip(trees, leaves, strict=True)):
+        if tree != trees[0] or not all(map(_alike, real, others, leaves[0])):
             raise ValueError(
                 f"run_logs: observer {k} is of another kind than the first, not only of other numbers; run it alone"
             )
     paths = [path for path, _ in jax.tree_util.tree_flatten_with_path(observers[0])[0]]
     arrays = [i for i, is_real in enumerate(real) if is_real]
-    columns = [np.stack([np.ravel(own[i]) for own in leaves]).astype(float) for i in arrays]
+    columns = [np.stack([np.ravel(others[i]) for others in leaves]).astype(float) for i in arrays]
     gains = [_is_gain(paths[i]) and column.shape[1] <= MOST_OPEN for i, column in zip(arrays, columns, strict=True)]
     opened = tuple(k for k, column in enumerate(columns) if gains[k] or (column != column[0]).any())
     return opened, np.concatenate([np.empty((len(observers), 0)), *(columns[k] for k in opened)], axis=1)
@@ -154,23 +164,26 @@ def _alike(real: bool, leaf: Any, first: Any) -> bool:
     return not eqx.is_inexact_array(leaf) and bool(eqx.tree_equal(leaf, first))
 
 
-def _by_c(made: Kernel, numbers: np.ndarray, logs: Sequence[Record], keep: Collection[str] | None) -> list[Run]:
-    cores, lanes = os.cpu_count() or 1, made.lanes
-    form = _Columns.of(made, keep)
+def _by_c(kernel: Kernel, numbers: np.ndarray, logs: Sequence[Record], keep: Collection[str] | None) -> list[Run]:
+    cores, lanes = os.cpu_count() or 1, kernel.lanes
+    form = _Columns.of(kernel, keep)
     # Runs of like lengths go together, since lanes wait for the longest.
     order = sorted(range(len(logs)), key=lambda k: len(logs[k].t))
     blocks = [order[k : k + lanes] for k in range(0, len(order), lanes)]
-    read = {id(log): _Rows.of(log) for log in logs}
-    with ThreadPoolExecutor(min(len(blocks), cores)) as pool:  # C lets go of Python's lock while it runs
-        found = pool.map(lambda block: _through(made, form, numbers[block], [read[id(logs[k])] for k in block]), blocks)
-        runs = dict(zip(order, itertools.chain(*found), strict=True))
+    rows = {id(log): _Rows.of(log) for log in logs}
+    with ThreadPoolExecutor(min(len(blocks), cores)) as pool:  # C releases Python's lock while it runs
+        results = pool.map(
+            lambda block: _through(kernel, form, numbers[block], [rows[id(logs[k])] for k in block]), blocks
+        )
+        runs = dict(zip(order, itertools.chain(*results), strict=True))
     return [runs[k] for k in range(len(logs))]
 
 
 class _Columns(NamedTuple):
     """How columns of numbers become a run.
 
-    - `kept`: the columns of an info that are kept; `estimate`, `told`: `(T, columns) -> pytree`.
+    - `kept`: indices of the columns of an info that are recorded.
+    - `estimate`, `told`: `(T, columns) -> pytree`, of an estimate and of an info.
     """
 
     kept: np.ndarray
@@ -179,7 +192,7 @@ class _Columns(NamedTuple):
 
     @classmethod
     def of(cls, made: Kernel, keep: Collection[str] | None) -> "_Columns":
-        """The form of the runs of an observer."""
+        """Columns of the runs of a kernel, with the fields `keep` of the info."""
         paths, _ = jax.tree_util.tree_flatten_with_path(made.layout.info)
         names = [path[0].name for path, leaf in paths for _ in range(leaf.size)]
         kept = np.flatnonzero([keep is None or name in keep for name in names])
@@ -198,42 +211,43 @@ class _Rows(NamedTuple):
 
     @classmethod
     def of(cls, record: Record) -> "_Rows":
-        """The rows of a log."""
+        """Rows of a log as contiguous arrays."""
         t, u, y = map(np.ascontiguousarray, record[:3])
         acting = np.concatenate([u[:1], u[:-1]])  # the input that acted since the previous stamp
+        # The first dt is 0, a step of zero length, so that the first row is the estimate at rest; see `_run`.
         return cls(t.copy(), float(t[0]), acting, y.reshape(len(t), -1), np.diff(t, prepend=t[:1]))
 
 
-def _through(made: Kernel, form: _Columns, numbers: np.ndarray, logs: Sequence[_Rows]) -> list[Run]:
+def _through(kernel: Kernel, form: _Columns, numbers: np.ndarray, logs: Sequence[_Rows]) -> list[Run]:
     """Logs through a kernel, as many as it has lanes or fewer, with the open numbers of each."""
-    kept = form.kept.tolist()
-    found = [(np.empty((len(log.y), made.sizes[1])), np.empty((len(log.y), len(kept)))) for log in logs]
-    lanes = np.minimum(np.arange(made.lanes), len(logs) - 1).tolist()  # those left over do the last log as well
+    columns = form.kept.tolist()
+    outputs = [(np.empty((len(log.y), kernel.sizes[1])), np.empty((len(log.y), len(columns)))) for log in logs]
+    lanes = np.minimum(np.arange(kernel.lanes), len(logs) - 1).tolist()  # surplus lanes repeat the last log
     opened = np.ascontiguousarray(numbers[lanes].T)
     first, t = np.stack([logs[k].y[0] for k in lanes], axis=1), np.array([logs[k].start for k in lanes])
-    state = np.empty((made.sizes[0], made.lanes))
-    made.library.kernel_init(*map(made.pointer, (opened, first, t, state)))
-    made.library.kernel_run(
-        made.pointer(opened),
-        made.pointer(state),
-        made.ffi.new("long[]", [len(logs[k].y) for k in lanes]),
-        made.pointers([a for k in lanes for a in logs[k][2:]]),
-        made.ffi.new("int[]", kept),
-        len(kept),
-        made.pointers([a for k in lanes for a in found[k]]),
+    state = np.empty((kernel.sizes[0], kernel.lanes))
+    kernel.library.kernel_init(*map(kernel.pointer, (opened, first, t, state)))
+    kernel.library.kernel_run(
+        kernel.pointer(opened),
+        kernel.pointer(state),
+        kernel.ffi.new("long[]", [len(logs[k].y) for k in lanes]),
+        kernel.pointers([a for k in lanes for a in logs[k][2:]]),
+        kernel.ffi.new("int[]", columns),
+        len(columns),
+        kernel.pointers([a for k in lanes for a in outputs[k]]),
     )
-    return [_run(form, log.t, x, info) for log, (x, info) in zip(logs, found, strict=True)]
+    return [_run(form, log.t, x, info) for log, (x, info) in zip(logs, outputs, strict=True)]
 
 
 def _run(form: _Columns, t: np.ndarray, x: np.ndarray, info: np.ndarray) -> Run:
-    told = form.told(info)
-    if told.result is not None and told.result[0] == Result.REPEATED:
-        told.result[0] = Result.OK  # the first row is no step
-    return Run(t, form.estimate(x), told)
+    infos = form.told(info)
+    if infos.result is not None and infos.result[0] == Result.REPEATED:
+        infos.result[0] = Result.OK  # the first row is no step
+    return Run(t, form.estimate(x), infos)
 
 
 def _split(kinds: Any) -> Callable[[np.ndarray], Any]:
-    """What makes columns of an array the leaves of a pytree."""
+    """A function that splits the columns of an array into the leaves of a pytree."""
     leaves, tree = jax.tree.flatten(kinds)
     ends = np.cumsum([leaf.size for leaf in leaves], dtype=int)
 

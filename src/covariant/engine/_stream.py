@@ -1,4 +1,4 @@
-"""An observer as a stream: samples in, estimates out, whatever the samples are."""
+"""An observer as a stream: samples in, estimates out, also where samples are invalid."""
 
 import math
 from collections import Counter
@@ -13,27 +13,39 @@ from covariant.observers import AbstractObserver
 from covariant.signals import Result
 
 LONGEST_GAP = 1.0
-"""Longest time [s] without a sample that the model predicts over; after a longer one the estimate starts anew."""
+"""Longest gap [s] between samples that the model predicts over; after a longer one the estimate starts anew."""
 LEAST_RATE = 1.25 / LONGEST_GAP
 """Slowest usual rate [Hz]: a sample may come a quarter of a step late."""
 SET_BACK = 5
-"""After so many samples in a row with stamps before the last one used, the clock was set back."""
+"""Number of samples in a row with stamps before the last used one after which the clock counts as set back."""
 
 CODES = tuple(Result)
 NOT_FINITE = int(Result.NOT_FINITE)
 NUMBERS = "iufO"
-"""Kinds of arrays that hold real numbers, or objects that may be some, as None for a missing one."""
+"""Kinds of NumPy arrays of real numbers, or of objects that may be some, as None for a missing one."""
 DOUBLE, ndarray = np.dtype(float), np.ndarray
 
 
 class Health(NamedTuple):
-    """What a stream has seen.
+    """Counts of what a stream has seen since it was started or reset.
 
-    - `samples`: calls of `step`; `results`: how many ended with each result, by its name in lower case.
-    - `late`: samples with a stamp before the last one, left out; `unstamped`: those whose stamp is no finite number.
-    - `misshapen`: measurements or inputs that are not the right count of real numbers, taken as missing.
-    - `restarts`: how often the estimate started anew from a measurement, after a gap, a clock that was set, or an
-      estimate that was not finite.
+    Attributes:
+        samples: Calls of `step`.
+        results: How many of them ended with each result, by its name in lower case.
+        late: Samples with a stamp before the last one, left out.
+        unstamped: Samples whose stamp is no finite number.
+        misshapen: Measurements or inputs that are not the right count of real numbers, treated as missing.
+        restarts: How often the estimate started anew from a measurement, after a gap, after the clock was set, or after
+            an estimate that was not finite.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import engine, observers
+        >>> stream = engine.Stream(observers.FilteredDerivative(50.0), np.zeros(1), 100.0, engine="jax")
+        >>> for t in (0.0, 0.01, 0.005):
+        ...     x = stream.step(t, [0.3])
+        >>> stream.health.samples, stream.health.late
+        (3, 1)
     """
 
     samples: int
@@ -47,18 +59,32 @@ class Health(NamedTuple):
 class Stream:
     """An observer that is fed sample by sample: `x = stream.step(t, y, u)`.
 
-    - `observer`: any observer.
-    - `y`: a configuration, of which the shape counts.
-    - `rate` [Hz]: the usual sampling rate, at which it is tried before the first sample.
-    - `inputs`: number of inputs m; by default that of the observer's model.
-    - `engine`: "auto" and "c" compile it in C where that is possible, "jax" in JAX.
+    It is compiled on construction. `step` never raises an error. The first complete measurement that is a configuration
+    starts the estimate; until then the estimate is NaN. NaN and infinite entries of y are missing. A sample with the
+    stamp of the one before changes nothing, nor does one with an earlier stamp, unless `SET_BACK` of them come in a
+    row. `health` counts what was wrong.
 
-    It is compiled when it is made; its attribute `engine` says by what, with the reason where that is JAX.
-    `step` never raises an error. The first complete measurement that is a configuration starts the estimate; until then
-    it is NaN. NaN and infinite entries of y are missing. A sample with the stamp of the one before changes nothing, nor
-    does one with an earlier stamp, unless `SET_BACK` of them come in a row. `health` counts what was wrong.
+    Args:
+        observer: Any observer.
+        y: A configuration (n,) or (N, N), of which only the shape counts.
+        rate: Usual sampling rate [Hz], at which one step is tried before the first sample.
+        inputs: Number of inputs m; by default that of the observer's model.
+        engine: "auto" and "c" compile it in C where that is possible, "jax" in JAX.
 
-    Raises `ValueError` for a rate that is not finite or below `LEAST_RATE`, and for an unknown engine.
+    Attributes:
+        engine: "c", or "jax: " with the reason.
+
+    Raises:
+        ValueError: The rate is not finite or below `LEAST_RATE`, or the engine is unknown.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import engine, observers
+        >>> stream = engine.Stream(observers.FilteredDerivative(50.0), np.zeros(1), 100.0, engine="jax")
+        >>> for k in range(101):
+        ...     x = stream.step(0.01 * k, [0.02 * k])
+        >>> x.round(2).tolist(), stream.result.name
+        ([2.0, 2.0], 'OK')
     """
 
     def __init__(
@@ -90,30 +116,36 @@ class Stream:
 
     @property
     def health(self) -> Health:
-        """What was seen so far."""
+        """Counts of samples, results and faults so far."""
         named = {Result(code).name.lower(): count for code, count in enumerate(self._results) if count}
         c = self._counts
         return Health(sum(self._results), named, c["late"], c["unstamped"], c["misshapen"], c["restarts"])
 
     @property
     def result(self) -> Result:
-        """The result of the last sample."""
+        """Result of the last sample."""
         return CODES[self._last]
 
     def reset(self) -> None:
-        """Forget all samples and counts: the next complete measurement starts the estimate."""
+        """Discard all samples and counts, so that the next complete measurement starts the estimate."""
         self._started, self._t, self._back = False, math.nan, 0
         self._counts, self._results = Counter[str](), [0] * len(CODES)
         self._last = Result.OK
         self._backend.x[:] = math.nan
 
     def step(self, t: Any, y: Any, u: Any = None) -> Any:
-        """The estimate at the stamp t [s], from the measurement y, with the input u that acted since the last stamp.
+        """Advance to a stamp, correct by its measurement, and return the estimate.
 
-        y and u are numbers, lists or arrays; u None counts as unknown. Returns (q, v) (2n,) as an array of its own, or
-        a `Motion` of arrays for a system that is not in coordinates.
+        Args:
+            t: Stamp [s].
+            y: Measurement, n numbers or an (N, N) matrix; a number, list or array. None counts as missing.
+            u: Input (m,) that acted since the last stamp; a number, list or array. None counts as unknown.
+
+        Returns:
+            The estimate (q, v) (2n,) as a new array, or a `Motion` of arrays for a system that is not in coordinates;
+            NaN until the estimate has started.
         """
-        # The quick way is written out, since a call takes as long as the observer's own work.
+        # The common case is inlined, since a call would take as long as the observer's computation.
         try:
             if type(y) is not ndarray or y.dtype is not DOUBLE:
                 raise ValueError
@@ -129,6 +161,7 @@ class Stream:
         if type(t) is not float:
             t = _stamp(t)
         dt = t - self._t
+        # Both comparisons are false for NaN, as for a sample without a stamp.
         if not (self._started and 0.0 <= dt <= LONGEST_GAP):
             return self._out_of_turn(t, dt)
         self._t, self._back = t, 0
@@ -141,24 +174,24 @@ class Stream:
         return self._copy() if self._shape is None else self._motion()
 
     def _out_of_turn(self, t: float, dt: float) -> Any:
-        """What is done with the first sample, one without a stamp, a late one, and one after a gap."""
+        """Handle the first sample, one without a stamp, a late one, and one after a gap."""
         if not math.isfinite(t):
             self._counts["unstamped"] += 1
-            return self._told(Result.STEP_REFUSED)
+            return self._outcome(Result.STEP_REFUSED)
         if not self._started or self._anew(dt):
             return self._begin(t)
         self._counts["late"] += 1
-        return self._told(Result.STEP_REFUSED)
+        return self._outcome(Result.STEP_REFUSED)
 
     def _anew(self, dt: float) -> bool:
-        """Whether the stamps leave too long a gap, or the clock was set back; one of both is so, or the sample late."""
+        """Whether a gap or a clock that was set back makes the estimate start anew; otherwise the sample is late."""
         self._back = self._back + 1 if dt < 0 else 0
         jumped = dt > LONGEST_GAP or self._back >= SET_BACK
         self._counts["restarts"] += jumped
         return jumped
 
     def _begin(self, t: float) -> Any:
-        """Start at a measurement that is complete, and a configuration; wait for one otherwise."""
+        """Start at a measurement that is complete and a configuration; otherwise wait for one."""
         self._t, self._back = t, 0
         result = Result.COASTED
         if (np.abs(self._backend.y) <= self._largest).all():
@@ -167,17 +200,17 @@ class Stream:
         self._started = result == Result.OK
         if not self._started:
             self._backend.x[:] = math.nan
-        return self._told(result)
+        return self._outcome(result)
 
-    def _read(self, into: np.ndarray, given: Any) -> None:
-        """Numbers as given, or NaN where they are not the right count of numbers."""
+    def _read(self, into: np.ndarray, values: Any) -> None:
+        """Write a measurement or input into a buffer, or NaN where it is not the right count of real numbers."""
         try:
-            if given is None:
+            if values is None:
                 into.fill(math.nan)
             else:
-                if isinstance(given, np.ma.MaskedArray):
-                    given = np.ma.filled(given.astype(float), math.nan)
-                array = np.asarray(given)
+                if isinstance(values, np.ma.MaskedArray):
+                    values = np.ma.filled(values.astype(float), math.nan)
+                array = np.asarray(values)
                 if array.size != into.size or array.dtype.kind not in NUMBERS:
                     raise ValueError
                 into[:] = array.ravel()
@@ -185,7 +218,7 @@ class Stream:
             into.fill(math.nan)
             self._counts["misshapen"] += 1
 
-    def _told(self, result: int) -> Any:
+    def _outcome(self, result: int) -> Any:
         self._results[result] += 1
         self._last = result
         return self._copy() if self._shape is None else self._motion()

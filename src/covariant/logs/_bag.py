@@ -1,6 +1,6 @@
 """Logs of ROS messages: rosbag2 folders with SQLite or MCAP storage, single files of these, and rosbag1 files.
 
-Messages are read one after another, and only the numbers that are asked for are kept.
+Messages are read one after another, and only the numbers of the wanted columns are stored.
 """
 
 import contextlib
@@ -16,9 +16,9 @@ from covariant._optional import load_optional
 from covariant.logs._columns import LogError, pyarrow
 
 HEADER, RECEIVED = "t", "received"
-"""Columns of stamps: when the sender says that a message was true, and when the recorder got it."""
+"""Columns of stamps: the time in the header, at which the content was true, and the time at which it was recorded."""
 LOOKED_AT = 500
-"""Messages of each topic whose names are looked at: several senders may share a topic, each with joints of its own."""
+"""Messages of each topic that are searched for names: several senders may share a topic, each with other joints."""
 FIELDS = ("position", "velocity", "effort")
 """Fields of a JointState, each a list with a number for each joint, or empty."""
 POSITION, QUATERNION = ("px", "py", "pz"), ("qw", "qx", "qy", "qz")
@@ -26,14 +26,24 @@ TWIST = ("vx", "vy", "vz", "wx", "wy", "wz")
 
 
 def joints(message: Any) -> dict[str, float]:
-    """The numbers of a JointState by their names, `shoulder/position`; those of fields that are empty are absent."""
-    found = {}
+    """Numbers of a JointState message, by name.
+
+    Args:
+        message: A message with the fields `name`, `position`, `velocity` and `effort`.
+
+    Returns:
+        Numbers under names as `shoulder/position`; those of fields that are empty are absent.
+
+    Raises:
+        ValueError: A field has another count of numbers than there are joints.
+    """
+    numbers = {}
     for field in FIELDS:
         values = getattr(message, field)
         if len(values) not in (0, len(message.name)):
             raise ValueError(f"names {len(message.name)} joints and has {len(values)} numbers of {field}")
-        found |= {f"{name}/{field}": value for name, value in zip(message.name, values, strict=False)}
-    return found
+        numbers |= {f"{name}/{field}": value for name, value in zip(message.name, values, strict=False)}
+    return numbers
 
 
 def _pose(pose: Any) -> dict[str, float]:
@@ -57,18 +67,25 @@ KINDS: dict[str, Callable[[Any], dict[str, float]]] = {
 
 
 class _Place(NamedTuple):
-    """Where a column is found: its topic, and the name of its number in the messages of that topic."""
+    """Source of a column: its topic, and the name of its number in the messages of that topic."""
 
     topic: str
     name: str
 
 
 def bag_columns(path: Path) -> dict[str, bool]:
-    """Names of the columns of a log of messages, and whether each is the shortest for what it holds.
+    """Names of the columns of a log of messages.
 
-    A name that two topics share is left out, but not with its topic.
+    Args:
+        path: An MCAP file, a rosbag1 file, or the file or folder of a rosbag2.
 
-    Raises `LogError` where there is no message that can be read; `ImportError` without rosbags.
+    Returns:
+        For each name whether it is the shortest for what it denotes. A name that two topics share is left out, but not
+        with its topic.
+
+    Raises:
+        LogError: There is no message that can be read.
+        ImportError: rosbags is not installed.
     """
     with _messages(path) as (topics, messages):
         places = _places(_named(path, topics, messages()))
@@ -77,10 +94,22 @@ def bag_columns(path: Path) -> dict[str, bool]:
 
 
 def read_bag(path: Path, wanted: Sequence[str], held: Sequence[str]) -> dict[str, Any]:
-    """The wanted columns, a row for each stamp of a topic that holds one of them.
+    """Read columns of a log of messages, with a row for each stamp of a topic that holds one of them.
 
-    A cell is NaN where its topic has no message at that stamp. Columns that are `held` hold the latest number instead,
-    as the first row does; topics that hold only these make no rows. Rows before all columns have a number are left out.
+    Rows before all columns have a number are left out.
+
+    Args:
+        path: As for `bag_columns`.
+        wanted: Names of columns.
+        held: Those of them that repeat their latest number where they have none at a stamp, as every column does in the
+            first row; topics that hold only these make no rows.
+
+    Returns:
+        Columns (T,) by name; NaN where a topic has no message at a stamp. Stamps are Arrow durations [ns].
+
+    Raises:
+        LogError: No row has all columns, two messages of a topic have one stamp, or the file cannot be read.
+        ImportError: rosbags is not installed.
     """
     with _messages(path) as (topics, messages):
         places = _places(_named(path, topics, messages()))
@@ -91,6 +120,7 @@ def read_bag(path: Path, wanted: Sequence[str], held: Sequence[str]) -> dict[str
     stamps = np.unique(np.concatenate([series[topic][0] for topic in leading]))
     columns = {name: _at(stamps, series[topic], name, name in held) for name, (topic, _) in places.items()}
     latest = {name: _latest(values) for name, values in columns.items()}
+    # −1 marks rows before the first number of a column; the log begins where no column has such a row.
     begin = max((int((at < 0).sum()) for at in latest.values()), default=0)
     if begin == len(stamps):
         empty = [name for name, at in latest.items() if at[-1] < 0]
@@ -101,15 +131,15 @@ def read_bag(path: Path, wanted: Sequence[str], held: Sequence[str]) -> dict[str
     return dict.fromkeys((HEADER, RECEIVED), clock) | {name: values[begin:] for name, values in columns.items()}
 
 
-def _at(stamps: np.ndarray, series: tuple[np.ndarray, dict[str, np.ndarray]], name: str, held: bool) -> np.ndarray:
-    """A column of a topic at stamps that contain its own, or the latest number in it at any stamps."""
-    own, values = series[0], series[1][name]
+def _at(stamps: np.ndarray, series: tuple[np.ndarray, dict[str, np.ndarray]], name: str, latest: bool) -> np.ndarray:
+    """A column of a topic at stamps that contain those of the topic, or its latest number at any stamps."""
+    clock, values = series[0], series[1][name]
     column = np.full(len(stamps), np.nan)
-    if not held:
-        column[np.searchsorted(stamps, own)] = values
+    if not latest:
+        column[np.searchsorted(stamps, clock)] = values
         return column
-    own, values = own[~np.isnan(values)], values[~np.isnan(values)]
-    at = np.searchsorted(own, stamps, side="right") - 1
+    clock, values = clock[~np.isnan(values)], values[~np.isnan(values)]
+    at = np.searchsorted(clock, stamps, side="right") - 1
     column[at >= 0] = values[at[at >= 0]]
     return column
 
@@ -136,6 +166,7 @@ def _gather(
         stamps = np.frombuffer(clock, np.int64) if len(clock) else np.zeros(0, np.int64)
         if len(stamps) > 1 and not stamps.any():
             raise LogError(f"{path}: all headers of {topic} have the stamp 0; name the column {RECEIVED!r} as t")
+        # Messages are stored in the order of their arrival, which may differ from that of their headers.
         order = np.argsort(stamps, kind="stable")
         stamps = stamps[order]
         twice = np.flatnonzero(np.diff(stamps) == 0)
@@ -162,25 +193,25 @@ def _numbers(path: Path, topic: str, count: int, message: Any) -> dict[str, floa
 
 def _named(path: Path, topics: Mapping[str, int], messages: Iterator[tuple[str, int, Any]]) -> list[_Place]:
     """All numbers in the first messages of each topic."""
-    left, found = {topic: min(LOOKED_AT, count) for topic, count in topics.items()}, {}
+    left, places = {topic: min(LOOKED_AT, count) for topic, count in topics.items()}, {}
     for topic, _, message in messages:
         if left[topic] > 0:
-            found |= dict.fromkeys(_Place(topic, name) for name in _numbers(path, topic, 0, message))
+            places |= dict.fromkeys(_Place(topic, name) for name in _numbers(path, topic, 0, message))
             left[topic] -= 1
         if not any(left.values()):
             break
-    if not found:
+    if not places:
         raise LogError(f"{path}: its messages hold no joint and no pose; a JointState needs names")
-    return list(found)
+    return list(places)
 
 
-def _places(found: Sequence[_Place]) -> dict[str, _Place]:
-    """Where each column is: by the number's name, for a position by that of the joint alone too, and by topic and name.
+def _places(places: Sequence[_Place]) -> dict[str, _Place]:
+    """Source of each column: by the number's name, for a position also by its joint's, and by topic and name.
 
-    The columns of stamps come first, with no place of their own.
+    The columns of stamps come first, with no source.
     """
-    named = [(place.name.removesuffix("/position"), place) for place in found]
-    named += [(place.name, place) for place in found] + [(f"{place.topic}/{place.name}", place) for place in found]
+    named = [(place.name.removesuffix("/position"), place) for place in places]
+    named += [(place.name, place) for place in places] + [(f"{place.topic}/{place.name}", place) for place in places]
     named = list(dict.fromkeys(named))
     count = Counter(name for name, _ in named)
     stamps = {name: _Place("", name) for name in (HEADER, RECEIVED)}

@@ -13,18 +13,27 @@ from covariant.logs._bag import FIELDS, POSITION, QUATERNION
 from covariant.logs._columns import LogError
 
 VERSION = 8
-"""Of the layout of a rosbag2, which ROS reads since 2023."""
+"""Version of the layout of a rosbag2; ROS reads it since 2023."""
 JOINTS, POSE, VALUES = "/joint_states", "/pose", "/values"
 """Topics of joints, of a pose, and of the numbers that are neither, as positions of joints of their names."""
 
 
 def write_bag(path: Path, columns: Mapping[str, np.ndarray], origin_ns: int | None) -> None:
-    """Write columns, the first of which are the stamps [s], counted from `origin_ns` [ns].
+    """Write columns as ROS messages, to an MCAP file or the folder of a rosbag2.
 
-    `shoulder/position`, `shoulder/velocity` and `shoulder/effort` make a JointState, where the first may be called
-    `shoulder`; px, py, pz, qw, qx, qy, qz make a PoseStamped. Raises `LogError` for stamps that ROS cannot hold.
+    Args:
+        path: The file or folder, which appears complete.
+        columns: Arrays (T,) by name, the first of which are the stamps [s]. `shoulder/position`, `shoulder/velocity`
+            and `shoulder/effort` make a JointState, where the first may be called `shoulder`; px, py, pz, qw, qx, qy,
+            qz make a PoseStamped; other columns are positions of joints of their names.
+        origin_ns: Time [ns since 1970] from which the stamps count; None for 0.
+
+    Raises:
+        LogError: ROS cannot represent the stamps.
+        ImportError: rosbags is not installed.
     """
     (_, stamps), *others = columns.items()
+    # Integers of Python, since nanoseconds since 1970 need more than the 53 bits of a float.
     ns = np.array([round(t * 1e9) for t in stamps.tolist()], dtype=object) + (origin_ns or 0)
     if not 0 <= ns.min() <= ns.max() < 2**31 * 10**9:
         raise LogError(f"{path}: ROS counts seconds from 0 to 2147483647; these go from {ns.min()} to {ns.max()} ns")
@@ -73,9 +82,9 @@ def _topics(types: Mapping[str, Any], columns: dict[str, np.ndarray]) -> Iterato
 
 def _joint_states(make: Any, names: list[str], inside: Mapping[tuple[str, str], np.ndarray]) -> Any:
     empty = np.full(len(next(iter(inside.values()))), np.nan)
-    given = {field for _, field in inside}
+    used = {field for _, field in inside}
     rows = [
-        np.column_stack([inside.get((name, field), empty) for name in names]) if field in given else None
+        np.column_stack([inside.get((name, field), empty) for name in names]) if field in used else None
         for field in FIELDS
     ]
     return lambda header, k: make(header, names, *(np.zeros(0) if cells is None else cells[k] for cells in rows))

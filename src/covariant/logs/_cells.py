@@ -10,9 +10,18 @@ from covariant.logs._columns import LogError, pyarrow
 
 
 def numbers(where: str, column: Any, needed: bool) -> Float[np.ndarray, "T"]:
-    """A column as float64, NaN where a cell is empty; `needed` makes an empty cell an error.
+    """Convert a column to floating-point numbers.
 
-    Raises `LogError` that begins with `where` and names the first row that holds anything else.
+    Args:
+        where: Log and column, the beginning of error messages.
+        column: A chunked array of Arrow.
+        needed: Whether an empty cell is an error.
+
+    Returns:
+        Numbers (T,), NaN where a cell is empty.
+
+    Raises:
+        LogError: Names the first row that holds anything else than a finite number.
     """
     pa = pyarrow()
     if pa.types.is_boolean(column.type):
@@ -23,6 +32,7 @@ def numbers(where: str, column: Any, needed: bool) -> Float[np.ndarray, "T"]:
         values = _texts(where, column, needed)
     except pa.ArrowNotImplementedError as error:
         raise LogError(f"{where} holds {column.type}; convert it to plain numbers") from error
+    # NaN marks a missing measurement, but an infinite number is an error in any column.
     bad = ~np.isfinite(values) if needed else np.isinf(values)
     if bad.any():
         raise fault(where, int(bad.argmax()), column[int(bad.argmax())].as_py(), needed)
@@ -44,19 +54,29 @@ def _texts(where: str, column: Any, needed: bool) -> np.ndarray:
 
 
 def floats(column: Any) -> np.ndarray:
-    """A column of float64 as an array, NaN where a cell is null.
+    """Convert a float64 column of Arrow to an array that may be changed, NaN where a cell is null.
 
     Not by `to_numpy`: pyarrow would import pandas for that, which takes longer than to read a log.
     """
     pa, cells = pyarrow(), column.combine_chunks()
     if not cells.null_count:
-        return np.array(np.from_dlpack(cells))  # of its own, which may be changed
+        return np.array(np.from_dlpack(cells))  # a copy: the memory of Arrow is read-only
     values = pa.Array.from_buffers(cells.type, len(cells), [None, cells.buffers()[1]], offset=cells.offset)
     return np.where(np.from_dlpack(cells.is_valid().cast(pa.int8())), np.from_dlpack(values), np.nan)
 
 
 def fault(where: str, row: int, cell: str | float | None, needed: bool) -> LogError:
-    """The error for a cell, counted from 0, that is no finite number."""
-    found = "an empty cell" if cell is None or not str(cell).strip() else repr(cell)
+    """Error for a cell that is no finite number.
+
+    Args:
+        where: Log and column.
+        row: Row of the cell, from 0.
+        cell: Its content.
+        needed: Whether an empty cell is an error too.
+
+    Returns:
+        The error, to be raised.
+    """
+    content = "an empty cell" if cell is None or not str(cell).strip() else repr(cell)
     remedy = "only positions may be missing; fill it or cut the row" if needed else "leave it empty if it is missing"
-    return LogError(f"{where}, row {row + 1}: found {found}, needs a finite number; {remedy}")
+    return LogError(f"{where}, row {row + 1}: found {content}, needs a finite number; {remedy}")

@@ -12,7 +12,18 @@ from covariant.signals import Record
 
 
 class LogError(ValueError):
-    """A log that cannot be used. The message is one line: the file, column and row, what was found, and what to do."""
+    """A log that cannot be used. The message is one line: the file, column and row, the fault, and the remedy.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import logs, signals
+        >>> log = signals.Record(np.array([0.0, 0.1]), y=np.zeros((2, 1)))
+        >>> try:
+        ...     logs.read(log, logs.Columns(q=("a", "b")))
+        ... except logs.LogError as error:
+        ...     print(error)
+        record: it has positions of shape (1,), needs 2 of them
+    """
 
 
 ATTITUDES = {"quaternion_wxyz": 4, "quaternion_xyzw": 4, "matrix": 9}
@@ -20,25 +31,30 @@ ATTITUDES = {"quaternion_wxyz": 4, "quaternion_xyzw": 4, "matrix": 9}
 
 
 class Columns(NamedTuple):
-    """The names of the columns of a log in its file; an empty cell is a missing measurement.
+    """Names of the columns of a log in its file; an empty cell is a missing measurement.
 
-    - `t`: time stamp [s], or dates.
-    - `q`: measured positions, one name for each coordinate.
-    - `u`: inputs; none for a system without inputs.
-    - `v`: logged velocities, used only for comparison: no observer uses them.
-    - `truth`: true velocities, where the log comes from a simulation; of a state-space model, the true state.
-    - `units`: for a field, as "q", the unit in which its columns are logged, or one for each of them: `("deg",)`,
-      `("deg", "mm")`; otherwise they are logged in SI units and radians. See
-      `unit_factor`.
+    On a group, `position`, one attitude or `angle` describe the measured configuration, in place of `q`, or before it
+    where there are joints as well. One empty cell makes all of it missing in that row. Attitudes after the first, such
+    as the other four names of eight in `quaternion_wxyz`, are those of ball joints; each is missing by itself.
 
-    On a group the fields below give the measured configuration, in place of `q`, or before it where there are joints as
-    well. One empty cell makes all of it missing in that row. Attitudes after the first, such as the other four names of
-    eight in `quaternion_wxyz`, are those of ball joints; each is missing by itself.
+    Attributes:
+        t: Time stamp [s], or dates.
+        q: Measured positions, one name for each coordinate.
+        u: Inputs; none for a system without inputs.
+        v: Logged velocities, used only for comparison: no observer uses them.
+        truth: True velocities, where the log comes from a simulation; of a state-space model, the true state.
+        position: Position of the body in the world [m]: three names, or two in the plane.
+        quaternion_wxyz, quaternion_xyzw: Its attitude, R_world_body, as a unit quaternion, scalar first or last.
+        matrix: Its attitude as the nine entries of R_world_body, row by row.
+        angle: Angles [rad]: the heading of a body in the plane, and of each wheel.
+        units: For a field, as "q", the unit in which its columns are logged, or one for each of them: `("deg",)`,
+            `("deg", "mm")`; otherwise they are logged in SI units and radians. See `unit_factor`.
 
-    - `position`: position of the body in the world [m]: three names, or two in the plane.
-    - `quaternion_wxyz`, `quaternion_xyzw`: its attitude, R_world_body, as a unit quaternion, scalar first or last.
-    - `matrix`: its attitude as the nine entries of R_world_body, row by row.
-    - `angle`: angles [rad]: the heading of a body in the plane, and of each wheel.
+    Example:
+        >>> from covariant import logs
+        >>> columns = logs.Columns(t="time", q=("arm", "slide"), units={"t": ("ms",), "q": ("deg", "mm")})
+        >>> columns.measured, columns.unit_of("q", 1)
+        (('arm', 'slide'), 'mm')
     """
 
     t: str = "t"
@@ -54,9 +70,17 @@ class Columns(NamedTuple):
     units: Mapping[str, tuple[str, ...]] = MappingProxyType({})
 
     def unit_of(self, field: str, place: int) -> str | None:
-        """The unit of the column at a place in a field; None where it is logged in SI units."""
-        given = self.units.get(field, ())
-        return given[place if len(given) > 1 else 0] if given else None
+        """Unit of a column.
+
+        Args:
+            field: Name of a field, as "q".
+            place: Index of the column in the field, from 0.
+
+        Returns:
+            Its unit; None where it is logged in SI units.
+        """
+        names = self.units.get(field, ())
+        return names[place if len(names) > 1 else 0] if names else None
 
     @property
     def measured(self) -> tuple[str, ...]:
@@ -65,11 +89,22 @@ class Columns(NamedTuple):
 
 
 class Log(NamedTuple):
-    """A record in SI units, with the logged velocities `v` (T, n) and the true ones `truth` (T, n), or None.
+    """The content of a log, in SI units and radians.
 
-    `origin_ns`: the time [ns since 1970] that its stamps count from, where the log has dates or times since 1970;
-    otherwise None, and the stamps are as in the file.
-    `first_row`, `every`: which rows of the file are kept: that one, counted from 1, and each so-many-th after it.
+    Attributes:
+        record: Stamps, inputs and measured configurations.
+        v: Logged velocities (T, n), or None.
+        truth: True velocities (T, n), or None.
+        origin_ns: Time [ns since 1970] from which the stamps count, where the log has dates or times since 1970;
+            otherwise None, and the stamps are as in the file.
+        first_row: Row of the file, counted from 1, that is the first of the record.
+        every: Distance in rows from one row of the record to the next.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import logs, signals
+        >>> logs.Log(signals.Record(np.array([0.0, 0.1]), y=np.zeros((2, 1))), v=np.zeros((2, 1)))
+        <Log: 2 rows over 0.1 s, 1 position, no input, with velocities>
     """
 
     record: Record
@@ -92,7 +127,17 @@ BAGS = (".mcap", ".db3", ".bag")
 
 
 def kind(path: Path) -> str:
-    """The type of a log by its ending, or "bag" for a folder or a file of ROS messages; raises `LogError` otherwise."""
+    """Type of a log by its ending.
+
+    Args:
+        path: Path of a file or folder; only a folder is looked into.
+
+    Returns:
+        The ending in lower case, or "bag" for a file or folder of ROS messages.
+
+    Raises:
+        LogError: The ending is that of no log.
+    """
     suffix = path.suffix.lower()
     if suffix in BAGS or (path / "metadata.yaml").is_file():
         return "bag"
@@ -105,7 +150,11 @@ def kind(path: Path) -> str:
 
 
 def pyarrow() -> Any:
-    """The package pyarrow, which reads and writes files; raises `ImportError` with the command that installs it."""
+    """The package pyarrow, imported with what reads and writes files.
+
+    Raises:
+        ImportError: It is not installed; the message has the command that installs it.
+    """
     try:
         import pyarrow
         import pyarrow.compute

@@ -14,9 +14,21 @@ from covariant.logs._rotations import KINDS
 
 
 class Body(NamedTuple):
-    """The columns of one body: the representation `kind` of its rotation, and the names of rotation and position.
+    """The columns of one body.
 
     Its matrices are rotations (d, d), or poses (d + 1, d + 1) with the position in the last column; d is `space`.
+
+    Attributes:
+        kind: Representation of its rotation, a key of `ATTITUDES`, or "angle".
+        rotation: Names of the columns of its rotation.
+        position: Names of the columns of its position [m]; none for a rotation.
+
+    Example:
+        >>> from covariant import logs
+        >>> columns = logs.Columns(position=("x", "y"), angle=("heading",))
+        >>> body, = logs.bodies(columns)
+        >>> body.kind, body.space, body.order
+        ('angle', 2, 3)
     """
 
     kind: str
@@ -25,27 +37,39 @@ class Body(NamedTuple):
 
     @property
     def space(self) -> int:
-        """Dimension d of the space in which the body moves."""
+        """Dimension d of the space in which the body moves, 2 or 3."""
         return 2 if self.kind == "angle" else 3
 
     @property
     def order(self) -> int:
-        """Number of rows of its matrices."""
+        """Number of rows of its matrices: d, or d + 1 with a position."""
         return self.space + bool(self.position)
 
 
 def bodies(columns: Columns) -> tuple[Body, ...]:
-    """The bodies of a configuration: first one with an attitude or a position, then a wheel for each angle, then a ball
-    joint for each further attitude.
+    """Bodies of a configuration: one with an attitude or a position, a wheel for each angle, and ball joints.
 
-    Empty where the configuration has coordinates only. Raises `LogError` when the columns make no configuration.
+    Args:
+        columns: Names of the columns of a log.
+
+    Returns:
+        First the body with an attitude or a position, then a wheel for each angle, then a ball joint for each further
+        attitude; empty where the configuration has coordinates only.
+
+    Raises:
+        LogError: The columns make no configuration.
+
+    Example:
+        >>> from covariant import logs
+        >>> [body.rotation for body in logs.bodies(logs.Columns(angle=("left", "right")))]
+        [('left',), ('right',)]
     """
     together, balls = _bodies(columns)
     return together + balls
 
 
 def _bodies(columns: Columns) -> tuple[tuple[Body, ...], tuple[Body, ...]]:
-    """Those of one block-diagonal matrix, and ball joints, each with a matrix of its own."""
+    """Bodies of one block-diagonal matrix, and ball joints, each with a matrix of its own."""
     attitudes = [kind for kind in ATTITUDES if getattr(columns, kind)]
     if len(attitudes) > 1:
         raise LogError(f"{' and '.join(attitudes)} both give the attitude; keep one")
@@ -65,9 +89,20 @@ def _bodies(columns: Columns) -> tuple[tuple[Body, ...], tuple[Body, ...]]:
 
 
 def from_cells(name: str, columns: Columns, cells: Float[np.ndarray, "T k"]) -> np.ndarray:
-    """Configurations (T, n), (T, N, N) or (T, m) from the cells of `columns.measured`.
+    """Configurations from the cells of their columns.
 
-    Where a cell of a body or a wheel is NaN, all of these are NaN in that row; a ball joint is missing by itself."""
+    Args:
+        name: Name of the log in error messages.
+        columns: Names of the columns.
+        cells: Cells (T, k) of `columns.measured`, in SI units and radians.
+
+    Returns:
+        Configurations (T, n), (T, N, N) or (T, m). Where a cell of a body or a wheel is NaN, all of these are NaN in
+        that row; a ball joint is missing by itself.
+
+    Raises:
+        LogError: A quaternion or matrix is no rotation.
+    """
     together, balls = _bodies(columns)
     if not together:
         return cells
@@ -84,6 +119,7 @@ def _from_named(name: str, parts: tuple[Body, ...], named: dict[str, np.ndarray]
     order = sum(body.order for body in parts)
     cells = np.stack([named[name] for body in parts for name in (*body.rotation, *body.position)], axis=1)
     y = np.full((len(cells), order, order), np.nan)
+    # A pose with one empty cell is no pose: all of it is missing.
     present = np.isfinite(cells).all(axis=1)
     named = {name: column[present] for name, column in named.items()}
     y[present] = 0.0
@@ -91,7 +127,7 @@ def _from_named(name: str, parts: tuple[Body, ...], named: dict[str, np.ndarray]
         rotation = np.stack([named[name] for name in body.rotation], axis=1)
         _check(name, body, rotation, np.flatnonzero(present) + 1)
         turn, end = slice(corner, corner + body.space), corner + body.space
-        y[present, turn, turn] = KINDS[body.kind].matrices(rotation)
+        y[present, turn, turn] = KINDS[body.kind].matrices(rotation)  # after the check, so rounding only is removed
         if body.position:
             y[present, turn, end] = np.stack([named[name] for name in body.position], axis=1)
             y[present, end, end] = 1.0
@@ -99,25 +135,53 @@ def _from_named(name: str, parts: tuple[Body, ...], named: dict[str, np.ndarray]
 
 
 def to_columns(columns: Columns, y: np.ndarray) -> dict[str, np.ndarray]:
-    """Configurations (T, n), (T, N, N) or (T, m) as columns by name, in the layout of `columns`; NaN stays.
+    """Columns of configurations, by name.
 
-    Quaternions are written without jumps of sign, and angles without jumps of a whole turn.
+    Args:
+        columns: Names and kinds of the columns.
+        y: Configurations (T, n), (T, N, N) or (T, m); NaN stays.
+
+    Returns:
+        Arrays (T,) in the order of `columns.measured`. Quaternions are without jumps of sign, and angles without jumps
+        of a whole turn.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import logs
+        >>> columns = logs.Columns(quaternion_wxyz=("w", "x", "y", "z"))
+        >>> {name: cells.tolist() for name, cells in logs.to_columns(columns, np.eye(3)[None]).items()}
+        {'w': [1.0], 'x': [0.0], 'y': [0.0], 'z': [0.0]}
     """
     parts = bodies(columns)
     if not parts:
         return dict(zip(columns.q, np.asarray(y).T, strict=True))
-    found = dict(zip(columns.q, coordinates(columns, y).T, strict=True))
+    named = dict(zip(columns.q, coordinates(columns, y).T, strict=True))
     for body, g in zip(parts, matrices(columns, y), strict=True):
         present = np.isfinite(g).all(axis=(1, 2))
         cells = np.full((len(g), len(body.rotation)), np.nan)
         cells[present] = KINDS[body.kind].cells(g[present, : body.space, : body.space])
-        found |= dict(zip(body.rotation, cells.T, strict=True))
-        found |= dict(zip(body.position, g[:, : body.space, -1].T, strict=False))
-    return {name: found[name] for name in columns.measured}
+        named |= dict(zip(body.rotation, cells.T, strict=True))
+        named |= dict(zip(body.position, g[:, : body.space, -1].T, strict=False))
+    return {name: named[name] for name in columns.measured}
 
 
 def matrices(columns: Columns, y: np.ndarray) -> list[np.ndarray]:
-    """The matrices (T, order, order) of each of the `bodies` in the configurations."""
+    """Matrices of each of the `bodies` in configurations.
+
+    Args:
+        columns: Names of the columns.
+        y: Configurations (T, N, N) or (T, m).
+
+    Returns:
+        For each body an array (T, order, order).
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import logs
+        >>> columns = logs.Columns(angle=("left", "right"))
+        >>> [wheel.shape for wheel in logs.matrices(columns, np.eye(4)[None])]
+        [(1, 2, 2), (1, 2, 2)]
+    """
     parts, balls = _bodies(columns)
     order, y = sum(body.order for body in parts), np.asarray(y)
     flat = y.reshape(len(y), -1)
@@ -128,7 +192,21 @@ def matrices(columns: Columns, y: np.ndarray) -> list[np.ndarray]:
 
 
 def coordinates(columns: Columns, y: np.ndarray) -> Float[np.ndarray, "T n"]:
-    """The coordinates in configurations: all entries where there are no bodies, otherwise the last ones."""
+    """Coordinates in configurations: all entries where there are no bodies, otherwise the last ones.
+
+    Args:
+        columns: Names of the columns.
+        y: Configurations (T, n), (T, N, N) or (T, m).
+
+    Returns:
+        Coordinates (T, n); (T, 0) where `columns.q` is empty.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import logs
+        >>> logs.coordinates(logs.Columns(q=("a", "b")), np.array([[1.0, 2.0]])).tolist()
+        [[1.0, 2.0]]
+    """
     y = np.asarray(y)
     return y[:, y.shape[1] - len(columns.q) :] if columns.q else np.zeros((len(y), 0))
 

@@ -23,7 +23,7 @@ from covariant.logs._units import check_unit, unit_factor
 from covariant.signals import Record
 
 OPTIONAL = ("v", "truth")
-"""Fields of `Columns` that are only compared with."""
+"""Fields of `Columns` that are used for comparison only."""
 MEASURED = ("q", "position", *ATTITUDES, "angle")
 """Fields of the measured configuration, in the order of `Columns.measured`."""
 
@@ -48,36 +48,37 @@ def read(
     Args:
         log: One of
 
-            - a path: a `.csv`, `.txt` or `.tsv` file, whose delimiter and decimal mark are found, and whose comments,
-              lines that begin with `#` or `%`, are left out; a `.parquet` file; a `.mcap` file or the folder of a
-              rosbag2;
+            - a path: a `.csv`, `.txt` or `.tsv` file, whose delimiter and decimal mark are detected, and whose
+              comments, lines that begin with `#` or `%`, are left out; a `.parquet` file; a `.mcap` file or the folder
+              of a rosbag2;
             - a data frame of any library that narwhals knows (pandas, polars, a table of pyarrow and others), or a
               dataset of xarray, whose variables along one dimension are the columns;
             - a `Record`, which is in SI units already: only the numbers of its positions and inputs are compared with
               `columns`, and its true state stays in `Log.record.x`.
         columns: Names and units of the columns.
-        every: Keeps each k-th row.
-        until: Keeps the rows up to so long [s] after the first one.
-        start: Keeps the rows from so long [s] after the first one. The whole log must be valid even so.
+        every: Reads each k-th row only.
+        until: Last time [s] since the first row that is read.
+        start: First time [s] since the first row that is read. The whole log must be valid even so.
         optional: Fields of `columns` that count as not named where the log has none of their columns.
 
     Returns:
-        The rows that are kept, in SI units and radians.
+        The rows that were asked for, in SI units and radians.
 
     Raises:
-        LogError: Names the file (or "table", "dataset", "record"), column and row of the first thing wrong.
+        LogError: Names the file (or "table", "dataset", "record"), column and row of the first fault.
         FileNotFoundError: There is no such file.
         ImportError: A package is missing: pyarrow, narwhals for data frames, or rosbags for ROS messages.
 
-    >>> import numpy as np
-    >>> import pandas
-    >>> from covariant import logs
-    >>> frame = pandas.DataFrame({"time": [0, 10, 20], "arm": [0.0, 9.0, 18.0]})
-    >>> columns = logs.Columns(t="time", q=("arm",), units={"t": ("ms",), "q": ("deg",)})
-    >>> np.round(logs.read(frame, columns).record.y, 3)
-    array([[0.   ],
-           [0.157],
-           [0.314]])
+    Example:
+        >>> import numpy as np
+        >>> import pandas
+        >>> from covariant import logs
+        >>> frame = pandas.DataFrame({"time": [0, 10, 20], "arm": [0.0, 9.0, 18.0]})
+        >>> columns = logs.Columns(t="time", q=("arm",), units={"t": ("ms",), "q": ("deg",)})
+        >>> np.round(logs.read(frame, columns).record.y, 3)
+        array([[0.   ],
+               [0.157],
+               [0.314]])
     """
     name = source_name(log)
     if not columns.measured:
@@ -110,7 +111,7 @@ def record(
     u: str | Sequence[str] = (),
     units: Mapping[str, str | Sequence[str]] | None = None,
 ) -> Record:
-    """Make a `Record` of a file, a data frame or a dataset, without a model file.
+    """Read a `Record` from a file, a data frame or a dataset, without a model file.
 
     Args:
         log: A path, data frame or dataset, as for `read`.
@@ -123,12 +124,13 @@ def record(
         Stamps (T,), inputs (T, m) and positions (T, n) in SI units and radians.
 
     Raises:
-        LogError: Names the first thing wrong, as in `read`.
+        LogError: Names the first fault, as in `read`.
 
-    >>> import pandas
-    >>> from covariant import logs
-    >>> logs.record(pandas.DataFrame({"t": [0.0, 0.1, 0.2], "q1": [0.0, 0.3, 0.4]}), q="q1")
-    <Record: 3 rows over 0.2 s, 1 position, no input>
+    Example:
+        >>> import pandas
+        >>> from covariant import logs
+        >>> logs.record(pandas.DataFrame({"t": [0.0, 0.1, 0.2], "q1": [0.0, 0.3, 0.4]}), q="q1")
+        <Record: 3 rows over 0.2 s, 1 position, no input>
     """
     named = {field: _names(texts) for field, texts in (units or {}).items()}
     for text in named.get("q", ()):
@@ -149,18 +151,18 @@ def _of_columns(name: str, log: Any, columns: Columns, optional: Collection[str]
             _need_units(name, columns, field, units)
 
     def stack(*fields: str, needed: bool = False) -> np.ndarray:
-        found = []
+        cells = []
         for field in fields:
             for place, column in enumerate(getattr(columns, field)):
-                given = columns.unit_of(field, place)
-                values = numbers(_where(name, column, given), table.column(column), needed)
+                unit = columns.unit_of(field, place)
+                values = numbers(_where(name, column, unit), table.column(column), needed)
                 if field in MEASURED and len(values) and np.isnan(values).all():
-                    raise LogError(f"{_where(name, column, given)} holds no number in any row; name another column")
-                found.append(values if given is None else values * unit_factor(given))
-        return np.column_stack(found) if found else np.empty((len(table), 0))
+                    raise LogError(f"{_where(name, column, unit)} holds no number in any row; name another column")
+                cells.append(values if unit is None else values * unit_factor(unit))
+        return np.column_stack(cells) if cells else np.empty((len(table), 0))
 
-    given = columns.unit_of("t", 0)
-    t, origin = stamps(_where(name, columns.t, given), table.column(columns.t), given)
+    unit = columns.unit_of("t", 0)
+    t, origin = stamps(_where(name, columns.t, unit), table.column(columns.t), unit)
     u, y = stack("u", needed=True), from_cells(name, columns, stack(*MEASURED))
     v, truth = (stack(field) if getattr(columns, field) else None for field in OPTIONAL)
     return Log(_checked(name, Record(t, u, y)), v, truth, origin)
@@ -169,15 +171,15 @@ def _of_columns(name: str, log: Any, columns: Columns, optional: Collection[str]
 def _need_units(log: str, columns: Columns, field: str, units: Mapping[str, str]) -> None:
     """Raise `LogError` for a column that has a unit in its name, or in the log, but would be read in another.
 
-    - `units`: those that the log itself gives.
+    - `units`: units that the log itself states.
     """
     names = getattr(columns, field)
     names = (names,) if isinstance(names, str) else names
     meant = MEANT.get(field, ())
-    said = [unit_in_name(f"{name} [{units[name]}]" if name in units else name, meant) for name in names]
-    for place, (name, text) in enumerate(zip(names, said, strict=True)):
+    in_names = [unit_in_name(f"{name} [{units[name]}]" if name in units else name, meant) for name in names]
+    for place, (name, text) in enumerate(zip(names, in_names, strict=True)):
         if text is not None and unit_factor(text) != 1 and columns.unit_of(field, place) is None:
-            texts = [f'"{each or meant[0]}"' for each in said]
+            texts = [f'"{each or meant[0]}"' for each in in_names]
             line = f"{field} = {texts[0] if len(set(texts)) == 1 else '[' + ', '.join(texts) + ']'}"
             raise LogError(
                 f"{log}: column {name!r} has a unit in its {'attributes' if name in units else 'name'}, and no unit is "
@@ -197,66 +199,71 @@ def _of_record(log: Record, columns: Columns) -> Log:
 
 
 def _cut(name: str, log: Log, every: int, until: float | None, start: float | None) -> Log:
-    """Every so-many-th row of a log between two times since its first row."""
+    """Every k-th row of a log between two times since its first row."""
     t = log.record.t
     since = t - t[0]
+    # Both ends are included: "left" at the start, "right" at the end.
     low = 0 if start is None else int(np.searchsorted(since, start, side="left"))
-    kept = slice(low, len(t) if until is None else int(np.searchsorted(since, until, side="right")), every)
-    if len(t[kept]) < 2:
+    rows = slice(low, len(t) if until is None else int(np.searchsorted(since, until, side="right")), every)
+    if len(t[rows]) < 2:
         asked = (("every", every), ("from", start), ("until", until))
         given = ", ".join(f"{word}={value:g}" for word, value in asked if value is not None)
-        raise LogError(f"{name}: {given} keep {len(t[kept])} of {len(t)} rows, and two are needed")
-    if np.isnan(log.record.y[kept][0]).any():
+        raise LogError(f"{name}: {given} keep {len(t[rows])} of {len(t)} rows, and two are needed")
+    if np.isnan(log.record.y[rows][0]).any():
         row = low + 1
         raise LogError(f"{name}: row {row}, the first one kept, lacks a measurement; begin a little later or earlier")
-    record, v, truth = (_rows(part, kept) for part in (log.record, log.v, log.truth))
+    record, v, truth = (_rows(part, rows) for part in (log.record, log.v, log.truth))
     return Log(record, v, truth, log.origin_ns, low + 1, every)
 
 
-def _rows(part: Any, kept: slice) -> Any:
+def _rows(part: Any, rows: slice) -> Any:
     """Some rows of an array, or of all arrays of a named tuple, such as a record or the motion of a group."""
     if part is None:
         return None
     if isinstance(part, tuple):
-        return type(part)(*(_rows(each, kept) for each in part))
-    return part[kept]
+        return type(part)(*(_rows(each, rows) for each in part))
+    return part[rows]
 
 
 def survey(log: str | PathLike[str] | Any) -> dict[str, Float[np.ndarray, "T"]]:
-    """All columns of numbers of a log by their names, in its order; NaN where a cell is empty.
+    """All columns of numbers of a log, by name.
 
     Columns that hold anything else are left out, but dates are seconds since the first of them.
 
     Args:
         log: A path, data frame or dataset, as for `read`.
 
+    Returns:
+        Arrays (T,) in the order of the log, in the units of the log; NaN where a cell is empty.
+
     Raises:
         LogError: The file is no log; as for `read`.
 
-    >>> import pandas
-    >>> from covariant import logs
-    >>> list(logs.survey(pandas.DataFrame({"t": [0.0, 0.1], "q1": [0.0, 0.3], "remark": ["on", "off"]})))
-    ['t', 'q1']
+    Example:
+        >>> import pandas
+        >>> from covariant import logs
+        >>> list(logs.survey(pandas.DataFrame({"t": [0.0, 0.1], "q1": [0.0, 0.3], "remark": ["on", "off"]})))
+        ['t', 'q1']
     """
     name = source_name(log)
     with _legible(name, log):
         _, shown, load, _ = _opened(name, log)
         alone = [column for column, count in Counter(shown).items() if column and count == 1]
         table = with_points(pyarrow(), name, load(alone, ()))
-    found: dict[str, np.ndarray] = {}
+    columns: dict[str, np.ndarray] = {}
     for name in alone:
         column = table.column(name)
         with contextlib.suppress(LogError):
-            found[name] = stamps(name, column, None).t if timed(column) else numbers(name, column, needed=False)
-    return found
+            columns[name] = stamps(name, column, None).t if timed(column) else numbers(name, column, needed=False)
+    return columns
 
 
-def _where(name: str, column: str, given: str | None) -> str:
-    return f"{name}: column {column!r}" + (f" [{given}]" if given else "")
+def _where(name: str, column: str, unit: str | None) -> str:
+    return f"{name}: column {column!r}" + (f" [{unit}]" if unit else "")
 
 
 def _checked(name: str, record: Record) -> Record:
-    """The record after `Record.check`, before rows are dropped, so that rows are counted as in the log."""
+    """The record after `Record.check`, before rows are dropped, so that messages count rows as in the log."""
     try:
         return record.check()
     except ValueError as error:
@@ -264,7 +271,7 @@ def _checked(name: str, record: Record) -> Record:
 
 
 def _table(name: str, log: Any, columns: Columns, optional: Collection[str]) -> tuple[Columns, Any, Mapping[str, str]]:
-    """The columns without those optional ones that the log does not have, a table of them, and units that it gives."""
+    """The columns without the optional ones that the log lacks, a table of them, and the units that the log states."""
     with _legible(name, log):
         names, shown, load, units = _opened(name, log)
         absent = [field for field in optional if not set(getattr(columns, field)) & set(names)]
@@ -305,8 +312,8 @@ def _opened(name: str, log: Any) -> LogSource:
         with pyarrow().parquet.ParquetFile(path) as file:
             names = list(file.schema_arrow.names)
             return LogSource(names, names, lambda wanted, held: _parquet(path, wanted))
-    found = sheet(path)
-    return LogSource(found.header, found.header, lambda wanted, held: read_text(pyarrow(), path, found, wanted))
+    text = sheet(path)
+    return LogSource(text.header, text.header, lambda wanted, held: read_text(pyarrow(), path, text, wanted))
 
 
 def _parquet(path: Path, wanted: Sequence[str]) -> Any:
@@ -314,16 +321,16 @@ def _parquet(path: Path, wanted: Sequence[str]) -> Any:
         return file.read(columns=wanted)
 
 
-def _find(log: str, wanted: Sequence[str], found: Sequence[str], shown: Sequence[str]) -> None:
+def _find(log: str, wanted: Sequence[str], names: Sequence[str], shown: Sequence[str]) -> None:
     """Check that each wanted column exists exactly once."""
-    count = Counter(found)
+    count = Counter(names)
     for name in wanted:
         if count[name] > 1:
             raise LogError(f"{log}: {count[name]} columns are named {name!r}; rename all but one")
-        if not count[name] and all(map(is_number, found)):
-            line = ", ".join(found)[:60]
+        if not count[name] and all(map(is_number, names)):
+            line = ", ".join(names)[:60]
             raise LogError(f"{log}: its first line, {line!r}, names no columns; put a header above it")
         if not count[name]:
-            near = difflib.get_close_matches(name, found, 1)
-            meant = f" Did you mean {near[0]!r}?" if near else ""
+            close = difflib.get_close_matches(name, names, 1)
+            meant = f" Did you mean {close[0]!r}?" if close else ""
             raise LogError(f"{log}: no column {name!r}.{meant} There are: {', '.join(shown)}")

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 TOLERANCE = 0.05
-"""A quaternion or matrix farther than this from a rotation is an error, not rounding."""
+"""Largest deviation from a rotation that counts as rounding: of a quaternion's length or a singular value from 1."""
 
 Cells = Float[np.ndarray, "T k"]
 Rotations = Float[np.ndarray, "T d d"]
@@ -16,9 +16,10 @@ Rotations = Float[np.ndarray, "T d d"]
 class Kind(NamedTuple):
     """A representation of rotations.
 
-    - `matrices`: converts cells to the nearest rotation matrices.
-    - `fault`: which rows are invalid, and a function that describes the fault of a row.
-    - `cells`: converts rotation matrices back to cells.
+    Attributes:
+        matrices: Converts cells (T, k) to the nearest rotation matrices (T, d, d).
+        fault: Mask (T,) of the rows that are invalid, and a function that describes the fault of a row.
+        cells: Converts rotation matrices (T, d, d) to cells (T, k).
     """
 
     matrices: Callable[[Cells], Rotations]
@@ -49,6 +50,7 @@ def _to_wxyz(r: Rotations) -> Cells:
     table = np.moveaxis(np.array(rows), 2, 0)
     longest = table[np.arange(len(r)), np.argmax(np.einsum("kii->ki", table), axis=1)]
     q = longest / np.linalg.norm(longest, axis=1, keepdims=True)
+    # q and −q are one rotation. A negative product with the row before is a jump of sign, undone from there on.
     along = np.concatenate([q[:1, 0], np.einsum("ki,ki->k", q[1:], q[:-1])])
     return q * np.cumprod(np.where(along < 0, -1.0, 1.0))[:, None]
 
@@ -79,6 +81,7 @@ def _shape_fault(cells: Cells) -> tuple[np.ndarray, Callable[[int], str]]:
 
 
 def _nearest(cells: Cells) -> Rotations:
+    # U Vᵀ of the singular value decomposition is the nearest orthogonal matrix; reflections are errors before this.
     left, _, right = np.linalg.svd(cells.reshape(-1, 3, 3))
     return left @ right
 

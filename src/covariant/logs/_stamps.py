@@ -18,48 +18,65 @@ _DATE = r"^\s*[0-9]{4}-[0-9]{2}-[0-9]{2}"
 
 
 class Stamps(NamedTuple):
-    """Stamps t (T,) [s], and the time [ns since 1970] at which t is zero; None where t is as in the file."""
+    """Stamps of a log.
+
+    Attributes:
+        t: Stamps (T,) [s].
+        origin_ns: Time [ns since 1970] at which t is zero; None where t is as in the file.
+    """
 
     t: Float[np.ndarray, "T"]
     origin_ns: int | None
 
 
 def stamps(where: str, column: Any, given: str | None) -> Stamps:
-    """The stamps in a column of numbers, of dates as 2024-05-01T12:00:00.25Z, or of Arrow's timestamps.
+    """Read the stamps in a column of numbers, of dates as 2024-05-01T12:00:00.25Z, or of Arrow's timestamps.
 
-    Dates, and times since 1970, count from the first of them, and none of their digits is lost. `given` is the unit of
-    numbers, seconds by default. Raises `LogError` naming the first cell that is no stamp.
+    Dates, and times since 1970, count from the first of them, and none of their digits is lost.
+
+    Args:
+        where: Log and column, the beginning of error messages.
+        column: A chunked array of Arrow.
+        given: Unit of the numbers; None for seconds.
+
+    Returns:
+        The stamps.
+
+    Raises:
+        LogError: Names the first cell that is no stamp.
     """
     pa = pyarrow()
     if dated(column):
         _need_no_unit(where, given, "dates")
         ticks = _dates(pa, where, column)
+        # Integers are subtracted before they become floats, so that no digit of a date is lost.
         return Stamps((ticks - ticks[0]) * 1e-9, int(ticks[0]))
     if pa.types.is_duration(column.type):
         _need_no_unit(where, given, str(column.type))
         column, given = column.cast(pa.int64()), column.type.unit
     factor = 1.0 if given is None else unit_factor(given)
-    found = numbers(where, column, needed=True)
-    if column.type in (pa.float32(), pa.float16()) and (np.diff(found) > 0).all():
+    values = numbers(where, column, needed=True)
+    if column.type in (pa.float32(), pa.float16()) and (np.diff(values) > 0).all():
         try:
-            check_rounding(found.astype(column.type.to_pandas_dtype()))
+            check_rounding(values.astype(column.type.to_pandas_dtype()))
         except ValueError as error:
             raise LogError(f"{where}: {error}") from error
-    late = np.abs(found) * factor > LATEST_STAMP
+    late = np.abs(values) * factor > LATEST_STAMP
     if late.any():
         row = int(late.argmax())
-        unit = next((unit for unit in ("ms", "us") if abs(found[row]) * unit_factor(unit) < LATEST_STAMP), "ns")
+        unit = next((unit for unit in ("ms", "us") if abs(values[row]) * unit_factor(unit) < LATEST_STAMP), "ns")
         raise LogError(
             f"{where}, row {row + 1}: found {column[row].as_py()}, which in {given or 's'} is after the year 2200; "
             f'write t = "{unit}" under [units] of the model file, or the unit that the stamps are in'
         )
-    if not len(found) or abs(found[0] * factor) < LATEST:
-        return Stamps(found if factor == 1.0 else found * factor, None)
-    first, later = _since_first(pa, column, found)
+    if not len(values) or abs(values[0] * factor) < LATEST:
+        return Stamps(values if factor == 1.0 else values * factor, None)
+    first, later = _since_first(pa, column, values)
+    # A fraction times a whole number of nanoseconds is exact.
     return Stamps(later * factor, round(first * round(factor * 1e9)))
 
 
-def _since_first(pa: Any, column: Any, found: np.ndarray) -> tuple[Fraction, np.ndarray]:
+def _since_first(pa: Any, column: Any, values: np.ndarray) -> tuple[Fraction, np.ndarray]:
     """The first number, and all of them since the first, subtracted as they are written: a float has 16 digits."""
     for exact in (pa.int64(), pa.decimal128(30, 12)):
         try:
@@ -69,11 +86,11 @@ def _since_first(pa: Any, column: Any, found: np.ndarray) -> tuple[Fraction, np.
             continue
         later = pa.compute.subtract(digits, digits[0]).cast(pa.float64(), safe=False)
         return Fraction(digits[0].as_py()), later.to_numpy()
-    return Fraction(float(found[0])), found - found[0]
+    return Fraction(float(values[0])), values - values[0]
 
 
 def dated(column: Any) -> bool:
-    """Whether a column holds dates."""
+    """Whether a column of Arrow holds dates, as timestamps or as text."""
     types = pyarrow().types
     if types.is_timestamp(column.type):
         return True
@@ -81,12 +98,12 @@ def dated(column: Any) -> bool:
 
 
 def timed(column: Any) -> bool:
-    """Whether the type of a column, or its text, says that it holds time."""
+    """Whether the type of a column, or its text, shows that it holds time."""
     return dated(column) or pyarrow().types.is_duration(column.type)
 
 
-def _need_no_unit(where: str, given: str | None, what: str) -> None:
-    if given is not None:
+def _need_no_unit(where: str, unit: str | None, what: str) -> None:
+    if unit is not None:
         raise LogError(f"{where} holds {what}, which need no unit; leave [units] t away")
 
 

@@ -15,12 +15,14 @@ from covariant.signals import Record
 
 
 class LogSource(NamedTuple):
-    """The names of the columns of a log, and `load(wanted, held)`: some of them as a table of Arrow.
+    """The columns of a log, loaded on demand.
 
-    - `shown`: one name for each column; a log of messages knows longer ones as well.
-    - `units`: units that the log itself gives some of its columns.
-
-    Of columns that are `held`, cells that are not logged with the others hold what was logged last.
+    Attributes:
+        names: All names under which columns can be loaded.
+        shown: One name for each column; a log of messages knows longer ones as well.
+        load: `load(wanted, held)`: the wanted columns as a table of Arrow. Columns that are `held` repeat the last
+            value where they are not logged with the others.
+        units: Units that the log itself states, by column.
     """
 
     names: Sequence[str]
@@ -30,11 +32,18 @@ class LogSource(NamedTuple):
 
 
 def source_name(log: Any) -> str:
-    """What messages call a log: its path, or "table", "dataset" or "record" for one in memory.
+    """Name of a log in messages: its path, or "table", "dataset" or "record" for one in memory.
 
-    >>> from covariant import logs
-    >>> logs.source_name("run7.csv")
-    'run7.csv'
+    Args:
+        log: A path, data frame, dataset or `Record`.
+
+    Returns:
+        The name.
+
+    Example:
+        >>> from covariant import logs
+        >>> logs.source_name("run7.csv")
+        'run7.csv'
     """
     if isinstance(log, (str, PathLike)):
         return str(Path(log))
@@ -44,7 +53,19 @@ def source_name(log: Any) -> str:
 
 
 def table_source(name: str, log: Any) -> LogSource:
-    """The columns of a data frame or dataset; raises `LogError` for an object that is neither."""
+    """Columns of a data frame or dataset.
+
+    Args:
+        name: Name of the log in error messages.
+        log: A data frame that narwhals knows, or a dataset of xarray.
+
+    Returns:
+        Its columns.
+
+    Raises:
+        LogError: The object is neither.
+        ImportError: narwhals is not installed.
+    """
     if _is_dataset(log):
         return _dataset_source(name, log)
     narwhals = load_optional("narwhals", use="reading data frames needs", extra="logs")
@@ -108,10 +129,10 @@ def _arrow(name: str, column: str, convert: Callable[[], Any]) -> Any:
     """A column as Arrow has it; raises `LogError` for cells of several kinds."""
     pa = pyarrow()
     try:
-        found = convert()
+        cells = convert()
     except (pa.ArrowException, TypeError, ValueError) as error:
         raise LogError(f"{name}: column {column!r} is no column of numbers: {str(error).splitlines()[0]}") from error
-    found = found if isinstance(found, pa.ChunkedArray) else pa.chunked_array([found])
-    if pa.types.is_dictionary(found.type) or pa.types.is_large_string(found.type):
-        found = found.cast(pa.string())
-    return found
+    cells = cells if isinstance(cells, pa.ChunkedArray) else pa.chunked_array([cells])
+    if pa.types.is_dictionary(cells.type) or pa.types.is_large_string(cells.type):
+        cells = cells.cast(pa.string())
+    return cells

@@ -1,4 +1,4 @@
-"""Logs as text: header, delimiter and decimal mark are found in the file itself, and comments are left out."""
+"""Logs as text: header, delimiter and decimal mark are detected, and comments are left out."""
 
 import csv
 import re
@@ -10,9 +10,9 @@ from covariant._numbers import DECIMAL
 from covariant.logs._columns import LogError
 
 DELIMITERS = {"\t": "tabs", ";": "semicolons", ",": "commas", "|": "strokes", " ": "spaces"}
-"""What may stand between two cells, most telling first, and its name; any number of spaces is one."""
+"""Delimiters of cells, the least ambiguous first, and their names; any number of spaces is one."""
 SAMPLE = 30
-"""Rows by which the delimiter is chosen."""
+"""Number of rows by which the delimiter is chosen."""
 _NOTHING = re.compile(rb"^[ \t]*(?:[#%][^\n]*)?(?:\n|\Z)", re.MULTILINE)
 """A line that is empty or a comment."""
 _COMMA = r"^(\s*[+-]?[0-9]*),([0-9]+(?:[eE][+-]?[0-9]+)?\s*)$"
@@ -20,7 +20,13 @@ _POINT = r"^\s*[+-]?(?:[0-9]+\.[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?\s*$"
 
 
 class Sheet(NamedTuple):
-    """The text of a log: names of its columns, delimiter, and the rows without comments and empty lines."""
+    """Text of a log, split into its parts.
+
+    Attributes:
+        header: Names of the columns.
+        delimiter: Character between two cells, a key of `DELIMITERS`.
+        rows: Bytes of the rows in UTF-8, without comments and empty lines.
+    """
 
     header: list[str]
     delimiter: str
@@ -28,7 +34,18 @@ class Sheet(NamedTuple):
 
 
 def sheet(path: Path) -> Sheet:
-    """Read a text file; raises `LogError` for one without a header, `UnicodeDecodeError` for one not in Unicode."""
+    """Read a text file, and detect its delimiter and header.
+
+    Args:
+        path: The file.
+
+    Returns:
+        Its parts.
+
+    Raises:
+        LogError: The file is empty.
+        UnicodeDecodeError: The file is not in Unicode.
+    """
     text = _unix(path.read_bytes())
     remark = _remark(text)
     text = _NOTHING.sub(b"", text)
@@ -41,7 +58,9 @@ def sheet(path: Path) -> Sheet:
     if remark and all(is_number(cell) for cell in header if cell):  # as numpy.savetxt writes its header
         names = _split([remark], delimiter)[0]
         if len(names) == len(header):
+            # The last comment has as many cells as the first line, which holds numbers only: it is the header.
             header, sample, rows = names, [header, *sample], text
+    # Rows, or the header, may end with a delimiter: then the other one lacks an empty cell.
     if header[-1] and sample and all(len(row) == len(header) + 1 and not row[-1] for row in sample):
         header = [*header, ""]
     elif not header[-1] and sample and all(len(row) == len(header) - 1 for row in sample):
@@ -52,7 +71,20 @@ def sheet(path: Path) -> Sheet:
 
 
 def read_text(pa: Any, path: Path, found: Sheet, wanted: Sequence[str]) -> Any:
-    """The wanted columns of a sheet as texts; raises `LogError` for a row that is longer or shorter than the header."""
+    """Read columns of a sheet as text.
+
+    Args:
+        pa: The package pyarrow.
+        path: The file, for error messages.
+        found: The sheet.
+        wanted: Names of the columns.
+
+    Returns:
+        A table of Arrow with one column of text for each.
+
+    Raises:
+        LogError: A row is longer or shorter than the header, or a comma may be a decimal mark.
+    """
     if not found.rows.strip():
         raise LogError(f"{path}: the file has a header and no rows")
     ragged = []
@@ -88,7 +120,19 @@ def read_text(pa: Any, path: Path, found: Sheet, wanted: Sequence[str]) -> Any:
 
 
 def with_points(pa: Any, log: str, table: Any) -> Any:
-    """The table with decimal points in place of decimal commas; raises `LogError` where it has both."""
+    """Replace decimal commas by decimal points.
+
+    Args:
+        pa: The package pyarrow.
+        log: Name of the log in error messages.
+        table: A table of Arrow.
+
+    Returns:
+        The table, whose columns of text have decimal points.
+
+    Raises:
+        LogError: The table has decimal commas and decimal points.
+    """
     texts = [name for name in table.column_names if pa.types.is_string(table.schema.field(name).type)]
     commas = {name: _matching(pa, table.column(name), _COMMA) for name in texts}
     commas = {name: row for name, row in commas.items() if row is not None}

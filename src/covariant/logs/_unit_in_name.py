@@ -8,7 +8,7 @@ from covariant.logs._units import check_unit
 
 MEANT = {"t": ("s",), "q": ("rad", "m"), "u": ("N m", "N"), "v": ("rad/s", "m/s")}
 MEANT |= {"truth": MEANT["v"], "position": ("m",), "angle": ("rad",)}
-"""Units in which the columns of each field are logged where a model file says nothing else."""
+"""Units in which the columns of each field are logged unless the model file states others."""
 _PLAIN = {
     **dict.fromkeys(("deg", "degs", "degree", "degrees"), "deg"),
     **dict.fromkeys(("rad", "rads", "radian", "radians"), "rad"),
@@ -34,11 +34,19 @@ _TURNS = {"th", "theta", "phi", "psi", "angle", "ang"}
 
 
 def unit_in_name(name: str, meant: Sequence[str]) -> str | None:
-    """The unit that the name of a column ends with, where it is of one of the kinds that are meant; otherwise None.
+    """Unit at the end of the name of a column.
 
-    >>> from covariant.logs import unit_in_name
-    >>> unit_in_name("q1 [deg]", ("rad", "m")), unit_in_name("time_ms", ("s",)), unit_in_name("q1", ("rad", "m"))
-    ('deg', 'ms', None)
+    Args:
+        name: Name of a column, as "q1 [deg]" or "time_ms".
+        meant: Units of the quantities that the column may hold, as `("rad", "m")`.
+
+    Returns:
+        The unit, where it is of one of these kinds; otherwise None.
+
+    Example:
+        >>> from covariant.logs import unit_in_name
+        >>> unit_in_name("q1 [deg]", ("rad", "m")), unit_in_name("time_ms", ("s",)), unit_in_name("q1", ("rad", "m"))
+        ('deg', 'ms', None)
     """
     match = _IN_NAME.search(name)
     if match is None:
@@ -52,17 +60,34 @@ def unit_in_name(name: str, meant: Sequence[str]) -> str | None:
 
 
 def without_unit(name: str) -> str:
-    """A name without the unit at its end."""
+    """Name of a column without the unit at its end.
+
+    Example:
+        >>> from covariant.logs import without_unit
+        >>> without_unit("q1 [deg]")
+        'q1'
+    """
     return _IN_NAME.sub("", name).strip()
 
 
 def words_of(name: str) -> set[str]:
-    """The words in a name, in lower case."""
+    """Words in a name, in lower case.
+
+    Example:
+        >>> from covariant.logs import words_of
+        >>> sorted(words_of("Motor_angle 2"))
+        ['angle', 'motor']
+    """
     return set(re.findall(r"[a-z]+", name.lower()))
 
 
 def is_unit_of(text: str, meant: Sequence[str]) -> bool:
-    """Whether a text is a unit of one of the kinds of those that are meant."""
+    """Whether a text is a unit of the same kind as one of several units.
+
+    Args:
+        text: A unit, as "deg/s".
+        meant: The units it is compared with.
+    """
     for unit in meant:
         with contextlib.suppress(ValueError):
             check_unit(text, unit)

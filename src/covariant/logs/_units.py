@@ -46,21 +46,22 @@ _FACTOR = re.compile(rf"(?P<number>{DECIMAL})|(?P<symbol>[^\W\d_²³]+|°)(?P<po
 
 
 def _unit(text: str) -> _Unit:
-    """The unit that a text names: factors are multiplied, and one after a stroke divides; raises `ValueError`."""
+    """Parse a unit: factors are multiplied, and one after a stroke divides; raises `ValueError`."""
     size, exponents, named, rest, sign = 1.0, [0] * 5, False, text.strip(), 1
     while rest or sign < 0 or not text.strip():
-        found = _FACTOR.match(rest)
-        part = None if found is None else _part(found)
-        if found is None or part is None:
+        match = _FACTOR.match(rest)
+        part = None if match is None else _part(match)
+        if match is None or part is None:
             raise ValueError(
                 f"unit {text!r} is not understood at {rest[:12]!r}; write it as in ms, us, deg, deg/s, mm, mN m, "
                 "turn/4096 for ticks of a 4096th of a turn, or -1 N m for the other sign"
             )
+        # A stroke divides by the next factor only. Zero becomes infinity here, so that dividing by it is refused below.
         size *= part.factor if sign > 0 else 1 / (part.factor or math.inf)
         if part.exponents is not None:
             named = True
             exponents = [e + sign * more for e, more in zip(exponents, part.exponents, strict=True)]
-        rest, sign = rest[found.end() :].strip(), 1
+        rest, sign = rest[match.end() :].strip(), 1
         if rest[:1] in ("/", "*", "·"):
             sign, rest = -1 if rest[0] == "/" else 1, rest[1:].strip()
     if not size or not math.isfinite(size):
@@ -68,11 +69,11 @@ def _unit(text: str) -> _Unit:
     return _Unit(size, tuple(exponents) if named else None)
 
 
-def _part(found: re.Match[str]) -> _Unit | None:
+def _part(match: re.Match[str]) -> _Unit | None:
     """The unit that one factor of a text stands for; None where no unit is called so."""
-    if found["number"]:
-        return _Unit(float(found["number"]), None)
-    name, power = found["symbol"], _POWERS[(found["power"] or "").removeprefix("^")]
+    if match["number"]:
+        return _Unit(float(match["number"]), None)
+    name, power = match["symbol"], _POWERS[(match["power"] or "").removeprefix("^")]
     base = _SYMBOLS.get(name)
     if base is None and name[1:] in _PREFIXED and name[0] in _PREFIXES:
         base = _SYMBOLS[name[1:]]
@@ -83,23 +84,49 @@ def _part(found: re.Match[str]) -> _Unit | None:
 
 
 def unit_factor(text: str) -> float:
-    """By what a number in a unit is multiplied to be in SI units and radians.
+    """Factor that converts a number in a unit to SI units and radians.
 
-    A unit is written as `ms`, `deg/s`, `mN m`, `turn/4096` for ticks of a 4096th of a turn, `-1 N m` for the other
-    sign, or as a bare number, `1e-3`. Raises `ValueError`, one line that quotes the text.
+    Args:
+        text: The unit: `ms`, `deg/s`, `mN m`, `turn/4096` for ticks of a 4096th of a turn, `-1 N m` for the other sign,
+            or a bare number, `1e-3`.
+
+    Returns:
+        The factor, finite and not zero.
+
+    Raises:
+        ValueError: The text is no unit; the message is one line that quotes it.
+
+    Example:
+        >>> from covariant.logs import unit_factor
+        >>> unit_factor("ms"), unit_factor("-1 mN m"), round(unit_factor("turn/4096"), 6)
+        (0.001, -0.001, 0.001534)
     """
     return _unit(text).factor
 
 
 def check_unit(text: str, wanted: str) -> None:
-    """Raise `ValueError` unless the text is a unit of the same kind as the `wanted` one.
+    """Check that a unit measures the same kind of quantity as another.
 
-    A bare number fits, and so does anything where the unit that is wanted is unknown.
+    A bare number fits, and so does anything where the other unit is unknown.
+
+    Args:
+        text: The unit.
+        wanted: A unit of the kind that is needed.
+
+    Raises:
+        ValueError: The text is no unit, or one of another kind.
+
+    Example:
+        >>> from covariant.logs import check_unit
+        >>> check_unit("deg", "rad")
+        >>> check_unit("mm", "rad")
+        Traceback (most recent call last):
+        ValueError: unit 'mm' is no unit of what is measured in rad
     """
-    given = _unit(text)
+    parsed = _unit(text)
     try:
         needed = _unit(wanted)
     except ValueError:
         return
-    if None not in (given.exponents, needed.exponents) and given.exponents != needed.exponents:
+    if None not in (parsed.exponents, needed.exponents) and parsed.exponents != needed.exponents:
         raise ValueError(f"unit {text!r} is no unit of what is measured in {wanted}")

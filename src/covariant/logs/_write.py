@@ -20,16 +20,28 @@ WRITTEN = (".csv", ".txt", ".tsv", ".parquet", *MESSAGES)
 
 
 def write(path: str | PathLike[str], columns: Mapping[str, np.ndarray], origin_ns: int | None = None) -> None:
-    """Write columns (T,) by name, the first of them the stamps; floats are read back exactly, NaN included.
-
-    - `path`: a `.csv`, `.txt` or `.tsv` file, a `.parquet` file, or ROS messages: an `.mcap` file, or the folder of a
-      rosbag2 whose name ends in `.rosbag2`. In messages stamps are whole nanoseconds, `shoulder/position`,
-      `shoulder/velocity` and `shoulder/effort` are a joint, and px, py, pz, qw, qx, qy, qz are a pose.
-    - `origin_ns`: the time [ns since 1970] that stamps count from; it is kept only in messages.
+    """Write columns of numbers to a file or folder; floats are read back exactly, NaN included.
 
     The file appears at once and complete, replacing one of the same name; after a failure the old one is unchanged. A
-    folder is not replaced. Raises `LogError` when the columns are not 1-D numbers of one length or the file cannot be
-    written; `ImportError` without pyarrow, or without rosbags for messages.
+    folder is not replaced.
+
+    Args:
+        path: A `.csv`, `.txt` or `.tsv` file, a `.parquet` file, or ROS messages: an `.mcap` file, or the folder of a
+            rosbag2 whose name ends in `.rosbag2`. In messages stamps are whole nanoseconds, `shoulder/position`,
+            `shoulder/velocity` and `shoulder/effort` are a joint, and px, py, pz, qw, qx, qy, qz are a pose.
+        columns: Arrays (T,) by name, the first of them the stamps [s].
+        origin_ns: Time [ns since 1970] from which the stamps count; it is written to messages only.
+
+    Raises:
+        LogError: The columns are not 1-D numbers of one length, or the file cannot be written.
+        ImportError: pyarrow is missing, or rosbags for messages.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import logs
+        >>> logs.write("run.csv", {"t": np.array([0.0, 0.1]), "q1": np.array([0.5, np.nan])})
+        >>> logs.record("run.csv", q="q1").y.tolist()
+        [[0.5], [nan]]
     """
     path = Path(path)
     if path.suffix.lower() not in WRITTEN:

@@ -1,1 +1,1 @@
-"""The examples of the papers, reproduced with this library's observers, and the errata that matter."""
+"""Examples of the papers, reproduced with this library's observers, and the errata that matter."""

@@ -1,4 +1,4 @@
-"""Wrong printed equations, kept as counter-examples that demonstrably fail.
+"""Wrong printed equations, as counter-examples that demonstrably fail.
 
 Sources: Aghannan & Rouchon 2003, equation (14): all four curvature terms have the sign opposite to their own (5).
 Maithripala, Berg & Dayawansa 2004, equations (8), (18), (19), (21), (44), (45) and the definition of S below (30).
@@ -15,7 +15,21 @@ from covariant.observers import AbstractFlowObserver, HeldState, Info, Mechanica
 
 
 class PrintedBallAndBeam(AbstractFlowObserver):
-    """Observer (14) for the normalised ball and beam, exactly as printed. Do not use it."""
+    """Observer (14) for the normalised ball and beam, exactly as printed, in continuous time. Do not use it.
+
+    Args:
+        alpha: Gain α of the position error [1/s].
+        beta: Gain β of the velocity equation [1/s²].
+        curvature_sign: 1 as printed, −1 as (5) requires.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant.papers._errata import PrintedBallAndBeam
+        >>> observer = PrintedBallAndBeam(alpha=2.0, beta=1.0)
+        >>> state = observer.init(jnp.array([0.5, 0.0]))
+        >>> observer.flow(state.t, state, jnp.zeros(1), jnp.array([0.0, 0.0])).q.tolist()
+        [-1.0, 0.0]
+    """
 
     alpha: Number
     beta: Number
@@ -63,8 +77,24 @@ SLIPS = {
 
 
 class PrintedGroup(AbstractFlowObserver):
-    """Observer (20)–(21) on SO(3) or SE(3) with some of the misprints `slips` put back; without any it is `Intrinsic`
-    with the paper's doubled α. Do not use it."""
+    """Observer (20)–(21) on SO(3) or SE(3) with misprints of the paper put back, in continuous time. Do not use it.
+
+    Without misprints it is `Intrinsic` with the paper's doubled α.
+
+    Args:
+        model: The system.
+        alpha: Gain α [1/s], doubled in the observer.
+        beta: Gain β [1/s²].
+        slips: The misprints, keys of `SLIPS`.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import models
+        >>> from covariant.papers._errata import PrintedGroup
+        >>> observer = PrintedGroup(models.heavy_top((1.0, 1.0, 2.0)), 1.0, 1.0, ("alpha",))
+        >>> observer.estimate(observer.init(jnp.eye(3))).v.tolist()
+        [0.0, 0.0, 0.0]
+    """
 
     model: GroupSystem
     alpha: Number
@@ -84,11 +114,14 @@ class PrintedGroup(AbstractFlowObserver):
         s = source(self.model, t, y, u)
         s = space.lower(q, s) if "source" in self.slips else s
         w = v - 2 * self.alpha * error
-        moved = s - (space.connection(q, s, error) if "transport" in self.slips else space.connection(q, error, s))
-        turned = space.curvature(q, v, error, v)
+        transported = s - (
+            space.connection(q, s, error) if "transport" in self.slips else space.connection(q, error, s)
+        )
+        curvature = space.curvature(q, v, error, v)
         if "curvature count" in self.slips:
-            turned = 2 * turned - space.connection(q, group.lie_bracket(v, error), v)
-        v_dot = moved + (turned if "curvature sign" in self.slips else -turned) - self.beta * error
+            curvature = 2 * curvature - space.connection(q, group.lie_bracket(v, error), v)
+        # With R(a, b) = ∇_a∇_b − ∇_b∇_a − ∇_[a, b], as in this library, the term enters with a minus; (18) has a plus.
+        v_dot = transported + (curvature if "curvature sign" in self.slips else -curvature) - self.beta * error
         v_dot = v_dot - space.connection(q, w, v) + friction(self.model, t, q, v, u)
         if "alpha" in self.slips:
             v_dot = v_dot + (1 - self.alpha) * group.lie_bracket(error, v)

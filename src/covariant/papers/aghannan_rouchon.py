@@ -31,7 +31,20 @@ SCALES = (0.05, 0.5, 1.0, 1.5, 1.75, 2.0, 4.0, 8.0)
 
 
 class Trajectory(NamedTuple):
-    """Stamps t (T,) [s], true states x (T, 4), measurements y (T, 2) and estimates (T, 4) of one observer."""
+    """Simulation of plant and one observer.
+
+    Attributes:
+        t: Stamps (T,) [s].
+        x: True states (T, 4), (r, θ, v_r, v_θ).
+        y: Measurements (T, 2), (r, θ).
+        estimate: Estimates (T, 4).
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.papers.aghannan_rouchon import Trajectory
+        >>> Trajectory(np.zeros(1), np.zeros((1, 4)), np.zeros((1, 2)), np.array([[3.0, 0.0, 4.0, 0.0]])).error.tolist()
+        [5.0]
+    """
 
     t: np.ndarray
     x: np.ndarray
@@ -46,7 +59,11 @@ class Trajectory(NamedTuple):
 
 
 def figure4_observers() -> dict[str, AbstractFlowObserver]:
-    """The observers compared in figure 4, by their key in the results."""
+    """Observers compared in figure 4, with the gains `ALPHA` and `BETA`.
+
+    Returns:
+        The observers by their key in the results.
+    """
     plant = _plant()
     return {
         "exact": Geodesic(plant, ALPHA, BETA, Budget(steps=4)),
@@ -58,33 +75,68 @@ def figure4_observers() -> dict[str, AbstractFlowObserver]:
     }
 
 
-@functools.cache  # one object, so that compiled programs are found again
+@functools.cache  # one object, so that compiled programs are reused
 def _plant() -> models.Lagrangian:
     return models.ball_and_beam()
 
 
 def feedback(t, x):
-    """The torque of figure 4, u = −20θ + 101r, which keeps the ball swinging near the unstable equilibrium."""
+    """Torque of figure 4, u = −20θ + 101r, which keeps the ball swinging near the unstable equilibrium.
+
+    Args:
+        t: Time [s].
+        x: State (4,).
+
+    Returns:
+        The input (1,).
+    """
     return (-20 * x[1] + 101 * x[0])[None]
 
 
 def noise(t):
-    """The high-frequency disturbance of figure 4 on (r, θ)."""
+    """High-frequency disturbance of figure 4.
+
+    Args:
+        t: Time [s].
+
+    Returns:
+        Error (2,) of the measured r and θ.
+    """
     return jnp.stack([0.01 * jnp.sin(50 * t), 0.05 * jnp.sin(40 * t)])
 
 
 def figure4(
     observer: AbstractFlowObserver, t, noisy: bool = False, scale: float = 1.0, rtol: float = 1e-10
 ) -> Trajectory:
-    """Run one observer on the scenario of figure 4, with its initial error multiplied by `scale`."""
+    """Run one observer on the scenario of figure 4.
+
+    Args:
+        observer: An observer of the ball and beam.
+        t: Stamps (T,) [s].
+        noisy: Whether the measurements contain `noise`.
+        scale: Multiple of the paper's initial error.
+        rtol: Relative tolerance of the integrator.
+
+    Returns:
+        The trajectory.
+    """
     return figure4_batch(observer, t, [(noisy, scale, rtol)])[0]
 
 
 def figure4_batch(observer: AbstractFlowObserver, t, runs: Sequence[tuple[bool, float, float]]) -> list[Trajectory]:
-    """As `figure4`, for several (noisy, scale, rtol) side by side: it takes little longer than the longest of them."""
+    """Run one observer several times on the scenario of figure 4, in little more than the time of the longest run.
+
+    Args:
+        observer: An observer of the ball and beam.
+        t: Stamps (T,) [s].
+        runs: (noisy, scale, rtol) of each run, as for `figure4`.
+
+    Returns:
+        The trajectories in order.
+    """
     varied = (jnp.asarray(column, float) for column in zip(*runs, strict=True))
-    found = _figure4(observer, jnp.asarray(t), *varied)
-    return [Trajectory(np.asarray(t), *run) for run in zip(*map(np.asarray, found), strict=True)]
+    columns = _figure4(observer, jnp.asarray(t), *varied)
+    return [Trajectory(np.asarray(t), *run) for run in zip(*map(np.asarray, columns), strict=True)]
 
 
 @eqx.filter_jit
@@ -105,10 +157,14 @@ def _figure4(observer, t, amplitude, scale, rtol):
 
 
 def tutorial(progress: Callable[[str], None] = lambda stage: None) -> dict[str, Any]:
-    """Section III-B: one oscillator in the charts q and r = e^q.
+    """Compare observers of one oscillator in the charts q and r = e^q, section III-B.
 
-    `geodesic_difference` and `intrinsic_difference` are the largest relative distances, over time, between the
-    estimates in both charts mapped to q, for an initial error ξ; `intrinsic_slope` is the order of the latter in |ξ|.
+    Args:
+        progress: Called with the name of each stage.
+
+    Returns:
+        `initial_error` |ξ|; `geodesic_difference` and `intrinsic_difference`, the largest relative distances, over
+        time, between the estimates in both charts mapped to q; `intrinsic_slope`, the order of the latter in |ξ|.
     """
     errors = (0.4, 0.2, 0.1, 0.05)
     progress("tutorial example: exact observer")
@@ -132,13 +188,13 @@ def _chart_differences(
     def chart_r(x):
         return jnp.array([jnp.exp(x[0]), jnp.exp(x[0]) * x[1]])
 
-    found = []
+    differences = []
     for error in errors:
         x0, start = jnp.array([0.3, 0.0]), jnp.array([0.3 + error, error])
         q, v = np.split(_oscillator_run(in_q, x0, start), 2, axis=1)
         r, w = np.split(_oscillator_run(in_r, chart_r(x0), chart_r(start)), 2, axis=1)
-        found.append(float(max(np.abs(np.log(r) - q).max(), np.abs(w / r - v).max()) / error))
-    return found
+        differences.append(float(max(np.abs(np.log(r) - q).max(), np.abs(w / r - v).max()) / error))
+    return differences
 
 
 @eqx.filter_jit
@@ -150,10 +206,15 @@ def _oscillator_run(observer, x0, start):
 
 
 def reproduce(progress: Callable[[str], None] = lambda stage: None) -> dict[str, Any]:
-    """All numbers of the paper that are reproduced; values that are not finite become None.
+    """Compute all numbers of the paper that are reproduced.
 
-    Keys: `fig4` and `fig4_noise` (for each observer `t` and `error`), `basin` (final error of the exact and the
-    approximate observer by scale of the initial error), `tutorial`, and `seconds`, the time it took.
+    Args:
+        progress: Called with the name of each of `STAGES` stages.
+
+    Returns:
+        `fig4` and `fig4_noise` (for each observer `t` and `error`), `basin` (final error of the exact and the
+        approximate observer by scale of the initial error), `tutorial`, and `seconds`, the time it took. Values that
+        are not finite are None.
     """
     began = time.perf_counter()
     results: dict[str, Any] = {"fig4": {}, "fig4_noise": {}, "basin": {"scale": list(SCALES)}}
@@ -188,19 +249,41 @@ LABELS = {
 
 
 def figure4_runs(duration: float = 20.0) -> dict[str, Trajectory]:
-    """The noisy runs shown in figure 4, finely sampled, by key."""
+    """The noisy runs that figure 4 shows.
+
+    Args:
+        duration: Length of the runs [s].
+
+    Returns:
+        Trajectories at 100 Hz, by the key of the observer.
+    """
     t = np.linspace(0.0, duration, int(100 * duration) + 1)
     observers = figure4_observers()
     return {name: figure4(observers[name], t, True, rtol=1e-7) for name in ("approximate", "copy", "printed14")}
 
 
 def draw(path: Path) -> tuple[Path, Path]:
-    """Figure 4, and with the suffix `_errors` the errors without noise."""
+    """Draw figure 4, and with the suffix `_errors` the errors without noise.
+
+    Args:
+        path: File of the first figure.
+
+    Returns:
+        The two paths.
+    """
     return draw_figure4(figure4_runs(), path), draw_errors(path.with_stem(f"{path.stem}_errors"))
 
 
 def draw_figure4(runs: dict[str, Trajectory], path: Path) -> Path:
-    """Panels a–f of figure 4: measured and true positions, and velocities; returns the path."""
+    """Draw panels a–f of figure 4: measured and true positions, and velocities.
+
+    Args:
+        runs: As from `figure4_runs`.
+        path: File of the figure.
+
+    Returns:
+        The path.
+    """
     from covariant.report import new_figure, save_figure
 
     titles = ("a) r, real as measured", "b) θ, real as measured", "c) r", "d) θ", "e) dr/dt", "f) dθ/dt")
@@ -222,7 +305,15 @@ def draw_figure4(runs: dict[str, Trajectory], path: Path) -> Path:
 
 
 def draw_errors(path: Path, duration: float = 40.0) -> Path:
-    """Error of each observer on figure 4 without noise, on a log axis, with the theoretical e^(−ω0 t)."""
+    """Draw the error of each observer on figure 4 without noise, on a log axis, with the theoretical e^(−ω0 t).
+
+    Args:
+        path: File of the figure.
+        duration: Length of the runs [s].
+
+    Returns:
+        The path.
+    """
     from covariant.report import new_figure, save_figure
 
     t = np.linspace(0.0, duration, 401)
@@ -241,7 +332,7 @@ def draw_errors(path: Path, duration: float = 40.0) -> Path:
 
 
 def summary(results: dict[str, Any]) -> list[str | list[dict[str, str]]]:
-    """Lines and tables to print."""
+    """Lines and tables to print, from the results of `reproduce`."""
     tutorial = results["tutorial"]
     return [
         "Figure 4, ball and beam: |(q̂ − q, v̂ − v)|",
@@ -256,7 +347,16 @@ def summary(results: dict[str, Any]) -> list[str | list[dict[str, str]]]:
 
 
 def write_page(results: dict[str, Any], figures: tuple[Path, ...], path: Path) -> Path:
-    """One page with the tables, the figures and explanations; returns the path."""
+    """Write one page with the tables, the figures and explanations.
+
+    Args:
+        results: As from `reproduce`.
+        figures: As from `draw`.
+        path: File of the page.
+
+    Returns:
+        The path.
+    """
     from covariant.report import write_article
 
     return write_article(

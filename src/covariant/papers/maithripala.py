@@ -39,7 +39,19 @@ STAGES = 7
 
 
 class Trajectory(NamedTuple):
-    """Stamps t (T,) [s], and true and estimated angular velocities (T, 3) [rad/s] in the body frame."""
+    """Simulation of a top and one observer.
+
+    Attributes:
+        t: Stamps (T,) [s].
+        v: True angular velocities (T, 3) [rad/s] in the body frame.
+        estimate: Estimated ones (T, 3).
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.papers.maithripala import Trajectory
+        >>> Trajectory(np.zeros(1), np.zeros((1, 3)), np.array([[3.0, 0.0, 4.0]])).error.tolist()
+        [5.0]
+    """
 
     t: np.ndarray
     v: np.ndarray
@@ -55,13 +67,23 @@ class Trajectory(NamedTuple):
 def follow(
     inertia: tuple[float, ...], velocity: tuple[float, ...], observer: Callable[..., AbstractFlowObserver], t
 ) -> Trajectory:
-    """Run an observer, initially at rest and misaligned, on a top in free motion."""
+    """Run an observer, initially at rest and misaligned, on a top in free motion.
+
+    Args:
+        inertia: Principal inertias of the top [kg m²].
+        velocity: Its initial angular velocity [rad/s] in the body frame.
+        observer: Builds the observer for the top.
+        t: Stamps (T,) [s].
+
+    Returns:
+        The trajectory.
+    """
     top = _top(inertia)
     x, v = _follow(observer(top), top, jnp.asarray(velocity), jnp.asarray(t))
     return Trajectory(np.asarray(t), np.asarray(x), np.asarray(v))
 
 
-@functools.cache  # one object, so that compiled programs are found again
+@functools.cache  # one object, so that compiled programs are reused
 def _top(inertia: tuple[float, ...]) -> models.GroupSystem:
     return models.heavy_top(inertia)
 
@@ -75,7 +97,14 @@ def _follow(observer, top, velocity, t):
 
 
 def corrected(doubled: bool) -> Callable[..., AbstractFlowObserver]:
-    """The corrected observer of figure 1, with the α of this library or with the paper's doubled one."""
+    """The corrected observer of figure 1.
+
+    Args:
+        doubled: Whether α is doubled as in the paper, or that of this library.
+
+    Returns:
+        A function from a top to its observer.
+    """
     return lambda top: Intrinsic(top, 2 * ALPHA if doubled else ALPHA, BETA)
 
 
@@ -85,20 +114,47 @@ def printed(top: models.GroupSystem) -> AbstractFlowObserver:
 
 
 def slow_rate(doubled: bool) -> float:
-    """The slow root of `s² + αs + β` [1/s], the asymptotic rate of the theory."""
+    """Asymptotic rate of the theory [1/s], the slow root of `s² + αs + β`.
+
+    Args:
+        doubled: As for `corrected`.
+
+    Returns:
+        The rate.
+
+    Example:
+        >>> from covariant.papers.maithripala import slow_rate
+        >>> round(slow_rate(False), 3)
+        1.127
+    """
     alpha = 2 * ALPHA if doubled else ALPHA
     return alpha / 2 - (alpha**2 / 4 - BETA) ** 0.5
 
 
 def fitted_rate(run: Trajectory, begin: float) -> float:
-    """Slope of −log(error) [1/s] from `begin` until the error reaches the accuracy of the integration."""
+    """Slope of −log(error) [1/s] from a time until the error reaches the accuracy of the integration.
+
+    Args:
+        run: The trajectory.
+        begin: Time [s] at which the fit begins.
+
+    Returns:
+        The rate.
+    """
     used = (run.t >= begin) & (run.error > 1e-8)
     return float(-np.polyfit(run.t[used], np.log(run.error[used]), 1)[0])
 
 
 def conserved(duration: float = 60.0) -> dict[str, float]:
-    """Largest changes of quantities that the free top conserves: energy [J], momentum about the vertical [N m s], and
-    the Casimir `|Rᵀe₃|²`, which would show a drift off the group."""
+    """Largest changes of quantities that the free top conserves, by which the simulation is judged.
+
+    Args:
+        duration: Length of the simulation [s].
+
+    Returns:
+        Changes of `energy` [J], `vertical_momentum` [N m s], and `casimir` `|Rᵀe₃|²`, which would show a drift off the
+        group.
+    """
     change = _conserved(jnp.linspace(0.0, duration, 601))
     return dict(zip(("energy", "vertical_momentum", "casimir"), (float(a) for a in change), strict=True))
 
@@ -112,15 +168,20 @@ def _conserved(t):
         vertical = g[2]  # e₃ in the body frame
         return jnp.stack([models.energy(top, g, v), vertical @ top.space.lower(g, v), vertical @ vertical])
 
-    found = jax.vmap(invariants)(x.q, x.v)
-    return jnp.max(jnp.abs(found - found[:1]), axis=0)
+    values = jax.vmap(invariants)(x.q, x.v)
+    return jnp.max(jnp.abs(values - values[:1]), axis=0)
 
 
 def logarithm_gap(angle: float, axes: int = 200) -> dict[str, float]:
-    """The group logarithm compared with the Riemannian one, for I = diag(1, 2, 3.5) and rotations about random axes.
+    """Compare the group logarithm with the Riemannian one, for I = diag(1, 2, 3.5) and rotations about random axes.
 
-    The rotations are by `angle` [rad]. `too_long_…`: relative excess of its length over the distance, mean and largest;
-    `degrees_…`: the angle between both logarithms.
+    Args:
+        angle: Angle of the rotations [rad].
+        axes: Number of axes.
+
+    Returns:
+        `too_long_…`: relative excess of its length over the distance, mean and largest; `degrees_…`: the angle between
+        both logarithms.
     """
     directions = np.random.default_rng(0).normal(size=(axes, 3))
     x = angle * directions / np.linalg.norm(directions, axis=1, keepdims=True)
@@ -147,11 +208,16 @@ def _logarithm_gap(x):
 
 
 def reproduce(progress: Callable[[str], None] = lambda stage: None) -> dict[str, Any]:
-    """All numbers of the paper that are reproduced; values that are not finite become None.
+    """Compute all numbers of the paper that are reproduced.
 
-    Keys: `top` (stamps `t`, velocity errors `error_doubled` and `error`, their fitted rates `rate_doubled` and `rate`
-    [1/s] with those of the `theory`, and `conserved` quantities), `printed` (final error with the curvature as printed
-    and as corrected, for top and disc), `logarithm` (difference of the two logarithms by angle), and `seconds`.
+    Args:
+        progress: Called with the name of each of `STAGES` stages.
+
+    Returns:
+        `top` (stamps `t`, velocity errors `error_doubled` and `error`, their fitted rates `rate_doubled` and `rate`
+        [1/s] with those of the `theory`, and `conserved` quantities), `printed` (final error with the curvature as
+        printed and as corrected, for top and disc), `logarithm` (difference of the two logarithms by angle), and
+        `seconds`. Values that are not finite are None.
     """
     began = time.perf_counter()
     progress("heavy top, doubled α")
@@ -188,7 +254,14 @@ def _finite(values) -> list[float | None]:
 
 
 def draw(path: Path) -> tuple[Path, Path]:
-    """Figure 1, and with the suffix `_errors` the errors with the rates of the theory and those of the print."""
+    """Draw figure 1, and with the suffix `_errors` the errors with the rates of the theory and those of the print.
+
+    Args:
+        path: File of the first figure.
+
+    Returns:
+        The two paths.
+    """
     from covariant.report import new_figure, save_figure
 
     t = np.linspace(0.0, 10.0, POINTS)
@@ -230,7 +303,7 @@ def _draw_errors(path: Path) -> Path:
 
 
 def summary(results: dict[str, Any]) -> list[str | list[dict[str, str]]]:
-    """Lines and tables to print."""
+    """Lines and tables to print, from the results of `reproduce`."""
     top, gaps = results["top"], results["logarithm"]
     rates = [
         {"observer": name, "fitted rate [1/s]": f"{top[key]:.4f}", "theory [1/s]": f"{top[theory]:.4f}"}
@@ -264,10 +337,19 @@ def summary(results: dict[str, Any]) -> list[str | list[dict[str, str]]]:
 
 
 def write_page(results: dict[str, Any], figures: tuple[Path, ...], path: Path) -> Path:
-    """One page with the tables, the figures and explanations; returns the path."""
+    """Write one page with the tables, the figures and explanations.
+
+    Args:
+        results: As from `reproduce`.
+        figures: As from `draw`.
+        path: File of the page.
+
+    Returns:
+        The path.
+    """
     from covariant.report import write_article
 
-    rates, kept, prints, gaps = (summary(results)[i] for i in (1, 2, 4, 6))
+    rates, conserved_line, prints, gaps = (summary(results)[i] for i in (1, 2, 4, 6))
     return write_article(
         "Maithripala, Berg & Dayawansa 2004, reproduced",
         [
@@ -277,7 +359,7 @@ def write_page(results: dict[str, Any], figures: tuple[Path, ...], path: Path) -
             "Its equation (17) carries 2α where Aghannan and Rouchon have α; the rate of either is that of theory.",
             rates,
             figures[0],
-            str(kept) + ".",
+            str(conserved_line) + ".",
             "# What the print does",
             "Equation (8) counts parts of the curvature twice, and (18) has the sign of the other convention. "
             "An elongated top has positive curvature: there the printed term only adds stiffness, which is why the "

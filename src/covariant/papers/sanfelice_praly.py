@@ -33,7 +33,10 @@ TRUTH = (1.0, 0.0, 1.0)
 
 
 def analytic_metric(rate: Number) -> MatrixField:
-    """The solution of (15) for the oscillator (16) as printed below it, which is correct in every entry."""
+    """Printed solution of (15) for the oscillator (16), which is correct in every entry, for λ = `rate` [1/s].
+
+    Returns the metric `x (3,) -> P (3, 3)`.
+    """
 
     def metric(x: Vector) -> Matrix:
         x1, x2, x3 = x
@@ -50,13 +53,17 @@ def analytic_metric(rate: Number) -> MatrixField:
 
 
 def grid() -> Float[np.ndarray, "125 3"]:
-    """The 5 × 5 × 5 states of figure 1."""
+    """The 5 × 5 × 5 states (125, 3) of figure 1."""
     box = models.unknown_frequency().box
     return np.stack(np.meshgrid(*(np.linspace(*bounds, 5) for bounds in box), indexing="ij"), axis=-1).reshape(-1, 3)
 
 
 def quadrature(x: Vector, rate: Number, length: Number, steps: int = 400) -> Matrix:
-    """`∫ exp(λt) Φᵀ h_xᵀ h_x Φ dt` from −length to 0 with Φ in closed form, without Riccati equation or Jacobians."""
+    """Weighted Gramian `∫ exp(λt) Φᵀ h_xᵀ h_x Φ dt` from −length [s] to 0, at the state x (3,), for λ = `rate` [1/s].
+
+    Φ is in closed form, so that P (3, 3) needs neither a Riccati equation nor Jacobians; it takes `steps` integration
+    steps.
+    """
     x1, x2, x3 = x
     w = jnp.sqrt(x3)
 
@@ -79,7 +86,7 @@ def _figure1(points: Array, rate: Array):
     model, exact = models.unknown_frequency(), analytic_metric(rate)
 
     def along(x):
-        passage = metric_through(model, Equation(rate), x, math.log(1e4) / rate, PASSAGE, start=5.0)
+        passage = metric_through(model, Equation(rate), x, math.log(1e4) / rate, PASSAGE, start=5.0)  # T̄ = ln(1e4)/λ
         right = jax.vmap(exact)(passage.x)
         return jnp.abs(passage.metric - right).max((1, 2)), jax.vmap(spd_distance)(right, passage.metric)
 
@@ -88,7 +95,10 @@ def _figure1(points: Array, rate: Array):
 
 
 def figure1(rate: float) -> dict[str, np.ndarray]:
-    """Stamps [s], and largest `entry` and `distance` errors of the computed metric over the grid; π(−T̄) = 5 I."""
+    """Errors of the computed metric of figure 1, with π(−T̄) = 5 I.
+
+    Returns `t` (S,) [s], and the largest errors over the grid, by `entry` and by affine-invariant `distance` (S,).
+    """
     entry, true = _figure1(jnp.asarray(grid()), jnp.asarray(rate))
     t = np.linspace(-math.log(1e4) / rate, 0.0, PASSAGE + 1)
     return {"t": t, "entry": np.asarray(entry), "distance": np.asarray(true)}
@@ -100,16 +110,16 @@ def _routes(points: Array, rate: Array) -> dict[str, Array]:
     model, equation, exact = models.unknown_frequency(), Equation(rate), analytic_metric(rate)
 
     def at(x):
-        found = metric_at(model, equation, x, tolerance=1e-12)
+        solution = metric_at(model, equation, x, tolerance=1e-12)
         radon = metric_through(model, equation, x, 40 / rate, 800, route="radon").metric[-1]
         riccati = metric_through(model, equation, x, 40 / rate, 800).metric[-1]
-        ways = {
-            "one pass": found.metric,
+        routes = {
+            "one pass": solution.metric,
             "Riccati": riccati,
             "Radon": radon,
             "Gramian": quadrature(x, rate, 40 / rate),
         }
-        return {name: spd_distance(exact(x), p) for name, p in ways.items()}
+        return {name: spd_distance(exact(x), p) for name, p in routes.items()}
 
     return {name: d.max() for name, d in jax.lax.map(at, points).items()}
 
@@ -126,7 +136,10 @@ def _decay(rate: Array, gain: Array, t: Array):
 
 
 def decay(rate: float, gain: float, duration: float = 10.0) -> tuple[np.ndarray, np.ndarray]:
-    """Stamps and distances of the observer with the given λ and k_E."""
+    """Decay of the distance between observer and plant.
+
+    Returns the stamps (51,) [s] and the distances (51,) in the metric with λ = `rate` [1/s], for k_E = `gain`.
+    """
     t = np.linspace(0.0, duration, 51)
     return t, np.asarray(_decay(jnp.asarray(rate), jnp.asarray(gain), jnp.asarray(t)))
 
@@ -156,10 +169,15 @@ def _least_rate(points: Array, rate: Array, gain: Array):
 
 
 def gap(duration: float = 40.0, missing: tuple[float, float] = (15.0, 25.0)) -> dict[str, np.ndarray]:
-    """The observer and the filter with the same forgetting rate, λ = 2, on one noisy log with a gap of ten seconds.
+    """Errors of the observer and the filter with the same forgetting rate, λ = 2, on one noisy log with a gap.
 
-    Returns stamps, norms of the errors, and least eigenvalues of P: the filter's own, and the metric at the observer's
-    estimate.
+    Args:
+        duration: Length of the log [s].
+        missing: Begin and end of the gap [s].
+
+    Returns:
+        Stamps `t`, norms of the errors `riccati` and `ekf`, and least eigenvalues of P, `…_least`: that of the filter,
+        and that of the metric at the observer's estimate.
     """
     model, rate = models.unknown_frequency(), 2.0
     metric, start = analytic_metric(rate), jnp.array([0.8, 0.3, 1.5])
@@ -179,8 +197,7 @@ def gap(duration: float = 40.0, missing: tuple[float, float] = (15.0, 25.0)) -> 
 
 
 def prior(duration: float = 40.0) -> dict[str, float]:
-    """A case where the filter is better: it is told that the frequency is known to 1 %, which a stationary metric
-    cannot use.
+    """A case where the filter is better: its prior knows the frequency to 1 %, which a stationary metric cannot use.
 
     Returns root mean square errors of x3 [1/s²] over the log; noise is 0.1 m, and Q and R are the same for both.
     """
@@ -235,13 +252,17 @@ def _least(matrices: Array | np.ndarray) -> np.ndarray:
 
 
 def reproduce(progress: Callable[[str], None] = lambda stage: None) -> dict[str, Any]:
-    """All numbers of the paper that are reproduced.
+    """Compute all numbers of the paper that are reproduced.
 
-    Keys: `fig1` (λ → largest error of an entry at t = 0 over the grid), `fig1_distance` (λ → largest affine-invariant
-    distance); `routes` (λ → way to compute P → its distance to the printed P, largest over some states); `decay`
-    (k_E → λ → fitted rate of the metric distance [1/s]) and `guaranteed` (the least rate over the grid); `verdict` and
-    `bending`; `origin` (the result at x1 = x2 = 0); `gap` and `prior` (comparison with the extended Kalman filter), and
-    `seconds`.
+    Args:
+        progress: Called with the name of each of `STAGES` stages.
+
+    Returns:
+        `fig1` (λ → largest error of an entry at t = 0 over the grid), `fig1_distance` (λ → largest affine-invariant
+        distance); `routes` (λ → way to compute P → its distance to the printed P, largest over some states); `decay`
+        (k_E → λ → fitted rate of the metric distance [1/s]) and `guaranteed` (the least rate over the grid); `verdict`
+        and `bending`; `origin` (the result at x1 = x2 = 0); `gap` and `prior` (comparison with the extended Kalman
+        filter), and `seconds`.
     """
     began = time.perf_counter()
     results: dict[str, Any] = {"fig1": {}, "fig1_distance": {}, "routes": {}}
@@ -264,8 +285,12 @@ def reproduce(progress: Callable[[str], None] = lambda stage: None) -> dict[str,
         }
     progress("both conditions")
     model = models.unknown_frequency()
-    found = observability(model, analytic_metric(1.0), grid())
-    results |= {"verdict": found.verdict, "bending": found.condition_2.margin, "rate": found.condition_1.margin}
+    conditions = observability(model, analytic_metric(1.0), grid())
+    results |= {
+        "verdict": conditions.verdict,
+        "bending": conditions.condition_2.margin,
+        "rate": conditions.condition_1.margin,
+    }
     progress("a state that is not observable")
     origin = eqx.filter_jit(metric_at)(model, Equation(1.0), jnp.array([0.0, 0.0, 1.0]))
     results["origin"] = Result(int(origin.result)).message
@@ -287,12 +312,12 @@ STAGES = 2 * len(RATES) + len(GAINS) + 4
 
 
 def draw(path: Path) -> tuple[Path, Path]:
-    """Figure 1 with the affine-invariant error beside the published one, and with suffix `_observer` the observer."""
+    """Draw figure 1 with the affine-invariant error beside the published one; with suffix `_observer` the observer."""
     return draw_figure1(path), draw_observer(path.with_stem(f"{path.stem}_observer"))
 
 
 def draw_figure1(path: Path) -> Path:
-    """Largest error over the grid from −T̄ to 0, by entries as published and as an affine-invariant distance."""
+    """Draw the largest error over the grid from −T̄ to 0: of entries, as published, and as affine-invariant distance."""
     from covariant.report import new_figure, save_figure
 
     titles = ("Largest error of an entry, as published", "Affine-invariant distance to the exact metric")
@@ -311,7 +336,7 @@ def draw_figure1(path: Path) -> Path:
 
 
 def draw_observer(path: Path) -> Path:
-    """Decay of the distance for each k_E, and the gap in the log, in which the P of the filter degenerates."""
+    """Draw the decay of the distance for each k_E, and the gap in the log, in which the P of the filter degenerates."""
     from covariant.report import new_figure, save_figure
 
     titles = ("Distance of observer and plant, λ = 2", "Error on a log with a gap", "Least eigenvalue of P")
@@ -337,7 +362,7 @@ def draw_observer(path: Path) -> Path:
 
 
 def summary(results: dict[str, Any]) -> list[str | list[dict[str, str]]]:
-    """Lines and tables to print."""
+    """Lines and tables to print, from the results of `reproduce`."""
     gap, prior = results["gap"], results["prior"]
     return [
         "Figure 1, oscillator of unknown frequency: largest error at t = 0 over the grid, π(−T̄) = 5 I, T̄ = ln(1e4)/λ",
@@ -355,7 +380,7 @@ def summary(results: dict[str, Any]) -> list[str | list[dict[str, str]]]:
 
 
 def write_page(results: dict[str, Any], figures: tuple[Path, ...], path: Path) -> Path:
-    """One page with the tables, the figures and explanations; returns the path."""
+    """Write one page with the tables, the figures and explanations; returns its path."""
     from covariant.report import write_article
 
     gap, prior = results["gap"], results["prior"]
@@ -407,7 +432,7 @@ def route_rows(results: dict[str, Any]) -> list[dict[str, str]]:
     """Table rows of the four ways to compute P."""
     names = next(iter(results["routes"].values()))
     return [
-        {"way": name} | {f"λ = {rate}": f"{found[name]:.1e}" for rate, found in results["routes"].items()}
+        {"way": name} | {f"λ = {rate}": f"{distances[name]:.1e}" for rate, distances in results["routes"].items()}
         for name in names
     ]
 

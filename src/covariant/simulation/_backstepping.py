@@ -18,15 +18,30 @@ from covariant.simulation._reference import Path
 
 
 class Backstepping(eqx.Module):
-    """A tracking controller of a `marine.Craft`.
+    """A tracking controller of a marine craft, by vectorial backstepping.
 
-    - `path`: the reference to follow, `t -> Reference` in the craft's coordinates.
-    - `kp`, `kd`, `lam`: K_p [N/m, N m], K_d [N s/m, N m s] and Λ [1/s], matrices (n, n), vectors (n,) for diagonal ones
-      or numbers; symmetric positive definite, with `K_pΛ + ΛᵀK_p` positive definite.
+    With V = ½(sᵀMs + η̃ᵀK_pη̃), `V' = −sᵀ(D̄ + K_d)s − η̃ᵀK_pΛη̃` where the state is known, (92). K_p, K_d and Λ must
+    be symmetric positive definite, with `K_pΛ + ΛᵀK_p` positive definite.
 
-    With V = ½(sᵀMs + η̃ᵀK_pη̃), `V' = −sᵀ(D̄ + K_d)s − η̃ᵀK_pΛη̃` where the state is known, (92).
+    Args:
+        craft: The craft, a `marine.Craft` with n coordinates.
+        path: The reference to follow, `t -> Reference` in the craft's coordinates.
+        kp: Gain K_p of the position error [N/m, N m], a matrix (n, n), a vector (n,) for a diagonal one, or a number.
+        kd: Gain K_d of the velocity error [N s/m, N m s], likewise.
+        lam: Gain Λ [1/s] of the virtual velocity, likewise.
 
-    Raises `ValueError` naming the gain that does not satisfy this.
+    Raises:
+        ValueError: Names the gain that does not satisfy this.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant.models import marine
+        >>> from covariant.simulation import Backstepping, set_point
+        >>> path = set_point([0.0, 0.0, 0.0], [1.0, 0.0, 0.0], 0.5)
+        >>> controller = Backstepping(marine.cybership(), path, kp=1.0, kd=2.0, lam=0.1)
+        >>> t, eta = jnp.zeros(()), jnp.array([0.5, 0.0, 0.0])
+        >>> controller.error(t, eta).tolist(), controller.virtual_velocity(t, eta).round(3).tolist()
+        ([0.5, 0.0, 0.0], [-0.05, 0.0, 0.0])
     """
 
     craft: Craft
@@ -40,20 +55,46 @@ class Backstepping(eqx.Module):
         n = len(craft.coordinates)
         self.kp, self.kd, self.lam = (_gain(name, g, n) for name, g in (("kp", kp), ("kd", kd), ("lam", lam)))
         product = np.asarray(self.kp @ self.lam)
+        # `not >` is true for NaN as well.
         if not np.linalg.eigvalsh(product + product.T)[0] > 0:
             raise ValueError("kp and lam: K_pΛ + ΛᵀK_p must be positive definite; choose both diagonal")
 
     def error(self, t: Scalar, eta: Vector) -> Vector:
-        """`η̃ = η − η_d` (n,), with angles wrapped to ±π."""
+        """Tracking error `η̃ = η − η_d`, with angles wrapped to ±π.
+
+        Args:
+            t: Time [s].
+            eta: Position η (n,).
+
+        Returns:
+            The error (n,) [m, rad].
+        """
         return wrap(self.craft.circles, eta - self.path(t).position)
 
     def virtual_velocity(self, t: Scalar, eta: Vector) -> Vector:
-        """`ν_r = J⁻¹(η)(η_d' − Λη̃)` (n,), (87)."""
-        wanted = self.path(t).velocity - jnp.asarray(self.lam, eta.dtype) @ self.error(t, eta)
-        return solve_square(self.craft.transform(eta), wanted)
+        """Virtual velocity `ν_r = J⁻¹(η)(η_d' − Λη̃)`, (87).
+
+        Args:
+            t: Time [s].
+            eta: Position η (n,).
+
+        Returns:
+            Body velocity (n,) [m/s, rad/s] that the craft must have for the position error to decay.
+        """
+        desired = self.path(t).velocity - jnp.asarray(self.lam, eta.dtype) @ self.error(t, eta)
+        return solve_square(self.craft.transform(eta), desired)
 
     def full_state(self, t: Scalar, eta: Vector, nu: Vector) -> Vector:
-        """τ (n,) from the true state, (89): `Mν_r' + (C(ν) + D(ν))ν_r + g(η) − JᵀK_pη̃ − K_d s`."""
+        """Force from the true state, (89): `Mν_r' + (C(ν) + D(ν))ν_r + g(η) − JᵀK_pη̃ − K_d s`.
+
+        Args:
+            t: Time [s].
+            eta: Position η (n,).
+            nu: Body velocity ν (n,).
+
+        Returns:
+            Generalised force τ (n,) [N, N m].
+        """
         nu_r, force = self._common(t, eta, eta, nu)
         return force + (self.craft.coriolis(nu) + self.craft.damping(nu)) @ nu_r
 
@@ -66,17 +107,18 @@ class Backstepping(eqx.Module):
     def _common(self, t: Scalar, z: Vector, eta: Vector, nu: Vector) -> tuple[Vector, Vector]:
         """ν_r, and the terms of τ common to both forms; `ν_r'` is the derivative along the motion `z' = J(z)ν`."""
         j = self.craft.transform(z)
+        # One Jacobian-vector product along (1, Jν) gives ν_r and its total time derivative, that of J included.
         nu_r, change = jax.jvp(self.virtual_velocity, (t, z), (jnp.ones_like(t), j @ nu))
         mass, kp, kd = (jnp.asarray(a, z.dtype) for a in (self.craft.mass, self.kp, self.kd))
         spring = j.T @ (kp @ self.error(t, eta))
         return nu_r, mass @ change + self.craft.restoring(z) - spring - kd @ (nu - nu_r)
 
 
-def _gain(name: str, given: Numbers, n: int) -> Matrix:
-    found = np.asarray(given, float)
-    matrix = np.diag(np.broadcast_to(found, (n,))) if found.ndim < 2 and found.size in (1, n) else found
+def _gain(name: str, values: Numbers, n: int) -> Matrix:
+    array = np.asarray(values, float)
+    matrix = np.diag(np.broadcast_to(array, (n,))) if array.ndim < 2 and array.size in (1, n) else array
     if matrix.shape != (n, n):
-        raise ValueError(f"{name} must be a number, {n} numbers or a matrix ({n}, {n}); its shape is {found.shape}")
+        raise ValueError(f"{name} must be a number, {n} numbers or a matrix ({n}, {n}); its shape is {array.shape}")
     if not np.allclose(matrix, matrix.T) or not np.linalg.eigvalsh(matrix)[0] > 0:
         raise ValueError(
             f"{name} must be symmetric positive definite; its eigenvalues are "

@@ -1,4 +1,4 @@
-"""Simulation with inputs as a log has them: known at stamps, and held or linear between them.
+"""Simulation with the inputs of a log: known at stamps, and held or linear between them.
 
 Within each interval of the stamps the input is smooth, so that an adaptive method integrates it without losing its
 order at the jumps.
@@ -49,7 +49,15 @@ class PiecewiseInputs(eqx.Module):
     decay: Number = 0.0
 
     def at(self, interval: int, t: Number) -> Float[NumpyArray, "m"]:
-        """The inputs (m,) at a time t [s] in the interval with this number, from 0."""
+        """Inputs at a time in one of the intervals.
+
+        Args:
+            interval: Index of the interval, from 0.
+            t: Time [s].
+
+        Returns:
+            The inputs (m,).
+        """
         value, rate, transient = (part[interval] for part in (self.value, self.rate, self.transient))
         return np.asarray(_acting(self.begin[interval], value, rate, transient, self.decay, t))
 
@@ -62,13 +70,13 @@ def logged_inputs(
     lag: float = 0.0,
     at: Float[NumpyArray, "_"] | None = None,
 ) -> PiecewiseInputs:
-    """The inputs that act when a machine is driven by those of a log.
+    """Inputs that act on a machine when it is driven by those of a log.
 
     Args:
         t: Stamps (T,) of the log [s].
         u: Logged inputs (T, m). Before the first stamp the first one acts.
         between: How the input goes from a stamp to the next, as in `signals.acting_inputs`: "held" or "linear".
-        delay: How long after its stamp an input acts [s].
+        delay: Time [s] after its stamp at which an input acts.
         lag: Time constant [s] of a first-order lag between logged and acting input, which begins at rest; 0 for none.
         at: Times [s] at which intervals begin beside those at which inputs change, such as those of measurements.
 
@@ -77,10 +85,17 @@ def logged_inputs(
 
     Raises:
         ValueError: Where `between` is another word.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.simulation import logged_inputs
+        >>> inputs = logged_inputs(np.array([0.0, 1.0]), np.array([[0.0], [2.0]]), "linear", delay=0.5)
+        >>> inputs.begin.tolist(), inputs.at(0, 1.0).tolist()
+        ([0.5, 1.5], [1.0])
     """
     if between not in ("held", "linear"):
         raise ValueError(f"logged_inputs: between must be 'held' or 'linear'; got {between!r}")
-    # Times that agree in so many digits are one, whatever they were computed from.
+    # Times that agree in so many digits are one, although they were computed in different ways.
     begin = np.unique(np.round(np.concatenate([t + delay, [] if at is None else at]), DIGITS))
     steps = np.diff(begin)
     middle = begin + np.append(steps / 2, 1.0)  # where no rounding of the ends decides which input acts

@@ -15,7 +15,20 @@ from covariant._typing import Numbers, Scalar, Vector
 
 
 class Reference(NamedTuple):
-    """Desired position (n,), velocity and acceleration."""
+    """Desired motion at one time.
+
+    Attributes:
+        position: Desired position (n,), in the craft's coordinates.
+        velocity: Its first time derivative (n,).
+        acceleration: Its second time derivative (n,).
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant.simulation import follow
+        >>> reference = follow(lambda t: jnp.stack([t**2]))(jnp.asarray(3.0))
+        >>> reference.velocity.tolist(), reference.acceleration.tolist()
+        ([6.0], [2.0])
+    """
 
     position: Vector
     velocity: Vector
@@ -27,7 +40,20 @@ Path = Callable[[Array], Reference]
 
 
 def follow(position: Callable[[Array], Array]) -> Path:
-    """The reference given by a smooth function of time `t -> (n,)`, differentiated automatically."""
+    """Reference along a smooth function of time, differentiated automatically.
+
+    Args:
+        position: Function `t -> (n,)` of the time [s], in JAX.
+
+    Returns:
+        A function `t -> Reference`.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant.simulation import follow
+        >>> follow(lambda t: jnp.stack([2.0 * t]))(jnp.asarray(3.0)).position.tolist()
+        [6.0]
+    """
 
     def at(t: Scalar) -> Reference:
         one = jnp.ones_like(t)
@@ -35,6 +61,7 @@ def follow(position: Callable[[Array], Array]) -> Path:
         def moving(s):
             return jax.jvp(position, (s,), (one,))
 
+        # Forward over forward: the derivative of position and velocity in time is velocity and acceleration.
         (where, velocity), (_, acceleration) = jax.jvp(moving, (t,), (one,))
         return Reference(where, velocity, acceleration)
 
@@ -42,10 +69,28 @@ def follow(position: Callable[[Array], Array]) -> Path:
 
 
 def set_point(start: Numbers, goal: Numbers, bandwidth: Numbers, begin: float = 0.0) -> Path:
-    """From rest at `start` (n,) to rest at `goal` (n,), beginning at `begin` [s], without a jump in acceleration.
+    """Reference from rest at one point to rest at another, without a jump in acceleration.
 
-    It is the closed-form response of three equal poles at `bandwidth` [rad/s], one number or n. Raises `ValueError`
-    where the bandwidth is not positive or the shapes differ.
+    It is the closed-form response of three equal poles.
+
+    Args:
+        start: Initial position (n,).
+        goal: Final position (n,).
+        bandwidth: Magnitude of the poles [rad/s], one number or n.
+        begin: Time [s] at which the motion begins.
+
+    Returns:
+        A function `t -> Reference`.
+
+    Raises:
+        ValueError: The bandwidth is not positive, or the shapes differ.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant.simulation import set_point
+        >>> path = set_point([0.0], [1.0], 2.0, begin=1.0)
+        >>> [round(path(jnp.asarray(t)).position.item(), 2) for t in (0.0, 2.0, 10.0)]
+        [0.0, 0.32, 1.0]
     """
     a, b = np.asarray(start, float), np.asarray(goal, float)
     w = np.broadcast_to(np.asarray(bandwidth, float), a.shape)
@@ -57,6 +102,7 @@ def set_point(start: Numbers, goal: Numbers, bandwidth: Numbers, begin: float = 
     def at(t: Scalar) -> Reference:
         rate, change = jnp.asarray(w, t.dtype), jnp.asarray(b - a, t.dtype)
         s = rate * jnp.maximum(t - begin, 0.0)
+        # Step response of w³/(p + w)³ and its derivatives, in s = w (t − begin); all are zero before `begin`.
         left = jnp.exp(-s)
         gone = 1 - left * (1 + s + s**2 / 2)
         return Reference(
@@ -69,9 +115,23 @@ def set_point(start: Numbers, goal: Numbers, bandwidth: Numbers, begin: float = 
 
 
 def lissajous(centre: Numbers, amplitude: Numbers, frequency: Numbers, phase: Numbers = 0.0) -> Path:
-    """`centre + amplitude · sin(frequency · t + phase)`, each (n,): circles, figures of eight, and test motions.
+    """Sinusoidal reference for circles, figures of eight and tests: `centre + amplitude · sin(frequency · t + phase)`.
 
-    Frequencies in rad/s, phases in rad.
+    Args:
+        centre: Mean position (n,).
+        amplitude: Amplitudes (n,).
+        frequency: Angular frequencies (n,) [rad/s].
+        phase: Phases (n,) [rad], 0 by default.
+
+    Returns:
+        A function `t -> Reference`.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant.simulation import lissajous
+        >>> path = lissajous([0.0, 1.0], [2.0, 0.5], [1.0, 2.0])
+        >>> path(jnp.zeros(())).velocity.tolist()
+        [2.0, 1.0]
     """
     shapes = [np.atleast_1d(np.asarray(a, float)) for a in (centre, amplitude, frequency, phase)]
     c, a, w, p = np.broadcast_arrays(*shapes)

@@ -35,7 +35,14 @@ class Sensor(NamedTuple):
     dropout: float = 0.0
 
     def check(self) -> "Sensor":
-        """Return the sensor, or raise `ValueError` naming the first invalid field."""
+        """Check that every field is in its range.
+
+        Returns:
+            The sensor itself.
+
+        Raises:
+            ValueError: Names the first invalid field.
+        """
         if not 0 < self.rate < np.inf:
             raise ValueError(f"sensor: rate must be positive [Hz]; got {self.rate}")
         for name in ("noise_std", "quantum", "jitter"):
@@ -48,7 +55,24 @@ class Sensor(NamedTuple):
 
 
 def stamps(sensor: Sensor, duration: float, seed: int = 0) -> Float[NumpyArray, "T"]:
-    """Sampling instants from 0 to `duration` [s], strictly increasing, the first at 0."""
+    """Sampling instants of a sensor.
+
+    Args:
+        sensor: Its `rate` and `jitter` count.
+        duration: Length of the log [s].
+        seed: Seed of the random jitter.
+
+    Returns:
+        Strictly increasing stamps (T,) [s] from 0 to about `duration`, the first at 0.
+
+    Raises:
+        ValueError: The sensor is invalid, or the duration does not hold two samples.
+
+    Example:
+        >>> from covariant.simulation import Sensor, stamps
+        >>> stamps(Sensor(100.0), 0.05).round(2).tolist()
+        [0.0, 0.01, 0.02, 0.03, 0.04, 0.05]
+    """
     sensor.check()
     steps = duration * sensor.rate + 1e-9  # 0.29 s hold 29 steps at 100 Hz, although 0.29 * 100 rounds to less
     if not 1 <= steps < np.inf:
@@ -56,19 +80,38 @@ def stamps(sensor: Sensor, duration: float, seed: int = 0) -> Float[NumpyArray, 
     count = int(steps) + 1
     late = np.random.default_rng([seed, 0]).normal(0, sensor.jitter, count) if sensor.jitter else np.zeros(count)
     late[0] = 0.0
+    # A jitter below half a sample on either side leaves the stamps strictly increasing.
     return np.arange(count) / sensor.rate + np.clip(late, -0.45 / sensor.rate, 0.45 / sensor.rate)
 
 
 def sense(sensor: Sensor, q: Float[NumpyArray, "T n"], seed: int = 0) -> Float[NumpyArray, "T n"]:
-    """Measurements of the positions q (T, n); the first row is never dropped, since an observer starts from it.
+    """Measurements of positions by a sensor, with noise, quantisation and dropouts.
 
-    Raises `ValueError` where the sensor has another number of noises or quanta than there are positions.
+    Args:
+        sensor: The sensor.
+        q: True positions (T, n).
+        seed: Seed of the noise and the dropouts.
+
+    Returns:
+        Measurements (T, n), NaN where a sample is missing. The first row is never dropped, since an observer starts
+        from it.
+
+    Raises:
+        ValueError: The sensor is invalid, or has another number of noises or quanta than there are positions.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.simulation import Sensor, sense
+        >>> y = sense(Sensor(100.0, noise_std=0.1, dropout=0.5), np.zeros((1000, 1)))
+        >>> bool(abs(np.nanstd(y) - 0.1) < 0.02), bool(400 < np.isnan(y).sum() < 600)
+        (True, True)
     """
     sensor.check()
     random = np.random.default_rng([seed, 1])
     noise, quantum = (_each(name, getattr(sensor, name), np.shape(q)[1]) for name in ("noise_std", "quantum"))
-    # All noise is drawn at once, so that one without noise leaves that of the others as it is.
+    # All noise is drawn at once, so that a position without noise does not change the noise of the others.
     y = np.asarray(q) + (noise * random.standard_normal(np.shape(q)) if noise.any() else 0.0)
+    # The 1 avoids a division by zero where there is no quantisation; the result is not used there.
     step = np.where(quantum > 0, quantum, 1.0)
     y = np.where(quantum > 0, np.round(y / step) * step, y)
     lost = random.random(len(y)) < sensor.dropout
@@ -77,7 +120,7 @@ def sense(sensor: Sensor, q: Float[NumpyArray, "T n"], seed: int = 0) -> Float[N
 
 
 def _each(name: str, values: PerPosition, count: int) -> Float[NumpyArray, "n"]:
-    given = np.asarray(values, float)
-    if given.ndim > 1 or (given.ndim == 1 and len(given) != count):
-        raise ValueError(f"sensor: {name} has {given.size} numbers for {count} positions; give one, or one for each")
-    return np.broadcast_to(given, count)
+    array = np.asarray(values, float)
+    if array.ndim > 1 or (array.ndim == 1 and len(array) != count):
+        raise ValueError(f"sensor: {name} has {array.size} numbers for {count} positions; give one, or one for each")
+    return np.broadcast_to(array, count)

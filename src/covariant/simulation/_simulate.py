@@ -41,14 +41,28 @@ def simulate(
     rtol: Number = 1e-10,
     atol: Number = 1e-12,
 ) -> Record:
-    """Integrate the model from x0 and record its noise-free state and inputs at the stamps t [s].
+    """Integrate a model from an initial state, and record its noise-free state and inputs at the stamps.
 
-    - `x0`: (q, v) (2n,) in coordinates, a `Motion` on another manifold; for a `StateSpace` the state (n,).
-    - `u`: input `(t, x) -> u (m,)`, zero by default.
-    - `rtol`, `atol`: tolerances of the integrator.
+    Args:
+        model: A mechanical system, or a `StateSpace`.
+        x0: Initial state: (q, v) (2n,) in coordinates, a `Motion` on another manifold; for a `StateSpace` the state
+            (n,).
+        t: Stamps (T,) [s].
+        u: Input `(t, x) -> u (m,)`, zero by default.
+        rtol: Relative tolerance of the integrator.
+        atol: Absolute tolerance of the integrator.
 
-    The record's x has the form of x0, time first, with y = q; for a `StateSpace` y = h (T, p). Rows at stamps that the
-    motion does not reach, because it escapes earlier, are not finite.
+    Returns:
+        The record; its x has the form of x0, time first, with y = q; for a `StateSpace` y = h (T, p). Rows at stamps
+        that the motion does not reach, because it escapes earlier, are not finite.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import models
+        >>> from covariant.simulation import simulate
+        >>> record = simulate(models.oscillator(), jnp.array([1.0, 0.0]), jnp.linspace(0.0, 1.0, 5))
+        >>> record.x.shape, record.y.shape, round(float(record.y[-1, 0]), 3)
+        ((5, 2), (5, 1), 0.54)
     """
     start = model.motion(x0)
     input_at = u or no_input(model, start.v)
@@ -67,7 +81,7 @@ def simulate(
 
 
 def position(t, q):
-    """A measurement of the whole configuration without noise."""
+    """Noise-free measurement of the whole configuration q at the time t, the default of `observe`."""
     return q
 
 
@@ -87,15 +101,36 @@ def observe(
     max_steps: int = 200_000,
     controller: Controller | None = None,
 ) -> tuple[Any, Any]:
-    """Integrate plant and observer as one system; returns the true states and the observer's states, time first.
+    """Integrate plant and observer as one system in continuous time.
 
-    - `x0`, `u`, `rtol`, `atol`: as in `simulate`, and so are the true states that are returned.
-    - `state0`: initial state of the observer, as from `observer.init`.
-    - `measure`: measurement `(t, q) -> y` in continuous time. The observer of a `StateSpace` gets `measure(t, h)`.
-    - `controller`: closes the loop: the input is `controller(t, y, estimate)`, instead of u. For a `StateSpace` h must
-      then not depend on the input.
+    Args:
+        model: The plant, a mechanical system or a `StateSpace`.
+        observer: An observer that has a `flow`.
+        x0: Initial state of the plant, as in `simulate`.
+        state0: Initial state of the observer, as from `observer.init`.
+        t: Stamps (T,) [s].
+        u: Input `(t, x) -> u (m,)`, zero by default.
+        measure: Measurement `(t, q) -> y` in continuous time. The observer of a `StateSpace` gets `measure(t, h)`.
+        rtol: Relative tolerance of the integrator.
+        atol: Absolute tolerance of the integrator.
+        max_steps: Largest number of integration steps between two stamps.
+        controller: Closes the loop: the input is `controller(t, y, estimate)`, instead of u. For a `StateSpace` h must
+            then not depend on the input.
 
-    After a breakdown, such as an observer that escapes in finite time, both are not finite.
+    Returns:
+        The true states, as in the record of `simulate`, and the observer's states, both time first. After a breakdown,
+        such as an observer that escapes in finite time, both are not finite.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import models, observers
+        >>> from covariant.simulation import observe
+        >>> plant = models.oscillator()
+        >>> observer = observers.Intrinsic(plant, 10.0, 50.0)
+        >>> t = jnp.linspace(0.0, 5.0, 11)
+        >>> x, state = observe(plant, observer, jnp.array([1.0, 0.0]), observer.init(jnp.array([0.5])), t)
+        >>> bool(abs(x[-1, 1] - state.v[-1, 0]) < 1e-6)
+        True
     """
     input_at = u or no_input(model, model.motion(x0).v)
 
@@ -117,7 +152,9 @@ def observe(
 
 
 def _observe_in_charts(model: MechanicalSystem, observer: AbstractFlowObserver, answer, x0: Motion, state0, t, rule):
-    """Plant and observer, each in a chart around its configuration at the step's start; the plant with its momentum."""
+    """Integrate the plant, by its momentum, and the observer, each in a chart around its configuration at a step's
+    start.
+    """
     manifold = model.manifold
 
     def step(i, now, begin, h):
@@ -132,6 +169,7 @@ def _observe_in_charts(model: MechanicalSystem, observer: AbstractFlowObserver, 
             return plant.flow(s, (sigma, mu), lambda *_: inputs)[0], turning, slope._replace(q=None)
 
         none = jnp.zeros_like(momentum)
+        # The configuration is None here: it moves with the chart, and only its displacement from there is integrated.
         first = (none, momentum), none, state._replace(q=None)
         (sigma, mu), moved, rest = rule(flow, begin + jnp.asarray(i, h.dtype) * h, first, h)
         return *plant.end(sigma, mu), rest._replace(q=manifold.retract(state.q, moved))
@@ -151,20 +189,50 @@ def _observe_in_charts(model: MechanicalSystem, observer: AbstractFlowObserver, 
 
 
 def no_input(model: MechanicalSystem | StateSpace, v: Float[Array, "n"]) -> Input:
-    """Zero input of the size that the model takes, n where it states none; v (n,) is a velocity, or a state."""
-    return eqx.Partial(_nothing, jnp.zeros(input_count(model, v.shape[-1]), v.dtype))
+    """Zero input of the size that a model takes.
+
+    Args:
+        model: A mechanical system, or a `StateSpace`.
+        v: A velocity or state (n,); where the model states no number of inputs, it has n of them.
+
+    Returns:
+        A function `(t, x) -> u (m,)`.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import models
+        >>> from covariant.simulation import no_input
+        >>> no_input(models.ball_and_beam(), jnp.zeros(2))(0.0, None).tolist()
+        [0.0]
+    """
+    return eqx.Partial(_zero, jnp.zeros(input_count(model, v.shape[-1]), v.dtype))
 
 
-def _nothing(zero, t, x):
+def _zero(zero, t, x):
     return zero
 
 
 def hold(t: Float[Array, "T"], u: Float[Array, "T m"]) -> Input:
-    """Recorded inputs as a function of time, each held constant from its stamp to the next."""
-    return eqx.Partial(_held, jnp.asarray(t), jnp.asarray(u))
+    """Recorded inputs as a function of time, each held constant from its stamp to the next.
+
+    Args:
+        t: Stamps (T,) [s].
+        u: Inputs (T, m). Before the first stamp the first one acts, after the last one the last.
+
+    Returns:
+        A function `(t, x) -> u (m,)`, as `simulate` takes it.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.simulation import hold
+        >>> hold(np.array([0.0, 1.0]), np.array([[2.0], [5.0]]))(0.9, None).tolist()
+        [2.0]
+    """
+    return eqx.Partial(_zero_order_hold, jnp.asarray(t), jnp.asarray(u))
 
 
-def _held(t, u, s, x):
+def _zero_order_hold(t, u, s, x):
+    # side="right": at a stamp its own input acts, not the one before.
     return u[jnp.clip(jnp.searchsorted(t, s, side="right") - 1, 0, t.shape[0] - 1)]
 
 
@@ -178,6 +246,7 @@ def _joined(first: Any, after: Any) -> Any:
 
 
 def _charts(duration: Number, v: Array) -> Array:
+    # A motion that has escaped has a velocity that is not finite: it gets one chart, or the most, so that loops end.
     count = jnp.ceil(duration * jnp.max(jnp.abs(v)) / CHART_SIZE)
     return jnp.clip(jnp.nan_to_num(count, nan=1.0), 1, 100_000).astype(jnp.int32)
 

@@ -52,6 +52,7 @@ def _(
     def flow(s, joint):
         x, state = joint
         now = input_at(s, x)
+        # The measurement comes before the input of a controller, so h must not depend on the input then.
         y = measure(s, model.h(s, x, now))
         if controller is not None:
             now = controller(s, y, observer.estimate(state))

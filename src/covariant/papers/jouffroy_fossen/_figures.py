@@ -9,12 +9,27 @@ from covariant.papers.jouffroy_fossen._sea import GAPS, Sea, sea, sea_errors
 
 
 def draw(path: Path) -> tuple[Path, Path]:
-    """ODIN under output feedback with either K2, and with the suffix `_sea` three estimators of a ship's velocity."""
+    """Draw ODIN under output feedback with either K2, and with the suffix `_sea` three estimators of a ship's velocity.
+
+    Args:
+        path: File of the first figure.
+
+    Returns:
+        The two paths.
+    """
     return draw_odin(odin_loop(), path), draw_sea(sea(), path.with_stem(f"{path.stem}_sea"))
 
 
 def draw_odin(repaired: Loop, path: Path) -> Path:
-    """Errors of ODIN's observer and of its tracking, with K2 as repaired and as printed."""
+    """Draw the errors of ODIN's observer and of its tracking, with K2 as repaired and as printed.
+
+    Args:
+        repaired: The closed loop with the repaired K2, as from `odin_loop`.
+        path: File of the figure.
+
+    Returns:
+        The path.
+    """
     from covariant.report import new_figure, save_figure
 
     titles = ("Observer error |x̃| of ODIN", "Tracking error |(η̃, s)|")
@@ -33,7 +48,15 @@ def draw_odin(repaired: Loop, path: Path) -> Path:
 
 
 def draw_sea(log: Sea, path: Path) -> Path:
-    """The log at sea, and three estimates of the velocity from it."""
+    """Draw the log at sea, and three estimates of the velocity from it.
+
+    Args:
+        log: As from `sea`.
+        path: File of the figure.
+
+    Returns:
+        The path.
+    """
     from covariant.report import new_figure, save_figure
 
     t, truth = np.asarray(log.record.t), np.asarray(log.record.x)

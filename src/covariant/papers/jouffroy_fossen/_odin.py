@@ -28,7 +28,17 @@ RATE = 0.8
 
 
 def odin_path():
-    """A motion in all six degrees of freedom: a slow Lissajous figure, rolling and pitching by 0.3 and 0.4 rad."""
+    """Motion in all six degrees of freedom: a slow Lissajous figure, rolling and pitching by 0.3 and 0.4 rad.
+
+    Returns:
+        The reference `t -> Reference`.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant.papers.jouffroy_fossen import odin_path
+        >>> odin_path()(jnp.zeros(())).position[:3].round(2).tolist()
+        [0.0, 1.44, 5.84]
+    """
     return lissajous(
         centre=(0.0, 0.0, 5.0, 0.0, 0.0, 0.0),
         amplitude=(4.0, 3.0, 1.0, 0.3, 0.4, 1.0),
@@ -38,17 +48,38 @@ def odin_path():
 
 
 def odin_controller() -> Backstepping:
-    """The paper's controller (94) with K_p = 100, K_d = 200, Λ = 0.5."""
+    """The paper's controller (94), with K_p = 100, K_d = 200, Λ = 0.5."""
     return Backstepping(marine.odin(), odin_path(), KP, KD, LAMBDA)
 
 
 def odin_observer(k2: Float[np.ndarray, "6 6"] = K2) -> Contracting:
-    """The paper's observer (101)–(102) with the given K2."""
+    """The paper's observer (101)–(102).
+
+    Args:
+        k2: Gain K2 (6, 6), by default the repaired one.
+
+    Returns:
+        The observer, with K1 = `K1`.
+    """
     return craft_observer(marine.odin(), K1, k2)
 
 
 class Loop(NamedTuple):
-    """Stamps (T,) [s], and norms (T,) of the tracking error (η̃, s) and of the observer's error."""
+    """Errors of a closed loop.
+
+    Attributes:
+        t: Stamps (T,) [s].
+        tracking: Norms (T,) of the tracking error (η̃, s).
+        observer: Norms (T,) of the observer's error.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.papers.jouffroy_fossen import Loop, tail_rate
+        >>> t = np.linspace(0.0, 10.0, 101)
+        >>> loop = Loop(t, tracking=np.exp(-t / 2), observer=np.exp(-t))
+        >>> round(tail_rate(loop.t, loop.tracking), 6), round(tail_rate(loop.t, loop.observer), 6)
+        (0.5, 1.0)
+    """
 
     t: np.ndarray
     tracking: np.ndarray
@@ -70,22 +101,42 @@ def _odin_loop(controller: Backstepping, observer: Contracting, t: Array):
 
 
 def odin_loop(k2: Float[np.ndarray, "6 6"] = K2, duration: float = 60.0) -> Loop:
-    """The closed loop (94), (101)–(102) with the true plant, including J', from errors of a metre and some degrees."""
+    """Simulate the closed loop (94), (101)–(102), from initial errors of a metre and some degrees.
+
+    The plant is the true one, including J'.
+
+    Args:
+        k2: Gain K2 (6, 6) of the observer, by default the repaired one.
+        duration: Length of the simulation [s].
+
+    Returns:
+        Errors at 10 Hz.
+    """
     t = jnp.linspace(0.0, duration, round(10 * duration) + 1)
     e, error = _odin_loop(*_parts(tuple(map(tuple, k2.tolist()))), t)
     tracking, observer = (np.linalg.norm(np.asarray(a), axis=1) for a in (e, error))
     return Loop(np.asarray(t), tracking, observer)
 
 
-@functools.cache  # the same objects for the same numbers, so that compiled programs are found again
+@functools.cache  # the same objects for the same numbers, so that compiled programs are reused
 def _parts(k2: tuple[tuple[float, ...], ...]) -> tuple[Backstepping, Contracting]:
     return odin_controller(), odin_observer(np.array(k2))
 
 
 def odin_box(pitch: float = 0.7, roll: float = 0.7, rate: float = 0.2, speed: float = 0.5, spin: float = 0.3) -> Box:
-    """Box of the observer's virtual system: bounds of attitude [rad], its rates [rad/s], and estimated velocities.
+    """Box of the observer's virtual system.
 
-    Position and yaw have no effect, and are held at zero; so are the input and the estimated position.
+    Position and yaw have no effect, and are fixed at zero; so are the input and the estimated position.
+
+    Args:
+        pitch: Bound of the pitch [rad].
+        roll: Bound of the roll [rad].
+        rate: Bound of the rates of the attitude [rad/s].
+        speed: Bound of the estimated linear velocities [m/s].
+        spin: Bound of the estimated angular velocities [rad/s].
+
+    Returns:
+        The box, symmetric about zero.
     """
     subject = virtual(odin_observer(), np.eye(12))
     wide = {"z_roll": roll, "z_pitch": pitch, "zdot_roll": rate, "zdot_pitch": rate, "zdot_yaw": rate}
@@ -97,11 +148,19 @@ def odin_box(pitch: float = 0.7, roll: float = 0.7, rate: float = 0.2, speed: fl
 
 
 def odin_certificate(rate: float, domain: Box | None = None, boxes: int = 200_000) -> Corners:
-    """Prove that the repaired observer contracts at `rate` [1/s] of squared lengths, in the metric with the cross term.
+    """Prove that the repaired observer contracts, in the metric with the cross term.
 
     Translation and rotation are independent blocks, proved separately. Velocities enter only through the slope 2|ν| of
     the drag, so it suffices to consider velocities that are not negative; there the drag is a square, with a linear
     slope.
+
+    Args:
+        rate: Rate of squared lengths [1/s].
+        domain: The set, by default `odin_box()`.
+        boxes: Largest number of boxes into which the set is divided.
+
+    Returns:
+        The proof at the corners.
     """
     domain = odin_box() if domain is None else domain
     names = marine.odin().velocities
@@ -120,7 +179,16 @@ def odin_certificate(rate: float, domain: Box | None = None, boxes: int = 200_00
 
 
 def odin_sampled_rate(k2: np.ndarray = K2, cross: np.ndarray = CROSS, domain: Box | None = None) -> float:
-    """Least rate [1/s] found over the set; for K2 = I without a cross term it is at most 0, whatever the drag."""
+    """Least rate [1/s] in samples of the set; for K2 = I without a cross term it is at most 0 for any drag.
+
+    Args:
+        k2: Gain K2 (6, 6) of the observer, by default the repaired one.
+        cross: Cross term N (6, 6) of the metric.
+        domain: The set, by default `odin_box()`.
+
+    Returns:
+        The rate of squared lengths.
+    """
     subject = virtual(odin_observer(k2), crossed_metric(marine.odin(), k2, cross))
     return falsify(subject, domain or odin_box(), 0.0).margin
 
@@ -131,16 +199,30 @@ def _slope_at_rest(observer: Contracting) -> Array:
 
 
 def odin_eigenvalues() -> dict[str, float]:
-    """Largest real part of the linearised observer error, at rest and level, for K2 as printed, I, and as repaired."""
-    found = {}
+    """Largest real part [1/s] of the linearised observer error, at rest and level.
+
+    Returns:
+        Real parts for K2 as `printed`, `identity`, and as `repaired`.
+    """
+    real_parts = {}
     for name, k2 in (("printed", PRINTED_K2), ("identity", np.eye(6)), ("repaired", K2)):
         observer = odin_observer(k2)
-        found[name] = float(np.linalg.eigvals(np.asarray(_slope_at_rest(observer))).real.max())
-    return found
+        real_parts[name] = float(np.linalg.eigvals(np.asarray(_slope_at_rest(observer))).real.max())
+    return real_parts
 
 
 def tail_rate(t: np.ndarray, error: np.ndarray, floor: float = 1e-7) -> float:
-    """Slope of −log error over time [1/s], over the second half of the time until the error reaches the floor."""
+    """Slope of −log error over time, over the second half of the time until the error reaches a floor.
+
+    Args:
+        t: Stamps (T,) [s].
+        error: Positive norms (T,).
+        floor: Error below which the accuracy of the integration hides the decay.
+
+    Returns:
+        The rate [1/s].
+    """
+    # `argmax` is 0 where the error never reaches the floor.
     end = int(np.argmax(error < floor)) or len(t)
     later = slice(end // 2, end)
     return -float(np.polyfit(t[later], np.log(error[later]), 1)[0])

@@ -8,7 +8,7 @@ from covariant.papers.jouffroy_fossen._sea import SETTLED
 
 
 def summary(results: dict[str, Any]) -> list[str | list[dict[str, str]]]:
-    """Lines and tables to print."""
+    """Lines and tables to print, from the results of `reproduce`."""
     ship, odin, three = results["ship"], results["odin"], results["theorem3"]
     c = three["constants"]
     return [
@@ -49,7 +49,14 @@ def summary(results: dict[str, Any]) -> list[str | list[dict[str, str]]]:
 
 
 def sea_rows(table: dict[str, dict[str, float]]) -> list[dict[str, str]]:
-    """Table rows of the comparison at sea."""
+    """Rows of the table that compares the estimators at sea.
+
+    Args:
+        table: As from `sea_table`, with the `cost` of a sample [µs] of each estimator.
+
+    Returns:
+        One row for each estimator.
+    """
     return [
         {
             "estimator": name,
@@ -64,7 +71,16 @@ def sea_rows(table: dict[str, dict[str, float]]) -> list[dict[str, str]]:
 
 
 def write_page(results: dict[str, Any], figures: tuple[Path, ...], path: Path) -> Path:
-    """One page with the tables, the figures and explanations; returns the path."""
+    """Write one page with the tables, the figures and explanations.
+
+    Args:
+        results: As from `reproduce`.
+        figures: As from `draw`.
+        path: File of the page.
+
+    Returns:
+        The path.
+    """
     from covariant.report import write_article
 
     ship, _, theorem2, _, eigen, sampled, certified, turned, _, constants, verdicts, _, table = summary(results)

@@ -28,12 +28,17 @@ STAGES = 9
 
 
 def reproduce(progress: Callable[[str], None] = lambda stage: None) -> dict[str, Any]:
-    """All numbers of the paper that are reproduced.
+    """Compute all numbers of the paper that are reproduced.
 
-    Keys: `ship` (eigenvalues of (53) with either K2, guaranteed and fitted rates); `theorem2` (for each counter-example
-    the printed statement, the truth, and the verdict of the proof); `odin` (eigenvalues and sampled rates with three
-    K2, the certified rate and its set, the rates of the closed loop); `somersault` (on SE(3), through a pitch of 90°);
-    `theorem3` (constants and verdicts); `sea` (velocity errors of three estimators); and `seconds`, the time it took.
+    Args:
+        progress: Called with the name of each of `STAGES` stages.
+
+    Returns:
+        `ship` (eigenvalues of (53) with either K2, guaranteed and fitted rates); `theorem2` (for each counter-example
+        the printed statement, the truth, and the verdict of the proof); `odin` (eigenvalues and sampled rates with
+        three K2, the certified rate and its set, the rates of the closed loop); `somersault` (on SE(3), through a pitch
+        of 90°); `theorem3` (constants and verdicts); `sea` (velocity errors of three estimators); and `seconds`, the
+        time it took.
     """
     began = time.perf_counter()
     progress("the ship")
@@ -75,15 +80,15 @@ def reproduce(progress: Callable[[str], None] = lambda stage: None) -> dict[str,
         "error_last": float(turning["error"][-1]),
     }
     progress("Theorem 3")
-    found = odin_cascade()
+    certificate = odin_cascade()
     results["theorem3"] = {
-        "constants": found.constants._asdict(),
-        "gamma1_squared": found.constants.gamma1**2,
-        "bound": found.constants.bound,
-        "printed": found.printed,
-        "weighted": found.constants.weighted,
-        "kappa": found.kappa,
-        "units": found.units,
+        "constants": certificate.constants._asdict(),
+        "gamma1_squared": certificate.constants.gamma1**2,
+        "bound": certificate.constants.bound,
+        "printed": certificate.printed,
+        "weighted": certificate.constants.weighted,
+        "kappa": certificate.kappa,
+        "units": certificate.units,
     }
     progress("dynamic positioning: simulation and estimates")
     log = sea()

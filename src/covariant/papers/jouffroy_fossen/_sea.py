@@ -22,9 +22,21 @@ from covariant.signals import Record
 class Sea(NamedTuple):
     """A log of dynamic positioning: north, east and heading with noise, gaps and wave motion, and the truth.
 
-    - `record`: the commanded force (T, 3), the measurement (T, 3) with NaN where there is none, and the true state.
-    - `station`: the model of the ship and its disturbances.
-    - `observers`: the estimators compared, by their key in the results.
+    Attributes:
+        record: Commanded force (T, 3) [N, N m], measurement (T, 3) [m, rad] with NaN where there is none, and true
+            state.
+        station: Model of the ship and its disturbances.
+        observers: Estimators that are compared, by their key in the results.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import Record, observers
+        >>> from covariant.models import marine
+        >>> from covariant.papers.jouffroy_fossen import Sea
+        >>> record = Record(np.arange(2.0), np.zeros((2, 3)), np.zeros((2, 3)))
+        >>> derivative = observers.FilteredDerivative(0.1, (2,))
+        >>> list(Sea(record, marine.Station(marine.supply_vessel()), {"filtered derivative": derivative}).observers)
+        ['filtered derivative']
     """
 
     record: Record
@@ -39,16 +51,22 @@ GNSS, COMPASS = 0.5, math.radians(0.1)
 
 
 def sea(seed: int = 0) -> Sea:
-    """A supply vessel in waves of 0.8 m (standard deviation), with slowly varying forces, under PD control.
+    """Simulate a supply vessel in waves of 0.8 m (standard deviation), with slowly varying forces, under PD control.
 
     Compass at 10 Hz, GNSS at 1 Hz with gaps of 60 and 30 s.
+
+    Args:
+        seed: Seed of the waves, forces and measurement noise.
+
+    Returns:
+        The log, of 1200 s.
     """
     station = _station()
     random = np.random.default_rng(seed)
     t = np.arange(round(DURATION / STEP) + 1) * STEP
     slow = np.array([3e4, 3e4, 1e6]) / math.sqrt(1000.0 / 2)  # N/√s and N m/√s: 30 kN and 1 MN m in the long run
     noise = random.normal(size=(len(t), 6)) / math.sqrt(STEP) * np.concatenate([np.ones(3), slow])
-    x, tau, y = (np.asarray(a) for a in _held_on_station(station, jnp.asarray(t), jnp.asarray(noise)))
+    x, tau, y = (np.asarray(a) for a in _station_keeping(station, jnp.asarray(t), jnp.asarray(noise)))
     y = y + random.normal(size=y.shape) * np.array([GNSS, GNSS, COMPASS])
     missing = np.arange(len(t)) % round(1 / STEP) != 0
     for begin, end in GAPS:
@@ -62,15 +80,15 @@ def sea(seed: int = 0) -> Sea:
     return Sea(Record(t, tau, y, x), station, observers)
 
 
-@functools.cache  # one object, so that compiled programs are found again
+@functools.cache  # one object, so that compiled programs are reused
 def _station() -> marine.Station:
     waves = marine.Waves((0.8, 0.8, 0.8), (0.1, 0.1, 0.1), (0.8, 0.8, math.radians(1.0)))
     return marine.Station(marine.supply_vessel(), waves, bias_time=1000.0)
 
 
 @eqx.filter_jit
-def _held_on_station(station: marine.Station, t: Array, noise: Array):
-    """True states, commanded forces and noise-free outputs under a PD controller that is given the true state."""
+def _station_keeping(station: marine.Station, t: Array, noise: Array):
+    """True states, commanded forces and noise-free outputs under a PD controller that knows the true state."""
     model, mass = station.model(noise=True), jnp.diag(jnp.asarray(station.ship.mass))
 
     def goal(s):
@@ -96,7 +114,15 @@ def passive_observer(station: marine.Station) -> PassiveShip:
 
 
 def sea_filter(station: marine.Station, y0: np.ndarray) -> InformationEKF:
-    """The extended Kalman filter that is given the spectral densities of all noises of the log."""
+    """Extended Kalman filter with the spectral densities of all noises of the log.
+
+    Args:
+        station: Model of the ship and its disturbances.
+        y0: First measurement (3,), at which the filter starts.
+
+    Returns:
+        The filter.
+    """
     part, order = station.parts, station.order
     q = np.zeros(order)
     q[part["waves"]][3:] = np.asarray(station.waves.intensity) ** 2 if station.waves else 0.0
@@ -119,7 +145,14 @@ def sea_filter(station: marine.Station, y0: np.ndarray) -> InformationEKF:
 
 
 def sea_errors(log: Sea) -> dict[str, Float[np.ndarray, "T 3"]]:
-    """Errors of surge, sway [m/s] and yaw rate [rad/s] of the estimators; row k uses measurements up to row k."""
+    """Errors of the estimated velocities; row k uses measurements up to row k.
+
+    Args:
+        log: As from `sea`.
+
+    Returns:
+        Errors (T, 3) of surge, sway [m/s] and yaw rate [rad/s], by estimator.
+    """
     record = log.record
     truth = np.asarray(record.x)[:, 3:6]
     passive, kalman, filtered = (np.asarray(run(o, record).estimate) for o in log.observers.values())
@@ -138,15 +171,23 @@ def sea_errors(log: Sea) -> dict[str, Float[np.ndarray, "T 3"]]:
 
 
 def sea_cost(log: Sea, samples: int = 1000) -> dict[str, float]:
-    """Time for each sample [µs] in the compiled loop on this machine, over the first samples of the log."""
+    """Time for each sample in the compiled loop on this machine, over the first samples of the log.
+
+    Args:
+        log: As from `sea`.
+        samples: Number of samples.
+
+    Returns:
+        Times [µs], by estimator.
+    """
     t, u, y, _ = log.record
-    found, record = {}, Record(t[:samples], u[:samples], y[:samples])
+    costs, record = {}, Record(t[:samples], u[:samples], y[:samples])
     for name, observer in log.observers.items():
         jax.block_until_ready(run(observer, record).estimate)
         began = time.perf_counter()
         jax.block_until_ready(run(observer, record).estimate)
-        found[name] = 1e6 * (time.perf_counter() - began) / len(record.t)
-    return found
+        costs[name] = 1e6 * (time.perf_counter() - began) / len(record.t)
+    return costs
 
 
 SETTLED = 100.0
@@ -154,14 +195,21 @@ SETTLED = 100.0
 
 
 def sea_table(log: Sea) -> dict[str, dict[str, float]]:
-    """Velocity errors (RMSE) after the first 100 s, and in the gaps of GNSS."""
+    """Velocity errors (RMSE) after the first 100 s, and in the gaps of GNSS.
+
+    Args:
+        log: As from `sea`.
+
+    Returns:
+        `surge`, `sway` [m/s], `yaw_rate` [rad/s] and `gaps` [m/s], by estimator.
+    """
     t = np.asarray(log.record.t)
     gap = np.zeros(len(t), bool)
     for begin, end in GAPS:
         gap |= (t >= begin) & (t < end)
-    found = {}
+    table = {}
     for name, error in sea_errors(log).items():
         rms = np.sqrt(np.mean(error[t > SETTLED] ** 2, axis=0))
         worst = np.sqrt(np.mean(np.sum(error[gap, :2] ** 2, axis=1)))
-        found[name] = {"surge": float(rms[0]), "sway": float(rms[1]), "yaw_rate": float(rms[2]), "gaps": float(worst)}
-    return found
+        table[name] = {"surge": float(rms[0]), "sway": float(rms[1]), "yaw_rate": float(rms[2]), "gaps": float(worst)}
+    return table

@@ -19,6 +19,9 @@ def ship_eigenvalues() -> dict[str, float]:
     """Largest real part of the virtual system (53) with K1 = I and K2 as printed in (54) and as corrected.
 
     A supply vessel at ψ = 0, in the Bis system: lengths by L, times by √(L/g).
+
+    Returns:
+        Real parts with K2 as `printed` and as `corrected`.
     """
     station = marine.Station(marine.supply_vessel(length=1.0, mass=1.0, gravity=1.0))
     signs = {"printed": -1.0, "corrected": 1.0}
@@ -37,10 +40,14 @@ def _virtual_slope(station: marine.Station, sign: Array) -> Array:
 
 
 def ship_decay(duration: float = 600.0) -> dict[str, Any]:
-    """The observer (43)–(44) of the moored supply vessel, with gains from (48)–(50): V along a turning motion.
+    """Decay of V along a turning motion: observer (43)–(44) of the moored supply vessel, with gains from (48)–(50).
 
-    Returns `t`, `lyapunov` V (T,), the guaranteed `rate` α of `V ≤ e^(−2αt) V(0)`, the rate `printed` in (47), and the
-    `fitted` one.
+    Args:
+        duration: Length of the simulation [s].
+
+    Returns:
+        Stamps `t` (T,), `lyapunov` V (T,), the guaranteed `rate` α of `V ≤ e^(−2αt) V(0)`, the rate `printed` in (47),
+        and the `fitted` one [1/s].
     """
     station = _moored()
     mass = np.asarray(station.ship.mass)
@@ -55,7 +62,7 @@ def ship_decay(duration: float = 600.0) -> dict[str, Any]:
     return {"t": np.asarray(t), "lyapunov": value, **rates}
 
 
-@functools.cache  # one object, so that compiled programs are found again
+@functools.cache  # one object, so that compiled programs are reused
 def _moored() -> marine.Station:
     return marine.Station(marine.supply_vessel(mooring=np.diag([5e4, 5e4, 5e7])))
 

@@ -28,10 +28,16 @@ def _somersault(t: Array):
 
 
 def somersault(duration: float = 16.0) -> dict[str, np.ndarray]:
-    """ODIN on SE(3), turned over its nose by a constant torque, with the intrinsic observer on the group.
+    """Simulate ODIN on SE(3), turned over its nose by a constant torque, with the intrinsic observer on the group.
 
-    Returns stamps `t` [s], `pitch` (T,) [rad], and the norm of the observer's `error` (T,). Apart from the drag the
-    error law is s² + 8s + 16; with s² + 2s + 1 the gains are too low for this speed, and an error remains.
+    Apart from the drag the error law is s² + 8s + 16; with s² + 2s + 1 the gains are too low for this speed, and an
+    error remains.
+
+    Args:
+        duration: Length of the simulation [s].
+
+    Returns:
+        Stamps `t` (T,) [s], `pitch` (T,) [rad], and the norm of the observer's `error` (T,).
     """
     t = np.linspace(0.0, duration, round(20 * duration) + 1)
     pitch, error = _somersault(jnp.asarray(t))

@@ -12,7 +12,20 @@ from covariant.proofs import Box, Proof, prove
 
 
 class Scalar(NamedTuple):
-    """The system `x' = ax + bu`, z = x, `u = gx̂` with the observer gain k, as a counter-example."""
+    """A scalar system with observer feedback, as a counter-example: `x' = ax + bu`, z = x, `u = gx̂`.
+
+    Attributes:
+        a: Coefficient of the state [1/s].
+        b: Coefficient of the input.
+        g: Gain of the feedback of the estimate.
+        k: Gain of the observer [1/s].
+
+    Example:
+        >>> from covariant.papers.jouffroy_fossen import Scalar
+        >>> case = Scalar(a=1.0, b=1.0, g=-10.0, k=0.0)
+        >>> case.printed, case.true
+        (-9.0, 1.0)
+    """
 
     a: float
     b: float
@@ -30,6 +43,7 @@ class Scalar(NamedTuple):
         return self.a - self.k
 
     def observer(self) -> Contracting:
+        """The observer `x̂' = ax̂ + bu + k(z − x̂)` of the system, which starts at 0."""
         model = models.StateSpace(
             lambda t, x, u: self.a * x + self.b * u,
             lambda t, x, u: x,
@@ -39,7 +53,14 @@ class Scalar(NamedTuple):
         return Contracting(model, jnp.array([[self.k]]), jnp.zeros(1))
 
     def proof(self, rate: float) -> Proof:
-        """Prove that the virtual system contracts at `rate` [1/s], over |x|, |u|, |z| ≤ 1."""
+        """Prove that the virtual system contracts, over |x|, |u|, |z| ≤ 1.
+
+        Args:
+            rate: Rate of squared lengths [1/s].
+
+        Returns:
+            The proof, or its refutation.
+        """
         subject = virtual(self.observer(), jnp.eye(1))
         size = len(subject.names)
         return prove(contraction(subject, rate), Box(subject.names, subject.units, -np.ones(size), np.ones(size)))

@@ -11,9 +11,17 @@ from covariant.proofs import Box, box
 def odin_cascade(
     pitch: float = 0.5, attempts: int = 20_000, starts: int = 64, proved: bool = False, units: bool = True
 ) -> CascadeCertificate:
-    """Theorem 3 for ODIN over attitudes up to `pitch` in roll and pitch and the velocities of `odin_box`.
+    """Check Theorem 3 for ODIN over attitudes up to `pitch` in roll and pitch and the velocities of `odin_box`.
 
-    `units`: whether condition (72) is also tried in other units.
+    Args:
+        pitch: Bound of roll and pitch [rad].
+        attempts: Number of random points at which the constants are sampled.
+        starts: Number of the worst of these from which a descent starts.
+        proved: Whether every constant is proved instead of sampled.
+        units: Whether condition (72) is also tried in other units.
+
+    Returns:
+        The certificate of the cascade.
     """
     controller = odin_controller()
     plant = tracking(controller)
