@@ -27,13 +27,8 @@ from covariant.proofs.checker import ROUND, TaylorEnclosure, leaves, show_defini
 
 SLACK = 2.0**-20
 """Relative margin by which forces may exceed their bounds, so that bounds that are attained can be shown quickly."""
-<<<<<<< ours
 DEPTH, DEEPEST, SHARE = 24, 200, 1024
-"""How often a leaf may be halved; how often the box of the inputs may; number of leaves in a job of one process."""
-=======
-DEPTH, DEEPEST, SHARE = 10, 200, 1024
 """How often a leaf may be halved; how often the box of inputs may be; number of leaves in a job of one process."""
->>>>>>> theirs
 
 
 class Shown(NamedTuple):

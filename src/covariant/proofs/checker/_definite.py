@@ -17,26 +17,19 @@ TURN = 0.1
 """Share of the blame for open choices that a variable has even where it keeps none open."""
 
 
-<<<<<<< ours
 def definite(
     matrix: np.ndarray, width: np.ndarray, kinks: np.ndarray, left: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """On which boxes, of width (B, d), a symmetric matrix (n, n) is positive definite; and the variable to halve.
-
-    - `left` (B, d): the fraction of each width that halvings have left.
-    - `kinks` (B, d): by how much each variable keeps choices open; it is halved where these weigh more than the rest.
-=======
-def definite(matrix: np.ndarray, width: np.ndarray, kinks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """On which boxes a symmetric matrix is positive definite, and the variable to halve on the others.
 
     A matrix `Σ Sₘeₘ` with e₀ = 1 and all other |eₘ| ≤ 1 is positive definite if, for some C, the spectral radius of `E
     = |CᵀS₀C − I| + Σ|CᵀSₘC|` is below one, that is, if Ex < x for some positive x.
->>>>>>> theirs
 
     Args:
         matrix: Array (n, n) of `Taylor`.
         width: Widths (B, d) of the boxes.
         kinks: By how much each variable keeps choices open (B, d); it is halved where these weigh more than the rest.
+        left: The fraction of each width that halvings have left (B, d).
 
     Returns:
         The verdict (B,), where False says nothing, and the index (B,) of the variable to halve.
@@ -127,13 +120,8 @@ def show_definite(
             box = ", ".join(f"{c:.6g} to {d:.6g}" for c, d in zip(a[k], b[k], strict=True))
             raise ValueError(f"{what} is not shown to hold where the variables are {box}")
         try:
-<<<<<<< ours
-            found = matrix(a, b)
-            good, axes = definite(found + found.T, b - a, matrix.kinks(), (b - a) / first)
-=======
             enclosure = matrix(a, b)
-            good, axes = definite(enclosure + enclosure.T, b - a, matrix.kinks())
->>>>>>> theirs
+            good, axes = definite(enclosure + enclosure.T, b - a, matrix.kinks(), (b - a) / first)
         except UndecidedError:
             good, axes = np.zeros(len(a), bool), (b - a).argmax(1)
             if len(a) > 1:

@@ -355,19 +355,14 @@ def decided(truth: bool | Taylor) -> bool:
 
 
 def floor(a: Taylor) -> Taylor:
-<<<<<<< ours
-    """The largest integer below; where it is the same on all boxes it is known, elsewhere a range of integers."""
-    # Both ends go outward: 3 − 1e-18 rounds to 3, whose floor is not that of the number. Constants are what they are.
-    away = np.where(a.away > 8 * TINY, a.away + ROUND * (abs(a.middle) + a.away), 0.0)
-    low, high = np.floor(a.middle - away), np.floor(a.middle + away)
-=======
     """The largest integer below; where it is the same on all boxes it is known, elsewhere a range of integers.
 
     Args:
         a: The argument.
     """
-    low, high = np.floor(a.middle - a.away), np.floor(a.middle + a.away)
->>>>>>> theirs
+    # Both ends go outward: 3 − 1e-18 rounds to 3, whose floor is not that of the number. Constants are what they are.
+    away = np.where(a.away > 8 * TINY, a.away + ROUND * (abs(a.middle) + a.away), 0.0)
+    low, high = np.floor(a.middle - away), np.floor(a.middle + away)
     if np.all(low == high) and np.all(low == np.max(low)):
         return exact(float(np.max(low)))
     return number(low / 2 + high / 2, (high - low) / 2)
