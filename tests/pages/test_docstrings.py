@@ -4,8 +4,9 @@ import doctest
 import importlib
 from pathlib import Path
 
-import covariant
 import pytest
+
+import covariant
 
 SOURCE = Path(covariant.__file__).parent
 HOW = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
@@ -22,7 +23,8 @@ def test_examples_show_what_they_compute(path, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     module = importlib.import_module(name_of(path))
     results = doctest.testmod(module, optionflags=HOW)
-    assert results.attempted and not results.failed, f"{results.failed} examples of {path} fail: see what was printed"
+    assert results.attempted
+    assert not results.failed, f"{results.failed} examples of {path} fail: see what was printed"
 
 
 @pytest.mark.parametrize("room", sorted(p.parent.name for p in SOURCE.glob("*/__init__.pyi")))
