@@ -191,6 +191,27 @@ def test_missing_measurements_are_coasted_and_said(entry, name):
     assert relative_error(entry, name, v) < allowed(entry)
 
 
+@each
+def test_prediction_and_correction_make_the_step(entry, name):
+    """And the innovation alone is that of the correction's info, where nothing is missing and where something is."""
+    watched, (observer, _, _) = seen(name), loops(name)[entry.name]
+    u, dt = jnp.asarray(watched.u[1]), jnp.asarray(0.01)
+
+    @jax.jit
+    def both(y):
+        start = observer.init(jnp.asarray(watched.y[0]))
+        stepped = observer.step(start, u, y, dt)
+        predicted = observer.predict(start, u, dt)
+        return stepped, observer.correct(predicted, u, y), observer.innovation(predicted, u, y)
+
+    for y in (jnp.asarray(watched.y[1]), jnp.full_like(watched.y[1], jnp.nan)):
+        (state, info), (corrected, by_hand), innovation = both(y)
+        for field in set(state._fields) - {"held"}:  # a step remembers the input, too
+            jax.tree.map(np.testing.assert_array_equal, getattr(state, field), getattr(corrected, field))
+        jax.tree.map(np.testing.assert_array_equal, info, by_hand)
+        np.testing.assert_array_equal(innovation, info.innovation)
+
+
 def kinds(tree: Any) -> list:
     """Shape, type and strength of type of every array of a state: what a compiled loop is bound to."""
     return [(a.shape, a.dtype, jax.typeof(a).weak_type) for a in jax.tree.leaves(tree)]

@@ -121,7 +121,7 @@ class Gated(AbstractObserver):
             slip=slip,
         )
         # What was learnt of the measurements still holds where it widens the gate.
-        fresh = self._restarted(state, motion, error, verdict.restart)
+        fresh = self._restarted(state, motion, y)
         fresh = fresh._replace(scale=jnp.maximum(verdict.scale, 1.0))
         new = jax.tree.map(lambda a, b: jnp.where(verdict.restart, a, b), fresh, new)
         astray = jnp.any(slip > 1).astype(jnp.int32) * int(Result.ASTRAY)
@@ -150,10 +150,9 @@ class Gated(AbstractObserver):
         """The measurement with what is refused missing; of one that is not in coordinates all is."""
         return jnp.where(far if self.model.manifold.commuting else jnp.any(far), jnp.nan, y)
 
-    def _restarted(self, state: GatedState, motion: Motion, jump: Vector, restart: Flag) -> GatedState:
-        """The state at the measured configuration, `jump` away from the estimate; of no use unless `restart`."""
-        q = self.model.manifold.retract(motion.q, jnp.where(restart, jump, 0.0))
-        fresh = self.init(q, state.t)._replace(held=state.held, dt=state.dt)
+    def _restarted(self, state: GatedState, motion: Motion, y: Array) -> GatedState:
+        """The state at the measured configuration, with the velocity of the estimate where that is credible."""
+        fresh = self.init(self.model.manifold.measured(motion.q, y), state.t)._replace(held=state.held, dt=state.dt)
         if "v" not in fresh.inner._fields:
             return fresh
         credible = jnp.all(jnp.abs(motion.v) <= CREDIBLE * self.speed)
