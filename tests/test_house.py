@@ -206,12 +206,20 @@ def test_modules_import_each_other_in_no_circle():
     graphlib.TopologicalSorter(needs).prepare()  # raises CycleError, which names the circle
 
 
-MOST_LINES = 450
+MOST_LINES = 400
 
 
 def test_no_file_is_too_long_to_be_read_in_one_sitting():
-    lengths = {place(path): len(path.read_text(encoding="utf-8").split("\n")) for path in FILES}
-    assert not {name for name, length in lengths.items() if length > MOST_LINES}
+    """Docstrings, which are read one at a time, do not count."""
+
+    def length(path: Path) -> int:
+        lines = len(path.read_text(encoding="utf-8").split("\n"))
+        bodies = [body for node in ast.walk(tree(path)) if isinstance(body := getattr(node, "body", None), list)]
+        texts = [child for body in bodies for child in body if isinstance(child, ast.Expr)]
+        texts = [text for text in texts if isinstance(text.value, ast.Constant) and isinstance(text.value.value, str)]
+        return lines - sum(text.end_lineno - text.lineno + 1 for text in texts)
+
+    assert not {place(path) for path in FILES if length(path) > MOST_LINES}
 
 
 def test_kinds_of_models_are_told_apart_by_what_they_offer():

@@ -7,6 +7,7 @@ import pytest
 from covariant import logs, models
 from covariant.calibration import diagnose, misfit, outliers, suggest_noise
 from covariant.calibration._changes import Names, no_change
+from covariant.calibration._diagnose import busiest
 from covariant.calibration._smooth import smooth
 from covariant.logs import unit_factor
 from covariant.models import load
@@ -389,3 +390,11 @@ def test_short_logs_are_looked_at_as_far_as_they_go(pendulum, clean, rows, missi
     done = diagnose(pendulum, record)
     assert "too little motion" in [found.what for found in done.findings] or rows == 2
     assert suggest_noise(pendulum._replace(measurement_std=None, acceleration_std=None), record) is not None
+
+
+@pytest.mark.parametrize("first", [0, 7, 15])
+def test_the_busiest_rows_are_those_in_which_it_moves(first):
+    """At the beginning, within, and at the very end of a log."""
+    y = np.concatenate([np.zeros(first), np.arange(5.0), np.full(15 - first, 4.0)])[:, None]
+    chosen = busiest(Record(np.arange(20.0), np.zeros((20, 0)), y), 5)
+    np.testing.assert_array_equal(chosen.t, first + np.arange(5.0))

@@ -454,10 +454,16 @@ def test_an_observer_of_another_model_has_no_numbers_of_the_family():
         of_family(observers.Intrinsic(models.ball_and_beam(), 1.0, 1.0), family())
 
 
-def test_a_name_that_is_none_in_c_is_refused(exported):
+@pytest.mark.parametrize("name", ["for", "virtual", "2nd", "a-b"])
+def test_a_name_that_is_none_in_c_or_cpp_is_refused(exported, name):
     graphs = exported("slope").program
     with pytest.raises(ValueError, match="no name in C"):
-        export_texts(graphs, "for", "", case("slope").measured, Facts(RATE, None))
+        export_texts(graphs, name, "", case("slope").measured, Facts(RATE, None))
+
+
+def test_too_few_measurements_for_the_faults_of_a_self_test_are_refused(exported):
+    with pytest.raises(ValueError, match="at least 27 measurements; got 10"):
+        export_texts(exported("slope").program, "slope", "", case("slope").measured[:10], Facts(RATE, None))
 
 
 def test_a_folder_with_files_is_left_alone_unless_told(tmp_path):

@@ -202,8 +202,9 @@ def busiest(record: Record, rows: int) -> Record:
         return record
     travel = np.nan_to_num(np.abs(np.diff(np.asarray(record.y), axis=0)))
     # Each coordinate counts in units of its fast steps; the floor is for one that stands still.
-    travel = np.cumsum(np.sum(travel / np.maximum(np.quantile(travel, 0.95, axis=0), 1e-300), axis=1))
-    start = int(np.argmax(travel[rows - 1 :] - travel[: len(travel) - rows + 1]))
+    travel = np.sum(travel / np.maximum(np.quantile(travel, 0.95, axis=0), 1e-300), axis=1)
+    reached = np.append(0.0, np.cumsum(travel))  # from the first row to each
+    start = int(np.argmax(reached[rows - 1 :] - reached[: len(reached) - rows + 1]))
     return Record(*(np.asarray(a)[start : start + rows] for a in record[:3]))
 
 

@@ -17,6 +17,8 @@ SWING, PERIODS = 0.2, 1.5
 """Amplitude of the measured motion [rad or m], and how often it swings in a run."""
 LONG_GAP = 5.0
 """A gap in the run, in sampling intervals."""
+LAST_FAULT = 25
+"""The row of the gap, after all other faults."""
 
 
 class Vectors(NamedTuple):
@@ -66,6 +68,9 @@ def vectors(program: Program, measured: np.ndarray, rate: float) -> Vectors:
     Returns:
         The run; allowed deviations are `ALLOWED` times those under random rounding.
 
+    Raises:
+        ValueError: There are too few measurements for all the faults.
+
     Example:
         >>> import numpy as np
         >>> from covariant import codegen, observers
@@ -75,6 +80,8 @@ def vectors(program: Program, measured: np.ndarray, rate: float) -> Vectors:
         >>> run.dt.shape, int(run.dt.argmin())  # a negative step
         ((40,), 17)
     """
+    if len(measured) <= LAST_FAULT + 1:
+        raise ValueError(f"test vectors need at least {LAST_FAULT + 2} measurements; got {len(measured)}")
     dtype = DTYPES[program.real]
     rows, random = len(measured) - 1, np.random.default_rng(0)
     y = np.asarray(measured, dtype).reshape(rows + 1, -1).astype(float)
@@ -83,7 +90,7 @@ def vectors(program: Program, measured: np.ndarray, rate: float) -> Vectors:
     missing[5] = missing[11, :1] = True
     dt = random.uniform(0.8, 1.2, rows) / rate
     dt[[13, 17]] = 0.0, -1.0 / rate
-    dt[25] *= LONG_GAP
+    dt[LAST_FAULT] *= LONG_GAP
     y[20, :1] = np.inf
     u = 0.3 * np.sin(np.arange(rows)[:, None] / 7 + np.arange(program.u))
     u[9, :1] = np.nan

@@ -24,7 +24,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from covariant._typing import Flag, Number, Scalar, Vector
+from covariant._typing import Number, Scalar, Vector
 from covariant.models import MechanicalSystem, Motion
 from covariant.observers._gate import Gate, Judged, open_gate
 from covariant.observers._protocol import (
