@@ -35,7 +35,7 @@ def test_proof(benchmark, shipped, engine):
     def work():
         found = []
         for claim in shipped.claims:
-            about = shipped.subject
+            about = shipped.error_system
             reach = claim.kind == "reach"
             matrix = width_bound(about, claim.row, claim.square) if reach else contraction(about, shipped.rate)
             found.append(proofs.prove(matrix, shipped.domain, engine=engine))
@@ -50,7 +50,7 @@ def test_proof(benchmark, shipped, engine):
 @pytest.mark.parametrize("engine", ENGINES)
 def test_bounds(benchmark, shipped, engine):
     domain = shipped.domain
-    entries = contraction(shipped.subject, shipped.rate).graph(jnp.asarray(domain.low)).entries
+    entries = contraction(shipped.error_system, shipped.rate).graph(jnp.asarray(domain.low)).entries
     graph = expand(entries, range(len(domain.low)), 2)
     ends = np.random.default_rng(0).uniform(domain.low, domain.high, (2, 2048, len(domain.low)))
     low, high = ends[0], np.minimum(ends[0] + 0.02 * (domain.high - domain.low), domain.high)

@@ -152,7 +152,7 @@ RELEVANT = {
     "certificates/_force_bounds.py": "certificates/test_contraction certificates/test_check",
     "certificates/_in[et]*.py": "certificates/test_contraction certificates/test_check",
     "certificates/_marine_cascade.py": "certificates/test_cascade",
-    "certificates/_subject.py": "certificates/test_contraction certificates/test_check",
+    "certificates/_error_system.py": "certificates/test_contraction certificates/test_check",
     "certificates/*": "certificates/test_contraction certificates/test_cascade",
 }
 """Test files of the sources that match a pattern, cheapest first; the first pattern that matches holds."""

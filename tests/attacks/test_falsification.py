@@ -27,7 +27,7 @@ MARGINS = {"ball_and_beam": 1.01, "heavy_top": 1.01, "dfki_double_pendulum": 1.0
 def test_no_point_is_slower_than_what_is_certified(name):
     certificate = ContractionCertificate.load(FOLDER / f"{name}.json")
     found = falsify(
-        certificate.subject, certificate.domain, certificate.rate, attempts=POINTS, starts=STARTS, seed=COUNT
+        certificate.error_system, certificate.domain, certificate.rate, attempts=POINTS, starts=STARTS, seed=COUNT
     )
     assert found.verdict == "holds", found
     assert found.margin >= MARGINS[name] * certificate.rate
@@ -40,7 +40,7 @@ def test_a_faster_claim_would_be_found_false(name):
     certificate = ContractionCertificate.load(FOLDER / f"{name}.json")
     domain = certificate.domain
     larger = domain._replace(low=12 * domain.low, high=12 * domain.high)
-    found = falsify(certificate.subject, larger, certificate.rate, attempts=20_000, starts=32)
+    found = falsify(certificate.error_system, larger, certificate.rate, attempts=20_000, starts=32)
     assert found.verdict == "fails"
     point = np.array(found[-1])
     assert (point >= larger.low).all()

@@ -23,7 +23,7 @@ from covariant.certificates import (
     observer_gain,
     rate_of,
 )
-from covariant.certificates._subject import Point, Subject
+from covariant.certificates._error_system import ErrorSystem, Point
 from covariant.models import StateSpace
 from covariant.proofs import as_form, box
 
@@ -45,14 +45,14 @@ def random_metric(rng, n: int) -> np.ndarray:
     return a @ a.T + 0.1 * np.eye(n) - (rng.uniform() < 0.25) * 8 * np.diag(np.eye(n)[0])
 
 
-def linear(matrix, form) -> Subject:
+def linear(matrix, form) -> ErrorSystem:
     """The system x' = A x with the constant metric P."""
 
     def at(z):
         metric = in_coordinates(lambda t, x: jnp.asarray(form))
         return Point(lambda t, x: jnp.asarray(matrix) @ x + 0.0 * z[0], metric, jnp.zeros(len(matrix)))
 
-    return Subject(("d",), ("",), at)
+    return ErrorSystem(("d",), ("",), at)
 
 
 def holds_in_one_of(count: int, verdicts: list[str]) -> None:

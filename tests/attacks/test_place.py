@@ -7,7 +7,7 @@ import pytest
 from systems import RATE, Case, Q, falsehood, line, on_any_circle, verdict, wheel
 
 from covariant import models
-from covariant.certificates import subject
+from covariant.certificates import error_system
 from covariant.geometry import lie
 from covariant.observers import Intrinsic
 
@@ -166,7 +166,7 @@ def test_the_flow_that_is_proved_is_the_one_that_runs(group, options):
     inertia = np.diag(rng.uniform(0.5, 2, n)) + 0.1
     model = models.GroupSystem(group, inertia, dissipation=lambda g, v: -v * jnp.abs(v))
     observer = Intrinsic(model, 3.0, 5.0, **options)
-    about = subject(observer, Q)
+    about = error_system(observer, Q)
     g = group.exp(jnp.asarray(rng.normal(size=n)))
 
     def runs(z, x):

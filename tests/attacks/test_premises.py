@@ -11,8 +11,8 @@ from systems import line
 
 from covariant import models
 from covariant.certificates import (
+    ErrorSystem,
     StateMetric,
-    Subject,
     cascade,
     certify,
     decay,
@@ -22,7 +22,7 @@ from covariant.certificates import (
     observability,
     virtual,
 )
-from covariant.certificates._subject import Point
+from covariant.certificates._error_system import Point
 from covariant.models import StateSpace
 from covariant.observers import Contracting, Intrinsic
 from covariant.proofs import Box, prove_at_corners
@@ -180,7 +180,7 @@ def linear(matrix, form):
         metric: StateMetric = in_coordinates(lambda t, x: jnp.asarray(form, float))
         return Point(lambda t, x: jnp.asarray(matrix, float) @ x + 0.0 * z[0], metric, jnp.zeros(n))
 
-    return Subject(("d",), ("",), at)
+    return ErrorSystem(("d",), ("",), at)
 
 
 def coupled(plant=(-1.0, 1.0), error=(-1.0, 1.0), regions=((0.0, 1.0), (0.0, 1.0)), **options):
@@ -241,14 +241,14 @@ def test_a_coupling_whose_bound_is_not_proved_leaves_a_cascade_open():
     assert cascade(stable, stable, steep, proved=True, boxes=300).statement.verdict == "holds"
 
 
-def drifting(rate, form) -> Subject:
+def drifting(rate, form) -> ErrorSystem:
     """The system x' = a(t) x with the metric p(t)."""
 
     def at(z):
         metric: StateMetric = in_coordinates(lambda t, x: form(t) * jnp.eye(1))
         return Point(lambda t, x: rate(t) * x + 0.0 * z[0], metric, jnp.zeros(1))
 
-    return Subject(("d",), ("",), at)
+    return ErrorSystem(("d",), ("",), at)
 
 
 DRIFTS = {

@@ -10,8 +10,8 @@ from covariant import models
 from covariant.calibration import contracting_gain
 from covariant.certificates import (
     Constants,
+    ErrorSystem,
     StateMetric,
-    Subject,
     cascade,
     common_metric,
     contraction,
@@ -21,7 +21,7 @@ from covariant.certificates import (
     virtual,
 )
 from covariant.certificates._cascade import _constants, _forms, _Search
-from covariant.certificates._subject import Point
+from covariant.certificates._error_system import Point
 from covariant.observers import Contracting
 from covariant.papers.jouffroy_fossen import COUNTEREXAMPLES, Scalar
 from covariant.proofs import Box, blocks, box, prove, prove_at_corners
@@ -55,14 +55,14 @@ def test_metric_that_follows_the_measurement_counts_its_change():
     """x' = 0 with M = e^z: where z falls at 1, squared lengths do; a metric without its Ṁ would see nothing."""
     model = models.StateSpace(lambda t, x, u: 0.0 * x, lambda t, x, u: x, coordinates=("x",))
     still = Contracting(model, jnp.zeros((1, 1)), jnp.zeros(1))
-    subject = virtual(still, lambda z, x: jnp.exp(z)[:, None])
+    error_system = virtual(still, lambda z, x: jnp.exp(z)[:, None])
 
     def region(change):
-        return Box(subject.names, subject.units, np.array([-1.0, -1.0, change]), np.array([1.0, 1.0, change]))
+        return Box(error_system.names, error_system.units, np.array([-1.0, -1.0, change]), np.array([1.0, 1.0, change]))
 
-    assert prove(contraction(subject, 0.9), region(-1.0)).verdict == "holds"
-    assert prove(contraction(subject, 1.1), region(-1.0)).verdict == "fails"
-    assert prove(contraction(subject, 0.0), region(1.0)).verdict == "fails"
+    assert prove(contraction(error_system, 0.9), region(-1.0)).verdict == "holds"
+    assert prove(contraction(error_system, 1.1), region(-1.0)).verdict == "fails"
+    assert prove(contraction(error_system, 0.0), region(1.0)).verdict == "fails"
 
 
 def test_virtual_needs_names():
@@ -147,10 +147,10 @@ def test_gain_from_vertices_is_proved_on_the_whole_polytope():
     )
     design = contracting_gain(model, [[0.0, 0.0], [math.pi, 0.0]], 2.0)
     observer = Contracting(model, jnp.asarray(design.gain), jnp.zeros(2))
-    subject = virtual(observer, metrics.metric_on_grid)
+    error_system = virtual(observer, metrics.metric_on_grid)
     high = np.array([math.pi, 10.0, 1.0, math.pi, 1.0])
-    region = Box(subject.names, subject.units, -high, high)
-    assert prove(contraction(subject, 1.99), region).verdict == "holds"
+    region = Box(error_system.names, error_system.units, -high, high)
+    assert prove(contraction(error_system, 1.99), region).verdict == "holds"
     weak = Contracting(model, jnp.asarray(0.2 * design.gain), jnp.zeros(2))
     assert falsify(virtual(weak, metrics.metric_on_grid), region, 1.99).verdict == "fails"
 
@@ -178,7 +178,7 @@ def linear(matrix, form, names):
         metric: StateMetric = in_coordinates(lambda t, x: jnp.asarray(form))
         return Point(lambda t, x: f @ x, metric, jnp.zeros(n))
 
-    return Subject(names, ("",), at)
+    return ErrorSystem(names, ("",), at)
 
 
 def built(gain=1.0, more=0.0, spread=(0.0, 1.0), **options):

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from covariant import models
-from covariant.certificates import _certify, _check, _matrices, certify, check, check_sample, parse, subject
+from covariant.certificates import _certify, _check, _matrices, certify, check, check_sample, error_system, parse
 from covariant.certificates._check import follows
 from covariant.certificates._checked import judged
 from covariant.certificates._saved import observer_from, value_graph
@@ -62,7 +62,7 @@ def forged(path, folder, change, anew=False):
     change(document)
     made.write_text(json.dumps(document | {"digest": digest(document)}), encoding="utf-8")
     if "system" in document["recipe"] and (anew or before != {key: json.dumps(document[key]) for key in before}):
-        document["graph"] = value_graph(subject(*observer_from(parse(made))))
+        document["graph"] = value_graph(error_system(*observer_from(parse(made))))
         made.write_text(json.dumps(document | {"digest": digest(document)}), encoding="utf-8")
     return made
 
@@ -403,12 +403,12 @@ def test_the_check_shares_with_the_prover_the_observer_alone(module):
         "covariant.certificates._intrinsic.Intrinsics",
         "covariant.certificates._intrinsic.check_unique",
         "covariant.certificates._intrinsic.configuration_shape",
-        "covariant.certificates._intrinsic.subject",
+        "covariant.certificates._intrinsic.error_system",
         "covariant.certificates._matrices",
         "covariant.certificates._saved.observer_from",
         "covariant.certificates._saved.value_graph",
-        "covariant.certificates._subject.Subject",
-        "covariant.certificates._subject.values",
+        "covariant.certificates._error_system.ErrorSystem",
+        "covariant.certificates._error_system.values",
         "covariant.models.applied_force",
         "covariant.models.input_count",
     }

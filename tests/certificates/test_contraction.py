@@ -21,6 +21,7 @@ from covariant.certificates import (
     decay,
     error_bounds,
     error_matrix,
+    error_system,
     falsify,
     generalised_jacobian,
     in_coordinates,
@@ -32,7 +33,6 @@ from covariant.certificates import (
     rate_of,
     rates_along,
     steady_distance,
-    subject,
     tangent_metric,
     upper_distance,
 )
@@ -194,7 +194,7 @@ def test_it_solves_lyapunovs_equation(alpha, beta, share, weight):
 
 @functools.cache
 def paper_observer():
-    return subject(Intrinsic(models.ball_and_beam(), ALPHA, BETA), PAPER)
+    return error_system(Intrinsic(models.ball_and_beam(), ALPHA, BETA), PAPER)
 
 
 @functools.cache
@@ -230,7 +230,7 @@ def test_the_squared_length_falls_at_half_the_paper_s_printed_rate():
 
 
 def test_on_a_group_the_same_law_holds():
-    about = subject(Intrinsic(models.heavy_top(), 10.0, 50.0), lyapunov(10.0, 50.0))
+    about = error_system(Intrinsic(models.heavy_top(), 10.0, 50.0), lyapunov(10.0, 50.0))
     z = np.random.default_rng(3).uniform(-1, 1, (50, 9)) * np.array([5, 5, 5, 0, 0, 0, 2, 2, 2])
     rates = np.asarray(jax.jit(jax.vmap(lambda z: rate_at(about, z)))(jnp.asarray(z)))
     np.testing.assert_allclose(rates, rate_of(10.0, 50.0, lyapunov(10.0, 50.0)), rtol=1e-6)

@@ -10,21 +10,21 @@ import pytest
 from covariant import models
 from covariant.certificates import (
     ContractionCertificate,
+    ErrorSystem,
     Statement,
-    Subject,
     certify,
     contraction,
     contraction_matrix,
+    error_system,
     falsify,
     in_coordinates,
     lyapunov,
     optimal_lyapunov,
     rate_of,
-    subject,
     tangent_metric,
 )
 from covariant.certificates._certify import _inputs
-from covariant.certificates._subject import Point
+from covariant.certificates._error_system import Point
 from covariant.geometry import hyperbolic
 from covariant.lowering import Enclosure
 from covariant.observers import Intrinsic
@@ -118,7 +118,7 @@ def test_a_jump_at_a_variable_that_is_held_fixed_is_one_all_the_same(step):
 
     def about(flow):
         metric = in_coordinates(lambda t, x: jnp.eye(1))
-        return Subject(("z",), ("",), lambda z: Point(flow, metric, jnp.zeros(1)))
+        return ErrorSystem(("z",), ("",), lambda z: Point(flow, metric, jnp.zeros(1)))
 
     smooth = prove(contraction(about(lambda t, x: -0.9 * x), 1.0), box(z=(0.0, 1.0)))
     assert (smooth.verdict, smooth.reason) == ("holds", "")
@@ -127,7 +127,7 @@ def test_a_jump_at_a_variable_that_is_held_fixed_is_one_all_the_same(step):
 
 def ball_and_beam_region(velocity, error=0.005, force=0.1):
     high = np.array([0.3, 0.5, velocity, velocity, error, error, force, force])
-    about = subject(Intrinsic(models.ball_and_beam(), ALPHA, BETA), PAPER)
+    about = error_system(Intrinsic(models.ball_and_beam(), ALPHA, BETA), PAPER)
     return about, Box(about.names, about.units, -high, high)
 
 
@@ -137,7 +137,7 @@ def test_the_observer_of_the_paper_is_proved_and_its_spoiled_forms_are_not():
     assert found.verdict == "holds"
     assert found.seconds < 60
     assert prove(contraction(about, 0.3853), region).verdict == "fails"
-    spoiled = subject(Intrinsic(models.ball_and_beam(), ALPHA, BETA, curvature=False), PAPER)
+    spoiled = error_system(Intrinsic(models.ball_and_beam(), ALPHA, BETA, curvature=False), PAPER)
     assert prove(contraction(spoiled, 0.01), region).verdict == "fails"
 
 
@@ -163,7 +163,7 @@ def test_the_printed_ball_and_beam_is_rejected_and_the_corrected_one_proved(sign
 @pytest.mark.parametrize("speed", [0.5, 1.0, 2.0, 4.0, 8.0, 16.0])
 def test_the_tube_on_the_hyperbolic_plane_shrinks_with_the_speed(speed):
     """Strict contraction ends at |ξ| |v̂| = 0.130; 0.08 is proved, and no point in the proved set breaks it."""
-    about = subject(Intrinsic(hyperbolic_plane(), ALPHA, BETA), PAPER)
+    about = error_system(Intrinsic(hyperbolic_plane(), ALPHA, BETA), PAPER)
     # By symmetry the estimate sits at the origin and moves along x; lengths are twice the coordinates there.
     proved, broken = (
         Box(about.names, about.units, np.array([0, 0, 0, 0, -e, -e, 0, 0]), np.array([0, 0, speed / 2, 0, e, e, 0, 0]))

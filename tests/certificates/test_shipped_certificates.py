@@ -81,11 +81,11 @@ def test_leaves_of_a_robot_are_proved_by_the_prover_again():
     """By its Taylor models, on some of the leaves; and where shoulder and lift are does not enter."""
     certificate = loaded("scara")
     domain, levels = certificate.domain, certificate.claims[0].proof.levels
-    formed = contraction(certificate.subject, certificate.rate).graph(domain.low)
+    formed = contraction(certificate.error_system, certificate.rate).graph(domain.low)
     matrix = Expansions.of(formed.entries, domain, "numpy")
     assert [domain.names[i] for i in matrix.free if i < 4] == ["elbow", "twist"]
     low, high = (np.concatenate(ends)[::100] for ends in list(zip(*leaves(domain, levels), strict=True))[1:])
     assert (judge(matrix, low, high)[0] == PROVED).all()
     # A rate beyond that of the gains is found wrong.
-    wrong = contraction(certificate.subject, 30 * certificate.rate).graph(domain.low)
+    wrong = contraction(certificate.error_system, 30 * certificate.rate).graph(domain.low)
     assert judge(Expansions.of(wrong.entries, domain, "numpy"), low, high)[1] is not None

@@ -70,7 +70,7 @@ def unproved(verdict: str):
     def stand_in(observer, **settings):
         asked.update(settings, observer=observer)
         q = certificates.optimal_lyapunov(observer.alpha, observer.beta, 1.0)
-        about = certificates.subject(observer, q)
+        about = certificates.error_system(observer, q)
         domain = proofs.Box(about.names, about.units, -np.ones(4), np.ones(4))
         levels = [np.array([0]), np.array([1, -1]), np.array([-2, -1])]
         wrong = np.full((2, 4), 0.5) if verdict == "fails" else None
@@ -108,7 +108,7 @@ def test_the_file_is_the_certificate(proved):
 def test_for_a_person_angles_are_in_degrees_too(proved, monkeypatch):
     q = np.array(proved["q"])
     observer = Intrinsic(models.load("pendulum.toml").model, 10.0, 50.0)
-    about = certificates.subject(observer, q)
+    about = certificates.error_system(observer, q)
     low, high = np.array(list(proved["domain"].values())).T
     domain = proofs.Box(about.names, about.units, low, high)
     whole = proofs.Proof("holds", domain, [np.array([-1])], None, np.zeros((0, 2, 4)), 1, 0.1)

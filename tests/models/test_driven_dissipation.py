@@ -169,7 +169,7 @@ def test_the_laws_of_the_observer_hold():
 def test_no_proof_where_it_depends_on_time_or_input(make, named):
     observer = Intrinsic(make(), 4.0, 8.0)
     with pytest.raises(ValueError, match=f"the dissipation of this model depends on {named};"):
-        certificates.subject(observer, certificates.lyapunov(4.0, 8.0))
+        certificates.error_system(observer, certificates.lyapunov(4.0, 8.0))
 
 
 def test_friction_alone_is_proved_either_way():

@@ -6,7 +6,7 @@ import pytest
 
 from covariant.lowering import lower, numbers, pairs
 from covariant.proofs import _enclosure, _models, box, prove
-from covariant.proofs._models import Model, polynomials
+from covariant.proofs._models import TaylorModel, polynomials
 
 FUNCTIONS = {
     "products": lambda z: z[0] * z[1] * z[2] - (z[0] + z[1]) ** 2 * z[2] ** 2,
@@ -49,11 +49,13 @@ def test_numbers_lie_within_their_polynomials(name):
 
 def without(**parts):
     """A product in which some parts of the remainder are forgotten."""
-    right = Model.__mul__
+    right = TaylorModel.__mul__
 
     def product(a, b):
         found = right(a, b)
-        return Model(found.on, found.at, found.line, found.bend, parts.get("rest", 0.0) * found.rest, found.shares)
+        return TaylorModel(
+            found.on, found.at, found.line, found.bend, parts.get("rest", 0.0) * found.rest, found.shares
+        )
 
     return product
 
@@ -61,7 +63,7 @@ def without(**parts):
 @pytest.mark.parametrize("name", ["products", "quotients", "waves"])
 def test_a_forgotten_remainder_is_found_out(name, monkeypatch):
     if name == "products":
-        monkeypatch.setattr(Model, "__mul__", without(rest=0.0))
+        monkeypatch.setattr(TaylorModel, "__mul__", without(rest=0.0))
     else:
         right = _models._with_derivatives
 
@@ -78,7 +80,7 @@ def test_a_symbol_that_is_forgotten_is_found_out(monkeypatch):
 
     def forgetful(found, owners):
         made = right(found, owners)
-        return Model(made.on, made.at, made.line * np.array([[1.0], [0.0]]), made.bend, made.rest, made.shares)
+        return TaylorModel(made.on, made.at, made.line * np.array([[1.0], [0.0]]), made.bend, made.rest, made.shares)
 
     monkeypatch.setattr(_models, "_with_symbol", forgetful)
     assert distance_outside(FUNCTIONS["steep"]) > 1e-3

@@ -61,8 +61,8 @@ def test_printed_gain_of_odin_is_unstable_and_its_observer_does_not_converge(rep
 def test_without_a_cross_term_the_metric_is_only_semidefinite(reproduced):
     """In diag(K2, M), the best that can be said of any K2: drag is a square, so it has no slope at rest."""
     for k2 in (np.eye(6), paper.K2):
-        subject = virtual(paper.odin_observer(k2), crossed_metric(marine.odin(), k2, np.zeros((6, 6))))
-        forms, rest = [contraction(subject, rate) for rate in (0.0, 1e-3)], jnp.zeros(len(subject.names))
+        error_system = virtual(paper.odin_observer(k2), crossed_metric(marine.odin(), k2, np.zeros((6, 6))))
+        forms, rest = [contraction(error_system, rate) for rate in (0.0, 1e-3)], jnp.zeros(len(error_system.names))
         at_rest = jax.jit(lambda z, forms=forms: [form(z) for form in forms])(rest)
         values = np.linalg.eigvalsh(at_rest[0])
         np.testing.assert_allclose(values[:6], 0.0, atol=1e-9)

@@ -12,9 +12,9 @@ from covariant.certificates import (
     ContractionCertificate,
     Hypothesis,
     Statement,
+    error_system,
     optimal_lyapunov,
     projection,
-    subject,
     trade_off,
     trajectories,
 )
@@ -38,7 +38,7 @@ def canned(verdict: str = "holds") -> ContractionCertificate:
     """Three boxes, one of them open unless the verdict is "holds", and a counter-example where it fails."""
     observer = Intrinsic(models.pendulum_chain(mass=(1.0,), length=(0.5,)), 10.0, 50.0)
     q = optimal_lyapunov(10.0, 50.0, 20 / 3)
-    about = subject(observer, q)
+    about = error_system(observer, q)
     domain = Box(about.names, about.units, -np.array([3.1, 4.7, 0.1, 5.4]), np.array([3.1, 4.7, 0.1, 5.4]))
     levels = [np.where(codes == -2, -1, codes) for codes in HALVED] if verdict == "holds" else HALVED
     wrong = np.stack([domain.high] * 2) if verdict == "fails" else None

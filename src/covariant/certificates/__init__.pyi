@@ -28,11 +28,12 @@ from ._distance import (
     upper_distance as upper_distance,
 )
 from ._document import Document as Document, parse as parse
+from ._error_system import ErrorSystem as ErrorSystem
 from ._falsify import falsify as falsify
 from ._figures import Projection as Projection, TradeOff as TradeOff, projection as projection, trade_off as trade_off
 from ._force_bounds import force_bounds as force_bounds
 from ._inequalities import contraction as contraction
-from ._intrinsic import subject as subject
+from ._intrinsic import error_system as error_system
 from ._lmi import MetricDesign as MetricDesign, common_metric as common_metric, observer_gain as observer_gain
 from ._marine_cascade import crossed_metric as crossed_metric, feedthrough as feedthrough, tracking as tracking
 from ._noise import (
@@ -59,7 +60,6 @@ from ._statement import (
     Statement as Statement,
     Verdict as Verdict,
 )
-from ._subject import Subject as Subject
 from ._tangent_metric import (
     conditioning as conditioning,
     error_matrix as error_matrix,

@@ -18,10 +18,10 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from covariant.certificates._contraction import contraction_matrix
+from covariant.certificates._error_system import ErrorSystem, need_steady
 from covariant.certificates._falsify import Pencil, pencil, slowest
 from covariant.certificates._inequalities import length_change
 from covariant.certificates._statement import Evidence, Hypothesis, Statement, Verdict, lines as list_of
-from covariant.certificates._subject import Subject, need_steady
 from covariant.proofs import MOST_BOXES, Box, Form, as_form, check_box, prove
 
 Coupling = Callable[[Array], tuple[Array, Array]]
@@ -187,8 +187,8 @@ class CascadeCertificate(NamedTuple):
 
 
 def cascade(
-    controller: tuple[Subject, Box],
-    observer: tuple[Subject, Box],
+    controller: tuple[ErrorSystem, Box],
+    observer: tuple[ErrorSystem, Box],
     coupling: tuple[Coupling, Box],
     *,
     units: tuple[Sequence[str], Sequence[str]] | None = None,
@@ -236,8 +236,8 @@ def cascade(
         ('holds (sampled)', 1.0)
     """
     _check_same_bounds(controller[1], observer[1], coupling[1])
-    for subject, domain in (controller, observer):
-        need_steady("cascade", subject, domain)
+    for error_system, domain in (controller, observer):
+        need_steady("cascade", error_system, domain)
     search = _Search(attempts, starts, seed, proved, boxes)
     forms = _forms(controller, observer, coupling)
     ones = tuple(np.ones(size) for size in _sizes(coupling))
@@ -335,9 +335,9 @@ def _forms(controller, observer, coupling) -> dict[str, _Form]:
     def split(whole, d):
         return jnp.split(whole, (d, d + sizes[0]))
 
-    def metric(subject, box, sign):
+    def metric(error_system, box, sign):
         def form(whole):
-            point = subject.at(split(whole, len(box.low))[0])
+            point = error_system.at(split(whole, len(box.low))[0])
             return sign * point.metric(jnp.zeros((), whole.dtype), point.x)
 
         return as_form(form)
@@ -404,19 +404,19 @@ def _scaled(box: Box, squares: np.ndarray) -> Box:
     return box.with_fixed(squares, tuple(f"scale_{i}" for i in range(len(squares))))
 
 
-def _change(subject: Subject, d: int, factor: float) -> Form:
+def _change(error_system: ErrorSystem, d: int, factor: float) -> Form:
     """A multiple of `FᵀM + Ṁ + MF` (n, n) in coordinates, as a function of z and of scales, which it ignores."""
 
     def formula(coframe, gram, change):
         return factor * coframe.T @ change @ coframe
 
     def numbers(z):
-        point, t = subject.at(z), jnp.zeros((), z.dtype)
+        point, t = error_system.at(z), jnp.zeros((), z.dtype)
         change = contraction_matrix(point.flow, point.metric, t, point.x)
         return formula(point.metric.coframe(t, point.x), None, change)
 
     return length_change(
-        subject._replace(at=lambda whole: subject.at(whole[:d])), formula, lambda whole: numbers(whole[:d])
+        error_system._replace(at=lambda whole: error_system.at(whole[:d])), formula, lambda whole: numbers(whole[:d])
     )
 
 
@@ -435,9 +435,9 @@ def _factor(written: str, unit: str, factor: float) -> float:
     return (factor if over == unit else 1.0) / (factor if under == unit else 1.0)
 
 
-def _growth(subject: Subject, domain: Box, where: np.ndarray) -> Growth | None:
+def _growth(error_system: ErrorSystem, domain: Box, where: np.ndarray) -> Growth | None:
     """The fastest growing solution of the error system frozen at a point, over five time constants, or None."""
-    point, t = subject.at(jnp.asarray(where)), jnp.zeros(())
+    point, t = error_system.at(jnp.asarray(where)), jnp.zeros(())
     jacobian = np.asarray(jax.jacfwd(lambda x: point.flow(t, x))(point.x))
     values, vectors = np.linalg.eig(jacobian)
     fastest = int(np.argmax(np.real(values)))

@@ -30,12 +30,12 @@ from covariant.certificates._claims import Claim, disturbance_length, disturbanc
 from covariant.certificates._contraction_certificate import ContractionCertificate
 from covariant.certificates._contraction_statement import Contraction, contraction_statement
 from covariant.certificates._document import Document
+from covariant.certificates._error_system import ErrorSystem
 from covariant.certificates._force_bounds import force_bounds, force_reads_time, force_slopes
 from covariant.certificates._inequalities import contraction, disturbance_bound, squared_widths, width_bound
-from covariant.certificates._intrinsic import Intrinsics, check_unique, subject
+from covariant.certificates._intrinsic import Intrinsics, check_unique, error_system
 from covariant.certificates._noise import steady_distance
 from covariant.certificates._saved import observer_document
-from covariant.certificates._subject import Subject
 from covariant.certificates._tangent_metric import check_q, error_matrix, optimal_lyapunov, rate_of
 from covariant.geometry.lie import SO2, SO3
 from covariant.lowering import Lowered, lower, numbers
@@ -120,7 +120,7 @@ def certify(
     target = rate_of(alpha, beta, matrix) / 2 if rate is None else float(rate)
     if not (math.isfinite(target) and target > 0):
         raise ValueError(f"certify: the rate must be a positive number; got {target:g}")
-    system = subject(observer, matrix)
+    system = error_system(observer, matrix)
     n = len(observer.model.coordinates or observer.model.velocities)
     speeds, error_bound = _positive("velocity", velocity, n), _positive("error", error, n)
     noise_bounds, force_bound = _amount("noise", noise, n), _amount("disturbance", disturbance, n)
@@ -196,7 +196,7 @@ def certify(
     )
 
 
-def _stated(facts: Contraction, system: Subject) -> Resolved:
+def _stated(facts: Contraction, system: ErrorSystem) -> Resolved:
     """The claims as the checker reads them, without the trees of the search."""
     document = Document(
         "the proof",
@@ -240,7 +240,7 @@ def _amounts(name: str, value: ArrayLike, n: int) -> Float[np.ndarray, "n"]:
 
 
 def _domain(
-    observer, system: Subject, velocity, error, position, input_bounds, times, noise, disturbance
+    observer, system: ErrorSystem, velocity, error, position, input_bounds, times, noise, disturbance
 ) -> tuple[Box, dict[str, Any]]:
     """The box of estimate, error and force, and the quantities from which the bounds of the force follow."""
     model = observer.model
@@ -366,7 +366,7 @@ def _sum(a: np.ndarray, b: np.ndarray, side: int) -> np.ndarray:
     return np.where(side * lost > 0, np.nextafter(total, side * np.inf), total)
 
 
-def sampled_widths(about: Subject, domain: Box, count: int = 2000) -> Float[np.ndarray, "two_n"]:
+def sampled_widths(about: ErrorSystem, domain: Box, count: int = 2000) -> Float[np.ndarray, "two_n"]:
     """Compute the largest `squared_widths` at random points and corners of the region.
 
     Args:
@@ -380,7 +380,7 @@ def sampled_widths(about: Subject, domain: Box, count: int = 2000) -> Float[np.n
     return _sampled(lambda z: squared_widths(about, z), domain, count).max(axis=0)
 
 
-def _sampled_disturbance(about: Subject, domain: Box, sizes: np.ndarray, count: int = 2000) -> float:
+def _sampled_disturbance(about: ErrorSystem, domain: Box, sizes: np.ndarray, count: int = 2000) -> float:
     """The largest squared change of the flow by errors in the unit ball, at such points."""
     matrices = _sampled(disturbance_bound(about, sizes, 0.0).graph(jnp.asarray(domain.low)).entries, domain, count)
     return float(-np.linalg.eigvalsh(matrices).min())

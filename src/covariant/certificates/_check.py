@@ -19,9 +19,9 @@ import numpy as np
 
 from covariant.certificates import _matrices as matrices
 from covariant.certificates._document import Document, parse
-from covariant.certificates._intrinsic import Intrinsics, check_unique, configuration_shape, subject
+from covariant.certificates._error_system import ErrorSystem
+from covariant.certificates._intrinsic import Intrinsics, check_unique, configuration_shape, error_system
 from covariant.certificates._saved import observer_from, value_graph
-from covariant.certificates._subject import Subject
 from covariant.models import input_count
 from covariant.proofs.checker import ROUND, TaylorEnclosure, leaves, show_definite
 
@@ -120,7 +120,7 @@ class Resolved(NamedTuple):
 
     document: Document
     observer: Intrinsics
-    about: Subject
+    about: ErrorSystem
 
 
 def follows(document: Document, model: Any = None) -> Resolved:
@@ -139,7 +139,7 @@ def follows(document: Document, model: Any = None) -> Resolved:
     try:
         with np.errstate(all="ignore"):
             observer, q = observer_from(document, model)
-            resolved = Resolved(document, observer, subject(observer, q))
+            resolved = Resolved(document, observer, error_system(observer, q))
             _complete(resolved)
             # The comparison that takes longest comes last.
             expected = value_graph(resolved.about)

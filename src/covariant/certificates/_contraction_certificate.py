@@ -10,11 +10,11 @@ from covariant.certificates._check import follows
 from covariant.certificates._claims import Claim, disturbance_length
 from covariant.certificates._contraction_statement import Contraction, contraction_statement
 from covariant.certificates._document import FORMAT, parse, write
+from covariant.certificates._error_system import ErrorSystem
 from covariant.certificates._intrinsic import Intrinsics
 from covariant.certificates._noise import steady_distance
 from covariant.certificates._saved import observer_document, value_graph
 from covariant.certificates._statement import Statement
-from covariant.certificates._subject import Subject
 from covariant.certificates._tangent_metric import TwoByTwo
 from covariant.proofs import Box, digest
 
@@ -28,7 +28,7 @@ class ContractionCertificate(NamedTuple):
         radius: radius ε of the tube, in the metric of Q on states; 0 unless the verdict is "holds".
         observer: the observer.
         q: the matrix Q (2, 2) of the metric.
-        subject: observer and metric as functions of a box.
+        error_system: observer and metric as functions of a box.
         domain: the box of estimate, error and force.
         velocity: bound (n,) of each true velocity [unit/s].
         given: `positions`, `inputs` and `times`, from which the bounds of the force follow, and `noise`, `disturbance`
@@ -57,7 +57,7 @@ class ContractionCertificate(NamedTuple):
     radius: float
     observer: Intrinsics
     q: TwoByTwo
-    subject: Subject
+    error_system: ErrorSystem
     domain: Box
     velocity: Float[np.ndarray, "n"]
     given: dict[str, Any]
@@ -144,7 +144,7 @@ class ContractionCertificate(NamedTuple):
             "given": self.given,
             "box": {"low": self.domain.low.tolist(), "high": self.domain.high.tolist()},
             "claims": [claim.document() for claim in self.claims],
-            "graph": value_graph(self.subject),
+            "graph": value_graph(self.error_system),
         }
         return content | {"digest": digest(content)}
 

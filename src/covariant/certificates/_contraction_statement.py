@@ -10,11 +10,11 @@ from jaxtyping import Float
 from covariant.certificates._assumed import ASSUMED
 from covariant.certificates._claims import Claim, disturbance_length, plain_bounds, stated_claims
 from covariant.certificates._document import Document
+from covariant.certificates._error_system import ErrorSystem
 from covariant.certificates._intrinsic import Intrinsics
 from covariant.certificates._noise import steady_distance
 from covariant.certificates._saved import observer_document
 from covariant.certificates._statement import Evidence, Hypothesis, Statement
-from covariant.certificates._subject import Subject
 from covariant.certificates._tangent_metric import TwoByTwo
 from covariant.models import recipe_text
 from covariant.proofs import Box
@@ -38,7 +38,7 @@ class Contraction(NamedTuple):
     recipe: dict[str, Any] | None
 
     @classmethod
-    def stated(cls, document: Document, observer: Intrinsics, about: Subject) -> "Contraction":
+    def stated(cls, document: Document, observer: Intrinsics, about: ErrorSystem) -> "Contraction":
         """Collect what a file states.
 
         Args:

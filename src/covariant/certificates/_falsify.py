@@ -6,9 +6,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from covariant.certificates._error_system import ErrorSystem, need_steady
 from covariant.certificates._inequalities import length_change
 from covariant.certificates._statement import Hypothesis, Statement
-from covariant.certificates._subject import Subject, need_steady
 from covariant.lowering import Lowered, expand, numbers
 from covariant.proofs import Box, check_box
 
@@ -18,12 +18,12 @@ STEPS = 60
 
 
 def falsify(
-    subject: Subject, domain: Box, rate: float, *, attempts: int = 20_000, starts: int = 64, seed: int = 0
+    error_system: ErrorSystem, domain: Box, rate: float, *, attempts: int = 20_000, starts: int = 64, seed: int = 0
 ) -> Statement:
     """Search for a point of the region that contracts more slowly than a rate.
 
     Args:
-        subject: the system, as from `subject` or `virtual`.
+        error_system: the system, as from `error_system` or `virtual`.
         domain: the box of its variables.
         rate: rate [1/s] of squared lengths.
         attempts: number of random points, half of them on faces of the region.
@@ -52,8 +52,8 @@ def falsify(
         ('holds (sampled)', 4.0)
     """
     check_box(domain)
-    need_steady("falsify", subject, domain)
-    matrices = length_change(subject, lambda coframe, gram, change: jnp.stack([gram, change]).ravel(), lambda z: z)
+    need_steady("falsify", error_system, domain)
+    matrices = length_change(error_system, lambda coframe, gram, change: jnp.stack([gram, change]).ravel(), lambda z: z)
     value = matrices.graph(jnp.asarray(domain.low)).entries
     least, point = slowest(pencil(value, domain), domain, attempts, starts, seed)
     premise = Hypothesis(

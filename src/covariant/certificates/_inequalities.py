@@ -10,15 +10,15 @@ from jaxtyping import Array, Float
 from covariant._linalg import solve
 from covariant._typing import Vector
 from covariant.certificates._contraction import contraction_matrix, lengths
-from covariant.certificates._subject import Subject, values
+from covariant.certificates._error_system import ErrorSystem, values
 from covariant.proofs import Form, as_form, derivative_form
 
 
-def contraction(subject: Subject, rate: float) -> Form:
+def contraction(error_system: ErrorSystem, rate: float) -> Form:
     """Build the matrix `−(F_ΘᵀN + Ṅ + N F_Θ) − rate N`, whose positive definiteness is contraction.
 
     Args:
-        subject: the system, as from `subject` or `virtual`.
+        error_system: the system, as from `error_system` or `virtual`.
         rate: rate [1/s] at which squared lengths have to decrease.
 
     Returns:
@@ -37,17 +37,19 @@ def contraction(subject: Subject, rate: float) -> Form:
     """
 
     def numbers(z):
-        point, t = subject.at(z), jnp.zeros((), z.dtype)
+        point, t = error_system.at(z), jnp.zeros((), z.dtype)
         return -contraction_matrix(point.flow, point.metric, t, point.x) - rate * point.metric.gram(t, point.x)
 
-    return length_change(subject, lambda coframe, gram, change: -change - rate * gram, numbers)
+    return length_change(error_system, lambda coframe, gram, change: -change - rate * gram, numbers)
 
 
-def length_change(subject: Subject, formula: Callable[[Array, Array, Array], Array], numbers: Callable) -> Form:
+def length_change(
+    error_system: ErrorSystem, formula: Callable[[Array, Array, Array], Array], numbers: Callable
+) -> Form:
     """Build the form of a formula of Θ, of N and of `F_ΘᵀN + Ṅ + N F_Θ`, the rate of change of squared lengths.
 
     Args:
-        subject: the system.
+        error_system: the system.
         formula: `(Θ, N, F_ΘᵀN + Ṅ + N F_Θ) -> matrix`.
         numbers: the same matrix as a function of z, computed by derivatives of JAX.
 
@@ -72,16 +74,16 @@ def length_change(subject: Subject, formula: Callable[[Array, Array, Array], Arr
     def whole(coframe, frame, gram, image, turn, change):
         return formula(coframe, gram, lengths(gram, change, turn @ frame + coframe @ image))
 
-    return derivative_form(values(subject), lambda z: subject.at(z).x, parts, whole, numbers)
+    return derivative_form(values(error_system), lambda z: error_system.at(z).x, parts, whole, numbers)
 
 
-def width_bound(subject: Subject, row: int, square: float) -> Form:
+def width_bound(error_system: ErrorSystem, row: int, square: float) -> Form:
     """Build the matrix `square N − r rᵀ`, where r is one row of the Jacobian of (error, velocity).
 
     It is positive definite where a curve of length ℓ changes that entry of (error, velocity) by less than `ℓ √square`.
 
     Args:
-        subject: the system.
+        error_system: the system.
         row: index of the entry, from 0 to 2n − 1.
         square: square of the bound, for a curve of unit length.
 
@@ -90,36 +92,36 @@ def width_bound(subject: Subject, row: int, square: float) -> Form:
     """
 
     def matrix(z):
-        point, t = subject.at(z), jnp.zeros((), z.dtype)
+        point, t = error_system.at(z), jnp.zeros((), z.dtype)
         r = point.error_jacobian()[row]
         return square * point.metric.gram(t, point.x) - jnp.outer(r, r)
 
     return as_form(matrix)
 
 
-def squared_widths(subject: Subject, z: Vector) -> Float[Array, "two_n"]:
+def squared_widths(error_system: ErrorSystem, z: Vector) -> Float[Array, "two_n"]:
     """Compute for each row the least `square` for which `width_bound` is positive semidefinite at z.
 
     Args:
-        subject: the system.
+        error_system: the system.
         z: point (d,) of the region.
 
     Returns:
         The squares `r N⁻¹ rᵀ` (2n,).
     """
-    point = subject.at(z)
+    point = error_system.at(z)
     gram, rows = point.metric.gram(jnp.zeros((), z.dtype), point.x), point.error_jacobian()
     return jnp.sum(rows * solve(gram, rows.T).T, axis=1)
 
 
-def disturbance_bound(subject: Subject, sizes: Float[np.ndarray, "two_n"], square: float) -> Form:
+def disturbance_bound(error_system: ErrorSystem, sizes: Float[np.ndarray, "two_n"], square: float) -> Form:
     """Build the matrix `square I − BᵀMB`, with B the Jacobian of the flow in errors of measurement and force.
 
     It is positive definite where errors `δ = sizes w` with |w| ≤ 1 (in the Euclidean norm) change the flow by a vector
     shorter than `√square`.
 
     Args:
-        subject: the system.
+        error_system: the system.
         sizes: factors (2n,) of the columns of B: n for the measured position, then n for the force.
         square: square of the bound.
 
@@ -130,7 +132,7 @@ def disturbance_bound(subject: Subject, sizes: Float[np.ndarray, "two_n"], squar
 
     def parts(derivatives, nodes, count):
         # The inputs of the graph are time, state and z, whose last 2n entries are error and force.
-        last = 1 + count + len(subject.names)
+        last = 1 + count + len(error_system.names)
         flow, coframe, _, gram, _, noise = nodes
         return coframe, gram, noise, derivatives.each(flow, range(last - 2 * n, last))
 
@@ -139,8 +141,8 @@ def disturbance_bound(subject: Subject, sizes: Float[np.ndarray, "two_n"], squar
         return square * jnp.eye(2 * n) - (coframe @ b).T @ gram @ (coframe @ b)
 
     def numbers(z):
-        point, t = subject.at(z), jnp.zeros((), z.dtype)
-        change = jax.jacfwd(lambda z: subject.at(z).flow(t, point.x))(z)[:, -2 * n :]
+        point, t = error_system.at(z), jnp.zeros((), z.dtype)
+        change = jax.jacfwd(lambda z: error_system.at(z).flow(t, point.x))(z)[:, -2 * n :]
         return formula(point.metric.coframe(t, point.x), point.metric.gram(t, point.x), point.noise_jacobian(), change)
 
-    return derivative_form(values(subject), lambda z: subject.at(z).x, parts, formula, numbers)
+    return derivative_form(values(error_system), lambda z: error_system.at(z).x, parts, formula, numbers)

@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 
 from covariant._typing import Vector
 from covariant.certificates._contraction import StateMetric
-from covariant.certificates._subject import Point, Subject, entries_read
+from covariant.certificates._error_system import ErrorSystem, Point, entries_read
 from covariant.certificates._tangent_metric import TwoByTwo, tangent_metric
 from covariant.lowering import expand, lower, numbers
 from covariant.models import MechanicalSystem, input_count, resistance
@@ -25,7 +25,7 @@ from covariant.observers import Geodesic, Intrinsic, second_order
 Intrinsics = Intrinsic | Geodesic
 
 
-def subject(observer: Intrinsics, q: TwoByTwo) -> Subject:
+def error_system(observer: Intrinsics, q: TwoByTwo) -> ErrorSystem:
     """Describe an intrinsic observer on any region, with a metric on states, for `contraction`, `prove` and `falsify`.
 
     Args:
@@ -42,8 +42,8 @@ def subject(observer: Intrinsics, q: TwoByTwo) -> Subject:
     Example:
         >>> import numpy as np
         >>> from covariant import models, observers
-        >>> from covariant.certificates import subject
-        >>> system = subject(observers.Intrinsic(models.oscillator(), 2.0, 2.0), np.eye(2))
+        >>> from covariant.certificates import error_system
+        >>> system = error_system(observers.Intrinsic(models.oscillator(), 2.0, 2.0), np.eye(2))
         >>> system.names
         ('q', 'v_q', 'e_q', 'f_q')
     """
@@ -75,7 +75,7 @@ def configuration_shape(model: MechanicalSystem, n: int) -> tuple[int, ...]:
     return (n,) if model.manifold.commuting else jax.eval_shape(model.manifold.origin).shape
 
 
-def _in_coordinates(observer: Intrinsics, q: TwoByTwo) -> Subject:
+def _in_coordinates(observer: Intrinsics, q: TwoByTwo) -> ErrorSystem:
     model = observer.model
     n = _dimension(model)
     driven = MechanicalSystem(model.space, None, None, functools.partial(_friction, model))
@@ -105,14 +105,14 @@ def _in_coordinates(observer: Intrinsics, q: TwoByTwo) -> Subject:
     names = model.coordinates
     units = model.units or ("",) * n
     rates = tuple(f"{unit}/s" if unit else "" for unit in units)
-    return Subject(
+    return ErrorSystem(
         (*names, *(f"v_{k}" for k in names), *(f"e_{k}" for k in names), *(f"f_{k}" for k in names)),
         (*units, *rates, *units, *("",) * n),
         at,
     )
 
 
-def _in_the_body(observer: Intrinsic, q: TwoByTwo) -> Subject:
+def _in_the_body(observer: Intrinsic, q: TwoByTwo) -> ErrorSystem:
     model, space, manifold = observer.model, observer.model.space, observer.model.manifold
     _need_symmetry(model)
     origin = manifold.origin()
@@ -166,7 +166,7 @@ def _in_the_body(observer: Intrinsic, q: TwoByTwo) -> Subject:
 
     names, units = model.velocities, model.velocity_units
     position_units = tuple(unit.removesuffix("/s") for unit in units)
-    return Subject(
+    return ErrorSystem(
         (*names, *(f"e_{k}" for k in names), *(f"f_{k}" for k in names)),
         (*units, *position_units, *("",) * n),
         at,

@@ -12,13 +12,13 @@ from covariant._linalg import solve, solve_square
 from covariant._typing import Numbers
 from covariant.certificates._cascade import Coupling
 from covariant.certificates._contraction import in_coordinates
-from covariant.certificates._subject import Point, Subject
+from covariant.certificates._error_system import ErrorSystem, Point
 from covariant.certificates._virtual import OutputMetric
 from covariant.models.marine import Craft
 from covariant.simulation import Backstepping
 
 
-def tracking(controller: Backstepping) -> Subject:
+def tracking(controller: Backstepping) -> ErrorSystem:
     """Describe the closed loop with a known state, `e = (η̃, s)`, in the metric diag(K_p, M) of V_con, (91) and (97).
 
     The variables are the position η (n,), the desired velocity ν_r (n,) and the error s (n,), named `eta_x`, `r_x` and
@@ -61,7 +61,7 @@ def tracking(controller: Backstepping) -> Subject:
         return Point(flow, in_coordinates(lambda t, x: metric), jnp.concatenate([jnp.zeros_like(s), s]))
 
     rates = tuple(f"{unit}/s" for unit in craft.units)
-    return Subject(
+    return ErrorSystem(
         (
             *(f"eta_{name}" for name in craft.coordinates),
             *(f"r_{name}" for name in craft.velocities),

@@ -11,14 +11,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from covariant.certificates._subject import Subject, values
+from covariant.certificates._error_system import ErrorSystem, values
 from covariant.models import applied_force
 from covariant.proofs.checker import plain
 
 Matrix = Callable[[Any], Any]
 
 
-def contraction(about: Subject, rate: float) -> Matrix:
+def contraction(about: ErrorSystem, rate: float) -> Matrix:
     """Build `−(FᵀN + Ṅ + NF) − rate N`.
 
     Args:
@@ -46,7 +46,7 @@ def contraction(about: Subject, rate: float) -> Matrix:
     return matrix
 
 
-def width_bound(about: Subject, row: int, square: float) -> Matrix:
+def width_bound(about: ErrorSystem, row: int, square: float) -> Matrix:
     """Build `square N − r rᵀ` for a row r of the Jacobian of error and velocity.
 
     Args:
@@ -66,7 +66,7 @@ def width_bound(about: Subject, row: int, square: float) -> Matrix:
     return matrix
 
 
-def disturbance(about: Subject, sizes: np.ndarray, square: float) -> Matrix:
+def disturbance(about: ErrorSystem, sizes: np.ndarray, square: float) -> Matrix:
     """Build `square I − BᵀMB`, where B is the scaled Jacobian of the flow in errors of measurement and force.
 
     Args:
@@ -90,7 +90,7 @@ def disturbance(about: Subject, sizes: np.ndarray, square: float) -> Matrix:
     return matrix
 
 
-def everything(about: Subject) -> Matrix:
+def everything(about: ErrorSystem) -> Matrix:
     """Collect everything that the claims are computed from.
 
     Args:

@@ -9,8 +9,8 @@ import numpy as np
 from covariant._optional import load_optional
 from covariant.certificates._check import follows, sizes
 from covariant.certificates._document import Document, Stated, parse
+from covariant.certificates._error_system import ErrorSystem
 from covariant.certificates._inequalities import contraction, disturbance_bound, width_bound
-from covariant.certificates._subject import Subject
 from covariant.proofs import BITS, MOST_DERIVED, BallMatrix, Form
 from covariant.proofs.checker import leaves
 
@@ -87,7 +87,7 @@ def _part(low: np.ndarray, high: np.ndarray, rng: np.random.Generator) -> tuple[
     return start, np.minimum(start + (high - low) / PART, high)
 
 
-def _form(claim: Stated, system: Subject, document: Document) -> Form:
+def _form(claim: Stated, system: ErrorSystem, document: Document) -> Form:
     if claim.kind == "contraction":
         return contraction(system, document.rate)
     if claim.kind == "reach":

@@ -10,8 +10,8 @@ from jaxtyping import Float
 
 from covariant import models
 from covariant.certificates._document import OBSERVERS, Document
+from covariant.certificates._error_system import ErrorSystem, values
 from covariant.certificates._intrinsic import Intrinsics
-from covariant.certificates._subject import Subject, values
 from covariant.lowering import lower
 from covariant.models import MechanicalSystem
 from covariant.observers import Geodesic, Intrinsic
@@ -85,7 +85,7 @@ def frame_of(model: MechanicalSystem) -> str:
     return "coordinates" if model.manifold.commuting else "body"
 
 
-def value_graph(about: Subject) -> dict[str, list]:
+def value_graph(about: ErrorSystem) -> dict[str, list]:
     """Convert the functions that the claims depend on to a graph of scalars, for readers without JAX.
 
     Args:

@@ -220,7 +220,7 @@ class _Plant:
         self.model, self.manifold = certificate.observer.model, certificate.observer.model.manifold
         self.flat = self.manifold.commuting
         # For these subjects the metric on states is one function for the whole region.
-        self.metric = certificate.subject.at(jnp.zeros(len(certificate.subject.names))).metric
+        self.metric = certificate.error_system.at(jnp.zeros(len(certificate.error_system.names))).metric
         alpha, beta = float(certificate.observer.alpha), float(certificate.observer.beta)
         # Time constant of the slower pole of the error law.
         self.constant = -1 / float(np.linalg.eigvals(error_matrix(alpha, beta)).real.max())
@@ -343,7 +343,7 @@ def _longest_motion(plant: _Plant, control, rng, count: int = 512) -> tuple[Any,
 
 def _across(plant, start, shown, angle):
     """A step from the state `start`, in the plane of one position error and its velocity, at the given angle."""
-    point, t = plant.certificate.subject.at(plant.place(start)), jnp.zeros(())
+    point, t = plant.certificate.error_system.at(plant.place(start)), jnp.zeros(())
     rows = point.error_jacobian()[jnp.array([shown, shown + plant.n])]
     widest = jnp.linalg.solve(point.metric.gram(t, point.x), rows.T)
     along = widest / jnp.sqrt(jnp.sum(rows.T * widest, axis=0, keepdims=True))

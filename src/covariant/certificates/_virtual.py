@@ -15,14 +15,14 @@ from jaxtyping import Array
 
 from covariant._typing import Numbers
 from covariant.certificates._contraction import StateMetric, in_coordinates
-from covariant.certificates._subject import Point, Subject
+from covariant.certificates._error_system import ErrorSystem, Point
 from covariant.observers import Contracting
 
 OutputMetric = Callable[[Array, Array], Array]
 """`(z, x) -> M (n, n)`: a metric on states that may depend on the measured output."""
 
 
-def virtual(observer: Contracting, metric: OutputMetric | Numbers) -> Subject:
+def virtual(observer: Contracting, metric: OutputMetric | Numbers) -> ErrorSystem:
     """Describe a contracting observer on any region, in a metric, for `contraction`, `prove` and `falsify`.
 
     The variables are the state x (n,), the input u (m,), the measurement z (p,) and its rate of change (p,), named `x`,
@@ -67,7 +67,7 @@ def virtual(observer: Contracting, metric: OutputMetric | Numbers) -> Subject:
 
     known = dict(zip(model.coordinates, model.units, strict=False))
     units = [known.get(name, "") for name in model.outputs]
-    return Subject(
+    return ErrorSystem(
         (
             *model.coordinates,
             *(f"u_{i + 1}" for i in range(m)),

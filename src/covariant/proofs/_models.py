@@ -26,7 +26,7 @@ Support = tuple[int, ...]
 """The variables that a number depends on, in ascending order."""
 
 
-class Model:
+class TaylorModel:
     """A number on each of B boxes as a Taylor model: within `rest` of `at + Σ line ε + Σ bend εε`, |ε| ≤ 1.
 
     Attributes:
@@ -42,9 +42,9 @@ class Model:
 
     Example:
         >>> import numpy as np
-        >>> from covariant.proofs._models import Model
+        >>> from covariant.proofs._models import TaylorModel
         >>> zero = np.zeros((1, 1))
-        >>> x = Model((0,), np.array([1.0]), np.array([[0.5]]), zero, np.zeros(1), zero)  # 1 + ε/2
+        >>> x = TaylorModel((0,), np.array([1.0]), np.array([[0.5]]), zero, np.zeros(1), zero)  # 1 + ε/2
         >>> y = x * x + -x  # ε/2 + ε²/4
         >>> y.at.tolist(), y.line.tolist(), y.bend.tolist(), bool(y.rest[0] < 1e-10)
         ([0.0], [[0.5]], [[0.25]], True)
@@ -60,7 +60,7 @@ class Model:
         self.away = (self.sloped + self.bent + self.rest) * (1 + ROUND)
 
     @classmethod
-    def number(cls, at: Any, rest: Any = 0.0) -> "Model":
+    def number(cls, at: Any, rest: Any = 0.0) -> "TaylorModel":
         """A number of which nothing is known but that it is within `rest` of `at`.
 
         Args:
@@ -72,7 +72,7 @@ class Model:
         return cls((), at, none, none, np.broadcast_to(rest, at.shape), none)
 
     @classmethod
-    def within(cls, found: Interval) -> "Model":
+    def within(cls, found: Interval) -> "TaylorModel":
         """A number between two bounds.
 
         Args:
@@ -119,7 +119,7 @@ class Model:
             found.append(wide)
         return tuple(found)
 
-    def times(self, k: np.ndarray) -> "Model":
+    def times(self, k: np.ndarray) -> "TaylorModel":
         """The number times a known one, with its roundings in the remainder.
 
         Args:
@@ -127,19 +127,19 @@ class Model:
         """
         size = np.abs(k)
         rest = (size * (self.rest + ROUND * self.size)) * (1 + ROUND)
-        return Model(self.on, self.at * k, self.line * k, self.bend * k, rest, self.shares * size)
+        return TaylorModel(self.on, self.at * k, self.line * k, self.bend * k, rest, self.shares * size)
 
-    def __neg__(self) -> "Model":
-        return Model(self.on, -self.at, -self.line, -self.bend, self.rest, self.shares)
+    def __neg__(self) -> "TaylorModel":
+        return TaylorModel(self.on, -self.at, -self.line, -self.bend, self.rest, self.shares)
 
-    def __add__(self, other: "Model") -> "Model":
+    def __add__(self, other: "TaylorModel") -> "TaylorModel":
         on = _union(self.on, other.on)
         (line, bend, due), (more, turned, owed) = self.over(on), other.over(on)
         # The roundings of all sums of coefficients are bounded by ROUND times the sizes of both polynomials.
         rest = (self.rest + other.rest + ROUND * (self.size + other.size)) * (1 + ROUND)
-        return Model(on, self.at + other.at, line + more, bend + turned, rest, due + owed)
+        return TaylorModel(on, self.at + other.at, line + more, bend + turned, rest, due + owed)
 
-    def __mul__(self, other: "Model") -> "Model":
+    def __mul__(self, other: "TaylorModel") -> "TaylorModel":
         on = _union(self.on, other.on)
         (line, bend, due), (slope, turn, owed) = self.over(on), other.over(on)
         # Coefficients of second order; an entry of `bend` for i ≠ j counts both orders of a pair.
@@ -155,9 +155,11 @@ class Model:
         rest = cut + self.rest * (two + other.rest) + one * other.rest + ROUND * one * two
         shares = due * (two + other.rest) + owed * one + np.abs(line) * other.bent + np.abs(slope) * self.bent
         shares = shares + _each(bend, len(on)) * all_ + _each(turn, len(on)) * (self.sloped + self.bent)
-        return Model(on, self.at * other.at, self.at * slope + other.at * line, product, rest * (1 + ROUND), shares)
+        return TaylorModel(
+            on, self.at * other.at, self.at * slope + other.at * line, product, rest * (1 + ROUND), shares
+        )
 
-    def where(self, chosen: np.ndarray, other: "Model") -> "Model":
+    def where(self, chosen: np.ndarray, other: "TaylorModel") -> "TaylorModel":
         """The number on the chosen boxes, another one on the others.
 
         Args:
@@ -167,7 +169,7 @@ class Model:
         on = _union(self.on, other.on)
         (line, bend, due), (slope, turn, owed) = self.over(on), other.over(on)
         parts = (self.at, other.at), (line, slope), (bend, turn), (self.rest, other.rest), (due, owed)
-        return Model(on, *(np.where(chosen, a, b) for a, b in parts))
+        return TaylorModel(on, *(np.where(chosen, a, b) for a, b in parts))
 
 
 def _count(on: Support) -> int:
@@ -233,7 +235,7 @@ def _enclosed(graph: Graph, outputs: Sequence[int], x: Interval) -> list[Interva
     return [Interval(*np.broadcast_arrays(*values[i], x.low)[:2]) for i in outputs]
 
 
-def curve(op: str, x: Model, *given: float) -> Model:
+def curve(op: str, x: TaylorModel, *given: float) -> TaylorModel:
     """A function of one number: `f(c) + f'(c) d + ½ f''(c) d² + ⅙ f'''(ξ) d³`, with d the distance from c.
 
     Where that is wider than the bounds of f over the range, or derivatives do not exist, the result is these bounds.
@@ -247,45 +249,45 @@ def curve(op: str, x: Model, *given: float) -> Model:
         The function of x; its `rest` is NaN or infinite on boxes where nothing is known.
     """
     graph, outputs = _with_derivatives(op, given)
-    whole = Model.within(_enclosed(graph, outputs[:1], x.bounds)[0])
+    whole = TaylorModel.within(_enclosed(graph, outputs[:1], x.bounds)[0])
     if not x.on:
         return whole
-    value, slope, bend = (Model.within(result) for result in _enclosed(graph, outputs[:3], Interval(x.at, x.at)))
-    third = Model.within(_enclosed(graph, outputs[3:], x.bounds)[0])
-    deviation = Model(x.on, np.zeros_like(x.at), x.line, x.bend, x.rest, x.shares)
-    result = value + deviation * slope + deviation * deviation * Model.number(bend.at / 2, bend.rest)
+    value, slope, bend = (TaylorModel.within(result) for result in _enclosed(graph, outputs[:3], Interval(x.at, x.at)))
+    third = TaylorModel.within(_enclosed(graph, outputs[3:], x.bounds)[0])
+    deviation = TaylorModel(x.on, np.zeros_like(x.at), x.line, x.bend, x.rest, x.shares)
+    result = value + deviation * slope + deviation * deviation * TaylorModel.number(bend.at / 2, bend.rest)
     # The remainder of third order, rounded up: ξ is anywhere in the range of x.
     most = (np.abs(third.at) + third.rest) * deviation.away**3 / 6 * (1 + ROUND)
     part = x.dues / np.where(x.away > 0, x.away, 1.0)
-    result = Model(x.on, result.at, result.line, result.bend, result.rest + most, result.shares + most * part)
-    hull = Model(x.on, whole.at, 0 * x.line, 0 * x.bend, whole.rest, whole.rest * part)
+    result = TaylorModel(x.on, result.at, result.line, result.bend, result.rest + most, result.shares + most * part)
+    hull = TaylorModel(x.on, whole.at, 0 * x.line, 0 * x.bend, whole.rest, whole.rest * part)
     return result.where(result.rest <= whole.rest, hull)
 
 
-def _divided(a: Model, b: Model) -> Model:
+def _divided(a: TaylorModel, b: TaylorModel) -> TaylorModel:
     return a * curve("div", b, 1.0)
 
 
-def _size(a: Model) -> Model:
+def _size(a: TaylorModel) -> TaylorModel:
     ends = a.bounds
-    hull = Model.within(INTERVALS["abs"](ends))
+    hull = TaylorModel.within(INTERVALS["abs"](ends))
     return a.where(ends.low >= 0, (-a).where(ends.high <= 0, hull))
 
 
-def _smaller(a: Model, b: Model) -> Model:
+def _smaller(a: TaylorModel, b: TaylorModel) -> TaylorModel:
     gap = (a + -b).bounds
-    hull = Model.within(INTERVALS["min"](a.bounds, b.bounds))
+    hull = TaylorModel.within(INTERVALS["min"](a.bounds, b.bounds))
     # Where the difference has one sign the smaller one keeps its polynomial; elsewhere the hull of both counts.
     return a.where(gap.high <= 0, b.where(gap.low >= 0, hull))
 
 
-def _chosen(which: Truth, a: Model, b: Model) -> Model:
+def _chosen(which: Truth, a: TaylorModel, b: TaylorModel) -> TaylorModel:
     """a where a statement must hold, b where it cannot, and the hull of both where it is undecided."""
-    hull = Model.within(INTERVALS["select"](which, a.bounds, b.bounds))
+    hull = TaylorModel.within(INTERVALS["select"](which, a.bounds, b.bounds))
     return a.where(np.atleast_1d(which.must), b.where(np.atleast_1d(~which.may), hull))
 
 
-def _kinked(a: Model, b: Model, x: Model, y: Model) -> Model:
+def _kinked(a: TaylorModel, b: TaylorModel, x: TaylorModel, y: TaylorModel) -> TaylorModel:
     """The derivative at a kink: x where a < b, y where b < a, and the hull of both where they may be equal."""
     gap = (a + -b).bounds
     return _chosen(Truth(gap.high < 0, ~(gap.low > 0)), x, y)
@@ -316,14 +318,14 @@ OPERATIONS: dict[str, Callable[..., Any]] = {
 def _apply(node: Node, nodes: Sequence[Node], x: Sequence[Any]) -> Any:
     """The result of an operation on models and truth values."""
     numbers = [nodes[a].value if nodes[a].op == "constant" else None for a in node.arguments]
-    if node.op in OPERATIONS and all(isinstance(a, Model) for a in x[node.op == "select" :]):
+    if node.op in OPERATIONS and all(isinstance(a, TaylorModel) for a in x[node.op == "select" :]):
         return OPERATIONS[node.op](*x)
     if node.op == "pow" and numbers[1] is not None:
         return curve("pow", x[0], float(numbers[1]))
     if node.op == "stumpff":
         return curve("stumpff", x[1], float(numbers[0] or 0.0))
-    result = INTERVALS[node.op](*(a.bounds if isinstance(a, Model) else a for a in x))
-    return result if isinstance(result, Truth) else Model.within(result)
+    result = INTERVALS[node.op](*(a.bounds if isinstance(a, TaylorModel) else a for a in x))
+    return result if isinstance(result, Truth) else TaylorModel.within(result)
 
 
 class Polynomials(NamedTuple):
@@ -382,7 +384,7 @@ def polynomials(
                 values[number] = _variable(low[:, i], high[:, i], variable.get(i))
             elif node.op == "constant":
                 truth = isinstance(node.value, bool)
-                values[number] = INTERVALS["constant"](node.value) if truth else Model.number(node.value)
+                values[number] = INTERVALS["constant"](node.value) if truth else TaylorModel.number(node.value)
             else:
                 arguments = [values[a] for a in node.arguments]
                 result = _apply(node, nodes, arguments)
@@ -399,23 +401,23 @@ def polynomials(
 
 def _blame(blame: np.ndarray, owners: Sequence[int], result: Any, arguments: Sequence[Any]) -> None:
     """Add up what widens the last argument of an operation on boxes where its result is the first without a bound."""
-    if isinstance(result, Model) and not np.isfinite(result.rest).all():
+    if isinstance(result, TaylorModel) and not np.isfinite(result.rest).all():
         lost, last = ~np.isfinite(result.rest), arguments[-1]
         for x in arguments:
-            lost = lost & (np.isfinite(x.rest) if isinstance(x, Model) else True)
-        if isinstance(last, Model) and lost.any():
+            lost = lost & (np.isfinite(x.rest) if isinstance(x, TaylorModel) else True)
+        if isinstance(last, TaylorModel) and lost.any():
             for symbol, due in zip(last.on, last.dues / last.away, strict=True):
                 blame[owners[symbol]] += np.where(lost, due, 0.0)
 
 
 def _steep(model: Any) -> bool:
     """Whether a number depends on one variable alone, by more than its polynomial knows on some box."""
-    if not (isinstance(model, Model) and len(model.on) == 1):
+    if not (isinstance(model, TaylorModel) and len(model.on) == 1):
         return False
     return bool((np.isfinite(model.rest) & (model.rest > model.sloped + model.bent)).any())
 
 
-def _with_symbol(model: Model, owners: list[int]) -> Model:
+def _with_symbol(model: TaylorModel, owners: list[int]) -> TaylorModel:
     """A number of one variable whose remainder is a further symbol, |η| ≤ 1, so that what it adds cancels too.
 
     A steep function, as that of dry friction, is then known to be the same number wherever it enters the matrix: the
@@ -425,21 +427,21 @@ def _with_symbol(model: Model, owners: list[int]) -> Model:
     owners.append(owners[model.on[0]])
     line = np.concatenate(np.broadcast_arrays(model.line, np.where(finite, model.rest, 0.0)[None]))
     on = (*model.on, len(owners) - 1)
-    _, bend, shares = Model(model.on, model.at, model.line, model.bend, model.rest, model.shares).over(on)
-    return Model(on, model.at, line, bend, np.where(finite, 0.0, model.rest), np.where(finite, 0.0, shares))
+    _, bend, shares = TaylorModel(model.on, model.at, model.line, model.bend, model.rest, model.shares).over(on)
+    return TaylorModel(on, model.at, line, bend, np.where(finite, 0.0, model.rest), np.where(finite, 0.0, shares))
 
 
-def _variable(low: np.ndarray, high: np.ndarray, number: int | None) -> Model:
+def _variable(low: np.ndarray, high: np.ndarray, number: int | None) -> TaylorModel:
     """A variable on boxes; without a number it is fixed."""
     centre = middle_of(low, high)
     # Rounded up, so that |ε| ≤ 1 covers the whole box although its middle is rounded.
     half = np.maximum(high - centre, centre - low) * (1 + ROUND)
     if number is None:
-        return Model.number(centre, half)
-    return Model((number,), centre, half[None], np.zeros((1, 1)), np.zeros(1), np.zeros((1, 1)))
+        return TaylorModel.number(centre, half)
+    return TaylorModel((number,), centre, half[None], np.zeros((1, 1)), np.zeros(1), np.zeros((1, 1)))
 
 
-def _gathered(models: Sequence[Model], owners: Sequence[int], blame: np.ndarray) -> Polynomials:
+def _gathered(models: Sequence[TaylorModel], owners: Sequence[int], blame: np.ndarray) -> Polynomials:
     s, (f, boxes), count = len(owners), blame.shape, len(models)
     square = np.array([i == j for i, j in pairs(s)], bool)
     centre, rest = np.empty((2, count, boxes))

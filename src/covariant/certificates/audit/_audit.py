@@ -266,7 +266,7 @@ def audit(
         >>> result.passed
         True
     """
-    flow, model = _subject(observer, model)
+    flow, model = _error_system(observer, model)
     alpha, beta = _gains(observer, gains)
     unknown = [name for name in laws if name not in LAWS]
     if unknown:
@@ -294,7 +294,7 @@ def audit(
     )
 
 
-def _subject(
+def _error_system(
     observer: AbstractObserver, model: MechanicalSystem | None
 ) -> tuple[AbstractFlowObserver, MechanicalSystem]:
     """The observer and its model; raises `ValueError` that says why the laws do not apply to it."""

@@ -138,13 +138,13 @@ def odin_box(pitch: float = 0.7, roll: float = 0.7, rate: float = 0.2, speed: fl
     Returns:
         The box, symmetric about zero.
     """
-    subject = virtual(odin_observer(), np.eye(12))
+    error_system = virtual(odin_observer(), np.eye(12))
     wide = {"z_roll": roll, "z_pitch": pitch, "zdot_roll": rate, "zdot_pitch": rate, "zdot_yaw": rate}
     wide |= dict.fromkeys(("surge", "sway", "heave"), speed) | dict.fromkeys(
         ("roll_rate", "pitch_rate", "yaw_rate"), spin
     )
-    high = np.array([wide.get(name, 0.0) for name in subject.names])
-    return Box(subject.names, subject.units, -high, high)
+    high = np.array([wide.get(name, 0.0) for name in error_system.names])
+    return Box(error_system.names, error_system.units, -high, high)
 
 
 def odin_certificate(rate: float, domain: Box | None = None, boxes: int = 200_000) -> Corners:
@@ -167,8 +167,8 @@ def odin_certificate(rate: float, domain: Box | None = None, boxes: int = 200_00
     low = np.where(np.isin(domain.names, names), 0.0, domain.low)
     square = np.diag(marine.odin().damping(jnp.ones(6)))
     ahead = eqx.tree_at(lambda c: c.damping, marine.odin(), lambda nu: jnp.diag(jnp.asarray(square) * nu))
-    subject = virtual(craft_observer(ahead, K1, K2), crossed_metric(ahead, K2, CROSS))
-    matrix = contraction(subject, rate)
+    error_system = virtual(craft_observer(ahead, K1, K2), crossed_metric(ahead, K2, CROSS))
+    matrix = contraction(error_system, rate)
     return at_corners(
         matrix,
         domain._replace(low=low),
@@ -189,8 +189,8 @@ def odin_sampled_rate(k2: np.ndarray = K2, cross: np.ndarray = CROSS, domain: Bo
     Returns:
         The rate of squared lengths.
     """
-    subject = virtual(odin_observer(k2), crossed_metric(marine.odin(), k2, cross))
-    return falsify(subject, domain or odin_box(), 0.0).margin
+    error_system = virtual(odin_observer(k2), crossed_metric(marine.odin(), k2, cross))
+    return falsify(error_system, domain or odin_box(), 0.0).margin
 
 
 @eqx.filter_jit

@@ -61,9 +61,11 @@ class Scalar(NamedTuple):
         Returns:
             The proof, or its refutation.
         """
-        subject = virtual(self.observer(), jnp.eye(1))
-        size = len(subject.names)
-        return prove(contraction(subject, rate), Box(subject.names, subject.units, -np.ones(size), np.ones(size)))
+        error_system = virtual(self.observer(), jnp.eye(1))
+        size = len(error_system.names)
+        return prove(
+            contraction(error_system, rate), Box(error_system.names, error_system.units, -np.ones(size), np.ones(size))
+        )
 
 
 COUNTEREXAMPLES = {

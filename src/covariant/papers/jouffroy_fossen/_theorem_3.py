@@ -30,14 +30,14 @@ def odin_cascade(
     craft = controller.craft
     heavy = crossed_metric(craft, K2, CROSS)
     mass = float(craft.mass[0, 0])
-    subject = virtual(odin_observer(), lambda z, x: heavy(z, x) / mass)  # V_obs per unit of mass
+    error_system = virtual(odin_observer(), lambda z, x: heavy(z, x) / mass)  # V_obs per unit of mass
     tilts: dict[str, tuple[float, float]] = dict.fromkeys(("coupling_roll", "coupling_pitch"), (-pitch, pitch))
     names = [f"{kind}_{name}" for kind in ("coupling", "asked") for name in craft.coordinates]
     coupling_box = box(**{name: tilts.get(name, (0.0, 0.0)) for name in names})
     both = state_space(craft).units
     return cascade(
         (plant, plant_box),
-        (subject, odin_box(pitch=pitch, roll=pitch)),
+        (error_system, odin_box(pitch=pitch, roll=pitch)),
         (feedthrough(controller), coupling_box),
         units=(both, both) if units else None,
         attempts=attempts,

@@ -36,7 +36,7 @@ class Point(NamedTuple):
     noise_jacobian: Callable[[], Matrix] = _empty
 
 
-class Subject(NamedTuple):
+class ErrorSystem(NamedTuple):
     """A dynamic system and a metric on a region, which is a box of variables: what a proof of contraction needs.
 
     Attributes:
@@ -50,8 +50,8 @@ class Subject(NamedTuple):
     Example:
         >>> import numpy as np
         >>> from covariant import models, observers
-        >>> from covariant.certificates import subject
-        >>> system = subject(observers.Intrinsic(models.oscillator(), 2.0, 2.0), np.eye(2))
+        >>> from covariant.certificates import error_system
+        >>> system = error_system(observers.Intrinsic(models.oscillator(), 2.0, 2.0), np.eye(2))
         >>> system.names, system.units
         (('q', 'v_q', 'e_q', 'f_q'), ('m', 'm/s', 'm', ''))
     """
@@ -78,19 +78,19 @@ def entries_read(function, *arguments: Array) -> set[int]:
     return {int(node.value or 0) for graph in graphs for node in graph.nodes if node.op == "input"}
 
 
-def need_steady(what: str, subject: Subject, domain: Box) -> None:
+def need_steady(what: str, error_system: ErrorSystem, domain: Box) -> None:
     """Check that flow and metric do not depend on time.
 
     Args:
         what: name of the calling function, for the message.
-        subject: the system.
+        error_system: the system.
         domain: the box of its variables.
 
     Raises:
         ValueError: flow or metric depends on time, whereas the statement covers one instant only.
     """
     # At the golden section of every variable no term vanishes by chance, as it may in the middle.
-    point = (subject.at_rest or subject.at)(jnp.asarray(0.618 * domain.low + 0.382 * domain.high))
+    point = (error_system.at_rest or error_system.at)(jnp.asarray(0.618 * domain.low + 0.382 * domain.high))
     x, metric = point.x, point.metric
 
     def parts(t):
@@ -104,18 +104,18 @@ def need_steady(what: str, subject: Subject, domain: Box) -> None:
         )
 
 
-def values(subject: Subject) -> Callable[[Scalar, Vector, Vector], tuple[Array, ...]]:
+def values(error_system: ErrorSystem) -> Callable[[Scalar, Vector, Vector], tuple[Array, ...]]:
     """Collect the functions from which, with their derivatives, all claims are made.
 
     Args:
-        subject: the system.
+        error_system: the system.
 
     Returns:
         `(t, x, z) -> (flow, Θ, Θ⁻¹, N, error Jacobian, noise Jacobian)`.
     """
 
     def at(t, x, z):
-        point = subject.at(z)
+        point = error_system.at(z)
         metric = point.metric
         parts = point.flow(t, x), metric.coframe(t, x), metric.frame(t, x), metric.gram(t, x)
         return *parts, point.error_jacobian(), point.noise_jacobian()
