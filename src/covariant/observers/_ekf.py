@@ -26,10 +26,23 @@ from covariant.observers._square_root import normalised_square
 
 
 class EKFState(NamedTuple):
-    """Estimated configuration and velocity at time t [s], and the covariance `cov` (2n, 2n) of `(local(q̂, q), v − v̂)`.
+    """State of an `EKF`: the estimate, its covariance, and the memory of the gate.
 
-    - `refused` (n,), `scale` (n,): what the gate remembers; see `Gate.judge`.
-    - `held`: the last finite input.
+    Attributes:
+        q: Estimated configuration q̂: coordinates (n,), or a group element (N, N).
+        v: Estimated velocity v̂ (n,) in the frame of the space.
+        t: Time [s] of the estimate.
+        cov: Covariance (2n, 2n) of the error `(local(q̂, q), v − v̂)`.
+        refused: Number of samples in a row that the gate refused (n,); see `Gate.judge`.
+        scale: Averaged ratio of actual to expected squared innovations (n,); see `Gate.judge`.
+        held: Last finite input (m,), which replaces an input that is not finite; None where none is stored.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import models, observers
+        >>> ekf = observers.EKF(models.oscillator(), np.array([[1.0]]), np.array([[1e-4]]), initial_velocity_std=2.0)
+        >>> ekf.init(np.array([0.1])).cov.tolist()
+        [[0.0001, 0.0], [0.0, 4.0]]
     """
 
     q: Inexact[Array, "..."]
@@ -42,9 +55,26 @@ class EKFState(NamedTuple):
 
 
 class EKFInfo(NamedTuple):
-    """As `Info`, with the predicted covariance of the innovation and its normalised square `nis`, and the standard
-    deviations `velocity_std` (n,) of the velocity after the correction. Where the model is right, `nis` is
-    χ²-distributed with as many degrees of freedom as there are measured components."""
+    """Diagnostics of a step of an `EKF` or a `UKF`.
+
+    Attributes:
+        innovation: Difference (n,) from the predicted configuration to the measurement, 0 where it is missing.
+        distance: Length of the innovation in the metric.
+        innovation_cov: Predicted covariance (n, n) of the innovation.
+        nis: Normalised innovation squared, `rᵀS⁻¹r` of the measured components. Where the model is right, it is
+            χ²-distributed with as many degrees of freedom as there are measured components.
+        velocity_std: Standard deviations (n,) of the velocity after the correction.
+        result: A `covariant.signals.Result` code.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import Record, models, observers
+        >>> ekf = observers.EKF(models.oscillator(), np.array([[1.0]]), np.array([[1e-4]]), substeps=1)
+        >>> record = Record(np.array([0.0, 0.01]), np.zeros((2, 1)), np.array([[0.1], [0.11]]))
+        >>> run = observers.run(ekf, record)
+        >>> run.info.innovation[1].round(3).tolist(), round(run.info.nis[1].item(), 1), run.info.result[1].item()
+        ([0.01], 0.3, 0)
+    """
 
     innovation: Vector
     distance: Scalar
@@ -57,13 +87,27 @@ class EKFInfo(NamedTuple):
 class EKF(AbstractMechanicalFilter):
     """Extended Kalman filter whose Jacobians are those of the integrated model, by automatic differentiation.
 
-    - `process_cov` (n, n): spectral density of the white acceleration noise, in the frame [(rad/s²)² s, or (m/s²)² s].
-    - `measurement_cov` (n, n): covariance of `local(q, y)` of one sample [rad² or m²].
-    - `initial_velocity_std`: standard deviation of the initial velocity, which is assumed zero [rad/s or m/s].
-    - `substeps`: Runge–Kutta steps in each sample; None takes as many as dt and the friction need (offline).
-    - `gate`: which measurements are refused as outliers; None refuses none. See `Gate`.
+    Attributes:
+        model: Mechanical system, in coordinates or on a Lie group.
+        process_cov: Spectral density (n, n) of the white acceleration noise, in the frame
+            [(rad/s²)² s, or (m/s²)² s].
+        measurement_cov: Covariance (n, n) of `local(q, y)` of one sample [rad² or m²].
+        initial_velocity_std: Standard deviation of the initial velocity, whose mean is zero [rad/s or m/s];
+            1 by default.
+        substeps: Runge–Kutta steps in each sample; None (default) takes as many as dt and the friction need (offline).
+        gate: Which measurements are refused as outliers; None refuses none. See `Gate`.
 
-    Raises `ValueError` for covariances that are not finite.
+    Raises:
+        ValueError: A covariance or the standard deviation is not finite.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import Record, models, observers
+        >>> t = np.linspace(0.0, 5.0, 501)
+        >>> ekf = observers.EKF(models.oscillator(), np.array([[1e-3]]), np.array([[1e-4]]), substeps=1)
+        >>> run = observers.run(ekf, Record(t, np.zeros((501, 1)), np.cos(t)[:, None]))
+        >>> bool(np.allclose(run.estimate[-1], [np.cos(5.0), -np.sin(5.0)], atol=1e-2))
+        True
     """
 
     model: MechanicalSystem
@@ -82,16 +126,27 @@ class EKF(AbstractMechanicalFilter):
         return EKFState(q, v, t, self._first_cov(v), *open_gate(v), held)
 
     def predict(self, state: EKFState, u: Float[Array, "m"], dt: Scalar) -> EKFState:
-        """Integrate model and covariance over dt [s] with u held constant."""
+        """Integrate the model and the covariance over one step.
+
+        Args:
+            state: State after the sample before.
+            u: Input (m,), constant over the step.
+            dt: Length of the step [s].
+
+        Returns:
+            The state dt later, before a measurement.
+        """
         n = state.v.shape[0]
 
-        def error_ahead(error):
+        def propagated_error(error):
             start = self.model.manifold.retract(state.q, error[:n])
-            moved = predict(self.model, state.t, start, state.v + error[n:], u, dt, self.substeps)
-            apart = self.model.manifold.local(jax.lax.stop_gradient(moved.q), moved.q)
-            return jnp.concatenate([apart, moved.v]), moved
+            end = predict(self.model, state.t, start, state.v + error[n:], u, dt, self.substeps)
+            # Zero in value, for the end is compared with itself; its derivative is the displacement in the frame.
+            apart = self.model.manifold.local(jax.lax.stop_gradient(end.q), end.q)
+            return jnp.concatenate([apart, end.v]), end
 
-        transition, (q, v) = jax.jacfwd(error_ahead, has_aux=True)(jnp.zeros(2 * n, state.v.dtype))
+        transition, (q, v) = jax.jacfwd(propagated_error, has_aux=True)(jnp.zeros(2 * n, state.v.dtype))
+        # Covariance of the double and the single integral of white noise over dt: dt³/3, dt²/2, dt.
         q_part, cross, v_part = (self.process_cov * dt**k / c for k, c in ((3, 3), (2, 2), (1, 1)))
         noise = jnp.block([[q_part, cross], [cross, v_part]])
         return state._replace(q=q, v=v, t=state.t + dt, cov=transition @ state.cov @ transition.T + noise)
@@ -110,10 +165,11 @@ class EKF(AbstractMechanicalFilter):
         output = jnp.concatenate([present, jnp.zeros_like(present)], axis=1)
         gain = solve(output @ state.cov @ output.T + measurement_cov, output @ state.cov).T
         error = gain @ expected.innovation
-        left = jnp.eye(2 * n, dtype=error.dtype) - gain @ output
-        cov = left @ state.cov @ left.T + gain @ measurement_cov @ gain.T
+        remaining = jnp.eye(2 * n, dtype=error.dtype) - gain @ output
+        # Joseph form: a sum of squares, so that rounding does not make it indefinite.
+        cov = remaining @ state.cov @ remaining.T + gain @ measurement_cov @ gain.T
         q, v = self.model.manifold.retract(state.q, error[:n]), state.v + error[n:]
-        return state._replace(q=q, v=v, cov=(cov + cov.T) / 2)
+        return state._replace(q=q, v=v, cov=(cov + cov.T) / 2)  # rounding leaves it slightly unsymmetric
 
     def _started_anew(self, state: EKFState, corrected: EKFState, y: Array, expected: Expectation) -> EKFState:
         q = self.model.manifold.measured(state.q, y)
@@ -130,7 +186,18 @@ class EKF(AbstractMechanicalFilter):
 
 
 def ekf_info(model: MechanicalSystem, q: Array, expected: Expectation, std: Vector, result: Code) -> EKFInfo:
-    """The info of a correction at the predicted configuration q, with the standard deviations of the velocity."""
+    """Diagnostics of a correction, for filters with the error of the EKF.
+
+    Args:
+        model: Mechanical system, whose metric measures the innovation.
+        q: Predicted configuration, at which the metric is evaluated.
+        expected: The measurement beside what the filter expects of it.
+        std: Standard deviations (n,) of the velocity after the correction.
+        result: Result code of the correction.
+
+    Returns:
+        The `EKFInfo`, with the normalised innovation squared of the measured components.
+    """
     _, innovation, cov, present, *_ = expected
     nis = normalised_square(cov, innovation, present)
     return EKFInfo(innovation, model.space.norm(q, innovation), cov, nis, std, result)

@@ -15,12 +15,26 @@ from covariant.observers._tracking_loop import AbstractTrackingLoop, loop_weight
 
 
 class HighGain(AbstractTrackingLoop, AbstractLinearFilter):
-    """`q̂' = v̂ + 3ω e`, `v̂' = â + 3ω² e`, `â' = ω³ e`, `e = y − q̂`: three poles at −ω, and at exp(−ω dt) in samples.
+    """High-gain differentiator of third order with three equal poles.
 
-    - `bandwidth` ω [rad/s]: 1/ε of the papers.
-    - `circles`: indices of the coordinates that are angles on a full circle, which are followed modulo a turn.
+    It is `q̂' = v̂ + 3ω e`, `v̂' = â + 3ω² e`, `â' = ω³ e`, `e = y − q̂`, with three poles at −ω, sampled with three poles
+    at exp(−ω dt).
 
-    Raises `ValueError` for a bandwidth that is not positive and finite.
+    Attributes:
+        bandwidth: Bandwidth ω [rad/s]; 1/ε of the papers.
+        circles: Indices of the coordinates that are angles on a full circle, which are followed modulo a turn; none by
+            default.
+
+    Raises:
+        ValueError: The bandwidth is not positive and finite.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import Record, observers
+        >>> t = np.linspace(0.0, 1.0, 101)
+        >>> run = observers.run(observers.HighGain(bandwidth=30.0), Record(t, y=t[:, None] ** 2))
+        >>> run.estimate[-1].round(3).tolist()  # a steady acceleration is followed without error
+        [1.0, 2.0]
     """
 
     order = 3
@@ -30,7 +44,15 @@ class HighGain(AbstractTrackingLoop, AbstractLinearFilter):
         check_positive("HighGain", bandwidth=self.bandwidth)
 
     def gains(self, dt: Vector, error: Vector) -> Float[Array, "3 n"]:
-        """What an error (n,) is multiplied by, dt [s] (n,) after the last measurement."""
+        """Gains of the correction, for each coordinate.
+
+        Args:
+            dt: Time (n,) since the last measurement [s].
+            error: Measured minus extrapolated position (n,) [rad or m]; it has no influence.
+
+        Returns:
+            Factors (3, n) of the error in the correction of position, velocity and acceleration: 1, 1/s, 1/s².
+        """
         return triple_pole(self.bandwidth * dt, dt)
 
     def weights(self, rate: float) -> Float[np.ndarray, "k"]:

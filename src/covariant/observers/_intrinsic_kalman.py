@@ -36,13 +36,27 @@ FARTHEST_TURN = 0.5
 
 
 class KalmanState(NamedTuple):
-    """Estimated configuration and velocity at time t [s], and the estimated `slow` states (k,).
+    """State of an `IntrinsicKalman`: the estimate, a square root of its covariance, and the memory of the gate.
 
-    - `root`: a square root of the covariance of (ε, ν) in the parallel frame, followed by the slow states.
-    - `refused` (n,): number of samples in a row that the gate refused.
-    - `scale` (n,): averaged ratio of actual to expected squared innovations; see `Gate.judge`.
-    - `held`: the last finite input.
-    - `readings`: the last readings of encoders that count ticks; None where measurements have noise.
+    Attributes:
+        q: Estimated configuration q̂: coordinates (n,), or a group element (N, N).
+        v: Estimated velocity v̂ (n,) in the frame of the space.
+        t: Time [s] of the estimate.
+        slow: Estimated slow states (k,), before `Slow.values` is applied.
+        root: Square root S (2n + k, 2n + k) of the covariance `S Sᵀ` of (ε, ν) in the parallel frame, followed by the
+            slow states.
+        refused: Number of samples in a row that the gate refused (n,).
+        scale: Averaged ratio of actual to expected squared innovations (n,); see `Gate.judge`.
+        held: Last finite input (m,), which replaces an input that is not finite; None where none is stored.
+        readings: Last readings of encoders that count ticks; None where measurements have noise.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import models, observers
+        >>> kalman = observers.IntrinsicKalman(models.oscillator(), 1.0, 1e-4, 4.0, observers.sensor_bias(0.1))
+        >>> state = kalman.init(np.array([0.1]))
+        >>> state.slow.tolist(), state.root.shape
+        ([0.0], (3, 3))
     """
 
     q: Inexact[Array, "..."]
@@ -57,12 +71,28 @@ class KalmanState(NamedTuple):
 
 
 class KalmanInfo(NamedTuple):
-    """As `Info`, with the predicted covariance of the innovation and its normalised square `nis`, and the standard
-    deviations `velocity_std` (n,) of the velocity after the correction. Where the model is right, `nis` is
-    χ²-distributed with as many degrees of freedom as there are measured components.
+    """Diagnostics of a step of an `IntrinsicKalman`.
 
-    `slow` (k,) are the estimated slow states, in the order of the observer's `slow_names`, and `slow_std` (k,) their
-    standard deviations.
+    Attributes:
+        innovation: Difference (n,) from the predicted configuration to the measurement without its estimated offset,
+            0 where it is missing.
+        distance: Length of the innovation in the metric.
+        innovation_cov: Predicted covariance (n, n) of the innovation.
+        nis: Normalised innovation squared, `rᵀS⁻¹r` of the measured components. Where the model is right, it is
+            χ²-distributed with as many degrees of freedom as there are measured components.
+        velocity_std: Standard deviations (n,) of the velocity after the correction.
+        slow: Estimated slow states (k,), in the order of the observer's `slow_names`.
+        slow_std: Standard deviations (k,) of the slow states.
+        result: A `covariant.signals.Result` code.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import Record, models, observers
+        >>> kalman = observers.IntrinsicKalman(models.oscillator(), 1.0, 1e-4, 1.0, substeps=1)
+        >>> record = Record(np.array([0.0, 0.01]), np.zeros((2, 1)), np.array([[0.1], [0.11]]))
+        >>> run = observers.run(kalman, record)
+        >>> run.info.innovation[1].round(3).tolist(), round(run.info.nis[1].item(), 1), run.info.slow[1].shape
+        ([0.01], 0.3, (0,))
     """
 
     innovation: Vector
@@ -76,9 +106,12 @@ class KalmanInfo(NamedTuple):
 
 
 class MeasuredOutput(NamedTuple):
-    """A measurement `y` without the offset that is believed of it, and its noise (n, n) in the frame at the estimate.
+    """A measurement without its estimated offset, linearised at the estimate.
 
-    `slope` (n, k) is its derivative in the slow states; None where there is no offset.
+    Attributes:
+        y: The measurement with the estimated offset removed.
+        noise: Covariance (n, n) of its noise in the frame at the estimate.
+        slope: Derivative (n, k) of the measurement in the slow states; None where there is no offset.
     """
 
     y: Array
@@ -86,39 +119,60 @@ class MeasuredOutput(NamedTuple):
     slope: Float[Array, "n k"] | None
 
     def projected(self, root: Float[Array, "N N"], n: int) -> Float[Array, "n N"]:
-        """The output matrix H (n, N), by which the error shows in the measurement, times a root of its covariance."""
+        """Product of the output matrix H (n, N), from the error to the measurement, with a root of the covariance.
+
+        Args:
+            root: Square root (N, N) of the covariance of the error (ε, ν, slow), N = 2n + k.
+            n: Number of measured components.
+
+        Returns:
+            H times the root, (n, N).
+        """
         return root[:n] if self.slope is None else root[:n] + self.slope @ root[2 * n :]
 
 
 def as_quantum(value: Any) -> Any:
-    """One tick of each encoder as an array."""
+    """Array (n,) of one tick of each encoder, from a number, a sequence or an array; None stays None."""
     return None if value is None else jnp.atleast_1d(jnp.asarray(value, float))
 
 
 class IntrinsicKalman(AbstractMechanicalFilter):
-    """Kalman filter of a `MechanicalSystem` on any space.
+    """Kalman filter of a `MechanicalSystem` on any space, with error and covariance in the parallel frame.
 
-    - `process_cov`: spectral density of the white acceleration noise [(rad/s²)² s, or (m/s²)² s].
-    - `measurement_cov`: covariance of the noise of one sample [rad² or m²].
-    - `initial_velocity_cov`: covariance of the initial velocity, which is assumed zero [(rad/s)² or (m/s)²].
-      Each of the three is a matrix (n, n) in the frame, the same everywhere; a function of the configuration; or a
-      number, a variance in metric units, the same in every direction.
-    - `slow`: slow states that are estimated along with the motion, a `Slow` or several: `external_force`,
-      `sensor_bias`, `uncertain_parameters`, or one of your own. A constant one leaves no bias where the measurements
-      show it.
-    - `quantum` (n,): one tick of each encoder, in coordinates [their unit]. A reading is then an interval, and a change
-      of it an edge that was passed; `measurement_cov` is the covariance of the positions of edges. None where every
-      sample has independent noise.
-    - `gate`: which measurements are refused as outliers; None refuses none. See `Gate`.
-    - `budget`: work spent on geodesics, from the estimate to the measurement and along the correction.
-    - `substeps`: Runge–Kutta steps in each sample; None takes as many as dt and the friction need (offline).
+    Each covariance is a matrix (n, n) in the frame, the same everywhere; a function of the configuration; or a number,
+    a variance in metric units, the same in every direction.
 
     After a gap so long that an angle may be anywhere the filter starts anew from the measured configuration and the
-    predicted velocity, its slow states as uncertain as at first, and `result` says `RESTARTED`. In other coordinates,
+    predicted velocity, its slow states as uncertain as at first, and `result` is `RESTARTED`. In other coordinates,
     with noise that is the same tensor, the estimate is the same to the accuracy of the budget.
 
-    Raises `ValueError` for numbers and matrices that are no covariances, for a singular measurement covariance, and for
-    slow states that do not fit the model.
+    Attributes:
+        model: Mechanical system, in coordinates or on a Lie group.
+        process_cov: Spectral density of the white acceleration noise [(rad/s²)² s, or (m/s²)² s].
+        measurement_cov: Covariance of the noise of one sample [rad² or m²].
+        initial_velocity_cov: Covariance of the initial velocity, whose mean is zero [(rad/s)² or (m/s)²].
+        slow: Slow states that are estimated along with the motion, a `Slow` or several: `external_force`,
+            `sensor_bias`, `uncertain_parameters`, or one that you define. A constant one leaves no bias where the
+            measurements show it. None by default.
+        quantum: One tick of each encoder (n,), in coordinates [their unit]. A reading is then an interval, and a change
+            of it an edge that was passed; `measurement_cov` is the covariance of the positions of edges. None (default)
+            where every sample has independent noise.
+        gate: Which measurements are refused as outliers; None refuses none. See `Gate`.
+        budget: Work spent on geodesics, from the estimate to the measurement and along the correction.
+        substeps: Runge–Kutta steps in each sample; None (default) takes as many as dt and the friction need (offline).
+
+    Raises:
+        ValueError: A number or matrix is no covariance, the measurement covariance is singular, the slow states do not
+            fit the model, a tick is not positive, or the model with a `quantum` is not in coordinates.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import Record, models, observers
+        >>> kalman = observers.IntrinsicKalman(models.oscillator(), 1e-3, 1e-4, 1.0, substeps=1)
+        >>> record = Record(np.array([0.0, 0.1]), np.zeros((2, 1)), np.array([[1.0], [np.cos(0.1)]]))
+        >>> run = observers.run(kalman, record)
+        >>> run.estimate[1].round(3).tolist()
+        [0.995, -0.1]
     """
 
     model: MechanicalSystem
@@ -143,42 +197,53 @@ class IntrinsicKalman(AbstractMechanicalFilter):
 
     def init(self, y: Array, t: Number = 0.0) -> KalmanState:
         q, v, t, held, _ = at_rest(self.model, y, t)
-        slow, readings = self._slow.first(v), self._read(q, jnp.zeros_like(v))
+        slow, readings = self._slow.first(v), self._first_readings(q, jnp.zeros_like(v))
         q = self._without_offset(q, v, slow)
         return KalmanState(q, v, t, slow, self._first_root(q, v, slow), *open_gate(v), held, readings)
 
     def cov(self, state: KalmanState) -> Float[Array, "two_n_k two_n_k"]:
-        """The covariance P of (ε, ν), followed by the slow states, in the parallel frame at the estimate."""
+        """Covariance P (2n + k, 2n + k) of (ε, ν), then the slow states, in the parallel frame at the estimate."""
         return state.root @ state.root.T
 
     def velocity_std(self, state: KalmanState) -> Vector:
-        """Standard deviations of the components of the velocity."""
+        """Standard deviations (n,) of the components of the velocity [rad/s or m/s] in a state."""
         n = state.v.shape[0]
         return jnp.sqrt(jnp.sum(state.root[n : 2 * n] ** 2, axis=1))
 
     @property
     def slow_names(self) -> tuple[str, ...]:
-        """Names of the slow states."""
+        """Names (k) of the slow states, in the order of `KalmanInfo.slow`."""
         return self._slow.names
 
     def predict(self, state: KalmanState, u: Float[Array, "m"], dt: Scalar) -> KalmanState:
-        """Integrate model and covariance over dt [s] with u held constant."""
+        """Integrate the model and the covariance over one step.
+
+        Args:
+            state: State after the sample before.
+            u: Input (m,), constant over the step.
+            dt: Length of the step [s].
+
+        Returns:
+            The state dt later, before a measurement.
+        """
         count = self.substeps
         if count is None:
             count = needed_substeps(self.model, state.t, state.q, state.v, u, dt)
+        # The covariance is linearised at every Runge–Kutta step, not once over dt.
         h = dt / jnp.asarray(count, state.v.dtype)
-        return jax.lax.fori_loop(0, count, lambda _, now: self._moved(now, u, h), state)
+        return jax.lax.fori_loop(0, count, lambda _, now: self._runge_kutta_step(now, u, h), state)
 
     def _expected(self, state: KalmanState, u: Float[Array, "m"], y: Array) -> Expectation:
         manifold, output = self.model.manifold, self._output(state, y)
         missing = manifold.missing(output.y)
         projected = output.projected(state.root, state.v.shape[0])
         cov = projected @ projected.T + output.noise
+        # A restart needs a complete configuration.
         lost = _too_uncertain(manifold, cov, output.noise) & ~jnp.any(missing)
         return Expectation(output.y, manifold.towards(state.q, output.y), cov, ~missing, lost, output)
 
     def _used(self, state: KalmanState, y: Array, expected: Expectation, used: Bool[Array, "n"]) -> KalmanState:
-        error, root = self._believed(state, expected.details, y, expected.innovation, used)
+        error, root = self._posterior(state, expected.details, y, expected.innovation, used)
         q, v, root = self._rebased(state, error, root)
         readings = None
         if state.readings is not None:
@@ -190,7 +255,7 @@ class IntrinsicKalman(AbstractMechanicalFilter):
         manifold = self.model.manifold
         measured = manifold.measured(state.q, expected.y)
         root = self._first_root(measured, corrected.v, corrected.slow)
-        readings = self._read(manifold.measured(state.q, y), 0 * corrected.v)
+        readings = self._first_readings(manifold.measured(state.q, y), 0 * corrected.v)
         return corrected._replace(q=measured, v=state.v, root=root, readings=readings)
 
     def _info(self, state: KalmanState, new: KalmanState, expected: Expectation, result: Code) -> KalmanInfo:
@@ -204,17 +269,18 @@ class IntrinsicKalman(AbstractMechanicalFilter):
         return SlowStates(self.slow)
 
     def _slow_estimates(self, state: KalmanState) -> tuple[SlowVector, SlowVector]:
-        """The slow states as they are written, and their standard deviations."""
+        """Values of the slow states (k,) as `Slow.values` reports them, and their standard deviations (k,)."""
         values = self._slow.values(state.slow)
         slope = jax.jacfwd(self._slow.values)(state.slow)
         return values, jnp.sqrt(jnp.sum((slope @ state.root[2 * state.v.shape[0] :]) ** 2, axis=1))
 
     def _noise(self, q: Array) -> Matrix:
-        """Covariance of one sample, taken as noise, in the frame at what is measured."""
+        """Covariance (n, n) of one sample, in the frame at the measured configuration q."""
+        # The variance of a uniform distribution over one tick is quantum²/12.
         noise = covariance_at(self.measurement_cov, self.model.space, q)
         return noise if self.quantum is None else noise + jnp.diag(self.quantum.astype(noise.dtype) ** 2 / 12)
 
-    def _read(self, y: Array, age: Vector) -> Readings | None:
+    def _first_readings(self, y: Array, age: Vector) -> Readings | None:
         return None if self.quantum is None else Readings(y, age)
 
     def _without_offset(self, y: Array, like: Vector, slow: SlowVector) -> Array:
@@ -222,13 +288,14 @@ class IntrinsicKalman(AbstractMechanicalFilter):
         return self.model.manifold.retract(y, -self._slow.offset(slow, like)) if self._slow.measured else y
 
     def _output(self, state: KalmanState, y: Array) -> MeasuredOutput:
-        bare = self._without_offset(y, state.v, state.slow)
-        return MeasuredOutput(bare, *self._slopes(state.q, state.v, state.slow))
+        without_offset = self._without_offset(y, state.v, state.slow)
+        return MeasuredOutput(without_offset, *self._slopes(state.q, state.v, state.slow))
 
     def _slopes(self, q: Array, like: Vector, slow: SlowVector) -> tuple[Matrix, Float[Array, "n k"] | None]:
         """Noise (n, n) in the frame at q of a measurement without its offset, and its slope (n, k) in the slow states.
 
-        It is `y = retract(retract(q, offset), w)`, w being the noise, from which the believed offset is taken away."""
+        The measurement is `y = retract(retract(q, offset), w)` with the noise w; its estimated offset is removed.
+        """
         if not self._slow.measured:
             return self._noise(q), None
         manifold, k = self.model.manifold, slow.shape[0]
@@ -238,18 +305,19 @@ class IntrinsicKalman(AbstractMechanicalFilter):
             return manifold.local(q, self._without_offset(manifold.retract(true, change[k:]), like, slow))
 
         slopes = jax.jacfwd(innovation)(jnp.zeros(k + like.shape[0], like.dtype))
-        there = manifold.retract(q, self._slow.offset(slow, like))
-        return slopes[:, k:] @ self._noise(there) @ slopes[:, k:].T, slopes[:, :k]
+        measured_at = manifold.retract(q, self._slow.offset(slow, like))
+        return slopes[:, k:] @ self._noise(measured_at) @ slopes[:, k:].T, slopes[:, :k]
 
-    def _believed(
+    def _posterior(
         self, state: KalmanState, output: MeasuredOutput, y: Array, straight: Vector, used: Array
     ) -> tuple[Array, Array]:
-        """The error (2n + k,) that the sample makes believe, and the root of its covariance."""
+        """Posterior mean (2n + k,) of the error after the sample, and the root of its covariance."""
         space, n = self.model.space, state.v.shape[0]
         if self.quantum is None or state.readings is None:
             gain, root = updated(state.root, output.projected(state.root, n), output.noise, used)
-            return gain @ jnp.where(used, self._way(state, output.y, straight, used), 0.0), root
-        rows = _beside(apart(space, state.q, state.v), state)
+            return gain @ jnp.where(used, self._displacement(state, output.y, straight, used), 0.0), root
+        # Encoders count in coordinates: these rows map (ε, ν, slow) to differences of position and velocity there.
+        rows = _with_slow(apart(space, state.q, state.v), state)
         position = rows[:n] if output.slope is None else rows[:n].at[:, 2 * n :].set(output.slope)
         moved = self.model.manifold.towards(state.readings.y, y)
         noise = jnp.diag(covariance_at(self.measurement_cov, space, state.q))
@@ -257,25 +325,31 @@ class IntrinsicKalman(AbstractMechanicalFilter):
         step = self.quantum.astype(noise.dtype)
         return take(state.root, straight, moved, state.readings.age, state.v, parts, step, noise, used)
 
-    def _way(self, state: KalmanState, y: Array, straight: Vector, used: Array) -> Vector:
-        """`log_q̂ y`; where an entry of y is not used, the difference of the coordinates `straight` instead."""
-        shot = self.model.space.shoot(state.q, self.model.manifold.measured(state.q, y), straight, self.budget)
-        found = jnp.all(jnp.isfinite(shot.velocity)) & (shot.result != Result.NOT_CONVERGED)
-        return jnp.where(found & jnp.all(used), shot.velocity, straight)
+    def _displacement(self, state: KalmanState, y: Array, straight: Vector, used: Array) -> Vector:
+        """Geodesic `log_q̂ y` (n,); where an entry of y is not used, the coordinate difference `straight` instead."""
+        geodesic = self.model.space.shoot(state.q, self.model.manifold.measured(state.q, y), straight, self.budget)
+        reached = jnp.all(jnp.isfinite(geodesic.velocity)) & (geodesic.result != Result.NOT_CONVERGED)
+        # Without a converged geodesic the coordinate difference replaces it, which equals it to first order.
+        return jnp.where(reached & jnp.all(used), geodesic.velocity, straight)
 
-    def _moved(self, state: KalmanState, u: Float[Array, "m"], h: Scalar) -> KalmanState:
+    def _runge_kutta_step(self, state: KalmanState, u: Float[Array, "m"], h: Scalar) -> KalmanState:
         """One Runge–Kutta step of the model and of the covariance."""
         space, manifold, n = self.model.space, self.model.manifold, state.v.shape[0]
 
-        def ahead(error):
+        def propagated_error(error):
             start = Motion(manifold.retract(state.q, error[:n]), state.v + error[n : 2 * n])
             slow = state.slow + error[2 * n :]
             end = advance(self._slow.in_model(self.model, slow), state.t, start, u, h, 1)
+            # Zero in value, for the end is compared with itself; its derivative is the displacement in the frame.
             return jnp.concatenate([manifold.local(jax.lax.stop_gradient(end.q), end.q), end.v, slow]), end
 
-        slope, (q, v) = jax.jacfwd(ahead, has_aux=True)(jnp.zeros(state.root.shape[0], state.v.dtype))
+        slope, (q, v) = jax.jacfwd(propagated_error, has_aux=True)(jnp.zeros(state.root.shape[0], state.v.dtype))
+        # From right to left: from the parallel frame to the frame at the start, the flow, and back at the end.
         root = (
-            _beside(parallel(space, q, v), state) @ slope @ _beside(apart(space, state.q, state.v), state) @ state.root
+            _with_slow(parallel(space, q, v), state)
+            @ slope
+            @ _with_slow(apart(space, state.q, state.v), state)
+            @ state.root
         )
         noise = white_acceleration(covariance_at(self.process_cov, space, q), h)
         if self.slow:
@@ -296,43 +370,63 @@ class IntrinsicKalman(AbstractMechanicalFilter):
             return jnp.concatenate([manifold.local(jax.lax.stop_gradient(end.q), end.q), end.w]), (end.q, end.w)
 
         slope, (q, v) = jax.jacfwd(corrected, has_aux=True)(error[: 2 * n])
-        return q, v, _beside(parallel(space, q, v) @ slope, state) @ root
+        return q, v, _with_slow(parallel(space, q, v) @ slope, state) @ root
 
     def _first_root(self, q: Array, like: Vector, slow: SlowVector) -> Float[Array, "two_n_k two_n_k"]:
-        """Root of the covariance where all that is known are one measurement and what is known at first."""
+        """Root of the covariance after a single measurement, from its noise and the initial covariances."""
         noise, slope = self._slopes(q, like, slow)
         velocity = semidefinite_root(covariance_at(self.initial_velocity_cov, self.model.space, q))
-        both = diagonal(semidefinite_root(noise), velocity)
+        motion_root = diagonal(semidefinite_root(noise), velocity)
         if not self.slow:
-            return both
-        own = self._slow.first_root().astype(both.dtype)
-        root = diagonal(both, own)
-        # What the first measurement is off by, the estimate is off by with the other sign.
-        return root if slope is None else root.at[: len(velocity), 2 * len(velocity) :].set(-slope @ own)
+            return motion_root
+        slow_root = self._slow.first_root().astype(motion_root.dtype)
+        root = diagonal(motion_root, slow_root)
+        # The estimate is the measurement minus its offset: an error of the offset enters it with the opposite sign.
+        return root if slope is None else root.at[: len(velocity), 2 * len(velocity) :].set(-slope @ slow_root)
 
 
-def _beside(matrix: Array, state: KalmanState) -> Array:
+def _with_slow(matrix: Array, state: KalmanState) -> Array:
     """A matrix for (ε, ν), extended to one for (ε, ν, slow) that leaves the slow states unchanged."""
     return diagonal(matrix, jnp.eye(state.slow.shape[0], dtype=matrix.dtype))
 
 
 def parallel(space: AbstractSpace, q: Array, v: Vector, sign: int = 1) -> Float[Array, "two_n two_n"]:
-    """`[[I, 0], [B(·, v), I]]`: maps small differences (s, δv) of motions at (q, v), in the frame, to (ε, ν)."""
+    """Matrix `[[I, 0], [B(·, v), I]]` from small differences (s, δv) of motions at (q, v), in the frame, to (ε, ν).
+
+    Args:
+        space: Space with the connection B.
+        q: Configuration: coordinates (n,), or a group element (N, N).
+        v: Velocity (n,) in the frame.
+        sign: Sign of B: 1 by default; −1 gives the inverse.
+
+    Returns:
+        The matrix (2n, 2n).
+    """
     axes = jnp.eye(v.shape[0], dtype=v.dtype)
-    turned = jax.vmap(lambda a: space.connection(q, a, v), out_axes=1)(axes)
-    return jnp.block([[axes, jnp.zeros_like(axes)], [sign * turned, axes]])
+    connections = jax.vmap(lambda a: space.connection(q, a, v), out_axes=1)(axes)
+    return jnp.block([[axes, jnp.zeros_like(axes)], [sign * connections, axes]])
 
 
 def apart(space: AbstractSpace, q: Array, v: Vector) -> Float[Array, "two_n two_n"]:
-    """The inverse of `parallel`."""
+    """Inverse (2n, 2n) of `parallel`, from (ε, ν) to small differences (s, δv) in the frame.
+
+    Args:
+        space: Space with the connection B.
+        q: Configuration: coordinates (n,), or a group element (N, N).
+        v: Velocity (n,) in the frame.
+
+    Returns:
+        The matrix `[[I, 0], [−B(·, v), I]]`.
+    """
     return parallel(space, q, v, -1)
 
 
-def _too_uncertain(manifold: AbstractManifold, spread: Matrix, noise: Matrix) -> Array:
+def _too_uncertain(manifold: AbstractManifold, cov: Matrix, noise: Matrix) -> Array:
     """Whether an angle has so large an expected error, beyond what its noise explains, that linearisation fails.
 
-    Then the predicted velocity is all that is known of the velocity.
+    The filter then starts anew, and its predicted velocity is all that is known of the velocity.
     """
-    turns = sorted({i for turn in manifold.rotations or () for i in turn})
-    variance = jnp.diag(spread)[jnp.array(turns, int)]
-    return jnp.any(variance > jnp.maximum(FARTHEST_TURN**2, 9 * jnp.diag(noise)[jnp.array(turns, int)]))
+    angles = sorted({i for rotation in manifold.rotations or () for i in rotation})
+    variance = jnp.diag(cov)[jnp.array(angles, int)]
+    # The variance includes that of the noise, so the bound grows with it: a noisy sensor alone is no reason to restart.
+    return jnp.any(variance > jnp.maximum(FARTHEST_TURN**2, 9 * jnp.diag(noise)[jnp.array(angles, int)]))

@@ -1,10 +1,11 @@
-"""Kalman filter of every coordinate by itself, whose acceleration is coloured noise: Singer's. Knows no model.
+"""Kalman filter of every coordinate by itself, whose acceleration is Singer's coloured noise. It uses no model.
 
     q' = v,   v' = a,   a' = −a/τ + w,   w white of the density 2σ²/τ:
 
-in the long run a has the standard deviation σ and is forgotten after τ. For dt much shorter than τ this is white jerk;
-over a gap the acceleration fades out, where white jerk would fly off. Of all linear filters it has the least error for
-such a motion. In units of σ and τ nothing is left but `θ = dt/τ` and the noise of a sample, `s/στ²`.
+in the long run a has the standard deviation σ and the correlation time τ. For dt much shorter than τ this is white
+jerk; over a gap the acceleration decays, where under white jerk it would grow without bound. Of all linear filters it
+has the least error for such a motion. In units of σ and τ its only parameters are `θ = dt/τ` and the noise of a
+sample, `s/στ²`.
 
 Source: Singer 1970, Estimating optimal tracking filter performance for manned maneuvering targets, IEEE TAES 6(4);
 Bar-Shalom, Li & Kirubarajan 2001, Estimation with Applications to Tracking and Navigation, chapter 6.
@@ -30,10 +31,23 @@ from covariant.observers._square_root import updated
 
 
 class JointState(NamedTuple):
-    """Position, velocity and acceleration (n,), and of each coordinate a square root `root` (n, 3, 3) of their
-    covariance in units of στ², στ and σ.
+    """State of a `JointKalman`: the estimate, a square root of its covariance, and the memory of the gate.
 
-    - `refused` (n,), `scale` (n,): what the gate remembers; see `Gate.judge`.
+    Attributes:
+        q: Position (n,) [rad or m].
+        v: Velocity (n,) [rad/s or m/s].
+        a: Acceleration (n,) [rad/s² or m/s²].
+        root: Square root (n, 3, 3) of the covariance of position, velocity and acceleration of each coordinate, in
+            units of στ², στ and σ.
+        refused: Number of samples in a row that the gate refused (n,); see `Gate.judge`.
+        scale: Averaged ratio of actual to expected squared innovations (n,); see `Gate.judge`.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import observers
+        >>> kalman = observers.JointKalman(motion_std=2.0, motion_time=1.0, measurement_std=1e-2)
+        >>> kalman.init(np.array([0.1])).root.round(6).tolist()
+        [[[0.005, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]]
     """
 
     q: Vector
@@ -45,8 +59,23 @@ class JointState(NamedTuple):
 
 
 class JointInfo(NamedTuple):
-    """As `FilterInfo`, with the sum `nis` of the squared innovations over their predicted variances, and the standard
-    deviations `velocity_std` (n,) of the velocity after the correction."""
+    """Diagnostics of a step of a `JointKalman`.
+
+    Attributes:
+        innovation: Measured minus extrapolated position (n,), 0 where it is missing.
+        nis: Normalised innovation squared: the sum of the squared innovations over their predicted variances.
+        velocity_std: Standard deviations (n,) of the velocity after the correction.
+        result: A `covariant.signals.Result` code.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import Record, observers
+        >>> kalman = observers.JointKalman(motion_std=1.0, motion_time=1.0, measurement_std=1e-2)
+        >>> record = Record(np.array([0.0, 0.1]), y=np.array([[0.0], [0.1]]))
+        >>> run = observers.run(kalman, record)
+        >>> run.info.innovation[1].tolist(), round(run.info.nis[1].item(), 2)  # the first velocity has the variance 1
+        ([0.1], 0.98)
+    """
 
     innovation: Vector
     nis: Scalar
@@ -57,13 +86,27 @@ class JointInfo(NamedTuple):
 class JointKalman(AbstractGatedFilter, AbstractLinearFilter):
     """Kalman filter of each coordinate with Singer's acceleration, exact at irregular stamps.
 
-    - `motion_std`: σ, standard deviation of the accelerations [rad/s² or m/s²].
-    - `motion_time`: τ, over which they change [s].
-    - `measurement_std`: s, of the noise of one sample [rad or m].
-    - `circles`: indices of the coordinates that are angles on a full circle, which are followed modulo a turn.
-    - `gate`: which measurements are refused as outliers; None refuses none. See `Gate`.
+    At the start the velocity is zero with the standard deviation στ, and the acceleration zero with σ.
 
-    At the start the velocity is known to be zero within στ. Raises `ValueError` for numbers that are not positive.
+    Attributes:
+        motion_std: Standard deviation σ of the accelerations [rad/s² or m/s²].
+        motion_time: Correlation time τ of the accelerations [s].
+        measurement_std: Standard deviation s of the noise of one sample [rad or m].
+        circles: Indices of the coordinates that are angles on a full circle, which are followed modulo a turn; none by
+            default.
+        gate: Which measurements are refused as outliers; None refuses none. See `Gate`.
+
+    Raises:
+        ValueError: A standard deviation or the correlation time is not positive and finite.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import Record, observers
+        >>> t = np.linspace(0.0, 2.0, 201)
+        >>> kalman = observers.JointKalman(motion_std=1.0, motion_time=1.0, measurement_std=1e-4)
+        >>> run = observers.run(kalman, Record(t, y=np.sin(t)[:, None]))
+        >>> bool(np.allclose(run.estimate[-1], [np.sin(2.0), np.cos(2.0)], atol=1e-2))
+        True
     """
 
     motion_std: Scalar = eqx.field(converter=as_gain)
@@ -73,15 +116,24 @@ class JointKalman(AbstractGatedFilter, AbstractLinearFilter):
     gate: Gate | None = Gate()
 
     def __check_init__(self):
-        numbers = {"motion_std": self.motion_std, "motion_time": self.motion_time}
-        check_positive("JointKalman", **numbers, measurement_std=self.measurement_std)
+        parameters = {"motion_std": self.motion_std, "motion_time": self.motion_time}
+        check_positive("JointKalman", **parameters, measurement_std=self.measurement_std)
 
     @property
     def noise(self) -> Scalar:
-        """Standard deviation of a sample in units of στ²."""
+        """Standard deviation of the noise of one sample in units of στ², `s/στ²`."""
         return self.measurement_std / (self.motion_std * self.motion_time**2)
 
     def init(self, y: Vector, t: Number = 0.0) -> JointState:
+        """State at the start: at the measured positions, with zero velocity and acceleration.
+
+        Args:
+            y: Measured positions (n,) [rad or m].
+            t: Time [s], without influence.
+
+        Returns:
+            The state, with the standard deviations s, στ and σ of position, velocity and acceleration.
+        """
         rest = jnp.zeros_like(y)
         return JointState(y, rest, rest, self._first_root(y), *open_gate(y))
 
@@ -90,15 +142,25 @@ class JointKalman(AbstractGatedFilter, AbstractLinearFilter):
 
     @property
     def _units(self) -> Float[Array, "3"]:
-        """The units of position, velocity and acceleration: τ², τ and 1 times σ."""
+        """Units of position, velocity and acceleration, divided by σ: τ² [s²], τ [s] and 1."""
         time = jnp.asarray(self.motion_time)
         return jnp.stack([time**2, time, jnp.ones_like(time)])
 
     def predict(self, state: JointState, u: Float[Array, "m"], dt: Scalar) -> JointState:
+        """Advance every coordinate by Singer's model, which is exact for any dt.
+
+        Args:
+            state: State after the sample before.
+            u: Input (m,), without influence.
+            dt: Length of the step [s].
+
+        Returns:
+            The state dt later, before a measurement.
+        """
         step, added = singer(dt / self.motion_time)
         units = self._units.astype(dt.dtype)[:, None]
         q, v, a = units * (step @ (jnp.stack([state.q, state.v, state.a]) / units))
-        noise = semidefinite_root(added)
+        noise = semidefinite_root(added)  # the covariance is nearly singular for a small θ
         root = jax.vmap(lambda each: triangular(jnp.concatenate([step @ each, noise], axis=1)))(state.root)
         return state._replace(q=q, v=v, a=a, root=root)
 
@@ -139,6 +201,14 @@ class JointKalman(AbstractGatedFilter, AbstractLinearFilter):
         return jax.vmap(jnp.diag)(jnp.stack([self.noise * one, one, one], axis=1))
 
     def weights(self, rate: float) -> Float[np.ndarray, "k"]:
+        """Weights of the measured positions in the velocity, with the stationary gain.
+
+        Args:
+            rate: Rate of even sampling [Hz].
+
+        Returns:
+            Weights (k,) [1/s], newest first.
+        """
         time, noise = float(self.motion_time), float(self.noise)
         step, added = map(np.asarray, jax.jit(singer)(1 / (rate * time)))
         cov = _stationary(step, added, noise**2)
@@ -155,21 +225,26 @@ _POSITION_SQUARE = [(-1) ** k * (2**k - 2 - 2 * k) / math.factorial(k) / (k + 1)
 
 
 def singer(theta: Scalar) -> tuple[Matrix, Matrix]:
-    """Transition (3, 3) of position, velocity and acceleration over θ = dt/τ, in units of στ², στ, σ, and the
-    covariance (3, 3) of what the noise adds.
+    """Transition and noise of Singer's model over one step, in units of στ², στ and σ.
 
-    An acceleration of 1 moves the velocity by `f(x) = 1 − e⁻ˣ` and the position by `g(x) = x − f(x)` in the time x; the
-    covariance is twice the integral of the products of g, f and e⁻ˣ from 0 to θ, where `g' = f`, `f' = e⁻ˣ`.
+    An acceleration of 1 changes the velocity by `f(x) = 1 − e⁻ˣ` and the position by `g(x) = x − f(x)` in the time x;
+    the covariance is twice the integral of the products of g, f and e⁻ˣ from 0 to θ, where `g' = f`, `f' = e⁻ˣ`.
+
+    Args:
+        theta: Length θ = dt/τ of the step, ≥ 0.
+
+    Returns:
+        The transition (3, 3) of position, velocity and acceleration, and the covariance (3, 3) that the noise adds.
     """
-    far = theta > 1
-    near = jnp.where(far, 1.0, theta)  # where the closed forms would be differences of equal numbers
-    fades, f = jnp.exp(-theta), -jnp.expm1(-theta)
-    g = jnp.where(far, theta - f, near**2 * _series(_POSITION, near))
-    ff = jnp.where(far, g - f**2 / 2, near**3 * _series(_VELOCITY_SQUARE, near))  # ∫f²
-    gg = theta**3 / 3 - theta**2 + 2 * (1 - (1 + theta) * fades) + ff
-    gg = jnp.where(far, gg, near**5 * _series(_POSITION_SQUARE, near))  # ∫g²
+    large = theta > 1
+    small = jnp.where(large, 1.0, theta)  # where the closed forms would be differences of equal numbers
+    decay, f = jnp.exp(-theta), -jnp.expm1(-theta)
+    g = jnp.where(large, theta - f, small**2 * _series(_POSITION, small))
+    ff = jnp.where(large, g - f**2 / 2, small**3 * _series(_VELOCITY_SQUARE, small))  # ∫f²
+    gg = theta**3 / 3 - theta**2 + 2 * (1 - (1 + theta) * decay) + ff
+    gg = jnp.where(large, gg, small**5 * _series(_POSITION_SQUARE, small))  # ∫g²
     zero, one = jnp.zeros_like(theta), jnp.ones_like(theta)
-    step = [[one, theta, g], [zero, one, f], [zero, zero, fades]]
+    step = [[one, theta, g], [zero, one, f], [zero, zero, decay]]
     added = [[2 * gg, g**2, 2 * (f * g - ff)], [g**2, 2 * ff, f**2], [2 * (f * g - ff), f**2, -jnp.expm1(-2 * theta)]]
     return jnp.stack([jnp.stack(row) for row in step]), jnp.stack([jnp.stack(row) for row in added])
 
@@ -182,19 +257,20 @@ def _series(coefficients: list[float], x: Scalar) -> Scalar:
 
 
 def _stationary(step: np.ndarray, added: np.ndarray, noise: float) -> np.ndarray:
-    """The covariance before a measurement of the first component that measurements no longer change.
+    """Stationary covariance (3, 3) before a measurement of the first component, with the variance `noise`.
 
     By doubling: each pass takes twice as many samples at once (Anderson & Moore 1979, Optimal Filtering, section 6.7).
     """
     a, cov = step.T, added
-    told = np.zeros_like(cov)
-    told[0, 0] = 1 / noise
+    information = np.zeros_like(cov)
+    information[0, 0] = 1 / noise
     for _ in range(60):
-        passed = np.linalg.solve(np.eye(3) + told @ cov, np.concatenate([a, told], axis=1))
-        more = a.T @ cov @ passed[:, :3]
-        told = told + a @ passed[:, 3:] @ a.T
-        cov, before = cov + more, cov
-        a = a @ passed[:, :3]
-        if np.abs(cov - before).max() <= 1e-14 * np.abs(cov).max():
+        solved = np.linalg.solve(np.eye(3) + information @ cov, np.concatenate([a, information], axis=1))
+        increment = a.T @ cov @ solved[:, :3]
+        information = information + a @ solved[:, 3:] @ a.T
+        cov, previous = cov + increment, cov
+        a = a @ solved[:, :3]
+        # The doubling converges quadratically: what changes below this is rounding.
+        if np.abs(cov - previous).max() <= 1e-14 * np.abs(cov).max():
             break
     return cov

@@ -1,4 +1,4 @@
-"""Levant's differentiator of second order: exact after a finite time, whatever the motion, within a bound on its jerk.
+"""Levant's differentiator of second order: exact after a finite time for every motion within a bound on its jerk.
 
 In continuous time, with `⌈e⌋ᵖ = |e|ᵖ sign e` and `κ = 3/2 L`,
 
@@ -21,17 +21,29 @@ from covariant.observers._protocol import as_gain, check_positive
 from covariant.observers._tracking_loop import AbstractTrackingLoop, triple_pole
 
 MARGIN = 1.5
-"""κ/L. Where it is 1 the sign term only just holds against the jerk; tests look for the worst one."""
+"""Ratio κ/L. At 1 the sign term only just outweighs the jerk; tests search for the worst one."""
 
 
 class Levant(AbstractTrackingLoop):
     """Levant's differentiator with a bound on the jerk.
 
-    - `jerk`: L, the bound [rad/s³ or m/s³]. A larger one follows sooner and lets more noise through.
-    - `circles`: indices of the coordinates that are angles on a full circle, which are followed modulo a turn.
+    Without noise the error of the velocity falls below a multiple of `L dt²` in finite time.
 
-    Without noise the error of the velocity falls below a multiple of `L dt²` in finite time. Raises `ValueError` for a
-    bound that is not positive and finite.
+    Attributes:
+        jerk: Bound L on the jerk [rad/s³ or m/s³]. A larger one follows sooner and lets more noise through.
+        circles: Indices of the coordinates that are angles on a full circle, which are followed modulo a turn; none by
+            default.
+
+    Raises:
+        ValueError: The bound is not positive and finite.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import Record, observers
+        >>> t = np.linspace(0.0, 2.0, 201)
+        >>> run = observers.run(observers.Levant(jerk=10.0), Record(t, y=np.sin(t)[:, None]))
+        >>> bool(abs(run.estimate[-1, 1] - np.cos(2.0)) < 1e-2)
+        True
     """
 
     order = 3
@@ -41,6 +53,14 @@ class Levant(AbstractTrackingLoop):
         check_positive("Levant", jerk=self.jerk)
 
     def gains(self, dt: Vector, error: Vector) -> Float[Array, "3 n"]:
-        """What an error (n,) is multiplied by, dt [s] (n,) after the last measurement."""
-        size = jnp.where(error != 0, jnp.abs(error), 1.0)  # no error is not corrected, whatever the gains
+        """Gains of the correction, for each coordinate.
+
+        Args:
+            dt: Time (n,) since the last measurement [s].
+            error: Measured minus extrapolated position (n,) [rad or m], which sets the bandwidth `(κ/|e|)^⅓`.
+
+        Returns:
+            Factors (3, n) of the error in the correction of position, velocity and acceleration: 1, 1/s, 1/s².
+        """
+        size = jnp.where(error != 0, jnp.abs(error), 1.0)  # a zero error needs no correction: any gain does
         return triple_pole(jnp.cbrt(MARGIN * self.jerk / size) * dt, dt)

@@ -1,4 +1,4 @@
-"""Phase-locked loop: the α-β tracking loop by which drives make a velocity of a resolver or an encoder.
+"""Phase-locked loop: the α-β tracking loop by which drives obtain the velocity of a resolver or an encoder.
 
 Source: Gardner 2005, Phaselock Techniques, the second-order type-II loop; Kalata 1984 for its samples.
 """
@@ -17,12 +17,26 @@ from covariant.observers._tracking_loop import AbstractTrackingLoop, loop_weight
 
 
 class PLL(AbstractTrackingLoop, AbstractLinearFilter):
-    """`q̂' = v̂ + 2ζω(y − q̂)`, `v̂' = ω²(y − q̂)`, sampled with the poles of this law: no lag on a steady turn.
+    """Phase-locked loop of second order, which has no lag at a steady speed.
 
-    - `bandwidth` ω [rad/s], `damping` ζ.
-    - `circles`: indices of the coordinates that are angles on a full circle, which are followed modulo a turn.
+    It is `q̂' = v̂ + 2ζω(y − q̂)`, `v̂' = ω²(y − q̂)`, sampled with the poles of this law.
 
-    Raises `ValueError` for a bandwidth or a damping that is not positive and finite.
+    Attributes:
+        bandwidth: Natural frequency ω [rad/s].
+        damping: Damping ratio ζ; 1/√2 by default.
+        circles: Indices of the coordinates that are angles on a full circle, which are followed modulo a turn; none by
+            default.
+
+    Raises:
+        ValueError: The bandwidth or the damping is not positive and finite.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import Record, observers
+        >>> t = np.linspace(0.0, 1.0, 101)
+        >>> run = observers.run(observers.PLL(bandwidth=20.0), Record(t, y=2.0 * t[:, None]))
+        >>> run.estimate[-1].round(3).tolist()
+        [2.0, 2.0]
     """
 
     order = 2
@@ -33,7 +47,16 @@ class PLL(AbstractTrackingLoop, AbstractLinearFilter):
         check_positive("PLL", bandwidth=self.bandwidth, damping=self.damping)
 
     def gains(self, dt: Vector, error: Vector) -> Float[Array, "2 n"]:
-        """What an error (n,) is multiplied by, dt [s] (n,) after the last measurement."""
+        """Gains of the correction, for each coordinate.
+
+        Args:
+            dt: Time (n,) since the last measurement [s].
+            error: Measured minus extrapolated position (n,) [rad or m]; it has no influence.
+
+        Returns:
+            Factors (2, n) of the error in the correction of position, velocity: 1, 1/s.
+        """
+        # Coefficients of s² + αs + β, whose roots are the poles of the loop in continuous time.
         alpha, beta = 2 * self.damping * self.bandwidth, self.bandwidth**2
         return jnp.stack(jax.vmap(lambda each: sampled_gains(alpha, beta, each))(dt))
 

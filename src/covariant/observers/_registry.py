@@ -30,21 +30,21 @@ from covariant.observers._slow import Slow
 from covariant.observers._ukf import UKF
 
 EDGE = 0.1
-"""Standard deviation of the position of an encoder's edge, as a fraction of a tick: how evenly encoders are made."""
+"""Standard deviation of the position of an encoder's edge, as a fraction of a tick: the manufacturing tolerance."""
 
 
 def anything(model: MechanicalSystem) -> bool:
-    """Every mechanical system."""
+    """Whether the model is a mechanical system of any kind: always true."""
     return True
 
 
 def coordinates(model: MechanicalSystem) -> bool:
-    """Systems in coordinates, not on a group."""
+    """Whether the model is in coordinates, not on a group."""
     return model.manifold.commuting
 
 
 def rotations(model: MechanicalSystem) -> bool:
-    """Rigid bodies on SO(3)."""
+    """Whether the model is a rigid body on SO(3)."""
     return model.manifold == SO3
 
 
@@ -56,34 +56,61 @@ def intrinsic_kalman(
     quantum: float | tuple[float, ...] | None,
     slow: tuple[Slow, ...] = (),
 ) -> IntrinsicKalman:
-    """The filter for encoders that count ticks, where there is a quantum in coordinates; else for noise."""
+    """Intrinsic Kalman filter, for encoders that count ticks where their tick is known, else for Gaussian noise.
+
+    Args:
+        model: Mechanical system.
+        process: Spectral density (n, n) of the acceleration noise [(rad/s²)² s, or (m/s²)² s].
+        measurement: Covariance (n, n) of the noise of one sample [rad² or m²]; not used where ticks are counted.
+        speed: Standard deviation of the initial velocity [rad/s or m/s].
+        quantum: One tick of the encoders, one for all or n of them [rad or m]; None for sensors with noise. It is
+            ignored on a group.
+        slow: Slow states that are estimated; none by default.
+
+    Returns:
+        The filter.
+    """
     axes = jnp.eye(process.shape[0])
     if quantum is None or not model.manifold.commuting:
         return IntrinsicKalman(model, process, measurement, speed**2 * axes, slow)
+    # A reading is an interval here, so that the only noise is that of the positions of edges.
     ticks = jnp.broadcast_to(jnp.asarray(quantum, float), len(axes))
     return IntrinsicKalman(model, process, jnp.diag((EDGE * ticks) ** 2), speed**2 * axes, slow, ticks)
 
 
 class Entry(NamedTuple):
-    """An observer of mechanical systems, and how to make one for a model.
+    """An observer of mechanical systems, and how to construct it for a model.
 
-    - `name`: what the command line calls it.
-    - `observer`: its class.
-    - `make`: makes the observer, `make(model, *numbers)`.
-    - `tuned_by`: the numbers it is made with, which `calibration.tuned_estimators` finds: "gains" are α [1/s] and
-      β [1/s²].
-      "noise" are the process covariance (n, n), the measurement covariance (n, n) and the standard deviation of the
-      initial velocity; "noise or ticks" are these, one tick of the encoders or None, and the slow states that are
-      estimated, a tuple of `Slow`. Of filters that use no model:
-      "bandwidth" is the bandwidth [rad/s] of a linear filter; "window" are a window [samples] and the degree of a
-      polynomial; "motion" are the standard deviation [rad/s²] and the correlation time [s] of the accelerations, and
-      the standard deviation of a sample; "jerk" is a bound on the jerk [rad/s³].
-    - `about`, `when`, `source`: what it is, when to choose it, and where it was published; sentences for people.
-    - `fits`: tells whether it can be made for a model.
-    - `promises`: laws that the tests check beside those of every observer. "error law": to first order the error
-      in a parallel frame obeys `ξ' = ζ − αξ`, `ζ' = −βξ` on every model that it fits; "coordinate-free": the estimate
-      is the same in all coordinates, as exactly as its geodesics are found.
-    - `has_gate`: whether it judges measurements itself, by its covariance; others are put behind a `Gated`.
+    Attributes:
+        name: Name on the command line.
+        observer: Class of the observer.
+        make: Function that constructs the observer, `make(model, *numbers)`, with the numbers of `tuned_by`.
+        tuned_by: Numbers that the observer needs, which `calibration.tuned_estimators` computes.
+            "gains" are α [1/s] and β [1/s²].
+            "noise" are the process covariance (n, n), the measurement covariance (n, n) and the standard deviation of
+            the initial velocity; "noise or ticks" are these, one tick of the encoders or None, and the slow states that
+            are estimated, a tuple of `Slow`.
+            Of filters that use no model: "bandwidth" is the bandwidth [rad/s] of a linear filter; "window" are a window
+            [samples] and the degree of a polynomial; "motion" are the standard deviation [rad/s²] and the correlation
+            time [s] of the accelerations, and the standard deviation of a sample; "jerk" is a bound on the jerk
+            [rad/s³].
+        about: Short description of the observer.
+        when: When to choose it.
+        source: Where it was published.
+        fits: Function that says whether the observer can be constructed for a model; any model by default.
+        promises: Laws that the tests check besides those of every observer. "error law": to first order the error in a
+            parallel frame obeys `ξ' = ζ − αξ`, `ζ' = −βξ` on every model that it fits; "coordinate-free": the estimate
+            is the same in all coordinates, to the accuracy of its geodesics. None by default.
+        has_gate: Whether it judges measurements itself, by its covariance; others are put behind a `Gated`. False by
+            default.
+
+    Example:
+        >>> from covariant import models, observers
+        >>> entry = next(e for e in observers.REGISTRY if e.name == "pll")
+        >>> entry.observer.__name__, entry.tuned_by, entry.fits(models.oscillator())
+        ('PLL', 'bandwidth', True)
+        >>> entry.make(models.oscillator(), 20.0).bandwidth.item()
+        20.0
     """
 
     name: str
@@ -245,4 +272,4 @@ REGISTRY = (
         fits=rotations,
     ),
 )
-"""All entries; the first is the one to begin with."""
+"""All entries; the first is the default choice."""

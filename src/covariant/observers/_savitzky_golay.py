@@ -19,7 +19,20 @@ from covariant.observers._protocol import outcome
 
 
 class WindowState(NamedTuple):
-    """Ages [s] (k,) and positions (k, n) of the latest samples, newest last, NaN where missing; and q and v."""
+    """State of a `SavitzkyGolay` filter: its window of samples and the estimate.
+
+    Attributes:
+        age: Ages (k,) of the latest k samples, newest last [s].
+        y: Positions (k, n) of these samples, NaN where missing.
+        q: Estimated position (n,) [rad or m].
+        v: Estimated velocity (n,) [rad/s or m/s].
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import observers
+        >>> observers.SavitzkyGolay(window=3).init(np.array([0.5])).y.tolist()
+        [[nan], [nan], [0.5]]
+    """
 
     age: Float[Array, "k"]
     y: Float[Array, "k n"]
@@ -28,9 +41,24 @@ class WindowState(NamedTuple):
 
 
 class SavitzkyGolay(AbstractLinearFilter):
-    """Least-squares polynomial over the last `window` samples; `order` its degree, `circles` as in `Lagrangian`.
+    """Value and slope, at the last sample, of the least-squares polynomial over a window of samples.
 
-    Raises `ValueError` when the window is not longer than the order.
+    Attributes:
+        window: Number of samples k in the window.
+        order: Degree of the polynomial; 2 by default.
+        circles: Indices of the coordinates that are angles on a full circle, which are followed modulo a turn; none by
+            default.
+
+    Raises:
+        ValueError: The window is not longer than the order, or the order is less than 1.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import Record, observers
+        >>> t = np.linspace(0.0, 1.0, 101)
+        >>> run = observers.run(observers.SavitzkyGolay(window=7), Record(t, y=t[:, None] ** 2))
+        >>> run.estimate[-1].round(3).tolist()  # a parabola is fitted without error
+        [1.0, 2.0]
     """
 
     window: int = eqx.field(static=True)
@@ -52,13 +80,34 @@ class SavitzkyGolay(AbstractLinearFilter):
         return jnp.concatenate([state.q, state.v])
 
     def predict(self, state: WindowState, u: Float[Array, "m"], dt: Scalar) -> WindowState:
-        # The newest sample is missing until it comes.
+        """Shift the window by one sample, which is missing as yet, and extrapolate the position.
+
+        Args:
+            state: State after the sample before.
+            u: Input (m,), without influence.
+            dt: Length of the step [s].
+
+        Returns:
+            The state dt later, before a measurement.
+        """
+        # The newest sample counts as missing until `correct` enters it.
         age = jnp.append(state.age[1:] + dt, 0.0)
         samples = jnp.concatenate([state.y[1:], jnp.full_like(state.y[:1], jnp.nan)])
         return WindowState(age, samples, state.q + dt * state.v, state.v)
 
     def correct(self, state: WindowState, u: Float[Array, "m"], y: Vector) -> tuple[WindowState, FilterInfo]:
+        """Enter the measurement in the window, and fit the polynomial.
+
+        Args:
+            state: What `predict` returned.
+            u: Input (m,), without influence.
+            y: Measured positions (n,) [rad or m], NaN where missing.
+
+        Returns:
+            The new state and the info.
+        """
         difference = wrap(self.circles, y - state.q)
+        # The turn nearest to the expected angle, so that the window has no jumps by 2π.
         samples = jnp.concatenate([state.y[:-1], (state.q + difference)[None]])
         q, v = self._fit(state.age, samples, state.q, state.v)
         info = FilterInfo(self.innovation(state, u, y), outcome(q, v, y))
@@ -68,21 +117,31 @@ class SavitzkyGolay(AbstractLinearFilter):
         return jnp.where(jnp.isnan(y), 0.0, wrap(self.circles, y - state.q))
 
     def weights(self, rate: float) -> Float[np.ndarray, "k"]:
+        """Weights of the measured positions in the slope of the polynomial at the newest.
+
+        Args:
+            rate: Rate of even sampling [Hz].
+
+        Returns:
+            Weights (k,) [1/s], newest first.
+        """
         ages = -np.arange(self.window) / rate
         return np.linalg.pinv(np.vander(ages, self.order + 1, increasing=True))[1]
 
     def _fit(self, age, samples, expected: Vector, v: Vector) -> tuple[Vector, Vector]:
         """Value and slope at age zero; a weak prior (expected, v) decides only where there are too few samples."""
         span = jnp.maximum(age[0], jnp.finfo(age.dtype).tiny)
+        # Ages in units of the window: else the powers differ by orders of magnitude.
         powers = jnp.stack([(-age / span) ** k for k in range(self.order + 1)], axis=1)
-        faint = 1e-9 * jnp.eye(self.order + 1, dtype=samples.dtype)
+        prior = 1e-9 * jnp.eye(self.order + 1, dtype=samples.dtype)
 
         def fit(column, start, slope):
             present = ~jnp.isnan(column)
             residual = jnp.nan_to_num(column - start + age * slope)
             weighted = powers * present[:, None].astype(powers.dtype)
-            return solve(weighted.T @ powers + faint, weighted.T @ residual)
+            return solve(weighted.T @ powers + prior, weighted.T @ residual)
 
-        found = jax.vmap(fit)(samples.T, expected, v)
-        value, slope = found[:, 0], found[:, 1]
+        # The polynomial fits the residuals of the prior, and its slope is in units of the window.
+        coefficients = jax.vmap(fit)(samples.T, expected, v)
+        value, slope = coefficients[:, 0], coefficients[:, 1]
         return expected + value, v + slope / span

@@ -1,4 +1,4 @@
-"""Slow states: numbers that change slowly or not at all, and are estimated along with the motion.
+"""Slow states: quantities that change slowly or not at all, and are estimated along with the motion.
 
 An unknown force, the offset of an encoder, a payload, a level of friction: each of them enters the equations of motion
 or the measurement, by functions that a filter differentiates as it computes them. So one mechanism serves all.
@@ -33,17 +33,29 @@ SlowVector = Float[Array, "k"]
 class Slow(Functional):
     """A group of k slow states s, each a constant or a random walk.
 
-    - `names` (k of them): what they are called where estimates are written.
-    - `first` (k,): values at the start; `first_cov` (k, k): how uncertain they are.
-    - `walk_cov` (k, k): spectral density of the random walk, the variance that is added in a second; 0 for constants.
-    - `force`: `(q, v, s) -> (n,)`, a generalised force that acts besides those of the model, a covector in the frame.
-    - `model`: `s -> MechanicalSystem`, the model with these numbers in it, in the place of the filter's own.
-    - `offset`: `s -> (n,)`, by how much measured configurations are off: `y = retract(q, offset)`. In coordinates it is
-      added, on a group it is a displacement in the body frame.
-    - `values`: `s -> (k,)`, what is written of them, where that is not s itself.
+    At least one of `force`, `model` and `offset` is required.
 
-    Of `force`, `model` and `offset` at least one is given. Raises `ValueError` for covariances that are none, for
-    shapes that do not fit the names, and where nothing depends on the states.
+    Attributes:
+        names: Names (k) of the states in estimates and reports.
+        first: Values (k,) at the start.
+        first_cov: Covariance (k, k) of these values.
+        walk_cov: Spectral density (k, k) of the random walk, the variance that is added in a second; 0 for constants.
+        force: `(q, v, s) -> (n,)`, a generalised force that acts besides those of the model, a covector in the frame.
+        model: `s -> MechanicalSystem`, the model with these states as parameters, which replaces that of the filter.
+        offset: `s -> (n,)`, the offset of measured configurations: `y = retract(q, offset)`. In coordinates it is
+            added, on a group it is a displacement in the body frame.
+        values: `s -> (k,)`, the values that are reported, where they are not s itself.
+
+    Raises:
+        ValueError: A matrix is no covariance, a shape does not fit the names, two names are equal, or nothing depends
+            on the states.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import models, observers
+        >>> drag = observers.Slow(("drag",), np.zeros(1), np.eye(1), np.zeros((1, 1)), force=lambda q, v, s: -s * v)
+        >>> observers.IntrinsicKalman(models.oscillator(), 1e-3, 1e-4, 1.0, drag).slow_names
+        ('drag',)
     """
 
     names: tuple[str, ...] = eqx.field(static=True)
@@ -62,81 +74,140 @@ class Slow(Functional):
         if np.shape(self.first) != (k,) or not _finite(self.first):
             raise ValueError(f"Slow: first must be {k} finite numbers, one for each name; got {self.first}")
         for name in ("first_cov", "walk_cov"):
-            given = getattr(self, name)
-            if np.shape(given) != (k, k):
-                raise ValueError(f"Slow: {name} must be a matrix ({k}, {k}); its shape is {np.shape(given)}")
-            check_covariance("Slow", name, given)
+            cov = getattr(self, name)
+            if np.shape(cov) != (k, k):
+                raise ValueError(f"Slow: {name} must be a matrix ({k}, {k}); its shape is {np.shape(cov)}")
+            check_covariance("Slow", name, cov)
         if self.force is None and self.model is None and self.offset is None:
             raise ValueError("Slow: give a force, a model or an offset that depends on the states")
 
 
 def as_groups(given: Any) -> tuple[Any, ...]:
-    """One group or several as a tuple."""
+    """Tuple of groups, from one group or a sequence of them."""
     return tuple(given) if isinstance(given, Sequence) and not isinstance(given, str) else (given,)
 
 
 class SlowStates(NamedTuple):
-    """All slow states of a filter, one group after the other."""
+    """All slow states of a filter, one group after the other.
+
+    Attributes:
+        groups: The groups, of k states together.
+
+    Example:
+        >>> from covariant import observers
+        >>> from covariant.observers._slow import SlowStates
+        >>> SlowStates((observers.external_force([[1.0]]), observers.sensor_bias(0.01))).names
+        ('external_force1', 'bias1')
+    """
 
     groups: tuple[Slow, ...]
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The names of all states."""
+        """Names (k) of all states."""
         return tuple(name for group in self.groups for name in group.names)
 
     @property
     def measured(self) -> bool:
-        """Whether measurements are off by any of them."""
+        """Whether any group gives measurements an offset."""
         return any(group.offset is not None for group in self.groups)
 
     def first(self, like: Vector) -> SlowVector:
-        """The values at the start."""
+        """Values (k,) at the start.
+
+        Args:
+            like: Array of one axis, whose precision they get.
+
+        Returns:
+            The values of all groups, one after the other; (0,) without groups.
+        """
         return jnp.concatenate([like[:0], *(group.first.astype(like.dtype) for group in self.groups)])
 
     def first_root(self) -> Float[Array, "k k"]:
-        """A square root of their covariance at the start."""
+        """Square root (k, k) of the covariance at the start; at least one group is needed."""
         return functools.reduce(diagonal, [semidefinite_root(group.first_cov) for group in self.groups])
 
     def walk_root(self) -> Float[Array, "k k"]:
-        """A square root of the density of their random walks."""
+        """Square root (k, k) of the spectral density of the random walks; at least one group is needed."""
         return functools.reduce(diagonal, [semidefinite_root(group.walk_cov) for group in self.groups])
 
     def parts(self, s: SlowVector) -> list[Array]:
-        """The states of each group."""
+        """Split of the states into those of each group.
+
+        Args:
+            s: States of all groups (k,), one group after the other.
+
+        Returns:
+            An array for each group.
+        """
         ends = np.cumsum([len(group.names) for group in self.groups])
         return jnp.split(s, ends[:-1].tolist()) if self.groups else []
 
     def in_model(self, model: MechanicalSystem, s: SlowVector) -> MechanicalSystem:
-        """The model with these states."""
-        both = list(zip(self.groups, self.parts(s), strict=True))
-        for group, own in both:
-            model = model if group.model is None else group.model(own)
-        forces = [(group.force, own) for group, own in both if group.force is not None]
+        """Model with these states in it, and their forces added to its dissipation.
 
+        Args:
+            model: Mechanical system without slow states; a group with a `model` replaces it.
+            s: States of all groups (k,), one group after the other.
+
+        Returns:
+            The mechanical system.
+        """
+        pairs = list(zip(self.groups, self.parts(s), strict=True))
+        for group, part in pairs:
+            model = model if group.model is None else group.model(part)
+        forces = [(group.force, part) for group, part in pairs if group.force is not None]
+
+        # The dissipation is the force that may depend on the velocity, and on position and time as well.
         def dissipation(t, q, v, u):
-            return resistance(model, t, q, v, u) + sum(force(q, v, own) for force, own in forces)
+            return resistance(model, t, q, v, u) + sum(force(q, v, part) for force, part in forces)
 
         return eqx.tree_at(lambda m: m.dissipation, model, dissipation) if forces else model
 
     def offset(self, s: SlowVector, like: Vector) -> Vector:
-        """By how much measured configurations are off."""
-        both = zip(self.groups, self.parts(s), strict=True)
-        return sum((group.offset(own) for group, own in both if group.offset is not None), jnp.zeros_like(like))
+        """Offset of measured configurations, the sum over all groups.
+
+        Args:
+            s: States of all groups (k,), one group after the other.
+            like: Vector (n,), whose shape and precision the offset gets.
+
+        Returns:
+            The offset (n,), zero without a group that has one.
+        """
+        pairs = zip(self.groups, self.parts(s), strict=True)
+        return sum((group.offset(part) for group, part in pairs if group.offset is not None), jnp.zeros_like(like))
 
     def values(self, s: SlowVector) -> SlowVector:
-        """What is written of them."""
-        both = zip(self.groups, self.parts(s), strict=True)
-        return jnp.concatenate([s[:0], *(own if group.values is None else group.values(own) for group, own in both)])
+        """Values that are reported, by `Slow.values` where a group has it.
+
+        Args:
+            s: States of all groups (k,), one group after the other.
+
+        Returns:
+            The values (k,).
+        """
+        pairs = zip(self.groups, self.parts(s), strict=True)
+        return jnp.concatenate(
+            [s[:0], *(part if group.values is None else group.values(part) for group, part in pairs)]
+        )
 
     def check(self, whose: str, model: MechanicalSystem) -> None:
-        """Raise `ValueError` for groups that do not go together, or not with a model whose dimension is known."""
+        """Check that the groups fit each other, and a model whose dimension is known.
+
+        Args:
+            whose: Name of the filter, for messages.
+            model: Mechanical system of the filter.
+
+        Raises:
+            ValueError: A group is no `Slow`, two states have the same name, two groups replace the model, or a function
+                has the wrong shape.
+        """
         for group in self.groups:
             if not isinstance(group, Slow):
                 raise ValueError(f"{whose}: slow must be one Slow or several, such as sensor_bias(0.01); got {group!r}")
-        twice = next((name for name in self.names if self.names.count(name) > 1), None)
-        if twice is not None:
-            raise ValueError(f"{whose}: two slow states are called {twice!r}; give each its own name")
+        duplicate = next((name for name in self.names if self.names.count(name) > 1), None)
+        if duplicate is not None:
+            raise ValueError(f"{whose}: two slow states are called {duplicate!r}; give each its own name")
         if sum(group.model is not None for group in self.groups) > 1:
             raise ValueError(
                 f"{whose}: only one group of slow states may replace the model; put their numbers together"
@@ -146,12 +217,24 @@ class SlowStates(NamedTuple):
 
 
 def external_force(density: Numbers, name: str = "external_force") -> Slow:
-    """A generalised force that the model does not contain: a push, a disturbance. It is a random walk from zero.
+    """A generalised force that the model does not contain, such as a disturbance: a random walk from zero.
 
-    - `density` (n, n): spectral density of the walk [N²/s or (N m)²/s]. At the start the force is as uncertain as the
-      walk is after one second.
+    Args:
+        density: Spectral density (n, n) of the walk [N²/s or (N m)²/s]. At the start the covariance of the force is
+            that of the walk after one second.
+        name: Name of the states, followed by the number of the component; "external_force" by default.
 
-    Raises `ValueError` for a matrix that is no covariance.
+    Returns:
+        A group of n states, the components of the force in the frame [N or N m].
+
+    Raises:
+        ValueError: The density is no covariance matrix.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import observers
+        >>> observers.external_force(0.1 * np.eye(2), name="wind").names
+        ('wind1', 'wind2')
     """
     cov = _square("external_force", "density", density)
     n = cov.shape[0]
@@ -161,48 +244,78 @@ def external_force(density: Numbers, name: str = "external_force") -> Slow:
 def sensor_bias(std: Numbers, drift: Numbers = 0.0, name: str = "bias") -> Slow:
     """An offset of each measured position, or in the body frame of a measured configuration on a group.
 
-    - `std` (n,): standard deviation of the offset at the start [rad or m]; zero for a position that is known to have
-      none, of which no state is made.
-    - `drift`: standard deviation of what it changes by in a second [rad/√s or m/√s], one for all or (n,); a zero for a
-      constant.
+    Positions alone do not show a constant offset: gravity does, or another force that depends on the position. Where
+    nothing does, the estimate stays as uncertain as at the start.
 
-    Positions alone do not show a constant offset: gravity does, or whatever else depends on the position. Where nothing
-    does, the estimate keeps the uncertainty of the start. Raises `ValueError` for numbers that are not finite and ≥ 0,
-    and where all of `std` are zero.
+    Args:
+        std: Standard deviations (n,) of the offsets at the start [rad or m]; zero for a position without an offset,
+            which gets no state.
+        drift: Standard deviation of the change in a second [rad/√s or m/√s], one for all or (n,); zero (default) for a
+            constant.
+        name: Name of the states, followed by the number of the position; "bias" by default.
+
+    Returns:
+        A group with a state for each position whose `std` is positive, the offset [rad or m].
+
+    Raises:
+        ValueError: A number is not finite and ≥ 0, or all of `std` are zero.
+
+    Example:
+        >>> from covariant import observers
+        >>> bias = observers.sensor_bias(std=[0.01, 0.0, 0.02])
+        >>> bias.names, bias.offset(bias.first + 1.0).tolist()
+        (('bias1', 'bias3'), [1.0, 0.0, 1.0])
     """
     stds = _deviations("sensor_bias", "std", std)
     drifts = _deviations("sensor_bias", "drift", drift, stds.size)
-    own = np.flatnonzero(stds > 0)
-    if not own.size:
+    biased = np.flatnonzero(stds > 0)
+    if not biased.size:
         raise ValueError("sensor_bias: all of std are zero; give that of a position that may be off")
-    names = tuple(f"{name}{i + 1}" for i in own)
-    covs = jnp.diag(jnp.asarray(stds[own] ** 2)), jnp.diag(jnp.asarray(drifts[own] ** 2))
-    return Slow(names, jnp.zeros(own.size), *covs, offset=Parametric(_along, axes=np.eye(stds.size)[:, own]))
+    # Numbered by position, counted from 1, so that a name says which position it belongs to.
+    names = tuple(f"{name}{i + 1}" for i in biased)
+    covs = jnp.diag(jnp.asarray(stds[biased] ** 2)), jnp.diag(jnp.asarray(drifts[biased] ** 2))
+    return Slow(names, jnp.zeros(biased.size), *covs, offset=Parametric(_along, axes=np.eye(stds.size)[:, biased]))
 
 
 def uncertain_parameters(family: Family, std: Numbers, drift: Numbers = 0.0) -> Slow:
-    """Numbers of the model that are not well known or that change: a payload, a level of friction.
+    """Parameters of the model that are not well known or that change, such as a payload or a level of friction.
 
-    - `family`: the model with p open numbers, from `models.family`.
-    - `std`: standard deviation of their relative error at the start, one for all or (p,); of a number whose first value
-      is zero in its own unit.
-    - `drift`: standard deviation of their relative change in a second; zero for constants.
+    Parameters that the model refuses when they are negative stay positive.
 
-    Numbers that the model refuses when they are negative stay positive. Raises `ValueError` for numbers that are not
-    finite and ≥ 0, and for the lag of the inputs, which is no number of the equations of motion.
+    Args:
+        family: The model with p open parameters, from `models.family`.
+        std: Standard deviation of their relative error at the start, one for all or (p,); for a parameter whose first
+            value is zero, of its error in the unit of the parameter.
+        drift: Standard deviation of their relative change in a second, one for all or (p,) [1/√s]; zero (default) for
+            constants.
+
+    Returns:
+        A group of p states, whose reported values are the parameters in their units.
+
+    Raises:
+        ValueError: A number is not finite and ≥ 0, or a parameter is the lag of the inputs, which is none of the
+            equations of motion.
+
+    Example:
+        >>> from covariant import models, observers
+        >>> family = models.family("oscillator", ["stiffness"], {"parameters.stiffness": 2.0})
+        >>> slow = observers.uncertain_parameters(family, std=0.1)
+        >>> slow.names, slow.values(slow.first).tolist()
+        (('stiffness',), [2.0])
     """
     p = len(family.names)
     if any(place[0] != "parameters" for place in family.places):
         raise ValueError("uncertain_parameters: a lag of inputs is no number of the equations of motion; leave it out")
     stds = _deviations("uncertain_parameters", "std", std, p)
     drifts = _deviations("uncertain_parameters", "drift", drift, p)
-    numbers = Parametric(_relative(family.positive), first=family.first)
+    parameters = Parametric(_relative(family.positive), first=family.first)
 
     def model(z):
-        return family.make(numbers(z))[0]
+        return family.make(parameters(z))[0]
 
+    # The states are relative changes, so that both covariances are relative too.
     covs = jnp.diag(jnp.asarray(stds**2)), jnp.diag(jnp.asarray(drifts**2))
-    return Slow(family.names, jnp.zeros(p), *covs, model=model, values=numbers)
+    return Slow(family.names, jnp.zeros(p), *covs, model=model, values=parameters)
 
 
 def _itself(q, v, s):
@@ -214,44 +327,45 @@ def _along(s, axes):
 
 
 def _relative(positive: tuple[bool, ...]) -> Callable[..., Array]:
-    """The numbers at relative changes z, whose logarithms these are where the numbers are positive."""
+    """Parameters (p,) as a function of relative changes z (p,), which are those of logarithms for positive ones."""
     logarithmic = np.asarray(positive)
 
-    def numbers(z, first):
+    def parameters(z, first):
         size = jnp.where(first == 0, 1.0, jnp.abs(first)).astype(first.dtype)
+        # The inner `where` keeps exp from overflowing in entries that do not use it: their derivative would be NaN.
         return jnp.where(logarithmic, first * jnp.exp(jnp.asarray(jnp.where(logarithmic, z, 0.0))), first + size * z)
 
-    return numbers
+    return parameters
 
 
 def _numbered(name: str, n: int) -> tuple[str, ...]:
     return tuple(f"{name}{i + 1}" for i in range(n))
 
 
-def _finite(given: Any) -> bool:
-    return isinstance(given, Tracer) or bool(np.isfinite(np.asarray(given)).all())
+def _finite(value: Any) -> bool:
+    return isinstance(value, Tracer) or bool(np.isfinite(np.asarray(value)).all())
 
 
-def _square(whose: str, name: str, given: Any) -> Matrix:
-    check_covariance(whose, name, given)
-    if np.ndim(given) != 2:
-        raise ValueError(f"{whose}: {name} must be a matrix (n, n); its shape is {np.shape(given)}")
-    return jnp.asarray(given, float)
+def _square(whose: str, name: str, value: Any) -> Matrix:
+    check_covariance(whose, name, value)
+    if np.ndim(value) != 2:
+        raise ValueError(f"{whose}: {name} must be a matrix (n, n); its shape is {np.shape(value)}")
+    return jnp.asarray(value, float)
 
 
-def _deviations(whose: str, name: str, given: Any, count: int | None = None) -> np.ndarray:
+def _deviations(whose: str, name: str, value: Any, count: int | None = None) -> np.ndarray:
     """Standard deviations as an array of one axis, of `count` entries where that is known."""
     try:
-        found = np.atleast_1d(np.asarray(given, float))
+        deviations = np.atleast_1d(np.asarray(value, float))
     except (TypeError, ValueError):
-        found = np.array(np.nan)
-    if found.ndim != 1 or not all(0 <= value < math.inf for value in found):
-        raise ValueError(f"{whose}: {name} must be numbers ≥ 0, standard deviations; got {given}")
+        deviations = np.array(np.nan)
+    if deviations.ndim != 1 or not all(0 <= deviation < math.inf for deviation in deviations):
+        raise ValueError(f"{whose}: {name} must be numbers ≥ 0, standard deviations; got {value}")
     if count is None:
-        return found
-    if found.size not in (1, count):
-        raise ValueError(f"{whose}: {name} must be one number, or {count}; got {given}")
-    return np.broadcast_to(found, (count,))
+        return deviations
+    if deviations.size not in (1, count):
+        raise ValueError(f"{whose}: {name} must be one number, or {count}; got {value}")
+    return np.broadcast_to(deviations, (count,))
 
 
 def _check_shapes(whose: str, states: SlowStates, model: MechanicalSystem) -> None:
@@ -261,25 +375,25 @@ def _check_shapes(whose: str, states: SlowStates, model: MechanicalSystem) -> No
     for group in states.groups:
         s = jax.ShapeDtypeStruct((len(group.names),), jnp.float64)
         if group.model is not None:
-            made = group.model
+            build = group.model
             u, t = jax.ShapeDtypeStruct((input_count(model, n),), jnp.float64), jax.ShapeDtypeStruct((), jnp.float64)
 
-            def moved(t, q, v, u, s, made=made):
-                return acceleration(made(s), t, *Motion(q, v), u)
+            def accelerate(t, q, v, u, s, build=build):
+                return acceleration(build(s), t, *Motion(q, v), u)
 
-            _need(whose, group, "the acceleration of the model", moved, (t, q, v, u, s), (n,))
+            _need(whose, group, "the acceleration of the model", accelerate, (t, q, v, u, s), (n,))
         if group.force is not None:
             _need(whose, group, "force", group.force, (q, v, s), (n,))
         if group.offset is not None:
             _need(whose, group, "offset", group.offset, (s,), (n,))
 
 
-def _need(whose: str, group: Slow, what: str, function: Any, arguments: tuple, wanted: tuple[int, ...]) -> None:
+def _need(whose: str, group: Slow, what: str, function: Any, arguments: tuple, expected: tuple[int, ...]) -> None:
     names = ", ".join(group.names)
     try:
         shape = eqx.filter_eval_shape(function, *arguments).shape
     except (TypeError, ValueError, IndexError, AttributeError) as error:
         reason = next(iter(str(error).splitlines()), type(error).__name__)
         raise ValueError(f"{whose}: {what} of the slow states {names} cannot be evaluated: {reason}") from error
-    if shape != wanted:
-        raise ValueError(f"{whose}: {what} of the slow states {names} must have shape {wanted}; it has {shape}")
+    if shape != expected:
+        raise ValueError(f"{whose}: {what} of the slow states {names} must have shape {expected}; it has {shape}")

@@ -1,4 +1,4 @@
-"""What Kalman filters do to a square root S of their covariance `P = S Sᵀ`, which no rounding makes indefinite.
+"""Operations of Kalman filters on a square root S of the covariance `P = S Sᵀ`, which no rounding makes indefinite.
 
 Source: Kailath, Sayed & Hassibi 2000, Linear Estimation, chapter 12, the array form.
 """
@@ -11,14 +11,30 @@ from covariant._typing import Matrix, Scalar, Vector
 
 
 def diagonal(a: Array, b: Array) -> Array:
-    """Block-diagonal."""
+    """Block-diagonal matrix of two blocks.
+
+    Args:
+        a: First block (i, j), which sets the precision.
+        b: Second block (k, l).
+
+    Returns:
+        The matrix (i + k, j + l).
+    """
     top = jnp.concatenate([a, jnp.zeros((a.shape[0], b.shape[1]), a.dtype)], axis=1)
     bottom = jnp.concatenate([jnp.zeros((b.shape[0], a.shape[1]), a.dtype), b.astype(a.dtype)], axis=1)
     return jnp.concatenate([top, bottom])
 
 
 def white_acceleration(density: Matrix, h: Scalar) -> Float[Array, "two_n two_n"]:
-    """Root of what white acceleration noise of this density (n, n) adds to position and velocity over h [s]."""
+    """Square root of the covariance that white acceleration noise adds to position and velocity.
+
+    Args:
+        density: Spectral density (n, n) of the noise [(rad/s²)² s, or (m/s²)² s].
+        h: Time over which it acts [s].
+
+    Returns:
+        The root (2n, 2n), positions first.
+    """
     # The double and the single integral of white noise over h have the covariance h³/3, h²/2; h²/2, h.
     integrals = jnp.sqrt(h) * jnp.array([[h / 3**0.5, 0.0], [0.75**0.5, 0.5]])
     return jnp.kron(integrals, semidefinite_root(density))
@@ -27,24 +43,41 @@ def white_acceleration(density: Matrix, h: Scalar) -> Float[Array, "two_n two_n"
 def updated(
     root: Float[Array, "k k"], shown: Float[Array, "n k"], noise: Float[Array, "n n"], used: Array
 ) -> tuple[Float[Array, "k n"], Float[Array, "k k"]]:
-    """Gain, and root of the covariance after the correction, where n linear functions H of the state are measured with
-    this noise (n, n); only those that are `used` (n,).
+    """Correction of a square root by a measurement of n linear functions H of the state, in array form.
 
-    - `shown`: H times the root.
+    Args:
+        root: Square root (k, k) of the covariance before the measurement.
+        shown: Output matrix H (n, k) times this root.
+        noise: Covariance (n, n) of the measurement noise.
+        used: Which of the n measurements are used (n,).
+
+    Returns:
+        The gain (k, n), and the root (k, k) of the covariance after the correction.
     """
     n = noise.shape[0]
     both = used[:, None] & used[None, :]
-    own = semidefinite_root(jnp.where(both, noise, jnp.eye(n, dtype=noise.dtype)))
+    # An unused entry gets unit noise and no output: its gain is zero, and the matrix to be solved stays regular.
+    noise_root = semidefinite_root(jnp.where(both, noise, jnp.eye(n, dtype=noise.dtype)))
     measured_root = jnp.where(used[:, None], shown, 0.0)
-    above = jnp.concatenate([own, measured_root], axis=1)
+    above = jnp.concatenate([noise_root, measured_root], axis=1)
     below = jnp.concatenate([jnp.zeros((root.shape[0], n), root.dtype), root], axis=1)
+    # The factor has the same `A Aᵀ`: its blocks are the innovation's root, the cross term and the corrected root.
     joint = triangular(jnp.concatenate([above, below]))
-    spread, cross = joint[:n, :n], joint[n:, :n]
-    return solve(spread @ spread.T, spread @ cross.T).T, joint[n:, n:]
+    innovation_root, cross = joint[:n, :n], joint[n:, :n]
+    return solve(innovation_root @ innovation_root.T, innovation_root @ cross.T).T, joint[n:, n:]
 
 
 def normalised_square(spread: Matrix, innovation: Vector, present: Bool[Array, "n"]) -> Scalar:
-    """`rᵀS⁻¹r` of the measured components `present` of an innovation r (n,) with the covariance S."""
+    """Normalised square `rᵀS⁻¹r` of the measured components of an innovation.
+
+    Args:
+        spread: Covariance S (n, n) of the innovation.
+        innovation: Innovation r (n,).
+        present: Which components are measured (n,).
+
+    Returns:
+        The square, 0 where nothing is measured.
+    """
     both = present[:, None] & present[None, :]
     r = jnp.where(present, innovation, 0.0)
     return r @ solve(jnp.where(both, spread, jnp.eye(len(r), dtype=r.dtype)), r)

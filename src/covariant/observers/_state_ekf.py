@@ -24,8 +24,25 @@ from covariant.signals import Result
 
 
 class StateEKFState(NamedTuple):
-    """Estimated state x (n,) at time t [s], its covariance `cov` (n, n), what the gate remembers of each output
-    (`refused`, `scale`), and the last finite input `held`."""
+    """State of a `StateEKF`: the estimate, its covariance, and the memory of the gate.
+
+    Attributes:
+        x: Estimated state (n,).
+        t: Time [s] of the estimate.
+        cov: Covariance (n, n) of the estimate.
+        refused: Number of samples in a row that the gate refused of each output (p,); see `Gate.judge`.
+        scale: Averaged ratio of actual to expected squared innovations (p,); see `Gate.judge`.
+        held: Last finite input (m,), which replaces an input that is not finite; None where none is stored.
+
+    Example:
+        >>> import jax
+        >>> import numpy as np
+        >>> from covariant import models, observers
+        >>> start = np.array([1.0, 0.0])
+        >>> ekf = observers.StateEKF(models.duffing(), np.eye(2), np.array([[1e-4]]), start, np.eye(2))
+        >>> jax.jit(lambda y: ekf.init(y).x)(np.array([1.2])).round(3).tolist()  # the measurement corrects the start
+        [1.2, 0.0]
+    """
 
     x: Vector
     t: Scalar
@@ -36,8 +53,26 @@ class StateEKFState(NamedTuple):
 
 
 class StateEKFInfo(NamedTuple):
-    """As `Info`, with the predicted covariance of the innovation (p,) and its normalised square `nis`, whose root is
-    the `distance`, and the standard deviations `state_std` (n,) after the correction."""
+    """Diagnostics of a step of a `StateEKF`.
+
+    Attributes:
+        innovation: Measured minus predicted outputs (p,), 0 where missing.
+        distance: Square root of `nis`.
+        innovation_cov: Predicted covariance (p, p) of the innovation.
+        nis: Normalised innovation squared, `rᵀS⁻¹r` of the measured outputs.
+        state_std: Standard deviations (n,) of the state after the correction.
+        result: A `covariant.signals.Result` code.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import Record, Result, models, observers
+        >>> start = np.array([1.0, 0.0])
+        >>> ekf = observers.StateEKF(models.duffing(), np.eye(2), np.array([[1e-4]]), start, np.eye(2), substeps=1)
+        >>> record = Record(np.array([0.0, 0.01]), np.zeros((2, 1)), np.array([[1.0], [np.nan]]))
+        >>> run = observers.run(ekf, record)
+        >>> run.info.nis[1].item(), Result(run.info.result[1].item()).name
+        (0.0, 'COASTED')
+    """
 
     innovation: Vector
     distance: Scalar
@@ -50,13 +85,27 @@ class StateEKFInfo(NamedTuple):
 class StateEKF(AbstractGatedFilter):
     """Extended Kalman filter of `x' = f(t, x, u)`, `y = h(t, x, u)`, linearised along the integrated model.
 
-    - `process_cov` (n, n): spectral density of the white noise in f [(unit of x)²/s].
-    - `measurement_cov` (p, p): covariance of one sample of the outputs.
-    - `start` (n,), `start_cov` (n, n): first estimate and its covariance.
-    - `substeps`: Runge–Kutta steps in each sample; None takes as many as dt and the model need (offline).
-    - `gate`: which outputs are refused as outliers; None refuses none. See `Gate`.
+    Attributes:
+        model: State-space model with n states, m inputs and p outputs.
+        process_cov: Spectral density (n, n) of the white noise in f [(unit of x)²/s].
+        measurement_cov: Covariance (p, p) of one sample of the outputs [(unit of y)²].
+        start: First estimate (n,), before the first measurement.
+        start_cov: Covariance (n, n) of the first estimate [(unit of x)²].
+        substeps: Runge–Kutta steps in each sample; None (default) takes as many as dt and the model need (offline).
+        gate: Which outputs are refused as outliers; None refuses none. See `Gate`.
 
-    Raises `ValueError` for covariances that are not finite.
+    Raises:
+        ValueError: A covariance or the start is not finite.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import Record, models, observers
+        >>> start = np.array([0.9, 0.0])
+        >>> ekf = observers.StateEKF(models.duffing(), np.eye(2), np.array([[1e-4]]), start, np.eye(2), substeps=1)
+        >>> record = Record(np.array([0.0, 0.01]), np.zeros((2, 1)), np.array([[1.0], [1.0]]))
+        >>> run = observers.run(ekf, record)
+        >>> bool(np.allclose(run.estimate[1], [1.0, 0.0], atol=1e-3))  # at rest in the well
+        True
     """
 
     model: StateSpace
@@ -77,6 +126,15 @@ class StateEKF(AbstractGatedFilter):
         )
 
     def init(self, y: Float[Array, "p"], t: Number = 0.0) -> StateEKFState:
+        """State at the start: the first estimate, corrected by the first measurement.
+
+        Args:
+            y: Measured outputs (p,), NaN where missing.
+            t: Time [s].
+
+        Returns:
+            The state, with a zero input as the last one.
+        """
         start, cov = jnp.asarray(self.start, y.dtype), jnp.asarray(self.start_cov, y.dtype)
         refused, scale = open_gate(jnp.zeros_like(y))
         u = no_input(self.model, start)
@@ -86,12 +144,21 @@ class StateEKF(AbstractGatedFilter):
         return state.x
 
     def predict(self, state: StateEKFState, u: Float[Array, "m"], dt: Scalar) -> StateEKFState:
-        """Estimate and covariance dt [s] later, with u held constant."""
+        """Integrate the model and the covariance over one step.
+
+        Args:
+            state: State after the sample before.
+            u: Input (m,), constant over the step.
+            dt: Length of the step [s].
+
+        Returns:
+            The state dt later, before a measurement.
+        """
         count = self.needed_substeps(state, u, dt) if self.substeps is None else self.substeps
 
         def ahead(x):
-            moved = rk4(lambda s, x: self.model.f(s, x, u), state.t, x, dt, count)
-            return moved, moved
+            x_new = rk4(lambda s, x: self.model.f(s, x, u), state.t, x, dt, count)
+            return x_new, x_new
 
         transition, x = jax.jacfwd(ahead, has_aux=True)(state.x)
         # Simpson's rule for what white noise adds, with the mean of both ends for the transition over half the step.
@@ -107,6 +174,7 @@ class StateEKF(AbstractGatedFilter):
     def _expected(self, state: StateEKFState, u: Float[Array, "m"], y: Float[Array, "p"]) -> Expectation:
         x = state.x
         slope: Array = jax.jacfwd(self.model.h, 1)(state.t, x, u)
+        # `output_error` is predicted minus measured; an innovation has the opposite sign.
         innovation = -self.model.output_error(self.model.h(state.t, x, u), y)
         cov = slope @ state.cov @ slope.T + jnp.asarray(self.measurement_cov, x.dtype)
         return Expectation(y, innovation, cov, ~jnp.isnan(y), details=slope)
@@ -119,23 +187,24 @@ class StateEKF(AbstractGatedFilter):
         noise = jnp.where(used[:, None] & used[None, :], noise, jnp.eye(len(y), dtype=x.dtype))
         output = jnp.where(used[:, None], slope, 0.0)
         gain = solve(output @ state.cov @ output.T + noise, output @ state.cov).T
-        left = jnp.eye(len(x), dtype=x.dtype) - gain @ output
-        cov = left @ state.cov @ left.T + gain @ noise @ gain.T
-        moved = x + gain @ jnp.where(used, expected.innovation, 0.0)
-        return state._replace(x=moved, cov=(cov + cov.T) / 2)
+        remaining = jnp.eye(len(x), dtype=x.dtype) - gain @ output
+        # Joseph form: a sum of squares, so that rounding does not make it indefinite.
+        cov = remaining @ state.cov @ remaining.T + gain @ noise @ gain.T
+        x_new = x + gain @ jnp.where(used, expected.innovation, 0.0)
+        return state._replace(x=x_new, cov=(cov + cov.T) / 2)
 
     def _started_anew(
         self, state: StateEKFState, corrected: StateEKFState, y: Float[Array, "p"], expected: Expectation
     ) -> StateEKFState:
-        # Outputs do not tell a state: the estimate stays, and is believed no more than at the start.
+        # Outputs alone do not determine a state: the estimate stays, with the covariance of the start.
         return corrected._replace(cov=jnp.asarray(self.start_cov, state.x.dtype))
 
     def _result(
         self, state: StateEKFState, new: StateEKFState, y: Float[Array, "p"], expected: Expectation, verdict: Judged
     ) -> Code:
-        own = jnp.where(jnp.any(expected.present), int(Result.OK), int(Result.COASTED)).astype(jnp.int32)
+        code = jnp.where(jnp.any(expected.present), int(Result.OK), int(Result.COASTED)).astype(jnp.int32)
         finite = jnp.all(jnp.isfinite(new.x)) & jnp.all(jnp.isfinite(new.cov))
-        return jnp.where(finite, verdict.result(own), int(Result.NOT_FINITE)).astype(jnp.int32)
+        return jnp.where(finite, verdict.result(code), int(Result.NOT_FINITE)).astype(jnp.int32)
 
     def _info(self, state: StateEKFState, new: StateEKFState, expected: Expectation, result: Code) -> StateEKFInfo:
         _, innovation, cov, present, *_ = expected
@@ -145,13 +214,34 @@ class StateEKF(AbstractGatedFilter):
     def advance(
         self, state: StateEKFState, u: Float[Array, "m"], y: Float[Array, "p"], dt: Scalar
     ) -> tuple[StateEKFState, StateEKFInfo]:
+        """Prediction and correction, as those of every observer.
+
+        Args:
+            state: State after the sample before.
+            u: Input (m,), finite, constant over the step.
+            y: Measured outputs (p,), NaN where missing.
+            dt: Length of the step [s], finite and ≥ 0.
+
+        Returns:
+            The new state and the info, whose `state_std` is that of the old state where dt is zero.
+        """
         new, info = self.correct(self.predict(state, u, dt), u, y)
-        before = jnp.sqrt(jnp.diag(state.cov))  # a stamp that is repeated changes nothing
-        return new, info._replace(state_std=jnp.where(dt > 0, info.state_std, before))
+        std_before = jnp.sqrt(jnp.diag(state.cov))  # a repeated stamp changes nothing
+        return new, info._replace(state_std=jnp.where(dt > 0, info.state_std, std_before))
 
     def needed_substeps(self, state: StateEKFState, u: Array, dt: Scalar) -> Code:
-        """Steps that keep h·rate ≤ 1, with a bound on the largest eigenvalue of ∂f/∂x."""
+        """Number of Runge–Kutta steps that keep h·rate ≤ 1, with a bound on the eigenvalues of ∂f/∂x.
+
+        Args:
+            state: State at the start of the step.
+            u: Input (m,), constant over the step.
+            dt: Length of the step [s].
+
+        Returns:
+            The number of steps of length h, with twice the bound on the largest eigenvalue at the start as the rate.
+        """
         power = jax.jacfwd(self.model.f, 1)(state.t, state.x, u)
+        # The Frobenius norm of A⁸, to the power 1/8, bounds the spectral radius of A, and closely.
         for _ in range(3):
             power = power @ power
         return steps_for(dt, 2 * jnp.sqrt(jnp.sum(power * power)) ** 0.125)

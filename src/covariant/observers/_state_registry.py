@@ -17,19 +17,29 @@ from covariant.observers._state_ekf import StateEKF
 from covariant.signals import Result
 
 SETTLED = 0.1
-"""Affine-invariant distance to the metric of an infinite past, from which a past is long enough."""
+"""Largest affine-invariant distance to the metric of an infinite past at which a past counts as long enough."""
 POINTS = 8
-"""States near the first estimate that are asked how long a past they need."""
+"""Number of states around the first estimate for which the necessary length of the past is computed."""
 FEWEST_STEPS, MOST_STEPS = 16, 256
-"""Runge–Kutta steps along the past in every sample."""
+"""Bounds on the number of Runge–Kutta steps along the past in every sample."""
 
 
 class Noise(NamedTuple):
-    """What a state-space model does not know.
+    """Noise and initial uncertainty of a state-space model.
 
-    - `process_cov` (n, n): spectral density of white noise in its equation; `measurement_cov` (p, p): covariance of
-      one sample, of which there are `rate` in a second.
-    - `start` (n,), `start_cov` (n, n): first estimate and its covariance.
+    Attributes:
+        process_cov: Spectral density (n, n) of the white noise in f [(unit of x)²/s].
+        measurement_cov: Covariance (p, p) of one sample of the outputs [(unit of y)²].
+        start: First estimate (n,).
+        start_cov: Covariance (n, n) of the first estimate [(unit of x)²].
+        rate: Sampling rate [Hz].
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import observers
+        >>> noise = observers.Noise(np.eye(2), np.array([[0.5]]), np.zeros(2), np.eye(2), rate=100.0)
+        >>> noise.equation.measurement_cov.tolist()  # a spectral density
+        [[0.005]]
     """
 
     process_cov: Matrix
@@ -40,13 +50,29 @@ class Noise(NamedTuple):
 
     @property
     def equation(self) -> Equation:
-        """The equation of information and metric, in which samples are noise of as much density."""
+        """Equation of information and metric, in which samples are white noise of density `measurement_cov / rate`."""
         return Equation(process_cov=self.process_cov, measurement_cov=self.measurement_cov / self.rate)
 
 
 class StateEntry(NamedTuple):
-    """An observer of state-space models: its name on the command line, its class, `make(model, noise)`, what it is,
-    when to choose it, and where it was published."""
+    """An observer of state-space models, and how to construct it for a model.
+
+    Attributes:
+        name: Name on the command line.
+        observer: Class of the observer.
+        make: Function that constructs the observer, `make(model, noise)`.
+        about: Short description of the observer.
+        when: When to choose it.
+        source: Where it was published.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import models, observers
+        >>> entry = observers.STATE_REGISTRY[0]
+        >>> noise = observers.Noise(np.eye(2), np.array([[1e-4]]), np.zeros(2), np.eye(2), rate=100.0)
+        >>> entry.name, type(entry.make(models.duffing(), noise)).__name__
+        ('covariance-ekf', 'StateEKF')
+    """
 
     name: str
     observer: type[AbstractObserver]
@@ -57,22 +83,49 @@ class StateEntry(NamedTuple):
 
 
 def covariance_ekf(model: StateSpace, noise: Noise) -> StateEKF:
-    """The filter in covariance form."""
+    """Extended Kalman filter in covariance form.
+
+    Args:
+        model: State-space model.
+        noise: Noise and initial uncertainty.
+
+    Returns:
+        The filter.
+    """
     return StateEKF(model, noise.process_cov, noise.measurement_cov, noise.start, noise.start_cov)
 
 
 def information_ekf(model: StateSpace, noise: Noise) -> InformationEKF:
-    """The filter in information form, in continuous time."""
+    """Extended Kalman filter in information form, with measurements as in continuous time.
+
+    Args:
+        model: State-space model.
+        noise: Noise and initial uncertainty; `start_cov` must be regular.
+
+    Returns:
+        The filter.
+    """
     return InformationEKF(model, noise.equation, noise.start, jnp.linalg.inv(noise.start_cov))
 
 
 def riccati(model: StateSpace, noise: Noise) -> Riccati:
-    """The observer whose metric is computed along the past of the estimate, as long as states near the first one need.
+    """Observer with a contraction metric that is computed along the past of the estimate.
 
-    Raises `ValueError` where the past outputs do not tell these states.
+    The past is as long as states around the first estimate need.
+
+    Args:
+        model: State-space model.
+        noise: Noise and initial uncertainty; `start_cov` must be regular.
+
+    Returns:
+        The observer.
+
+    Raises:
+        ValueError: The past outputs determine none of these states.
     """
     equation, first = noise.equation, jnp.linalg.inv(noise.start_cov)
     spread = np.sqrt(np.diag(np.asarray(noise.start_cov)))
+    # A fixed seed: the same model and noise give the same observer.
     off = np.random.default_rng(0).uniform(-0.5, 0.5, (POINTS, len(spread)))
     points = jnp.asarray(np.asarray(noise.start) + off * spread)
     solve = jax.jit(jax.vmap(lambda x: metric_at(model, equation, x, start=first, tolerance=SETTLED)))
@@ -84,6 +137,7 @@ def riccati(model: StateSpace, noise: Noise) -> Riccati:
     length = float(np.max(np.asarray(found.horizon)[settled]))
     zero, u = jnp.zeros(()), jnp.zeros(model.inputs)
     fastest = np.abs(np.linalg.eigvals(np.asarray(jax.vmap(lambda x: model.jacobians(zero, x, u)[0])(points)))).max()
+    # A step h with h·|λ| ≤ 1/2 for the fastest eigenvalue λ of ∂f/∂x.
     steps = int(np.clip(np.ceil(2 * length * fastest), FEWEST_STEPS, MOST_STEPS))
     metric = RiccatiMetric(model, equation, length, steps, first)
     return Riccati(model, metric, noise.start, 0.5, equation.measurement_cov)
@@ -115,4 +169,4 @@ STATE_REGISTRY = (
         source="Sanfelice & Praly 2015, (11)",
     ),
 )
-"""All entries; the first is the one to begin with."""
+"""All entries; the first is the default choice."""

@@ -2,7 +2,7 @@
 
 A reading y of an encoder with step s says that `|y − q| ≤ s/2`. Taken as Gaussian noise at every sample, one interval
 would be counted many times while the joint crosses it. Here an interval bounds the variance, to that of a uniform
-distribution, and holds the mean inside; what tells more is an edge: somewhere between the last two samples the joint
+distribution, and the mean stays inside. An edge is more informative: somewhere between the last two samples the joint
 was exactly between two readings.
 """
 
@@ -15,14 +15,37 @@ from covariant._typing import Scalar, Vector
 
 
 class Readings(NamedTuple):
-    """The last reading of each encoder, and how long ago it was [s]; both (n,)."""
+    """Last reading of each encoder.
+
+    Attributes:
+        y: Readings (n,) [rad or m].
+        age: Time (n,) since each of them [s].
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import models, observers
+        >>> kalman = observers.IntrinsicKalman(models.oscillator(), 1.0, 1e-6, 1.0, quantum=0.01)
+        >>> kalman.init(np.array([0.5])).readings.y.tolist()
+        [0.5]
+    """
 
     y: Vector
     age: Vector
 
 
 class Believed(NamedTuple):
-    """An error (N,) that is believed, and a square root (N, N) of its covariance."""
+    """Posterior of an error.
+
+    Attributes:
+        error: Mean (N,).
+        root: Square root (N, N) of the covariance.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.observers._ticks import Believed
+        >>> Believed(np.zeros(2), np.eye(2)).root.shape
+        (2, 2)
+    """
 
     error: Vector
     root: Float[Array, "N N"]
@@ -39,36 +62,46 @@ def take(
     noise: Vector,
     used: Bool[Array, "n"],
 ) -> Believed:
-    """What readings tell of an error whose mean is zero and whose covariance has the root `prior`.
+    """Posterior of an error of mean zero after readings of encoders that count ticks.
 
-    - `offset` (n,): from the expected to the read position of each joint; `moved` (n,): by how much the reading has
-      changed since the one before, `age` [s] ago; `speed` (n,): the expected velocity.
-    - `rows`: the positions and the velocities as linear functions of the error.
-    - `step` (n,): one tick; `noise` (n,): variance of the place of an edge; `used` (n,): readings that are taken in.
+    Args:
+        prior: Square root (N, N) of the covariance of the error.
+        offset: Difference (n,) from the expected to the read position of each joint [rad or m].
+        moved: Change (n,) of each reading since the previous one [rad or m].
+        age: Time (n,) since the previous reading [s].
+        speed: Expected velocity (n,) [rad/s or m/s].
+        rows: Positions and velocities as linear functions (n, N) of the error.
+        step: One tick (n,) of each encoder [rad or m].
+        noise: Variance (n,) of the position of an edge [rad² or m²].
+        used: Which readings are used (n,).
+
+    Returns:
+        Mean (N,) and square root (N, N) of the covariance of the error.
     """
     state = Believed(jnp.zeros_like(prior[0]), prior)
     for i in range(len(step)):
         position, velocity = rows[0][i], rows[1][i]
         half = step[i] / 2
         uniform = half * half / 3
+        # Rounded, since the difference of two multiples of a tick is a whole number of ticks but for its last digits.
         ticks = jnp.round(jnp.abs(moved[i]) / step[i])
         edge, still = ticks == 1, ticks == 0
         variance = jnp.sum((position @ state.root) ** 2)
-        # An edge was passed at a time uniform since the last reading; what was read there is between the readings.
+        # An edge was passed at a time uniform since the last reading, where the position was between the readings.
         back = jnp.where(edge, age[i] / 2, 0.0)
-        fastest = speed[i] ** 2 + jnp.sum((velocity @ state.root) ** 2)
-        # Without an edge the interval tells what is left of it: the variance becomes the uniform one, if it was larger.
-        unknown = variance > uniform
-        interval = 1 / jnp.where(unknown, 1 / uniform - 1 / jnp.where(unknown, variance, 1.0), 1.0)
-        r = noise[i] + jnp.where(edge, fastest * age[i] ** 2 / 12, jnp.where(still, interval, uniform))
-        seen_at = offset[i] - jnp.where(edge, jnp.sign(moved[i]) * half - back * speed[i], 0.0)
-        state = _scalar(state, position - back * velocity, seen_at, r, used[i] & (unknown | ~still))
-        state = _inside(state, position, offset[i], half + jnp.sqrt(noise[i]), used[i])
+        mean_square_speed = speed[i] ** 2 + jnp.sum((velocity @ state.root) ** 2)
+        # Without an edge the noise is such that the variance becomes the uniform one, if it was larger.
+        wider = variance > uniform
+        interval = 1 / jnp.where(wider, 1 / uniform - 1 / jnp.where(wider, variance, 1.0), 1.0)
+        r = noise[i] + jnp.where(edge, mean_square_speed * age[i] ** 2 / 12, jnp.where(still, interval, uniform))
+        measured = offset[i] - jnp.where(edge, jnp.sign(moved[i]) * half - back * speed[i], 0.0)
+        state = _scalar(state, position - back * velocity, measured, r, used[i] & (wider | ~still))
+        state = _clamped(state, position, offset[i], half + jnp.sqrt(noise[i]), used[i])
     return state
 
 
 def _scalar(state: Believed, row: Vector, value: Scalar, noise: Scalar, used: Array) -> Believed:
-    """The update by one number, in the square-root form of Potter (Bierman 1977, chapter V)."""
+    """The update by one scalar measurement, in the square-root form of Potter (Bierman 1977, chapter V)."""
     shown = row @ state.root
     square = shown @ shown + noise
     weight = jnp.where(used, 1 / square, 0.0)
@@ -77,9 +110,9 @@ def _scalar(state: Believed, row: Vector, value: Scalar, noise: Scalar, used: Ar
     return Believed(state.error + gain * weight * (value - row @ state.error), root)
 
 
-def _inside(state: Believed, row: Vector, centre: Scalar, half: Scalar, used: Array) -> Believed:
-    """The mean moved, as a measurement of this position would, into the interval; the covariance as it is."""
-    left = centre - row @ state.error
-    outside = jnp.where(used, left - jnp.clip(left, -half, half), 0.0)
+def _clamped(state: Believed, row: Vector, centre: Scalar, half: Scalar, used: Array) -> Believed:
+    """Shift of the mean into the interval, along the gain of a measurement of this position; the covariance stays."""
+    residual = centre - row @ state.error
+    outside = jnp.where(used, residual - jnp.clip(residual, -half, half), 0.0)
     shown = row @ state.root
     return state._replace(error=state.error + state.root @ shown / (shown @ shown) * outside)

@@ -1,12 +1,12 @@
-"""Unscented Kalman filter: what is uncertain is sent through the model as a few points, and nothing is differentiated.
+"""Unscented Kalman filter: sigma points go through the model, and nothing is differentiated.
 
 The error is that of the EKF, `(local(q̂, q), v − v̂)` in the frame of the space, so that on a group the points are drawn
 around the estimate by its retraction. The mean on a group is taken to first order: in the frame at the propagated
 centre, and the deviations are read from it. Its square root is carried, and all weights of the covariance are positive,
 so that it never becomes indefinite.
 
-A measured configuration is linear in that error, `local(q̂, y)`, and what the unscented transform makes of a linear map
-is exact: the correction is the Kalman filter's own, and takes no points.
+A measured configuration is linear in that error, `local(q̂, y)`, and the unscented transform is exact for a linear map:
+the correction is that of the Kalman filter, and takes no points.
 
 Source: Julier & Uhlmann 2004, Unscented filtering and nonlinear estimation, Proc. IEEE 92(3), for the scaled set;
 Brossard, Barrau & Bonnabel 2020, A code for unscented Kalman filtering on manifolds, ICRA; van der Merwe & Wan 2001,
@@ -33,11 +33,23 @@ from covariant.observers._square_root import diagonal, updated, white_accelerati
 
 
 class UKFState(NamedTuple):
-    """Estimated configuration and velocity at time t [s], and a square root `root` (2n, 2n) of the covariance of
-    `(local(q̂, q), v − v̂)`.
+    """State of a `UKF`: the estimate, a square root of its covariance, and the memory of the gate.
 
-    - `refused` (n,), `scale` (n,): what the gate remembers; see `Gate.judge`.
-    - `held`: the last finite input.
+    Attributes:
+        q: Estimated configuration q̂: coordinates (n,), or a group element (N, N).
+        v: Estimated velocity v̂ (n,) in the frame of the space.
+        t: Time [s] of the estimate.
+        root: Square root S (2n, 2n) of the covariance `S Sᵀ` of the error `(local(q̂, q), v − v̂)`.
+        refused: Number of samples in a row that the gate refused (n,); see `Gate.judge`.
+        scale: Averaged ratio of actual to expected squared innovations (n,); see `Gate.judge`.
+        held: Last finite input (m,), which replaces an input that is not finite; None where none is stored.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import models, observers
+        >>> ukf = observers.UKF(models.oscillator(), 1.0, 1e-4, initial_velocity_std=2.0)
+        >>> ukf.init(np.array([0.1])).root.round(6).tolist()
+        [[0.01, 0.0], [0.0, 2.0]]
     """
 
     q: Inexact[Array, "..."]
@@ -50,21 +62,34 @@ class UKFState(NamedTuple):
 
 
 class UKF(AbstractMechanicalFilter):
-    """Unscented Kalman filter with 4n + 1 points, in square-root form.
+    """Unscented Kalman filter with 4n + 1 sigma points, in square-root form.
 
-    - `process_cov`: density of the white acceleration noise [(rad/s²)² s, or (m/s²)² s].
-    - `measurement_cov`: covariance of `local(q, y)` of one sample [rad² or m²].
-      Each is a matrix (n, n) in the frame, the same everywhere; a function of the configuration; or a number, a
-      variance in metric units, the same in every direction.
-    - `initial_velocity_std`: standard deviation of the velocity at the start, assumed zero [rad/s or m/s].
-    - `substeps`: Runge–Kutta steps a sample; None takes as many as dt and the friction need (offline).
-    - `spread`: how far out the points are, in units of √(2n) standard deviations: α of the scaled set, whose other
-      numbers are κ = 0 and β = 2. Nearer points take less of what is far from quadratic for the spread of the whole;
-      between .52 and 1.93 no weight of the covariance is negative.
-    - `gate`: which measurements are refused as outliers; None refuses none. See `Gate`.
+    Each covariance is a matrix (n, n) in the frame, the same everywhere; a function of the configuration; or a number,
+    a variance in metric units, the same in every direction.
 
-    Raises `ValueError` for numbers and matrices that are no covariances, for a measurement without noise, and for a
-    spread outside of these bounds.
+    Attributes:
+        model: Mechanical system, in coordinates or on a Lie group.
+        process_cov: Spectral density of the white acceleration noise [(rad/s²)² s, or (m/s²)² s].
+        measurement_cov: Covariance of `local(q, y)` of one sample [rad² or m²].
+        initial_velocity_std: Standard deviation of the initial velocity, whose mean is zero [rad/s or m/s];
+            1 by default.
+        substeps: Runge–Kutta steps in each sample; None (default) takes as many as dt and the friction need (offline).
+        spread: Distance of the sigma points from the mean, in units of √(2n) standard deviations: α of the scaled set,
+            whose other parameters are κ = 0 and β = 2. Points closer to the mean let terms beyond the quadratic ones
+            affect the covariance less; between .52 and 1.93 no weight of the covariance is negative. .6 by default.
+        gate: Which measurements are refused as outliers; None refuses none. See `Gate`.
+
+    Raises:
+        ValueError: A number or matrix is no covariance, the measurement has no noise, or the spread is out of bounds.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import Record, models, observers
+        >>> ukf = observers.UKF(models.oscillator(), process_cov=1e-3, measurement_cov=1e-4, substeps=1)
+        >>> record = Record(np.array([0.0, 0.1]), np.zeros((2, 1)), np.array([[1.0], [np.cos(0.1)]]))
+        >>> run = observers.run(ukf, record)
+        >>> run.estimate[1].round(3).tolist()
+        [0.995, -0.1]
     """
 
     model: MechanicalSystem
@@ -87,31 +112,42 @@ class UKF(AbstractMechanicalFilter):
         return UKFState(q, v, t, self._first_root(q, v), *open_gate(v), held)
 
     def cov(self, state: UKFState) -> Float[Array, "two_n two_n"]:
-        """The covariance of `(local(q̂, q), v − v̂)`."""
+        """Covariance (2n, 2n) of the error `(local(q̂, q), v − v̂)` in a state, from its square root."""
         return state.root @ state.root.T
 
     def predict(self, state: UKFState, u: Float[Array, "m"], dt: Scalar) -> UKFState:
-        """Integrate every point over dt [s] with u held; their mean and covariance, and the noise added."""
-        manifold, n = self.model.manifold, state.v.shape[0]
-        squared = 2 * n * self.spread**2  # L + λ = α²(L + κ) of the scaled set, L = 2n
+        """Integrate every sigma point over one step, and take their mean and covariance, with the process noise added.
 
-        def ahead(error):
+        Args:
+            state: State after the sample before.
+            u: Input (m,), constant over the step.
+            dt: Length of the step [s].
+
+        Returns:
+            The state dt later, before a measurement.
+        """
+        manifold, n = self.model.manifold, state.v.shape[0]
+        squared_radius = 2 * n * self.spread**2  # L + λ = α²(L + κ) of the scaled set, L = 2n
+
+        def propagated(error):
             start = manifold.retract(state.q, error[:n])
             return predict(self.model, state.t, start, state.v + error[n:], u, dt, self.substeps)
 
-        points = squared**0.5 * state.root.T
-        moved = jax.vmap(ahead)(jnp.concatenate([jnp.zeros_like(points[:1]), points, -points]))
+        points = squared_radius**0.5 * state.root.T
+        ends = jax.vmap(propagated)(jnp.concatenate([jnp.zeros_like(points[:1]), points, -points]))
 
-        def seen_from(q, v):
-            return jax.vmap(lambda p, w: jnp.concatenate([manifold.local(q, p), w - v]))(*moved)
+        def errors_from(q, v):
+            return jax.vmap(lambda p, w: jnp.concatenate([manifold.local(q, p), w - v]))(*ends)
 
-        first = Motion(moved.q[0], moved.v[0])
-        mean = jnp.sum(seen_from(*first), axis=0) / (2 * squared)
+        first = Motion(ends.q[0], ends.v[0])
+        # The central point is the origin of these deviations, so that its weight does not matter here.
+        mean = jnp.sum(errors_from(*first), axis=0) / (2 * squared_radius)
         q, v = manifold.retract(first.q, mean[:n]), first.v + mean[n:]
-        deviations = seen_from(q, v)
+        deviations = errors_from(q, v)
         centre = 4 - self.spread**-2 - self.spread**2  # λ/(L + λ) + 1 − α² + β
-        columns = jnp.concatenate([centre**0.5 * deviations[:1], deviations[1:] / (2 * squared) ** 0.5]).T
+        columns = jnp.concatenate([centre**0.5 * deviations[:1], deviations[1:] / (2 * squared_radius) ** 0.5]).T
         noise = white_acceleration(covariance_at(self.process_cov, self.model.space, q), dt)
+        # The triangular factor of both roots side by side is the root of the sum of their covariances.
         root = triangular(jnp.concatenate([columns, noise.astype(columns.dtype)], axis=1))
         return state._replace(q=q, v=v, t=state.t + dt, root=root)
 
