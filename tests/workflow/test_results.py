@@ -141,3 +141,14 @@ def test_columns_may_be_lists_or_a_text(log):
     one = covariant.estimate(MODEL, log, alpha=9.0, beta=40.0, columns={"q": ["q1", "q2"]})
     two = covariant.estimate(MODEL, log, alpha=9.0, beta=40.0, columns={"q": "q1, q2"})
     np.testing.assert_array_equal(one.velocity, two.velocity)
+
+
+def test_a_file_that_exists_is_replaced_only_where_that_is_allowed(estimate, tmp_path):
+    results = {"estimate.csv": estimate, "log.csv": covariant.simulate("oscillator", duration=0.5, q0=1.0)}
+    for name, result in results.items():
+        path = tmp_path / name
+        path.write_text("mine")
+        with pytest.raises(ValueError, match="there is such a file already"):
+            result.save(path, overwrite=False)
+        assert path.read_text() == "mine"
+        assert result.save(path).read_text() != "mine"

@@ -256,13 +256,13 @@ class CertifyResult(AbstractResult):
         ]
 
     def save(self, path: str | Path, overwrite: bool = True) -> Path:
-        """Write the certificate (.json); an existing file is always replaced.
+        """Write the certificate (.json), over a file that exists only where `overwrite` says so.
 
         Raises:
             ValueError: For a statement that is wrong, and for a model that was given as an object.
         """
         path = Path(path)
-        check_output(path, ".json")
+        check_output(path, ".json", overwrite=overwrite)
         if self.wrong:
             raise ValueError(f"{path}: no certificate is written of a statement that is wrong")
         return self.certificate.save(path)

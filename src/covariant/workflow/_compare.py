@@ -141,7 +141,7 @@ class CompareResult(AbstractTable):
 
         Args:
             path: The table to write (.csv).
-            overwrite: Without effect: a file that exists is replaced, except the log that was read.
+            overwrite: Whether a file that exists may be replaced, other than the log that was read.
 
         Returns:
             The path.
@@ -150,7 +150,7 @@ class CompareResult(AbstractTable):
             ValueError: For another suffix, a folder that does not exist, or the path of the log that was read.
         """
         path = Path(path)
-        check_output(path, ".csv", log=self.job.log)
+        check_output(path, ".csv", log=self.job.log, overwrite=overwrite)
         text = io.StringIO()
         rows = csv.writer(text, lineterminator="\n")
         rows.writerow(self.columns)

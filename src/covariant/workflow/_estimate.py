@@ -222,7 +222,7 @@ class EstimateResult(AbstractTable):
 
         Args:
             path: The log to write (.csv, .txt, .tsv, .parquet, .mcap, .rosbag2).
-            overwrite: Without effect: a file that exists is replaced, except the log that was read.
+            overwrite: Whether a file that exists may be replaced, other than the log that was read.
 
         Returns:
             The path.
@@ -231,7 +231,7 @@ class EstimateResult(AbstractTable):
             ValueError: For another suffix, a folder that does not exist, or the path of the log that was read.
         """
         path = Path(path)
-        check_output(path, *logs.WRITTEN, log=self.job.log)
+        check_output(path, *logs.WRITTEN, log=self.job.log, overwrite=overwrite)
         file, columns = self.loaded.file, self.columns
         if path.suffix in logs.MESSAGES and file.mechanical and file.model.manifold.commuting:
             joints = [name.removesuffix("/position") for name in file.columns.q]

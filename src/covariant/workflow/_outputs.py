@@ -3,7 +3,9 @@
 from pathlib import Path
 
 
-def check_output(path: Path | None, *suffixes: str, log: object = None, store: bool = False) -> None:
+def check_output(
+    path: Path | None, *suffixes: str, log: object = None, store: bool = False, overwrite: bool = True
+) -> None:
     """Check that an output file has the right suffix and a folder, and does not replace the log.
 
     Args:
@@ -11,6 +13,7 @@ def check_output(path: Path | None, *suffixes: str, log: object = None, store: b
         suffixes: The endings that are allowed.
         log: The log that is read; a path is never overwritten by the output.
         store: Whether `path` is a store, a folder to which a later run adds.
+        overwrite: Whether a file that exists may be replaced.
 
     Raises:
         ValueError: One line that names the path and what is wrong.
@@ -34,3 +37,5 @@ def check_output(path: Path | None, *suffixes: str, log: object = None, store: b
         raise ValueError(f"{path}: there is no folder {path.parent}; make it first")
     if isinstance(log, str | Path) and path.exists() and Path(log).exists() and path.samefile(log):
         raise ValueError(f"{path}: this is the log itself; write to another file")
+    if path.exists() and not (overwrite or store):
+        raise ValueError(f"{path}: there is such a file already; write to another file, or with overwrite=True")

@@ -69,7 +69,7 @@ class AbstractResult(abc.ABC):
 
         Args:
             path: The file to write; its suffix chooses the format.
-            overwrite: Whether a file that exists may be replaced. Tables and certificates replace it in any case.
+            overwrite: Whether a file that exists may be replaced.
 
         Returns:
             The path.

@@ -132,7 +132,7 @@ class SimulateResult(AbstractTable):
 
         Args:
             path: The log to write (.csv, .txt, .tsv, .parquet, .mcap, .rosbag2).
-            overwrite: Without effect: a log that exists is replaced.
+            overwrite: Whether a log that exists may be replaced.
 
         Returns:
             The path.
@@ -141,7 +141,7 @@ class SimulateResult(AbstractTable):
             ValueError: For another suffix, or a folder that does not exist.
         """
         path = Path(path)
-        check_output(path, *logs.WRITTEN)
+        check_output(path, *logs.WRITTEN, overwrite=overwrite)
         logs.write(path, self._in_units(path.suffix in logs.MESSAGES))
         return path
 
