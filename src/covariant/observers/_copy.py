@@ -25,14 +25,30 @@ from covariant.observers._sampled import predicted, sampled_correction, worth
 
 
 class Copy(AbstractMechanicalObserver):
-    """Observer (15) of Aghannan & Rouchon 2003, in the frame of the space, with the error e = −local(q̂, q):
+    """Observer (15) of Aghannan & Rouchon 2003: a copy of the model with output injection, in the frame of the space.
+
+    With the error e = −local(q̂, q) it is
 
         q̂' = E(q̂)(v̂ − αe),   v̂' = −B(q̂)(v̂, v̂) + S(q) − βe + friction
 
-    - `alpha` [1/s], `beta` [1/s²]: gains, which must be high where curvature or velocity is.
-    - `substeps`: Runge–Kutta steps in each sample; None takes as many as dt and the friction need (offline).
+    Attributes:
+        model: The mechanical system.
+        alpha: Gain α [1/s], which must be high where curvature or velocity is.
+        beta: Gain β [1/s²], likewise.
+        substeps: Number of Runge–Kutta steps in each sample; None (default) uses as many as dt and the friction need
+            (offline).
 
-    Raises `ValueError` for gains that are not positive and finite.
+    Raises:
+        ValueError: A gain is not positive and finite.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import Record, models, observers
+        >>> t = np.linspace(0.0, 4.0, 401)
+        >>> record = Record(t, np.zeros((401, 1)), np.cos(t)[:, None])  # a unit mass on a unit spring
+        >>> run = observers.run(observers.Copy(models.oscillator(), alpha=4.0, beta=8.0), record)
+        >>> bool(abs(run.estimate[-1, 1] + np.sin(4.0)) < 1e-3)
+        True
     """
 
     model: MechanicalSystem
@@ -59,9 +75,10 @@ class Copy(AbstractMechanicalObserver):
     def correct(self, state: HeldState, u: Float[Array, "m"], y: Array) -> tuple[HeldState, Info]:
         q, v, t, _, age = state
         e = -self.innovation(state, u, y)
+        # The prediction used S(q̂); the observer (15) uses S at the measurement.
         missing = source(self.model, t, self.model.manifold.measured(q, y), u) - source(self.model, t, q, u)
-        taken = sampled_correction(self.model.space, Motion(q, v), self.alpha, self.beta, age, e, missing)
-        new_q, new_v = self.model.manifold.retract(q, -taken.part * e), v + taken.velocity
-        result = outcome(new_q, new_v, y, worth(taken, uniqueness(self.model, q, y)))
+        correction = sampled_correction(self.model.space, Motion(q, v), self.alpha, self.beta, age, e, missing)
+        new_q, new_v = self.model.manifold.retract(q, -correction.part * e), v + correction.velocity
+        result = outcome(new_q, new_v, y, worth(correction, uniqueness(self.model, q, y)))
         new = state._replace(q=new_q, v=new_v, age=aged(self.model, state, y))
         return new, Info(-e, self.model.space.norm(q, e), result)

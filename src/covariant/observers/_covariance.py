@@ -1,4 +1,4 @@
-"""Covariances as tensors, so that a filter can be given the same noise in every chart."""
+"""Covariances as tensors, so that a filter can have the same noise in every chart."""
 
 from collections.abc import Callable
 from typing import Any
@@ -19,32 +19,51 @@ same in every direction; a matrix (n, n) is the same at every configuration; or 
 
 
 def check_covariance(whose: str, name: str, covariance: Any, positive: bool = False) -> None:
-    """Raise `ValueError` for a number or matrix that is no covariance; with `positive`, also for a singular one.
+    """Check that a number or matrix is a covariance; a traced value and a function are not checked.
 
-    A traced value and a function are not checked.
+    Args:
+        whose: Name of the observer, for the message.
+        name: Name of the argument, for the message.
+        covariance: A number, a matrix (n, n), or a function `q -> (n, n)`.
+        positive: True demands a covariance that is not singular; False by default.
+
+    Raises:
+        ValueError: An entry is not finite, the shape is another one, or the matrix is not symmetric or has a negative
+            eigenvalue, or with `positive` one that is zero.
     """
     if callable(covariance) or isinstance(covariance, Tracer):
         return
     check_finite(whose, **{name: covariance})
-    given = np.asarray(covariance, float)
-    if given.ndim not in (0, 2) or (given.ndim == 2 and given.shape[0] != given.shape[1]):
-        raise ValueError(f"{whose}: {name} must be a number or a square matrix; its shape is {given.shape}")
-    matrix = np.atleast_2d(given)
-    size = np.abs(matrix).max()
-    if not np.allclose(matrix, matrix.T, rtol=0, atol=1e-9 * size):
-        raise ValueError(f"{whose}: {name} must be symmetric; got {given.tolist()}")
-    least = np.linalg.eigvalsh(matrix)[0]
-    if least < -1e-12 * size or (positive and not least > 1e-12 * size):
-        wanted = "positive" if positive else "zero or more"
-        raise ValueError(f"{whose}: {name} must have variances that are {wanted}; its least is {least:.3g}")
+    entries = np.asarray(covariance, float)
+    if entries.ndim not in (0, 2) or (entries.ndim == 2 and entries.shape[0] != entries.shape[1]):
+        raise ValueError(f"{whose}: {name} must be a number or a square matrix; its shape is {entries.shape}")
+    matrix = np.atleast_2d(entries)
+    largest = np.abs(matrix).max()
+    # Tolerances relative to the largest entry, since units may be of any size.
+    if not np.allclose(matrix, matrix.T, rtol=0, atol=1e-9 * largest):
+        raise ValueError(f"{whose}: {name} must be symmetric; got {entries.tolist()}")
+    smallest = np.linalg.eigvalsh(matrix)[0]
+    if smallest < -1e-12 * largest or (positive and not smallest > 1e-12 * largest):
+        condition = "positive" if positive else "zero or more"
+        raise ValueError(f"{whose}: {name} must have variances that are {condition}; its least is {smallest:.3g}")
 
 
 def covariance_at(covariance: Covariance, space: AbstractSpace, q: Array) -> Float[Array, "n n"]:
-    """The covariance matrix (n, n) at the configuration q."""
+    """Covariance matrix at a configuration.
+
+    Args:
+        covariance: A number, a matrix (n, n), or a function `q -> (n, n)`; see `Covariance`.
+        space: Configuration space, whose metric defines the unit of a number.
+        q: Configuration.
+
+    Returns:
+        Matrix (n, n), in the frame at q.
+    """
     if callable(covariance):
         return covariance(q)
     covariance = jnp.asarray(covariance)
     if covariance.ndim:
         return covariance
+    # A variance in metric units is that times the inverse of the metric.
     metric = space(q)
     return covariance * solve(metric, jnp.eye(metric.shape[0], dtype=metric.dtype))

@@ -1,8 +1,8 @@
-"""Sensors that tell late: readings are taken in at the times at which they were true, and the estimate is for now.
+"""Sensors with delays: readings count at the times at which they were true, and the estimate is for now.
 
-Coordinate i of the sample with the stamp t was true at t − d_i. The state is kept where nothing older can arrive any
-more, at t − max d; what has been read since waits in a buffer. A sample is sorted into the buffer at its true times,
-the buffer is run through again in their order, and the model predicts from the last of them to the stamp.
+Coordinate i of the sample with the stamp t was true at t − d_i. The state is stored at t − max d, before which nothing
+can arrive any more; later readings wait in a buffer. A sample is sorted into the buffer at its true times, the buffer
+is run through again in their order, and the model predicts from the last of them to the stamp.
 
 Source: Bar-Shalom 2002, Update with out-of-sequence measurements in tracking: exact solution, IEEE Transactions on
 Aerospace and Electronic Systems 38(3), which shortens this for linear systems; Larsen, Andersen, Ravn & Poulsen 1998,
@@ -24,18 +24,32 @@ from covariant.observers._protocol import AbstractObserver, Held
 from covariant.signals import Result
 
 SAME_TIME = 1e-6
-"""Times [s] closer than this are one: two coordinates that were true then are taken in together."""
+"""Times [s] closer than this count as equal: coordinates that were true then are processed together."""
 
 
 class DelayedState(NamedTuple):
-    """An observer's states where everything is known and now, and what has been read between.
+    """State of a `Delayed` observer: two states of its inner observer, and the readings and inputs between them.
 
-    Ages [s] are counted back from now; infinity marks an entry of a buffer that is empty.
+    Ages [s] are counted back from now; infinity marks an empty entry of a buffer.
 
-    - `now`: the observer's state at the time t [s], and `held` the last finite input.
-    - `known`: its state `known_age` ago, which no reading will change any more.
-    - `age` (L,), `y` (L, *n): readings since, the oldest first; NaN where a coordinate was not read then.
-    - `stamp` (M,), `u` (M, m): ages of the last stamps, the oldest first, and the inputs that acted up to each.
+    Attributes:
+        now: State of the inner observer now.
+        t: Time now [s].
+        known: State of the inner observer `known_age` ago, which no reading will change any more.
+        known_age: Age of `known` [s].
+        age: Ages (L,) [s] of the readings since, the oldest first.
+        y: These readings (L, *n); NaN where a coordinate was not read then.
+        stamp: Ages (M,) [s] of the last stamps, the oldest first.
+        u: Inputs (M, m) that acted up to each of these stamps.
+        held: The last finite input (m,), or None for an inner observer that stores none.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import observers
+        >>> observer = observers.Delayed(observers.FilteredDerivative(50.0), delay=0.05, rate=100.0)
+        >>> state = observer.init(jnp.array([0.5]), t=1.0)
+        >>> round(state.known_age.item(), 6), state.y.shape
+        (0.05, (6, 1))
     """
 
     now: Any
@@ -52,18 +66,31 @@ class DelayedState(NamedTuple):
 class Delayed(AbstractObserver):
     """Any observer, for sensors whose readings are late.
 
-    - `observer`: the observer that takes the readings in, in the order of the times at which they were true.
-    - `delay` [s]: coordinate i of a sample with the stamp t was true at t − delay[i]. One number for all coordinates,
-      as it must be on a group, or one for each.
-    - `rate` [Hz]: the most samples in a second, by which the length of the buffers is chosen.
-    - `lateness` [s]: how much later than its delay says a sample may arrive; see `late`.
-
     Between two readings the mean of the inputs over that time acts. Where samples come faster than `rate`, the buffers
     reach back too short a time: a reading that is older is left out, and `result` says `TOO_LATE`. The info is that of
-    the newest reading of a sample, with the innovations of all its readings and, where the observer has some, the
-    standard deviations of the estimate now.
+    the newest reading of a sample, with the innovations of all its readings and, where the observer reports them, the
+    standard deviations of the estimate now. Without delays and lateness it is the observer itself, to the last bit.
 
-    Raises `ValueError` for delays and a lateness that are not finite and ≥ 0, and a rate that is not positive.
+    Args:
+        observer: Observer to which the readings are passed, in the order of the times at which they were true.
+        delay: Delay [s]: coordinate i of a sample with the stamp t was true at t − delay[i]. One number for all
+            coordinates, as it must be on a group, or (n,).
+        rate: Largest number of samples in a second [Hz], from which the length of the buffers follows.
+        lateness: Time [s] by which a sample may arrive later than its delay says, 0 by default; see `late`.
+
+    Raises:
+        ValueError: A delay or the lateness is not finite and ≥ 0, or the rate is not positive and finite.
+
+    Example:
+        A ramp of slope 2/s, read 0.1 s late: the estimate is for now all the same.
+
+        >>> import numpy as np
+        >>> from covariant import Record, observers
+        >>> t = np.linspace(0.0, 1.0, 11)
+        >>> record = Record(t, y=2.0 * (t[:, None] - 0.1))
+        >>> observer = observers.Delayed(observers.FilteredDerivative(50.0), delay=0.1, rate=10.0)
+        >>> observers.run(observer, record).estimate[-1].round(1).tolist()
+        [2.0, 2.0]
     """
 
     observer: AbstractObserver
@@ -83,9 +110,22 @@ class Delayed(AbstractObserver):
         self.observer = observer
         self.delay, self.lateness = jnp.asarray(delays), jnp.asarray(float(lateness))
         self.groups = tuple(tuple(np.flatnonzero(delays == d).tolist()) for d in np.unique(delays))
+        # 1e-9 keeps rounding from adding a row where delay times rate is a whole number.
         self.length = math.ceil((delays.max() + lateness) * rate - 1e-9) + 1
 
     def init(self, y: Inexact[Array, "*n"], t: Number = 0.0) -> DelayedState:
+        """State at rest at a measured configuration, with empty buffers.
+
+        Args:
+            y: First measurement, complete: coordinates (n,), or on a group a matrix (N, N).
+            t: Its time stamp [s], 0 by default.
+
+        Returns:
+            The state.
+
+        Raises:
+            ValueError: The delays do not fit the shape of y, or y is no configuration.
+        """
         y = jnp.asarray(y)
         if len(self.delay) > 1 and y.shape != self.delay.shape:
             raise ValueError(
@@ -117,9 +157,19 @@ class Delayed(AbstractObserver):
         return self.observer.estimate(state.now)
 
     def predict(self, state: DelayedState, u: Float[Array, "m"], dt: Scalar) -> DelayedState:
-        if self._waits_for_none:
+        """Move the time of the state and the ages of all readings dt later; `correct` runs the inner observer.
+
+        Args:
+            state: State after the previous sample.
+            u: Input (m,), constant over dt.
+            dt: Length of the prediction [s].
+
+        Returns:
+            The state with the input in its buffer. Without delays it is predicted by the inner observer at once.
+        """
+        if self._no_delay:
             return state._replace(now=self.observer.predict(state.now, u, dt), t=state.t + dt)
-        # An observer that holds no input knows no model, and makes no use of one; a log need not have any.
+        # An observer that stores no input has no model and uses none; its log need not have inputs.
         held = state.u.shape[1]
         acting = u[:held].astype(state.u.dtype) if u.size else jnp.zeros(held, state.u.dtype)
         return state._replace(
@@ -131,104 +181,124 @@ class Delayed(AbstractObserver):
         )
 
     def correct(self, state: DelayedState, u: Float[Array, "m"], y: Inexact[Array, "*n"]) -> tuple[DelayedState, Any]:
-        if self._waits_for_none:
+        """Correct by a sample whose stamp is the time of the state; coordinate i was true delay[i] earlier.
+
+        Args:
+            state: State that `predict` returned.
+            u: Input (m,) that acted over the prediction.
+            y: Measurement, NaN where missing.
+
+        Returns:
+            The state, with the estimate for the time of the stamp, and the info.
+        """
+        if self._no_delay:
             now, info = self.observer.correct(state.now, u, y)
             return state._replace(now=now, known=now), info
-        return self._replayed(state, y, jnp.zeros_like(state.t))
+        return self._replay(state, y, jnp.zeros_like(state.t))
 
     @property
-    def _waits_for_none(self) -> bool:
-        """Whether nothing is ever late: it is the observer itself then, to the last bit."""
+    def _no_delay(self) -> bool:
+        """Whether nothing is ever late: then it is the inner observer itself, to the last bit."""
         return self.length == 1
 
     def late(self, state: DelayedState, y: Inexact[Array, "*n"], t: Number) -> tuple[DelayedState, Any]:
-        """Take in a sample that arrives after later ones: its coordinate i was true at t − delay[i].
+        """Process a sample that arrives after later ones; its coordinate i was true at t − delay[i].
 
-        NaN in y marks what is missing. Returns the new state, its estimate for the same time as before, and the info.
-        What is more than `lateness` later than its delay is left out, and `result` says `TOO_LATE`; it says
-        `STEP_REFUSED` of a time t that is later than that of the state, or not finite.
+        Args:
+            state: State of this observer.
+            y: Measurement, NaN where missing.
+            t: Time stamp of the sample [s], at most the time of the state.
+
+        Returns:
+            The new state, with the estimate for the same time as before, and the info. A reading that is more than
+            `lateness` later than its delay is left out, and `result` says `TOO_LATE`; for a time t that is later than
+            that of the state or not finite, `result` says `STEP_REFUSED`.
         """
-        ago = state.t - jnp.asarray(t, state.t.dtype)
-        past = ago > -SAME_TIME
-        measured = jnp.where(past & jnp.isfinite(y), y, jnp.nan)
-        moved, info = self._replayed(state, measured, jnp.where(past, jnp.maximum(ago, 0.0), 0.0))
-        return moved, info._replace(result=jnp.where(past, info.result, int(Result.STEP_REFUSED)))
+        sample_age = state.t - jnp.asarray(t, state.t.dtype)
+        in_past = sample_age > -SAME_TIME
+        measured = jnp.where(in_past & jnp.isfinite(y), y, jnp.nan)
+        new_state, info = self._replay(state, measured, jnp.where(in_past, jnp.maximum(sample_age, 0.0), 0.0))
+        return new_state, info._replace(result=jnp.where(in_past, info.result, int(Result.STEP_REFUSED)))
 
-    def _replayed(self, state: DelayedState, y: Array, ago: Scalar) -> tuple[DelayedState, Any]:
-        """The state with a sample taken in whose stamp is `ago` [s] old, and the info."""
-        age, readings, fresh, refused = self._sorted_in(state, y, ago)
+    def _replay(self, state: DelayedState, y: Array, sample_age: Scalar) -> tuple[DelayedState, Any]:
+        """The state after a sample whose stamp is `sample_age` [s] old, and the info."""
+        age, readings, current, too_late = self._insert(state, y, sample_age)
+        # Less SAME_TIME, so that rounding does not leave a reading at the horizon unsettled.
         horizon = jnp.max(self.delay) + self.lateness - SAME_TIME
-        # There is room for so many readings: what is older is settled.
+        # The buffer holds `length` readings of each group: older ones are settled.
         settled = (age >= horizon.astype(age.dtype)) | (jnp.arange(len(age)) < len(self.groups))
         before = jnp.minimum(jnp.concatenate([state.known_age[None], age[:-1]]), state.known_age)
         row_u = jax.vmap(lambda a, b: _mean_input(state, a, b))(before, age)
         # From the last reading the model runs on, input by input, to the stamp.
         last = jnp.minimum(state.known_age, jnp.min(age))
         ahead = jnp.where(state.stamp < last, state.stamp, jnp.inf)
-        none = jnp.zeros((len(ahead), fresh.shape[1]), bool)
+        never = jnp.zeros((len(ahead), current.shape[1]), bool)
         items = (
             jnp.concatenate([age, ahead]),
             jnp.concatenate([row_u, state.u]),
             jnp.concatenate([readings, jnp.full((len(ahead), *y.shape), jnp.nan, y.dtype)]),
-            jnp.concatenate([fresh, none]),
-            jnp.concatenate([settled, none[:, 0]]),
+            jnp.concatenate([current, never]),
+            jnp.concatenate([settled, never[:, 0]]),
         )
         _, shape = eqx.filter_eval_shape(self.observer.step, state.known, state.u[0], y, state.t)
         blank = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shape)
         start = (state.known, state.known_age, state.known, state.known_age, blank, blank)
-        (now, _, known, known_age, said, latest), _ = jax.lax.scan(self._taken, start, items)
-        result = jnp.where(refused, jnp.maximum(said.result, int(Result.TOO_LATE)), said.result)
-        said = said._replace(result=result)
-        if "velocity_std" in said._fields:
-            said = said._replace(velocity_std=latest.velocity_std)
-        kept = slice(len(self.groups), None)
+        (now, _, known, known_age, summary, latest), _ = jax.lax.scan(self._scan_item, start, items)
+        result = jnp.where(too_late, jnp.maximum(summary.result, int(Result.TOO_LATE)), summary.result)
+        summary = summary._replace(result=result)
+        if "velocity_std" in summary._fields:
+            summary = summary._replace(velocity_std=latest.velocity_std)
+        # The sample added one row per group; as many of the oldest, or empty ones, leave.
+        recent = slice(len(self.groups), None)
         age = jnp.where(settled, jnp.inf, age)
-        return state._replace(now=now, known=known, known_age=known_age, age=age[kept], y=readings[kept]), said
+        return state._replace(now=now, known=known, known_age=known_age, age=age[recent], y=readings[recent]), summary
 
-    def _sorted_in(self, state: DelayedState, y: Array, ago: Scalar):
-        """Ages and readings with the sample among them, the oldest first; which entries are its own; was one too old.
+    def _insert(self, state: DelayedState, y: Array, sample_age: Scalar):
+        """Insert a sample into the buffer, the oldest reading first.
 
-        Coordinates that were true at the time of a reading already there complete it.
+        Coordinates that were true at the time of a reading already there complete it. Returns the ages, the readings,
+        which entries belong to the sample, and whether one of them was too old.
         """
-        age, readings, refused = state.age, state.y, jnp.asarray(False)
+        age, readings, too_late = state.age, state.y, jnp.asarray(False)
         shape = (1,) if len(self.delay) == 1 else y.shape
-        fresh = jnp.zeros((len(age), *shape), bool)
+        current = jnp.zeros((len(age), *shape), bool)
         for group in self.groups:
-            mine = jnp.zeros(shape, bool).at[jnp.array(group)].set(True)
-            part = jnp.where(_over(mine, y), y, jnp.nan)
-            at = ago + self.delay[group[0]].astype(age.dtype)
-            apart = jnp.abs(age - at)
-            there = (apart <= SAME_TIME) & (jnp.arange(len(age)) == jnp.argmin(apart))
-            too_old = (at > jnp.minimum(state.known_age, state.stamp[0])) & ~jnp.any(there)
-            refused = refused | (too_old & jnp.any(jnp.isfinite(part)))
-            fill = _over(there, readings) & jnp.isfinite(part)[None]
+            in_group = jnp.zeros(shape, bool).at[jnp.array(group)].set(True)
+            part = jnp.where(_with_axes(in_group, y), y, jnp.nan)
+            at = sample_age + self.delay[group[0]].astype(age.dtype)
+            distance = jnp.abs(age - at)
+            same_time = (distance <= SAME_TIME) & (jnp.arange(len(age)) == jnp.argmin(distance))
+            too_old = (at > jnp.minimum(state.known_age, state.stamp[0])) & ~jnp.any(same_time)
+            too_late = too_late | (too_old & jnp.any(jnp.isfinite(part)))
+            fill = _with_axes(same_time, readings) & jnp.isfinite(part)[None]
             readings = jnp.concatenate([jnp.where(fill, part[None], readings), part[None]])
-            age = jnp.append(age, jnp.where(jnp.any(there) | too_old, jnp.inf, at))
-            fresh = jnp.concatenate([fresh | (there[:, None] & mine[None]), mine[None]])
+            age = jnp.append(age, jnp.where(jnp.any(same_time) | too_old, jnp.inf, at))
+            current = jnp.concatenate([current | (same_time[:, None] & in_group[None]), in_group[None]])
+        # Empty entries have the age ∞ and come first.
         order = jnp.argsort(-age)
-        return age[order], readings[order], fresh[order], refused
+        return age[order], readings[order], current[order], too_late
 
-    def _taken(self, carry, item):
-        """One reading taken in, or one prediction; nothing where the entry is empty."""
+    def _scan_item(self, carry, item):
+        """One reading processed, or one prediction; nothing where the entry is empty."""
         return jax.lax.cond(jnp.isfinite(item[0]), self._step, lambda carry, item: carry, carry, item), None
 
     def _step(self, carry, item):
-        state, at, known, known_age, said, _ = carry
-        age, u, y, fresh, settled = item
+        state, at, known, known_age, summary, _ = carry
+        age, u, y, current, settled = item
         state, info = self.observer.step(state, u, y, at - age)
         known, known_age = jax.tree.map(lambda new, old: jnp.where(settled, new, old), (state, age), (known, known_age))
-        # That the other coordinates are read at other times is no fault: only what the sample lacks is missing.
-        whole = ~jnp.any(jnp.isnan(y) & _over(fresh, y))
-        code = jnp.where(whole & (info.result == int(Result.COASTED)), int(Result.OK), info.result)
-        counts = jnp.any(fresh) | (code == int(Result.NOT_FINITE))
-        result = jnp.where(counts, jnp.maximum(said.result, jnp.asarray(code, said.result.dtype)), said.result)
-        innovation = jnp.where(fresh, info.innovation, said.innovation)
-        newest = jax.tree.map(lambda new, old: jnp.where(jnp.any(fresh), new, old), info, said)
-        said = newest._replace(innovation=innovation, result=result)
-        return state, age, known, known_age, said, info
+        # Coordinates that are read at other times are not missing: only what the sample itself lacks is.
+        complete = ~jnp.any(jnp.isnan(y) & _with_axes(current, y))
+        code = jnp.where(complete & (info.result == int(Result.COASTED)), int(Result.OK), info.result)
+        counts = jnp.any(current) | (code == int(Result.NOT_FINITE))
+        result = jnp.where(counts, jnp.maximum(summary.result, jnp.asarray(code, summary.result.dtype)), summary.result)
+        innovation = jnp.where(current, info.innovation, summary.innovation)
+        newest = jax.tree.map(lambda new, old: jnp.where(jnp.any(current), new, old), info, summary)
+        summary = newest._replace(innovation=innovation, result=result)
+        return state, age, known, known_age, summary, info
 
 
-def _over(flags: Bool[Array, "k"], like: Array) -> Array:
+def _with_axes(flags: Bool[Array, "k"], like: Array) -> Array:
     """The flags, with axes of length 1 appended, to go with an array of more axes."""
     return flags.reshape(flags.shape + (1,) * (like.ndim - flags.ndim))
 

@@ -1,4 +1,4 @@
-"""The gate: decides which measurements an estimator uses, by how far they are from what it expects.
+"""The gate: decides which measurements an estimator uses, by how far they are from the predicted ones.
 
 Source: Bar-Shalom, Li & Kirubarajan 2001, Estimation with Applications to Tracking and Navigation, section 5.4.
 """
@@ -16,16 +16,18 @@ from covariant.geometry import AbstractManifold
 from covariant.signals import Result
 
 BELIEVED = 4.0
-"""Cap on a squared innovation in the average, as a multiple of the average: so an outlier changes it little."""
+"""Cap on a squared innovation in the average, as a multiple of the average, so that an outlier changes it little."""
 
 
 class Judged(NamedTuple):
-    """What a gate finds in a measurement of n components.
+    """Verdict of a gate on a measurement of n components.
 
-    - `far` (n,): which of them are refused.
-    - `restart`: whether so many were refused in a row that the estimate has to start anew from this measurement.
-    - `refused` (n,): number of samples in a row that were refused, this one included.
-    - `scale` (n,): averaged ratio of actual to expected squared innovations.
+    Attributes:
+        far: Which components (n,) are refused.
+        restart: Whether so many samples were refused in a row that the estimate has to start anew from this
+            measurement.
+        refused: Number (n,) of samples refused in a row, this one included.
+        scale: Average (n,) of the ratio of actual to expected squared innovations.
     """
 
     far: Bool[Array, "n"]
@@ -34,7 +36,14 @@ class Judged(NamedTuple):
     scale: Vector
 
     def result(self, otherwise: Code) -> Code:
-        """The result code of the step: what the gate did, or `otherwise` where that is worse."""
+        """Result code of the step.
+
+        Args:
+            otherwise: Code of the step without the gate.
+
+        Returns:
+            `RESTARTED`, `OUTLIER` or `OK` by what the gate did, or `otherwise` where that is worse.
+        """
         code = jnp.where(self.restart, int(Result.RESTARTED), jnp.where(jnp.any(self.far), int(Result.OUTLIER), 0))
         return jnp.maximum(code, otherwise)
 
@@ -42,11 +51,27 @@ class Judged(NamedTuple):
 class Gate(eqx.Module):
     """Refuses a measurement that is too improbable, unless such measurements persist.
 
-    - `deviations`: a single number is refused when it is off by more standard deviations than this. Several numbers
-      measured together, such as an attitude, are refused when they are as improbable as that.
-    - `patience`: after this many samples refused in a row the next is accepted, and the estimate starts anew from it.
-    - `memory`: number of samples over which the ratio of the actual to the expected squared innovations is averaged;
-      it widens the gate where the assumed noise is too small.
+    Attributes:
+        deviations: Threshold in standard deviations, 8 by default: a single number that is off by more is refused.
+            Several numbers measured together, such as an attitude, are refused when they are as improbable as that.
+        patience: Number of samples refused in a row after which the next one is accepted, and the estimate starts anew
+            from it; 10 by default.
+        memory: Number of samples over which the ratio of actual to expected squared innovations is averaged, 50 by
+            default; the average widens the gate where the assumed noise is too small.
+
+    Raises:
+        ValueError: `deviations` or `memory` is not positive and finite, or `patience` is negative.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import models, observers
+        >>> gate, manifold = observers.Gate(deviations=5.0), models.ball_and_beam().manifold
+        >>> innovation, cov = jnp.array([4.0, 6.0]), jnp.eye(2)
+        >>> verdict = gate.judge(
+        ...     manifold, innovation, cov, jnp.ones(2, bool), refused=jnp.zeros(2, jnp.int32), scale=jnp.ones(2)
+        ... )
+        >>> verdict.far.tolist(), verdict.refused.tolist()
+        ([False, True], [0, 1])
     """
 
     deviations: float = eqx.field(default=8.0, static=True)
@@ -55,9 +80,9 @@ class Gate(eqx.Module):
 
     def __check_init__(self):
         for name in ("deviations", "memory"):
-            given = getattr(self, name)
-            if not (math.isfinite(given) and given > 0):
-                raise ValueError(f"Gate: {name} must be a positive, finite number; got {given}")
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value > 0):
+                raise ValueError(f"Gate: {name} must be a positive, finite number; got {value}")
         if self.patience < 0:
             raise ValueError(f"Gate: patience must be a number of samples, 0 or more; got {self.patience}")
 
@@ -71,39 +96,52 @@ class Gate(eqx.Module):
         scale: Vector,
         least: Vector | float = 1.0,
     ) -> Judged:
-        """Find the measured components of an innovation (n,) that are too far off, given its covariance `spread`.
-
-        - `present` (n,): which components were measured.
-        - `refused` (n,), `scale` (n,): what was found in the sample before; 0 and 1 at the start.
-        - `least` (n,): the gate is never narrower than for a scale of this.
+        """Judge the measured components of an innovation by its covariance.
 
         In the average, the square of an innovation counts no more than `BELIEVED` times the scale.
+
+        Args:
+            manifold: Manifold of the measured configurations, which says which components are measured together.
+            innovation: Measured minus expected configuration (n,), in the frame.
+            spread: Covariance (n, n) of the innovation.
+            present: Which components (n,) are measured.
+            refused: Field `refused` (n,) of the verdict on the previous sample; 0 at the start.
+            scale: Field `scale` (n,) of the verdict on the previous sample; 1 at the start.
+            least: Lower bound of the scale by which the gate is widened, a number or (n,); 1 by default.
+
+        Returns:
+            The verdict.
         """
-        far, learnt = jnp.zeros_like(present), scale
-        wide = jnp.maximum(scale, least)
+        far, new_scale = jnp.zeros_like(present), scale
+        widening = jnp.maximum(scale, least)
         for together in manifold.measured_together(innovation.shape[0]):
-            own = jnp.asarray(together)
-            r = innovation[own]
-            square = r @ solve(spread[jnp.ix_(own, own)], r) / len(together)
-            measured = jnp.all(present[own])
-            far = far.at[own].set(measured & (square > self._limit(len(together)) / len(together) * wide[own[0]]))
-            change = (jnp.minimum(square, BELIEVED * wide[own]) - scale[own]) / self.memory
-            learnt = learnt.at[own].add(jnp.where(measured, change, 0.0))
+            block = jnp.asarray(together)
+            r = innovation[block]
+            # The squared length of n standard Gaussian numbers is n on average, so this is 1.
+            square = r @ solve(spread[jnp.ix_(block, block)], r) / len(together)
+            # A block is judged as a whole, so it needs all of its components.
+            measured = jnp.all(present[block])
+            far = far.at[block].set(
+                measured & (square > self._limit(len(together)) / len(together) * widening[block[0]])
+            )
+            change = (jnp.minimum(square, BELIEVED * widening[block]) - scale[block]) / self.memory
+            new_scale = new_scale.at[block].add(jnp.where(measured, change, 0.0))
         # A new start needs a complete configuration.
         restart = jnp.any(far & (refused >= self.patience)) & jnp.all(present)
-        counted = jnp.where(far, refused + 1, jnp.where(present, 0, refused))
-        return Judged(far, restart, jnp.where(restart, 0, counted), learnt)
+        count = jnp.where(far, refused + 1, jnp.where(present, 0, refused))
+        return Judged(far, restart, jnp.where(restart, 0, count), new_scale)
 
     def _limit(self, n: int) -> float:
         """The squared length that n standard Gaussian numbers exceed as rarely as a single one exceeds `deviations`."""
-        rare, low, high = _exceed(1, self.deviations**2), 0.0, 4 * (self.deviations**2 + n)
+        target, low, high = _exceedance(1, self.deviations**2), 0.0, 4 * (self.deviations**2 + n)
+        # Bisection: 80 halvings exhaust the digits of a double.
         for _ in range(80):
             middle = (low + high) / 2
-            low, high = (middle, high) if _exceed(n, middle) > rare else (low, middle)
+            low, high = (middle, high) if _exceedance(n, middle) > target else (low, middle)
         return high
 
 
-def _exceed(n: int, square: float) -> float:
+def _exceedance(n: int, square: float) -> float:
     """Probability that χ² with n degrees of freedom exceeds `square`: `Q(n/2, square/2)`, by its recurrence in n."""
     x = square / 2
     a, total = (1.0, math.exp(-x)) if n % 2 == 0 else (0.5, math.erfc(math.sqrt(x)))
@@ -122,12 +160,32 @@ def judged(
     refused: Int[Array, "n"],
     scale: Vector,
 ) -> Judged:
-    """`Gate.judge`; without a gate nothing is refused."""
+    """Verdict of a gate, or of no gate, which refuses nothing.
+
+    Args:
+        gate: The gate, or None.
+        manifold: Manifold of the measured configurations.
+        innovation: Measured minus expected configuration (n,).
+        spread: Covariance (n, n) of the innovation.
+        present: Which components (n,) are measured.
+        refused: Field `refused` (n,) of the previous verdict.
+        scale: Field `scale` (n,) of the previous verdict.
+
+    Returns:
+        The verdict of `Gate.judge`; without a gate, one that refuses nothing and changes neither `refused` nor `scale`.
+    """
     if gate is None:
         return Judged(jnp.zeros_like(present), jnp.zeros((), bool), refused, scale)
     return gate.judge(manifold, innovation, spread, present, refused, scale)
 
 
 def open_gate(v: Vector) -> tuple[Int[Array, "n"], Vector]:
-    """`refused` and `scale` of a state at the start, for n velocities v."""
+    """What a gate remembers at the start.
+
+    Args:
+        v: A vector of n velocities, of which only shape and precision count.
+
+    Returns:
+        `refused` (n,), zeros, and `scale` (n,), ones.
+    """
     return jnp.zeros(v.shape, jnp.int32), jnp.ones_like(v)

@@ -1,15 +1,16 @@
-"""A gate for observers that know nothing of their own accuracy: constant gains, and filters without a model.
+"""A gate for observers that have no covariance: constant gains, and filters without a model.
 
-What a constant gain makes of an error is published law and stays as it is: an observer may start far from the truth,
-and its innovations are then large for a while. The gate looks at what was measured alone. With the innovation r before
-a correction and `e` the error that the correction left behind, both from the estimate to the measurement,
+With constant gains, an observer may start far from the truth, and its innovations are then large for a while, without
+any outlier. So the gate must not judge the innovations alone. With the innovation r before a correction and `e` the
+error that the previous correction left behind, both from the estimate to the measurement,
 
     d = r − e
 
-is what the measurement says that the one before did not: noise, and the error of the velocity times the step, whatever
-the gains and however large the error is. It is refused where neither the noise s of a sample nor a velocity explains
-it, `d² > 2(ks)² + (cS dt)²`, with k the deviations of the gate, S the usual speed of the motion and c between 4 at the
-start and 2 once smaller ones have been seen. An outlier that passes is no more than a velocity of cS over one step.
+is what this measurement says that the previous one did not: noise, and the error of the velocity times the step,
+for any gains and any size of the error. It is refused where neither the noise s of a sample nor a velocity
+explains it, `d² > 2(ks)² + (cS dt)²`, with k the deviations of the gate, S the usual speed of the motion and c between
+4 at the start and 2 once smaller ones have been seen. An outlier that passes is no more than a velocity of cS over one
+step.
 
 Where measurements agree with each other and not with the estimate, as after an observer has lost a spinning body, d
 stays large: once its square is more than that of a velocity error of 2S on average, the estimate is `ASTRAY`.
@@ -37,18 +38,31 @@ from covariant.observers._protocol import (
 from covariant.signals import Result
 
 CREDIBLE = 4.0
-"""Largest velocity, in usual ones, that a measurement may show anew; half of it once smaller ones have been seen."""
+"""Largest credible velocity, as a multiple of the usual speed; the gate halves it once smaller ones have been seen."""
 
 
 class GatedState(NamedTuple):
-    """The state `inner` of the observer, at time t [s].
+    """State of a `Gated` observer.
 
-    - `left` (n,): error that the last correction left behind, from the estimate to the measurement.
-    - `idle` (n,): time since the last measurement that was used [s].
-    - `refused` (n,), `scale` (n,): what the gate remembers; see `Gate.judge`.
-    - `slip` (n,): average of d², as a part of that of an estimate which is astray.
-    - `held`: the last finite input.
-    - `dt`: length of the last prediction [s].
+    Attributes:
+        inner: State of the observer behind the gate.
+        t: Time [s] that it belongs to.
+        left: Error (n,) that the last correction left behind, from the estimate to the measurement.
+        idle: Time [s] since each component (n,) was last measured.
+        refused: Number (n,) of samples refused in a row; see `Gate.judge`.
+        scale: Average (n,) of the ratio of actual to expected squares; see `Gate.judge`.
+        slip: Average (n,) of d², relative to that of an estimate which is astray.
+        held: The last finite input (m,).
+        dt: Length of the last prediction [s].
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import models, observers
+        >>> model = models.oscillator()
+        >>> observer = observers.Gated(observers.Copy(model, 2.0, 4.0), model, noise=1e-3, speed=1.0)
+        >>> state = observer.init(jnp.array([0.5]))
+        >>> state.inner.q.tolist(), state.refused.tolist()
+        ([0.5], [0])
     """
 
     inner: Any
@@ -63,21 +77,33 @@ class GatedState(NamedTuple):
 
 
 class Gated(AbstractObserver):
-    """An observer whose measurements pass a gate first, and which says when its velocity is off.
-
-    - `observer`: the observer of a mechanical system, or a filter of its coordinates.
-    - `model`: the system, whose configurations are measured.
-    - `noise`: standard deviation of the noise of one sample [rad or m].
-    - `speed`: usual size of the velocities [rad/s or m/s]. Both are numbers, or arrays (n,).
-    - `gate`: see `Gate`.
+    """An observer whose measurements pass a gate first, and which reports when its velocity is off.
 
     A measurement that is refused counts as missing, and `result` says `OUTLIER`. After `gate.patience` of them in a row
     the estimate starts anew from the measured configuration, and `result` says `RESTARTED`; a velocity that the state
     of the observer holds as `v` is kept, unless it is not credible. Where the velocity is off by more than twice the
-    usual one, as far as measurements tell, `result` says `ASTRAY`. Raises `ValueError` for numbers that are not
-    positive.
+    usual one, as far as measurements tell, `result` says `ASTRAY`.
 
-    The state of the observer is `state.inner`.
+    Attributes:
+        observer: Observer of a mechanical system, or filter of its coordinates. Its state is `state.inner`.
+        model: Mechanical system whose configurations are measured.
+        noise: Standard deviation of the noise of one sample [rad or m], a number or (n,).
+        speed: Usual size of the velocities [rad/s or m/s], a number or (n,).
+        gate: The gate, by default `Gate()`.
+
+    Raises:
+        ValueError: `noise` or `speed` is not positive and finite.
+
+    Example:
+        >>> import jax
+        >>> import jax.numpy as jnp
+        >>> from covariant import Result, models, observers
+        >>> model = models.oscillator()
+        >>> observer = observers.Gated(observers.Copy(model, 2.0, 4.0), model, noise=1e-3, speed=1.0)
+        >>> state = observer.init(jnp.zeros(1))
+        >>> state, info = jax.jit(observer.step)(state, jnp.zeros(1), jnp.array([5.0]), 0.01)
+        >>> Result(int(info.result)).name, observer.estimate(state).tolist()
+        ('OUTLIER', [0.0, 0.0])
     """
 
     observer: AbstractObserver
@@ -90,8 +116,17 @@ class Gated(AbstractObserver):
         check_positive("Gated", noise=self.noise, speed=self.speed)
 
     def init(self, y: Array, t: Number = 0.0) -> GatedState:
+        """State at rest at a measured configuration, with an open gate.
+
+        Args:
+            y: First measurement, complete: coordinates (n,), or on a group a matrix (N, N).
+            t: Its time stamp [s], 0 by default.
+
+        Returns:
+            The state.
+        """
         rest = self.model.manifold.zero(y)
-        inner = _not_holding(self.observer.init(y, t))
+        inner = _without_last_input(self.observer.init(y, t))
         held = no_input(self.model, rest)
         t = jnp.asarray(t, rest.dtype)
         return GatedState(inner, t, rest, rest, *open_gate(rest), rest, held, jnp.zeros_like(t))
@@ -104,14 +139,25 @@ class Gated(AbstractObserver):
         return state._replace(inner=inner, t=state.t + dt, idle=state.idle + dt, dt=dt)
 
     def correct(self, state: GatedState, u: Float[Array, "m"], y: Array) -> tuple[GatedState, Any]:
+        """Correct a predicted state by a measurement that passes the gate.
+
+        Args:
+            state: State that `predict` returned.
+            u: Input (m,) that acted over the prediction.
+            y: Measurement, NaN where missing.
+
+        Returns:
+            The corrected state, or the one of a new start, and the info of the inner observer, with the innovation
+            before the gate and the result code of gate and observer.
+        """
         manifold = self.model.manifold
         present, innovation = ~manifold.missing(y), self.innovation(state, u, y)
         verdict = self._judge(state, innovation, present)
-        inner, info = self.observer.correct(state.inner, u, self._without(y, verdict.far))
+        inner, info = self.observer.correct(state.inner, u, self._without_refused(y, verdict.far))
         used = present & ~verdict.far
         motion = self.model.motion(self.observer.estimate(inner))
         error = manifold.towards(motion.q, y)
-        slip = self._slip(state, innovation, used)
+        slip = self._average_slip(state, innovation, used)
         new = state._replace(
             inner=inner,
             left=jnp.where(used, error, state.left),
@@ -120,8 +166,13 @@ class Gated(AbstractObserver):
             scale=verdict.scale,
             slip=slip,
         )
+<<<<<<< ours
         # What was learnt of the measurements still holds where it widens the gate.
         fresh = self._restarted(state, motion, y)
+=======
+        # After a new start a scale above 1 still holds; a smaller one would make the gate too narrow.
+        fresh = self._restarted(state, motion, error, verdict.restart)
+>>>>>>> theirs
         fresh = fresh._replace(scale=jnp.maximum(verdict.scale, 1.0))
         new = jax.tree.map(lambda a, b: jnp.where(verdict.restart, a, b), fresh, new)
         astray = jnp.any(slip > 1).astype(jnp.int32) * int(Result.ASTRAY)
@@ -131,23 +182,24 @@ class Gated(AbstractObserver):
     def innovation(self, state: GatedState, u: Float[Array, "m"], y: Array) -> Vector:
         return self.observer.innovation(state.inner, u, y)
 
-    def _slip(self, state: GatedState, innovation: Vector, used: Array) -> Vector:
-        most = 2 * (self.gate.deviations * self.noise) ** 2 + (CREDIBLE / 2 * self.speed * state.idle) ** 2
-        change = (innovation - state.left) ** 2 / most - state.slip
+    def _average_slip(self, state: GatedState, innovation: Vector, used: Array) -> Vector:
+        limit = 2 * (self.gate.deviations * self.noise) ** 2 + (CREDIBLE / 2 * self.speed * state.idle) ** 2
+        # Twice the variance: two samples contribute to the difference d.
+        change = (innovation - state.left) ** 2 / limit - state.slip
         return state.slip + jnp.where(used, change, 0.0) / (1 + self.gate.patience)
 
     def _judge(self, state: GatedState, innovation: Vector, present: Array) -> Judged:
-        """Whether the measurement is explained by noise and velocity; see the head of this file."""
-        dt, fast = state.dt, CREDIBLE / self.gate.deviations * self.speed
-        usual = 2 * self.noise**2 + (fast * dt) ** 2
+        """The gate's verdict on d: whether noise and velocity explain it; see the head of this file."""
+        dt, rate = state.dt, CREDIBLE / self.gate.deviations * self.speed
+        expected = 2 * self.noise**2 + (rate * dt) ** 2
         # An error of the velocity has acted since the last measurement, `idle` ago; half a step less is forgiven.
-        least = (2 * self.noise**2 + (fast * (state.idle - dt / 2)) ** 2) / usual
-        cov = jnp.diag(jnp.broadcast_to(usual, innovation.shape).astype(innovation.dtype))
+        least = (2 * self.noise**2 + (rate * (state.idle - dt / 2)) ** 2) / expected
+        cov = jnp.diag(jnp.broadcast_to(expected, innovation.shape).astype(innovation.dtype))
         change = innovation - state.left
         return self.gate.judge(self.model.manifold, change, cov, present, state.refused, state.scale, least)
 
-    def _without(self, y: Array, far: Array) -> Array:
-        """The measurement with what is refused missing; of one that is not in coordinates all is."""
+    def _without_refused(self, y: Array, far: Array) -> Array:
+        """The measurement with NaN for what is refused; one that is not in coordinates is missing as a whole."""
         return jnp.where(far if self.model.manifold.commuting else jnp.any(far), jnp.nan, y)
 
     def _restarted(self, state: GatedState, motion: Motion, y: Array) -> GatedState:
@@ -159,6 +211,6 @@ class Gated(AbstractObserver):
         return fresh._replace(inner=fresh.inner._replace(v=jnp.where(credible, motion.v, 0.0)))
 
 
-def _not_holding(state: Any) -> Any:
-    """The state of an observer inside, which gets sound inputs only."""
+def _without_last_input(state: Any) -> Any:
+    """State of the inner observer without a field for the last input: it gets valid inputs only."""
     return state._replace(held=None) if "held" in state._fields else state

@@ -1,7 +1,7 @@
-"""Filters that know their own covariance: what one expects of a measurement, its gate, its correction, its new start.
+"""Filters with a covariance: expected measurement, gate, correction and new start, in the same order for all of them.
 
-The order of a correction is the same for all of them, and stands here: expect the measurement, let the gate judge what
-was measured, use the rest, start anew where the gate has refused for too long, and report.
+A correction computes the expected measurement and its covariance, lets the gate judge the innovation, uses what passes,
+starts anew where the gate has refused for too long, and reports. A filter supplies these parts; the order is here.
 """
 
 import abc
@@ -20,15 +20,16 @@ from covariant.observers._protocol import AbstractObserver, outcome, uniqueness
 
 
 class Expectation(NamedTuple):
-    """A measurement beside what a filter expects of it.
+    """A measurement together with a filter's prediction of it.
 
     Attributes:
-        y: The measurement, without the offset that the filter knows it to have.
-        innovation: Difference (n,) from what is expected to the measurement, 0 where it is missing.
-        cov: Its covariance (n, n), with the noise of the measurement.
+        y: The measurement, without the offset that the filter estimates it to have.
+        innovation: Difference (n,) from the prediction to the measurement, 0 where it is missing.
+        cov: Covariance (n, n) of the innovation, the noise of the measurement included.
         present: Which entries (n,) are measured.
-        lost: Whether the estimate is too uncertain to be corrected, so that it starts anew whatever the gate says.
-        details: What the filter has computed on the way and needs in `_used`.
+        lost: Whether the estimate is too uncertain to be corrected, so that it starts anew regardless of the gate;
+            False by default.
+        details: Intermediate results of the filter that `_used` needs; None by default.
     """
 
     y: Array
@@ -40,13 +41,28 @@ class Expectation(NamedTuple):
 
 
 class AbstractGatedFilter(AbstractObserver):
-    """A filter whose state has the fields `refused` and `scale` (n,), which its gate remembers."""
+    """A filter with a covariance and a gate.
+
+    Its state has the fields `refused` (n,) and `scale` (n,), which the gate remembers; see `Gate.judge`.
+
+    Attributes:
+        gate: The gate, or None to use every measurement.
+    """
 
     gate: eqx.AbstractVar[Gate | None]
 
     @final
     def correct(self, state: Any, u: Float[Array, "m"], y: Array) -> tuple[Any, Any]:
-        """Correct by the measurement y. Missing entries (NaN) are left out; on a group one NaN makes all missing."""
+        """Correct a predicted state by a measurement that passes the gate.
+
+        Args:
+            state: State that `predict` returned.
+            u: Input (m,) that acted over the prediction.
+            y: Measurement. Missing entries (NaN) are left out; on a group one NaN makes all of it missing.
+
+        Returns:
+            The corrected state, or the one of a new start, and the info.
+        """
         expected = self._expected(state, u, y)
         verdict = judged(
             self.gate,
@@ -60,6 +76,7 @@ class AbstractGatedFilter(AbstractObserver):
         restart = verdict.restart | expected.lost
         corrected = self._used(state, y, expected, expected.present & ~verdict.far)
         corrected = corrected._replace(refused=verdict.refused, scale=verdict.scale)
+        # Both branches are computed, so that the program has no branch; a new start begins to count refusals again.
         fresh = self._started_anew(state, corrected, y, expected)._replace(refused=jnp.zeros_like(verdict.refused))
         new = jax.tree.map(lambda a, b: jnp.where(restart, a, b), fresh, corrected)
         result = self._result(state, new, y, expected, verdict._replace(restart=restart))
@@ -72,11 +89,11 @@ class AbstractGatedFilter(AbstractObserver):
     @property
     @abc.abstractmethod
     def _manifold(self) -> AbstractManifold:
-        """What is measured, which says which of its entries are measured together."""
+        """Manifold of the measurements, which says which of their entries are measured together."""
 
     @abc.abstractmethod
     def _expected(self, state: Any, u: Float[Array, "m"], y: Array) -> Expectation:
-        """The measurement beside what is expected of it."""
+        """The measurement together with the filter's prediction of it."""
 
     @abc.abstractmethod
     def _used(self, state: Any, y: Array, expected: Expectation, used: Bool[Array, "n"]) -> Any:
@@ -96,7 +113,11 @@ class AbstractGatedFilter(AbstractObserver):
 
 
 class AbstractMechanicalFilter(AbstractGatedFilter):
-    """A filter of a `MechanicalSystem` whose state holds its estimate as q and v."""
+    """A filter with a gate for a `MechanicalSystem`, whose state holds the estimate in its fields q and v.
+
+    Attributes:
+        model: The mechanical system.
+    """
 
     model: eqx.AbstractVar[MechanicalSystem]
 

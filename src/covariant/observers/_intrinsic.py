@@ -30,25 +30,43 @@ from covariant.observers._sampled import predicted, sampled_correction, worth
 
 
 class Intrinsic(AbstractMechanicalObserver):
-    """Observer (5) of Aghannan & Rouchon for any `MechanicalSystem`, in the frame of its space:
+    """Observer (5) of Aghannan & Rouchon for any `MechanicalSystem`, in the frame of its space.
+
+    With ξ the error from q to q̂, `B(a, b) = ∇_a b` and R the curvature it is
 
         q̂' = E(q̂) w,   w = v̂ − αξ
         v̂' = −B(q̂)(w, v̂) + S(q) − B(ξ, S) − βξ + R(ξ, v̂)v̂ + raise(dissipation(q̂, v̂))
 
-    with ξ the error from q to q̂, `B(a, b) = ∇_a b` and R the curvature. On a group it is the observer of Maithripala,
-    Berg & Dayawansa, whose published α is half of this one.
+    On a group it is the observer of Maithripala, Berg & Dayawansa, whose published α is half of this one. Where two
+    shortest paths lead to the measurement, as after half a turn, one of them is used and `result` says `CUT_LOCUS`.
 
-    - `alpha` [1/s], `beta` [1/s²]: gains; the error obeys s² + αs + β whatever the velocity.
-    - `order`: 1 takes ξ = e := −local(q̂, q) as published, q̂ − q in coordinates; 2 takes ξ = e − ½(B + Q)(q̂)(e, e),
-      where Q is the acceleration of the retraction, 0 in coordinates and along one-parameter groups.
-    - `coefficients`: where B and R of the error terms are evaluated, at the "measured" position as in (5) or at the
-      "estimated" one as in (14); the difference is of second order.
-    - `curvature`: False leaves the curvature term out, to show its effect.
-    - `substeps`: Runge–Kutta steps in each sample; None takes as many as dt and the friction need (offline).
+    Attributes:
+        model: The mechanical system.
+        alpha: Gain α [1/s]; the error obeys s² + αs + β at any velocity.
+        beta: Gain β [1/s²].
+        order: 1 (default) uses the published error ξ = e := −local(q̂, q), which is q̂ − q in coordinates; 2 uses
+            ξ = e − ½(B + Q)(q̂)(e, e), where Q is the acceleration of the retraction, 0 in coordinates and along
+            one-parameter groups.
+        coefficients: Where B and R of the error terms are evaluated: at the "measured" (default) position as in (5), or
+            at the "estimated" one as in (14); the difference is of second order.
+        curvature: False leaves the curvature term out, to show its effect; True by default.
+        substeps: Number of Runge–Kutta steps in each sample; None (default) uses as many as dt and the friction need
+            (offline).
 
-    Where two shortest paths lead to the measurement, as after half a turn, one is taken and `result` says `CUT_LOCUS`.
-    Raises `ValueError` for gains that are not positive and finite; raises an error at the start where the first
-    measurement is no configuration.
+    Raises:
+        ValueError: A gain is not positive and finite, or `order` or `coefficients` is another value. `init` raises it
+            where the first measurement is no configuration.
+
+    Example:
+        A unit mass on a unit spring, whose velocity is estimated from its position:
+
+        >>> import numpy as np
+        >>> from covariant import Record, models, observers
+        >>> t = np.linspace(0.0, 4.0, 401)
+        >>> record = Record(t, np.zeros((401, 1)), np.cos(t)[:, None])
+        >>> run = observers.run(observers.Intrinsic(models.oscillator(), alpha=4.0, beta=8.0), record)
+        >>> bool(abs(run.estimate[-1, 1] + np.sin(4.0)) < 1e-3)
+        True
     """
 
     model: MechanicalSystem
@@ -76,12 +94,32 @@ class Intrinsic(AbstractMechanicalObserver):
         return HeldState(w, v_dot, jnp.ones_like(state.t), still(held), still(age))
 
     def rates(self, q: Array, v: Vector, xi: Vector, drive: Vector) -> tuple[Vector, Vector]:
-        """Velocity w of the estimate and v̂', from the error ξ and the acceleration `drive` without the feedback."""
+        """Velocity w of the estimate, and v̂'.
+
+        Args:
+            q: Estimated configuration.
+            v: Estimated velocity (n,).
+            xi: Error ξ (n,) from q to q̂.
+            drive: Acceleration (n,) without the feedback −βξ and the connection term −B(w, v̂).
+
+        Returns:
+            `w = v̂ − αξ` (n,), and v̂' (n,).
+        """
         w = v - self.alpha * xi
         return w, drive - self.beta * xi - self.model.space.connection(q, w, v)
 
     def bend(self, at: Array, drive: Vector, xi: Vector, v: Vector) -> Vector:
-        """The acceleration `drive` with the curvature term `R(ξ, v̂)v̂` at the configuration `at` added, if it is on."""
+        """Add the curvature term `R(ξ, v̂)v̂` to an acceleration, unless `curvature` is False.
+
+        Args:
+            at: Configuration at which the curvature is evaluated.
+            drive: Acceleration (n,).
+            xi: Error ξ (n,) from q to q̂.
+            v: Estimated velocity (n,).
+
+        Returns:
+            Acceleration (n,).
+        """
         return drive + self.model.space.curvature(at, xi, v, v) if self.curvature else drive
 
     def predict(self, state: HeldState, u: Float[Array, "m"], dt: Scalar) -> HeldState:
@@ -91,16 +129,18 @@ class Intrinsic(AbstractMechanicalObserver):
         q, v, t, _, age = state
         xi, drive = self._correction(t, q, v, u, y)
         missing = drive - source(self.model, t, q, u)  # acceleration missing in the prediction, which used S(q̂)
-        taken = sampled_correction(self.model.space, Motion(q, v), self.alpha, self.beta, age, xi, missing)
-        way = -taken.part * xi
-        new_q = self.model.manifold.retract(q, way)
-        new_v = v - self.model.space.connection(q, way, v) + taken.velocity
-        result = outcome(new_q, new_v, y, worth(taken, uniqueness(self.model, q, y)))
+        correction = sampled_correction(self.model.space, Motion(q, v), self.alpha, self.beta, age, xi, missing)
+        displacement = -correction.part * xi
+        new_q = self.model.manifold.retract(q, displacement)
+        # v̂ keeps its direction along the displacement to first order: parallel transport from q̂ to the new q̂.
+        new_v = v - self.model.space.connection(q, displacement, v) + correction.velocity
+        result = outcome(new_q, new_v, y, worth(correction, uniqueness(self.model, q, y)))
         info = Info(self.innovation(state, u, y), self.model.space.norm(q, xi), result)
         return state._replace(q=new_q, v=new_v, age=aged(self.model, state, y)), info
 
     def _correction(self, t: Scalar, q: Array, v: Vector, u: Float[Array, "m"], y: Array) -> tuple[Vector, Vector]:
         """The error ξ at q̂, and the acceleration `T S(q) + R(ξ, v̂)v̂` computed from the measurement."""
+        # The innovation leads from q̂ to q, the error of the paper from q to q̂.
         e = -self.model.manifold.towards(q, y)
         measured = self.model.manifold.measured(q, y)
         at = measured if self.coefficients == "measured" else q
@@ -110,5 +150,24 @@ class Intrinsic(AbstractMechanicalObserver):
 
 
 def second_order(space: AbstractSpace, q: Any, e: Vector) -> Vector:
-    """`ξ = e − ½(B + Q)(e, e)` at q, the Riemannian error to second order."""
+    """Riemannian error to second order, `ξ = e − ½(B + Q)(e, e)`.
+
+    Args:
+        space: Configuration space.
+        q: Configuration at which B and Q are evaluated.
+        e: First-order error (n,), in the frame.
+
+    Returns:
+        Error ξ (n,).
+
+    Example:
+        In the chart r = eˣ of a line, `B(e, e) = −e²/r`. From r = 0.9 to 1 the distance is ln(1/0.9) ≈ 0.1054:
+
+        >>> import jax.numpy as jnp
+        >>> from covariant import models, observers
+        >>> space = models.oscillator("r").space
+        >>> xi = observers.second_order(space, jnp.array([1.0]), jnp.array([0.1]))
+        >>> xi.round(6).tolist()
+        [0.105]
+    """
     return e - (space.connection(q, e, e) + space.manifold.retraction_acceleration(q, e)) / 2

@@ -1,4 +1,4 @@
-"""The names of the observers in the registries, known without loading the observers."""
+"""Names of the observers in the registries, available without loading the observers."""
 
 OBSERVER_NAMES = (
     "intrinsic",

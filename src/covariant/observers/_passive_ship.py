@@ -24,11 +24,23 @@ from covariant.observers._protocol import AbstractFlowObserver, Info, as_gain
 class PassiveGains(NamedTuple):
     """Gains of `PassiveShip`.
 
-    - `position` K1 (3, 3) [1/s].
-    - `stiffness` P1 and `inertia` P2 (3, 3), symmetric positive definite: the gain of the velocity is
-      `K2(ψ) = P2⁻¹ Rᵀ(ψ) P1 + A1(ψ)`, (49) and (60); where P2 is the ship's own mass it is `M⁻¹ Rᵀ P1 + A1`.
-    - `bias` K3 (3, 3) [N/(m s), and N m in place of N for the heading].
-    - `waves` (6, 3) [1, 1/s]: the notch filter; upper half for the integral of the wave motion, lower for the motion.
+    The gain of the velocity is `K2(ψ) = P2⁻¹ Rᵀ(ψ) P1 + A1(ψ)`, (49) and (60); where P2 is the ship's own mass it is
+    `M⁻¹ Rᵀ P1 + A1`.
+
+    Attributes:
+        position: K1 (3, 3) [1/s].
+        stiffness: P1 (3, 3), symmetric positive definite.
+        inertia: P2 (3, 3), symmetric positive definite.
+        bias: K3 (3, 3) [N/(m s), and N m in place of N for the heading].
+        waves: Gain (6, 3) of the notch filter: the upper half [1] for the integral of the wave motion, the lower one
+            [1/s] for the motion.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import models, observers
+        >>> station = models.marine.Station(models.marine.supply_vessel())
+        >>> observers.lyapunov_gains(station, stiffness=np.eye(3), q1=0.1 * np.eye(3))._fields
+        ('position', 'stiffness', 'inertia', 'bias', 'waves')
     """
 
     position: Matrix
@@ -41,11 +53,25 @@ class PassiveGains(NamedTuple):
 class PassiveShip(AbstractFlowObserver):
     """Observer (43)–(44) of a `marine.Station`, with its waves, bias and thrusters where the station has them.
 
-    - `gains`: from `lyapunov_gains` for a ship alone, from `notch_gains` for one at sea.
-    - `substeps`, `memory`: as in `Contracting`, whose virtual system it uses: rotations are by the measured heading, or
-      by the estimated one while the heading is missing.
+    It is the observer `Contracting` with the station's model: rotations are by the measured heading, or by the
+    estimated one while the heading is missing. The first row of a record must hold north, east and heading: the
+    estimate starts from them, at rest.
 
-    The first row of a record must hold north, east and heading: the estimate starts from them, at rest.
+    Attributes:
+        station: The ship with its disturbances.
+        gains: Gains, from `lyapunov_gains` for a ship alone, from `notch_gains` for one at sea.
+        substeps: Number of Runge–Kutta steps of the model in each sample, 1 by default.
+        memory: Upper bound [s] of the weight of an output, infinite by default; see `Contracting`.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> import numpy as np
+        >>> from covariant import models, observers
+        >>> station = models.marine.Station(models.marine.supply_vessel())
+        >>> gains = observers.lyapunov_gains(station, stiffness=np.eye(3), q1=0.1 * np.eye(3))
+        >>> observer = observers.PassiveShip(station, gains)
+        >>> observer.estimate(observer.init(jnp.array([3.0, -2.0, 0.5]))).tolist()
+        [3.0, -2.0, 0.5, 0.0, 0.0, 0.0]
     """
 
     station: Station
@@ -54,7 +80,18 @@ class PassiveShip(AbstractFlowObserver):
     memory: Scalar = eqx.field(default=jnp.inf, converter=as_gain)
 
     def init(self, y: Float[Array, "p"], t: Number = 0.0) -> ContractingState:
-        """State at rest at the measured position. Raises `ValueError` where it is missing, as far as it is known."""
+        """State at rest at the measured position.
+
+        Args:
+            y: North [m], east [m] and heading [rad] (3,).
+            t: Time stamp [s], 0 by default.
+
+        Returns:
+            The state, with zero waves, bias and thrust where the station has them.
+
+        Raises:
+            ValueError: y has another shape, or an entry of it is missing; a traced y has no values to check.
+        """
         if y.shape != (3,):
             raise ValueError(f"a ship's measurement is north, east and heading; this one has shape {y.shape}")
         if not isinstance(y, Tracer) and np.isnan(y).any():
@@ -77,7 +114,11 @@ class PassiveShip(AbstractFlowObserver):
         return self.contracting().correct(state, u, y)
 
     def contracting(self) -> Contracting:
-        """The same observer as a `Contracting`, which offers its virtual system."""
+        """The same observer as a `Contracting`, which has a virtual system.
+
+        Returns:
+            The observer, whose virtual system is that of (43)–(44).
+        """
         return Contracting(
             self.station.model(),
             lambda t, z: self.gain(z[2]),
@@ -88,7 +129,14 @@ class PassiveShip(AbstractFlowObserver):
         )
 
     def gain(self, heading: Scalar) -> Float[Array, "n 3"]:
-        """The gain K(ψ) (n, 3), with one row for each state."""
+        """Gain K(ψ), with one row for each state.
+
+        Args:
+            heading: Heading ψ [rad], measured.
+
+        Returns:
+            Matrix (n, 3), with rows in the order of `Station.parts`.
+        """
         g = PassiveGains(*(jnp.asarray(a, heading.dtype) for a in self.gains))
         turn = yaw_rotation(heading)
         rows = {
@@ -102,62 +150,131 @@ class PassiveShip(AbstractFlowObserver):
 
 
 def position_matrix(station: Station, heading: Scalar) -> Matrix:
-    """`A1(ψ) = −M⁻¹ Rᵀ(ψ) K` (3, 3): the ship's acceleration per position, (40)–(41)."""
+    """Matrix `A1(ψ) = −M⁻¹ Rᵀ(ψ) K`: the ship's acceleration per position, (40)–(41).
+
+    Args:
+        station: The ship with its disturbances.
+        heading: Heading ψ [rad].
+
+    Returns:
+        Matrix (3, 3).
+    """
     return _station_matrix(station, heading, "eta")
 
 
 def velocity_matrix(station: Station) -> Matrix:
-    """`A2 = −M⁻¹ D` (3, 3): the ship's acceleration per velocity, at rest, (40)–(41)."""
+    """Matrix `A2 = −M⁻¹ D`: the ship's acceleration per velocity, at rest, (40)–(41).
+
+    Args:
+        station: The ship with its disturbances.
+
+    Returns:
+        Matrix (3, 3) [1/s].
+    """
     return _station_matrix(station, jnp.zeros(()), "nu")
 
 
 def _station_matrix(station: Station, heading: Scalar, part: str) -> Matrix:
     """Derivative (3, 3) of the ship's acceleration in one part of the state (3,), at rest at the origin."""
-    rest, none, parts = jnp.zeros(station.order, heading.dtype), jnp.zeros(3, heading.dtype), station.parts
+    rest, zero, parts = jnp.zeros(station.order, heading.dtype), jnp.zeros(3, heading.dtype), station.parts
 
-    def acceleration(moved):
-        return station.derivative(heading, rest.at[parts[part]].set(moved), none)[parts["nu"]]
+    def acceleration(values):
+        return station.derivative(heading, rest.at[parts[part]].set(values), zero)[parts["nu"]]
 
-    return jax.jacfwd(acceleration)(none)
+    return jax.jacfwd(acceleration)(zero)
 
 
 def lyapunov_gains(station: Station, stiffness: Numbers, q1: Numbers, q2: Numbers | None = None) -> PassiveGains:
     """Gains of the ship alone from `V = ½(η̃ᵀP1η̃ + ν̃ᵀP2ν̃)`, `V' = −η̃ᵀQ1η̃ − ν̃ᵀQ2ν̃`: (48)–(50).
 
-    - `stiffness` P1, `q1` and `q2`: (3, 3), symmetric positive definite; `K1 = P1⁻¹Q1`, and P2 solves
-      `½(P2A2 + A2ᵀP2) = −Q2`. Without `q2`, P2 is the ship's mass, so that Q2 is the symmetric part of its damping.
+    `K1 = P1⁻¹Q1`, and P2 solves `½(P2A2 + A2ᵀP2) = −Q2`.
 
-    Raises `ValueError` where a matrix is not symmetric positive definite, where A2 is not Hurwitz, and, without q2,
-    where the damping does not take energy from every motion.
+    Args:
+        station: The ship with its disturbances.
+        stiffness: P1 (3, 3), symmetric positive definite.
+        q1: Q1 (3, 3), symmetric positive definite.
+        q2: Q2 (3, 3), symmetric positive definite. By default P2 is the ship's mass, so that Q2 is the symmetric part
+            of its damping.
+
+    Returns:
+        Gains with zero `bias` and `waves`.
+
+    Raises:
+        ValueError: A matrix is not symmetric positive definite, A2 is not Hurwitz, or, without q2, the damping does not
+            take energy from every motion.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import models, observers
+        >>> station = models.marine.Station(models.marine.supply_vessel())
+        >>> gains = observers.lyapunov_gains(station, stiffness=np.eye(3), q1=0.1 * np.eye(3))
+        >>> bool(np.allclose(gains.position, 0.1 * np.eye(3))), bool(np.allclose(gains.inertia, station.ship.mass))
+        (True, True)
     """
-    p1, first = (np.asarray(positive_definite(name, a, 3)) for name, a in (("stiffness", stiffness), ("q1", q1)))
+    p1, q1_matrix = (np.asarray(positive_definite(name, a, 3)) for name, a in (("stiffness", stiffness), ("q1", q1)))
     a2 = np.asarray(velocity_matrix(station))
-    worst = np.linalg.eigvals(a2).real.max()
-    if not worst < 0:
-        raise ValueError(f"A2 = −M⁻¹D is not Hurwitz: an eigenvalue has real part {worst:.3g}; the ship needs damping")
+    largest = np.linalg.eigvals(a2).real.max()
+    if not largest < 0:
+        raise ValueError(
+            f"A2 = −M⁻¹D is not Hurwitz: an eigenvalue has real part {largest:.3g}; the ship needs damping"
+        )
     if q2 is None:
         p2 = np.asarray(station.ship.mass)
         positive_definite("the symmetric part of the damping", -(p2 @ a2 + a2.T @ p2) / 2, 3)
     else:
-        second = np.asarray(positive_definite("q2", q2, 3))
+        q2_matrix = np.asarray(positive_definite("q2", q2, 3))
         identity = np.eye(3)
-        p2 = np.linalg.solve(np.kron(identity, a2.T) + np.kron(a2.T, identity), -2 * second.ravel()).reshape(3, 3)
-        p2 = (p2 + p2.T) / 2
-    rest = np.zeros((3, 3))
-    return _gains(np.linalg.solve(p1, first), p1, p2, rest, np.zeros((6, 3)))
+        # The Lyapunov equation as a linear system, row by row: vec(P2A2 + A2ᵀP2) = (I⊗A2ᵀ + A2ᵀ⊗I) vec P2.
+        p2 = np.linalg.solve(np.kron(identity, a2.T) + np.kron(a2.T, identity), -2 * q2_matrix.ravel()).reshape(3, 3)
+        p2 = (p2 + p2.T) / 2  # symmetric but for rounding
+    no_bias = np.zeros((3, 3))
+    return _gains(np.linalg.solve(p1, q1_matrix), p1, p2, no_bias, np.zeros((6, 3)))
 
 
 def lyapunov_rate(station: Station, gains: PassiveGains) -> float:
-    """The largest α [1/s] with `Q ≥ αP`, so that `V ≤ e^(−2αt) V(0)` for the ship alone.
+    """Largest α [1/s] with `Q ≥ αP`, so that `V ≤ e^(−2αt) V(0)` for the ship alone.
 
     (47) takes `λmin(Q) / λmax(P)`, which is never larger and depends on the units; see `printed_rate`.
+
+    Args:
+        station: The ship with its disturbances.
+        gains: Gains, from `lyapunov_gains`.
+
+    Returns:
+        The rate α [1/s].
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import models, observers
+        >>> station = models.marine.Station(models.marine.supply_vessel())
+        >>> gains = observers.lyapunov_gains(station, stiffness=np.eye(3), q1=0.1 * np.eye(3))
+        >>> observers.lyapunov_rate(station, gains) > observers.printed_rate(station, gains) > 0
+        True
     """
     forms = _forms(station, gains)
+    # The smallest eigenvalue of the pencil (Q, P), block by block.
     return float(min(np.linalg.eigvalsh(whiten(jnp.asarray(p), jnp.asarray(q)))[0] for p, q in forms))
 
 
 def printed_rate(station: Station, gains: PassiveGains) -> float:
-    """`α = λmin(Q) / λmax(P)` [1/s] as printed in (47), in the units of the model."""
+    """Rate `α = λmin(Q) / λmax(P)` as printed in (47), in the units of the model.
+
+    Args:
+        station: The ship with its disturbances.
+        gains: Gains, from `lyapunov_gains`.
+
+    Returns:
+        The rate α [1/s].
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import models, observers
+        >>> ship = models.marine.surface_ship(2.0 * np.eye(3), 0.4 * np.eye(3))
+        >>> station = models.marine.Station(ship)
+        >>> gains = observers.lyapunov_gains(station, stiffness=np.eye(3), q1=0.5 * np.eye(3))
+        >>> round(observers.printed_rate(station, gains), 6)  # λmin(Q) = 0.4, λmax(P) = 2
+        0.2
+    """
     forms = _forms(station, gains)
     return float(min(np.linalg.eigvalsh(q)[0] for _, q in forms) / max(np.linalg.eigvalsh(p)[-1] for p, _ in forms))
 
@@ -177,32 +294,51 @@ def notch_gains(
 ) -> PassiveGains:
     """Diagonal gains for a ship at sea: a loop for position, velocity and bias behind a notch at the wave frequency.
 
-    - `bandwidth` (3,) [rad/s]: of the velocity in north, east and heading, below the waves. The stiffness is
-      `M K1 ω/2`, and the bias follows at a tenth of the bandwidth.
-    - `cutoff` (3,) [rad/s]: of the wave filter, above the waves; by default 1.22 times their frequency.
-    - `notch_damping`: relative damping of the notch, above that of the waves.
+    The stiffness is `M K1 ω/2`, and the bias follows at a tenth of the bandwidth.
 
-    Source: Fossen & Strand 1999, equations (41)–(46). Raises `ValueError` where entries are not positive.
+    Args:
+        station: The ship with its disturbances.
+        bandwidth: Bandwidth ω (3,) [rad/s] of the velocity in north, east and heading, below the waves.
+        cutoff: Cutoff (3,) [rad/s] of the wave filter, above the waves; by default 1.22 times their frequency.
+        notch_damping: Relative damping of the notch, above that of the waves; 1 by default.
+
+    Returns:
+        The gains, with zero `waves` or `bias` where the station has none.
+
+    Raises:
+        ValueError: An entry of `bandwidth` or `cutoff` is not positive, or `notch_damping` does not exceed the damping
+            of the waves.
+
+    Source: Fossen & Strand 1999, equations (41)–(46).
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import models, observers
+        >>> waves = models.marine.Waves((0.8,) * 3, (0.1,) * 3, (0.5, 0.5, 0.01))
+        >>> station = models.marine.Station(models.marine.supply_vessel(), waves)
+        >>> gains = observers.notch_gains(station, bandwidth=(0.1, 0.1, 0.2))
+        >>> np.diag(gains.position).round(3).tolist()  # 1.22 · 0.8
+        [0.976, 0.976, 0.976]
     """
-    width = _three("bandwidth", bandwidth)
+    bandwidths = _three_positive("bandwidth", bandwidth)
     m = np.diag(np.asarray(station.ship.mass))
-    waves, edge = np.zeros((6, 3)), 2 * width
+    waves, cutoffs = np.zeros((6, 3)), 2 * bandwidths
     if station.waves is not None:
         w, z = np.asarray(station.waves.frequency), np.asarray(station.waves.damping)
-        edge = 1.22 * w if cutoff is None else _three("cutoff", cutoff)
+        cutoffs = 1.22 * w if cutoff is None else _three_positive("cutoff", cutoff)
         if not (notch_damping > z).all():
             raise ValueError(f"notch_damping must exceed that of the waves, {z.max():g}; got {notch_damping:g}")
-        waves = np.concatenate([np.diag(-2 * (notch_damping - z) * edge / w), np.diag(2 * w * (notch_damping - z))])
-    stiffness = m * edge * width / 2
-    bias = stiffness * width / 10 if station.bias_time is not None else np.zeros(3)
-    return _gains(np.diag(edge), np.diag(stiffness), np.asarray(station.ship.mass), np.diag(bias), waves)
+        waves = np.concatenate([np.diag(-2 * (notch_damping - z) * cutoffs / w), np.diag(2 * w * (notch_damping - z))])
+    stiffness = m * cutoffs * bandwidths / 2
+    bias = stiffness * bandwidths / 10 if station.bias_time is not None else np.zeros(3)
+    return _gains(np.diag(cutoffs), np.diag(stiffness), np.asarray(station.ship.mass), np.diag(bias), waves)
 
 
-def _three(name: str, entries: Sequence[float]) -> np.ndarray:
-    found = np.asarray(entries, float)
-    if found.shape != (3,) or not (found > 0).all():
+def _three_positive(name: str, entries: Sequence[float]) -> np.ndarray:
+    values = np.asarray(entries, float)
+    if values.shape != (3,) or not (values > 0).all():
         raise ValueError(f"{name} needs three positive numbers [rad/s], for north, east, heading; got {entries}")
-    return found
+    return values
 
 
 def _gains(*matrices: np.ndarray) -> PassiveGains:

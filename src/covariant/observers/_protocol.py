@@ -1,7 +1,7 @@
 """The protocol that all observers share, and the loop that drives them.
 
-An observer is a frozen recipe. What it remembers is a state, which the caller holds; what a person may want to know
-about a step is its info. Writing the loop by hand takes four lines:
+An observer is a frozen recipe: it holds its settings and never changes. What it remembers from sample to sample is its
+state, which the caller holds; its info holds the diagnostics of one step. Writing the loop by hand takes four lines:
 
     state = observer.init(y[0], t[0])
     for k in range(1, len(t)):
@@ -9,8 +9,15 @@ about a step is its info. Writing the loop by hand takes four lines:
         x = observer.estimate(state)
 
 A step has two halves, which an observer defines and a caller may take one at a time: `predict` moves the state to the
-time of a measurement, `correct` corrects it there. Whatever is built of observers, such as a gate or a buffer for late
-sensors, is built of these two.
+time of a measurement, `correct` corrects it there. The parts of the protocol, from the inside out:
+
+- `predict(state, u, dt)` runs the model over dt under the constant input u, without a measurement.
+- `correct(state, u, y)` corrects a predicted state by a measurement y taken at its own time; no time passes.
+- `innovation(state, u, y)` is the innovation that `correct` reports for the same arguments, without a correction.
+- `advance(state, u, y, dt)` is `correct` after `predict`, for valid numbers.
+- `step(state, u, y, dt)` is `advance` for any numbers: it replaces invalid ones, and reports that it did.
+
+Whatever is built of observers, such as a gate or a buffer for late sensors, is built of `predict` and `correct`.
 """
 
 import abc
@@ -30,16 +37,29 @@ from covariant.models import MechanicalSystem, Motion, input_count
 from covariant.signals import Record, Result, Run
 
 MOST_TURNS = 1e9
-"""An angle of more turns than this counts as missing: the digits that are left say little of its place on a circle."""
+"""An angle of more turns than this counts as missing: its remaining digits hardly resolve its place on a circle."""
 LEAST_OF_A_TURN = 1e-3
-"""What an angle has to resolve, in turns; in single precision that leaves 8 000 turns."""
+"""Resolution that an angle needs, in turns; in single precision it limits angles to 8 000 turns."""
 
 Held = Float[Array, "m"] | None
-"""The last finite input, in the field `held` of a state; None where the state keeps none."""
+"""The last finite input, in the field `held` of a state; None where the state stores none."""
 
 
 class MechanicalState(NamedTuple):
-    """Estimated configuration and velocity, and the time [s] they belong to (for forces that depend on time)."""
+    """Estimated configuration and velocity of a mechanical system at one time.
+
+    Attributes:
+        q: Estimated configuration: coordinates (n,), or on a group a matrix (N, N).
+        v: Estimated velocity (n,), in the frame of the configuration space.
+        t: Time [s] that they belong to, for forces that depend on time.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import observers
+        >>> state = observers.MechanicalState(q=jnp.zeros(1), v=jnp.ones(1), t=jnp.zeros(()))
+        >>> state._fields
+        ('q', 'v', 't')
+    """
 
     q: Vector
     v: Vector
@@ -47,10 +67,23 @@ class MechanicalState(NamedTuple):
 
 
 class HeldState(NamedTuple):
-    """As `MechanicalState`, with what is remembered between samples.
+    """State of a mechanical observer that also remembers the last input and the time since the last measurement.
 
-    - `held` (m,): the last finite input, which replaces an input that is not finite; where it is None, zero does.
-    - `age`: time since the last measurement [s]; where it is None, every step counts as following one.
+    Attributes:
+        q: Estimated configuration: coordinates (n,), or on a group a matrix (N, N).
+        v: Estimated velocity (n,), in the frame of the configuration space.
+        t: Time [s] that they belong to.
+        held: The last finite input (m,), which replaces an input that is not finite; where it is None (default), zero
+            does.
+        age: Time since the last measurement [s]; where it is None (default), every step counts as following one.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import models, observers
+        >>> observer = observers.Copy(models.oscillator(), alpha=2.0, beta=4.0)
+        >>> state = observer.init(jnp.array([0.5]), t=1.0)
+        >>> state.v.tolist(), state.t.item(), state.held.tolist(), state.age.item()
+        ([0.0], 1.0, [0.0], 0.0)
     """
 
     q: Vector
@@ -63,10 +96,20 @@ class HeldState(NamedTuple):
 class Info(NamedTuple):
     """Diagnostics of a step.
 
-    - `innovation` (n,): the difference from q̂ to y before the correction, y − q̂ in coordinates, with angles wrapped,
-      and 0 for a missing measurement.
-    - `distance`: its length in the metric.
-    - `result`: a `covariant.signals.Result` code.
+    Attributes:
+        innovation: Difference (n,) from q̂ to y before the correction: y − q̂ in coordinates, with angles wrapped. 0
+            for a missing measurement.
+        distance: Its length in the metric.
+        result: A `covariant.signals.Result` code.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import Result, models, observers
+        >>> observer = observers.Copy(models.oscillator(), alpha=2.0, beta=4.0)
+        >>> state = observer.init(jnp.zeros(1))
+        >>> _, info = observer.step(state, jnp.zeros(1), jnp.array([0.5]), 0.01)
+        >>> info.innovation.tolist(), info.distance.item(), Result(int(info.result)).name
+        ([0.5], 0.5, 'OK')
     """
 
     innovation: Vector
@@ -75,112 +118,251 @@ class Info(NamedTuple):
 
 
 class AbstractObserver(Functional):
-    """Estimates the state from measured positions, sample by sample.
+    """Estimates the state of a system from measured positions, sample by sample.
 
-    `step` predicts the state at the time stamp of y and then corrects it by y. A subclass writes its algorithm in
-    `predict` and `correct`, which get valid numbers only: `step` is the same for all observers and sees to that. A
-    state whose field `held` has the shape of the input remembers the last finite input in it.
+    A subclass writes its algorithm in `init`, `predict`, `correct` and `estimate`. `predict` and `correct` get valid
+    numbers only: `step` is the same for all observers and replaces invalid ones before it calls them. A state is a
+    `NamedTuple` of arrays whose form never changes. If it has a field `held` with the shape of the input, `step` keeps
+    the last finite input there.
+
+    Example:
+        A filter that halves its error with each sample, and expects the position to stay where it is:
+
+        >>> from typing import NamedTuple
+        >>> import jax
+        >>> import jax.numpy as jnp
+        >>> from covariant import Result, observers
+        >>> class Position(NamedTuple):
+        ...     q: jax.Array
+        >>> class Halving(observers.AbstractObserver):
+        ...     def init(self, y, t=0.0):
+        ...         return Position(y)
+        ...     def predict(self, state, u, dt):
+        ...         return state
+        ...     def correct(self, state, u, y):
+        ...         missing = jnp.isnan(y)
+        ...         innovation = jnp.where(missing, 0.0, y - state.q)
+        ...         result = jnp.where(jnp.any(missing), int(Result.COASTED), int(Result.OK))
+        ...         info = observers.Info(innovation, jnp.linalg.norm(innovation), result)
+        ...         return Position(state.q + innovation / 2), info
+        ...     def estimate(self, state):
+        ...         return state.q
+        >>> observer, no_input = Halving(), jnp.zeros(0)
+        >>> state = observer.init(jnp.array([0.0]))
+        >>> state, info = observer.step(state, no_input, jnp.array([8.0]), 0.1)
+        >>> observer.estimate(state).tolist(), info.innovation.tolist()
+        ([4.0], [8.0])
+        >>> state, info = observer.step(state, no_input, jnp.array([jnp.inf]), 0.1)  # counts as missing
+        >>> observer.estimate(state).tolist(), Result(int(info.result)).name
+        ([4.0], 'COASTED')
     """
 
     @abc.abstractmethod
     def init(self, y: Inexact[Array, "*n"], t: Number = 0.0) -> Any:
-        """State at rest at the measured configuration y, at time t [s].
+        """State at rest at a measured configuration.
 
-        Raises `ValueError` where y is no configuration. In a compiled function, the state is not finite there.
+        Args:
+            y: First measurement, complete: coordinates (n,), or on a group a matrix (N, N).
+            t: Its time stamp [s], 0 by default.
+
+        Returns:
+            The state, in the form that every later one has.
+
+        Raises:
+            ValueError: y is no configuration. In a compiled function nothing is raised, and the state is not finite.
         """
 
     @final
     def step(self, state: Any, u: Float[Array, "m"], y: Inexact[Array, "*n"], dt: Number) -> tuple[Any, Any]:
-        """Advance by dt [s] under the input u (m,), held constant over the step, then correct by the measurement y.
+        """Predict over dt to the time of a measurement, then correct by it; invalid numbers never spoil the state.
 
-        NaN in y marks a missing measurement, over which the model predicts alone. Invalid numbers never spoil the
-        state. An entry of y that is infinite or larger than `largest` counts as missing, as NaN does, and so does a
-        matrix that is no rotation. An entry of u that is not finite is replaced by the last finite one, or by 0 before
-        there is any. Where dt is zero, negative or not finite, the state is left as it was; a subnormal dt, which
-        processors may take for zero, is zero. `info.result` reports this: `COASTED`, `INPUT_HELD`,
-        `REPEATED` (dt = 0) or `STEP_REFUSED`, the worst one where several apply. Returns the new state and the info.
-        """
-        dt = jnp.asarray(dt, jnp.result_type(dt, jnp.finfo(y.dtype).dtype))  # a number of Python's own has no type
-        moves = jnp.isfinite(dt) & (dt >= jnp.finfo(dt.dtype).tiny)
-        sound = jnp.where(jnp.isfinite(u), u, _held(state, u))
-        far = jnp.abs(y) > self.largest(y)
-        measured = self.admitted(jnp.where(far, jnp.nan, y))
-        # Where the state is left as it was no input acts: what it would do has no influence on the result either.
-        moved, info = self.advance(state, jnp.where(moves, sound, 0.0), measured, jnp.where(moves, dt, 0.0))
-        kept = jax.tree.map(lambda new, old: jnp.where(moves, new, old), _holding(moved, state, sound), state)
-        result = jnp.maximum(info.result, _fault(u, far, dt).astype(info.result.dtype))
-        return kept, info._replace(result=result)
+        The step is `advance` with these replacements, of which `info.result` reports the worst. Where the state is
+        returned unchanged, the other fields of the info are those of a step of zero length without input.
 
-    def advance(self, state: Any, u: Float[Array, "m"], y: Inexact[Array, "*n"], dt: Scalar) -> tuple[Any, Any]:
-        """Prediction and correction: `step` for valid numbers, in the form that the state has.
+        - NaN in y marks a missing measurement, over which the model predicts alone. An entry of y that is infinite or
+          larger than `largest` counts as missing, and so does a matrix that is no rotation: `COASTED`.
+        - An entry of u that is not finite is replaced by the last finite one, or by 0 before there is any:
+          `INPUT_HELD`.
+        - For dt = 0 the state is returned unchanged: `REPEATED`. A subnormal dt, which processors may take for zero, is
+          zero.
+        - For a dt that is negative or not finite the state is returned unchanged too: `STEP_REFUSED`.
 
         Args:
-            state: The state after the sample before.
+            state: State after the previous sample, from `init` or from this method.
+            u: Input (m,) that acted from the previous sample to this one, held constant; (0,) for a system without
+                inputs.
+            y: Measurement at the end of the step: coordinates (n,), or on a group a matrix (N, N).
+            dt: Time from the previous sample to this one [s].
+
+        Returns:
+            The corrected state at the time of y, in the form that `state` has, and the info.
+        """
+        dt = jnp.asarray(dt, jnp.result_type(dt, jnp.finfo(y.dtype).dtype))  # a Python number has no dtype
+        advances = jnp.isfinite(dt) & (dt >= jnp.finfo(dt.dtype).tiny)
+        valid_u = jnp.where(jnp.isfinite(u), u, _replacement_input(state, u))
+        too_large = jnp.abs(y) > self.largest(y)
+        measured = self.admitted(jnp.where(too_large, jnp.nan, y))
+        # A refused step is computed with dt = 0 and u = 0, so that an invalid number cannot reach `info.result` either.
+        advanced, info = self.advance(state, jnp.where(advances, valid_u, 0.0), measured, jnp.where(advances, dt, 0.0))
+        new_state = jax.tree.map(
+            lambda new, old: jnp.where(advances, new, old), _with_last_input(advanced, state, valid_u), state
+        )
+        # A larger code is worse: see `Result`.
+        result = jnp.maximum(info.result, _input_fault(u, too_large, dt).astype(info.result.dtype))
+        return new_state, info._replace(result=result)
+
+    def advance(self, state: Any, u: Float[Array, "m"], y: Inexact[Array, "*n"], dt: Scalar) -> tuple[Any, Any]:
+        """Predict and then correct: `step` for valid numbers.
+
+        It is `correct(predict(state, u, dt), u, y)`. A field that is None in `state` is None in the new state too. A
+        subclass need not define it.
+
+        Args:
+            state: State after the previous sample.
             u: Input (m,), finite, held constant over the step.
-            y: Measurement, finite or NaN where missing.
+            y: Measurement at the end of the step, finite or NaN where missing.
             dt: Length of the step [s], finite and ≥ 0.
 
         Returns:
             The new state and the info.
         """
         corrected, info = self.correct(self.predict(state, u, dt), u, y)
-        # A field that is None in the state, such as `age` in one that was made by hand, is None in the next one too.
+        # A field that is None in the state, such as `age` in one written by hand, is None in the next one too.
         return corrected._replace(**{name: None for name in state._fields if getattr(state, name) is None}), info
 
     @abc.abstractmethod
     def predict(self, state: Any, u: Float[Array, "m"], dt: Scalar) -> Any:
-        """The state dt [s] later, without a measurement: dt is finite and ≥ 0, and the input u finite and constant."""
+        """Move the state dt later, without a measurement.
+
+        Args:
+            state: State after the previous sample.
+            u: Input (m,), finite, held constant over dt.
+            dt: Length of the prediction [s], finite and ≥ 0.
+
+        Returns:
+            The predicted state, with what `correct` needs to know of the prediction, such as its length.
+        """
 
     @abc.abstractmethod
     def correct(self, state: Any, u: Float[Array, "m"], y: Inexact[Array, "*n"]) -> tuple[Any, Any]:
-        """Correct a predicted state by a measurement at its own time.
+        """Correct a predicted state by a measurement taken at its own time; no time passes.
 
         Args:
-            state: What `predict` returned.
+            state: State that `predict` returned.
+            u: Input (m,), finite, that acted over the prediction.
+            y: Measurement, finite or NaN where missing. What is missing corrects nothing, and has the innovation 0.
+
+        Returns:
+            The corrected state and the info, whose innovation is that of the predicted state.
+        """
+
+    def innovation(self, state: Any, u: Float[Array, "m"], y: Inexact[Array, "*n"]) -> Vector:
+        """Innovation of a measurement at a predicted state, without a correction.
+
+        It equals `correct(state, u, y)[1].innovation`, which is how it is computed here; subclasses compute it with
+        less work.
+
+        Args:
+            state: State that `predict` returned.
             u: Input (m,), finite, that acted over the prediction.
             y: Measurement, finite or NaN where missing.
 
         Returns:
-            The new state and the info.
+            Innovation (n,), from the predicted measurement to y, 0 where y is missing.
         """
-
-    def innovation(self, state: Any, u: Float[Array, "m"], y: Inexact[Array, "*n"]) -> Vector:
-        """The innovation (n,) of a measurement at a predicted state: that of the info of `correct`, by less work."""
         return self.correct(state, u, y)[1].innovation
 
     def largest(self, y: Inexact[Array, "*n"] | np.ndarray) -> np.ndarray:
-        """The largest magnitudes of the entries of a measurement like y; what is larger counts as missing.
+        """Largest magnitude of each entry of a measurement; `step` treats what is larger as missing.
 
-        Beyond 1/ε floating-point numbers do not resolve one unit, and angles on a circle are to be found on it.
+        Beyond 1/ε floating-point numbers do not resolve one unit. Angles on a circle have the smaller bound at which
+        their place on the circle is still resolved: `MOST_TURNS` turns, or `LEAST_OF_A_TURN`/ε turns where that is
+        less.
+
+        Args:
+            y: A measurement, of which only shape and precision count.
+
+        Returns:
+            The bounds, in the shape of y.
         """
         eps = float(jnp.finfo(y.dtype).eps)
         bounds = np.full(y.shape, 1 / eps, jnp.finfo(y.dtype).dtype)
+        # 1/ε turns would leave no digit for the angle within a turn.
         circles = getattr(self, "circles", None) or getattr(getattr(self, "model", None), "circles", ())
         bounds[list(circles)] = 2 * np.pi * min(MOST_TURNS, LEAST_OF_A_TURN / eps)
         return bounds
 
     def admitted(self, y: Inexact[Array, "*n"]) -> Inexact[Array, "*n"]:
-        """The measurement y, with NaN in the place of what is no configuration of the observer's model."""
+        """Replace by NaN what is no configuration of the observer's model, such as a matrix that is no rotation.
+
+        Args:
+            y: Measurement: coordinates (n,), or on a group a matrix (N, N).
+
+        Returns:
+            The measurement, unchanged where it is a configuration or the observer has no model with a manifold.
+        """
         manifold = getattr(getattr(self, "model", None), "manifold", None)
         return y if manifold is None else manifold.admitted(y)
 
     @abc.abstractmethod
     def estimate(self, state: Any) -> Any:
-        """The estimate x = (q, v) (2n,) of a state; a `Motion` for a system that is not in coordinates."""
+        """Estimate of a state.
+
+        Args:
+            state: State of this observer.
+
+        Returns:
+            x = (q, v) (2n,); a `Motion` for a system that is not in coordinates.
+        """
 
 
 class AbstractFlowObserver(AbstractObserver):
-    """An observer that is given by a differential equation."""
+    """An observer that is defined by a differential equation, `flow`, besides its sampled form.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import models, observers
+        >>> observer = observers.Copy(models.oscillator(), alpha=2.0, beta=4.0)
+        >>> isinstance(observer, observers.AbstractFlowObserver)
+        True
+        >>> state = observers.continuous(observer.init(jnp.zeros(1)))
+        >>> observer.flow(state.t, state, jnp.zeros(1), jnp.array([0.5])).q.tolist()  # α times the error
+        [1.0]
+    """
 
     @abc.abstractmethod
     def flow(self, t: Scalar, state: Any, u: Float[Array, "m"], y: Inexact[Array, "*n"]) -> Any:
-        """Time derivative of the state, for measurements in continuous time."""
+        """Time derivative of the state, for measurements in continuous time.
+
+        Args:
+            t: Time [s].
+            state: State of this observer.
+            u: Input (m,) at the time t.
+            y: Complete measurement at the time t.
+
+        Returns:
+            The derivative, in the form of the state. Fields that are only remembered between samples have the
+            derivative zero.
+        """
 
 
 class AbstractMechanicalObserver(AbstractFlowObserver):
-    """An observer of a `MechanicalSystem` whose state holds its estimate as q and v.
+    """An observer of a `MechanicalSystem` whose state holds the estimate in its fields q and v.
 
-    In what its `flow` returns, the field q holds the velocity w (n,) of the estimate in the frame, `q̂' = E(q̂)w`.
+    What its `flow` returns has the velocity w (n,) of the estimate in the field q, in the frame: `q̂' = E(q̂)w`.
+
+    Attributes:
+        model: The mechanical system.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import models, observers
+        >>> observer = observers.Intrinsic(models.ball_and_beam(), alpha=4.0, beta=8.0)
+        >>> isinstance(observer, observers.AbstractMechanicalObserver)
+        True
+        >>> state = observer.init(jnp.array([0.3, 0.1]))
+        >>> observer.estimate(state).tolist()  # q, then v: at rest
+        [0.3, 0.1, 0.0, 0.0]
     """
 
     model: eqx.AbstractVar[MechanicalSystem]
@@ -193,7 +375,19 @@ class AbstractMechanicalObserver(AbstractFlowObserver):
 
 
 def at_rest(model: MechanicalSystem, y: Array, t: Number) -> HeldState:
-    """The state at rest at the first measurement; as `AbstractManifold.checked` says where y is no configuration."""
+    """State at rest at the first measurement.
+
+    Args:
+        model: Mechanical system.
+        y: First measurement: coordinates (n,), or on a group a matrix (N, N).
+        t: Time [s].
+
+    Returns:
+        The state, with zero velocity, zero as last input, and age zero.
+
+    Raises:
+        ValueError: y is no configuration; see `AbstractManifold.checked`.
+    """
     q = model.manifold.checked(y)
     rest = model.manifold.zero(q)
     t = jnp.asarray(t, rest.dtype)
@@ -201,111 +395,200 @@ def at_rest(model: MechanicalSystem, y: Array, t: Number) -> HeldState:
 
 
 def since(state: Any, dt: Scalar) -> Scalar:
-    """Time since the last measurement [s] at the end of a step."""
+    """Time since the last measurement at the end of a prediction.
+
+    Args:
+        state: State before the prediction, with the field `age` [s] or None there.
+        dt: Length of the prediction [s].
+
+    Returns:
+        Time [s]: the age plus dt, or dt where the state has no age.
+    """
     return dt if state.age is None else state.age + dt
 
 
 def aged(model: MechanicalSystem, state: Any, y: Array) -> Scalar:
-    """The `age` of a predicted state after the measurement y: as it was where all of y is missing, else zero."""
+    """Field `age` of a predicted state after the measurement y.
+
+    Args:
+        model: Mechanical system, which says which entries of y are missing.
+        state: Predicted state.
+        y: Measurement, NaN where missing.
+
+    Returns:
+        Time since the last measurement [s]: unchanged where all of y is missing, else zero.
+    """
     return state.age * jnp.all(model.manifold.missing(y)).astype(state.age.dtype)
 
 
 def uniqueness(model: MechanicalSystem, q: Array, y: Array) -> Code:
-    """`OK`, or `CUT_LOCUS` where two shortest paths lead from q to the measurement."""
+    """Whether the shortest path from the estimate to the measurement is unique.
+
+    Args:
+        model: Mechanical system.
+        q: Estimated configuration.
+        y: Measurement, NaN where missing.
+
+    Returns:
+        The code `OK`, or `CUT_LOCUS` where two shortest paths lead from q to the measurement.
+    """
     unique = model.manifold.unique(q, model.manifold.measured(q, y))
     return jnp.where(unique, int(Result.OK), int(Result.CUT_LOCUS)).astype(jnp.int32)
 
 
 def as_gain(value: Any) -> Any:
-    """A gain as an array, so that a program is compiled once for all gains. It adopts the precision of other operands.
+    """Convert a gain to an array, so that a program is compiled once for all gains.
 
-    Anything that is not a number is returned as it is, so that the checks can name it.
+    The array adopts the precision of the other operands.
+
+    Args:
+        value: A number, or anything else.
+
+    Returns:
+        The number as an array (). Anything that is not a number is returned unchanged, so that the checks can name it.
     """
     return jnp.asarray(float(value)) if isinstance(value, int | float | np.generic) else value
 
 
 def check_positive(whose: str, **gains: Any) -> None:
-    """Raise `ValueError` for a gain that is not a positive, finite number; a traced gain has no value to check."""
+    """Check that gains are positive, finite numbers; a traced gain has no value to check.
+
+    Args:
+        whose: Name of the observer, for the message.
+        **gains: Gains by name, numbers or arrays.
+
+    Raises:
+        ValueError: A gain is not positive and finite; the message names it.
+    """
     for name, gain in gains.items():
-        if not _known(gain, lambda a: np.isfinite(a) & (a > 0)):
-            raise ValueError(f"{whose}: {name} must be a positive, finite number; got {_written(gain)}")
+        if not _satisfied(gain, lambda a: np.isfinite(a) & (a > 0)):
+            raise ValueError(f"{whose}: {name} must be a positive, finite number; got {_on_one_line(gain)}")
 
 
 def check_finite(whose: str, **given: Any) -> None:
-    """Raise `ValueError` where an array has an entry that is not finite; a traced array has no values to check."""
+    """Check that arrays have finite entries; a traced array has no values to check.
+
+    Args:
+        whose: Name of the observer, for the message.
+        **given: Arrays by name.
+
+    Raises:
+        ValueError: An array has an entry that is not finite; the message names it.
+    """
     for name, array in given.items():
-        if not _known(array, np.isfinite):
-            raise ValueError(f"{whose}: {name} must have finite entries; got {_written(array)}")
+        if not _satisfied(array, np.isfinite):
+            raise ValueError(f"{whose}: {name} must have finite entries; got {_on_one_line(array)}")
 
 
-def _known(value: Any, good: Callable[[np.ndarray], Any]) -> bool:
+def _satisfied(value: Any, condition: Callable[[np.ndarray], Any]) -> bool:
     if isinstance(value, Tracer):
         return True
     try:
-        return bool(np.all(good(np.asarray(value, float))))
-    except (TypeError, ValueError):  # it does not hold numbers
+        return bool(np.all(condition(np.asarray(value, float))))
+    except (TypeError, ValueError):  # not numbers
         return False
 
 
-def _written(value: Any) -> str:
+def _on_one_line(value: Any) -> str:
     return " ".join(str(np.asarray(value)).split())
 
 
 def no_input(model: Any, like: Vector) -> Float[Array, "m"]:
-    """Zero input of the size the model takes, or of the size of its coordinates `like` where it states none."""
+    """Zero input of a model.
+
+    Args:
+        model: Model with an attribute `inputs`.
+        like: A vector (n,) whose length is the number of inputs where the model does not state one, and whose precision
+            is that of the result.
+
+    Returns:
+        Zeros (m,).
+    """
     return jnp.zeros(input_count(model, like.shape[0]), like.dtype)
 
 
 def still(kept: Held | Scalar) -> Any:
-    """Time derivative of what is remembered between samples: zero, in the same form."""
+    """Time derivative of what is remembered between samples: zero, in the same form.
+
+    Args:
+        kept: An array, or None.
+
+    Returns:
+        Zeros of the same shape, or None.
+    """
     return jax.tree.map(jnp.zeros_like, kept)
 
 
 def continuous(state: Any) -> Any:
-    """The state without what is remembered between samples, which a differential equation does not need."""
+    """State without what is only remembered between samples, as a differential equation needs it.
+
+    Args:
+        state: State of an observer.
+
+    Returns:
+        The state with None in its fields `held`, `age` and `dt`, as far as it has them.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import models, observers
+        >>> state = observers.Copy(models.oscillator(), alpha=2.0, beta=4.0).init(jnp.zeros(1))
+        >>> observers.continuous(state).held is None
+        True
+    """
     return state._replace(**{name: None for name in ("held", "age", "dt") if name in state._fields})
 
 
-def _holds(state: Any) -> bool:
+def _has_last_input(state: Any) -> bool:
+    """Whether the state has a field for the last finite input."""
     return "held" in state._fields
 
 
-def _keeps_input(state: Any, u: Array) -> bool:
-    return _holds(state) and state.held is not None and state.held.shape == u.shape
+def _stores_input(state: Any, u: Array) -> bool:
+    return _has_last_input(state) and state.held is not None and state.held.shape == u.shape
 
 
-def _held(state: Any, u: Array) -> Array:
-    """The input that replaces one that is not finite."""
-    return state.held.astype(u.dtype) if _keeps_input(state, u) else jnp.zeros_like(u)
+def _replacement_input(state: Any, u: Array) -> Array:
+    """The input that replaces one that is not finite: the last finite one, or zero where the state stores none."""
+    return state.held.astype(u.dtype) if _stores_input(state, u) else jnp.zeros_like(u)
 
 
-def _holding(moved: Any, state: Any, u: Array) -> Any:
+def _with_last_input(advanced: Any, state: Any, u: Array) -> Any:
     """The new state, with the input stored in it where the old state keeps one: the form of a state must not change."""
-    if _keeps_input(state, u):
-        return moved._replace(held=u.astype(state.held.dtype))
-    return moved._replace(held=state.held) if _holds(state) else moved
+    if _stores_input(state, u):
+        return advanced._replace(held=u.astype(state.held.dtype))
+    return advanced._replace(held=state.held) if _has_last_input(state) else advanced
 
 
-def _fault(u: Array, far: Array, dt: Scalar) -> Code:
+def _input_fault(u: Array, too_large: Array, dt: Scalar) -> Code:
     """The worst fault of a sample, apart from what the observer itself reports about a missing measurement."""
     tiny = jnp.finfo(dt.dtype).tiny
     faults = (
-        (jnp.any(far), Result.COASTED),
+        (jnp.any(too_large), Result.COASTED),
         (~jnp.all(jnp.isfinite(u)), Result.INPUT_HELD),
         (jnp.abs(dt) < tiny, Result.REPEATED),
         (~(jnp.isfinite(dt) & (dt > -tiny)), Result.STEP_REFUSED),
     )
     code = jnp.asarray(int(Result.OK))
-    for present, result in faults:
-        code = jnp.where(present, int(result), code)
+    # In the order of severity: a later fault replaces an earlier one.
+    for occurred, result in faults:
+        code = jnp.where(occurred, int(result), code)
     return code
 
 
 def outcome(q: Array, v: Array, y: Array, result: Code | int = Result.OK) -> Code:
-    """Result code of a step: `NOT_FINITE` takes precedence over `COASTED`, and this over the step's own `result`.
+    """Result code of a step, by the precedence `NOT_FINITE`, `COASTED`, `result`.
 
     A position so large that floating-point numbers cannot resolve one unit counts as not finite: differences of such
     positions mean nothing.
+
+    Args:
+        q: Estimated configuration after the step.
+        v: Estimated velocity (n,) after the step.
+        y: Measurement, NaN where missing.
+        result: Code of the step itself, `OK` by default.
+
+    Returns:
+        The code.
     """
     finite = jnp.all(jnp.abs(q) < 1 / jnp.finfo(q.dtype).eps) & jnp.all(jnp.isfinite(v))
     measured = jnp.where(jnp.any(jnp.isnan(y)), int(Result.COASTED), result)
@@ -329,10 +612,26 @@ def _scan(observer: AbstractObserver, t: Array, u: Array, y: Array, keep: frozen
 
 
 def checked(observer: AbstractObserver, record: Record) -> Record:
-    """The record, fit for the observer.
+    """Check that a record fits an observer.
 
-    Raises `ValueError` from `Record.check`, and for the first row with a measurement that is no configuration of the
-    observer's model; traced measurements have no values to check.
+    Args:
+        observer: The observer that is to run over it.
+        record: A log. Traced measurements have no values to check.
+
+    Returns:
+        The record itself.
+
+    Raises:
+        ValueError: From `Record.check`; also where the first measurement is larger than `AbstractObserver.largest`, and
+            for the first row whose measurement is no configuration of the observer's model.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import Record, models, observers
+        >>> observer = observers.Copy(models.oscillator(), alpha=2.0, beta=4.0)
+        >>> record = Record(np.array([0.0, 0.1]), np.zeros((2, 1)), np.zeros((2, 1)))
+        >>> observers.checked(observer, record) is record
+        True
     """
     y = record.check().y
     if isinstance(y, Tracer):
@@ -341,10 +640,10 @@ def checked(observer: AbstractObserver, record: Record) -> Record:
     if (np.abs(first) > observer.largest(first)).any():
         raise ValueError("row 1: the measurement is too large for a start; cut the log to begin later")
     admitted = np.asarray(jax.vmap(observer.admitted)(jnp.asarray(y)))
-    none = (np.isnan(admitted) & ~np.isnan(y)).reshape(len(y), -1).any(1)
-    if none.any():
+    bad = (np.isnan(admitted) & ~np.isnan(y)).reshape(len(y), -1).any(1)
+    if bad.any():
         raise ValueError(
-            f"row {none.argmax() + 1}: the measurement is no configuration of the model; pass rotations as matrices, "
+            f"row {bad.argmax() + 1}: the measurement is no configuration of the model; pass rotations as matrices, "
             "and NaN in all entries of one that is missing"
         )
     return record
@@ -353,13 +652,30 @@ def checked(observer: AbstractObserver, record: Record) -> Record:
 def run(observer: AbstractObserver, record: Record, keep: Collection[str] | None = None) -> Run:
     """Run an observer over a record. Row k of the run depends on the measurements up to row k only.
 
-    - `keep`: names of the fields of the info that are kept; those left out are None, and take no memory on a long log.
-      By default all are kept. Names that an observer's info does not have are ignored.
+    Args:
+        observer: The observer.
+        record: A log, whose input in a row acts from its stamp to the next.
+        keep: Names of the fields of the info to store; the others are None in the result, and take no memory on a long
+            log. None (default) stores all. Names that the observer's info does not have are ignored.
 
-    Returns a `Run` with the stamps, the estimates and the info of every row. Raises `ValueError` from `Record.check`,
-    and for a measurement that is no configuration.
+    Returns:
+        A `Run` with the stamps, the estimates and the info of every row.
+
+    Raises:
+        ValueError: From `Record.check`, and for a measurement that is no configuration.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import Record, models, observers
+        >>> t = np.linspace(0.0, 4.0, 401)
+        >>> record = Record(t, np.zeros((401, 1)), np.cos(t)[:, None])  # a unit mass on a unit spring
+        >>> run = observers.run(observers.Intrinsic(models.oscillator(), alpha=4.0, beta=8.0), record)
+        >>> run
+        <Run: 401 rows over 4 s, 401 ok>
+        >>> bool(np.allclose(run.estimate[-1], [np.cos(4.0), -np.sin(4.0)], atol=1e-3))
+        True
     """
     t, u, y, _ = checked(observer, record)
-    kept = None if keep is None else frozenset(keep)
-    estimate, info = _scan(observer, jnp.asarray(t), jnp.asarray(u), jnp.asarray(y), kept)
+    fields = None if keep is None else frozenset(keep)
+    estimate, info = _scan(observer, jnp.asarray(t), jnp.asarray(u), jnp.asarray(y), fields)
     return Run(jnp.asarray(t), estimate, info)

@@ -22,8 +22,21 @@ from covariant.signals import Result
 
 
 class Estimate(NamedTuple):
-    """Estimated state, the time [s] it belongs to, the last finite input `held`, and the length `dt` [s] of the last
-    prediction; None in continuous time."""
+    """State of a `Riccati` observer.
+
+    Attributes:
+        x: Estimated state (n,).
+        t: Time [s] that it belongs to.
+        held: The last finite input (m,); None in continuous time.
+        dt: Length [s] of the last prediction; None in continuous time.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import observers
+        >>> state = observers.Estimate(x=jnp.ones(2), t=jnp.zeros(()))
+        >>> state.held is None, state.dt is None
+        (True, True)
+    """
 
     x: Vector
     t: Scalar
@@ -32,22 +45,33 @@ class Estimate(NamedTuple):
 
 
 class Riccati(AbstractFlowObserver):
-    """`x̂' = f(x̂) − 2 k_E P⁻¹ h_xᵀ R⁻¹ (h(x̂) − y)`, equation (11), with P a contraction metric at x̂.
+    """Observer `x̂' = f(x̂) − 2 k_E P⁻¹ h_xᵀ R⁻¹ (h(x̂) − y)`, equation (11), with P a contraction metric at x̂.
 
-    - `metric`: P, any `x (n,) -> (n, n)`: `metrics.RiccatiMetric` computes it along the characteristic of the estimate,
-      a field designed on a grid interpolates it, and `metrics.high_gain` gives the high-gain observer.
-    - `start` (n,): first estimate.
-    - `gain`: k_E, a number or a function of x̂. With P from an equation with rate λ, ¼ makes the distance in P decay at
-      the rate λ/2, which a smaller gain may not reach; ½ is the stationary Kalman filter.
-    - `measurement_cov`: R (p, p), as in the equation of P; by default the identity.
-    - `substeps`: Runge–Kutta steps of the model in each sample.
+    With sampled measurements the correction is implicit: it minimises `|x − x̂|²_P + 2 k_E dt |h + h_x (x − x̂) − y|²`,
+    so no gain makes it unstable, and for dt → 0 it is the differential equation. Where the metric is not positive
+    definite, as outside the grid of a field, the model runs without correction and `result` says `OUT_OF_DOMAIN`.
 
-    Where the metric is not positive definite, as outside the grid of a field, the model runs without correction and
-    `result` says `OUT_OF_DOMAIN`. With sampled measurements the correction is implicit: it minimises
-    `|x − x̂|²_P + 2 k_E dt |h + h_x (x − x̂) − y|²`, so no gain makes it unstable, and for dt → 0 it is the differential
-    equation.
+    Attributes:
+        model: The system, with n states and p outputs.
+        metric: P, any function `x (n,) -> (n, n)`: `metrics.RiccatiMetric` computes it along the characteristic of the
+            estimate, a field designed on a grid interpolates it, and `metrics.high_gain` gives the high-gain observer.
+        start: First estimate (n,).
+        gain: k_E, a number or a function of x̂; ¼ by default. With P from an equation with rate λ, ¼ makes the distance
+            in P decay at the rate λ/2, which a smaller gain may not reach; ½ is the stationary Kalman filter.
+        measurement_cov: R (p, p), as in the equation of P; None (default) is the identity.
+        substeps: Number of Runge–Kutta steps of the model in each sample, 1 by default.
 
-    Raises `ValueError` for a gain that is not finite.
+    Raises:
+        ValueError: The gain is not finite.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import models, observers
+        >>> tank = models.StateSpace(lambda t, x, u: -2.0 * x, lambda t, x, u: x, coordinates=("level",), units=("m",))
+        >>> observer = observers.Riccati(tank, lambda x: 0.5 * jnp.eye(1), start=jnp.array([1.0]))
+        >>> state = observers.Estimate(jnp.array([1.0]), jnp.zeros(()))
+        >>> observer.flow(state.t, state, jnp.zeros(0), jnp.array([1.5])).x.round(6).tolist()  # −2 + 2 · ¼ · 2 · 0.5
+        [-1.5]
     """
 
     model: StateSpace
@@ -62,6 +86,15 @@ class Riccati(AbstractFlowObserver):
             check_finite("Riccati", gain=self.gain)
 
     def init(self, y: Float[Array, "p"], t: Number = 0.0) -> Estimate:
+        """State at the first estimate `start`.
+
+        Args:
+            y: First measurement (p,), of which only the precision counts.
+            t: Its time stamp [s], 0 by default.
+
+        Returns:
+            The state.
+        """
         start = jnp.asarray(self.start, y.dtype)
         t = jnp.asarray(t, y.dtype)
         return Estimate(start, t, no_input(self.model, start), jnp.zeros_like(t))
@@ -82,9 +115,19 @@ class Riccati(AbstractFlowObserver):
         return state._replace(x=x, t=state.t + dt, dt=dt)
 
     def correct(self, state: Estimate, u: Float[Array, "m"], y: Float[Array, "p"]) -> tuple[Estimate, Info]:
+        """Correct a predicted state by the implicit formula; an output that is missing is left out.
+
+        Args:
+            state: State that `predict` returned, whose `dt` [s] weights the correction.
+            u: Input (m,) that acted over the prediction.
+            y: Measurement (p,), NaN where missing.
+
+        Returns:
+            The corrected state, and the info, whose distance is the length of the correction in the metric P.
+        """
         x, weight = state.x, 2 * self._gain(state.x) * state.dt
-        moved, info = _correct(self.model, self.measurement_cov, state.t, x, self._metric(x, u), weight, u, y)
-        return state._replace(x=moved), info
+        corrected, info = _correct(self.model, self.measurement_cov, state.t, x, self._metric(x, u), weight, u, y)
+        return state._replace(x=corrected), info
 
     def _gain(self, x: Vector) -> Number:
         return self.gain(x) if callable(self.gain) else self.gain
@@ -97,8 +140,22 @@ class Riccati(AbstractFlowObserver):
 
 
 class InformationState(NamedTuple):
-    """Estimated state, its information matrix P (n, n), the time [s] they belong to, the last finite input `held`, and
-    the length `dt` [s] of the last prediction; None in continuous time."""
+    """State of an `InformationEKF`.
+
+    Attributes:
+        x: Estimated state (n,).
+        information: Its information matrix P (n, n), the inverse of its covariance.
+        t: Time [s] that they belong to.
+        held: The last finite input (m,); None in continuous time.
+        dt: Length [s] of the last prediction; None in continuous time.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import observers
+        >>> state = observers.InformationState(x=jnp.ones(2), information=4.0 * jnp.eye(2), t=jnp.zeros(()))
+        >>> jnp.linalg.inv(state.information).diagonal().tolist()  # variances
+        [0.25, 0.25]
+    """
 
     x: Vector
     information: Matrix
@@ -108,14 +165,31 @@ class InformationState(NamedTuple):
 
 
 class InformationEKF(AbstractFlowObserver):
-    """The extended Kalman filter in information form, equations (13)–(14): P is integrated along the estimate itself.
-
-    - `equation`: Q and R as in the metric's equation; a rate λ makes the filter forget at that rate.
-    - `start` (n,), `information` (n, n): first estimate and its information matrix, the inverse of its covariance.
-    - `substeps`: Runge–Kutta steps in each sample; None takes as many as dt and the equation of P need (offline).
+    """Extended Kalman filter in information form, equations (13)–(14): P is integrated along the estimate itself.
 
     Its P measures how certain the estimate is, which a constant field cannot; but nothing bounds P unless the estimate
     stays close to the state.
+
+    Attributes:
+        model: The system, with n states and p outputs.
+        equation: Q and R as in the metric's equation; a rate λ makes the filter forget at that rate.
+        start: First estimate (n,).
+        information: Information matrix (n, n) of the first estimate, the inverse of its covariance.
+        substeps: Number of Runge–Kutta steps in each sample; None (default) uses as many as dt and the equation of P
+            need (offline).
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import metrics, models, observers
+        >>> constant = models.StateSpace(
+        ...     lambda t, x, u: 0.0 * x, lambda t, x, u: x, coordinates=("level",), units=("m",)
+        ... )
+        >>> equation = metrics.Equation(process_cov=jnp.zeros((1, 1)))
+        >>> observer = observers.InformationEKF(constant, equation, jnp.zeros(1), 2.0 * jnp.eye(1), substeps=1)
+        >>> state = observer.init(jnp.array([1.0]))
+        >>> state, info = observer.step(state, jnp.zeros(0), jnp.array([1.0]), 0.5)
+        >>> state.information.round(6).tolist()  # 2 + dt/R
+        [[2.5]]
     """
 
     model: StateSpace
@@ -125,6 +199,15 @@ class InformationEKF(AbstractFlowObserver):
     substeps: int | None = eqx.field(default=None, static=True)
 
     def init(self, y: Float[Array, "p"], t: Number = 0.0) -> InformationState:
+        """State at the first estimate `start` and its information matrix.
+
+        Args:
+            y: First measurement (p,), of which only the precision counts.
+            t: Its time stamp [s], 0 by default.
+
+        Returns:
+            The state.
+        """
         start, information = jnp.asarray(self.start, y.dtype), jnp.asarray(self.information, y.dtype)
         t = jnp.asarray(t, y.dtype)
         return InformationState(start, information, t, no_input(self.model, start), jnp.zeros_like(t))
@@ -136,9 +219,9 @@ class InformationEKF(AbstractFlowObserver):
         x, p = state.x, state.information
         output_jacobian, error = _whitened_output(self.model, self.equation.measurement_cov, t, x, u, y)
         predicted = self._unmeasured_rate(t, x, p, u)
-        gathered = output_jacobian.T @ output_jacobian
+        gain = output_jacobian.T @ output_jacobian
         slope = self.model.f(t, x, u) - solve(p, output_jacobian.T @ error)
-        return InformationState(slope, predicted + gathered, jnp.ones_like(t), still(state.held), still(state.dt))
+        return InformationState(slope, predicted + gain, jnp.ones_like(t), still(state.held), still(state.dt))
 
     def predict(self, state: InformationState, u: Float[Array, "m"], dt: Scalar) -> InformationState:
         def flow(s, joint):
@@ -152,16 +235,40 @@ class InformationEKF(AbstractFlowObserver):
     def correct(
         self, state: InformationState, u: Float[Array, "m"], y: Float[Array, "p"]
     ) -> tuple[InformationState, Info]:
+        """Correct a predicted state and add the information of the measured outputs; one that is missing is left out.
+
+        Args:
+            state: State that `predict` returned, whose `dt` [s] weights the correction.
+            u: Input (m,) that acted over the prediction.
+            y: Measurement (p,), NaN where missing.
+
+        Returns:
+            The corrected state, and the info, whose distance is the length of the correction in P before the
+            measurement.
+        """
         x, p, t, _, dt = state
-        moved, info = _correct(self.model, self.equation.measurement_cov, t, x, p, dt, u, y)
+        corrected, info = _correct(self.model, self.equation.measurement_cov, t, x, p, dt, u, y)
         output_jacobian, _ = _whitened_output(self.model, self.equation.measurement_cov, t, x, u, y)
-        return state._replace(x=moved, information=p + dt * output_jacobian.T @ output_jacobian), info
+        return state._replace(x=corrected, information=p + dt * output_jacobian.T @ output_jacobian), info
 
     def needed_substeps(self, state: InformationState, u: Array, dt: Scalar) -> Code:
-        """Steps that keep h·rate ≤ 1: to first order changes of P decay at sums of two eigenvalues of `A + QP`."""
+        """Number of Runge–Kutta steps that keep h·rate ≤ 1.
+
+        To first order changes of P decay at sums of two eigenvalues of `A + QP`.
+
+        Args:
+            state: State of this filter.
+            u: Input (m,).
+            dt: Length of the prediction [s].
+
+        Returns:
+            The number of steps.
+        """
         power = jax.jacfwd(self.model.f, 1)(state.t, state.x, u)
         q = self.equation.noise(state.x)
         power = power if q is None else power + q @ state.information
+        # The norm of the 8th power, to the power ⅛, bounds the spectral radius closely from above; its factor 2 is for
+        # sums of two eigenvalues.
         for _ in range(3):
             power = power @ power
         fastest = 2 * jnp.sqrt(jnp.sum(power * power)) ** 0.125 + self.equation.rate
@@ -183,18 +290,18 @@ def _is_metric(p: Matrix) -> Flag:
 def _whitened_output(
     model: StateSpace, measurement_cov: Float[Array, "p p"] | None, t, x: Vector, u: Array, y: Array
 ) -> tuple[Array, Array]:
-    """`R^{-1/2} h_x` and `R^{-1/2} (h − y)`, both with zeros for the outputs that are missing (NaN)."""
+    """`R^{-1/2} h_x` and `R^{-1/2} (h − y)`, whitened with zeros for the outputs that are missing (NaN)."""
     missing = jnp.isnan(y)
     error = model.output_error(model.h(t, x, u), y)
     jacobian: Array = jax.jacfwd(model.h, 1)(t, x, u)
     output_jacobian: Array = jnp.where(missing[:, None], 0.0, jacobian)
     if measurement_cov is None:
         return output_jacobian, error
-        # The noise of a missing output must not affect the others, even where the two are correlated.
-    apart = (missing[:, None] | missing[None, :]) & ~jnp.eye(y.shape[0], dtype=bool)
-    cov = jnp.where(apart, 0.0, jnp.asarray(measurement_cov, x.dtype))
-    both = half_solve(cov, jnp.concatenate([output_jacobian, error[:, None]], axis=1))
-    return both[:, :-1], both[:, -1]
+    # The noise of a missing output must not affect the others, even where the two are correlated.
+    uncoupled = (missing[:, None] | missing[None, :]) & ~jnp.eye(y.shape[0], dtype=bool)
+    cov = jnp.where(uncoupled, 0.0, jnp.asarray(measurement_cov, x.dtype))
+    whitened = half_solve(cov, jnp.concatenate([output_jacobian, error[:, None]], axis=1))
+    return whitened[:, :-1], whitened[:, -1]
 
 
 def _correct(
@@ -212,14 +319,15 @@ def _correct(
     correction = solve(p + weight * output_jacobian.T @ output_jacobian, weight * output_jacobian.T @ error)
     positive = _is_metric(p)
     correction = jnp.where(positive, correction, 0.0)
-    moved = x - correction
+    corrected = x - correction
     result = jnp.where(
-        ~jnp.all(jnp.isfinite(moved)),
+        ~jnp.all(jnp.isfinite(corrected)),
         int(Result.NOT_FINITE),
         jnp.where(
             jnp.all(jnp.isnan(y)), int(Result.COASTED), jnp.where(positive, int(Result.OK), int(Result.OUT_OF_DOMAIN))
         ),
     )
+    # A product with zero is not zero where p is not finite: p is replaced first.
     square = jnp.where(positive, correction @ jnp.where(jnp.isfinite(p), p, 0.0) @ correction, 0.0)
     distance = jnp.sqrt(jnp.maximum(square, 0.0))
-    return moved, Info(-model.output_error(model.h(t, x, u), y), distance, result.astype(jnp.int32))
+    return corrected, Info(-model.output_error(model.h(t, x, u), y), distance, result.astype(jnp.int32))

@@ -28,8 +28,22 @@ from covariant.observers._sampled import predict
 
 
 class SalcudeanState(NamedTuple):
-    """Estimated rotation q (3, 3), momentum in the space frame (3,) [N m s], the time t [s] they belong to, the last
-    finite input `held`, and the length `dt` [s] of the last prediction; None in continuous time."""
+    """State of a `Salcudean` observer.
+
+    Attributes:
+        q: Estimated rotation (3, 3).
+        momentum: Estimated momentum (3,) [N m s], in the space frame.
+        t: Time [s] that they belong to.
+        held: The last finite input (m,); None in continuous time.
+        dt: Length [s] of the last prediction; None in continuous time.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import models, observers
+        >>> state = observers.Salcudean(models.free_body((1.0, 2.0, 3.0)), kp=4.0, kv=2.0).init(jnp.eye(3))
+        >>> state.momentum.tolist()
+        [0.0, 0.0, 0.0]
+    """
 
     q: Float[Array, "3 3"]
     momentum: Vector
@@ -39,18 +53,38 @@ class SalcudeanState(NamedTuple):
 
 
 class Salcudean(AbstractFlowObserver):
-    """Observer of a system on SO(3), with e the vector part of the unit quaternion of `R R̂ᵀ` (e₀ ≥ 0):
+    """Observer of the angular velocity of a system on SO(3).
+
+    With e the vector part of the unit quaternion of `R R̂ᵀ` (e₀ ≥ 0) it is
 
         R̂' = hat(ω̂) R̂,   ω̂ = I₀⁻¹(ĥ + k_v e),   ĥ' = torque + ½ k_p I₀⁻¹ e,   I₀ = R I Rᵀ, all in the space frame
 
-    For an inertia J that is the same in all directions its error obeys s² + αs + β with α = k_v/2J, β = k_p/4J².
+    For an inertia J that is the same in all directions its error obeys s² + αs + β with α = k_v/2J, β = k_p/4J². A step
+    predicts with the model and adds dt times the injected terms, so `kv dt` must stay below the inertia. A measurement
+    with any NaN counts as missing as a whole.
 
-    - `kp` [N m kg m²], `kv` [N m s]: gains.
-    - `substeps`: Runge–Kutta steps in each sample; None takes as many as dt and the friction need (offline).
+    Attributes:
+        model: Mechanical system on SO(3).
+        kp: Gain k_p [N m kg m²].
+        kv: Gain k_v [N m s].
+        substeps: Number of Runge–Kutta steps in each sample; None (default) uses as many as dt and the friction need
+            (offline).
 
-    A step predicts with the model and adds dt times the injected terms, so `kv dt` must stay below the inertia. A
-    measurement with any NaN counts as missing as a whole. Raises `ValueError` for a system that is not on SO(3), and
-    for gains that are not positive and finite.
+    Raises:
+        ValueError: The system is not on SO(3), or a gain is not positive and finite.
+
+    Example:
+        A body that rotates by 0.2 rad about its third axis from an estimate at rest; e = sin 0.1:
+
+        >>> import jax.numpy as jnp
+        >>> import numpy as np
+        >>> from covariant import models, observers
+        >>> observer = observers.Salcudean(models.free_body((1.0, 2.0, 3.0)), kp=9.0, kv=6.0)
+        >>> state = observers.continuous(observer.init(jnp.eye(3)))
+        >>> y = models.marine.euler_rotation(jnp.array([0.0, 0.0, 0.2]))
+        >>> body_velocity = observer.flow(state.t, state, jnp.zeros(3), y).q
+        >>> bool(np.isclose(body_velocity[2], 6.0 / 3.0 * np.sin(0.1)))
+        True
     """
 
     model: MechanicalSystem
@@ -71,8 +105,19 @@ class Salcudean(AbstractFlowObserver):
         return Motion(state.q, body_velocity(self.model, state.q, state.momentum))
 
     def flow(self, t: Scalar, state: SalcudeanState, u: Float[Array, "m"], y: Float[Array, "3 3"]) -> SalcudeanState:
-        """Time derivative of the state; its field q holds the body velocity of R̂."""
-        omega, torque = self._alone(t, state, u, y)
+        """Time derivative of the state, for measurements in continuous time.
+
+        Args:
+            t: Time [s].
+            state: State of this observer.
+            u: Input (m,) at the time t.
+            y: Measured rotation (3, 3), complete.
+
+        Returns:
+            The derivative in the form of the state; its field q holds the body velocity (3,) of R̂.
+        """
+        omega, torque = self._free_motion(t, state, u, y)
+        # R R̂ᵀ = R̂ (R̂ᵀR) R̂ᵀ, so R̂ rotates the vector part of R̂ᵀR into that of R R̂ᵀ.
         e = state.q @ quaternion_from_rotation(state.q.T @ y)[1:]
         injected = y @ self.model.space.raise_(y, y.T @ e)
         turning = state.q.T @ (omega + self.kv * injected)
@@ -88,10 +133,10 @@ class Salcudean(AbstractFlowObserver):
     def correct(
         self, state: SalcudeanState, u: Float[Array, "m"], y: Float[Array, "3 3"]
     ) -> tuple[SalcudeanState, Info]:
-        measured = _measured(state.q, y)
+        measured = _measured_rotation(state.q, y)
         # The feedback: the difference between the flow and the prediction, which used the estimated rotation.
         slope = self.flow(state.t, state, u, measured)
-        omega, torque = self._alone(state.t, state, u, state.q)
+        omega, torque = self._free_motion(state.t, state, u, state.q)
         q = state.q @ SO3.exp(state.dt * (slope.q - state.q.T @ omega))
         momentum = state.momentum + state.dt * (slope.momentum - torque)
         code = outcome(q, momentum, y, uniqueness(self.model, state.q, measured))
@@ -100,16 +145,16 @@ class Salcudean(AbstractFlowObserver):
         return state._replace(q=q, momentum=momentum), info
 
     def innovation(self, state: SalcudeanState, u: Float[Array, "m"], y: Float[Array, "3 3"]) -> Vector:
-        return SO3.local(state.q, _measured(state.q, y))
+        return SO3.local(state.q, _measured_rotation(state.q, y))
 
-    def _alone(self, t: Scalar, state: SalcudeanState, u: Float[Array, "m"], at: Float[Array, "3 3"]):
-        """Angular velocity and torque in the space frame of a body with the estimated momentum at the rotation `at`."""
-        v = body_velocity(self.model, at, state.momentum)
-        total_torque = applied_force(self.model, t, at, u) + resistance(self.model, t, at, v, u)
-        return at @ v, at @ total_torque
+    def _free_motion(self, t: Scalar, state: SalcudeanState, u: Float[Array, "m"], rotation: Float[Array, "3 3"]):
+        """Angular velocity and torque in the space frame of a body with the estimated momentum at a rotation."""
+        v = body_velocity(self.model, rotation, state.momentum)
+        total_torque = applied_force(self.model, t, rotation, u) + resistance(self.model, t, rotation, v, u)
+        return rotation @ v, rotation @ total_torque
 
 
-def _measured(q: Float[Array, "3 3"], y: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
+def _measured_rotation(q: Float[Array, "3 3"], y: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
     """The measured rotation, or the estimate q where it is missing."""
     return jnp.where(jnp.any(jnp.isnan(y)), q, y)
 
@@ -118,6 +163,14 @@ def of_mean_inertia(model: MechanicalSystem, alpha: Number, beta: Number) -> Sal
     """Salcudean's observer with the gains of the error law s² + αs + β for the mean of the principal inertias.
 
     The law is exact for an inertia that is the same in all directions.
+
+    Args:
+        model: Mechanical system on SO(3).
+        alpha: α [1/s] of the error law.
+        beta: β [1/s²] of the error law.
+
+    Returns:
+        The observer, with `kp = 4J²β` and `kv = 2Jα` for the mean inertia J.
     """
     inertia = float(jnp.trace(model.space(SO3.identity()))) / 3
     return Salcudean(model, 4 * inertia**2 * beta, 2 * inertia * alpha)

@@ -27,7 +27,7 @@ from covariant.signals import Result
 Observer = TypeVar("Observer", bound=Any)
 
 LONGEST_STEP = 0.01
-"""Longest Runge–Kutta step [s] of a prediction whose number of substeps is not given."""
+"""Longest Runge–Kutta step [s] of a prediction whose number of substeps is not fixed."""
 MOST_SUBSTEPS = 10_000
 LONGEST_GAP = (jnp.pi / 2) ** 2
 """Largest `|N| dt²` at which a sample is used for the velocity, a quarter of the period of an oscillation: beyond it
@@ -37,27 +37,69 @@ the error may have changed its sign."""
 def predict(
     model: MechanicalSystem, t: Number, q: Array, v: Vector, u: Float[Array, "m"], dt: Number, substeps: int | None
 ) -> Motion:
-    """Integrate the model over dt [s] with u held constant; `substeps=None` uses as many as friction and dt need."""
+    """Integrate the model over dt with the input held constant.
+
+    Args:
+        model: Mechanical system.
+        t: Time [s] at the start.
+        q: Configuration at the start.
+        v: Velocity (n,) at the start.
+        u: Input (m,).
+        dt: Length [s].
+        substeps: Number of Runge–Kutta steps; None uses as many as friction and dt need.
+
+    Returns:
+        The motion at t + dt.
+    """
     count = needed_substeps(model, t, q, v, u, dt) if substeps is None else substeps
     return advance(model, t, Motion(q, v), u, dt, count)
 
 
 def predicted(model: MechanicalSystem, state: Any, u: Float[Array, "m"], dt: Scalar, substeps: int | None) -> Any:
-    """A state with q, v, t and `age`, predicted by the model over dt [s]; see `predict`."""
+    """State of a mechanical observer predicted by the model over dt; see `predict`.
+
+    Args:
+        model: Mechanical system.
+        state: State with the fields q, v, t and `age`.
+        u: Input (m,), constant.
+        dt: Length [s].
+        substeps: Number of Runge–Kutta steps; None uses as many as friction and dt need.
+
+    Returns:
+        The state at t + dt.
+    """
     q, v = predict(model, state.t, state.q, state.v, u, dt, substeps)
     return state._replace(q=q, v=v, t=state.t + dt, age=since(state, dt))
 
 
 def needed_substeps(model: MechanicalSystem, t: Number, q: Array, v: Vector, u: Float[Array, "m"], dt: Number) -> Code:
-    """Number of steps that keep h·rate ≤ 1, with a bound on the rate [1/s] of the friction at rest and at v.
+    """Number of Runge–Kutta steps that keep h·rate ≤ 1, with a bound on the rate [1/s] of the friction.
 
-    Coulomb friction is steepest at rest, drag at speed. The trace bounds the fastest rate, since the Jacobian of
-    monotone friction is similar to a symmetric negative semidefinite matrix.
+    The bound is the larger of those at rest and at v. Coulomb friction is steepest at rest, drag at speed. The trace
+    bounds the fastest rate, since the Jacobian of monotone friction is similar to a symmetric negative semidefinite
+    matrix. No step is longer than `LONGEST_STEP`.
+
+    Args:
+        model: Mechanical system.
+        t: Time [s].
+        q: Configuration.
+        v: Velocity (n,).
+        u: Input (m,).
+        dt: Length of the prediction [s].
+
+    Returns:
+        The number of steps.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import models, observers
+        >>> observers.needed_substeps(models.oscillator(), 0.0, jnp.zeros(1), jnp.zeros(1), jnp.zeros(1), 0.04).item()
+        4
     """
     n = v.shape[0]
 
-    def rate(at):
-        jacobian = jax.jacfwd(lambda w: friction(model, jnp.asarray(t), q, w, u))(at)
+    def rate(velocity):
+        jacobian = jax.jacfwd(lambda w: friction(model, jnp.asarray(t), q, w, u))(velocity)
         return -sum(jacobian[i, i] for i in range(n))
 
     rates = jax.vmap(rate)(jnp.stack([jnp.zeros_like(v), v]))
@@ -65,20 +107,54 @@ def needed_substeps(model: MechanicalSystem, t: Number, q: Array, v: Vector, u: 
 
 
 def chooses_substeps(observer: Any) -> bool:
-    """Whether an observer chooses its number of substeps in each sample, by the friction of its mechanical model."""
+    """Whether an observer chooses its number of substeps in each sample, by the friction of its mechanical model.
+
+    Args:
+        observer: Any observer.
+
+    Returns:
+        True where its `substeps` is None and its model is a `MechanicalSystem`.
+
+    Example:
+        >>> from covariant import models, observers
+        >>> model = models.oscillator()
+        >>> observers.chooses_substeps(observers.Copy(model, 2.0, 4.0))
+        True
+        >>> observers.chooses_substeps(observers.Copy(model, 2.0, 4.0, substeps=2))
+        False
+    """
     return getattr(observer, "substeps", 0) is None and isinstance(observer.model, MechanicalSystem)
 
 
 def with_fixed_substeps(
     observer: Observer, rate: float, q: Inexact[Array, "K *n"], v: Float[Array, "K n"], u: Float[Array, "K m"]
 ) -> Observer:
-    """An observer as a program of fixed length: its number of substeps is chosen now, no longer in every sample.
+    """Fix the number of substeps of an observer, so that its program has a fixed length.
 
-    It is the largest that any of K motions needs at `rate` [Hz], such as those of a simulation or of a log: q and v in
-    the frame, and inputs u. With a slower rate, or friction steeper than at these motions, take the number anew.
+    The number is the largest that any of K motions needs at `rate`, such as those of a simulation or of a log. With a
+    slower rate, or friction steeper than at these motions, determine the number anew.
 
-    Raises `ValueError` for an observer whose number of substeps is fixed already or that has no mechanical model, and
-    for a rate that is not positive.
+    Args:
+        observer: Observer that chooses its substeps; see `chooses_substeps`.
+        rate: Sampling rate [Hz].
+        q: Configurations (K, n), or on a group (K, N, N).
+        v: Velocities (K, n), in the frame.
+        u: Inputs (K, m).
+
+    Returns:
+        The observer with this number of substeps.
+
+    Raises:
+        ValueError: The number of substeps of the observer is fixed already, it has no mechanical model, or the rate is
+            not positive and finite.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import models, observers
+        >>> observer = observers.Copy(models.oscillator(), 2.0, 4.0)
+        >>> zeros = jnp.zeros((5, 1))
+        >>> observers.with_fixed_substeps(observer, 25.0, zeros, zeros, zeros).substeps
+        4
     """
     if not chooses_substeps(observer):
         raise ValueError(f"with_fixed_substeps: {type(observer).__name__} does not choose its substeps by friction")
@@ -90,7 +166,15 @@ def with_fixed_substeps(
 
 
 def steps_for(dt: Number, rate: Number) -> Code:
-    """Number of equal steps in dt [s] that keep h·rate ≤ 1, at most `MOST_SUBSTEPS`."""
+    """Number of equal steps in dt that keep h·rate ≤ 1, at most `MOST_SUBSTEPS`.
+
+    Args:
+        dt: Length [s].
+        rate: Fastest rate [1/s].
+
+    Returns:
+        The number, at least 1.
+    """
     count = jnp.ceil(jnp.nan_to_num(jnp.asarray(dt * rate), nan=1.0))
     return jnp.clip(count, 1, MOST_SUBSTEPS).astype(jnp.int32)
 
@@ -99,23 +183,36 @@ def sampled_gains(alpha: Number, beta: Number, dt: Number) -> tuple[Scalar, Scal
     """Position and velocity gains of one sample: `k1 = 1 − ab`, `k2 = (1 − a)(1 − b)/dt`, for sampled poles a and b.
 
     Complex poles `√p exp(±iφ)`, p = exp(−α dt), give `k2 = (1 − √p)²/dt + 2√p (1 − cos φ)/dt`.
+
+    Args:
+        alpha: Gain α [1/s].
+        beta: Gain β [1/s²].
+        dt: Time since the last measurement [s].
+
+    Returns:
+        k1 [1] and k2 [1/s], both 0 for dt ≤ 0.
     """
-    safe = jnp.where(dt > 0, dt, 1.0)
+    positive_dt = jnp.where(dt > 0, dt, 1.0)
     square = beta - alpha * alpha / 4
-    apart = jnp.sqrt(jnp.where(square != 0, jnp.abs(square), 1.0))  # half the distance between the poles
-    swing = jnp.where(square > 0, jnp.sin(apart * safe / 2) ** 2, 0.0)
-    root = jnp.exp(-alpha * safe / 2)
-    fast = alpha / 2 + apart
-    real_poles = jnp.expm1(-fast * safe) * jnp.expm1(-beta / fast * safe)
-    k2 = jnp.where(square < 0, real_poles, jnp.expm1(-alpha * safe / 2) ** 2 + 4 * root * swing) / safe
-    return jnp.where(dt > 0, -jnp.expm1(-alpha * safe), 0.0), jnp.where(dt > 0, k2, 0.0)
+    half_gap = jnp.sqrt(jnp.where(square != 0, jnp.abs(square), 1.0))  # half the distance between the poles
+    swing = jnp.where(square > 0, jnp.sin(half_gap * positive_dt / 2) ** 2, 0.0)
+    # Differences from 1 by expm1 and sin²: for small dt the plain formulas cancel.
+    root = jnp.exp(-alpha * positive_dt / 2)
+    fast_pole = alpha / 2 + half_gap
+    # The slow pole is β over the fast one: as a difference it would cancel.
+    real_poles = jnp.expm1(-fast_pole * positive_dt) * jnp.expm1(-beta / fast_pole * positive_dt)
+    k2 = jnp.where(square < 0, real_poles, jnp.expm1(-alpha * positive_dt / 2) ** 2 + 4 * root * swing) / positive_dt
+    return jnp.where(dt > 0, -jnp.expm1(-alpha * positive_dt), 0.0), jnp.where(dt > 0, k2, 0.0)
 
 
 class Correction(NamedTuple):
-    """The correction by one sample: the fraction `part` of ξ to take away, and the change of the `velocity`.
+    """Correction by one sample.
 
-    `restarted`: the sample came too late to be used for the velocity, so the estimate starts anew from the measured
-    configuration and the predicted velocity.
+    Attributes:
+        part: Fraction of ξ to take away.
+        velocity: Change (n,) of the velocity.
+        restarted: Whether the sample came too late to be used for the velocity, so that the estimate starts anew from
+            the measured configuration and the predicted velocity.
     """
 
     part: Scalar
@@ -126,17 +223,27 @@ class Correction(NamedTuple):
 def sampled_correction(
     space: AbstractSpace, motion: Motion, alpha: Number, beta: Number, dt: Number, xi: Vector, missing: Vector
 ) -> Correction:
-    """The correction of a predicted motion by the error ξ.
-
-    - `missing`: −Nξ, the acceleration missing in the prediction, which was made at the estimate.
+    """Correction of a predicted motion by the error ξ.
 
     N is an operator and known in the direction of ξ only; terms beyond first order in `|N| dt²` use its size instead.
+
+    Args:
+        space: Configuration space.
+        motion: Predicted motion.
+        alpha: Gain α [1/s].
+        beta: Gain β [1/s²].
+        dt: Time since the last measurement [s].
+        xi: Error ξ (n,) from the measurement to the estimate.
+        missing: −Nξ (n,), the acceleration missing in the prediction, which was computed at the estimate.
+
+    Returns:
+        The correction.
     """
     k1, k2 = sampled_gains(alpha, beta, dt)
     size, gap = space.norm(motion.q, xi), space.norm(motion.q, missing) * dt * dt
     # An error below the rounding of the distance moved says nothing about N.
-    faint = float(jnp.finfo(xi.dtype).eps) ** 0.5 * dt * space.norm(*motion)
-    restarted = gap > LONGEST_GAP * size + faint
+    rounding = float(jnp.finfo(xi.dtype).eps) ** 0.5 * dt * space.norm(*motion)
+    restarted = gap > LONGEST_GAP * size + rounding
     square = gap / jnp.where(size > 0, size, 1.0)
     kappa = dt * (1 - k1 / 2) - k2 * dt * dt / 6
     velocity = kappa / (1 + square / 18) * missing - k2 * xi  # for large |N| dt² it grows as x coth x does
@@ -144,5 +251,13 @@ def sampled_correction(
 
 
 def worth(taken: Correction, result: Code) -> Code:
-    """The result code of a step: its own, or `RESTARTED`, whichever is worse."""
+    """Result code of a step: its own, or `RESTARTED`, whichever is worse.
+
+    Args:
+        taken: Correction of the step.
+        result: Code of the step itself.
+
+    Returns:
+        The code.
+    """
     return jnp.where(taken.restarted, jnp.maximum(result, int(Result.RESTARTED)), result)
