@@ -166,13 +166,8 @@ class Gated(AbstractObserver):
             scale=verdict.scale,
             slip=slip,
         )
-<<<<<<< ours
-        # What was learnt of the measurements still holds where it widens the gate.
-        fresh = self._restarted(state, motion, y)
-=======
         # After a new start a scale above 1 still holds; a smaller one would make the gate too narrow.
-        fresh = self._restarted(state, motion, error, verdict.restart)
->>>>>>> theirs
+        fresh = self._restarted(state, motion, y)
         fresh = fresh._replace(scale=jnp.maximum(verdict.scale, 1.0))
         new = jax.tree.map(lambda a, b: jnp.where(verdict.restart, a, b), fresh, new)
         astray = jnp.any(slip > 1).astype(jnp.int32) * int(Result.ASTRAY)
