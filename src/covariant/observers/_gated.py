@@ -48,7 +48,7 @@ class GatedState(NamedTuple):
         inner: State of the observer behind the gate.
         t: Time [s] that it belongs to.
         left: Error (n,) that the last correction left behind, from the estimate to the measurement.
-        idle: Time [s] since each component (n,) was last measured.
+        idle: Time [s] since a measurement of each component (n,) was last used.
         refused: Number (n,) of samples refused in a row; see `Gate.judge`.
         scale: Average (n,) of the ratio of actual to expected squares; see `Gate.judge`.
         slip: Average (n,) of d², relative to that of an estimate which is astray.
@@ -161,7 +161,7 @@ class Gated(AbstractObserver):
         new = state._replace(
             inner=inner,
             left=jnp.where(used, error, state.left),
-            idle=jnp.where(present, 0.0, state.idle),
+            idle=jnp.where(used, 0.0, state.idle),
             refused=verdict.refused,
             scale=verdict.scale,
             slip=slip,
@@ -187,7 +187,7 @@ class Gated(AbstractObserver):
         """The gate's verdict on d: whether noise and velocity explain it; see the head of this file."""
         dt, rate = state.dt, CREDIBLE / self.gate.deviations * self.speed
         expected = 2 * self.noise**2 + (rate * dt) ** 2
-        # An error of the velocity has acted since the last measurement, `idle` ago; half a step less is forgiven.
+        # An error of the velocity has acted since a measurement was last used, `idle` ago; half a step is forgiven.
         least = (2 * self.noise**2 + (rate * (state.idle - dt / 2)) ** 2) / expected
         cov = jnp.diag(jnp.broadcast_to(expected, innovation.shape).astype(innovation.dtype))
         change = innovation - state.left
