@@ -1,4 +1,4 @@
-"""The walks of docs/contributing.md, taken step by step in a copy of the project: what they say happens, happens."""
+"""The code of docs/extending.md, applied to a copy of the project: what the page says happens, happens."""
 
 import os
 import re
@@ -12,12 +12,16 @@ import pytest
 LONG = (
     "test_an_observer_in_one_file_and_one_entry_is_run_and_compared",
     "test_it_is_put_to_the_laws_and_a_law_to_every_observer",
+    "test_a_space_is_put_to_the_laws_of_geodesics",
 )
 """Cases of the long suite: a cheaper one of the same test, or of the same law, is in the short one."""
 
 ROOT = Path(__file__).parents[1]
-PAGE = (ROOT / "docs" / "contributing.md").read_text(encoding="utf-8")
-COPIED = ("src", "tests/conftest.py", "tests/laws", "tools", "docs", "pyproject.toml")
+PAGE = (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")
+COPIED = (
+    *("src", "tools", "docs", "pyproject.toml"),
+    *("tests/conftest.py", "tests/test_house.py", "tests/laws", "tests/geometry"),
+)
 
 
 def follow_the_page(house: Path) -> None:
@@ -111,6 +115,70 @@ def test_it_is_put_to_the_laws_and_a_law_to_every_observer(house):
     source = (house / laws).read_text(encoding="utf-8")
     assert passed == set(re.findall(r"^def (test_\w+)\(entry, name\)", source, re.MULTILINE))
     assert "test_what_is_measured_later_changes_nothing_before" in passed
+
+
+def laws_of_geometry(house: Path, chosen: str) -> set[str]:
+    """Run laws on the space of the page; returns the names of those that passed."""
+    files = ("tests/laws/test_geometry.py", "tests/geometry/test_spaces.py")
+    done = python(house, "-m", "pytest", "-q", "-p", "no:xdist", "--no-header", "-rA", *files, "-k", chosen)
+    return set(re.findall(r"PASSED \S+::(\w+)\[hills\]", done))
+
+
+def test_a_space_is_put_to_the_laws_at_a_point(house):
+    assert laws_of_geometry(
+        house, "hills and (symmetric_positive or torsion or pair or christoffel_is or curvature_is_that)"
+    ) >= {
+        "test_metric_is_symmetric_positive_definite",
+        "test_connection_is_torsion_free",
+        "test_curvature_has_the_pair_symmetry",
+        "test_christoffel_is_that_of_the_matrix",
+        "test_curvature_is_that_of_the_matrix",
+    }
+
+
+def test_a_space_is_put_to_the_laws_of_geodesics(house):
+    assert laws_of_geometry(house, "hills and (there_and_back or geodesic_is_found)") >= {
+        "test_transport_there_and_back_is_the_identity",
+        "test_geodesic_is_found",
+    }
+
+
+def test_a_verb_is_a_function_and_a_command(house):
+    script = """
+import sys
+from covariant.cli import main
+
+def command(*arguments):
+    sys.argv = ["covariant", *arguments]
+    try:
+        main()
+    except SystemExit as done:
+        assert not done.code
+
+command("simulate", "oscillator", "-o", "gaps.csv", "--duration", "2", "--q0", "1", "--dropout", "0.1")
+command("gaps", "oscillator", "gaps.csv")
+command("gaps", "oscillator", "gaps.csv", "--json")
+"""
+    printed = python(house, "-c", script)
+    line = re.search(r"^(\d+) of 1001 rows lack a measurement, for [\d.]+ s at most$", printed, re.MULTILINE)
+    assert line
+    assert 50 < int(line[1]) < 150
+    assert f'"missing": {line[1]}' in printed
+
+
+def test_examples_in_docstrings_of_the_page_run(house):
+    script = """
+import doctest, importlib
+for name in ("covariant.geometry._surface", "covariant.workflow._gaps"):
+    result = doctest.testmod(importlib.import_module(name))
+    assert result.attempted and not result.failed, name
+"""
+    python(house, "-c", script)
+
+
+def test_the_code_of_the_page_keeps_the_house_rules(house):
+    rules = "left or private or circle or opens_with or defined_once or agreed"
+    python(house, "-m", "pytest", "-q", "-p", "no:xdist", "--noconftest", "tests/test_house.py", "-k", rules)
 
 
 def test_it_is_in_the_table_of_the_docs(house):
